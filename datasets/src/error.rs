@@ -1,0 +1,100 @@
+//! Errors of this crate.
+
+use scenesplat_kernels::grid_sample::GridSampleError;
+use scenesplat_scene::SceneError;
+
+/// Why data cannot become network input. Every variant says where, what and how to mend it.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum DataError {
+    /// A scene of a source could not be read.
+    #[error("scene {id}")]
+    Scene {
+        /// Id of the scene.
+        id: String,
+        /// What is wrong with it.
+        #[source]
+        source: Box<SceneError>,
+    },
+    /// A source has no scene of this id.
+    #[error("no scene is called {id} ({known} scenes are known)")]
+    UnknownScene {
+        /// The id asked for.
+        id: String,
+        /// Number of scenes in the source.
+        known: usize,
+    },
+    /// A scene or folder of scenes is not as it should be, such as arrays of different lengths.
+    #[error(transparent)]
+    Rows(Box<SceneError>),
+    /// Rows cannot be grouped into voxels.
+    #[error(transparent)]
+    Grid(#[from] GridSampleError),
+    /// The network wants normals and the scene has none.
+    #[error(
+        "the network reads normals and the scene has none (estimate them from the positions, read \
+         a file with normals, or use a network without them)"
+    )]
+    NoNormals,
+    /// A value that would reach the network is NaN or infinite.
+    #[error("Gaussian {row}, {field}: {value} is not finite (repair the scene or remove the row)")]
+    NotFinite {
+        /// Row in the scene or point cloud.
+        row: usize,
+        /// Which array.
+        field: &'static str,
+        /// The value.
+        value: f32,
+    },
+    /// A row number beyond the scene.
+    #[error("row {row} is out of range for {rows} rows")]
+    RowOutOfRange {
+        /// The row number.
+        row: usize,
+        /// Number of rows.
+        rows: usize,
+    },
+    /// An array has the wrong number of values.
+    #[error("{field}: expected {expected} values, got {got}")]
+    Length {
+        /// Which array.
+        field: &'static str,
+        /// Length expected.
+        expected: usize,
+        /// Length found.
+        got: usize,
+    },
+    /// A setting outside its range.
+    #[error("{setting}: {value} is not allowed, expected {expected}")]
+    Setting {
+        /// Which setting.
+        setting: &'static str,
+        /// The value given.
+        value: String,
+        /// What is allowed.
+        expected: &'static str,
+    },
+}
+
+impl From<SceneError> for DataError {
+    fn from(error: SceneError) -> Self {
+        Self::Rows(Box::new(error))
+    }
+}
+
+pub(crate) fn check_length(
+    field: &'static str,
+    expected: usize,
+    got: usize,
+) -> Result<(), DataError> {
+    if expected == got { Ok(()) } else { Err(DataError::Length { field, expected, got }) }
+}
+
+pub(crate) fn check_finite(field: &'static str, rows: &[[f32; 3]]) -> Result<(), DataError> {
+    for (row, values) in rows.iter().enumerate() {
+        if let Some(&value) = values.iter().find(|v| !v.is_finite()) {
+            return Err(DataError::NotFinite { row, field, value });
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,235 @@
+//! What the network reads of a Gaussian.
+
+use crate::DataError;
+use rayon::prelude::*;
+use scenesplat_scene::GaussianScene;
+use serde::{Deserialize, Serialize};
+
+/// One group of input channels, after activation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum InputChannel {
+    /// Colour byte / 127.5 − 1, in −1..=1. 3 channels
+    Color,
+    /// Opacity in 0..=1. 1 channel
+    Opacity,
+    /// Unit quaternion `w, x, y, z`. 4 channels
+    Quat,
+    /// Standard deviations, metres. 3 channels
+    Scale,
+    /// Unit surface normal. 3 channels
+    Normal,
+}
+
+impl InputChannel {
+    /// Number of channels.
+    pub fn width(self) -> usize {
+        match self {
+            Self::Opacity => 1,
+            Self::Quat => 4,
+            Self::Color | Self::Scale | Self::Normal => 3,
+        }
+    }
+
+    fn field(self) -> &'static str {
+        match self {
+            Self::Color => "colour",
+            Self::Opacity => "opacity",
+            Self::Quat => "quat",
+            Self::Scale => "scale",
+            Self::Normal => "normal",
+        }
+    }
+}
+
+/// Which channels the network reads, in order, and how scales are limited.
+///
+/// The default is the input of the language networks: colour, opacity, quat, scale (11 channels)
+/// with scales clipped as in their training.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct InputFeatures {
+    /// Channel groups in the order of the network's input.
+    pub channels: Vec<InputChannel>,
+    /// Lower and upper limit of the scales, metres; `None` passes them on as they are.
+    pub scale_clip: Option<[f32; 2]>,
+}
+
+impl Default for InputFeatures {
+    fn default() -> Self {
+        use InputChannel::{Color, Opacity, Quat, Scale};
+        Self { channels: vec![Color, Opacity, Quat, Scale], scale_clip: Some([0.0, 1.5]) }
+    }
+}
+
+impl InputFeatures {
+    /// Number of channels of a row.
+    pub fn width(&self) -> usize {
+        self.channels.iter().map(|c| c.width()).sum()
+    }
+
+    /// Input rows of the given Gaussians.
+    ///
+    /// # Shapes
+    /// - `rows`: `[M]` rows of `scene`, may repeat · returns: `[M, width]` row-major
+    ///
+    /// # Errors
+    /// If a row is out of range, normals are wanted and missing, or a value is not finite. Values
+    /// that a limit makes finite (scale `+inf` when clipped, opacity logit `±inf`) are allowed.
+    ///
+    /// # Source
+    /// `NormalizeColor`, `Collect` and the scene loaders of SceneSplat be9d5e1. Differs: its
+    /// inference script does not clip scales although training did; `scale_clip: None` does that.
+    pub fn rows(&self, scene: &GaussianScene, rows: &[u32]) -> Result<Vec<f32>, DataError> {
+        scene.check_rows()?;
+        if let Some(&row) = rows.iter().find(|&&r| r as usize >= scene.len()) {
+            return Err(DataError::RowOutOfRange { row: row as usize, rows: scene.len() });
+        }
+        if self.channels.contains(&InputChannel::Normal) && scene.normal.is_none() {
+            return Err(DataError::NoNormals);
+        }
+        if let Some([low, high]) = self.scale_clip
+            && (low.is_nan() || high.is_nan() || low > high)
+        {
+            return Err(DataError::Setting {
+                setting: "scale_clip",
+                value: format!("[{low}, {high}]"),
+                expected: "a lower and an upper limit in metres",
+            });
+        }
+        let width = self.width();
+        let mut feat = vec![0.0; rows.len() * width];
+        if width == 0 {
+            return Ok(feat);
+        }
+        feat.par_chunks_exact_mut(width).zip(rows).with_min_len(4096).for_each(|(out, &row)| {
+            let mut at = 0;
+            for &channel in &self.channels {
+                let end = at + channel.width();
+                self.write(channel, scene, row as usize, &mut out[at..end]);
+                at = end;
+            }
+        });
+        match feat.par_iter().position_first(|v| !v.is_finite()) {
+            None => Ok(feat),
+            Some(at) => Err(self.not_finite(rows[at / width] as usize, at % width, feat[at])),
+        }
+    }
+
+    fn write(&self, channel: InputChannel, scene: &GaussianScene, row: usize, out: &mut [f32]) {
+        match channel {
+            InputChannel::Color => {
+                let bytes = scene.color_u8(row);
+                for ((o, byte), dc) in out.iter_mut().zip(bytes).zip(scene.sh_dc[row]) {
+                    // A byte cannot be NaN; the value must be, to be found below.
+                    *o = if dc.is_nan() { dc } else { f32::from(byte) / 127.5 - 1.0 };
+                }
+            }
+            InputChannel::Opacity => out[0] = scene.opacity(row),
+            InputChannel::Quat => out.copy_from_slice(&scene.quat[row]),
+            InputChannel::Scale => {
+                let scale = scene.scale(row);
+                let [low, high] = self.scale_clip.unwrap_or([f32::NEG_INFINITY, f32::INFINITY]);
+                out.copy_from_slice(&scale.map(|s| s.clamp(low, high)));
+            }
+            InputChannel::Normal => {
+                if let Some(normal) = &scene.normal {
+                    out.copy_from_slice(&normal[row]);
+                }
+            }
+        }
+    }
+
+    fn not_finite(&self, row: usize, column: usize, value: f32) -> DataError {
+        let mut end = 0;
+        let channel = self.channels.iter().find(|c| {
+            end += c.width();
+            column < end
+        });
+        DataError::NotFinite { row, field: channel.map_or("feature", |c| c.field()), value }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use scenesplat_scene::gaussian_scene::u8_to_dc;
+
+    fn scene() -> GaussianScene {
+        GaussianScene {
+            coord: vec![[0.0; 3]; 2],
+            log_scale: vec![[0.01_f32.ln(), 1.0, f32::NEG_INFINITY]; 2],
+            quat: vec![[1.0, 0.0, 0.0, 0.0], [0.5, 0.5, -0.5, 0.5]],
+            opacity_logit: vec![0.0, f32::INFINITY],
+            sh_dc: vec![[u8_to_dc(0), u8_to_dc(255), u8_to_dc(51)]; 2],
+            ..GaussianScene::default()
+        }
+    }
+
+    #[test]
+    fn default_rows_by_hand() {
+        let feat = InputFeatures::default().rows(&scene(), &[1, 0]).unwrap();
+        assert_eq!(feat.len(), 22);
+        assert_eq!(feat[..8], [-1.0, 1.0, 51.0 / 127.5 - 1.0, 1.0, 0.5, 0.5, -0.5, 0.5]);
+        assert!((feat[8] - 0.01).abs() < 1e-8);
+        assert_eq!(feat[9..11], [1.5, 0.0]);
+        assert_eq!(feat[14], 0.5);
+    }
+
+    #[test]
+    fn clipping_can_be_switched_off() {
+        let features = InputFeatures { scale_clip: None, ..InputFeatures::default() };
+        assert_eq!(features.rows(&scene(), &[0]).unwrap()[9], 1.0_f32.exp());
+    }
+
+    #[test]
+    fn infinite_scales_pass_only_when_clipped() {
+        let mut scene = scene();
+        scene.log_scale[1][2] = f32::INFINITY;
+        assert_eq!(InputFeatures::default().rows(&scene, &[1]).unwrap()[10], 1.5);
+        let features = InputFeatures { scale_clip: None, ..InputFeatures::default() };
+        let error = features.rows(&scene, &[0, 1]).unwrap_err();
+        assert!(matches!(error, DataError::NotFinite { row: 1, field: "scale", .. }), "{error}");
+    }
+
+    #[test]
+    fn nan_is_named_in_every_channel() {
+        let features = InputFeatures {
+            channels: {
+                use InputChannel::{Color, Normal, Opacity, Quat, Scale};
+                vec![Normal, Scale, Quat, Opacity, Color]
+            },
+            ..InputFeatures::default()
+        };
+        let poison: [(&str, fn(&mut GaussianScene)); 5] = [
+            ("colour", |s| s.sh_dc[1][2] = f32::NAN),
+            ("opacity", |s| s.opacity_logit[1] = f32::NAN),
+            ("quat", |s| s.quat[1][3] = f32::NAN),
+            ("scale", |s| s.log_scale[1][0] = f32::NAN),
+            ("normal", |s| s.normal = Some(vec![[0.0; 3], [f32::NAN; 3]])),
+        ];
+        for (name, poison) in poison {
+            let mut scene = scene();
+            scene.normal = Some(vec![[0.0, 0.0, 1.0]; 2]);
+            assert!(features.rows(&scene, &[0, 1]).is_ok());
+            poison(&mut scene);
+            let error = features.rows(&scene, &[0, 1]).unwrap_err();
+            assert!(
+                matches!(error, DataError::NotFinite { row: 1, field, .. } if field == name),
+                "{error}"
+            );
+        }
+    }
+
+    #[test]
+    fn missing_normals_and_wrong_rows_are_errors() {
+        let features =
+            InputFeatures { channels: vec![InputChannel::Normal], ..InputFeatures::default() };
+        assert!(matches!(features.rows(&scene(), &[0]), Err(DataError::NoNormals)));
+        let error = InputFeatures::default().rows(&scene(), &[0, 2]);
+        assert!(matches!(error, Err(DataError::RowOutOfRange { row: 2, rows: 2 })));
+        let features = InputFeatures { scale_clip: Some([1.0, f32::NAN]), ..Default::default() };
+        assert!(matches!(features.rows(&scene(), &[0]), Err(DataError::Setting { .. })));
+        assert!(InputFeatures::default().rows(&scene(), &[]).unwrap().is_empty());
+    }
+}

@@ -1,0 +1,462 @@
+//! Which Gaussians of a whole scene the network reads, in which voxels and how often, and how its
+//! output returns to every Gaussian.
+//!
+//! Two plans give the same structure:
+//! - [`FastPlan`] (default): one pass over the 2 cm voxels; the Gaussian nearest to a voxel's
+//!   centre stands for the voxel, and every Gaussian receives the output of its voxel.
+//! - [`ExactPlan`]: the steps of the original system. One Gaussian per 1 cm voxel is kept; the kept
+//!   ones are read in several passes of at most one per 2 cm voxel, until each was read.
+
+use crate::error::check_length;
+use crate::rng::{below, sample_rng};
+use crate::{DataError, InputFeatures};
+use scenesplat_kernels::grid_sample::{GridSampleError, KeyOrder, VoxelGroups, voxel_groups};
+use scenesplat_scene::GaussianScene;
+use serde::{Deserialize, Serialize};
+
+/// One pass of the network over voxels.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct NetworkInput {
+    /// Gaussian of the scene that stands for each voxel. `[M]`
+    pub rows: Vec<u32>,
+    /// Where the output of each voxel is collected, see [`InferencePlan::num_slots`]. `[M]`
+    pub slots: Vec<u32>,
+    /// Cell of each voxel, not negative. `[M, 3]`
+    pub grid_coord: Vec<[i32; 3]>,
+    /// Features, row-major. `[M, channels]`
+    pub feat: Vec<f32>,
+    /// Width of a feature row.
+    pub channels: usize,
+}
+
+impl NetworkInput {
+    /// Number of voxels.
+    pub fn len(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// Whether there is no voxel.
+    pub fn is_empty(&self) -> bool {
+        self.rows.is_empty()
+    }
+
+    /// Checks that all arrays have one entry per voxel.
+    ///
+    /// # Errors
+    /// Names the first array of another length.
+    pub fn check(&self) -> Result<(), DataError> {
+        check_length("slots", self.len(), self.slots.len())?;
+        check_length("grid_coord", self.len(), self.grid_coord.len())?;
+        check_length("feat", self.len() * self.channels, self.feat.len())
+    }
+}
+
+/// One pass, one Gaussian per voxel.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct FastPlan {
+    /// Voxel size, metres.
+    pub grid_size: f64,
+    /// What the network reads.
+    pub features: InputFeatures,
+}
+
+impl Default for FastPlan {
+    fn default() -> Self {
+        Self { grid_size: 0.02, features: InputFeatures::default() }
+    }
+}
+
+/// Which Gaussian of a fine voxel is kept.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Representative {
+    /// The first one.
+    #[default]
+    First,
+    /// A random one, as the original does; it does not fix a seed.
+    Drawn {
+        /// Seed of the draws.
+        seed: u64,
+    },
+}
+
+/// The steps of the original system.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ExactPlan {
+    /// Size of the fine voxels that keep one Gaussian each, metres.
+    pub sample_size: f64,
+    /// Size of the network's voxels, metres.
+    pub grid_size: f64,
+    /// Which Gaussian a fine voxel keeps.
+    pub representative: Representative,
+    /// What the network reads.
+    pub features: InputFeatures,
+}
+
+impl Default for ExactPlan {
+    fn default() -> Self {
+        Self {
+            sample_size: 0.01,
+            grid_size: 0.02,
+            representative: Representative::First,
+            features: InputFeatures::default(),
+        }
+    }
+}
+
+/// Passes of the network over a scene, and the way back.
+///
+/// Outputs are collected in *slots*, one per Gaussian that is read at all: pass `i` adds row `m` of
+/// its output to slot `input(i).slots[m]` (see [`SlotMean`]), and Gaussian `g` receives slot
+/// `inverse[g]`. Inputs are made on demand, so only one is in memory.
+#[derive(Debug, Clone)]
+pub struct InferencePlan<'a> {
+    scene: &'a GaussianScene,
+    features: InputFeatures,
+    grid_coord: Vec<[i32; 3]>,
+    /// Groups of slots, for plans with more than one pass.
+    fragments: Option<VoxelGroups>,
+    /// Gaussian that each slot reads. `[S]`
+    pub sampled: Vec<u32>,
+    /// Slot of each Gaussian. `[N]`
+    pub inverse: Vec<u32>,
+}
+
+impl FastPlan {
+    /// Plans one pass over a scene.
+    ///
+    /// # Errors
+    /// If a coordinate is not finite or the scene is too wide for the voxel size; row and axis are
+    /// named.
+    pub fn build<'a>(&self, scene: &'a GaussianScene) -> Result<InferencePlan<'a>, DataError> {
+        scene.check_rows()?;
+        let coord = center_shift(&scene.coord);
+        let groups = group(scene, &coord, self.grid_size, KeyOrder::Morton)?;
+        let sampled = groups.nearest_to_centre(&coord)?;
+        let VoxelGroups { grid_coord, inverse, .. } = groups;
+        let features = self.features.clone();
+        Ok(InferencePlan { scene, features, grid_coord, fragments: None, sampled, inverse })
+    }
+}
+
+impl ExactPlan {
+    /// Plans the passes over a scene.
+    ///
+    /// # Errors
+    /// If a coordinate is not finite or the scene is too wide for the voxel size; row and axis are
+    /// named.
+    ///
+    /// # Source
+    /// Test pipeline and `tools/lang_inference.py` of SceneSplat be9d5e1: `CenterShift`, `GridSample`
+    /// (train rule, 1 cm, with inverse), `GridSample` (test rule, 2 cm). Rows come in its order.
+    /// Differs: its rotation by 0° re-normalises quaternions in f64; ours are left as stored.
+    pub fn build<'a>(&self, scene: &'a GaussianScene) -> Result<InferencePlan<'a>, DataError> {
+        scene.check_rows()?;
+        let coord = center_shift(&scene.coord);
+        let fine = group(scene, &coord, self.sample_size, KeyOrder::Fnv)?;
+        let sampled = match self.representative {
+            Representative::First => fine.first_rows(),
+            Representative::Drawn { seed } => {
+                let mut rng = sample_rng(seed, 0, 0);
+                let bound = fine.largest_count() as u32;
+                let draws: Vec<u32> =
+                    (0..fine.num_voxels()).map(|_| below(&mut rng, bound)).collect();
+                fine.drawn_rows(&draws)?
+            }
+        };
+        let VoxelGroups { inverse, .. } = fine;
+        let kept: Vec<[f32; 3]> = sampled.iter().map(|&r| coord[r as usize]).collect();
+        drop(coord);
+        let fragments = voxel_groups(&kept, self.grid_size, KeyOrder::Fnv)?;
+        Ok(InferencePlan {
+            scene,
+            features: self.features.clone(),
+            grid_coord: fragments.grid_coord.clone(),
+            fragments: Some(fragments),
+            sampled,
+            inverse,
+        })
+    }
+}
+
+impl InferencePlan<'_> {
+    /// Number of passes; 0 for an empty scene.
+    pub fn num_inputs(&self) -> usize {
+        match &self.fragments {
+            Some(groups) => groups.largest_count(),
+            None => usize::from(!self.sampled.is_empty()),
+        }
+    }
+
+    /// Number of slots that outputs are collected in.
+    pub fn num_slots(&self) -> usize {
+        self.sampled.len()
+    }
+
+    /// Voxels per pass.
+    pub fn num_voxels(&self) -> usize {
+        self.grid_coord.len()
+    }
+
+    /// Width of an input row.
+    pub fn channels(&self) -> usize {
+        self.features.width()
+    }
+
+    /// Makes the input of pass `index`.
+    ///
+    /// # Errors
+    /// If there is no such pass, or a value that the network would read is not finite.
+    pub fn input(&self, index: usize) -> Result<NetworkInput, DataError> {
+        if index >= self.num_inputs() {
+            return Err(DataError::Setting {
+                setting: "pass",
+                value: index.to_string(),
+                expected: "a number below the number of passes",
+            });
+        }
+        let slots = match &self.fragments {
+            Some(groups) => groups.fragment_rows(index),
+            None => (0..self.sampled.len() as u32).collect(),
+        };
+        let rows: Vec<u32> = slots.iter().map(|&s| self.sampled[s as usize]).collect();
+        let feat = self.features.rows(self.scene, &rows)?;
+        let channels = self.features.width();
+        Ok(NetworkInput { rows, slots, grid_coord: self.grid_coord.clone(), feat, channels })
+    }
+
+    /// The inputs of all passes, made one at a time.
+    pub fn inputs(&self) -> impl Iterator<Item = Result<NetworkInput, DataError>> + '_ {
+        (0..self.num_inputs()).map(|index| self.input(index))
+    }
+}
+
+/// Mean of the rows that were added to each slot.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SlotMean {
+    sum: Vec<f32>,
+    count: Vec<u32>,
+    width: usize,
+}
+
+impl SlotMean {
+    /// Empty slots for rows of `width` values.
+    pub fn new(num_slots: usize, width: usize) -> Self {
+        Self { sum: vec![0.0; num_slots * width], count: vec![0; num_slots], width }
+    }
+
+    /// Adds row `m` of `values` to slot `slots[m]`.
+    ///
+    /// # Shapes
+    /// - `slots`: `[M]` · `values`: `[M, width]` row-major
+    ///
+    /// # Errors
+    /// If the lengths do not fit or a slot is out of range; then nothing is added.
+    pub fn add(&mut self, slots: &[u32], values: &[f32]) -> Result<(), DataError> {
+        check_length("values", slots.len() * self.width, values.len())?;
+        if let Some(&slot) = slots.iter().find(|&&s| s as usize >= self.count.len()) {
+            return Err(DataError::RowOutOfRange { row: slot as usize, rows: self.count.len() });
+        }
+        for (m, &slot) in slots.iter().enumerate() {
+            let slot = slot as usize;
+            self.count[slot] += 1;
+            let row = &values[m * self.width..(m + 1) * self.width];
+            for (sum, value) in self.sum[slot * self.width..].iter_mut().zip(row) {
+                *sum += value;
+            }
+        }
+        Ok(())
+    }
+
+    /// The means, `[S, width]` row-major; slots that got nothing are 0.
+    pub fn into_mean(mut self) -> Vec<f32> {
+        for (slot, &count) in self.count.iter().enumerate() {
+            if count > 1 {
+                for sum in &mut self.sum[slot * self.width..(slot + 1) * self.width] {
+                    *sum /= count as f32;
+                }
+            }
+        }
+        self.sum
+    }
+}
+
+/// Moves the middle of the bounding box to x = y = 0 and its floor to z = 0.
+///
+/// In f32, as the original: the last bit decides on which side of a voxel border a Gaussian falls.
+pub fn center_shift(coord: &[[f32; 3]]) -> Vec<[f32; 3]> {
+    let Some(&first) = coord.first() else { return Vec::new() };
+    let (low, high) = coord.iter().fold((first, first), |(low, high), c| {
+        (std::array::from_fn(|a| low[a].min(c[a])), std::array::from_fn(|a| high[a].max(c[a])))
+    });
+    let shift = [(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0, low[2]];
+    coord.iter().map(|c| std::array::from_fn(|a| c[a] - shift[a])).collect()
+}
+
+/// Groups shifted coordinates; errors show the coordinate of the file.
+fn group(
+    scene: &GaussianScene,
+    coord: &[[f32; 3]],
+    grid_size: f64,
+    key_order: KeyOrder,
+) -> Result<VoxelGroups, DataError> {
+    crate::error::check_finite("coord", &scene.coord)?;
+    voxel_groups(coord, grid_size, key_order).map_err(|mut error| {
+        match &mut error {
+            GridSampleError::TooWide { row, axis, value, .. }
+            | GridSampleError::NotFinite { row, axis, value } => {
+                let axis = usize::from(*axis as u8 - b'x');
+                *value = scene.coord[*row][axis];
+            }
+            _ => {}
+        }
+        error.into()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{RoomSettings, generate_room};
+
+    fn room(num_gaussians: usize) -> GaussianScene {
+        generate_room(&RoomSettings { num_gaussians, seed: 5 }).unwrap().scene
+    }
+
+    fn at(coord: Vec<[f32; 3]>) -> GaussianScene {
+        let n = coord.len();
+        GaussianScene {
+            coord,
+            log_scale: vec![[-4.0; 3]; n],
+            quat: vec![[1.0, 0.0, 0.0, 0.0]; n],
+            opacity_logit: vec![1.0; n],
+            sh_dc: vec![[0.0; 3]; n],
+            ..GaussianScene::default()
+        }
+    }
+
+    #[test]
+    fn centre_shift_by_hand() {
+        let moved = center_shift(&[[1.0, -2.0, 5.0], [3.0, 4.0, 6.0]]);
+        assert_eq!(moved, [[-1.0, -3.0, 0.0], [1.0, 3.0, 1.0]]);
+        assert!(center_shift(&[]).is_empty());
+    }
+
+    #[test]
+    fn the_fast_plan_reads_each_voxel_once() {
+        let scene = room(20_000);
+        let plan = FastPlan::default().build(&scene).unwrap();
+        assert_eq!(plan.num_inputs(), 1);
+        let input = plan.input(0).unwrap();
+        input.check().unwrap();
+        assert_eq!(input.channels, 11);
+        assert_eq!(input.len(), plan.num_slots());
+        let mut cells = input.grid_coord.clone();
+        cells.sort_unstable();
+        cells.dedup();
+        assert_eq!(cells.len(), input.len());
+        assert!(cells.iter().flatten().all(|&c| c >= 0));
+        // Every Gaussian is in the voxel whose output it receives.
+        assert_eq!(plan.inverse.len(), scene.len());
+        let coord = center_shift(&scene.coord);
+        let far = |a: [f32; 3], b: [f32; 3]| (0..3).any(|i| (a[i] - b[i]).abs() > 0.0201);
+        for (row, &slot) in plan.inverse.iter().enumerate() {
+            assert!(!far(coord[row], coord[plan.sampled[slot as usize] as usize]));
+        }
+        // A representative receives its own output.
+        for (slot, &row) in plan.sampled.iter().enumerate() {
+            assert_eq!(plan.inverse[row as usize] as usize, slot);
+        }
+    }
+
+    #[test]
+    fn the_exact_plan_reads_every_sample() {
+        let scene = room(20_000);
+        for representative in [Representative::First, Representative::Drawn { seed: 3 }] {
+            let plan = ExactPlan { representative, ..ExactPlan::default() }.build(&scene).unwrap();
+            let mut reads = vec![0; plan.num_slots()];
+            let mut sums = SlotMean::new(plan.num_slots(), 1);
+            for input in plan.inputs() {
+                let input = input.unwrap();
+                input.check().unwrap();
+                assert_eq!(input.len(), plan.num_voxels());
+                for (&slot, &row) in input.slots.iter().zip(&input.rows) {
+                    reads[slot as usize] += 1;
+                    assert_eq!(plan.sampled[slot as usize], row);
+                }
+                let values: Vec<f32> = input.rows.iter().map(|&r| r as f32).collect();
+                sums.add(&input.slots, &values).unwrap();
+            }
+            assert!(plan.num_inputs() > 1 && reads.iter().all(|&r| r > 0));
+            let mean = sums.into_mean();
+            for (slot, &row) in plan.sampled.iter().enumerate() {
+                assert!((mean[slot] - row as f32).abs() <= 1e-3 * row as f32);
+            }
+            for (slot, &row) in plan.sampled.iter().enumerate() {
+                assert_eq!(plan.inverse[row as usize] as usize, slot);
+            }
+        }
+    }
+
+    #[test]
+    fn draws_follow_their_seed() {
+        let scene = at((0..4000).map(|i| [(i % 40) as f32 * 0.004, 0.0, 0.0]).collect());
+        let sampled = |seed| {
+            let representative = Representative::Drawn { seed };
+            let plan = ExactPlan { representative, ..ExactPlan::default() };
+            plan.build(&scene).unwrap().sampled
+        };
+        assert_eq!(sampled(1), sampled(1));
+        assert_ne!(sampled(1), sampled(2));
+    }
+
+    #[test]
+    fn tiny_scenes() {
+        for coord in [vec![], vec![[3.0; 3]], vec![[3.0; 3]; 50]] {
+            let scene = at(coord);
+            let passes = usize::from(!scene.is_empty());
+            let fast = FastPlan::default().build(&scene).unwrap();
+            let exact = ExactPlan::default().build(&scene).unwrap();
+            for plan in [fast, exact] {
+                assert_eq!(plan.num_inputs(), passes);
+                assert_eq!(plan.num_slots(), passes);
+                assert_eq!(plan.inverse, vec![0; scene.len()]);
+                for input in plan.inputs() {
+                    assert_eq!(input.unwrap().grid_coord, [[0; 3]]);
+                }
+                assert!(plan.input(passes).is_err());
+            }
+        }
+    }
+
+    #[test]
+    fn errors_show_the_coordinate_of_the_file() {
+        let mut coord = vec![[10.0, 20.0, 30.0]; 9];
+        coord[4][1] = 1e7;
+        let error = FastPlan::default().build(&at(coord.clone())).unwrap_err();
+        assert!(
+            matches!(
+                error,
+                DataError::Grid(GridSampleError::TooWide { row: 4, axis: 'y', value: 1e7, .. })
+            ),
+            "{error}"
+        );
+        coord[4][1] = f32::MAX;
+        coord[5][1] = f32::MIN;
+        assert!(ExactPlan::default().build(&at(coord.clone())).is_err());
+        coord[4][1] = f32::NAN;
+        let error = FastPlan::default().build(&at(coord)).unwrap_err();
+        assert!(matches!(error, DataError::NotFinite { row: 4, field: "coord", .. }), "{error}");
+    }
+
+    #[test]
+    fn slots_refuse_what_does_not_fit() {
+        let mut mean = SlotMean::new(2, 3);
+        assert!(mean.add(&[0], &[1.0, 2.0]).is_err());
+        assert!(mean.add(&[2], &[1.0, 2.0, 3.0]).is_err());
+        mean.add(&[1, 1], &[1.0, 2.0, 3.0, 3.0, 4.0, 5.0]).unwrap();
+        assert_eq!(mean.into_mean(), [0.0, 0.0, 0.0, 2.0, 3.0, 4.0]);
+    }
+}

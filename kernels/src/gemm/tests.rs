@@ -1,0 +1,111 @@
+use super::*;
+use crate::reference;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+pub(crate) fn random(len: usize, seed: u64) -> Vec<f32> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    (0..len).map(|_| rng.random_range(-1.0..1.0)).collect()
+}
+
+fn max_error(got: &[f32], want: &[f64]) -> f64 {
+    got.iter().zip(want).map(|(g, w)| (f64::from(*g) - w).abs()).fold(0.0, f64::max)
+}
+
+#[test]
+fn agrees_with_f64_for_odd_shapes() {
+    for (m, k, n) in
+        [(1, 1, 1), (5, 11, 3), (6, 16, 16), (7, 33, 20), (193, 400, 50), (13, 768, 130), (40, 800, 64)]
+    {
+        let a = random(m * k, 1);
+        let w = random(n * k, 2);
+        let bias = random(n, 3);
+        let residual = random(m * n, 4);
+        let packed = PackedMatrix::from_strided(&w, k, n, 1, k);
+        let mut out = vec![f32::NAN; m * n];
+        let epilogue = Epilogue { bias: Some(&bias), gelu: false, residual: Some(&residual) };
+        gemm(&a, &packed, epilogue, &mut out);
+        let mut want = reference::matmul_nt(&a, &w, m, k, n);
+        for i in 0..m * n {
+            want[i] += f64::from(bias[i % n]) + f64::from(residual[i]);
+        }
+        let error = max_error(&out, &want);
+        assert!(error < 3e-7 * (k as f64).sqrt() * 3.0, "{m}x{k}x{n}: {error}");
+    }
+}
+
+#[test]
+fn a_row_does_not_depend_on_its_neighbours_or_threads() {
+    let (m, k, n) = (500, 500, 96);
+    let a = random(m * k, 5);
+    let packed = PackedMatrix::from_strided(&random(k * n, 6), k, n, n, 1);
+    let mut all = vec![0.0; m * n];
+    gemm(&a, &packed, Epilogue::default(), &mut all);
+    for row in [0, 1, 191, 192, 333, 499] {
+        let mut one = vec![0.0; n];
+        gemm(&a[row * k..(row + 1) * k], &packed, Epilogue::default(), &mut one);
+        assert_eq!(one, all[row * n..(row + 1) * n], "row {row}");
+    }
+    for threads in [1, 3] {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let mut again = vec![0.0; m * n];
+        pool.install(|| gemm(&a, &packed, Epilogue::default(), &mut again));
+        assert_eq!(all, again);
+    }
+}
+
+#[test]
+fn transposed_product_agrees_with_f64() {
+    for (rows, m, n) in [(0, 3, 5), (1, 7, 20), (700, 33, 18), (20_000, 16, 32)] {
+        let a = random(rows * m, 7);
+        let b = random(rows * n, 8);
+        let mut out = vec![f32::NAN; m * n];
+        gemm_tn(&a, m, &b, n, None, &mut out);
+        let want = reference::matmul_tn(&a, &b, rows, m, n);
+        let error = max_error(&out, &want);
+        assert!(error < 1e-6 * (rows as f64).sqrt().max(1.0) * 4.0, "{rows}: {error}");
+    }
+}
+
+#[test]
+fn transposed_product_over_pairs() {
+    let (rows, m, n) = (50, 9, 21);
+    let a = random(rows * m, 9);
+    let b = random(rows * n, 10);
+    let ra: Vec<u32> = (0..900).map(|i| (i * 7 % 50) as u32).collect();
+    let rb: Vec<u32> = (0..900).map(|i| (i * 11 % 50) as u32).collect();
+    let mut out = vec![0.0; m * n];
+    gemm_tn(&a, m, &b, n, Some((&ra, &rb)), &mut out);
+    let pick = |v: &[f32], w: usize, ids: &[u32]| -> Vec<f32> {
+        ids.iter().flat_map(|&r| v[r as usize * w..(r as usize + 1) * w].to_vec()).collect()
+    };
+    let want = reference::matmul_tn(&pick(&a, m, &ra), &pick(&b, n, &rb), 900, m, n);
+    assert!(max_error(&out, &want) < 1e-4);
+}
+
+#[test]
+fn mlp_agrees_with_f64() {
+    let (m, k, h, n) = (205, 24, 96, 40);
+    let (a, w1, b1) = (random(m * k, 11), random(h * k, 12), random(h, 13));
+    let (w2, b2) = (random(n * h, 14), random(n, 15));
+    let mut out = vec![0.0; m * n];
+    mlp(
+        &a,
+        (&PackedMatrix::from_strided(&w1, k, h, 1, k), &b1),
+        &PackedMatrix::from_strided(&w2, h, n, 1, h),
+        Epilogue { bias: Some(&b2), ..Epilogue::default() },
+        &mut out,
+    );
+    let mut hidden = reference::matmul_nt(&a, &w1, m, k, h);
+    for (i, v) in hidden.iter_mut().enumerate() {
+        *v = reference::gelu(*v + f64::from(b1[i % h]));
+    }
+    let mut want = vec![0f64; m * n];
+    for r in 0..m {
+        for j in 0..n {
+            want[r * n + j] = f64::from(b2[j])
+                + (0..h).map(|p| hidden[r * h + p] * f64::from(w2[j * h + p])).sum::<f64>();
+        }
+    }
+    assert!(max_error(&out, &want) < 2e-5, "{}", max_error(&out, &want));
+}

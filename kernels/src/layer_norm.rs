@@ -1,0 +1,221 @@
+//! Layer normalisation over the channels of each row.
+//!
+//! `y = (x − mean) / √(var + ε) · weight + bias`, biased variance, two passes over the cached row.
+//! A row whose variance overflows f32 is normalised in f64 instead; a row with NaN or ±∞ is NaN.
+
+use crate::simd::{Vector, dispatch};
+use rayon::prelude::*;
+
+/// Rows that one task works on; also the stretch of one partial sum of the parameter gradients.
+const BLOCK: usize = 512;
+
+/// Mean and `1 / √(var + ε)` of a row.
+#[inline(always)]
+fn statistics(row: &[f32], eps: f32) -> (f32, f32) {
+    let count = row.len() as f32;
+    let mean = lane_sum(row, |v| v) / count;
+    let var = lane_sum(row, |v| (v - mean) * (v - mean)) / count;
+    if var.is_finite() {
+        return (mean, 1.0 / (var + eps).sqrt());
+    }
+    let count = row.len() as f64;
+    let mean = row.iter().map(|v| f64::from(*v)).sum::<f64>() / count;
+    let var = row.iter().map(|v| (f64::from(*v) - mean).powi(2)).sum::<f64>() / count;
+    (mean as f32, (1.0 / (var + f64::from(eps)).sqrt()) as f32)
+}
+
+/// Sums `f` over a row in sixteen interleaved chains, then the chains in order.
+#[inline(always)]
+fn lane_sum(row: &[f32], f: impl Fn(f32) -> f32) -> f32 {
+    let mut lanes = [0f32; 16];
+    let chunks = row.chunks_exact(16);
+    let rest = chunks.remainder();
+    for chunk in chunks {
+        for (l, v) in lanes.iter_mut().zip(chunk) {
+            *l += f(*v);
+        }
+    }
+    for (l, v) in lanes.iter_mut().zip(rest) {
+        *l += f(*v);
+    }
+    let pairs: [f32; 8] = std::array::from_fn(|i| lanes[i] + lanes[i + 8]);
+    let quads: [f32; 4] = std::array::from_fn(|i| pairs[i] + pairs[i + 4]);
+    (quads[0] + quads[2]) + (quads[1] + quads[3])
+}
+
+#[inline(always)]
+unsafe fn normalise<V: Vector>(
+    x: &[f32],
+    residual: Option<&[f32]>,
+    weight: &[f32],
+    bias: &[f32],
+    eps: f32,
+    out: &mut [f32],
+) {
+    let c = weight.len();
+    for (i, (row, out)) in x.chunks_exact(c).zip(out.chunks_exact_mut(c)).enumerate() {
+        let (mean, inverse) = statistics(row, eps);
+        for j in 0..c {
+            out[j] = (row[j] - mean) * inverse * weight[j] + bias[j];
+        }
+        if let Some(residual) = residual {
+            for (o, r) in out.iter_mut().zip(&residual[i * c..(i + 1) * c]) {
+                *o += r;
+            }
+        }
+    }
+}
+
+/// `out = LayerNorm(x) [+ residual]`.
+///
+/// # Shapes
+/// `x`, `residual`, `out`: `[N, C]` · `weight`, `bias`: `[C]`
+pub fn forward(
+    x: &[f32],
+    residual: Option<&[f32]>,
+    weight: &[f32],
+    bias: &[f32],
+    eps: f32,
+    out: &mut [f32],
+) {
+    let c = weight.len();
+    if c == 0 {
+        return;
+    }
+    out.par_chunks_mut(BLOCK * c).zip(x.par_chunks(BLOCK * c)).enumerate().for_each(
+        |(block, (out, x))| {
+            let residual = residual.map(|r| &r[block * BLOCK * c..block * BLOCK * c + x.len()]);
+            dispatch!((x: &[f32], residual: Option<&[f32]>, weight: &[f32], bias: &[f32],
+                eps: f32, out: &mut [f32]),
+                V => normalise::<V>(x, residual, weight, bias, eps, out));
+        },
+    );
+}
+
+/// Gradients of [`forward`] without residual: of `x`, written to `dx`, and of weight and bias.
+///
+/// # Shapes
+/// `x`, `grad`, `dx`: `[N, C]` · returns `([C], [C])`
+pub fn backward(
+    x: &[f32],
+    grad: &[f32],
+    weight: &[f32],
+    eps: f32,
+    dx: &mut [f32],
+) -> (Vec<f32>, Vec<f32>) {
+    let c = weight.len();
+    let partial: Vec<Vec<f64>> = dx
+        .par_chunks_mut(BLOCK * c)
+        .zip(x.par_chunks(BLOCK * c))
+        .zip(grad.par_chunks(BLOCK * c))
+        .map(|((dx, x), grad)| {
+            let mut sums = vec![0f64; 2 * c];
+            let rows = x.chunks_exact(c).zip(grad.chunks_exact(c)).zip(dx.chunks_exact_mut(c));
+            for ((x, grad), dx) in rows {
+                let (mean, inverse) = statistics(x, eps);
+                let mut mean_g = 0f64;
+                let mut mean_gx = 0f64;
+                for j in 0..c {
+                    let unit = (x[j] - mean) * inverse;
+                    let g = grad[j] * weight[j];
+                    mean_g += f64::from(g);
+                    mean_gx += f64::from(g * unit);
+                    sums[j] += f64::from(grad[j] * unit);
+                    sums[c + j] += f64::from(grad[j]);
+                }
+                let (mean_g, mean_gx) = ((mean_g / c as f64) as f32, (mean_gx / c as f64) as f32);
+                for j in 0..c {
+                    let unit = (x[j] - mean) * inverse;
+                    dx[j] = inverse * (grad[j] * weight[j] - mean_g - unit * mean_gx);
+                }
+            }
+            sums
+        })
+        .collect();
+    let mut total = vec![0f64; 2 * c];
+    for part in partial {
+        for (t, p) in total.iter_mut().zip(part) {
+            *t += p;
+        }
+    }
+    let total: Vec<f32> = total.into_iter().map(|v| v as f32).collect();
+    (total[..c].to_vec(), total[c..].to_vec())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::reference;
+    use rand::{Rng, SeedableRng};
+
+    fn random(len: usize, seed: u64) -> Vec<f32> {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        (0..len).map(|_| rng.random_range(-1.0..1.0)).collect()
+    }
+
+    #[test]
+    fn agrees_with_f64_at_hard_scales() {
+        for c in [1, 3, 16, 48, 100, 768] {
+            let (weight, bias) = (random(c, 1), random(c, 2));
+            for scale in [1.0, 1e-12, 1e12, 1e25, 1e37] {
+                let x: Vec<f32> = random(5 * c, 3).iter().map(|v| v * scale).collect();
+                let mut y = vec![f32::NAN; x.len()];
+                forward(&x, None, &weight, &bias, 1e-5, &mut y);
+                let want = reference::layer_norm(&x, c, &weight, &bias, f64::from(1e-5f32));
+                for (g, w) in y.iter().zip(&want) {
+                    assert!((f64::from(*g) - w).abs() < 2e-5, "c {c} scale {scale}: {g} {w}");
+                }
+            }
+            let constant = vec![3.5; 2 * c];
+            let mut y = vec![0.0; 2 * c];
+            forward(&constant, None, &weight, &bias, 1e-5, &mut y);
+            for (j, v) in y.iter().enumerate() {
+                assert!((v - bias[j % c]).abs() < 1e-6, "a constant row gives the bias");
+            }
+        }
+    }
+
+    #[test]
+    fn residual_is_added_last() {
+        let c = 20;
+        let (x, r, w, b) = (random(7 * c, 1), random(7 * c, 2), random(c, 3), random(c, 4));
+        let (mut plain, mut with) = (vec![0.0; 7 * c], vec![0.0; 7 * c]);
+        forward(&x, None, &w, &b, 1e-5, &mut plain);
+        forward(&x, Some(&r), &w, &b, 1e-5, &mut with);
+        for i in 0..7 * c {
+            assert_eq!(with[i], plain[i] + r[i]);
+        }
+    }
+
+    #[test]
+    fn gradients_agree_with_differences() {
+        let (n, c) = (4, 9);
+        let (x, w, b, g) = (random(n * c, 5), random(c, 6), random(c, 7), random(n * c, 8));
+        let loss = |x: &[f32], w: &[f32], b: &[f32]| -> f64 {
+            reference::layer_norm(x, c, w, b, 1e-5)
+                .iter()
+                .zip(&g)
+                .map(|(y, g)| y * f64::from(*g))
+                .sum()
+        };
+        let mut dx = vec![0.0; n * c];
+        let (dw, db) = backward(&x, &g, &w, 1e-5, &mut dx);
+        let difference = |values: &[f32], i: usize, f: &dyn Fn(&[f32]) -> f64| {
+            let h = 1e-2f32;
+            let (mut up, mut down) = (values.to_vec(), values.to_vec());
+            up[i] += h;
+            down[i] -= h;
+            (f(&up) - f(&down)) / f64::from(up[i] - down[i])
+        };
+        for i in 0..n * c {
+            let want = difference(&x, i, &|x| loss(x, &w, &b));
+            assert!((f64::from(dx[i]) - want).abs() < 5e-3, "dx {i}: {} {want}", dx[i]);
+        }
+        for i in 0..c {
+            let want = difference(&w, i, &|w| loss(&x, w, &b));
+            assert!((f64::from(dw[i]) - want).abs() < 1e-4);
+            let want = difference(&b, i, &|b| loss(&x, &w, b));
+            assert!((f64::from(db[i]) - want).abs() < 1e-4);
+        }
+    }
+}

@@ -1,0 +1,38 @@
+//! Kernels of point-cloud networks on plain slices.
+//!
+//! No tensor library: everything takes and fills slices, so a user of any framework can call it.
+//! Each kernel is deterministic for any number of threads, computes a scene's rows without regard
+//! to its batch mates, and has a slow f64 version in [`reference`] that the tests compare with.
+//!
+//! | module | what |
+//! |---|---|
+//! | [`grid_sample`] | which points share a voxel |
+//! | [`serialization`] | space-filling-curve codes and orders |
+//! | [`patches`], [`patch_attention`] | attention inside patches of an order |
+//! | [`kernel_map`], [`sparse_conv`] | submanifold convolution |
+//! | [`gemm`] | matrix products with fused endings |
+//! | [`layer_norm`], [`batch_norm`], [`activation`] | normalisation, GELU |
+//! | [`segment`], [`permute`] | groups of rows, row copies |
+//!
+//! Threads come from rayon's current pool. Row numbers are `u32` (a batch holds up to 2³² − 2
+//! rows), element offsets `usize`.
+
+pub mod activation;
+pub mod batch_norm;
+pub mod error;
+pub mod gemm;
+pub mod grid_sample;
+pub mod kernel_map;
+pub mod layer_norm;
+pub mod patch_attention;
+pub mod patches;
+pub mod permute;
+#[doc(hidden)]
+pub mod reference;
+pub mod segment;
+pub mod serialization;
+pub mod serialized_cloud;
+pub mod simd;
+pub mod sparse_conv;
+
+pub use error::{KernelError, check_offsets};

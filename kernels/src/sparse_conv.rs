@@ -1,0 +1,300 @@
+//! Submanifold sparse convolution: gather, multiply, scatter, without a gathered copy.
+//!
+//! `out[p] = bias + Σ_tap W[:, tap, :] · in[p + tap − centre]` over occupied voxels: a
+//! cross-correlation. A chunk of output rows belongs to one task, which adds the taps in order, so
+//! no result depends on the number of threads or on other scenes.
+
+use crate::gemm::{
+    PackedMatrix, RowPointers, RowPointersMut, SharedMut, column_groups, gemm_tn, multiply_rows,
+};
+use crate::kernel_map::KernelMap;
+use rayon::prelude::*;
+
+/// Weights of a convolution, packed tap by tap.
+#[derive(Debug, Clone)]
+pub struct PackedConv {
+    taps: Vec<PackedMatrix>,
+    cin: usize,
+    cout: usize,
+}
+
+impl PackedConv {
+    /// Packs weights stored `[cout, k, k, k, cin]`.
+    ///
+    /// # Panics
+    /// If the length does not fit (a bug of the caller).
+    pub fn new(weight: &[f32], cin: usize, cout: usize, taps: usize) -> Self {
+        assert_eq!(weight.len(), cout * taps * cin, "convolution weight length");
+        let taps = (0..taps)
+            .into_par_iter()
+            .map(|t| {
+                let from = &weight[(t * cin).min(weight.len())..];
+                PackedMatrix::from_strided(from, cin, cout, 1, taps * cin)
+            })
+            .collect();
+        Self { taps, cin, cout }
+    }
+
+    /// Packs the same weights for the gradient of the input: `[cout → cin]` per tap.
+    fn transposed(weight: &[f32], cin: usize, cout: usize, taps: usize) -> Self {
+        let taps = (0..taps)
+            .into_par_iter()
+            .map(|t| {
+                let from = &weight[(t * cin).min(weight.len())..];
+                PackedMatrix::from_strided(from, cout, cin, taps * cin, 1)
+            })
+            .collect();
+        Self { taps, cin: cout, cout: cin }
+    }
+
+    /// Input channels.
+    pub fn cin(&self) -> usize {
+        self.cin
+    }
+
+    /// Output channels.
+    pub fn cout(&self) -> usize {
+        self.cout
+    }
+
+    /// Bytes held.
+    pub fn bytes(&self) -> usize {
+        self.taps.iter().map(PackedMatrix::bytes).sum()
+    }
+}
+
+/// Convolves `x` into `out`.
+///
+/// # Shapes
+/// `x`: `[N, cin]` · `bias`: `[cout]` · `out`: `[N, cout]`
+///
+/// # Panics
+/// If lengths do not fit the map and the weights (a bug of the caller).
+pub fn forward(
+    map: &KernelMap,
+    x: &[f32],
+    weight: &PackedConv,
+    bias: Option<&[f32]>,
+    out: &mut [f32],
+) {
+    assert_eq!(weight.taps.len(), map.taps(), "convolution taps");
+    run(map, x, weight, |tap| tap, bias, out, false);
+}
+
+fn run(
+    map: &KernelMap,
+    x: &[f32],
+    weight: &PackedConv,
+    weight_tap: impl Fn(usize) -> usize + Sync,
+    bias: Option<&[f32]>,
+    out: &mut [f32],
+    one_by_one: bool,
+) {
+    let (cin, cout) = (weight.cin, weight.cout);
+    assert_eq!(x.len(), map.rows() * cin, "convolution input length");
+    assert_eq!(out.len(), map.rows() * cout, "convolution output length");
+    if cout == 0 {
+        return;
+    }
+    match bias {
+        Some(bias) => out.par_chunks_mut(cout).for_each(|row| row.copy_from_slice(bias)),
+        None => out.fill(0.0),
+    }
+    if cin == 0 {
+        return;
+    }
+    let groups = column_groups(cout.next_multiple_of(16), map.num_chunks());
+    let target = SharedMut(out.as_mut_ptr());
+    (0..map.num_chunks() * groups.len()).into_par_iter().for_each(|task| {
+        let chunk = task / groups.len();
+        let columns = &groups[task % groups.len()];
+        for tap in 0..map.taps() {
+            let (input, output) = map.pairs(chunk, tap);
+            let matrix = &weight.taps[weight_tap(tap)];
+            // In a transposed map with shared voxels an output row may repeat within a tap; then
+            // pairs are added one at a time.
+            let step = if one_by_one { 1 } else { input.len().max(1) };
+            for (input, output) in input.chunks(step).zip(output.chunks(step)) {
+                // SAFETY: row numbers come from the map and are below `rows`; output rows of
+                // different chunks are distinct, columns of different groups too.
+                unsafe {
+                    multiply_rows(
+                        input.len(),
+                        RowPointers::Gathered { base: x.as_ptr(), stride: cin, ids: input },
+                        matrix,
+                        columns.clone(),
+                        RowPointersMut::Scattered {
+                            base: target.at(0),
+                            stride: cout,
+                            ids: output,
+                        },
+                        true,
+                    );
+                }
+            }
+        }
+    });
+}
+
+/// Gradient of the input.
+///
+/// # Shapes
+/// `grad`: `[N, cout]` · `weight`: `[cout, k, k, k, cin]` · `dx`: `[N, cin]`
+pub fn backward_input(
+    map: &KernelMap,
+    grad: &[f32],
+    weight: &[f32],
+    cin: usize,
+    cout: usize,
+    dx: &mut [f32],
+) {
+    let taps = map.taps();
+    let packed = PackedConv::transposed(weight, cin, cout, taps);
+    if map.has_duplicates() {
+        run(&map.transposed(), grad, &packed, |tap| tap, None, dx, true);
+    } else {
+        // Without shared voxels the pairs of a tap are those of the mirrored tap, exchanged.
+        run(map, grad, &packed, |tap| taps - 1 - tap, None, dx, false);
+    }
+}
+
+/// Gradient of the weight, `[cout, k, k, k, cin]`.
+///
+/// # Shapes
+/// `x`: `[N, cin]` · `grad`: `[N, cout]`
+pub fn backward_weight(
+    map: &KernelMap,
+    x: &[f32],
+    grad: &[f32],
+    cin: usize,
+    cout: usize,
+    dw: &mut [f32],
+) {
+    let taps = map.taps();
+    assert_eq!(dw.len(), cout * taps * cin, "convolution weight length");
+    let target = SharedMut(dw.as_mut_ptr());
+    (0..taps).into_par_iter().for_each(|tap| {
+        let (input, output) = map.tap_pairs(tap);
+        let mut part = vec![0.0; cout * cin];
+        gemm_tn(grad, cout, x, cin, Some((&output, &input)), &mut part);
+        for o in 0..cout {
+            // SAFETY: each tap writes its own stretch of each output channel.
+            let to = unsafe {
+                std::slice::from_raw_parts_mut(target.at((o * taps + tap) * cin), cin)
+            };
+            to.copy_from_slice(&part[o * cin..(o + 1) * cin]);
+        }
+    });
+}
+
+/// Sum of the rows of `grad` (`[N, C]`): the gradient of a bias. Summed in f64 in fixed stretches.
+pub fn backward_bias(grad: &[f32], c: usize) -> Vec<f32> {
+    const BLOCK: usize = 1024;
+    let partial: Vec<Vec<f64>> = grad
+        .par_chunks(BLOCK * c.max(1))
+        .map(|rows| {
+            let mut sums = vec![0f64; c];
+            for row in rows.chunks_exact(c.max(1)) {
+                for (s, v) in sums.iter_mut().zip(row) {
+                    *s += f64::from(*v);
+                }
+            }
+            sums
+        })
+        .collect();
+    let mut total = vec![0f64; c];
+    for part in partial {
+        for (t, p) in total.iter_mut().zip(part) {
+            *t += p;
+        }
+    }
+    total.into_iter().map(|v| v as f32).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::reference;
+    use rand::{Rng, SeedableRng};
+
+    fn random(len: usize, seed: u64) -> Vec<f32> {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        (0..len).map(|_| rng.random_range(-1.0..1.0)).collect()
+    }
+
+    fn grid(n: usize, side: i32, unique: bool) -> Vec<[i32; 3]> {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(4);
+        let mut out: Vec<[i32; 3]> = Vec::new();
+        while out.len() < n {
+            let c = std::array::from_fn(|_| rng.random_range(0..side));
+            if !unique || !out.contains(&c) {
+                out.push(c);
+            }
+        }
+        out
+    }
+
+    #[test]
+    fn agrees_with_the_dense_sum() {
+        for (n, k, cin, cout) in [(0, 3, 4, 4), (1, 3, 11, 5), (300, 3, 7, 20), (200, 5, 11, 32)] {
+            let grid = grid(n, 9, true);
+            let offsets = [0, n / 3, n];
+            let map = KernelMap::build(&grid, &offsets, k).unwrap();
+            let (x, w, b) = (random(n * cin, 1), random(cout * k * k * k * cin, 2), random(cout, 3));
+            let mut out = vec![f32::NAN; n * cout];
+            forward(&map, &x, &PackedConv::new(&w, cin, cout, map.taps()), Some(&b), &mut out);
+            let want = reference::submanifold_conv(&grid, &offsets, &x, cin, &w, Some(&b), k);
+            for (g, w) in out.iter().zip(&want) {
+                assert!((f64::from(*g) - w).abs() < 2e-5, "{g} {w}");
+            }
+        }
+    }
+
+    /// ⟨grad, conv(x)⟩ is linear in x and in the weights, so its gradients are exact sums.
+    fn check_gradients(grid: &[[i32; 3]]) {
+        let (n, cin, cout) = (grid.len(), 5, 6);
+        let map = KernelMap::build(grid, &[0, n], 3).unwrap();
+        let (x, w, g) = (random(n * cin, 1), random(cout * 27 * cin, 2), random(n * cout, 3));
+        let loss = |x: &[f32], w: &[f32]| -> f64 {
+            let mut out = vec![0.0; n * cout];
+            forward(&map, x, &PackedConv::new(w, cin, cout, 27), None, &mut out);
+            out.iter().zip(&g).map(|(o, g)| f64::from(*o) * f64::from(*g)).sum()
+        };
+        let mut dx = vec![f32::NAN; n * cin];
+        backward_input(&map, &g, &w, cin, cout, &mut dx);
+        let mut dw = vec![f32::NAN; w.len()];
+        backward_weight(&map, &x, &g, cin, cout, &mut dw);
+        let base = loss(&x, &w);
+        for i in (0..x.len()).step_by(7) {
+            let mut moved = x.clone();
+            moved[i] += 1.0;
+            let want = loss(&moved, &w) - base;
+            assert!((f64::from(dx[i]) - want).abs() < 1e-4, "dx {i}: {} {want}", dx[i]);
+        }
+        for i in (0..w.len()).step_by(11) {
+            let mut moved = w.clone();
+            moved[i] += 1.0;
+            let want = loss(&x, &moved) - base;
+            assert!((f64::from(dw[i]) - want).abs() < 2e-4, "dw {i}: {} {want}", dw[i]);
+        }
+    }
+
+    #[test]
+    fn gradients_are_exact() {
+        check_gradients(&grid(150, 7, true));
+        check_gradients(&grid(2500, 16, true)[..1500]);
+    }
+
+    #[test]
+    fn gradients_are_exact_with_shared_voxels() {
+        check_gradients(&grid(120, 4, false));
+    }
+
+    #[test]
+    fn bias_gradient_is_the_column_sum() {
+        let g = random(3000 * 3, 9);
+        let want: f64 = g.iter().skip(1).step_by(3).map(|v| f64::from(*v)).sum();
+        assert!((f64::from(backward_bias(&g, 3)[1]) - want).abs() < 1e-5);
+        assert_eq!(backward_bias(&[], 3), [0.0; 3]);
+    }
+}

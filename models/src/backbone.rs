@@ -1,0 +1,132 @@
+//! What a network is to its users, and the networks with their heads.
+
+use crate::point_cloud::PointCloud;
+use crate::point_transformer_v3::{PointTransformerV3, PointTransformerV3Config};
+use crate::{layers::Linear, ops};
+use candle_core::{Result, Tensor, bail};
+use candle_nn::VarBuilder;
+use rand_chacha::ChaCha8Rng;
+
+/// Whether drop path and batch statistics are on. An argument, never hidden state.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Mode {
+    /// Random layers on, statistics from the batch.
+    Train,
+    /// Deterministic.
+    Eval,
+}
+
+/// Whether the curve orders are shuffled at the input and after each pooling.
+///
+/// The original shuffles always, in inference too; there it is off here unless asked for.
+#[derive(Debug, Clone, Default)]
+pub enum Orders {
+    /// As listed in the configuration.
+    #[default]
+    Listed,
+    /// A new random permutation at each scale, from the generator of [`Forward`].
+    Shuffled,
+    /// Given permutations, one a scale: the new order `i` is the old order `permutation[i]`.
+    Given(Vec<Vec<usize>>),
+}
+
+/// Called with a name and the features there; for tests and inspection.
+pub type Observer<'a> = dyn FnMut(&str, &Tensor) + 'a;
+
+/// What a forward pass needs besides its input.
+pub struct Forward<'a> {
+    /// Train or eval.
+    pub mode: Mode,
+    /// Randomness of drop path and order shuffling (candle's CPU generator has no seed).
+    pub rng: &'a mut ChaCha8Rng,
+    /// Order shuffling.
+    pub orders: Orders,
+    /// Sees features on their way, with rows in the order of the network's inside.
+    pub observer: Option<&'a mut Observer<'a>>,
+}
+
+impl<'a> Forward<'a> {
+    /// Deterministic, orders as listed.
+    pub fn eval(rng: &'a mut ChaCha8Rng) -> Self {
+        Self { mode: Mode::Eval, rng, orders: Orders::Listed, observer: None }
+    }
+
+    /// Training, with shuffled orders.
+    pub fn train(rng: &'a mut ChaCha8Rng) -> Self {
+        Self { mode: Mode::Train, rng, orders: Orders::Shuffled, observer: None }
+    }
+
+    pub(crate) fn observe(&mut self, name: &str, feat: &Tensor) {
+        if let Some(observer) = &mut self.observer {
+            observer(name, feat);
+        }
+    }
+}
+
+/// Maps a batch of voxels to features of the same voxels.
+pub trait Backbone: Send + Sync {
+    /// Features of every input row. `[N, out_channels]`
+    ///
+    /// # Errors
+    /// If the input does not fit the network.
+    fn forward(&self, points: &PointCloud, cx: &mut Forward<'_>) -> Result<Tensor>;
+    /// Width of the output.
+    fn out_channels(&self) -> usize;
+}
+
+/// A backbone whose last features, at unit length, are the language embedding.
+pub struct LanguageModel {
+    backbone: PointTransformerV3,
+}
+
+impl LanguageModel {
+    /// Builds the network; parameters have the backbone's names.
+    ///
+    /// # Errors
+    /// If the configuration has a segmentation head, or parameters exist with another shape.
+    pub fn new(config: &PointTransformerV3Config, vb: VarBuilder<'_>) -> Result<Self> {
+        Ok(Self { backbone: PointTransformerV3::new(config, vb)? })
+    }
+}
+
+impl Backbone for LanguageModel {
+    /// Unit rows, except that a zero row stays zero.
+    fn forward(&self, points: &PointCloud, cx: &mut Forward<'_>) -> Result<Tensor> {
+        ops::l2_normalize(&self.backbone.forward(points, cx)?)
+    }
+    fn out_channels(&self) -> usize {
+        self.backbone.out_channels()
+    }
+}
+
+/// A backbone with a linear classifier.
+pub struct SemanticSegmenter {
+    backbone: PointTransformerV3,
+    head: Linear,
+    num_classes: usize,
+}
+
+impl SemanticSegmenter {
+    /// Builds the network; the classifier's parameters are `seg_head.*`.
+    ///
+    /// # Errors
+    /// If the configuration names no number of classes, or parameters exist with another shape.
+    pub fn new(config: &PointTransformerV3Config, vb: VarBuilder<'_>) -> Result<Self> {
+        let Some(num_classes) = config.num_classes else {
+            bail!("segmentation needs num_classes in the configuration");
+        };
+        let backbone = PointTransformerV3::new(config, vb.clone())?;
+        let head = Linear::new(backbone.out_channels(), num_classes, true, vb.pp("seg_head"))?;
+        Ok(Self { backbone, head, num_classes })
+    }
+}
+
+impl Backbone for SemanticSegmenter {
+    /// Class logits.
+    fn forward(&self, points: &PointCloud, cx: &mut Forward<'_>) -> Result<Tensor> {
+        self.head.forward(&self.backbone.forward(points, cx)?)
+    }
+    fn out_channels(&self) -> usize {
+        self.num_classes
+    }
+}

@@ -1,0 +1,30 @@
+//! Trainable layers with gradients (candle's own norms have none) and a packed form for inference.
+
+mod batch_norm;
+mod drop_path;
+mod layer_norm;
+mod linear;
+mod mlp;
+mod sparse_conv;
+
+pub use batch_norm::BatchNorm;
+pub use drop_path::DropPath;
+pub use layer_norm::LayerNorm;
+pub use linear::Linear;
+pub use mlp::Mlp;
+pub use sparse_conv::SparseConv;
+
+use candle_core::{Result, Tensor};
+
+/// The values of a parameter vector.
+pub(crate) fn vector(t: &Tensor) -> Result<Vec<f32>> {
+    t.to_vec1::<f32>()
+}
+
+/// `x + residual` for tensors that may want gradients.
+pub(crate) fn add(x: &Tensor, residual: Option<&Tensor>) -> Result<Tensor> {
+    match residual {
+        Some(r) => x + r,
+        None => Ok(x.clone()),
+    }
+}

@@ -1,0 +1,22 @@
+//! Networks on candle tensors: Point Transformer V3 for Gaussians, and its weights.
+//!
+//! A network is a plain struct built from a [`candle_nn::VarBuilder`]. Built from a
+//! [`ParamStore`] that holds variables it trains: every operation has a gradient. Built from frozen
+//! weights it is packed for inference: weights are rearranged once, neighbouring operations are
+//! fused, and asking for a gradient is an error rather than a silent zero.
+//!
+//! Mode, randomness and curve orders are arguments ([`Forward`]); nothing is hidden state.
+
+mod backbone;
+pub mod convert;
+pub mod layers;
+pub mod ops;
+pub mod params;
+mod point_cloud;
+pub mod point_transformer_v3;
+pub mod weights;
+
+pub use backbone::{Backbone, Forward, LanguageModel, Mode, Orders, SemanticSegmenter};
+pub use params::{LoadPolicy, LoadReport, ParamStore};
+pub use point_cloud::PointCloud;
+pub use point_transformer_v3::{PointTransformerV3, PointTransformerV3Config};

@@ -1,0 +1,131 @@
+//! Batch normalisation.
+
+use super::{cpu_slice, make, read, refuse_gradient};
+use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
+use scenesplat_kernels::batch_norm::{apply, backward, statistics};
+use std::sync::Arc;
+
+/// What a batch is normalised with.
+#[derive(Debug, Clone)]
+pub struct BatchStatistics {
+    /// `[C]`
+    pub mean: Vec<f64>,
+    /// Biased variance. `[C]`
+    pub var: Vec<f64>,
+    /// Whether they come from the batch itself, so that the gradient flows through them.
+    pub from_batch: bool,
+}
+
+/// Mean and biased variance of each channel of `x` (`[N, C]`), in f64.
+///
+/// # Errors
+/// If there are fewer than two rows: the variance to remember would be undefined.
+pub fn batch_statistics(x: &Tensor) -> Result<BatchStatistics> {
+    let (n, c) = x.dims2()?;
+    if n < 2 {
+        bail!("batch_norm: training needs at least 2 rows, got {n}; use larger scenes or batches");
+    }
+    let s = read("batch_norm", x, |x| Ok(statistics(x, c)))?;
+    Ok(BatchStatistics { mean: s.mean, var: s.var, from_batch: true })
+}
+
+struct BatchNorm {
+    statistics: Arc<BatchStatistics>,
+    inverse: Vec<f64>,
+}
+
+impl CustomOp3 for BatchNorm {
+    fn name(&self) -> &'static str {
+        "batch_norm"
+    }
+    fn cpu_fwd(
+        &self,
+        s1: &CpuStorage,
+        l1: &Layout,
+        s2: &CpuStorage,
+        l2: &Layout,
+        s3: &CpuStorage,
+        l3: &Layout,
+    ) -> Result<(CpuStorage, Shape)> {
+        let x = cpu_slice("batch_norm", s1, l1)?;
+        let weight = cpu_slice("batch_norm", s2, l2)?;
+        let bias = cpu_slice("batch_norm", s3, l3)?;
+        let (_, c) = l1.shape().dims2()?;
+        if c != weight.len() || c != self.inverse.len() {
+            bail!("batch_norm: input {:?} does not fit {} channels", l1.shape(), weight.len());
+        }
+        let (scale, shift) = scale_shift(weight, bias, &self.statistics.mean, &self.inverse);
+        let mut out = vec![0f32; x.len()];
+        apply(x, &scale, &shift, false, &mut out);
+        Ok((CpuStorage::F32(out), l1.shape().clone()))
+    }
+    fn bwd(
+        &self,
+        x: &Tensor,
+        weight: &Tensor,
+        _: &Tensor,
+        _: &Tensor,
+        grad: &Tensor,
+    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
+        let shape = x.shape().clone();
+        let s = &self.statistics;
+        let mut parameters = (Vec::new(), Vec::new());
+        let dx = read("batch_norm", x, |x| {
+            read("batch_norm", grad, |g| {
+                read("batch_norm", weight, |w| {
+                    make(shape, |dx| {
+                        parameters = backward(x, g, w, &s.mean, &self.inverse, s.from_batch, dx);
+                    })
+                })
+            })
+        })?;
+        let c = weight.elem_count();
+        let vector = |v: Vec<f32>| Tensor::from_vec(v, c, x.device());
+        Ok((Some(dx), Some(vector(parameters.0)?), Some(vector(parameters.1)?)))
+    }
+}
+
+/// `(scale, shift)` so that `x · scale + shift` is the normalisation; `inverse = 1/√(var + ε)`.
+pub fn scale_shift(
+    weight: &[f32],
+    bias: &[f32],
+    mean: &[f64],
+    inverse: &[f64],
+) -> (Vec<f32>, Vec<f32>) {
+    let scale: Vec<f64> = weight.iter().zip(inverse).map(|(w, i)| f64::from(*w) * i).collect();
+    let shift = bias.iter().zip(&scale).zip(mean).map(|((b, s), m)| (f64::from(*b) - m * s) as f32);
+    let shift = shift.collect();
+    (scale.into_iter().map(|s| s as f32).collect(), shift)
+}
+
+/// `(x − mean) / √(var + ε) · weight + bias` with the given statistics.
+///
+/// # Shapes
+/// `x`: `[N, C]` · `weight`, `bias`: `[C]` · returns `[N, C]`
+///
+/// # Errors
+/// If shapes do not fit or a tensor is not f32 on the CPU.
+pub fn batch_norm(
+    x: &Tensor,
+    weight: &Tensor,
+    bias: &Tensor,
+    statistics: BatchStatistics,
+    eps: f64,
+) -> Result<Tensor> {
+    let inverse = statistics.var.iter().map(|v| 1.0 / (v + eps).sqrt()).collect();
+    x.contiguous()?.apply_op3(weight, bias, BatchNorm { statistics: Arc::new(statistics), inverse })
+}
+
+/// `gelu(x · scale + shift)` per channel, without gradient.
+///
+/// # Errors
+/// If shapes do not fit or `x` wants a gradient.
+pub(crate) fn scale_shift_gelu_frozen(x: &Tensor, scale: &[f32], shift: &[f32]) -> Result<Tensor> {
+    refuse_gradient("batch_norm", x)?;
+    let (_, c) = x.dims2()?;
+    if c != scale.len() {
+        bail!("batch_norm: input {:?} does not fit {} channels", x.shape(), scale.len());
+    }
+    let shape = x.shape().clone();
+    read("batch_norm", x, |x| make(shape, |out| apply(x, scale, shift, true, out)))
+}

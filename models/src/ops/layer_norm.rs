@@ -1,0 +1,94 @@
+//! Layer normalisation.
+
+use super::{cpu_slice, make, read, refuse_gradient};
+use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
+use scenesplat_kernels::layer_norm::{backward, forward};
+
+struct LayerNorm {
+    eps: f32,
+}
+
+impl CustomOp3 for LayerNorm {
+    fn name(&self) -> &'static str {
+        "layer_norm"
+    }
+    fn cpu_fwd(
+        &self,
+        s1: &CpuStorage,
+        l1: &Layout,
+        s2: &CpuStorage,
+        l2: &Layout,
+        s3: &CpuStorage,
+        l3: &Layout,
+    ) -> Result<(CpuStorage, Shape)> {
+        let x = cpu_slice("layer_norm", s1, l1)?;
+        let weight = cpu_slice("layer_norm", s2, l2)?;
+        let bias = cpu_slice("layer_norm", s3, l3)?;
+        check(l1.shape(), weight.len())?;
+        let mut out = vec![0f32; x.len()];
+        forward(x, None, weight, bias, self.eps, &mut out);
+        Ok((CpuStorage::F32(out), l1.shape().clone()))
+    }
+    fn bwd(
+        &self,
+        x: &Tensor,
+        weight: &Tensor,
+        _: &Tensor,
+        _: &Tensor,
+        grad: &Tensor,
+    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
+        let shape = x.shape().clone();
+        let mut parameters = (Vec::new(), Vec::new());
+        let dx = read("layer_norm", x, |x| {
+            read("layer_norm", grad, |g| {
+                read("layer_norm", weight, |w| {
+                    make(shape, |dx| parameters = backward(x, g, w, self.eps, dx))
+                })
+            })
+        })?;
+        let c = weight.elem_count();
+        let vector = |v: Vec<f32>| Tensor::from_vec(v, c, x.device());
+        Ok((Some(dx), Some(vector(parameters.0)?), Some(vector(parameters.1)?)))
+    }
+}
+
+fn check(shape: &Shape, channels: usize) -> Result<()> {
+    let (_, c) = shape.dims2()?;
+    if c != channels {
+        bail!("layer_norm: input {shape:?} does not fit {channels} channels");
+    }
+    Ok(())
+}
+
+/// `(x − mean) / √(var + ε) · weight + bias` over the channels of each row.
+///
+/// # Shapes
+/// `x`: `[N, C]` · `weight`, `bias`: `[C]` · returns `[N, C]`
+///
+/// # Errors
+/// If shapes do not fit or a tensor is not f32 on the CPU.
+pub fn layer_norm(x: &Tensor, weight: &Tensor, bias: &Tensor, eps: f32) -> Result<Tensor> {
+    x.contiguous()?.apply_op3(weight, bias, LayerNorm { eps })
+}
+
+/// [`layer_norm`] plus a residual, without gradient.
+///
+/// # Errors
+/// If shapes do not fit or `x` wants a gradient.
+pub fn layer_norm_frozen(
+    x: &Tensor,
+    weight: &[f32],
+    bias: &[f32],
+    eps: f32,
+    residual: Option<&Tensor>,
+) -> Result<Tensor> {
+    refuse_gradient("layer_norm", x)?;
+    check(x.shape(), weight.len())?;
+    let shape = x.shape().clone();
+    read("layer_norm", x, |x| match residual {
+        Some(r) => {
+            read("layer_norm", r, |r| make(shape, |o| forward(x, Some(r), weight, bias, eps, o)))
+        }
+        None => make(shape, |o| forward(x, None, weight, bias, eps, o)),
+    })
+}

@@ -1,0 +1,169 @@
+//! Linear layers.
+
+use super::{cpu_slice, make, read, refuse_gradient};
+use candle_core::{CpuStorage, CustomOp2, CustomOp3, Layout, Result, Shape, Tensor, bail};
+use scenesplat_kernels::gemm::{Epilogue, PackedMatrix, gemm, gemm_tn, mlp};
+use scenesplat_kernels::sparse_conv::backward_bias;
+
+struct Linear;
+
+fn forward(
+    x: (&CpuStorage, &Layout),
+    w: (&CpuStorage, &Layout),
+    bias: Option<&[f32]>,
+) -> Result<(CpuStorage, Shape)> {
+    let (m, k) = x.1.shape().dims2()?;
+    let (n, k2) = w.1.shape().dims2()?;
+    if k != k2 {
+        bail!("linear: input [{m}, {k}] does not fit weight [{n}, {k2}]");
+    }
+    let x = cpu_slice("linear", x.0, x.1)?;
+    let w = cpu_slice("linear", w.0, w.1)?;
+    let packed = PackedMatrix::from_strided(w, k, n, 1, k);
+    let mut out = vec![0f32; m * n];
+    gemm(x, &packed, Epilogue { bias, ..Epilogue::default() }, &mut out);
+    Ok((CpuStorage::F32(out), (m, n).into()))
+}
+
+fn backward(x: &Tensor, w: &Tensor, grad: &Tensor) -> Result<(Tensor, Tensor, Tensor)> {
+    let (m, k) = x.dims2()?;
+    let n = w.dim(0)?;
+    let dx = read("linear", grad, |g| {
+        read("linear", w, |w| {
+            make((m, k), |out| {
+                let packed = PackedMatrix::from_strided(w, n, k, k, 1);
+                gemm(g, &packed, Epilogue::default(), out);
+            })
+        })
+    })?;
+    let dw = read("linear", grad, |g| {
+        read("linear", x, |x| make((n, k), |out| gemm_tn(g, n, x, k, None, out)))
+    })?;
+    let db = read("linear", grad, |g| {
+        make(n, |out| out.copy_from_slice(&backward_bias(g, n)))
+    })?;
+    Ok((dx, dw, db))
+}
+
+impl CustomOp3 for Linear {
+    fn name(&self) -> &'static str {
+        "linear"
+    }
+    fn cpu_fwd(
+        &self,
+        s1: &CpuStorage,
+        l1: &Layout,
+        s2: &CpuStorage,
+        l2: &Layout,
+        s3: &CpuStorage,
+        l3: &Layout,
+    ) -> Result<(CpuStorage, Shape)> {
+        forward((s1, l1), (s2, l2), Some(cpu_slice("linear", s3, l3)?))
+    }
+    fn bwd(
+        &self,
+        x: &Tensor,
+        w: &Tensor,
+        _: &Tensor,
+        _: &Tensor,
+        grad: &Tensor,
+    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
+        let (dx, dw, db) = backward(x, w, grad)?;
+        Ok((Some(dx), Some(dw), Some(db)))
+    }
+}
+
+impl CustomOp2 for Linear {
+    fn name(&self) -> &'static str {
+        "linear"
+    }
+    fn cpu_fwd(
+        &self,
+        s1: &CpuStorage,
+        l1: &Layout,
+        s2: &CpuStorage,
+        l2: &Layout,
+    ) -> Result<(CpuStorage, Shape)> {
+        forward((s1, l1), (s2, l2), None)
+    }
+    fn bwd(
+        &self,
+        x: &Tensor,
+        w: &Tensor,
+        _: &Tensor,
+        grad: &Tensor,
+    ) -> Result<(Option<Tensor>, Option<Tensor>)> {
+        let (dx, dw, _) = backward(x, w, grad)?;
+        Ok((Some(dx), Some(dw)))
+    }
+}
+
+/// `x · Wᵀ + b`.
+///
+/// # Shapes
+/// `x`: `[N, in]` · `weight`: `[out, in]` · `bias`: `[out]` · returns `[N, out]`
+///
+/// # Errors
+/// If shapes do not fit or a tensor is not f32 on the CPU.
+pub fn linear(x: &Tensor, weight: &Tensor, bias: Option<&Tensor>) -> Result<Tensor> {
+    let x = x.contiguous()?;
+    match bias {
+        Some(bias) => x.apply_op3(weight, bias, Linear),
+        None => x.apply_op2(weight, Linear),
+    }
+}
+
+/// `x · Wᵀ + b [+ residual]` with packed weights.
+///
+/// # Errors
+/// If shapes do not fit or `x` wants a gradient.
+pub fn linear_frozen(
+    x: &Tensor,
+    weight: &PackedMatrix,
+    bias: Option<&[f32]>,
+    residual: Option<&Tensor>,
+) -> Result<Tensor> {
+    refuse_gradient("linear", x)?;
+    let (m, k) = x.dims2()?;
+    if k != weight.k() {
+        bail!("linear: input [{m}, {k}] does not fit weight [{}, {}]", weight.n(), weight.k());
+    }
+    read("linear", x, |x| {
+        let run = |residual: Option<&[f32]>| {
+            make((m, weight.n()), |out| {
+                gemm(x, weight, Epilogue { bias, gelu: false, residual }, out);
+            })
+        };
+        match residual {
+            Some(r) => read("linear", r, |r| run(Some(r))),
+            None => run(None),
+        }
+    })
+}
+
+/// `residual + W₂ · gelu(W₁ · x + b₁) + b₂` with packed weights, block of rows by block of rows.
+///
+/// # Errors
+/// If shapes do not fit or `x` wants a gradient.
+pub fn mlp_frozen(
+    x: &Tensor,
+    first: (&PackedMatrix, &[f32]),
+    second: (&PackedMatrix, &[f32]),
+    residual: &Tensor,
+) -> Result<Tensor> {
+    refuse_gradient("mlp", x)?;
+    let (m, k) = x.dims2()?;
+    let n = second.0.n();
+    if k != first.0.k() || residual.dims() != [m, n] {
+        bail!("mlp: input [{m}, {k}] and residual {:?} do not fit the weights", residual.shape());
+    }
+    read("mlp", x, |x| {
+        read("mlp", residual, |residual| {
+            make((m, n), |out| {
+                let epilogue =
+                    Epilogue { bias: Some(second.1), gelu: false, residual: Some(residual) };
+                mlp(x, first, second.0, epilogue, out);
+            })
+        })
+    })
+}

@@ -1,0 +1,76 @@
+//! Operations of the networks: candle glue over `scenesplat-kernels`.
+//!
+//! The differentiable ones are candle custom operations; index tables live inside the operation.
+//! The others, used with frozen weights, refuse an input that wants a gradient.
+
+mod batch_norm;
+mod gelu;
+mod layer_norm;
+mod linear;
+mod normalize;
+mod patch_attention;
+mod permute_rows;
+mod segment_reduce;
+mod sparse_conv;
+
+pub(crate) use batch_norm::scale_shift_gelu_frozen;
+pub use batch_norm::{BatchStatistics, batch_norm, batch_statistics, scale_shift};
+pub use gelu::gelu;
+pub use layer_norm::{layer_norm, layer_norm_frozen};
+pub use linear::{linear, linear_frozen, mlp_frozen};
+pub use normalize::{l2_normalize, normalize_rows};
+pub use patch_attention::patch_attention;
+pub use permute_rows::permute_rows;
+pub use segment_reduce::{expand_groups, segment_reduce};
+pub use sparse_conv::{sparse_conv, sparse_conv_frozen};
+
+use candle_core::{CpuStorage, Device, Layout, Result, Shape, Storage, Tensor, bail};
+
+/// The f32 values of a contiguous CPU tensor.
+pub(crate) fn cpu_slice<'a>(
+    op: &str,
+    storage: &'a CpuStorage,
+    layout: &Layout,
+) -> Result<&'a [f32]> {
+    let CpuStorage::F32(values) = storage else {
+        bail!("{op}: expected f32, got {:?}; cast with to_dtype first", storage_dtype(storage))
+    };
+    match layout.contiguous_offsets() {
+        Some((start, end)) => Ok(&values[start..end]),
+        None => bail!("{op}: expected a contiguous tensor, got strides {:?}", layout.stride()),
+    }
+}
+
+fn storage_dtype(storage: &CpuStorage) -> candle_core::DType {
+    use candle_core::backend::BackendStorage;
+    storage.dtype()
+}
+
+/// Lends the values of a tensor, made contiguous if needed.
+pub(crate) fn read<R>(op: &str, t: &Tensor, f: impl FnOnce(&[f32]) -> Result<R>) -> Result<R> {
+    let t = t.contiguous()?;
+    let (storage, layout) = t.storage_and_layout();
+    match &*storage {
+        Storage::Cpu(storage) => f(cpu_slice(op, storage, layout)?),
+        _ => bail!("{op}: this build runs on the CPU only"),
+    }
+}
+
+/// Makes a tensor of `len` values that `f` fills.
+pub(crate) fn make(shape: impl Into<Shape>, f: impl FnOnce(&mut [f32])) -> Result<Tensor> {
+    let shape = shape.into();
+    let mut out = vec![0f32; shape.elem_count()];
+    f(&mut out);
+    Tensor::from_vec(out, shape, &Device::Cpu)
+}
+
+/// Stops an input that wants a gradient from entering an operation that has none.
+pub(crate) fn refuse_gradient(op: &str, x: &Tensor) -> Result<()> {
+    if x.track_op() {
+        bail!(
+            "{op}: these weights are frozen for inference and give no gradient; load them into a \
+             trainable ParamStore, or detach the input"
+        );
+    }
+    Ok(())
+}

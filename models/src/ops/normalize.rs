@@ -1,0 +1,77 @@
+//! Unit-length rows.
+
+use super::{cpu_slice, make, read};
+use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
+
+/// Norms below this count as this, as in PyTorch.
+const EPS: f64 = 1e-12;
+
+struct L2Normalize;
+
+/// Euclidean norm in f64: no square of an f32 over- or underflows there.
+fn norm(row: &[f32]) -> f64 {
+    row.iter().map(|v| f64::from(*v) * f64::from(*v)).sum::<f64>().sqrt().max(EPS)
+}
+
+impl CustomOp1 for L2Normalize {
+    fn name(&self) -> &'static str {
+        "l2_normalize"
+    }
+    fn cpu_fwd(&self, s: &CpuStorage, l: &Layout) -> Result<(CpuStorage, Shape)> {
+        let (_, c) = l.shape().dims2()?;
+        let x = cpu_slice("l2_normalize", s, l)?;
+        let mut out = x.to_vec();
+        normalize_rows(&mut out, c);
+        Ok((CpuStorage::F32(out), l.shape().clone()))
+    }
+    fn bwd(&self, x: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
+        let (_, c) = x.dims2()?;
+        let shape = x.shape().clone();
+        read("l2_normalize", x, |x| {
+            read("l2_normalize", grad, |g| {
+                make(shape, |out| {
+                    for ((x, g), out) in
+                        x.chunks_exact(c).zip(g.chunks_exact(c)).zip(out.chunks_exact_mut(c))
+                    {
+                        let norm = norm(x);
+                        // Below the floor the divisor is a constant.
+                        let along = if norm > EPS {
+                            let dot: f64 =
+                                x.iter().zip(g).map(|(x, g)| f64::from(*x) * f64::from(*g)).sum();
+                            dot / norm / norm
+                        } else {
+                            0.0
+                        };
+                        for j in 0..c {
+                            out[j] = ((f64::from(g[j]) - f64::from(x[j]) * along) / norm) as f32;
+                        }
+                    }
+                })
+            })
+        })
+        .map(Some)
+    }
+}
+
+/// Divides each row of `values` (`[N, c]`) by its norm; a zero row stays zero.
+pub fn normalize_rows(values: &mut [f32], c: usize) {
+    use rayon::prelude::*;
+    if c == 0 {
+        return;
+    }
+    values.par_chunks_mut(c).with_min_len(64).for_each(|row| {
+        let inverse = 1.0 / norm(row);
+        row.iter_mut().for_each(|v| *v = (f64::from(*v) * inverse) as f32);
+    });
+}
+
+/// `x / max(‖x‖, 1e-12)` for each row; a zero row stays zero.
+///
+/// # Shapes
+/// `x`: `[N, C]` f32 · returns `[N, C]`
+///
+/// # Errors
+/// If the tensor is not a matrix of f32 on the CPU.
+pub fn l2_normalize(x: &Tensor) -> Result<Tensor> {
+    x.contiguous()?.apply_op1(L2Normalize)
+}

@@ -1,0 +1,63 @@
+//! Attention inside patches of a serialized order.
+
+use super::{cpu_slice, make, read};
+use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor, bail};
+use scenesplat_kernels::patch_attention::{Heads, backward, forward};
+use scenesplat_kernels::patches::Patches;
+use std::sync::Arc;
+
+struct PatchAttention {
+    heads: Heads,
+    patches: Arc<Patches>,
+    order: Arc<Vec<u32>>,
+}
+
+impl CustomOp1 for PatchAttention {
+    fn name(&self) -> &'static str {
+        "patch_attention"
+    }
+    fn cpu_fwd(&self, s: &CpuStorage, l: &Layout) -> Result<(CpuStorage, Shape)> {
+        let (n, c3) = l.shape().dims2()?;
+        let c = self.heads.channels();
+        if c3 != 3 * c || n != self.order.len() {
+            bail!(
+                "patch_attention: expected [{}, {}], got {:?}",
+                self.order.len(),
+                3 * c,
+                l.shape()
+            );
+        }
+        let qkv = cpu_slice("patch_attention", s, l)?;
+        let mut out = vec![0f32; n * c];
+        forward(qkv, self.heads, &self.patches, &self.order, &mut out);
+        Ok((CpuStorage::F32(out), (n, c).into()))
+    }
+    fn bwd(&self, qkv: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
+        let shape = qkv.shape().clone();
+        read("patch_attention", qkv, |qkv| {
+            read("patch_attention", grad, |grad| {
+                make(shape, |out| {
+                    backward(qkv, self.heads, &self.patches, &self.order, grad, out);
+                })
+            })
+        })
+        .map(Some)
+    }
+}
+
+/// Softmax attention of every row to the rows of its patch.
+///
+/// # Shapes
+/// `qkv`: `[N, 3·C]`, the channels being q, k, v, each `[heads, dim]` · `order`: `[N]`, row at each
+/// position of the sequence · returns `[N, C]`
+///
+/// # Errors
+/// If shapes do not fit or the tensor is not f32 on the CPU.
+pub fn patch_attention(
+    qkv: &Tensor,
+    heads: Heads,
+    patches: Arc<Patches>,
+    order: Arc<Vec<u32>>,
+) -> Result<Tensor> {
+    qkv.contiguous()?.apply_op1(PatchAttention { heads, patches, order })
+}

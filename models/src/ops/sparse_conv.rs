@@ -1,0 +1,154 @@
+//! Submanifold convolution.
+
+use super::{cpu_slice, make, read, refuse_gradient};
+use candle_core::{CpuStorage, CustomOp2, CustomOp3, Layout, Result, Shape, Tensor, bail};
+use scenesplat_kernels::kernel_map::KernelMap;
+use scenesplat_kernels::sparse_conv::{
+    PackedConv, backward_bias, backward_input, backward_weight, forward,
+};
+use std::sync::Arc;
+
+struct SparseConv {
+    map: Arc<KernelMap>,
+}
+
+impl SparseConv {
+    fn run(
+        &self,
+        x: (&CpuStorage, &Layout),
+        w: (&CpuStorage, &Layout),
+        bias: Option<&[f32]>,
+    ) -> Result<(CpuStorage, Shape)> {
+        let (n, cin) = x.1.shape().dims2()?;
+        let k = self.map.kernel_size();
+        let (cout, w_in) = match *w.1.shape().dims() {
+            [cout, k1, k2, k3, cin] if [k1, k2, k3] == [k; 3] => (cout, cin),
+            ref other => bail!("sparse_conv: expected [out, {k}, {k}, {k}, in], got {other:?}"),
+        };
+        if cin != w_in || n != self.map.rows() {
+            bail!(
+                "sparse_conv: expected [{}, {w_in}], got {:?}",
+                self.map.rows(),
+                x.1.shape()
+            );
+        }
+        let weight =
+            PackedConv::new(cpu_slice("sparse_conv", w.0, w.1)?, cin, cout, self.map.taps());
+        let mut out = vec![0f32; n * cout];
+        forward(&self.map, cpu_slice("sparse_conv", x.0, x.1)?, &weight, bias, &mut out);
+        Ok((CpuStorage::F32(out), (n, cout).into()))
+    }
+
+    fn gradients(&self, x: &Tensor, w: &Tensor, grad: &Tensor) -> Result<(Tensor, Tensor)> {
+        let (n, cin) = x.dims2()?;
+        let cout = w.dim(0)?;
+        let dx = read("sparse_conv", grad, |g| {
+            read("sparse_conv", w, |w| {
+                make((n, cin), |dx| backward_input(&self.map, g, w, cin, cout, dx))
+            })
+        })?;
+        let dw = read("sparse_conv", grad, |g| {
+            read("sparse_conv", x, |x| {
+                make(w.shape().clone(), |dw| backward_weight(&self.map, x, g, cin, cout, dw))
+            })
+        })?;
+        Ok((dx, dw))
+    }
+}
+
+impl CustomOp3 for SparseConv {
+    fn name(&self) -> &'static str {
+        "sparse_conv"
+    }
+    fn cpu_fwd(
+        &self,
+        s1: &CpuStorage,
+        l1: &Layout,
+        s2: &CpuStorage,
+        l2: &Layout,
+        s3: &CpuStorage,
+        l3: &Layout,
+    ) -> Result<(CpuStorage, Shape)> {
+        self.run((s1, l1), (s2, l2), Some(cpu_slice("sparse_conv", s3, l3)?))
+    }
+    fn bwd(
+        &self,
+        x: &Tensor,
+        w: &Tensor,
+        _: &Tensor,
+        _: &Tensor,
+        grad: &Tensor,
+    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
+        let (dx, dw) = self.gradients(x, w, grad)?;
+        let cout = w.dim(0)?;
+        let db = read("sparse_conv", grad, |g| {
+            make(cout, |out| out.copy_from_slice(&backward_bias(g, cout)))
+        })?;
+        Ok((Some(dx), Some(dw), Some(db)))
+    }
+}
+
+impl CustomOp2 for SparseConv {
+    fn name(&self) -> &'static str {
+        "sparse_conv"
+    }
+    fn cpu_fwd(
+        &self,
+        s1: &CpuStorage,
+        l1: &Layout,
+        s2: &CpuStorage,
+        l2: &Layout,
+    ) -> Result<(CpuStorage, Shape)> {
+        self.run((s1, l1), (s2, l2), None)
+    }
+    fn bwd(
+        &self,
+        x: &Tensor,
+        w: &Tensor,
+        _: &Tensor,
+        grad: &Tensor,
+    ) -> Result<(Option<Tensor>, Option<Tensor>)> {
+        let (dx, dw) = self.gradients(x, w, grad)?;
+        Ok((Some(dx), Some(dw)))
+    }
+}
+
+/// `out[p] = bias + Σ_tap W[:, tap, :] · x[p + tap − centre]` over occupied voxels.
+///
+/// # Shapes
+/// `x`: `[N, in]` · `weight`: `[out, k, k, k, in]` · `bias`: `[out]` · returns `[N, out]`
+///
+/// # Errors
+/// If shapes do not fit the map or a tensor is not f32 on the CPU.
+pub fn sparse_conv(
+    x: &Tensor,
+    weight: &Tensor,
+    bias: Option<&Tensor>,
+    map: Arc<KernelMap>,
+) -> Result<Tensor> {
+    let x = x.contiguous()?;
+    match bias {
+        Some(bias) => x.apply_op3(weight, bias, SparseConv { map }),
+        None => x.apply_op2(weight, SparseConv { map }),
+    }
+}
+
+/// [`sparse_conv`] with packed weights, without gradient.
+///
+/// # Errors
+/// If shapes do not fit or `x` wants a gradient.
+pub fn sparse_conv_frozen(
+    x: &Tensor,
+    weight: &PackedConv,
+    bias: Option<&[f32]>,
+    map: &KernelMap,
+) -> Result<Tensor> {
+    refuse_gradient("sparse_conv", x)?;
+    let (n, cin) = x.dims2()?;
+    if cin != weight.cin() || n != map.rows() {
+        bail!("sparse_conv: expected [{}, {}], got {:?}", map.rows(), weight.cin(), x.shape());
+    }
+    read("sparse_conv", x, |x| {
+        make((n, weight.cout()), |out| forward(map, x, weight, bias, out))
+    })
+}

@@ -1,0 +1,345 @@
+//! Named parameters and buffers, and where their first values come from.
+
+use crate::weights::WeightSource;
+use candle_core::{DType, Device, Result, Shape, Tensor, Var, bail};
+use candle_nn::var_builder::SimpleBackend;
+use candle_nn::{Init, VarBuilder};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+use std::path::Path;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// The parameters and buffers of one module, by name: the registry that candle lacks.
+///
+/// A module asks for its parameters while it is built. A trainable store answers with variables,
+/// whose first values come from a weight file or from a seed and the parameter's name alone, so
+/// they depend neither on the order of construction nor on a global generator. A frozen store hands
+/// out each tensor once, for packing, and keeps nothing.
+#[derive(Clone)]
+pub struct ParamStore {
+    inner: Arc<Mutex<Inner>>,
+}
+
+struct Inner {
+    trainable: bool,
+    seed: u64,
+    source: WeightSource,
+    variables: BTreeMap<String, Var>,
+    requested: BTreeMap<String, Vec<usize>>,
+    missing: BTreeSet<String>,
+    misshaped: BTreeMap<String, (Vec<usize>, Vec<usize>)>,
+    matched: BTreeSet<String>,
+}
+
+/// How to treat names that are in only one of model and file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum LoadPolicy {
+    /// Every parameter must be in the file, with its shape, and nothing else.
+    #[default]
+    Strict,
+    /// Every parameter must be in the file, with its shape; more is allowed.
+    AllowUnexpected,
+    /// Whatever fits is loaded, the rest keeps its seeded value; the report tells.
+    Partial,
+}
+
+/// What a load did. Names are sorted.
+#[derive(Debug, Default, Clone, PartialEq, Eq, serde::Serialize)]
+pub struct LoadReport {
+    /// Names found with the right shape.
+    pub matched: Vec<String>,
+    /// Names that the file lacks.
+    pub missing: Vec<String>,
+    /// Names in the file that nothing asked for.
+    pub unexpected: Vec<String>,
+    /// Name, shape of the model, shape in the file.
+    pub misshaped: Vec<(String, Vec<usize>, Vec<usize>)>,
+    /// Entries of the file that are no weights of this network, by the rule that knows them.
+    pub ignored: Vec<(String, String)>,
+    /// Values of all parameters and buffers of the model.
+    pub parameters: usize,
+}
+
+impl LoadReport {
+    /// Whether model and file agree in everything.
+    pub fn is_complete(&self) -> bool {
+        self.missing.is_empty() && self.misshaped.is_empty() && self.unexpected.is_empty()
+    }
+
+    /// Checks the report against a policy.
+    ///
+    /// # Errors
+    /// If the policy does not allow what was found; the message lists the names.
+    pub fn check(&self, policy: LoadPolicy, origin: &str) -> Result<()> {
+        let bad = match policy {
+            LoadPolicy::Strict => !self.is_complete(),
+            LoadPolicy::AllowUnexpected => !self.missing.is_empty() || !self.misshaped.is_empty(),
+            LoadPolicy::Partial => self.matched.is_empty(),
+        };
+        if bad {
+            bail!(
+                "{origin}: the weights do not fit the network: {self}\
+                 choose the configuration the weights were trained with, or allow a partial load"
+            );
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Display for LoadReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let some = |f: &mut fmt::Formatter<'_>, what: &str, names: &mut dyn Iterator<Item = String>| {
+            let names: Vec<String> = names.collect();
+            if !names.is_empty() {
+                let more = names.len().saturating_sub(5);
+                let shown = names.iter().take(5).cloned().collect::<Vec<_>>().join(", ");
+                let tail = if more > 0 { format!(", … {more} more") } else { String::new() };
+                write!(f, "{} {what}: {shown}{tail}; ", names.len())?;
+            }
+            Ok(())
+        };
+        let total = self.matched.len() + self.missing.len() + self.misshaped.len();
+        write!(f, "{} of {total} entries matched; ", self.matched.len())?;
+        some(f, "missing", &mut self.missing.iter().cloned())?;
+        some(f, "unexpected", &mut self.unexpected.iter().cloned())?;
+        let shapes = self.misshaped.iter();
+        some(
+            f,
+            "of another shape",
+            &mut shapes.map(|(n, want, got)| format!("{n} (network {want:?}, file {got:?})")),
+        )?;
+        if !self.ignored.is_empty() {
+            write!(f, "{} entries that belong to no network ignored; ", self.ignored.len())?;
+        }
+        Ok(())
+    }
+}
+
+impl ParamStore {
+    /// A store of variables to train, first values from `seed` and the names.
+    pub fn trainable(seed: u64) -> Self {
+        Self::new(true, seed, WeightSource::empty())
+    }
+
+    /// A store of variables to train, first values from `source` where it has them.
+    pub fn trainable_from(source: WeightSource, seed: u64) -> Self {
+        Self::new(true, seed, source)
+    }
+
+    /// Weights for inference: packed by the layers, no gradients.
+    pub fn frozen(source: WeightSource) -> Self {
+        Self::new(false, 0, source)
+    }
+
+    fn new(trainable: bool, seed: u64, source: WeightSource) -> Self {
+        let inner = Inner {
+            trainable,
+            seed,
+            source,
+            variables: BTreeMap::new(),
+            requested: BTreeMap::new(),
+            missing: BTreeSet::new(),
+            misshaped: BTreeMap::new(),
+            matched: BTreeSet::new(),
+        };
+        Self { inner: Arc::new(Mutex::new(inner)) }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Inner> {
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What modules are built with (f32, CPU).
+    pub fn builder(&self) -> VarBuilder<'static> {
+        VarBuilder::from_backend(Box::new(self.clone()), DType::F32, Device::Cpu)
+    }
+
+    /// Trainable variables (no batch statistics) by name.
+    pub fn parameters(&self) -> BTreeMap<String, Var> {
+        let inner = self.lock();
+        let trained = inner.variables.iter().filter(|(n, _)| !is_buffer(n));
+        trained.map(|(n, v)| (n.clone(), v.clone())).collect()
+    }
+
+    /// Batch statistics by name.
+    pub fn buffers(&self) -> BTreeMap<String, Var> {
+        let inner = self.lock();
+        let kept = inner.variables.iter().filter(|(n, _)| is_buffer(n));
+        kept.map(|(n, v)| (n.clone(), v.clone())).collect()
+    }
+
+    /// Shapes of everything that was asked for, by name.
+    pub fn shapes(&self) -> BTreeMap<String, Vec<usize>> {
+        self.lock().requested.clone()
+    }
+
+    /// How the modules built so far agreed with the source.
+    pub fn report(&self) -> LoadReport {
+        let inner = self.lock();
+        let unexpected =
+            inner.source.names().into_iter().filter(|n| !inner.requested.contains_key(n));
+        LoadReport {
+            matched: inner.matched.iter().cloned().collect(),
+            missing: inner.missing.iter().cloned().collect(),
+            unexpected: unexpected.collect(),
+            misshaped: inner
+                .misshaped
+                .iter()
+                .map(|(n, (want, got))| (n.clone(), want.clone(), got.clone()))
+                .collect(),
+            ignored: inner.source.ignored().to_vec(),
+            parameters: inner.requested.iter().map(|(_, s)| s.iter().product::<usize>()).sum(),
+        }
+    }
+
+    /// Writes all variables, parameters and buffers, to a safetensors file, under their names.
+    ///
+    /// Written beside and renamed, so a crash leaves no half file.
+    ///
+    /// # Errors
+    /// If the store is frozen or the file cannot be written.
+    pub fn save(&self, path: &Path) -> Result<()> {
+        let inner = self.lock();
+        if !inner.trainable {
+            bail!("a frozen store keeps no values to save");
+        }
+        let tensors: std::collections::HashMap<String, Tensor> =
+            inner.variables.iter().map(|(n, v)| (n.clone(), v.as_tensor().clone())).collect();
+        let beside = path.with_extension("partial");
+        candle_core::safetensors::save(&tensors, &beside)?;
+        std::fs::rename(&beside, path)?;
+        Ok(())
+    }
+}
+
+/// Batch statistics by their last name part.
+fn is_buffer(name: &str) -> bool {
+    let last = name.rsplit('.').next();
+    matches!(last, Some("running_mean" | "running_var" | "num_batches_tracked"))
+}
+
+impl SimpleBackend for ParamStore {
+    fn get(&self, shape: Shape, name: &str, init: Init, dtype: DType, device: &Device) -> Result<Tensor> {
+        let mut inner = self.lock();
+        let dims = shape.dims().to_vec();
+        if let Some(var) = inner.variables.get(name) {
+            if var.dims() != dims {
+                bail!("{name}: exists as {:?}, asked for as {dims:?}", var.dims());
+            }
+            return Ok(var.as_tensor().clone());
+        }
+        inner.requested.insert(name.to_owned(), dims.clone());
+        let found = inner.source.take(name, &dims)?;
+        let value = match found {
+            Some(t) if t.dims() == dims => {
+                inner.matched.insert(name.to_owned());
+                Some(t.to_dtype(dtype)?)
+            }
+            Some(t) => {
+                inner.misshaped.insert(name.to_owned(), (dims, t.dims().to_vec()));
+                None
+            }
+            None => {
+                if !inner.source.is_empty() {
+                    inner.missing.insert(name.to_owned());
+                }
+                None
+            }
+        };
+        let value = match value {
+            Some(value) => value,
+            None => initial(&shape, name, init, dtype, device, inner.seed)?,
+        };
+        if !inner.trainable {
+            return Ok(value);
+        }
+        let var = Var::from_tensor(&value)?;
+        let tensor = var.as_tensor().clone();
+        inner.variables.insert(name.to_owned(), var);
+        Ok(tensor)
+    }
+
+    fn get_unchecked(&self, name: &str, _: DType, _: &Device) -> Result<Tensor> {
+        bail!("{name}: parameters are asked for with a shape")
+    }
+
+    fn contains_tensor(&self, name: &str) -> bool {
+        let inner = self.lock();
+        inner.variables.contains_key(name) || inner.source.names().iter().any(|n| n == name)
+    }
+}
+
+fn initial(
+    shape: &Shape,
+    name: &str,
+    init: Init,
+    dtype: DType,
+    device: &Device,
+    seed: u64,
+) -> Result<Tensor> {
+    let n = shape.elem_count();
+    let mut rng = ChaCha8Rng::seed_from_u64(seed ^ crate::weights::name_hash(name));
+    let values: Vec<f32> = match init {
+        Init::Const(v) => vec![v as f32; n],
+        Init::Uniform { lo, up } => {
+            (0..n).map(|_| (lo + (up - lo) * rng.random::<f64>()) as f32).collect()
+        }
+        Init::Randn { mean, stdev } => (0..n)
+            .map(|_| {
+                // Box–Muller; cut at two deviations like the original's truncated normal.
+                loop {
+                    let u: f64 = rng.random::<f64>().max(f64::MIN_POSITIVE);
+                    let angle = std::f64::consts::TAU * rng.random::<f64>();
+                    let z = (-2.0 * u.ln()).sqrt() * angle.cos();
+                    if z.abs() <= 2.0 {
+                        break (mean + stdev * z) as f32;
+                    }
+                }
+            })
+            .collect(),
+        Init::Kaiming { .. } => bail!("{name}: give explicit bounds instead of Kaiming hints"),
+    };
+    Tensor::from_vec(values, shape.clone(), device)?.to_dtype(dtype)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn first_values_depend_on_seed_and_name_only() {
+        let init = Init::Uniform { lo: -1.0, up: 1.0 };
+        let get = |seed, names: &[&str]| -> Vec<Vec<f32>> {
+            let store = ParamStore::trainable(seed);
+            let vb = store.builder();
+            let mut out: Vec<_> =
+                names.iter().map(|n| (*n, vb.get_with_hints(4, n, init).unwrap())).collect();
+            out.sort_by_key(|(n, _)| *n);
+            out.into_iter().map(|(_, t)| t.to_vec1().unwrap()).collect()
+        };
+        assert_eq!(get(1, &["a", "b"]), get(1, &["b", "a"]));
+        assert_ne!(get(1, &["a"]), get(2, &["a"]));
+        assert_ne!(get(1, &["a"]), get(1, &["b"]));
+    }
+
+    #[test]
+    fn one_name_with_two_shapes_is_an_error() {
+        let store = ParamStore::trainable(0);
+        let vb = store.builder();
+        vb.get_with_hints(3, "w", Init::Const(0.0)).unwrap();
+        assert!(vb.get_with_hints(3, "w", Init::Const(0.0)).is_ok());
+        assert!(vb.get_with_hints(4, "w", Init::Const(0.0)).is_err());
+    }
+
+    #[test]
+    fn buffers_are_not_parameters() {
+        let store = ParamStore::trainable(0);
+        let vb = store.builder();
+        vb.get_with_hints(3, "norm.weight", Init::Const(1.0)).unwrap();
+        vb.get_with_hints(3, "norm.running_mean", Init::Const(0.0)).unwrap();
+        assert_eq!(store.parameters().keys().collect::<Vec<_>>(), ["norm.weight"]);
+        assert_eq!(store.buffers().keys().collect::<Vec<_>>(), ["norm.running_mean"]);
+    }
+}

@@ -1,0 +1,69 @@
+//! Attention of a block.
+
+use super::config::BatchRule;
+use crate::layers::Linear;
+use crate::ops;
+use candle_core::{Result, Tensor};
+use candle_nn::VarBuilder;
+use scenesplat_kernels::patch_attention::Heads;
+use scenesplat_kernels::serialized_cloud::SerializedCloud;
+
+/// Multi-head attention inside patches of one curve order.
+#[derive(Debug)]
+pub struct SerializedAttention {
+    qkv: Linear,
+    proj: Linear,
+    heads: Heads,
+    patch_size: usize,
+    order: usize,
+    batch_rule: BatchRule,
+}
+
+impl SerializedAttention {
+    /// Parameters `qkv` and `proj`; `order` is the number of the curve order.
+    ///
+    /// # Errors
+    /// If parameters exist with another shape.
+    pub fn new(
+        channels: usize,
+        num_heads: usize,
+        patch_size: usize,
+        order: usize,
+        batch_rule: BatchRule,
+        vb: VarBuilder<'_>,
+    ) -> Result<Self> {
+        Ok(Self {
+            qkv: Linear::new(channels, 3 * channels, true, vb.pp("qkv"))?,
+            proj: Linear::new(channels, channels, true, vb.pp("proj"))?,
+            heads: Heads { count: num_heads, dim: channels / num_heads },
+            patch_size,
+            order,
+            batch_rule,
+        })
+    }
+
+    /// `proj(attention(x))`, plus a residual if given. `[N, C] → [N, C]`
+    ///
+    /// # Errors
+    /// If the input does not fit.
+    pub fn forward(
+        &self,
+        x: &Tensor,
+        cloud: &SerializedCloud,
+        residual: Option<&Tensor>,
+    ) -> Result<Tensor> {
+        let patch_size = match self.batch_rule {
+            BatchRule::SharedDepthAndPatch => {
+                let smallest = cloud.offsets().windows(2).map(|s| s[1] - s[0]).min();
+                smallest.unwrap_or(self.patch_size).clamp(1, self.patch_size)
+            }
+            _ => self.patch_size,
+        };
+        let order = &cloud.order(self.order).order;
+        let qkv = self.qkv.forward(x)?;
+        let attended =
+            ops::patch_attention(&qkv, self.heads, cloud.patches(patch_size), order.clone())?;
+        drop(qkv);
+        self.proj.forward_residual(&attended, residual)
+    }
+}

@@ -1,0 +1,98 @@
+//! One block: positional convolution, attention, MLP, each with a residual.
+
+use super::attention::SerializedAttention;
+use super::config::BatchRule;
+use crate::layers::{DropPath, LayerNorm, Linear, Mlp, SparseConv};
+use crate::{Forward, Mode};
+use candle_core::{Result, Tensor};
+use candle_nn::VarBuilder;
+use scenesplat_kernels::serialized_cloud::SerializedCloud;
+
+/// Shape of a block.
+#[derive(Debug, Clone, Copy)]
+pub struct BlockShape {
+    /// Width of its rows.
+    pub channels: usize,
+    /// Attention heads.
+    pub num_heads: usize,
+    /// Points of an attention patch.
+    pub patch_size: usize,
+    /// Width of the hidden layer, in channels.
+    pub mlp_ratio: usize,
+    /// Probability that a row skips a branch in training.
+    pub drop_path: f64,
+    /// Number of the curve order.
+    pub order: usize,
+    /// How scenes of a batch are kept apart.
+    pub batch_rule: BatchRule,
+}
+
+/// `x + LN(Linear(conv(x)))`, then attention and MLP on normalised rows.
+#[derive(Debug)]
+pub struct Block {
+    conv: SparseConv,
+    conv_linear: Linear,
+    conv_norm: LayerNorm,
+    norm1: LayerNorm,
+    attention: SerializedAttention,
+    norm2: LayerNorm,
+    mlp: Mlp,
+    drop_path: DropPath,
+}
+
+impl Block {
+    /// Parameters `cpe.{0,1,2}`, `norm1.0`, `attn`, `norm2.0`, `mlp.0`.
+    ///
+    /// # Errors
+    /// If parameters exist with another shape.
+    pub fn new(shape: BlockShape, vb: VarBuilder<'_>) -> Result<Self> {
+        let c = shape.channels;
+        Ok(Self {
+            conv: SparseConv::new(c, c, 3, true, vb.pp("cpe.0"))?,
+            conv_linear: Linear::new(c, c, true, vb.pp("cpe.1"))?,
+            conv_norm: LayerNorm::new(c, vb.pp("cpe.2"))?,
+            norm1: LayerNorm::new(c, vb.pp("norm1.0"))?,
+            attention: SerializedAttention::new(
+                c,
+                shape.num_heads,
+                shape.patch_size,
+                shape.order,
+                shape.batch_rule,
+                vb.pp("attn"),
+            )?,
+            norm2: LayerNorm::new(c, vb.pp("norm2.0"))?,
+            mlp: Mlp::new(c, shape.mlp_ratio * c, vb.pp("mlp.0"))?,
+            drop_path: DropPath { rate: shape.drop_path },
+        })
+    }
+
+    /// `[N, C] → [N, C]`. The convolution reads `conv_input` where given (the first decoder block
+    /// of a stage: its weights were trained seeing the skip branch only), else the rows themselves.
+    ///
+    /// # Errors
+    /// If the input does not fit.
+    pub fn forward(
+        &self,
+        x: Tensor,
+        conv_input: Option<Tensor>,
+        cloud: &SerializedCloud,
+        cx: &mut Forward<'_>,
+    ) -> Result<Tensor> {
+        let map = cloud.kernel_map(self.conv.kernel_size()).map_err(candle_core::Error::wrap)?;
+        let positional = self.conv.forward(conv_input.as_ref().unwrap_or(&x), map)?;
+        drop(conv_input);
+        let positional = self.conv_linear.forward(&positional)?;
+        let x = self.conv_norm.forward_residual(&positional, Some(&x))?;
+        drop(positional);
+        if cx.mode == Mode::Eval || self.drop_path.rate <= 0.0 {
+            let normed = self.norm1.forward(&x)?;
+            let x = self.attention.forward(&normed, cloud, Some(&x))?;
+            drop(normed);
+            return self.mlp.forward_residual(&self.norm2.forward(&x)?, &x);
+        }
+        let branch = self.attention.forward(&self.norm1.forward(&x)?, cloud, None)?;
+        let x = (self.drop_path.forward(&branch, cx.mode, cx.rng)? + x)?;
+        let branch = self.mlp.forward(&self.norm2.forward(&x)?)?;
+        self.drop_path.forward(&branch, cx.mode, cx.rng)? + x
+    }
+}

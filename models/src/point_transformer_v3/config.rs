@@ -1,0 +1,290 @@
+//! Shape of a network.
+
+use candle_core::{Result, bail};
+use scenesplat_kernels::segment::Reduce;
+use scenesplat_kernels::serialization::Curve;
+use serde::{Deserialize, Serialize};
+
+/// How features of pooled voxels are joined.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PoolingReduce {
+    /// Mean: the language and segmentation networks.
+    Mean,
+    /// Maximum: the self-supervised networks.
+    Max,
+}
+
+impl From<PoolingReduce> for Reduce {
+    fn from(p: PoolingReduce) -> Self {
+        match p {
+            PoolingReduce::Mean => Self::Mean,
+            PoolingReduce::Max => Self::Max,
+        }
+    }
+}
+
+/// Whether scenes of a batch are kept apart where the original mixes them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum BatchRule {
+    /// Curve depth and patch size of each scene depend on that scene alone.
+    #[default]
+    Isolated,
+    /// Curve depth of the whole batch, as the original with flash attention.
+    SharedDepth,
+    /// Also patches no longer than the smallest scene, as the original without flash attention.
+    SharedDepthAndPatch,
+}
+
+/// Shape of a Point Transformer V3. Defaults are those of the language network.
+///
+/// Lists of the encoder have one entry a stage; lists of the decoder one entry a stage but the
+/// last, from fine to coarse.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct PointTransformerV3Config {
+    /// Width of the input features.
+    pub in_channels: usize,
+    /// Curves in the order in which the blocks of a stage take turns.
+    pub order: Vec<String>,
+    /// Pooling factor between stages, powers of two.
+    pub stride: Vec<usize>,
+    /// Blocks of each encoder stage.
+    pub enc_depths: Vec<usize>,
+    /// Channels of each encoder stage.
+    pub enc_channels: Vec<usize>,
+    /// Attention heads of each encoder stage.
+    pub enc_num_head: Vec<usize>,
+    /// Points of an attention patch, each encoder stage.
+    pub enc_patch_size: Vec<usize>,
+    /// Blocks of each decoder stage; empty for an encoder alone.
+    pub dec_depths: Vec<usize>,
+    /// Channels of each decoder stage.
+    pub dec_channels: Vec<usize>,
+    /// Attention heads of each decoder stage.
+    pub dec_num_head: Vec<usize>,
+    /// Points of an attention patch, each decoder stage.
+    pub dec_patch_size: Vec<usize>,
+    /// Width of the hidden layer of a block, in channels.
+    pub mlp_ratio: usize,
+    /// Largest probability that a row skips a branch in training.
+    pub drop_path: f64,
+    /// How pooled features are joined.
+    pub pooling: PoolingReduce,
+    /// Whether there is a learned token for masked rows (self-supervised networks).
+    pub mask_token: bool,
+    /// Classes of a linear head on the output; none for a language network.
+    pub num_classes: Option<usize>,
+    /// Whether scenes of a batch are kept apart.
+    pub batch_rule: BatchRule,
+}
+
+impl Default for PointTransformerV3Config {
+    fn default() -> Self {
+        Self::language()
+    }
+}
+
+impl PointTransformerV3Config {
+    /// The language network: 11 inputs, 768 outputs, 91,712,800 parameters.
+    pub fn language() -> Self {
+        Self {
+            in_channels: 11,
+            order: Curve::ALL.map(|c| c.name().to_owned()).to_vec(),
+            stride: vec![2; 3],
+            enc_depths: vec![2, 2, 2, 6],
+            enc_channels: vec![32, 64, 128, 256],
+            enc_num_head: vec![2, 4, 8, 16],
+            enc_patch_size: vec![1024; 4],
+            dec_depths: vec![2; 3],
+            dec_channels: vec![768, 512, 256],
+            dec_num_head: vec![16; 3],
+            dec_patch_size: vec![1024; 3],
+            mlp_ratio: 4,
+            drop_path: 0.3,
+            pooling: PoolingReduce::Mean,
+            mask_token: false,
+            num_classes: None,
+            batch_rule: BatchRule::Isolated,
+        }
+    }
+
+    /// The supervised segmentation network: 14 inputs (with normals), 20 classes.
+    pub fn semseg() -> Self {
+        Self {
+            in_channels: 14,
+            stride: vec![2; 4],
+            enc_depths: vec![2, 2, 2, 6, 2],
+            enc_channels: vec![32, 64, 128, 256, 512],
+            enc_num_head: vec![2, 4, 8, 16, 32],
+            enc_patch_size: vec![1024; 5],
+            dec_depths: vec![2; 4],
+            dec_channels: vec![64, 64, 128, 256],
+            dec_num_head: vec![4, 4, 8, 16],
+            dec_patch_size: vec![1024; 4],
+            num_classes: Some(20),
+            ..Self::language()
+        }
+    }
+
+    /// The self-supervised network: as for segmentation, with maximum pooling and a mask token.
+    pub fn ssl() -> Self {
+        Self {
+            in_channels: 11,
+            pooling: PoolingReduce::Max,
+            mask_token: true,
+            num_classes: None,
+            ..Self::semseg()
+        }
+    }
+
+    /// A small language network (64 outputs) for trying things out.
+    pub fn tiny() -> Self {
+        Self {
+            stride: vec![2; 2],
+            enc_depths: vec![1, 1, 2],
+            enc_channels: vec![16, 32, 64],
+            enc_num_head: vec![1, 2, 4],
+            enc_patch_size: vec![256; 3],
+            dec_depths: vec![1; 2],
+            dec_channels: vec![64, 32],
+            dec_num_head: vec![4, 2],
+            dec_patch_size: vec![256; 2],
+            drop_path: 0.1,
+            ..Self::language()
+        }
+    }
+
+    /// Number of scales.
+    pub fn num_stages(&self) -> usize {
+        self.enc_depths.len()
+    }
+
+    /// Width of the output (before a classifier).
+    pub fn out_channels(&self) -> usize {
+        let last = if self.dec_depths.is_empty() { self.enc_channels.last() } else { self.dec_channels.first() };
+        last.copied().unwrap_or(0)
+    }
+
+    /// Checks that the lists fit together and gives the curves.
+    ///
+    /// # Errors
+    /// Names the first field that does not fit.
+    pub fn check(&self) -> Result<Vec<Curve>> {
+        let stages = self.num_stages();
+        let lengths = [
+            ("stride", self.stride.len(), stages.saturating_sub(1)),
+            ("enc_channels", self.enc_channels.len(), stages),
+            ("enc_num_head", self.enc_num_head.len(), stages),
+            ("enc_patch_size", self.enc_patch_size.len(), stages),
+        ];
+        let decoder = if self.dec_depths.is_empty() { 0 } else { stages.saturating_sub(1) };
+        let decoder = [
+            ("dec_depths", self.dec_depths.len(), decoder),
+            ("dec_channels", self.dec_channels.len(), decoder),
+            ("dec_num_head", self.dec_num_head.len(), decoder),
+            ("dec_patch_size", self.dec_patch_size.len(), decoder),
+        ];
+        if stages == 0 {
+            bail!("enc_depths: at least one stage is needed");
+        }
+        for (field, got, want) in lengths.into_iter().chain(decoder) {
+            if got != want {
+                bail!("{field}: expected {want} entries for {stages} encoder stages, got {got}");
+            }
+        }
+        let sizes = |field: &str, values: &[usize]| match values.iter().position(|v| *v == 0) {
+            Some(i) => bail!("{field}[{i}]: must be at least 1"),
+            None => Ok(()),
+        };
+        sizes("in_channels", &[self.in_channels])?;
+        sizes("mlp_ratio", &[self.mlp_ratio])?;
+        sizes("enc_channels", &self.enc_channels)?;
+        sizes("dec_channels", &self.dec_channels)?;
+        sizes("enc_num_head", &self.enc_num_head)?;
+        sizes("dec_num_head", &self.dec_num_head)?;
+        sizes("enc_patch_size", &self.enc_patch_size)?;
+        sizes("dec_patch_size", &self.dec_patch_size)?;
+        for (field, channels, heads) in [
+            ("enc_num_head", &self.enc_channels, &self.enc_num_head),
+            ("dec_num_head", &self.dec_channels, &self.dec_num_head),
+        ] {
+            if let Some(i) = channels.iter().zip(heads).position(|(c, h)| c % h != 0) {
+                bail!("{field}[{i}]: {} heads do not divide {} channels", heads[i], channels[i]);
+            }
+        }
+        if let Some(i) = self.stride.iter().position(|s| !s.is_power_of_two()) {
+            bail!("stride[{i}]: {} is not a power of two", self.stride[i]);
+        }
+        if !(0.0..1.0).contains(&self.drop_path) {
+            bail!("drop_path: {} is not in 0..1", self.drop_path);
+        }
+        if self.order.is_empty() {
+            bail!("order: at least one curve is needed");
+        }
+        self.order
+            .iter()
+            .map(|name| match Curve::from_name(name) {
+                Some(curve) => Ok(curve),
+                None => bail!("order: {name:?} is not one of z, z-trans, hilbert, hilbert-trans"),
+            })
+            .collect()
+    }
+
+    /// Drop rates of the encoder's blocks, stage by stage: rising from 0 to `drop_path`.
+    pub fn enc_drop_rates(&self) -> Vec<Vec<f64>> {
+        split(&self.enc_depths, linspace(self.drop_path, self.enc_depths.iter().sum()))
+    }
+
+    /// Drop rates of the decoder's blocks, stage by stage (fine to coarse): the first block that
+    /// runs, in the coarsest stage, has the highest.
+    pub fn dec_drop_rates(&self) -> Vec<Vec<f64>> {
+        let mut rates = split(&self.dec_depths, linspace(self.drop_path, self.dec_depths.iter().sum()));
+        rates.iter_mut().for_each(|stage| stage.reverse());
+        rates
+    }
+}
+
+fn linspace(high: f64, n: usize) -> Vec<f64> {
+    (0..n).map(|i| if n > 1 { high * i as f64 / (n - 1) as f64 } else { 0.0 }).collect()
+}
+
+fn split(depths: &[usize], values: Vec<f64>) -> Vec<Vec<f64>> {
+    let mut rest = values.into_iter();
+    depths.iter().map(|&d| rest.by_ref().take(d).collect()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn drop_rates_of_the_language_network() {
+        let config = PointTransformerV3Config::language();
+        let close = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 5e-5);
+        let enc = config.enc_drop_rates();
+        assert!(close(&enc[1], &[0.0545, 0.0818]));
+        assert!(close(&enc[3], &[0.1636, 0.1909, 0.2182, 0.2455, 0.2727, 0.3]));
+        let dec = config.dec_drop_rates();
+        assert!(close(&dec[2], &[0.30, 0.24]) && close(&dec[1], &[0.18, 0.12]) && close(&dec[0], &[0.06, 0.0]));
+    }
+
+    #[test]
+    fn checks_name_the_field() {
+        let broken = |f: &dyn Fn(&mut PointTransformerV3Config)| {
+            let mut c = PointTransformerV3Config::language();
+            f(&mut c);
+            c.check().unwrap_err().to_string()
+        };
+        assert!(broken(&|c| c.stride = vec![2]).contains("stride"));
+        assert!(broken(&|c| c.stride[0] = 3).contains("stride[0]"));
+        assert!(broken(&|c| c.enc_num_head[1] = 5).contains("enc_num_head[1]"));
+        assert!(broken(&|c| c.enc_patch_size[2] = 0).contains("enc_patch_size[2]"));
+        assert!(broken(&|c| c.order[0] = "peano".into()).contains("peano"));
+        assert!(broken(&|c| c.enc_depths.clear()).contains("enc_depths"));
+        for c in [PointTransformerV3Config::semseg(), PointTransformerV3Config::ssl(), PointTransformerV3Config::tiny()] {
+            assert_eq!(c.check().unwrap().len(), 4);
+        }
+    }
+}

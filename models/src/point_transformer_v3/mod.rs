@@ -1,0 +1,313 @@
+//! Point Transformer V3 as SceneSplat uses it.
+//!
+//! Encoder and decoder over a pyramid of voxel scales. Attention runs inside patches of
+//! space-filling-curve orders, positions enter through a sparse convolution in each block.
+//!
+//! # Source
+//! `PT-v3m1` and `PT-v3m1-simdino` of SceneSplat be9d5e1. Differs: patches and curve depth belong to
+//! each scene ([`BatchRule::Isolated`]), orders are shuffled only when asked for, attention is f32,
+//! and codes reach 21 bits an axis. Kept because weights were trained with it: the first convolution
+//! of each decoder stage reads the skip branch alone, pooling is a mean, there is no final norm.
+
+mod attention;
+mod block;
+mod config;
+mod embedding;
+mod pooling;
+mod unpooling;
+
+pub use attention::SerializedAttention;
+pub use block::{Block, BlockShape};
+pub use config::{BatchRule, PointTransformerV3Config, PoolingReduce};
+pub use embedding::Embedding;
+pub use pooling::SerializedPooling;
+pub use unpooling::{SerializedUnpooling, Unpooled};
+
+use crate::{Backbone, Forward, Orders, PointCloud, ops};
+use candle_core::{Result, Tensor, bail};
+use candle_nn::{Init, VarBuilder};
+use rand::Rng;
+use scenesplat_kernels::segment::Groups;
+use scenesplat_kernels::serialization::{Curve, argsort, codes, invert};
+use scenesplat_kernels::serialized_cloud::{CurveDepth, SerializedCloud};
+use std::sync::Arc;
+
+/// The network; see the module's documentation.
+#[derive(Debug)]
+pub struct PointTransformerV3 {
+    config: PointTransformerV3Config,
+    curves: Vec<Curve>,
+    embedding: Embedding,
+    mask_token: Option<Tensor>,
+    encoder: Vec<EncoderStage>,
+    /// Fine to coarse; run in reverse.
+    decoder: Vec<DecoderStage>,
+}
+
+#[derive(Debug)]
+struct EncoderStage {
+    down: Option<SerializedPooling>,
+    blocks: Vec<Block>,
+}
+
+#[derive(Debug)]
+struct DecoderStage {
+    up: SerializedUnpooling,
+    blocks: Vec<Block>,
+}
+
+/// Both ends of the network.
+#[derive(Debug)]
+pub struct EncoderDecoderOutput {
+    /// Features of the coarsest scale. `[M, enc_channels.last()]`
+    pub encoder: Tensor,
+    /// Voxels of the coarsest scale: rows of scene `i` are `offsets[i]..offsets[i + 1]`.
+    pub encoder_offsets: Vec<usize>,
+    /// Features of the input rows; `None` without decoder. `[N, dec_channels[0]]`
+    pub decoder: Option<Tensor>,
+}
+
+impl PointTransformerV3 {
+    /// Builds the network; parameters have the original's names.
+    ///
+    /// # Errors
+    /// If the configuration does not fit together or parameters exist with another shape.
+    pub fn new(config: &PointTransformerV3Config, vb: VarBuilder<'_>) -> Result<Self> {
+        let curves = config.check()?;
+        let embedding =
+            Embedding::new(config.in_channels, config.enc_channels[0], vb.pp("embedding"))?;
+        let mask_token = config
+            .mask_token
+            .then(|| {
+                let init = Init::Randn { mean: 0.0, stdev: 0.02 };
+                vb.get_with_hints((1, config.enc_channels[0]), "mask_token", init)
+            })
+            .transpose()?;
+        let block = |stage: usize, i: usize, decoder: bool, rate: f64| BlockShape {
+            channels: if decoder { config.dec_channels[stage] } else { config.enc_channels[stage] },
+            num_heads: if decoder { config.dec_num_head[stage] } else { config.enc_num_head[stage] },
+            patch_size: if decoder {
+                config.dec_patch_size[stage]
+            } else {
+                config.enc_patch_size[stage]
+            },
+            mlp_ratio: config.mlp_ratio,
+            drop_path: rate,
+            order: i % curves.len(),
+            batch_rule: config.batch_rule,
+        };
+        let mut encoder = Vec::new();
+        for (stage, rates) in config.enc_drop_rates().iter().enumerate() {
+            let vb = vb.pp(format!("enc.enc{stage}"));
+            let down = (stage > 0)
+                .then(|| {
+                    SerializedPooling::new(
+                        config.enc_channels[stage - 1],
+                        config.enc_channels[stage],
+                        config.stride[stage - 1],
+                        config.pooling.into(),
+                        vb.pp("down"),
+                    )
+                })
+                .transpose()?;
+            let blocks = rates
+                .iter()
+                .enumerate()
+                .map(|(i, &rate)| Block::new(block(stage, i, false, rate), vb.pp(format!("block{i}"))))
+                .collect::<Result<_>>()?;
+            encoder.push(EncoderStage { down, blocks });
+        }
+        let mut decoder = Vec::new();
+        for (stage, rates) in config.dec_drop_rates().iter().enumerate() {
+            let vb = vb.pp(format!("dec.dec{stage}"));
+            let coarse = config.dec_channels.get(stage + 1).or(config.enc_channels.last());
+            let up = SerializedUnpooling::new(
+                coarse.copied().unwrap_or(0),
+                config.enc_channels[stage],
+                config.dec_channels[stage],
+                vb.pp("up"),
+            )?;
+            let blocks = rates
+                .iter()
+                .enumerate()
+                .map(|(i, &rate)| Block::new(block(stage, i, true, rate), vb.pp(format!("block{i}"))))
+                .collect::<Result<_>>()?;
+            decoder.push(DecoderStage { up, blocks });
+        }
+        let config = config.clone();
+        Ok(Self { config, curves, embedding, mask_token, encoder, decoder })
+    }
+
+    /// The configuration it was built from.
+    pub fn config(&self) -> &PointTransformerV3Config {
+        &self.config
+    }
+
+    /// Runs encoder and decoder.
+    ///
+    /// Rows of the stem where `mask` is true are replaced by the mask token before the encoder.
+    ///
+    /// # Errors
+    /// If the input does not fit, or a mask is given to a network without mask token.
+    pub fn forward_both(
+        &self,
+        points: &PointCloud,
+        mask: Option<&[bool]>,
+        cx: &mut Forward<'_>,
+    ) -> Result<EncoderDecoderOutput> {
+        let (n, channels) = points.feat.dims2()?;
+        if channels != self.config.in_channels {
+            bail!("feat: expected [N, {}], got [{n}, {channels}]", self.config.in_channels);
+        }
+        if n == 0 {
+            bail!("feat: a batch without any voxel has no features");
+        }
+        let (cloud, sorted) = self.serialize(points)?;
+        let mut permutations = match &cx.orders {
+            Orders::Given(p) => Some(p.clone().into_iter()),
+            _ => None,
+        };
+        let mut shuffle = |cloud: &mut SerializedCloud, cx: &mut Forward<'_>| {
+            let permutation = match (&cx.orders, &mut permutations) {
+                (Orders::Shuffled, _) => Some(random_permutation(cloud.num_orders(), cx.rng)),
+                (_, Some(given)) => match given.next() {
+                    Some(p) => Some(p),
+                    None => bail!("orders: fewer permutations given than the network has scales"),
+                },
+                _ => None,
+            };
+            if let Some(p) = permutation {
+                let mut seen = p.clone();
+                seen.sort_unstable();
+                if seen != (0..cloud.num_orders()).collect::<Vec<_>>() {
+                    bail!("orders: {p:?} is not a permutation of 0..{}", cloud.num_orders());
+                }
+                cloud.permute_orders(&p);
+            }
+            Ok(())
+        };
+        let mut cloud = cloud;
+        shuffle(&mut cloud, cx)?;
+        let feat = match &sorted {
+            Some((order, inverse)) => {
+                ops::permute_rows(&points.feat, order.clone(), inverse.clone())?
+            }
+            None => points.feat.clone(),
+        };
+        let mut x = self.embedding.forward(&feat, &cloud, cx)?;
+        drop(feat);
+        cx.observe("embedding", &x);
+        if let Some(mask) = mask {
+            x = self.replace_masked(&x, mask, sorted.as_ref().map(|(order, _)| order.as_slice()))?;
+        }
+
+        let mut skips: Vec<(Tensor, SerializedCloud, Arc<Groups>)> = Vec::new();
+        for (i, stage) in self.encoder.iter().enumerate() {
+            if let Some(down) = &stage.down {
+                let (pooled, mut coarse, groups) = down.forward(&x, &cloud, cx)?;
+                shuffle(&mut coarse, cx)?;
+                skips.push((x, std::mem::replace(&mut cloud, coarse), groups));
+                x = pooled;
+                cx.observe(&format!("enc.enc{i}.down"), &x);
+            }
+            for block in &stage.blocks {
+                x = block.forward(x, None, &cloud, cx)?;
+            }
+            cx.observe(&format!("enc.enc{i}"), &x);
+        }
+        let encoder = x.clone();
+        let encoder_offsets = cloud.offsets().to_vec();
+        if self.decoder.is_empty() {
+            return Ok(EncoderDecoderOutput { encoder, encoder_offsets, decoder: None });
+        }
+        for (i, stage) in self.decoder.iter().enumerate().rev() {
+            let Some((fine, fine_cloud, groups)) = skips.pop() else {
+                bail!("decoder stage {i} has no encoder stage");
+            };
+            let Unpooled { sum, skip } = stage.up.forward(&x, &fine, groups, cx)?;
+            cx.observe(&format!("dec.dec{i}.up"), &sum);
+            cx.observe(&format!("dec.dec{i}.up.skip"), &skip);
+            drop(fine);
+            cloud = fine_cloud;
+            x = sum;
+            let mut conv_input = Some(skip);
+            for block in &stage.blocks {
+                x = block.forward(x, conv_input.take(), &cloud, cx)?;
+            }
+            cx.observe(&format!("dec.dec{i}"), &x);
+        }
+        if let Some((order, inverse)) = sorted {
+            x = ops::permute_rows(&x, inverse, order)?;
+        }
+        Ok(EncoderDecoderOutput { encoder, encoder_offsets, decoder: Some(x) })
+    }
+
+    /// The finest scale with rows in Morton order, and the permutation unless there already.
+    ///
+    /// Sorted rows make convolutions read memory in order; the result is brought back at the end.
+    #[expect(clippy::type_complexity, reason = "a pair that lives for one call")]
+    fn serialize(
+        &self,
+        points: &PointCloud,
+    ) -> Result<(SerializedCloud, Option<(Arc<Vec<u32>>, Arc<Vec<u32>>)>)> {
+        let depth = match self.config.batch_rule {
+            BatchRule::Isolated => CurveDepth::PerScene,
+            BatchRule::SharedDepth | BatchRule::SharedDepthAndPatch => CurveDepth::WholeBatch,
+        };
+        scenesplat_kernels::check_offsets(&points.offsets, points.grid_coord.len())
+            .map_err(candle_core::Error::wrap)?;
+        let mut order = Vec::with_capacity(points.grid_coord.len());
+        for scene in points.offsets.windows(2) {
+            let morton = codes(Curve::Z, &points.grid_coord[scene[0]..scene[1]], 21);
+            order.extend(argsort(&morton).into_iter().map(|i| i + scene[0] as u32));
+        }
+        let sorted = order.is_sorted();
+        let grid_coord = if sorted {
+            points.grid_coord.to_vec()
+        } else {
+            order.iter().map(|&i| points.grid_coord[i as usize]).collect()
+        };
+        let cloud = SerializedCloud::new(grid_coord, points.offsets.to_vec(), &self.curves, depth)
+            .map_err(candle_core::Error::wrap)?;
+        let inverse = invert(&order);
+        Ok((cloud, (!sorted).then(|| (Arc::new(order), Arc::new(inverse)))))
+    }
+
+    fn replace_masked(&self, x: &Tensor, mask: &[bool], order: Option<&[u32]>) -> Result<Tensor> {
+        let Some(token) = &self.mask_token else {
+            bail!("mask: this network has no mask token");
+        };
+        let n = x.dim(0)?;
+        if mask.len() != n {
+            bail!("mask: expected {n} rows, got {}", mask.len());
+        }
+        let at = |i: usize| mask[order.map_or(i, |o| o[i] as usize)];
+        let masked: Vec<f32> = (0..n).map(|i| if at(i) { 1.0 } else { 0.0 }).collect();
+        let masked = Tensor::from_vec(masked, (n, 1), x.device())?;
+        let kept = masked.affine(-1.0, 1.0)?;
+        x.broadcast_mul(&kept)? + masked.broadcast_mul(token)?
+    }
+}
+
+fn random_permutation(n: usize, rng: &mut impl Rng) -> Vec<usize> {
+    let mut p: Vec<usize> = (0..n).collect();
+    for i in (1..n).rev() {
+        p.swap(i, rng.random_range(0..=i));
+    }
+    p
+}
+
+impl Backbone for PointTransformerV3 {
+    /// Decoder features of the input rows; the coarsest features if there is no decoder and only
+    /// one scale.
+    fn forward(&self, points: &PointCloud, cx: &mut Forward<'_>) -> Result<Tensor> {
+        let out = self.forward_both(points, None, cx)?;
+        match out.decoder {
+            Some(x) => Ok(x),
+            None => bail!("this network has no decoder; call forward_both for its encoder features"),
+        }
+    }
+    fn out_channels(&self) -> usize {
+        self.config.out_channels()
+    }
+}

@@ -1,0 +1,136 @@
+//! Group g: the full-size networks with hashed weights.
+
+use super::tiny_networks::{config, observed};
+use crate::support::Golden;
+use candle_core::{Device, Tensor};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use scenesplat_models::weights::{WeightSource, unit};
+use scenesplat_models::{
+    Backbone, Forward, LanguageModel, Mode, Orders, ParamStore, PointCloud, PointTransformerV3,
+    PointTransformerV3Config, SemanticSegmenter,
+};
+use std::collections::BTreeMap;
+
+/// Compares selected rows, the norm of every row, and every row's projection on two directions.
+fn compare_rows(g: &Golden, name: &str, t: &Tensor) {
+    let all = t.to_vec2::<f32>().unwrap();
+    let c = all[0].len();
+    match g.has(&format!("{name}.rows")) {
+        true => {
+            let rows = g.ints(&format!("{name}.rows"));
+            let picked: Vec<f32> = rows.iter().flat_map(|r| all[*r as usize].clone()).collect();
+            g.compare(name, &picked);
+        }
+        false => g.compare_tensor(name, t),
+    }
+    if g.has(&format!("{name}.rownorm")) {
+        let norms: Vec<f32> = all
+            .iter()
+            .map(|r| r.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt() as f32)
+            .collect();
+        g.compare(&format!("{name}.rownorm"), &norms);
+        let p = unit(&format!("P{c}"), c * 2, g.number("seed") as u64);
+        let projected: Vec<f32> = all
+            .iter()
+            .flat_map(|r| {
+                [0, 1].map(|j| {
+                    let sum: f64 =
+                        r.iter().enumerate().map(|(i, v)| f64::from(*v) * f64::from(p[2 * i + j])).sum();
+                    (sum / (c as f64).sqrt()) as f32
+                })
+            })
+            .collect();
+        g.compare(&format!("{name}.proj"), &projected);
+    }
+}
+
+fn points(g: &Golden) -> PointCloud {
+    PointCloud::new(g.cells("in.grid_coord"), g.tensor("in.feat"), g.offsets("in.offset")).unwrap()
+}
+
+fn run(file: &str, prefix: &str, expected: &PointTransformerV3Config) -> Option<(Golden, ParamStore)> {
+    let g = Golden::open(file)?;
+    let mut config = config(&g);
+    config.drop_path = expected.drop_path;
+    config.num_classes = expected.num_classes;
+    assert_eq!(
+        config,
+        PointTransformerV3Config { batch_rule: config.batch_rule, ..expected.clone() },
+        "the shipped configuration is the original's"
+    );
+    let source = WeightSource::hashed(g.number("seed") as u64, prefix);
+    let store = ParamStore::frozen(source.clone());
+    let network = PointTransformerV3::new(&config, store.builder()).unwrap();
+    let points = points(&g);
+    let mask: Option<Vec<bool>> =
+        g.has("in.mask").then(|| g.ints("in.mask").iter().map(|v| *v != 0).collect());
+    let mut seen = BTreeMap::new();
+    let mut observer = |name: &str, t: &Tensor| {
+        seen.insert(name.to_owned(), t.detach());
+    };
+    let mut rng = ChaCha8Rng::seed_from_u64(0);
+    let mut cx = Forward {
+        mode: Mode::Eval,
+        rng: &mut rng,
+        orders: Orders::Listed,
+        observer: Some(&mut observer),
+    };
+    let out = network.forward_both(&points, mask.as_deref(), &mut cx).unwrap();
+    let mut compared = 0;
+    for (module, t) in observed(seen, &points.grid_coord, &points.offsets) {
+        let name = format!("mid.{module}.feat");
+        if g.has(&name) {
+            compare_rows(&g, &name, &t);
+            compared += 1;
+        }
+    }
+    let stored = g.names("mid.").iter().filter(|n| n.ends_with(".feat")).count();
+    assert_eq!(compared, stored);
+    if g.has("out.feat") {
+        compare_rows(&g, "out.feat", &out.decoder.unwrap());
+    }
+    if g.has("out.enc_feat") {
+        g.compare_tensor("out.enc_feat", &out.encoder);
+    }
+    Some((g, ParamStore::frozen(source)))
+}
+
+#[test]
+fn language() {
+    let expected = PointTransformerV3Config::language();
+    let Some((g, store)) = run("g_lang_full.safetensors", "", &expected) else { return };
+    let network = LanguageModel::new(&expected, store.builder()).unwrap();
+    let report = store.report();
+    // Buffers are entries of the state dict but no parameters.
+    let shapes = store.shapes();
+    assert_eq!(shapes.len(), 393);
+    let trained: usize = shapes
+        .iter()
+        .filter(|(n, _)| !n.contains("running_") && !n.contains("num_batches"))
+        .map(|(_, s)| s.iter().product::<usize>())
+        .sum();
+    assert_eq!(trained, 91_712_800);
+    assert!(report.is_complete());
+    let mut rng = ChaCha8Rng::seed_from_u64(0);
+    let out = network.forward(&points(&g), &mut Forward::eval(&mut rng)).unwrap();
+    let rows: Vec<u32> = g.ints("out.feat.rows").iter().map(|v| *v as u32).collect();
+    let rows = Tensor::from_vec(rows, g.shape("out.feat.rows")[0], &Device::Cpu).unwrap();
+    g.compare_tensor("out.feat_normalized", &out.index_select(&rows, 0).unwrap());
+}
+
+#[test]
+fn semantic_segmentation() {
+    let expected = PointTransformerV3Config::semseg();
+    let Some((g, store)) = run("g_semseg_full.safetensors", "backbone.", &expected) else { return };
+    let network = SemanticSegmenter::new(&expected, store.builder()).unwrap();
+    assert_eq!(store.shapes().len(), 488);
+    let mut rng = ChaCha8Rng::seed_from_u64(0);
+    let out = network.forward(&points(&g), &mut Forward::eval(&mut rng)).unwrap();
+    g.compare_tensor("out.logits", &out);
+}
+
+#[test]
+fn self_supervised() {
+    run("g_ssl_full.safetensors", "", &PointTransformerV3Config::ssl());
+}

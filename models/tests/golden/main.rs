@@ -1,0 +1,11 @@
+//! Agreement with numbers that the original implementation computed.
+
+#[path = "../support/mod.rs"]
+mod support;
+
+mod convolution;
+mod full_size;
+mod modules;
+mod padding;
+mod serialization;
+mod tiny_networks;

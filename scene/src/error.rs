@@ -1,0 +1,110 @@
+//! Errors of this crate.
+
+use std::path::{Path, PathBuf};
+
+/// What can go wrong with a scene or its files. Every variant says where, what and how to mend it.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SceneError {
+    /// The file could not be opened, read or written.
+    #[error("{}: {action}", path.display())]
+    Io {
+        /// Which file.
+        path: PathBuf,
+        /// What was tried.
+        action: &'static str,
+        /// Why it failed.
+        #[source]
+        source: std::io::Error,
+    },
+    /// The file does not follow its format.
+    #[error("{}: {problem}{}", path.display(), hint(mend))]
+    Format {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong, with the element, property or offset.
+        problem: String,
+        /// What the user can do, may be empty.
+        mend: String,
+    },
+    /// A value that no policy can repair.
+    #[error("{}: element {element}, field {field}: {value} is not allowed{}", path.display(), hint(mend))]
+    Value {
+        /// Which file.
+        path: PathBuf,
+        /// Row in the file.
+        element: usize,
+        /// Which field.
+        field: String,
+        /// The offending value as text.
+        value: String,
+        /// What the user can do.
+        mend: String,
+    },
+    /// An array with the wrong number of rows.
+    #[error("{field}: expected {expected} rows, got {got}")]
+    RowCount {
+        /// Which array.
+        field: &'static str,
+        /// Rows expected.
+        expected: usize,
+        /// Rows found.
+        got: usize,
+    },
+    /// A row index beyond the scene.
+    #[error("row {row} is out of range for a scene of {rows} Gaussians")]
+    RowOutOfRange {
+        /// The index.
+        row: usize,
+        /// Number of rows.
+        rows: usize,
+    },
+    /// A list of classes, or the table of their text vectors, that cannot be used.
+    #[error("{problem}{}", hint(mend))]
+    Classes {
+        /// What is wrong.
+        problem: String,
+        /// What the user can do, may be empty.
+        mend: String,
+    },
+    /// No class of that name.
+    #[error("no class is called {query:?}; nearest: {}", nearest.join(", "))]
+    UnknownClass {
+        /// What was asked for.
+        query: String,
+        /// The most similar names, best first.
+        nearest: Vec<String>,
+    },
+    /// Several classes fit the name equally well.
+    #[error("{query:?} may mean any of: {} (write the name exactly)", candidates.join(", "))]
+    AmbiguousClass {
+        /// What was asked for.
+        query: String,
+        /// The names that fit.
+        candidates: Vec<String>,
+    },
+}
+
+impl SceneError {
+    /// A [`SceneError::Format`] for `path`.
+    pub(crate) fn format(
+        path: &Path,
+        problem: impl Into<String>,
+        mend: impl Into<String>,
+    ) -> SceneError {
+        SceneError::Format { path: path.to_owned(), problem: problem.into(), mend: mend.into() }
+    }
+
+    /// Turns an I/O error into a [`SceneError::Io`] for `path`; made for `map_err`.
+    pub(crate) fn io(
+        path: &Path,
+        action: &'static str,
+    ) -> impl FnOnce(std::io::Error) -> SceneError + use<> {
+        let path = path.to_owned();
+        move |source| SceneError::Io { path, action, source }
+    }
+}
+
+fn hint(mend: &str) -> String {
+    if mend.is_empty() { String::new() } else { format!(" ({mend})") }
+}

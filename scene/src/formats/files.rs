@@ -1,0 +1,176 @@
+//! Opening a file as memory, and replacing a file in one step.
+
+use crate::SceneError;
+use memmap2::Mmap;
+use std::fs::{File, OpenOptions};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// A file mapped into memory, read only.
+///
+/// The file must not be shortened by another process while it is open: the operating system then
+/// stops the program at the first access beyond the new end.
+pub(crate) struct MappedFile {
+    path: PathBuf,
+    map: Option<Mmap>,
+}
+
+impl MappedFile {
+    /// Maps `path`; an empty file is legal and has no bytes.
+    pub(crate) fn open(path: &Path) -> Result<Self, SceneError> {
+        let file = File::open(path).map_err(SceneError::io(path, "cannot open the file"))?;
+        let about = file.metadata().map_err(SceneError::io(path, "cannot read the file's size"))?;
+        if !about.is_file() {
+            return Err(SceneError::format(path, "is not a regular file", ""));
+        }
+        let map = if about.len() == 0 {
+            None
+        } else {
+            // SAFETY: the mapping is private to this process and only read. Truncation by others
+            // while it lives is excluded by the contract in the type's documentation.
+            let map = unsafe { Mmap::map(&file) };
+            Some(map.map_err(SceneError::io(path, "cannot map the file into memory"))?)
+        };
+        Ok(Self { path: path.to_owned(), map })
+    }
+
+    /// All bytes of the file.
+    pub(crate) fn bytes(&self) -> &[u8] {
+        self.map.as_deref().unwrap_or(&[])
+    }
+
+    /// Where the file is.
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+/// A file that appears under its name only when it is complete.
+///
+/// It is written beside the target and renamed by [`commit`](Self::commit); dropped without that,
+/// it is deleted, so a failure leaves neither a half-written file nor a changed target.
+pub(crate) struct AtomicFile {
+    file: Option<File>,
+    temporary: PathBuf,
+    target: PathBuf,
+}
+
+impl AtomicFile {
+    /// Starts the replacement of `target`, which need not exist.
+    pub(crate) fn create(target: &Path) -> Result<Self, SceneError> {
+        static SERIAL: AtomicU64 = AtomicU64::new(0);
+        let Some(name) = target.file_name() else {
+            return Err(SceneError::format(target, "is not a file name", ""));
+        };
+        let mut hidden = std::ffi::OsString::from(".");
+        hidden.push(name);
+        let serial = SERIAL.fetch_add(1, Ordering::Relaxed);
+        hidden.push(format!(".{}-{serial}.part", std::process::id()));
+        let temporary = target.with_file_name(hidden);
+        let file = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .create_new(true)
+            .open(&temporary)
+            .map_err(SceneError::io(target, "cannot create a file in this folder"))?;
+        Ok(Self { file: Some(file), temporary, target: target.to_owned() })
+    }
+
+    /// The file being written.
+    pub(crate) fn file(&self) -> Result<&File, SceneError> {
+        // `None` only while `commit` runs, which owns `self`.
+        self.file.as_ref().ok_or_else(|| SceneError::format(&self.target, "is already closed", ""))
+    }
+
+    /// The name it will have.
+    pub(crate) fn target(&self) -> &Path {
+        &self.target
+    }
+
+    /// Makes the file durable and gives it its name.
+    pub(crate) fn commit(mut self) -> Result<(), SceneError> {
+        self.file()?.sync_all().map_err(SceneError::io(&self.target, "cannot write the file"))?;
+        drop(self.file.take());
+        std::fs::rename(&self.temporary, &self.target)
+            .map_err(SceneError::io(&self.target, "cannot put the finished file in place"))?;
+        self.temporary = PathBuf::new();
+        Ok(())
+    }
+}
+
+impl Drop for AtomicFile {
+    fn drop(&mut self) {
+        drop(self.file.take());
+        if !self.temporary.as_os_str().is_empty() {
+            // Nothing better can be done here: the error that led here is already on its way.
+            let _ = std::fs::remove_file(&self.temporary);
+        }
+    }
+}
+
+/// Writes `bytes` at `offset` without moving a cursor, so threads may share the file.
+pub(crate) fn write_all_at(file: &File, bytes: &[u8], offset: u64) -> std::io::Result<()> {
+    #[cfg(unix)]
+    {
+        std::os::unix::fs::FileExt::write_all_at(file, bytes, offset)
+    }
+    #[cfg(windows)]
+    {
+        let (mut bytes, mut offset) = (bytes, offset);
+        while !bytes.is_empty() {
+            let written = std::os::windows::fs::FileExt::seek_write(file, bytes, offset)?;
+            if written == 0 {
+                return Err(std::io::ErrorKind::WriteZero.into());
+            }
+            bytes = &bytes[written..];
+            offset += written as u64;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Write;
+
+    #[test]
+    fn an_abandoned_file_leaves_nothing() {
+        let dir = tempfile::tempdir().unwrap();
+        let target = dir.path().join("a.bin");
+        std::fs::write(&target, b"old").unwrap();
+        let part = AtomicFile::create(&target).unwrap();
+        part.file().unwrap().write_all(b"new").unwrap();
+        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 2);
+        drop(part);
+        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1);
+        assert_eq!(std::fs::read(&target).unwrap(), b"old");
+    }
+
+    #[test]
+    fn commit_replaces_the_target_and_cleans_up_when_it_cannot() {
+        let dir = tempfile::tempdir().unwrap();
+        let target = dir.path().join("a.bin");
+        std::fs::write(&target, b"old").unwrap();
+        let part = AtomicFile::create(&target).unwrap();
+        part.file().unwrap().write_all(b"new").unwrap();
+        part.commit().unwrap();
+        assert_eq!(std::fs::read(&target).unwrap(), b"new");
+
+        let folder = dir.path().join("folder");
+        std::fs::create_dir(&folder).unwrap();
+        assert!(AtomicFile::create(&folder).unwrap().commit().is_err());
+        let names: Vec<_> =
+            std::fs::read_dir(dir.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+        assert_eq!(names.len(), 2, "{names:?}");
+    }
+
+    #[test]
+    fn a_folder_is_not_mapped_and_an_empty_file_is() {
+        let dir = tempfile::tempdir().unwrap();
+        assert!(MappedFile::open(dir.path()).is_err());
+        let empty = dir.path().join("empty");
+        std::fs::write(&empty, b"").unwrap();
+        assert!(MappedFile::open(&empty).unwrap().bytes().is_empty());
+    }
+}

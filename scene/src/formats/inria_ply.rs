@@ -1,0 +1,241 @@
+//! PLY files with one float per property, as 3D Gaussian splatting trainers write them.
+
+use super::label_column::{read_instance, read_segment};
+use super::ply::{
+    ColumnSource, ColumnValues, PlyColumn, PlyElement, PlyFile, PlyPropertyKind, PlyType,
+    write_new_ply,
+};
+use super::{LoadedScene, ReadOptions, SceneKind};
+use crate::gaussian_scene::{SH_C0, u8_to_dc};
+use crate::value_policy::{DEFAULT_GREY, DEFAULT_SCALE, FLAT_SCALE, Rule};
+use crate::{GaussianScene, RepairReport, SceneError};
+use std::path::Path;
+
+const VERTEX: &str = "vertex";
+
+/// Reads a scene from an open PLY file.
+///
+/// Required are `x y z`. The others have defaults, each reported: `scale_0..2` (0.01 m; one scale
+/// counts for all axes; without `scale_2` the third axis is 1e-7 m), `rot_0..3` (`w x y z`; no
+/// rotation), `opacity` (alpha 1), `f_dc_0..2` (from `red green blue`, else grey). Read if there:
+/// `f_rest_*` (all of one degree), `nx ny nz` (unless all are 0), `segment` or `label`, `instance`.
+/// Other properties are skipped.
+///
+/// # Errors
+/// As [`super::open_scene`]; a group of properties that is there in part is malformed.
+pub fn read_inria_ply(file: &PlyFile, options: &ReadOptions) -> Result<LoadedScene, SceneError> {
+    let Some(vertex) = file.element(VERTEX) else {
+        return Err(SceneError::format(file.path(), "has no element vertex", ""));
+    };
+    let mut reader = Reader { file, vertex, report: RepairReport::default() };
+    if file.trailing_bytes() > 0 {
+        let example = format!("{} bytes", file.trailing_bytes());
+        reader.report.add(Rule::FileTrailing, 1, vertex.count, &example);
+    }
+    let [x, y, z] = ["x", "y", "z"];
+    if !reader.group(&[x, y, z])? {
+        let problem = format!("is no scene: {}", Rule::CoordMissing.about().bad_value);
+        return Err(SceneError::format(file.path(), problem, "vertices need a position"));
+    }
+    let coord = file.rows_f32(VERTEX, [x, y, z])?;
+    let log_scale = reader.log_scale()?;
+    let quat = reader.quat()?;
+    let opacity_logit = if vertex.has("opacity") {
+        file.column_f32(VERTEX, "opacity")?
+    } else {
+        reader.missing(Rule::OpacityMissing);
+        vec![f32::INFINITY; vertex.count]
+    };
+    let sh_dc = reader.sh_dc()?;
+    let (sh_degree, sh_rest) = reader.sh_rest(options.sh_rest)?;
+    let normal = if reader.group(&["nx", "ny", "nz"])? {
+        Some(file.rows_f32(VERTEX, ["nx", "ny", "nz"])?)
+    } else {
+        None
+    };
+    let segment = read_segment(file, vertex, options.segment.as_deref(), &mut reader.report)?;
+    let instance = read_instance(file, vertex, &mut reader.report)?;
+    let scene = GaussianScene {
+        coord,
+        log_scale,
+        quat,
+        opacity_logit,
+        sh_dc,
+        sh_rest,
+        sh_degree,
+        normal,
+        segment,
+        instance,
+        ..GaussianScene::default()
+    };
+    let report = reader.report;
+    LoadedScene::finish(scene, report, options.policy, file.path(), SceneKind::InriaPly)
+}
+
+struct Reader<'a> {
+    file: &'a PlyFile,
+    vertex: &'a PlyElement,
+    report: RepairReport,
+}
+
+impl Reader<'_> {
+    fn missing(&mut self, rule: Rule) {
+        self.report.add(rule, self.vertex.count, 0, "");
+    }
+
+    /// Whether all of the properties are there; an error if only some are.
+    fn group(&self, names: &[&str]) -> Result<bool, SceneError> {
+        let missing: Vec<&str> = names.iter().copied().filter(|n| !self.vertex.has(n)).collect();
+        if missing.is_empty() || missing.len() == names.len() {
+            return Ok(missing.is_empty());
+        }
+        let problem = format!("of {} its vertices lack {}", names.join(", "), missing.join(", "));
+        Err(SceneError::format(self.file.path(), problem, "export the scene again"))
+    }
+
+    fn log_scale(&mut self) -> Result<Vec<[f32; 3]>, SceneError> {
+        let [a, b, c] = ["scale_0", "scale_1", "scale_2"];
+        let there = [a, b, c].map(|name| self.vertex.has(name));
+        Ok(match there {
+            [true, false, false] => {
+                self.missing(Rule::ScaleOne);
+                self.file.rows_f32(VERTEX, [a])?.into_iter().map(|[s]| [s; 3]).collect()
+            }
+            [true, true, false] => {
+                self.missing(Rule::ScaleTwo);
+                let flat = FLAT_SCALE.ln();
+                self.file.rows_f32(VERTEX, [a, b])?.into_iter().map(|[s, t]| [s, t, flat]).collect()
+            }
+            _ if self.group(&[a, b, c])? => self.file.rows_f32(VERTEX, [a, b, c])?,
+            _ => {
+                self.missing(Rule::ScaleMissing);
+                vec![[DEFAULT_SCALE.ln(); 3]; self.vertex.count]
+            }
+        })
+    }
+
+    fn quat(&mut self) -> Result<Vec<[f32; 4]>, SceneError> {
+        let names = ["rot_0", "rot_1", "rot_2", "rot_3"];
+        if self.group(&names)? {
+            return self.file.rows_f32(VERTEX, names);
+        }
+        self.missing(Rule::QuatMissing);
+        Ok(vec![[1.0, 0.0, 0.0, 0.0]; self.vertex.count])
+    }
+
+    fn sh_dc(&mut self) -> Result<Vec<[f32; 3]>, SceneError> {
+        let names = ["f_dc_0", "f_dc_1", "f_dc_2"];
+        if self.group(&names)? {
+            return self.file.rows_f32(VERTEX, names);
+        }
+        let rgb = ["red", "green", "blue"];
+        if !self.group(&rgb)? {
+            self.missing(Rule::ColorMissing);
+            return Ok(vec![[u8_to_dc(DEFAULT_GREY); 3]; self.vertex.count]);
+        }
+        self.report.add(Rule::ColorFromBytes, self.vertex.count, 0, "");
+        let table: Vec<f32> = (0..=255).map(u8_to_dc).collect();
+        let types = rgb.map(|n| self.vertex.property(n).map(|p| p.kind));
+        if types == [Some(PlyPropertyKind::Scalar(PlyType::U8)); 3] {
+            let [r, g, b] = rgb.map(|name| self.file.column_u8(VERTEX, name));
+            let (r, g, b) = (r?, g?, b?);
+            let rows = r.iter().zip(&g).zip(&b);
+            return Ok(rows
+                .map(|((&r, &g), &b)| [r, g, b].map(|v| table[usize::from(v)]))
+                .collect());
+        }
+        let float = |kind| matches!(kind, Some(PlyPropertyKind::Scalar(ty)) if ty.is_float());
+        if types.into_iter().all(float) {
+            let rows = self.file.rows_f32(VERTEX, rgb)?;
+            return Ok(rows.into_iter().map(|row| row.map(|v| (v - 0.5) / SH_C0)).collect());
+        }
+        let problem = "red, green and blue are neither uchar nor float";
+        Err(SceneError::format(self.file.path(), problem, "export colours as f_dc_0..2 or uchar"))
+    }
+
+    /// The degree and the coefficients, `[N, K, 3]` flattened.
+    fn sh_rest(&mut self, wanted: bool) -> Result<(u8, Vec<f32>), SceneError> {
+        let names = self.vertex.properties.iter().filter(|p| p.name.starts_with("f_rest_"));
+        let count = names.count();
+        let Some(degree) = sh_degree(count) else {
+            let rule = Rule::RestCount.about().bad_value;
+            let problem = format!("its vertices have {count} f_rest columns: {rule}");
+            return Err(SceneError::format(self.file.path(), problem, "export the scene again"));
+        };
+        if degree == 0 || !wanted {
+            return Ok((0, Vec::new()));
+        }
+        let names = rest_names(count);
+        let names: Vec<&str> = names.iter().map(String::as_str).collect();
+        self.group(&names)?;
+        Ok((degree, self.file.table_f32(VERTEX, &names)?))
+    }
+}
+
+/// The degree that has this many coefficients beyond DC for three channels.
+pub(super) fn sh_degree(num_rest: usize) -> Option<u8> {
+    [0, 9, 24, 45, 72].iter().position(|&n| n == num_rest).map(|degree| degree as u8)
+}
+
+/// The names of `f_rest` columns in the order of the scene: coefficient by coefficient, with the
+/// channels inside. In the file each channel has its coefficients together.
+pub(super) fn rest_names(num_rest: usize) -> Vec<String> {
+    let k = num_rest / 3;
+    (0..num_rest).map(|i| format!("f_rest_{}", i % 3 * k + i / 3)).collect()
+}
+
+/// Writes a scene as PLY in the property order of the original trainer.
+///
+/// `x y z nx ny nz f_dc_0..2 f_rest_* opacity scale_0..2 rot_0..3`, then `segment` and `instance`
+/// if the scene has them, then `extra`. All floats are written as they are, so that reading gives
+/// the same scene; normals are 0 where the scene has none. Language features and labelled points
+/// have no place in this format.
+///
+/// # Errors
+/// If the scene is empty or its arrays do not match, if a name in `extra` is taken, or if the file
+/// cannot be written; then nothing is left behind.
+pub fn write_inria_ply(
+    scene: &GaussianScene,
+    extra: &[PlyColumn<'_>],
+    path: &Path,
+) -> Result<(), SceneError> {
+    scene.check_rows()?;
+    if scene.is_empty() {
+        return Err(SceneError::format(path, "would hold no Gaussian at all", ""));
+    }
+    let mut columns: Vec<(String, ColumnSource<'_>)> = Vec::new();
+    columns.extend(strided(&["x", "y", "z"], scene.coord.as_flattened()));
+    match &scene.normal {
+        Some(normal) => columns.extend(strided(&["nx", "ny", "nz"], normal.as_flattened())),
+        None => columns.extend(["nx", "ny", "nz"].map(|n| (n.to_owned(), ColumnSource::Zero))),
+    }
+    columns.extend(strided(&["f_dc_0", "f_dc_1", "f_dc_2"], scene.sh_dc.as_flattened()));
+    let width = scene.sh_rest_len() * 3;
+    for i in 0..width {
+        let k = width / 3;
+        let at = i % k * 3 + i / k;
+        let source = ColumnSource::Strided { values: &scene.sh_rest, width, at };
+        columns.push((format!("f_rest_{i}"), source));
+    }
+    columns.extend(strided(&["opacity"], &scene.opacity_logit));
+    columns.extend(strided(&["scale_0", "scale_1", "scale_2"], scene.log_scale.as_flattened()));
+    columns.extend(strided(&["rot_0", "rot_1", "rot_2", "rot_3"], scene.quat.as_flattened()));
+    for (name, values) in [("segment", &scene.segment), ("instance", &scene.instance)] {
+        if let Some(values) = values {
+            columns.push((name.to_owned(), ColumnSource::Values(ColumnValues::I32(values))));
+        }
+    }
+    columns.extend(extra.iter().map(|c| (c.name.to_owned(), ColumnSource::Values(c.values))));
+    write_new_ply(path, scene.len(), &columns)
+}
+
+/// The columns of a row-major array.
+fn strided<'a>(
+    names: &[&str],
+    values: &'a [f32],
+) -> impl Iterator<Item = (String, ColumnSource<'a>)> + use<'a> {
+    let width = names.len();
+    let names: Vec<String> = names.iter().map(|&n| n.to_owned()).collect();
+    let source = move |at| ColumnSource::Strided { values, width, at };
+    names.into_iter().enumerate().map(move |(at, name)| (name, source(at)))
+}

@@ -1,0 +1,116 @@
+//! Labelled point clouds in PLY: what predictions are compared with.
+
+use super::label_column::{INSTANCE_RULES, SEGMENT_RULES, read_labels};
+use super::ply::PlyFile;
+use crate::value_policy::Rule;
+use crate::{LabelledPoints, Policy, RepairReport, SceneError};
+use std::path::Path;
+
+const VERTEX: &str = "vertex";
+
+/// Names a label column goes by, first come first served.
+const LABEL_NAMES: [&str; 5] = ["label", "segment", "semantic", "class", "scalar_label"];
+/// Names an instance column goes by.
+const INSTANCE_NAMES: [&str; 3] = ["instance", "instance_id", "scalar_instance"];
+
+/// Points with a class each.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct LabelledCloud {
+    /// Positions, metres. `[M, 3]`
+    pub coord: Vec<[f32; 3]>,
+    /// Normals as in the file. `[M, 3]`
+    pub normal: Option<Vec<[f32; 3]>>,
+    /// Red, green, blue. `[M, 3]`
+    pub color: Option<Vec<[u8; 3]>>,
+    /// Class index, `-1` = no label. `[M]`
+    pub segment: Vec<i32>,
+    /// Instance id, `-1` = none. `[M]`
+    pub instance: Option<Vec<i32>>,
+}
+
+impl From<LabelledCloud> for LabelledPoints {
+    fn from(cloud: LabelledCloud) -> Self {
+        Self { coord: cloud.coord, segment: Some(cloud.segment), instance: cloud.instance }
+    }
+}
+
+/// Reads `x y z`, labels (`label`, `segment`, `semantic`, `class`) and, if there, `nx ny nz`,
+/// `red green blue` as bytes, and `instance`.
+///
+/// Negative labels and 65535 in 16-bit columns become -1. A point without a finite position is
+/// left out and reported.
+///
+/// # Errors
+/// If the file is no PLY file or lacks positions or labels, if it has no usable point, or, under
+/// the strict policy, if anything had to be repaired.
+pub fn read_labelled_ply(
+    path: &Path,
+    policy: Policy,
+) -> Result<(LabelledCloud, RepairReport), SceneError> {
+    let file = PlyFile::open(path)?;
+    let Some(vertex) = file.element(VERTEX) else {
+        return Err(SceneError::format(path, "has no element vertex", ""));
+    };
+    let all = |names: [&str; 3]| names.iter().all(|name| vertex.has(name));
+    if !all(["x", "y", "z"]) {
+        return Err(SceneError::format(path, "its vertices have no position x, y, z", ""));
+    }
+    let Some(label) = LABEL_NAMES.into_iter().find(|name| vertex.has(name)) else {
+        let problem = format!("its vertices have no labels ({})", LABEL_NAMES.join(", "));
+        return Err(SceneError::format(path, problem, "name the column of class indices `label`"));
+    };
+    let mut report = RepairReport { source_rows: vertex.count, ..RepairReport::default() };
+    if file.trailing_bytes() > 0 {
+        let example = format!("{} bytes", file.trailing_bytes());
+        report.add(Rule::FileTrailing, 1, vertex.count, &example);
+    }
+    let mut cloud = LabelledCloud {
+        coord: file.rows_f32(VERTEX, ["x", "y", "z"])?,
+        segment: read_labels(&file, VERTEX, label, SEGMENT_RULES, &mut report)?,
+        ..LabelledCloud::default()
+    };
+    if all(["nx", "ny", "nz"]) {
+        cloud.normal = Some(file.rows_f32(VERTEX, ["nx", "ny", "nz"])?);
+    }
+    if all(["red", "green", "blue"]) {
+        let red = file.column_u8(VERTEX, "red")?;
+        let green = file.column_u8(VERTEX, "green")?;
+        let blue = file.column_u8(VERTEX, "blue")?;
+        let rows = red.into_iter().zip(green).zip(blue);
+        cloud.color = Some(rows.map(|((r, g), b)| [r, g, b]).collect());
+    }
+    if let Some(name) = INSTANCE_NAMES.into_iter().find(|name| vertex.has(name)) {
+        let ids = read_labels(&file, VERTEX, name, INSTANCE_RULES, &mut report)?;
+        cloud.instance = Some(ids);
+    }
+    drop_unusable(&mut cloud, &mut report);
+    report.enforce(policy, path)?;
+    if cloud.coord.is_empty() {
+        return Err(SceneError::format(path, "has no point with a position", ""));
+    }
+    Ok((cloud, report))
+}
+
+/// Leaves out the points without a finite position.
+fn drop_unusable(cloud: &mut LabelledCloud, report: &mut RepairReport) {
+    let finite: Vec<bool> = cloud.coord.iter().map(|p| p.iter().all(|v| v.is_finite())).collect();
+    let Some(first) = finite.iter().position(|&ok| !ok) else { return };
+    let count = finite.iter().filter(|&&ok| !ok).count();
+    report.add(Rule::PointNotFinite, count, first, &format!("{:?}", cloud.coord[first]));
+    report.dropped_rows = count;
+    fn keep<T>(values: &mut Vec<T>, finite: &[bool]) {
+        let mut flags = finite.iter();
+        values.retain(|_| flags.next().copied().unwrap_or(false));
+    }
+    keep(&mut cloud.coord, &finite);
+    keep(&mut cloud.segment, &finite);
+    if let Some(values) = &mut cloud.normal {
+        keep(values, &finite);
+    }
+    if let Some(values) = &mut cloud.color {
+        keep(values, &finite);
+    }
+    if let Some(values) = &mut cloud.instance {
+        keep(values, &finite);
+    }
+}

@@ -1,0 +1,314 @@
+//! The preprocessed scene: a folder with one `.npy` file per field.
+//!
+//! Values there are *activated* (opacity a probability, scale in metres, colour a byte) while
+//! [`GaussianScene`] holds them before activation; colour bytes survive both ways exactly. There is
+//! no file for spherical harmonics beyond the DC term.
+
+mod writer;
+
+pub use writer::write_npy_folder;
+
+use super::label_column::{
+    INSTANCE_RULES, LabelRules, SEGMENT_RULES, labels_from_f64, labels_from_i64,
+};
+use super::npy::{NpyFile, NpyType};
+use super::{LoadedScene, ReadOptions, SceneKind};
+use crate::gaussian_scene::{SH_C0, probability_to_logit, u8_to_dc};
+use crate::value_policy::{DEFAULT_GREY, DEFAULT_SCALE, Rule};
+use crate::{FeatureRows, GaussianScene, LabelledPoints, RepairReport, SceneError};
+use half::f16;
+use rayon::prelude::*;
+use std::path::Path;
+
+/// Reads a scene from a folder of `.npy` files.
+///
+/// Required is `coord`. Defaults, each reported: `scale` (0.01 m), `quat` (no rotation), `opacity`
+/// (1), `color` (grey). Read if there: `normal`, `lang_feat`, `valid_feat_mask` (else: where any
+/// feature is not 0), labels, `instance`, and the labelled points `pc_coord`, `pc_instance` and
+/// `pc_` + the file of labels. Labels of several columns count by their first. Logits and
+/// logarithms are taken in f64.
+///
+/// # Errors
+/// As [`super::open_scene`]; also if a file has another number of rows than `coord`, or if the
+/// labels asked for are not there.
+pub fn read_npy_folder(folder: &Path, options: &ReadOptions) -> Result<LoadedScene, SceneError> {
+    let coord = open(folder, "coord")?.ok_or_else(|| {
+        SceneError::format(folder, "is a folder without coord.npy", "every scene needs positions")
+    })?;
+    let coord = rows::<3>(&coord, None)?;
+    let mut reader = Reader { folder, rows: coord.len(), report: RepairReport::default() };
+    let log_scale = reader.log_scale()?;
+    let quat = match reader.open("quat")? {
+        Some(file) => rows::<4>(&file, Some(reader.rows))?,
+        None => {
+            reader.missing(Rule::QuatMissing);
+            vec![[1.0, 0.0, 0.0, 0.0]; reader.rows]
+        }
+    };
+    let opacity_logit = reader.opacity()?;
+    let sh_dc = reader.sh_dc()?;
+    let normal =
+        reader.open("normal")?.map(|file| rows::<3>(&file, Some(reader.rows))).transpose()?;
+    let (lang_feat, valid_feat_mask) = reader.features(options.lang_feat)?;
+    let label_stem = reader.label_stem(options.segment.as_deref())?;
+    let segment = match &label_stem {
+        Some(stem) => reader.labels(stem, reader.rows, SEGMENT_RULES)?,
+        None => None,
+    };
+    let instance = reader.labels("instance", reader.rows, INSTANCE_RULES)?;
+    let labelled_points =
+        reader.labelled_points(options.segment.as_deref(), label_stem.as_deref())?;
+    let scene = GaussianScene {
+        coord,
+        log_scale,
+        quat,
+        opacity_logit,
+        sh_dc,
+        normal,
+        segment,
+        instance,
+        lang_feat,
+        valid_feat_mask,
+        labelled_points,
+        ..GaussianScene::default()
+    };
+    LoadedScene::finish(scene, reader.report, options.policy, folder, SceneKind::NpyFolder)
+}
+
+/// Opens the file of that stem if it exists.
+fn open(folder: &Path, stem: &str) -> Result<Option<NpyFile>, SceneError> {
+    let path = folder.join(format!("{stem}.npy"));
+    if path.exists() { NpyFile::open(&path).map(Some) } else { Ok(None) }
+}
+
+/// Reads an array of shape `[N, W]`.
+fn rows<const W: usize>(
+    file: &NpyFile,
+    expected: Option<usize>,
+) -> Result<Vec<[f32; W]>, SceneError> {
+    let shape = file.shape();
+    let fits =
+        matches!(shape, [_, width] if *width == W) && expected.is_none_or(|rows| rows == shape[0]);
+    if !fits {
+        return Err(wrong_shape(file, expected, &W.to_string()));
+    }
+    Ok(file.read_f32()?.as_chunks::<W>().0.to_vec())
+}
+
+/// The error for an array that does not go with `coord`.
+fn wrong_shape(file: &NpyFile, rows: Option<usize>, width: &str) -> SceneError {
+    let rows = rows.map_or_else(|| "N".to_owned(), |rows| rows.to_string());
+    let comma = if width.is_empty() { "," } else { ", " };
+    let problem = format!("expected shape ({rows}{comma}{width}), got {:?}", file.shape());
+    SceneError::format(file.path(), problem, "all files of a folder must be of the same scene")
+}
+
+struct Reader<'a> {
+    folder: &'a Path,
+    rows: usize,
+    report: RepairReport,
+}
+
+impl Reader<'_> {
+    fn open(&self, stem: &str) -> Result<Option<NpyFile>, SceneError> {
+        open(self.folder, stem)
+    }
+
+    fn missing(&mut self, rule: Rule) {
+        self.report.add(rule, self.rows, 0, "");
+    }
+
+    fn log_scale(&mut self) -> Result<Vec<[f32; 3]>, SceneError> {
+        let Some(file) = self.open("scale")? else {
+            self.missing(Rule::ScaleMissing);
+            return Ok(vec![[DEFAULT_SCALE.ln(); 3]; self.rows]);
+        };
+        let scale = match file.shape() {
+            [n] | [n, 1] if *n == self.rows => {
+                self.missing(Rule::ScaleOne);
+                file.read_f32()?.into_iter().map(|s| [s; 3]).collect()
+            }
+            _ => rows::<3>(&file, Some(self.rows))?,
+        };
+        // The logarithm of a negative number is NaN, and such a row is dropped.
+        let ln = |v: f32| f64::from(v).ln() as f32;
+        Ok(scale.into_par_iter().map(|s| s.map(ln)).collect())
+    }
+
+    fn opacity(&mut self) -> Result<Vec<f32>, SceneError> {
+        let Some(file) = self.open("opacity")? else {
+            self.missing(Rule::OpacityMissing);
+            return Ok(vec![f32::INFINITY; self.rows]);
+        };
+        if !matches!(file.shape(), [n] | [n, 1] if *n == self.rows) {
+            return Err(wrong_shape(&file, Some(self.rows), ""));
+        }
+        let values = file.read_f32()?;
+        for (row, value) in values.iter().enumerate() {
+            if *value < 0.0 || *value > 1.0 {
+                self.report.add(Rule::OpacityOutside, 1, row, &value.to_string());
+            }
+        }
+        Ok(values.into_par_iter().map(|p| probability_to_logit(p.clamp(0.0, 1.0))).collect())
+    }
+
+    fn sh_dc(&mut self) -> Result<Vec<[f32; 3]>, SceneError> {
+        let Some(file) = self.open("color")? else {
+            self.missing(Rule::ColorMissing);
+            return Ok(vec![[u8_to_dc(DEFAULT_GREY); 3]; self.rows]);
+        };
+        if file.shape() != [self.rows, 3] {
+            return Err(wrong_shape(&file, Some(self.rows), "3"));
+        }
+        if !file.ty().is_float() {
+            let table: Vec<f32> = (0..=255).map(u8_to_dc).collect();
+            let dc: Vec<f32> = file.read_u8()?.iter().map(|&v| table[usize::from(v)]).collect();
+            return Ok(dc.as_chunks::<3>().0.to_vec());
+        }
+        let values = file.read_f32()?;
+        let largest = values.iter().copied().filter(|v| v.is_finite()).fold(0.0f32, f32::max);
+        let scale = if largest > 1.0 { 255.0 } else { 1.0 };
+        self.report.notes.push(format!("color.npy holds floats, read as 0 to {scale}"));
+        let dc: Vec<f32> = values.into_par_iter().map(|v| (v / scale - 0.5) / SH_C0).collect();
+        Ok(dc.as_chunks::<3>().0.to_vec())
+    }
+
+    /// Language features and which rows have one.
+    fn features(
+        &mut self,
+        wanted: bool,
+    ) -> Result<(Option<FeatureRows>, Option<Vec<bool>>), SceneError> {
+        let mut mask = None;
+        if let Some(file) = self.open("valid_feat_mask")? {
+            if !matches!(file.shape(), [n] | [n, 1] if *n == self.rows) {
+                return Err(wrong_shape(&file, Some(self.rows), ""));
+            }
+            let values = file.read_f64()?;
+            for (row, value) in values.iter().enumerate() {
+                if *value != 0.0 && *value != 1.0 {
+                    self.report.add(Rule::MaskInvalid, 1, row, &value.to_string());
+                }
+            }
+            mask = Some(values.into_iter().map(|v| v != 0.0).collect());
+        }
+        let file = if wanted { self.open("lang_feat")? } else { None };
+        let Some(file) = file else { return Ok((None, mask)) };
+        let &[rows, dim] = file.shape() else {
+            return Err(wrong_shape(&file, Some(self.rows), "D"));
+        };
+        if rows != self.rows || dim == 0 {
+            return Err(wrong_shape(&file, Some(self.rows), "D"));
+        }
+        let values = file.read_f16()?;
+        let mask = mask.unwrap_or_else(|| {
+            values.par_chunks_exact(dim).map(|row| row.iter().any(|&v| v != f16::ZERO)).collect()
+        });
+        Ok((Some(FeatureRows { values, dim }), Some(mask)))
+    }
+
+    /// Labels from the first column of a file; `None` if there is no such file.
+    fn labels(
+        &mut self,
+        stem: &str,
+        rows: usize,
+        rules: LabelRules,
+    ) -> Result<Option<Vec<i32>>, SceneError> {
+        let Some(file) = self.open(stem)? else { return Ok(None) };
+        let width = match *file.shape() {
+            [n] if n == rows => 1,
+            [n, width] if n == rows && width > 0 => width,
+            _ => return Err(wrong_shape(&file, Some(rows), "")),
+        };
+        if file.ty().is_float() {
+            let values = file.read_f64()?;
+            let first = values.into_iter().step_by(width);
+            return Ok(Some(labels_from_f64(first, rules, &mut self.report)));
+        }
+        let none = (file.ty() == NpyType::UInt(2)).then_some(i64::from(u16::MAX));
+        let values = file.read_i64()?;
+        let first = values.into_iter().step_by(width);
+        Ok(Some(labels_from_i64(first, none, rules, &mut self.report)))
+    }
+
+    /// Stems of label files that begin with `prefix`, sorted.
+    fn label_files(&self, prefix: &str) -> Result<Vec<String>, SceneError> {
+        let failed = || SceneError::io(self.folder, "cannot list the folder");
+        let mut stems = Vec::new();
+        for entry in std::fs::read_dir(self.folder).map_err(failed())? {
+            let name = entry.map_err(failed())?.file_name();
+            let stem = name.to_str().and_then(|name| name.strip_suffix(".npy"));
+            if let Some(stem) = stem.filter(|stem| stem.starts_with(prefix)) {
+                stems.push(stem.to_owned());
+            }
+        }
+        stems.sort();
+        Ok(stems)
+    }
+
+    /// Which file the labels come from.
+    fn label_stem(&mut self, wanted: Option<&str>) -> Result<Option<String>, SceneError> {
+        let found = self.label_files("segment")?;
+        if let Some(stem) = wanted {
+            if found.iter().any(|f| f == stem) {
+                return Ok(Some(stem.to_owned()));
+            }
+            let there = if found.is_empty() { "no labels".to_owned() } else { found.join(", ") };
+            let problem = format!("has no {stem}.npy to read labels from; it has {there}");
+            return Err(SceneError::format(self.folder, problem, "choose other labels"));
+        }
+        match found.as_slice() {
+            _ if found.iter().any(|f| f == "segment") => Ok(Some("segment".to_owned())),
+            [] => Ok(None),
+            [only] => Ok(Some(only.clone())),
+            several => {
+                let names = several.join(", ");
+                self.report.notes.push(format!("labels not read, choose one of {names}"));
+                Ok(None)
+            }
+        }
+    }
+
+    fn labelled_points(
+        &mut self,
+        wanted: Option<&str>,
+        label_stem: Option<&str>,
+    ) -> Result<Option<LabelledPoints>, SceneError> {
+        let Some(coord) = self.open("pc_coord")? else { return Ok(None) };
+        let coord = rows::<3>(&coord, None)?;
+        let instance = self.labels("pc_instance", coord.len(), INSTANCE_RULES)?;
+        let mut segment = None;
+        let stems = match wanted.or(label_stem) {
+            Some(stem) => vec![format!("pc_{stem}")],
+            None => self.label_files("pc_segment")?,
+        };
+        match stems.as_slice() {
+            [stem] => segment = self.labels(stem, coord.len(), SEGMENT_RULES)?,
+            [] => {}
+            several if several.iter().any(|s| s == "pc_segment") => {
+                segment = self.labels("pc_segment", coord.len(), SEGMENT_RULES)?;
+            }
+            several => {
+                let names = several.join(", ");
+                self.report.notes.push(format!("labels not read, choose one of {names}"));
+            }
+        }
+        let mut points = LabelledPoints { coord, segment, instance };
+        drop_unusable_points(&mut points, &mut self.report);
+        Ok(Some(points))
+    }
+}
+
+/// Leaves out labelled points without a finite position.
+fn drop_unusable_points(points: &mut LabelledPoints, report: &mut RepairReport) {
+    let finite: Vec<bool> = points.coord.iter().map(|p| p.iter().all(|v| v.is_finite())).collect();
+    let Some(first) = finite.iter().position(|&ok| !ok) else { return };
+    let count = finite.iter().filter(|&&ok| !ok).count();
+    report.add(Rule::PointNotFinite, count, first, &format!("{:?}", points.coord[first]));
+    let keep = |values: &mut Vec<i32>| {
+        let mut flags = finite.iter();
+        values.retain(|_| flags.next().copied().unwrap_or(false));
+    };
+    points.coord.retain(|p| p.iter().all(|v| v.is_finite()));
+    points.segment.as_mut().map(keep);
+    points.instance.as_mut().map(keep);
+}

@@ -1,0 +1,264 @@
+//! The scene in memory.
+
+use crate::SceneError;
+use half::f16;
+
+/// Zeroth spherical-harmonic basis constant: `rgb = 0.5 + SH_C0 · dc`.
+pub const SH_C0: f32 = 0.282_094_8;
+
+/// Per-row features of a fixed width, stored as f16 (that is how language features are on disk).
+#[derive(Debug, Clone, PartialEq)]
+pub struct FeatureRows {
+    /// Row-major values, `[N, dim]`.
+    pub values: Vec<f16>,
+    /// Width of a row.
+    pub dim: usize,
+}
+
+/// Labelled points of the original capture, which benchmarks evaluate on instead of Gaussians.
+///
+/// Same frame as the Gaussians; the number of points is independent of the number of Gaussians.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct LabelledPoints {
+    /// Positions, metres. `[M, 3]`
+    pub coord: Vec<[f32; 3]>,
+    /// Class index, `-1` = no label. `[M]`
+    pub segment: Option<Vec<i32>>,
+    /// Instance id, `-1` = none. `[M]`
+    pub instance: Option<Vec<i32>>,
+}
+
+/// A scene of 3D Gaussians: structure of arrays, every array with one row per Gaussian.
+///
+/// # Conventions (stated here once)
+/// - positions and scales are in metres, in the frame of the file (no axis is swapped on reading);
+/// - scale is the natural logarithm of the standard deviation along each principal axis;
+/// - `quat` is `w, x, y, z`, unit norm, `w ≥ 0`; the columns of its matrix are the principal axes;
+/// - opacity is a logit: `alpha = 1 / (1 + e^-logit)`; `±inf` are legal (alpha 0 or 1);
+/// - colour is the spherical-harmonic DC term: `rgb = 0.5 + SH_C0 · dc`, display-referred sRGB;
+/// - `sh_rest` is coefficient-major with the channel inside: `[N, K, 3]`, `K = (degree + 1)² − 1`.
+///
+/// Values are kept *before* activation because that is what splat files hold: a scene that is read
+/// and written again is unchanged.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct GaussianScene {
+    /// Centres, metres. `[N, 3]`
+    pub coord: Vec<[f32; 3]>,
+    /// Natural logarithm of the standard deviations in metres. `[N, 3]`
+    pub log_scale: Vec<[f32; 3]>,
+    /// Orientation `w, x, y, z`. `[N, 4]`
+    pub quat: Vec<[f32; 4]>,
+    /// Opacity before the sigmoid. `[N]`
+    pub opacity_logit: Vec<f32>,
+    /// Colour as SH DC coefficients. `[N, 3]`
+    pub sh_dc: Vec<[f32; 3]>,
+    /// Higher SH coefficients, `[N, K, 3]` flattened; empty for degree 0.
+    pub sh_rest: Vec<f32>,
+    /// Spherical-harmonic degree of `sh_rest`, 0..=4.
+    pub sh_degree: u8,
+    /// Unit surface normals. `[N, 3]`
+    pub normal: Option<Vec<[f32; 3]>>,
+    /// Class index, `-1` = no label. `[N]`
+    pub segment: Option<Vec<i32>>,
+    /// Instance id, `-1` = none. `[N]`
+    pub instance: Option<Vec<i32>>,
+    /// Language features. `[N, D]`
+    pub lang_feat: Option<FeatureRows>,
+    /// Whether the row of `lang_feat` holds a feature. `[N]`
+    pub valid_feat_mask: Option<Vec<bool>>,
+    /// Labelled points to evaluate on; independent row count.
+    pub labelled_points: Option<LabelledPoints>,
+}
+
+impl GaussianScene {
+    /// Number of Gaussians.
+    pub fn len(&self) -> usize {
+        self.coord.len()
+    }
+
+    /// Whether there is no Gaussian.
+    pub fn is_empty(&self) -> bool {
+        self.coord.is_empty()
+    }
+
+    /// Number of higher SH coefficients per channel: `(degree + 1)² − 1`.
+    pub fn sh_rest_len(&self) -> usize {
+        let side = usize::from(self.sh_degree) + 1;
+        side * side - 1
+    }
+
+    /// Opacity in `0..=1`.
+    pub fn opacity(&self, row: usize) -> f32 {
+        sigmoid(self.opacity_logit[row])
+    }
+
+    /// Standard deviations in metres.
+    pub fn scale(&self, row: usize) -> [f32; 3] {
+        self.log_scale[row].map(f32::exp)
+    }
+
+    /// Colour as the preprocessing of the original system stores it: clipped to 0..=1, times 255,
+    /// *truncated* (not rounded) to a byte.
+    pub fn color_u8(&self, row: usize) -> [u8; 3] {
+        self.sh_dc[row].map(dc_to_u8)
+    }
+
+    /// Checks that every array has one row per Gaussian.
+    ///
+    /// # Errors
+    /// Names the first array whose row count differs.
+    pub fn check_rows(&self) -> Result<(), SceneError> {
+        let expected = self.len();
+        let check = |field: &'static str, got: usize| {
+            if got == expected {
+                Ok(())
+            } else {
+                Err(SceneError::RowCount { field, expected, got })
+            }
+        };
+        check("log_scale", self.log_scale.len())?;
+        check("quat", self.quat.len())?;
+        check("opacity_logit", self.opacity_logit.len())?;
+        check("sh_dc", self.sh_dc.len())?;
+        let rest = self.sh_rest_len() * 3;
+        if self.sh_rest.len() != expected * rest {
+            return Err(SceneError::RowCount {
+                field: "sh_rest",
+                expected: expected * rest,
+                got: self.sh_rest.len(),
+            });
+        }
+        if let Some(a) = &self.normal {
+            check("normal", a.len())?;
+        }
+        if let Some(a) = &self.segment {
+            check("segment", a.len())?;
+        }
+        if let Some(a) = &self.instance {
+            check("instance", a.len())?;
+        }
+        if let Some(a) = &self.lang_feat {
+            // A ragged last row counts as a row too many, never as none.
+            check("lang_feat", a.values.len().div_ceil(a.dim.max(1)))?;
+            check("lang_feat", a.values.len() / a.dim.max(1))?;
+        }
+        if let Some(a) = &self.valid_feat_mask {
+            check("valid_feat_mask", a.len())?;
+        }
+        Ok(())
+    }
+
+    /// The scene made of the given rows, in the given order; rows may repeat.
+    ///
+    /// The one place where the number of rows changes, so no array can get out of step.
+    ///
+    /// # Errors
+    /// If a row is out of range.
+    pub fn select_rows(&self, rows: &[usize]) -> Result<Self, SceneError> {
+        if let Some(&row) = rows.iter().find(|&&r| r >= self.len()) {
+            return Err(SceneError::RowOutOfRange { row, rows: self.len() });
+        }
+        fn pick<T: Copy>(from: &[T], rows: &[usize]) -> Vec<T> {
+            rows.iter().map(|&r| from[r]).collect()
+        }
+        fn pick_wide<T: Copy>(from: &[T], width: usize, rows: &[usize]) -> Vec<T> {
+            let mut out = Vec::with_capacity(rows.len() * width);
+            for &r in rows {
+                out.extend_from_slice(&from[r * width..(r + 1) * width]);
+            }
+            out
+        }
+        Ok(Self {
+            coord: pick(&self.coord, rows),
+            log_scale: pick(&self.log_scale, rows),
+            quat: pick(&self.quat, rows),
+            opacity_logit: pick(&self.opacity_logit, rows),
+            sh_dc: pick(&self.sh_dc, rows),
+            sh_rest: pick_wide(&self.sh_rest, self.sh_rest_len() * 3, rows),
+            sh_degree: self.sh_degree,
+            normal: self.normal.as_ref().map(|a| pick(a, rows)),
+            segment: self.segment.as_ref().map(|a| pick(a, rows)),
+            instance: self.instance.as_ref().map(|a| pick(a, rows)),
+            lang_feat: self
+                .lang_feat
+                .as_ref()
+                .map(|a| FeatureRows { values: pick_wide(&a.values, a.dim, rows), dim: a.dim }),
+            valid_feat_mask: self.valid_feat_mask.as_ref().map(|a| pick(a, rows)),
+            labelled_points: self.labelled_points.clone(),
+        })
+    }
+}
+
+/// The logistic function; exact at both infinities.
+pub fn sigmoid(logit: f32) -> f32 {
+    1.0 / (1.0 + (-logit).exp())
+}
+
+/// The logit of a probability, computed in f64: `ln(p / (1 − p))`.
+///
+/// `-inf` for 0 and `+inf` for 1, which [`sigmoid`] maps back exactly; NaN outside `0..=1`.
+pub fn probability_to_logit(probability: f32) -> f32 {
+    let p = f64::from(probability);
+    (p / (1.0 - p)).ln() as f32
+}
+
+/// The byte that a DC coefficient is stored as: `trunc(255 · clip(0.5 + SH_C0 · dc, 0, 1))`.
+pub fn dc_to_u8(dc: f32) -> u8 {
+    // The product is rounded once before the sum, as in the original; `mul_add` would not be.
+    ((dc * SH_C0 + 0.5).clamp(0.0, 1.0) * 255.0) as u8
+}
+
+/// A DC coefficient that [`dc_to_u8`] maps back to exactly `byte`.
+pub fn u8_to_dc(byte: u8) -> f32 {
+    let mut dc = (f32::from(byte) / 255.0 - 0.5) / SH_C0;
+    // Rounding may land just below the byte, which truncation would then miss by one.
+    while dc_to_u8(dc) < byte {
+        dc = dc.next_up();
+    }
+    dc
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_byte_survives_the_colour_round_trip() {
+        for byte in 0..=255 {
+            assert_eq!(dc_to_u8(u8_to_dc(byte)), byte);
+        }
+    }
+
+    #[test]
+    fn opacity_is_exact_at_infinity() {
+        assert_eq!(sigmoid(f32::INFINITY), 1.0);
+        assert_eq!(sigmoid(f32::NEG_INFINITY), 0.0);
+        assert_eq!(sigmoid(0.0), 0.5);
+    }
+
+    #[test]
+    fn probability_survives_the_logit() {
+        assert_eq!(probability_to_logit(0.0), f32::NEG_INFINITY);
+        assert_eq!(probability_to_logit(1.0), f32::INFINITY);
+        assert!(probability_to_logit(1.5).is_nan() && probability_to_logit(-0.5).is_nan());
+        for p in [1e-30f32, 1e-6, 0.1, 0.5, 0.75, 0.999] {
+            let back = sigmoid(probability_to_logit(p));
+            // The logit is rounded to f32, so its relative error, times the logit, is what shows.
+            assert!((back - p).abs() <= p * 1e-5, "{p} came back as {back}");
+        }
+    }
+
+    #[test]
+    fn ragged_features_are_refused() {
+        let scene = GaussianScene {
+            coord: vec![[0.0; 3]; 2],
+            log_scale: vec![[0.0; 3]; 2],
+            quat: vec![[1.0, 0.0, 0.0, 0.0]; 2],
+            opacity_logit: vec![0.0; 2],
+            sh_dc: vec![[0.0; 3]; 2],
+            lang_feat: Some(FeatureRows { values: vec![f16::ZERO; 5], dim: 2 }),
+            ..GaussianScene::default()
+        };
+        assert!(matches!(scene.check_rows(), Err(SceneError::RowCount { field: "lang_feat", .. })));
+    }
+}

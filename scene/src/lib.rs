@@ -1,0 +1,23 @@
+//! What a scene of 3D Gaussians is, and its files.
+//!
+//! Plain arrays and structs: no tensor library, no randomness, no network. The central type is
+//! [`GaussianScene`]; [`formats`] reads and writes it, [`value_policy`] says what happens to bad
+//! values on the way in, [`label_set`] holds class names and their text vectors.
+//!
+//! Not for: rendering, training, searching for neighbours.
+
+pub mod class_map;
+pub mod error;
+pub mod formats;
+pub mod gaussian_scene;
+pub mod label_set;
+pub mod text_table;
+pub mod value_policy;
+
+pub use class_map::ClassMap;
+pub use error::SceneError;
+pub use formats::{LoadedScene, ReadOptions, SceneKind, open_scene};
+pub use gaussian_scene::{FeatureRows, GaussianScene, LabelledPoints};
+pub use label_set::LabelSet;
+pub use text_table::TextTable;
+pub use value_policy::{Policy, RepairReport};

@@ -1,0 +1,440 @@
+//! A PNG that shows a scene at a glance: a perspective view, a view from above, and a legend.
+//!
+//! Gaussians are drawn as discs with a depth buffer: enough to see what is where and which class it
+//! got, in a second or two for a million Gaussians. It is not a renderer for judging image quality.
+
+mod discs;
+mod framing;
+mod palette;
+mod text;
+
+pub use palette::{UNLABELLED_COLOR, class_color};
+
+use discs::{Canvas, Disc, Lens};
+use framing::{Framing, Upright};
+use image::{ImageEncoder, RgbImage};
+use std::path::{Path, PathBuf};
+
+/// Why there is no preview.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum PreviewError {
+    /// An array does not have one value per Gaussian.
+    #[error("preview: {field} has {got} rows, expected {expected}")]
+    Rows {
+        /// Which array.
+        field: &'static str,
+        /// Rows expected.
+        expected: usize,
+        /// Rows found.
+        got: usize,
+    },
+    /// The picture size is out of range.
+    #[error("preview: views of {view_size} pixels are not possible, allowed are 64 to 4096")]
+    ViewSize {
+        /// The size given.
+        view_size: u32,
+    },
+    /// The picture could not be encoded.
+    #[error("preview: the picture cannot be encoded as PNG")]
+    Encode(#[from] image::ImageError),
+    /// The file could not be written.
+    #[error("{}: cannot write the preview", path.display())]
+    Write {
+        /// Which file.
+        path: PathBuf,
+        /// Why it failed.
+        #[source]
+        source: std::io::Error,
+    },
+}
+
+/// The direction that is up in a scene.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+pub enum UpAxis {
+    /// +x
+    #[serde(rename = "+x")]
+    PlusX,
+    /// −x
+    #[serde(rename = "-x")]
+    MinusX,
+    /// +y
+    #[serde(rename = "+y")]
+    PlusY,
+    /// −y: objects from image-based pipelines, whose y points down.
+    #[serde(rename = "-y")]
+    MinusY,
+    /// +z: captured rooms.
+    #[default]
+    #[serde(rename = "+z")]
+    PlusZ,
+    /// −z
+    #[serde(rename = "-z")]
+    MinusZ,
+}
+
+/// What to draw, one row per Gaussian.
+#[derive(Debug, Clone, Copy)]
+pub struct PreviewRows<'a> {
+    /// Centres, metres. Rows that are not finite are left out. `[N, 3]`
+    pub coord: &'a [[f32; 3]],
+    /// Colours: of the scene, or [`class_color`] of its labels. `[N, 3]`
+    pub color: &'a [[u8; 3]],
+    /// Size, metres: the standard deviation, say the middle one of three. `[N]`
+    pub radius: &'a [f32],
+    /// Opacity in 0..=1; the faintest Gaussians are left out. `[N]`
+    pub opacity: &'a [f32],
+}
+
+/// One class of the legend.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LegendEntry {
+    /// Its name.
+    pub name: String,
+    /// Its colour in the picture.
+    pub color: [u8; 3],
+    /// Number of its Gaussians; the legend is sorted by it.
+    pub count: u64,
+}
+
+/// How to draw.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct PreviewSettings {
+    /// First line of the picture.
+    pub title: String,
+    /// Which way is up.
+    pub up: UpAxis,
+    /// Width and height of each view, pixels.
+    pub view_size: u32,
+    /// Leaves out the ceiling and the walls between camera and room, where there are such.
+    pub open_rooms: bool,
+}
+
+impl Default for PreviewSettings {
+    fn default() -> Self {
+        Self { title: String::new(), up: UpAxis::PlusZ, view_size: 720, open_rooms: true }
+    }
+}
+
+const BACKGROUND: [u8; 3] = [30, 32, 38];
+const INK: [u8; 3] = [232, 232, 228];
+const FAINT_INK: [u8; 3] = [150, 152, 158];
+
+/// Most classes that the legend lists.
+const LEGEND_ROWS: usize = 24;
+
+const MARGIN: u32 = 12;
+const TITLE_HEIGHT: u32 = 40;
+const LEGEND_WIDTH: u32 = 340;
+
+/// Draws the picture.
+///
+/// # Errors
+/// If the arrays differ in length or the views are too small or too large.
+pub fn render_preview(
+    rows: &PreviewRows<'_>,
+    legend: &[LegendEntry],
+    settings: &PreviewSettings,
+) -> Result<RgbImage, PreviewError> {
+    let expected = rows.coord.len();
+    for (field, got) in [
+        ("color", rows.color.len()),
+        ("radius", rows.radius.len()),
+        ("opacity", rows.opacity.len()),
+    ] {
+        if got != expected {
+            return Err(PreviewError::Rows { field, expected, got });
+        }
+    }
+    let view = settings.view_size;
+    if !(64..=4096).contains(&view) {
+        return Err(PreviewError::ViewSize { view_size: view });
+    }
+
+    let upright = Upright::new(settings.up);
+    let discs = visible_discs(rows, upright);
+    let framing = Framing::of(&discs, settings.open_rooms);
+    let shown: Vec<Disc> = discs.into_iter().filter(|d| framing.shows(d.centre)).collect();
+
+    let legend_width = if legend.is_empty() { 0 } else { LEGEND_WIDTH };
+    let width = 2 * view + 3 * MARGIN + legend_width;
+    let height = TITLE_HEIGHT + view + MARGIN;
+    let mut picture = RgbImage::from_pixel(width, height, image::Rgb(BACKGROUND));
+    let right = 2 * MARGIN + view;
+
+    for (left, lens) in [(MARGIN, framing.perspective()), (right, framing.top())] {
+        let mut canvas = Canvas::new(view);
+        canvas.draw(&shown, &lens);
+        canvas.copy_to(&mut picture, left, TITLE_HEIGHT);
+    }
+
+    text::draw(&mut picture, MARGIN, 13, 2, INK, &settings.title, width - 2 * MARGIN);
+    let caption = TITLE_HEIGHT + 8;
+    let note = if framing.is_cut_open() { "perspective, cut open" } else { "perspective" };
+    text::draw(&mut picture, MARGIN + 8, caption, 1, FAINT_INK, note, view);
+    text::draw(&mut picture, right + 8, caption, 1, FAINT_INK, "from above", view);
+    draw_scale_bar(&mut picture, &framing.top(), [right, TITLE_HEIGHT], view);
+    if !legend.is_empty() {
+        draw_legend(&mut picture, right + view + MARGIN, TITLE_HEIGHT, legend);
+    }
+    Ok(picture)
+}
+
+/// Draws the picture into a PNG file, beside the path first, then renamed. Returns its size.
+///
+/// # Errors
+/// As [`render_preview`], and if the file cannot be written.
+pub fn write_preview(
+    path: &Path,
+    rows: &PreviewRows<'_>,
+    legend: &[LegendEntry],
+    settings: &PreviewSettings,
+) -> Result<u64, PreviewError> {
+    let picture = render_preview(rows, legend, settings)?;
+    let mut png = Vec::new();
+    image::codecs::png::PngEncoder::new(&mut png).write_image(
+        picture.as_raw(),
+        picture.width(),
+        picture.height(),
+        image::ExtendedColorType::Rgb8,
+    )?;
+    let mut beside = path.as_os_str().to_owned();
+    beside.push(format!(".part-{}", std::process::id()));
+    let beside = PathBuf::from(beside);
+    std::fs::write(&beside, &png).and_then(|()| std::fs::rename(&beside, path)).map_err(
+        |source| {
+            // The half-written file is of no use to anyone; the first error is the one to show.
+            let _ = std::fs::remove_file(&beside);
+            PreviewError::Write { path: path.to_owned(), source }
+        },
+    )?;
+    Ok(png.len() as u64)
+}
+
+/// Discs in the upright frame; not the faintest, which hide the rest in captures with much haze.
+fn visible_discs(rows: &PreviewRows<'_>, upright: Upright) -> Vec<Disc> {
+    let mut opacities: Vec<f32> = rows.opacity.iter().copied().filter(|o| o.is_finite()).collect();
+    if opacities.is_empty() {
+        return Vec::new();
+    }
+    let middle = opacities.len() / 2;
+    let median = *opacities.select_nth_unstable_by(middle, f32::total_cmp).1;
+    // A badly converged capture may be faint throughout; half of it is drawn in any case.
+    let least = median.min(0.25);
+    (0..rows.coord.len())
+        .filter(|&i| rows.opacity[i] >= least && rows.coord[i].iter().all(|v| v.is_finite()))
+        .map(|i| Disc {
+            centre: upright.turn(rows.coord[i]),
+            radius: if rows.radius[i].is_finite() { rows.radius[i].max(0.0) } else { 0.0 },
+            color: rows.color[i],
+        })
+        .collect()
+}
+
+/// A bar of a round number of metres in the lower left corner of a view.
+fn draw_scale_bar(picture: &mut RgbImage, lens: &Lens, [left, top]: [u32; 2], view: u32) {
+    let Some(metres_per_pixel) = lens.metres_per_pixel(view) else { return };
+    let longest = metres_per_pixel * f64::from(view) / 4.0;
+    let power = 10.0_f64.powf(longest.log10().floor());
+    let length = [5.0, 2.0, 1.0].map(|k| k * power).into_iter().find(|&l| l <= longest);
+    let Some(length) = length.filter(|l| l.is_finite() && *l > 0.0) else { return };
+    let pixels = (length / metres_per_pixel).round() as u32;
+    let (x, y) = (left + 10, top + view - 14);
+    fill(picture, [x, y], [pixels, 3], INK);
+    let label = if length >= 1.0 {
+        format!("{length} m")
+    } else if length >= 0.01 {
+        format!("{:.0} cm", length * 100.0)
+    } else {
+        format!("{} mm", length * 1000.0)
+    };
+    text::draw(picture, x, y - 12, 1, INK, &label, view);
+}
+
+fn draw_legend(picture: &mut RgbImage, left: u32, top: u32, legend: &[LegendEntry]) {
+    let mut sorted: Vec<&LegendEntry> = legend.iter().collect();
+    sorted.sort_by(|a, b| b.count.cmp(&a.count).then_with(|| a.name.cmp(&b.name)));
+    let room = (picture.height().saturating_sub(top + MARGIN)) / 22;
+    // The last line is kept for the number of classes left out.
+    let lines = if sorted.len() > LEGEND_ROWS.min(room as usize) {
+        LEGEND_ROWS.min(room.saturating_sub(1) as usize)
+    } else {
+        sorted.len()
+    };
+    let right = left + LEGEND_WIDTH - MARGIN;
+    let mut y = top;
+    for entry in &sorted[..lines] {
+        fill(picture, [left, y], [16, 16], entry.color);
+        let count = thousands(entry.count);
+        let count_left = right - text::width(&count, 1);
+        text::draw(picture, count_left, y + 4, 1, FAINT_INK, &count, LEGEND_WIDTH);
+        // Long names are set in small letters before they are cut.
+        let space = count_left.saturating_sub(left + 32);
+        let size = if text::width(&entry.name, 2) <= space { 2 } else { 1 };
+        let drop = if size == 2 { 0 } else { 4 };
+        text::draw(picture, left + 24, y + drop, size, INK, &entry.name, space);
+        y += 22;
+    }
+    if sorted.len() > lines {
+        let more = format!("... {} more", sorted.len() - lines);
+        text::draw(picture, left + 24, y + 4, 1, FAINT_INK, &more, LEGEND_WIDTH);
+    }
+}
+
+fn fill(picture: &mut RgbImage, [left, top]: [u32; 2], [width, height]: [u32; 2], color: [u8; 3]) {
+    for y in top..(top + height).min(picture.height()) {
+        for x in left..(left + width).min(picture.width()) {
+            picture.put_pixel(x, y, image::Rgb(color));
+        }
+    }
+}
+
+fn thousands(value: u64) -> String {
+    let digits = value.to_string();
+    let mut text = String::new();
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
+            text.push(' ');
+        }
+        text.push(digit);
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn render(coord: &[[f32; 3]], settings: &PreviewSettings) -> RgbImage {
+        let n = coord.len();
+        let rows = PreviewRows {
+            coord,
+            color: &vec![[200, 40, 40]; n],
+            radius: &vec![0.02; n],
+            opacity: &vec![0.9; n],
+        };
+        render_preview(&rows, &[], settings).unwrap()
+    }
+
+    fn small() -> PreviewSettings {
+        PreviewSettings { view_size: 96, ..PreviewSettings::default() }
+    }
+
+    /// Pixels of each view that a reddish disc covers.
+    fn red(picture: &RgbImage) -> [usize; 2] {
+        let mut counts = [0; 2];
+        for (x, _, pixel) in picture.enumerate_pixels() {
+            let [r, g, b] = pixel.0.map(i32::from);
+            if r > g + 30 && r > b + 30 {
+                counts[usize::from(x > MARGIN + 96)] += 1;
+            }
+        }
+        counts
+    }
+
+    #[test]
+    fn nothing_one_and_broken_gaussians() {
+        assert_eq!(red(&render(&[], &small())), [0, 0]);
+        let one = red(&render(&[[3.0, -2.0, 7.0]], &small()));
+        assert!(one[0] > 50 && one[1] > 50, "{one:?}");
+        let broken = [[f32::NAN, 0.0, 0.0], [0.0, f32::INFINITY, 0.0], [3.0, -2.0, 7.0]];
+        assert_eq!(red(&render(&broken, &small())), one);
+        assert_eq!(red(&render(&broken[..2], &small())), [0, 0]);
+        let same = red(&render(&[[3.0, -2.0, 7.0]; 100], &small()));
+        assert_eq!(same, one);
+    }
+
+    fn blob() -> Vec<[f32; 3]> {
+        (0..1000_u16)
+            .map(|i| {
+                let (x, y, z) = (i % 10, i / 10 % 10, i / 100);
+                [f32::from(x) * 0.1, f32::from(y) * 0.1, f32::from(z) * 0.1]
+            })
+            .collect()
+    }
+
+    #[test]
+    fn an_outlier_does_not_shrink_the_scene() {
+        let mut coord = blob();
+        let before = red(&render(&coord, &small()));
+        coord.push([1000.0, 1000.0, 0.0]);
+        coord.push([f32::MAX, f32::MIN, 0.0]);
+        let after = red(&render(&coord, &small()));
+        assert!(after[0] * 10 > before[0] * 9 && after[1] * 10 > before[1] * 9);
+    }
+
+    #[test]
+    fn every_up_axis_and_bad_radii() {
+        use UpAxis::{MinusX, MinusY, MinusZ, PlusX, PlusY, PlusZ};
+        for up in [PlusX, MinusX, PlusY, MinusY, PlusZ, MinusZ] {
+            let counts = red(&render(&blob(), &PreviewSettings { up, ..small() }));
+            assert!(counts[0] > 500 && counts[1] > 500, "{up:?} {counts:?}");
+        }
+        let coord = blob();
+        let mut radius = vec![f32::NAN; coord.len()];
+        radius[1] = f32::INFINITY;
+        radius[2] = f32::MAX;
+        radius[3] = -1.0;
+        let rows = PreviewRows {
+            coord: &coord,
+            color: &vec![[255; 3]; coord.len()],
+            radius: &radius,
+            opacity: &vec![f32::NAN; coord.len()],
+        };
+        render_preview(&rows, &[], &small()).unwrap();
+        let rows = PreviewRows { opacity: &vec![0.01; coord.len()], ..rows };
+        render_preview(&rows, &[], &small()).unwrap();
+    }
+
+    #[test]
+    fn threads_do_not_change_the_picture() {
+        let coord = blob();
+        let on = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| render(&coord, &small()))
+        };
+        assert!(on(1) == on(3));
+    }
+
+    #[test]
+    fn long_legends_and_titles_fit() {
+        let legend: Vec<LegendEntry> = (0..200)
+            .map(|i| LegendEntry {
+                name: format!("a class with quite a long name, number {i} Ä→"),
+                color: class_color(i),
+                count: if i == 0 { u64::MAX } else { i as u64 },
+            })
+            .collect();
+        let rows = PreviewRows { coord: &[], color: &[], radius: &[], opacity: &[] };
+        for view_size in [64, 200] {
+            let settings = PreviewSettings { title: "title ".repeat(500), view_size, ..small() };
+            for classes in [1, 24, 25, 200] {
+                render_preview(&rows, &legend[..classes], &settings).unwrap();
+            }
+        }
+        let settings = PreviewSettings { view_size: 5, ..small() };
+        let error = render_preview(&rows, &legend, &settings);
+        assert!(matches!(error, Err(PreviewError::ViewSize { view_size: 5 })));
+        let rows = PreviewRows { radius: &[1.0], ..rows };
+        let error = render_preview(&rows, &legend, &small());
+        assert!(matches!(error, Err(PreviewError::Rows { field: "radius", .. })));
+    }
+
+    #[test]
+    fn files_are_renamed_into_place() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("room.png");
+        let rows = PreviewRows {
+            coord: &[[0.0; 3]],
+            color: &[[255, 0, 0]],
+            radius: &[0.1],
+            opacity: &[1.0],
+        };
+        let bytes = write_preview(&path, &rows, &[], &small()).unwrap();
+        assert_eq!(std::fs::metadata(&path).unwrap().len(), bytes);
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+        assert_eq!(std::fs::read(&path).unwrap()[1..4], *b"PNG");
+        let error = write_preview(&folder.path().join("no/room.png"), &rows, &[], &small());
+        assert!(matches!(error, Err(PreviewError::Write { .. })));
+    }
+}

@@ -1,0 +1,241 @@
+//! Where the cameras stand and what they show.
+
+use super::UpAxis;
+use super::discs::{Disc, Lens};
+
+/// Turns a scene so that +z is up.
+#[derive(Clone, Copy)]
+pub(super) struct Upright {
+    rows: [[f32; 3]; 3],
+}
+
+impl Upright {
+    pub(super) fn new(up: UpAxis) -> Self {
+        let (axis, sign) = match up {
+            UpAxis::PlusX => (0, 1.0),
+            UpAxis::MinusX => (0, -1.0),
+            UpAxis::PlusY => (1, 1.0),
+            UpAxis::MinusY => (1, -1.0),
+            UpAxis::PlusZ => (2, 1.0),
+            UpAxis::MinusZ => (2, -1.0),
+        };
+        let mut rows = [[0.0; 3]; 3];
+        rows[2][axis] = sign;
+        rows[0][if axis == 0 { 1 } else { 0 }] = 1.0;
+        rows[1] = cross(rows[2], rows[0]);
+        Self { rows }
+    }
+
+    pub(super) fn turn(&self, p: [f32; 3]) -> [f32; 3] {
+        // A sum of one coordinate and two zeros would turn -0 into 0 only: no rounding.
+        self.rows.map(|r| r[0] * p[0] + r[1] * p[1] + r[2] * p[2])
+    }
+}
+
+fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+/// The box that is shown, and how.
+pub(super) struct Framing {
+    /// Bounds of what is drawn, fitted into the views.
+    low: [f64; 3],
+    high: [f64; 3],
+    /// Discs outside are not drawn.
+    draw_low: [f64; 3],
+    draw_high: [f64; 3],
+    is_cut_open: bool,
+    /// Some of the centres that are drawn, for aiming the camera.
+    sample: Vec<[f64; 3]>,
+    /// Space around centres, metres.
+    border: f64,
+}
+
+/// Most centres that aim the camera.
+const SAMPLE: usize = 5000;
+
+/// Share of the discs, at each end of an axis, that may be outliers.
+const OUTSIDE: f64 = 0.02;
+
+/// What is drawn reaches this far beyond the robust bounds, in units of their longest side.
+const REACH: f64 = 0.12;
+
+/// Share of the drawn discs, at each end of an axis, that the views need not show whole.
+const FRINGE: f64 = 0.001;
+
+/// Cells per side in which the coverage of a wall or ceiling is counted.
+const CELLS: usize = 24;
+
+/// A side of the box counts as a wall when so many of its cells are covered.
+const WALL_COVER: f64 = 0.6;
+
+impl Framing {
+    pub(super) fn of(discs: &[Disc], open_rooms: bool) -> Self {
+        let mut radii: Vec<f32> = discs.iter().map(|d| d.radius).collect();
+        let border = 2.0 * quantile(&mut radii, 0.5).clamp(1e-4, 1e4);
+        let (low, high) = bounds(&discs.iter(), OUTSIDE, border);
+        let largest = (0..3).map(|a| high[a] - low[a]).fold(0.0, f64::max);
+        let mut framing = Self {
+            low,
+            high,
+            draw_low: low.map(|v| v - REACH * largest),
+            draw_high: high.map(|v| v + REACH * largest),
+            is_cut_open: false,
+            sample: Vec::new(),
+            border,
+        };
+        if open_rooms {
+            framing.cut_open(discs);
+        }
+        let shown: Vec<&Disc> = discs.iter().filter(|d| framing.shows(d.centre)).collect();
+        (framing.low, framing.high) = bounds(&shown.iter().copied(), FRINGE, border);
+        let within =
+            |p: &[f64; 3]| (0..3).all(|a| (framing.low[a]..=framing.high[a]).contains(&p[a]));
+        framing.sample = shown
+            .iter()
+            .step_by(shown.len() / SAMPLE + 1)
+            .map(|d| d.centre.map(f64::from))
+            .filter(within)
+            .collect();
+        framing
+    }
+
+    pub(super) fn is_cut_open(&self) -> bool {
+        self.is_cut_open
+    }
+
+    pub(super) fn shows(&self, p: [f32; 3]) -> bool {
+        (0..3).all(|a| (self.draw_low[a]..=self.draw_high[a]).contains(&f64::from(p[a])))
+    }
+
+    /// Moves the limits of what is drawn inside the ceiling and the walls towards the camera, if
+    /// there are such on both sides.
+    fn cut_open(&mut self, discs: &[Disc]) {
+        let ceiling = self.covers(discs, 2, true) && self.covers(discs, 2, false);
+        if !ceiling {
+            return;
+        }
+        self.is_cut_open = true;
+        let extent = [0, 1, 2].map(|a| self.high[a] - self.low[a]);
+        for axis in [0, 1] {
+            if self.covers(discs, axis, false) && self.covers(discs, axis, true) {
+                self.draw_low[axis] = self.low[axis] + 0.08 * extent[2];
+            }
+        }
+        self.draw_high[2] = self.high[2] - 0.12 * extent[2];
+    }
+
+    /// Whether one side of the box is mostly covered by discs near it: of the cells of its
+    /// rectangle that anything in the scene projects to, for level sides; of all, for upright ones.
+    fn covers(&self, discs: &[Disc], axis: usize, at_high: bool) -> bool {
+        let [u, v] = [[1, 2], [0, 2], [0, 1]][axis];
+        let depth = 0.06 * (self.high[axis] - self.low[axis]);
+        let cell = |p: f32, a: usize| {
+            let share = (f64::from(p) - self.low[a]) / (self.high[a] - self.low[a]);
+            (0.0..1.0).contains(&share).then_some((share * CELLS as f64) as usize)
+        };
+        let mut any = [false; CELLS * CELLS];
+        let mut side = [false; CELLS * CELLS];
+        for disc in discs {
+            let [Some(i), Some(j)] = [u, v].map(|a| cell(disc.centre[a], a)) else { continue };
+            any[i * CELLS + j] = true;
+            let p = f64::from(disc.centre[axis]);
+            let near =
+                if at_high { p > self.high[axis] - depth } else { p < self.low[axis] + depth };
+            side[i * CELLS + j] |= near;
+        }
+        let count = |cells: &[bool]| cells.iter().filter(|&&c| c).count() as f64;
+        let whole = if axis == 2 { count(&any) } else { (CELLS * CELLS) as f64 };
+        whole >= 0.2 * (CELLS * CELLS) as f64 && count(&side) >= WALL_COVER * whole
+    }
+
+    /// A camera that looks down at the box from the side of low x and y.
+    pub(super) fn perspective(&self) -> Lens {
+        // A room is looked into more steeply than an object is looked at.
+        let elevation = if self.is_cut_open { 50.0_f64 } else { 35.0 }.to_radians();
+        let azimuth = 60.0_f64.to_radians();
+        let forward =
+            [elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), -elevation.sin()];
+        let right = [azimuth.sin(), -azimuth.cos(), 0.0];
+        let up =
+            [elevation.sin() * azimuth.cos(), elevation.sin() * azimuth.sin(), elevation.cos()];
+        let half_view = 20.0_f64.to_radians().tan();
+        let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+        let mut target = [0, 1, 2].map(|a| (self.low[a] + self.high[a]) / 2.0);
+        let mut distance = 0.0;
+        // Each round stands back until everything is inside the view, then aims at the middle of
+        // what is seen.
+        for _ in 0..6 {
+            let seen: Vec<[f64; 3]> = self
+                .sample
+                .iter()
+                .map(|p| {
+                    let offset = [0, 1, 2].map(|a| p[a] - target[a]);
+                    [dot(offset, right), dot(offset, up), dot(offset, forward)]
+                })
+                .collect();
+            distance = seen.iter().fold(3.0 * self.border, |distance: f64, [x, y, z]| {
+                let aside = x.abs().max(y.abs()) + self.border;
+                distance.max(aside / (0.97 * half_view) - z)
+            });
+            for (side, direction) in [(0, right), (1, up)] {
+                let angles = seen.iter().map(|p| p[side] / (distance + p[2]));
+                let (low, high) = angles
+                    .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+                if low <= high {
+                    let shift = (low + high) / 2.0 * distance;
+                    target = std::array::from_fn(|a| target[a] + shift * direction[a]);
+                }
+            }
+        }
+        Lens {
+            axes: [right, up.map(|v| -v), forward],
+            eye: [0, 1, 2].map(|a| target[a] - distance * forward[a]),
+            scale: 1.0 / half_view,
+            is_perspective: true,
+            size: self.size(),
+        }
+    }
+
+    /// A view straight down; x to the right, y up.
+    pub(super) fn top(&self) -> Lens {
+        let half = (0..2).map(|a| (self.high[a] - self.low[a]) / 2.0).fold(0.0, f64::max);
+        let middle = [0, 1].map(|a| (self.low[a] + self.high[a]) / 2.0);
+        Lens {
+            axes: [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]],
+            eye: [middle[0], middle[1], self.draw_high[2] + self.size()],
+            scale: 0.97 / half,
+            is_perspective: false,
+            size: self.size(),
+        }
+    }
+
+    fn size(&self) -> f64 {
+        (0..3).map(|a| self.high[a] - self.low[a]).fold(0.0, f64::max)
+    }
+}
+
+/// Bounds of the centres without a share at each end, plus a border: never an empty box.
+fn bounds<'a>(
+    discs: &(impl Iterator<Item = &'a Disc> + Clone),
+    share: f64,
+    border: f64,
+) -> ([f64; 3], [f64; 3]) {
+    let (mut low, mut high) = ([0.0; 3], [0.0; 3]);
+    let mut values = Vec::new();
+    for axis in 0..3 {
+        values.clear();
+        values.extend(discs.clone().map(|d| d.centre[axis]));
+        low[axis] = quantile(&mut values, share) - border;
+        high[axis] = quantile(&mut values, 1.0 - share) + border;
+    }
+    (low, high)
+}
+
+fn quantile(values: &mut [f32], share: f64) -> f64 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let index = ((values.len() - 1) as f64 * share).round() as usize;
+    f64::from(*values.select_nth_unstable_by(index, f32::total_cmp).1)
+}

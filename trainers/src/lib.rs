@@ -1,0 +1,48 @@
+//! How parameters change: AdamW, gradient clipping, schedules, moving averages.
+//!
+//! The parts of a training run that decide the numbers, each a plain value or a pure function:
+//!
+//! - [`AdamW`] behind the object-safe [`Optimizer`] trait, over [`ParamGroup`]s with their own rates;
+//! - [`clip_grad_norm`], which also refuses gradients that are not finite, by name;
+//! - [`Schedule`]s, [`OneCycle`] and [`CosineSchedule`]: functions of the step, so there is nothing
+//!   to save and a resumed run needs no replay;
+//! - [`ema_update`] for teacher networks.
+//!
+//! A loop that calls them, with checkpoints, callbacks and evaluators, is not in this crate yet.
+//!
+//! # Determinism
+//! Parameters are visited in name order and sums over elements are taken in a fixed order, so
+//! a step gives the same bits whatever the number of threads.
+//!
+//! # One training step
+//!
+//! ```
+//! use candle_core::{Device, Tensor, Var};
+//! use scenesplat_trainers::{
+//!     AdamW, AdamWConfig, OneCycle, Optimizer, Schedule, clip_grad_norm, group_by_keyword,
+//! };
+//! use std::collections::BTreeMap;
+//!
+//! let weight = Var::new(&[3.0_f32, -2.0], &Device::Cpu)?;
+//! let params = BTreeMap::from([("weight".to_owned(), weight.clone())]);
+//! let groups = group_by_keyword(&params, 0.1, 0.0, &[]);
+//! let mut optimizer = AdamW::new(groups, AdamWConfig::default())?;
+//! let schedule = OneCycle::default();
+//! for step in 0..100 {
+//!     let loss = weight.sqr()?.sum_all()?;
+//!     let mut grads = loss.backward()?;
+//!     clip_grad_norm(&params, &mut grads, 1.0)?;
+//!     optimizer.step(&grads, &schedule.controls(step, 100))?;
+//! }
+//! assert!(weight.sqr()?.sum_all()?.to_scalar::<f32>()? < 0.1);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod error;
+pub mod optim;
+
+pub use error::TrainError;
+pub use optim::{
+    AdamW, AdamWConfig, Controls, CosineSchedule, KeywordGroup, OneCycle, Optimizer, ParamGroup,
+    Schedule, clip_grad_norm, ema_update, grad_norm, group_by_keyword,
+};
