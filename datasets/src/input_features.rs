@@ -201,7 +201,8 @@ mod tests {
             },
             ..InputFeatures::default()
         };
-        let poison: [(&str, fn(&mut GaussianScene)); 5] = [
+        type Poison = fn(&mut GaussianScene);
+        let poison: [(&str, Poison); 5] = [
             ("colour", |s| s.sh_dc[1][2] = f32::NAN),
             ("opacity", |s| s.opacity_logit[1] = f32::NAN),
             ("quat", |s| s.quat[1][3] = f32::NAN),

@@ -123,8 +123,7 @@ mod tests {
     fn rooms_differ_and_unknown_ids_are_named() {
         let source: Box<dyn DataSource> = Box::new(GeneratedRooms::new(2, 500, 1));
         assert_eq!(source.scene_ids(), ["room-0", "room-1"]);
-        let (a, b) =
-            (source.load("room-0").unwrap().scene, source.load("room-1").unwrap().scene);
+        let (a, b) = (source.load("room-0").unwrap().scene, source.load("room-1").unwrap().scene);
         assert_eq!((a.len(), b.len()), (500, 500));
         assert_ne!(a.coord, b.coord);
         let error = source.load("room-2").unwrap_err();

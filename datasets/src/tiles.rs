@@ -287,14 +287,13 @@ mod tests {
             piece.check().unwrap();
             for (i, &v) in tile.voxels.iter().enumerate() {
                 let whole = input.grid_coord[v as usize];
-                for axis in 0..3 {
+                for (axis, whole) in whole.iter().enumerate() {
                     let cell = piece.grid_coord[i][axis];
                     assert!(cell >= 0);
                     // Pooling joins the same voxels as in the whole input.
                     let align = settings.align as i32;
-                    assert_eq!(cell.div_euclid(align) + tile.origin[axis] / align, {
-                        whole[axis].div_euclid(align)
-                    });
+                    let pooled = cell.div_euclid(align) + tile.origin[axis] / align;
+                    assert_eq!(pooled, whole.div_euclid(align));
                 }
                 assert_eq!((piece.rows[i], piece.feat[i]), (v + 100, v as f32));
             }

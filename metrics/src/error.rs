@@ -172,3 +172,15 @@ pub(crate) fn check_num_classes(num_classes: usize) -> Result<(), MetricError> {
         Err(MetricError::NumClasses { num_classes, max: MAX_CLASSES })
     }
 }
+
+/// The most rows this crate numbers with 32 bits; one number is kept free.
+pub(crate) const MAX_ROWS: usize = u32::MAX as usize - 1;
+
+/// Checks a number of rows that no array vouches for.
+pub(crate) fn check_num_rows(what: &'static str, rows: usize) -> Result<(), MetricError> {
+    if rows <= MAX_ROWS {
+        Ok(())
+    } else {
+        Err(MetricError::TooManyRows { what, rows, max: MAX_ROWS })
+    }
+}

@@ -1,4 +1,5 @@
 use crate::MetricError;
+use crate::error::check_num_rows;
 use std::collections::BinaryHeap;
 
 /// Points per leaf; below this, looking at all of them beats descending further.
@@ -94,11 +95,7 @@ impl KdTree {
         coord: &[[f32; 3]],
         rows: impl Iterator<Item = usize>,
     ) -> Result<Self, MetricError> {
-        const MAX: usize = u32::MAX as usize - 1;
-        if coord.len() > MAX {
-            let rows = coord.len();
-            return Err(MetricError::TooManyRows { what: "reference coord", rows, max: MAX });
-        }
+        check_num_rows("reference coord", coord.len())?;
         let mut points = Vec::new();
         for row in rows {
             let value = coord[row];
@@ -195,7 +192,7 @@ impl KdTree {
     }
 
     fn add_node(&mut self, start: usize, end: usize) -> u32 {
-        // At most 2³² − 2 points, and fewer nodes than points.
+        // At most 2³² − 2 points, and no more nodes than points.
         let index = self.nodes.len() as u32;
         let points = &self.points[start..end];
         let (lower, upper) = bounding_box(points);

@@ -1,5 +1,5 @@
 use crate::MetricError;
-use crate::error::check_num_classes;
+use crate::error::{check_num_classes, check_num_rows};
 use rand::Rng;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
@@ -9,7 +9,7 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 /// The same seed gives the same labels on every platform.
 ///
 /// # Errors
-/// If `num_classes` is 0 or above 4096.
+/// If `num_classes` is 0 or above 4096, or there are 2³² − 1 or more rows.
 ///
 /// ```
 /// let labels = scenesplat_metrics::random_labels(4, 20, 7)?;
@@ -22,6 +22,7 @@ pub fn random_labels(
     seed: u64,
 ) -> Result<Vec<i32>, MetricError> {
     check_num_classes(num_classes)?;
+    check_num_rows("random labels", num_rows)?;
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     // At most 4096 classes, so the cast keeps the value.
     Ok((0..num_rows).map(|_| rng.random_range(0..num_classes as i32)).collect())

@@ -1,4 +1,5 @@
 use crate::MetricError;
+use crate::error::check_num_rows;
 use std::error::Error;
 use std::ops::Range;
 
@@ -84,8 +85,9 @@ where
     /// `num_rows` rows of `dim` channels, written by `fill`.
     ///
     /// # Errors
-    /// If `dim` is 0.
+    /// If `dim` is 0, or there are 2³² − 1 or more rows.
     pub fn new(num_rows: usize, dim: usize, fill: F) -> Result<Self, MetricError> {
+        check_num_rows("features", num_rows)?;
         if dim == 0 {
             return Err(MetricError::RowShape { what: "features", len: num_rows, dim });
         }
@@ -110,8 +112,10 @@ where
         rows: Range<usize>,
         scratch: &'a mut Vec<f32>,
     ) -> Result<&'a [f32], MetricError> {
+        let (what, len, dim) = ("features", rows.len(), self.dim);
+        let size = len.checked_mul(dim).ok_or(MetricError::RowShape { what, len, dim })?;
         scratch.clear();
-        scratch.resize(rows.len() * self.dim, 0.0);
+        scratch.resize(size, 0.0);
         let (start, end) = (rows.start, rows.end);
         (self.fill)(rows, scratch).map_err(|source| MetricError::Rows { start, end, source })?;
         Ok(scratch)

@@ -162,7 +162,11 @@ mod tests {
         let coord: Vec<[f32; 3]> = (0..3 * SLAB_SIZE)
             .map(|_| {
                 let cell = |state: &mut u64| (next(state) % 40) as f32 * 0.1;
-                [cell(state), cell(state), if next(state).is_multiple_of(2) { 0.0 } else { cell(state) }]
+                [
+                    cell(state),
+                    cell(state),
+                    if next(state).is_multiple_of(2) { 0.0 } else { cell(state) },
+                ]
             })
             .collect();
         let labels: Vec<i32> = coord.iter().map(|_| next(state) as i32 % 6 - 1).collect();

@@ -1,4 +1,4 @@
-use crate::error::{check_labels, check_num_classes, check_rows};
+use crate::error::{check_labels, check_num_classes, check_num_rows, check_rows};
 use crate::{IGNORE, KdTree, MetricError, Neighbor};
 use rayon::prelude::*;
 use std::collections::BinaryHeap;
@@ -74,7 +74,6 @@ pub(crate) fn check_vote(
     k: usize,
     num_classes: usize,
 ) -> Result<(), MetricError> {
-    const MAX: usize = u32::MAX as usize - 1;
     check_num_classes(num_classes)?;
     check_rows("reference labels", labels.len(), reference.len())?;
     if let Some(valid) = valid {
@@ -84,10 +83,7 @@ pub(crate) fn check_vote(
     if k == 0 {
         return Err(MetricError::Setting { field: "k", value: 0.0, expected: "at least 1" });
     }
-    if query.len() > MAX {
-        let rows = query.len();
-        return Err(MetricError::TooManyRows { what: "query coord", rows, max: MAX });
-    }
+    check_num_rows("query coord", query.len())?;
     match query.iter().position(|q| !q.iter().all(|v| v.is_finite())) {
         None => Ok(()),
         Some(row) => Err(MetricError::NonFinite { what: "query coord", row, value: query[row] }),

@@ -159,6 +159,10 @@ fn malformed_inputs_are_named() {
         "features have 3 channels, the text table has 2"
     );
     assert!(FeatureSlice::new(&[1.0; 7], 3).is_err() && FeatureSlice::new(&[], 0).is_err());
+    let nothing = |_, _: &mut [f32]| Ok(());
+    assert!(FeatureFn::new(usize::MAX, 2, nothing).is_err());
+    let wide = FeatureFn::new(3, usize::MAX, nothing).unwrap();
+    assert!(wide.read(0..3, &mut vec![]).is_err());
     let nan = UnknownRule { min_cosine: Some(f32::NAN), min_margin: None };
     let features = FeatureSlice::new(&[1.0; 6], 2).unwrap();
     let error = classify(&features, &table, &ZeroShotOptions { unknown: nan, candidates: None });

@@ -30,8 +30,9 @@ pub enum Orders {
     Given(Vec<Vec<usize>>),
 }
 
-/// Called with a name and the features there; for tests and inspection.
-pub type Observer<'a> = dyn FnMut(&str, &Tensor) + 'a;
+/// Called with the name of a finished part and the features there: for progress, inspection and
+/// tests. An error stops the pass.
+pub type Observer<'a> = dyn FnMut(&str, &Tensor) -> Result<()> + 'a;
 
 /// What a forward pass needs besides its input.
 pub struct Forward<'a> {
@@ -56,9 +57,10 @@ impl<'a> Forward<'a> {
         Self { mode: Mode::Train, rng, orders: Orders::Shuffled, observer: None }
     }
 
-    pub(crate) fn observe(&mut self, name: &str, feat: &Tensor) {
-        if let Some(observer) = &mut self.observer {
-            observer(name, feat);
+    pub(crate) fn observe(&mut self, name: &str, feat: &Tensor) -> Result<()> {
+        match &mut self.observer {
+            Some(observer) => observer(name, feat),
+            None => Ok(()),
         }
     }
 }

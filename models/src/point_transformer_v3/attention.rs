@@ -48,7 +48,7 @@ impl SerializedAttention {
     /// If the input does not fit.
     pub fn forward(
         &self,
-        x: &Tensor,
+        x: Tensor,
         cloud: &SerializedCloud,
         residual: Option<&Tensor>,
     ) -> Result<Tensor> {
@@ -60,7 +60,8 @@ impl SerializedAttention {
             _ => self.patch_size,
         };
         let order = &cloud.order(self.order).order;
-        let qkv = self.qkv.forward(x)?;
+        let qkv = self.qkv.forward(&x)?;
+        drop(x);
         let attended =
             ops::patch_attention(&qkv, self.heads, cloud.patches(patch_size), order.clone())?;
         drop(qkv);

@@ -79,18 +79,18 @@ impl Block {
         cx: &mut Forward<'_>,
     ) -> Result<Tensor> {
         let map = cloud.kernel_map(self.conv.kernel_size()).map_err(candle_core::Error::wrap)?;
-        let positional = self.conv.forward(conv_input.as_ref().unwrap_or(&x), map)?;
+        // Rows are as large as memory gets: each is given up as soon as nothing reads it.
+        let mut x = x;
+        let mut y = self.conv.forward(conv_input.as_ref().unwrap_or(&x), map)?;
         drop(conv_input);
-        let positional = self.conv_linear.forward(&positional)?;
-        let x = self.conv_norm.forward_residual(&positional, Some(&x))?;
-        drop(positional);
+        y = self.conv_linear.forward(&y)?;
+        x = self.conv_norm.forward_residual(&y, Some(&x))?;
+        drop(y);
         if cx.mode == Mode::Eval || self.drop_path.rate <= 0.0 {
-            let normed = self.norm1.forward(&x)?;
-            let x = self.attention.forward(&normed, cloud, Some(&x))?;
-            drop(normed);
+            x = self.attention.forward(self.norm1.forward(&x)?, cloud, Some(&x))?;
             return self.mlp.forward_residual(&self.norm2.forward(&x)?, &x);
         }
-        let branch = self.attention.forward(&self.norm1.forward(&x)?, cloud, None)?;
+        let branch = self.attention.forward(self.norm1.forward(&x)?, cloud, None)?;
         let x = (self.drop_path.forward(&branch, cx.mode, cx.rng)? + x)?;
         let branch = self.mlp.forward(&self.norm2.forward(&x)?)?;
         self.drop_path.forward(&branch, cx.mode, cx.rng)? + x

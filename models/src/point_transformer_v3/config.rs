@@ -167,6 +167,52 @@ impl PointTransformerV3Config {
         last.copied().unwrap_or(0)
     }
 
+    /// Values of all parameters and buffers, without building anything.
+    pub fn num_values(&self) -> usize {
+        let linear = |i: usize, o: usize| i * o + o;
+        let block = |c: usize| {
+            27 * c * c + c + linear(c, c) + 2 * c
+                + 4 * c
+                + linear(c, 3 * c)
+                + linear(c, c)
+                + linear(c, self.mlp_ratio * c)
+                + linear(self.mlp_ratio * c, c)
+        };
+        let norm = |c: usize| 4 * c + 1;
+        let first = self.enc_channels[0];
+        let mut sum = 125 * self.in_channels * first + norm(first);
+        sum += if self.mask_token { first } else { 0 };
+        for (stage, (&c, &depth)) in self.enc_channels.iter().zip(&self.enc_depths).enumerate() {
+            sum += depth * block(c);
+            if stage > 0 {
+                sum += linear(self.enc_channels[stage - 1], c) + norm(c);
+            }
+        }
+        for (stage, (&c, &depth)) in self.dec_channels.iter().zip(&self.dec_depths).enumerate() {
+            let coarse = self.dec_channels.get(stage + 1).or(self.enc_channels.last());
+            sum += depth * block(c)
+                + linear(coarse.copied().unwrap_or(0), c)
+                + linear(self.enc_channels[stage], c)
+                + 2 * norm(c);
+        }
+        sum + self.num_classes.map_or(0, |n| linear(self.out_channels(), n))
+    }
+
+    /// Bytes of memory that inference needs per input voxel, at the widest moment.
+    ///
+    /// That is the attention of a block: residual, query, key, value and result side by side, five
+    /// rows; plus what waits at the finest scale (the skip rows and the pairs of a 3³ kernel map,
+    /// 14 voxels on average), with a tenth for buffers.
+    pub fn inference_bytes_per_voxel(&self) -> usize {
+        let widest = |channels: &[usize]| channels.first().copied().unwrap_or(0);
+        // Coarser scales have a quarter of the voxels at most twice the width.
+        let finest = widest(&self.dec_channels).max(widest(&self.enc_channels));
+        let deeper = self.dec_channels.get(1).copied().unwrap_or(0) / 2;
+        let rows = 5 * finest.max(deeper) + widest(&self.enc_channels) + self.in_channels;
+        let tables = 14 * 8 + 200;
+        (rows * size_of::<f32>() + tables) * 11 / 10
+    }
+
     /// Checks that the lists fit together and gives the curves.
     ///
     /// # Errors

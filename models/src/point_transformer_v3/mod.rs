@@ -196,7 +196,7 @@ impl PointTransformerV3 {
         };
         let mut x = self.embedding.forward(&feat, &cloud, cx)?;
         drop(feat);
-        cx.observe("embedding", &x);
+        cx.observe("embedding", &x)?;
         if let Some(mask) = mask {
             x = self.replace_masked(&x, mask, sorted.as_ref().map(|(order, _)| order.as_slice()))?;
         }
@@ -208,12 +208,13 @@ impl PointTransformerV3 {
                 shuffle(&mut coarse, cx)?;
                 skips.push((x, std::mem::replace(&mut cloud, coarse), groups));
                 x = pooled;
-                cx.observe(&format!("enc.enc{i}.down"), &x);
+                cx.observe(&format!("enc.enc{i}.down"), &x)?;
             }
-            for block in &stage.blocks {
+            for (j, block) in stage.blocks.iter().enumerate() {
                 x = block.forward(x, None, &cloud, cx)?;
+                cx.observe(&format!("enc.enc{i}.block{j}"), &x)?;
             }
-            cx.observe(&format!("enc.enc{i}"), &x);
+            cx.observe(&format!("enc.enc{i}"), &x)?;
         }
         let encoder = x.clone();
         let encoder_offsets = cloud.offsets().to_vec();
@@ -225,16 +226,17 @@ impl PointTransformerV3 {
                 bail!("decoder stage {i} has no encoder stage");
             };
             let Unpooled { sum, skip } = stage.up.forward(&x, &fine, groups, cx)?;
-            cx.observe(&format!("dec.dec{i}.up"), &sum);
-            cx.observe(&format!("dec.dec{i}.up.skip"), &skip);
+            cx.observe(&format!("dec.dec{i}.up"), &sum)?;
+            cx.observe(&format!("dec.dec{i}.up.skip"), &skip)?;
             drop(fine);
             cloud = fine_cloud;
             x = sum;
             let mut conv_input = Some(skip);
-            for block in &stage.blocks {
+            for (j, block) in stage.blocks.iter().enumerate() {
                 x = block.forward(x, conv_input.take(), &cloud, cx)?;
+                cx.observe(&format!("dec.dec{i}.block{j}"), &x)?;
             }
-            cx.observe(&format!("dec.dec{i}"), &x);
+            cx.observe(&format!("dec.dec{i}"), &x)?;
         }
         if let Some((order, inverse)) = sorted {
             x = ops::permute_rows(&x, inverse, order)?;

@@ -68,6 +68,7 @@ fn run(file: &str, prefix: &str, expected: &PointTransformerV3Config) -> Option<
     let mut seen = BTreeMap::new();
     let mut observer = |name: &str, t: &Tensor| {
         seen.insert(name.to_owned(), t.detach());
+        Ok(())
     };
     let mut rng = ChaCha8Rng::seed_from_u64(0);
     let mut cx = Forward {
@@ -112,6 +113,7 @@ fn language() {
         .sum();
     assert_eq!(trained, 91_712_800);
     assert!(report.is_complete());
+    assert_eq!(report.parameters, expected.num_values());
     let mut rng = ChaCha8Rng::seed_from_u64(0);
     let out = network.forward(&points(&g), &mut Forward::eval(&mut rng)).unwrap();
     let rows: Vec<u32> = g.ints("out.feat.rows").iter().map(|v| *v as u32).collect();
@@ -125,6 +127,7 @@ fn semantic_segmentation() {
     let Some((g, store)) = run("g_semseg_full.safetensors", "backbone.", &expected) else { return };
     let network = SemanticSegmenter::new(&expected, store.builder()).unwrap();
     assert_eq!(store.shapes().len(), 488);
+    assert_eq!(store.report().parameters, expected.num_values());
     let mut rng = ChaCha8Rng::seed_from_u64(0);
     let out = network.forward(&points(&g), &mut Forward::eval(&mut rng)).unwrap();
     g.compare_tensor("out.logits", &out);

@@ -77,7 +77,7 @@ fn attention() {
         )
         .unwrap();
         let x = Var::from_tensor(&g.tensor("in.feat")).unwrap();
-        let out = module.forward(x.as_tensor(), &cloud, None).unwrap();
+        let out = module.forward(x.as_tensor().clone(), &cloud, None).unwrap();
         check(&g, &store, &[("in.feat", &x)], &out);
     }
 }

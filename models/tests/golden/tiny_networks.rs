@@ -100,6 +100,7 @@ fn run(case: &str, mode: Mode) {
     let mut seen = BTreeMap::new();
     let mut observer = |name: &str, t: &Tensor| {
         seen.insert(name.to_owned(), t.detach());
+        Ok(())
     };
     let mut rng = ChaCha8Rng::seed_from_u64(0);
     let given = orders.clone();

@@ -12,6 +12,9 @@ use std::collections::{BTreeMap, HashMap};
 /// leave the range of f32 (3.4e38), and an infinite moment never comes back.
 const MAX_GRAD_NORM: f64 = 1e18;
 
+/// The counter is saved as an i64.
+const MAX_STEP: u64 = i64::MAX as u64;
+
 /// Settings of [`AdamW`] that no group changes. The default is PyTorch's.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -166,7 +169,7 @@ impl Optimizer for AdamW {
         for (slot, grad) in self.slots.iter_mut().zip(&grads) {
             let Some(grad) = grad else { continue };
             slot.update_moments(grad, beta1, beta2).map_err(TrainError::tensor(&slot.name))?;
-            slot.step += 1;
+            slot.step = (slot.step + 1).min(MAX_STEP);
         }
         for (slot, _) in self.slots.iter().zip(&grads).filter(|(_, grad)| grad.is_some()) {
             let rates = &self.groups[slot.group];
@@ -189,7 +192,6 @@ impl Optimizer for AdamW {
             let error = TrainError::tensor(&slot.name);
             state.insert(first, slot.first.copy().map_err(&error)?);
             state.insert(second, slot.second.copy().map_err(&error)?);
-            // The counter is below 2⁶³: it only ever grows by one.
             let count = Tensor::new(slot.step as i64, &candle_core::Device::Cpu).map_err(&error)?;
             state.insert(step, count);
         }
