@@ -1,1 +1,52 @@
-//! placeholder
+//! Language features, labels and queries for scenes of 3D Gaussians, on a plain CPU.
+//!
+//! The crates behind this facade: [`scene`] (scenes and their files), [`kernels`] (algorithms on
+//! slices), [`datasets`] (from scenes to network input), [`models`] (networks and weights),
+//! [`metrics`] (labels, votes, evaluation), [`trainers`] (optimizers and schedules). This crate adds
+//! what joins them: [`Network`] (a configuration with its weights), [`SceneEncoder`] (a scene in,
+//! features out) and what the commands write.
+//!
+//! ```
+//! use scenesplat::prelude::*;
+//!
+//! # fn main() -> anyhow::Result<()> {
+//! let room = scenesplat::datasets::generate_room(&RoomSettings { num_gaussians: 500, seed: 1 })?;
+//! // Seeded weights show the mechanism; their features mean nothing.
+//! let network = Network::load(NetworkConfig::Tiny.resolve()?, &Weights::Seeded(0), WeightOptions::default())?;
+//! let features = SceneEncoder::new(&network).encode(&room.scene, &mut |_| Ok(()))?;
+//! assert_eq!(features.width(), 64);
+//! let first = features.gaussian_rows(0..1)?;
+//! assert!((first.iter().map(|v| v * v).sum::<f32>() - 1.0).abs() < 1e-5);
+//! # Ok(())
+//! # }
+//! ```
+
+pub mod assets;
+pub mod cli;
+pub mod inference;
+pub mod memory;
+pub mod network;
+pub mod outputs;
+pub mod preview;
+pub mod principal;
+pub mod progress;
+pub mod receipt;
+pub mod text;
+
+pub use inference::{EncodeError, SceneEncoder, SceneFeatures};
+pub use network::{Network, NetworkConfig, WeightOptions, Weights};
+pub use scenesplat_datasets as datasets;
+pub use scenesplat_kernels as kernels;
+pub use scenesplat_metrics as metrics;
+pub use scenesplat_models as models;
+pub use scenesplat_scene as scene;
+pub use scenesplat_trainers as trainers;
+
+/// The types that nearly every program needs.
+pub mod prelude {
+    pub use crate::datasets::RoomSettings;
+    pub use crate::models::{Backbone, PointTransformerV3Config};
+    pub use crate::scene::{GaussianScene, ReadOptions, open_scene};
+    pub use crate::text::read_text_table;
+    pub use crate::{Network, NetworkConfig, SceneEncoder, SceneFeatures, WeightOptions, Weights};
+}

@@ -1,2 +1,9 @@
-//! placeholder
-fn main() {}
+//! The `scenesplat` program.
+
+/// Keeps pages between the large short-lived buffers of a network.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
+fn main() -> std::process::ExitCode {
+    scenesplat::cli::run(std::env::args_os())
+}

@@ -1,0 +1,401 @@
+//! Flags that all commands share, and the steps that most of them begin with.
+
+use super::WrongUse;
+use crate::inference::{EncodeError, Fidelity};
+use crate::memory::Bytes;
+use crate::network::{NetworkConfig, WeightOptions, Weights, config_beside};
+use crate::outputs::{OpenedScene, guess_up};
+use crate::preview::UpAxis;
+use crate::progress::{Progress, interrupted, listen_for_interrupt};
+use crate::receipt::Receipt;
+use crate::{Network, SceneEncoder, SceneFeatures};
+use anyhow::{Context, Result};
+use clap::ValueEnum;
+use scenesplat_datasets::{PointCloud, PointSettings, gaussians_from_points};
+use scenesplat_kernels::simd::Isa;
+use scenesplat_models::LoadPolicy;
+use scenesplat_models::convert::{Branch, ConvLayout};
+use scenesplat_scene::formats::labelled_ply::read_labelled_ply;
+use scenesplat_scene::formats::ply::PlyFile;
+use scenesplat_scene::{GaussianScene, LoadedScene, Policy, ReadOptions, SceneKind, open_scene};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// Flags that all commands share.
+#[derive(Debug, clap::Args)]
+pub struct Shared {
+    /// Network: language, semseg, tiny or a .toml file; from the weights' folder if it has one.
+    #[arg(long, value_name = "NAME|FILE")]
+    pub config: Option<NetworkConfig>,
+    /// Checkpoint, model folder, or seeded:N for values without meaning.
+    #[arg(long, value_name = "PATH|seeded:N")]
+    pub weights: Option<Weights>,
+    /// Threads; all cores by default. Results do not depend on it.
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+    /// Where to compute.
+    #[arg(long, value_enum, default_value_t = Device::Cpu)]
+    pub device: Device,
+    /// Folder for the results.
+    #[arg(long, value_name = "DIR", default_value = "scenesplat-out")]
+    pub out: PathBuf,
+    /// Also writes what was done and what it cost as JSON here.
+    #[arg(long, value_name = "FILE.json")]
+    pub receipt: Option<PathBuf>,
+    /// Seed of everything random (nothing is, unless asked for).
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub seed: u64,
+    /// Prints errors only.
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+/// Where to compute.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Device {
+    /// The processor.
+    Cpu,
+}
+
+/// Flags of commands that run a network over a scene.
+#[derive(Debug, clap::Args)]
+pub struct Inference {
+    /// The original's steps (1 cm sampling, several passes, average) instead of one pass.
+    #[arg(long)]
+    pub exact: bool,
+    /// Voxel size, metres; the released networks were trained at 0.02.
+    #[arg(long, value_name = "M", default_value_t = 0.02)]
+    pub grid_size: f64,
+    /// Limit for the whole process (8GB, 512MB); larger scenes go through overlapping tiles.
+    #[arg(long, value_name = "SIZE")]
+    pub max_memory: Option<Bytes>,
+    /// Context around a tile, voxels.
+    #[arg(long, value_name = "N", default_value_t = 50)]
+    pub halo: u32,
+    /// Shuffles curve orders as the original does, but with --seed.
+    #[arg(long)]
+    pub shuffle_orders: bool,
+    /// Refuses files with values that would be repaired.
+    #[arg(long)]
+    pub strict: bool,
+    /// Loads what fits of a checkpoint that does not fit the network.
+    #[arg(long)]
+    pub partial_weights: bool,
+    /// Half of a self-supervised checkpoint.
+    #[arg(long, value_enum, default_value_t = BranchArg::Teacher)]
+    pub branch: BranchArg,
+    /// Layout of sparse convolutions in the checkpoint.
+    #[arg(long, value_enum, default_value_t = ConvLayoutArg::Spconv2)]
+    pub conv_layout: ConvLayoutArg,
+    /// Which way is up in pictures; judged by the shape if not given.
+    #[arg(long, value_name = "AXIS", value_parser = parse_up, allow_hyphen_values = true)]
+    pub up: Option<UpAxis>,
+    /// Which labels of a scene to read: a PLY property or the stem of a .npy file.
+    #[arg(long, value_name = "NAME")]
+    pub segment_name: Option<String>,
+}
+
+/// Half of a self-supervised checkpoint.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum BranchArg {
+    /// The averaged network.
+    Teacher,
+    /// The trained network.
+    Student,
+}
+
+/// Layout of sparse convolutions.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ConvLayoutArg {
+    /// `[out, kx, ky, kz, in]`
+    Spconv2,
+    /// `[kx, ky, kz, in, out]`
+    Spconv1,
+}
+
+fn parse_up(text: &str) -> Result<UpAxis, String> {
+    Ok(match text {
+        "+x" | "x" => UpAxis::PlusX,
+        "-x" => UpAxis::MinusX,
+        "+y" | "y" => UpAxis::PlusY,
+        "-y" => UpAxis::MinusY,
+        "+z" | "z" => UpAxis::PlusZ,
+        "-z" => UpAxis::MinusZ,
+        _ => return Err(format!("{text:?} is no axis; write +z or -y")),
+    })
+}
+
+/// A running command.
+pub struct Session<'a> {
+    /// Shared flags.
+    pub shared: &'a Shared,
+    /// What is recorded.
+    pub receipt: Receipt,
+    /// What is shown.
+    pub progress: Progress,
+}
+
+impl<'a> Session<'a> {
+    /// Sets up threads, the output folder, Ctrl-C and the receipt.
+    pub fn start(shared: &'a Shared, command: &str) -> Result<Self> {
+        if shared.threads == Some(0) {
+            return Err(WrongUse("--threads 0: at least one thread is needed".to_owned()).into());
+        }
+        if let Some(n) = shared.threads {
+            // Fails only if a pool exists, as in tests that run several commands.
+            let _ = rayon::ThreadPoolBuilder::new().num_threads(n).build_global();
+        }
+        // A handler is there already when several commands run in one process.
+        let _ = listen_for_interrupt();
+        let receipt = Receipt::new(format!("scenesplat {command}"));
+        receipt.computation("f32", Isa::current().name());
+        receipt.threads(rayon::current_num_threads());
+        Ok(Self { shared, receipt, progress: Progress::new(shared.quiet) })
+    }
+
+    /// Makes the output folder; called before anything expensive.
+    pub fn make_out(&self) -> Result<()> {
+        let out = &self.shared.out;
+        std::fs::create_dir_all(out)
+            .with_context(|| format!("{}: cannot make the output folder", out.display()))
+    }
+
+    /// A file of the output folder.
+    pub fn out(&self, name: &str) -> PathBuf {
+        self.shared.out.join(name)
+    }
+
+    /// Notes a written file.
+    pub fn wrote(&self, path: &Path, bytes: u64) {
+        self.receipt.add_bytes_written(bytes);
+        self.progress.say(format!("wrote {} ({})", path.display(), Bytes(bytes)));
+    }
+
+    /// Builds the network.
+    pub fn network(&self, inference: &Inference) -> Result<Network> {
+        let stage = self.receipt.stage("weights");
+        let Some(weights) = &self.shared.weights else {
+            return Err(WrongUse(
+                "--weights is missing: give a checkpoint, or seeded:0 to try the program without \
+                 one (its labels mean nothing then)"
+                    .to_owned(),
+            )
+            .into());
+        };
+        let beside = match (&self.shared.config, weights) {
+            (None, Weights::File(path)) => config_beside(path)?,
+            _ => None,
+        };
+        let config = match (&self.shared.config, beside) {
+            (Some(config), _) => config.resolve()?,
+            (None, Some(config)) => config,
+            (None, None) => NetworkConfig::Language.resolve()?,
+        };
+        let options = WeightOptions {
+            policy: if inference.partial_weights { LoadPolicy::Partial } else { LoadPolicy::Strict },
+            branch: match inference.branch {
+                BranchArg::Teacher => Branch::Teacher,
+                BranchArg::Student => Branch::Student,
+            },
+            conv_layout: match inference.conv_layout {
+                ConvLayoutArg::Spconv2 => ConvLayout::OutKernelIn,
+                ConvLayoutArg::Spconv1 => ConvLayout::KernelInOut,
+            },
+        };
+        let network = Network::load(config, weights, options)?;
+        for (path, sha256) in network.files() {
+            self.progress.say(format!("weights {} sha256 {sha256}", path.display()));
+            self.receipt.fingerprint("weights", path)?;
+        }
+        match weights {
+            Weights::Seeded(seed) => {
+                let text = format!(
+                    "SEEDED WEIGHTS ({seed}): features, labels and scores mean nothing; they show \
+                     the mechanism and its cost"
+                );
+                self.progress.say(format!("*** {text} ***"));
+                self.receipt.warning(text);
+                self.receipt.setting("weights", format!("seeded:{seed}"), "values from a hash");
+            }
+            Weights::File(_) => self.progress.say(format!("weights: {}", network.report())),
+        }
+        if inference.partial_weights && !network.report().is_complete() {
+            self.receipt.warning(format!("partial weights: {}", network.report()));
+        }
+        drop(stage);
+        Ok(network)
+    }
+
+    /// Reads a scene; a labelled point cloud is turned into Gaussians.
+    pub fn open(&self, path: &Path, inference: &Inference) -> Result<OpenedScene> {
+        let stage = self.receipt.stage("read");
+        self.progress.say(format!("reading {}", path.display()));
+        let policy = if inference.strict { Policy::Strict } else { Policy::Repair };
+        let opened = match labelled_cloud(path)? {
+            true => self.open_cloud(path, policy)?,
+            false => {
+                let options = ReadOptions {
+                    policy,
+                    segment: inference.segment_name.clone(),
+                    lang_feat: false,
+                    sh_rest: false,
+                };
+                OpenedScene { loaded: open_scene(path, &options)?, converted: false }
+            }
+        };
+        if !opened.loaded.report.is_clean() {
+            let text = opened.loaded.report.to_string();
+            self.progress.say(&text);
+            self.receipt.warning(text);
+        }
+        self.receipt.add_rows_in(opened.loaded.source_rows());
+        self.receipt.fingerprint("input", path)?;
+        drop(stage);
+        Ok(opened)
+    }
+
+    fn open_cloud(&self, path: &Path, policy: Policy) -> Result<OpenedScene> {
+        let (cloud, report) = read_labelled_ply(path, policy)?;
+        let points = PointCloud {
+            coord: cloud.coord,
+            color: cloud.color,
+            normal: cloud.normal,
+            segment: Some(cloud.segment),
+            instance: cloud.instance,
+        };
+        let converted = gaussians_from_points(&points, &PointSettings::default())?;
+        let text = format!(
+            "{}: a point cloud; its {} points became discs as wide as their spacing ({} normals \
+             estimated, {} balls)",
+            path.display(),
+            points.coord.len(),
+            converted.num_estimated_normals,
+            converted.num_balls
+        );
+        self.progress.say(&text);
+        self.receipt.setting("input", "point cloud", "points were turned into Gaussians");
+        let loaded = LoadedScene {
+            scene: converted.scene,
+            report,
+            kept_rows: None,
+            path: path.to_owned(),
+            kind: SceneKind::InriaPly,
+        };
+        Ok(OpenedScene { loaded, converted: true })
+    }
+
+    /// Runs the network over a scene.
+    pub fn encode(
+        &self,
+        scene: &GaussianScene,
+        network: &Network,
+        inference: &Inference,
+    ) -> Result<SceneFeatures> {
+        let stage = self.receipt.stage("network");
+        if !(inference.grid_size.is_finite() && inference.grid_size > 0.0) {
+            let text = format!("--grid-size {}: must be above 0", inference.grid_size);
+            return Err(WrongUse(text).into());
+        }
+        let encoder = SceneEncoder {
+            fidelity: if inference.exact { Fidelity::Exact } else { Fidelity::Fast },
+            grid_size: inference.grid_size,
+            max_memory: inference.max_memory.map(|b| b.0),
+            halo: inference.halo,
+            shuffle_orders: inference.shuffle_orders.then_some(self.shared.seed),
+            spill_folder: self.shared.out.clone(),
+            ..SceneEncoder::new(network)
+        };
+        let receipt = &self.receipt;
+        let why = "one Gaussian a voxel, or all of a 1 cm sampling averaged";
+        receipt.setting("fidelity", format!("{:?}", encoder.fidelity).to_lowercase(), why);
+        receipt.setting("grid_size", encoder.grid_size, "metres");
+        if inference.shuffle_orders {
+            receipt.setting("shuffle_orders", self.shared.seed, "seed");
+        }
+        let features = encoder.encode(scene, &mut |at| {
+            if interrupted() {
+                return Err(EncodeError::Stopped);
+            }
+            let tiles = if at.tiles > 1 { format!(", tile {}/{}", at.tile, at.tiles) } else { String::new() };
+            let passes = if at.passes > 1 { format!(", pass {}/{}", at.pass, at.passes) } else { String::new() };
+            self.progress.advance(&format!("network{passes}{tiles}"), at.done);
+            Ok(())
+        });
+        self.progress.finish();
+        let features = features?;
+        let s = features.summary;
+        if s.tiles > s.passes {
+            receipt.setting("tiles", s.tiles, "the scene was cut to stay below --max-memory");
+            receipt.setting("halo", s.smallest_halo, "narrowest context around a tile, voxels");
+        }
+        if s.shrunk_halos > 0 {
+            let text = format!(
+                "{} tiles had to narrow their halo to as little as {} voxels; features near their \
+                 borders differ from an untiled run (allow more memory)",
+                s.shrunk_halos, s.smallest_halo
+            );
+            self.progress.say(&text);
+            receipt.warning(text);
+        }
+        self.progress.say(format!(
+            "{} Gaussians, {} voxels, {} passes, {} tiles, {} voxels computed",
+            features.len(),
+            s.voxels,
+            s.passes,
+            s.tiles,
+            s.voxels_computed
+        ));
+        drop(stage);
+        Ok(features)
+    }
+
+    /// Which way is up.
+    pub fn up(&self, scene: &GaussianScene, inference: &Inference) -> UpAxis {
+        inference.up.unwrap_or_else(|| guess_up(scene))
+    }
+
+    /// Stops here if the user asked to.
+    pub fn check_stop(&self) -> Result<()> {
+        if interrupted() { Err(EncodeError::Stopped.into()) } else { Ok(()) }
+    }
+
+    /// Prints and writes the receipt.
+    pub fn finish(&self) -> Result<()> {
+        let report = self.receipt.finish();
+        if !self.shared.quiet {
+            print(&report.to_string());
+        }
+        let beside = self.out("receipt.json");
+        if self.shared.out.is_dir() {
+            report.write_json(&beside)?;
+        }
+        if let Some(path) = &self.shared.receipt {
+            report.write_json(path)?;
+        }
+        Ok(())
+    }
+}
+
+/// Whether a PLY file is a labelled point cloud rather than splats.
+fn labelled_cloud(path: &Path) -> Result<bool> {
+    if path.is_dir() {
+        return Ok(false);
+    }
+    let Ok(ply) = PlyFile::open(path) else { return Ok(false) };
+    let Some(vertex) = ply.element("vertex") else { return Ok(false) };
+    let has = |names: &[&str]| names.iter().any(|n| vertex.has(n));
+    Ok(vertex.has("x")
+        && has(&["label", "segment"])
+        && !has(&["scale_0", "f_dc_0", "opacity", "packed_position"]))
+}
+
+/// Writes text to standard output.
+pub fn print(text: &str) {
+    // A closed pipe is no reason to fail.
+    let _ = writeln!(std::io::stdout(), "{text}");
+}
+
+/// Writes an error with all its causes to standard error.
+pub fn print_error(error: &anyhow::Error) {
+    let _ = writeln!(std::io::stderr(), "error: {error:#}");
+}

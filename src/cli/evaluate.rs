@@ -1,0 +1,316 @@
+//! `scenesplat evaluate`
+
+use super::WrongUse;
+use super::common::{Inference, Session, Shared, print};
+use super::segment::{Classes, label_slots};
+use crate::text::{class_list, metric_table};
+use anyhow::{Context, Result};
+use scenesplat_metrics::{
+    ConfusionMatrix, FeatureSlice, Fault, Metric, OracleCheck, OracleVote, TesterReport, classify,
+    random_labels, vote,
+};
+use scenesplat_scene::formats::npy::NpyFile;
+use scenesplat_scene::label_set::read_names;
+use scenesplat_scene::{ClassMap, GaussianScene, LabelSet};
+use std::path::PathBuf;
+
+/// Labels scenes and compares with their own labels; prints and writes evaluation.json.
+///
+/// Before anything is reported, the truth itself goes through the same chain (each point gets the
+/// text of its own class as its feature). If that oracle falls short of its analytic value by a
+/// single point, the evaluation is refused.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Scenes with labels: .ply files or folders of .npy files.
+    #[arg(required = true)]
+    pub scenes: Vec<PathBuf>,
+    /// Choice of classes.
+    #[command(flatten)]
+    pub classes: Classes,
+    /// Names of the labels in the scenes, one a line or as JSON; if not given, labels are rows of
+    /// --text.
+    #[arg(long, value_name = "FILE")]
+    pub label_names: Option<PathBuf>,
+    /// Which class of --text each label name means (TOML or JSON); labels without one are ignored.
+    #[arg(long, value_name = "FILE")]
+    pub class_map: Option<PathBuf>,
+    /// Classes left out of f-mIoU and f-mAcc, comma-separated.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', default_value = "wall,floor,ceiling")]
+    pub exclude: Vec<String>,
+    /// "oracle", or features made before (.npy, [N, D]; one scene only) instead of a network.
+    #[arg(long, value_name = "oracle|FILE.npy")]
+    pub features: Option<String>,
+    /// Neighbours that vote on each label; 0 or 1 for no vote.
+    #[arg(long, value_name = "K", default_value_t = 25)]
+    pub vote_k: usize,
+    /// Spoils this row of the oracle with the text of another class, to see the refusal.
+    #[arg(long, value_name = "ROW")]
+    pub break_oracle: Option<usize>,
+    /// Flags of the network.
+    #[command(flatten)]
+    pub inference: Inference,
+    /// Flags of all commands.
+    #[command(flatten)]
+    pub shared: Shared,
+}
+
+/// The points that a scene is scored on.
+struct Truth {
+    /// Class of each Gaussian, −1 = none.
+    gaussians: Vec<i32>,
+    /// Other points to score, if the scene has some, with their classes.
+    points: Option<(Vec<[f32; 3]>, Vec<i32>)>,
+}
+
+fn truth(scene: &GaussianScene, to_text: Option<&[i32]>, classes: usize, path: &std::path::Path) -> Result<Truth> {
+    let map = |labels: &[i32]| -> Result<Vec<i32>> {
+        labels
+            .iter()
+            .enumerate()
+            .map(|(row, &l)| {
+                let known = to_text.map_or(classes, <[i32]>::len);
+                match usize::try_from(l) {
+                    Err(_) => Ok(-1),
+                    Ok(l) if l < known => Ok(to_text.map_or(l as i32, |m| m[l])),
+                    Ok(l) => anyhow::bail!(
+                        "{}: row {row} has label {l}, but there are only {known} names; give the \
+                         names with --label-names",
+                        path.display()
+                    ),
+                }
+            })
+            .collect()
+    };
+    let gaussians = match &scene.segment {
+        Some(labels) => map(labels)?,
+        None => vec![-1; scene.len()],
+    };
+    let points = match &scene.labelled_points {
+        Some(p) => match &p.segment {
+            Some(labels) => Some((p.coord.clone(), map(labels)?)),
+            None => None,
+        },
+        None => None,
+    };
+    if points.is_none() && gaussians.iter().all(|l| *l < 0) {
+        anyhow::bail!(
+            "{}: no point has a label of a known class; nothing to evaluate (choose the labels with \
+             --segment-name, the classes with --class-map)",
+            path.display()
+        );
+    }
+    Ok(Truth { gaussians, points })
+}
+
+/// Runs the command.
+pub fn run(args: &Args, line: &str) -> Result<()> {
+    let session = Session::start(&args.shared, line)?;
+    let text = args.classes.text_table()?;
+    let set = LabelSet::new(text.names.clone())?;
+    let excluded = class_list(&set, &known(&set, &args.exclude, &session)?)?;
+    let options = args.classes.options(&set)?;
+    let to_text = label_map(args, &text.names)?;
+    let table = metric_table(&text)?;
+    let oracle_only = args.features.as_deref() == Some("oracle");
+    let from_file = args.features.as_deref().filter(|f| *f != "oracle").map(PathBuf::from);
+    if from_file.is_some() && args.scenes.len() > 1 {
+        return Err(WrongUse("--features FILE holds the features of one scene only".to_owned()).into());
+    }
+    let network =
+        if args.features.is_none() { Some(session.network(&args.inference)?) } else { None };
+    session.make_out()?;
+
+    let classes = text.names.len();
+    let matrix = || -> Result<ConfusionMatrix> {
+        Ok(ConfusionMatrix::new(classes)?.with_excluded(&excluded)?)
+    };
+    let (mut oracle, mut random, mut model) = (matrix()?, matrix()?, matrix()?);
+    for path in &args.scenes {
+        let opened = session.open(path, &args.inference)?;
+        let scene = &opened.loaded.scene;
+        let truth = truth(scene, to_text.as_deref(), classes, path)?;
+        let query = truth.points.as_ref().map(|(c, l)| (c.as_slice(), l.as_slice()));
+
+        {
+            let _stage = session.receipt.stage("oracle");
+            let mut check = OracleCheck::new(&truth.gaussians, &table)
+                .with_class_names(&text.names)
+                .with_excluded(&excluded)
+                .with_options(options.clone());
+            if args.vote_k > 1 {
+                let voters =
+                    OracleVote { coord: &scene.coord, valid: None, query, k: args.vote_k };
+                check = check.with_vote(voters);
+            }
+            if let Some(row) = args.break_oracle {
+                check = check.with_fault(fault(&truth.gaussians, row)?);
+            }
+            session.progress.say("oracle: the truth through the same chain");
+            let report = check.run().with_context(|| {
+                format!(
+                    "{}: evaluation refused: the oracle falls short of its analytic value, so no \
+                     number of this chain can be trusted",
+                    path.display()
+                )
+            })?;
+            for (class, becomes) in &report.aliases {
+                let other = usize::try_from(*becomes).ok().and_then(|c| text.names.get(c));
+                let text = format!(
+                    "class {:?} rightly comes out as {:?} with these texts and options",
+                    text.names[*class],
+                    other.map_or("unknown", |n| n.as_str())
+                );
+                session.progress.say(&text);
+                session.receipt.warning(text);
+            }
+            print(&format!(
+                "{}: oracle matches its analytic value on {} labelled Gaussians, {} scored points: {}",
+                path.display(),
+                report.num_labelled,
+                report.num_scored,
+                line_of(&report.metrics)
+            ));
+        }
+        session.check_stop()?;
+
+        // The oracle passed: its prediction is the truth through the vote.
+        let scored = query.map_or(truth.gaussians.as_slice(), |(_, labels)| labels);
+        let voted = |labels: &[i32]| -> Result<Vec<i32>> {
+            match (args.vote_k > 1, query) {
+                (true, q) => {
+                    let at = q.map_or(scene.coord.as_slice(), |(c, _)| c);
+                    Ok(vote(&scene.coord, labels, None, at, args.vote_k, classes)?)
+                }
+                (false, None) => Ok(labels.to_vec()),
+                (false, Some((at, _))) => Ok(vote(&scene.coord, labels, None, at, 1, classes)?),
+            }
+        };
+        let _stage = session.receipt.stage("score");
+        oracle.update((&voted(&truth.gaussians)?, scored))?;
+        random.update((&random_labels(scored.len(), classes, args.shared.seed)?, scored))?;
+        drop(_stage);
+        if oracle_only {
+            continue;
+        }
+        let labels: Vec<i32> = match (&network, &from_file) {
+            (Some(network), _) => {
+                let features = session.encode(scene, network, &args.inference)?;
+                let _stage = session.receipt.stage("labels");
+                let slots = label_slots(network, &features, Some(&text), &options)?;
+                features.inverse().iter().map(|s| slots.labels[*s as usize]).collect()
+            }
+            (None, Some(file)) => {
+                let _stage = session.receipt.stage("labels");
+                let array = NpyFile::open(file)?;
+                if array.shape() != [opened.loaded.source_rows(), text.dim] {
+                    anyhow::bail!(
+                        "{}: expected [{}, {}], got {:?}",
+                        file.display(),
+                        opened.loaded.source_rows(),
+                        text.dim,
+                        array.shape()
+                    );
+                }
+                let values = array.read_f32()?;
+                let all = classify(&FeatureSlice::new(&values, text.dim)?, &table, &options)?.labels;
+                match &opened.loaded.kept_rows {
+                    Some(kept) => kept.iter().map(|r| all[*r as usize]).collect(),
+                    None => all,
+                }
+            }
+            (None, None) => Vec::new(),
+        };
+        let _stage = session.receipt.stage("score");
+        model.update((&voted(&labels)?, scored))?;
+    }
+
+    let rows: Vec<(&str, TesterReport)> = [("oracle", &oracle), ("random labels", &random)]
+        .into_iter()
+        .chain((!oracle_only).then_some(("features", &model)))
+        .map(|(name, m)| (name, m.tester_report()))
+        .collect();
+    print(&format!("{:14} {:>8} {:>8} {:>8} {:>8} {:>8}", "", "mIoU", "mAcc", "allAcc", "f-mIoU", "f-mAcc"));
+    for (name, report) in &rows {
+        print(&format!("{name:14} {}", columns(report)));
+    }
+    let meaningless = network.as_ref().is_some_and(crate::Network::is_meaningless);
+    if meaningless {
+        print("the features come from seeded weights: their row means nothing");
+    }
+    let json = serde_json::json!({
+        "classes": text.names,
+        "excluded": excluded,
+        "vote_k": args.vote_k,
+        "meaningless": meaningless,
+        "rows": rows
+            .iter()
+            .map(|(name, r)| serde_json::json!({
+                "name": name,
+                "mIoU": r.mean_iou, "mAcc": r.mean_accuracy, "allAcc": r.all_accuracy,
+                "f_mIoU": r.foreground_mean_iou, "f_mAcc": r.foreground_mean_accuracy,
+            }))
+            .collect::<Vec<_>>(),
+    });
+    let path = session.out("evaluation.json");
+    let beside = path.with_extension("json.partial");
+    std::fs::write(&beside, serde_json::to_string_pretty(&json)?)?;
+    std::fs::rename(&beside, &path)?;
+    session.finish()
+}
+
+/// Class of --text for each label of the scenes.
+fn label_map(args: &Args, names: &[String]) -> Result<Option<Vec<i32>>> {
+    let Some(path) = &args.label_names else {
+        if args.class_map.is_some() {
+            return Err(WrongUse("--class-map needs --label-names".to_owned()).into());
+        }
+        return Ok(None);
+    };
+    let labels = read_names(path)?;
+    let map = match &args.class_map {
+        Some(path) => ClassMap::read(path)?,
+        // Without a map, labels mean the class of the same name.
+        None => ClassMap::from_pairs(labels.iter().filter_map(|l| {
+            let class = scenesplat_scene::label_set::find_name(names, l).ok()?;
+            Some((l.clone(), names[class].clone()))
+        })),
+    };
+    Ok(Some(map.indices(&labels, names)?))
+}
+
+/// The excluded names that the text table has; the default list need not be complete.
+fn known(set: &LabelSet, wanted: &[String], session: &Session<'_>) -> Result<Vec<String>> {
+    let (there, missing): (Vec<String>, Vec<String>) =
+        wanted.iter().cloned().partition(|n| set.index_of(n).is_ok());
+    if !missing.is_empty() {
+        session.progress.say(format!("--exclude: no class named {}", missing.join(", ")));
+    }
+    Ok(there)
+}
+
+/// A row with the text of another class.
+fn fault(labels: &[i32], row: usize) -> Result<Fault> {
+    let own = labels.get(row).copied().unwrap_or(-1);
+    let other = labels.iter().copied().find(|l| *l >= 0 && *l != own);
+    match (own >= 0, other) {
+        (true, Some(other)) => Ok(Fault { row, class: other as usize }),
+        _ => Err(WrongUse(format!(
+            "--break-oracle {row}: choose a row with a label, in a scene with two classes"
+        ))
+        .into()),
+    }
+}
+
+fn percent(value: Option<f64>) -> String {
+    value.map_or_else(|| "-".to_owned(), |v| format!("{:.2} %", v * 100.0))
+}
+
+fn columns(r: &TesterReport) -> String {
+    [r.mean_iou, r.mean_accuracy, r.all_accuracy, r.foreground_mean_iou, r.foreground_mean_accuracy]
+        .map(|v| format!("{:>8}", percent(v)))
+        .join(" ")
+}
+
+fn line_of(r: &TesterReport) -> String {
+    format!("mIoU {}, allAcc {}", percent(r.mean_iou), percent(r.all_accuracy))
+}

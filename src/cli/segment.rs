@@ -1,0 +1,237 @@
+//! `scenesplat segment`
+
+use super::WrongUse;
+use super::common::{Inference, Session, Shared};
+use crate::inference::SceneFeatures;
+use crate::outputs::{
+    ResultColumns, label_colors, legend, write_colored_ply, write_scene_preview,
+};
+use crate::text::{class_list, metric_table, read_text_table};
+use crate::Network;
+use anyhow::{Context, Result};
+use scenesplat_metrics::{FeatureFn, UnknownRule, ZeroShotOptions, classify, vote};
+use scenesplat_scene::formats::npy_writer::write_npy;
+use scenesplat_scene::label_set::read_names;
+use scenesplat_scene::{LabelSet, TextTable};
+use std::path::PathBuf;
+
+/// Writes labels.npy, scores.npy, segmented.ply (class colours, label and score columns),
+/// classes.json, preview.png and a receipt.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// A .ply file or a folder of .npy files.
+    pub scene: PathBuf,
+    /// Choice of classes.
+    #[command(flatten)]
+    pub classes: Classes,
+    /// Neighbours that vote on each label; 0 or 1 for no vote.
+    #[arg(long, value_name = "K", default_value_t = 25)]
+    pub vote_k: usize,
+    /// Flags of the network.
+    #[command(flatten)]
+    pub inference: Inference,
+    /// Flags of all commands.
+    #[command(flatten)]
+    pub shared: Shared,
+}
+
+/// Which classes compete, and when none wins.
+#[derive(Debug, clap::Args)]
+pub struct Classes {
+    /// Text embeddings of the classes: .safetensors or .pt.
+    #[arg(long, value_name = "FILE")]
+    pub text: Option<PathBuf>,
+    /// Names of the rows of --text, one a line, where the file has none.
+    #[arg(long, value_name = "FILE")]
+    pub text_names: Option<PathBuf>,
+    /// Classes that may not be predicted, comma-separated.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    pub without: Vec<String>,
+    /// Leaves Gaussians unlabelled whose best cosine is below this.
+    #[arg(long, value_name = "COS", allow_hyphen_values = true)]
+    pub min_score: Option<f32>,
+    /// Leaves Gaussians unlabelled whose best cosine leads the second by less than this.
+    #[arg(long, value_name = "COS")]
+    pub min_margin: Option<f32>,
+}
+
+impl Classes {
+    /// The texts, or a hint what to give.
+    pub fn text_table(&self) -> Result<TextTable> {
+        let Some(path) = &self.text else {
+            return Err(WrongUse(
+                "--text is missing: give the text embeddings of the classes (.safetensors or .pt)"
+                    .to_owned(),
+            )
+            .into());
+        };
+        read_text_table(path, self.text_names.as_deref())
+    }
+
+    /// Settings of the classification.
+    pub fn options(&self, labels: &LabelSet) -> Result<ZeroShotOptions> {
+        let candidates = if self.without.is_empty() {
+            None
+        } else {
+            let barred = class_list(labels, &self.without)?;
+            Some((0..labels.len()).map(|c| !barred.contains(&c)).collect())
+        };
+        let unknown = UnknownRule { min_cosine: self.min_score, min_margin: self.min_margin };
+        Ok(ZeroShotOptions { unknown, candidates })
+    }
+}
+
+/// Labels and scores of the distinct rows of a scene.
+pub struct SlotLabels {
+    /// Class or −1. `[S]`
+    pub labels: Vec<i32>,
+    /// Cosine, or probability for a classifier. `[S]`
+    pub scores: Vec<f32>,
+    /// Rows without a usable feature.
+    pub unusable: usize,
+    /// Rows below the unknown thresholds.
+    pub withheld: usize,
+}
+
+/// Feature rows of a scene as the metrics read them.
+pub fn slot_rows(
+    features: &SceneFeatures,
+) -> Result<
+    FeatureFn<
+        impl Fn(std::ops::Range<usize>, &mut [f32]) -> Result<(), Box<dyn std::error::Error + Send + Sync>>
+        + Sync
+        + '_,
+    >,
+> {
+    Ok(FeatureFn::new(features.num_slots(), features.width(), |rows, out| {
+        out.copy_from_slice(&features.slot_rows(rows)?);
+        Ok(())
+    })?)
+}
+
+/// Labels each distinct row.
+pub fn label_slots(
+    network: &Network,
+    features: &SceneFeatures,
+    text: Option<&TextTable>,
+    options: &ZeroShotOptions,
+) -> Result<SlotLabels> {
+    if network.is_classifier() {
+        let mut out = SlotLabels { labels: Vec::new(), scores: Vec::new(), unusable: 0, withheld: 0 };
+        let allowed = |c: usize| options.candidates.as_ref().is_none_or(|m| m[c]);
+        for row in 0..features.num_slots() {
+            let p = features.slot_rows(row..row + 1)?;
+            let mut best: Option<usize> = None;
+            for c in (0..p.len()).filter(|&c| allowed(c) && p[c].is_finite()) {
+                if best.is_none_or(|b| p[c] > p[b]) {
+                    best = Some(c);
+                }
+            }
+            out.labels.push(best.map_or(-1, |b| b as i32));
+            out.scores.push(best.map_or(0.0, |b| p[b]));
+            out.unusable += usize::from(best.is_none());
+        }
+        return Ok(out);
+    }
+    let text = text.context("a language network needs --text")?;
+    if text.dim != features.width() {
+        return Err(WrongUse(format!(
+            "--text: its rows have {} values, the network's features {}",
+            text.dim,
+            features.width()
+        ))
+        .into());
+    }
+    let found = classify(&slot_rows(features)?, &metric_table(text)?, options)?;
+    Ok(SlotLabels {
+        labels: found.labels,
+        scores: found.scores,
+        unusable: found.num_unusable,
+        withheld: found.num_withheld,
+    })
+}
+
+/// Runs the command.
+pub fn run(args: &Args, line: &str) -> Result<()> {
+    let session = Session::start(&args.shared, line)?;
+    session.make_out()?;
+    let network = session.network(&args.inference)?;
+    let (labels_of, text) = if network.is_classifier() {
+        let count = network.config().num_classes.unwrap_or(0);
+        let names = match &args.classes.text_names {
+            Some(path) => read_names(path)?,
+            None => (0..count).map(|i| format!("class {i}")).collect(),
+        };
+        if names.len() != count {
+            let text = format!("--text-names: {} names for {count} classes", names.len());
+            return Err(WrongUse(text).into());
+        }
+        (LabelSet::new(names)?, None)
+    } else {
+        let text = args.classes.text_table()?;
+        (LabelSet::new(text.names.clone())?, Some(text))
+    };
+    let options = args.classes.options(&labels_of)?;
+    let opened = session.open(&args.scene, &args.inference)?;
+    let scene = &opened.loaded.scene;
+    let features = session.encode(scene, &network, &args.inference)?;
+
+    let (labels, scores) = {
+        let _stage = session.receipt.stage("labels");
+        let slots = label_slots(&network, &features, text.as_ref(), &options)?;
+        if slots.unusable + slots.withheld > 0 {
+            session.progress.say(format!(
+                "{} voxels unknown by the thresholds, {} without a usable feature",
+                slots.withheld, slots.unusable
+            ));
+        }
+        let per_gaussian = |s: &u32| *s as usize;
+        let labels: Vec<i32> =
+            features.inverse().iter().map(|s| slots.labels[per_gaussian(s)]).collect();
+        let scores: Vec<f32> =
+            features.inverse().iter().map(|s| slots.scores[per_gaussian(s)]).collect();
+        (labels, scores)
+    };
+    session.check_stop()?;
+    let labels = if args.vote_k > 1 {
+        let _stage = session.receipt.stage("vote");
+        session.receipt.setting("vote_k", args.vote_k, "neighbours that vote on each label");
+        vote(&scene.coord, &labels, None, &scene.coord, args.vote_k, labels_of.len())?
+    } else {
+        labels
+    };
+    session.check_stop()?;
+    {
+        let _stage = session.receipt.stage("write");
+        let rows = opened.loaded.source_rows();
+        let path = session.out("labels.npy");
+        write_npy(&path, &[rows], &opened.loaded.to_source_rows(&labels, -1)?)?;
+        session.wrote(&path, (rows * 4 + 128) as u64);
+        let path = session.out("scores.npy");
+        write_npy(&path, &[rows], &opened.loaded.to_source_rows(&scores, 0.0)?)?;
+        session.wrote(&path, (rows * 4 + 128) as u64);
+        let path = session.out("classes.json");
+        std::fs::write(&path, serde_json::to_string_pretty(&labels_of.names)?)?;
+        let path = session.out("segmented.ply");
+        let columns = ResultColumns { label: Some(&labels), score: Some(&scores) };
+        let bytes = write_colored_ply(&opened, &label_colors(&labels), &columns, &path)?;
+        session.wrote(&path, bytes);
+        session.receipt.add_rows_out(rows);
+    }
+    {
+        let _stage = session.receipt.stage("picture");
+        let name = args.scene.file_name().unwrap_or_default().to_string_lossy();
+        let meaning = if network.is_meaningless() { " (seeded weights: no meaning)" } else { "" };
+        let path = session.out("preview.png");
+        let bytes = write_scene_preview(
+            scene,
+            &label_colors(&labels),
+            &legend(&labels, &labels_of.names),
+            &format!("{name}: labels{meaning}"),
+            session.up(scene, &args.inference),
+            &path,
+        )?;
+        session.wrote(&path, bytes);
+    }
+    session.finish()
+}

@@ -1,0 +1,427 @@
+//! A whole scene through the network: passes, tiles, and the way back to every Gaussian.
+
+use crate::network::Network;
+use candle_core::{Device, Tensor};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use scenesplat_datasets::{
+    ExactPlan, FastPlan, InferencePlan, NetworkInput, TileSettings, split_into_tiles,
+};
+use scenesplat_models::ops::normalize_rows;
+use scenesplat_models::{Forward, Mode, Orders, PointCloud};
+use scenesplat_scene::GaussianScene;
+use std::fs::File;
+use std::ops::Range;
+use std::path::PathBuf;
+
+mod slots;
+
+use slots::SlotStore;
+
+/// Why a scene could not be encoded.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum EncodeError {
+    /// The scene cannot be turned into network input.
+    #[error(transparent)]
+    Data(#[from] scenesplat_datasets::DataError),
+    /// The network refused its input, or was stopped.
+    #[error("the network failed")]
+    Network(#[from] candle_core::Error),
+    /// Features did not fit into memory and could not be kept in a file.
+    #[error("{}: cannot keep features in a file", path.display())]
+    Spill {
+        /// Which file.
+        path: PathBuf,
+        /// Why it failed.
+        #[source]
+        source: std::io::Error,
+    },
+    /// The memory limit leaves nothing to work with.
+    #[error(
+        "--max-memory {limit}: the scene, the weights and {voxels} voxels already need {needed}; \
+         allow at least {advice}"
+    )]
+    Memory {
+        /// The limit.
+        limit: crate::memory::Bytes,
+        /// What is needed before the first voxel is computed.
+        needed: crate::memory::Bytes,
+        /// A limit that works.
+        advice: crate::memory::Bytes,
+        /// Voxels of the scene.
+        voxels: usize,
+    },
+    /// The user asked to stop.
+    #[error("stopped; nothing was written")]
+    Stopped,
+    /// A setting out of range.
+    #[error("{0}")]
+    Setting(String),
+}
+
+/// Which Gaussians are read, and how often.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Fidelity {
+    /// One pass over the voxels: the Gaussian nearest to a voxel's centre stands for it. Differs
+    /// from [`Fidelity::Exact`] where several Gaussians share a voxel: they share its feature.
+    #[default]
+    Fast,
+    /// The original's steps: every Gaussian of a 1 cm sampling is read, in several passes, and
+    /// features are averaged.
+    Exact,
+}
+
+/// How far the work has come.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct EncodeProgress {
+    /// Current pass, from 1.
+    pub pass: usize,
+    /// Number of passes.
+    pub passes: usize,
+    /// Current tile of the pass, from 1.
+    pub tile: usize,
+    /// Number of tiles of the pass.
+    pub tiles: usize,
+    /// Fraction of all work done, 0..=1.
+    pub done: f64,
+}
+
+/// Turns scenes into features.
+#[derive(Debug, Clone)]
+pub struct SceneEncoder<'a> {
+    /// The network.
+    pub network: &'a Network,
+    /// Which Gaussians are read.
+    pub fidelity: Fidelity,
+    /// Size of the network's voxels, metres; the released networks were trained at 0.02.
+    pub grid_size: f64,
+    /// Limit for the whole process, bytes; larger scenes go through tiles.
+    pub max_memory: Option<u64>,
+    /// Context around a tile, voxels.
+    pub halo: u32,
+    /// Shuffles the curve orders with this seed, as the original does without one.
+    pub shuffle_orders: Option<u64>,
+    /// Where features go that do not fit into memory.
+    pub spill_folder: PathBuf,
+}
+
+/// Features of a scene: one row per voxel (or read Gaussian), and which row each Gaussian has.
+#[derive(Debug)]
+pub struct SceneFeatures {
+    slots: SlotStore,
+    inverse: Vec<u32>,
+    sampled: Vec<u32>,
+    /// How the scene was cut.
+    pub summary: EncodeSummary,
+}
+
+/// What was done to a scene.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+pub struct EncodeSummary {
+    /// Voxels of a pass.
+    pub voxels: usize,
+    /// Passes of the network.
+    pub passes: usize,
+    /// Tiles over all passes; equal to the passes when nothing was cut.
+    pub tiles: usize,
+    /// Voxels computed over all tiles, halos included.
+    pub voxels_computed: usize,
+    /// Narrowest halo of all tiles, voxels.
+    pub smallest_halo: u32,
+    /// Tiles whose halo had to be narrower than asked for.
+    pub shrunk_halos: usize,
+    /// Whether features went through a file.
+    pub spilled: bool,
+}
+
+/// Called before each part of the work; an error stops it.
+pub type ProgressFn<'a> = dyn FnMut(EncodeProgress) -> Result<(), EncodeError> + 'a;
+
+impl<'a> SceneEncoder<'a> {
+    /// The default: fast, no memory limit, orders as listed.
+    pub fn new(network: &'a Network) -> Self {
+        Self {
+            network,
+            fidelity: Fidelity::Fast,
+            grid_size: 0.02,
+            max_memory: None,
+            halo: 50,
+            shuffle_orders: None,
+            spill_folder: std::env::temp_dir(),
+        }
+    }
+
+    /// Features of every Gaussian of a scene.
+    ///
+    /// For a language network rows have unit length; for a classifier they are class
+    /// probabilities, averaged over the passes.
+    ///
+    /// # Errors
+    /// If the scene is empty or cannot be put on the grid, the network refuses it, memory does not
+    /// suffice, or `progress` stops the work.
+    pub fn encode(
+        &self,
+        scene: &GaussianScene,
+        progress: &mut ProgressFn<'_>,
+    ) -> Result<SceneFeatures, EncodeError> {
+        let features =
+            self.network.input_features().map_err(|e| EncodeError::Setting(e.to_string()))?;
+        let grid_size = self.grid_size;
+        let plan = match self.fidelity {
+            Fidelity::Fast => FastPlan { grid_size, features }.build(scene)?,
+            Fidelity::Exact => {
+                ExactPlan { grid_size, sample_size: grid_size / 2.0, features, ..ExactPlan::default() }
+                    .build(scene)?
+            }
+        };
+        if plan.num_inputs() == 0 {
+            return Err(EncodeError::Setting("the scene has no Gaussian".to_owned()));
+        }
+        let width = self.network.model().out_channels();
+        let budget = self.budget(scene, &plan, width)?;
+        let mut slots = if budget.spill {
+            SlotStore::file(&self.spill_folder, plan.num_slots(), width)?
+        } else {
+            SlotStore::memory(plan.num_slots(), width)
+        };
+        let align = self.network.config().stride.iter().product::<usize>() as u32;
+        let tile_settings =
+            TileSettings { max_voxels: budget.max_voxels, halo: self.halo, align: align.max(1) };
+        let passes = plan.num_inputs();
+        let mut summary = EncodeSummary {
+            voxels: plan.num_voxels(),
+            passes,
+            tiles: 0,
+            voxels_computed: 0,
+            smallest_halo: self.halo,
+            shrunk_halos: 0,
+            spilled: budget.spill,
+        };
+        for pass in 0..passes {
+            let input = plan.input(pass)?;
+            let tiling = split_into_tiles(&input, &tile_settings)?;
+            summary.smallest_halo = summary.smallest_halo.min(tiling.smallest_halo);
+            summary.shrunk_halos += tiling.num_shrunk;
+            let tiles = tiling.tiles.len();
+            let work: usize = tiling.tiles.iter().map(|t| t.voxels.len()).sum();
+            let mut computed = 0;
+            for (i, tile) in tiling.tiles.iter().enumerate() {
+                let mut report = |within: f64| {
+                    let here = (computed as f64 + within * tile.voxels.len() as f64) / work as f64;
+                    progress(EncodeProgress {
+                        pass: pass + 1,
+                        passes,
+                        tile: i + 1,
+                        tiles,
+                        done: (pass as f64 + here) / passes as f64,
+                    })
+                };
+                let whole = tiles == 1;
+                let cut;
+                let part = if whole {
+                    &input
+                } else {
+                    cut = tile.input(&input);
+                    &cut
+                };
+                let values = self.forward(part, &mut report)?;
+                slots.add(&part.slots, &values, if whole { None } else { Some(&tile.is_core) })?;
+                computed += tile.voxels.len();
+            }
+            summary.tiles += tiles;
+            summary.voxels_computed += computed;
+        }
+        if self.network.is_classifier() {
+            slots.finish(|row, count| row.iter_mut().for_each(|v| *v /= count as f32))?;
+        } else {
+            slots.finish(|row, _| normalize_rows(row, width))?;
+        }
+        let InferencePlan { sampled, inverse, .. } = plan;
+        Ok(SceneFeatures { slots, inverse, sampled, summary })
+    }
+
+    /// One call of the network.
+    fn forward(
+        &self,
+        input: &NetworkInput,
+        report: &mut dyn FnMut(f64) -> Result<(), EncodeError>,
+    ) -> Result<Vec<f32>, EncodeError> {
+        let n = input.len();
+        let feat = Tensor::from_slice(&input.feat, (n, input.channels), &Device::Cpu)?;
+        let points = PointCloud::single(input.grid_coord.clone(), feat)?;
+        let mut rng = ChaCha8Rng::seed_from_u64(self.shuffle_orders.unwrap_or(0));
+        let orders =
+            if self.shuffle_orders.is_some() { Orders::Shuffled } else { Orders::Listed };
+        let costs = block_costs(self.network);
+        let total: f64 = costs.iter().map(|(_, c)| c).sum();
+        let mut done = 0.0;
+        let mut stopped = None;
+        report(0.0)?;
+        let mut observer = |name: &str, _: &Tensor| {
+            done += costs.iter().find(|(n, _)| n == name).map_or(0.0, |(_, c)| c / total);
+            report(done.min(1.0)).map_err(|e| {
+                stopped = Some(e);
+                candle_core::Error::Msg("stopped".to_owned())
+            })
+        };
+        let mut cx =
+            Forward { mode: Mode::Eval, rng: &mut rng, orders, observer: Some(&mut observer) };
+        let out = self.network.model().forward(&points, &mut cx);
+        if let Some(error) = stopped {
+            return Err(error);
+        }
+        let mut values = out?.flatten_all()?.to_vec1::<f32>()?;
+        if self.network.is_classifier() {
+            softmax_rows(&mut values, self.network.model().out_channels());
+        }
+        Ok(values)
+    }
+
+    /// How many voxels a tile may have, and whether features must go to a file.
+    fn budget(
+        &self,
+        scene: &GaussianScene,
+        plan: &InferencePlan<'_>,
+        width: usize,
+    ) -> Result<Budget, EncodeError> {
+        let Some(limit) = self.max_memory else {
+            return Ok(Budget { max_voxels: usize::MAX, spill: false });
+        };
+        let per_voxel = self.network.config().inference_bytes_per_voxel() as u64;
+        // Scene arrays, the plan's tables, packed weights, program and allocator.
+        let fixed = scene_bytes(scene)
+            + (plan.num_voxels() * (12 + 4 * plan.channels() + 8) + scene.len() * 8) as u64
+            + self.network.weight_bytes() as u64
+            + (64 << 20);
+        let features = (plan.num_slots() * width * size_of::<f32>()) as u64;
+        // Features move to a file once they would take more than a third of what is left.
+        let spill = features > limit.saturating_sub(fixed) / 3;
+        let rest = limit.saturating_sub(fixed + if spill { 0 } else { features });
+        let max_voxels = usize::try_from(rest / per_voxel).unwrap_or(usize::MAX);
+        const FEWEST: usize = 4096;
+        if max_voxels < FEWEST.min(plan.num_voxels()) {
+            return Err(EncodeError::Memory {
+                limit: crate::memory::Bytes(limit),
+                needed: crate::memory::Bytes(fixed),
+                advice: crate::memory::Bytes(fixed + FEWEST as u64 * per_voxel * 3 / 2),
+                voxels: plan.num_voxels(),
+            });
+        }
+        Ok(Budget { max_voxels, spill })
+    }
+}
+
+struct Budget {
+    max_voxels: usize,
+    spill: bool,
+}
+
+/// Bytes of the arrays of a scene.
+fn scene_bytes(scene: &GaussianScene) -> u64 {
+    let labels = usize::from(scene.segment.is_some()) + usize::from(scene.instance.is_some());
+    let normal = usize::from(scene.normal.is_some()) * 12;
+    let language = scene.lang_feat.as_ref().map_or(0, |f| f.values.len() * 2);
+    let rest = scene.sh_rest.len() * 4;
+    (scene.len() * (14 * 4 + labels * 4 + normal) + rest + language) as u64
+}
+
+/// Relative cost of each named part of a network, by operations per voxel of the finest scale.
+fn block_costs(network: &Network) -> Vec<(String, f64)> {
+    let config = network.config();
+    let cost = |c: usize, patch: usize, stage: usize| {
+        let c = c as f64;
+        // Convolution over 14 neighbours, linear layers, attention; a quarter of the voxels a scale.
+        (c * c * (14.0 + 13.0) + 2.0 * c * patch as f64) * 0.27f64.powi(stage as i32)
+    };
+    let mut out = Vec::new();
+    for (stage, &depth) in config.enc_depths.iter().enumerate() {
+        for j in 0..depth {
+            let c = cost(config.enc_channels[stage], config.enc_patch_size[stage], stage);
+            out.push((format!("enc.enc{stage}.block{j}"), c));
+        }
+    }
+    for (stage, &depth) in config.dec_depths.iter().enumerate() {
+        for j in 0..depth {
+            let c = cost(config.dec_channels[stage], config.dec_patch_size[stage], stage);
+            out.push((format!("dec.dec{stage}.block{j}"), c));
+        }
+    }
+    out
+}
+
+fn softmax_rows(values: &mut [f32], width: usize) {
+    for row in values.chunks_exact_mut(width) {
+        let top = row.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+        let sum: f32 = row
+            .iter_mut()
+            .map(|v| {
+                *v = (*v - top).exp();
+                *v
+            })
+            .sum();
+        row.iter_mut().for_each(|v| *v /= sum);
+    }
+}
+
+impl SceneFeatures {
+    /// Number of Gaussians.
+    pub fn len(&self) -> usize {
+        self.inverse.len()
+    }
+
+    /// Whether there is no Gaussian.
+    pub fn is_empty(&self) -> bool {
+        self.inverse.is_empty()
+    }
+
+    /// Values of a row.
+    pub fn width(&self) -> usize {
+        self.slots.width()
+    }
+
+    /// Number of distinct rows.
+    pub fn num_slots(&self) -> usize {
+        self.sampled.len()
+    }
+
+    /// Distinct row of each Gaussian. `[N]`
+    pub fn inverse(&self) -> &[u32] {
+        &self.inverse
+    }
+
+    /// Gaussian that each distinct row was read from. `[S]`
+    pub fn sampled(&self) -> &[u32] {
+        &self.sampled
+    }
+
+    /// Distinct rows, `[rows.len(), width]`.
+    ///
+    /// # Errors
+    /// If they were kept in a file and it cannot be read.
+    pub fn slot_rows(&self, rows: Range<usize>) -> Result<Vec<f32>, EncodeError> {
+        self.slots.read(rows)
+    }
+
+    /// Rows of some Gaussians, `[rows.len(), width]`.
+    ///
+    /// # Errors
+    /// If they were kept in a file and it cannot be read.
+    pub fn gaussian_rows(&self, rows: Range<usize>) -> Result<Vec<f32>, EncodeError> {
+        self.slots.gather(&self.inverse[rows])
+    }
+}
+
+/// A file that is removed when dropped.
+#[derive(Debug)]
+struct ScratchFile {
+    file: File,
+    path: PathBuf,
+}
+
+impl Drop for ScratchFile {
+    fn drop(&mut self) {
+        // A scratch file that cannot be removed is no reason to fail.
+        let _ = std::fs::remove_file(&self.path);
+    }
+}

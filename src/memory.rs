@@ -1,0 +1,64 @@
+//! Amounts of memory as people write them.
+
+use std::fmt;
+use std::str::FromStr;
+
+/// A number of bytes, read from `8GB`, `512MiB`, `2.5g`, `1000000`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Bytes(pub u64);
+
+impl FromStr for Bytes {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let lower = text.trim().to_ascii_lowercase();
+        let digits = lower.trim_end_matches(|c: char| c.is_ascii_alphabetic());
+        let unit = &lower[digits.len()..];
+        let factor: f64 = match unit {
+            "" | "b" => 1.0,
+            "k" | "kb" => 1e3,
+            "m" | "mb" => 1e6,
+            "g" | "gb" => 1e9,
+            "t" | "tb" => 1e12,
+            "kib" => 1024.0,
+            "mib" => 1024f64.powi(2),
+            "gib" => 1024f64.powi(3),
+            _ => return Err(format!("{unit:?} is no unit of memory; write 8GB, 512MB or 4GiB")),
+        };
+        let number: f64 =
+            digits.trim().parse().map_err(|_| format!("{text:?} is no amount; write 8GB or 512MB"))?;
+        if !(number.is_finite() && number > 0.0) {
+            return Err(format!("{text:?} must be above 0"));
+        }
+        Ok(Self((number * factor) as u64))
+    }
+}
+
+impl fmt::Display for Bytes {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let v = self.0 as f64;
+        match v {
+            v if v >= 1e9 => write!(f, "{:.2} GB", v / 1e9),
+            v if v >= 1e6 => write!(f, "{:.1} MB", v / 1e6),
+            v if v >= 1e3 => write!(f, "{:.1} kB", v / 1e3),
+            _ => write!(f, "{} B", self.0),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reads_what_people_write() {
+        for (text, want) in
+            [("8GB", 8_000_000_000), ("512MiB", 536_870_912), ("1.5g", 1_500_000_000), ("42", 42)]
+        {
+            assert_eq!(text.parse::<Bytes>().unwrap(), Bytes(want));
+        }
+        for bad in ["", "GB", "-1GB", "8XB", "0", "nan", "inf"] {
+            assert!(bad.parse::<Bytes>().is_err(), "{bad}");
+        }
+    }
+}

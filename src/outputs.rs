@@ -1,0 +1,324 @@
+//! What the commands write: features, labels, coloured scenes, previews.
+
+use crate::inference::SceneFeatures;
+use crate::preview::{
+    LegendEntry, PreviewRows, PreviewSettings, UNLABELLED_COLOR, UpAxis, class_color, write_preview,
+};
+use anyhow::{Context, Result};
+use half::f16;
+use scenesplat_scene::formats::inria_ply::write_inria_ply;
+use scenesplat_scene::formats::npy_writer::NpyRowWriter;
+use scenesplat_scene::formats::ply::{
+    ColumnValues, PlyColumn, PlyFile, free_column_name, write_ply_with_columns,
+};
+use scenesplat_scene::gaussian_scene::u8_to_dc;
+use scenesplat_scene::{GaussianScene, LoadedScene, SceneKind};
+use std::path::Path;
+
+/// A scene as a command opened it.
+#[derive(Debug)]
+pub struct OpenedScene {
+    /// The scene and how it was read.
+    pub loaded: LoadedScene,
+    /// Whether it was a point cloud that was turned into Gaussians.
+    pub converted: bool,
+}
+
+/// Number type of written features.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum FeatureType {
+    /// 4 bytes a value.
+    F32,
+    /// 2 bytes a value, rounded to nearest.
+    F16,
+}
+
+/// File format of written features.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum FeatureFormat {
+    /// `features.npy`, `[N, D]`.
+    Npy,
+    /// `features.safetensors` with the tensor `features`, `[N, D]`.
+    Safetensors,
+}
+
+/// Rows written at a time.
+const BLOCK: usize = 4096;
+
+/// Writes one feature row per row of the source file; rows that were left out are zero.
+///
+/// # Errors
+/// If the file cannot be written; then nothing is left behind.
+pub fn write_features_npy(
+    opened: &OpenedScene,
+    features: &SceneFeatures,
+    ty: FeatureType,
+    path: &Path,
+) -> Result<u64> {
+    let rows = opened.loaded.source_rows();
+    let width = features.width();
+    macro_rules! write {
+        ($t:ty, $convert:expr) => {{
+            let mut writer = NpyRowWriter::<$t>::create(path, rows, &[width])?;
+            for_each_source_block(opened, features, |values| {
+                let values: Vec<$t> = values.iter().map(|v| $convert(*v)).collect();
+                Ok(writer.write_rows(&values)?)
+            })?;
+            writer.finish()?;
+        }};
+    }
+    match ty {
+        FeatureType::F32 => write!(f32, |v: f32| v),
+        FeatureType::F16 => write!(f16, f16::from_f32),
+    }
+    file_size(path)
+}
+
+/// As [`write_features_npy`], as a safetensors file, streamed.
+///
+/// # Errors
+/// If the file cannot be written; then nothing is left behind.
+pub fn write_features_safetensors(
+    opened: &OpenedScene,
+    features: &SceneFeatures,
+    ty: FeatureType,
+    path: &Path,
+) -> Result<u64> {
+    use std::io::Write;
+    let (rows, width) = (opened.loaded.source_rows(), features.width());
+    let (name, size) = match ty {
+        FeatureType::F32 => ("F32", 4),
+        FeatureType::F16 => ("F16", 2),
+    };
+    let end = rows * width * size;
+    let mut header = serde_json::json!({
+        "features": { "dtype": name, "shape": [rows, width], "data_offsets": [0, end] }
+    })
+    .to_string();
+    // The data start on a multiple of 8.
+    header.push_str(&" ".repeat(header.len().next_multiple_of(8) - header.len()));
+    let beside = path.with_extension("safetensors.partial");
+    let written = (|| -> Result<()> {
+        let mut file = std::io::BufWriter::new(std::fs::File::create(&beside)?);
+        file.write_all(&(header.len() as u64).to_le_bytes())?;
+        file.write_all(header.as_bytes())?;
+        for_each_source_block(opened, features, |values| {
+            for v in values {
+                match ty {
+                    FeatureType::F32 => file.write_all(&v.to_le_bytes())?,
+                    FeatureType::F16 => file.write_all(&f16::from_f32(*v).to_le_bytes())?,
+                }
+            }
+            Ok(())
+        })?;
+        file.flush()?;
+        std::fs::rename(&beside, path)?;
+        Ok(())
+    })();
+    if written.is_err() {
+        let _ = std::fs::remove_file(&beside);
+    }
+    written.with_context(|| path.display().to_string())?;
+    file_size(path)
+}
+
+/// Walks over the rows of the source file, block by block.
+fn for_each_source_block(
+    opened: &OpenedScene,
+    features: &SceneFeatures,
+    mut f: impl FnMut(&[f32]) -> Result<()>,
+) -> Result<()> {
+    let width = features.width();
+    let Some(kept) = &opened.loaded.kept_rows else {
+        for start in (0..features.len()).step_by(BLOCK) {
+            f(&features.gaussian_rows(start..(start + BLOCK).min(features.len()))?)?;
+        }
+        return Ok(());
+    };
+    let mut next = 0;
+    let rows = opened.loaded.source_rows();
+    for start in (0..rows).step_by(BLOCK) {
+        let end = (start + BLOCK).min(rows);
+        let mut block = vec![0f32; (end - start) * width];
+        let until = next + kept[next..].partition_point(|&r| (r as usize) < end);
+        let values = features.gaussian_rows(next..until)?;
+        for (row, from) in kept[next..until].iter().zip(values.chunks_exact(width)) {
+            let at = (*row as usize - start) * width;
+            block[at..at + width].copy_from_slice(from);
+        }
+        next = until;
+        f(&block)?;
+    }
+    Ok(())
+}
+
+fn file_size(path: &Path) -> Result<u64> {
+    Ok(std::fs::metadata(path).with_context(|| path.display().to_string())?.len())
+}
+
+/// Columns to add to a coloured scene, one value per Gaussian.
+#[derive(Debug, Default)]
+pub struct ResultColumns<'a> {
+    /// Class, −1 = none.
+    pub label: Option<&'a [i32]>,
+    /// Score of the class or of the query.
+    pub score: Option<&'a [f32]>,
+}
+
+/// Writes the scene with new colours and result columns.
+///
+/// A PLY source keeps every element, property and value; only `f_dc_0..2` are replaced, and their
+/// old values move to `source_f_dc_0..2`. Any other source becomes a standard splat PLY.
+///
+/// # Errors
+/// If the file cannot be written; then nothing is left behind.
+pub fn write_colored_ply(
+    opened: &OpenedScene,
+    colors: &[[u8; 3]],
+    columns: &ResultColumns<'_>,
+    path: &Path,
+) -> Result<u64> {
+    let loaded = &opened.loaded;
+    if opened.converted || loaded.kind != SceneKind::InriaPly {
+        let mut scene = GaussianScene {
+            sh_dc: colors.iter().map(|c| c.map(u8_to_dc)).collect(),
+            sh_rest: Vec::new(),
+            sh_degree: 0,
+            ..loaded.scene.clone()
+        };
+        scene.lang_feat = None;
+        scene.valid_feat_mask = None;
+        let mut extra = Vec::new();
+        if let Some(label) = columns.label {
+            extra.push(PlyColumn { name: "label", values: ColumnValues::I32(label) });
+        }
+        if let Some(score) = columns.score {
+            extra.push(PlyColumn { name: "score", values: ColumnValues::F32(score) });
+        }
+        write_inria_ply(&scene, &extra, path)?;
+        return file_size(path);
+    }
+    let source = PlyFile::open(&loaded.path)?;
+    let has_dc = source.element("vertex").is_some_and(|e| e.has("f_dc_0"));
+    let dc_names = ["f_dc_0", "f_dc_1", "f_dc_2"];
+    let mut new_dc: [Vec<f32>; 3] = Default::default();
+    let mut old_dc: [Vec<f32>; 3] = Default::default();
+    for axis in 0..3 {
+        let ours: Vec<f32> = colors.iter().map(|c| u8_to_dc(c[axis])).collect();
+        new_dc[axis] = loaded.to_source_rows(&ours, 0.0)?;
+        if has_dc {
+            old_dc[axis] = source.column_f32("vertex", dc_names[axis])?;
+            if let Some(kept) = &loaded.kept_rows {
+                // Rows left out keep their colour.
+                let mut dc = old_dc[axis].clone();
+                for (&row, v) in kept.iter().zip(&ours) {
+                    dc[row as usize] = *v;
+                }
+                new_dc[axis] = dc;
+            }
+        }
+    }
+    let labels = columns.label.map(|l| loaded.to_source_rows(l, -1)).transpose()?;
+    let scores = columns.score.map(|s| loaded.to_source_rows(s, 0.0)).transpose()?;
+    let free = |name: &str| free_column_name(&source, name);
+    let old_names = dc_names.map(|n| free(&format!("source_{n}")));
+    let (label_name, score_name) = (free("label"), free("score"));
+    let recolored: Vec<PlyColumn<'_>> = dc_names
+        .iter()
+        .zip(&new_dc)
+        .map(|(name, values)| PlyColumn { name, values: ColumnValues::F32(values) })
+        .collect();
+    let mut append = Vec::new();
+    if has_dc {
+        for (name, values) in old_names.iter().zip(&old_dc) {
+            append.push(PlyColumn { name, values: ColumnValues::F32(values) });
+        }
+    }
+    if let Some(labels) = &labels {
+        append.push(PlyColumn { name: &label_name, values: ColumnValues::I32(labels) });
+    }
+    if let Some(scores) = &scores {
+        append.push(PlyColumn { name: &score_name, values: ColumnValues::F32(scores) });
+    }
+    if has_dc {
+        write_ply_with_columns(&source, &recolored, &append, path)?;
+    } else {
+        // A scene coloured by bytes, or not at all: the new colours are columns of their own.
+        let all: Vec<PlyColumn<'_>> = recolored.into_iter().chain(append).collect();
+        write_ply_with_columns(&source, &[], &all, path)?;
+    }
+    file_size(path)
+}
+
+/// Colours of labels; grey where there is none.
+pub fn label_colors(labels: &[i32]) -> Vec<[u8; 3]> {
+    labels
+        .iter()
+        .map(|&l| usize::try_from(l).map_or(UNLABELLED_COLOR, class_color))
+        .collect()
+}
+
+/// Classes that occur, for the legend of a preview.
+pub fn legend(labels: &[i32], names: &[String]) -> Vec<LegendEntry> {
+    let mut counts = vec![0u64; names.len()];
+    let mut unknown = 0;
+    for &l in labels {
+        match usize::try_from(l).ok().and_then(|l| counts.get_mut(l)) {
+            Some(count) => *count += 1,
+            None => unknown += 1,
+        }
+    }
+    let classes = names.iter().zip(&counts).enumerate().filter(|(_, (_, count))| **count > 0);
+    let mut out: Vec<LegendEntry> = classes
+        .map(|(i, (name, &count))| LegendEntry { name: name.clone(), color: class_color(i), count })
+        .collect();
+    if unknown > 0 {
+        out.push(LegendEntry { name: "unknown".to_owned(), color: UNLABELLED_COLOR, count: unknown });
+    }
+    out
+}
+
+/// Draws a scene in the given colours.
+///
+/// # Errors
+/// If the picture cannot be drawn or written.
+pub fn write_scene_preview(
+    scene: &GaussianScene,
+    colors: &[[u8; 3]],
+    legend: &[LegendEntry],
+    title: &str,
+    up: UpAxis,
+    path: &Path,
+) -> Result<u64> {
+    let radius: Vec<f32> = (0..scene.len())
+        .map(|row| {
+            let mut s = scene.scale(row);
+            s.sort_by(f32::total_cmp);
+            s[1]
+        })
+        .collect();
+    let opacity: Vec<f32> = (0..scene.len()).map(|row| scene.opacity(row)).collect();
+    let rows =
+        PreviewRows { coord: &scene.coord, color: colors, radius: &radius, opacity: &opacity };
+    let settings = PreviewSettings { title: title.to_owned(), up, ..PreviewSettings::default() };
+    Ok(write_preview(path, &rows, legend, &settings)?)
+}
+
+/// Which way is up, judged by the shape: rooms are flat along z; objects from image-based
+/// pipelines stand along y, which points down.
+pub fn guess_up(scene: &GaussianScene) -> UpAxis {
+    let extent: [f32; 3] = std::array::from_fn(|axis| {
+        let step = scene.len().div_ceil(50_000).max(1);
+        let mut v: Vec<f32> = scene.coord.iter().step_by(step).map(|c| c[axis]).collect();
+        v.sort_by(f32::total_cmp);
+        match v.len() {
+            0 => 0.0,
+            n => v[(n - 1) * 98 / 100] - v[(n - 1) * 2 / 100],
+        }
+    });
+    if extent[2] <= 0.8 * extent[0].max(extent[1]) && extent[1] < 1.6 * extent[0] {
+        UpAxis::PlusZ
+    } else {
+        UpAxis::MinusY
+    }
+}

@@ -1,0 +1,98 @@
+//! What a long command shows: a bar on a terminal, plain lines elsewhere; and stopping on Ctrl-C.
+
+use indicatif::{ProgressBar, ProgressStyle};
+use std::cell::RefCell;
+use std::io::IsTerminal;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::{Duration, Instant};
+
+static INTERRUPTS: AtomicU32 = AtomicU32::new(0);
+
+/// Makes Ctrl-C ask the work to stop; a second one ends the program at once.
+///
+/// # Errors
+/// If the system does not allow it.
+pub fn listen_for_interrupt() -> Result<(), ctrlc::Error> {
+    ctrlc::set_handler(|| {
+        if INTERRUPTS.fetch_add(1, Ordering::SeqCst) > 0 {
+            std::process::exit(1);
+        }
+    })
+}
+
+/// Whether the user asked to stop.
+pub fn interrupted() -> bool {
+    INTERRUPTS.load(Ordering::SeqCst) > 0
+}
+
+/// Shows the steps of a command on standard error.
+#[derive(Debug)]
+pub struct Progress {
+    quiet: bool,
+    terminal: bool,
+    bar: RefCell<Option<ProgressBar>>,
+    last_line: RefCell<(Instant, String)>,
+}
+
+/// Time between two plain lines of the same step.
+const LINE_EVERY: Duration = Duration::from_secs(10);
+
+impl Progress {
+    /// Shows nothing if `quiet`.
+    pub fn new(quiet: bool) -> Self {
+        Self {
+            quiet,
+            terminal: std::io::stderr().is_terminal(),
+            bar: RefCell::default(),
+            last_line: RefCell::new((Instant::now(), String::new())),
+        }
+    }
+
+    /// Says one line.
+    pub fn say(&self, text: impl AsRef<str>) {
+        if self.quiet {
+            return;
+        }
+        match self.bar.borrow().as_ref() {
+            Some(bar) => bar.println(text.as_ref()),
+            None => eprint_line(text.as_ref()),
+        }
+    }
+
+    /// Shows how far a step is, `done` in 0..=1.
+    pub fn advance(&self, step: &str, done: f64) {
+        if self.quiet {
+            return;
+        }
+        if self.terminal {
+            let mut bar = self.bar.borrow_mut();
+            let bar = bar.get_or_insert_with(|| {
+                let style = ProgressStyle::with_template("{msg} [{bar:32}] {percent}% {elapsed} ({eta} left)");
+                ProgressBar::new(1000)
+                    .with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> "))
+            });
+            bar.set_message(step.to_owned());
+            bar.set_position((done * 1000.0) as u64);
+            return;
+        }
+        let mut last = self.last_line.borrow_mut();
+        if last.1 != step || last.0.elapsed() >= LINE_EVERY {
+            *last = (Instant::now(), step.to_owned());
+            eprint_line(&format!("{step}: {:.0} %", done * 100.0));
+        }
+    }
+
+    /// Ends the bar of a step.
+    pub fn finish(&self) {
+        if let Some(bar) = self.bar.borrow_mut().take() {
+            bar.finish_and_clear();
+        }
+        self.last_line.borrow_mut().1.clear();
+    }
+}
+
+fn eprint_line(text: &str) {
+    use std::io::Write;
+    // A closed standard error is no reason to fail.
+    let _ = writeln!(std::io::stderr(), "{text}");
+}
