@@ -13,6 +13,7 @@ use scenesplat_scene::GaussianScene;
 use std::fs::File;
 use std::ops::Range;
 use std::path::PathBuf;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 mod slots;
 
@@ -412,11 +413,18 @@ impl SceneFeatures {
     }
 }
 
-/// A file that is removed when dropped.
+/// A file that is removed when dropped. Rows are read from several threads, and a position is
+/// shared, so each access is locked.
 #[derive(Debug)]
 struct ScratchFile {
-    file: File,
+    file: Mutex<File>,
     path: PathBuf,
+}
+
+impl ScratchFile {
+    fn lock(&self) -> MutexGuard<'_, File> {
+        self.file.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
 impl Drop for ScratchFile {

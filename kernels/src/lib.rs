@@ -7,6 +7,7 @@
 //! | module | what |
 //! |---|---|
 //! | [`grid_sample`] | which points share a voxel |
+//! | [`neighbors`] | the points nearest to a point |
 //! | [`serialization`] | space-filling-curve codes and orders |
 //! | [`patches`], [`patch_attention`] | attention inside patches of an order |
 //! | [`kernel_map`], [`sparse_conv`] | submanifold convolution |
@@ -24,6 +25,7 @@ pub mod gemm;
 pub mod grid_sample;
 pub mod kernel_map;
 pub mod layer_norm;
+pub mod neighbors;
 pub mod patch_attention;
 pub mod patches;
 pub mod permute;

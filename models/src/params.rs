@@ -1,6 +1,6 @@
 //! Named parameters and buffers, and where their first values come from.
 
-use crate::weights::WeightSource;
+use crate::weights::{Found, WeightSource};
 use candle_core::{DType, Device, Result, Shape, Tensor, Var, bail};
 use candle_nn::var_builder::SimpleBackend;
 use candle_nn::{Init, VarBuilder};
@@ -80,11 +80,28 @@ impl LoadReport {
         };
         if bad {
             bail!(
-                "{origin}: the weights do not fit the network: {self}\
-                 choose the configuration the weights were trained with, or allow a partial load"
+                "{origin}: the weights do not fit the network: {self}{}",
+                self.advice()
             );
         }
         Ok(())
+    }
+}
+
+impl LoadReport {
+    /// What most likely helps.
+    fn advice(&self) -> &'static str {
+        let turned = |network: &[usize], file: &[usize]| match *file {
+            [a, b, c, d, e] => network == [e, a, b, c, d] || network == [b, c, d, e, a],
+            _ => false,
+        };
+        if self.misshaped.iter().any(|(_, network, file)| turned(network, file)) {
+            "the file stores its convolutions in the other layout (spconv 1 or 2): choose that"
+        } else if self.matched.is_empty() && self.ignored.iter().any(|(_, o)| o.contains("pair")) {
+            "of the self-supervised pair only the other half is in the file: choose that branch"
+        } else {
+            "choose the configuration the weights were trained with, or allow a partial load"
+        }
     }
 }
 
@@ -231,17 +248,16 @@ impl SimpleBackend for ParamStore {
             return Ok(var.as_tensor().clone());
         }
         inner.requested.insert(name.to_owned(), dims.clone());
-        let found = inner.source.take(name, &dims)?;
-        let value = match found {
-            Some(t) if t.dims() == dims => {
+        let value = match inner.source.take(name, &dims)? {
+            Found::Value(t) => {
                 inner.matched.insert(name.to_owned());
                 Some(t.to_dtype(dtype)?)
             }
-            Some(t) => {
-                inner.misshaped.insert(name.to_owned(), (dims, t.dims().to_vec()));
+            Found::OtherShape(stored) => {
+                inner.misshaped.insert(name.to_owned(), (dims, stored));
                 None
             }
-            None => {
+            Found::Nothing => {
                 if !inner.source.is_empty() {
                     inner.missing.insert(name.to_owned());
                 }

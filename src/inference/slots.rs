@@ -35,7 +35,7 @@ impl SlotStore {
         options.read(true).write(true).create(true).truncate(true);
         let file = options.open(&path).map_err(spill)?;
         file.set_len((slots * width * 4) as u64).map_err(spill)?;
-        let file = ScratchFile { file, path };
+        let file = ScratchFile { file: std::sync::Mutex::new(file), path };
         Ok(Self { width, count: vec![0; slots], values: Values::File(file) })
     }
 
@@ -132,7 +132,7 @@ fn spill_error(path: &Path) -> impl Fn(io::Error) -> EncodeError + '_ {
 fn write_at(file: &ScratchFile, first: usize, values: &[f32]) -> Result<(), EncodeError> {
     let mut bytes = Vec::with_capacity(values.len() * 4);
     values.iter().for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
-    let mut handle = &file.file;
+    let mut handle = file.lock();
     handle
         .seek(SeekFrom::Start(first as u64 * 4))
         .and_then(|_| handle.write_all(&bytes))
@@ -141,7 +141,7 @@ fn write_at(file: &ScratchFile, first: usize, values: &[f32]) -> Result<(), Enco
 
 fn read_at(file: &ScratchFile, first: usize, len: usize) -> Result<Vec<f32>, EncodeError> {
     let mut bytes = vec![0u8; len * 4];
-    let mut handle = &file.file;
+    let mut handle = file.lock();
     handle
         .seek(SeekFrom::Start(first as u64 * 4))
         .and_then(|_| handle.read_exact(&mut bytes))

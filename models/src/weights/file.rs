@@ -55,6 +55,9 @@ impl WeightFile {
                 Err(e) => bail!("{}: {e}", path.display()),
             }
         }
+        if got == 0 {
+            bail!("{}: the file is empty", path.display());
+        }
         if start.starts_with(b"PK\x03\x04") {
             let pth = PthFile::open(path)?;
             let entries = pth.entries();
@@ -140,5 +143,19 @@ impl WeightFile {
             hash.update(&buffer[..n]);
         }
         Ok(hash.finalize().iter().map(|b| format!("{b:02x}")).collect())
+    }
+}
+
+/// Reads a file that holds one tensor (bare, or alone in a dictionary), as f32.
+///
+/// # Errors
+/// If the file holds no tensor or several.
+pub fn read_single_tensor(path: &Path) -> Result<Tensor> {
+    let file = WeightFile::open(path)?;
+    let names: Vec<&String> = file.entries.keys().collect();
+    match names.as_slice() {
+        [name] => file.read(name)?.to_dtype(DType::F32),
+        [] => bail!("{}: holds no tensor", path.display()),
+        many => bail!("{}: holds {} tensors, expected one: {many:?}", path.display(), many.len()),
     }
 }

@@ -3,11 +3,13 @@
 mod file;
 mod folder;
 mod hash_init;
+mod pickle;
 mod pth;
 mod source;
 
-pub use file::{TensorEntry, WeightFile};
+pub use file::{TensorEntry, WeightFile, read_single_tensor};
 pub use folder::{ModelFolder, resolve};
 pub use hash_init::{hashed_parameter, name_hash, unit};
-pub use pth::{PickleValue, read_single_tensor, summarize};
+pub use pth::{PickleValue, summarize};
+pub(crate) use source::Found;
 pub use source::{SourceOptions, WeightSource};

@@ -1,26 +1,32 @@
 //! PyTorch checkpoints: a zip archive with a pickled description and raw storages.
 //!
-//! Only data are read: no class of the pickle is ever run. The pickle machine is candle's; its
-//! result is taken apart here without trusting any of it.
+//! Only data are read: no class of the pickle is ever run.
 
 use super::TensorEntry;
-use candle_core::pickle::{Object, Stack};
+use super::pickle::{Pickle, Ref, Value};
 use candle_core::{DType, Device, Result, Tensor, bail};
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufReader, Cursor, Read};
-use std::path::{Path, PathBuf};
+use std::io::{BufReader, Read};
+use std::path::Path;
+use std::sync::{Mutex, PoisonError};
 use zip::ZipArchive;
+use zip::read::ZipReadOptions;
 
 /// Keys under which trainers keep the weights, in the order they are looked for.
 const STATE_KEYS: [&str; 4] = ["state_dict", "model_state_dict", "model", "network"];
 /// A pickle larger than this is no description of tensors.
-const MAX_PICKLE: u64 = 256 << 20;
+const MAX_PICKLE: u64 = 64 << 20;
+/// Sizes in a file are only claims: more memory than this is taken as data arrive.
+const FIRST_READ: usize = 1 << 20;
+
+type Archive = ZipArchive<BufReader<File>>;
 
 #[derive(Debug, Clone)]
 struct Info {
     storage: String,
-    dtype: DType,
+    /// Or the name of a storage type that has no counterpart.
+    dtype: std::result::Result<DType, String>,
     shape: Vec<usize>,
     stride: Vec<usize>,
     offset: usize,
@@ -29,7 +35,7 @@ struct Info {
 /// An opened checkpoint.
 #[derive(Debug)]
 pub(super) struct PthFile {
-    path: PathBuf,
+    archive: Mutex<Archive>,
     tensors: BTreeMap<String, Info>,
     skipped: Vec<String>,
 }
@@ -53,157 +59,175 @@ pub enum PickleValue {
     Other(String),
 }
 
-fn archive(path: &Path) -> Result<ZipArchive<BufReader<File>>> {
-    let file = File::open(path).map_err(|e| message(path, &e))?;
-    ZipArchive::new(BufReader::new(file)).map_err(|e| message(path, &e))
-}
-
 fn message(path: &Path, e: &dyn std::fmt::Display) -> candle_core::Error {
     candle_core::Error::Msg(format!("{}: {e}", path.display()))
 }
 
-/// Parses the pickle; returns the folder inside the archive too.
-fn unpickle(path: &Path) -> Result<(String, Object)> {
-    let mut zip = archive(path)?;
-    let mut names = Vec::new();
-    for i in 0..zip.len() {
-        names.push(zip.by_index(i).map_err(|e| message(path, &e))?.name().map_err(|e| message(path, &e))?.into_owned());
+/// Reads up to `limit` bytes of an entry after `skip`, and the rest for its checksum alone.
+fn read_entry(zip: &mut Archive, name: &str, skip: u64, limit: u64) -> Result<Vec<u8>> {
+    let missing = || candle_core::Error::Msg(format!("the archive has no {name}"));
+    let index = zip.index_for_name(name).ok_or_else(missing)?;
+    let zip_error = |e: zip::result::ZipError| candle_core::Error::Msg(format!("{name}: {e}"));
+    let io_error = |e: std::io::Error| candle_core::Error::Msg(format!("{name}: {e}"));
+    // PyTorch can be told to write no checksums; it then writes zero.
+    let unchecked = zip.by_index(index).map_err(zip_error)?.crc32() == 0;
+    let options = ZipReadOptions::new().ignore_crc32(unchecked);
+    let mut entry = zip.by_index_with_options(index, options).map_err(zip_error)?;
+    let claimed = entry.size().saturating_sub(skip).min(limit) as usize;
+    std::io::copy(&mut entry.by_ref().take(skip), &mut std::io::sink()).map_err(io_error)?;
+    let mut bytes = Vec::with_capacity(claimed.min(FIRST_READ));
+    entry.by_ref().take(limit).read_to_end(&mut bytes).map_err(io_error)?;
+    // The checksum is compared at the end of the entry.
+    std::io::copy(&mut entry, &mut std::io::sink()).map_err(io_error)?;
+    Ok(bytes)
+}
+
+/// A checkpoint's archive, the folder inside it, and its description.
+fn unpickle(path: &Path) -> Result<(Archive, String, Pickle)> {
+    let file = File::open(path).map_err(|e| message(path, &e))?;
+    let mut zip = ZipArchive::new(BufReader::new(file)).map_err(|e| message(path, &e))?;
+    let mut description = None;
+    for name in zip.file_names() {
+        let name = name.map_err(|e| message(path, &e))?;
+        if name == "data.pkl" || name.ends_with("/data.pkl") {
+            description = Some(name.into_owned());
+            break;
+        }
     }
-    let Some(name) = names.iter().find(|n| n.as_str() == "data.pkl" || n.ends_with("/data.pkl")) else {
+    let Some(name) = description else {
         bail!("{}: a zip archive without data.pkl is no PyTorch checkpoint", path.display());
     };
     let folder = name.strip_suffix("data.pkl").unwrap_or_default().to_owned();
     let order = format!("{folder}byteorder");
-    if names.contains(&order) {
-        let mut text = String::new();
-        let entry = zip.by_name(&order).map_err(|e| message(path, &e))?;
-        entry.take(16).read_to_string(&mut text)?;
-        if text.trim() != "little" {
+    if zip.index_for_name(&order).is_some() {
+        let text = read_entry(&mut zip, &order, 0, 16).map_err(|e| message(path, &e))?;
+        if text.trim_ascii() != b"little" {
+            let text = String::from_utf8_lossy(&text);
             bail!("{}: byte order {text:?}; only little-endian checkpoints are read", path.display());
         }
     }
-    let mut bytes = Vec::new();
-    let entry = zip.by_name(name).map_err(|e| message(path, &e))?;
-    entry.take(MAX_PICKLE + 1).read_to_end(&mut bytes).map_err(|e| message(path, &e))?;
+    let bytes = read_entry(&mut zip, &name, 0, MAX_PICKLE + 1).map_err(|e| message(path, &e))?;
     if bytes.len() as u64 > MAX_PICKLE {
         bail!("{}: data.pkl is larger than {} MiB", path.display(), MAX_PICKLE >> 20);
     }
-    // The parser belongs to another crate; a panic in it on a hostile file must stay an error.
-    let parsed = std::panic::catch_unwind(|| {
-        let mut stack = Stack::empty();
-        stack.read_loop(&mut Cursor::new(&bytes))?;
-        stack.finalize()
-    });
-    match parsed {
-        Ok(object) => Ok((folder, object.map_err(|e| message(path, &e))?)),
-        Err(_) => bail!("{}: data.pkl is damaged", path.display()),
-    }
+    let pickle = Pickle::parse(&bytes).map_err(|e| message(path, &e))?;
+    Ok((zip, folder, pickle))
 }
 
-/// Whether a class is one of the ways to write a tensor; gives its arguments.
-fn tensor_args(object: &Object) -> Option<&[Object]> {
-    let Object::Reduce { callable, args } = object else { return None };
-    let (Object::Class { module_name, class_name }, Object::Tuple(args)) = (&**callable, &**args)
-    else {
-        return None;
-    };
-    match (module_name.as_str(), class_name.as_str()) {
-        ("torch._utils", "_rebuild_tensor_v2") => Some(args),
-        ("torch._utils", "_rebuild_parameter") => tensor_args(args.first()?),
-        ("torch._tensor", "_rebuild_from_type_v2") => match args.get(2)? {
-            Object::Tuple(inner) => Some(inner),
-            _ => None,
-        },
-        _ => None,
-    }
-}
-
-fn index(object: &Object) -> Option<usize> {
-    match object {
-        Object::Int(v) => usize::try_from(*v).ok(),
-        Object::Long(v) => usize::try_from(*v).ok(),
-        _ => None,
-    }
-}
-
-fn indices(object: &Object) -> Option<Vec<usize>> {
-    match object {
-        Object::Tuple(items) => items.iter().map(index).collect(),
-        _ => None,
-    }
-}
-
-fn tensor_info(object: &Object, folder: &str) -> Option<std::result::Result<Info, String>> {
-    let args = tensor_args(object)?;
-    let read = || -> Option<std::result::Result<Info, String>> {
-        let Object::PersistentLoad(storage) = args.first()? else { return None };
-        let Object::Tuple(storage) = &**storage else { return None };
-        let (Object::Class { class_name, .. }, Object::Unicode(key)) =
-            (storage.get(1)?, storage.get(2)?)
+/// The arguments of the call that makes a plain tensor, if this is one.
+fn tensor_args(pickle: &Pickle, value: Ref) -> Option<&[Ref]> {
+    let Value::Call { function, args } = pickle.get(value) else { return None };
+    let (mut function, mut args) = (*function, *args);
+    // A parameter of a tensor subclass is wrapped twice.
+    for _ in 0..4 {
+        let (Value::Global(name), Value::Tuple(given)) = (pickle.get(function), pickle.get(args))
         else {
             return None;
         };
-        let dtype = match class_name.as_str() {
-            "FloatStorage" => DType::F32,
-            "DoubleStorage" => DType::F64,
-            "HalfStorage" => DType::F16,
-            "BFloat16Storage" => DType::BF16,
-            "LongStorage" => DType::I64,
-            "ByteStorage" => DType::U8,
-            other => return Some(Err(format!("storage type {other} is not supported"))),
+        match name.as_str() {
+            "torch._utils._rebuild_tensor_v2" => return Some(given),
+            "torch._utils._rebuild_parameter" | "torch._utils._rebuild_parameter_with_state" => {
+                let Value::Call { function: f, args: a } = pickle.get(*given.first()?) else {
+                    return None;
+                };
+                (function, args) = (*f, *a);
+            }
+            "torch._tensor._rebuild_from_type_v2" => (function, args) = (*given.first()?, *given.get(2)?),
+            _ => return None,
+        }
+    }
+    None
+}
+
+fn index(pickle: &Pickle, value: Ref) -> Option<usize> {
+    match pickle.get(value) {
+        Value::Int(v) => usize::try_from(*v).ok(),
+        _ => None,
+    }
+}
+
+fn indices(pickle: &Pickle, value: Ref) -> Option<Vec<usize>> {
+    match pickle.get(value) {
+        Value::Tuple(items) => items.iter().map(|i| index(pickle, *i)).collect(),
+        _ => None,
+    }
+}
+
+/// `None` if the value is no tensor, an error if it is a malformed one.
+fn tensor_info(pickle: &Pickle, value: Ref, folder: &str) -> Option<Result<Info>> {
+    let args = tensor_args(pickle, value)?;
+    let read = || {
+        let Value::External(storage) = pickle.get(*args.first()?) else { return None };
+        let Value::Tuple(storage) = pickle.get(*storage) else { return None };
+        let Value::Global(class) = pickle.get(*storage.get(1)?) else { return None };
+        let key = pickle.text(*storage.get(2)?)?;
+        let class = class.rsplit('.').next().unwrap_or_default();
+        let dtype = match class {
+            "FloatStorage" => Ok(DType::F32),
+            "DoubleStorage" => Ok(DType::F64),
+            "HalfStorage" => Ok(DType::F16),
+            "BFloat16Storage" => Ok(DType::BF16),
+            "LongStorage" => Ok(DType::I64),
+            "IntStorage" => Ok(DType::I32),
+            "ShortStorage" => Ok(DType::I16),
+            "ByteStorage" | "BoolStorage" => Ok(DType::U8),
+            other => Err(other.to_owned()),
         };
-        let (offset, shape, stride) =
-            (index(args.get(1)?)?, indices(args.get(2)?)?, indices(args.get(3)?)?);
+        let offset = index(pickle, *args.get(1)?)?;
+        let (shape, stride) = (indices(pickle, *args.get(2)?)?, indices(pickle, *args.get(3)?)?);
         if shape.len() != stride.len() {
             return None;
         }
-        Some(Ok(Info { storage: format!("{folder}data/{key}"), dtype, shape, stride, offset }))
+        // Readers multiply dimensions without a check.
+        shape.iter().try_fold(1usize, |n, d| n.checked_mul(*d))?.checked_mul(8)?;
+        Some(Info { storage: format!("{folder}data/{key}"), dtype, shape, stride, offset })
     };
-    Some(read().unwrap_or_else(|| Err("malformed tensor description".to_owned())))
+    Some(read().ok_or_else(|| candle_core::Error::Msg("malformed tensor description".to_owned())))
 }
 
 impl PthFile {
     pub(super) fn open(path: &Path) -> Result<Self> {
-        let (folder, root) = unpickle(path)?;
-        let mut out = Self { path: path.to_owned(), tensors: BTreeMap::new(), skipped: Vec::new() };
-        let Object::Dict(top) = root else {
-            let Some(info) = tensor_info(&root, &folder) else {
-                bail!("{}: holds neither a dictionary nor a tensor", path.display());
+        let (archive, folder, pickle) = unpickle(path)?;
+        let (mut tensors, mut skipped) = (BTreeMap::new(), Vec::new());
+        let malformed =
+            |name: &str, e| candle_core::Error::Msg(format!("{}: {name}: {e}", path.display()));
+        let Value::Dict(top) = pickle.root() else {
+            let root = pickle.root_ref();
+            let Some(info) = tensor_info(&pickle, root, &folder) else {
+                bail!(
+                    "{}: holds neither a dictionary nor a tensor; a whole pickled module cannot be \
+                     read: save its state_dict()",
+                    path.display()
+                );
             };
-            out.tensors.insert(String::new(), info.map_err(|e| message(path, &e))?);
-            return Ok(out);
+            tensors.insert(String::new(), info.map_err(|e| malformed("the tensor", e))?);
+            return Ok(Self { archive: Mutex::new(archive), tensors, skipped });
         };
-        let state = STATE_KEYS.iter().find(|key| {
-            top.iter().any(|(k, v)| matches!((k, v), (Object::Unicode(k), Object::Dict(_)) if k == *key))
+        let state = STATE_KEYS.iter().find_map(|wanted| {
+            top.iter().find_map(|(key, value)| match pickle.get(*value) {
+                Value::Dict(state) if pickle.text(*key) == Some(wanted) => Some((*key, state)),
+                _ => None,
+            })
         });
         let entries = match state {
             None => top,
-            Some(key) => {
-                let mut state = Vec::new();
-                for (k, v) in top {
-                    match (k, v) {
-                        (Object::Unicode(k), Object::Dict(d)) if k == **key => state = d,
-                        (Object::Unicode(k), _) => out.skipped.push(k),
-                        (k, _) => out.skipped.push(format!("{k:?}")),
-                    }
-                }
+            Some((chosen, state)) => {
+                let others = top.iter().filter(|(key, _)| *key != chosen);
+                skipped.extend(others.map(|(key, _)| pickle.key(*key)));
                 state
             }
         };
         for (key, value) in entries {
-            let Object::Unicode(name) = key else {
-                out.skipped.push(format!("{key:?}"));
-                continue;
-            };
-            match tensor_info(&value, &folder) {
-                Some(Ok(info)) => {
-                    out.tensors.insert(name, info);
+            let name = pickle.key(*key);
+            match tensor_info(&pickle, *value, &folder) {
+                Some(info) if pickle.text(*key).is_some() => {
+                    let info = info.map_err(|e| malformed(&name, e))?;
+                    tensors.insert(name, info);
                 }
-                Some(Err(e)) => bail!("{}: {name}: {e}", path.display()),
-                None => out.skipped.push(name),
+                _ => skipped.push(name),
             }
         }
-        Ok(out)
+        Ok(Self { archive: Mutex::new(archive), tensors, skipped })
     }
 
     pub(super) fn entries(&self) -> BTreeMap<String, TensorEntry> {
@@ -218,39 +242,47 @@ impl PthFile {
         let Some(info) = self.tensors.get(name) else {
             bail!("no such tensor");
         };
-        let size = info.dtype.size_in_bytes();
+        let dtype = match &info.dtype {
+            Ok(dtype) => *dtype,
+            Err(class) => bail!("storage type {class} is not supported"),
+        };
+        let size = dtype.size_in_bytes();
         let too_large = || candle_core::Error::Msg("dimensions are too large".to_owned());
-        let count = info.shape.iter().try_fold(1usize, |n, d| n.checked_mul(*d)).ok_or_else(too_large)?;
-        // The last element that the strides reach.
-        let mut last = info.offset;
+        let count: usize = info.shape.iter().product();
+        // Elements from the first to the last that the strides reach.
+        let mut reach = 1usize;
         for (d, s) in info.shape.iter().zip(&info.stride) {
             let step = d.saturating_sub(1).checked_mul(*s).ok_or_else(too_large)?;
-            last = last.checked_add(step).ok_or_else(too_large)?;
+            reach = reach.checked_add(step).ok_or_else(too_large)?;
         }
-        let needed = if count == 0 { 0 } else { last.checked_add(1).ok_or_else(too_large)? };
-        let bytes_needed = needed.checked_mul(size).ok_or_else(too_large)?;
-        let mut zip = archive(&self.path)?;
-        let entry = zip.by_name(&info.storage).map_err(|e| message(&self.path, &e))?;
-        // An expanded tensor (stride 0) may have more elements than its storage; real weights do not.
-        if entry.size() < bytes_needed as u64 || count > entry.size() as usize / size {
+        if count == 0 {
+            return Tensor::zeros(info.shape.as_slice(), dtype, &Device::Cpu);
+        }
+        if count > reach {
             bail!(
-                "{} holds {} bytes, {:?} {:?} needs {bytes_needed}",
-                info.storage,
-                entry.size(),
-                info.shape,
-                info.dtype
+                "expanded: {count} values share {reach} stored ones; save a contiguous copy of it"
             );
         }
-        let mut bytes = Vec::with_capacity(bytes_needed);
-        entry.take(bytes_needed as u64).read_to_end(&mut bytes)?;
-        if bytes.len() < bytes_needed {
-            bail!("{} is cut off: {} of {bytes_needed} bytes", info.storage, bytes.len());
+        let needed = reach.checked_mul(size).ok_or_else(too_large)?;
+        let skip = info.offset.checked_mul(size).ok_or_else(too_large)?;
+        let mut archive = self.archive.lock().unwrap_or_else(PoisonError::into_inner);
+        let bytes = read_entry(&mut archive, &info.storage, skip as u64, needed as u64)?;
+        drop(archive);
+        if bytes.len() < needed {
+            bail!(
+                "{} has {} bytes from byte {skip}, {:?} {dtype:?} needs {needed}",
+                info.storage,
+                bytes.len(),
+                info.shape
+            );
+        }
+        if info.is_contiguous() {
+            return Tensor::from_raw_buffer(&bytes, dtype, &info.shape, &Device::Cpu);
         }
         let mut dense = Vec::with_capacity(count * size);
         let mut at = vec![0usize; info.shape.len()];
         for _ in 0..count {
-            let element =
-                info.offset + at.iter().zip(&info.stride).map(|(i, s)| i * s).sum::<usize>();
+            let element = at.iter().zip(&info.stride).map(|(i, s)| i * s).sum::<usize>();
             dense.extend_from_slice(&bytes[element * size..(element + 1) * size]);
             for d in (0..at.len()).rev() {
                 at[d] += 1;
@@ -260,27 +292,28 @@ impl PthFile {
                 at[d] = 0;
             }
         }
-        Tensor::from_raw_buffer(&dense, info.dtype, &info.shape, &Device::Cpu)
+        Tensor::from_raw_buffer(&dense, dtype, &info.shape, &Device::Cpu)
     }
 }
 
 impl Info {
     fn entry(&self) -> TensorEntry {
-        TensorEntry { shape: self.shape.clone(), dtype: self.dtype.as_str().to_owned() }
+        let dtype = match &self.dtype {
+            Ok(dtype) => dtype.as_str().to_owned(),
+            Err(class) => class.clone(),
+        };
+        TensorEntry { shape: self.shape.clone(), dtype }
     }
-}
 
-/// Reads a `.pt` file that holds one tensor (bare, or alone in a dictionary), as f32.
-///
-/// # Errors
-/// If the file holds no tensor or several.
-pub fn read_single_tensor(path: &Path) -> Result<Tensor> {
-    let file = PthFile::open(path)?;
-    let names: Vec<&String> = file.tensors.keys().collect();
-    match names.as_slice() {
-        [name] => file.read(name)?.to_dtype(DType::F32),
-        [] => bail!("{}: holds no tensor", path.display()),
-        many => bail!("{}: holds {} tensors, expected one: {many:?}", path.display(), many.len()),
+    fn is_contiguous(&self) -> bool {
+        let mut expected = 1;
+        for (d, s) in self.shape.iter().zip(&self.stride).rev() {
+            if *d != 1 && *s != expected {
+                return false;
+            }
+            expected *= d;
+        }
+        true
     }
 }
 
@@ -289,37 +322,30 @@ pub fn read_single_tensor(path: &Path) -> Result<Tensor> {
 /// # Errors
 /// If the file is no checkpoint.
 pub fn summarize(path: &Path) -> Result<BTreeMap<String, PickleValue>> {
-    let (folder, root) = unpickle(path)?;
-    let value = |v: &Object| match v {
-        v if tensor_args(v).is_some() => match tensor_info(v, &folder) {
+    let (_, folder, pickle) = unpickle(path)?;
+    let value = |at: Ref| match pickle.get(at) {
+        Value::Call { .. } => match tensor_info(&pickle, at, &folder) {
             Some(Ok(info)) => PickleValue::Tensor(info.entry()),
-            _ => PickleValue::Other("tensor".to_owned()),
+            Some(Err(_)) => PickleValue::Other("tensor".to_owned()),
+            None => PickleValue::Other("object".to_owned()),
         },
-        Object::Dict(d) => PickleValue::Dict {
+        Value::Dict(d) => PickleValue::Dict {
             entries: d.len(),
-            tensors: d.iter().filter(|(_, v)| tensor_args(v).is_some()).count(),
+            tensors: d.iter().filter(|(_, v)| tensor_args(&pickle, *v).is_some()).count(),
         },
-        Object::Int(v) => PickleValue::Scalar(v.to_string()),
-        Object::Long(v) => PickleValue::Scalar(v.to_string()),
-        Object::Float(v) => PickleValue::Scalar(v.to_string()),
-        Object::Bool(v) => PickleValue::Scalar(v.to_string()),
-        Object::Unicode(v) => PickleValue::Scalar(v.chars().take(80).collect()),
-        Object::None => PickleValue::Scalar("none".to_owned()),
-        Object::List(v) => PickleValue::Other(format!("list of {}", v.len())),
-        Object::Tuple(v) => PickleValue::Other(format!("tuple of {}", v.len())),
+        Value::Int(v) => PickleValue::Scalar(v.to_string()),
+        Value::Float(v) => PickleValue::Scalar(v.to_string()),
+        Value::Bool(v) => PickleValue::Scalar(v.to_string()),
+        Value::Text(v) => PickleValue::Scalar(v.chars().take(80).collect()),
+        Value::None => PickleValue::Scalar("none".to_owned()),
+        Value::List(v) => PickleValue::Other(format!("list of {}", v.len())),
+        Value::Tuple(v) => PickleValue::Other(format!("tuple of {}", v.len())),
         _ => PickleValue::Other("object".to_owned()),
     };
-    Ok(match &root {
-        Object::Dict(entries) => entries
-            .iter()
-            .map(|(k, v)| {
-                let key = match k {
-                    Object::Unicode(k) => k.clone(),
-                    k => format!("{k:?}"),
-                };
-                (key, value(v))
-            })
-            .collect(),
-        other => [(String::new(), value(other))].into(),
+    Ok(match pickle.root() {
+        Value::Dict(entries) => {
+            entries.iter().map(|(k, v)| (pickle.key(*k), value(*v))).collect()
+        }
+        _ => [(String::new(), value(pickle.root_ref()))].into(),
     })
 }

@@ -14,8 +14,21 @@ pub struct WeightSource(Kind);
 enum Kind {
     Empty,
     Hashed { seed: u64, prefix: String },
-    Files { entries: BTreeMap<String, (usize, String)>, files: Arc<Vec<WeightFile>>, ignored: Vec<(String, String)>, layout: ConvLayout },
+    Files {
+        entries: BTreeMap<String, (usize, String)>,
+        files: Arc<Vec<WeightFile>>,
+        ignored: Vec<(String, String)>,
+        layout: ConvLayout,
+    },
     Tensors(BTreeMap<String, Tensor>),
+}
+
+/// Answer of [`WeightSource::take`].
+pub(crate) enum Found {
+    Nothing,
+    Value(Tensor),
+    /// It is there with these dimensions.
+    OtherShape(Vec<usize>),
 }
 
 /// Choices in reading a checkpoint.
@@ -89,10 +102,10 @@ impl WeightSource {
         }
     }
 
-    /// The value of a name; its shape may differ from the one asked for.
-    pub(crate) fn take(&self, name: &str, shape: &[usize]) -> Result<Option<Tensor>> {
+    /// The value of a name, read only if its shape is the one asked for.
+    pub(crate) fn take(&self, name: &str, shape: &[usize]) -> Result<Found> {
         match &self.0 {
-            Kind::Empty => Ok(None),
+            Kind::Empty => Ok(Found::Nothing),
             Kind::Hashed { seed, prefix } => {
                 // Heads stand beside the backbone, not inside it.
                 let full = if name.starts_with("seg_head.") {
@@ -100,18 +113,31 @@ impl WeightSource {
                 } else {
                     format!("{prefix}{name}")
                 };
-                hashed_parameter(&full, shape, *seed).map(Some)
+                hashed_parameter(&full, shape, *seed).map(Found::Value)
             }
-            Kind::Tensors(tensors) => Ok(tensors.get(name).cloned()),
+            Kind::Tensors(tensors) => Ok(match tensors.get(name) {
+                None => Found::Nothing,
+                Some(t) if t.dims() == shape => Found::Value(t.clone()),
+                Some(t) => Found::OtherShape(t.dims().to_vec()),
+            }),
             Kind::Files { entries, files, layout, .. } => {
-                let Some((file, original)) = entries.get(name) else { return Ok(None) };
-                let value = files[*file].read(original)?;
+                let Some((file, original)) = entries.get(name) else { return Ok(Found::Nothing) };
+                let file = &files[*file];
+                let stored = file.entries().get(original).map_or(&[][..], |e| &e.shape);
+                let swap = *layout == ConvLayout::KernelInOut && stored.len() == 5;
+                let stored = if swap {
+                    [4, 0, 1, 2, 3].map(|d| stored[d]).to_vec()
+                } else {
+                    stored.to_vec()
+                };
                 // Some exports keep single values as [1].
-                let value = if shape.is_empty() && value.dims() == [1] { value.squeeze(0)? } else { value };
-                if *layout == ConvLayout::KernelInOut && value.rank() == 5 {
-                    return value.permute((4, 0, 1, 2, 3))?.contiguous().map(Some);
+                let single = shape.is_empty() && stored == [1];
+                if stored != shape && !single {
+                    return Ok(Found::OtherShape(stored));
                 }
-                Ok(Some(value))
+                let value = file.read(original)?;
+                let value = if swap { value.permute((4, 0, 1, 2, 3))? } else { value };
+                value.contiguous()?.reshape(shape).map(Found::Value)
             }
         }
     }

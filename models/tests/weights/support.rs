@@ -1,0 +1,97 @@
+//! The network the files fit, and what its values are.
+
+use candle_core::{Device, Tensor};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use scenesplat_models::weights::{SourceOptions, WeightFile, WeightSource, unit};
+use scenesplat_models::{
+    Backbone, Forward, LanguageModel, ParamStore, PointCloud, PointTransformerV3Config,
+    SemanticSegmenter,
+};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+pub const SEED: u64 = 7;
+pub const STUDENT_SEED: u64 = 8;
+
+pub fn data(file: &str) -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(file)
+}
+
+pub fn config() -> PointTransformerV3Config {
+    let text = std::fs::read_to_string(data("hub/config.json")).unwrap();
+    serde_json::from_str(&text).unwrap()
+}
+
+pub fn with_head() -> PointTransformerV3Config {
+    PointTransformerV3Config { num_classes: Some(3), ..config() }
+}
+
+/// 60 voxels of one scene.
+pub fn points() -> PointCloud {
+    let cells: Vec<[i32; 3]> = (0..60).map(|i| [i % 5, i / 5 % 4, i / 20]).collect();
+    let feat = Tensor::from_vec(unit("feat", 120, 1), (60, 2), &Device::Cpu).unwrap();
+    PointCloud::single(cells, feat).unwrap()
+}
+
+pub fn network(config: &PointTransformerV3Config, store: &ParamStore) -> Box<dyn Backbone> {
+    match config.num_classes {
+        None => Box::new(LanguageModel::new(config, store.builder()).unwrap()),
+        Some(_) => Box::new(SemanticSegmenter::new(config, store.builder()).unwrap()),
+    }
+}
+
+pub fn bits(t: &Tensor) -> Vec<u32> {
+    let values = t.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+    values.into_iter().map(f32::to_bits).collect()
+}
+
+pub fn features(network: &dyn Backbone) -> Tensor {
+    let mut rng = ChaCha8Rng::seed_from_u64(0);
+    network.forward(&points(), &mut Forward::eval(&mut rng)).unwrap()
+}
+
+pub fn source(file: &str, options: SourceOptions) -> WeightSource {
+    WeightSource::files(vec![WeightFile::open(&data(file)).unwrap()], options).unwrap()
+}
+
+/// All values of a store, as bits; integers as they are.
+pub fn values(store: &ParamStore) -> BTreeMap<String, Vec<u64>> {
+    let all = store.parameters().into_iter().chain(store.buffers());
+    all.map(|(name, var)| {
+        let t = var.as_tensor().flatten_all().unwrap();
+        let values = if t.dtype().is_int() {
+            t.to_vec1::<i64>().unwrap().into_iter().map(|v| v as u64).collect()
+        } else {
+            bits(&t).into_iter().map(u64::from).collect()
+        };
+        (name, values)
+    })
+    .collect()
+}
+
+/// A trainable store that a network was built from, and the network.
+pub fn built(
+    config: &PointTransformerV3Config,
+    source: WeightSource,
+) -> (ParamStore, Box<dyn Backbone>) {
+    let store = ParamStore::trainable_from(source, 0);
+    let network = network(config, &store);
+    (store, network)
+}
+
+/// Checks that a source gives what the hash gives, in values and in features, packed or not.
+pub fn assert_hashed(
+    config: &PointTransformerV3Config,
+    source: &WeightSource,
+    seed: u64,
+    prefix: &str,
+) {
+    let hashed = WeightSource::hashed(seed, prefix);
+    let (store, from_file) = built(config, source.clone());
+    let (expected, from_hash) = built(config, hashed.clone());
+    assert_eq!(values(&store), values(&expected));
+    assert_eq!(bits(&features(&*from_file)), bits(&features(&*from_hash)));
+    let frozen = |s: &WeightSource| network(config, &ParamStore::frozen(s.clone()));
+    assert_eq!(bits(&features(&*frozen(source))), bits(&features(&*frozen(&hashed))));
+}
