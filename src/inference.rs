@@ -171,10 +171,13 @@ impl<'a> SceneEncoder<'a> {
         let grid_size = self.grid_size;
         let plan = match self.fidelity {
             Fidelity::Fast => FastPlan { grid_size, features }.build(scene)?,
-            Fidelity::Exact => {
-                ExactPlan { grid_size, sample_size: grid_size / 2.0, features, ..ExactPlan::default() }
-                    .build(scene)?
+            Fidelity::Exact => ExactPlan {
+                grid_size,
+                sample_size: grid_size / 2.0,
+                features,
+                ..ExactPlan::default()
             }
+            .build(scene)?,
         };
         if plan.num_inputs() == 0 {
             return Err(EncodeError::Setting("the scene has no Gaussian".to_owned()));
@@ -252,8 +255,7 @@ impl<'a> SceneEncoder<'a> {
         let feat = Tensor::from_slice(&input.feat, (n, input.channels), &Device::Cpu)?;
         let points = PointCloud::single(input.grid_coord.clone(), feat)?;
         let mut rng = ChaCha8Rng::seed_from_u64(self.shuffle_orders.unwrap_or(0));
-        let orders =
-            if self.shuffle_orders.is_some() { Orders::Shuffled } else { Orders::Listed };
+        let orders = if self.shuffle_orders.is_some() { Orders::Shuffled } else { Orders::Listed };
         let costs = block_costs(self.network);
         let total: f64 = costs.iter().map(|(_, c)| c).sum();
         let mut done = 0.0;

@@ -25,8 +25,10 @@ impl FromStr for Bytes {
             "gib" => 1024f64.powi(3),
             _ => return Err(format!("{unit:?} is no unit of memory; write 8GB, 512MB or 4GiB")),
         };
-        let number: f64 =
-            digits.trim().parse().map_err(|_| format!("{text:?} is no amount; write 8GB or 512MB"))?;
+        let number: f64 = digits
+            .trim()
+            .parse()
+            .map_err(|_| format!("{text:?} is no amount; write 8GB or 512MB"))?;
         if !(number.is_finite() && number > 0.0) {
             return Err(format!("{text:?} must be above 0"));
         }

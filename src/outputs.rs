@@ -252,10 +252,7 @@ pub fn write_colored_ply(
 
 /// Colours of labels; grey where there is none.
 pub fn label_colors(labels: &[i32]) -> Vec<[u8; 3]> {
-    labels
-        .iter()
-        .map(|&l| usize::try_from(l).map_or(UNLABELLED_COLOR, class_color))
-        .collect()
+    labels.iter().map(|&l| usize::try_from(l).map_or(UNLABELLED_COLOR, class_color)).collect()
 }
 
 /// Classes that occur, for the legend of a preview.
@@ -273,7 +270,11 @@ pub fn legend(labels: &[i32], names: &[String]) -> Vec<LegendEntry> {
         .map(|(i, (name, &count))| LegendEntry { name: name.clone(), color: class_color(i), count })
         .collect();
     if unknown > 0 {
-        out.push(LegendEntry { name: "unknown".to_owned(), color: UNLABELLED_COLOR, count: unknown });
+        out.push(LegendEntry {
+            name: "unknown".to_owned(),
+            color: UNLABELLED_COLOR,
+            count: unknown,
+        });
     }
     out
 }

@@ -67,9 +67,12 @@ impl Progress {
         if self.terminal {
             let mut bar = self.bar.borrow_mut();
             let bar = bar.get_or_insert_with(|| {
-                let style = ProgressStyle::with_template("{msg} [{bar:32}] {percent}% {elapsed} ({eta} left)");
-                ProgressBar::new(1000)
-                    .with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> "))
+                let style = ProgressStyle::with_template(
+                    "{msg} [{bar:32}] {percent}% {elapsed} ({eta} left)",
+                );
+                ProgressBar::new(1000).with_style(
+                    style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> "),
+                )
             });
             bar.set_message(step.to_owned());
             bar.set_position((done * 1000.0) as u64);

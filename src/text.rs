@@ -39,7 +39,9 @@ pub fn read_text_table(path: &Path, names: Option<&Path>) -> anyhow::Result<Text
 ///
 /// # Errors
 /// If a row is not usable.
-pub fn metric_table(text: &TextTable) -> Result<scenesplat_metrics::TextTable, scenesplat_metrics::MetricError> {
+pub fn metric_table(
+    text: &TextTable,
+) -> Result<scenesplat_metrics::TextTable, scenesplat_metrics::MetricError> {
     scenesplat_metrics::TextTable::new(&text.values, text.dim)
 }
 

@@ -11,7 +11,8 @@ const LOG2_E: f32 = std::f32::consts::LOG2_E;
 const LN2_HIGH: f32 = 0.693_359_4;
 const LN2_LOW: f32 = -2.121_944_4e-4;
 /// `(eʳ − 1 − r) / r²` for |r| ≤ ln 2 / 2, lowest power first.
-const EXP_POLY: [f32; 5] = [0.499_999_94, 0.166_665_21, 0.041_668_39, 0.008_368_717, 0.001_381_459_9];
+const EXP_POLY: [f32; 5] =
+    [0.499_999_94, 0.166_665_21, 0.041_668_39, 0.008_368_717, 0.001_381_459_9];
 /// Scale of the variable `t = 1 / (1 + 0.33·|x|)` in which the tail of the normal law is fitted.
 const TAIL_SCALE: f32 = 0.33;
 /// `Φ(−|x|) · e^(x²/2)` in powers t¹..t⁹, |x| ≤ 14.5, lowest first.

@@ -93,12 +93,13 @@ pub fn backward(
 ) -> (Vec<f32>, Vec<f32>) {
     let c = weight.len();
     let n = (x.len() / c.max(1)).max(1) as f64;
-    let dw = column_sums(x, grad, c, |j, v, g| {
-        f64::from(g) * (f64::from(v) - mean[j]) * inverse[j]
-    });
+    let dw =
+        column_sums(x, grad, c, |j, v, g| f64::from(g) * (f64::from(v) - mean[j]) * inverse[j]);
     let db = column_sums(x, grad, c, |_, _, g| f64::from(g));
-    dx.par_chunks_mut(BLOCK * c).zip(x.par_chunks(BLOCK * c)).zip(grad.par_chunks(BLOCK * c)).for_each(
-        |((dx, x), grad)| {
+    dx.par_chunks_mut(BLOCK * c)
+        .zip(x.par_chunks(BLOCK * c))
+        .zip(grad.par_chunks(BLOCK * c))
+        .for_each(|((dx, x), grad)| {
             let rows = x.chunks_exact(c).zip(grad.chunks_exact(c)).zip(dx.chunks_exact_mut(c));
             for ((x, grad), dx) in rows {
                 for j in 0..c {
@@ -110,8 +111,7 @@ pub fn backward(
                     dx[j] = (g * inverse[j] * f64::from(weight[j])) as f32;
                 }
             }
-        },
-    );
+        });
     let to_f32 = |v: Vec<f64>| v.into_iter().map(|v| v as f32).collect();
     (to_f32(dw), to_f32(db))
 }

@@ -2,7 +2,7 @@
 //!
 //! No tensor library: everything takes and fills slices, so a user of any framework can call it.
 //! Each kernel is deterministic for any number of threads, computes a scene's rows without regard
-//! to its batch mates, and has a slow f64 version in [`reference`] that the tests compare with.
+//! to its batch mates, and has a slow f64 version in [`mod@reference`] that the tests compare with.
 //!
 //! | module | what |
 //! |---|---|

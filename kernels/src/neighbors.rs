@@ -15,7 +15,7 @@ const LEAF_SIZE: usize = 16;
 const PARALLEL_SIZE: usize = 1 << 13;
 
 /// Queries handled by one task; large enough that its buffers pay.
-const CHUNK: usize = 512;
+const CHUNK: usize = 32 * LEAF_SIZE;
 
 /// A point near a query.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -355,6 +355,8 @@ struct Batch {
     columns: [Vec<f64>; 3],
     rows: Vec<u32>,
     distances: Vec<f64>,
+    /// Places in the list that are near enough.
+    picked: Vec<u32>,
     /// (bits of the squared distance, row) in one number: the order of [`Neighbor`], quicker to
     /// sort.
     keys: Vec<u128>,
@@ -375,15 +377,15 @@ impl Batch {
         tree.search(centre, k, limit, &mut self.heap);
         let reach = self.heap.peek().map_or(0.0, |last| last.distance_squared.sqrt());
         self.last = Some((centre, reach));
-        let widest = group
-            .iter()
-            .map(|q| within(reach, q.coord, centre))
-            .fold(0.0, f64::max);
+        let widest = group.iter().map(|q| within(reach, q.coord, centre)).fold(0.0, f64::max);
         let fits = self.collect(tree, &bounds, widest, 32 * k + 512);
+        let mut before = (centre, reach);
         for q in group {
-            let limit = within(reach, q.coord, centre);
+            let limit = within(reach, q.coord, centre).min(within(before.1, q.coord, before.0));
             if fits {
                 self.select(q.coord, k, limit);
+                before =
+                    (q.coord, self.found.last().map_or(0.0, |last| last.distance_squared.sqrt()));
             } else {
                 // Few queries among many points, or many points in one place.
                 tree.search(q.coord, k, limit, &mut self.heap);
@@ -441,15 +443,21 @@ impl Batch {
             let d = [x - qx, y - qy, z - qz];
             d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
         }));
-        self.keys.clear();
-        self.keys.resize(self.rows.len(), 0);
+        if self.picked.len() < self.rows.len() {
+            self.picked.resize(self.rows.len(), 0);
+        }
         let mut count = 0;
-        for (&distance, &row) in self.distances.iter().zip(&self.rows) {
-            // Bits of numbers that are not negative rise with the numbers.
-            self.keys[count] = u128::from(distance.to_bits()) << 32 | u128::from(row);
+        for (i, &distance) in (0..).zip(&self.distances) {
+            self.picked[count] = i;
             count += usize::from(distance <= limit);
         }
-        let keys = &mut self.keys[..count];
+        self.keys.clear();
+        self.keys.extend(self.picked[..count].iter().map(|&i| {
+            // Bits of numbers that are not negative rise with the numbers.
+            let bits = self.distances[i as usize].to_bits();
+            u128::from(bits) << 32 | u128::from(self.rows[i as usize])
+        }));
+        let keys = &mut self.keys[..];
         if k < count {
             keys.select_nth_unstable(k - 1);
         }

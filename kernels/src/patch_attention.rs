@@ -1,7 +1,7 @@
 //! Softmax attention inside patches of the serialized order.
 //!
 //! One task works on one patch and head: keys and values are packed once, queries are read where
-//! they lie, and scores exist for [`QUERY_BLOCK`] queries at a time, so nothing of size N × K is
+//! they lie, and scores exist for a block of queries at a time, so nothing of size N × K is
 //! ever stored. Scores, softmax and sums are f32; the largest score is subtracted before the
 //! exponential, so logits of any finite size are safe. A row with NaN or ±∞ gives NaN.
 
@@ -347,7 +347,14 @@ impl BackwardScratch {
                 }
             };
             gather(&mut self.block, grad, c);
-            add_turned(small, &mut self.turned, probabilities, &self.block, (q, len, dim), &mut self.dv);
+            add_turned(
+                small,
+                &mut self.turned,
+                probabilities,
+                &self.block,
+                (q, len, dim),
+                &mut self.dv,
+            );
             // dS = P ∘ (dP − Σ P∘dP), scaled
             for (p, dp) in probabilities.chunks_exact(len).zip(self.dp.chunks_exact_mut(len)) {
                 let dot: f64 = p.iter().zip(&*dp).map(|(p, d)| f64::from(p * d)).sum();
@@ -357,7 +364,14 @@ impl BackwardScratch {
             }
             // dK += dSᵀ · Q
             gather(&mut self.block, qkv, 3 * c);
-            add_turned(small, &mut self.turned, &self.dp[..q * len], &self.block, (q, len, dim), &mut self.dk);
+            add_turned(
+                small,
+                &mut self.turned,
+                &self.dp[..q * len],
+                &self.block,
+                (q, len, dim),
+                &mut self.dk,
+            );
             // dQ = dS · K, straight into the result.
             // SAFETY: own rows and this head's query channels are written by no one else.
             unsafe {

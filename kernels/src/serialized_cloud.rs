@@ -164,7 +164,8 @@ impl SerializedCloud {
     /// Coarse rows ascend by the code of the first order, scene by scene. A scene with fewer than
     /// `shift` bits is left as it is (the rule of the original).
     pub fn pool(&self, shift: u32) -> (Self, Groups) {
-        let shifts: Vec<u32> = self.depth.iter().map(|&d| if shift > d { 0 } else { shift }).collect();
+        let shifts: Vec<u32> =
+            self.depth.iter().map(|&d| if shift > d { 0 } else { shift }).collect();
         let rows: Vec<u32> = self.orders[0].order.as_ref().clone();
         let mut group_starts = Vec::new();
         let mut offsets = vec![0];
@@ -224,7 +225,10 @@ impl SerializedCloud {
     /// The attention patches of a patch size, cut at first use.
     pub fn patches(&self, patch_size: usize) -> Arc<Patches> {
         let mut patches = self.patches.lock().unwrap_or_else(PoisonError::into_inner);
-        patches.entry(patch_size).or_insert_with(|| Arc::new(cut(&self.offsets, patch_size))).clone()
+        patches
+            .entry(patch_size)
+            .or_insert_with(|| Arc::new(cut(&self.offsets, patch_size)))
+            .clone()
     }
 }
 
@@ -271,10 +275,12 @@ mod tests {
     fn a_scene_is_coded_alike_alone_and_in_a_batch() {
         let grid = vec![[0, 1, 1], [2, 2, 2], [1, 1, 3]];
         let alone =
-            SerializedCloud::new(grid.clone(), vec![0, 3], &Curve::ALL, CurveDepth::PerScene).unwrap();
+            SerializedCloud::new(grid.clone(), vec![0, 3], &Curve::ALL, CurveDepth::PerScene)
+                .unwrap();
         let mut both = vec![[700, 3, 9]];
         both.extend(grid);
-        let both = SerializedCloud::new(both, vec![0, 1, 4], &Curve::ALL, CurveDepth::PerScene).unwrap();
+        let both =
+            SerializedCloud::new(both, vec![0, 1, 4], &Curve::ALL, CurveDepth::PerScene).unwrap();
         for c in 0..4 {
             assert_eq!(alone.codes(c), &both.codes(c)[1..]);
             let shifted: Vec<u32> = alone.order(c).order.iter().map(|i| i + 1).collect();
@@ -284,8 +290,9 @@ mod tests {
 
     #[test]
     fn all_at_the_origin_has_depth_zero() {
-        let cloud = SerializedCloud::new(vec![[0; 3]; 3], vec![0, 3], &Curve::ALL, CurveDepth::PerScene)
-            .unwrap();
+        let cloud =
+            SerializedCloud::new(vec![[0; 3]; 3], vec![0, 3], &Curve::ALL, CurveDepth::PerScene)
+                .unwrap();
         assert_eq!(cloud.depth(), [0]);
         let (coarse, groups) = cloud.pool(1);
         assert_eq!((coarse.len(), groups.inverse.as_slice()), (1, &[0, 0, 0][..]));

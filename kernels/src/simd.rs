@@ -1,6 +1,6 @@
 //! Vector registers of the CPU, chosen at run time.
 //!
-//! Kernels are written once, generic over [`Vector`], and instantiated per instruction set inside a
+//! Kernels are written once, generic over the register type, and instantiated per instruction set inside a
 //! function that enables it. Every instruction set gives results that do not depend on the thread
 //! count; different sets may differ in the last bits (fused or separate multiply–add).
 

@@ -123,11 +123,7 @@ fn run(
                         RowPointers::Gathered { base: x.as_ptr(), stride: cin, ids: input },
                         matrix,
                         columns.clone(),
-                        RowPointersMut::Scattered {
-                            base: target.at(0),
-                            stride: cout,
-                            ids: output,
-                        },
+                        RowPointersMut::Scattered { base: target.at(0), stride: cout, ids: output },
                         true,
                     );
                 }
@@ -179,9 +175,8 @@ pub fn backward_weight(
         gemm_tn(grad, cout, x, cin, Some((&output, &input)), &mut part);
         for o in 0..cout {
             // SAFETY: each tap writes its own stretch of each output channel.
-            let to = unsafe {
-                std::slice::from_raw_parts_mut(target.at((o * taps + tap) * cin), cin)
-            };
+            let to =
+                unsafe { std::slice::from_raw_parts_mut(target.at((o * taps + tap) * cin), cin) };
             to.copy_from_slice(&part[o * cin..(o + 1) * cin]);
         }
     });
@@ -240,7 +235,8 @@ mod tests {
             let grid = grid(n, 9, true);
             let offsets = [0, n / 3, n];
             let map = KernelMap::build(&grid, &offsets, k).unwrap();
-            let (x, w, b) = (random(n * cin, 1), random(cout * k * k * k * cin, 2), random(cout, 3));
+            let (x, w, b) =
+                (random(n * cin, 1), random(cout * k * k * k * cin, 2), random(cout, 3));
             let mut out = vec![f32::NAN; n * cout];
             forward(&map, &x, &PackedConv::new(&w, cin, cout, map.taps()), Some(&b), &mut out);
             let want = reference::submanifold_conv(&grid, &offsets, &x, cin, &w, Some(&b), k);

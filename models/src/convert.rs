@@ -50,8 +50,16 @@ pub const RULES: &[Rule] = &[
         action: Action::StripIf(Branch::Student),
         origin: "self-supervised pair: student",
     },
-    Rule { prefix: "mae_head.", action: Action::Ignore, origin: "self-supervised reconstruction head" },
-    Rule { prefix: "dino_head.", action: Action::Ignore, origin: "self-supervised projection head" },
+    Rule {
+        prefix: "mae_head.",
+        action: Action::Ignore,
+        origin: "self-supervised reconstruction head",
+    },
+    Rule {
+        prefix: "dino_head.",
+        action: Action::Ignore,
+        origin: "self-supervised projection head",
+    },
     Rule { prefix: "ibot_head.", action: Action::Ignore, origin: "self-supervised patch head" },
     Rule { prefix: "optimizer.", action: Action::Ignore, origin: "optimizer state" },
     Rule { prefix: "scheduler.", action: Action::Ignore, origin: "learning-rate schedule" },

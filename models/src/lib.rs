@@ -7,6 +7,11 @@
 //!
 //! Mode, randomness and curve orders are arguments ([`Forward`]); nothing is hidden state.
 
+#![allow(
+    clippy::needless_pass_by_value,
+    reason = "constructors take a VarBuilder by value, as candle's do"
+)]
+
 mod backbone;
 pub mod convert;
 pub mod layers;

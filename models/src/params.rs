@@ -79,10 +79,7 @@ impl LoadReport {
             LoadPolicy::Partial => self.matched.is_empty(),
         };
         if bad {
-            bail!(
-                "{origin}: the weights do not fit the network: {self}{}",
-                self.advice()
-            );
+            bail!("{origin}: the weights do not fit the network: {self}{}", self.advice());
         }
         Ok(())
     }
@@ -107,16 +104,17 @@ impl LoadReport {
 
 impl fmt::Display for LoadReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let some = |f: &mut fmt::Formatter<'_>, what: &str, names: &mut dyn Iterator<Item = String>| {
-            let names: Vec<String> = names.collect();
-            if !names.is_empty() {
-                let more = names.len().saturating_sub(5);
-                let shown = names.iter().take(5).cloned().collect::<Vec<_>>().join(", ");
-                let tail = if more > 0 { format!(", … {more} more") } else { String::new() };
-                write!(f, "{} {what}: {shown}{tail}; ", names.len())?;
-            }
-            Ok(())
-        };
+        let some =
+            |f: &mut fmt::Formatter<'_>, what: &str, names: &mut dyn Iterator<Item = String>| {
+                let names: Vec<String> = names.collect();
+                if !names.is_empty() {
+                    let more = names.len().saturating_sub(5);
+                    let shown = names.iter().take(5).cloned().collect::<Vec<_>>().join(", ");
+                    let tail = if more > 0 { format!(", … {more} more") } else { String::new() };
+                    write!(f, "{} {what}: {shown}{tail}; ", names.len())?;
+                }
+                Ok(())
+            };
         let total = self.matched.len() + self.missing.len() + self.misshaped.len();
         write!(f, "{} of {total} entries matched; ", self.matched.len())?;
         some(f, "missing", &mut self.missing.iter().cloned())?;
@@ -207,7 +205,7 @@ impl ParamStore {
                 .map(|(n, (want, got))| (n.clone(), want.clone(), got.clone()))
                 .collect(),
             ignored: inner.source.ignored().to_vec(),
-            parameters: inner.requested.iter().map(|(_, s)| s.iter().product::<usize>()).sum(),
+            parameters: inner.requested.values().map(|s| s.iter().product::<usize>()).sum(),
         }
     }
 
@@ -225,9 +223,15 @@ impl ParamStore {
         let tensors: std::collections::HashMap<String, Tensor> =
             inner.variables.iter().map(|(n, v)| (n.clone(), v.as_tensor().clone())).collect();
         let beside = path.with_extension("partial");
-        candle_core::safetensors::save(&tensors, &beside)?;
-        std::fs::rename(&beside, path)?;
-        Ok(())
+        let written = candle_core::safetensors::save(&tensors, &beside).and_then(|()| {
+            std::fs::File::open(&beside)?.sync_all()?;
+            Ok(std::fs::rename(&beside, path)?)
+        });
+        written.map_err(|e| {
+            // What is wrong has been found already; a rest that stays does no harm.
+            _ = std::fs::remove_file(&beside);
+            candle_core::Error::Msg(format!("{}: {e}", path.display()))
+        })
     }
 }
 
@@ -238,7 +242,14 @@ fn is_buffer(name: &str) -> bool {
 }
 
 impl SimpleBackend for ParamStore {
-    fn get(&self, shape: Shape, name: &str, init: Init, dtype: DType, device: &Device) -> Result<Tensor> {
+    fn get(
+        &self,
+        shape: Shape,
+        name: &str,
+        init: Init,
+        dtype: DType,
+        device: &Device,
+    ) -> Result<Tensor> {
         let mut inner = self.lock();
         let dims = shape.dims().to_vec();
         if let Some(var) = inner.variables.get(name) {

@@ -192,7 +192,11 @@ impl<'a> Session<'a> {
             (None, None) => NetworkConfig::Language.resolve()?,
         };
         let options = WeightOptions {
-            policy: if inference.partial_weights { LoadPolicy::Partial } else { LoadPolicy::Strict },
+            policy: if inference.partial_weights {
+                LoadPolicy::Partial
+            } else {
+                LoadPolicy::Strict
+            },
             branch: match inference.branch {
                 BranchArg::Teacher => Branch::Teacher,
                 BranchArg::Student => Branch::Student,
@@ -316,8 +320,16 @@ impl<'a> Session<'a> {
             if interrupted() {
                 return Err(EncodeError::Stopped);
             }
-            let tiles = if at.tiles > 1 { format!(", tile {}/{}", at.tile, at.tiles) } else { String::new() };
-            let passes = if at.passes > 1 { format!(", pass {}/{}", at.pass, at.passes) } else { String::new() };
+            let tiles = if at.tiles > 1 {
+                format!(", tile {}/{}", at.tile, at.tiles)
+            } else {
+                String::new()
+            };
+            let passes = if at.passes > 1 {
+                format!(", pass {}/{}", at.pass, at.passes)
+            } else {
+                String::new()
+            };
             self.progress.advance(&format!("network{passes}{tiles}"), at.done);
             Ok(())
         });

@@ -6,7 +6,7 @@ use super::segment::{Classes, label_slots};
 use crate::text::{class_list, metric_table};
 use anyhow::{Context, Result};
 use scenesplat_metrics::{
-    ConfusionMatrix, FeatureSlice, Fault, Metric, OracleCheck, OracleVote, TesterReport, classify,
+    ConfusionMatrix, Fault, FeatureSlice, Metric, OracleCheck, OracleVote, TesterReport, classify,
     random_labels, vote,
 };
 use scenesplat_scene::formats::npy::NpyFile;
@@ -62,7 +62,12 @@ struct Truth {
     points: Option<(Vec<[f32; 3]>, Vec<i32>)>,
 }
 
-fn truth(scene: &GaussianScene, to_text: Option<&[i32]>, classes: usize, path: &std::path::Path) -> Result<Truth> {
+fn truth(
+    scene: &GaussianScene,
+    to_text: Option<&[i32]>,
+    classes: usize,
+    path: &std::path::Path,
+) -> Result<Truth> {
     let map = |labels: &[i32]| -> Result<Vec<i32>> {
         labels
             .iter()
@@ -114,7 +119,9 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let oracle_only = args.features.as_deref() == Some("oracle");
     let from_file = args.features.as_deref().filter(|f| *f != "oracle").map(PathBuf::from);
     if from_file.is_some() && args.scenes.len() > 1 {
-        return Err(WrongUse("--features FILE holds the features of one scene only".to_owned()).into());
+        return Err(
+            WrongUse("--features FILE holds the features of one scene only".to_owned()).into()
+        );
     }
     let network =
         if args.features.is_none() { Some(session.network(&args.inference)?) } else { None };
@@ -138,8 +145,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
                 .with_excluded(&excluded)
                 .with_options(options.clone());
             if args.vote_k > 1 {
-                let voters =
-                    OracleVote { coord: &scene.coord, valid: None, query, k: args.vote_k };
+                let voters = OracleVote { coord: &scene.coord, valid: None, query, k: args.vote_k };
                 check = check.with_vote(voters);
             }
             if let Some(row) = args.break_oracle {
@@ -212,7 +218,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
                     );
                 }
                 let values = array.read_f32()?;
-                let all = classify(&FeatureSlice::new(&values, text.dim)?, &table, &options)?.labels;
+                let all =
+                    classify(&FeatureSlice::new(&values, text.dim)?, &table, &options)?.labels;
                 match &opened.loaded.kept_rows {
                     Some(kept) => kept.iter().map(|r| all[*r as usize]).collect(),
                     None => all,
@@ -229,7 +236,10 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         .chain((!oracle_only).then_some(("features", &model)))
         .map(|(name, m)| (name, m.tester_report()))
         .collect();
-    print(&format!("{:14} {:>8} {:>8} {:>8} {:>8} {:>8}", "", "mIoU", "mAcc", "allAcc", "f-mIoU", "f-mAcc"));
+    print(&format!(
+        "{:14} {:>8} {:>8} {:>8} {:>8} {:>8}",
+        "", "mIoU", "mAcc", "allAcc", "f-mIoU", "f-mAcc"
+    ));
     for (name, report) in &rows {
         print(&format!("{name:14} {}", columns(report)));
     }

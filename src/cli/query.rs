@@ -102,7 +102,10 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     session.make_out()?;
     let network = session.network(&args.inference)?;
     if network.is_classifier() {
-        return Err(WrongUse("a segmentation network cannot be queried; use --config language".to_owned()).into());
+        return Err(WrongUse(
+            "a segmentation network cannot be queried; use --config language".to_owned(),
+        )
+        .into());
     }
     if network.model().out_channels() != text.dim {
         return Err(WrongUse(format!(

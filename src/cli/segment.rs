@@ -2,14 +2,12 @@
 
 use super::WrongUse;
 use super::common::{Inference, Session, Shared};
-use crate::inference::SceneFeatures;
-use crate::outputs::{
-    ResultColumns, label_colors, legend, write_colored_ply, write_scene_preview,
-};
-use crate::text::{class_list, metric_table, read_text_table};
 use crate::Network;
+use crate::inference::SceneFeatures;
+use crate::outputs::{ResultColumns, label_colors, legend, write_colored_ply, write_scene_preview};
+use crate::text::{class_list, metric_table, read_text_table};
 use anyhow::{Context, Result};
-use scenesplat_metrics::{FeatureFn, UnknownRule, ZeroShotOptions, classify, vote};
+use scenesplat_metrics::{FeatureFn, FeatureRows, UnknownRule, ZeroShotOptions, classify, vote};
 use scenesplat_scene::formats::npy_writer::write_npy;
 use scenesplat_scene::label_set::read_names;
 use scenesplat_scene::{LabelSet, TextTable};
@@ -94,16 +92,8 @@ pub struct SlotLabels {
 }
 
 /// Feature rows of a scene as the metrics read them.
-pub fn slot_rows(
-    features: &SceneFeatures,
-) -> Result<
-    FeatureFn<
-        impl Fn(std::ops::Range<usize>, &mut [f32]) -> Result<(), Box<dyn std::error::Error + Send + Sync>>
-        + Sync
-        + '_,
-    >,
-> {
-    Ok(FeatureFn::new(features.num_slots(), features.width(), |rows, out| {
+pub fn slot_rows(features: &SceneFeatures) -> Result<impl FeatureRows + '_> {
+    Ok(FeatureFn::new(features.num_slots(), features.width(), |rows, out: &mut [f32]| {
         out.copy_from_slice(&features.slot_rows(rows)?);
         Ok(())
     })?)
@@ -117,7 +107,8 @@ pub fn label_slots(
     options: &ZeroShotOptions,
 ) -> Result<SlotLabels> {
     if network.is_classifier() {
-        let mut out = SlotLabels { labels: Vec::new(), scores: Vec::new(), unusable: 0, withheld: 0 };
+        let mut out =
+            SlotLabels { labels: Vec::new(), scores: Vec::new(), unusable: 0, withheld: 0 };
         let allowed = |c: usize| options.candidates.as_ref().is_none_or(|m| m[c]);
         for row in 0..features.num_slots() {
             let p = features.slot_rows(row..row + 1)?;

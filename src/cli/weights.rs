@@ -1,7 +1,7 @@
 //! `scenesplat weights`
 
 use super::common::{Shared, print};
-use crate::network::{Network, NetworkConfig, Weights as Source, WeightOptions, config_beside};
+use crate::network::{Network, NetworkConfig, WeightOptions, Weights as Source, config_beside};
 use anyhow::Result;
 use scenesplat_models::convert::{Branch, Renamed, rename};
 use scenesplat_models::weights::{resolve, summarize};
@@ -29,7 +29,8 @@ pub fn run(args: &Args) -> Result<()> {
     let folder = resolve(&args.checkpoint)?;
     let mut files = Vec::new();
     for file in &folder.files {
-        let values: usize = file.entries().values().map(|e| e.shape.iter().product::<usize>()).sum();
+        let values: usize =
+            file.entries().values().map(|e| e.shape.iter().product::<usize>()).sum();
         let sha256 = file.sha256()?;
         print(&format!(
             "{}\n  sha256 {sha256}\n  {} tensors, {values} values, {} other entries",
@@ -67,9 +68,11 @@ pub fn run(args: &Args) -> Result<()> {
         (Some(config), _) => candidates.push((format!("{config:?}"), config.resolve()?)),
         (None, Some(config)) => candidates.push(("the folder's own".to_owned(), config)),
         (None, None) => {
-            for (name, config) in
-                [("language", NetworkConfig::Language), ("semseg", NetworkConfig::Semseg), ("tiny", NetworkConfig::Tiny)]
-            {
+            for (name, config) in [
+                ("language", NetworkConfig::Language),
+                ("semseg", NetworkConfig::Semseg),
+                ("tiny", NetworkConfig::Tiny),
+            ] {
                 candidates.push((name.to_owned(), config.resolve()?));
             }
             candidates.push(("self-supervised".to_owned(), PointTransformerV3Config::ssl()));
@@ -92,7 +95,8 @@ pub fn run(args: &Args) -> Result<()> {
         }
     }
     if let Some(path) = &args.json {
-        let text = serde_json::to_string_pretty(&serde_json::json!({ "files": files, "networks": fits }))?;
+        let text =
+            serde_json::to_string_pretty(&serde_json::json!({ "files": files, "networks": fits }))?;
         let beside = path.with_extension("json.partial");
         std::fs::write(&beside, text)?;
         std::fs::rename(&beside, path)?;

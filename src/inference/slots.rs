@@ -80,10 +80,7 @@ impl SlotStore {
     }
 
     /// Turns each sum into the final row.
-    pub(super) fn finish(
-        &mut self,
-        mut f: impl FnMut(&mut [f32], u32),
-    ) -> Result<(), EncodeError> {
+    pub(super) fn finish(&mut self, mut f: impl FnMut(&mut [f32], u32)) -> Result<(), EncodeError> {
         let width = self.width;
         for start in (0..self.count.len()).step_by(BLOCK) {
             let end = (start + BLOCK).min(self.count.len());
@@ -156,8 +153,7 @@ mod tests {
     #[test]
     fn file_and_memory_agree() {
         let folder = tempfile::tempdir().unwrap();
-        let mut stores =
-            [SlotStore::memory(3, 2), SlotStore::file(folder.path(), 3, 2).unwrap()];
+        let mut stores = [SlotStore::memory(3, 2), SlotStore::file(folder.path(), 3, 2).unwrap()];
         for store in &mut stores {
             store.add(&[2, 0], &[1.0, 2.0, 3.0, 4.0], None).unwrap();
             store.add(&[2, 1], &[5.0, 6.0, 7.0, 8.0], Some(&[true, false])).unwrap();
@@ -166,6 +162,10 @@ mod tests {
             assert_eq!(store.gather(&[2, 0, 2]).unwrap(), [3.0, 4.0, 3.0, 4.0, 3.0, 4.0]);
         }
         drop(stores);
-        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "the scratch file is gone");
+        assert_eq!(
+            std::fs::read_dir(folder.path()).unwrap().count(),
+            0,
+            "the scratch file is gone"
+        );
     }
 }

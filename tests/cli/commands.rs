@@ -36,7 +36,12 @@ fn features_are_the_same_for_any_thread_count_and_run() {
     assert!(is_png(&folder.path().join("one/preview.png")));
     let half = run("half", &["--dtype", "f16"]);
     assert_eq!((half.len() - 128) * 2, one.len() - 128);
-    done(&tiny("features", &asset("room.ply"), &folder.path().join("st"), &["--format", "safetensors"]));
+    done(&tiny(
+        "features",
+        &asset("room.ply"),
+        &folder.path().join("st"),
+        &["--format", "safetensors"],
+    ));
     let file = bytes(&folder.path().join("st/features.safetensors"));
     let parsed = safetensors::SafeTensors::deserialize(&file).unwrap();
     assert_eq!(parsed.tensor("features").unwrap().data(), &one[one.len() - 16_000 * 64 * 4..]);
@@ -71,8 +76,7 @@ fn segment_writes_labels_a_coloured_scene_and_a_receipt() {
     assert_eq!(colored.column_f32("vertex", "score").unwrap(), scores);
     // The shipped rows were made from this room: far better than chance, or the chain is broken.
     let truth = source.column_i64("vertex", "segment").unwrap();
-    let names: Vec<String> =
-        serde_json::from_slice(&bytes(&out.join("classes.json"))).unwrap();
+    let names: Vec<String> = serde_json::from_slice(&bytes(&out.join("classes.json"))).unwrap();
     let hits = labels.iter().zip(&truth).filter(|(a, b)| a == b && **b >= 0).count();
     assert!(names.len() > 5 && hits * 3 > labels.len(), "{hits} of {}", labels.len());
     assert!(is_png(&out.join("preview.png")));
@@ -109,7 +113,14 @@ fn unknown_thresholds_withhold_labels() {
     assert!(some.iter().zip(&all).all(|(s, a)| *s == -1 || s == a));
     assert!(run("none", &["--min-score", "1.1"]).iter().all(|l| *l == -1));
     let without = run("without", &["--without", "floor,wall"]);
-    let names = ["floor", "wall"].map(|n| scenesplat::text::read_text_table(&text, None).unwrap().names.iter().position(|m| m == n).unwrap() as i64);
+    let names = ["floor", "wall"].map(|n| {
+        scenesplat::text::read_text_table(&text, None)
+            .unwrap()
+            .names
+            .iter()
+            .position(|m| m == n)
+            .unwrap() as i64
+    });
     assert!(without.iter().all(|l| !names.contains(l)));
 }
 
@@ -202,25 +213,40 @@ fn weights_names_the_network_that_fits() {
     scenesplat::models::PointTransformerV3::new(&config, store.builder()).unwrap();
     store.save(&path).unwrap();
     let json = folder.path().join("w.json");
-    let output =
-        scenesplat(&["weights", path.to_str().unwrap(), "--json", json.to_str().unwrap()]);
+    let output = scenesplat(&["weights", path.to_str().unwrap(), "--json", json.to_str().unwrap()]);
     done(&output);
     let said = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(said.contains("tiny: fits") && said.contains("language: does not fit"), "{said}");
     assert!(said.contains("sha256"));
     let json: serde_json::Value = serde_json::from_slice(&bytes(&json)).unwrap();
-    assert_eq!(json["networks"].as_array().unwrap().iter().filter(|n| n["fits"] == true).count(), 1);
+    assert_eq!(
+        json["networks"].as_array().unwrap().iter().filter(|n| n["fits"] == true).count(),
+        1
+    );
     // And they work.
     let out = folder.path().join("f");
     let room = asset("room.ply");
     done(&scenesplat(&[
-        "features", room.to_str().unwrap(), "--config", "tiny", "--weights",
-        path.to_str().unwrap(), "--out", out.to_str().unwrap(), "--quiet",
+        "features",
+        room.to_str().unwrap(),
+        "--config",
+        "tiny",
+        "--weights",
+        path.to_str().unwrap(),
+        "--out",
+        out.to_str().unwrap(),
+        "--quiet",
     ]));
     // A network they do not fit refuses them and says what is missing.
     let output = scenesplat(&[
-        "features", room.to_str().unwrap(), "--config", "semseg", "--weights",
-        path.to_str().unwrap(), "--out", out.to_str().unwrap(),
+        "features",
+        room.to_str().unwrap(),
+        "--config",
+        "semseg",
+        "--weights",
+        path.to_str().unwrap(),
+        "--out",
+        out.to_str().unwrap(),
     ]);
     assert_eq!(output.status.code(), Some(1));
     assert!(stderr(&output).contains("missing") && stderr(&output).contains("do not fit"));
@@ -242,7 +268,21 @@ fn wrong_use_is_exit_code_2() {
         assert_eq!(output.status.code(), Some(2), "{args:?}: {}", stderr(&output));
     }
     assert_eq!(scenesplat(&["--help"]).status.code(), Some(0));
-    assert_eq!(scenesplat(&["features", "nowhere.ply", "--weights", "seeded:0", "--config", "tiny", "--out", std::env::temp_dir().join("scenesplat-none").to_str().unwrap()]).status.code(), Some(1));
+    assert_eq!(
+        scenesplat(&[
+            "features",
+            "nowhere.ply",
+            "--weights",
+            "seeded:0",
+            "--config",
+            "tiny",
+            "--out",
+            std::env::temp_dir().join("scenesplat-none").to_str().unwrap()
+        ])
+        .status
+        .code(),
+        Some(1)
+    );
 }
 
 #[test]
@@ -265,7 +305,7 @@ fn tiles_and_the_exact_mode_agree_with_the_plain_run_where_they_should() {
         .zip(tiled.chunks_exact(64))
         .map(|(a, b)| a.iter().zip(b).map(|(a, b)| a * b).sum())
         .collect();
-    let mut sorted = cosine.clone();
+    let mut sorted = cosine;
     sorted.sort_by(f32::total_cmp);
     // Attention patches and curve codes differ in a tile, so features do; unrelated places of this
     // room have cosines around 0.5.

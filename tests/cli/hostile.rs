@@ -32,7 +32,9 @@ fn write(path: &Path, rows: &[[f32; 14]]) {
 }
 
 fn some_rows() -> Vec<[f32; 14]> {
-    (0..60).map(|i| gaussian((i % 5) as f32 * 0.03, (i / 5 % 4) as f32 * 0.03, (i / 20) as f32 * 0.03)).collect()
+    (0..60)
+        .map(|i| gaussian((i % 5) as f32 * 0.03, (i / 5 % 4) as f32 * 0.03, (i / 20) as f32 * 0.03))
+        .collect()
 }
 
 struct Case {
@@ -86,7 +88,9 @@ impl Case {
 #[test]
 fn lying_and_truncated_headers() {
     let case = Case::new();
-    for (count, words) in [("1099511627776", "1099511627776"), ("-3", "-3"), ("many", "many"), ("61", "61")] {
+    for (count, words) in
+        [("1099511627776", "1099511627776"), ("-3", "-3"), ("many", "many"), ("61", "61")]
+    {
         let mut bytes = header(count).into_bytes();
         for row in some_rows() {
             row.iter().for_each(|v| bytes.extend(v.to_le_bytes()));

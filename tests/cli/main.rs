@@ -1,5 +1,7 @@
 //! The program as a user runs it: files written, exit codes, messages, hostile input.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
+
 mod commands;
 mod hostile;
 

@@ -149,7 +149,10 @@ pub fn gemm(a: &[f32], b: &PackedMatrix, epilogue: Epilogue<'_>, out: &mut [f32]
         return;
     }
     let m = out.len() / n;
-    assert!(a.len() == m * k && out.len() == m * n, "gemm: lengths do not fit [{m}, {k}]·[{k}, {n}]");
+    assert!(
+        a.len() == m * k && out.len() == m * n,
+        "gemm: lengths do not fit [{m}, {k}]·[{k}, {n}]"
+    );
     assert!(epilogue.residual.is_none_or(|r| r.len() == out.len()), "gemm: residual length");
     if k == 0 {
         out.fill(0.0);
@@ -183,8 +186,7 @@ pub fn gemm(a: &[f32], b: &PackedMatrix, epilogue: Epilogue<'_>, out: &mut [f32]
             } else {
                 for row in 0..rows {
                     let start = (first + row) * n + columns.start;
-                    let out =
-                        std::slice::from_raw_parts_mut(target.at(start), columns.len());
+                    let out = std::slice::from_raw_parts_mut(target.at(start), columns.len());
                     let bias = epilogue.bias.map(|b| &b[columns.clone()]);
                     let residual = epilogue.residual.map(|r| &r[start..start + columns.len()]);
                     finish(out, columns.len(), Epilogue { bias, residual, ..epilogue });

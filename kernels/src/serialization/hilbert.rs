@@ -50,8 +50,7 @@ fn table() -> &'static Table {
 fn step(state: State, octant: u8) -> (u8, State) {
     let original = [octant >> 2 & 1 == 1, octant >> 1 & 1 == 1, octant & 1 == 1];
     // The level's own bits after all that the higher levels did.
-    let bit: [bool; 3] =
-        std::array::from_fn(|a| original[state.axis[a] as usize] ^ state.flip[a]);
+    let bit: [bool; 3] = std::array::from_fn(|a| original[state.axis[a] as usize] ^ state.flip[a]);
     let mut after = state;
     for d in 0..3 {
         if bit[d] {

@@ -77,7 +77,7 @@ pub fn depth_of(grid_coord: &[[i32; 3]]) -> Result<u32, KernelError> {
             .iter()
             .enumerate()
             .flat_map(|(row, c)| c.iter().enumerate().map(move |(axis, v)| (row, axis, *v)))
-            .find(|&(_, _, v)| v < 0 || v >= 1 << MAX_DEPTH)
+            .find(|&(_, _, v)| !(0..1 << MAX_DEPTH).contains(&v))
             .unwrap_or_default();
         return Err(KernelError::GridCoord { row, axis, value });
     }
@@ -112,17 +112,21 @@ mod tests {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(1);
         for depth in 0..=MAX_DEPTH {
             for _ in 0..200 {
-                let cell: [u32; 3] = std::array::from_fn(|_| rng.random::<u32>() & ((1 << depth) - 1));
+                let cell: [u32; 3] =
+                    std::array::from_fn(|_| rng.random::<u32>() & ((1 << depth) - 1));
                 assert_eq!(morton_code(cell, depth), reference::morton_code(cell, depth));
-                assert_eq!(hilbert_code(cell, depth), reference::hilbert_code(cell, depth), "{cell:?} {depth}");
+                assert_eq!(
+                    hilbert_code(cell, depth),
+                    reference::hilbert_code(cell, depth),
+                    "{cell:?} {depth}"
+                );
             }
         }
     }
 
     #[test]
     fn consecutive_hilbert_cells_touch() {
-        let mut cells: Vec<[i32; 3]> =
-            (0..4096).map(|i| [i & 15, i >> 4 & 15, i >> 8]).collect();
+        let mut cells: Vec<[i32; 3]> = (0..4096).map(|i| [i & 15, i >> 4 & 15, i >> 8]).collect();
         cells.sort_by_key(|c| Curve::Hilbert.code(c.map(|v| v as u32), 4));
         for pair in cells.windows(2) {
             let step: i32 = (0..3).map(|a| (pair[0][a] - pair[1][a]).abs()).sum();
@@ -147,6 +151,9 @@ mod tests {
             depth_of(&[[0; 3], [0, 1 << 21, 0]]),
             Err(KernelError::GridCoord { row: 1, axis: 1, value: 2_097_152 })
         ));
-        assert!(matches!(depth_of(&[[0, 0, -1]]), Err(KernelError::GridCoord { row: 0, axis: 2, value: -1 })));
+        assert!(matches!(
+            depth_of(&[[0, 0, -1]]),
+            Err(KernelError::GridCoord { row: 0, axis: 2, value: -1 })
+        ));
     }
 }

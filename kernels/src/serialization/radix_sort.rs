@@ -81,8 +81,9 @@ mod tests {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(2);
         for n in [0, 1, 2, 100, SMALL - 1, SMALL, 50_000] {
             for bits in [0, 1, 9, 11, 12, 33, 64] {
-                let codes: Vec<u64> =
-                    (0..n).map(|_| if bits == 0 { 7 } else { rng.random::<u64>() >> (64 - bits) }).collect();
+                let codes: Vec<u64> = (0..n)
+                    .map(|_| if bits == 0 { 7 } else { rng.random::<u64>() >> (64 - bits) })
+                    .collect();
                 let mut want: Vec<u32> = (0..n as u32).collect();
                 want.sort_by_key(|&i| codes[i as usize]);
                 let order = argsort(&codes);

@@ -43,7 +43,7 @@ impl BatchNorm {
             }));
         }
         let var = vector(&var)?;
-        if let Some((channel, v)) = var.iter().enumerate().find(|(_, v)| !(**v >= 0.0)) {
+        if let Some((channel, v)) = var.iter().enumerate().find(|(_, v)| v.is_nan() || **v < 0.0) {
             bail!("{}: running_var[{channel}] is {v}, must be ≥ 0", vb.prefix());
         }
         let inverse: Vec<f64> = var.iter().map(|v| 1.0 / (f64::from(*v) + EPS).sqrt()).collect();

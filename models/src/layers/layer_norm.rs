@@ -49,9 +49,7 @@ impl LayerNorm {
             Form::Trainable { weight, bias } => {
                 add(&ops::layer_norm(x, weight, bias, EPS)?, residual)
             }
-            Form::Frozen { weight, bias } => {
-                ops::layer_norm_frozen(x, weight, bias, EPS, residual)
-            }
+            Form::Frozen { weight, bias } => ops::layer_norm_frozen(x, weight, bias, EPS, residual),
         }
     }
 }

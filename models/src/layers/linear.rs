@@ -30,9 +30,8 @@ impl Linear {
         if weight.is_variable() {
             return Ok(Self(Form::Trainable { weight, bias }));
         }
-        let weight = ops::read("linear", &weight, |w| {
-            Ok(PackedMatrix::from_strided(w, cin, cout, 1, cin))
-        })?;
+        let weight =
+            ops::read("linear", &weight, |w| Ok(PackedMatrix::from_strided(w, cin, cout, 1, cin)))?;
         let bias = bias.as_ref().map(vector).transpose()?;
         Ok(Self(Form::Frozen { weight, bias }))
     }

@@ -41,9 +41,8 @@ impl SparseConv {
         let form = if weight.is_variable() {
             Form::Trainable { weight, bias }
         } else {
-            let weight = ops::read("sparse_conv", &weight, |w| {
-                Ok(PackedConv::new(w, cin, cout, k.pow(3)))
-            })?;
+            let weight =
+                ops::read("sparse_conv", &weight, |w| Ok(PackedConv::new(w, cin, cout, k.pow(3))))?;
             Form::Frozen { weight, bias: bias.as_ref().map(vector).transpose()? }
         };
         Ok(Self { kernel_size, form })

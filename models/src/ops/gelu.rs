@@ -18,10 +18,8 @@ impl CustomOp1 for Gelu {
     }
     fn bwd(&self, x: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
         let shape = x.shape().clone();
-        read("gelu", x, |x| {
-            read("gelu", grad, |g| make(shape, |out| gelu_backward(x, g, out)))
-        })
-        .map(Some)
+        read("gelu", x, |x| read("gelu", grad, |g| make(shape, |out| gelu_backward(x, g, out))))
+            .map(Some)
     }
 }
 

@@ -39,9 +39,7 @@ fn backward(x: &Tensor, w: &Tensor, grad: &Tensor) -> Result<(Tensor, Tensor, Te
     let dw = read("linear", grad, |g| {
         read("linear", x, |x| make((n, k), |out| gemm_tn(g, n, x, k, None, out)))
     })?;
-    let db = read("linear", grad, |g| {
-        make(n, |out| out.copy_from_slice(&backward_bias(g, n)))
-    })?;
+    let db = read("linear", grad, |g| make(n, |out| out.copy_from_slice(&backward_bias(g, n))))?;
     Ok((dx, dw, db))
 }
 

@@ -25,10 +25,8 @@ impl CustomOp1 for PermuteRows {
     }
     fn bwd(&self, x: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
         let (n, c) = x.dims2()?;
-        read("permute_rows", grad, |g| {
-            make((n, c), |out| gather_rows(g, c, &self.inverse, out))
-        })
-        .map(Some)
+        read("permute_rows", grad, |g| make((n, c), |out| gather_rows(g, c, &self.inverse, out)))
+            .map(Some)
     }
 }
 

@@ -26,11 +26,7 @@ impl SparseConv {
             ref other => bail!("sparse_conv: expected [out, {k}, {k}, {k}, in], got {other:?}"),
         };
         if cin != w_in || n != self.map.rows() {
-            bail!(
-                "sparse_conv: expected [{}, {w_in}], got {:?}",
-                self.map.rows(),
-                x.1.shape()
-            );
+            bail!("sparse_conv: expected [{}, {w_in}], got {:?}", self.map.rows(), x.1.shape());
         }
         let weight =
             PackedConv::new(cpu_slice("sparse_conv", w.0, w.1)?, cin, cout, self.map.taps());
@@ -148,7 +144,5 @@ pub fn sparse_conv_frozen(
     if cin != weight.cin() || n != map.rows() {
         bail!("sparse_conv: expected [{}, {}], got {:?}", map.rows(), weight.cin(), x.shape());
     }
-    read("sparse_conv", x, |x| {
-        make((n, weight.cout()), |out| forward(map, x, weight, bias, out))
-    })
+    read("sparse_conv", x, |x| make((n, weight.cout()), |out| forward(map, x, weight, bias, out)))
 }

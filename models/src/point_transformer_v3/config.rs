@@ -163,7 +163,11 @@ impl PointTransformerV3Config {
 
     /// Width of the output (before a classifier).
     pub fn out_channels(&self) -> usize {
-        let last = if self.dec_depths.is_empty() { self.enc_channels.last() } else { self.dec_channels.first() };
+        let last = if self.dec_depths.is_empty() {
+            self.enc_channels.last()
+        } else {
+            self.dec_channels.first()
+        };
         last.copied().unwrap_or(0)
     }
 
@@ -171,7 +175,10 @@ impl PointTransformerV3Config {
     pub fn num_values(&self) -> usize {
         let linear = |i: usize, o: usize| i * o + o;
         let block = |c: usize| {
-            27 * c * c + c + linear(c, c) + 2 * c
+            27 * c * c
+                + c
+                + linear(c, c)
+                + 2 * c
                 + 4 * c
                 + linear(c, 3 * c)
                 + linear(c, c)
@@ -286,7 +293,8 @@ impl PointTransformerV3Config {
     /// Drop rates of the decoder's blocks, stage by stage (fine to coarse): the first block that
     /// runs, in the coarsest stage, has the highest.
     pub fn dec_drop_rates(&self) -> Vec<Vec<f64>> {
-        let mut rates = split(&self.dec_depths, linspace(self.drop_path, self.dec_depths.iter().sum()));
+        let mut rates =
+            split(&self.dec_depths, linspace(self.drop_path, self.dec_depths.iter().sum()));
         rates.iter_mut().for_each(|stage| stage.reverse());
         rates
     }
@@ -313,7 +321,11 @@ mod tests {
         assert!(close(&enc[1], &[0.0545, 0.0818]));
         assert!(close(&enc[3], &[0.1636, 0.1909, 0.2182, 0.2455, 0.2727, 0.3]));
         let dec = config.dec_drop_rates();
-        assert!(close(&dec[2], &[0.30, 0.24]) && close(&dec[1], &[0.18, 0.12]) && close(&dec[0], &[0.06, 0.0]));
+        assert!(
+            close(&dec[2], &[0.30, 0.24])
+                && close(&dec[1], &[0.18, 0.12])
+                && close(&dec[0], &[0.06, 0.0])
+        );
     }
 
     #[test]
@@ -329,7 +341,11 @@ mod tests {
         assert!(broken(&|c| c.enc_patch_size[2] = 0).contains("enc_patch_size[2]"));
         assert!(broken(&|c| c.order[0] = "peano".into()).contains("peano"));
         assert!(broken(&|c| c.enc_depths.clear()).contains("enc_depths"));
-        for c in [PointTransformerV3Config::semseg(), PointTransformerV3Config::ssl(), PointTransformerV3Config::tiny()] {
+        for c in [
+            PointTransformerV3Config::semseg(),
+            PointTransformerV3Config::ssl(),
+            PointTransformerV3Config::tiny(),
+        ] {
             assert_eq!(c.check().unwrap().len(), 4);
         }
     }

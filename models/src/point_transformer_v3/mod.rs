@@ -85,7 +85,11 @@ impl PointTransformerV3 {
             .transpose()?;
         let block = |stage: usize, i: usize, decoder: bool, rate: f64| BlockShape {
             channels: if decoder { config.dec_channels[stage] } else { config.enc_channels[stage] },
-            num_heads: if decoder { config.dec_num_head[stage] } else { config.enc_num_head[stage] },
+            num_heads: if decoder {
+                config.dec_num_head[stage]
+            } else {
+                config.enc_num_head[stage]
+            },
             patch_size: if decoder {
                 config.dec_patch_size[stage]
             } else {
@@ -113,7 +117,9 @@ impl PointTransformerV3 {
             let blocks = rates
                 .iter()
                 .enumerate()
-                .map(|(i, &rate)| Block::new(block(stage, i, false, rate), vb.pp(format!("block{i}"))))
+                .map(|(i, &rate)| {
+                    Block::new(block(stage, i, false, rate), vb.pp(format!("block{i}")))
+                })
                 .collect::<Result<_>>()?;
             encoder.push(EncoderStage { down, blocks });
         }
@@ -130,7 +136,9 @@ impl PointTransformerV3 {
             let blocks = rates
                 .iter()
                 .enumerate()
-                .map(|(i, &rate)| Block::new(block(stage, i, true, rate), vb.pp(format!("block{i}"))))
+                .map(|(i, &rate)| {
+                    Block::new(block(stage, i, true, rate), vb.pp(format!("block{i}")))
+                })
                 .collect::<Result<_>>()?;
             decoder.push(DecoderStage { up, blocks });
         }
@@ -198,7 +206,8 @@ impl PointTransformerV3 {
         drop(feat);
         cx.observe("embedding", &x)?;
         if let Some(mask) = mask {
-            x = self.replace_masked(&x, mask, sorted.as_ref().map(|(order, _)| order.as_slice()))?;
+            x =
+                self.replace_masked(&x, mask, sorted.as_ref().map(|(order, _)| order.as_slice()))?;
         }
 
         let mut skips: Vec<(Tensor, SerializedCloud, Arc<Groups>)> = Vec::new();
@@ -306,7 +315,9 @@ impl Backbone for PointTransformerV3 {
         let out = self.forward_both(points, None, cx)?;
         match out.decoder {
             Some(x) => Ok(x),
-            None => bail!("this network has no decoder; call forward_both for its encoder features"),
+            None => {
+                bail!("this network has no decoder; call forward_both for its encoder features")
+            }
         }
     }
     fn out_channels(&self) -> usize {

@@ -67,6 +67,12 @@ impl WeightFile {
         if got >= 9 && start[8] == b'{' {
             return Self::open_safetensors(path);
         }
+        if start.starts_with(b"version https://") {
+            bail!(
+                "{}: a git-lfs pointer, not the weights themselves; fetch them with git lfs pull",
+                path.display()
+            );
+        }
         if start[0] == 0x80 {
             bail!(
                 "{}: a PyTorch file of the old kind (before 1.6); open it in PyTorch and save it \
@@ -88,10 +94,8 @@ impl WeightFile {
             .map_err(|e| candle_core::Error::Msg(format!("{}: {e}", path.display())))?;
         let mut entries = BTreeMap::new();
         for (name, view) in mapped.tensors() {
-            let dtype = DType::try_from(view.dtype()).map_or_else(
-                |_| format!("{:?}", view.dtype()),
-                |d| d.as_str().to_owned(),
-            );
+            let dtype = DType::try_from(view.dtype())
+                .map_or_else(|_| format!("{:?}", view.dtype()), |d| d.as_str().to_owned());
             entries.insert(name, TensorEntry { shape: view.shape().to_vec(), dtype });
         }
         let kind = Kind::Safetensors(mapped);
@@ -122,8 +126,9 @@ impl WeightFile {
             Kind::Safetensors(mapped) => mapped.load(name, &Device::Cpu),
             Kind::Pth(pth) => pth.read(name),
         };
-        let tensor = tensor
-            .map_err(|e| candle_core::Error::Msg(format!("{}: {name}: {e}", self.path.display())))?;
+        let tensor = tensor.map_err(|e| {
+            candle_core::Error::Msg(format!("{}: {name}: {e}", self.path.display()))
+        })?;
         if tensor.dtype().is_float() { tensor.to_dtype(DType::F32) } else { Ok(tensor) }
     }
 

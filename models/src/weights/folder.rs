@@ -26,7 +26,8 @@ pub fn resolve(path: &Path) -> Result<ModelFolder> {
     if !path.is_dir() {
         return Ok(ModelFolder { files: vec![WeightFile::open(path)?], config: None });
     }
-    let config = ["config.json", "config.toml"].map(|n| path.join(n)).into_iter().find(|p| p.is_file());
+    let config =
+        ["config.json", "config.toml"].map(|n| path.join(n)).into_iter().find(|p| p.is_file());
     for (index, single) in [
         ("model.safetensors.index.json", "model.safetensors"),
         ("pytorch_model.bin.index.json", "pytorch_model.bin"),
@@ -47,7 +48,9 @@ pub fn resolve(path: &Path) -> Result<ModelFolder> {
     let mut found: Vec<PathBuf> = std::fs::read_dir(path)?
         .filter_map(|e| e.ok().map(|e| e.path()))
         .filter(|p| {
-            p.extension().and_then(|e| e.to_str()).is_some_and(|e| matches!(e, "safetensors" | "pth" | "pt"))
+            p.extension()
+                .and_then(|e| e.to_str())
+                .is_some_and(|e| matches!(e, "safetensors" | "pth" | "pt"))
         })
         .collect();
     found.sort();
@@ -58,7 +61,10 @@ pub fn resolve(path: &Path) -> Result<ModelFolder> {
              one .safetensors, .pth or .pt file",
             path.display()
         ),
-        many => bail!("{}: {} weight files; name the one to use", path.display(), many.len()),
+        many => {
+            let names: Vec<_> = many.iter().filter_map(|p| p.file_name()).take(8).collect();
+            bail!("{}: {} weight files, name one: {names:?}", path.display(), many.len())
+        }
     }
 }
 
@@ -73,11 +79,15 @@ fn shards(index: &Path) -> Result<BTreeSet<String>> {
     let mut names = BTreeSet::new();
     for (tensor, file) in map {
         match file.as_str() {
-            Some(name) if !name.contains(['/', '\\']) => {
+            // The index speaks about its own folder only.
+            Some(name) if !matches!(name, "" | "." | "..") && !name.contains(['/', '\\']) => {
                 names.insert(name.to_owned());
             }
             _ => bail!("{}: weight_map[{tensor}] is not a file name: {file}", index.display()),
         }
+    }
+    if names.is_empty() {
+        bail!("{}: weight_map names no file", index.display());
     }
     Ok(names)
 }

@@ -5,7 +5,8 @@ use candle_core::{DType, Device, Result, Tensor};
 
 /// FNV-1a, 64 bits.
 pub fn name_hash(name: &str) -> u64 {
-    name.bytes().fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(b)).wrapping_mul(0x100_0000_01b3))
+    name.bytes()
+        .fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(b)).wrapping_mul(0x100_0000_01b3))
 }
 
 /// `len` numbers in −1..1, multiples of 2⁻²³, from a name and a seed.
@@ -59,12 +60,20 @@ mod tests {
     #[test]
     fn published_values() {
         let at = |name: &str, shape: &[usize], i: usize, seed| -> f32 {
-            hashed_parameter(name, shape, seed).unwrap().flatten_all().unwrap().to_vec1::<f32>().unwrap()[i]
+            hashed_parameter(name, shape, seed)
+                .unwrap()
+                .flatten_all()
+                .unwrap()
+                .to_vec1::<f32>()
+                .unwrap()[i]
         };
         let qkv = "enc.enc0.block0.attn.qkv.weight";
         assert_eq!(at(qkv, &[96, 32], 0, 20240), 0.577_410_64);
         assert_eq!(at(qkv, &[96, 32], 3071, 20240), -0.283_237_28);
-        assert_eq!(at("embedding.stem.conv.weight", &[32, 5, 5, 5, 11], 12345, 20240), -0.039_594_013);
+        assert_eq!(
+            at("embedding.stem.conv.weight", &[32, 5, 5, 5, 11], 12345, 20240),
+            -0.039_594_013
+        );
         assert_eq!(at("embedding.stem.norm.running_var", &[32], 7, 20240), 0.706_386_4);
         assert_eq!(at("dec.dec0.block1.mlp.0.fc2.bias", &[768], 767, 20240), 0.041_553_57);
         assert_eq!(at("R", &[10, 10], 99, 501), 0.444_039_05);

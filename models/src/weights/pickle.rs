@@ -30,7 +30,10 @@ pub(super) enum Value {
     /// Entries in their order.
     Dict(Vec<(Ref, Ref)>),
     /// A call that Python would make.
-    Call { function: Ref, args: Ref },
+    Call {
+        function: Ref,
+        args: Ref,
+    },
     /// Something kept outside of the pickle: a tensor's storage.
     External(Ref),
     /// Bytes, sets and integers beyond 64 bits.

@@ -71,7 +71,8 @@ fn read_entry(zip: &mut Archive, name: &str, skip: u64, limit: u64) -> Result<Ve
     let io_error = |e: std::io::Error| candle_core::Error::Msg(format!("{name}: {e}"));
     // PyTorch can be told to write no checksums; it then writes zero.
     let unchecked = zip.by_index(index).map_err(zip_error)?.crc32() == 0;
-    let options = ZipReadOptions::new().ignore_crc32(unchecked);
+    // Names are in the archive twice; the contents of another entry would have a good checksum.
+    let options = ZipReadOptions::new().ignore_crc32(unchecked).enforce_header_consistency(true);
     let mut entry = zip.by_index_with_options(index, options).map_err(zip_error)?;
     let claimed = entry.size().saturating_sub(skip).min(limit) as usize;
     std::io::copy(&mut entry.by_ref().take(skip), &mut std::io::sink()).map_err(io_error)?;
@@ -103,7 +104,10 @@ fn unpickle(path: &Path) -> Result<(Archive, String, Pickle)> {
         let text = read_entry(&mut zip, &order, 0, 16).map_err(|e| message(path, &e))?;
         if text.trim_ascii() != b"little" {
             let text = String::from_utf8_lossy(&text);
-            bail!("{}: byte order {text:?}; only little-endian checkpoints are read", path.display());
+            bail!(
+                "{}: byte order {text:?}; only little-endian checkpoints are read",
+                path.display()
+            );
         }
     }
     let bytes = read_entry(&mut zip, &name, 0, MAX_PICKLE + 1).map_err(|e| message(path, &e))?;
@@ -132,7 +136,9 @@ fn tensor_args(pickle: &Pickle, value: Ref) -> Option<&[Ref]> {
                 };
                 (function, args) = (*f, *a);
             }
-            "torch._tensor._rebuild_from_type_v2" => (function, args) = (*given.first()?, *given.get(2)?),
+            "torch._tensor._rebuild_from_type_v2" => {
+                (function, args) = (*given.first()?, *given.get(2)?)
+            }
             _ => return None,
         }
     }
@@ -343,9 +349,7 @@ pub fn summarize(path: &Path) -> Result<BTreeMap<String, PickleValue>> {
         _ => PickleValue::Other("object".to_owned()),
     };
     Ok(match pickle.root() {
-        Value::Dict(entries) => {
-            entries.iter().map(|(k, v)| (pickle.key(*k), value(*v))).collect()
-        }
+        Value::Dict(entries) => entries.iter().map(|(k, v)| (pickle.key(*k), value(*v))).collect(),
         _ => [(String::new(), value(pickle.root_ref()))].into(),
     })
 }

@@ -13,7 +13,10 @@ pub struct WeightSource(Kind);
 #[derive(Debug, Clone)]
 enum Kind {
     Empty,
-    Hashed { seed: u64, prefix: String },
+    Hashed {
+        seed: u64,
+        prefix: String,
+    },
     Files {
         entries: BTreeMap<String, (usize, String)>,
         files: Arc<Vec<WeightFile>>,
@@ -67,7 +70,9 @@ impl WeightSource {
             for name in file.entries().keys() {
                 match rename(name, options.branch) {
                     Renamed::Weight(ours) => {
-                        if let Some((_, other)) = entries.insert(ours.clone(), (index, name.clone())) {
+                        if let Some((_, other)) =
+                            entries.insert(ours.clone(), (index, name.clone()))
+                        {
                             bail!("{}: {other} and {name} both name {ours}", file.path().display());
                         }
                     }

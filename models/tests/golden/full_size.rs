@@ -35,8 +35,11 @@ fn compare_rows(g: &Golden, name: &str, t: &Tensor) {
             .iter()
             .flat_map(|r| {
                 [0, 1].map(|j| {
-                    let sum: f64 =
-                        r.iter().enumerate().map(|(i, v)| f64::from(*v) * f64::from(p[2 * i + j])).sum();
+                    let sum: f64 = r
+                        .iter()
+                        .enumerate()
+                        .map(|(i, v)| f64::from(*v) * f64::from(p[2 * i + j]))
+                        .sum();
                     (sum / (c as f64).sqrt()) as f32
                 })
             })
@@ -49,7 +52,11 @@ fn points(g: &Golden) -> PointCloud {
     PointCloud::new(g.cells("in.grid_coord"), g.tensor("in.feat"), g.offsets("in.offset")).unwrap()
 }
 
-fn run(file: &str, prefix: &str, expected: &PointTransformerV3Config) -> Option<(Golden, ParamStore)> {
+fn run(
+    file: &str,
+    prefix: &str,
+    expected: &PointTransformerV3Config,
+) -> Option<(Golden, ParamStore)> {
     let g = Golden::open(file)?;
     let mut config = config(&g);
     config.drop_path = expected.drop_path;

@@ -1,5 +1,7 @@
 //! Agreement with numbers that the original implementation computed.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
+
 #[path = "../support/mod.rs"]
 mod support;
 

@@ -1,8 +1,8 @@
 //! Group e: attention, block, embedding, pooling, unpooling with their gradients.
 
 use crate::support::Golden;
-use candle_core::{Tensor, Var};
 use candle_core::backprop::GradStore;
+use candle_core::{Tensor, Var};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use scenesplat_kernels::segment::{Groups, Reduce, reduce};
@@ -99,7 +99,8 @@ fn block() {
         };
         let module = Block::new(shape, store.builder()).unwrap();
         let x = Var::from_tensor(&g.tensor("in.feat")).unwrap();
-        let stale = g.has("in.sparse_feat").then(|| Var::from_tensor(&g.tensor("in.sparse_feat")).unwrap());
+        let stale =
+            g.has("in.sparse_feat").then(|| Var::from_tensor(&g.tensor("in.sparse_feat")).unwrap());
         let mut rng = rng();
         let out = module
             .forward(
@@ -121,7 +122,8 @@ fn embedding() {
     let cloud = cloud(&g);
     let store = store("e_embedding");
     let module =
-        Embedding::new(g.number("in_channels"), g.number("embed_channels"), store.builder()).unwrap();
+        Embedding::new(g.number("in_channels"), g.number("embed_channels"), store.builder())
+            .unwrap();
     let x = Var::from_tensor(&g.tensor("in.feat")).unwrap();
     let mut rng = rng();
     let out = module.forward(x.as_tensor(), &cloud, &Forward::eval(&mut rng)).unwrap();

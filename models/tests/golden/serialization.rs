@@ -14,8 +14,14 @@ fn packed(cloud: &SerializedCloud, order: usize) -> Vec<i64> {
 #[test]
 fn codes_orders_and_inverses() {
     for case in [
-        "random_d8", "random_d12", "random_d16", "structured_d8", "structured_d12",
-        "structured_d16", "block_top_d16", "single_d4",
+        "random_d8",
+        "random_d12",
+        "random_d16",
+        "structured_d8",
+        "structured_d12",
+        "structured_d16",
+        "block_top_d16",
+        "single_d4",
     ] {
         let Some(g) = Golden::open(&format!("a_{case}.safetensors")) else { return };
         let cells = g.cells("grid_coord");

@@ -87,8 +87,7 @@ fn run(case: &str, mode: Mode) {
     let cells = inputs.cells("in.grid_coord");
     let offsets = inputs.offsets("in.offset");
     let feat = Var::from_tensor(&inputs.tensor("in.feat")).unwrap();
-    let points =
-        PointCloud::new(cells.clone(), feat.as_tensor().clone(), offsets.clone()).unwrap();
+    let points = PointCloud::new(cells.clone(), feat.as_tensor().clone(), offsets.clone()).unwrap();
     let mask: Option<Vec<bool>> =
         inputs.has("in.mask").then(|| inputs.ints("in.mask").iter().map(|v| *v != 0).collect());
     let orders = if inputs.has("in.order_perms") {
@@ -146,9 +145,12 @@ fn run(case: &str, mode: Mode) {
     let norm = |t: &Tensor| t.sqr().unwrap().sum_all().unwrap().to_scalar::<f32>().unwrap().sqrt();
     let mut compared = 0;
     let parameters = store.parameters();
-    for (parameter, var) in parameters.iter().map(|(n, v)| (n.as_str(), v)).chain([("in.feat", &feat)]) {
+    for (parameter, var) in
+        parameters.iter().map(|(n, v)| (n.as_str(), v)).chain([("in.feat", &feat)])
+    {
         let grad = grads.get(var).unwrap_or_else(|| panic!("{parameter}: no gradient"));
-        let (full, short) = (name(&format!("grad.{parameter}")), name(&format!("gradnorm.{parameter}")));
+        let (full, short) =
+            (name(&format!("grad.{parameter}")), name(&format!("gradnorm.{parameter}")));
         if g.has(&full) {
             g.compare_tensor(&full, grad);
             compared += 1;

@@ -47,7 +47,9 @@ impl Golden {
                         .collect(),
                 ),
                 Dtype::I64 => Values::Int(
-                    data.chunks_exact(8).map(|b| i64::from_le_bytes(b.try_into().unwrap())).collect(),
+                    data.chunks_exact(8)
+                        .map(|b| i64::from_le_bytes(b.try_into().unwrap()))
+                        .collect(),
                 ),
                 Dtype::U8 => Values::Int(data.iter().map(|&b| i64::from(b)).collect()),
                 other => panic!("{file}: {name} has type {other:?}"),

@@ -47,9 +47,12 @@ fn types_views_and_containers() {
     assert_eq!(numbers(&file, "parameter"), [9.0]);
     // `state_dict` is preferred to `model`; what is no tensor of it is listed.
     assert_eq!(file.skipped(), ["model", "again", "number", "nested", "5"]);
-    for (name, expected) in
-        [("i8", "CharStorage"), ("complex", "Complex"), ("expanded", "7 values share 1"), ("w", "no such")]
-    {
+    for (name, expected) in [
+        ("i8", "CharStorage"),
+        ("complex", "Complex"),
+        ("expanded", "7 values share 1"),
+        ("w", "no such"),
+    ] {
         let message = file.read(name).unwrap_err().to_string();
         assert!(message.contains(expected) && message.contains("odd_values.pth"), "{message}");
     }
