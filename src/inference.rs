@@ -2,10 +2,9 @@
 
 use crate::network::Network;
 use candle_core::{Device, Tensor};
-use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use scenesplat_datasets::{
-    ExactPlan, FastPlan, InferencePlan, NetworkInput, TileSettings, split_into_tiles,
+    ExactPlan, FastPlan, InferencePlan, NetworkInput, TileSettings, sample_rng, split_into_tiles,
 };
 use scenesplat_models::ops::normalize_rows;
 use scenesplat_models::{Forward, Mode, Orders, PointCloud};
@@ -182,6 +181,7 @@ impl<'a> SceneEncoder<'a> {
         if plan.num_inputs() == 0 {
             return Err(EncodeError::Setting("the scene has no Gaussian".to_owned()));
         }
+        check_way_back(scene, &plan, grid_size)?;
         let width = self.network.model().out_channels();
         let budget = self.budget(scene, &plan, width)?;
         let mut slots = if budget.spill {
@@ -229,7 +229,7 @@ impl<'a> SceneEncoder<'a> {
                     cut = tile.input(&input);
                     &cut
                 };
-                let values = self.forward(part, &mut report)?;
+                let values = self.forward(part, [pass, i], &mut report)?;
                 slots.add(&part.slots, &values, if whole { None } else { Some(&tile.is_core) })?;
                 computed += tile.voxels.len();
             }
@@ -249,12 +249,15 @@ impl<'a> SceneEncoder<'a> {
     fn forward(
         &self,
         input: &NetworkInput,
+        [pass, tile]: [usize; 2],
         report: &mut dyn FnMut(f64) -> Result<(), EncodeError>,
     ) -> Result<Vec<f32>, EncodeError> {
         let n = input.len();
         let feat = Tensor::from_slice(&input.feat, (n, input.channels), &Device::Cpu)?;
         let points = PointCloud::single(input.grid_coord.clone(), feat)?;
-        let mut rng = ChaCha8Rng::seed_from_u64(self.shuffle_orders.unwrap_or(0));
+        // Each call draws its own orders, as in the original.
+        let seed = self.shuffle_orders.unwrap_or(0);
+        let mut rng: ChaCha8Rng = sample_rng(seed, pass as u64, tile as u64);
         let orders = if self.shuffle_orders.is_some() { Orders::Shuffled } else { Orders::Listed };
         let costs = block_costs(self.network);
         let total: f64 = costs.iter().map(|(_, c)| c).sum();
@@ -313,6 +316,31 @@ impl<'a> SceneEncoder<'a> {
         }
         Ok(Budget { max_voxels, spill })
     }
+}
+
+/// Checks that every Gaussian gets the feature of a Gaussian of its own voxel: a row that went astray
+/// would give plausible nonsense.
+fn check_way_back(
+    scene: &GaussianScene,
+    plan: &InferencePlan<'_>,
+    grid_size: f64,
+) -> Result<(), EncodeError> {
+    // Coordinates are shifted and rounded to f32 before they are put on the grid.
+    let widest = scene.coord.iter().flatten().fold(1.0f32, |a, v| a.max(v.abs()));
+    let allowed = grid_size + 8.0 * f64::from(f32::EPSILON) * f64::from(widest);
+    for (row, &slot) in plan.inverse.iter().enumerate() {
+        let from = scene.coord[plan.sampled[slot as usize] as usize];
+        let here = scene.coord[row];
+        for axis in 0..3 {
+            let apart = (f64::from(from[axis]) - f64::from(here[axis])).abs();
+            if apart > allowed {
+                return Err(EncodeError::Setting(format!(
+                    "internal error: Gaussian {row} would get the feature of one {apart} m away"
+                )));
+            }
+        }
+    }
+    Ok(())
 }
 
 struct Budget {

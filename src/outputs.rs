@@ -102,7 +102,9 @@ pub fn write_features_safetensors(
         let mut file = std::io::BufWriter::new(std::fs::File::create(&beside)?);
         file.write_all(&(header.len() as u64).to_le_bytes())?;
         file.write_all(header.as_bytes())?;
+        let mut count = 0;
         for_each_source_block(opened, features, |values| {
+            count += values.len();
             for v in values {
                 match ty {
                     FeatureType::F32 => file.write_all(&v.to_le_bytes())?,
@@ -112,6 +114,8 @@ pub fn write_features_safetensors(
             Ok(())
         })?;
         file.flush()?;
+        // A header that promises more than there is would make every reader stumble.
+        anyhow::ensure!(count == rows * width, "wrote {count} of {} values", rows * width);
         std::fs::rename(&beside, path)?;
         Ok(())
     })();
@@ -167,8 +171,10 @@ pub struct ResultColumns<'a> {
 
 /// Writes the scene with new colours and result columns.
 ///
-/// A PLY source keeps every element, property and value; only `f_dc_0..2` are replaced, and their
-/// old values move to `source_f_dc_0..2`. Any other source becomes a standard splat PLY.
+/// A PLY source keeps every element, property and value; only the colours `f_dc_*` are replaced and
+/// the view-dependent `f_rest_*` set to 0, and their old values move to `source_f_dc_*` and
+/// `source_f_rest_*`. Any other source becomes a standard splat PLY; where rows were left out, its
+/// column `source_row` names the rows of the source.
 ///
 /// # Errors
 /// If the file cannot be written; then nothing is left behind.
@@ -189,6 +195,11 @@ pub fn write_colored_ply(
         scene.lang_feat = None;
         scene.valid_feat_mask = None;
         let mut extra = Vec::new();
+        let source_row: Vec<i32>;
+        if let Some(kept) = &loaded.kept_rows {
+            source_row = kept.iter().map(|r| *r as i32).collect();
+            extra.push(PlyColumn { name: "source_row", values: ColumnValues::I32(&source_row) });
+        }
         if let Some(label) = columns.label {
             extra.push(PlyColumn { name: "label", values: ColumnValues::I32(label) });
         }
@@ -228,7 +239,23 @@ pub fn write_colored_ply(
         .zip(&new_dc)
         .map(|(name, values)| PlyColumn { name, values: ColumnValues::F32(values) })
         .collect();
+    // Higher harmonics would tint the new colours; they become 0, their values move aside.
+    let rest_names: Vec<String> = (0..72)
+        .map(|i| format!("f_rest_{i}"))
+        .filter(|n| has_dc && source.element("vertex").is_some_and(|e| e.has(n)))
+        .collect();
+    let rest_aside: Vec<String> = rest_names.iter().map(|n| free(&format!("source_{n}"))).collect();
+    let rest: Vec<Vec<f32>> =
+        rest_names.iter().map(|n| Ok(source.column_f32("vertex", n)?)).collect::<Result<_>>()?;
+    let zeros = if rest.is_empty() { Vec::new() } else { vec![0f32; loaded.source_rows()] };
+    let recolored: Vec<PlyColumn<'_>> = recolored
+        .into_iter()
+        .chain(rest_names.iter().map(|n| PlyColumn { name: n, values: ColumnValues::F32(&zeros) }))
+        .collect();
     let mut append = Vec::new();
+    for (name, values) in rest_aside.iter().zip(&rest) {
+        append.push(PlyColumn { name, values: ColumnValues::F32(values) });
+    }
     if has_dc {
         for (name, values) in old_names.iter().zip(&old_dc) {
             append.push(PlyColumn { name, values: ColumnValues::F32(values) });

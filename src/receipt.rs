@@ -219,7 +219,17 @@ impl Receipt {
         self.report.borrow_mut().machine.threads = threads;
     }
 
-    /// Notes what a weight or input file (or folder) contains; reads it once.
+    /// Notes a file whose hash is known already.
+    pub fn fingerprint_known(&self, role: &str, path: &Path, bytes: u64, sha256: &str) {
+        self.report.borrow_mut().files.push(FileFingerprint {
+            role: role.to_owned(),
+            path: path.display().to_string(),
+            bytes,
+            sha256: sha256.to_owned(),
+        });
+    }
+
+    /// Notes what a file or folder contains.
     ///
     /// # Errors
     /// If it cannot be read.

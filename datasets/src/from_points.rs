@@ -1,10 +1,10 @@
 //! A labelled point cloud as a scene of Gaussians: every point becomes a small disc.
 
 use crate::DataError;
-use crate::error::{check_finite, check_length};
-use crate::nearest::{Found, NearestPoints};
+use crate::error::check_length;
 use rayon::prelude::*;
 use scenesplat_kernels::grid_sample::GridSampleError;
+use scenesplat_kernels::neighbors::{KdTree, Neighbor, NeighborError};
 use scenesplat_scene::GaussianScene;
 use scenesplat_scene::gaussian_scene::u8_to_dc;
 
@@ -13,6 +13,9 @@ const SPACING_NEIGHBOURS: usize = 3;
 
 /// Smallest standard deviation, metres: duplicates have no spacing.
 const MIN_SCALE: f64 = 1e-4;
+
+/// The normal of a point without a surface around it.
+const UP: [f64; 3] = [0.0, 0.0, 1.0];
 
 /// Points of a surface with what is known about each.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -76,31 +79,26 @@ pub fn gaussians_from_points(
 ) -> Result<ConvertedPoints, DataError> {
     settings.check()?;
     let n = points.coord.len();
-    check_coord(&points.coord)?;
     check_length("color", n, points.color.as_ref().map_or(n, Vec::len))?;
     check_length("normal", n, points.normal.as_ref().map_or(n, Vec::len))?;
     check_length("segment", n, points.segment.as_ref().map_or(n, Vec::len))?;
     check_length("instance", n, points.instance.as_ref().map_or(n, Vec::len))?;
 
-    let tree = NearestPoints::new(&points.coord);
-    let k = settings.normal_neighbours.max(SPACING_NEIGHBOURS);
-    let discs: Vec<Disc> = (0..n)
-        .into_par_iter()
-        .with_min_len(1024)
-        .map_init(Vec::new, |found, row| {
-            let given = points.normal.as_ref().and_then(|normal| unit_normal(normal[row]));
-            let wanted = if given.is_some() { SPACING_NEIGHBOURS } else { k };
-            tree.around(row as u32, wanted, found);
-            let (normal, origin) = match given {
-                Some(normal) => (normal, NormalOrigin::Given),
-                None => match plane_normal(&points.coord, row, found) {
-                    Some(normal) => (normal, NormalOrigin::Estimated),
-                    None => ([0.0, 0.0, 1.0], NormalOrigin::Unknown),
-                },
-            };
-            Disc { scale: settings.scale(found), normal, origin }
-        })
-        .collect();
+    let given = |row: usize| points.normal.as_ref().and_then(|normal| unit_normal(normal[row]));
+    let k = match (0..n).into_par_iter().all(|row| given(row).is_some()) {
+        true => SPACING_NEIGHBOURS,
+        false => settings.normal_neighbours.max(SPACING_NEIGHBOURS),
+    };
+    let discs: Vec<Disc> = map_around(&points.coord, k, |row, found| {
+        let (normal, origin) = match given(row) {
+            Some(normal) => (normal, NormalOrigin::Given),
+            None => match plane_normal(&points.coord, row, found) {
+                Some(normal) => (normal, NormalOrigin::Estimated),
+                None => (UP, NormalOrigin::Unknown),
+            },
+        };
+        Disc { scale: settings.scale(found), normal, origin }
+    })?;
 
     let thickness = f64::from(settings.thickness);
     let log_scale = |disc: &Disc| {
@@ -140,25 +138,42 @@ pub fn gaussians_from_points(
 /// # Errors
 /// If a coordinate is not finite or there are too many points.
 pub fn estimate_normals(coord: &[[f32; 3]], neighbours: usize) -> Result<Vec<[f32; 3]>, DataError> {
-    check_coord(coord)?;
-    let tree = NearestPoints::new(coord);
-    Ok((0..coord.len())
-        .into_par_iter()
-        .with_min_len(1024)
-        .map_init(Vec::new, |found, row| {
-            tree.around(row as u32, neighbours, found);
-            plane_normal(coord, row, found).unwrap_or([0.0, 0.0, 1.0]).map(|v| v as f32)
-        })
-        .collect())
+    map_around(coord, neighbours, |row, found| {
+        plane_normal(coord, row, found).unwrap_or(UP).map(|v| v as f32)
+    })
 }
 
-#[derive(Clone, Copy, PartialEq, Eq)]
+/// `answer(row, its k nearest other points)` for every row; all others if there are fewer.
+fn map_around<T: Default + Send>(
+    coord: &[[f32; 3]],
+    k: usize,
+    answer: impl Fn(usize, &[Neighbor]) -> T + Sync,
+) -> Result<Vec<T>, DataError> {
+    let tree = KdTree::new(coord).map_err(|error| match error {
+        NeighborError::NotFinite { row, value: [x, y, z] } => {
+            let value = [x, y].into_iter().find(|v| !v.is_finite()).unwrap_or(z);
+            DataError::NotFinite { row, field: "coord", value }
+        }
+        NeighborError::TooManyRows { rows } => GridSampleError::TooManyRows { rows }.into(),
+    })?;
+    // Among k + 1 neighbours a point finds itself, unless that many others share its place.
+    let answers = tree.map_nearest(coord, k.saturating_add(1), Vec::new, |others, row, found| {
+        others.clear();
+        others.extend(found.iter().filter(|n| n.row as usize != row).take(k));
+        answer(row, others)
+    });
+    Ok(answers)
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Default)]
 enum NormalOrigin {
     Given,
     Estimated,
+    #[default]
     Unknown,
 }
 
+#[derive(Default)]
 struct Disc {
     scale: f64,
     normal: [f64; 3],
@@ -183,22 +198,16 @@ impl PointSettings {
         Ok(())
     }
 
-    fn scale(&self, found: &[Found]) -> f64 {
+    fn scale(&self, found: &[Neighbor]) -> f64 {
         let near = &found[..found.len().min(SPACING_NEIGHBOURS)];
         let max = f64::from(self.max_scale);
         if near.is_empty() {
             return max;
         }
-        let spacing = near.iter().map(|f| f.0.sqrt()).sum::<f64>() / near.len() as f64;
+        let spacing =
+            near.iter().map(|n| n.distance_squared.sqrt()).sum::<f64>() / near.len() as f64;
         (spacing * f64::from(self.spread)).max(MIN_SCALE).min(max)
     }
-}
-
-fn check_coord(coord: &[[f32; 3]]) -> Result<(), DataError> {
-    if u32::try_from(coord.len()).is_err() {
-        return Err(GridSampleError::TooManyRows { rows: coord.len() }.into());
-    }
-    check_finite("coord", coord)
 }
 
 fn unit_normal(normal: [f32; 3]) -> Option<[f64; 3]> {
@@ -219,7 +228,7 @@ pub(crate) fn quat_from_z_to([x, y, z]: [f64; 3]) -> [f64; 4] {
 }
 
 /// Direction of least spread of a point and its neighbours; `None` if they span no plane.
-fn plane_normal(coord: &[[f32; 3]], row: usize, found: &[Found]) -> Option<[f64; 3]> {
+fn plane_normal(coord: &[[f32; 3]], row: usize, found: &[Neighbor]) -> Option<[f64; 3]> {
     let centre = coord[row].map(f64::from);
     // Relative to the point, so that coordinates far from the origin keep their digits.
     let relative = |r: u32| -> [f64; 3] {
@@ -227,14 +236,14 @@ fn plane_normal(coord: &[[f32; 3]], row: usize, found: &[Found]) -> Option<[f64;
     };
     let n = found.len() as f64 + 1.0;
     let mut mean = [0.0; 3];
-    for &(_, r) in found {
-        let p = relative(r);
+    for neighbor in found {
+        let p = relative(neighbor.row);
         for a in 0..3 {
             mean[a] += p[a] / n;
         }
     }
     let mut covariance = [[0.0; 3]; 3];
-    for r in found.iter().map(|f| f.1).chain([row as u32]) {
+    for r in found.iter().map(|n| n.row).chain([row as u32]) {
         let p = relative(r);
         for a in 0..3 {
             for b in 0..3 {

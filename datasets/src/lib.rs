@@ -10,7 +10,6 @@ pub mod error;
 pub mod from_points;
 pub mod generated_room;
 pub mod input_features;
-mod nearest;
 pub mod plan;
 pub mod rng;
 pub mod source;

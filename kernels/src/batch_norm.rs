@@ -23,6 +23,9 @@ fn column_sums(
     c: usize,
     f: impl Fn(usize, f32, f32) -> f64 + Sync,
 ) -> Vec<f64> {
+    if c == 0 {
+        return Vec::new();
+    }
     let partial: Vec<Vec<f64>> = rows
         .par_chunks(BLOCK * c)
         .zip(other.par_chunks(BLOCK * c))
@@ -63,6 +66,9 @@ pub fn statistics(x: &[f32], c: usize) -> Statistics {
 /// `x`, `out`: `[N, C]` · `scale`, `shift`: `[C]`
 pub fn apply(x: &[f32], scale: &[f32], shift: &[f32], gelu: bool, out: &mut [f32]) {
     let c = scale.len();
+    if c == 0 {
+        return;
+    }
     out.par_chunks_mut(BLOCK * c).zip(x.par_chunks(BLOCK * c)).for_each(|(out, x)| {
         for (out, x) in out.chunks_exact_mut(c).zip(x.chunks_exact(c)) {
             for j in 0..c {
@@ -92,6 +98,9 @@ pub fn backward(
     dx: &mut [f32],
 ) -> (Vec<f32>, Vec<f32>) {
     let c = weight.len();
+    if c == 0 {
+        return (Vec::new(), Vec::new());
+    }
     let n = (x.len() / c.max(1)).max(1) as f64;
     let dw =
         column_sums(x, grad, c, |j, v, g| f64::from(g) * (f64::from(v) - mean[j]) * inverse[j]);

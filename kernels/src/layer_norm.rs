@@ -104,6 +104,9 @@ pub fn backward(
     dx: &mut [f32],
 ) -> (Vec<f32>, Vec<f32>) {
     let c = weight.len();
+    if c == 0 {
+        return (Vec::new(), Vec::new());
+    }
     let partial: Vec<Vec<f64>> = dx
         .par_chunks_mut(BLOCK * c)
         .zip(x.par_chunks(BLOCK * c))

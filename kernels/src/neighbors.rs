@@ -43,9 +43,8 @@ impl Ord for Neighbor {
     }
 }
 
-/// Points that no tree can be built of.
+/// Points that no tree can be built of. There is no third reason, so callers may list both.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-#[non_exhaustive]
 pub enum NeighborError {
     /// A coordinate is NaN or infinite.
     #[error("coord[{row}] is not finite: {value:?}; repair or remove the point")]

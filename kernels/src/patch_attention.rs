@@ -49,7 +49,7 @@ pub fn forward(qkv: &[f32], heads: Heads, patches: &Patches, order: &[u32], out:
     let c = heads.channels();
     assert_eq!(qkv.len(), order.len() * 3 * c, "attention: qkv length");
     assert_eq!(out.len(), order.len() * c, "attention: output length");
-    let rows: Vec<u32> = patches.pad.iter().map(|&p| order[p as usize]).collect();
+    let rows = slot_rows(patches, order);
     let target = SharedMut(out.as_mut_ptr());
     tasks(patches, heads).for_each_init(
         || Scratch::new(heads.dim, patches.longest),
@@ -86,6 +86,21 @@ pub fn forward(qkv: &[f32], heads: Heads, patches: &Patches, order: &[u32], out:
             }
         },
     );
+}
+
+/// Row of each slot. Checks that every row is the own row of one slot only, on which the parallel
+/// writes rely.
+fn slot_rows(patches: &Patches, order: &[u32]) -> Vec<u32> {
+    let rows: Vec<u32> = patches.pad.iter().map(|&p| order[p as usize]).collect();
+    let mut owned = vec![false; order.len()];
+    for patch in &patches.patches {
+        assert!(patch.own <= patch.len, "attention: patch {patch:?}");
+        for &row in &rows[patch.start..patch.start + patch.own] {
+            let first = !std::mem::replace(&mut owned[row as usize], true);
+            assert!(first, "attention: row {row} occurs twice; the order is no permutation");
+        }
+    }
+    rows
 }
 
 fn tasks(
@@ -231,7 +246,7 @@ pub fn backward(
     assert_eq!(grad.len(), order.len() * c, "attention: gradient length");
     assert_eq!(dqkv.len(), qkv.len(), "attention: result length");
     dqkv.fill(0.0);
-    let rows: Vec<u32> = patches.pad.iter().map(|&p| order[p as usize]).collect();
+    let rows = slot_rows(patches, order);
     let target = SharedMut(dqkv.as_mut_ptr());
     // Own slots are written at once; borrowed ones are added afterwards, in a fixed order.
     let borrowed: Vec<(Patch, usize, Vec<f32>)> = tasks(patches, heads)

@@ -32,7 +32,7 @@ pub struct Patches {
 /// Cuts scenes (rows `offsets[i]..offsets[i + 1]` of the sequence) into patches of `patch_size`.
 ///
 /// # Panics
-/// If `patch_size` is 0 (configurations are checked before).
+/// If `patch_size` is 0 (configurations are checked before), or if padding needs more than 2³² slots.
 pub fn cut(offsets: &[usize], patch_size: usize) -> Patches {
     assert!(patch_size > 0, "patch size 0");
     let mut out = Patches {
@@ -47,6 +47,7 @@ pub fn cut(offsets: &[usize], patch_size: usize) -> Patches {
             continue;
         }
         let slot = out.pad.len();
+        assert!(u32::try_from(slot + n + patch_size).is_ok(), "more than 2³² attention slots");
         let count = n.div_ceil(patch_size);
         let rest = n % patch_size;
         out.unpad.extend((slot..slot + n).map(|s| s as u32));

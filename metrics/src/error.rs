@@ -1,4 +1,5 @@
 use crate::OracleFailure;
+use scenesplat_kernels::neighbors::NeighborError;
 
 /// Errors of this crate.
 #[derive(Debug, thiserror::Error)]
@@ -137,6 +138,17 @@ pub enum MetricError {
     /// The evaluation chain got a known answer wrong.
     #[error("the evaluation chain fails on known truth")]
     Oracle(#[source] Box<OracleFailure>),
+}
+
+impl From<NeighborError> for MetricError {
+    /// The points of a search are the reference of a vote.
+    fn from(error: NeighborError) -> Self {
+        let what = "reference coord";
+        match error {
+            NeighborError::NotFinite { row, value } => Self::NonFinite { what, row, value },
+            NeighborError::TooManyRows { rows } => Self::TooManyRows { what, rows, max: MAX_ROWS },
+        }
+    }
 }
 
 /// Checks that every label is -1 or a class.

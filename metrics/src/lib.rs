@@ -52,7 +52,6 @@
 mod confusion_matrix;
 mod error;
 mod instance_vote;
-mod kd_tree;
 mod metric;
 mod oracle;
 mod random_labels;
@@ -70,7 +69,6 @@ mod zero_shot;
 pub use confusion_matrix::ConfusionMatrix;
 pub use error::MetricError;
 pub use instance_vote::instance_vote;
-pub use kd_tree::{KdTree, Neighbor};
 pub use metric::{Measurement, Metric};
 pub use oracle::{Fault, OracleCheck, OracleFailure, OracleReport, OracleStage, OracleVote};
 pub use random_labels::random_labels;
@@ -79,10 +77,13 @@ pub use report::{EvaluatorClass, EvaluatorReport, TesterClass, TesterReport};
 pub use rows::{FeatureFn, FeatureRows, FeatureSlice};
 pub use similarity::cosine_scores;
 pub use text_table::TextTable;
-pub use voting::vote;
+pub use voting::{keep_withheld, vote};
 pub use zero_shot::{
     UnknownRule, ZeroShotLabels, ZeroShotOptions, classify, sigmoid_threshold_to_cosine,
 };
+
+/// Exact nearest neighbours, re-exported from the kernels.
+pub use scenesplat_kernels::neighbors::{KdTree, Neighbor};
 
 /// The label of a row that has none: unlabelled truth, or a prediction that was withheld.
 pub const IGNORE: i32 = -1;

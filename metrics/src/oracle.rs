@@ -4,7 +4,7 @@ use crate::sweep::vote_by_sweep;
 use crate::voting::check_vote;
 use crate::{
     ConfusionMatrix, FeatureFn, IGNORE, Metric, MetricError, TesterReport, TextTable, UnknownRule,
-    ZeroShotOptions, classify, vote,
+    ZeroShotOptions, classify, keep_withheld, vote,
 };
 use std::collections::BTreeMap;
 use std::fmt;
@@ -21,6 +21,8 @@ pub struct OracleVote<'a> {
     pub query: Option<(&'a [[f32; 3]], &'a [i32])>,
     /// Neighbours per vote.
     pub k: usize,
+    /// Whether rows without a class stay without one after the vote; without `query` only.
+    pub keep_unknown: bool,
 }
 
 /// A deliberate mistake: one row gets the text row of another class as its feature.
@@ -201,14 +203,20 @@ impl<'a> OracleCheck<'a> {
         self.compare_labels(OracleStage::Classify, &expected, &got)?;
 
         let mut truth = self.labels;
-        if let Some(OracleVote { coord, valid, query, k }) = self.vote {
+        if let Some(OracleVote { coord, valid, query, k, keep_unknown }) = self.vote {
+            let keep = keep_unknown && query.is_none();
             check_rows("coord", coord.len(), self.labels.len())?;
             let (query, query_labels) = query.unwrap_or((coord, self.labels));
             check_rows("query labels", query_labels.len(), query.len())?;
             check_labels("query labels", query_labels, num_classes)?;
             check_vote(coord, &expected, valid, query, k, num_classes)?;
+            let before = (got.clone(), expected.clone());
             got = vote(coord, &got, valid, query, k, num_classes)?;
             expected = vote_by_sweep(coord, &expected, valid, query, k)?;
+            if keep {
+                keep_withheld(&before.0, &mut got);
+                keep_withheld(&before.1, &mut expected);
+            }
             truth = query_labels;
             self.compare_labels(OracleStage::Vote, &expected, &got)?;
         }

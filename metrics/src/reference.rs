@@ -1,7 +1,7 @@
 //! Slow, obvious versions of this crate's algorithms. Only tests call them.
 
 use crate::IGNORE;
-use crate::kd_tree::distance_squared;
+use scenesplat_kernels::neighbors::distance_squared;
 use std::collections::BTreeMap;
 
 /// Rows of the `k` nearest points: all distances, sorted by (distance, row).

@@ -2,9 +2,9 @@
 //! one axis, each sorted along a second, and for each query a walk to both sides until one axis
 //! alone is too far. Several times slower than the tree, and still fit for whole scenes.
 
-use crate::kd_tree::distance_squared;
 use crate::{IGNORE, MetricError};
 use rayon::prelude::*;
+use scenesplat_kernels::neighbors::distance_squared;
 
 /// Voters per slab. A wall across the first axis puts many slabs at the same place; the second axis
 /// then keeps each visit short.

@@ -1,10 +1,18 @@
 use crate::error::{check_labels, check_num_classes, check_num_rows, check_rows};
-use crate::{IGNORE, KdTree, MetricError, Neighbor};
-use rayon::prelude::*;
-use std::collections::BinaryHeap;
+use crate::{IGNORE, KdTree, MetricError};
 
-/// Queries handled by one task; large enough that its buffers pay.
-const CHUNK: usize = 256;
+/// Takes the label away again from rows that had none before a vote among themselves: what was
+/// withheld as unknown stays unknown, and only abstained.
+///
+/// # Shapes
+/// - `before`, `after`: `[N]`; a longer one's rest is left alone
+pub fn keep_withheld(before: &[i32], after: &mut [i32]) {
+    for (after, &before) in after.iter_mut().zip(before) {
+        if before == IGNORE {
+            *after = IGNORE;
+        }
+    }
+}
 
 /// The majority label among the `k` nearest labelled points, for each query point.
 ///
@@ -44,25 +52,12 @@ pub fn vote(
     check_vote(reference, labels, valid, query, k, num_classes)?;
     let votes = |&row: &usize| valid.is_none_or(|valid| valid[row]);
     let tree = KdTree::of_rows(reference, (0..reference.len()).filter(votes))?;
-    let order = near_each_other(query);
-    let mut voted = vec![IGNORE; query.len()];
-    let answers: Vec<Vec<i32>> = order
-        .par_chunks(CHUNK)
-        .map_init(
-            || (Ballot::new(num_classes), BinaryHeap::new()),
-            |(ballot, found), rows| {
-                let answer = |&row: &u32| {
-                    tree.search(query[row as usize], k, found);
-                    ballot.winner(found.iter().map(|n: &Neighbor| labels[n.row as usize]))
-                };
-                rows.iter().map(answer).collect()
-            },
-        )
-        .collect();
-    for (&row, answer) in order.iter().zip(answers.into_iter().flatten()) {
-        voted[row as usize] = answer;
-    }
-    Ok(voted)
+    Ok(tree.map_nearest(
+        query,
+        k,
+        || Ballot::new(num_classes),
+        |ballot, _, near| ballot.winner(near.iter().map(|n| labels[n.row as usize])),
+    ))
 }
 
 /// The checks that every implementation of the vote shares.
@@ -88,39 +83,6 @@ pub(crate) fn check_vote(
         None => Ok(()),
         Some(row) => Err(MetricError::NonFinite { what: "query coord", row, value: query[row] }),
     }
-}
-
-/// The rows in an order in which neighbours in the list are neighbours in space, so that
-/// consecutive searches touch the same memory. Scenes arrive in hash order.
-fn near_each_other(coord: &[[f32; 3]]) -> Vec<u32> {
-    let mut lower = [f32::INFINITY; 3];
-    let mut upper = [f32::NEG_INFINITY; 3];
-    for c in coord {
-        for i in 0..3 {
-            lower[i] = lower[i].min(c[i]);
-            upper[i] = upper[i].max(c[i]);
-        }
-    }
-    let extent = (0..3).map(|i| f64::from(upper[i]) - f64::from(lower[i])).fold(0.0, f64::max);
-    let cells = 1023.0 / extent.max(f64::MIN_POSITIVE);
-    let mut order: Vec<(u32, u32)> = (0_u32..)
-        .zip(coord)
-        .map(|(row, c)| {
-            let cell = |i: usize| ((f64::from(c[i]) - f64::from(lower[i])) * cells) as u32;
-            (spread(cell(0)) | spread(cell(1)) << 1 | spread(cell(2)) << 2, row)
-        })
-        .collect();
-    order.par_sort_unstable();
-    order.into_iter().map(|(_, row)| row).collect()
-}
-
-/// Moves bit `i` of a 10-bit number to bit `3 i`.
-fn spread(v: u32) -> u32 {
-    let v = v.min(1023);
-    let v = (v | v << 16) & 0x0300_00FF;
-    let v = (v | v << 8) & 0x0300_F00F;
-    let v = (v | v << 4) & 0x030C_30C3;
-    (v | v << 2) & 0x0924_9249
 }
 
 /// Counts votes for classes; empty between elections.
@@ -165,12 +127,5 @@ mod tests {
         {
             assert_eq!(ballot.winner(labels.into_iter()), winner);
         }
-    }
-
-    #[test]
-    fn spreads_ten_bits() {
-        assert_eq!(spread(0b11), 0b1001);
-        assert_eq!(spread(1023), 0x0924_9249);
-        assert_eq!(spread(u32::MAX), 0x0924_9249);
     }
 }

@@ -53,7 +53,13 @@ fn votes_and_counts_are_predicted_exactly() {
         let valid: Vec<bool> = (0..400).map(|i| i % 5 != 0).collect();
         for k in [1, 25, 500] {
             for query in [None, Some((&query[..], &query_labels[..]))] {
-                let vote = OracleVote { coord: &coord, valid: Some(&valid), query, k };
+                let vote = OracleVote {
+                    coord: &coord,
+                    valid: Some(&valid),
+                    query,
+                    k,
+                    keep_unknown: false,
+                };
                 let check = OracleCheck::new(&labels, &text).with_vote(vote).with_excluded(&[0, 1]);
                 let report = in_all_pools(|| check.run().unwrap());
                 assert_eq!(report.num_scored, query.map_or(400, |q| q.0.len()));
@@ -128,7 +134,8 @@ fn small_and_malformed_inputs() {
         let report = OracleCheck::new(labels, &text).run().unwrap();
         assert_eq!(report.metrics.all_accuracy, labels.contains(&2).then_some(1.0));
         let coord = vec![[0.0; 3]; labels.len()];
-        let vote = OracleVote { coord: &coord, valid: None, query: None, k: 25 };
+        let vote =
+            OracleVote { coord: &coord, valid: None, query: None, k: 25, keep_unknown: false };
         OracleCheck::new(labels, &text).with_vote(vote).run().unwrap();
     }
     let error = |check: OracleCheck<'_>| check.run().unwrap_err().to_string();
@@ -138,7 +145,7 @@ fn small_and_malformed_inputs() {
         "labels[1] is 3, expected -1 or a class below 3"
     );
     let coord = [[0.0; 3]; 3];
-    let vote = OracleVote { coord: &coord, valid: None, query: None, k: 1 };
+    let vote = OracleVote { coord: &coord, valid: None, query: None, k: 1, keep_unknown: false };
     assert_eq!(error(check.clone().with_vote(vote)), "coord: expected 2 rows, got 3");
     assert!(error(check.clone().with_fault(Fault { row: 0, class: 3 })).contains("class 3"));
     assert!(error(check.clone().with_fault(Fault { row: 2, class: 0 })).contains("fault"));
@@ -151,6 +158,6 @@ fn a_hundred_thousand_coincident_points_stay_quick() {
     let text = text(1, 5);
     let labels = random_labels(100_000, 5, 9).unwrap();
     let coord = vec![[0.25; 3]; 100_000];
-    let vote = OracleVote { coord: &coord, valid: None, query: None, k: 25 };
+    let vote = OracleVote { coord: &coord, valid: None, query: None, k: 25, keep_unknown: false };
     OracleCheck::new(&labels, &text).with_vote(vote).run().unwrap();
 }

@@ -87,6 +87,9 @@ impl LanguageModel {
     /// # Errors
     /// If the configuration has a segmentation head, or parameters exist with another shape.
     pub fn new(config: &PointTransformerV3Config, vb: VarBuilder<'_>) -> Result<Self> {
+        if config.num_classes.is_some() {
+            bail!("num_classes: a language network has no classifier; build a SemanticSegmenter");
+        }
         Ok(Self { backbone: PointTransformerV3::new(config, vb)? })
     }
 }

@@ -279,7 +279,7 @@ fn random_damage_never_panics() {
         let path = save(dir.path(), &bytes);
         let result = std::panic::catch_unwind(|| {
             let ok = open_scene(&path, &ReadOptions::default()).is_ok();
-            let _ = read_labelled_ply(&path, Policy::Repair);
+            let _ = read_labelled_ply(&path, Policy::Repair, None);
             if let Ok(file) = PlyFile::open(&path) {
                 for element in file.elements() {
                     for property in &element.properties {

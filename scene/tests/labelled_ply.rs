@@ -10,7 +10,7 @@ fn read(text: &str, policy: Policy) -> Result<(LabelledCloud, RepairReport), Sce
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("a.ply");
     std::fs::write(&path, text).unwrap();
-    read_labelled_ply(&path, policy)
+    read_labelled_ply(&path, policy, None)
 }
 
 fn cloud(properties: &str, rows: &[&str]) -> String {

@@ -147,7 +147,7 @@ fn results_can_be_added_to_files_of_both_kinds() {
 #[test]
 fn the_labelled_house() {
     let Some(path) = shared("real/small_house_labelled.ply") else { return };
-    let (cloud, report) = read_labelled_ply(&path, Policy::Strict).unwrap();
+    let (cloud, report) = read_labelled_ply(&path, Policy::Strict, None).unwrap();
     assert_eq!(cloud.coord.len(), 774_287);
     assert!(report.is_clean());
     let color = cloud.color.unwrap();

@@ -15,9 +15,10 @@ use scenesplat_datasets::{PointCloud, PointSettings, gaussians_from_points};
 use scenesplat_kernels::simd::Isa;
 use scenesplat_models::LoadPolicy;
 use scenesplat_models::convert::{Branch, ConvLayout};
-use scenesplat_scene::formats::labelled_ply::read_labelled_ply;
+use scenesplat_scene::formats::labelled_ply::{LABEL_NAMES, read_labelled_ply};
 use scenesplat_scene::formats::ply::PlyFile;
 use scenesplat_scene::{GaussianScene, LoadedScene, Policy, ReadOptions, SceneKind, open_scene};
+use std::cell::Cell;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -45,7 +46,7 @@ pub struct Shared {
     /// Seed of everything random (nothing is, unless asked for).
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub seed: u64,
-    /// Prints errors only.
+    /// Says nothing about the progress, and prints no receipt; results are still printed.
     #[arg(long)]
     pub quiet: bool,
 }
@@ -60,7 +61,8 @@ pub enum Device {
 /// Flags of commands that run a network over a scene.
 #[derive(Debug, clap::Args)]
 pub struct Inference {
-    /// The original's steps (1 cm sampling, several passes, average) instead of one pass.
+    /// The original's steps (a sampling at half the voxel size, several passes, average) instead of
+    /// one pass.
     #[arg(long)]
     pub exact: bool,
     /// Voxel size, metres; the released networks were trained at 0.02.
@@ -113,6 +115,24 @@ pub enum ConvLayoutArg {
     Spconv1,
 }
 
+impl From<BranchArg> for Branch {
+    fn from(branch: BranchArg) -> Self {
+        match branch {
+            BranchArg::Teacher => Self::Teacher,
+            BranchArg::Student => Self::Student,
+        }
+    }
+}
+
+impl From<ConvLayoutArg> for ConvLayout {
+    fn from(layout: ConvLayoutArg) -> Self {
+        match layout {
+            ConvLayoutArg::Spconv2 => Self::OutKernelIn,
+            ConvLayoutArg::Spconv1 => Self::KernelInOut,
+        }
+    }
+}
+
 fn parse_up(text: &str) -> Result<UpAxis, String> {
     Ok(match text {
         "+x" | "x" => UpAxis::PlusX,
@@ -133,6 +153,7 @@ pub struct Session<'a> {
     pub receipt: Receipt,
     /// What is shown.
     pub progress: Progress,
+    made_out: Cell<bool>,
 }
 
 impl<'a> Session<'a> {
@@ -142,20 +163,25 @@ impl<'a> Session<'a> {
             return Err(WrongUse("--threads 0: at least one thread is needed".to_owned()).into());
         }
         if let Some(n) = shared.threads {
-            // Fails only if a pool exists, as in tests that run several commands.
-            let _ = rayon::ThreadPoolBuilder::new().num_threads(n).build_global();
+            // Fails if the system gives no such number of threads, or a pool exists already.
+            let built = rayon::ThreadPoolBuilder::new().num_threads(n).build_global();
+            if built.is_err() && rayon::current_num_threads() != n {
+                anyhow::bail!("--threads {n}: the system does not allow that many");
+            }
         }
         // A handler is there already when several commands run in one process.
         let _ = listen_for_interrupt();
         let receipt = Receipt::new(format!("scenesplat {command}"));
         receipt.computation("f32", Isa::current().name());
         receipt.threads(rayon::current_num_threads());
-        Ok(Self { shared, receipt, progress: Progress::new(shared.quiet) })
+        let progress = Progress::new(shared.quiet);
+        Ok(Self { shared, receipt, progress, made_out: Cell::new(false) })
     }
 
     /// Makes the output folder; called before anything expensive.
     pub fn make_out(&self) -> Result<()> {
         let out = &self.shared.out;
+        self.made_out.set(true);
         std::fs::create_dir_all(out)
             .with_context(|| format!("{}: cannot make the output folder", out.display()))
     }
@@ -197,19 +223,14 @@ impl<'a> Session<'a> {
             } else {
                 LoadPolicy::Strict
             },
-            branch: match inference.branch {
-                BranchArg::Teacher => Branch::Teacher,
-                BranchArg::Student => Branch::Student,
-            },
-            conv_layout: match inference.conv_layout {
-                ConvLayoutArg::Spconv2 => ConvLayout::OutKernelIn,
-                ConvLayoutArg::Spconv1 => ConvLayout::KernelInOut,
-            },
+            branch: inference.branch.into(),
+            conv_layout: inference.conv_layout.into(),
         };
         let network = Network::load(config, weights, options)?;
         for (path, sha256) in network.files() {
             self.progress.say(format!("weights {} sha256 {sha256}", path.display()));
-            self.receipt.fingerprint("weights", path)?;
+            let bytes = std::fs::metadata(path).map_or(0, |m| m.len());
+            self.receipt.fingerprint_known("weights", path, bytes, sha256);
         }
         match weights {
             Weights::Seeded(seed) => {
@@ -235,8 +256,8 @@ impl<'a> Session<'a> {
         let stage = self.receipt.stage("read");
         self.progress.say(format!("reading {}", path.display()));
         let policy = if inference.strict { Policy::Strict } else { Policy::Repair };
-        let opened = match labelled_cloud(path)? {
-            true => self.open_cloud(path, policy)?,
+        let opened = match labelled_cloud(path, inference.segment_name.as_deref())? {
+            true => self.open_cloud(path, policy, inference.segment_name.as_deref())?,
             false => {
                 let options = ReadOptions {
                     policy,
@@ -258,8 +279,9 @@ impl<'a> Session<'a> {
         Ok(opened)
     }
 
-    fn open_cloud(&self, path: &Path, policy: Policy) -> Result<OpenedScene> {
-        let (cloud, report) = read_labelled_ply(path, policy)?;
+    fn open_cloud(&self, path: &Path, policy: Policy, label: Option<&str>) -> Result<OpenedScene> {
+        let (cloud, report) = read_labelled_ply(path, policy, label)?;
+        let kept_rows = cloud.kept_rows;
         let points = PointCloud {
             coord: cloud.coord,
             color: cloud.color,
@@ -281,7 +303,7 @@ impl<'a> Session<'a> {
         let loaded = LoadedScene {
             scene: converted.scene,
             report,
-            kept_rows: None,
+            kept_rows,
             path: path.to_owned(),
             kind: SceneKind::InriaPly,
         };
@@ -310,7 +332,7 @@ impl<'a> Session<'a> {
             ..SceneEncoder::new(network)
         };
         let receipt = &self.receipt;
-        let why = "one Gaussian a voxel, or all of a 1 cm sampling averaged";
+        let why = "fast: one Gaussian a voxel; exact: a sampling at half the voxel size, averaged";
         receipt.setting("fidelity", format!("{:?}", encoder.fidelity).to_lowercase(), why);
         receipt.setting("grid_size", encoder.grid_size, "metres");
         if inference.shuffle_orders {
@@ -378,7 +400,7 @@ impl<'a> Session<'a> {
             print(&report.to_string());
         }
         let beside = self.out("receipt.json");
-        if self.shared.out.is_dir() {
+        if self.made_out.get() {
             report.write_json(&beside)?;
         }
         if let Some(path) = &self.shared.receipt {
@@ -389,16 +411,27 @@ impl<'a> Session<'a> {
 }
 
 /// Whether a PLY file is a labelled point cloud rather than splats.
-fn labelled_cloud(path: &Path) -> Result<bool> {
+fn labelled_cloud(path: &Path, label: Option<&str>) -> Result<bool> {
     if path.is_dir() {
         return Ok(false);
     }
+    // What is no PLY file is refused later, with everything that can be read.
     let Ok(ply) = PlyFile::open(path) else { return Ok(false) };
     let Some(vertex) = ply.element("vertex") else { return Ok(false) };
     let has = |names: &[&str]| names.iter().any(|n| vertex.has(n));
     Ok(vertex.has("x")
-        && has(&["label", "segment"])
+        && (has(&LABEL_NAMES) || label.is_some_and(|l| vertex.has(l)))
         && !has(&["scale_0", "f_dc_0", "opacity", "packed_position"]))
+}
+
+/// Writes a text file beside its place and renames it. Gives its size.
+pub fn write_text(path: &Path, text: &str) -> Result<u64> {
+    let mut beside = path.as_os_str().to_owned();
+    beside.push(".partial");
+    std::fs::write(&beside, text)
+        .and_then(|()| std::fs::rename(&beside, path))
+        .with_context(|| path.display().to_string())?;
+    Ok(text.len() as u64)
 }
 
 /// Writes text to standard output.

@@ -1,17 +1,18 @@
 //! `scenesplat evaluate`
 
 use super::WrongUse;
-use super::common::{Inference, Session, Shared, print};
+use super::common::{Inference, Session, Shared, print, write_text};
 use super::segment::{Classes, label_slots};
+use crate::Network;
 use crate::text::{class_list, metric_table};
 use anyhow::{Context, Result};
 use scenesplat_metrics::{
-    ConfusionMatrix, Fault, FeatureSlice, Metric, OracleCheck, OracleVote, TesterReport, classify,
-    random_labels, vote,
+    ConfusionMatrix, Fault, FeatureSlice, Metric, OracleCheck, OracleVote, TesterReport,
+    UnknownRule, classify, keep_withheld, random_labels, vote,
 };
 use scenesplat_scene::formats::npy::NpyFile;
 use scenesplat_scene::label_set::read_names;
-use scenesplat_scene::{ClassMap, GaussianScene, LabelSet};
+use scenesplat_scene::{ClassMap, GaussianScene, LabelSet, TextTable};
 use std::path::PathBuf;
 
 /// Labels scenes and compares with their own labels; prints and writes evaluation.json.
@@ -35,8 +36,13 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     pub class_map: Option<PathBuf>,
     /// Classes left out of f-mIoU and f-mAcc, comma-separated.
-    #[arg(long, value_name = "NAMES", value_delimiter = ',', default_value = "wall,floor,ceiling")]
-    pub exclude: Vec<String>,
+    /// [default: those of wall, floor, ceiling that exist]
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    pub exclude: Option<Vec<String>>,
+    /// Lets only Gaussians vote that have a collected language feature (valid_feat_mask), as the
+    /// original does; its numbers then depend on where labels were collected.
+    #[arg(long)]
+    pub vote_valid_only: bool,
     /// "oracle", or features made before (.npy, [N, D]; one scene only) instead of a network.
     #[arg(long, value_name = "oracle|FILE.npy")]
     pub features: Option<String>,
@@ -110,14 +116,8 @@ fn truth(
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start(&args.shared, line)?;
-    let text = args.classes.text_table()?;
-    let set = LabelSet::new(text.names.clone())?;
-    let excluded = class_list(&set, &known(&set, &args.exclude, &session)?)?;
-    let options = args.classes.options(&set)?;
-    let to_text = label_map(args, &text.names)?;
-    let table = metric_table(&text)?;
-    let oracle_only = args.features.as_deref() == Some("oracle");
     let from_file = args.features.as_deref().filter(|f| *f != "oracle").map(PathBuf::from);
+    let oracle_only = args.features.as_deref() == Some("oracle");
     if from_file.is_some() && args.scenes.len() > 1 {
         return Err(
             WrongUse("--features FILE holds the features of one scene only".to_owned()).into()
@@ -125,7 +125,25 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     }
     let network =
         if args.features.is_none() { Some(session.network(&args.inference)?) } else { None };
+    let text = match &network {
+        Some(network) if network.is_classifier() => classes_of(network, args)?,
+        _ => args.classes.text_table()?,
+    };
+    let set = LabelSet::new(text.names.clone())?;
+    let excluded = match &args.exclude {
+        Some(names) => class_list(&set, names)?,
+        None => ["wall", "floor", "ceiling"].iter().filter_map(|n| set.index_of(n).ok()).collect(),
+    };
+    let options = args.classes.options(&set)?;
+    // What a threshold withheld stays unknown; rows without a usable feature may be filled.
+    let withholds = options.unknown != UnknownRule::default();
+    let to_text = label_map(args, &text.names)?;
+    let table = metric_table(&text)?;
     session.make_out()?;
+    args.classes.record(&session)?;
+    session.receipt.setting("vote_k", args.vote_k, "neighbours that vote on each label");
+    let names: Vec<&str> = excluded.iter().map(|&c| text.names[c].as_str()).collect();
+    session.receipt.setting("exclude", names.join(","), "left out of f-mIoU and f-mAcc");
 
     let classes = text.names.len();
     let matrix = || -> Result<ConfusionMatrix> {
@@ -137,16 +155,34 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         let scene = &opened.loaded.scene;
         let truth = truth(scene, to_text.as_deref(), classes, path)?;
         let query = truth.points.as_ref().map(|(c, l)| (c.as_slice(), l.as_slice()));
+        let valid = match (&scene.valid_feat_mask, args.vote_valid_only) {
+            (Some(mask), true) => Some(mask.as_slice()),
+            (None, true) => {
+                return Err(WrongUse(format!(
+                    "--vote-valid-only: {} has no valid_feat_mask",
+                    path.display()
+                ))
+                .into());
+            }
+            _ => None,
+        };
 
+        // What each class comes out as: itself, except for aliases.
+        let mut answers: Vec<i32>;
         {
             let _stage = session.receipt.stage("oracle");
             let mut check = OracleCheck::new(&truth.gaussians, &table)
                 .with_class_names(&text.names)
                 .with_excluded(&excluded)
                 .with_options(options.clone());
-            if args.vote_k > 1 {
-                let voters = OracleVote { coord: &scene.coord, valid: None, query, k: args.vote_k };
-                check = check.with_vote(voters);
+            if args.vote_k > 1 || query.is_some() {
+                check = check.with_vote(OracleVote {
+                    coord: &scene.coord,
+                    valid,
+                    query,
+                    k: args.vote_k.max(1),
+                    keep_unknown: withholds,
+                });
             }
             if let Some(row) = args.break_oracle {
                 check = check.with_fault(fault(&truth.gaussians, row)?);
@@ -169,6 +205,10 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
                 session.progress.say(&text);
                 session.receipt.warning(text);
             }
+            answers = (0..classes as i32).collect();
+            for &(class, becomes) in &report.aliases {
+                answers[class] = becomes;
+            }
             print(&format!(
                 "{}: oracle matches its analytic value on {} labelled Gaussians, {} scored points: {}",
                 path.display(),
@@ -182,17 +222,23 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         // The oracle passed: its prediction is the truth through the vote.
         let scored = query.map_or(truth.gaussians.as_slice(), |(_, labels)| labels);
         let voted = |labels: &[i32]| -> Result<Vec<i32>> {
-            match (args.vote_k > 1, query) {
-                (true, q) => {
-                    let at = q.map_or(scene.coord.as_slice(), |(c, _)| c);
-                    Ok(vote(&scene.coord, labels, None, at, args.vote_k, classes)?)
-                }
-                (false, None) => Ok(labels.to_vec()),
-                (false, Some((at, _))) => Ok(vote(&scene.coord, labels, None, at, 1, classes)?),
+            if args.vote_k <= 1 && query.is_none() {
+                return Ok(labels.to_vec());
             }
+            let at = query.map_or(scene.coord.as_slice(), |(c, _)| c);
+            let mut after = vote(&scene.coord, labels, valid, at, args.vote_k.max(1), classes)?;
+            if withholds && query.is_none() {
+                keep_withheld(labels, &mut after);
+            }
+            Ok(after)
         };
         let _stage = session.receipt.stage("score");
-        oracle.update((&voted(&truth.gaussians)?, scored))?;
+        let told: Vec<i32> = truth
+            .gaussians
+            .iter()
+            .map(|&l| usize::try_from(l).map_or(-1, |l| answers[l]))
+            .collect();
+        oracle.update((&voted(&told)?, scored))?;
         random.update((&random_labels(scored.len(), classes, args.shared.seed)?, scored))?;
         drop(_stage);
         if oracle_only {
@@ -262,9 +308,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
             .collect::<Vec<_>>(),
     });
     let path = session.out("evaluation.json");
-    let beside = path.with_extension("json.partial");
-    std::fs::write(&beside, serde_json::to_string_pretty(&json)?)?;
-    std::fs::rename(&beside, &path)?;
+    let bytes = write_text(&path, &serde_json::to_string_pretty(&json)?)?;
+    session.wrote(&path, bytes);
     session.finish()
 }
 
@@ -288,14 +333,23 @@ fn label_map(args: &Args, names: &[String]) -> Result<Option<Vec<i32>>> {
     Ok(Some(map.indices(&labels, names)?))
 }
 
-/// The excluded names that the text table has; the default list need not be complete.
-fn known(set: &LabelSet, wanted: &[String], session: &Session<'_>) -> Result<Vec<String>> {
-    let (there, missing): (Vec<String>, Vec<String>) =
-        wanted.iter().cloned().partition(|n| set.index_of(n).is_ok());
-    if !missing.is_empty() {
-        session.progress.say(format!("--exclude: no class named {}", missing.join(", ")));
+/// The classes of a segmentation network as a table: each is its own direction.
+fn classes_of(network: &Network, args: &Args) -> Result<TextTable> {
+    let count = network.config().num_classes.unwrap_or(0);
+    let Some(path) = &args.classes.text_names else {
+        let text = "--text-names is missing: the names of the network's classes, one a line";
+        return Err(WrongUse(text.to_owned()).into());
+    };
+    let names = read_names(path)?;
+    if names.len() != count || args.classes.text.is_some() {
+        return Err(WrongUse(format!(
+            "a segmentation network takes no --text, and --text-names with {count} names; got {}",
+            names.len()
+        ))
+        .into());
     }
-    Ok(there)
+    let values = (0..count * count).map(|i| f32::from(u8::from(i % (count + 1) == 0))).collect();
+    Ok(TextTable::from_rows(names, values, count)?)
 }
 
 /// A row with the text of another class.

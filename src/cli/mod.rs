@@ -56,7 +56,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Segment(args) => segment::run(args, &line),
         Command::Query(args) => query::run(args, &line),
         Command::Evaluate(args) => evaluate::run(args, &line),
-        Command::Weights(args) => weights::run(args),
+        Command::Weights(args) => weights::run(args, &line),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

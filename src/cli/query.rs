@@ -7,12 +7,12 @@ use crate::outputs::{ResultColumns, write_colored_ply, write_scene_preview};
 use crate::preview::LegendEntry;
 use crate::text::metric_table;
 use anyhow::Result;
-use scenesplat_metrics::{cosine_scores, vote};
+use scenesplat_metrics::{ZeroShotOptions, classify, vote};
 use scenesplat_models::weights::read_single_tensor;
-use scenesplat_scene::TextTable;
 use scenesplat_scene::formats::npy::NpyFile;
 use scenesplat_scene::formats::npy_writer::write_npy;
 use scenesplat_scene::label_set::{find_name, nearest_names};
+use scenesplat_scene::{LabelSet, TextTable};
 use std::path::{Path, PathBuf};
 
 /// Writes scores.npy (cosine with the query), selection.npy (0 or 1), query.ply (a heat map with
@@ -76,6 +76,24 @@ fn texts(args: &Args) -> Result<(TextTable, usize)> {
         };
     };
     let vector = read_vector(path)?;
+    if let Some(t) = &table
+        && t.dim != vector.len()
+    {
+        return Err(WrongUse(format!(
+            "--embedding has {} values, the rows of --text have {}",
+            vector.len(),
+            t.dim
+        ))
+        .into());
+    }
+    if table.is_none() && args.classes.min_score.is_none() {
+        return Err(WrongUse(
+            "without rivals every Gaussian would be selected: give --text (other classes) or \
+             --min-score"
+                .to_owned(),
+        )
+        .into());
+    }
     let (mut names, mut values) = table.map_or((Vec::new(), Vec::new()), |t| (t.names, t.values));
     // A row of the same name would be its own rival.
     if let Ok(row) = find_name(&names, &args.query) {
@@ -100,6 +118,10 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start(&args.shared, line)?;
     let (text, row) = texts(args)?;
     session.make_out()?;
+    args.classes.record(&session)?;
+    if let Some(path) = &args.embedding {
+        session.receipt.fingerprint("embedding", path)?;
+    }
     let network = session.network(&args.inference)?;
     if network.is_classifier() {
         return Err(WrongUse(
@@ -121,23 +143,36 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
 
     let (scores, selected) = {
         let _stage = session.receipt.stage("query");
-        let all = cosine_scores(&slot_rows(&features)?, &metric_table(&text)?)?;
-        let classes = text.names.len();
+        let rows = slot_rows(&features)?;
+        let own_text = TextTable::from_rows(
+            vec![args.query.clone()],
+            text.row(row).unwrap_or_default().to_vec(),
+            text.dim,
+        )?;
+        let own = classify(&rows, &metric_table(&own_text)?, &ZeroShotOptions::default())?;
+        let set = LabelSet::new(text.names.clone())?;
+        let mut candidates =
+            args.classes.options(&set)?.candidates.unwrap_or_else(|| vec![true; text.len()]);
+        candidates[row] = false;
+        // The best rival of each row, if there is any.
+        let rivals = if candidates.contains(&true) {
+            let options =
+                ZeroShotOptions { candidates: Some(candidates), ..ZeroShotOptions::default() };
+            Some(classify(&rows, &metric_table(&text)?, &options)?.scores)
+        } else {
+            None
+        };
         let wins = |slot: usize| {
-            let scores = &all[slot * classes..(slot + 1) * classes];
-            let own = scores[row];
-            let rival = (0..classes)
-                .filter(|c| *c != row)
-                .map(|c| scores[c])
-                .fold(f32::NEG_INFINITY, f32::max);
-            own.is_finite()
-                && own > rival
-                && own - rival >= args.classes.min_margin.unwrap_or(0.0)
-                && args.classes.min_score.is_none_or(|m| own >= m)
+            let score = own.scores[slot];
+            // A row without a direction has no class, not even the only one.
+            own.labels[slot] >= 0
+                && rivals.as_ref().is_none_or(|r| {
+                    score > r[slot] && score - r[slot] >= args.classes.min_margin.unwrap_or(0.0)
+                })
+                && args.classes.min_score.is_none_or(|m| score >= m)
         };
         let slots: Vec<bool> = (0..features.num_slots()).map(wins).collect();
-        let scores: Vec<f32> =
-            features.inverse().iter().map(|s| all[*s as usize * classes + row]).collect();
+        let scores: Vec<f32> = features.inverse().iter().map(|s| own.scores[*s as usize]).collect();
         let selected: Vec<i32> =
             features.inverse().iter().map(|s| i32::from(slots[*s as usize])).collect();
         (scores, selected)

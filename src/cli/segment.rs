@@ -1,13 +1,15 @@
 //! `scenesplat segment`
 
 use super::WrongUse;
-use super::common::{Inference, Session, Shared};
+use super::common::{Inference, Session, Shared, write_text};
 use crate::Network;
 use crate::inference::SceneFeatures;
 use crate::outputs::{ResultColumns, label_colors, legend, write_colored_ply, write_scene_preview};
 use crate::text::{class_list, metric_table, read_text_table};
 use anyhow::{Context, Result};
-use scenesplat_metrics::{FeatureFn, FeatureRows, UnknownRule, ZeroShotOptions, classify, vote};
+use scenesplat_metrics::{
+    FeatureFn, FeatureRows, UnknownRule, ZeroShotOptions, classify, keep_withheld, vote,
+};
 use scenesplat_scene::formats::npy_writer::write_npy;
 use scenesplat_scene::label_set::read_names;
 use scenesplat_scene::{LabelSet, TextTable};
@@ -45,10 +47,12 @@ pub struct Classes {
     /// Classes that may not be predicted, comma-separated.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub without: Vec<String>,
-    /// Leaves Gaussians unlabelled whose best cosine is below this.
+    /// Leaves Gaussians unlabelled whose best cosine (or probability, for a classifier) is below
+    /// this.
     #[arg(long, value_name = "COS", allow_hyphen_values = true)]
     pub min_score: Option<f32>,
-    /// Leaves Gaussians unlabelled whose best cosine leads the second by less than this.
+    /// Leaves Gaussians unlabelled whose best cosine (or probability) leads the second by less than
+    /// this.
     #[arg(long, value_name = "COS")]
     pub min_margin: Option<f32>,
 }
@@ -64,6 +68,24 @@ impl Classes {
             .into());
         };
         read_text_table(path, self.text_names.as_deref())
+    }
+
+    /// Notes in the receipt what changes the result.
+    pub fn record(&self, session: &Session<'_>) -> Result<()> {
+        let receipt = &session.receipt;
+        if let Some(path) = &self.text {
+            receipt.fingerprint("text", path)?;
+        }
+        if !self.without.is_empty() {
+            receipt.setting("without", self.without.join(","), "classes that may not be predicted");
+        }
+        if let Some(min) = self.min_score {
+            receipt.setting("min_score", min, "lower scores stay unknown");
+        }
+        if let Some(min) = self.min_margin {
+            receipt.setting("min_margin", min, "smaller leads stay unknown");
+        }
+        Ok(())
     }
 
     /// Settings of the classification.
@@ -110,17 +132,27 @@ pub fn label_slots(
         let mut out =
             SlotLabels { labels: Vec::new(), scores: Vec::new(), unusable: 0, withheld: 0 };
         let allowed = |c: usize| options.candidates.as_ref().is_none_or(|m| m[c]);
+        let UnknownRule { min_cosine, min_margin } = options.unknown;
         for row in 0..features.num_slots() {
             let p = features.slot_rows(row..row + 1)?;
             let mut best: Option<usize> = None;
+            let mut second = 0.0;
             for c in (0..p.len()).filter(|&c| allowed(c) && p[c].is_finite()) {
                 if best.is_none_or(|b| p[c] > p[b]) {
+                    second = best.map_or(0.0, |b| p[b]);
                     best = Some(c);
+                } else {
+                    second = p[c].max(second);
                 }
             }
-            out.labels.push(best.map_or(-1, |b| b as i32));
-            out.scores.push(best.map_or(0.0, |b| p[b]));
+            let score = best.map_or(0.0, |b| p[b]);
+            let withheld = best.is_some()
+                && (min_cosine.is_some_and(|m| score < m)
+                    || min_margin.is_some_and(|m| score - second < m));
+            out.labels.push(best.filter(|_| !withheld).map_or(-1, |b| b as i32));
+            out.scores.push(score);
             out.unusable += usize::from(best.is_none());
+            out.withheld += usize::from(withheld);
         }
         return Ok(out);
     }
@@ -142,12 +174,41 @@ pub fn label_slots(
     })
 }
 
+/// The score of each Gaussian's label after a vote: cosine of its own feature with the text, or its
+/// probability of the class. Unlabelled Gaussians keep the score that was too low.
+fn scores_of(
+    features: &SceneFeatures,
+    text: Option<&TextTable>,
+    labels: &[i32],
+    mut scores: Vec<f32>,
+) -> Result<Vec<f32>> {
+    const BLOCK: usize = 4096;
+    let width = features.width();
+    for start in (0..labels.len()).step_by(BLOCK) {
+        let end = (start + BLOCK).min(labels.len());
+        let rows = features.gaussian_rows(start..end)?;
+        for (i, row) in (start..end).zip(rows.chunks_exact(width)) {
+            let Ok(label) = usize::try_from(labels[i]) else { continue };
+            scores[i] = match text.map(|t| t.row(label)) {
+                None => row[label],
+                Some(Some(text)) => row.iter().zip(text).map(|(a, b)| a * b).sum(),
+                Some(None) => 0.0,
+            };
+        }
+    }
+    Ok(scores)
+}
+
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start(&args.shared, line)?;
     session.make_out()?;
     let network = session.network(&args.inference)?;
     let (labels_of, text) = if network.is_classifier() {
+        if args.classes.text.is_some() {
+            let text = "--text is for language networks; name the classes with --text-names";
+            return Err(WrongUse(text.to_owned()).into());
+        }
         let count = network.config().num_classes.unwrap_or(0);
         let names = match &args.classes.text_names {
             Some(path) => read_names(path)?,
@@ -163,6 +224,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         (LabelSet::new(text.names.clone())?, Some(text))
     };
     let options = args.classes.options(&labels_of)?;
+    args.classes.record(&session)?;
     let opened = session.open(&args.scene, &args.inference)?;
     let scene = &opened.loaded.scene;
     let features = session.encode(scene, &network, &args.inference)?;
@@ -184,12 +246,18 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         (labels, scores)
     };
     session.check_stop()?;
-    let labels = if args.vote_k > 1 {
+    let (labels, scores) = if args.vote_k > 1 {
         let _stage = session.receipt.stage("vote");
         session.receipt.setting("vote_k", args.vote_k, "neighbours that vote on each label");
-        vote(&scene.coord, &labels, None, &scene.coord, args.vote_k, labels_of.len())?
+        let mut voted =
+            vote(&scene.coord, &labels, None, &scene.coord, args.vote_k, labels_of.len())?;
+        if options.unknown != UnknownRule::default() {
+            keep_withheld(&labels, &mut voted);
+        }
+        let scores = scores_of(&features, text.as_ref(), &voted, scores)?;
+        (voted, scores)
     } else {
-        labels
+        (labels, scores)
     };
     session.check_stop()?;
     {
@@ -202,7 +270,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         write_npy(&path, &[rows], &opened.loaded.to_source_rows(&scores, 0.0)?)?;
         session.wrote(&path, (rows * 4 + 128) as u64);
         let path = session.out("classes.json");
-        std::fs::write(&path, serde_json::to_string_pretty(&labels_of.names)?)?;
+        let bytes = write_text(&path, &serde_json::to_string_pretty(&labels_of.names)?)?;
+        session.wrote(&path, bytes);
         let path = session.out("segmented.ply");
         let columns = ResultColumns { label: Some(&labels), score: Some(&scores) };
         let bytes = write_colored_ply(&opened, &label_colors(&labels), &columns, &path)?;

@@ -1,9 +1,9 @@
 //! `scenesplat weights`
 
-use super::common::{Shared, print};
+use super::common::{BranchArg, ConvLayoutArg, Session, Shared, print, write_text};
 use crate::network::{Network, NetworkConfig, WeightOptions, Weights as Source, config_beside};
 use anyhow::Result;
-use scenesplat_models::convert::{Branch, Renamed, rename};
+use scenesplat_models::convert::{Renamed, rename};
 use scenesplat_models::weights::{resolve, summarize};
 use scenesplat_models::{LoadPolicy, PointTransformerV3Config};
 use std::path::PathBuf;
@@ -19,19 +19,28 @@ pub struct Args {
     /// Writes the findings as JSON.
     #[arg(long, value_name = "FILE.json")]
     pub json: Option<PathBuf>,
+    /// Half of a self-supervised checkpoint.
+    #[arg(long, value_enum, default_value_t = BranchArg::Teacher)]
+    pub branch: BranchArg,
+    /// Layout of sparse convolutions in the checkpoint.
+    #[arg(long, value_enum, default_value_t = ConvLayoutArg::Spconv2)]
+    pub conv_layout: ConvLayoutArg,
     /// Flags of all commands; --config asks about one network only.
     #[command(flatten)]
     pub shared: Shared,
 }
 
 /// Runs the command.
-pub fn run(args: &Args) -> Result<()> {
+pub fn run(args: &Args, line: &str) -> Result<()> {
+    let session = Session::start(&args.shared, line)?;
     let folder = resolve(&args.checkpoint)?;
     let mut files = Vec::new();
     for file in &folder.files {
         let values: usize =
             file.entries().values().map(|e| e.shape.iter().product::<usize>()).sum();
         let sha256 = file.sha256()?;
+        let bytes = std::fs::metadata(file.path()).map_or(0, |m| m.len());
+        session.receipt.fingerprint_known("weights", file.path(), bytes, &sha256);
         print(&format!(
             "{}\n  sha256 {sha256}\n  {} tensors, {values} values, {} other entries",
             file.path().display(),
@@ -48,7 +57,7 @@ pub fn run(args: &Args) -> Result<()> {
         }
         if args.list {
             for (name, entry) in file.entries() {
-                let ours = match rename(name, Branch::Teacher) {
+                let ours = match rename(name, args.branch.into()) {
                     Renamed::Weight(ours) if ours == *name => String::new(),
                     Renamed::Weight(ours) => format!(" → {ours}"),
                     Renamed::Ignored(origin) => format!(" (ignored: {origin})"),
@@ -78,7 +87,11 @@ pub fn run(args: &Args) -> Result<()> {
             candidates.push(("self-supervised".to_owned(), PointTransformerV3Config::ssl()));
         }
     }
-    let options = WeightOptions { policy: LoadPolicy::Partial, ..WeightOptions::default() };
+    let options = WeightOptions {
+        policy: LoadPolicy::Partial,
+        branch: args.branch.into(),
+        conv_layout: args.conv_layout.into(),
+    };
     let mut fits = Vec::new();
     for (name, config) in candidates {
         match Network::load(config, &Source::File(args.checkpoint.clone()), options) {
@@ -88,8 +101,8 @@ pub fn run(args: &Args) -> Result<()> {
                 print(&format!("{name}: {verdict}: {report}"));
                 fits.push(serde_json::json!({ "network": name, "fits": report.is_complete(), "report": report }));
             }
-            Err(_) => {
-                print(&format!("{name}: does not fit: no entry matches"));
+            Err(e) => {
+                print(&format!("{name}: does not fit: {e}"));
                 fits.push(serde_json::json!({ "network": name, "fits": false }));
             }
         }
@@ -97,9 +110,10 @@ pub fn run(args: &Args) -> Result<()> {
     if let Some(path) = &args.json {
         let text =
             serde_json::to_string_pretty(&serde_json::json!({ "files": files, "networks": fits }))?;
-        let beside = path.with_extension("json.partial");
-        std::fs::write(&beside, text)?;
-        std::fs::rename(&beside, path)?;
+        write_text(path, &text)?;
+    }
+    if args.shared.receipt.is_some() {
+        session.finish()?;
     }
     Ok(())
 }

@@ -5,6 +5,7 @@ use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Rows moved between file and memory at a time.
 const BLOCK: usize = 2048;
@@ -29,10 +30,14 @@ impl SlotStore {
     }
 
     pub(super) fn file(folder: &Path, slots: usize, width: usize) -> Result<Self, EncodeError> {
-        let path = folder.join(format!(".scenesplat-features-{}.partial", std::process::id()));
+        // Several encoders may run in one process, and several processes in one folder.
+        static SERIAL: AtomicU64 = AtomicU64::new(0);
+        let serial = SERIAL.fetch_add(1, Ordering::Relaxed);
+        let name = format!(".scenesplat-features-{}-{serial}.partial", std::process::id());
+        let path = folder.join(name);
         let spill = |source| EncodeError::Spill { path: path.clone(), source };
         let mut options = File::options();
-        options.read(true).write(true).create(true).truncate(true);
+        options.read(true).write(true).create_new(true);
         let file = options.open(&path).map_err(spill)?;
         file.set_len((slots * width * 4) as u64).map_err(spill)?;
         let file = ScratchFile { file: std::sync::Mutex::new(file), path };

@@ -112,6 +112,13 @@ fn unknown_thresholds_withhold_labels() {
     assert!(unknown > 0 && unknown < some.len(), "{unknown}");
     assert!(some.iter().zip(&all).all(|(s, a)| *s == -1 || s == a));
     assert!(run("none", &["--min-score", "1.1"]).iter().all(|l| *l == -1));
+    // The vote of the default run does not fill what was withheld.
+    let out = folder.path().join("voted");
+    let args = ["--text", text.to_str().unwrap(), "--min-margin", "0.02"];
+    done(&tiny("segment", &asset("room.ply"), &out, &args));
+    let voted = NpyFile::open(&out.join("labels.npy")).unwrap().read_i64().unwrap();
+    assert!(some.iter().zip(&voted).all(|(s, v)| *s >= 0 || *v == -1));
+    assert!(voted.iter().any(|v| *v >= 0));
     let without = run("without", &["--without", "floor,wall"]);
     let names = ["floor", "wall"].map(|n| {
         scenesplat::text::read_text_table(&text, None)
@@ -152,7 +159,51 @@ fn query_selects_and_says_what_to_do_about_unknown_names() {
     let vector = folder.path().join("v.npy");
     scenesplat::scene::formats::npy_writer::write_npy(&vector, &[64], &[0.1f32; 64]).unwrap();
     let vector = vector.to_str().unwrap();
-    done(&tiny("query", &asset("room.ply"), &out, &["robot arm", "--embedding", vector]));
+    let alone = tiny("query", &asset("room.ply"), &out, &["robot arm", "--embedding", vector]);
+    assert_eq!(alone.status.code(), Some(2), "without rivals or a threshold everything would win");
+    let count = || {
+        let selected = NpyFile::open(&out.join("selection.npy")).unwrap().read_u8().unwrap();
+        selected.iter().filter(|s| **s == 1).count()
+    };
+    let by_score = |min: &str| {
+        let args = ["robot arm", "--embedding", vector, "--min-score", min, "--vote-k", "0"];
+        done(&tiny("query", &asset("room.ply"), &out, &args));
+        count()
+    };
+    assert_eq!(by_score("-1"), 16_000);
+    let mut scores = NpyFile::open(&out.join("scores.npy")).unwrap().read_f32().unwrap();
+    scores.sort_by(f32::total_cmp);
+    let some = by_score(&scores[12_000].to_string());
+    assert!((3_900..=4_000).contains(&some), "{some}");
+    done(&tiny(
+        "query",
+        &asset("room.ply"),
+        &out,
+        &["robot arm", "--embedding", vector, "--text", text],
+    ));
+    // The query's own row among the texts is no rival, and an embedding of another width is refused.
+    done(&tiny(
+        "query",
+        &asset("room.ply"),
+        &out,
+        &["floor", "--embedding", vector, "--text", text],
+    ));
+    let wide = folder.path().join("wide.npy");
+    scenesplat::scene::formats::npy_writer::write_npy(&wide, &[65], &[0.1f32; 65]).unwrap();
+    let wide = wide.to_str().unwrap();
+    let output =
+        tiny("query", &asset("room.ply"), &out, &["floor", "--embedding", wide, "--text", text]);
+    assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
+    // Barred rivals cannot win against the query.
+    done(&tiny("query", &asset("room.ply"), &out, &["floor", "--text", text]));
+    let all = count();
+    done(&tiny(
+        "query",
+        &asset("room.ply"),
+        &out,
+        &["floor", "--text", text, "--without", "wall,ceiling,table"],
+    ));
+    assert!(count() > all, "{} {all}", count());
 }
 
 #[test]
@@ -318,4 +369,90 @@ fn tiles_and_the_exact_mode_agree_with_the_plain_run_where_they_should() {
         .sum::<f32>()
         / 16_000.0;
     assert!(agree > 0.95, "mean cosine {agree}");
+}
+
+#[test]
+fn a_folder_of_arrays_works_like_the_file_it_came_from() {
+    use scenesplat::scene::formats::npy_folder::write_npy_folder;
+    use scenesplat::scene::{LabelledPoints, ReadOptions, open_scene};
+    let folder = tempfile::tempdir().unwrap();
+    let mut scene = open_scene(&asset("room.ply"), &ReadOptions::default()).unwrap().scene;
+    // Points to score on, as benchmarks have them: every third Gaussian, moved a little.
+    let rows: Vec<usize> = (0..scene.len()).step_by(3).collect();
+    let segment = scene.segment.clone().unwrap();
+    scene.labelled_points = Some(LabelledPoints {
+        coord: rows.iter().map(|&r| scene.coord[r].map(|v| v + 0.001)).collect(),
+        segment: Some(rows.iter().map(|&r| segment[r]).collect()),
+        instance: None,
+    });
+    let path = folder.path().join("scene");
+    write_npy_folder(&scene, &path, false).unwrap();
+
+    let features = |scene: &Path, name: &str| {
+        let out = folder.path().join(name);
+        done(&tiny("features", scene, &out, &[]));
+        NpyFile::open(&out.join("features.npy")).unwrap().read_f32().unwrap()
+    };
+    let (a, b) = (features(&asset("room.ply"), "a"), features(&path, "b"));
+    // Opacities and scales are stored after activation there: equal to a few units in the last place.
+    let worst = a.iter().zip(&b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    assert!(worst < 2e-4, "{worst}");
+
+    let names = folder.path().join("names.txt");
+    std::fs::write(&names, scenesplat::datasets::generated_room::CLASS_NAMES.join("\n")).unwrap();
+    let text = asset("classes.safetensors");
+    let out = folder.path().join("e");
+    let args = ["--text", text.to_str().unwrap(), "--label-names", names.to_str().unwrap()];
+    let output = tiny("evaluate", &path, &out, &args);
+    done(&output);
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(said.contains(&format!("{} scored points", rows.len())), "{said}");
+}
+
+#[test]
+fn a_segmentation_network_labels_and_is_evaluated_by_its_own_classes() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("seg.toml");
+    let classes = scenesplat::datasets::generated_room::CLASS_NAMES;
+    let tiny_shape = scenesplat::models::PointTransformerV3Config {
+        num_classes: Some(classes.len()),
+        ..scenesplat::models::PointTransformerV3Config::tiny()
+    };
+    std::fs::write(&config, toml::to_string(&tiny_shape).unwrap()).unwrap();
+    let names = folder.path().join("names.txt");
+    std::fs::write(&names, classes.join("\n")).unwrap();
+    let (config, names) = (config.to_str().unwrap(), names.to_str().unwrap());
+    let room = asset("room.ply");
+    let run = |command: &str, more: &[&str]| {
+        let out = folder.path().join(command);
+        let mut args = vec![command, room.to_str().unwrap(), "--config", config];
+        args.extend(["--weights", "seeded:0", "--out", out.to_str().unwrap()]);
+        args.extend(more);
+        scenesplat(&args)
+    };
+    done(&run("segment", &["--text-names", names]));
+    let labels =
+        NpyFile::open(&folder.path().join("segment/labels.npy")).unwrap().read_i64().unwrap();
+    assert!(labels.iter().all(|l| (0..classes.len() as i64).contains(l)));
+    let scores =
+        NpyFile::open(&folder.path().join("segment/scores.npy")).unwrap().read_f32().unwrap();
+    assert!(scores.iter().all(|p| (0.0..=1.0).contains(p)), "scores are probabilities");
+    done(&run("segment", &["--text-names", names, "--min-score", "1.1"]));
+    let labels =
+        NpyFile::open(&folder.path().join("segment/labels.npy")).unwrap().read_i64().unwrap();
+    assert!(labels.iter().all(|l| *l == -1));
+    done(&run("evaluate", &["--text-names", names, "--label-names", names]));
+    let text = asset("classes.safetensors");
+    for (command, more) in [
+        ("evaluate", vec!["--text", text.to_str().unwrap()]),
+        ("segment", vec!["--text", text.to_str().unwrap()]),
+        ("query", vec!["--text", text.to_str().unwrap()]),
+    ] {
+        let mut args = vec![];
+        if command == "query" {
+            args.push("floor");
+        }
+        args.extend(more);
+        assert_eq!(run(command, &args).status.code(), Some(2), "{command}");
+    }
 }

@@ -204,3 +204,32 @@ fn a_memory_limit_that_cannot_be_kept_is_named() {
     assert_eq!(output.status.code(), Some(1));
     assert!(stderr(&output).contains("allow at least"), "{}", stderr(&output));
 }
+
+#[test]
+fn a_labelled_cloud_with_a_bad_point_keeps_its_rows_in_step() {
+    let case = Case::new();
+    let mut bytes = b"ply\nformat binary_little_endian 1.0\nelement vertex 40\nproperty float x\n\
+        property float y\nproperty float z\nproperty ushort label\nend_header\n"
+        .to_vec();
+    for i in 0..40 {
+        let x = if i == 11 { f32::NAN } else { i as f32 * 0.05 };
+        for v in [x, (i % 3) as f32 * 0.05, 0.0] {
+            bytes.extend(v.to_le_bytes());
+        }
+        bytes.extend((i as u16 % 4).to_le_bytes());
+    }
+    std::fs::write(case.scene(), bytes).unwrap();
+    let values = case.repairs(40, &["point cloud"]);
+    for (row, feat) in values.chunks_exact(64).enumerate() {
+        assert_eq!(feat.iter().all(|v| *v == 0.0), row == 11, "row {row}");
+    }
+    assert_eq!(case.run(&["--format", "safetensors"]).status.code(), Some(0));
+    let file = std::fs::read(case.out().join("features.safetensors")).unwrap();
+    let parsed = safetensors::SafeTensors::deserialize(&file).unwrap();
+    assert_eq!(parsed.tensor("features").unwrap().shape(), [40, 64]);
+    let colored =
+        scenesplat::scene::formats::ply::PlyFile::open(&case.out().join("features.ply")).unwrap();
+    let rows = colored.column_i64("vertex", "source_row").unwrap();
+    assert_eq!(rows.len(), 39);
+    assert!(rows[10] == 10 && rows[11] == 12);
+}

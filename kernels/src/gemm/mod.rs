@@ -242,6 +242,10 @@ pub fn mlp(
     out: &mut [f32],
 ) {
     let (k, h, n) = (b1.k, b1.n, b2.n);
+    if n == 0 || out.is_empty() {
+        return;
+    }
+    assert!(h > 0, "mlp: no hidden channel");
     assert!(b2.k == h && bias1.len() == h && out.len() / n.max(1) * k == a.len(), "mlp: shapes");
     // A smaller block than in `gemm`: the hidden rows are four times as wide and must stay cached.
     const ROWS: usize = ROW_BLOCK / 2;

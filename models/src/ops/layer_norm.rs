@@ -1,6 +1,6 @@
 //! Layer normalisation.
 
-use super::{cpu_slice, make, read, refuse_gradient};
+use super::{check_residual, cpu_slice, make, read, refuse_gradient};
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use scenesplat_kernels::layer_norm::{backward, forward};
 
@@ -84,6 +84,9 @@ pub fn layer_norm_frozen(
 ) -> Result<Tensor> {
     refuse_gradient("layer_norm", x)?;
     check(x.shape(), weight.len())?;
+    if let Some(r) = residual {
+        check_residual("layer_norm", r, [x.dim(0)?, weight.len()])?;
+    }
     let shape = x.shape().clone();
     read("layer_norm", x, |x| match residual {
         Some(r) => {

@@ -1,6 +1,6 @@
 //! Linear layers.
 
-use super::{cpu_slice, make, read, refuse_gradient};
+use super::{check_residual, cpu_slice, make, read, refuse_gradient};
 use candle_core::{CpuStorage, CustomOp2, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use scenesplat_kernels::gemm::{Epilogue, PackedMatrix, gemm, gemm_tn, mlp};
 use scenesplat_kernels::sparse_conv::backward_bias;
@@ -123,6 +123,9 @@ pub fn linear_frozen(
 ) -> Result<Tensor> {
     refuse_gradient("linear", x)?;
     let (m, k) = x.dims2()?;
+    if let Some(r) = residual {
+        check_residual("linear", r, [m, weight.n()])?;
+    }
     if k != weight.k() {
         bail!("linear: input [{m}, {k}] does not fit weight [{}, {}]", weight.n(), weight.k());
     }
@@ -152,8 +155,9 @@ pub fn mlp_frozen(
     refuse_gradient("mlp", x)?;
     let (m, k) = x.dims2()?;
     let n = second.0.n();
-    if k != first.0.k() || residual.dims() != [m, n] {
-        bail!("mlp: input [{m}, {k}] and residual {:?} do not fit the weights", residual.shape());
+    check_residual("mlp", residual, [m, n])?;
+    if k != first.0.k() {
+        bail!("mlp: input [{m}, {k}] does not fit weight [{}, {}]", first.0.n(), first.0.k());
     }
     read("mlp", x, |x| {
         read("mlp", residual, |residual| {

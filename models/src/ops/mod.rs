@@ -74,3 +74,12 @@ pub(crate) fn refuse_gradient(op: &str, x: &Tensor) -> Result<()> {
     }
     Ok(())
 }
+
+/// Checks the shape of a residual, and that it wants no gradient.
+pub(crate) fn check_residual(op: &str, residual: &Tensor, shape: [usize; 2]) -> Result<()> {
+    refuse_gradient(op, residual)?;
+    if residual.dims() != shape {
+        bail!("{op}: expected a residual {shape:?}, got {:?}", residual.shape());
+    }
+    Ok(())
+}

@@ -253,6 +253,7 @@ impl PointTransformerV3Config {
         };
         sizes("in_channels", &[self.in_channels])?;
         sizes("mlp_ratio", &[self.mlp_ratio])?;
+        sizes("num_classes", self.num_classes.as_slice())?;
         sizes("enc_channels", &self.enc_channels)?;
         sizes("dec_channels", &self.dec_channels)?;
         sizes("enc_num_head", &self.enc_num_head)?;

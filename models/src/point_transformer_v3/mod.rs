@@ -28,7 +28,7 @@ use candle_core::{Result, Tensor, bail};
 use candle_nn::{Init, VarBuilder};
 use rand::Rng;
 use scenesplat_kernels::segment::Groups;
-use scenesplat_kernels::serialization::{Curve, argsort, codes, invert};
+use scenesplat_kernels::serialization::{Curve, argsort, codes, depth_of, invert};
 use scenesplat_kernels::serialized_cloud::{CurveDepth, SerializedCloud};
 use std::sync::Arc;
 
@@ -267,6 +267,8 @@ impl PointTransformerV3 {
         };
         scenesplat_kernels::check_offsets(&points.offsets, points.grid_coord.len())
             .map_err(candle_core::Error::wrap)?;
+        // Checked before the rows are rearranged, so that an error names the caller's row.
+        depth_of(&points.grid_coord).map_err(candle_core::Error::wrap)?;
         let mut order = Vec::with_capacity(points.grid_coord.len());
         for scene in points.offsets.windows(2) {
             let morton = codes(Curve::Z, &points.grid_coord[scene[0]..scene[1]], 21);
@@ -309,8 +311,8 @@ fn random_permutation(n: usize, rng: &mut impl Rng) -> Vec<usize> {
 }
 
 impl Backbone for PointTransformerV3 {
-    /// Decoder features of the input rows; the coarsest features if there is no decoder and only
-    /// one scale.
+    /// Decoder features of the input rows. A network without decoder has none: call
+    /// [`PointTransformerV3::forward_both`] for its coarsest features.
     fn forward(&self, points: &PointCloud, cx: &mut Forward<'_>) -> Result<Tensor> {
         let out = self.forward_both(points, None, cx)?;
         match out.decoder {

@@ -120,16 +120,18 @@ impl WeightFile {
     /// Reads one tensor; floating-point types become f32.
     ///
     /// # Errors
-    /// If there is no such entry or its data are cut off.
+    /// If there is no such entry, its type is not known, or its data are cut off or do not match
+    /// their checksum (safetensors has none: compare [`WeightFile::sha256`]).
     pub fn read(&self, name: &str) -> Result<Tensor> {
         let tensor = match &self.kind {
             Kind::Safetensors(mapped) => mapped.load(name, &Device::Cpu),
             Kind::Pth(pth) => pth.read(name),
         };
-        let tensor = tensor.map_err(|e| {
-            candle_core::Error::Msg(format!("{}: {name}: {e}", self.path.display()))
-        })?;
-        if tensor.dtype().is_float() { tensor.to_dtype(DType::F32) } else { Ok(tensor) }
+        // Types too new to convert exist: what goes wrong there is about this file too.
+        let converted =
+            tensor.and_then(|t| if t.dtype().is_float() { t.to_dtype(DType::F32) } else { Ok(t) });
+        converted
+            .map_err(|e| candle_core::Error::Msg(format!("{}: {name}: {e}", self.path.display())))
     }
 
     /// SHA-256 of the whole file, in hexadecimal.

@@ -153,7 +153,7 @@ impl<'a> Machine<'a> {
         self.stack.last().copied().ok_or_else(|| "nothing there".to_owned())
     }
 
-    fn to_mark(&mut self) -> Step<Vec<Ref>> {
+    fn pop_to_mark(&mut self) -> Step<Vec<Ref>> {
         let mark = self.marks.pop().ok_or("no mark")?;
         if mark > self.stack.len() {
             return Err("the mark is gone".to_owned());
@@ -265,7 +265,7 @@ impl<'a> Machine<'a> {
                 0x95 => _ = self.take(8)?,
                 b'(' => self.marks.push(self.stack.len()),
                 b'0' => _ = self.pop()?,
-                b'1' => _ = self.to_mark()?,
+                b'1' => _ = self.pop_to_mark()?,
                 b'2' => self.stack.push(self.top()?),
                 b'N' => self.push(Value::None)?,
                 0x88 => self.push(Value::Bool(true))?,
@@ -296,12 +296,12 @@ impl<'a> Machine<'a> {
                 0x86 => self.tuple(2)?,
                 0x87 => self.tuple(3)?,
                 b't' => {
-                    let items = self.to_mark()?;
+                    let items = self.pop_to_mark()?;
                     self.push(Value::Tuple(items))?;
                 }
                 b']' => self.push(Value::List(Vec::new()))?,
                 b'l' => {
-                    let items = self.to_mark()?;
+                    let items = self.pop_to_mark()?;
                     self.push(Value::List(items))?;
                 }
                 b'a' => {
@@ -309,12 +309,12 @@ impl<'a> Machine<'a> {
                     self.extend_list(vec![item])?;
                 }
                 b'e' => {
-                    let items = self.to_mark()?;
+                    let items = self.pop_to_mark()?;
                     self.extend_list(items)?;
                 }
                 b'}' => self.push(Value::Dict(Vec::new()))?,
                 b'd' => {
-                    let items = self.to_mark()?;
+                    let items = self.pop_to_mark()?;
                     self.push(Value::Dict(Vec::new()))?;
                     self.extend_dict(&items)?;
                 }
@@ -324,13 +324,13 @@ impl<'a> Machine<'a> {
                     self.extend_dict(&[key, value])?;
                 }
                 b'u' => {
-                    let items = self.to_mark()?;
+                    let items = self.pop_to_mark()?;
                     self.extend_dict(&items)?;
                 }
                 0x8f => self.push(Value::Opaque)?,
-                0x90 => _ = self.to_mark()?,
+                0x90 => _ = self.pop_to_mark()?,
                 0x91 => {
-                    self.to_mark()?;
+                    self.pop_to_mark()?;
                     self.push(Value::Opaque)?;
                 }
                 b'c' => {
@@ -419,6 +419,23 @@ mod tests {
         assert_eq!(int(b"\x8a\x00."), 0);
         assert_eq!(int(b"\x8a\x02\x00\x80."), -32768);
         assert_eq!(int(b"\x8a\x05\x00\x00\x00\x00\x01."), 1 << 32);
+    }
+
+    #[test]
+    fn dictionaries_of_other_classes() {
+        let entries = |bytes: &[u8]| match Pickle::parse(bytes) {
+            Ok(p) => match p.root() {
+                Value::Dict(d) => d.iter().map(|(k, _)| p.key(*k)).collect::<Vec<_>>(),
+                other => panic!("{other:?}"),
+            },
+            Err(e) => panic!("{e}"),
+        };
+        // Filled after the call, with attributes beside the entries.
+        assert_eq!(entries(b"ccollections\nCounter\n)RX\x01\0\0\0aK\x01s}b."), ["a"]);
+        assert_eq!(entries(b"ccollections\ndefaultdict\nN\x85RX\x01\0\0\0aK\x01s."), ["a"]);
+        // Python 2 hands the entries to the call.
+        let pairs = b"ccollections\nOrderedDict\n]](X\x01\0\0\0aK\x01ea\x85R.";
+        assert_eq!(entries(pairs), ["a"]);
     }
 
     #[test]

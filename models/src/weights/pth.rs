@@ -86,7 +86,9 @@ fn read_entry(zip: &mut Archive, name: &str, skip: u64, limit: u64) -> Result<Ve
 /// A checkpoint's archive, the folder inside it, and its description.
 fn unpickle(path: &Path) -> Result<(Archive, String, Pickle)> {
     let file = File::open(path).map_err(|e| message(path, &e))?;
-    let mut zip = ZipArchive::new(BufReader::new(file)).map_err(|e| message(path, &e))?;
+    let mut zip = ZipArchive::new(BufReader::new(file)).map_err(|e| {
+        message(path, &format!("{e}; the file is damaged or cut off, fetch it again"))
+    })?;
     let mut description = None;
     for name in zip.file_names() {
         let name = name.map_err(|e| message(path, &e))?;
@@ -137,7 +139,7 @@ fn tensor_args(pickle: &Pickle, value: Ref) -> Option<&[Ref]> {
                 (function, args) = (*f, *a);
             }
             "torch._tensor._rebuild_from_type_v2" => {
-                (function, args) = (*given.first()?, *given.get(2)?)
+                (function, args) = (*given.first()?, *given.get(2)?);
             }
             _ => return None,
         }

@@ -65,8 +65,8 @@ fn cut_off_anywhere() {
     for victim in victims() {
         let whole = std::fs::read(&victim).unwrap();
         let scratch = Scratch::new("cut");
-        let dense = (0..600).chain(whole.len() - 600..whole.len());
-        for length in dense.chain((600..whole.len() - 600).step_by(41)) {
+        let dense = (0..200).chain(whole.len() - 200..whole.len());
+        for length in dense.chain((200..whole.len() - 200).step_by(89)) {
             let path = scratch.write(&whole[..length]);
             assert!(read_all(path).is_err(), "{}: {length} bytes", victim.display());
         }
@@ -117,6 +117,42 @@ fn altered_checkpoints_are_noticed() {
     assert!(refused > 0 && kept > 0);
 }
 
+/// Regression: contents exchanged by exchanging names have good checksums.
+#[test]
+fn exchanged_names_are_noticed() {
+    let victim = data("trainer.pth");
+    let whole = std::fs::read(&victim).unwrap();
+    let scratch = Scratch::new("exchanged.pth");
+    let directory_entry = |number: usize| {
+        let name = format!("trainer/data/{number}");
+        let found = whole.windows(name.len()).rposition(|w| w == name.as_bytes()).unwrap();
+        found + name.len() - 2
+    };
+    for first in 10..60 {
+        let (a, b) = (directory_entry(first), directory_entry(first + 1));
+        let mut bytes = whole.clone();
+        bytes[a..a + 2].copy_from_slice(&whole[b..b + 2]);
+        bytes[b..b + 2].copy_from_slice(&whole[a..a + 2]);
+        let error = read_all(scratch.write(&bytes)).unwrap_err().to_string();
+        assert!(error.contains("data/"), "{error}");
+    }
+}
+
+/// Regression: the checksum of a storage was never compared.
+#[test]
+fn every_altered_value_is_noticed() {
+    let whole = std::fs::read(data("text_f32.pt")).unwrap();
+    let value = scenesplat_models::weights::unit("text", 1, SEED)[0].to_le_bytes();
+    let start = whole.windows(4).position(|w| w == value).unwrap();
+    let scratch = Scratch::new("altered.pt");
+    for at in start..start + 160 {
+        let mut bytes = whole.clone();
+        bytes[at] ^= 1;
+        let error = read_all(scratch.write(&bytes)).unwrap_err().to_string();
+        assert!(error.contains("checksum"), "{error}");
+    }
+}
+
 #[test]
 fn altered_safetensors_are_noticed_outside_of_the_values() {
     let victim = data("hub/model-00001-of-00002.safetensors");
@@ -148,7 +184,7 @@ fn altered_safetensors_are_noticed_outside_of_the_values() {
 /// The checksum guards the pickle; behind a right one it may still hold anything.
 #[test]
 fn altered_pickles_with_a_right_checksum() {
-    for (victim, rounds) in [("trainer.pth", MUTATIONS), ("odd_values.pth", 2 * MUTATIONS)] {
+    for (victim, rounds) in [("trainer.pth", MUTATIONS / 8), ("odd_values.pth", MUTATIONS)] {
         let archive = std::fs::read(data(victim)).unwrap();
         let mut archive = zip::ZipArchive::new(Cursor::new(archive)).unwrap();
         let mut entries = Vec::new();

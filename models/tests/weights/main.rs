@@ -2,6 +2,8 @@
 //!
 //! The files are in `tests/data`; their values are the integer hash, so each is known.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
+
 mod allocations;
 mod containers;
 mod damage;

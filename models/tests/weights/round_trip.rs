@@ -34,7 +34,7 @@ fn save_and_load_gives_identical_tensors() {
     }
 
     let source = WeightSource::files(vec![file], SourceOptions::default()).unwrap();
-    let (again, reloaded) = built(&config(), source.clone());
+    let (again, reloaded) = built(&config(), source);
     again.report().check(LoadPolicy::Strict, "model.safetensors").unwrap();
     assert_same(&values(&again), &values(&store));
     assert_eq!(bits(&features(&*reloaded)), bits(&features(&*net)));

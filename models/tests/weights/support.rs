@@ -80,10 +80,7 @@ pub fn built(
     (store, network)
 }
 
-pub fn assert_same(
-    got: &BTreeMap<String, Vec<u64>>,
-    expected: &BTreeMap<String, Vec<u64>>,
-) {
+pub fn assert_same(got: &BTreeMap<String, Vec<u64>>, expected: &BTreeMap<String, Vec<u64>>) {
     assert_eq!(got.keys().collect::<Vec<_>>(), expected.keys().collect::<Vec<_>>());
     for (name, values) in got {
         assert!(*values == expected[name], "{name} differs");

@@ -9,7 +9,7 @@ use std::path::Path;
 const VERTEX: &str = "vertex";
 
 /// Names a label column goes by, first come first served.
-const LABEL_NAMES: [&str; 5] = ["label", "segment", "semantic", "class", "scalar_label"];
+pub const LABEL_NAMES: [&str; 5] = ["label", "segment", "semantic", "class", "scalar_label"];
 /// Names an instance column goes by.
 const INSTANCE_NAMES: [&str; 3] = ["instance", "instance_id", "scalar_instance"];
 
@@ -26,6 +26,8 @@ pub struct LabelledCloud {
     pub segment: Vec<i32>,
     /// Instance id, `-1` = none. `[M]`
     pub instance: Option<Vec<i32>>,
+    /// Rows of the file that the points come from, ascending; `None` if all of them.
+    pub kept_rows: Option<Vec<u32>>,
 }
 
 impl From<LabelledCloud> for LabelledPoints {
@@ -34,7 +36,7 @@ impl From<LabelledCloud> for LabelledPoints {
     }
 }
 
-/// Reads `x y z`, labels (`label`, `segment`, `semantic`, `class`) and, if there, `nx ny nz`,
+/// Reads `x y z`, labels (the named column, or the first of [`LABEL_NAMES`]) and, if there, `nx ny nz`,
 /// `red green blue` as bytes, and `instance`.
 ///
 /// Negative labels and 65535 in 16-bit columns become -1. A point without a finite position is
@@ -46,6 +48,7 @@ impl From<LabelledCloud> for LabelledPoints {
 pub fn read_labelled_ply(
     path: &Path,
     policy: Policy,
+    label: Option<&str>,
 ) -> Result<(LabelledCloud, RepairReport), SceneError> {
     let file = PlyFile::open(path)?;
     let Some(vertex) = file.element(VERTEX) else {
@@ -55,8 +58,11 @@ pub fn read_labelled_ply(
     if !all(["x", "y", "z"]) {
         return Err(SceneError::format(path, "its vertices have no position x, y, z", ""));
     }
-    let Some(label) = LABEL_NAMES.into_iter().find(|name| vertex.has(name)) else {
-        let problem = format!("its vertices have no labels ({})", LABEL_NAMES.join(", "));
+    let named = label.filter(|name| vertex.has(name));
+    let usual = || LABEL_NAMES.into_iter().find(|name| vertex.has(name));
+    let Some(label) = (if label.is_some() { named } else { usual() }) else {
+        let names = label.map_or_else(|| LABEL_NAMES.join(", "), str::to_owned);
+        let problem = format!("its vertices have no labels ({names})");
         return Err(SceneError::format(path, problem, "name the column of class indices `label`"));
     };
     let mut report = RepairReport { source_rows: vertex.count, ..RepairReport::default() };
@@ -83,7 +89,7 @@ pub fn read_labelled_ply(
         let ids = read_labels(&file, VERTEX, name, INSTANCE_RULES, &mut report)?;
         cloud.instance = Some(ids);
     }
-    drop_unusable(&mut cloud, &mut report);
+    cloud.kept_rows = drop_unusable(&mut cloud, &mut report);
     report.enforce(policy, path)?;
     if cloud.coord.is_empty() {
         return Err(SceneError::format(path, "has no point with a position", ""));
@@ -91,10 +97,10 @@ pub fn read_labelled_ply(
     Ok((cloud, report))
 }
 
-/// Leaves out the points without a finite position.
-fn drop_unusable(cloud: &mut LabelledCloud, report: &mut RepairReport) {
+/// Leaves out the points without a finite position; gives the rows that stay, if any was left out.
+fn drop_unusable(cloud: &mut LabelledCloud, report: &mut RepairReport) -> Option<Vec<u32>> {
     let finite: Vec<bool> = cloud.coord.iter().map(|p| p.iter().all(|v| v.is_finite())).collect();
-    let Some(first) = finite.iter().position(|&ok| !ok) else { return };
+    let first = finite.iter().position(|&ok| !ok)?;
     let count = finite.iter().filter(|&&ok| !ok).count();
     report.add(Rule::PointNotFinite, count, first, &format!("{:?}", cloud.coord[first]));
     report.dropped_rows = count;
@@ -113,4 +119,5 @@ fn drop_unusable(cloud: &mut LabelledCloud, report: &mut RepairReport) {
     if let Some(values) = &mut cloud.instance {
         keep(values, &finite);
     }
+    Some((0..finite.len() as u32).filter(|&row| finite[row as usize]).collect())
 }

@@ -1,0 +1,51 @@
+//! Matrix products and the fused two-layer network.
+#![allow(missing_docs, reason = "criterion's macros make undocumented items")]
+
+mod support;
+
+use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use scenesplat_kernels::gemm::{Epilogue, PackedMatrix, gemm, mlp};
+use support::{criterion, random, short};
+
+fn packed(k: usize, n: usize) -> PackedMatrix {
+    PackedMatrix::from_strided(&random(k * n), k, n, 1, k)
+}
+
+fn products(c: &mut Criterion) {
+    const ROWS: usize = 100_000;
+    let mut group = c.benchmark_group("gemm");
+    for width in [32, 64, 256, 768] {
+        let (a, b) = (random(ROWS * width), packed(width, width));
+        let mut out = vec![0.0; ROWS * width];
+        group.throughput(Throughput::ElementsAndBytes {
+            elements: (2 * ROWS * width * width) as u64,
+            bytes: (8 * ROWS * width) as u64,
+        });
+        group.bench_function(format!("{}/{width}_ch", short(ROWS)), |bench| {
+            bench.iter(|| gemm(&a, &b, Epilogue::default(), &mut out));
+        });
+    }
+    group.finish();
+}
+
+fn networks(c: &mut Criterion) {
+    const ROWS: usize = 20_000;
+    let mut group = c.benchmark_group("mlp");
+    for width in [64, 768] {
+        let hidden = 4 * width;
+        let (a, bias) = (random(ROWS * width), random(hidden));
+        let (first, second) = (packed(width, hidden), packed(hidden, width));
+        let mut out = vec![0.0; ROWS * width];
+        group.throughput(Throughput::Elements((4 * ROWS * width * hidden) as u64));
+        group.bench_function(format!("{}/{width}_ch", short(ROWS)), |bench| {
+            bench.iter(|| {
+                let epilogue = Epilogue { residual: Some(&a), ..Epilogue::default() };
+                mlp(&a, (&first, &bias), &second, epilogue, &mut out);
+            });
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(name = benches; config = criterion(); targets = products, networks);
+criterion_main!(benches);

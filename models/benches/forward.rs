@@ -1,0 +1,59 @@
+//! Whole networks, from voxels and features to the output: serialization and tables included.
+#![allow(missing_docs, reason = "criterion's macros make undocumented items")]
+
+#[path = "../../kernels/benches/support/mod.rs"]
+mod support;
+
+use candle_core::{Device, Tensor};
+use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use scenesplat_models::weights::WeightSource;
+use scenesplat_models::{
+    Backbone, Forward, LanguageModel, ParamStore, PointCloud, PointTransformerV3Config,
+    SemanticSegmenter,
+};
+use support::{criterion, features, short, voxels};
+
+/// As the program: the system's allocator would add page faults to every product.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
+fn cloud(n: usize) -> PointCloud {
+    let feat = Tensor::from_vec(features(n), (n, 11), &Device::Cpu).expect("11 channels");
+    PointCloud::new(voxels(n), feat, vec![0, n]).expect("equal rows")
+}
+
+fn bench(c: &mut Criterion, name: &str, network: &dyn Backbone, sizes: &[usize]) {
+    let mut group = c.benchmark_group(name);
+    for &n in sizes {
+        let points = cloud(n);
+        group.throughput(Throughput::Elements(n as u64));
+        group.bench_function(format!("{}/f32", short(n)), |bench| {
+            bench.iter(|| {
+                let mut rng = ChaCha8Rng::seed_from_u64(0);
+                network.forward(&points, &mut Forward::eval(&mut rng)).expect("a forward pass")
+            });
+        });
+    }
+    group.finish();
+}
+
+fn weights() -> ParamStore {
+    ParamStore::frozen(WeightSource::hashed(0, ""))
+}
+
+fn language(c: &mut Criterion) {
+    let config = PointTransformerV3Config::language();
+    let network = LanguageModel::new(&config, weights().builder()).expect("a network");
+    bench(c, "forward_language", &network, &[20_000, 100_000]);
+}
+
+fn segmentation(c: &mut Criterion) {
+    let config = PointTransformerV3Config { in_channels: 11, ..PointTransformerV3Config::semseg() };
+    let network = SemanticSegmenter::new(&config, weights().builder()).expect("a network");
+    bench(c, "forward_semseg", &network, &[100_000]);
+}
+
+criterion_group!(name = benches; config = criterion(); targets = language, segmentation);
+criterion_main!(benches);

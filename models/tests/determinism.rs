@@ -1,0 +1,458 @@
+//! The same scene gives the same bits, whatever runs beside it; and inputs that nobody expects.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
+
+use candle_core::{DType, Device, Tensor};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use scenesplat_models::weights::{WeightSource, unit};
+use scenesplat_models::{
+    Backbone, Forward, LanguageModel, ParamStore, PointCloud, PointTransformerV3Config,
+};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Two ways to compute a value in f32 (packed for inference, or with gradients) differ by roundings
+/// that add up over some 60 operations.
+const F32_PATHS: f32 = 1e-5;
+const CHANNELS: usize = 3;
+const PATCH: usize = 16;
+const LAST_CELL: i32 = (1 << 21) - 1;
+
+fn config() -> PointTransformerV3Config {
+    PointTransformerV3Config {
+        in_channels: CHANNELS,
+        stride: vec![2, 2],
+        enc_depths: vec![2, 1, 1],
+        enc_channels: vec![8, 16, 24],
+        enc_num_head: vec![2, 4, 3],
+        enc_patch_size: vec![PATCH; 3],
+        dec_depths: vec![1, 2],
+        dec_channels: vec![20, 16],
+        dec_num_head: vec![2, 2],
+        dec_patch_size: vec![PATCH; 2],
+        mlp_ratio: 2,
+        ..PointTransformerV3Config::language()
+    }
+}
+
+fn frozen() -> LanguageModel {
+    let store = ParamStore::frozen(WeightSource::hashed(5, ""));
+    LanguageModel::new(&config(), store.builder()).unwrap()
+}
+
+fn trainable() -> (ParamStore, LanguageModel) {
+    let store = ParamStore::trainable_from(WeightSource::hashed(5, ""), 0);
+    let model = LanguageModel::new(&config(), store.builder()).unwrap();
+    (store, model)
+}
+
+type Cells = Vec<[i32; 3]>;
+
+#[derive(Clone)]
+struct Scene {
+    cells: Cells,
+    feat: Vec<f32>,
+}
+
+impl Scene {
+    /// With features of its own by number.
+    fn new(cells: Cells, seed: u64) -> Self {
+        let feat = unit("feat", cells.len() * CHANNELS, seed);
+        Self { cells, feat }
+    }
+
+    /// Different voxels in random order, dense enough to have neighbours.
+    fn random(n: usize, seed: u64) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let side = ((n * 4) as f64).cbrt().ceil() as i32 + 1;
+        let mut taken = BTreeSet::new();
+        let mut cells = Vec::new();
+        while cells.len() < n {
+            let cell = [(); 3].map(|()| rng.random_range(0..side));
+            if taken.insert(cell) {
+                cells.push(cell);
+            }
+        }
+        Self::new(cells, seed)
+    }
+
+    fn filled(mut self, value: f32) -> Self {
+        self.feat.fill(value);
+        self
+    }
+}
+
+fn batch(scenes: &[&Scene]) -> PointCloud {
+    let mut offsets = vec![0];
+    let (mut cells, mut feat) = (Vec::new(), Vec::new());
+    for scene in scenes {
+        cells.extend_from_slice(&scene.cells);
+        feat.extend_from_slice(&scene.feat);
+        offsets.push(cells.len());
+    }
+    let feat = Tensor::from_vec(feat, (cells.len(), CHANNELS), &Device::Cpu).unwrap();
+    PointCloud::new(cells, feat, offsets).unwrap()
+}
+
+fn run(model: &LanguageModel, points: &PointCloud) -> candle_core::Result<Vec<Vec<f32>>> {
+    let mut rng = ChaCha8Rng::seed_from_u64(0);
+    model.forward(points, &mut Forward::eval(&mut rng))?.to_vec2()
+}
+
+fn features(model: &LanguageModel, scenes: &[&Scene]) -> Vec<Vec<f32>> {
+    run(model, &batch(scenes)).unwrap()
+}
+
+/// Bits of all values; NaN equals NaN only with the same bits.
+fn bits(rows: &[Vec<f32>]) -> Vec<u32> {
+    rows.iter().flatten().map(|v| v.to_bits()).collect()
+}
+
+fn with_threads<R: Send>(n: usize, f: impl FnOnce() -> R + Send) -> R {
+    rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap().install(f)
+}
+
+#[test]
+fn any_number_of_threads() {
+    let scenes = [Scene::random(3000, 1), Scene::random(37, 2)];
+    let scenes: Vec<&Scene> = scenes.iter().collect();
+    let (frozen, (_, trainable)) = (frozen(), trainable());
+    for model in [&frozen, &trainable] {
+        let expected = bits(&features(model, &scenes));
+        assert_eq!(bits(&features(model, &scenes)), expected, "a second run");
+        for threads in [1, 2, 3, 5] {
+            let got = with_threads(threads, || features(model, &scenes));
+            assert!(bits(&got) == expected, "{threads} threads");
+        }
+    }
+}
+
+#[test]
+fn packing_does_not_depend_on_the_number_of_threads() {
+    let scene = Scene::random(500, 3);
+    let one = with_threads(1, || features(&frozen(), &[&scene]));
+    let three = with_threads(3, || features(&frozen(), &[&scene]));
+    assert_eq!(bits(&one), bits(&three));
+}
+
+/// Curves, patches and pooling belong to each scene, and no operation mixes rows of two scenes or
+/// rounds a row differently for its place.
+#[test]
+fn any_company_in_a_batch() {
+    let scene = Scene::random(700, 4);
+    let (one, two) = (Scene::random(1, 5), Scene::random(2, 6));
+    let (large, far) = (Scene::random(5000, 7), Scene::new(vec![[LAST_CELL; 3], [0; 3]], 8));
+    let batches: [&[&Scene]; 9] = [
+        &[&scene, &one],
+        &[&one, &scene],
+        &[&two, &scene, &one],
+        &[&scene, &large],
+        &[&large, &scene],
+        &[&one, &scene, &large],
+        &[&large, &two, &scene],
+        &[&far, &scene, &far],
+        &[&scene, &scene],
+    ];
+    let (frozen, (_, trainable)) = (frozen(), trainable());
+    for (path, model) in [("packed", &frozen), ("with gradients", &trainable)] {
+        let alone = bits(&features(model, &[&scene]));
+        for (i, scenes) in batches.iter().enumerate() {
+            let rows = features(model, scenes);
+            let mut first = 0;
+            for s in *scenes {
+                let n = s.cells.len();
+                if n == scene.cells.len() {
+                    assert!(bits(&rows[first..first + n]) == alone, "{path}: batch {i}");
+                }
+                first += n;
+            }
+        }
+        // Small ones are no exception.
+        let alone = bits(&features(model, &[&one]));
+        assert_eq!(bits(&features(model, &[&large, &one])[5000..]), alone);
+        let alone = bits(&features(model, &[&two]));
+        assert_eq!(bits(&features(model, &[&large, &two, &one])[5000..5002]), alone);
+    }
+}
+
+/// Products of wide layers are cut into blocks; where the cuts are must not depend on other rows.
+#[test]
+fn wide_layers_in_any_company_with_any_number_of_threads() {
+    let wide = PointTransformerV3Config {
+        enc_channels: vec![32, 64, 128],
+        enc_num_head: vec![2, 4, 8],
+        enc_patch_size: vec![256; 3],
+        dec_channels: vec![384, 192],
+        dec_num_head: vec![8, 4],
+        dec_patch_size: vec![256; 2],
+        mlp_ratio: 4,
+        ..config()
+    };
+    let build = |store: &ParamStore| LanguageModel::new(&wide, store.builder()).unwrap();
+    let source = WeightSource::hashed(5, "");
+    let packed = build(&ParamStore::frozen(source.clone()));
+    let store = ParamStore::trainable_from(source, 0);
+    let with_gradients = build(&store);
+    let (scene, one, mate) =
+        (Scene::random(301, 30), Scene::random(1, 31), Scene::random(1100, 32));
+    for (path, model) in [("packed", &packed), ("with gradients", &with_gradients)] {
+        let alone = bits(&features(model, &[&scene]));
+        let single = bits(&features(model, &[&one]));
+        for threads in [1, 3] {
+            let rows = with_threads(threads, || features(model, &[&one, &mate, &scene]));
+            assert!(bits(&rows[..1]) == single, "{path}: one voxel, {threads} threads");
+            assert!(bits(&rows[1101..]) == alone, "{path}: {threads} threads");
+        }
+    }
+}
+
+#[test]
+fn a_scene_without_voxels_changes_nothing() {
+    let (scene, empty) = (Scene::random(100, 9), Scene::random(0, 0));
+    let model = frozen();
+    let alone = bits(&features(&model, &[&scene]));
+    for scenes in [&[&empty, &scene][..], &[&scene, &empty], &[&empty, &scene, &empty]] {
+        assert_eq!(bits(&features(&model, scenes)), alone);
+    }
+}
+
+/// Rows are sorted inside, so the order in which they come makes no difference at all.
+#[test]
+fn any_order_of_the_rows() {
+    let (scene, mate) = (Scene::random(900, 10), Scene::random(50, 11));
+    let model = frozen();
+    let expected = features(&model, &[&mate, &scene]);
+    let mut rng = ChaCha8Rng::seed_from_u64(12);
+    for _ in 0..3 {
+        let mut order: Vec<usize> = (0..900).collect();
+        for i in (1..order.len()).rev() {
+            order.swap(i, rng.random_range(0..=i));
+        }
+        let permuted = Scene {
+            cells: order.iter().map(|&i| scene.cells[i]).collect(),
+            feat: order.iter().flat_map(|&i| scene.feat[i * 3..][..3].to_vec()).collect(),
+        };
+        let got = features(&model, &[&mate, &permuted]);
+        assert_eq!(bits(&got[..50]), bits(&expected[..50]));
+        for (position, &row) in order.iter().enumerate() {
+            assert_eq!(
+                bits(&got[50 + position..=50 + position]),
+                bits(&expected[50 + row..=50 + row])
+            );
+        }
+    }
+}
+
+/// Output, gradients and batch statistics of a training step.
+fn step(scenes: &[&Scene]) -> BTreeMap<String, Vec<u32>> {
+    let (store, model) = trainable();
+    let points = batch(scenes);
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    let out = model.forward(&points, &mut Forward::train(&mut rng)).unwrap();
+    let direction = unit("R", out.elem_count(), 1);
+    let direction = Tensor::from_vec(direction, out.dims(), &Device::Cpu).unwrap();
+    let grads = (&out * direction).unwrap().sum_all().unwrap().backward().unwrap();
+    let flat = |t: &Tensor| {
+        let t = t.to_dtype(DType::F32).unwrap().flatten_all().unwrap();
+        t.to_vec1::<f32>().unwrap().into_iter().map(f32::to_bits).collect()
+    };
+    let mut all = BTreeMap::from([("output".to_owned(), flat(&out))]);
+    for (name, var) in store.parameters() {
+        let grad = grads.get(&var).unwrap_or_else(|| panic!("{name}: no gradient"));
+        all.insert(name, flat(grad));
+    }
+    all.extend(store.buffers().into_iter().map(|(name, var)| (name, flat(&var))));
+    all
+}
+
+#[test]
+fn gradients_with_any_number_of_threads() {
+    let scenes = [Scene::random(2500, 13), Scene::random(40, 14)];
+    let scenes: Vec<&Scene> = scenes.iter().collect();
+    let expected = with_threads(1, || step(&scenes));
+    assert!(expected.values().flatten().all(|v| f32::from_bits(*v).is_finite()));
+    for threads in [1, 3, 4] {
+        let got = with_threads(threads, || step(&scenes));
+        for (name, values) in &got {
+            assert!(*values == expected[name], "{name} with {threads} threads");
+        }
+    }
+}
+
+/// Both paths agree, rows are finite and of unit length.
+fn assert_sound(case: &str, scene: &Scene) {
+    let (packed, with_gradients) =
+        (features(&frozen(), &[scene]), features(&trainable().1, &[scene]));
+    assert_eq!(packed.len(), scene.cells.len(), "{case}");
+    for (row, (a, b)) in packed.iter().zip(&with_gradients).enumerate() {
+        let norm = a.iter().map(|v| v * v).sum::<f32>().sqrt();
+        assert!((norm - 1.0).abs() < F32_PATHS, "{case}: row {row} has length {norm}");
+        for (a, b) in a.iter().zip(b) {
+            assert!((a - b).abs() < F32_PATHS, "{case}: row {row}: {a} and {b}");
+        }
+    }
+}
+
+#[test]
+fn few_voxels_and_odd_places() {
+    let last = LAST_CELL;
+    let places: [(&str, Cells); 11] = [
+        ("one voxel", vec![[3, 1, 4]]),
+        ("one voxel at the origin", vec![[0; 3]]),
+        ("one voxel at the end", vec![[last; 3]]),
+        ("two neighbours", vec![[7, 7, 7], [7, 7, 8]]),
+        ("two far apart", vec![[0; 3], [last; 3]]),
+        ("a line along x", (0..50).map(|i| [i, 0, 0]).collect()),
+        ("a line along z", (0..50).map(|i| [5, 5, 49 - i]).collect()),
+        ("a diagonal", (0..50).map(|i| [i; 3]).collect()),
+        ("a line at the end", (0..50).map(|i| [last, last - i, last]).collect()),
+        ("a plane", (0..400).map(|i| [i % 20, 3, i / 20]).collect()),
+        ("a full block", (0..512).map(|i| [i % 8, i / 8 % 8, i / 64]).collect()),
+    ];
+    for (case, cells) in places {
+        assert_sound(case, &Scene::new(cells, 15));
+    }
+}
+
+#[test]
+fn about_as_many_voxels_as_a_patch_holds() {
+    for n in [PATCH - 1, PATCH, PATCH + 1, 2 * PATCH - 1, 2 * PATCH, 2 * PATCH + 1] {
+        assert_sound(&format!("{n} voxels"), &Scene::random(n, 16));
+    }
+}
+
+/// Mixed training scenes put two rows into one voxel: each row keeps its own centre, and to the
+/// neighbours the first row of the input stands for the voxel.
+#[test]
+fn rows_that_share_a_voxel() {
+    let mut scene = Scene::random(200, 17);
+    scene.cells[150] = scene.cells[3];
+    scene.cells[199] = scene.cells[3];
+    assert_sound("three rows in a voxel", &scene);
+    assert_sound("all rows in a voxel", &Scene::new(vec![[9; 3]; 40], 18));
+    let twins = Scene { cells: vec![[2; 3]; 2], feat: vec![0.5; 2 * CHANNELS] };
+    assert_sound("two equal rows", &twins);
+}
+
+#[test]
+fn features_of_any_finite_size() {
+    let scene = Scene::random(120, 19);
+    for value in [0.0, -0.0, 1e-30, f32::MIN_POSITIVE, f32::from_bits(1), 1e4] {
+        assert_sound(&format!("all {value:e}"), &scene.clone().filled(value));
+    }
+    for factor in [1e-30f32, 1e-10, 1e5, 1e10, 1e20, 1e30] {
+        let mut scaled = scene.clone();
+        scaled.feat.iter_mut().for_each(|v| *v *= factor);
+        assert_sound(&format!("times {factor:e}"), &scaled);
+    }
+}
+
+/// NaN, infinity and sums that overflow make rows of their scene NaN, never rows of another.
+#[test]
+fn damaged_values_stay_in_their_scene() {
+    let (good, mate) = (Scene::random(300, 20), Scene::random(80, 21));
+    let (frozen, (_, trainable)) = (frozen(), trainable());
+    for model in [&frozen, &trainable] {
+        let alone = bits(&features(model, &[&good]));
+        for value in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX] {
+            let mut bad = mate.clone();
+            bad.feat[40 * CHANNELS + 1] = value;
+            for (scenes, at) in
+                [(&[&bad, &good][..], 80), (&[&good, &bad], 0), (&[&bad, &good, &bad], 80)]
+            {
+                let rows = features(model, scenes);
+                assert!(bits(&rows[at..at + 300]) == alone, "{value} spread to another scene");
+            }
+            // The row itself does not look healthy.
+            if !value.is_finite() {
+                let rows = features(model, &[&bad]);
+                assert!(rows[40].iter().all(|v| v.is_nan()), "{value} became {:?}", rows[40]);
+            }
+            _ = features(model, &[&bad.clone().filled(value)]);
+        }
+    }
+}
+
+fn refusal(points: &PointCloud) -> String {
+    run(&frozen(), points).unwrap_err().to_string()
+}
+
+#[test]
+fn what_is_refused() {
+    let feat = |rows: usize, columns: usize, dtype: DType| {
+        Tensor::zeros((rows, columns), dtype, &Device::Cpu).unwrap()
+    };
+    let cells = |n: i32| (0..n).map(|i| [i, 0, 0]).collect::<Cells>();
+    let new =
+        |cells: Cells, feat: Tensor, offsets: Vec<usize>| PointCloud::new(cells, feat, offsets);
+
+    // At the door.
+    for dtype in [DType::F16, DType::BF16, DType::F64, DType::U32] {
+        let message = PointCloud::single(cells(2), feat(2, 3, dtype)).unwrap_err().to_string();
+        assert!(
+            message.contains("expected f32") && message.contains(&format!("{dtype:?}")),
+            "{message}"
+        );
+    }
+    for (rows, offsets) in [(3, vec![0, 2]), (2, vec![0, 3]), (2, vec![0]), (2, vec![])] {
+        assert!(new(cells(2), feat(rows, 3, DType::F32), offsets).is_err());
+    }
+    let flat = Tensor::zeros(6, DType::F32, &Device::Cpu).unwrap();
+    assert!(PointCloud::single(cells(2), flat).is_err());
+
+    // In the network, for the fields are public.
+    let nobody = PointCloud::single(vec![], feat(0, 3, DType::F32)).unwrap();
+    assert!(refusal(&nobody).contains("without any voxel"));
+    let narrow = PointCloud::single(cells(2), feat(2, 2, DType::F32)).unwrap();
+    assert!(refusal(&narrow).contains("expected [N, 3], got [2, 2]"));
+    let good = PointCloud::single(cells(3), feat(3, 3, DType::F32)).unwrap();
+    for dtype in [DType::F16, DType::BF16, DType::F64] {
+        let message = refusal(&PointCloud { feat: feat(3, 3, dtype), ..good.clone() });
+        assert!(message.contains("expected f32"), "{message}");
+    }
+    for offsets in [vec![0, 2, 1, 3], vec![1, 3], vec![0, 2], vec![0, 9], vec![3], vec![]] {
+        let message = refusal(&PointCloud { offsets: offsets.clone().into(), ..good.clone() });
+        assert!(message.contains("offset"), "{offsets:?}: {message}");
+    }
+    let message = refusal(&PointCloud { grid_coord: cells(2).into(), ..good.clone() });
+    assert!(!message.is_empty());
+    for (value, axis) in [(-1, 0), (LAST_CELL + 1, 1), (i32::MAX, 2), (i32::MIN, 2)] {
+        let mut outside = cells(3);
+        outside[1][axis] = value;
+        let message = refusal(&PointCloud { grid_coord: outside.into(), ..good.clone() });
+        assert!(message.contains(&value.to_string()), "{message}");
+    }
+}
+
+#[test]
+fn training_needs_two_rows() {
+    let (_, model) = trainable();
+    let train = |scene: &Scene| {
+        let mut rng = ChaCha8Rng::seed_from_u64(0);
+        model.forward(&batch(&[scene]), &mut Forward::train(&mut rng))
+    };
+    let message = train(&Scene::random(1, 1)).unwrap_err().to_string();
+    assert!(message.contains("at least 2 rows"), "{message}");
+    // Two voxels that pool into one leave a single row at the next scale.
+    let pair = Scene::new(vec![[0; 3], [1, 0, 0]], 1);
+    assert!(train(&pair).unwrap_err().to_string().contains("at least 2 rows"));
+    let mut rng = ChaCha8Rng::seed_from_u64(0);
+    let message = frozen().forward(&batch(&[&pair]), &mut Forward::train(&mut rng)).unwrap_err();
+    assert!(message.to_string().contains("trainable"), "{message}");
+}
+
+/// Regression of the trainable path: non-contiguous features are read as what they show.
+#[test]
+fn transposed_features() {
+    let scene = Scene::random(64, 22);
+    let model = frozen();
+    let expected = features(&model, &[&scene]);
+    let points = batch(&[&scene]);
+    let columns = points.feat.t().unwrap().contiguous().unwrap().t().unwrap();
+    assert!(!columns.is_contiguous());
+    let got = run(&model, &PointCloud { feat: columns.clone(), ..points.clone() }).unwrap();
+    assert_eq!(bits(&got), bits(&expected));
+    let (_, trainable) = trainable();
+    let got = run(&trainable, &PointCloud { feat: columns, ..points.clone() }).unwrap();
+    assert_eq!(bits(&got), bits(&run(&trainable, &points).unwrap()));
+}
