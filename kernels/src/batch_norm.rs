@@ -137,6 +137,51 @@ mod tests {
         assert!((s.var[0] - 0.125 / 3.0).abs() < 1e-9, "{}", s.var[0]);
     }
 
+    /// f64 sums over several stretches, scales from tiny to huge, and gradients by differences.
+    #[test]
+    fn output_and_gradients_agree_with_f64() {
+        use crate::reference;
+        let (n, c) = (2500, 3);
+        let noise = |i: usize| ((i * 7919 % 10_007) as f32 / 10_007.0) - 0.5;
+        let (weight, bias) = ([1.5, -0.5, 1.0], [0.25, 0.0, -1.0]);
+        for scale in [1.0, 1e-12, 1e15] {
+            let x: Vec<f32> = (0..n * c).map(|i| noise(i) * scale).collect();
+            let s = statistics(&x, c);
+            let inverse: Vec<f64> = s.var.iter().map(|v| 1.0 / (v + 1e-3).sqrt()).collect();
+            let scales: Vec<f32> =
+                (0..c).map(|j| (f64::from(weight[j]) * inverse[j]) as f32).collect();
+            let shifts: Vec<f32> = (0..c)
+                .map(|j| {
+                    let moved = s.mean[j] * f64::from(weight[j]) * inverse[j];
+                    (f64::from(bias[j]) - moved) as f32
+                })
+                .collect();
+            let mut y = vec![0.0; n * c];
+            apply(&x, &scales, &shifts, false, &mut y);
+            let want = reference::batch_norm(&x, &weight, &bias, 1e-3);
+            for (g, w) in y.iter().zip(&want) {
+                assert!((f64::from(*g) - w).abs() < 2e-6, "{scale}: {g} {w}");
+            }
+        }
+        let x: Vec<f32> = (0..5 * c).map(noise).collect();
+        let grad: Vec<f32> = (0..5 * c).map(|i| noise(i + 77)).collect();
+        let loss = |x: &[f32]| -> f64 {
+            let y = reference::batch_norm(x, &weight, &bias, 1e-3);
+            y.iter().zip(&grad).map(|(y, g)| y * f64::from(*g)).sum()
+        };
+        let s = statistics(&x, c);
+        let inverse: Vec<f64> = s.var.iter().map(|v| 1.0 / (v + 1e-3).sqrt()).collect();
+        let mut dx = vec![0.0; x.len()];
+        backward(&x, &grad, &weight, &s.mean, &inverse, true, &mut dx);
+        for i in 0..x.len() {
+            let (mut up, mut down) = (x.clone(), x.clone());
+            up[i] += 1e-3;
+            down[i] -= 1e-3;
+            let want = (loss(&up) - loss(&down)) / f64::from(up[i] - down[i]);
+            assert!((f64::from(dx[i]) - want).abs() < 1e-3, "{i}: {} {want}", dx[i]);
+        }
+    }
+
     #[test]
     fn no_row_and_one_row() {
         assert_eq!(statistics(&[], 2), Statistics { mean: vec![0.0; 2], var: vec![0.0; 2] });

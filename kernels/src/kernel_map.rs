@@ -366,24 +366,8 @@ impl Blocks {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::reference;
     use rand::{Rng, SeedableRng};
-
-    /// All pairs by comparing every two voxels.
-    fn slow(grid: &[[i32; 3]], offsets: &[usize], k: i32) -> Vec<(usize, u32, u32)> {
-        let mut out = Vec::new();
-        for s in offsets.windows(2) {
-            for p in s[0]..s[1] {
-                for q in s[0]..s[1] {
-                    let d: [i32; 3] = std::array::from_fn(|a| grid[q][a] - grid[p][a] + k / 2);
-                    if d.iter().all(|v| (0..k).contains(v)) {
-                        out.push((((d[0] * k + d[1]) * k + d[2]) as usize, q as u32, p as u32));
-                    }
-                }
-            }
-        }
-        out.sort_unstable();
-        out
-    }
 
     fn all(map: &KernelMap) -> Vec<(usize, u32, u32)> {
         let mut out: Vec<_> = (0..map.taps())
@@ -414,7 +398,7 @@ mod tests {
         for k in [1, 3, 5, 7] {
             let map = KernelMap::build(&grid, &offsets, k).unwrap();
             assert!(!map.has_duplicates());
-            assert_eq!(all(&map), slow(&grid, &offsets, k as i32));
+            assert_eq!(all(&map), reference::kernel_pairs(&grid, &offsets, k as i32));
             let back = map.transposed().transposed();
             assert_eq!(all(&back), all(&map));
         }

@@ -77,6 +77,60 @@ pub fn layer_norm(x: &[f32], c: usize, weight: &[f32], bias: &[f32], eps: f64) -
     out
 }
 
+/// Pairs of a submanifold convolution as (tap, input row, output row), sorted, by comparing every two
+/// voxels of a scene.
+pub fn kernel_pairs(grid: &[[i32; 3]], offsets: &[usize], k: i32) -> Vec<(usize, u32, u32)> {
+    let mut out = Vec::new();
+    for s in offsets.windows(2) {
+        for p in s[0]..s[1] {
+            for q in s[0]..s[1] {
+                let d: [i32; 3] = std::array::from_fn(|a| grid[q][a] - grid[p][a] + k / 2);
+                if d.iter().all(|v| (0..k).contains(v)) {
+                    out.push((((d[0] * k + d[1]) * k + d[2]) as usize, q as u32, p as u32));
+                }
+            }
+        }
+    }
+    out.sort_unstable();
+    out
+}
+
+/// Batch normalisation with the batch's own statistics. `x`: `[N, C]`
+pub fn batch_norm(x: &[f32], weight: &[f32], bias: &[f32], eps: f64) -> Vec<f64> {
+    let c = weight.len();
+    let n = x.len() / c;
+    let at = |i: usize, j: usize| f64::from(x[i * c + j]);
+    let mut out = vec![0.0; x.len()];
+    for j in 0..c {
+        let mean = (0..n).map(|i| at(i, j)).sum::<f64>() / n as f64;
+        let var = (0..n).map(|i| (at(i, j) - mean).powi(2)).sum::<f64>() / n as f64;
+        for i in 0..n {
+            let unit = (at(i, j) - mean) / (var + eps).sqrt();
+            out[i * c + j] = unit * f64::from(weight[j]) + f64::from(bias[j]);
+        }
+    }
+    out
+}
+
+/// Mean (or maximum) of the rows with the same group number. `x`: `[N, C]` → `[groups, C]`
+pub fn pool(x: &[f32], c: usize, group: &[u32], groups: usize, max: bool) -> Vec<f64> {
+    let mut out = vec![if max { f64::NEG_INFINITY } else { 0.0 }; groups * c];
+    let mut count = vec![0.0; groups];
+    for (i, &g) in group.iter().enumerate() {
+        count[g as usize] += 1.0;
+        for j in 0..c {
+            let (v, o) = (f64::from(x[i * c + j]), &mut out[g as usize * c + j]);
+            *o = if max { o.max(v) } else { *o + v };
+        }
+    }
+    if !max {
+        for (row, n) in out.chunks_exact_mut(c).zip(&count) {
+            row.iter_mut().for_each(|v| *v /= n);
+        }
+    }
+    out
+}
+
 /// Submanifold convolution by looking at every pair of voxels of the same scene.
 ///
 /// # Shapes

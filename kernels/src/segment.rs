@@ -141,6 +141,33 @@ mod tests {
     }
 
     #[test]
+    fn agrees_with_f64_on_uneven_groups() {
+        let (n, c, groups) = (5000usize, 7, 640);
+        let inverse: Vec<u32> = (0..n).map(|i| (i * i % groups) as u32).collect();
+        // Only groups that have rows, renumbered.
+        let mut used: Vec<u32> = inverse.clone();
+        used.sort_unstable();
+        used.dedup();
+        let inverse: Vec<u32> =
+            inverse.iter().map(|g| used.binary_search(g).unwrap() as u32).collect();
+        let mut rows: Vec<u32> = (0..n as u32).collect();
+        rows.sort_by_key(|&r| inverse[r as usize]);
+        let mut offsets = vec![0u32; used.len() + 1];
+        inverse.iter().for_each(|&g| offsets[g as usize + 1] += 1);
+        (0..used.len()).for_each(|g| offsets[g + 1] += offsets[g]);
+        let x: Vec<f32> = (0..n * c).map(|i| (i * 31 % 1009) as f32 - 500.0).collect();
+        let want = [false, true].map(|m| crate::reference::pool(&x, c, &inverse, used.len(), m));
+        let all = Groups { rows, offsets, inverse };
+        for (how, want) in [(Reduce::Mean, &want[0]), (Reduce::Max, &want[1])] {
+            let mut out = vec![0.0; used.len() * c];
+            reduce(&x, c, &all, how, &mut out);
+            for (g, w) in out.iter().zip(want) {
+                assert!((f64::from(*g) - w).abs() < 1e-4, "{how:?}: {g} {w}");
+            }
+        }
+    }
+
+    #[test]
     fn gradients_by_hand() {
         let x = [1.0, 2.0, 3.0, 4.0, 3.0, -6.0];
         let grad = [10.0, 20.0, 30.0, 40.0];

@@ -139,6 +139,9 @@ impl ParamStore {
     }
 
     /// A store of variables to train, first values from `source` where it has them.
+    ///
+    /// Building a network from it never fails for want of a value: call [`ParamStore::report`] and
+    /// [`LoadReport::check`] afterwards, or training may start from scratch unnoticed.
     pub fn trainable_from(source: WeightSource, seed: u64) -> Self {
         Self::new(true, seed, source)
     }
