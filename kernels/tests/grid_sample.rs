@@ -374,14 +374,3 @@ fn thread_count_does_not_matter() {
     let one = on(1);
     assert!(one == on(2) && one == on(5));
 }
-
-#[test]
-#[ignore = "prints times; run with --release --ignored --nocapture"]
-fn time_of_a_million_rows() {
-    let coord = cloud(13, 1_000_000, 8.0);
-    for order in ORDERS {
-        let start = std::time::Instant::now();
-        let groups = voxel_groups(&coord, 0.02, order).unwrap();
-        println!("{order:?}: {} voxels in {:?}", groups.num_voxels(), start.elapsed());
-    }
-}
