@@ -59,6 +59,9 @@ pub enum SceneError {
         /// Number of rows.
         rows: usize,
     },
+    /// The user asked to stop; nothing was written.
+    #[error("stopped; nothing was written")]
+    Stopped,
     /// A list of classes, or the table of their text vectors, that cannot be used.
     #[error("{problem}{}", hint(mend))]
     Classes {

@@ -1,6 +1,7 @@
 //! The scene in memory.
 
 use crate::SceneError;
+use crate::language_code::LanguageCode;
 use half::f16;
 
 /// Zeroth spherical-harmonic basis constant: `rgb = 0.5 + SH_C0 · dc`.
@@ -31,7 +32,10 @@ pub struct LabelledPoints {
 /// A scene of 3D Gaussians: structure of arrays, every array with one row per Gaussian.
 ///
 /// # Conventions (stated here once)
-/// - positions and scales are in metres, in the frame of the file (no axis is swapped on reading);
+/// - positions and scales are in metres, in the frame of the trainer's PLY files, nominally x right,
+///   y down, z forward ([`Frame::CANONICAL`](crate::frame::Frame)); readers of formats that
+///   prescribe another frame (SPZ, glTF) convert, others leave the axes alone; which way is up is
+///   in none of these files, the trainer's choice decides;
 /// - scale is the natural logarithm of the standard deviation along each principal axis;
 /// - `quat` is `w, x, y, z`, unit norm, `w ≥ 0`; the columns of its matrix are the principal axes;
 /// - opacity is a logit: `alpha = 1 / (1 + e^-logit)`; `±inf` are legal (alpha 0 or 1);
@@ -60,8 +64,12 @@ pub struct GaussianScene {
     pub normal: Option<Vec<[f32; 3]>>,
     /// Class index, `-1` = no label. `[N]`
     pub segment: Option<Vec<i32>>,
+    /// How sure the class in `segment` is, any range, higher is surer. `[N]`
+    pub segment_score: Option<Vec<f32>>,
     /// Instance id, `-1` = none. `[N]`
     pub instance: Option<Vec<i32>>,
+    /// Short language codes with what decodes them. `[N, k]`
+    pub lang_code: Option<LanguageCode>,
     /// Language features. `[N, D]`
     pub lang_feat: Option<FeatureRows>,
     /// Whether the row of `lang_feat` holds a feature. `[N]`
@@ -134,8 +142,21 @@ impl GaussianScene {
         if let Some(a) = &self.segment {
             check("segment", a.len())?;
         }
+        if let Some(a) = &self.segment_score {
+            check("segment_score", a.len())?;
+        }
         if let Some(a) = &self.instance {
             check("instance", a.len())?;
+        }
+        if let Some(a) = &self.lang_code {
+            a.codebook.check()?;
+            if a.values.len() != expected * a.width() {
+                return Err(SceneError::RowCount {
+                    field: "lang_code",
+                    expected: expected * a.width(),
+                    got: a.values.len(),
+                });
+            }
         }
         if let Some(a) = &self.lang_feat {
             // A ragged last row counts as a row too many, never as none.
@@ -178,7 +199,12 @@ impl GaussianScene {
             sh_degree: self.sh_degree,
             normal: self.normal.as_ref().map(|a| pick(a, rows)),
             segment: self.segment.as_ref().map(|a| pick(a, rows)),
+            segment_score: self.segment_score.as_ref().map(|a| pick(a, rows)),
             instance: self.instance.as_ref().map(|a| pick(a, rows)),
+            lang_code: self.lang_code.as_ref().map(|a| LanguageCode {
+                values: pick_wide(&a.values, a.width(), rows),
+                codebook: a.codebook.clone(),
+            }),
             lang_feat: self
                 .lang_feat
                 .as_ref()

@@ -9,15 +9,25 @@
 pub mod class_map;
 pub mod error;
 pub mod formats;
+pub mod frame;
 pub mod gaussian_scene;
 pub mod label_set;
+pub mod language_code;
+pub mod similarity;
+pub mod spherical_harmonics;
 pub mod text_table;
 pub mod value_policy;
 
 pub use class_map::ClassMap;
 pub use error::SceneError;
-pub use formats::{LoadedScene, ReadOptions, SceneKind, open_scene};
+pub use formats::{
+    LoadedScene, ReadOptions, SceneFormat, SceneKind, SpzFrame, WriteOptions, WriteReport,
+    open_scene, write_scene,
+};
+pub use frame::Frame;
 pub use gaussian_scene::{FeatureRows, GaussianScene, LabelledPoints};
 pub use label_set::LabelSet;
+pub use language_code::{LanguageCode, LanguageCodebook};
+pub use similarity::Similarity;
 pub use text_table::TextTable;
 pub use value_policy::{Policy, RepairReport};

@@ -264,6 +264,7 @@ impl<'a> Session<'a> {
                     segment: inference.segment_name.clone(),
                     lang_feat: false,
                     sh_rest: false,
+                    ..ReadOptions::default()
                 };
                 OpenedScene { loaded: open_scene(path, &options)?, converted: false }
             }

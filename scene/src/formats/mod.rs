@@ -11,6 +11,12 @@ pub mod npy;
 pub mod npy_folder;
 pub mod npy_writer;
 pub mod ply;
+pub(crate) mod semantics;
+pub mod write;
+
+pub use write::{
+    PrecisionLimit, SceneFormat, WriteOptions, WriteProgress, WriteReport, write_scene,
+};
 
 use crate::value_policy::clean_scene;
 use crate::{GaussianScene, Policy, RepairReport, SceneError};
@@ -32,11 +38,33 @@ pub struct ReadOptions {
     pub lang_feat: bool,
     /// Whether to read spherical harmonics beyond the DC term.
     pub sh_rest: bool,
+    /// The frame that SPZ files are taken to be in.
+    pub spz_frame: SpzFrame,
+    /// Level of detail of a streamed scene, 0 = finest; formats without levels ignore it.
+    pub lod: usize,
+}
+
+/// The frame of the numbers in an SPZ file, which the file itself does not say.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SpzFrame {
+    /// Right, up, back, as the format prescribes; converted to the canonical frame.
+    #[default]
+    Rub,
+    /// As in the PLY file it was made from, as several programs write it; not converted.
+    Raw,
 }
 
 impl Default for ReadOptions {
     fn default() -> Self {
-        Self { policy: Policy::Repair, segment: None, lang_feat: true, sh_rest: true }
+        Self {
+            policy: Policy::Repair,
+            segment: None,
+            lang_feat: true,
+            sh_rest: true,
+            spz_frame: SpzFrame::Rub,
+            lod: 0,
+        }
     }
 }
 
@@ -50,6 +78,32 @@ pub enum SceneKind {
     CompressedPly,
     /// Folder of `.npy` files.
     NpyFolder,
+    /// 32 bytes a Gaussian, no header.
+    Splat,
+    /// Niantic's compressed container.
+    Spz,
+    /// Textures and codebooks in a folder or archive.
+    Sog,
+    /// Sections of buckets, for one viewer.
+    Ksplat,
+    /// A glTF primitive with Gaussian attributes.
+    Gltf,
+}
+
+impl SceneKind {
+    /// The word for it in messages and reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::InriaPly => "ply",
+            Self::CompressedPly => "compressed-ply",
+            Self::NpyFolder => "npy",
+            Self::Splat => "splat",
+            Self::Spz => "spz",
+            Self::Sog => "sog",
+            Self::Ksplat => "ksplat",
+            Self::Gltf => "gltf",
+        }
+    }
 }
 
 /// A scene with what is needed to write results back to where it came from.

@@ -82,7 +82,7 @@ value_rules! {
     FileTrailing: "file", "bytes after the last row the header counts", Repair, "ignored";
     CoordMissing: "coord", "x, y or z missing", Refuse, "an error";
     CoordNotFinite: "coord", "NaN or infinite", Repair, "the Gaussian is left out";
-    ScaleNan: "scale", "NaN; in a folder of .npy also negative", Repair, "the Gaussian is left out";
+    ScaleNan: "scale", "NaN; where sizes are stored as they are, also negative", Repair, "the Gaussian is left out";
     ScaleInfinite: "scale", "infinitely large", Repair, "the Gaussian is left out";
     ScaleZero: "scale", "standard deviation 0, logarithm -inf", Accept, "kept";
     ScaleTwo: "scale", "scale_2 missing (2D Gaussians)", Repair, "the third axis gets 1e-7 m";
@@ -95,7 +95,7 @@ value_rules! {
     QuatMissing: "quat", "rotation missing", Repair, "no rotation";
     OpacityNan: "opacity", "NaN", Repair, "the Gaussian is left out";
     OpacityInfinite: "opacity", "logit -inf or +inf", Accept, "kept: alpha 0 or 1";
-    OpacityOutside: "opacity", "probability outside 0 to 1 (folder of .npy)", Repair, "clipped to 0 or 1";
+    OpacityOutside: "opacity", "probability outside 0 to 1 (folder of .npy, glTF)", Repair, "clipped to 0 or 1";
     OpacityMissing: "opacity", "opacity missing", Repair, "alpha 1";
     ColorNan: "color", "DC term NaN", Repair, "mid-grey, DC term 0";
     ColorInfinite: "color", "DC term infinite", Repair, "clipped to colour 0 or 1";
@@ -112,6 +112,7 @@ value_rules! {
     InstanceInvalid: "instance", "not a whole number of 32 bits", Repair, "becomes -1: none";
     InstanceNone: "instance", "negative, or 65535 in a 16-bit column", Accept, "becomes -1: none";
     FeatureNotFinite: "lang_feat", "NaN or infinite", Repair, "the row becomes 0 and is masked out";
+    CodeNotFinite: "lang_code", "NaN or infinite", Repair, "the code becomes 0: the mean feature";
     MaskInvalid: "valid_feat_mask", "neither 0 nor 1", Repair, "read as 1";
     PointNotFinite: "pc_coord", "NaN or infinite", Repair, "the labelled point is left out";
     AnyExtreme: "any", "denormal, huge, or -0", Accept, "kept";

@@ -1,0 +1,322 @@
+//! Labels, scores, instances and language codes, as one block of bytes that any container can carry.
+//!
+//! The block is a safetensors file: `segment` and `instance` (I32, `[N]`), `segment_score` (F32,
+//! `[N]`), `lang_code` (F16, `[N, k]`), `lang_codebook_mean` (F32, `[D]`) and `lang_codebook_axes`
+//! (F32, `[k, D]`), each only if the scene has it. SPZ files and SOG archives hold the block
+//! itself; for other formats it is a file beside the scene, with the checksum of the scene it
+//! belongs to.
+
+use super::files::{AtomicFile, MappedFile};
+use crate::value_policy::Rule;
+use crate::{GaussianScene, LanguageCode, LanguageCodebook, RepairReport, SceneError};
+use half::f16;
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// The one metadata key: several would be written in a random order.
+const ABOUT: &str = "scenesplat_labels";
+
+/// What the block says of itself.
+#[derive(Debug, Serialize, Deserialize)]
+struct About {
+    version: u32,
+    gaussians: usize,
+    /// Checksum and size of the scene file, where the block is a file of its own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    scene: Option<SceneFingerprint>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+struct SceneFingerprint {
+    bytes: u64,
+    crc32: u32,
+}
+
+impl SceneFingerprint {
+    fn of(bytes: &[u8]) -> Self {
+        Self { bytes: bytes.len() as u64, crc32: crc32fast::hash(bytes) }
+    }
+}
+
+/// What is beside `room.splat`: `room.splat.labels.safetensors`.
+pub(crate) fn sidecar_path(scene: &Path) -> PathBuf {
+    let mut name = scene.as_os_str().to_owned();
+    name.push(".labels.safetensors");
+    name.into()
+}
+
+/// The block of a scene, its rows in the given order; `None` if there is nothing to carry.
+pub(crate) fn encode(scene: &GaussianScene, order: Option<&[u32]>) -> Option<Vec<u8>> {
+    encode_with(scene, order, None)
+}
+
+fn encode_with(
+    scene: &GaussianScene,
+    order: Option<&[u32]>,
+    belongs_to: Option<SceneFingerprint>,
+) -> Option<Vec<u8>> {
+    let n = scene.len();
+    let mut tensors: Vec<(&str, Dtype, Vec<usize>, Vec<u8>)> = Vec::new();
+    fn rows<T: Copy, const B: usize>(
+        values: &[T],
+        width: usize,
+        order: Option<&[u32]>,
+        bytes: impl Fn(T) -> [u8; B],
+    ) -> Vec<u8> {
+        match order {
+            None => values.iter().flat_map(|&v| bytes(v)).collect(),
+            Some(order) => order
+                .iter()
+                .flat_map(|&row| &values[row as usize * width..(row as usize + 1) * width])
+                .flat_map(|&v| bytes(v))
+                .collect(),
+        }
+    }
+    for (name, values) in [("segment", &scene.segment), ("instance", &scene.instance)] {
+        if let Some(values) = values {
+            tensors.push((name, Dtype::I32, vec![n], rows(values, 1, order, i32::to_le_bytes)));
+        }
+    }
+    if let Some(values) = &scene.segment_score {
+        let bytes = rows(values, 1, order, f32::to_le_bytes);
+        tensors.push(("segment_score", Dtype::F32, vec![n], bytes));
+    }
+    if let Some(code) = &scene.lang_code {
+        let (k, width) = (code.width(), code.codebook.feature_width());
+        let bytes = rows(&code.values, k, order, f16::to_le_bytes);
+        tensors.push(("lang_code", Dtype::F16, vec![n, k], bytes));
+        let mean = rows(&code.codebook.mean, 1, None, f32::to_le_bytes);
+        tensors.push(("lang_codebook_mean", Dtype::F32, vec![width], mean));
+        let axes = rows(&code.codebook.axes, 1, None, f32::to_le_bytes);
+        tensors.push(("lang_codebook_axes", Dtype::F32, vec![k, width], axes));
+    }
+    if tensors.is_empty() {
+        return None;
+    }
+    let views = tensors.iter().map(|(name, dtype, shape, bytes)| {
+        let view = TensorView::new(*dtype, shape.clone(), bytes);
+        (*name, view.expect("the bytes were made for this shape"))
+    });
+    let about = About { version: 1, gaussians: n, scene: belongs_to };
+    let about = serde_json::to_string(&about).expect("numbers only");
+    let about = HashMap::from([(ABOUT.to_owned(), about)]);
+    let bytes = safetensors::serialize(views, Some(about));
+    Some(bytes.expect("names are unique and shapes match"))
+}
+
+/// Adds what a block holds to a scene of `rows` Gaussians as it was read (before bad rows are left
+/// out). `path` is for messages.
+///
+/// # Errors
+/// If the block is malformed or made for another number of Gaussians.
+pub(crate) fn decode(
+    bytes: &[u8],
+    rows: usize,
+    scene: &mut GaussianScene,
+    report: &mut RepairReport,
+    path: &Path,
+) -> Result<(), SceneError> {
+    let bad = |problem: String| {
+        let problem = format!("its block of labels {problem}");
+        SceneError::format(path, problem, "write the scene with its labels again")
+    };
+    let about = read_about(bytes).map_err(|e| bad(format!("cannot be read: {e}")))?;
+    if about.gaussians != rows {
+        return Err(bad(format!("is for {} Gaussians, not {rows}", about.gaussians)));
+    }
+    let tensors = SafeTensors::deserialize(bytes).map_err(|e| bad(format!("is damaged: {e}")))?;
+    // Shapes were checked against the length of the block by the call above.
+    let get = |name: &str, dtype: Dtype, shape: &[Option<usize>]| {
+        let Ok(view) = tensors.tensor(name) else { return Ok(None) };
+        let fits = view.shape().len() == shape.len()
+            && view.shape().iter().zip(shape).all(|(&a, b)| b.is_none_or(|b| a == b));
+        if view.dtype() != dtype || !fits {
+            let (got, is) = (view.shape().to_vec(), view.dtype());
+            return Err(bad(format!("holds {name} as {is:?} {got:?}")));
+        }
+        Ok(Some(view))
+    };
+    let n = Some(rows);
+    for (name, into) in [("segment", &mut scene.segment), ("instance", &mut scene.instance)] {
+        if let Some(view) = get(name, Dtype::I32, &[n])? {
+            let values = view.data().as_chunks().0.iter().map(|b| i32::from_le_bytes(*b));
+            // Negative means none, as everywhere.
+            *into = Some(values.map(|v| v.max(-1)).collect());
+        }
+    }
+    if let Some(view) = get("segment_score", Dtype::F32, &[n])? {
+        scene.segment_score = Some(floats(view.data()));
+    }
+    let code = get("lang_code", Dtype::F16, &[n, None])?;
+    let mean = get("lang_codebook_mean", Dtype::F32, &[None])?;
+    let axes = get("lang_codebook_axes", Dtype::F32, &[None, None])?;
+    if let (Some(code), Some(mean), Some(axes)) = (&code, &mean, &axes) {
+        let (k, width) = (code.shape()[1], mean.shape()[0]);
+        if axes.shape() != [k, width] {
+            return Err(bad(format!("has codes of {k}, but axes {:?}", axes.shape())));
+        }
+        let codebook = LanguageCodebook { mean: floats(mean.data()), axes: floats(axes.data()) };
+        codebook.check()?;
+        let values: Vec<f16> =
+            code.data().as_chunks().0.iter().map(|b| f16::from_le_bytes(*b)).collect();
+        scene.lang_code = Some(clean_code(LanguageCode { values, codebook }, report));
+    } else if code.is_some() || mean.is_some() || axes.is_some() {
+        return Err(bad("has language codes without the whole codebook".to_owned()));
+    }
+    Ok(())
+}
+
+/// Codes that are not finite become the mean feature, and are reported.
+pub(crate) fn clean_code(mut code: LanguageCode, report: &mut RepairReport) -> LanguageCode {
+    let k = code.width();
+    for (row, values) in code.values.chunks_exact_mut(k).enumerate() {
+        if let Some(bad) = values.iter().find(|v| !v.is_finite()) {
+            report.add(Rule::CodeNotFinite, 1, row, &bad.to_string());
+            values.fill(f16::ZERO);
+        }
+    }
+    code
+}
+
+fn floats(bytes: &[u8]) -> Vec<f32> {
+    bytes.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect()
+}
+
+fn read_about(bytes: &[u8]) -> Result<About, String> {
+    let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(|e| e.to_string())?;
+    let about = metadata.metadata().as_ref().and_then(|m| m.get(ABOUT));
+    let about = about.ok_or("it is no block of labels")?;
+    let about: About = serde_json::from_str(about).map_err(|e| e.to_string())?;
+    if about.version != 1 {
+        return Err(format!("version {} is newer than this program", about.version));
+    }
+    Ok(about)
+}
+
+/// Writes the block beside the scene, whose file holds `scene_bytes`; gives its path if there was
+/// something to write.
+pub(crate) fn write_sidecar(
+    scene: &GaussianScene,
+    order: Option<&[u32]>,
+    path: &Path,
+    scene_bytes: &[u8],
+) -> Result<Option<PathBuf>, SceneError> {
+    let Some(block) = encode_with(scene, order, Some(SceneFingerprint::of(scene_bytes))) else {
+        return Ok(None);
+    };
+    let path = sidecar_path(path);
+    let file = AtomicFile::create(&path)?;
+    let mut to = file.file()?;
+    to.write_all(&block).map_err(SceneError::io(&path, "cannot write the labels"))?;
+    file.commit()?;
+    Ok(Some(path))
+}
+
+/// Reads the block beside a scene, if there is one and it belongs to this very file.
+///
+/// One that was made for another version of the scene is not read: its labels would be those of
+/// other Gaussians. The report says so.
+pub(crate) fn read_sidecar(
+    path: &Path,
+    scene_bytes: &[u8],
+    rows: usize,
+    scene: &mut GaussianScene,
+    report: &mut RepairReport,
+) -> Result<(), SceneError> {
+    let beside = sidecar_path(path);
+    if !beside.is_file() {
+        return Ok(());
+    }
+    let block = MappedFile::open(&beside)?;
+    let about = read_about(block.bytes()).map_err(|e| {
+        let mend = "remove it, or write the scene with its labels again";
+        SceneError::format(&beside, format!("cannot be read as labels of a scene: {e}"), mend)
+    })?;
+    if about.scene != Some(SceneFingerprint::of(scene_bytes)) {
+        report.notes.push(format!(
+            "{} was made for another version of the scene and was not read",
+            beside.display()
+        ));
+        return Ok(());
+    }
+    decode(block.bytes(), rows, scene, report, &beside)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn labelled() -> GaussianScene {
+        GaussianScene {
+            coord: vec![[0.0; 3]; 3],
+            log_scale: vec![[0.0; 3]; 3],
+            quat: vec![[1.0, 0.0, 0.0, 0.0]; 3],
+            opacity_logit: vec![0.0; 3],
+            sh_dc: vec![[0.0; 3]; 3],
+            segment: Some(vec![4, -1, 200]),
+            segment_score: Some(vec![0.5, f32::NEG_INFINITY, 1e-30]),
+            lang_code: Some(LanguageCode {
+                values: [1.0, 2.0, 3.0, 4.0, 5.0, 6.0].map(f16::from_f32).to_vec(),
+                codebook: LanguageCodebook { mean: vec![0.5; 4], axes: vec![0.25; 8] },
+            }),
+            ..GaussianScene::default()
+        }
+    }
+
+    fn bare(rows: usize) -> GaussianScene {
+        let scene = labelled().select_rows(&vec![0; rows]).unwrap();
+        GaussianScene { segment: None, segment_score: None, lang_code: None, ..scene }
+    }
+
+    #[test]
+    fn a_block_comes_back_and_is_always_the_same_bytes() {
+        let scene = labelled();
+        let block = encode(&scene, None).unwrap();
+        assert_eq!(block, encode(&scene, None).unwrap());
+        let mut back = bare(3);
+        let mut report = RepairReport::default();
+        decode(&block, 3, &mut back, &mut report, Path::new("x")).unwrap();
+        assert_eq!(back, scene);
+        assert_eq!(encode(&bare(3), None), None);
+    }
+
+    #[test]
+    fn rows_follow_the_order() {
+        let scene = labelled();
+        let block = encode(&scene, Some(&[2, 0, 1])).unwrap();
+        let mut back = bare(3);
+        decode(&block, 3, &mut back, &mut RepairReport::default(), Path::new("x")).unwrap();
+        let due = scene.select_rows(&[2, 0, 1]).unwrap();
+        assert_eq!((back.segment, back.lang_code), (due.segment, due.lang_code));
+    }
+
+    #[test]
+    fn another_count_and_damage_are_refused() {
+        let block = encode(&labelled(), None).unwrap();
+        let mut report = RepairReport::default();
+        let error = decode(&block, 4, &mut bare(4), &mut report, Path::new("x")).unwrap_err();
+        assert!(error.to_string().contains("3 Gaussians, not 4"), "{error}");
+        for cut in 0..block.len() {
+            assert!(decode(&block[..cut], 3, &mut bare(3), &mut report, Path::new("x")).is_err());
+        }
+    }
+
+    #[test]
+    fn a_stale_sidecar_is_named_and_not_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.splat");
+        let scene = labelled();
+        let beside = write_sidecar(&scene, None, &path, b"first").unwrap().unwrap();
+        assert!(beside.ends_with("a.splat.labels.safetensors"));
+        let (mut back, mut report) = (bare(3), RepairReport::default());
+        read_sidecar(&path, b"first", 3, &mut back, &mut report).unwrap();
+        assert_eq!(back, scene);
+        let mut back = bare(3);
+        read_sidecar(&path, b"other", 3, &mut back, &mut report).unwrap();
+        assert_eq!(back.segment, None);
+        assert!(report.notes[0].contains("another version"), "{:?}", report.notes);
+    }
+}

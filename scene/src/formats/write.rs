@@ -1,0 +1,296 @@
+//! Writing a scene in any format, and saying what the format could not hold.
+
+use super::files::MappedFile;
+use super::npy_folder::write_npy_folder;
+use super::{inria_ply, semantics};
+use crate::formats::SpzFrame;
+use crate::{GaussianScene, SceneError};
+use serde::Serialize;
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+/// The formats that scenes can be written in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SceneFormat {
+    /// PLY with one float per property: loses nothing.
+    Ply,
+    /// PLY with packed integers in chunks of 256.
+    CompressedPly,
+    /// Niantic's compressed container.
+    Spz,
+    /// 32 bytes a Gaussian.
+    Splat,
+    /// Textures and codebooks, in one archive.
+    Sog,
+    /// Textures and codebooks, as files of a folder.
+    SogFolder,
+    /// Folder of `.npy` files.
+    NpyFolder,
+}
+
+impl SceneFormat {
+    /// The format that a name asks for: `.ply`, `.compressed.ply`, `.spz`, `.splat`, `.sog`,
+    /// `meta.json` (a SOG folder), or no ending at all (a folder of `.npy` files).
+    pub fn from_path(path: &Path) -> Option<Self> {
+        let name = path.file_name()?.to_str()?.to_ascii_lowercase();
+        let ends = |ending: &str| name.ends_with(ending);
+        Some(match () {
+            () if ends(".compressed.ply") => Self::CompressedPly,
+            () if ends(".ply") => Self::Ply,
+            () if ends(".spz") => Self::Spz,
+            () if ends(".splat") => Self::Splat,
+            () if ends(".sog") => Self::Sog,
+            () if name == "meta.json" => Self::SogFolder,
+            () if path.extension().is_none() => Self::NpyFolder,
+            () => return None,
+        })
+    }
+
+    /// The word for it in messages and on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Ply => "ply",
+            Self::CompressedPly => "compressed-ply",
+            Self::Spz => "spz",
+            Self::Splat => "splat",
+            Self::Sog => "sog",
+            Self::SogFolder => "sog-folder",
+            Self::NpyFolder => "npy",
+        }
+    }
+}
+
+/// How to write.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct WriteOptions {
+    /// Version of SPZ files: 2, 3 or 4.
+    pub spz_version: u8,
+    /// The frame of the numbers in SPZ files.
+    pub spz_frame: SpzFrame,
+    /// Whether an existing scene may be replaced.
+    pub overwrite: bool,
+}
+
+impl Default for WriteOptions {
+    fn default() -> Self {
+        Self { spz_version: 4, spz_frame: SpzFrame::Rub, overwrite: false }
+    }
+}
+
+/// Called with the fraction done, 0 to 1; gives `false` to stop, and then nothing is left behind.
+pub type WriteProgress<'a> = &'a mut dyn FnMut(f64) -> bool;
+
+/// Something that the format could not hold as it was.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct PrecisionLimit {
+    /// Which array of the scene.
+    pub field: &'static str,
+    /// What the format does to it.
+    pub limit: String,
+    /// Rows concerned.
+    pub rows: usize,
+    /// The first of them.
+    pub first_row: usize,
+    /// The largest change, in the unit of the field.
+    pub largest_change: f64,
+}
+
+/// What became of a scene on the way to its file.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct WriteReport {
+    /// The format.
+    pub format: SceneFormat,
+    /// Gaussians written.
+    pub gaussians: usize,
+    /// Size of everything written.
+    pub bytes: u64,
+    /// Files written; the scene first.
+    pub files: Vec<PathBuf>,
+    /// Values beyond what the format can hold, and arrays it has no place for. Rounding to the
+    /// format's own steps is not listed.
+    pub limits: Vec<PrecisionLimit>,
+    /// Row of the scene that each written row came from, where the format needed another order.
+    #[serde(skip)]
+    pub order: Option<Vec<u32>>,
+}
+
+impl WriteReport {
+    /// For a scene of which nothing was lost so far.
+    pub(crate) fn new(format: SceneFormat, gaussians: usize) -> Self {
+        Self { format, gaussians, bytes: 0, files: Vec::new(), limits: Vec::new(), order: None }
+    }
+
+    /// Notes a file that was written.
+    pub(crate) fn wrote(&mut self, path: &Path) -> Result<(), SceneError> {
+        let about =
+            std::fs::metadata(path).map_err(SceneError::io(path, "cannot read its size"))?;
+        self.bytes += about.len();
+        self.files.push(path.to_owned());
+        Ok(())
+    }
+
+    /// Notes rows that the format changes beyond its rounding; nothing if there are none.
+    pub(crate) fn limit(
+        &mut self,
+        field: &'static str,
+        limit: impl Into<String>,
+        tally: LimitTally,
+    ) {
+        if tally.rows > 0 {
+            self.limits.push(PrecisionLimit {
+                field,
+                limit: limit.into(),
+                rows: tally.rows,
+                first_row: tally.first_row,
+                largest_change: tally.largest_change,
+            });
+        }
+    }
+
+    /// Notes an array that the format has no place for.
+    pub(crate) fn left_out(&mut self, field: &'static str, why: &str) {
+        let all = LimitTally { rows: self.gaussians, first_row: 0, largest_change: f64::NAN };
+        self.limit(field, why, all);
+    }
+}
+
+impl fmt::Display for WriteReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} Gaussians as {}, {} bytes", self.gaussians, self.format.name(), self.bytes)?;
+        if self.order.is_some() {
+            write!(f, ", in another order")?;
+        }
+        for limit in &self.limits {
+            write!(
+                f,
+                "\n  {}: {} ({} rows, first {}",
+                limit.field, limit.limit, limit.rows, limit.first_row
+            )?;
+            if limit.largest_change.is_finite() {
+                write!(f, ", by up to {:.6}", limit.largest_change)?;
+            }
+            write!(f, ")")?;
+        }
+        Ok(())
+    }
+}
+
+/// Rows that a limit concerns, counted in parallel and merged.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct LimitTally {
+    pub(crate) rows: usize,
+    pub(crate) first_row: usize,
+    pub(crate) largest_change: f64,
+}
+
+impl Default for LimitTally {
+    fn default() -> Self {
+        Self { rows: 0, first_row: usize::MAX, largest_change: 0.0 }
+    }
+}
+
+impl LimitTally {
+    /// Counts a row that changes by `change`.
+    pub(crate) fn add(&mut self, row: usize, change: f64) {
+        self.rows += 1;
+        self.first_row = self.first_row.min(row);
+        // A change from infinity to a number is infinite; NaN never is the larger one.
+        self.largest_change = self.largest_change.max(change);
+    }
+
+    /// The rows of both.
+    pub(crate) fn merge(self, other: Self) -> Self {
+        Self {
+            rows: self.rows + other.rows,
+            first_row: self.first_row.min(other.first_row),
+            largest_change: self.largest_change.max(other.largest_change),
+        }
+    }
+}
+
+/// Writes a scene; the file appears under its name when it is complete.
+///
+/// Labels, scores, instances and language codes go along in every format: as columns of a PLY file,
+/// as an extension record of an SPZ file, inside a SOG archive, else in a file beside the scene
+/// (`NAME.labels.safetensors`) that [`open_scene`](super::open_scene) finds. Programs that do not
+/// know them open the scene as before.
+///
+/// # Errors
+/// If the scene is empty or its arrays do not match, if there is a file already and
+/// `options.overwrite` is not set, if the format cannot hold the scene, if `progress` says stop, or
+/// if the file cannot be written. Then nothing is left behind and an old file is as it was.
+pub fn write_scene(
+    scene: &GaussianScene,
+    path: &Path,
+    format: SceneFormat,
+    options: &WriteOptions,
+    progress: WriteProgress<'_>,
+) -> Result<WriteReport, SceneError> {
+    scene.check_rows()?;
+    if scene.is_empty() {
+        return Err(SceneError::format(path, "would hold no Gaussian at all", ""));
+    }
+    if !options.overwrite && format != SceneFormat::NpyFolder && path.exists() {
+        return Err(SceneError::format(
+            path,
+            "is there already",
+            "overwrite it or choose another name",
+        ));
+    }
+    if !progress(0.0) {
+        return Err(SceneError::Stopped);
+    }
+    let mut report = match format {
+        SceneFormat::Ply => {
+            let mut report = WriteReport::new(format, scene.len());
+            inria_ply::write_inria_ply(scene, &[], path)?;
+            report.wrote(path)?;
+            report
+        }
+        SceneFormat::NpyFolder => {
+            let mut report = WriteReport::new(format, scene.len());
+            write_npy_folder(scene, path, options.overwrite)?;
+            report.files.push(path.to_owned());
+            report
+        }
+        _ => return Err(SceneError::format(path, "cannot be written yet", "")),
+    };
+    note_left_out(scene, &mut report);
+    progress(1.0);
+    Ok(report)
+}
+
+/// Notes the arrays that no writer of the format takes.
+fn note_left_out(scene: &GaussianScene, report: &mut WriteReport) {
+    let features = matches!(report.format, SceneFormat::NpyFolder);
+    let normals = matches!(report.format, SceneFormat::NpyFolder | SceneFormat::Ply);
+    if scene.lang_feat.is_some() && !features {
+        report.left_out("lang_feat", "no place in this format; write language codes instead");
+    }
+    if scene.labelled_points.is_some() && !features {
+        report.left_out("labelled_points", "no place in this format");
+    }
+    if scene.normal.is_some() && !normals {
+        report.left_out("normal", "no place in this format");
+    }
+    if scene.sh_degree > 0 && features {
+        report.left_out("sh_rest", "no place in this format");
+    }
+}
+
+/// Writes the labels of a scene beside its file, for formats that cannot hold them.
+///
+/// `order` is the row of the scene for each row of the file.
+pub(crate) fn write_sidecar(
+    scene: &GaussianScene,
+    order: Option<&[u32]>,
+    path: &Path,
+    report: &mut WriteReport,
+) -> Result<(), SceneError> {
+    let file = MappedFile::open(path)?;
+    if let Some(beside) = semantics::write_sidecar(scene, order, path, file.bytes())? {
+        report.wrote(&beside)?;
+    }
+    Ok(())
+}
