@@ -194,6 +194,9 @@ pub fn write_colored_ply(
         };
         scene.lang_feat = None;
         scene.valid_feat_mask = None;
+        if columns.score.is_some() {
+            scene.segment_score = None;
+        }
         let mut extra = Vec::new();
         let source_row: Vec<i32>;
         if let Some(kept) = &loaded.kept_rows {

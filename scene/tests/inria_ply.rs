@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{Encoding, inria_columns, ply_bytes, random_scene};
+use common::{Encoding, inria_columns, language_code, ply_bytes, random_scene};
 use scenesplat_scene::formats::inria_ply::write_inria_ply;
 use scenesplat_scene::formats::ply::{ColumnValues, PlyColumn, PlyFile};
 use scenesplat_scene::value_policy::Rule;
@@ -48,24 +48,44 @@ fn every_degree_survives_writing_and_reading() {
         scene.normal = Some(vec![[0.0, 0.6, 0.8]; 300]);
         scene.segment = Some((0..300).map(|i| i - 1).collect());
         scene.instance = Some(vec![-1; 300]);
+        scene.segment_score = Some((0..300).map(|i| i as f32 / 7.0).collect());
+        scene.lang_code = Some(language_code(300, 5, 12));
         let score = vec![0.25; 300];
-        let extra = [PlyColumn { name: "score", values: ColumnValues::F32(&score) }];
+        let extra = [PlyColumn { name: "extra", values: ColumnValues::F32(&score) }];
         write_inria_ply(&scene, &extra, &path).unwrap();
         let loaded = open_scene(&path, &strict()).unwrap();
         assert_eq!(loaded.scene, scene, "degree {degree}");
         assert_eq!(loaded.kind, SceneKind::InriaPly);
         assert!(loaded.kept_rows.is_none());
         let file = PlyFile::open(&path).unwrap();
-        assert_eq!(file.column_f32("vertex", "score").unwrap(), score);
+        assert_eq!(file.column_f32("vertex", "extra").unwrap(), score);
         let names: Vec<_> =
             file.element("vertex").unwrap().properties.iter().map(|p| p.name.as_str()).collect();
         assert_eq!(names[..9], ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]);
         let end = [
-            "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3",
-            "segment", "instance", "score",
+            "opacity",
+            "scale_0",
+            "scale_1",
+            "scale_2",
+            "rot_0",
+            "rot_1",
+            "rot_2",
+            "rot_3",
+            "segment",
+            "score",
+            "instance",
+            "lang_code_0",
+            "lang_code_1",
+            "lang_code_2",
+            "lang_code_3",
+            "lang_code_4",
+            "extra",
         ];
-        assert!(names.ends_with(&end));
-        assert_eq!(names.len(), 9 + scene.sh_rest_len() * 3 + 11);
+        assert!(names.ends_with(&end), "{names:?}");
+        assert_eq!(names.len(), 9 + scene.sh_rest_len() * 3 + end.len());
+        let first = std::fs::read(&path).unwrap();
+        write_inria_ply(&loaded.scene, &extra, &path).unwrap();
+        assert!(std::fs::read(&path).unwrap() == first, "degree {degree}");
     }
 }
 

@@ -1,8 +1,10 @@
 //! PLY files with one float per property, as 3D Gaussian splatting trainers write them.
 
-use super::label_column::{read_instance, read_segment};
+use super::label_column::{has_labels, read_instance, read_segment};
+use super::language_columns::{CODE_COLUMN, codebook_element, read_language_code};
+use super::memory::zeroed;
 use super::ply::{
-    ColumnSource, ColumnValues, PlyColumn, PlyElement, PlyFile, PlyPropertyKind, PlyType,
+    ColumnSource, ColumnValues, Gather, PlyColumn, PlyElement, PlyFile, PlyPropertyKind, PlyType,
     write_new_ply,
 };
 use super::{LoadedScene, ReadOptions, SceneKind};
@@ -12,14 +14,20 @@ use crate::{GaussianScene, RepairReport, SceneError};
 use std::path::Path;
 
 const VERTEX: &str = "vertex";
+const SCALE: [&str; 3] = ["scale_0", "scale_1", "scale_2"];
+const ROT: [&str; 4] = ["rot_0", "rot_1", "rot_2", "rot_3"];
+const DC: [&str; 3] = ["f_dc_0", "f_dc_1", "f_dc_2"];
+/// How sure the label is.
+const SCORE: &str = "score";
 
 /// Reads a scene from an open PLY file.
 ///
 /// Required are `x y z`. The others have defaults, each reported: `scale_0..2` (0.01 m; one scale
 /// counts for all axes; without `scale_2` the third axis is 1e-7 m), `rot_0..3` (`w x y z`; no
 /// rotation), `opacity` (alpha 1), `f_dc_0..2` (from `red green blue`, else grey). Read if there:
-/// `f_rest_*` (all of one degree), `nx ny nz` (unless all are 0), `segment` or `label`, `instance`.
-/// Other properties are skipped.
+/// `f_rest_*` (all of one degree), `nx ny nz` (unless all are 0), `segment` or `label` with their
+/// `score`, `instance`, and `lang_code_*` with the element `lang_codebook`. Other properties are
+/// skipped.
 ///
 /// # Errors
 /// As [`super::open_scene`]; a group of properties that is there in part is malformed.
@@ -32,44 +40,68 @@ pub fn read_inria_ply(file: &PlyFile, options: &ReadOptions) -> Result<LoadedSce
         let example = format!("{} bytes", file.trailing_bytes());
         reader.report.add(Rule::FileTrailing, 1, vertex.count, &example);
     }
+    let rows = vertex.count;
+    let mut scene = GaussianScene::default();
+    // One pass over the rows fills every array of floats; fields without columns of their own are
+    // filled on the side.
+    let mut pass = Gather::new(file, VERTEX);
     let [x, y, z] = ["x", "y", "z"];
     if !reader.group(&[x, y, z])? {
         let problem = format!("is no scene: {}", Rule::CoordMissing.about().bad_value);
         return Err(SceneError::format(file.path(), problem, "vertices need a position"));
     }
-    let coord = file.rows_f32(VERTEX, [x, y, z])?;
-    let log_scale = reader.log_scale()?;
-    let quat = reader.quat()?;
-    let opacity_logit = if vertex.has("opacity") {
-        file.column_f32(VERTEX, "opacity")?
+    let path = file.path();
+    scene.coord = zeroed(rows, path)?;
+    pass.add(&[x, y, z], scene.coord.as_flattened_mut())?;
+    scene.log_scale = match reader.odd_scale()? {
+        Some(values) => values,
+        None => zeroed(rows, path)?,
+    };
+    if reader.has_all(&SCALE) {
+        pass.add(&SCALE, scene.log_scale.as_flattened_mut())?;
+    }
+    scene.quat = zeroed(rows, path)?;
+    if reader.group(&ROT)? {
+        pass.add(&ROT, scene.quat.as_flattened_mut())?;
+    } else {
+        reader.missing(Rule::QuatMissing);
+        scene.quat.fill([1.0, 0.0, 0.0, 0.0]);
+    }
+    scene.opacity_logit = zeroed(rows, path)?;
+    if vertex.has("opacity") {
+        pass.add(&["opacity"], &mut scene.opacity_logit)?;
     } else {
         reader.missing(Rule::OpacityMissing);
-        vec![f32::INFINITY; vertex.count]
-    };
-    let sh_dc = reader.sh_dc()?;
-    let (sh_degree, sh_rest) = reader.sh_rest(options.sh_rest)?;
-    let normal = if reader.group(&["nx", "ny", "nz"])? {
-        Some(file.rows_f32(VERTEX, ["nx", "ny", "nz"])?)
+        scene.opacity_logit.fill(f32::INFINITY);
+    }
+    if reader.group(&DC)? {
+        scene.sh_dc = zeroed(rows, path)?;
+        pass.add(&DC, scene.sh_dc.as_flattened_mut())?;
     } else {
-        None
-    };
-    let segment = read_segment(file, vertex, options.segment.as_deref(), &mut reader.report)?;
-    let instance = read_instance(file, vertex, &mut reader.report)?;
-    let scene = GaussianScene {
-        coord,
-        log_scale,
-        quat,
-        opacity_logit,
-        sh_dc,
-        sh_rest,
-        sh_degree,
-        normal,
-        segment,
-        instance,
-        ..GaussianScene::default()
-    };
-    let report = reader.report;
-    LoadedScene::finish(scene, report, options.policy, file.path(), SceneKind::InriaPly)
+        scene.sh_dc = reader.dc_from_colors()?;
+    }
+    let rest_names = reader.rest_columns(options.sh_rest)?;
+    if !rest_names.is_empty() {
+        let names: Vec<&str> = rest_names.iter().map(String::as_str).collect();
+        // The columns are there, so a row is at least as wide and the product fits.
+        scene.sh_rest = zeroed(rows * names.len(), path)?;
+        pass.add(&names, &mut scene.sh_rest)?;
+        scene.sh_degree = sh_degree(names.len()).unwrap_or(0);
+    }
+    if reader.group(&["nx", "ny", "nz"])? {
+        let normal = scene.normal.insert(zeroed(rows, path)?);
+        pass.add(&["nx", "ny", "nz"], normal.as_flattened_mut())?;
+    }
+    // A score by itself may be that of a query, or anything.
+    if vertex.has(SCORE) && has_labels(vertex, options.segment.as_deref()) {
+        let score = scene.segment_score.insert(zeroed(rows, path)?);
+        pass.add(&[SCORE], score)?;
+    }
+    pass.run()?;
+    scene.segment = read_segment(file, vertex, options.segment.as_deref(), &mut reader.report)?;
+    scene.instance = read_instance(file, vertex, &mut reader.report)?;
+    scene.lang_code = read_language_code(file, vertex, &mut reader.report)?;
+    LoadedScene::finish(scene, reader.report, options.policy, file.path(), SceneKind::InriaPly)
 }
 
 struct Reader<'a> {
@@ -93,10 +125,15 @@ impl Reader<'_> {
         Err(SceneError::format(self.file.path(), problem, "export the scene again"))
     }
 
-    fn log_scale(&mut self) -> Result<Vec<[f32; 3]>, SceneError> {
-        let [a, b, c] = ["scale_0", "scale_1", "scale_2"];
-        let there = [a, b, c].map(|name| self.vertex.has(name));
-        Ok(match there {
+    fn has_all(&self, names: &[&str]) -> bool {
+        names.iter().all(|name| self.vertex.has(name))
+    }
+
+    /// Scales where there are not three of them; `None` where there are.
+    fn odd_scale(&mut self) -> Result<Option<Vec<[f32; 3]>>, SceneError> {
+        let [a, b, _] = SCALE;
+        let there = SCALE.map(|name| self.vertex.has(name));
+        Ok(Some(match there {
             [true, false, false] => {
                 self.missing(Rule::ScaleOne);
                 self.file.rows_f32(VERTEX, [a])?.into_iter().map(|[s]| [s; 3]).collect()
@@ -106,28 +143,15 @@ impl Reader<'_> {
                 let flat = FLAT_SCALE.ln();
                 self.file.rows_f32(VERTEX, [a, b])?.into_iter().map(|[s, t]| [s, t, flat]).collect()
             }
-            _ if self.group(&[a, b, c])? => self.file.rows_f32(VERTEX, [a, b, c])?,
+            _ if self.group(&SCALE)? => return Ok(None),
             _ => {
                 self.missing(Rule::ScaleMissing);
                 vec![[DEFAULT_SCALE.ln(); 3]; self.vertex.count]
             }
-        })
+        }))
     }
 
-    fn quat(&mut self) -> Result<Vec<[f32; 4]>, SceneError> {
-        let names = ["rot_0", "rot_1", "rot_2", "rot_3"];
-        if self.group(&names)? {
-            return self.file.rows_f32(VERTEX, names);
-        }
-        self.missing(Rule::QuatMissing);
-        Ok(vec![[1.0, 0.0, 0.0, 0.0]; self.vertex.count])
-    }
-
-    fn sh_dc(&mut self) -> Result<Vec<[f32; 3]>, SceneError> {
-        let names = ["f_dc_0", "f_dc_1", "f_dc_2"];
-        if self.group(&names)? {
-            return self.file.rows_f32(VERTEX, names);
-        }
+    fn dc_from_colors(&mut self) -> Result<Vec<[f32; 3]>, SceneError> {
         let rgb = ["red", "green", "blue"];
         if !self.group(&rgb)? {
             self.missing(Rule::ColorMissing);
@@ -153,8 +177,8 @@ impl Reader<'_> {
         Err(SceneError::format(self.file.path(), problem, "export colours as f_dc_0..2 or uchar"))
     }
 
-    /// The degree and the coefficients, `[N, K, 3]` flattened.
-    fn sh_rest(&mut self, wanted: bool) -> Result<(u8, Vec<f32>), SceneError> {
+    /// The columns of the higher harmonics in the order of the scene; none for degree 0.
+    fn rest_columns(&mut self, wanted: bool) -> Result<Vec<String>, SceneError> {
         let names = self.vertex.properties.iter().filter(|p| p.name.starts_with("f_rest_"));
         let count = names.count();
         let Some(degree) = sh_degree(count) else {
@@ -163,12 +187,11 @@ impl Reader<'_> {
             return Err(SceneError::format(self.file.path(), problem, "export the scene again"));
         };
         if degree == 0 || !wanted {
-            return Ok((0, Vec::new()));
+            return Ok(Vec::new());
         }
         let names = rest_names(count);
-        let names: Vec<&str> = names.iter().map(String::as_str).collect();
-        self.group(&names)?;
-        Ok((degree, self.file.table_f32(VERTEX, &names)?))
+        self.group(&names.iter().map(String::as_str).collect::<Vec<_>>())?;
+        Ok(names)
     }
 }
 
@@ -186,8 +209,9 @@ pub(super) fn rest_names(num_rest: usize) -> Vec<String> {
 
 /// Writes a scene as PLY in the property order of the original trainer.
 ///
-/// `x y z nx ny nz f_dc_0..2 f_rest_* opacity scale_0..2 rot_0..3`, then `segment` and `instance`
-/// if the scene has them, then `extra`. All floats are written as they are, so that reading gives
+/// `x y z nx ny nz f_dc_0..2 f_rest_* opacity scale_0..2 rot_0..3`, then `segment`, `score`,
+/// `instance` and `lang_code_*` if the scene has them, then `extra`; after the vertices the element
+/// `lang_codebook` where there are codes. All floats are written as they are, so that reading gives
 /// the same scene; normals are 0 where the scene has none. Language features and labelled points
 /// have no place in this format.
 ///
@@ -209,7 +233,7 @@ pub fn write_inria_ply(
         Some(normal) => columns.extend(strided(&["nx", "ny", "nz"], normal.as_flattened())),
         None => columns.extend(["nx", "ny", "nz"].map(|n| (n.to_owned(), ColumnSource::Zero))),
     }
-    columns.extend(strided(&["f_dc_0", "f_dc_1", "f_dc_2"], scene.sh_dc.as_flattened()));
+    columns.extend(strided(&DC, scene.sh_dc.as_flattened()));
     let width = scene.sh_rest_len() * 3;
     for i in 0..width {
         let k = width / 3;
@@ -218,15 +242,29 @@ pub fn write_inria_ply(
         columns.push((format!("f_rest_{i}"), source));
     }
     columns.extend(strided(&["opacity"], &scene.opacity_logit));
-    columns.extend(strided(&["scale_0", "scale_1", "scale_2"], scene.log_scale.as_flattened()));
-    columns.extend(strided(&["rot_0", "rot_1", "rot_2", "rot_3"], scene.quat.as_flattened()));
-    for (name, values) in [("segment", &scene.segment), ("instance", &scene.instance)] {
-        if let Some(values) = values {
-            columns.push((name.to_owned(), ColumnSource::Values(ColumnValues::I32(values))));
+    columns.extend(strided(&SCALE, scene.log_scale.as_flattened()));
+    columns.extend(strided(&ROT, scene.quat.as_flattened()));
+    let whole = |values| ColumnSource::Values(ColumnValues::I32(values));
+    if let Some(values) = &scene.segment {
+        columns.push(("segment".to_owned(), whole(values)));
+    }
+    if let Some(values) = &scene.segment_score {
+        columns.extend(strided(&[SCORE], values));
+    }
+    if let Some(values) = &scene.instance {
+        columns.push(("instance".to_owned(), whole(values)));
+    }
+    let mut after = Vec::new();
+    if let Some(code) = &scene.lang_code {
+        let width = code.width();
+        for at in 0..width {
+            let source = ColumnSource::StridedHalf { values: &code.values, width, at };
+            columns.push((format!("{CODE_COLUMN}{at}"), source));
         }
+        after.push(codebook_element(&code.codebook));
     }
     columns.extend(extra.iter().map(|c| (c.name.to_owned(), ColumnSource::Values(c.values))));
-    write_new_ply(path, scene.len(), &columns)
+    write_new_ply(path, scene.len(), &columns, &after)
 }
 
 /// The columns of a row-major array.

@@ -84,6 +84,14 @@ pub(crate) fn read_labels(
     }
 }
 
+/// Names of label columns, the first that is there counts.
+const LABELS: [&str; 2] = ["segment", "label"];
+
+/// Whether [`read_segment`] will find labels.
+pub(crate) fn has_labels(vertex: &PlyElement, wanted: Option<&str>) -> bool {
+    wanted.is_some_and(|name| vertex.has(name)) || LABELS.iter().any(|name| vertex.has(name))
+}
+
 /// The labels of a scene: the property asked for, else `segment` or `label` if there.
 pub(crate) fn read_segment(
     file: &PlyFile,
@@ -97,7 +105,7 @@ pub(crate) fn read_segment(
             return Err(SceneError::format(file.path(), problem, "choose other labels"));
         }
         Some(name) => Some(name),
-        None => ["segment", "label"].into_iter().find(|name| vertex.has(name)),
+        None => LABELS.into_iter().find(|name| vertex.has(name)),
     };
     let Some(name) = name else { return Ok(None) };
     read_labels(file, &vertex.name, name, SEGMENT_RULES, report).map(Some)

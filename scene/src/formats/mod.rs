@@ -7,6 +7,8 @@ mod files;
 pub mod inria_ply;
 mod label_column;
 pub mod labelled_ply;
+mod language_columns;
+pub(crate) mod memory;
 pub mod npy;
 pub mod npy_folder;
 pub mod npy_writer;

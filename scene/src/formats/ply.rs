@@ -6,15 +6,18 @@
 //! properties are walked over so that other elements can be found, never returned.
 
 mod ascii;
+mod gather;
 mod header;
 mod layout;
 mod writer;
 
+pub(crate) use gather::Gather;
 pub use header::{PlyElement, PlyEncoding, PlyProperty, PlyPropertyKind, PlyType};
-pub(crate) use writer::{ColumnSource, write_new_ply};
+pub(crate) use writer::{ColumnSource, NewElement, write_new_ply};
 pub use writer::{ColumnValues, PlyColumn, free_column_name, write_ply_with_columns};
 
 use super::files::MappedFile;
+use super::memory;
 use crate::SceneError;
 use header::{Header, parse_header};
 use layout::{Cell, Layout, lay_out};
@@ -40,8 +43,17 @@ pub struct PlyFile {
 
 enum Data {
     Mapped(MappedFile),
-    /// What an ascii file says, as little-endian binary.
+    /// A copy, or what an ascii file says as little-endian binary.
     Converted(Vec<u8>),
+}
+
+impl Data {
+    fn bytes(&self) -> &[u8] {
+        match self {
+            Self::Mapped(map) => map.bytes(),
+            Self::Converted(bytes) => bytes,
+        }
+    }
 }
 
 impl std::fmt::Debug for PlyFile {
@@ -65,16 +77,26 @@ impl PlyFile {
     /// # Errors
     /// If the file cannot be read, is not PLY, is malformed, or is shorter than its header says.
     pub fn open(path: &Path) -> Result<Self, SceneError> {
-        let map = MappedFile::open(path)?;
-        let header = parse_header(map.bytes(), path)?;
-        let body = &map.bytes()[header.data_start..];
-        let (data, data_start, leftover) = if header.encoding == PlyEncoding::Ascii {
-            let (binary, leftover) = ascii::to_binary(body, &header, path)?;
-            (Data::Converted(binary), 0, Some(leftover))
-        } else {
-            let start = header.data_start;
-            (Data::Mapped(map), start, None)
-        };
+        Self::new(Data::Mapped(MappedFile::open(path)?), path)
+    }
+
+    /// As [`open`](Self::open), from the bytes of a file, of which a copy is kept; `path` is for
+    /// messages.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, SceneError> {
+        Self::new(Data::Converted(bytes.to_vec()), path)
+    }
+
+    fn new(mut data: Data, path: &Path) -> Result<Self, SceneError> {
+        let header = parse_header(data.bytes(), path)?;
+        let mut data_start = header.data_start;
+        let mut leftover = None;
+        if header.encoding == PlyEncoding::Ascii {
+            let (binary, bytes) = ascii::to_binary(&data.bytes()[data_start..], &header, path)?;
+            (data, data_start, leftover) = (Data::Converted(binary), 0, Some(bytes));
+        }
         let mut file = Self {
             path: path.to_owned(),
             big_endian: header.encoding == PlyEncoding::BinaryBigEndian,
@@ -193,13 +215,11 @@ impl PlyFile {
         element: &str,
         properties: [&str; W],
     ) -> Result<Vec<[f32; W]>, SceneError> {
-        let (rows, cells) = self.rows(element, &properties)?;
-        let mut out = self.reserve(rows.count, W, [0.0f32; W])?;
-        self.fill(&rows, &mut out, 1, |row, out| {
-            for (value, cell) in out[0].iter_mut().zip(&cells) {
-                *value = cell.read_f32(row, self.big_endian);
-            }
-        });
+        let (rows, _) = self.rows(element, &properties)?;
+        let mut out = memory::zeroed::<[f32; W]>(rows.count, &self.path)?;
+        let mut pass = Gather::new(self, element);
+        pass.add(&properties, out.as_flattened_mut())?;
+        pass.run()?;
         Ok(out)
     }
 
@@ -213,21 +233,16 @@ impl PlyFile {
             return Ok(Vec::new());
         }
         let total = rows.count.saturating_mul(cells.len());
-        let mut out = self.reserve(total, 1, 0.0f32)?;
-        self.fill(&rows, &mut out, cells.len(), |row, out| {
-            for (value, cell) in out.iter_mut().zip(&cells) {
-                *value = cell.read_f32(row, self.big_endian);
-            }
-        });
+        let mut out = memory::zeroed::<f32>(total, &self.path)?;
+        let mut pass = Gather::new(self, element);
+        pass.add(properties, &mut out)?;
+        pass.run()?;
         Ok(out)
     }
 
     /// The bytes of the data, which need not start at the first row.
     fn bytes(&self) -> &[u8] {
-        match &self.data {
-            Data::Mapped(map) => map.bytes(),
-            Data::Converted(bytes) => bytes,
-        }
+        self.data.bytes()
     }
 
     /// Finds the rows of an element and the cells of some of its properties.
@@ -282,7 +297,7 @@ impl PlyFile {
     }
 
     /// Memory for `count · width` values, refused politely where the system has too little.
-    fn reserve<T: Clone>(
+    pub(crate) fn reserve<T: Clone>(
         &self,
         count: usize,
         width: usize,

@@ -1,7 +1,8 @@
 //! What several tests of this crate share.
 #![allow(dead_code, reason = "each test program uses a part of it")]
 
-use scenesplat_scene::GaussianScene;
+use half::f16;
+use scenesplat_scene::{GaussianScene, LanguageCode, LanguageCodebook};
 use std::path::PathBuf;
 
 /// A file among the shared real data; `None`, with a line saying so, where they are not installed.
@@ -140,4 +141,13 @@ pub fn npy_bytes(version: u8, dict: &str, data: &[u8]) -> Vec<u8> {
     out.extend_from_slice(text.as_bytes());
     out.extend_from_slice(data);
     out
+}
+
+/// Codes of `k` numbers for features of `width`, none of them special.
+pub fn language_code(rows: usize, k: usize, width: usize) -> LanguageCode {
+    let mut rng = SplitMix(rows as u64);
+    let values = (0..rows * k).map(|_| f16::from_f32(rng.float())).collect();
+    let mean = (0..width).map(|_| rng.float()).collect();
+    let axes = (0..k * width).map(|_| rng.float()).collect();
+    LanguageCode { values, codebook: LanguageCodebook { mean, axes } }
 }

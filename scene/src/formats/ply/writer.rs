@@ -4,7 +4,9 @@ use super::PlyFile;
 use super::header::{HeaderLine, PlyElement, PlyProperty, PlyPropertyKind, PlyType};
 use super::layout::Cell;
 use crate::SceneError;
-use crate::formats::files::AtomicFile;
+use crate::formats::files::{AtomicFile, write_all_at};
+use half::f16;
+use rayon::prelude::*;
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
@@ -290,55 +292,109 @@ pub(crate) enum ColumnSource<'a> {
     Values(ColumnValues<'a>),
     /// Every `width`-th value from `at` on.
     Strided { values: &'a [f32], width: usize, at: usize },
+    /// As `Strided`, written as `float`.
+    StridedHalf { values: &'a [f16], width: usize, at: usize },
     /// `0.0` in every row.
     Zero,
 }
 
-/// Writes a PLY file with nothing but vertices.
+impl ColumnSource<'_> {
+    fn ty(&self) -> PlyType {
+        match self {
+            Self::Values(values) => values.ty(),
+            _ => PlyType::F32,
+        }
+    }
+
+    fn push(&self, row: usize, out: &mut Vec<u8>) {
+        match self {
+            Self::Values(values) => values.push(row, out),
+            Self::Strided { values, width, at } => {
+                out.extend_from_slice(&values[row * width + at].to_le_bytes());
+            }
+            Self::StridedHalf { values, width, at } => {
+                out.extend_from_slice(&values[row * width + at].to_f32().to_le_bytes());
+            }
+            Self::Zero => out.extend_from_slice(&[0; 4]),
+        }
+    }
+}
+
+/// An element to write after the vertices.
+pub(crate) struct NewElement<'a> {
+    pub(crate) name: &'static str,
+    pub(crate) count: usize,
+    pub(crate) columns: Vec<(String, ColumnSource<'a>)>,
+}
+
+/// Writes a PLY file of vertices and further elements.
 pub(crate) fn write_new_ply(
     path: &Path,
     count: usize,
     columns: &[(String, ColumnSource<'_>)],
+    after: &[NewElement<'_>],
 ) -> Result<(), SceneError> {
-    let mut header = format!("ply\nformat binary_little_endian 1.0\nelement {VERTEX} {count}\n");
+    let mut header = "ply\nformat binary_little_endian 1.0\n".to_owned();
+    describe(VERTEX, count, columns, path, &mut header)?;
+    for element in after {
+        describe(element.name, element.count, &element.columns, path, &mut header)?;
+    }
+    header.push_str("end_header\n");
+
+    let file = AtomicFile::create(path)?;
+    let write_failed = || SceneError::io(path, "cannot write the file");
+    write_all_at(file.file()?, header.as_bytes(), 0).map_err(write_failed())?;
+    let mut at = header.len() as u64;
+    at += write_rows(&file, at, count, columns)?;
+    for element in after {
+        at += write_rows(&file, at, element.count, &element.columns)?;
+    }
+    file.commit()
+}
+
+/// Adds an element to a header.
+fn describe(
+    name: &str,
+    count: usize,
+    columns: &[(String, ColumnSource<'_>)],
+    path: &Path,
+    header: &mut String,
+) -> Result<(), SceneError> {
+    header.push_str(&format!("element {name} {count}\n"));
     for (i, (name, source)) in columns.iter().enumerate() {
         check_name(name, path)?;
         if columns[..i].iter().any(|(other, _)| other == name) {
             let problem = format!("two columns are called {name}");
             return Err(SceneError::format(path, problem, "choose another name for the new one"));
         }
-        let ty = match source {
-            ColumnSource::Values(values) => {
-                check_rows(&PlyColumn { name, values: *values }, count, path)?;
-                values.ty()
-            }
-            ColumnSource::Strided { .. } | ColumnSource::Zero => PlyType::F32,
-        };
-        header.push_str(&format!("property {} {name}\n", ty.name()));
-    }
-    header.push_str("end_header\n");
-
-    let file = AtomicFile::create(path)?;
-    let mut to = BufWriter::with_capacity(1 << 20, file.file()?);
-    let write_failed = || SceneError::io(path, "cannot write the file");
-    to.write_all(header.as_bytes()).map_err(write_failed())?;
-    let mut buffer = Vec::new();
-    for first in (0..count).step_by(ROWS_PER_WRITE) {
-        buffer.clear();
-        for row in first..(first + ROWS_PER_WRITE).min(count) {
-            for (_, source) in columns {
-                match source {
-                    ColumnSource::Values(values) => values.push(row, &mut buffer),
-                    ColumnSource::Strided { values, width, at } => {
-                        buffer.extend_from_slice(&values[row * width + at].to_le_bytes());
-                    }
-                    ColumnSource::Zero => buffer.extend_from_slice(&0.0f32.to_le_bytes()),
-                }
-            }
+        if let ColumnSource::Values(values) = source {
+            check_rows(&PlyColumn { name, values: *values }, count, path)?;
         }
-        to.write_all(&buffer).map_err(write_failed())?;
+        header.push_str(&format!("property {} {name}\n", source.ty().name()));
     }
-    to.flush().map_err(write_failed())?;
-    drop(to);
-    file.commit()
+    Ok(())
+}
+
+/// Writes the rows of an element in parallel from byte `start` on; gives their size.
+fn write_rows(
+    file: &AtomicFile,
+    start: u64,
+    count: usize,
+    columns: &[(String, ColumnSource<'_>)],
+) -> Result<u64, SceneError> {
+    let stride: usize = columns.iter().map(|(_, source)| source.ty().size()).sum();
+    let to = file.file()?;
+    (0..count.div_ceil(ROWS_PER_WRITE)).into_par_iter().try_for_each_init(
+        Vec::new,
+        |buffer: &mut Vec<u8>, block| {
+            let first = block * ROWS_PER_WRITE;
+            buffer.clear();
+            for row in first..(first + ROWS_PER_WRITE).min(count) {
+                columns.iter().for_each(|(_, source)| source.push(row, buffer));
+            }
+            write_all_at(to, buffer, start + (first * stride) as u64)
+                .map_err(SceneError::io(file.target(), "cannot write the file"))
+        },
+    )?;
+    Ok((count * stride) as u64)
 }

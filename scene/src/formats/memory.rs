@@ -1,0 +1,73 @@
+//! Memory for whole scenes: zeroed by the system page by page, as the threads that fill it come by.
+
+use crate::SceneError;
+use std::alloc::{Layout, alloc_zeroed};
+use std::path::Path;
+
+/// Types for which all bytes 0 is a value.
+///
+/// # Safety
+/// Only for types of which that holds.
+pub(crate) unsafe trait Zeroed: Copy {}
+// SAFETY: all of these are plain numbers, for which all bytes 0 is the number 0.
+unsafe impl Zeroed for f32 {}
+// SAFETY: as above.
+unsafe impl<const W: usize> Zeroed for [f32; W] {}
+
+/// `count` zeros; the caller has checked `count` against the file at `path`.
+///
+/// `vec![0.0; count]` would end the program where memory is short; filling a reserved vector would
+/// touch every page on one thread.
+pub(crate) fn zeroed<T: Zeroed>(count: usize, path: &Path) -> Result<Vec<T>, SceneError> {
+    const { assert!(size_of::<T>() > 0) };
+    if count == 0 {
+        return Ok(Vec::new());
+    }
+    let refused = || {
+        let problem = format!("{count} rows of {} bytes do not fit into memory", size_of::<T>());
+        SceneError::format(path, problem, "split the scene")
+    };
+    let layout = Layout::array::<T>(count).map_err(|_| refused())?;
+    // SAFETY: the layout has a size above 0: `count` is, and so is every `Zeroed` type.
+    let start = unsafe { alloc_zeroed(layout) };
+    if start.is_null() {
+        return Err(refused());
+    }
+    advise_huge_pages(start, layout.size());
+    // SAFETY: the memory is of the global allocator with exactly this layout, and all bytes 0 are
+    // valid values of `T`.
+    Ok(unsafe { Vec::from_raw_parts(start.cast::<T>(), count, count) })
+}
+
+/// Asks for large pages, with which filling fresh memory takes a fraction of the page faults.
+#[cfg(target_os = "linux")]
+fn advise_huge_pages(start: *mut u8, bytes: usize) {
+    const HUGE: usize = 2 << 20;
+    let from = (start as usize).next_multiple_of(HUGE);
+    let to = (start as usize + bytes) / HUGE * HUGE;
+    if to > from {
+        // SAFETY: the range lies within memory of ours, and the advice changes no content. A
+        // refusal costs nothing but time.
+        unsafe { libc::madvise(from as *mut libc::c_void, to - from, libc::MADV_HUGEPAGE) };
+    }
+}
+
+#[cfg(not(target_os = "linux"))]
+fn advise_huge_pages(_: *mut u8, _: usize) {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn zeros_of_any_size_and_refusal_without_panic() {
+        for count in [0, 1, 1000, 3 << 20] {
+            let mut values = zeroed::<[f32; 3]>(count, Path::new("x")).unwrap();
+            assert_eq!(values.len(), count);
+            assert!(values.iter().all(|v| *v == [0.0; 3]));
+            values.push([1.0; 3]);
+        }
+        assert!(zeroed::<f32>(usize::MAX / 2, Path::new("x")).is_err());
+        assert!(zeroed::<f32>(1 << 55, Path::new("x")).is_err());
+    }
+}
