@@ -224,6 +224,8 @@ fn full_scene() -> GaussianScene {
     scene.normal = Some(vec![[0.6, 0.0, -0.8]; n]);
     scene.segment = Some((0..n as i32).map(|i| i % 20 - 1).collect());
     scene.instance = Some((0..n as i32).collect());
+    scene.segment_score = Some((0..n).map(|i| i as f32 * 0.1).collect());
+    scene.lang_code = Some(common::language_code(n, 3, 8));
     let mut values = vec![f16::from_f32(0.25); n * 8];
     values[..8].fill(f16::ZERO);
     scene.lang_feat = Some(FeatureRows { values, dim: 8 });
@@ -234,6 +236,27 @@ fn full_scene() -> GaussianScene {
         instance: Some(vec![-1; 7]),
     });
     scene
+}
+
+#[test]
+fn a_folder_written_from_what_was_read_is_the_same() {
+    let dir = tempfile::tempdir().unwrap();
+    let [first, second] = ["first", "second"].map(|name| dir.path().join(name));
+    let mut scene = random_scene(20_000, 0, 11);
+    for (row, logit) in scene.opacity_logit.iter_mut().enumerate() {
+        *logit *= row as f32 / 1500.0;
+    }
+    for (row, scale) in scene.log_scale.iter_mut().enumerate() {
+        scale[0] = -90.0 + row as f32 * 0.008;
+    }
+    write_npy_folder(&scene, &first, false).unwrap();
+    let read = open_scene(&first, &ReadOptions::default()).unwrap().scene;
+    write_npy_folder(&read, &second, false).unwrap();
+    for name in ["coord", "color", "opacity", "scale", "quat"] {
+        let [a, b] =
+            [&first, &second].map(|d| std::fs::read(d.join(format!("{name}.npy"))).unwrap());
+        assert!(a == b, "{name}");
+    }
 }
 
 #[test]

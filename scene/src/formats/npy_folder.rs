@@ -12,10 +12,14 @@ use super::label_column::{
     INSTANCE_RULES, LabelRules, SEGMENT_RULES, labels_from_f64, labels_from_i64,
 };
 use super::npy::{NpyFile, NpyType};
+use super::semantics::clean_code;
 use super::{LoadedScene, ReadOptions, SceneKind};
 use crate::gaussian_scene::{SH_C0, probability_to_logit, u8_to_dc};
 use crate::value_policy::{DEFAULT_GREY, DEFAULT_SCALE, Rule};
-use crate::{FeatureRows, GaussianScene, LabelledPoints, RepairReport, SceneError};
+use crate::{
+    FeatureRows, GaussianScene, LabelledPoints, LanguageCode, LanguageCodebook, RepairReport,
+    SceneError,
+};
 use half::f16;
 use rayon::prelude::*;
 use std::path::Path;
@@ -56,6 +60,12 @@ pub fn read_npy_folder(folder: &Path, options: &ReadOptions) -> Result<LoadedSce
         None => None,
     };
     let instance = reader.labels("instance", reader.rows, INSTANCE_RULES)?;
+    let segment_score = match (&segment, reader.open("score")?) {
+        (Some(_), Some(file)) if *file.shape() == [reader.rows] => Some(file.read_f32()?),
+        (Some(_), Some(file)) => return Err(wrong_shape(&file, Some(reader.rows), "")),
+        _ => None,
+    };
+    let lang_code = reader.language_code()?;
     let labelled_points =
         reader.labelled_points(options.segment.as_deref(), label_stem.as_deref())?;
     let scene = GaussianScene {
@@ -66,7 +76,9 @@ pub fn read_npy_folder(folder: &Path, options: &ReadOptions) -> Result<LoadedSce
         sh_dc,
         normal,
         segment,
+        segment_score,
         instance,
+        lang_code,
         lang_feat,
         valid_feat_mask,
         labelled_points,
@@ -204,6 +216,27 @@ impl Reader<'_> {
             values.par_chunks_exact(dim).map(|row| row.iter().any(|&v| v != f16::ZERO)).collect()
         });
         Ok((Some(FeatureRows { values, dim }), Some(mask)))
+    }
+
+    /// Codes with their codebook, if there are any.
+    fn language_code(&mut self) -> Result<Option<LanguageCode>, SceneError> {
+        let Some(code) = self.open("lang_code")? else { return Ok(None) };
+        let [mean, axes] = ["lang_codebook_mean", "lang_codebook_axes"].map(|s| self.open(s));
+        let (Some(mean), Some(axes)) = (mean?, axes?) else {
+            let problem = "has lang_code.npy without lang_codebook_mean.npy and \
+                           lang_codebook_axes.npy";
+            return Err(SceneError::format(self.folder, problem, "write the codes again"));
+        };
+        let ([n, k], [width]) = (code.shape(), mean.shape()) else {
+            return Err(wrong_shape(&code, Some(self.rows), ", k"));
+        };
+        if *n != self.rows || axes.shape() != [*k, *width] {
+            return Err(wrong_shape(&axes, Some(*k), ", D"));
+        }
+        let codebook = LanguageCodebook { mean: mean.read_f32()?, axes: axes.read_f32()? };
+        codebook.check()?;
+        let values = code.read_f16()?;
+        Ok(Some(clean_code(LanguageCode { values, codebook }, &mut self.report)))
     }
 
     /// Labels from the first column of a file; `None` if there is no such file.

@@ -1,12 +1,13 @@
 //! Writing the preprocessed scene.
 
 use crate::formats::npy_writer::write_npy;
+use crate::gaussian_scene::{probability_to_logit, sigmoid};
 use crate::{GaussianScene, SceneError};
 use rayon::prelude::*;
 use std::path::Path;
 
 /// Stems of the files this format knows, but for labels.
-const STEMS: [&str; 11] = [
+const STEMS: [&str; 15] = [
     "coord",
     "color",
     "opacity",
@@ -16,6 +17,10 @@ const STEMS: [&str; 11] = [
     "lang_feat",
     "valid_feat_mask",
     "instance",
+    "score",
+    "lang_code",
+    "lang_codebook_mean",
+    "lang_codebook_axes",
     "pc_coord",
     "pc_instance",
 ];
@@ -89,9 +94,12 @@ fn write_files(scene: &GaussianScene, folder: &Path) -> Result<(), SceneError> {
     write_npy(&file("coord"), &[n, 3], scene.coord.as_flattened())?;
     let color: Vec<[u8; 3]> = (0..n).into_par_iter().map(|row| scene.color_u8(row)).collect();
     write_npy(&file("color"), &[n, 3], color.as_flattened())?;
-    let opacity: Vec<f32> = (0..n).into_par_iter().map(|row| scene.opacity(row)).collect();
+    let opacity = |row| settled(scene.opacity(row), |p| sigmoid(probability_to_logit(p)));
+    let opacity: Vec<f32> = (0..n).into_par_iter().map(opacity).collect();
     write_npy(&file("opacity"), &[n], &opacity)?;
-    let scale: Vec<[f32; 3]> = (0..n).into_par_iter().map(|row| scene.scale(row)).collect();
+    let again = |s: f32| (f64::from(s).ln() as f32).exp();
+    let scale = |row| scene.scale(row).map(|s| settled(s, again));
+    let scale: Vec<[f32; 3]> = (0..n).into_par_iter().map(scale).collect();
     write_npy(&file("scale"), &[n, 3], scale.as_flattened())?;
     write_npy(&file("quat"), &[n, 4], scene.quat.as_flattened())?;
     if let Some(normal) = &scene.normal {
@@ -102,6 +110,15 @@ fn write_files(scene: &GaussianScene, folder: &Path) -> Result<(), SceneError> {
     }
     if let Some(instance) = &scene.instance {
         write_npy(&file("instance"), &[n], instance)?;
+    }
+    if let Some(score) = &scene.segment_score {
+        write_npy(&file("score"), &[n], score)?;
+    }
+    if let Some(code) = &scene.lang_code {
+        let (k, width) = (code.width(), code.codebook.feature_width());
+        write_npy(&file("lang_code"), &[n, k], &code.values)?;
+        write_npy(&file("lang_codebook_mean"), &[width], &code.codebook.mean)?;
+        write_npy(&file("lang_codebook_axes"), &[k, width], &code.codebook.axes)?;
     }
     if let Some(feat) = &scene.lang_feat {
         write_npy(&file("lang_feat"), &[n, feat.dim], &feat.values)?;
@@ -121,4 +138,24 @@ fn write_files(scene: &GaussianScene, folder: &Path) -> Result<(), SceneError> {
         }
     }
     Ok(())
+}
+
+/// A value that reading and writing leave as it is: `start` after as many rounds of `again` as it
+/// takes, usually none.
+///
+/// Activated values and those before activation lie on different grids of f32, so the first round
+/// trip may move a value by a unit in the last place; a file written from what was read must not.
+fn settled(start: f32, again: impl Fn(f32) -> f32) -> f32 {
+    let mut value = start;
+    for _ in 0..32 {
+        let next = again(value);
+        if next == value || next.is_nan() {
+            return value;
+        }
+        if again(next) == value {
+            return value.min(next);
+        }
+        value = next;
+    }
+    value
 }
