@@ -4,6 +4,7 @@
 //! rule, the test rule (fragments), the row nearest to the voxel centre, and the rule that thins
 //! labelled points. Nothing here draws random numbers: the caller passes the draws.
 
+use crate::serialization::sort_with_rows;
 use rayon::prelude::*;
 
 /// Largest cell index per axis after the shift to zero: three axes of 21 bits fill one 63-bit key.
@@ -145,7 +146,7 @@ pub fn voxel_groups(
             }
         })
         .collect();
-    let (keys, mut order) = sort_rows(keys);
+    let (keys, mut order) = sort_with_rows(&keys);
 
     let mut offsets = vec![0];
     let mut start = 0;
@@ -378,44 +379,6 @@ fn too_wide(coord: &[[f32; 3]], axis: usize, cells: f64, grid_size: f64) -> Grid
     GridSampleError::TooWide { row, axis: AXES[axis], value: coord[row][axis], cells, grid_size }
 }
 
-const DIGIT_BITS: u32 = 11;
-const BUCKETS: usize = 1 << DIGIT_BITS;
-const PASSES: usize = 64_u32.div_ceil(DIGIT_BITS) as usize;
-
-/// Sorted keys and the row of each, rows ascending among equal keys (radix sort, lowest digit
-/// first). Digits that all keys share cost no pass.
-fn sort_rows(mut keys: Vec<u64>) -> (Vec<u64>, Vec<u32>) {
-    let n = keys.len();
-    let digit = |key: u64, pass: usize| (key >> (pass as u32 * DIGIT_BITS)) as usize % BUCKETS;
-    let mut counts = vec![[0_u32; BUCKETS]; PASSES];
-    for &key in &keys {
-        for (pass, count) in counts.iter_mut().enumerate() {
-            count[digit(key, pass)] += 1;
-        }
-    }
-    let mut rows: Vec<u32> = (0..n as u32).collect();
-    let mut next_keys = vec![0; n];
-    let mut next_rows = vec![0; n];
-    for (pass, count) in counts.iter_mut().enumerate() {
-        if count.iter().any(|&c| c as usize == n) {
-            continue;
-        }
-        let mut start = 0;
-        for c in count.iter_mut() {
-            (start, *c) = (start + *c, start);
-        }
-        for (&key, &row) in keys.iter().zip(&rows) {
-            let slot = &mut count[digit(key, pass)];
-            next_keys[*slot as usize] = key;
-            next_rows[*slot as usize] = row;
-            *slot += 1;
-        }
-        std::mem::swap(&mut keys, &mut next_keys);
-        std::mem::swap(&mut rows, &mut next_rows);
-    }
-    (keys, rows)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -447,16 +410,5 @@ mod tests {
         assert_eq!(morton_key([0, 1, 0]), 0b010);
         assert_eq!(morton_key([0b10, 0b01, 0b11]), 0b101_011);
         assert_eq!(morton_key([MAX_CELL; 3]), (1 << 63) - 1);
-    }
-
-    #[test]
-    fn radix_sort_is_stable_on_all_digits() {
-        let keys: Vec<u64> = (0..5000_u64)
-            .map(|i| (i % 7).wrapping_mul(0x9e37_79b9_7f4a_7c15).rotate_left((i % 3) as u32 * 21))
-            .collect();
-        let mut expected: Vec<(u64, u32)> = keys.iter().copied().zip(0..).collect();
-        expected.sort_unstable();
-        let (sorted, rows) = sort_rows(keys);
-        assert_eq!(sorted.into_iter().zip(rows).collect::<Vec<_>>(), expected);
     }
 }

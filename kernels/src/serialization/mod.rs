@@ -9,6 +9,7 @@ mod radix_sort;
 mod z_order;
 
 pub use hilbert::hilbert_code;
+pub(crate) use radix_sort::sort_with_rows;
 pub use radix_sort::{argsort, argsort_into, invert};
 pub use z_order::morton_code;
 

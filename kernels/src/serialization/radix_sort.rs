@@ -2,10 +2,12 @@
 
 use rayon::prelude::*;
 
+/// Widest digit: its counters, and one cache line for each of its buckets, fit into a core's cache.
 const DIGIT_BITS: u32 = 11;
-const BUCKETS: usize = 1 << DIGIT_BITS;
 /// Below this a comparison sort is faster than counting.
 const SMALL: usize = 2048;
+/// Rows that are worth a thread of their own.
+const ROWS_PER_PART: usize = 1 << 15;
 
 /// Rows in ascending order of their code; equal codes keep their order. `[N]`
 pub fn argsort(codes: &[u64]) -> Vec<u32> {
@@ -16,53 +18,150 @@ pub fn argsort(codes: &[u64]) -> Vec<u32> {
 
 /// Writes the sorting permutation into `order` (same length, at most 2³² − 1 rows).
 ///
-/// Least-significant-digit radix sort over the bits that occur, so narrow codes take few passes.
+/// Radix sort over the bits in which the codes differ, lowest digit first, so narrow codes take few
+/// passes; where code and row fit into 64 bits together, only half as much is moved.
 pub fn argsort_into(codes: &[u64], order: &mut [u32]) {
-    let n = codes.len();
-    assert!(n == order.len() && u32::try_from(n).is_ok(), "argsort: row count");
-    if n < SMALL {
-        for (i, o) in order.iter_mut().enumerate() {
-            *o = i as u32;
+    assert!(codes.len() == order.len(), "argsort: row count");
+    sort(codes, |_, entries| match entries {
+        Sorted::Packed { entries, row_mask, .. } => {
+            order.par_iter_mut().zip(entries).for_each(|(o, e)| *o = (e & row_mask) as u32);
         }
-        order.sort_by_key(|&i| codes[i as usize]);
-        return;
-    }
-    let bits = 64 - codes.par_iter().copied().reduce(|| 0, |a, b| a | b).leading_zeros();
-    let mut from: Vec<(u64, u32)> =
-        codes.par_iter().enumerate().map(|(i, &c)| (c, i as u32)).collect();
-    let mut to = vec![(0u64, 0u32); n];
-    let mut shift = 0;
-    while shift < bits {
-        pass(&from, &mut to, shift);
-        std::mem::swap(&mut from, &mut to);
-        shift += DIGIT_BITS;
-    }
-    order.par_iter_mut().zip(&from).for_each(|(o, &(_, i))| *o = i);
+        Sorted::Pairs { entries, .. } => {
+            order.par_iter_mut().zip(entries).for_each(|(o, e)| *o = e.1);
+        }
+    });
 }
 
-/// One counting pass; serial, since scattering is bound by memory and order must be stable.
-fn pass(from: &[(u64, u32)], to: &mut [(u64, u32)], shift: u32) {
-    let digit = |code: u64| (code >> shift) as usize & (BUCKETS - 1);
-    let mut start = [0usize; BUCKETS];
-    for &(code, _) in from {
-        start[digit(code)] += 1;
+/// Codes in ascending order and the row of each; equal codes keep their order.
+pub(crate) fn sort_with_rows(codes: &[u64]) -> (Vec<u64>, Vec<u32>) {
+    sort(codes, |low, entries| match entries {
+        Sorted::Packed { entries, row_bits, row_mask } => {
+            entries.par_iter().map(|e| ((e >> row_bits) + low, (e & row_mask) as u32)).unzip()
+        }
+        Sorted::Pairs { entries } => entries.par_iter().map(|e| (e.0 + low, e.1)).unzip(),
+    })
+}
+
+/// Sorted entries; codes are less the smallest code.
+enum Sorted<'a> {
+    /// The code above the row.
+    Packed { entries: &'a [u64], row_bits: u32, row_mask: u64 },
+    /// Code and row.
+    Pairs { entries: &'a [(u64, u32)] },
+}
+
+fn sort<T>(codes: &[u64], finish: impl FnOnce(u64, Sorted<'_>) -> T) -> T {
+    let n = codes.len();
+    assert!(u32::try_from(n).is_ok(), "more rows than 32 bits can number");
+    let range = codes
+        .par_iter()
+        .with_min_len(ROWS_PER_PART)
+        .map(|&c| (c, c))
+        .reduce(|| (u64::MAX, 0), |a, b| (a.0.min(b.0), a.1.max(b.1)));
+    let low = if n == 0 { 0 } else { range.0 };
+    let code_bits = 64 - range.1.saturating_sub(low).leading_zeros();
+    let row_bits = usize::BITS - n.saturating_sub(1).leading_zeros();
+    let numbered = codes.par_iter().with_min_len(ROWS_PER_PART).enumerate();
+    if code_bits + row_bits <= 64 && row_bits < 64 {
+        let entries = numbered.map(|(i, &c)| (c - low) << row_bits | i as u64).collect();
+        let entries = sort_entries(entries, row_bits, code_bits);
+        let row_mask = (1 << row_bits) - 1;
+        return finish(low, Sorted::Packed { entries: &entries, row_bits, row_mask });
     }
-    if start.contains(&from.len()) {
-        to.copy_from_slice(from);
-        return;
+    let entries = numbered.map(|(i, &c)| (c - low, i as u32)).collect();
+    let entries = sort_entries(entries, 0, code_bits);
+    finish(low, Sorted::Pairs { entries: &entries })
+}
+
+/// Something with bits to sort by.
+trait Entry: Copy + Default + Ord + Send + Sync {
+    fn bits(self) -> u64;
+}
+
+impl Entry for u64 {
+    fn bits(self) -> u64 {
+        self
     }
-    let mut sum = 0;
-    for s in &mut start {
-        sum += std::mem::replace(s, sum);
+}
+
+impl Entry for (u64, u32) {
+    fn bits(self) -> u64 {
+        self.0
     }
-    for &pair in from {
-        let at = &mut start[digit(pair.0)];
-        to[*at] = pair;
-        *at += 1;
+}
+
+/// Sorts by the `width` bits from `first` on; entries are all different and begin in the order of
+/// their lower bits.
+fn sort_entries<E: Entry>(mut from: Vec<E>, first: u32, width: u32) -> Vec<E> {
+    if from.len() < SMALL {
+        from.sort_unstable();
+        return from;
     }
+    if width == 0 {
+        return from;
+    }
+    let passes = width.div_ceil(DIGIT_BITS);
+    let digit_bits = width.div_ceil(passes);
+    let mut to = vec![E::default(); from.len()];
+    for pass in 0..passes {
+        if scatter(&from, &mut to, first + pass * digit_bits, digit_bits) {
+            std::mem::swap(&mut from, &mut to);
+        }
+    }
+    from
+}
+
+/// Entries that several threads write, no two of them the same one.
+struct Target<E>(*mut E);
+// SAFETY: threads write disjoint entries, see `scatter`.
+unsafe impl<E: Send> Sync for Target<E> {}
+
+/// One counting pass into `to`; `false` if all entries have the same digit and nothing was done.
+///
+/// Each part of the entries is counted and moved by one thread. Parts of a bucket follow each other
+/// in the order of the entries, so the result does not depend on the number of parts.
+fn scatter<E: Entry>(from: &[E], to: &mut [E], shift: u32, digit_bits: u32) -> bool {
+    let buckets = 1usize << digit_bits;
+    let digit = |e: E| (e.bits() >> shift) as usize & (buckets - 1);
+    let parts = rayon::current_num_threads().min(from.len() / ROWS_PER_PART).max(1);
+    let part_rows = from.len().div_ceil(parts);
+    let mut starts: Vec<Vec<u32>> = from
+        .par_chunks(part_rows)
+        .map(|part| {
+            let mut counts = vec![0u32; buckets];
+            part.iter().for_each(|&e| counts[digit(e)] += 1);
+            counts
+        })
+        .collect();
+    let mut sum = 0u32;
+    for bucket in 0..buckets {
+        let before = sum;
+        for counts in &mut starts {
+            sum += std::mem::replace(&mut counts[bucket], sum);
+        }
+        if (sum - before) as usize == from.len() {
+            return false;
+        }
+    }
+    debug_assert_eq!(from.len(), to.len());
+    let target = Target(to.as_mut_ptr());
+    let target = &target;
+    from.par_chunks(part_rows).zip(&mut starts).for_each(|(part, next)| {
+        for &entry in part {
+            let at = &mut next[digit(entry)];
+            // SAFETY: `starts` gives every entry of `from` a place of its own below `from.len()`,
+            // which is the length of `to`: places were counted from the same digits.
+            unsafe { target.0.add(*at as usize).write(entry) };
+            *at += 1;
+        }
+    });
+    true
 }
 
 /// The inverse of a permutation: `inverse[order[i]] = i`.
+///
+/// # Panics
+/// If a row is out of range.
 pub fn invert(order: &[u32]) -> Vec<u32> {
     let mut inverse = vec![0; order.len()];
     for (i, &o) in order.iter().enumerate() {
@@ -79,7 +178,7 @@ mod tests {
     #[test]
     fn sorts_stably_at_all_sizes_and_widths() {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(2);
-        for n in [0, 1, 2, 100, SMALL - 1, SMALL, 50_000] {
+        for n in [0, 1, 2, 100, SMALL - 1, SMALL, 3 * ROWS_PER_PART + 1] {
             for bits in [0, 1, 9, 11, 12, 33, 64] {
                 let codes: Vec<u64> = (0..n)
                     .map(|_| if bits == 0 { 7 } else { rng.random::<u64>() >> (64 - bits) })
@@ -88,9 +187,26 @@ mod tests {
                 want.sort_by_key(|&i| codes[i as usize]);
                 let order = argsort(&codes);
                 assert_eq!(order, want);
+                let (sorted, rows) = sort_with_rows(&codes);
+                assert_eq!(rows, want);
+                assert!(sorted.iter().zip(&rows).all(|(c, &r)| *c == codes[r as usize]));
                 let inverse = invert(&order);
                 assert!(order.iter().enumerate().all(|(i, &o)| inverse[o as usize] == i as u32));
             }
         }
+    }
+
+    #[test]
+    fn any_number_of_threads_gives_the_same_order() {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(3);
+        // Few distinct codes, so stability shows.
+        let codes: Vec<u64> =
+            (0..6 * ROWS_PER_PART).map(|_| rng.random_range(0..5000u64) << 40).collect();
+        let run = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| argsort(&codes))
+        };
+        let one = run(1);
+        assert!([2, 3, 5].into_iter().all(|threads| run(threads) == one));
     }
 }
