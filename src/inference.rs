@@ -58,6 +58,9 @@ pub enum EncodeError {
     /// A setting out of range.
     #[error("{0}")]
     Setting(String),
+    /// Features that were read from a scene were to be changed.
+    #[error("stored language features cannot be changed")]
+    ReadOnly,
 }
 
 /// Which Gaussians are read, and how often.
@@ -396,6 +399,24 @@ fn softmax_rows(values: &mut [f32], width: usize) {
 }
 
 impl SceneFeatures {
+    /// The features that a scene carries as language codes, at unit length; no network is run.
+    /// `None` if it carries none.
+    pub fn from_codes(scene: &GaussianScene) -> Option<Self> {
+        let code = scene.lang_code.clone()?;
+        let rows: Vec<u32> = (0..scene.len() as u32).collect();
+        let summary = EncodeSummary {
+            voxels: scene.len(),
+            passes: 0,
+            tiles: 0,
+            smallest_halo: 0,
+            shrunk_halos: 0,
+            voxels_computed: 0,
+            spilled: false,
+        };
+        let slots = SlotStore::codes(scene.len(), code);
+        Some(Self { slots, inverse: rows.clone(), sampled: rows, summary })
+    }
+
     /// Number of Gaussians.
     pub fn len(&self) -> usize {
         self.inverse.len()

@@ -23,7 +23,9 @@
 
 pub mod assets;
 pub mod cli;
+pub mod convert;
 pub mod inference;
+pub mod language_codes;
 pub mod memory;
 pub mod network;
 pub mod outputs;

@@ -3,10 +3,11 @@
 use crate::SceneError;
 use half::f16;
 
-/// Turns codes back into language features: `feature = mean + Σ codeⱼ · axisⱼ`.
+/// Turns codes back into language features: `feature = mean + Σ codeⱼ · axisⱼ`; a code of zeros
+/// means that there is no feature.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LanguageCodebook {
-    /// Feature of the code 0. `[D]`
+    /// What all features have in common. `[D]`
     pub mean: Vec<f32>,
     /// What one unit of each number of a code adds, row by row. `[k, D]`
     pub axes: Vec<f32>,
@@ -62,16 +63,19 @@ impl LanguageCode {
         self.codebook.code_width()
     }
 
-    /// The language feature of a row, into `out` of D numbers; sums in f32, in the order of the
-    /// code.
+    /// The language feature of a row, into `out` of D numbers, zeros if it has none; sums in f32, in
+    /// the order of the code.
     ///
     /// # Panics
     /// If `row` is out of range or `out` is not D wide.
     pub fn decode(&self, row: usize, out: &mut [f32]) {
         let k = self.width();
         let width = self.codebook.feature_width();
-        out.copy_from_slice(&self.codebook.mean);
         let code = &self.values[row * k..(row + 1) * k];
+        if code.iter().all(|v| *v == f16::ZERO) {
+            return out.fill(0.0);
+        }
+        out.copy_from_slice(&self.codebook.mean);
         for (value, axis) in code.iter().zip(self.codebook.axes.chunks_exact(width)) {
             let value = value.to_f32();
             for (o, a) in out.iter_mut().zip(axis) {
@@ -97,7 +101,7 @@ mod tests {
         code.decode(0, &mut out);
         assert_eq!(out, [1.5, 0.0, 1.0]);
         code.decode(1, &mut out);
-        assert_eq!(out, [1.0, 2.0, 3.0]);
+        assert_eq!(out, [0.0; 3], "zeros are no feature");
     }
 
     #[test]

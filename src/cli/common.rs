@@ -145,6 +145,32 @@ fn parse_up(text: &str) -> Result<UpAxis, String> {
     })
 }
 
+/// Where features come from.
+pub enum FeatureSource {
+    /// A network that is run over the scene.
+    Network(Box<Network>),
+    /// The language codes of the scene.
+    Codes,
+}
+
+impl FeatureSource {
+    /// The network, if it is one with classes of its own.
+    pub fn classifier(&self) -> Option<&Network> {
+        match self {
+            Self::Network(network) if network.is_classifier() => Some(network),
+            _ => None,
+        }
+    }
+
+    /// What to add to a title where the result means nothing.
+    pub fn remark(&self) -> &'static str {
+        match self {
+            Self::Network(network) if network.is_meaningless() => " (seeded weights: no meaning)",
+            _ => "",
+        }
+    }
+}
+
 /// A running command.
 pub struct Session<'a> {
     /// Shared flags.
@@ -309,6 +335,50 @@ impl<'a> Session<'a> {
             kind: SceneKind::InriaPly,
         };
         Ok(OpenedScene { loaded, converted: true })
+    }
+
+    /// Reads a scene and decides where its features come from: from the network of --weights, or,
+    /// without that, from the language codes that the scene carries.
+    pub fn open_with_source(
+        &self,
+        path: &Path,
+        inference: &Inference,
+    ) -> Result<(OpenedScene, FeatureSource)> {
+        if self.shared.weights.is_some() {
+            let network = self.network(inference)?;
+            return Ok((self.open(path, inference)?, FeatureSource::Network(Box::new(network))));
+        }
+        if !path.exists() {
+            // The missing file is the better message.
+            return self.open(path, inference).map(|opened| (opened, FeatureSource::Codes));
+        }
+        let opened = self.open(path, inference)?;
+        let Some(code) = &opened.loaded.scene.lang_code else {
+            // Says that the weights are missing.
+            return self.network(inference).map(|n| (opened, FeatureSource::Network(Box::new(n))));
+        };
+        let text = format!(
+            "no --weights: using the language codes of the scene, {} numbers a Gaussian",
+            code.width()
+        );
+        self.progress.say(text);
+        self.receipt.setting("features", "codes", "language codes that the scene carries");
+        Ok((opened, FeatureSource::Codes))
+    }
+
+    /// The features of a scene from their source.
+    pub fn features(
+        &self,
+        scene: &GaussianScene,
+        source: &FeatureSource,
+        inference: &Inference,
+    ) -> Result<SceneFeatures> {
+        match source {
+            FeatureSource::Network(network) => self.encode(scene, network, inference),
+            FeatureSource::Codes => {
+                SceneFeatures::from_codes(scene).context("the scene carries no language codes")
+            }
+        }
     }
 
     /// Runs the network over a scene.

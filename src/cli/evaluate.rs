@@ -248,7 +248,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
             (Some(network), _) => {
                 let features = session.encode(scene, network, &args.inference)?;
                 let _stage = session.receipt.stage("labels");
-                let slots = label_slots(network, &features, Some(&text), &options)?;
+                let classifier = network.is_classifier();
+                let slots = label_slots(classifier, &features, Some(&text), &options)?;
                 features.inverse().iter().map(|s| slots.labels[*s as usize]).collect()
             }
             (None, Some(file)) => {

@@ -1,6 +1,7 @@
 //! The commands of the program. Exit codes: 0 done, 1 failed, 2 wrong use.
 
 mod common;
+mod convert;
 mod evaluate;
 mod features;
 mod query;
@@ -29,6 +30,8 @@ enum Command {
     Query(query::Args),
     /// Measures labels against the truth that scenes carry.
     Evaluate(evaluate::Args),
+    /// Writes a scene in another format, whole or in part.
+    Convert(convert::Args),
     /// Says what is in a checkpoint and which network it fits.
     Weights(weights::Args),
 }
@@ -56,6 +59,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Segment(args) => segment::run(args, &line),
         Command::Query(args) => query::run(args, &line),
         Command::Evaluate(args) => evaluate::run(args, &line),
+        Command::Convert(args) => convert::run(args),
         Command::Weights(args) => weights::run(args, &line),
     };
     match done {

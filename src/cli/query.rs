@@ -1,7 +1,7 @@
 //! `scenesplat query`
 
 use super::WrongUse;
-use super::common::{Inference, Session, Shared, print};
+use super::common::{FeatureSource, Inference, Session, Shared, print};
 use super::segment::{Classes, slot_rows};
 use crate::outputs::{ResultColumns, write_colored_ply, write_scene_preview};
 use crate::preview::LegendEntry;
@@ -23,7 +23,7 @@ use std::path::{Path, PathBuf};
 /// several), its score reaches --min-score, and most of its neighbours agree.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// A .ply file or a folder of .npy files.
+    /// The scene, in any format.
     pub scene: PathBuf,
     /// What to find, such as "robot arm".
     pub query: String,
@@ -122,24 +122,24 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     if let Some(path) = &args.embedding {
         session.receipt.fingerprint("embedding", path)?;
     }
-    let network = session.network(&args.inference)?;
-    if network.is_classifier() {
+    let (opened, source) = session.open_with_source(&args.scene, &args.inference)?;
+    if source.classifier().is_some() {
         return Err(WrongUse(
             "a segmentation network cannot be queried; use --config language".to_owned(),
         )
         .into());
     }
-    if network.model().out_channels() != text.dim {
-        return Err(WrongUse(format!(
-            "the texts have {} values, the network's features {}",
-            text.dim,
-            network.model().out_channels()
-        ))
-        .into());
-    }
-    let opened = session.open(&args.scene, &args.inference)?;
     let scene = &opened.loaded.scene;
-    let features = session.encode(scene, &network, &args.inference)?;
+    let width = match (&source, &scene.lang_code) {
+        (FeatureSource::Network(network), _) => network.model().out_channels(),
+        (FeatureSource::Codes, code) => code.as_ref().map_or(0, |c| c.codebook.feature_width()),
+    };
+    if width != text.dim {
+        return Err(
+            WrongUse(format!("the texts have {} values, the features {width}", text.dim)).into()
+        );
+    }
+    let features = session.features(scene, &source, &args.inference)?;
 
     let (scores, selected) = {
         let _stage = session.receipt.stage("query");
@@ -215,9 +215,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
                 count: selected.len() as u64 - count,
             },
         ];
-        let meaning = if network.is_meaningless() { " (seeded weights: no meaning)" } else { "" };
         let path = session.out("preview.png");
-        let title = format!("\"{}\"{meaning}", args.query);
+        let title = format!("\"{}\"{}", args.query, source.remark());
         let up = session.up(scene, &args.inference);
         let bytes = write_scene_preview(scene, &colors, &entries, &title, up, &path)?;
         session.wrote(&path, bytes);

@@ -2,7 +2,6 @@
 
 use super::WrongUse;
 use super::common::{Inference, Session, Shared, write_text};
-use crate::Network;
 use crate::inference::SceneFeatures;
 use crate::outputs::{ResultColumns, label_colors, legend, write_colored_ply, write_scene_preview};
 use crate::text::{class_list, metric_table, read_text_table};
@@ -19,7 +18,7 @@ use std::path::PathBuf;
 /// classes.json, preview.png and a receipt.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// A .ply file or a folder of .npy files.
+    /// The scene, in any format.
     pub scene: PathBuf,
     /// Choice of classes.
     #[command(flatten)]
@@ -123,12 +122,12 @@ pub fn slot_rows(features: &SceneFeatures) -> Result<impl FeatureRows + '_> {
 
 /// Labels each distinct row.
 pub fn label_slots(
-    network: &Network,
+    classifier: bool,
     features: &SceneFeatures,
     text: Option<&TextTable>,
     options: &ZeroShotOptions,
 ) -> Result<SlotLabels> {
-    if network.is_classifier() {
+    if classifier {
         let mut out =
             SlotLabels { labels: Vec::new(), scores: Vec::new(), unusable: 0, withheld: 0 };
         let allowed = |c: usize| options.candidates.as_ref().is_none_or(|m| m[c]);
@@ -159,7 +158,7 @@ pub fn label_slots(
     let text = text.context("a language network needs --text")?;
     if text.dim != features.width() {
         return Err(WrongUse(format!(
-            "--text: its rows have {} values, the network's features {}",
+            "--text: its rows have {} values, the features {}",
             text.dim,
             features.width()
         ))
@@ -203,8 +202,13 @@ fn scores_of(
 pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start(&args.shared, line)?;
     session.make_out()?;
-    let network = session.network(&args.inference)?;
-    let (labels_of, text) = if network.is_classifier() {
+    // A bad table is better found before the scene is read.
+    let table = match &args.classes.text {
+        Some(_) => Some(args.classes.text_table()?),
+        None => None,
+    };
+    let (opened, source) = session.open_with_source(&args.scene, &args.inference)?;
+    let (labels_of, text) = if let Some(network) = source.classifier() {
         if args.classes.text.is_some() {
             let text = "--text is for language networks; name the classes with --text-names";
             return Err(WrongUse(text.to_owned()).into());
@@ -220,18 +224,17 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         }
         (LabelSet::new(names)?, None)
     } else {
-        let text = args.classes.text_table()?;
+        let text = table.map_or_else(|| args.classes.text_table(), Ok)?;
         (LabelSet::new(text.names.clone())?, Some(text))
     };
     let options = args.classes.options(&labels_of)?;
     args.classes.record(&session)?;
-    let opened = session.open(&args.scene, &args.inference)?;
     let scene = &opened.loaded.scene;
-    let features = session.encode(scene, &network, &args.inference)?;
+    let features = session.features(scene, &source, &args.inference)?;
 
     let (labels, scores) = {
         let _stage = session.receipt.stage("labels");
-        let slots = label_slots(&network, &features, text.as_ref(), &options)?;
+        let slots = label_slots(source.classifier().is_some(), &features, text.as_ref(), &options)?;
         if slots.unusable + slots.withheld > 0 {
             session.progress.say(format!(
                 "{} voxels unknown by the thresholds, {} without a usable feature",
@@ -281,13 +284,12 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     {
         let _stage = session.receipt.stage("picture");
         let name = args.scene.file_name().unwrap_or_default().to_string_lossy();
-        let meaning = if network.is_meaningless() { " (seeded weights: no meaning)" } else { "" };
         let path = session.out("preview.png");
         let bytes = write_scene_preview(
             scene,
             &label_colors(&labels),
             &legend(&labels, &labels_of.names),
-            &format!("{name}: labels{meaning}"),
+            &format!("{name}: labels{}", source.remark()),
             session.up(scene, &args.inference),
             &path,
         )?;

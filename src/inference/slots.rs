@@ -1,6 +1,7 @@
 //! Where the outputs of the network are collected: in memory or in a scratch file.
 
 use super::{EncodeError, ScratchFile};
+use scenesplat_scene::LanguageCode;
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::ops::Range;
@@ -22,6 +23,8 @@ pub(super) struct SlotStore {
 enum Values {
     Memory(Vec<f32>),
     File(ScratchFile),
+    /// Decoded whenever a row is read; never added to.
+    Codes(LanguageCode),
 }
 
 impl SlotStore {
@@ -42,6 +45,12 @@ impl SlotStore {
         file.set_len((slots * width * 4) as u64).map_err(spill)?;
         let file = ScratchFile { file: std::sync::Mutex::new(file), path };
         Ok(Self { width, count: vec![0; slots], values: Values::File(file) })
+    }
+
+    /// Rows that are stored as codes; their features are brought to unit length.
+    pub(super) fn codes(slots: usize, code: LanguageCode) -> Self {
+        let width = code.codebook.feature_width();
+        Self { width, count: vec![1; slots], values: Values::Codes(code) }
     }
 
     pub(super) fn width(&self) -> usize {
@@ -79,6 +88,7 @@ impl SlotStore {
                         write_at(file, at, &sum)?;
                     }
                 }
+                Values::Codes(_) => return Err(EncodeError::ReadOnly),
             }
         }
         Ok(())
@@ -101,6 +111,7 @@ impl SlotStore {
                     apply(&mut rows);
                     write_at(file, start * width, &rows)?;
                 }
+                Values::Codes(_) => return Err(EncodeError::ReadOnly),
             }
         }
         Ok(())
@@ -111,6 +122,13 @@ impl SlotStore {
         match &self.values {
             Values::Memory(values) => Ok(values[start..start + len].to_vec()),
             Values::File(file) => read_at(file, start, len),
+            Values::Codes(code) => {
+                let mut out = vec![0.0; len];
+                for (row, out) in rows.zip(out.chunks_exact_mut(self.width)) {
+                    decode_unit(code, row, out);
+                }
+                Ok(out)
+            }
         }
     }
 
@@ -121,9 +139,23 @@ impl SlotStore {
             match &self.values {
                 Values::Memory(values) => out.extend_from_slice(&values[start..start + self.width]),
                 Values::File(file) => out.extend(read_at(file, start, self.width)?),
+                Values::Codes(code) => {
+                    out.resize(out.len() + self.width, 0.0);
+                    let at = out.len() - self.width;
+                    decode_unit(code, slot as usize, &mut out[at..]);
+                }
             }
         }
         Ok(out)
+    }
+}
+
+/// The feature of a row at unit length, or zeros if it has none.
+fn decode_unit(code: &LanguageCode, row: usize, out: &mut [f32]) {
+    code.decode(row, out);
+    let norm = out.iter().map(|v| f64::from(*v) * f64::from(*v)).sum::<f64>().sqrt();
+    if norm > 0.0 {
+        out.iter_mut().for_each(|v| *v = (f64::from(*v) / norm) as f32);
     }
 }
 
@@ -154,6 +186,19 @@ fn read_at(file: &ScratchFile, first: usize, len: usize) -> Result<Vec<f32>, Enc
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn codes_are_decoded_to_unit_length() {
+        use half::f16;
+        use scenesplat_scene::LanguageCodebook;
+        let values = [3.0, 0.0, -1.0].map(f16::from_f32).to_vec();
+        let codebook = LanguageCodebook { mean: vec![0.0, 4.0], axes: vec![1.0, 0.0] };
+        let mut store = SlotStore::codes(3, LanguageCode { values, codebook });
+        assert_eq!(store.read(0..2).unwrap(), [0.6, 0.8, 0.0, 0.0]);
+        assert_eq!(store.gather(&[1, 0]).unwrap(), [0.0, 0.0, 0.6, 0.8]);
+        assert!(store.add(&[0], &[1.0, 1.0], None).is_err());
+        assert!(store.finish(|_, _| ()).is_err());
+    }
 
     #[test]
     fn file_and_memory_agree() {

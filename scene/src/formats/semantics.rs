@@ -169,7 +169,7 @@ pub(crate) fn decode(
     Ok(())
 }
 
-/// Codes that are not finite become the mean feature, and are reported.
+/// Codes that are not finite become 0, which is no feature, and are reported.
 pub(crate) fn clean_code(mut code: LanguageCode, report: &mut RepairReport) -> LanguageCode {
     let k = code.width();
     for (row, values) in code.values.chunks_exact_mut(k).enumerate() {

@@ -112,7 +112,7 @@ value_rules! {
     InstanceInvalid: "instance", "not a whole number of 32 bits", Repair, "becomes -1: none";
     InstanceNone: "instance", "negative, or 65535 in a 16-bit column", Accept, "becomes -1: none";
     FeatureNotFinite: "lang_feat", "NaN or infinite", Repair, "the row becomes 0 and is masked out";
-    CodeNotFinite: "lang_code", "NaN or infinite", Repair, "the code becomes 0: the mean feature";
+    CodeNotFinite: "lang_code", "NaN or infinite", Repair, "the code becomes 0: no feature";
     MaskInvalid: "valid_feat_mask", "neither 0 nor 1", Repair, "read as 1";
     PointNotFinite: "pc_coord", "NaN or infinite", Repair, "the labelled point is left out";
     AnyExtreme: "any", "denormal, huge, or -0", Accept, "kept";

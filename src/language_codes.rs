@@ -1,0 +1,256 @@
+//! From wide language features to short codes that travel with a scene.
+
+use half::f16;
+use rand::seq::index::sample;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use rayon::prelude::*;
+use scenesplat_kernels::gemm::gemm_tn;
+use scenesplat_scene::{FeatureRows, LanguageCode, LanguageCodebook};
+
+/// Rows that the axes are found from.
+const SAMPLE: usize = 30_000;
+/// Rounds of the subspace iteration; the captured variance settles long before.
+const ROUNDS: usize = 60;
+/// Rows of one task.
+const BLOCK: usize = 1024;
+
+/// Language codes and how much of the features they keep.
+#[derive(Debug, Clone)]
+pub struct EncodedFeatures {
+    /// One code per row; rows without a feature have the code 0.
+    pub code: LanguageCode,
+    /// Mean cosine between a feature and what its code decodes to, over the rows with a feature.
+    pub mean_cosine: f64,
+    /// The lowest of these cosines.
+    pub lowest_cosine: f64,
+    /// Rows with a feature.
+    pub valid: usize,
+}
+
+/// Why features cannot be encoded.
+#[derive(Debug, thiserror::Error, PartialEq, Eq)]
+pub enum CodeError {
+    /// The width asked for makes no sense.
+    #[error(
+        "codes of {asked} numbers cannot be made from features of {width} (choose 1 to {width})"
+    )]
+    Width {
+        /// Width asked for.
+        asked: usize,
+        /// Width of the features.
+        width: usize,
+    },
+    /// Nothing to learn the axes from.
+    #[error("no row has a language feature")]
+    NoFeatures,
+}
+
+/// Finds the `k` directions in which the features vary most and writes every feature in them.
+///
+/// A principal component analysis of a seeded sample; sums in a fixed order, so the result is the
+/// same for any number of threads. `valid` marks the rows that have a feature, `None` = those that
+/// are not 0.
+///
+/// # Errors
+/// If `k` is 0 or wider than the features, or no row has a feature.
+pub fn encode_features(
+    features: &FeatureRows,
+    valid: Option<&[bool]>,
+    k: usize,
+    seed: u64,
+) -> Result<EncodedFeatures, CodeError> {
+    let width = features.dim;
+    if k == 0 || k > width {
+        return Err(CodeError::Width { asked: k, width });
+    }
+    let row = |i: usize| &features.values[i * width..(i + 1) * width];
+    let count = features.values.len() / width;
+    let has = |i: &usize| match valid {
+        Some(valid) => valid[*i],
+        None => row(*i).iter().any(|v| *v != f16::ZERO),
+    };
+    let rows: Vec<usize> = (0..count).into_par_iter().filter(has).collect();
+    if rows.is_empty() {
+        return Err(CodeError::NoFeatures);
+    }
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut chosen = sample(&mut rng, rows.len(), rows.len().min(SAMPLE)).into_vec();
+    chosen.sort_unstable();
+    let mut table = vec![0f32; chosen.len() * width];
+    for (out, &at) in table.chunks_exact_mut(width).zip(&chosen) {
+        out.iter_mut().zip(row(rows[at])).for_each(|(o, v)| *o = v.to_f32());
+    }
+    let mut mean = vec![0f64; width];
+    for row in table.chunks_exact(width) {
+        mean.iter_mut().zip(row).for_each(|(m, v)| *m += f64::from(*v));
+    }
+    mean.iter_mut().for_each(|m| *m /= chosen.len() as f64);
+    let mean: Vec<f32> = mean.into_iter().map(|m| m as f32).collect();
+    for row in table.chunks_exact_mut(width) {
+        row.iter_mut().zip(&mean).for_each(|(v, m)| *v -= m);
+    }
+    let mut covariance = vec![0f32; width * width];
+    gemm_tn(&table, width, &table, width, None, &mut covariance);
+    let axes = strongest(&covariance, width, k);
+    let codebook = LanguageCodebook { mean, axes };
+
+    let has_feature: Vec<bool> = {
+        let mut flags = vec![false; count];
+        rows.iter().for_each(|&i| flags[i] = true);
+        flags
+    };
+    let mut values = vec![f16::ZERO; count * k];
+    values.par_chunks_mut(BLOCK * k).enumerate().for_each(|(block, out)| {
+        let mut centred = vec![0f32; width];
+        for (i, code) in out.chunks_exact_mut(k).enumerate() {
+            let at = block * BLOCK + i;
+            if !has_feature[at] {
+                continue;
+            }
+            for ((c, v), m) in centred.iter_mut().zip(row(at)).zip(&codebook.mean) {
+                *c = v.to_f32() - m;
+            }
+            for (value, axis) in code.iter_mut().zip(codebook.axes.chunks_exact(width)) {
+                let dot: f32 = axis.iter().zip(&centred).map(|(a, c)| a * c).sum();
+                *value = f16::from_f32(dot);
+            }
+            if code.iter().all(|v| *v == f16::ZERO) {
+                // Zeros would mean that there is no feature.
+                code[0] = f16::from_bits(1);
+            }
+        }
+    });
+    let code = LanguageCode { values, codebook };
+    // Blocks are summed one after the other, whoever computed them.
+    let per_block: Vec<(f64, f64)> = rows
+        .par_chunks(BLOCK)
+        .map(|rows| {
+            let mut decoded = vec![0f32; width];
+            let (mut sum, mut lowest) = (0.0, f64::INFINITY);
+            for &at in rows {
+                code.decode(at, &mut decoded);
+                let cosine = cosine(row(at), &decoded);
+                sum += cosine;
+                lowest = lowest.min(cosine);
+            }
+            (sum, lowest)
+        })
+        .collect();
+    let sum: f64 = per_block.iter().map(|(sum, _)| sum).sum();
+    let lowest_cosine = per_block.iter().map(|(_, low)| *low).fold(f64::INFINITY, f64::min);
+    Ok(EncodedFeatures {
+        code,
+        mean_cosine: sum / rows.len() as f64,
+        lowest_cosine,
+        valid: rows.len(),
+    })
+}
+
+/// The cosine of two vectors; 0 if one of them has no length.
+fn cosine(a: &[f16], b: &[f32]) -> f64 {
+    let (mut dot, mut aa, mut bb) = (0.0, 0.0, 0.0);
+    for (a, b) in a.iter().zip(b) {
+        let (a, b) = (f64::from(a.to_f32()), f64::from(*b));
+        dot += a * b;
+        aa += a * a;
+        bb += b * b;
+    }
+    if aa > 0.0 && bb > 0.0 { dot / (aa.sqrt() * bb.sqrt()) } else { 0.0 }
+}
+
+/// The `k` eigenvectors with the largest eigenvalues of a symmetric matrix, row by row, by subspace
+/// iteration. Directions without any variance become 0.
+fn strongest(matrix: &[f32], width: usize, k: usize) -> Vec<f32> {
+    // A fixed start that is not orthogonal to anything likely.
+    let mut basis: Vec<Vec<f64>> = (0..k)
+        .map(|j| (0..width).map(|i| ((i * (j + 2) + j) as f64 * 0.7).sin() + 0.01).collect())
+        .collect();
+    let largest = (0..width).map(|i| f64::from(matrix[i * width + i])).fold(0.0, f64::max);
+    for _ in 0..ROUNDS {
+        let mut next: Vec<Vec<f64>> = basis
+            .par_iter()
+            .map(|vector| {
+                let dot =
+                    |row: &[f32]| row.iter().zip(vector).map(|(m, b)| f64::from(*m) * b).sum();
+                matrix.chunks_exact(width).map(dot).collect()
+            })
+            .collect();
+        for j in 0..k {
+            // Twice: once leaves a remainder where directions nearly agree.
+            for _ in 0..2 {
+                let (done, rest) = next.split_at_mut(j);
+                for other in done.iter() {
+                    let dot: f64 = rest[0].iter().zip(other).map(|(a, b)| a * b).sum();
+                    rest[0].iter_mut().zip(other).for_each(|(a, b)| *a -= dot * b);
+                }
+            }
+            let norm = next[j].iter().map(|v| v * v).sum::<f64>().sqrt();
+            let scale = if norm > largest * 1e-9 { 1.0 / norm } else { 0.0 };
+            next[j].iter_mut().for_each(|v| *v *= scale);
+        }
+        basis = next;
+    }
+    let mut out = Vec::with_capacity(k * width);
+    for direction in basis {
+        // A fixed sign, so that codes do not flip between machines.
+        let sign = if direction.iter().sum::<f64>() < 0.0 { -1.0 } else { 1.0 };
+        out.extend(direction.iter().map(|v| (v * sign) as f32));
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Features on a plane of three dimensions in twelve.
+    fn plane(rows: usize) -> FeatureRows {
+        let mut values = Vec::new();
+        for i in 0..rows {
+            let t = [(i as f32 * 0.37).sin(), (i as f32 * 0.73).cos(), (i as f32 * 1.1).sin()];
+            for d in 0..12 {
+                let v: f32 = (0..3).map(|j| t[j] * ((d * (j + 1)) as f32).sin()).sum();
+                values.push(f16::from_f32(0.3 + 0.5 * v));
+            }
+        }
+        FeatureRows { values, dim: 12 }
+    }
+
+    #[test]
+    fn features_of_low_rank_come_back() {
+        let features = plane(3000);
+        let done = encode_features(&features, None, 3, 0).unwrap();
+        assert!(done.lowest_cosine > 0.9999, "{}", done.lowest_cosine);
+        assert_eq!(done.valid, 3000);
+        let fewer = encode_features(&features, None, 2, 0).unwrap();
+        assert!(fewer.mean_cosine < done.mean_cosine);
+        // More axes than the features have are 0 and harm nothing.
+        let more = encode_features(&features, None, 12, 0).unwrap();
+        assert!(more.lowest_cosine > 0.9999);
+        more.code.codebook.check().unwrap();
+    }
+
+    #[test]
+    fn rows_without_a_feature_have_the_code_0() {
+        let mut features = plane(100);
+        features.values[..12].fill(f16::ZERO);
+        let done = encode_features(&features, None, 3, 0).unwrap();
+        assert_eq!(done.valid, 99);
+        assert_eq!(done.code.values[..3], [f16::ZERO; 3]);
+        let masked = vec![false; 100];
+        assert_eq!(
+            encode_features(&features, Some(&masked), 3, 0).unwrap_err(),
+            CodeError::NoFeatures
+        );
+        assert!(encode_features(&features, None, 0, 0).is_err());
+        assert!(encode_features(&features, None, 13, 0).is_err());
+    }
+
+    #[test]
+    fn one_row_is_its_own_mean() {
+        let features = plane(1);
+        let done = encode_features(&features, None, 1, 0).unwrap();
+        assert!(done.lowest_cosine > 0.9999);
+    }
+}
