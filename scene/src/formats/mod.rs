@@ -14,6 +14,7 @@ pub mod npy_folder;
 pub mod npy_writer;
 pub mod ply;
 pub(crate) mod semantics;
+pub mod spz;
 pub mod write;
 
 pub use write::{

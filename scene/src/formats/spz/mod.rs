@@ -1,0 +1,43 @@
+//! `.spz` files: every number a byte or three, block by block, compressed.
+//!
+//! Versions 1 to 3 are a 16-byte header and the blocks positions, alphas, colors, scales, rotations
+//! and harmonics, usually as one gzip stream; some programs put them into a zstd frame, or store
+//! them as they are. Version 4 is a 32-byte header, a table of contents, and one zstd stream per
+//! block. All are read; 2, 3 and 4 are written.
+//!
+//! # What a block holds
+//! | block | bytes a row | value |
+//! |---|---|---|
+//! | positions | 9 (version 1: 6) | 24-bit fixed point, metres (version 1: f16) |
+//! | alphas | 1 | `alpha = b / 255` |
+//! | colors | 3 | `dc = (b / 255 − 0.5) / 0.15` |
+//! | scales | 3 | `ln σ = b / 16 − 10` |
+//! | rotations | 3, from version 3 on 4 | `x, y, z` in 8 bits, or the smaller three in 10 |
+//! | harmonics | 3 K | `(b − 128) / 128`, coefficient by coefficient, channel inside |
+//!
+//! # Frame
+//! The format prescribes right, up, back; some programs store the numbers of the PLY file as they
+//! are, and only a rare extension record says which. See [`SpzFrame`](super::SpzFrame).
+//!
+//! # Source
+//! <https://github.com/nianticlabs/spz>, the reference implementation, for layout and rounding.
+
+mod attributes;
+mod extensions;
+mod header;
+mod limits;
+mod quaternion;
+mod reader;
+mod rows;
+mod signs;
+mod source;
+mod writer;
+
+pub use reader::read_spz;
+pub use writer::write_spz;
+
+/// Whether a file that begins with `head` may be an SPZ file: its own mark, or a gzip or zstd
+/// stream, of which only [`read_spz`] can say what is inside.
+pub fn is_spz(head: &[u8]) -> bool {
+    [&header::MAGIC[..], &source::GZIP, &source::ZSTD].iter().any(|mark| head.starts_with(mark))
+}

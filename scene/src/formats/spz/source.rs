@@ -1,0 +1,148 @@
+//! Bytes of a file, decompressed as they are asked for.
+
+use flate2::bufread::GzDecoder;
+use std::io::{ErrorKind, Read};
+use zstd::stream::read::Decoder;
+use zstd::zstd_safe::get_frame_content_size;
+
+/// First bytes of a gzip stream.
+pub(super) const GZIP: [u8; 2] = [0x1f, 0x8b];
+/// First bytes of a zstd frame.
+pub(super) const ZSTD: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
+
+/// Most bytes that deflate makes of one: a match of 258 in two bits.
+const DEFLATE_RATIO: u64 = 1032;
+/// Most bytes that the reference implementation believes zstd to make of one, where the frame does
+/// not say how many they are; its bound on the number of Gaussians, who take 9 bytes and more.
+const ZSTD_RATIO: u64 = 1024;
+/// Window that a zstd decoder should always support (RFC 8878, 3.1.1.1.2).
+const SMALLEST_WINDOW: u64 = 8 << 20;
+
+/// A stream of bytes.
+pub(super) enum Source<'a> {
+    /// Stored as they are.
+    Raw(&'a [u8]),
+    /// One gzip stream; the size of the file.
+    Gzip(GzDecoder<&'a [u8]>, usize),
+    /// zstd frames, and the most bytes that they may hold.
+    Zstd(Decoder<'static, &'a [u8]>, u64),
+}
+
+impl<'a> Source<'a> {
+    /// A file of version 1 to 3, by its first bytes.
+    pub(super) fn open(file: &'a [u8]) -> Result<Self, String> {
+        if file.starts_with(&GZIP) {
+            return Ok(Self::Gzip(GzDecoder::new(file), file.len()));
+        }
+        if file.starts_with(&ZSTD) {
+            // Without a size, what the reference believes possible.
+            let most = match get_frame_content_size(file) {
+                Ok(Some(size)) => size,
+                Ok(None) => (file.len() as u64).saturating_mul(ZSTD_RATIO),
+                Err(_) => return Err("has a damaged zstd header".to_owned()),
+            };
+            return Ok(Self::Zstd(decoder(file, most)?.single_frame(), most));
+        }
+        Ok(Self::Raw(file))
+    }
+
+    /// A zstd stream that should decompress to at most `most` bytes.
+    pub(super) fn zstd(stream: &'a [u8], most: u64) -> Result<Self, String> {
+        match get_frame_content_size(stream) {
+            Ok(Some(size)) if size > most => Err(format!("hold {size} bytes instead of {most}")),
+            Ok(None) if most / ZSTD_RATIO > stream.len() as u64 => {
+                Err(format!("cannot hold {most} bytes in {}", stream.len()))
+            }
+            Ok(_) => Ok(Self::Zstd(decoder(stream, most)?, most)),
+            Err(_) => Err("are no zstd stream".to_owned()),
+        }
+    }
+
+    /// Most bytes that there can be, from what is known before decompression.
+    pub(super) fn most(&self) -> u64 {
+        match self {
+            Self::Raw(left) => left.len() as u64 + super::header::LEGACY_SIZE as u64,
+            Self::Gzip(_, size) => (*size as u64).saturating_mul(DEFLATE_RATIO),
+            Self::Zstd(_, most) => *most,
+        }
+    }
+
+    /// Compressed bytes not read yet.
+    pub(super) fn left(&self) -> usize {
+        match self {
+            Self::Raw(left) => left.len(),
+            Self::Gzip(decoder, _) => decoder.get_ref().len(),
+            Self::Zstd(decoder, _) => decoder.get_ref().len(),
+        }
+    }
+
+    /// Fills `out` and gives how many bytes there were; fewer only at the end.
+    ///
+    /// To find the end is also what checks the sum at the end of a gzip stream.
+    pub(super) fn fill(&mut self, out: &mut [u8]) -> Result<usize, String> {
+        let mut done = 0;
+        while done < out.len() {
+            let read = match self {
+                Self::Raw(left) => left.read(&mut out[done..]),
+                Self::Gzip(decoder, _) => decoder.read(&mut out[done..]),
+                Self::Zstd(decoder, _) => decoder.read(&mut out[done..]),
+            };
+            match read {
+                Ok(0) => break,
+                Ok(n) => done += n,
+                Err(e) if e.kind() == ErrorKind::Interrupted => {}
+                // The compressed stream was cut off: what came so far is all there is.
+                Err(e) if e.kind() == ErrorKind::UnexpectedEof => break,
+                Err(e) => return Err(format!("cannot be decompressed: {e}")),
+            }
+        }
+        Ok(done)
+    }
+
+    /// Bytes that are still there: of the stream, or, once it is over, behind it in the file.
+    ///
+    /// # Errors
+    /// If the stream is damaged, cut off, or fails its checksum.
+    pub(super) fn trailing(&mut self) -> Result<Trailing, String> {
+        let read = match self {
+            Self::Raw(left) => return Ok(Trailing::behind(left.len())),
+            Self::Gzip(decoder, _) => decoder.read(&mut [0]),
+            Self::Zstd(decoder, _) => decoder.read(&mut [0]),
+        };
+        match read {
+            Ok(0) => Ok(Trailing::behind(self.left())),
+            Ok(_) => Ok(Trailing::Within),
+            Err(e) => Err(format!("cannot be decompressed to its end: {e}")),
+        }
+    }
+}
+
+/// What there is after the last byte that was wanted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Trailing {
+    Nothing,
+    /// The stream goes on; how long is not worth finding out.
+    Within,
+    /// So many bytes follow the stream.
+    Behind(usize),
+}
+
+impl Trailing {
+    fn behind(bytes: usize) -> Self {
+        if bytes == 0 { Self::Nothing } else { Self::Behind(bytes) }
+    }
+}
+
+/// A decoder whose window is bounded by what an honest stream of that length needs.
+fn decoder(stream: &[u8], most: u64) -> Result<Decoder<'static, &[u8]>, String> {
+    let fail = |e: std::io::Error| format!("cannot be decompressed: {e}");
+    let mut decoder = Decoder::with_buffer(stream).map_err(fail)?;
+    // A frame of known size has no larger window than that; 64 : 1 is far above real scenes.
+    let window = most.min((stream.len() as u64).saturating_mul(64)).max(SMALLEST_WINDOW);
+    let log = window
+        .next_power_of_two()
+        .trailing_zeros()
+        .min(if cfg!(target_pointer_width = "64") { 31 } else { 30 });
+    decoder.window_log_max(log).map_err(fail)?;
+    Ok(decoder)
+}
