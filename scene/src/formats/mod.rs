@@ -12,6 +12,7 @@ pub mod npy_folder;
 pub mod npy_writer;
 pub mod ply;
 pub(crate) mod semantics;
+pub mod sog;
 pub mod write;
 
 pub use write::{
