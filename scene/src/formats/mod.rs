@@ -15,6 +15,7 @@ pub mod npy_writer;
 pub mod ply;
 pub(crate) mod semantics;
 pub mod spz;
+pub mod sog;
 pub mod write;
 
 pub use write::{

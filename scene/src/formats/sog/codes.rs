@@ -1,0 +1,196 @@
+//! Numbers as codes of one or two bytes, and back: positions, rotations, opacities.
+//!
+//! Every encoder here gives a code that stays the same when its own value is encoded again.
+
+use super::meta::ByteTable;
+use crate::gaussian_scene::probability_to_logit;
+use std::f64::consts::SQRT_2;
+
+/// Positions along one axis: 65,536 equal steps between two bounds in `sign(p) · ln(1 + |p|)`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct LogAxis {
+    pub(super) min: f64,
+    pub(super) max: f64,
+}
+
+impl LogAxis {
+    /// The bounds of some positions. Without any, both are 0.
+    pub(super) fn around(values: impl Iterator<Item = f32>) -> Self {
+        let (min, max) =
+            values.fold((f32::INFINITY, f32::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
+        if min > max {
+            return Self { min: 0.0, max: 0.0 };
+        }
+        // The sum turns −0 into 0, which would be written as another text.
+        Self { min: to_log(min) + 0.0, max: to_log(max) + 0.0 }
+    }
+
+    /// The position of a code; exactly the bounds at both ends.
+    pub(super) fn decode(&self, code: u16) -> f32 {
+        let t = f64::from(code) / 65535.0;
+        let n = self.min * (1.0 - t) + self.max * t;
+        n.abs().exp_m1().copysign(n) as f32
+    }
+
+    /// The nearest code; the reference encoder takes the one below.
+    fn encode(&self, value: f32) -> u16 {
+        let range = self.max - self.min;
+        if range > 0.0 { ((to_log(value) - self.min) / range * 65535.0).round() as u16 } else { 0 }
+    }
+
+    /// The code to write for each code that [`encode`](Self::encode) may give: where steps are
+    /// finer than an f32, several codes share a value, and one of them must stand for it.
+    pub(super) fn settled(&self) -> Vec<u16> {
+        (0..=u16::MAX).map(|code| settle(code, |c| self.encode(self.decode(c)))).collect()
+    }
+
+    /// The code to write for a position; `settled` as above.
+    pub(super) fn code(&self, value: f32, settled: &[u16]) -> u16 {
+        settled[usize::from(self.encode(value))]
+    }
+}
+
+fn to_log(position: f32) -> f64 {
+    let p = f64::from(position);
+    p.abs().ln_1p().copysign(p)
+}
+
+/// Follows a code through decoding and encoding until it repeats; the smallest of the cycle.
+fn settle<C: Copy + Ord>(code: C, again: impl Fn(C) -> C) -> C {
+    let mut next = again(code);
+    if next == code {
+        return code;
+    }
+    let mut seen = vec![code];
+    loop {
+        if let Some(start) = seen.iter().position(|&c| c == next) {
+            return seen[start..].iter().copied().min().unwrap_or(next);
+        }
+        seen.push(next);
+        next = again(next);
+    }
+}
+
+/// A component of a rotation: 256 steps over `−1/√2..=1/√2`.
+fn component(byte: u8) -> f64 {
+    (f64::from(byte) / 255.0 - 0.5) * SQRT_2
+}
+
+/// The rotation `w, x, y, z` of a texel, unit norm, `w ≥ 0`.
+///
+/// The fourth byte says which component is the largest; the others follow in order. Any other
+/// fourth byte means no rotation.
+pub(super) fn decode_quat(texel: [u8; 4]) -> [f32; 4] {
+    if texel[3] < 252 {
+        return [1.0, 0.0, 0.0, 0.0];
+    }
+    let largest = usize::from(texel[3] - 252);
+    let mut quat = [0.0f64; 4];
+    let mut squared = 0.0;
+    for (i, &byte) in (0..4).filter(|&i| i != largest).zip(&texel) {
+        quat[i] = component(byte);
+        squared += quat[i] * quat[i];
+    }
+    quat[largest] = (1.0 - squared).max(0.0).sqrt();
+    // Only bytes that no rotation has leave another norm than 1.
+    let norm = squared.max(1.0).sqrt().copysign(quat[0]);
+    quat.map(|v| (v / norm) as f32)
+}
+
+/// The texel of a unit rotation; each byte is the nearest, the reference encoder takes the one below.
+pub(super) fn encode_quat(quat: [f32; 4]) -> [u8; 4] {
+    settle(nearest_quat(quat), |code| nearest_quat(decode_quat(code)))
+}
+
+fn nearest_quat(quat: [f32; 4]) -> [u8; 4] {
+    let mut largest = 0;
+    for i in 1..4 {
+        if quat[i].abs() > quat[largest].abs() {
+            largest = i;
+        }
+    }
+    let sign = 1f64.copysign(f64::from(quat[largest]));
+    let mut texel = [0, 0, 0, 252 + largest as u8];
+    for (byte, i) in texel.iter_mut().zip((0..4).filter(|&i| i != largest)) {
+        // The conversion clips.
+        *byte = ((f64::from(quat[i]) * sign / SQRT_2 + 0.5) * 255.0).round() as u8;
+    }
+    texel
+}
+
+/// The logit of each byte of opacity; 0 and 255 are −∞ and +∞.
+pub(super) fn alpha_table() -> ByteTable {
+    std::array::from_fn(|byte| probability_to_logit(byte as f32 / 255.0))
+}
+
+/// The byte of an opacity logit.
+pub(super) fn alpha_byte(logit: f32) -> u8 {
+    (255.0 / (1.0 + (-f64::from(logit)).exp())).round() as u8
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn positions_of_one_row_of_a_real_file() {
+        let axes = [
+            (-0.705_080_016_093_120_3, 0.706_151_908_158_946_8, 249, -1.013_185),
+            (-0.732_573_815_727_477_6, 0.036_155_614_891_185_926, 17 + 256 * 236, -0.023_974),
+            (-0.709_652_722_449_505, 0.709_472_422_290_589_8, 26 + 256 * 2, -1.009_734),
+        ];
+        for (min, max, code, expected) in axes {
+            let got = LogAxis { min, max }.decode(code);
+            assert!((got - expected).abs() < 1e-6, "{got} is not {expected}");
+        }
+        let quat = decode_quat([119, 180, 123, 252]);
+        for (got, expected) in quat.iter().zip([0.955_186f32, -0.04714, 0.291_162, -0.024_957]) {
+            assert!((got - expected).abs() < 1e-5, "{quat:?}");
+        }
+    }
+
+    #[test]
+    fn bounds_come_back_exactly_and_codes_stay() {
+        for (min, max) in
+            [(-1.0f32, 2.0f32), (-3e38, f32::MAX), (1000.0, 1000.01), (-1e-30, 1e-30), (7.0, 7.0)]
+        {
+            let axis = LogAxis::around([min, max].into_iter());
+            assert_eq!(axis.decode(0), min);
+            if min < max {
+                assert_eq!(axis.decode(u16::MAX), max);
+            }
+            let settled = axis.settled();
+            for code in 0..=u16::MAX {
+                let written = axis.code(axis.decode(code), &settled);
+                assert_eq!(axis.code(axis.decode(written), &settled), written, "{min} {max}");
+            }
+        }
+    }
+
+    #[test]
+    fn every_byte_of_a_rotation_settles() {
+        for a in 0..=255u8 {
+            for b in (0..=255).step_by(5) {
+                for c in [0, 1, 127, 128, 200, 255] {
+                    for largest in 252..=255 {
+                        let quat = decode_quat([a, b, c, largest]);
+                        let norm: f64 = quat.iter().map(|&v| f64::from(v).powi(2)).sum();
+                        assert!((norm - 1.0).abs() < 4e-7 && quat[0] >= 0.0, "{quat:?}");
+                        let code = encode_quat(quat);
+                        assert_eq!(encode_quat(decode_quat(code)), code, "{quat:?}");
+                    }
+                }
+            }
+        }
+        assert_eq!(decode_quat([9, 9, 9, 251]), [1.0, 0.0, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn opacity_bytes_stay() {
+        let table = alpha_table();
+        for byte in 0..=255 {
+            assert_eq!(alpha_byte(table[usize::from(byte)]), byte);
+        }
+        assert_eq!((table[0], table[255]), (f32::NEG_INFINITY, f32::INFINITY));
+    }
+}
