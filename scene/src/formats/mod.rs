@@ -5,13 +5,17 @@
 pub mod compressed_ply;
 mod files;
 pub mod inria_ply;
+pub mod ksplat;
 mod label_column;
 pub mod labelled_ply;
 pub mod npy;
 pub mod npy_folder;
 pub mod npy_writer;
+mod packed_values;
 pub mod ply;
+mod scene_blocks;
 pub(crate) mod semantics;
+pub mod splat;
 pub mod write;
 
 pub use write::{

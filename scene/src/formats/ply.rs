@@ -8,9 +8,11 @@
 mod ascii;
 mod header;
 mod layout;
+mod raw_rows;
 mod writer;
 
 pub use header::{PlyElement, PlyEncoding, PlyProperty, PlyPropertyKind, PlyType};
+pub(crate) use raw_rows::ByteRows;
 pub(crate) use writer::{ColumnSource, write_new_ply};
 pub use writer::{ColumnValues, PlyColumn, free_column_name, write_ply_with_columns};
 
