@@ -5,6 +5,7 @@
 pub mod compressed_ply;
 mod files;
 pub mod inria_ply;
+pub mod ksplat;
 mod label_column;
 pub mod labelled_ply;
 mod language_columns;
@@ -12,10 +13,16 @@ pub(crate) mod memory;
 pub mod npy;
 pub mod npy_folder;
 pub mod npy_writer;
+mod packed_values;
 pub mod ply;
+mod scene_blocks;
 pub(crate) mod semantics;
+<<<<<<< HEAD
 pub mod spz;
 pub mod sog;
+=======
+pub mod splat;
+>>>>>>> packed
 pub mod write;
 
 pub use write::{

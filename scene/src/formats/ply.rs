@@ -9,10 +9,12 @@ mod ascii;
 mod gather;
 mod header;
 mod layout;
+mod raw_rows;
 mod writer;
 
 pub(crate) use gather::Gather;
 pub use header::{PlyElement, PlyEncoding, PlyProperty, PlyPropertyKind, PlyType};
+pub(crate) use raw_rows::ByteRows;
 pub(crate) use writer::{ColumnSource, NewElement, write_new_ply};
 pub use writer::{ColumnValues, PlyColumn, free_column_name, write_ply_with_columns};
 

@@ -54,6 +54,12 @@ impl Cell {
         }
     }
 
+    /// The value of a cell of 32 bits.
+    #[inline]
+    pub(super) fn read_u32(self, row: &[u8], big_endian: bool) -> u32 {
+        u32::from_le_bytes(take(row, self.offset, big_endian))
+    }
+
     /// The value of an integer cell; a float is cut to its whole part.
     pub(super) fn read_i64(self, row: &[u8], big_endian: bool) -> i64 {
         let (at, big) = (self.offset, big_endian);

@@ -1,0 +1,197 @@
+//! Codes of a few bits that survive being read and written again, shared by the packed formats.
+
+use crate::gaussian_scene::{SH_C0, probability_to_logit, u8_to_dc};
+use crate::{GaussianScene, SceneError};
+use rayon::prelude::*;
+use std::path::Path;
+
+/// Follows `code → step(code)` until it comes round, and gives the smallest code of that cycle.
+///
+/// With `step` = read the code, then write what was read, the result does not change when a file
+/// is read and written again: another start on the same cycle leads to the same code.
+pub(crate) fn settle<C: Copy + Ord>(code: C, step: impl Fn(C) -> C) -> C {
+    let mut slow = step(code);
+    if slow == code {
+        return code;
+    }
+    let mut fast = step(slow);
+    while slow != fast {
+        slow = step(slow);
+        fast = step(step(fast));
+    }
+    let (mut smallest, mut at) = (slow, step(slow));
+    while at != slow {
+        smallest = smallest.min(at);
+        at = step(at);
+    }
+    smallest
+}
+
+/// The quaternion that the value policy makes of one as read: unit norm, `w ≥ 0`.
+///
+/// Bit for bit what cleaning does (a test compares them), so that writers can foresee it. Without
+/// a direction it is no rotation.
+pub(crate) fn canonical_quat(raw: [f32; 4]) -> [f32; 4] {
+    /// As close to 1 as cleaning leaves a squared norm alone.
+    const UNIT_TOLERANCE: f64 = 4e-7;
+    let squared: f64 = raw.iter().map(|&v| f64::from(v) * f64::from(v)).sum();
+    let unit = if !squared.is_finite() || squared == 0.0 {
+        [1.0, 0.0, 0.0, 0.0]
+    } else if (squared - 1.0).abs() <= UNIT_TOLERANCE {
+        raw
+    } else {
+        let norm = squared.sqrt();
+        raw.map(|v| (f64::from(v) / norm) as f32)
+    };
+    if unit[0] < 0.0 { unit.map(|v| -v) } else { unit }
+}
+
+/// The quaternion divided by its norm, in f64.
+pub(crate) fn unit_f64(quat: [f32; 4]) -> [f64; 4] {
+    let quat = quat.map(f64::from);
+    let norm = quat.iter().map(|v| v * v).sum::<f64>().sqrt();
+    quat.map(|v| v / norm)
+}
+
+/// The logit of every alpha byte; ±inf at the ends.
+pub(crate) fn alpha_logits() -> [f32; 256] {
+    std::array::from_fn(|byte| probability_to_logit(byte as f32 / 255.0))
+}
+
+/// The DC term of every colour byte.
+pub(crate) fn color_terms() -> [f32; 256] {
+    std::array::from_fn(|byte| u8_to_dc(byte as u8))
+}
+
+/// Alpha of a logit, in f64.
+pub(crate) fn alpha(logit: f32) -> f64 {
+    1.0 / (1.0 + (-f64::from(logit)).exp())
+}
+
+/// The nearest byte of a fraction; beyond 0 to 1 the byte of the nearer end.
+pub(crate) fn nearest_byte(fraction: f64) -> u8 {
+    // The cast saturates.
+    (fraction * 255.0).round() as u8
+}
+
+/// The colour of a DC term, 0 to 1 where it can be shown.
+pub(crate) fn color_of(dc: f32) -> f64 {
+    f64::from(dc) * f64::from(SH_C0) + 0.5
+}
+
+/// The DC term of a colour.
+pub(crate) fn dc_of(color: f64) -> f32 {
+    ((color - 0.5) / f64::from(SH_C0)) as f32
+}
+
+/// The natural logarithm of a standard deviation: −inf for 0, NaN for a negative one.
+pub(crate) fn log_of_scale(scale: f32) -> f32 {
+    f64::from(scale).ln() as f32
+}
+
+/// Refuses a scene with values that reading would drop or repair, which no packed format can hold.
+pub(crate) fn check_storable(scene: &GaussianScene, path: &Path) -> Result<(), SceneError> {
+    fn find<T: Sync + std::fmt::Debug>(
+        field: &str,
+        rows: &[T],
+        path: &Path,
+        bad: impl Fn(&T) -> bool + Send + Sync,
+    ) -> Result<(), SceneError> {
+        let Some(row) = rows.par_iter().position_first(bad) else { return Ok(()) };
+        Err(SceneError::Value {
+            path: path.to_owned(),
+            element: row,
+            field: field.to_owned(),
+            value: format!("{:?}", rows[row]),
+            mend: "leave the Gaussian out, or give it a number".to_owned(),
+        })
+    }
+    let finite = |values: &[f32]| values.iter().all(|v| v.is_finite());
+    find("coord", &scene.coord, path, |v| !finite(v))?;
+    find("log_scale", &scene.log_scale, path, |v| {
+        v.iter().any(|&v| v.is_nan() || v == f32::INFINITY)
+    })?;
+    find("quat", &scene.quat, path, |v| !finite(v) || *v == [0.0; 4])?;
+    find("opacity_logit", &scene.opacity_logit, path, |v| v.is_nan())?;
+    find("sh_dc", &scene.sh_dc, path, |v| !finite(v))?;
+    find("sh_rest", &scene.sh_rest, path, |v| !v.is_finite())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::value_policy::clean_scene;
+    use crate::{Policy, RepairReport};
+
+    #[test]
+    fn settling_finds_the_smallest_of_the_cycle_from_anywhere() {
+        // 9 → 8 → 5 → 7 → 3 → 5, and 1 alone.
+        let step = |code: u8| match code {
+            9 => 8,
+            8 | 3 => 5,
+            5 => 7,
+            7 => 3,
+            other => other,
+        };
+        for start in [9, 8, 5, 7, 3] {
+            assert_eq!(settle(start, step), 3);
+        }
+        assert_eq!(settle(1, step), 1);
+    }
+
+    #[test]
+    fn quaternions_come_out_as_from_cleaning() {
+        let mut quat = vec![[0.0; 4], [f32::NAN, 0.0, 0.0, 1.0], [0.0, -1.0, 0.0, 0.0]];
+        let mut bits = 7u32;
+        for row in 0..4000 {
+            let mut q = [0.0f32; 4];
+            for v in &mut q {
+                bits = bits.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                *v = (bits >> 8) as f32 / 8_388_608.0 - 1.0;
+            }
+            // Some are unit but for rounding, where the tolerance decides.
+            quat.push(if row % 2 == 0 { unit_f64(q).map(|v| v as f32) } else { q });
+        }
+        let rows = quat.len();
+        let scene = GaussianScene {
+            coord: vec![[0.0; 3]; rows],
+            log_scale: vec![[0.0; 3]; rows],
+            quat: quat.clone(),
+            opacity_logit: vec![0.0; rows],
+            sh_dc: vec![[0.0; 3]; rows],
+            ..GaussianScene::default()
+        };
+        let mut report = RepairReport::default();
+        let (clean, _) = clean_scene(scene, &mut report, Policy::Repair, Path::new("a")).unwrap();
+        let bits = |q: [f32; 4]| q.map(f32::to_bits);
+        for (raw, clean) in quat.into_iter().zip(clean.quat) {
+            assert_eq!(bits(canonical_quat(raw)), bits(clean), "{raw:?}");
+        }
+    }
+
+    #[test]
+    fn every_byte_survives() {
+        let (logits, terms) = (alpha_logits(), color_terms());
+        for byte in 0..=255u8 {
+            assert_eq!(nearest_byte(alpha(logits[usize::from(byte)])), byte);
+            assert_eq!(nearest_byte(color_of(terms[usize::from(byte)])), byte);
+        }
+        assert_eq!((nearest_byte(-3.0), nearest_byte(7.0)), (0, 255));
+    }
+
+    #[test]
+    fn the_first_value_without_a_code_is_named() {
+        let scene = GaussianScene {
+            coord: vec![[0.0; 3]; 3],
+            log_scale: vec![[0.0; 3], [0.0, f32::NEG_INFINITY, 0.0], [f32::INFINITY; 3]],
+            quat: vec![[1.0, 0.0, 0.0, 0.0]; 3],
+            opacity_logit: vec![f32::INFINITY; 3],
+            sh_dc: vec![[0.0; 3]; 3],
+            ..GaussianScene::default()
+        };
+        let error = check_storable(&scene, Path::new("a")).unwrap_err().to_string();
+        assert!(error.contains("element 2") && error.contains("log_scale"), "{error}");
+        let scene = scene.select_rows(&[0, 1]).unwrap();
+        check_storable(&scene, Path::new("a")).unwrap();
+    }
+}

@@ -1,0 +1,191 @@
+//! Writing `.splat` files.
+
+use super::{RECORD_BYTES, rotation_part};
+use crate::formats::files::AtomicFile;
+use crate::formats::packed_values::{
+    alpha, canonical_quat, check_storable, color_of, dc_of, log_of_scale, nearest_byte, settle,
+    unit_f64,
+};
+use crate::formats::write::{LimitTally, write_sidecar};
+use crate::formats::{SceneFormat, WriteOptions, WriteProgress, WriteReport};
+use crate::{GaussianScene, SceneError};
+use rayon::prelude::*;
+use std::io::Write;
+use std::path::Path;
+
+/// Rows that one task encodes.
+const ROWS_PER_TASK: usize = 4096;
+/// Rows encoded before they are handed to the file: a few ms of work, 1 MiB.
+const ROWS_PER_WRITE: usize = 8 * ROWS_PER_TASK;
+
+/// Half a step of a byte: as far as rounding may move a colour.
+const HALF_STEP: f64 = 0.5 / 255.0;
+
+/// What the format could not hold.
+#[derive(Default, Clone, Copy)]
+struct Limits {
+    too_large: LimitTally,
+    too_small: LimitTally,
+    color: LimitTally,
+    opacity: LimitTally,
+}
+
+impl Limits {
+    fn merge(self, other: Self) -> Self {
+        Self {
+            too_large: self.too_large.merge(other.too_large),
+            too_small: self.too_small.merge(other.too_small),
+            color: self.color.merge(other.color),
+            opacity: self.opacity.merge(other.opacity),
+        }
+    }
+}
+
+/// Writes a scene as a `.splat` file, and its labels beside it.
+///
+/// Rows keep their order: programs that write this format commonly sort by size times alpha, for
+/// viewers that show a file while it loads, but the order is not part of the format. Bytes are the
+/// nearest ones, where the original converter cuts off. A file that was written here comes back
+/// byte for byte when it is read and written again.
+///
+/// Reported are colours beyond 0 to 1 (clipped), harmonics (left out), alphas that become 0 or 1,
+/// and sizes that f32 cannot hold.
+///
+/// # Errors
+/// As [`write_scene`](super::super::write_scene), which also looks for an old file; if a position,
+/// size, rotation, opacity or colour is not a number.
+pub fn write_splat(
+    scene: &GaussianScene,
+    path: &Path,
+    _options: &WriteOptions,
+    progress: WriteProgress<'_>,
+) -> Result<WriteReport, SceneError> {
+    scene.check_rows()?;
+    check_storable(scene, path)?;
+    let rows = scene.len();
+    let file = AtomicFile::create(path)?;
+    let mut limits = Limits::default();
+    let mut buffer = vec![0u8; rows.min(ROWS_PER_WRITE) * RECORD_BYTES];
+    for first in (0..rows).step_by(ROWS_PER_WRITE) {
+        let count = ROWS_PER_WRITE.min(rows - first);
+        let bytes = &mut buffer[..count * RECORD_BYTES];
+        let found = bytes
+            .par_chunks_mut(ROWS_PER_TASK * RECORD_BYTES)
+            .enumerate()
+            .map(|(task, bytes)| {
+                let mut limits = Limits::default();
+                let records = bytes.as_chunks_mut::<RECORD_BYTES>().0;
+                for (i, record) in records.iter_mut().enumerate() {
+                    encode(scene, first + task * ROWS_PER_TASK + i, record, &mut limits);
+                }
+                limits
+            })
+            .reduce(Limits::default, Limits::merge);
+        limits = limits.merge(found);
+        file.file()?.write_all(bytes).map_err(SceneError::io(path, "cannot write the scene"))?;
+        if !progress((first + count) as f64 / rows as f64) {
+            return Err(SceneError::Stopped);
+        }
+    }
+    file.commit()?;
+    let mut report = WriteReport::new(SceneFormat::Splat, rows);
+    report.wrote(path)?;
+    report.limit("log_scale", "larger than an f32 can hold in metres; cut", limits.too_large);
+    report.limit("log_scale", "so small that the size in metres becomes 0", limits.too_small);
+    report.limit(
+        "opacity_logit",
+        "alpha becomes 0 or 1; the change is that of alpha",
+        limits.opacity,
+    );
+    report.limit("sh_dc", "colours beyond 0 to 1 are clipped", limits.color);
+    if scene.sh_degree > 0 {
+        report.left_out("sh_rest", "no place in this format");
+    }
+    write_sidecar(scene, None, path, &mut report)?;
+    Ok(report)
+}
+
+fn encode(scene: &GaussianScene, row: usize, record: &mut [u8; RECORD_BYTES], limits: &mut Limits) {
+    let mut put = |at: usize, value: f32| {
+        record[at..at + 4].copy_from_slice(&value.to_le_bytes());
+    };
+    for (i, &value) in scene.coord[row].iter().enumerate() {
+        put(4 * i, value);
+    }
+    let (mut cut, mut vanished) = (None, None);
+    for (i, &log) in scene.log_scale[row].iter().enumerate() {
+        let scale = scale_code(log);
+        put(12 + 4 * i, scale);
+        if scale == 0.0 && log != f32::NEG_INFINITY {
+            vanished = Some(f64::INFINITY);
+        } else if log > log_of_scale(f32::MAX) {
+            let change = f64::from(log) - f64::from(log_of_scale(scale));
+            cut = Some(change.max(cut.unwrap_or(0.0)));
+        }
+    }
+    cut.into_iter().for_each(|change| limits.too_large.add(row, change));
+    vanished.into_iter().for_each(|change| limits.too_small.add(row, change));
+
+    let mut clipped: Option<f64> = None;
+    for (i, &dc) in scene.sh_dc[row].iter().enumerate() {
+        let color = color_of(dc);
+        record[24 + i] = nearest_byte(color);
+        if !(-HALF_STEP..=1.0 + HALF_STEP).contains(&color) {
+            let beyond = f64::from(dc) - f64::from(dc_of(color.clamp(0.0, 1.0)));
+            clipped = Some(beyond.abs().max(clipped.unwrap_or(0.0)));
+        }
+    }
+    clipped.into_iter().for_each(|change| limits.color.add(row, change));
+
+    let (logit, alpha) = (scene.opacity_logit[row], alpha(scene.opacity_logit[row]));
+    record[27] = nearest_byte(alpha);
+    if logit.is_finite() && matches!(record[27], 0 | 255) {
+        limits.opacity.add(row, alpha.min(1.0 - alpha));
+    }
+    record[28..].copy_from_slice(&rotation_code(scene.quat[row]));
+}
+
+/// The standard deviation in metres that comes back as itself.
+fn scale_code(log: f32) -> f32 {
+    let nearest = |log: f32| (f64::from(log).exp() as f32).min(f32::MAX);
+    // The bits of positive floats are in the order of their values.
+    let step = |bits: u32| nearest(log_of_scale(f32::from_bits(bits))).to_bits();
+    f32::from_bits(settle(nearest(log).to_bits(), step))
+}
+
+/// The bytes of a rotation that come back as themselves.
+fn rotation_code(quat: [f32; 4]) -> [u8; 4] {
+    // The cast saturates: 1 becomes 255.
+    let nearest = |quat: [f32; 4]| unit_f64(quat).map(|v| (v * 128.0 + 128.0).round() as u8);
+    settle(nearest(canonical_quat(quat)), |code| nearest(canonical_quat(code.map(rotation_part))))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn codes_come_back_as_themselves() {
+        let mut bits = 1u32;
+        let mut next = || {
+            bits = bits.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (bits >> 8) as f32 / 8_388_608.0 - 1.0
+        };
+        for _ in 0..20_000 {
+            let code = rotation_code([next(), next(), next(), next()]);
+            assert_eq!(rotation_code(canonical_quat(code.map(rotation_part))), code);
+            // All sizes of the exponent, and those near 1 where the logarithm is the finer one.
+            for log in [next() * 110.0, next(), next() * 1e-3, next() * 1e-7] {
+                let scale = scale_code(log);
+                assert_eq!(scale_code(log_of_scale(scale)), scale, "{log}");
+                let error = f64::from(log_of_scale(scale)) - f64::from(log);
+                let fine = log.abs() < 85.0 && error.abs() < 2e-7 + f64::from(log.abs()) * 2e-7;
+                assert!(fine || log.abs() >= 85.0, "{log} came back off by {error}");
+            }
+        }
+        assert_eq!(scale_code(f32::NEG_INFINITY), 0.0);
+        assert!(scale_code(1000.0) <= f32::MAX);
+        assert_eq!(rotation_code([1.0, 0.0, 0.0, 0.0]), [255, 128, 128, 128]);
+        assert_eq!(rotation_code([-0.5, 0.5, -0.5, 0.5]), [192, 64, 192, 64]);
+    }
+}
