@@ -6,6 +6,7 @@
 //!
 //! Not for: rendering, training, searching for neighbours.
 
+pub mod camera;
 pub mod class_map;
 pub mod error;
 pub mod formats;
@@ -18,8 +19,10 @@ pub mod spherical_harmonics;
 pub mod text_table;
 pub mod value_policy;
 
+pub use camera::{Camera, Distortion};
 pub use class_map::ClassMap;
 pub use error::SceneError;
+pub use formats::cameras::{CameraKind, CameraSet, SparsePoints, open_cameras};
 pub use formats::{
     LoadedScene, ReadOptions, SceneFormat, SceneKind, SpzFrame, WriteOptions, WriteReport,
     open_scene, write_scene,

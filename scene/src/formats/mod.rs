@@ -2,8 +2,10 @@
 //!
 //! [`open_scene`] finds out what a path holds by looking into it, never by its name.
 
+pub mod cameras;
 pub mod compressed_ply;
 mod files;
+pub mod gltf;
 pub mod inria_ply;
 pub mod ksplat;
 mod label_column;

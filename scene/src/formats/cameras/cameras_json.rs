@@ -1,0 +1,143 @@
+//! `cameras.json` of the original trainer of Gaussian splats.
+//!
+//! A list with one object for each picture: `position` is the camera's centre, the rows of
+//! `rotation` are those of the camera-to-world matrix (axes right, down, forward), focal lengths are
+//! in pixels. There is no lens and no principal point: it is the middle of the picture. `cx` and
+//! `cy` are read if they are there.
+
+use super::{CameraKind, CameraSet, pixels, without_mark};
+use crate::formats::files::AtomicFile;
+use crate::frame::Matrix3;
+use crate::{Camera, Distortion, SceneError};
+use serde::de::IgnoredAny;
+use serde::{Deserialize, Serialize};
+use std::io::Write;
+use std::path::Path;
+
+/// One camera. Unknown properties are ignored.
+#[derive(Serialize, Deserialize)]
+struct Entry {
+    #[serde(default, skip_deserializing)]
+    id: usize,
+    #[serde(default)]
+    img_name: String,
+    width: f64,
+    height: f64,
+    position: [f64; 3],
+    rotation: Matrix3,
+    #[serde(default)]
+    fx: Option<f64>,
+    #[serde(default)]
+    fy: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    cx: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    cy: Option<f64>,
+}
+
+/// Whether the bytes are a list of objects with `position` and `rotation`.
+pub fn is_cameras_json(bytes: &[u8]) -> bool {
+    #[derive(Deserialize)]
+    struct Probe {
+        #[serde(rename = "position")]
+        _position: IgnoredAny,
+        #[serde(rename = "rotation")]
+        _rotation: IgnoredAny,
+    }
+    serde_json::from_slice::<Vec<Probe>>(without_mark(bytes)).is_ok_and(|list| !list.is_empty())
+}
+
+/// Reads a `cameras.json`.
+///
+/// # Errors
+/// If it is no such file, or if a camera is not usable.
+pub fn read_cameras_json(bytes: &[u8], path: &Path) -> Result<CameraSet, SceneError> {
+    let mend = "export the cameras again";
+    let entries: Vec<Entry> = serde_json::from_slice(without_mark(bytes))
+        .map_err(|e| SceneError::format(path, format!("is no list of cameras: {e}"), mend))?;
+    let camera = |(i, entry): (usize, Entry)| {
+        let bad = |problem: String| {
+            SceneError::format(path, format!("camera {i} {:?} {problem}", entry.img_name), mend)
+        };
+        let size = |v: f64| pixels(v).ok_or_else(|| bad(format!("is {v} pixels wide or high")));
+        let (width, height) = (size(entry.width)?, size(entry.height)?);
+        let fx = entry.fx.or(entry.fy).ok_or_else(|| bad("has no fx".to_owned()))?;
+        let (rotation, translation) = Camera::pose_from_world(&entry.rotation, entry.position);
+        Ok(Camera {
+            fx,
+            fy: entry.fy.unwrap_or(fx),
+            cx: entry.cx.unwrap_or(f64::from(width) / 2.0),
+            cy: entry.cy.unwrap_or(f64::from(height) / 2.0),
+            name: entry.img_name,
+            width,
+            height,
+            distortion: Distortion::None,
+            rotation,
+            translation,
+        })
+    };
+    let cameras = entries.into_iter().enumerate().map(camera).collect::<Result<_, _>>()?;
+    let kind = CameraKind::CamerasJson;
+    CameraSet { cameras, points: None, kind, notes: Vec::new() }.finish(path)
+}
+
+/// Writes a `cameras.json`. A principal point off the middle is written as `cx` and `cy`, which
+/// this crate reads and most other programs ignore. Writing what was read gives the same bytes.
+///
+/// # Errors
+/// If a camera is not usable or has a lens that the file cannot hold, or if writing fails.
+pub fn write_cameras_json(cameras: &[Camera], path: &Path) -> Result<(), SceneError> {
+    let entry = |(id, camera): (usize, &Camera)| {
+        let mut camera = camera.clone();
+        camera.check(path)?;
+        if camera.distortion != Distortion::None {
+            let problem = format!("cannot hold the distortion of camera {:?}", camera.name);
+            return Err(SceneError::format(path, problem, "undistort the pictures first"));
+        }
+        let off = |c: f64, size: u32| (c != f64::from(size) / 2.0).then_some(c);
+        let to_world = camera.camera_to_world();
+        Ok(Entry {
+            id,
+            width: f64::from(camera.width),
+            height: f64::from(camera.height),
+            position: stable_centre(&camera),
+            rotation: [0, 1, 2].map(|i| [to_world[i][0], to_world[i][1], to_world[i][2]]),
+            fx: Some(camera.fx),
+            fy: Some(camera.fy),
+            cx: off(camera.cx, camera.width),
+            cy: off(camera.cy, camera.height),
+            img_name: camera.name,
+        })
+    };
+    let entries = cameras.iter().enumerate().map(entry).collect::<Result<Vec<_>, _>>()?;
+    let bytes = serde_json::to_vec(&entries)
+        .map_err(|e| SceneError::format(path, format!("cannot be written as JSON: {e}"), ""))?;
+    let file = AtomicFile::create(path)?;
+    let mut to = file.file()?;
+    to.write_all(&bytes).map_err(SceneError::io(path, "cannot write the cameras"))?;
+    file.commit()
+}
+
+/// The centre that a reader turns into a translation with, again, this centre.
+///
+/// Rounding can make the two wander; they end in a cycle, of which the least is taken.
+fn stable_centre(camera: &Camera) -> [f64; 3] {
+    let mut camera = camera.clone();
+    let mut met = vec![camera.centre()];
+    let order = |a: &[f64; 3], b: &[f64; 3]| {
+        let cells = a.iter().zip(b).map(|(a, b)| a.total_cmp(b));
+        cells.fold(std::cmp::Ordering::Equal, std::cmp::Ordering::then)
+    };
+    // Steps are of the last digit, so cycles are short.
+    for _ in 0..64 {
+        let last = met[met.len() - 1];
+        camera.translation =
+            camera.rotation.map(|r| -(r[0] * last[0] + r[1] * last[1] + r[2] * last[2]));
+        let next = camera.centre();
+        if let Some(start) = met.iter().position(|old| old == &next) {
+            return met[start..].iter().copied().min_by(order).unwrap_or(next);
+        }
+        met.push(next);
+    }
+    met[met.len() - 1]
+}

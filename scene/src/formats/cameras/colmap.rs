@@ -1,0 +1,147 @@
+//! Models of COLMAP: lenses, pictures with poses, and points, each in a file of its own.
+
+mod binary;
+mod models;
+mod text;
+
+pub use binary::read_colmap_binary;
+pub use text::read_colmap_text;
+
+use super::{CameraKind, CameraSet, SparsePoints};
+use crate::formats::files::MappedFile;
+use crate::{Camera, SceneError};
+use models::{Lens, intrinsics};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+const MEND: &str = "export the model from COLMAP again";
+
+/// Where a model may be below the folder of a dataset.
+const PLACES: [&str; 4] = ["", "sparse/0", "sparse", "colmap/sparse/0"];
+
+/// A picture with its pose, as the files say it.
+struct Picture {
+    name: String,
+    lens: u32,
+    /// World to camera, `w, x, y, z`.
+    quat: [f64; 4],
+    translation: [f64; 3],
+}
+
+/// Whether the folder, or `sparse/0` in it, holds a COLMAP model, binary or text.
+pub fn is_colmap_folder(path: &Path) -> bool {
+    model_folder(path).is_some()
+}
+
+/// The folder with the files of the model.
+pub(super) fn model_folder(path: &Path) -> Option<PathBuf> {
+    let folders = PLACES.iter().map(|place| path.join(place));
+    folders.into_iter().find(|folder| ["bin", "txt"].iter().any(|ending| has(folder, ending)))
+}
+
+/// Whether a file has the name of one of the model's.
+pub(super) fn is_model_file(path: &Path) -> bool {
+    let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+    let stem = name.strip_suffix(".bin").or_else(|| name.strip_suffix(".txt"));
+    matches!(stem, Some("cameras" | "images" | "points3D"))
+}
+
+fn has(folder: &Path, ending: &str) -> bool {
+    ["cameras", "images"].iter().all(|stem| folder.join(format!("{stem}.{ending}")).is_file())
+}
+
+/// Reads the model in a folder, the binary files if there are both.
+pub(super) fn open_colmap(folder: &Path) -> Result<CameraSet, SceneError> {
+    let Some(ending) = ["bin", "txt"].into_iter().find(|ending| has(folder, ending)) else {
+        let problem = "has not both cameras and images of a COLMAP model";
+        return Err(SceneError::format(folder, problem, MEND));
+    };
+    let open = |stem: &str| MappedFile::open(&folder.join(format!("{stem}.{ending}")));
+    let (cameras, images) = (open("cameras")?, open("images")?);
+    let points = folder.join(format!("points3D.{ending}"));
+    let points = if points.is_file() { Some(MappedFile::open(&points)?) } else { None };
+    let points = points.as_ref().map(MappedFile::bytes);
+    let read = if ending == "bin" { read_colmap_binary } else { read_colmap_text };
+    read(cameras.bytes(), images.bytes(), points, folder)
+}
+
+/// Gives each picture its lens.
+fn join(
+    lenses: Vec<Lens>,
+    pictures: Vec<Picture>,
+    points: Option<SparsePoints>,
+    kind: CameraKind,
+    folder: &Path,
+) -> Result<CameraSet, SceneError> {
+    let bad = |problem: String| SceneError::format(folder, problem, MEND);
+    let mut by_id = BTreeMap::new();
+    for lens in lenses {
+        let id = lens.id;
+        if by_id.insert(id, lens).is_some() {
+            return Err(bad(format!("has two cameras of id {id}")));
+        }
+    }
+    let mut cameras = Vec::with_capacity(pictures.len());
+    for picture in pictures {
+        let name = picture.name;
+        let Some(lens) = by_id.get(&picture.lens) else {
+            return Err(bad(format!(
+                "image {name:?} is of camera {}, which is missing",
+                picture.lens
+            )));
+        };
+        let size = |v: u64| {
+            let problem = || bad(format!("camera {} is {v} pixels wide or high", lens.id));
+            u32::try_from(v).map_err(|_| problem())
+        };
+        let (width, height) = (size(lens.width)?, size(lens.height)?);
+        // Only lenses that a picture was taken with must be understood.
+        let (fx, fy, cx, cy, distortion) = intrinsics(lens).map_err(|problem| {
+            SceneError::format(folder, problem, "undistort the pictures with COLMAP first")
+        })?;
+        let norm = picture.quat.iter().map(|v| v * v).sum::<f64>().sqrt();
+        if !(norm > 0.0 && norm.is_finite()) {
+            return Err(bad(format!("image {name:?} has the rotation {:?}", picture.quat)));
+        }
+        let rotation = rotation(picture.quat.map(|v| v / norm));
+        let translation = picture.translation;
+        cameras.push(Camera {
+            name,
+            width,
+            height,
+            fx,
+            fy,
+            cx,
+            cy,
+            distortion,
+            rotation,
+            translation,
+        });
+    }
+    let mut notes = Vec::new();
+    let points = points.map(|points| finite_points(points, &mut notes));
+    CameraSet { cameras, points, kind, notes }.finish(folder)
+}
+
+/// The matrix of a unit quaternion `w, x, y, z`.
+fn rotation([w, x, y, z]: [f64; 4]) -> [[f64; 3]; 3] {
+    [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+    ]
+}
+
+/// Leaves out points without a position, and says so.
+fn finite_points(mut points: SparsePoints, notes: &mut Vec<String>) -> SparsePoints {
+    let finite = |p: &[f64; 3]| p.iter().all(|v| v.is_finite());
+    let keep: Vec<bool> = points.coord.iter().map(finite).collect();
+    let dropped = keep.iter().filter(|&&keep| !keep).count();
+    if dropped > 0 {
+        notes.push(format!("{dropped} points without a finite position were left out"));
+        let mut flags = keep.iter();
+        points.color.retain(|_| flags.next().copied().unwrap_or(false));
+        points.coord.retain(finite);
+    }
+    points
+}
