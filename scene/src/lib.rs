@@ -25,7 +25,7 @@ pub use error::SceneError;
 pub use formats::cameras::{CameraKind, CameraSet, SparsePoints, open_cameras};
 pub use formats::{
     LoadedScene, ReadOptions, SceneFormat, SceneKind, SpzFrame, WriteOptions, WriteReport,
-    open_scene, write_scene,
+    open_scene, open_scene_bytes, write_scene,
 };
 pub use frame::Frame;
 pub use gaussian_scene::{FeatureRows, GaussianScene, LabelledPoints};

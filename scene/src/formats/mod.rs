@@ -15,27 +15,24 @@ pub(crate) mod memory;
 pub mod npy;
 pub mod npy_folder;
 pub mod npy_writer;
+mod open;
 mod packed_values;
 pub mod ply;
 mod scene_blocks;
 pub(crate) mod semantics;
-<<<<<<< HEAD
-pub mod spz;
 pub mod sog;
-=======
 pub mod splat;
->>>>>>> packed
+pub mod spz;
 pub mod write;
 
+pub use open::{open_scene, open_scene_bytes};
 pub use write::{
     PrecisionLimit, SceneFormat, WriteOptions, WriteProgress, WriteReport, write_scene,
 };
 
 use crate::value_policy::clean_scene;
 use crate::{GaussianScene, Policy, RepairReport, SceneError};
-use ply::PlyFile;
 use serde::{Deserialize, Serialize};
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// What to read, and what to do about bad values.
@@ -167,73 +164,5 @@ impl LoadedScene {
             out[row as usize] = value.clone();
         }
         Ok(out)
-    }
-}
-
-/// What can be read, for error messages.
-const SUPPORTED: &str = "supported are PLY scenes (plain or compressed) and folders of .npy files \
-                         with coord.npy; .splat, .ksplat, .spz and .sog are not supported yet, \
-                         convert them to PLY";
-
-/// Reads a scene from a PLY file, a compressed PLY file or a preprocessed folder.
-///
-/// ```no_run
-/// use scenesplat_scene::{ReadOptions, open_scene};
-/// let loaded = open_scene("room.ply".as_ref(), &ReadOptions::default())?;
-/// println!("{} Gaussians\n{}", loaded.scene.len(), loaded.report);
-/// # Ok::<(), scenesplat_scene::SceneError>(())
-/// ```
-///
-/// # Errors
-/// If the path cannot be read or holds no scene, if the file is malformed, if no usable Gaussian is
-/// left, or, under the strict policy, if anything had to be repaired.
-pub fn open_scene(path: &Path, options: &ReadOptions) -> Result<LoadedScene, SceneError> {
-    if path.is_dir() {
-        if path.join("coord.npy").is_file() {
-            return npy_folder::read_npy_folder(path, options);
-        }
-        return Err(SceneError::format(path, "is a folder without coord.npy", SUPPORTED));
-    }
-    // Asked before opening: to open a pipe would wait for someone to write into it.
-    let about = std::fs::metadata(path).map_err(SceneError::io(path, "cannot open the scene"))?;
-    if !about.is_file() {
-        return Err(SceneError::format(path, "is neither a file nor a folder", SUPPORTED));
-    }
-    let mut head = Vec::new();
-    std::fs::File::open(path)
-        .and_then(|file| file.take(64).read_to_end(&mut head))
-        .map_err(SceneError::io(path, "cannot open the scene"))?;
-    if !ply::is_ply(&head) {
-        return Err(SceneError::format(path, describe(path, &head), SUPPORTED));
-    }
-    let file = PlyFile::open(path)?;
-    if compressed_ply::is_compressed(&file) {
-        return compressed_ply::read_compressed_ply(&file, options);
-    }
-    inria_ply::read_inria_ply(&file, options)
-}
-
-/// What an unsupported file seems to be.
-fn describe(path: &Path, head: &[u8]) -> String {
-    let by_content = match head {
-        [] => Some("is empty"),
-        [b'p', b'l', b'y', ..] => Some("begins like a PLY file, but its first line is not `ply`"),
-        [0x1f, 0x8b, ..] => Some("is gzip-compressed, perhaps .spz"),
-        [b'N', b'G', b'S', b'P', ..] => Some("is an .spz file"),
-        [0x28, 0xb5, 0x2f, 0xfd, ..] => Some("is zstd-compressed, perhaps .spz"),
-        [b'P', b'K', 3 | 5, ..] => Some("is a zip archive, perhaps .sog or .npz"),
-        [0x93, b'N', b'U', b'M', b'P', b'Y', ..] => {
-            Some("is a single .npy array; give the folder that holds coord.npy")
-        }
-        _ => None,
-    };
-    if let Some(text) = by_content {
-        return text.to_owned();
-    }
-    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
-    match extension.to_ascii_lowercase().as_str() {
-        "splat" => "is a .splat file by its name".to_owned(),
-        "ksplat" => "is a .ksplat file by its name".to_owned(),
-        _ => "is no scene that can be recognised".to_owned(),
     }
 }

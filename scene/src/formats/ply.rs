@@ -79,7 +79,13 @@ impl PlyFile {
     /// # Errors
     /// If the file cannot be read, is not PLY, is malformed, or is shorter than its header says.
     pub fn open(path: &Path) -> Result<Self, SceneError> {
-        Self::new(Data::Mapped(MappedFile::open(path)?), path)
+        Self::open_mapped(MappedFile::open(path)?)
+    }
+
+    /// As [`open`](Self::open), from a file that is mapped already.
+    pub(crate) fn open_mapped(file: MappedFile) -> Result<Self, SceneError> {
+        let path = file.path().to_owned();
+        Self::new(Data::Mapped(file), &path)
     }
 
     /// As [`open`](Self::open), from the bytes of a file, of which a copy is kept; `path` is for

@@ -2,7 +2,7 @@
 
 use super::files::MappedFile;
 use super::npy_folder::write_npy_folder;
-use super::{inria_ply, semantics};
+use super::{compressed_ply, inria_ply, semantics, sog, splat, spz};
 use crate::formats::SpzFrame;
 use crate::{GaussianScene, SceneError};
 use serde::Serialize;
@@ -254,7 +254,13 @@ pub fn write_scene(
             report.files.push(path.to_owned());
             report
         }
-        _ => return Err(SceneError::format(path, "cannot be written yet", "")),
+        SceneFormat::CompressedPly => {
+            compressed_ply::write_compressed_ply(scene, path, options, progress)?
+        }
+        SceneFormat::Spz => spz::write_spz(scene, path, options, progress)?,
+        SceneFormat::Splat => splat::write_splat(scene, path, options, progress)?,
+        SceneFormat::Sog => sog::write_sog(scene, path, options, progress)?,
+        SceneFormat::SogFolder => sog::write_sog_folder(scene, path, options, progress)?,
     };
     note_left_out(scene, &mut report);
     progress(1.0);

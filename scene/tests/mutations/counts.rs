@@ -29,13 +29,11 @@ pub fn claimed(kind: &str, bytes: &[u8]) -> Option<usize> {
                 _ => Some(u32_at(bytes, 8)? as usize),
             }
         }
-        "ksplat" => {
-            let sections = u32_at(bytes, 8)? as usize;
-            (0..sections).map(|i| Some(u32_at(bytes, 4096 + 1024 * i)? as usize)).sum()
-        }
+        "ksplat" => Some(u32_at(bytes, 16)? as usize),
         "sog" => {
             let mut zip = zip::ZipArchive::new(std::io::Cursor::new(bytes)).ok()?;
-            let name = zip.file_names().find(|n| n.ends_with("meta.json"))?.to_owned();
+            let names = zip.file_names().filter_map(|n| n.ok().map(|n| n.into_owned()));
+            let name = names.collect::<Vec<_>>().into_iter().find(|n| n.ends_with("meta.json"))?;
             let mut text = String::new();
             zip.by_name(&name).ok()?.read_to_string(&mut text).ok()?;
             let meta: serde_json::Value = serde_json::from_str(&text).ok()?;
@@ -50,7 +48,9 @@ pub fn claimed(kind: &str, bytes: &[u8]) -> Option<usize> {
                 }
                 _ => bytes,
             };
-            let json: serde_json::Value = serde_json::from_slice(json).ok()?;
+            // Strings that no count is in may hold anything.
+            let json = String::from_utf8_lossy(json);
+            let json: serde_json::Value = serde_json::from_str(&json).ok()?;
             // The fixtures have one mesh, used once.
             let primitives = json["meshes"][0]["primitives"].as_array()?;
             primitives
