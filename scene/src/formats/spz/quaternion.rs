@@ -24,18 +24,18 @@ impl QuatCoding {
         if version < 3 { Self::FirstThree } else { Self::SmallestThree }
     }
 
-    /// Appends rows of quaternions `w, x, y, z`, unit, `w ≥ 0`.
-    pub(super) fn decode_rows(self, bytes: &[u8], signs: &Signs, out: &mut Vec<[f32; 4]>) {
+    /// Decodes rows of quaternions `w, x, y, z`, unit, `w ≥ 0`.
+    pub(super) fn decode_rows(self, bytes: &[u8], signs: &Signs, out: &mut [[f32; 4]]) {
         match self {
             Self::FirstThree => {
-                let rows = bytes.as_chunks::<3>().0.iter();
-                out.extend(
-                    rows.map(|&[x, y, z]| decode_first(u32::from_le_bytes([x, y, z, 0]), signs)),
-                );
+                for (quat, &[x, y, z]) in out.iter_mut().zip(bytes.as_chunks::<3>().0) {
+                    *quat = decode_first(u32::from_le_bytes([x, y, z, 0]), signs);
+                }
             }
             Self::SmallestThree => {
-                let rows = bytes.as_chunks::<4>().0.iter();
-                out.extend(rows.map(|&row| decode_smallest(u32::from_le_bytes(row), signs)));
+                for (quat, &bytes) in out.iter_mut().zip(bytes.as_chunks::<4>().0) {
+                    *quat = decode_smallest(u32::from_le_bytes(bytes), signs);
+                }
             }
         }
     }
