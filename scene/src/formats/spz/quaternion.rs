@@ -201,7 +201,7 @@ mod tests {
                     let quat = coding.decode(code & mask, &signs);
                     let norm: f64 = quat.iter().map(|&v| f64::from(v).powi(2)).sum();
                     // Within what cleaning leaves alone.
-                    assert!((norm - 1.0).abs() < 4e-7 && !(quat[0] < 0.0), "{code:#x}: {quat:?}");
+                    assert!((norm - 1.0).abs() < 4e-7 && quat[0] >= 0.0, "{code:#x}: {quat:?}");
                     let first = coding.encode(quat, &signs).unwrap();
                     let back = coding.decode(first, &signs);
                     assert_eq!(coding.encode(back, &signs), Some(first), "{coding:?} {code:#x}");

@@ -273,7 +273,7 @@ fn stream<T>(
     let stream = contents.streams.iter().find(|stream| stream.block == block);
     let stream = stream.ok_or_else(|| fail("are missing".to_owned()))?;
     let due = decoder.header.block_bytes(block);
-    let mut source = Source::zstd(stream.compressed, due).map_err(fail)?;
+    let mut source = Source::zstd_block(stream.compressed, due).map_err(fail)?;
     let values = decode(decoder, &mut source, &mut Buffers::default())?;
     match source.trailing().map_err(fail)? {
         Trailing::Nothing => Ok(values),
