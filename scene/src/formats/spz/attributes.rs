@@ -44,42 +44,40 @@ impl ByteTables {
     }
 }
 
-/// Appends the values of a byte each.
-pub(super) fn decode_bytes(bytes: &[u8], table: &[f32; 256], out: &mut Vec<f32>) {
-    out.extend(bytes.iter().map(|&b| table[usize::from(b)]));
+/// Decodes values of a byte each.
+pub(super) fn decode_bytes(bytes: &[u8], table: &[f32; 256], out: &mut [f32]) {
+    for (value, &byte) in out.iter_mut().zip(bytes) {
+        *value = table[usize::from(byte)];
+    }
 }
 
-/// Appends rows of three bytes each.
-pub(super) fn decode_triples(bytes: &[u8], table: &[f32; 256], out: &mut Vec<[f32; 3]>) {
-    let rows = bytes.as_chunks::<3>().0;
-    out.extend(rows.iter().map(|row| row.map(|b| table[usize::from(b)])));
+/// Decodes rows of three bytes each.
+pub(super) fn decode_triples(bytes: &[u8], table: &[f32; 256], out: &mut [[f32; 3]]) {
+    for (row, bytes) in out.iter_mut().zip(bytes.as_chunks::<3>().0) {
+        *row = bytes.map(|byte| table[usize::from(byte)]);
+    }
 }
 
-/// Appends rows of positions.
-pub(super) fn decode_positions(
-    bytes: &[u8],
-    header: &Header,
-    signs: &Signs,
-    out: &mut Vec<[f32; 3]>,
-) {
+/// Decodes rows of positions.
+pub(super) fn decode_positions(bytes: &[u8], header: &Header, signs: &Signs, out: &mut [[f32; 3]]) {
     // To add 0 turns -0 into 0.
     if header.version == 1 {
-        let value = |row: &[u8; 6], i: usize| f16::from_le_bytes([row[2 * i], row[2 * i + 1]]);
-        let rows = bytes.as_chunks::<6>().0.iter();
-        out.extend(
-            rows.map(|row| [0, 1, 2].map(|i| value(row, i).to_f32() * signs.coord[i] + 0.0)),
-        );
+        for (row, bytes) in out.iter_mut().zip(bytes.as_chunks::<6>().0) {
+            let value = |i: usize| f16::from_le_bytes([bytes[2 * i], bytes[2 * i + 1]]);
+            *row = [0, 1, 2].map(|i| value(i).to_f32() * signs.coord[i] + 0.0);
+        }
         return;
     }
     let step = 1.0 / (1u64 << header.fractional_bits) as f32;
     let steps = signs.coord.map(|sign| sign * step);
-    let fixed = |row: &[u8; 9], i: usize| {
-        let [low, middle, high] = [row[3 * i], row[3 * i + 1], row[3 * i + 2]];
-        // The byte shifted out at the right brings the sign of the 24 bits to the top.
-        (i32::from_le_bytes([0, low, middle, high]) >> 8) as f32 * steps[i] + 0.0
-    };
-    let rows = bytes.as_chunks::<9>().0.iter();
-    out.extend(rows.map(|row| [0, 1, 2].map(|i| fixed(row, i))));
+    for (row, bytes) in out.iter_mut().zip(bytes.as_chunks::<9>().0) {
+        let fixed = |i: usize| {
+            let [low, middle, high] = [bytes[3 * i], bytes[3 * i + 1], bytes[3 * i + 2]];
+            // The byte shifted out at the right brings the sign of the 24 bits to the top.
+            i32::from_le_bytes([0, low, middle, high]) >> 8
+        };
+        *row = [0, 1, 2].map(|i| fixed(i) as f32 * steps[i] + 0.0);
+    }
 }
 
 /// Factors of the harmonics of [`ROW_STEP`] rows, one after the other: with a pattern that long,
@@ -90,11 +88,12 @@ pub(super) fn rest_factors(header: &Header, signs: &Signs) -> Vec<f32> {
     row.repeat(ROW_STEP)
 }
 
-/// Appends harmonics; `bytes` begin where `factors` begin.
-pub(super) fn decode_rest(bytes: &[u8], factors: &[f32], out: &mut Vec<f32>) {
-    for bytes in bytes.chunks(factors.len()) {
-        let value = |(&b, &factor): (&u8, &f32)| (f32::from(b) - 128.0) * factor + 0.0;
-        out.extend(bytes.iter().zip(factors).map(value));
+/// Decodes harmonics; `bytes` begin where `factors` begin.
+pub(super) fn decode_rest(bytes: &[u8], factors: &[f32], out: &mut [f32]) {
+    for (values, bytes) in out.chunks_mut(factors.len()).zip(bytes.chunks(factors.len())) {
+        for ((value, &byte), &factor) in values.iter_mut().zip(bytes).zip(factors) {
+            *value = (f32::from(byte) - 128.0) * factor + 0.0;
+        }
     }
 }
 
@@ -181,7 +180,7 @@ mod tests {
             for code in [0, 1, -1, 77, -4_194_304, 8_388_607, -8_388_607] {
                 let bytes = i32::to_le_bytes(code);
                 let row = [&bytes[..3]; 3].concat();
-                let mut out = Vec::new();
+                let mut out = [[f32::NAN; 3]];
                 decode_positions(&row, &header, &signs, &mut out);
                 let again = |i: usize| encode_position(out[0][i] * signs.coord[i], fractional_bits);
                 assert_eq!([0, 1, 2].map(again), [(code, true); 3]);
@@ -198,13 +197,12 @@ mod tests {
             let signs = Signs::assumed(SpzFrame::Rub);
             let width = header.rest_len() * 3;
             let bytes: Vec<u8> = (0..40 * width).map(|i| (i * 7 % 256) as u8).collect();
-            let mut out = Vec::new();
+            let mut out = vec![f32::NAN; bytes.len()];
             decode_rest(&bytes, &rest_factors(&header, &signs), &mut out);
             for (i, (&byte, &value)) in bytes.iter().zip(&out).enumerate() {
                 let due = (f32::from(byte) - 128.0) / 128.0 * signs.rest[i % width / 3];
                 assert_eq!(value, due, "degree {degree}, value {i}");
             }
-            assert_eq!(out.len(), bytes.len());
         }
     }
 }

@@ -24,18 +24,18 @@ impl QuatCoding {
         if version < 3 { Self::FirstThree } else { Self::SmallestThree }
     }
 
-    /// Appends rows of quaternions `w, x, y, z`, unit, `w ≥ 0`.
-    pub(super) fn decode_rows(self, bytes: &[u8], signs: &Signs, out: &mut Vec<[f32; 4]>) {
+    /// Decodes rows of quaternions `w, x, y, z`, unit, `w ≥ 0`.
+    pub(super) fn decode_rows(self, bytes: &[u8], signs: &Signs, out: &mut [[f32; 4]]) {
         match self {
             Self::FirstThree => {
-                let rows = bytes.as_chunks::<3>().0.iter();
-                out.extend(
-                    rows.map(|&[x, y, z]| decode_first(u32::from_le_bytes([x, y, z, 0]), signs)),
-                );
+                for (quat, &[x, y, z]) in out.iter_mut().zip(bytes.as_chunks::<3>().0) {
+                    *quat = decode_first(u32::from_le_bytes([x, y, z, 0]), signs);
+                }
             }
             Self::SmallestThree => {
-                let rows = bytes.as_chunks::<4>().0.iter();
-                out.extend(rows.map(|&row| decode_smallest(u32::from_le_bytes(row), signs)));
+                for (quat, &bytes) in out.iter_mut().zip(bytes.as_chunks::<4>().0) {
+                    *quat = decode_smallest(u32::from_le_bytes(bytes), signs);
+                }
             }
         }
     }
@@ -201,7 +201,7 @@ mod tests {
                     let quat = coding.decode(code & mask, &signs);
                     let norm: f64 = quat.iter().map(|&v| f64::from(v).powi(2)).sum();
                     // Within what cleaning leaves alone.
-                    assert!((norm - 1.0).abs() < 4e-7 && !(quat[0] < 0.0), "{code:#x}: {quat:?}");
+                    assert!((norm - 1.0).abs() < 4e-7 && quat[0] >= 0.0, "{code:#x}: {quat:?}");
                     let first = coding.encode(quat, &signs).unwrap();
                     let back = coding.decode(first, &signs);
                     assert_eq!(coding.encode(back, &signs), Some(first), "{coding:?} {code:#x}");

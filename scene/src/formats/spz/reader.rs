@@ -6,7 +6,7 @@ use super::attributes::{
 use super::extensions::Records;
 use super::header::{ANTIALIASED, Block, Contents, Header, LEGACY_SIZE, MAGIC, read_legacy};
 use super::quaternion::QuatCoding;
-use super::rows::{Buffer, read_block, skip_block};
+use super::rows::{Buffers, both, read_block, skip_block};
 use super::signs::Signs;
 use super::source::{Source, Trailing};
 use crate::formats::{LoadedScene, ReadOptions, SceneKind, SpzFrame, semantics};
@@ -14,9 +14,6 @@ use crate::frame::Frame;
 use crate::value_policy::Rule;
 use crate::{GaussianScene, RepairReport, SceneError};
 use std::path::Path;
-
-/// Below this, threads cost more than they bring.
-const PARALLEL_ROWS: usize = 4096;
 
 /// Reads a scene from the bytes of an SPZ file of version 1 to 4.
 ///
@@ -117,38 +114,38 @@ impl Decoder {
         Self { header, signs, tables: ByteTables::new(), factors: rest_factors(&header, &signs) }
     }
 
-    fn positions(&self, from: &mut Source<'_>, by: &mut Buffer) -> Result<Vec<[f32; 3]>, String> {
+    fn positions(&self, from: &mut Source<'_>, by: &mut Buffers) -> Result<Vec<[f32; 3]>, String> {
         read_block(from, by, &self.header, Block::Positions, 1, |bytes, out| {
             decode_positions(bytes, &self.header, &self.signs, out);
         })
     }
 
-    fn alphas(&self, from: &mut Source<'_>, by: &mut Buffer) -> Result<Vec<f32>, String> {
+    fn alphas(&self, from: &mut Source<'_>, by: &mut Buffers) -> Result<Vec<f32>, String> {
         read_block(from, by, &self.header, Block::Alphas, 1, |bytes, out| {
             decode_bytes(bytes, &self.tables.logit, out);
         })
     }
 
-    fn colors(&self, from: &mut Source<'_>, by: &mut Buffer) -> Result<Vec<[f32; 3]>, String> {
+    fn colors(&self, from: &mut Source<'_>, by: &mut Buffers) -> Result<Vec<[f32; 3]>, String> {
         read_block(from, by, &self.header, Block::Colors, 1, |bytes, out| {
             decode_triples(bytes, &self.tables.color, out);
         })
     }
 
-    fn scales(&self, from: &mut Source<'_>, by: &mut Buffer) -> Result<Vec<[f32; 3]>, String> {
+    fn scales(&self, from: &mut Source<'_>, by: &mut Buffers) -> Result<Vec<[f32; 3]>, String> {
         read_block(from, by, &self.header, Block::Scales, 1, |bytes, out| {
             decode_triples(bytes, &self.tables.scale, out);
         })
     }
 
-    fn rotations(&self, from: &mut Source<'_>, by: &mut Buffer) -> Result<Vec<[f32; 4]>, String> {
+    fn rotations(&self, from: &mut Source<'_>, by: &mut Buffers) -> Result<Vec<[f32; 4]>, String> {
         let coding = QuatCoding::of(self.header.version);
         read_block(from, by, &self.header, Block::Rotations, 1, |bytes, out| {
             coding.decode_rows(bytes, &self.signs, out);
         })
     }
 
-    fn rest(&self, from: &mut Source<'_>, by: &mut Buffer) -> Result<Vec<f32>, String> {
+    fn rest(&self, from: &mut Source<'_>, by: &mut Buffers) -> Result<Vec<f32>, String> {
         let per_row = self.header.rest_len() * 3;
         read_block(from, by, &self.header, Block::Harmonics, per_row, |bytes, out| {
             decode_rest(bytes, &self.factors, out);
@@ -162,7 +159,23 @@ fn read_legacy_file(bytes: &[u8], options: &ReadOptions) -> Result<ReadFile, Str
     let header = read_legacy(&mut source)?;
     let signs = Signs::assumed(options.spz_frame);
     let decoder = Decoder::new(header, signs);
-    let (from, by) = (&mut source, &mut Buffer::default());
+    // On a thread of the pool, so that parts are handed over without waking anyone.
+    let scene = both(&header, || legacy_blocks(&mut source, &decoder, options), || ()).0?;
+    let records = match header.has_extensions() {
+        true => Records::read(&mut source, header.rows)?,
+        false => Records::default(),
+    };
+    let trailing = source.trailing()?;
+    let labels = records.label_block(header.rows)?;
+    Ok(ReadFile { header, scene, stated: records.frame, signs, labels, records, trailing })
+}
+
+fn legacy_blocks(
+    from: &mut Source<'_>,
+    decoder: &Decoder,
+    options: &ReadOptions,
+) -> Result<GaussianScene, String> {
+    let (by, header) = (&mut Buffers::default(), &decoder.header);
     let mut scene = GaussianScene {
         // Fields are evaluated in the order they are written in, which is that of the file.
         coord: decoder.positions(from, by)?,
@@ -177,15 +190,9 @@ fn read_legacy_file(bytes: &[u8], options: &ReadOptions) -> Result<ReadFile, Str
         scene.sh_degree = header.degree;
     } else if header.degree > 0 {
         // Still decompressed: what follows and the checksum at the end count.
-        skip_block(from, by, &header, Block::Harmonics)?;
+        skip_block(from, by, header, Block::Harmonics)?;
     }
-    let records = match header.has_extensions() {
-        true => Records::read(&mut source, header.rows)?,
-        false => Records::default(),
-    };
-    let trailing = source.trailing()?;
-    let labels = records.label_block(header.rows)?;
-    Ok(ReadFile { header, scene, stated: records.frame, signs, labels, records, trailing })
+    Ok(scene)
 }
 
 /// Version 4: a stream per block, decoded side by side.
@@ -205,33 +212,31 @@ fn read_v4(bytes: &[u8], header: Header, options: &ReadOptions) -> Result<ReadFi
     let mut scene = GaussianScene::default();
     if header.rows > 0 {
         let wants_rest = options.sh_rest && header.degree > 0;
-        let parallel = header.rows >= PARALLEL_ROWS;
-        let d = &decoder;
-        let c = &contents;
+        let (h, c, d) = (&header, &contents, &decoder);
         // The harmonics are most of the file and of the work, so they come first and alone.
         let (rest, ((coord, quat), (log_scale, (sh_dc, opacity_logit)))) = both(
-            parallel,
+            h,
             || match wants_rest {
                 true => stream(c, d, Block::Harmonics, Decoder::rest),
                 false => Ok(Vec::new()),
             },
             || {
                 both(
-                    parallel,
+                    h,
                     || {
                         both(
-                            parallel,
+                            h,
                             || stream(c, d, Block::Positions, Decoder::positions),
                             || stream(c, d, Block::Rotations, Decoder::rotations),
                         )
                     },
                     || {
                         both(
-                            parallel,
+                            h,
                             || stream(c, d, Block::Scales, Decoder::scales),
                             || {
                                 both(
-                                    parallel,
+                                    h,
                                     || stream(c, d, Block::Colors, Decoder::colors),
                                     || stream(c, d, Block::Alphas, Decoder::alphas),
                                 )
@@ -257,28 +262,19 @@ fn read_v4(bytes: &[u8], header: Header, options: &ReadOptions) -> Result<ReadFi
     Ok(ReadFile { header, scene, stated: records.frame, signs, labels, records, trailing })
 }
 
-/// Both results, computed side by side if it pays.
-fn both<A: Send, B: Send>(
-    parallel: bool,
-    a: impl FnOnce() -> A + Send,
-    b: impl FnOnce() -> B + Send,
-) -> (A, B) {
-    if parallel { rayon::join(a, b) } else { (a(), b()) }
-}
-
 /// Decodes one stream and checks that nothing follows in it.
 fn stream<T>(
     contents: &Contents<'_>,
     decoder: &Decoder,
     block: Block,
-    decode: impl Fn(&Decoder, &mut Source<'_>, &mut Buffer) -> Result<Vec<T>, String>,
+    decode: impl Fn(&Decoder, &mut Source<'_>, &mut Buffers) -> Result<Vec<T>, String>,
 ) -> Result<Vec<T>, String> {
     let fail = |problem: String| format!("its {} {problem}", block.name());
     let stream = contents.streams.iter().find(|stream| stream.block == block);
     let stream = stream.ok_or_else(|| fail("are missing".to_owned()))?;
     let due = decoder.header.block_bytes(block);
-    let mut source = Source::zstd(stream.compressed, due).map_err(fail)?;
-    let values = decode(decoder, &mut source, &mut Buffer::default())?;
+    let mut source = Source::zstd_block(stream.compressed, due).map_err(fail)?;
+    let values = decode(decoder, &mut source, &mut Buffers::default())?;
     match source.trailing().map_err(fail)? {
         Trailing::Nothing => Ok(values),
         _ => Err(fail(format!("go on after {due} bytes"))),

@@ -13,59 +13,134 @@ pub(super) const ROW_STEP: usize = 16;
 /// below 4; where a stream claims more, memory grows with what it delivers.
 const HONEST_RATIO: usize = 8;
 
-/// A buffer for [`read_block`], reused from block to block.
-#[derive(Default)]
-pub(super) struct Buffer(Vec<u8>);
+/// Below this number of rows, threads cost more than they bring.
+const PARALLEL_ROWS: usize = 4096;
 
-/// Reads one block: `decode` gets whole rows and appends `per_row` values for each.
+/// Buffers for [`read_block`], reused from block to block.
+#[derive(Default)]
+pub(super) struct Buffers {
+    full: Vec<u8>,
+    next: Vec<u8>,
+}
+
+/// Both results, computed side by side if there are enough rows for that.
+pub(super) fn both<A: Send, B: Send>(
+    header: &Header,
+    a: impl FnOnce() -> A + Send,
+    b: impl FnOnce() -> B + Send,
+) -> (A, B) {
+    if header.rows >= PARALLEL_ROWS { rayon::join(a, b) } else { (a(), b()) }
+}
+
+/// Reads one block: `decode` gets whole rows and as many places for `per_row` values each.
 ///
-/// The array that comes back has exactly `header.rows · per_row` values. At no time is more than
-/// four times the memory reserved that either the stream has filled already or a stream of that
-/// length can honestly fill.
-pub(super) fn read_block<T>(
+/// The array that comes back has exactly `header.rows · per_row` values. While a part is decoded,
+/// an idle thread may decompress the next one. At no time is more than four times the memory
+/// reserved that either the stream has filled already or a stream of that length can honestly fill.
+pub(super) fn read_block<T: Copy + Default + Send>(
     source: &mut Source<'_>,
-    buffer: &mut Buffer,
+    buffers: &mut Buffers,
     header: &Header,
     block: Block,
     per_row: usize,
-    mut decode: impl FnMut(&[u8], &mut Vec<T>),
+    decode: impl Fn(&[u8], &mut [T]) + Sync,
 ) -> Result<Vec<T>, String> {
     let row_bytes = block.row_bytes(header);
     let fail = |problem: String| format!("its {} {problem}", block.name());
     let too_large = || fail(format!("of {} Gaussians do not fit into memory", header.rows));
     let total = header.rows.checked_mul(per_row).ok_or_else(too_large)?;
     let rows_at_once = (BLOCK_BYTES / row_bytes / ROW_STEP * ROW_STEP).min(header.rows);
-    buffer.0.resize(rows_at_once * row_bytes, 0);
+    for buffer in [&mut buffers.full, &mut buffers.next] {
+        buffer.resize(rows_at_once * row_bytes, 0);
+    }
     let honest = source.left().saturating_mul(HONEST_RATIO) / row_bytes * per_row;
-    let mut out = Vec::new();
-    let mut row = 0;
-    while row < header.rows {
-        let rows = rows_at_once.min(header.rows - row);
-        let bytes = &mut buffer.0[..rows * row_bytes];
-        let got = source.fill(bytes).map_err(fail)?;
-        if got < bytes.len() {
-            return Err(fail(format!(
-                "end after {} of {} Gaussians",
-                row + got / row_bytes,
-                header.rows
-            )));
+    let mut out: Vec<T> = Vec::new();
+    // Rows in `full`, not decoded yet, and rows decoded.
+    let (mut ready, mut done) = (0, 0);
+    while done < header.rows {
+        let rows = rows_at_once.min(header.rows - done - ready);
+        let Buffers { full, next } = buffers;
+        let next = &mut next[..rows * row_bytes];
+        let full = &full[..ready * row_bytes];
+        let places = &mut out[done * per_row..(done + ready) * per_row];
+        let (got, ()) = both(header, || source.fill(next), || decode(full, places));
+        let got = got.map_err(fail)?;
+        done += ready;
+        if got < rows * row_bytes {
+            let whole = done + got / row_bytes;
+            return Err(fail(format!("end after {whole} of {} Gaussians", header.rows)));
         }
-        if out.capacity() - out.len() < rows * per_row {
-            let want = (out.len() * 4).max(honest).max(out.len() + rows * per_row).min(total);
-            out.try_reserve_exact(want - out.len()).map_err(|_| too_large())?;
+        ready = rows;
+        std::mem::swap(&mut buffers.full, &mut buffers.next);
+        let need = (done + ready) * per_row;
+        if out.len() < need {
+            let size = next_size(total, need, honest.max(done.saturating_mul(4 * per_row)));
+            grow(&mut out, size).ok_or_else(too_large)?;
         }
-        decode(bytes, &mut out);
-        row += rows;
     }
     Ok(out)
+}
+
+/// Makes an array longer; `None` if there is not enough memory.
+fn grow<T: Copy + Default>(out: &mut Vec<T>, size: usize) -> Option<()> {
+    let mut room: Vec<T> = Vec::new();
+    room.try_reserve_exact(size).ok()?;
+    if out.is_empty() {
+        // Zeros from the system are not touched before they are written to; a vector that is
+        // filled up with them would be.
+        drop(room);
+        *out = vec![T::default(); size];
+    } else {
+        room.extend_from_slice(out);
+        room.resize(size, T::default());
+        *out = room;
+    }
+    Some(())
+}
+
+/// The size for now of an array of `total` values in the end that needs `need` now: at most `allowed`
+/// or four times `need`.
+///
+/// It is `total` divided by a power of four, so that an array is no longer than a quarter of
+/// its end when it is moved to its last place, and is there twice for a moment.
+fn next_size(total: usize, need: usize, allowed: usize) -> usize {
+    let mut size = total;
+    while size > allowed && size / 4 >= need {
+        size /= 4;
+    }
+    size.max(need)
 }
 
 /// Decompresses a block and forgets it.
 pub(super) fn skip_block(
     source: &mut Source<'_>,
-    buffer: &mut Buffer,
+    buffers: &mut Buffers,
     header: &Header,
     block: Block,
 ) -> Result<(), String> {
-    read_block::<()>(source, buffer, header, block, 0, |_, _| ()).map(|_| ())
+    read_block::<()>(source, buffers, header, block, 0, |_, _| ()).map(|_| ())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn arrays_grow_in_quarters_of_the_total() {
+        assert_eq!(next_size(1000, 10, 1000), 1000);
+        assert_eq!(next_size(1000, 10, 999), 250);
+        assert_eq!(next_size(1000, 10, 0), 15);
+        assert_eq!(next_size(1000, 10, 62), 62);
+        assert_eq!(next_size(1000, 300, 0), 1000);
+        assert_eq!(next_size(1, 1, 0), 1);
+        for total in [7usize, 4096, 1_000_003, usize::MAX] {
+            for need in [1, 5, total / 5, total].into_iter().filter(|&n| n > 0 && n <= total) {
+                for allowed in [0, need, total / 3, total] {
+                    let got = next_size(total, need, allowed);
+                    assert!((need..=total).contains(&got));
+                    assert!(got <= allowed.max(need) || got / 4 < need, "{total} {need} {allowed}");
+                }
+            }
+        }
+    }
 }

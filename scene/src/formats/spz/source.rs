@@ -23,7 +23,7 @@ pub(super) enum Source<'a> {
     /// Stored as they are.
     Raw(&'a [u8]),
     /// One gzip stream; the size of the file.
-    Gzip(GzDecoder<&'a [u8]>, usize),
+    Gzip(Box<GzDecoder<&'a [u8]>>, usize),
     /// zstd frames, and the most bytes that they may hold.
     Zstd(Decoder<'static, &'a [u8]>, u64),
 }
@@ -32,7 +32,7 @@ impl<'a> Source<'a> {
     /// A file of version 1 to 3, by its first bytes.
     pub(super) fn open(file: &'a [u8]) -> Result<Self, String> {
         if file.starts_with(&GZIP) {
-            return Ok(Self::Gzip(GzDecoder::new(file), file.len()));
+            return Ok(Self::Gzip(Box::new(GzDecoder::new(file)), file.len()));
         }
         if file.starts_with(&ZSTD) {
             // Without a size, what the reference believes possible.
@@ -46,16 +46,22 @@ impl<'a> Source<'a> {
         Ok(Self::Raw(file))
     }
 
-    /// A zstd stream that should decompress to at most `most` bytes.
+    /// A zstd stream that decompresses to at most `most` bytes, if it is honest.
     pub(super) fn zstd(stream: &'a [u8], most: u64) -> Result<Self, String> {
         match get_frame_content_size(stream) {
             Ok(Some(size)) if size > most => Err(format!("hold {size} bytes instead of {most}")),
-            Ok(None) if most / ZSTD_RATIO > stream.len() as u64 => {
-                Err(format!("cannot hold {most} bytes in {}", stream.len()))
-            }
             Ok(_) => Ok(Self::Zstd(decoder(stream, most)?, most)),
             Err(_) => Err("are no zstd stream".to_owned()),
         }
+    }
+
+    /// A zstd stream that decompresses to exactly `size` bytes, if it is honest.
+    pub(super) fn zstd_block(stream: &'a [u8], size: u64) -> Result<Self, String> {
+        let unsaid = matches!(get_frame_content_size(stream), Ok(None));
+        if unsaid && size / ZSTD_RATIO > stream.len() as u64 {
+            return Err(format!("cannot hold {size} bytes in {}", stream.len()));
+        }
+        Self::zstd(stream, size)
     }
 
     /// Most bytes that there can be, from what is known before decompression.
@@ -139,10 +145,9 @@ fn decoder(stream: &[u8], most: u64) -> Result<Decoder<'static, &[u8]>, String> 
     let mut decoder = Decoder::with_buffer(stream).map_err(fail)?;
     // A frame of known size has no larger window than that; 64 : 1 is far above real scenes.
     let window = most.min((stream.len() as u64).saturating_mul(64)).max(SMALLEST_WINDOW);
-    let log = window
-        .next_power_of_two()
-        .trailing_zeros()
-        .min(if cfg!(target_pointer_width = "64") { 31 } else { 30 });
+    // The most that the library takes.
+    let most_log = if cfg!(target_pointer_width = "64") { 31 } else { 30 };
+    let log = window.next_power_of_two().trailing_zeros().min(most_log);
     decoder.window_log_max(log).map_err(fail)?;
     Ok(decoder)
 }
