@@ -28,7 +28,7 @@ pub fn is_ksplat(bytes: &[u8]) -> bool {
         && header[1] >= 1
         && header[2..4] == [0, 0]
         && u16_at(header, 20) <= MAX_LEVEL
-        && header[48..].iter().all(|&b| b == 0)
+        && header[44..].iter().all(|&b| b == 0)
         && sections * SECTION_HEADER_BYTES as u64 <= (bytes.len() - HEADER_BYTES) as u64
 }
 
