@@ -70,8 +70,8 @@ pub(crate) fn alpha(logit: f32) -> f64 {
 
 /// The nearest byte of a fraction; beyond 0 to 1 the byte of the nearer end.
 pub(crate) fn nearest_byte(fraction: f64) -> u8 {
-    // The cast saturates.
-    (fraction * 255.0).round() as u8
+    // The cast cuts off and saturates.
+    (fraction * 255.0 + 0.5) as u8
 }
 
 /// The colour of a DC term, 0 to 1 where it can be shown.

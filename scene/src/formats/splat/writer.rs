@@ -155,8 +155,8 @@ fn scale_code(log: f32) -> f32 {
 
 /// The bytes of a rotation that come back as themselves.
 fn rotation_code(quat: [f32; 4]) -> [u8; 4] {
-    // The cast saturates: 1 becomes 255.
-    let nearest = |quat: [f32; 4]| unit_f64(quat).map(|v| (v * 128.0 + 128.0).round() as u8);
+    // The cast cuts off and saturates: 1 becomes 255.
+    let nearest = |quat: [f32; 4]| unit_f64(quat).map(|v| (v * 128.0 + 128.5) as u8);
     settle(nearest(canonical_quat(quat)), |code| nearest(canonical_quat(code.map(rotation_part))))
 }
 
