@@ -91,13 +91,17 @@ pub(crate) fn log_of_scale(scale: f32) -> f32 {
 
 /// Refuses a scene with values that reading would drop or repair, which no packed format can hold.
 pub(crate) fn check_storable(scene: &GaussianScene, path: &Path) -> Result<(), SceneError> {
+    const ROWS_PER_TASK: usize = 4096;
     fn find<T: Sync + std::fmt::Debug>(
         field: &str,
         rows: &[T],
         path: &Path,
         bad: impl Fn(&T) -> bool + Send + Sync,
     ) -> Result<(), SceneError> {
-        let Some(row) = rows.par_iter().position_first(bad) else { return Ok(()) };
+        let parts = rows.par_chunks(ROWS_PER_TASK);
+        let Some(part) = parts.position_first(|rows| rows.iter().any(&bad)) else { return Ok(()) };
+        let row = part * ROWS_PER_TASK;
+        let row = row + rows[row..].iter().position(bad).unwrap_or_default();
         Err(SceneError::Value {
             path: path.to_owned(),
             element: row,

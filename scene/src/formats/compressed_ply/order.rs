@@ -71,19 +71,25 @@ fn total_extent(rows: usize, coord: impl Fn(usize) -> [f32; 3] + Sync) -> f64 {
     extents.iter().sum()
 }
 
-fn bounding_box(coord: impl Iterator<Item = [f32; 3]>) -> ([f32; 3], [f32; 3]) {
-    let empty = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
-    coord.fold(empty, |(min, max), coord| {
-        (
-            std::array::from_fn(|i| min[i].min(coord[i])),
-            std::array::from_fn(|i| max[i].max(coord[i])),
-        )
-    })
+type Bounds = ([f32; 3], [f32; 3]);
+
+/// The box around nothing.
+const EMPTY: Bounds = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+
+fn bounding_box(coord: impl Iterator<Item = [f32; 3]>) -> Bounds {
+    coord.fold(EMPTY, |bounds, coord| join(bounds, (coord, coord)))
+}
+
+/// The box around both.
+fn join(a: Bounds, b: Bounds) -> Bounds {
+    (std::array::from_fn(|i| a.0[i].min(b.0[i])), std::array::from_fn(|i| a.1[i].max(b.1[i])))
 }
 
 /// Rows along a Morton curve through the box around all of them; equals in their old order.
 fn morton_order(coord: &[[f32; 3]], tick: Tick<'_>) -> Result<Vec<u32>, SceneError> {
-    let (min, max) = bounding_box(coord.iter().copied());
+    let parts = coord.par_chunks(CHUNK_ROWS).map(|part| bounding_box(part.iter().copied()));
+    let (min, max) = parts.reduce(|| EMPTY, join);
+    tick()?;
     let cells = f64::from(1u32 << BITS);
     let scale: [f64; 3] = std::array::from_fn(|i| {
         let extent = f64::from(max[i]) - f64::from(min[i]);
