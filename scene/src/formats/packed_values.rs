@@ -70,8 +70,8 @@ pub(crate) fn alpha(logit: f32) -> f64 {
 
 /// The nearest byte of a fraction; beyond 0 to 1 the byte of the nearer end.
 pub(crate) fn nearest_byte(fraction: f64) -> u8 {
-    // The cast saturates.
-    (fraction * 255.0).round() as u8
+    // The cast cuts off and saturates.
+    (fraction * 255.0 + 0.5) as u8
 }
 
 /// The colour of a DC term, 0 to 1 where it can be shown.
@@ -91,13 +91,17 @@ pub(crate) fn log_of_scale(scale: f32) -> f32 {
 
 /// Refuses a scene with values that reading would drop or repair, which no packed format can hold.
 pub(crate) fn check_storable(scene: &GaussianScene, path: &Path) -> Result<(), SceneError> {
+    const ROWS_PER_TASK: usize = 4096;
     fn find<T: Sync + std::fmt::Debug>(
         field: &str,
         rows: &[T],
         path: &Path,
         bad: impl Fn(&T) -> bool + Send + Sync,
     ) -> Result<(), SceneError> {
-        let Some(row) = rows.par_iter().position_first(bad) else { return Ok(()) };
+        let parts = rows.par_chunks(ROWS_PER_TASK);
+        let Some(part) = parts.position_first(|rows| rows.iter().any(&bad)) else { return Ok(()) };
+        let row = part * ROWS_PER_TASK;
+        let row = row + rows[row..].iter().position(bad).unwrap_or_default();
         Err(SceneError::Value {
             path: path.to_owned(),
             element: row,

@@ -54,9 +54,8 @@ pub fn splat_problem(bytes: &[u8]) -> Option<String> {
     // One bad record is nothing in a file of any length.
     if good == 0 || samples - good > (samples / 10).max(1) {
         return Some(format!(
-            "has no Gaussians as a .splat file has them: {} of {samples} records looked at have \
-             a position, sizes and a rotation",
-            good
+            "has no Gaussians as a .splat file has them: {good} of {samples} records looked at \
+             have a position, sizes and a rotation"
         ));
     }
     None

@@ -78,8 +78,8 @@ impl Channel {
     fn nearest(self, min: f32, max: f32, value: f32) -> u32 {
         let (min, max) = (f64::from(min), f64::from(max));
         let t = (self.stored(value) - min) / (max - min);
-        // The cast saturates at 0.
-        ((t * self.steps + 0.5).floor() as u32).min(self.steps as u32)
+        // The cast cuts off, and saturates at 0.
+        ((t * self.steps + 0.5) as u32).min(self.steps as u32)
     }
 
     /// The bound for an extreme value; one that was read gives the bound it was read from.

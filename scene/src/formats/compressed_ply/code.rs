@@ -66,8 +66,8 @@ fn nearest_quat(quat: [f32; 4]) -> u32 {
     let sign = if quat[largest] < 0.0 { -1.0 } else { 1.0 };
     let mut word = largest as u32;
     for i in (0..4).filter(|&i| i != largest) {
-        // |v| ≤ √½, so the code is in range but for rounding; the cast saturates at 0.
-        let code = ((quat[i] * sign / SQRT_2 + 0.5) * 1023.0 + 0.5).floor();
+        // |v| ≤ √½, so the code is in range but for rounding; the cast cuts off, and saturates at 0.
+        let code = (quat[i] * sign / SQRT_2 + 0.5) * 1023.0 + 0.5;
         word = word << 10 | (code as u32).min(1023);
     }
     word

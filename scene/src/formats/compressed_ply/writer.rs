@@ -2,7 +2,7 @@
 
 use super::chunk::{COLOR, Channel, POSITION, Packed, SCALE};
 use super::code::{join_11_10_11, join_8888, pack_coefficient, pack_quat};
-use super::order::chunk_order;
+use super::order::{Tick, chunk_order};
 use super::{BOUNDS, CHUNK, CHUNK_ROWS, COLOR_BOUNDS, PACKED, SH, VERTEX};
 use crate::formats::files::{AtomicFile, write_all_at};
 use crate::formats::packed_values::{alpha, check_storable, nearest_byte};
@@ -74,12 +74,10 @@ pub fn write_compressed_ply(
         let problem = format!("would have {rows} rows, more than {}", u32::MAX);
         return Err(SceneError::format(path, problem, "split the scene"));
     }
-    let order = chunk_order(&scene.coord, |order| {
-        if !progress(0.0) {
-            return Err(SceneError::Stopped);
-        }
-        Ok(rounded_positions(&scene.coord, order))
-    })?;
+    let mut tick = || if progress(0.0) { Ok(()) } else { Err(SceneError::Stopped) };
+    let rounded =
+        |order: Option<&[u32]>, tick: Tick<'_>| rounded_positions(&scene.coord, order, tick);
+    let order = chunk_order(&scene.coord, rounded, &mut tick)?;
     let packer = Packer::new(scene, order.as_deref());
     let file = AtomicFile::create(path)?;
     let limits = packer.write(&file, progress)?;
@@ -106,20 +104,28 @@ fn scene_row(order: Option<&[u32]>, row: usize) -> usize {
 }
 
 /// Positions as they will be read from the file, in its order.
-fn rounded_positions(coord: &[[f32; 3]], order: Option<&[u32]>) -> Vec<[f32; 3]> {
+fn rounded_positions(
+    coord: &[[f32; 3]],
+    order: Option<&[u32]>,
+    tick: Tick<'_>,
+) -> Result<Vec<[f32; 3]>, SceneError> {
+    const ROWS_PER_TICK: usize = CHUNKS_PER_WRITE * CHUNK_ROWS;
     let mut out = vec![[0.0; 3]; coord.len()];
-    out.par_chunks_mut(CHUNK_ROWS).enumerate().for_each(|(chunk, out)| {
-        let first = chunk * CHUNK_ROWS;
-        for (axis, channel) in POSITION.into_iter().enumerate() {
-            let value = |i| coord[scene_row(order, first + i)][axis];
-            let values: Vec<f32> = (0..out.len()).map(value).collect();
-            let packed = channel.pack(&values);
-            for (out, code) in out.iter_mut().zip(packed.codes) {
-                out[axis] = channel.value(packed.min, packed.max, code);
+    for (part, out) in out.chunks_mut(ROWS_PER_TICK).enumerate() {
+        out.par_chunks_mut(CHUNK_ROWS).enumerate().for_each(|(chunk, out)| {
+            let first = part * ROWS_PER_TICK + chunk * CHUNK_ROWS;
+            for (axis, channel) in POSITION.into_iter().enumerate() {
+                let value = |i| coord[scene_row(order, first + i)][axis];
+                let values: Vec<f32> = (0..out.len()).map(value).collect();
+                let packed = channel.pack(&values);
+                for (out, code) in out.iter_mut().zip(packed.codes) {
+                    out[axis] = channel.value(packed.min, packed.max, code);
+                }
             }
-        }
-    });
-    out
+        });
+        tick()?;
+    }
+    Ok(out)
 }
 
 struct Packer<'a> {

@@ -46,7 +46,9 @@ impl Limits {
 /// Rows keep their order: programs that write this format commonly sort by size times alpha, for
 /// viewers that show a file while it loads, but the order is not part of the format. Bytes are the
 /// nearest ones, where the original converter cuts off. A file that was written here comes back
-/// byte for byte when it is read and written again.
+/// byte for byte when it is read and written again. Of other programs' files positions, colours and
+/// alphas do; sizes pass through a logarithm of 32 bits (some 1e-6 of them), and rotations come out
+/// with unit norm.
 ///
 /// Reported are colours beyond 0 to 1 (clipped), harmonics (left out), alphas that become 0 or 1,
 /// and sizes that f32 cannot hold.
@@ -155,8 +157,8 @@ fn scale_code(log: f32) -> f32 {
 
 /// The bytes of a rotation that come back as themselves.
 fn rotation_code(quat: [f32; 4]) -> [u8; 4] {
-    // The cast saturates: 1 becomes 255.
-    let nearest = |quat: [f32; 4]| unit_f64(quat).map(|v| (v * 128.0 + 128.0).round() as u8);
+    // The cast cuts off and saturates: 1 becomes 255.
+    let nearest = |quat: [f32; 4]| unit_f64(quat).map(|v| (v * 128.0 + 128.5) as u8);
     settle(nearest(canonical_quat(quat)), |code| nearest(canonical_quat(code.map(rotation_part))))
 }
 
