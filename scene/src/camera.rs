@@ -8,7 +8,7 @@ use std::path::Path;
 /// How far `RᵀR` may be from the identity in a file: poses are written with few digits.
 const ROTATION_TOLERANCE: f64 = 1e-3;
 /// Rotations closer than this are left as they are, so that reading what was written changes no bit.
-const ROTATION_EXACT: f64 = 1e-12;
+const ROTATION_EXACT: f64 = 4e-15;
 
 /// A camera with its pose.
 ///
@@ -151,7 +151,7 @@ impl Camera {
     /// camera and where the model of the lens folds back.
     pub fn project(&self, point: [f64; 3]) -> Option<[f64; 2]> {
         let [x, y, z] = self.to_camera(point);
-        if !(z > 0.0) {
+        if z.is_nan() || z <= 0.0 {
             return None;
         }
         let [x, y] = self.distortion.apply([x / z, y / z])?;
@@ -210,7 +210,8 @@ impl Camera {
             return Err(bad(format!("has a picture of {} × {} pixels", self.width, self.height)));
         }
         let numbers = [self.fx, self.fy, self.cx, self.cy];
-        if !numbers.iter().all(|v| v.is_finite()) || !(self.fx > 0.0 && self.fy > 0.0) {
+        let finite = numbers.iter().all(|v| v.is_finite());
+        if !finite || self.fx <= 0.0 || self.fy <= 0.0 {
             return Err(bad(format!("has fx, fy, cx, cy = {numbers:?}")));
         }
         let distortion = self.distortion.numbers();
@@ -221,8 +222,7 @@ impl Camera {
             return Err(bad(format!("has the translation {:?}", self.translation)));
         }
         let off = off_orthonormal(&self.rotation);
-        // Not `>`: NaN is refused too.
-        if !(off <= ROTATION_TOLERANCE) || determinant(&self.rotation) < 0.0 {
+        if off.is_nan() || off > ROTATION_TOLERANCE || determinant(&self.rotation) < 0.0 {
             return Err(bad(format!("has a matrix that is no rotation: {:?}", self.rotation)));
         }
         if off > ROTATION_EXACT {

@@ -6,11 +6,11 @@
 pub mod cameras_json;
 pub mod colmap;
 mod image_size;
-pub mod transforms_json;
+pub mod nerfstudio;
 
 pub use cameras_json::{is_cameras_json, read_cameras_json, write_cameras_json};
 pub use colmap::{is_colmap_folder, read_colmap_binary, read_colmap_text};
-pub use transforms_json::{is_transforms_json, read_transforms_json};
+pub use nerfstudio::{is_transforms_json, read_transforms_json};
 
 use super::files::MappedFile;
 use crate::{Camera, SceneError};

@@ -2,7 +2,7 @@
 //!
 //! A Gaussian is a point of a primitive with more attributes. All such primitives that the scene of
 //! the document shows are read and joined, in the order of the nodes, each moved as its node says
-//! and from glTF's frame ([`Frame::LUF`]) to the canonical one.
+//! and from glTF's frame ([`Frame::LUF`](crate::Frame::LUF)) to the canonical one.
 //!
 //! | attribute | read as |
 //! |---|---|
@@ -25,40 +25,26 @@ mod container;
 mod document;
 mod nodes;
 mod placement;
+mod primitives;
 mod singular;
 
 pub use container::is_glb;
 
 use super::{LoadedScene, ReadOptions, SceneKind};
 use crate::value_policy::Rule;
-use crate::{Frame, GaussianScene, RepairReport, SceneError};
-use attributes::{Attributes, gaussian_attribute, used_attributes};
+use crate::{GaussianScene, RepairReport, SceneError};
+use attributes::{Attributes, used_attributes};
 use buffers::Buffers;
-use document::{CompressedView, Document, Primitive};
-use nodes::{Affine, placed_meshes};
-use placement::Placement;
+use document::Document;
+use primitives::{Job, check_required, gaussian_primitives};
 use rayon::prelude::*;
-use std::collections::BTreeSet;
 use std::path::Path;
-
-/// The mode of primitives that are points.
-const POINTS: u32 = 0;
-
-/// Extensions that may be required without changing what a Gaussian is; of others a note is made.
-const HARMLESS: [&str; 4] = [
-    "KHR_gaussian_splatting",
-    "KHR_mesh_quantization",
-    "KHR_materials_unlit",
-    "KHR_texture_transform",
-];
 
 /// How much larger than its buffers a scene may be in memory.
 ///
 /// Quantised attributes grow by three; more comes from one mesh under several nodes. A file that
 /// shows one mesh thousands of times would not fit, and no exporter of Gaussians writes one.
 const MAX_GROWTH: usize = 16;
-/// Most primitives that a document may show; one mesh under many nodes counts for each.
-const MAX_PRIMITIVES: usize = 1 << 16;
 /// Small scenes may be shown any number of times; bytes.
 const ALWAYS_FITS: usize = 1 << 24;
 
@@ -76,10 +62,33 @@ fn without_mark(json: &[u8]) -> &[u8] {
     json.strip_prefix(b"\xef\xbb\xbf").unwrap_or(json)
 }
 
-/// A primitive with Gaussians and where it is.
-struct Job<'a> {
-    primitive: &'a Primitive,
-    place: Placement,
+/// The Gaussians of a primitive, as far as they are decoded.
+enum Part<'a> {
+    Attributes(Attributes<'a>),
+    Spz(GaussianScene),
+}
+
+impl Part<'_> {
+    fn rows(&self) -> usize {
+        match self {
+            Self::Attributes(part) => part.rows,
+            Self::Spz(scene) => scene.len(),
+        }
+    }
+
+    fn degree(&self) -> u8 {
+        match self {
+            Self::Attributes(part) => part.degree,
+            Self::Spz(scene) => scene.sh_degree,
+        }
+    }
+
+    fn attributes(&self) -> Option<&Attributes<'_>> {
+        match self {
+            Self::Attributes(part) => Some(part),
+            Self::Spz(_) => None,
+        }
+    }
 }
 
 /// Reads the Gaussians of a `.gltf` or `.glb`.
@@ -102,33 +111,42 @@ pub fn read_gltf(
     let mut report = RepairReport::default();
     check_required(&document, path, &mut report)?;
     let jobs = gaussian_primitives(&document, path, &mut report)?;
-    if let Some((name, view)) = jobs.iter().find_map(|job| spz_of(job.primitive)) {
-        return read_spz_primitive(name, view, path);
-    }
     let needed = needed_buffers(&document, &jobs, options.sh_rest, path)?;
     let buffers = Buffers::open(&document, bin, path, &needed)?;
-    let rows = check_size(&document, &jobs, options.sh_rest, buffers.total(), path)?;
-    let open =
-        |job: &Job<'_>| Attributes::open(&document, &buffers, job.primitive, options.sh_rest, path);
-    let parts = jobs.iter().map(open).collect::<Result<Vec<_>, _>>()?;
-    let degree = parts.iter().map(|part| part.degree).max().unwrap_or(0);
-    if parts.iter().any(|part| part.degree != degree) {
+    check_size(&document, &jobs, options.sh_rest, buffers.total(), path)?;
+    let open = |job: &Job<'_>| match job.spz {
+        Some((name, view)) => {
+            let bytes = buffers.view(&document, view, path)?;
+            read_spz_primitive(name, bytes, path, options).map(Part::Spz)
+        }
+        None => Attributes::open(&document, &buffers, job.primitive, options.sh_rest, path)
+            .map(Part::Attributes),
+    };
+    let parts = jobs.iter().map(open).collect::<Result<Vec<_>, SceneError>>()?;
+    let degree = parts.iter().map(Part::degree).max().unwrap_or(0);
+    if parts.iter().any(|part| part.degree() != degree) {
         report.notes.push(format!(
             "primitives have harmonics of several degrees; all get degree {degree}, with zeros"
         ));
     }
-    let log_scale = parts.iter().any(Attributes::any_negative_scale);
-    if parts.iter().any(Attributes::has_scale) {
+    let attributes = || parts.iter().filter_map(Part::attributes);
+    let log_scale = attributes().any(Attributes::any_negative_scale);
+    if attributes().any(Attributes::has_scale) {
         report.notes.push(if log_scale {
             "SCALE has negative values and was read as logarithms".to_owned()
         } else {
             "SCALE has no negative value and was read as standard deviations".to_owned()
         });
     }
+    let rows = parts.iter().map(Part::rows).sum();
     let mut scene = GaussianScene { sh_degree: degree, ..GaussianScene::default() };
-    for (part, job) in parts.iter().zip(&jobs) {
+    for (part, job) in parts.into_iter().zip(&jobs) {
         let first = scene.len();
-        let mut read = part.read(degree, log_scale, first, &mut report);
+        let mut read = match part {
+            Part::Attributes(part) => part.read(log_scale, first, &mut report),
+            Part::Spz(scene) => scene,
+        };
+        widen(&mut read, degree);
         if job.place.turns() {
             give_lengths(&mut read.quat, first, &mut report);
         }
@@ -138,166 +156,19 @@ pub fn read_gltf(
     LoadedScene::finish(scene, report, options.policy, path, SceneKind::Gltf)
 }
 
-/// Refuses files that say they cannot be understood without something that is not read.
-fn check_required(
-    document: &Document<'_>,
-    path: &Path,
-    report: &mut RepairReport,
-) -> Result<(), SceneError> {
-    for name in &document.extensions_required {
-        let unreadable = name.contains("meshopt") || name.contains("draco");
-        if unreadable {
-            let problem = format!("requires the extension {name}, which is not read");
-            return Err(SceneError::format(path, problem, "export it without compression"));
-        }
-        if !HARMLESS.contains(&name.as_str()) && !name.contains("spz") {
-            report
-                .notes
-                .push(format!("the extension {name}, which the file requires, was ignored"));
-        }
-    }
-    Ok(())
-}
-
-/// The primitives that are Gaussians, with what their nodes do to them.
-fn gaussian_primitives<'a>(
-    document: &'a Document<'_>,
-    path: &Path,
-    report: &mut RepairReport,
-) -> Result<Vec<Job<'a>>, SceneError> {
-    let to_canonical =
-        Affine { linear: Frame::LUF.matrix_to(Frame::CANONICAL), translation: [0.0; 3] };
-    let (mut jobs, mut others, mut stretched) = (Vec::new(), 0usize, 0usize);
-    let mut notes = BTreeSet::new();
-    for placed in placed_meshes(document, path)? {
-        let Some(mesh) = document.meshes.get(placed.mesh) else {
-            let (node, mesh) = (placed.node, placed.mesh);
-            let there = document.meshes.len();
-            let problem = format!("node {node} shows mesh {mesh}, of which there are {there}");
-            return Err(file_error(path, problem));
-        };
-        let world = to_canonical.after(&placed.world);
-        for primitive in &mesh.primitives {
-            if jobs.len() + others > MAX_PRIMITIVES {
-                let problem = format!("shows more than {MAX_PRIMITIVES} primitives");
-                return Err(SceneError::format(
-                    path,
-                    problem,
-                    "export the Gaussians by themselves",
-                ));
-            }
-            if !is_gaussian(primitive) {
-                others += 1;
-                continue;
-            }
-            note_properties(primitive, &mut notes);
-            if primitive.extensions.draco.is_some() {
-                let problem =
-                    format!("mesh {} is compressed by Draco, which is not read", placed.mesh);
-                return Err(SceneError::format(path, problem, "export it without compression"));
-            }
-            let place = Placement::new(&world).ok_or_else(|| {
-                let problem = format!(
-                    "node {} shows Gaussians through a matrix without inverse: {:?}",
-                    placed.node, placed.world.linear
-                );
-                SceneError::format(path, problem, "give the node and its parents a size")
-            })?;
-            stretched += usize::from(matches!(place, Placement::Stretched { .. }));
-            jobs.push(Job { primitive, place });
-        }
-    }
-    if jobs.is_empty() {
-        let problem = format!("shows no Gaussians; it has {others} primitives of other kinds");
-        let mend = "Gaussians are points with KHR_gaussian_splatting, or with _ROTATION and _SCALE";
-        return Err(SceneError::format(path, problem, mend));
-    }
-    report.notes.extend(notes);
-    if others > 0 {
-        report.notes.push(format!("{others} primitives that are no Gaussians were left out"));
-    }
-    if stretched > 0 {
-        report.notes.push(format!(
-            "{stretched} of {} primitives are stretched by their nodes: sizes and orientations were \
-             computed anew, harmonics follow the rotation only",
-            jobs.len()
-        ));
-    }
-    Ok(jobs)
-}
-
-fn is_gaussian(primitive: &Primitive) -> bool {
-    let has = |name| gaussian_attribute(primitive, name).is_some();
-    primitive.extensions.gaussians.is_some()
-        || spz_of(primitive).is_some()
-        || primitive.mode == Some(POINTS) && has("ROTATION") && has("SCALE")
-}
-
-/// Notes of what the extension says and this reader does not do.
-fn note_properties(primitive: &Primitive, notes: &mut BTreeSet<String>) {
-    if primitive.mode != Some(POINTS) {
-        notes.insert(
-            "a primitive of Gaussians is not of mode 0, points; it was read all the same"
-                .to_owned(),
-        );
-    }
-    let Some(about) = &primitive.extensions.gaussians else { return };
-    match about.kernel.as_deref() {
-        None | Some("ellipse") => {}
-        Some(other) => {
-            notes.insert(format!("the kernel {other:?} is unknown; read as \"ellipse\""));
-        }
-    }
-    match about.color_space.as_deref() {
-        None | Some("srgb_rec709_display") => {}
-        Some("lin_rec709_display") => {
-            notes.insert("linear colours became sRGB, their harmonics to first order".to_owned());
-        }
-        Some(other) => {
-            notes.insert(format!("the colour space {other:?} is unknown; read as sRGB"));
-        }
-    }
-    match about.projection.as_deref() {
-        None | Some("perspective") => {}
-        Some(other) => {
-            notes.insert(format!("the projection {other:?} is not kept"));
-        }
-    }
-    for name in about.extensions.keys().filter(|name| !name.contains("compression_spz")) {
-        notes.insert(format!("the extension {name} of the Gaussians was ignored"));
-    }
-}
-
-/// The extension that keeps the Gaussians of a primitive as a whole SPZ file, and where.
-fn spz_of(primitive: &Primitive) -> Option<(&str, CompressedView)> {
-    let outer = &primitive.extensions;
-    let old = [
-        ("KHR_spz_gaussian_splats_compression", outer.spz),
-        ("KHR_spz_compression", outer.spz_first),
-    ];
-    let old = old.into_iter().find_map(|(name, view)| Some((name, view?)));
-    let inner = outer.gaussians.iter().flat_map(|about| &about.extensions);
-    let inner = inner.map(|(name, view)| (name.as_str(), *view));
-    old.or_else(|| {
-        inner
-            .into_iter()
-            .find(|(name, _)| name.starts_with("KHR_gaussian_splatting_compression_spz"))
-    })
-}
-
-/// The one place where SPZ inside glTF is read.
+/// The one place where SPZ inside glTF is read: `bytes` are a whole file of it.
 ///
-/// To read it: take the bytes of the buffer view (mark its buffer as needed first), give them to
-/// `super::spz::read_spz` with [`super::SpzFrame::Rub`], and move the result by `F·M·F`, with `M`
-/// the node's matrix and `F` the map from LUF to the canonical frame: that reader has already
-/// applied `F`, and the extension prescribes that SPZ data are packed from LUF.
+/// What it gives is taken to be in the canonical frame, converted from the one that SPZ prescribes:
+/// the extension says that SPZ is packed from glTF's frame, so [`super::SpzFrame::Rub`] is to be
+/// asked for whatever `options` say. Rows and notes of its own report are to be kept.
 fn read_spz_primitive(
     name: &str,
-    view: CompressedView,
+    bytes: &[u8],
     path: &Path,
-) -> Result<LoadedScene, SceneError> {
-    let place = view.buffer_view.map_or_else(String::new, |view| format!(" in buffer view {view}"));
-    let problem = format!("keeps its Gaussians{place} as SPZ ({name}), which is not read yet");
+    _options: &ReadOptions,
+) -> Result<GaussianScene, SceneError> {
+    let size = bytes.len();
+    let problem = format!("keeps its Gaussians as {size} bytes of SPZ ({name}), not read yet");
     Err(SceneError::format(path, problem, "export it without compression, or as .spz"))
 }
 
@@ -309,29 +180,35 @@ fn needed_buffers(
     path: &Path,
 ) -> Result<Vec<bool>, SceneError> {
     let mut needed = vec![false; document.buffers.len()];
+    let mut need = |view: usize| {
+        let buffer = document.buffer_views.get(view).map(|view| view.buffer);
+        if let Some(flag) = buffer.and_then(|buffer| needed.get_mut(buffer)) {
+            *flag = true;
+        }
+    };
     for job in jobs {
+        if let Some((_, view)) = job.spz {
+            need(view);
+            continue;
+        }
         for (_, index) in used_attributes(job.primitive, sh_rest, path)?.1 {
             let views = document.accessors.get(index).into_iter().flat_map(accessor::views_of);
-            for view in views.filter_map(|view| document.buffer_views.get(view)) {
-                if let Some(flag) = needed.get_mut(view.buffer) {
-                    *flag = true;
-                }
-            }
+            views.for_each(&mut need);
         }
     }
     Ok(needed)
 }
 
-/// The number of rows, if a scene of that many is no absurd size for the bytes that hold it.
+/// Refuses a scene that is absurdly large for the bytes that hold it, before anything is reserved.
 fn check_size(
     document: &Document<'_>,
     jobs: &[Job<'_>],
     sh_rest: bool,
     bytes: usize,
     path: &Path,
-) -> Result<usize, SceneError> {
+) -> Result<(), SceneError> {
     let (mut rows, mut degree) = (0u64, 0u8);
-    for job in jobs {
+    for job in jobs.iter().filter(|job| job.spz.is_none()) {
         let position = job.primitive.attributes.get("POSITION");
         let accessor = position.and_then(|&index| document.accessors.get(index));
         rows = rows.saturating_add(accessor.map_or(0, |accessor| accessor.count));
@@ -341,13 +218,30 @@ fn check_size(
     // Position, size, orientation, opacity, colour and coefficients.
     let size = rows.saturating_mul(4 * (3 + 3 + 4 + 1 + 3 + 3 * rest));
     let limit = bytes.saturating_mul(MAX_GROWTH).max(ALWAYS_FITS) as u64;
-    usize::try_from(rows).ok().filter(|_| size <= limit).ok_or_else(|| {
-        let count = jobs.len();
-        let problem = format!(
-            "shows {rows} Gaussians in {count} primitives, more than its {bytes} bytes can hold"
-        );
-        SceneError::format(path, problem, "show fewer copies of a mesh, or export it again")
-    })
+    if size <= limit {
+        return Ok(());
+    }
+    let count = jobs.len();
+    let problem = format!(
+        "shows {rows} Gaussians in {count} primitives, more than its {bytes} bytes can hold"
+    );
+    Err(SceneError::format(path, problem, "show fewer copies of a mesh, or export it again"))
+}
+
+/// Gives the harmonics a higher degree, with zeros.
+fn widen(scene: &mut GaussianScene, degree: u8) {
+    if scene.sh_degree >= degree {
+        return;
+    }
+    let old = std::mem::take(&mut scene.sh_rest);
+    let had = scene.sh_rest_len() * 3;
+    scene.sh_degree = degree;
+    let width = scene.sh_rest_len() * 3;
+    scene.sh_rest = vec![0.0; scene.len() * width];
+    if had > 0 {
+        let rows = scene.sh_rest.par_chunks_exact_mut(width).zip(old.par_chunks_exact(had));
+        rows.for_each(|(new, old)| new[..had].copy_from_slice(old));
+    }
 }
 
 /// Reports quaternions without direction, and repairs them before they are multiplied.

@@ -14,6 +14,10 @@ use serde::{Deserialize, Serialize};
 use std::io::Write;
 use std::path::Path;
 
+/// Step of written positions, relative to the largest coordinate; far above the rounding of the two
+/// products with a rotation that is orthonormal to the last digits.
+const GRID: f64 = 1.0 / (1u64 << 42) as f64;
+
 /// One camera. Unknown properties are ignored.
 #[derive(Serialize, Deserialize)]
 struct Entry {
@@ -118,26 +122,24 @@ pub fn write_cameras_json(cameras: &[Camera], path: &Path) -> Result<(), SceneEr
     file.commit()
 }
 
-/// The centre that a reader turns into a translation with, again, this centre.
+/// The centre, rounded to about 12 digits of its largest coordinate.
 ///
-/// Rounding can make the two wander; they end in a cycle, of which the least is taken.
+/// A reader turns it into a translation and a writer back: the last digits of that would change
+/// from file to file, and the rounding takes them away.
 fn stable_centre(camera: &Camera) -> [f64; 3] {
-    let mut camera = camera.clone();
-    let mut met = vec![camera.centre()];
-    let order = |a: &[f64; 3], b: &[f64; 3]| {
-        let cells = a.iter().zip(b).map(|(a, b)| a.total_cmp(b));
-        cells.fold(std::cmp::Ordering::Equal, std::cmp::Ordering::then)
-    };
-    // Steps are of the last digit, so cycles are short.
-    for _ in 0..64 {
-        let last = met[met.len() - 1];
-        camera.translation =
-            camera.rotation.map(|r| -(r[0] * last[0] + r[1] * last[1] + r[2] * last[2]));
-        let next = camera.centre();
-        if let Some(start) = met.iter().position(|old| old == &next) {
-            return met[start..].iter().copied().min_by(order).unwrap_or(next);
+    let mut centre = camera.centre();
+    // Rounding up to a power of two makes the step larger, and then once more is enough.
+    for _ in 0..4 {
+        let largest = centre.iter().fold(0.0f64, |most, v| most.max(v.abs()));
+        if largest < f64::MIN_POSITIVE / GRID {
+            return [0.0; 3];
         }
-        met.push(next);
+        let step = largest.log2().floor().exp2() * GRID;
+        let rounded = centre.map(|v| (v / step).round() * step + 0.0);
+        if rounded == centre {
+            break;
+        }
+        centre = rounded;
     }
-    met[met.len() - 1]
+    centre
 }

@@ -149,17 +149,15 @@ impl<'a> Attributes<'a> {
         self.scale.is_some()
     }
 
-    /// Decodes the primitive with room for harmonics of `degree`; `first` is the number of its
-    /// first row in the file.
+    /// Decodes the primitive; `first` is the number of its first row in the file.
     pub(super) fn read(
         &self,
-        degree: u8,
         log_scale: bool,
         first: usize,
         report: &mut RepairReport,
     ) -> GaussianScene {
         let n = self.rows;
-        let mut scene = GaussianScene { sh_degree: degree, ..GaussianScene::default() };
+        let mut scene = GaussianScene { sh_degree: self.degree, ..GaussianScene::default() };
         scene.coord = rows_of(&self.position);
         scene.log_scale = match &self.scale {
             Some(view) => {
@@ -219,8 +217,8 @@ impl<'a> Attributes<'a> {
             unsigned(view, &mut values);
         }
         let outside = |v: &f32| *v < 0.0 || *v > 1.0;
-        let count = values.par_iter().filter(|v| outside(v)).count();
-        if let Some(row) = values.iter().position(|v| outside(v)) {
+        let count = values.par_iter().filter(|&v| outside(v)).count();
+        if let Some(row) = values.iter().position(outside) {
             report.add(Rule::OpacityOutside, count, first + row, &values[row].to_string());
         }
         values.par_iter_mut().for_each(|v| *v = probability_to_logit(v.clamp(0.0, 1.0)));

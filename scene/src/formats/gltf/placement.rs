@@ -39,7 +39,7 @@ impl Placement {
             return None;
         }
         let (u, s, v) = singular_values(&by.linear);
-        if !(s[2] > s[0] * SINGULAR) {
+        if s[2] <= s[0] * SINGULAR {
             return None;
         }
         let transposed = [0, 1, 2].map(|i| [0, 1, 2].map(|j| v[j][i]));

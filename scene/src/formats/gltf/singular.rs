@@ -23,7 +23,7 @@ pub(super) fn singular_values(m: &Matrix3) -> (Matrix3, [f64; 3], Matrix3) {
             let (alpha, beta) = (dot(columns[p], columns[p]), dot(columns[q], columns[q]));
             let gamma = dot(columns[p], columns[q]);
             // Products of roots: the product of two squares could underflow.
-            if !(gamma.abs() > ORTHOGONAL * (alpha.sqrt() * beta.sqrt())) {
+            if gamma.is_nan() || gamma.abs() <= ORTHOGONAL * (alpha.sqrt() * beta.sqrt()) {
                 continue;
             }
             turned = true;
