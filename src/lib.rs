@@ -24,6 +24,7 @@
 pub mod assets;
 pub mod cli;
 pub mod inference;
+pub mod inspect;
 pub mod memory;
 pub mod network;
 pub mod outputs;
