@@ -66,6 +66,8 @@ pub struct Labels {
 pub struct LanguageCodes {
     /// Values per Gaussian.
     pub width: usize,
+    /// Width of the features that they stand for.
+    pub feature_width: usize,
 }
 
 /// Histogram bins: opacity in steps of 1/40, logarithms in quarters of a decade.
@@ -200,5 +202,6 @@ pub(super) fn labels(scene: &GaussianScene) -> Option<Labels> {
 }
 
 pub(super) fn language_codes(scene: &GaussianScene) -> Option<LanguageCodes> {
-    scene.lang_code.as_ref().map(|c| LanguageCodes { width: c.width() })
+    let codes = scene.lang_code.as_ref()?;
+    Some(LanguageCodes { width: codes.width(), feature_width: codes.codebook.feature_width() })
 }

@@ -2,7 +2,7 @@
 
 use super::table::{plural, thousands};
 use super::{Finding, Histogram, Inspection, Severity};
-use crate::preview::orthographic::{LevelViews, Side};
+use crate::preview::orthographic::{LevelViews, Viewpoint};
 use crate::preview::{
     BACKGROUND, FAINT_INK, INK, PreviewError, PreviewRows, fill, text, write_png,
 };
@@ -22,6 +22,10 @@ const LOWER: u32 = TITLE_HEIGHT + VIEW + 2 * EDGE;
 /// Histograms stand in two columns of two.
 const CHART_WIDTH: u32 = 372;
 const CHART_HEIGHT: u32 = 236;
+
+/// Height of a line of findings, and the gap between two of them.
+const LINE: u32 = 13;
+const BLOCK_GAP: u32 = 5;
 
 /// Left edge of the text block.
 const TEXT_LEFT: u32 = 2 * (CHART_WIDTH + EDGE) + 2 * EDGE;
@@ -124,8 +128,8 @@ fn draw_views(picture: &mut RgbImage, scene: &GaussianScene, seen: &Inspection) 
         PreviewRows { coord: &scene.coord, color: &color, radius: &radius, opacity: &opacity };
     let bounds = seen.robust_bounds;
     let views = LevelViews::new(&rows, seen.up.axis, bounds.low, bounds.high);
-    for (i, side) in (0..).zip([Side::Front, Side::Side, Side::Above]) {
-        views.draw(picture, side, EDGE + i * (VIEW + EDGE), TITLE_HEIGHT, VIEW);
+    for (i, from) in (0..).zip([Viewpoint::Front, Viewpoint::Right, Viewpoint::Above]) {
+        views.draw(picture, from, EDGE + i * (VIEW + EDGE), TITLE_HEIGHT, VIEW);
     }
 }
 
@@ -200,12 +204,18 @@ fn draw_text(picture: &mut RgbImage, seen: &Inspection) {
     let (verdict, color) = verdict(seen);
     text::draw(picture, TEXT_LEFT, y, 2, color, &verdict, width);
     y += 26;
-    let letters = (width / 8) as usize;
-    let blocks: Vec<(&Finding, Vec<String>)> =
-        seen.findings.iter().chain(&seen.notes).map(|f| (f, f.lines(letters - 4))).collect();
-    for (i, (finding, lines)) in blocks.iter().enumerate() {
-        let left_over = blocks.len() - i;
-        let needed = 13 * lines.len() as u32 + if left_over > 1 { 13 } else { 0 };
+    let letters = (width / 8) as usize - 4;
+    let all: Vec<&Finding> = seen.findings.iter().chain(&seen.notes).collect();
+    let mut blocks: Vec<Vec<String>> = all.iter().map(|f| f.lines(letters)).collect();
+    let room = (HEIGHT - EDGE).saturating_sub(y);
+    let height = |lines: &[String]| LINE * lines.len() as u32 + BLOCK_GAP;
+    if blocks.iter().map(|b| height(b)).sum::<u32>() > room {
+        // The names of all are worth more than the words about a few.
+        blocks = all.iter().map(|f| vec![f.head()]).collect();
+    }
+    for (i, (finding, lines)) in all.iter().zip(&blocks).enumerate() {
+        let left_over = all.len() - i;
+        let needed = height(lines) + if left_over > 1 { LINE } else { 0 };
         if y + needed > HEIGHT - EDGE {
             let more = format!("... {left_over} more, see the table");
             text::draw(picture, TEXT_LEFT, y, 1, FAINT_INK, &more, width);
@@ -213,8 +223,8 @@ fn draw_text(picture: &mut RgbImage, seen: &Inspection) {
         }
         for line in lines {
             text::draw(picture, TEXT_LEFT, y, 1, ink_of(finding.severity), line, width);
-            y += 13;
+            y += LINE;
         }
-        y += 5;
+        y += BLOCK_GAP;
     }
 }

@@ -34,7 +34,8 @@ pub struct Quantiles {
 pub struct Histogram {
     /// What the values are, with their unit.
     pub of: &'static str,
-    /// Borders of the bins, one more than there are bins; written as text, so that they are exact.
+    /// Borders of the bins, one more than there are bins; numbers with at most three decimals in
+    /// JSON.
     #[serde(serialize_with = "as_numbers")]
     pub borders: Vec<Border>,
     /// Rows in each bin; the upper border belongs to the next bin, that of the last to the last.

@@ -121,8 +121,8 @@ impl Finding {
         self.lines(usize::MAX).iter().map(|l| l.trim()).collect::<Vec<_>>().join("; ")
     }
 
-    /// Lines of at most about `width` letters.
-    pub(super) fn lines(&self, width: usize) -> Vec<String> {
+    /// Name, count and first row, in a few words.
+    pub(super) fn head(&self) -> String {
         let mut head = format!("{} {}: ", self.severity.name(), self.name);
         if self.count > 0 {
             head.push_str(&plural(self.count, "row"));
@@ -132,9 +132,19 @@ impl Finding {
             if !self.example.is_empty() {
                 head.push_str(&format!(" ({})", self.example));
             }
-            head.push_str(". ");
+        } else {
+            head.push_str(&self.message);
         }
-        head.push_str(&self.message);
+        head
+    }
+
+    /// Lines of at most about `width` letters.
+    pub(super) fn lines(&self, width: usize) -> Vec<String> {
+        let mut head = self.head();
+        if self.count > 0 {
+            head.push_str(". ");
+            head.push_str(&self.message);
+        }
         let mut lines = wrap(&head, width);
         if !self.mend.is_empty() {
             lines.extend(wrap(&format!("mend: {}", self.mend), width));

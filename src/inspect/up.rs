@@ -28,8 +28,8 @@ const COVER_WEIGHT: f64 = 0.5;
 const BELOW_WEIGHT: f64 = 0.8;
 const LEVEL_WEIGHT: f64 = 0.5;
 const FLOOR_WEIGHT: f64 = 0.5;
-const TALL_WEIGHT: f64 = 0.2;
-const HABIT_WEIGHT: f64 = 0.08;
+const TALL_WEIGHT: f64 = 0.3;
+const HABIT_WEIGHT: f64 = 0.1;
 
 /// One side this much longer than both others is taken for the height of something that stands.
 const TALL: f64 = 1.6;
@@ -225,7 +225,8 @@ fn weigh(looks: &[Look], robust: &Bounds, up: UpAxis, habit: UpAxis) -> UpEviden
         + BELOW_WEIGHT * (out.below - 0.5)
         + LEVEL_WEIGHT * out.level
         + FLOOR_WEIGHT * out.floor
-        + if is_tall { TALL_WEIGHT } else { 0.0 }
+        // A corridor is long too, but closed at its ends.
+        + if is_tall { TALL_WEIGHT * (1.0 - out.floor_cover) } else { 0.0 }
         + if up == habit { HABIT_WEIGHT } else { 0.0 };
     out
 }
@@ -254,6 +255,17 @@ mod tests {
             (*w, *x, *y, *z) = (h * (*w - *x), h * (*x + *w), h * (*y - *z), h * (*z + *y));
         });
         assert_eq!(guess_of(&turned).axis, UpAxis::MinusY);
+    }
+
+    #[test]
+    fn a_corridor_does_not_stand_on_its_end() {
+        let mut corridor =
+            generate_room(&RoomSettings { num_gaussians: 6_000, seed: 4 }).unwrap().scene;
+        corridor.coord.iter_mut().for_each(|c| c[0] *= 4.0);
+        corridor.log_scale.iter_mut().for_each(|s| s[0] += 0.7);
+        let robust = robust_bounds(&corridor.coord);
+        assert!(robust.extent()[0] > 3.0 * robust.extent()[2], "{:?}", robust.extent());
+        assert_eq!(guess(&corridor, &robust).axis, UpAxis::PlusZ);
     }
 
     #[test]

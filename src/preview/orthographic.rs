@@ -7,11 +7,11 @@ use image::RgbImage;
 
 /// Where a level view looks from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Side {
+pub(crate) enum Viewpoint {
     /// Along the second level axis.
     Front,
     /// Against the first level axis.
-    Side,
+    Right,
     /// Down.
     Above,
 }
@@ -48,7 +48,14 @@ impl LevelViews {
     }
 
     /// Draws a view into the picture, with a scale bar and the names of its axes.
-    pub(crate) fn draw(&self, picture: &mut RgbImage, side: Side, left: u32, top: u32, view: u32) {
+    pub(crate) fn draw(
+        &self,
+        picture: &mut RgbImage,
+        from: Viewpoint,
+        left: u32,
+        top: u32,
+        view: u32,
+    ) {
         let largest = (0..3).map(|a| self.high[a] - self.low[a]).fold(0.0, f64::max);
         // A single point still has surroundings.
         let reach = if largest > 0.0 { MARGIN * largest } else { 1.0 };
@@ -57,14 +64,14 @@ impl LevelViews {
         // The wall or ceiling before the camera is left out where there is one on both sides.
         let (cut_low, cut_high) = self.framing.cut_sides();
         let is_room = self.high[2] - self.low[2] > LOWEST_ROOM;
-        let is_cut = match side {
+        let is_cut = match from {
             _ if !is_room => None,
-            Side::Front => cut_low[1].inspect(|&v| low[1] = low[1].max(v)),
-            Side::Side => cut_low[0].inspect(|_| {
+            Viewpoint::Front => cut_low[1].inspect(|&v| low[1] = low[1].max(v)),
+            Viewpoint::Right => cut_low[0].inspect(|_| {
                 let depth = cut_low[0].map_or(0.0, |v| v - self.low[0]).max(0.0);
                 high[0] = high[0].min(self.high[0] - depth);
             }),
-            Side::Above => cut_high[2].inspect(|&v| high[2] = high[2].min(v)),
+            Viewpoint::Above => cut_high[2].inspect(|&v| high[2] = high[2].min(v)),
         }
         .is_some();
         let shown: Vec<Disc> = self
@@ -73,10 +80,10 @@ impl LevelViews {
             .copied()
             .filter(|d| (0..3).all(|a| (low[a]..=high[a]).contains(&f64::from(d.centre[a]))))
             .collect();
-        let axes = match side {
-            Side::Front => [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]],
-            Side::Side => [[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]],
-            Side::Above => [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]],
+        let axes = match from {
+            Viewpoint::Front => [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]],
+            Viewpoint::Right => [[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]],
+            Viewpoint::Above => [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]],
         };
         let size = (0..3).map(|a| high[a] - low[a]).fold(0.0, f64::max);
         let middle = [0, 1, 2].map(|a| (self.low[a] + self.high[a]) / 2.0);
@@ -93,10 +100,10 @@ impl LevelViews {
         // What is drawn reaches under bar, axes and name; they stand on a ground of their own.
         super::fill(picture, [left, top + view - 36], [view / 4 + 20, 36], LABEL_GROUND);
         draw_scale_bar(picture, &lens, [left, top], view);
-        let name = match side {
-            Side::Front => "front",
-            Side::Side => "side",
-            Side::Above => "from above",
+        let name = match from {
+            Viewpoint::Front => "front",
+            Viewpoint::Right => "side",
+            Viewpoint::Above => "from above",
         };
         let note = if is_cut { format!("{name}, cut open") } else { name.to_owned() };
         super::fill(picture, [left, top], [text::width(&note, 1) + 16, 22], LABEL_GROUND);

@@ -4,6 +4,7 @@
 
 mod commands;
 mod hostile;
+mod inspect;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
