@@ -7,7 +7,7 @@ use scenesplat_datasets::{
     ExactPlan, FastPlan, InferencePlan, NetworkInput, TileSettings, sample_rng, split_into_tiles,
 };
 use scenesplat_models::ops::normalize_rows;
-use scenesplat_models::{Forward, Mode, Orders, PointCloud};
+use scenesplat_models::{Forward, Mode, Orders, PointCloud, PointTransformerV3Config};
 use scenesplat_scene::GaussianScene;
 use std::fs::File;
 use std::ops::Range;
@@ -262,7 +262,7 @@ impl<'a> SceneEncoder<'a> {
         let seed = self.shuffle_orders.unwrap_or(0);
         let mut rng: ChaCha8Rng = sample_rng(seed, pass as u64, tile as u64);
         let orders = if self.shuffle_orders.is_some() { Orders::Shuffled } else { Orders::Listed };
-        let costs = block_costs(self.network);
+        let costs = block_costs(self.network.config());
         let total: f64 = costs.iter().map(|(_, c)| c).sum();
         let mut done = 0.0;
         let mut stopped = None;
@@ -352,7 +352,7 @@ struct Budget {
 }
 
 /// Bytes of the arrays of a scene.
-fn scene_bytes(scene: &GaussianScene) -> u64 {
+pub(crate) fn scene_bytes(scene: &GaussianScene) -> u64 {
     let labels = usize::from(scene.segment.is_some()) + usize::from(scene.instance.is_some());
     let normal = usize::from(scene.normal.is_some()) * 12;
     let language = scene.lang_feat.as_ref().map_or(0, |f| f.values.len() * 2);
@@ -361,8 +361,7 @@ fn scene_bytes(scene: &GaussianScene) -> u64 {
 }
 
 /// Relative cost of each named part of a network, by operations per voxel of the finest scale.
-fn block_costs(network: &Network) -> Vec<(String, f64)> {
-    let config = network.config();
+pub(crate) fn block_costs(config: &PointTransformerV3Config) -> Vec<(String, f64)> {
     let cost = |c: usize, patch: usize, stage: usize| {
         let c = c as f64;
         // Convolution over 14 neighbours, linear layers, attention; a quarter of the voxels a scale.

@@ -5,8 +5,9 @@
 
 mod discs;
 mod framing;
+pub(crate) mod orthographic;
 mod palette;
-mod text;
+pub(crate) mod text;
 
 pub use palette::{UNLABELLED_COLOR, class_color};
 
@@ -116,9 +117,9 @@ impl Default for PreviewSettings {
     }
 }
 
-const BACKGROUND: [u8; 3] = [30, 32, 38];
-const INK: [u8; 3] = [232, 232, 228];
-const FAINT_INK: [u8; 3] = [150, 152, 158];
+pub(crate) const BACKGROUND: [u8; 3] = [30, 32, 38];
+pub(crate) const INK: [u8; 3] = [232, 232, 228];
+pub(crate) const FAINT_INK: [u8; 3] = [150, 152, 158];
 
 /// Most classes that the legend lists.
 const LEGEND_ROWS: usize = 24;
@@ -191,6 +192,11 @@ pub fn write_preview(
     settings: &PreviewSettings,
 ) -> Result<u64, PreviewError> {
     let picture = render_preview(rows, legend, settings)?;
+    write_png(path, &picture)
+}
+
+/// Writes a picture, beside the path first, then renamed. Returns the size of the file.
+pub(crate) fn write_png(path: &Path, picture: &RgbImage) -> Result<u64, PreviewError> {
     let mut png = Vec::new();
     image::codecs::png::PngEncoder::new(&mut png).write_image(
         picture.as_raw(),
@@ -281,7 +287,13 @@ fn draw_legend(picture: &mut RgbImage, left: u32, top: u32, legend: &[LegendEntr
     }
 }
 
-fn fill(picture: &mut RgbImage, [left, top]: [u32; 2], [width, height]: [u32; 2], color: [u8; 3]) {
+/// Fills a rectangle, as far as it is inside.
+pub(crate) fn fill(
+    picture: &mut RgbImage,
+    [left, top]: [u32; 2],
+    [width, height]: [u32; 2],
+    color: [u8; 3],
+) {
     for y in top..(top + height).min(picture.height()) {
         for x in left..(left + width).min(picture.width()) {
             picture.put_pixel(x, y, image::Rgb(color));
@@ -289,7 +301,8 @@ fn fill(picture: &mut RgbImage, [left, top]: [u32; 2], [width, height]: [u32; 2]
     }
 }
 
-fn thousands(value: u64) -> String {
+/// A whole number with a space between thousands.
+pub(crate) fn thousands(value: u64) -> String {
     let digits = value.to_string();
     let mut text = String::new();
     for (i, digit) in digits.chars().enumerate() {

@@ -133,7 +133,8 @@ impl From<ConvLayoutArg> for ConvLayout {
     }
 }
 
-fn parse_up(text: &str) -> Result<UpAxis, String> {
+/// Reads the name of an axis.
+pub fn parse_up(text: &str) -> Result<UpAxis, String> {
     Ok(match text {
         "+x" | "x" => UpAxis::PlusX,
         "-x" => UpAxis::MinusX,
@@ -280,21 +281,8 @@ impl<'a> Session<'a> {
     /// Reads a scene; a labelled point cloud is turned into Gaussians.
     pub fn open(&self, path: &Path, inference: &Inference) -> Result<OpenedScene> {
         let stage = self.receipt.stage("read");
-        self.progress.say(format!("reading {}", path.display()));
         let policy = if inference.strict { Policy::Strict } else { Policy::Repair };
-        let opened = match labelled_cloud(path, inference.segment_name.as_deref())? {
-            true => self.open_cloud(path, policy, inference.segment_name.as_deref())?,
-            false => {
-                let options = ReadOptions {
-                    policy,
-                    segment: inference.segment_name.clone(),
-                    lang_feat: false,
-                    sh_rest: false,
-                    ..ReadOptions::default()
-                };
-                OpenedScene { loaded: open_scene(path, &options)?, converted: false }
-            }
-        };
+        let opened = self.read(path, policy, inference.segment_name.as_deref(), false)?;
         if !opened.loaded.report.is_clean() {
             let text = opened.loaded.report.to_string();
             self.progress.say(&text);
@@ -304,6 +292,28 @@ impl<'a> Session<'a> {
         self.receipt.fingerprint("input", path)?;
         drop(stage);
         Ok(opened)
+    }
+
+    /// Reads a scene without a word about its values; `sh_rest` asks for the higher harmonics.
+    pub fn read(
+        &self,
+        path: &Path,
+        policy: Policy,
+        label: Option<&str>,
+        sh_rest: bool,
+    ) -> Result<OpenedScene> {
+        self.progress.say(format!("reading {}", path.display()));
+        if labelled_cloud(path, label)? {
+            return self.open_cloud(path, policy, label);
+        }
+        let options = ReadOptions {
+            policy,
+            segment: label.map(str::to_owned),
+            lang_feat: false,
+            sh_rest,
+            ..ReadOptions::default()
+        };
+        Ok(OpenedScene { loaded: open_scene(path, &options)?, converted: false })
     }
 
     fn open_cloud(&self, path: &Path, policy: Policy, label: Option<&str>) -> Result<OpenedScene> {

@@ -4,6 +4,7 @@ mod common;
 mod convert;
 mod evaluate;
 mod features;
+mod inspect;
 mod query;
 mod segment;
 mod weights;
@@ -22,6 +23,8 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    /// Looks at a scene: what is in it, what is wrong with it, what it will cost.
+    Inspect(inspect::Args),
     /// Writes one feature row per Gaussian.
     Features(features::Args),
     /// Labels every Gaussian with a class.
@@ -55,6 +58,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         }
     };
     let done = match &cli.command {
+        Command::Inspect(args) => inspect::run(args, &line),
         Command::Features(args) => features::run(args, &line),
         Command::Segment(args) => segment::run(args, &line),
         Command::Query(args) => query::run(args, &line),

@@ -26,6 +26,19 @@ impl Upright {
         Self { rows }
     }
 
+    /// As [`Self::turn`], of a position in f64.
+    pub(super) fn turn_exact(&self, p: [f64; 3]) -> [f64; 3] {
+        self.rows.map(|r| (0..3).map(|a| f64::from(r[a]) * p[a]).sum())
+    }
+
+    /// The name of an upright direction in the scene's own axes: `-y`.
+    pub(super) fn axis_name(&self, direction: [f64; 3]) -> &'static str {
+        let names = [["+x", "-x"], ["+y", "-y"], ["+z", "-z"]];
+        let along =
+            |a: usize| -> f64 { (0..3).map(|i| f64::from(self.rows[i][a]) * direction[i]).sum() };
+        (0..3).find(|&a| along(a).abs() > 0.5).map_or("", |a| names[a][usize::from(along(a) < 0.0)])
+    }
+
     pub(super) fn turn(&self, p: [f32; 3]) -> [f32; 3] {
         // A sum of one coordinate and two zeros would turn -0 into 0 only: no rounding.
         self.rows.map(|r| r[0] * p[0] + r[1] * p[1] + r[2] * p[2])
@@ -44,6 +57,9 @@ pub(super) struct Framing {
     /// Discs outside are not drawn.
     draw_low: [f64; 3],
     draw_high: [f64; 3],
+    /// The same limits before walls and ceiling were cut away.
+    uncut_low: [f64; 3],
+    uncut_high: [f64; 3],
     is_cut_open: bool,
     /// Some of the centres that are drawn, for aiming the camera.
     sample: Vec<[f64; 3]>,
@@ -80,6 +96,8 @@ impl Framing {
             high,
             draw_low: low.map(|v| v - REACH * largest),
             draw_high: high.map(|v| v + REACH * largest),
+            uncut_low: low.map(|v| v - REACH * largest),
+            uncut_high: high.map(|v| v + REACH * largest),
             is_cut_open: false,
             sample: Vec::new(),
             border,
@@ -102,6 +120,16 @@ impl Framing {
 
     pub(super) fn is_cut_open(&self) -> bool {
         self.is_cut_open
+    }
+
+    /// Limits of what is drawn at the low and high side of each axis, where a wall or ceiling is cut
+    /// away there.
+    pub(super) fn cut_sides(&self) -> ([Option<f64>; 3], [Option<f64>; 3]) {
+        let cut = |draw: f64, limit: f64| (self.is_cut_open && draw != limit).then_some(draw);
+        (
+            [0, 1, 2].map(|a| cut(self.draw_low[a], self.uncut_low[a])),
+            [0, 1, 2].map(|a| cut(self.draw_high[a], self.uncut_high[a])),
+        )
     }
 
     pub(super) fn shows(&self, p: [f32; 3]) -> bool {

@@ -4,12 +4,12 @@ use font8x8::{BASIC_FONTS, LATIN_FONTS, UnicodeFonts};
 use image::{Rgb, RgbImage};
 
 /// Width of a line, pixels, at `size` pixels per dot.
-pub(super) fn width(text: &str, size: u32) -> u32 {
+pub(crate) fn width(text: &str, size: u32) -> u32 {
     u32::try_from(text.chars().count()).unwrap_or(u32::MAX).saturating_mul(8 * size)
 }
 
 /// Draws a line; what is wider than `max_width` is cut and ends in `..`.
-pub(super) fn draw(
+pub(crate) fn draw(
     picture: &mut RgbImage,
     left: u32,
     top: u32,

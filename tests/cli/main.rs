@@ -5,6 +5,7 @@
 mod commands;
 mod convert;
 mod hostile;
+mod inspect;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

@@ -1,0 +1,330 @@
+//! The thresholds: what counts as a finding, and in which words.
+
+use super::bounds::Bounds;
+use super::content::{TooWide, Values};
+use super::duplicates::Duplicates;
+use super::findings::{About, Findings, Severity};
+use super::neighbourhood::{FEWEST_ROWS, Neighbourhood, reach};
+use super::statistics::{count_rows, largest};
+use super::unit::{LengthUnit, UnitGuess, short};
+use scenesplat_scene::GaussianScene;
+
+/// A Gaussian is an outlier when its distance from the robust box exceeds so many of its diagonals.
+/// The badly converged capture of the calibration reaches 1.6, clean scenes 0.03.
+pub(super) const OUTLIER_DIAGONALS: f64 = 10.0;
+
+/// A Gaussian is a giant when its reach of three standard deviations exceeds this share of the
+/// diagonal. Clean scenes: at most 0.35; one as large as the scene: above 1.7.
+const GIANT_DIAGONALS: f64 = 0.75;
+
+/// Giants fainter than this tint by less than five of 255.
+const GIANT_OPACITY: f32 = 0.02;
+
+/// Share of isolated Gaussians that is a finding. Captures and generated rooms have up to 0.2 %.
+const ISOLATED_SHARE: f64 = 0.003;
+
+/// Share of repeated rows that is a finding. Clean scenes have none at all; one snapshot of a
+/// training that clones Gaussians has 35 %.
+const DUPLICATE_SHARE: f64 = 0.001;
+
+/// Where 95 % of the Gaussians are fainter than this, the training has not converged. The clean
+/// scenes: 0.6 to 1; the badly converged capture: 0.23.
+const CONVERGED_OPACITY: f64 = 1.0 / 3.0;
+
+/// Fainter Gaussians are skipped by renderers.
+const INVISIBLE: f32 = 1.0 / 255.0;
+
+/// Share of invisible Gaussians that is worth a remark.
+const INVISIBLE_SHARE: f64 = 0.05;
+
+/// Coordinates whose f32 step exceeds this were rounded to a fifth of a voxel or worse, metres.
+const COARSEST_STEP: f32 = 0.004;
+
+pub(super) fn check_positions(
+    findings: &mut Findings<'_>,
+    scene: &GaussianScene,
+    bounds: &Bounds,
+    robust: &Bounds,
+    too_wide: Option<&TooWide>,
+) {
+    let rows = scene.len();
+    if let Some(TooWide { row, message }) = too_wide {
+        findings.add(Severity::Error, "grid_too_wide", About {
+            count: 1,
+            first: Some(*row),
+            example: format!("{:?}", scene.coord[*row]),
+            message: format!("the scene does not fit on the voxel grid: {message}"),
+            mend: "remove the outliers, or rescale the scene to metres; the networks refuse it so",
+        });
+    }
+    if rows < FEWEST_ROWS {
+        findings.add(
+            Severity::Note,
+            "few_rows",
+            About {
+                count: rows,
+                first: None,
+                example: String::new(),
+                message: format!(
+                    "fewer than {FEWEST_ROWS} Gaussians: outliers, sizes, isolation, unit and convergence \
+                     are not judged"
+                ),
+                mend: "",
+            },
+        );
+    }
+    if bounds.largest_extent() == 0.0 && rows > 1 {
+        findings.add(
+            Severity::Warning,
+            "one_place",
+            About {
+                count: rows,
+                first: Some(0),
+                example: format!("{:?}", scene.coord[0]),
+                message: "all Gaussians are in one place".to_owned(),
+                mend: "export the scene again; its positions are lost",
+            },
+        );
+    }
+    let furthest =
+        (0..3).map(|a| robust.low[a].abs().max(robust.high[a].abs())).fold(0.0, f64::max);
+    let step = (furthest as f32).next_up() - furthest as f32;
+    if step > COARSEST_STEP && too_wide.is_none() {
+        findings.add(Severity::Warning, "coarse_coordinates", About {
+            count: rows,
+            first: None,
+            example: format!("coordinates up to {}", short(furthest)),
+            message: format!(
+                "so far from the origin, single precision has rounded positions to {} m",
+                short(f64::from(step))
+            ),
+            mend: "subtract the origin of the survey before exporting; rounding cannot be undone",
+        });
+    }
+}
+
+/// Gaussians far from everything else.
+pub(super) fn check_outliers(findings: &mut Findings<'_>, scene: &GaussianScene, robust: &Bounds) {
+    let rows = scene.len();
+    let limit = OUTLIER_DIAGONALS * robust.diagonal();
+    if rows < FEWEST_ROWS || limit == 0.0 {
+        return;
+    }
+    let distance = |row: usize| robust.distance(scene.coord[row]);
+    let far = count_rows(rows, |row| distance(row) > limit);
+    let farthest = largest(rows, |row| Some(distance(row)));
+    if let (Some(first), Some((_, metres))) = (far.first, farthest) {
+        findings.add(Severity::Warning, "outliers", About {
+            count: far.count,
+            first: far.first,
+            example: format!("{:?}", scene.coord[first]),
+            message: format!(
+                "{} of the Gaussians lie more than {OUTLIER_DIAGONALS} diagonals outside the scene, \
+                 which is {} m across; the farthest is {} m away",
+                percent(far.count, rows),
+                short(robust.diagonal()),
+                short(metres)
+            ),
+            mend: "cut the scene to its box; each outlier costs a voxel and spoils whatever uses \
+                   the full bounds",
+        });
+    }
+}
+
+pub(super) fn check_unit(findings: &mut Findings<'_>, rows: usize, unit: Option<&UnitGuess>) {
+    let Some(guess) = unit.filter(|_| rows >= FEWEST_ROWS) else { return };
+    let (severity, mend) = match guess.unit {
+        LengthUnit::Metre => return,
+        LengthUnit::Centimetre => (Severity::Note, ""),
+        LengthUnit::Millimetre => (
+            Severity::Warning,
+            "divide positions by 1000 and add ln(0.001) = -6.9078 to the log-scales: voxels are \
+             2 cm in metres",
+        ),
+        LengthUnit::Kilometre => (
+            Severity::Warning,
+            "rescale the scene to metres: as it is, all of it falls into a few voxels of 2 cm",
+        ),
+    };
+    findings.add(
+        severity,
+        "unit",
+        About {
+            count: rows,
+            first: None,
+            example: guess.evidence.clone(),
+            message: format!("one unit seems to be 1 {}, not 1 m", guess.unit.symbol()),
+            mend,
+        },
+    );
+}
+
+pub(super) fn check_sizes(findings: &mut Findings<'_>, scene: &GaussianScene, robust: &Bounds) {
+    let diagonal = robust.diagonal();
+    let too_few = scene.len() < FEWEST_ROWS;
+    if diagonal <= 0.0 || too_few {
+        return;
+    }
+    let is_giant = |row: usize| {
+        let reach = reach(scene, row);
+        reach > GIANT_DIAGONALS * diagonal
+            && scene.opacity(row) >= GIANT_OPACITY
+            // A background that ends before the scene begins does no harm.
+            && robust.distance(scene.coord[row]) <= reach
+    };
+    let giants = count_rows(scene.len(), is_giant);
+    let largest = largest(scene.len(), |row| is_giant(row).then(|| reach(scene, row)));
+    if let (Some(first), Some((_, metres))) = (giants.first, largest) {
+        findings.add(Severity::Warning, "giant_splats", About {
+            count: giants.count,
+            first: giants.first,
+            example: format!(
+                "reaches {} m, opacity {:.2}",
+                short(reach(scene, first)),
+                scene.opacity(first)
+            ),
+            message: format!(
+                "three standard deviations reach over {GIANT_DIAGONALS} diagonals of the scene, \
+                 which is {} m across; the largest reaches {} m",
+                short(diagonal),
+                short(metres)
+            ),
+            mend: "delete them, or clamp their scale; each tints much of every picture",
+        });
+    }
+}
+
+pub(super) fn check_isolated(
+    findings: &mut Findings<'_>,
+    scene: &GaussianScene,
+    near: &Neighbourhood,
+) {
+    let (Some(first), Some((_, metres))) = (near.isolated.first, near.most_isolated) else {
+        return;
+    };
+    let count = near.isolated.count;
+    let is_many = count as f64 > ISOLATED_SHARE * scene.len() as f64;
+    let severity = if is_many { Severity::Warning } else { Severity::Note };
+    findings.add(
+        severity,
+        "floaters",
+        About {
+            count,
+            first: near.isolated.first,
+            example: format!("{:?}", scene.coord[first]),
+            message: format!(
+                "{} of the Gaussians are isolated: the 4th neighbour is up to {} m away, usually {} m",
+                percent(count, scene.len()),
+                short(metres),
+                short(near.spacing.unwrap_or(0.0))
+            ),
+            mend: if is_many {
+                "remove floaters in an editor; each gets a label of its own and may answer queries"
+            } else {
+                ""
+            },
+        },
+    );
+}
+
+pub(super) fn check_duplicates(findings: &mut Findings<'_>, found: &Duplicates, rows: usize) {
+    let whole = found.whole;
+    if whole.count > 0 {
+        let is_many = whole.count as f64 > DUPLICATE_SHARE * rows as f64;
+        let severity = if is_many { Severity::Warning } else { Severity::Note };
+        findings.add(severity, "duplicates", About {
+            count: whole.count,
+            first: whole.first,
+            example: String::new(),
+            message: format!(
+                "{} of the rows repeat an earlier one in position, scale, rotation, opacity and \
+                 colour",
+                percent(whole.count, rows)
+            ),
+            mend: if is_many {
+                "remove the copies; a snapshot in the middle of training has them where Gaussians \
+                 were just cloned: train on"
+            } else {
+                ""
+            },
+        });
+    }
+    let elsewhere = found.position.count - whole.count;
+    if elsewhere > 0 {
+        findings.add(
+            Severity::Note,
+            "same_position",
+            About {
+                count: elsewhere,
+                first: found.position.first,
+                example: String::new(),
+                message: "Gaussians stand where another one stands, but differ from it".to_owned(),
+                mend: "",
+            },
+        );
+    }
+}
+
+pub(super) fn check_opacity(findings: &mut Findings<'_>, scene: &GaussianScene, opacity: &Values) {
+    let rows = scene.len();
+    let Some(q) = opacity.quantiles else { return };
+    if q.p95 < CONVERGED_OPACITY && rows >= FEWEST_ROWS {
+        findings.add(
+            Severity::Warning,
+            "low_opacity",
+            About {
+                count: rows,
+                first: None,
+                example: format!("median {:.3}, 95 % below {:.3}", q.p50, q.p95),
+                message: "nearly everything is transparent: the training has not converged"
+                    .to_owned(),
+                mend: "train longer, or check the poses; labels of haze mean little",
+            },
+        );
+    }
+    let invisible = count_rows(rows, |row| scene.opacity(row) < INVISIBLE);
+    if invisible.count as f64 > INVISIBLE_SHARE * rows as f64 {
+        findings.add(
+            Severity::Note,
+            "invisible",
+            About {
+                count: invisible.count,
+                first: invisible.first,
+                example: String::new(),
+                message: format!(
+                    "{} of the Gaussians have an opacity below 1/255, which no renderer draws",
+                    percent(invisible.count, rows)
+                ),
+                mend: "",
+            },
+        );
+    }
+}
+
+pub(super) fn check_harmonics(findings: &mut Findings<'_>, scene: &GaussianScene, used: u8) {
+    if used < scene.sh_degree {
+        findings.add(
+            Severity::Note,
+            "unused_harmonics",
+            About {
+                count: scene.len(),
+                first: None,
+                example: String::new(),
+                message: format!(
+                    "degree {} is declared, but coefficients beyond degree {used} are all zero",
+                    scene.sh_degree
+                ),
+                mend: "",
+            },
+        );
+    }
+}
+
+fn percent(count: usize, of: usize) -> String {
+    let share = 100.0 * count as f64 / of.max(1) as f64;
+    match share {
+        s if s >= 0.1 => format!("{s:.1} %"),
+        s if s >= 0.01 => format!("{s:.2} %"),
+        _ => "fewer than 0.01 %".to_owned(),
+    }
+}

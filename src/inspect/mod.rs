@@ -1,0 +1,185 @@
+//! A look at a scene before anything is spent on it: what is in it, what is wrong with it, and what
+//! it will cost.
+//!
+//! [`inspect`] measures and judges; [`sheet`] draws the result; [`Inspection`] prints as a table and
+//! is written as JSON. Every number is finite or null. The thresholds were set on the real scenes
+//! listed in `docs/inspect.md`, which raise no finding.
+
+mod bounds;
+mod checks;
+mod content;
+mod duplicates;
+mod estimate;
+mod findings;
+mod neighbourhood;
+pub mod sheet;
+mod statistics;
+mod table;
+mod unit;
+mod up;
+
+pub use bounds::Bounds;
+pub use content::{Labels, LanguageCodes, ShBand, Values, Voxels};
+pub use estimate::{Estimate, estimate, measure_gflops};
+pub use findings::{Finding, Severity};
+pub use statistics::{Border, Histogram, Quantiles};
+pub use unit::{LengthUnit, UnitGuess};
+pub use up::{UpEvidence, UpGuess};
+
+use crate::preview::UpAxis;
+use findings::Findings;
+use scenesplat_models::PointTransformerV3Config;
+use scenesplat_scene::LoadedScene;
+use serde::Serialize;
+
+/// How to look at a scene.
+#[derive(Debug, Clone)]
+pub struct InspectSettings {
+    /// Whether the scene was a point cloud that was turned into Gaussians.
+    pub from_points: bool,
+    /// Which way is up, if the user knows.
+    pub up: Option<UpAxis>,
+    /// Voxel size, metres.
+    pub grid_size: f64,
+    /// The network to estimate the cost of, and its name; `None`: no estimate, which is the only
+    /// part that is measured and therefore not the same twice.
+    pub network: Option<(String, PointTransformerV3Config)>,
+}
+
+impl Default for InspectSettings {
+    fn default() -> Self {
+        Self { from_points: false, up: None, grid_size: 0.02, network: None }
+    }
+}
+
+/// What was seen.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Inspection {
+    /// The file or folder.
+    pub path: String,
+    /// What it is: `ply`, `compressed-ply`, `npy`, `splat`, `spz`, `sog`, `ksplat`, `gltf`, or
+    /// `points` for a labelled point cloud.
+    pub format: &'static str,
+    /// Rows in the file.
+    pub gaussians: usize,
+    /// Rows that can be used; everything below is about them.
+    pub usable: usize,
+    /// Rows left out.
+    pub dropped: usize,
+    /// Box around everything, metres.
+    pub bounds: Bounds,
+    /// Box around the scene without what is stray, metres.
+    pub robust_bounds: Bounds,
+    /// Sides of the robust box, metres.
+    pub extent: [f64; 3],
+    /// Median distance to the fourth neighbour, metres.
+    pub spacing: Option<f64>,
+    /// Which way seems to be up.
+    pub up: UpGuess,
+    /// What one unit seems to be; `None` without any extent.
+    pub unit: Option<UnitGuess>,
+    /// Spherical-harmonic degree that the file declares.
+    pub sh_degree: u8,
+    /// Highest degree with a coefficient that could change a colour.
+    pub sh_degree_used: u8,
+    /// The higher bands one by one.
+    pub sh_bands: Vec<ShBand>,
+    /// Opacity, 0..=1.
+    pub opacity: Values,
+    /// Largest standard deviation of each Gaussian, metres; its histogram is of log10.
+    pub largest_scale: Values,
+    /// Smallest standard deviation of each Gaussian, metres; its histogram is of log10.
+    pub smallest_scale: Values,
+    /// Largest standard deviation divided by the smallest; its histogram is of log10.
+    pub anisotropy: Values,
+    /// Occupancy of the network's voxels; `None` if not even the robust part fits on the grid.
+    pub voxels: Option<Voxels>,
+    /// Whether there are normals.
+    pub has_normals: bool,
+    /// Class labels, if there are any.
+    pub labels: Option<Labels>,
+    /// Language codes, if there are any.
+    pub language_codes: Option<LanguageCodes>,
+    /// What is wrong, the worst first; empty for a clean scene.
+    pub findings: Vec<Finding>,
+    /// What is worth knowing though nothing is wrong.
+    pub notes: Vec<Finding>,
+    /// What a network will cost; `None` if not asked for or without voxels.
+    pub estimate: Option<Estimate>,
+}
+
+/// Looks at a scene.
+///
+/// The result is the same for any number of threads, except for the estimate.
+///
+/// ```
+/// use scenesplat::inspect::{InspectSettings, inspect};
+/// use scenesplat::scene::{ReadOptions, open_scene};
+///
+/// # let room = concat!(env!("CARGO_MANIFEST_DIR"), "/assets/demo/room.ply");
+/// let loaded = open_scene(room.as_ref(), &ReadOptions::default())?;
+/// let seen = inspect(&loaded, &InspectSettings::default());
+/// assert_eq!((seen.gaussians, seen.findings.len()), (16_000, 0));
+/// println!("{seen}");
+/// # Ok::<(), scenesplat::scene::SceneError>(())
+/// ```
+pub fn inspect(loaded: &LoadedScene, settings: &InspectSettings) -> Inspection {
+    let scene = &loaded.scene;
+    let bounds = bounds::raw_bounds(&scene.coord);
+    let robust = bounds::robust_bounds(&scene.coord);
+    let zone = robust.grown(checks::OUTLIER_DIAGONALS * robust.diagonal());
+    let near = neighbourhood::neighbourhood(scene, &zone);
+    let (voxels, too_wide) = content::voxels(scene, settings.grid_size, &zone);
+    let unit = unit::guess_unit(&robust, near.spacing);
+    let up = match settings.up {
+        Some(up) => up::given(up),
+        None => up::guess(scene, &robust),
+    };
+    let sh_bands = content::sh_bands(scene);
+    let sh_degree_used = sh_bands.iter().filter(|b| b.rows > 0).map(|b| b.band).max().unwrap_or(0);
+    let opacity = content::opacity(scene);
+    let (largest_scale, smallest_scale, anisotropy) = content::scales(scene);
+
+    let mut findings = Findings::of_reading(loaded);
+    checks::check_positions(&mut findings, scene, &bounds, &robust, too_wide.as_ref());
+    checks::check_outliers(&mut findings, scene, &robust);
+    checks::check_unit(&mut findings, scene.len(), unit.as_ref());
+    checks::check_sizes(&mut findings, scene, &robust);
+    checks::check_isolated(&mut findings, scene, &near);
+    checks::check_duplicates(&mut findings, &duplicates::find_duplicates(scene), scene.len());
+    checks::check_opacity(&mut findings, scene, &opacity);
+    checks::check_harmonics(&mut findings, scene, sh_degree_used);
+    let (findings, notes) = findings.split();
+
+    let estimate =
+        settings.network.as_ref().zip(voxels.as_ref()).map(|((name, config), voxels)| {
+            estimate(scene, voxels.count, name, config, measure_gflops())
+        });
+    Inspection {
+        path: loaded.path.display().to_string(),
+        format: if settings.from_points { "points" } else { loaded.kind.name() },
+        gaussians: loaded.source_rows(),
+        usable: scene.len(),
+        dropped: loaded.report.dropped_rows,
+        bounds,
+        robust_bounds: robust,
+        extent: robust.extent(),
+        spacing: near.spacing,
+        up,
+        unit,
+        sh_degree: scene.sh_degree,
+        sh_degree_used,
+        sh_bands,
+        opacity,
+        largest_scale,
+        smallest_scale,
+        anisotropy,
+        voxels,
+        has_normals: scene.normal.is_some(),
+        labels: content::labels(scene),
+        language_codes: content::language_codes(scene),
+        findings,
+        notes,
+        estimate,
+    }
+}

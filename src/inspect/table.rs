@@ -1,0 +1,249 @@
+//! An inspection as lines of text.
+
+use super::unit::short;
+use super::{Finding, Inspection, Quantiles, Values};
+use crate::memory::Bytes;
+use std::fmt;
+
+/// Widest line of the messages.
+const LINE: usize = 96;
+
+impl Inspection {
+    /// The figures, one line each: what it is and its value.
+    pub(super) fn figures(&self) -> Vec<(&'static str, String)> {
+        let mut rows = Vec::new();
+        let left_out = match self.dropped {
+            0 => String::new(),
+            n => format!(", {} left out", thousands(n)),
+        };
+        rows.push((
+            "Gaussians",
+            format!("{} ({}){left_out}", thousands(self.gaussians), self.format),
+        ));
+        rows.push(("extent", format!("{} m", sides(self.extent))));
+        if self.bounds != self.robust_bounds {
+            rows.push(("all of it", format!("{} m", sides(self.bounds.extent()))));
+        }
+        rows.push(("centre", {
+            let b = self.robust_bounds;
+            [0, 1, 2].map(|a| short((b.low[a] + b.high[a]) / 2.0)).join(", ")
+        }));
+        if let Some(unit) = &self.unit {
+            rows.push(("unit", format!("{}, {}", unit.unit.symbol(), sure(unit.confidence))));
+        }
+        let up = &self.up;
+        let how = if up.given { "as given".to_owned() } else { sure(up.confidence) };
+        rows.push(("up", format!("{}, {how}", up.axis.name())));
+        if let Some(spacing) = self.spacing {
+            rows.push(("spacing", format!("{} m to the 4th neighbour", short(spacing))));
+        }
+        rows.push(("scale", five(&self.largest_scale, " m")));
+        rows.push(("anisotropy", five(&self.anisotropy, "")));
+        rows.push(("opacity", five(&self.opacity, "")));
+        rows.push((
+            "harmonics",
+            match (self.sh_degree, self.sh_degree_used) {
+                (declared, used) if declared == used => format!("degree {declared}"),
+                (declared, used) => format!("degree {declared} declared, {used} used"),
+            },
+        ));
+        let mut more = Vec::new();
+        if self.has_normals {
+            more.push("normals".to_owned());
+        }
+        if let Some(labels) = &self.labels {
+            more.push(format!("{} classes, {} instances", labels.classes, labels.instances));
+        }
+        if let Some(codes) = &self.language_codes {
+            more.push(format!("language codes of {} values", codes.width));
+        }
+        if !more.is_empty() {
+            rows.push(("also", more.join("; ")));
+        }
+        match &self.voxels {
+            Some(v) => rows.push((
+                "voxels",
+                format!(
+                    "{} of {} cm, {:.2} Gaussians each, at most {}",
+                    thousands(v.count),
+                    (v.size * 1e5).round() / 1e3,
+                    v.mean,
+                    thousands(v.largest)
+                ),
+            )),
+            None => rows.push(("voxels", "the scene does not fit on the grid".to_owned())),
+        }
+        if let Some(e) = &self.estimate {
+            let [low, high] = e.seconds_range.map(duration);
+            rows.push((
+                "cost",
+                format!(
+                    "{} network: {low} to {high} on {} threads, {}",
+                    e.network,
+                    e.threads,
+                    Bytes(e.bytes)
+                ),
+            ));
+        }
+        rows
+    }
+}
+
+impl fmt::Display for Inspection {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "{}", self.path)?;
+        for (what, value) in self.figures() {
+            writeln!(f, "  {what:<11} {value}")?;
+        }
+        let about_up = (!self.up.given).then_some(("up", &self.up.evidence));
+        for (what, why) in
+            about_up.into_iter().chain(self.unit.iter().map(|u| ("unit", &u.evidence)))
+        {
+            writeln!(f, "  why {what:<7} {why}")?;
+        }
+        if self.findings.is_empty() {
+            write!(f, "no findings")?;
+        } else {
+            write!(f, "{}", plural(self.findings.len(), "finding"))?;
+        }
+        for finding in self.findings.iter().chain(&self.notes) {
+            for line in finding.lines(LINE) {
+                write!(f, "\n  {line}")?;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Finding {
+    /// All of it in one line.
+    pub(crate) fn lines_joined(&self) -> String {
+        self.lines(usize::MAX).iter().map(|l| l.trim()).collect::<Vec<_>>().join("; ")
+    }
+
+    /// Name, count and first row, in a few words.
+    pub(super) fn head(&self) -> String {
+        let mut head = format!("{} {}: ", self.severity.name(), self.name);
+        if self.count > 0 {
+            head.push_str(&plural(self.count, "row"));
+            if let Some(first) = self.first_row {
+                head.push_str(&format!(", first {first}"));
+            }
+            if !self.example.is_empty() {
+                head.push_str(&format!(" ({})", self.example));
+            }
+        } else {
+            head.push_str(&self.message);
+        }
+        head
+    }
+
+    /// Lines of at most about `width` letters.
+    pub(super) fn lines(&self, width: usize) -> Vec<String> {
+        let mut head = self.head();
+        if self.count > 0 {
+            head.push_str(". ");
+            head.push_str(&self.message);
+        }
+        let mut lines = wrap(&head, width);
+        if !self.mend.is_empty() {
+            lines.extend(wrap(&format!("mend: {}", self.mend), width));
+        }
+        // All but the first line are indented.
+        lines.iter_mut().skip(1).for_each(|l| l.insert_str(0, "    "));
+        lines
+    }
+}
+
+/// Breaks a text at spaces.
+pub(super) fn wrap(text: &str, width: usize) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for word in text.split(' ') {
+        match lines.last_mut() {
+            Some(line) if line.chars().count() + word.chars().count() < width => {
+                line.push(' ');
+                line.push_str(word);
+            }
+            _ => lines.push(word.to_owned()),
+        }
+    }
+    lines
+}
+
+fn sides(extent: [f64; 3]) -> String {
+    extent.map(short).join(" x ")
+}
+
+fn five(values: &Values, unit: &str) -> String {
+    let Some(Quantiles { p5, p50, p95, .. }) = values.quantiles else {
+        return "-".to_owned();
+    };
+    format!("{} / {} / {}{unit} (5, 50, 95 %)", short(p5), short(p50), short(p95))
+}
+
+fn sure(confidence: f64) -> String {
+    let word = match confidence {
+        c if c >= 0.6 => "quite sure",
+        c if c >= 0.3 => "likely",
+        c if c >= 0.15 => "perhaps",
+        _ => "a guess",
+    };
+    format!("{word} ({confidence:.2})")
+}
+
+/// Seconds as people say them.
+fn duration(seconds: f64) -> String {
+    match seconds {
+        s if s < 0.95 => format!("{s:.1} s"),
+        s if s < 120.0 => format!("{s:.0} s"),
+        s if s < 7200.0 => format!("{:.0} min", s / 60.0),
+        s => format!("{:.1} h", s / 3600.0),
+    }
+}
+
+/// `1 finding`, `2 findings`.
+pub(super) fn plural(count: usize, what: &str) -> String {
+    format!("{} {what}{}", thousands(count), if count == 1 { "" } else { "s" })
+}
+
+pub(super) fn thousands(value: usize) -> String {
+    crate::preview::thousands(value as u64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::inspect::Severity;
+
+    #[test]
+    fn lines_are_broken_and_lose_no_word() {
+        let finding = Finding {
+            name: "floaters".to_owned(),
+            severity: Severity::Warning,
+            count: 12_345,
+            first_row: Some(7),
+            example: "x".repeat(200),
+            message: "many words ".repeat(30),
+            mend: "remove them".to_owned(),
+        };
+        let lines = finding.lines(60);
+        assert!(lines[0].starts_with("warning floaters: 12 345 rows, first 7"), "{lines:?}");
+        assert!(lines[1..].iter().all(|l| l.starts_with("    ")));
+        let words = |t: &str| t.split_whitespace().count();
+        assert_eq!(lines.iter().map(|l| words(l)).sum::<usize>(), 7 + 1 + 60 + 3);
+        // Only a word that is longer by itself may stick out.
+        assert!(lines.iter().all(|l| l.len() <= 64 || l.contains("xxx")), "{lines:?}");
+    }
+
+    #[test]
+    fn times_and_numbers() {
+        assert_eq!(duration(0.31), "0.3 s");
+        assert_eq!(duration(47.7), "48 s");
+        assert_eq!(duration(3_000.0), "50 min");
+        assert_eq!(duration(9_000.0), "2.5 h");
+        assert_eq!(short(1234.5), "1234");
+        assert_eq!(short(0.000_012), "1.20e-5");
+        assert_eq!(short(f64::INFINITY), "-");
+        assert_eq!(thousands(1_500_000), "1 500 000");
+    }
+}

@@ -1,0 +1,100 @@
+//! What one unit of the coordinates is.
+
+use super::bounds::Bounds;
+use serde::Serialize;
+
+/// A unit of length.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub enum LengthUnit {
+    /// Metres, or the free unit of an object that is about one unit large.
+    #[serde(rename = "m")]
+    Metre,
+    /// Centimetres.
+    #[serde(rename = "cm")]
+    Centimetre,
+    /// Millimetres.
+    #[serde(rename = "mm")]
+    Millimetre,
+    /// Kilometres, or an object scaled to nearly nothing.
+    #[serde(rename = "km")]
+    Kilometre,
+}
+
+impl LengthUnit {
+    /// Its symbol.
+    pub fn symbol(self) -> &'static str {
+        match self {
+            Self::Metre => "m",
+            Self::Centimetre => "cm",
+            Self::Millimetre => "mm",
+            Self::Kilometre => "km",
+        }
+    }
+}
+
+/// What one unit of the coordinates seems to be.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct UnitGuess {
+    /// The unit.
+    pub unit: LengthUnit,
+    /// How sure, 0..=1.
+    pub confidence: f64,
+    /// What speaks for it.
+    pub evidence: String,
+}
+
+/// A scene this large, with Gaussians this far apart, is no capture in metres: an aerial survey of a
+/// kilometre has them closer, terrain of some hundred metres is smaller.
+const LARGE: f64 = 600.0;
+const COARSE: f64 = 1.0;
+
+/// From here on a room is better explained by centimetres; terrain is as large, so it stays a remark.
+const ROOM_IN_CM: f64 = 150.0;
+
+/// Smaller than five voxels of 2 cm.
+const TINY: f64 = 0.1;
+
+/// Judges by the largest side of the robust box and the usual distance of neighbours, metres if the
+/// unit is the metre. `None` if the scene has no extent.
+pub(super) fn guess_unit(robust: &Bounds, spacing: Option<f64>) -> Option<UnitGuess> {
+    let size = robust.largest_extent();
+    let spacing = spacing?;
+    if size <= 0.0 {
+        return None;
+    }
+    let about = format!("{} units across, neighbours {} apart", short(size), short(spacing));
+    let upright = robust.extent().into_iter().fold(f64::INFINITY, f64::min) / size;
+    Some(if size > LARGE && spacing > COARSE {
+        // Twice as large is twice as sure; a kilometre is the least that a survey has.
+        let confidence = (0.6 + 0.2 * (size / LARGE).log2()).min(0.98);
+        let evidence = format!("{about}: nothing that is captured in metres is");
+        UnitGuess { unit: LengthUnit::Millimetre, confidence, evidence }
+    } else if size < TINY {
+        let evidence = format!("{about}: smaller than five voxels of 2 cm");
+        UnitGuess { unit: LengthUnit::Kilometre, confidence: 0.6, evidence }
+    } else if size > ROOM_IN_CM && spacing > 0.5 * COARSE && upright > 0.15 {
+        let evidence = format!("{about}, and as high as a room is for its width");
+        UnitGuess { unit: LengthUnit::Centimetre, confidence: 0.4, evidence }
+    } else {
+        let confidence = if (1.0..50.0).contains(&size) { 0.9 } else { 0.6 };
+        UnitGuess { unit: LengthUnit::Metre, confidence, evidence: about }
+    })
+}
+
+/// Three significant digits.
+pub(super) fn short(value: f64) -> String {
+    let magnitude = value.abs();
+    if !value.is_finite() {
+        "-".to_owned()
+    } else if magnitude != 0.0 && !(1e-3..1e6).contains(&magnitude) {
+        format!("{value:.2e}")
+    } else if magnitude >= 100.0 {
+        format!("{value:.0}")
+    } else if magnitude >= 10.0 {
+        format!("{value:.1}")
+    } else if magnitude >= 1.0 || magnitude == 0.0 {
+        format!("{value:.2}")
+    } else {
+        format!("{value:.4}")
+    }
+}
