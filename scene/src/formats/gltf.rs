@@ -30,7 +30,8 @@ mod singular;
 
 pub use container::is_glb;
 
-use super::{LoadedScene, ReadOptions, SceneKind};
+use super::spz::read_spz_as_stored;
+use super::{LoadedScene, ReadOptions, SceneKind, SpzFrame};
 use crate::value_policy::Rule;
 use crate::{GaussianScene, RepairReport, SceneError};
 use attributes::{Attributes, used_attributes};
@@ -114,15 +115,15 @@ pub fn read_gltf(
     let needed = needed_buffers(&document, &jobs, options.sh_rest, path)?;
     let buffers = Buffers::open(&document, bin, path, &needed)?;
     check_size(&document, &jobs, options.sh_rest, buffers.total(), path)?;
-    let open = |job: &Job<'_>| match job.spz {
+    let mut open = |job: &Job<'_>| match job.spz {
         Some((name, view)) => {
             let bytes = buffers.view(&document, view, path)?;
-            read_spz_primitive(name, bytes, path, options).map(Part::Spz)
+            read_spz_primitive(name, bytes, path, options, &mut report).map(Part::Spz)
         }
         None => Attributes::open(&document, &buffers, job.primitive, options.sh_rest, path)
             .map(Part::Attributes),
     };
-    let parts = jobs.iter().map(open).collect::<Result<Vec<_>, SceneError>>()?;
+    let parts = jobs.iter().map(&mut open).collect::<Result<Vec<_>, SceneError>>()?;
     let degree = parts.iter().map(Part::degree).max().unwrap_or(0);
     if parts.iter().any(|part| part.degree() != degree) {
         report.notes.push(format!(
@@ -156,20 +157,27 @@ pub fn read_gltf(
     LoadedScene::finish(scene, report, options.policy, path, SceneKind::Gltf)
 }
 
-/// The one place where SPZ inside glTF is read: `bytes` are a whole file of it.
+/// Reads a primitive that is a whole SPZ file, `bytes`.
 ///
-/// What it gives is taken to be in the canonical frame, converted from the one that SPZ prescribes:
-/// the extension says that SPZ is packed from glTF's frame, so [`super::SpzFrame::Rub`] is to be
-/// asked for whatever `options` say. Rows and notes of its own report are to be kept.
+/// The extension says that SPZ is packed from glTF's frame, so the file is taken to be in the frame
+/// that SPZ prescribes whatever the options say.
 fn read_spz_primitive(
     name: &str,
     bytes: &[u8],
     path: &Path,
-    _options: &ReadOptions,
+    options: &ReadOptions,
+    report: &mut RepairReport,
 ) -> Result<GaussianScene, SceneError> {
-    let size = bytes.len();
-    let problem = format!("keeps its Gaussians as {size} bytes of SPZ ({name}), not read yet");
-    Err(SceneError::format(path, problem, "export it without compression, or as .spz"))
+    let options = ReadOptions { spz_frame: SpzFrame::Rub, ..options.clone() };
+    let (mut scene, about) = read_spz_as_stored(bytes, path, &options)?;
+    report.notes.extend(about.notes.iter().map(|note| format!("SPZ in {name}: {note}")));
+    for finding in &about.findings {
+        report.add(finding.rule, finding.count, finding.first_element, &finding.example);
+    }
+    // Other primitives have none.
+    (scene.segment, scene.segment_score, scene.instance) = (None, None, None);
+    scene.lang_code = None;
+    Ok(scene)
 }
 
 /// Which buffers hold anything of the Gaussians.

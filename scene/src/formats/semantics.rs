@@ -77,7 +77,9 @@ fn encode_with(
     }
     for (name, values) in [("segment", &scene.segment), ("instance", &scene.instance)] {
         if let Some(values) = values {
-            tensors.push((name, Dtype::I32, vec![n], rows(values, 1, order, i32::to_le_bytes)));
+            // Negative means none, whichever negative it is.
+            let bytes = rows(values, 1, order, |label| label.max(-1).to_le_bytes());
+            tensors.push((name, Dtype::I32, vec![n], bytes));
         }
     }
     if let Some(values) = &scene.segment_score {

@@ -34,6 +34,7 @@ mod source;
 mod writer;
 
 pub use reader::read_spz;
+pub(crate) use reader::read_spz_as_stored;
 pub use writer::write_spz;
 
 /// Whether a file that begins with `head` may be an SPZ file: its own mark, or a gzip or zstd

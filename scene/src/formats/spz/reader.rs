@@ -33,6 +33,16 @@ pub fn read_spz(
     path: &Path,
     options: &ReadOptions,
 ) -> Result<LoadedScene, SceneError> {
+    let (scene, report) = read_spz_as_stored(bytes, path, options)?;
+    LoadedScene::finish(scene, report, options.policy, path, SceneKind::Spz)
+}
+
+/// As [`read_spz`], with bad values still in place.
+pub(crate) fn read_spz_as_stored(
+    bytes: &[u8],
+    path: &Path,
+    options: &ReadOptions,
+) -> Result<(GaussianScene, RepairReport), SceneError> {
     let mut read = match v4_header(bytes) {
         Some(header) => header.and_then(|header| read_v4(bytes, header, options)),
         None => read_legacy_file(bytes, options),
@@ -61,7 +71,7 @@ pub fn read_spz(
     if let Some(block) = &read.labels {
         semantics::decode(block, rows, &mut read.scene, &mut report, path)?;
     }
-    LoadedScene::finish(read.scene, report, options.policy, path, SceneKind::Spz)
+    Ok((read.scene, report))
 }
 
 /// The header of a file that is not wrapped in a stream and not of an older version.
