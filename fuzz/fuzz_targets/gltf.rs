@@ -1,7 +1,10 @@
 #![no_main]
-//! Anything that calls itself this format.
+//! glTF, text and binary.
 
 use libfuzzer_sys::fuzz_target;
-use scenesplat_fuzz::scene_from_bytes;
+use scenesplat_fuzz::{check, options, path};
+use scenesplat_scene::formats::gltf::read_gltf;
 
-fuzz_target!(|bytes: &[u8]| scene_from_bytes(bytes));
+fuzz_target!(|bytes: &[u8]| {
+    check(read_gltf(bytes, path(), &options()));
+});

@@ -1,7 +1,10 @@
 #![no_main]
-//! Anything that calls itself this format.
+//! Records of 32 bytes.
 
 use libfuzzer_sys::fuzz_target;
-use scenesplat_fuzz::scene_from_bytes;
+use scenesplat_fuzz::{check, options, path};
+use scenesplat_scene::formats::splat::read_splat;
 
-fuzz_target!(|bytes: &[u8]| scene_from_bytes(bytes));
+fuzz_target!(|bytes: &[u8]| {
+    check(read_splat(bytes, path(), &options()));
+});

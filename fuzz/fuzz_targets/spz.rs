@@ -1,7 +1,10 @@
 #![no_main]
-//! Anything that calls itself this format.
+//! SPZ in every wrapping and version.
 
 use libfuzzer_sys::fuzz_target;
-use scenesplat_fuzz::scene_from_bytes;
+use scenesplat_fuzz::{check, options, path};
+use scenesplat_scene::formats::spz::read_spz;
 
-fuzz_target!(|bytes: &[u8]| scene_from_bytes(bytes));
+fuzz_target!(|bytes: &[u8]| {
+    check(read_spz(bytes, path(), &options()));
+});

@@ -12,7 +12,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// stops the program at the first access beyond the new end.
 pub(crate) struct MappedFile {
     path: PathBuf,
-    map: Option<Mmap>,
+    content: Content,
+}
+
+enum Content {
+    Mapped(Mmap),
+    /// Of an empty file, or of one that is in memory anyway.
+    Owned(Vec<u8>),
 }
 
 impl MappedFile {
@@ -23,20 +29,29 @@ impl MappedFile {
         if !about.is_file() {
             return Err(SceneError::format(path, "is not a regular file", ""));
         }
-        let map = if about.len() == 0 {
-            None
+        let content = if about.len() == 0 {
+            Content::Owned(Vec::new())
         } else {
             // SAFETY: the mapping is private to this process and only read. Truncation by others
             // while it lives is excluded by the contract in the type's documentation.
             let map = unsafe { Mmap::map(&file) };
-            Some(map.map_err(SceneError::io(path, "cannot map the file into memory"))?)
+            let map = map.map_err(SceneError::io(path, "cannot map the file into memory"))?;
+            Content::Mapped(map)
         };
-        Ok(Self { path: path.to_owned(), map })
+        Ok(Self { path: path.to_owned(), content })
+    }
+
+    /// A copy of bytes that stand for a file.
+    pub(crate) fn from_bytes(bytes: &[u8], path: &Path) -> Self {
+        Self { path: path.to_owned(), content: Content::Owned(bytes.to_vec()) }
     }
 
     /// All bytes of the file.
     pub(crate) fn bytes(&self) -> &[u8] {
-        self.map.as_deref().unwrap_or(&[])
+        match &self.content {
+            Content::Mapped(map) => map,
+            Content::Owned(bytes) => bytes,
+        }
     }
 
     /// Where the file is.

@@ -19,7 +19,7 @@ mod open;
 mod packed_values;
 pub mod ply;
 mod scene_blocks;
-pub(crate) mod semantics;
+pub mod semantics;
 pub mod sog;
 pub mod splat;
 pub mod spz;

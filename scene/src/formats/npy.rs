@@ -92,7 +92,20 @@ impl NpyFile {
     /// If the file cannot be read, is no `.npy` file, holds something other than numbers, has more
     /// than two dimensions in Fortran order, or is not exactly as long as its shape says.
     pub fn open(path: &Path) -> Result<Self, SceneError> {
-        let map = MappedFile::open(path)?;
+        Self::new(MappedFile::open(path)?)
+    }
+
+    /// As [`open`](Self::open), from the bytes of a file, of which a copy is kept; `path` is for
+    /// messages.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, SceneError> {
+        Self::new(MappedFile::from_bytes(bytes, path))
+    }
+
+    fn new(map: MappedFile) -> Result<Self, SceneError> {
+        let path = map.path();
         let bad = |problem: String| SceneError::format(path, problem, "save the array again");
         let bytes = map.bytes();
         if !bytes.starts_with(b"\x93NUMPY") {

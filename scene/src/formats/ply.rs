@@ -45,7 +45,7 @@ pub struct PlyFile {
 
 enum Data {
     Mapped(MappedFile),
-    /// A copy, or what an ascii file says as little-endian binary.
+    /// What an ascii file says, as little-endian binary.
     Converted(Vec<u8>),
 }
 
@@ -94,7 +94,7 @@ impl PlyFile {
     /// # Errors
     /// As [`open`](Self::open).
     pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, SceneError> {
-        Self::new(Data::Converted(bytes.to_vec()), path)
+        Self::new(Data::Mapped(MappedFile::from_bytes(bytes, path)), path)
     }
 
     fn new(mut data: Data, path: &Path) -> Result<Self, SceneError> {

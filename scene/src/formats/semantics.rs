@@ -49,7 +49,7 @@ pub(crate) fn sidecar_path(scene: &Path) -> PathBuf {
 }
 
 /// The block of a scene, its rows in the given order; `None` if there is nothing to carry.
-pub(crate) fn encode(scene: &GaussianScene, order: Option<&[u32]>) -> Option<Vec<u8>> {
+pub fn encode(scene: &GaussianScene, order: Option<&[u32]>) -> Option<Vec<u8>> {
     encode_with(scene, order, None)
 }
 
@@ -114,7 +114,7 @@ fn encode_with(
 ///
 /// # Errors
 /// If the block is malformed or made for another number of Gaussians.
-pub(crate) fn decode(
+pub fn decode(
     bytes: &[u8],
     rows: usize,
     scene: &mut GaussianScene,

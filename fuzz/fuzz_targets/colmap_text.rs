@@ -1,0 +1,11 @@
+#![no_main]
+//! COLMAP, text: two 32-bit lengths, then cameras, images and points.
+
+use libfuzzer_sys::fuzz_target;
+use scenesplat_fuzz::{path, three_parts};
+use scenesplat_scene::formats::cameras::read_colmap_text;
+
+fuzz_target!(|bytes: &[u8]| {
+    let [cameras, images, points] = three_parts(bytes);
+    let _ = read_colmap_text(cameras, images, Some(points), path());
+});
