@@ -17,9 +17,16 @@ const ROWS_FOR_TABLE: usize = 32_768;
 /// Centroids of the palette in a line of their texture.
 pub(super) const CENTROIDS_PER_LINE: usize = 64;
 /// Rows that any file may have, and rows for each byte of its positions beyond that. Real files
-/// have a third of a row per byte; a texture of one colour would allow any number.
-const FREE_ROWS: usize = 1 << 20;
-const ROWS_PER_BYTE: u64 = 256;
+/// have a quarter of a row per byte; textures of one colour would allow any number.
+const FREE_ROWS: usize = 1 << 18;
+const ROWS_PER_BYTE: u64 = 32;
+/// Texels that any texture may have.
+const FREE_TEXELS: usize = 1 << 20;
+
+/// How many rows so many bytes of positions can stand for.
+pub(super) fn plausible_rows(position_bytes: u64) -> u64 {
+    position_bytes.saturating_mul(ROWS_PER_BYTE).saturating_add(FREE_ROWS as u64)
+}
 
 /// A texture that is there, with its size.
 struct Texture<'a> {
@@ -60,14 +67,13 @@ impl<'a> OpenSog<'a> {
         let (meta_path, text) = source.meta()?;
         let mut meta = SogMeta::parse(text.bytes(), &meta_path)?;
         let there: u64 = meta.means.iter().map(|name| source.bytes_there(name)).sum();
-        let most = there.saturating_mul(ROWS_PER_BYTE).saturating_add(FREE_ROWS as u64);
-        if meta.count as u64 > most {
+        if meta.count as u64 > plausible_rows(there) {
             let problem = format!("has count {}, but only {there} bytes of positions", meta.count);
             return Err(SceneError::format(&meta_path, problem, "export the scene again"));
         }
         let count = meta.count;
         // Padding beyond four times the rows, or a megapixel, would be for no reason.
-        let texels = count.saturating_mul(4).max(FREE_ROWS);
+        let texels = count.saturating_mul(4).max(FREE_TEXELS);
         let open = |name: &str| -> Result<Texture<'a>, SceneError> {
             let (path, part) = source.part(name, texels.saturating_mul(8))?;
             let head = TextureHead::find(part.bytes(), &path)?;

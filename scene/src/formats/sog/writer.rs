@@ -6,7 +6,7 @@ use super::folder::FolderWriter;
 use super::meta::OWN_KEY;
 use super::order::spatial_order;
 use super::palette::Palette;
-use super::reader::{CENTROIDS_PER_LINE, line_width};
+use super::reader::{CENTROIDS_PER_LINE, line_width, plausible_rows};
 use super::{META_NAME, texture};
 use crate::formats::files::AtomicFile;
 use crate::formats::write::LimitTally;
@@ -148,8 +148,15 @@ fn encode(
 
     let texels = |high: usize| out.of_rows(|row| codes[row].map(|c| c.to_le_bytes()[high]));
     let (low, high) = rayon::join(|| texels(0), || texels(1));
-    sink("means_l.webp", &low?)?;
-    sink("means_u.webp", &high?)?;
+    let (low, high) = (low?, high?);
+    if scene.len() as u64 > plausible_rows((low.len() + high.len()) as u64) {
+        let problem = format!("would hold {} Gaussians, nearly all in one place", scene.len());
+        let mend = "readers would take the file for damaged; choose another format";
+        return Err(SceneError::format(path, problem, mend));
+    }
+    sink("means_l.webp", &low)?;
+    sink("means_u.webp", &high)?;
+    drop((low, high));
     drop(codes);
     ticker.tick(0.15)?;
 
@@ -193,7 +200,8 @@ fn encode(
             || {
                 out.of_rows(|row| {
                     let [low, high] = palette.labels[row].to_le_bytes();
-                    [low, high, 0]
+                    // Green is taken from blue before encoding, which leaves nothing of it here.
+                    [low, high, high]
                 })
             },
             || {
