@@ -13,7 +13,7 @@ use std::path::PathBuf;
 /// Rows that one task turns from texels into values.
 const ROWS_PER_TASK: usize = 16_384;
 /// From so many rows on, a table of all 65,536 codes is quicker than computing each position.
-const ROWS_FOR_TABLE: usize = 32_768;
+pub(super) const ROWS_FOR_TABLE: usize = 32_768;
 /// Centroids of the palette in a line of their texture.
 pub(super) const CENTROIDS_PER_LINE: usize = 64;
 /// Rows that any file may have, and rows for each byte of its positions beyond that. Real files

@@ -6,7 +6,7 @@ use super::folder::FolderWriter;
 use super::meta::OWN_KEY;
 use super::order::spatial_order;
 use super::palette::Palette;
-use super::reader::{CENTROIDS_PER_LINE, line_width, plausible_rows};
+use super::reader::{CENTROIDS_PER_LINE, ROWS_FOR_TABLE, line_width, plausible_rows};
 use super::{META_NAME, texture};
 use crate::formats::files::AtomicFile;
 use crate::formats::write::LimitTally;
@@ -270,9 +270,13 @@ fn position_codes(coord: &[[f32; 3]]) -> ([LogAxis; 3], Vec<[u16; 3]>) {
     let axes = [axes[0], axes[1], axes[2]];
     // Codes are made for the bounds that a reader parses, which may be a bit off.
     let read = axes.map(|axis| LogAxis { min: as_read(axis.min), max: as_read(axis.max) });
-    let settled: Vec<Vec<u16>> = read.par_iter().map(LogAxis::settled).collect();
-    let codes =
-        coord.par_iter().map(|p| [0, 1, 2].map(|i| read[i].code(p[i], &settled[i]))).collect();
+    let codes = if coord.len() < ROWS_FOR_TABLE {
+        coord.par_iter().map(|p| [0, 1, 2].map(|i| read[i].code(p[i]))).collect()
+    } else {
+        let tables = read.map(|axis| axis.code_table());
+        let code = |p: &[f32; 3]| [0, 1, 2].map(|i| read[i].code_by_table(p[i], &tables[i]));
+        coord.par_iter().map(code).collect()
+    };
     (axes, codes)
 }
 
