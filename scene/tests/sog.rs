@@ -440,7 +440,7 @@ fn hard_values_are_written_twice_the_same() {
     let changes: [(&str, Change); 10] = [
         ("equal rows", |s, _| *s = s.select_rows(&vec![0; s.len()]).unwrap()),
         ("tiny range", |s, r| {
-            s.coord.iter_mut().flatten().for_each(|v| *v = 1000.0 + r.float() * 1e-3)
+            s.coord.iter_mut().flatten().for_each(|v| *v = 1000.0 + r.float() * 1e-3);
         }),
         ("tiny values", |s, r| s.coord.iter_mut().flatten().for_each(|v| *v = r.float() * 1e-38)),
         ("huge values", |s, r| {
@@ -458,7 +458,7 @@ fn hard_values_are_written_twice_the_same() {
             }
         }),
         ("only zero scales", |s, _| {
-            s.log_scale.iter_mut().flatten().for_each(|v| *v = f32::NEG_INFINITY)
+            s.log_scale.iter_mut().flatten().for_each(|v| *v = f32::NEG_INFINITY);
         }),
         ("infinite opacity", |s, r| {
             for v in &mut s.opacity_logit {

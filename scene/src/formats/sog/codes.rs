@@ -103,13 +103,15 @@ pub(super) fn decode_quat(texel: [u8; 4]) -> [f32; 4] {
     let Some(places) = PLACES.get(usize::from(texel[3].wrapping_sub(252))) else {
         return [1.0, 0.0, 0.0, 0.0];
     };
-    let [a, b, c] = [0, 1, 2].map(|i| COMPONENTS[usize::from(texel[i])]);
+    let component = |i: usize| COMPONENTS[usize::from(texel[i])];
+    let (a, b, c) = (component(0), component(1), component(2));
     let squared = a * a + b * b + c * c;
     let parts = [a, b, c, (1.0 - squared).max(0.0).sqrt()];
     let sign = if parts[places[0]] < 0.0 { -1.0 } else { 1.0 };
     // Only bytes that no rotation has leave another norm than 1.
     let factor = if squared > 1.0 { sign / squared.sqrt() } else { sign };
-    places.map(|place| (parts[place] * factor) as f32)
+    let at = |i: usize| (parts[places[i]] * factor) as f32;
+    [at(0), at(1), at(2), at(3)]
 }
 
 /// The texel of a unit rotation; each byte is the nearest, the reference encoder takes the one below.

@@ -183,7 +183,9 @@ impl<'a> OpenSog<'a> {
             let tables = axes.map(|axis| -> Vec<f32> {
                 (0..=u16::MAX).into_par_iter().map(|code| axis.decode(code)).collect()
             });
-            fill(runs, coord, |row| [0, 1, 2].map(|i| tables[i][usize::from(code(row, i))]));
+            let [x, y, z] = &tables;
+            let at = |table: &[f32], row: usize, i: usize| table[usize::from(code(row, i))];
+            fill(runs, coord, |row| [at(x, row, 0), at(y, row, 1), at(z, row, 2)]);
         }
         Ok(())
     }
@@ -202,8 +204,8 @@ impl<'a> OpenSog<'a> {
     ) -> Result<(), SceneError> {
         let texels = self.scales.decode()?;
         let texels = texels.as_chunks::<4>().0;
-        let tables = &self.meta.scale_tables;
-        fill(runs, log_scale, |row| [0, 1, 2].map(|i| tables[i][usize::from(texels[row][i])]));
+        let [x, y, z] = &*self.meta.scale_tables;
+        fill(runs, log_scale, |row| look_up([x, y, z], texels[row]));
         Ok(())
     }
 
@@ -215,9 +217,9 @@ impl<'a> OpenSog<'a> {
     ) -> Result<(), SceneError> {
         let texels = self.sh0.decode()?;
         let texels = texels.as_chunks::<4>().0;
-        let tables = &self.meta.color_tables;
-        fill(runs, sh_dc, |row| [0, 1, 2].map(|i| tables[i][usize::from(texels[row][i])]));
-        fill(runs, opacity, |row| tables[3][usize::from(texels[row][3])]);
+        let [r, g, b, alpha] = &*self.meta.color_tables;
+        fill(runs, sh_dc, |row| look_up([r, g, b], texels[row]));
+        fill(runs, opacity, |row| alpha[usize::from(texels[row][3])]);
         Ok(())
     }
 
@@ -265,6 +267,12 @@ impl<'a> OpenSog<'a> {
         }
         Ok(())
     }
+}
+
+/// The values of the first three bytes of a texel.
+fn look_up(tables: [&ByteTable; 3], texel: [u8; 4]) -> [f32; 3] {
+    let [x, y, z] = tables;
+    [x[usize::from(texel[0])], y[usize::from(texel[1])], z[usize::from(texel[2])]]
 }
 
 /// Coefficients of each channel beyond the DC term.

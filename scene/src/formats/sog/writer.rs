@@ -33,7 +33,12 @@ pub(super) struct Ticker<'a> {
     to: f64,
 }
 
-impl Ticker<'_> {
+impl<'a> Ticker<'a> {
+    /// For the whole work.
+    pub(super) fn new(progress: WriteProgress<'a>) -> Self {
+        Self { progress, from: 0.0, to: 1.0 }
+    }
+
     /// At that fraction of this part of the work.
     pub(super) fn tick(&mut self, fraction: f64) -> Result<(), SceneError> {
         let at = self.from + (self.to - self.from) * fraction;
@@ -68,7 +73,7 @@ pub fn write_sog(
     progress: WriteProgress<'_>,
 ) -> Result<WriteReport, SceneError> {
     let mut report = WriteReport::new(SceneFormat::Sog, scene.len());
-    let mut ticker = Ticker { progress, from: 0.0, to: 1.0 };
+    let mut ticker = Ticker::new(progress);
     let file = AtomicFile::create(path)?;
     let mut zip = ZipWriter::new(BufWriter::new(file.file()?));
     let cannot = |e: zip::result::ZipError| -> SceneError {
@@ -108,7 +113,7 @@ pub fn write_sog_folder(
     progress: WriteProgress<'_>,
 ) -> Result<WriteReport, SceneError> {
     let mut report = WriteReport::new(SceneFormat::SogFolder, scene.len());
-    let mut ticker = Ticker { progress, from: 0.0, to: 1.0 };
+    let mut ticker = Ticker::new(progress);
     let mut folder = FolderWriter::create(path)?;
     let own_name = path.file_name().and_then(|name| name.to_str()).unwrap_or(META_NAME);
     encode(scene, path, &mut report, &mut ticker, &mut |name, bytes| {
