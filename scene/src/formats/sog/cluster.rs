@@ -343,3 +343,77 @@ fn mean(rows: &Rows<'_>, members: &[u32]) -> Vec<f32> {
     }
     sums.iter().map(|sum| (sum / members.len() as f64) as f32).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Rows around so many places.
+    fn rows_of(count: usize, places: usize, width: usize) -> Vec<f32> {
+        let noise = |i: usize| {
+            let mixed = (i as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+            ((mixed ^ mixed >> 29).wrapping_mul(0xbf58_476d_1ce4_e5b9) >> 40) as f32 / 16_777_216.0
+        };
+        let value = |i: usize| {
+            let (row, d) = (i / width, i % width);
+            noise((row % places) * width + d + 1_000_000) + noise(i) * 0.01
+        };
+        (0..count * width).map(value).collect()
+    }
+
+    #[test]
+    fn the_nearest_of_any_number_of_centroids() {
+        for (count, width) in [(1, 9), (15, 3), (16, 9), (17, 45), (256, 24)] {
+            let values = rows_of(count, count, width);
+            let centroids = Centroids::new(values.clone(), width);
+            let queries = rows_of(101, 50, width);
+            let rows = Rows { values: &queries, stride: width, width };
+            let which: Vec<u32> = (0..101).collect();
+            let mut out = vec![(0, 0.0); 101];
+            centroids.assign(&rows, &which, &mut out);
+            for (row, &(label, distance)) in out.iter().enumerate() {
+                let to = |c: &[f32]| -> f32 {
+                    rows.row(row as u32).iter().zip(c).map(|(a, b)| (a - b).powi(2)).sum()
+                };
+                let least = values.chunks_exact(width).map(to).fold(f32::INFINITY, f32::min);
+                let got = to(&values[label as usize * width..][..width]);
+                assert!(got <= least + 1e-4 && (got - distance).abs() < 1e-4, "{got} {least}");
+            }
+        }
+    }
+
+    #[test]
+    fn twice_as_many_centroids_as_places_find_nearly_all() {
+        let (count, places, width) = (6000, 500, 9);
+        let values = rows_of(count, places, width);
+        let rows = Rows { values: &values, stride: width, width };
+        let mut go_on = |_: f64| true;
+        let found = cluster(&rows, 1024, &mut Ticker::new(&mut go_on)).unwrap();
+        let centroids = found.centroids.len() / width;
+        assert!(centroids <= 1024 && centroids > 400, "{centroids}");
+        let mut used = vec![0; centroids];
+        let mut squared = 0.0;
+        for (row, &label) in found.labels.iter().enumerate() {
+            used[label as usize] += 1;
+            let centroid = &found.centroids[label as usize * width..][..width];
+            let parts = rows.row(row as u32).iter().zip(centroid);
+            squared += parts.map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>();
+        }
+        assert!(used.iter().all(|&n| n > 0));
+        // Places are 1/√12 apart in each direction; all but a few have a centroid of their own.
+        let error = (squared / (count * width) as f64).sqrt();
+        assert!(error < 0.15 / 12f64.sqrt(), "{error}");
+        let mut stop = |_: f64| false;
+        assert!(cluster(&rows, 1024, &mut Ticker::new(&mut stop)).is_err());
+    }
+
+    #[test]
+    fn shares_follow_the_error_and_are_no_more_than_rows() {
+        let part = |rows: u32, error: f64| ((0..rows).collect::<Vec<u32>>(), error);
+        let shares =
+            share_out(100, &[part(1000, 1.0), part(1000, 3.0), part(5, 10.0), part(9, 0.0)]);
+        assert_eq!((shares[2], shares[3]), (5, 1));
+        assert!(shares.iter().sum::<usize>() <= 100 && shares[1] > 2 * shares[0], "{shares:?}");
+        assert!(shares[0] + shares[1] > 85, "{shares:?}");
+    }
+}

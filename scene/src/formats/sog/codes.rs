@@ -4,6 +4,7 @@
 
 use super::meta::ByteTable;
 use crate::gaussian_scene::probability_to_logit;
+use rayon::prelude::*;
 use std::f64::consts::SQRT_2;
 
 /// Positions along one axis: 65,536 equal steps between two bounds in `sign(p) · ln(1 + |p|)`.
@@ -38,15 +39,24 @@ impl LogAxis {
         if range > 0.0 { ((to_log(value) - self.min) / range * 65535.0).round() as u16 } else { 0 }
     }
 
-    /// The code to write for each code that [`encode`](Self::encode) may give: where steps are
-    /// finer than an f32, several codes share a value, and one of them must stand for it.
-    pub(super) fn settled(&self) -> Vec<u16> {
-        (0..=u16::MAX).map(|code| settle(code, |c| self.encode(self.decode(c)))).collect()
+    /// The code to write for a position: where steps are finer than an f32, several codes share a
+    /// value, and one of them must stand for it.
+    pub(super) fn code(&self, value: f32) -> u16 {
+        self.settled(self.encode(value))
     }
 
-    /// The code to write for a position; `settled` as above.
-    pub(super) fn code(&self, value: f32, settled: &[u16]) -> u16 {
-        settled[usize::from(self.encode(value))]
+    /// As [`code`](Self::code), with the table of all codes.
+    pub(super) fn code_by_table(&self, value: f32, table: &[u16]) -> u16 {
+        table[usize::from(self.encode(value))]
+    }
+
+    /// What each code becomes.
+    pub(super) fn code_table(&self) -> Vec<u16> {
+        (0..=u16::MAX).into_par_iter().map(|code| self.settled(code)).collect()
+    }
+
+    fn settled(&self, code: u16) -> u16 {
+        settle(code, |c| self.encode(self.decode(c)))
     }
 }
 
@@ -71,30 +81,37 @@ fn settle<C: Copy + Ord>(code: C, again: impl Fn(C) -> C) -> C {
     }
 }
 
-/// A component of a rotation: 256 steps over `−1/√2..=1/√2`.
-fn component(byte: u8) -> f64 {
-    (f64::from(byte) / 255.0 - 0.5) * SQRT_2
-}
+/// The components of a rotation other than the largest: 256 steps over `−1/√2..=1/√2`.
+const COMPONENTS: [f64; 256] = {
+    let mut table = [0.0; 256];
+    let mut byte = 0;
+    while byte < 256 {
+        table[byte] = (byte as f64 / 255.0 - 0.5) * SQRT_2;
+        byte += 1;
+    }
+    table
+};
+
+/// For each place of the largest component, where `w, x, y, z` are in `[a, b, c, largest]`.
+const PLACES: [[usize; 4]; 4] = [[3, 0, 1, 2], [0, 3, 1, 2], [0, 1, 3, 2], [0, 1, 2, 3]];
 
 /// The rotation `w, x, y, z` of a texel, unit norm, `w ≥ 0`.
 ///
 /// The fourth byte says which component is the largest; the others follow in order. Any other
 /// fourth byte means no rotation.
 pub(super) fn decode_quat(texel: [u8; 4]) -> [f32; 4] {
-    if texel[3] < 252 {
+    let Some(places) = PLACES.get(usize::from(texel[3].wrapping_sub(252))) else {
         return [1.0, 0.0, 0.0, 0.0];
-    }
-    let largest = usize::from(texel[3] - 252);
-    let mut quat = [0.0f64; 4];
-    let mut squared = 0.0;
-    for (i, &byte) in (0..4).filter(|&i| i != largest).zip(&texel) {
-        quat[i] = component(byte);
-        squared += quat[i] * quat[i];
-    }
-    quat[largest] = (1.0 - squared).max(0.0).sqrt();
+    };
+    let component = |i: usize| COMPONENTS[usize::from(texel[i])];
+    let (a, b, c) = (component(0), component(1), component(2));
+    let squared = a * a + b * b + c * c;
+    let parts = [a, b, c, (1.0 - squared).max(0.0).sqrt()];
+    let sign = if parts[places[0]] < 0.0 { -1.0 } else { 1.0 };
     // Only bytes that no rotation has leave another norm than 1.
-    let norm = squared.max(1.0).sqrt().copysign(quat[0]);
-    quat.map(|v| (v / norm) as f32)
+    let factor = if squared > 1.0 { sign / squared.sqrt() } else { sign };
+    let at = |i: usize| (parts[places[i]] * factor) as f32;
+    [at(0), at(1), at(2), at(3)]
 }
 
 /// The texel of a unit rotation; each byte is the nearest, the reference encoder takes the one below.
@@ -159,10 +176,12 @@ mod tests {
             if min < max {
                 assert_eq!(axis.decode(u16::MAX), max);
             }
-            let settled = axis.settled();
+            let table = axis.code_table();
             for code in 0..=u16::MAX {
-                let written = axis.code(axis.decode(code), &settled);
-                assert_eq!(axis.code(axis.decode(written), &settled), written, "{min} {max}");
+                let value = axis.decode(code);
+                let written = axis.code_by_table(value, &table);
+                assert_eq!(axis.code(axis.decode(written)), written, "{min} {max}");
+                assert_eq!(axis.code(value), written);
             }
         }
     }

@@ -98,11 +98,13 @@ impl FolderWriter {
         Ok(written.iter().map(|name| self.folder.join(name)).collect())
     }
 
-    /// The files that the present `meta.json` names, if it is one; none in other folders.
+    /// The files that the present `meta.json` names, if it is one; none in other folders, and none
+    /// but textures and labels, whatever it names.
     fn files_of_old_scene(&self) -> Vec<String> {
         let Ok(text) = fs::read(&self.meta) else { return Vec::new() };
         let Ok(meta) = SogMeta::parse(&text, &self.meta) else { return Vec::new() };
-        let plain = meta.files().into_iter().filter(|name| !name.contains('/'));
+        let is_ours = |name: &&str| name.ends_with(".webp") || name.ends_with(".safetensors");
+        let plain = meta.files().into_iter().filter(|name| !name.contains('/') && is_ours(name));
         plain.filter(|name| self.folder.join(name).is_file()).map(str::to_owned).collect()
     }
 }

@@ -13,13 +13,20 @@ use std::path::PathBuf;
 /// Rows that one task turns from texels into values.
 const ROWS_PER_TASK: usize = 16_384;
 /// From so many rows on, a table of all 65,536 codes is quicker than computing each position.
-const ROWS_FOR_TABLE: usize = 32_768;
+pub(super) const ROWS_FOR_TABLE: usize = 32_768;
 /// Centroids of the palette in a line of their texture.
 pub(super) const CENTROIDS_PER_LINE: usize = 64;
 /// Rows that any file may have, and rows for each byte of its positions beyond that. Real files
-/// have a third of a row per byte; a texture of one colour would allow any number.
-const FREE_ROWS: usize = 1 << 20;
-const ROWS_PER_BYTE: u64 = 256;
+/// have a quarter of a row per byte; textures of one colour would allow any number.
+const FREE_ROWS: usize = 1 << 18;
+const ROWS_PER_BYTE: u64 = 32;
+/// Texels that any texture may have.
+const FREE_TEXELS: usize = 1 << 20;
+
+/// How many rows so many bytes of positions can stand for.
+pub(super) fn plausible_rows(position_bytes: u64) -> u64 {
+    position_bytes.saturating_mul(ROWS_PER_BYTE).saturating_add(FREE_ROWS as u64)
+}
 
 /// A texture that is there, with its size.
 struct Texture<'a> {
@@ -60,14 +67,13 @@ impl<'a> OpenSog<'a> {
         let (meta_path, text) = source.meta()?;
         let mut meta = SogMeta::parse(text.bytes(), &meta_path)?;
         let there: u64 = meta.means.iter().map(|name| source.bytes_there(name)).sum();
-        let most = there.saturating_mul(ROWS_PER_BYTE).saturating_add(FREE_ROWS as u64);
-        if meta.count as u64 > most {
+        if meta.count as u64 > plausible_rows(there) {
             let problem = format!("has count {}, but only {there} bytes of positions", meta.count);
             return Err(SceneError::format(&meta_path, problem, "export the scene again"));
         }
         let count = meta.count;
         // Padding beyond four times the rows, or a megapixel, would be for no reason.
-        let texels = count.saturating_mul(4).max(FREE_ROWS);
+        let texels = count.saturating_mul(4).max(FREE_TEXELS);
         let open = |name: &str| -> Result<Texture<'a>, SceneError> {
             let (path, part) = source.part(name, texels.saturating_mul(8))?;
             let head = TextureHead::find(part.bytes(), &path)?;
@@ -177,7 +183,9 @@ impl<'a> OpenSog<'a> {
             let tables = axes.map(|axis| -> Vec<f32> {
                 (0..=u16::MAX).into_par_iter().map(|code| axis.decode(code)).collect()
             });
-            fill(runs, coord, |row| [0, 1, 2].map(|i| tables[i][usize::from(code(row, i))]));
+            let [x, y, z] = &tables;
+            let at = |table: &[f32], row: usize, i: usize| table[usize::from(code(row, i))];
+            fill(runs, coord, |row| [at(x, row, 0), at(y, row, 1), at(z, row, 2)]);
         }
         Ok(())
     }
@@ -196,8 +204,8 @@ impl<'a> OpenSog<'a> {
     ) -> Result<(), SceneError> {
         let texels = self.scales.decode()?;
         let texels = texels.as_chunks::<4>().0;
-        let tables = &self.meta.scale_tables;
-        fill(runs, log_scale, |row| [0, 1, 2].map(|i| tables[i][usize::from(texels[row][i])]));
+        let [x, y, z] = &*self.meta.scale_tables;
+        fill(runs, log_scale, |row| look_up([x, y, z], texels[row]));
         Ok(())
     }
 
@@ -209,9 +217,9 @@ impl<'a> OpenSog<'a> {
     ) -> Result<(), SceneError> {
         let texels = self.sh0.decode()?;
         let texels = texels.as_chunks::<4>().0;
-        let tables = &self.meta.color_tables;
-        fill(runs, sh_dc, |row| [0, 1, 2].map(|i| tables[i][usize::from(texels[row][i])]));
-        fill(runs, opacity, |row| tables[3][usize::from(texels[row][3])]);
+        let [r, g, b, alpha] = &*self.meta.color_tables;
+        fill(runs, sh_dc, |row| look_up([r, g, b], texels[row]));
+        fill(runs, opacity, |row| alpha[usize::from(texels[row][3])]);
         Ok(())
     }
 
@@ -259,6 +267,12 @@ impl<'a> OpenSog<'a> {
         }
         Ok(())
     }
+}
+
+/// The values of the first three bytes of a texel.
+fn look_up(tables: [&ByteTable; 3], texel: [u8; 4]) -> [f32; 3] {
+    let [x, y, z] = tables;
+    [x[usize::from(texel[0])], y[usize::from(texel[1])], z[usize::from(texel[2])]]
 }
 
 /// Coefficients of each channel beyond the DC term.

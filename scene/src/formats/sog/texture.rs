@@ -1,7 +1,7 @@
 //! Textures: lossless WebP, one texel per Gaussian.
 
 use crate::SceneError;
-use image_webp::{ColorType, WebPDecoder, WebPEncoder};
+use image_webp::{ColorType, EncoderParams, WebPDecoder, WebPEncoder};
 use std::io::Cursor;
 use std::ops::Range;
 use std::path::Path;
@@ -113,11 +113,21 @@ pub(super) fn encode(
     path: &Path,
 ) -> Result<Vec<u8>, SceneError> {
     let color = if texels.len() == width * height * 4 { ColorType::Rgba8 } else { ColorType::Rgb8 };
-    let mut out = Vec::new();
-    WebPEncoder::new(&mut out)
-        .encode(texels, width as u32, height as u32, color)
-        .map_err(|e| SceneError::format(path, format!("cannot be encoded: {e}"), ""))?;
-    Ok(out)
+    // Which is smaller depends on whether codes of neighbours are near, and costs little to try.
+    let attempt = |use_predictor_transform: bool| {
+        let mut params = EncoderParams::default();
+        params.use_predictor_transform = use_predictor_transform;
+        let mut out = Vec::new();
+        let mut encoder = WebPEncoder::new(&mut out);
+        encoder.set_params(params);
+        encoder
+            .encode(texels, width as u32, height as u32, color)
+            .map_err(|e| SceneError::format(path, format!("cannot be encoded: {e}"), ""))?;
+        Ok(out)
+    };
+    let (plain, predicted) = rayon::join(|| attempt(false), || attempt(true));
+    let (plain, predicted) = (plain?, predicted?);
+    Ok(if plain.len() < predicted.len() { plain } else { predicted })
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use super::folder::FolderWriter;
 use super::meta::OWN_KEY;
 use super::order::spatial_order;
 use super::palette::Palette;
-use super::reader::{CENTROIDS_PER_LINE, line_width};
+use super::reader::{CENTROIDS_PER_LINE, ROWS_FOR_TABLE, line_width, plausible_rows};
 use super::{META_NAME, texture};
 use crate::formats::files::AtomicFile;
 use crate::formats::write::LimitTally;
@@ -33,7 +33,12 @@ pub(super) struct Ticker<'a> {
     to: f64,
 }
 
-impl Ticker<'_> {
+impl<'a> Ticker<'a> {
+    /// For the whole work.
+    pub(super) fn new(progress: WriteProgress<'a>) -> Self {
+        Self { progress, from: 0.0, to: 1.0 }
+    }
+
     /// At that fraction of this part of the work.
     pub(super) fn tick(&mut self, fraction: f64) -> Result<(), SceneError> {
         let at = self.from + (self.to - self.from) * fraction;
@@ -68,7 +73,7 @@ pub fn write_sog(
     progress: WriteProgress<'_>,
 ) -> Result<WriteReport, SceneError> {
     let mut report = WriteReport::new(SceneFormat::Sog, scene.len());
-    let mut ticker = Ticker { progress, from: 0.0, to: 1.0 };
+    let mut ticker = Ticker::new(progress);
     let file = AtomicFile::create(path)?;
     let mut zip = ZipWriter::new(BufWriter::new(file.file()?));
     let cannot = |e: zip::result::ZipError| -> SceneError {
@@ -108,7 +113,7 @@ pub fn write_sog_folder(
     progress: WriteProgress<'_>,
 ) -> Result<WriteReport, SceneError> {
     let mut report = WriteReport::new(SceneFormat::SogFolder, scene.len());
-    let mut ticker = Ticker { progress, from: 0.0, to: 1.0 };
+    let mut ticker = Ticker::new(progress);
     let mut folder = FolderWriter::create(path)?;
     let own_name = path.file_name().and_then(|name| name.to_str()).unwrap_or(META_NAME);
     encode(scene, path, &mut report, &mut ticker, &mut |name, bytes| {
@@ -148,8 +153,15 @@ fn encode(
 
     let texels = |high: usize| out.of_rows(|row| codes[row].map(|c| c.to_le_bytes()[high]));
     let (low, high) = rayon::join(|| texels(0), || texels(1));
-    sink("means_l.webp", &low?)?;
-    sink("means_u.webp", &high?)?;
+    let (low, high) = (low?, high?);
+    if scene.len() as u64 > plausible_rows((low.len() + high.len()) as u64) {
+        let problem = format!("would hold {} Gaussians, nearly all in one place", scene.len());
+        let mend = "readers would take the file for damaged; choose another format";
+        return Err(SceneError::format(path, problem, mend));
+    }
+    sink("means_l.webp", &low)?;
+    sink("means_u.webp", &high)?;
+    drop((low, high));
     drop(codes);
     ticker.tick(0.15)?;
 
@@ -193,7 +205,8 @@ fn encode(
             || {
                 out.of_rows(|row| {
                     let [low, high] = palette.labels[row].to_le_bytes();
-                    [low, high, 0]
+                    // Green is taken from blue before encoding, which leaves nothing of it here.
+                    [low, high, high]
                 })
             },
             || {
@@ -262,9 +275,13 @@ fn position_codes(coord: &[[f32; 3]]) -> ([LogAxis; 3], Vec<[u16; 3]>) {
     let axes = [axes[0], axes[1], axes[2]];
     // Codes are made for the bounds that a reader parses, which may be a bit off.
     let read = axes.map(|axis| LogAxis { min: as_read(axis.min), max: as_read(axis.max) });
-    let settled: Vec<Vec<u16>> = read.par_iter().map(LogAxis::settled).collect();
-    let codes =
-        coord.par_iter().map(|p| [0, 1, 2].map(|i| read[i].code(p[i], &settled[i]))).collect();
+    let codes = if coord.len() < ROWS_FOR_TABLE {
+        coord.par_iter().map(|p| [0, 1, 2].map(|i| read[i].code(p[i]))).collect()
+    } else {
+        let tables = read.map(|axis| axis.code_table());
+        let code = |p: &[f32; 3]| [0, 1, 2].map(|i| read[i].code_by_table(p[i], &tables[i]));
+        coord.par_iter().map(code).collect()
+    };
     (axes, codes)
 }
 
