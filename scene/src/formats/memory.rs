@@ -39,6 +39,12 @@ pub(crate) fn zeroed<T: Zeroed>(count: usize, path: &Path) -> Result<Vec<T>, Sce
     Ok(unsafe { Vec::from_raw_parts(start.cast::<T>(), count, count) })
 }
 
+/// As it was, with the advice to use large pages; best given before the first write.
+pub(crate) fn in_large_pages<T>(mut values: Vec<T>) -> Vec<T> {
+    advise_huge_pages(values.as_mut_ptr().cast(), values.len() * size_of::<T>());
+    values
+}
+
 /// Asks for large pages, with which filling fresh memory takes a fraction of the page faults.
 #[cfg(target_os = "linux")]
 fn advise_huge_pages(start: *mut u8, bytes: usize) {

@@ -1,5 +1,6 @@
 //! The arrays of a scene, filled block by block in parallel.
 
+use super::memory::in_large_pages;
 use crate::GaussianScene;
 use rayon::prelude::*;
 
@@ -30,12 +31,12 @@ pub(crate) fn fill_scene(
     let mut scene = GaussianScene { sh_degree, ..GaussianScene::default() };
     let width = scene.sh_rest_len() * 3;
     // Zeroed memory comes from the system untouched, so the tasks are the first to write it.
-    scene.coord = vec![[0.0; 3]; rows];
-    scene.log_scale = vec![[0.0; 3]; rows];
-    scene.quat = vec![[0.0; 4]; rows];
-    scene.opacity_logit = vec![0.0; rows];
-    scene.sh_dc = vec![[0.0; 3]; rows];
-    scene.sh_rest = vec![0.0; rows * width];
+    scene.coord = in_large_pages(vec![[0.0; 3]; rows]);
+    scene.log_scale = in_large_pages(vec![[0.0; 3]; rows]);
+    scene.quat = in_large_pages(vec![[0.0; 4]; rows]);
+    scene.opacity_logit = in_large_pages(vec![0.0; rows]);
+    scene.sh_dc = in_large_pages(vec![[0.0; 3]; rows]);
+    scene.sh_rest = in_large_pages(vec![0.0; rows * width]);
     let mut coord = scene.coord.chunks_mut(ROWS_PER_BLOCK);
     let mut log_scale = scene.log_scale.chunks_mut(ROWS_PER_BLOCK);
     let mut quat = scene.quat.chunks_mut(ROWS_PER_BLOCK);

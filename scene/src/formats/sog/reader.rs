@@ -5,6 +5,7 @@ use super::meta::{ByteTable, SogMeta};
 use super::source::{PartBytes, Source};
 use super::texture::TextureHead;
 use crate::SceneError;
+use crate::formats::memory::in_large_pages;
 use crate::gaussian_scene::GaussianScene;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -308,12 +309,12 @@ fn fill<T: Send>(runs: &[Range<usize>], out: &mut [T], value: impl Fn(usize) -> 
 /// A scene of zeros.
 pub(super) fn empty_scene(rows: usize, sh_degree: u8) -> GaussianScene {
     GaussianScene {
-        coord: vec![[0.0; 3]; rows],
-        log_scale: vec![[0.0; 3]; rows],
-        quat: vec![[0.0; 4]; rows],
-        opacity_logit: vec![0.0; rows],
-        sh_dc: vec![[0.0; 3]; rows],
-        sh_rest: vec![0.0; rows * coefficients(sh_degree) * 3],
+        coord: in_large_pages(vec![[0.0; 3]; rows]),
+        log_scale: in_large_pages(vec![[0.0; 3]; rows]),
+        quat: in_large_pages(vec![[0.0; 4]; rows]),
+        opacity_logit: in_large_pages(vec![0.0; rows]),
+        sh_dc: in_large_pages(vec![[0.0; 3]; rows]),
+        sh_rest: in_large_pages(vec![0.0; rows * coefficients(sh_degree) * 3]),
         sh_degree,
         ..GaussianScene::default()
     }

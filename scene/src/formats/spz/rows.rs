@@ -2,6 +2,7 @@
 
 use super::header::{Block, Header};
 use super::source::Source;
+use crate::formats::memory::in_large_pages;
 
 /// Bytes decompressed at a time: they are still in the cache when they are decoded.
 const BLOCK_BYTES: usize = 128 << 10;
@@ -89,7 +90,7 @@ fn grow<T: Copy + Default>(out: &mut Vec<T>, size: usize) -> Option<()> {
         // Zeros from the system are not touched before they are written to; a vector that is
         // filled up with them would be.
         drop(room);
-        *out = vec![T::default(); size];
+        *out = in_large_pages(vec![T::default(); size]);
     } else {
         room.extend_from_slice(out);
         room.resize(size, T::default());
