@@ -618,7 +618,7 @@ fn spz_inside_is_the_same_gaussians() {
     let plain = {
         let mut doc = Doc::new();
         // The mesh is written in glTF's frame, so the alone scene goes there first.
-        let mut there = alone.clone();
+        let mut there = alone;
         there.change_frame(Frame::CANONICAL, Frame::LUF);
         let mesh = doc.mesh(&there, true);
         doc.node(json!({"mesh": mesh, "translation": [1, 2, 3]}), true);

@@ -1,10 +1,9 @@
 //! Applies the table to a scene as it came from its file.
 
-use super::{Policy, RepairReport, Rule};
+use super::{Policy, RepairReport, Rule, VALUE_RULES};
 use crate::SceneError;
 use crate::gaussian_scene::{GaussianScene, SH_C0};
 use rayon::prelude::*;
-use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Rows that one task looks at.
@@ -19,33 +18,48 @@ const UNIT_TOLERANCE: f64 = 4e-7;
 /// Norms further from 1 than this are reported; closer ones are rounding of the writer.
 const REPORTED_NORM_ERROR: f64 = 1e-3;
 
-/// Counts of rules, with the first row and its value.
-#[derive(Default)]
-struct Tally(BTreeMap<Rule, (usize, usize, String)>);
+/// Rows that are looked at together first: most blocks hold nothing to decide about.
+const ROWS_PER_BLOCK: usize = 256;
+
+/// Counts of rules, with the first row and its value; one place for each row of the table.
+struct Tally(Vec<Option<(usize, usize, String)>>);
+
+impl Default for Tally {
+    fn default() -> Self {
+        Self(vec![None; VALUE_RULES.len()])
+    }
+}
 
 impl Tally {
     fn add(&mut self, rule: Rule, row: usize, value: impl FnOnce() -> String) {
         // Rows come in ascending order, so the first example is that of the first row.
-        self.0.entry(rule).or_insert_with(|| (0, row, value())).0 += 1;
+        self.0[rule as usize].get_or_insert_with(|| (0, row, value())).0 += 1;
     }
 
     fn merge(mut self, other: Self) -> Self {
-        for (rule, (count, row, value)) in other.0 {
-            let entry = self.0.entry(rule).or_insert_with(|| (0, row, value.clone()));
-            entry.0 += count;
-            if row < entry.1 {
-                (entry.1, entry.2) = (row, value);
+        for (old, new) in self.0.iter_mut().zip(other.0) {
+            let Some((count, row, value)) = new else { continue };
+            match old {
+                None => *old = Some((count, row, value)),
+                Some(old) => {
+                    old.0 += count;
+                    if row < old.1 {
+                        (old.1, old.2) = (row, value);
+                    }
+                }
             }
         }
         self
     }
 }
 
-/// Runs `check(row, values, tally)` over rows of `width` values, in parallel.
+/// Runs `check(row, values, tally)` over rows of `width` values, in parallel, but for blocks of which
+/// `fine(first_row, values)` holds: there is nothing to change or to count in them.
 fn scan<T: Send>(
     values: &mut [T],
     width: usize,
     report: &mut RepairReport,
+    fine: impl Fn(usize, &[T]) -> bool + Sync,
     check: impl Fn(usize, &mut [T], &mut Tally) + Sync,
 ) {
     let tally = values
@@ -53,15 +67,42 @@ fn scan<T: Send>(
         .enumerate()
         .map(|(task, values)| {
             let mut tally = Tally::default();
-            for (i, row) in values.chunks_exact_mut(width).enumerate() {
-                check(task * ROWS_PER_TASK + i, row, &mut tally);
+            for (block, values) in values.chunks_mut(ROWS_PER_BLOCK * width).enumerate() {
+                let first = task * ROWS_PER_TASK + block * ROWS_PER_BLOCK;
+                if fine(first, values) {
+                    continue;
+                }
+                for (i, row) in values.chunks_exact_mut(width).enumerate() {
+                    check(first + i, row, &mut tally);
+                }
             }
             tally
         })
         .reduce(Tally::default, Tally::merge);
-    for (rule, (count, row, value)) in tally.0 {
-        report.add(rule, count, row, &value);
+    for (entry, about) in tally.0.into_iter().zip(VALUE_RULES) {
+        if let Some((count, row, value)) = entry {
+            report.add(about.rule, count, row, &value);
+        }
     }
+}
+
+/// Whether every value is finite; without branches, so that many are tested at once.
+fn all_finite(values: &[f32]) -> bool {
+    const EXPONENT: u32 = 0x7f80_0000;
+    let bad =
+        values.iter().fold(0u32, |bad, v| bad | u32::from(v.to_bits() & EXPONENT == EXPONENT));
+    bad == 0
+}
+
+/// Whether every quaternion has norm 1 and w above 0.
+fn all_unit(quats: &[[f32; 4]]) -> bool {
+    let bad = quats.iter().fold(false, |bad, q| {
+        let squared: f64 = q.iter().map(|&v| f64::from(v) * f64::from(v)).sum();
+        // Written so that NaN is bad.
+        let unit = (squared - 1.0).abs() <= UNIT_TOLERANCE;
+        bad | !(unit & (q[0] > 0.0))
+    });
+    !bad
 }
 
 /// Repairs a scene by the table and drops the rows that cannot be repaired.
@@ -108,7 +149,13 @@ pub(crate) fn clean_scene(
 fn find_usable_rows(scene: &mut GaussianScene, report: &mut RepairReport) -> Vec<bool> {
     let (coord, scale, opacity) = (&scene.coord, &scene.log_scale, &scene.opacity_logit);
     let mut usable = vec![true; coord.len()];
-    scan(&mut usable, 1, report, |row, ok, tally| {
+    let fine = |first: usize, ok: &[bool]| {
+        let rows = first..first + ok.len();
+        all_finite(coord[rows.clone()].as_flattened())
+            && all_finite(scale[rows.clone()].as_flattened())
+            && all_finite(&opacity[rows])
+    };
+    scan(&mut usable, 1, report, fine, |row, ok, tally| {
         if let Some(bad) = coord[row].iter().find(|v| !v.is_finite()) {
             tally.add(Rule::CoordNotFinite, row, || bad.to_string());
             ok[0] = false;
@@ -133,20 +180,23 @@ fn find_usable_rows(scene: &mut GaussianScene, report: &mut RepairReport) -> Vec
 }
 
 fn repair_values(scene: &mut GaussianScene, report: &mut RepairReport) {
-    scan(&mut scene.quat, 1, report, |row, quat, tally| {
+    let fine = |_, quats: &[[f32; 4]]| all_unit(quats);
+    scan(&mut scene.quat, 1, report, fine, |row, quat, tally| {
         let quat = &mut quat[0];
         let before = *quat;
         let example = || format!("{before:?}");
-        let rule = match unit(before) {
-            Ok((_, norm)) if (norm - 1.0).abs() > REPORTED_NORM_ERROR => Some(Rule::QuatNotUnit),
-            Ok(_) => None,
-            Err(NoDirection::Zero) => Some(Rule::QuatZero),
-            Err(NoDirection::NotFinite) => Some(Rule::QuatNotFinite),
+        let (rule, new) = match unit(before) {
+            Ok((new, norm)) if (norm - 1.0).abs() > REPORTED_NORM_ERROR => {
+                (Some(Rule::QuatNotUnit), new)
+            }
+            Ok((new, _)) => (None, new),
+            Err(NoDirection::Zero) => (Some(Rule::QuatZero), [1.0, 0.0, 0.0, 0.0]),
+            Err(NoDirection::NotFinite) => (Some(Rule::QuatNotFinite), [1.0, 0.0, 0.0, 0.0]),
         };
         if let Some(rule) = rule {
             tally.add(rule, row, example);
         }
-        *quat = unit(before).map_or([1.0, 0.0, 0.0, 0.0], |(q, _)| q);
+        *quat = new;
         if quat[0] == 0.0 {
             tally.add(Rule::QuatHalfTurn, row, example);
         }
@@ -156,7 +206,8 @@ fn repair_values(scene: &mut GaussianScene, report: &mut RepairReport) {
         }
     });
     let saturated = 0.5 / SH_C0;
-    scan(&mut scene.sh_dc, 1, report, |row, dc, tally| {
+    let fine = |_, dc: &[[f32; 3]]| all_finite(dc.as_flattened());
+    scan(&mut scene.sh_dc, 1, report, fine, |row, dc, tally| {
         let before = dc[0];
         let example = || format!("{before:?}");
         if before.iter().any(|v| v.is_nan()) {
@@ -173,7 +224,8 @@ fn repair_values(scene: &mut GaussianScene, report: &mut RepairReport) {
     });
     let rest = scene.sh_rest_len() * 3;
     if rest > 0 {
-        scan(&mut scene.sh_rest, rest, report, |row, values, tally| {
+        let fine = |_, values: &[f32]| all_finite(values);
+        scan(&mut scene.sh_rest, rest, report, fine, |row, values, tally| {
             if let Some(i) = values.iter().position(|v| !v.is_finite()) {
                 let value = values[i];
                 tally.add(Rule::RestNotFinite, row, || format!("{value} in coefficient {i}"));
@@ -186,22 +238,28 @@ fn repair_values(scene: &mut GaussianScene, report: &mut RepairReport) {
         scene.normal = None;
     }
     if let Some(normal) = &mut scene.normal {
-        scan(normal, 1, report, |row, normal, tally| {
-            let before = normal[0];
-            normal[0] = match unit(before) {
-                Ok((normal, norm)) => {
-                    if (norm - 1.0).abs() > REPORTED_NORM_ERROR {
-                        tally.add(Rule::NormalNotUnit, row, || format!("{before:?}"));
+        scan(
+            normal,
+            1,
+            report,
+            |_, _| false,
+            |row, normal, tally| {
+                let before = normal[0];
+                normal[0] = match unit(before) {
+                    Ok((normal, norm)) => {
+                        if (norm - 1.0).abs() > REPORTED_NORM_ERROR {
+                            tally.add(Rule::NormalNotUnit, row, || format!("{before:?}"));
+                        }
+                        normal
                     }
-                    normal
-                }
-                Err(NoDirection::Zero) => [0.0; 3],
-                Err(NoDirection::NotFinite) => {
-                    tally.add(Rule::NormalNotFinite, row, || format!("{before:?}"));
-                    [0.0; 3]
-                }
-            };
-        });
+                    Err(NoDirection::Zero) => [0.0; 3],
+                    Err(NoDirection::NotFinite) => {
+                        tally.add(Rule::NormalNotFinite, row, || format!("{before:?}"));
+                        [0.0; 3]
+                    }
+                };
+            },
+        );
     }
     if let Some(feat) = &mut scene.lang_feat
         && feat.dim > 0

@@ -1,5 +1,7 @@
 //! Ten thousand damaged copies of every small file: no panic, no greed, no wrong count.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
+
 #[path = "../common/mod.rs"]
 mod common;
 mod counting_allocator;
