@@ -4,7 +4,7 @@ use rand::seq::index::sample;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rayon::prelude::*;
-use scenesplat_scene::{Frame, GaussianScene, SceneError, Similarity};
+use scenesplat_scene::{Frame, GaussianScene, LabelledPoints, SceneError, Similarity};
 use std::str::FromStr;
 
 /// A box along the axes; both ends belong to it.
@@ -14,6 +14,12 @@ pub struct CropBox {
     pub min: [f32; 3],
     /// Highest corner.
     pub max: [f32; 3],
+}
+
+impl CropBox {
+    fn contains(&self, p: &[f32; 3]) -> bool {
+        (0..3).all(|i| (self.min[i]..=self.max[i]).contains(&p[i]))
+    }
 }
 
 impl FromStr for CropBox {
@@ -112,7 +118,7 @@ pub enum EditError {
         max: [f32; 3],
     },
     /// A factor that makes no sense.
-    #[error("a scale of {0}: must be above 0 and finite")]
+    #[error("a scale of {0}: must be above 0 and leave every position finite")]
     Scale(f64),
     /// The scene's arrays do not fit together.
     #[error(transparent)]
@@ -138,12 +144,19 @@ impl SceneEdit {
             Some(rows) => scene.select_rows(rows)?,
             None => scene,
         };
+        if let (Some(crop), Some(points)) = (&self.crop, &mut scene.labelled_points) {
+            crop_points(points, crop);
+        }
         if let Some(degree) = self.sh_degree {
             cut_harmonics(&mut scene, degree);
         }
         if let Some(scale) = self.scale {
             let same = Similarity::between(Frame::CANONICAL, Frame::CANONICAL);
             scene.transform(&Similarity { scale, ..same });
+            let lost = |p: &[f32; 3]| !p.iter().all(|v| v.is_finite());
+            if scene.coord.par_iter().any(lost) {
+                return Err(EditError::Scale(scale));
+            }
         }
         if let Some(FrameChange { from, to }) = self.frame {
             scene.change_frame(from, to);
@@ -153,11 +166,8 @@ impl SceneEdit {
 
     fn rows(&self, scene: &GaussianScene) -> Result<Option<Vec<usize>>, EditError> {
         let mut rows = None;
-        if let Some(CropBox { min, max }) = self.crop {
-            let inside = |row: &usize| {
-                let p = scene.coord[*row];
-                (0..3).all(|i| (min[i]..=max[i]).contains(&p[i]))
-            };
+        if let Some(crop) = self.crop {
+            let inside = |row: &usize| crop.contains(&scene.coord[*row]);
             let kept: Vec<usize> = (0..scene.len()).into_par_iter().filter(inside).collect();
             if kept.is_empty() {
                 let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
@@ -183,6 +193,19 @@ impl SceneEdit {
             rows = Some(chosen.into_iter().map(|i| all[i]).collect());
         }
         Ok(rows)
+    }
+}
+
+/// Keeps the labelled points in the box: others would be judged by Gaussians that are not there.
+fn crop_points(points: &mut LabelledPoints, crop: &CropBox) {
+    let inside: Vec<bool> = points.coord.iter().map(|p| crop.contains(p)).collect();
+    fn keep<T>(values: &mut Vec<T>, inside: &[bool]) {
+        let mut flags = inside.iter();
+        values.retain(|_| flags.next().copied().unwrap_or(false));
+    }
+    keep(&mut points.coord, &inside);
+    for labels in [&mut points.segment, &mut points.instance].into_iter().flatten() {
+        keep(labels, &inside);
     }
 }
 
@@ -235,6 +258,20 @@ mod tests {
     }
 
     #[test]
+    fn labelled_points_are_cropped_too() {
+        let mut scene = room();
+        let coord = scene.coord.clone();
+        let segment = Some((0..coord.len() as i32).collect());
+        scene.labelled_points = Some(LabelledPoints { coord, segment, instance: None });
+        let crop = Some("-1,-1,-1,1,1,1".parse().unwrap());
+        let (cut, rows) = SceneEdit { crop, ..SceneEdit::default() }.apply(scene).unwrap();
+        let points = cut.labelled_points.unwrap();
+        assert_eq!(points.coord, cut.coord);
+        let rows: Vec<i32> = rows.unwrap().into_iter().map(|r| r as i32).collect();
+        assert_eq!(points.segment, Some(rows));
+    }
+
+    #[test]
     fn a_part_of_few_is_at_least_one() {
         let scene = room().select_rows(&[0, 1]).unwrap();
         let edit = SceneEdit { sample: Some("1%".parse().unwrap()), ..SceneEdit::default() };
@@ -256,7 +293,7 @@ mod tests {
         assert_eq!(rows, None);
         assert!((small.coord[7][1] - scene.coord[7][1] / 1000.0).abs() < 1e-9);
         assert!((small.scale(7)[0] * 1000.0 / scene.scale(7)[0] - 1.0).abs() < 1e-5);
-        for bad in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+        for bad in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e39] {
             assert!(SceneEdit { scale: Some(bad), ..SceneEdit::default() }.apply(room()).is_err());
         }
     }

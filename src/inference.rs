@@ -353,9 +353,12 @@ struct Budget {
 
 /// Bytes of the arrays of a scene.
 pub(crate) fn scene_bytes(scene: &GaussianScene) -> u64 {
-    let labels = usize::from(scene.segment.is_some()) + usize::from(scene.instance.is_some());
+    let labels = usize::from(scene.segment.is_some())
+        + usize::from(scene.instance.is_some())
+        + usize::from(scene.segment_score.is_some());
     let normal = usize::from(scene.normal.is_some()) * 12;
-    let language = scene.lang_feat.as_ref().map_or(0, |f| f.values.len() * 2);
+    let codes = scene.lang_code.as_ref().map_or(0, |c| c.values.len() * 2);
+    let language = scene.lang_feat.as_ref().map_or(0, |f| f.values.len() * 2) + codes;
     let rest = scene.sh_rest.len() * 4;
     (scene.len() * (14 * 4 + labels * 4 + normal) + rest + language) as u64
 }

@@ -12,8 +12,12 @@ use scenesplat_scene::{FeatureRows, LanguageCode, LanguageCodebook};
 const SAMPLE: usize = 30_000;
 /// Rounds of the subspace iteration; the captured variance settles long before.
 const ROUNDS: usize = 60;
+/// One less the cosine by which a direction still turns when it counts as found.
+const SETTLED: f64 = 1e-12;
 /// Rows of one task.
 const BLOCK: usize = 1024;
+/// Codes are kept below this, well within 16 bits.
+const LARGEST_CODE: f32 = 1024.0;
 
 /// Language codes and how much of the features they keep.
 #[derive(Debug, Clone)]
@@ -26,6 +30,8 @@ pub struct EncodedFeatures {
     pub lowest_cosine: f64,
     /// Rows with a feature.
     pub valid: usize,
+    /// Rows whose feature holds NaN or infinity; they count as having none.
+    pub not_finite: usize,
 }
 
 /// Why features cannot be encoded.
@@ -42,23 +48,28 @@ pub enum CodeError {
         width: usize,
     },
     /// Nothing to learn the axes from.
-    #[error("no row has a language feature")]
+    #[error("no row has a language feature that is finite and not 0")]
     NoFeatures,
+    /// The caller said so.
+    #[error("stopped; nothing was written")]
+    Stopped,
 }
 
 /// Finds the `k` directions in which the features vary most and writes every feature in them.
 ///
 /// A principal component analysis of a seeded sample; sums in a fixed order, so the result is the
 /// same for any number of threads. `valid` marks the rows that have a feature, `None` = those that
-/// are not 0.
+/// are not 0; one with a value that is not finite counts as having none. `progress` gets the part
+/// done and gives `false` to stop.
 ///
 /// # Errors
-/// If `k` is 0 or wider than the features, or no row has a feature.
+/// If `k` is 0 or wider than the features, no row has a feature, or `progress` stops it.
 pub fn encode_features(
     features: &FeatureRows,
     valid: Option<&[bool]>,
     k: usize,
     seed: u64,
+    progress: &mut dyn FnMut(f64) -> bool,
 ) -> Result<EncodedFeatures, CodeError> {
     let width = features.dim;
     if k == 0 || k > width {
@@ -66,10 +77,13 @@ pub fn encode_features(
     }
     let row = |i: usize| &features.values[i * width..(i + 1) * width];
     let count = features.values.len() / width;
-    let has = |i: &usize| match valid {
+    let claims = |i: &usize| match valid {
         Some(valid) => valid[*i],
         None => row(*i).iter().any(|v| *v != f16::ZERO),
     };
+    let finite = |i: usize| row(i).iter().all(|v| v.is_finite());
+    let not_finite = (0..count).into_par_iter().filter(|&i| claims(&i) && !finite(i)).count();
+    let has = |i: &usize| claims(i) && finite(*i);
     let rows: Vec<usize> = (0..count).into_par_iter().filter(has).collect();
     if rows.is_empty() {
         return Err(CodeError::NoFeatures);
@@ -92,16 +106,16 @@ pub fn encode_features(
     }
     let mut covariance = vec![0f32; width * width];
     gemm_tn(&table, width, &table, width, None, &mut covariance);
-    let axes = strongest(&covariance, width, k);
-    let codebook = LanguageCodebook { mean, axes };
+    let axes = strongest(&covariance, width, k, progress).ok_or(CodeError::Stopped)?;
+    let mut codebook = LanguageCodebook { mean, axes };
 
     let has_feature: Vec<bool> = {
         let mut flags = vec![false; count];
         rows.iter().for_each(|&i| flags[i] = true);
         flags
     };
-    let mut values = vec![f16::ZERO; count * k];
-    values.par_chunks_mut(BLOCK * k).enumerate().for_each(|(block, out)| {
+    let mut dots = vec![0f32; count * k];
+    dots.par_chunks_mut(BLOCK * k).enumerate().for_each(|(block, out)| {
         let mut centred = vec![0f32; width];
         for (i, code) in out.chunks_exact_mut(k).enumerate() {
             let at = block * BLOCK + i;
@@ -112,15 +126,23 @@ pub fn encode_features(
                 *c = v.to_f32() - m;
             }
             for (value, axis) in code.iter_mut().zip(codebook.axes.chunks_exact(width)) {
-                let dot: f32 = axis.iter().zip(&centred).map(|(a, c)| a * c).sum();
-                *value = f16::from_f32(dot);
-            }
-            if code.iter().all(|v| *v == f16::ZERO) {
-                // Zeros would mean that there is no feature.
-                code[0] = f16::from_bits(1);
+                *value = axis.iter().zip(&centred).map(|(a, c)| a * c).sum();
             }
         }
     });
+    // Unit features have codes below 2. Much larger ones would not fit into 16 bits: then the axes
+    // take the factor.
+    let largest = dots.par_iter().map(|v| v.abs()).reduce(|| 0.0, f32::max);
+    let factor = if largest > LARGEST_CODE { largest / LARGEST_CODE } else { 1.0 };
+    codebook.axes.iter_mut().for_each(|v| *v *= factor);
+    let mut values: Vec<f16> = dots.par_iter().map(|v| f16::from_f32(v / factor)).collect();
+    drop(dots);
+    for (code, has) in values.chunks_exact_mut(k).zip(&has_feature) {
+        if *has && code.iter().all(|v| *v == f16::ZERO) {
+            // Zeros would mean that there is no feature.
+            code[0] = f16::from_bits(1);
+        }
+    }
     let code = LanguageCode { values, codebook };
     // Blocks are summed one after the other, whoever computed them.
     let per_block: Vec<(f64, f64)> = rows
@@ -144,6 +166,7 @@ pub fn encode_features(
         mean_cosine: sum / rows.len() as f64,
         lowest_cosine,
         valid: rows.len(),
+        not_finite,
     })
 }
 
@@ -160,14 +183,22 @@ fn cosine(a: &[f16], b: &[f32]) -> f64 {
 }
 
 /// The `k` eigenvectors with the largest eigenvalues of a symmetric matrix, row by row, by subspace
-/// iteration. Directions without any variance become 0.
-fn strongest(matrix: &[f32], width: usize, k: usize) -> Vec<f32> {
+/// iteration. Directions without any variance become 0. `None` if `progress` stops it.
+fn strongest(
+    matrix: &[f32],
+    width: usize,
+    k: usize,
+    progress: &mut dyn FnMut(f64) -> bool,
+) -> Option<Vec<f32>> {
     // A fixed start that is not orthogonal to anything likely.
     let mut basis: Vec<Vec<f64>> = (0..k)
         .map(|j| (0..width).map(|i| ((i * (j + 2) + j) as f64 * 0.7).sin() + 0.01).collect())
         .collect();
     let largest = (0..width).map(|i| f64::from(matrix[i * width + i])).fold(0.0, f64::max);
-    for _ in 0..ROUNDS {
+    for round in 0..ROUNDS {
+        if !progress(round as f64 / ROUNDS as f64) {
+            return None;
+        }
         let mut next: Vec<Vec<f64>> = basis
             .par_iter()
             .map(|vector| {
@@ -189,7 +220,16 @@ fn strongest(matrix: &[f32], width: usize, k: usize) -> Vec<f32> {
             let scale = if norm > largest * 1e-9 { 1.0 / norm } else { 0.0 };
             next[j].iter_mut().for_each(|v| *v *= scale);
         }
+        // How far each direction turned; later rounds would turn it less still.
+        let turned = basis.iter().zip(&next).map(|(old, new)| {
+            let dot: f64 = old.iter().zip(new).map(|(a, b)| a * b).sum();
+            1.0 - dot.abs()
+        });
+        let settled = turned.fold(0.0, f64::max) < SETTLED;
         basis = next;
+        if settled {
+            break;
+        }
     }
     let mut out = Vec::with_capacity(k * width);
     for direction in basis {
@@ -197,7 +237,7 @@ fn strongest(matrix: &[f32], width: usize, k: usize) -> Vec<f32> {
         let sign = if direction.iter().sum::<f64>() < 0.0 { -1.0 } else { 1.0 };
         out.extend(direction.iter().map(|v| (v * sign) as f32));
     }
-    out
+    Some(out)
 }
 
 #[cfg(test)]
@@ -220,13 +260,13 @@ mod tests {
     #[test]
     fn features_of_low_rank_come_back() {
         let features = plane(3000);
-        let done = encode_features(&features, None, 3, 0).unwrap();
+        let done = encode_features(&features, None, 3, 0, &mut |_| true).unwrap();
         assert!(done.lowest_cosine > 0.9999, "{}", done.lowest_cosine);
         assert_eq!(done.valid, 3000);
-        let fewer = encode_features(&features, None, 2, 0).unwrap();
+        let fewer = encode_features(&features, None, 2, 0, &mut |_| true).unwrap();
         assert!(fewer.mean_cosine < done.mean_cosine);
         // More axes than the features have are 0 and harm nothing.
-        let more = encode_features(&features, None, 12, 0).unwrap();
+        let more = encode_features(&features, None, 12, 0, &mut |_| true).unwrap();
         assert!(more.lowest_cosine > 0.9999);
         more.code.codebook.check().unwrap();
     }
@@ -235,22 +275,50 @@ mod tests {
     fn rows_without_a_feature_have_the_code_0() {
         let mut features = plane(100);
         features.values[..12].fill(f16::ZERO);
-        let done = encode_features(&features, None, 3, 0).unwrap();
+        let done = encode_features(&features, None, 3, 0, &mut |_| true).unwrap();
         assert_eq!(done.valid, 99);
         assert_eq!(done.code.values[..3], [f16::ZERO; 3]);
         let masked = vec![false; 100];
         assert_eq!(
-            encode_features(&features, Some(&masked), 3, 0).unwrap_err(),
+            encode_features(&features, Some(&masked), 3, 0, &mut |_| true).unwrap_err(),
             CodeError::NoFeatures
         );
-        assert!(encode_features(&features, None, 0, 0).is_err());
-        assert!(encode_features(&features, None, 13, 0).is_err());
+        assert!(encode_features(&features, None, 0, 0, &mut |_| true).is_err());
+        assert!(encode_features(&features, None, 13, 0, &mut |_| true).is_err());
+    }
+
+    #[test]
+    fn rows_that_are_not_finite_harm_no_other() {
+        let mut features = plane(500);
+        features.values[12 * 7] = f16::NAN;
+        features.values[12 * 9 + 3] = f16::INFINITY;
+        let done = encode_features(&features, None, 3, 0, &mut |_| true).unwrap();
+        assert_eq!((done.valid, done.not_finite), (498, 2));
+        assert!(done.lowest_cosine > 0.999, "{}", done.lowest_cosine);
+        assert_eq!(done.code.values[21..24], [f16::ZERO; 3]);
+        done.code.codebook.check().unwrap();
+    }
+
+    #[test]
+    fn huge_features_fit_into_their_codes() {
+        let mut features = plane(500);
+        let scale = |v: f16| f16::from_f32(v.to_f32() * 30_000.0);
+        features.values.iter_mut().for_each(|v| *v = scale(*v));
+        let done = encode_features(&features, None, 3, 0, &mut |_| true).unwrap();
+        assert!(done.lowest_cosine > 0.999, "{}", done.lowest_cosine);
+        assert!(done.code.values.iter().all(|v| v.is_finite()));
+    }
+
+    #[test]
+    fn it_stops_when_told_to() {
+        let stopped = encode_features(&plane(500), None, 3, 0, &mut |_| false);
+        assert_eq!(stopped.unwrap_err(), CodeError::Stopped);
     }
 
     #[test]
     fn one_row_is_its_own_mean() {
         let features = plane(1);
-        let done = encode_features(&features, None, 1, 0).unwrap();
+        let done = encode_features(&features, None, 1, 0, &mut |_| true).unwrap();
         assert!(done.lowest_cosine > 0.9999);
     }
 }

@@ -25,6 +25,7 @@ pub mod assets;
 pub mod cli;
 pub mod convert;
 pub mod inference;
+pub mod input;
 pub mod inspect;
 pub mod language_codes;
 pub mod memory;

@@ -169,6 +169,48 @@ impl GaussianScene {
         Ok(())
     }
 
+    /// Leaves out the rows whose flag is false, in place: nothing is there twice at any time.
+    ///
+    /// # Panics
+    /// If there is not one flag per Gaussian.
+    pub(crate) fn retain_rows(&mut self, keep: &[bool]) {
+        assert_eq!(keep.len(), self.len(), "one flag per Gaussian");
+        fn compact<T: Copy>(values: &mut Vec<T>, width: usize, keep: &[bool]) {
+            let mut end = 0;
+            for row in (0..keep.len()).filter(|&row| keep[row]) {
+                values.copy_within(row * width..(row + 1) * width, end);
+                end += width;
+            }
+            values.truncate(end);
+        }
+        let rest = self.sh_rest_len() * 3;
+        compact(&mut self.coord, 1, keep);
+        compact(&mut self.log_scale, 1, keep);
+        compact(&mut self.quat, 1, keep);
+        compact(&mut self.opacity_logit, 1, keep);
+        compact(&mut self.sh_dc, 1, keep);
+        compact(&mut self.sh_rest, rest, keep);
+        if let Some(a) = &mut self.normal {
+            compact(a, 1, keep);
+        }
+        for a in [&mut self.segment, &mut self.instance].into_iter().flatten() {
+            compact(a, 1, keep);
+        }
+        if let Some(a) = &mut self.segment_score {
+            compact(a, 1, keep);
+        }
+        if let Some(a) = &mut self.lang_code {
+            let width = a.width();
+            compact(&mut a.values, width, keep);
+        }
+        if let Some(a) = &mut self.lang_feat {
+            compact(&mut a.values, a.dim, keep);
+        }
+        if let Some(a) = &mut self.valid_feat_mask {
+            compact(a, 1, keep);
+        }
+    }
+
     /// The scene made of the given rows, in the given order; rows may repeat.
     ///
     /// The one place where the number of rows changes, so no array can get out of step.
@@ -247,6 +289,7 @@ pub fn u8_to_dc(byte: u8) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::language_code::LanguageCodebook;
 
     #[test]
     fn every_byte_survives_the_colour_round_trip() {
@@ -271,6 +314,38 @@ mod tests {
             let back = sigmoid(probability_to_logit(p));
             // The logit is rounded to f32, so its relative error, times the logit, is what shows.
             assert!((back - p).abs() <= p * 1e-5, "{p} came back as {back}");
+        }
+    }
+
+    #[test]
+    fn leaving_rows_out_in_place_is_selecting_the_others() {
+        let n = 5;
+        let codebook = LanguageCodebook { mean: vec![1.0], axes: vec![1.0, 2.0] };
+        let half = |count: usize| (0..count).map(|i| f16::from_f32(i as f32)).collect::<Vec<_>>();
+        let scene = GaussianScene {
+            coord: (0..n).map(|i| [i as f32; 3]).collect(),
+            log_scale: (0..n).map(|i| [i as f32 + 10.0; 3]).collect(),
+            quat: (0..n).map(|i| [i as f32, 1.0, 2.0, 3.0]).collect(),
+            opacity_logit: (0..n).map(|i| i as f32).collect(),
+            sh_dc: (0..n).map(|i| [i as f32, 0.5, 0.25]).collect(),
+            sh_rest: (0..n * 9).map(|i| i as f32).collect(),
+            sh_degree: 1,
+            normal: Some((0..n).map(|i| [i as f32; 3]).collect()),
+            segment: Some((0..n as i32).collect()),
+            segment_score: Some((0..n).map(|i| i as f32).collect()),
+            instance: Some((5..5 + n as i32).collect()),
+            lang_code: Some(LanguageCode { values: half(n * 2), codebook }),
+            lang_feat: Some(FeatureRows { values: half(n * 3), dim: 3 }),
+            valid_feat_mask: Some((0..n).map(|i| i % 2 == 0).collect()),
+            labelled_points: None,
+        };
+        scene.check_rows().unwrap();
+        for flags in 1u32..1 << n {
+            let keep: Vec<bool> = (0..n).map(|i| flags >> i & 1 == 1).collect();
+            let rows: Vec<usize> = (0..n).filter(|&i| keep[i]).collect();
+            let mut left = scene.clone();
+            left.retain_rows(&keep);
+            assert_eq!(left, scene.select_rows(&rows).unwrap());
         }
     }
 

@@ -2,6 +2,7 @@
 
 use super::WrongUse;
 use crate::inference::{EncodeError, Fidelity};
+use crate::input::open_input;
 use crate::memory::Bytes;
 use crate::network::{NetworkConfig, WeightOptions, Weights, config_beside};
 use crate::outputs::{OpenedScene, guess_up};
@@ -11,13 +12,10 @@ use crate::receipt::Receipt;
 use crate::{Network, SceneEncoder, SceneFeatures};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
-use scenesplat_datasets::{PointCloud, PointSettings, gaussians_from_points};
 use scenesplat_kernels::simd::Isa;
 use scenesplat_models::LoadPolicy;
 use scenesplat_models::convert::{Branch, ConvLayout};
-use scenesplat_scene::formats::labelled_ply::{LABEL_NAMES, read_labelled_ply};
-use scenesplat_scene::formats::ply::PlyFile;
-use scenesplat_scene::{GaussianScene, LoadedScene, Policy, ReadOptions, SceneKind, open_scene};
+use scenesplat_scene::{GaussianScene, Policy, ReadOptions, SpzFrame};
 use std::cell::Cell;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -58,6 +56,56 @@ pub enum Device {
     Cpu,
 }
 
+/// Flags of commands that read a scene.
+#[derive(Debug, clap::Args)]
+pub struct SourceArgs {
+    /// Which labels of a scene to read: a PLY property or the stem of a .npy file.
+    #[arg(long, value_name = "NAME")]
+    pub segment_name: Option<String>,
+    /// Refuses files with values that would be repaired.
+    #[arg(long)]
+    pub strict: bool,
+    /// What an SPZ file that is read is taken to be in: rub, as the format prescribes, or raw, as in
+    /// the PLY file it was made from.
+    #[arg(long, value_enum, default_value_t = SpzFrameArg::Rub)]
+    pub spz_frame: SpzFrameArg,
+    /// Level of detail of a streamed scene, 0 = finest.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub lod: usize,
+}
+
+impl SourceArgs {
+    /// What to read; nothing but what a network needs.
+    pub fn options(&self) -> ReadOptions {
+        ReadOptions {
+            policy: if self.strict { Policy::Strict } else { Policy::Repair },
+            segment: self.segment_name.clone(),
+            lang_feat: false,
+            sh_rest: false,
+            spz_frame: self.spz_frame.into(),
+            lod: self.lod,
+        }
+    }
+}
+
+/// Frames of SPZ files.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum SpzFrameArg {
+    /// Right, up, back.
+    Rub,
+    /// As in the PLY file.
+    Raw,
+}
+
+impl From<SpzFrameArg> for SpzFrame {
+    fn from(frame: SpzFrameArg) -> Self {
+        match frame {
+            SpzFrameArg::Rub => Self::Rub,
+            SpzFrameArg::Raw => Self::Raw,
+        }
+    }
+}
+
 /// Flags of commands that run a network over a scene.
 #[derive(Debug, clap::Args)]
 pub struct Inference {
@@ -77,9 +125,9 @@ pub struct Inference {
     /// Shuffles curve orders as the original does, but with --seed.
     #[arg(long)]
     pub shuffle_orders: bool,
-    /// Refuses files with values that would be repaired.
-    #[arg(long)]
-    pub strict: bool,
+    /// How to read the scene.
+    #[command(flatten)]
+    pub source: SourceArgs,
     /// Loads what fits of a checkpoint that does not fit the network.
     #[arg(long)]
     pub partial_weights: bool,
@@ -92,9 +140,21 @@ pub struct Inference {
     /// Which way is up in pictures; judged by the shape if not given.
     #[arg(long, value_name = "AXIS", value_parser = parse_up, allow_hyphen_values = true)]
     pub up: Option<UpAxis>,
-    /// Which labels of a scene to read: a PLY property or the stem of a .npy file.
-    #[arg(long, value_name = "NAME")]
-    pub segment_name: Option<String>,
+}
+
+impl Inference {
+    /// A flag that was given and only means something to a network.
+    fn network_flag(&self) -> Option<&'static str> {
+        let flags = [
+            (self.exact, "--exact"),
+            (self.grid_size != 0.02, "--grid-size"),
+            (self.max_memory.is_some(), "--max-memory"),
+            (self.halo != 50, "--halo"),
+            (self.shuffle_orders, "--shuffle-orders"),
+            (self.partial_weights, "--partial-weights"),
+        ];
+        flags.iter().find(|(given, _)| *given).map(|(_, name)| *name)
+    }
 }
 
 /// Half of a self-supervised checkpoint.
@@ -281,8 +341,7 @@ impl<'a> Session<'a> {
     /// Reads a scene; a labelled point cloud is turned into Gaussians.
     pub fn open(&self, path: &Path, inference: &Inference) -> Result<OpenedScene> {
         let stage = self.receipt.stage("read");
-        let policy = if inference.strict { Policy::Strict } else { Policy::Repair };
-        let opened = self.read(path, policy, inference.segment_name.as_deref(), false)?;
+        let opened = self.read(path, &inference.source.options())?;
         if !opened.loaded.report.is_clean() {
             let text = opened.loaded.report.to_string();
             self.progress.say(&text);
@@ -294,57 +353,16 @@ impl<'a> Session<'a> {
         Ok(opened)
     }
 
-    /// Reads a scene without a word about its values; `sh_rest` asks for the higher harmonics.
-    pub fn read(
-        &self,
-        path: &Path,
-        policy: Policy,
-        label: Option<&str>,
-        sh_rest: bool,
-    ) -> Result<OpenedScene> {
+    /// Reads a scene without a word about its values; a labelled point cloud is turned into
+    /// Gaussians.
+    pub fn read(&self, path: &Path, options: &ReadOptions) -> Result<OpenedScene> {
         self.progress.say(format!("reading {}", path.display()));
-        if labelled_cloud(path, label)? {
-            return self.open_cloud(path, policy, label);
+        let (opened, remark) = open_input(path, options)?;
+        if let Some(text) = remark {
+            self.progress.say(text);
+            self.receipt.setting("input", "point cloud", "points were turned into Gaussians");
         }
-        let options = ReadOptions {
-            policy,
-            segment: label.map(str::to_owned),
-            lang_feat: false,
-            sh_rest,
-            ..ReadOptions::default()
-        };
-        Ok(OpenedScene { loaded: open_scene(path, &options)?, converted: false })
-    }
-
-    fn open_cloud(&self, path: &Path, policy: Policy, label: Option<&str>) -> Result<OpenedScene> {
-        let (cloud, report) = read_labelled_ply(path, policy, label)?;
-        let kept_rows = cloud.kept_rows;
-        let points = PointCloud {
-            coord: cloud.coord,
-            color: cloud.color,
-            normal: cloud.normal,
-            segment: Some(cloud.segment),
-            instance: cloud.instance,
-        };
-        let converted = gaussians_from_points(&points, &PointSettings::default())?;
-        let text = format!(
-            "{}: a point cloud; its {} points became discs as wide as their spacing ({} normals \
-             estimated, {} balls)",
-            path.display(),
-            points.coord.len(),
-            converted.num_estimated_normals,
-            converted.num_balls
-        );
-        self.progress.say(&text);
-        self.receipt.setting("input", "point cloud", "points were turned into Gaussians");
-        let loaded = LoadedScene {
-            scene: converted.scene,
-            report,
-            kept_rows,
-            path: path.to_owned(),
-            kind: SceneKind::InriaPly,
-        };
-        Ok(OpenedScene { loaded, converted: true })
+        Ok(opened)
     }
 
     /// Reads a scene and decides where its features come from: from the network of --weights, or,
@@ -367,6 +385,13 @@ impl<'a> Session<'a> {
             // Says that the weights are missing.
             return self.network(inference).map(|n| (opened, FeatureSource::Network(Box::new(n))));
         };
+        if let Some(flag) = inference.network_flag() {
+            let text = format!("{flag} is about the network; give --weights too");
+            return Err(WrongUse(text).into());
+        }
+        if self.shared.config.is_some() {
+            return Err(WrongUse("--config names a network; give --weights too".to_owned()).into());
+        }
         let text = format!(
             "no --weights: using the language codes of the scene, {} numbers a Gaussian",
             code.width()
@@ -489,20 +514,6 @@ impl<'a> Session<'a> {
         }
         Ok(())
     }
-}
-
-/// Whether a PLY file is a labelled point cloud rather than splats.
-fn labelled_cloud(path: &Path, label: Option<&str>) -> Result<bool> {
-    if path.is_dir() {
-        return Ok(false);
-    }
-    // What is no PLY file is refused later, with everything that can be read.
-    let Ok(ply) = PlyFile::open(path) else { return Ok(false) };
-    let Some(vertex) = ply.element("vertex") else { return Ok(false) };
-    let has = |names: &[&str]| names.iter().any(|n| vertex.has(n));
-    Ok(vertex.has("x")
-        && (has(&LABEL_NAMES) || label.is_some_and(|l| vertex.has(l)))
-        && !has(&["scale_0", "f_dc_0", "opacity", "packed_position"]))
 }
 
 /// Writes a text file beside its place and renames it. Gives its size.

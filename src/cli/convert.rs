@@ -1,16 +1,16 @@
 //! `scenesplat convert`
 
 use super::WrongUse;
-use super::common::{print, write_text};
+use super::common::{SourceArgs, SpzFrameArg, print, write_text};
 use crate::convert::{CropBox, FrameChange, Sample, SceneEdit};
+use crate::input::open_input;
 use crate::language_codes::encode_features;
 use crate::progress::{Progress, interrupted, listen_for_interrupt};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use scenesplat_scene::formats::npy::NpyFile;
 use scenesplat_scene::{
-    FeatureRows, GaussianScene, LoadedScene, Policy, ReadOptions, SceneFormat, SpzFrame,
-    WriteOptions, WriteReport, open_scene, write_scene,
+    FeatureRows, GaussianScene, ReadOptions, SceneFormat, WriteOptions, write_scene,
 };
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -40,7 +40,8 @@ pub struct Args {
     #[arg(long, value_name = "FACTOR")]
     pub scale: Option<f64>,
     /// Turns the axes: the directions of +x, +y, +z as letters of right/left, up/down,
-    /// forward/back. FROM is RDF if not given.
+    /// forward/back. FROM is RDF if not given, the frame of scenes in memory. SPZ files have a frame of
+    /// their own and need none of this.
     #[arg(long, value_name = "[FROM:]TO")]
     pub frame: Option<FrameChange>,
     /// Makes language codes of this many numbers from the scene's language features.
@@ -50,25 +51,19 @@ pub struct Args {
     /// features` writes them.
     #[arg(long, value_name = "FILE.npy", requires = "language_code")]
     pub features: Option<PathBuf>,
-    /// Labels to read: a PLY property or the stem of a .npy file.
-    #[arg(long, value_name = "NAME")]
-    pub segment_name: Option<String>,
-    /// Level of detail of a streamed scene, 0 = finest.
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    pub lod: usize,
-    /// What SPZ files are taken to be in, and written in: rub (as the format prescribes), or raw (as
-    /// in the PLY file, which several programs write).
+    /// How to read the source.
+    #[command(flatten)]
+    pub source: SourceArgs,
+    /// What an SPZ file is written in: rub, as the format prescribes, or raw, as in a PLY file, which
+    /// some programs expect.
     #[arg(long, value_enum, default_value_t = SpzFrameArg::Rub)]
-    pub spz_frame: SpzFrameArg,
+    pub to_spz_frame: SpzFrameArg,
     /// Version of an SPZ file to write.
     #[arg(long, value_name = "2..4", default_value_t = 4, value_parser = clap::value_parser!(u8).range(2..=4))]
     pub spz_version: u8,
     /// Replaces the target if it exists.
     #[arg(long)]
     pub overwrite: bool,
-    /// Refuses sources with values that would be repaired.
-    #[arg(long)]
-    pub strict: bool,
     /// Writes what was done as JSON.
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
@@ -116,24 +111,6 @@ impl From<FormatArg> for SceneFormat {
     }
 }
 
-/// Frames of SPZ files.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum SpzFrameArg {
-    /// Right, up, back.
-    Rub,
-    /// As in the PLY file.
-    Raw,
-}
-
-impl From<SpzFrameArg> for SpzFrame {
-    fn from(frame: SpzFrameArg) -> Self {
-        match frame {
-            SpzFrameArg::Rub => Self::Rub,
-            SpzFrameArg::Raw => Self::Raw,
-        }
-    }
-}
-
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let Some(format) = args.format.map(Into::into).or_else(|| SceneFormat::from_path(&args.to))
@@ -150,28 +127,33 @@ pub fn run(args: &Args) -> Result<()> {
     // A handler is there already when several commands run in one process.
     let _ = listen_for_interrupt();
     let progress = Progress::new(args.quiet);
+    check_paths(args, format)?;
     progress.advance("reading", 0.0);
-    let loaded = read(args)?;
+    let options = ReadOptions {
+        lang_feat: args.language_code.is_some() || format == SceneFormat::NpyFolder,
+        sh_rest: args.sh != Some(0),
+        ..args.source.options()
+    };
+    let (opened, remark) = open_input(&args.from, &options)?;
     progress.finish();
+    let loaded = opened.loaded;
+    if let Some(text) = remark {
+        progress.say(text);
+    }
     if !loaded.report.is_clean() || !loaded.report.notes.is_empty() {
         progress.say(format!("{}: {}", args.from.display(), loaded.report));
     }
+    let dropped = loaded.report.dropped_rows;
+    let source_rows = loaded.source_rows();
     let about = json!({
         "path": args.from.display().to_string(),
-        "format": loaded.kind.name(),
-        "gaussians": loaded.source_rows(),
+        "format": if opened.converted { "points" } else { loaded.kind.name() },
+        "gaussians": source_rows,
         "read": loaded.report,
     });
     let mut scene = loaded.scene;
     if let Some(k) = args.language_code {
-        add_codes(
-            args,
-            k,
-            loaded.report.source_rows,
-            loaded.kept_rows.as_deref(),
-            &mut scene,
-            &progress,
-        )?;
+        add_codes(args, k, source_rows, loaded.kept_rows.as_deref(), &mut scene, &progress)?;
     }
     let edit = SceneEdit {
         crop: args.crop,
@@ -191,7 +173,7 @@ pub fn run(args: &Args) -> Result<()> {
     }
     let options = WriteOptions {
         spz_version: args.spz_version,
-        spz_frame: args.spz_frame.into(),
+        spz_frame: args.to_spz_frame.into(),
         overwrite: args.overwrite,
     };
     let step = format!("writing {}", format.name());
@@ -201,7 +183,11 @@ pub fn run(args: &Args) -> Result<()> {
     });
     progress.finish();
     let report = written?;
-    print(&summary(&args.to, &report));
+    let left_out = match dropped {
+        0 => String::new(),
+        n => format!(" ({n} of {source_rows} rows of the source cannot be used and were left out)"),
+    };
+    print(&format!("{}: {report}{left_out}", args.to.display()));
     if let Some(path) = &args.json {
         let text = serde_json::to_string_pretty(&json!({ "from": about, "to": report }))?;
         write_text(path, &(text + "\n"))?;
@@ -209,20 +195,24 @@ pub fn run(args: &Args) -> Result<()> {
     Ok(())
 }
 
-fn read(args: &Args) -> Result<LoadedScene> {
-    let options = ReadOptions {
-        policy: if args.strict { Policy::Strict } else { Policy::Repair },
-        segment: args.segment_name.clone(),
-        sh_rest: args.sh != Some(0),
-        spz_frame: args.spz_frame.into(),
-        lod: args.lod,
-        ..ReadOptions::default()
+/// Refuses what would only fail after all the work.
+fn check_paths(args: &Args, format: SceneFormat) -> Result<()> {
+    if !args.overwrite && format != SceneFormat::NpyFolder && args.to.exists() {
+        anyhow::bail!("{}: is there already (--overwrite replaces it)", args.to.display());
+    }
+    let Some(json) = &args.json else { return Ok(()) };
+    let folder = json.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    if !folder.is_dir() {
+        anyhow::bail!("--json {}: the folder is not there", json.display());
+    }
+    let same = |other: &Path| {
+        let full = |p: &Path| p.canonicalize().unwrap_or_else(|_| p.to_owned());
+        other == json || full(other) == full(json)
     };
-    Ok(open_scene(&args.from, &options)?)
-}
-
-fn summary(path: &Path, report: &WriteReport) -> String {
-    format!("{}: {report}", path.display())
+    if same(&args.to) || same(&args.from) {
+        anyhow::bail!("--json {}: would replace the scene", json.display());
+    }
+    Ok(())
 }
 
 /// Makes codes from the features of the scene or of a file.
@@ -256,7 +246,16 @@ fn add_codes(
         return Err(WrongUse(text.to_owned()).into());
     };
     let valid = scene.valid_feat_mask.as_deref();
-    let done = encode_features(features, valid, k, args.seed).context("--language-code")?;
+    let done = encode_features(features, valid, k, args.seed, &mut |done| {
+        progress.advance("language codes", done);
+        !interrupted()
+    });
+    progress.finish();
+    let done = done.context("--language-code")?;
+    if done.not_finite > 0 {
+        progress
+            .say(format!("{} features hold NaN or infinity and count as missing", done.not_finite));
+    }
     progress.say(format!(
         "language codes of {k} numbers keep a mean cosine of {:.4} (lowest {:.4}) to {} features",
         done.mean_cosine, done.lowest_cosine, done.valid

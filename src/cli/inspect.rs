@@ -1,12 +1,13 @@
 //! `scenesplat inspect`
 
-use super::common::{Session, Shared, parse_up, print, write_text};
+use super::common::{Session, Shared, SourceArgs, parse_up, print, write_text};
+use crate::input::scene_name;
 use crate::inspect::sheet::write_sheet;
 use crate::inspect::{InspectSettings, inspect};
 use crate::network::NetworkConfig;
 use crate::preview::UpAxis;
 use anyhow::{Context, Result, bail};
-use scenesplat_scene::Policy;
+use scenesplat_scene::ReadOptions;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
@@ -14,7 +15,7 @@ use std::path::{Path, PathBuf};
 /// SCENE.inspect.png in the output folder.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// A scene file or a folder of .npy files.
+    /// The scene, in any format.
     pub scene: PathBuf,
     /// Also writes everything as JSON here.
     #[arg(long, value_name = "FILE.json")]
@@ -31,6 +32,9 @@ pub struct Args {
     /// Ends with exit code 1 if there is any finding; notes do not count.
     #[arg(long)]
     pub fail_on_findings: bool,
+    /// How to read the scene.
+    #[command(flatten)]
+    pub source: SourceArgs,
     /// Flags of all commands; --config names the network whose cost is estimated.
     #[command(flatten)]
     pub shared: Shared,
@@ -43,7 +47,10 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let network = (name_of(&config), config.resolve()?);
     let opened = {
         let _stage = session.receipt.stage("read");
-        let opened = session.read(&args.scene, Policy::Repair, None, true)?;
+        let opened = {
+            let options = ReadOptions { sh_rest: true, ..args.source.options() };
+            session.read(&args.scene, &options)?
+        };
         session.receipt.add_rows_in(opened.loaded.source_rows());
         if args.shared.receipt.is_some() {
             session.receipt.fingerprint("input", &args.scene)?;
@@ -105,12 +112,11 @@ fn name_of(config: &NetworkConfig) -> String {
     }
 }
 
-/// `room.ply` → `room.inspect.png`; a folder keeps its whole name.
+/// `room.ply` → `room.ply.inspect.png`; the description of a folder is named after the folder.
 fn sheet_name(scene: &Path) -> OsString {
     // A path such as `.` has a name only once it is resolved.
     let full = std::fs::canonicalize(scene).unwrap_or_else(|_| scene.to_owned());
-    let stem = if full.is_dir() { full.file_name() } else { full.file_stem() };
-    let mut name = stem.unwrap_or("scene".as_ref()).to_owned();
+    let mut name = scene_name(&full).unwrap_or("scene".as_ref()).to_owned();
     name.push(".inspect.png");
     name
 }
@@ -122,8 +128,9 @@ mod tests {
     #[test]
     fn sheets_are_named_after_the_scene() {
         for (scene, name) in [
-            ("somewhere/room.ply", "room.inspect.png"),
-            ("a.compressed.ply", "a.compressed.inspect.png"),
+            ("somewhere/room.ply", "room.ply.inspect.png"),
+            ("room.spz", "room.spz.inspect.png"),
+            ("robot/meta.json", "robot.inspect.png"),
         ] {
             assert_eq!(sheet_name(Path::new(scene)), name);
         }

@@ -193,11 +193,14 @@ fn occupancy(coord: &[[f32; 3]], grid_size: f64) -> Result<Voxels, GridSampleErr
 
 pub(super) fn labels(scene: &GaussianScene) -> Option<Labels> {
     let distinct = |ids: &[i32]| ids.iter().filter(|&&i| i >= 0).collect::<BTreeSet<_>>().len();
-    let segment = scene.segment.as_ref()?;
+    if scene.segment.is_none() && scene.instance.is_none() {
+        return None;
+    }
+    let segment = scene.segment.as_deref().unwrap_or_default();
     Some(Labels {
         classes: distinct(segment),
         labelled: segment.iter().filter(|&&s| s >= 0).count(),
-        instances: scene.instance.as_ref().map_or(0, |i| distinct(i)),
+        instances: scene.instance.as_deref().map_or(0, distinct),
     })
 }
 

@@ -2,6 +2,7 @@
 
 use super::table::{plural, thousands};
 use super::{Finding, Histogram, Inspection, Severity};
+use crate::input::scene_name;
 use crate::preview::orthographic::{LevelViews, Viewpoint};
 use crate::preview::{
     BACKGROUND, FAINT_INK, INK, PreviewError, PreviewRows, fill, text, write_png,
@@ -85,7 +86,7 @@ pub fn write_sheet(
 }
 
 fn draw_title(picture: &mut RgbImage, seen: &Inspection) {
-    let name = Path::new(&seen.path).file_name().map(|n| n.to_string_lossy().into_owned());
+    let name = scene_name(Path::new(&seen.path)).map(|n| n.to_string_lossy().into_owned());
     let title = format!(
         "{}: {} Gaussians ({})",
         name.unwrap_or_else(|| seen.path.clone()),

@@ -103,7 +103,9 @@ fn read_ply(file: &PlyFile, options: &ReadOptions) -> Result<LoadedScene, SceneE
 
 /// Whether it may be JSON; spares every other file the attempt to parse it.
 fn is_json(bytes: &[u8]) -> bool {
-    matches!(bytes.trim_ascii_start(), [b'{' | b'[', ..])
+    // A mark of UTF-8 may come first.
+    let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    matches!(text.trim_ascii_start(), [b'{' | b'[', ..])
 }
 
 /// What an unsupported file seems to be.
@@ -113,7 +115,9 @@ fn describe(path: &Path, bytes: &[u8]) -> String {
         [b'p', b'l', b'y', ..] => Some("begins like a PLY file, but its first line is not `ply`"),
         [0x1f, 0x8b, ..] => Some("is gzip-compressed, but no .spz file"),
         [0x28, 0xb5, 0x2f, 0xfd, ..] => Some("is zstd-compressed, but no .spz file"),
-        [b'P', b'K', 3 | 5, ..] => Some("is a zip archive without a meta.json of SOG"),
+        [b'P', b'K', 3 | 5, ..] => {
+            Some("is a zip archive that is cut short, or without a meta.json of SOG")
+        }
         [0x93, b'N', b'U', b'M', b'P', b'Y', ..] => {
             Some("is a single .npy array; give the folder that holds coord.npy")
         }

@@ -139,10 +139,10 @@ pub(crate) fn clean_scene(
         let problem = format!("{}: {report}", Rule::FileAllDropped.about().bad_value);
         return Err(SceneError::format(path, problem, "export the scene again"));
     }
-    let rows: Vec<usize> = (0..scene.len()).filter(|&row| usable[row]).collect();
-    let scene = scene.select_rows(&rows)?;
     // Fits: the number of rows was checked above.
-    Ok((scene, Some(rows.into_iter().map(|row| row as u32).collect())))
+    let rows = (0..scene.len() as u32).filter(|&row| usable[row as usize]).collect();
+    scene.retain_rows(&usable);
+    Ok((scene, Some(rows)))
 }
 
 /// Which rows have a position, a size and an opacity.
@@ -260,6 +260,16 @@ fn repair_values(scene: &mut GaussianScene, report: &mut RepairReport) {
                 };
             },
         );
+    }
+    if let Some(score) = &mut scene.segment_score {
+        // Infinite ones may be meant so; only NaN says nothing.
+        let fine = |_, values: &[f32]| all_finite(values);
+        scan(score, 1, report, fine, |row, score, tally| {
+            if score[0].is_nan() {
+                tally.add(Rule::ScoreNan, row, || "NaN".to_owned());
+                score[0] = 0.0;
+            }
+        });
     }
     if let Some(feat) = &mut scene.lang_feat
         && feat.dim > 0

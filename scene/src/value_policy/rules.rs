@@ -109,6 +109,7 @@ value_rules! {
     NormalAllZero: "normal", "0, 0, 0 in every row", Accept, "read as no normals";
     SegmentInvalid: "segment", "not a whole number of 32 bits", Repair, "becomes -1: no label";
     SegmentNone: "segment", "negative, or 65535 in a 16-bit column", Accept, "becomes -1: no label";
+    ScoreNan: "score", "NaN", Repair, "becomes 0";
     InstanceInvalid: "instance", "not a whole number of 32 bits", Repair, "becomes -1: none";
     InstanceNone: "instance", "negative, or 65535 in a 16-bit column", Accept, "becomes -1: none";
     FeatureNotFinite: "lang_feat", "NaN or infinite", Repair, "the row becomes 0 and is masked out";

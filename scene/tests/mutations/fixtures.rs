@@ -13,6 +13,9 @@ pub struct Fixture {
     pub bytes: Vec<u8>,
 }
 
+/// Gaussians of the files that are made here.
+const ROWS: usize = 600;
+
 /// The real fixtures, and one of our own for every format that can be written.
 pub fn all() -> Vec<Fixture> {
     let mut all = Vec::new();
@@ -40,10 +43,10 @@ pub fn all() -> Vec<Fixture> {
         ("own.splat", SceneFormat::Splat, "splat", 0, 4),
         ("own-sh1.sog", SceneFormat::Sog, "sog", 1, 4),
     ] {
-        let mut scene = random_scene(40, degree, 5);
-        scene.segment = Some((0..40).map(|i| i % 7 - 1).collect());
-        scene.segment_score = Some(vec![0.5; 40]);
-        scene.lang_code = Some(language_code(40, 3, 8));
+        let mut scene = random_scene(ROWS, degree, 5);
+        scene.segment = Some((0..ROWS as i32).map(|i| i % 7 - 1).collect());
+        scene.segment_score = Some(vec![0.5; ROWS]);
+        scene.lang_code = Some(language_code(ROWS, 3, 8));
         let path = dir.path().join(name);
         let options = WriteOptions { spz_version, ..WriteOptions::default() };
         write_scene(&scene, &path, format, &options, &mut |_| true).unwrap();

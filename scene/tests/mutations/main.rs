@@ -8,24 +8,52 @@ mod counting_allocator;
 mod counts;
 mod fixtures;
 mod mutate;
+mod parts;
 
 use common::SplitMix;
 use counting_allocator::{Counting, peak_of};
 use scenesplat_scene::{ReadOptions, open_scene_bytes};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
+use std::sync::Mutex;
 
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
 const ROUNDS: u64 = 10_000;
 
-/// What decoders may need whatever the file holds: windows, tables, buffers of blocks.
-const DECODER_BYTES: usize = 2 << 20;
+/// What decoders may need whatever the file holds: windows, tables, buffers of blocks. The fixtures of
+/// our own are larger than this in memory.
+const DECODER_BYTES: usize = 128 << 10;
 
-/// One test, because the allocator counts for the whole program.
+/// The allocator counts for the whole program, so one test at a time.
+static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+
+#[test]
+fn damaged_parts_of_scenes_do_no_harm() {
+    let _alone = ONE_AT_A_TIME.lock();
+    for part in parts::all() {
+        assert!((part.open)(&part.bytes).is_some(), "{} does not open", part.name);
+        let (_, honest) = peak_of(|| (part.open)(&part.bytes));
+        let mut opened = 0;
+        for seed in 0..ROUNDS {
+            let bytes = mutate::mutated(&part.bytes, &mut SplitMix(seed));
+            let about = || format!("{}, seed {seed}", part.name);
+            let run = || peak_of(|| (part.open)(&bytes));
+            let (result, peak) = catch_unwind(AssertUnwindSafe(run))
+                .unwrap_or_else(|_| panic!("{}: a panic reached the caller", about()));
+            let grown = bytes.len().max(part.bytes.len()) as f64 / part.bytes.len() as f64;
+            let limit = (4.0 * grown * honest as f64) as usize + DECODER_BYTES;
+            assert!(peak <= limit, "{}: {peak} bytes of memory, {limit} are fair", about());
+            opened += usize::from(result.is_some());
+        }
+        println!("{}: {ROUNDS} mutations, {opened} opened", part.name);
+    }
+}
+
 #[test]
 fn damaged_files_are_refused_or_read_with_the_right_count() {
+    let _alone = ONE_AT_A_TIME.lock();
     for fixture in fixtures::all() {
         let path = Path::new(&fixture.name);
         let open = |bytes: &[u8]| open_scene_bytes(bytes, path, &ReadOptions::default());

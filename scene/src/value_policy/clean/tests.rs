@@ -179,3 +179,15 @@ fn findings_of_many_tasks_name_the_first_row() {
     let finding = report.finding(Rule::OpacityNan).unwrap();
     assert_eq!((finding.count, finding.first_element), (3, ROWS_PER_TASK + 5));
 }
+
+#[test]
+fn scores_that_say_nothing_become_0() {
+    let mut before = scene(4);
+    before.segment_score = Some(vec![0.5, f32::NAN, f32::INFINITY, -1.0]);
+    let mut report = RepairReport::default();
+    let (after, kept) =
+        clean_scene(before, &mut report, Policy::Repair, Path::new("a.ply")).unwrap();
+    assert_eq!(after.segment_score, Some(vec![0.5, 0.0, f32::INFINITY, -1.0]));
+    assert_eq!((report.count(Rule::ScoreNan), kept), (1, None));
+    assert_eq!(report.finding(Rule::ScoreNan).unwrap().first_element, 1);
+}
