@@ -11,8 +11,9 @@ cp "$real"/fixtures/*.splat $corpus/splat/
 cp "$real"/fixtures/*.ksplat $corpus/ksplat/
 cp "$real"/fixtures/*.gltf $corpus/gltf/
 cp "$real"/fixtures/*.ply $corpus/ply/
-cp "$real"/objects/playbot_sog2_lod/6_0/meta.json "$real"/objects/playcanvas_logo_sog1/meta.json $corpus/sog_json/
-cp "$real"/objects/playbot_sog2_lod/lod-meta.json $corpus/sog_json/
+cp "$real"/objects/playbot_sog2_lod/6_0/meta.json $corpus/sog_json/v2.json
+cp "$real"/objects/playcanvas_logo_sog1/meta.json $corpus/sog_json/v1.json
+cp "$real"/objects/playbot_sog2_lod/lod-meta.json $corpus/sog_json/lod.json
 cp "$real"/scenes/arkit_brush/cameras.json $corpus/cameras_json/
 convert() { cargo run -q --release -- convert --quiet --overwrite assets/demo/room.ply "$@" >/dev/null; }
 small=$(mktemp -d)

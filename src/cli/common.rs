@@ -366,14 +366,17 @@ impl<'a> Session<'a> {
     }
 
     /// Reads a scene and decides where its features come from: from the network of --weights, or,
-    /// without that, from the language codes that the scene carries.
+    /// without that, from the language codes that the scene carries. `check` looks at the network
+    /// before anything is read.
     pub fn open_with_source(
         &self,
         path: &Path,
         inference: &Inference,
+        check: impl FnOnce(&Network) -> Result<()>,
     ) -> Result<(OpenedScene, FeatureSource)> {
         if self.shared.weights.is_some() {
             let network = self.network(inference)?;
+            check(&network)?;
             return Ok((self.open(path, inference)?, FeatureSource::Network(Box::new(network))));
         }
         if !path.exists() {

@@ -122,22 +122,16 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     if let Some(path) = &args.embedding {
         session.receipt.fingerprint("embedding", path)?;
     }
-    let (opened, source) = session.open_with_source(&args.scene, &args.inference)?;
-    if source.classifier().is_some() {
-        return Err(WrongUse(
-            "a segmentation network cannot be queried; use --config language".to_owned(),
-        )
-        .into());
-    }
+    let (opened, source) = session.open_with_source(&args.scene, &args.inference, |network| {
+        if network.is_classifier() {
+            let text = "a segmentation network cannot be queried; use --config language";
+            return Err(WrongUse(text.to_owned()).into());
+        }
+        check_width(network.model().out_channels(), text.dim)
+    })?;
     let scene = &opened.loaded.scene;
-    let width = match (&source, &scene.lang_code) {
-        (FeatureSource::Network(network), _) => network.model().out_channels(),
-        (FeatureSource::Codes, code) => code.as_ref().map_or(0, |c| c.codebook.feature_width()),
-    };
-    if width != text.dim {
-        return Err(
-            WrongUse(format!("the texts have {} values, the features {width}", text.dim)).into()
-        );
+    if let (FeatureSource::Codes, Some(code)) = (&source, &scene.lang_code) {
+        check_width(code.codebook.feature_width(), text.dim)?;
     }
     let features = session.features(scene, &source, &args.inference)?;
 
@@ -222,6 +216,13 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         session.wrote(&path, bytes);
     }
     session.finish()
+}
+
+fn check_width(features: usize, texts: usize) -> Result<()> {
+    if features == texts {
+        return Ok(());
+    }
+    Err(WrongUse(format!("the texts have {texts} values, the features {features}")).into())
 }
 
 const SELECTED: [u8; 3] = [255, 140, 40];

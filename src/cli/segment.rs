@@ -207,7 +207,10 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         Some(_) => Some(args.classes.text_table()?),
         None => None,
     };
-    let (opened, source) = session.open_with_source(&args.scene, &args.inference)?;
+    let (opened, source) = session.open_with_source(&args.scene, &args.inference, |network| {
+        let needed = !network.is_classifier() && table.is_none();
+        if needed { args.classes.text_table().map(drop) } else { Ok(()) }
+    })?;
     let (labels_of, text) = if let Some(network) = source.classifier() {
         if args.classes.text.is_some() {
             let text = "--text is for language networks; name the classes with --text-names";
