@@ -138,12 +138,13 @@ pub(super) fn check_unit(findings: &mut Findings<'_>, rows: usize, unit: Option<
         LengthUnit::Centimetre => (Severity::Note, ""),
         LengthUnit::Millimetre => (
             Severity::Warning,
-            "divide positions by 1000 and add ln(0.001) = -6.9078 to the log-scales: voxels are \
-             2 cm in metres",
+            "scenesplat convert SCENE OUT --scale 0.001: positions and sizes in metres, as the \
+             voxels of 2 cm need them",
         ),
         LengthUnit::Kilometre => (
             Severity::Warning,
-            "rescale the scene to metres: as it is, all of it falls into a few voxels of 2 cm",
+            "scenesplat convert SCENE OUT --scale 1000: as it is, all of it falls into a few voxels \
+             of 2 cm",
         ),
     };
     findings.add(

@@ -115,6 +115,9 @@ fn ink_of(severity: Severity) -> [u8; 3] {
     }
 }
 
+/// Below this number of Gaussians, their sizes matter to what a view must show.
+const FEW: usize = 1000;
+
 fn draw_views(picture: &mut RgbImage, scene: &GaussianScene, seen: &Inspection) {
     let radius: Vec<f32> = (0..scene.len())
         .map(|row| {
@@ -128,10 +131,20 @@ fn draw_views(picture: &mut RgbImage, scene: &GaussianScene, seen: &Inspection) 
     let rows =
         PreviewRows { coord: &scene.coord, color: &color, radius: &radius, opacity: &opacity };
     let bounds = seen.robust_bounds;
-    let views = LevelViews::new(&rows, seen.up.axis, bounds.low, bounds.high);
+    // Bounds are those of the centres; where there are few, the Gaussians themselves reach far out.
+    let reach = if scene.len() < FEW { middle_radius(&radius) } else { 0.0 };
+    let (low, high) = (bounds.low.map(|v| v - reach), bounds.high.map(|v| v + reach));
+    let views = LevelViews::new(&rows, seen.up.axis, low, high);
     for (i, from) in (0..).zip([Viewpoint::Front, Viewpoint::Right, Viewpoint::Above]) {
         views.draw(picture, from, EDGE + i * (VIEW + EDGE), TITLE_HEIGHT, VIEW);
     }
+}
+
+/// The median of the finite radii; 0 without any.
+fn middle_radius(radius: &[f32]) -> f64 {
+    let mut finite: Vec<f32> = radius.iter().copied().filter(|r| r.is_finite()).collect();
+    finite.sort_by(f32::total_cmp);
+    finite.get(finite.len() / 2).map_or(0.0, |&r| f64::from(r))
 }
 
 fn occupancy(seen: &Inspection) -> Vec<u64> {
