@@ -70,7 +70,7 @@ fn without_mark(json: &[u8]) -> &[u8] {
 
 /// The Gaussians of a primitive, not decoded yet.
 enum Part<'a> {
-    Attributes(Attributes<'a>),
+    Attributes(Box<Attributes<'a>>),
     /// The buffer view of an SPZ file, and its rows and degree.
     Spz(usize, (usize, u8)),
 }
@@ -125,7 +125,7 @@ pub fn read_gltf(
     let open = |job: &Job<'_>| match job.spz {
         Some((_, view)) => Ok(Part::Spz(view, spz.about(view))),
         None => Attributes::open(&document, &buffers, job.primitive, options.sh_rest, path)
-            .map(Part::Attributes),
+            .map(|part| Part::Attributes(Box::new(part))),
     };
     let parts = jobs.iter().map(open).collect::<Result<Vec<_>, SceneError>>()?;
     let degree = parts.iter().map(Part::degree).max().unwrap_or(0);

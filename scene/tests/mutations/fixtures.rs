@@ -65,7 +65,7 @@ fn glb_of_spz() -> Vec<u8> {
     let inner = json!({"KHR_gaussian_splatting_compression_spz_2": {"bufferView": 0}});
     let primitive = json!({"mode": 0, "attributes": {},
                            "extensions": {"KHR_gaussian_splatting": {"extensions": inner}}});
-    glb(primitive, json!([{"buffer": 0, "byteLength": spz.len()}]), json!([]), spz)
+    glb(&primitive, &json!([{"buffer": 0, "byteLength": spz.len()}]), &json!([]), spz)
 }
 
 /// A mesh of one primitive with the attributes of `KHR_gaussian_splatting`.
@@ -92,11 +92,11 @@ fn plain_glb() -> Vec<u8> {
     }
     let primitive = json!({"mode": 0, "attributes": attributes,
                            "extensions": {"KHR_gaussian_splatting": {"kernel": "ellipse"}}});
-    glb(primitive, json!(views), json!(accessors), bin)
+    glb(&primitive, &json!(views), &json!(accessors), bin)
 }
 
 /// A document that shows one primitive, and its bytes.
-fn glb(primitive: Value, views: Value, accessors: Value, mut bin: Vec<u8>) -> Vec<u8> {
+fn glb(primitive: &Value, views: &Value, accessors: &Value, mut bin: Vec<u8>) -> Vec<u8> {
     let json = json!({"asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}], "scene": 0,
         "nodes": [{"mesh": 0, "translation": [1, 2, 3]}], "meshes": [{"primitives": [primitive]}],
         "accessors": accessors, "bufferViews": views, "buffers": [{"byteLength": bin.len()}]});
