@@ -14,9 +14,9 @@ pub(super) const ZSTD: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 const DEFLATE_RATIO: u64 = 1032;
 /// Most bytes for each of the file that a scene may be without compression, if it is not small.
 ///
-/// Trained scenes are below 4, made ones with nothing but noise in their positions below 50. The
-/// reference allows 1024 / 9 Gaussians a byte, which this keeps as well: no Gaussian has less than
-/// 16 bytes. zstd could make 32 768 bytes of one, so 40 KB would be 20 million Gaussians.
+/// Real scenes are below 4; one with harmonics of 0 and positions on a grid might reach 100. Above
+/// [`ALWAYS_FITS`] this is stricter than the 1024 / 9 Gaussians a byte of the reference, as none has
+/// less than 16 bytes. zstd could make 32 768 bytes of one: 20 million Gaussians of 40 KB.
 const MOST_EXPANSION: u64 = 256;
 /// Bytes that a scene may be without compression whatever the file is: some hundred thousand equal
 /// Gaussians compress to nothing. In memory they are at most four times that.
