@@ -27,11 +27,12 @@ mod nodes;
 mod placement;
 mod primitives;
 mod singular;
+mod spz_parts;
 
 pub use container::is_glb;
 
-use super::spz::read_spz_as_stored;
-use super::{LoadedScene, ReadOptions, SceneKind, SpzFrame};
+use super::memory::zeroed;
+use super::{LoadedScene, ReadOptions, SceneKind};
 use crate::value_policy::Rule;
 use crate::{GaussianScene, RepairReport, SceneError};
 use attributes::{Attributes, used_attributes};
@@ -39,6 +40,7 @@ use buffers::Buffers;
 use document::Document;
 use primitives::{Job, check_required, gaussian_primitives};
 use rayon::prelude::*;
+use spz_parts::SpzParts;
 use std::path::Path;
 
 /// How much larger than its buffers a scene may be in memory.
@@ -46,6 +48,9 @@ use std::path::Path;
 /// Quantised attributes grow by three; more comes from one mesh under several nodes. A file that
 /// shows one mesh thousands of times would not fit, and no exporter of Gaussians writes one.
 const MAX_GROWTH: usize = 16;
+/// How much more the bytes of SPZ files may grow than others: they are compressed, four to one where
+/// there is detail in the harmonics and more where there is none.
+const SPZ_GROWTH: usize = 4;
 /// Small scenes may be shown any number of times; bytes.
 const ALWAYS_FITS: usize = 1 << 24;
 
@@ -63,31 +68,32 @@ fn without_mark(json: &[u8]) -> &[u8] {
     json.strip_prefix(b"\xef\xbb\xbf").unwrap_or(json)
 }
 
-/// The Gaussians of a primitive, as far as they are decoded.
+/// The Gaussians of a primitive, not decoded yet.
 enum Part<'a> {
-    Attributes(Attributes<'a>),
-    Spz(GaussianScene),
+    Attributes(Box<Attributes<'a>>),
+    /// The buffer view of an SPZ file, and its rows and degree.
+    Spz(usize, (usize, u8)),
 }
 
 impl Part<'_> {
     fn rows(&self) -> usize {
         match self {
             Self::Attributes(part) => part.rows,
-            Self::Spz(scene) => scene.len(),
+            Self::Spz(_, (rows, _)) => *rows,
         }
     }
 
     fn degree(&self) -> u8 {
         match self {
             Self::Attributes(part) => part.degree,
-            Self::Spz(scene) => scene.sh_degree,
+            Self::Spz(_, (_, degree)) => *degree,
         }
     }
 
     fn attributes(&self) -> Option<&Attributes<'_>> {
         match self {
             Self::Attributes(part) => Some(part),
-            Self::Spz(_) => None,
+            Self::Spz(..) => None,
         }
     }
 }
@@ -114,16 +120,14 @@ pub fn read_gltf(
     let jobs = gaussian_primitives(&document, path, &mut report)?;
     let needed = needed_buffers(&document, &jobs, options.sh_rest, path)?;
     let buffers = Buffers::open(&document, bin, path, &needed)?;
-    check_size(&document, &jobs, options.sh_rest, buffers.total(), path)?;
-    let mut open = |job: &Job<'_>| match job.spz {
-        Some((name, view)) => {
-            let bytes = buffers.view(&document, view, path)?;
-            read_spz_primitive(name, bytes, path, options, &mut report).map(Part::Spz)
-        }
+    let mut spz = SpzParts::open(&document, &buffers, &jobs, options, path)?;
+    check_size(&document, &jobs, options.sh_rest, &buffers, &spz, path)?;
+    let open = |job: &Job<'_>| match job.spz {
+        Some((_, view)) => Ok(Part::Spz(view, spz.about(view))),
         None => Attributes::open(&document, &buffers, job.primitive, options.sh_rest, path)
-            .map(Part::Attributes),
+            .map(|part| Part::Attributes(Box::new(part))),
     };
-    let parts = jobs.iter().map(&mut open).collect::<Result<Vec<_>, SceneError>>()?;
+    let parts = jobs.iter().map(open).collect::<Result<Vec<_>, SceneError>>()?;
     let degree = parts.iter().map(Part::degree).max().unwrap_or(0);
     if parts.iter().any(|part| part.degree() != degree) {
         report.notes.push(format!(
@@ -145,39 +149,16 @@ pub fn read_gltf(
         let first = scene.len();
         let mut read = match part {
             Part::Attributes(part) => part.read(log_scale, first, &mut report),
-            Part::Spz(scene) => scene,
+            Part::Spz(view, _) => spz.read(view, &mut report)?,
         };
-        widen(&mut read, degree);
+        widen(&mut read, degree, path)?;
         if job.place.turns() {
             give_lengths(&mut read.quat, first, &mut report);
         }
         job.place.apply(&mut read);
-        append(&mut scene, read, rows);
+        append(&mut scene, read, rows, path)?;
     }
     LoadedScene::finish(scene, report, options.policy, path, SceneKind::Gltf)
-}
-
-/// Reads a primitive that is a whole SPZ file, `bytes`.
-///
-/// The extension says that SPZ is packed from glTF's frame, so the file is taken to be in the frame
-/// that SPZ prescribes whatever the options say.
-fn read_spz_primitive(
-    name: &str,
-    bytes: &[u8],
-    path: &Path,
-    options: &ReadOptions,
-    report: &mut RepairReport,
-) -> Result<GaussianScene, SceneError> {
-    let options = ReadOptions { spz_frame: SpzFrame::Rub, ..options.clone() };
-    let (mut scene, about) = read_spz_as_stored(bytes, path, &options)?;
-    report.notes.extend(about.notes.iter().map(|note| format!("SPZ in {name}: {note}")));
-    for finding in &about.findings {
-        report.add(finding.rule, finding.count, finding.first_element, &finding.example);
-    }
-    // Other primitives have none.
-    (scene.segment, scene.segment_score, scene.instance) = (None, None, None);
-    scene.lang_code = None;
-    Ok(scene)
 }
 
 /// Which buffers hold anything of the Gaussians.
@@ -212,11 +193,18 @@ fn check_size(
     document: &Document<'_>,
     jobs: &[Job<'_>],
     sh_rest: bool,
-    bytes: usize,
+    buffers: &Buffers<'_>,
+    spz: &SpzParts<'_>,
     path: &Path,
 ) -> Result<(), SceneError> {
     let (mut rows, mut degree) = (0u64, 0u8);
-    for job in jobs.iter().filter(|job| job.spz.is_none()) {
+    for job in jobs {
+        if let Some((_, view)) = job.spz {
+            let about = spz.about(view);
+            rows = rows.saturating_add(about.0 as u64);
+            degree = degree.max(about.1);
+            continue;
+        }
         let position = job.primitive.attributes.get("POSITION");
         let accessor = position.and_then(|&index| document.accessors.get(index));
         rows = rows.saturating_add(accessor.map_or(0, |accessor| accessor.count));
@@ -225,7 +213,11 @@ fn check_size(
     let rest = (u64::from(degree) + 1).pow(2) - 1;
     // Position, size, orientation, opacity, colour and coefficients.
     let size = rows.saturating_mul(4 * (3 + 3 + 4 + 1 + 3 + 3 * rest));
-    let limit = bytes.saturating_mul(MAX_GROWTH).max(ALWAYS_FITS) as u64;
+    let bytes = buffers.total();
+    // Views may lie over each other, but no byte counts twice.
+    let compressed = spz.bytes().min(bytes);
+    let held = bytes.saturating_add(compressed.saturating_mul(SPZ_GROWTH - 1));
+    let limit = held.saturating_mul(MAX_GROWTH).max(ALWAYS_FITS) as u64;
     if size <= limit {
         return Ok(());
     }
@@ -237,19 +229,20 @@ fn check_size(
 }
 
 /// Gives the harmonics a higher degree, with zeros.
-fn widen(scene: &mut GaussianScene, degree: u8) {
+fn widen(scene: &mut GaussianScene, degree: u8, path: &Path) -> Result<(), SceneError> {
     if scene.sh_degree >= degree {
-        return;
+        return Ok(());
     }
     let old = std::mem::take(&mut scene.sh_rest);
     let had = scene.sh_rest_len() * 3;
     scene.sh_degree = degree;
     let width = scene.sh_rest_len() * 3;
-    scene.sh_rest = vec![0.0; scene.len() * width];
+    scene.sh_rest = zeroed(scene.len() * width, path)?;
     if had > 0 {
         let rows = scene.sh_rest.par_chunks_exact_mut(width).zip(old.par_chunks_exact(had));
         rows.for_each(|(new, old)| new[..had].copy_from_slice(old));
     }
+    Ok(())
 }
 
 /// Reports quaternions without direction, and repairs them before they are multiplied.
@@ -273,20 +266,33 @@ fn give_lengths(quat: &mut [[f32; 4]], first: usize, report: &mut RepairReport) 
 }
 
 /// Puts the rows of `more` behind those of `scene`, which will have `rows` in the end.
-fn append(scene: &mut GaussianScene, mut more: GaussianScene, rows: usize) {
+fn append(
+    scene: &mut GaussianScene,
+    more: GaussianScene,
+    rows: usize,
+    path: &Path,
+) -> Result<(), SceneError> {
     if scene.is_empty() && more.len() == rows {
         *scene = more;
-        return;
+        return Ok(());
     }
-    fn join<T>(all: &mut Vec<T>, more: &mut Vec<T>, due: usize) {
-        all.reserve_exact(due - all.len());
-        all.append(more);
+    let (now, width) = (scene.len(), more.sh_rest_len() * 3);
+    join(scene, &more, rows - now, width)
+        .ok_or_else(|| file_error(path, format!("shows {rows} Gaussians; too many for the memory")))
+}
+
+/// Puts rows behind others; makes room for `due` more, so that it happens once for all that come.
+/// `None` if there is not enough memory.
+fn join(scene: &mut GaussianScene, more: &GaussianScene, due: usize, width: usize) -> Option<()> {
+    fn extend<T: Copy>(all: &mut Vec<T>, more: &[T], due: usize) -> Option<()> {
+        all.try_reserve_exact(due).ok()?;
+        all.extend_from_slice(more);
+        Some(())
     }
-    join(&mut scene.coord, &mut more.coord, rows);
-    join(&mut scene.log_scale, &mut more.log_scale, rows);
-    join(&mut scene.quat, &mut more.quat, rows);
-    join(&mut scene.opacity_logit, &mut more.opacity_logit, rows);
-    join(&mut scene.sh_dc, &mut more.sh_dc, rows);
-    let width = scene.sh_rest_len() * 3;
-    join(&mut scene.sh_rest, &mut more.sh_rest, rows * width);
+    extend(&mut scene.coord, &more.coord, due)?;
+    extend(&mut scene.log_scale, &more.log_scale, due)?;
+    extend(&mut scene.quat, &more.quat, due)?;
+    extend(&mut scene.opacity_logit, &more.opacity_logit, due)?;
+    extend(&mut scene.sh_dc, &more.sh_dc, due)?;
+    extend(&mut scene.sh_rest, &more.sh_rest, due.checked_mul(width)?)
 }

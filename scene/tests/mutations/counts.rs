@@ -56,6 +56,9 @@ pub fn claimed(kind: &str, bytes: &[u8]) -> Option<usize> {
             primitives
                 .iter()
                 .map(|p| {
+                    if let Some(view) = spz_view(p) {
+                        return spz_rows(bytes, &json["bufferViews"][view]);
+                    }
                     let accessor = p["attributes"]["POSITION"].as_u64()? as usize;
                     Some(json["accessors"][accessor]["count"].as_u64()? as usize)
                 })
@@ -63,6 +66,21 @@ pub fn claimed(kind: &str, bytes: &[u8]) -> Option<usize> {
         }
         other => panic!("no format is called {other}"),
     }
+}
+
+/// The buffer view of a primitive that is an SPZ file.
+fn spz_view(primitive: &serde_json::Value) -> Option<usize> {
+    let about = primitive["extensions"]["KHR_gaussian_splatting"]["extensions"].as_object()?;
+    let prefix = "KHR_gaussian_splatting_compression_spz";
+    let (_, about) = about.iter().find(|(name, _)| name.starts_with(prefix))?;
+    Some(about["bufferView"].as_u64()? as usize)
+}
+
+/// The number in the header of an SPZ file of version 4 within a glb.
+fn spz_rows(glb: &[u8], view: &serde_json::Value) -> Option<usize> {
+    let start = 20 + u32_at(glb, 12)? as usize + 8;
+    let offset = view["byteOffset"].as_u64().unwrap_or(0) as usize;
+    claimed("spz", glb.get(start + offset..)?)
 }
 
 fn u32_at(bytes: &[u8], at: usize) -> Option<u32> {

@@ -4,7 +4,7 @@ use crate::common::{SplitMix, random_scene, shared};
 use crate::{HERE, gunzip, gzip, write};
 use scenesplat_scene::formats::spz::{is_spz, read_spz};
 use scenesplat_scene::value_policy::Rule;
-use scenesplat_scene::{LoadedScene, Policy, ReadOptions, SceneError};
+use scenesplat_scene::{LoadedScene, Policy, ReadOptions, SceneError, open_scene_bytes};
 use std::path::Path;
 
 pub fn open(bytes: &[u8]) -> Result<LoadedScene, SceneError> {
@@ -110,8 +110,26 @@ fn other_versions_and_degrees_are_named() {
     for bytes in [header(3, 0, 0), gzip(&header(2, 0, 3))] {
         assert!(problem(&bytes).contains(Rule::FileEmpty.about().bad_value));
     }
-    assert!(is_spz(b"NGSP") && is_spz(&[0x1f, 0x8b, 8]) && is_spz(&[0x28, 0xb5, 0x2f, 0xfd]));
+}
+
+#[test]
+fn only_streams_that_hold_an_spz_file_are_taken_for_one() {
     assert!(!is_spz(b"ply\n") && !is_spz(b"") && !is_spz(b"NGS") && !is_spz(b"PK\x03\x04"));
+    for (name, bytes) in small_files() {
+        for cut in [bytes.len(), bytes.len() / 2, 64, 4] {
+            assert!(is_spz(&bytes[..cut]), "{name} cut to {cut}");
+        }
+    }
+    let mut rng = SplitMix(3);
+    let noise: Vec<u8> = (0..100_000).map(|_| rng.next() as u8).collect();
+    for other in [&b"ply\nformat"[..], b"NGS", b"", &[0; 1 << 20], &noise] {
+        for bytes in [gzip(other), zstd::encode_all(other, 3).unwrap()] {
+            assert!(!is_spz(&bytes), "{} bytes of something else", other.len());
+            let text = open_scene_bytes(&bytes, Path::new(HERE), &ReadOptions::default());
+            let text = text.unwrap_err().to_string();
+            assert!(text.contains("-compressed, but no .spz file"), "{text}");
+        }
+    }
 }
 
 /// A file of version 4 with another stream `i`; the size in the table is left as it is.

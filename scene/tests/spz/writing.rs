@@ -155,6 +155,8 @@ fn the_report_names_what_does_not_fit() {
         s.opacity_logit[10] = f32::NEG_INFINITY;
     });
     assert_eq!((limit.field, limit.rows, limit.first_row), ("opacity_logit", 2, 7));
+    // Alpha 1 / (1 + e⁻⁹) becomes 1.
+    assert!((limit.largest_change - 1.233_945_76e-4).abs() < 1e-12, "{limit:?}");
 
     let limit = only(&|s| s.quat[2] = [0.0; 4]);
     assert_eq!((limit.field, limit.rows, limit.first_row), ("quat", 1, 2));

@@ -56,7 +56,7 @@ impl Records {
             let (kind, size) = (u32::from_le_bytes([a, b, c, d]), u32::from_le_bytes([e, f, g, h]));
             match kind {
                 LABELS if records.labels.is_none() => {
-                    if u64::from(size) > most_label_bytes(rows) {
+                    if u64::from(size) > most_label_bytes(rows, usize::MAX) {
                         return Err(format!("has labels of {size} bytes for {rows} Gaussians"));
                     }
                     records.labels = Some(read_payload(source, kind, size, true)?);
@@ -96,7 +96,7 @@ impl Records {
     pub(super) fn label_block(&self, rows: usize) -> Result<Option<Vec<u8>>, String> {
         let Some(payload) = &self.labels else { return Ok(None) };
         let fail = |problem| format!("its labels {problem}");
-        let most = most_label_bytes(rows);
+        let most = most_label_bytes(rows, payload.len());
         let mut source = Source::zstd(payload, most).map_err(fail)?;
         let mut block = Vec::new();
         let mut step = vec![0; STEP];
@@ -117,11 +117,16 @@ impl Records {
     }
 }
 
-/// Bytes that labels of so many Gaussians can take: segment, instance, score, and a language code
-/// of 1024 numbers each, and 64 MiB for a codebook of 1024 axes of 8192 numbers, with its
-/// description.
-fn most_label_bytes(rows: usize) -> u64 {
-    rows as u64 * (4 + 4 + 4 + 2 * 1024) + (64 << 20)
+/// Bytes that labels of so many Gaussians can take, if they are `compressed` to so many.
+///
+/// For each Gaussian segment, instance, score, and a language code of up to 1024 numbers, which may
+/// all be the same. Beside them a codebook: as much as 1024 axes of 4096 numbers and a description
+/// of 64 KiB, but only if that many bytes may be in the file: measured numbers hardly compress.
+fn most_label_bytes(rows: usize, compressed: usize) -> u64 {
+    const DESCRIPTION: u64 = 64 << 10;
+    const CODEBOOK: u64 = 4096 * 1024 * 4;
+    let codebook = (compressed as u64).saturating_mul(256).min(CODEBOOK);
+    rows as u64 * (4 + 4 + 4 + 2 * 1024) + DESCRIPTION + codebook
 }
 
 /// The bytes of a record, or nothing, but read all the same. Memory grows with what really comes.
@@ -156,6 +161,9 @@ pub(super) fn records_of(scene: &GaussianScene) -> Result<Vec<u8>, String> {
     let Some(block) = semantics::encode(scene, None) else { return Ok(Vec::new()) };
     let payload = zstd::bulk::compress(&block, LEVEL)
         .map_err(|e| format!("cannot compress its labels: {e}"))?;
+    if block.len() as u64 > most_label_bytes(scene.len(), payload.len()) {
+        return Err(format!("cannot hold labels of {} bytes for {}", block.len(), scene.len()));
+    }
     let size = u32::try_from(payload.len())
         .map_err(|_| format!("cannot hold labels of {} bytes", payload.len()))?;
     let mut record = Vec::with_capacity(8 + payload.len());

@@ -1,6 +1,6 @@
 //! The headers, and which blocks follow them.
 
-use super::source::Source;
+use super::source::{Source, most_decompressed};
 
 /// First bytes of every header.
 pub(super) const MAGIC: [u8; 4] = *b"NGSP";
@@ -71,6 +71,25 @@ impl Header {
     /// Bytes of one Gaussian, all blocks together.
     pub(super) fn row_bytes(&self) -> usize {
         Block::ALL.iter().map(|block| block.row_bytes(self)).sum()
+    }
+
+    /// Refuses a number of Gaussians that no file of `file_bytes` holds, before anything is reserved
+    /// for them.
+    pub(super) fn check_size(&self, file_bytes: usize) -> Result<(), String> {
+        let (size, most) = (self.total_bytes(), most_decompressed(file_bytes));
+        if size <= most {
+            return Ok(());
+        }
+        Err(format!(
+            "claims {} Gaussians, {size} bytes; a file of {file_bytes} bytes is not believed to \
+             hold more than {most}",
+            self.rows
+        ))
+    }
+
+    /// Bytes of all blocks together.
+    fn total_bytes(&self) -> u64 {
+        self.rows as u64 * self.row_bytes() as u64
     }
 
     /// Bytes of a block; no overflow, as there are at most 2³² rows of 72 bytes.
@@ -201,8 +220,8 @@ impl<'a> Contents<'a> {
     }
 }
 
-/// Reads and checks the header of versions 1 to 3.
-pub(super) fn read_legacy(source: &mut Source<'_>) -> Result<Header, String> {
+/// Reads and checks the header of versions 1 to 3, of a file of `file_bytes`.
+pub(super) fn read_legacy(source: &mut Source<'_>, file_bytes: usize) -> Result<Header, String> {
     let mut bytes = [0; LEGACY_SIZE];
     let got = source.fill(&mut bytes)?;
     if got < LEGACY_SIZE {
@@ -212,7 +231,8 @@ pub(super) fn read_legacy(source: &mut Source<'_>) -> Result<Header, String> {
     if header.version > 3 {
         return Err(format!("holds a file of version {} within a stream", header.version));
     }
-    let size = LEGACY_SIZE as u64 + header.rows as u64 * header.row_bytes() as u64;
+    header.check_size(file_bytes)?;
+    let size = LEGACY_SIZE as u64 + header.total_bytes();
     if size > source.most() {
         return Err(format!(
             "claims {} Gaussians, {size} bytes; it cannot hold more than {}",

@@ -34,11 +34,19 @@ mod source;
 mod writer;
 
 pub use reader::read_spz;
-pub(crate) use reader::read_spz_as_stored;
+pub(crate) use reader::{peek_spz, read_spz_as_stored};
 pub use writer::write_spz;
 
-/// Whether a file that begins with `head` may be an SPZ file: its own mark, or a gzip or zstd
-/// stream, of which only [`read_spz`] can say what is inside.
-pub fn is_spz(head: &[u8]) -> bool {
-    [&header::MAGIC[..], &source::GZIP, &source::ZSTD].iter().any(|mark| head.starts_with(mark))
+/// Whether a file is an SPZ file: it begins with the mark, or is a gzip or zstd stream that does.
+///
+/// A stream that is cut off or damaged before four bytes have come out of it is taken for one, too:
+/// [`read_spz`] then says what is wrong with it. So the first bytes of a file will do.
+pub fn is_spz(bytes: &[u8]) -> bool {
+    if bytes.starts_with(&source::GZIP) || bytes.starts_with(&source::ZSTD) {
+        return match source::Source::open(bytes) {
+            Ok(stream) => stream.may_begin_with(header::MAGIC),
+            Err(_) => true,
+        };
+    }
+    bytes.starts_with(&header::MAGIC)
 }

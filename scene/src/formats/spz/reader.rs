@@ -23,7 +23,8 @@ use std::path::Path;
 /// Labels that [`write_spz`](super::write_spz) added are read; other extension records are skipped,
 /// and the report says so.
 ///
-/// No more is decompressed than the header calls for, and memory grows with what is really there.
+/// No more is decompressed than the header calls for, and memory grows with what is really there. A
+/// scene of more than 32 MiB without compression must not be more than 256 times its file.
 ///
 /// # Errors
 /// As [`open_scene`](crate::open_scene); also if the file is of another version, ends early, fails
@@ -47,9 +48,7 @@ pub(crate) fn read_spz_as_stored(
         Some(header) => header.and_then(|header| read_v4(bytes, header, options)),
         None => read_legacy_file(bytes, options),
     }
-    .map_err(|problem| {
-        SceneError::format(path, problem, "copy the file again, or export the scene again as SPZ")
-    })?;
+    .map_err(|problem| damaged(path, problem))?;
     let mut report = RepairReport { notes: read.records.notes, ..RepairReport::default() };
     let rows = read.header.rows;
     match read.trailing {
@@ -72,6 +71,23 @@ pub(crate) fn read_spz_as_stored(
         semantics::decode(block, rows, &mut read.scene, &mut report, path)?;
     }
     Ok((read.scene, report))
+}
+
+/// The number of Gaussians and the degree of their harmonics, checked as when they are read.
+///
+/// # Errors
+/// As [`read_spz`], for what can be said of the header alone.
+pub(crate) fn peek_spz(bytes: &[u8], path: &Path) -> Result<(usize, u8), SceneError> {
+    let header = match v4_header(bytes) {
+        Some(header) => header.and_then(|header| header.check_size(bytes.len()).map(|()| header)),
+        None => Source::open(bytes).and_then(|mut source| read_legacy(&mut source, bytes.len())),
+    };
+    let header = header.map_err(|problem| damaged(path, problem))?;
+    Ok((header.rows, header.degree))
+}
+
+fn damaged(path: &Path, problem: String) -> SceneError {
+    SceneError::format(path, problem, "copy the file again, or export the scene again as SPZ")
 }
 
 /// The header of a file that is not wrapped in a stream and not of an older version.
@@ -166,7 +182,7 @@ impl Decoder {
 /// Versions 1 to 3: one stream, block after block.
 fn read_legacy_file(bytes: &[u8], options: &ReadOptions) -> Result<ReadFile, String> {
     let mut source = Source::open(bytes)?;
-    let header = read_legacy(&mut source)?;
+    let header = read_legacy(&mut source, bytes.len())?;
     let signs = Signs::assumed(options.spz_frame);
     let decoder = Decoder::new(header, signs);
     // On a thread of the pool, so that parts are handed over without waking anyone.
@@ -208,6 +224,8 @@ fn legacy_blocks(
 /// Version 4: a stream per block, decoded side by side.
 fn read_v4(bytes: &[u8], header: Header, options: &ReadOptions) -> Result<ReadFile, String> {
     let contents = Contents::parse(bytes, &header)?;
+    // After the table, whose mistakes say more about a damaged file.
+    header.check_size(bytes.len())?;
     let records = match header.has_extensions() {
         true => Records::read(&mut Source::Raw(contents.extensions), header.rows)?,
         false => Records::default(),
@@ -283,7 +301,7 @@ fn stream<T>(
     let stream = contents.streams.iter().find(|stream| stream.block == block);
     let stream = stream.ok_or_else(|| fail("are missing".to_owned()))?;
     let due = decoder.header.block_bytes(block);
-    let mut source = Source::zstd_block(stream.compressed, due).map_err(fail)?;
+    let mut source = Source::zstd(stream.compressed, due).map_err(fail)?;
     let values = decode(decoder, &mut source, &mut Buffers::default())?;
     match source.trailing().map_err(fail)? {
         Trailing::Nothing => Ok(values),

@@ -12,11 +12,22 @@ pub(super) const ZSTD: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 
 /// Most bytes that deflate makes of one: a match of 258 in two bits.
 const DEFLATE_RATIO: u64 = 1032;
-/// Most bytes that the reference implementation believes zstd to make of one, where the frame does
-/// not say how many they are; its bound on the number of Gaussians, who take 9 bytes and more.
-const ZSTD_RATIO: u64 = 1024;
+/// Most bytes for each of the file that a scene may be without compression, if it is not small.
+///
+/// Real scenes are below 4; one with harmonics of 0 and positions on a grid might reach 100. Above
+/// [`ALWAYS_FITS`] this is stricter than the 1024 / 9 Gaussians a byte of the reference, as none has
+/// less than 16 bytes. zstd could make 32 768 bytes of one: 20 million Gaussians of 40 KB.
+const MOST_EXPANSION: u64 = 256;
+/// Bytes that a scene may be without compression whatever the file is: some hundred thousand equal
+/// Gaussians compress to nothing. In memory they are at most four times that.
+const ALWAYS_FITS: u64 = 32 << 20;
 /// Window that a zstd decoder should always support (RFC 8878, 3.1.1.1.2).
 const SMALLEST_WINDOW: u64 = 8 << 20;
+
+/// Most bytes that a file of that size is believed to hold, all blocks together, whatever it says.
+pub(super) fn most_decompressed(file_bytes: usize) -> u64 {
+    (file_bytes as u64).saturating_mul(MOST_EXPANSION).max(ALWAYS_FITS)
+}
 
 /// A stream of bytes.
 pub(super) enum Source<'a> {
@@ -35,12 +46,12 @@ impl<'a> Source<'a> {
             return Ok(Self::Gzip(Box::new(GzDecoder::new(file)), file.len()));
         }
         if file.starts_with(&ZSTD) {
-            // Without a size, what the reference believes possible.
             let most = match get_frame_content_size(file) {
                 Ok(Some(size)) => size,
-                Ok(None) => (file.len() as u64).saturating_mul(ZSTD_RATIO),
+                Ok(None) => u64::MAX,
                 Err(_) => return Err("has a damaged zstd header".to_owned()),
             };
+            let most = most.min(most_decompressed(file.len()));
             return Ok(Self::Zstd(decoder(file, most)?.single_frame(), most));
         }
         Ok(Self::Raw(file))
@@ -55,20 +66,13 @@ impl<'a> Source<'a> {
         }
     }
 
-    /// A zstd stream that decompresses to exactly `size` bytes, if it is honest.
-    pub(super) fn zstd_block(stream: &'a [u8], size: u64) -> Result<Self, String> {
-        let unsaid = matches!(get_frame_content_size(stream), Ok(None));
-        if unsaid && size / ZSTD_RATIO > stream.len() as u64 {
-            return Err(format!("cannot hold {size} bytes in {}", stream.len()));
-        }
-        Self::zstd(stream, size)
-    }
-
     /// Most bytes that there can be, from what is known before decompression.
     pub(super) fn most(&self) -> u64 {
         match self {
             Self::Raw(left) => left.len() as u64 + super::header::LEGACY_SIZE as u64,
-            Self::Gzip(_, size) => (*size as u64).saturating_mul(DEFLATE_RATIO),
+            Self::Gzip(_, size) => {
+                (*size as u64).saturating_mul(DEFLATE_RATIO).min(most_decompressed(*size))
+            }
             Self::Zstd(_, most) => *most,
         }
     }
@@ -88,12 +92,7 @@ impl<'a> Source<'a> {
     pub(super) fn fill(&mut self, out: &mut [u8]) -> Result<usize, String> {
         let mut done = 0;
         while done < out.len() {
-            let read = match self {
-                Self::Raw(left) => left.read(&mut out[done..]),
-                Self::Gzip(decoder, _) => decoder.read(&mut out[done..]),
-                Self::Zstd(decoder, _) => decoder.read(&mut out[done..]),
-            };
-            match read {
+            match self.read(&mut out[done..]) {
                 Ok(0) => break,
                 Ok(n) => done += n,
                 Err(e) if e.kind() == ErrorKind::Interrupted => {}
@@ -105,17 +104,39 @@ impl<'a> Source<'a> {
         Ok(done)
     }
 
+    fn read(&mut self, out: &mut [u8]) -> std::io::Result<usize> {
+        match self {
+            Self::Raw(left) => left.read(out),
+            Self::Gzip(decoder, _) => decoder.read(out),
+            Self::Zstd(decoder, _) => decoder.read(out),
+        }
+    }
+
+    /// Whether the stream begins with `mark`, or is cut off or damaged before that can be told.
+    ///
+    /// Decompresses no more than the decoder's first block.
+    pub(super) fn may_begin_with(mut self, mark: [u8; 4]) -> bool {
+        let (mut head, mut done) = ([0; 4], 0);
+        while done < head.len() {
+            match self.read(&mut head[done..]) {
+                Ok(0) => return false,
+                Ok(n) => done += n,
+                Err(e) if e.kind() == ErrorKind::Interrupted => {}
+                Err(_) => break,
+            }
+        }
+        mark.starts_with(&head[..done])
+    }
+
     /// Bytes that are still there: of the stream, or, once it is over, behind it in the file.
     ///
     /// # Errors
     /// If the stream is damaged, cut off, or fails its checksum.
     pub(super) fn trailing(&mut self) -> Result<Trailing, String> {
-        let read = match self {
-            Self::Raw(left) => return Ok(Trailing::behind(left.len())),
-            Self::Gzip(decoder, _) => decoder.read(&mut [0]),
-            Self::Zstd(decoder, _) => decoder.read(&mut [0]),
-        };
-        match read {
+        if let Self::Raw(left) = self {
+            return Ok(Trailing::behind(left.len()));
+        }
+        match self.read(&mut [0]) {
             Ok(0) => Ok(Trailing::behind(self.left())),
             Ok(_) => Ok(Trailing::Within),
             Err(e) => Err(format!("cannot be decompressed to its end: {e}")),

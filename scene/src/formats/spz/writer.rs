@@ -37,7 +37,8 @@ const BYTES_PER_STEP: usize = 256 << 10;
 /// written another time.
 ///
 /// # Errors
-/// As [`write_scene`](crate::write_scene). Versions 2 and 3 hold no harmonics of degree 4.
+/// As [`write_scene`](crate::write_scene); also if the scene, larger than 32 MiB, compresses to less
+/// than a 256th: [`read_spz`](super::read_spz) would not believe the file. Versions 2 and 3 hold no harmonics of degree 4.
 pub fn write_spz(
     scene: &GaussianScene,
     path: &Path,
@@ -53,11 +54,21 @@ pub fn write_spz(
     } else {
         write_legacy(&coder, &records, &file, progress)?
     };
+    check_size(&coder.header, &file)?;
     file.commit()?;
     let mut report = WriteReport::new(SceneFormat::Spz, scene.len());
     limits.report(&coder.grid, &mut report);
     report.wrote(path)?;
     Ok(report)
+}
+
+/// Refuses what compresses so far that readers would take the file for a damaged one.
+fn check_size(header: &Header, file: &AtomicFile) -> Result<(), SceneError> {
+    let about = file.file()?.metadata();
+    let about = about.map_err(SceneError::io(file.target(), "cannot write the scene"))?;
+    header.check_size(usize::try_from(about.len()).unwrap_or(usize::MAX)).map_err(|problem| {
+        SceneError::format(file.target(), problem, "remove Gaussians that are equal to others")
+    })
 }
 
 /// Turns rows of a scene into bytes of a block.
@@ -120,7 +131,9 @@ impl<'a> Coder<'a> {
                     let logit = scene.opacity_logit[row];
                     let byte = encode_alpha(logit);
                     if (byte == 0 || byte == 255) && logit.is_finite() {
-                        limits.alpha.add(row, f64::INFINITY);
+                        // As far as alpha was from 0 or 1.
+                        let change = 1.0 / (1.0 + f64::from(logit.abs()).exp());
+                        limits.alpha.add(row, change);
                     }
                     out.push(byte);
                 }
