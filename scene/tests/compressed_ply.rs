@@ -21,7 +21,8 @@ fn open(path: &Path) -> LoadedScene {
 }
 
 fn write(scene: &GaussianScene, path: &Path) -> WriteReport {
-    write_compressed_ply(scene, path, &WriteOptions::default(), &mut |_| true).unwrap()
+    let options = WriteOptions { overwrite: true, ..WriteOptions::default() };
+    write_compressed_ply(scene, path, &options, &mut |_| true).unwrap()
 }
 
 #[test]

@@ -24,7 +24,8 @@ fn read_file(path: &Path) -> LoadedScene {
 }
 
 fn write(scene: &GaussianScene, path: &Path) -> WriteReport {
-    write_splat(scene, path, &WriteOptions::default(), &mut |_| true).unwrap()
+    let options = WriteOptions { overwrite: true, ..WriteOptions::default() };
+    write_splat(scene, path, &options, &mut |_| true).unwrap()
 }
 
 fn record(coord: [f32; 3], scale: [f32; 3], color: [u8; 4], rotation: [u8; 4]) -> Vec<u8> {
@@ -116,6 +117,8 @@ fn other_files_are_not_splats() {
     // Floats of about 1 and less, whose last four look like nothing or like a rotation.
     let floats: Vec<u8> = (0..8 * 64).flat_map(|i| (i as f32 * 0.01).to_le_bytes()).collect();
     let numbers = "=0.1>0.2?<0.3;".repeat(64);
+    let at = |x: f32| record([x, 0.0, 0.0], [0.1; 3], [9; 4], [255, 128, 128, 128]);
+    let far = [vec![at(2e9); 51].concat(), vec![at(2.0); 49].concat()].concat();
     for (bytes, what) in [
         (&noise[..], "noise"),
         (&[0; 3200][..], "zeros"),
@@ -124,6 +127,7 @@ fn other_files_are_not_splats() {
         (&text.as_bytes()[..text.len() / 32 * 32], "text"),
         (&numbers.as_bytes()[..numbers.len() / 32 * 32], "numbers"),
         (&floats[..], "floats"),
+        (&far[..], "records of which most are too far away"),
         (&[], "nothing"),
     ] {
         assert!(splat_problem(bytes).is_some(), "{what}");
@@ -143,6 +147,39 @@ fn a_few_bad_records_do_not_hide_a_file() {
     }
 }
 
+#[test]
+fn what_is_written_is_recognised_or_not_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.splat");
+    // Up to half of the Gaussians may be anywhere and of any size.
+    for rows in [2usize, 10, 300, 3000] {
+        let mut scene = random_scene(rows, 0, 5);
+        for row in (1..rows).step_by(2) {
+            (scene.coord[row][0], scene.log_scale[row][1]) = (-3e38, 88.0);
+        }
+        write(&scene, &path);
+        let bytes = std::fs::read(&path).unwrap();
+        assert_eq!(splat_problem(&bytes), None, "{rows} rows");
+        let back = open_scene(&path, &ReadOptions::default()).unwrap();
+        assert_eq!((back.kind, back.scene.coord), (SceneKind::Splat, scene.coord.clone()));
+
+        for row in 0..rows {
+            scene.coord[row][2] = 1e20;
+        }
+        for overwrite in [false, true] {
+            let options = WriteOptions { overwrite, ..WriteOptions::default() };
+            let error = write_splat(&scene, &path, &options, &mut |_| true).unwrap_err();
+            let text = error.to_string();
+            assert!(text.contains("looked at 0 have a position within ±1e9 m"), "{text}");
+            assert!(text.contains("scale the scene to metres"), "{text}");
+        }
+        assert!(bytes == std::fs::read(&path).unwrap(), "the old file is as it was");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+    let text = splat_problem(&[128; 3200]).unwrap();
+    assert!(text.contains("of 100 records looked at 0 have a finite position"), "{text}");
+}
+
 /// Scenes that are hard to keep as they are.
 fn hard_scenes() -> Vec<(&'static str, GaussianScene)> {
     let mut all = Vec::new();
@@ -152,8 +189,11 @@ fn hard_scenes() -> Vec<(&'static str, GaussianScene)> {
     let mut rng = SplitMix(11);
     let mut extreme = random_scene(600, 0, 1);
     for row in 0..600 {
-        extreme.coord[row] = [(); 3].map(|()| f32::from_bits(rng.next() as u32 & 0xff7f_ffff));
-        extreme.log_scale[row] = [(); 3].map(|()| rng.float() * 120.0);
+        // With more of them the file would not be recognised.
+        if row % 2 == 0 {
+            extreme.coord[row] = [(); 3].map(|()| f32::from_bits(rng.next() as u32 & 0xff7f_ffff));
+            extreme.log_scale[row] = [(); 3].map(|()| rng.float() * 120.0);
+        }
         extreme.opacity_logit[row] = rng.float() * 30.0;
         extreme.sh_dc[row] = [(); 3].map(|()| rng.float() * 5.0);
         extreme.quat[row] =
@@ -163,7 +203,7 @@ fn hard_scenes() -> Vec<(&'static str, GaussianScene)> {
         extreme.opacity_logit[row] = logit;
         extreme.log_scale[row][1] = f32::NEG_INFINITY;
     }
-    extreme.log_scale[3] = [f32::MAX, f32::MIN, -0.0];
+    extreme.log_scale[6] = [f32::MAX, f32::MIN, -0.0];
     extreme.log_scale[4] = [88.722_84, 88.722_83, -103.5];
     all.push(("extreme", extreme));
     all

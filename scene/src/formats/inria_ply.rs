@@ -7,7 +7,7 @@ use super::ply::{
     ColumnSource, ColumnValues, Gather, PlyColumn, PlyElement, PlyFile, PlyPropertyKind, PlyType,
     write_new_ply,
 };
-use super::{LoadedScene, ReadOptions, SceneKind};
+use super::{LoadedScene, ReadOptions, SceneKind, WriteProgress};
 use crate::gaussian_scene::{SH_C0, u8_to_dc};
 use crate::value_policy::{DEFAULT_GREY, DEFAULT_SCALE, FLAT_SCALE, Rule};
 use crate::{GaussianScene, RepairReport, SceneError};
@@ -223,6 +223,16 @@ pub fn write_inria_ply(
     extra: &[PlyColumn<'_>],
     path: &Path,
 ) -> Result<(), SceneError> {
+    write_with_progress(scene, extra, path, &mut |_| true)
+}
+
+/// As [`write_inria_ply`]; nothing is left if `progress` says stop.
+pub(super) fn write_with_progress(
+    scene: &GaussianScene,
+    extra: &[PlyColumn<'_>],
+    path: &Path,
+    progress: WriteProgress<'_>,
+) -> Result<(), SceneError> {
     scene.check_rows()?;
     if scene.is_empty() {
         return Err(SceneError::format(path, "would hold no Gaussian at all", ""));
@@ -264,7 +274,7 @@ pub fn write_inria_ply(
         after.push(codebook_element(&code.codebook));
     }
     columns.extend(extra.iter().map(|c| (c.name.to_owned(), ColumnSource::Values(c.values))));
-    write_new_ply(path, scene.len(), &columns, &after)
+    write_new_ply(path, scene.len(), &columns, &after, progress)
 }
 
 /// The columns of a row-major array.

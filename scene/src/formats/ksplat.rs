@@ -68,7 +68,7 @@ pub fn read_ksplat(
             decoder.fill(section, &mut block);
         }
     });
-    semantics::read_sidecar(path, bytes, file.rows, &mut scene, &mut report)?;
+    semantics::read_sidecar(path, bytes, file.rows, options.policy, &mut scene, &mut report)?;
     LoadedScene::finish(scene, report, options.policy, path, SceneKind::Ksplat)
 }
 

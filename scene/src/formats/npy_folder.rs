@@ -4,9 +4,10 @@
 //! [`GaussianScene`] holds them before activation; colour bytes survive both ways exactly. There is
 //! no file for spherical harmonics beyond the DC term.
 
+mod staging;
 mod writer;
 
-pub use writer::write_npy_folder;
+pub use writer::{write_npy_folder, write_npy_scene};
 
 use super::label_column::{
     INSTANCE_RULES, LabelRules, SEGMENT_RULES, labels_from_f64, labels_from_i64,

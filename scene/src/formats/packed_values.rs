@@ -1,5 +1,6 @@
 //! Codes of a few bits that survive being read and written again, shared by the packed formats.
 
+use super::write::LimitTally;
 use crate::gaussian_scene::{SH_C0, probability_to_logit, u8_to_dc};
 use crate::{GaussianScene, SceneError};
 use rayon::prelude::*;
@@ -89,7 +90,58 @@ pub(crate) fn log_of_scale(scale: f32) -> f32 {
     f64::from(scale).ln() as f32
 }
 
-/// Refuses a scene with values that reading would drop or repair, which no packed format can hold.
+/// What becomes of sizes that f32 cannot hold in metres.
+pub(crate) const SIZE_CUT: &str = "larger than an f32 can hold in metres; cut";
+/// What becomes of sizes below the smallest f32.
+pub(crate) const SIZE_VANISHES: &str = "so small that the size in metres becomes 0";
+/// What becomes of alphas next to 0 and 1.
+pub(crate) const ALPHA_ENDS: &str = "alpha becomes 0 or 1; the change is that of alpha";
+/// What becomes of colours that cannot be shown.
+pub(crate) const COLOR_CLIPPED: &str = "colours beyond 0 to 1 are clipped";
+
+/// Counts a row of logarithms of sizes whose metres, as they are `stored`, are not theirs.
+pub(crate) fn tally_sizes(
+    row: usize,
+    log_scale: [f32; 3],
+    stored: [f32; 3],
+    too_large: &mut LimitTally,
+    too_small: &mut LimitTally,
+) {
+    let (mut cut, mut vanished): (Option<f64>, _) = (None, false);
+    for (log, scale) in log_scale.into_iter().zip(stored) {
+        if scale == 0.0 {
+            vanished |= log != f32::NEG_INFINITY;
+        } else if log > log_of_scale(f32::MAX) {
+            let change = f64::from(log) - f64::from(log_of_scale(scale));
+            cut = Some(change.max(cut.unwrap_or(0.0)));
+        }
+    }
+    cut.into_iter().for_each(|change| too_large.add(row, change));
+    if vanished {
+        too_small.add(row, f64::INFINITY);
+    }
+}
+
+/// Counts a row of DC terms with a colour that no byte is near.
+pub(crate) fn tally_colors(row: usize, dc: [f32; 3], clipped: &mut LimitTally) {
+    /// As far as rounding may move a colour.
+    const HALF_STEP: f64 = 0.5 / 255.0;
+    let mut largest: Option<f64> = None;
+    for dc in dc {
+        let color = color_of(dc);
+        if !(-HALF_STEP..=1.0 + HALF_STEP).contains(&color) {
+            let beyond = f64::from(dc) - f64::from(dc_of(color.clamp(0.0, 1.0)));
+            largest = Some(beyond.abs().max(largest.unwrap_or(0.0)));
+        }
+    }
+    largest.into_iter().for_each(|change| clipped.add(row, change));
+}
+
+/// Refuses a scene with values that reading would drop or repair, so that it would not come back.
+///
+/// Not a number are no position, size, rotation, opacity or colour; nor are infinities, but for a
+/// logarithm of −inf (a size of 0) and logits of ±inf (alpha 0 and 1). A rotation of zeros has no
+/// direction.
 pub(crate) fn check_storable(scene: &GaussianScene, path: &Path) -> Result<(), SceneError> {
     const ROWS_PER_TASK: usize = 4096;
     fn find<T: Sync + std::fmt::Debug>(

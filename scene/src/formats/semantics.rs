@@ -6,15 +6,19 @@
 //! itself; for other formats it is a file beside the scene, with the checksum of the scene it
 //! belongs to.
 
-use super::files::{AtomicFile, MappedFile};
+mod sidecar;
+
+#[cfg(test)]
+pub(crate) use sidecar::write_sidecar;
+pub(crate) use sidecar::{Sidecar, read_sidecar};
+
 use crate::value_policy::Rule;
 use crate::{GaussianScene, LanguageCode, LanguageCodebook, RepairReport, SceneError};
 use half::f16;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
-use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// The one metadata key: several would be written in a random order.
 const ABOUT: &str = "scenesplat_labels";
@@ -41,11 +45,12 @@ impl SceneFingerprint {
     }
 }
 
-/// What is beside `room.splat`: `room.splat.labels.safetensors`.
-pub(crate) fn sidecar_path(scene: &Path) -> PathBuf {
-    let mut name = scene.as_os_str().to_owned();
-    name.push(".labels.safetensors");
-    name.into()
+/// Whether a scene has anything that a block can carry.
+fn has_any(scene: &GaussianScene) -> bool {
+    scene.segment.is_some()
+        || scene.instance.is_some()
+        || scene.segment_score.is_some()
+        || scene.lang_code.is_some()
 }
 
 /// The block of a scene, its rows in the given order; `None` if there is nothing to carry.
@@ -113,7 +118,7 @@ fn encode_with(
 /// out). `path` is for messages.
 ///
 /// # Errors
-/// If the block is malformed or made for another number of Gaussians.
+/// If the block is malformed or made for another number of Gaussians; the scene is then as it was.
 pub fn decode(
     bytes: &[u8],
     rows: usize,
@@ -142,31 +147,39 @@ pub fn decode(
         Ok(Some(view))
     };
     let n = Some(rows);
-    for (name, into) in [("segment", &mut scene.segment), ("instance", &mut scene.instance)] {
-        if let Some(view) = get(name, Dtype::I32, &[n])? {
-            let values = view.data().as_chunks().0.iter().map(|b| i32::from_le_bytes(*b));
-            // Negative means none, as everywhere.
-            *into = Some(values.map(|v| v.max(-1)).collect());
-        }
-    }
-    if let Some(view) = get("segment_score", Dtype::F32, &[n])? {
-        scene.segment_score = Some(floats(view.data()));
-    }
+    let segment = get("segment", Dtype::I32, &[n])?;
+    let instance = get("instance", Dtype::I32, &[n])?;
+    let score = get("segment_score", Dtype::F32, &[n])?;
     let code = get("lang_code", Dtype::F16, &[n, None])?;
     let mean = get("lang_codebook_mean", Dtype::F32, &[None])?;
     let axes = get("lang_codebook_axes", Dtype::F32, &[None, None])?;
-    if let (Some(code), Some(mean), Some(axes)) = (&code, &mean, &axes) {
+    let codebook = if let (Some(code), Some(mean), Some(axes)) = (&code, &mean, &axes) {
         let (k, width) = (code.shape()[1], mean.shape()[0]);
         if axes.shape() != [k, width] {
             return Err(bad(format!("has codes of {k}, but axes {:?}", axes.shape())));
         }
         let codebook = LanguageCodebook { mean: floats(mean.data()), axes: floats(axes.data()) };
         codebook.check()?;
-        let values: Vec<f16> =
-            code.data().as_chunks().0.iter().map(|b| f16::from_le_bytes(*b)).collect();
-        scene.lang_code = Some(clean_code(LanguageCode { values, codebook }, report));
+        Some(codebook)
     } else if code.is_some() || mean.is_some() || axes.is_some() {
         return Err(bad("has language codes without the whole codebook".to_owned()));
+    } else {
+        None
+    };
+    // Nothing can fail any more.
+    for (view, into) in [(segment, &mut scene.segment), (instance, &mut scene.instance)] {
+        if let Some(view) = view {
+            let values = view.data().as_chunks().0.iter().map(|b| i32::from_le_bytes(*b));
+            // Negative means none, as everywhere.
+            *into = Some(values.map(|v| v.max(-1)).collect());
+        }
+    }
+    if let Some(view) = score {
+        scene.segment_score = Some(floats(view.data()));
+    }
+    if let (Some(code), Some(codebook)) = (code, codebook) {
+        let values = code.data().as_chunks().0.iter().map(|b| f16::from_le_bytes(*b)).collect();
+        scene.lang_code = Some(clean_code(LanguageCode { values, codebook }, report));
     }
     Ok(())
 }
@@ -198,60 +211,11 @@ fn read_about(bytes: &[u8]) -> Result<About, String> {
     Ok(about)
 }
 
-/// Writes the block beside the scene, whose file holds `scene_bytes`; gives its path if there was
-/// something to write.
-pub(crate) fn write_sidecar(
-    scene: &GaussianScene,
-    order: Option<&[u32]>,
-    path: &Path,
-    scene_bytes: &[u8],
-) -> Result<Option<PathBuf>, SceneError> {
-    let Some(block) = encode_with(scene, order, Some(SceneFingerprint::of(scene_bytes))) else {
-        return Ok(None);
-    };
-    let path = sidecar_path(path);
-    let file = AtomicFile::create(&path)?;
-    let mut to = file.file()?;
-    to.write_all(&block).map_err(SceneError::io(&path, "cannot write the labels"))?;
-    file.commit()?;
-    Ok(Some(path))
-}
-
-/// Reads the block beside a scene, if there is one and it belongs to this very file.
-///
-/// One that was made for another version of the scene is not read: its labels would be those of
-/// other Gaussians. The report says so.
-pub(crate) fn read_sidecar(
-    path: &Path,
-    scene_bytes: &[u8],
-    rows: usize,
-    scene: &mut GaussianScene,
-    report: &mut RepairReport,
-) -> Result<(), SceneError> {
-    let beside = sidecar_path(path);
-    if !beside.is_file() {
-        return Ok(());
-    }
-    let block = MappedFile::open(&beside)?;
-    let about = read_about(block.bytes()).map_err(|e| {
-        let mend = "remove it, or write the scene with its labels again";
-        SceneError::format(&beside, format!("cannot be read as labels of a scene: {e}"), mend)
-    })?;
-    if about.scene != Some(SceneFingerprint::of(scene_bytes)) {
-        report.notes.push(format!(
-            "{} was made for another version of the scene and was not read",
-            beside.display()
-        ));
-        return Ok(());
-    }
-    decode(block.bytes(), rows, scene, report, &beside)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn labelled() -> GaussianScene {
+    pub(super) fn labelled() -> GaussianScene {
         GaussianScene {
             coord: vec![[0.0; 3]; 3],
             log_scale: vec![[0.0; 3]; 3],
@@ -268,7 +232,7 @@ mod tests {
         }
     }
 
-    fn bare(rows: usize) -> GaussianScene {
+    pub(super) fn bare(rows: usize) -> GaussianScene {
         let scene = labelled().select_rows(&vec![0; rows]).unwrap();
         GaussianScene { segment: None, segment_score: None, lang_code: None, ..scene }
     }
@@ -304,21 +268,5 @@ mod tests {
         for cut in 0..block.len() {
             assert!(decode(&block[..cut], 3, &mut bare(3), &mut report, Path::new("x")).is_err());
         }
-    }
-
-    #[test]
-    fn a_stale_sidecar_is_named_and_not_read() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.splat");
-        let scene = labelled();
-        let beside = write_sidecar(&scene, None, &path, b"first").unwrap().unwrap();
-        assert!(beside.ends_with("a.splat.labels.safetensors"));
-        let (mut back, mut report) = (bare(3), RepairReport::default());
-        read_sidecar(&path, b"first", 3, &mut back, &mut report).unwrap();
-        assert_eq!(back, scene);
-        let mut back = bare(3);
-        read_sidecar(&path, b"other", 3, &mut back, &mut report).unwrap();
-        assert_eq!(back.segment, None);
-        assert!(report.notes[0].contains("another version"), "{:?}", report.notes);
     }
 }

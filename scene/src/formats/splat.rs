@@ -20,16 +20,17 @@ pub(crate) const RECORD_BYTES: usize = 32;
 /// Records that are looked at to recognise a file.
 const MAX_SAMPLES: usize = 256;
 
-/// Coordinates beyond this, metres, are no scene: larger than the Earth, georeferenced or not.
+/// Coordinates beyond this, metres, are unusual: larger than the Earth, georeferenced or not.
 const MAX_COORD: f32 = 1e9;
-/// Standard deviations beyond this, metres, are no scene either.
+/// Standard deviations beyond this, metres, are unusual too.
 const MAX_SCALE: f32 = 1e7;
 
 /// Whether these bytes, a whole file, are records of Gaussians.
 ///
 /// There is no magic number, so up to 256 records, evenly spaced and with the first, are looked at:
-/// nine in ten must have a position, sizes and a rotation of about unit norm. A few bad values do
-/// not matter; a file of zeros and text are not recognised.
+/// nine in ten must have a finite position, finite sizes and a rotation of about unit norm, and half
+/// of them a position within ±1e9 m and sizes up to 1e7 m. A few bad values do not matter; a file of
+/// zeros and text are not recognised.
 pub fn is_splat(bytes: &[u8]) -> bool {
     splat_problem(bytes).is_none()
 }
@@ -50,12 +51,20 @@ pub fn splat_problem(bytes: &[u8]) -> Option<String> {
     if (0..samples).all(|i| sample(i).iter().all(is_text)) {
         return Some("is text, not a .splat file".to_owned());
     }
-    let good = (0..samples).filter(|&i| is_plausible(sample(i))).count();
+    let count = |want: Plausible| (0..samples).filter(|&i| plausible(sample(i)) >= want).count();
+    let good = count(Plausible::Possible);
     // One bad record is nothing in a file of any length.
     if good == 0 || samples - good > (samples / 10).max(1) {
         return Some(format!(
-            "has no Gaussians as a .splat file has them: {good} of {samples} records looked at \
-             have a position, sizes and a rotation"
+            "is not made of Gaussians as a .splat file is: of {samples} records looked at {good} \
+             have a finite position, finite sizes and a rotation"
+        ));
+    }
+    let usual = count(Plausible::Usual);
+    if 2 * usual < samples {
+        return Some(format!(
+            "is not made of Gaussians of a scene: of {samples} records looked at {usual} have a \
+             position within ±{MAX_COORD:e} m and sizes up to {MAX_SCALE:e} m"
         ));
     }
     None
@@ -74,14 +83,31 @@ fn length_problem(bytes: &[u8]) -> Option<String> {
     })
 }
 
-fn is_plausible(record: &[u8]) -> bool {
+/// How much a record is like one of a Gaussian.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Plausible {
+    /// Not at all.
+    No,
+    /// It is one that can be read, if of a strange scene.
+    Possible,
+    /// As those of real scenes.
+    Usual,
+}
+
+fn plausible(record: &[u8]) -> Plausible {
     let coord: [f32; 3] = floats(record, 0);
     let scale: [f32; 3] = floats(record, 12);
     // The norm is off by rounding of the bytes only: at most 4 · 1/128 in this measure.
     let squared: f32 = rotation(record).iter().map(|v| v * v).sum();
-    coord.iter().all(|v| v.abs() <= MAX_COORD)
-        && scale.iter().all(|v| (0.0..=MAX_SCALE).contains(v))
-        && (0.8..1.2).contains(&squared)
+    let within = |max_coord: f32, max_scale: f32| {
+        coord.iter().all(|v| v.abs() <= max_coord)
+            && scale.iter().all(|v| (0.0..=max_scale).contains(v))
+    };
+    match (0.8..1.2).contains(&squared) && within(f32::MAX, f32::MAX) {
+        false => Plausible::No,
+        true if within(MAX_COORD, MAX_SCALE) => Plausible::Usual,
+        true => Plausible::Possible,
+    }
 }
 
 /// The floats at `offset` of a record, which must hold them.
@@ -132,6 +158,6 @@ pub fn read_splat(
         }
     });
     let mut report = RepairReport::default();
-    semantics::read_sidecar(path, bytes, rows, &mut scene, &mut report)?;
+    semantics::read_sidecar(path, bytes, rows, options.policy, &mut scene, &mut report)?;
     LoadedScene::finish(scene, report, options.policy, path, SceneKind::Splat)
 }

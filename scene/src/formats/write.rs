@@ -1,8 +1,7 @@
 //! Writing a scene in any format, and saying what the format could not hold.
 
-use super::files::MappedFile;
-use super::npy_folder::write_npy_folder;
-use super::{compressed_ply, inria_ply, semantics, sog, splat, spz};
+use super::packed_values::check_storable;
+use super::{compressed_ply, inria_ply, npy_folder, sog, splat, spz};
 use crate::formats::SpzFrame;
 use crate::{GaussianScene, SceneError};
 use serde::Serialize;
@@ -214,10 +213,12 @@ impl LimitTally {
 /// Labels, scores, instances and language codes go along in every format: as columns of a PLY file,
 /// as an extension record of an SPZ file, inside a SOG archive, else in a file beside the scene
 /// (`NAME.labels.safetensors`) that [`open_scene`](super::open_scene) finds. Programs that do not
-/// know them open the scene as before.
+/// know them open the scene as before. Such a file of an earlier scene is removed if this one has
+/// nothing of the kind.
 ///
 /// # Errors
-/// If the scene is empty or its arrays do not match, if there is a file already and
+/// If the scene is empty or its arrays do not match, if a position, size, rotation, opacity or colour
+/// is not a number, if there is a file already (of the scene or of its labels) and
 /// `options.overwrite` is not set, if the format cannot hold the scene, if `progress` says stop, or
 /// if the file cannot be written. Then nothing is left behind and an old file is as it was.
 pub fn write_scene(
@@ -238,22 +239,19 @@ pub fn write_scene(
             "overwrite it or choose another name",
         ));
     }
+    check_storable(scene, path)?;
     if !progress(0.0) {
         return Err(SceneError::Stopped);
     }
+    // The writers ask a last time when all is written, before the file gets its name.
     let mut report = match format {
         SceneFormat::Ply => {
             let mut report = WriteReport::new(format, scene.len());
-            inria_ply::write_inria_ply(scene, &[], path)?;
+            inria_ply::write_with_progress(scene, &[], path, progress)?;
             report.wrote(path)?;
             report
         }
-        SceneFormat::NpyFolder => {
-            let mut report = WriteReport::new(format, scene.len());
-            write_npy_folder(scene, path, options.overwrite)?;
-            report.files.push(path.to_owned());
-            report
-        }
+        SceneFormat::NpyFolder => npy_folder::write_npy_scene(scene, path, options, progress)?,
         SceneFormat::CompressedPly => {
             compressed_ply::write_compressed_ply(scene, path, options, progress)?
         }
@@ -283,20 +281,4 @@ fn note_left_out(scene: &GaussianScene, report: &mut WriteReport) {
     if scene.sh_degree > 0 && features {
         report.left_out("sh_rest", "no place in this format");
     }
-}
-
-/// Writes the labels of a scene beside its file, for formats that cannot hold them.
-///
-/// `order` is the row of the scene for each row of the file.
-pub(crate) fn write_sidecar(
-    scene: &GaussianScene,
-    order: Option<&[u32]>,
-    path: &Path,
-    report: &mut WriteReport,
-) -> Result<(), SceneError> {
-    let file = MappedFile::open(path)?;
-    if let Some(beside) = semantics::write_sidecar(scene, order, path, file.bytes())? {
-        report.wrote(&beside)?;
-    }
-    Ok(())
 }

@@ -92,7 +92,8 @@ pub fn read_compressed_ply(
     scene.segment = segment;
     scene.instance = instance;
     if let Some(bytes) = file.file_bytes() {
-        semantics::read_sidecar(file.path(), bytes, vertex.count, &mut scene, &mut report)?;
+        let (path, policy) = (file.path(), options.policy);
+        semantics::read_sidecar(path, bytes, vertex.count, policy, &mut scene, &mut report)?;
     }
     LoadedScene::finish(scene, report, options.policy, file.path(), SceneKind::CompressedPly)
 }

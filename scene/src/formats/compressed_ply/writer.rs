@@ -5,8 +5,9 @@ use super::code::{join_11_10_11, join_8888, pack_coefficient, pack_quat};
 use super::order::{Tick, chunk_order};
 use super::{BOUNDS, CHUNK, CHUNK_ROWS, COLOR_BOUNDS, PACKED, SH, VERTEX};
 use crate::formats::files::{AtomicFile, write_all_at};
-use crate::formats::packed_values::{alpha, check_storable, nearest_byte};
-use crate::formats::write::{LimitTally, write_sidecar};
+use crate::formats::packed_values::{ALPHA_ENDS, alpha, check_storable, nearest_byte};
+use crate::formats::semantics::Sidecar;
+use crate::formats::write::LimitTally;
 use crate::formats::{SceneFormat, WriteOptions, WriteProgress, WriteReport};
 use crate::{GaussianScene, SceneError};
 use rayon::prelude::*;
@@ -64,11 +65,12 @@ impl Limits {
 pub fn write_compressed_ply(
     scene: &GaussianScene,
     path: &Path,
-    _options: &WriteOptions,
+    options: &WriteOptions,
     progress: WriteProgress<'_>,
 ) -> Result<WriteReport, SceneError> {
     scene.check_rows()?;
     check_storable(scene, path)?;
+    let sidecar = Sidecar::prepare(scene, path, options.overwrite)?;
     let rows = scene.len();
     if u32::try_from(rows).is_err() {
         let problem = format!("would have {rows} rows, more than {}", u32::MAX);
@@ -81,19 +83,20 @@ pub fn write_compressed_ply(
     let packer = Packer::new(scene, order.as_deref());
     let file = AtomicFile::create(path)?;
     let limits = packer.write(&file, progress)?;
-    file.commit()?;
+    let labels = sidecar.commit(scene, order.as_deref(), file)?;
 
     let mut report = WriteReport::new(SceneFormat::CompressedPly, rows);
     report.wrote(path)?;
     report.limit("log_scale", "beyond ±20 (sizes of e±20 m), cut", limits.log_scale);
-    let what = "alpha becomes 0 or 1; the change is that of alpha";
-    report.limit("opacity_logit", what, limits.opacity);
+    report.limit("opacity_logit", ALPHA_ENDS, limits.opacity);
     report.limit("sh_dc", "beyond ±1e30, cut", limits.color);
     report.limit("sh_rest", "coefficients beyond ±4 are cut", limits.rest);
     if scene.sh_degree > MAX_DEGREE {
         report.left_out("sh_rest", "degree 4 has no place in this format, degree 3 is kept");
     }
-    write_sidecar(scene, order.as_deref(), path, &mut report)?;
+    if let Some(labels) = labels {
+        report.wrote(&labels)?;
+    }
     report.order = order;
     Ok(report)
 }

@@ -1,13 +1,20 @@
 //! Writing the preprocessed scene.
 
-use crate::formats::npy_writer::write_npy;
+use super::staging::StagedFolder;
+use crate::formats::npy_writer::{NpyElement, NpyRowWriter};
+use crate::formats::packed_values::{
+    ALPHA_ENDS, COLOR_CLIPPED, SIZE_CUT, SIZE_VANISHES, alpha, tally_colors, tally_sizes,
+};
+use crate::formats::write::LimitTally;
+use crate::formats::{SceneFormat, WriteOptions, WriteProgress, WriteReport};
 use crate::gaussian_scene::{probability_to_logit, sigmoid};
 use crate::{GaussianScene, SceneError};
 use rayon::prelude::*;
+use std::ffi::OsString;
 use std::path::Path;
 
-/// Stems of the files this format knows, but for labels.
-const STEMS: [&str; 15] = [
+/// Stems of the files that are written here.
+const STEMS: [&str; 17] = [
     "coord",
     "color",
     "opacity",
@@ -16,125 +23,255 @@ const STEMS: [&str; 15] = [
     "normal",
     "lang_feat",
     "valid_feat_mask",
+    "segment",
     "instance",
     "score",
     "lang_code",
     "lang_codebook_mean",
     "lang_codebook_axes",
     "pc_coord",
+    "pc_segment",
     "pc_instance",
 ];
+
+/// Bytes written between two reports of progress: a few ms of work.
+const BYTES_PER_TICK: usize = 4 << 20;
+/// Rows computed by one task.
+const ROWS_PER_TASK: usize = 4096;
+
 /// Writes a scene as a folder of `.npy` files, with the names and types of the original
 /// preprocessing; spherical harmonics beyond the DC term are not part of the format.
 ///
-/// All files are written beside the folder first and then moved into it. With `overwrite`, files of
+/// All files are written to a temporary folder first and then moved. With `overwrite`, files of
 /// this format that an earlier scene left in the folder are replaced or removed; others are kept.
 ///
 /// # Errors
-/// If the arrays do not match, if the folder holds a scene and `overwrite` is false, or if a file
-/// cannot be written.
+/// If the arrays do not match, if the folder holds a scene and `overwrite` is false, if it holds
+/// labels of other names (`segment20.npy`), which would be read as those of the new scene, or if a
+/// file cannot be written. Then everything is as it was.
 pub fn write_npy_folder(
     scene: &GaussianScene,
     folder: &Path,
     overwrite: bool,
 ) -> Result<(), SceneError> {
-    scene.check_rows()?;
-    let stale = known_files(folder)?;
-    if let (false, Some(file)) = (overwrite, stale.first()) {
-        let problem = format!("already holds a scene ({})", file.to_string_lossy());
-        return Err(SceneError::format(folder, problem, "choose an empty folder or overwrite it"));
-    }
-    let Some(name) = folder.file_name() else {
-        return Err(SceneError::format(folder, "is not a folder name", ""));
-    };
-    let mut hidden = std::ffi::OsString::from(".");
-    hidden.push(name);
-    hidden.push(format!(".{}.part", std::process::id()));
-    let part = folder.with_file_name(hidden);
-    let failed = || SceneError::io(folder, "cannot write the folder");
-    std::fs::create_dir_all(&part).map_err(failed())?;
-    let result = write_files(scene, &part).and_then(|()| {
-        std::fs::create_dir_all(folder).map_err(failed())?;
-        for file in &stale {
-            std::fs::remove_file(folder.join(file)).map_err(failed())?;
-        }
-        for entry in std::fs::read_dir(&part).map_err(failed())? {
-            let entry = entry.map_err(failed())?;
-            std::fs::rename(entry.path(), folder.join(entry.file_name())).map_err(failed())?;
-        }
-        Ok(())
-    });
-    // Empty after success; after a failure nothing in it is of use.
-    let _ = std::fs::remove_dir_all(&part);
-    result
+    let options = WriteOptions { overwrite, ..WriteOptions::default() };
+    write_npy_scene(scene, folder, &options, &mut |_| true).map(|_| ())
 }
 
-/// Files of this format in a folder, sorted; none if there is no such folder.
-fn known_files(folder: &Path) -> Result<Vec<std::ffi::OsString>, SceneError> {
+/// As [`write_npy_folder`], and says what was written and what the format could not hold.
+///
+/// Reported are sizes that f32 cannot hold in metres (cut, or 0), alphas that become 0 or 1, and
+/// colours beyond 0 to 1 (clipped).
+///
+/// # Errors
+/// As [`write_npy_folder`]; also if `progress` says stop.
+pub fn write_npy_scene(
+    scene: &GaussianScene,
+    folder: &Path,
+    options: &WriteOptions,
+    progress: WriteProgress<'_>,
+) -> Result<WriteReport, SceneError> {
+    scene.check_rows()?;
+    let old = replaced_files(folder, options.overwrite)?;
+    let staged = StagedFolder::create(folder)?;
+    let total = total_bytes(scene);
+    let mut writer = Writer { staged, progress, done: 0, total };
+    let mut report = WriteReport::new(SceneFormat::NpyFolder, scene.len());
+    write_files(scene, &mut writer, &mut report)?;
+    for file in writer.staged.commit(&old)? {
+        report.wrote(&file)?;
+    }
+    Ok(report)
+}
+
+/// Files of an earlier scene that make room for a new one, sorted; none if there is no such folder.
+fn replaced_files(folder: &Path, overwrite: bool) -> Result<Vec<OsString>, SceneError> {
     if !folder.exists() {
         return Ok(Vec::new());
     }
     let failed = || SceneError::io(folder, "cannot list the folder");
-    let mut found = Vec::new();
+    let (mut known, mut labels) = (Vec::new(), Vec::new());
     for entry in std::fs::read_dir(folder).map_err(failed())? {
         let name = entry.map_err(failed())?.file_name();
         let stem = name.to_str().and_then(|name| name.strip_suffix(".npy")).unwrap_or_default();
-        let labels = stem.starts_with("segment") || stem.starts_with("pc_segment");
-        if labels || STEMS.contains(&stem) {
-            found.push(name);
+        if STEMS.contains(&stem) {
+            known.push(name);
+        } else if stem.starts_with("segment") || stem.starts_with("pc_segment") {
+            labels.push(name);
         }
     }
-    found.sort();
-    Ok(found)
+    known.sort();
+    labels.sort();
+    if let (false, Some(file)) = (overwrite, known.first().or(labels.first())) {
+        let problem = format!("already holds a scene ({})", file.to_string_lossy());
+        return Err(SceneError::format(folder, problem, "choose an empty folder or overwrite it"));
+    }
+    if !labels.is_empty() {
+        let names: Vec<_> = labels.iter().map(|name| name.to_string_lossy()).collect();
+        let problem =
+            format!("holds {}, which would be taken for labels of the new scene", names.join(", "));
+        return Err(SceneError::format(folder, problem, "move them away or choose another folder"));
+    }
+    Ok(known)
 }
 
-fn write_files(scene: &GaussianScene, folder: &Path) -> Result<(), SceneError> {
+/// Bytes of all arrays.
+fn total_bytes(scene: &GaussianScene) -> usize {
+    let rows = |there: bool, bytes: usize| if there { scene.len() * bytes } else { 0 };
+    let code = scene.lang_code.as_ref().map_or(0, |code| {
+        code.values.len() * 2 + (code.codebook.mean.len() + code.codebook.axes.len()) * 4
+    });
+    rows(true, 12 + 3 + 4 + 12 + 16)
+        + rows(scene.normal.is_some(), 12)
+        + rows(scene.segment.is_some(), 4)
+        + rows(scene.instance.is_some(), 4)
+        + rows(scene.segment_score.is_some(), 4)
+        + rows(scene.valid_feat_mask.is_some(), 8)
+        + code
+        + scene.lang_feat.as_ref().map_or(0, |feat| feat.values.len() * 2)
+        + scene.labelled_points.as_ref().map_or(0, |points| points.coord.len() * 20)
+}
+
+struct Writer<'a> {
+    staged: StagedFolder,
+    progress: WriteProgress<'a>,
+    done: usize,
+    total: usize,
+}
+
+impl Writer<'_> {
+    fn start<T: NpyElement>(
+        &mut self,
+        stem: &str,
+        rows: usize,
+        row_shape: &[usize],
+    ) -> Result<NpyRowWriter<T>, SceneError> {
+        NpyRowWriter::create(&self.staged.add(format!("{stem}.npy")), rows, row_shape)
+    }
+
+    fn tick(&mut self, bytes: usize) -> Result<(), SceneError> {
+        self.done += bytes;
+        let fraction = (self.done as f64 / self.total.max(1) as f64).min(1.0);
+        if (self.progress)(fraction) { Ok(()) } else { Err(SceneError::Stopped) }
+    }
+
+    /// Writes an array as it is.
+    fn array<T: NpyElement>(
+        &mut self,
+        stem: &str,
+        rows: usize,
+        row_shape: &[usize],
+        values: &[T],
+    ) -> Result<(), SceneError> {
+        let mut to = self.start::<T>(stem, rows, row_shape)?;
+        let width = row_shape.iter().product::<usize>().max(1);
+        let rows_per_tick = (BYTES_PER_TICK / (width * T::SIZE)).max(1);
+        for values in values.chunks(rows_per_tick * width) {
+            to.write_rows(values)?;
+            self.tick(size_of_val(values))?;
+        }
+        to.finish()
+    }
+
+    /// Writes an array that is computed row by row, in parallel, and counts what it could not hold.
+    fn computed<T: NpyElement + Default, const W: usize>(
+        &mut self,
+        stem: &str,
+        rows: usize,
+        row_shape: &[usize],
+        value: impl Fn(usize, &mut [LimitTally; 2]) -> [T; W] + Sync,
+    ) -> Result<[LimitTally; 2], SceneError> {
+        let merge = |a: [LimitTally; 2], b: [LimitTally; 2]| [a[0].merge(b[0]), a[1].merge(b[1])];
+        let mut to = self.start::<T>(stem, rows, row_shape)?;
+        let rows_per_tick = BYTES_PER_TICK / (W * T::SIZE);
+        let mut buffer = vec![[T::default(); W]; rows.min(rows_per_tick)];
+        let mut tallies = <[LimitTally; 2]>::default();
+        for first in (0..rows).step_by(rows_per_tick) {
+            let part = &mut buffer[..rows_per_tick.min(rows - first)];
+            let found = part
+                .par_chunks_mut(ROWS_PER_TASK)
+                .enumerate()
+                .map(|(task, part)| {
+                    let mut tallies = <[LimitTally; 2]>::default();
+                    for (i, into) in part.iter_mut().enumerate() {
+                        *into = value(first + task * ROWS_PER_TASK + i, &mut tallies);
+                    }
+                    tallies
+                })
+                .reduce(Default::default, merge);
+            tallies = merge(tallies, found);
+            to.write_rows(part.as_flattened())?;
+            self.tick(size_of_val(part))?;
+        }
+        to.finish()?;
+        Ok(tallies)
+    }
+}
+
+fn write_files(
+    scene: &GaussianScene,
+    to: &mut Writer<'_>,
+    report: &mut WriteReport,
+) -> Result<(), SceneError> {
     let n = scene.len();
-    let file = |stem: &str| folder.join(format!("{stem}.npy"));
-    write_npy(&file("coord"), &[n, 3], scene.coord.as_flattened())?;
-    let color: Vec<[u8; 3]> = (0..n).into_par_iter().map(|row| scene.color_u8(row)).collect();
-    write_npy(&file("color"), &[n, 3], color.as_flattened())?;
-    let opacity = |row| settled(scene.opacity(row), |p| sigmoid(probability_to_logit(p)));
-    let opacity: Vec<f32> = (0..n).into_par_iter().map(opacity).collect();
-    write_npy(&file("opacity"), &[n], &opacity)?;
-    let again = |s: f32| (f64::from(s).ln() as f32).exp();
-    let scale = |row| scene.scale(row).map(|s| settled(s, again));
-    let scale: Vec<[f32; 3]> = (0..n).into_par_iter().map(scale).collect();
-    write_npy(&file("scale"), &[n, 3], scale.as_flattened())?;
-    write_npy(&file("quat"), &[n, 4], scene.quat.as_flattened())?;
+    to.array("coord", n, &[3], scene.coord.as_flattened())?;
+    let [clipped, _] = to.computed("color", n, &[3], |row, [clipped, _]| {
+        tally_colors(row, scene.sh_dc[row], clipped);
+        scene.color_u8(row)
+    })?;
+    let [ends, _] = to.computed("opacity", n, &[], |row, [ends, _]| {
+        let p = settled(scene.opacity(row), |p| sigmoid(probability_to_logit(p)));
+        let logit = scene.opacity_logit[row];
+        if logit.is_finite() && (p == 0.0 || p == 1.0) {
+            let alpha = alpha(logit);
+            ends.add(row, alpha.min(1.0 - alpha));
+        }
+        [p]
+    })?;
+    let [large, small] = to.computed("scale", n, &[3], |row, [large, small]| {
+        // Infinity would not come back.
+        let again = |s: f32| (f64::from(s).ln() as f32).exp().min(f32::MAX);
+        let scale = scene.scale(row).map(|s| settled(s.min(f32::MAX), again));
+        tally_sizes(row, scene.log_scale[row], scale, large, small);
+        scale
+    })?;
+    report.limit("log_scale", SIZE_CUT, large);
+    report.limit("log_scale", SIZE_VANISHES, small);
+    report.limit("opacity_logit", ALPHA_ENDS, ends);
+    report.limit("sh_dc", COLOR_CLIPPED, clipped);
+    to.array("quat", n, &[4], scene.quat.as_flattened())?;
     if let Some(normal) = &scene.normal {
-        write_npy(&file("normal"), &[n, 3], normal.as_flattened())?;
+        to.array("normal", n, &[3], normal.as_flattened())?;
     }
     if let Some(segment) = &scene.segment {
-        write_npy(&file("segment"), &[n], segment)?;
+        to.array("segment", n, &[], segment)?;
     }
     if let Some(instance) = &scene.instance {
-        write_npy(&file("instance"), &[n], instance)?;
+        to.array("instance", n, &[], instance)?;
     }
     if let Some(score) = &scene.segment_score {
-        write_npy(&file("score"), &[n], score)?;
+        to.array("score", n, &[], score)?;
     }
     if let Some(code) = &scene.lang_code {
         let (k, width) = (code.width(), code.codebook.feature_width());
-        write_npy(&file("lang_code"), &[n, k], &code.values)?;
-        write_npy(&file("lang_codebook_mean"), &[width], &code.codebook.mean)?;
-        write_npy(&file("lang_codebook_axes"), &[k, width], &code.codebook.axes)?;
+        to.array("lang_code", n, &[k], &code.values)?;
+        to.array("lang_codebook_mean", width, &[], &code.codebook.mean)?;
+        to.array("lang_codebook_axes", k, &[width], &code.codebook.axes)?;
     }
     if let Some(feat) = &scene.lang_feat {
-        write_npy(&file("lang_feat"), &[n, feat.dim], &feat.values)?;
+        to.array("lang_feat", n, &[feat.dim], &feat.values)?;
     }
     if let Some(mask) = &scene.valid_feat_mask {
-        let mask: Vec<i64> = mask.iter().map(|&v| i64::from(v)).collect();
-        write_npy(&file("valid_feat_mask"), &[n], &mask)?;
+        to.computed("valid_feat_mask", n, &[], |row, _| [i64::from(mask[row])])?;
     }
     if let Some(points) = &scene.labelled_points {
         let m = points.coord.len();
-        write_npy(&file("pc_coord"), &[m, 3], points.coord.as_flattened())?;
+        to.array("pc_coord", m, &[3], points.coord.as_flattened())?;
         if let Some(segment) = &points.segment {
-            write_npy(&file("pc_segment"), &[m], segment)?;
+            to.array("pc_segment", m, &[], segment)?;
         }
         if let Some(instance) = &points.instance {
-            write_npy(&file("pc_instance"), &[m], instance)?;
+            to.array("pc_instance", m, &[], instance)?;
         }
     }
     Ok(())

@@ -4,6 +4,7 @@ use super::PlyFile;
 use super::header::{HeaderLine, PlyElement, PlyProperty, PlyPropertyKind, PlyType};
 use super::layout::Cell;
 use crate::SceneError;
+use crate::formats::WriteProgress;
 use crate::formats::files::{AtomicFile, write_all_at};
 use half::f16;
 use rayon::prelude::*;
@@ -12,6 +13,8 @@ use std::path::Path;
 
 /// Rows gathered before they are handed to the file.
 const ROWS_PER_WRITE: usize = 8192;
+/// Such blocks between two reports of progress, in parallel: some 10 ms of work.
+const WRITES_PER_TICK: usize = 64;
 
 /// The element whose columns are changed.
 const VERTEX: &str = "vertex";
@@ -327,12 +330,13 @@ pub(crate) struct NewElement<'a> {
     pub(crate) columns: Vec<(String, ColumnSource<'a>)>,
 }
 
-/// Writes a PLY file of vertices and further elements.
+/// Writes a PLY file of vertices and further elements; nothing is left if `progress` says stop.
 pub(crate) fn write_new_ply(
     path: &Path,
     count: usize,
     columns: &[(String, ColumnSource<'_>)],
     after: &[NewElement<'_>],
+    progress: WriteProgress<'_>,
 ) -> Result<(), SceneError> {
     let mut header = "ply\nformat binary_little_endian 1.0\n".to_owned();
     describe(VERTEX, count, columns, path, &mut header)?;
@@ -340,16 +344,26 @@ pub(crate) fn write_new_ply(
         describe(element.name, element.count, &element.columns, path, &mut header)?;
     }
     header.push_str("end_header\n");
+    let all = after.iter().map(|element| element.count * stride(&element.columns));
+    let size = header.len() + count * stride(columns) + all.sum::<usize>();
 
     let file = AtomicFile::create(path)?;
     let write_failed = || SceneError::io(path, "cannot write the file");
     write_all_at(file.file()?, header.as_bytes(), 0).map_err(write_failed())?;
+    let mut tick = |end: u64| {
+        if progress(end as f64 / size as f64) { Ok(()) } else { Err(SceneError::Stopped) }
+    };
     let mut at = header.len() as u64;
-    at += write_rows(&file, at, count, columns)?;
+    at += write_rows(&file, at, count, columns, &mut tick)?;
     for element in after {
-        at += write_rows(&file, at, element.count, &element.columns)?;
+        at += write_rows(&file, at, element.count, &element.columns, &mut tick)?;
     }
     file.commit()
+}
+
+/// Bytes of a row.
+fn stride(columns: &[(String, ColumnSource<'_>)]) -> usize {
+    columns.iter().map(|(_, source)| source.ty().size()).sum()
 }
 
 /// Adds an element to a header.
@@ -375,26 +389,33 @@ fn describe(
     Ok(())
 }
 
-/// Writes the rows of an element in parallel from byte `start` on; gives their size.
+/// Writes the rows of an element in parallel from byte `start` on; gives their size. `tick` gets the
+/// byte up to which the file is written.
 fn write_rows(
     file: &AtomicFile,
     start: u64,
     count: usize,
     columns: &[(String, ColumnSource<'_>)],
+    tick: &mut dyn FnMut(u64) -> Result<(), SceneError>,
 ) -> Result<u64, SceneError> {
-    let stride: usize = columns.iter().map(|(_, source)| source.ty().size()).sum();
+    let stride = stride(columns);
     let to = file.file()?;
-    (0..count.div_ceil(ROWS_PER_WRITE)).into_par_iter().try_for_each_init(
-        Vec::new,
-        |buffer: &mut Vec<u8>, block| {
-            let first = block * ROWS_PER_WRITE;
-            buffer.clear();
-            for row in first..(first + ROWS_PER_WRITE).min(count) {
-                columns.iter().for_each(|(_, source)| source.push(row, buffer));
-            }
-            write_all_at(to, buffer, start + (first * stride) as u64)
-                .map_err(SceneError::io(file.target(), "cannot write the file"))
-        },
-    )?;
+    let blocks = count.div_ceil(ROWS_PER_WRITE);
+    for first_block in (0..blocks).step_by(WRITES_PER_TICK) {
+        let end = blocks.min(first_block + WRITES_PER_TICK);
+        (first_block..end).into_par_iter().try_for_each_init(
+            Vec::new,
+            |buffer: &mut Vec<u8>, block| {
+                let first = block * ROWS_PER_WRITE;
+                buffer.clear();
+                for row in first..(first + ROWS_PER_WRITE).min(count) {
+                    columns.iter().for_each(|(_, source)| source.push(row, buffer));
+                }
+                write_all_at(to, buffer, start + (first * stride) as u64)
+                    .map_err(SceneError::io(file.target(), "cannot write the file"))
+            },
+        )?;
+        tick(start + ((end * ROWS_PER_WRITE).min(count) * stride) as u64)?;
+    }
     Ok((count * stride) as u64)
 }

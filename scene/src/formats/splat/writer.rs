@@ -1,12 +1,13 @@
 //! Writing `.splat` files.
 
-use super::{RECORD_BYTES, rotation_part};
+use super::{RECORD_BYTES, rotation_part, splat_problem};
 use crate::formats::files::AtomicFile;
 use crate::formats::packed_values::{
-    alpha, canonical_quat, check_storable, color_of, dc_of, log_of_scale, nearest_byte, settle,
-    unit_f64,
+    ALPHA_ENDS, COLOR_CLIPPED, SIZE_CUT, SIZE_VANISHES, alpha, canonical_quat, check_storable,
+    color_of, log_of_scale, nearest_byte, settle, tally_colors, tally_sizes, unit_f64,
 };
-use crate::formats::write::{LimitTally, write_sidecar};
+use crate::formats::semantics::Sidecar;
+use crate::formats::write::LimitTally;
 use crate::formats::{SceneFormat, WriteOptions, WriteProgress, WriteReport};
 use crate::{GaussianScene, SceneError};
 use rayon::prelude::*;
@@ -17,9 +18,6 @@ use std::path::Path;
 const ROWS_PER_TASK: usize = 4096;
 /// Rows encoded before they are handed to the file: a few ms of work, 1 MiB.
 const ROWS_PER_WRITE: usize = 8 * ROWS_PER_TASK;
-
-/// Half a step of a byte: as far as rounding may move a colour.
-const HALF_STEP: f64 = 0.5 / 255.0;
 
 /// What the format could not hold.
 #[derive(Default, Clone, Copy)]
@@ -55,15 +53,17 @@ impl Limits {
 ///
 /// # Errors
 /// As [`write_scene`](super::super::write_scene), which also looks for an old file; if a position,
-/// size, rotation, opacity or colour is not a number.
+/// size, rotation, opacity or colour is not a number; if most Gaussians are so far away or so large
+/// that the file would not be recognised as one of this format, which has no mark of its own.
 pub fn write_splat(
     scene: &GaussianScene,
     path: &Path,
-    _options: &WriteOptions,
+    options: &WriteOptions,
     progress: WriteProgress<'_>,
 ) -> Result<WriteReport, SceneError> {
     scene.check_rows()?;
     check_storable(scene, path)?;
+    let sidecar = Sidecar::prepare(scene, path, options.overwrite)?;
     let rows = scene.len();
     let file = AtomicFile::create(path)?;
     let mut limits = Limits::default();
@@ -89,21 +89,24 @@ pub fn write_splat(
             return Err(SceneError::Stopped);
         }
     }
-    file.commit()?;
+    if let Some(problem) = splat_problem(file.map()?.bytes()) {
+        let problem = format!("would not be recognised as a .splat file: it {problem}");
+        let mend = "scale the scene to metres, or choose another format";
+        return Err(SceneError::format(path, problem, mend));
+    }
+    let labels = sidecar.commit(scene, None, file)?;
     let mut report = WriteReport::new(SceneFormat::Splat, rows);
     report.wrote(path)?;
-    report.limit("log_scale", "larger than an f32 can hold in metres; cut", limits.too_large);
-    report.limit("log_scale", "so small that the size in metres becomes 0", limits.too_small);
-    report.limit(
-        "opacity_logit",
-        "alpha becomes 0 or 1; the change is that of alpha",
-        limits.opacity,
-    );
-    report.limit("sh_dc", "colours beyond 0 to 1 are clipped", limits.color);
+    report.limit("log_scale", SIZE_CUT, limits.too_large);
+    report.limit("log_scale", SIZE_VANISHES, limits.too_small);
+    report.limit("opacity_logit", ALPHA_ENDS, limits.opacity);
+    report.limit("sh_dc", COLOR_CLIPPED, limits.color);
     if scene.sh_degree > 0 {
         report.left_out("sh_rest", "no place in this format");
     }
-    write_sidecar(scene, None, path, &mut report)?;
+    if let Some(labels) = labels {
+        report.wrote(&labels)?;
+    }
     Ok(report)
 }
 
@@ -114,30 +117,15 @@ fn encode(scene: &GaussianScene, row: usize, record: &mut [u8; RECORD_BYTES], li
     for (i, &value) in scene.coord[row].iter().enumerate() {
         put(4 * i, value);
     }
-    let (mut cut, mut vanished) = (None, None);
-    for (i, &log) in scene.log_scale[row].iter().enumerate() {
-        let scale = scale_code(log);
-        put(12 + 4 * i, scale);
-        if scale == 0.0 && log != f32::NEG_INFINITY {
-            vanished = Some(f64::INFINITY);
-        } else if log > log_of_scale(f32::MAX) {
-            let change = f64::from(log) - f64::from(log_of_scale(scale));
-            cut = Some(change.max(cut.unwrap_or(0.0)));
-        }
-    }
-    cut.into_iter().for_each(|change| limits.too_large.add(row, change));
-    vanished.into_iter().for_each(|change| limits.too_small.add(row, change));
+    let scale = scene.log_scale[row].map(scale_code);
+    scale.iter().enumerate().for_each(|(i, &scale)| put(12 + 4 * i, scale));
+    let (too_large, too_small) = (&mut limits.too_large, &mut limits.too_small);
+    tally_sizes(row, scene.log_scale[row], scale, too_large, too_small);
 
-    let mut clipped: Option<f64> = None;
     for (i, &dc) in scene.sh_dc[row].iter().enumerate() {
-        let color = color_of(dc);
-        record[24 + i] = nearest_byte(color);
-        if !(-HALF_STEP..=1.0 + HALF_STEP).contains(&color) {
-            let beyond = f64::from(dc) - f64::from(dc_of(color.clamp(0.0, 1.0)));
-            clipped = Some(beyond.abs().max(clipped.unwrap_or(0.0)));
-        }
+        record[24 + i] = nearest_byte(color_of(dc));
     }
-    clipped.into_iter().for_each(|change| limits.color.add(row, change));
+    tally_colors(row, scene.sh_dc[row], &mut limits.color);
 
     let (logit, alpha) = (scene.opacity_logit[row], alpha(scene.opacity_logit[row]));
     record[27] = nearest_byte(alpha);
