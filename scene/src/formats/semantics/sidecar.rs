@@ -96,7 +96,7 @@ fn stage(
 
 /// Whether this program wrote that file, whole or not.
 fn is_ours(path: &Path) -> bool {
-    /// The names of the tensors come after the words we look for, or are few.
+    /// Where a block says what it is.
     const HEAD: usize = 4096;
     if !path.is_file() {
         return false;
