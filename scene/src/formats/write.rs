@@ -270,7 +270,12 @@ fn note_left_out(scene: &GaussianScene, report: &mut WriteReport) {
     let features = matches!(report.format, SceneFormat::NpyFolder);
     let normals = matches!(report.format, SceneFormat::NpyFolder | SceneFormat::Ply);
     if scene.lang_feat.is_some() && !features {
-        report.left_out("lang_feat", "no place in this format; write language codes instead");
+        let why = if scene.lang_code.is_some() {
+            "no place in this format; the language codes stand for them"
+        } else {
+            "no place in this format; write language codes instead"
+        };
+        report.left_out("lang_feat", why);
     }
     if scene.labelled_points.is_some() && !features {
         report.left_out("labelled_points", "no place in this format");
