@@ -138,7 +138,7 @@ fn millimetres_instead_of_metres() {
     let seen = look(&scene);
     let unit = seen.unit.unwrap();
     assert!(unit.unit == LengthUnit::Millimetre && unit.confidence > 0.8, "{unit:?}");
-    assert!(seen.findings[0].mend.contains("1000"));
+    assert!(seen.findings[0].mend.contains("--scale 0.001"));
     // The other way round: kilometres.
     planted("unit", |scene| {
         scene.coord.iter_mut().flatten().for_each(|v| *v /= 1000.0);

@@ -2,10 +2,10 @@
 
 use super::meta::SogMeta;
 use crate::SceneError;
+use crate::formats::files::make_beside;
 use std::fs::{self, File};
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Files that appear in a folder when they are complete.
 ///
@@ -23,7 +23,6 @@ pub(super) struct FolderWriter {
 impl FolderWriter {
     /// Starts writing the scene with that `meta.json`. Its folder is made if only it is missing.
     pub(super) fn create(meta: &Path) -> Result<Self, SceneError> {
-        static SERIAL: AtomicU64 = AtomicU64::new(0);
         let Some(name) = meta.file_name() else {
             return Err(SceneError::format(meta, "is not a file name", ""));
         };
@@ -35,15 +34,11 @@ impl FolderWriter {
         if is_new {
             fs::create_dir(&folder).map_err(SceneError::io(&folder, "cannot make the folder"))?;
         }
-        let mut hidden = std::ffi::OsString::from(".");
-        hidden.push(name);
-        let serial = SERIAL.fetch_add(1, Ordering::Relaxed);
-        hidden.push(format!(".{}-{serial}.part", std::process::id()));
-        let part = folder.join(hidden);
+        let action = "cannot make a folder in this folder";
+        let place = folder.join(name);
+        let ((), part) = make_beside(&place, action, |path| fs::create_dir(path))?;
         let this = Self { meta: meta.to_owned(), folder, is_new, part, written: Vec::new() };
-        fs::create_dir(&this.part)
-            .and_then(|()| fs::create_dir(this.old()))
-            .map_err(SceneError::io(&this.folder, "cannot make a folder in this folder"))?;
+        fs::create_dir(this.old()).map_err(SceneError::io(&this.folder, action))?;
         Ok(this)
     }
 
