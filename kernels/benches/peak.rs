@@ -31,6 +31,18 @@ mod x86 {
         sums.into_iter().map(|s| _mm512_reduce_add_ps(s)).sum()
     }
 
+    #[target_feature(enable = "avx512f,avx512bf16")]
+    pub fn avx512_bf16(factor: f32) -> f32 {
+        let pairs = _mm512_cvtne2ps_pbh(_mm512_set1_ps(factor), _mm512_set1_ps(factor));
+        let mut sums = [_mm512_set1_ps(factor); SUMS];
+        for _ in 0..STEPS {
+            for sum in &mut sums {
+                *sum = _mm512_dpbf16_ps(*sum, pairs, pairs);
+            }
+        }
+        sums.into_iter().map(|s| _mm512_reduce_add_ps(s)).sum()
+    }
+
     #[target_feature(enable = "avx2,fma")]
     pub fn avx2(factor: f32) -> f32 {
         let factor = _mm256_set1_ps(factor);
@@ -52,10 +64,10 @@ type MultiplyAdd = (usize, fn(f32) -> f32);
 fn multiply_add() -> Option<MultiplyAdd> {
     match Isa::current() {
         // SAFETY: the instruction set was detected.
-        Isa::Avx512 => Some((16, |factor| unsafe { x86::avx512(factor) })),
+        isa if isa >= Isa::Avx512 => Some((16, |factor| unsafe { x86::avx512(factor) })),
         // SAFETY: as above.
         Isa::Avx2 => Some((8, |factor| unsafe { x86::avx2(factor) })),
-        Isa::Portable => None,
+        _ => None,
     }
 }
 
@@ -69,13 +81,23 @@ fn peak(c: &mut Criterion) {
     let mut group = c.benchmark_group("peak");
     if let Some((lanes, run)) = multiply_add() {
         let operations = 2 * lanes * SUMS * STEPS;
-        let name = Isa::current().name();
+        let name = Isa::current().min(Isa::Avx512).name();
         group.throughput(Throughput::Elements(operations as u64));
         group.bench_function(format!("{name}/1_thread"), |bench| {
             bench.iter(|| run(black_box(0.5)));
         });
         group.throughput(Throughput::Elements((operations * threads) as u64));
         group.bench_function(format!("{name}/all_threads"), |bench| {
+            bench.iter(|| rayon::broadcast(|_| run(black_box(0.5))));
+        });
+    }
+    #[cfg(target_arch = "x86_64")]
+    if Isa::current() >= Isa::Avx512Bf16 {
+        let operations = 2 * 32 * SUMS * STEPS;
+        // SAFETY: the instruction set was detected.
+        let run = |factor| unsafe { x86::avx512_bf16(factor) };
+        group.throughput(Throughput::Elements((operations * threads) as u64));
+        group.bench_function("avx512bf16/all_threads", |bench| {
             bench.iter(|| rayon::broadcast(|_| run(black_box(0.5))));
         });
     }

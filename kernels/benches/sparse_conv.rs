@@ -4,6 +4,7 @@
 mod support;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use scenesplat_kernels::Precision;
 use scenesplat_kernels::kernel_map::KernelMap;
 use scenesplat_kernels::sparse_conv::{
     PackedConv, backward_bias, backward_input, backward_weight, forward,
@@ -11,6 +12,7 @@ use scenesplat_kernels::sparse_conv::{
 use support::{criterion, random, voxels};
 
 const ROWS: usize = 100_000;
+const PRECISIONS: [Precision; 2] = [Precision::F32, Precision::Bf16];
 
 fn map() -> KernelMap {
     KernelMap::build(&voxels(ROWS), &[0, ROWS], 3).expect("voxels of a room")
@@ -21,12 +23,15 @@ fn forwards(c: &mut Criterion) {
     let mut group = c.benchmark_group("conv3");
     for width in [32, 64, 128, 256, 768] {
         let (x, bias) = (random(ROWS * width), random(width));
-        let weight = PackedConv::new(&random(27 * width * width), width, width, 27);
+        let weight = random(27 * width * width);
         let mut out = vec![0.0; ROWS * width];
         group.throughput(Throughput::Elements((2 * map.num_pairs() * width * width) as u64));
-        group.bench_function(format!("100k/{width}_ch"), |bench| {
-            bench.iter(|| forward(&map, &x, &weight, Some(&bias), &mut out));
-        });
+        for precision in PRECISIONS {
+            let weight = PackedConv::with_precision(precision, &weight, width, width, 27);
+            group.bench_function(format!("100k/{width}_ch/{precision}"), |bench| {
+                bench.iter(|| forward(&map, &x, &weight, Some(&bias), &mut out));
+            });
+        }
     }
     group.finish();
 }
@@ -39,13 +44,15 @@ fn backwards(c: &mut Criterion) {
         let weight = random(27 * width * width);
         let (mut dx, mut dw) = (vec![0.0; ROWS * width], vec![0.0; weight.len()]);
         group.throughput(Throughput::Elements((4 * map.num_pairs() * width * width) as u64));
-        group.bench_function(format!("100k/{width}_ch"), |bench| {
-            bench.iter(|| {
-                backward_input(&map, &grad, &weight, width, width, &mut dx);
-                backward_weight(&map, &x, &grad, width, width, &mut dw);
-                backward_bias(&grad, width)
+        for precision in PRECISIONS {
+            group.bench_function(format!("100k/{width}_ch/{precision}"), |bench| {
+                bench.iter(|| {
+                    backward_input(precision, &map, &grad, &weight, width, width, &mut dx);
+                    backward_weight(precision, &map, &x, &grad, width, width, &mut dw);
+                    backward_bias(&grad, width)
+                });
             });
-        });
+        }
     }
     group.finish();
 }

@@ -11,7 +11,7 @@
 //! | [`serialization`] | space-filling-curve codes and orders |
 //! | [`patches`], [`patch_attention`] | attention inside patches of an order |
 //! | [`kernel_map`], [`sparse_conv`] | submanifold convolution |
-//! | [`gemm`] | matrix products with fused endings |
+//! | [`gemm`] | matrix products with fused endings, in the [`Precision`] asked for |
 //! | [`layer_norm`], [`batch_norm`], [`activation`] | normalisation, GELU |
 //! | [`segment`], [`permute`] | groups of rows, row copies |
 //!
@@ -29,6 +29,7 @@ pub mod neighbors;
 pub mod patch_attention;
 pub mod patches;
 pub mod permute;
+pub mod precision;
 #[doc(hidden)]
 pub mod reference;
 pub mod segment;
@@ -38,3 +39,4 @@ pub mod simd;
 pub mod sparse_conv;
 
 pub use error::{KernelError, check_offsets};
+pub use precision::Precision;

@@ -6,7 +6,7 @@
 
 use std::sync::OnceLock;
 
-/// Instruction sets that the f32 kernels have a version for, slowest first.
+/// Instruction sets that kernels have a version for, slowest first; each includes the ones before.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Isa {
     /// Plain Rust, any CPU.
@@ -15,31 +15,36 @@ pub enum Isa {
     Avx2,
     /// AVX-512F.
     Avx512,
+    /// AVX-512F with dot products of bf16 pairs.
+    Avx512Bf16,
+    /// As before, with bf16 tiles.
+    Amx,
 }
 
 impl Isa {
+    /// All of them, slowest first.
+    pub const ALL: [Self; 5] =
+        [Self::Portable, Self::Avx2, Self::Avx512, Self::Avx512Bf16, Self::Amx];
+
     /// The instruction set in use: the best that the CPU has, or a lower one named by the
-    /// environment variable `SCENESPLAT_ISA` (`portable`, `avx2`, `avx512`; anything else counts as
-    /// `portable`, and receipts name what was used).
+    /// environment variable `SCENESPLAT_ISA` (`portable`, `avx2`, `avx512`, `avx512bf16`, `amx`;
+    /// anything else counts as `portable`, and receipts name what was used).
     pub fn current() -> Self {
         static CURRENT: OnceLock<Isa> = OnceLock::new();
         *CURRENT.get_or_init(|| {
             let best = Self::best();
-            match std::env::var("SCENESPLAT_ISA").as_deref() {
-                Ok("portable") => Self::Portable,
-                Ok("avx2") => best.min(Self::Avx2),
-                Ok("avx512") | Err(_) => best,
-                // A library has no channel for a warning here, and a typo must not go unnoticed in
-                // a measurement: what cannot be read is the slowest.
-                Ok(_) => Self::Portable,
-            }
+            let Ok(name) = std::env::var("SCENESPLAT_ISA") else { return best };
+            // A library has no channel for a warning here, and a typo must not go unnoticed in a
+            // measurement: what cannot be read is the slowest.
+            let named = Self::ALL.into_iter().find(|isa| isa.name() == name);
+            named.unwrap_or(Self::Portable).min(best)
         })
     }
 
     #[cfg(target_arch = "x86_64")]
     fn best() -> Self {
         if is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("fma") {
-            Self::Avx512
+            if is_x86_feature_detected!("avx512bf16") { Self::Avx512Bf16 } else { Self::Avx512 }
         } else if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
             Self::Avx2
         } else {
@@ -58,6 +63,8 @@ impl Isa {
             Self::Portable => "portable",
             Self::Avx2 => "avx2",
             Self::Avx512 => "avx512",
+            Self::Avx512Bf16 => "avx512bf16",
+            Self::Amx => "amx",
         }
     }
 }
@@ -278,7 +285,7 @@ macro_rules! dispatch {
         match $crate::simd::Isa::current() {
             #[cfg(target_arch = "x86_64")]
             // SAFETY: the feature was detected.
-            $crate::simd::Isa::Avx512 => unsafe { avx512($($arg),*) },
+            isa if isa >= $crate::simd::Isa::Avx512 => unsafe { avx512($($arg),*) },
             #[cfg(target_arch = "x86_64")]
             // SAFETY: the feature was detected.
             $crate::simd::Isa::Avx2 => unsafe { avx2($($arg),*) },

@@ -4,8 +4,10 @@
 //! cross-correlation. A chunk of output rows belongs to one task, which adds the taps in order, so
 //! no result depends on the number of threads or on other scenes.
 
+use crate::Precision;
 use crate::gemm::{
-    PackedMatrix, RowPointers, RowPointersMut, SharedMut, column_groups, gemm_tn, multiply_rows,
+    LeftRows, PackedMatrix, PreparedRows, RowPointers, RowPointersMut, SharedMut, column_groups,
+    gemm_tn_with, multiply_prepared, multiply_rows,
 };
 use crate::kernel_map::KernelMap;
 use rayon::prelude::*;
@@ -24,24 +26,44 @@ impl PackedConv {
     /// # Panics
     /// If the length does not fit (a bug of the caller).
     pub fn new(weight: &[f32], cin: usize, cout: usize, taps: usize) -> Self {
+        Self::with_precision(Precision::F32, weight, cin, cout, taps)
+    }
+
+    /// [`PackedConv::new`] for products of another precision.
+    ///
+    /// # Panics
+    /// As [`PackedConv::new`].
+    pub fn with_precision(
+        precision: Precision,
+        weight: &[f32],
+        cin: usize,
+        cout: usize,
+        taps: usize,
+    ) -> Self {
         assert_eq!(weight.len(), cout * taps * cin, "convolution weight length");
         let taps = (0..taps)
             .into_par_iter()
             .map(|t| {
                 let from = &weight[(t * cin).min(weight.len())..];
-                PackedMatrix::from_strided(from, cin, cout, 1, taps * cin)
+                PackedMatrix::from_strided_with(precision, from, cin, cout, 1, taps * cin)
             })
             .collect();
         Self { taps, cin, cout }
     }
 
     /// Packs the same weights for the gradient of the input: `[cout → cin]` per tap.
-    fn transposed(weight: &[f32], cin: usize, cout: usize, taps: usize) -> Self {
+    fn transposed(
+        precision: Precision,
+        weight: &[f32],
+        cin: usize,
+        cout: usize,
+        taps: usize,
+    ) -> Self {
         let taps = (0..taps)
             .into_par_iter()
             .map(|t| {
                 let from = &weight[(t * cin).min(weight.len())..];
-                PackedMatrix::from_strided(from, cout, cin, taps * cin, 1)
+                PackedMatrix::from_strided_with(precision, from, cout, cin, taps * cin, 1)
             })
             .collect();
         Self { taps, cin: cout, cout: cin }
@@ -103,6 +125,7 @@ fn run(
     if cin == 0 {
         return;
     }
+    let prepared = PreparedRows::new(x, &weight.taps[0]);
     let groups = column_groups(cout.next_multiple_of(16), map.num_chunks());
     let target = SharedMut(out.as_mut_ptr());
     (0..map.num_chunks() * groups.len()).into_par_iter().for_each(|task| {
@@ -115,17 +138,31 @@ fn run(
             // pairs are added one at a time.
             let step = if one_by_one { 1 } else { input.len().max(1) };
             for (input, output) in input.chunks(step).zip(output.chunks(step)) {
+                let (rows, columns) = (input.len(), columns.clone());
                 // SAFETY: row numbers come from the map and are below `rows`; output rows of
                 // different chunks are distinct, columns of different groups too.
                 unsafe {
-                    multiply_rows(
-                        input.len(),
-                        RowPointers::Gathered { base: x.as_ptr(), stride: cin, ids: input },
-                        matrix,
-                        columns.clone(),
-                        RowPointersMut::Scattered { base: target.at(0), stride: cout, ids: output },
-                        true,
-                    );
+                    let base = target.at(0);
+                    let to = RowPointersMut::Scattered { base, stride: cout, ids: output };
+                    match &prepared {
+                        PreparedRows::Unchanged => {
+                            let base = x.as_ptr();
+                            let from = RowPointers::Gathered { base, stride: cin, ids: input };
+                            multiply_rows(rows, from, matrix, columns, to, true);
+                        }
+                        PreparedRows::Rounded(x) => {
+                            let base = x.as_ptr();
+                            let from = RowPointers::Gathered { base, stride: cin, ids: input };
+                            let from = LeftRows::Single(from);
+                            multiply_prepared(rows, from, matrix, columns, to, true);
+                        }
+                        PreparedRows::Pairs { values, steps } => {
+                            let base = values.as_ptr();
+                            let from = RowPointers::Gathered { base, stride: *steps, ids: input };
+                            let from = LeftRows::Pairs(from);
+                            multiply_prepared(rows, from, matrix, columns, to, true);
+                        }
+                    }
                 }
             }
         }
@@ -137,6 +174,7 @@ fn run(
 /// # Shapes
 /// `grad`: `[N, cout]` · `weight`: `[cout, k, k, k, cin]` · `dx`: `[N, cin]`
 pub fn backward_input(
+    precision: Precision,
     map: &KernelMap,
     grad: &[f32],
     weight: &[f32],
@@ -145,7 +183,7 @@ pub fn backward_input(
     dx: &mut [f32],
 ) {
     let taps = map.taps();
-    let packed = PackedConv::transposed(weight, cin, cout, taps);
+    let packed = PackedConv::transposed(precision, weight, cin, cout, taps);
     if map.has_duplicates() {
         run(&map.transposed(), grad, &packed, |tap| tap, None, dx, true);
     } else {
@@ -159,6 +197,7 @@ pub fn backward_input(
 /// # Shapes
 /// `x`: `[N, cin]` · `grad`: `[N, cout]`
 pub fn backward_weight(
+    precision: Precision,
     map: &KernelMap,
     x: &[f32],
     grad: &[f32],
@@ -172,7 +211,8 @@ pub fn backward_weight(
     (0..taps).into_par_iter().for_each(|tap| {
         let (input, output) = map.tap_pairs(tap);
         let mut part = vec![0.0; cout * cin];
-        gemm_tn(grad, cout, x, cin, Some((&output, &input)), &mut part);
+        let pairs = Some((&*output, &*input));
+        gemm_tn_with(precision, grad, cout, x, cin, pairs, &mut part);
         for o in 0..cout {
             // SAFETY: each tap writes its own stretch of each output channel.
             let to =
@@ -257,9 +297,9 @@ mod tests {
             out.iter().zip(&g).map(|(o, g)| f64::from(*o) * f64::from(*g)).sum()
         };
         let mut dx = vec![f32::NAN; n * cin];
-        backward_input(&map, &g, &w, cin, cout, &mut dx);
+        backward_input(Precision::F32, &map, &g, &w, cin, cout, &mut dx);
         let mut dw = vec![f32::NAN; w.len()];
-        backward_weight(&map, &x, &g, cin, cout, &mut dw);
+        backward_weight(Precision::F32, &map, &x, &g, cin, cout, &mut dw);
         let base = loss(&x, &w);
         for i in (0..x.len()).step_by(7) {
             let mut moved = x.clone();

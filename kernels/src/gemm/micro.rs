@@ -1,9 +1,82 @@
-//! The register tile: `MR` rows times `16·NV` columns, summed over k in order.
+//! The register tile: `MR` rows times `16·NV` columns, summed over the steps in order.
 //!
-//! Each element is one chain of multiply–adds over k, whatever tile it falls into, so a row's
+//! Each element is one chain of multiply–adds over the steps, whatever tile it falls into, so a row's
 //! result never depends on how many rows there are or which thread works on it.
 
 use crate::simd::Vector;
+use std::marker::PhantomData;
+
+/// What a step of the sum multiplies.
+///
+/// # Safety
+/// Methods may only run on a CPU with the implementor's instruction set; pointers must be valid for
+/// as many elements as `Sum` has lanes.
+pub(crate) trait Products {
+    /// An operand in memory.
+    type Element: Copy;
+    /// A register of operands.
+    type Factor: Copy;
+    /// A register of sums.
+    type Sum: Vector;
+    unsafe fn load(p: *const Self::Element) -> Self::Factor;
+    unsafe fn splat(x: Self::Element) -> Self::Factor;
+    /// `sum + a · b` per lane.
+    unsafe fn multiply_add(a: Self::Factor, b: Self::Factor, sum: Self::Sum) -> Self::Sum;
+}
+
+/// One f32 a step.
+pub(crate) struct Singles<V>(PhantomData<V>);
+
+impl<V: Vector> Products for Singles<V> {
+    type Element = f32;
+    type Factor = V;
+    type Sum = V;
+    #[inline(always)]
+    unsafe fn load(p: *const f32) -> V {
+        // SAFETY: the trait's contract.
+        unsafe { V::load(p) }
+    }
+    #[inline(always)]
+    unsafe fn splat(x: f32) -> V {
+        // SAFETY: as above.
+        unsafe { V::splat(x) }
+    }
+    #[inline(always)]
+    unsafe fn multiply_add(a: V, b: V, sum: V) -> V {
+        // SAFETY: as above.
+        unsafe { a.fma(b, sum) }
+    }
+}
+
+/// Two bf16 a step: AVX512-BF16.
+#[cfg(target_arch = "x86_64")]
+pub(crate) struct Bf16Pairs;
+
+#[cfg(target_arch = "x86_64")]
+impl Products for Bf16Pairs {
+    type Element = u32;
+    type Factor = std::arch::x86_64::__m512i;
+    type Sum = std::arch::x86_64::__m512;
+    #[inline(always)]
+    unsafe fn load(p: *const u32) -> Self::Factor {
+        // SAFETY: the trait's contract.
+        unsafe { std::arch::x86_64::_mm512_loadu_si512(p.cast()) }
+    }
+    #[inline(always)]
+    unsafe fn splat(x: u32) -> Self::Factor {
+        // SAFETY: as above.
+        unsafe { std::arch::x86_64::_mm512_set1_epi32(x.cast_signed()) }
+    }
+    #[inline(always)]
+    unsafe fn multiply_add(a: Self::Factor, b: Self::Factor, sum: Self::Sum) -> Self::Sum {
+        // SAFETY: as above; both types are 512 bits of any content.
+        unsafe {
+            use std::arch::x86_64::{__m512bh, __m512i, _mm512_dpbf16_ps};
+            let [a, b] = [a, b].map(|x| std::mem::transmute::<__m512i, __m512bh>(x));
+            _mm512_dpbf16_ps(sum, a, b)
+        }
+    }
+}
 
 /// Rows of the largest register tile.
 pub(crate) const TILE_ROWS: usize = 6;
@@ -16,9 +89,9 @@ pub(crate) const PANEL: usize = 64;
 /// `a[i]` must hold `k` values, `b` `k` rows of `16·NQ` values at `b_stride`, `c[i]` `16·NQ`
 /// writable values; the rows of `c` must be distinct.
 #[inline(always)]
-unsafe fn tile<V: Vector, const MR: usize, const NV: usize>(
-    a: &[*const f32; TILE_ROWS],
-    b: *const f32,
+unsafe fn tile<P: Products, const MR: usize, const NV: usize>(
+    a: &[*const P::Element; TILE_ROWS],
+    b: *const P::Element,
     b_stride: usize,
     c: &[*mut f32; TILE_ROWS],
     k: usize,
@@ -26,25 +99,23 @@ unsafe fn tile<V: Vector, const MR: usize, const NV: usize>(
 ) {
     // SAFETY: the function's contract.
     unsafe {
-        let mut acc = [[V::zero(); NV]; MR];
+        let lanes = P::Sum::LANES;
+        let mut acc = [[P::Sum::zero(); NV]; MR];
         let mut bp = b;
         for p in 0..k {
-            let mut bv = [V::zero(); NV];
-            for j in 0..NV {
-                bv[j] = V::load(bp.add(j * V::LANES));
-            }
+            let bv: [P::Factor; NV] = std::array::from_fn(|j| P::load(bp.add(j * lanes)));
             for i in 0..MR {
-                let av = V::splat(*a[i].add(p));
+                let av = P::splat(*a[i].add(p));
                 for j in 0..NV {
-                    acc[i][j] = av.fma(bv[j], acc[i][j]);
+                    acc[i][j] = P::multiply_add(av, bv[j], acc[i][j]);
                 }
             }
             bp = bp.add(b_stride);
         }
         for i in 0..MR {
             for j in 0..NV {
-                let out = c[i].add(j * V::LANES);
-                let value = if accumulate { V::load(out).add(acc[i][j]) } else { acc[i][j] };
+                let out = c[i].add(j * lanes);
+                let value = if accumulate { P::Sum::load(out).add(acc[i][j]) } else { acc[i][j] };
                 value.store(out);
             }
         }
@@ -52,10 +123,10 @@ unsafe fn tile<V: Vector, const MR: usize, const NV: usize>(
 }
 
 #[inline(always)]
-unsafe fn tile_rows<V: Vector, const NV: usize>(
+unsafe fn tile_rows<P: Products, const NV: usize>(
     rows: usize,
-    a: &[*const f32; TILE_ROWS],
-    b: *const f32,
+    a: &[*const P::Element; TILE_ROWS],
+    b: *const P::Element,
     b_stride: usize,
     c: &[*mut f32; TILE_ROWS],
     k: usize,
@@ -64,12 +135,12 @@ unsafe fn tile_rows<V: Vector, const NV: usize>(
     // SAFETY: the caller's promise, passed on.
     unsafe {
         match rows {
-            6 => tile::<V, 6, NV>(a, b, b_stride, c, k, accumulate),
-            5 => tile::<V, 5, NV>(a, b, b_stride, c, k, accumulate),
-            4 => tile::<V, 4, NV>(a, b, b_stride, c, k, accumulate),
-            3 => tile::<V, 3, NV>(a, b, b_stride, c, k, accumulate),
-            2 => tile::<V, 2, NV>(a, b, b_stride, c, k, accumulate),
-            _ => tile::<V, 1, NV>(a, b, b_stride, c, k, accumulate),
+            6 => tile::<P, 6, NV>(a, b, b_stride, c, k, accumulate),
+            5 => tile::<P, 5, NV>(a, b, b_stride, c, k, accumulate),
+            4 => tile::<P, 4, NV>(a, b, b_stride, c, k, accumulate),
+            3 => tile::<P, 3, NV>(a, b, b_stride, c, k, accumulate),
+            2 => tile::<P, 2, NV>(a, b, b_stride, c, k, accumulate),
+            _ => tile::<P, 1, NV>(a, b, b_stride, c, k, accumulate),
         }
     }
 }
@@ -79,17 +150,17 @@ unsafe fn tile_rows<V: Vector, const NV: usize>(
 /// # Safety
 /// As [`tile`]; `rows` is in `1..=TILE_ROWS`, and only the first `rows` pointers are used.
 #[inline(always)]
-pub(crate) unsafe fn panel<V: Vector>(
+pub(crate) unsafe fn panel<P: Products>(
     rows: usize,
-    a: &[*const f32; TILE_ROWS],
-    b: *const f32,
+    a: &[*const P::Element; TILE_ROWS],
+    b: *const P::Element,
     width: usize,
     c: &[*mut f32; TILE_ROWS],
     k: usize,
     accumulate: bool,
 ) {
     // Registers hold 6 × 4 sums with 32 of them, 6 × 2 with 16.
-    let quads = if V::LANES == 8 { 1 } else { 4 };
+    let quads = if P::Sum::LANES == 8 { 1 } else { 4 };
     // SAFETY: the caller's promise, passed on; columns stay below `width`.
     unsafe {
         let mut done = 0;
@@ -100,14 +171,14 @@ pub(crate) unsafe fn panel<V: Vector>(
                 *p = p.add(done);
             }
             let bp = b.add(done);
-            if V::LANES == 8 {
-                tile_rows::<V, 2>(rows, a, bp, width, &cs, k, accumulate);
+            if P::Sum::LANES == 8 {
+                tile_rows::<P, 2>(rows, a, bp, width, &cs, k, accumulate);
             } else {
                 match quad {
-                    4 => tile_rows::<V, 4>(rows, a, bp, width, &cs, k, accumulate),
-                    3 => tile_rows::<V, 3>(rows, a, bp, width, &cs, k, accumulate),
-                    2 => tile_rows::<V, 2>(rows, a, bp, width, &cs, k, accumulate),
-                    _ => tile_rows::<V, 1>(rows, a, bp, width, &cs, k, accumulate),
+                    4 => tile_rows::<P, 4>(rows, a, bp, width, &cs, k, accumulate),
+                    3 => tile_rows::<P, 3>(rows, a, bp, width, &cs, k, accumulate),
+                    2 => tile_rows::<P, 2>(rows, a, bp, width, &cs, k, accumulate),
+                    _ => tile_rows::<P, 1>(rows, a, bp, width, &cs, k, accumulate),
                 }
             }
             done += quad * 16;

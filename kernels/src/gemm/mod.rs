@@ -1,129 +1,34 @@
-//! Matrix products in f32.
+//! Matrix products of f32 matrices, in the [`Precision`](crate::Precision) asked for.
 //!
-//! The right-hand side (weights) is packed once into panels; the left-hand side and the result are
-//! rows found through pointers, so gathering input rows and scattering output rows costs nothing
-//! extra and no gathered copy is written to memory.
+//! The right-hand side (weights) is packed once into panels, in the form that the product reads:
+//! f32, pairs of bf16, or three times the pairs for the two parts of each f32. The left-hand side
+//! and the result are rows of f32 found through pointers, so gathering input rows and scattering
+//! output rows costs nothing extra and no gathered copy is written to memory; where the product
+//! reads bf16, rows are rounded block by block into a buffer that stays in the cache.
 //!
-//! Accumulation is f32 with fused multiply–adds where the CPU has them. Every output element is
-//! summed in one fixed order that depends only on `k`: results are bit-identical for any number of
-//! threads and for a row alone or among others.
+//! Sums are f32, with fused multiply–adds where the CPU has them. Every output element is summed in
+//! one fixed order that depends only on `k`: results are bit-identical for any number of threads
+//! and for a row alone or among others, on CPUs with the same instruction sets.
 
+pub(crate) mod bf16;
 pub(crate) mod micro;
+mod packed;
+mod rows;
 mod transposed;
 
-pub use transposed::gemm_tn;
+pub use packed::PackedMatrix;
+pub(crate) use packed::{repack, repack_with};
+pub(crate) use rows::multiply_prepared;
+pub(crate) use rows::{LeftRows, PreparedRows, RowPointers, RowPointersMut, multiply_rows};
+pub use transposed::{gemm_tn, gemm_tn_with};
 
-use crate::simd::{Vector, dispatch};
-use micro::{PANEL, TILE_ROWS};
+use micro::PANEL;
 use rayon::prelude::*;
 
-/// Summands that are added up in registers before they go to memory.
+/// Steps of a sum that are added up in registers before they go to memory.
 pub(crate) const K_BLOCK: usize = 384;
-/// Bytes of packed weights that should stay in the second-level cache.
-const CACHED_PANEL_BYTES: usize = 512 * 1024;
 /// Rows that one task works on; a multiple of the tile height.
 pub(crate) const ROW_BLOCK: usize = 192;
-
-/// A `[k, n]` matrix packed for the right-hand side of a product.
-#[derive(Debug, Clone)]
-pub struct PackedMatrix {
-    values: Vec<f32>,
-    k: usize,
-    n: usize,
-    padded_n: usize,
-}
-
-impl PackedMatrix {
-    /// Packs a matrix given by strides: element `(p, j)` is `values[p·k_stride + j·n_stride]`.
-    ///
-    /// A weight stored `[out, in]` for `y = x·Wᵀ` is packed with `k = in`, `n = out`,
-    /// `k_stride = 1`, `n_stride = in`.
-    pub fn from_strided(
-        values: &[f32],
-        k: usize,
-        n: usize,
-        k_stride: usize,
-        n_stride: usize,
-    ) -> Self {
-        let padded_n = n.next_multiple_of(16);
-        let mut packed = vec![0.0; k * padded_n];
-        pack_into(&mut packed, values, k, n, k_stride, n_stride);
-        Self { values: packed, k, n, padded_n }
-    }
-
-    /// A buffer for [`repack`].
-    pub(crate) fn empty() -> Self {
-        Self { values: Vec::new(), k: 0, n: 0, padded_n: 0 }
-    }
-
-    /// Length of the sums.
-    pub fn k(&self) -> usize {
-        self.k
-    }
-
-    /// Number of columns.
-    pub fn n(&self) -> usize {
-        self.n
-    }
-
-    /// Bytes held.
-    pub fn bytes(&self) -> usize {
-        self.values.len() * size_of::<f32>()
-    }
-}
-
-/// Packs another matrix into the same buffer; arguments as [`PackedMatrix::from_strided`].
-pub(crate) fn repack(
-    into: &mut PackedMatrix,
-    values: &[f32],
-    k: usize,
-    n: usize,
-    k_stride: usize,
-    n_stride: usize,
-) {
-    into.k = k;
-    into.n = n;
-    into.padded_n = n.next_multiple_of(16);
-    into.values.clear();
-    into.values.resize(k * into.padded_n, 0.0);
-    pack_into(&mut into.values, values, k, n, k_stride, n_stride);
-}
-
-/// Packs into panels of [`PANEL`] columns (the last one of the next multiple of 16), row by row.
-fn pack_into(
-    packed: &mut [f32],
-    values: &[f32],
-    k: usize,
-    n: usize,
-    k_stride: usize,
-    n_stride: usize,
-) {
-    let padded_n = n.next_multiple_of(16);
-    let mut start = 0;
-    while start < padded_n {
-        let width = PANEL.min(padded_n - start);
-        let panel = &mut packed[start * k..(start + width) * k];
-        let filled = width.min(n - start);
-        if n_stride == 1 {
-            for p in 0..k {
-                let from = p * k_stride + start;
-                panel[p * width..p * width + filled].copy_from_slice(&values[from..from + filled]);
-            }
-        } else {
-            // Blocks of 16 rows of the panel: reads run along k, writes stay in 16 cache lines.
-            for first in (0..k).step_by(16) {
-                let last = (first + 16).min(k);
-                for j in 0..filled {
-                    let from = (start + j) * n_stride;
-                    for p in first..last {
-                        panel[p * width + j] = values[from + p * k_stride];
-                    }
-                }
-            }
-        }
-        start += width;
-    }
-}
 
 /// What happens to a finished row of a product before it leaves the cache.
 #[derive(Debug, Clone, Copy, Default)]
@@ -144,7 +49,7 @@ pub struct Epilogue<'a> {
 /// # Panics
 /// If lengths do not fit the shapes (a bug of the caller).
 pub fn gemm(a: &[f32], b: &PackedMatrix, epilogue: Epilogue<'_>, out: &mut [f32]) {
-    let (k, n) = (b.k, b.n);
+    let (k, n) = (b.k(), b.n());
     if n == 0 || out.is_empty() {
         return;
     }
@@ -160,7 +65,7 @@ pub fn gemm(a: &[f32], b: &PackedMatrix, epilogue: Epilogue<'_>, out: &mut [f32]
         return;
     }
     let row_blocks = m.div_ceil(ROW_BLOCK);
-    let groups = column_groups(b.padded_n, row_blocks);
+    let groups = column_groups(b.padded_n(), row_blocks);
     let target = SharedMut(out.as_mut_ptr());
     (0..row_blocks * groups.len()).into_par_iter().for_each(|task| {
         let first = task / groups.len() * ROW_BLOCK;
@@ -241,12 +146,12 @@ pub fn mlp(
     epilogue: Epilogue<'_>,
     out: &mut [f32],
 ) {
-    let (k, h, n) = (b1.k, b1.n, b2.n);
+    let (k, h, n) = (b1.k(), b1.n(), b2.n());
     if n == 0 || out.is_empty() {
         return;
     }
     assert!(h > 0, "mlp: no hidden channel");
-    assert!(b2.k == h && bias1.len() == h && out.len() / n.max(1) * k == a.len(), "mlp: shapes");
+    assert!(b2.k() == h && bias1.len() == h && out.len() / n.max(1) * k == a.len(), "mlp: shapes");
     // A smaller block than in `gemm`: the hidden rows are four times as wide and must stay cached.
     const ROWS: usize = ROW_BLOCK / 2;
     out.par_chunks_mut(ROWS * n.max(1)).enumerate().for_each_init(
@@ -284,147 +189,15 @@ fn finish(out: &mut [f32], n: usize, epilogue: Epilogue<'_>) {
 
 /// One thread's share: contiguous rows.
 fn gemm_block(a: &[f32], b: &PackedMatrix, out: &mut [f32]) {
-    let rows = out.len() / b.n;
-    let a_rows = RowPointers::Contiguous { base: a.as_ptr(), stride: b.k };
-    let out_rows = RowPointersMut::Contiguous { base: out.as_mut_ptr(), stride: b.n };
-    if b.k == 0 {
+    let rows = out.len() / b.n();
+    let a_rows = RowPointers::Contiguous { base: a.as_ptr(), stride: b.k() };
+    let out_rows = RowPointersMut::Contiguous { base: out.as_mut_ptr(), stride: b.n() };
+    if b.k() == 0 {
         out.fill(0.0);
         return;
     }
     // SAFETY: `a` has `rows · k` and `out` `rows · n` values; `out` is borrowed mutably.
-    unsafe { multiply_rows(rows, a_rows, b, 0..b.padded_n, out_rows, false) }
-}
-
-/// Where the left-hand rows are.
-#[derive(Clone, Copy)]
-pub(crate) enum RowPointers<'a> {
-    /// Row `i` starts at `base + i·stride`.
-    Contiguous { base: *const f32, stride: usize },
-    /// Row `i` starts at `base + ids[i]·stride`.
-    Gathered { base: *const f32, stride: usize, ids: &'a [u32] },
-}
-
-/// Where the result rows go.
-#[derive(Clone, Copy)]
-pub(crate) enum RowPointersMut<'a> {
-    /// Row `i` starts at `base + i·stride`.
-    Contiguous { base: *mut f32, stride: usize },
-    /// Row `i` starts at `base + ids[i]·stride`; the ids are distinct.
-    Scattered { base: *mut f32, stride: usize, ids: &'a [u32] },
-}
-
-impl RowPointers<'_> {
-    #[inline(always)]
-    unsafe fn row(&self, i: usize) -> *const f32 {
-        // SAFETY: the creator promises that every row is inside the allocation.
-        unsafe {
-            match *self {
-                Self::Contiguous { base, stride } => base.add(i * stride),
-                Self::Gathered { base, stride, ids } => base.add(ids[i] as usize * stride),
-            }
-        }
-    }
-}
-
-impl RowPointersMut<'_> {
-    #[inline(always)]
-    unsafe fn row(&self, i: usize) -> *mut f32 {
-        // SAFETY: the creator promises that every row is inside the allocation.
-        unsafe {
-            match *self {
-                Self::Contiguous { base, stride } => base.add(i * stride),
-                Self::Scattered { base, stride, ids } => base.add(ids[i] as usize * stride),
-            }
-        }
-    }
-}
-
-/// `c[rows] (+)= a[rows] · b` on the calling thread, for a range of columns of whole panels.
-///
-/// # Safety
-/// `columns` starts at a multiple of [`PANEL`] and ends at one or at the padded width.
-/// All rows of `a` (`b.k` values) and `c` (`b.n` values) must be inside their allocations, and no
-/// other thread may touch the rows of `c` meanwhile.
-pub(crate) unsafe fn multiply_rows(
-    rows: usize,
-    a: RowPointers<'_>,
-    b: &PackedMatrix,
-    columns: std::ops::Range<usize>,
-    c: RowPointersMut<'_>,
-    accumulate: bool,
-) {
-    // SAFETY: passed on.
-    dispatch!((rows: usize, a: RowPointers<'_>, b: &PackedMatrix,
-        columns: std::ops::Range<usize>, c: RowPointersMut<'_>, accumulate: bool),
-        V => multiply_rows_with::<V>(rows, a, b, columns, c, accumulate));
-}
-
-#[inline(always)]
-unsafe fn multiply_rows_with<V: Vector>(
-    rows: usize,
-    a: RowPointers<'_>,
-    b: &PackedMatrix,
-    columns: std::ops::Range<usize>,
-    c: RowPointersMut<'_>,
-    accumulate: bool,
-) {
-    let (k, n, padded_n) = (b.k, b.n, columns.end);
-    let k_step = K_BLOCK.min(k);
-    let panels_cached = (CACHED_PANEL_BYTES / (k_step * PANEL * 4)).max(1) * PANEL;
-    let mut tail = [[0f32; PANEL]; TILE_ROWS];
-    let tail_rows: [*mut f32; TILE_ROWS] = std::array::from_fn(|i| tail[i].as_mut_ptr());
-    let mut k0 = 0;
-    while k0 < k {
-        let k_len = k_step.min(k - k0);
-        let add = accumulate || k0 > 0;
-        let mut group = columns.start;
-        while group < padded_n {
-            let group_end = (group + panels_cached).min(padded_n);
-            let mut row = 0;
-            while row < rows {
-                let height = TILE_ROWS.min(rows - row);
-                let mut a_rows = [std::ptr::null(); TILE_ROWS];
-                let mut c_rows = [std::ptr::null_mut(); TILE_ROWS];
-                for i in 0..height {
-                    // SAFETY: the caller's promise.
-                    unsafe {
-                        a_rows[i] = a.row(row + i).add(k0);
-                        c_rows[i] = c.row(row + i);
-                    }
-                }
-                let mut start = group;
-                while start < group_end {
-                    let width = PANEL.min(padded_n - start);
-                    // SAFETY: panels are contiguous; the columns written stay below `n`, the
-                    // padded ones go to `tail`.
-                    unsafe {
-                        let panel = b.values.as_ptr().add(start * k + k0 * width);
-                        if start + width <= n {
-                            let at: [*mut f32; TILE_ROWS] = std::array::from_fn(|i| {
-                                if i < height { c_rows[i].add(start) } else { c_rows[i] }
-                            });
-                            micro::panel::<V>(height, &a_rows, panel, width, &at, k_len, add);
-                        } else {
-                            micro::panel::<V>(
-                                height, &a_rows, panel, width, &tail_rows, k_len, false,
-                            );
-                            for i in 0..height {
-                                for j in 0..n - start {
-                                    let out = c_rows[i].add(start + j);
-                                    let value = *tail_rows[i].add(j);
-                                    *out = if add { *out + value } else { value };
-                                }
-                            }
-                        }
-                    }
-                    start += width;
-                }
-                row += height;
-            }
-            group = group_end;
-        }
-        k0 += k_len;
-    }
+    unsafe { multiply_rows(rows, a_rows, b, 0..b.padded_n(), out_rows, false) }
 }
 
 #[cfg(test)]

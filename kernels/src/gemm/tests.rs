@@ -1,5 +1,8 @@
+use super::packed::Unit;
 use super::*;
+use crate::Precision;
 use crate::reference;
+use crate::simd::Isa;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -114,4 +117,142 @@ fn mlp_agrees_with_f64() {
         }
     }
     assert!(max_error(&out, &want) < 2e-5, "{}", max_error(&out, &want));
+}
+
+/// The f64 product of operands rounded to bf16.
+fn rounded_product(a: &[f32], w: &[f32], m: usize, k: usize, n: usize) -> Vec<f64> {
+    let round = |v: &[f32]| v.iter().map(|x| bf16::widen(bf16::round(*x))).collect::<Vec<_>>();
+    reference::matmul_nt(&round(a), &round(w), m, k, n)
+}
+
+const SHAPES: [(usize, usize, usize); 10] = [
+    (1, 1, 1),
+    (2, 2, 3),
+    (5, 11, 3),
+    (6, 16, 16),
+    (7, 33, 20),
+    (31, 64, 48),
+    (193, 400, 50),
+    (13, 768, 130),
+    (40, 801, 64),
+    (200, 1600, 192),
+];
+
+#[test]
+fn bf16_is_the_product_of_rounded_operands() {
+    for (m, k, n) in SHAPES {
+        let (a, w, bias) = (random(m * k, 1), random(n * k, 2), random(n, 3));
+        let want = rounded_product(&a, &w, m, k, n);
+        let check = |packed: &PackedMatrix| {
+            let mut out = vec![f32::NAN; m * n];
+            let epilogue = Epilogue { bias: Some(&bias), ..Epilogue::default() };
+            gemm(&a, packed, epilogue, &mut out);
+            let want: Vec<f64> =
+                want.iter().enumerate().map(|(i, w)| w + f64::from(bias[i % n])).collect();
+            let error = max_error(&out, &want);
+            assert!(error < 2e-6 * (k as f64).sqrt(), "{m}x{k}x{n} {:?}: {error}", packed.unit());
+        };
+        check(&PackedMatrix::from_strided_with(Precision::Bf16, &w, k, n, 1, k));
+        check(&PackedMatrix::for_unit(Unit::RoundedVector, &w, k, n, 1, k));
+    }
+}
+
+#[test]
+fn split_operands_come_close_to_f32() {
+    for (m, k, n) in SHAPES {
+        let (a, w) = (random(m * k, 1), random(n * k, 2));
+        // Rows and columns of very different size: the error is relative to each.
+        let a: Vec<f32> = a
+            .iter()
+            .enumerate()
+            .map(|(i, v)| v * 10f32.powi((i / k % 7) as i32 * 4 - 12))
+            .collect();
+        let want = reference::matmul_nt(&a, &w, m, k, n);
+        let mut units = vec![Unit::of(Precision::F32Split)];
+        if Isa::current() >= Isa::Avx512Bf16 {
+            units.push(Unit::SplitPairs);
+        }
+        for unit in units {
+            let mut out = vec![f32::NAN; m * n];
+            let packed = PackedMatrix::for_unit(unit, &w, k, n, 1, k);
+            gemm(&a, &packed, Epilogue::default(), &mut out);
+            for (got, want) in out.chunks_exact(n).zip(want.chunks_exact(n)) {
+                let error: f64 =
+                    got.iter().zip(want).map(|(g, w)| (f64::from(*g) - w).powi(2)).sum();
+                let norm: f64 = want.iter().map(|w| w * w).sum();
+                // A single product may cancel to nearly nothing; a long row cannot.
+                let bound = if n * k > 100 { 2e-5 } else { 5e-5 };
+                assert!(error <= norm * bound * bound, "{m}x{k}x{n} {unit:?}: {error} {norm}");
+            }
+        }
+    }
+}
+
+#[test]
+fn bf16_of_hard_values() {
+    for precision in Precision::ALL {
+        let (k, n) = (40, 17);
+        let w = vec![1.0; k * n];
+        let packed = PackedMatrix::from_strided_with(precision, &w, k, n, 1, k);
+        let run = |set: &[(usize, f32)]| {
+            let mut a = vec![0.0; k];
+            set.iter().for_each(|(i, v)| a[*i] = *v);
+            let mut out = vec![f32::NAN; n];
+            gemm(&a, &packed, Epilogue::default(), &mut out);
+            assert!(out.iter().all(|o| o.to_bits() == out[0].to_bits()));
+            out[0]
+        };
+        assert_eq!(run(&[]), 0.0);
+        assert!(run(&[(3, f32::NAN)]).is_nan());
+        assert_eq!(run(&[(3, f32::INFINITY), (5, 2.0)]), f32::INFINITY, "{precision}");
+        assert!(run(&[(3, f32::INFINITY), (5, f32::NEG_INFINITY)]).is_nan());
+        assert_eq!(run(&[(0, 1e30), (1, -1e30), (39, 0.5)]), 0.5, "{precision}");
+        assert!((run(&[(7, 1e-37)]) / 1e-37 - 1.0).abs() < 5e-3);
+        if precision != Precision::Bf16 {
+            assert!((run(&[(7, f32::MAX)]) / f32::MAX - 1.0).abs() < 1e-4, "{precision}");
+        }
+        let none = PackedMatrix::from_strided_with(precision, &[], 0, n, 1, 0);
+        let mut out = vec![f32::NAN; 2 * n];
+        gemm(&[], &none, Epilogue::default(), &mut out);
+        assert_eq!(out, vec![0.0; 2 * n]);
+    }
+}
+
+#[test]
+fn any_precision_is_independent_of_threads_and_neighbours() {
+    let (m, k, n) = (500, 500, 96);
+    let (a, w) = (random(m * k, 5), random(k * n, 6));
+    for precision in Precision::ALL {
+        let packed = PackedMatrix::from_strided_with(precision, &w, k, n, n, 1);
+        let mut all = vec![0.0; m * n];
+        gemm(&a, &packed, Epilogue::default(), &mut all);
+        for row in [0, 1, 191, 192, 333, 499] {
+            let mut one = vec![0.0; n];
+            gemm(&a[row * k..(row + 1) * k], &packed, Epilogue::default(), &mut one);
+            assert_eq!(one, all[row * n..(row + 1) * n], "{precision} row {row}");
+        }
+        for threads in [1, 3] {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let mut again = vec![0.0; m * n];
+            pool.install(|| gemm(&a, &packed, Epilogue::default(), &mut again));
+            assert_eq!(all, again);
+        }
+    }
+}
+
+#[test]
+fn weight_gradients_in_bf16() {
+    let (rows, m, n) = (20_000, 20, 33);
+    let (a, b) = (random(rows * m, 1), random(rows * n, 2));
+    let mut out = vec![0.0; m * n];
+    gemm_tn_with(Precision::Bf16, &a, m, &b, n, None, &mut out);
+    let round = |v: &[f32]| v.iter().map(|x| bf16::widen(bf16::round(*x))).collect::<Vec<_>>();
+    let (a, b) = (round(&a), round(&b));
+    for i in 0..m {
+        for j in 0..n {
+            let want: f64 =
+                (0..rows).map(|r| f64::from(a[r * m + i]) * f64::from(b[r * n + j])).sum();
+            assert!((f64::from(out[i * n + j]) - want).abs() < 2e-3, "{} {want}", out[i * n + j]);
+        }
+    }
 }

@@ -1,6 +1,7 @@
 //! `aᵀ · b`: the product behind weight gradients, summed over many rows.
 
-use super::{K_BLOCK, PackedMatrix, RowPointers, RowPointersMut, multiply_rows};
+use super::{K_BLOCK, PackedMatrix, RowPointers, RowPointersMut, multiply_rows, repack_with};
+use crate::Precision;
 use rayon::prelude::*;
 
 /// Rows that one partial sum covers. Fixed, so that the order of summation is.
@@ -27,6 +28,22 @@ pub fn gemm_tn(
     pairs: Option<(&[u32], &[u32])>,
     out: &mut [f32],
 ) {
+    gemm_tn_with(Precision::F32, a, m, b, n, pairs, out);
+}
+
+/// [`gemm_tn`] in another precision.
+///
+/// # Panics
+/// As [`gemm_tn`].
+pub fn gemm_tn_with(
+    precision: Precision,
+    a: &[f32],
+    m: usize,
+    b: &[f32],
+    n: usize,
+    pairs: Option<(&[u32], &[u32])>,
+    out: &mut [f32],
+) {
     assert_eq!(out.len(), m * n, "gemm_tn: result length");
     out.fill(0.0);
     if m == 0 || n == 0 {
@@ -45,7 +62,7 @@ pub fn gemm_tn(
     let segments = rows.div_ceil(SEGMENT);
     if segments <= 1 {
         out.par_chunks_mut(OUT_BLOCK * n).enumerate().for_each(|(block, out)| {
-            accumulate_segment(a, m, b, n, pairs, 0..rows, block * OUT_BLOCK, out);
+            accumulate_segment(precision, a, m, b, n, pairs, 0..rows, block * OUT_BLOCK, out);
         });
         return;
     }
@@ -59,7 +76,8 @@ pub fn gemm_tn(
             let range = start..(start + SEGMENT).min(rows);
             part.fill(0.0);
             part.par_chunks_mut(OUT_BLOCK * n).enumerate().for_each(|(block, part)| {
-                accumulate_segment(a, m, b, n, pairs, range.clone(), block * OUT_BLOCK, part);
+                let (range, first) = (range.clone(), block * OUT_BLOCK);
+                accumulate_segment(precision, a, m, b, n, pairs, range, first, part);
             });
         });
         for part in partial[..count * m * n].chunks_exact(m * n) {
@@ -73,6 +91,7 @@ pub fn gemm_tn(
 /// `out += a[range][:, first..]ᵀ · b[range]`; `out` must start zeroed.
 #[expect(clippy::too_many_arguments, reason = "one call site, plain numbers")]
 fn accumulate_segment(
+    precision: Precision,
     a: &[f32],
     m: usize,
     b: &[f32],
@@ -84,12 +103,7 @@ fn accumulate_segment(
 ) {
     let width = out.len() / n;
     let mut columns = vec![0f32; width * K_BLOCK];
-    let mut packed = PackedMatrix {
-        values: vec![0f32; K_BLOCK * n.next_multiple_of(16)],
-        k: 0,
-        n,
-        padded_n: n.next_multiple_of(16),
-    };
+    let mut packed = PackedMatrix::empty();
     let mut gathered = vec![0f32; if pairs.is_some() { K_BLOCK * n } else { 0 }];
     let mut start = range.start;
     while start < range.end {
@@ -110,15 +124,14 @@ fn accumulate_segment(
                 &gathered[..len * n]
             }
         };
-        packed.k = len;
-        super::pack_into(&mut packed.values[..len * packed.padded_n], source, len, n, n, 1);
+        repack_with(&mut packed, precision, source, len, n, n, 1);
         // SAFETY: `columns` holds `width` rows of `len`, `out` `width` rows of `n`, both ours.
         unsafe {
             multiply_rows(
                 width,
                 RowPointers::Contiguous { base: columns.as_ptr(), stride: len },
                 &packed,
-                0..packed.padded_n,
+                0..packed.padded_n(),
                 RowPointersMut::Contiguous { base: out.as_mut_ptr(), stride: n },
                 true,
             );

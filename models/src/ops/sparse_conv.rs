@@ -2,6 +2,7 @@
 
 use super::{cpu_slice, make, read, refuse_gradient};
 use candle_core::{CpuStorage, CustomOp2, CustomOp3, Layout, Result, Shape, Tensor, bail};
+use scenesplat_kernels::Precision;
 use scenesplat_kernels::kernel_map::KernelMap;
 use scenesplat_kernels::sparse_conv::{
     PackedConv, backward_bias, backward_input, backward_weight, forward,
@@ -40,12 +41,14 @@ impl SparseConv {
         let cout = w.dim(0)?;
         let dx = read("sparse_conv", grad, |g| {
             read("sparse_conv", w, |w| {
-                make((n, cin), |dx| backward_input(&self.map, g, w, cin, cout, dx))
+                make((n, cin), |dx| backward_input(Precision::F32, &self.map, g, w, cin, cout, dx))
             })
         })?;
         let dw = read("sparse_conv", grad, |g| {
             read("sparse_conv", x, |x| {
-                make(w.shape().clone(), |dw| backward_weight(&self.map, x, g, cin, cout, dw))
+                make(w.shape().clone(), |dw| {
+                    backward_weight(Precision::F32, &self.map, x, g, cin, cout, dw)
+                })
             })
         })?;
         Ok((dx, dw))

@@ -1,0 +1,275 @@
+//! Products of rows found through pointers, on the calling thread.
+
+use super::bf16;
+use super::micro::{self, PANEL, Products, Singles, TILE_ROWS};
+use super::packed::{PackedMatrix, Unit, Values};
+use super::{K_BLOCK, ROW_BLOCK};
+use crate::simd::dispatch;
+use std::cell::RefCell;
+use std::ops::Range;
+
+/// Bytes of packed weights that should stay in the second-level cache.
+const CACHED_PANEL_BYTES: usize = 512 * 1024;
+
+/// Where left-hand rows are.
+#[derive(Clone, Copy)]
+pub(crate) enum RowPointers<'a, T = f32> {
+    /// Row `i` starts at `base + i·stride`.
+    Contiguous { base: *const T, stride: usize },
+    /// Row `i` starts at `base + ids[i]·stride`.
+    Gathered { base: *const T, stride: usize, ids: &'a [u32] },
+}
+
+/// Where the result rows go.
+#[derive(Clone, Copy)]
+pub(crate) enum RowPointersMut<'a> {
+    /// Row `i` starts at `base + i·stride`.
+    Contiguous { base: *mut f32, stride: usize },
+    /// Row `i` starts at `base + ids[i]·stride`; the ids are distinct.
+    Scattered { base: *mut f32, stride: usize, ids: &'a [u32] },
+}
+
+impl<T> RowPointers<'_, T> {
+    #[inline(always)]
+    pub(crate) unsafe fn row(&self, i: usize) -> *const T {
+        // SAFETY: the creator promises that every row is inside the allocation.
+        unsafe {
+            match *self {
+                Self::Contiguous { base, stride } => base.add(i * stride),
+                Self::Gathered { base, stride, ids } => base.add(ids[i] as usize * stride),
+            }
+        }
+    }
+}
+
+impl RowPointersMut<'_> {
+    #[inline(always)]
+    pub(crate) unsafe fn row(&self, i: usize) -> *mut f32 {
+        // SAFETY: the creator promises that every row is inside the allocation.
+        unsafe {
+            match *self {
+                Self::Contiguous { base, stride } => base.add(i * stride),
+                Self::Scattered { base, stride, ids } => base.add(ids[i] as usize * stride),
+            }
+        }
+    }
+}
+
+/// Left-hand rows in the form that a packed matrix multiplies.
+#[derive(Clone, Copy)]
+pub(crate) enum LeftRows<'a> {
+    /// f32, rounded already where the unit wants that.
+    Single(RowPointers<'a, f32>),
+    /// Pairs of bf16, [`PackedMatrix::steps`] of them.
+    Pairs(RowPointers<'a, u32>),
+}
+
+/// Rows of a matrix brought into that form once, for products that read them many times.
+pub(crate) enum PreparedRows {
+    /// As they are.
+    Unchanged,
+    Rounded(Vec<f32>),
+    Pairs {
+        values: Vec<u32>,
+        steps: usize,
+    },
+}
+
+impl PreparedRows {
+    /// Prepares `x` (`[rows, b.k()]`) on all threads.
+    pub(crate) fn new(x: &[f32], b: &PackedMatrix) -> Self {
+        use rayon::prelude::*;
+        match b.unit {
+            // Tiles need rows side by side, so they are rounded when they are gathered.
+            Unit::Vector | Unit::Tiles | Unit::SplitTiles => Self::Unchanged,
+            Unit::RoundedVector => {
+                let mut rounded = vec![0.0; x.len()];
+                let block = 1 << 14;
+                let parts = rounded.par_chunks_mut(block).zip(x.par_chunks(block));
+                parts.for_each(|(to, from)| bf16::round_values(from, to));
+                Self::Rounded(rounded)
+            }
+            Unit::Pairs | Unit::SplitPairs => {
+                let (k, steps) = (b.k(), b.steps());
+                let mut values = vec![0; x.len() / k * steps];
+                let rows = values.par_chunks_mut(steps).zip(x.par_chunks(k)).with_min_len(64);
+                rows.for_each(|(to, from)| b.unit.prepare_pairs(from, to));
+                Self::Pairs { values, steps }
+            }
+        }
+    }
+}
+
+thread_local! {
+    /// Left-hand rows of one block, rounded.
+    static ROUNDED: RefCell<(Vec<f32>, Vec<u32>)> = const { RefCell::new((Vec::new(), Vec::new())) };
+}
+
+/// `c[rows] (+)= a[rows] · b` on the calling thread, for a range of columns of whole panels.
+///
+/// # Safety
+/// `columns` starts at a multiple of [`PANEL`] and ends at one or at the padded width.
+/// All rows of `a` (`b.k` values) and `c` (`b.n` values) must be inside their allocations, and no
+/// other thread may touch the rows of `c` meanwhile.
+pub(crate) unsafe fn multiply_rows(
+    rows: usize,
+    a: RowPointers<'_>,
+    b: &PackedMatrix,
+    columns: Range<usize>,
+    c: RowPointersMut<'_>,
+    accumulate: bool,
+) {
+    if b.unit == Unit::Vector {
+        // SAFETY: passed on.
+        return unsafe { multiply_prepared(rows, LeftRows::Single(a), b, columns, c, accumulate) };
+    }
+    ROUNDED.with_borrow_mut(|(values, pairs)| {
+        let (k, steps) = (b.k(), b.steps());
+        for first in (0..rows).step_by(ROW_BLOCK) {
+            let count = ROW_BLOCK.min(rows - first);
+            // SAFETY: the caller's promise for each row.
+            let row = |i: usize| unsafe { std::slice::from_raw_parts(a.row(first + i), k) };
+            let left = if b.unit == Unit::RoundedVector {
+                values.resize(values.len().max(count * k), 0.0);
+                for i in 0..count {
+                    bf16::round_values(row(i), &mut values[i * k..(i + 1) * k]);
+                }
+                LeftRows::Single(RowPointers::Contiguous { base: values.as_ptr(), stride: k })
+            } else {
+                // Tiles read sixteen rows at a time.
+                let padded = count.next_multiple_of(16) * steps;
+                pairs.resize(pairs.len().max(padded), 0);
+                for i in 0..count {
+                    b.unit.prepare_pairs(row(i), &mut pairs[i * steps..(i + 1) * steps]);
+                }
+                LeftRows::Pairs(RowPointers::Contiguous { base: pairs.as_ptr(), stride: steps })
+            };
+            // SAFETY: rows of `c` as promised, from `first` on.
+            unsafe {
+                let c = match c {
+                    RowPointersMut::Contiguous { base, stride } => {
+                        RowPointersMut::Contiguous { base: base.add(first * stride), stride }
+                    }
+                    RowPointersMut::Scattered { base, stride, ids } => {
+                        RowPointersMut::Scattered { base, stride, ids: &ids[first..first + count] }
+                    }
+                };
+                multiply_prepared(count, left, b, columns.clone(), c, accumulate);
+            }
+        }
+    });
+}
+
+/// [`multiply_rows`] of rows that have the form of `b` already.
+///
+/// # Safety
+/// As [`multiply_rows`]; the form is that of `b`, rows have `b.steps()` values.
+pub(crate) unsafe fn multiply_prepared(
+    rows: usize,
+    a: LeftRows<'_>,
+    b: &PackedMatrix,
+    columns: Range<usize>,
+    c: RowPointersMut<'_>,
+    accumulate: bool,
+) {
+    match (a, &b.values) {
+        (LeftRows::Single(a), Values::Single(values)) => {
+            // SAFETY: passed on.
+            dispatch!((rows: usize, a: RowPointers<'_>, b: &PackedMatrix, values: &[f32],
+                columns: Range<usize>, c: RowPointersMut<'_>, accumulate: bool),
+                V => multiply_with::<Singles<V>>(rows, a, b, values, columns, c, accumulate));
+        }
+        #[cfg(target_arch = "x86_64")]
+        (LeftRows::Pairs(a), Values::Pairs(values)) => {
+            // SAFETY: passed on; pairs are packed only where the instruction set was detected.
+            unsafe { multiply_pairs(rows, a, b, values, columns, c, accumulate) }
+        }
+        _ => debug_assert!(false, "left-hand rows of another form"),
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512bf16,avx2,fma")]
+unsafe fn multiply_pairs(
+    rows: usize,
+    a: RowPointers<'_, u32>,
+    b: &PackedMatrix,
+    values: &[u32],
+    columns: Range<usize>,
+    c: RowPointersMut<'_>,
+    accumulate: bool,
+) {
+    // SAFETY: passed on.
+    unsafe {
+        multiply_with::<micro::Bf16Pairs>(rows, a, b, values, columns, c, accumulate);
+    }
+}
+
+#[inline(always)]
+unsafe fn multiply_with<P: Products>(
+    rows: usize,
+    a: RowPointers<'_, P::Element>,
+    b: &PackedMatrix,
+    values: &[P::Element],
+    columns: Range<usize>,
+    c: RowPointersMut<'_>,
+    accumulate: bool,
+) {
+    let (k, n, padded_n) = (b.steps(), b.n(), columns.end);
+    let k_step = K_BLOCK.min(k);
+    let panels_cached = (CACHED_PANEL_BYTES / (k_step * PANEL * 4)).max(1) * PANEL;
+    let mut tail = [[0f32; PANEL]; TILE_ROWS];
+    let tail_rows: [*mut f32; TILE_ROWS] = std::array::from_fn(|i| tail[i].as_mut_ptr());
+    let mut k0 = 0;
+    while k0 < k {
+        let k_len = k_step.min(k - k0);
+        let add = accumulate || k0 > 0;
+        let mut group = columns.start;
+        while group < padded_n {
+            let group_end = (group + panels_cached).min(padded_n);
+            let mut row = 0;
+            while row < rows {
+                let height = TILE_ROWS.min(rows - row);
+                let mut a_rows = [std::ptr::null(); TILE_ROWS];
+                let mut c_rows = [std::ptr::null_mut(); TILE_ROWS];
+                for i in 0..height {
+                    // SAFETY: the caller's promise.
+                    unsafe {
+                        a_rows[i] = a.row(row + i).add(k0);
+                        c_rows[i] = c.row(row + i);
+                    }
+                }
+                let mut start = group;
+                while start < group_end {
+                    let width = PANEL.min(padded_n - start);
+                    // SAFETY: panels are contiguous; the columns written stay below `n`, the
+                    // padded ones go to `tail`.
+                    unsafe {
+                        let panel = values.as_ptr().add(start * k + k0 * width);
+                        if start + width <= n {
+                            let at: [*mut f32; TILE_ROWS] = std::array::from_fn(|i| {
+                                if i < height { c_rows[i].add(start) } else { c_rows[i] }
+                            });
+                            micro::panel::<P>(height, &a_rows, panel, width, &at, k_len, add);
+                        } else {
+                            micro::panel::<P>(
+                                height, &a_rows, panel, width, &tail_rows, k_len, false,
+                            );
+                            for i in 0..height {
+                                for j in 0..n - start {
+                                    let out = c_rows[i].add(start + j);
+                                    let value = *tail_rows[i].add(j);
+                                    *out = if add { *out + value } else { value };
+                                }
+                            }
+                        }
+                    }
+                    start += width;
+                }
+                row += height;
+            }
+            group = group_end;
+        }
+        k0 += k_len;
+    }
+}
