@@ -1,0 +1,118 @@
+//! How attention's factors are held in memory: as f32, or rounded to bf16.
+
+use super::softmax::SoftmaxVector;
+use crate::gemm::bf16;
+use crate::gemm::micro::{Products, Singles};
+use std::marker::PhantomData;
+
+/// Products whose operands attention can make from f32.
+///
+/// # Safety
+/// As [`Products`].
+pub(super) trait Weights: Products<Sum: SoftmaxVector> {
+    /// Terms of the sum in an element: 1 or 2.
+    const TERMS: usize;
+
+    /// The element of one term, or of two; with one the second is not used.
+    fn element(first: f32, second: f32) -> Self::Element;
+
+    /// Stores the elements of each lane's one or two terms.
+    unsafe fn store(first: Self::Sum, second: Self::Sum, to: *mut Self::Element);
+}
+
+impl<V: SoftmaxVector> Weights for Singles<V> {
+    const TERMS: usize = 1;
+
+    #[inline(always)]
+    fn element(first: f32, _: f32) -> f32 {
+        first
+    }
+
+    #[inline(always)]
+    unsafe fn store(first: V, _: V, to: *mut f32) {
+        // SAFETY: the trait's contract.
+        unsafe { first.store(to) }
+    }
+}
+
+/// f32 arithmetic on operands rounded to bf16, for CPUs that cannot multiply bf16.
+pub(super) struct Rounded<V>(PhantomData<V>);
+
+impl<V: SoftmaxVector> Products for Rounded<V> {
+    type Element = f32;
+    type Factor = V;
+    type Sum = V;
+    #[inline(always)]
+    unsafe fn load(p: *const f32) -> V {
+        // SAFETY: the trait's contract.
+        unsafe { V::load(p) }
+    }
+    #[inline(always)]
+    unsafe fn splat(x: f32) -> V {
+        // SAFETY: as above.
+        unsafe { V::splat(x) }
+    }
+    #[inline(always)]
+    unsafe fn multiply_add(a: V, b: V, sum: V) -> V {
+        // SAFETY: as above.
+        unsafe { a.fma(b, sum) }
+    }
+}
+
+impl<V: SoftmaxVector> Weights for Rounded<V> {
+    const TERMS: usize = 1;
+
+    #[inline(always)]
+    fn element(first: f32, _: f32) -> f32 {
+        bf16::widen(bf16::round(first))
+    }
+
+    #[inline(always)]
+    unsafe fn store(first: V, _: V, to: *mut f32) {
+        // SAFETY: the trait's contract.
+        unsafe {
+            // Veltkamp's splitting: what 2¹⁶ + 1 times the value leaves are its 8 leading bits.
+            let large = first.mul(V::splat(65_537.0));
+            large.sub(large.sub(first)).store(to);
+        }
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+mod x86 {
+    use super::Weights;
+    use crate::gemm::bf16;
+    use crate::gemm::micro::Bf16Pairs;
+    use std::arch::x86_64::*;
+
+    /// Words `i` and `16 + i` beside each other, for `i` in `0..16`.
+    const INTERLEAVE: [u16; 32] = {
+        let mut index = [0; 32];
+        let mut i = 0;
+        while i < 16 {
+            index[2 * i] = i as u16;
+            index[2 * i + 1] = 16 + i as u16;
+            i += 1;
+        }
+        index
+    };
+
+    impl Weights for Bf16Pairs {
+        const TERMS: usize = 2;
+
+        #[inline(always)]
+        fn element(first: f32, second: f32) -> u32 {
+            bf16::round(first) | bf16::round(second) << 16
+        }
+
+        #[inline(always)]
+        unsafe fn store(first: __m512, second: __m512, to: *mut u32) {
+            // SAFETY: the trait's contract; `dispatch_pairs!` enables AVX512BW too.
+            unsafe {
+                let both: __m512i = std::mem::transmute(_mm512_cvtne2ps_pbh(second, first));
+                let index = _mm512_loadu_si512(INTERLEAVE.as_ptr().cast());
+                _mm512_storeu_si512(to.cast(), _mm512_permutexvar_epi16(index, both));
+            }
+        }
+    }
+}
