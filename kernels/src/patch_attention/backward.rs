@@ -44,16 +44,16 @@ pub fn backward(
     let borrowed: Vec<(Patch, usize, Vec<f32>)> = tasks(patches, heads)
         .map_init(
             || Scratch::new(dim, patches.longest),
-            |s, (patch, head)| {
-                let rows = &rows[patch.start..patch.start + patch.len];
-                let task = &Task { qkv, heads, head, rows, own: patch.own };
+            |s, t| {
+                let task = &Task::new(qkv, heads, patches, &rows, t);
+                let (patch, head) = (patches.patches[t / heads.count], task.head);
                 // Own rows and this head's channels are written by no one else.
                 dispatch_softmax!(
                     (task: &Task<'_>, grad: &[f32], s: &mut Scratch, out: SharedMut),
                     V, MR, NV => gradients::<V, MR, NV>(task, grad, s, out)
                 );
                 for part in [1, 2] {
-                    for (slot, &row) in rows[..patch.own].iter().enumerate() {
+                    for (slot, &row) in task.rows[..task.own].iter().enumerate() {
                         let at = row as usize * 3 * c + part * c + head * dim;
                         // SAFETY: as above.
                         let to = unsafe { std::slice::from_raw_parts_mut(out.at(at), dim) };

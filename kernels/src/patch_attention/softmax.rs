@@ -197,8 +197,21 @@ mod tests {
             -1.0,
         ];
         exp2(&mut special);
-        assert_eq!(special[..10], [1.0, 1.0, 0.0, 0.0, 0.0, 0.0, f32::INFINITY, f32::INFINITY,
-            f32::INFINITY, f32::INFINITY]);
+        assert_eq!(
+            special[..10],
+            [
+                1.0,
+                1.0,
+                0.0,
+                0.0,
+                0.0,
+                0.0,
+                f32::INFINITY,
+                f32::INFINITY,
+                f32::INFINITY,
+                f32::INFINITY
+            ]
+        );
         assert!(special[10].is_nan());
         for (got, want) in special[11..].iter().zip([1.0f32, 1.0, 1.0, 2.0, 0.5]) {
             assert!((got - want).abs() < 2e-7 * want, "{got} {want}");

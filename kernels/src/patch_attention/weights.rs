@@ -1,20 +1,27 @@
 //! How attention's factors are held in memory: as f32, or rounded to bf16.
 
+use super::forward::{Scratch, Task, attend};
 use super::softmax::SoftmaxVector;
+use crate::gemm::SharedMut;
 use crate::gemm::bf16;
 use crate::gemm::micro::{Products, Singles};
+use crate::simd::Isa;
 use std::marker::PhantomData;
 
 /// Products whose operands attention can make from f32.
 ///
 /// # Safety
 /// As [`Products`].
-pub(super) trait Weights: Products<Sum: SoftmaxVector> {
+pub(super) trait Weights: Products<Sum: SoftmaxVector, Element: Default> {
     /// Terms of the sum in an element: 1 or 2.
     const TERMS: usize;
 
-    /// The element of one term, or of two; with one the second is not used.
-    fn element(first: f32, second: f32) -> Self::Element;
+    /// Elements of a row whose terms follow each other: half as many, rounded up, with two terms
+    /// an element.
+    unsafe fn pack_along(row: &[f32], to: &mut [Self::Element]);
+
+    /// Elements of one row, or of two beside each other: with two terms an element, one from each.
+    unsafe fn pack_across(first: &[f32], second: Option<&[f32]>, to: &mut [Self::Element]);
 
     /// Stores the elements of each lane's one or two terms.
     unsafe fn store(first: Self::Sum, second: Self::Sum, to: *mut Self::Element);
@@ -24,8 +31,13 @@ impl<V: SoftmaxVector> Weights for Singles<V> {
     const TERMS: usize = 1;
 
     #[inline(always)]
-    fn element(first: f32, _: f32) -> f32 {
-        first
+    unsafe fn pack_along(row: &[f32], to: &mut [f32]) {
+        to.copy_from_slice(row);
+    }
+
+    #[inline(always)]
+    unsafe fn pack_across(first: &[f32], _: Option<&[f32]>, to: &mut [f32]) {
+        to.copy_from_slice(first);
     }
 
     #[inline(always)]
@@ -63,8 +75,16 @@ impl<V: SoftmaxVector> Weights for Rounded<V> {
     const TERMS: usize = 1;
 
     #[inline(always)]
-    fn element(first: f32, _: f32) -> f32 {
-        bf16::widen(bf16::round(first))
+    unsafe fn pack_along(row: &[f32], to: &mut [f32]) {
+        for (to, from) in to.iter_mut().zip(row) {
+            *to = bf16::widen(bf16::round(*from));
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn pack_across(first: &[f32], _: Option<&[f32]>, to: &mut [f32]) {
+        // SAFETY: the trait's contract.
+        unsafe { Self::pack_along(first, to) };
     }
 
     #[inline(always)]
@@ -101,13 +121,43 @@ mod x86 {
         const TERMS: usize = 2;
 
         #[inline(always)]
-        fn element(first: f32, second: f32) -> u32 {
-            bf16::round(first) | bf16::round(second) << 16
+        unsafe fn pack_along(row: &[f32], to: &mut [u32]) {
+            let (rows, rest) = row.as_chunks::<16>();
+            for (i, from) in rows.iter().enumerate() {
+                // SAFETY: eight pairs fit into `to`; [`super::attend_pairs`] enables what is needed.
+                unsafe {
+                    let pairs = _mm512_cvtneps_pbh(_mm512_loadu_ps(from.as_ptr()));
+                    let pairs: __m256i = std::mem::transmute(pairs);
+                    let to = &mut to[8 * i..8 * i + 8];
+                    _mm256_storeu_si256(to.as_mut_ptr().cast(), pairs);
+                }
+            }
+            for (to, pair) in to[8 * rows.len()..].iter_mut().zip(rest.chunks(2)) {
+                *to = bf16::round(pair[0]) | pair.get(1).map_or(0, |&x| bf16::round(x) << 16);
+            }
+        }
+
+        #[inline(always)]
+        unsafe fn pack_across(first: &[f32], second: Option<&[f32]>, to: &mut [u32]) {
+            let zero = [0f32; 16];
+            let whole = to.len() / 16 * 16;
+            for i in (0..whole).step_by(16) {
+                let second = second.map_or(&zero[..], |s| &s[i..i + 16]);
+                // SAFETY: 16 values each; [`super::attend_pairs`] enables what is needed.
+                unsafe {
+                    let [first, second] =
+                        [&first[i..i + 16], second].map(|row| _mm512_loadu_ps(row.as_ptr()));
+                    Self::store(first, second, to[i..i + 16].as_mut_ptr());
+                }
+            }
+            for i in whole..to.len() {
+                to[i] = bf16::round(first[i]) | second.map_or(0, |s| bf16::round(s[i]) << 16);
+            }
         }
 
         #[inline(always)]
         unsafe fn store(first: __m512, second: __m512, to: *mut u32) {
-            // SAFETY: the trait's contract; `dispatch_pairs!` enables AVX512BW too.
+            // SAFETY: the trait's contract; [`super::attend_pairs`] enables AVX512BW too.
             unsafe {
                 let both: __m512i = std::mem::transmute(_mm512_cvtne2ps_pbh(second, first));
                 let index = _mm512_loadu_si512(INTERLEAVE.as_ptr().cast());
@@ -115,4 +165,23 @@ mod x86 {
             }
         }
     }
+}
+
+/// [`attend`] with AVX512-BF16.
+///
+/// # Safety
+/// As [`attend`]; see [`has_pairs`].
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512dq,avx512bw,avx512bf16,avx2,fma")]
+pub(super) unsafe fn attend_pairs(task: &Task<'_>, s: &mut Scratch<u32>, out: SharedMut) {
+    // SAFETY: the features are enabled; the rest is the caller's promise.
+    unsafe { attend::<crate::gemm::micro::Bf16Pairs, 6, 4>(task, s, out) }
+}
+
+/// Whether [`attend_pairs`] may run.
+#[cfg(target_arch = "x86_64")]
+pub(super) fn has_pairs() -> bool {
+    Isa::current() >= Isa::Avx512Bf16
+        && is_x86_feature_detected!("avx512dq")
+        && is_x86_feature_detected!("avx512bw")
 }
