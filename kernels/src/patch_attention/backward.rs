@@ -5,8 +5,8 @@
 //! any turning. Scores and gradients of weights of a block of queries against all keys of the patch
 //! stay in the second-level cache.
 
-use super::forward::Task;
 use super::softmax::{SoftmaxVector, dispatch_softmax};
+use super::task::Task;
 use super::tile::{Lanes, Spread, tile, with_rows};
 use super::{Heads, slot_rows, tasks};
 use crate::gemm::SharedMut;

@@ -8,8 +8,10 @@
 //! of threads.
 
 mod backward;
+mod block;
 mod forward;
 mod softmax;
+mod task;
 #[cfg(test)]
 mod tests;
 mod tile;
@@ -21,9 +23,10 @@ use crate::gemm::SharedMut;
 use crate::gemm::micro::Singles;
 use crate::patches::Patches;
 use crate::precision::Precision;
-use forward::{Scratch, Task, attend};
+use forward::{Scratch, attend};
 use rayon::prelude::*;
 use softmax::dispatch_softmax;
+use task::Task;
 use weights::Rounded;
 
 /// Heads and their width.

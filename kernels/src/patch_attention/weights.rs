@@ -1,7 +1,8 @@
 //! How attention's factors are held in memory: as f32, or rounded to bf16.
 
-use super::forward::{Scratch, Task, attend};
+use super::forward::{Scratch, attend};
 use super::softmax::SoftmaxVector;
+use super::task::Task;
 use crate::gemm::SharedMut;
 use crate::gemm::bf16;
 use crate::gemm::micro::{Products, Singles};
