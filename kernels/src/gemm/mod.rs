@@ -8,6 +8,9 @@
 //! summed in one fixed order that depends only on `k`: results are bit-identical for any number of
 //! threads and for a row alone or among others.
 
+#[cfg(all(target_arch = "x86_64", target_os = "linux"))]
+#[allow(dead_code)]
+mod amx;
 pub(crate) mod micro;
 mod transposed;
 
