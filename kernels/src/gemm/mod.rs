@@ -10,6 +10,8 @@
 //! one fixed order that depends only on `k`: results are bit-identical for any number of threads
 //! and for a row alone or among others, on CPUs with the same instruction sets.
 
+#[cfg(all(target_arch = "x86_64", target_os = "linux"))]
+pub(crate) mod amx;
 pub(crate) mod bf16;
 pub(crate) mod micro;
 mod packed;
