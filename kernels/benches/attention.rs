@@ -4,7 +4,8 @@
 mod support;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use scenesplat_kernels::patch_attention::{Heads, backward, forward};
+use scenesplat_kernels::Precision;
+use scenesplat_kernels::patch_attention::{Heads, backward, forward_with};
 use scenesplat_kernels::serialization::Curve;
 use scenesplat_kernels::serialized_cloud::{CurveDepth, SerializedCloud};
 use support::{criterion, random, voxels};
@@ -27,16 +28,16 @@ fn attention(c: &mut Criterion) {
         let mut out = vec![0.0; ROWS * width];
         // Two products: queries with keys, weights with values.
         group.throughput(Throughput::Elements((4 * products * width) as u64));
-        group.bench_function(format!("100k/{width}_ch"), |bench| {
-            bench.iter(|| forward(&qkv, heads, &patches, order, &mut out));
-        });
-        if width <= 64 {
-            let (grad, mut dqkv) = (random(ROWS * width), vec![0.0; qkv.len()]);
-            group.throughput(Throughput::Elements((10 * products * width) as u64));
-            group.bench_function(format!("backward_100k/{width}_ch"), |bench| {
-                bench.iter(|| backward(&qkv, heads, &patches, order, &grad, &mut dqkv));
+        for precision in [Precision::F32, Precision::Bf16] {
+            group.bench_function(format!("100k/{width}_ch/{precision}"), |bench| {
+                bench.iter(|| forward_with(precision, &qkv, heads, &patches, order, &mut out));
             });
         }
+        let (grad, mut dqkv) = (random(ROWS * width), vec![0.0; qkv.len()]);
+        group.throughput(Throughput::Elements((10 * products * width) as u64));
+        group.bench_function(format!("backward_100k/{width}_ch/f32"), |bench| {
+            bench.iter(|| backward(&qkv, heads, &patches, order, &grad, &mut dqkv));
+        });
     }
     group.finish();
 }
