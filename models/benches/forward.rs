@@ -46,13 +46,30 @@ fn weights() -> ParamStore {
 fn language(c: &mut Criterion) {
     let config = PointTransformerV3Config::language();
     let network = LanguageModel::new(&config, weights().builder()).expect("a network");
-    bench(c, "forward_language", &network, &[20_000, 100_000]);
+    bench(c, "forward_language", &network, &[10_000, 20_000, 100_000]);
 }
 
 fn segmentation(c: &mut Criterion) {
     let config = PointTransformerV3Config { in_channels: 11, ..PointTransformerV3Config::semseg() };
     let network = SemanticSegmenter::new(&config, weights().builder()).expect("a network");
-    bench(c, "forward_semseg", &network, &[100_000]);
+    let mut sizes = vec![10_000, 100_000];
+    if free_memory().is_none_or(|free| free >= MILLION_BYTES) {
+        sizes.push(1_000_000);
+    } else {
+        eprintln!("too little memory for a million voxels: left out");
+    }
+    bench(c, "forward_semseg", &network, &sizes);
+}
+
+/// Memory that the segmentation network takes for a million voxels, with some to spare.
+const MILLION_BYTES: u64 = 8_000_000_000;
+
+/// Memory that can be had without swapping, bytes; `None` where the system does not tell.
+fn free_memory() -> Option<u64> {
+    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
+    let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
+    let kib: u64 = line.split_whitespace().next()?.parse().ok()?;
+    Some(kib * 1024)
 }
 
 criterion_group!(name = benches; config = criterion(); targets = language, segmentation);

@@ -1,0 +1,113 @@
+//! Rows of whole networks.
+
+use super::products::weight_size;
+use super::stopwatch::time;
+use super::train_step::TrainStep;
+use super::{Measured, Request, checks, flop, room};
+use anyhow::{Context, Result};
+use candle_core::{Device, Tensor};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use scenesplat_kernels::Precision;
+use scenesplat_models::weights::WeightSource;
+use scenesplat_models::{
+    Backbone, Forward, LanguageModel, ParamStore, PointCloud, PointTransformerV3Config,
+    SemanticSegmenter,
+};
+use std::path::Path;
+
+/// Rows that are compared between precisions.
+const COMPARED: usize = 4096;
+
+fn semseg() -> PointTransformerV3Config {
+    // Without normals, as the networks it is compared with.
+    PointTransformerV3Config { in_channels: 11, ..PointTransformerV3Config::semseg() }
+}
+
+fn cloud(voxels: Vec<[i32; 3]>, channels: usize) -> Result<PointCloud> {
+    let n = voxels.len();
+    let feat = Tensor::from_vec(room::values(n * channels, 1), (n, channels), &Device::Cpu)?;
+    Ok(PointCloud::single(voxels, feat)?)
+}
+
+/// The language network.
+pub(super) fn language(n: usize, request: &Request) -> Result<Measured> {
+    let config = PointTransformerV3Config::language();
+    let weights = ParamStore::frozen(WeightSource::hashed(0, ""));
+    let network = LanguageModel::new(&config, weights.builder())?;
+    forward(&config, &network, n, request)
+}
+
+/// The segmentation network.
+pub(super) fn segmentation(n: usize, request: &Request) -> Result<Measured> {
+    let config = semseg();
+    let weights = ParamStore::frozen(WeightSource::hashed(0, ""));
+    let network = SemanticSegmenter::new(&config, weights.builder())?;
+    forward(&config, &network, n, request)
+}
+
+fn forward(
+    config: &PointTransformerV3Config,
+    network: &dyn Backbone,
+    n: usize,
+    request: &Request,
+) -> Result<Measured> {
+    let voxels = room::voxels(n);
+    let points = cloud(voxels.clone(), config.in_channels)?;
+    let mut out = None;
+    let measured = time(request, || {
+        out = None;
+        let mut rng = ChaCha8Rng::seed_from_u64(0);
+        out = Some(network.forward(&points, &mut Forward::eval(&mut rng))?);
+        Ok(())
+    })?;
+    let out = out.context("no pass")?;
+    let rows: Vec<u32> = checks::some_rows(n, COMPARED).into_iter().map(|r| r as u32).collect();
+    let rows = Tensor::from_vec(rows.clone(), rows.len(), &Device::Cpu)?;
+    let (width, out) = (out.dim(1)?, out.index_select(&rows, 0)?.flatten_all()?.to_vec1::<f32>()?);
+    let accuracy = match &request.rows_file {
+        Some(path) if request.precision == Precision::F32 => {
+            write_rows(path, &out)?;
+            None
+        }
+        Some(path) => Some(checks::against_f32(&out, &read_rows(path)?, width)),
+        None => None,
+    };
+    let io = 4 * n * (config.in_channels + width);
+    Ok(Measured {
+        size: n,
+        flop: flop::count(config, &voxels)?.forward(),
+        bytes: (io + weight_size(request.precision) * config.num_values()) as u64,
+        accuracy,
+        ..measured
+    })
+}
+
+/// Forward, cross entropy, backward, AdamW.
+pub(super) fn train_step(n: usize, request: &Request) -> Result<Measured> {
+    let config = semseg();
+    let voxels = room::voxels(n);
+    let mut step = TrainStep::new(&config, cloud(voxels.clone(), config.in_channels)?)?;
+    let measured = time(request, || {
+        let loss = step.run()?;
+        anyhow::ensure!(loss.is_finite(), "the loss became {loss}");
+        Ok(())
+    })?;
+    Ok(Measured {
+        size: n,
+        flop: flop::count(&config, &voxels)?.train(),
+        // Input; weights and both moments, read and written.
+        bytes: (4 * n * config.in_channels + 24 * config.num_values()) as u64,
+        ..measured
+    })
+}
+
+fn write_rows(path: &Path, rows: &[f32]) -> Result<()> {
+    let bytes: Vec<u8> = rows.iter().flat_map(|v| v.to_le_bytes()).collect();
+    std::fs::write(path, bytes).with_context(|| path.display().to_string())
+}
+
+fn read_rows(path: &Path) -> Result<Vec<f32>> {
+    let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
+    Ok(bytes.as_chunks().0.iter().map(|v| f32::from_le_bytes(*v)).collect())
+}
