@@ -286,6 +286,7 @@ mod by_name {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use scenesplat_kernels::grid_sample::{KeyOrder, voxel_groups};
     use scenesplat_kernels::kernel_map::KernelMap;
 
     #[test]
@@ -298,6 +299,10 @@ mod tests {
             assert!(voxels.iter().flatten().all(|&v| (0..2048).contains(&v)));
         }
         assert_eq!(room::voxels(2000), room::voxels(2000));
+        let points = room::points(100_000);
+        let groups = voxel_groups(&points, 0.02, KeyOrder::Morton).unwrap();
+        let share = groups.num_voxels() as f64 / 1e5;
+        assert!((0.48..0.56).contains(&share), "{share}");
     }
 
     fn settings(only: &[&str], precisions: &[Precision]) -> Settings {

@@ -15,9 +15,9 @@ const FINE_CELL: f32 = 0.003;
 /// below, a voxel has 14 occupied voxels in the 3³ around it, as in the scans the networks read.
 const NOISE: f32 = 0.008;
 /// Occupied voxels per square metre of surface.
-const VOXELS_PER_M2: f32 = 4000.0;
+const VOXELS_PER_M2: f32 = 3650.0;
 /// Points per square metre that occupy so many voxels, two a voxel.
-const POINTS_PER_M2: f32 = 8100.0;
+const POINTS_PER_M2: f32 = 6850.0;
 /// Keeps noise on the walls above zero, metres.
 const MARGIN: f32 = 0.1;
 
