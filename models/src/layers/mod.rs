@@ -4,6 +4,7 @@ mod batch_norm;
 mod drop_path;
 mod layer_norm;
 mod linear;
+mod linear_norm;
 mod mlp;
 mod sparse_conv;
 
@@ -11,6 +12,7 @@ pub use batch_norm::BatchNorm;
 pub use drop_path::DropPath;
 pub use layer_norm::LayerNorm;
 pub use linear::Linear;
+pub use linear_norm::LinearNorm;
 pub use mlp::Mlp;
 pub use sparse_conv::SparseConv;
 

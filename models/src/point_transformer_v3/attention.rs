@@ -2,7 +2,7 @@
 
 use super::config::BatchRule;
 use crate::layers::Linear;
-use crate::ops;
+use crate::{Compute, ops};
 use candle_core::{Result, Tensor};
 use candle_nn::VarBuilder;
 use scenesplat_kernels::patch_attention::Heads;
@@ -30,11 +30,12 @@ impl SerializedAttention {
         patch_size: usize,
         order: usize,
         batch_rule: BatchRule,
+        compute: Compute,
         vb: VarBuilder<'_>,
     ) -> Result<Self> {
         Ok(Self {
-            qkv: Linear::new(channels, 3 * channels, true, vb.pp("qkv"))?,
-            proj: Linear::new(channels, channels, true, vb.pp("proj"))?,
+            qkv: Linear::with(compute, channels, 3 * channels, true, vb.pp("qkv"))?,
+            proj: Linear::with(compute, channels, channels, true, vb.pp("proj"))?,
             heads: Heads { count: num_heads, dim: channels / num_heads },
             patch_size,
             order,
