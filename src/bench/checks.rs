@@ -33,8 +33,8 @@ pub(super) fn against_f64(out: &[f32], c: usize, rows: &[usize], better: &[f64])
     }
 }
 
-/// Accuracy of rows in less than f32 against those in f32, `[N, c]` both.
-pub(super) fn against_f32(got: &[f32], better: &[f32], c: usize) -> Accuracy {
+/// Accuracy of rows in less than f32 against those in f32, `[N, c]` both; `what` they are.
+pub(super) fn against_f32(got: &[f32], better: &[f32], c: usize, what: &str) -> Accuracy {
     let wide: Vec<f64> = better.iter().map(|&v| f64::from(v)).collect();
     let cosine = |(a, b): (&[f32], &[f64])| {
         let (mut product, mut x, mut y) = (0.0, 0.0, 0.0);
@@ -51,7 +51,7 @@ pub(super) fn against_f32(got: &[f32], better: &[f32], c: usize) -> Accuracy {
     cosines.sort_by(|a, b| b.is_nan().cmp(&a.is_nan()).then(a.total_cmp(b)));
     Accuracy {
         max_error: relative_error(got, &wide),
-        against: format!("f32, {} rows", cosines.len()),
+        against: format!("f32, {} {what}", cosines.len()),
         cosine_median: cosines.get(cosines.len() / 2).copied(),
         cosine_p01: cosines.get(cosines.len() / 100).copied(),
     }
@@ -213,8 +213,12 @@ mod tests {
         assert_eq!(relative_error(&[3.0, 4.0], &[0.0, 4.0]), 0.75);
         assert_eq!(relative_error(&[0.0], &[0.0]), 0.0);
         assert!(relative_error(&[f32::NAN], &[1.0]).is_nan());
-        let seen =
-            against_f32(&[1.0, 0.0, 0.0, 0.0, f32::NAN, 1.0], &[1.0, 1.0, 0.0, 0.0, 1.0, 1.0], 2);
+        let seen = against_f32(
+            &[1.0, 0.0, 0.0, 0.0, f32::NAN, 1.0],
+            &[1.0, 1.0, 0.0, 0.0, 1.0, 1.0],
+            2,
+            "rows",
+        );
         assert!(seen.cosine_p01.unwrap().is_nan());
         assert!((seen.cosine_median.unwrap() - 0.5f64.sqrt()).abs() < 1e-12);
     }

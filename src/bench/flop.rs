@@ -27,12 +27,18 @@ impl Flop {
     }
 }
 
-/// Counts the operations on one scene.
+/// Counts the operations on one scene. Frozen layers may be joined, as the configuration says: then
+/// the linear layer behind each convolution is a part of it.
 ///
 /// # Errors
 /// If the voxels are out of range.
-pub(super) fn count(config: &PointTransformerV3Config, voxels: &[[i32; 3]]) -> Result<Flop> {
+pub(super) fn count(
+    config: &PointTransformerV3Config,
+    voxels: &[[i32; 3]],
+    frozen: bool,
+) -> Result<Flop> {
     let n = voxels.len();
+    let after_convolution = usize::from(!(frozen && config.compute.fold));
     let mut cloud =
         SerializedCloud::new(voxels.to_vec(), vec![0, n], &[Curve::Z], CurveDepth::PerScene)?;
     let stem = 2 * cloud.kernel_map(5)?.num_pairs() * config.in_channels * config.enc_channels[0];
@@ -56,7 +62,7 @@ pub(super) fn count(config: &PointTransformerV3Config, voxels: &[[i32; 3]]) -> R
             let products: usize = patches.patches.iter().map(|p| p.own * p.len).sum();
             // Convolution, its linear layer, query, key, value and projection, both layers of the
             // MLP; then queries with keys and weights with values.
-            let linear = 1 + 3 + 1 + 2 * config.mlp_ratio;
+            let linear = after_convolution + 3 + 1 + 2 * config.mlp_ratio;
             let pairs = cloud.kernel_map(3)?.num_pairs();
             Ok(2 * (pairs + linear * n) * c * c + 4 * products * c)
         };
@@ -89,11 +95,13 @@ mod tests {
             num_classes: Some(5),
             ..PointTransformerV3Config::tiny()
         };
-        let found = count(&config, &[[0, 0, 0]]).unwrap();
+        let found = count(&config, &[[0, 0, 0]], false).unwrap();
         assert_eq!(found.stem, 2 * 3 * 4);
         let block = |c: u64| 2 * (1 + 5 + 8) * c * c + 4 * c;
         let scales = 2 * 4 * 8 + 2 * 8 * 6 + 2 * 4 * 6;
         assert_eq!(found.rest, block(4) + 2 * block(8) + block(6) + scales + 2 * 6 * 5);
         assert_eq!(found.train(), 2 * found.stem + 3 * found.rest);
+        let joined = count(&config, &[[0, 0, 0]], true).unwrap();
+        assert_eq!(found.rest - joined.rest, 2 * (16 + 2 * 64 + 36));
     }
 }

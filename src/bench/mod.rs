@@ -81,14 +81,22 @@ impl RowKind {
     }
 
     /// Whether there is a choice of precision. The others have one, called f32 after the type of
-    /// their coordinates or weights.
+    /// their coordinates.
     fn has_precisions(&self) -> bool {
-        matches!(self.work, Work::Product(_) | Work::Convolution(_))
+        matches!(
+            self.work,
+            Work::Product(_)
+                | Work::Convolution(_)
+                | Work::Attention { .. }
+                | Work::TrainStep
+                | Work::Segmentation
+                | Work::Language
+        )
     }
 
     /// Whether its result is compared with that of the same row in f32.
     fn is_compared_with_f32(&self) -> bool {
-        matches!(self.work, Work::Segmentation | Work::Language)
+        matches!(self.work, Work::TrainStep | Work::Segmentation | Work::Language)
     }
 }
 
@@ -112,9 +120,9 @@ pub struct Request {
     pub quick: bool,
     /// More samples, also of rows that take long.
     pub patient: bool,
-    /// Where a network's rows in f32 are kept: an f32 row writes them, another reads them.
+    /// Where a network's result in f32 is kept: an f32 row writes it, another reads it.
     pub rows_file: Option<PathBuf>,
-    /// One pass, for its rows only.
+    /// One pass, for its result only.
     pub one_pass: bool,
 }
 

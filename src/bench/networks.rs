@@ -3,7 +3,7 @@
 use super::products::weight_size;
 use super::stopwatch::time;
 use super::train_step::TrainStep;
-use super::{Measured, Request, checks, flop, room};
+use super::{Accuracy, Measured, Request, checks, flop, room};
 use anyhow::{Context, Result};
 use candle_core::{Device, Tensor};
 use rand::SeedableRng;
@@ -11,7 +11,7 @@ use rand_chacha::ChaCha8Rng;
 use scenesplat_kernels::Precision;
 use scenesplat_models::weights::WeightSource;
 use scenesplat_models::{
-    Backbone, Forward, LanguageModel, ParamStore, PointCloud, PointTransformerV3Config,
+    Backbone, Compute, Forward, LanguageModel, ParamStore, PointCloud, PointTransformerV3Config,
     SemanticSegmenter,
 };
 use std::path::Path;
@@ -19,9 +19,17 @@ use std::path::Path;
 /// Rows that are compared between precisions.
 const COMPARED: usize = 4096;
 
-fn semseg() -> PointTransformerV3Config {
+fn with_precision(
+    config: PointTransformerV3Config,
+    precision: Precision,
+) -> PointTransformerV3Config {
+    PointTransformerV3Config { compute: Compute { precision, ..config.compute }, ..config }
+}
+
+fn semseg(precision: Precision) -> PointTransformerV3Config {
     // Without normals, as the networks it is compared with.
-    PointTransformerV3Config { in_channels: 11, ..PointTransformerV3Config::semseg() }
+    let config = PointTransformerV3Config::semseg();
+    with_precision(PointTransformerV3Config { in_channels: 11, ..config }, precision)
 }
 
 fn cloud(voxels: Vec<[i32; 3]>, channels: usize) -> Result<PointCloud> {
@@ -32,7 +40,7 @@ fn cloud(voxels: Vec<[i32; 3]>, channels: usize) -> Result<PointCloud> {
 
 /// The language network.
 pub(super) fn language(n: usize, request: &Request) -> Result<Measured> {
-    let config = PointTransformerV3Config::language();
+    let config = with_precision(PointTransformerV3Config::language(), request.precision);
     let weights = ParamStore::frozen(WeightSource::hashed(0, ""));
     let network = LanguageModel::new(&config, weights.builder())?;
     forward(&config, &network, n, request)
@@ -40,7 +48,7 @@ pub(super) fn language(n: usize, request: &Request) -> Result<Measured> {
 
 /// The segmentation network.
 pub(super) fn segmentation(n: usize, request: &Request) -> Result<Measured> {
-    let config = semseg();
+    let config = semseg(request.precision);
     let weights = ParamStore::frozen(WeightSource::hashed(0, ""));
     let network = SemanticSegmenter::new(&config, weights.builder())?;
     forward(&config, &network, n, request)
@@ -65,18 +73,11 @@ fn forward(
     let rows: Vec<u32> = checks::some_rows(n, COMPARED).into_iter().map(|r| r as u32).collect();
     let rows = Tensor::from_vec(rows.clone(), rows.len(), &Device::Cpu)?;
     let (width, out) = (out.dim(1)?, out.index_select(&rows, 0)?.flatten_all()?.to_vec1::<f32>()?);
-    let accuracy = match &request.rows_file {
-        Some(path) if request.precision == Precision::F32 => {
-            write_rows(path, &out)?;
-            None
-        }
-        Some(path) => Some(checks::against_f32(&out, &read_rows(path)?, width)),
-        None => None,
-    };
+    let accuracy = compare(request, &out, width, "rows")?;
     let io = 4 * n * (config.in_channels + width);
     Ok(Measured {
         size: n,
-        flop: flop::count(config, &voxels)?.forward(),
+        flop: flop::count(config, &voxels, true)?.forward(),
         bytes: (io + weight_size(request.precision) * config.num_values()) as u64,
         accuracy,
         ..measured
@@ -85,7 +86,7 @@ fn forward(
 
 /// Forward, cross entropy, backward, AdamW.
 pub(super) fn train_step(n: usize, request: &Request) -> Result<Measured> {
-    let config = semseg();
+    let config = semseg(request.precision);
     let voxels = room::voxels(n);
     let mut step = TrainStep::new(&config, cloud(voxels.clone(), config.in_channels)?)?;
     let measured = time(request, || {
@@ -93,13 +94,29 @@ pub(super) fn train_step(n: usize, request: &Request) -> Result<Measured> {
         anyhow::ensure!(loss.is_finite(), "the loss became {loss}");
         Ok(())
     })?;
+    let gradient = step.first_gradient();
+    let width = gradient.len() / config.enc_channels[0];
+    let accuracy = compare(request, gradient, width, "channels of the first gradient of the stem")?;
     Ok(Measured {
         size: n,
-        flop: flop::count(&config, &voxels)?.train(),
+        flop: flop::count(&config, &voxels, false)?.train(),
         // Input; weights and both moments, read and written.
         bytes: (4 * n * config.in_channels + 24 * config.num_values()) as u64,
+        accuracy,
         ..measured
     })
+}
+
+/// Keeps a result in f32, or compares one in less with it.
+fn compare(request: &Request, rows: &[f32], width: usize, what: &str) -> Result<Option<Accuracy>> {
+    match &request.rows_file {
+        Some(path) if request.precision == Precision::F32 => {
+            write_rows(path, rows)?;
+            Ok(None)
+        }
+        Some(path) => Ok(Some(checks::against_f32(rows, &read_rows(path)?, width, what))),
+        None => Ok(None),
+    }
 }
 
 fn write_rows(path: &Path, rows: &[f32]) -> Result<()> {

@@ -11,9 +11,9 @@ use scenesplat_kernels::patches::Patches;
 use scenesplat_kernels::serialization::Curve;
 use scenesplat_kernels::serialized_cloud::{CurveDepth, SerializedCloud};
 use scenesplat_kernels::sparse_conv::{PackedConv, forward};
-use scenesplat_models::ParamStore;
 use scenesplat_models::point_transformer_v3::{BatchRule, SerializedAttention};
 use scenesplat_models::weights::WeightSource;
+use scenesplat_models::{Compute, ParamStore};
 use std::collections::BTreeMap;
 
 /// Points of an attention patch, as in all released networks.
@@ -86,7 +86,7 @@ pub(super) fn attention(c: usize, heads: usize, n: usize, request: &Request) -> 
         proj: scaled(c * c, 6),
         proj_bias: room::values(c, 7),
     };
-    let module = weights.module(c, heads)?;
+    let module = weights.module(c, heads, request.precision)?;
     let x = Tensor::from_vec(room::values(n * c, 1), (n, c), &Device::Cpu)?;
     let mut out = None;
     let measured = time(request, || {
@@ -117,7 +117,7 @@ struct Weights {
 }
 
 impl Weights {
-    fn module(&self, c: usize, heads: usize) -> Result<SerializedAttention> {
+    fn module(&self, c: usize, heads: usize, precision: Precision) -> Result<SerializedAttention> {
         let tensor = |name: &str, values: &[f32]| -> Result<(String, Tensor)> {
             let tensor = Tensor::from_slice(values, (values.len() / c, c), &Device::Cpu)?;
             let tensor = if name.ends_with("bias") { tensor.flatten_all()? } else { tensor };
@@ -131,7 +131,8 @@ impl Weights {
         ]);
         let store = ParamStore::frozen(WeightSource::tensors(tensors));
         let (rule, vb) = (BatchRule::Isolated, store.builder());
-        Ok(SerializedAttention::new(c, heads, PATCH_SIZE, 0, rule, vb)?)
+        let compute = Compute { precision, ..Compute::default() };
+        Ok(SerializedAttention::new(c, heads, PATCH_SIZE, 0, rule, compute, vb)?)
     }
 
     /// Some rows of the patch in the middle, in f64: their numbers and values.

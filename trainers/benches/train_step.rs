@@ -4,12 +4,14 @@
 #[path = "../../kernels/benches/support/mod.rs"]
 mod support;
 /// The step of `scenesplat bench`.
+#[allow(dead_code, reason = "the program also compares gradients")]
 #[path = "../../src/bench/train_step.rs"]
 mod train_step;
 
 use candle_core::{Device, Tensor};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use scenesplat_models::{PointCloud, PointTransformerV3Config};
+use scenesplat_kernels::Precision;
+use scenesplat_models::{Compute, PointCloud, PointTransformerV3Config};
 use support::{criterion, features, short, voxels};
 use train_step::TrainStep;
 
@@ -23,11 +25,15 @@ fn steps(c: &mut Criterion) {
     for n in [10_000, 50_000] {
         let feat = Tensor::from_vec(features(n), (n, 11), &Device::Cpu).expect("11 channels");
         let points = PointCloud::single(voxels(n), feat).expect("equal rows");
-        let mut step = TrainStep::new(&config, points).expect("a network");
         group.throughput(Throughput::Elements(n as u64));
-        group.bench_function(format!("{}/f32", short(n)), |bench| {
-            bench.iter(|| step.run().expect("a finite loss"));
-        });
+        for precision in [Precision::F32, Precision::Bf16] {
+            let compute = Compute { precision, ..config.compute };
+            let config = PointTransformerV3Config { compute, ..config.clone() };
+            let mut step = TrainStep::new(&config, points.clone()).expect("a network");
+            group.bench_function(format!("{}/{precision}", short(n)), |bench| {
+                bench.iter(|| step.run().expect("a finite loss"));
+            });
+        }
     }
     group.finish();
 }
