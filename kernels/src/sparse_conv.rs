@@ -286,6 +286,49 @@ mod tests {
         }
     }
 
+    #[test]
+    fn bf16_is_the_sum_over_rounded_operands() {
+        use crate::gemm::bf16::{round, widen};
+        for (n, k, cin, cout) in [(1, 3, 11, 5), (300, 3, 7, 20), (200, 5, 11, 32), (90, 3, 64, 64)]
+        {
+            let grid = grid(n, 9, true);
+            let offsets = [0, n / 3, n];
+            let map = KernelMap::build(&grid, &offsets, k).unwrap();
+            let (x, w, b) =
+                (random(n * cin, 1), random(cout * k * k * k * cin, 2), random(cout, 3));
+            let weight = PackedConv::with_precision(Precision::Bf16, &w, cin, cout, map.taps());
+            let mut out = vec![f32::NAN; n * cout];
+            forward(&map, &x, &weight, Some(&b), &mut out);
+            let rounded = |v: &[f32]| v.iter().map(|x| widen(round(*x))).collect::<Vec<_>>();
+            let (x, w) = (rounded(&x), rounded(&w));
+            let want = reference::submanifold_conv(&grid, &offsets, &x, cin, &w, Some(&b), k);
+            for (g, w) in out.iter().zip(&want) {
+                assert!((f64::from(*g) - w).abs() < 4e-5, "{g} {w}");
+            }
+        }
+    }
+
+    #[test]
+    fn gradients_in_bf16_are_near() {
+        let (n, cin, cout) = (400, 24, 20);
+        let grid = grid(n, 10, true);
+        let map = KernelMap::build(&grid, &[0, n], 3).unwrap();
+        let (x, w, g) = (random(n * cin, 1), random(cout * 27 * cin, 2), random(n * cout, 3));
+        let run = |precision| {
+            let (mut dx, mut dw) = (vec![f32::NAN; n * cin], vec![f32::NAN; w.len()]);
+            backward_input(precision, &map, &g, &w, cin, cout, &mut dx);
+            backward_weight(precision, &map, &x, &g, cin, cout, &mut dw);
+            (dx, dw)
+        };
+        let (exact, near) = (run(Precision::F32), run(Precision::Bf16));
+        for (exact, near) in [(exact.0, near.0), (exact.1, near.1)] {
+            let error: f32 = exact.iter().zip(&near).map(|(a, b)| (a - b).powi(2)).sum();
+            let norm: f32 = exact.iter().map(|a| a * a).sum();
+            let relative = (error / norm).sqrt();
+            assert!(relative > 1e-4 && relative < 5e-3, "{relative}");
+        }
+    }
+
     /// ⟨grad, conv(x)⟩ is linear in x and in the weights, so its gradients are exact sums.
     fn check_gradients(grid: &[[i32; 3]]) {
         let (n, cin, cout) = (grid.len(), 5, 6);

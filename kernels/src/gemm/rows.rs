@@ -205,6 +205,21 @@ unsafe fn multiply_pairs(
     }
 }
 
+/// Asks for the beginning of a row of `len` values; the rest of a long one is guessed by the CPU.
+#[inline(always)]
+unsafe fn prefetch<T>(row: *const T, len: usize) {
+    const LINE: usize = 64;
+    const LINES: usize = 8;
+    #[cfg(target_arch = "x86_64")]
+    for line in 0..(len * size_of::<T>()).div_ceil(LINE).min(LINES) {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        // SAFETY: a prefetch of any address is harmless, and this one is inside the row.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(row.cast::<i8>().add(line * LINE)) };
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = (row, len, LINE, LINES);
+}
+
 #[inline(always)]
 unsafe fn multiply_with<P: Products>(
     rows: usize,
@@ -237,6 +252,17 @@ unsafe fn multiply_with<P: Products>(
                     unsafe {
                         a_rows[i] = a.row(row + i).add(k0);
                         c_rows[i] = c.row(row + i);
+                    }
+                }
+                if let RowPointers::Gathered { .. } = a {
+                    // Rows that are found by number come from anywhere, where no prefetcher of the
+                    // CPU expects them; those of the next tile arrive while this one is computed.
+                    for i in (row + height..rows).take(TILE_ROWS) {
+                        // SAFETY: rows of the operands, as promised.
+                        unsafe {
+                            prefetch(a.row(i).add(k0), k_len);
+                            prefetch(c.row(i), n);
+                        }
                     }
                 }
                 let mut start = group;
