@@ -8,12 +8,12 @@ use std::time::{Duration, Instant};
 /// A pass longer than this is its own warm-up: what is cold at its begin is warm for nearly all of it.
 const OWN_WARM_UP: Duration = Duration::from_millis(700);
 /// A pass longer than this is timed once.
-const ONCE: Duration = Duration::from_secs(4);
+const ONCE: Duration = Duration::from_secs(3);
 
 /// Times `pass` as often as the request allows, and notes the memory.
 ///
 /// Short rows: one pass to warm up, then three to twenty samples within two seconds. Long rows:
-/// three passes, or one of four seconds or more. A patient request: at least five, within eight
+/// three passes, or one of three seconds or more. A patient request: at least five, within eight
 /// seconds more. With one pass asked for, there is one sample.
 pub(super) fn time(request: &Request, mut pass: impl FnMut() -> Result<()>) -> Result<Measured> {
     let mut once = || -> Result<Duration> {
