@@ -17,7 +17,7 @@ mod stopwatch;
 mod tables;
 mod train_step;
 
-pub use report::{Accuracy, Failure, MachineSpeeds, Measured, Report, Row};
+pub use report::{Accuracy, Failure, MachineSpeeds, Measured, Report, Row, Speeds};
 
 use anyhow::{Result, bail};
 use scenesplat_kernels::Precision;
@@ -135,7 +135,8 @@ pub fn measure(request: &Request) -> Result<Measured> {
         bail!("{:?} is no row", request.name);
     };
     let n = row.size[usize::from(request.quick)];
-    match row.work {
+    let before = machine::speeds();
+    let measured = match row.work {
         Work::PeakF32 => machine::peak(multiply_add::f32_loop(), request),
         Work::PeakBf16 => match multiply_add::bf16_loop() {
             Some(found) => machine::peak(found, request),
@@ -152,7 +153,8 @@ pub fn measure(request: &Request) -> Result<Measured> {
         Work::TrainStep => networks::train_step(n, request),
         Work::Segmentation => networks::segmentation(n, request),
         Work::Language => networks::language(n, request),
-    }
+    }?;
+    Ok(Measured { speeds: vec![before, machine::speeds()], ..measured })
 }
 
 /// What to measure.
@@ -215,7 +217,7 @@ pub fn run(
     };
     // The floors of all others need the speeds of the machine, wanted as rows or not.
     let mut machine = MachineSpeeds::detect(settings.threads);
-    let mut rows = Vec::new();
+    let mut done: Vec<(RowKind, &str, Measured)> = Vec::new();
     let mut jobs = Vec::new();
     for row in ALL {
         if let Work::PeakF32 | Work::PeakBf16 | Work::Bandwidth = row.work {
@@ -226,8 +228,8 @@ pub fn run(
             machine.note(row.work, &measured);
             if wanted(&row) {
                 let shown = if row.work == Work::PeakBf16 { "bf16" } else { "f32" };
-                rows.push(Row::new(&row, shown, settings, measured, &machine));
-                say(Step::Done(&rows[rows.len() - 1]));
+                say(Step::Done(&Row::new(&row, shown, settings, &measured, &machine)));
+                done.push((row, shown, measured));
             }
             continue;
         }
@@ -253,8 +255,9 @@ pub fn run(
         };
         match reference.and_then(|()| measure(&request)) {
             Ok(measured) => {
-                rows.push(Row::new(row, precision.name(), settings, measured, &machine));
-                say(Step::Done(&rows[rows.len() - 1]));
+                machine.note(row.work, &measured);
+                say(Step::Done(&Row::new(row, precision.name(), settings, &measured, &machine)));
+                done.push((*row, precision.name(), measured));
             }
             Err(e) if e.downcast_ref::<Stopped>().is_some() => return Err(e),
             Err(e) => {
@@ -267,6 +270,9 @@ pub fn run(
             }
         }
     }
+    // Floors by the most that the processor gave in the whole run: it may have begun slowly.
+    let rows = done.iter().map(|(row, name, m)| Row::new(row, name, settings, m, &machine));
+    let rows = rows.collect();
     let seconds = began.elapsed().as_secs_f64();
     Ok(Report { machine, quick: settings.quick, seconds, rows, failed })
 }
@@ -329,6 +335,9 @@ mod tests {
             _ => (100, 10),
         };
         let accuracy = None;
+        // The machine is half as fast at first.
+        let f32_flop_s = if request.name.starts_with("peak") { 100.0 } else { 200.0 };
+        let speeds = vec![Speeds { f32_flop_s, bf16_flop_s: None }];
         Ok(Measured {
             size: 1,
             seconds: vec![3.0, 1.0, 1.5],
@@ -336,6 +345,7 @@ mod tests {
             flop,
             bytes,
             accuracy,
+            speeds,
         })
     }
 
@@ -343,15 +353,18 @@ mod tests {
     fn floors_come_from_the_machine_and_ratios_from_the_median() {
         let all = settings(&["gemm_c768_100k", "knn25_500k"], &[Precision::F32, Precision::Bf16]);
         let report = run(&all, &mut |r| one_second(r), &mut |_| {}).unwrap();
-        assert_eq!(report.machine.peak_f32_flop_s, 100.0);
+        assert_eq!(report.machine.peak_f32_flop_s, 200.0);
         assert_eq!(report.machine.bandwidth_bytes_s, 1000.0);
         let seen: Vec<(&str, &str)> =
             report.rows.iter().map(|r| (r.name.as_str(), r.precision.as_str())).collect();
         let gemm = "gemm_c768_100k";
         assert_eq!(seen, [("knn25_500k", "f32"), (gemm, "f32"), (gemm, "bf16")]);
         let row = &report.rows[1];
-        assert_eq!((row.min_s, row.median_s, row.floor_s, row.ratio), (1.0, 1.5, 1.0, 1.5));
-        assert!(report.to_string().contains(gemm));
+        assert_eq!((row.min_s, row.median_s, row.floor_s, row.ratio), (1.0, 1.5, 0.5, 3.0));
+        assert!(row.is_steady() && !report.to_string().contains('!'));
+        let slow = run(&settings(&["peak_f32"], &[]), &mut |r| one_second(r), &mut |_| {}).unwrap();
+        assert_eq!((slow.machine.peak_f32_flop_s, slow.rows[0].steady), (200.0, 0.5));
+        assert!(slow.to_string().contains("! 1.50 s"), "{slow}");
     }
 
     #[test]

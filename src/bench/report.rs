@@ -21,6 +21,17 @@ pub struct Measured {
     pub bytes: u64,
     /// How far the result is from a better one.
     pub accuracy: Option<Accuracy>,
+    /// What the processor gave before and after the row.
+    pub speeds: Vec<Speeds>,
+}
+
+/// Operations a second of all threads in registers, at one moment.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Speeds {
+    /// f32.
+    pub f32_flop_s: f64,
+    /// bf16; `None` without such instructions.
+    pub bf16_flop_s: Option<f64>,
 }
 
 /// How far a result is from a better one on the same input.
@@ -52,9 +63,9 @@ pub struct MachineSpeeds {
     pub os: String,
     /// Version of this program.
     pub version: String,
-    /// f32 operations a second of all threads, in registers.
+    /// f32 operations a second of all threads, in registers: the most seen in the whole run.
     pub peak_f32_flop_s: f64,
-    /// bf16 operations a second of all threads, in registers; `None` without such instructions.
+    /// The same in bf16; `None` without such instructions.
     pub peak_bf16_flop_s: Option<f64>,
     /// Bytes a second that all threads together read from memory.
     pub bandwidth_bytes_s: f64,
@@ -99,6 +110,9 @@ pub struct Row {
     pub floor_s: f64,
     /// Median over floor.
     pub ratio: f64,
+    /// What the processor gave before and after the row, the smaller, over the most it gave in the
+    /// run: below 0.85 something else was running, and the row is too slow.
+    pub steady: f64,
 }
 
 /// A row that could not be measured.
@@ -144,15 +158,24 @@ impl MachineSpeeds {
         }
     }
 
-    /// Takes over a speed: the best sample's.
+    /// Takes over the speeds seen with a row, where they are the best so far.
     pub(super) fn note(&mut self, work: Work, measured: &Measured) {
         let shortest = shortest(&measured.seconds);
+        let (flop_s, bytes_s) = (measured.flop as f64 / shortest, measured.bytes as f64 / shortest);
         match work {
-            Work::PeakF32 => self.peak_f32_flop_s = measured.flop as f64 / shortest,
-            Work::PeakBf16 => self.peak_bf16_flop_s = Some(measured.flop as f64 / shortest),
-            Work::Bandwidth => self.bandwidth_bytes_s = measured.bytes as f64 / shortest,
+            Work::PeakF32 => self.peak_f32_flop_s = self.peak_f32_flop_s.max(flop_s),
+            Work::PeakBf16 => self.note_bf16(flop_s),
+            Work::Bandwidth => self.bandwidth_bytes_s = self.bandwidth_bytes_s.max(bytes_s),
             _ => {}
         }
+        for seen in &measured.speeds {
+            self.peak_f32_flop_s = self.peak_f32_flop_s.max(seen.f32_flop_s);
+            seen.bf16_flop_s.into_iter().for_each(|speed| self.note_bf16(speed));
+        }
+    }
+
+    fn note_bf16(&mut self, flop_s: f64) {
+        self.peak_bf16_flop_s = Some(self.peak_bf16_flop_s.unwrap_or(0.0).max(flop_s));
     }
 
     /// The least seconds for so many operations and bytes.
@@ -186,16 +209,15 @@ impl Row {
         kind: &RowKind,
         precision: &str,
         settings: &Settings,
-        measured: Measured,
+        measured: &Measured,
         machine: &MachineSpeeds,
     ) -> Self {
-        let Measured { size, seconds, peak_bytes, flop, bytes, accuracy } = measured;
-        let median_s = median(&seconds);
-        let floor_s = match kind.work {
-            // The peaks are measured first, one after the other: what counts is the own one.
-            Work::PeakF32 | Work::PeakBf16 | Work::Bandwidth => shortest(&seconds),
-            _ => machine.floor(precision, flop, bytes),
-        };
+        let Measured { size, seconds, peak_bytes, flop, bytes, accuracy, speeds } =
+            measured.clone();
+        let (median_s, min_s) = (median(&seconds), shortest(&seconds));
+        let floor_s = machine.floor(precision, flop, bytes);
+        let least = speeds.iter().map(|s| s.f32_flop_s).fold(f64::INFINITY, f64::min);
+        let steady = (least / machine.peak_f32_flop_s).min(1.0);
         let (max_error, error_against, cosine_median, cosine_p01) = match accuracy {
             Some(a) => (Some(a.max_error), Some(a.against), a.cosine_median, a.cosine_p01),
             None => (None, None, None, None),
@@ -207,7 +229,7 @@ impl Row {
             quick: settings.quick,
             size,
             median_s,
-            min_s: shortest(&seconds),
+            min_s,
             samples: seconds.len(),
             peak_bytes,
             flop,
@@ -218,7 +240,13 @@ impl Row {
             cosine_p01,
             floor_s,
             ratio: median_s / floor_s,
+            steady,
         }
+    }
+
+    /// Whether the processor was there for the row alone.
+    pub fn is_steady(&self) -> bool {
+        self.steady >= 0.85
     }
 
     /// Operations or bytes a second, with the unit.
@@ -235,7 +263,7 @@ impl Row {
             self.precision.clone(),
             self.size.to_string(),
             self.samples.to_string(),
-            seconds_text(self.median_s),
+            format!("{}{}", if self.is_steady() { "" } else { "! " }, seconds_text(self.median_s)),
             seconds_text(self.floor_s),
             format!("{:.2}", self.ratio),
             self.speed(),
@@ -309,6 +337,15 @@ impl fmt::Display for Report {
                 }
             }
             writeln!(f, "{}", text.trim_end())?;
+        }
+        if let Some(least) = self.rows.iter().map(|r| r.steady).min_by(f64::total_cmp)
+            && self.rows.iter().any(|r| !r.is_steady())
+        {
+            writeln!(
+                f,
+                "! something else was running: the processor gave as little as {:.0} % of its peak",
+                least * 100.0
+            )?;
         }
         for failure in &self.failed {
             writeln!(f, "{} {} failed: {}", failure.name, failure.precision, failure.reason)?;

@@ -44,5 +44,6 @@ pub(super) fn time(request: &Request, mut pass: impl FnMut() -> Result<()>) -> R
         flop: 0,
         bytes: 0,
         accuracy: None,
+        speeds: Vec::new(),
     })
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 /// Fields of a row that are always there.
-const FIELDS: [&str; 15] = [
+const FIELDS: [&str; 16] = [
     "name",
     "precision",
     "threads",
@@ -22,6 +22,7 @@ const FIELDS: [&str; 15] = [
     "error_against",
     "floor_s",
     "ratio",
+    "steady",
 ];
 
 fn report(path: &Path) -> Value {
