@@ -6,8 +6,8 @@
 
 use crate::Precision;
 use crate::gemm::{
-    LeftRows, PackedMatrix, PreparedRows, RowPointers, RowPointersMut, SharedMut, column_groups,
-    gemm_tn_with, multiply_prepared, multiply_rows,
+    LeftRows, PackedMatrix, PreparedRows, RowPointers, RowPointersMut, SharedMut,
+    add_outer_products, column_groups, gemm_tn_with, multiply_prepared, multiply_rows,
 };
 use crate::kernel_map::KernelMap;
 use rayon::prelude::*;
@@ -192,7 +192,13 @@ pub fn backward_input(
     }
 }
 
-/// Gradient of the weight, `[cout, k, k, k, cin]`.
+/// Largest gradient of a weight of which there are several partial sums.
+const PARTIAL_BYTES: usize = 2 << 20;
+/// Stretches of rows with a partial sum of their own. Fixed, so that the order of summation is.
+const STRETCHES: usize = 16;
+
+/// Gradient of the weight, `[cout, k, k, k, cin]`. That of a narrow layer is summed in f32 in every
+/// precision: rounding its operands would take longer than the products.
 ///
 /// # Shapes
 /// `x`: `[N, cin]` · `grad`: `[N, cout]`
@@ -207,6 +213,11 @@ pub fn backward_weight(
 ) {
     let taps = map.taps();
     assert_eq!(dw.len(), cout * taps * cin, "convolution weight length");
+    assert_eq!(x.len(), map.rows() * cin, "convolution input length");
+    assert_eq!(grad.len(), map.rows() * cout, "convolution gradient length");
+    if cin > 0 && cin % 16 == 0 && cout > 0 && size_of_val(dw) <= PARTIAL_BYTES {
+        return backward_narrow_weight(map, x, grad, cin, cout, dw);
+    }
     let target = SharedMut(dw.as_mut_ptr());
     (0..taps).into_par_iter().for_each(|tap| {
         let (input, output) = map.tap_pairs(tap);
@@ -218,6 +229,46 @@ pub fn backward_weight(
             let to =
                 unsafe { std::slice::from_raw_parts_mut(target.at((o * taps + tap) * cin), cin) };
             to.copy_from_slice(&part[o * cin..(o + 1) * cin]);
+        }
+    });
+}
+
+/// Stretch of rows by stretch of rows, all taps of a chunk together: its rows stay in the cache.
+fn backward_narrow_weight(
+    map: &KernelMap,
+    x: &[f32],
+    grad: &[f32],
+    cin: usize,
+    cout: usize,
+    dw: &mut [f32],
+) {
+    let (taps, chunks) = (map.taps(), map.num_chunks());
+    let each = chunks.div_ceil(STRETCHES).max(1);
+    let partial: Vec<Vec<f32>> = (0..chunks.div_ceil(each))
+        .into_par_iter()
+        .map(|stretch| {
+            let mut sums = vec![0.0; dw.len()];
+            for chunk in stretch * each..((stretch + 1) * each).min(chunks) {
+                for (tap, sums) in sums.chunks_exact_mut(cout * cin).enumerate() {
+                    let (input, output) = map.pairs(chunk, tap);
+                    let pairs = Some((output, input));
+                    // SAFETY: row numbers of the map are below its rows, which both sides have; the
+                    // sums of a tap are `cout` rows of `cin` values.
+                    unsafe {
+                        let (grad, x) = ((grad, cout), (x, cin));
+                        add_outer_products(grad, x, pairs, 0..input.len(), 0, sums);
+                    }
+                }
+            }
+            sums
+        })
+        .collect();
+    dw.par_chunks_mut(cin).enumerate().for_each(|(row, to)| {
+        let (o, tap) = (row / taps, row % taps);
+        to.fill(0.0);
+        for sums in &partial {
+            let from = &sums[(tap * cout + o) * cin..][..cin];
+            to.iter_mut().zip(from).for_each(|(t, f)| *t += f);
         }
     });
 }
@@ -331,7 +382,12 @@ mod tests {
 
     /// ⟨grad, conv(x)⟩ is linear in x and in the weights, so its gradients are exact sums.
     fn check_gradients(grid: &[[i32; 3]]) {
-        let (n, cin, cout) = (grid.len(), 5, 6);
+        check_gradients_of(grid, 5, 6);
+        check_gradients_of(grid, 16, 7);
+    }
+
+    fn check_gradients_of(grid: &[[i32; 3]], cin: usize, cout: usize) {
+        let n = grid.len();
         let map = KernelMap::build(grid, &[0, n], 3).unwrap();
         let (x, w, g) = (random(n * cin, 1), random(cout * 27 * cin, 2), random(n * cout, 3));
         let loss = |x: &[f32], w: &[f32]| -> f64 {
@@ -344,13 +400,13 @@ mod tests {
         let mut dw = vec![f32::NAN; w.len()];
         backward_weight(Precision::F32, &map, &x, &g, cin, cout, &mut dw);
         let base = loss(&x, &w);
-        for i in (0..x.len()).step_by(7) {
+        for i in (0..x.len()).step_by(7 * cin / 5) {
             let mut moved = x.clone();
             moved[i] += 1.0;
             let want = loss(&moved, &w) - base;
             assert!((f64::from(dx[i]) - want).abs() < 1e-4, "dx {i}: {} {want}", dx[i]);
         }
-        for i in (0..w.len()).step_by(11) {
+        for i in (0..w.len()).step_by(11 * cin / 5) {
             let mut moved = w.clone();
             moved[i] += 1.0;
             let want = loss(&x, &moved) - base;

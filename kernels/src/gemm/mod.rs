@@ -20,6 +20,7 @@ pub use packed::PackedMatrix;
 pub(crate) use packed::{repack, repack_with};
 pub(crate) use rows::multiply_prepared;
 pub(crate) use rows::{LeftRows, PreparedRows, RowPointers, RowPointersMut, multiply_rows};
+pub(crate) use transposed::add_outer_products;
 pub use transposed::{gemm_tn, gemm_tn_with};
 
 use micro::PANEL;

@@ -65,7 +65,9 @@ fn a_row_does_not_depend_on_its_neighbours_or_threads() {
 
 #[test]
 fn transposed_product_agrees_with_f64() {
-    for (rows, m, n) in [(0, 3, 5), (1, 7, 20), (700, 33, 18), (20_000, 16, 32)] {
+    for (rows, m, n) in
+        [(0, 3, 5), (1, 7, 20), (1, 5, 16), (700, 33, 18), (3001, 70, 112), (20_000, 16, 32)]
+    {
         let a = random(rows * m, 7);
         let b = random(rows * n, 8);
         let mut out = vec![f32::NAN; m * n];
@@ -78,18 +80,20 @@ fn transposed_product_agrees_with_f64() {
 
 #[test]
 fn transposed_product_over_pairs() {
-    let (rows, m, n) = (50, 9, 21);
-    let a = random(rows * m, 9);
-    let b = random(rows * n, 10);
-    let ra: Vec<u32> = (0..900).map(|i| (i * 7 % 50) as u32).collect();
-    let rb: Vec<u32> = (0..900).map(|i| (i * 11 % 50) as u32).collect();
-    let mut out = vec![0.0; m * n];
-    gemm_tn(&a, m, &b, n, Some((&ra, &rb)), &mut out);
-    let pick = |v: &[f32], w: usize, ids: &[u32]| -> Vec<f32> {
-        ids.iter().flat_map(|&r| v[r as usize * w..(r as usize + 1) * w].to_vec()).collect()
-    };
-    let want = reference::matmul_tn(&pick(&a, m, &ra), &pick(&b, n, &rb), 900, m, n);
-    assert!(max_error(&out, &want) < 1e-4);
+    for (rows, m, n) in [(50, 9, 21), (50, 9, 32), (50, 200, 16)] {
+        let a = random(rows * m, 9);
+        let b = random(rows * n, 10);
+        let ra: Vec<u32> = (0..900).map(|i| (i * 7 % 50) as u32).collect();
+        let rb: Vec<u32> = (0..900).map(|i| (i * 11 % 50) as u32).collect();
+        let mut out = vec![0.0; m * n];
+        gemm_tn(&a, m, &b, n, Some((&ra, &rb)), &mut out);
+        let pick = |v: &[f32], w: usize, ids: &[u32]| -> Vec<f32> {
+            ids.iter().flat_map(|&r| v[r as usize * w..(r as usize + 1) * w].to_vec()).collect()
+        };
+        let want = reference::matmul_tn(&pick(&a, m, &ra), &pick(&b, n, &rb), 900, m, n);
+        // Every row meets 18 times: sums of correlated terms.
+        assert!(max_error(&out, &want) < 3e-4);
+    }
 }
 
 #[test]
