@@ -19,7 +19,7 @@ mod rows;
 mod transposed;
 
 pub use packed::PackedMatrix;
-pub(crate) use packed::{repack, repack_with};
+pub(crate) use packed::repack_with;
 pub(crate) use rows::multiply_prepared;
 pub(crate) use rows::{LeftRows, PreparedRows, RowPointers, RowPointersMut, multiply_rows};
 pub(crate) use transposed::add_outer_products;

@@ -5,6 +5,7 @@ use crate::layers::Linear;
 use crate::{Compute, ops};
 use candle_core::{Result, Tensor};
 use candle_nn::VarBuilder;
+use scenesplat_kernels::Precision;
 use scenesplat_kernels::patch_attention::Heads;
 use scenesplat_kernels::serialized_cloud::SerializedCloud;
 
@@ -17,6 +18,7 @@ pub struct SerializedAttention {
     patch_size: usize,
     order: usize,
     batch_rule: BatchRule,
+    precision: Precision,
 }
 
 impl SerializedAttention {
@@ -40,6 +42,7 @@ impl SerializedAttention {
             patch_size,
             order,
             batch_rule,
+            precision: compute.precision,
         })
     }
 
@@ -63,8 +66,13 @@ impl SerializedAttention {
         let order = &cloud.order(self.order).order;
         let qkv = self.qkv.forward(&x)?;
         drop(x);
-        let attended =
-            ops::patch_attention(&qkv, self.heads, cloud.patches(patch_size), order.clone())?;
+        let attended = ops::patch_attention(
+            self.precision,
+            &qkv,
+            self.heads,
+            cloud.patches(patch_size),
+            order.clone(),
+        )?;
         drop(qkv);
         self.proj.forward_residual(&attended, residual)
     }
