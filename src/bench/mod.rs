@@ -354,7 +354,7 @@ mod tests {
         let all = settings(&["gemm_c768_100k", "knn25_500k"], &[Precision::F32, Precision::Bf16]);
         let report = run(&all, &mut |r| one_second(r), &mut |_| {}).unwrap();
         assert_eq!(report.machine.peak_f32_flop_s, 200.0);
-        assert_eq!(report.machine.bandwidth_bytes_s, 1000.0);
+        assert_eq!(report.machine.bandwidth_bytes_s, 1000.0 / 1.5);
         let seen: Vec<(&str, &str)> =
             report.rows.iter().map(|r| (r.name.as_str(), r.precision.as_str())).collect();
         let gemm = "gemm_c768_100k";

@@ -67,7 +67,7 @@ pub struct MachineSpeeds {
     pub peak_f32_flop_s: f64,
     /// The same in bf16; `None` without such instructions.
     pub peak_bf16_flop_s: Option<f64>,
-    /// Bytes a second that all threads together read from memory.
+    /// Bytes a second that all threads together read from memory, by the median.
     pub bandwidth_bytes_s: f64,
 }
 
@@ -161,7 +161,9 @@ impl MachineSpeeds {
     /// Takes over the speeds seen with a row, where they are the best so far.
     pub(super) fn note(&mut self, work: Work, measured: &Measured) {
         let shortest = shortest(&measured.seconds);
-        let (flop_s, bytes_s) = (measured.flop as f64 / shortest, measured.bytes as f64 / shortest);
+        let flop_s = measured.flop as f64 / shortest;
+        // A single pass may find a part of the array in a cache of the host; most do not.
+        let bytes_s = measured.bytes as f64 / median(&measured.seconds);
         match work {
             Work::PeakF32 => self.peak_f32_flop_s = self.peak_f32_flop_s.max(flop_s),
             Work::PeakBf16 => self.note_bf16(flop_s),

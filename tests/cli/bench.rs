@@ -139,7 +139,7 @@ fn the_machine_itself() {
     let rows = rows(&["peak_f32", "bandwidth"], &[]);
     let seen: Vec<&str> = rows.iter().map(|r| r["name"].as_str().unwrap()).collect();
     assert_eq!(seen, ["peak_f32", "bandwidth"]);
-    assert!(rows.iter().all(|row| row["ratio"].as_f64().unwrap() >= 1.0));
+    assert!(rows.iter().all(|row| row["ratio"].as_f64().unwrap() >= 0.999), "{rows:?}");
 }
 
 #[test]
