@@ -215,7 +215,7 @@ pub fn backward_weight(
     assert_eq!(dw.len(), cout * taps * cin, "convolution weight length");
     assert_eq!(x.len(), map.rows() * cin, "convolution input length");
     assert_eq!(grad.len(), map.rows() * cout, "convolution gradient length");
-    if cin > 0 && cin % 16 == 0 && cout > 0 && size_of_val(dw) <= PARTIAL_BYTES {
+    if cin > 0 && cin.is_multiple_of(16) && cout > 0 && size_of_val(dw) <= PARTIAL_BYTES {
         return backward_narrow_weight(map, x, grad, cin, cout, dw);
     }
     let target = SharedMut(dw.as_mut_ptr());

@@ -228,12 +228,11 @@ unsafe fn multiply_tiles(
             }
             let tail_base = tail.as_mut_ptr();
             let targets: [*mut f32; ROW_BLOCK] = std::array::from_fn(|i| {
-                // SAFETY: row `i` of the result, from column `start` on, or of the buffer.
-                match i {
-                    i if i >= rows => std::ptr::null_mut(),
-                    i if whole => unsafe { c.row(i).add(start) },
-                    i => unsafe { tail_base.add(i * width) },
+                if i >= rows {
+                    return std::ptr::null_mut();
                 }
+                // SAFETY: row `i` of the result, from column `start` on, or of the buffer.
+                unsafe { if whole { c.row(i).add(start) } else { tail_base.add(i * width) } }
             });
             // SAFETY: the panel has `steps` rows of `width` pairs from `start · steps` on; rows of
             // `a` as promised; targets are distinct rows of at least `width` values.

@@ -105,7 +105,7 @@ fn accumulate_segment(
     first: usize,
     out: &mut [f32],
 ) {
-    if precision == Precision::F32 && n % 16 == 0 {
+    if precision == Precision::F32 && n.is_multiple_of(16) {
         // SAFETY: row numbers and `range` were checked against `a` and `b` by the caller; `out` has
         // rows of `n` values, one for each channel from `first` on.
         unsafe { add_outer_products((a, m), (b, n), pairs, range, first, out) }

@@ -48,7 +48,7 @@ impl SparseConv {
         let dw = read("sparse_conv", grad, |g| {
             read("sparse_conv", x, |x| {
                 make(w.shape().clone(), |dw| {
-                    backward_weight(self.precision, &self.map, x, g, cin, cout, dw)
+                    backward_weight(self.precision, &self.map, x, g, cin, cout, dw);
                 })
             })
         })?;
