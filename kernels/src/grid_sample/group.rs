@@ -1,7 +1,8 @@
 //! Rows into voxels.
 
 use super::bounds::cell_bounds;
-use super::keys::{fnv_key, morton_cell, morton_key};
+use super::hash_order::voxels_by_hash;
+use super::keys::{morton_cell, morton_key};
 use super::{CHUNK, GridSampleError, KeyOrder, VoxelGroups, check_row_count};
 use crate::serialization::{Sorted, shared};
 use crate::simd::{Vector, dispatch};
@@ -41,7 +42,7 @@ pub fn voxel_groups(
     let mut order = vec![0; coord.len()];
     let mut inverse = vec![0; coord.len()];
     if key_order == KeyOrder::Fnv {
-        let (offsets, grid_coord) = spans.by_hash(&sorted, &mut order, shared(&mut inverse));
+        let (offsets, grid_coord) = spans.by_hash(&sorted, &grid, &mut order, shared(&mut inverse));
         return Ok(VoxelGroups { order, offsets, inverse, grid_coord, min_cell, grid_size });
     }
     spans.list_rows(&sorted, &mut order, shared(&mut inverse));
@@ -173,37 +174,31 @@ impl Spans {
     fn by_hash(
         &self,
         sorted: &Sorted,
+        grid: &Grid,
         order: &mut [u32],
         inverse: &[AtomicU32],
     ) -> (Vec<u32>, Vec<[i32; 3]>) {
-        let keys: Vec<u64> = self
-            .cells
-            .par_iter()
-            .with_min_len(CHUNK)
-            .map(|cell| fnv_key(cell.map(|c| c as u32)))
-            .collect();
-        let hashed = Sorted::of(&keys);
-        let voxel_of = |entry: &u64| (entry & hashed.row_mask) as usize;
-        let span = |voxel: usize| self.offsets[voxel] as usize..self.offsets[voxel + 1] as usize;
-        let counts: Vec<usize> = hashed
-            .entries
+        let voxels = voxels_by_hash(&self.cells, grid.bits()[1]);
+        let span = |voxel: u32| {
+            self.offsets[voxel as usize] as usize..self.offsets[voxel as usize + 1] as usize
+        };
+        let counts: Vec<usize> = voxels
             .par_chunks(CHUNK)
-            .map(|entries| entries.iter().map(|e| span(voxel_of(e)).len()).sum())
+            .map(|voxels| voxels.iter().map(|&v| span(v).len()).sum())
             .collect();
         let before = running_sum(&counts);
-        let mut offsets = vec![0; keys.len() + 1];
-        let mut cells = vec![[0; 3]; keys.len()];
+        let mut offsets = vec![0; voxels.len() + 1];
+        let mut cells = vec![[0; 3]; voxels.len()];
         let mask = sorted.row_mask;
         pieces(order, &before)
             .into_par_iter()
-            .zip(hashed.entries.par_chunks(CHUNK))
+            .zip(voxels.par_chunks(CHUNK))
             .zip(offsets[1..].par_chunks_mut(CHUNK))
             .zip(cells.par_chunks_mut(CHUNK))
             .enumerate()
-            .for_each(|(part, (((order, entries), offsets), cells))| {
+            .for_each(|(part, (((order, voxels), offsets), cells))| {
                 let mut at = 0;
-                for (i, entry) in entries.iter().enumerate() {
-                    let voxel = voxel_of(entry);
+                for (i, &voxel) in voxels.iter().enumerate() {
                     for row in &sorted.entries[span(voxel)] {
                         let row = (row & mask) as u32;
                         order[at] = row;
@@ -211,7 +206,7 @@ impl Spans {
                         at += 1;
                     }
                     offsets[i] = (before[part] + at) as u32;
-                    cells[i] = self.cells[voxel];
+                    cells[i] = self.cells[voxel as usize];
                 }
             });
         (offsets, cells)
@@ -219,7 +214,7 @@ impl Spans {
 }
 
 /// Zero, then the sums of the first one, two, … counts.
-fn running_sum(counts: &[usize]) -> Vec<usize> {
+pub(super) fn running_sum(counts: &[usize]) -> Vec<usize> {
     let mut sum = 0;
     std::iter::once(0)
         .chain(counts.iter().map(|count| {
@@ -230,7 +225,7 @@ fn running_sum(counts: &[usize]) -> Vec<usize> {
 }
 
 /// Consecutive pieces `ends[i]..ends[i + 1]` of a slice.
-fn pieces<'a, T>(mut rest: &'a mut [T], ends: &[usize]) -> Vec<&'a mut [T]> {
+pub(super) fn pieces<'a, T>(mut rest: &'a mut [T], ends: &[usize]) -> Vec<&'a mut [T]> {
     ends.windows(2)
         .map(|w| {
             let (piece, after) = std::mem::take(&mut rest).split_at_mut(w[1] - w[0]);

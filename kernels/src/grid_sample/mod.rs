@@ -6,6 +6,7 @@
 
 mod bounds;
 mod group;
+mod hash_order;
 mod keys;
 
 pub use group::voxel_groups;

@@ -107,8 +107,10 @@ impl Sorted {
             return;
         }
         for run in self.entries.chunk_by_mut(|&a, &b| together(a, b)) {
-            // Stable: rows of equal codes are ascending already.
-            run.sort_by_key(|&entry| code(entry));
+            if run.windows(2).any(falls) {
+                // Stable: rows of equal codes are ascending already.
+                run.sort_by_key(|&entry| code(entry));
+            }
         }
     }
 }
