@@ -9,7 +9,7 @@ mod radix_sort;
 mod z_order;
 
 pub use hilbert::hilbert_code;
-pub(crate) use radix_sort::{Sorted, shared};
+pub(crate) use radix_sort::{Sorted, order_and_inverse, shared};
 pub use radix_sort::{argsort, argsort_into, invert};
 pub use z_order::morton_code;
 

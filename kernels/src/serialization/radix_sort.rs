@@ -42,6 +42,32 @@ pub fn argsort_into(codes: &[u64], order: &mut [u32]) {
         .for_each(|(o, e)| *o = (e & mask) as u32);
 }
 
+/// The sorting permutation and its inverse, both counted from `first` on. `spare` is memory to work
+/// in: touching fresh memory takes as long as a pass of the sort.
+pub(crate) fn order_and_inverse(
+    codes: &[u64],
+    first: u32,
+    order: &mut [u32],
+    inverse: &mut [u32],
+    spare: &mut Vec<u64>,
+) {
+    let sorted = Sorted::within(codes, std::mem::take(spare));
+    let mask = sorted.row_mask;
+    let inverse = shared(inverse);
+    let entries = sorted.entries.par_chunks(ROWS_PER_PART);
+    order.par_chunks_mut(ROWS_PER_PART).zip(entries).enumerate().for_each(
+        |(part, (order, entries))| {
+            for (i, (o, entry)) in order.iter_mut().zip(entries).enumerate() {
+                let row = (entry & mask) as u32;
+                *o = first + row;
+                let position = (part * ROWS_PER_PART + i) as u32;
+                inverse[row as usize].store(first + position, Ordering::Relaxed);
+            }
+        },
+    );
+    *spare = sorted.entries;
+}
+
 /// Rows in ascending order of their codes.
 pub(crate) struct Sorted {
     /// Code, less the smallest, above the row. Of codes too wide, the highest bits only; the order
@@ -58,18 +84,36 @@ pub(crate) struct Sorted {
 
 impl Sorted {
     pub(crate) fn of(codes: &[u64]) -> Self {
+        Self::within(codes, Vec::new())
+    }
+
+    /// As [`Sorted::of`], with the entries in memory given.
+    fn within(codes: &[u64], mut entries: Vec<u64>) -> Self {
         let n = codes.len();
         assert!(u32::try_from(n).is_ok(), "more rows than 32 bits can number");
-        let range = codes
+        let (low, high, is_sorted) = codes
             .par_chunks(ROWS_PER_PART)
-            .map(|part| part.iter().fold((u64::MAX, 0), |r, &c| (r.0.min(c), r.1.max(c))))
-            .reduce(|| (u64::MAX, 0), |a, b| (a.0.min(b.0), a.1.max(b.1)));
-        let low = if n == 0 { 0 } else { range.0 };
-        let code_bits = 64 - range.1.saturating_sub(low).leading_zeros();
+            .enumerate()
+            .map(|(part, codes_of)| {
+                let (low, high) =
+                    codes_of.iter().fold((u64::MAX, 0), |r, &c| (r.0.min(c), r.1.max(c)));
+                let before = part * ROWS_PER_PART;
+                let joins = before == 0 || codes[before - 1] <= codes_of[0];
+                (low, high, joins && codes_of.is_sorted())
+            })
+            .reduce(|| (u64::MAX, 0, true), |a, b| (a.0.min(b.0), a.1.max(b.1), a.2 && b.2));
+        let low = if n == 0 { 0 } else { low };
+        let code_bits = 64 - high.saturating_sub(low).leading_zeros();
         let row_bits = usize::BITS - n.saturating_sub(1).leading_zeros();
         let dropped_bits = (code_bits + row_bits).saturating_sub(64);
         let entry = |row: usize, code: u64| ((code - low) >> dropped_bits) << row_bits | row as u64;
-        let entries = sort_entries(codes, entry, row_bits, code_bits - dropped_bits);
+        if is_sorted {
+            // As after sampling along a curve, and after pooling along the first order.
+            let rows = codes.par_iter().with_min_len(ROWS_PER_PART).enumerate();
+            rows.map(|(row, &code)| entry(row, code)).collect_into_vec(&mut entries);
+        } else {
+            sort_entries(codes, entry, row_bits, code_bits - dropped_bits, &mut entries);
+        }
         let mut sorted =
             Self { entries, row_bits, row_mask: (1 << row_bits) - 1, low, dropped_bits };
         sorted.mend(codes);
@@ -121,14 +165,13 @@ fn sort_entries(
     entry: impl Fn(usize, u64) -> u64 + Sync,
     row_bits: u32,
     width: u32,
-) -> Vec<u64> {
+    entries: &mut Vec<u64>,
+) {
     // The bits below hold the row, so sorting whole entries is stable whatever the method.
     let aim = usize::BITS - (codes.len() >> BUCKET_BITS).leading_zeros();
     let digit_bits = aim.min(DIGIT_BITS).min(width);
-    let mut entries = Vec::new();
-    let starts = split(codes, &entry, &mut entries, row_bits + width - digit_bits, digit_bits);
-    sort_buckets(&mut entries, &starts, row_bits);
-    entries
+    let starts = split(codes, &entry, entries, row_bits + width - digit_bits, digit_bits);
+    sort_buckets(entries, &starts, row_bits);
 }
 
 /// Sorts each bucket by itself.
