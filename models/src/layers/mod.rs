@@ -26,7 +26,7 @@ pub(crate) fn vector(t: &Tensor) -> Result<Vec<f32>> {
 /// `x + residual` for tensors that may want gradients.
 pub(crate) fn add(x: &Tensor, residual: Option<&Tensor>) -> Result<Tensor> {
     match residual {
-        Some(r) => x + r,
+        Some(r) => crate::ops::add_scaled_rows(x, None, r),
         None => Ok(x.clone()),
     }
 }

@@ -10,6 +10,7 @@ mod linear;
 mod normalize;
 mod patch_attention;
 mod permute_rows;
+mod residual;
 mod segment_reduce;
 mod sparse_conv;
 
@@ -21,6 +22,7 @@ pub use linear::{linear, linear_frozen, linear_with, mlp_frozen};
 pub use normalize::{l2_normalize, normalize_rows};
 pub use patch_attention::patch_attention;
 pub use permute_rows::permute_rows;
+pub use residual::add_scaled_rows;
 pub use segment_reduce::{expand_groups, segment_reduce};
 pub use sparse_conv::{sparse_conv, sparse_conv_frozen, sparse_conv_with};
 

@@ -99,8 +99,8 @@ impl Block {
             return self.mlp.forward_residual(&self.norm2.forward(&x)?, &x);
         }
         let branch = self.attention.forward(self.norm1.forward(&x)?, cloud, None)?;
-        let x = (self.drop_path.forward(&branch, cx.mode, cx.rng)? + x)?;
+        let x = self.drop_path.forward_residual(&branch, &x, cx.mode, cx.rng)?;
         let branch = self.mlp.forward(&self.norm2.forward(&x)?)?;
-        self.drop_path.forward(&branch, cx.mode, cx.rng)? + x
+        self.drop_path.forward_residual(&branch, &x, cx.mode, cx.rng)
     }
 }
