@@ -22,6 +22,7 @@
 //! ```
 
 pub mod assets;
+pub mod bench;
 pub mod cli;
 pub mod convert;
 pub mod inference;

@@ -11,8 +11,8 @@ pub enum Precision {
     /// f32 operands.
     #[default]
     F32,
-    /// Each f32 operand as the sum of two bf16 numbers, three products instead of one: relative
-    /// error about 1e-5 of the result. Only where the CPU has bf16 tiles (AMX) is that faster than
+    /// Each f32 operand as the sum of two bf16 numbers, three products instead of one: an error of
+    /// at most 2⁻¹⁵ of the sum of the products' magnitudes, typically below 1e-6. ±∞ gives NaN. Only where the CPU has bf16 tiles (AMX) is that faster than
     /// [`Precision::F32`]; elsewhere this computes exactly as `F32` does.
     F32Split,
     /// Operands rounded to bf16 (8 bits of mantissa): relative error about 3e-3 of the result. Uses

@@ -4,7 +4,7 @@ use crate::error::{KernelError, check_offsets};
 use crate::kernel_map::KernelMap;
 use crate::patches::{Patches, cut};
 use crate::segment::Groups;
-use crate::serialization::{Curve, argsort, codes, depth_of, invert};
+use crate::serialization::{Curve, codes_into, depth_of, order_and_inverse};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -72,12 +72,13 @@ impl SerializedCloud {
             let most = depths.iter().copied().max().unwrap_or(0);
             depths.fill(most);
         }
-        let rows: Vec<Vec<u64>> = curves
+        let rows = curves
             .iter()
             .map(|&curve| {
-                let mut out = Vec::with_capacity(grid_coord.len());
+                let mut out = vec![0; grid_coord.len()];
                 for (scene, &depth) in offsets.windows(2).zip(&depths) {
-                    out.extend(codes(curve, &grid_coord[scene[0]..scene[1]], depth));
+                    let scene = scene[0]..scene[1];
+                    codes_into(curve, &grid_coord[scene.clone()], depth, &mut out[scene]);
                 }
                 out
             })
@@ -91,7 +92,8 @@ impl SerializedCloud {
         depth: Vec<u32>,
         curves: Vec<Vec<u64>>,
     ) -> Self {
-        let orders = curves.iter().map(|codes| sort_scenes(codes, &offsets)).collect();
+        let mut spare = Vec::new();
+        let orders = curves.iter().map(|codes| sort_scenes(codes, &offsets, &mut spare)).collect();
         Self {
             grid_coord,
             offsets,
@@ -155,7 +157,7 @@ impl SerializedCloud {
     /// If it is not a permutation of the orders (a bug of the caller).
     pub fn permute_orders(&mut self, permutation: &[usize]) {
         assert_eq!(permutation.len(), self.orders.len(), "order permutation");
-        self.curves = permutation.iter().map(|&i| self.curves[i].clone()).collect();
+        self.curves = permutation.iter().map(|&i| std::mem::take(&mut self.curves[i])).collect();
         self.orders = permutation.iter().map(|&i| self.orders[i].clone()).collect();
     }
 
@@ -233,13 +235,21 @@ impl SerializedCloud {
 }
 
 /// Sorts the rows of each scene by code.
-fn sort_scenes(codes: &[u64], offsets: &[usize]) -> Order {
-    let mut order = Vec::with_capacity(codes.len());
+fn sort_scenes(codes: &[u64], offsets: &[usize], spare: &mut Vec<u64>) -> Order {
+    let mut order = vec![0; codes.len()];
+    let mut inverse = vec![0; codes.len()];
     for scene in offsets.windows(2) {
-        let local = argsort(&codes[scene[0]..scene[1]]);
-        order.extend(local.into_iter().map(|i| i + scene[0] as u32));
+        let rows = scene[0]..scene[1];
+        // Below 2³² by the row count that sorting checks.
+        let first = scene[0] as u32;
+        order_and_inverse(
+            &codes[rows.clone()],
+            first,
+            &mut order[rows.clone()],
+            &mut inverse[rows],
+            spare,
+        );
     }
-    let inverse = invert(&order);
     Order { order: Arc::new(order), inverse: Arc::new(inverse) }
 }
 

@@ -44,7 +44,14 @@ impl Isa {
     #[cfg(target_arch = "x86_64")]
     fn best() -> Self {
         if is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("fma") {
-            if is_x86_feature_detected!("avx512bf16") { Self::Avx512Bf16 } else { Self::Avx512 }
+            if !is_x86_feature_detected!("avx512bf16") {
+                return Self::Avx512;
+            }
+            #[cfg(target_os = "linux")]
+            if crate::gemm::amx::available() {
+                return Self::Amx;
+            }
+            Self::Avx512Bf16
         } else if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
             Self::Avx2
         } else {

@@ -8,9 +8,10 @@ use candle_core::{Device, Tensor};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use scenesplat_kernels::Precision;
 use scenesplat_models::weights::WeightSource;
 use scenesplat_models::{
-    Backbone, Forward, LanguageModel, ParamStore, PointCloud, PointTransformerV3Config,
+    Backbone, Compute, Forward, LanguageModel, ParamStore, PointCloud, PointTransformerV3Config,
     SemanticSegmenter,
 };
 use support::{criterion, features, short, voxels};
@@ -19,17 +20,26 @@ use support::{criterion, features, short, voxels};
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
+/// Where they differ in speed on a processor without tiles.
+const PRECISIONS: [Precision; 2] = [Precision::F32, Precision::Bf16];
+
 fn cloud(n: usize) -> PointCloud {
     let feat = Tensor::from_vec(features(n), (n, 11), &Device::Cpu).expect("11 channels");
     PointCloud::new(voxels(n), feat, vec![0, n]).expect("equal rows")
 }
 
-fn bench(c: &mut Criterion, name: &str, network: &dyn Backbone, sizes: &[usize]) {
+fn bench(
+    c: &mut Criterion,
+    name: &str,
+    precision: Precision,
+    network: &dyn Backbone,
+    sizes: &[usize],
+) {
     let mut group = c.benchmark_group(name);
     for &n in sizes {
         let points = cloud(n);
         group.throughput(Throughput::Elements(n as u64));
-        group.bench_function(format!("{}/f32", short(n)), |bench| {
+        group.bench_function(format!("{}/{precision}", short(n)), |bench| {
             bench.iter(|| {
                 let mut rng = ChaCha8Rng::seed_from_u64(0);
                 network.forward(&points, &mut Forward::eval(&mut rng)).expect("a forward pass")
@@ -44,15 +54,42 @@ fn weights() -> ParamStore {
 }
 
 fn language(c: &mut Criterion) {
-    let config = PointTransformerV3Config::language();
-    let network = LanguageModel::new(&config, weights().builder()).expect("a network");
-    bench(c, "forward_language", &network, &[20_000, 100_000]);
+    for precision in PRECISIONS {
+        let compute = Compute { precision, ..Compute::default() };
+        let config = PointTransformerV3Config { compute, ..PointTransformerV3Config::language() };
+        let network = LanguageModel::new(&config, weights().builder()).expect("a network");
+        bench(c, "forward_language", precision, &network, &[10_000, 20_000, 100_000]);
+    }
 }
 
 fn segmentation(c: &mut Criterion) {
-    let config = PointTransformerV3Config { in_channels: 11, ..PointTransformerV3Config::semseg() };
-    let network = SemanticSegmenter::new(&config, weights().builder()).expect("a network");
-    bench(c, "forward_semseg", &network, &[100_000]);
+    let mut sizes = vec![10_000, 100_000];
+    if free_memory().is_none_or(|free| free >= MILLION_BYTES) {
+        sizes.push(1_000_000);
+    } else {
+        eprintln!("too little memory for a million voxels: left out");
+    }
+    for precision in PRECISIONS {
+        let compute = Compute { precision, ..Compute::default() };
+        let config = PointTransformerV3Config {
+            in_channels: 11,
+            compute,
+            ..PointTransformerV3Config::semseg()
+        };
+        let network = SemanticSegmenter::new(&config, weights().builder()).expect("a network");
+        bench(c, "forward_semseg", precision, &network, &sizes);
+    }
+}
+
+/// Memory that the segmentation network takes for a million voxels, with some to spare.
+const MILLION_BYTES: u64 = 8_000_000_000;
+
+/// Memory that can be had without swapping, bytes; `None` where the system does not tell.
+fn free_memory() -> Option<u64> {
+    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
+    let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
+    let kib: u64 = line.split_whitespace().next()?.parse().ok()?;
+    Some(kib * 1024)
 }
 
 criterion_group!(name = benches; config = criterion(); targets = language, segmentation);

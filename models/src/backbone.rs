@@ -121,7 +121,13 @@ impl SemanticSegmenter {
             bail!("segmentation needs num_classes in the configuration");
         };
         let backbone = PointTransformerV3::new(config, vb.clone())?;
-        let head = Linear::new(backbone.out_channels(), num_classes, true, vb.pp("seg_head"))?;
+        let head = Linear::with(
+            config.compute,
+            backbone.out_channels(),
+            num_classes,
+            true,
+            vb.pp("seg_head"),
+        )?;
         Ok(Self { backbone, head, num_classes })
     }
 }

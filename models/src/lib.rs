@@ -13,6 +13,7 @@
 )]
 
 mod backbone;
+mod compute;
 pub mod convert;
 pub mod layers;
 pub mod ops;
@@ -22,6 +23,7 @@ pub mod point_transformer_v3;
 pub mod weights;
 
 pub use backbone::{Backbone, Forward, LanguageModel, Mode, Orders, SemanticSegmenter};
+pub use compute::Compute;
 pub use params::{LoadPolicy, LoadReport, ParamStore};
 pub use point_cloud::PointCloud;
 pub use point_transformer_v3::{PointTransformerV3, PointTransformerV3Config};

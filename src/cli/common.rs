@@ -12,9 +12,10 @@ use crate::receipt::Receipt;
 use crate::{Network, SceneEncoder, SceneFeatures};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
+use scenesplat_kernels::Precision;
 use scenesplat_kernels::simd::Isa;
-use scenesplat_models::LoadPolicy;
 use scenesplat_models::convert::{Branch, ConvLayout};
+use scenesplat_models::{Compute, LoadPolicy, PointTransformerV3Config};
 use scenesplat_scene::{GaussianScene, Policy, ReadOptions, SpzFrame};
 use std::cell::Cell;
 use std::io::Write;
@@ -113,6 +114,10 @@ pub struct Inference {
     /// one pass.
     #[arg(long)]
     pub exact: bool,
+    /// Form of the numbers that are multiplied: f32; split (f32 as two bf16, where the CPU has bf16
+    /// tiles); bf16 (rounded to 8 bits; about twice as fast with AVX512-BF16).
+    #[arg(long, value_name = "f32|split|bf16", default_value_t = Precision::F32)]
+    pub precision: Precision,
     /// Voxel size, metres; the released networks were trained at 0.02.
     #[arg(long, value_name = "M", default_value_t = 0.02)]
     pub grid_size: f64,
@@ -147,6 +152,7 @@ impl Inference {
     fn network_flag(&self) -> Option<&'static str> {
         let flags = [
             (self.exact, "--exact"),
+            (self.precision != Precision::F32, "--precision"),
             (self.grid_size != 0.02, "--grid-size"),
             (self.max_memory.is_some(), "--max-memory"),
             (self.halo != 50, "--halo"),
@@ -304,6 +310,12 @@ impl<'a> Session<'a> {
             (None, Some(config)) => config,
             (None, None) => NetworkConfig::Language.resolve()?,
         };
+        let precision = inference.precision;
+        let compute = Compute { precision, fold: !inference.exact };
+        let config = PointTransformerV3Config { compute, ..config };
+        self.receipt.computation(precision.name(), Isa::current().name());
+        let why = "form of the numbers that products multiply; sums are f32";
+        self.receipt.setting("precision", precision, why);
         let options = WeightOptions {
             policy: if inference.partial_weights {
                 LoadPolicy::Partial

@@ -1,5 +1,6 @@
 //! The commands of the program. Exit codes: 0 done, 1 failed, 2 wrong use.
 
+mod bench;
 mod common;
 mod convert;
 mod evaluate;
@@ -37,6 +38,8 @@ enum Command {
     Convert(convert::Args),
     /// Says what is in a checkpoint and which network it fits.
     Weights(weights::Args),
+    /// Measures the speed of this machine.
+    Bench(bench::Args),
 }
 
 /// The command line is right in form but asks for something that does not fit together.
@@ -65,6 +68,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Evaluate(args) => evaluate::run(args, &line),
         Command::Convert(args) => convert::run(args),
         Command::Weights(args) => weights::run(args, &line),
+        Command::Bench(args) => bench::run(args),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

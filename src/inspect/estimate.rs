@@ -9,11 +9,11 @@ use std::time::{Duration, Instant};
 
 /// Operations of a network, as many as the same time buys in the product that is measured here.
 ///
-/// From `benches/README.md`: 100 000 voxels take the language network 47.7 s and the segmentation
-/// network 2.58 s on a machine whose product of this size (`gemm/100k/256_ch`) reaches 188 Gflop/s.
-/// The language network's own operations are 8.26 Tflop, so it runs at 0.92 of that product's speed.
-const LANGUAGE_FLOP_PER_VOXEL: f64 = 47.7 * 188e9 / 100e3;
-const SEMSEG_FLOP_PER_VOXEL: f64 = 2.58 * 188e9 / 100e3;
+/// From `benches/README.md`: 100 000 voxels take the language network 43.5 s and the segmentation
+/// network 1.78 s on a machine whose product of this size (`gemm/100k/256_ch`) reaches 188 Gflop/s.
+/// The language network's own operations are 7.78 Tflop, so it runs at 0.95 of that product's speed.
+const LANGUAGE_FLOP_PER_VOXEL: f64 = 43.5 * 188e9 / 100e3;
+const SEMSEG_FLOP_PER_VOXEL: f64 = 1.78 * 188e9 / 100e3;
 
 /// The least and the most that an estimate is off, as factors: 20 000 voxels take 0.95 times as much
 /// per voxel as 100 000; scenes vary in how many neighbours a voxel has, machines in their memory.

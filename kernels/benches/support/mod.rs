@@ -1,14 +1,13 @@
 //! Inputs of the benchmarks: the shared rooms, or a room made here where there are none.
 #![allow(dead_code, reason = "each benchmark uses a part")]
 
+/// The room of `scenesplat bench`.
+#[path = "../../../src/bench/room.rs"]
+mod room;
+
 use criterion::Criterion;
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
-
-/// Side of a voxel of the made room, metres.
-const VOXEL: f32 = 0.02;
 
 /// Few samples: most of these take long enough that one is already an average over many rows.
 pub fn criterion() -> Criterion {
@@ -27,18 +26,13 @@ pub fn short(n: usize) -> String {
     }
 }
 
-/// Distinct voxels of a room in random order, for 20 000, 50 000 or 100 000 rows. `[n, 3]`
+/// Distinct voxels of a room in random order; the shared data have 20 000, 50 000 and 100 000.
+/// `[n, 3]`
 pub fn voxels(n: usize) -> Vec<[i32; 3]> {
-    if let Some(found) = shared(&format!("scene_{}_grid_i32.npy", short(n))) {
-        return triples(&found, i32::from_le_bytes);
+    match shared(&format!("scene_{}_grid_i32.npy", short(n))) {
+        Some(found) => triples(&found, i32::from_le_bytes),
+        None => room::voxels(n),
     }
-    // Each try is one point on a surface; points in voxels that are taken are dropped.
-    let mut cells: Vec<[i32; 3]> = made_points(20 * n).iter().map(cell).collect();
-    let mut taken = std::collections::HashSet::new();
-    cells.retain(|&c| taken.insert(c));
-    cells.truncate(n);
-    assert_eq!(cells.len(), n, "the made room has too few voxels");
-    cells
 }
 
 /// Input features of these voxels. `[n, 11]`
@@ -53,7 +47,7 @@ pub fn features(n: usize) -> Vec<f32> {
 pub fn points() -> Vec<[f32; 3]> {
     match shared("room_points_1m_f32.npy") {
         Some(found) => triples(&found, f32::from_le_bytes),
-        None => made_points(1_000_000),
+        None => room::points(1_000_000),
     }
 }
 
@@ -61,14 +55,13 @@ pub fn points() -> Vec<[f32; 3]> {
 pub fn cells() -> Vec<[i32; 3]> {
     match shared("serialize_1m_grid_i32.npy") {
         Some(found) => triples(&found, i32::from_le_bytes),
-        None => made_points(1_000_000).iter().map(cell).collect(),
+        None => room::fine_cells(1_000_000),
     }
 }
 
 /// Values in -1..1.
 pub fn random(n: usize) -> Vec<f32> {
-    let mut rng = ChaCha8Rng::seed_from_u64(1);
-    (0..n).map(|_| rng.random_range(-1.0..1.0)).collect()
+    room::values(n, 1)
 }
 
 fn shared(file: &str) -> Option<PathBuf> {
@@ -91,31 +84,4 @@ fn values<T>(path: &Path, parse: fn([u8; 4]) -> T) -> Vec<T> {
 
 fn triples<T: Copy>(path: &Path, parse: fn([u8; 4]) -> T) -> Vec<[T; 3]> {
     values(path, parse).as_chunks().0.to_vec()
-}
-
-fn cell(point: &[f32; 3]) -> [i32; 3] {
-    point.map(|v| (v / VOXEL) as i32)
-}
-
-/// Points on floor, walls and the tops and sides of twelve boxes of a room of 6 × 5 × 2.6 m, in
-/// random order.
-fn made_points(n: usize) -> Vec<[f32; 3]> {
-    let mut rng = ChaCha8Rng::seed_from_u64(2);
-    let mut boxes = vec![([0.0; 3], [6.0, 5.0, 2.6_f32])];
-    for _ in 0..12 {
-        let low = [rng.random_range(0.0..5.0), rng.random_range(0.0..4.0), 0.0_f32];
-        let size = [1.0, 1.0, 1.5].map(|most| rng.random_range(0.3..most));
-        boxes.push((low, std::array::from_fn(|i| low[i] + size[i])));
-    }
-    (0..n)
-        .map(|_| {
-            // The room has about as much surface as its boxes together.
-            let index = if rng.random_bool(0.6) { 0 } else { rng.random_range(1..boxes.len()) };
-            let (low, high) = boxes[index];
-            let mut point: [f32; 3] = std::array::from_fn(|i| rng.random_range(low[i]..high[i]));
-            let axis = rng.random_range(0..3);
-            point[axis] = if rng.random_bool(0.5) { low[axis] } else { high[axis] };
-            point
-        })
-        .collect()
 }

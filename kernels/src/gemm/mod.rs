@@ -10,6 +10,8 @@
 //! one fixed order that depends only on `k`: results are bit-identical for any number of threads
 //! and for a row alone or among others, on CPUs with the same instruction sets.
 
+#[cfg(all(target_arch = "x86_64", target_os = "linux"))]
+pub(crate) mod amx;
 pub(crate) mod bf16;
 pub(crate) mod micro;
 mod packed;
@@ -17,9 +19,10 @@ mod rows;
 mod transposed;
 
 pub use packed::PackedMatrix;
-pub(crate) use packed::{repack, repack_with};
+pub(crate) use packed::repack_with;
 pub(crate) use rows::multiply_prepared;
 pub(crate) use rows::{LeftRows, PreparedRows, RowPointers, RowPointersMut, multiply_rows};
+pub(crate) use transposed::add_outer_products;
 pub use transposed::{gemm_tn, gemm_tn_with};
 
 use micro::PANEL;

@@ -122,7 +122,7 @@ impl PackedMatrix {
         packed
     }
 
-    /// A buffer for [`repack`].
+    /// A buffer for [`repack_with`].
     pub(crate) fn empty() -> Self {
         Self::empty_for(Unit::Vector)
     }
@@ -189,19 +189,7 @@ impl PackedMatrix {
     }
 }
 
-/// Packs another f32 matrix into the same buffer; arguments as [`PackedMatrix::from_strided`].
-pub(crate) fn repack(
-    into: &mut PackedMatrix,
-    values: &[f32],
-    k: usize,
-    n: usize,
-    k_stride: usize,
-    n_stride: usize,
-) {
-    repack_with(into, Precision::F32, values, k, n, k_stride, n_stride);
-}
-
-/// Packs another matrix into the same buffer, for another precision if need be.
+/// Packs another matrix into the same buffer; arguments as [`PackedMatrix::from_strided_with`].
 pub(crate) fn repack_with(
     into: &mut PackedMatrix,
     precision: Precision,

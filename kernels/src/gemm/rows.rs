@@ -179,12 +179,79 @@ pub(crate) unsafe fn multiply_prepared(
                 columns: Range<usize>, c: RowPointersMut<'_>, accumulate: bool),
                 V => multiply_with::<Singles<V>>(rows, a, b, values, columns, c, accumulate));
         }
+        #[cfg(all(target_arch = "x86_64", target_os = "linux"))]
+        (LeftRows::Pairs(RowPointers::Contiguous { base, .. }), Values::Pairs(values))
+            if matches!(b.unit, Unit::Tiles | Unit::SplitTiles) =>
+        {
+            // SAFETY: passed on; pairs are packed for tiles only where there are some.
+            unsafe { multiply_tiles(rows, base, b, values, columns, c, accumulate) }
+        }
         #[cfg(target_arch = "x86_64")]
         (LeftRows::Pairs(a), Values::Pairs(values)) => {
             // SAFETY: passed on; pairs are packed only where the instruction set was detected.
             unsafe { multiply_pairs(rows, a, b, values, columns, c, accumulate) }
         }
         _ => debug_assert!(false, "left-hand rows of another form"),
+    }
+}
+
+/// Pairs that one call of the tile loop sums up: with them, rows and columns stay where the tiles
+/// are fed fast enough.
+#[cfg(all(target_arch = "x86_64", target_os = "linux"))]
+const TILE_PAIRS: usize = 192;
+
+/// Products on tiles; `a` points to rows side by side, up to the next multiple of 16 readable.
+#[cfg(all(target_arch = "x86_64", target_os = "linux"))]
+unsafe fn multiply_tiles(
+    rows: usize,
+    a: *const u32,
+    b: &PackedMatrix,
+    values: &[u32],
+    columns: Range<usize>,
+    c: RowPointersMut<'_>,
+    accumulate: bool,
+) {
+    use super::amx;
+    debug_assert!(rows <= ROW_BLOCK);
+    let (steps, n) = (b.steps(), b.n());
+    // SAFETY: pairs are packed for tiles only where there are some.
+    unsafe { amx::configure() };
+    let mut tail = Vec::new();
+    for k0 in (0..steps).step_by(TILE_PAIRS) {
+        let k_len = TILE_PAIRS.min(steps - k0);
+        let add = accumulate || k0 > 0;
+        for start in columns.clone().step_by(PANEL) {
+            let width = PANEL.min(columns.end - start);
+            let whole = start + width <= n;
+            if !whole {
+                tail.resize(rows * width, 0.0);
+            }
+            let tail_base = tail.as_mut_ptr();
+            let targets: [*mut f32; ROW_BLOCK] = std::array::from_fn(|i| {
+                if i >= rows {
+                    return std::ptr::null_mut();
+                }
+                // SAFETY: row `i` of the result, from column `start` on, or of the buffer.
+                unsafe { if whole { c.row(i).add(start) } else { tail_base.add(i * width) } }
+            });
+            // SAFETY: the panel has `steps` rows of `width` pairs from `start · steps` on; rows of
+            // `a` as promised; targets are distinct rows of at least `width` values.
+            unsafe {
+                let panel = values.as_ptr().add(start * steps + k0 * width);
+                let (from, add) = (a.add(k0), add && whole);
+                amx::panel(rows, from, steps, panel, width, &targets[..rows], k_len, add);
+            }
+            if !whole {
+                for (i, from) in tail.chunks_exact(width).enumerate() {
+                    // SAFETY: the columns of the row that exist.
+                    let to =
+                        unsafe { std::slice::from_raw_parts_mut(c.row(i).add(start), n - start) };
+                    for (to, from) in to.iter_mut().zip(from) {
+                        *to = if add { *to + from } else { *from };
+                    }
+                }
+            }
+        }
     }
 }
 
@@ -203,6 +270,21 @@ unsafe fn multiply_pairs(
     unsafe {
         multiply_with::<micro::Bf16Pairs>(rows, a, b, values, columns, c, accumulate);
     }
+}
+
+/// Asks for the beginning of a row of `len` values; the rest of a long one is guessed by the CPU.
+#[inline(always)]
+unsafe fn prefetch<T>(row: *const T, len: usize) {
+    const LINE: usize = 64;
+    const LINES: usize = 8;
+    #[cfg(target_arch = "x86_64")]
+    for line in 0..(len * size_of::<T>()).div_ceil(LINE).min(LINES) {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        // SAFETY: a prefetch of any address is harmless, and this one is inside the row.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(row.cast::<i8>().add(line * LINE)) };
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = (row, len, LINE, LINES);
 }
 
 #[inline(always)]
@@ -237,6 +319,17 @@ unsafe fn multiply_with<P: Products>(
                     unsafe {
                         a_rows[i] = a.row(row + i).add(k0);
                         c_rows[i] = c.row(row + i);
+                    }
+                }
+                if let RowPointers::Gathered { .. } = a {
+                    // Rows that are found by number come from anywhere, where no prefetcher of the
+                    // CPU expects them; those of the next tile arrive while this one is computed.
+                    for i in (row + height..rows).take(TILE_ROWS) {
+                        // SAFETY: rows of the operands, as promised.
+                        unsafe {
+                            prefetch(a.row(i).add(k0), k_len);
+                            prefetch(c.row(i), n);
+                        }
                     }
                 }
                 let mut start = group;

@@ -2,7 +2,9 @@
 
 use super::{K_BLOCK, PackedMatrix, RowPointers, RowPointersMut, multiply_rows, repack_with};
 use crate::Precision;
+use crate::simd::{Vector, dispatch};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Rows that one partial sum covers. Fixed, so that the order of summation is.
 const SEGMENT: usize = 8192;
@@ -52,6 +54,8 @@ pub fn gemm_tn_with(
     let rows = match pairs {
         Some((ra, rb)) => {
             assert_eq!(ra.len(), rb.len(), "gemm_tn: pair lists differ");
+            let inside = |ids: &[u32], rows: usize| ids.iter().all(|&r| (r as usize) < rows);
+            assert!(inside(ra, a.len() / m) && inside(rb, b.len() / n), "gemm_tn: row numbers");
             ra.len()
         }
         None => {
@@ -97,7 +101,158 @@ fn accumulate_segment(
     b: &[f32],
     n: usize,
     pairs: Option<(&[u32], &[u32])>,
-    range: std::ops::Range<usize>,
+    range: Range<usize>,
+    first: usize,
+    out: &mut [f32],
+) {
+    if precision == Precision::F32 && n.is_multiple_of(16) {
+        // SAFETY: row numbers and `range` were checked against `a` and `b` by the caller; `out` has
+        // rows of `n` values, one for each channel from `first` on.
+        unsafe { add_outer_products((a, m), (b, n), pairs, range, first, out) }
+    } else {
+        accumulate_packed(precision, a, m, b, n, pairs, range, first, out);
+    }
+}
+
+/// `out[i][j] += Σ_p a[p][first + i] · b[p][j]` in f32 over a range of rows or pairs of rows.
+///
+/// # Safety
+/// Row numbers must lie inside `a` (`[rows, m]`) and `b` (`[rows, n]`), `n` is a multiple of 16,
+/// `out` holds whole rows of `n` values, one for each channel of `a` from `first` on.
+pub(crate) unsafe fn add_outer_products(
+    (a, m): (&[f32], usize),
+    (b, n): (&[f32], usize),
+    pairs: Option<(&[u32], &[u32])>,
+    range: Range<usize>,
+    first: usize,
+    out: &mut [f32],
+) {
+    let rows = |base: &[f32], stride: usize, ids: Option<&[u32]>| {
+        (base.as_ptr(), stride, ids.map_or(std::ptr::null(), <[u32]>::as_ptr))
+    };
+    let (a, b) = (rows(a, m, pairs.map(|p| p.0)), rows(b, n, pairs.map(|p| p.1)));
+    // SAFETY: passed on.
+    dispatch!((a: Rows, b: Rows, range: Range<usize>, first: usize, n: usize, out: &mut [f32]),
+        V => outer_products::<V>(a, b, range, first, n, out));
+}
+
+/// Base, values of a row, and the row numbers (null: all rows in order).
+type Rows = (*const f32, usize, *const u32);
+
+/// Bytes of rows that should stay in the second-level cache while the result is swept.
+const CACHED_ROWS_BYTES: usize = 512 * 1024;
+/// Channels of `a` that make the rows of a register tile.
+const TILE: usize = 6;
+
+/// Sums of outer products, straight from the rows: nothing is turned or packed.
+///
+/// # Safety
+/// Rows of both sides must be inside their allocations, `out` holds whole rows of `n`, `n` is a
+/// multiple of 16, and the instruction set is that of `V`.
+#[inline(always)]
+unsafe fn outer_products<V: Vector>(
+    a: Rows,
+    b: Rows,
+    range: Range<usize>,
+    first: usize,
+    n: usize,
+    out: &mut [f32],
+) {
+    let channels = out.len() / n;
+    // Depends on the shape alone, so the order of the sum does.
+    let block = (CACHED_ROWS_BYTES / (4 * (a.1 + n))).clamp(64, 2048);
+    let mut start = range.start;
+    while start < range.end {
+        let end = (start + block).min(range.end);
+        let mut o = 0;
+        while o < channels {
+            let height = TILE.min(channels - o);
+            let mut column = 0;
+            while column < n {
+                // SAFETY: the function's contract; the tile lies inside `out`.
+                unsafe {
+                    let c = out.as_mut_ptr().add(o * n + column);
+                    let (a_at, b_at) = (first + o, column);
+                    let left = (n - column) / 16;
+                    let wide = if V::LANES == 8 { 1 } else { left.min(4) };
+                    macro_rules! tile {
+                        ($nv:literal) => {
+                            match height {
+                                6 => outer_tile::<V, 6, $nv>(a, b, a_at, b_at, start..end, c, n),
+                                5 => outer_tile::<V, 5, $nv>(a, b, a_at, b_at, start..end, c, n),
+                                4 => outer_tile::<V, 4, $nv>(a, b, a_at, b_at, start..end, c, n),
+                                3 => outer_tile::<V, 3, $nv>(a, b, a_at, b_at, start..end, c, n),
+                                2 => outer_tile::<V, 2, $nv>(a, b, a_at, b_at, start..end, c, n),
+                                _ => outer_tile::<V, 1, $nv>(a, b, a_at, b_at, start..end, c, n),
+                            }
+                        };
+                    }
+                    match wide {
+                        _ if V::LANES == 8 => tile!(2),
+                        4 => tile!(4),
+                        3 => tile!(3),
+                        2 => tile!(2),
+                        _ => tile!(1),
+                    }
+                    column += wide * 16;
+                }
+            }
+            o += height;
+        }
+        start = end;
+    }
+}
+
+/// `c[i][j] += Σ_p a[p][a_at + i] · b[p][b_at + j]` in registers.
+///
+/// # Safety
+/// As [`outer_products`].
+#[inline(always)]
+unsafe fn outer_tile<V: Vector, const MR: usize, const NV: usize>(
+    a: Rows,
+    b: Rows,
+    a_at: usize,
+    b_at: usize,
+    range: Range<usize>,
+    c: *mut f32,
+    c_stride: usize,
+) {
+    // SAFETY: the function's contract.
+    unsafe {
+        let row = |rows: Rows, p: usize| {
+            let id = if rows.2.is_null() { p } else { *rows.2.add(p) as usize };
+            rows.0.add(id * rows.1)
+        };
+        let mut sums = [[V::zero(); NV]; MR];
+        for p in range {
+            let (left, right) = (row(a, p).add(a_at), row(b, p).add(b_at));
+            let factors: [V; NV] = std::array::from_fn(|j| V::load(right.add(j * V::LANES)));
+            for i in 0..MR {
+                let factor = V::splat(*left.add(i));
+                for j in 0..NV {
+                    sums[i][j] = factor.fma(factors[j], sums[i][j]);
+                }
+            }
+        }
+        for i in 0..MR {
+            for j in 0..NV {
+                let at = c.add(i * c_stride + j * V::LANES);
+                V::load(at).add(sums[i][j]).store(at);
+            }
+        }
+    }
+}
+
+/// [`accumulate_segment`] in any precision and shape: `a` is turned, `b` packed, block by block.
+#[expect(clippy::too_many_arguments, reason = "one call site, plain numbers")]
+fn accumulate_packed(
+    precision: Precision,
+    a: &[f32],
+    m: usize,
+    b: &[f32],
+    n: usize,
+    pairs: Option<(&[u32], &[u32])>,
+    range: Range<usize>,
     first: usize,
     out: &mut [f32],
 ) {

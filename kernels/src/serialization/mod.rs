@@ -9,11 +9,13 @@ mod radix_sort;
 mod z_order;
 
 pub use hilbert::hilbert_code;
-pub(crate) use radix_sort::sort_with_rows;
+pub(crate) use radix_sort::{Sorted, order_and_inverse, shared};
 pub use radix_sort::{argsort, argsort_into, invert};
 pub use z_order::morton_code;
 
 use crate::KernelError;
+use crate::simd::{Vector, dispatch};
+use hilbert::{LANES, hilbert_codes};
 use rayon::prelude::*;
 
 /// Most bits that a grid coordinate may have.
@@ -95,11 +97,39 @@ pub fn codes(curve: Curve, grid_coord: &[[i32; 3]], depth: u32) -> Vec<u64> {
 /// Writes the codes of all cells into `out` (same length).
 pub fn codes_into(curve: Curve, grid_coord: &[[i32; 3]], depth: u32, out: &mut [u64]) {
     const BLOCK: usize = 4096;
+    assert!(depth <= MAX_DEPTH && out.len() == grid_coord.len(), "curve codes: arguments");
     out.par_chunks_mut(BLOCK).zip(grid_coord.par_chunks(BLOCK)).for_each(|(out, cells)| {
-        for (o, c) in out.iter_mut().zip(cells) {
-            *o = curve.code(c.map(|v| v as u32), depth);
-        }
+        dispatch!((curve: Curve, cells: &[[i32; 3]], depth: u32, out: &mut [u64]),
+            V => code_block::<V>(curve, cells, depth, out));
     });
+}
+
+/// Plain code that the compiler fits to the registers of each instruction set; reading the cells
+/// and writing the codes is what remains. Deposits of bits (`pdep`) are no faster: one at a time,
+/// three a cell, against sixteen cells together.
+#[inline(always)]
+unsafe fn code_block<V: Vector>(curve: Curve, cells: &[[i32; 3]], depth: u32, out: &mut [u64]) {
+    let swapped = matches!(curve, Curve::ZTrans | Curve::HilbertTrans);
+    if matches!(curve, Curve::Z | Curve::ZTrans) {
+        let [first, second] = if swapped { [1, 0] } else { [0, 1] };
+        for (o, c) in out.iter_mut().zip(cells) {
+            *o = morton_code([c[first] as u32, c[second] as u32, c[2] as u32], depth);
+        }
+        return;
+    }
+    let (blocks, rest) = cells.as_chunks::<LANES>();
+    let (outs, last) = out.as_chunks_mut::<LANES>();
+    let [mut x, mut y, mut z] = [[0u32; LANES]; 3];
+    for (out, cells) in outs.iter_mut().zip(blocks) {
+        for i in 0..LANES {
+            [x[i], y[i], z[i]] = cells[i].map(|v| v as u32);
+        }
+        let [first, second] = if swapped { [&mut y, &mut x] } else { [&mut x, &mut y] };
+        hilbert_codes(first, second, &mut z, depth, out);
+    }
+    for (out, &c) in last.iter_mut().zip(rest) {
+        *out = curve.code(c.map(|v| v as u32), depth);
+    }
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! Morton codes.
 
 /// Interleaves `bits` low bits of x, y, z; in each triple x is the most significant.
+#[inline(always)]
 pub fn morton_code(cell: [u32; 3], bits: u32) -> u64 {
     let mask = (1u64 << bits) - 1;
     let [x, y, z] = cell.map(|v| spread(u64::from(v) & mask));
@@ -8,6 +9,7 @@ pub fn morton_code(cell: [u32; 3], bits: u32) -> u64 {
 }
 
 /// Moves bit i of a 21-bit number to bit 3i.
+#[inline(always)]
 fn spread(v: u64) -> u64 {
     let v = (v | v << 32) & 0x001f_0000_0000_ffff;
     let v = (v | v << 16) & 0x001f_0000_ff00_00ff;

@@ -52,6 +52,14 @@ impl BatchNorm {
         Ok(Self(Form::Frozen { scale, shift }))
     }
 
+    /// Factor and summand per channel, if frozen.
+    pub(crate) fn scale_shift(&self) -> Option<(&[f32], &[f32])> {
+        match &self.0 {
+            Form::Frozen { scale, shift } => Some((scale, shift)),
+            Form::Trainable { .. } => None,
+        }
+    }
+
     /// `[N, C] → [N, C]`. In training the statistics come from the batch, and the remembered ones
     /// move towards them.
     ///
@@ -62,9 +70,7 @@ impl BatchNorm {
             (Form::Frozen { scale, shift }, Mode::Eval) => {
                 ops::scale_shift_gelu_frozen(x, scale, shift)
             }
-            (Form::Frozen { .. }, Mode::Train) => {
-                bail!("batch_norm: frozen weights cannot train; load them into a trainable store")
-            }
+            (Form::Frozen { .. }, Mode::Train) => ops::frozen_cannot_train(),
             (Form::Trainable { weight, bias, mean, var, batches }, mode) => {
                 let to_f64 = |v: &Var| -> Result<Vec<f64>> {
                     Ok(vector(v.as_tensor())?.into_iter().map(f64::from).collect())

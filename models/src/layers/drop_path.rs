@@ -1,9 +1,10 @@
 //! Stochastic depth.
 
-use crate::Mode;
+use crate::{Mode, ops};
 use candle_core::{Result, Tensor};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
+use std::sync::Arc;
 
 /// Drops a branch for each *row* with probability `rate` and scales the rest by `1 / (1 − rate)`.
 ///
@@ -15,19 +16,26 @@ pub struct DropPath {
 }
 
 impl DropPath {
-    /// `[N, C] → [N, C]`; the identity in evaluation or at rate 0.
+    /// The branch, with dropped rows, plus the rows that skip it. `[N, C]`; nothing is dropped in
+    /// evaluation or at rate 0.
     ///
     /// # Errors
     /// If candle fails.
-    pub fn forward(self, x: &Tensor, mode: Mode, rng: &mut ChaCha8Rng) -> Result<Tensor> {
+    pub fn forward_residual(
+        self,
+        x: &Tensor,
+        residual: &Tensor,
+        mode: Mode,
+        rng: &mut ChaCha8Rng,
+    ) -> Result<Tensor> {
         if mode == Mode::Eval || self.rate <= 0.0 {
-            return Ok(x.clone());
+            return ops::add_scaled_rows(x, None, residual);
         }
         let keep = 1.0 - self.rate;
         let n = x.dim(0)?;
         let factor = (1.0 / keep) as f32;
         let mask: Vec<f32> =
             (0..n).map(|_| if rng.random::<f64>() < keep { factor } else { 0.0 }).collect();
-        x.broadcast_mul(&Tensor::from_vec(mask, (n, 1), x.device())?)
+        ops::add_scaled_rows(x, Some(Arc::new(mask)), residual)
     }
 }

@@ -1,9 +1,10 @@
 //! Linear layer.
 
 use super::{add, vector};
-use crate::ops;
+use crate::{Compute, ops};
 use candle_core::{Result, Tensor};
 use candle_nn::{Init, VarBuilder};
+use scenesplat_kernels::Precision;
 use scenesplat_kernels::gemm::PackedMatrix;
 
 /// `y = x · Wᵀ + b`, `W`: `[out, in]`.
@@ -12,7 +13,7 @@ pub struct Linear(Form);
 
 #[derive(Debug, Clone)]
 enum Form {
-    Trainable { weight: Tensor, bias: Option<Tensor> },
+    Trainable { weight: Tensor, bias: Option<Tensor>, precision: Precision },
     Frozen { weight: PackedMatrix, bias: Option<Vec<f32>> },
 }
 
@@ -23,17 +24,44 @@ impl Linear {
     /// # Errors
     /// If the parameters exist with another shape.
     pub fn new(cin: usize, cout: usize, bias: bool, vb: VarBuilder<'_>) -> Result<Self> {
-        let bound = 1.0 / (cin as f64).sqrt();
-        let init = Init::Uniform { lo: -bound, up: bound };
-        let weight = vb.get_with_hints((cout, cin), "weight", init)?;
-        let bias = bias.then(|| vb.get_with_hints(cout, "bias", init)).transpose()?;
+        Self::with(Compute::default(), cin, cout, bias, vb)
+    }
+
+    /// [`Linear::new`] with choices.
+    ///
+    /// # Errors
+    /// As [`Linear::new`].
+    pub fn with(
+        compute: Compute,
+        cin: usize,
+        cout: usize,
+        bias: bool,
+        vb: VarBuilder<'_>,
+    ) -> Result<Self> {
+        let (weight, bias) = parameters(cin, cout, bias, &vb)?;
+        Self::of(compute, weight, bias)
+    }
+
+    /// The layer with these parameters.
+    pub(crate) fn of(compute: Compute, weight: Tensor, bias: Option<Tensor>) -> Result<Self> {
+        let (cout, cin) = weight.dims2()?;
         if weight.is_variable() {
-            return Ok(Self(Form::Trainable { weight, bias }));
+            return Ok(Self(Form::Trainable { weight, bias, precision: compute.precision }));
         }
-        let weight =
-            ops::read("linear", &weight, |w| Ok(PackedMatrix::from_strided(w, cin, cout, 1, cin)))?;
         let bias = bias.as_ref().map(vector).transpose()?;
-        Ok(Self(Form::Frozen { weight, bias }))
+        ops::read("linear", &weight, |w| Ok(Self::frozen(compute, w, cin, cout, bias)))
+    }
+
+    /// A layer of given values, not to be trained. `weight`: `[cout, cin]`
+    pub(crate) fn frozen(
+        compute: Compute,
+        weight: &[f32],
+        cin: usize,
+        cout: usize,
+        bias: Option<Vec<f32>>,
+    ) -> Self {
+        let weight = PackedMatrix::from_strided_with(compute.precision, weight, cin, cout, 1, cin);
+        Self(Form::Frozen { weight, bias })
     }
 
     /// `[N, in] → [N, out]`
@@ -50,11 +78,24 @@ impl Linear {
     /// If the input does not fit.
     pub fn forward_residual(&self, x: &Tensor, residual: Option<&Tensor>) -> Result<Tensor> {
         match &self.0 {
-            Form::Trainable { weight, bias } => {
-                add(&ops::linear(x, weight, bias.as_ref())?, residual)
+            Form::Trainable { weight, bias, precision } => {
+                add(&ops::linear_with(*precision, x, weight, bias.as_ref())?, residual)
             }
             Form::Frozen { weight, bias } => {
-                ops::linear_frozen(x, weight, bias.as_deref(), residual)
+                ops::linear_frozen(x, weight, bias.as_deref(), false, residual)
+            }
+        }
+    }
+
+    /// `gelu(forward(x))`
+    ///
+    /// # Errors
+    /// If the input does not fit.
+    pub fn forward_gelu(&self, x: &Tensor) -> Result<Tensor> {
+        match &self.0 {
+            Form::Trainable { .. } => ops::gelu(&self.forward(x)?),
+            Form::Frozen { weight, bias } => {
+                ops::linear_frozen(x, weight, bias.as_deref(), true, None)
             }
         }
     }
@@ -66,4 +107,17 @@ impl Linear {
             _ => None,
         }
     }
+}
+
+/// Weight and bias, uniform in ±1/√in as PyTorch's.
+pub(crate) fn parameters(
+    cin: usize,
+    cout: usize,
+    bias: bool,
+    vb: &VarBuilder<'_>,
+) -> Result<(Tensor, Option<Tensor>)> {
+    let bound = 1.0 / (cin as f64).sqrt();
+    let init = Init::Uniform { lo: -bound, up: bound };
+    let weight = vb.get_with_hints((cout, cin), "weight", init)?;
+    Ok((weight, bias.then(|| vb.get_with_hints(cout, "bias", init)).transpose()?))
 }

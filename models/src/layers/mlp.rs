@@ -1,7 +1,7 @@
 //! Two linear layers with a GELU between.
 
 use super::{Linear, add};
-use crate::ops;
+use crate::{Compute, ops};
 use candle_core::{Result, Tensor};
 use candle_nn::VarBuilder;
 
@@ -18,9 +18,22 @@ impl Mlp {
     /// # Errors
     /// If the parameters exist with another shape.
     pub fn new(channels: usize, hidden: usize, vb: VarBuilder<'_>) -> Result<Self> {
+        Self::with(Compute::default(), channels, hidden, vb)
+    }
+
+    /// [`Mlp::new`] with choices.
+    ///
+    /// # Errors
+    /// As [`Mlp::new`].
+    pub fn with(
+        compute: Compute,
+        channels: usize,
+        hidden: usize,
+        vb: VarBuilder<'_>,
+    ) -> Result<Self> {
         Ok(Self {
-            fc1: Linear::new(channels, hidden, true, vb.pp("fc1"))?,
-            fc2: Linear::new(hidden, channels, true, vb.pp("fc2"))?,
+            fc1: Linear::with(compute, channels, hidden, true, vb.pp("fc1"))?,
+            fc2: Linear::with(compute, hidden, channels, true, vb.pp("fc2"))?,
         })
     }
 

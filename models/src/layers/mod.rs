@@ -4,6 +4,7 @@ mod batch_norm;
 mod drop_path;
 mod layer_norm;
 mod linear;
+mod linear_norm;
 mod mlp;
 mod sparse_conv;
 
@@ -11,6 +12,7 @@ pub use batch_norm::BatchNorm;
 pub use drop_path::DropPath;
 pub use layer_norm::LayerNorm;
 pub use linear::Linear;
+pub use linear_norm::LinearNorm;
 pub use mlp::Mlp;
 pub use sparse_conv::SparseConv;
 
@@ -24,7 +26,7 @@ pub(crate) fn vector(t: &Tensor) -> Result<Vec<f32>> {
 /// `x + residual` for tensors that may want gradients.
 pub(crate) fn add(x: &Tensor, residual: Option<&Tensor>) -> Result<Tensor> {
     match residual {
-        Some(r) => x + r,
+        Some(r) => crate::ops::add_scaled_rows(x, None, r),
         None => Ok(x.clone()),
     }
 }

@@ -1,9 +1,11 @@
 //! Submanifold convolution layer.
 
-use super::vector;
-use crate::ops;
+use super::{Linear, vector};
+use crate::{Compute, ops};
 use candle_core::{Result, Tensor};
 use candle_nn::{Init, VarBuilder};
+use scenesplat_kernels::Precision;
+use scenesplat_kernels::gemm::{Epilogue, PackedMatrix, gemm};
 use scenesplat_kernels::kernel_map::KernelMap;
 use scenesplat_kernels::sparse_conv::PackedConv;
 use std::sync::Arc;
@@ -17,7 +19,7 @@ pub struct SparseConv {
 
 #[derive(Debug, Clone)]
 enum Form {
-    Trainable { weight: Tensor, bias: Option<Tensor> },
+    Trainable { weight: Tensor, bias: Option<Tensor>, precision: Precision },
     Frozen { weight: PackedConv, bias: Option<Vec<f32>> },
 }
 
@@ -33,19 +35,85 @@ impl SparseConv {
         bias: bool,
         vb: VarBuilder<'_>,
     ) -> Result<Self> {
-        let k = kernel_size;
-        let bound = 1.0 / ((cin * k.pow(3)) as f64).sqrt();
-        let init = Init::Uniform { lo: -bound, up: bound };
-        let weight = vb.get_with_hints((cout, k, k, k, cin), "weight", init)?;
-        let bias = bias.then(|| vb.get_with_hints(cout, "bias", init)).transpose()?;
-        let form = if weight.is_variable() {
-            Form::Trainable { weight, bias }
-        } else {
-            let weight =
-                ops::read("sparse_conv", &weight, |w| Ok(PackedConv::new(w, cin, cout, k.pow(3))))?;
-            Form::Frozen { weight, bias: bias.as_ref().map(vector).transpose()? }
-        };
-        Ok(Self { kernel_size, form })
+        Self::with(Compute::default(), cin, cout, kernel_size, bias, vb)
+    }
+
+    /// [`SparseConv::new`] with choices.
+    ///
+    /// # Errors
+    /// As [`SparseConv::new`].
+    pub fn with(
+        compute: Compute,
+        cin: usize,
+        cout: usize,
+        kernel_size: usize,
+        bias: bool,
+        vb: VarBuilder<'_>,
+    ) -> Result<Self> {
+        let (weight, bias) = parameters(cin, cout, kernel_size, bias, &vb)?;
+        Self::of(compute, weight, bias)
+    }
+
+    /// The layer with these parameters.
+    fn of(compute: Compute, weight: Tensor, bias: Option<Tensor>) -> Result<Self> {
+        let (cout, kernel_size, _, _, cin) = weight.dims5()?;
+        if weight.is_variable() {
+            let form = Form::Trainable { weight, bias, precision: compute.precision };
+            return Ok(Self { kernel_size, form });
+        }
+        let bias = bias.as_ref().map(vector).transpose()?;
+        ops::read("sparse_conv", &weight, |w| {
+            Ok(Self::frozen(compute, w, [cin, cout, kernel_size], bias))
+        })
+    }
+
+    fn frozen(
+        compute: Compute,
+        weight: &[f32],
+        [cin, cout, kernel_size]: [usize; 3],
+        bias: Option<Vec<f32>>,
+    ) -> Self {
+        let taps = kernel_size.pow(3);
+        let weight = PackedConv::with_precision(compute.precision, weight, cin, cout, taps);
+        Self { kernel_size, form: Form::Frozen { weight, bias } }
+    }
+
+    /// A convolution and the linear layer after it: one convolution with the products of their
+    /// weights if both are frozen and may be folded, else the two.
+    ///
+    /// # Errors
+    /// If the parameters exist with another shape.
+    pub fn with_linear(
+        compute: Compute,
+        channels: usize,
+        kernel_size: usize,
+        conv: VarBuilder<'_>,
+        linear: VarBuilder<'_>,
+    ) -> Result<(Self, Option<Linear>)> {
+        let (weight, bias) = parameters(channels, channels, kernel_size, true, &conv)?;
+        let (outer, outer_bias) = super::linear::parameters(channels, channels, true, &linear)?;
+        if weight.is_variable() || !compute.fold {
+            let conv = Self::of(compute, weight, bias)?;
+            return Ok((conv, Some(Linear::of(compute, outer, outer_bias)?)));
+        }
+        let (bias, outer_bias) =
+            (vector_or_zero(bias, channels)?, vector_or_zero(outer_bias, channels)?);
+        let (c, taps) = (channels, kernel_size.pow(3));
+        let folded = ops::read("sparse_conv", &weight, |weight| {
+            ops::read("linear", &outer, |outer| {
+                // outer: [c, c], weight: [c, taps·c]
+                let inner = PackedMatrix::from_strided(weight, c, taps * c, taps * c, 1);
+                let mut joined = vec![0.0; weight.len()];
+                gemm(outer, &inner, Epilogue::default(), &mut joined);
+                let inner_bias = |row: &[f32]| -> f64 {
+                    row.iter().zip(&bias).map(|(w, b)| f64::from(*w) * f64::from(*b)).sum()
+                };
+                let bias = outer.chunks_exact(c).zip(&outer_bias);
+                let bias = bias.map(|(row, b)| (inner_bias(row) + f64::from(*b)) as f32).collect();
+                Ok(Self::frozen(compute, &joined, [c, c, kernel_size], Some(bias)))
+            })
+        })?;
+        Ok((folded, None))
     }
 
     /// Taps along one axis.
@@ -59,10 +127,30 @@ impl SparseConv {
     /// If the input does not fit the map.
     pub fn forward(&self, x: &Tensor, map: Arc<KernelMap>) -> Result<Tensor> {
         match &self.form {
-            Form::Trainable { weight, bias } => ops::sparse_conv(x, weight, bias.as_ref(), map),
+            Form::Trainable { weight, bias, precision } => {
+                ops::sparse_conv_with(*precision, x, weight, bias.as_ref(), map)
+            }
             Form::Frozen { weight, bias } => {
                 ops::sparse_conv_frozen(x, weight, bias.as_deref(), &map)
             }
         }
     }
+}
+
+/// Weight and bias; uniform in ±1/√(in·k³).
+fn parameters(
+    cin: usize,
+    cout: usize,
+    k: usize,
+    bias: bool,
+    vb: &VarBuilder<'_>,
+) -> Result<(Tensor, Option<Tensor>)> {
+    let bound = 1.0 / ((cin * k.pow(3)) as f64).sqrt();
+    let init = Init::Uniform { lo: -bound, up: bound };
+    let weight = vb.get_with_hints((cout, k, k, k, cin), "weight", init)?;
+    Ok((weight, bias.then(|| vb.get_with_hints(cout, "bias", init)).transpose()?))
+}
+
+fn vector_or_zero(bias: Option<Tensor>, channels: usize) -> Result<Vec<f32>> {
+    bias.map_or_else(|| Ok(vec![0.0; channels]), |b| vector(&b))
 }

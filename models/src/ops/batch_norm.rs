@@ -116,6 +116,11 @@ pub fn batch_norm(
     x.contiguous()?.apply_op3(weight, bias, BatchNorm { statistics: Arc::new(statistics), inverse })
 }
 
+/// The refusal of a batch norm with frozen statistics to train.
+pub(crate) fn frozen_cannot_train() -> Result<Tensor> {
+    bail!("batch_norm: frozen weights cannot train; load them into a trainable store")
+}
+
 /// `gelu(x · scale + shift)` per channel, without gradient.
 ///
 /// # Errors

@@ -2,12 +2,14 @@
 
 use super::{check_residual, cpu_slice, make, read, refuse_gradient};
 use candle_core::{CpuStorage, CustomOp2, CustomOp3, Layout, Result, Shape, Tensor, bail};
-use scenesplat_kernels::gemm::{Epilogue, PackedMatrix, gemm, gemm_tn, mlp};
+use scenesplat_kernels::Precision;
+use scenesplat_kernels::gemm::{Epilogue, PackedMatrix, gemm, gemm_tn_with, mlp};
 use scenesplat_kernels::sparse_conv::backward_bias;
 
-struct Linear;
+struct Linear(Precision);
 
 fn forward(
+    precision: Precision,
     x: (&CpuStorage, &Layout),
     w: (&CpuStorage, &Layout),
     bias: Option<&[f32]>,
@@ -19,25 +21,30 @@ fn forward(
     }
     let x = cpu_slice("linear", x.0, x.1)?;
     let w = cpu_slice("linear", w.0, w.1)?;
-    let packed = PackedMatrix::from_strided(w, k, n, 1, k);
+    let packed = PackedMatrix::from_strided_with(precision, w, k, n, 1, k);
     let mut out = vec![0f32; m * n];
     gemm(x, &packed, Epilogue { bias, ..Epilogue::default() }, &mut out);
     Ok((CpuStorage::F32(out), (m, n).into()))
 }
 
-fn backward(x: &Tensor, w: &Tensor, grad: &Tensor) -> Result<(Tensor, Tensor, Tensor)> {
+fn backward(
+    precision: Precision,
+    x: &Tensor,
+    w: &Tensor,
+    grad: &Tensor,
+) -> Result<(Tensor, Tensor, Tensor)> {
     let (m, k) = x.dims2()?;
     let n = w.dim(0)?;
     let dx = read("linear", grad, |g| {
         read("linear", w, |w| {
             make((m, k), |out| {
-                let packed = PackedMatrix::from_strided(w, n, k, k, 1);
+                let packed = PackedMatrix::from_strided_with(precision, w, n, k, k, 1);
                 gemm(g, &packed, Epilogue::default(), out);
             })
         })
     })?;
     let dw = read("linear", grad, |g| {
-        read("linear", x, |x| make((n, k), |out| gemm_tn(g, n, x, k, None, out)))
+        read("linear", x, |x| make((n, k), |out| gemm_tn_with(precision, g, n, x, k, None, out)))
     })?;
     let db = read("linear", grad, |g| make(n, |out| out.copy_from_slice(&backward_bias(g, n))))?;
     Ok((dx, dw, db))
@@ -56,7 +63,7 @@ impl CustomOp3 for Linear {
         s3: &CpuStorage,
         l3: &Layout,
     ) -> Result<(CpuStorage, Shape)> {
-        forward((s1, l1), (s2, l2), Some(cpu_slice("linear", s3, l3)?))
+        forward(self.0, (s1, l1), (s2, l2), Some(cpu_slice("linear", s3, l3)?))
     }
     fn bwd(
         &self,
@@ -66,7 +73,7 @@ impl CustomOp3 for Linear {
         _: &Tensor,
         grad: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
-        let (dx, dw, db) = backward(x, w, grad)?;
+        let (dx, dw, db) = backward(self.0, x, w, grad)?;
         Ok((Some(dx), Some(dw), Some(db)))
     }
 }
@@ -82,7 +89,7 @@ impl CustomOp2 for Linear {
         s2: &CpuStorage,
         l2: &Layout,
     ) -> Result<(CpuStorage, Shape)> {
-        forward((s1, l1), (s2, l2), None)
+        forward(self.0, (s1, l1), (s2, l2), None)
     }
     fn bwd(
         &self,
@@ -91,7 +98,7 @@ impl CustomOp2 for Linear {
         _: &Tensor,
         grad: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>)> {
-        let (dx, dw, _) = backward(x, w, grad)?;
+        let (dx, dw, _) = backward(self.0, x, w, grad)?;
         Ok((Some(dx), Some(dw)))
     }
 }
@@ -104,14 +111,27 @@ impl CustomOp2 for Linear {
 /// # Errors
 /// If shapes do not fit or a tensor is not f32 on the CPU.
 pub fn linear(x: &Tensor, weight: &Tensor, bias: Option<&Tensor>) -> Result<Tensor> {
+    linear_with(Precision::F32, x, weight, bias)
+}
+
+/// [`linear`] with operands in another precision, in the gradients too. Results are f32.
+///
+/// # Errors
+/// As [`linear`].
+pub fn linear_with(
+    precision: Precision,
+    x: &Tensor,
+    weight: &Tensor,
+    bias: Option<&Tensor>,
+) -> Result<Tensor> {
     let x = x.contiguous()?;
     match bias {
-        Some(bias) => x.apply_op3(weight, bias, Linear),
-        None => x.apply_op2(weight, Linear),
+        Some(bias) => x.apply_op3(weight, bias, Linear(precision)),
+        None => x.apply_op2(weight, Linear(precision)),
     }
 }
 
-/// `x · Wᵀ + b [+ residual]` with packed weights.
+/// `x · Wᵀ + b`, the GELU of that if asked for, plus a residual if given, with packed weights.
 ///
 /// # Errors
 /// If shapes do not fit or `x` wants a gradient.
@@ -119,6 +139,7 @@ pub fn linear_frozen(
     x: &Tensor,
     weight: &PackedMatrix,
     bias: Option<&[f32]>,
+    gelu: bool,
     residual: Option<&Tensor>,
 ) -> Result<Tensor> {
     refuse_gradient("linear", x)?;
@@ -132,7 +153,7 @@ pub fn linear_frozen(
     read("linear", x, |x| {
         let run = |residual: Option<&[f32]>| {
             make((m, weight.n()), |out| {
-                gemm(x, weight, Epilogue { bias, gelu: false, residual }, out);
+                gemm(x, weight, Epilogue { bias, gelu, residual }, out);
             })
         };
         match residual {

@@ -10,19 +10,21 @@ mod linear;
 mod normalize;
 mod patch_attention;
 mod permute_rows;
+mod residual;
 mod segment_reduce;
 mod sparse_conv;
 
-pub(crate) use batch_norm::scale_shift_gelu_frozen;
 pub use batch_norm::{BatchStatistics, batch_norm, batch_statistics, scale_shift};
+pub(crate) use batch_norm::{frozen_cannot_train, scale_shift_gelu_frozen};
 pub use gelu::gelu;
 pub use layer_norm::{layer_norm, layer_norm_frozen};
-pub use linear::{linear, linear_frozen, mlp_frozen};
+pub use linear::{linear, linear_frozen, linear_with, mlp_frozen};
 pub use normalize::{l2_normalize, normalize_rows};
 pub use patch_attention::patch_attention;
 pub use permute_rows::permute_rows;
+pub use residual::add_scaled_rows;
 pub use segment_reduce::{expand_groups, segment_reduce};
-pub use sparse_conv::{sparse_conv, sparse_conv_frozen};
+pub use sparse_conv::{sparse_conv, sparse_conv_frozen, sparse_conv_with};
 
 use candle_core::{CpuStorage, Device, Layout, Result, Shape, Storage, Tensor, bail};
 

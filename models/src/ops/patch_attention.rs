@@ -2,11 +2,13 @@
 
 use super::{cpu_slice, make, read};
 use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor, bail};
-use scenesplat_kernels::patch_attention::{Heads, backward, forward};
+use scenesplat_kernels::Precision;
+use scenesplat_kernels::patch_attention::{Heads, backward, forward_with};
 use scenesplat_kernels::patches::Patches;
 use std::sync::Arc;
 
 struct PatchAttention {
+    precision: Precision,
     heads: Heads,
     patches: Arc<Patches>,
     order: Arc<Vec<u32>>,
@@ -29,7 +31,7 @@ impl CustomOp1 for PatchAttention {
         }
         let qkv = cpu_slice("patch_attention", s, l)?;
         let mut out = vec![0f32; n * c];
-        forward(qkv, self.heads, &self.patches, &self.order, &mut out);
+        forward_with(self.precision, qkv, self.heads, &self.patches, &self.order, &mut out);
         Ok((CpuStorage::F32(out), (n, c).into()))
     }
     fn bwd(&self, qkv: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
@@ -45,7 +47,8 @@ impl CustomOp1 for PatchAttention {
     }
 }
 
-/// Softmax attention of every row to the rows of its patch.
+/// Softmax attention of every row to the rows of its patch. The gradient is computed in f32 in every
+/// precision.
 ///
 /// # Shapes
 /// `qkv`: `[N, 3·C]`, the channels being q, k, v, each `[heads, dim]` · `order`: `[N]`, row at each
@@ -54,10 +57,11 @@ impl CustomOp1 for PatchAttention {
 /// # Errors
 /// If shapes do not fit or the tensor is not f32 on the CPU.
 pub fn patch_attention(
+    precision: Precision,
     qkv: &Tensor,
     heads: Heads,
     patches: Arc<Patches>,
     order: Arc<Vec<u32>>,
 ) -> Result<Tensor> {
-    qkv.contiguous()?.apply_op1(PatchAttention { heads, patches, order })
+    qkv.contiguous()?.apply_op1(PatchAttention { precision, heads, patches, order })
 }

@@ -10,6 +10,7 @@ use scenesplat_kernels::sparse_conv::{
 use std::sync::Arc;
 
 struct SparseConv {
+    precision: Precision,
     map: Arc<KernelMap>,
 }
 
@@ -29,8 +30,8 @@ impl SparseConv {
         if cin != w_in || n != self.map.rows() {
             bail!("sparse_conv: expected [{}, {w_in}], got {:?}", self.map.rows(), x.1.shape());
         }
-        let weight =
-            PackedConv::new(cpu_slice("sparse_conv", w.0, w.1)?, cin, cout, self.map.taps());
+        let values = cpu_slice("sparse_conv", w.0, w.1)?;
+        let weight = PackedConv::with_precision(self.precision, values, cin, cout, self.map.taps());
         let mut out = vec![0f32; n * cout];
         forward(&self.map, cpu_slice("sparse_conv", x.0, x.1)?, &weight, bias, &mut out);
         Ok((CpuStorage::F32(out), (n, cout).into()))
@@ -41,13 +42,13 @@ impl SparseConv {
         let cout = w.dim(0)?;
         let dx = read("sparse_conv", grad, |g| {
             read("sparse_conv", w, |w| {
-                make((n, cin), |dx| backward_input(Precision::F32, &self.map, g, w, cin, cout, dx))
+                make((n, cin), |dx| backward_input(self.precision, &self.map, g, w, cin, cout, dx))
             })
         })?;
         let dw = read("sparse_conv", grad, |g| {
             read("sparse_conv", x, |x| {
                 make(w.shape().clone(), |dw| {
-                    backward_weight(Precision::F32, &self.map, x, g, cin, cout, dw)
+                    backward_weight(self.precision, &self.map, x, g, cin, cout, dw);
                 })
             })
         })?;
@@ -125,10 +126,24 @@ pub fn sparse_conv(
     bias: Option<&Tensor>,
     map: Arc<KernelMap>,
 ) -> Result<Tensor> {
+    sparse_conv_with(Precision::F32, x, weight, bias, map)
+}
+
+/// [`sparse_conv`] with operands in another precision, in the gradients too. Results are f32.
+///
+/// # Errors
+/// As [`sparse_conv`].
+pub fn sparse_conv_with(
+    precision: Precision,
+    x: &Tensor,
+    weight: &Tensor,
+    bias: Option<&Tensor>,
+    map: Arc<KernelMap>,
+) -> Result<Tensor> {
     let x = x.contiguous()?;
     match bias {
-        Some(bias) => x.apply_op3(weight, bias, SparseConv { map }),
-        None => x.apply_op2(weight, SparseConv { map }),
+        Some(bias) => x.apply_op3(weight, bias, SparseConv { precision, map }),
+        None => x.apply_op2(weight, SparseConv { precision, map }),
     }
 }
 

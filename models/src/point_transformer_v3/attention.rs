@@ -2,9 +2,10 @@
 
 use super::config::BatchRule;
 use crate::layers::Linear;
-use crate::ops;
+use crate::{Compute, ops};
 use candle_core::{Result, Tensor};
 use candle_nn::VarBuilder;
+use scenesplat_kernels::Precision;
 use scenesplat_kernels::patch_attention::Heads;
 use scenesplat_kernels::serialized_cloud::SerializedCloud;
 
@@ -17,6 +18,7 @@ pub struct SerializedAttention {
     patch_size: usize,
     order: usize,
     batch_rule: BatchRule,
+    precision: Precision,
 }
 
 impl SerializedAttention {
@@ -30,15 +32,17 @@ impl SerializedAttention {
         patch_size: usize,
         order: usize,
         batch_rule: BatchRule,
+        compute: Compute,
         vb: VarBuilder<'_>,
     ) -> Result<Self> {
         Ok(Self {
-            qkv: Linear::new(channels, 3 * channels, true, vb.pp("qkv"))?,
-            proj: Linear::new(channels, channels, true, vb.pp("proj"))?,
+            qkv: Linear::with(compute, channels, 3 * channels, true, vb.pp("qkv"))?,
+            proj: Linear::with(compute, channels, channels, true, vb.pp("proj"))?,
             heads: Heads { count: num_heads, dim: channels / num_heads },
             patch_size,
             order,
             batch_rule,
+            precision: compute.precision,
         })
     }
 
@@ -62,8 +66,13 @@ impl SerializedAttention {
         let order = &cloud.order(self.order).order;
         let qkv = self.qkv.forward(&x)?;
         drop(x);
-        let attended =
-            ops::patch_attention(&qkv, self.heads, cloud.patches(patch_size), order.clone())?;
+        let attended = ops::patch_attention(
+            self.precision,
+            &qkv,
+            self.heads,
+            cloud.patches(patch_size),
+            order.clone(),
+        )?;
         drop(qkv);
         self.proj.forward_residual(&attended, residual)
     }

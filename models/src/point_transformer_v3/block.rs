@@ -3,7 +3,7 @@
 use super::attention::SerializedAttention;
 use super::config::BatchRule;
 use crate::layers::{DropPath, LayerNorm, Linear, Mlp, SparseConv};
-use crate::{Forward, Mode};
+use crate::{Compute, Forward, Mode};
 use candle_core::{Result, Tensor};
 use candle_nn::VarBuilder;
 use scenesplat_kernels::serialized_cloud::SerializedCloud;
@@ -25,13 +25,16 @@ pub struct BlockShape {
     pub order: usize,
     /// How scenes of a batch are kept apart.
     pub batch_rule: BatchRule,
+    /// Precision, and whether the linear layer behind the convolution is folded into it.
+    pub compute: Compute,
 }
 
 /// `x + LN(Linear(conv(x)))`, then attention and MLP on normalised rows.
 #[derive(Debug)]
 pub struct Block {
     conv: SparseConv,
-    conv_linear: Linear,
+    /// `None` if it is part of the convolution.
+    conv_linear: Option<Linear>,
     conv_norm: LayerNorm,
     norm1: LayerNorm,
     attention: SerializedAttention,
@@ -47,9 +50,11 @@ impl Block {
     /// If parameters exist with another shape.
     pub fn new(shape: BlockShape, vb: VarBuilder<'_>) -> Result<Self> {
         let c = shape.channels;
+        let (conv, conv_linear) =
+            SparseConv::with_linear(shape.compute, c, 3, vb.pp("cpe.0"), vb.pp("cpe.1"))?;
         Ok(Self {
-            conv: SparseConv::new(c, c, 3, true, vb.pp("cpe.0"))?,
-            conv_linear: Linear::new(c, c, true, vb.pp("cpe.1"))?,
+            conv,
+            conv_linear,
             conv_norm: LayerNorm::new(c, vb.pp("cpe.2"))?,
             norm1: LayerNorm::new(c, vb.pp("norm1.0"))?,
             attention: SerializedAttention::new(
@@ -58,10 +63,11 @@ impl Block {
                 shape.patch_size,
                 shape.order,
                 shape.batch_rule,
+                shape.compute,
                 vb.pp("attn"),
             )?,
             norm2: LayerNorm::new(c, vb.pp("norm2.0"))?,
-            mlp: Mlp::new(c, shape.mlp_ratio * c, vb.pp("mlp.0"))?,
+            mlp: Mlp::with(shape.compute, c, shape.mlp_ratio * c, vb.pp("mlp.0"))?,
             drop_path: DropPath { rate: shape.drop_path },
         })
     }
@@ -83,7 +89,9 @@ impl Block {
         let mut x = x;
         let mut y = self.conv.forward(conv_input.as_ref().unwrap_or(&x), map)?;
         drop(conv_input);
-        y = self.conv_linear.forward(&y)?;
+        if let Some(linear) = &self.conv_linear {
+            y = linear.forward(&y)?;
+        }
         x = self.conv_norm.forward_residual(&y, Some(&x))?;
         drop(y);
         if cx.mode == Mode::Eval || self.drop_path.rate <= 0.0 {
@@ -91,8 +99,8 @@ impl Block {
             return self.mlp.forward_residual(&self.norm2.forward(&x)?, &x);
         }
         let branch = self.attention.forward(self.norm1.forward(&x)?, cloud, None)?;
-        let x = (self.drop_path.forward(&branch, cx.mode, cx.rng)? + x)?;
+        let x = self.drop_path.forward_residual(&branch, &x, cx.mode, cx.rng)?;
         let branch = self.mlp.forward(&self.norm2.forward(&x)?)?;
-        self.drop_path.forward(&branch, cx.mode, cx.rng)? + x
+        self.drop_path.forward_residual(&branch, &x, cx.mode, cx.rng)
     }
 }

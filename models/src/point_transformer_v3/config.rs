@@ -1,5 +1,6 @@
 //! Shape of a network.
 
+use crate::Compute;
 use candle_core::{Result, bail};
 use scenesplat_kernels::segment::Reduce;
 use scenesplat_kernels::serialization::Curve;
@@ -78,6 +79,9 @@ pub struct PointTransformerV3Config {
     pub num_classes: Option<usize>,
     /// Whether scenes of a batch are kept apart.
     pub batch_rule: BatchRule,
+    /// Precision and joined layers: not part of the network, so not stored with it.
+    #[serde(skip)]
+    pub compute: Compute,
 }
 
 impl Default for PointTransformerV3Config {
@@ -107,6 +111,7 @@ impl PointTransformerV3Config {
             mask_token: false,
             num_classes: None,
             batch_rule: BatchRule::Isolated,
+            compute: Compute::default(),
         }
     }
 

@@ -1,7 +1,7 @@
 //! From input features to the first channels.
 
-use crate::Forward;
 use crate::layers::{BatchNorm, SparseConv};
+use crate::{Compute, Forward};
 use candle_core::{Result, Tensor};
 use candle_nn::VarBuilder;
 use scenesplat_kernels::serialized_cloud::SerializedCloud;
@@ -18,9 +18,14 @@ impl Embedding {
     ///
     /// # Errors
     /// If parameters exist with another shape.
-    pub fn new(in_channels: usize, channels: usize, vb: VarBuilder<'_>) -> Result<Self> {
+    pub fn new(
+        in_channels: usize,
+        channels: usize,
+        compute: Compute,
+        vb: VarBuilder<'_>,
+    ) -> Result<Self> {
         Ok(Self {
-            conv: SparseConv::new(in_channels, channels, 5, false, vb.pp("stem.conv"))?,
+            conv: SparseConv::with(compute, in_channels, channels, 5, false, vb.pp("stem.conv"))?,
             norm: BatchNorm::new(channels, vb.pp("stem.norm"))?,
         })
     }

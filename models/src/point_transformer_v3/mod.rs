@@ -74,8 +74,13 @@ impl PointTransformerV3 {
     /// If the configuration does not fit together or parameters exist with another shape.
     pub fn new(config: &PointTransformerV3Config, vb: VarBuilder<'_>) -> Result<Self> {
         let curves = config.check()?;
-        let embedding =
-            Embedding::new(config.in_channels, config.enc_channels[0], vb.pp("embedding"))?;
+        let compute = config.compute;
+        let embedding = Embedding::new(
+            config.in_channels,
+            config.enc_channels[0],
+            compute,
+            vb.pp("embedding"),
+        )?;
         let mask_token = config
             .mask_token
             .then(|| {
@@ -99,6 +104,7 @@ impl PointTransformerV3 {
             drop_path: rate,
             order: i % curves.len(),
             batch_rule: config.batch_rule,
+            compute,
         };
         let mut encoder = Vec::new();
         for (stage, rates) in config.enc_drop_rates().iter().enumerate() {
@@ -110,6 +116,7 @@ impl PointTransformerV3 {
                         config.enc_channels[stage],
                         config.stride[stage - 1],
                         config.pooling.into(),
+                        compute,
                         vb.pp("down"),
                     )
                 })
@@ -131,6 +138,7 @@ impl PointTransformerV3 {
                 coarse.copied().unwrap_or(0),
                 config.enc_channels[stage],
                 config.dec_channels[stage],
+                compute,
                 vb.pp("up"),
             )?;
             let blocks = rates

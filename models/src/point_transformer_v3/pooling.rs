@@ -2,7 +2,7 @@
 
 use crate::Forward;
 use crate::layers::{BatchNorm, Linear};
-use crate::ops;
+use crate::{Compute, ops};
 use candle_core::{Result, Tensor};
 use candle_nn::VarBuilder;
 use scenesplat_kernels::segment::{Groups, Reduce};
@@ -28,10 +28,11 @@ impl SerializedPooling {
         channels: usize,
         stride: usize,
         reduce: Reduce,
+        compute: Compute,
         vb: VarBuilder<'_>,
     ) -> Result<Self> {
         Ok(Self {
-            proj: Linear::new(in_channels, channels, true, vb.pp("proj"))?,
+            proj: Linear::with(compute, in_channels, channels, true, vb.pp("proj"))?,
             norm: BatchNorm::new(channels, vb.pp("norm.0"))?,
             shift: stride.trailing_zeros(),
             reduce,

@@ -1,8 +1,8 @@
 //! From one scale back to the next finer one.
 
-use crate::Forward;
-use crate::layers::{BatchNorm, Linear};
+use crate::layers::LinearNorm;
 use crate::ops;
+use crate::{Compute, Forward};
 use candle_core::{Result, Tensor};
 use candle_nn::VarBuilder;
 use scenesplat_kernels::segment::Groups;
@@ -11,10 +11,8 @@ use std::sync::Arc;
 /// The sum of the projected fine rows and of the projected coarse row of their voxel.
 #[derive(Debug)]
 pub struct SerializedUnpooling {
-    proj: Linear,
-    proj_norm: BatchNorm,
-    skip: Linear,
-    skip_norm: BatchNorm,
+    proj: LinearNorm,
+    skip: LinearNorm,
 }
 
 /// Result of [`SerializedUnpooling::forward`].
@@ -35,13 +33,13 @@ impl SerializedUnpooling {
         in_channels: usize,
         skip_channels: usize,
         channels: usize,
+        compute: Compute,
         vb: VarBuilder<'_>,
     ) -> Result<Self> {
+        let (proj, skip) = (vb.pp("proj"), vb.pp("proj_skip"));
         Ok(Self {
-            proj: Linear::new(in_channels, channels, true, vb.pp("proj.0"))?,
-            proj_norm: BatchNorm::new(channels, vb.pp("proj.1"))?,
-            skip: Linear::new(skip_channels, channels, true, vb.pp("proj_skip.0"))?,
-            skip_norm: BatchNorm::new(channels, vb.pp("proj_skip.1"))?,
+            proj: LinearNorm::new(compute, in_channels, channels, proj.pp("0"), proj.pp("1"))?,
+            skip: LinearNorm::new(compute, skip_channels, channels, skip.pp("0"), skip.pp("1"))?,
         })
     }
 
@@ -56,8 +54,8 @@ impl SerializedUnpooling {
         groups: Arc<Groups>,
         cx: &Forward<'_>,
     ) -> Result<Unpooled> {
-        let up = self.proj_norm.forward_gelu(&self.proj.forward(coarse)?, cx.mode)?;
-        let skip = self.skip_norm.forward_gelu(&self.skip.forward(fine)?, cx.mode)?;
+        let up = self.proj.forward(coarse, cx.mode)?;
+        let skip = self.skip.forward(fine, cx.mode)?;
         let sum = (&skip + ops::expand_groups(&up, groups)?)?;
         Ok(Unpooled { sum, skip })
     }

@@ -12,7 +12,7 @@ use scenesplat_models::point_transformer_v3::{
     BatchRule, Block, BlockShape, Embedding, SerializedAttention, SerializedPooling,
     SerializedUnpooling,
 };
-use scenesplat_models::{Forward, ParamStore, weights::WeightSource};
+use scenesplat_models::{Compute, Forward, ParamStore, weights::WeightSource};
 use std::sync::Arc;
 
 fn cloud(g: &Golden) -> SerializedCloud {
@@ -73,6 +73,7 @@ fn attention() {
             g.number("patch_size"),
             g.number("order_index"),
             rule,
+            Compute::default(),
             store.builder(),
         )
         .unwrap();
@@ -96,6 +97,7 @@ fn block() {
             drop_path: 0.0,
             order: g.number("order_index"),
             batch_rule: BatchRule::SharedDepthAndPatch,
+            compute: Compute::default(),
         };
         let module = Block::new(shape, store.builder()).unwrap();
         let x = Var::from_tensor(&g.tensor("in.feat")).unwrap();
@@ -121,9 +123,13 @@ fn embedding() {
     let Some(g) = Golden::open("e_embedding.safetensors") else { return };
     let cloud = cloud(&g);
     let store = store("e_embedding");
-    let module =
-        Embedding::new(g.number("in_channels"), g.number("embed_channels"), store.builder())
-            .unwrap();
+    let module = Embedding::new(
+        g.number("in_channels"),
+        g.number("embed_channels"),
+        Compute::default(),
+        store.builder(),
+    )
+    .unwrap();
     let x = Var::from_tensor(&g.tensor("in.feat")).unwrap();
     let mut rng = rng();
     let out = module.forward(x.as_tensor(), &cloud, &Forward::eval(&mut rng)).unwrap();
@@ -142,6 +148,7 @@ fn pooling() {
             g.number("out_channels"),
             g.number("stride"),
             how,
+            Compute::default(),
             store.builder(),
         )
         .unwrap();
@@ -174,6 +181,7 @@ fn unpooling() {
         g.number("in_channels"),
         g.number("skip_channels"),
         g.number("out_channels"),
+        Compute::default(),
         store.builder(),
     )
     .unwrap();

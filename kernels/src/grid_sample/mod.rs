@@ -4,14 +4,18 @@
 //! rule, the test rule (fragments), the row nearest to the voxel centre, and the rule that thins
 //! labelled points. Nothing here draws random numbers: the caller passes the draws.
 
-use crate::serialization::sort_with_rows;
+mod bounds;
+mod group;
+mod hash_order;
+mod keys;
+
+pub use group::voxel_groups;
+pub use keys::{fnv_key, morton_key, ravel_key};
+
 use rayon::prelude::*;
 
 /// Largest cell index per axis after the shift to zero: three axes of 21 bits fill one 63-bit key.
 pub const MAX_CELL: u32 = (1 << 21) - 1;
-
-const FNV_OFFSET: u64 = 14_695_981_039_346_656_037;
-const FNV_PRIME: u64 = 1_099_511_628_211;
 
 /// Rows per parallel task: large enough that a task outweighs its scheduling.
 const CHUNK: usize = 1 << 14;
@@ -103,83 +107,6 @@ pub struct VoxelGroups {
     pub min_cell: [f64; 3],
     /// Voxel size, metres.
     pub grid_size: f64,
-}
-
-/// Groups rows by voxel.
-///
-/// The cell of a coordinate is `floor(coord / grid_size)`, divided in f64, minus the smallest cell
-/// of its axis. Rows of one cell form one voxel. No rows give no voxels.
-///
-/// # Shapes
-/// - `coord`: `[N, 3]` metres, finite
-///
-/// # Errors
-/// If `grid_size` is not a positive number, a coordinate is not finite, an axis spans more than
-/// [`MAX_CELL`] + 1 cells, or the rows outnumber `u32`. Row and axis are named.
-///
-/// # Source
-/// `GridSample` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1, with the division of
-/// NumPy 2. Differs: the sort is stable, so rows inside a voxel are ascending; groups are formed by
-/// cell, not by key, so two cells whose hashes collide stay two voxels (listed by `x, y, z`).
-pub fn voxel_groups(
-    coord: &[[f32; 3]],
-    grid_size: f64,
-    key_order: KeyOrder,
-) -> Result<VoxelGroups, GridSampleError> {
-    check_row_count(coord.len())?;
-    if !(grid_size.is_finite() && grid_size > 0.0) {
-        return Err(GridSampleError::GridSize { grid_size });
-    }
-    let (min_cell, max_index) = cell_bounds(coord, grid_size)?;
-    let cell_of = |row: u32| cell(coord[row as usize], grid_size, min_cell);
-
-    let shape = max_index.map(|m| u64::from(m) + 1);
-    let keys: Vec<u64> = coord
-        .par_iter()
-        .with_min_len(CHUNK)
-        .map(|&c| {
-            let cell = cell(c, grid_size, min_cell);
-            match key_order {
-                KeyOrder::Fnv => fnv_key(cell),
-                KeyOrder::Ravel => ravel_key(cell, shape),
-                KeyOrder::Morton => morton_key(cell),
-            }
-        })
-        .collect();
-    let (keys, mut order) = sort_with_rows(&keys);
-
-    let mut offsets = vec![0];
-    let mut start = 0;
-    while start < order.len() {
-        let end = start + keys[start..].iter().take_while(|&&k| k == keys[start]).count();
-        let run = &mut order[start..end];
-        // The other two keys are one-to-one.
-        let collides = key_order == KeyOrder::Fnv
-            && run[1..].iter().any(|&row| cell_of(row) != cell_of(run[0]));
-        if collides {
-            run.sort_by_key(|&row| cell_of(row));
-            for i in 1..run.len() {
-                if cell_of(run[i]) != cell_of(run[i - 1]) {
-                    offsets.push((start + i) as u32);
-                }
-            }
-        }
-        offsets.push(end as u32);
-        start = end;
-    }
-
-    let mut inverse = vec![0; order.len()];
-    for (voxel, span) in offsets.windows(2).enumerate() {
-        for &row in &order[span[0] as usize..span[1] as usize] {
-            inverse[row as usize] = voxel as u32;
-        }
-    }
-    let grid_coord = offsets[..offsets.len() - 1]
-        .par_iter()
-        .with_min_len(CHUNK)
-        .map(|&first| cell_of(order[first as usize]).map(|c| c as i32))
-        .collect();
-    Ok(VoxelGroups { order, offsets, inverse, grid_coord, min_cell, grid_size })
 }
 
 impl VoxelGroups {
@@ -280,103 +207,12 @@ impl VoxelGroups {
     }
 }
 
-/// The hash of a cell that the original system orders voxels by: multiply, then xor, per axis.
-pub fn fnv_key(cell: [u32; 3]) -> u64 {
-    cell.iter().fold(FNV_OFFSET, |h, &c| h.wrapping_mul(FNV_PRIME) ^ u64::from(c))
-}
-
-/// Row-major index of a cell in a grid of the given shape, at most `2^21` per axis.
-pub fn ravel_key(cell: [u32; 3], shape: [u64; 3]) -> u64 {
-    let [x, y, z] = cell.map(u64::from);
-    (x * shape[1] + y) * shape[2] + z
-}
-
-/// The bits of a cell interleaved, `x` above `y` above `z`; indices up to [`MAX_CELL`].
-pub fn morton_key(cell: [u32; 3]) -> u64 {
-    let [x, y, z] = cell.map(spread_bits);
-    x << 2 | y << 1 | z
-}
-
-/// Moves bit `i` to bit `3 i`, for 21 bits.
-fn spread_bits(value: u32) -> u64 {
-    let mut v = u64::from(value & MAX_CELL);
-    v = (v | v << 32) & 0x001f_0000_0000_ffff;
-    v = (v | v << 16) & 0x001f_0000_ff00_00ff;
-    v = (v | v << 8) & 0x100f_00f0_0f00_f00f;
-    v = (v | v << 4) & 0x10c3_0c30_c30c_30c3;
-    (v | v << 2) & 0x1249_2492_4924_9249
-}
-
 fn check_row_count(rows: usize) -> Result<(), GridSampleError> {
     if u32::try_from(rows).is_ok() { Ok(()) } else { Err(GridSampleError::TooManyRows { rows }) }
 }
 
 fn check_length(field: &'static str, expected: usize, got: usize) -> Result<(), GridSampleError> {
     if expected == got { Ok(()) } else { Err(GridSampleError::Length { field, expected, got }) }
-}
-
-fn cell(coord: [f32; 3], grid_size: f64, min_cell: [f64; 3]) -> [u32; 3] {
-    std::array::from_fn(|a| ((f64::from(coord[a]) / grid_size).floor() - min_cell[a]) as u32)
-}
-
-/// Smallest cell and largest shifted index per axis, after checking every coordinate.
-fn cell_bounds(
-    coord: &[[f32; 3]],
-    grid_size: f64,
-) -> Result<([f64; 3], [u32; 3]), GridSampleError> {
-    if coord.is_empty() {
-        return Ok(([0.0; 3], [0; 3]));
-    }
-    if let Some(row) = coord.par_iter().position_first(|c| !c.iter().all(|v| v.is_finite())) {
-        let axis = coord[row].iter().position(|v| !v.is_finite()).unwrap_or(0);
-        return Err(GridSampleError::NotFinite { row, axis: AXES[axis], value: coord[row][axis] });
-    }
-    // Division and floor keep order, so the bounds of the cells are the cells of the bounds.
-    let (low, high) = coord
-        .par_chunks(CHUNK)
-        .map(|chunk| {
-            chunk.iter().fold((chunk[0], chunk[0]), |(low, high), c| {
-                (
-                    std::array::from_fn(|a| low[a].min(c[a])),
-                    std::array::from_fn(|a| high[a].max(c[a])),
-                )
-            })
-        })
-        .reduce(
-            || (coord[0], coord[0]),
-            |(low, high), (l, h)| {
-                (
-                    std::array::from_fn(|a: usize| low[a].min(l[a])),
-                    std::array::from_fn(|a: usize| high[a].max(h[a])),
-                )
-            },
-        );
-    let floor_cell = |v: f32| (f64::from(v) / grid_size).floor();
-    let mut max_index = [0; 3];
-    for axis in 0..3 {
-        let cells = floor_cell(high[axis]) - floor_cell(low[axis]);
-        // Also true for NaN, which infinite quotients give.
-        if cells.is_nan() || cells > f64::from(MAX_CELL) {
-            return Err(too_wide(coord, axis, cells + 1.0, grid_size));
-        }
-        max_index[axis] = cells as u32;
-    }
-    Ok((low.map(floor_cell), max_index))
-}
-
-const AXES: [char; 3] = ['x', 'y', 'z'];
-
-/// Blames the row farthest from the median: with one outlier on the low side, the rows beyond the
-/// limit would be all the good ones.
-fn too_wide(coord: &[[f32; 3]], axis: usize, cells: f64, grid_size: f64) -> GridSampleError {
-    let mut values: Vec<f32> = coord.iter().map(|c| c[axis]).collect();
-    let middle = (values.len() - 1) / 2;
-    let median = f64::from(*values.select_nth_unstable_by(middle, f32::total_cmp).1);
-    let (row, _) = coord.iter().enumerate().fold((0, -1.0), |best, (row, c)| {
-        let distance = (f64::from(c[axis]) - median).abs();
-        if distance > best.1 { (row, distance) } else { best }
-    });
-    GridSampleError::TooWide { row, axis: AXES[axis], value: coord[row][axis], cells, grid_size }
 }
 
 #[cfg(test)]
@@ -388,27 +224,5 @@ mod tests {
         assert!(check_row_count(u32::MAX as usize).is_ok());
         let rows = u32::MAX as usize + 1;
         assert_eq!(check_row_count(rows), Err(GridSampleError::TooManyRows { rows }));
-    }
-
-    #[test]
-    fn hash_values_of_the_original() {
-        for (cell, key) in [
-            ([0, 0, 0], 15_658_191_375_538_532_279),
-            ([1, 0, 0], 15_657_234_800_422_177_934),
-            ([0, 1, 0], 15_658_190_276_026_904_068),
-            ([0, 0, 1], 15_658_191_375_538_532_278),
-            ([3, 5, 7], 15_655_318_351_654_584_612),
-            ([1000, 2000, 300], 14_764_297_218_073_129_843),
-        ] {
-            assert_eq!(fnv_key(cell), key);
-        }
-    }
-
-    #[test]
-    fn morton_bits_interleave() {
-        assert_eq!(morton_key([1, 0, 0]), 0b100);
-        assert_eq!(morton_key([0, 1, 0]), 0b010);
-        assert_eq!(morton_key([0b10, 0b01, 0b11]), 0b101_011);
-        assert_eq!(morton_key([MAX_CELL; 3]), (1 << 63) - 1);
     }
 }

@@ -1,0 +1,26 @@
+//! How a network computes, as opposed to what.
+
+use scenesplat_kernels::Precision;
+
+/// Choices that change speed and rounding, but not the function that a network stands for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Compute {
+    /// Form of the operands of products, in inference and training alike. Parameters, sums, norms
+    /// and gradients that are stored stay f32.
+    pub precision: Precision,
+    /// Joins frozen layers that follow each other without anything between: the linear layer of a
+    /// positional convolution goes into its taps, batch norms into the linear layer before them.
+    /// That rounds differently and saves about 5 % of the time of the language network.
+    pub fold: bool,
+}
+
+impl Default for Compute {
+    fn default() -> Self {
+        Self { precision: Precision::F32, fold: true }
+    }
+}
+
+impl Compute {
+    /// f32, layer by layer as the parameters are stored.
+    pub const EXACT: Self = Self { precision: Precision::F32, fold: false };
+}

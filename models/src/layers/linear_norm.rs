@@ -1,0 +1,58 @@
+//! A linear layer with a batch norm and a GELU behind it.
+
+use super::linear::parameters;
+use super::{BatchNorm, Linear, vector};
+use crate::{Compute, Mode, ops};
+use candle_core::Result;
+use candle_core::Tensor;
+use candle_nn::VarBuilder;
+
+/// `gelu(BatchNorm(Linear(x)))`; one linear layer where both are frozen and may be folded.
+#[derive(Debug, Clone)]
+pub struct LinearNorm {
+    linear: Linear,
+    /// `None` if it is part of the linear layer.
+    norm: Option<BatchNorm>,
+}
+
+impl LinearNorm {
+    /// Parameters of the linear layer (with bias) and of the norm from their own builders.
+    ///
+    /// # Errors
+    /// If the parameters exist with another shape.
+    pub fn new(
+        compute: Compute,
+        cin: usize,
+        cout: usize,
+        linear: VarBuilder<'_>,
+        norm: VarBuilder<'_>,
+    ) -> Result<Self> {
+        let (weight, bias) = parameters(cin, cout, true, &linear)?;
+        let norm = BatchNorm::new(cout, norm)?;
+        let Some((scale, shift)) = norm.scale_shift().filter(|_| compute.fold) else {
+            return Ok(Self { linear: Linear::of(compute, weight, bias)?, norm: Some(norm) });
+        };
+        let mut weight = weight.flatten_all()?.to_vec1::<f32>()?;
+        for (row, scale) in weight.chunks_exact_mut(cin.max(1)).zip(scale) {
+            row.iter_mut().for_each(|w| *w *= scale);
+        }
+        let bias = match bias {
+            Some(bias) => vector(&bias)?,
+            None => vec![0.0; cout],
+        };
+        let bias = bias.iter().zip(scale).zip(shift).map(|((b, s), t)| b.mul_add(*s, *t)).collect();
+        Ok(Self { linear: Linear::frozen(compute, &weight, cin, cout, Some(bias)), norm: None })
+    }
+
+    /// `[N, in] → [N, out]`
+    ///
+    /// # Errors
+    /// If the input does not fit, or as [`BatchNorm::forward_gelu`].
+    pub fn forward(&self, x: &Tensor, mode: Mode) -> Result<Tensor> {
+        match &self.norm {
+            Some(norm) => norm.forward_gelu(&self.linear.forward(x)?, mode),
+            None if mode == Mode::Train => ops::frozen_cannot_train(),
+            None => self.linear.forward_gelu(x),
+        }
+    }
+}

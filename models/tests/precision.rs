@@ -1,0 +1,173 @@
+//! What precision and joined layers change, and what they must not.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
+
+use candle_core::{DType, Device, Tensor};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use scenesplat_kernels::Precision;
+use scenesplat_models::weights::{WeightSource, unit};
+use scenesplat_models::{
+    Backbone, Compute, Forward, LanguageModel, ParamStore, PointCloud, PointTransformerV3Config,
+};
+use std::collections::BTreeMap;
+
+fn config(compute: Compute) -> PointTransformerV3Config {
+    PointTransformerV3Config {
+        in_channels: 11,
+        stride: vec![2, 2],
+        enc_depths: vec![1, 1, 2],
+        enc_channels: vec![16, 32, 48],
+        enc_num_head: vec![2, 4, 3],
+        enc_patch_size: vec![128; 3],
+        dec_depths: vec![1, 2],
+        dec_channels: vec![72, 64],
+        dec_num_head: vec![3, 4],
+        dec_patch_size: vec![128; 2],
+        compute,
+        ..PointTransformerV3Config::language()
+    }
+}
+
+/// A floor and two walls, `side` voxels long, with features of their own.
+fn room(side: i32, seed: u64) -> (Vec<[i32; 3]>, Vec<f32>) {
+    let mut cells: Vec<[i32; 3]> = Vec::new();
+    for a in 0..side {
+        for b in 0..side {
+            cells.push([a, b, (a / 7) % 2]);
+            if b > 1 {
+                cells.extend([[a, 0, b], [0, a + 1, b]]);
+            }
+        }
+    }
+    let feat = unit("feat", cells.len() * 11, seed);
+    (cells, feat)
+}
+
+fn batch(scenes: &[(Vec<[i32; 3]>, Vec<f32>)]) -> PointCloud {
+    let mut offsets = vec![0];
+    let (mut cells, mut feat) = (Vec::new(), Vec::new());
+    for scene in scenes {
+        cells.extend_from_slice(&scene.0);
+        feat.extend_from_slice(&scene.1);
+        offsets.push(cells.len());
+    }
+    let feat = Tensor::from_vec(feat, (cells.len(), 11), &Device::Cpu).unwrap();
+    PointCloud::new(cells, feat, offsets).unwrap()
+}
+
+fn features(compute: Compute, points: &PointCloud) -> Vec<Vec<f32>> {
+    let store = ParamStore::frozen(WeightSource::hashed(5, ""));
+    let model = LanguageModel::new(&config(compute), store.builder()).unwrap();
+    let mut rng = ChaCha8Rng::seed_from_u64(0);
+    model.forward(points, &mut Forward::eval(&mut rng)).unwrap().to_vec2().unwrap()
+}
+
+/// ‖a − b‖ / ‖b‖ over all values.
+fn relative(a: &[Vec<f32>], b: &[Vec<f32>]) -> f64 {
+    let pairs = a.iter().flatten().zip(b.iter().flatten());
+    let (mut difference, mut norm) = (0.0, 0.0);
+    for (a, b) in pairs {
+        difference += (f64::from(*a) - f64::from(*b)).powi(2);
+        norm += f64::from(*b).powi(2);
+    }
+    (difference / norm).sqrt()
+}
+
+/// Cosines of the rows, ascending.
+fn cosines(a: &[Vec<f32>], b: &[Vec<f32>]) -> Vec<f64> {
+    let dot = |a: &[f32], b: &[f32]| -> f64 {
+        a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
+    };
+    let mut all: Vec<f64> =
+        a.iter().zip(b).map(|(a, b)| dot(a, b) / (dot(a, a) * dot(b, b)).sqrt()).collect();
+    all.sort_by(f64::total_cmp);
+    all
+}
+
+#[test]
+fn joined_layers_differ_by_roundings_only() {
+    let points = batch(&[room(40, 1)]);
+    let exact = features(Compute::EXACT, &points);
+    let joined = features(Compute::default(), &points);
+    let error = relative(&joined, &exact);
+    // Two ways to f32 through some 60 operations; not the same bits, or nothing was joined.
+    assert!(error > 0.0 && error < 1e-5, "{error}");
+}
+
+#[test]
+fn lower_precisions_stay_near_f32() {
+    let points = batch(&[room(40, 2)]);
+    for fold in [false, true] {
+        let exact = features(Compute { precision: Precision::F32, fold }, &points);
+        let split = features(Compute { precision: Precision::F32Split, fold }, &points);
+        assert!(relative(&split, &exact) < 5e-5, "split: {}", relative(&split, &exact));
+        let bf16 = features(Compute { precision: Precision::Bf16, fold }, &points);
+        let cosines = cosines(&bf16, &exact);
+        let (median, low) = (cosines[cosines.len() / 2], cosines[cosines.len() / 100]);
+        assert!(median >= 0.999 && low >= 0.99, "bf16: cosine {median}, 1st percentile {low}");
+        // Eight bits of mantissa: an error below this would mean that nothing was rounded.
+        assert!(relative(&bf16, &exact) > 1e-4, "bf16: {}", relative(&bf16, &exact));
+    }
+}
+
+#[test]
+fn any_precision_is_deterministic_and_ignores_batch_mates() {
+    let (one, other) = (room(30, 3), room(17, 4));
+    for precision in Precision::ALL {
+        let compute = Compute { precision, fold: true };
+        let bits = |rows: &[Vec<f32>]| -> Vec<u32> {
+            rows.iter().flatten().map(|v| v.to_bits()).collect()
+        };
+        let run = |threads: usize, points: &PointCloud| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| features(compute, points))
+        };
+        let alone = run(1, &batch(std::slice::from_ref(&one)));
+        for threads in [2, 3] {
+            let again = run(threads, &batch(std::slice::from_ref(&one)));
+            assert!(bits(&again) == bits(&alone), "{precision} with {threads} threads");
+        }
+        let both = run(2, &batch(&[other.clone(), one.clone()]));
+        assert!(bits(&both[other.0.len()..]) == bits(&alone), "{precision} beside another scene");
+    }
+}
+
+/// Gradients of a training step, by name.
+fn gradients(precision: Precision) -> BTreeMap<String, Vec<f32>> {
+    let store = ParamStore::trainable_from(WeightSource::hashed(5, ""), 0);
+    let compute = Compute { precision, fold: true };
+    let config = PointTransformerV3Config { drop_path: 0.0, ..config(compute) };
+    let model = LanguageModel::new(&config, store.builder()).unwrap();
+    let points = batch(&[room(24, 5)]);
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    let out = model.forward(&points, &mut Forward::train(&mut rng)).unwrap();
+    let direction = unit("R", out.elem_count(), 1);
+    let direction = Tensor::from_vec(direction, out.dims(), &Device::Cpu).unwrap();
+    let grads = (&out * direction).unwrap().sum_all().unwrap().backward().unwrap();
+    let flat = |t: &Tensor| {
+        assert_eq!(t.dtype(), DType::F32);
+        t.flatten_all().unwrap().to_vec1::<f32>().unwrap()
+    };
+    let named = store.parameters().into_iter().map(|(name, var)| {
+        let grad = grads.get(&var).unwrap_or_else(|| panic!("{name}: no gradient"));
+        (name, flat(grad))
+    });
+    named.collect()
+}
+
+#[test]
+fn gradients_in_bf16_point_the_same_way() {
+    let exact = gradients(Precision::F32);
+    let bf16 = gradients(Precision::Bf16);
+    let flat = |g: &BTreeMap<String, Vec<f32>>| vec![g.values().flatten().copied().collect()];
+    let whole = cosines(&flat(&bf16), &flat(&exact))[0];
+    // Hashed weights are steep: what one block rounds, the next ones amplify, so that the gradient
+    // of a random direction turns by degrees on its way back to the first layer.
+    assert!(whole > 0.9, "cosine of all gradients {whole}");
+    for (name, values) in exact.iter().filter(|(name, _)| name.starts_with("dec.dec0.block0")) {
+        let cosine = cosines(&[bf16[name].clone()], std::slice::from_ref(values))[0];
+        assert!(cosine > 0.98, "{name}: cosine {cosine}");
+    }
+    assert!(relative(&flat(&bf16), &flat(&exact)) > 1e-4, "nothing was rounded");
+}
