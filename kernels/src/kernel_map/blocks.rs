@@ -10,8 +10,8 @@
 //! surroundings of each row, took HASH_K3 and HASH_K5 ms.
 
 use super::CHUNK;
+use super::window::{Kernel, transpose, with_bit_operations};
 use crate::serialization::Sorted;
-use crate::simd::Isa;
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -138,7 +138,7 @@ impl Blocks {
             .for_each(|(((found, counts), cells), blocks)| {
                 with_bit_operations(
                     #[inline(always)]
-                    || self.find(&kernel, cells, blocks, found, counts),
+                    |has_bmi2| self.find(&kernel, has_bmi2, cells, blocks, found, counts),
                 );
             });
         let mut starts = Vec::with_capacity(counts.len() + 1);
@@ -161,7 +161,7 @@ impl Blocks {
                 let first = chunk * CHUNK;
                 with_bit_operations(
                     #[inline(always)]
-                    || self.fill(&kernel, cells, first, found, starts, input, output),
+                    |_| self.fill(&kernel, cells, first, found, starts, input, output),
                 );
             });
         (starts, input, output)
@@ -172,31 +172,27 @@ impl Blocks {
     fn find(
         &self,
         kernel: &Kernel,
+        has_bmi2: bool,
         cells: &[[i32; 3]],
         blocks: &[u32],
         found: &mut [u64],
         counts: &mut [u32],
     ) {
-        let mut near = [0u64; 27];
-        for ((&cell, &block), found) in
-            cells.iter().zip(blocks).zip(found.chunks_exact_mut(kernel.words))
-        {
+        let rows = cells.iter().zip(blocks).zip(found.chunks_exact_mut(kernel.words));
+        for ((&cell, &block), found) in rows {
             let around = &self.around[block as usize];
-            let cell = inner_cell(cell);
-            for &step in &kernel.reach[cell] {
-                near[step as usize] = self.blocks[around[step as usize] as usize].cells;
-            }
-            let counts = counts.chunks_mut(64);
-            for ((word, steps), counts) in
-                found.iter_mut().zip(kernel.steps_of(cell).chunks(64)).zip(counts)
-            {
-                let mut bits = 0;
-                for (tap, &(step, inner)) in steps.iter().enumerate() {
-                    bits |= (near[usize::from(step) % 27] >> (inner & 63) & 1) << tap;
+            let near = |step: usize| self.blocks[around[step] as usize].cells;
+            kernel.window(has_bmi2, inner_cell(cell), near, found);
+        }
+        for (word, counts) in counts.chunks_mut(64).enumerate() {
+            for part in found.chunks(64 * kernel.words) {
+                let mut bits = [0; 64];
+                for (bits, row) in bits.iter_mut().zip(part.chunks_exact(kernel.words)) {
+                    *bits = row[word];
                 }
-                *word = bits;
-                for (tap, count) in counts.iter_mut().enumerate() {
-                    *count += (bits >> tap & 1) as u32;
+                transpose(&mut bits);
+                for (count, rows) in counts.iter_mut().zip(bits) {
+                    *count += rows.count_ones();
                 }
             }
         }
@@ -275,51 +271,6 @@ fn look_around(
     }
 }
 
-/// Where the taps of a kernel lead from each cell of a block.
-struct Kernel {
-    taps: usize,
-    /// Words of 64 taps.
-    words: usize,
-    /// For each cell and tap: which of the 27 blocks around, which cell of it.
-    steps: Vec<(u8, u8)>,
-    /// The blocks around that the taps of each cell lead to.
-    reach: Vec<Vec<u8>>,
-}
-
-impl Kernel {
-    fn new(kernel_size: usize) -> Self {
-        let taps = kernel_size.pow(3);
-        let half = kernel_size as i32 / 2;
-        let k = kernel_size as i32;
-        let mut steps = Vec::with_capacity(64 * taps);
-        for cell in 0..64 {
-            let at = [cell >> 4, cell >> 2 & 3, cell & 3];
-            for tap in 0..taps as i32 {
-                let d = [tap / (k * k) - half, tap / k % k - half, tap % k - half];
-                let to: [i32; 3] = std::array::from_fn(|a| at[a] + d[a]);
-                let block = to.iter().fold(0, |b, v| b * 3 + v.div_euclid(4) + 1);
-                let inner = to.iter().fold(0, |c, v| c * 4 + v.rem_euclid(4));
-                steps.push((block as u8, inner as u8));
-            }
-        }
-        let reach = steps
-            .chunks(taps)
-            .map(|steps| {
-                let mut reach: Vec<u8> = steps.iter().map(|s| s.0).collect();
-                reach.sort_unstable();
-                reach.dedup();
-                reach
-            })
-            .collect();
-        Self { taps, words: taps.div_ceil(64), steps, reach }
-    }
-
-    #[inline(always)]
-    fn steps_of(&self, cell: usize) -> &[(u8, u8)] {
-        &self.steps[cell * self.taps..(cell + 1) * self.taps]
-    }
-}
-
 /// Consecutive pieces of a slice, each of `taps` steps of `starts`.
 fn pieces<'a>(
     mut rest: &'a mut [u32],
@@ -332,25 +283,4 @@ fn pieces<'a>(
         rest = after;
         piece
     })
-}
-
-/// Runs `body` compiled for a CPU that counts and finds bits in one instruction, where it does.
-#[inline(always)]
-fn with_bit_operations(body: impl FnOnce()) {
-    #[cfg(target_arch = "x86_64")]
-    {
-        #[target_feature(enable = "avx2,bmi1,bmi2,popcnt")]
-        fn compiled(body: impl FnOnce()) {
-            body();
-        }
-        let bits = is_x86_feature_detected!("bmi1")
-            && is_x86_feature_detected!("bmi2")
-            && is_x86_feature_detected!("popcnt");
-        if Isa::current() >= Isa::Avx2 && bits {
-            // SAFETY: the features were detected.
-            unsafe { compiled(body) };
-            return;
-        }
-    }
-    body();
 }

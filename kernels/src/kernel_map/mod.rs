@@ -13,6 +13,7 @@ use blocks::Blocks;
 mod blocks;
 #[cfg(test)]
 mod hashed;
+mod window;
 
 /// Output rows of one chunk of pairs.
 pub(crate) const CHUNK: usize = 1024;
