@@ -1,12 +1,17 @@
 //! Batch normalisation over the rows of each channel.
 //!
 //! Statistics are summed in f64 over fixed stretches of rows, so they depend neither on the number
-//! of threads nor on cancellation.
+//! of threads nor on cancellation. Each array is read from memory once; the gradients need a second
+//! look, because every gradient of the input depends on sums over all rows.
 
+use crate::activation::gelu_in_place;
+use crate::simd::{Vector, dispatch};
 use rayon::prelude::*;
 
 /// Rows of one partial sum.
 const BLOCK: usize = 1024;
+/// Values that stay in a core's second-level cache between two looks at them.
+const CACHED: usize = 1 << 15;
 
 /// Mean and variance of each channel.
 #[derive(Debug, Clone, PartialEq)]
@@ -17,47 +22,112 @@ pub struct Statistics {
     pub var: Vec<f64>,
 }
 
-fn column_sums(
-    rows: &[f32],
-    other: &[f32],
-    c: usize,
-    f: impl Fn(usize, f32, f32) -> f64 + Sync,
-) -> Vec<f64> {
-    if c == 0 {
-        return Vec::new();
+/// Sums of some rows: of the values, and of the squares of their differences from their mean.
+struct Moments {
+    rows: f64,
+    sum: Vec<f64>,
+    squares: Vec<f64>,
+}
+
+impl Moments {
+    fn none(c: usize) -> Self {
+        Self { rows: 0.0, sum: vec![0.0; c], squares: vec![0.0; c] }
     }
-    let partial: Vec<Vec<f64>> = rows
-        .par_chunks(BLOCK * c)
-        .zip(other.par_chunks(BLOCK * c))
-        .map(|(rows, other)| {
-            let mut sums = vec![0f64; c];
-            for (row, other) in rows.chunks_exact(c).zip(other.chunks_exact(c)) {
-                for j in 0..c {
-                    sums[j] += f(j, row[j], other[j]);
-                }
+
+    /// Of a stretch of rows, piece by piece: the second look at a piece, with its mean, finds it in
+    /// the cache. Differences from a mean nearby, not from zero, keep variances from cancelling.
+    fn of(x: &[f32], c: usize) -> Self {
+        let mut all = Self::none(c);
+        let mut piece = Self::none(c);
+        let mut mean = vec![0.0; c];
+        for x in x.chunks((CACHED / c).max(8) * c) {
+            let Self { rows, sum, squares } = &mut piece;
+            *rows = (x.len() / c) as f64;
+            sum.fill(0.0);
+            squares.fill(0.0);
+            dispatch!((x: &[f32], sum: &mut [f64]), V => add_rows::<V>(x, sum));
+            mean.iter_mut().zip(&*sum).for_each(|(m, s)| *m = s / *rows);
+            let mean = mean.as_slice();
+            dispatch!((x: &[f32], mean: &[f64], squares: &mut [f64]),
+                V => add_squares::<V>(x, mean, squares));
+            all.add(&piece);
+        }
+        all
+    }
+
+    fn add(&mut self, other: &Self) {
+        if self.rows > 0.0 {
+            let weight = self.rows * other.rows / (self.rows + other.rows);
+            let sums = self.sum.iter().zip(&other.sum);
+            for (square, (own, others)) in self.squares.iter_mut().zip(sums) {
+                let apart = others / other.rows - own / self.rows;
+                *square += apart * apart * weight;
             }
-            sums
-        })
-        .collect();
-    let mut total = vec![0f64; c];
-    for part in partial {
-        for (t, p) in total.iter_mut().zip(part) {
-            *t += p;
+        }
+        self.rows += other.rows;
+        self.sum.iter_mut().zip(&other.sum).for_each(|(s, o)| *s += o);
+        self.squares.iter_mut().zip(&other.squares).for_each(|(s, o)| *s += o);
+    }
+}
+
+/// Adds rows to `sum`, four at a time: loading and storing the sums would be most of the work.
+#[inline(always)]
+unsafe fn add_rows<V: Vector>(x: &[f32], sum: &mut [f64]) {
+    let c = sum.len();
+    let fours = x.chunks_exact(4 * c);
+    for row in fours.remainder().chunks_exact(c) {
+        for j in 0..c {
+            sum[j] += f64::from(row[j]);
         }
     }
-    total
+    for four in fours {
+        let [p, q, r, s] = rows_of_four(four, c);
+        for j in 0..c {
+            let [p, q, r, s] = [p[j], q[j], r[j], s[j]].map(f64::from);
+            sum[j] += (p + q) + (r + s);
+        }
+    }
+}
+
+/// As [`add_rows`], the squares of the differences from `mean`.
+#[inline(always)]
+unsafe fn add_squares<V: Vector>(x: &[f32], mean: &[f64], sum: &mut [f64]) {
+    let c = sum.len();
+    let mean = &mean[..c];
+    let square = |v: f32, j: usize| {
+        let d = f64::from(v) - mean[j];
+        d * d
+    };
+    let fours = x.chunks_exact(4 * c);
+    for row in fours.remainder().chunks_exact(c) {
+        for j in 0..c {
+            sum[j] += square(row[j], j);
+        }
+    }
+    for four in fours {
+        let [p, q, r, s] = rows_of_four(four, c);
+        for j in 0..c {
+            sum[j] += (square(p[j], j) + square(q[j], j)) + (square(r[j], j) + square(s[j], j));
+        }
+    }
+}
+
+#[inline(always)]
+fn rows_of_four(x: &[f32], c: usize) -> [&[f32]; 4] {
+    std::array::from_fn(|i| &x[i * c..(i + 1) * c])
 }
 
 /// Statistics of `x` (`[N, C]`); zeros when there is no row.
 pub fn statistics(x: &[f32], c: usize) -> Statistics {
-    let n = (x.len() / c.max(1)).max(1) as f64;
-    let mean: Vec<f64> =
-        column_sums(x, x, c, |_, v, _| f64::from(v)).into_iter().map(|s| s / n).collect();
-    let var = column_sums(x, x, c, |j, v, _| {
-        let d = f64::from(v) - mean[j];
-        d * d
-    });
-    Statistics { mean, var: var.into_iter().map(|s| s / n).collect() }
+    if c == 0 {
+        return Statistics { mean: Vec::new(), var: Vec::new() };
+    }
+    let parts: Vec<Moments> = x.par_chunks(BLOCK * c).map(|x| Moments::of(x, c)).collect();
+    let mut all = Moments::none(c);
+    parts.iter().for_each(|part| all.add(part));
+    let n = all.rows.max(1.0);
+    let by_rows = |sums: Vec<f64>| sums.into_iter().map(|s| s / n).collect();
+    Statistics { mean: by_rows(all.sum), var: by_rows(all.squares) }
 }
 
 /// `out = x · scale + shift` per channel, then the exact GELU if asked for.
@@ -69,16 +139,25 @@ pub fn apply(x: &[f32], scale: &[f32], shift: &[f32], gelu: bool, out: &mut [f32
     if c == 0 {
         return;
     }
-    out.par_chunks_mut(BLOCK * c).zip(x.par_chunks(BLOCK * c)).for_each(|(out, x)| {
-        for (out, x) in out.chunks_exact_mut(c).zip(x.chunks_exact(c)) {
-            for j in 0..c {
-                out[j] = x[j] * scale[j] + shift[j];
-            }
-        }
+    let piece = (CACHED / c).max(1) * c;
+    out.par_chunks_mut(piece).zip(x.par_chunks(piece)).for_each(|(out, x)| {
+        dispatch!((x: &[f32], scale: &[f32], shift: &[f32], out: &mut [f32]),
+            V => scale_rows::<V>(x, scale, shift, out));
         if gelu {
-            crate::activation::gelu_in_place(out);
+            gelu_in_place(out);
         }
     });
+}
+
+#[inline(always)]
+unsafe fn scale_rows<V: Vector>(x: &[f32], scale: &[f32], shift: &[f32], out: &mut [f32]) {
+    let c = scale.len();
+    let shift = &shift[..c];
+    for (out, x) in out.chunks_exact_mut(c).zip(x.chunks_exact(c)) {
+        for j in 0..c {
+            out[j] = x[j] * scale[j] + shift[j];
+        }
+    }
 }
 
 /// Gradients of `y = (x − mean)·inverse·weight + bias`.
@@ -101,28 +180,109 @@ pub fn backward(
     if c == 0 {
         return (Vec::new(), Vec::new());
     }
-    let n = (x.len() / c.max(1)).max(1) as f64;
-    let dw =
-        column_sums(x, grad, c, |j, v, g| f64::from(g) * (f64::from(v) - mean[j]) * inverse[j]);
-    let db = column_sums(x, grad, c, |_, _, g| f64::from(g));
-    dx.par_chunks_mut(BLOCK * c)
-        .zip(x.par_chunks(BLOCK * c))
+    let n = (x.len() / c).max(1) as f64;
+    let parts: Vec<Vec<f64>> = x
+        .par_chunks(BLOCK * c)
         .zip(grad.par_chunks(BLOCK * c))
-        .for_each(|((dx, x), grad)| {
-            let rows = x.chunks_exact(c).zip(grad.chunks_exact(c)).zip(dx.chunks_exact_mut(c));
-            for ((x, grad), dx) in rows {
-                for j in 0..c {
-                    let mut g = f64::from(grad[j]);
-                    if batch {
-                        let unit = (f64::from(x[j]) - mean[j]) * inverse[j];
-                        g -= (db[j] + unit * dw[j]) / n;
-                    }
-                    dx[j] = (g * inverse[j] * f64::from(weight[j])) as f32;
-                }
+        .map(|(x, grad)| {
+            let mut sums = vec![0.0; 2 * c];
+            let (products, plain) = sums.split_at_mut(c);
+            dispatch!((x: &[f32], grad: &[f32], mean: &[f64], products: &mut [f64],
+                plain: &mut [f64]),
+                V => add_gradients::<V>(x, grad, mean, products, plain));
+            sums
+        })
+        .collect();
+    let mut sums = vec![0.0; 2 * c];
+    for part in parts {
+        sums.iter_mut().zip(part).for_each(|(s, p)| *s += p);
+    }
+    let (products, db) = sums.split_at(c);
+    let dw: Vec<f64> = products.iter().zip(inverse).map(|(p, i)| p * i).collect();
+    // dx = (g − (db + unit · dw) / n) · inverse · weight, with what does not change over the rows
+    // taken together.
+    let factor: Vec<f64> = inverse.iter().zip(weight).map(|(i, w)| i * f64::from(*w)).collect();
+    let share = |sum: f64| if batch { sum / n } else { 0.0 };
+    let constant: Vec<f64> = db.iter().map(|&d| share(d)).collect();
+    let slope: Vec<f64> = dw.iter().zip(inverse).map(|(d, i)| share(d * i)).collect();
+    let channels = Channels { mean, factor: &factor, constant: &constant, slope: &slope, batch };
+    let piece = (CACHED / c).max(1) * c;
+    dx.par_chunks_mut(piece).zip(x.par_chunks(piece)).zip(grad.par_chunks(piece)).for_each(
+        |((dx, x), grad)| {
+            dispatch!((x: &[f32], grad: &[f32], channels: Channels<'_>, dx: &mut [f32]),
+                V => input_gradients::<V>(x, grad, channels, dx));
+        },
+    );
+    let to_f32 = |v: &[f64]| v.iter().map(|&v| v as f32).collect();
+    (to_f32(&dw), to_f32(db))
+}
+
+/// Adds `grad · (x − mean)` to `products` and `grad` to `plain`, four rows at a time.
+#[inline(always)]
+unsafe fn add_gradients<V: Vector>(
+    x: &[f32],
+    grad: &[f32],
+    mean: &[f64],
+    products: &mut [f64],
+    plain: &mut [f64],
+) {
+    let c = plain.len();
+    let (mean, products) = (&mean[..c], &mut products[..c]);
+    let (x_fours, grad_fours) = (x.chunks_exact(4 * c), grad.chunks_exact(4 * c));
+    let x_rest = x_fours.remainder().chunks_exact(c);
+    for (x, grad) in x_rest.zip(grad_fours.remainder().chunks_exact(c)) {
+        for j in 0..c {
+            products[j] += f64::from(grad[j]) * (f64::from(x[j]) - mean[j]);
+            plain[j] += f64::from(grad[j]);
+        }
+    }
+    for (x, grad) in x_fours.zip(grad_fours) {
+        let ([x0, x1, x2, x3], [g0, g1, g2, g3]) = (rows_of_four(x, c), rows_of_four(grad, c));
+        for j in 0..c {
+            let [g0, g1, g2, g3] = [g0[j], g1[j], g2[j], g3[j]].map(f64::from);
+            let [x0, x1, x2, x3] = [x0[j], x1[j], x2[j], x3[j]].map(|v| f64::from(v) - mean[j]);
+            products[j] += (g0 * x0 + g1 * x1) + (g2 * x2 + g3 * x3);
+            plain[j] += (g0 + g1) + (g2 + g3);
+        }
+    }
+}
+
+/// What the gradient of a row needs to know of each channel. `[C]` each
+#[derive(Clone, Copy)]
+struct Channels<'a> {
+    mean: &'a [f64],
+    factor: &'a [f64],
+    constant: &'a [f64],
+    slope: &'a [f64],
+    /// Whether constant and slope count.
+    batch: bool,
+}
+
+/// `dx = (grad − constant − slope · (x − mean)) · factor`.
+#[inline(always)]
+unsafe fn input_gradients<V: Vector>(
+    x: &[f32],
+    grad: &[f32],
+    channels: Channels<'_>,
+    dx: &mut [f32],
+) {
+    let c = channels.mean.len();
+    let (mean, factor) = (channels.mean, &channels.factor[..c]);
+    let (constant, slope) = (&channels.constant[..c], &channels.slope[..c]);
+    let rows = x.chunks_exact(c).zip(grad.chunks_exact(c)).zip(dx.chunks_exact_mut(c));
+    for ((x, grad), dx) in rows {
+        if channels.batch {
+            for j in 0..c {
+                let apart = f64::from(x[j]) - mean[j];
+                let g = f64::from(grad[j]) - constant[j] - apart * slope[j];
+                dx[j] = (g * factor[j]) as f32;
             }
-        });
-    let to_f32 = |v: Vec<f64>| v.into_iter().map(|v| v as f32).collect();
-    (to_f32(dw), to_f32(db))
+        } else {
+            for j in 0..c {
+                dx[j] = (f64::from(grad[j]) * factor[j]) as f32;
+            }
+        }
+    }
 }
 
 #[cfg(test)]
@@ -180,6 +340,56 @@ mod tests {
             let want = (loss(&up) - loss(&down)) / f64::from(up[i] - down[i]);
             assert!((f64::from(dx[i]) - want).abs() < 1e-3, "{i}: {} {want}", dx[i]);
         }
+    }
+
+    /// Several stretches and pieces, rows that are no multiple of four, a first row far off.
+    #[test]
+    fn statistics_and_sums_agree_with_f64() {
+        for (n, c) in [(1, 5), (7, 1), (2500, 3), (1100, 100), (130, 768)] {
+            let noise = |i: usize| ((i * 7919 % 10_007) as f32 / 10_007.0) - 0.5;
+            let mut x: Vec<f32> = (0..n * c).map(|i| 100.0 + noise(i)).collect();
+            x[..c].iter_mut().for_each(|v| *v = -3e4);
+            let grad: Vec<f32> = (0..n * c).map(|i| noise(i + 5)).collect();
+            let s = statistics(&x, c);
+            let inverse = vec![0.5; c];
+            let mut dx = vec![f32::NAN; n * c];
+            let weight = vec![2.0; c];
+            for batch in [false, true] {
+                let (dw, db) = backward(&x, &grad, &weight, &s.mean, &inverse, batch, &mut dx);
+                for j in 0..c {
+                    let column = |v: &[f32]| -> Vec<f64> {
+                        v.iter().skip(j).step_by(c).map(|v| f64::from(*v)).collect()
+                    };
+                    let (values, grads) = (column(&x), column(&grad));
+                    let mean = values.iter().sum::<f64>() / n as f64;
+                    let var = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n as f64;
+                    assert!((s.mean[j] - mean).abs() <= 1e-12 * mean.abs(), "{n} {c}");
+                    assert!((s.var[j] - var).abs() <= 1e-10 * var, "{n} {c}: {} {var}", s.var[j]);
+                    let sum: f64 = grads.iter().sum();
+                    let units = values.iter().map(|v| (v - mean) * 0.5);
+                    let product: f64 = units.clone().zip(&grads).map(|(u, g)| u * g).sum();
+                    assert!((f64::from(db[j]) - sum).abs() < 1e-6 * (1.0 + sum.abs()));
+                    assert!((f64::from(dw[j]) - product).abs() < 1e-6 * (1.0 + product.abs()));
+                    for (i, (unit, g)) in units.zip(&grads).enumerate() {
+                        let shift = if batch { (sum + unit * product) / n as f64 } else { 0.0 };
+                        let want = g - shift;
+                        let got = f64::from(dx[i * c + j]);
+                        assert!((got - want).abs() < 1e-6 * (1.0 + want.abs()), "{got} {want}");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn infinities_and_nan_stay_in_their_channel() {
+        let mut x = vec![1.0; 3000 * 3];
+        x[3 * 2000] = f32::INFINITY;
+        x[3 * 10 + 1] = f32::NAN;
+        let s = statistics(&x, 3);
+        assert_eq!(s.mean[0], f64::INFINITY);
+        assert!(s.var[0].is_nan() && s.mean[1].is_nan() && s.var[1].is_nan());
+        assert_eq!((s.mean[2], s.var[2]), (1.0, 0.0));
     }
 
     #[test]

@@ -15,7 +15,8 @@ pub fn gather_rows<T: Copy + Send + Sync>(x: &[T], c: usize, rows: &[u32], out: 
     }
     let block = (BLOCK_VALUES / c).max(1);
     out.par_chunks_mut(block * c).zip(rows.par_chunks(block)).for_each(|(out, rows)| {
-        for (to, &row) in out.chunks_exact_mut(c).zip(rows) {
+        for (i, (to, &row)) in out.chunks_exact_mut(c).zip(rows).enumerate() {
+            prefetch_rows(x, c, rows, i + 1, 1);
             let from = row_start(row, c);
             to.copy_from_slice(&x[from..from + c]);
         }
@@ -26,6 +27,30 @@ pub fn gather_rows<T: Copy + Send + Sync>(x: &[T], c: usize, rows: &[u32], out: 
 #[inline(always)]
 pub fn row_start(row: u32, c: usize) -> usize {
     row as usize * c
+}
+
+/// Asks for rows ahead of their use: `count` of those listed a while after position `next`. A core
+/// guesses the next address of an array, not the next row of a list.
+#[inline(always)]
+pub(crate) fn prefetch_rows<T>(x: &[T], c: usize, rows: &[u32], next: usize, count: usize) {
+    /// Rows ahead; a row is long enough for the memory to answer in the time these take.
+    const AHEAD: usize = 8;
+    /// Of longer rows the processor sees the pattern by itself.
+    const MOST_BYTES: usize = 512;
+    #[cfg(target_arch = "x86_64")]
+    {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        let bytes = (c * size_of::<T>()).min(MOST_BYTES);
+        for &row in rows.iter().skip(next + AHEAD).take(count) {
+            let start = x.as_ptr().wrapping_add(row_start(row, c)).cast::<i8>();
+            for line in (0..bytes).step_by(64) {
+                // SAFETY: a hint that reads nothing, harmless at any address.
+                unsafe { _mm_prefetch::<_MM_HINT_T0>(start.wrapping_add(line)) };
+            }
+        }
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = (x, c, rows, next, count, AHEAD, MOST_BYTES);
 }
 
 #[cfg(test)]

@@ -1,6 +1,9 @@
 //! Reductions over groups of rows.
 
+use crate::permute::{prefetch_rows, row_start};
+use crate::simd::{Vector, dispatch};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// How the rows of a group become one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -35,10 +38,16 @@ impl Groups {
         self.len() == 0
     }
 
-    fn members(&self, group: usize) -> &[u32] {
-        &self.rows[self.offsets[group] as usize..self.offsets[group + 1] as usize]
+    #[inline(always)]
+    fn span(&self, group: usize) -> Range<usize> {
+        self.offsets[group] as usize..self.offsets[group + 1] as usize
     }
 }
+
+/// Groups of one task at least.
+const GROUPS_PER_TASK: usize = 64;
+/// Rows that one task of the backward fills.
+const ROWS_PER_TASK: usize = 64;
 
 /// Reduces each group of rows; members are taken in the order of `groups.rows`.
 ///
@@ -48,23 +57,43 @@ pub fn reduce(x: &[f32], c: usize, groups: &Groups, how: Reduce, out: &mut [f32]
     if c == 0 {
         return;
     }
-    out.par_chunks_mut(c).enumerate().with_min_len(256).for_each(|(g, out)| {
-        let rows = groups.members(g);
-        let row = |r: u32| &x[r as usize * c..(r as usize + 1) * c];
-        let Some((&first, rest)) = rows.split_first() else {
+    out.par_chunks_mut(GROUPS_PER_TASK * c).enumerate().for_each(|(task, out)| {
+        let first = task * GROUPS_PER_TASK;
+        dispatch!((x: &[f32], c: usize, groups: &Groups, first: usize, how: Reduce,
+            out: &mut [f32]),
+            V => reduce_groups::<V>(x, c, groups, first, how, out));
+    });
+}
+
+/// Reduces the groups from `first` on, as many as `out` has rows.
+#[inline(always)]
+unsafe fn reduce_groups<V: Vector>(
+    x: &[f32],
+    c: usize,
+    groups: &Groups,
+    first: usize,
+    how: Reduce,
+    out: &mut [f32],
+) {
+    for (i, out) in out.chunks_exact_mut(c).enumerate() {
+        let span = groups.span(first + i);
+        let rows = &groups.rows[span.clone()];
+        prefetch_rows(x, c, &groups.rows, span.end, rows.len());
+        let row = |r: u32| &x[row_start(r, c)..][..c];
+        let Some((&head, rest)) = rows.split_first() else {
             out.fill(0.0);
-            return;
+            continue;
         };
-        out.copy_from_slice(row(first));
+        out.copy_from_slice(row(head));
         for &r in rest {
-            for (o, v) in out.iter_mut().zip(row(r)) {
-                match how {
-                    Reduce::Max => {
-                        if *v > *o || v.is_nan() {
-                            *o = *v;
-                        }
-                    }
-                    Reduce::Mean | Reduce::Sum => *o += v,
+            let values = row(r);
+            if how == Reduce::Max {
+                for j in 0..c {
+                    out[j] = if exceeds(values[j], out[j]) { values[j] } else { out[j] };
+                }
+            } else {
+                for j in 0..c {
+                    out[j] += values[j];
                 }
             }
         }
@@ -72,7 +101,14 @@ pub fn reduce(x: &[f32], c: usize, groups: &Groups, how: Reduce, out: &mut [f32]
             let count = rows.len() as f32;
             out.iter_mut().for_each(|o| *o /= count);
         }
-    });
+    }
+}
+
+/// Whether a value takes the place of the largest one so far: NaN exceeds all but NaN. Without a
+/// branch, for the lanes of a register.
+#[inline(always)]
+fn exceeds(value: f32, largest: f32) -> bool {
+    (value > largest) | (value.is_nan() & !largest.is_nan())
 }
 
 /// Gradient of [`reduce`] with respect to `x`; for the maximum it goes to the first largest member.
@@ -91,32 +127,110 @@ pub fn reduce_backward(
         return;
     }
     if how == Reduce::Max {
-        dx.fill(0.0);
-        for g in 0..groups.len() {
-            let rows = groups.members(g);
+        let mut largest = vec![0; grad.len()];
+        largest.par_chunks_mut(GROUPS_PER_TASK * c).enumerate().for_each(|(task, largest)| {
+            let first = task * GROUPS_PER_TASK;
+            dispatch!((x: &[f32], c: usize, groups: &Groups, first: usize, largest: &mut [u32]),
+                V => largest_members::<V>(x, c, groups, first, largest));
+        });
+        let largest = largest.as_slice();
+        for_rows(c, groups, dx, |inverse, first, dx| {
+            dispatch!((c: usize, inverse: &[u32], first: usize, largest: &[u32], grad: &[f32],
+                dx: &mut [f32]),
+                V => to_largest::<V>(c, inverse, first, largest, grad, dx));
+        });
+    } else {
+        for_rows(c, groups, dx, |inverse, _, dx| {
+            let mean = how == Reduce::Mean;
+            dispatch!((c: usize, groups: &Groups, inverse: &[u32], mean: bool, grad: &[f32],
+                dx: &mut [f32]),
+                V => to_all::<V>(c, groups, inverse, mean, grad, dx));
+        });
+    }
+}
+
+/// Calls `fill` with the groups of some rows, the first of these rows, and their gradients.
+fn for_rows(
+    c: usize,
+    groups: &Groups,
+    dx: &mut [f32],
+    fill: impl Fn(&[u32], usize, &mut [f32]) + Sync,
+) {
+    dx.par_chunks_mut(ROWS_PER_TASK * c)
+        .zip(groups.inverse.par_chunks(ROWS_PER_TASK))
+        .enumerate()
+        .for_each(|(task, (dx, inverse))| fill(inverse, task * ROWS_PER_TASK, dx));
+}
+
+/// The first largest member of each group from `first` on, per channel.
+#[inline(always)]
+unsafe fn largest_members<V: Vector>(
+    x: &[f32],
+    c: usize,
+    groups: &Groups,
+    first: usize,
+    largest: &mut [u32],
+) {
+    let mut best = vec![0f32; c];
+    for (i, largest) in largest.chunks_exact_mut(c).enumerate() {
+        let span = groups.span(first + i);
+        let rows = &groups.rows[span.clone()];
+        prefetch_rows(x, c, &groups.rows, span.end, rows.len());
+        let row = |r: u32| &x[row_start(r, c)..][..c];
+        let Some((&head, rest)) = rows.split_first() else { continue };
+        best.copy_from_slice(row(head));
+        largest.fill(head);
+        for &r in rest {
+            let values = row(r);
+            let best = &mut best[..c];
             for j in 0..c {
-                let value = |r: u32| x[r as usize * c + j];
-                let mut best = None;
-                for &r in rows {
-                    match best {
-                        Some(b) if value(r) <= value(b) || value(b).is_nan() => {}
-                        _ => best = Some(r),
-                    }
-                }
-                if let Some(best) = best {
-                    dx[best as usize * c + j] = grad[g * c + j];
-                }
+                let more = exceeds(values[j], best[j]);
+                best[j] = if more { values[j] } else { best[j] };
+                largest[j] = if more { r } else { largest[j] };
             }
         }
-        return;
     }
-    dx.par_chunks_mut(c).zip(&groups.inverse).with_min_len(256).for_each(|(dx, &g)| {
-        let g = g as usize;
-        let count = (groups.offsets[g + 1] - groups.offsets[g]) as f32;
-        for (d, v) in dx.iter_mut().zip(&grad[g * c..(g + 1) * c]) {
-            *d = if how == Reduce::Mean { v / count } else { *v };
+}
+
+#[inline(always)]
+unsafe fn to_largest<V: Vector>(
+    c: usize,
+    inverse: &[u32],
+    first: usize,
+    largest: &[u32],
+    grad: &[f32],
+    dx: &mut [f32],
+) {
+    for (i, (dx, &g)) in dx.chunks_exact_mut(c).zip(inverse).enumerate() {
+        let start = row_start(g, c);
+        let (largest, grad) = (&largest[start..][..c], &grad[start..][..c]);
+        let row = (first + i) as u32;
+        for j in 0..c {
+            dx[j] = if largest[j] == row { grad[j] } else { 0.0 };
         }
-    });
+    }
+}
+
+#[inline(always)]
+unsafe fn to_all<V: Vector>(
+    c: usize,
+    groups: &Groups,
+    inverse: &[u32],
+    mean: bool,
+    grad: &[f32],
+    dx: &mut [f32],
+) {
+    for (dx, &g) in dx.chunks_exact_mut(c).zip(inverse) {
+        let grad = &grad[row_start(g, c)..][..c];
+        if mean {
+            let count = groups.span(g as usize).len() as f32;
+            for j in 0..c {
+                dx[j] = grad[j] / count;
+            }
+        } else {
+            dx.copy_from_slice(grad);
+        }
+    }
 }
 
 #[cfg(test)]
@@ -165,6 +279,35 @@ mod tests {
                 assert!((f64::from(*g) - w).abs() < 1e-4, "{how:?}: {g} {w}");
             }
         }
+    }
+
+    /// NaN is the largest, the first of equals takes the gradient, in vector lanes and in the rest.
+    #[test]
+    fn maximum_of_nan_infinities_and_equals() {
+        let (n, c) = (3 * 200, 21);
+        let pick = [1.0, f32::NAN, -1.0, f32::INFINITY, 1.0, f32::NEG_INFINITY, 0.0];
+        let x: Vec<f32> = (0..n * c).map(|i| pick[i * i % 31 % pick.len()]).collect();
+        let rows: Vec<u32> = (0..n as u32).map(|i| i * 7 % n as u32).collect();
+        let mut inverse = vec![0; n];
+        rows.iter().enumerate().for_each(|(i, &r)| inverse[r as usize] = i as u32 / 3);
+        let all = Groups { rows, offsets: (0..=n as u32).step_by(3).collect(), inverse };
+        let mut out = vec![0.0; all.len() * c];
+        reduce(&x, c, &all, Reduce::Max, &mut out);
+        let grad: Vec<f32> = (1..=out.len()).map(|i| i as f32).collect();
+        let (mut dx, mut want) = (vec![f32::NAN; n * c], vec![0.0; n * c]);
+        reduce_backward(&x, c, &all, Reduce::Max, &grad, &mut dx);
+        for g in 0..all.len() {
+            for j in 0..c {
+                let members = &all.rows[all.span(g)];
+                let value = |r: &&u32| x[**r as usize * c + j];
+                let top = members.iter().map(|r| value(&r)).fold(f32::NEG_INFINITY, f32::max);
+                let first = members.iter().find(|r| value(r).is_nan());
+                let first = first.or_else(|| members.iter().find(|r| value(r) == top)).unwrap();
+                assert_eq!(out[g * c + j].to_bits(), value(&first).to_bits());
+                want[*first as usize * c + j] = grad[g * c + j];
+            }
+        }
+        assert_eq!(dx, want);
     }
 
     #[test]
