@@ -33,6 +33,13 @@ fn attention(c: &mut Criterion) {
                 bench.iter(|| forward_with(precision, &qkv, heads, &patches, order, &mut out));
             });
         }
+        // What it costs that rows lie anywhere.
+        let in_order: Vec<u32> = (0..ROWS as u32).collect();
+        group.bench_function(format!("100k_rows_in_order/{width}_ch/f32"), |bench| {
+            bench.iter(|| {
+                forward_with(Precision::F32, &qkv, heads, &patches, &in_order, &mut out);
+            });
+        });
         let (grad, mut dqkv) = (random(ROWS * width), vec![0.0; qkv.len()]);
         group.throughput(Throughput::Elements((10 * products * width) as u64));
         group.bench_function(format!("backward_100k/{width}_ch/f32"), |bench| {
