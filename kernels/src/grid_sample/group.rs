@@ -19,7 +19,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 ///
 /// # Errors
 /// If `grid_size` is not a positive number, a coordinate is not finite, an axis spans more than
-/// [`MAX_CELL`] + 1 cells, or the rows outnumber `u32`. Row and axis are named.
+/// [`MAX_CELL`](super::MAX_CELL) + 1 cells, or the rows outnumber `u32`. Row and axis are named.
 ///
 /// # Source
 /// `GridSample` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1, with the division of

@@ -1,7 +1,7 @@
 //! Which voxel feeds which in a submanifold convolution.
 //!
 //! Built once per scale and shared by every convolution there. Voxels are looked up in blocks of
-//! 4×4×4 cells, see [`Blocks`].
+//! 4×4×4 cells.
 //!
 //! Two rows may share a voxel of one scene (mixed scenes in training). The original leaves the
 //! outcome to chance; here the first such row stands for the voxel, and every row keeps itself as
