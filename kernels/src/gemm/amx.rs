@@ -412,7 +412,7 @@ mod tests {
     fn tiles_or_say_so(test: &str) -> bool {
         let there = available();
         if !there {
-            println!("{test}: skipped, no AMX on this CPU or from this system");
+            println!("{test}: not run, no AMX on this CPU or from this system");
         }
         there
     }

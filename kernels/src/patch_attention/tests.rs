@@ -315,7 +315,7 @@ fn threads_change_no_bit() {
 #[test]
 fn pairs_agree_with_rounded_operands() {
     if !weights::has_pairs() {
-        eprintln!("skipped: no AVX512-BF16 in use");
+        eprintln!("not run: no AVX512-BF16 in use");
         return;
     }
     let heads = Heads { count: 1, dim: 23 };
