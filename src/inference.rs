@@ -275,7 +275,7 @@ impl<'a> SceneEncoder<'a> {
             })
         };
         let mut cx =
-            Forward { mode: Mode::Eval, rng: &mut rng, orders, observer: Some(&mut observer) };
+            Forward { orders, observer: Some(&mut observer), ..Forward::eval(&mut rng) };
         let out = self.network.model().forward(&points, &mut cx);
         if let Some(error) = stopped {
             return Err(error);

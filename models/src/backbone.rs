@@ -2,6 +2,7 @@
 
 use crate::point_cloud::PointCloud;
 use crate::point_transformer_v3::{PointTransformerV3, PointTransformerV3Config};
+use crate::recompute::Recompute;
 use crate::{layers::Linear, ops};
 use candle_core::{Result, Tensor, bail};
 use candle_nn::VarBuilder;
@@ -44,17 +45,19 @@ pub struct Forward<'a> {
     pub orders: Orders,
     /// Sees features on their way, with rows in the order of the network's inside.
     pub observer: Option<&'a mut Observer<'a>>,
+    /// Keeps the inputs of blocks only and computes the rest again in the backward pass.
+    pub recompute: Option<Recompute>,
 }
 
 impl<'a> Forward<'a> {
     /// Deterministic, orders as listed.
     pub fn eval(rng: &'a mut ChaCha8Rng) -> Self {
-        Self { mode: Mode::Eval, rng, orders: Orders::Listed, observer: None }
+        Self { mode: Mode::Eval, rng, orders: Orders::Listed, observer: None, recompute: None }
     }
 
     /// Training, with shuffled orders.
     pub fn train(rng: &'a mut ChaCha8Rng) -> Self {
-        Self { mode: Mode::Train, rng, orders: Orders::Shuffled, observer: None }
+        Self { mode: Mode::Train, rng, orders: Orders::Shuffled, observer: None, recompute: None }
     }
 
     pub(crate) fn observe(&mut self, name: &str, feat: &Tensor) -> Result<()> {
