@@ -64,6 +64,33 @@ pub enum DataError {
         /// Length found.
         got: usize,
     },
+    /// A sample could not be made of a scene.
+    #[error("scene {id}")]
+    Sample {
+        /// Id of the scene.
+        id: String,
+        /// What is wrong with it.
+        #[source]
+        source: Box<DataError>,
+    },
+    /// Making a sample panicked: a bug, in a source or a transform.
+    #[error("scene {id}: reading or changing it panicked: {message} (a bug; please report it)")]
+    Panicked {
+        /// Id of the scene.
+        id: String,
+        /// The message of the panic.
+        message: String,
+    },
+    /// A step of a pipeline needs what an earlier step makes.
+    #[error("{step}: the sample has no {missing} ({mend})")]
+    Missing {
+        /// The step.
+        step: &'static str,
+        /// What it needs.
+        missing: &'static str,
+        /// What to do.
+        mend: &'static str,
+    },
     /// A setting outside its range.
     #[error("{setting}: {value} is not allowed, expected {expected}")]
     Setting {
@@ -74,6 +101,25 @@ pub enum DataError {
         /// What is allowed.
         expected: &'static str,
     },
+}
+
+impl DataError {
+    /// Says of which scene this is, unless it does already.
+    pub(crate) fn in_scene(self, id: &str) -> Self {
+        match self {
+            Self::Scene { .. } | Self::Sample { .. } | Self::Panicked { .. } => self,
+            other => Self::Sample { id: id.to_owned(), source: Box::new(other) },
+        }
+    }
+}
+
+/// A [`DataError::Setting`].
+pub(crate) fn bad_setting(
+    setting: &'static str,
+    value: impl std::fmt::Display,
+    expected: &'static str,
+) -> DataError {
+    DataError::Setting { setting, value: value.to_string(), expected }
 }
 
 impl From<SceneError> for DataError {
