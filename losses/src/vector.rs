@@ -182,13 +182,16 @@ mod tests {
             let pairs = || a.iter().zip(&b);
             let want = [
                 a.iter().map(|a| a * a).sum::<f64>(),
-                b.iter().map(|b| b * b).sum(),
-                pairs().map(|(a, b)| a * b).sum(),
+                b.iter().map(|b| b * b).sum::<f64>(),
+                pairs().map(|(a, b)| a * b).sum::<f64>(),
             ];
             assert_eq!(widest(|| dots(&a, &b)), want, "small integers and halves are exact");
             assert_eq!(dot(&a, &b), want[2]);
-            assert_eq!(squared_distance(&a, &b), pairs().map(|(a, b)| (a - b).powi(2)).sum());
-            assert_eq!(sum(&a), a.iter().sum());
+            assert_eq!(
+                squared_distance(&a, &b),
+                pairs().map(|(a, b)| (a - b).powi(2)).sum::<f64>()
+            );
+            assert_eq!(sum(&a), a.iter().sum::<f64>());
         }
     }
 
