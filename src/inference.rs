@@ -97,7 +97,7 @@ pub struct SceneEncoder<'a> {
     pub network: &'a Network,
     /// Which Gaussians are read.
     pub fidelity: Fidelity,
-    /// Size of the network's voxels, metres; the released networks were trained at 0.02.
+    /// Size of the network's voxels, metres; by default the one it was trained at.
     pub grid_size: f64,
     /// Limit for the whole process, bytes; larger scenes go through tiles.
     pub max_memory: Option<u64>,
@@ -147,7 +147,7 @@ impl<'a> SceneEncoder<'a> {
         Self {
             network,
             fidelity: Fidelity::Fast,
-            grid_size: 0.02,
+            grid_size: network.config().grid_size,
             max_memory: None,
             halo: 50,
             shuffle_orders: None,

@@ -79,6 +79,8 @@ pub struct PointTransformerV3Config {
     pub num_classes: Option<usize>,
     /// Whether scenes of a batch are kept apart.
     pub batch_rule: BatchRule,
+    /// Voxel size that the network is trained for, metres.
+    pub grid_size: f64,
     /// Precision and joined layers: not part of the network, so not stored with it.
     #[serde(skip)]
     pub compute: Compute,
@@ -111,6 +113,7 @@ impl PointTransformerV3Config {
             mask_token: false,
             num_classes: None,
             batch_rule: BatchRule::Isolated,
+            grid_size: 0.02,
             compute: Compute::default(),
         }
     }
@@ -275,6 +278,9 @@ impl PointTransformerV3Config {
         }
         if let Some(i) = self.stride.iter().position(|s| !s.is_power_of_two()) {
             bail!("stride[{i}]: {} is not a power of two", self.stride[i]);
+        }
+        if !(self.grid_size.is_finite() && self.grid_size > 0.0) {
+            bail!("grid_size: {} is not above 0", self.grid_size);
         }
         if !(0.0..1.0).contains(&self.drop_path) {
             bail!("drop_path: {} is not in 0..1", self.drop_path);
