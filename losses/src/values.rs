@@ -94,8 +94,11 @@ impl Half for bf16 {
 }
 
 impl Half for f16 {
+    /// Saturates: the largest f16 is 65,504, which the gradient at a row near zero exceeds.
     fn from_f32(values: &[f32], out: &mut [Self]) {
         out.convert_from_f32_slice(values);
+        let largest = |o: &mut Self| *o = o.clamp(Self::MIN, Self::MAX);
+        out.iter_mut().filter(|o| o.is_infinite()).for_each(largest);
     }
 }
 
