@@ -48,7 +48,9 @@ fn the_total_is_the_weighted_sum_of_the_terms() {
     }
 }
 
-struct Broken(fn(&Tensor) -> Result<Option<Tensor>>);
+type Term = fn(&Tensor) -> Result<Option<Tensor>>;
+
+struct Broken(Term);
 
 impl Loss for Broken {
     fn name(&self) -> &str {
@@ -62,8 +64,7 @@ impl Loss for Broken {
 #[test]
 fn a_failing_term_is_named() {
     let pred = matrix(&noise(6, 1), 3, DType::F32);
-    let terms: [fn(&Tensor) -> Result<Option<Tensor>>; 2] =
-        [|p| p.sqr().map(Some), |_| candle_core::bail!("nothing works")];
+    let terms: [Term; 2] = [|p| p.sqr().map(Some), |_| candle_core::bail!("nothing works")];
     for term in terms {
         let objective = Objective::new().with(1.0, Broken(term));
         let message = objective.forward(&input(&pred, None, None, None)).unwrap_err().to_string();
