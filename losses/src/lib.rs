@@ -13,7 +13,7 @@
 //! Predictions and targets may be f32, f64, bf16 or f16. They are read in that type, computed with
 //! in f32 (f64 stays f64) and added up in f64; the loss is f32 (f64 for f64), its gradient has the
 //! type of the predictions. Gradients of means over 10⁵ rows are near 10⁻⁸: f16 cannot hold them
-//! without a scaled loss, bf16 can. Results have the same bits for any number of threads.
+//! without a scaled loss, bf16 can; beyond its largest number f16 saturates. Results have the same bits for any number of threads.
 //!
 //! # Hard input
 //! | input | what happens |

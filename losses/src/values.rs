@@ -1,6 +1,7 @@
 //! Rows of a tensor as plain numbers, whatever type they are stored in.
 
 use crate::error::LossError;
+use crate::vector::widest;
 use candle_core::{CpuStorage, DType, Device, Result, Storage, Tensor, WithDType};
 use half::slice::HalfFloatSliceExt;
 use half::{bf16, f16};
@@ -88,14 +89,26 @@ pub(crate) trait Half: WithDType + Default {
 }
 
 impl Half for bf16 {
+    /// To the nearest, ties to even, in a loop that becomes vector instructions.
     fn from_f32(values: &[f32], out: &mut [Self]) {
-        out.convert_from_f32_slice(values);
+        widest(|| {
+            for (out, value) in out.iter_mut().zip(values) {
+                let bits = value.to_bits();
+                let rounded = (bits.wrapping_add(0x7fff + ((bits >> 16) & 1)) >> 16) as u16;
+                // Rounding could carry a NaN into infinity.
+                let nan = (bits >> 16) as u16 | 0x40;
+                *out = Self::from_bits(if value.is_nan() { nan } else { rounded });
+            }
+        });
     }
 }
 
 impl Half for f16 {
+    /// Saturates: the largest f16 is 65,504, which the gradient at a row near zero exceeds.
     fn from_f32(values: &[f32], out: &mut [Self]) {
         out.convert_from_f32_slice(values);
+        let largest = |o: &mut Self| *o = o.clamp(Self::MIN, Self::MAX);
+        out.iter_mut().filter(|o| o.is_infinite()).for_each(largest);
     }
 }
 
@@ -246,4 +259,44 @@ pub fn first_not_finite(tensor: &Tensor, valid: Option<&[bool]>) -> Result<Optio
         let bad = |row: &usize| matrix.not_finite("", "", *row).is_some();
         Ok((0..rows).into_par_iter().filter(counts).find_first(bad))
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bf16_as_the_crate_rounds_it() {
+        let values: Vec<f32> = (0..=u16::MAX)
+            .flat_map(|high| {
+                let low = [0, 1, 0x7fff, 0x8000, 0x8001, 0xffff];
+                low.map(|low| f32::from_bits(u32::from(high) << 16 | low))
+            })
+            .collect();
+        let mut got = vec![bf16::ZERO; values.len()];
+        <bf16 as Half>::from_f32(&values, &mut got);
+        for (got, value) in got.iter().zip(&values) {
+            assert_eq!(got.to_bits(), bf16::from_f32(*value).to_bits(), "{value}");
+        }
+    }
+
+    #[test]
+    fn f16_saturates() {
+        let mut got = [f16::ZERO; 5];
+        <f16 as Half>::from_f32(&[1e9, f32::NEG_INFINITY, 1.5, 65_519.0, f32::NAN], &mut got);
+        assert_eq!(got[..4], [f16::MAX, f16::MIN, f16::from_f32_const(1.5), f16::MAX]);
+        assert!(got[4].is_nan());
+    }
+
+    #[test]
+    fn keys_sort_descending_and_then_by_row() {
+        let values = [0f32, 1e-40, 1e-7, 0.5, 0.5, 1.0];
+        let mut keys: Vec<_> = (0..6).map(|i| values[i].key(i as u32)).collect();
+        keys.sort_unstable();
+        let back: Vec<_> = keys.iter().map(|k| f32::of_key(*k)).collect();
+        assert_eq!(back, [(1.0, 5), (0.5, 3), (0.5, 4), (1e-7, 2), (1e-40, 1), (0.0, 0)]);
+        let mut keys: Vec<_> = (0..6).map(|i| f64::from(values[i]).key(i as u32)).collect();
+        keys.sort_unstable();
+        assert_eq!(keys.iter().map(|k| f64::of_key(*k).1).collect::<Vec<_>>(), [5, 3, 4, 2, 1, 0]);
+    }
 }

@@ -17,7 +17,8 @@ const DIFFERENCE_EPS: f64 = 2e-9;
 const ROWS: usize = 24;
 const WIDTH: usize = 5;
 
-type Case = (&'static str, Box<dyn Fn(&Tensor) -> Result<Option<Tensor>>>, f64);
+type LossFn = Box<dyn Fn(&Tensor) -> Result<Option<Tensor>>>;
+type Case = (&'static str, LossFn, f64);
 
 fn predictions() -> Vec<f64> {
     noise(ROWS * WIDTH, 1).iter().map(|v| 1.5 * v).collect()
@@ -44,7 +45,7 @@ fn cases() -> Vec<Case> {
     let target = matrix(&target, WIDTH, DType::F64);
     let ([t1, t2], [v1, v2]) = ([target.clone(), target], [valid.clone(), valid]);
     let [l1, l2_, l3] = [label.clone(), label.clone(), label];
-    let losses: [(&'static str, Box<dyn Fn(&Tensor) -> Result<Option<Tensor>>>); 6] = [
+    let losses: [(&'static str, LossFn); 6] = [
         ("cosine", Box::new(move |p| cosine(p, &t1, Some(&v1), Reduction::Mean))),
         ("l2", Box::new(move |p| l2(p, &t2, Some(&v2), Reduction::Mean))),
         (

@@ -4,7 +4,7 @@ use crate::support::Golden;
 use candle_core::Var;
 use scenesplat_losses::{CrossEntropy, LossInput, LovaszSoftmax, Objective};
 
-fn run(case: &str, objective: Objective) {
+fn run(case: &str, objective: &Objective) {
     let Some(g) = Golden::open(&format!("h_{case}.safetensors")) else { return };
     let pred = Var::from_tensor(&g.tensor("in.pred")).unwrap();
     let label: Vec<i32> = g.ints("in.target").iter().map(|v| *v as i32).collect();
@@ -36,19 +36,19 @@ fn cross_entropy() {
     for case in
         ["basic", "single_class", "perfect", "huge", "equal_logits", "one_point", "all_ignored"]
     {
-        run(&format!("ce_{case}"), Objective::new().with(1.0, CrossEntropy::default()));
+        run(&format!("ce_{case}"), &Objective::new().with(1.0, CrossEntropy::default()));
     }
 }
 
 #[test]
 fn lovasz() {
     for case in ["basic", "single_class", "perfect", "huge", "equal_logits", "one_point"] {
-        run(&format!("lovasz_{case}"), Objective::new().with(1.0, LovaszSoftmax));
+        run(&format!("lovasz_{case}"), &Objective::new().with(1.0, LovaszSoftmax));
     }
 }
 
 #[test]
 fn both() {
     let objective = Objective::new().with(1.0, CrossEntropy::default()).with(1.0, LovaszSoftmax);
-    run("ce_lovasz_basic", objective);
+    run("ce_lovasz_basic", &objective);
 }
