@@ -3,7 +3,7 @@
 //! ([`plan`]), in which pieces ([`tiles`]) and how pieces are joined ([`batch`]).
 //!
 //! For training: a [`dataset`] makes a [`sample`] of each scene, and a [`loader`] joins samples to
-//! batches ([`train_batch`]), some of them mixed ([`mix3d`]).
+//! batches ([`train_batch`]), some of them mixed ([`mix3d`]). Augmentation is made of [`transforms`].
 //!
 //! Plain arrays: no tensor library, no device. Everything is a function of its arguments and a
 //! seed; the number of threads never changes a result.
@@ -22,6 +22,8 @@ pub mod sample;
 pub mod source;
 pub mod tiles;
 pub mod train_batch;
+pub mod transforms;
+pub mod weighted_mix;
 
 pub use batch::{Batch, collate};
 pub use dataset::{Dataset, SceneDataset};
@@ -37,3 +39,5 @@ pub use sample::{Sample, Transform};
 pub use source::{DataSource, GeneratedRooms, SceneFolder, SourceScene};
 pub use tiles::{Tile, TileSettings, Tiling, split_into_tiles};
 pub use train_batch::{TrainBatch, collate_samples};
+pub use transforms::{TransformConfig, build_transforms};
+pub use weighted_mix::{MixRule, WeightedMix};

@@ -1,6 +1,5 @@
 //! Mixing scenes: two scenes in one frame, so that a network cannot rely on context alone.
 
-use crate::error::check_length;
 use crate::rng::below;
 use crate::train_batch::{feature_width, fill_optional_arrays};
 use crate::{DataError, Sample, SampleRng};
