@@ -13,6 +13,7 @@ pub mod input_features;
 pub mod plan;
 pub mod rng;
 pub mod source;
+pub mod synthetic;
 pub mod tiles;
 
 pub use batch::{Batch, collate};
@@ -23,4 +24,5 @@ pub use input_features::{InputChannel, InputFeatures};
 pub use plan::{ExactPlan, FastPlan, InferencePlan, NetworkInput, Representative, SlotMean};
 pub use rng::{SampleRng, sample_rng};
 pub use source::{DataSource, GeneratedRooms, SceneFolder, SourceScene};
+pub use synthetic::{SyntheticObject, SyntheticRoom, SyntheticRoomSettings, SyntheticRooms};
 pub use tiles::{Tile, TileSettings, Tiling, split_into_tiles};
