@@ -20,6 +20,7 @@ pub mod plan;
 pub mod rng;
 pub mod sample;
 pub mod source;
+pub mod sources;
 pub mod tiles;
 pub mod train_batch;
 pub mod transforms;
@@ -37,6 +38,7 @@ pub use plan::{ExactPlan, FastPlan, InferencePlan, NetworkInput, Representative,
 pub use rng::{SampleRng, sample_rng};
 pub use sample::{Sample, Transform};
 pub use source::{DataSource, GeneratedRooms, SceneFolder, SourceScene};
+pub use sources::{Benchmark, SceneFolders, SourceConfig, Split};
 pub use tiles::{Tile, TileSettings, Tiling, split_into_tiles};
 pub use train_batch::{TrainBatch, collate_samples};
 pub use transforms::{TransformConfig, build_transforms};
