@@ -9,6 +9,7 @@
 //! seed; the number of threads never changes a result.
 
 pub mod batch;
+pub mod chunking;
 pub mod dataset;
 pub mod error;
 pub mod from_points;
