@@ -7,7 +7,7 @@ use scenesplat_datasets::{
     ExactPlan, FastPlan, InferencePlan, NetworkInput, TileSettings, sample_rng, split_into_tiles,
 };
 use scenesplat_models::ops::normalize_rows;
-use scenesplat_models::{Forward, Mode, Orders, PointCloud, PointTransformerV3Config};
+use scenesplat_models::{Forward, Orders, PointCloud, PointTransformerV3Config};
 use scenesplat_scene::GaussianScene;
 use std::fs::File;
 use std::ops::Range;
@@ -274,8 +274,7 @@ impl<'a> SceneEncoder<'a> {
                 candle_core::Error::Msg("stopped".to_owned())
             })
         };
-        let mut cx =
-            Forward { orders, observer: Some(&mut observer), ..Forward::eval(&mut rng) };
+        let mut cx = Forward { orders, observer: Some(&mut observer), ..Forward::eval(&mut rng) };
         let out = self.network.model().forward(&points, &mut cx);
         if let Some(error) = stopped {
             return Err(error);

@@ -2,6 +2,7 @@
 
 use scenesplat_kernels::grid_sample::GridSampleError;
 use scenesplat_scene::SceneError;
+use std::path::PathBuf;
 
 /// Why data cannot become network input. Every variant says where, what and how to mend it.
 #[derive(Debug, thiserror::Error)]
@@ -80,6 +81,30 @@ pub enum DataError {
         id: String,
         /// The message of the panic.
         message: String,
+    },
+    /// A folder of scenes that a split is made of is not there.
+    #[error(
+        "{}: has no folder {folder}; it has {} (name others in `folders`, or cut the scenes into \
+         chunks with `scenesplat chunk`)",
+        root.display(),
+        if there.is_empty() { "none" } else { there }
+    )]
+    NoSplit {
+        /// Where it was looked for.
+        root: PathBuf,
+        /// The folder.
+        folder: String,
+        /// The folders there are, separated by commas.
+        there: String,
+    },
+    /// Nothing is known of the classes of a benchmark.
+    #[error(
+        "the names of the classes of {benchmark} do not come with the program (give a file with one \
+         name a line, in the order of the labels, as `class_names`)"
+    )]
+    NoClassNames {
+        /// Name of the benchmark.
+        benchmark: &'static str,
     },
     /// A step of a pipeline needs what an earlier step makes.
     #[error("{step}: the sample has no {missing} ({mend})")]

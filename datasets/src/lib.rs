@@ -9,6 +9,7 @@
 //! seed; the number of threads never changes a result.
 
 pub mod batch;
+pub mod chunking;
 pub mod dataset;
 pub mod error;
 pub mod from_points;
@@ -20,6 +21,7 @@ pub mod plan;
 pub mod rng;
 pub mod sample;
 pub mod source;
+pub mod sources;
 pub mod synthetic;
 pub mod tiles;
 pub mod train_batch;
@@ -38,6 +40,7 @@ pub use plan::{ExactPlan, FastPlan, InferencePlan, NetworkInput, Representative,
 pub use rng::{SampleRng, sample_rng};
 pub use sample::{Sample, Transform};
 pub use source::{DataSource, GeneratedRooms, SceneFolder, SourceScene};
+pub use sources::{Benchmark, SceneFolders, SourceConfig, Split};
 pub use synthetic::{SyntheticObject, SyntheticRoom, SyntheticRoomSettings, SyntheticRooms};
 pub use tiles::{Tile, TileSettings, Tiling, split_into_tiles};
 pub use train_batch::{TrainBatch, collate_samples};

@@ -82,10 +82,14 @@ pub trait Backbone: Send + Sync {
 /// A backbone whose last features, at unit length, are the language embedding.
 pub struct LanguageModel {
     backbone: PointTransformerV3,
+    /// To the width of the texts, where the backbone is narrower.
+    projection: Option<Linear>,
+    width: usize,
 }
 
 impl LanguageModel {
-    /// Builds the network; parameters have the backbone's names.
+    /// Builds the network; parameters have the backbone's names, those of a projection are
+    /// `projection.*`.
     ///
     /// # Errors
     /// If the configuration has a segmentation head, or parameters exist with another shape.
@@ -93,17 +97,25 @@ impl LanguageModel {
         if config.num_classes.is_some() {
             bail!("num_classes: a language network has no classifier; build a SemanticSegmenter");
         }
-        Ok(Self { backbone: PointTransformerV3::new(config, vb)? })
+        let backbone = PointTransformerV3::new(config, vb.clone())?;
+        let (narrow, vb) = (backbone.out_channels(), vb.pp("projection"));
+        let wide = |n| Linear::with(config.compute, narrow, n, true, vb);
+        let projection = config.projection.map(wide).transpose()?;
+        Ok(Self { width: config.projection.unwrap_or(narrow), backbone, projection })
     }
 }
 
 impl Backbone for LanguageModel {
     /// Unit rows, except that a zero row stays zero.
     fn forward(&self, points: &PointCloud, cx: &mut Forward<'_>) -> Result<Tensor> {
-        ops::l2_normalize(&self.backbone.forward(points, cx)?)
+        let mut feat = self.backbone.forward(points, cx)?;
+        if let Some(projection) = &self.projection {
+            feat = projection.forward(&feat)?;
+        }
+        ops::l2_normalize(&feat)
     }
     fn out_channels(&self) -> usize {
-        self.backbone.out_channels()
+        self.width
     }
 }
 

@@ -1,7 +1,6 @@
 //! Recomputing blocks changes memory, not results.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-
 use candle_core::{Device, Tensor, backprop::GradStore};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;

@@ -1,6 +1,7 @@
 //! The commands of the program. Exit codes: 0 done, 1 failed, 2 wrong use.
 
 mod bench;
+mod chunk;
 mod common;
 mod convert;
 mod evaluate;
@@ -39,6 +40,8 @@ enum Command {
     Convert(convert::Args),
     /// Trains a network as a file says.
     Train(train::Args),
+    /// Cuts scenes into overlapping squares for training.
+    Chunk(chunk::Args),
     /// Says what is in a checkpoint and which network it fits.
     Weights(weights::Args),
     /// Measures the speed of this machine.
@@ -71,6 +74,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Evaluate(args) => evaluate::run(args, &line),
         Command::Convert(args) => convert::run(args),
         Command::Train(args) => train::run(args),
+        Command::Chunk(args) => chunk::run(args),
         Command::Weights(args) => weights::run(args, &line),
         Command::Bench(args) => bench::run(args),
     };

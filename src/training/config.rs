@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result};
 use scenesplat_datasets::transforms::{self, TransformConfig};
-use scenesplat_datasets::{InputFeatures, LoaderSettings};
+use scenesplat_datasets::{InputFeatures, LoaderSettings, MixRule};
 use scenesplat_losses::LossConfig;
 use scenesplat_models::PointTransformerV3Config;
 use scenesplat_trainers::{AdamWConfig, CosineSchedule, KeywordGroup, OneCycle, TrainerConfig};
@@ -39,6 +39,9 @@ pub struct ExperimentConfig {
     pub input: InputFeatures,
     /// Data to train on; several are taken in turns by their weights.
     pub train: Vec<TrainDataConfig>,
+    /// How the weights of several datasets count.
+    #[serde(default)]
+    pub mix: MixRule,
     /// How scenes become batches.
     #[serde(default)]
     pub loader: LoaderSettings,
@@ -199,17 +202,17 @@ pub enum TransformList {
 }
 
 impl TransformList {
-    /// The steps.
+    /// The steps; presets sample at `grid_size`, metres.
     ///
     /// # Errors
     /// If there is no preset of this name.
-    pub fn steps(&self) -> Result<Vec<TransformConfig>> {
+    pub fn steps(&self, grid_size: f64) -> Result<Vec<TransformConfig>> {
         Ok(match self {
             Self::Steps(steps) => steps.clone(),
             Self::Preset(name) => match name.as_str() {
-                "language_pretraining" => transforms::language_pretraining(),
-                "semantic_segmentation" => transforms::semantic_segmentation(),
-                "validation" => transforms::validation(),
+                "language_pretraining" => transforms::language_pretraining(grid_size),
+                "semantic_segmentation" => transforms::semantic_segmentation(grid_size),
+                "validation" => transforms::validation(grid_size),
                 other => anyhow::bail!(
                     "transforms: {other:?} is no preset; use language_pretraining, \
                      semantic_segmentation, validation, or a list of steps"
@@ -227,8 +230,7 @@ impl ExperimentConfig {
     pub fn read(path: &Path) -> Result<Self> {
         let table = read_table(path, &mut Vec::new())?;
         let text = toml::to_string(&table).context("joining configuration files")?;
-        let mut config: Self =
-            toml::from_str(&text).with_context(|| path.display().to_string())?;
+        let mut config: Self = toml::from_str(&text).with_context(|| path.display().to_string())?;
         config.check().with_context(|| path.display().to_string())?;
         config.place(path.parent().unwrap_or(Path::new("")));
         Ok(config)
@@ -395,6 +397,9 @@ mod tests {
         let error = with_variables("x = 1\ny = '${SCENESPLAT_NO_SUCH_THING}'").unwrap_err();
         let text = format!("{error:#}");
         assert!(text.contains("line 2") && text.contains("SCENESPLAT_NO_SUCH_THING"), "{text}");
-        assert_eq!(with_variables("# ${SCENESPLAT_NO_SUCH_THING}").unwrap().trim_end().len(), 29 + 2);
+        assert_eq!(
+            with_variables("# ${SCENESPLAT_NO_SUCH_THING}").unwrap().trim_end().len(),
+            29 + 2
+        );
     }
 }

@@ -37,11 +37,8 @@ pub fn write_curves(log: &[LoggedValue], title: &str, path: &Path) -> Result<()>
     anyhow::ensure!(!curves.is_empty(), "{}: the log holds no value to draw", path.display());
     let columns = (curves.len() as u32).min(3);
     let rows = (curves.len() as u32).div_ceil(columns);
-    let mut picture = RgbImage::from_pixel(
-        columns * PANEL[0],
-        rows * PANEL[1] + 36,
-        Rgb(BACKGROUND),
-    );
+    let mut picture =
+        RgbImage::from_pixel(columns * PANEL[0], rows * PANEL[1] + 36, Rgb(BACKGROUND));
     text::draw(&mut picture, 14, 10, 2, INK, title, columns * PANEL[0] - 28);
     for (i, curve) in (0..).zip(&curves) {
         let corner = [i % columns * PANEL[0], i / columns * PANEL[1] + 36];
@@ -148,7 +145,8 @@ fn smoothed(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
 
 /// Least and largest value, apart from each other even if they are equal.
 fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
-    let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+    let (low, high) =
+        values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
     let room = if high > low { 0.0 } else { (low.abs() * 0.1).max(1e-6) };
     [low - room, high + room]
 }
@@ -157,7 +155,8 @@ fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
 fn ticks([low, high]: [f64; 2]) -> Vec<f64> {
     let rough = (high - low) / 5.0;
     let power = 10f64.powf(rough.log10().floor());
-    let step = [1.0, 2.0, 5.0, 10.0].into_iter().find(|s| s * power >= rough).unwrap_or(10.0) * power;
+    let step =
+        [1.0, 2.0, 5.0, 10.0].into_iter().find(|s| s * power >= rough).unwrap_or(10.0) * power;
     let first = (low / step).ceil() as i64;
     (first..).map(|i| i as f64 * step).take_while(|v| *v <= high).take(12).collect()
 }
@@ -168,7 +167,13 @@ fn short(value: f64) -> String {
     if size != 0.0 && !(1e-3..1e5).contains(&size) {
         return format!("{value:.1e}");
     }
-    let digits = if size >= 100.0 { 0 } else if size >= 10.0 { 1 } else { 4 };
+    let digits = if size >= 100.0 {
+        0
+    } else if size >= 10.0 {
+        1
+    } else {
+        4
+    };
     let text = format!("{value:.digits$}");
     if text.contains('.') {
         text.trim_end_matches('0').trim_end_matches('.').to_owned()

@@ -3,16 +3,13 @@
 use super::config::{ExperimentConfig, TextConfig, TransformList};
 use crate::text::read_text_table;
 use anyhow::{Context, Result};
-use scenesplat_datasets::synthetic::{
-    CLASSES, SyntheticRoomSettings, SyntheticRooms, VOCABULARY_DIM, Vocabulary,
-};
+use scenesplat_datasets::synthetic::CLASSES;
 use scenesplat_datasets::transforms::build_transforms;
 use scenesplat_datasets::{
-    BatchLoader, DataSource, Dataset, SceneDataset, SceneFolder, SceneLoader, TrainBatch,
+    BatchLoader, Dataset, SceneLoader, SourceConfig, TrainBatch, WeightedMix,
 };
-use scenesplat_scene::{LabelSet, ReadOptions, TextTable};
+use scenesplat_scene::{LabelSet, TextTable};
 use serde::{Deserialize, Serialize};
-use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Scenes to train on.
@@ -26,6 +23,9 @@ pub struct TrainDataConfig {
     /// How often each comes in an epoch, with other random numbers each time.
     #[serde(default = "one")]
     pub repeat: usize,
+    /// Weight among several datasets, see `mix`.
+    #[serde(default = "one")]
+    pub weight: usize,
     /// Seed of the transforms.
     #[serde(default)]
     pub seed: u64,
@@ -55,107 +55,50 @@ fn validation() -> TransformList {
     TransformList::Preset("validation".to_owned())
 }
 
-/// Where scenes come from.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "type", rename_all = "snake_case")]
-pub enum SourceConfig {
-    /// Furnished rooms that are made as they are needed, with exact labels.
-    Synthetic(SyntheticConfig),
-    /// A folder of scene files or folders of arrays.
-    Folder {
-        /// The folder.
-        path: PathBuf,
-        /// Which labels to read: a PLY property or the stem of a `.npy` file.
-        #[serde(default)]
-        segment: Option<String>,
-    },
-}
-
-/// Synthetic rooms.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct SyntheticConfig {
-    /// Number of rooms.
-    pub count: usize,
-    /// Other seeds give other rooms.
-    #[serde(default)]
-    pub seed: u64,
-    /// What the rooms are like.
-    #[serde(default)]
-    pub room: SyntheticRoomSettings,
-    /// Whether each Gaussian carries its feature in the built-in vocabulary.
-    #[serde(default)]
-    pub vocabulary: bool,
-}
-
-impl SourceConfig {
-    /// Makes relative paths start at `folder`.
-    pub(super) fn place(&mut self, folder: &Path) {
-        match self {
-            Self::Folder { path, .. } if path.is_relative() => *path = folder.join(&*path),
-            _ => {}
-        }
-    }
-
-    /// The scenes.
-    ///
-    /// # Errors
-    /// If a folder cannot be listed or holds no scene.
-    pub fn open(&self) -> Result<Arc<dyn DataSource>> {
-        Ok(match self {
-            Self::Synthetic(s) => {
-                let rooms = SyntheticRooms::new(s.count, s.room.clone(), s.seed)?;
-                Arc::new(if s.vocabulary {
-                    rooms.with_vocabulary(Arc::new(Vocabulary::new(VOCABULARY_DIM)?))
-                } else {
-                    rooms
-                })
-            }
-            Self::Folder { path, segment } => {
-                let options = ReadOptions {
-                    segment: segment.clone(),
-                    lang_feat: true,
-                    sh_rest: false,
-                    ..ReadOptions::default()
-                };
-                let folder = SceneFolder::new(path, options)?;
-                let empty = folder.scene_ids().is_empty();
-                anyhow::ensure!(!empty, "{}: no scene in this folder", path.display());
-                Arc::new(folder)
-            }
-        })
-    }
-}
-
 /// Batches to train on.
 ///
 /// # Errors
 /// If scenes or transforms cannot be had.
 pub fn loader(config: &ExperimentConfig) -> Result<Box<dyn BatchLoader<TrainBatch>>> {
-    let [entry] = config.train.as_slice() else {
-        anyhow::bail!("train: one dataset is expected, got {}", config.train.len());
+    let open = |entry: &TrainDataConfig| -> Result<SceneLoader> {
+        let data = dataset(
+            &entry.source,
+            &entry.transforms,
+            config.model.grid_size,
+            entry.seed,
+            entry.repeat,
+        )?;
+        Ok(SceneLoader::new(data, config.input.clone(), config.loader.clone())?)
     };
-    let data = dataset(&entry.source, &entry.transforms, entry.seed, entry.repeat)?;
-    Ok(Box::new(SceneLoader::new(data, config.input.clone(), config.loader.clone())?))
+    let mut loaders = Vec::with_capacity(config.train.len());
+    for (i, entry) in config.train.iter().enumerate() {
+        loaders.push(open(entry).with_context(|| format!("train[{i}]"))?);
+    }
+    if loaders.len() == 1 && config.train[0].weight == 1 {
+        return Ok(Box::new(loaders.remove(0)));
+    }
+    let weights = config.train.iter().map(|entry| entry.weight).collect();
+    Ok(Box::new(WeightedMix::new(loaders, weights, config.mix)?))
 }
 
 /// Scenes of an evaluation.
 ///
 /// # Errors
 /// If scenes or transforms cannot be had.
-pub fn evaluation(entry: &EvaluationConfig, _: &ExperimentConfig) -> Result<Arc<dyn Dataset>> {
-    dataset(&entry.source, &entry.transforms, 0, 1)
+pub fn evaluation(entry: &EvaluationConfig, config: &ExperimentConfig) -> Result<Arc<dyn Dataset>> {
+    dataset(&entry.source, &entry.transforms, config.model.grid_size, 0, 1)
         .with_context(|| format!("evaluate {:?}", entry.name))
 }
 
 fn dataset(
     source: &SourceConfig,
     transforms: &TransformList,
+    grid_size: f64,
     seed: u64,
     repeat: usize,
 ) -> Result<Arc<dyn Dataset>> {
-    let steps = build_transforms(&transforms.steps()?)?;
-    Ok(Arc::new(SceneDataset::new(source.open()?, steps, seed, repeat)?))
+    let steps = build_transforms(&transforms.steps(grid_size)?)?;
+    Ok(Arc::new(source.dataset(steps, seed, repeat)?))
 }
 
 /// Texts of the classes, and which are background.
@@ -173,9 +116,7 @@ pub struct ClassTexts {
 /// If a table cannot be read or lacks a row.
 pub fn text_table(config: &TextConfig) -> Result<ClassTexts> {
     let (table, exclude) = match config {
-        TextConfig::Vocabulary { exclude } => {
-            (Vocabulary::new(VOCABULARY_DIM)?.class_table()?, exclude)
-        }
+        TextConfig::Vocabulary { .. } => anyhow::bail!("vocabulary"),
         TextConfig::Table { path, names, rows, exclude } => {
             let table = read_text_table(path, names.as_deref())?;
             let table = if rows.is_empty() {

@@ -26,7 +26,8 @@ pub fn export_model(
         }
         None => {
             let newest = newest_checkpoint(checkpoints)?;
-            let dir = newest.with_context(|| format!("{}: no checkpoint", checkpoints.display()))?;
+            let dir =
+                newest.with_context(|| format!("{}: no checkpoint", checkpoints.display()))?;
             let name = dir.file_name().unwrap_or_default().to_string_lossy().into_owned();
             (dir, name)
         }

@@ -130,7 +130,7 @@ fn parameters(config: &ExperimentConfig) -> Result<(ParamStore, Vec<String>)> {
     };
     let files = resolve(path).with_context(|| path.display().to_string())?.files;
     let source = WeightSource::files(files, SourceOptions::default())?;
-    let params = ParamStore::trainable_from(config.model_seed, source.clone());
+    let params = ParamStore::trainable_from(source, config.model_seed);
     // A trial build asks for every name, so that the report is complete before training begins.
     match config.model.num_classes {
         Some(_) => _ = SemanticSegmenter::new(&config.model, params.builder())?,
@@ -259,12 +259,8 @@ impl Run<'_> {
 }
 
 fn optimizer(config: &OptimizerConfig, params: &ParamStore) -> Result<Box<dyn Optimizer>> {
-    let groups = group_by_keyword(
-        &params.parameters(),
-        config.lr,
-        config.weight_decay,
-        &config.groups,
-    );
+    let groups =
+        group_by_keyword(&params.parameters(), config.lr, config.weight_decay, &config.groups);
     for (rule, group) in config.groups.iter().zip(&groups[1..]) {
         anyhow::ensure!(
             !group.params.is_empty(),
