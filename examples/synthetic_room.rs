@@ -1,6 +1,6 @@
 //! Writes a synthetic room as PLY with previews in colours and in classes:
-//! `cargo run --release --example synthetic_room -- 7 room` writes `room.ply`, `room.png` and
-//! `room.classes.png` of room 7.
+//! `cargo run --release --example synthetic_room -- 7 room 4000` writes `room.ply`, `room.png` and
+//! `room.classes.png` of room 7, with 4000 Gaussians per square metre.
 
 use anyhow::Context;
 use scenesplat::datasets::synthetic::{CLASSES, SyntheticRoomSettings, generate};
@@ -14,27 +14,24 @@ fn main() -> anyhow::Result<()> {
     let mut args = std::env::args().skip(1);
     let room = args.next().context("which room?")?.parse()?;
     let name = args.next().context("which name for the files?")?;
-    let room = generate(&SyntheticRoomSettings { room, ..SyntheticRoomSettings::default() })?;
+    let gaussians_per_m2 = args.next().map_or(Ok(600.0), |d| d.parse())?;
+    let settings = SyntheticRoomSettings { room, gaussians_per_m2, ..Default::default() };
+    let room = generate(&settings)?;
     let scene = &room.scene;
     write_inria_ply(scene, &[], Path::new(&format!("{name}.ply")))?;
 
     let rows = 0..scene.len();
     let title = format!("{:?}, {} Gaussians, points: {}", room.kind, scene.len(), room.is_points);
-    let settings = PreviewSettings { title, ..PreviewSettings::default() };
-    // Discs as wide as the middle axis, but not so small that the picture has holes.
-    let radius: Vec<f32> = (rows.clone())
-        .map(|row| {
-            let [a, b, c] = scene.scale(row);
-            a.max(b).min(a.max(c)).min(b.max(c)).max(0.012)
-        })
-        .collect();
-    let opacity = vec![1.0; scene.len()];
+    let settings = PreviewSettings { title, view_size: 1000, ..PreviewSettings::default() };
+    // All of one size: what is where shows better than how it was captured. Floaters stay faint.
+    let radius = vec![0.6 / gaussians_per_m2.sqrt(); scene.len()];
+    let segment = scene.segment.as_deref().context("labels")?;
+    let opacity: Vec<f32> = segment.iter().map(|&s| if s < 0 { 0.0 } else { 1.0 }).collect();
     let colors: Vec<[u8; 3]> = rows.map(|row| scene.color_u8(row)).collect();
     let drawn =
         PreviewRows { coord: &scene.coord, color: &colors, radius: &radius, opacity: &opacity };
     write_preview(Path::new(&format!("{name}.png")), &drawn, &[], &settings)?;
 
-    let segment = scene.segment.as_deref().context("labels")?;
     let class_colors: Vec<[u8; 3]> = (segment.iter())
         .map(|&s| usize::try_from(s).map_or(UNLABELLED_COLOR, class_color))
         .collect();

@@ -23,7 +23,7 @@
 //! middle: .01 .06 **.17** .38 .72; each of the three stored axes is the smallest equally often.
 //! Isolated Gaussians: 0.3 % in the room corner. From these come, per room: median of the largest σ
 //! 0.6 to 1.35 spacings with a spread of e^0.5 to e^0.75, the two ratios, opacity logits of mean −1
-//! to 3.4 with a spread of 1.3 to 2, floaters 0.05 to 1.2 %.
+//! to 3.4 with a spread of 1.3 to 2, floaters 0.05 to 0.6 %.
 //!
 //! A share of the rooms looks as points of a mesh do after
 //! [`gaussians_from_points`](crate::gaussians_from_points): round discs a tenth as thick, one
@@ -41,11 +41,13 @@ mod shape;
 mod shell;
 mod splats;
 mod vector;
+pub mod vocabulary;
 
 pub use classes::{CLASSES, ClassId, Group, SyntheticClass};
 pub use material::ColorName;
 pub use recipe::RoomKind;
 pub use rooms::SyntheticRooms;
+pub use vocabulary::Vocabulary;
 
 use crate::DataError;
 use crate::rng::sample_rng;

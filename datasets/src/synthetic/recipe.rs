@@ -669,3 +669,34 @@ impl Room<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rng::sample_rng;
+
+    #[test]
+    fn nothing_stands_in_anything_else() {
+        let mut num_objects = 0;
+        for index in 0..120 {
+            let mut rng = sample_rng(11, index, 0);
+            let kind = RoomKind::random(&mut rng);
+            let layout = furnish(kind, &mut rng);
+            num_objects += layout.objects.len();
+            for (i, a) in layout.objects.iter().enumerate() {
+                for b in &layout.objects[..i] {
+                    let overlap =
+                        a.footprints.iter().any(|f| b.footprints.iter().any(|g| f.overlaps(g)));
+                    let (a, b) = (a.model.class, b.model.class);
+                    assert!(!overlap, "{kind:?} {index}: {a:?} in {b:?}");
+                }
+                let is_flat = a.footprints.is_empty();
+                assert_eq!(
+                    is_flat,
+                    a.model.class.about().groups == [crate::synthetic::Group::Structure]
+                );
+            }
+        }
+        assert!(num_objects > 120 * 18, "{num_objects}");
+    }
+}

@@ -61,7 +61,7 @@ impl Look {
             light: unit_or(up, [0.0, 0.0, 1.0]),
             ambient: if is_points && chance(rng, 0.7) { 1.0 } else { between(rng, 0.6, 0.92) },
             gain: std::array::from_fn(|_| exposure * between(rng, 0.95, 1.05)),
-            floaters: if is_points { 0.0 } else { between(rng, 0.0005, 0.012) },
+            floaters: if is_points { 0.0 } else { between(rng, 0.0005, 0.006) },
             holes: (0..holes)
                 .map(|_| {
                     let centre = size.map(|s| s * unit(rng));
@@ -195,7 +195,7 @@ impl Rows {
         let grey = between(rng, 60.0, 200.0);
         let splat = Splat {
             coord: size.map(|s| s * unit(rng)),
-            log_scale: std::array::from_fn(|_| ln_spacing + 0.3 + 0.8 * noise(rng)),
+            log_scale: std::array::from_fn(|_| ln_spacing - 0.2 + 0.6 * noise(rng)),
             quat: quat_of([u, v, normal]),
             normal,
             opacity_logit: -2.5 + 1.2 * noise(rng),
