@@ -37,7 +37,9 @@ pub enum BrokenScenes {
     /// The epoch ends with an error that names the scene.
     #[default]
     Stop,
-    /// It is left out and noted, see [`SceneLoader::skipped`]; its batch is smaller.
+    /// It is left out and noted, see [`SceneLoader::skipped`]; its batch is smaller, and empty
+    /// if no scene is left ([`TrainBatch::is_empty`]), so that the number of batches stays. A panic is a
+    /// bug and no property of a scene: it always stops.
     Skip,
 }
 
