@@ -213,7 +213,10 @@ fn odd_scenes_are_named() {
     let first = read(&folder.path().join("scene_0"), "instance").read_i64().unwrap()[0];
     assert_eq!(first, 1, "rows of the file, not of what is left of it");
     let notes = report.notes.join("\n");
-    assert!(notes.contains("1 Gaussians") && notes.contains("camera.npy is left out"), "{notes}");
+    assert!(
+        notes.contains("used: 1 Gaussians") && notes.contains("camera.npy is left out"),
+        "{notes}"
+    );
     let missing = folder.cut("none", &dir.path().join("none"), &mut |_| true).unwrap_err();
     assert!(matches!(missing, DataError::Rows(_)), "{missing}");
 }
