@@ -247,7 +247,7 @@ mod tests {
         let mut broken = sample.clone();
         broken.opacity.pop();
         assert!(InputFeatures::default().sample_rows(&broken).is_err());
-        broken = sample.clone();
+        broken = sample;
         broken.color[1][0] = f32::NAN;
         let error = InputFeatures::default().sample_rows(&broken).unwrap_err();
         assert!(matches!(error, DataError::NotFinite { row: 1, field: "colour", .. }), "{error}");

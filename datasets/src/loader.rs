@@ -37,7 +37,9 @@ pub enum BrokenScenes {
     /// The epoch ends with an error that names the scene.
     #[default]
     Stop,
-    /// It is left out and noted, see [`SceneLoader::skipped`]; its batch is smaller.
+    /// It is left out and noted, see [`SceneLoader::skipped`]; its batch is smaller, and empty
+    /// if no scene is left ([`TrainBatch::is_empty`]), so that the number of batches stays. A panic is a
+    /// bug and no property of a scene: it always stops.
     Skip,
 }
 
@@ -135,6 +137,26 @@ type Skipped = Arc<Mutex<BTreeMap<String, SkippedScene>>>;
 /// Whole batches are made by worker threads and handed over in order; the same settings give the
 /// same batches for any number of workers. The workers live as long as an epoch's iterator: when it
 /// is dropped, they stop after the scene they are at, and have ended when the drop returns.
+///
+/// ```
+/// use scenesplat_datasets::transforms::{build_transforms, language_pretraining};
+/// use scenesplat_datasets::{
+///     BatchLoader, GeneratedRooms, InputFeatures, LoaderSettings, SceneDataset, SceneLoader,
+/// };
+/// use std::sync::Arc;
+///
+/// // One's own scenes: `SceneFolders::new("my/scenes".as_ref(), &[], Default::default())?`
+/// let source = Arc::new(GeneratedRooms::new(4, 2000, 1));
+/// let transforms = build_transforms(&language_pretraining(0.05))?;
+/// let dataset = Arc::new(SceneDataset::new(source, transforms, 7, 1)?);
+/// let settings = LoaderSettings { batch_size: 2, workers: 1, ..LoaderSettings::default() };
+/// let mut loader = SceneLoader::new(dataset, InputFeatures::default(), settings)?;
+/// for batch in loader.epoch(0, 0) {
+///     let batch = batch?;
+///     assert_eq!(batch.feat.len(), batch.len() * batch.channels);
+/// }
+/// # Ok::<(), scenesplat_datasets::DataError>(())
+/// ```
 #[derive(Clone)]
 pub struct SceneLoader {
     assembly: Arc<Assembly>,

@@ -2,6 +2,7 @@
 
 use crate::error::check_length;
 use crate::{DataError, SampleRng};
+use half::f16;
 use scenesplat_scene::{FeatureRows, GaussianScene, LabelledPoints};
 use std::fmt::Debug;
 
@@ -106,11 +107,7 @@ impl Sample {
             pick(values, rows);
         }
         if let Some(FeatureRows { values, dim }) = &mut self.lang_feat {
-            let mut picked = Vec::with_capacity(rows.len() * *dim);
-            for &row in rows {
-                picked.extend_from_slice(&values[row as usize * *dim..(row as usize + 1) * *dim]);
-            }
-            *values = picked;
+            pick_features(values, *dim, rows);
         }
         if let Some(values) = &mut self.valid_feat {
             pick(values, rows);
@@ -135,7 +132,7 @@ impl Sample {
         check_length("instance", n, self.instance.as_ref().map_or(n, Vec::len))?;
         check_length("valid_feat", n, self.valid_feat.as_ref().map_or(n, Vec::len))?;
         if let Some(features) = &self.lang_feat {
-            let expected = n.checked_mul(features.dim).unwrap_or(usize::MAX);
+            let expected = n.saturating_mul(features.dim);
             check_length("lang_feat", expected, features.values.len())?;
         }
         if !self.grid_coord.is_empty() {
@@ -151,6 +148,24 @@ impl Sample {
             [std::array::from_fn(|a| low[a].min(c[a])), std::array::from_fn(|a| high[a].max(c[a]))]
         }))
     }
+}
+
+/// Keeps rows of language features, which are nearly all of a sample's memory: in place if the rows
+/// stay in order, as crops leave them.
+fn pick_features(values: &mut Vec<f16>, dim: usize, rows: &[u32]) {
+    if rows.is_sorted_by(|a, b| a < b) {
+        for (to, &row) in rows.iter().enumerate() {
+            let from = row as usize * dim;
+            values.copy_within(from..from + dim, to * dim);
+        }
+        values.truncate(rows.len() * dim);
+        return;
+    }
+    let mut picked = Vec::with_capacity(rows.len() * dim);
+    for &row in rows {
+        picked.extend_from_slice(&values[row as usize * dim..(row as usize + 1) * dim]);
+    }
+    *values = picked;
 }
 
 /// One change of a sample: a step of an augmentation, a crop, a sampling.
@@ -170,7 +185,6 @@ pub trait Transform: Send + Sync + Debug {
 mod tests {
     use super::*;
     use crate::{RoomSettings, generate_room};
-    use half::f16;
 
     fn sample() -> Sample {
         let room = generate_room(&RoomSettings { num_gaussians: 400, seed: 1 }).unwrap();
@@ -214,6 +228,14 @@ mod tests {
             assert_eq!(some.grid_coord[i], [row as i32; 3]);
             let feat = &some.lang_feat.as_ref().unwrap().values[i * 2..i * 2 + 2];
             assert_eq!(feat[0].to_f32(), row as f32 * 2.0);
+        }
+        let ascending: Vec<u32> = (0..400).step_by(3).collect();
+        let mut some = all;
+        some.select_rows(&ascending);
+        some.check().unwrap();
+        for (i, &row) in ascending.iter().enumerate() {
+            let feat = &some.lang_feat.as_ref().unwrap().values[i * 2..i * 2 + 2];
+            assert_eq!(feat[1].to_f32(), row as f32 * 2.0 + 1.0);
         }
         some.select_rows(&[]);
         some.check().unwrap();

@@ -65,10 +65,9 @@ pub fn collate_samples(
     let total = samples.iter().map(Sample::len).sum();
     let mut batch = TrainBatch { channels: features.width(), offsets: vec![0], ..<_>::default() };
     batch.feat.reserve_exact(total * batch.channels);
-    batch.lang_feat = match feature_width(&samples)? {
-        Some(dim) => Some(FeatureRows { values: Vec::with_capacity(total * dim), dim }),
-        None => None,
-    };
+    batch.coord.reserve_exact(total);
+    batch.grid_coord.reserve_exact(total);
+    batch.lang_feat = feature_width(&samples)?.map(|dim| FeatureRows { values: Vec::new(), dim });
     let room = |there: bool| there.then(|| Vec::with_capacity(total));
     batch.segment = room(samples.iter().any(|s| s.segment.is_some()));
     batch.instance = room(samples.iter().any(|s| s.instance.is_some()));
@@ -76,7 +75,7 @@ pub fn collate_samples(
     batch.valid_feat = masked.then(|| Vec::with_capacity(total));
     for sample in samples {
         let id = sample.id.clone();
-        append(&mut batch, sample, features).map_err(|error| error.in_scene(&id))?;
+        append(&mut batch, sample, features, total).map_err(|error| error.in_scene(&id))?;
         batch.ids.push(id);
     }
     Ok(batch)
@@ -98,6 +97,7 @@ fn append(
     batch: &mut TrainBatch,
     mut sample: Sample,
     features: &InputFeatures,
+    total: usize,
 ) -> Result<(), DataError> {
     let n = sample.len();
     let feat = features.sample_rows(&sample)?;
@@ -122,7 +122,14 @@ fn append(
     join(&mut batch.instance, sample.instance);
     join(&mut batch.valid_feat, sample.valid_feat);
     if let (Some(all), Some(mut rows)) = (&mut batch.lang_feat, sample.lang_feat) {
-        all.values.append(&mut rows.values);
+        if all.values.is_empty() {
+            // Hundreds of megabytes need not be copied.
+            let more = (total * all.dim).saturating_sub(rows.values.len());
+            rows.values.reserve_exact(more);
+            all.values = rows.values;
+        } else {
+            all.values.append(&mut rows.values);
+        }
     }
     batch.offsets.push(batch.coord.len());
     Ok(())

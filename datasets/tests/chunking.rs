@@ -31,7 +31,7 @@ fn write_folder(folder: &Path) {
     write_npy(&file("instance"), &[N], &numbers(1).map(|i| i as i64).collect::<Vec<_>>()).unwrap();
     let mask: Vec<i64> = (0..N).map(|i| i64::from(i % 2 == 0)).collect();
     write_npy(&file("valid_feat_mask"), &[N], &mask).unwrap();
-    let feat = |i: usize| if i % 2 == 0 { [3.0, 4.0] } else { [0.0, 0.0] };
+    let feat = |i: usize| if i.is_multiple_of(2) { [3.0, 4.0] } else { [0.0, 0.0] };
     let feat: Vec<f16> = (0..N).flat_map(feat).map(f16::from_f32).collect();
     write_npy(&file("lang_feat"), &[N, 2], &feat).unwrap();
     let points: Vec<f32> = (0..50).flat_map(|i| [i as f32 * 0.2 - 3.0, 1.0, 0.0]).collect();
@@ -142,7 +142,7 @@ fn interrupted_runs_go_on() {
     std::fs::write(folder.path().join(".scene_1.part/color.npy"), "half").unwrap();
     std::fs::write(folder.path().join("scene_0/mark"), "").unwrap();
     let again = cut(&folder, "scene", &source);
-    assert_eq!((again.found, again.chunks), (2, first.chunks.clone()));
+    assert_eq!((again.found, again.chunks), (2, first.chunks));
     assert_eq!(bytes("scene_1"), before);
     assert!(folder.path().join("scene_0/mark").exists(), "complete chunks are not touched");
     // A complete scene is not even read.
@@ -213,7 +213,10 @@ fn odd_scenes_are_named() {
     let first = read(&folder.path().join("scene_0"), "instance").read_i64().unwrap()[0];
     assert_eq!(first, 1, "rows of the file, not of what is left of it");
     let notes = report.notes.join("\n");
-    assert!(notes.contains("1 Gaussians") && notes.contains("camera.npy is left out"), "{notes}");
+    assert!(
+        notes.contains("used: 1 Gaussians") && notes.contains("camera.npy is left out"),
+        "{notes}"
+    );
     let missing = folder.cut("none", &dir.path().join("none"), &mut |_| true).unwrap_err();
     assert!(matches!(missing, DataError::Rows(_)), "{missing}");
 }

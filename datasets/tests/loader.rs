@@ -5,7 +5,7 @@
 use scenesplat_datasets::transforms::{build_transforms, language_pretraining};
 use scenesplat_datasets::{
     BatchLoader, BrokenScenes, DataError, Dataset, GeneratedRooms, InputFeatures, LoaderSettings,
-    Sample, SceneDataset, SceneLoader, TrainBatch,
+    Sample, SceneDataset, SceneLoader, SourceConfig, TrainBatch,
 };
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -228,4 +228,38 @@ fn settings_that_cannot_be_are_named() {
     assert!(refused(base(), 0).contains("0 scenes"));
     let text = r#"{"workers": 1, "worker": 2}"#;
     assert!(serde_json::from_str::<LoaderSettings>(text).is_err());
+}
+
+#[test]
+fn real_scenes_become_batches() {
+    let root = std::env::var_os("SCENESPLAT_SHARED").map_or_else(
+        || std::path::PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared"),
+        std::path::PathBuf::from,
+    );
+    let objects = root.join("real/objects");
+    if !objects.is_dir() {
+        println!("skipped: real/objects is not in the shared data (set SCENESPLAT_SHARED)");
+        return;
+    }
+    let config = serde_json::json!({"type": "generic", "root": objects});
+    let config: SourceConfig = serde_json::from_value(config).unwrap();
+    let transforms = build_transforms(&language_pretraining(0.02)).unwrap();
+    let dataset = Arc::new(config.dataset(transforms, 1, 1).unwrap());
+    assert!(dataset.len() >= 5, "{}", dataset.len());
+    let settings =
+        LoaderSettings { broken_scenes: BrokenScenes::Skip, drop_last: false, ..settings(2) };
+    let mut loader = loader(dataset, settings);
+    let mut rows = 0;
+    for batch in all(&mut loader, 0, 0) {
+        assert_eq!(batch.feat.len(), batch.len() * batch.channels);
+        assert!(batch.feat.iter().all(|v| v.is_finite()));
+        for scene in batch.offsets.windows(2) {
+            let cells = &batch.grid_coord[scene[0]..scene[1]];
+            let distinct: BTreeSet<_> = cells.iter().collect();
+            assert_eq!(distinct.len(), cells.len(), "no cell twice, mixed or not");
+        }
+        rows += batch.len();
+    }
+    let skipped = loader.skipped();
+    assert!(rows > 10_000 && skipped.is_empty(), "{skipped:#?}");
 }

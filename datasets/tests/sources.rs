@@ -43,7 +43,8 @@ fn write_scene(folder: &Path, contents: &Contents<'_>) {
 
 fn config(kind: &str, root: &Path, more: serde_json::Value) -> SourceConfig {
     let mut value = json!({"type": kind, "root": root});
-    value.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
+    let serde_json::Value::Object(more) = more else { panic!("{more} is no object") };
+    value.as_object_mut().unwrap().extend(more);
     serde_json::from_value(value).unwrap()
 }
 

@@ -177,21 +177,21 @@ impl Totals {
             self.without.push(report.scene.clone());
         }
         let mut text = format!(
-            "{}: {} Gaussians, {} after sampling, {:.1} m x {:.1} m, {} chunks",
+            "{}: {} Gaussians, {} after sampling, {:.1} m x {:.1} m, {}",
             report.scene,
             report.source_rows,
             report.sampled,
             report.extent[0],
             report.extent[1],
-            report.chunks.len()
+            count(report.chunks.len(), "chunk")
         );
-        for (count, what) in [
+        for (number, what) in [
             (report.found, "there already"),
             (report.below_minimum, "left out as too small"),
             (report.beyond_limit, "left out as too many"),
         ] {
-            if count > 0 {
-                text += &format!(", {count} {what}");
+            if number > 0 {
+                text += &format!(", {number} {what}");
             }
         }
         for note in &report.notes {
@@ -206,11 +206,11 @@ impl Totals {
             n => format!(" ({n} of them there already)"),
         };
         print(&format!(
-            "{}: {} chunks{found} of {} scenes, {} Gaussians",
+            "{}: {}{found} of {}, {}",
             folder.display(),
-            self.chunks,
-            self.scenes,
-            self.rows
+            count(self.chunks, "chunk"),
+            count(self.scenes, "scene"),
+            count(self.rows, "Gaussian")
         ));
         if !self.without.is_empty() {
             print(&format!("without a chunk: {}", self.without.join(", ")));
@@ -219,6 +219,11 @@ impl Totals {
 
     fn result(&self) -> Result<()> {
         let Some(first) = self.broken.first() else { return Ok(()) };
-        anyhow::bail!("{} scenes could not be cut, the first: {first}", self.broken.len());
+        anyhow::bail!("{} could not be cut, the first: {first}", count(self.broken.len(), "scene"));
     }
+}
+
+/// A number with its noun.
+fn count(number: usize, noun: &str) -> String {
+    if number == 1 { format!("1 {noun}") } else { format!("{number} {noun}s") }
 }

@@ -102,7 +102,7 @@ fn notes(plan: &ChunkPlan, loaded: &LoadedScene, settings: &ChunkSettings) -> Ve
     let mut notes = Vec::new();
     if loaded.report.dropped_rows > 0 {
         let rows = loaded.report.dropped_rows;
-        notes.push(format!("{rows} Gaussians cannot be used and are in no chunk"));
+        notes.push(format!("left out of every chunk, as they cannot be used: {rows} Gaussians"));
     }
     let short = (0..2).any(|a| plan.extent[a] <= settings.range[a] - settings.stride[a]);
     let [x, y] = plan.extent;

@@ -100,7 +100,7 @@ impl SceneFolders {
             }
             let Some(name) = path.file_name().and_then(|n| n.to_str()) else {
                 return Err(SceneError::Format {
-                    path: path.clone(),
+                    path,
                     problem: "has a name that is not Unicode".to_owned(),
                     mend: "rename it".to_owned(),
                 }

@@ -40,7 +40,9 @@ pub use config::{TransformConfig, build_transforms};
 pub use elastic::ElasticDistortion;
 pub use grid_sample::{GridSample, Keep};
 pub use limit_values::LimitValues;
-pub use presets::{language_pretraining, semantic_segmentation, validation};
+pub use presets::{
+    language_pretraining, semantic_segmentation, test_time_augmentation, validation,
+};
 pub use random_dropout::RandomDropout;
 pub use random_flip::RandomFlip;
 pub use random_jitter::RandomJitter;

@@ -196,7 +196,8 @@ mod tests {
         let near = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-6);
         assert!(near(&turned.coord[0], &[-2.0, 1.0, 3.0]), "{:?}", turned.coord);
         // As the original's code gives it.
-        assert!(near(&turned.quat[0], &[0.0, 0.0, 0.707_106_8, 0.707_106_8]), "{:?}", turned.quat);
+        let half = std::f32::consts::FRAC_1_SQRT_2;
+        assert!(near(&turned.quat[0], &[0.0, 0.0, half, half]), "{:?}", turned.quat);
         assert!(near(&turned.normal.unwrap()[0], &[0.0, 1.0, 0.0]));
         let about = by(0.5, Axis::X, RotationCenter::Point([0.0, 2.0, 0.0]), false);
         assert!(near(&applied(&about, &sample, 0).coord[0], &[1.0, -1.0, 0.0]));
