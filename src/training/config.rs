@@ -116,6 +116,8 @@ pub enum TextConfig {
     },
     /// The built-in vocabulary of the synthetic rooms.
     Vocabulary {
+        /// Width of its vectors.
+        dim: usize,
         /// Classes left out of the averages that begin with f.
         #[serde(default = "background")]
         exclude: Vec<String>,

@@ -4,6 +4,7 @@ use super::config::{ExperimentConfig, TextConfig, TransformList};
 use crate::text::read_text_table;
 use anyhow::{Context, Result};
 use scenesplat_datasets::synthetic::CLASSES;
+use scenesplat_datasets::synthetic::vocabulary::Vocabulary;
 use scenesplat_datasets::transforms::build_transforms;
 use scenesplat_datasets::{
     BatchLoader, Dataset, SceneLoader, SourceConfig, TrainBatch, WeightedMix,
@@ -116,7 +117,7 @@ pub struct ClassTexts {
 /// If a table cannot be read or lacks a row.
 pub fn text_table(config: &TextConfig) -> Result<ClassTexts> {
     let (table, exclude) = match config {
-        TextConfig::Vocabulary { .. } => anyhow::bail!("vocabulary"),
+        TextConfig::Vocabulary { dim, exclude } => (Vocabulary::new(*dim)?.class_table(), exclude),
         TextConfig::Table { path, names, rows, exclude } => {
             let table = read_text_table(path, names.as_deref())?;
             let table = if rows.is_empty() {

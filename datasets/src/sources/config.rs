@@ -1,6 +1,7 @@
 //! Sources by name.
 
 use super::{Benchmark, SceneFolders, SceneFoldersOptions, Split};
+use crate::synthetic::vocabulary::Vocabulary;
 use crate::{
     DataError, DataSource, GeneratedRooms, SceneDataset, SyntheticRoomSettings, SyntheticRooms,
     Transform,
@@ -105,6 +106,9 @@ pub struct SyntheticFolder {
     /// What the rooms are like.
     #[serde(default)]
     pub room: SyntheticRoomSettings,
+    /// Width of the built-in vocabulary that gives each Gaussian a language feature; none without.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub vocabulary: Option<usize>,
 }
 
 fn yes() -> bool {
@@ -159,8 +163,15 @@ impl SourceConfig {
             Self::GeneratedRooms(RoomsSettings { count, num_gaussians, seed }) => {
                 return Ok(Arc::new(GeneratedRooms::new(*count, *num_gaussians, *seed)));
             }
-            Self::Synthetic(SyntheticFolder { count, seed, room }) => {
-                return Ok(Arc::new(SyntheticRooms::new(*count, room.clone(), *seed)));
+            Self::Synthetic(SyntheticFolder { count, seed, room, vocabulary }) => {
+                let mut rooms = SyntheticRooms::new(*count, room.clone(), *seed);
+                if let Some(dim) = *vocabulary {
+                    let built = Vocabulary::new(dim).map_err(|error| {
+                        crate::error::bad_setting("vocabulary", error, "a larger width")
+                    })?;
+                    rooms = rooms.with_vocabulary(Arc::new(built));
+                }
+                return Ok(Arc::new(rooms));
             }
             Self::Generic(folder) => generic(folder)?,
             other => match other.benchmark() {
