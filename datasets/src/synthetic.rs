@@ -79,7 +79,7 @@ pub struct SyntheticRoomSettings {
     /// Number of the room among those of a seed.
     pub room: u64,
     /// Gaussians per square metre of floor or wall, above 0; furniture gets up to twice, small
-    /// things up to nine times as many. 600 fills most voxels of 4 cm, 2 500 those of 2 cm.
+    /// things up to nine times as many. 500 fills most voxels of 4 cm, 2 500 those of 2 cm.
     pub gaussians_per_m2: f32,
     /// Exact number of Gaussians, whatever the density.
     pub num_gaussians: Option<usize>,
@@ -94,7 +94,7 @@ impl Default for SyntheticRoomSettings {
         Self {
             seed: 0,
             room: 0,
-            gaussians_per_m2: 600.0,
+            gaussians_per_m2: 500.0,
             num_gaussians: None,
             kind: None,
             points_share: 0.3,
