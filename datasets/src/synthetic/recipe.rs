@@ -6,7 +6,7 @@ use super::furniture::{
     bathroom, bedroom, decoration, electronics, kitchen, lighting, openings, seating, small,
     storage, tables,
 };
-use super::model::Model;
+use super::model::{Build, Model};
 use super::place::{BACKWARDS, Layout, STRAIGHT, around};
 use super::shell::{Plan, build};
 use crate::rng::SampleRng;
@@ -93,18 +93,18 @@ impl Room<'_> {
         chance(self.rng, probability)
     }
 
-    fn at_wall(&mut self, build: fn(&mut SampleRng) -> Model) -> Option<usize> {
+    fn at_wall(&mut self, build: Build) -> Option<usize> {
         let model = build(self.rng);
         self.layout.against_wall(model, [0.0, 0.0], self.rng)
     }
 
     /// On a wall, its middle between these heights.
-    fn hang(&mut self, build: fn(&mut SampleRng) -> Model, z: [f64; 2]) -> Option<usize> {
+    fn hang(&mut self, build: Build, z: [f64; 2]) -> Option<usize> {
         let model = build(self.rng);
         self.layout.against_wall(model, z, self.rng)
     }
 
-    fn on_floor(&mut self, build: fn(&mut SampleRng) -> Model) -> Option<usize> {
+    fn on_floor(&mut self, build: Build) -> Option<usize> {
         let model = build(self.rng);
         self.layout.on_floor(model, self.rng)
     }
@@ -120,7 +120,7 @@ impl Room<'_> {
             self.dining();
         }
         for (build, probability) in [
-            (storage::bookshelf as fn(&mut SampleRng) -> Model, 0.7),
+            (storage::bookshelf as Build, 0.7),
             (storage::cabinet, 0.5),
             (decoration::plant, 0.7),
             (lighting::floor_lamp, 0.7),
@@ -274,7 +274,7 @@ impl Room<'_> {
             self.workplace();
         }
         for (build, probability) in [
-            (seating::chair as fn(&mut SampleRng) -> Model, 0.4),
+            (seating::chair as Build, 0.4),
             (lighting::floor_lamp, 0.3),
             (storage::bookshelf, 0.3),
             (decoration::plant, 0.4),
@@ -317,12 +317,7 @@ impl Room<'_> {
     }
 
     /// Something on the wall above an object that stands at it.
-    fn above(
-        &mut self,
-        parent: usize,
-        build: fn(&mut SampleRng) -> Model,
-        gap: f64,
-    ) -> Option<usize> {
+    fn above(&mut self, parent: usize, build: Build, gap: f64) -> Option<usize> {
         let model = build(self.rng);
         let block = around(&model);
         let object = &self.layout.objects[parent];
@@ -384,7 +379,7 @@ impl Room<'_> {
             self.workplace();
         }
         for (build, probability) in [
-            (storage::bookshelf as fn(&mut SampleRng) -> Model, 0.7),
+            (storage::bookshelf as Build, 0.7),
             (storage::cabinet, 0.6),
             (decoration::plant, 0.5),
             (small::trash_can, 0.5),
@@ -412,7 +407,7 @@ impl Room<'_> {
             self.dining();
         }
         for (build, probability) in [
-            (small::trash_can as fn(&mut SampleRng) -> Model, 0.6),
+            (small::trash_can as Build, 0.6),
             (seating::stool, 0.4),
             (storage::cabinet, 0.25),
             (decoration::plant, 0.25),
@@ -519,7 +514,7 @@ impl Room<'_> {
             }
         }
         for (build, probability) in [
-            (storage::cabinet as fn(&mut SampleRng) -> Model, 0.3),
+            (storage::cabinet as Build, 0.3),
             (small::trash_can, 0.6),
             (seating::stool, 0.35),
             (decoration::plant, 0.3),
@@ -554,7 +549,7 @@ impl Room<'_> {
             }
         }
         for (build, probability) in [
-            (bathroom::sink as fn(&mut SampleRng) -> Model, 0.15),
+            (bathroom::sink as Build, 0.15),
             (bathroom::bathtub, 0.12),
             (bathroom::toilet, 0.1),
             (kitchen::refrigerator, 0.25),
@@ -592,7 +587,7 @@ impl Room<'_> {
             self.layout.on_floor(rug, self.rng);
         }
         for (build, probability) in [
-            (decoration::plant as fn(&mut SampleRng) -> Model, 0.3),
+            (decoration::plant as Build, 0.3),
             (small::carton, 0.4),
             (small::carton, 0.25),
             (small::trash_can, 0.25),
@@ -623,7 +618,7 @@ impl Room<'_> {
     fn clutter(&mut self) {
         for parent in 0..self.layout.objects.len() {
             let class = self.layout.objects[parent].model.class;
-            let (count, things): (u32, &[fn(&mut SampleRng) -> Model]) = match class {
+            let (count, things): (u32, &[Build]) = match class {
                 ClassId::Table => (
                     4,
                     &[
