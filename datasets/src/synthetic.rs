@@ -79,7 +79,7 @@ pub struct SyntheticRoomSettings {
     /// Number of the room among those of a seed.
     pub room: u64,
     /// Gaussians per square metre of floor or wall, above 0; furniture gets up to twice, small
-    /// things up to nine times as many. 600 fills most voxels of 4 cm, 2 500 those of 2 cm.
+    /// things up to nine times as many. 500 fills most voxels of 4 cm, 2 500 those of 2 cm.
     pub gaussians_per_m2: f32,
     /// Exact number of Gaussians, whatever the density.
     pub num_gaussians: Option<usize>,
@@ -94,7 +94,7 @@ impl Default for SyntheticRoomSettings {
         Self {
             seed: 0,
             room: 0,
-            gaussians_per_m2: 600.0,
+            gaussians_per_m2: 500.0,
             num_gaussians: None,
             kind: None,
             points_share: 0.3,
@@ -156,7 +156,7 @@ pub fn generate(settings: &SyntheticRoomSettings) -> Result<SyntheticRoom, DataE
     let density = f64::from(settings.gaussians_per_m2);
     let n = settings.num_gaussians.unwrap_or((total * density) as usize);
     if n > MAX_GAUSSIANS {
-        return Err(too_many("gaussians_per_m2", settings.gaussians_per_m2));
+        return Err(too_many("gaussians_per_m2", density.to_string()));
     }
     let num_floaters = (n as f64 * look.floaters) as usize;
     let counts = shares(&weights, total, n - num_floaters);
@@ -221,15 +221,15 @@ impl SyntheticRoomSettings {
             return fail("points_share", self.points_share.to_string(), "a number in 0..=1");
         }
         match self.num_gaussians {
-            Some(n) if n > MAX_GAUSSIANS => Err(too_many("num_gaussians", n)),
+            Some(n) if n > MAX_GAUSSIANS => Err(too_many("num_gaussians", n.to_string())),
             _ => Ok(()),
         }
     }
 }
 
-fn too_many(setting: &'static str, value: impl ToString) -> DataError {
+fn too_many(setting: &'static str, value: String) -> DataError {
     let expected = "a value that makes at most 20000000 Gaussians";
-    DataError::Setting { setting, value: value.to_string(), expected }
+    DataError::Setting { setting, value, expected }
 }
 
 /// Splits `n` by weight; the largest remainders get the rest.

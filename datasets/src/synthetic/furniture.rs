@@ -16,12 +16,12 @@ pub(super) mod tables;
 
 #[cfg(test)]
 mod tests {
-    use super::super::model::Model;
-    use crate::rng::{SampleRng, sample_rng};
+    use super::super::model::Build;
+    use crate::rng::sample_rng;
 
     #[test]
     fn every_model_stands_at_its_origin_and_looks_to_the_front() {
-        let builders: &[(&str, fn(&mut SampleRng) -> Model)] = &[
+        let builders: &[(&str, Build)] = &[
             ("chair", super::seating::chair),
             ("stool", super::seating::stool),
             ("sofa", super::seating::sofa),

@@ -334,11 +334,10 @@ mod tests {
         // The nearest name by mean colour is the right one for most samples.
         let mut rng = sample_rng(2, 0, 0);
         let mean = |name: ColorName, rng: &mut SampleRng| {
-            let sum = (0..200).fold([0.0; 3], |s: V3, _| {
+            (0..200).fold([0.0; 3], |s: V3, _| {
                 let c = name.sample(rng);
                 std::array::from_fn(|i| s[i] + c[i] / 200.0)
-            });
-            sum
+            })
         };
         let means: Vec<V3> = ColorName::ALL.iter().map(|&n| mean(n, &mut rng)).collect();
         for (i, name) in ColorName::ALL.iter().enumerate() {

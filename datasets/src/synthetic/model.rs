@@ -4,6 +4,10 @@ use super::classes::ClassId;
 use super::material::{ColorName, Material};
 use super::shape::{Shape, join};
 use super::vector::{V3, Z, add, add_times, basis, cross, sub, times, unit_or};
+use crate::rng::SampleRng;
+
+/// Draws an object.
+pub(super) type Build = fn(&mut SampleRng) -> Model;
 
 /// A box along the axes of the object's frame.
 #[derive(Debug, Clone, Copy, PartialEq)]

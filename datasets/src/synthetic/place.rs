@@ -91,11 +91,14 @@ impl Footprint {
             })
     }
 
-    /// Whether a point of the plan is inside.
-    pub(super) fn covers(&self, [x, y]: [f64; 2]) -> bool {
+    /// How far out a point of the plan is: the square of 0 in the middle to 1 on the ellipse inside
+    /// the box.
+    pub(super) fn distance_squared(&self, [x, y]: [f64; 2]) -> f64 {
         let (dx, dy) = (x - self.centre[0], y - self.centre[1]);
         let [c, s] = self.turn;
-        (dx * c + dy * s).abs() < self.half[0] && (dy * c - dx * s).abs() < self.half[1]
+        let along = (dx * c + dy * s) / self.half[0].max(1e-6);
+        let across = (dy * c - dx * s) / self.half[1].max(1e-6);
+        along * along + across * across
     }
 
     /// Lowest and highest z.
@@ -358,7 +361,8 @@ mod tests {
         assert!(!at(0.0, 0.0).overlaps(&turned));
         let turned = footprint([0.0, 0.7, 0.0], [0.5_f64.sqrt(), 0.5_f64.sqrt()]);
         assert!(at(0.0, 0.0).overlaps(&turned) && turned.overlaps(&at(0.0, 0.0)));
-        assert!(turned.covers([0.0, 0.7]) && !turned.covers([0.5, 0.3]));
+        assert!(turned.distance_squared([0.0, 0.7]) < 1e-12);
+        assert!((at(0.0, 0.0).distance_squared([0.5, 0.25]) - 2.0).abs() < 1e-12);
     }
 
     #[test]

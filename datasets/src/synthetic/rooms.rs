@@ -18,9 +18,10 @@ pub struct SyntheticRooms {
 impl SyntheticRooms {
     /// The first `count` rooms of a seed. Of the settings, `seed` is replaced and `room` is where
     /// the numbering starts; room `i` depends on the seed and `i` only, not on `count`.
-    pub fn new(count: usize, settings: SyntheticRoomSettings, seed: u64) -> Self {
+    pub fn new(count: usize, mut settings: SyntheticRoomSettings, seed: u64) -> Self {
         let ids = (0..count).map(|i| format!("room-{i:06}")).collect();
-        Self { ids, settings: SyntheticRoomSettings { seed, ..settings }, vocabulary: None }
+        settings.seed = seed;
+        Self { ids, settings, vocabulary: None }
     }
 
     /// Gives every Gaussian of an object its feature in the vocabulary: class, groups and colour.

@@ -220,7 +220,8 @@ impl Rows {
 
 /// Less light under and beside what stands on a floor.
 fn contact([x, y, _]: V3, shadows: &[Footprint]) -> f64 {
-    if shadows.iter().any(|f| f.covers([x, y])) { 0.72 } else { 1.0 }
+    let nearest = shadows.iter().fold(1.0, |d: f64, f| d.min(f.distance_squared([x, y])));
+    0.68 + 0.32 * nearest
 }
 
 /// As `from_points` makes them: a disc as wide as the spacing, a tenth as thick.

@@ -37,7 +37,16 @@ pub(crate) fn base_unit(style: &Style, wide: f64, has_sink: bool, rng: &mut Samp
     let (x, y) = (wide / 2.0, style.deep / 2.0);
     let high = style.high;
     let mut model = Model::new(ClassId::KitchenCabinet, style.color, 1.4);
-    model.block([-x, -y, 0.1], [x, y - 0.03, high - 0.04], style.front);
+    if has_sink {
+        // Open above, so that the basin is seen and not a lid under it.
+        let (low, rim) = (high - 0.25, high - 0.04);
+        model.block([-x, -y, 0.1], [x, y - 0.03, low], style.front);
+        model.block([-x, y - 0.05, low], [x, y - 0.03, rim], style.front);
+        model.block([-x, -y, low], [-x + 0.02, y - 0.05, rim], style.front);
+        model.block([x - 0.02, -y, low], [x, y - 0.05, rim], style.front);
+    } else {
+        model.block([-x, -y, 0.1], [x, y - 0.03, high - 0.04], style.front);
+    }
     model.block([-x, -y, 0.0], [x, y - 0.08, 0.1], style.front.shaded(0.4));
     let span = [-x, x];
     if !has_sink && chance(rng, 0.4) {

@@ -31,7 +31,7 @@ pub(crate) fn tiles(rng: &mut SampleRng) -> Material {
 fn outside(rng: &mut SampleRng) -> Material {
     match whole(rng, 0, 2) {
         0 => Material::new([206.0, 222.0, 240.0], Texture::Sheen(1.2), rng).with_second([250.0; 3]),
-        1 => Material::new([120.0, 150.0, 110.0], Texture::Painting(0.5), rng)
+        1 => Material::new([120.0, 150.0, 110.0], Texture::Sheen(0.35), rng)
             .with_second([196.0, 216.0, 240.0]),
         _ => Material::new([238.0, 240.0, 240.0], Texture::Sheen(0.8), rng)
             .with_second([212.0, 222.0, 236.0]),
