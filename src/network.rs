@@ -69,6 +69,8 @@ impl NetworkConfig {
 /// Where the weights come from.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Weights {
+    /// The network inside the program, see [`crate::embedded`].
+    Embedded,
     /// A `.safetensors`, `.pth` or `.pt` file, or a model folder.
     File(PathBuf),
     /// Values from an integer hash: for tests and benchmarks, without any meaning.
@@ -79,6 +81,9 @@ impl FromStr for Weights {
     type Err = String;
 
     fn from_str(text: &str) -> std::result::Result<Self, String> {
+        if text == crate::embedded::NAME {
+            return Ok(Self::Embedded);
+        }
         match text.strip_prefix("seeded:") {
             Some(seed) => seed
                 .parse()
@@ -128,6 +133,11 @@ impl Network {
     ) -> Result<Self> {
         let (source, files) = match weights {
             Weights::Seeded(seed) => (WeightSource::hashed(*seed, ""), Vec::new()),
+            Weights::Embedded => {
+                let tensors = crate::embedded::tensors();
+                let tensors = tensors.map_err(|e| candle_core::Error::Msg(format!("{e:#}")))?;
+                (WeightSource::tensors(tensors), Vec::new())
+            }
             Weights::File(path) => {
                 let folder = resolve(path)?;
                 let files = folder
@@ -146,8 +156,10 @@ impl Network {
             None => Box::new(LanguageModel::new(&config, store.builder())?),
         };
         let report = store.report();
-        if let Weights::File(path) = weights {
-            report.check(options.policy, &path.display().to_string())?;
+        match weights {
+            Weights::File(path) => report.check(options.policy, &path.display().to_string())?,
+            Weights::Embedded => report.check(LoadPolicy::Strict, crate::embedded::NAME)?,
+            Weights::Seeded(_) => {}
         }
         let meaningless = matches!(weights, Weights::Seeded(_));
         Ok(Self { config, model, report, files, meaningless })

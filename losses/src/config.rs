@@ -9,6 +9,7 @@ use crate::loss::Loss;
 use crate::lovasz::LovaszSoftmax;
 use crate::objective::Objective;
 use crate::rows::Reduction;
+use crate::text_classification::TextClassification;
 use serde::{Deserialize, Serialize};
 
 /// One term of an objective in a configuration file.
@@ -48,6 +49,8 @@ pub enum LossConfig {
     CrossEntropy(CrossEntropyConfig),
     /// [`LovaszSoftmax`]
     LovaszSoftmax(LovaszConfig),
+    /// [`TextClassification`]
+    TextClassification(TextClassificationConfig),
 }
 
 /// Settings of [`CosineLoss`] and [`L2Loss`].
@@ -141,6 +144,47 @@ impl Default for LovaszConfig {
     }
 }
 
+/// Settings of [`TextClassification`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct TextClassificationConfig {
+    /// Weight in the objective; default 1.
+    pub weight: f64,
+    /// τ; default 0.1.
+    pub temperature: f64,
+    /// Weight of the Lovász term; default 1.
+    pub lovasz: f64,
+    /// Share of each target that is spread over all classes, 0..1.
+    pub label_smoothing: f64,
+}
+
+impl Default for TextClassificationConfig {
+    fn default() -> Self {
+        Self { weight: 1.0, temperature: 0.1, lovasz: 1.0, label_smoothing: 0.0 }
+    }
+}
+
+impl TextClassificationConfig {
+    fn build(&self, texts: Option<&TextTable>) -> Result<TextClassification, LossError> {
+        const LOSS: &str = "text_classification";
+        let positive = |v: f64| v > 0.0 && v.is_finite();
+        in_range(LOSS, "temperature", self.temperature, positive, "a finite number above 0")?;
+        let weight = |v: f64| v >= 0.0 && v.is_finite();
+        in_range(LOSS, "lovasz", self.lovasz, weight, "a finite number ≥ 0")?;
+        let share = |v| (0.0..1.0).contains(&v);
+        in_range(LOSS, "label_smoothing", self.label_smoothing, share, "0..1")?;
+        let missing = LossError::Setting {
+            loss: LOSS,
+            setting: "texts",
+            value: "none".to_owned(),
+            expected: "data that come with text embeddings",
+        };
+        let texts = texts.ok_or(missing)?.clone();
+        let Self { temperature, lovasz, label_smoothing, .. } = *self;
+        Ok(TextClassification { texts, temperature, lovasz, label_smoothing })
+    }
+}
+
 impl LossConfig {
     /// Weight in the objective.
     pub fn weight(&self) -> f64 {
@@ -149,6 +193,7 @@ impl LossConfig {
             Self::AggregatedContrastive(c) => c.weight,
             Self::CrossEntropy(c) => c.weight,
             Self::LovaszSoftmax(c) => c.weight,
+            Self::TextClassification(c) => c.weight,
         }
     }
 
@@ -164,6 +209,7 @@ impl LossConfig {
             Self::AggregatedContrastive(c) => Box::new(c.build(texts)?),
             Self::CrossEntropy(c) => Box::new(c.build()?),
             Self::LovaszSoftmax(_) => Box::new(LovaszSoftmax),
+            Self::TextClassification(c) => Box::new(c.build(texts)?),
         })
     }
 }

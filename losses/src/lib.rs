@@ -4,6 +4,7 @@
 //! |---|---|---|
 //! | [`CosineLoss`], [`L2Loss`] | features with target features | [`cosine`], [`l2`] |
 //! | [`AggregatedContrastive`] | features with classes | [`aggregated_contrastive`] |
+//! | [`TextClassification`] | features with labels, by the texts of the classes | cross entropy and Lovász of cosines |
 //! | [`CrossEntropy`], [`LovaszSoftmax`] | logits with labels | [`cross_entropy`], [`lovasz_softmax`] |
 //!
 //! Each is a free function with its settings in a struct that implements [`Loss`]; an [`Objective`]
@@ -37,12 +38,13 @@ mod lovasz;
 mod objective;
 mod rows;
 mod scalar_op;
+mod text_classification;
 mod values;
 mod vector;
 
 pub use config::{
     ClassSourceConfig, ContrastiveConfig, CrossEntropyConfig, LossConfig, LovaszConfig,
-    RowLossConfig, build_objective,
+    RowLossConfig, TextClassificationConfig, build_objective,
 };
 pub use contrastive::{
     AggregatedContrastive, ClassHalves, ClassSource, Schedule, TextTable, aggregated_contrastive,
@@ -56,4 +58,5 @@ pub use loss::{IGNORE, Loss, LossInput};
 pub use lovasz::{LovaszSoftmax, lovasz_softmax};
 pub use objective::{Objective, ObjectiveOutput, OffTerm, Term};
 pub use rows::Reduction;
+pub use text_classification::TextClassification;
 pub use values::first_not_finite;

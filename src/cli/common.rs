@@ -27,8 +27,9 @@ pub struct Shared {
     /// Network: language, semseg, tiny or a .toml file; from the weights' folder if it has one.
     #[arg(long, value_name = "NAME|FILE")]
     pub config: Option<NetworkConfig>,
-    /// Checkpoint, model folder, or seeded:N for values without meaning.
-    #[arg(long, value_name = "PATH|seeded:N")]
+    /// Checkpoint, model folder, seeded:N for values without meaning, or embedded, the small network
+    /// inside the program, which is the default if no --config is given either.
+    #[arg(long, value_name = "PATH|seeded:N|embedded")]
     pub weights: Option<Weights>,
     /// Threads; all cores by default. Results do not depend on it.
     #[arg(long, value_name = "N")]
@@ -73,6 +74,31 @@ pub struct SourceArgs {
     /// Level of detail of a streamed scene, 0 = finest.
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub lod: usize,
+}
+
+impl Shared {
+    /// The weights, given or by default.
+    ///
+    /// # Errors
+    /// If a configuration is given without weights.
+    pub fn weights(&self) -> Result<Weights> {
+        match (&self.weights, &self.config) {
+            (Some(weights), _) => Ok(weights.clone()),
+            (None, None) => Ok(Weights::Embedded),
+            (None, Some(_)) => Err(WrongUse(
+                "--config needs --weights: give a checkpoint, or seeded:0 to try the program \
+                 without one (its labels mean nothing then); without both, the small network inside \
+                 the program is used"
+                    .to_owned(),
+            )
+            .into()),
+        }
+    }
+
+    /// Whether the network inside the program is used, whose texts are its own vocabulary.
+    pub fn is_embedded(&self) -> bool {
+        matches!((&self.weights, &self.config), (Some(Weights::Embedded), _) | (None, None))
+    }
 }
 
 impl SourceArgs {
@@ -293,14 +319,11 @@ impl<'a> Session<'a> {
     /// Builds the network.
     pub fn network(&self, inference: &Inference) -> Result<Network> {
         let stage = self.receipt.stage("weights");
-        let Some(weights) = &self.shared.weights else {
-            return Err(WrongUse(
-                "--weights is missing: give a checkpoint, or seeded:0 to try the program without \
-                 one (its labels mean nothing then)"
-                    .to_owned(),
-            )
-            .into());
-        };
+        let weights = &self.shared.weights()?;
+        if *weights == Weights::Embedded && self.shared.config.is_some() {
+            let text = "--config: the network inside the program has its own; leave it out";
+            return Err(WrongUse(text.to_owned()).into());
+        }
         let beside = match (&self.shared.config, weights) {
             (None, Weights::File(path)) => config_beside(path)?,
             _ => None,
@@ -308,6 +331,7 @@ impl<'a> Session<'a> {
         let config = match (&self.shared.config, beside) {
             (Some(config), _) => config.resolve()?,
             (None, Some(config)) => config,
+            (None, None) if *weights == Weights::Embedded => crate::embedded::config()?,
             (None, None) => NetworkConfig::Language.resolve()?,
         };
         let precision = inference.precision;
@@ -340,6 +364,14 @@ impl<'a> Session<'a> {
                 self.progress.say(format!("*** {text} ***"));
                 self.receipt.warning(text);
                 self.receipt.setting("weights", format!("seeded:{seed}"), "values from a hash");
+            }
+            Weights::Embedded => {
+                self.progress.say(
+                    "weights: the small network inside the program, trained on synthetic rooms \
+                     (its card: assets/embedded/README.md)",
+                );
+                let sha256 = crate::embedded::sha256();
+                self.receipt.setting("weights", crate::embedded::NAME, &sha256);
             }
             Weights::File(_) => self.progress.say(format!("weights: {}", network.report())),
         }
@@ -397,7 +429,6 @@ impl<'a> Session<'a> {
         }
         let opened = self.open(path, inference)?;
         let Some(code) = &opened.loaded.scene.lang_code else {
-            // Says that the weights are missing.
             return self.network(inference).map(|n| (opened, FeatureSource::Network(Box::new(n))));
         };
         if let Some(flag) = inference.network_flag() {

@@ -80,6 +80,16 @@ impl TextTable {
         self.columns.dims()[1]
     }
 
+    /// Width of a text.
+    pub fn width(&self) -> usize {
+        self.columns.dims()[0]
+    }
+
+    /// The rows as columns. `[D, C]` f32
+    pub(crate) fn columns(&self) -> &Tensor {
+        &self.columns
+    }
+
     /// Never: a table without a class cannot be made.
     pub fn is_empty(&self) -> bool {
         self.len() == 0

@@ -1,0 +1,76 @@
+//! The network inside the program: small, trained on synthetic rooms, with a vocabulary of its own.
+//!
+//! What it is, what it was trained on and what it cannot do stands in `assets/embedded/README.md`.
+
+use anyhow::{Context, Result};
+use candle_core::Tensor;
+use scenesplat_datasets::synthetic::Vocabulary;
+use scenesplat_models::PointTransformerV3Config;
+use std::collections::BTreeMap;
+
+const WEIGHTS: &[u8] = include_bytes!("../assets/embedded/model.safetensors");
+const CONFIG: &str = include_str!("../assets/embedded/config.json");
+
+/// Name that receipts and messages give it.
+pub const NAME: &str = "embedded";
+
+/// Its shape.
+///
+/// # Errors
+/// If the program was built with a broken file.
+pub fn config() -> Result<PointTransformerV3Config> {
+    serde_json::from_str(CONFIG).context("assets/embedded/config.json")
+}
+
+/// Its values by name, in the types they are stored in.
+///
+/// # Errors
+/// If the program was built with a broken file.
+pub fn tensors() -> Result<BTreeMap<String, Tensor>> {
+    let tensors = candle_core::safetensors::load_buffer(WEIGHTS, &candle_core::Device::Cpu)
+        .context("assets/embedded/model.safetensors")?;
+    Ok(tensors.into_iter().collect())
+}
+
+/// The words it was trained with: its text side, which is no text encoder.
+///
+/// # Errors
+/// If the network is narrower than a vocabulary can be.
+pub fn vocabulary() -> Result<Vocabulary> {
+    let config = config()?;
+    Ok(Vocabulary::new(config.projection.unwrap_or_else(|| config.out_channels()))?)
+}
+
+/// SHA-256 of the weights, hexadecimal.
+pub fn sha256() -> String {
+    use sha2::Digest;
+    sha2::Sha256::digest(WEIGHTS).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// Bytes of the weights as they are stored.
+pub fn stored_bytes() -> usize {
+    WEIGHTS.len()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Network, WeightOptions, Weights};
+
+    #[test]
+    fn it_is_whole_and_small() {
+        let network =
+            Network::load(config().unwrap(), &Weights::Embedded, WeightOptions::default()).unwrap();
+        assert!(network.report().is_complete(), "{}", network.report());
+        assert!(stored_bytes() <= 8_000_000, "{}", stored_bytes());
+        assert_eq!(network.model().out_channels(), vocabulary().unwrap().dim());
+        assert!(!network.is_meaningless());
+        let finite = |t: &Tensor| {
+            let t = t.to_dtype(candle_core::DType::F32).unwrap().flatten_all().unwrap();
+            t.to_vec1::<f32>().unwrap().iter().all(|v| v.is_finite())
+        };
+        for (name, tensor) in tensors().unwrap() {
+            assert!(finite(&tensor), "{name}");
+        }
+    }
+}
