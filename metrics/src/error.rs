@@ -83,6 +83,16 @@ pub enum MetricError {
         /// The coordinate found, metres.
         value: [f32; 3],
     },
+    /// A value of a feature row is NaN or infinite.
+    #[error("features[{row}, {channel}] is {value}, expected a finite number")]
+    NonFiniteFeature {
+        /// Row of the features.
+        row: usize,
+        /// Its first offending channel.
+        channel: usize,
+        /// The value found.
+        value: f32,
+    },
     /// More rows than a 32-bit row number can tell apart.
     #[error("{what}: {rows} rows, at most {max} are supported")]
     TooManyRows {

@@ -49,6 +49,7 @@
 //! # Ok::<(), scenesplat_metrics::MetricError>(())
 //! ```
 
+mod collapse;
 mod confusion_matrix;
 mod error;
 mod instance_vote;
@@ -66,6 +67,7 @@ mod text_table;
 mod voting;
 mod zero_shot;
 
+pub use collapse::{Collapse, collapse};
 pub use confusion_matrix::ConfusionMatrix;
 pub use error::MetricError;
 pub use instance_vote::instance_vote;
