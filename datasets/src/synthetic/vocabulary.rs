@@ -76,8 +76,7 @@ pub struct Targets {
 /// Vectors of the known words.
 ///
 /// ```
-/// use scenesplat_datasets::Vocabulary;
-/// use scenesplat_datasets::synthetic::{ClassId, ColorName};
+/// use scenesplat_datasets::synthetic::{ClassId, ColorName, Vocabulary};
 ///
 /// let vocabulary = Vocabulary::new(64)?;
 /// let query = vocabulary.embed("red chairs")?;
