@@ -174,8 +174,7 @@ fn rooms_of_points_are_as_converted_points() {
         ratios.sort_by(f32::total_cmp);
         let median = ratios[ratios.len() / 2].exp();
         let factors = [1.0_f32, 0.8, 0.62, 0.5, 0.37, 0.25];
-        // The converter finds neighbours on other surfaces too, so its spacing is a little smaller.
-        let is_near = factors.iter().any(|f| (0.95..1.25).contains(&(median / f)));
+        let is_near = factors.iter().any(|f| (0.89..1.11).contains(&(median / f)));
         assert!(is_near, "{median}");
         for row in 0..room.scene.len() {
             let ours = room.scene.log_scale[row];
