@@ -7,7 +7,7 @@ use scenesplat_datasets::{
     ExactPlan, FastPlan, InferencePlan, NetworkInput, TileSettings, sample_rng, split_into_tiles,
 };
 use scenesplat_models::ops::normalize_rows;
-use scenesplat_models::{Forward, Mode, Orders, PointCloud, PointTransformerV3Config};
+use scenesplat_models::{Forward, Orders, PointCloud, PointTransformerV3Config};
 use scenesplat_scene::GaussianScene;
 use std::fs::File;
 use std::ops::Range;
@@ -97,7 +97,7 @@ pub struct SceneEncoder<'a> {
     pub network: &'a Network,
     /// Which Gaussians are read.
     pub fidelity: Fidelity,
-    /// Size of the network's voxels, metres; the released networks were trained at 0.02.
+    /// Size of the network's voxels, metres; by default the one it was trained at.
     pub grid_size: f64,
     /// Limit for the whole process, bytes; larger scenes go through tiles.
     pub max_memory: Option<u64>,
@@ -147,7 +147,7 @@ impl<'a> SceneEncoder<'a> {
         Self {
             network,
             fidelity: Fidelity::Fast,
-            grid_size: 0.02,
+            grid_size: network.config().grid_size,
             max_memory: None,
             halo: 50,
             shuffle_orders: None,
@@ -274,8 +274,7 @@ impl<'a> SceneEncoder<'a> {
                 candle_core::Error::Msg("stopped".to_owned())
             })
         };
-        let mut cx =
-            Forward { mode: Mode::Eval, rng: &mut rng, orders, observer: Some(&mut observer) };
+        let mut cx = Forward { orders, observer: Some(&mut observer), ..Forward::eval(&mut rng) };
         let out = self.network.model().forward(&points, &mut cx);
         if let Some(error) = stopped {
             return Err(error);

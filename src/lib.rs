@@ -37,11 +37,13 @@ pub mod principal;
 pub mod progress;
 pub mod receipt;
 pub mod text;
+pub mod training;
 
 pub use inference::{EncodeError, SceneEncoder, SceneFeatures};
 pub use network::{Network, NetworkConfig, WeightOptions, Weights};
 pub use scenesplat_datasets as datasets;
 pub use scenesplat_kernels as kernels;
+pub use scenesplat_losses as losses;
 pub use scenesplat_metrics as metrics;
 pub use scenesplat_models as models;
 pub use scenesplat_scene as scene;

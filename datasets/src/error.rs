@@ -2,6 +2,7 @@
 
 use scenesplat_kernels::grid_sample::GridSampleError;
 use scenesplat_scene::SceneError;
+use std::path::PathBuf;
 
 /// Why data cannot become network input. Every variant says where, what and how to mend it.
 #[derive(Debug, thiserror::Error)]
@@ -64,6 +65,57 @@ pub enum DataError {
         /// Length found.
         got: usize,
     },
+    /// A sample could not be made of a scene.
+    #[error("scene {id}")]
+    Sample {
+        /// Id of the scene.
+        id: String,
+        /// What is wrong with it.
+        #[source]
+        source: Box<DataError>,
+    },
+    /// Making a sample panicked: a bug, in a source or a transform.
+    #[error("scene {id}: reading or changing it panicked: {message} (a bug; please report it)")]
+    Panicked {
+        /// Id of the scene.
+        id: String,
+        /// The message of the panic.
+        message: String,
+    },
+    /// A folder of scenes that a split is made of is not there.
+    #[error(
+        "{}: has no folder {folder}; it has {} (name others in `folders`, or cut the scenes into \
+         chunks with `scenesplat chunk`)",
+        root.display(),
+        if there.is_empty() { "none" } else { there }
+    )]
+    NoSplit {
+        /// Where it was looked for.
+        root: PathBuf,
+        /// The folder.
+        folder: String,
+        /// The folders there are, separated by commas.
+        there: String,
+    },
+    /// Nothing is known of the classes of a benchmark.
+    #[error(
+        "the names of the classes of {benchmark} do not come with the program (give a file with one \
+         name a line, in the order of the labels, as `class_names`)"
+    )]
+    NoClassNames {
+        /// Name of the benchmark.
+        benchmark: &'static str,
+    },
+    /// A step of a pipeline needs what an earlier step makes.
+    #[error("{step}: the sample has no {missing} ({mend})")]
+    Missing {
+        /// The step.
+        step: &'static str,
+        /// What it needs.
+        missing: &'static str,
+        /// What to do.
+        mend: &'static str,
+    },
     /// A setting outside its range.
     #[error("{setting}: {value} is not allowed, expected {expected}")]
     Setting {
@@ -74,6 +126,25 @@ pub enum DataError {
         /// What is allowed.
         expected: &'static str,
     },
+}
+
+impl DataError {
+    /// Says of which scene this is, unless it does already.
+    pub(crate) fn in_scene(self, id: &str) -> Self {
+        match self {
+            Self::Scene { .. } | Self::Sample { .. } | Self::Panicked { .. } => self,
+            other => Self::Sample { id: id.to_owned(), source: Box::new(other) },
+        }
+    }
+}
+
+/// A [`DataError::Setting`].
+pub(crate) fn bad_setting(
+    setting: &'static str,
+    value: impl std::fmt::Display,
+    expected: &'static str,
+) -> DataError {
+    DataError::Setting { setting, value: value.to_string(), expected }
 }
 
 impl From<SceneError> for DataError {

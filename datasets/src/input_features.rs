@@ -1,6 +1,6 @@
 //! What the network reads of a Gaussian.
 
-use crate::DataError;
+use crate::{DataError, Sample};
 use rayon::prelude::*;
 use scenesplat_scene::GaussianScene;
 use serde::{Deserialize, Serialize};
@@ -88,15 +88,7 @@ impl InputFeatures {
         if self.channels.contains(&InputChannel::Normal) && scene.normal.is_none() {
             return Err(DataError::NoNormals);
         }
-        if let Some([low, high]) = self.scale_clip
-            && (low.is_nan() || high.is_nan() || low > high)
-        {
-            return Err(DataError::Setting {
-                setting: "scale_clip",
-                value: format!("[{low}, {high}]"),
-                expected: "a lower and an upper limit in metres",
-            });
-        }
+        self.check()?;
         let width = self.width();
         let mut feat = vec![0.0; rows.len() * width];
         if width == 0 {
@@ -113,6 +105,69 @@ impl InputFeatures {
         match feat.par_iter().position_first(|v| !v.is_finite()) {
             None => Ok(feat),
             Some(at) => Err(self.not_finite(rows[at / width] as usize, at % width, feat[at])),
+        }
+    }
+
+    /// Input rows of all Gaussians of a sample; of a scene that no transform has changed, the same
+    /// as [`rows`](Self::rows), bit for bit.
+    ///
+    /// # Shapes
+    /// - returns: `[N, width]` row-major
+    ///
+    /// # Errors
+    /// As [`rows`](Self::rows).
+    pub fn sample_rows(&self, sample: &Sample) -> Result<Vec<f32>, DataError> {
+        sample.check()?;
+        if self.channels.contains(&InputChannel::Normal) && sample.normal.is_none() {
+            return Err(DataError::NoNormals);
+        }
+        self.check()?;
+        let width = self.width();
+        let mut feat = vec![0.0; sample.len() * width];
+        if width == 0 {
+            return Ok(feat);
+        }
+        let [low, high] = self.scale_clip.unwrap_or([f32::NEG_INFINITY, f32::INFINITY]);
+        feat.par_chunks_exact_mut(width).enumerate().with_min_len(4096).for_each(|(row, out)| {
+            let mut at = 0;
+            for &channel in &self.channels {
+                let end = at + channel.width();
+                let out = &mut out[at..end];
+                match channel {
+                    InputChannel::Color => {
+                        out.copy_from_slice(&sample.color[row].map(|c| c / 127.5 - 1.0));
+                    }
+                    InputChannel::Opacity => out[0] = sample.opacity[row],
+                    InputChannel::Quat => out.copy_from_slice(&sample.quat[row]),
+                    InputChannel::Scale => {
+                        out.copy_from_slice(&sample.scale[row].map(|s| s.clamp(low, high)));
+                    }
+                    InputChannel::Normal => {
+                        if let Some(normal) = &sample.normal {
+                            out.copy_from_slice(&normal[row]);
+                        }
+                    }
+                }
+                at = end;
+            }
+        });
+        match feat.par_iter().position_first(|v| !v.is_finite()) {
+            None => Ok(feat),
+            Some(at) => Err(self.not_finite(at / width, at % width, feat[at])),
+        }
+    }
+
+    /// Checks the limits.
+    fn check(&self) -> Result<(), DataError> {
+        match self.scale_clip {
+            Some([low, high]) if low.is_nan() || high.is_nan() || low > high => {
+                Err(DataError::Setting {
+                    setting: "scale_clip",
+                    value: format!("[{low}, {high}]"),
+                    expected: "a lower and an upper limit in metres",
+                })
+            }
+            _ => Ok(()),
         }
     }
 
@@ -174,6 +229,31 @@ mod tests {
         assert!((feat[8] - 0.01).abs() < 1e-8);
         assert_eq!(feat[9..11], [1.5, 0.0]);
         assert_eq!(feat[14], 0.5);
+    }
+
+    #[test]
+    fn samples_give_the_rows_of_their_scene() {
+        use InputChannel::{Color, Normal, Opacity, Quat, Scale};
+        let mut scene = scene();
+        scene.normal = Some(vec![[0.0, 0.6, 0.8], [1.0, 0.0, 0.0]]);
+        let sample = Sample::from_scene("a", scene.clone());
+        for scale_clip in [Some([0.0, 1.5]), Some([0.02, 0.5]), None] {
+            let channels = vec![Normal, Scale, Color, Quat, Opacity];
+            let features = InputFeatures { channels, scale_clip };
+            let bits = |rows: Vec<f32>| rows.into_iter().map(f32::to_bits).collect::<Vec<_>>();
+            let expected = bits(features.rows(&scene, &[0, 1]).unwrap());
+            assert_eq!(bits(features.sample_rows(&sample).unwrap()), expected);
+        }
+        let mut broken = sample.clone();
+        broken.opacity.pop();
+        assert!(InputFeatures::default().sample_rows(&broken).is_err());
+        broken = sample;
+        broken.color[1][0] = f32::NAN;
+        let error = InputFeatures::default().sample_rows(&broken).unwrap_err();
+        assert!(matches!(error, DataError::NotFinite { row: 1, field: "colour", .. }), "{error}");
+        broken.normal = None;
+        let features = InputFeatures { channels: vec![Normal], scale_clip: None };
+        assert!(matches!(features.sample_rows(&broken), Err(DataError::NoNormals)));
     }
 
     #[test]

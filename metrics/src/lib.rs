@@ -49,6 +49,7 @@
 //! # Ok::<(), scenesplat_metrics::MetricError>(())
 //! ```
 
+pub mod collapse;
 mod confusion_matrix;
 mod error;
 mod instance_vote;

@@ -63,7 +63,7 @@ fn language(c: &mut Criterion) {
 }
 
 fn segmentation(c: &mut Criterion) {
-    let mut sizes = vec![10_000, 100_000];
+    let mut sizes = vec![10_000, 20_000, 100_000, 400_000];
     if free_memory().is_none_or(|free| free >= MILLION_BYTES) {
         sizes.push(1_000_000);
     } else {

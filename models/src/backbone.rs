@@ -2,6 +2,7 @@
 
 use crate::point_cloud::PointCloud;
 use crate::point_transformer_v3::{PointTransformerV3, PointTransformerV3Config};
+use crate::recompute::Recompute;
 use crate::{layers::Linear, ops};
 use candle_core::{Result, Tensor, bail};
 use candle_nn::VarBuilder;
@@ -44,17 +45,19 @@ pub struct Forward<'a> {
     pub orders: Orders,
     /// Sees features on their way, with rows in the order of the network's inside.
     pub observer: Option<&'a mut Observer<'a>>,
+    /// Keeps the inputs of blocks only and computes the rest again in the backward pass.
+    pub recompute: Option<Recompute>,
 }
 
 impl<'a> Forward<'a> {
     /// Deterministic, orders as listed.
     pub fn eval(rng: &'a mut ChaCha8Rng) -> Self {
-        Self { mode: Mode::Eval, rng, orders: Orders::Listed, observer: None }
+        Self { mode: Mode::Eval, rng, orders: Orders::Listed, observer: None, recompute: None }
     }
 
     /// Training, with shuffled orders.
     pub fn train(rng: &'a mut ChaCha8Rng) -> Self {
-        Self { mode: Mode::Train, rng, orders: Orders::Shuffled, observer: None }
+        Self { mode: Mode::Train, rng, orders: Orders::Shuffled, observer: None, recompute: None }
     }
 
     pub(crate) fn observe(&mut self, name: &str, feat: &Tensor) -> Result<()> {
@@ -79,10 +82,14 @@ pub trait Backbone: Send + Sync {
 /// A backbone whose last features, at unit length, are the language embedding.
 pub struct LanguageModel {
     backbone: PointTransformerV3,
+    /// To the width of the texts, where the backbone is narrower.
+    projection: Option<Linear>,
+    width: usize,
 }
 
 impl LanguageModel {
-    /// Builds the network; parameters have the backbone's names.
+    /// Builds the network; parameters have the backbone's names, those of a projection are
+    /// `projection.*`.
     ///
     /// # Errors
     /// If the configuration has a segmentation head, or parameters exist with another shape.
@@ -90,17 +97,25 @@ impl LanguageModel {
         if config.num_classes.is_some() {
             bail!("num_classes: a language network has no classifier; build a SemanticSegmenter");
         }
-        Ok(Self { backbone: PointTransformerV3::new(config, vb)? })
+        let backbone = PointTransformerV3::new(config, vb.clone())?;
+        let (narrow, vb) = (backbone.out_channels(), vb.pp("projection"));
+        let wide = |n| Linear::with(config.compute, narrow, n, true, vb);
+        let projection = config.projection.map(wide).transpose()?;
+        Ok(Self { width: config.projection.unwrap_or(narrow), backbone, projection })
     }
 }
 
 impl Backbone for LanguageModel {
     /// Unit rows, except that a zero row stays zero.
     fn forward(&self, points: &PointCloud, cx: &mut Forward<'_>) -> Result<Tensor> {
-        ops::l2_normalize(&self.backbone.forward(points, cx)?)
+        let mut feat = self.backbone.forward(points, cx)?;
+        if let Some(projection) = &self.projection {
+            feat = projection.forward(&feat)?;
+        }
+        ops::l2_normalize(&feat)
     }
     fn out_channels(&self) -> usize {
-        self.backbone.out_channels()
+        self.width
     }
 }
 

@@ -20,6 +20,7 @@ pub mod ops;
 pub mod params;
 mod point_cloud;
 pub mod point_transformer_v3;
+mod recompute;
 pub mod weights;
 
 pub use backbone::{Backbone, Forward, LanguageModel, Mode, Orders, SemanticSegmenter};
@@ -27,3 +28,4 @@ pub use compute::Compute;
 pub use params::{LoadPolicy, LoadReport, ParamStore};
 pub use point_cloud::PointCloud;
 pub use point_transformer_v3::{PointTransformerV3, PointTransformerV3Config};
+pub use recompute::Recompute;

@@ -212,6 +212,43 @@ impl ParamStore {
         }
     }
 
+    /// Sets all variables, parameters and buffers, to the values of a file that
+    /// [`save`](Self::save) wrote.
+    ///
+    /// # Errors
+    /// If the store is frozen, the file cannot be read, or its names or shapes are not exactly those
+    /// of the store; nothing has changed then.
+    pub fn restore(&self, path: &Path) -> Result<()> {
+        let inner = self.lock();
+        if !inner.trainable {
+            bail!("a frozen store keeps no values to restore");
+        }
+        let place =
+            |problem: String| candle_core::Error::Msg(format!("{}: {problem}", path.display()));
+        let mut stored =
+            candle_core::safetensors::load(path, &Device::Cpu).map_err(|e| place(e.to_string()))?;
+        let mut values = Vec::with_capacity(inner.variables.len());
+        for (name, var) in &inner.variables {
+            let Some(value) = stored.remove(name) else {
+                return Err(place(format!("has no {name}, which the network has")));
+            };
+            if value.dims() != var.dims() || value.dtype() != var.dtype() {
+                return Err(place(format!(
+                    "{name} is {:?} {:?}, the network's is {:?} {:?}",
+                    value.dtype(),
+                    value.dims(),
+                    var.dtype(),
+                    var.dims()
+                )));
+            }
+            values.push(value);
+        }
+        if let Some(name) = stored.keys().min() {
+            return Err(place(format!("has {name}, which the network has not")));
+        }
+        inner.variables.values().zip(&values).try_for_each(|(var, value)| var.set(value))
+    }
+
     /// Writes all variables, parameters and buffers, to a safetensors file, under their names.
     ///
     /// Written beside and renamed, so a crash leaves no half file.

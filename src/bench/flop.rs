@@ -71,7 +71,8 @@ pub(super) fn count(
             rest += depth * block(dec[stage], config.dec_patch_size[stage])?;
         }
     }
-    let head = config.num_classes.map_or(0, |classes| 2 * n * config.out_channels() * classes);
+    let head = config.num_classes.or(config.projection);
+    let head = head.map_or(0, |classes| 2 * n * config.out_channels() * classes);
     Ok(Flop { stem: stem as u64, rest: (rest + head) as u64 })
 }
 

@@ -118,9 +118,9 @@ pub struct Inference {
     /// tiles); bf16 (rounded to 8 bits; about twice as fast with AVX512-BF16).
     #[arg(long, value_name = "f32|split|bf16", default_value_t = Precision::F32)]
     pub precision: Precision,
-    /// Voxel size, metres; the released networks were trained at 0.02.
-    #[arg(long, value_name = "M", default_value_t = 0.02)]
-    pub grid_size: f64,
+    /// Voxel size, metres; by default the one that the network was trained at.
+    #[arg(long, value_name = "M")]
+    pub grid_size: Option<f64>,
     /// Limit for the whole process (8GB, 512MB); larger scenes go through overlapping tiles.
     #[arg(long, value_name = "SIZE")]
     pub max_memory: Option<Bytes>,
@@ -153,7 +153,7 @@ impl Inference {
         let flags = [
             (self.exact, "--exact"),
             (self.precision != Precision::F32, "--precision"),
-            (self.grid_size != 0.02, "--grid-size"),
+            (self.grid_size.is_some(), "--grid-size"),
             (self.max_memory.is_some(), "--max-memory"),
             (self.halo != 50, "--halo"),
             (self.shuffle_orders, "--shuffle-orders"),
@@ -439,13 +439,14 @@ impl<'a> Session<'a> {
         inference: &Inference,
     ) -> Result<SceneFeatures> {
         let stage = self.receipt.stage("network");
-        if !(inference.grid_size.is_finite() && inference.grid_size > 0.0) {
-            let text = format!("--grid-size {}: must be above 0", inference.grid_size);
+        let grid_size = inference.grid_size.unwrap_or(network.config().grid_size);
+        if !(grid_size.is_finite() && grid_size > 0.0) {
+            let text = format!("--grid-size {grid_size}: must be above 0");
             return Err(WrongUse(text).into());
         }
         let encoder = SceneEncoder {
             fidelity: if inference.exact { Fidelity::Exact } else { Fidelity::Fast },
-            grid_size: inference.grid_size,
+            grid_size,
             max_memory: inference.max_memory.map(|b| b.0),
             halo: inference.halo,
             shuffle_orders: inference.shuffle_orders.then_some(self.shared.seed),

@@ -1,6 +1,7 @@
 //! The commands of the program. Exit codes: 0 done, 1 failed, 2 wrong use.
 
 mod bench;
+mod chunk;
 mod common;
 mod convert;
 mod evaluate;
@@ -8,6 +9,7 @@ mod features;
 mod inspect;
 mod query;
 mod segment;
+mod train;
 mod weights;
 
 use clap::{Parser, Subcommand};
@@ -36,6 +38,10 @@ enum Command {
     Evaluate(evaluate::Args),
     /// Writes a scene in another format, whole or in part.
     Convert(convert::Args),
+    /// Trains a network as a file says.
+    Train(train::Args),
+    /// Cuts scenes into overlapping squares for training.
+    Chunk(chunk::Args),
     /// Says what is in a checkpoint and which network it fits.
     Weights(weights::Args),
     /// Measures the speed of this machine.
@@ -67,6 +73,8 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Query(args) => query::run(args, &line),
         Command::Evaluate(args) => evaluate::run(args, &line),
         Command::Convert(args) => convert::run(args),
+        Command::Train(args) => train::run(args),
+        Command::Chunk(args) => chunk::run(args),
         Command::Weights(args) => weights::run(args, &line),
         Command::Bench(args) => bench::run(args),
     };

@@ -99,7 +99,8 @@ pub fn estimate(
         + v * (12 + 4 * config.in_channels + 8) as f64
         + n * 8.0
         + 4.0 * config.num_values() as f64
-        + v * 4.0 * config.num_classes.unwrap_or(config.out_channels()) as f64
+        + v * 4.0
+            * config.num_classes.or(config.projection).unwrap_or(config.out_channels()) as f64
         + v * config.inference_bytes_per_voxel() as f64
         + FIXED_BYTES;
     Estimate {

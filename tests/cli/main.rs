@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
 mod bench;
+mod chunk;
 mod commands;
 mod convert;
 mod hostile;

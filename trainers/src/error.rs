@@ -71,6 +71,88 @@ pub enum TrainError {
         /// "missing", "unknown" or "negative".
         problem: &'static str,
     },
+    /// Something failed in a step.
+    #[error("step {step}, scenes {}{}", scenes.join(", "), hints(suspects))]
+    Step {
+        /// Optimizer steps done before.
+        step: u64,
+        /// Scenes of its batches.
+        scenes: Vec<String>,
+        /// What in the batches is not finite; empty if the data are.
+        suspects: Vec<String>,
+        /// What failed.
+        #[source]
+        source: Box<TrainError>,
+    },
+    /// Model or loss failed.
+    #[error("forward or backward pass")]
+    Forward {
+        /// Why.
+        #[source]
+        source: candle_core::Error,
+    },
+    /// A loss has become NaN or infinite.
+    #[error("{term} is {value}: lower the learning rate, clip gradients, or look at the data")]
+    NonFiniteLoss {
+        /// Which term of the loss, or "loss" if each term is finite.
+        term: String,
+        /// Its value.
+        value: f64,
+    },
+    /// No gradient reaches some parameters.
+    #[error(
+        "no gradient reaches {}: an operation on the way has none, or the parameters are not used \
+         (then name them in `idle`)",
+        names.join(", ")
+    )]
+    DeadParameters {
+        /// Which.
+        names: Vec<String>,
+    },
+    /// The data end before the epoch does.
+    #[error("epoch {epoch} has fewer than {expected} batches")]
+    ShortEpoch {
+        /// Which epoch.
+        epoch: u64,
+        /// Batches that were needed at least.
+        expected: u64,
+    },
+    /// A scene that shall be evaluated on has no labels.
+    #[error("scene {scene} has no labels to evaluate on")]
+    NoLabels {
+        /// Which.
+        scene: String,
+    },
+    /// A checkpoint belongs to another run.
+    #[error(
+        "the checkpoint cannot be continued: {field} was {expected} and is {got}; set it back, or \
+         start a new run from its params.safetensors"
+    )]
+    Resume {
+        /// Which setting.
+        field: &'static str,
+        /// Its value in the checkpoint.
+        expected: String,
+        /// Its value now.
+        got: String,
+    },
+    /// A file of the run.
+    #[error("{action} {}", path.display())]
+    Io {
+        /// Which file or folder.
+        path: std::path::PathBuf,
+        /// What was tried, e.g. "cannot write".
+        action: &'static str,
+        /// Why.
+        #[source]
+        source: std::io::Error,
+    },
+    /// Data.
+    #[error(transparent)]
+    Data(#[from] scenesplat_datasets::DataError),
+    /// A metric.
+    #[error(transparent)]
+    Metric(#[from] scenesplat_metrics::MetricError),
     /// A setting lies outside its range.
     #[error("{field} is {value}, expected {expected}")]
     Setting {
@@ -84,10 +166,23 @@ pub enum TrainError {
 }
 
 impl TrainError {
+    /// Adds where it happened. `suspects`: what in the batch is not finite.
+    pub(crate) fn in_step(self, step: u64, scenes: Vec<String>, suspects: Vec<String>) -> Self {
+        match self {
+            // Says itself what is missing where.
+            Self::Data(_) | Self::ShortEpoch { .. } | Self::DeadParameters { .. } => self,
+            source => Self::Step { step, scenes, suspects, source: Box::new(source) },
+        }
+    }
+
     /// For `map_err`: names the parameter of a failed tensor operation.
     pub(crate) fn tensor(name: &str) -> impl Fn(candle_core::Error) -> Self + '_ {
         move |source| Self::Tensor { name: name.to_owned(), source }
     }
+}
+
+fn hints(suspects: &[String]) -> String {
+    if suspects.is_empty() { String::new() } else { format!(" ({})", suspects.join("; ")) }
 }
 
 /// Checks a setting against a range.

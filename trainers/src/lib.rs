@@ -1,4 +1,4 @@
-//! How parameters change: AdamW, gradient clipping, schedules, moving averages.
+//! Training: the loop, what plugs into it, and how parameters change.
 //!
 //! The parts of a training run that decide the numbers, each a plain value or a pure function:
 //!
@@ -8,7 +8,9 @@
 //!   to save and a resumed run needs no replay;
 //! - [`ema_update`] for teacher networks.
 //!
-//! A loop that calls them, with checkpoints, callbacks and evaluators, is not in this crate yet.
+//! The loop that calls them is [`Trainer::fit`]. It takes a [`TrainingModule`] (a model and how it
+//! learns, see [`tasks`]), a loader of batches, and [`Evaluator`]s; [`callbacks`] watch it;
+//! [`checkpoint`]s let it go on after an interruption with the bits it would have had.
 //!
 //! # Determinism
 //! Parameters are visited in name order and sums over elements are taken in a fixed order, so
@@ -38,11 +40,27 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod average;
+pub mod callbacks;
+pub mod checkpoint;
+mod config;
 mod error;
+pub mod evaluators;
+mod event;
+pub mod gradients;
+mod health;
+mod module;
 pub mod optim;
+pub mod tasks;
+mod trainer;
 
+pub use average::Average;
+pub use config::{CheckpointConfig, HealthConfig, TrainerConfig};
 pub use error::TrainError;
+pub use event::{Callback, End, Evaluator, Event, Flow, Progress};
+pub use module::{StepContext, StepOutput, TrainingModule};
 pub use optim::{
     AdamW, AdamWConfig, Controls, CosineSchedule, KeywordGroup, OneCycle, Optimizer, ParamGroup,
     Schedule, clip_grad_norm, ema_update, grad_norm, group_by_keyword,
 };
+pub use trainer::Trainer;

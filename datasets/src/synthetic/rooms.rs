@@ -1,14 +1,18 @@
 //! Synthetic rooms as a source of scenes.
 
+use super::vocabulary::{NO_TARGET, Vocabulary};
 use super::{SyntheticRoom, SyntheticRoomSettings, generate};
 use crate::{DataError, DataSource, SourceScene};
-use scenesplat_scene::RepairReport;
+use half::f16;
+use scenesplat_scene::{FeatureRows, RepairReport};
+use std::sync::Arc;
 
 /// Any number of rooms `room-000000`, `room-000001`, …; nothing is kept, `load` generates.
 #[derive(Debug, Clone)]
 pub struct SyntheticRooms {
     ids: Vec<String>,
     settings: SyntheticRoomSettings,
+    vocabulary: Option<Arc<Vocabulary>>,
 }
 
 impl SyntheticRooms {
@@ -17,7 +21,14 @@ impl SyntheticRooms {
     pub fn new(count: usize, mut settings: SyntheticRoomSettings, seed: u64) -> Self {
         let ids = (0..count).map(|i| format!("room-{i:06}")).collect();
         settings.seed = seed;
-        Self { ids, settings }
+        Self { ids, settings, vocabulary: None }
+    }
+
+    /// Gives every Gaussian of an object its feature in the vocabulary: class, groups and colour.
+    #[must_use]
+    pub fn with_vocabulary(mut self, vocabulary: Arc<Vocabulary>) -> Self {
+        self.vocabulary = Some(vocabulary);
+        self
     }
 
     /// A room with what is in it.
@@ -46,10 +57,30 @@ impl DataSource for SyntheticRooms {
             known.len().cmp(&id.len()).then_with(|| known.as_str().cmp(id))
         });
         let unknown = || DataError::UnknownScene { id: id.to_owned(), known: self.ids.len() };
-        let scene = self.room(index.map_err(|_| unknown())?)?.scene;
+        let mut room = self.room(index.map_err(|_| unknown())?)?;
+        if let Some(vocabulary) = &self.vocabulary {
+            add_features(&mut room, vocabulary);
+        }
+        let scene = room.scene;
         let report = RepairReport { source_rows: scene.len(), ..RepairReport::default() };
         Ok(SourceScene { scene, report })
     }
+}
+
+/// Writes each Gaussian's target into the scene; floaters have none.
+fn add_features(room: &mut SyntheticRoom, vocabulary: &Vocabulary) {
+    let targets = vocabulary.targets(room);
+    let dim = targets.dim;
+    let table: Vec<f16> = targets.table.iter().map(|&v| f16::from_f32(v)).collect();
+    let mut values = vec![f16::ZERO; targets.index.len() * dim];
+    for (out, &row) in values.chunks_exact_mut(dim).zip(&targets.index) {
+        if row != NO_TARGET {
+            let start = row as usize * dim;
+            out.copy_from_slice(&table[start..start + dim]);
+        }
+    }
+    room.scene.valid_feat_mask = Some(targets.index.iter().map(|&row| row != NO_TARGET).collect());
+    room.scene.lang_feat = Some(FeatureRows { values, dim });
 }
 
 #[cfg(test)]

@@ -38,4 +38,11 @@ impl DropPath {
             (0..n).map(|_| if rng.random::<f64>() < keep { factor } else { 0.0 }).collect();
         ops::add_scaled_rows(x, Some(Arc::new(mask)), residual)
     }
+
+    /// Takes the random numbers that `n` rows take in training.
+    pub(crate) fn skip(self, n: usize, rng: &mut ChaCha8Rng) {
+        if self.rate > 0.0 {
+            (0..n).for_each(|_| _ = rng.random::<f64>());
+        }
+    }
 }

@@ -6,7 +6,9 @@ use crate::layers::{DropPath, LayerNorm, Linear, Mlp, SparseConv};
 use crate::{Compute, Forward, Mode};
 use candle_core::{Result, Tensor};
 use candle_nn::VarBuilder;
+use rand_chacha::ChaCha8Rng;
 use scenesplat_kernels::serialized_cloud::SerializedCloud;
+use std::sync::Arc;
 
 /// Shape of a block.
 #[derive(Debug, Clone, Copy)]
@@ -70,6 +72,40 @@ impl Block {
             mlp: Mlp::with(shape.compute, c, shape.mlp_ratio * c, vb.pp("mlp.0"))?,
             drop_path: DropPath { rate: shape.drop_path },
         })
+    }
+
+    /// As [`forward`](Self::forward); if the context says so, without keeping what the backward pass
+    /// can compute again.
+    ///
+    /// # Errors
+    /// If the input does not fit.
+    pub fn forward_shared(
+        self: &Arc<Self>,
+        x: Tensor,
+        conv_input: Option<Tensor>,
+        cloud: &Arc<SerializedCloud>,
+        cx: &mut Forward<'_>,
+    ) -> Result<Tensor> {
+        let Some(recompute) = cx.recompute.clone() else {
+            return self.forward(x, conv_input, cloud, cx);
+        };
+        let (block, cloud) = (Arc::clone(self), Arc::clone(cloud));
+        let (mode, rng) = (cx.mode, cx.rng.clone());
+        let run = move |inputs: &[Tensor], rng: &mut ChaCha8Rng| {
+            let mut cx = Forward { mode, ..Forward::eval(rng) };
+            block.forward(inputs[0].clone(), inputs.get(1).cloned(), &cloud, &mut cx)
+        };
+        // Draws what the block draws, so that the next block does not draw the same.
+        self.advance(cx, x.dim(0)?);
+        let inputs: Vec<&Tensor> = std::iter::once(&x).chain(&conv_input).collect();
+        recompute.apply(&inputs, move |inputs| run(inputs, &mut rng.clone()))
+    }
+
+    /// Takes as many random numbers as [`forward`](Self::forward) does.
+    fn advance(&self, cx: &mut Forward<'_>, rows: usize) {
+        if cx.mode == Mode::Train {
+            (0..2).for_each(|_| self.drop_path.skip(rows, cx.rng));
+        }
     }
 
     /// `[N, C] → [N, C]`. The convolution reads `conv_input` where given (the first decoder block

@@ -77,8 +77,13 @@ pub struct PointTransformerV3Config {
     pub mask_token: bool,
     /// Classes of a linear head on the output; none for a language network.
     pub num_classes: Option<usize>,
+    /// Width that a linear layer brings the features of a language network to, so that a narrow
+    /// network can have wide features; none in the original.
+    pub projection: Option<usize>,
     /// Whether scenes of a batch are kept apart.
     pub batch_rule: BatchRule,
+    /// Voxel size that the network is trained for, metres.
+    pub grid_size: f64,
     /// Precision and joined layers: not part of the network, so not stored with it.
     #[serde(skip)]
     pub compute: Compute,
@@ -110,7 +115,9 @@ impl PointTransformerV3Config {
             pooling: PoolingReduce::Mean,
             mask_token: false,
             num_classes: None,
+            projection: None,
             batch_rule: BatchRule::Isolated,
+            grid_size: 0.02,
             compute: Compute::default(),
         }
     }
@@ -166,7 +173,7 @@ impl PointTransformerV3Config {
         self.enc_depths.len()
     }
 
-    /// Width of the output (before a classifier).
+    /// Width of the output (before a classifier or projection).
     pub fn out_channels(&self) -> usize {
         let last = if self.dec_depths.is_empty() {
             self.enc_channels.last()
@@ -207,7 +214,8 @@ impl PointTransformerV3Config {
                 + linear(self.enc_channels[stage], c)
                 + 2 * norm(c);
         }
-        sum + self.num_classes.map_or(0, |n| linear(self.out_channels(), n))
+        let head = self.num_classes.or(self.projection);
+        sum + head.map_or(0, |n| linear(self.out_channels(), n))
     }
 
     /// Bytes of memory that inference needs per input voxel, at the widest moment.
@@ -259,6 +267,10 @@ impl PointTransformerV3Config {
         sizes("in_channels", &[self.in_channels])?;
         sizes("mlp_ratio", &[self.mlp_ratio])?;
         sizes("num_classes", self.num_classes.as_slice())?;
+        sizes("projection", self.projection.as_slice())?;
+        if self.num_classes.is_some() && self.projection.is_some() {
+            bail!("projection: a classifier (num_classes) reads the features as they are");
+        }
         sizes("enc_channels", &self.enc_channels)?;
         sizes("dec_channels", &self.dec_channels)?;
         sizes("enc_num_head", &self.enc_num_head)?;
@@ -275,6 +287,9 @@ impl PointTransformerV3Config {
         }
         if let Some(i) = self.stride.iter().position(|s| !s.is_power_of_two()) {
             bail!("stride[{i}]: {} is not a power of two", self.stride[i]);
+        }
+        if !(self.grid_size.is_finite() && self.grid_size > 0.0) {
+            bail!("grid_size: {} is not above 0", self.grid_size);
         }
         if !(0.0..1.0).contains(&self.drop_path) {
             bail!("drop_path: {} is not in 0..1", self.drop_path);

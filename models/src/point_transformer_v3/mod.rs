@@ -47,13 +47,13 @@ pub struct PointTransformerV3 {
 #[derive(Debug)]
 struct EncoderStage {
     down: Option<SerializedPooling>,
-    blocks: Vec<Block>,
+    blocks: Vec<Arc<Block>>,
 }
 
 #[derive(Debug)]
 struct DecoderStage {
     up: SerializedUnpooling,
-    blocks: Vec<Block>,
+    blocks: Vec<Arc<Block>>,
 }
 
 /// Both ends of the network.
@@ -126,6 +126,7 @@ impl PointTransformerV3 {
                 .enumerate()
                 .map(|(i, &rate)| {
                     Block::new(block(stage, i, false, rate), vb.pp(format!("block{i}")))
+                        .map(Arc::new)
                 })
                 .collect::<Result<_>>()?;
             encoder.push(EncoderStage { down, blocks });
@@ -146,6 +147,7 @@ impl PointTransformerV3 {
                 .enumerate()
                 .map(|(i, &rate)| {
                     Block::new(block(stage, i, true, rate), vb.pp(format!("block{i}")))
+                        .map(Arc::new)
                 })
                 .collect::<Result<_>>()?;
             decoder.push(DecoderStage { up, blocks });
@@ -204,6 +206,7 @@ impl PointTransformerV3 {
         };
         let mut cloud = cloud;
         shuffle(&mut cloud, cx)?;
+        let mut cloud = Arc::new(cloud);
         let feat = match &sorted {
             Some((order, inverse)) => {
                 ops::permute_rows(&points.feat, order.clone(), inverse.clone())?
@@ -218,17 +221,17 @@ impl PointTransformerV3 {
                 self.replace_masked(&x, mask, sorted.as_ref().map(|(order, _)| order.as_slice()))?;
         }
 
-        let mut skips: Vec<(Tensor, SerializedCloud, Arc<Groups>)> = Vec::new();
+        let mut skips: Vec<(Tensor, Arc<SerializedCloud>, Arc<Groups>)> = Vec::new();
         for (i, stage) in self.encoder.iter().enumerate() {
             if let Some(down) = &stage.down {
                 let (pooled, mut coarse, groups) = down.forward(&x, &cloud, cx)?;
                 shuffle(&mut coarse, cx)?;
-                skips.push((x, std::mem::replace(&mut cloud, coarse), groups));
+                skips.push((x, std::mem::replace(&mut cloud, Arc::new(coarse)), groups));
                 x = pooled;
                 cx.observe(&format!("enc.enc{i}.down"), &x)?;
             }
             for (j, block) in stage.blocks.iter().enumerate() {
-                x = block.forward(x, None, &cloud, cx)?;
+                x = block.forward_shared(x, None, &cloud, cx)?;
                 cx.observe(&format!("enc.enc{i}.block{j}"), &x)?;
             }
             cx.observe(&format!("enc.enc{i}"), &x)?;
@@ -250,7 +253,7 @@ impl PointTransformerV3 {
             x = sum;
             let mut conv_input = Some(skip);
             for (j, block) in stage.blocks.iter().enumerate() {
-                x = block.forward(x, conv_input.take(), &cloud, cx)?;
+                x = block.forward_shared(x, conv_input.take(), &cloud, cx)?;
                 cx.observe(&format!("dec.dec{i}.block{j}"), &x)?;
             }
             cx.observe(&format!("dec.dec{i}"), &x)?;

@@ -83,6 +83,7 @@ fn run(
         rng: &mut rng,
         orders: Orders::Listed,
         observer: Some(&mut observer),
+        recompute: None,
     };
     let out = network.forward_both(&points, mask.as_deref(), &mut cx).unwrap();
     let mut compared = 0;

@@ -1,0 +1,95 @@
+//! Cutting scenes into overlapping squares, so that training reads a part of a scene and not all of
+//! it.
+//!
+//! [`plan_chunks`] decides which Gaussians are in which chunk; [`ChunkFolder`] writes the chunks of
+//! many scenes, and goes on where it was interrupted.
+
+mod folder;
+mod npy_copy;
+mod plan;
+mod write;
+
+pub use folder::ChunkFolder;
+pub use plan::{Chunk, ChunkPlan, plan_chunks};
+pub use write::ChunkReport;
+
+use crate::DataError;
+use crate::error::bad_setting;
+use serde::{Deserialize, Serialize};
+
+/// How scenes are cut. The default is what the original's chunks are made with.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ChunkSettings {
+    /// Keeps one Gaussian in each cell of this size first, metres; `None` keeps all.
+    pub grid_size: Option<f64>,
+    /// Sides of a chunk along x and y, metres.
+    pub range: [f64; 2],
+    /// Distance from one chunk to the next along x and y, metres.
+    pub stride: [f64; 2],
+    /// Chunks with fewer Gaussians are left out.
+    pub minimum_size: usize,
+    /// Most chunks of a scene: those with most Gaussians; `None` keeps all.
+    pub max_chunks: Option<usize>,
+    /// Seed of what is drawn: which of the Gaussians of a cell that have a feature is kept.
+    pub seed: u64,
+    /// Loses what the original loses: scenes not longer than `range - stride`, and what lies exactly
+    /// where the last chunk ends.
+    pub exact: bool,
+}
+
+impl Default for ChunkSettings {
+    fn default() -> Self {
+        Self {
+            grid_size: Some(0.01),
+            range: [6.0; 2],
+            stride: [3.0; 2],
+            minimum_size: 10_000,
+            max_chunks: None,
+            seed: 0,
+            exact: false,
+        }
+    }
+}
+
+impl ChunkSettings {
+    /// Checks every setting.
+    ///
+    /// # Errors
+    /// Names the first that is out of range.
+    pub fn check(&self) -> Result<(), DataError> {
+        /// A Gaussian is in (range / stride)² chunks.
+        const MAX_OVERLAP: f64 = 16.0;
+        let positive = |v: f64| v.is_finite() && v > 0.0;
+        if let Some(size) = self.grid_size
+            && !positive(size)
+        {
+            return Err(bad_setting("grid_size", size, "a finite number above 0"));
+        }
+        for (range, stride) in self.range.into_iter().zip(self.stride) {
+            if !positive(range) {
+                return Err(bad_setting("range", range, "a finite number of metres above 0"));
+            }
+            if !positive(stride) || stride < range / MAX_OVERLAP {
+                let expected = "a finite number of metres, at least a 16th of the range";
+                return Err(bad_setting("stride", stride, expected));
+            }
+            if stride > range {
+                let expected = "no more than the range, or Gaussians between chunks would be lost";
+                return Err(bad_setting("stride", stride, expected));
+            }
+        }
+        if self.max_chunks == Some(0) {
+            return Err(bad_setting("max_chunks", 0, "a number of 1 or more"));
+        }
+        Ok(())
+    }
+
+    /// The name of the folder that the chunks of a split come into, such as
+    /// `train_grid1.0cm_chunk6x6_stride3x3`.
+    pub fn folder_name(&self, split: &str) -> String {
+        let grid = self.grid_size.map_or_else(String::new, |g| format!("_grid{:.1}cm", g * 100.0));
+        let ([rx, ry], [sx, sy]) = (self.range, self.stride);
+        format!("{split}{grid}_chunk{rx}x{ry}_stride{sx}x{sy}")
+    }
+}

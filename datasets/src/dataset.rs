@@ -1,0 +1,153 @@
+//! Samples by number.
+
+use crate::{DataError, DataSource, Sample, Transform, sample_rng};
+use scenesplat_scene::RepairReport;
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// A fixed number of samples, each of which can be made at any time.
+///
+/// Which scenes there are is the business of a [`DataSource`]; transforms, epochs and seeds are
+/// that of a dataset.
+pub trait Dataset: Send + Sync {
+    /// Number of samples in one epoch.
+    fn len(&self) -> usize;
+
+    /// Whether there is none.
+    fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Makes sample `index` of `epoch`; the same arguments give the same sample, bit for bit.
+    ///
+    /// # Errors
+    /// If there is no such sample or it cannot be made; the error names the scene.
+    fn get(&self, epoch: u64, index: usize) -> Result<Sample, DataError>;
+
+    /// Name of the scene that sample `index` is made of; empty if there is no such sample.
+    fn id(&self, index: usize) -> &str;
+}
+
+/// The scenes of a source, each changed by the same transforms.
+pub struct SceneDataset {
+    source: Arc<dyn DataSource>,
+    transforms: Vec<Arc<dyn Transform>>,
+    seed: u64,
+    repeat: usize,
+    repairs: Mutex<BTreeMap<String, RepairReport>>,
+}
+
+impl SceneDataset {
+    /// Samples of `source`, each scene `repeat` times an epoch (the original's `loop`), with other
+    /// random numbers each time.
+    ///
+    /// # Errors
+    /// If `repeat` is 0, or the number of samples overflows.
+    pub fn new(
+        source: Arc<dyn DataSource>,
+        transforms: Vec<Arc<dyn Transform>>,
+        seed: u64,
+        repeat: usize,
+    ) -> Result<Self, DataError> {
+        if repeat == 0 || source.scene_ids().len().checked_mul(repeat).is_none() {
+            return Err(crate::error::bad_setting("repeat", repeat, "a number of 1 or more"));
+        }
+        Ok(Self { source, transforms, seed, repeat, repairs: Mutex::default() })
+    }
+
+    /// The scenes in which something had to be repaired or left out so far, by name, with what.
+    pub fn repairs(&self) -> BTreeMap<String, RepairReport> {
+        self.repairs.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    fn make(&self, epoch: u64, index: usize, id: &str) -> Result<Sample, DataError> {
+        let loaded = self.source.load(id)?;
+        if !loaded.report.is_clean() {
+            let mut repairs = self.repairs.lock().unwrap_or_else(PoisonError::into_inner);
+            repairs.entry(id.to_owned()).or_insert(loaded.report);
+        }
+        loaded.scene.check_rows()?;
+        let mut sample = Sample::from_scene(id, loaded.scene);
+        let mut rng = sample_rng(self.seed, epoch, index as u64);
+        for transform in &self.transforms {
+            transform.apply(&mut sample, &mut rng)?;
+        }
+        sample.check()?;
+        Ok(sample)
+    }
+}
+
+impl Dataset for SceneDataset {
+    fn len(&self) -> usize {
+        self.source.scene_ids().len() * self.repeat
+    }
+
+    fn get(&self, epoch: u64, index: usize) -> Result<Sample, DataError> {
+        if index >= self.len() {
+            return Err(DataError::RowOutOfRange { row: index, rows: self.len() });
+        }
+        let id = self.id(index);
+        self.make(epoch, index, id).map_err(|error| error.in_scene(id))
+    }
+
+    fn id(&self, index: usize) -> &str {
+        let ids = self.source.scene_ids();
+        if index < self.len() { &ids[index % ids.len()] } else { "" }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{GeneratedRooms, SampleRng};
+    use rand_chacha::rand_core::RngCore;
+
+    #[derive(Debug)]
+    struct Shake;
+
+    impl Transform for Shake {
+        fn apply(&self, sample: &mut Sample, rng: &mut SampleRng) -> Result<(), DataError> {
+            sample.coord.iter_mut().flatten().for_each(|c| *c += rng.next_u32() as f32 * 1e-12);
+            Ok(())
+        }
+    }
+
+    #[derive(Debug)]
+    struct Breaks;
+
+    impl Transform for Breaks {
+        fn apply(&self, sample: &mut Sample, _: &mut SampleRng) -> Result<(), DataError> {
+            sample.quat.pop();
+            Ok(())
+        }
+    }
+
+    fn dataset(transforms: Vec<Arc<dyn Transform>>, repeat: usize) -> SceneDataset {
+        let source = Arc::new(GeneratedRooms::new(2, 200, 1));
+        SceneDataset::new(source, transforms, 5, repeat).unwrap()
+    }
+
+    #[test]
+    fn seed_epoch_and_index_decide_the_sample() {
+        let data = dataset(vec![Arc::new(Shake)], 2);
+        assert_eq!(data.len(), 4);
+        assert_eq!([data.id(0), data.id(3), data.id(4)], ["room-0", "room-1", ""]);
+        let sample = data.get(1, 2).unwrap();
+        assert_eq!(sample.id, "room-0");
+        assert_eq!(sample, data.get(1, 2).unwrap());
+        assert_ne!(sample.coord, data.get(1, 0).unwrap().coord, "a repeat draws anew");
+        assert_ne!(sample.coord, data.get(2, 2).unwrap().coord);
+        let same = dataset(vec![Arc::new(Shake)], 2);
+        assert_eq!(sample, same.get(1, 2).unwrap());
+    }
+
+    #[test]
+    fn errors_name_the_scene() {
+        let data = dataset(vec![Arc::new(Breaks)], 1);
+        let error = data.get(0, 1).unwrap_err();
+        assert!(matches!(&error, DataError::Sample { id, .. } if id == "room-1"), "{error}");
+        assert!(matches!(data.get(0, 2), Err(DataError::RowOutOfRange { row: 2, rows: 2 })));
+        let source = Arc::new(GeneratedRooms::new(2, 200, 1));
+        assert!(SceneDataset::new(source, vec![], 0, 0).is_err());
+    }
+}

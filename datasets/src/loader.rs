@@ -1,0 +1,250 @@
+//! Batches in a fixed order, made ahead by worker threads.
+
+mod assembly;
+mod batches;
+
+pub use batches::SceneBatches;
+
+use crate::error::bad_setting;
+use crate::mix3d::mixed_len;
+use crate::rng::{Purpose, permutation, purpose_rng};
+use crate::{DataError, Dataset, InputFeatures, TrainBatch};
+use assembly::Assembly;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Gives the batches of one epoch after the other.
+///
+/// A trainer knows no more of its data than this. Batches depend on the loader's settings and
+/// `epoch` alone, so a run that was interrupted continues with `skip`.
+pub trait BatchLoader<B> {
+    /// Number of batches of every epoch.
+    fn batches_per_epoch(&self) -> usize;
+
+    /// Iterates over `epoch` without its first `skip` batches. It ends with the first error.
+    fn epoch(
+        &mut self,
+        epoch: u64,
+        skip: usize,
+    ) -> Box<dyn Iterator<Item = Result<B, DataError>> + '_>;
+}
+
+/// What to do about a scene that cannot be read or changed.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum BrokenScenes {
+    /// The epoch ends with an error that names the scene.
+    #[default]
+    Stop,
+    /// It is left out and noted, see [`SceneLoader::skipped`]; its batch is smaller, and empty
+    /// if no scene is left ([`TrainBatch::is_empty`]), so that the number of batches stays. A panic is a
+    /// bug and no property of a scene: it always stops.
+    Skip,
+}
+
+/// How scenes become batches. The default is the original's training, for one process.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LoaderSettings {
+    /// Scenes of a batch, before some are mixed.
+    pub batch_size: usize,
+    /// Whether scenes come in another order each epoch.
+    pub shuffle: bool,
+    /// Seed of the order and of the mixing.
+    pub seed: u64,
+    /// Threads that make batches; 0 = in the caller's thread, when they are asked for.
+    pub workers: usize,
+    /// Batches that are made or wait at a time, beside the one in use; at least one a worker is
+    /// needed to keep all busy. Without workers none are.
+    pub prefetch: usize,
+    /// Whether scenes that do not fill the last batch are left out.
+    pub drop_last: bool,
+    /// Probability that the scenes of a batch are merged in pairs, see
+    /// [`mix_pairs`](crate::mix_pairs).
+    pub mix_probability: f64,
+    /// Mixes as the original does, cells twice included.
+    pub mix_exact: bool,
+    /// What to do about scenes that cannot be used.
+    pub broken_scenes: BrokenScenes,
+}
+
+impl Default for LoaderSettings {
+    fn default() -> Self {
+        Self {
+            batch_size: 2,
+            shuffle: true,
+            seed: 0,
+            workers: 2,
+            prefetch: 4,
+            drop_last: true,
+            mix_probability: 0.8,
+            mix_exact: false,
+            broken_scenes: BrokenScenes::Stop,
+        }
+    }
+}
+
+impl LoaderSettings {
+    /// One whole scene after the other, as evaluation needs them.
+    pub fn evaluation() -> Self {
+        Self {
+            batch_size: 1,
+            shuffle: false,
+            drop_last: false,
+            mix_probability: 0.0,
+            ..Self::default()
+        }
+    }
+
+    /// Checks every setting.
+    ///
+    /// # Errors
+    /// Names the first that is out of range.
+    pub fn check(&self) -> Result<(), DataError> {
+        /// More threads than this are a slip of the pen.
+        const MAX_WORKERS: usize = 1024;
+        if self.batch_size == 0 {
+            return Err(bad_setting("batch_size", 0, "a number of 1 or more"));
+        }
+        if self.workers > MAX_WORKERS {
+            return Err(bad_setting("workers", self.workers, "at most 1024"));
+        }
+        if self.workers > 0 && self.prefetch == 0 {
+            return Err(bad_setting("prefetch", 0, "at least 1 when there are workers"));
+        }
+        if !(0.0..=1.0).contains(&self.mix_probability) {
+            return Err(bad_setting("mix_probability", self.mix_probability, "a number in 0..=1"));
+        }
+        Ok(())
+    }
+}
+
+/// A scene that was left out, see [`BrokenScenes::Skip`].
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SkippedScene {
+    /// How often it was left out of a batch.
+    pub times: usize,
+    /// Why, the first time, with all causes.
+    pub reason: String,
+}
+
+/// Scenes left out so far, by name.
+type Skipped = Arc<Mutex<BTreeMap<String, SkippedScene>>>;
+
+/// Batches of the scenes of one dataset.
+///
+/// Whole batches are made by worker threads and handed over in order; the same settings give the
+/// same batches for any number of workers. The workers live as long as an epoch's iterator: when it
+/// is dropped, they stop after the scene they are at, and have ended when the drop returns.
+///
+/// ```
+/// use scenesplat_datasets::transforms::{build_transforms, language_pretraining};
+/// use scenesplat_datasets::{
+///     BatchLoader, GeneratedRooms, InputFeatures, LoaderSettings, SceneDataset, SceneLoader,
+/// };
+/// use std::sync::Arc;
+///
+/// // One's own scenes: `SceneFolders::new("my/scenes".as_ref(), &[], Default::default())?`
+/// let source = Arc::new(GeneratedRooms::new(4, 2000, 1));
+/// let transforms = build_transforms(&language_pretraining(0.05))?;
+/// let dataset = Arc::new(SceneDataset::new(source, transforms, 7, 1)?);
+/// let settings = LoaderSettings { batch_size: 2, workers: 1, ..LoaderSettings::default() };
+/// let mut loader = SceneLoader::new(dataset, InputFeatures::default(), settings)?;
+/// for batch in loader.epoch(0, 0) {
+///     let batch = batch?;
+///     assert_eq!(batch.feat.len(), batch.len() * batch.channels);
+/// }
+/// # Ok::<(), scenesplat_datasets::DataError>(())
+/// ```
+#[derive(Clone)]
+pub struct SceneLoader {
+    assembly: Arc<Assembly>,
+    settings: LoaderSettings,
+    skipped: Skipped,
+}
+
+impl SceneLoader {
+    /// Batches of `dataset`, as the network of these input features reads them.
+    ///
+    /// # Errors
+    /// If a setting is out of range, or there is not one batch.
+    pub fn new(
+        dataset: Arc<dyn Dataset>,
+        features: InputFeatures,
+        settings: LoaderSettings,
+    ) -> Result<Self, DataError> {
+        settings.check()?;
+        if dataset.is_empty() {
+            return Err(bad_setting("dataset", "0 scenes", "at least one scene"));
+        }
+        if settings.drop_last && dataset.len() < settings.batch_size {
+            let scenes = format!("{} (of {} scenes)", settings.batch_size, dataset.len());
+            let expected = "no more than the scenes of an epoch; or drop_last = false";
+            return Err(bad_setting("batch_size", scenes, expected));
+        }
+        let assembly = Assembly {
+            dataset,
+            features,
+            seed: settings.seed,
+            mix_probability: settings.mix_probability,
+            mix_exact: settings.mix_exact,
+            broken_scenes: settings.broken_scenes,
+        };
+        Ok(Self { assembly: Arc::new(assembly), settings, skipped: Skipped::default() })
+    }
+
+    /// The settings.
+    pub fn settings(&self) -> &LoaderSettings {
+        &self.settings
+    }
+
+    /// The scenes that were left out of batches handed over so far, by name.
+    pub fn skipped(&self) -> BTreeMap<String, SkippedScene> {
+        self.skipped.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Number of samples that a full batch holds if it is mixed.
+    pub fn mixed_batch_size(&self) -> usize {
+        mixed_len(self.settings.batch_size)
+    }
+
+    /// As [`BatchLoader::epoch`], without borrowing the loader.
+    pub fn batches(&self, epoch: u64, skip: usize) -> SceneBatches {
+        let plan = self.plan(epoch);
+        let first = skip.min(plan.len());
+        SceneBatches::start(&self.assembly, &self.settings, &self.skipped, epoch, plan, first)
+    }
+
+    /// The scenes of each batch of an epoch.
+    fn plan(&self, epoch: u64) -> Vec<Vec<usize>> {
+        let scenes = self.assembly.dataset.len();
+        let order = if self.settings.shuffle {
+            permutation(&mut purpose_rng(Purpose::Order, self.settings.seed, epoch, 0), scenes)
+        } else {
+            (0..scenes).collect()
+        };
+        let count = self.batches_per_epoch();
+        order.chunks(self.settings.batch_size).take(count).map(<[usize]>::to_vec).collect()
+    }
+
+    /// Number of batches of every epoch.
+    pub fn batches_per_epoch(&self) -> usize {
+        let (scenes, size) = (self.assembly.dataset.len(), self.settings.batch_size);
+        if self.settings.drop_last { scenes / size } else { scenes.div_ceil(size) }
+    }
+}
+
+impl BatchLoader<TrainBatch> for SceneLoader {
+    fn batches_per_epoch(&self) -> usize {
+        self.batches_per_epoch()
+    }
+
+    fn epoch(
+        &mut self,
+        epoch: u64,
+        skip: usize,
+    ) -> Box<dyn Iterator<Item = Result<TrainBatch, DataError>> + '_> {
+        Box::new(self.batches(epoch, skip))
+    }
+}

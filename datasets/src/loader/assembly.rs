@@ -1,0 +1,99 @@
+//! Making one batch.
+
+use super::BrokenScenes;
+use crate::mix3d::mix_pairs;
+use crate::rng::{Purpose, happens, purpose_rng};
+use crate::{DataError, Dataset, InputFeatures, Sample, TrainBatch, collate_samples};
+use std::error::Error;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+
+/// What every batch is made by; shared by the workers.
+pub(super) struct Assembly {
+    pub dataset: Arc<dyn Dataset>,
+    pub features: InputFeatures,
+    pub seed: u64,
+    pub mix_probability: f64,
+    pub mix_exact: bool,
+    pub broken_scenes: BrokenScenes,
+}
+
+/// A batch, and the scenes that could not be part of it with the reasons.
+pub(super) struct Assembled {
+    pub batch: TrainBatch,
+    pub skipped: Vec<(String, String)>,
+}
+
+impl Assembly {
+    /// Makes batch `number` of `epoch` of the given scenes; `None` if `stopped` says so meanwhile.
+    pub(super) fn assemble(
+        &self,
+        epoch: u64,
+        number: usize,
+        scenes: &[usize],
+        stopped: impl Fn() -> bool,
+    ) -> Option<Result<Assembled, DataError>> {
+        let mut samples = Vec::with_capacity(scenes.len());
+        let mut skipped = Vec::new();
+        for &scene in scenes {
+            if stopped() {
+                return None;
+            }
+            match self.sample(epoch, scene) {
+                Ok(sample) => samples.push(sample),
+                // A panic is a bug, not a property of the scene.
+                Err(error @ DataError::Panicked { .. }) => return Some(Err(error)),
+                Err(error) if self.broken_scenes == BrokenScenes::Skip => {
+                    skipped.push((self.dataset.id(scene).to_owned(), reason(&error)));
+                }
+                Err(error) => return Some(Err(error)),
+            }
+        }
+        let guarded = catch_unwind(AssertUnwindSafe(|| self.join(epoch, number, samples)));
+        let joined = guarded.unwrap_or_else(|panic| {
+            let ids: Vec<&str> = scenes.iter().map(|&scene| self.dataset.id(scene)).collect();
+            Err(DataError::Panicked { id: ids.join(", "), message: message(panic.as_ref()) })
+        });
+        Some(joined.map(|batch| Assembled { batch, skipped }))
+    }
+
+    /// A sample that the network can read.
+    fn sample(&self, epoch: u64, scene: usize) -> Result<Sample, DataError> {
+        let guarded = catch_unwind(AssertUnwindSafe(|| self.dataset.get(epoch, scene)));
+        let id = || self.dataset.id(scene).to_owned();
+        guarded.unwrap_or_else(|panic| {
+            Err(DataError::Panicked { id: id(), message: message(panic.as_ref()) })
+        })
+    }
+
+    fn join(
+        &self,
+        epoch: u64,
+        number: usize,
+        mut samples: Vec<Sample>,
+    ) -> Result<TrainBatch, DataError> {
+        let mut rng = purpose_rng(Purpose::Mixing, self.seed, epoch, number as u64);
+        if happens(&mut rng, self.mix_probability) {
+            samples = mix_pairs(samples, self.mix_exact, &mut rng)?;
+        }
+        collate_samples(samples, &self.features)
+    }
+}
+
+/// The text that a panic came with.
+fn message(panic: &(dyn std::any::Any + Send)) -> String {
+    let text = panic.downcast_ref::<&str>().map(|text| (*text).to_owned());
+    text.or_else(|| panic.downcast_ref::<String>().cloned())
+        .unwrap_or_else(|| "without a message".to_owned())
+}
+
+/// An error with all its causes.
+fn reason(error: &DataError) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        text = format!("{text}: {error}");
+        cause = error.source();
+    }
+    text
+}

@@ -1,0 +1,212 @@
+//! The scenes of several folders.
+
+use crate::{DataError, DataSource, SourceScene};
+use scenesplat_scene::{LabelledPoints, Policy, ReadOptions, SceneError, open_scene};
+use std::path::{Path, PathBuf};
+
+/// Endings of files that hold a scene; a folder holds one if it has a `coord.npy` or `meta.json`.
+const SCENE_ENDINGS: [&str; 7] = ["ply", "spz", "splat", "sog", "ksplat", "glb", "gltf"];
+
+/// What of a scene is read.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SceneFoldersOptions {
+    /// Stems of the files (or PLY properties) with labels; the first that a scene has counts. Empty:
+    /// what [`ReadOptions::segment`] finds by itself.
+    pub segment: Vec<String>,
+    /// Whether language features are read; they are by far the largest part of a scene.
+    pub lang_feat: bool,
+    /// Whether labelled points are kept.
+    pub labelled_points: bool,
+    /// Scenes to leave out: names, or the part of names before an `_`.
+    pub excluded_scenes: Vec<String>,
+    /// Whether bad values are repaired or the scene is refused.
+    pub policy: Policy,
+}
+
+impl Default for SceneFoldersOptions {
+    fn default() -> Self {
+        Self {
+            segment: Vec::new(),
+            lang_feat: true,
+            labelled_points: false,
+            excluded_scenes: Vec::new(),
+            policy: Policy::Repair,
+        }
+    }
+}
+
+/// Scenes, each a folder of `.npy` files or a file of any format, in one or several folders.
+///
+/// Scenes of a folder are sorted by name, folders keep their order. An id is the name of the scene;
+/// with several folders it is `folder/name`.
+#[derive(Debug, Clone)]
+pub struct SceneFolders {
+    ids: Vec<String>,
+    paths: Vec<PathBuf>,
+    options: SceneFoldersOptions,
+}
+
+impl SceneFolders {
+    /// Lists the scenes in folders of `root`, or in `root` itself if none is named; none is read
+    /// yet.
+    ///
+    /// # Errors
+    /// If a folder is missing (those that are there are named), cannot be listed, or if there is no
+    /// scene at all.
+    pub fn new(
+        root: &Path,
+        folders: &[String],
+        options: SceneFoldersOptions,
+    ) -> Result<Self, DataError> {
+        let mut this = Self { ids: Vec::new(), paths: Vec::new(), options };
+        if folders.is_empty() {
+            this.add(root, "")?;
+        }
+        for folder in folders {
+            let path = root.join(folder);
+            if !path.is_dir() {
+                return Err(DataError::NoSplit {
+                    root: root.to_owned(),
+                    folder: folder.clone(),
+                    there: subfolders(root).join(", "),
+                });
+            }
+            let prefix = if folders.len() > 1 { format!("{folder}/") } else { String::new() };
+            this.add(&path, &prefix)?;
+        }
+        if this.ids.is_empty() {
+            return Err(SceneError::Format {
+                path: root.to_owned(),
+                problem: format!("holds no scene {}", in_folders(folders)),
+                mend: "a scene is a folder with a coord.npy, or a file such as .ply or .spz"
+                    .to_owned(),
+            }
+            .into());
+        }
+        Ok(this)
+    }
+
+    fn add(&mut self, folder: &Path, prefix: &str) -> Result<(), DataError> {
+        let failed = |source| SceneError::Io {
+            path: folder.to_owned(),
+            action: "cannot list the folder of scenes",
+            source,
+        };
+        let mut found = Vec::new();
+        for entry in std::fs::read_dir(folder).map_err(failed)? {
+            let path = entry.map_err(failed)?.path();
+            if !is_scene(&path) {
+                continue;
+            }
+            let Some(name) = path.file_name().and_then(|n| n.to_str()) else {
+                return Err(SceneError::Format {
+                    path,
+                    problem: "has a name that is not Unicode".to_owned(),
+                    mend: "rename it".to_owned(),
+                }
+                .into());
+            };
+            if !name.starts_with('.') && !self.excludes(name) {
+                found.push((name.to_owned(), path));
+            }
+        }
+        found.sort();
+        for (name, path) in found {
+            self.ids.push(format!("{prefix}{name}"));
+            self.paths.push(path);
+        }
+        Ok(())
+    }
+
+    /// Keeps the first scenes only.
+    #[must_use]
+    pub fn truncated(mut self, count: usize) -> Self {
+        self.ids.truncate(count);
+        self.paths.truncate(count);
+        self
+    }
+
+    fn excludes(&self, name: &str) -> bool {
+        self.options.excluded_scenes.iter().any(|excluded| {
+            let rest = name.strip_prefix(excluded.as_str());
+            rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('_'))
+        })
+    }
+
+    /// The file or folder of a scene.
+    ///
+    /// # Errors
+    /// If no scene is called that.
+    pub fn path(&self, id: &str) -> Result<&Path, DataError> {
+        let at = self.ids.iter().position(|known| known == id);
+        let unknown = || DataError::UnknownScene { id: id.to_owned(), known: self.ids.len() };
+        Ok(&self.paths[at.ok_or_else(unknown)?])
+    }
+
+    /// Which labels to read of a scene; `None` if it has none of those that are wanted.
+    fn label_file(&self, path: &Path) -> Option<&String> {
+        let files = self.options.segment.iter();
+        if path.is_dir() {
+            return files.into_iter().find(|stem| path.join(format!("{stem}.npy")).is_file());
+        }
+        // Other formats have one name for labels, or a property that is looked up on reading.
+        files.into_iter().next()
+    }
+}
+
+impl DataSource for SceneFolders {
+    fn scene_ids(&self) -> &[String] {
+        &self.ids
+    }
+
+    fn load(&self, id: &str) -> Result<SourceScene, DataError> {
+        let path = self.path(id)?;
+        let segment = self.label_file(path).cloned();
+        let unlabelled = segment.is_none() && !self.options.segment.is_empty();
+        let options = ReadOptions {
+            policy: self.options.policy,
+            segment,
+            lang_feat: self.options.lang_feat,
+            // No transform knows them.
+            sh_rest: false,
+            ..ReadOptions::default()
+        };
+        let loaded = open_scene(path, &options)
+            .map_err(|source| DataError::Scene { id: id.to_owned(), source: Box::new(source) })?;
+        let (mut scene, mut report) = (loaded.scene, loaded.report);
+        if unlabelled {
+            // Labels of other classes may be there, and must not be taken for those.
+            scene.segment = None;
+            if let Some(points) = &mut scene.labelled_points {
+                points.segment = None;
+            }
+            report.notes.push(format!("no {}: without labels", self.options.segment.join(" or ")));
+        }
+        if !self.options.labelled_points {
+            scene.labelled_points = None::<LabelledPoints>;
+        }
+        Ok(SourceScene { scene, report })
+    }
+}
+
+fn is_scene(path: &Path) -> bool {
+    if path.is_dir() {
+        return path.join("coord.npy").is_file() || path.join("meta.json").is_file();
+    }
+    let ending = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
+    SCENE_ENDINGS.iter().any(|known| ending.eq_ignore_ascii_case(known))
+}
+
+fn in_folders(folders: &[String]) -> String {
+    if folders.is_empty() { String::new() } else { format!("in {}", folders.join(", ")) }
+}
+
+/// Names of the folders in a folder, sorted; none if it cannot be listed.
+fn subfolders(root: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(root).into_iter().flatten().flatten();
+    let folders = entries.filter(|entry| entry.path().is_dir());
+    let mut names: Vec<String> =
+        folders.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
+    names.sort();
+    names
+}

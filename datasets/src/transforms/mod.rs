@@ -1,0 +1,146 @@
+//! Changes of a sample on its way to the network: augmentation, sampling, cropping.
+//!
+//! Every step is a plain struct whose `Default` holds the parameters of the original's language
+//! pipeline, and a variant of [`TransformConfig`]; [`language_pretraining`],
+//! [`semantic_segmentation`] and [`validation`] are its pipelines.
+//!
+//! A step moves a Gaussian as a whole: position, orientation, size and normal go together, and
+//! labelled points go along. Where the original forgets one of them, a field `exact` does what it
+//! does; without it
+//! - quaternions keep `w ≥ 0`, as in the data files ([`RandomRotate`], [`RandomFlip`]: the original
+//!   leaves or makes other signs);
+//! - [`ElasticDistortion`] stretches and turns Gaussians and normals by the local gradient of the
+//!   distortion (the original moves centres only);
+//! - [`GridSample`] draws evenly among the Gaussians of a cell, whatever the fullest cell holds.
+//!
+//! Positions are kept in f32; the original goes on in f64 after the first rotation, so a Gaussian
+//! that lies on the border of a cell within rounding may be sampled into the other one.
+//!
+//! Colours become −1..1 where a batch is made ([`InputFeatures`](crate::InputFeatures)), so there is
+//! no step for that, nor for choosing what is collected.
+
+mod center_shift;
+mod chromatic;
+mod config;
+mod elastic;
+mod grid_sample;
+mod limit_values;
+mod presets;
+mod quaternion;
+mod random_dropout;
+mod random_flip;
+mod random_jitter;
+mod random_rotate;
+mod random_scale;
+mod sphere_crop;
+
+pub use center_shift::CenterShift;
+pub use chromatic::{ChromaticAutoContrast, ChromaticJitter, ChromaticTranslation};
+pub use config::{TransformConfig, build_transforms};
+pub use elastic::ElasticDistortion;
+pub use grid_sample::{GridSample, Keep};
+pub use limit_values::LimitValues;
+pub use presets::{
+    language_pretraining, semantic_segmentation, test_time_augmentation, validation,
+};
+pub use random_dropout::RandomDropout;
+pub use random_flip::RandomFlip;
+pub use random_jitter::RandomJitter;
+pub use random_rotate::{Axis, RandomRotate, RandomRotateTargetAngle, RotationCenter};
+pub use random_scale::RandomScale;
+pub use sphere_crop::{CropCenter, SphereCrop};
+
+use crate::DataError;
+use crate::error::bad_setting;
+
+fn check_probability(setting: &'static str, value: f64) -> Result<(), DataError> {
+    if (0.0..=1.0).contains(&value) {
+        Ok(())
+    } else {
+        Err(bad_setting(setting, value, "a probability in 0..=1"))
+    }
+}
+
+fn check_positive(setting: &'static str, value: f64) -> Result<(), DataError> {
+    if value.is_finite() && value > 0.0 {
+        Ok(())
+    } else {
+        Err(bad_setting(setting, value, "a finite number above 0"))
+    }
+}
+
+fn check_range(setting: &'static str, [low, high]: [f64; 2]) -> Result<(), DataError> {
+    if low.is_finite() && high.is_finite() && low <= high {
+        Ok(())
+    } else {
+        let value = format!("[{low}, {high}]");
+        Err(bad_setting(setting, value, "two finite numbers, the lower first"))
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod testing {
+    //! Samples for the tests of the steps.
+
+    use crate::{RoomSettings, Sample, Transform, generate_room, sample_rng};
+    use scenesplat_scene::LabelledPoints;
+
+    /// Part of a generated room, with labelled points.
+    pub fn room(rows: usize) -> Sample {
+        let settings = RoomSettings { num_gaussians: rows.max(1000), seed: 3 };
+        let mut sample = Sample::from_scene("room", generate_room(&settings).unwrap().scene);
+        sample.select_rows(&(0..rows as u32).collect::<Vec<_>>());
+        let coord: Vec<[f32; 3]> = sample.coord.iter().step_by(7).copied().collect();
+        let segment = Some((0..coord.len() as i32).map(|i| i % 3 - 1).collect());
+        sample.labelled_points = Some(LabelledPoints { coord, segment, instance: None });
+        sample
+    }
+
+    /// Gaussians at the given places.
+    pub fn at(coord: &[[f32; 3]]) -> Sample {
+        let n = coord.len();
+        Sample {
+            id: "points".to_owned(),
+            coord: coord.to_vec(),
+            color: vec![[10.0, 20.0, 30.0]; n],
+            opacity: vec![0.5; n],
+            scale: vec![[0.1, 0.2, 0.3]; n],
+            quat: vec![[1.0, 0.0, 0.0, 0.0]; n],
+            normal: Some(vec![[0.0, 0.0, 1.0]; n]),
+            ..Sample::default()
+        }
+    }
+
+    /// The sample after the step, with the random numbers of a seed.
+    pub fn applied(step: &dyn Transform, sample: &Sample, seed: u64) -> Sample {
+        let mut sample = sample.clone();
+        step.apply(&mut sample, &mut sample_rng(seed, 0, 0)).unwrap();
+        sample.check().unwrap();
+        sample
+    }
+
+    /// Covariance of a Gaussian, in f64.
+    pub fn covariance(quat: [f32; 4], scale: [f32; 3]) -> [[f64; 3]; 3] {
+        let r = super::quaternion::matrix(quat.map(f64::from));
+        let s = scale.map(f64::from);
+        std::array::from_fn(|i| {
+            std::array::from_fn(|j| (0..3).map(|k| r[i][k] * s[k] * s[k] * r[j][k]).sum())
+        })
+    }
+
+    /// The largest difference of two matrices.
+    pub fn difference(a: [[f64; 3]; 3], b: [[f64; 3]; 3]) -> f64 {
+        let pairs = a.iter().flatten().zip(b.iter().flatten());
+        pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+    }
+
+    /// `m · a · mᵀ`
+    pub fn congruent(m: [[f64; 3]; 3], a: [[f64; 3]; 3]) -> [[f64; 3]; 3] {
+        std::array::from_fn(|i| {
+            std::array::from_fn(|j| {
+                let terms = (0..9).map(|kl| m[i][kl / 3] * a[kl / 3][kl % 3] * m[j][kl % 3]);
+                terms.sum()
+            })
+        })
+    }
+}

@@ -1,0 +1,161 @@
+//! The pipelines of the original's configurations.
+
+use super::{
+    Axis, CenterShift, ChromaticAutoContrast, ChromaticJitter, ChromaticTranslation,
+    ElasticDistortion, GridSample, Keep, RandomDropout, RandomFlip, RandomJitter, RandomRotate,
+    RandomRotateTargetAngle, RandomScale, RotationCenter, SphereCrop, TransformConfig,
+};
+
+/// Training of the language networks, with cells of `grid_size` metres (0.02 there; 0.005 for
+/// HoliCity).
+///
+/// # Source
+/// The `train` transforms of `configs/*/lang-pretrain-*.py`, SceneSplat be9d5e1.
+pub fn language_pretraining(grid_size: f64) -> Vec<TransformConfig> {
+    training(grid_size, 0.01, 192_000)
+}
+
+/// Training of semantic segmentation: as [`language_pretraining`], with a wider jitter and crop.
+///
+/// # Source
+/// The `train` transforms of `configs/*/semseg-*.py`, SceneSplat be9d5e1.
+pub fn semantic_segmentation(grid_size: f64) -> Vec<TransformConfig> {
+    training(grid_size, 0.02, 204_800)
+}
+
+/// Evaluation during training: no randomness; of every cell the Gaussian nearest to its middle, as
+/// [`FastPlan`](crate::FastPlan) reads a scene. Labelled points are thinned by the same cells.
+///
+/// # Source
+/// The `val` transforms of the same files. Differs: they keep a random Gaussian of a cell.
+pub fn validation(grid_size: f64) -> Vec<TransformConfig> {
+    vec![
+        CenterShift { apply_z: true }.into(),
+        GridSample { grid_size, keep: Keep::Nearest, ..GridSample::default() }.into(),
+        CenterShift { apply_z: false }.into(),
+    ]
+}
+
+/// The changes under which semantic segmentation is tested; predictions are averaged over them: four
+/// turns about z at each of three sizes, and both mirrors at once.
+///
+/// # Source
+/// `aug_transform` of `configs/*/semseg-*.py`, SceneSplat be9d5e1.
+pub fn test_time_augmentation() -> Vec<Vec<TransformConfig>> {
+    let turn = |angle| {
+        let angles = vec![angle];
+        RandomRotateTargetAngle { angles, probability: 1.0, ..<_>::default() }.into()
+    };
+    let mut variants = Vec::new();
+    for size in [1.0, 0.95, 1.05] {
+        for angle in [0.0, 0.5, 1.0, 1.5] {
+            let mut steps = vec![turn(angle)];
+            if size != 1.0 {
+                steps.push(RandomScale { factor: [size, size] }.into());
+            }
+            variants.push(steps);
+        }
+    }
+    variants.push(vec![RandomFlip { probability: 1.0, exact: false }.into()]);
+    variants
+}
+
+fn training(grid_size: f64, jitter_clip: f64, point_max: usize) -> Vec<TransformConfig> {
+    let tilt = |axis| RandomRotate {
+        angle: [-1.0 / 64.0, 1.0 / 64.0],
+        axis,
+        center: RotationCenter::BoundingBox,
+        ..RandomRotate::default()
+    };
+    vec![
+        CenterShift { apply_z: true }.into(),
+        RandomDropout { ratio: 0.2, probability: 0.2 }.into(),
+        RandomRotate::default().into(),
+        tilt(Axis::X).into(),
+        tilt(Axis::Y).into(),
+        RandomScale { factor: [0.9, 1.1] }.into(),
+        RandomFlip::default().into(),
+        RandomJitter { sigma: 0.005, clip: jitter_clip }.into(),
+        ElasticDistortion::default().into(),
+        ChromaticAutoContrast { probability: 0.2 }.into(),
+        ChromaticTranslation { probability: 0.95, ratio: 0.05 }.into(),
+        ChromaticJitter { probability: 0.95, std: 0.05 }.into(),
+        GridSample { grid_size, ..GridSample::default() }.into(),
+        SphereCrop { point_max, ..SphereCrop::default() }.into(),
+        CenterShift { apply_z: false }.into(),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::transforms::testing::{applied, at, room};
+    use crate::transforms::{build_transforms, testing};
+    use crate::{InputFeatures, Sample, sample_rng};
+
+    fn run(steps: &[TransformConfig], sample: &Sample, seed: u64) -> Sample {
+        let mut sample = sample.clone();
+        let mut rng = sample_rng(seed, 0, 0);
+        for step in build_transforms(steps).unwrap() {
+            step.apply(&mut sample, &mut rng).unwrap();
+            sample.check().unwrap();
+        }
+        sample
+    }
+
+    #[test]
+    fn whole_pipelines_give_what_a_network_can_read() {
+        let scene = room(20_000);
+        for steps in [language_pretraining(0.02), semantic_segmentation(0.02), validation(0.02)] {
+            for seed in 0..6 {
+                let sample = run(&steps, &scene, seed);
+                assert!(!sample.is_empty() && sample.len() <= 20_000);
+                let feat = InputFeatures::default().sample_rows(&sample).unwrap();
+                assert!(feat.iter().all(|v| v.is_finite()));
+                assert_eq!(sample, run(&steps, &scene, seed));
+                assert!(sample.quat.iter().all(|q| q[0] >= 0.0));
+                let [low, high] = sample.bounds().unwrap();
+                assert!((low[0] + high[0]).abs() < 1e-4 && (low[1] + high[1]).abs() < 1e-4);
+            }
+        }
+        assert_ne!(
+            run(&language_pretraining(0.02), &scene, 0),
+            run(&language_pretraining(0.02), &scene, 1)
+        );
+        assert_eq!(run(&validation(0.02), &scene, 0), run(&validation(0.02), &scene, 1));
+    }
+
+    #[test]
+    fn thirteen_variants_are_fixed_and_different() {
+        let scene = at(&[[1.0, 2.0, 3.0], [-4.0, 0.5, 0.25]]);
+        let variants = test_time_augmentation();
+        assert_eq!(variants.len(), 13);
+        let coords: Vec<_> = variants.iter().map(|steps| run(steps, &scene, 0).coord).collect();
+        assert_eq!(coords, variants.iter().map(|s| run(s, &scene, 9).coord).collect::<Vec<_>>());
+        assert_eq!(coords[0], scene.coord);
+        assert_eq!(coords[12], [[-1.0, -2.0, 3.0], [4.0, -0.5, 0.25]]);
+        for (i, a) in coords.iter().enumerate() {
+            assert!(coords[..i].iter().all(|b| a != b || i == 12), "{i}");
+        }
+    }
+
+    #[test]
+    fn pipelines_take_the_smallest_scenes() {
+        for rows in 0..3 {
+            let mut sample = at(&vec![[0.3; 3]; rows]);
+            if let Some(quat) = sample.quat.first_mut() {
+                *quat = [0.0; 4];
+            }
+            for steps in [language_pretraining(0.02), semantic_segmentation(0.02), validation(0.02)]
+            {
+                for seed in 0..10 {
+                    let out = run(&steps, &sample, seed);
+                    assert!(out.len() <= rows && (rows == 0 || !out.is_empty()));
+                    InputFeatures::default().sample_rows(&out).unwrap();
+                }
+            }
+        }
+        let step = CenterShift::default();
+        assert!(testing::at(&[]).is_empty() && applied(&step, &at(&[]), 0).is_empty());
+    }
+}

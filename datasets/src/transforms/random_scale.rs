@@ -1,0 +1,71 @@
+//! [`RandomScale`]
+
+use super::{check_positive, check_range};
+use crate::rng::between;
+use crate::{DataError, Sample, SampleRng, Transform};
+use serde::{Deserialize, Serialize};
+
+/// Multiplies positions, sizes and labelled points by one uniform factor.
+///
+/// # Source
+/// `RandomScale` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1, as configured there (one
+/// factor for all axes).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RandomScale {
+    /// Lowest and highest factor.
+    pub factor: [f64; 2],
+}
+
+impl Default for RandomScale {
+    fn default() -> Self {
+        Self { factor: [0.9, 1.1] }
+    }
+}
+
+impl RandomScale {
+    pub(super) fn check(&self) -> Result<(), DataError> {
+        check_range("random_scale.factor", self.factor)?;
+        check_positive("random_scale.factor", self.factor[0])
+    }
+}
+
+impl Transform for RandomScale {
+    fn apply(&self, sample: &mut Sample, rng: &mut SampleRng) -> Result<(), DataError> {
+        self.check()?;
+        let factor = between(rng, self.factor);
+        let points = sample.labelled_points.iter_mut().flat_map(|points| &mut points.coord);
+        for values in sample.coord.iter_mut().chain(&mut sample.scale).chain(points) {
+            *values = values.map(|v| (f64::from(v) * factor) as f32);
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::transforms::testing::{applied, at};
+
+    #[test]
+    fn positions_and_sizes_grow_alike() {
+        let sample = at(&[[2.0, 4.0, -6.0], [1.0, 1.0, 1.0]]);
+        let mut factors = Vec::new();
+        for seed in 0..100 {
+            let scaled = applied(&RandomScale::default(), &sample, seed);
+            let factor = scaled.coord[0][0] / 2.0;
+            assert!((0.9..=1.1).contains(&factor));
+            for (a, b) in scaled.coord.iter().flatten().zip(sample.coord.iter().flatten()) {
+                assert!((a / b - factor).abs() < 1e-6);
+            }
+            for (a, b) in scaled.scale.iter().flatten().zip(sample.scale.iter().flatten()) {
+                assert!((a / b - factor).abs() < 1e-6);
+            }
+            assert_eq!(scaled.quat, sample.quat);
+            factors.push(factor);
+        }
+        assert!(factors.iter().any(|&f| f < 0.93) && factors.iter().any(|&f| f > 1.07));
+        assert!(RandomScale { factor: [0.0, 1.0] }.check().is_err());
+        assert!(RandomScale { factor: [1.1, 0.9] }.check().is_err());
+    }
+}

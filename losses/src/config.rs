@@ -1,0 +1,239 @@
+//! Losses as they stand in a configuration file.
+
+use crate::contrastive::{AggregatedContrastive, ClassSource, Schedule, TextTable};
+use crate::cosine::CosineLoss;
+use crate::cross_entropy::CrossEntropy;
+use crate::error::LossError;
+use crate::l2::L2Loss;
+use crate::loss::Loss;
+use crate::lovasz::LovaszSoftmax;
+use crate::objective::Objective;
+use crate::rows::Reduction;
+use serde::{Deserialize, Serialize};
+
+/// One term of an objective in a configuration file.
+///
+/// ```
+/// use scenesplat_losses::{LossConfig, build_objective};
+///
+/// #[derive(serde::Deserialize)]
+/// struct File {
+///     losses: Vec<LossConfig>,
+/// }
+/// let file: File = toml::from_str(
+///     r#"
+///     [[losses]]
+///     type = "cosine"
+///     [[losses]]
+///     type = "aggregated_contrastive"
+///     weight = 0.02
+///     schedule = { last = 75.0 }
+///     classes = "off"
+///     "#,
+/// )?;
+/// let objective = build_objective(&file.losses, None)?;
+/// assert_eq!(objective.settings()[0], "1 · cosine");
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "type", rename_all = "snake_case")]
+pub enum LossConfig {
+    /// [`CosineLoss`]
+    Cosine(RowLossConfig),
+    /// [`L2Loss`]
+    L2(RowLossConfig),
+    /// [`AggregatedContrastive`]
+    AggregatedContrastive(ContrastiveConfig),
+    /// [`CrossEntropy`]
+    CrossEntropy(CrossEntropyConfig),
+    /// [`LovaszSoftmax`]
+    LovaszSoftmax(LovaszConfig),
+}
+
+/// Settings of [`CosineLoss`] and [`L2Loss`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RowLossConfig {
+    /// Weight in the objective; default 1.
+    pub weight: f64,
+    /// Mean over the valid rows, or sum.
+    pub reduction: Reduction,
+}
+
+impl Default for RowLossConfig {
+    fn default() -> Self {
+        Self { weight: 1.0, reduction: Reduction::Mean }
+    }
+}
+
+/// Settings of [`AggregatedContrastive`], which documents them; defaults are the paper's.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ContrastiveConfig {
+    /// Weight in the objective; default 0.02.
+    pub weight: f64,
+    /// τ.
+    pub temperature: f64,
+    /// `"always"`, `"skip"` or `{ last = PERCENT }`.
+    pub schedule: Schedule,
+    /// Classes with fewer rows are left out.
+    pub min_points: usize,
+    /// Where the classes come from.
+    pub classes: ClassSourceConfig,
+    /// Mean over the classes, or sum.
+    pub reduction: Reduction,
+}
+
+impl Default for ContrastiveConfig {
+    fn default() -> Self {
+        let AggregatedContrastive { temperature, schedule, min_points, reduction, .. } =
+            AggregatedContrastive::default();
+        let classes = ClassSourceConfig::Labels;
+        Self { weight: 0.02, temperature, schedule, min_points, classes, reduction }
+    }
+}
+
+/// [`ClassSource`] without its table.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ClassSourceConfig {
+    /// No classes: the term is off.
+    Off,
+    /// The labels of the data: ground truth.
+    #[default]
+    Labels,
+    /// The nearest of the data's texts.
+    PseudoLabels,
+    /// The largest channel of the target.
+    Argmax,
+}
+
+/// Settings of [`CrossEntropy`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct CrossEntropyConfig {
+    /// Weight in the objective; default 1.
+    pub weight: f64,
+    /// In `0..1`; default 0.
+    pub label_smoothing: f64,
+    /// One for each class.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub class_weights: Option<Vec<f64>>,
+}
+
+impl Default for CrossEntropyConfig {
+    fn default() -> Self {
+        Self { weight: 1.0, label_smoothing: 0.0, class_weights: None }
+    }
+}
+
+/// Settings of [`LovaszSoftmax`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LovaszConfig {
+    /// Weight in the objective; default 1.
+    pub weight: f64,
+}
+
+impl Default for LovaszConfig {
+    fn default() -> Self {
+        Self { weight: 1.0 }
+    }
+}
+
+impl LossConfig {
+    /// Weight in the objective.
+    pub fn weight(&self) -> f64 {
+        match self {
+            Self::Cosine(c) | Self::L2(c) => c.weight,
+            Self::AggregatedContrastive(c) => c.weight,
+            Self::CrossEntropy(c) => c.weight,
+            Self::LovaszSoftmax(c) => c.weight,
+        }
+    }
+
+    /// The loss; `texts` are the data's, for pseudo-labels.
+    ///
+    /// # Errors
+    /// If a setting is out of its range, or there are no texts for pseudo-labels.
+    pub fn build(&self, texts: Option<&TextTable>) -> Result<Box<dyn Loss>, LossError> {
+        in_range("objective", "weight", self.weight(), f64::is_finite, "a finite number")?;
+        Ok(match self {
+            Self::Cosine(c) => Box::new(CosineLoss { reduction: c.reduction }),
+            Self::L2(c) => Box::new(L2Loss { reduction: c.reduction }),
+            Self::AggregatedContrastive(c) => Box::new(c.build(texts)?),
+            Self::CrossEntropy(c) => Box::new(c.build()?),
+            Self::LovaszSoftmax(_) => Box::new(LovaszSoftmax),
+        })
+    }
+}
+
+impl ContrastiveConfig {
+    fn build(&self, texts: Option<&TextTable>) -> Result<AggregatedContrastive, LossError> {
+        const LOSS: &str = "aggregated_contrastive";
+        let positive = |v: f64| v > 0.0 && v.is_finite();
+        in_range(LOSS, "temperature", self.temperature, positive, "a finite number above 0")?;
+        if let Schedule::Last(percent) = self.schedule {
+            let percentage = |v| (0.0..=100.0).contains(&v);
+            in_range(LOSS, "schedule.last", percent, percentage, "a percentage, 0..=100")?;
+        }
+        in_range(LOSS, "min_points", self.min_points as f64, |v| v >= 2.0, "at least 2")?;
+        let classes = match self.classes {
+            ClassSourceConfig::Off => ClassSource::Off,
+            ClassSourceConfig::Labels => ClassSource::Labels,
+            ClassSourceConfig::Argmax => ClassSource::Argmax,
+            ClassSourceConfig::PseudoLabels => {
+                let missing = LossError::Setting {
+                    loss: LOSS,
+                    setting: "classes",
+                    value: "pseudo_labels".to_owned(),
+                    expected: "another source, or data that come with text embeddings",
+                };
+                ClassSource::PseudoLabels(texts.ok_or(missing)?.clone())
+            }
+        };
+        let Self { temperature, schedule, min_points, reduction, .. } = *self;
+        Ok(AggregatedContrastive { temperature, schedule, min_points, classes, reduction })
+    }
+}
+
+impl CrossEntropyConfig {
+    fn build(&self) -> Result<CrossEntropy, LossError> {
+        const LOSS: &str = "cross_entropy";
+        let share = |v| (0.0..1.0).contains(&v);
+        in_range(LOSS, "label_smoothing", self.label_smoothing, share, "0..1")?;
+        for weight in self.class_weights.iter().flatten() {
+            let good = |v: f64| v.is_finite() && v >= 0.0;
+            in_range(LOSS, "class_weights", *weight, good, "finite numbers ≥ 0")?;
+        }
+        let Self { label_smoothing, class_weights, .. } = self.clone();
+        Ok(CrossEntropy { label_smoothing, class_weights })
+    }
+}
+
+/// The objective of a list of terms.
+///
+/// # Errors
+/// As [`LossConfig::build`], or if there is no term.
+pub fn build_objective(
+    terms: &[LossConfig],
+    texts: Option<&TextTable>,
+) -> Result<Objective, LossError> {
+    in_range("objective", "number of terms", terms.len() as f64, |v| v > 0.0, "at least 1")?;
+    terms.iter().try_fold(Objective::new(), |objective, term| {
+        Ok(objective.with(term.weight(), term.build(texts)?))
+    })
+}
+
+fn in_range(
+    loss: &'static str,
+    setting: &'static str,
+    value: f64,
+    good: impl Fn(f64) -> bool,
+    expected: &'static str,
+) -> Result<(), LossError> {
+    if good(value) {
+        return Ok(());
+    }
+    Err(LossError::Setting { loss, setting, value: value.to_string(), expected })
+}

@@ -1,0 +1,167 @@
+//! Layers, with all their parameters.
+
+use crate::check::{BF16_EPS, F32_EPS, check_part, cloud, flat, store, var};
+use crate::slow;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use scenesplat_kernels::Precision;
+use scenesplat_models::layers::{
+    BatchNorm, DropPath, LayerNorm, Linear, LinearNorm, Mlp, SparseConv,
+};
+use scenesplat_models::{Compute, Mode};
+
+const ROWS: usize = 14;
+
+#[test]
+fn linear() {
+    for (precision, eps) in [(Precision::F32, F32_EPS), (Precision::Bf16, BF16_EPS)] {
+        for bias in [true, false] {
+            let store = store();
+            let compute = Compute { precision, ..Compute::default() };
+            let layer = Linear::with(compute, 5, 7, bias, store.builder()).unwrap();
+            let (x, r) = (var("x", &[ROWS, 5]), var("r", &[ROWS, 7]));
+            let product = |v: &crate::check::Values| {
+                slow::linear(&v["x"], 5, &v["weight"], v.get("bias").map(Vec::as_slice))
+            };
+            let case = format!("linear {precision}, bias {bias}");
+            let out = layer.forward(&x).unwrap();
+            check_part(&case, eps, &store, &[("x", &x)], &out, product);
+            let out = layer.forward_residual(&x, Some(&r)).unwrap();
+            let case = format!("{case}, residual");
+            check_part(&case, eps, &store, &[("x", &x), ("r", &r)], &out, |v| {
+                slow::add(&product(v), &v["r"])
+            });
+            let out = layer.forward_gelu(&x).unwrap();
+            let case = format!("{case}, gelu");
+            check_part(&case, eps, &store, &[("x", &x)], &out, |v| slow::gelu(&product(v)));
+        }
+    }
+}
+
+#[test]
+fn layer_norm() {
+    let store = store();
+    let layer = LayerNorm::new(6, store.builder()).unwrap();
+    let (x, r) = (var("x", &[ROWS, 6]), var("r", &[ROWS, 6]));
+    let out = layer.forward_residual(&x, Some(&r)).unwrap();
+    check_part("layer norm", F32_EPS, &store, &[("x", &x), ("r", &r)], &out, |v| {
+        slow::add(&slow::layer_norm(&v["x"], &v["weight"], &v["bias"]), &v["r"])
+    });
+}
+
+#[test]
+fn batch_norm() {
+    for mode in [Mode::Train, Mode::Eval] {
+        let store = store();
+        let layer = BatchNorm::new(6, store.builder()).unwrap();
+        let x = var("x", &[ROWS, 6]);
+        let buffers = store.buffers();
+        let (mean, spread) = (flat(&buffers["running_mean"]), flat(&buffers["running_var"]));
+        let given = (mode == Mode::Eval).then_some((mean.as_slice(), spread.as_slice()));
+        let out = layer.forward_gelu(&x, mode).unwrap();
+        check_part(&format!("batch norm {mode:?}"), F32_EPS, &store, &[("x", &x)], &out, |v| {
+            slow::gelu(&slow::batch_norm(&v["x"], &v["weight"], &v["bias"], given))
+        });
+    }
+}
+
+#[test]
+fn linear_norm() {
+    for mode in [Mode::Train, Mode::Eval] {
+        let store = store();
+        let vb = store.builder();
+        let layer = LinearNorm::new(Compute::default(), 5, 6, vb.pp("0"), vb.pp("1")).unwrap();
+        let x = var("x", &[ROWS, 5]);
+        let buffers = store.buffers();
+        let (mean, spread) = (flat(&buffers["1.running_mean"]), flat(&buffers["1.running_var"]));
+        let given = (mode == Mode::Eval).then_some((mean.as_slice(), spread.as_slice()));
+        let out = layer.forward(&x, mode).unwrap();
+        // The norm takes the mean away, so the linear layer's bias has no gradient in training:
+        // checked by itself, there is no largest value to compare with.
+        let bias = store.parameters()["0.bias"].clone();
+        let wanted = |v: &crate::check::Values| {
+            let bias = v.get("0.bias").cloned().unwrap_or_else(|| flat(&bias));
+            let y = slow::linear(&v["x"], 5, &v["0.weight"], Some(&bias));
+            slow::gelu(&slow::batch_norm(&y, &v["1.weight"], &v["1.bias"], given))
+        };
+        if mode == Mode::Eval {
+            check_part("linear norm Eval", F32_EPS, &store, &[("x", &x)], &out, wanted);
+            continue;
+        }
+        let parameters = store.parameters();
+        let vars: Vec<_> = parameters.iter().filter(|(name, _)| *name != "0.bias").collect();
+        let mut vars: Vec<_> = vars.iter().map(|(name, v)| (name.as_str(), *v)).collect();
+        vars.push(("x", &x));
+        crate::check::check("linear norm Train", F32_EPS, &vars, &out, wanted);
+        let grads = out.sqr().unwrap().sum_all().unwrap().backward().unwrap();
+        let largest = flat(grads.get(&x).unwrap()).iter().fold(0f64, |a, g| a.max(g.abs()));
+        let of_bias = flat(grads.get(&bias).unwrap());
+        assert!(of_bias.iter().all(|g| g.abs() < F32_EPS * largest), "{of_bias:?}");
+    }
+}
+
+#[test]
+fn mlp() {
+    let store = store();
+    let layer = Mlp::new(5, 12, store.builder()).unwrap();
+    let (x, r) = (var("x", &[ROWS, 5]), var("r", &[ROWS, 5]));
+    let out = layer.forward_residual(&x, &r).unwrap();
+    check_part("mlp", F32_EPS, &store, &[("x", &x), ("r", &r)], &out, |v| {
+        let hidden = slow::gelu(&slow::linear(&v["x"], 5, &v["fc1.weight"], Some(&v["fc1.bias"])));
+        slow::add(&slow::linear(&hidden, 12, &v["fc2.weight"], Some(&v["fc2.bias"])), &v["r"])
+    });
+}
+
+/// What each row of a branch is multiplied with.
+pub fn drop_factors(rate: f64, rows: usize, rng: &mut ChaCha8Rng) -> Vec<f64> {
+    let keep = 1.0 - rate;
+    let kept = |()| if rng.random::<f64>() < keep { 1.0 / keep } else { 0.0 };
+    (0..rows).map(|_| ()).map(kept).collect()
+}
+
+#[test]
+fn drop_path() {
+    let (x, r) = (var("x", &[ROWS, 3]), var("r", &[ROWS, 3]));
+    for (mode, rate) in [(Mode::Train, 0.4), (Mode::Train, 0.0), (Mode::Eval, 0.4)] {
+        let rng = || ChaCha8Rng::seed_from_u64(8);
+        let out = DropPath { rate }.forward_residual(&x, &r, mode, &mut rng()).unwrap();
+        let factors = match mode {
+            Mode::Train => drop_factors(rate, ROWS, &mut rng()),
+            Mode::Eval => vec![1.0; ROWS],
+        };
+        let dropped = factors.iter().filter(|f| **f == 0.0).count();
+        assert_eq!(dropped > 0, mode == Mode::Train && rate > 0.0);
+        let case = format!("drop path {mode:?} {rate}");
+        crate::check::check(&case, F32_EPS, &[("x", &x), ("r", &r)], &out, |v| {
+            slow::add_scaled(&v["x"], &factors, &v["r"])
+        });
+    }
+}
+
+#[test]
+fn sparse_conv() {
+    let cloud = cloud();
+    for (k, bias) in [(3, true), (3, false), (5, false)] {
+        let store = store();
+        let layer = SparseConv::new(2, 3, k, bias, store.builder()).unwrap();
+        let x = var("x", &[cloud.len(), 2]);
+        let out = layer.forward(&x, cloud.kernel_map(k).unwrap()).unwrap();
+        let case = format!("sparse conv {k}, bias {bias}");
+        check_part(&case, F32_EPS, &store, &[("x", &x)], &out, |v| {
+            let bias = v.get("bias").map(Vec::as_slice);
+            slow::conv(&v["x"], 2, &v["weight"], bias, &cloud, k)
+        });
+    }
+    // With the linear layer behind it.
+    let store = store();
+    let vb = store.builder();
+    let (conv, linear) =
+        SparseConv::with_linear(Compute::default(), 3, 3, vb.pp("c"), vb.pp("l")).unwrap();
+    let x = var("x", &[cloud.len(), 3]);
+    let out = conv.forward(&x, cloud.kernel_map(3).unwrap()).unwrap();
+    let out = linear.unwrap().forward(&out).unwrap();
+    check_part("sparse conv and linear", F32_EPS, &store, &[("x", &x)], &out, |v| {
+        let y = slow::conv(&v["x"], 3, &v["c.weight"], Some(&v["c.bias"]), &cloud, 3);
+        slow::linear(&y, 3, &v["l.weight"], Some(&v["l.bias"]))
+    });
+}

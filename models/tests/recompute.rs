@@ -1,0 +1,59 @@
+//! Recomputing blocks changes memory, not results.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use candle_core::{Device, Tensor, backprop::GradStore};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use scenesplat_models::{
+    Backbone, Forward, LanguageModel, ParamStore, PointCloud, PointTransformerV3Config, Recompute,
+};
+use std::collections::BTreeMap;
+
+fn gradients(recomputed: bool) -> (Vec<f32>, BTreeMap<String, Vec<f32>>) {
+    let store = ParamStore::trainable(3);
+    let config = PointTransformerV3Config { drop_path: 0.3, ..PointTransformerV3Config::tiny() };
+    let network = LanguageModel::new(&config, store.builder()).unwrap();
+    let side = 14;
+    let grid: Vec<[i32; 3]> =
+        (0..side * side).map(|i| [i % side, i / side, (i * i / 7) % 5]).collect();
+    let values: Vec<f32> = (0..grid.len() * 11).map(|i| (i as f32 * 0.37).sin()).collect();
+    let feat = Tensor::from_vec(values, (grid.len(), 11), &Device::Cpu).unwrap();
+    let points = PointCloud::new(grid, feat, vec![0, 90, 196]).unwrap();
+    let recompute = Recompute::new(store.parameters());
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let mut cx = Forward::train(&mut rng);
+    cx.recompute = recomputed.then(|| recompute.clone());
+    let out = network.forward(&points, &mut cx).unwrap();
+    let weights: Vec<f32> = (0..out.elem_count()).map(|i| (i as f32 * 0.11).cos()).collect();
+    let weights = Tensor::from_vec(weights, out.shape().clone(), &Device::Cpu).unwrap();
+    let loss = (&out * weights).unwrap().sum_all().unwrap();
+    let mut grads: GradStore = loss.backward().unwrap();
+    let before = store.parameters().iter().filter(|(_, v)| grads.get(v).is_some()).count();
+    recompute.drain_into(&mut grads).unwrap();
+    let all: BTreeMap<String, Vec<f32>> = store
+        .parameters()
+        .iter()
+        .map(|(n, v)| (n.clone(), grads.get(v).unwrap().flatten_all().unwrap().to_vec1().unwrap()))
+        .collect();
+    // The test would prove nothing if nothing had been recomputed.
+    assert_eq!(before < all.len(), recomputed);
+    (out.flatten_all().unwrap().to_vec1().unwrap(), all)
+}
+
+#[test]
+fn gradients_are_those_of_the_plain_run() {
+    let (plain, recomputed) = (gradients(false), gradients(true));
+    assert_eq!(plain.0, recomputed.0, "features");
+    for (name, expected) in &plain.1 {
+        let found = &recomputed.1[name];
+        let norm = expected.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
+        let error = expected
+            .iter()
+            .zip(found)
+            .map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2))
+            .sum::<f64>()
+            .sqrt();
+        assert!(error <= 1e-6 * norm + 1e-9, "{name}: {error:e} of {norm:e}");
+        assert!(norm > 0.0, "{name} has no gradient");
+    }
+}

@@ -1,0 +1,407 @@
+//! An experiment as a file.
+
+use anyhow::{Context, Result};
+use scenesplat_datasets::transforms::{self, TransformConfig};
+use scenesplat_datasets::{InputFeatures, LoaderSettings, MixRule};
+use scenesplat_losses::LossConfig;
+use scenesplat_models::PointTransformerV3Config;
+use scenesplat_trainers::{AdamWConfig, CosineSchedule, KeywordGroup, OneCycle, TrainerConfig};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+use super::data::{EvaluationConfig, TrainDataConfig};
+
+/// What is trained, on what, and how. The file is TOML; relative paths start at its folder, also
+/// those that it takes from a file that it extends.
+///
+/// `extends = "other.toml"` takes everything from another file first; tables are joined, everything
+/// else (lists too) is replaced. So configurations of one family differ in what differs.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ExperimentConfig {
+    /// What the network is trained for.
+    pub task: Task,
+    /// The network.
+    #[serde(default)]
+    pub model: PointTransformerV3Config,
+    /// Form of the numbers that are multiplied: `f32`, `split` or `bf16`. Parameters, sums, norms,
+    /// softmax and losses are f32 in any case.
+    #[serde(default = "f32_name")]
+    pub precision: String,
+    /// Seed of the parameters' first values.
+    #[serde(default)]
+    pub model_seed: u64,
+    /// Weights to start from; what fits is taken, and what does not is listed.
+    #[serde(default)]
+    pub init_from: Option<PathBuf>,
+    /// What the network reads of a Gaussian.
+    #[serde(default)]
+    pub input: InputFeatures,
+    /// Data to train on; several are taken in turns by their weights.
+    pub train: Vec<TrainDataConfig>,
+    /// How the weights of several datasets count.
+    #[serde(default)]
+    pub mix: MixRule,
+    /// How scenes become batches.
+    #[serde(default)]
+    pub loader: LoaderSettings,
+    /// Where the targets of language pretraining come from.
+    #[serde(default)]
+    pub targets: Targets,
+    /// Texts of the classes, for targets and zero-shot evaluation.
+    #[serde(default)]
+    pub text: Option<TextConfig>,
+    /// The terms of the loss.
+    pub losses: Vec<LossConfig>,
+    /// AdamW and its groups.
+    #[serde(default)]
+    pub optimizer: OptimizerConfig,
+    /// How the learning rate varies.
+    #[serde(default)]
+    pub schedule: ScheduleConfig,
+    /// The loop.
+    #[serde(default)]
+    pub trainer: TrainerConfig,
+    /// Scenes to evaluate on.
+    #[serde(default)]
+    pub evaluate: Vec<EvaluationConfig>,
+    /// Ends the run when it no longer gets better.
+    #[serde(default)]
+    pub early_stopping: Option<EarlyStoppingConfig>,
+}
+
+fn f32_name() -> String {
+    "f32".to_owned()
+}
+
+/// What a network is trained for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Task {
+    /// Features shall be language features.
+    LanguagePretraining,
+    /// Logits shall name the class.
+    SemanticSegmentation,
+}
+
+/// Where targets of language pretraining come from.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Targets {
+    /// The scenes' own language features.
+    #[default]
+    Features,
+    /// The text of each row's class.
+    ClassText,
+}
+
+/// Texts of the classes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, tag = "type", rename_all = "snake_case")]
+pub enum TextConfig {
+    /// A table of embeddings.
+    Table {
+        /// `.safetensors`, or `.pt` with `names`.
+        path: PathBuf,
+        /// Names of the rows, one a line, if the table has none.
+        #[serde(default)]
+        names: Option<PathBuf>,
+        /// Rows to use, in the order of the labels; all if empty. How classes of synthetic rooms
+        /// meet a table of other names.
+        #[serde(default)]
+        rows: Vec<String>,
+        /// Classes left out of the averages that begin with f.
+        #[serde(default)]
+        exclude: Vec<String>,
+    },
+    /// The built-in vocabulary of the synthetic rooms.
+    Vocabulary {
+        /// Width of its vectors.
+        dim: usize,
+        /// Classes left out of the averages that begin with f.
+        #[serde(default = "background")]
+        exclude: Vec<String>,
+    },
+    /// Rows of a table for the classes of the synthetic rooms, by their names in `ScanNet200`.
+    SyntheticClasses {
+        /// As for `table`.
+        path: PathBuf,
+        /// As for `table`.
+        #[serde(default)]
+        names: Option<PathBuf>,
+        /// Classes left out of the averages that begin with f.
+        #[serde(default = "background")]
+        exclude: Vec<String>,
+    },
+}
+
+fn background() -> Vec<String> {
+    ["wall", "floor", "ceiling"].map(str::to_owned).to_vec()
+}
+
+/// AdamW over groups of parameters.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct OptimizerConfig {
+    /// Largest learning rate of parameters that no group claims.
+    pub lr: f64,
+    /// Decay per unit of learning rate, of all parameters.
+    pub weight_decay: f64,
+    /// Parameters with a rate of their own, by part of their name.
+    pub groups: Vec<KeywordGroup>,
+    /// Moments.
+    pub adamw: AdamWConfig,
+}
+
+impl Default for OptimizerConfig {
+    fn default() -> Self {
+        Self {
+            lr: 0.006,
+            weight_decay: 0.05,
+            groups: vec![KeywordGroup { keyword: "block".to_owned(), lr: 0.0006 }],
+            adamw: AdamWConfig::default(),
+        }
+    }
+}
+
+/// How the learning rate varies over the run.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "type", rename_all = "snake_case")]
+pub enum ScheduleConfig {
+    /// One rise and one longer fall, momentum the other way.
+    OneCycle(OneCycle),
+    /// A warm-up, then half a cosine.
+    Cosine(CosineSchedule),
+}
+
+impl Default for ScheduleConfig {
+    fn default() -> Self {
+        Self::OneCycle(OneCycle::default())
+    }
+}
+
+/// When a run has had its time.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EarlyStoppingConfig {
+    /// Full name of the measurement, such as `zero_shot/f-mIoU`.
+    pub measurement: String,
+    /// Evaluations without a better value.
+    pub patience: u64,
+    /// Whether a smaller value is better.
+    #[serde(default)]
+    pub smaller_is_better: bool,
+}
+
+/// The steps that a scene goes through.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum TransformList {
+    /// `language_pretraining`, `semantic_segmentation` or `validation`.
+    Preset(String),
+    /// One after the other.
+    Steps(Vec<TransformConfig>),
+}
+
+impl TransformList {
+    /// The steps; presets sample at `grid_size`, metres.
+    ///
+    /// # Errors
+    /// If there is no preset of this name.
+    pub fn steps(&self, grid_size: f64) -> Result<Vec<TransformConfig>> {
+        Ok(match self {
+            Self::Steps(steps) => steps.clone(),
+            Self::Preset(name) => match name.as_str() {
+                "language_pretraining" => transforms::language_pretraining(grid_size),
+                "semantic_segmentation" => transforms::semantic_segmentation(grid_size),
+                "validation" => transforms::validation(grid_size),
+                other => anyhow::bail!(
+                    "transforms: {other:?} is no preset; use language_pretraining, \
+                     semantic_segmentation, validation, or a list of steps"
+                ),
+            },
+        })
+    }
+}
+
+impl ExperimentConfig {
+    /// Reads a file and those that it extends.
+    ///
+    /// # Errors
+    /// If a file cannot be read, extends itself, or has unknown or wrong fields.
+    pub fn read(path: &Path) -> Result<Self> {
+        let table = read_table(path, &mut Vec::new())?;
+        let text = toml::to_string(&table).context("joining configuration files")?;
+        let mut config: Self = toml::from_str(&text).with_context(|| path.display().to_string())?;
+        config.check().with_context(|| path.display().to_string())?;
+        config.place(path.parent().unwrap_or(Path::new("")));
+        Ok(config)
+    }
+
+    /// Checks what can be checked without data.
+    ///
+    /// # Errors
+    /// Names the first field that does not fit.
+    pub fn check(&self) -> Result<()> {
+        self.model.check().context("model")?;
+        self.trainer.check().context("trainer")?;
+        self.loader.check().context("loader")?;
+        self.precision()?;
+        anyhow::ensure!(!self.train.is_empty(), "train: at least one dataset is needed");
+        anyhow::ensure!(!self.losses.is_empty(), "losses: at least one term is needed");
+        let reads = self.input.width();
+        let takes = self.model.in_channels;
+        anyhow::ensure!(
+            reads == takes,
+            "model.in_channels is {takes}, but the channels of `input` are {reads} together"
+        );
+        let head = self.model.num_classes.is_some();
+        match self.task {
+            Task::LanguagePretraining => {
+                anyhow::ensure!(!head, "model.num_classes: language pretraining has no classifier");
+                let needs = self.targets == Targets::ClassText;
+                let without = needs && self.text.is_none();
+                anyhow::ensure!(!without, "text: targets = \"class_text\" needs it");
+            }
+            Task::SemanticSegmentation => {
+                anyhow::ensure!(head, "model.num_classes: segmentation needs it");
+            }
+        }
+        Ok(())
+    }
+
+    /// Sets the seed of everything that is random: first values, order, augmentation, steps. The
+    /// scenes stay the same.
+    pub fn set_seed(&mut self, seed: u64) {
+        self.model_seed = seed;
+        self.loader.seed = seed;
+        self.trainer.seed = seed;
+        self.train.iter_mut().for_each(|data| data.seed = seed);
+    }
+
+    /// The precision of products.
+    ///
+    /// # Errors
+    /// If there is none of this name.
+    pub fn precision(&self) -> Result<scenesplat_kernels::Precision> {
+        self.precision.parse().map_err(|e| anyhow::anyhow!("precision: {e}"))
+    }
+
+    /// Makes relative paths start at `folder`.
+    fn place(&mut self, folder: &Path) {
+        let place = |path: &mut PathBuf| {
+            if path.is_relative() {
+                *path = folder.join(&*path);
+            }
+        };
+        self.init_from.iter_mut().for_each(place);
+        match &mut self.text {
+            Some(
+                TextConfig::Table { path, names, .. }
+                | TextConfig::SyntheticClasses { path, names, .. },
+            ) => {
+                place(path);
+                names.iter_mut().for_each(place);
+            }
+            _ => {}
+        }
+        let train = self.train.iter_mut().map(|d| &mut d.source);
+        let evaluate = self.evaluate.iter_mut().map(|d| &mut d.source);
+        train.chain(evaluate).for_each(|source| source.place(folder));
+    }
+}
+
+/// A file joined with those it extends. `seen`: the files on the way here.
+fn read_table(path: &Path, seen: &mut Vec<PathBuf>) -> Result<toml::Table> {
+    let here = path.canonicalize().with_context(|| path.display().to_string())?;
+    anyhow::ensure!(!seen.contains(&here), "{}: extends itself", path.display());
+    seen.push(here);
+    let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+    let text = with_variables(&text).with_context(|| path.display().to_string())?;
+    let mut own: toml::Table = text.parse().with_context(|| path.display().to_string())?;
+    let Some(base) = own.remove("extends") else { return Ok(own) };
+    let toml::Value::String(base) = base else {
+        anyhow::bail!("{}: extends: expected the path of a file, got {base}", path.display());
+    };
+    let base = path.parent().unwrap_or(Path::new("")).join(base);
+    let mut joined = read_table(&base, seen)?;
+    join(&mut joined, own);
+    Ok(joined)
+}
+
+/// Replaces `${NAME}` by the environment's value.
+fn with_variables(text: &str) -> Result<String> {
+    let mut out = String::with_capacity(text.len());
+    for (number, line) in text.lines().enumerate() {
+        let code = line.split('#').next().unwrap_or("");
+        let mut rest = line;
+        // A variable in a comment is an example.
+        while let (Some(start), true) = (rest.find("${"), code.contains("${")) {
+            let Some(length) = rest[start..].find('}') else { break };
+            let name = &rest[start + 2..start + length];
+            let value = std::env::var(name).with_context(|| {
+                format!("line {}: ${{{name}}}: set this environment variable", number + 1)
+            })?;
+            out.push_str(&rest[..start]);
+            out.push_str(&value);
+            rest = &rest[start + length + 1..];
+        }
+        out.push_str(rest);
+        out.push('\n');
+    }
+    Ok(out)
+}
+
+/// Puts `own` over `base`. A table that changes its `type` replaces the other: its fields are none
+/// of the new one's.
+fn join(base: &mut toml::Table, own: toml::Table) {
+    for (key, value) in own {
+        match (base.get_mut(&key), value) {
+            (Some(toml::Value::Table(old)), toml::Value::Table(new))
+                if !(new.contains_key("type") && new.get("type") != old.get("type")) =>
+            {
+                join(old, new);
+            }
+            (_, value) => _ = base.insert(key, value),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn table(text: &str) -> toml::Table {
+        text.parse().unwrap()
+    }
+
+    #[test]
+    fn files_are_joined() {
+        let mut base = table("a = 1\nlist = [1, 2]\n[t]\nx = 1\ny = 2\n[s]\ntype = 'p'\nq = 1");
+        join(&mut base, table("list = [3]\n[t]\ny = 5\n[s]\ntype = 'other'"));
+        let expected = table("a = 1\nlist = [3]\n[t]\nx = 1\ny = 5\n[s]\ntype = 'other'");
+        assert_eq!(base, expected);
+    }
+
+    #[test]
+    fn a_circle_of_files_is_an_error() {
+        let dir = tempfile::tempdir().unwrap();
+        for (name, other) in [("a", "b"), ("b", "a")] {
+            let text = format!("extends = '{other}.toml'\n");
+            std::fs::write(dir.path().join(format!("{name}.toml")), text).unwrap();
+        }
+        let error = ExperimentConfig::read(&dir.path().join("a.toml")).unwrap_err();
+        assert!(error.to_string().contains("extends itself"), "{error:#}");
+    }
+
+    #[test]
+    fn unset_variables_are_named_with_their_line() {
+        let error = with_variables("x = 1\ny = '${SCENESPLAT_NO_SUCH_THING}'").unwrap_err();
+        let text = format!("{error:#}");
+        assert!(text.contains("line 2") && text.contains("SCENESPLAT_NO_SUCH_THING"), "{text}");
+        assert_eq!(
+            with_variables("# ${SCENESPLAT_NO_SUCH_THING}").unwrap().trim_end().len(),
+            29 + 2
+        );
+    }
+}

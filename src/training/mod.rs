@@ -1,0 +1,10 @@
+//! Training from a file: `scenesplat train` and what it is made of.
+
+pub mod config;
+pub mod curves;
+pub mod data;
+pub mod export;
+mod run;
+
+pub use config::ExperimentConfig;
+pub use run::{RunOptions, RunReport, train};

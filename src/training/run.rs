@@ -1,0 +1,285 @@
+//! From an experiment's file to a trained network.
+
+use super::config::{ExperimentConfig, OptimizerConfig, ScheduleConfig, Targets, Task};
+use super::curves::write_curves;
+use super::data;
+use super::export::export_model;
+use crate::text::class_list;
+use anyhow::{Context, Result};
+use scenesplat_datasets::{BatchLoader, TrainBatch};
+use scenesplat_losses::{Objective, TextTable as LossTexts, build_objective};
+use scenesplat_models::weights::{SourceOptions, WeightSource, resolve};
+use scenesplat_models::{
+    Compute, LanguageModel, LoadPolicy, ParamStore, PointTransformerV3Config, SemanticSegmenter,
+};
+use scenesplat_scene::{LabelSet, TextTable};
+use scenesplat_trainers::callbacks::{
+    Console, EarlyStopping, JsonLines, TensorBoard, read_json_lines,
+};
+use scenesplat_trainers::checkpoint::newest_checkpoint;
+use scenesplat_trainers::evaluators::{SegmentationEvaluator, ZeroShotEvaluator};
+use scenesplat_trainers::tasks::{LanguagePretraining, SemanticSegmentation, TargetSource};
+use scenesplat_trainers::{
+    AdamW, Evaluator, Optimizer, Progress, Schedule, Trainer, TrainerConfig, TrainingModule,
+    group_by_keyword,
+};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+/// How a run is started.
+#[derive(Debug, Clone)]
+pub struct RunOptions {
+    /// Folder of everything that the run writes.
+    pub out: PathBuf,
+    /// Goes on from the newest checkpoint in that folder.
+    pub resume: bool,
+    /// Shows nothing.
+    pub quiet: bool,
+    /// Once set, the run saves and stops.
+    pub stop: Arc<AtomicBool>,
+}
+
+/// What a run left behind.
+#[derive(Debug, Clone)]
+pub struct RunReport {
+    /// Where it stopped.
+    pub progress: Progress,
+    /// The network, as `--weights` takes it.
+    pub model: PathBuf,
+    /// The curves.
+    pub curves: PathBuf,
+    /// Things to know: what was loaded, scenes that were repaired or left out.
+    pub remarks: Vec<String>,
+}
+
+/// Trains as the experiment says. Writes into `out`:
+///
+/// | file | what |
+/// |---|---|
+/// | `config.toml` | the experiment, files that it extends included |
+/// | `run.json` | version of the program, git commit, losses and classes as they were used |
+/// | `metrics.jsonl` | everything that was measured, one value a line |
+/// | `tensorboard/` | the same for TensorBoard |
+/// | `checkpoints/` | the last ones and the best one |
+/// | `curves.png` | the same as a picture |
+/// | `model/` | the best network (the last, if none is marked), as `--weights` takes it |
+///
+/// # Errors
+/// If the experiment does not fit together, data cannot be read, or training fails.
+pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunReport> {
+    let checkpoints = options.out.join("checkpoints");
+    let newest = newest_checkpoint(&checkpoints)?;
+    anyhow::ensure!(
+        options.resume || newest.is_none(),
+        "{}: holds a run already; give --resume to go on with it, or another --out",
+        options.out.display()
+    );
+    anyhow::ensure!(
+        !options.resume || newest.is_some(),
+        "{}: there is no checkpoint to resume from",
+        checkpoints.display()
+    );
+    let text = config.text.as_ref().map(data::text_table).transpose()?;
+    std::fs::create_dir_all(&options.out).with_context(|| options.out.display().to_string())?;
+    let (params, mut remarks) = parameters(config)?;
+    let model = PointTransformerV3Config {
+        compute: Compute { precision: config.precision()?, ..config.model.compute },
+        ..config.model.clone()
+    };
+    let loss_texts = match &text {
+        Some(t) => Some(LossTexts::new(&t.table.values, t.table.dim)?),
+        None => None,
+    };
+    let objective = build_objective(&config.losses, loss_texts.as_ref())?;
+    record(config, &objective, text.as_ref().map(|t| &t.table), &options.out)?;
+    let mut loader = data::loader(config)?;
+    let run = Run { config, options, checkpoints: &checkpoints, newest: newest.as_deref() };
+    let (progress, exported) = match config.task {
+        Task::LanguagePretraining => {
+            let targets = match (config.targets, &text) {
+                (Targets::ClassText, Some(t)) => TargetSource::class_text(&t.table)?,
+                _ => TargetSource::Features,
+            };
+            let network = LanguageModel::new(&model, params.builder())?;
+            let module = LanguagePretraining::new(params, network, objective, targets);
+            let mut evaluators = zero_shot(config, text.as_ref())?;
+            run.fit(&module, &mut *loader, &mut evaluators)?
+        }
+        Task::SemanticSegmentation => {
+            let network = SemanticSegmenter::new(&model, params.builder())?;
+            let module = SemanticSegmentation::new(params, network, objective);
+            let mut evaluators = segmentation(config, text.as_ref())?;
+            run.fit(&module, &mut *loader, &mut evaluators)?
+        }
+    };
+    let log = read_json_lines(&options.out.join("metrics.jsonl"))?;
+    let curves = options.out.join("curves.png");
+    if !log.is_empty() {
+        let title = options.out.file_name().map_or("run".into(), |n| n.to_string_lossy());
+        write_curves(&log, &title, &curves)?;
+    }
+    remarks.extend(exported.1);
+    Ok(RunReport { progress, model: exported.0, curves, remarks })
+}
+
+/// First values of the parameters, and what was said about them.
+fn parameters(config: &ExperimentConfig) -> Result<(ParamStore, Vec<String>)> {
+    let Some(path) = &config.init_from else {
+        return Ok((ParamStore::trainable(config.model_seed), Vec::new()));
+    };
+    let files = resolve(path).with_context(|| path.display().to_string())?.files;
+    let source = WeightSource::files(files, SourceOptions::default())?;
+    let params = ParamStore::trainable_from(source, config.model_seed);
+    // A trial build asks for every name, so that the report is complete before training begins.
+    match config.model.num_classes {
+        Some(_) => _ = SemanticSegmenter::new(&config.model, params.builder())?,
+        None => _ = LanguageModel::new(&config.model, params.builder())?,
+    }
+    let report = params.report();
+    report.check(LoadPolicy::Partial, &path.display().to_string())?;
+    Ok((params, vec![format!("{}: {report}", path.display())]))
+}
+
+/// Writes `config.toml` and `run.json`.
+fn record(
+    config: &ExperimentConfig,
+    objective: &Objective,
+    text: Option<&TextTable>,
+    out: &Path,
+) -> Result<()> {
+    let write = |name: &str, content: &str| {
+        let path = out.join(name);
+        let beside = path.with_extension("partial");
+        std::fs::write(&beside, content)
+            .and_then(|()| std::fs::rename(&beside, &path))
+            .with_context(|| path.display().to_string())
+    };
+    write("config.toml", &toml::to_string_pretty(config)?)?;
+    let run = serde_json::json!({
+        "scenesplat": env!("CARGO_PKG_VERSION"),
+        "git_commit": git_commit(),
+        "losses": objective.settings(),
+        "classes": text.map(|t| &t.names),
+    });
+    write("run.json", &serde_json::to_string_pretty(&run)?)
+}
+
+/// Commit of the working tree, if there is one.
+fn git_commit() -> Option<String> {
+    let out = std::process::Command::new("git").args(["rev-parse", "HEAD"]).output().ok()?;
+    let text = String::from_utf8(out.stdout).ok()?;
+    out.status.success().then(|| text.trim().to_owned())
+}
+
+fn zero_shot(
+    config: &ExperimentConfig,
+    text: Option<&data::ClassTexts>,
+) -> Result<Vec<Box<dyn Evaluator<LanguagePretraining>>>> {
+    let mut all: Vec<Box<dyn Evaluator<LanguagePretraining>>> = Vec::new();
+    for entry in &config.evaluate {
+        let text = text.context("text: zero-shot evaluation needs it")?;
+        let excluded = class_list(&LabelSet::new(text.table.names.clone())?, &text.exclude)?;
+        let table = crate::text::metric_table(&text.table)?;
+        let data = data::evaluation(entry, config)?;
+        let evaluator =
+            ZeroShotEvaluator::new(&entry.name, data, config.input.clone(), table, excluded);
+        all.push(Box::new(evaluator.with_vote(entry.vote_k)));
+    }
+    Ok(all)
+}
+
+fn segmentation(
+    config: &ExperimentConfig,
+    text: Option<&data::ClassTexts>,
+) -> Result<Vec<Box<dyn Evaluator<SemanticSegmentation>>>> {
+    let excluded = match text {
+        Some(t) => class_list(&LabelSet::new(t.table.names.clone())?, &t.exclude)?,
+        None => Vec::new(),
+    };
+    let mut all: Vec<Box<dyn Evaluator<SemanticSegmentation>>> = Vec::new();
+    for entry in &config.evaluate {
+        let data = data::evaluation(entry, config)?;
+        let input = config.input.clone();
+        all.push(Box::new(SegmentationEvaluator::new(&entry.name, data, input, excluded.clone())));
+    }
+    Ok(all)
+}
+
+/// What `fit` needs of a run, whatever its task.
+struct Run<'a> {
+    config: &'a ExperimentConfig,
+    options: &'a RunOptions,
+    checkpoints: &'a Path,
+    newest: Option<&'a Path>,
+}
+
+/// The exported model, with what is to be said about it.
+type Exported = (PathBuf, Vec<String>);
+
+impl Run<'_> {
+    fn fit<M: TrainingModule<Batch = TrainBatch>>(
+        &self,
+        module: &M,
+        loader: &mut dyn BatchLoader<TrainBatch>,
+        evaluators: &mut [Box<dyn Evaluator<M>>],
+    ) -> Result<(Progress, Exported)> {
+        let mut settings: TrainerConfig = self.config.trainer.clone();
+        settings.checkpoint.dir = Some(self.checkpoints.to_owned());
+        let out = &self.options.out;
+        let mut trainer = Trainer::new(
+            settings,
+            optimizer(&self.config.optimizer, module.params())?,
+            schedule(&self.config.schedule)?,
+        )?
+        .with_callback(JsonLines::new(&out.join("metrics.jsonl")))
+        .with_callback(TensorBoard::new(&out.join("tensorboard")))
+        .with_stop(self.options.stop.clone());
+        if !self.options.quiet {
+            trainer = trainer.with_callback(Console::new());
+        }
+        if let Some(e) = &self.config.early_stopping {
+            trainer = trainer.with_callback(EarlyStopping::new(
+                &e.measurement,
+                e.patience,
+                e.smaller_is_better,
+            ));
+        }
+        let start = match self.newest {
+            Some(dir) => trainer
+                .load_checkpoint(dir, module.params())
+                .with_context(|| dir.display().to_string())?,
+            None => Progress::default(),
+        };
+        let progress = trainer.fit(module, loader, evaluators, start)?;
+        let model = out.join("model");
+        let remarks = export_model(self.checkpoints, &self.config.model, &model)?;
+        Ok((progress, (model, remarks)))
+    }
+}
+
+fn optimizer(config: &OptimizerConfig, params: &ParamStore) -> Result<Box<dyn Optimizer>> {
+    let groups =
+        group_by_keyword(&params.parameters(), config.lr, config.weight_decay, &config.groups);
+    for (rule, group) in config.groups.iter().zip(&groups[1..]) {
+        anyhow::ensure!(
+            !group.params.is_empty(),
+            "optimizer.groups: no parameter's name contains {:?}",
+            rule.keyword
+        );
+    }
+    Ok(Box::new(AdamW::new(groups, config.adamw)?))
+}
+
+fn schedule(config: &ScheduleConfig) -> Result<Box<dyn Schedule>> {
+    Ok(match config {
+        ScheduleConfig::OneCycle(cycle) => {
+            cycle.check()?;
+            Box::new(*cycle)
+        }
+        ScheduleConfig::Cosine(cosine) => {
+            cosine.check()?;
+            Box::new(*cosine)
+        }
+    })
+}

@@ -1,0 +1,128 @@
+//! Settings of a run.
+
+use crate::TrainError;
+use crate::error::check_setting;
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// Settings of the training loop. Data, model, loss and optimizer have their own.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct TrainerConfig {
+    /// Seed of all that is random inside a step.
+    pub seed: u64,
+    /// Passes over the data.
+    pub epochs: u64,
+    /// Batches whose gradients are averaged for one optimizer step, at least 1.
+    pub accumulate: u64,
+    /// Largest joint norm of the gradients; larger ones are scaled down. Off if absent.
+    pub clip_norm: Option<f64>,
+    /// Steps between two lines of the log, at least 1.
+    pub log_every: u64,
+    /// Epochs between two evaluations; 0 evaluates after the last one only.
+    pub eval_every: u64,
+    /// Computes the inside of blocks again in the backward pass instead of keeping it.
+    pub recompute: bool,
+    /// Decay of a moving average of the parameters, `0..1`; evaluations and exports then use the
+    /// average. Off if absent.
+    pub ema: Option<f64>,
+    /// Parameters that stay as they are: parts of names.
+    pub freeze: Vec<String>,
+    /// Parameters that may go without gradient, such as a head whose term starts later: parts of
+    /// names.
+    pub idle: Vec<String>,
+    /// Checkpoints.
+    pub checkpoint: CheckpointConfig,
+    /// Alarms about features and statistics that collapse.
+    pub health: HealthConfig,
+}
+
+impl Default for TrainerConfig {
+    fn default() -> Self {
+        Self {
+            seed: 0,
+            epochs: 1,
+            accumulate: 1,
+            clip_norm: None,
+            log_every: 10,
+            eval_every: 1,
+            recompute: false,
+            ema: None,
+            freeze: Vec::new(),
+            idle: Vec::new(),
+            checkpoint: CheckpointConfig::default(),
+            health: HealthConfig::default(),
+        }
+    }
+}
+
+/// When checkpoints are written and which stay.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct CheckpointConfig {
+    /// Folder of the checkpoints; none are written without it.
+    pub dir: Option<PathBuf>,
+    /// Steps between two; 0 writes at the end of epochs.
+    pub every_steps: u64,
+    /// How many of the last ones stay, at least 1; the best one stays besides.
+    pub keep: usize,
+    /// Measurement whose best value marks the best checkpoint, e.g. `zero_shot/f-mIoU`.
+    pub best: Option<String>,
+    /// Whether a smaller value is better.
+    pub smaller_is_better: bool,
+}
+
+impl Default for CheckpointConfig {
+    fn default() -> Self {
+        Self { dir: None, every_steps: 0, keep: 1, best: None, smaller_is_better: false }
+    }
+}
+
+/// When features count as collapsed. Looked at on a seeded sample of the output rows.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct HealthConfig {
+    /// Steps between two looks; 0 never looks.
+    pub every_steps: u64,
+    /// Alarm if the effective rank of the features falls below this.
+    pub min_effective_rank: f64,
+    /// Alarm if the mean cosine between rows, their common mean taken off, rises above this.
+    pub max_centred_cosine: f64,
+    /// Alarm if a channel's running variance falls below this.
+    pub min_running_var: f64,
+    /// Alarm if a channel's running variance rises above this.
+    pub max_running_var: f64,
+}
+
+impl Default for HealthConfig {
+    fn default() -> Self {
+        Self {
+            every_steps: 100,
+            min_effective_rank: 1.5,
+            max_centred_cosine: 0.9,
+            min_running_var: 1e-10,
+            max_running_var: 1e10,
+        }
+    }
+}
+
+impl TrainerConfig {
+    /// Checks settings that come from a file.
+    ///
+    /// # Errors
+    /// Names the first setting that is out of its range.
+    pub fn check(&self) -> Result<(), TrainError> {
+        let at_least_one =
+            |field, value: u64| check_setting(field, value as f64, value >= 1, "at least 1");
+        at_least_one("accumulate", self.accumulate)?;
+        at_least_one("log_every", self.log_every)?;
+        at_least_one("checkpoint.keep", self.checkpoint.keep as u64)?;
+        if let Some(norm) = self.clip_norm {
+            check_setting("clip_norm", norm, norm.is_finite() && norm > 0.0, "above 0")?;
+        }
+        if let Some(decay) = self.ema {
+            check_setting("ema", decay, (0.0..1.0).contains(&decay), "in 0..1")?;
+        }
+        Ok(())
+    }
+}

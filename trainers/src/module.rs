@@ -1,0 +1,63 @@
+//! What is trained: a model together with how it learns from a batch.
+
+use candle_core::Tensor;
+use scenesplat_models::{Forward, ParamStore};
+
+/// What a step gets besides its batch.
+pub struct StepContext<'a> {
+    /// Mode, randomness and recomputation of the forward pass.
+    pub forward: Forward<'a>,
+    /// Part of the run that is done, `0..1`: for terms with a schedule.
+    pub progress: f64,
+    /// Seed of whatever else is random in this step. The same after a resume.
+    pub seed: u64,
+}
+
+/// What a step returns. The trainer, not the module, runs `backward`.
+pub struct StepOutput {
+    /// What is minimised. Scalar f32
+    pub loss: Tensor,
+    /// For the log: values by name, e.g. of each term of the loss, detached.
+    pub terms: Vec<(String, f64)>,
+    /// Detached output rows, `[N, D]`, for the collapse alarms; `None` if they would mean nothing.
+    pub features: Option<Tensor>,
+}
+
+/// A model together with how it learns from a batch.
+///
+/// There is nothing here about optimizers, loaders or logging: those are arguments of the
+/// [`Trainer`](crate::Trainer).
+pub trait TrainingModule {
+    /// Host memory, made by loader threads.
+    type Batch: Send;
+
+    /// The parameters that optimizer and checkpoints see.
+    fn params(&self) -> &ParamStore;
+
+    /// Forward pass and loss. Must neither call `backward` nor change a parameter (batch statistics
+    /// may move).
+    ///
+    /// # Errors
+    /// If the batch does not fit the model.
+    fn training_step(
+        &self,
+        batch: &Self::Batch,
+        cx: &mut StepContext<'_>,
+    ) -> candle_core::Result<StepOutput>;
+
+    /// Whether there is nothing to learn from a batch; it is then passed over, but counted.
+    fn is_empty(&self, _batch: &Self::Batch) -> bool {
+        false
+    }
+
+    /// Names of the scenes in a batch, for messages.
+    fn scenes(&self, _batch: &Self::Batch) -> Vec<String> {
+        Vec::new()
+    }
+
+    /// What in a batch is not finite, such as `scene-7: color of row 12 is NaN`. Asked when a loss or
+    /// gradient is not finite.
+    fn suspects(&self, _batch: &Self::Batch) -> Vec<String> {
+        Vec::new()
+    }
+}

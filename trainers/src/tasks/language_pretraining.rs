@@ -1,0 +1,137 @@
+//! Vision-language pretraining: the network's features shall be those of its targets.
+
+use super::input::{bad_values, evaluate, point_cloud};
+use crate::module::{StepContext, StepOutput, TrainingModule};
+use candle_core::{Device, Result, Tensor, bail};
+use scenesplat_datasets::TrainBatch;
+use scenesplat_losses::{LossInput, Objective};
+use scenesplat_models::{Backbone, ParamStore};
+use scenesplat_scene::TextTable;
+
+/// Where the target of a row comes from.
+#[derive(Debug, Clone)]
+pub enum TargetSource {
+    /// The scene's own language features (`lang_feat`), where its mask says so.
+    Features,
+    /// The row of a table for the row's class; unlabelled rows have none. `[C, D]`, unit rows.
+    ClassText(Tensor),
+}
+
+impl TargetSource {
+    /// Targets by class from a table; its rows are brought to unit length.
+    ///
+    /// # Errors
+    /// If a row is zero or not finite (named).
+    pub fn class_text(table: &TextTable) -> Result<Self> {
+        let width = table.values.len() / table.len().max(1);
+        let mut values = table.values.clone();
+        for (name, row) in table.names.iter().zip(values.chunks_exact_mut(width.max(1))) {
+            let norm = row.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
+            if !norm.is_finite() || norm <= 0.0 {
+                bail!("text row {name:?}: its length is {norm}, which has no direction");
+            }
+            row.iter_mut().for_each(|v| *v = (f64::from(*v) / norm) as f32);
+        }
+        Tensor::from_vec(values, (table.len(), width), &Device::Cpu).map(Self::ClassText)
+    }
+}
+
+/// A language network with its losses.
+///
+/// Each step: features of all rows, the objective over rows that have a target. Classes
+/// (`segment`), where the data have them, are handed to the losses as well, which may or may not
+/// look at them.
+///
+/// # Source
+/// `LangPretrainer`, SceneSplat be9d5e1. Differs: the schedule of a term goes by step, not by epoch.
+pub struct LanguagePretraining {
+    params: ParamStore,
+    model: Box<dyn Backbone>,
+    objective: Objective,
+    targets: TargetSource,
+}
+
+impl LanguagePretraining {
+    /// `model` must have been built from `params`.
+    pub fn new(
+        params: ParamStore,
+        model: impl Backbone + 'static,
+        objective: Objective,
+        targets: TargetSource,
+    ) -> Self {
+        Self { params, model: Box::new(model), objective, targets }
+    }
+
+    /// The network.
+    pub fn model(&self) -> &dyn Backbone {
+        self.model.as_ref()
+    }
+
+    /// Targets, and which rows have one.
+    fn targets(&self, batch: &TrainBatch) -> Result<(Tensor, Vec<bool>)> {
+        match &self.targets {
+            TargetSource::Features => {
+                let Some(rows) = &batch.lang_feat else {
+                    bail!(
+                        "lang_feat: none of the scenes {} has language features; collect them, or \
+                         take the targets from class texts",
+                        batch.ids.join(", ")
+                    );
+                };
+                let shape = (batch.len(), rows.dim);
+                let values: Vec<f32> = rows.values.iter().map(|v| v.to_f32()).collect();
+                let target = Tensor::from_vec(values, shape, &Device::Cpu)?;
+                let valid = batch.valid_feat.clone().unwrap_or_else(|| vec![true; batch.len()]);
+                Ok((target, valid))
+            }
+            TargetSource::ClassText(table) => {
+                let Some(labels) = &batch.segment else {
+                    bail!("segment: none of the scenes {} has labels", batch.ids.join(", "));
+                };
+                let classes = table.dim(0)?;
+                let row = |(i, &label): (usize, &i32)| match usize::try_from(label) {
+                    Ok(class) if class < classes => Ok(class as u32),
+                    Ok(class) => bail!("segment of row {i}: class {class} of {classes}"),
+                    Err(_) => Ok(0),
+                };
+                let rows = labels.iter().enumerate().map(row).collect::<Result<Vec<u32>>>()?;
+                let target = table.index_select(&Tensor::new(rows, &Device::Cpu)?, 0)?;
+                Ok((target, labels.iter().map(|l| *l >= 0).collect()))
+            }
+        }
+    }
+}
+
+impl TrainingModule for LanguagePretraining {
+    type Batch = TrainBatch;
+
+    fn params(&self) -> &ParamStore {
+        &self.params
+    }
+
+    fn training_step(&self, batch: &TrainBatch, cx: &mut StepContext<'_>) -> Result<StepOutput> {
+        let pred = self.model.forward(&point_cloud(batch)?, &mut cx.forward)?;
+        let (target, valid) = self.targets(batch)?;
+        let input = LossInput {
+            pred: &pred,
+            target: Some(&target),
+            label: batch.segment.as_deref(),
+            valid: Some(&valid),
+            progress: cx.progress,
+            seed: cx.seed,
+        };
+        evaluate(&self.objective, &input, Some(&pred))
+    }
+
+    fn is_empty(&self, batch: &TrainBatch) -> bool {
+        batch.is_empty()
+    }
+
+    fn scenes(&self, batch: &TrainBatch) -> Vec<String> {
+        batch.ids.clone()
+    }
+
+    fn suspects(&self, batch: &TrainBatch) -> Vec<String> {
+        bad_values(batch)
+    }
+}
