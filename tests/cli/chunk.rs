@@ -33,7 +33,7 @@ fn a_split_becomes_chunks_and_a_second_run_finds_them() {
     assert!(stderr(&first).contains("bad.ply"), "{}", stderr(&first));
     let path = out.join("train_chunk2x2_stride1x1");
     let names = folders(&path);
-    assert!(names.len() >= 4 && names.len() % 2 == 0, "{names:?}");
+    assert!(names.len() >= 4 && names.len().is_multiple_of(2), "{names:?}");
     assert!(names.contains(&"one_0".to_owned()) && names.contains(&"two_0".to_owned()));
     let scene = open_scene(&path.join("one_0"), &ReadOptions::default()).unwrap().scene;
     assert!(scene.len() >= 100 && scene.segment.is_some());

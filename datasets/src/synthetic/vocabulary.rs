@@ -126,10 +126,15 @@ impl Vocabulary {
         if found.is_empty() {
             return Err(VocabularyError::NoWord { text: text.to_owned() });
         }
-        let has_noun = found.iter().any(|c| !matches!(c, Concept::Color(_)));
+        Ok(self.join(&found))
+    }
+
+    /// The unit vector of concepts together.
+    fn join(&self, concepts: &[Concept]) -> Vec<f32> {
+        let has_noun = concepts.iter().any(|c| !matches!(c, Concept::Color(_)));
         let mut sum = vec![0.0; self.dim];
-        for concept in found {
-            match concept {
+        for concept in concepts {
+            match *concept {
                 Concept::Class(class) => add_times(&mut sum, &self.class_vector(class), 1.0),
                 Concept::Group(group) => add_times(&mut sum, self.group(group), 1.0),
                 Concept::Color(color) => {
@@ -138,7 +143,49 @@ impl Vocabulary {
                 }
             }
         }
-        Ok(unit_f32(&sum))
+        unit_f32(&sum)
+    }
+
+    /// What a text has to beat where Gaussians are selected by it: the classes it does not mean, and,
+    /// if it names a colour, itself in every other colour.
+    ///
+    /// # Errors
+    /// As [`embed`](Self::embed).
+    pub fn rivals(&self, text: &str) -> Result<TextTable, VocabularyError> {
+        // Says what is wrong with the text.
+        self.embed(text)?;
+        let found = parse(text).unwrap_or_default();
+        let meant = |class: ClassId| {
+            found.iter().any(|concept| match concept {
+                Concept::Class(c) => *c == class,
+                Concept::Group(group) => class.about().groups.contains(group),
+                Concept::Color(_) => false,
+            })
+        };
+        let nouns: Vec<Concept> =
+            found.iter().copied().filter(|c| !matches!(c, Concept::Color(_))).collect();
+        let colors: Vec<ColorName> = found
+            .iter()
+            .filter_map(|c| if let Concept::Color(color) = c { Some(*color) } else { None })
+            .collect();
+        let mut table = TextTable { names: Vec::new(), dim: self.dim, values: Vec::new() };
+        let mut push = |name: String, row: Vec<f32>| {
+            table.names.push(name);
+            table.values.extend(row);
+        };
+        if !nouns.is_empty() {
+            for &class in ClassId::ALL.iter().filter(|&&class| !meant(class)) {
+                push(class.about().name.to_owned(), self.class_target(class));
+            }
+        }
+        if !colors.is_empty() {
+            for other in ColorName::ALL.into_iter().filter(|c| !colors.contains(c)) {
+                let mut concepts = nouns.clone();
+                concepts.push(Concept::Color(other));
+                push(format!("in {}", other.word()), self.join(&concepts));
+            }
+        }
+        Ok(table)
     }
 
     /// The unit target of a class: its concept and its groups'.
@@ -251,6 +298,30 @@ mod tests {
                 assert!(margin(&by_object) > 0.05, "{dim} {group:?} {}", margin(&by_object));
             }
         }
+    }
+
+    #[test]
+    fn exactly_what_is_meant_beats_the_rivals() {
+        let vocabulary = Vocabulary::new(96).unwrap();
+        let selects = |text: &str, class: ClassId, color: ColorName| {
+            let target = vocabulary.object_target(class, color);
+            let score = dot(&vocabulary.embed(text).unwrap(), &target);
+            let rivals = vocabulary.rivals(text).unwrap();
+            rivals.values.chunks_exact(96).all(|row| score > dot(row, &target))
+        };
+        for &class in ClassId::ALL {
+            for color in ColorName::ALL {
+                assert_eq!(
+                    selects("red chair", class, color),
+                    class == ClassId::Chair && color == ColorName::Red,
+                    "{class:?} {color:?}"
+                );
+                assert_eq!(selects("sofas", class, color), class == ClassId::Sofa, "{class:?}");
+                let furniture = class.about().groups.contains(&Group::Furniture);
+                assert_eq!(selects("furniture", class, color), furniture, "{class:?} {color:?}");
+            }
+        }
+        assert!(vocabulary.rivals("chiar").is_err());
     }
 
     #[test]
