@@ -74,6 +74,19 @@ pub struct Targets {
 }
 
 /// Vectors of the known words.
+///
+/// ```
+/// use scenesplat_datasets::synthetic::{ClassId, ColorName, Vocabulary};
+///
+/// let vocabulary = Vocabulary::new(64)?;
+/// let query = vocabulary.embed("red chairs")?;
+/// let score = |target: Vec<f32>| query.iter().zip(target).map(|(q, t)| q * t).sum::<f32>();
+/// let red = score(vocabulary.object_target(ClassId::Chair, ColorName::Red));
+/// let blue = score(vocabulary.object_target(ClassId::Chair, ColorName::Blue));
+/// let table = score(vocabulary.object_target(ClassId::Table, ColorName::Red));
+/// assert!(red > blue && blue > table);
+/// # Ok::<(), scenesplat_datasets::synthetic::vocabulary::VocabularyError>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Vocabulary {
     dim: usize,

@@ -28,8 +28,15 @@ pub(crate) fn bed(rng: &mut SampleRng) -> Model {
     } else {
         legs(&mut model, [x - 0.05, y - 0.05], rise - 0.14, 0.0, (0.06, chance(rng, 0.5)), frame);
     }
-    let mattress = if has_cover { sheet } else { cover };
-    model.soft_block([-x, -y + 0.02, rise], [x, y, seat], 0.02, mattress);
+    let from = -y + between(rng, 0.5, 0.75);
+    if has_cover {
+        model.soft_block([-x, -y + 0.02, rise], [x, from + 0.05, seat], 0.02, sheet);
+        let first = model.surfaces.len();
+        model.soft_block([-x, from + 0.05, rise], [x, y, seat], 0.0, sheet);
+        model.surfaces[first..].iter_mut().for_each(|s| s.hidden = true);
+    } else {
+        model.soft_block([-x, -y + 0.02, rise], [x, y, seat], 0.02, cover);
+    }
     if chance(rng, 0.9) {
         let soft = if chance(rng, 0.4) { 0.04 } else { 0.0 };
         model.soft_block([-x - 0.04, -y - 0.07, rise - 0.12], [x + 0.04, -y, head], soft, frame);
@@ -38,7 +45,7 @@ pub(crate) fn bed(rng: &mut SampleRng) -> Model {
         model.block([-x - 0.03, y + 0.03, rise - 0.14], [x + 0.03, y + 0.08, seat + 0.12], frame);
     }
     if has_cover {
-        blanket(&mut model, [x, y, seat], rise, cover, rng);
+        blanket(&mut model, [x, y, seat], [from, rise], cover, rng);
     }
     model.support([-x + 0.03, -y + 0.04], [x - 0.03, -y + 0.5], seat + 0.025, 0.6);
     model.support([-x + 0.1, -y + 0.65], [x - 0.1, y - 0.15], seat + 0.075, 0.6);
@@ -52,11 +59,10 @@ pub(crate) fn bed(rng: &mut SampleRng) -> Model {
 fn blanket(
     model: &mut Model,
     [x, y, seat]: [f64; 3],
-    rise: f64,
+    [from, rise]: [f64; 2],
     cover: Material,
     rng: &mut SampleRng,
 ) {
-    let from = -y + between(rng, 0.5, 0.75);
     let top = seat + between(rng, 0.03, 0.06);
     let end = y + 0.03;
     let amplitude = between(rng, 0.004, 0.014);
