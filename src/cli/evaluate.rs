@@ -4,16 +4,21 @@ use super::WrongUse;
 use super::common::{Inference, Session, Shared, print, write_text};
 use super::segment::{Classes, label_slots};
 use crate::Network;
+use crate::outputs::OpenedScene;
 use crate::text::{class_list, metric_table};
 use anyhow::{Context, Result};
+use scenesplat_datasets::synthetic::{CLASSES, SyntheticClass};
+use scenesplat_datasets::{DataSource, SourceScene, SyntheticRoomSettings, SyntheticRooms};
 use scenesplat_metrics::{
     ConfusionMatrix, Fault, FeatureSlice, Metric, OracleCheck, OracleVote, TesterReport,
     UnknownRule, classify, keep_withheld, random_labels, vote,
 };
 use scenesplat_scene::formats::npy::NpyFile;
-use scenesplat_scene::label_set::read_names;
-use scenesplat_scene::{ClassMap, GaussianScene, LabelSet, TextTable};
+use scenesplat_scene::label_set::{find_name, read_names};
+use scenesplat_scene::{ClassMap, GaussianScene, LabelSet, LoadedScene, SceneKind, TextTable};
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Instant;
 
 /// Labels scenes and compares with their own labels; prints and writes evaluation.json.
 ///
@@ -22,9 +27,10 @@ use std::path::PathBuf;
 /// single point, the evaluation is refused.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Scenes with labels: .ply files or folders of .npy files.
-    #[arg(required = true)]
-    pub scenes: Vec<PathBuf>,
+    /// Scenes with labels: .ply files, folders of .npy files, or synthetic:COUNT:SEED for rooms that
+    /// are made on the spot.
+    #[arg(required = true, value_name = "SCENE|synthetic:COUNT:SEED")]
+    pub scenes: Vec<String>,
     /// Choice of classes.
     #[command(flatten)]
     pub classes: Classes,
@@ -52,6 +58,9 @@ pub struct Args {
     /// Spoils this row of the oracle with the text of another class, to see the refusal.
     #[arg(long, value_name = "ROW")]
     pub break_oracle: Option<usize>,
+    /// Also writes the figures as JSON here: f_miou, f_macc, miou, macc, per_class, oracle, seconds.
+    #[arg(long, value_name = "FILE.json")]
+    pub json: Option<PathBuf>,
     /// Flags of the network.
     #[command(flatten)]
     pub inference: Inference,
@@ -115,10 +124,12 @@ fn truth(
 
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
+    let began = Instant::now();
     let session = Session::start(&args.shared, line)?;
+    let inputs = inputs(&args.scenes)?;
     let from_file = args.features.as_deref().filter(|f| *f != "oracle").map(PathBuf::from);
     let oracle_only = args.features.as_deref() == Some("oracle");
-    if from_file.is_some() && args.scenes.len() > 1 {
+    if from_file.is_some() && inputs.len() > 1 {
         return Err(
             WrongUse("--features FILE holds the features of one scene only".to_owned()).into()
         );
@@ -127,7 +138,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         if args.features.is_none() { Some(session.network(&args.inference)?) } else { None };
     let text = match &network {
         Some(network) if network.is_classifier() => classes_of(network, args)?,
-        _ => args.classes.text_table()?,
+        _ => args.classes.text_table(args.shared.is_embedded())?,
     };
     let set = LabelSet::new(text.names.clone())?;
     let excluded = match &args.exclude {
@@ -150,10 +161,12 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         Ok(ConfusionMatrix::new(classes)?.with_excluded(&excluded)?)
     };
     let (mut oracle, mut random, mut model) = (matrix()?, matrix()?, matrix()?);
-    for path in &args.scenes {
-        let opened = session.open(path, &args.inference)?;
-        let scene = &opened.loaded.scene;
-        let truth = truth(scene, to_text.as_deref(), classes, path)?;
+    for input in &inputs {
+        let opened = input.open(&session, &args.inference)?;
+        let (scene, path) = (&opened.loaded.scene, opened.loaded.path.as_path());
+        let own = input.labels(&text.names)?;
+        let to_text = to_text.as_deref().or(own.as_deref());
+        let truth = truth(scene, to_text, classes, path)?;
         let query = truth.points.as_ref().map(|(c, l)| (c.as_slice(), l.as_slice()));
         let valid = match (&scene.valid_feat_mask, args.vote_valid_only) {
             (Some(mask), true) => Some(mask.as_slice()),
@@ -294,24 +307,108 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     if meaningless {
         print("the features come from seeded weights: their row means nothing");
     }
-    let json = serde_json::json!({
-        "classes": text.names,
-        "excluded": excluded,
-        "vote_k": args.vote_k,
-        "meaningless": meaningless,
-        "rows": rows
+    let figures = |r: &TesterReport| {
+        let per_class: Vec<_> = r
+            .classes
             .iter()
-            .map(|(name, r)| serde_json::json!({
-                "name": name,
-                "mIoU": r.mean_iou, "mAcc": r.mean_accuracy, "allAcc": r.all_accuracy,
-                "f_mIoU": r.foreground_mean_iou, "f_mAcc": r.foreground_mean_accuracy,
-            }))
-            .collect::<Vec<_>>(),
-    });
+            .zip(&text.names)
+            .filter(|(c, _)| c.union > 0)
+            .map(|(c, name)| {
+                serde_json::json!({
+                    "name": name, "iou": c.iou, "accuracy": c.accuracy,
+                    "labelled": c.target, "excluded": c.excluded,
+                })
+            })
+            .collect();
+        serde_json::json!({
+            "f_miou": r.foreground_mean_iou, "f_macc": r.foreground_mean_accuracy,
+            "miou": r.mean_iou, "macc": r.mean_accuracy, "all_acc": r.all_accuracy,
+            "per_class": per_class,
+        })
+    };
+    let seconds = began.elapsed().as_secs_f64();
+    let mut json = figures(&rows[rows.len() - 1].1);
+    json["oracle"] = figures(&rows[0].1);
+    json["random_labels"] = figures(&rows[1].1);
+    json["features"] = serde_json::json!(if oracle_only { "oracle" } else { rows[2].0 });
+    json["seconds"] = serde_json::json!(seconds);
+    json["scenes"] = serde_json::json!(inputs.len());
+    json["classes"] = serde_json::json!(text.names);
+    json["excluded"] = serde_json::json!(excluded);
+    json["vote_k"] = serde_json::json!(args.vote_k);
+    json["meaningless"] = serde_json::json!(meaningless);
+    if oracle_only {
+        // Otherwise the last row would be that of random labels.
+        for key in ["f_miou", "f_macc", "miou", "macc", "all_acc", "per_class"] {
+            json[key] = json["oracle"][key].clone();
+        }
+    }
     let path = session.out("evaluation.json");
     let bytes = write_text(&path, &serde_json::to_string_pretty(&json)?)?;
     session.wrote(&path, bytes);
+    if let Some(path) = &args.json {
+        let bytes = write_text(path, &serde_json::to_string_pretty(&json)?)?;
+        session.wrote(path, bytes);
+    }
     session.finish()
+}
+
+/// One scene to evaluate on.
+enum Input {
+    File(PathBuf),
+    Room { rooms: Arc<SyntheticRooms>, index: usize },
+}
+
+/// The scenes that the arguments name.
+fn inputs(scenes: &[String]) -> Result<Vec<Input>> {
+    let mut all = Vec::new();
+    for scene in scenes {
+        let Some(rest) = scene.strip_prefix("synthetic:") else {
+            all.push(Input::File(scene.into()));
+            continue;
+        };
+        let numbers = rest.split_once(':').and_then(|(count, seed)| {
+            Some((
+                count.parse::<usize>().ok().filter(|c| (1..=1_000_000).contains(c))?,
+                seed.parse().ok()?,
+            ))
+        });
+        let Some((count, seed)) = numbers else {
+            let text = format!("{scene:?}: write synthetic:COUNT:SEED, such as synthetic:20:7");
+            return Err(WrongUse(text).into());
+        };
+        let rooms = Arc::new(SyntheticRooms::new(count, SyntheticRoomSettings::default(), seed));
+        all.extend((0..count).map(|index| Input::Room { rooms: Arc::clone(&rooms), index }));
+    }
+    Ok(all)
+}
+
+impl Input {
+    fn open(&self, session: &Session<'_>, inference: &Inference) -> Result<OpenedScene> {
+        match self {
+            Self::File(path) => session.open(path, inference),
+            Self::Room { rooms, index } => {
+                let id = &rooms.scene_ids()[*index];
+                session.progress.say(format!("making {id}"));
+                let SourceScene { scene, report } = rooms.load(id)?;
+                session.receipt.add_rows_in(scene.len());
+                let path = PathBuf::from(id);
+                let kind = SceneKind::InriaPly;
+                let loaded = LoadedScene { scene, report, kept_rows: None, path, kind };
+                Ok(OpenedScene { loaded, converted: false })
+            }
+        }
+    }
+
+    /// Which of the text's classes each label means, where the scene knows its labels' names.
+    fn labels(&self, names: &[String]) -> Result<Option<Vec<i32>>> {
+        let Self::Room { .. } = self else { return Ok(None) };
+        let row = |class: &SyntheticClass| {
+            let own = find_name(names, class.name);
+            own.or_else(|_| find_name(names, class.scannet200_name)).map_or(-1, |row| row as i32)
+        };
+        Ok(Some(CLASSES.iter().map(row).collect()))
+    }
 }
 
 /// Class of --text for each label of the scenes.

@@ -18,7 +18,8 @@ use std::path::{Path, PathBuf};
 /// Writes scores.npy (cosine with the query), selection.npy (0 or 1), query.ply (a heat map with
 /// score and label columns), preview.png and a receipt; prints where the object is.
 ///
-/// The query is the name of a row of --text, or any text whose embedding is given by --embedding.
+/// The query is the name of a row of --text, or any text whose embedding is given by --embedding;
+/// for the network inside the program, what its vocabulary knows ("red chair", "furniture").
 /// A Gaussian is selected when the query scores best among all rows of --text (if there are
 /// several), its score reaches --min-score, and most of its neighbours agree.
 #[derive(Debug, clap::Args)]
@@ -47,6 +48,7 @@ pub struct Args {
 /// The texts with the query among them, and the query's row.
 fn texts(args: &Args) -> Result<(TextTable, usize)> {
     let table = match (&args.classes.text, &args.embedding) {
+        (None, None) if args.shared.is_embedded() => return from_vocabulary(&args.query),
         (None, None) => {
             return Err(WrongUse(
                 "give --text (embeddings with names, the query being one of them) or --embedding \
@@ -55,7 +57,7 @@ fn texts(args: &Args) -> Result<(TextTable, usize)> {
             )
             .into());
         }
-        (Some(_), _) => Some(args.classes.text_table()?),
+        (Some(_), _) => Some(args.classes.text_table(false)?),
         (None, Some(_)) => None,
     };
     let Some(path) = &args.embedding else {
@@ -106,6 +108,18 @@ fn texts(args: &Args) -> Result<(TextTable, usize)> {
     Ok((TextTable::from_rows(names, values, vector.len())?, row))
 }
 
+/// The query in the words of the network inside the program, with what it has to beat.
+fn from_vocabulary(query: &str) -> Result<(TextTable, usize)> {
+    let vocabulary = crate::embedded::vocabulary()?;
+    let wrong = |error| WrongUse(format!("{error}"));
+    let vector = vocabulary.embed(query).map_err(wrong)?;
+    let mut table = vocabulary.rivals(query).map_err(wrong)?;
+    table.names.push(query.to_owned());
+    table.values.extend(vector);
+    let row = table.names.len() - 1;
+    Ok((table, row))
+}
+
 fn read_vector(path: &Path) -> Result<Vec<f32>> {
     if path.extension().is_some_and(|e| e == "npy") {
         return Ok(NpyFile::open(path)?.read_f32()?);
@@ -131,6 +145,11 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     })?;
     let scene = &opened.loaded.scene;
     if let (FeatureSource::Codes, Some(code)) = (&source, &scene.lang_code) {
+        if args.classes.text.is_none() && args.embedding.is_none() {
+            let text = "the scene carries language codes of its own: give --text or --embedding for \
+                        them, or --weights embedded to use the network inside the program";
+            return Err(WrongUse(text.to_owned()).into());
+        }
         check_width(code.codebook.feature_width(), text.dim)?;
     }
     let features = session.features(scene, &source, &args.inference)?;

@@ -1,7 +1,7 @@
 //! `scenesplat segment`
 
 use super::WrongUse;
-use super::common::{Inference, Session, Shared, write_text};
+use super::common::{FeatureSource, Inference, Session, Shared, write_text};
 use crate::inference::SceneFeatures;
 use crate::outputs::{ResultColumns, label_colors, legend, write_colored_ply, write_scene_preview};
 use crate::text::{class_list, metric_table, read_text_table};
@@ -37,7 +37,8 @@ pub struct Args {
 /// Which classes compete, and when none wins.
 #[derive(Debug, clap::Args)]
 pub struct Classes {
-    /// Text embeddings of the classes: .safetensors or .pt.
+    /// Text embeddings of the classes: .safetensors or .pt; by default, for the network inside the
+    /// program, the classes it knows.
     #[arg(long, value_name = "FILE")]
     pub text: Option<PathBuf>,
     /// Names of the rows of --text, one a line, where the file has none.
@@ -57,16 +58,18 @@ pub struct Classes {
 }
 
 impl Classes {
-    /// The texts, or a hint what to give.
-    pub fn text_table(&self) -> Result<TextTable> {
-        let Some(path) = &self.text else {
-            return Err(WrongUse(
+    /// The texts: those given, or the vocabulary of the network inside the program, or a hint what
+    /// to give.
+    pub fn text_table(&self, embedded: bool) -> Result<TextTable> {
+        match &self.text {
+            Some(path) => read_text_table(path, self.text_names.as_deref()),
+            None if embedded => Ok(crate::embedded::vocabulary()?.class_table()),
+            None => Err(WrongUse(
                 "--text is missing: give the text embeddings of the classes (.safetensors or .pt)"
                     .to_owned(),
             )
-            .into());
-        };
-        read_text_table(path, self.text_names.as_deref())
+            .into()),
+        }
     }
 
     /// Notes in the receipt what changes the result.
@@ -204,12 +207,13 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     session.make_out()?;
     // A bad table is better found before the scene is read.
     let table = match &args.classes.text {
-        Some(_) => Some(args.classes.text_table()?),
+        Some(_) => Some(args.classes.text_table(false)?),
         None => None,
     };
+    let embedded = args.shared.is_embedded();
     let (opened, source) = session.open_with_source(&args.scene, &args.inference, |network| {
         let needed = !network.is_classifier() && table.is_none();
-        if needed { args.classes.text_table().map(drop) } else { Ok(()) }
+        if needed { args.classes.text_table(embedded).map(drop) } else { Ok(()) }
     })?;
     let (labels_of, text) = if let Some(network) = source.classifier() {
         if args.classes.text.is_some() {
@@ -227,7 +231,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         }
         (LabelSet::new(names)?, None)
     } else {
-        let text = table.map_or_else(|| args.classes.text_table(), Ok)?;
+        let own = embedded && matches!(source, FeatureSource::Network(_));
+        let text = table.map_or_else(|| args.classes.text_table(own), Ok)?;
         (LabelSet::new(text.names.clone())?, Some(text))
     };
     let options = args.classes.options(&labels_of)?;
