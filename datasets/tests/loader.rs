@@ -34,6 +34,7 @@ fn all(loader: &mut dyn BatchLoader<TrainBatch>, epoch: u64, skip: usize) -> Vec
 struct Fake {
     ids: Vec<String>,
     made: AtomicUsize,
+    active: AtomicUsize,
     delay: Duration,
     broken: BTreeSet<usize>,
     panics: BTreeSet<usize>,
@@ -43,7 +44,14 @@ impl Fake {
     fn new(count: usize) -> Self {
         let ids = (0..count).map(|i| format!("scene-{i}")).collect();
         let (broken, panics) = Default::default();
-        Self { ids, made: AtomicUsize::new(0), delay: Duration::ZERO, broken, panics }
+        Self {
+            ids,
+            made: AtomicUsize::new(0),
+            active: AtomicUsize::new(0),
+            delay: Duration::ZERO,
+            broken,
+            panics,
+        }
     }
 }
 
@@ -54,7 +62,9 @@ impl Dataset for Fake {
 
     fn get(&self, epoch: u64, index: usize) -> Result<Sample, DataError> {
         self.made.fetch_add(1, Ordering::SeqCst);
+        self.active.fetch_add(1, Ordering::SeqCst);
         std::thread::sleep(self.delay);
+        self.active.fetch_sub(1, Ordering::SeqCst);
         assert!(!self.panics.contains(&index), "an index out of range, say");
         if self.broken.contains(&index) {
             return Err(DataError::UnknownScene { id: self.ids[index].clone(), known: 0 });
@@ -190,15 +200,16 @@ fn dropping_stops_the_workers_and_what_waits_is_bounded() {
     let settings = LoaderSettings { prefetch: 4, ..plain(3, 1) };
     let mut loader = loader(Arc::<Fake>::clone(&fake), settings);
     let mut batches = loader.epoch(0, 0);
-    for _ in 0..3 {
+    for given in 1..=3 {
         batches.next().unwrap().unwrap();
+        std::thread::sleep(Duration::from_millis(100));
+        // Never more than four made or being made beside what was handed over.
+        let made = fake.made.load(Ordering::SeqCst);
+        assert!((given + 1..=given + 4).contains(&made), "{made} after {given}");
     }
-    std::thread::sleep(Duration::from_millis(100));
-    // Three handed over, and never more than four made or being made beside them.
-    let made = fake.made.load(Ordering::SeqCst);
-    assert!((4..=7).contains(&made), "{made}");
     batches.next().unwrap().unwrap();
     drop(batches);
+    assert_eq!(fake.active.load(Ordering::SeqCst), 0, "workers have ended");
     let made = fake.made.load(Ordering::SeqCst);
     std::thread::sleep(Duration::from_millis(50));
     assert_eq!(fake.made.load(Ordering::SeqCst), made, "no worker is left");

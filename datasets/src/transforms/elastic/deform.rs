@@ -179,6 +179,9 @@ mod tests {
                 assert!(dot(tangent, normal).abs() < 1e-5);
             }
             assert!((dot(normal, normal) - 1.0).abs() < 1e-6);
+            // It stays on its side: what lay above the surface lies above the moved one.
+            let above = gradient.map(|row| dot(row, column(2)));
+            assert!(dot(above, normal) > 0.0, "{seed}");
         }
         assert_eq!(deform_normal(&[[0.0; 3]; 3], [0.0, 0.0, 1.0]), [0.0, 0.0, 1.0]);
     }
