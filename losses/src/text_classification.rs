@@ -29,6 +29,13 @@ pub struct TextClassification {
     pub label_smoothing: f64,
 }
 
+impl TextClassification {
+    /// With temperature 0.1 and the Lovász term at 1.
+    pub fn new(texts: TextTable) -> Self {
+        Self { texts, temperature: 0.1, lovasz: 1.0, label_smoothing: 0.0 }
+    }
+}
+
 impl Loss for TextClassification {
     fn name(&self) -> &str {
         NAME

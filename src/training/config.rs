@@ -230,7 +230,15 @@ impl ExperimentConfig {
     /// # Errors
     /// If a file cannot be read, extends itself, or has unknown or wrong fields.
     pub fn read(path: &Path) -> Result<Self> {
-        let table = read_table(path, &mut Vec::new())?;
+        Self::read_with(path, &|name| std::env::var(name).ok())
+    }
+
+    /// As [`read`](Self::read), with the values of `${NAME}` from elsewhere than the environment.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read).
+    pub fn read_with(path: &Path, variable: &dyn Fn(&str) -> Option<String>) -> Result<Self> {
+        let table = read_table(path, variable, &mut Vec::new())?;
         let text = toml::to_string(&table).context("joining configuration files")?;
         let mut config: Self = toml::from_str(&text).with_context(|| path.display().to_string())?;
         config.check().with_context(|| path.display().to_string())?;
@@ -295,15 +303,14 @@ impl ExperimentConfig {
             }
         };
         self.init_from.iter_mut().for_each(place);
-        match &mut self.text {
-            Some(
-                TextConfig::Table { path, names, .. }
-                | TextConfig::SyntheticClasses { path, names, .. },
-            ) => {
+        let texts = self.evaluate.iter_mut().filter_map(|e| e.text.as_mut());
+        for text in texts.chain(&mut self.text) {
+            if let TextConfig::Table { path, names, .. }
+            | TextConfig::SyntheticClasses { path, names, .. } = text
+            {
                 place(path);
                 names.iter_mut().for_each(place);
             }
-            _ => {}
         }
         let train = self.train.iter_mut().map(|d| &mut d.source);
         let evaluate = self.evaluate.iter_mut().map(|d| &mut d.source);
@@ -312,25 +319,29 @@ impl ExperimentConfig {
 }
 
 /// A file joined with those it extends. `seen`: the files on the way here.
-fn read_table(path: &Path, seen: &mut Vec<PathBuf>) -> Result<toml::Table> {
+fn read_table(
+    path: &Path,
+    variable: &dyn Fn(&str) -> Option<String>,
+    seen: &mut Vec<PathBuf>,
+) -> Result<toml::Table> {
     let here = path.canonicalize().with_context(|| path.display().to_string())?;
     anyhow::ensure!(!seen.contains(&here), "{}: extends itself", path.display());
     seen.push(here);
     let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
-    let text = with_variables(&text).with_context(|| path.display().to_string())?;
+    let text = with_variables(&text, variable).with_context(|| path.display().to_string())?;
     let mut own: toml::Table = text.parse().with_context(|| path.display().to_string())?;
     let Some(base) = own.remove("extends") else { return Ok(own) };
     let toml::Value::String(base) = base else {
         anyhow::bail!("{}: extends: expected the path of a file, got {base}", path.display());
     };
     let base = path.parent().unwrap_or(Path::new("")).join(base);
-    let mut joined = read_table(&base, seen)?;
+    let mut joined = read_table(&base, variable, seen)?;
     join(&mut joined, own);
     Ok(joined)
 }
 
-/// Replaces `${NAME}` by the environment's value.
-fn with_variables(text: &str) -> Result<String> {
+/// Replaces `${NAME}` by its value.
+fn with_variables(text: &str, variable: &dyn Fn(&str) -> Option<String>) -> Result<String> {
     let mut out = String::with_capacity(text.len());
     for (number, line) in text.lines().enumerate() {
         let code = line.split('#').next().unwrap_or("");
@@ -339,7 +350,7 @@ fn with_variables(text: &str) -> Result<String> {
         while let (Some(start), true) = (rest.find("${"), code.contains("${")) {
             let Some(length) = rest[start..].find('}') else { break };
             let name = &rest[start + 2..start + length];
-            let value = std::env::var(name).with_context(|| {
+            let value = variable(name).with_context(|| {
                 format!("line {}: ${{{name}}}: set this environment variable", number + 1)
             })?;
             out.push_str(&rest[..start]);
@@ -396,12 +407,36 @@ mod tests {
 
     #[test]
     fn unset_variables_are_named_with_their_line() {
-        let error = with_variables("x = 1\ny = '${SCENESPLAT_NO_SUCH_THING}'").unwrap_err();
+        let none = |_: &str| None;
+        let error = with_variables("x = 1\ny = '${ROOT}'", &none).unwrap_err();
         let text = format!("{error:#}");
-        assert!(text.contains("line 2") && text.contains("SCENESPLAT_NO_SUCH_THING"), "{text}");
-        assert_eq!(
-            with_variables("# ${SCENESPLAT_NO_SUCH_THING}").unwrap().trim_end().len(),
-            29 + 2
-        );
+        assert!(text.contains("line 2") && text.contains("${ROOT}"), "{text}");
+        assert_eq!(with_variables("# ${ROOT}", &none).unwrap(), "# ${ROOT}\n");
+        let some = |name: &str| Some(format!("/{name}"));
+        assert_eq!(with_variables("a = '${X}/b/${Y}'", &some).unwrap(), "a = '/X/b//Y'\n");
+    }
+
+    #[test]
+    fn every_configuration_of_the_project_is_right() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs");
+        let folders =
+            [root.clone(), root.join("language_pretraining"), root.join("semantic_segmentation")];
+        let mut read = 0;
+        for folder in folders {
+            for entry in std::fs::read_dir(folder).unwrap() {
+                let path = entry.unwrap().path();
+                // The common part is no experiment by itself.
+                if path.extension().is_none_or(|e| e != "toml") || path.ends_with("common.toml") {
+                    continue;
+                }
+                let value = |_: &str| Some("/data".to_owned());
+                let config = ExperimentConfig::read_with(&path, &value).unwrap();
+                // What a run records can be read again.
+                let text = toml::to_string_pretty(&config).unwrap();
+                assert_eq!(toml::from_str::<ExperimentConfig>(&text).unwrap(), config);
+                read += 1;
+            }
+        }
+        assert_eq!(read, 8);
     }
 }

@@ -46,6 +46,9 @@ pub struct EvaluationConfig {
     /// Neighbours that vote on each label; 1 for no vote.
     #[serde(default = "one")]
     pub vote_k: usize,
+    /// Texts of these scenes' classes, where they are others than those of the experiment.
+    #[serde(default)]
+    pub text: Option<TextConfig>,
 }
 
 fn one() -> usize {

@@ -178,7 +178,8 @@ fn zero_shot(
 ) -> Result<Vec<Box<dyn Evaluator<LanguagePretraining>>>> {
     let mut all: Vec<Box<dyn Evaluator<LanguagePretraining>>> = Vec::new();
     for entry in &config.evaluate {
-        let text = text.context("text: zero-shot evaluation needs it")?;
+        let own = entry.text.as_ref().map(data::text_table).transpose()?;
+        let text = own.as_ref().or(text).context("text: zero-shot evaluation needs it")?;
         let excluded = class_list(&LabelSet::new(text.table.names.clone())?, &text.exclude)?;
         let table = crate::text::metric_table(&text.table)?;
         let data = data::evaluation(entry, config)?;

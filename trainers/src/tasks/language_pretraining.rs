@@ -34,6 +34,43 @@ impl TargetSource {
         }
         Tensor::from_vec(values, (table.len(), width), &Device::Cpu).map(Self::ClassText)
     }
+
+    /// Targets of a batch, and which rows have one. `[N, D]`, `[N]`
+    ///
+    /// # Errors
+    /// If the batch has no features or no labels, or a label is no class.
+    pub fn of(&self, batch: &TrainBatch) -> Result<(Tensor, Vec<bool>)> {
+        match self {
+            Self::Features => {
+                let Some(rows) = &batch.lang_feat else {
+                    bail!(
+                        "lang_feat: none of the scenes {} has language features; collect them, or \
+                         take the targets from class texts",
+                        batch.ids.join(", ")
+                    );
+                };
+                let shape = (batch.len(), rows.dim);
+                let values: Vec<f32> = rows.values.iter().map(|v| v.to_f32()).collect();
+                let target = Tensor::from_vec(values, shape, &Device::Cpu)?;
+                let valid = batch.valid_feat.clone().unwrap_or_else(|| vec![true; batch.len()]);
+                Ok((target, valid))
+            }
+            Self::ClassText(table) => {
+                let Some(labels) = &batch.segment else {
+                    bail!("segment: none of the scenes {} has labels", batch.ids.join(", "));
+                };
+                let classes = table.dim(0)?;
+                let row = |(i, &label): (usize, &i32)| match usize::try_from(label) {
+                    Ok(class) if class < classes => Ok(class as u32),
+                    Ok(class) => bail!("segment of row {i}: class {class} of {classes}"),
+                    Err(_) => Ok(0),
+                };
+                let rows = labels.iter().enumerate().map(row).collect::<Result<Vec<u32>>>()?;
+                let target = table.index_select(&Tensor::new(rows, &Device::Cpu)?, 0)?;
+                Ok((target, labels.iter().map(|l| *l >= 0).collect()))
+            }
+        }
+    }
 }
 
 /// A language network with its losses.
@@ -66,40 +103,6 @@ impl LanguagePretraining {
     pub fn model(&self) -> &dyn Backbone {
         self.model.as_ref()
     }
-
-    /// Targets, and which rows have one.
-    fn targets(&self, batch: &TrainBatch) -> Result<(Tensor, Vec<bool>)> {
-        match &self.targets {
-            TargetSource::Features => {
-                let Some(rows) = &batch.lang_feat else {
-                    bail!(
-                        "lang_feat: none of the scenes {} has language features; collect them, or \
-                         take the targets from class texts",
-                        batch.ids.join(", ")
-                    );
-                };
-                let shape = (batch.len(), rows.dim);
-                let values: Vec<f32> = rows.values.iter().map(|v| v.to_f32()).collect();
-                let target = Tensor::from_vec(values, shape, &Device::Cpu)?;
-                let valid = batch.valid_feat.clone().unwrap_or_else(|| vec![true; batch.len()]);
-                Ok((target, valid))
-            }
-            TargetSource::ClassText(table) => {
-                let Some(labels) = &batch.segment else {
-                    bail!("segment: none of the scenes {} has labels", batch.ids.join(", "));
-                };
-                let classes = table.dim(0)?;
-                let row = |(i, &label): (usize, &i32)| match usize::try_from(label) {
-                    Ok(class) if class < classes => Ok(class as u32),
-                    Ok(class) => bail!("segment of row {i}: class {class} of {classes}"),
-                    Err(_) => Ok(0),
-                };
-                let rows = labels.iter().enumerate().map(row).collect::<Result<Vec<u32>>>()?;
-                let target = table.index_select(&Tensor::new(rows, &Device::Cpu)?, 0)?;
-                Ok((target, labels.iter().map(|l| *l >= 0).collect()))
-            }
-        }
-    }
 }
 
 impl TrainingModule for LanguagePretraining {
@@ -111,7 +114,7 @@ impl TrainingModule for LanguagePretraining {
 
     fn training_step(&self, batch: &TrainBatch, cx: &mut StepContext<'_>) -> Result<StepOutput> {
         let pred = self.model.forward(&point_cloud(batch)?, &mut cx.forward)?;
-        let (target, valid) = self.targets(batch)?;
+        let (target, valid) = self.targets.of(batch)?;
         let input = LossInput {
             pred: &pred,
             target: Some(&target),
