@@ -4,6 +4,7 @@ mod bench;
 mod chunk;
 mod common;
 mod convert;
+mod demo;
 mod evaluate;
 mod features;
 mod inspect;
@@ -26,6 +27,8 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    /// Labels a furnished room with the network inside the program: needs no file.
+    Demo(demo::Args),
     /// Looks at a scene: what is in it, what is wrong with it, what it will cost.
     Inspect(inspect::Args),
     /// Writes one feature row per Gaussian.
@@ -67,6 +70,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         }
     };
     let done = match &cli.command {
+        Command::Demo(args) => demo::run(args, &line),
         Command::Inspect(args) => inspect::run(args, &line),
         Command::Features(args) => features::run(args, &line),
         Command::Segment(args) => segment::run(args, &line),
