@@ -429,7 +429,9 @@ impl<'a> Session<'a> {
         }
         let opened = self.open(path, inference)?;
         let Some(code) = &opened.loaded.scene.lang_code else {
-            return self.network(inference).map(|n| (opened, FeatureSource::Network(Box::new(n))));
+            let network = self.network(inference)?;
+            check(&network)?;
+            return Ok((opened, FeatureSource::Network(Box::new(network))));
         };
         if let Some(flag) = inference.network_flag() {
             let text = format!("{flag} is about the network; give --weights too");

@@ -241,7 +241,11 @@ fn check_width(features: usize, texts: usize) -> Result<()> {
     if features == texts {
         return Ok(());
     }
-    Err(WrongUse(format!("the texts have {texts} values, the features {features}")).into())
+    Err(WrongUse(format!(
+        "the texts have {texts} values, the features {features}: give the texts of this network, or \
+         with --weights the network of these texts"
+    ))
+    .into())
 }
 
 const SELECTED: [u8; 3] = [255, 140, 40];

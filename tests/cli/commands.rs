@@ -221,11 +221,13 @@ fn evaluate_passes_its_oracle_and_refuses_a_broken_one() {
         done(&tiny("evaluate", &asset("room.ply"), &out, &args));
         let json: serde_json::Value =
             serde_json::from_slice(&bytes(&out.join("evaluation.json"))).unwrap();
-        let row = |i: usize| json["rows"][i]["allAcc"].as_f64().unwrap();
+        let oracle = json["oracle"]["all_acc"].as_f64().unwrap();
+        let random = json["random_labels"]["all_acc"].as_f64().unwrap();
+        let features = json["all_acc"].as_f64().unwrap();
         if vote == "0" {
-            assert_eq!(row(0), 1.0, "without a vote the oracle is perfect");
+            assert_eq!(oracle, 1.0, "without a vote the oracle is perfect");
         }
-        assert!(row(0) > row(2) && row(2) > row(1), "oracle > features > random");
+        assert!(oracle > features && features > random, "oracle > features > random");
         args.extend(["--break-oracle", "100"]);
         let broken = tiny("evaluate", &asset("room.ply"), &folder.path().join("no"), &args);
         assert_eq!(broken.status.code(), Some(1));
@@ -250,7 +252,7 @@ fn evaluate_reads_features_from_a_file() {
         done(&tiny("evaluate", &asset("room.ply"), &out, &args));
         let json: serde_json::Value =
             serde_json::from_slice(&bytes(&out.join("evaluation.json"))).unwrap();
-        json["rows"][2]["mIoU"].as_f64().unwrap()
+        json["miou"].as_f64().unwrap()
     };
     assert_eq!(value(&[]), value(&["--features", features.to_str().unwrap()]));
 }
@@ -311,8 +313,12 @@ fn wrong_use_is_exit_code_2() {
         vec!["features", "x.ply", "--config", "giant"],
         vec!["features", "x.ply", "--max-memory", "lots"],
         vec!["features", "x.ply", "--device", "tpu"],
-        vec!["features", "x.ply"],
+        vec!["features", "x.ply", "--config", "tiny"],
+        vec!["features", "x.ply", "--config", "tiny", "--weights", "embedded"],
         vec!["segment", "x.ply", "--config", "tiny", "--weights", "seeded:0"],
+        vec!["query", "x.ply", "red chiar"],
+        vec!["evaluate", "synthetic:many:1"],
+        vec!["train"],
         vec!["features", "x.ply", "--weights", "seeded:0", "--threads", "0"],
     ] {
         let output = scenesplat(&args);

@@ -8,6 +8,7 @@ mod commands;
 mod convert;
 mod hostile;
 mod inspect;
+mod training;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

@@ -240,8 +240,7 @@ fn both_tasks_learn_their_rooms() {
         ..network(Precision::F32)
     };
     let model = SemanticSegmenter::new(&shape, params.builder()).unwrap();
-    let objective =
-        Objective::new().with(1.0, CrossEntropy::default()).with(1.0, LovaszSoftmax::default());
+    let objective = Objective::new().with(1.0, CrossEntropy::default()).with(1.0, LovaszSoftmax);
     let (module, record) = (SemanticSegmentation::new(params, model, objective), Record::default());
     let evaluator =
         SegmentationEvaluator::new("segmentation", seen, InputFeatures::default(), Vec::new());
