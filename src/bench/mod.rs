@@ -37,7 +37,7 @@ enum Work {
     Product(usize),
     Convolution(usize),
     Attention { channels: usize, heads: usize },
-    TrainStep,
+    TrainStep { recompute: bool },
     Segmentation,
     Language,
 }
@@ -55,7 +55,7 @@ const fn row(name: &'static str, work: Work, full: usize, quick: usize) -> RowKi
     RowKind { name, work, size: [full, quick] }
 }
 
-const ALL: [RowKind; 17] = [
+const ALL: [RowKind; 18] = [
     row("peak_f32", Work::PeakF32, 0, 0),
     row("peak_bf16", Work::PeakBf16, 0, 0),
     row("bandwidth", Work::Bandwidth, 1 << 25, 1 << 23),
@@ -70,7 +70,8 @@ const ALL: [RowKind; 17] = [
     row("conv3_c768_100k", Work::Convolution(768), 100_000, 2000),
     row("attention_c64_100k", Work::Attention { channels: 64, heads: 4 }, 100_000, 5000),
     row("attention_c768_100k", Work::Attention { channels: 768, heads: 16 }, 100_000, 2000),
-    row("train_step_semseg_50k", Work::TrainStep, 50_000, 2000),
+    row("train_step_semseg_50k", Work::TrainStep { recompute: false }, 50_000, 2000),
+    row("train_step_recompute_semseg_50k", Work::TrainStep { recompute: true }, 50_000, 2000),
     row("forward_semseg_100k", Work::Segmentation, 100_000, 2000),
     row("forward_language_100k", Work::Language, 100_000, 2000),
 ];
@@ -88,7 +89,7 @@ impl RowKind {
             Work::Product(_)
                 | Work::Convolution(_)
                 | Work::Attention { .. }
-                | Work::TrainStep
+                | Work::TrainStep { .. }
                 | Work::Segmentation
                 | Work::Language
         )
@@ -96,7 +97,7 @@ impl RowKind {
 
     /// Whether its result is compared with that of the same row in f32.
     fn is_compared_with_f32(&self) -> bool {
-        matches!(self.work, Work::TrainStep | Work::Segmentation | Work::Language)
+        matches!(self.work, Work::TrainStep { .. } | Work::Segmentation | Work::Language)
     }
 }
 
@@ -150,7 +151,7 @@ pub fn measure(request: &Request) -> Result<Measured> {
         Work::Product(channels) => products::gemm(channels, n, request),
         Work::Convolution(channels) => products::convolution(channels, n, request),
         Work::Attention { channels, heads } => products::attention(channels, heads, n, request),
-        Work::TrainStep => networks::train_step(n, request),
+        Work::TrainStep { recompute } => networks::train_step(n, recompute, request),
         Work::Segmentation => networks::segmentation(n, request),
         Work::Language => networks::language(n, request),
     }?;

@@ -85,10 +85,10 @@ fn forward(
 }
 
 /// Forward, cross entropy, backward, AdamW.
-pub(super) fn train_step(n: usize, request: &Request) -> Result<Measured> {
+pub(super) fn train_step(n: usize, recompute: bool, request: &Request) -> Result<Measured> {
     let config = semseg(request.precision);
     let voxels = room::voxels(n);
-    let mut step = TrainStep::new(&config, cloud(voxels.clone(), config.in_channels)?)?;
+    let mut step = TrainStep::new(&config, cloud(voxels.clone(), config.in_channels)?, recompute)?;
     if !request.one_pass {
         // The first of thousands of steps allocates what all others use again.
         step.run()?;

@@ -1,4 +1,5 @@
-//! One step of training the segmentation network: forward, cross entropy, backward, AdamW.
+//! One step of training the segmentation network: forward, cross entropy and Lovász softmax,
+//! backward, AdamW; with and without recomputed blocks.
 #![allow(missing_docs, reason = "criterion's macros make undocumented items")]
 
 #[path = "../../kernels/benches/support/mod.rs"]
@@ -29,10 +30,14 @@ fn steps(c: &mut Criterion) {
         for precision in [Precision::F32, Precision::Bf16] {
             let compute = Compute { precision, ..config.compute };
             let config = PointTransformerV3Config { compute, ..config.clone() };
-            let mut step = TrainStep::new(&config, points.clone()).expect("a network");
-            group.bench_function(format!("{}/{precision}", short(n)), |bench| {
-                bench.iter(|| step.run().expect("a finite loss"));
-            });
+            for recompute in [false, true] {
+                let mut step =
+                    TrainStep::new(&config, points.clone(), recompute).expect("a network");
+                let kept = if recompute { "recompute" } else { "keep" };
+                group.bench_function(format!("{}/{precision}/{kept}", short(n)), |bench| {
+                    bench.iter(|| step.run().expect("a finite loss"));
+                });
+            }
         }
     }
     group.finish();
