@@ -424,18 +424,43 @@ fn what_is_refused() {
     }
 }
 
+/// A batch may be, or pool down to, a single voxel: its batch norms use what they remember.
 #[test]
-fn training_needs_two_rows() {
-    let (_, model) = trainable();
+fn training_on_a_single_voxel() {
+    let store = ParamStore::trainable_from(WeightSource::hashed(5, ""), 0);
+    let shape = PointTransformerV3Config { drop_path: 0.0, ..config() };
+    let model = LanguageModel::new(&shape, store.builder()).unwrap();
+    let statistics = || -> Vec<(String, Vec<f32>)> {
+        let all = store.buffers();
+        let value = |v: &candle_core::Var| {
+            v.to_dtype(DType::F32).unwrap().flatten_all().unwrap().to_vec1().unwrap()
+        };
+        all.iter().map(|(n, v)| (n.clone(), value(v))).collect()
+    };
+    let before = statistics();
+    let single = Scene::random(1, 1);
     let train = |scene: &Scene| {
         let mut rng = ChaCha8Rng::seed_from_u64(0);
-        model.forward(&batch(&[scene]), &mut Forward::train(&mut rng))
+        model.forward(&batch(&[scene]), &mut Forward::train(&mut rng)).unwrap()
     };
-    let message = train(&Scene::random(1, 1)).unwrap_err().to_string();
-    assert!(message.contains("at least 2 rows"), "{message}");
+    let out = train(&single);
+    assert_eq!(before, statistics(), "one row has no statistics to remember");
+    let mut rng = ChaCha8Rng::seed_from_u64(0);
+    let eval = model.forward(&batch(&[&single]), &mut Forward::eval(&mut rng)).unwrap();
+    let rows = |t: &Tensor| t.to_vec2::<f32>().unwrap();
+    assert_eq!(rows(&out), rows(&eval), "the remembered statistics, as in evaluation");
     // Two voxels that pool into one leave a single row at the next scale.
     let pair = Scene::new(vec![[0; 3], [1, 0, 0]], 1);
-    assert!(train(&pair).unwrap_err().to_string().contains("at least 2 rows"));
+    for scene in [&single, &pair] {
+        let out = train(scene);
+        assert!(out.flatten_all().unwrap().to_vec1::<f32>().unwrap().iter().all(|v| v.is_finite()));
+        let grads = out.sqr().unwrap().sum_all().unwrap().backward().unwrap();
+        for (name, var) in store.parameters() {
+            let grad = grads.get(&var).unwrap().flatten_all().unwrap().to_vec1::<f32>().unwrap();
+            assert!(grad.iter().all(|v| v.is_finite()), "{name}");
+        }
+    }
+    assert_ne!(before, statistics(), "two rows have");
     let mut rng = ChaCha8Rng::seed_from_u64(0);
     let message = frozen().forward(&batch(&[&pair]), &mut Forward::train(&mut rng)).unwrap_err();
     assert!(message.to_string().contains("trainable"), "{message}");

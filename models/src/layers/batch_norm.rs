@@ -61,10 +61,12 @@ impl BatchNorm {
     }
 
     /// `[N, C] → [N, C]`. In training the statistics come from the batch, and the remembered ones
-    /// move towards them.
+    /// move towards them. A single row has no variance: it is normalised by the remembered
+    /// statistics, which stay as they are (PyTorch raises there, which would end a run at the first
+    /// batch that pools down to one voxel).
     ///
     /// # Errors
-    /// If the input does not fit, or when training with frozen weights or fewer than two rows.
+    /// If the input does not fit, or when training with frozen weights.
     pub fn forward_gelu(&self, x: &Tensor, mode: Mode) -> Result<Tensor> {
         match (&self.0, mode) {
             (Form::Frozen { scale, shift }, Mode::Eval) => {
@@ -76,12 +78,7 @@ impl BatchNorm {
                     Ok(vector(v.as_tensor())?.into_iter().map(f64::from).collect())
                 };
                 let statistics = match mode {
-                    Mode::Eval => ops::BatchStatistics {
-                        mean: to_f64(mean)?,
-                        var: to_f64(var)?,
-                        from_batch: false,
-                    },
-                    Mode::Train => {
+                    Mode::Train if x.dim(0)? > 1 => {
                         let now = ops::batch_statistics(x)?;
                         let n = x.dim(0)? as f64;
                         remember(mean, &now.mean, 1.0)?;
@@ -89,6 +86,11 @@ impl BatchNorm {
                         batches.set(&(batches.as_tensor().detach() + 1.0)?)?;
                         now
                     }
+                    _ => ops::BatchStatistics {
+                        mean: to_f64(mean)?,
+                        var: to_f64(var)?,
+                        from_batch: false,
+                    },
                 };
                 ops::gelu(&ops::batch_norm(x, weight, bias, statistics, EPS)?)
             }
