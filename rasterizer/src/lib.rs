@@ -1,0 +1,1 @@
+//! Pictures of 3D Gaussians on a CPU, their gradients, and labels lifted from pictures onto them.
