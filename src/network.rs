@@ -200,13 +200,14 @@ impl Network {
     /// # Errors
     /// If no released network has that many inputs.
     pub fn input_features(&self) -> anyhow::Result<InputFeatures> {
-        use InputChannel::{Color, Normal, Opacity, Quat, Scale};
+        use InputChannel::{Color, Height, Normal, Opacity, Quat, Scale};
         let channels = match self.config.in_channels {
             11 => vec![Color, Opacity, Quat, Scale],
+            12 => vec![Color, Opacity, Quat, Scale, Height],
             14 => vec![Color, Opacity, Quat, Scale, Normal],
             other => anyhow::bail!(
                 "in_channels: {other} inputs are none of the known sets (11: colour, opacity, quat, \
-                 scale; 14: those and the normal)"
+                 scale; 12: those and the height; 14: those and the normal)"
             ),
         };
         Ok(InputFeatures { channels, ..InputFeatures::default() })

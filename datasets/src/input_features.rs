@@ -19,13 +19,16 @@ pub enum InputChannel {
     Scale,
     /// Unit surface normal. 3 channels
     Normal,
+    /// Metres above the ground, which one centre in a hundred of the whole scene lies below; the
+    /// scene's z axis must point up. 1 channel. Not part of the original.
+    Height,
 }
 
 impl InputChannel {
     /// Number of channels.
     pub fn width(self) -> usize {
         match self {
-            Self::Opacity => 1,
+            Self::Opacity | Self::Height => 1,
             Self::Quat => 4,
             Self::Color | Self::Scale | Self::Normal => 3,
         }
@@ -38,6 +41,7 @@ impl InputChannel {
             Self::Quat => "quat",
             Self::Scale => "scale",
             Self::Normal => "normal",
+            Self::Height => "coord z",
         }
     }
 }
@@ -94,11 +98,13 @@ impl InputFeatures {
         if width == 0 {
             return Ok(feat);
         }
+        // Of the whole scene, so that a tile of it gets the heights of the scene.
+        let ground = self.ground(&scene.coord);
         feat.par_chunks_exact_mut(width).zip(rows).with_min_len(4096).for_each(|(out, &row)| {
             let mut at = 0;
             for &channel in &self.channels {
                 let end = at + channel.width();
-                self.write(channel, scene, row as usize, &mut out[at..end]);
+                self.write(channel, scene, row as usize, ground, &mut out[at..end]);
                 at = end;
             }
         });
@@ -128,6 +134,7 @@ impl InputFeatures {
             return Ok(feat);
         }
         let [low, high] = self.scale_clip.unwrap_or([f32::NEG_INFINITY, f32::INFINITY]);
+        let ground = self.ground(&sample.coord);
         feat.par_chunks_exact_mut(width).enumerate().with_min_len(4096).for_each(|(row, out)| {
             let mut at = 0;
             for &channel in &self.channels {
@@ -138,6 +145,7 @@ impl InputFeatures {
                         out.copy_from_slice(&sample.color[row].map(|c| c / 127.5 - 1.0));
                     }
                     InputChannel::Opacity => out[0] = sample.opacity[row],
+                    InputChannel::Height => out[0] = sample.coord[row][2] - ground,
                     InputChannel::Quat => out.copy_from_slice(&sample.quat[row]),
                     InputChannel::Scale => {
                         out.copy_from_slice(&sample.scale[row].map(|s| s.clamp(low, high)));
@@ -171,7 +179,28 @@ impl InputFeatures {
         }
     }
 
-    fn write(&self, channel: InputChannel, scene: &GaussianScene, row: usize, out: &mut [f32]) {
+    /// Height of the ground; 0 if no channel asks for it or there is no centre.
+    fn ground(&self, coord: &[[f32; 3]]) -> f32 {
+        if !self.channels.contains(&InputChannel::Height) {
+            return 0.0;
+        }
+        let mut z: Vec<f32> = coord.iter().map(|c| c[2]).filter(|z| z.is_finite()).collect();
+        if z.is_empty() {
+            return 0.0;
+        }
+        // Not the lowest: floaters lie anywhere.
+        let rank = z.len() / 100;
+        *z.select_nth_unstable_by(rank, f32::total_cmp).1
+    }
+
+    fn write(
+        &self,
+        channel: InputChannel,
+        scene: &GaussianScene,
+        row: usize,
+        ground: f32,
+        out: &mut [f32],
+    ) {
         match channel {
             InputChannel::Color => {
                 let bytes = scene.color_u8(row);
@@ -181,6 +210,7 @@ impl InputFeatures {
                 }
             }
             InputChannel::Opacity => out[0] = scene.opacity(row),
+            InputChannel::Height => out[0] = scene.coord[row][2] - ground,
             InputChannel::Quat => out.copy_from_slice(&scene.quat[row]),
             InputChannel::Scale => {
                 let scale = scene.scale(row);
@@ -254,6 +284,31 @@ mod tests {
         broken.normal = None;
         let features = InputFeatures { channels: vec![Normal], scale_clip: None };
         assert!(matches!(features.sample_rows(&broken), Err(DataError::NoNormals)));
+    }
+
+    #[test]
+    fn height_is_above_the_ground_of_the_whole_scene() {
+        // 100 centres on the floor at z = 2, one floater far below, one lamp 1.5 m above.
+        let mut scene = GaussianScene {
+            coord: (0..100).map(|i| [i as f32, 0.0, 2.0]).collect(),
+            ..GaussianScene::default()
+        };
+        scene.coord.push([0.0, 0.0, -40.0]);
+        scene.coord.push([0.0, 0.0, 3.5]);
+        let rows = scene.coord.len();
+        scene.log_scale = vec![[0.0; 3]; rows];
+        scene.quat = vec![[1.0, 0.0, 0.0, 0.0]; rows];
+        scene.opacity_logit = vec![0.0; rows];
+        scene.sh_dc = vec![[0.0; 3]; rows];
+        let features =
+            InputFeatures { channels: vec![InputChannel::Height], ..InputFeatures::default() };
+        assert_eq!(features.rows(&scene, &[101, 0, 100]).unwrap(), [1.5, 0.0, -42.0]);
+        let sample = Sample::from_scene("a", scene.clone());
+        assert_eq!(features.sample_rows(&sample).unwrap()[100..], [-42.0, 1.5]);
+        scene.coord[7][2] = f32::NAN;
+        let error = features.rows(&scene, &[6, 7]).unwrap_err();
+        assert!(matches!(error, DataError::NotFinite { row: 7, field: "coord z", .. }), "{error}");
+        assert!(features.rows(&GaussianScene::default(), &[]).unwrap().is_empty());
     }
 
     #[test]
