@@ -179,12 +179,12 @@ fn a_resumed_run_has_the_bits_of_one_that_was_not_interrupted() {
 }
 
 #[test]
-fn accumulating_halves_is_a_whole_batch() {
-    // Batches of 10 rows, and the same rows as pairs of 5: equal means, no batch statistics.
-    struct Halves(Numbers);
-    impl BatchLoader<Rows> for Halves {
+fn accumulated_parts_are_a_whole_batch() {
+    // Batches of 20 rows, and the same rows in parts: equal means, no batch statistics.
+    struct Parts(Numbers, usize);
+    impl BatchLoader<Rows> for Parts {
         fn batches_per_epoch(&self) -> usize {
-            14
+            7 * self.1
         }
         fn epoch(
             &mut self,
@@ -192,20 +192,27 @@ fn accumulating_halves_is_a_whole_batch() {
             skip: usize,
         ) -> Box<dyn Iterator<Item = std::result::Result<Rows, DataError>> + '_> {
             let all: Vec<Rows> = self.0.epoch(epoch, 0).map(|b| b.unwrap()).collect();
-            let halves = all.into_iter().flat_map(|b| [b[..5].to_vec(), b[5..].to_vec()]);
-            Box::new(halves.skip(skip).map(Ok).collect::<Vec<_>>().into_iter())
+            let rows = self.0.rows / self.1;
+            let parts: Vec<_> =
+                all.iter().flat_map(|b| b.chunks(rows)).map(<[_]>::to_vec).collect();
+            Box::new(parts.into_iter().skip(skip).map(Ok))
         }
     }
-    let whole = Numbers { rows: 10, ..numbers() };
+    let numbers = || Numbers { rows: 20, ..numbers() };
     let quiet = || Line { noise: 0.0, ..Line::new() };
-    let (a, b) = (quiet(), quiet());
     let once = TrainerConfig { epochs: 1, ..config(None) };
-    let twice = TrainerConfig { accumulate: 2, ..once.clone() };
-    trainer(&a, once).fit(&a, &mut { whole }, &mut [], Progress::default()).unwrap();
-    let halves = Numbers { rows: 10, ..numbers() };
-    trainer(&b, twice).fit(&b, &mut Halves(halves), &mut [], Progress::default()).unwrap();
-    for (x, y) in values(&a).iter().zip(values(&b)) {
-        assert!((x - y).abs() < 1e-6, "{x} {y}");
+    let whole = quiet();
+    trainer(&whole, once.clone())
+        .fit(&whole, &mut numbers(), &mut [], Progress::default())
+        .unwrap();
+    for accumulate in [2_u16, 4] {
+        let module = quiet();
+        let several = TrainerConfig { accumulate: accumulate.into(), ..once.clone() };
+        let mut parts = Parts(numbers(), accumulate.into());
+        trainer(&module, several).fit(&module, &mut parts, &mut [], Progress::default()).unwrap();
+        for (x, y) in values(&whole).iter().zip(values(&module)) {
+            assert!((x - y).abs() < 1e-6, "{accumulate}: {x} {y}");
+        }
     }
 }
 
