@@ -2,7 +2,7 @@
 //! it has never seen. `cargo run --release --example custom_training_loop`
 
 use scenesplat::datasets::transforms::{TransformConfig, language_pretraining, validation};
-use scenesplat::datasets::{self, BatchLoader, InputFeatures, LoaderSettings, SceneLoader};
+use scenesplat::datasets::{BatchLoader, InputFeatures, LoaderSettings, SceneLoader};
 use scenesplat::losses::{CosineLoss, LossInput, Objective, TextClassification, TextTable};
 use scenesplat::models::{Forward, LanguageModel, ParamStore};
 use scenesplat::prelude::*;
@@ -11,6 +11,7 @@ use scenesplat::trainers::tasks::{TargetSource, point_cloud};
 use scenesplat::trainers::{
     AdamW, AdamWConfig, OneCycle, Optimizer, Schedule, clip_grad_norm, group_by_keyword,
 };
+use scenesplat::{datasets, text};
 use std::sync::Arc;
 
 fn main() -> anyhow::Result<()> {
@@ -21,12 +22,11 @@ fn main() -> anyhow::Result<()> {
         datasets::SceneDataset::new(Arc::new(source), steps, 0, 1).map(Arc::new)
     };
     let (input, grid) = (InputFeatures::default(), 0.08);
-    let settings = LoaderSettings { mix_probability: 0.0, ..LoaderSettings::default() };
+    let settings = LoaderSettings { batch_size: 1, mix_probability: 0.0, ..Default::default() };
     let training = rooms(40, 1, language_pretraining(grid))?;
     let mut loader = SceneLoader::new(training, input.clone(), settings)?;
-    let (unseen, table) =
-        (rooms(10, 1000, validation(grid))?, scenesplat::text::metric_table(&texts)?);
-    let judge = ZeroShotEvaluator::new("unseen", unseen, input, table, vec![0, 1, 2]);
+    let (unseen, names) = (rooms(10, 1000, validation(grid))?, text::metric_table(&texts)?);
+    let judge = ZeroShotEvaluator::new("unseen", unseen, input, names, vec![0, 1, 2]);
 
     let store = ParamStore::trainable(0);
     let network = LanguageModel::new(&PointTransformerV3Config::tiny(), store.builder())?;
@@ -34,11 +34,12 @@ fn main() -> anyhow::Result<()> {
     let params = store.parameters();
     let groups = group_by_keyword(&params, 0.003, 0.02, &[]);
     let mut optimizer = AdamW::new(groups, AdamWConfig::default())?;
-    let classify = TextClassification::new(TextTable::new(&texts.values, texts.dim)?);
-    let objective = Objective::new().with(1.0, CosineLoss::default()).with(0.5, classify);
+    let table = TextTable::new(&texts.values, texts.dim)?;
+    let classify = TextClassification { temperature: 0.05, ..TextClassification::new(table) };
+    let objective = Objective::new().with(0.2, CosineLoss::default()).with(1.0, classify);
     let targets = TargetSource::class_text(&texts)?;
 
-    let (epochs, steps) = (6, loader.batches_per_epoch() as u64);
+    let (epochs, steps) = (6_u64, loader.batches_per_epoch() as u64);
     for epoch in 0..epochs {
         println!("f-mIoU on unseen rooms: {:.3}", score()?.unwrap_or(0.0));
         for (i, batch) in (0..).zip(loader.epoch(epoch, 0)) {

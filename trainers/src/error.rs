@@ -175,6 +175,15 @@ impl TrainError {
         }
     }
 
+    /// For `map_err`: names the file, and what could not be done with it.
+    pub(crate) fn io(
+        path: &std::path::Path,
+        action: &'static str,
+    ) -> impl Fn(std::io::Error) -> Self + use<> {
+        let path = path.to_owned();
+        move |source| Self::Io { path: path.clone(), action, source }
+    }
+
     /// For `map_err`: names the parameter of a failed tensor operation.
     pub(crate) fn tensor(name: &str) -> impl Fn(candle_core::Error) -> Self + '_ {
         move |source| Self::Tensor { name: name.to_owned(), source }

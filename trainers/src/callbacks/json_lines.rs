@@ -42,26 +42,22 @@ impl JsonLines {
         Self { path: path.to_owned(), file: None }
     }
 
-    fn error(&self, action: &'static str) -> impl Fn(std::io::Error) -> TrainError + use<> {
-        let path = self.path.clone();
-        move |source| TrainError::Io { path: path.clone(), action, source }
-    }
-
     /// Keeps the lines up to `step`, and opens the file behind them.
     fn open(&mut self, step: u64) -> Result<(), TrainError> {
         let mut kept: Vec<u8> = Vec::new();
         if step > 0 && self.path.is_file() {
             for value in read_json_lines(&self.path)?.iter().filter(|v| v.step <= step) {
                 serde_json::to_writer(&mut kept, value)
-                    .map_err(|e| self.error("cannot describe")(e.into()))?;
+                    .map_err(|e| TrainError::io(&self.path, "cannot describe")(e.into()))?;
                 kept.push(b'\n');
             }
         }
         let beside = self.path.with_extension("partial");
         crate::checkpoint::write_synced(&beside, &kept)?;
-        std::fs::rename(&beside, &self.path).map_err(self.error("cannot rename to"))?;
+        std::fs::rename(&beside, &self.path)
+            .map_err(TrainError::io(&self.path, "cannot rename to"))?;
         let file = File::options().append(true).open(&self.path);
-        self.file = Some(BufWriter::new(file.map_err(self.error("cannot open"))?));
+        self.file = Some(BufWriter::new(file.map_err(TrainError::io(&self.path, "cannot open"))?));
         Ok(())
     }
 }
@@ -76,7 +72,7 @@ impl Callback for JsonLines {
             Event::Step { measurements } | Event::Eval { measurements, .. } => *measurements,
             _ => return Ok(Flow::Continue),
         };
-        let error = self.error("cannot write");
+        let error = TrainError::io(&self.path, "cannot write");
         let Some(file) = &mut self.file else { return Ok(Flow::Continue) };
         for m in measurements {
             let line = LoggedValue {

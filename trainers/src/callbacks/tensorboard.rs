@@ -25,21 +25,18 @@ impl TensorBoard {
         Self { folder: folder.to_owned(), file: None }
     }
 
-    fn error(&self, action: &'static str) -> impl Fn(std::io::Error) -> TrainError + use<> {
-        let path = self.folder.clone();
-        move |source| TrainError::Io { path: path.clone(), action, source }
-    }
-
     fn open(&mut self, step: u64) -> Result<(), TrainError> {
-        std::fs::create_dir_all(&self.folder).map_err(self.error("cannot make"))?;
+        std::fs::create_dir_all(&self.folder)
+            .map_err(TrainError::io(&self.folder, "cannot make"))?;
         let seconds = now() as u64;
         let name = format!("events.out.tfevents.{seconds:010}.scenesplat.{step}");
-        let file = File::create(self.folder.join(name)).map_err(self.error("cannot write in"))?;
+        let file = File::create(self.folder.join(name))
+            .map_err(TrainError::io(&self.folder, "cannot write in"))?;
         let mut file = BufWriter::new(file);
         // Field 3 of an event: the version of the file.
         let mut event = field_f64(1, now());
         event.extend(field_bytes(3, b"brain.Event:2"));
-        record(&mut file, &event).map_err(self.error("cannot write in"))?;
+        record(&mut file, &event).map_err(TrainError::io(&self.folder, "cannot write in"))?;
         self.file = Some(file);
         Ok(())
     }
@@ -55,7 +52,7 @@ impl Callback for TensorBoard {
             Event::Step { measurements } | Event::Eval { measurements, .. } => *measurements,
             _ => return Ok(Flow::Continue),
         };
-        let error = self.error("cannot write in");
+        let error = TrainError::io(&self.folder, "cannot write in");
         let Some(file) = &mut self.file else { return Ok(Flow::Continue) };
         for m in measurements {
             record(file, &scalar(at.step, &m.name, m.value as f32)).map_err(&error)?;
