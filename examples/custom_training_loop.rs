@@ -27,7 +27,6 @@ fn main() -> anyhow::Result<()> {
     let mut loader = SceneLoader::new(training, input.clone(), settings)?;
     let (unseen, names) = (rooms(10, 1000, validation(grid))?, text::metric_table(&texts)?);
     let judge = ZeroShotEvaluator::new("unseen", unseen, input, names, vec![0, 1, 2]);
-
     let store = ParamStore::trainable(0);
     let network = LanguageModel::new(&PointTransformerV3Config::tiny(), store.builder())?;
     let score = || judge.confusion(&network).map(|c| c.tester_report().foreground_mean_iou);
