@@ -7,6 +7,7 @@ use crate::outputs::{ResultColumns, write_colored_ply, write_scene_preview};
 use crate::preview::LegendEntry;
 use crate::text::metric_table;
 use anyhow::Result;
+use scenesplat_datasets::synthetic::Vocabulary;
 use scenesplat_metrics::{ZeroShotOptions, classify, vote};
 use scenesplat_models::weights::read_single_tensor;
 use scenesplat_scene::formats::npy::NpyFile;
@@ -47,8 +48,13 @@ pub struct Args {
 
 /// The texts with the query among them, and the query's row.
 fn texts(args: &Args) -> Result<(TextTable, usize)> {
+    if let (Some(vocabulary), None) = (args.classes.vocabulary()?, &args.embedding) {
+        return from_vocabulary(&vocabulary, &args.query);
+    }
     let table = match (&args.classes.text, &args.embedding) {
-        (None, None) if args.shared.is_embedded() => return from_vocabulary(&args.query),
+        (None, None) if args.shared.is_embedded() => {
+            return from_vocabulary(&crate::embedded::vocabulary()?, &args.query);
+        }
         (None, None) => {
             return Err(WrongUse(
                 "give --text (embeddings with names, the query being one of them) or --embedding \
@@ -109,8 +115,7 @@ fn texts(args: &Args) -> Result<(TextTable, usize)> {
 }
 
 /// The query in the words of the network inside the program, with what it has to beat.
-fn from_vocabulary(query: &str) -> Result<(TextTable, usize)> {
-    let vocabulary = crate::embedded::vocabulary()?;
+fn from_vocabulary(vocabulary: &Vocabulary, query: &str) -> Result<(TextTable, usize)> {
     let wrong = |error| WrongUse(format!("{error}"));
     let vector = vocabulary.embed(query).map_err(wrong)?;
     let mut table = vocabulary.rivals(query).map_err(wrong)?;

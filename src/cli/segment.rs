@@ -6,13 +6,14 @@ use crate::inference::SceneFeatures;
 use crate::outputs::{ResultColumns, label_colors, legend, write_colored_ply, write_scene_preview};
 use crate::text::{class_list, metric_table, read_text_table};
 use anyhow::{Context, Result};
+use scenesplat_datasets::synthetic::Vocabulary;
 use scenesplat_metrics::{
     FeatureFn, FeatureRows, UnknownRule, ZeroShotOptions, classify, keep_withheld, vote,
 };
 use scenesplat_scene::formats::npy_writer::write_npy;
 use scenesplat_scene::label_set::read_names;
 use scenesplat_scene::{LabelSet, TextTable};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Writes labels.npy, scores.npy, segmented.ply (class colours, label and score columns),
 /// classes.json, preview.png and a receipt.
@@ -37,9 +38,10 @@ pub struct Args {
 /// Which classes compete, and when none wins.
 #[derive(Debug, clap::Args)]
 pub struct Classes {
-    /// Text embeddings of the classes: .safetensors or .pt; by default, for the network inside the
-    /// program, the classes it knows.
-    #[arg(long, value_name = "FILE")]
+    /// Text embeddings of the classes: .safetensors or .pt; or `vocabulary`, the words of the
+    /// synthetic rooms (`vocabulary:768` for a network of that width). By default, for the network
+    /// inside the program, the classes it knows.
+    #[arg(long, value_name = "FILE|vocabulary[:D]")]
     pub text: Option<PathBuf>,
     /// Names of the rows of --text, one a line, where the file has none.
     #[arg(long, value_name = "FILE")]
@@ -62,21 +64,48 @@ impl Classes {
     /// to give.
     pub fn text_table(&self, embedded: bool) -> Result<TextTable> {
         match &self.text {
-            Some(path) => read_text_table(path, self.text_names.as_deref()),
+            Some(path) => match self.vocabulary()? {
+                Some(vocabulary) => Ok(vocabulary.class_table()),
+                None => read_text_table(path, self.text_names.as_deref()),
+            },
             None if embedded => Ok(crate::embedded::vocabulary()?.class_table()),
             None => Err(WrongUse(
-                "--text is missing: give the text embeddings of the classes (.safetensors or .pt)"
+                "--text is missing: give the text embeddings of the classes (.safetensors or .pt), \
+                 or --text vocabulary for a network that was trained with the built-in one"
                     .to_owned(),
             )
             .into()),
         }
     }
 
+    /// The built-in vocabulary, if --text asks for it: `vocabulary` has the width of the network
+    /// inside the program, `vocabulary:D` the width D.
+    pub fn vocabulary(&self) -> Result<Option<Vocabulary>> {
+        let Some(text) = self.text.as_deref().and_then(Path::to_str) else { return Ok(None) };
+        match text.strip_prefix("vocabulary") {
+            Some("") => crate::embedded::vocabulary().map(Some),
+            Some(dim) if dim.starts_with(':') => {
+                let dim = dim[1..].parse().map_err(|_| {
+                    WrongUse(format!(
+                        "--text {text}: the width must be a number, as in vocabulary:96"
+                    ))
+                })?;
+                Ok(Some(Vocabulary::new(dim)?))
+            }
+            _ => Ok(None),
+        }
+    }
+
     /// Notes in the receipt what changes the result.
     pub fn record(&self, session: &Session<'_>) -> Result<()> {
         let receipt = &session.receipt;
-        if let Some(path) = &self.text {
-            receipt.fingerprint("text", path)?;
+        match (&self.text, self.vocabulary()?) {
+            (Some(_), Some(vocabulary)) => {
+                let text = format!("vocabulary:{}", vocabulary.dim());
+                receipt.setting("text", text, "words of the synthetic rooms");
+            }
+            (Some(path), None) => receipt.fingerprint("text", path)?,
+            (None, _) => {}
         }
         if !self.without.is_empty() {
             receipt.setting("without", self.without.join(","), "classes that may not be predicted");

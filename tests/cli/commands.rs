@@ -318,6 +318,8 @@ fn wrong_use_is_exit_code_2() {
         vec!["segment", "x.ply", "--config", "tiny", "--weights", "seeded:0"],
         vec!["query", "x.ply", "red chiar"],
         vec!["evaluate", "synthetic:many:1"],
+        vec!["segment", "x.ply", "--text", "vocabulary:wide"],
+        vec!["query", "x.ply", "chair", "--text", "vocabulary:"],
         vec!["train"],
         vec!["features", "x.ply", "--weights", "seeded:0", "--threads", "0"],
     ] {

@@ -144,6 +144,24 @@ fn the_network_inside_the_program_answers_without_any_file() {
     }
     assert!(figures["oracle"]["miou"].as_f64() > figures["miou"].as_f64());
     assert!(figures["per_class"].as_array().is_some_and(|c| c.len() > 10));
+
+    // A network trained with the same words is told by `--text vocabulary`.
+    let model = concat!(env!("CARGO_MANIFEST_DIR"), "/assets/embedded");
+    let again = folder.path().join("again.json");
+    done(&scenesplat(&[
+        "evaluate",
+        "synthetic:2:7",
+        "--weights",
+        model,
+        "--text",
+        "vocabulary",
+        "--json",
+        again.to_str().unwrap(),
+        "--out",
+        place.to_str().unwrap(),
+    ]));
+    let same: serde_json::Value = serde_json::from_slice(&bytes(&again)).unwrap();
+    assert_eq!(same["per_class"], figures["per_class"]);
 }
 
 fn bytes(path: &Path) -> Vec<u8> {
