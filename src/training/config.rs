@@ -437,6 +437,6 @@ mod tests {
                 read += 1;
             }
         }
-        assert_eq!(read, 8);
+        assert_eq!(read, 9);
     }
 }
