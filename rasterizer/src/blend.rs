@@ -11,7 +11,7 @@ pub const TILE: usize = 16;
 
 /// List positions between asking for a Gaussian and reading it: tens of rows of arithmetic, more
 /// than memory takes.
-const AHEAD: usize = 4;
+const AHEAD: usize = 12;
 
 /// Numbers of the columns.
 const COLUMNS: [f32; TILE] = [0., 1., 2., 3., 4., 5., 6., 7., 8., 9., 10., 11., 12., 13., 14., 15.];
@@ -52,6 +52,12 @@ pub trait TileVisitor: Send {
     type Output: Send;
     /// Whether [`finish`](Self::finish) needs `last`; it is all 0 otherwise.
     const LAST: bool = false;
+
+    /// The Gaussian of row `row` of [`Projected`] comes soon: a place to [`prefetch`] what
+    /// [`span`](Self::span) reads of it. Rows are in no order in memory, so that each is waited for
+    /// otherwise.
+    #[inline(always)]
+    fn soon(&self, _row: u32) {}
 
     /// A Gaussian begins: list position `entry`, row of [`Projected`] `row`.
     #[inline(always)]
@@ -218,6 +224,7 @@ unsafe fn run<L: Lanes, V: TileVisitor>(
         for (entry, (&row, &reach)) in entries.iter().zip(reach).enumerate() {
             if let Some(&ahead) = entries.get(entry + AHEAD) {
                 prefetch(&splats[ahead as usize]);
+                visitor.soon(ahead);
             }
             let mut rows = pixels.rows & reached(reach);
             if rows == 0 {
@@ -247,18 +254,20 @@ unsafe fn run<L: Lanes, V: TileVisitor>(
                 let ends = L::bits(L::and_not(L::and(counts, before.gt(zero)), take));
                 if L::bits(take) != 0 {
                     L::select(take, after, before).store(&mut pixels.live[r]);
-                    let mut span = Stored::default();
-                    L::select(take, weight, zero).store(&mut span.weights);
-                    alpha.store(&mut span.alphas);
-                    before.store(&mut span.before);
+                    let mut weights = Aligned([0.0; TILE]);
+                    let mut alphas = Aligned([0.0; TILE]);
+                    let mut earlier = Aligned([0.0; TILE]);
+                    L::select(take, weight, zero).store(&mut weights.0);
+                    alpha.store(&mut alphas.0);
+                    before.store(&mut earlier.0);
                     if V::LAST {
                         for x in 0..TILE {
                             let at = &mut last[r * TILE + x];
-                            *at = if span.weights[x] > 0.0 { entry as u32 + 1 } else { *at };
+                            *at = if weights.0[x] > 0.0 { entry as u32 + 1 } else { *at };
                         }
                     }
-                    let Stored { weights, alphas, before } = &span;
-                    let span = Span { weights, alphas, before };
+                    let span =
+                        Span { weights: &weights.0, alphas: &alphas.0, before: &earlier.0 };
                     visitor.span(entry as u32, row, rect.y0 + r as u32, rect.x0, span);
                 }
                 if ends != 0 {
@@ -271,14 +280,9 @@ unsafe fn run<L: Lanes, V: TileVisitor>(
     visitor.finish(&pixels.transmittance(), &last)
 }
 
-/// What a span borrows.
-#[derive(Default)]
+/// A register in memory.
 #[repr(align(64))]
-struct Stored {
-    weights: [f32; TILE],
-    alphas: [f32; TILE],
-    before: [f32; TILE],
-}
+struct Aligned([f32; TILE]);
 
 /// The rows of [`TileLists::reach`] as bits.
 #[inline(always)]
@@ -289,7 +293,7 @@ fn reached(reach: u8) -> u32 {
 
 /// Asks for a cache line that will be read soon.
 #[inline(always)]
-fn prefetch<T>(value: &T) {
+pub fn prefetch<T>(value: &T) {
     #[cfg(target_arch = "x86_64")]
     // SAFETY: the instruction is part of every x86-64, and a reference is a valid address.
     unsafe {

@@ -1,6 +1,7 @@
 //! What the pixel loop can make: colour, depth, features, weights. Visitors combine as pairs.
 
 use crate::canvas::CanvasTile;
+use crate::blend::prefetch;
 use crate::{Span, TILE, TileVisitor};
 
 /// Pixels of a tile.
@@ -20,6 +21,11 @@ impl TileVisitor for Nothing {
 impl<A: TileVisitor, B: TileVisitor> TileVisitor for (A, B) {
     type Output = (A::Output, B::Output);
     const LAST: bool = A::LAST || B::LAST;
+    #[inline(always)]
+    fn soon(&self, row: u32) {
+        self.0.soon(row);
+        self.1.soon(row);
+    }
     #[inline(always)]
     fn enter(&mut self, entry: u32, row: u32) {
         self.0.enter(entry, row);
@@ -65,6 +71,11 @@ impl TileVisitor for Colour<'_> {
     type Output = ();
 
     #[inline(always)]
+    fn soon(&self, row: u32) {
+        prefetch(&self.colours[row as usize]);
+    }
+
+    #[inline(always)]
     fn span(&mut self, _: u32, row: u32, y: u32, _: u32, span: Span<'_>) {
         let colour = self.colours[row as usize];
         let line = (y - self.y0) as usize * TILE;
@@ -108,6 +119,11 @@ impl<'a, const MEDIAN: bool> Depth<'a, MEDIAN> {
 
 impl<const MEDIAN: bool> TileVisitor for Depth<'_, MEDIAN> {
     type Output = ();
+
+    #[inline(always)]
+    fn soon(&self, row: u32) {
+        prefetch(&self.depth[row as usize]);
+    }
 
     #[inline(always)]
     fn span(&mut self, _: u32, row: u32, y: u32, _: u32, span: Span<'_>) {
