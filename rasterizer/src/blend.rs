@@ -266,8 +266,7 @@ unsafe fn run<L: Lanes, V: TileVisitor>(
                             *at = if weights.0[x] > 0.0 { entry as u32 + 1 } else { *at };
                         }
                     }
-                    let span =
-                        Span { weights: &weights.0, alphas: &alphas.0, before: &earlier.0 };
+                    let span = Span { weights: &weights.0, alphas: &alphas.0, before: &earlier.0 };
                     visitor.span(entry as u32, row, rect.y0 + r as u32, rect.x0, span);
                 }
                 if ends != 0 {

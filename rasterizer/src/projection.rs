@@ -1,10 +1,14 @@
 //! From Gaussians of the world to ellipses of a picture.
 
-use crate::{ExtentRule, Gaussians, RasterError, RasterSettings, View};
+use crate::isa::with_isa;
+use crate::{ExtentRule, Gaussians, RasterError, RasterSettings, TILE, View};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Gaussians per task: few enough to share among threads, many enough not to be felt.
 const CHUNK: usize = 4096;
+/// Most entries of all tile lists: 2.5 GiB, and twice that while they are made.
+const MAX_PAIRS: usize = 1 << 29;
 /// Squared norm below which a quaternion has no direction.
 const MIN_QUAT: f32 = 1e-12;
 /// Ellipses end at this many standard deviations at most: beyond it even opacity 1 is below 1/255.
@@ -65,6 +69,36 @@ impl Projected {
         self.index.is_empty()
     }
 
+    fn with_capacity(rows: usize) -> Self {
+        Self {
+            index: Vec::with_capacity(rows),
+            mean2d: Vec::with_capacity(rows),
+            depth: Vec::with_capacity(rows),
+            conic: Vec::with_capacity(rows),
+            opacity: Vec::with_capacity(rows),
+            compensation: Vec::with_capacity(rows),
+            variance: Vec::with_capacity(rows),
+            level: Vec::with_capacity(rows),
+            half_extent: Vec::with_capacity(rows),
+            culled: CullCounts::default(),
+        }
+    }
+
+    /// Tiles in the boxes of all: no fewer than their lists will have entries.
+    fn boxes(&self, view: &View) -> usize {
+        let (columns, rows) = view.tiles();
+        let tiles = |k: usize, most: usize| {
+            self.half_extent
+                .iter()
+                .map(move |e| {
+                    // Casts saturate. One more tile for each end, one for rounding.
+                    (e[k] * (2.0 / TILE as f32)) as usize + 3
+                })
+                .map(move |tiles| tiles.min(most))
+        };
+        tiles(0, columns).zip(tiles(1, rows)).map(|(x, y)| x * y).sum()
+    }
+
     /// Takes out the rows whose colour is not finite, and counts them.
     pub(crate) fn drop_bad_colours(&mut self, colours: &mut Vec<[f32; 3]>) {
         let keep: Vec<bool> = colours.iter().map(|c| c.iter().all(|v| v.is_finite())).collect();
@@ -85,6 +119,7 @@ impl Projected {
         retain(colours, &keep);
     }
 
+    #[inline(always)]
     fn push(&mut self, index: u32, row: &Row) {
         self.index.push(index);
         self.mean2d.push(row.mean2d);
@@ -157,22 +192,37 @@ pub fn project(
     view.check()?;
     settings.check()?;
     let lens = Lens::new(view, settings);
+    let isa = settings.isa();
     let chunk = |c: usize| {
-        let mut out = Projected::default();
-        for i in c * CHUNK..((c + 1) * CHUNK).min(gaussians.len()) {
-            if let Some(row) = lens.project(gaussians, i, &mut out.culled) {
-                out.push(i as u32, &row);
-            }
-        }
-        out
+        let rows = c * CHUNK..((c + 1) * CHUNK).min(gaussians.len());
+        with_isa!(isa, project_rows(
+            lens: &Lens<'_>, gaussians: &Gaussians, rows: Range<usize>,
+        ) -> Projected; &lens, gaussians, rows)
     };
     let chunks: Vec<Projected> =
         (0..gaussians.len().div_ceil(CHUNK)).into_par_iter().map(chunk).collect();
-    let mut all = Projected::default();
+    let mut all = Projected::with_capacity(chunks.iter().map(Projected::len).sum());
+    let mut boxes = 0;
     for chunk in chunks {
+        boxes += chunk.boxes(view);
         all.append(chunk);
     }
+    if boxes > MAX_PAIRS {
+        let what = "Gaussians in tiles";
+        return Err(RasterError::TooMany { what, count: boxes, limit: MAX_PAIRS });
+    }
     Ok(all)
+}
+
+#[inline(always)]
+fn project_rows(lens: &Lens<'_>, gaussians: &Gaussians, rows: Range<usize>) -> Projected {
+    let mut out = Projected::with_capacity(rows.len());
+    for i in rows {
+        if let Some(row) = lens.project(gaussians, i, &mut out.culled) {
+            out.push(i as u32, &row);
+        }
+    }
+    out
 }
 
 /// A view and settings with everything that does not depend on the Gaussian.
@@ -199,6 +249,25 @@ impl<'a> Lens<'a> {
         Self { view, settings, tangents, size }
     }
 
+    /// Whether the footprint is outside for any orientation; a bound that costs a fraction of the
+    /// footprint, for the many that are far outside. False when in doubt.
+    #[inline(always)]
+    fn far_outside(&self, scale: [f32; 3], [tx, ty]: [f32; 2], z: f32, mean: [f32; 2]) -> bool {
+        // The circle of other presets may be larger.
+        if self.settings.extent != ExtentRule::Ellipse || !self.settings.normalize_quats {
+            return false;
+        }
+        let scale = scale.iter().fold(0.0, |m: f32, s| m.max(s.abs()));
+        let radius = |f: f32, t: f32| {
+            let sigma = f / z * (1.0 + t * t).sqrt() * scale + self.settings.eps2d.sqrt();
+            // Radii are rounded up to whole pixels.
+            1.001 * MAX_SIGMA * sigma + 1.0
+        };
+        let beside = |k: usize, r: f32| mean[k] + r < 0.0 || mean[k] - r > self.size[k];
+        beside(0, radius(self.view.fx, tx)) || beside(1, radius(self.view.fy, ty))
+    }
+
+    #[inline(always)]
     fn project(&self, gaussians: &Gaussians, i: usize, culled: &mut CullCounts) -> Option<Row> {
         let (view, settings) = (self.view, self.settings);
         let [x, y, z] = view.to_camera(gaussians.means[i]);
@@ -208,7 +277,18 @@ impl<'a> Lens<'a> {
             *if lost { &mut culled.not_finite } else { &mut culled.depth } += 1;
             return None;
         }
-        let [r1, r2] = match self.rows(gaussians, i, [x, y, z]) {
+        let inverse = 1.0 / z;
+        let tx = (x * inverse).max(self.tangents[0][0]).min(self.tangents[0][1]);
+        let ty = (y * inverse).max(self.tangents[1][0]).min(self.tangents[1][1]);
+        let mean2d = [view.fx * x / z + view.cx, view.fy * y / z + view.cy];
+        // `max` forgets a NaN, which has to be counted as such below.
+        let scale = gaussians.scales[i];
+        let finite = scale.iter().all(|v| v.is_finite());
+        if finite && self.far_outside(scale, [tx, ty], z, mean2d) {
+            culled.outside += 1;
+            return None;
+        }
+        let [r1, r2] = match self.rows(gaussians, i, [tx, ty], inverse) {
             Ok(rows) => rows,
             Err(Undrawn::NotFinite) => {
                 culled.not_finite += 1;
@@ -225,7 +305,6 @@ impl<'a> Lens<'a> {
         let det_sharp = dot(cross, cross);
         let det = det_sharp + eps * (s11 + s22) + eps * eps;
         let (v11, v22) = (s11 + eps, s22 + eps);
-        let mean2d = [view.fx * x / z + view.cx, view.fy * y / z + view.cy];
         if !(det > 0.0 && det.is_finite() && mean2d.iter().all(|v| v.is_finite())) {
             culled.overflow += 1;
             return None;
@@ -262,17 +341,16 @@ impl<'a> Lens<'a> {
         Some(Row { mean2d, depth: z, conic, opacity, compensation, variance, level, half_extent })
     }
 
-    /// The rows of `V = J R Q diag(s)`.
+    /// The rows of `V = J R Q diag(s)`, from limited tangents and the inverse of the depth.
+    #[inline(always)]
     fn rows(
         &self,
         gaussians: &Gaussians,
         i: usize,
-        [x, y, z]: [f32; 3],
+        [tx, ty]: [f32; 2],
+        inverse: f32,
     ) -> Result<[[f32; 3]; 2], Undrawn> {
         let (view, settings) = (self.view, self.settings);
-        let inverse = 1.0 / z;
-        let tx = (x * inverse).clamp(self.tangents[0][0], self.tangents[0][1]);
-        let ty = (y * inverse).clamp(self.tangents[1][0], self.tangents[1][1]);
         let (jx, jy) = (view.fx * inverse, view.fy * inverse);
         let r = &view.world_to_camera;
         let row = |j: f32, along: usize, t: f32| [0, 1, 2].map(|k| j * (r[along][k] - t * r[2][k]));

@@ -117,6 +117,34 @@ impl Rendered {
 ///
 /// # Errors
 /// What [`project`] refuses, and a requested degree above 3.
+///
+/// # Examples
+/// ```
+/// use scenesplat_rasterizer::{Gaussians, RasterSettings, RenderRequest, View, render};
+///
+/// let dot = Gaussians {
+///     means: vec![[0.0, 0.0, 2.0]],
+///     quats: vec![[1.0, 0.0, 0.0, 0.0]],
+///     scales: vec![[0.1; 3]],
+///     opacities: vec![0.5],
+///     sh: vec![0.0; 3],
+///     sh_degree: 0,
+/// };
+/// let view = View {
+///     world_to_camera: [[1., 0., 0., 0.], [0., 1., 0., 0.], [0., 0., 1., 0.]],
+///     fx: 50.0,
+///     fy: 50.0,
+///     cx: 4.5,
+///     cy: 4.5,
+///     width: 9,
+///     height: 9,
+/// };
+/// let out = render(&dot, &view, &RasterSettings::default(), &RenderRequest::rgb())?;
+/// let rgb = out.rgb.expect("colour was asked for");
+/// // Half of the light is taken in the middle, by a grey of one half.
+/// assert!((rgb[3 * (4 * 9 + 4)] - 0.25).abs() < 1e-6);
+/// # Ok::<(), scenesplat_rasterizer::RasterError>(())
+/// ```
 pub fn render(
     gaussians: &Gaussians,
     view: &View,

@@ -11,7 +11,7 @@ const CHUNK: usize = 4096;
 ///
 /// Bands above `degree` are left out, bands that the Gaussians lack are not there to add. A
 /// Gaussian exactly at the camera's centre has no direction and takes its DC colour. Coefficients
-/// that are not finite make a NaN.
+/// that are not finite make a colour that is not.
 ///
 /// # Source
 /// `spherical_harmonics` of gsplat 1.6.0 (90d7b4b).
@@ -49,8 +49,8 @@ fn at_degree<const K: usize>(
                 sum[k] += b * c[k];
             }
         }
-        // Not `max`, which would turn NaN into 0 and hide it.
-        sum.map(|v| if v < 0.0 { 0.0 } else { v })
+        // Not `max`, which would turn NaN and −∞ into 0 and hide them.
+        sum.map(|v| if v < 0.0 && v.is_finite() { 0.0 } else { v })
     };
     projected.index.par_iter().with_min_len(CHUNK).map(color).collect()
 }

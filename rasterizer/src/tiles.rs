@@ -1,5 +1,6 @@
 //! Which Gaussians each tile of 16×16 pixels draws, front to back.
 
+use crate::blend::prefetch;
 use crate::depth_order::{Shared, depth_order};
 use crate::isa::with_isa;
 use crate::{ExtentRule, Projected, RasterSettings, TILE, View};
@@ -7,6 +8,8 @@ use rayon::prelude::*;
 
 /// Fewest Gaussians per task.
 const MIN_CHUNK: usize = 2048;
+/// Gaussians between asking for one and reading it: depth order is no order in memory.
+const AHEAD: usize = 16;
 /// Most tasks: each counts all tiles.
 const MAX_CHUNKS: usize = 32;
 
@@ -112,7 +115,15 @@ fn hits(projected: &Projected, order: &[u32], view: &View, rule: ExtentRule) -> 
     let (columns, rows) = view.tiles();
     let mut out =
         Hits { list: Vec::with_capacity(4 * order.len()), counts: vec![0; columns * rows] };
-    for &row in order {
+    for (at, &row) in order.iter().enumerate() {
+        if let Some(&ahead) = order.get(at + AHEAD) {
+            let ahead = ahead as usize;
+            prefetch(&projected.mean2d[ahead]);
+            prefetch(&projected.half_extent[ahead]);
+            prefetch(&projected.conic[ahead]);
+            prefetch(&projected.variance[ahead]);
+            prefetch(&projected.level[ahead]);
+        }
         each_tile(projected, row as usize, view, rule, |tile, reach| {
             out.list.push(Hit { row, place: (tile as u32) << 8 | u32::from(reach) });
             out.counts[tile] += 1;

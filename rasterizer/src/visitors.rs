@@ -1,7 +1,7 @@
 //! What the pixel loop can make: colour, depth, features, weights. Visitors combine as pairs.
 
-use crate::canvas::CanvasTile;
 use crate::blend::prefetch;
+use crate::canvas::CanvasTile;
 use crate::{Span, TILE, TileVisitor};
 
 /// Pixels of a tile.
@@ -178,11 +178,16 @@ impl<const LAST: bool> TileVisitor for Transmittance<'_, LAST> {
 /// Sum, maximum and number of the weights of each entry of the tile's list.
 pub(crate) struct Weights {
     entries: Vec<(f32, f32, u32)>,
+    /// Of the Gaussian at hand, per column: sums across a row are slow.
+    sum: [f32; TILE],
+    max: [f32; TILE],
+    count: [u32; TILE],
 }
 
 impl Weights {
     pub(crate) fn new(entries: usize) -> Self {
-        Self { entries: vec![(0.0, 0.0, 0); entries] }
+        let entries = vec![(0.0, 0.0, 0); entries];
+        Self { entries, sum: [0.0; TILE], max: [0.0; TILE], count: [0; TILE] }
     }
 }
 
@@ -190,18 +195,40 @@ impl TileVisitor for Weights {
     type Output = Vec<(f32, f32, u32)>;
 
     #[inline(always)]
-    fn span(&mut self, entry: u32, _: u32, _: u32, _: u32, span: Span<'_>) {
-        let (sum, max, count) = &mut self.entries[entry as usize];
-        for &w in span.weights {
-            *sum += w;
-            *max = max.max(w);
-            *count += u32::from(w > 0.0);
+    fn enter(&mut self, _: u32, _: u32) {
+        (self.sum, self.max, self.count) = ([0.0; TILE], [0.0; TILE], [0; TILE]);
+    }
+
+    #[inline(always)]
+    fn span(&mut self, _: u32, _: u32, _: u32, _: u32, span: Span<'_>) {
+        for x in 0..TILE {
+            let w = span.weights[x];
+            self.sum[x] += w;
+            self.max[x] = if w > self.max[x] { w } else { self.max[x] };
+            self.count[x] += u32::from(w > 0.0);
         }
+    }
+
+    #[inline(always)]
+    fn leave(&mut self, entry: u32, _: u32) {
+        let max = self.max.iter().fold(0.0, |m: f32, &v| m.max(v));
+        self.entries[entry as usize] = (halves(self.sum), max, self.count.iter().sum());
     }
 
     fn finish(self, _: &[f32; PIXELS], _: &[u32; PIXELS]) -> Self::Output {
         self.entries
     }
+}
+
+/// The sum, half added to half.
+#[inline(always)]
+fn halves(mut values: [f32; TILE]) -> f32 {
+    for half in [8, 4, 2, 1] {
+        for x in 0..half {
+            values[x] += values[x + half];
+        }
+    }
+    values[0]
 }
 
 /// `Σ w f` of any number of channels.
