@@ -7,8 +7,8 @@
 //!                            └ colors ─► [f32; 3] per visible Gaussian ─┘
 //! ```
 //!
-//! [`render`] runs them all. The pixel loop exists once, in [`mod@blend`], and is compiled anew for each
-//! [`TileVisitor`](blend::TileVisitor): colour, depth, features, weights. What nobody asks for is
+//! [`render()`] runs them all. The pixel loop exists once, in [`mod@blend`], and is compiled anew for each
+//! [`TileVisitor`]: colour, depth, features, weights. What nobody asks for is
 //! not in the loop.
 //!
 //! Results do not depend on the number of threads; they may differ in the last bits between

@@ -48,7 +48,7 @@ fn bad_values_one_at_a_time() {
     for opacity in [f32::NAN, f32::NEG_INFINITY, -1.0, 0.0, 0.003] {
         assert!(!visible(&one([0.0, 0.0, 2.0], 0.1, opacity)), "opacity {opacity}");
     }
-    let mut scene = good.clone();
+    let mut scene = good;
     scene.quats[0] = [0.0; 4];
     assert!(!visible(&scene), "a quaternion without direction");
     scene.quats[0] = [1e-7, 0.0, 0.0, 0.0];
@@ -75,7 +75,7 @@ fn extreme_but_valid() {
         scene.quats[0] = quat;
         assert!(visible(&scene), "quaternion {quat:?}");
     }
-    let mut needle = good.clone();
+    let mut needle = good;
     needle.scales[0] = [10.0, 1e-3, 1e-3];
     needle.quats[0] = [0.9, 0.1, 0.3, 0.4];
     assert!(visible(&needle));
