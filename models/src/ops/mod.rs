@@ -1,4 +1,5 @@
-//! Operations of the networks: candle glue over `scenesplat-kernels`.
+//! Operations of the networks and of the rasterizer: candle glue over `scenesplat-kernels` and
+//! `scenesplat-rasterizer`.
 //!
 //! The differentiable ones are candle custom operations; index tables live inside the operation.
 //! The others, used with frozen weights, refuse an input that wants a gradient.

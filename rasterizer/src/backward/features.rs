@@ -164,13 +164,7 @@ impl Lane {
         // SAFETY: the caller's promise; each array has eight values.
         unsafe {
             let one = V::splat(1.0);
-            let all = [
-                one.keep(here.takes),
-                one.keep(here.free),
-                here.dx,
-                here.full,
-                here.alpha,
-            ];
+            let all = [one.keep(here.takes), one.keep(here.free), here.dx, here.full, here.alpha];
             for (to, v) in lanes.iter_mut().zip(all) {
                 v.store(to.as_mut_ptr());
             }

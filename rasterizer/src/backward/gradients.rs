@@ -4,7 +4,7 @@ use super::BackwardError;
 use crate::Gaussians;
 use crate::gaussians::expect;
 
-/// Which gradients are wanted. Geometry is all but [`sh`](Self::sh); without any of it, only
+/// Which gradients are wanted. Geometry is all but the harmonics; without any of it, only
 /// the weights of the pixels are computed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct GradMask {
@@ -32,7 +32,14 @@ impl Default for GradMask {
 impl GradMask {
     /// Everything.
     pub fn all() -> Self {
-        Self { means: true, quats: true, scales: true, opacities: true, sh: true, sh_direction: true }
+        Self {
+            means: true,
+            quats: true,
+            scales: true,
+            opacities: true,
+            sh: true,
+            sh_direction: true,
+        }
     }
 
     /// Nothing; to switch on single groups.
@@ -48,7 +55,7 @@ impl GradMask {
     }
 
     /// Colour only: geometry frozen.
-    pub fn sh() -> Self {
+    pub fn sh_only() -> Self {
         Self { sh: true, ..Self::none() }
     }
 

@@ -4,10 +4,7 @@
 //! pixel of the row, do less than those of sixteen. With AVX-512VL the same eight lanes have
 //! twice the registers to live in.
 
-/// Coefficients for `2^f`, `f` in ±½, lowest power first.
-#[allow(clippy::approx_constant, reason = "near ln 2, but not it: that gives a larger error")]
-const EXP2: [f32; 6] =
-    [1.0, 0.693_147, 0.240_222_42, 0.055_507_336, 0.009_671_513, 0.001_326_472_7];
+use crate::lanes::EXP2;
 
 /// Lanes of a register.
 pub(crate) const LANES: usize = 8;
@@ -174,7 +171,8 @@ impl Lanes for Plain {
 
 #[cfg(target_arch = "x86_64")]
 mod x86 {
-    use super::{EXP2, LANES, Lanes};
+    use super::{LANES, Lanes};
+    use crate::lanes::EXP2;
     use std::arch::x86_64::*;
 
     macro_rules! methods {

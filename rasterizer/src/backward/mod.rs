@@ -30,7 +30,7 @@ use crate::{Gaussians, RasterSettings, View};
 /// Gradients of `Σ upstream · picture` with respect to the Gaussians that the picture was traced
 /// from.
 ///
-/// `gaussians`, `view` and `settings` are those that [`trace`] was given. Gaussians that are not in
+/// `gaussians`, `view` and `settings` are those that [`trace()`] was given. Gaussians that are not in
 /// the picture have gradient 0; so have groups that `mask` leaves out, and what they alone need is
 /// not computed.
 ///

@@ -187,8 +187,9 @@ impl<const C: usize> Splat<C> {
             let dy = self.dy(rect, r);
             let squared = self.wide - dy * dy * self.narrow;
             let half = if squared > 0.0 { squared.sqrt() } else { -1e9 };
-            let middle = self.u + self.slope * dy;
-            let margin = 1e-3 + 1e-6 * (middle.abs() + half.abs());
+            let shift = self.slope * dy;
+            let middle = self.u + shift;
+            let margin = 1e-3 + 1e-6 * (self.u.abs() + shift.abs() + half.abs());
             let begin = (middle - half - margin).ceil().max(0.0).min(TILE as f32);
             let end = (middle + half + margin).floor().min(TILE as f32 - 1.0).max(-1.0);
             spans.begin[r] = begin as i32;
@@ -246,7 +247,8 @@ impl Spans {
             let x = if one { begin.min((TILE - LANES) as i32) } else { 0 };
             let at = (r * TILE) as u8 + x as u8;
             groups.first[groups.len] = at;
-            groups.first[groups.len + 1 & (2 * TILE - 1)] = at + LANES as u8;
+            // Overwritten if there is one; the last of all may wrap, and then is not there.
+            groups.first[(groups.len + 1) % (2 * TILE)] = at.wrapping_add(LANES as u8);
             groups.len += if one { 1 } else { 2 };
         }
         groups
@@ -260,41 +262,6 @@ pub(crate) fn row_last(last: &[f32; PIXELS]) -> ([f32; TILE], usize) {
         last[r * TILE..(r + 1) * TILE].iter().fold(0.0, |a: f32, b| a.max(*b))
     });
     (rows, rows.iter().fold(0.0f32, |a, b| a.max(*b)) as usize)
-}
-
-impl Splat {
-    #[inline(always)]
-    pub(crate) fn new(projected: &Projected, row: usize, rect: TileRect) -> Self {
-        let [u, v] = projected.mean2d[row];
-        Self {
-            u: u - (rect.x0 as f32 + 0.5),
-            v: v - (rect.y0 as f32 + 0.5),
-            conic: projected.conic[row],
-            opacity: projected.opacity[row],
-            level: projected.level[row] * (1.0 + 1e-4) + 1e-4,
-            variance: projected.variance[row][1],
-        }
-    }
-
-    /// Which pixels of each row can be above the cut; a few more may be.
-    #[inline(always)]
-    pub(crate) fn spans(&self) -> Spans {
-        let [a, b, _] = self.conic;
-        let (slope, wide, narrow) = (b / a, self.level / a, 1.0 / (self.variance * a));
-        let mut spans = Spans { begin: [0; TILE], end: [0; TILE] };
-        for r in 0..TILE {
-            let dy = self.v - r as f32;
-            let squared = wide - dy * dy * narrow;
-            let half = if squared > 0.0 { squared.sqrt() } else { -1e9 };
-            let middle = self.u + slope * dy;
-            let margin = 1e-3 + 1e-6 * (middle.abs() + half.abs());
-            let begin = (middle - half - margin).ceil().max(0.0).min(TILE as f32);
-            let end = (middle + half + margin).floor().min(TILE as f32 - 1.0).max(-1.0);
-            spans.begin[r] = begin as i32;
-            spans.end[r] = end as i32 + 1;
-        }
-        spans
-    }
 }
 
 /// Sums over the pixels of one Gaussian, by lane.
@@ -397,7 +364,8 @@ unsafe fn step<V: Lanes, const C: usize, const K: usize>(
         let before = after.mul(through);
         before.or_else(here.takes, after).store(pixels.transmittance.as_mut_ptr().add(at));
         let weight = here.alpha.mul(before).keep(here.takes);
-        let gradient: [V; C] = std::array::from_fn(|k| V::load(pixels.gradient[k].as_ptr().add(at)));
+        let gradient: [V; C] =
+            std::array::from_fn(|k| V::load(pixels.gradient[k].as_ptr().add(at)));
         for k in 0..C {
             sums.channels[k] = weight.fma(gradient[k], sums.channels[k]);
         }

@@ -252,7 +252,8 @@ pub(crate) fn pull_back(
     let own_entry = [0, 1].map(|i| dot(of_p[i], lens.rotation[i]));
     let third_entry = [0, 1].map(|i| dot(of_p[i], lens.rotation[2]));
     let [u, v] = row.mean2d;
-    let of_depth = jacobian.diagonal[0] * u * jacobian.at[0] + jacobian.diagonal[1] * v * jacobian.at[1];
+    let of_depth =
+        jacobian.diagonal[0] * u * jacobian.at[0] + jacobian.diagonal[1] * v * jacobian.at[1];
     let mut camera = [
         jacobian.diagonal[0] * u,
         jacobian.diagonal[1] * v,

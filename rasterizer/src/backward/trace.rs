@@ -58,14 +58,20 @@ impl Trace {
         expect("Gaussians of the trace", gaussians.len(), self.gaussians)?;
         expect("pixels of the trace", view.pixels(), self.picture.transmittance.len())?;
         expect("width of the trace", view.width as usize, self.picture.width as usize)?;
+        // Positions in a list are compared as f32.
+        let (what, limit) = ("Gaussians in the list of one tile", 1 << 24);
+        let longest = self.lists.offsets.windows(2).map(|w| w[1] - w[0]).max().unwrap_or(0);
+        if longest > limit {
+            return Err(RasterError::TooMany { what, count: longest, limit }.into());
+        }
         Ok(())
     }
 }
 
-/// [`render`](crate::render) for a picture that gradients will come back to.
+/// [`render`](fn@crate::render) for a picture that gradients will come back to.
 ///
 /// # Errors
-/// As [`render`](crate::render).
+/// As [`render`](fn@crate::render).
 pub fn trace(
     gaussians: &Gaussians,
     view: &View,
@@ -83,7 +89,8 @@ pub fn trace(
         projected.drop_bad_colours(&mut colours);
     }
     let lists = tile_lists(&projected, view, settings);
-    let plane = |on: bool, channels: usize| vec![0.0; if on { view.pixels() * channels } else { 0 }];
+    let plane =
+        |on: bool, channels: usize| vec![0.0; if on { view.pixels() * channels } else { 0 }];
     let (mut rgb, mut sums, mut light) =
         (plane(request.rgb, 3), plane(request.depth, 1), plane(true, 1));
     let (rgb_canvas, sums_canvas, light_canvas) = (

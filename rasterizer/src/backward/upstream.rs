@@ -33,7 +33,9 @@ pub enum BackwardError {
         value: f32,
     },
     /// A gradient of a picture that does not exist.
-    #[error("upstream gradient of {picture}: the picture was not traced; ask for it in the TraceRequest")]
+    #[error(
+        "upstream gradient of {picture}: the picture was not traced; ask for it in the TraceRequest"
+    )]
     NotTraced {
         /// Which picture.
         picture: &'static str,
@@ -43,7 +45,7 @@ pub enum BackwardError {
 /// Features and the gradient of their picture.
 #[derive(Debug, Clone, Copy)]
 pub struct FeatureGradient<'a> {
-    /// What [`render_features`](crate::render_features) was given. `[N, dim]`
+    /// What [`render_features`](crate::render_features) was given, finite. `[N, dim]`
     pub features: &'a [f32],
     /// Gradient of its picture. `[H, W, dim]`
     pub gradient: &'a [f32],

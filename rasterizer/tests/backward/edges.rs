@@ -139,7 +139,8 @@ fn bad_input_is_named() {
     assert!(error.to_string().contains("features: expected 6"), "{error}");
     let error = refused(of(&[], &[], 0), &g, &view());
     assert!(error.to_string().contains("feature dim"), "{error}");
-    let error = trace(&g, &view(), &settings, TraceRequest { sh_degree: Some(4), ..TraceRequest::rgb() });
+    let error =
+        trace(&g, &view(), &settings, TraceRequest { sh_degree: Some(4), ..TraceRequest::rgb() });
     assert!(matches!(error, Err(RasterError::Degree { degree: 4 })));
 }
 

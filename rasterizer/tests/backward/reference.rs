@@ -161,8 +161,7 @@ fn draw(p: &Params, i: usize, cam: &Camera, rules: &Rules) -> Option<Drawn> {
         }
     }
     let covariance = mul(&m, &transpose(&m));
-    let camera_covariance =
-        mul(&mul(&cam.rotation, &covariance), &transpose(&cam.rotation));
+    let camera_covariance = mul(&mul(&cam.rotation, &covariance), &transpose(&cam.rotation));
     let (mut tangent, mut inside) = ([0.0; 2], [true; 2]);
     for a in 0..2 {
         let side = cam.size[a] as f64;
@@ -193,8 +192,9 @@ fn draw(p: &Params, i: usize, cam: &Camera, rules: &Rules) -> Option<Drawn> {
     let distance = norm(to);
     let direction = to.map(|x| x / distance);
     let basis = basis(direction);
-    let raw = [0, 1, 2]
-        .map(|ch| 0.5 + (0..p.sh[i].len() / 3).map(|k| basis[k] * p.sh[i][3 * k + ch]).sum::<f64>());
+    let raw = [0, 1, 2].map(|ch| {
+        0.5 + (0..p.sh[i].len() / 3).map(|k| basis[k] * p.sh[i][3 * k + ch]).sum::<f64>()
+    });
     Some(Drawn {
         camera: c,
         at,
@@ -452,8 +452,7 @@ fn geometry(
     for k in 0..3 {
         out.means[i][k] = (0..3).map(|r| cam.rotation[r][k] * of_camera[r]).sum();
     }
-    let of_covariance =
-        mul(&mul(&transpose(&cam.rotation), &of_camera_covariance), &cam.rotation);
+    let of_covariance = mul(&mul(&transpose(&cam.rotation), &of_camera_covariance), &cam.rotation);
     let of_m = mul(&add(&of_covariance, &transpose(&of_covariance)), &g.m);
     for k in 0..3 {
         out.scales[i][k] = (0..3).map(|r| g.rotation[r][k] * of_m[r][k]).sum();
@@ -484,14 +483,7 @@ fn geometry(
     out.quats[i] = [0, 1, 2, 3].map(|k| (raw[k] - along * unit[k]) / length);
 }
 
-fn color(
-    p: &Params,
-    i: usize,
-    g: &Drawn,
-    flat: &Flat,
-    through_direction: bool,
-    out: &mut Params,
-) {
+fn color(p: &Params, i: usize, g: &Drawn, flat: &Flat, through_direction: bool, out: &mut Params) {
     let basis_here = basis(g.direction);
     let of_color = [0, 1, 2].map(|ch| if g.lit[ch] { flat.color[ch] } else { 0.0 });
     for k in 0..p.sh[i].len() / 3 {

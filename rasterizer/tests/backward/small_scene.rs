@@ -267,10 +267,9 @@ fn gradients_are_those_of_the_reference() {
         let only = |name: &str| match name {
             "rgb" => Upstream { rgb: all.rgb.clone(), ..Upstream::default() },
             "alpha" => Upstream { alpha: all.alpha.clone(), ..Upstream::default() },
-            "accumulated" => Upstream {
-                depth_accumulated: all.depth_accumulated.clone(),
-                ..Upstream::default()
-            },
+            "accumulated" => {
+                Upstream { depth_accumulated: all.depth_accumulated.clone(), ..Upstream::default() }
+            }
             "expected" => {
                 Upstream { depth_expected: all.depth_expected.clone(), ..Upstream::default() }
             }
@@ -285,7 +284,11 @@ fn gradients_are_those_of_the_reference() {
         }
         let detached = GradMask { sh_direction: false, ..GradMask::all() };
         let want = reference::backward(&p, &camera(), &rules, &picture, &all, false);
-        compare(&format!("{name}, detached"), &crate_gradients(&p, &settings, &all, detached), &want);
+        compare(
+            &format!("{name}, detached"),
+            &crate_gradients(&p, &settings, &all, detached),
+            &want,
+        );
     }
 }
 
