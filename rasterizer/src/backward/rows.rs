@@ -185,41 +185,42 @@ impl<'a> Pass<'a> {
             let first = index[begin] as usize;
             for row in begin..end {
                 let at = index[row] as usize - first;
-                let (mean, more) = (&mut means[at], &mut sh[at * width..(at + 1) * width]);
-                self.colour(index[row] as usize, eye, &rows[row], mean, more);
+                let harmonics = &mut sh[at * width..(at + 1) * width];
+                let moved = self.colour(index[row] as usize, eye, &rows[row], harmonics);
                 if self.mask.geometry() {
-                    let to = (mean, &mut quats[at], &mut scales[at], &mut opacities[at]);
-                    self.geometry(&lens, row, &rows[row], to);
+                    let to = (&mut means[at], &mut quats[at], &mut scales[at], &mut opacities[at]);
+                    self.geometry(&lens, row, &rows[row], moved, to);
                 }
             }
         });
     }
 
-    /// Adds the gradients of one Gaussian's harmonics, and what its centre gets from its colour.
+    /// Adds the gradients of one Gaussian's harmonics, and gives back what its centre gets from
+    /// its colour.
     #[inline]
-    fn colour(&self, i: usize, eye: [f32; 3], row: &Sums, mean: &mut [f32; 3], sh: &mut [f32]) {
+    fn colour(&self, i: usize, eye: [f32; 3], row: &Sums, sh: &mut [f32]) -> [f32; 3] {
         let wanted = harmonics::Wanted {
             harmonics: self.mask.sh,
             direction: self.mask.means && self.mask.sh_direction && self.trace.sh_degree > 0,
         };
         if row.colour == [0.0; 3] || !(wanted.harmonics || wanted.direction) {
-            return;
+            return [0.0; 3];
         }
         let stride = sh.len();
         let coefficients = &self.gaussians.sh[i * stride..(i + 1) * stride];
         let to = [0, 1, 2].map(|k| self.gaussians.means[i][k] - eye[k]);
         let degree = self.trace.sh_degree;
-        let more = harmonics::pull_back(degree, coefficients, to, row.colour, wanted, sh);
-        (0..3).for_each(|k| mean[k] += more[k]);
+        harmonics::pull_back(degree, coefficients, to, row.colour, wanted, sh)
     }
 
-    /// Adds the gradients of one Gaussian's geometry.
+    /// Adds the gradients of one Gaussian's geometry; `moved` goes to the centre too.
     #[inline]
     fn geometry(
         &self,
         lens: &Lens,
         row: usize,
         sums: &Sums,
+        moved: [f32; 3],
         to: (&mut [f32; 3], &mut [f32; 4], &mut [f32; 3], &mut f32),
     ) {
         let (p, isotropic) = (&self.trace.projected, self.settings.isotropic);
@@ -241,7 +242,7 @@ impl<'a> Pass<'a> {
         };
         let found = projection::pull_back(lens, &shape, p.compensation[row], &gradient);
         if self.mask.means {
-            (0..3).for_each(|k| to.0[k] += found.mean[k]);
+            (0..3).for_each(|k| to.0[k] += found.mean[k] + moved[k]);
         }
         if self.mask.quats && !isotropic {
             (0..4).for_each(|k| to.1[k] += found.quat[k]);
