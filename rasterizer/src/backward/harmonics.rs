@@ -102,7 +102,7 @@ pub(crate) fn pull_back(
     of_sh: &mut [f32],
 ) -> [f32; 3] {
     match degree {
-        0 => pull_back_at::<4>(sh, to, of_color, wanted, of_sh),
+        0 => pull_back_at::<1>(sh, to, of_color, wanted, of_sh),
         1 => pull_back_at::<4>(sh, to, of_color, wanted, of_sh),
         2 => pull_back_at::<9>(sh, to, of_color, wanted, of_sh),
         _ => pull_back_at::<16>(sh, to, of_color, wanted, of_sh),
