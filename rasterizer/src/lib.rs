@@ -19,6 +19,7 @@
 
 #![allow(clippy::neg_cmp_op_on_partial_ord, reason = "guards are written so that NaN fails them")]
 
+pub mod backward;
 pub mod blend;
 mod canvas;
 mod depth_order;

@@ -1,4 +1,5 @@
-//! Operations of the networks: candle glue over `scenesplat-kernels`.
+//! Operations of the networks and of the rasterizer: candle glue over `scenesplat-kernels` and
+//! `scenesplat-rasterizer`.
 //!
 //! The differentiable ones are candle custom operations; index tables live inside the operation.
 //! The others, used with frozen weights, refuse an input that wants a gradient.
@@ -10,6 +11,7 @@ mod linear;
 mod normalize;
 mod patch_attention;
 mod permute_rows;
+mod rasterize;
 mod residual;
 mod segment_reduce;
 mod sparse_conv;
@@ -22,6 +24,7 @@ pub use linear::{linear, linear_frozen, linear_with, mlp_frozen};
 pub use normalize::{l2_normalize, normalize_rows};
 pub use patch_attention::patch_attention;
 pub use permute_rows::permute_rows;
+pub use rasterize::{DepthChannel, GaussianTensors, rasterize};
 pub use residual::add_scaled_rows;
 pub use segment_reduce::{expand_groups, segment_reduce};
 pub use sparse_conv::{sparse_conv, sparse_conv_frozen, sparse_conv_with};

@@ -1,0 +1,290 @@
+//! The steps of a backward pass, and what goes from one to the next.
+
+use super::pixels::{MOMENTS, PIXELS, Pixels, Splat, Tile, walk};
+use super::projection::{self, Lens, RowGradient, Shape};
+use super::reduce::{CHUNK, PairsOfRow, cut};
+use super::{BackwardError, GradMask, Gradients, Trace, Upstream, harmonics};
+use crate::{Gaussians, RasterSettings, TILE, TileRect, View};
+use rayon::prelude::*;
+
+/// Everything that is read.
+#[derive(Clone, Copy)]
+pub(crate) struct Pass<'a> {
+    pub gaussians: &'a Gaussians,
+    pub view: &'a View,
+    pub settings: &'a RasterSettings,
+    pub trace: &'a Trace,
+    pub upstream: &'a Upstream<'a>,
+    pub mask: GradMask,
+}
+
+/// Sums over all pixels of a visible Gaussian.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Sums {
+    /// See [`pixels`](super::pixels).
+    pub moments: [f32; MOMENTS],
+    pub colour: [f32; 3],
+    pub depth: f32,
+}
+
+impl<'a> Pass<'a> {
+    /// Walks over all tiles. One row per visible Gaussian.
+    pub(crate) fn pixels(&self, pairs: &PairsOfRow) -> Vec<Sums> {
+        let colours = &self.trace.colours;
+        let depths = &self.trace.projected.depth;
+        let geometry = self.mask.geometry();
+        let mut rows = vec![Sums::default(); self.trace.projected.len()];
+        let alpha = self.upstream.alpha.is_some();
+        match (geometry, self.upstream.rgb.is_some(), self.upstream.depth()) {
+            (true, true, true) => {
+                let both = |row: usize| {
+                    let [r, g, b] = colours[row];
+                    [r, g, b, depths[row]]
+                };
+                self.walk::<4, 10>(both, pairs, &mut rows);
+            }
+            (true, true, false) => self.walk::<3, 9>(|row| colours[row], pairs, &mut rows),
+            (true, false, true) => {
+                self.walk::<1, 7>(|row| [depths[row]], pairs, &mut rows);
+            }
+            (true, false, false) if alpha => {
+                self.walk::<0, 6>(|_| [], pairs, &mut rows);
+            }
+            (false, true, _) if self.mask.sh => {
+                self.walk::<3, 3>(|row| colours[row], pairs, &mut rows);
+            }
+            _ => {}
+        }
+        rows
+    }
+
+    /// One instantiation: `C` channels, `K` sums per Gaussian.
+    fn walk<const C: usize, const K: usize>(
+        &self,
+        values: impl Fn(usize) -> [f32; C] + Sync,
+        pairs: &PairsOfRow,
+        rows: &mut [Sums],
+    ) {
+        let lists = &self.trace.lists;
+        let splats = Splat::all(&self.trace.projected, values);
+        let mut records = vec![[0.0f32; K]; lists.entries.len()];
+        let tiles = self.tiles(&mut records);
+        tiles.into_par_iter().for_each(|(rect, out)| {
+            let (begin, end) = (lists.offsets[rect.tile], lists.offsets[rect.tile + 1]);
+            let tile = Tile {
+                rect,
+                entries: &lists.entries[begin..end],
+                reach: &lists.reach[begin..end],
+                splats: &splats,
+                settings: self.settings,
+            };
+            walk(&tile, &mut self.start(rect), out);
+        });
+        pairs.each(&records, rows, |_, sum, row| {
+            let first = K - C;
+            row.moments[..first].copy_from_slice(&sum[..first]);
+            if C >= 3 {
+                row.colour.copy_from_slice(&sum[first..first + 3]);
+            }
+            if C == 4 || C == 1 {
+                row.depth = sum[K - 1];
+            }
+        });
+    }
+
+    /// Tiles that have a list, each with its part of the records.
+    pub(crate) fn tiles<'r, T>(&self, records: &'r mut [T]) -> Vec<(TileRect, &'r mut [T])> {
+        let (lists, side) = (&self.trace.lists, TILE as u32);
+        let mut rest = records;
+        let mut tiles = Vec::with_capacity(lists.len());
+        for tile in 0..lists.len() {
+            let len = lists.offsets[tile + 1] - lists.offsets[tile];
+            let (part, tail) = std::mem::take(&mut rest).split_at_mut(len);
+            rest = tail;
+            if len > 0 {
+                let x0 = (tile % lists.columns) as u32 * side;
+                let y0 = (tile / lists.columns) as u32 * side;
+                let width = (self.view.width - x0).min(side);
+                let height = (self.view.height - y0).min(side);
+                tiles.push((TileRect { tile, x0, y0, width, height }, part));
+            }
+        }
+        tiles
+    }
+
+    /// The state of a tile's pixels before the walk.
+    fn start<const C: usize>(&self, rect: TileRect) -> Pixels<C> {
+        let (picture, up) = (&self.trace.picture, self.upstream);
+        let background = self.settings.background.unwrap_or_default();
+        let mut pixels = Pixels {
+            transmittance: [1.0; PIXELS],
+            behind: [0.0; PIXELS],
+            gradient: [[0.0; PIXELS]; C],
+            last: self.last(rect),
+        };
+        let at = |plane: Option<&[f32]>, i: usize| plane.map_or(0.0, |p| p[i]);
+        for (to, from) in self.places(rect) {
+            if pixels.last[to] == 0.0 {
+                continue;
+            }
+            let light = picture.transmittance[from];
+            pixels.transmittance[to] = light;
+            let mut behind = -at(up.alpha, from);
+            if let (Some(rgb), true) = (up.rgb, C >= 3) {
+                for k in 0..3 {
+                    pixels.gradient[k][to] = rgb[3 * from + k];
+                    behind += rgb[3 * from + k] * background[k];
+                }
+            }
+            if C == 1 || C == 4 {
+                let alpha = (1.0 - light).max(1e-10);
+                let expected = at(up.depth_expected, from) / alpha;
+                pixels.gradient[C - 1][to] = at(up.depth_accumulated, from) + expected;
+                behind += expected * at(picture.depth_expected.as_deref(), from);
+            }
+            pixels.behind[to] = light * behind;
+        }
+        pixels
+    }
+
+    /// Where the pixels of a tile are in the tile, and in the picture.
+    pub(crate) fn places(&self, rect: TileRect) -> impl Iterator<Item = (usize, usize)> + use<> {
+        let width = self.view.width as usize;
+        let first = rect.y0 as usize * width + rect.x0 as usize;
+        let across = rect.width as usize;
+        (0..rect.height as usize)
+            .flat_map(move |y| (0..across).map(move |x| (y * TILE + x, first + y * width + x)))
+    }
+
+    /// List position + 1 of the last Gaussian of each pixel of a tile.
+    pub(crate) fn last(&self, rect: TileRect) -> [f32; PIXELS] {
+        let mut last = [0.0; PIXELS];
+        for (to, from) in last.iter_mut().zip(&self.trace.last[rect.tile]) {
+            *to = *from as f32;
+        }
+        last
+    }
+
+    /// Adds the gradients of the parameters, from the sums over the pixels.
+    pub(crate) fn parameters(&self, rows: &[Sums], out: &mut Gradients) {
+        let index = &self.trace.projected.index;
+        let width = 3 * self.gaussians.sh_len();
+        let parts = cut(&mut out.means, index, 1)
+            .into_iter()
+            .zip(cut(&mut out.quats, index, 1))
+            .zip(cut(&mut out.scales, index, 1))
+            .zip(cut(&mut out.opacities, index, 1))
+            .zip(cut(&mut out.sh, index, width))
+            .enumerate()
+            .collect::<Vec<_>>();
+        let lens = lens(self.view, self.settings);
+        let eye = self.view.centre();
+        parts.into_par_iter().for_each(|(i, ((((means, quats), scales), opacities), sh))| {
+            let begin = i * CHUNK;
+            let end = (begin + CHUNK).min(index.len());
+            let first = index[begin] as usize;
+            for row in begin..end {
+                let at = index[row] as usize - first;
+                let harmonics = &mut sh[at * width..(at + 1) * width];
+                let moved = self.colour(index[row] as usize, eye, &rows[row], harmonics);
+                if self.mask.geometry() {
+                    let to = (&mut means[at], &mut quats[at], &mut scales[at], &mut opacities[at]);
+                    self.geometry(&lens, row, &rows[row], moved, to);
+                }
+            }
+        });
+    }
+
+    /// Adds the gradients of one Gaussian's harmonics, and gives back what its centre gets from
+    /// its colour.
+    #[inline]
+    fn colour(&self, i: usize, eye: [f32; 3], row: &Sums, sh: &mut [f32]) -> [f32; 3] {
+        let wanted = harmonics::Wanted {
+            harmonics: self.mask.sh,
+            direction: self.mask.means && self.mask.sh_direction && self.trace.sh_degree > 0,
+        };
+        if row.colour == [0.0; 3] || !(wanted.harmonics || wanted.direction) {
+            return [0.0; 3];
+        }
+        let stride = sh.len();
+        let coefficients = &self.gaussians.sh[i * stride..(i + 1) * stride];
+        let to = [0, 1, 2].map(|k| self.gaussians.means[i][k] - eye[k]);
+        let degree = self.trace.sh_degree;
+        harmonics::pull_back(degree, coefficients, to, row.colour, wanted, sh)
+    }
+
+    /// Adds the gradients of one Gaussian's geometry; `moved` goes to the centre too.
+    #[inline]
+    fn geometry(
+        &self,
+        lens: &Lens,
+        row: usize,
+        sums: &Sums,
+        moved: [f32; 3],
+        to: (&mut [f32; 3], &mut [f32; 4], &mut [f32; 3], &mut f32),
+    ) {
+        let (p, isotropic) = (&self.trace.projected, self.settings.isotropic);
+        let i = p.index[row] as usize;
+        let [m0, m1, m2, m3, m4, m5] = sums.moments;
+        let [a, b, c] = p.conic[row];
+        let gradient = RowGradient {
+            mean2d: [a * m1 + b * m3, b * m1 + c * m3],
+            conic: [0.5 * m2, m4, 0.5 * m5],
+            opacity: -m0 / p.opacity[row],
+            depth: sums.depth,
+        };
+        let scale = self.gaussians.scales[i];
+        let shape = Shape {
+            mean: self.gaussians.means[i],
+            quat: if isotropic { [1.0, 0.0, 0.0, 0.0] } else { self.gaussians.quats[i] },
+            scale: if isotropic { [scale[0]; 3] } else { scale },
+            opacity: self.gaussians.opacities[i].min(1.0),
+        };
+        let found = projection::pull_back(lens, &shape, p.compensation[row], &gradient);
+        if self.mask.means {
+            (0..3).for_each(|k| to.0[k] += found.mean[k] + moved[k]);
+        }
+        if self.mask.quats && !isotropic {
+            (0..4).for_each(|k| to.1[k] += found.quat[k]);
+        }
+        if self.mask.scales && isotropic {
+            to.2[0] += found.scale.iter().sum::<f32>();
+        } else if self.mask.scales {
+            (0..3).for_each(|k| to.2[k] += found.scale[k]);
+        }
+        // Above 1 the opacity that was drawn is the constant 1.
+        if self.mask.opacities && self.gaussians.opacities[i] <= 1.0 {
+            *to.3 += found.opacity;
+        }
+    }
+
+    /// Where the records of each visible Gaussian are.
+    pub(crate) fn pairs(&self) -> Result<PairsOfRow, BackwardError> {
+        Ok(PairsOfRow::new(&self.trace.lists, self.trace.projected.len())?)
+    }
+}
+
+/// The constants of the projection.
+fn lens(view: &View, settings: &RasterSettings) -> Lens {
+    let [r0, r1, r2] = view.world_to_camera;
+    let limit = |f: f32, c: f32, size: u32| {
+        let size = size as f32;
+        let half = size / (2.0 * f);
+        if settings.centred_tangents {
+            [-1.3 * half, 1.3 * half]
+        } else {
+            [-(c / f + 0.3 * half), (size - c) / f + 0.3 * half]
+        }
+    };
+    let floor = settings.antialias_floor;
+    Lens {
+        rotation: [r0, r1, r2].map(|[x, y, z, _]| [x, y, z]),
+        translation: [r0[3], r1[3], r2[3]],
+        focal: [view.fx, view.fy],
+        tangent: [limit(view.fx, view.cx, view.width), limit(view.fy, view.cy, view.height)],
+        eps2d: settings.eps2d,
+        // As the forward pass rounds it, so that a factor at the floor is seen to be there.
+        floor: settings.antialiased.then(|| (floor * floor).sqrt()),
+        normalize: settings.normalize_quats,
+    }
+}
