@@ -1,5 +1,6 @@
 //! Errors of lifting and of its input.
 
+use crate::RasterError;
 use scenesplat_scene::SceneError;
 use std::path::{Path, PathBuf};
 
@@ -39,6 +40,9 @@ pub enum LiftError {
     /// A scene or an array could not be read or written.
     #[error(transparent)]
     Scene(#[from] SceneError),
+    /// The renderer refused a view or the Gaussians.
+    #[error(transparent)]
+    Raster(#[from] RasterError),
     /// The caller asked to stop.
     #[error("stopped; nothing was written")]
     Stopped,

@@ -73,7 +73,7 @@ impl SegmentTables {
         let too_many = || LiftError::argument("segment features", "2³² segments or more");
         let end = u32::try_from(self.len() + rows.len() / dim).map_err(|_| too_many())?;
         if self.values.try_reserve(rows.len()).is_err() {
-            let problem = format!("{} segments of {dim} values do not fit into memory", end);
+            let problem = format!("{end} segments of {dim} values do not fit into memory");
             return Err(LiftError::argument("segment features", problem));
         }
         let before = self.values.len();

@@ -99,7 +99,7 @@ fn squared_distance_body<const FUSED: bool>(a: &[f32], b: &[f32]) -> f32 {
 
 #[inline(always)]
 fn dot_body<const FUSED: bool>(a: &[f32], b: &[f32]) -> f32 {
-    lanes(a, b, |a, b, sum| multiply_add::<FUSED>(a, b, sum))
+    lanes(a, b, multiply_add::<FUSED>)
 }
 
 /// Folds over pairs in 32 lanes, which are added up at the end.
