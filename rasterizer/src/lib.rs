@@ -21,9 +21,13 @@
 
 pub mod blend;
 mod canvas;
+mod depth_order;
 pub mod error;
 pub mod gaussians;
+mod isa;
+mod lanes;
 pub mod lifting;
+mod points;
 pub mod projection;
 pub mod render;
 pub mod segments;
