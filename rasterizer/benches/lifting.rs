@@ -40,8 +40,7 @@ fn lift_garden(c: &mut Criterion) {
     let (view, settings) = (&views[0], &RasterSettings::default());
     let maps: Vec<SegmentMap> = (0..4).map(|l| voronoi(view.width, view.height, l)).collect();
     let mut rng = ChaCha8Rng::seed_from_u64(1);
-    let features: Vec<f32> =
-        (0..SEGMENTS * DIM).map(|_| rng.random_range(-1.0f32..1.0)).collect();
+    let features: Vec<f32> = (0..SEGMENTS * DIM).map(|_| rng.random_range(-1.0f32..1.0)).collect();
     let mut group = c.benchmark_group("lift_garden_d768");
     for threads in [1, 2] {
         let pool = ThreadPoolBuilder::new().num_threads(threads).build().expect("a thread pool");
@@ -54,8 +53,7 @@ fn lift_garden(c: &mut Criterion) {
             let picture = LabelledView { view, levels: &maps[..levels], depth: None };
             let name = format!("weights_{levels}_levels/{threads}_threads");
             group.bench_function(name, |b| {
-                let run =
-                    || view_weights(&gaussians, &picture, LiftRule::AlphaWeighted, settings);
+                let run = || view_weights(&gaussians, &picture, LiftRule::AlphaWeighted, settings);
                 pool.install(|| b.iter(run));
             });
         }

@@ -31,8 +31,8 @@ pub struct Args {
     /// cameras.json, transforms.json or a COLMAP folder; pinhole cameras in the frame of the scene.
     #[arg(long, value_name = "PATH")]
     pub cameras: PathBuf,
-    /// Folder with <frame>_s.npy and <frame>_f.npy, or <frame>.png with feature tables; frames are
-    /// named as the cameras' pictures.
+    /// Folder with FRAME_s.npy and FRAME_f.npy, or FRAME.png with feature tables; frames are named
+    /// as the cameras' pictures.
     #[arg(long, value_name = "DIR")]
     pub segments: PathBuf,
     /// Which pixels label a Gaussian.
@@ -61,7 +61,7 @@ pub struct Args {
     #[arg(long, value_name = "PIXELS", default_value_t = 0)]
     pub erode: u32,
     /// Leaves out pixels whose depth is not the Gaussian's (3 % and 0.05 units apart): `render` for
-    /// the median depth of the scene itself, or a folder of <frame>.npy, [H, W], 0 = unknown.
+    /// the median depth of the scene itself, or a folder of FRAME.npy, [H, W], 0 = unknown.
     #[arg(long, value_name = "render|DIR")]
     pub depth: Option<PathBuf>,
     /// Keeps the weighted mean as it is instead of dividing it by its length.
@@ -124,7 +124,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let opened = args.open(&session)?;
     let gaussians = Gaussians::from_scene(&opened.loaded.scene)?;
     args.record(&session)?;
-    let mut lifter = args.lift(&session, &gaussians, &folder, &cameras, &matches, &views)?;
+    let mut lifter = args.lift(&session, &gaussians, &folder, &matches, &views)?;
     for (number, &level) in args.level.iter().enumerate() {
         let robust = args.decide(&session, &mut lifter, number, level)?;
         args.write(&session, &opened, &mut lifter, number, level, robust)?;
@@ -143,7 +143,10 @@ fn views(cameras: &[Camera], matches: &CameraMatches, path: &Path) -> Result<Vec
 
 impl Args {
     /// Cameras and the frames that belong to them.
-    fn pictures(&self, session: &Session<'_>) -> Result<(Vec<Camera>, SegmentFolder, CameraMatches)> {
+    fn pictures(
+        &self,
+        session: &Session<'_>,
+    ) -> Result<(Vec<Camera>, SegmentFolder, CameraMatches)> {
         let _stage = session.receipt.stage("pictures");
         let set = open_cameras(&self.cameras)?;
         for note in &set.notes {
@@ -183,7 +186,10 @@ impl Args {
         }
         session.receipt.add_rows_in(opened.loaded.source_rows());
         session.receipt.fingerprint("input", &self.scene)?;
-        session.receipt.fingerprint("cameras", &self.cameras)?;
+        // A folder may hold the pictures, too.
+        if self.cameras.is_file() {
+            session.receipt.fingerprint("cameras", &self.cameras)?;
+        }
         Ok(opened)
     }
 
@@ -223,8 +229,7 @@ impl Args {
     }
 
     fn finalise(&self, robust: bool) -> FinaliseSettings {
-        let base =
-            if robust { FinaliseSettings::robust() } else { FinaliseSettings::default() };
+        let base = if robust { FinaliseSettings::robust() } else { FinaliseSettings::default() };
         let aggregate = match self.robust_rule {
             RobustRuleArg::HeaviestGroup if robust => Aggregate::HEAVIEST_GROUP,
             _ => base.aggregate,
@@ -244,13 +249,12 @@ impl Args {
         session: &Session<'_>,
         gaussians: &'a Gaussians,
         folder: &SegmentFolder,
-        cameras: &[Camera],
         matches: &CameraMatches,
         views: &[Option<View>],
     ) -> Result<Lifter<'a>> {
         let _stage = session.receipt.stage("lift");
-        let pairs = || views.iter().zip(&matches.frames).zip(cameras);
-        let pictures = pairs().filter_map(|((view, frame), _)| view.as_ref().zip(*frame));
+        let pairs = views.iter().zip(&matches.frames);
+        let pictures = pairs.filter_map(|(view, frame)| view.as_ref().zip(*frame));
         let mut lifter: Option<Lifter<'a>> = None;
         let (mut without_feature, mut weight, mut labelled) = (0, 0.0, 0.0);
         for (done, (view, frame)) in pictures.enumerate() {
@@ -285,7 +289,8 @@ impl Args {
         session.progress.finish();
         let lifter = lifter.context("no camera has segments")?;
         if without_feature > 0 {
-            let text = format!("{without_feature} segments have a feature of zeros: they label nothing");
+            let text =
+                format!("{without_feature} segments have a feature of zeros: they label nothing");
             session.receipt.warning(text);
         }
         session.progress.say(format!(
@@ -339,7 +344,11 @@ impl Args {
         ));
         let why = "variance of a Gaussian's labels over pictures, of that of all labels";
         session.receipt.setting(&format!("disagreement[{level}]"), figure, why);
-        session.receipt.setting(&format!("robust[{level}]"), robust, "by --robust and the measurement");
+        session.receipt.setting(
+            &format!("robust[{level}]"),
+            robust,
+            "by --robust and the measurement",
+        );
         Ok(robust)
     }
 

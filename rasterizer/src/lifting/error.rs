@@ -49,11 +49,7 @@ pub enum LiftError {
 }
 
 impl LiftError {
-    pub(crate) fn file(
-        path: &Path,
-        problem: impl Into<String>,
-        mend: impl Into<String>,
-    ) -> Self {
+    pub(crate) fn file(path: &Path, problem: impl Into<String>, mend: impl Into<String>) -> Self {
         Self::File { path: path.to_owned(), problem: problem.into(), mend: mend.into() }
     }
 

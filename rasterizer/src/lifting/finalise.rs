@@ -1,10 +1,10 @@
 //! From weights to features, block by block.
 
+use super::LiftError;
 use super::aggregate::{Aggregate, Workspace, normalise};
 use super::spool::{BlockWeights, SegmentWeight};
 use super::tables::SegmentTables;
 use super::vector::Label;
-use super::LiftError;
 use rayon::prelude::*;
 
 /// How weights become features.

@@ -161,7 +161,8 @@ mod tests {
 
     #[test]
     fn erosion_is_that_of_a_slow_window() {
-        for (seed, (width, height)) in [(23, 17), (1, 9), (9, 1), (40, 31)].into_iter().enumerate() {
+        for (seed, (width, height)) in [(23, 17), (1, 9), (9, 1), (40, 31)].into_iter().enumerate()
+        {
             let map = random(width, height, seed as u64);
             for radius in 0..4 {
                 let expected = eroded_slowly(&map, i64::from(radius));

@@ -182,10 +182,8 @@ impl WeightSpool {
         for end in &mut ends {
             total += std::mem::replace(end, total);
         }
-        let mut ordered = vec![
-            SegmentWeight { gaussian: 0, segment: 0, weight: 0.0 };
-            self.waiting.len()
-        ];
+        let mut ordered =
+            vec![SegmentWeight { gaussian: 0, segment: 0, weight: 0.0 }; self.waiting.len()];
         for weight in &self.waiting {
             let end = &mut ends[block(weight)];
             ordered[*end as usize] = *weight;
@@ -257,11 +255,7 @@ impl WeightSpool {
     }
 }
 
-fn read(
-    file: &mut File,
-    range: Range<u64>,
-    out: &mut Vec<SegmentWeight>,
-) -> std::io::Result<()> {
+fn read(file: &mut File, range: Range<u64>, out: &mut Vec<SegmentWeight>) -> std::io::Result<()> {
     file.seek(SeekFrom::Start(range.start * ENTRY_BYTES as u64))?;
     let mut left = (range.end - range.start) as usize;
     out.reserve(left);

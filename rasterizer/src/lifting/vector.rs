@@ -59,11 +59,7 @@ with_versions! {
 }
 
 #[inline(always)]
-fn weighted_sum_body<const FUSED: bool>(
-    tables: &SegmentTables,
-    labels: &[Label],
-    out: &mut [f64],
-) {
+fn weighted_sum_body<const FUSED: bool>(tables: &SegmentTables, labels: &[Label], out: &mut [f64]) {
     out.fill(0.0);
     for run in labels.chunks(RUN) {
         let mut stripes = out.chunks_exact_mut(STRIPE);

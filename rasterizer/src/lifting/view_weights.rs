@@ -180,9 +180,9 @@ impl Pass<'_> {
             let listed = lists.offsets[rect.tile + 1] - lists.offsets[rect.tile];
             // Most Gaussians meet one or two segments in a tile.
             let expected = if segments.tuples.len() == 1 { listed } else { listed * 3 / 2 };
-            let bounds = picture.depth.map(|(depth, tolerance)| {
-                DepthBounds::new(depth, tolerance, picture.view, rect)
-            });
+            let bounds = picture
+                .depth
+                .map(|(depth, tolerance)| DepthBounds::new(depth, tolerance, picture.view, rect));
             AlphaWeighted::<DEPTH>::new(segments, rect.y0, expected, &projected.depth, bounds)
         });
         self.merge(&sums)

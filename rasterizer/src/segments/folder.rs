@@ -177,7 +177,11 @@ impl SegmentFolder {
                     "frame {:?} belongs to two cameras, {other:?} and {camera:?}",
                     self.frames[frame].name
                 );
-                return Err(LiftError::file(&self.path, problem, "give pictures names of their own"));
+                return Err(LiftError::file(
+                    &self.path,
+                    problem,
+                    "give pictures names of their own",
+                ));
             }
             frames.push(found);
         }
@@ -233,7 +237,9 @@ impl SegmentFolder {
 fn check_levels(options: &SegmentOptions) -> Result<(), LiftError> {
     let levels = &options.levels;
     let distinct: BTreeSet<usize> = levels.iter().copied().collect();
-    if levels.is_empty() || distinct.len() != levels.len() || levels.iter().any(|l| *l >= MAX_LEVELS)
+    if levels.is_empty()
+        || distinct.len() != levels.len()
+        || levels.iter().any(|l| *l >= MAX_LEVELS)
     {
         let problem = format!("{levels:?}; up to 4 different levels of 0 to 3 are expected");
         return Err(LiftError::argument("level", problem));

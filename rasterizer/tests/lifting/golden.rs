@@ -1,11 +1,11 @@
 //! Numbers of a reference in f64: dense compositing, weights by segment, both rules.
 
 use super::support::{Golden, golden_scene};
+use scenesplat_rasterizer::RasterSettings;
 use scenesplat_rasterizer::lifting::{
     FinaliseSettings, FrameWeight, LabelledPicture, LabelledView, LiftRule, LiftSettings, Lifter,
     fuse_crops, view_weights,
 };
-use scenesplat_rasterizer::RasterSettings;
 
 /// Weights of pixels at a threshold (α near 1/255, transmittance near its stop) may be in or out: the
 /// tolerance of the reference for sums over pixels.
@@ -14,7 +14,8 @@ const WEIGHT_RELATIVE: f64 = 1e-4;
 
 #[test]
 fn weights_by_segment_are_those_of_the_reference() {
-    let Some((scene, lift)) = Golden::open("scene.safetensors").zip(Golden::open("lift.safetensors"))
+    let Some((scene, lift)) =
+        Golden::open("scene.safetensors").zip(Golden::open("lift.safetensors"))
     else {
         return;
     };
@@ -47,7 +48,8 @@ fn weights_by_segment_are_those_of_the_reference() {
 
 #[test]
 fn features_of_all_pixels_are_those_of_the_reference() {
-    let Some((scene, lift)) = Golden::open("scene.safetensors").zip(Golden::open("lift.safetensors"))
+    let Some((scene, lift)) =
+        Golden::open("scene.safetensors").zip(Golden::open("lift.safetensors"))
     else {
         return;
     };
@@ -84,7 +86,8 @@ fn features_of_all_pixels_are_those_of_the_reference() {
 
 #[test]
 fn the_centre_pixel_rule_is_that_of_the_reference() {
-    let Some((scene, lift)) = Golden::open("scene.safetensors").zip(Golden::open("lift.safetensors"))
+    let Some((scene, lift)) =
+        Golden::open("scene.safetensors").zip(Golden::open("lift.safetensors"))
     else {
         return;
     };
@@ -99,8 +102,7 @@ fn the_centre_pixel_rule_is_that_of_the_reference() {
     for (v, (view, map)) in views.iter().zip(&maps).enumerate() {
         let levels = std::slice::from_ref(map);
         let picture = LabelledView { view, levels, depth: None };
-        let weights =
-            view_weights(&gaussians, &picture, settings.rule, &settings.raster).unwrap();
+        let weights = view_weights(&gaussians, &picture, settings.rule, &settings.raster).unwrap();
         let mut seen = vec![0.0; n];
         weights.totals.iter().for_each(|&(i, w)| seen[i as usize] = w);
         let mut ids = vec![-1; n];

@@ -1,13 +1,13 @@
 //! Labels whose truth is known: a synthetic room, seen with the true objects as segments.
 //!
 //! Used by the tests of this crate and by the example `planted_labels` of the program.
+#![allow(dead_code, reason = "each program uses a part")]
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scenesplat_datasets::synthetic::{SyntheticRoomSettings, generate};
 use scenesplat_rasterizer::lifting::{
-    BlockFeatures, FinaliseSettings, LabelledPicture, LiftError, LiftSettings, Lifter, NO_SEGMENT,
-    SegmentMap,
+    FinaliseSettings, LabelledPicture, LiftError, LiftSettings, Lifter, NO_SEGMENT, SegmentMap,
 };
 use scenesplat_rasterizer::{
     Gaussians, RasterSettings, Span, TILE, TileRect, TileVisitor, View, blend, project, tile_lists,
@@ -46,7 +46,6 @@ pub struct Planted {
 /// How well labels came back.
 #[derive(Debug, Clone)]
 pub struct Recovered {
-    pub lifted: BlockFeatures,
     /// The object whose feature is nearest; −1 without a feature.
     pub object: Vec<i32>,
     /// Part of the weight of all Gaussians whose nearest object is their own.
@@ -74,7 +73,14 @@ impl Planted {
         let objects = object.iter().max().map_or(0, |&o| o as usize + 1);
         let views = cameras(room.size, size.views, size.picture);
         let maps = views.iter().map(|view| object_map(&gaussians, &object, view)).collect();
-        Self { gaussians, object, views, maps, features: object_features(objects), scene: room.scene }
+        Self {
+            gaussians,
+            object,
+            views,
+            maps,
+            features: object_features(objects),
+            scene: room.scene,
+        }
     }
 
     pub fn num_objects(&self) -> usize {
@@ -128,7 +134,6 @@ impl Planted {
         }
         let count = covered.max(1) as f64;
         Ok(Recovered {
-            lifted,
             object,
             mass: own_mass / mass.max(1e-9),
             gaussians: own as f64 / count,

@@ -254,8 +254,7 @@ fn each_picture_has_a_vote_of_its_size_to_a_power() {
     }
     assert!(weight[0] > 3.0 * weight[1], "{weight:?}");
     for exponent in [1.0, 0.5, 0.0] {
-        let settings =
-            FinaliseSettings { view_exponent: exponent, ..FinaliseSettings::default() };
+        let settings = FinaliseSettings { view_exponent: exponent, ..FinaliseSettings::default() };
         let lifted = lifter.collect(0, &settings).unwrap();
         let votes = [0, 1].map(|i: usize| weight[i].powf(f64::from(exponent)));
         let ratio = f64::from(lifted.features[0] / lifted.features[1]);
@@ -347,8 +346,7 @@ fn disagreement_is_0_for_equal_labels_and_1_for_random_ones() {
                 .collect();
             let ids = (0..SIZE[0] * SIZE[1]).map(|i| names[pixel(i)]).collect();
             let levels = [SegmentMap::new(SIZE[0], SIZE[1], ids).unwrap()];
-            let picture =
-                LabelledPicture { view, levels: &levels, features: &table, depth: None };
+            let picture = LabelledPicture { view, levels: &levels, features: &table, depth: None };
             lifter.add(&picture).unwrap();
         }
         let measured = lifter.disagreement(0).unwrap();
@@ -364,7 +362,9 @@ fn disagreement_is_0_for_equal_labels_and_1_for_random_ones() {
     for view in &views {
         let ids = vec![0; (SIZE[0] * SIZE[1]) as usize];
         let levels = [SegmentMap::new(SIZE[0], SIZE[1], ids).unwrap()];
-        lifter.add(&LabelledPicture { view, levels: &levels, features: &same, depth: None }).unwrap();
+        lifter
+            .add(&LabelledPicture { view, levels: &levels, features: &same, depth: None })
+            .unwrap();
     }
     assert_eq!(lifter.disagreement(0).unwrap().value(), None, "all have one feature");
     assert!(!Robust::default().decide(None) && Robust::default().decide(Some(0.3)));
@@ -469,12 +469,8 @@ fn what_does_not_fit_together_is_refused_by_name() {
 fn a_segment_without_a_feature_labels_nothing() {
     let (gaussians, views) = cloud(50, 1, SIZE, 1);
     let levels = [voronoi(SIZE[0], SIZE[1], 3, 1)];
-    let picture = |features| LabelledPicture {
-        view: &views[0],
-        levels: &levels,
-        features,
-        depth: None,
-    };
+    let picture =
+        |features| LabelledPicture { view: &views[0], levels: &levels, features, depth: None };
     let mut lifter = Lifter::new(&gaussians, 1, 2, LiftSettings::default()).unwrap();
     let report = lifter.add(&picture(&[0.0; 6])).unwrap();
     assert_eq!((report.segments, report.without_feature), (0, 3));

@@ -37,11 +37,26 @@ fn maps_of_any_number_type() {
     let ids = four_levels();
     npy(dir.path(), "a_s.npy", &shape, &ids.iter().map(|&v| v as i32).collect::<Vec<_>>());
     npy(dir.path(), "b_s.npy", &shape, &ids.iter().map(|&v| v as f32).collect::<Vec<_>>());
-    npy(dir.path(), "c_s.npy", &shape[1..], &ids[..24].iter().map(|&v| v as i16).collect::<Vec<_>>());
+    npy(
+        dir.path(),
+        "c_s.npy",
+        &shape[1..],
+        &ids[..24].iter().map(|&v| v as i16).collect::<Vec<_>>(),
+    );
     let features: Vec<f32> = (0..12).map(|v| v as f32 / 8.0).collect();
     npy(dir.path(), "a_f.npy", &[6, 2], &features);
-    npy(dir.path(), "b_f.npy", &[6, 2], &features.iter().map(|v| f16::from_f32(*v)).collect::<Vec<_>>());
-    npy(dir.path(), "c_f.npy", &[6, 2], &features.iter().map(|v| f64::from(*v)).collect::<Vec<_>>());
+    npy(
+        dir.path(),
+        "b_f.npy",
+        &[6, 2],
+        &features.iter().map(|v| f16::from_f32(*v)).collect::<Vec<_>>(),
+    );
+    npy(
+        dir.path(),
+        "c_f.npy",
+        &[6, 2],
+        &features.iter().map(|v| f64::from(*v)).collect::<Vec<_>>(),
+    );
     let open = SegmentFolder::open(dir.path(), options(&[2, 0])).unwrap();
     assert_eq!((open.layout(), open.len(), open.name(1)), (SegmentLayout::Npy, 3, "b"));
     let [a, b] = [0, 1].map(|frame| open.read(frame, W, H).unwrap());
@@ -86,7 +101,10 @@ fn maps_as_pictures() {
     let open = SegmentFolder::open(dir.path(), none).unwrap();
     assert_eq!(open.layout(), SegmentLayout::PngSharedTable);
     let one = open.read(0, W, H).unwrap();
-    assert_eq!(one.levels[0].ids()[..8], [255, NO_SEGMENT, NO_SEGMENT, NO_SEGMENT, NO_SEGMENT, NO_SEGMENT, 255, 1]);
+    assert_eq!(
+        one.levels[0].ids()[..8],
+        [255, NO_SEGMENT, NO_SEGMENT, NO_SEGMENT, NO_SEGMENT, NO_SEGMENT, 255, 1]
+    );
     let error = open.read(1, W, H).unwrap_err().to_string();
     assert!(error.contains("two.png") && error.contains("id 65535"), "{error}");
     assert!(SegmentFolder::open(dir.path(), options(&[1])).is_err(), "PNG maps have level 0");
@@ -101,11 +119,10 @@ fn frames_are_found_by_the_names_of_cameras() {
     }
     let open = SegmentFolder::open(dir.path(), SegmentOptions::default()).unwrap();
     let found = open.match_cameras(&["images/frame_1.v2.jpg", "b.c.png", "none.jpg"]).unwrap();
-    assert_eq!(found.frames.iter().map(|f| f.map(|f| open.name(f))).collect::<Vec<_>>(), [
-        Some("frame_1"),
-        Some("b.c"),
-        None
-    ]);
+    assert_eq!(
+        found.frames.iter().map(|f| f.map(|f| open.name(f))).collect::<Vec<_>>(),
+        [Some("frame_1"), Some("b.c"), None]
+    );
     assert_eq!((found.num_matched(), &found.without_camera[..]), (2, &["stray".to_owned()][..]));
     assert_eq!(open.match_cameras(&[r"a\stray"]).unwrap().num_matched(), 1);
     let error = open.match_cameras(&["a/stray.png", "b/stray.jpg"]).unwrap_err().to_string();
@@ -135,7 +152,10 @@ fn what_is_wrong_is_named_with_its_file_and_place() {
     };
     let shape = [H as usize, W as usize];
     let cases: [(&dyn Fn(&Path), &[&str]); 12] = [
-        (&|d| npy(d, "a_s.npy", &shape, &ids(9, 2)), &["a_s.npy", "row 1, column 3: id 2", "2 rows"]),
+        (
+            &|d| npy(d, "a_s.npy", &shape, &ids(9, 2)),
+            &["a_s.npy", "row 1, column 3: id 2", "2 rows"],
+        ),
         (&|d| npy(d, "a_s.npy", &shape, &ids(0, -2)), &["row 0, column 0: id -2", "-1 is no"]),
         (&|d| npy(d, "a_s.npy", &shape, &[0.5f32; 24]), &["a_s.npy", "not whole"]),
         (&|d| npy(d, "a_s.npy", &shape, &[f32::NAN; 24]), &["a_s.npy"]),
@@ -143,9 +163,15 @@ fn what_is_wrong_is_named_with_its_file_and_place() {
         (&|d| npy(d, "a_s.npy", &[0, 3], &[0i32; 0]), &["a_s.npy", "3×0"]),
         (&|d| npy(d, "a_f.npy", &[6], &[1.0f32; 6]), &["a_f.npy", "[6]"]),
         (&|d| npy(d, "a_f.npy", &[2, 3], &[1i32; 6]), &["a_f.npy", "Int(4)"]),
-        (&|d| npy(d, "a_f.npy", &[2, 2], &[1.0, 2.0, 3.0, f32::NAN]), &["a_f.npy", "row 1, column 1: NaN"]),
+        (
+            &|d| npy(d, "a_f.npy", &[2, 2], &[1.0, 2.0, 3.0, f32::NAN]),
+            &["a_f.npy", "row 1, column 1: NaN"],
+        ),
         (&|d| std::fs::write(d.join("a_f.npy"), b"no").unwrap(), &["a_f.npy", "no .npy"]),
-        (&|d| std::fs::remove_file(d.join("a_f.npy")).unwrap(), &["a_s.npy", "no a_f.npy beside it"]),
+        (
+            &|d| std::fs::remove_file(d.join("a_f.npy")).unwrap(),
+            &["a_s.npy", "no a_f.npy beside it"],
+        ),
         (
             &|d| {
                 let half = std::fs::read(d.join("a_s.npy")).unwrap();

@@ -117,7 +117,8 @@ pub fn voronoi(width: u32, height: u32, segments: u16, seed: u64) -> SegmentMap 
         let order = |a: &usize, b: &usize| distance(&points[*a]).total_cmp(&distance(&points[*b]));
         (0..points.len()).min_by(order).unwrap() as u16
     };
-    let ids = (0..width * height).map(nearest).map(|id| if id < segments { id } else { NO_SEGMENT });
+    let ids =
+        (0..width * height).map(nearest).map(|id| if id < segments { id } else { NO_SEGMENT });
     SegmentMap::new(width, height, ids.collect()).unwrap()
 }
 
