@@ -15,6 +15,11 @@ use scenesplat_rasterizer::{
 
 const SIZE: [u32; 2] = [83, 70];
 
+/// Makes the second Gaussian one that cannot be drawn.
+type Spoil = fn(&mut Gaussians);
+/// Frame, crops, masked crops, and a word of the error.
+type BadCrops<'a> = (&'a [f32], &'a [f32], &'a [f32], &'a str);
+
 fn lift(
     gaussians: &Gaussians,
     views: &[View],
@@ -385,7 +390,7 @@ fn scenes_without_rows_and_gaussians_that_cannot_be_drawn() {
     assert_eq!(lifter.collect(0, &FinaliseSettings::default()).unwrap().valid.len(), 0);
 
     // Clean ones with hostile ones among them: the same features for the clean.
-    let hostile: [(fn(&mut Gaussians), &str); 7] = [
+    let hostile: [(Spoil, &str); 7] = [
         (|g| g.means[1][0] = f32::NAN, "mean"),
         (|g| g.means[1][2] = f32::INFINITY, "mean"),
         (|g| g.quats[1] = [0.0; 4], "quat"),
@@ -503,7 +508,7 @@ fn fusion_of_hard_crops() {
     let opposite = fuse(&[0.0, 1.0], &[1.0, 0.0, 1.0, 0.0], &[-1.0, 0.0, 1.0, 0.0]).unwrap();
     assert_eq!(opposite.crop_agreement, [-1.0, 1.0]);
     assert!(opposite.features.iter().all(|v| v.is_finite()));
-    let bad: [(&[f32], &[f32], &[f32], &str); 5] = [
+    let bad: [BadCrops<'_>; 5] = [
         (&[], &[], &[], "expected"),
         (&[1.0, 0.0], &[1.0], &[1.0], "expected"),
         (&[1.0, 0.0], &[1.0, 0.0], &[], "expected"),

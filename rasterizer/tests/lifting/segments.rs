@@ -8,6 +8,9 @@ use scenesplat_scene::formats::npy_writer::{NpyElement, write_npy};
 use std::path::Path;
 use tempfile::TempDir;
 
+/// What to do to a folder, and what the error has to say.
+type Case<'a> = (&'a dyn Fn(&Path), &'a [&'a str]);
+
 const W: u32 = 6;
 const H: u32 = 4;
 
@@ -151,7 +154,7 @@ fn what_is_wrong_is_named_with_its_file_and_place() {
         ids
     };
     let shape = [H as usize, W as usize];
-    let cases: [(&dyn Fn(&Path), &[&str]); 12] = [
+    let cases: [Case<'_>; 12] = [
         (
             &|d| npy(d, "a_s.npy", &shape, &ids(9, 2)),
             &["a_s.npy", "row 1, column 3: id 2", "2 rows"],
