@@ -1,11 +1,11 @@
 //! Numbers of a reference in f64: dense compositing, weights by segment, both rules.
 
 use super::support::{Golden, golden_scene};
-use scenesplat_rasterizer::RasterSettings;
 use scenesplat_rasterizer::lifting::{
     FinaliseSettings, FrameWeight, LabelledPicture, LabelledView, LiftRule, LiftSettings, Lifter,
     fuse_crops, view_weights,
 };
+use scenesplat_rasterizer::{RasterSettings, project};
 
 /// Weights of pixels at a threshold (α near 1/255, transmittance near its stop) may be in or out: the
 /// tolerance of the reference for sums over pixels.
@@ -99,6 +99,7 @@ fn the_centre_pixel_rule_is_that_of_the_reference() {
     let segment = lift.i32("occ_segment");
     let mut lifter = Lifter::new(&gaussians, 1, 8, settings.clone()).unwrap();
     let table = scene.f32("seg_feat");
+    let mut between_pixels = vec![false; n];
     for (v, (view, map)) in views.iter().zip(&maps).enumerate() {
         let levels = std::slice::from_ref(map);
         let picture = LabelledView { view, levels, depth: None };
@@ -107,11 +108,21 @@ fn the_centre_pixel_rule_is_that_of_the_reference() {
         weights.totals.iter().for_each(|&(i, w)| seen[i as usize] = w);
         let mut ids = vec![-1; n];
         weights.levels[0].iter().for_each(|w| ids[w.gaussian as usize] = w.segment as i32);
+        // Where f32 and f64 may find the centre in different pixels.
+        let projected = project(&gaussians, view, &settings.raster).unwrap();
+        for (&i, mean) in projected.index.iter().zip(&projected.mean2d) {
+            let near = mean.iter().any(|m| (m - m.round()).abs() < 1e-5);
+            between_pixels[i as usize] |= near && seen[i as usize] > 0.0;
+        }
         for i in 0..n {
             let (w, expected) = (seen[i], significance[v * n + i]);
-            assert_eq!(w > 0.0, activated[v * n + i] == 1, "view {v}, Gaussian {i}");
+            assert_eq!(
+                w > 0.0,
+                activated[v * n + i] == 1,
+                "view {v}, Gaussian {i}: {w}, {expected}"
+            );
             assert!((w - expected).abs() <= 1e-4 * expected + 1e-6, "{v} {i}: {w}, {expected}");
-            if w > 0.0 {
+            if w > 0.0 && !between_pixels[i] {
                 assert_eq!(ids[i], segment[v * n + i], "view {v}, Gaussian {i}");
             }
         }
@@ -122,12 +133,15 @@ fn the_centre_pixel_rule_is_that_of_the_reference() {
     assert_eq!(lifted.valid, lift.bool("occ_valid"));
     assert_eq!(lifted.valid.iter().filter(|&&v| v).count(), 1296, "as the manifest says");
     for (i, (got, expected)) in lifted.features.iter().zip(lift.f32("occ_feat")).enumerate() {
-        assert!((got - expected).abs() <= 2e-5, "value {i}: {got}, {expected}");
+        let same = (got - expected).abs() <= 2e-5;
+        assert!(same || between_pixels[i / 8], "value {i}: {got}, {expected}");
         assert!(lifted.valid[i / 8] || *got == 0.0, "row {} has no label", i / 8);
     }
     for (i, (got, expected)) in lifted.coverage.iter().zip(lift.f32("occ_den")).enumerate() {
-        assert!((got - expected).abs() <= 1e-4 * expected + 1e-6, "{i}: {got}, {expected}");
+        let same = (got - expected).abs() <= 1e-4 * expected + 1e-6;
+        assert!(same || between_pixels[i], "{i}: {got}, {expected}");
     }
+    assert!(between_pixels.iter().filter(|&&b| b).count() <= 3);
 }
 
 #[test]

@@ -164,7 +164,10 @@ fn the_order_of_gaussians_and_the_numbers_of_segments_do_not_matter() {
 
 #[test]
 fn two_halves_of_a_picture_are_the_whole() {
-    let (gaussians, views) = cloud(300, 1, [96, 64], 3);
+    let (mut gaussians, views) = cloud(300, 1, [96, 64], 3);
+    // The limit on tangents is nearer in a smaller picture; small Gaussians that it bends are not
+    // seen.
+    gaussians.scales.iter_mut().flatten().for_each(|s| *s *= 0.2);
     let map = voronoi(96, 64, 20, 4);
     let (view, settings) = (&views[0], RasterSettings::default());
     let run = |view: &View, map: &SegmentMap| {
@@ -178,20 +181,16 @@ fn two_halves_of_a_picture_are_the_whole() {
         dense
     };
     let whole = run(view, &map);
-    // The tangents of the whole picture are out of reach of these Gaussians.
     let crop = |from: u32, to: u32| {
         let ids = map.ids().chunks_exact(96).flat_map(|r| &r[from as usize..to as usize]);
         let map = SegmentMap::new(to - from, 64, ids.copied().collect()).unwrap();
         run(&View { cx: view.cx - from as f32, width: to - from, ..*view }, &map)
     };
     let (left, right) = (crop(0, 40), crop(40, 96));
-    let mut off = 0;
     for ((whole, left), right) in whole.iter().zip(&left).zip(&right) {
-        // A limit on the tangents moves with the picture: it bends far Gaussians, a few.
-        off += usize::from((whole - left - right).abs() > 1e-4 * (1.0 + whole));
+        assert!((whole - left - right).abs() <= 1e-4 * (1.0 + whole), "{whole} {left} {right}");
     }
-    let count = whole.iter().filter(|&&w| w > 0.0).count();
-    assert!(off * 20 < count, "{off} of {count} weights differ");
+    assert!(whole.iter().filter(|&&w| w > 0.0).count() > 200);
 }
 
 #[test]
@@ -343,24 +342,30 @@ fn disagreement_is_0_for_equal_labels_and_1_for_random_ones() {
     let mut measure = |wrong: f64| {
         let mut lifter = Lifter::new(&gaussians, 1, 16, LiftSettings::default()).unwrap();
         let table = rows(8, 16, 5);
-        // Left and right of the scene, as far as segments can follow it: one half, one label.
-        for view in &views {
-            let pixel = |i: u32| if i % SIZE[0] < SIZE[0] / 2 { 0 } else { 1 };
-            let names: Vec<u16> = (0..2)
-                .map(|id| if rng.random_bool(wrong) { rng.random_range(0..8) } else { id })
-                .collect();
-            let ids = (0..SIZE[0] * SIZE[1]).map(|i| names[pixel(i)]).collect();
-            let levels = [SegmentMap::new(SIZE[0], SIZE[1], ids).unwrap()];
-            let picture = LabelledPicture { view, levels: &levels, features: &table, depth: None };
+        let map = voronoi(SIZE[0], SIZE[1], 8, 3);
+        // The same picture again and again, its segments named anew.
+        for _ in 0..8 {
+            let mut features = table.clone();
+            for own in 0..8 {
+                if rng.random_bool(wrong) {
+                    let other = rng.random_range(0..8);
+                    features[own * 16..(own + 1) * 16]
+                        .copy_from_slice(&table[other * 16..(other + 1) * 16]);
+                }
+            }
+            let levels = std::slice::from_ref(&map);
+            let view = &views[0];
+            let picture = LabelledPicture { view, levels, features: &features, depth: None };
             lifter.add(&picture).unwrap();
         }
         let measured = lifter.disagreement(0).unwrap();
-        assert!(measured.gaussians() > 500);
+        assert!(measured.gaussians() > 300);
         measured.value().unwrap()
     };
     let (none, some, all) = (measure(0.0), measure(0.2), measure(1.0));
     println!("disagreement: {none:.3} {some:.3} {all:.3}");
-    assert!(none < 0.5 * some && some < 0.8 * all && (0.7..1.3).contains(&all));
+    // With a fifth drawn by lot from 8, two names differ with probability 1 − (0.825² + 7 · 0.025²).
+    assert!(none < 1e-6 && (0.15..0.5).contains(&some) && (0.7..1.3).contains(&all));
     let same = vec![1.0; 4];
     let mut lifter = Lifter::new(&gaussians, 1, 4, LiftSettings::default()).unwrap();
     assert_eq!(lifter.disagreement(0).unwrap().value(), None, "nothing was seen");
@@ -441,8 +446,7 @@ fn what_does_not_fit_together_is_refused_by_name() {
     refused(&LabelledPicture { levels: &[], ..good }, &plain, "0 maps, 1 are expected");
     refused(&LabelledPicture { features: &table[..5], ..good }, &plain, "5 values");
     refused(&LabelledPicture { features: &table[..4], ..good }, &plain, "id 2, there are 2");
-    let mut nan = table.clone();
-    nan[3] = f32::NAN;
+    let nan = [f32::NAN; 6];
     refused(&LabelledPicture { features: &nan, ..good }, &plain, "not finite");
     let depth = LiftSettings { depth: Some(DepthTolerance::default()), ..plain.clone() };
     let short = [1.0; 7];
