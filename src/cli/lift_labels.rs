@@ -47,10 +47,9 @@ pub struct Args {
     /// What guarding means.
     #[arg(long, value_enum, default_value_t = RobustRuleArg::Median)]
     pub robust_rule: RobustRuleArg,
-    /// Power of the weight a picture has: 1 counts pixels, 0 gives every picture one vote; 1 by
-    /// default, 0.5 when guarding.
-    #[arg(long, value_name = "GAMMA")]
-    pub view_exponent: Option<f32>,
+    /// Power of the weight a picture has: 1 counts pixels, 0 gives every picture one vote.
+    #[arg(long, value_name = "GAMMA", default_value_t = 1.0)]
+    pub view_exponent: f32,
     /// Least labelled weight of a Gaussian, in pixels over all pictures; less gets no feature.
     #[arg(long, value_name = "TAU", default_value_t = 0.0)]
     pub coverage: f32,
@@ -236,7 +235,7 @@ impl Args {
         };
         FinaliseSettings {
             aggregate,
-            view_exponent: self.view_exponent.unwrap_or(base.view_exponent),
+            view_exponent: self.view_exponent,
             min_coverage: self.coverage,
             min_labelled_share: self.labelled_share,
             normalise: !self.unnormalised,

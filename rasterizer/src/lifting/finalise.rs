@@ -37,9 +37,10 @@ impl Default for FinaliseSettings {
 }
 
 impl FinaliseSettings {
-    /// For labels that contradict each other: the geometric median of pictures with weights `√W`.
+    /// For labels that contradict each other: the geometric median. Weights of pictures stay as they
+    /// are: near pictures see the borders of objects best.
     pub fn robust() -> Self {
-        Self { aggregate: Aggregate::MEDIAN, view_exponent: 0.5, ..Self::default() }
+        Self { aggregate: Aggregate::MEDIAN, ..Self::default() }
     }
 
     /// Checks that every number is in its range.
