@@ -72,9 +72,9 @@ pub enum Robust {
 }
 
 impl Default for Robust {
-    /// Above 0.2. On a synthetic room, labels without errors disagree by 0.10 to 0.14 (at borders between
-    /// objects; more in small pictures), with a twentieth of the segments wrong by 0.2 or more, with
-    /// a fifth by 0.4 or more.
+    /// Above 0.2. On a synthetic room, labels without errors disagree by 0.10 to 0.14 (at borders
+    /// between objects; more in small pictures), with a twentieth of the segments wrong by 0.20 to
+    /// 0.25, with a fifth by 0.39 to 0.49.
     fn default() -> Self {
         Self::Auto { above: 0.2 }
     }
