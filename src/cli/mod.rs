@@ -8,6 +8,7 @@ mod demo;
 mod evaluate;
 mod features;
 mod inspect;
+mod lift_labels;
 mod query;
 mod segment;
 mod train;
@@ -37,6 +38,8 @@ enum Command {
     Segment(segment::Args),
     /// Finds the Gaussians of an object by its name.
     Query(query::Args),
+    /// Lifts labels of pictures onto the Gaussians.
+    LiftLabels(lift_labels::Args),
     /// Measures labels against the truth that scenes carry.
     Evaluate(evaluate::Args),
     /// Writes a scene in another format, whole or in part.
@@ -75,6 +78,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Features(args) => features::run(args, &line),
         Command::Segment(args) => segment::run(args, &line),
         Command::Query(args) => query::run(args, &line),
+        Command::LiftLabels(args) => lift_labels::run(args, &line),
         Command::Evaluate(args) => evaluate::run(args, &line),
         Command::Convert(args) => convert::run(args),
         Command::Train(args) => train::run(args),

@@ -8,6 +8,7 @@ mod commands;
 mod convert;
 mod hostile;
 mod inspect;
+mod lift_labels;
 mod training;
 
 use std::path::{Path, PathBuf};

@@ -1,0 +1,196 @@
+//! Numbers of a reference in f64: dense compositing, weights by segment, both rules.
+
+use super::support::{Golden, golden_scene};
+use scenesplat_rasterizer::lifting::{
+    FinaliseSettings, FrameWeight, LabelledPicture, LabelledView, LiftRule, LiftSettings, Lifter,
+    fuse_crops, view_weights,
+};
+use scenesplat_rasterizer::{RasterSettings, project};
+
+/// Weights of pixels at a threshold (α near 1/255, transmittance near its stop) may be in or out: the
+/// tolerance of the reference for sums over pixels.
+const BOUNDARY: f64 = 5e-3;
+const WEIGHT_RELATIVE: f64 = 1e-4;
+
+#[test]
+fn weights_by_segment_are_those_of_the_reference() {
+    let Some((scene, lift)) =
+        Golden::open("scene.safetensors").zip(Golden::open("lift.safetensors"))
+    else {
+        return;
+    };
+    let (gaussians, views, maps) = golden_scene(&scene);
+    let mut expected = vec![0.0; gaussians.len() * 39];
+    let (g, s, w) = (lift.i32("coo_gaussian"), lift.i32("coo_segment"), lift.f32("coo_weight"));
+    for ((g, s), w) in g.iter().zip(&s).zip(&w) {
+        expected[*g as usize * 39 + *s as usize] = f64::from(*w);
+    }
+    let mut got = vec![0.0; expected.len()];
+    for (view, map) in views.iter().zip(&maps) {
+        let picture = LabelledView { view, levels: std::slice::from_ref(map), depth: None };
+        let settings = RasterSettings::default();
+        let weights =
+            view_weights(&gaussians, &picture, LiftRule::AlphaWeighted, &settings).unwrap();
+        for w in &weights.levels[0] {
+            got[w.gaussian as usize * 39 + w.segment as usize] += f64::from(w.weight);
+        }
+    }
+    let mut loose = 0;
+    for (i, (&got, &expected)) in got.iter().zip(&expected).enumerate() {
+        let off = (got - expected).abs();
+        let place = (i / 39, i % 39);
+        assert!(off <= WEIGHT_RELATIVE * expected + BOUNDARY, "{place:?}: {got}, not {expected}");
+        loose += usize::from(off > WEIGHT_RELATIVE * expected + 1e-6);
+    }
+    println!("{loose} of {} weights at a threshold", w.len());
+    assert!(loose * 200 < w.len(), "{loose} of {} weights", w.len());
+}
+
+#[test]
+fn features_of_all_pixels_are_those_of_the_reference() {
+    let Some((scene, lift)) =
+        Golden::open("scene.safetensors").zip(Golden::open("lift.safetensors"))
+    else {
+        return;
+    };
+    let (gaussians, views, maps) = golden_scene(&scene);
+    let table = scene.f32("seg_feat");
+    let mut lifter = Lifter::new(&gaussians, 1, 8, LiftSettings::default()).unwrap();
+    for (view, map) in views.iter().zip(&maps) {
+        let levels = std::slice::from_ref(map);
+        lifter.add(&LabelledPicture { view, levels, features: &table, depth: None }).unwrap();
+    }
+    // The reference divides by the weights, not by the length.
+    let plain = FinaliseSettings { normalise: false, ..FinaliseSettings::default() };
+    let lifted = lifter.collect(0, &plain).unwrap();
+    let (expected, den) = (lift.f32("feat_alpha"), lift.f32("den_alpha"));
+    let valid = den.iter().filter(|&&d| d > 0.0).count();
+    assert_eq!(valid, 1411, "as the manifest says");
+    let mut at_threshold = 0;
+    for (i, &den) in den.iter().enumerate() {
+        let coverage = lifted.coverage[i];
+        assert!((coverage - den).abs() <= 1e-4 * den + BOUNDARY as f32, "{i}: {coverage}, {den}");
+        let (feature, expected) = (&lifted.features[i * 8..][..8], &expected[i * 8..][..8]);
+        let off = feature.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        // What a pixel at a threshold can move, of this Gaussian's weight.
+        let slack = if den > 0.0 { (2.0 * BOUNDARY as f32 / den).min(2.0) } else { 0.0 };
+        assert!(off <= 1e-4 + slack, "{i}: off by {off}");
+        at_threshold += usize::from(off > 1e-4);
+        if den == 0.0 {
+            assert!(coverage == 0.0 || !lifted.valid[i] || coverage < BOUNDARY as f32);
+        }
+    }
+    println!("{at_threshold} features at a threshold");
+    assert!(at_threshold <= 10, "{at_threshold} features");
+}
+
+#[test]
+fn the_centre_pixel_rule_is_that_of_the_reference() {
+    let Some((scene, lift)) =
+        Golden::open("scene.safetensors").zip(Golden::open("lift.safetensors"))
+    else {
+        return;
+    };
+    let (gaussians, views, maps) = golden_scene(&scene);
+    // The reference has this rule with the constants of gsplat 1.6.
+    let settings = LiftSettings { rule: LiftRule::CentrePixel, ..LiftSettings::default() };
+    let n = gaussians.len();
+    let (activated, significance) = (lift.i32("occ_activated"), lift.f32("occ_significance"));
+    let segment = lift.i32("occ_segment");
+    let mut lifter = Lifter::new(&gaussians, 1, 8, settings.clone()).unwrap();
+    let table = scene.f32("seg_feat");
+    let mut between_pixels = vec![false; n];
+    for (v, (view, map)) in views.iter().zip(&maps).enumerate() {
+        let levels = std::slice::from_ref(map);
+        let picture = LabelledView { view, levels, depth: None };
+        let weights = view_weights(&gaussians, &picture, settings.rule, &settings.raster).unwrap();
+        let mut seen = vec![0.0; n];
+        weights.totals.iter().for_each(|&(i, w)| seen[i as usize] = w);
+        let mut ids = vec![-1; n];
+        weights.levels[0].iter().for_each(|w| ids[w.gaussian as usize] = w.segment as i32);
+        // Where f32 and f64 may find the centre in different pixels.
+        let projected = project(&gaussians, view, &settings.raster).unwrap();
+        for (&i, mean) in projected.index.iter().zip(&projected.mean2d) {
+            let near = mean.iter().any(|m| (m - m.round()).abs() < 1e-5);
+            between_pixels[i as usize] |= near && seen[i as usize] > 0.0;
+        }
+        for i in 0..n {
+            let (w, expected) = (seen[i], significance[v * n + i]);
+            assert_eq!(
+                w > 0.0,
+                activated[v * n + i] == 1,
+                "view {v}, Gaussian {i}: {w}, {expected}"
+            );
+            assert!((w - expected).abs() <= 1e-4 * expected + 1e-6, "{v} {i}: {w}, {expected}");
+            if w > 0.0 && !between_pixels[i] {
+                assert_eq!(ids[i], segment[v * n + i], "view {v}, Gaussian {i}");
+            }
+        }
+        lifter.add(&LabelledPicture { view, levels, features: &table, depth: None }).unwrap();
+    }
+    let plain = FinaliseSettings { normalise: false, ..FinaliseSettings::default() };
+    let lifted = lifter.collect(0, &plain).unwrap();
+    assert_eq!(lifted.valid, lift.bool("occ_valid"));
+    assert_eq!(lifted.valid.iter().filter(|&&v| v).count(), 1296, "as the manifest says");
+    for (i, (got, expected)) in lifted.features.iter().zip(lift.f32("occ_feat")).enumerate() {
+        let same = (got - expected).abs() <= 2e-5;
+        assert!(same || between_pixels[i / 8], "value {i}: {got}, {expected}");
+        assert!(lifted.valid[i / 8] || *got == 0.0, "row {} has no label", i / 8);
+    }
+    for (i, (got, expected)) in lifted.coverage.iter().zip(lift.f32("occ_den")).enumerate() {
+        let same = (got - expected).abs() <= 1e-4 * expected + 1e-6;
+        assert!(same || between_pixels[i], "{i}: {got}, {expected}");
+    }
+    assert!(between_pixels.iter().filter(|&&b| b).count() <= 3);
+}
+
+#[test]
+fn weights_of_segments_and_of_none_add_up_to_those_of_the_render() {
+    let Some((scene, render)) =
+        Golden::open("scene.safetensors").zip(Golden::open("render_classic_sh0.safetensors"))
+    else {
+        return;
+    };
+    let (gaussians, views, maps) = golden_scene(&scene);
+    let expected = render.f32("wsum");
+    for (v, (view, map)) in views.iter().zip(&maps).enumerate() {
+        let picture = LabelledView { view, levels: std::slice::from_ref(map), depth: None };
+        let settings = RasterSettings::default();
+        let weights =
+            view_weights(&gaussians, &picture, LiftRule::AlphaWeighted, &settings).unwrap();
+        let mut total = vec![0.0; gaussians.len()];
+        weights.totals.iter().for_each(|&(i, w)| total[i as usize] = w);
+        for (i, got) in total.iter().enumerate() {
+            let expected = expected[v * gaussians.len() + i];
+            assert!((got - expected).abs() <= 1e-5 * expected + 5e-3, "{v} {i}: {got}, {expected}");
+        }
+        let mut labelled = vec![0.0; gaussians.len()];
+        weights.levels[0].iter().for_each(|w| labelled[w.gaussian as usize] += w.weight);
+        let share = labelled.iter().sum::<f32>() / total.iter().sum::<f32>();
+        assert!((0.8..1.0).contains(&share), "about a tenth of the pixels is in no segment");
+        for (i, (labelled, total)) in labelled.iter().zip(&total).enumerate() {
+            assert!(*labelled <= total * (1.0 + 1e-5), "{i}: {labelled} of {total}");
+        }
+    }
+}
+
+#[test]
+fn fused_crops_are_those_of_the_reference() {
+    let Some(golden) = Golden::open("optimise.safetensors") else { return };
+    let [frame, crops, masked] = ["fuse_fg", "fuse_fl", "fuse_fm"].map(|name| golden.f32(name));
+    for (weight, name) in [(FrameWeight::Softmax, "softmax"), (FrameWeight::Logistic, "sigmoid")] {
+        let fused = fuse_crops(&frame, &crops, &masked, weight).unwrap();
+        let same = |name: &str, got: &[f32]| {
+            let expected = golden.f32(name);
+            assert_eq!(got.len(), expected.len());
+            for (i, (got, expected)) in got.iter().zip(expected).enumerate() {
+                assert!((got - expected).abs() < 2e-6, "{name} {i}: {got}, {expected}");
+            }
+        };
+        same("fuse_r", &fused.crop_agreement);
+        same("fuse_phi", &fused.frame_similarity);
+        same(&format!("fuse_w_{name}"), &fused.frame_weight);
+        same(&format!("fuse_out_{name}"), &fused.features);
+        assert!(!fused.single_segment);
+    }
+}

@@ -1,0 +1,10 @@
+//! Labels lifted from pictures: goldens, properties, files of segments.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
+
+mod golden;
+mod planted;
+mod properties;
+mod recovery;
+mod segments;
+mod support;

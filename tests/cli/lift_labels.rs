@@ -1,0 +1,187 @@
+//! `lift-labels`: both layouts of segments, what is written, what is refused.
+
+use crate::{done, scenesplat, stderr};
+use half::f16;
+use scenesplat::scene::formats::cameras::write_cameras_json;
+use scenesplat::scene::formats::inria_ply::write_inria_ply;
+use scenesplat::scene::formats::npy::NpyFile;
+use scenesplat::scene::formats::npy_writer::write_npy;
+use scenesplat::scene::{Camera, Distortion, GaussianScene};
+use std::path::Path;
+use tempfile::TempDir;
+
+const W: usize = 64;
+const H: usize = 48;
+
+/// Two blobs left and right, and one behind all cameras.
+fn scene() -> GaussianScene {
+    let coord = vec![[-1.0, 0.0, 3.0], [1.0, 0.0, 3.0], [0.0, 0.0, -5.0]];
+    GaussianScene {
+        log_scale: vec![[0.2f32.ln(); 3]; 3],
+        quat: vec![[1.0, 0.0, 0.0, 0.0]; 3],
+        opacity_logit: vec![2.0; 3],
+        sh_dc: vec![[0.5; 3]; 3],
+        coord,
+        ..GaussianScene::default()
+    }
+}
+
+fn camera(name: &str, x: f64) -> Camera {
+    Camera {
+        name: name.to_owned(),
+        width: W as u32,
+        height: H as u32,
+        fx: 40.0,
+        fy: 40.0,
+        cx: 32.0,
+        cy: 24.0,
+        distortion: Distortion::None,
+        rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        translation: [x, 0.0, 0.0],
+    }
+}
+
+/// Scene, cameras and segments: the left half is segment 0, the right half segment 1, at level 1 all is
+/// segment 2.
+fn world() -> TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    write_inria_ply(&scene(), &[], &at("room.ply")).unwrap();
+    let cameras = [camera("a.png", 0.0), camera("b.png", 0.1), camera("lonely.png", 0.0)];
+    write_cameras_json(&cameras, &at("cameras.json")).unwrap();
+    std::fs::create_dir(at("segments")).unwrap();
+    let halves: Vec<i32> = (0..W * H).map(|i| i32::from(i % W >= W / 2)).collect();
+    let ids: Vec<i32> = halves.iter().copied().chain(vec![2; W * H]).collect();
+    let features = [3.0f32, 0.0, 0.0, 4.0, 1.0, 1.0].map(f16::from_f32);
+    for frame in ["a", "b"] {
+        write_npy(&at(&format!("segments/{frame}_s.npy")), &[2, H, W], &ids).unwrap();
+        write_npy(&at(&format!("segments/{frame}_f.npy")), &[3, 2], &features).unwrap();
+    }
+    dir
+}
+
+fn lift(dir: &Path, more: &[&str]) -> std::process::Output {
+    let at = |name: &str| dir.join(name).to_str().unwrap().to_owned();
+    let (scene, cameras, segments, out) =
+        (at("room.ply"), at("cameras.json"), at("segments"), at("out"));
+    let mut args = vec!["lift-labels", &scene, "--cameras", &cameras, "--segments", &segments];
+    if !more.contains(&"--out") {
+        args.extend(["--out", &out]);
+    }
+    args.extend(more);
+    scenesplat(&args)
+}
+
+fn values(path: &Path) -> Vec<f32> {
+    NpyFile::open(path).unwrap().read_f32().unwrap()
+}
+
+#[test]
+fn labels_reach_their_gaussians() {
+    let dir = world();
+    let out = dir.path().join("out");
+    let output = lift(dir.path(), &[]);
+    done(&output);
+    assert!(stderr(&output).contains("3 cameras, 2 frames, 2 with both"), "{}", stderr(&output));
+    let file = NpyFile::open(&out.join("lang_feat.npy")).unwrap();
+    assert_eq!((file.shape(), file.ty().size()), (&[3, 2][..], 2));
+    assert_eq!(file.read_f32().unwrap(), [1.0, 0.0, 0.0, 1.0, 0.0, 0.0]);
+    assert_eq!(values(&out.join("valid_feat_mask.npy")), [1.0, 1.0, 0.0]);
+    assert_eq!(values(&out.join("views.npy")), [2.0, 2.0, 0.0]);
+    let confidence = values(&out.join("confidence.npy"));
+    assert!(confidence[0] > 0.999 && confidence[1] > 0.999 && confidence[2] == 0.0);
+    let coverage = values(&out.join("coverage.npy"));
+    assert!(coverage[0] > 10.0 && coverage[1] > 10.0 && coverage[2] == 0.0, "{coverage:?}");
+    let receipt = std::fs::read_to_string(out.join("receipt.json")).unwrap();
+    for text in ["alpha-weighted", "disagreement[0]", "1 cameras have no segments (lonely.png"] {
+        assert!(receipt.contains(text), "{text}: {receipt}");
+    }
+    assert!(out.join("preview.png").is_file());
+
+    // A limit on coverage, the other rule, all guards and a tiny memory still give the same here.
+    let guards = ["--robust", "on", "--depth", "render", "--erode", "1", "--max-memory", "1kB"];
+    done(&lift(dir.path(), &guards));
+    assert_eq!(values(&out.join("lang_feat.npy"))[..4], [1.0, 0.0, 0.0, 1.0]);
+    done(&lift(dir.path(), &["--rule", "centre-pixel", "--unnormalised"]));
+    assert_eq!(values(&out.join("lang_feat.npy"))[..4], [1.0, 0.0, 0.0, 1.0]);
+    done(&lift(dir.path(), &["--coverage", "1e6"]));
+    assert_eq!(values(&out.join("valid_feat_mask.npy")), [0.0; 3]);
+    assert_eq!(values(&out.join("lang_feat.npy")), [0.0; 6]);
+}
+
+#[test]
+fn levels_get_folders_of_their_own() {
+    let dir = world();
+    done(&lift(dir.path(), &["--level", "1,0"]));
+    let half = std::f32::consts::FRAC_1_SQRT_2;
+    let all = values(&dir.path().join("out/level-1/lang_feat.npy"));
+    assert!(all[..4].iter().all(|v| (v - half).abs() < 1e-3), "{all:?}");
+    let halves = values(&dir.path().join("out/level-0/lang_feat.npy"));
+    assert_eq!(halves, [1.0, 0.0, 0.0, 1.0, 0.0, 0.0]);
+}
+
+#[test]
+fn rows_that_are_left_out_stay_in_the_files() {
+    let dir = world();
+    let mut scene = scene();
+    scene.coord.insert(0, [f32::NAN, 0.0, 0.0]);
+    scene.log_scale.insert(0, [0.0; 3]);
+    scene.quat.insert(0, [1.0, 0.0, 0.0, 0.0]);
+    scene.opacity_logit.insert(0, 0.0);
+    scene.sh_dc.insert(0, [0.0; 3]);
+    write_inria_ply(&scene, &[], &dir.path().join("room.ply")).unwrap();
+    done(&lift(dir.path(), &[]));
+    let features = values(&dir.path().join("out/lang_feat.npy"));
+    assert_eq!(features, [0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0]);
+    assert_eq!(values(&dir.path().join("out/views.npy")), [0.0, 2.0, 2.0, 0.0]);
+}
+
+#[test]
+fn pictures_of_ids_with_one_table() {
+    let dir = world();
+    let segments = dir.path().join("segments");
+    std::fs::remove_dir_all(&segments).unwrap();
+    std::fs::create_dir(&segments).unwrap();
+    let map = image::GrayImage::from_fn(W as u32 / 2, H as u32 / 2, |x, _| {
+        image::Luma([u8::from(x >= W as u32 / 4)])
+    });
+    map.save(segments.join("b.png")).unwrap();
+    write_npy(&segments.join("features.npy"), &[2, 2], &[1.0f32, 0.0, 0.0, 1.0]).unwrap();
+    done(&lift(dir.path(), &[]));
+    let features = values(&dir.path().join("out/lang_feat.npy"));
+    assert_eq!(features, [1.0, 0.0, 0.0, 1.0, 0.0, 0.0]);
+    // A measured depth: the left blob is where it says, the right one is not.
+    let depth = dir.path().join("depth");
+    std::fs::create_dir(&depth).unwrap();
+    let far = |i: usize| if i % W < W / 2 { 3.0f32 } else { 9.0 };
+    let metres: Vec<f32> = (0..W * H).map(far).collect();
+    write_npy(&depth.join("b.npy"), &[H, W], &metres).unwrap();
+    done(&lift(dir.path(), &["--depth", depth.to_str().unwrap()]));
+    assert_eq!(values(&dir.path().join("out/valid_feat_mask.npy")), [1.0, 0.0, 0.0]);
+    write_npy(&depth.join("b.npy"), &[2, W], &metres[..2 * W]).unwrap();
+    let output = lift(dir.path(), &["--depth", depth.to_str().unwrap()]);
+    assert!(stderr(&output).contains("b.npy") && stderr(&output).contains("[48, 64]"));
+}
+
+#[test]
+fn what_does_not_fit_is_refused_before_anything_is_written() {
+    let dir = world();
+    let refused = |more: &[&str], code: i32, about: &[&str]| {
+        let output = lift(dir.path(), more);
+        let text = stderr(&output);
+        assert_eq!(output.status.code(), Some(code), "{text}");
+        assert!(about.iter().all(|about| text.contains(about)), "{text}");
+        assert!(!dir.path().join("out/lang_feat.npy").exists());
+    };
+    refused(&["--view-exponent", "2"], 2, &["view exponent", "is 2"]);
+    refused(&["--coverage", "nan"], 2, &["coverage"]);
+    refused(&["--level", "7"], 1, &["level", "[7]"]);
+    refused(&["--level", "3"], 1, &["a_s.npy", "level 3"]);
+
+    let cameras = [camera("x.png", 0.0)];
+    write_cameras_json(&cameras, &dir.path().join("cameras.json")).unwrap();
+    refused(&[], 1, &["segments", "x.png"]);
+    let wide = Camera { width: 70, ..camera("a.png", 0.0) };
+    write_cameras_json(&[wide], &dir.path().join("cameras.json")).unwrap();
+    refused(&[], 1, &["a_s.npy", "is 64×48, its camera 70×48"]);
+}
