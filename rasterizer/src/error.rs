@@ -53,6 +53,18 @@ pub enum RasterError {
         /// What it has to be.
         range: &'static str,
     },
+    /// A value of one row that nothing can be made of.
+    #[error("{field}, row {row}: {value}; it has to be {range}; repair or remove the row")]
+    Row {
+        /// Which array.
+        field: &'static str,
+        /// Which row.
+        row: usize,
+        /// What is there.
+        value: String,
+        /// What it has to be.
+        range: &'static str,
+    },
     /// A picture with no pixel or too many.
     #[error(
         "a picture of {width} × {height} pixels; sides go from 1 to 65,535 and 2²⁸ pixels in all"

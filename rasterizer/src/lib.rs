@@ -21,8 +21,12 @@
 
 pub mod blend;
 mod canvas;
+mod depth_order;
 pub mod error;
 pub mod gaussians;
+mod isa;
+mod lanes;
+mod points;
 pub mod projection;
 pub mod render;
 pub mod settings;

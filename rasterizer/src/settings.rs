@@ -118,6 +118,11 @@ impl RasterSettings {
         self.isa.min(Isa::current())
     }
 
+    /// A pixel goes on while its transmittance would be above this.
+    pub(crate) fn stop_above(&self) -> f32 {
+        if self.stop_excluded { self.stop.next_down() } else { self.stop }
+    }
+
     /// Checks that every number is in its range.
     ///
     /// # Errors

@@ -1,6 +1,14 @@
 //! Which Gaussians each tile of 16×16 pixels draws, front to back.
 
+use crate::depth_order::{Shared, depth_order};
+use crate::isa::with_isa;
 use crate::{ExtentRule, Projected, RasterSettings, TILE, View};
+use rayon::prelude::*;
+
+/// Fewest Gaussians per task.
+const MIN_CHUNK: usize = 2048;
+/// Most tasks: each counts all tiles.
+const MAX_CHUNKS: usize = 32;
 
 /// The Gaussians of every tile, front to back.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -37,58 +45,124 @@ impl TileLists {
 /// rectangle of the tile's pixel centres. With [`ExtentRule::Circle`], where its square does.
 pub fn tile_lists(projected: &Projected, view: &View, settings: &RasterSettings) -> TileLists {
     let (columns, rows) = view.tiles();
-    let mut order: Vec<u32> = (0..projected.len() as u32).collect();
-    order.sort_by_key(|&row| projected.depth[row as usize].to_bits());
-    let mut lists = vec![Vec::new(); columns * rows];
-    for row in order {
-        each_tile(projected, row as usize, view, settings, |tile, reach| {
-            lists[tile].push((row, reach));
-        });
+    let order = depth_order(&projected.depth);
+    let chunk = order.len().div_ceil(MAX_CHUNKS).max(MIN_CHUNK);
+    let isa = settings.isa();
+    let hits: Vec<Hits> = order
+        .par_chunks(chunk)
+        .map(|order| {
+            with_isa!(isa, hits(
+                projected: &Projected, order: &[u32], view: &View, rule: ExtentRule,
+            ) -> Hits; projected, order, view, settings.extent)
+        })
+        .collect();
+    let mut starts: Vec<Vec<u32>> = Vec::with_capacity(hits.len());
+    let mut lists = Vec::with_capacity(hits.len());
+    for hits in hits {
+        starts.push(hits.counts);
+        lists.push(hits.list);
     }
-    let mut out = TileLists { columns, rows, offsets: vec![0], ..TileLists::default() };
-    for list in lists {
-        out.entries.extend(list.iter().map(|e| e.0));
-        out.reach.extend(list.iter().map(|e| e.1));
-        out.offsets.push(out.entries.len());
+    let mut offsets = Vec::with_capacity(columns * rows + 1);
+    let mut total = 0;
+    for tile in 0..columns * rows {
+        offsets.push(total);
+        let mut inside = 0;
+        for counts in &mut starts {
+            inside += std::mem::replace(&mut counts[tile], inside);
+        }
+        total += inside as usize;
+    }
+    offsets.push(total);
+    let mut out =
+        TileLists { columns, rows, offsets, entries: vec![0; total], reach: vec![0; total] };
+    let entries = Shared(out.entries.as_mut_ptr());
+    let reach = Shared(out.reach.as_mut_ptr());
+    lists.par_iter().zip(&mut starts).for_each(|(list, starts)| {
+        let (entries, reach) = (&entries, &reach);
+        for hit in list {
+            let tile = (hit.place >> 8) as usize;
+            let at = out.offsets[tile] + starts[tile] as usize;
+            starts[tile] += 1;
+            // SAFETY: places are below the total, since the counts made the offsets, and no two
+            // hits have the same.
+            unsafe {
+                entries.0.add(at).write(hit.row);
+                reach.0.add(at).write(hit.place as u8);
+            }
+        }
+    });
+    out
+}
+
+/// A Gaussian in a tile.
+struct Hit {
+    row: u32,
+    /// Tile above the lowest 8 bits, reach in them: a picture has at most 2²⁰ tiles.
+    place: u32,
+}
+
+/// Hits of some Gaussians, in their order, and how many each tile has.
+struct Hits {
+    list: Vec<Hit>,
+    counts: Vec<u32>,
+}
+
+#[inline(always)]
+fn hits(projected: &Projected, order: &[u32], view: &View, rule: ExtentRule) -> Hits {
+    let (columns, rows) = view.tiles();
+    let mut out =
+        Hits { list: Vec::with_capacity(4 * order.len()), counts: vec![0; columns * rows] };
+    for &row in order {
+        each_tile(projected, row as usize, view, rule, |tile, reach| {
+            out.list.push(Hit { row, place: (tile as u32) << 8 | u32::from(reach) });
+            out.counts[tile] += 1;
+        });
     }
     out
 }
 
 /// Calls `found(tile, reach)` for each tile that the Gaussian can reach.
+#[inline(always)]
 fn each_tile(
     projected: &Projected,
     row: usize,
     view: &View,
-    settings: &RasterSettings,
+    rule: ExtentRule,
     mut found: impl FnMut(usize, u8),
 ) {
+    let side = TILE as u32;
     let columns = view.tiles().0;
     let [u, v] = projected.mean2d[row];
     let [ex, ey] = projected.half_extent[row];
     let Some([x0, x1]) = centres(u - ex, u + ex, view.width) else { return };
     let Some([y0, y1]) = centres(v - ey, v + ey, view.height) else { return };
-    let last = TILE as u32 - 1;
-    for column in x0 / TILE as u32..=x1 / TILE as u32 {
-        let mut range = [y0, y1];
-        if settings.extent == ExtentRule::Ellipse {
-            let left = (column * TILE as u32) as f32 + 0.5;
-            let right = left + last as f32;
-            let [low, high] = strip(projected, row, left - u, right - u);
-            match centres(v + low, v + high, view.height) {
-                Some(inside) => range = inside,
-                None => continue,
+    let one_tile = x0 / side == x1 / side && y0 / side == y1 / side;
+    let ellipse = match rule {
+        ExtentRule::Ellipse if !one_tile => Some(Ellipse::new(projected, row)),
+        _ => None,
+    };
+    for column in x0 / side..=x1 / side {
+        let [mut low, mut high] = [y0, y1];
+        if let Some(ellipse) = &ellipse {
+            let left = (column * side) as f32 + 0.5;
+            let [top, bottom] = ellipse.strip(left - u, left + (side - 1) as f32 - u);
+            let Some(inside) = centres(v + top, v + bottom, view.height) else { continue };
+            (low, high) = (low.max(inside[0]), high.min(inside[1]));
+            if low > high {
+                continue;
             }
         }
-        for tile_row in range[0] / TILE as u32..=range[1] / TILE as u32 {
-            let top = tile_row * TILE as u32;
-            let first = range[0].max(top) - top;
-            let end = range[1].min(top + last) - top;
-            found(tile_row as usize * columns + column as usize, (first | end << 4) as u8);
+        for tile_row in low / side..=high / side {
+            let top = tile_row * side;
+            let first = low.max(top) - top;
+            let last = high.min(top + side - 1) - top;
+            found(tile_row as usize * columns + column as usize, (first | last << 4) as u8);
         }
     }
 }
 
 /// First and last pixel whose centre is between two coordinates, with a margin for rounding.
+#[inline(always)]
 fn centres(low: f32, high: f32, size: u32) -> Option<[u32; 2]> {
     let margin = 1e-3 + 1e-6 * (low.abs() + high.abs()).min(1e6);
     // Casts saturate; what is far outside ends at the border.
@@ -97,19 +171,44 @@ fn centres(low: f32, high: f32, size: u32) -> Option<[u32; 2]> {
     (first <= last).then_some([first as u32, last as u32])
 }
 
-/// Lowest and highest y, from the centre, of the ellipse between two x from the centre.
-fn strip(projected: &Projected, row: usize, left: f32, right: f32) -> [f32; 2] {
-    let [a, b, c] = projected.conic[row];
-    let [ex, ey] = projected.half_extent[row];
-    let [v11, _] = projected.variance[row];
-    // Wider than the cut by more than f32 can be wrong.
-    let level = projected.level[row] * (1.0 + 1e-4) + 1e-4;
-    let top = ey * (-b / a);
-    let edge = |x: f32| {
-        let x = x.clamp(left, right).clamp(-ex, ex);
-        let (middle, half) = (-b / c * x, ((level - x * x / v11).max(0.0) / c).sqrt());
-        (middle, half)
-    };
-    let (low, high) = (edge(-top), edge(top));
-    [low.0 - low.1, high.0 + high.1]
+/// What the outline `q = level` needs, coordinates from the centre.
+struct Ellipse {
+    /// Of the line through the points with the outermost x: `y = slope · x` is the middle at `x`.
+    slope: f32,
+    /// x of the point with the highest y.
+    top: f32,
+    half_width: f32,
+    level: f32,
+    per_variance: f32,
+    per_c: f32,
+}
+
+impl Ellipse {
+    #[inline(always)]
+    fn new(projected: &Projected, row: usize) -> Self {
+        let [a, b, c] = projected.conic[row];
+        let [half_width, half_height] = projected.half_extent[row];
+        Self {
+            slope: -b / c,
+            top: half_height * (-b / a),
+            half_width,
+            // Wider than the cut by more than f32 can be wrong.
+            level: projected.level[row] * (1.0 + 1e-4) + 1e-4,
+            per_variance: 1.0 / projected.variance[row][0],
+            per_c: 1.0 / c,
+        }
+    }
+
+    /// Lowest and highest y of what is between two x.
+    #[inline(always)]
+    fn strip(&self, left: f32, right: f32) -> [f32; 2] {
+        // `min` and `max` instead of `clamp`, which would check its bounds.
+        let inside = |x: f32| x.max(left).min(right).max(-self.half_width).min(self.half_width);
+        let half = |x: f32| {
+            // Nothing is below 0 but rounding: `x` is inside the half width.
+            ((self.level - x * x * self.per_variance).max(0.0) * self.per_c).sqrt()
+        };
+        let (low, high) = (inside(-self.top), inside(self.top));
+        [self.slope * low - half(low), self.slope * high + half(high)]
+    }
 }

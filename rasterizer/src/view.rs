@@ -118,10 +118,14 @@ impl View {
         [0, 1, 2].map(|k| -along(k) as f32)
     }
 
-    /// The point in the camera's axes.
+    /// The point in the camera's axes; summed in f64, since near the camera most digits cancel.
     #[inline(always)]
     pub fn to_camera(&self, p: [f32; 3]) -> [f32; 3] {
-        self.world_to_camera.map(|r| r[0] * p[0] + r[1] * p[1] + r[2] * p[2] + r[3])
+        let p = p.map(f64::from);
+        self.world_to_camera.map(|r| {
+            let r = r.map(f64::from);
+            (r[0] * p[0] + r[1] * p[1] + r[2] * p[2] + r[3]) as f32
+        })
     }
 
     /// Pixels of the picture.
