@@ -26,7 +26,9 @@ pub mod error;
 pub mod gaussians;
 mod isa;
 mod lanes;
+pub mod plan;
 mod points;
+pub mod profile;
 pub mod projection;
 pub mod render;
 pub mod settings;
@@ -38,6 +40,8 @@ mod visitors;
 pub use blend::{Span, TILE, TileRect, TileVisitor, blend};
 pub use error::RasterError;
 pub use gaussians::Gaussians;
+pub use plan::{Bound, Decision, Gradients, PlanError, PlanRequest, Prepared, RenderPlan};
+pub use profile::{HarmonicsProfile, SceneProfile};
 pub use projection::{CullCounts, Projected, project};
 pub use render::{
     Contributions, DepthRequest, RenderRequest, Rendered, WorkCounters, render, render_features,
