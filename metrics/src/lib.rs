@@ -52,6 +52,7 @@
 pub mod collapse;
 mod confusion_matrix;
 mod error;
+pub mod image;
 mod instance_vote;
 mod metric;
 mod oracle;

@@ -28,7 +28,9 @@ pub mod gaussians;
 mod isa;
 mod lanes;
 pub mod lifting;
+pub mod plan;
 mod points;
+pub mod profile;
 pub mod projection;
 pub mod render;
 pub mod segments;
@@ -41,6 +43,8 @@ mod visitors;
 pub use blend::{Span, TILE, TileRect, TileVisitor, blend};
 pub use error::RasterError;
 pub use gaussians::Gaussians;
+pub use plan::{Bound, Decision, Gradients, PlanError, PlanRequest, Prepared, RenderPlan};
+pub use profile::{HarmonicsProfile, SceneProfile};
 pub use projection::{CullCounts, Projected, project};
 pub use render::{
     Contributions, DepthRequest, RenderRequest, Rendered, WorkCounters, render, render_features,

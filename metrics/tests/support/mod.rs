@@ -72,6 +72,10 @@ impl Golden {
         raw.into_iter().map(u32::from_le_bytes).collect()
     }
 
+    pub fn bytes(&self, tensor: &str) -> Vec<u8> {
+        self.get::<1>(tensor, safetensors::Dtype::U8).into_iter().map(|[v]| v).collect()
+    }
+
     pub fn mask(&self, tensor: &str) -> Vec<bool> {
         let raw = self.get::<1>(tensor, safetensors::Dtype::U8);
         raw.into_iter().map(|[v]| v != 0).collect()
