@@ -184,7 +184,7 @@ mod tests {
         assert!(SegmentMap::new(3, 2, vec![0; 6]).unwrap().resized(7, 4).is_some());
         assert!(map.resized(4, 4).is_none() && map.resized(4, 1).is_none());
         let large = SegmentMap::new(400, 200, vec![0; 80_000]).unwrap();
-        assert!(large.resized(100, 51).is_some() && large.resized(100, 60).is_none());
+        assert!(large.resized(100, 50).is_some() && large.resized(100, 51).is_none());
         assert!(SegmentMap::new(0, 0, vec![]).unwrap().resized(1, 1).is_none());
         assert_eq!(map.num_ids(), 8);
         assert!(SegmentMap::new(2, 2, vec![0; 5]).is_err());
