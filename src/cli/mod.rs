@@ -3,12 +3,14 @@
 mod bench;
 mod chunk;
 mod common;
+mod compare;
 mod convert;
 mod demo;
 mod evaluate;
 mod features;
 mod inspect;
 mod query;
+mod render;
 mod segment;
 mod train;
 mod weights;
@@ -39,6 +41,10 @@ enum Command {
     Query(query::Args),
     /// Measures labels against the truth that scenes carry.
     Evaluate(evaluate::Args),
+    /// Draws a scene as its cameras, or cameras around it, see it.
+    Render(render::Args),
+    /// Measures how much pictures differ.
+    Compare(compare::Args),
     /// Writes a scene in another format, whole or in part.
     Convert(convert::Args),
     /// Trains a network as a file says.
@@ -76,6 +82,8 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Segment(args) => segment::run(args, &line),
         Command::Query(args) => query::run(args, &line),
         Command::Evaluate(args) => evaluate::run(args, &line),
+        Command::Render(args) => render::run(args, &line),
+        Command::Compare(args) => compare::run(args),
         Command::Convert(args) => convert::run(args),
         Command::Train(args) => train::run(args),
         Command::Chunk(args) => chunk::run(args),

@@ -5,9 +5,11 @@
 mod bench;
 mod chunk;
 mod commands;
+mod compare;
 mod convert;
 mod hostile;
 mod inspect;
+mod render;
 mod training;
 
 use std::path::{Path, PathBuf};
