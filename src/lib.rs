@@ -2,7 +2,8 @@
 //!
 //! The crates behind this facade: [`scene`] (scenes and their files), [`kernels`] (algorithms on
 //! slices), [`datasets`] (from scenes to network input), [`models`] (networks and weights),
-//! [`metrics`] (labels, votes, evaluation), [`trainers`] (optimizers and schedules). This crate adds
+//! [`metrics`] (labels, votes, evaluation, pictures), [`rasterizer`] (pictures of scenes), [`trainers`]
+//! (optimizers and schedules). This crate adds
 //! what joins them: [`Network`] (a configuration with its weights), [`SceneEncoder`] (a scene in,
 //! features out) and what the commands write.
 //!
@@ -47,6 +48,7 @@ pub use scenesplat_kernels as kernels;
 pub use scenesplat_losses as losses;
 pub use scenesplat_metrics as metrics;
 pub use scenesplat_models as models;
+pub use scenesplat_rasterizer as rasterizer;
 pub use scenesplat_scene as scene;
 pub use scenesplat_trainers as trainers;
 

@@ -3,12 +3,16 @@
 //! Gaussians are drawn as discs with a depth buffer: enough to see what is where and which class it
 //! got, in a second or two for a million Gaussians. It is not a renderer for judging image quality.
 
+mod depth_picture;
 mod discs;
 mod framing;
+mod orbit;
 pub(crate) mod orthographic;
 mod palette;
 pub(crate) mod text;
 
+pub use depth_picture::depth_picture;
+pub use orbit::{Ceiling, Orbit};
 pub use palette::{UNLABELLED_COLOR, class_color};
 
 use discs::{Canvas, Disc, Lens};
@@ -197,13 +201,29 @@ pub fn write_preview(
 
 /// Writes a picture, beside the path first, then renamed. Returns the size of the file.
 pub(crate) fn write_png(path: &Path, picture: &RgbImage) -> Result<u64, PreviewError> {
+    let (width, height) = picture.dimensions();
+    encode_png(path, picture.as_raw(), [width, height], image::ExtendedColorType::Rgb8)
+}
+
+/// As [`write_png`], of 16-bit grey values.
+pub(crate) fn write_png16(
+    path: &Path,
+    values: &[u16],
+    size: [u32; 2],
+) -> Result<u64, PreviewError> {
+    // The encoder takes bytes in the order of this machine.
+    let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_ne_bytes()).collect();
+    encode_png(path, &bytes, size, image::ExtendedColorType::L16)
+}
+
+fn encode_png(
+    path: &Path,
+    bytes: &[u8],
+    [width, height]: [u32; 2],
+    kind: image::ExtendedColorType,
+) -> Result<u64, PreviewError> {
     let mut png = Vec::new();
-    image::codecs::png::PngEncoder::new(&mut png).write_image(
-        picture.as_raw(),
-        picture.width(),
-        picture.height(),
-        image::ExtendedColorType::Rgb8,
-    )?;
+    image::codecs::png::PngEncoder::new(&mut png).write_image(bytes, width, height, kind)?;
     let mut beside = path.as_os_str().to_owned();
     beside.push(format!(".part-{}", std::process::id()));
     let beside = PathBuf::from(beside);

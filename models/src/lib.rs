@@ -16,6 +16,7 @@ mod backbone;
 mod compute;
 pub mod convert;
 pub mod layers;
+mod lpips;
 pub mod ops;
 pub mod params;
 mod point_cloud;
@@ -25,6 +26,7 @@ pub mod weights;
 
 pub use backbone::{Backbone, Forward, LanguageModel, Mode, Orders, SemanticSegmenter};
 pub use compute::Compute;
+pub use lpips::{Lpips, LpipsNet};
 pub use params::{LoadPolicy, LoadReport, ParamStore};
 pub use point_cloud::PointCloud;
 pub use point_transformer_v3::{PointTransformerV3, PointTransformerV3Config};

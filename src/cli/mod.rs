@@ -3,6 +3,7 @@
 mod bench;
 mod chunk;
 mod common;
+mod compare;
 mod convert;
 mod demo;
 mod evaluate;
@@ -10,6 +11,7 @@ mod features;
 mod inspect;
 mod lift_labels;
 mod query;
+mod render;
 mod segment;
 mod train;
 mod weights;
@@ -42,6 +44,10 @@ enum Command {
     LiftLabels(lift_labels::Args),
     /// Measures labels against the truth that scenes carry.
     Evaluate(evaluate::Args),
+    /// Draws a scene as its cameras, or cameras around it, see it.
+    Render(render::Args),
+    /// Measures how much pictures differ.
+    Compare(compare::Args),
     /// Writes a scene in another format, whole or in part.
     Convert(convert::Args),
     /// Trains a network as a file says.
@@ -80,6 +86,8 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Query(args) => query::run(args, &line),
         Command::LiftLabels(args) => lift_labels::run(args, &line),
         Command::Evaluate(args) => evaluate::run(args, &line),
+        Command::Render(args) => render::run(args, &line),
+        Command::Compare(args) => compare::run(args),
         Command::Convert(args) => convert::run(args),
         Command::Train(args) => train::run(args),
         Command::Chunk(args) => chunk::run(args),

@@ -39,6 +39,11 @@ impl Upright {
         (0..3).find(|&a| along(a).abs() > 0.5).map_or("", |a| names[a][usize::from(along(a) < 0.0)])
     }
 
+    /// The direction or position in the scene's own axes.
+    pub(super) fn turn_back(&self, p: [f64; 3]) -> [f64; 3] {
+        [0, 1, 2].map(|a| (0..3).map(|i| f64::from(self.rows[i][a]) * p[i]).sum())
+    }
+
     pub(super) fn turn(&self, p: [f32; 3]) -> [f32; 3] {
         // A sum of one coordinate and two zeros would turn -0 into 0 only: no rounding.
         self.rows.map(|r| r[0] * p[0] + r[1] * p[1] + r[2] * p[2])
@@ -116,6 +121,11 @@ impl Framing {
             .filter(within)
             .collect();
         framing
+    }
+
+    /// Bounds of what is drawn.
+    pub(super) fn bounds(&self) -> ([f64; 3], [f64; 3]) {
+        (self.low, self.high)
     }
 
     pub(super) fn is_cut_open(&self) -> bool {

@@ -5,10 +5,12 @@
 mod bench;
 mod chunk;
 mod commands;
+mod compare;
 mod convert;
 mod hostile;
 mod inspect;
 mod lift_labels;
+mod render;
 mod training;
 
 use std::path::{Path, PathBuf};
