@@ -102,6 +102,7 @@ unsafe fn walk_with<V: Lanes, const C: usize, const K: usize>(
         let mut sums = Sums::<V, C> {
             // SAFETY: the caller has made sure of the instruction set, here and below.
             moments: unsafe { [V::splat(0.0); MOMENTS] },
+            // SAFETY: as above.
             channels: unsafe { [V::splat(0.0); C] },
         };
         let mut any = false;
@@ -293,6 +294,7 @@ impl<V: Lanes, const C: usize> Sums<V, C> {
 }
 
 /// What one Gaussian is at eight pixels.
+#[derive(Clone, Copy)]
 pub(crate) struct Alphas<V: Lanes> {
     /// From the pixel to the Gaussian's centre along x. px
     pub dx: V,

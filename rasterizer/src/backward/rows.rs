@@ -214,6 +214,7 @@ impl<'a> Pass<'a> {
     }
 
     /// Adds the gradients of one Gaussian's geometry; `moved` goes to the centre too.
+    #[allow(clippy::needless_pass_by_value, reason = "a tuple of references")]
     #[inline]
     fn geometry(
         &self,

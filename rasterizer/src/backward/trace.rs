@@ -100,8 +100,9 @@ pub fn trace(
     );
     let draw = Draw { projected: &projected, lists: &lists, view, settings, light: light_canvas };
     let background = settings.background;
-    // SAFETY (all): `blend` makes one visitor per tile.
-    let colour = |rect| Colour::new(&colours, background, unsafe { rgb_canvas.tile(rect) });
+    // SAFETY: `blend` makes one visitor per tile, here and below.
+    let rgb_tile = |rect| unsafe { rgb_canvas.tile(rect) };
+    let colour = |rect| Colour::new(&colours, background, rgb_tile(rect));
     // SAFETY: as above.
     let depth = |rect| Depth::<false>::new(&projected.depth, unsafe { sums_canvas.tile(rect) });
     let last = match (request.rgb, request.depth) {

@@ -129,7 +129,7 @@ fn bad_input_is_named() {
     assert!(error.to_string().contains("Gaussians of the trace"), "{error}");
     let error = refused(good, &g, &View { width: 17, height: 19, ..view() });
     assert!(error.to_string().contains("width of the trace"), "{error}");
-    let features = vec![1.0; 2 * 3];
+    let features = [1.0; 2 * 3];
     let gradient = vec![1.0; 19 * 17 * 3];
     let of = |features, gradient, dim| Upstream {
         features: Some(FeatureGradient { features, gradient, dim }),

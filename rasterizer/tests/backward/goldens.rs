@@ -211,7 +211,7 @@ fn masks() {
     let scales = run(GradMask { scales: true, ..none });
     assert_eq!(scales, Gradients { scales: all.scales.clone(), ..zero.clone() });
     let opacities = run(GradMask { opacities: true, ..none });
-    assert_eq!(opacities, Gradients { opacities: all.opacities.clone(), ..zero });
+    assert_eq!(opacities, Gradients { opacities: all.opacities, ..zero });
 }
 
 #[test]

@@ -80,18 +80,24 @@ pub(super) fn measure(args: &Args, pair: &Pair, lpips: Option<&Lpips>) -> Result
             colors(args, &mut out, [&a, &b], lpips).with_context(|| pair.name.clone())?;
         }
         (Picture::Depth { values: a, .. }, Picture::Depth { values: b, .. }) => {
-            if args.wants(MetricArg::Depth) {
-                // No depth is 0 in both.
-                let mask: Vec<bool> = a.iter().map(|d| *d > 0.0).collect();
-                let range = DepthRange { min: 0.0, max: f32::INFINITY };
-                let error = depth_l1(&a, &b, Some(&mask), range)?;
-                out.depth_l1 = error.map(|e| e.mean);
-                out.depth_pixels = Some(error.map_or(0, |e| e.count));
-            }
+            depths(args, &mut out, [&a, &b]).with_context(|| pair.name.clone())?;
         }
         _ => {}
     }
     Ok(out)
+}
+
+fn depths(args: &Args, out: &mut Measured, [a, b]: [&[f32]; 2]) -> Result<()> {
+    if !args.wants(MetricArg::Depth) {
+        return Ok(());
+    }
+    // No depth is 0 in both.
+    let mask: Vec<bool> = a.iter().map(|d| *d > 0.0).collect();
+    let range = DepthRange { min: 0.0, max: f32::INFINITY };
+    let error = depth_l1(a, b, Some(&mask), range)?;
+    out.depth_l1 = error.map(|e| e.mean);
+    out.depth_pixels = Some(error.map_or(0, |e| e.count));
+    Ok(())
 }
 
 fn colors(
