@@ -33,7 +33,7 @@ impl Prepared {
     ///
     /// # Errors
     /// If the request asks for more than the plan has ([`RenderPlan::check`]), and what
-    /// [`render`] refuses.
+    /// [`render`](fn@crate::render::render) refuses.
     pub fn render(&self, view: &View, request: &RenderRequest) -> Result<Rendered, PlanError> {
         self.plan.check(request)?;
         let wanted = request.sh_degree.unwrap_or(3);
