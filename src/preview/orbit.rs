@@ -130,7 +130,9 @@ mod tests {
                         let pixel = camera.project(p.map(f64::from));
                         pixel.is_some_and(|pixel| camera.contains(pixel))
                     };
-                    assert_eq!(coord[..1000].iter().filter(inside).count(), 1000, "{up:?}");
+                    // All but a corner: the outermost 2 % of each axis do not set the distance.
+                    let seen = coord[..1000].iter().filter(inside).count();
+                    assert!(seen >= 990, "{up:?}: {seen}");
                     // Up in the scene is up in the picture, and the camera stands above.
                     assert!(camera.rotation[1][axis] * sign < -0.5, "{up:?}");
                     let middle = [11.8, -19.55, 5.9];
