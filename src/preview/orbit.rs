@@ -31,8 +31,6 @@ impl Ceiling {
 
 /// Half of the narrower angle of view.
 const HALF_VIEW: f64 = 20.0;
-/// A sphere around the box of the centres is larger than what is seen of it.
-const SPHERE_SHARE: f64 = 0.92;
 /// Part of the radius, before the middle, that a closed room is cut away up to.
 const OPEN_SHARE: f64 = 0.3;
 
@@ -55,7 +53,7 @@ impl Orbit {
         let (low, high) = framing.bounds();
         let middle = [0, 1, 2].map(|a| (low[a] + high[a]) / 2.0);
         let diagonal = (0..3).map(|a| (high[a] - low[a]).powi(2)).sum::<f64>().sqrt();
-        let radius = SPHERE_SHARE * diagonal / 2.0;
+        let radius = diagonal / 2.0;
         let half_view = HALF_VIEW.to_radians();
         let distance = radius / half_view.sin();
         let elevation = if framing.is_cut_open() { 45.0_f64 } else { 25.0 }.to_radians();
