@@ -1,6 +1,7 @@
 //! Features as colours: their three strongest directions.
 
 use crate::inference::{EncodeError, SceneFeatures};
+use crate::preview::UNLABELLED_COLOR;
 use scenesplat_kernels::gemm::gemm_tn;
 
 /// Rows that the directions are found from.
@@ -15,51 +16,77 @@ const ROUNDS: usize = 40;
 /// If the features cannot be read.
 pub fn principal_colors(features: &SceneFeatures) -> Result<Vec<[u8; 3]>, EncodeError> {
     let (slots, width) = (features.num_slots(), features.width());
-    let step = slots.div_ceil(SAMPLE).max(1);
-    let mut sample = Vec::with_capacity(slots / step * width);
+    let step = sample_step(slots);
+    let mut sample = Vec::with_capacity(slots.div_ceil(step) * width);
     for row in (0..slots).step_by(step) {
         sample.extend(features.slot_rows(row..row + 1)?);
     }
-    let n = sample.len() / width;
-    let mut mean = vec![0f64; width];
-    for row in sample.chunks_exact(width) {
-        mean.iter_mut().zip(row).for_each(|(m, v)| *m += f64::from(*v) / n as f64);
-    }
-    for row in sample.chunks_exact_mut(width) {
-        row.iter_mut().zip(&mean).for_each(|(v, m)| *v = (f64::from(*v) - m) as f32);
-    }
-    let mut covariance = vec![0f32; width * width];
-    gemm_tn(&sample, width, &sample, width, None, &mut covariance);
-    let directions = strongest(&covariance, width);
-
+    let directions = PrincipalDirections::find(sample, width);
     let mut projected = Vec::with_capacity(slots);
     const BLOCK: usize = 4096;
     for start in (0..slots).step_by(BLOCK) {
         let rows = features.slot_rows(start..(start + BLOCK).min(slots))?;
-        for row in rows.chunks_exact(width) {
-            let dot = |d: &[f64]| -> f64 {
-                row.iter().zip(&mean).zip(d).map(|((v, m), d)| (f64::from(*v) - m) * d).sum()
-            };
-            projected.push([dot(&directions[0]), dot(&directions[1]), dot(&directions[2])]);
-        }
+        projected.extend(rows.chunks_exact(width).map(|row| Some(directions.project(row))));
     }
-    let ranges: [(f64, f64); 3] = std::array::from_fn(|axis| {
-        let mut values: Vec<f64> = projected.iter().map(|p| p[axis]).collect();
-        values.sort_by(f64::total_cmp);
-        let at = |q: f64| values[((values.len() - 1) as f64 * q) as usize];
-        (at(0.02), at(0.98))
+    let colors = stretched_colors(&projected);
+    Ok(features.inverse().iter().map(|&s| colors[s as usize]).collect())
+}
+
+/// Which rows of many to find directions from: every so many.
+pub(crate) fn sample_step(rows: usize) -> usize {
+    rows.div_ceil(SAMPLE).max(1)
+}
+
+/// The three directions along which rows differ most, strongest first.
+pub(crate) struct PrincipalDirections {
+    mean: Vec<f64>,
+    directions: [Vec<f64>; 3],
+}
+
+impl PrincipalDirections {
+    /// `rows`: `[n, width]`; without rows, or along directions that no row has, projections are 0.
+    pub(crate) fn find(mut rows: Vec<f32>, width: usize) -> Self {
+        let n = (rows.len() / width).max(1);
+        let mut mean = vec![0f64; width];
+        for row in rows.chunks_exact(width) {
+            mean.iter_mut().zip(row).for_each(|(m, v)| *m += f64::from(*v) / n as f64);
+        }
+        for row in rows.chunks_exact_mut(width) {
+            row.iter_mut().zip(&mean).for_each(|(v, m)| *v = (f64::from(*v) - m) as f32);
+        }
+        let mut covariance = vec![0f32; width * width];
+        gemm_tn(&rows, width, &rows, width, None, &mut covariance);
+        Self { mean, directions: strongest(&covariance, width) }
+    }
+
+    /// Coordinates of a row along the directions.
+    pub(crate) fn project(&self, row: &[f32]) -> [f32; 3] {
+        let along = |d: &Vec<f64>| -> f64 {
+            row.iter().zip(&self.mean).zip(d).map(|((v, m), d)| (f64::from(*v) - m) * d).sum()
+        };
+        [0, 1, 2].map(|k: usize| along(&self.directions[k]) as f32)
+    }
+}
+
+/// Coordinates as red, green, blue, each stretched over its 2–98 % range; rows without any take the
+/// colour of what has no label.
+pub(crate) fn stretched_colors(projected: &[Option<[f32; 3]>]) -> Vec<[u8; 3]> {
+    let ranges: [(f32, f32); 3] = std::array::from_fn(|axis| {
+        let mut values: Vec<f32> = projected.iter().flatten().map(|p| p[axis]).collect();
+        values.sort_by(f32::total_cmp);
+        let at = |q: f64| values.get((values.len().saturating_sub(1) as f64 * q) as usize);
+        (at(0.02).copied().unwrap_or(0.0), at(0.98).copied().unwrap_or(0.0))
     });
-    let colors: Vec<[u8; 3]> = projected
-        .iter()
-        .map(|p| {
+    let color = |p: &Option<[f32; 3]>| {
+        p.map_or(UNLABELLED_COLOR, |p| {
             std::array::from_fn(|axis| {
                 let (low, high) = ranges[axis];
                 let t = if high > low { (p[axis] - low) / (high - low) } else { 0.5 };
                 (t.clamp(0.0, 1.0) * 255.0) as u8
             })
         })
-        .collect();
-    Ok(features.inverse().iter().map(|&s| colors[s as usize]).collect())
+    };
+    projected.iter().map(color).collect()
 }
 
 /// The three eigenvectors with the largest eigenvalues, by orthogonal iteration.
@@ -68,6 +95,7 @@ fn strongest(matrix: &[f32], width: usize) -> [Vec<f64>; 3] {
     let mut basis: [Vec<f64>; 3] = std::array::from_fn(|k| {
         (0..width).map(|i| ((i * (k + 2) + k) as f64 * 0.7).sin() + 0.01).collect()
     });
+    let trace: f64 = matrix.iter().step_by(width + 1).map(|v| f64::from(*v)).sum();
     for _ in 0..ROUNDS {
         for k in 0..3 {
             let mut next: Vec<f64> = matrix
@@ -79,9 +107,9 @@ fn strongest(matrix: &[f32], width: usize) -> [Vec<f64>; 3] {
                 next.iter_mut().zip(done).for_each(|(a, b)| *a -= dot * b);
             }
             let norm = next.iter().map(|v| v * v).sum::<f64>().sqrt();
-            if norm > 0.0 {
-                next.iter_mut().for_each(|v| *v /= norm);
-            }
+            // Fewer directions than colours: the others are none. What is left of them is rounding of
+            // the f32 sums, below 1e-7 of the whole.
+            next.iter_mut().for_each(|v| *v = if norm > 1e-6 * trace { *v / norm } else { 0.0 });
             basis[k] = next;
         }
     }
@@ -108,5 +136,20 @@ mod tests {
         for (direction, axis) in found.iter().zip([1, 3, 4]) {
             assert!(direction[axis].abs() > 0.999, "{direction:?}");
         }
+    }
+
+    #[test]
+    fn rows_along_one_line_have_one_direction() {
+        let width = 768;
+        let at = |t: f32| (0..width).map(move |i| t * (i as f32 * 0.37).sin() + 0.3);
+        let rows: Vec<f32> = [-1.0, 0.2, 0.9].into_iter().flat_map(at).collect();
+        let found = PrincipalDirections::find(rows.clone(), width);
+        let projected: Vec<[f32; 3]> =
+            rows.chunks_exact(width).map(|row| found.project(row)).collect();
+        assert!((projected[2][0] - projected[0][0]).abs() > 10.0, "{projected:?}");
+        assert!(projected.iter().all(|p| p[1] == 0.0 && p[2] == 0.0), "{projected:?}");
+        let colors = stretched_colors(&[Some(projected[0]), None, Some(projected[2])]);
+        assert_eq!([colors[0][1], colors[0][2], colors[2][1]], [127; 3]);
+        assert_eq!(colors[1], UNLABELLED_COLOR);
     }
 }

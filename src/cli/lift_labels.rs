@@ -1,6 +1,5 @@
 //! `scenesplat lift-labels`
 
-mod colors;
 mod write;
 
 use super::WrongUse;

@@ -1,7 +1,7 @@
 //! The files of one granularity.
 
-use super::colors::Colors;
 use crate::outputs::OpenedScene;
+use crate::principal::{PrincipalDirections, sample_step, stretched_colors};
 use anyhow::{Context, Result};
 use half::f16;
 use scenesplat_rasterizer::lifting::{BlockFeatures, LiftError, SegmentTables};
@@ -19,7 +19,9 @@ pub(super) struct Writer<'a> {
     confidence: Vec<f32>,
     views: Vec<i32>,
     coverage: Vec<f32>,
-    colors: Colors,
+    directions: PrincipalDirections,
+    /// One row per Gaussian; none without a feature.
+    projected: Vec<Option<[f32; 3]>>,
 }
 
 /// What was written.
@@ -44,6 +46,9 @@ impl<'a> Writer<'a> {
     ) -> Result<Self> {
         let (rows, dim) = (opened.loaded.source_rows(), tables.dim());
         let path = folder.join("lang_feat.npy");
+        let step = sample_step(tables.len());
+        let sample = (0..tables.len()).step_by(step).flat_map(|s| tables.row(s as u32)).copied();
+        let directions = PrincipalDirections::find(sample.collect(), dim);
         Ok(Self {
             opened,
             folder: folder.to_owned(),
@@ -53,7 +58,8 @@ impl<'a> Writer<'a> {
             confidence: Vec::new(),
             views: Vec::new(),
             coverage: Vec::new(),
-            colors: Colors::new(tables),
+            directions,
+            projected: Vec::new(),
         })
     }
 
@@ -62,7 +68,7 @@ impl<'a> Writer<'a> {
         let values: Vec<f16> = block.features.iter().map(|&v| f16::from_f32(v)).collect();
         self.write_rows(block.first, block.valid.len(), &values)?;
         for (feature, &valid) in block.features.chunks_exact(self.dim).zip(&block.valid) {
-            self.colors.push(valid.then_some(feature));
+            self.projected.push(valid.then(|| self.directions.project(feature)));
         }
         self.valid.extend(block.valid.iter().map(|&v| u8::from(v)));
         self.confidence.extend(&block.confidence);
@@ -103,7 +109,7 @@ impl<'a> Writer<'a> {
         files.push(column.write("confidence.npy", &self.confidence)?);
         files.push(column.write("views.npy", &self.views)?);
         files.push(column.write("coverage.npy", &self.coverage)?);
-        let colors = self.colors.finish();
+        let colors = stretched_colors(&self.projected);
         Ok(Written { files, colors, valid, mean_confidence, mean_views })
     }
 }
