@@ -1,7 +1,8 @@
 //! Lifts labels whose truth is known, and shows what wrong ones do:
 //! `cargo run --release --example planted_labels -- out` takes pictures of a synthetic room with 60
 //! cameras, cuts them by the true objects, lifts these segments back onto the Gaussians, first as they are,
-//! then with every fifth segment named after another object, and draws truth and results.
+//! then with some named after other objects, each time with all pixels and with those only whose depth
+//! agrees, and draws truth and results.
 
 #[path = "../rasterizer/tests/lifting/planted.rs"]
 mod planted;
@@ -10,7 +11,7 @@ use anyhow::{Context, Result};
 use planted::{Planted, Recovered, Size};
 use scenesplat::outputs::{label_colors, write_scene_preview};
 use scenesplat::preview::UpAxis;
-use scenesplat_rasterizer::lifting::{FinaliseSettings, LiftSettings, Robust};
+use scenesplat_rasterizer::lifting::{DepthTolerance, FinaliseSettings, LiftSettings, Robust};
 use std::path::Path;
 use std::time::Instant;
 
@@ -29,31 +30,33 @@ fn main() -> Result<()> {
     println!("{gaussians} Gaussians, {} objects, {size:?}", planted.num_objects());
     draw(&planted, &planted.object, "truth", out)?;
 
-    let start = Instant::now();
-    let mut lifter = planted.lifter(0.0, LiftSettings::default())?;
-    let seconds = start.elapsed().as_secs_f64();
-    println!("{:.3} s for the weights of {} pictures", seconds, planted.views.len());
-    let clean = planted.recover(&mut lifter, &FinaliseSettings::default())?;
-    report("true segments, weighted mean", &clean);
-    draw(&planted, &clean.object, "lifted", out)?;
-    let robust = planted.recover(&mut lifter, &FinaliseSettings::robust())?;
-    report("true segments, robust rule", &robust);
-
-    let mut lifter = planted.lifter(WRONG, LiftSettings::default())?;
-    for (name, settings) in
-        [("noisy_mean", FinaliseSettings::default()), ("noisy_robust", FinaliseSettings::robust())]
-    {
-        let noisy = planted.recover(&mut lifter, &settings)?;
-        report(&format!("20 % wrong segments, {name}"), &noisy);
-        draw(&planted, &noisy.object, name, out)?;
+    let settings = |depth| LiftSettings { depth, ..LiftSettings::default() };
+    let agreeing = Some(DepthTolerance::default());
+    for (name, depth) in [("lifted", None), ("lifted_depth", agreeing)] {
+        let start = Instant::now();
+        let mut lifter = planted.lifter(0.0, settings(depth))?;
+        let seconds = start.elapsed().as_secs_f64();
+        println!("{name}: {seconds:.3} s for the weights of {} pictures", planted.views.len());
+        let clean = planted.recover(&mut lifter, &FinaliseSettings::default())?;
+        report("true segments, weighted mean", &clean);
+        draw(&planted, &clean.object, name, out)?;
+        let robust = planted.recover(&mut lifter, &FinaliseSettings::robust())?;
+        report("true segments, robust rule", &robust);
     }
-    for wrong in [0.05, 0.1, 0.3, 0.4] {
-        let mut lifter = planted.lifter(wrong, LiftSettings::default())?;
-        for (name, settings) in
-            [("mean", FinaliseSettings::default()), ("robust", FinaliseSettings::robust())]
-        {
-            let noisy = planted.recover(&mut lifter, &settings)?;
-            report(&format!("{wrong} wrong, {name}"), &noisy);
+    for wrong in [0.05, 0.1, WRONG, 0.3, 0.4] {
+        for depth in [None, agreeing] {
+            let mut lifter = planted.lifter(wrong, settings(depth))?;
+            for (name, finalise) in
+                [("mean", FinaliseSettings::default()), ("robust", FinaliseSettings::robust())]
+            {
+                let noisy = planted.recover(&mut lifter, &finalise)?;
+                let with = if depth.is_some() { "_depth" } else { "" };
+                let name = format!("wrong{:.0}_{name}{with}", 100.0 * wrong);
+                report(&name, &noisy);
+                if wrong == WRONG {
+                    draw(&planted, &noisy.object, &name, out)?;
+                }
+            }
         }
     }
     Ok(())

@@ -1,23 +1,16 @@
 //! The way back from a picture of the garden, on one and two threads.
 #![allow(missing_docs, reason = "criterion's macros make undocumented items")]
 
+mod common;
 #[path = "../tests/support/mod.rs"]
 mod support;
 
+use common::{criterion, pool, signs};
 use criterion::{Criterion, criterion_group, criterion_main};
-use rayon::ThreadPoolBuilder;
 use scenesplat_rasterizer::RasterSettings;
 use scenesplat_rasterizer::backward::{
     FeatureGradient, GradMask, Gradients, TraceRequest, Upstream, backward_into, trace,
 };
-use std::time::Duration;
-
-/// Gradients that look like those of an L1 loss: ±1 per value.
-fn signs(len: usize) -> Vec<f32> {
-    (0..len as u32)
-        .map(|i| if i.wrapping_mul(2_654_435_769) >> 31 == 0 { 1.0 } else { -1.0 })
-        .collect()
-}
 
 fn render_backward_garden(c: &mut Criterion) {
     let Some((gaussians, views)) = support::garden() else { return };
@@ -38,7 +31,7 @@ fn render_backward_garden(c: &mut Criterion) {
     let mut group = c.benchmark_group("render_backward_garden");
     let mut out = Gradients::zeros(&gaussians, 0);
     for threads in [1, 2] {
-        let pool = ThreadPoolBuilder::new().num_threads(threads).build().expect("a thread pool");
+        let pool = pool(threads);
         for (name, upstream, mask) in &rows {
             group.bench_function(format!("{name}/{threads}_threads"), |b| {
                 b.iter(|| {
@@ -53,7 +46,7 @@ fn render_backward_garden(c: &mut Criterion) {
             b.iter(|| pool.install(|| trace(&gaussians, view, settings, TraceRequest::rgb())));
         });
     }
-    let pool = ThreadPoolBuilder::new().num_threads(1).build().expect("a thread pool");
+    let pool = pool(1);
     let dim = 32;
     let (features, gradient) = (signs(gaussians.len() * dim), signs(pixels * dim));
     let features = FeatureGradient { features: &features, gradient: &gradient, dim };
@@ -66,13 +59,6 @@ fn render_backward_garden(c: &mut Criterion) {
         });
     });
     group.finish();
-}
-
-fn criterion() -> Criterion {
-    Criterion::default()
-        .sample_size(10)
-        .warm_up_time(Duration::from_millis(500))
-        .measurement_time(Duration::from_secs(2))
 }
 
 criterion_group!(name = benches; config = criterion(); targets = render_backward_garden);

@@ -1,40 +1,22 @@
 //! Labels of the garden: weights of one picture, and features of 768 values from them.
 #![allow(missing_docs, reason = "criterion's macros make undocumented items")]
 
+mod common;
 #[path = "../tests/support/mod.rs"]
 mod support;
 
+use common::{SEGMENTS, criterion, pool, voronoi};
 use criterion::{Criterion, criterion_group, criterion_main};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use rayon::ThreadPoolBuilder;
 use scenesplat_rasterizer::lifting::{
     FinaliseSettings, LabelledPicture, LabelledView, LiftRule, LiftSettings, Lifter, SegmentMap,
     view_weights,
 };
 use scenesplat_rasterizer::{RasterSettings, RenderRequest, render};
 use std::hint::black_box;
-use std::time::Duration;
 
 const DIM: usize = 768;
-/// Segments of a picture, as many as a segmenter of objects finds.
-const SEGMENTS: usize = 50;
-
-/// Cells around random points.
-fn voronoi(width: u32, height: u32, seed: u64) -> SegmentMap {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let points: Vec<[i64; 2]> = (0..SEGMENTS)
-        .map(|_| [rng.random_range(0..i64::from(width)), rng.random_range(0..i64::from(height))])
-        .collect();
-    let nearest = |i: u32| {
-        let (x, y) = (i64::from(i % width), i64::from(i / width));
-        let distance = |p: &[i64; 2]| (p[0] - x).pow(2) + (p[1] - y).pow(2);
-        let best = (0..SEGMENTS).min_by_key(|&s| distance(&points[s]));
-        best.unwrap_or(0) as u16
-    };
-    SegmentMap::new(width, height, (0..width * height).map(nearest).collect()).expect("a map")
-}
-
 fn lift_garden(c: &mut Criterion) {
     let Some((gaussians, views)) = support::garden() else { return };
     let (view, settings) = (&views[0], &RasterSettings::default());
@@ -43,7 +25,7 @@ fn lift_garden(c: &mut Criterion) {
     let features: Vec<f32> = (0..SEGMENTS * DIM).map(|_| rng.random_range(-1.0f32..1.0)).collect();
     let mut group = c.benchmark_group("lift_garden_d768");
     for threads in [1, 2] {
-        let pool = ThreadPoolBuilder::new().num_threads(threads).build().expect("a thread pool");
+        let pool = pool(threads);
         // The yardstick: a pass over the same pixels that keeps nothing but the light left.
         group.bench_function(format!("alpha_only/{threads}_threads"), |b| {
             let request = RenderRequest::default();
@@ -88,13 +70,6 @@ fn lift_garden(c: &mut Criterion) {
         }
     }
     group.finish();
-}
-
-fn criterion() -> Criterion {
-    Criterion::default()
-        .sample_size(15)
-        .warm_up_time(Duration::from_millis(500))
-        .measurement_time(Duration::from_secs(2))
 }
 
 criterion_group!(name = benches; config = criterion(); targets = lift_garden);

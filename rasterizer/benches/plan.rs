@@ -1,13 +1,13 @@
 //! What the look at a scene costs beside a picture of it.
 #![allow(missing_docs, reason = "criterion's macros make undocumented items")]
 
+mod common;
 #[path = "../tests/support/mod.rs"]
 mod support;
 
+use common::{criterion, pool};
 use criterion::{Criterion, criterion_group, criterion_main};
-use rayon::ThreadPoolBuilder;
 use scenesplat_rasterizer::{RasterSettings, RenderRequest, SceneProfile, render};
-use std::time::Duration;
 
 fn plan_garden(c: &mut Criterion) {
     let Some((gaussians, views)) = support::garden() else { return };
@@ -16,7 +16,7 @@ fn plan_garden(c: &mut Criterion) {
         row[3..].fill(0.0);
     }
     let mut group = c.benchmark_group("plan_garden");
-    let pool = ThreadPoolBuilder::new().num_threads(1).build().expect("a thread pool");
+    let pool = pool(1);
     let settings = RasterSettings::default();
     group.bench_function("render", |b| {
         let run = || render(&gaussians, &views[0], &settings, &RenderRequest::rgb());
@@ -28,13 +28,6 @@ fn plan_garden(c: &mut Criterion) {
         b.iter(|| pool.install(|| SceneProfile::scan(&plain)));
     });
     group.finish();
-}
-
-fn criterion() -> Criterion {
-    Criterion::default()
-        .sample_size(20)
-        .warm_up_time(Duration::from_millis(500))
-        .measurement_time(Duration::from_secs(2))
 }
 
 criterion_group!(name = benches; config = criterion(); targets = plan_garden);

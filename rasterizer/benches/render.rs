@@ -1,17 +1,17 @@
 //! Rendering of the garden: whole pictures on one and two threads, and the stages.
 #![allow(missing_docs, reason = "criterion's macros make undocumented items")]
 
+mod common;
 #[path = "../tests/support/mod.rs"]
 mod support;
 
+use common::{criterion, pool};
 use criterion::{Criterion, criterion_group, criterion_main};
-use rayon::ThreadPoolBuilder;
 use scenesplat_rasterizer::{
     DepthRequest, RasterSettings, RenderRequest, Span, TILE, TileVisitor, blend, colors, project,
     render, render_features, tile_lists,
 };
 use std::hint::black_box;
-use std::time::Duration;
 
 const PIXELS: usize = TILE * TILE;
 
@@ -21,7 +21,7 @@ struct Nothing;
 impl TileVisitor for Nothing {
     type Output = f32;
     #[inline(always)]
-    fn span(&mut self, _: u32, _: u32, _: u32, _: u32, _: Span<'_>) {}
+    fn span(&mut self, _: u32, _: u32, _: Span<'_>) {}
     fn finish(self, transmittance: &[f32; PIXELS], _: &[u32; PIXELS]) -> f32 {
         transmittance[0]
     }
@@ -39,7 +39,7 @@ fn render_garden(c: &mut Criterion) {
         ("contributions", RenderRequest { contributions: true, ..RenderRequest::default() }),
     ];
     for threads in [1, 2] {
-        let pool = ThreadPoolBuilder::new().num_threads(threads).build().expect("a thread pool");
+        let pool = pool(threads);
         for (name, request) in &requests {
             let run = || render(&gaussians, view, settings, request);
             let id = format!("{name}/{threads}_threads");
@@ -59,7 +59,7 @@ fn render_garden(c: &mut Criterion) {
             drop(black_box(blend(&projected, &lists, view, settings, |_| Nothing)));
         });
     }
-    let pool = ThreadPoolBuilder::new().num_threads(1).build().expect("a thread pool");
+    let pool = pool(1);
     for dim in [16, 64] {
         let features = vec![0.5; gaussians.len() * dim];
         let run = || render_features(&gaussians, view, settings, &features, dim);
@@ -67,13 +67,6 @@ fn render_garden(c: &mut Criterion) {
         group.bench_function(id, |b| b.iter(|| pool.install(run)));
     }
     group.finish();
-}
-
-fn criterion() -> Criterion {
-    Criterion::default()
-        .sample_size(20)
-        .warm_up_time(Duration::from_millis(500))
-        .measurement_time(Duration::from_secs(2))
 }
 
 criterion_group!(name = benches; config = criterion(); targets = render_garden);

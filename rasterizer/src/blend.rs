@@ -1,20 +1,24 @@
 //! The pixel loop: Gaussians of a tile front to back, each over the rows it reaches.
 
 use crate::lanes::{Lanes, Plain};
+pub use crate::splats::prefetch;
+use crate::splats::{Aligned, COLUMNS, Groups, Splat, reached};
 use crate::{Projected, RasterSettings, TileLists, View};
 use rayon::prelude::*;
 use scenesplat_kernels::simd::Isa;
-use std::f32::consts::LOG2_E;
 
 /// Side of a tile, pixels.
 pub const TILE: usize = 16;
+/// Most pixels of a [`Span`].
+pub const SPAN: usize = TILE;
+/// Pixels of a tile.
+const PIXELS: usize = TILE * TILE;
 
 /// List positions between asking for a Gaussian and reading it: tens of rows of arithmetic, more
 /// than memory takes.
 const AHEAD: usize = 12;
-
-/// Numbers of the columns.
-const COLUMNS: [f32; TILE] = [0., 1., 2., 3., 4., 5., 6., 7., 8., 9., 10., 11., 12., 13., 14., 15.];
+/// List positions between looks at which rows still have pixels to draw.
+const LOOK: usize = 16;
 
 /// Where a tile is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -31,18 +35,22 @@ pub struct TileRect {
     pub height: u32,
 }
 
-/// What one Gaussian does in one row of 16 pixels of a tile.
+/// What one Gaussian does at some pixels side by side: 8 or 16, by the instruction set, and always
+/// as many in one tile.
 ///
 /// Pixels that do not take the Gaussian (α below the cut, stopped, outside the picture) have weight
-/// exactly 0; their other values mean nothing. Pixels that take it have a weight above 0.
+/// exactly 0; their other values mean nothing. Pixels that take it have a weight above 0, unless the
+/// light left is so little that it underflows (`stop` 0).
 #[derive(Debug, Clone, Copy)]
 pub struct Span<'a> {
+    /// Number of the first pixel in its tile, 16 per row; all are in one row.
+    pub at: usize,
     /// `α T`.
-    pub weights: &'a [f32; TILE],
+    pub weights: &'a [f32],
     /// `min(alpha_max, o e^(−σ))`: equal to `alpha_max` where the limit was met.
-    pub alphas: &'a [f32; TILE],
+    pub alphas: &'a [f32],
     /// Transmittance `T` before this Gaussian.
-    pub before: &'a [f32; TILE],
+    pub before: &'a [f32],
 }
 
 /// What is made of the weights of one tile. The pixel loop is compiled for each implementor, so
@@ -63,9 +71,8 @@ pub trait TileVisitor: Send {
     #[inline(always)]
     fn enter(&mut self, _entry: u32, _row: u32) {}
 
-    /// One row of pixels of that Gaussian: `y`, and `x` of the first of 16 pixels, from the picture's
-    /// corner (so `x` is the tile's `x0`). Only called if a weight is above 0.
-    fn span(&mut self, entry: u32, row: u32, y: u32, x: u32, span: Span<'_>);
+    /// Some pixels of that Gaussian; none comes twice. All weights may be 0.
+    fn span(&mut self, entry: u32, row: u32, span: Span<'_>);
 
     /// The Gaussian has no more pixels in this tile.
     #[inline(always)]
@@ -87,7 +94,7 @@ pub fn blend<V: TileVisitor>(
     settings: &RasterSettings,
     make: impl Fn(TileRect) -> V + Sync,
 ) -> Vec<V::Output> {
-    let splats = Splat::all(projected);
+    let splats = Splat::all(projected, |_| []);
     let scene = Blend { splats: &splats, lists, settings };
     let tile = |tile: usize| {
         let rect = rect(tile, lists, view);
@@ -104,28 +111,6 @@ fn rect(tile: usize, lists: &TileLists, view: &View) -> TileRect {
     TileRect { tile, x0, y0, width, height }
 }
 
-/// What the loop reads of one Gaussian; half a cache line.
-#[derive(Clone, Copy)]
-#[repr(C, align(32))]
-struct Splat {
-    mean: [f32; 2],
-    /// `−½a, −b, −½c`, times `log₂ e`: the exponent of α is a power of two.
-    conic: [f32; 3],
-    opacity: f32,
-}
-
-impl Splat {
-    fn all(projected: &Projected) -> Vec<Self> {
-        let one = |i: usize| {
-            let [a, b, c] = projected.conic[i];
-            let half = -0.5 * LOG2_E;
-            let conic = [half * a, -LOG2_E * b, half * c];
-            Self { mean: projected.mean2d[i], conic, opacity: projected.opacity[i] }
-        };
-        (0..projected.len()).into_par_iter().with_min_len(4096).map(one).collect()
-    }
-}
-
 /// One tile with the instruction set of the settings.
 fn blend_tile<V: TileVisitor>(scene: &Blend<'_>, rect: TileRect, visitor: V) -> V::Output {
     #[cfg(target_arch = "x86_64")]
@@ -138,14 +123,14 @@ fn blend_tile<V: TileVisitor>(scene: &Blend<'_>, rect: TileRect, visitor: V) -> 
     #[target_feature(enable = "avx2,fma")]
     unsafe fn avx2<V: TileVisitor>(s: &Blend<'_>, r: TileRect, v: V) -> V::Output {
         // SAFETY: as above.
-        unsafe { run::<crate::lanes::Pair, V>(s, r, v) }
+        unsafe { run::<std::arch::x86_64::__m256, V>(s, r, v) }
     }
     #[cfg(target_arch = "x86_64")]
     match scene.settings.isa() {
         // SAFETY: `RasterSettings::isa` names no more than the CPU has.
         isa if isa >= Isa::Avx512 => return unsafe { avx512(scene, rect, visitor) },
-        // SAFETY: as above.
-        Isa::Avx2 => return unsafe { avx2(scene, rect, visitor) },
+        // SAFETY: as above; AVX2 and FMA are part of every set above portable.
+        isa if isa >= Isa::Avx2 => return unsafe { avx2(scene, rect, visitor) },
         _ => {}
     }
     // SAFETY: plain Rust.
@@ -154,49 +139,38 @@ fn blend_tile<V: TileVisitor>(scene: &Blend<'_>, rect: TileRect, visitor: V) -> 
 
 /// What all tiles share.
 struct Blend<'a> {
-    splats: &'a [Splat],
+    splats: &'a [Splat<0>],
     lists: &'a TileLists,
     settings: &'a RasterSettings,
 }
 
-/// The pixels of one tile.
-struct Pixels {
-    /// Transmittance, 0 where the pixel has stopped.
-    live: [[f32; TILE]; TILE],
-    /// Transmittance of those that have stopped.
-    stopped: [[f32; TILE]; TILE],
-    /// Bit per row: whether a pixel of it has not stopped.
-    rows: u32,
-}
+/// The transmittance of the pixels of one tile, 16 per row; below 0 where a pixel has stopped. A sign
+/// instead of a branch: which pixels stop cannot be foreseen.
+struct Pixels(Aligned<[f32; PIXELS]>);
 
 impl Pixels {
+    /// 0 outside the picture, where no Gaussian is taken then.
     fn new(rect: TileRect) -> Self {
-        let mut pixels = Self { live: [[0.0; TILE]; TILE], stopped: [[1.0; TILE]; TILE], rows: 0 };
-        for row in &mut pixels.live[..rect.height as usize] {
+        let mut pixels = Self(Aligned([0.0; PIXELS]));
+        for row in pixels.0.0.chunks_exact_mut(TILE).take(rect.height as usize) {
             row[..rect.width as usize].fill(1.0);
         }
-        pixels.rows = (1 << rect.height) - 1;
         pixels
     }
 
-    /// Takes pixels of a row out of the loop.
-    #[cold]
-    #[inline(never)]
-    fn stop(&mut self, row: usize, bits: u32) {
-        for x in (0..TILE).filter(|x| bits >> x & 1 == 1) {
-            self.stopped[row][x] = std::mem::take(&mut self.live[row][x]);
+    /// Bit per row: whether a pixel of it goes on.
+    ///
+    /// # Safety
+    /// The CPU has the instruction set of `L`.
+    #[inline(always)]
+    unsafe fn live_rows<L: Lanes>(&self) -> u32 {
+        let mut rows = 0;
+        for (i, pixels) in self.0.0.chunks_exact(L::COUNT).enumerate() {
+            // SAFETY: the caller's promise; as many pixels as lanes.
+            let live = unsafe { L::bits(L::load(pixels.as_ptr()).above(L::splat(0.0))) };
+            rows |= u32::from(live != 0) << (i * L::COUNT / TILE);
         }
-        if self.live[row] == [0.0; TILE] {
-            self.rows &= !(1 << row);
-        }
-    }
-
-    /// The transmittance, stopped or not.
-    fn transmittance(&self) -> [f32; TILE * TILE] {
-        std::array::from_fn(|i| {
-            let (live, stopped) = (self.live[i / TILE][i % TILE], self.stopped[i / TILE][i % TILE]);
-            if live > 0.0 { live } else { stopped }
-        })
+        rows
     }
 }
 
@@ -213,12 +187,13 @@ unsafe fn run<L: Lanes, V: TileVisitor>(
     let Blend { splats, lists, settings } = *scene;
     let (begin, end) = (lists.offsets[rect.tile], lists.offsets[rect.tile + 1]);
     let (entries, reach) = (&lists.entries[begin..end], &lists.reach[begin..end]);
-    let corner = [rect.x0 as f32 + 0.5, rect.y0 as f32 + 0.5];
     let mut pixels = Pixels::new(rect);
-    let mut last = [0u32; TILE * TILE];
-    // SAFETY: the caller's promise.
+    let mut rows = 0;
+    let mut last = Aligned([0.0; PIXELS]);
+    let mut groups = Groups::new();
+    // SAFETY: the caller's promise; a group is in a row, so in `COLUMNS` from its column on, and
+    // checked to be in the tile.
     unsafe {
-        let columns = L::load(&COLUMNS);
         let (zero, cut) = (L::splat(0.0), L::splat(settings.alpha_cut));
         let (most, stop) = (L::splat(settings.alpha_max), L::splat(settings.stop_above()));
         for (entry, (&row, &reach)) in entries.iter().zip(reach).enumerate() {
@@ -226,79 +201,59 @@ unsafe fn run<L: Lanes, V: TileVisitor>(
                 prefetch(&splats[ahead as usize]);
                 visitor.soon(ahead);
             }
-            let mut rows = pixels.rows & reached(reach);
-            if rows == 0 {
-                if pixels.rows == 0 {
+            if entry % LOOK == 0 {
+                rows = pixels.live_rows::<L>();
+                if rows == 0 {
                     break;
                 }
+            }
+            let reached = rows & reached(reach);
+            if reached == 0 {
                 continue;
             }
-            let splat = splats[row as usize];
-            let dx = L::splat(splat.mean[0] - corner[0]).sub(columns);
-            let along = L::splat(splat.conic[0]).mul(dx).mul(dx);
-            let opacity = L::splat(splat.opacity);
+            let splat = splats[row as usize].seen_from(rect);
+            groups.find(&splat, reached, L::COUNT);
             visitor.enter(entry as u32, row);
-            while rows != 0 {
-                let r = rows.trailing_zeros() as usize;
-                rows &= rows - 1;
-                let dy = splat.mean[1] - (corner[1] + r as f32);
-                let flat = along.add(L::splat(splat.conic[2] * dy * dy));
-                let power = zero.min(dx.fma(L::splat(splat.conic[1] * dy), flat));
-                let full = opacity.mul(power.exp2());
+            let across = L::splat(splat.across);
+            while let Some(at) = groups.next(L::COUNT) {
+                let (r, x) = (at / TILE, at % TILE);
+                assert!(r < TILE && x + L::COUNT <= TILE);
+                let dx = L::load(COLUMNS.as_ptr().add(x)).sub(L::splat(groups.middle[r]));
+                let full = across.mul(dx).fma(dx, L::splat(groups.top[r])).exp2();
                 let alpha = full.min(most);
-                let before = L::load(&pixels.live[r]);
+                let light = pixels.0.0.as_mut_ptr().add(at);
+                let signed = L::load(light);
+                let before = signed.max(zero);
                 let weight = alpha.mul(before);
                 let after = before.sub(weight);
-                let counts = full.ge(cut);
-                let take = L::and(counts, after.gt(stop));
-                let ends = L::bits(L::and_not(L::and(counts, before.gt(zero)), take));
-                if L::bits(take) != 0 {
-                    L::select(take, after, before).store(&mut pixels.live[r]);
-                    let mut weights = Aligned([0.0; TILE]);
-                    let mut alphas = Aligned([0.0; TILE]);
-                    let mut earlier = Aligned([0.0; TILE]);
-                    L::select(take, weight, zero).store(&mut weights.0);
-                    alpha.store(&mut alphas.0);
-                    before.store(&mut earlier.0);
-                    if V::LAST {
-                        for x in 0..TILE {
-                            let at = &mut last[r * TILE + x];
-                            *at = if weights.0[x] > 0.0 { entry as u32 + 1 } else { *at };
-                        }
-                    }
-                    let span = Span { weights: &weights.0, alphas: &alphas.0, before: &earlier.0 };
-                    visitor.span(entry as u32, row, rect.y0 + r as u32, rect.x0, span);
+                let counts = L::both(full.at_least(cut), signed.above(zero));
+                let take = L::both(counts, after.above(stop));
+                // Those that count and are not taken stop.
+                after.or_else(take, signed.negate(counts)).store(light);
+                let mut weights = Aligned([0.0; SPAN]);
+                let mut alphas = Aligned([0.0; SPAN]);
+                let mut earlier = Aligned([0.0; SPAN]);
+                weight.keep(take).store(weights.0.as_mut_ptr());
+                alpha.store(alphas.0.as_mut_ptr());
+                before.store(earlier.0.as_mut_ptr());
+                if V::LAST {
+                    // The number's bits: blending does not look at them.
+                    let (place, last) =
+                        (f32::from_bits(entry as u32 + 1), last.0.as_mut_ptr().add(at));
+                    L::splat(place).or_else(take, L::load(last)).store(last);
                 }
-                if ends != 0 {
-                    pixels.stop(r, ends);
-                }
+                let [weights, alphas, before] =
+                    [&weights.0, &alphas.0, &earlier.0].map(|v| &v[..L::COUNT]);
+                visitor.span(entry as u32, row, Span { at, weights, alphas, before });
             }
             visitor.leave(entry as u32, row);
         }
     }
-    visitor.finish(&pixels.transmittance(), &last)
-}
-
-/// A register in memory.
-#[repr(align(64))]
-struct Aligned([f32; TILE]);
-
-/// The rows of [`TileLists::reach`] as bits.
-#[inline(always)]
-fn reached(reach: u8) -> u32 {
-    let (first, last) = (reach & 15, reach >> 4);
-    (2 << last) - (1 << first)
-}
-
-/// Asks for a cache line that will be read soon.
-#[inline(always)]
-pub fn prefetch<T>(value: &T) {
-    #[cfg(target_arch = "x86_64")]
-    // SAFETY: the instruction is part of every x86-64, and a reference is a valid address.
-    unsafe {
-        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
-        _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(value).cast());
+    let mut light = [0.0; PIXELS];
+    let mut places = [0; PIXELS];
+    for i in 0..PIXELS {
+        light[i] = pixels.0.0[i].abs();
+        places[i] = last.0[i].to_bits();
     }
-    #[cfg(not(target_arch = "x86_64"))]
-    let _ = value;
+    visitor.finish(&light, &places)
 }

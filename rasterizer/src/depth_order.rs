@@ -15,10 +15,13 @@ pub(crate) fn depth_order(depth: &[f32]) -> Vec<u32> {
     let key = |(row, d): (usize, &f32)| u64::from(d.to_bits()) << 32 | row as u64;
     let mut from: Vec<u64> =
         depth.par_iter().with_min_len(MIN_CHUNK).enumerate().map(key).collect();
-    let bits = |pick: fn(f32, f32) -> f32| depth.iter().copied().reduce(pick).map(f32::to_bits);
-    let (Some(low), Some(high)) = (bits(f32::min), bits(f32::max)) else { return Vec::new() };
+    // Where no bit differs from the first, none has to be sorted by.
+    let Some(first) = depth.first().map(|d| d.to_bits()) else { return Vec::new() };
+    let differs = |d: &f32| d.to_bits() ^ first;
+    let differing =
+        depth.par_iter().with_min_len(MIN_CHUNK).map(differs).reduce(|| 0, |a, b| a | b);
     // Above the highest bit that differs all keys are the same.
-    let used = 32 - (low ^ high).leading_zeros();
+    let used = 32 - differing.leading_zeros();
     let passes = used.div_ceil(DIGIT_BITS);
     let mut to = vec![0; from.len()];
     for pass in 0..passes {

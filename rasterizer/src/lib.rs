@@ -36,11 +36,12 @@ pub mod render;
 pub mod segments;
 pub mod settings;
 pub mod spherical_harmonics;
+mod splats;
 pub mod tiles;
 pub mod view;
 mod visitors;
 
-pub use blend::{Span, TILE, TileRect, TileVisitor, blend};
+pub use blend::{SPAN, Span, TILE, TileRect, TileVisitor, blend};
 pub use error::RasterError;
 pub use gaussians::Gaussians;
 pub use plan::{Bound, Decision, Gradients, PlanError, PlanRequest, Prepared, RenderPlan};

@@ -1,6 +1,7 @@
 //! What is in a scene that a renderer could leave out: one parallel look at its values.
 
 use crate::Gaussians;
+use crate::isa::with_isa;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -72,8 +73,8 @@ pub struct SceneProfile {
 impl SceneProfile {
     /// Looks at every Gaussian once.
     ///
-    /// The harmonics are most of the bytes of a scene. A probe of 4096 evenly spread rows comes
-    /// first; if one of them needs every band, the others need not be read.
+    /// The harmonics are most of the bytes of a scene. A probe of up to 4096 evenly spread rows comes
+    /// first; as soon as one of them needs every band, the others need not be read.
     ///
     /// # Errors
     /// If the arrays do not have one row per Gaussian, as [`Gaussians::check`].
@@ -131,46 +132,14 @@ impl Default for Found {
 impl Found {
     fn of(gaussians: &Gaussians, rows: std::ops::Range<usize>) -> Self {
         let mut found = Self::default();
-        for i in rows {
-            found.add(
-                gaussians.means[i],
-                gaussians.quats[i],
-                gaussians.scales[i],
-                gaussians.opacities[i],
-            );
-        }
+        let isa = scenesplat_kernels::simd::Isa::current();
+        let (means, quats) = (&gaussians.means[rows.clone()], &gaussians.quats[rows.clone()]);
+        let (scales, opacities) = (&gaussians.scales[rows.clone()], &gaussians.opacities[rows]);
+        with_isa!(isa, add_rows(
+            found: &mut Found, means: &[[f32; 3]], quats: &[[f32; 4]], scales: &[[f32; 3]],
+            opacities: &[f32],
+        ) -> (); &mut found, means, quats, scales, opacities);
         found
-    }
-
-    #[inline(always)]
-    fn add(&mut self, mean: [f32; 3], quat: [f32; 4], scale: [f32; 3], opacity: f32) {
-        // Finite numbers times 0 are 0; everything else is NaN.
-        let zero: f32 = mean.iter().chain(&quat).chain(&scale).map(|v| v * 0.0).sum();
-        if zero + opacity * 0.0 != 0.0 {
-            self.not_finite += 1;
-            return;
-        }
-        if opacity < FAINT {
-            self.faint += 1;
-            return;
-        }
-        let [w, x, y, z] = quat;
-        let norm = w * w + x * x + y * y + z * z;
-        self.no_direction += usize::from(norm < MIN_QUAT);
-        self.unrotated += usize::from(x == 0.0 && y == 0.0 && z == 0.0);
-        self.quat_off_unit = self.quat_off_unit.max((norm - 1.0).abs());
-        let [a, b, c] = scale.map(f32::abs);
-        let (low, high) = (a.min(b).min(c), a.max(b).max(c));
-        // Zero scales are equal to each other.
-        let excess = if high == low { 0.0 } else { (high - low) / low };
-        self.anisotropy = self.anisotropy.max(excess);
-        self.scale_min = self.scale_min.min(low);
-        self.scale_max = self.scale_max.max(high);
-        // The exponent of a float is its octave.
-        let octave = (high.to_bits() >> 23) as i32 - 127;
-        self.scale_histogram[(octave + 24).clamp(0, 31) as usize] += 1;
-        self.opacity_max = self.opacity_max.max(opacity);
-        self.opacity_histogram[((opacity * 10.0) as usize).min(9)] += 1;
     }
 
     fn join(mut self, other: &Self) -> Self {
@@ -212,6 +181,140 @@ impl Found {
     }
 }
 
+/// Rows looked at side by side.
+const LANES: usize = 16;
+/// Bits of a row's kind.
+const COUNTS: u32 = 1;
+const NOT_FINITE: u32 = 2;
+const NO_DIRECTION: u32 = 4;
+const UNROTATED: u32 = 8;
+
+/// What can be said of rows without branches.
+#[derive(Default)]
+struct SixteenRows {
+    kind: [u32; LANES],
+    /// Largest scale.
+    largest: [f32; LANES],
+}
+
+impl SixteenRows {
+    #[inline(always)]
+    fn look(
+        &mut self,
+        most: &mut Extremes,
+        means: &[[f32; 3]],
+        quats: &[[f32; 4]],
+        scales: &[[f32; 3]],
+        opacities: &[f32],
+    ) {
+        for i in 0..LANES {
+            let ([x, y, z], [qw, qx, qy, qz]) = (means[i], quats[i]);
+            let ([a, b, c], opacity) = (scales[i], opacities[i]);
+            // Finite numbers times 0 are 0; everything else is NaN.
+            let centre = 0.0 * x + 0.0 * y + 0.0 * z;
+            let turn = 0.0 * qw + 0.0 * qx + 0.0 * qy + 0.0 * qz;
+            let size = 0.0 * a + 0.0 * b + 0.0 * c;
+            let finite = (centre + turn + size) + 0.0 * opacity == 0.0;
+            let counts = finite & (opacity >= FAINT);
+            let norm = qw * qw + qx * qx + qy * qy + qz * qz;
+            let [a, b, c] = [a.abs(), b.abs(), c.abs()];
+            let smaller = |a: f32, b: f32| if a < b { a } else { b };
+            let larger = |a: f32, b: f32| if a > b { a } else { b };
+            let (low, top) = (smaller(smaller(a, b), c), larger(larger(a, b), c));
+            // Zero scales are equal to each other.
+            let excess = if top == low { 0.0 } else { (top - low) / low };
+            let only = |v: f32| if counts { v } else { 0.0 };
+            let off = only((norm - 1.0).abs());
+            most.quat_off_unit[i] = larger(off, most.quat_off_unit[i]);
+            most.anisotropy[i] = larger(only(excess), most.anisotropy[i]);
+            most.scale_max[i] = larger(only(top), most.scale_max[i]);
+            most.opacity_max[i] = larger(only(opacity), most.opacity_max[i]);
+            let least = if counts { low } else { f32::INFINITY };
+            most.scale_min[i] = smaller(least, most.scale_min[i]);
+            self.largest[i] = top;
+            let still = (qx == 0.0) & (qy == 0.0) & (qz == 0.0);
+            let bit = |is: bool, bit: u32| if is { bit } else { 0 };
+            self.kind[i] = bit(counts, COUNTS)
+                | bit(!finite, NOT_FINITE)
+                | bit(norm < MIN_QUAT, NO_DIRECTION)
+                | bit(still, UNROTATED);
+        }
+    }
+}
+
+/// Looks at some rows.
+#[inline(always)]
+fn add_rows(
+    found: &mut Found,
+    means: &[[f32; 3]],
+    quats: &[[f32; 4]],
+    scales: &[[f32; 3]],
+    opacities: &[f32],
+) {
+    let mut most = Extremes::default();
+    let blocks = means.chunks(LANES).zip(quats.chunks(LANES)).zip(scales.chunks(LANES));
+    for (((means, quats), scales), opacities) in blocks.zip(opacities.chunks(LANES)) {
+        let n = opacities.len();
+        let mut rows = SixteenRows::default();
+        if n == LANES {
+            // A length that the compiler knows.
+            rows.look(&mut most, &means[..LANES], &quats[..LANES], &scales[..LANES], opacities);
+        } else {
+            let (mut m, mut q) = ([[0.0; 3]; LANES], [[0.0; 4]; LANES]);
+            let (mut s, mut o) = ([[0.0; 3]; LANES], [0.0; LANES]);
+            m[..n].copy_from_slice(means);
+            q[..n].copy_from_slice(quats);
+            s[..n].copy_from_slice(scales);
+            o[..n].copy_from_slice(opacities);
+            rows.look(&mut most, &m, &q, &s, &o);
+        }
+        for i in 0..n {
+            let kind = rows.kind[i];
+            if kind & COUNTS == 0 {
+                let lost = kind & NOT_FINITE > 0;
+                *if lost { &mut found.not_finite } else { &mut found.faint } += 1;
+                continue;
+            }
+            found.no_direction += usize::from(kind & NO_DIRECTION > 0);
+            found.unrotated += usize::from(kind & UNROTATED > 0);
+            // The exponent of a float is its octave.
+            let octave = (rows.largest[i].to_bits() >> 23) as i32 - 127;
+            found.scale_histogram[(octave + 24).clamp(0, 31) as usize] += 1;
+            found.opacity_histogram[((opacities[i] * 10.0) as usize).min(9)] += 1;
+        }
+    }
+    for k in 0..LANES {
+        found.quat_off_unit = found.quat_off_unit.max(most.quat_off_unit[k]);
+        found.anisotropy = found.anisotropy.max(most.anisotropy[k]);
+        found.scale_max = found.scale_max.max(most.scale_max[k]);
+        found.opacity_max = found.opacity_max.max(most.opacity_max[k]);
+        found.scale_min = found.scale_min.min(most.scale_min[k]);
+    }
+}
+
+/// The extremes of [`Found`], side by side.
+struct Extremes {
+    quat_off_unit: [f32; LANES],
+    anisotropy: [f32; LANES],
+    scale_min: [f32; LANES],
+    scale_max: [f32; LANES],
+    opacity_max: [f32; LANES],
+}
+
+impl Default for Extremes {
+    fn default() -> Self {
+        let none = [0.0; LANES];
+        let scale_min = [f32::INFINITY; LANES];
+        Self {
+            quat_off_unit: none,
+            anisotropy: none,
+            scale_min,
+            scale_max: none,
+            opacity_max: none,
+        }
+    }
+}
+
 /// Largest tails of a set of rows, and the row of the longest.
 #[derive(Clone, Copy, Default)]
 struct Tails {
@@ -245,14 +348,16 @@ fn scan_harmonics(gaussians: &Gaussians) -> HarmonicsProfile {
     if degree == 0 || n == 0 {
         return profile(Tails::default(), n);
     }
-    let step = (n / PROBE).max(1);
+    let step = n.div_ceil(PROBE).max(1);
     let mut probe = Tails::default();
-    for i in (0..n).step_by(step).filter(|&i| gaussians.opacities[i] >= FAINT) {
-        probe.add(i as u32, tails(gaussians, i));
-    }
-    // The last band by itself already counts: nothing can be left out, whatever the others say.
-    if probe.tail[usize::from(degree) - 1] >= crate::plan::HARMONICS_LIMIT {
-        return profile(probe, n.div_ceil(step));
+    for (looked_at, i) in (0..n).step_by(step).enumerate() {
+        if gaussians.opacities[i] >= FAINT {
+            probe.add(i as u32, tails(gaussians, i));
+        }
+        // The last band by itself counts: nothing can be left out, whatever the others say.
+        if probe.tail[usize::from(degree) - 1] >= crate::plan::HARMONICS_LIMIT {
+            return profile(probe, looked_at + 1);
+        }
     }
     let blocks: Vec<Tails> = (0..n.div_ceil(BLOCK))
         .into_par_iter()
@@ -273,6 +378,10 @@ fn scan_harmonics(gaussians: &Gaussians) -> HarmonicsProfile {
 fn tails(gaussians: &Gaussians, i: usize) -> [f32; 4] {
     let width = 3 * gaussians.sh_len();
     let higher = &gaussians.sh[i * width + 3..(i + 1) * width];
+    // Bands that a file has and nobody trained are all 0, of either sign.
+    if higher.iter().fold(0, |any, c| any | c.to_bits() << 1) == 0 {
+        return [0.0; 4];
+    }
     let mut bands = [[0f32; 3]; 4];
     for (k, (coefficient, most)) in higher.as_chunks::<3>().0.iter().zip(BASIS_MAX).enumerate() {
         let band = if k < 3 { 1 } else { 2 + usize::from(k >= 8) };

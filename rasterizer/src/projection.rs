@@ -1,7 +1,11 @@
 //! From Gaussians of the world to ellipses of a picture.
 
+mod footprints;
+
 use crate::isa::with_isa;
-use crate::{ExtentRule, Gaussians, RasterError, RasterSettings, TILE, View};
+use crate::{Gaussians, RasterError, RasterSettings, TILE, View};
+use footprints::{Lens, project_rows};
+pub(crate) use footprints::{cross, dot, rotation, tangent_limits};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -9,10 +13,6 @@ use std::ops::Range;
 const CHUNK: usize = 4096;
 /// Most entries of all tile lists: 2.5 GiB, and twice that while they are made.
 const MAX_PAIRS: usize = 1 << 29;
-/// Squared norm below which a quaternion has no direction.
-const MIN_QUAT: f32 = 1e-12;
-/// Ellipses end at this many standard deviations at most: beyond it even opacity 1 is below 1/255.
-const MAX_SIGMA: f32 = 3.33;
 
 /// Gaussians that were not drawn, by the first reason that applied.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -92,7 +92,7 @@ impl Projected {
                 .iter()
                 .map(move |e| {
                     // Casts saturate. One more tile for each end, one for rounding.
-                    (e[k] * (2.0 / TILE as f32)) as usize + 3
+                    ((e[k] * (2.0 / TILE as f32)) as usize).saturating_add(3)
                 })
                 .map(move |tiles| tiles.min(most))
         };
@@ -101,11 +101,12 @@ impl Projected {
 
     /// Takes out the rows whose colour is not finite, and counts them.
     pub(crate) fn drop_bad_colours(&mut self, colours: &mut Vec<[f32; 3]>) {
-        let keep: Vec<bool> = colours.iter().map(|c| c.iter().all(|v| v.is_finite())).collect();
-        let bad = keep.iter().filter(|&&k| !k).count();
-        if bad == 0 {
+        let good = |c: &[f32; 3]| c.iter().all(|v| v.is_finite());
+        if colours.par_iter().with_min_len(CHUNK).all(good) {
             return;
         }
+        let keep: Vec<bool> = colours.iter().map(good).collect();
+        let bad = keep.iter().filter(|&&k| !k).count();
         self.culled.colour += bad;
         retain(&mut self.index, &keep);
         retain(&mut self.mean2d, &keep);
@@ -119,55 +120,55 @@ impl Projected {
         retain(colours, &keep);
     }
 
-    #[inline(always)]
-    fn push(&mut self, index: u32, row: &Row) {
-        self.index.push(index);
-        self.mean2d.push(row.mean2d);
-        self.depth.push(row.depth);
-        self.conic.push(row.conic);
-        self.opacity.push(row.opacity);
-        self.compensation.push(row.compensation);
-        self.variance.push(row.variance);
-        self.level.push(row.level);
-        self.half_extent.push(row.half_extent);
+    /// All parts, one after the other.
+    fn joined(parts: &[Self]) -> Self {
+        let mut culled = CullCounts::default();
+        for part in parts {
+            let o = part.culled;
+            culled.not_finite += o.not_finite;
+            culled.zero_quat += o.zero_quat;
+            culled.depth += o.depth;
+            culled.overflow += o.overflow;
+            culled.opacity += o.opacity;
+            culled.outside += o.outside;
+            culled.colour += o.colour;
+        }
+        Self {
+            index: join(parts, |p| &p.index),
+            mean2d: join(parts, |p| &p.mean2d),
+            depth: join(parts, |p| &p.depth),
+            conic: join(parts, |p| &p.conic),
+            opacity: join(parts, |p| &p.opacity),
+            compensation: join(parts, |p| &p.compensation),
+            variance: join(parts, |p| &p.variance),
+            level: join(parts, |p| &p.level),
+            half_extent: join(parts, |p| &p.half_extent),
+            culled,
+        }
     }
+}
 
-    fn append(&mut self, mut other: Self) {
-        self.index.append(&mut other.index);
-        self.mean2d.append(&mut other.mean2d);
-        self.depth.append(&mut other.depth);
-        self.conic.append(&mut other.conic);
-        self.opacity.append(&mut other.opacity);
-        self.compensation.append(&mut other.compensation);
-        self.variance.append(&mut other.variance);
-        self.level.append(&mut other.level);
-        self.half_extent.append(&mut other.half_extent);
-        let (c, o) = (&mut self.culled, other.culled);
-        c.not_finite += o.not_finite;
-        c.zero_quat += o.zero_quat;
-        c.depth += o.depth;
-        c.overflow += o.overflow;
-        c.opacity += o.opacity;
-        c.outside += o.outside;
-        c.colour += o.colour;
+/// One column of all parts. Many threads copy, as fresh memory takes longer than the copy.
+fn join<T: Copy + Default + Send + Sync>(
+    parts: &[Projected],
+    column: impl Fn(&Projected) -> &Vec<T>,
+) -> Vec<T> {
+    let mut out = vec![T::default(); parts.iter().map(Projected::len).sum()];
+    let mut rest = &mut out[..];
+    let mut copies = Vec::with_capacity(parts.len());
+    for part in parts {
+        let from = column(part);
+        let (to, tail) = std::mem::take(&mut rest).split_at_mut(from.len());
+        copies.push((to, from));
+        rest = tail;
     }
+    copies.into_par_iter().with_min_len(4).for_each(|(to, from)| to.copy_from_slice(from));
+    out
 }
 
 fn retain<T>(values: &mut Vec<T>, keep: &[bool]) {
     let mut keep = keep.iter();
     values.retain(|_| keep.next().is_some_and(|&k| k));
-}
-
-/// One row of [`Projected`].
-struct Row {
-    mean2d: [f32; 2],
-    depth: f32,
-    conic: [f32; 3],
-    opacity: f32,
-    compensation: f32,
-    variance: [f32; 2],
-    level: f32,
-    half_extent: [f32; 2],
 }
 
 /// Projects all Gaussians and keeps those that can touch the picture.
@@ -201,205 +202,10 @@ pub fn project(
     };
     let chunks: Vec<Projected> =
         (0..gaussians.len().div_ceil(CHUNK)).into_par_iter().map(chunk).collect();
-    let mut all = Projected::with_capacity(chunks.iter().map(Projected::len).sum());
-    let mut boxes = 0;
-    for chunk in chunks {
-        boxes += chunk.boxes(view);
-        all.append(chunk);
-    }
+    let boxes = chunks.par_iter().map(|chunk| chunk.boxes(view)).sum::<usize>();
     if boxes > MAX_PAIRS {
         let what = "Gaussians in tiles";
         return Err(RasterError::TooMany { what, count: boxes, limit: MAX_PAIRS });
     }
-    Ok(all)
-}
-
-#[inline(always)]
-fn project_rows(lens: &Lens<'_>, gaussians: &Gaussians, rows: Range<usize>) -> Projected {
-    let mut out = Projected::with_capacity(rows.len());
-    for i in rows {
-        if let Some(row) = lens.project(gaussians, i, &mut out.culled) {
-            out.push(i as u32, &row);
-        }
-    }
-    out
-}
-
-/// A view and settings with everything that does not depend on the Gaussian.
-struct Lens<'a> {
-    view: &'a View,
-    settings: &'a RasterSettings,
-    /// Lowest and highest tangent of the Jacobian, x and y.
-    tangents: [[f32; 2]; 2],
-    size: [f32; 2],
-}
-
-impl<'a> Lens<'a> {
-    fn new(view: &'a View, settings: &'a RasterSettings) -> Self {
-        let size = [view.width as f32, view.height as f32];
-        let limit = |f: f32, c: f32, size: f32| {
-            let half = size / (2.0 * f);
-            if settings.centred_tangents {
-                [-1.3 * half, 1.3 * half]
-            } else {
-                [-(c / f + 0.3 * half), (size - c) / f + 0.3 * half]
-            }
-        };
-        let tangents = [limit(view.fx, view.cx, size[0]), limit(view.fy, view.cy, size[1])];
-        Self { view, settings, tangents, size }
-    }
-
-    /// Whether the footprint is outside for any orientation; a bound that costs a fraction of the
-    /// footprint, for the many that are far outside. False when in doubt.
-    #[inline(always)]
-    fn far_outside(&self, scale: [f32; 3], [tx, ty]: [f32; 2], z: f32, mean: [f32; 2]) -> bool {
-        // The circle of other presets may be larger.
-        if self.settings.extent != ExtentRule::Ellipse || !self.settings.normalize_quats {
-            return false;
-        }
-        let scale = scale.iter().fold(0.0, |m: f32, s| m.max(s.abs()));
-        let radius = |f: f32, t: f32| {
-            let sigma = f / z * (1.0 + t * t).sqrt() * scale + self.settings.eps2d.sqrt();
-            // Radii are rounded up to whole pixels.
-            1.001 * MAX_SIGMA * sigma + 1.0
-        };
-        let beside = |k: usize, r: f32| mean[k] + r < 0.0 || mean[k] - r > self.size[k];
-        beside(0, radius(self.view.fx, tx)) || beside(1, radius(self.view.fy, ty))
-    }
-
-    #[inline(always)]
-    fn project(&self, gaussians: &Gaussians, i: usize, culled: &mut CullCounts) -> Option<Row> {
-        let (view, settings) = (self.view, self.settings);
-        let [x, y, z] = view.to_camera(gaussians.means[i]);
-        let near = if settings.near_excluded { z > settings.near } else { z >= settings.near };
-        if !(near && z <= settings.far) {
-            let lost = !gaussians.means[i].iter().all(|v| v.is_finite());
-            *if lost { &mut culled.not_finite } else { &mut culled.depth } += 1;
-            return None;
-        }
-        let inverse = 1.0 / z;
-        let tx = (x * inverse).max(self.tangents[0][0]).min(self.tangents[0][1]);
-        let ty = (y * inverse).max(self.tangents[1][0]).min(self.tangents[1][1]);
-        let mean2d = [view.fx * x / z + view.cx, view.fy * y / z + view.cy];
-        // `max` forgets a NaN, which has to be counted as such below.
-        let scale = gaussians.scales[i];
-        let finite = scale.iter().all(|v| v.is_finite());
-        if finite && self.far_outside(scale, [tx, ty], z, mean2d) {
-            culled.outside += 1;
-            return None;
-        }
-        let [r1, r2] = match self.rows(gaussians, i, [tx, ty], inverse) {
-            Ok(rows) => rows,
-            Err(Undrawn::NotFinite) => {
-                culled.not_finite += 1;
-                return None;
-            }
-            Err(Undrawn::ZeroQuat) => {
-                culled.zero_quat += 1;
-                return None;
-            }
-        };
-        let eps = settings.eps2d;
-        let (s11, s22, s12) = (dot(r1, r1), dot(r2, r2), dot(r1, r2));
-        let cross = cross(r1, r2);
-        let det_sharp = dot(cross, cross);
-        let det = det_sharp + eps * (s11 + s22) + eps * eps;
-        let (v11, v22) = (s11 + eps, s22 + eps);
-        if !(det > 0.0 && det.is_finite() && mean2d.iter().all(|v| v.is_finite())) {
-            culled.overflow += 1;
-            return None;
-        }
-        let compensation = if settings.antialiased {
-            (det_sharp / det).max(settings.antialias_floor * settings.antialias_floor).sqrt()
-        } else {
-            1.0
-        };
-        let opacity = gaussians.opacities[i].min(1.0) * compensation;
-        // `f32::min` takes the number if one side is NaN.
-        if gaussians.opacities[i].is_nan() || !(opacity >= settings.alpha_cut) {
-            culled.opacity += 1;
-            return None;
-        }
-        let level = (2.0 * (opacity / settings.alpha_cut).ln()).clamp(0.0, MAX_SIGMA * MAX_SIGMA);
-        let half_extent = match settings.extent {
-            ExtentRule::Ellipse => [(level * v11).sqrt(), (level * v22).sqrt()],
-            ExtentRule::Circle { sigma, floor } => {
-                let mean = 0.5 * (v11 + v22);
-                let longest = mean + (mean * mean - det).max(floor).sqrt();
-                [(sigma * longest.sqrt()).ceil(); 2]
-            }
-        };
-        let radius = half_extent.map(f32::ceil);
-        let inside = |k: usize| mean2d[k] + radius[k] > 0.0 && mean2d[k] - radius[k] < self.size[k];
-        if !(inside(0) && inside(1)) {
-            culled.outside += 1;
-            return None;
-        }
-        let inverse = 1.0 / det;
-        let conic = [v22 * inverse, -s12 * inverse, v11 * inverse];
-        let variance = [v11, v22];
-        Some(Row { mean2d, depth: z, conic, opacity, compensation, variance, level, half_extent })
-    }
-
-    /// The rows of `V = J R Q diag(s)`, from limited tangents and the inverse of the depth.
-    #[inline(always)]
-    fn rows(
-        &self,
-        gaussians: &Gaussians,
-        i: usize,
-        [tx, ty]: [f32; 2],
-        inverse: f32,
-    ) -> Result<[[f32; 3]; 2], Undrawn> {
-        let (view, settings) = (self.view, self.settings);
-        let (jx, jy) = (view.fx * inverse, view.fy * inverse);
-        let r = &view.world_to_camera;
-        let row = |j: f32, along: usize, t: f32| [0, 1, 2].map(|k| j * (r[along][k] - t * r[2][k]));
-        let (p1, p2) = (row(jx, 0, tx), row(jy, 1, ty));
-        let s = gaussians.scales[i];
-        if settings.isotropic {
-            let scale = |p: [f32; 3]| p.map(|v| v * s[0]);
-            let rows = [scale(p1), scale(p2)];
-            return if s[0].is_finite() { Ok(rows) } else { Err(Undrawn::NotFinite) };
-        }
-        let q = gaussians.quats[i];
-        let norm = q.iter().map(|v| v * v).sum::<f32>();
-        if !(norm.is_finite() && s.iter().all(|v| v.is_finite())) {
-            return Err(Undrawn::NotFinite);
-        }
-        if norm < MIN_QUAT {
-            return Err(Undrawn::ZeroQuat);
-        }
-        let unit = if settings.normalize_quats { 1.0 / norm.sqrt() } else { 1.0 };
-        let m = rotation(q.map(|v| v * unit));
-        let through = |p: [f32; 3]| {
-            [0, 1, 2].map(|k| s[k] * (p[0] * m[0][k] + p[1] * m[1][k] + p[2] * m[2][k]))
-        };
-        Ok([through(p1), through(p2)])
-    }
-}
-
-/// Why there are no rows.
-enum Undrawn {
-    NotFinite,
-    ZeroQuat,
-}
-
-/// The matrix of a quaternion `w, x, y, z` of norm 1.
-#[inline(always)]
-fn rotation([w, x, y, z]: [f32; 4]) -> [[f32; 3]; 3] {
-    [
-        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-    ]
-}
-
-#[inline(always)]
-fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-#[inline(always)]
-fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    Ok(Projected::joined(&chunks))
 }

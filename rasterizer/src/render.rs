@@ -214,6 +214,19 @@ pub fn render_features(
     Ok(picture)
 }
 
+/// The median depth of a view that is projected and listed already. `[H, W]`
+pub(crate) fn median_depth(
+    projected: &Projected,
+    lists: &TileLists,
+    view: &View,
+    settings: &RasterSettings,
+) -> Vec<f32> {
+    let depth = DepthRequest { median: true, ..DepthRequest::default() };
+    let request = RenderRequest { depth, ..RenderRequest::default() };
+    let scene = Scene { projected, lists, view, settings };
+    scene.render(&request, None, 0).depth_median.unwrap_or_default()
+}
+
 /// What the pixel loop reads.
 #[derive(Clone, Copy)]
 struct Scene<'a> {

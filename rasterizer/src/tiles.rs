@@ -1,8 +1,8 @@
 //! Which Gaussians each tile of 16×16 pixels draws, front to back.
 
-use crate::blend::prefetch;
 use crate::depth_order::{Shared, depth_order};
 use crate::isa::with_isa;
+use crate::splats::prefetch;
 use crate::{ExtentRule, Projected, RasterSettings, TILE, View};
 use rayon::prelude::*;
 
@@ -45,7 +45,9 @@ impl TileLists {
 /// Lists per tile the Gaussians that can reach one of its pixels.
 ///
 /// The lists are exact up to rounding margins: a Gaussian is listed where its ellipse `α ≥ cut` meets the
-/// rectangle of the tile's pixel centres. With [`ExtentRule::Circle`], where its square does.
+/// rectangle of the tile's pixel centres. With [`ExtentRule::Circle`], where its square meets the
+/// tile, and then all rows are in reach, as in the programs with that rule: pixels outside the
+/// square count if they are above the cut.
 pub fn tile_lists(projected: &Projected, view: &View, settings: &RasterSettings) -> TileLists {
     let (columns, rows) = view.tiles();
     let order = depth_order(&projected.depth);
@@ -142,16 +144,21 @@ fn each_tile(
     mut found: impl FnMut(usize, u8),
 ) {
     let side = TILE as u32;
-    let columns = view.tiles().0;
+    let (columns, rows) = view.tiles();
     let [u, v] = projected.mean2d[row];
     let [ex, ey] = projected.half_extent[row];
+    if rule != ExtentRule::Ellipse {
+        for tile_row in whole_tiles(v, ey, rows) {
+            for column in whole_tiles(u, ex, columns) {
+                found(tile_row * columns + column, 15 << 4);
+            }
+        }
+        return;
+    }
     let Some([x0, x1]) = centres(u - ex, u + ex, view.width) else { return };
     let Some([y0, y1]) = centres(v - ey, v + ey, view.height) else { return };
     let one_tile = x0 / side == x1 / side && y0 / side == y1 / side;
-    let ellipse = match rule {
-        ExtentRule::Ellipse if !one_tile => Some(Ellipse::new(projected, row)),
-        _ => None,
-    };
+    let ellipse = (!one_tile).then(|| Ellipse::new(projected, row));
     for column in x0 / side..=x1 / side {
         let [mut low, mut high] = [y0, y1];
         if let Some(ellipse) = &ellipse {
@@ -170,6 +177,16 @@ fn each_tile(
             found(tile_row as usize * columns + column as usize, (first | last << 4) as u8);
         }
     }
+}
+
+/// Tiles, of `count`, that what is at most `extent` from a centre meets.
+#[inline(always)]
+fn whole_tiles(centre: f32, extent: f32, count: usize) -> std::ops::Range<usize> {
+    let side = TILE as f32;
+    // Casts saturate; what is far outside ends at the border.
+    let first = (centre / side - extent / side).floor().max(0.0) as usize;
+    let end = (centre / side + extent / side).ceil().max(0.0) as usize;
+    first.min(count)..end.min(count)
 }
 
 /// First and last pixel whose centre is between two coordinates, with a margin for rounding.

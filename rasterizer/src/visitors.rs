@@ -2,7 +2,8 @@
 
 use crate::blend::prefetch;
 use crate::canvas::CanvasTile;
-use crate::{Span, TILE, TileVisitor};
+use crate::splats::Aligned;
+use crate::{SPAN, Span, TILE, TileVisitor};
 
 /// Pixels of a tile.
 const PIXELS: usize = TILE * TILE;
@@ -13,7 +14,7 @@ pub(crate) struct Nothing;
 impl TileVisitor for Nothing {
     type Output = ();
     #[inline(always)]
-    fn span(&mut self, _: u32, _: u32, _: u32, _: u32, _: Span<'_>) {}
+    fn span(&mut self, _: u32, _: u32, _: Span<'_>) {}
     #[inline(always)]
     fn finish(self, _: &[f32; PIXELS], _: &[u32; PIXELS]) {}
 }
@@ -32,9 +33,9 @@ impl<A: TileVisitor, B: TileVisitor> TileVisitor for (A, B) {
         self.1.enter(entry, row);
     }
     #[inline(always)]
-    fn span(&mut self, entry: u32, row: u32, y: u32, x: u32, span: Span<'_>) {
-        self.0.span(entry, row, y, x, span);
-        self.1.span(entry, row, y, x, span);
+    fn span(&mut self, entry: u32, row: u32, span: Span<'_>) {
+        self.0.span(entry, row, span);
+        self.1.span(entry, row, span);
     }
     #[inline(always)]
     fn leave(&mut self, entry: u32, row: u32) {
@@ -51,9 +52,8 @@ impl<A: TileVisitor, B: TileVisitor> TileVisitor for (A, B) {
 pub(crate) struct Colour<'a> {
     colours: &'a [[f32; 3]],
     background: Option<[f32; 3]>,
-    sums: [[f32; PIXELS]; 3],
+    sums: Aligned<[[f32; PIXELS]; 3]>,
     target: CanvasTile<'a>,
-    y0: u32,
 }
 
 impl<'a> Colour<'a> {
@@ -62,8 +62,7 @@ impl<'a> Colour<'a> {
         background: Option<[f32; 3]>,
         target: CanvasTile<'a>,
     ) -> Self {
-        let y0 = target.rect().y0;
-        Self { colours, background, sums: [[0.0; PIXELS]; 3], target, y0 }
+        Self { colours, background, sums: Aligned([[0.0; PIXELS]; 3]), target }
     }
 }
 
@@ -72,17 +71,19 @@ impl TileVisitor for Colour<'_> {
 
     #[inline(always)]
     fn soon(&self, row: u32) {
-        prefetch(&self.colours[row as usize]);
+        // Twelve bytes may be in two cache lines.
+        let [r, _, b] = &self.colours[row as usize];
+        prefetch(r);
+        prefetch(b);
     }
 
     #[inline(always)]
-    fn span(&mut self, _: u32, row: u32, y: u32, _: u32, span: Span<'_>) {
+    fn span(&mut self, _: u32, row: u32, span: Span<'_>) {
         let colour = self.colours[row as usize];
-        let line = (y - self.y0) as usize * TILE;
         for k in 0..3 {
-            let sums = &mut self.sums[k][line..line + TILE];
-            for x in 0..TILE {
-                sums[x] += span.weights[x] * colour[k];
+            let sums = &mut self.sums.0[k][span.at..span.at + span.weights.len()];
+            for (sum, weight) in sums.iter_mut().zip(span.weights) {
+                *sum += weight * colour[k];
             }
         }
     }
@@ -95,7 +96,7 @@ impl TileVisitor for Colour<'_> {
                 let at = r * TILE + x;
                 for k in 0..3 {
                     let behind = self.background.map_or(0.0, |b| transmittance[at] * b[k]);
-                    pixel[k] = self.sums[k][at] + behind;
+                    pixel[k] = self.sums.0[k][at] + behind;
                 }
             }
         }
@@ -105,15 +106,13 @@ impl TileVisitor for Colour<'_> {
 /// Depth: `Σ w z`, or the depth at which half of the light is gone.
 pub(crate) struct Depth<'a, const MEDIAN: bool> {
     depth: &'a [f32],
-    values: [f32; PIXELS],
+    values: Aligned<[f32; PIXELS]>,
     target: CanvasTile<'a>,
-    y0: u32,
 }
 
 impl<'a, const MEDIAN: bool> Depth<'a, MEDIAN> {
     pub(crate) fn new(depth: &'a [f32], target: CanvasTile<'a>) -> Self {
-        let y0 = target.rect().y0;
-        Self { depth, values: [0.0; PIXELS], target, y0 }
+        Self { depth, values: Aligned([0.0; PIXELS]), target }
     }
 }
 
@@ -126,16 +125,16 @@ impl<const MEDIAN: bool> TileVisitor for Depth<'_, MEDIAN> {
     }
 
     #[inline(always)]
-    fn span(&mut self, _: u32, row: u32, y: u32, _: u32, span: Span<'_>) {
+    fn span(&mut self, _: u32, row: u32, span: Span<'_>) {
         let z = self.depth[row as usize];
-        let line = (y - self.y0) as usize * TILE;
-        let values = &mut self.values[line..line + TILE];
-        for x in 0..TILE {
+        let count = span.weights.len();
+        let values = &mut self.values.0[span.at..span.at + count];
+        for i in 0..count {
             if MEDIAN {
-                let takes = span.weights[x] > 0.0 && span.before[x] > 0.5;
-                values[x] = if takes { z } else { values[x] };
+                let takes = span.weights[i] > 0.0 && span.before[i] > 0.5;
+                values[i] = if takes { z } else { values[i] };
             } else {
-                values[x] += span.weights[x] * z;
+                values[i] += span.weights[i] * z;
             }
         }
     }
@@ -143,7 +142,7 @@ impl<const MEDIAN: bool> TileVisitor for Depth<'_, MEDIAN> {
     fn finish(mut self, _: &[f32; PIXELS], _: &[u32; PIXELS]) {
         for r in 0..self.target.rect().height as usize {
             let out = self.target.row(r);
-            out.copy_from_slice(&self.values[r * TILE..r * TILE + out.len()]);
+            out.copy_from_slice(&self.values.0[r * TILE..r * TILE + out.len()]);
         }
     }
 }
@@ -164,7 +163,7 @@ impl<const LAST: bool> TileVisitor for Transmittance<'_, LAST> {
     const LAST: bool = LAST;
 
     #[inline(always)]
-    fn span(&mut self, _: u32, _: u32, _: u32, _: u32, _: Span<'_>) {}
+    fn span(&mut self, _: u32, _: u32, _: Span<'_>) {}
 
     fn finish(mut self, transmittance: &[f32; PIXELS], last: &[u32; PIXELS]) -> Vec<u32> {
         for r in 0..self.target.rect().height as usize {
@@ -178,16 +177,17 @@ impl<const LAST: bool> TileVisitor for Transmittance<'_, LAST> {
 /// Sum, maximum and number of the weights of each entry of the tile's list.
 pub(crate) struct Weights {
     entries: Vec<(f32, f32, u32)>,
-    /// Of the Gaussian at hand, per column: sums across a row are slow.
-    sum: [f32; TILE],
-    max: [f32; TILE],
-    count: [u32; TILE],
+    /// Of the Gaussian at hand, per place in a span: sums across one are slow.
+    sum: Aligned<[f32; SPAN]>,
+    max: Aligned<[f32; SPAN]>,
+    count: Aligned<[u32; SPAN]>,
 }
 
 impl Weights {
     pub(crate) fn new(entries: usize) -> Self {
         let entries = vec![(0.0, 0.0, 0); entries];
-        Self { entries, sum: [0.0; TILE], max: [0.0; TILE], count: [0; TILE] }
+        let (none, zero) = (Aligned([0.0; SPAN]), Aligned([0; SPAN]));
+        Self { entries, sum: none, max: none, count: zero }
     }
 }
 
@@ -196,23 +196,23 @@ impl TileVisitor for Weights {
 
     #[inline(always)]
     fn enter(&mut self, _: u32, _: u32) {
-        (self.sum, self.max, self.count) = ([0.0; TILE], [0.0; TILE], [0; TILE]);
+        let none = Aligned([0.0; SPAN]);
+        (self.sum, self.max, self.count) = (none, none, Aligned([0; SPAN]));
     }
 
     #[inline(always)]
-    fn span(&mut self, _: u32, _: u32, _: u32, _: u32, span: Span<'_>) {
-        for x in 0..TILE {
-            let w = span.weights[x];
-            self.sum[x] += w;
-            self.max[x] = if w > self.max[x] { w } else { self.max[x] };
-            self.count[x] += u32::from(w > 0.0);
+    fn span(&mut self, _: u32, _: u32, span: Span<'_>) {
+        for (i, &w) in span.weights.iter().enumerate() {
+            self.sum.0[i] += w;
+            self.max.0[i] = if w > self.max.0[i] { w } else { self.max.0[i] };
+            self.count.0[i] += u32::from(w > 0.0);
         }
     }
 
     #[inline(always)]
     fn leave(&mut self, entry: u32, _: u32) {
-        let max = self.max.iter().fold(0.0, |m: f32, &v| m.max(v));
-        self.entries[entry as usize] = (halves(self.sum), max, self.count.iter().sum());
+        let max = self.max.0.iter().fold(0.0, |m: f32, &v| m.max(v));
+        self.entries[entry as usize] = (halves(self.sum.0), max, self.count.0.iter().sum());
     }
 
     fn finish(self, _: &[f32; PIXELS], _: &[u32; PIXELS]) -> Self::Output {
@@ -222,7 +222,7 @@ impl TileVisitor for Weights {
 
 /// The sum, half added to half.
 #[inline(always)]
-fn halves(mut values: [f32; TILE]) -> f32 {
+fn halves(mut values: [f32; SPAN]) -> f32 {
     for half in [8, 4, 2, 1] {
         for x in 0..half {
             values[x] += values[x + half];
@@ -254,11 +254,11 @@ impl TileVisitor for Features<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn span(&mut self, _: u32, row: u32, y: u32, _: u32, span: Span<'_>) {
+    fn span(&mut self, _: u32, row: u32, span: Span<'_>) {
         let start = self.index[row as usize] as usize * self.dim;
         let feature = &self.features[start..start + self.dim];
-        let line = (y - self.target.rect().y0) as usize;
-        let pixels = self.target.row(line).chunks_exact_mut(self.dim);
+        let line = self.target.row(span.at / TILE);
+        let pixels = line.chunks_exact_mut(self.dim).skip(span.at % TILE);
         for (pixel, &w) in pixels.zip(span.weights) {
             if w > 0.0 {
                 for (p, f) in pixel.iter_mut().zip(feature) {

@@ -4,10 +4,11 @@
 //! over one after the other, each with its own `R`, and what they give is added. A group's
 //! records stay small however many channels there are, and its pixels stay in the first cache.
 
-use super::lanes::{LANES, Lanes};
-use super::pixels::{MOMENTS, PIXELS, Splat, alphas, row_last};
+use super::pixels::{MOMENTS, PIXELS, alphas, row_last, rows_behind};
 use super::reduce::{CHUNK, PairsOfRow, cut};
 use super::rows::{Pass, Sums};
+use crate::lanes::{LANES, Lanes8, Plain};
+use crate::splats::{Groups, Splat, reached};
 use crate::{TILE, TileRect};
 use rayon::prelude::*;
 use scenesplat_kernels::simd::Isa;
@@ -109,18 +110,19 @@ impl Group<'_> {
             }
         }
         // SAFETY: plain Rust.
-        unsafe { walk::<super::lanes::Plain>(self, &mut state, out) }
+        unsafe { walk::<Plain>(self, &mut state, out) }
     }
 }
 
 #[inline(always)]
-unsafe fn walk<V: Lanes>(group: &Group<'_>, state: &mut State, out: &mut [[f32; RECORD]]) {
+unsafe fn walk<V: Lanes8>(group: &Group<'_>, state: &mut State, out: &mut [[f32; RECORD]]) {
     let pass = group.pass;
     let (projected, lists) = (&pass.trace.projected, &pass.trace.lists);
     let Some(features) = pass.upstream.features else { return };
     let begin = lists.offsets[group.rect.tile];
     let (row_last, end) = row_last(&state.last);
     let geometry = pass.mask.geometry();
+    let mut groups = Groups::new();
     for entry in (0..end.min(out.len())).rev() {
         let row = lists.entries[begin + entry] as usize;
         let splat = group.splats[row].seen_from(group.rect);
@@ -128,12 +130,14 @@ unsafe fn walk<V: Lanes>(group: &Group<'_>, state: &mut State, out: &mut [[f32; 
         let mut values = [0.0f32; GROUP];
         values[..group.width].copy_from_slice(&features.features[at..at + group.width]);
         let record = &mut out[entry];
-        let reach = lists.reach[begin + entry];
-        for at in splat.spans(group.rect).groups(reach, &row_last, entry as f32).iter() {
-            let dy = splat.dy(group.rect, at / TILE);
+        let place = entry as f32;
+        let reached = reached(lists.reach[begin + entry]);
+        groups.find(&splat, reached & rows_behind(&row_last, place), LANES);
+        while let Some(at) = groups.next(LANES) {
+            let (dy, seen) = (groups.dy[at / TILE], (&splat, &groups));
             // SAFETY: the caller has made sure of the instruction set.
             let lanes = unsafe {
-                match alphas::<V, 0>(pass.settings, &splat, dy, &state.last, entry as f32, at) {
+                match alphas::<V, 0>(pass.settings, seen, &state.last, place, at) {
                     Some(here) => Lane::of(here),
                     None => continue,
                 }
@@ -159,7 +163,7 @@ impl Lane {
     /// # Safety
     /// On a CPU with the instruction set of `V`.
     #[inline(always)]
-    unsafe fn of<V: Lanes>(here: super::pixels::Alphas<V>) -> [Self; LANES] {
+    unsafe fn of<V: Lanes8>(here: super::pixels::Alphas<V>) -> [Self; LANES] {
         let mut lanes = [[0.0f32; LANES]; 5];
         // SAFETY: the caller's promise; each array has eight values.
         unsafe {

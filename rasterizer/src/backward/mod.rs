@@ -13,7 +13,6 @@
 mod features;
 mod gradients;
 mod harmonics;
-mod lanes;
 mod pixels;
 mod projection;
 mod reduce;

@@ -4,6 +4,8 @@
 //! a textbook derivation needs collapses: `Σ′⁻¹V = [ε r₁ + r₂×c ; ε r₂ + c×r₁] / det Σ′`, without the
 //! cancellation of `Σ′₂₂ r₁ − Σ′₁₂ r₂`. Neither `Σ` nor its gradient is ever formed.
 
+use crate::projection::{cross, dot, rotation};
+
 /// Gradients of what the projection gives, for one visible Gaussian.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct RowGradient {
@@ -61,16 +63,6 @@ pub(crate) struct ShapeGradient {
 type Vec3 = [f32; 3];
 type Mat3 = [[f32; 3]; 3];
 
-#[inline(always)]
-fn dot(a: Vec3, b: Vec3) -> f32 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-#[inline(always)]
-fn cross(a: Vec3, b: Vec3) -> Vec3 {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-}
-
 /// `x·a + y·b`
 #[inline(always)]
 fn combine(x: f32, a: Vec3, y: f32, b: Vec3) -> Vec3 {
@@ -86,15 +78,6 @@ fn transposed_times(m: &Mat3, v: Vec3) -> Vec3 {
 #[inline(always)]
 fn times(m: &Mat3, v: Vec3) -> Vec3 {
     m.map(|row| dot(row, v))
-}
-
-#[inline(always)]
-fn rotation([w, x, y, z]: [f32; 4]) -> Mat3 {
-    [
-        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-    ]
 }
 
 /// Gradient of the quaternion that [`rotation`] was given, from that of the matrix.

@@ -1,9 +1,11 @@
 //! The steps of a backward pass, and what goes from one to the next.
 
-use super::pixels::{MOMENTS, PIXELS, Pixels, Splat, Tile, walk};
+use super::pixels::{MOMENTS, PIXELS, Pixels, Tile, walk};
 use super::projection::{self, Lens, RowGradient, Shape};
 use super::reduce::{CHUNK, PairsOfRow, cut};
 use super::{BackwardError, GradMask, Gradients, Trace, Upstream, harmonics};
+use crate::projection::tangent_limits;
+use crate::splats::Splat;
 use crate::{Gaussians, RasterSettings, TILE, TileRect, View};
 use rayon::prelude::*;
 
@@ -268,21 +270,12 @@ impl<'a> Pass<'a> {
 /// The constants of the projection.
 fn lens(view: &View, settings: &RasterSettings) -> Lens {
     let [r0, r1, r2] = view.world_to_camera;
-    let limit = |f: f32, c: f32, size: u32| {
-        let size = size as f32;
-        let half = size / (2.0 * f);
-        if settings.centred_tangents {
-            [-1.3 * half, 1.3 * half]
-        } else {
-            [-(c / f + 0.3 * half), (size - c) / f + 0.3 * half]
-        }
-    };
     let floor = settings.antialias_floor;
     Lens {
         rotation: [r0, r1, r2].map(|[x, y, z, _]| [x, y, z]),
         translation: [r0[3], r1[3], r2[3]],
         focal: [view.fx, view.fy],
-        tangent: [limit(view.fx, view.cx, view.width), limit(view.fy, view.cy, view.height)],
+        tangent: tangent_limits(view, settings),
         eps2d: settings.eps2d,
         // As the forward pass rounds it, so that a factor at the floor is seen to be there.
         floor: settings.antialiased.then(|| (floor * floor).sqrt()),

@@ -1,7 +1,7 @@
 //! One feature from the labels of one Gaussian.
 
 use super::tables::SegmentTables;
-use super::vector::{Label, dot, squared_distance, weighted_sum};
+use super::vector::{Label, dot, scaled, squared_distance, squared_length, weighted_sum};
 
 /// How the labels of a Gaussian become one feature.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -68,13 +68,7 @@ impl Workspace {
     ) -> f64 {
         weighted_sum(tables, labels, &mut self.sum);
         let total: f64 = labels.iter().map(|&(_, w)| f64::from(w)).sum();
-        let mut square = 0.0;
-        for (out, sum) in out.iter_mut().zip(&self.sum) {
-            let mean = sum / total;
-            square += mean * mean;
-            *out = mean as f32;
-        }
-        square.sqrt().min(1.0)
+        (scaled(&self.sum, 1.0 / total, out)).sqrt().min(1.0)
     }
 
     /// The feature by a rule into `out`, not normalised; gives the length of the weighted mean.
@@ -111,9 +105,7 @@ impl Workspace {
                 self.reweighted.push((segment, weight));
             }
             weighted_sum(tables, &self.reweighted, &mut self.sum);
-            for (next, sum) in self.next.iter_mut().zip(&self.sum) {
-                *next = (sum / total) as f32;
-            }
+            scaled(&self.sum, 1.0 / total, &mut self.next);
             let moved = squared_distance(out, &self.next);
             out.copy_from_slice(&self.next);
             if moved < STILL {
@@ -161,13 +153,14 @@ impl Workspace {
 
 /// Divides by the length; `false` if there is none, and the vector is 0 then.
 pub(super) fn normalise(v: &mut [f32]) -> bool {
-    let norm = v.iter().map(|&x| f64::from(x) * f64::from(x)).sum::<f64>().sqrt();
+    let norm = squared_length(v).sqrt();
     // Labels that cancel out leave rounding errors, which are no feature.
     if norm < 1e-6 {
         v.fill(0.0);
         return false;
     }
-    v.iter_mut().for_each(|x| *x = (f64::from(*x) / norm) as f32);
+    let inverse = 1.0 / norm;
+    v.iter_mut().for_each(|x| *x = (f64::from(*x) * inverse) as f32);
     true
 }
 

@@ -2,7 +2,8 @@
 
 use super::tile_segments::{MAX_BITS, SegmentTuple, TileSegments};
 use super::view_weights::DepthBounds;
-use crate::{Span, TILE, TileVisitor};
+use crate::splats::Aligned;
+use crate::{SPAN, Span, TILE, TileVisitor};
 
 /// How much of a Gaussian a tile shows in one tuple of segments.
 #[derive(Debug, Clone, Copy)]
@@ -29,13 +30,12 @@ pub(super) struct TileSums {
 /// tuple, which is nowhere.
 pub(super) struct AlphaWeighted<'a, const DEPTH: bool> {
     segments: TileSegments,
-    sums: Vec<[f32; TILE]>,
+    sums: Vec<Aligned<[f32; SPAN]>>,
     weights: Vec<TileWeight>,
     /// Tuples that the Gaussian at hand met, as bits.
     met: u64,
     /// First and last row drawn of it, for a tile with more tuples than bits.
-    rows: (u32, u32),
-    y0: u32,
+    rows: (usize, usize),
     /// Depths of the Gaussians, by row of the projection.
     depth: &'a [f32],
     bounds: Option<Box<DepthBounds>>,
@@ -43,21 +43,19 @@ pub(super) struct AlphaWeighted<'a, const DEPTH: bool> {
 }
 
 impl<'a, const DEPTH: bool> AlphaWeighted<'a, DEPTH> {
-    /// For a tile from row `y0` on; room for `expected` sums.
+    /// With room for `expected` sums.
     pub(super) fn new(
         segments: TileSegments,
-        y0: u32,
         expected: usize,
         depth: &'a [f32],
         bounds: Option<Box<DepthBounds>>,
     ) -> Self {
         Self {
-            sums: vec![[0.0; TILE]; segments.tuples.len()],
+            sums: vec![Aligned([0.0; SPAN]); segments.tuples.len()],
             segments,
             weights: Vec::with_capacity(expected),
             met: 0,
-            rows: (u32::MAX, 0),
-            y0,
+            rows: (usize::MAX, 0),
             depth,
             bounds,
             z: 0.0,
@@ -71,33 +69,45 @@ impl<const DEPTH: bool> TileVisitor for AlphaWeighted<'_, DEPTH> {
     #[inline(always)]
     fn enter(&mut self, _entry: u32, row: u32) {
         self.met = 0;
-        self.rows = (u32::MAX, 0);
+        self.rows = (usize::MAX, 0);
         if DEPTH {
             self.z = self.depth[row as usize];
         }
     }
 
     #[inline(always)]
-    fn span(&mut self, _entry: u32, _row: u32, y: u32, _x: u32, span: Span<'_>) {
-        let r = y - self.y0;
+    fn span(&mut self, _entry: u32, _row: u32, span: Span<'_>) {
+        let (r, x) = (span.at / TILE, span.at % TILE);
+        let count = span.weights.len();
+        if !DEPTH && self.segments.tuples.len() == 1 {
+            // Most tiles: every pixel of the picture is in the one tuple, and the others weigh 0.
+            self.met = 1;
+            self.rows = (0, 0);
+            for (sum, weight) in self.sums[0].0.iter_mut().zip(span.weights) {
+                *sum += weight;
+            }
+            return;
+        }
         self.rows = (self.rows.0.min(r), r);
-        let mut weights = *span.weights;
+        let mut agreeing = [0.0; SPAN];
+        let mut weights = span.weights;
         if DEPTH && let Some(bounds) = &self.bounds {
-            let (low, high) = (&bounds.low[r as usize], &bounds.high[r as usize]);
-            let nowhere = &mut self.sums[0];
-            for i in 0..TILE {
+            let (low, high) = (&bounds.low[r][x..x + count], &bounds.high[r][x..x + count]);
+            let nowhere = &mut self.sums[0].0;
+            for i in 0..count {
                 let agrees = self.z >= low[i] && self.z <= high[i];
                 nowhere[i] += if agrees { 0.0 } else { weights[i] };
-                weights[i] = if agrees { weights[i] } else { 0.0 };
+                agreeing[i] = if agrees { weights[i] } else { 0.0 };
             }
+            weights = &agreeing[..count];
         }
-        let r = r as usize;
         self.met |= self.segments.bits[r];
         let parts = self.segments.starts[r] as usize..self.segments.starts[r + 1] as usize;
         for part in &self.segments.parts[parts] {
-            let sum = &mut self.sums[part.tuple as usize];
-            for i in 0..TILE {
-                sum[i] += weights[i] * part.mask[i];
+            let sum = &mut self.sums[part.tuple as usize].0;
+            let mask = &part.mask.0[x..x + count];
+            for i in 0..count {
+                sum[i] += weights[i] * mask[i];
             }
         }
     }
@@ -109,7 +119,7 @@ impl<const DEPTH: bool> TileVisitor for AlphaWeighted<'_, DEPTH> {
             return;
         }
         let mut flush = |tuple: u32| {
-            let weight = add_up(&mut self.sums[tuple as usize]);
+            let weight = add_up(&mut self.sums[tuple as usize].0);
             if weight > 0.0 {
                 self.weights.push(TileWeight { row, tuple, weight });
             }
@@ -127,7 +137,7 @@ impl<const DEPTH: bool> TileVisitor for AlphaWeighted<'_, DEPTH> {
         }
         let starts = &self.segments.starts;
         // A tuple of several rows is met again, with nothing left of it.
-        for part in starts[first as usize]..starts[last as usize + 1] {
+        for part in starts[first]..starts[last + 1] {
             flush(self.segments.parts[part as usize].tuple);
         }
     }
@@ -139,12 +149,12 @@ impl<const DEPTH: bool> TileVisitor for AlphaWeighted<'_, DEPTH> {
 
 /// The sum of sixteen sums, which are 0 afterwards.
 #[inline(always)]
-fn add_up(sums: &mut [f32; TILE]) -> f32 {
-    let mut half = [0.0; 8];
-    for i in 0..8 {
-        half[i] = sums[i] + sums[i + 8];
+fn add_up(sums: &mut [f32; SPAN]) -> f32 {
+    let mut half = [0.0; SPAN / 2];
+    for i in 0..SPAN / 2 {
+        half[i] = sums[i] + sums[i + SPAN / 2];
     }
-    *sums = [0.0; TILE];
+    *sums = [0.0; SPAN];
     let quarter = [half[0] + half[4], half[1] + half[5], half[2] + half[6], half[3] + half[7]];
     (quarter[0] + quarter[2]) + (quarter[1] + quarter[3])
 }

@@ -52,14 +52,14 @@ impl CentrePixels {
 pub(super) struct CentrePixel<'a> {
     pixels: &'a CentrePixels,
     rect: TileRect,
-    /// Row and column in the tile of the Gaussian at hand; a row beyond the tile if not in it.
-    at: (u32, usize),
+    /// Pixel of the tile of the Gaussian at hand, 16 per row; beyond the tile if not in it.
+    at: usize,
     weights: Vec<(u32, f32)>,
 }
 
 impl<'a> CentrePixel<'a> {
     pub(super) fn new(pixels: &'a CentrePixels, rect: TileRect) -> Self {
-        Self { pixels, rect, at: (NONE, 0), weights: Vec::new() }
+        Self { pixels, rect, at: TILE * TILE, weights: Vec::new() }
     }
 }
 
@@ -71,17 +71,21 @@ impl TileVisitor for CentrePixel<'_> {
     fn enter(&mut self, _entry: u32, row: u32) {
         let pixel = self.pixels.weight[row as usize];
         let x = (pixel & 0xFFFF).wrapping_sub(self.rect.x0);
-        let inside = pixel != NONE && x < self.rect.width;
-        self.at = if inside { (pixel >> 16, x as usize) } else { (NONE, 0) };
+        let y = (pixel >> 16).wrapping_sub(self.rect.y0);
+        let inside = pixel != NONE && x < self.rect.width && y < self.rect.height;
+        self.at = TILE * TILE;
+        if inside {
+            self.at = y as usize * TILE + x as usize;
+        }
     }
 
     #[inline(always)]
-    fn span(&mut self, _entry: u32, row: u32, y: u32, _x: u32, span: Span<'_>) {
-        if y == self.at.0 {
-            let weight = span.weights[self.at.1 % TILE];
-            if weight > 0.0 {
-                self.weights.push((row, weight));
-            }
+    fn span(&mut self, _entry: u32, row: u32, span: Span<'_>) {
+        let at = self.at.wrapping_sub(span.at);
+        if let Some(&weight) = span.weights.get(at)
+            && weight > 0.0
+        {
+            self.weights.push((row, weight));
         }
     }
 

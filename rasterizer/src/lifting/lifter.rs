@@ -5,9 +5,11 @@ use super::segment_map::SegmentMap;
 use super::spool::{SegmentWeight, WeightSpool};
 use super::tables::SegmentTables;
 use super::tile_segments::MAX_LEVELS;
-use super::view_weights::{DepthTolerance, LabelledView, LiftRule, ViewWeights, view_weights};
+use super::view_weights::{
+    DepthTolerance, LabelledView, LiftRule, ViewWeights, weights_with_own_depth,
+};
 use super::{Disagreement, LiftError};
-use crate::{DepthRequest, Gaussians, RasterSettings, RenderRequest, View, render};
+use crate::{Gaussians, RasterSettings, View};
 use std::path::PathBuf;
 
 /// Bytes of features that are in memory at a time.
@@ -230,18 +232,12 @@ impl<'a> Lifter<'a> {
         } else {
             picture.levels
         };
-        let rendered;
-        let depth = match (self.settings.depth, picture.depth) {
-            (None, _) => None,
-            (Some(tolerance), Some(depth)) => Some((depth, tolerance)),
-            (Some(tolerance), None) => {
-                rendered = self.median_depth(picture.view)?;
-                Some((&rendered[..], tolerance))
-            }
-        };
+        let measured = self.settings.depth.zip(picture.depth);
+        let depth = measured.map(|(tolerance, depth)| (depth, tolerance));
+        let own = if depth.is_none() { self.settings.depth } else { None };
         let labelled = LabelledView { view: picture.view, levels, depth };
         let LiftSettings { rule, raster, .. } = &self.settings;
-        let weights = view_weights(self.gaussians, &labelled, *rule, raster)?;
+        let weights = weights_with_own_depth(self.gaussians, &labelled, own, *rule, raster)?;
         let segments = picture.features.len() / dim;
         let (numbers, mut report) = self.number_segments(&weights, picture.features, segments)?;
         report.visible = weights.visible;
@@ -308,13 +304,6 @@ impl<'a> Lifter<'a> {
         let first = self.tables.push(&kept)?;
         place.iter_mut().flatten().for_each(|number| *number += first);
         Ok((place, report))
-    }
-
-    fn median_depth(&self, view: &View) -> Result<Vec<f32>, LiftError> {
-        let depth = DepthRequest { median: true, ..DepthRequest::default() };
-        let request = RenderRequest { depth, ..RenderRequest::default() };
-        let rendered = render(self.gaussians, view, &self.settings.raster, &request)?;
-        Ok(rendered.depth_median.unwrap_or_default())
     }
 
     fn spool(&mut self, level: usize) -> Result<&mut WeightSpool, LiftError> {

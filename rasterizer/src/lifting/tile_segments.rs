@@ -1,6 +1,7 @@
 //! The few segments of one tile, and which pixels belong to them.
 
 use super::segment_map::{NO_SEGMENT, SegmentMap};
+use crate::splats::Aligned;
 use crate::{TILE, TileRect};
 
 /// The most granularities of one pass.
@@ -18,7 +19,7 @@ pub(super) struct Part {
     /// Number of the tuple in the tile.
     pub(super) tuple: u32,
     /// 1 where the pixel belongs to it, else 0.
-    pub(super) mask: [f32; TILE],
+    pub(super) mask: Aligned<[f32; TILE]>,
 }
 
 /// What a tile holds of the maps. A tile has 256 pixels, so at most 256 tuples; mostly 1 to 5.
@@ -58,7 +59,7 @@ impl TileSegments {
                     _ => out.part(ids, first_part),
                 };
                 last = Some((ids, part));
-                out.parts[part].mask[c as usize] = 1.0;
+                out.parts[part].mask.0[c as usize] = 1.0;
             }
         }
         for start in &mut out.starts[rect.height as usize..] {
@@ -81,7 +82,7 @@ impl TileSegments {
         let known = self.parts[first_part..].iter().position(|p| p.tuple == tuple);
         known.map_or_else(
             || {
-                self.parts.push(Part { tuple, mask: [0.0; TILE] });
+                self.parts.push(Part { tuple, mask: Aligned([0.0; TILE]) });
                 self.parts.len() - 1
             },
             |i| first_part + i,

@@ -49,6 +49,16 @@ with_versions! {
 }
 
 with_versions! {
+    /// `sum · factor` into `out`, as long; gives the sum of the squares.
+    scaled = scaled_body(sum: &[f64], factor: f64, out: &mut [f32]) -> f64
+}
+
+with_versions! {
+    /// `Σ v²`, in f64.
+    squared_length = squared_length_body(v: &[f32]) -> f64
+}
+
+with_versions! {
     /// `Σ (a − b)²`.
     squared_distance = squared_distance_body(a: &[f32], b: &[f32]) -> f32
 }
@@ -86,6 +96,43 @@ fn weighted_sum_body<const FUSED: bool>(tables: &SegmentTables, labels: &[Label]
         }
         rest.iter_mut().zip(sum).for_each(|(out, sum)| *out += f64::from(sum));
     }
+}
+
+/// Sums of squares side by side: additions need not wait for each other.
+const SQUARES: usize = 16;
+
+#[inline(always)]
+fn scaled_body<const FUSED: bool>(sum: &[f64], factor: f64, out: &mut [f32]) -> f64 {
+    let mut squares = [0f64; SQUARES];
+    let one = |square: &mut f64, sum: &f64, out: &mut f32| {
+        let value = sum * factor;
+        *square += value * value;
+        *out = value as f32;
+    };
+    let (mut sums, mut outs) = (sum.chunks_exact(SQUARES), out.chunks_exact_mut(SQUARES));
+    for (sums, outs) in (&mut sums).zip(&mut outs) {
+        for i in 0..SQUARES {
+            one(&mut squares[i], &sums[i], &mut outs[i]);
+        }
+    }
+    let rest = sums.remainder().iter().zip(outs.into_remainder());
+    rest.zip(&mut squares).for_each(|((sum, out), square)| one(square, sum, out));
+    squares.iter().sum()
+}
+
+#[inline(always)]
+fn squared_length_body<const FUSED: bool>(v: &[f32]) -> f64 {
+    let mut squares = [0f64; SQUARES];
+    let mut blocks = v.chunks_exact(SQUARES);
+    for block in &mut blocks {
+        for i in 0..SQUARES {
+            squares[i] += f64::from(block[i]) * f64::from(block[i]);
+        }
+    }
+    for (square, x) in squares.iter_mut().zip(blocks.remainder()) {
+        *square += f64::from(*x) * f64::from(*x);
+    }
+    squares.iter().sum()
 }
 
 #[inline(always)]

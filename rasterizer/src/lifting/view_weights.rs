@@ -6,6 +6,7 @@ use super::centre_pixel::{CentrePixel, CentrePixels};
 use super::segment_map::{NO_SEGMENT, SegmentMap};
 use super::spool::SegmentWeight;
 use super::tile_segments::{MAX_LEVELS, NOWHERE, SegmentTuple, TileSegments};
+use crate::render::median_depth;
 use crate::{
     Gaussians, Projected, RasterSettings, TILE, TileLists, TileRect, View, blend, project,
     tile_lists,
@@ -125,10 +126,27 @@ pub fn view_weights(
     rule: LiftRule,
     settings: &RasterSettings,
 ) -> Result<ViewWeights, LiftError> {
+    weights_with_own_depth(gaussians, picture, None, rule, settings)
+}
+
+/// As [`view_weights`]; with `own`, the depth is the median depth of the picture itself.
+pub(super) fn weights_with_own_depth(
+    gaussians: &Gaussians,
+    picture: &LabelledView<'_>,
+    own: Option<DepthTolerance>,
+    rule: LiftRule,
+    settings: &RasterSettings,
+) -> Result<ViewWeights, LiftError> {
     check(picture)?;
     let projected = project(gaussians, picture.view, settings)?;
     let lists = tile_lists(&projected, picture.view, settings);
-    let pass = Pass { projected: &projected, lists: &lists, picture, settings };
+    let rendered;
+    let mut picture = *picture;
+    if let Some(tolerance) = own {
+        rendered = median_depth(&projected, &lists, picture.view, settings);
+        picture.depth = Some((&rendered, tolerance));
+    }
+    let pass = Pass { projected: &projected, lists: &lists, picture: &picture, settings };
     let mut out = match rule {
         LiftRule::AlphaWeighted => pass.alpha_weighted(),
         LiftRule::CentrePixel => pass.centre_pixel(),
@@ -183,7 +201,7 @@ impl Pass<'_> {
             let bounds = picture
                 .depth
                 .map(|(depth, tolerance)| DepthBounds::new(depth, tolerance, picture.view, rect));
-            AlphaWeighted::<DEPTH>::new(segments, rect.y0, expected, &projected.depth, bounds)
+            AlphaWeighted::<DEPTH>::new(segments, expected, &projected.depth, bounds)
         });
         self.merge(&sums)
     }

@@ -41,6 +41,56 @@ fn every_instruction_set() {
     }
 }
 
+/// Whole rows and groups of eight have to take the same pixels, with every rule.
+#[test]
+fn instruction_sets_agree_with_every_preset() {
+    let scene = random(300, 12);
+    let view = view(67, 45);
+    let low = RasterSettings { alpha_cut: 0.001, ..RasterSettings::default() };
+    for settings in [low, RasterSettings::gsplat_1_4(), RasterSettings::inria()] {
+        let [portable, avx2, avx512] = [Isa::Portable, Isa::Avx2, Isa::Avx512].map(|isa| {
+            let settings = RasterSettings { isa, ..settings };
+            render(&scene, &view, &settings, &everything()).unwrap()
+        });
+        let counts = &portable.contributions.as_ref().unwrap().count;
+        assert!(counts.iter().sum::<u32>() > 10_000);
+        for other in [avx2, avx512] {
+            let off = |a: &[f32], b: &[f32]| {
+                a.iter().zip(b).filter(|(a, b)| (*a - *b).abs() > 2e-5).count()
+            };
+            // A pixel on the cut may decide differently.
+            let rgb = off(portable.rgb.as_ref().unwrap(), other.rgb.as_ref().unwrap());
+            assert!(rgb <= 9, "{rgb} values differ: {settings:?}");
+            let pixels = counts.iter().zip(&other.contributions.as_ref().unwrap().count);
+            let pixels: u32 = pixels.map(|(a, b)| a.abs_diff(*b)).sum();
+            assert!(pixels <= 3, "{pixels} pixels were taken or left: {settings:?}");
+        }
+    }
+}
+
+/// A Gaussian of 3.95 pixels reaches 3.33 of them, 13.1 pixels; its square of 3σ 12. Tiles that the
+/// square meets are drawn to their end, others not at all.
+#[test]
+fn a_square_of_three_sigma_picks_whole_tiles() {
+    let camera = View { fx: 100.0, fy: 100.0, cx: 0.0, cy: 0.0, ..view(32, 32) };
+    // What the pixel of row y above column 3 has lost, of a Gaussian with its centre in row v.
+    let lost = |settings: RasterSettings, v: f32, y: usize| {
+        let scene = one([0.32, 0.1 * v, 10.0], 0.3912, 1.0);
+        let out = render(&scene, &camera, &settings, &RenderRequest::default()).unwrap();
+        let found = 1.0 - out.transmittance[32 * y + 3];
+        let d2 = (3.5 - 3.2f32).powi(2) + (y as f32 + 0.5 - v).powi(2);
+        (found, (-0.5 * d2 / 15.6).exp())
+    };
+    for settings in [RasterSettings::gsplat_1_4(), RasterSettings::inria()] {
+        let (found, full) = lost(settings, 3.2, 15);
+        assert!(full > 0.007 && (found - full).abs() < 1e-4, "in the tile: {found}, {full}");
+        let (found, full) = lost(settings, 3.9, 16);
+        assert!(full > 0.006 && found == 0.0, "in the next tile: {found}");
+    }
+    let (found, full) = lost(RasterSettings::default(), 3.9, 16);
+    assert!((found - full).abs() < 1e-4, "the ellipse ends at the cut: {found}, {full}");
+}
+
 #[test]
 fn order_of_the_rows_matters_only_among_equal_depths() {
     let mut scene = random(200, 13);

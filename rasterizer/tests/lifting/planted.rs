@@ -226,9 +226,8 @@ struct Heaviest {
 impl TileVisitor for Heaviest {
     type Output = (TileRect, [(f32, u32); TILE * TILE]);
 
-    fn span(&mut self, _entry: u32, row: u32, y: u32, _x: u32, span: Span<'_>) {
-        let start = (y - self.rect.y0) as usize * TILE;
-        for (best, &weight) in self.best[start..start + TILE].iter_mut().zip(span.weights) {
+    fn span(&mut self, _entry: u32, row: u32, span: Span<'_>) {
+        for (best, &weight) in self.best[span.at..].iter_mut().zip(span.weights) {
             if weight > best.0 {
                 *best = (weight, row);
             }
