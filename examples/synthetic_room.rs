@@ -37,8 +37,13 @@ fn main() -> anyhow::Result<()> {
     };
     let opacity: Vec<f32> = rows.clone().map(|row| f32::from(u8::from(is_shown(row)))).collect();
     let colors: Vec<[u8; 3]> = rows.map(|row| scene.color_u8(row)).collect();
-    let drawn =
-        PreviewRows { coord: &scene.coord, color: &colors, radius: &radius, opacity: &opacity };
+    let drawn = PreviewRows {
+        coord: &scene.coord,
+        color: &colors,
+        radius: &radius,
+        opacity: &opacity,
+        shapes: None,
+    };
     write_preview(Path::new(&format!("{name}.png")), &drawn, &[], &settings)?;
 
     let class_colors: Vec<[u8; 3]> = (segment.iter())

@@ -2,7 +2,7 @@
 
 use crate::inference::SceneFeatures;
 use crate::preview::{
-    LegendEntry, PreviewRows, PreviewSettings, UNLABELLED_COLOR, UpAxis, class_color, write_preview,
+    LegendEntry, PreviewSettings, SceneRows, UNLABELLED_COLOR, UpAxis, class_color, write_preview,
 };
 use anyhow::{Context, Result};
 use half::f16;
@@ -321,18 +321,9 @@ pub fn write_scene_preview(
     up: UpAxis,
     path: &Path,
 ) -> Result<u64> {
-    let radius: Vec<f32> = (0..scene.len())
-        .map(|row| {
-            let mut s = scene.scale(row);
-            s.sort_by(f32::total_cmp);
-            s[1]
-        })
-        .collect();
-    let opacity: Vec<f32> = (0..scene.len()).map(|row| scene.opacity(row)).collect();
-    let rows =
-        PreviewRows { coord: &scene.coord, color: colors, radius: &radius, opacity: &opacity };
     let settings = PreviewSettings { title: title.to_owned(), up, ..PreviewSettings::default() };
-    Ok(write_preview(path, &rows, legend, &settings)?)
+    let rows = SceneRows::of(scene);
+    Ok(write_preview(path, &rows.rows(scene, colors), legend, &settings)?)
 }
 
 /// Which way is up, judged by the shape: rooms are flat along z; objects from image-based

@@ -1,7 +1,8 @@
 //! A PNG that shows a scene at a glance: a perspective view, a view from above, and a legend.
 //!
-//! Gaussians are drawn as discs with a depth buffer: enough to see what is where and which class it
-//! got, in a second or two for a million Gaussians. It is not a renderer for judging image quality.
+//! Scenes are drawn by the renderer, shaded by depth so that things of one colour stand apart; points
+//! without shapes, and the sheets of `inspect`, as discs with a depth buffer. Neither is for judging
+//! image quality: `scenesplat render` is.
 
 mod depth_picture;
 mod discs;
@@ -9,6 +10,7 @@ mod framing;
 mod orbit;
 pub(crate) mod orthographic;
 mod palette;
+mod splats;
 pub(crate) mod text;
 
 pub use depth_picture::depth_picture;
@@ -18,6 +20,7 @@ pub use palette::{UNLABELLED_COLOR, class_color};
 use discs::{Canvas, Disc, Lens};
 use framing::{Framing, Upright};
 use image::{ImageEncoder, RgbImage};
+use scenesplat_scene::GaussianScene;
 use std::path::{Path, PathBuf};
 
 /// Why there is no preview.
@@ -89,6 +92,50 @@ pub struct PreviewRows<'a> {
     pub radius: &'a [f32],
     /// Opacity in 0..=1; the faintest Gaussians are left out. `[N]`
     pub opacity: &'a [f32],
+    /// Gaussians are rendered with their shapes; without, as discs.
+    pub shapes: Option<SplatShapes<'a>>,
+}
+
+/// Shapes of Gaussians.
+#[derive(Debug, Clone, Copy)]
+pub struct SplatShapes<'a> {
+    /// `w, x, y, z`, any norm. `[N, 4]`
+    pub quat: &'a [[f32; 4]],
+    /// Standard deviations, metres. `[N, 3]`
+    pub scale: &'a [[f32; 3]],
+}
+
+/// Sizes and opacities of a scene, to make [`PreviewRows`] of.
+pub(crate) struct SceneRows {
+    scale: Vec<[f32; 3]>,
+    /// The middle one of the three.
+    radius: Vec<f32>,
+    opacity: Vec<f32>,
+}
+
+impl SceneRows {
+    pub(crate) fn of(scene: &GaussianScene) -> Self {
+        let scale: Vec<[f32; 3]> = (0..scene.len()).map(|row| scene.scale(row)).collect();
+        let middle = |s: &[f32; 3]| {
+            let mut s = *s;
+            s.sort_by(f32::total_cmp);
+            s[1]
+        };
+        let radius = scale.iter().map(middle).collect();
+        let opacity = (0..scene.len()).map(|row| scene.opacity(row)).collect();
+        Self { scale, radius, opacity }
+    }
+
+    /// `color`: one per Gaussian of the same scene.
+    pub(crate) fn rows<'a>(
+        &'a self,
+        scene: &'a GaussianScene,
+        color: &'a [[u8; 3]],
+    ) -> PreviewRows<'a> {
+        let Self { scale, radius, opacity } = self;
+        let shapes = Some(SplatShapes { quat: &scene.quat, scale });
+        PreviewRows { coord: &scene.coord, color, radius, opacity, shapes }
+    }
 }
 
 /// One class of the legend.
@@ -142,10 +189,13 @@ pub fn render_preview(
     settings: &PreviewSettings,
 ) -> Result<RgbImage, PreviewError> {
     let expected = rows.coord.len();
+    let shapes = rows.shapes.map_or((expected, expected), |s| (s.quat.len(), s.scale.len()));
     for (field, got) in [
         ("color", rows.color.len()),
         ("radius", rows.radius.len()),
         ("opacity", rows.opacity.len()),
+        ("quat", shapes.0),
+        ("scale", shapes.1),
     ] {
         if got != expected {
             return Err(PreviewError::Rows { field, expected, got });
@@ -157,9 +207,15 @@ pub fn render_preview(
     }
 
     let upright = Upright::new(settings.up);
-    let discs = visible_discs(rows, upright);
+    let kept = visible_rows(rows);
+    let discs = discs_of(rows, &kept, upright);
     let framing = Framing::of(&discs, settings.open_rooms);
-    let shown: Vec<Disc> = discs.into_iter().filter(|d| framing.shows(d.centre)).collect();
+    let (kept, shown): (Vec<usize>, Vec<Disc>) =
+        kept.into_iter().zip(discs).filter(|(_, d)| framing.shows(d.centre)).unzip();
+    let gaussians = rows.shapes.map(|shapes| {
+        let size = framing.top().size;
+        splats::gather(rows, &shapes, &kept, size)
+    });
 
     let legend_width = if legend.is_empty() { 0 } else { LEGEND_WIDTH };
     let width = 2 * view + 3 * MARGIN + legend_width;
@@ -169,7 +225,12 @@ pub fn render_preview(
 
     for (left, lens) in [(MARGIN, framing.perspective()), (right, framing.top())] {
         let mut canvas = Canvas::new(view);
-        canvas.draw(&shown, &lens);
+        // What the renderer refuses, such as far too many large Gaussians, is drawn as discs: a
+        // preview is no reason to fail.
+        let rendered = gaussians.as_ref().map(|g| splats::draw(g, upright, &lens, &mut canvas));
+        if !matches!(rendered, Some(Ok(()))) {
+            canvas.draw(&shown, &lens);
+        }
         canvas.copy_to(&mut picture, left, TITLE_HEIGHT);
     }
 
@@ -237,8 +298,8 @@ fn encode_png(
     Ok(png.len() as u64)
 }
 
-/// Discs in the upright frame; not the faintest, which hide the rest in captures with much haze.
-fn visible_discs(rows: &PreviewRows<'_>, upright: Upright) -> Vec<Disc> {
+/// Rows to draw: not the faintest, which hide the rest in captures with much haze.
+fn visible_rows(rows: &PreviewRows<'_>) -> Vec<usize> {
     let mut opacities: Vec<f32> = rows.opacity.iter().copied().filter(|o| o.is_finite()).collect();
     if opacities.is_empty() {
         return Vec::new();
@@ -249,12 +310,22 @@ fn visible_discs(rows: &PreviewRows<'_>, upright: Upright) -> Vec<Disc> {
     let least = median.min(0.25);
     (0..rows.coord.len())
         .filter(|&i| rows.opacity[i] >= least && rows.coord[i].iter().all(|v| v.is_finite()))
-        .map(|i| Disc {
-            centre: upright.turn(rows.coord[i]),
-            radius: if rows.radius[i].is_finite() { rows.radius[i].max(0.0) } else { 0.0 },
-            color: rows.color[i],
-        })
         .collect()
+}
+
+/// Rows as discs in the upright frame.
+fn discs_of(rows: &PreviewRows<'_>, kept: &[usize], upright: Upright) -> Vec<Disc> {
+    let disc = |&i: &usize| Disc {
+        centre: upright.turn(rows.coord[i]),
+        radius: if rows.radius[i].is_finite() { rows.radius[i].max(0.0) } else { 0.0 },
+        color: rows.color[i],
+    };
+    kept.iter().map(disc).collect()
+}
+
+/// Both.
+fn visible_discs(rows: &PreviewRows<'_>, upright: Upright) -> Vec<Disc> {
+    discs_of(rows, &visible_rows(rows), upright)
 }
 
 /// A bar of a round number of metres in the lower left corner of a view.
@@ -338,15 +409,104 @@ pub(crate) fn thousands(value: u64) -> String {
 mod tests {
     use super::*;
 
-    fn render(coord: &[[f32; 3]], settings: &PreviewSettings) -> RgbImage {
+    /// The scene as discs and rendered.
+    fn both(coord: &[[f32; 3]], settings: &PreviewSettings) -> [RgbImage; 2] {
         let n = coord.len();
         let rows = PreviewRows {
             coord,
             color: &vec![[200, 40, 40]; n],
             radius: &vec![0.02; n],
             opacity: &vec![0.9; n],
+            shapes: None,
         };
-        render_preview(&rows, &[], settings).unwrap()
+        let discs = render_preview(&rows, &[], settings).unwrap();
+        let shapes =
+            SplatShapes { quat: &vec![[1.0, 0.0, 0.0, 0.0]; n], scale: &vec![[0.02; 3]; n] };
+        let rows = PreviewRows { shapes: Some(shapes), ..rows };
+        let splats = render_preview(&rows, &[], settings).unwrap();
+        [discs, splats]
+    }
+
+    /// As discs, after a look that the rendered picture shows the same.
+    fn render(coord: &[[f32; 3]], settings: &PreviewSettings) -> RgbImage {
+        let [discs, splats] = both(coord, settings);
+        let counts = red(&discs).into_iter().zip(red(&splats));
+        assert!(counts.clone().all(|(d, s)| s >= d), "{counts:?}");
+        for (d, s) in middle(&discs).into_iter().zip(middle(&splats)) {
+            assert!((d - s).abs() < 2.5, "the middle is at {d} and at {s}");
+        }
+        discs
+    }
+
+    /// First and last column and row of the reddish pixels of each view.
+    fn bounds(picture: &RgbImage) -> [[f64; 4]; 2] {
+        let mut bounds = [[f64::MAX, f64::MAX, 0.0, 0.0]; 2];
+        for (x, y, _) in picture.enumerate_pixels().filter(|p| is_red(p.2)) {
+            let b = &mut bounds[usize::from(x > MARGIN + 96)];
+            let (x, y) = (f64::from(x), f64::from(y));
+            *b = [b[0].min(x), b[1].min(y), b[2].max(x), b[3].max(y)];
+        }
+        bounds
+    }
+
+    #[test]
+    fn rendered_views_are_those_of_discs() {
+        use UpAxis::{MinusX, MinusY, MinusZ, PlusX, PlusY, PlusZ};
+        // Three arms of different lengths: mirrored, turned or scaled it would be elsewhere.
+        let arm = |axis: usize, count: u16| {
+            (0..count).map(move |i| {
+                let mut p = [0.0; 3];
+                p[axis] = 0.01 * f32::from(i);
+                p
+            })
+        };
+        let coord: Vec<[f32; 3]> = arm(0, 300).chain(arm(1, 200)).chain(arm(2, 120)).collect();
+        for up in [PlusX, MinusX, PlusY, MinusY, PlusZ, MinusZ] {
+            let [discs, splats] = both(&coord, &PreviewSettings { up, ..small() });
+            for (d, s) in bounds(&discs).into_iter().zip(bounds(&splats)) {
+                let off = d.iter().zip(s).map(|(d, s)| (d - s).abs()).fold(0.0, f64::max);
+                assert!(off <= 4.0, "{up:?}: {d:?} as discs, {s:?} rendered");
+            }
+            let away: f64 = middle(&discs)
+                .iter()
+                .zip(middle(&splats))
+                .map(|(d, s)| (d - s).abs())
+                .fold(0.0, f64::max);
+            assert!(away < 5.0, "{up:?}: {away}");
+        }
+    }
+
+    #[test]
+    fn a_single_needle_is_rendered() {
+        let shapes =
+            Some(SplatShapes { quat: &[[1.0, 0.0, 0.0, 0.0]], scale: &[[0.01, 0.01, 0.1]] });
+        let rows = PreviewRows {
+            coord: &[[1.0, 2.0, 3.0]],
+            color: &[[200, 40, 40]],
+            radius: &[0.01],
+            opacity: &[0.9],
+            shapes,
+        };
+        let counts = red(&render_preview(&rows, &[], &small()).unwrap());
+        assert!(counts[0] > 50 && counts[1] > 50, "{counts:?}");
+    }
+
+    /// Mean place of the reddish pixels of each view, x and y.
+    fn middle(picture: &RgbImage) -> [f64; 4] {
+        let (mut sums, counts) = ([0.0; 4], red(picture));
+        for (x, y, pixel) in picture.enumerate_pixels() {
+            let view = usize::from(x > MARGIN + 96);
+            if is_red(pixel) {
+                sums[2 * view] += f64::from(x) / counts[view] as f64;
+                sums[2 * view + 1] += f64::from(y) / counts[view] as f64;
+            }
+        }
+        sums
+    }
+
+    fn is_red(pixel: &image::Rgb<u8>) -> bool {
+        let [r, g, b] = pixel.0.map(i32::from);
+        r > g + 30 && r > b + 30
     }
 
     fn small() -> PreviewSettings {
@@ -357,8 +517,7 @@ mod tests {
     fn red(picture: &RgbImage) -> [usize; 2] {
         let mut counts = [0; 2];
         for (x, _, pixel) in picture.enumerate_pixels() {
-            let [r, g, b] = pixel.0.map(i32::from);
-            if r > g + 30 && r > b + 30 {
+            if is_red(pixel) {
                 counts[usize::from(x > MARGIN + 96)] += 1;
             }
         }
@@ -413,10 +572,25 @@ mod tests {
             color: &vec![[255; 3]; coord.len()],
             radius: &radius,
             opacity: &vec![f32::NAN; coord.len()],
+            shapes: None,
         };
         render_preview(&rows, &[], &small()).unwrap();
         let rows = PreviewRows { opacity: &vec![0.01; coord.len()], ..rows };
         render_preview(&rows, &[], &small()).unwrap();
+        // Shapes that cannot be drawn are left out.
+        let (mut quat, mut scale) = (vec![[0.0; 4]; coord.len()], vec![[0.02; 3]; coord.len()]);
+        (quat[0], quat[1]) = ([f32::NAN; 4], [1.0, 0.0, 0.0, 0.0]);
+        (scale[1], scale[2]) = ([f32::INFINITY; 3], [f32::MAX; 3]);
+        let shapes = Some(SplatShapes { quat: &quat, scale: &scale });
+        let color = &vec![[200, 40, 40]; coord.len()];
+        let opacity = &vec![0.5; coord.len()];
+        let rows = PreviewRows { color, opacity, shapes, ..rows };
+        let left_out = red(&render_preview(&rows, &[], &small()).unwrap());
+        let round = vec![[1.0, 0.0, 0.0, 0.0]; coord.len()];
+        let whole = SplatShapes { quat: &round, scale: &vec![[0.02; 3]; coord.len()] };
+        let rows = PreviewRows { shapes: Some(whole), ..rows };
+        let drawn = red(&render_preview(&rows, &[], &small()).unwrap());
+        assert!(left_out == [0, 0] && drawn[0] > 100, "{left_out:?} {drawn:?}");
     }
 
     #[test]
@@ -424,7 +598,7 @@ mod tests {
         let coord = blob();
         let on = |threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| render(&coord, &small()))
+            pool.install(|| both(&coord, &small()))
         };
         assert!(on(1) == on(3));
     }
@@ -438,7 +612,7 @@ mod tests {
                 count: if i == 0 { u64::MAX } else { i as u64 },
             })
             .collect();
-        let rows = PreviewRows { coord: &[], color: &[], radius: &[], opacity: &[] };
+        let rows = PreviewRows { coord: &[], color: &[], radius: &[], opacity: &[], shapes: None };
         for view_size in [64, 200] {
             let settings = PreviewSettings { title: "title ".repeat(500), view_size, ..small() };
             for classes in [1, 24, 25, 200] {
@@ -448,6 +622,9 @@ mod tests {
         let settings = PreviewSettings { view_size: 5, ..small() };
         let error = render_preview(&rows, &legend, &settings);
         assert!(matches!(error, Err(PreviewError::ViewSize { view_size: 5 })));
+        let shapes = Some(SplatShapes { quat: &[], scale: &[[1.0; 3]] });
+        let error = render_preview(&PreviewRows { shapes, ..rows }, &legend, &small());
+        assert!(matches!(error, Err(PreviewError::Rows { field: "scale", .. })));
         let rows = PreviewRows { radius: &[1.0], ..rows };
         let error = render_preview(&rows, &legend, &small());
         assert!(matches!(error, Err(PreviewError::Rows { field: "radius", .. })));
@@ -462,6 +639,7 @@ mod tests {
             color: &[[255, 0, 0]],
             radius: &[0.1],
             opacity: &[1.0],
+            shapes: None,
         };
         let bytes = write_preview(&path, &rows, &[], &small()).unwrap();
         assert_eq!(std::fs::metadata(&path).unwrap().len(), bytes);

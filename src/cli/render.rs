@@ -114,7 +114,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let prepared = prepare(&session, args, scene, &shots)?;
     let _stage = session.receipt.stage("render");
     let request = prepared.plan().request.render;
-    let mut lost = 0;
+    let (mut lost, mut empty) = (0, Vec::new());
     for (k, shot) in shots.list.iter().enumerate() {
         session.check_stop()?;
         let done = k as f64 / shots.list.len() as f64;
@@ -122,9 +122,22 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         let view = View::from_camera(&shot.camera)?;
         let picture = prepared.render(&view, &request)?;
         lost += write(&session, args, shot, &picture)?;
+        if picture.work.visible == 0 {
+            empty.push(shot.name.as_str());
+        }
     }
     session.progress.finish();
     drop(_stage);
+    if let Some(first) = empty.first() {
+        let text = format!(
+            "{} of {} pictures show no Gaussian, {first} first; are the cameras in the frame of the \
+             scene?",
+            empty.len(),
+            shots.list.len()
+        );
+        session.progress.say(&text);
+        session.receipt.warning(text);
+    }
     if lost > 0 {
         let text = format!(
             "{lost} depths do not fit 16 bits and were written as 0; give a smaller --depth-scale"

@@ -4,9 +4,7 @@ use super::table::{plural, thousands};
 use super::{Finding, Histogram, Inspection, Severity};
 use crate::input::scene_name;
 use crate::preview::orthographic::{LevelViews, Viewpoint};
-use crate::preview::{
-    BACKGROUND, FAINT_INK, INK, PreviewError, PreviewRows, fill, text, write_png,
-};
+use crate::preview::{BACKGROUND, FAINT_INK, INK, PreviewError, SceneRows, fill, text, write_png};
 use image::RgbImage;
 use scenesplat_scene::GaussianScene;
 use std::path::Path;
@@ -119,20 +117,12 @@ fn ink_of(severity: Severity) -> [u8; 3] {
 const FEW: usize = 1000;
 
 fn draw_views(picture: &mut RgbImage, scene: &GaussianScene, seen: &Inspection) {
-    let radius: Vec<f32> = (0..scene.len())
-        .map(|row| {
-            let mut s = scene.scale(row);
-            s.sort_by(f32::total_cmp);
-            s[1]
-        })
-        .collect();
-    let opacity: Vec<f32> = (0..scene.len()).map(|row| scene.opacity(row)).collect();
     let color: Vec<[u8; 3]> = (0..scene.len()).map(|row| scene.color_u8(row)).collect();
-    let rows =
-        PreviewRows { coord: &scene.coord, color: &color, radius: &radius, opacity: &opacity };
+    let sizes = SceneRows::of(scene);
+    let rows = sizes.rows(scene, &color);
     let bounds = seen.robust_bounds;
     // Bounds are those of the centres; where there are few, the Gaussians themselves reach far out.
-    let reach = if scene.len() < FEW { middle_radius(&radius) } else { 0.0 };
+    let reach = if scene.len() < FEW { middle_radius(rows.radius) } else { 0.0 };
     let (low, high) = (bounds.low.map(|v| v - reach), bounds.high.map(|v| v + reach));
     let views = LevelViews::new(&rows, seen.up.axis, low, high);
     for (i, from) in (0..).zip([Viewpoint::Front, Viewpoint::Right, Viewpoint::Above]) {

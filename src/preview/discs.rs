@@ -56,12 +56,17 @@ const DEVIATIONS: f64 = 1.65;
 
 const EMPTY: f32 = f32::INFINITY;
 
+/// α below which a rendered pixel is empty.
+const FAINTEST: f32 = 0.02;
+
 /// A square picture in the making.
 pub(super) struct Canvas {
     /// Side in fine pixels.
     side: usize,
     depth: Vec<f32>,
     color: Vec<[u8; 3]>,
+    /// How much of the light of a pixel is of its colour; empty if all of it is.
+    alpha: Vec<f32>,
     /// Extent of what is shown: the unit of depth differences.
     size: f64,
 }
@@ -78,7 +83,28 @@ struct Stamp {
 impl Canvas {
     pub(super) fn new(view: u32) -> Self {
         let side = (view * SUPERSAMPLING) as usize;
-        Self { side, depth: vec![EMPTY; side * side], color: vec![[0; 3]; side * side], size: 1.0 }
+        let (depth, color) = (vec![EMPTY; side * side], vec![[0; 3]; side * side]);
+        Self { side, depth, color, alpha: Vec::new(), size: 1.0 }
+    }
+
+    /// Fine pixels along a side.
+    pub(super) fn side(&self) -> usize {
+        self.side
+    }
+
+    /// Takes a rendered picture of its size: colour times α, α, and depth.
+    pub(super) fn take(&mut self, rgb: &[f32], alpha: Vec<f32>, depth: &[f32], size: f64) {
+        self.size = size;
+        for (at, (rgb, (&alpha, &depth))) in
+            rgb.as_chunks::<3>().0.iter().zip(alpha.iter().zip(depth)).enumerate()
+        {
+            if alpha < FAINTEST {
+                continue;
+            }
+            self.depth[at] = depth;
+            self.color[at] = rgb.map(|v| (255.0 * v / alpha).round().clamp(0.0, 255.0) as u8);
+        }
+        self.alpha = alpha;
     }
 
     /// Draws discs; the nearest wins, the first of equals.
@@ -143,12 +169,14 @@ impl Canvas {
         for fine_y in y * n..(y + 1) * n {
             for fine_x in x * n..(x + 1) * n {
                 let at = fine_y * self.side + fine_x;
+                let shade = self.backdrop(fine_y);
                 if self.depth[at] == EMPTY {
-                    let shade = self.backdrop(fine_y);
                     sum = std::array::from_fn(|c| sum[c] + shade[c]);
                 } else {
-                    let light = self.light(fine_x, fine_y, near);
-                    sum = std::array::from_fn(|c| sum[c] + f32::from(self.color[at][c]) * light);
+                    let alpha = self.alpha.get(at).map_or(1.0, |a| a.min(1.0));
+                    let light = alpha * self.light(fine_x, fine_y, near);
+                    let own = |c: usize| f32::from(self.color[at][c]) * light;
+                    sum = std::array::from_fn(|c| sum[c] + own(c) + shade[c] * (1.0 - alpha));
                 }
             }
         }
@@ -179,7 +207,9 @@ impl Canvas {
         }
         let edge = (-6.0 * behind).exp();
         let far = 1.0 - 0.22 * ((depth - near) / self.size as f32).clamp(0.0, 1.0);
-        edge.max(0.35) * far
+        // Between Gaussians depth is rough, and their own light shows edges too.
+        let darkest = if self.alpha.is_empty() { 0.35 } else { 0.75 };
+        edge.max(darkest) * far
     }
 }
 

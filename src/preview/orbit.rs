@@ -109,6 +109,7 @@ mod tests {
             color: &vec![[0; 3]; n],
             radius: &vec![0.02; n],
             opacity: &vec![0.9; n],
+            shapes: None,
         };
         Orbit::around(&rows, up, count, size)
     }

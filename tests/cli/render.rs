@@ -102,6 +102,17 @@ fn colour_and_depth_of_a_sphere() {
 }
 
 #[test]
+fn pictures_that_show_nothing_are_said() {
+    let place = Place::new(&sphere());
+    let behind = Camera { translation: [0.0, 0.0, -9.0], ..camera("behind") };
+    let cameras = place.cameras(&[camera("front"), behind]);
+    let out = place.render("out", &["--cameras", &cameras]);
+    done(&out);
+    let said = stderr(&out);
+    assert!(said.contains("1 of 2 pictures show no Gaussian, behind first"), "{said}");
+}
+
+#[test]
 fn an_orbit_shows_the_scene_from_all_sides_whatever_the_threads() {
     let room = generate_room(&RoomSettings { num_gaussians: 8_000, seed: 3 }).unwrap();
     let place = Place::new(&room.scene);

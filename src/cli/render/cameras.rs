@@ -2,7 +2,7 @@
 
 use super::super::WrongUse;
 use super::Args;
-use crate::preview::{Ceiling, Orbit, PreviewRows, UpAxis};
+use crate::preview::{Ceiling, Orbit, SceneRows, UpAxis};
 use anyhow::Result;
 use scenesplat_rasterizer::View;
 use scenesplat_scene::{Camera, GaussianScene, open_cameras};
@@ -106,17 +106,9 @@ fn resized(camera: &Camera, [width, height]: [u32; 2]) -> Camera {
 /// Cameras around a scene.
 pub(super) fn around(scene: &GaussianScene, up: UpAxis, args: &Args) -> Shots {
     let count = usize::from(args.orbit.unwrap_or(4));
-    let radius: Vec<f32> = (0..scene.len())
-        .map(|row| {
-            let mut s = scene.scale(row);
-            s.sort_by(f32::total_cmp);
-            s[1]
-        })
-        .collect();
-    let opacity: Vec<f32> = (0..scene.len()).map(|row| scene.opacity(row)).collect();
     let color = vec![[0; 3]; scene.len()];
-    let rows =
-        PreviewRows { coord: &scene.coord, color: &color, radius: &radius, opacity: &opacity };
+    let sizes = SceneRows::of(scene);
+    let rows = sizes.rows(scene, &color);
     let orbit = Orbit::around(&rows, up, count, args.size.unwrap_or(ORBIT_SIZE));
     let mut notes = Vec::new();
     if orbit.near.is_some() {
