@@ -6,12 +6,12 @@ mod common;
 mod support;
 
 use common::{SEGMENTS, criterion, pool, voronoi};
-use criterion::{Criterion, criterion_group, criterion_main};
+use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scenesplat_rasterizer::lifting::{
-    FinaliseSettings, LabelledPicture, LabelledView, LiftRule, LiftSettings, Lifter, SegmentMap,
-    view_weights,
+    DepthTolerance, FinaliseSettings, LabelledPicture, LabelledView, LiftRule, LiftSettings,
+    Lifter, SegmentMap, view_weights,
 };
 use scenesplat_rasterizer::{RasterSettings, RenderRequest, render};
 use std::hint::black_box;
@@ -43,6 +43,18 @@ fn lift_garden(c: &mut Criterion) {
         group.bench_function(format!("centre_pixel/{threads}_threads"), |b| {
             let run = || view_weights(&gaussians, &picture, LiftRule::CentrePixel, settings);
             pool.install(|| b.iter(run));
+        });
+        // With the median depth of the same picture, as `lift-labels` takes it.
+        let depth = Some(DepthTolerance::RENDERED);
+        group.bench_function(format!("picture_own_depth/{threads}_threads"), |b| {
+            let levels = &maps[..1];
+            let picture = LabelledPicture { view, levels, features: &features, depth: None };
+            let empty = || {
+                let settings = LiftSettings { depth, ..LiftSettings::default() };
+                Lifter::new(&gaussians, 1, DIM, settings).expect("a lifter")
+            };
+            let add = |mut lifter: Lifter<'_>| lifter.add(&picture).expect("weights");
+            pool.install(|| b.iter_batched(empty, add, BatchSize::LargeInput));
         });
         let mut lifter =
             Lifter::new(&gaussians, 1, DIM, LiftSettings::default()).expect("a lifter");

@@ -60,6 +60,10 @@ pub trait TileVisitor: Send {
     type Output: Send;
     /// Whether [`finish`](Self::finish) needs `last`; it is all 0 otherwise.
     const LAST: bool = false;
+    /// The transmittance from which on spans no longer matter to it: rows of a tile whose pixels have
+    /// all come down to it may be left out, and what [`finish`](Self::finish) is given with them. 0:
+    /// every span matters.
+    const ENOUGH: f32 = 0.0;
 
     /// The Gaussian of row `row` of [`Projected`] comes soon: a place to [`prefetch`] what
     /// [`span`](Self::span) reads of it. Rows are in no order in memory, so that each is waited for
@@ -158,16 +162,16 @@ impl Pixels {
         pixels
     }
 
-    /// Bit per row: whether a pixel of it goes on.
+    /// Bit per row: whether more than `enough` light is left at a pixel of it that goes on.
     ///
     /// # Safety
     /// The CPU has the instruction set of `L`.
     #[inline(always)]
-    unsafe fn live_rows<L: Lanes>(&self) -> u32 {
+    unsafe fn live_rows<L: Lanes>(&self, enough: f32) -> u32 {
         let mut rows = 0;
         for (i, pixels) in self.0.0.chunks_exact(L::COUNT).enumerate() {
             // SAFETY: the caller's promise; as many pixels as lanes.
-            let live = unsafe { L::bits(L::load(pixels.as_ptr()).above(L::splat(0.0))) };
+            let live = unsafe { L::bits(L::load(pixels.as_ptr()).above(L::splat(enough))) };
             rows |= u32::from(live != 0) << (i * L::COUNT / TILE);
         }
         rows
@@ -202,7 +206,7 @@ unsafe fn run<L: Lanes, V: TileVisitor>(
                 visitor.soon(ahead);
             }
             if entry % LOOK == 0 {
-                rows = pixels.live_rows::<L>();
+                rows = pixels.live_rows::<L>(V::ENOUGH);
                 if rows == 0 {
                     break;
                 }

@@ -6,6 +6,8 @@
 //! instructions, and nothing to find out about places. The way back, with its ten sums per Gaussian,
 //! is faster with eight; AVX-512VL gives these twice the registers to live in.
 
+use scenesplat_kernels::simd::Isa;
+
 /// Coefficients of the polynomial for `2^f`, `f` in ±½, lowest power first: the one of degree 5, with
 /// `2⁰` exact, whose largest relative error is least. That is 9.1e-8, with f32 arithmetic 1.9e-7.
 #[allow(clippy::approx_constant, reason = "near ln 2, but not it: that gives a larger error")]
@@ -28,6 +30,7 @@ pub(crate) trait Lanes: Copy {
     unsafe fn splat(x: f32) -> Self;
     unsafe fn load(p: *const f32) -> Self;
     unsafe fn store(self, p: *mut f32);
+    unsafe fn add(self, o: Self) -> Self;
     unsafe fn sub(self, o: Self) -> Self;
     unsafe fn mul(self, o: Self) -> Self;
     /// The smaller; `o` if either is NaN.
@@ -59,7 +62,6 @@ pub(crate) trait Lanes: Copy {
 /// # Safety
 /// As [`Lanes`].
 pub(crate) trait Lanes8: Lanes {
-    unsafe fn add(self, o: Self) -> Self;
     unsafe fn div(self, o: Self) -> Self;
     /// `b − self · a`, fused where the instruction set can.
     unsafe fn negative_fma(self, a: Self, b: Self) -> Self;
@@ -67,6 +69,41 @@ pub(crate) trait Lanes8: Lanes {
     unsafe fn sums(v: [Self; 8]) -> Self;
     /// The sum of the lanes.
     unsafe fn sum(self) -> f32;
+}
+
+/// Work on the values of a span, in the registers that the span came in.
+pub(crate) trait OnLanes {
+    /// Does it.
+    ///
+    /// # Safety
+    /// The CPU has the instruction set of `L`.
+    unsafe fn run<L: Lanes>(self);
+}
+
+/// Does some work in registers of `count` values, 8 or 16; `isa` is no more than the CPU has.
+///
+/// The pixel loop knows its registers, its visitors do not; where this is inlined into the loop the
+/// comparison of `count` is gone.
+///
+/// # Panics
+/// If there are no such registers.
+#[inline(always)]
+pub(crate) fn on_lanes(isa: Isa, count: usize, work: impl OnLanes) {
+    debug_assert!(isa <= Isa::current());
+    #[cfg(target_arch = "x86_64")]
+    {
+        if count == 16 && isa >= Isa::Avx512 {
+            // SAFETY: the caller's promise.
+            return unsafe { work.run::<std::arch::x86_64::__m512>() };
+        }
+        if count == LANES && isa >= Isa::Avx2 {
+            // SAFETY: as above; FMA is part of every set above portable.
+            return unsafe { work.run::<std::arch::x86_64::__m256>() };
+        }
+    }
+    assert!(count == LANES, "registers of {count} values");
+    // SAFETY: plain Rust.
+    unsafe { work.run::<Plain>() }
 }
 
 /// Plain floats, any CPU.
@@ -99,6 +136,10 @@ impl Lanes for Plain {
     unsafe fn store(self, p: *mut f32) {
         // SAFETY: the caller vouches for eight writable values.
         unsafe { p.cast::<[f32; LANES]>().write_unaligned(self.0) }
+    }
+    #[inline(always)]
+    unsafe fn add(self, o: Self) -> Self {
+        self.zip(o, |a, b| a + b)
     }
     #[inline(always)]
     unsafe fn sub(self, o: Self) -> Self {
@@ -188,10 +229,6 @@ impl Lanes for Plain {
 
 impl Lanes8 for Plain {
     #[inline(always)]
-    unsafe fn add(self, o: Self) -> Self {
-        self.zip(o, |a, b| a + b)
-    }
-    #[inline(always)]
     unsafe fn div(self, o: Self) -> Self {
         self.zip(o, |a, b| a / b)
     }
@@ -251,6 +288,7 @@ mod x86 {
             unsafe { _mm256_storeu_ps(p, self) }
         }
         methods! {
+            add(self, o: Self) -> Self = _mm256_add_ps(self, o);
             sub(self, o: Self) -> Self = _mm256_sub_ps(self, o);
             mul(self, o: Self) -> Self = _mm256_mul_ps(self, o);
             min(self, o: Self) -> Self = _mm256_min_ps(self, o);
@@ -294,7 +332,6 @@ mod x86 {
 
     impl Lanes8 for __m256 {
         methods! {
-            add(self, o: Self) -> Self = _mm256_add_ps(self, o);
             div(self, o: Self) -> Self = _mm256_div_ps(self, o);
             negative_fma(self, a: Self, b: Self) -> Self = _mm256_fnmadd_ps(self, a, b);
         }
@@ -344,6 +381,7 @@ mod x86 {
             unsafe { _mm512_storeu_ps(p, self) }
         }
         methods! {
+            add(self, o: Self) -> Self = _mm512_add_ps(self, o);
             sub(self, o: Self) -> Self = _mm512_sub_ps(self, o);
             mul(self, o: Self) -> Self = _mm512_mul_ps(self, o);
             min(self, o: Self) -> Self = _mm512_min_ps(self, o);

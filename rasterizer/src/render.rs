@@ -221,10 +221,15 @@ pub(crate) fn median_depth(
     view: &View,
     settings: &RasterSettings,
 ) -> Vec<f32> {
-    let depth = DepthRequest { median: true, ..DepthRequest::default() };
-    let request = RenderRequest { depth, ..RenderRequest::default() };
-    let scene = Scene { projected, lists, view, settings };
-    scene.render(&request, None, 0).depth_median.unwrap_or_default()
+    let mut medians = vec![0.0; view.pixels()];
+    let canvas = Canvas::new(&mut medians, view.width, 1);
+    let isa = settings.isa();
+    // By itself, not through `Scene::render`: no other output keeps the loop going.
+    blend(projected, lists, view, settings, |rect| {
+        // SAFETY: `blend` makes one visitor per tile.
+        Depth::<true>::new(&projected.depth, unsafe { canvas.tile(rect) }, isa)
+    });
+    medians
 }
 
 /// What the pixel loop reads.
@@ -288,11 +293,11 @@ impl Scene<'_> {
         last: &mut [u32],
         colour: impl Fn(TileRect) -> C + Sync,
     ) -> Option<Contributions> {
-        let depth = &self.projected.depth;
+        let (depth, isa) = (&self.projected.depth, self.settings.isa());
         // SAFETY: `blend` makes one visitor per tile.
-        let sums = |rect| Depth::<false>::new(depth, unsafe { canvases.sums.tile(rect) });
+        let sums = |rect| Depth::<false>::new(depth, unsafe { canvases.sums.tile(rect) }, isa);
         // SAFETY: as above.
-        let medians = |rect| Depth::<true>::new(depth, unsafe { canvases.medians.tile(rect) });
+        let medians = |rect| Depth::<true>::new(depth, unsafe { canvases.medians.tile(rect) }, isa);
         let mean = request.depth.accumulated || request.depth.expected;
         match (mean, request.depth.median) {
             (false, false) => self.with_weights(request, canvases, n, last, colour),

@@ -2,8 +2,10 @@
 
 use crate::blend::prefetch;
 use crate::canvas::CanvasTile;
+use crate::lanes::{Lanes, OnLanes, on_lanes};
 use crate::splats::Aligned;
 use crate::{SPAN, Span, TILE, TileVisitor};
+use scenesplat_kernels::simd::Isa;
 
 /// Pixels of a tile.
 const PIXELS: usize = TILE * TILE;
@@ -22,6 +24,7 @@ impl TileVisitor for Nothing {
 impl<A: TileVisitor, B: TileVisitor> TileVisitor for (A, B) {
     type Output = (A::Output, B::Output);
     const LAST: bool = A::LAST || B::LAST;
+    const ENOUGH: f32 = if A::ENOUGH < B::ENOUGH { A::ENOUGH } else { B::ENOUGH };
     #[inline(always)]
     fn soon(&self, row: u32) {
         self.0.soon(row);
@@ -108,16 +111,44 @@ pub(crate) struct Depth<'a, const MEDIAN: bool> {
     depth: &'a [f32],
     values: Aligned<[f32; PIXELS]>,
     target: CanvasTile<'a>,
+    isa: Isa,
 }
 
 impl<'a, const MEDIAN: bool> Depth<'a, MEDIAN> {
-    pub(crate) fn new(depth: &'a [f32], target: CanvasTile<'a>) -> Self {
-        Self { depth, values: Aligned([0.0; PIXELS]), target }
+    /// `isa` is what tiles are drawn with.
+    pub(crate) fn new(depth: &'a [f32], target: CanvasTile<'a>, isa: Isa) -> Self {
+        Self { depth, values: Aligned([0.0; PIXELS]), target, isa }
+    }
+}
+
+/// Half of the light: what comes behind does not move the median.
+const HALF: f32 = 0.5;
+
+/// Depth `z` where a pixel takes the Gaussian with more than half of the light left.
+struct Median<'a> {
+    values: &'a mut [f32],
+    span: Span<'a>,
+    z: f32,
+}
+
+impl OnLanes for Median<'_> {
+    #[inline(always)]
+    unsafe fn run<L: Lanes>(self) {
+        let Self { values, span, z } = self;
+        assert!([values.len(), span.weights.len(), span.before.len()] == [L::COUNT; 3]);
+        // SAFETY: the instruction set is the caller's promise, the lengths were checked.
+        unsafe {
+            let taken = L::load(span.weights.as_ptr()).above(L::splat(0.0));
+            let early = L::load(span.before.as_ptr()).above(L::splat(HALF));
+            let values = values.as_mut_ptr();
+            L::splat(z).or_else(L::both(taken, early), L::load(values)).store(values);
+        }
     }
 }
 
 impl<const MEDIAN: bool> TileVisitor for Depth<'_, MEDIAN> {
     type Output = ();
+    const ENOUGH: f32 = if MEDIAN { HALF } else { 0.0 };
 
     #[inline(always)]
     fn soon(&self, row: u32) {
@@ -127,14 +158,12 @@ impl<const MEDIAN: bool> TileVisitor for Depth<'_, MEDIAN> {
     #[inline(always)]
     fn span(&mut self, _: u32, row: u32, span: Span<'_>) {
         let z = self.depth[row as usize];
-        let count = span.weights.len();
-        let values = &mut self.values.0[span.at..span.at + count];
-        for i in 0..count {
-            if MEDIAN {
-                let takes = span.weights[i] > 0.0 && span.before[i] > 0.5;
-                values[i] = if takes { z } else { values[i] };
-            } else {
-                values[i] += span.weights[i] * z;
+        let values = &mut self.values.0[span.at..span.at + span.weights.len()];
+        if MEDIAN {
+            on_lanes(self.isa, span.weights.len(), Median { values, span, z });
+        } else {
+            for (value, weight) in values.iter_mut().zip(span.weights) {
+                *value += weight * z;
             }
         }
     }

@@ -1,5 +1,7 @@
 //! `scenesplat lift-labels`
 
+mod depth;
+mod pictures;
 mod write;
 
 use super::WrongUse;
@@ -10,15 +12,15 @@ use crate::preview::UpAxis;
 use crate::progress::interrupted;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
+use depth::DepthArg;
+use pictures::Pictures;
+use scenesplat_rasterizer::Gaussians;
 use scenesplat_rasterizer::lifting::{
-    Aggregate, DepthTolerance, FinaliseSettings, LabelledPicture, LiftError, LiftSettings, Lifter,
-    Robust,
+    Aggregate, DepthTolerance, FinaliseSettings, LiftError, LiftSettings, Lifter, Robust,
 };
 use scenesplat_rasterizer::segments::{CameraMatches, SegmentFolder, SegmentOptions};
-use scenesplat_rasterizer::{Gaussians, View};
-use scenesplat_scene::formats::npy::NpyFile;
 use scenesplat_scene::{Camera, open_cameras};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Lifts the segments of pictures onto the Gaussians: writes lang_feat.npy ([N, D], f16, one row per
 /// Gaussian of the file, 0 without a label), valid_feat_mask.npy, confidence.npy, views.npy,
@@ -58,10 +60,12 @@ pub struct Args {
     /// Leaves out pixels this near to the border of a segment.
     #[arg(long, value_name = "PIXELS", default_value_t = 0)]
     pub erode: u32,
-    /// Leaves out pixels whose depth is not the Gaussian's (3 % and 0.05 units apart): `render` for
-    /// the median depth of the scene itself, or a folder of FRAME.npy, [H, W], 0 = unknown.
-    #[arg(long, value_name = "render|DIR")]
-    pub depth: Option<PathBuf>,
+    /// Leaves out pixels whose depth is not the Gaussian's: `render` by the median depth of the scene
+    /// itself (1 % and two standard deviations), or a folder of FRAME.npy, [H, W], 0 = unknown (3 %
+    /// and 0.05 units); `auto` does what `render` does if 16 of the pictures show that it leaves
+    /// out wrong labels (`off` with the rule centre-pixel).
+    #[arg(long, value_name = "auto|off|render|DIR", default_value = "auto")]
+    pub depth: DepthArg,
     /// Keeps the weighted mean as it is instead of dividing it by its length.
     #[arg(long)]
     pub unnormalised: bool,
@@ -117,26 +121,19 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     // Whatever can be wrong with flags and names is found before anything expensive.
     args.finalise(false).check().map_err(|e| WrongUse(e.to_string()))?;
     let (cameras, folder, matches) = args.pictures(&session)?;
-    let views = views(&cameras, &matches, &args.cameras)?;
+    let views = pictures::views(&cameras, &matches, &args.cameras)?;
     session.make_out()?;
     let opened = args.open(&session)?;
     let gaussians = Gaussians::from_scene(&opened.loaded.scene)?;
     args.record(&session)?;
-    let mut lifter = args.lift(&session, &gaussians, &folder, &matches, &views)?;
+    let pictures = Pictures::new(&folder, pictures::paired(&views, &matches), &args.depth);
+    let settings = args.settings(args.decide_depth(&session, &gaussians, &pictures)?);
+    let mut lifter = args.lift(&session, &gaussians, &pictures, &settings)?;
     for (number, &level) in args.level.iter().enumerate() {
         let robust = args.decide(&session, &mut lifter, number, level)?;
         args.write(&session, &opened, &mut lifter, number, level, robust)?;
     }
     session.finish()
-}
-
-/// The views of the cameras that have a frame.
-fn views(cameras: &[Camera], matches: &CameraMatches, path: &Path) -> Result<Vec<Option<View>>> {
-    let view = |(camera, frame): (&Camera, &Option<usize>)| {
-        let view = frame.map(|_| View::from_camera(camera)).transpose();
-        view.with_context(|| format!("{}: camera {:?}", path.display(), camera.name))
-    };
-    cameras.iter().zip(&matches.frames).map(view).collect()
 }
 
 impl Args {
@@ -200,9 +197,6 @@ impl Args {
         if self.erode > 0 {
             receipt.setting("erode", self.erode, "pixels along borders that label nothing");
         }
-        if let Some(depth) = &self.depth {
-            receipt.setting("depth", depth.display(), "pixels of another depth label nothing");
-        }
         if self.coverage > 0.0 {
             receipt.setting("coverage", self.coverage, "least labelled weight, pixels");
         }
@@ -212,14 +206,14 @@ impl Args {
         Ok(())
     }
 
-    fn settings(&self) -> LiftSettings {
+    fn settings(&self, depth: Option<DepthTolerance>) -> LiftSettings {
         let base = match self.rule {
             RuleArg::AlphaWeighted => LiftSettings::default(),
             RuleArg::CentrePixel => LiftSettings::centre_pixel(),
         };
         LiftSettings {
             erosion: self.erode,
-            depth: self.depth.as_ref().map(|_| DepthTolerance::default()),
+            depth,
             memory: self.max_memory.map_or(base.memory, |b| b.0),
             spill_folder: self.shared.out.clone(),
             ..base
@@ -246,40 +240,27 @@ impl Args {
         &self,
         session: &Session<'_>,
         gaussians: &'a Gaussians,
-        folder: &SegmentFolder,
-        matches: &CameraMatches,
-        views: &[Option<View>],
+        pictures: &Pictures<'_>,
+        settings: &LiftSettings,
     ) -> Result<Lifter<'a>> {
         let _stage = session.receipt.stage("lift");
-        let pairs = views.iter().zip(&matches.frames);
-        let pictures = pairs.filter_map(|(view, frame)| view.as_ref().zip(*frame));
         let mut lifter: Option<Lifter<'a>> = None;
         let (mut without_feature, mut weight, mut labelled) = (0, 0.0, 0.0);
-        for (done, (view, frame)) in pictures.enumerate() {
+        for number in 0..pictures.len() {
             session.check_stop()?;
-            session.progress.advance("lifting", done as f64 / matches.num_matched() as f64);
-            let name = folder.name(frame);
-            let segments = folder.read(frame, view.width, view.height)?;
-            let depth = self.depth_of(name, view)?;
+            session.progress.advance("lifting", number as f64 / pictures.len() as f64);
+            let picture = pictures.read(number)?;
             let lifter = match &mut lifter {
                 Some(lifter) => lifter,
                 none => {
-                    let (levels, dim) = (self.level.len(), segments.dim);
-                    none.insert(Lifter::new(gaussians, levels, dim, self.settings())?)
+                    let (levels, dim) = (self.level.len(), picture.segments.dim);
+                    none.insert(Lifter::new(gaussians, levels, dim, settings.clone())?)
                 }
             };
-            let dim = lifter.tables().dim();
-            if segments.dim != dim {
-                let mine = segments.dim;
-                anyhow::bail!("{name}: its features have {mine} values, those before it {dim}");
-            }
-            let picture = LabelledPicture {
-                view,
-                levels: &segments.levels,
-                features: &segments.features,
-                depth: depth.as_deref(),
-            };
-            let report = lifter.add(&picture).with_context(|| format!("frame {name}"))?;
+            picture.check_dim(lifter.tables().dim())?;
+            let report = lifter
+                .add(&picture.labelled())
+                .with_context(|| format!("frame {}", picture.name))?;
             without_feature += report.without_feature;
             weight += report.weight;
             labelled += report.labelled.first().copied().unwrap_or(0.0);
@@ -299,23 +280,6 @@ impl Args {
             100.0 * labelled / f64::max(weight, 1e-9)
         ));
         Ok(lifter)
-    }
-
-    /// The measured depth of a frame.
-    fn depth_of(&self, frame: &str, view: &View) -> Result<Option<Vec<f32>>> {
-        let folder = match &self.depth {
-            Some(folder) if folder.as_os_str() != "render" => folder,
-            _ => return Ok(None),
-        };
-        let file = NpyFile::open(&folder.join(format!("{frame}.npy")))?;
-        let expected = [view.height as usize, view.width as usize];
-        anyhow::ensure!(
-            file.shape() == expected,
-            "{}: is {:?}, its camera {expected:?} (depth has to have the size of the picture)",
-            file.path().display(),
-            file.shape()
-        );
-        Ok(Some(file.read_f32()?))
     }
 
     /// Whether to guard against wrong labels, by what was measured.

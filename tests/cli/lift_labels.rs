@@ -93,7 +93,10 @@ fn labels_reach_their_gaussians() {
     let coverage = values(&out.join("coverage.npy"));
     assert!(coverage[0] > 10.0 && coverage[1] > 10.0 && coverage[2] == 0.0, "{coverage:?}");
     let receipt = std::fs::read_to_string(out.join("receipt.json")).unwrap();
-    for text in ["alpha-weighted", "disagreement[0]", "1 cameras have no segments (lonely.png"] {
+    // Nothing hides anything: depth agreement stays off.
+    for text in
+        ["alpha-weighted", "disagreement[0]", "auto: off", "1 cameras have no segments (lonely.png"]
+    {
         assert!(receipt.contains(text), "{text}: {receipt}");
     }
     assert!(out.join("preview.png").is_file());
@@ -107,6 +110,56 @@ fn labels_reach_their_gaussians() {
     done(&lift(dir.path(), &["--coverage", "1e6"]));
     assert_eq!(values(&out.join("valid_feat_mask.npy")), [0.0; 3]);
     assert_eq!(values(&out.join("lang_feat.npy")), [0.0; 6]);
+}
+
+/// A blob right behind another one for two cameras, beside it for two others; all segments are true.
+fn hidden_world() -> TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    let two = GaussianScene {
+        coord: vec![[0.0, 0.0, 3.0], [0.0, 0.0, 6.0]],
+        log_scale: vec![[0.4f32.ln(); 3], [0.1f32.ln(); 3]],
+        quat: vec![[1.0, 0.0, 0.0, 0.0]; 2],
+        opacity_logit: vec![4.0; 2],
+        sh_dc: vec![[0.5; 3]; 2],
+        ..GaussianScene::default()
+    };
+    write_inria_ply(&two, &[], &at("room.ply")).unwrap();
+    // The near blob is left of column 12, right of column 51, or everywhere.
+    let pictures = [("a", -2.0, 0..12), ("b", 2.0, 52..W), ("c", 0.0, 0..W), ("d", 0.02, 0..W)];
+    let cameras: Vec<Camera> =
+        pictures.iter().map(|(name, x, _)| camera(&format!("{name}.png"), *x)).collect();
+    write_cameras_json(&cameras, &at("cameras.json")).unwrap();
+    std::fs::create_dir(at("segments")).unwrap();
+    for (frame, _, near) in pictures {
+        let ids: Vec<i32> = (0..W * H).map(|i| i32::from(!near.contains(&(i % W)))).collect();
+        write_npy(&at(&format!("segments/{frame}_s.npy")), &[H, W], &ids).unwrap();
+        let features = [1.0f32, 0.0, 0.0, 1.0];
+        write_npy(&at(&format!("segments/{frame}_f.npy")), &[2, 2], &features).unwrap();
+    }
+    dir
+}
+
+#[test]
+fn what_shines_through_does_not_take_the_name_of_what_hides_it() {
+    let dir = hidden_world();
+    let feature = || values(&dir.path().join("out/lang_feat.npy"));
+    let off = lift(dir.path(), &["--depth", "off", "--robust", "off"]);
+    done(&off);
+    assert!(!stderr(&off).contains("depth agreement"), "{}", stderr(&off));
+    let mixed = feature();
+    assert!(mixed[2] > 0.02, "{mixed:?}");
+
+    // What the measurement finds is done, said and recorded.
+    let auto = lift(dir.path(), &["--robust", "off"]);
+    done(&auto);
+    assert!(stderr(&auto).contains("depth agreement: render"), "{}", stderr(&auto));
+    let agreeing = feature();
+    assert_eq!(agreeing[2..], [0.0, 1.0]);
+    let receipt = std::fs::read_to_string(dir.path().join("out/receipt.json")).unwrap();
+    assert!(receipt.contains("auto: render") && receipt.contains("depth_misleading"), "{receipt}");
+    done(&lift(dir.path(), &["--depth", "render", "--robust", "off"]));
+    assert_eq!(feature(), agreeing);
 }
 
 #[test]

@@ -104,7 +104,8 @@ pub fn trace(
     let rgb_tile = |rect| unsafe { rgb_canvas.tile(rect) };
     let colour = |rect| Colour::new(&colours, background, rgb_tile(rect));
     // SAFETY: as above.
-    let depth = |rect| Depth::<false>::new(&projected.depth, unsafe { sums_canvas.tile(rect) });
+    let sums_tile = |rect| unsafe { sums_canvas.tile(rect) };
+    let depth = |rect| Depth::<false>::new(&projected.depth, sums_tile(rect), settings.isa());
     let last = match (request.rgb, request.depth) {
         (true, true) => draw.with(|rect| (colour(rect), depth(rect))),
         (true, false) => draw.with(colour),

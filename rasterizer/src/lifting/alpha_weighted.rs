@@ -1,9 +1,11 @@
 //! Sums of blending weights per Gaussian and segment.
 
 use super::tile_segments::{MAX_BITS, SegmentTuple, TileSegments};
-use super::view_weights::DepthBounds;
+use super::view_weights::TileDepths;
+use crate::lanes::{Lanes, OnLanes, on_lanes};
 use crate::splats::Aligned;
 use crate::{SPAN, Span, TILE, TileVisitor};
+use scenesplat_kernels::simd::Isa;
 
 /// How much of a Gaussian a tile shows in one tuple of segments.
 #[derive(Debug, Clone, Copy)]
@@ -36,19 +38,22 @@ pub(super) struct AlphaWeighted<'a, const DEPTH: bool> {
     met: u64,
     /// First and last row drawn of it, for a tile with more tuples than bits.
     rows: (usize, usize),
-    /// Depths of the Gaussians, by row of the projection.
-    depth: &'a [f32],
-    bounds: Option<Box<DepthBounds>>,
-    z: f32,
+    /// Least and largest depth that agrees with each Gaussian, by row of the projection.
+    ranges: &'a [[f32; 2]],
+    depths: Option<Box<TileDepths>>,
+    /// Those of the Gaussian at hand.
+    range: [f32; 2],
+    isa: Isa,
 }
 
 impl<'a, const DEPTH: bool> AlphaWeighted<'a, DEPTH> {
-    /// With room for `expected` sums.
+    /// With room for `expected` sums; `isa` is what tiles are drawn with.
     pub(super) fn new(
         segments: TileSegments,
         expected: usize,
-        depth: &'a [f32],
-        bounds: Option<Box<DepthBounds>>,
+        ranges: &'a [[f32; 2]],
+        depths: Option<Box<TileDepths>>,
+        isa: Isa,
     ) -> Self {
         Self {
             sums: vec![Aligned([0.0; SPAN]); segments.tuples.len()],
@@ -56,9 +61,47 @@ impl<'a, const DEPTH: bool> AlphaWeighted<'a, DEPTH> {
             weights: Vec::with_capacity(expected),
             met: 0,
             rows: (usize::MAX, 0),
-            depth,
-            bounds,
-            z: 0.0,
+            ranges,
+            depths,
+            range: [0.0; 2],
+            isa,
+        }
+    }
+}
+
+/// A span of a Gaussian for its sums.
+struct Add<'a, 'b, const DEPTH: bool> {
+    to: &'a mut AlphaWeighted<'b, DEPTH>,
+    row: usize,
+    column: usize,
+    weights: &'a [f32],
+}
+
+impl<const DEPTH: bool> OnLanes for Add<'_, '_, DEPTH> {
+    #[inline(always)]
+    unsafe fn run<L: Lanes>(self) {
+        let Self { to, row, column, weights } = self;
+        assert!(weights.len() == L::COUNT && row < TILE && column + L::COUNT <= TILE);
+        // SAFETY: the instruction set is the caller's promise; the lengths were checked, sums are
+        // as long as the longest register.
+        unsafe {
+            let mut weights = L::load(weights.as_ptr());
+            if DEPTH && let Some(depths) = &to.depths {
+                let depths = L::load(depths[row].as_ptr().add(column));
+                let [least, largest] = to.range.map(|d| L::splat(d));
+                let agrees = L::both(depths.at_least(least), largest.at_least(depths));
+                let agreeing = weights.keep(agrees);
+                let nowhere = to.sums[0].0.as_mut_ptr();
+                weights.sub(agreeing).add(L::load(nowhere)).store(nowhere);
+                weights = agreeing;
+            }
+            let starts = &to.segments.starts;
+            for part in &to.segments.parts[starts[row] as usize..starts[row + 1] as usize] {
+                let sum = to.sums[part.tuple as usize].0.as_mut_ptr();
+                let mask = L::load(part.mask.0.as_ptr().add(column));
+                // The mask is 0 or 1: fused or not, it is the same sum.
+                weights.fma(mask, L::load(sum)).store(sum);
+            }
         }
     }
 }
@@ -71,14 +114,13 @@ impl<const DEPTH: bool> TileVisitor for AlphaWeighted<'_, DEPTH> {
         self.met = 0;
         self.rows = (usize::MAX, 0);
         if DEPTH {
-            self.z = self.depth[row as usize];
+            self.range = self.ranges[row as usize];
         }
     }
 
     #[inline(always)]
     fn span(&mut self, _entry: u32, _row: u32, span: Span<'_>) {
         let (r, x) = (span.at / TILE, span.at % TILE);
-        let count = span.weights.len();
         if !DEPTH && self.segments.tuples.len() == 1 {
             // Most tiles: every pixel of the picture is in the one tuple, and the others weigh 0.
             self.met = 1;
@@ -89,27 +131,10 @@ impl<const DEPTH: bool> TileVisitor for AlphaWeighted<'_, DEPTH> {
             return;
         }
         self.rows = (self.rows.0.min(r), r);
-        let mut agreeing = [0.0; SPAN];
-        let mut weights = span.weights;
-        if DEPTH && let Some(bounds) = &self.bounds {
-            let (low, high) = (&bounds.low[r][x..x + count], &bounds.high[r][x..x + count]);
-            let nowhere = &mut self.sums[0].0;
-            for i in 0..count {
-                let agrees = self.z >= low[i] && self.z <= high[i];
-                nowhere[i] += if agrees { 0.0 } else { weights[i] };
-                agreeing[i] = if agrees { weights[i] } else { 0.0 };
-            }
-            weights = &agreeing[..count];
-        }
         self.met |= self.segments.bits[r];
-        let parts = self.segments.starts[r] as usize..self.segments.starts[r + 1] as usize;
-        for part in &self.segments.parts[parts] {
-            let sum = &mut self.sums[part.tuple as usize].0;
-            let mask = &part.mask.0[x..x + count];
-            for i in 0..count {
-                sum[i] += weights[i] * mask[i];
-            }
-        }
+        let isa = self.isa;
+        let add = Add { to: self, row: r, column: x, weights: span.weights };
+        on_lanes(isa, span.weights.len(), add);
     }
 
     #[inline(always)]

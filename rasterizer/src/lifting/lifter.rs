@@ -2,14 +2,16 @@
 
 use super::finalise::{BlockFeatures, FinaliseSettings, finalise_block};
 use super::segment_map::SegmentMap;
-use super::spool::{SegmentWeight, WeightSpool};
+use super::spool::{BlockWeights, SegmentWeight, WeightSpool};
 use super::tables::SegmentTables;
 use super::tile_segments::MAX_LEVELS;
 use super::view_weights::{
-    DepthTolerance, LabelledView, LiftRule, ViewWeights, weights_with_own_depth,
+    DepthTolerance, LabelledView, LiftRule, ViewWeights, weights_of_all_and_agreeing,
+    weights_with_own_depth,
 };
 use super::{Disagreement, LiftError};
 use crate::{Gaussians, RasterSettings, View};
+use std::borrow::Cow;
 use std::path::PathBuf;
 
 /// Bytes of features that are in memory at a time.
@@ -223,23 +225,48 @@ impl<'a> Lifter<'a> {
     /// If maps, features or depth do not fit the camera or each other, the renderer refuses the view,
     /// or the file cannot be written.
     pub fn add(&mut self, picture: &LabelledPicture<'_>) -> Result<PictureReport, LiftError> {
-        let dim = self.tables.dim();
-        self.check_picture(picture)?;
-        let eroded: Vec<SegmentMap>;
-        let levels = if self.settings.erosion > 0 {
-            eroded = picture.levels.iter().map(|map| map.eroded(self.settings.erosion)).collect();
-            &eroded
-        } else {
-            picture.levels
-        };
+        self.check_picture(picture, self.spools.len())?;
+        let LiftSettings { rule, raster, .. } = &self.settings;
         let measured = self.settings.depth.zip(picture.depth);
         let depth = measured.map(|(tolerance, depth)| (depth, tolerance));
         let own = if depth.is_none() { self.settings.depth } else { None };
-        let labelled = LabelledView { view: picture.view, levels, depth };
-        let LiftSettings { rule, raster, .. } = &self.settings;
+        let levels = self.eroded(picture);
+        let labelled = LabelledView { view: picture.view, levels: &levels, depth };
         let weights = weights_with_own_depth(self.gaussians, &labelled, own, *rule, raster)?;
-        let segments = picture.features.len() / dim;
-        let (numbers, mut report) = self.number_segments(&weights, picture.features, segments)?;
+        self.take(&weights, picture.features)
+    }
+
+    /// Adds the labels of all pixels to the first granularity, those of pixels whose depth agrees to the
+    /// second. The picture has one.
+    pub(super) fn add_twice(
+        &mut self,
+        picture: &LabelledPicture<'_>,
+        tolerance: DepthTolerance,
+    ) -> Result<PictureReport, LiftError> {
+        self.check_picture(picture, 1)?;
+        let LiftSettings { rule, raster, .. } = &self.settings;
+        let levels = self.eroded(picture);
+        let labelled = LabelledView { view: picture.view, levels: &levels, depth: None };
+        let weights =
+            weights_of_all_and_agreeing(self.gaussians, &labelled, tolerance, *rule, raster)?;
+        self.take(&weights, picture.features)
+    }
+
+    fn eroded<'b>(&self, picture: &LabelledPicture<'b>) -> Cow<'b, [SegmentMap]> {
+        match self.settings.erosion {
+            0 => picture.levels.into(),
+            pixels => picture.levels.iter().map(|map| map.eroded(pixels)).collect(),
+        }
+    }
+
+    /// Keeps what a picture says; `weights` has a list for each granularity.
+    fn take(
+        &mut self,
+        weights: &ViewWeights,
+        features: &[f32],
+    ) -> Result<PictureReport, LiftError> {
+        let segments = features.len() / self.tables.dim();
+        let (numbers, mut report) = self.number_segments(weights, features, segments)?;
         report.visible = weights.visible;
         for &(gaussian, weight) in &weights.totals {
             self.totals[gaussian as usize] += f64::from(weight);
@@ -256,15 +283,18 @@ impl<'a> Lifter<'a> {
         Ok(report)
     }
 
-    fn check_picture(&self, picture: &LabelledPicture<'_>) -> Result<(), LiftError> {
+    fn check_picture(
+        &self,
+        picture: &LabelledPicture<'_>,
+        expected: usize,
+    ) -> Result<(), LiftError> {
         let dim = self.tables.dim();
         if !picture.features.len().is_multiple_of(dim) {
             let problem = format!("{} values are no rows of {dim}", picture.features.len());
             return Err(LiftError::argument("segment features", problem));
         }
-        if picture.levels.len() != self.spools.len() {
-            let (got, expected) = (picture.levels.len(), self.spools.len());
-            let problem = format!("{got} maps, {expected} are expected");
+        if picture.levels.len() != expected {
+            let problem = format!("{} maps, {expected} are expected", picture.levels.len());
             return Err(LiftError::argument("levels", problem));
         }
         let rows = picture.features.len() / dim;
@@ -318,14 +348,28 @@ impl<'a> Lifter<'a> {
     /// # Errors
     /// If there is no such level, or the file cannot be read.
     pub fn disagreement(&mut self, level: usize) -> Result<Disagreement, LiftError> {
-        let blocks = self.spool(level)?.num_blocks();
-        let step = self.gaussians.len().div_ceil(SAMPLED_GAUSSIANS);
+        let step = self.sampling_step();
         let mut measured = Disagreement::new(self.tables.dim());
-        for block in 0..blocks {
-            let weights = self.spools[level].block(block)?;
+        for block in 0..self.num_blocks() {
+            let weights = self.block(level, block)?;
             measured.add_block(&weights, &self.tables, step);
         }
         Ok(measured)
+    }
+
+    /// Of how many Gaussians one is looked at where all would be too many.
+    pub(super) fn sampling_step(&self) -> usize {
+        self.gaussians.len().div_ceil(SAMPLED_GAUSSIANS)
+    }
+
+    /// Blocks of Gaussians, the same for every granularity.
+    pub(super) fn num_blocks(&self) -> usize {
+        self.spools[0].num_blocks()
+    }
+
+    /// The weights of a block of Gaussians.
+    pub(super) fn block(&mut self, level: usize, block: usize) -> Result<BlockWeights, LiftError> {
+        self.spool(level)?.block(block)
     }
 
     /// Makes the features of a granularity, and hands them out block by block, in order.
@@ -340,8 +384,8 @@ impl<'a> Lifter<'a> {
         mut sink: impl FnMut(BlockFeatures) -> Result<(), LiftError>,
     ) -> Result<(), LiftError> {
         settings.check()?;
-        for block in 0..self.spool(level)?.num_blocks() {
-            let weights = self.spools[level].block(block)?;
+        for block in 0..self.num_blocks() {
+            let weights = self.block(level, block)?;
             let first = block * self.block_rows;
             let totals = &self.totals[first..first + weights.len()];
             sink(finalise_block(&weights, &self.tables, totals, settings))?;

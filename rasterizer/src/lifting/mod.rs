@@ -22,6 +22,7 @@
 mod aggregate;
 mod alpha_weighted;
 mod centre_pixel;
+mod depth_probe;
 mod disagreement;
 mod error;
 mod finalise;
@@ -35,6 +36,7 @@ mod vector;
 mod view_weights;
 
 pub use aggregate::Aggregate;
+pub use depth_probe::{DepthEffect, DepthProbe};
 pub use disagreement::Disagreement;
 pub use error::LiftError;
 pub use finalise::{BlockFeatures, FinaliseSettings, finalise_block};

@@ -6,6 +6,7 @@ use super::centre_pixel::{CentrePixel, CentrePixels};
 use super::segment_map::{NO_SEGMENT, SegmentMap};
 use super::spool::SegmentWeight;
 use super::tile_segments::{MAX_LEVELS, NOWHERE, SegmentTuple, TileSegments};
+use crate::projection::{dot, rotation};
 use crate::render::median_depth;
 use crate::{
     Gaussians, Projected, RasterSettings, TILE, TileLists, TileRect, View, blend, project,
@@ -27,34 +28,69 @@ pub enum LiftRule {
     CentrePixel,
 }
 
-/// When the depth of a pixel agrees with that of a Gaussian: `|z − D| ≤ relative · z + absolute`.
+/// When the depth D of a pixel agrees with a Gaussian at depth z that is σ deep along the camera's axis:
+/// `|z − D| ≤ relative · z + absolute + sigmas · σ`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DepthTolerance {
     /// Part of the Gaussian's depth, in `0..1`.
     pub relative: f32,
     /// Units of the world, ≥ 0.
     pub absolute: f32,
+    /// Standard deviations of the Gaussian, ≥ 0.
+    pub sigmas: f32,
 }
 
 impl Default for DepthTolerance {
     /// 3 % and 5 cm: what depth cameras err by indoors.
     fn default() -> Self {
-        Self { relative: 0.03, absolute: 0.05 }
+        Self { relative: 0.03, absolute: 0.05, sigmas: 0.0 }
     }
 }
 
 impl DepthTolerance {
+    /// For the median depth of the scene itself, which errs by what the surface is thick.
+    pub const RENDERED: Self = Self { relative: 0.01, absolute: 0.0, sigmas: 2.0 };
+
     pub(super) fn check(&self) -> Result<(), LiftError> {
+        let length = |v: f32| v >= 0.0 && v.is_finite();
         let relative = (0.0..1.0).contains(&self.relative);
-        if relative && self.absolute >= 0.0 && self.absolute.is_finite() {
+        if relative && length(self.absolute) && length(self.sigmas) {
             return Ok(());
         }
         let problem = format!(
-            "{} of the depth and {} units; a part in 0..1 and a length from 0 are expected",
-            self.relative, self.absolute
+            "{} of the depth, {} units and {} standard deviations; a part in 0..1 and numbers from 0 \
+             are expected",
+            self.relative, self.absolute, self.sigmas
         );
         Err(LiftError::argument("depth tolerance", problem))
     }
+
+    /// Least and largest depth that agrees with each Gaussian in the picture.
+    fn ranges(&self, gaussians: &Gaussians, projected: &Projected, view: &View) -> Vec<[f32; 2]> {
+        let axis = view.world_to_camera[2];
+        let range = |(&i, &z): (&u32, &f32)| {
+            let deep = match self.sigmas {
+                0.0 => 0.0,
+                sigmas => sigmas * deviation(gaussians, i as usize, [axis[0], axis[1], axis[2]]),
+            };
+            let slack = self.relative * z + self.absolute + deep;
+            [z - slack, z + slack]
+        };
+        projected.index.par_iter().zip(&projected.depth).map(range).collect()
+    }
+}
+
+/// Standard deviation of a Gaussian along a unit vector of the world.
+fn deviation(gaussians: &Gaussians, i: usize, axis: [f32; 3]) -> f32 {
+    let quat = gaussians.quats[i].map(f64::from);
+    let norm = quat.iter().map(|v| v * v).sum::<f64>().sqrt();
+    let columns = transposed(rotation(quat.map(|v| (v / norm) as f32)));
+    let along = |k: usize| dot(columns[k], axis) * gaussians.scales[i][k];
+    (0..3).map(|k| along(k) * along(k)).sum::<f32>().sqrt()
+}
+
+fn transposed(m: [[f32; 3]; 3]) -> [[f32; 3]; 3] {
+    std::array::from_fn(|c| std::array::from_fn(|r| m[r][c]))
 }
 
 /// A picture with its segments.
@@ -80,35 +116,18 @@ pub struct ViewWeights {
     pub visible: usize,
 }
 
-/// Depths of Gaussians that agree with the pixels of one tile, row by row.
-#[derive(Debug)]
-pub(super) struct DepthBounds {
-    pub(super) low: [[f32; TILE]; TILE],
-    pub(super) high: [[f32; TILE]; TILE],
-}
+/// The depths of one tile, row by row; NaN where there is none, which agrees with nothing.
+pub(super) type TileDepths = [[f32; TILE]; TILE];
 
-impl DepthBounds {
-    fn new(depth: &[f32], tolerance: DepthTolerance, view: &View, rect: TileRect) -> Box<Self> {
-        let nothing = [[f32::INFINITY; TILE]; TILE];
-        let mut out = Box::new(Self { low: nothing, high: [[0.0; TILE]; TILE] });
-        for r in 0..rect.height as usize {
-            let start = (rect.y0 as usize + r) * view.width as usize + rect.x0 as usize;
-            for (c, &d) in depth[start..start + rect.width as usize].iter().enumerate() {
-                let [low, high] = bounds(d, tolerance);
-                (out.low[r][c], out.high[r][c]) = (low, high);
-            }
+fn tile_depths(depth: &[f32], view: &View, rect: TileRect) -> Box<TileDepths> {
+    let mut out = Box::new([[f32::NAN; TILE]; TILE]);
+    for r in 0..rect.height as usize {
+        let start = (rect.y0 as usize + r) * view.width as usize + rect.x0 as usize;
+        for (out, &d) in out[r].iter_mut().zip(&depth[start..start + rect.width as usize]) {
+            *out = if d > 0.0 && d.is_finite() { d } else { f32::NAN };
         }
-        out
     }
-}
-
-/// `|z − D| ≤ r z + a` solved for `z`.
-fn bounds(depth: f32, tolerance: DepthTolerance) -> [f32; 2] {
-    if !(depth > 0.0 && depth.is_finite()) {
-        return [f32::INFINITY, 0.0];
-    }
-    let DepthTolerance { relative, absolute } = tolerance;
-    [(depth - absolute) / (1.0 + relative), (depth + absolute) / (1.0 - relative)]
+    out
 }
 
 /// Sums the weights of every Gaussian over the pixels of every segment.
@@ -138,21 +157,72 @@ pub(super) fn weights_with_own_depth(
     settings: &RasterSettings,
 ) -> Result<ViewWeights, LiftError> {
     check(picture)?;
-    let projected = project(gaussians, picture.view, settings)?;
-    let lists = tile_lists(&projected, picture.view, settings);
-    let rendered;
-    let mut picture = *picture;
-    if let Some(tolerance) = own {
-        rendered = median_depth(&projected, &lists, picture.view, settings);
-        picture.depth = Some((&rendered, tolerance));
-    }
-    let pass = Pass { projected: &projected, lists: &lists, picture: &picture, settings };
-    let mut out = match rule {
-        LiftRule::AlphaWeighted => pass.alpha_weighted(),
-        LiftRule::CentrePixel => pass.centre_pixel(),
-    };
-    out.visible = projected.len();
+    let drawn = Drawn::new(gaussians, picture.view, settings)?;
+    let Some(tolerance) = own else { return Ok(drawn.weights(gaussians, picture, rule, settings)) };
+    let depth = drawn.median_depth(picture.view, settings);
+    let picture = LabelledView { depth: Some((&depth, tolerance)), ..*picture };
+    Ok(drawn.weights(gaussians, &picture, rule, settings))
+}
+
+/// The weights of all pixels, then of those that agree with the median depth of the picture itself, one
+/// list after the other: what two calls of [`weights_with_own_depth`] give, but for `totals`,
+/// which are there once.
+pub(super) fn weights_of_all_and_agreeing(
+    gaussians: &Gaussians,
+    picture: &LabelledView<'_>,
+    tolerance: DepthTolerance,
+    rule: LiftRule,
+    settings: &RasterSettings,
+) -> Result<ViewWeights, LiftError> {
+    check(picture)?;
+    let drawn = Drawn::new(gaussians, picture.view, settings)?;
+    let mut out = drawn.weights(gaussians, picture, rule, settings);
+    let depth = drawn.median_depth(picture.view, settings);
+    let picture = LabelledView { depth: Some((&depth, tolerance)), ..*picture };
+    out.levels.extend(drawn.weights(gaussians, &picture, rule, settings).levels);
     Ok(out)
+}
+
+/// A view before its pixels.
+struct Drawn {
+    projected: Projected,
+    lists: TileLists,
+}
+
+impl Drawn {
+    fn new(
+        gaussians: &Gaussians,
+        view: &View,
+        settings: &RasterSettings,
+    ) -> Result<Self, LiftError> {
+        let projected = project(gaussians, view, settings)?;
+        let lists = tile_lists(&projected, view, settings);
+        Ok(Self { projected, lists })
+    }
+
+    fn median_depth(&self, view: &View, settings: &RasterSettings) -> Vec<f32> {
+        median_depth(&self.projected, &self.lists, view, settings)
+    }
+
+    fn weights(
+        &self,
+        gaussians: &Gaussians,
+        picture: &LabelledView<'_>,
+        rule: LiftRule,
+        settings: &RasterSettings,
+    ) -> ViewWeights {
+        let Self { projected, lists } = self;
+        let ranges = picture.depth.map_or(Vec::new(), |(_, tolerance)| {
+            tolerance.ranges(gaussians, projected, picture.view)
+        });
+        let pass = Pass { projected, lists, picture, settings, ranges: &ranges };
+        let mut out = match rule {
+            LiftRule::AlphaWeighted => pass.alpha_weighted(),
+            LiftRule::CentrePixel => pass.centre_pixel(),
+        };
+        out.visible = projected.len();
+        out
+    }
 }
 
 fn check(picture: &LabelledView<'_>) -> Result<(), LiftError> {
@@ -184,6 +254,8 @@ struct Pass<'a> {
     lists: &'a TileLists,
     picture: &'a LabelledView<'a>,
     settings: &'a RasterSettings,
+    /// See [`DepthTolerance::ranges`]; empty if the picture has no depth.
+    ranges: &'a [[f32; 2]],
 }
 
 impl Pass<'_> {
@@ -192,16 +264,14 @@ impl Pass<'_> {
     }
 
     fn tiles<const DEPTH: bool>(&self) -> ViewWeights {
-        let Self { projected, lists, picture, settings } = *self;
+        let Self { projected, lists, picture, settings, ranges } = *self;
         let sums = blend(projected, lists, picture.view, settings, |rect| {
             let segments = TileSegments::new(picture.levels, rect, DEPTH);
             let listed = lists.offsets[rect.tile + 1] - lists.offsets[rect.tile];
             // Most Gaussians meet one or two segments in a tile.
             let expected = if segments.tuples.len() == 1 { listed } else { listed * 3 / 2 };
-            let bounds = picture
-                .depth
-                .map(|(depth, tolerance)| DepthBounds::new(depth, tolerance, picture.view, rect));
-            AlphaWeighted::<DEPTH>::new(segments, expected, &projected.depth, bounds)
+            let depths = picture.depth.map(|(depth, _)| tile_depths(depth, picture.view, rect));
+            AlphaWeighted::<DEPTH>::new(segments, expected, ranges, depths, settings.isa())
         });
         self.merge(&sums)
     }
@@ -244,7 +314,7 @@ impl Pass<'_> {
     }
 
     fn centre_pixel(&self) -> ViewWeights {
-        let Self { projected, lists, picture, settings } = *self;
+        let Self { projected, lists, picture, settings, ranges } = *self;
         let pixels = CentrePixels::new(projected, picture.view);
         let make = |rect| CentrePixel::new(&pixels, rect);
         let tiles = blend(projected, lists, picture.view, settings, make);
@@ -257,10 +327,10 @@ impl Pass<'_> {
             let (gaussian, i) = (projected.index[row as usize], row as usize);
             out.totals.push((gaussian, weight));
             let [x, y] = pixels.weight_pixel(row);
-            if let Some((depth, tolerance)) = picture.depth {
-                let at = y as usize * picture.view.width as usize + x as usize;
-                let [low, high] = bounds(depth[at], tolerance);
-                if !(projected.depth[i] >= low && projected.depth[i] <= high) {
+            if let Some((depth, _)) = picture.depth {
+                let d = depth[y as usize * picture.view.width as usize + x as usize];
+                let [least, largest] = ranges[i];
+                if !(d > 0.0 && d.is_finite() && d >= least && d <= largest) {
                     continue;
                 }
             }
@@ -295,6 +365,55 @@ fn merge_row(gaussian: u32, weights: &[(SegmentTuple, f32)], out: &mut ViewWeigh
                 Some(known) if known.segment == segment => known.weight += weight,
                 _ => list.insert(at, SegmentWeight { gaussian, segment, weight }),
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    #[test]
+    fn depth_deviations_are_those_of_the_covariance() {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        for size in [1e-4f32, 1.0, 1e4] {
+            let mut random = |low: f32| rng.random_range(low..1.0);
+            let gaussians = Gaussians {
+                means: vec![[0.0; 3]],
+                // Of any length.
+                quats: vec![[0; 4].map(|_| 30.0 * random(-1.0))],
+                scales: vec![[0; 3].map(|_| size * random(0.01))],
+                ..Gaussians::default()
+            };
+            let axis = [0.48f32, -0.6, 0.64];
+            // The covariance as a sum over the axes turned by q v q⁻¹, in f64.
+            let [w, x, y, z] = gaussians.quats[0].map(f64::from);
+            let norm = w * w + x * x + y * y + z * z;
+            let turned = |v: [f64; 3]| {
+                let cross = |a: [f64; 3], b: [f64; 3]| {
+                    [
+                        a[1] * b[2] - a[2] * b[1],
+                        a[2] * b[0] - a[0] * b[2],
+                        a[0] * b[1] - a[1] * b[0],
+                    ]
+                };
+                let q = [x, y, z];
+                let t = cross(q, v);
+                let u = cross(q, t);
+                [0, 1, 2].map(|i: usize| v[i] + 2.0 * (w * t[i] + u[i]) / norm)
+            };
+            let units = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+            let variance: f64 = (0..3)
+                .map(|k| {
+                    let a = turned(units[k]);
+                    let along: f64 = (0..3).map(|i| a[i] * f64::from(axis[i])).sum();
+                    (along * f64::from(gaussians.scales[0][k])).powi(2)
+                })
+                .sum();
+            let (got, expected) = (f64::from(deviation(&gaussians, 0, axis)), variance.sqrt());
+            assert!((got / expected - 1.0).abs() < 1e-5, "{got} {expected}");
         }
     }
 }

@@ -7,7 +7,8 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scenesplat_datasets::synthetic::{SyntheticRoomSettings, generate};
 use scenesplat_rasterizer::lifting::{
-    FinaliseSettings, LabelledPicture, LiftError, LiftSettings, Lifter, NO_SEGMENT, SegmentMap,
+    DepthEffect, DepthProbe, FinaliseSettings, LabelledPicture, LiftError, LiftSettings, Lifter,
+    NO_SEGMENT, SegmentMap,
 };
 use scenesplat_rasterizer::{
     Gaussians, RasterSettings, Span, TILE, TileRect, TileVisitor, View, blend, project, tile_lists,
@@ -90,9 +91,29 @@ impl Planted {
     /// Lifts the maps onto the Gaussians, with a part of each picture's segments named wrongly.
     pub fn lifter(&self, wrong: f64, settings: LiftSettings) -> Result<Lifter<'_>, LiftError> {
         let mut lifter = Lifter::new(&self.gaussians, 1, DIM, settings)?;
+        self.pictures(wrong, |_, picture| lifter.add(picture).map(|_| ()))?;
+        Ok(lifter)
+    }
+
+    /// What depth agreement changes, by every `step`-th of these pictures.
+    pub fn depth_effect(&self, wrong: f64, step: usize) -> Result<DepthEffect, LiftError> {
+        let mut probe = DepthProbe::new(&self.gaussians, DIM, &LiftSettings::default())?;
+        self.pictures(wrong, |number, picture| match number % step {
+            0 => probe.add(picture),
+            _ => Ok(()),
+        })?;
+        probe.effect()
+    }
+
+    /// Hands out the pictures with a part of the segments of each named after other objects.
+    fn pictures(
+        &self,
+        wrong: f64,
+        mut sink: impl FnMut(usize, &LabelledPicture<'_>) -> Result<(), LiftError>,
+    ) -> Result<(), LiftError> {
         let mut rng = ChaCha8Rng::seed_from_u64(77);
         let count = self.num_objects();
-        for (view, map) in self.views.iter().zip(&self.maps) {
+        for (number, (view, map)) in self.views.iter().zip(&self.maps).enumerate() {
             let mut features = self.features.clone();
             for (own, row) in features.chunks_exact_mut(DIM).enumerate() {
                 if rng.random_bool(wrong) {
@@ -101,9 +122,9 @@ impl Planted {
                 }
             }
             let levels = std::slice::from_ref(map);
-            lifter.add(&LabelledPicture { view, levels, features: &features, depth: None })?;
+            sink(number, &LabelledPicture { view, levels, features: &features, depth: None })?;
         }
-        Ok(lifter)
+        Ok(())
     }
 
     /// Makes features and compares them with the truth.

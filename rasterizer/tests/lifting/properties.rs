@@ -5,9 +5,9 @@ use rand::seq::SliceRandom;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scenesplat_rasterizer::lifting::{
-    Aggregate, BlockFeatures, DepthTolerance, FinaliseSettings, FrameWeight, LabelledPicture,
-    LabelledView, LiftError, LiftRule, LiftSettings, Lifter, NO_SEGMENT, Robust, SegmentMap,
-    fuse_crops, view_weights,
+    Aggregate, BlockFeatures, DepthProbe, DepthTolerance, FinaliseSettings, FrameWeight,
+    LabelledPicture, LabelledView, LiftError, LiftRule, LiftSettings, Lifter, NO_SEGMENT, Robust,
+    SegmentMap, fuse_crops, view_weights,
 };
 use scenesplat_rasterizer::{
     DepthRequest, Gaussians, RasterSettings, RenderRequest, View, render, render_features,
@@ -336,6 +336,41 @@ fn only_pixels_whose_depth_agrees_label_a_gaussian() {
 }
 
 #[test]
+fn the_depth_of_the_scene_is_the_rendered_one_and_the_probe_compares_it_with_none() {
+    let (gaussians, views) = cloud(700, 5, SIZE, 31);
+    let tolerance = DepthTolerance { relative: 0.02, absolute: 0.01, sigmas: 0.5 };
+    let with = |depth| LiftSettings { depth, ..LiftSettings::default() };
+    let new = |depth| Lifter::new(&gaussians, 1, 5, with(depth)).unwrap();
+    let (mut own, mut given, mut all) = (new(Some(tolerance)), new(Some(tolerance)), new(None));
+    let mut probe = DepthProbe::new(&gaussians, 5, &with(Some(tolerance))).unwrap();
+    let median = RenderRequest {
+        depth: DepthRequest { median: true, ..DepthRequest::default() },
+        ..RenderRequest::default()
+    };
+    let (mut kept, mut total) = (0.0, 0.0);
+    for (i, view) in views.iter().enumerate() {
+        let map = [voronoi(SIZE[0], SIZE[1], 12, i as u64)];
+        let features = rows(12, 5, 40 + i as u64);
+        let picture = LabelledPicture { view, levels: &map, features: &features, depth: None };
+        let rendered = render(&gaussians, view, &RasterSettings::default(), &median).unwrap();
+        let depth = rendered.depth_median.as_deref();
+        kept += own.add(&picture).unwrap().labelled[0];
+        given.add(&LabelledPicture { depth, ..picture }).unwrap();
+        total += all.add(&picture).unwrap().labelled[0];
+        probe.add(&picture).unwrap();
+    }
+    let collect = |lifter: &mut Lifter<'_>| lifter.collect(0, &FinaliseSettings::default());
+    let (own, given) = (collect(&mut own).unwrap(), collect(&mut given).unwrap());
+    assert!(own == given, "a depth taken on the way differs from the rendered one");
+    assert!(own != collect(&mut all).unwrap());
+    let effect = probe.effect().unwrap();
+    assert_eq!(effect.kept, kept / total);
+    assert!(effect.kept > 0.1 && effect.kept < 0.9 && effect.gaussians > 100, "{effect:?}");
+    // Segments drawn by lot: nobody knows what is right, and depth agreement stays off.
+    assert!(effect.misleading.is_none() && !effect.helps(), "{effect:?}");
+}
+
+#[test]
 fn disagreement_is_0_for_equal_labels_and_1_for_random_ones() {
     let (gaussians, views) = cloud(800, 8, SIZE, 11);
     let mut rng = ChaCha8Rng::seed_from_u64(2);
@@ -458,7 +493,7 @@ fn what_does_not_fit_together_is_refused_by_name() {
     for (levels, dim) in [(0, 2), (5, 2), (1, 0), (1, usize::MAX)] {
         assert!(matches!(new(levels, dim, plain.clone()), Err(LiftError::Argument { .. })));
     }
-    let tolerance = Some(DepthTolerance { relative: 1.0, absolute: 0.0 });
+    let tolerance = Some(DepthTolerance { relative: 1.0, absolute: 0.0, sigmas: 0.0 });
     assert!(new(1, 2, LiftSettings { depth: tolerance, ..plain.clone() }).is_err());
     let bad: [FinaliseSettings; 4] = [
         FinaliseSettings { view_exponent: -0.1, ..FinaliseSettings::default() },

@@ -1,0 +1,103 @@
+//! Whether only pixels of a Gaussian's own depth label it.
+
+use super::pictures::Pictures;
+use super::{Args, RuleArg};
+use crate::cli::common::Session;
+use anyhow::{Context, Result};
+use scenesplat_rasterizer::Gaussians;
+use scenesplat_rasterizer::lifting::{DepthEffect, DepthProbe, DepthTolerance};
+use std::path::PathBuf;
+
+/// Which depth has to agree.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum DepthArg {
+    /// That of the scene, if some pictures show that it helps.
+    Auto,
+    /// None.
+    Off,
+    /// That of the scene.
+    Render,
+    /// What was measured, one file per frame.
+    Folder(PathBuf),
+}
+
+impl std::str::FromStr for DepthArg {
+    type Err = std::convert::Infallible;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        Ok(match text {
+            "auto" => Self::Auto,
+            "off" => Self::Off,
+            "render" => Self::Render,
+            folder => Self::Folder(folder.into()),
+        })
+    }
+}
+
+impl Args {
+    /// What depth has to agree with a Gaussian's, if any; with `auto`, by what some pictures show.
+    pub(super) fn decide_depth(
+        &self,
+        session: &Session<'_>,
+        gaussians: &Gaussians,
+        pictures: &Pictures<'_>,
+    ) -> Result<Option<DepthTolerance>> {
+        let note = |text: &str| {
+            session.receipt.setting("depth", text, "pixels of another depth label nothing");
+        };
+        match &self.depth {
+            DepthArg::Off => return Ok(None),
+            DepthArg::Auto if self.rule == RuleArg::CentrePixel => return Ok(None),
+            DepthArg::Auto => {}
+            DepthArg::Render => {
+                note("render");
+                return Ok(Some(DepthTolerance::RENDERED));
+            }
+            DepthArg::Folder(folder) => {
+                note(&folder.display().to_string());
+                return Ok(Some(DepthTolerance::default()));
+            }
+        }
+        let effect = self.depth_effect(session, gaussians, pictures)?;
+        let found = effect.misleading.map_or("nothing to tell".to_owned(), |m| format!("{m:.2}"));
+        let chosen = if effect.helps() { "render" } else { "off" };
+        session.progress.say(format!(
+            "labels at another depth mislead by {found} (0: as right as the others, 1: by lot) on {} \
+             Gaussians, {:.1} % of the weight is at its depth; depth agreement: {chosen}",
+            effect.gaussians,
+            100.0 * effect.kept
+        ));
+        session.receipt.setting("depth_misleading", found, "measured for --depth auto");
+        note(&format!("auto: {chosen}"));
+        Ok(effect.helps().then_some(DepthTolerance::RENDERED))
+    }
+
+    fn depth_effect(
+        &self,
+        session: &Session<'_>,
+        gaussians: &Gaussians,
+        pictures: &Pictures<'_>,
+    ) -> Result<DepthEffect> {
+        let _stage = session.receipt.stage("depth agreement");
+        let all = pictures.len();
+        let count = all.min(DepthProbe::PICTURES);
+        let mut probe = None;
+        for number in 0..count {
+            session.check_stop()?;
+            session.progress.advance("trying depth agreement", number as f64 / count as f64);
+            let picture = pictures.read(number * all / count)?;
+            let (dim, probe) = match &mut probe {
+                Some((dim, probe)) => (*dim, probe),
+                none => {
+                    let dim = picture.segments.dim;
+                    let new = DepthProbe::new(gaussians, dim, &self.settings(None))?;
+                    (dim, &mut none.insert((dim, new)).1)
+                }
+            };
+            picture.check_dim(dim)?;
+            probe.add(&picture.labelled()).with_context(|| format!("frame {}", picture.name))?;
+        }
+        session.progress.finish();
+        Ok(probe.context("no camera has segments")?.1.effect()?)
+    }
+}
