@@ -14,6 +14,9 @@ pub const SPAN: usize = TILE;
 /// Pixels of a tile.
 const PIXELS: usize = TILE * TILE;
 
+/// Most tiles of a task. Where much of a scene is in few tiles, threads would otherwise wait for the
+/// one that has them.
+pub(crate) const TILES_PER_TASK: usize = 4;
 /// List positions between asking for a Gaussian and reading it: tens of rows of arithmetic, more
 /// than memory takes.
 const AHEAD: usize = 12;
@@ -104,7 +107,7 @@ pub fn blend<V: TileVisitor>(
         let rect = rect(tile, lists, view);
         blend_tile(&scene, rect, make(rect))
     };
-    (0..lists.len()).into_par_iter().map(tile).collect()
+    (0..lists.len()).into_par_iter().with_max_len(TILES_PER_TASK).map(tile).collect()
 }
 
 fn rect(tile: usize, lists: &TileLists, view: &View) -> TileRect {

@@ -7,6 +7,7 @@
 use super::pixels::{MOMENTS, PIXELS, alphas, row_last, rows_behind};
 use super::reduce::{CHUNK, PairsOfRow, cut};
 use super::rows::{Pass, Sums};
+use crate::blend::TILES_PER_TASK;
 use crate::lanes::{LANES, Lanes8, Plain};
 use crate::splats::{Groups, Splat, reached};
 use crate::{TILE, TileRect};
@@ -36,7 +37,7 @@ impl Pass<'_> {
             let width = GROUP.min(dim - first);
             let mut records = vec![[0.0f32; RECORD]; self.trace.lists.entries.len()];
             let tiles = self.tiles(&mut records);
-            tiles.into_par_iter().for_each(|(rect, out)| {
+            tiles.into_par_iter().with_max_len(TILES_PER_TASK).for_each(|(rect, out)| {
                 let group = Group { pass: self, splats: &splats, rect, first, width };
                 group.walk(self.state(rect, first, width), out);
             });

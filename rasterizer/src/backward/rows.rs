@@ -4,6 +4,7 @@ use super::pixels::{MOMENTS, PIXELS, Pixels, Tile, walk};
 use super::projection::{self, Lens, RowGradient, Shape};
 use super::reduce::{CHUNK, PairsOfRow, cut};
 use super::{BackwardError, GradMask, Gradients, Trace, Upstream, harmonics};
+use crate::blend::TILES_PER_TASK;
 use crate::projection::tangent_limits;
 use crate::splats::Splat;
 use crate::{Gaussians, RasterSettings, TILE, TileRect, View};
@@ -71,7 +72,7 @@ impl<'a> Pass<'a> {
         let splats = Splat::all(&self.trace.projected, values);
         let mut records = vec![[0.0f32; K]; lists.entries.len()];
         let tiles = self.tiles(&mut records);
-        tiles.into_par_iter().for_each(|(rect, out)| {
+        tiles.into_par_iter().with_max_len(TILES_PER_TASK).for_each(|(rect, out)| {
             let (begin, end) = (lists.offsets[rect.tile], lists.offsets[rect.tile + 1]);
             let tile = Tile {
                 rect,
