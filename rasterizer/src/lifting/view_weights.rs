@@ -1,7 +1,7 @@
 //! Weights per Gaussian and segment of one picture.
 
 use super::LiftError;
-use super::alpha_weighted::{AlphaWeighted, TileSums};
+use super::alpha_weighted::{AlphaWeighted, TileSums, TileWeight};
 use super::centre_pixel::{CentrePixel, CentrePixels};
 use super::segment_map::{NO_SEGMENT, SegmentMap};
 use super::spool::SegmentWeight;
@@ -13,6 +13,7 @@ use crate::{
     tile_lists,
 };
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Which pixels of a picture label a Gaussian.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -276,41 +277,59 @@ impl Pass<'_> {
         self.merge(&sums)
     }
 
-    /// Joins the sums of the tiles.
+    /// Joins the sums of the tiles. Each task has some of the rows and looks for them in all tiles,
+    /// which is less work than to sort all of them first.
     fn merge(&self, tiles: &[TileSums]) -> ViewWeights {
+        const FEWEST_ROWS: usize = 4096;
         let rows = self.projected.len();
-        let mut starts = vec![0u32; rows + 1];
-        for weight in tiles.iter().flat_map(|t| &t.weights) {
-            starts[weight.row as usize + 1] += 1;
-        }
-        for row in 0..rows {
-            starts[row + 1] += starts[row];
-        }
-        let mut next = starts.clone();
-        let mut sorted = vec![(NOWHERE, 0.0f32); starts[rows] as usize];
-        for tile in tiles {
-            for weight in &tile.weights {
-                let place = &mut next[weight.row as usize];
-                sorted[*place as usize] = (tile.tuples[weight.tuple as usize], weight.weight);
-                *place += 1;
-            }
-        }
-        const ROWS_PER_TASK: usize = 4096;
-        let count = self.picture.levels.len();
-        let tasks = (0..rows.div_ceil(ROWS_PER_TASK)).into_par_iter().map(|task| {
-            let mut out = ViewWeights { levels: vec![Vec::new(); count], ..Default::default() };
-            for row in task * ROWS_PER_TASK..rows.min((task + 1) * ROWS_PER_TASK) {
-                let weights = &sorted[starts[row] as usize..starts[row + 1] as usize];
-                merge_row(self.projected.index[row], weights, &mut out);
-            }
-            out
-        });
-        let mut out = ViewWeights { levels: vec![Vec::new(); count], ..Default::default() };
-        for part in tasks.collect::<Vec<_>>() {
+        let step = rows.div_ceil(rayon::current_num_threads()).max(FEWEST_ROWS);
+        let tasks = (0..rows.div_ceil(step)).into_par_iter().with_max_len(1);
+        let parts =
+            tasks.map(|task| self.merge_rows(tiles, task * step..rows.min((task + 1) * step)));
+        let mut out = self.nothing();
+        for part in parts.collect::<Vec<_>>() {
             out.totals.extend(part.totals);
             out.levels.iter_mut().zip(part.levels).for_each(|(to, from)| to.extend(from));
         }
         out
+    }
+
+    fn merge_rows(&self, tiles: &[TileSums], rows: Range<usize>) -> ViewWeights {
+        let count = rows.len();
+        // Rows below the first wrap around to more than the last.
+        let place_of = |weight: &TileWeight| (weight.row as usize).wrapping_sub(rows.start);
+        let mut starts = vec![0u32; count + 1];
+        for weight in tiles.iter().flat_map(|t| &t.weights) {
+            let place = place_of(weight);
+            if place < count {
+                starts[place + 1] += 1;
+            }
+        }
+        for place in 0..count {
+            starts[place + 1] += starts[place];
+        }
+        let mut next = starts.clone();
+        let mut sorted = vec![(NOWHERE, 0.0f32); starts[count] as usize];
+        for tile in tiles {
+            for weight in &tile.weights {
+                let place = place_of(weight);
+                if place < count {
+                    let at = &mut next[place];
+                    sorted[*at as usize] = (tile.tuples[weight.tuple as usize], weight.weight);
+                    *at += 1;
+                }
+            }
+        }
+        let mut out = self.nothing();
+        for (row, ends) in rows.clone().zip(starts.windows(2)) {
+            let weights = &sorted[ends[0] as usize..ends[1] as usize];
+            merge_row(self.projected.index[row], weights, &mut out);
+        }
+        out
+    }
+
+    fn nothing(&self) -> ViewWeights {
+        ViewWeights { levels: vec![Vec::new(); self.picture.levels.len()], ..Default::default() }
     }
 
     fn centre_pixel(&self) -> ViewWeights {
