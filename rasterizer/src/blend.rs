@@ -17,6 +17,7 @@ const PIXELS: usize = TILE * TILE;
 /// Most tiles of a task. Where much of a scene is in few tiles, threads would otherwise wait for the
 /// one that has them.
 pub(crate) const TILES_PER_TASK: usize = 4;
+
 /// List positions between asking for a Gaussian and reading it: tens of rows of arithmetic, more
 /// than memory takes.
 const AHEAD: usize = 12;

@@ -80,15 +80,18 @@ pub(crate) trait OnLanes {
     unsafe fn run<L: Lanes>(self);
 }
 
-/// Does some work in registers of `count` values, 8 or 16; `isa` is no more than the CPU has.
+/// Does some work in registers of `count` values, 8 or 16.
 ///
 /// The pixel loop knows its registers, its visitors do not; where this is inlined into the loop the
 /// comparison of `count` is gone.
 ///
 /// # Panics
 /// If there are no such registers.
+///
+/// # Safety
+/// `isa` is no more than the CPU has, as [`RasterSettings::isa`](crate::RasterSettings::isa) is.
 #[inline(always)]
-pub(crate) fn on_lanes(isa: Isa, count: usize, work: impl OnLanes) {
+pub(crate) unsafe fn on_lanes(isa: Isa, count: usize, work: impl OnLanes) {
     debug_assert!(isa <= Isa::current());
     #[cfg(target_arch = "x86_64")]
     {

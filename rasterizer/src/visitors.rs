@@ -115,7 +115,7 @@ pub(crate) struct Depth<'a, const MEDIAN: bool> {
 }
 
 impl<'a, const MEDIAN: bool> Depth<'a, MEDIAN> {
-    /// `isa` is what tiles are drawn with.
+    /// `isa` is [`RasterSettings::isa`](crate::RasterSettings::isa) of what tiles are drawn with.
     pub(crate) fn new(depth: &'a [f32], target: CanvasTile<'a>, isa: Isa) -> Self {
         Self { depth, values: Aligned([0.0; PIXELS]), target, isa }
     }
@@ -160,7 +160,8 @@ impl<const MEDIAN: bool> TileVisitor for Depth<'_, MEDIAN> {
         let z = self.depth[row as usize];
         let values = &mut self.values.0[span.at..span.at + span.weights.len()];
         if MEDIAN {
-            on_lanes(self.isa, span.weights.len(), Median { values, span, z });
+            // SAFETY: that of the settings.
+            unsafe { on_lanes(self.isa, span.weights.len(), Median { values, span, z }) };
         } else {
             for (value, weight) in values.iter_mut().zip(span.weights) {
                 *value += weight * z;

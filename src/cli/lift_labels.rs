@@ -12,6 +12,7 @@ use crate::preview::UpAxis;
 use crate::progress::interrupted;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
+use clap::builder::TypedValueParser;
 use depth::DepthArg;
 use pictures::Pictures;
 use scenesplat_rasterizer::Gaussians;
@@ -62,9 +63,15 @@ pub struct Args {
     pub erode: u32,
     /// Leaves out pixels whose depth is not the Gaussian's: `render` by the median depth of the scene
     /// itself (1 % and two standard deviations), or a folder of FRAME.npy, [H, W], 0 = unknown (3 %
-    /// and 0.05 units); `auto` does what `render` does if 16 of the pictures show that it leaves
-    /// out wrong labels (`off` with the rule centre-pixel).
-    #[arg(long, value_name = "auto|off|render|DIR", default_value = "auto")]
+    /// and 0.05 units); `auto` does what `render` does if up to 16 of the pictures, spread evenly, show
+    /// in the first level that it leaves out wrong labels and keeps half of the weight (`off`
+    /// with the rule centre-pixel).
+    #[arg(
+        long,
+        value_name = "auto|off|render|DIR",
+        default_value = "auto",
+        value_parser = clap::builder::PathBufValueParser::new().map(DepthArg::from)
+    )]
     pub depth: DepthArg,
     /// Keeps the weighted mean as it is instead of dividing it by its length.
     #[arg(long)]

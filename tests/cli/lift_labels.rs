@@ -157,7 +157,7 @@ fn what_shines_through_does_not_take_the_name_of_what_hides_it() {
     let agreeing = feature();
     assert_eq!(agreeing[2..], [0.0, 1.0]);
     let receipt = std::fs::read_to_string(dir.path().join("out/receipt.json")).unwrap();
-    assert!(receipt.contains("auto: render") && receipt.contains("depth_misleading"), "{receipt}");
+    assert!(receipt.contains("auto: render") && receipt.contains("depth_kept"), "{receipt}");
     done(&lift(dir.path(), &["--depth", "render", "--robust", "off"]));
     assert_eq!(feature(), agreeing);
 }

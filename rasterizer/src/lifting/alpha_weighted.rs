@@ -47,7 +47,8 @@ pub(super) struct AlphaWeighted<'a, const DEPTH: bool> {
 }
 
 impl<'a, const DEPTH: bool> AlphaWeighted<'a, DEPTH> {
-    /// With room for `expected` sums; `isa` is what tiles are drawn with.
+    /// With room for `expected` sums; `isa` is
+    /// [`RasterSettings::isa`](crate::RasterSettings::isa) of what tiles are drawn with.
     pub(super) fn new(
         segments: TileSegments,
         expected: usize,
@@ -134,7 +135,8 @@ impl<const DEPTH: bool> TileVisitor for AlphaWeighted<'_, DEPTH> {
         self.met |= self.segments.bits[r];
         let isa = self.isa;
         let add = Add { to: self, row: r, column: x, weights: span.weights };
-        on_lanes(isa, span.weights.len(), add);
+        // SAFETY: that of the settings.
+        unsafe { on_lanes(isa, span.weights.len(), add) };
     }
 
     #[inline(always)]

@@ -67,12 +67,21 @@ impl DepthTolerance {
     }
 
     /// Least and largest depth that agrees with each Gaussian in the picture.
-    fn ranges(&self, gaussians: &Gaussians, projected: &Projected, view: &View) -> Vec<[f32; 2]> {
+    fn ranges(
+        &self,
+        gaussians: &Gaussians,
+        projected: &Projected,
+        view: &View,
+        settings: &RasterSettings,
+    ) -> Vec<[f32; 2]> {
         let axis = view.world_to_camera[2];
         let range = |(&i, &z): (&u32, &f32)| {
             let deep = match self.sigmas {
                 0.0 => 0.0,
-                sigmas => sigmas * deviation(gaussians, i as usize, [axis[0], axis[1], axis[2]]),
+                sigmas => {
+                    let unit = settings.normalize_quats;
+                    sigmas * deviation(gaussians, i as usize, [axis[0], axis[1], axis[2]], unit)
+                }
             };
             let slack = self.relative * z + self.absolute + deep;
             [z - slack, z + slack]
@@ -81,10 +90,11 @@ impl DepthTolerance {
     }
 }
 
-/// Standard deviation of a Gaussian along a unit vector of the world.
-fn deviation(gaussians: &Gaussians, i: usize, axis: [f32; 3]) -> f32 {
+/// Standard deviation of a Gaussian along a unit vector of the world, as it is drawn: with its
+/// quaternion as it is, or made one of length 1.
+fn deviation(gaussians: &Gaussians, i: usize, axis: [f32; 3], unit: bool) -> f32 {
     let quat = gaussians.quats[i].map(f64::from);
-    let norm = quat.iter().map(|v| v * v).sum::<f64>().sqrt();
+    let norm = if unit { quat.iter().map(|v| v * v).sum::<f64>().sqrt() } else { 1.0 };
     let columns = transposed(rotation(quat.map(|v| (v / norm) as f32)));
     let along = |k: usize| dot(columns[k], axis) * gaussians.scales[i][k];
     (0..3).map(|k| along(k) * along(k)).sum::<f32>().sqrt()
@@ -120,12 +130,17 @@ pub struct ViewWeights {
 /// The depths of one tile, row by row; NaN where there is none, which agrees with nothing.
 pub(super) type TileDepths = [[f32; TILE]; TILE];
 
+/// The depth of a pixel, NaN if there is none.
+fn known(depth: f32) -> f32 {
+    if depth > 0.0 && depth.is_finite() { depth } else { f32::NAN }
+}
+
 fn tile_depths(depth: &[f32], view: &View, rect: TileRect) -> Box<TileDepths> {
     let mut out = Box::new([[f32::NAN; TILE]; TILE]);
     for r in 0..rect.height as usize {
         let start = (rect.y0 as usize + r) * view.width as usize + rect.x0 as usize;
         for (out, &d) in out[r].iter_mut().zip(&depth[start..start + rect.width as usize]) {
-            *out = if d > 0.0 && d.is_finite() { d } else { f32::NAN };
+            *out = known(d);
         }
     }
     out
@@ -214,7 +229,7 @@ impl Drawn {
     ) -> ViewWeights {
         let Self { projected, lists } = self;
         let ranges = picture.depth.map_or(Vec::new(), |(_, tolerance)| {
-            tolerance.ranges(gaussians, projected, picture.view)
+            tolerance.ranges(gaussians, projected, picture.view, settings)
         });
         let pass = Pass { projected, lists, picture, settings, ranges: &ranges };
         let mut out = match rule {
@@ -277,12 +292,13 @@ impl Pass<'_> {
         self.merge(&sums)
     }
 
-    /// Joins the sums of the tiles. Each task has some of the rows and looks for them in all tiles,
-    /// which is less work than to sort all of them first.
+    /// Joins the sums of the tiles. Each of a few tasks has some of the rows and looks for them in all
+    /// tiles, which takes less time than to sort all of them first.
     fn merge(&self, tiles: &[TileSums]) -> ViewWeights {
-        const FEWEST_ROWS: usize = 4096;
+        const FEWEST_ROWS: usize = 512;
+        const MOST_TASKS: usize = 8;
         let rows = self.projected.len();
-        let step = rows.div_ceil(rayon::current_num_threads()).max(FEWEST_ROWS);
+        let step = rows.div_ceil(rayon::current_num_threads().min(MOST_TASKS)).max(FEWEST_ROWS);
         let tasks = (0..rows.div_ceil(step)).into_par_iter().with_max_len(1);
         let parts =
             tasks.map(|task| self.merge_rows(tiles, task * step..rows.min((task + 1) * step)));
@@ -347,9 +363,9 @@ impl Pass<'_> {
             out.totals.push((gaussian, weight));
             let [x, y] = pixels.weight_pixel(row);
             if let Some((depth, _)) = picture.depth {
-                let d = depth[y as usize * picture.view.width as usize + x as usize];
+                let d = known(depth[y as usize * picture.view.width as usize + x as usize]);
                 let [least, largest] = ranges[i];
-                if !(d > 0.0 && d.is_finite() && d >= least && d <= largest) {
+                if !(d >= least && d <= largest) {
                     continue;
                 }
             }
@@ -431,8 +447,20 @@ mod tests {
                     (along * f64::from(gaussians.scales[0][k])).powi(2)
                 })
                 .sum();
-            let (got, expected) = (f64::from(deviation(&gaussians, 0, axis)), variance.sqrt());
+            let (got, expected) =
+                (f64::from(deviation(&gaussians, 0, axis, true)), variance.sqrt());
             assert!((got / expected - 1.0).abs() < 1e-5, "{got} {expected}");
+            // A quaternion of length 1 is drawn as it is.
+            let length = norm.sqrt() as f32;
+            let unit = Gaussians {
+                quats: vec![gaussians.quats[0].map(|v| v / length)],
+                ..gaussians.clone()
+            };
+            let as_it_is = f64::from(deviation(&unit, 0, axis, false));
+            assert!((as_it_is / expected - 1.0).abs() < 1e-5, "{as_it_is} {expected}");
+            assert!(
+                (f64::from(deviation(&gaussians, 0, axis, false)) / expected - 1.0).abs() > 0.1
+            );
         }
     }
 }

@@ -196,14 +196,17 @@ fn two_halves_of_a_picture_are_the_whole() {
 #[test]
 fn neither_memory_nor_threads_change_a_bit() {
     let (gaussians, views) = cloud(2500, 4, SIZE, 7);
-    let run = |memory: u64, threads: usize, rule, finalise: &FinaliseSettings| {
+    let run = |memory: u64, threads: usize, (rule, depth), finalise: &FinaliseSettings| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        let settings = LiftSettings { memory, rule, ..LiftSettings::default() };
+        let settings = LiftSettings { memory, rule, depth, ..LiftSettings::default() };
         pool.install(|| lift(&gaussians, &views, &settings, finalise))
     };
-    for rule in [LiftRule::AlphaWeighted, LiftRule::CentrePixel] {
+    let (all, own) = (None, Some(DepthTolerance { sigmas: 8.0, ..DepthTolerance::RENDERED }));
+    let centre = (LiftRule::CentrePixel, all);
+    for rule in [(LiftRule::AlphaWeighted, all), (LiftRule::AlphaWeighted, own), centre] {
         for finalise in [FinaliseSettings::default(), FinaliseSettings::robust()] {
             let plain = run(u64::MAX, 1, rule, &finalise);
+            // Each thread has 512 Gaussians of a picture at least.
             assert!(plain.valid.iter().filter(|&&v| v).count() > 500);
             for (memory, threads) in [(u64::MAX, 3), (0, 1), (0, 4)] {
                 assert_eq!(plain, run(memory, threads, rule, &finalise), "{memory} {threads}");

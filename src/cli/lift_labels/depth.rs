@@ -21,16 +21,14 @@ pub enum DepthArg {
     Folder(PathBuf),
 }
 
-impl std::str::FromStr for DepthArg {
-    type Err = std::convert::Infallible;
-
-    fn from_str(text: &str) -> Result<Self, Self::Err> {
-        Ok(match text {
-            "auto" => Self::Auto,
-            "off" => Self::Off,
-            "render" => Self::Render,
-            folder => Self::Folder(folder.into()),
-        })
+impl From<PathBuf> for DepthArg {
+    fn from(path: PathBuf) -> Self {
+        match path.to_str() {
+            Some("auto") => Self::Auto,
+            Some("off") => Self::Off,
+            Some("render") => Self::Render,
+            _ => Self::Folder(path),
+        }
     }
 }
 
@@ -46,8 +44,14 @@ impl Args {
             session.receipt.setting("depth", text, "pixels of another depth label nothing");
         };
         match &self.depth {
-            DepthArg::Off => return Ok(None),
-            DepthArg::Auto if self.rule == RuleArg::CentrePixel => return Ok(None),
+            DepthArg::Off => {
+                note("off");
+                return Ok(None);
+            }
+            DepthArg::Auto if self.rule == RuleArg::CentrePixel => {
+                note("auto: off");
+                return Ok(None);
+            }
             DepthArg::Auto => {}
             DepthArg::Render => {
                 note("render");
@@ -59,15 +63,18 @@ impl Args {
             }
         }
         let effect = self.depth_effect(session, gaussians, pictures)?;
-        let found = effect.misleading.map_or("nothing to tell".to_owned(), |m| format!("{m:.2}"));
+        let found = effect.misleading.map_or("unknown".to_owned(), |m| format!("{m:.3}"));
         let chosen = if effect.helps() { "render" } else { "off" };
         session.progress.say(format!(
-            "labels at another depth mislead by {found} (0: as right as the others, 1: by lot) on {} \
+            "labels at another depth mislead: {found} (0: as right as the others, 1: by lot) on {} \
              Gaussians, {:.1} % of the weight is at its depth; depth agreement: {chosen}",
             effect.gaussians,
             100.0 * effect.kept
         ));
-        session.receipt.setting("depth_misleading", found, "measured for --depth auto");
+        let why = "measured for --depth auto";
+        session.receipt.setting("depth_misleading", found, why);
+        session.receipt.setting("depth_gaussians", effect.gaussians, why);
+        session.receipt.setting("depth_kept", format!("{:.3}", effect.kept), why);
         note(&format!("auto: {chosen}"));
         Ok(effect.helps().then_some(DepthTolerance::RENDERED))
     }
