@@ -1,7 +1,7 @@
 //! `compare`: numbers, pairing, messages.
 
 use crate::{done, scenesplat, stderr};
-use image::{ImageBuffer, Luma, Rgb, RgbImage};
+use scenesplat::scene::picture::{Channels, Picture, RgbPicture, Samples};
 use std::path::{Path, PathBuf};
 
 struct Place {
@@ -22,12 +22,14 @@ impl Place {
     }
 
     fn grey(&self, name: &str, value: u8) {
-        RgbImage::from_pixel(32, 24, Rgb([value; 3])).save(self.path(name)).unwrap();
+        let picture = RgbPicture::filled(32, 24, [value; 3]);
+        std::fs::write(self.path(name), picture.encode_png().unwrap()).unwrap();
     }
 
     fn depth(&self, name: &str, value: impl Fn(u32) -> u16) {
-        let picture = ImageBuffer::from_fn(32, 24, |x, _| Luma([value(x)]));
-        picture.save(self.path(name)).unwrap();
+        let values = (0..32 * 24).map(|i| value(i % 32)).collect();
+        let picture = Picture::new(32, 24, Channels::Gray, Samples::Sixteen(values)).unwrap();
+        std::fs::write(self.path(name), picture.encode_png().unwrap()).unwrap();
     }
 
     fn compare(&self, a: &str, b: &str, more: &[&str]) -> std::process::Output {
@@ -93,16 +95,19 @@ fn what_does_not_fit_together_is_said() {
         assert!(stderr(&output).contains(part), "{part} in {}", stderr(&output));
     };
     said("a", "b", &[], "has no one.png");
-    said("b", "b", &[], "no .png files");
+    said("b", "b", &[], "no .png, .jpg or .jpeg files");
     said("a", "a/one.png", &[], "two of a kind");
     said("a", "none", &[], "none");
-    RgbImage::new(32, 25).save(place.path("b/one.png")).unwrap();
+    let taller = RgbPicture::filled(32, 25, [0; 3]).encode_png().unwrap();
+    std::fs::write(place.path("b/one.png"), taller).unwrap();
     said("a", "b", &[], "32 × 24 against 32 × 25");
     place.depth("b/one.png", |_| 1);
     said("a", "b", &[], "depth, the other colour");
     std::fs::write(place.path("b/one.png"), b"no picture").unwrap();
     said("a", "b", &[], "one.png");
-    image::RgbaImage::new(32, 24).save(place.path("b/one.png")).unwrap();
+    let clear = Samples::Eight(vec![0; 32 * 24 * 4]);
+    let clear = Picture::new(32, 24, Channels::Rgba, clear).unwrap().encode_png().unwrap();
+    std::fs::write(place.path("b/one.png"), clear).unwrap();
     said("a", "b", &[], "transparent");
     place.grey("b/one.png", 51);
     said("a", "b", &["--lpips-weights", "missing.safetensors"], "missing.safetensors");
