@@ -18,13 +18,19 @@ pub(super) fn decode(bytes: &[u8], path: &Path) -> Result<Picture, SceneError> {
     let bad = |e: png::DecodingError| {
         SceneError::format(path, format!("is no PNG that can be read: {e}"), "")
     };
+    // The first chunk is the header. Its size is looked at before the decoder plans for it.
+    if let Some((width, rest)) = bytes.get(16..).and_then(<[u8]>::split_first_chunk::<4>)
+        && let Some(height) = rest.first_chunk::<4>()
+    {
+        let [width, height] = [*width, *height].map(u32::from_be_bytes);
+        check_size(width.into(), height.into(), path)?;
+    }
     let mut decoder = png::Decoder::new(Cursor::new(bytes));
     // Palettes become colors, fewer than 8 bits become 8.
     decoder.set_transformations(Transformations::EXPAND);
     decoder.set_ignore_text_chunk(true);
     let mut reader = decoder.read_info().map_err(bad)?;
     let (width, height) = reader.info().size();
-    check_size(width.into(), height.into(), path)?;
     let packed = reader.info().raw_bytes() as u64;
     if packed / MAX_INFLATION > bytes.len() as u64 {
         let problem = format!(
