@@ -85,6 +85,52 @@ fn means_over_a_folder() {
     assert!(text.contains("13.979") && !text.contains("SSIM") && !text.contains("LPIPS"), "{text}");
 }
 
+/// A gray JPEG of 32 × 24 pixels, all 51: twelve blocks, the first −77 off the middle, the others as
+/// the one before. A short file: quantisation by 8, one code for each table that is used.
+fn jpeg() -> Vec<u8> {
+    let mut out = vec![0xff, 0xd8, 0xff, 0xdb, 0, 67, 0];
+    out.extend([8; 64]);
+    out.extend([0xff, 0xc0, 0, 11, 8, 0, 24, 0, 32, 1, 1, 0x11, 0]);
+    // Differences of 0 and 7 bits are the codes 0 and 10; "nothing follows" is the code 0.
+    for (table, counts, values) in [(0, [1, 1], vec![0, 7]), (0x10, [1, 0], vec![0])] {
+        out.extend([0xff, 0xc4, 0, 19 + values.len() as u8, table]);
+        out.extend(counts);
+        out.extend([0; 14]);
+        out.extend(values);
+    }
+    out.extend([0xff, 0xda, 0, 8, 1, 1, 0, 0, 63, 0]);
+    // 10, then −77 in seven bits (127 − 77 = 50), 0; then eleven times 0 and 0; ones to the end.
+    let bits = format!("10{:07b}0{}", 50, "00".repeat(11));
+    assert_eq!(bits.len(), 32);
+    out.extend(u32::from_str_radix(&bits, 2).unwrap().to_be_bytes());
+    out.extend([0xff, 0xd9]);
+    out
+}
+
+#[test]
+fn photos_are_jpeg() {
+    let place = Place::new();
+    place.grey("a/one.png", 102);
+    place.grey("a/two.png", 51);
+    std::fs::write(place.path("b/one.JPG"), jpeg()).unwrap();
+    std::fs::write(place.path("b/two.jpeg"), jpeg()).unwrap();
+    let output = place.compare("a", "b", &["--metrics", "psnr"]);
+    done(&output);
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(text.contains("13.979") && text.contains("1 identical"), "{text}");
+    std::fs::write(place.path("b/one.JPG"), &jpeg()[..100]).unwrap();
+    let output = place.compare("a", "b", &["--metrics", "psnr"]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(
+        stderr(&output).contains("one.JPG: is a JPEG that cannot be read"),
+        "{}",
+        stderr(&output)
+    );
+    place.grey("b/one.png", 7);
+    let output = place.compare("a", "b", &[]);
+    assert!(stderr(&output).contains("one picture by their names"), "{}", stderr(&output));
+}
+
 #[test]
 fn what_does_not_fit_together_is_said() {
     let place = Place::new();

@@ -13,8 +13,8 @@ pub(super) fn read_id_png(
     let picture = read_png(path)?;
     let (width, height, channels) = (picture.width(), picture.height(), picture.channels());
     if channels != Channels::Gray {
-        let mend = "a grey PNG of 8 or 16 bits is expected";
-        return Err(LiftError::file(path, format!("holds {channels:?} pixels"), mend));
+        let help = "a grey PNG of 8 or 16 bits is expected";
+        return Err(LiftError::file(path, format!("holds {channels:?} pixels"), help));
     }
     let (values, default): (Vec<u16>, u16) = match picture.into_samples() {
         Samples::Eight(map) => (map.into_iter().map(u16::from).collect(), u16::from(u8::MAX)),
@@ -25,8 +25,8 @@ pub(super) fn read_id_png(
     if let Some(at) = values.iter().position(|&id| outside(id)) {
         let (row, column) = (at / width as usize, at % width as usize);
         let problem = format!("row {row}, column {column}: id {}", values[at]);
-        let mend = format!("the feature table has {segments} rows; {none} is no segment");
-        return Err(LiftError::file(path, problem, mend));
+        let help = format!("the feature table has {segments} rows; {none} is no segment");
+        return Err(LiftError::file(path, problem, help));
     }
     let ids = values.into_iter().map(|id| if id == none { NO_SEGMENT } else { id }).collect();
     SegmentMap::new(width, height, ids)
