@@ -94,6 +94,9 @@ pub struct RoomsSettings {
     pub seed: u64,
 }
 
+/// The most synthetic rooms: each has a name that is kept.
+const MAX_ROOMS: usize = 1_000_000;
+
 /// Furnished synthetic rooms.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -157,13 +160,20 @@ impl SourceConfig {
     /// The source; scenes are listed, none is read.
     ///
     /// # Errors
-    /// If a folder is missing or holds no scene.
+    /// If a folder is missing or holds no scene, or more than a million rooms are asked for.
     pub fn build(&self) -> Result<Arc<dyn DataSource>, DataError> {
         let folders = match self {
             Self::GeneratedRooms(RoomsSettings { count, num_gaussians, seed }) => {
                 return Ok(Arc::new(GeneratedRooms::new(*count, *num_gaussians, *seed)));
             }
             Self::Synthetic(SyntheticFolder { count, seed, room, vocabulary }) => {
+                if *count > MAX_ROOMS {
+                    return Err(crate::error::bad_setting(
+                        "count",
+                        count,
+                        "at most 1,000,000 rooms",
+                    ));
+                }
                 let mut rooms = SyntheticRooms::new(*count, room.clone(), *seed);
                 if let Some(dim) = *vocabulary {
                     let built = Vocabulary::new(dim).map_err(|error| {

@@ -1,69 +1,11 @@
-//! Opening a file as memory, and replacing a file in one step.
+//! Replacing a file in one step.
 
 use crate::SceneError;
-use memmap2::Mmap;
+use crate::input_file::InputFile;
 use std::fs::{File, OpenOptions};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
-
-/// A file mapped into memory, read only.
-///
-/// The file must not be shortened by another process while it is open: the operating system then
-/// stops the program at the first access beyond the new end.
-pub(crate) struct MappedFile {
-    path: PathBuf,
-    content: Content,
-}
-
-enum Content {
-    Mapped(Mmap),
-    /// Of an empty file, or of one that is in memory anyway.
-    Owned(Vec<u8>),
-}
-
-impl MappedFile {
-    /// Maps `path`; an empty file is legal and has no bytes.
-    pub(crate) fn open(path: &Path) -> Result<Self, SceneError> {
-        let file = File::open(path).map_err(SceneError::io(path, "cannot open the file"))?;
-        let about = file.metadata().map_err(SceneError::io(path, "cannot read the file's size"))?;
-        if !about.is_file() {
-            return Err(SceneError::format(path, "is not a regular file", ""));
-        }
-        Self::map(&file, about.len(), path)
-    }
-
-    fn map(file: &File, length: u64, path: &Path) -> Result<Self, SceneError> {
-        let content = if length == 0 {
-            Content::Owned(Vec::new())
-        } else {
-            // SAFETY: the mapping is private to this process and only read. Truncation by others
-            // while it lives is excluded by the contract in the type's documentation.
-            let map = unsafe { Mmap::map(file) };
-            let map = map.map_err(SceneError::io(path, "cannot map the file into memory"))?;
-            Content::Mapped(map)
-        };
-        Ok(Self { path: path.to_owned(), content })
-    }
-
-    /// A copy of bytes that stand for a file.
-    pub(crate) fn from_bytes(bytes: &[u8], path: &Path) -> Self {
-        Self { path: path.to_owned(), content: Content::Owned(bytes.to_vec()) }
-    }
-
-    /// All bytes of the file.
-    pub(crate) fn bytes(&self) -> &[u8] {
-        match &self.content {
-            Content::Mapped(map) => map,
-            Content::Owned(bytes) => bytes,
-        }
-    }
-
-    /// Where the file is.
-    pub(crate) fn path(&self) -> &Path {
-        &self.path
-    }
-}
 
 /// Counts the temporary names of this process.
 static SERIAL: AtomicU64 = AtomicU64::new(0);
@@ -141,11 +83,10 @@ impl AtomicFile {
     }
 
     /// What was written so far, as memory; to be dropped before [`commit`](Self::commit).
-    pub(crate) fn map(&self) -> Result<MappedFile, SceneError> {
-        let file = self.file()?;
-        let about = file.metadata();
-        let about = about.map_err(SceneError::io(&self.target, "cannot read the file's size"))?;
-        MappedFile::map(file, about.len(), &self.target)
+    pub(crate) fn map(&self) -> Result<InputFile, SceneError> {
+        let file = self.file()?.try_clone();
+        let file = file.map_err(SceneError::io(&self.target, "cannot read the file"))?;
+        InputFile::map(file, &self.target)
     }
 
     /// Makes what was written durable, so that hardly anything is left that can go wrong.
@@ -240,15 +181,6 @@ mod tests {
         let names: Vec<_> =
             std::fs::read_dir(dir.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
         assert_eq!(names.len(), 2, "{names:?}");
-    }
-
-    #[test]
-    fn a_folder_is_not_mapped_and_an_empty_file_is() {
-        let dir = tempfile::tempdir().unwrap();
-        assert!(MappedFile::open(dir.path()).is_err());
-        let empty = dir.path().join("empty");
-        std::fs::write(&empty, b"").unwrap();
-        assert!(MappedFile::open(&empty).unwrap().bytes().is_empty());
     }
 
     #[test]

@@ -1,7 +1,8 @@
 //! The block of labels as a file beside a scene, for formats that cannot hold it.
 
 use super::{ABOUT, SceneFingerprint, decode, encode_with, has_any, read_about};
-use crate::formats::files::{AtomicFile, MappedFile};
+use crate::formats::files::AtomicFile;
+use crate::input_file::InputFile;
 use crate::{GaussianScene, Policy, RepairReport, SceneError};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -101,7 +102,7 @@ fn is_ours(path: &Path) -> bool {
     if !path.is_file() {
         return false;
     }
-    let Ok(file) = MappedFile::open(path) else { return false };
+    let Ok(file) = InputFile::open(path) else { return false };
     let head = &file.bytes()[..file.bytes().len().min(HEAD)];
     read_about(file.bytes()).is_ok() || head.windows(ABOUT.len()).any(|w| w == ABOUT.as_bytes())
 }
@@ -145,7 +146,7 @@ fn read_block(
     scene: &mut GaussianScene,
     report: &mut RepairReport,
 ) -> Result<(), SceneError> {
-    let block = MappedFile::open(beside)?;
+    let block = InputFile::open(beside)?;
     let about = read_about(block.bytes()).map_err(|e| {
         let help = "remove it, or write the scene with its labels again";
         SceneError::format(beside, format!("cannot be read as labels of a scene: {e}"), help)

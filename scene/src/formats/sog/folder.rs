@@ -1,8 +1,9 @@
 //! Replacing the files of a scene in a folder, all of them or none.
 
-use super::meta::SogMeta;
+use super::meta::{MAX_META_BYTES, SogMeta};
 use crate::SceneError;
 use crate::formats::files::make_beside;
+use crate::input_file::read_file;
 use std::fs::{self, File};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -96,7 +97,7 @@ impl FolderWriter {
     /// The files that the present `meta.json` names, if it is one; none in other folders, and none
     /// but textures and labels, whatever it names.
     fn files_of_old_scene(&self) -> Vec<String> {
-        let Ok(text) = fs::read(&self.meta) else { return Vec::new() };
+        let Ok(text) = read_file(&self.meta, MAX_META_BYTES as u64) else { return Vec::new() };
         let Ok(meta) = SogMeta::parse(&text, &self.meta) else { return Vec::new() };
         let is_ours = |name: &&str| name.ends_with(".webp") || name.ends_with(".safetensors");
         let plain = meta.files().into_iter().filter(|name| !name.contains('/') && is_ours(name));
