@@ -4,8 +4,8 @@
 
 use anyhow::{Context, Result};
 use candle_core::Tensor;
-use scenesplat_datasets::synthetic::Vocabulary;
 use scenesplat_models::PointTransformerV3Config;
+use scenesplat_rooms::Vocabulary;
 use std::collections::BTreeMap;
 
 const WEIGHTS: &[u8] = include_bytes!("../assets/embedded/model.safetensors");
