@@ -43,7 +43,7 @@ pub mod text;
 pub mod training;
 
 pub use inference::{EncodeError, SceneEncoder, SceneFeatures};
-pub use network::{Network, NetworkConfig, WeightOptions, Weights};
+pub use network::{Network, NetworkConfig, NetworkOutput, WeightOptions, Weights};
 pub use scenesplat_datasets as datasets;
 pub use scenesplat_kernels as kernels;
 pub use scenesplat_losses as losses;
@@ -56,8 +56,10 @@ pub use scenesplat_trainers as trainers;
 
 /// The types that nearly every program needs.
 pub mod prelude {
-    pub use crate::models::{Backbone, PointTransformerV3Config};
+    pub use crate::models::{Backbone, ModelConfig, PointTransformerV3Config};
     pub use crate::scene::{GaussianScene, ReadOptions, open_scene};
     pub use crate::text::read_text_table;
-    pub use crate::{Network, NetworkConfig, SceneEncoder, SceneFeatures, WeightOptions, Weights};
+    pub use crate::{
+        Network, NetworkConfig, NetworkOutput, SceneEncoder, SceneFeatures, WeightOptions, Weights,
+    };
 }

@@ -42,7 +42,7 @@ fn room_scene() -> GaussianScene {
 /// The mean feature of each class of the room, less the mean of all. No embeddings of any language
 /// model: they mean nothing for other rooms.
 fn class_rows(room: &GaussianScene) -> TextTable {
-    let config = NetworkConfig::Tiny.resolve().unwrap();
+    let config = NetworkConfig::tiny();
     let network = Network::load(config, &Weights::Seeded(0), WeightOptions::default()).unwrap();
     let features = SceneEncoder::new(&network).encode(room, &mut |_| Ok(())).unwrap();
     let width = features.width();
