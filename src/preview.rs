@@ -270,11 +270,7 @@ pub fn write_png(path: &Path, picture: &RgbPicture) -> Result<u64, PreviewError>
 ///
 /// # Errors
 /// As [`write_png`].
-pub fn write_png16(
-    path: &Path,
-    values: &[u16],
-    size: [u32; 2],
-) -> Result<u64, PreviewError> {
+pub fn write_png16(path: &Path, values: &[u16], size: [u32; 2]) -> Result<u64, PreviewError> {
     let (expected, got) = (size[0] as usize * size[1] as usize, values.len());
     let picture = Picture::new(size[0], size[1], Channels::Gray, Samples::Sixteen(values.to_vec()))
         .ok_or(PreviewError::Rows { field: "depth", expected, got })?;
