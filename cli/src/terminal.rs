@@ -1,6 +1,7 @@
 //! What goes to standard output and error, and small text files.
 
 use anyhow::{Context, Result};
+use scenesplat::scene::printable_text;
 use std::io::Write;
 use std::path::Path;
 
@@ -14,13 +15,14 @@ pub fn write_text(path: &Path, text: &str) -> Result<u64> {
     Ok(text.len() as u64)
 }
 
-/// Writes text to standard output.
+/// Writes text to standard output, names in it without what a terminal would obey.
 pub fn print(text: &str) {
     // A closed pipe is no reason to fail.
-    let _ = writeln!(std::io::stdout(), "{text}");
+    let _ = writeln!(std::io::stdout(), "{}", printable_text(text));
 }
 
 /// Writes an error with all its causes to standard error.
 pub fn print_error(error: &anyhow::Error) {
-    let _ = writeln!(std::io::stderr(), "error: {error:#}");
+    let text = format!("error: {error:#}");
+    let _ = writeln!(std::io::stderr(), "{}", printable_text(&text));
 }

@@ -1,8 +1,9 @@
 //! `scenesplat convert`
 
 use super::WrongUse;
-use crate::flags::{SourceArgs, SpzFrameArg};
+use crate::flags::{SourceArgs, SpzFrameArg, parse_positive};
 use crate::progress::{Progress, interrupted, listen_for_interrupt};
+use crate::session::set_threads;
 use crate::terminal::{print, write_text};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
@@ -38,7 +39,7 @@ pub struct Args {
     #[arg(long, value_name = "0..4", value_parser = clap::value_parser!(u8).range(0..=4))]
     pub sh: Option<u8>,
     /// Multiplies positions and sizes: 0.001 for a scene in millimetres.
-    #[arg(long, value_name = "FACTOR")]
+    #[arg(long, value_name = "FACTOR", value_parser = parse_positive, allow_hyphen_values = true)]
     pub scale: Option<f64>,
     /// Turns the axes: the directions of +x, +y, +z as letters of right/left, up/down,
     /// forward/back. FROM is RDF if not given, the frame of scenes in memory. SPZ files have a frame of
@@ -119,12 +120,7 @@ pub fn run(args: &Args) -> Result<()> {
         let text = format!("{}: its ending names no format; give --format", args.to.display());
         return Err(WrongUse(text).into());
     };
-    if let Some(n) = args.threads {
-        let built = rayon::ThreadPoolBuilder::new().num_threads(n).build_global();
-        if n == 0 || (built.is_err() && rayon::current_num_threads() != n) {
-            return Err(WrongUse(format!("--threads {n}: not possible here")).into());
-        }
-    }
+    set_threads(args.threads)?;
     // A handler is there already when several commands run in one process.
     let _ = listen_for_interrupt();
     let progress = Progress::new(args.quiet);

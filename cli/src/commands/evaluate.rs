@@ -140,7 +140,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         if args.features.is_none() { Some(session.network(&args.inference)?) } else { None };
     let text = match &network {
         Some(network) if network.is_classifier() => classes_of(network, args)?,
-        _ => args.classes.text_table(args.shared.is_embedded())?,
+        _ => args.classes.text_table(args.inference.network.is_embedded())?,
     };
     let set = LabelSet::new(text.names.clone())?;
     let excluded = match &args.exclude {
@@ -254,7 +254,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
             .map(|&l| usize::try_from(l).map_or(-1, |l| answers[l]))
             .collect();
         oracle.update((&voted(&told)?, scored))?;
-        random.update((&random_labels(scored.len(), classes, args.shared.seed)?, scored))?;
+        random.update((&random_labels(scored.len(), classes, args.inference.seed)?, scored))?;
         drop(_stage);
         if oracle_only {
             continue;

@@ -14,7 +14,7 @@ use std::path::PathBuf;
 /// (coloured by the features' three principal components) and a receipt.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// A .ply file or a folder of .npy files.
+    /// The scene, in any format.
     pub scene: PathBuf,
     /// Number type of the features.
     #[arg(long, value_enum, default_value_t = Dtype::F32)]

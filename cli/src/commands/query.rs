@@ -54,7 +54,7 @@ fn texts(args: &Args) -> Result<(TextTable, usize)> {
         return from_vocabulary(&vocabulary, &args.query);
     }
     let table = match (&args.classes.text, &args.embedding) {
-        (None, None) if args.shared.is_embedded() => {
+        (None, None) if args.inference.network.is_embedded() => {
             return from_vocabulary(&scenesplat::embedded::vocabulary()?, &args.query);
         }
         (None, None) => {
