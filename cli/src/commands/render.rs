@@ -242,7 +242,7 @@ fn write(session: &Session<'_>, args: &Args, shot: &Shot, picture: &Rendered) ->
 }
 
 fn parse_size(text: &str) -> Result<[u32; 2], String> {
-    let size =
+    let size: Option<[u32; 2]> =
         text.split_once(['x', 'X']).and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
     match size {
         Some([w, h]) if w > 0 && h > 0 => {
