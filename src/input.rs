@@ -5,7 +5,7 @@ use anyhow::Result;
 use scenesplat_datasets::{PointCloud, PointSettings, gaussians_from_points};
 use scenesplat_scene::formats::labelled_ply::{LABEL_NAMES, read_labelled_ply};
 use scenesplat_scene::formats::ply::{PlyFile, is_ply};
-use scenesplat_scene::{LoadedScene, ReadOptions, SceneKind, open_scene};
+use scenesplat_scene::{LoadedScene, ReadOptions, SceneFormat, open_scene};
 use std::ffi::OsStr;
 use std::io::Read;
 use std::path::Path;
@@ -42,7 +42,7 @@ pub fn open_input(path: &Path, options: &ReadOptions) -> Result<(OpenedScene, Op
         report,
         kept_rows: cloud.kept_rows,
         path: path.to_owned(),
-        kind: SceneKind::InriaPly,
+        kind: SceneFormat::Ply,
     };
     Ok((OpenedScene { loaded, converted: true }, Some(text)))
 }

@@ -25,7 +25,6 @@
 pub mod assets;
 pub mod bench;
 pub mod cli;
-pub mod convert;
 pub mod embedded;
 pub mod inference;
 pub mod input;

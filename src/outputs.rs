@@ -12,7 +12,7 @@ use scenesplat_scene::formats::ply::{
     ColumnValues, PlyColumn, PlyFile, free_column_name, write_ply_with_columns,
 };
 use scenesplat_scene::gaussian_scene::u8_to_dc;
-use scenesplat_scene::{GaussianScene, LoadedScene, SceneKind};
+use scenesplat_scene::{GaussianScene, LoadedScene, SceneFormat};
 use std::path::Path;
 
 /// A scene as a command opened it.
@@ -185,7 +185,7 @@ pub fn write_colored_ply(
     path: &Path,
 ) -> Result<u64> {
     let loaded = &opened.loaded;
-    if opened.converted || loaded.kind != SceneKind::InriaPly {
+    if opened.converted || loaded.kind != SceneFormat::Ply {
         let mut scene = GaussianScene {
             sh_dc: colors.iter().map(|c| c.map(u8_to_dc)).collect(),
             sh_rest: Vec::new(),

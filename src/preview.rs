@@ -7,6 +7,8 @@
 mod depth_picture;
 mod discs;
 mod framing;
+mod inside;
+mod look_at;
 mod orbit;
 pub(crate) mod orthographic;
 mod palette;
@@ -14,6 +16,8 @@ mod splats;
 pub(crate) mod text;
 
 pub use depth_picture::depth_picture;
+pub use inside::inside_views;
+pub use look_at::LookAt;
 pub use orbit::{Ceiling, Orbit};
 pub use palette::{UNLABELLED_COLOR, class_color};
 

@@ -1,13 +1,15 @@
 //! What a scene of 3D Gaussians is, and its files.
 //!
-//! Plain arrays and structs: no tensor library, no randomness, no network. The central type is
-//! [`GaussianScene`]; [`formats`] reads and writes it, [`value_policy`] says what happens to bad
-//! values on the way in, [`label_set`] holds class names and their text vectors.
+//! Plain arrays and structs: no tensor library, no network, no randomness without a seed. The
+//! central type is [`GaussianScene`]; [`formats`] reads and writes it, [`edit`] changes it,
+//! [`value_policy`] says what happens to bad values on the way in, [`label_set`] holds class names
+//! and their text vectors.
 //!
 //! Not for: rendering, training, searching for neighbours.
 
 pub mod camera;
 pub mod class_map;
+pub mod edit;
 pub mod error;
 pub mod formats;
 pub mod frame;
@@ -25,7 +27,7 @@ pub use class_map::ClassMap;
 pub use error::SceneError;
 pub use formats::cameras::{CameraKind, CameraSet, SparsePoints, open_cameras};
 pub use formats::{
-    LoadedScene, ReadOptions, SceneFormat, SceneKind, SpzFrame, WriteOptions, WriteReport,
+    LoadedScene, ReadOptions, SceneFormat, SpzFrame, WriteOptions, WriteReport,
     open_scene, open_scene_bytes, write_scene,
 };
 pub use frame::Frame;

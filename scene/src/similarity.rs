@@ -17,6 +17,13 @@ pub struct Similarity {
 }
 
 impl Similarity {
+    /// Leaves everything as it is.
+    pub const IDENTITY: Self = Self {
+        rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        scale: 1.0,
+        translation: [0.0; 3],
+    };
+
     /// From one frame to another, in the same units and about the same origin.
     pub fn between(from: Frame, to: Frame) -> Self {
         Self { rotation: from.matrix_to(to), scale: 1.0, translation: [0.0; 3] }

@@ -12,7 +12,7 @@ use scenesplat_scene::gaussian_scene::{SH_C0, dc_to_u8, sigmoid};
 use scenesplat_scene::spherical_harmonics::rest_basis;
 use scenesplat_scene::value_policy::Rule;
 use scenesplat_scene::{
-    Frame, GaussianScene, LoadedScene, Policy, ReadOptions, SceneFormat, SceneKind, WriteOptions,
+    Frame, GaussianScene, LoadedScene, Policy, ReadOptions, SceneFormat, WriteOptions,
     open_scene, write_scene,
 };
 use serde_json::{Value, json};
@@ -236,7 +236,7 @@ fn the_file_of_cesium() {
     let strict = ReadOptions { policy: Policy::Strict, ..ReadOptions::default() };
     let loaded = read_gltf(&bytes, &path, &strict).unwrap();
     let scene = &loaded.scene;
-    assert_eq!((scene.len(), loaded.kind, scene.sh_degree), (5, SceneKind::Gltf, 0));
+    assert_eq!((scene.len(), loaded.kind, scene.sh_degree), (5, SceneFormat::Gltf, 0));
     // The node takes (x, y, z) to (x, z, −y) + (2, 12, −7), the frame then negates x and y.
     for (row, at) in [-2.0, -1.0, 0.0, 1.0, 2.0].into_iter().enumerate() {
         close(&scene.coord[row], &[-(at + 2.0), -(at + 12.0), -at - 7.0], 1e-6);

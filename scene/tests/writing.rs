@@ -17,6 +17,7 @@ const FORMATS: [(SceneFormat, &str); 7] = [
     (SceneFormat::CompressedPly, "a.compressed.ply"),
     (SceneFormat::Spz, "a.spz"),
     (SceneFormat::Splat, "a.splat"),
+    (SceneFormat::Glb, "a.glb"),
     (SceneFormat::Sog, "a.sog"),
     (SceneFormat::SogFolder, "sog/meta.json"),
     (SceneFormat::NpyFolder, "deeper/npy"),

@@ -15,7 +15,7 @@ use scenesplat_metrics::{
 };
 use scenesplat_scene::formats::npy::NpyFile;
 use scenesplat_scene::label_set::{find_name, read_names};
-use scenesplat_scene::{ClassMap, GaussianScene, LabelSet, LoadedScene, SceneKind, TextTable};
+use scenesplat_scene::{ClassMap, GaussianScene, LabelSet, LoadedScene, SceneFormat, TextTable};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
@@ -393,7 +393,7 @@ impl Input {
                 let SourceScene { scene, report } = rooms.load(id)?;
                 session.receipt.add_rows_in(scene.len());
                 let path = PathBuf::from(id);
-                let kind = SceneKind::InriaPly;
+                let kind = SceneFormat::Ply;
                 let loaded = LoadedScene { scene, report, kept_rows: None, path, kind };
                 Ok(OpenedScene { loaded, converted: false })
             }

@@ -14,7 +14,7 @@ use super::label_column::{
 };
 use super::npy::{NpyFile, NpyType};
 use super::semantics::clean_code;
-use super::{LoadedScene, ReadOptions, SceneKind};
+use super::{LoadedScene, ReadOptions, SceneFormat};
 use crate::gaussian_scene::{SH_C0, probability_to_logit, u8_to_dc};
 use crate::value_policy::{DEFAULT_GREY, DEFAULT_SCALE, Rule};
 use crate::{
@@ -85,7 +85,7 @@ pub fn read_npy_folder(folder: &Path, options: &ReadOptions) -> Result<LoadedSce
         labelled_points,
         ..GaussianScene::default()
     };
-    LoadedScene::finish(scene, reader.report, options.policy, folder, SceneKind::NpyFolder)
+    LoadedScene::finish(scene, reader.report, options.policy, folder, SceneFormat::NpyFolder)
 }
 
 /// Opens the file of that stem if it exists.

@@ -4,7 +4,7 @@ use super::meta::{is_inside, parse_json};
 use super::reader::{OpenSog, empty_scene};
 use super::source::Source;
 use crate::formats::files::MappedFile;
-use crate::formats::{LoadedScene, ReadOptions, SceneKind};
+use crate::formats::{LoadedScene, ReadOptions, SceneFormat};
 use crate::{RepairReport, SceneError};
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -209,7 +209,7 @@ fn read_chunks(
         with_chunk(chunk, options, |sog| sog.decode(runs, &mut scene, first))?;
         first += runs.iter().map(Range::len).sum::<usize>();
     }
-    LoadedScene::finish(scene, report, options.policy, path, SceneKind::Sog)
+    LoadedScene::finish(scene, report, options.policy, path, SceneFormat::Sog)
 }
 
 /// Opens a chunk, a `meta.json` or an archive, for as long as `then` runs.
