@@ -461,7 +461,7 @@ fn threads_change_nothing() {
                 write_inria_ply(&scene, &[], &path).unwrap();
                 let loaded = open_scene(&path, &ReadOptions::default()).unwrap();
                 let picture = render_sheet(&loaded.scene, &seen).unwrap();
-                (Inspection { path: String::new(), ..seen }, picture.into_raw())
+                (Inspection { path: String::new(), ..seen }, picture)
             })
         };
         let one = on(1);
