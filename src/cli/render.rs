@@ -4,8 +4,7 @@ mod cameras;
 
 use super::WrongUse;
 use super::common::{Session, Shared, SourceArgs, parse_up};
-use crate::outputs::guess_up;
-use crate::preview::{UpAxis, depth_picture, write_png, write_png16};
+use crate::preview::{depth_picture, write_png, write_png16};
 use anyhow::{Context, Result};
 use cameras::{Shot, Shots};
 use clap::ValueEnum;
@@ -14,7 +13,7 @@ use scenesplat_rasterizer::{
     DepthRequest, Gaussians, PlanRequest, Prepared, RasterSettings, RenderPlan, RenderRequest,
     Rendered, SceneProfile, View,
 };
-use scenesplat_scene::{GaussianScene, ReadOptions};
+use scenesplat_scene::{GaussianScene, ReadOptions, UpAxis, guess_up};
 use std::path::PathBuf;
 
 /// Draws a scene: one PNG for each camera of a file, or for cameras around the scene. With --depth
@@ -106,7 +105,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let scene = read_scene(&session, args)?;
     let shots = match read {
         Some(shots) => shots,
-        None => cameras::around(&scene, args.up.unwrap_or_else(|| guess_up(&scene)), args),
+        None => cameras::around(&scene, args.up.unwrap_or_else(|| guess_up(&scene).axis), args),
     };
     for note in &shots.notes {
         session.progress.say(note);

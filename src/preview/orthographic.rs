@@ -2,8 +2,9 @@
 
 use super::discs::{Canvas, Disc, Lens};
 use super::framing::{Framing, Upright};
-use super::{FAINT_INK, PreviewRows, UpAxis, draw_scale_bar, text, visible_discs};
+use super::{FAINT_INK, PreviewRows, draw_scale_bar, text, visible_discs};
 use image::RgbImage;
+use scenesplat_scene::UpAxis;
 
 /// Where a level view looks from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
