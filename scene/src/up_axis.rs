@@ -92,7 +92,8 @@ impl FromStr for UpAxis {
 
     /// Reads a name, with or without the plus.
     fn from_str(text: &str) -> Result<Self, String> {
-        let named = |axis: &Self| axis.name() == text || axis.name().strip_prefix('+') == Some(text);
+        let named =
+            |axis: &Self| axis.name() == text || axis.name().strip_prefix('+') == Some(text);
         Self::ALL
             .into_iter()
             .find(named)

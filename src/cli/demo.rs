@@ -7,9 +7,9 @@ use anyhow::{Context, Result};
 use clap::Parser;
 use scenesplat_datasets::synthetic::{CLASSES, SyntheticRoomSettings, generate};
 use scenesplat_metrics::{ConfusionMatrix, Metric};
+use scenesplat_scene::UpAxis;
 use scenesplat_scene::formats::inria_ply::write_inria_ply;
 use scenesplat_scene::formats::npy::NpyFile;
-use scenesplat_scene::UpAxis;
 use std::path::PathBuf;
 
 /// Rooms of this seed are in no training configuration of the project.
