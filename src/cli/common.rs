@@ -5,8 +5,7 @@ use crate::inference::{EncodeError, Fidelity};
 use crate::input::open_input;
 use crate::memory::Bytes;
 use crate::network::{NetworkConfig, WeightOptions, Weights, config_beside};
-use crate::outputs::{OpenedScene, guess_up};
-use crate::preview::UpAxis;
+use crate::outputs::OpenedScene;
 use crate::progress::{Progress, interrupted, listen_for_interrupt};
 use crate::receipt::Receipt;
 use crate::{Network, SceneEncoder, SceneFeatures};
@@ -16,7 +15,7 @@ use scenesplat_kernels::Precision;
 use scenesplat_kernels::simd::Isa;
 use scenesplat_models::convert::{Branch, ConvLayout};
 use scenesplat_models::{Compute, LoadPolicy, PointTransformerV3Config};
-use scenesplat_scene::{GaussianScene, Policy, ReadOptions, SpzFrame};
+use scenesplat_scene::{GaussianScene, Policy, ReadOptions, SpzFrame, UpAxis, guess_up};
 use std::cell::Cell;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -227,15 +226,7 @@ impl From<ConvLayoutArg> for ConvLayout {
 
 /// Reads the name of an axis.
 pub fn parse_up(text: &str) -> Result<UpAxis, String> {
-    Ok(match text {
-        "+x" | "x" => UpAxis::PlusX,
-        "-x" => UpAxis::MinusX,
-        "+y" | "y" => UpAxis::PlusY,
-        "-y" => UpAxis::MinusY,
-        "+z" | "z" => UpAxis::PlusZ,
-        "-z" => UpAxis::MinusZ,
-        _ => return Err(format!("{text:?} is no axis; write +z or -y")),
-    })
+    text.parse()
 }
 
 /// Where features come from.
@@ -540,7 +531,7 @@ impl<'a> Session<'a> {
 
     /// Which way is up.
     pub fn up(&self, scene: &GaussianScene, inference: &Inference) -> UpAxis {
-        inference.up.unwrap_or_else(|| guess_up(scene))
+        inference.up.unwrap_or_else(|| guess_up(scene).axis)
     }
 
     /// Stops here if the user asked to.

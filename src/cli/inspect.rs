@@ -5,9 +5,8 @@ use crate::input::scene_name;
 use crate::inspect::sheet::write_sheet;
 use crate::inspect::{InspectSettings, inspect};
 use crate::network::NetworkConfig;
-use crate::preview::UpAxis;
 use anyhow::{Context, Result, bail};
-use scenesplat_scene::ReadOptions;
+use scenesplat_scene::{ReadOptions, UpAxis};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 

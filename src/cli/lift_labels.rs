@@ -7,8 +7,7 @@ mod write;
 use super::WrongUse;
 use super::common::{Session, Shared, SourceArgs, parse_up};
 use crate::memory::Bytes;
-use crate::outputs::{OpenedScene, guess_up};
-use crate::preview::UpAxis;
+use crate::outputs::OpenedScene;
 use crate::progress::interrupted;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
@@ -20,7 +19,7 @@ use scenesplat_rasterizer::lifting::{
     Aggregate, DepthTolerance, FinaliseSettings, LiftError, LiftSettings, Lifter, Robust,
 };
 use scenesplat_rasterizer::segments::{CameraMatches, SegmentFolder, SegmentOptions};
-use scenesplat_scene::{Camera, open_cameras};
+use scenesplat_scene::{Camera, UpAxis, guess_up, open_cameras};
 use std::path::PathBuf;
 
 /// Lifts the segments of pictures onto the Gaussians: writes lang_feat.npy ([N, D], f16, one row per
@@ -367,7 +366,7 @@ impl Args {
         let name = self.scene.file_name().unwrap_or_default().to_string_lossy();
         let title = format!("{name}: lifted labels (principal components as colours)");
         let scene = &opened.loaded.scene;
-        let up = self.up.unwrap_or_else(|| guess_up(scene));
+        let up = self.up.unwrap_or_else(|| guess_up(scene).axis);
         let path = folder.join("preview.png");
         let bytes =
             crate::outputs::write_scene_preview(scene, &written.colors, &[], &title, up, &path)?;

@@ -4,8 +4,7 @@ mod cameras;
 
 use super::WrongUse;
 use super::common::{Session, Shared, SourceArgs, parse_up};
-use crate::outputs::guess_up;
-use crate::preview::{UpAxis, depth_picture, write_png, write_png16};
+use crate::preview::{depth_picture, write_png, write_png16};
 use anyhow::{Context, Result};
 use cameras::{Shot, Shots};
 use clap::ValueEnum;
@@ -14,7 +13,7 @@ use scenesplat_rasterizer::{
     Rendered, SceneProfile, View,
 };
 use scenesplat_scene::picture::RgbPicture;
-use scenesplat_scene::{GaussianScene, ReadOptions};
+use scenesplat_scene::{GaussianScene, ReadOptions, UpAxis, guess_up};
 use std::path::PathBuf;
 
 /// Draws a scene: one PNG for each camera of a file, or for cameras around the scene. With --depth
@@ -127,7 +126,10 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let scene = read_scene(&session, args)?;
     let shots = match read {
         Some(shots) => shots,
-        None => cameras::of_scene(&scene, args.up.unwrap_or_else(|| guess_up(&scene)), args)?,
+        None => {
+            let up = args.up.unwrap_or_else(|| guess_up(&scene).axis);
+            cameras::of_scene(&scene, up, args)?
+        }
     };
     for note in &shots.notes {
         session.progress.say(note);

@@ -1,6 +1,6 @@
 //! What one unit of the coordinates is.
 
-use super::bounds::Bounds;
+use scenesplat_scene::Bounds;
 use serde::Serialize;
 
 /// A unit of length.

@@ -1,9 +1,9 @@
 //! Views from inside a scene, for scans that were taken there.
 
 use super::framing::{Framing, Upright};
-use super::{LookAt, PreviewRows, UpAxis, visible_discs};
+use super::{LookAt, PreviewRows, visible_discs};
 use scenesplat_kernels::neighbors::KdTree;
-use scenesplat_scene::Camera;
+use scenesplat_scene::{Camera, UpAxis};
 
 /// Places along each level axis that are tried.
 const PLACES: usize = 17;

@@ -1,8 +1,7 @@
 //! Cameras that stand somewhere and look somewhere.
 
-use super::UpAxis;
 use super::framing::Upright;
-use scenesplat_scene::{Camera, Distortion};
+use scenesplat_scene::{Camera, Distortion, UpAxis};
 
 /// Where a camera stands, and what it looks at.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -2,10 +2,10 @@
 
 use super::super::WrongUse;
 use super::Args;
-use crate::preview::{Ceiling, LookAt, Orbit, SceneRows, UpAxis, inside_views};
+use crate::preview::{Ceiling, LookAt, Orbit, SceneRows, inside_views};
 use anyhow::Result;
 use scenesplat_rasterizer::View;
-use scenesplat_scene::{Camera, GaussianScene, open_cameras};
+use scenesplat_scene::{Camera, GaussianScene, UpAxis, open_cameras};
 use std::collections::HashSet;
 use std::path::Path;
 
