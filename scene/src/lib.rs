@@ -32,8 +32,8 @@ pub use class_map::ClassMap;
 pub use error::SceneError;
 pub use formats::cameras::{CameraKind, CameraSet, SparsePoints, open_cameras};
 pub use formats::{
-    LoadedScene, ReadOptions, SceneFormat, SpzFrame, WriteOptions, WriteReport,
-    open_scene, open_scene_bytes, write_scene,
+    LoadedScene, ReadOptions, SceneFormat, SpzFrame, WriteOptions, WriteReport, open_scene,
+    open_scene_bytes, write_scene,
 };
 pub use frame::Frame;
 pub use gaussian_scene::{FeatureRows, GaussianScene, LabelledPoints};

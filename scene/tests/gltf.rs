@@ -12,8 +12,8 @@ use scenesplat_scene::gaussian_scene::{SH_C0, dc_to_u8, sigmoid};
 use scenesplat_scene::spherical_harmonics::rest_basis;
 use scenesplat_scene::value_policy::Rule;
 use scenesplat_scene::{
-    Frame, GaussianScene, LoadedScene, Policy, ReadOptions, SceneFormat, WriteOptions,
-    open_scene, write_scene,
+    Frame, GaussianScene, LoadedScene, Policy, ReadOptions, SceneFormat, WriteOptions, open_scene,
+    write_scene,
 };
 use serde_json::{Value, json};
 use std::path::Path;

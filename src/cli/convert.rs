@@ -185,7 +185,8 @@ fn target_format(args: &Args) -> Result<SceneFormat> {
     let can = || format!("what can be written: {}", SceneFormat::writable_endings());
     let to = args.to.display();
     let Some(format) = args.format.or_else(|| SceneFormat::from_path(&args.to)) else {
-        let text = format!("{to}: its ending names no format; give --format, or an ending of {}", can());
+        let text =
+            format!("{to}: its ending names no format; give --format, or an ending of {}", can());
         return Err(WrongUse(text).into());
     };
     if !format.is_writable() {

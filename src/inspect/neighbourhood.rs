@@ -89,9 +89,8 @@ impl Distances {
 /// Measures distances; `zone` is where rows count as part of the scene. Coordinates are finite.
 pub(super) fn neighbourhood(scene: &GaussianScene, zone: &Bounds) -> Neighbourhood {
     let Some(distances) = Distances::of(scene) else { return Neighbourhood::default() };
-    let is_isolated = |row: usize| {
-        distances.is_isolated(scene, row) && zone.distance(scene.coord[row]) == 0.0
-    };
+    let is_isolated =
+        |row: usize| distances.is_isolated(scene, row) && zone.distance(scene.coord[row]) == 0.0;
     Neighbourhood {
         spacing: distances.spacing,
         isolated: count_rows(scene.len(), is_isolated),

@@ -43,7 +43,8 @@ pub fn inside_views(
             let azimuth = (360.0 * k as f64 / count as f64).to_radians();
             let ahead = [cosine * azimuth.cos(), cosine * azimuth.sin(), -sine];
             let target = [0, 1, 2].map(|a| eye[a] + ahead[a]);
-            let look = LookAt { eye: upright.turn_back(eye), target: upright.turn_back(target), fov };
+            let look =
+                LookAt { eye: upright.turn_back(eye), target: upright.turn_back(target), fov };
             look.camera(&format!("inside_{k:03}"), up, size)
         })
         .collect()

@@ -1,9 +1,7 @@
 //! The scenes of several folders.
 
 use crate::{DataError, DataSource, SourceScene};
-use scenesplat_scene::{
-    LabelledPoints, Policy, ReadOptions, SceneError, SceneFormat, open_scene,
-};
+use scenesplat_scene::{LabelledPoints, Policy, ReadOptions, SceneError, SceneFormat, open_scene};
 use std::path::{Path, PathBuf};
 
 /// What of a scene is read.

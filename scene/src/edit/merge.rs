@@ -40,7 +40,8 @@ pub fn merge(scenes: Vec<GaussianScene>) -> Result<(GaussianScene, MergeReport),
         return Err(EditError::NoScene);
     };
     let mut out = GaussianScene { sh_degree: degree, ..GaussianScene::default() };
-    out.segment = joined(&scenes, "class labels", "no label", &mut report, |s| s.segment.clone(), -1);
+    out.segment =
+        joined(&scenes, "class labels", "no label", &mut report, |s| s.segment.clone(), -1);
     out.segment_score =
         joined(&scenes, "scores", "a score of 0", &mut report, |s| s.segment_score.clone(), 0.0);
     let starts = instance_starts(&scenes);
@@ -223,7 +224,8 @@ fn labelled_points(scenes: &[GaussianScene], starts: Option<&[i32]>) -> Option<L
     };
     of().next()?;
     let segment = of().any(|(p, _)| p.segment.is_some()).then(|| {
-        let rows = |p: &LabelledPoints| p.segment.clone().unwrap_or_else(|| vec![-1; p.coord.len()]);
+        let rows =
+            |p: &LabelledPoints| p.segment.clone().unwrap_or_else(|| vec![-1; p.coord.len()]);
         of().flat_map(|(p, _)| rows(p)).collect()
     });
     let instance = of().any(|(p, _)| p.instance.is_some()).then(|| {

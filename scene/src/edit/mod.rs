@@ -97,10 +97,7 @@ impl SceneEdit {
     ///
     /// # Errors
     /// If nothing would be left, the scale is not above 0, or a position would not be finite.
-    pub fn apply(
-        &self,
-        scene: GaussianScene,
-    ) -> Result<(GaussianScene, EditReport), EditError> {
+    pub fn apply(&self, scene: GaussianScene) -> Result<(GaussianScene, EditReport), EditError> {
         if let Some(scale) = self.scale
             && !(scale.is_finite() && scale > 0.0)
         {

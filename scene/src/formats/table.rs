@@ -5,9 +5,7 @@
 //! `formats`, a name in [`SceneFormat`] and a row in [`FORMATS`].
 
 use super::write::{WriteOptions, WriteProgress, WriteReport, write_ply};
-use super::{
-    LoadedScene, ReadOptions, compressed_ply, gltf, ksplat, npy_folder, sog, splat, spz,
-};
+use super::{LoadedScene, ReadOptions, compressed_ply, gltf, ksplat, npy_folder, sog, splat, spz};
 use crate::{Frame, GaussianScene, SceneError};
 use serde::Serialize;
 use std::path::Path;
@@ -44,12 +42,8 @@ pub enum SceneFormat {
 type Read = fn(&[u8], &Path, &ReadOptions) -> Result<LoadedScene, SceneError>;
 
 /// Writes a scene.
-type Write = fn(
-    &GaussianScene,
-    &Path,
-    &WriteOptions,
-    WriteProgress<'_>,
-) -> Result<WriteReport, SceneError>;
+type Write =
+    fn(&GaussianScene, &Path, &WriteOptions, WriteProgress<'_>) -> Result<WriteReport, SceneError>;
 
 /// One format.
 pub struct FormatRow {
@@ -283,14 +277,18 @@ mod tests {
             assert_eq!(SceneFormat::from_name(row.name), Some(row.format));
             assert!(std::ptr::eq(row.format.row(), row));
             for ending in row.endings {
-                let name = if ending.starts_with('.') { format!("A{ending}") } else { (*ending).into() };
+                let name =
+                    if ending.starts_with('.') { format!("A{ending}") } else { (*ending).into() };
                 assert_eq!(SceneFormat::from_path(Path::new(&name)), Some(row.format), "{name}");
                 let upper = name.to_uppercase();
                 assert_eq!(SceneFormat::from_path(Path::new(&upper)), Some(row.format), "{upper}");
                 assert_eq!(SceneFormat::is_scene_file_name(&name), ending.starts_with('.'));
                 assert!(supported().contains(ending));
             }
-            assert_eq!(SceneFormat::writable_endings().contains(&format!("({})", row.name)), row.is_writable());
+            assert_eq!(
+                SceneFormat::writable_endings().contains(&format!("({})", row.name)),
+                row.is_writable()
+            );
         }
         assert_eq!(SceneFormat::from_path(Path::new("room")), Some(SceneFormat::NpyFolder));
         assert_eq!(SceneFormat::from_path(Path::new("room.obj")), None);

@@ -8,7 +8,8 @@ use crate::{
 use half::f16;
 use scenesplat_scene::formats::spz::{is_spz, read_spz};
 use scenesplat_scene::{
-    GaussianScene, LoadedScene, Policy, ReadOptions, SceneFormat, SpzFrame, WriteOptions, open_scene,
+    GaussianScene, LoadedScene, Policy, ReadOptions, SceneFormat, SpzFrame, WriteOptions,
+    open_scene,
 };
 use std::io::Write;
 use std::path::Path;

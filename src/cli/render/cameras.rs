@@ -78,9 +78,8 @@ fn find<'a>(cameras: &'a [Camera], wanted: &str, path: &Path) -> Result<(usize, 
 }
 
 /// Endings of pictures; whatever else follows a dot is part of a name (`frame.0001`).
-const PICTURE_ENDINGS: [&str; 12] = [
-    "png", "jpg", "jpeg", "webp", "tif", "tiff", "bmp", "exr", "heic", "dng", "gif", "ppm",
-];
+const PICTURE_ENDINGS: [&str; 12] =
+    ["png", "jpg", "jpeg", "webp", "tif", "tiff", "bmp", "exr", "heic", "dng", "gif", "ppm"];
 
 fn without_ending(file: &str) -> &str {
     match file.rsplit_once('.') {
