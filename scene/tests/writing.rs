@@ -12,7 +12,7 @@ use scenesplat_scene::{
 };
 use std::path::{Path, PathBuf};
 
-const FORMATS: [(SceneFormat, &str); 8] = [
+const FORMATS: [(SceneFormat, &str); 9] = [
     (SceneFormat::Ply, "a.ply"),
     (SceneFormat::CompressedPly, "a.compressed.ply"),
     (SceneFormat::Spz, "a.spz"),
@@ -21,6 +21,7 @@ const FORMATS: [(SceneFormat, &str); 8] = [
     (SceneFormat::SogFolder, "sog/meta.json"),
     (SceneFormat::NpyFolder, "deeper/npy"),
     (SceneFormat::Glb, "a.glb"),
+    (SceneFormat::SogStreamed, "lod/lod-meta.json"),
 ];
 /// Those with a file of labels beside the scene.
 const BESIDE: [(SceneFormat, &str); 3] = [FORMATS[1], FORMATS[3], FORMATS[7]];

@@ -89,6 +89,10 @@ pub struct Args {
     /// Version of an SPZ file to write.
     #[arg(long, value_name = "2..4", default_value_t = 4, value_parser = clap::value_parser!(u8).range(2..=4))]
     pub spz_version: u8,
+    /// Levels of detail of a streamed SOG folder (lod-meta.json) to write; each has a quarter of the
+    /// Gaussians of the one before.
+    #[arg(long, value_name = "1..8", default_value_t = 4, value_parser = clap::value_parser!(u8).range(1..=8))]
+    pub lod_levels: u8,
     /// Replaces the target if it exists.
     #[arg(long)]
     pub overwrite: bool,
@@ -154,6 +158,7 @@ pub fn run(args: &Args) -> Result<()> {
     let options = WriteOptions {
         spz_version: args.spz_version,
         spz_frame: args.to_spz_frame.into(),
+        lod_levels: args.lod_levels,
         overwrite: args.overwrite,
     };
     let step = format!("writing {}", format.name());

@@ -156,7 +156,7 @@ pub static FORMATS: [FormatRow; 11] = [
         about: "textures in parts, with levels of detail",
         endings: &["lod-meta.json"],
         reader: None,
-        writer: None,
+        writer: Some(sog::write_sog_streamed),
         frame: None,
         keeps: PLAIN,
     },

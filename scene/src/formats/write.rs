@@ -14,13 +14,16 @@ pub struct WriteOptions {
     pub spz_version: u8,
     /// The frame of the numbers in SPZ files.
     pub spz_frame: SpzFrame,
+    /// Levels of detail of streamed SOG scenes, 1 to 8; each has a quarter of the Gaussians of the one
+    /// before.
+    pub lod_levels: u8,
     /// Whether an existing scene may be replaced.
     pub overwrite: bool,
 }
 
 impl Default for WriteOptions {
     fn default() -> Self {
-        Self { spz_version: 4, spz_frame: SpzFrame::Rub, overwrite: false }
+        Self { spz_version: 4, spz_frame: SpzFrame::Rub, lod_levels: 4, overwrite: false }
     }
 }
 
@@ -91,6 +94,25 @@ impl WriteReport {
                 first_row: tally.first_row,
                 largest_change: tally.largest_change,
             });
+        }
+    }
+
+    /// Adds what became of a part of the scene, whose rows are these of the whole.
+    pub(crate) fn add_part(&mut self, part: &WriteReport, rows: &[u32]) {
+        for limit in &part.limits {
+            let first = rows.get(limit.first_row).map_or(0, |&row| row as usize);
+            let known = self
+                .limits
+                .iter_mut()
+                .find(|known| known.field == limit.field && known.limit == limit.limit);
+            match known {
+                Some(known) => {
+                    known.rows += limit.rows;
+                    known.first_row = known.first_row.min(first);
+                    known.largest_change = known.largest_change.max(limit.largest_change);
+                }
+                None => self.limits.push(PrecisionLimit { first_row: first, ..limit.clone() }),
+            }
         }
     }
 

@@ -22,18 +22,21 @@ mod codebook;
 mod codes;
 mod folder;
 mod json;
+mod levels;
 mod meta;
 mod order;
 mod palette;
 mod reader;
 mod source;
 mod streamed;
+mod streamed_writer;
 mod texture;
 mod writer;
 
 pub use meta::is_sog_meta_json;
 pub use source::is_sog_archive;
 pub use streamed::is_lod_meta_json;
+pub use streamed_writer::write_sog_streamed;
 pub use writer::{write_sog, write_sog_folder};
 
 use super::files::MappedFile;

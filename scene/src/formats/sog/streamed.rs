@@ -47,6 +47,12 @@ pub fn is_lod_meta_json(bytes: &[u8]) -> bool {
     })
 }
 
+/// Names of the chunk files of a streamed scene that this program wrote or can read.
+pub(super) fn part_names(json: &[u8]) -> Option<Vec<String>> {
+    let meta: LodMeta = serde_json::from_slice(json).ok()?;
+    Some(meta.filenames)
+}
+
 impl Node {
     fn leaves<'a>(&'a self, out: &mut Vec<&'a BTreeMap<usize, Run>>) {
         if !self.lods.is_empty() {

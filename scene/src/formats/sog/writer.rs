@@ -84,7 +84,7 @@ pub fn write_sog(
         .compression_method(CompressionMethod::Stored)
         .last_modified_time(DateTime::default())
         .unix_permissions(0o644);
-    encode(scene, path, &mut report, &mut ticker, &mut |name, bytes| {
+    encode(scene, path, Order::Spatial, &mut report, &mut ticker, &mut |name, bytes| {
         let options = options.large_file(bytes.len() as u64 >= u64::from(u32::MAX));
         zip.start_file(name, options).map_err(cannot)?;
         zip.write_all(bytes).map_err(SceneError::io(path, "cannot write the archive"))
@@ -116,7 +116,7 @@ pub fn write_sog_folder(
     let mut ticker = Ticker::new(progress);
     let mut folder = FolderWriter::create(path)?;
     let own_name = path.file_name().and_then(|name| name.to_str()).unwrap_or(META_NAME);
-    encode(scene, path, &mut report, &mut ticker, &mut |name, bytes| {
+    encode(scene, path, Order::Spatial, &mut report, &mut ticker, &mut |name, bytes| {
         folder.write(if name == META_NAME { own_name } else { name }, bytes)
     })?;
     ticker.tick(0.99)?;
@@ -131,12 +131,22 @@ pub fn write_sog_folder(
 }
 
 /// Takes a part under its name.
-type Sink<'a> = &'a mut dyn FnMut(&str, &[u8]) -> Result<(), SceneError>;
+pub(super) type Sink<'a> = &'a mut dyn FnMut(&str, &[u8]) -> Result<(), SceneError>;
+
+/// Whether rows may be sorted.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Order {
+    /// In space, unless they are so already.
+    Spatial,
+    /// Somebody counts on the order.
+    Kept,
+}
 
 /// Encodes a scene, part by part, `meta.json` last.
-fn encode(
+pub(super) fn encode(
     scene: &GaussianScene,
     path: &Path,
+    rows: Order,
     report: &mut WriteReport,
     ticker: &mut Ticker<'_>,
     sink: Sink<'_>,
@@ -147,7 +157,7 @@ fn encode(
     };
     let (axes, codes) = position_codes(&scene.coord);
     ticker.tick(0.05)?;
-    let order = spatial_order(&codes);
+    let order = if rows == Order::Kept { None } else { spatial_order(&codes) };
     ticker.tick(0.1)?;
     let out = Textures { path, size, order: order.as_deref(), rows: scene.len() };
 
