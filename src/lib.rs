@@ -22,6 +22,7 @@
 //! # }
 //! ```
 
+pub mod alignment;
 pub mod assets;
 pub mod bench;
 pub mod cli;
@@ -41,6 +42,7 @@ pub mod receipt;
 pub mod text;
 pub mod training;
 
+pub use alignment::{Alignment, AlignmentSettings};
 pub use inference::{EncodeError, SceneEncoder, SceneFeatures};
 pub use network::{Network, NetworkConfig, WeightOptions, Weights};
 pub use scenesplat_datasets as datasets;

@@ -21,6 +21,7 @@ pub use estimate::{Estimate, estimate, measure_gflops};
 pub use findings::{Finding, Severity};
 pub use statistics::{Border, Histogram, Quantiles};
 pub use unit::{LengthUnit, UnitGuess};
+pub(crate) use unit::{guess_unit, may_be_no_metre, usual_spacing};
 
 use findings::Findings;
 use scenesplat_models::PointTransformerV3Config;
