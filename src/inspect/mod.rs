@@ -23,8 +23,8 @@ pub use statistics::{Border, Histogram, Quantiles};
 pub use unit::{LengthUnit, UnitGuess};
 pub(crate) use unit::{guess_unit, may_be_no_metre, usual_spacing};
 
+use crate::NetworkConfig;
 use findings::Findings;
-use scenesplat_models::PointTransformerV3Config;
 pub use scenesplat_scene::{Bounds, UpEvidence, UpGuess};
 use scenesplat_scene::{LoadedScene, UpAxis, guess_up_within, raw_bounds, robust_bounds};
 use serde::Serialize;
@@ -40,7 +40,7 @@ pub struct InspectSettings {
     pub grid_size: f64,
     /// The network to estimate the cost of, and its name; `None`: no estimate, which is the only
     /// part that is measured and therefore not the same twice.
-    pub network: Option<(String, PointTransformerV3Config)>,
+    pub network: Option<(String, NetworkConfig)>,
 }
 
 impl Default for InspectSettings {
