@@ -48,7 +48,6 @@ pub struct Alignment {
 /// Something about a scene that changes what a network makes of it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "what")]
-#[non_exhaustive]
 pub enum Remark {
     /// A turned copy is read.
     Turned {

@@ -11,6 +11,8 @@ use crate::receipt::Receipt;
 use crate::{Network, SceneEncoder, SceneFeatures};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
+use crate::alignment::{Alignment, AlignmentSettings, Remark};
+use crate::inspect::LengthUnit;
 use scenesplat_kernels::Precision;
 use scenesplat_kernels::simd::Isa;
 use scenesplat_models::convert::{Branch, ConvLayout};
@@ -167,9 +169,17 @@ pub struct Inference {
     /// Layout of sparse convolutions in the checkpoint.
     #[arg(long, value_enum, default_value_t = ConvLayoutArg::Spconv2)]
     pub conv_layout: ConvLayoutArg,
-    /// Which way is up in pictures; judged by the shape if not given.
+    /// Which way is up in the scene, for pictures and for the network, which reads a turned copy of a
+    /// scene that lies otherwise than +z; judged by the scene if not given.
     #[arg(long, value_name = "AXIS", value_parser = parse_up, allow_hyphen_values = true)]
     pub up: Option<UpAxis>,
+    /// What one unit of the scene is: m, cm, mm, km or a number of metres. The network reads a scaled
+    /// copy; judged by the scene if not given.
+    #[arg(long, value_name = "UNIT|METRES", value_parser = parse_unit)]
+    pub unit: Option<f64>,
+    /// The network reads the scene as it is: neither turned nor scaled.
+    #[arg(long, conflicts_with = "unit")]
+    pub as_is: bool,
 }
 
 impl Inference {
@@ -183,6 +193,8 @@ impl Inference {
             (self.halo != 50, "--halo"),
             (self.shuffle_orders, "--shuffle-orders"),
             (self.partial_weights, "--partial-weights"),
+            (self.unit.is_some(), "--unit"),
+            (self.as_is, "--as-is"),
         ];
         flags.iter().find(|(given, _)| *given).map(|(_, name)| *name)
     }
@@ -227,6 +239,15 @@ impl From<ConvLayoutArg> for ConvLayout {
 /// Reads the name of an axis.
 pub fn parse_up(text: &str) -> Result<UpAxis, String> {
     text.parse()
+}
+
+/// Reads a unit of length, in metres.
+pub fn parse_unit(text: &str) -> Result<f64, String> {
+    let named = LengthUnit::ALL.into_iter().find(|unit| unit.symbol() == text);
+    named
+        .map(LengthUnit::metres)
+        .or_else(|| text.parse().ok().filter(|m: &f64| m.is_finite() && *m > 0.0))
+        .ok_or_else(|| format!("{text:?} is no unit; write mm, cm, m, km or metres, such as 0.3048"))
 }
 
 /// Where features come from.
@@ -469,6 +490,15 @@ impl<'a> Session<'a> {
             spill_folder: self.shared.out.clone(),
             ..SceneEncoder::new(network)
         };
+        let alignment = Alignment::of(
+            scene,
+            &AlignmentSettings {
+                up: inference.up,
+                metres_per_unit: inference.unit,
+                as_is: inference.as_is,
+            },
+        );
+        self.tell(&alignment, inference.as_is);
         let receipt = &self.receipt;
         let why = "fast: one Gaussian a voxel; exact: a sampling at half the voxel size, averaged";
         receipt.setting("fidelity", format!("{:?}", encoder.fidelity).to_lowercase(), why);
@@ -476,7 +506,7 @@ impl<'a> Session<'a> {
         if inference.shuffle_orders {
             receipt.setting("shuffle_orders", self.shared.seed, "seed");
         }
-        let features = encoder.encode(scene, &mut |at| {
+        let features = encoder.encode_aligned(scene, alignment, &mut |at| {
             if interrupted() {
                 return Err(EncodeError::Stopped);
             }
@@ -519,6 +549,57 @@ impl<'a> Session<'a> {
         ));
         drop(stage);
         Ok(features)
+    }
+
+    /// Says and notes what the network makes of a scene that lies otherwise than it knows.
+    fn tell(&self, alignment: &Alignment, as_is: bool) {
+        let up = &alignment.up;
+        let why = match (as_is, up.given) {
+            (true, _) => "as is: the network takes +z for up",
+            (false, true) => "up in the scene, as given",
+            (false, false) => "up in the scene, by its shape",
+        };
+        self.receipt.setting("up", up.axis, why);
+        for remark in &alignment.remarks {
+            let text = match *remark {
+                Remark::Turned { from } => {
+                    let why = "the network read a copy turned from this up to +z; files keep theirs";
+                    self.receipt.setting("turned", from, why);
+                    format!(
+                        "up is {from}{}: the network reads a copy turned to +z; files keep their \
+                         frame (--up AXIS if it is another, --as-is to leave it)",
+                        if up.given { "" } else { ", by the shape of the scene" }
+                    )
+                }
+                Remark::Scaled { by } => {
+                    let why = "metres per unit; the network read a copy in metres";
+                    self.receipt.setting("unit", by, why);
+                    format!(
+                        "one unit is {by} m: the network reads a copy in metres; files keep their \
+                         unit (--unit UNIT if it is another, --as-is to leave it)"
+                    )
+                }
+                Remark::UpUnclear { likely, confidence } => format!(
+                    "WHICH WAY IS UP IS UNCLEAR ({likely} is likeliest, confidence {confidence:.2}): \
+                     the network takes +z for up, and most labels are lost if it is not; say it with \
+                     --up AXIS"
+                ),
+                Remark::UnitUnclear { likely, confidence } => format!(
+                    "THE UNIT IS UNCLEAR ({} is likeliest, confidence {confidence:.2}): the network \
+                     takes it for metres, and labels mean little if it is not; say it with --unit \
+                     {} or --unit m",
+                    likely.symbol(),
+                    likely.symbol()
+                ),
+            };
+            if remark.is_warning() {
+                self.progress.say(format!("*** {text} ***"));
+            } else {
+                self.progress.say(&text);
+            }
+            // Each scene of several has its own.
+            self.receipt.warning(text);
+        }
     }
 
     /// Which way is up.

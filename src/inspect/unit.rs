@@ -24,6 +24,10 @@ pub enum LengthUnit {
 }
 
 impl LengthUnit {
+    /// All of them.
+    pub const ALL: [Self; 4] =
+        [Self::Metre, Self::Centimetre, Self::Millimetre, Self::Kilometre];
+
     /// Its length, metres.
     pub fn metres(self) -> f64 {
         match self {
