@@ -202,7 +202,7 @@ fn turned(turn: [f64; 4], quat: [f32; 4]) -> [f32; 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use scenesplat_datasets::synthetic::{SyntheticRoomSettings, generate};
+    use scenesplat_rooms::{SyntheticRoomSettings, generate};
     use scenesplat_scene::Similarity;
 
     fn room() -> GaussianScene {
