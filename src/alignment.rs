@@ -159,9 +159,8 @@ impl Alignment {
         let turn = matrix_to_quat(&rotation);
         let is_turned = self.turned_from != UpAxis::PlusZ;
         // A row of the rotation has one ±1 and two zeros: no rounding.
-        let direction = |v: &[f32; 3]| {
-            rotation.map(|r| (0..3).map(|a| r[a] * f64::from(v[a])).sum::<f64>())
-        };
+        let direction =
+            |v: &[f32; 3]| rotation.map(|r| (0..3).map(|a| r[a] * f64::from(v[a])).sum::<f64>());
         let add = self.scale.ln();
         Cow::Owned(GaussianScene {
             coord: scene
@@ -281,11 +280,8 @@ mod tests {
     fn the_user_decides() {
         let room = room();
         let lying = lying(&room, UpAxis::MinusY);
-        let as_is = AlignmentSettings {
-            as_is: true,
-            up: Some(UpAxis::MinusY),
-            metres_per_unit: Some(2.0),
-        };
+        let as_is =
+            AlignmentSettings { as_is: true, up: Some(UpAxis::MinusY), metres_per_unit: Some(2.0) };
         let alignment = Alignment::of(&lying, &as_is);
         assert!(alignment.is_identity() && alignment.remarks.is_empty(), "{alignment:?}");
         assert_eq!(alignment.up.axis, UpAxis::MinusY);

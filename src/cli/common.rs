@@ -1,8 +1,10 @@
 //! Flags that all commands share, and the steps that most of them begin with.
 
 use super::WrongUse;
+use crate::alignment::{Alignment, AlignmentSettings, Remark};
 use crate::inference::{EncodeError, Fidelity};
 use crate::input::open_input;
+use crate::inspect::LengthUnit;
 use crate::memory::Bytes;
 use crate::network::{NetworkChoice, WeightOptions, Weights, network_of};
 use crate::outputs::OpenedScene;
@@ -11,8 +13,6 @@ use crate::receipt::Receipt;
 use crate::{Network, SceneEncoder, SceneFeatures};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
-use crate::alignment::{Alignment, AlignmentSettings, Remark};
-use crate::inspect::LengthUnit;
 use scenesplat_kernels::Precision;
 use scenesplat_kernels::simd::Isa;
 use scenesplat_models::convert::{Branch, ConvLayout};
@@ -247,7 +247,9 @@ pub fn parse_unit(text: &str) -> Result<f64, String> {
     named
         .map(LengthUnit::metres)
         .or_else(|| text.parse().ok().filter(|m: &f64| m.is_finite() && *m > 0.0))
-        .ok_or_else(|| format!("{text:?} is no unit; write mm, cm, m, km or metres, such as 0.3048"))
+        .ok_or_else(|| {
+            format!("{text:?} is no unit; write mm, cm, m, km or metres, such as 0.3048")
+        })
 }
 
 /// Where features come from.
@@ -563,7 +565,8 @@ impl<'a> Session<'a> {
         for remark in &alignment.remarks {
             let text = match *remark {
                 Remark::Turned { from } => {
-                    let why = "the network read a copy turned from this up to +z; files keep theirs";
+                    let why =
+                        "the network read a copy turned from this up to +z; files keep theirs";
                     self.receipt.setting("turned", from, why);
                     format!(
                         "up is {from}{}: the network reads a copy turned to +z; files keep their \

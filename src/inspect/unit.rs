@@ -25,8 +25,7 @@ pub enum LengthUnit {
 
 impl LengthUnit {
     /// All of them.
-    pub const ALL: [Self; 4] =
-        [Self::Metre, Self::Centimetre, Self::Millimetre, Self::Kilometre];
+    pub const ALL: [Self; 4] = [Self::Metre, Self::Centimetre, Self::Millimetre, Self::Kilometre];
 
     /// Its length, metres.
     pub fn metres(self) -> f64 {
