@@ -1,5 +1,6 @@
 //! A whole scene through the network: passes, tiles, and the way back to every Gaussian.
 
+use crate::alignment::{Alignment, AlignmentSettings};
 use crate::network::Network;
 use candle_core::{Device, Tensor};
 use rand_chacha::ChaCha8Rng;
@@ -7,7 +8,7 @@ use scenesplat_datasets::{
     ExactPlan, FastPlan, InferencePlan, NetworkInput, TileSettings, sample_rng, split_into_tiles,
 };
 use scenesplat_models::ops::normalize_rows;
-use scenesplat_models::{Forward, Orders, PointCloud, PointTransformerV3Config};
+use scenesplat_models::{Forward, Orders, PointCloud};
 use scenesplat_scene::GaussianScene;
 use std::fs::File;
 use std::ops::Range;
@@ -107,6 +108,9 @@ pub struct SceneEncoder<'a> {
     pub shuffle_orders: Option<u64>,
     /// Where features go that do not fit into memory.
     pub spill_folder: PathBuf,
+    /// What is known of the scene; by default its up and unit are estimated, and a scene that lies
+    /// on its side or is in millimetres is read as a turned or scaled copy.
+    pub alignment: AlignmentSettings,
 }
 
 /// Features of a scene: one row per voxel (or read Gaussian), and which row each Gaussian has.
@@ -117,6 +121,8 @@ pub struct SceneFeatures {
     sampled: Vec<u32>,
     /// How the scene was cut.
     pub summary: EncodeSummary,
+    /// How the scene was turned and scaled for the network; `None` if none was run.
+    pub alignment: Option<Alignment>,
 }
 
 /// What was done to a scene.
@@ -147,18 +153,20 @@ impl<'a> SceneEncoder<'a> {
         Self {
             network,
             fidelity: Fidelity::Fast,
-            grid_size: network.config().grid_size,
+            grid_size: network.grid_size(),
             max_memory: None,
             halo: 50,
             shuffle_orders: None,
             spill_folder: std::env::temp_dir(),
+            alignment: AlignmentSettings::default(),
         }
     }
 
     /// Features of every Gaussian of a scene.
     ///
     /// For a language network rows have unit length; for a classifier they are class
-    /// probabilities, averaged over the passes.
+    /// probabilities, averaged over the passes. The network reads the scene upright and in metres,
+    /// as [`alignment`](Self::alignment) says; what was done is in the result.
     ///
     /// # Errors
     /// If the scene is empty or cannot be put on the grid, the network refuses it, memory does not
@@ -168,8 +176,35 @@ impl<'a> SceneEncoder<'a> {
         scene: &GaussianScene,
         progress: &mut ProgressFn<'_>,
     ) -> Result<SceneFeatures, EncodeError> {
-        let features =
-            self.network.input_features().map_err(|e| EncodeError::Setting(e.to_string()))?;
+        self.encode_aligned(scene, Alignment::of(scene, &self.alignment), progress)
+    }
+
+    /// As [`encode`](Self::encode), with an alignment that was worked out before.
+    ///
+    /// # Errors
+    /// As [`encode`](Self::encode).
+    pub fn encode_aligned(
+        &self,
+        scene: &GaussianScene,
+        alignment: Alignment,
+        progress: &mut ProgressFn<'_>,
+    ) -> Result<SceneFeatures, EncodeError> {
+        let aligned = alignment.apply(scene);
+        // The copy and the scene are both there.
+        let beside = if alignment.is_identity() { 0 } else { scene_bytes(scene) };
+        let mut features = self.encode_as_is(&aligned, beside, progress)?;
+        features.alignment = Some(alignment);
+        Ok(features)
+    }
+
+    /// Features of a scene as the network reads it; `beside`: bytes of what stays in memory.
+    fn encode_as_is(
+        &self,
+        scene: &GaussianScene,
+        beside: u64,
+        progress: &mut ProgressFn<'_>,
+    ) -> Result<SceneFeatures, EncodeError> {
+        let features = self.network.input().clone();
         let grid_size = self.grid_size;
         let plan = match self.fidelity {
             Fidelity::Fast => FastPlan { grid_size, features }.build(scene)?,
@@ -186,13 +221,13 @@ impl<'a> SceneEncoder<'a> {
         }
         check_way_back(scene, &plan, grid_size)?;
         let width = self.network.model().out_channels();
-        let budget = self.budget(scene, &plan, width)?;
+        let budget = self.budget(scene, beside, &plan, width)?;
         let mut slots = if budget.spill {
             SlotStore::file(&self.spill_folder, plan.num_slots(), width)?
         } else {
             SlotStore::memory(plan.num_slots(), width)
         };
-        let align = self.network.config().stride.iter().product::<usize>() as u32;
+        let align = self.network.model().alignment();
         let tile_settings =
             TileSettings { max_voxels: budget.max_voxels, halo: self.halo, align: align.max(1) };
         let passes = plan.num_inputs();
@@ -245,7 +280,7 @@ impl<'a> SceneEncoder<'a> {
             slots.finish(|row, _| normalize_rows(row, width))?;
         }
         let InferencePlan { sampled, inverse, .. } = plan;
-        Ok(SceneFeatures { slots, inverse, sampled, summary })
+        Ok(SceneFeatures { slots, inverse, sampled, summary, alignment: None })
     }
 
     /// One call of the network.
@@ -262,8 +297,9 @@ impl<'a> SceneEncoder<'a> {
         let seed = self.shuffle_orders.unwrap_or(0);
         let mut rng: ChaCha8Rng = sample_rng(seed, pass as u64, tile as u64);
         let orders = if self.shuffle_orders.is_some() { Orders::Shuffled } else { Orders::Listed };
-        let costs = block_costs(self.network.config());
-        let total: f64 = costs.iter().map(|(_, c)| c).sum();
+        let cost = self.network.model().cost();
+        let total = cost.as_ref().map_or(1.0, |cost| cost.work_per_voxel());
+        let costs = cost.map_or(Vec::new(), |cost| cost.parts);
         let mut done = 0.0;
         let mut stopped = None;
         report(0.0)?;
@@ -290,15 +326,23 @@ impl<'a> SceneEncoder<'a> {
     fn budget(
         &self,
         scene: &GaussianScene,
+        beside: u64,
         plan: &InferencePlan<'_>,
         width: usize,
     ) -> Result<Budget, EncodeError> {
         let Some(limit) = self.max_memory else {
             return Ok(Budget { max_voxels: usize::MAX, spill: false });
         };
-        let per_voxel = self.network.config().inference_bytes_per_voxel() as u64;
+        let Some(cost) = self.network.model().cost() else {
+            return Err(EncodeError::Setting(
+                "max_memory: the backbone does not say how much memory it needs (Backbone::cost)"
+                    .to_owned(),
+            ));
+        };
+        let per_voxel = cost.bytes_per_voxel.max(1) as u64;
         // Scene arrays, the plan's tables, packed weights, program and allocator.
         let fixed = scene_bytes(scene)
+            + beside
             + (plan.num_voxels() * (12 + 4 * plan.channels() + 8) + scene.len() * 8) as u64
             + self.network.weight_bytes() as u64
             + (64 << 20);
@@ -362,29 +406,6 @@ pub(crate) fn scene_bytes(scene: &GaussianScene) -> u64 {
     (scene.len() * (14 * 4 + labels * 4 + normal) + rest + language) as u64
 }
 
-/// Relative cost of each named part of a network, by operations per voxel of the finest scale.
-pub(crate) fn block_costs(config: &PointTransformerV3Config) -> Vec<(String, f64)> {
-    let cost = |c: usize, patch: usize, stage: usize| {
-        let c = c as f64;
-        // Convolution over 14 neighbours, linear layers, attention; a quarter of the voxels a scale.
-        (c * c * (14.0 + 13.0) + 2.0 * c * patch as f64) * 0.27f64.powi(stage as i32)
-    };
-    let mut out = Vec::new();
-    for (stage, &depth) in config.enc_depths.iter().enumerate() {
-        for j in 0..depth {
-            let c = cost(config.enc_channels[stage], config.enc_patch_size[stage], stage);
-            out.push((format!("enc.enc{stage}.block{j}"), c));
-        }
-    }
-    for (stage, &depth) in config.dec_depths.iter().enumerate() {
-        for j in 0..depth {
-            let c = cost(config.dec_channels[stage], config.dec_patch_size[stage], stage);
-            out.push((format!("dec.dec{stage}.block{j}"), c));
-        }
-    }
-    out
-}
-
 fn softmax_rows(values: &mut [f32], width: usize) {
     for row in values.chunks_exact_mut(width) {
         let top = row.iter().copied().fold(f32::NEG_INFINITY, f32::max);
@@ -415,7 +436,7 @@ impl SceneFeatures {
             spilled: false,
         };
         let slots = SlotStore::codes(scene.len(), code);
-        Some(Self { slots, inverse: rows.clone(), sampled: rows, summary })
+        Some(Self { slots, inverse: rows.clone(), sampled: rows, summary, alignment: None })
     }
 
     /// Number of Gaussians.

@@ -34,6 +34,11 @@ impl Bounds {
         self.extent().into_iter().fold(0.0, f64::max)
     }
 
+    /// Shortest side.
+    pub fn smallest_extent(&self) -> f64 {
+        self.extent().into_iter().fold(f64::INFINITY, f64::min)
+    }
+
     /// Length of the diagonal.
     pub fn diagonal(&self) -> f64 {
         self.extent().iter().map(|e| e * e).sum::<f64>().sqrt()

@@ -19,6 +19,7 @@ pub mod label_set;
 pub mod language_code;
 pub mod picture;
 pub mod quantile;
+pub mod quaternion;
 pub mod similarity;
 pub mod spherical_harmonics;
 pub mod text_table;

@@ -1,10 +1,12 @@
 //! Flags that all commands share, and the steps that most of them begin with.
 
 use super::WrongUse;
+use crate::alignment::{Alignment, AlignmentSettings, Remark};
 use crate::inference::{EncodeError, Fidelity};
 use crate::input::open_input;
+use crate::inspect::LengthUnit;
 use crate::memory::Bytes;
-use crate::network::{NetworkConfig, WeightOptions, Weights, config_beside};
+use crate::network::{NetworkChoice, WeightOptions, Weights, network_of};
 use crate::outputs::OpenedScene;
 use crate::progress::{Progress, interrupted, listen_for_interrupt};
 use crate::receipt::Receipt;
@@ -14,7 +16,7 @@ use clap::ValueEnum;
 use scenesplat_kernels::Precision;
 use scenesplat_kernels::simd::Isa;
 use scenesplat_models::convert::{Branch, ConvLayout};
-use scenesplat_models::{Compute, LoadPolicy, PointTransformerV3Config};
+use scenesplat_models::{Compute, LoadPolicy};
 use scenesplat_scene::{GaussianScene, Policy, ReadOptions, SpzFrame, UpAxis, guess_up};
 use std::cell::Cell;
 use std::io::Write;
@@ -25,7 +27,7 @@ use std::path::{Path, PathBuf};
 pub struct Shared {
     /// Network: language, semseg, tiny or a .toml file; from the weights' folder if it has one.
     #[arg(long, value_name = "NAME|FILE")]
-    pub config: Option<NetworkConfig>,
+    pub config: Option<NetworkChoice>,
     /// Checkpoint, model folder, seeded:N for values without meaning, or embedded, the small network
     /// inside the program, which is the default if no --config is given either.
     #[arg(long, value_name = "PATH|seeded:N|embedded")]
@@ -167,9 +169,17 @@ pub struct Inference {
     /// Layout of sparse convolutions in the checkpoint.
     #[arg(long, value_enum, default_value_t = ConvLayoutArg::Spconv2)]
     pub conv_layout: ConvLayoutArg,
-    /// Which way is up in pictures; judged by the shape if not given.
+    /// Which way is up in the scene, for pictures and for the network, which reads a turned copy of a
+    /// scene that lies otherwise than +z; judged by the scene if not given.
     #[arg(long, value_name = "AXIS", value_parser = parse_up, allow_hyphen_values = true)]
     pub up: Option<UpAxis>,
+    /// What one unit of the scene is: m, cm, mm, km or a number of metres. The network reads a scaled
+    /// copy; judged by the scene if not given.
+    #[arg(long, value_name = "UNIT|METRES", value_parser = parse_unit)]
+    pub unit: Option<f64>,
+    /// The network reads the scene as it is: neither turned nor scaled.
+    #[arg(long, conflicts_with = "unit")]
+    pub as_is: bool,
 }
 
 impl Inference {
@@ -183,6 +193,8 @@ impl Inference {
             (self.halo != 50, "--halo"),
             (self.shuffle_orders, "--shuffle-orders"),
             (self.partial_weights, "--partial-weights"),
+            (self.unit.is_some(), "--unit"),
+            (self.as_is, "--as-is"),
         ];
         flags.iter().find(|(given, _)| *given).map(|(_, name)| *name)
     }
@@ -229,6 +241,17 @@ pub fn parse_up(text: &str) -> Result<UpAxis, String> {
     text.parse()
 }
 
+/// Reads a unit of length, in metres.
+pub fn parse_unit(text: &str) -> Result<f64, String> {
+    let named = LengthUnit::ALL.into_iter().find(|unit| unit.symbol() == text);
+    named
+        .map(LengthUnit::metres)
+        .or_else(|| text.parse().ok().filter(|m: &f64| m.is_finite() && *m > 0.0))
+        .ok_or_else(|| {
+            format!("{text:?} is no unit; write mm, cm, m, km or metres, such as 0.3048")
+        })
+}
+
 /// Where features come from.
 pub enum FeatureSource {
     /// A network that is run over the scene.
@@ -249,7 +272,9 @@ impl FeatureSource {
     /// What to add to a title where the result means nothing.
     pub fn remark(&self) -> &'static str {
         match self {
-            Self::Network(network) if network.is_meaningless() => " (seeded weights: no meaning)",
+            Self::Network(network) if network.has_random_weights() => {
+                " (seeded weights: no meaning)"
+            }
             _ => "",
         }
     }
@@ -315,19 +340,8 @@ impl<'a> Session<'a> {
             let text = "--config: the network inside the program has its own; leave it out";
             return Err(WrongUse(text.to_owned()).into());
         }
-        let beside = match (&self.shared.config, weights) {
-            (None, Weights::File(path)) => config_beside(path)?,
-            _ => None,
-        };
-        let config = match (&self.shared.config, beside) {
-            (Some(config), _) => config.resolve()?,
-            (None, Some(config)) => config,
-            (None, None) if *weights == Weights::Embedded => crate::embedded::config()?,
-            (None, None) => NetworkConfig::Language.resolve()?,
-        };
         let precision = inference.precision;
         let compute = Compute { precision, fold: !inference.exact };
-        let config = PointTransformerV3Config { compute, ..config };
         self.receipt.computation(precision.name(), Isa::current().name());
         let why = "form of the numbers that products multiply; sums are f32";
         self.receipt.setting("precision", precision, why);
@@ -340,7 +354,8 @@ impl<'a> Session<'a> {
             branch: inference.branch.into(),
             conv_layout: inference.conv_layout.into(),
         };
-        let network = Network::load(config, weights, options)?;
+        let config = network_of(weights, self.shared.config.as_ref(), options)?;
+        let network = Network::load(config.with_compute(compute), weights, options)?;
         for (path, sha256) in network.files() {
             self.progress.say(format!("weights {} sha256 {sha256}", path.display()));
             let bytes = std::fs::metadata(path).map_or(0, |m| m.len());
@@ -463,7 +478,7 @@ impl<'a> Session<'a> {
         inference: &Inference,
     ) -> Result<SceneFeatures> {
         let stage = self.receipt.stage("network");
-        let grid_size = inference.grid_size.unwrap_or(network.config().grid_size);
+        let grid_size = inference.grid_size.unwrap_or(network.grid_size());
         if !(grid_size.is_finite() && grid_size > 0.0) {
             let text = format!("--grid-size {grid_size}: must be above 0");
             return Err(WrongUse(text).into());
@@ -477,6 +492,15 @@ impl<'a> Session<'a> {
             spill_folder: self.shared.out.clone(),
             ..SceneEncoder::new(network)
         };
+        let alignment = Alignment::of(
+            scene,
+            &AlignmentSettings {
+                up: inference.up,
+                metres_per_unit: inference.unit,
+                as_is: inference.as_is,
+            },
+        );
+        self.tell(&alignment, inference.as_is);
         let receipt = &self.receipt;
         let why = "fast: one Gaussian a voxel; exact: a sampling at half the voxel size, averaged";
         receipt.setting("fidelity", format!("{:?}", encoder.fidelity).to_lowercase(), why);
@@ -484,7 +508,7 @@ impl<'a> Session<'a> {
         if inference.shuffle_orders {
             receipt.setting("shuffle_orders", self.shared.seed, "seed");
         }
-        let features = encoder.encode(scene, &mut |at| {
+        let features = encoder.encode_aligned(scene, alignment, &mut |at| {
             if interrupted() {
                 return Err(EncodeError::Stopped);
             }
@@ -527,6 +551,58 @@ impl<'a> Session<'a> {
         ));
         drop(stage);
         Ok(features)
+    }
+
+    /// Says and notes what the network makes of a scene that lies otherwise than it knows.
+    fn tell(&self, alignment: &Alignment, as_is: bool) {
+        let up = &alignment.up;
+        let why = match (as_is, up.given) {
+            (true, _) => "as is: the network takes +z for up",
+            (false, true) => "up in the scene, as given",
+            (false, false) => "up in the scene, by its shape",
+        };
+        self.receipt.setting("up", up.axis, why);
+        for remark in &alignment.remarks {
+            let text = match *remark {
+                Remark::Turned { from } => {
+                    let why =
+                        "the network read a copy turned from this up to +z; files keep theirs";
+                    self.receipt.setting("turned", from, why);
+                    format!(
+                        "up is {from}{}: the network reads a copy turned to +z; files keep their \
+                         frame (--up AXIS if it is another, --as-is to leave it)",
+                        if up.given { "" } else { ", by the shape of the scene" }
+                    )
+                }
+                Remark::Scaled { by } => {
+                    let why = "metres per unit; the network read a copy in metres";
+                    self.receipt.setting("unit", by, why);
+                    format!(
+                        "one unit is {by} m: the network reads a copy in metres; files keep their \
+                         unit (--unit UNIT if it is another, --as-is to leave it)"
+                    )
+                }
+                Remark::UpUnclear { likely, confidence } => format!(
+                    "WHICH WAY IS UP IS UNCLEAR ({likely} is likeliest, confidence {confidence:.2}): \
+                     the network takes +z for up, and most labels are lost if it is not; say it with \
+                     --up AXIS"
+                ),
+                Remark::UnitUnclear { likely, confidence } => format!(
+                    "THE UNIT IS UNCLEAR ({} is likeliest, confidence {confidence:.2}): the network \
+                     takes it for metres, and labels mean little if it is not; say it with --unit \
+                     {} or --unit m",
+                    likely.symbol(),
+                    likely.symbol()
+                ),
+            };
+            if remark.is_warning() {
+                self.progress.say(format!("*** {text} ***"));
+            } else {
+                self.progress.say(&text);
+            }
+            // Each scene of several has its own.
+            self.receipt.warning(text);
+        }
     }
 
     /// Which way is up.

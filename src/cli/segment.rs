@@ -6,10 +6,10 @@ use crate::inference::SceneFeatures;
 use crate::outputs::{ResultColumns, label_colors, legend, write_colored_ply, write_scene_preview};
 use crate::text::{class_list, metric_table, read_text_table};
 use anyhow::{Context, Result};
-use scenesplat_datasets::synthetic::Vocabulary;
 use scenesplat_metrics::{
     FeatureFn, FeatureRows, UnknownRule, ZeroShotOptions, classify, keep_withheld, vote,
 };
+use scenesplat_rooms::Vocabulary;
 use scenesplat_scene::formats::npy_writer::write_npy;
 use scenesplat_scene::label_set::read_names;
 use scenesplat_scene::{LabelSet, TextTable};
@@ -249,7 +249,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
             let text = "--text is for language networks; name the classes with --text-names";
             return Err(WrongUse(text.to_owned()).into());
         }
-        let count = network.config().num_classes.unwrap_or(0);
+        let count = network.model().out_channels();
         let names = match &args.classes.text_names {
             Some(path) => read_names(path)?,
             None => (0..count).map(|i| format!("class {i}")).collect(),

@@ -23,9 +23,10 @@ pub use findings::{Finding, Severity};
 pub use floaters::{Floaters, find_floaters};
 pub use statistics::{Border, Histogram, Quantiles};
 pub use unit::{LengthUnit, UnitGuess};
+pub(crate) use unit::{guess_unit, may_be_no_metre, usual_spacing};
 
+use crate::NetworkConfig;
 use findings::Findings;
-use scenesplat_models::PointTransformerV3Config;
 pub use scenesplat_scene::{Bounds, UpEvidence, UpGuess};
 use scenesplat_scene::{LoadedScene, UpAxis, guess_up_within, raw_bounds, robust_bounds};
 use serde::Serialize;
@@ -41,7 +42,7 @@ pub struct InspectSettings {
     pub grid_size: f64,
     /// The network to estimate the cost of, and its name; `None`: no estimate, which is the only
     /// part that is measured and therefore not the same twice.
-    pub network: Option<(String, PointTransformerV3Config)>,
+    pub network: Option<(String, NetworkConfig)>,
 }
 
 impl Default for InspectSettings {
@@ -114,12 +115,17 @@ pub struct Inspection {
 /// use scenesplat::inspect::{InspectSettings, inspect};
 /// use scenesplat::scene::{ReadOptions, open_scene};
 ///
-/// # let room = concat!(env!("CARGO_MANIFEST_DIR"), "/assets/demo/room.ply");
-/// let loaded = open_scene(room.as_ref(), &ReadOptions::default())?;
+/// # use scenesplat::rooms::{SyntheticRoomSettings, generate};
+/// # let folder = std::env::temp_dir().join(format!("inspect-{}", std::process::id()));
+/// # let (room, _) = (folder.join("room.ply"), std::fs::create_dir_all(&folder)?);
+/// # let scene = generate(&SyntheticRoomSettings::with_count(16_000, 7))?.scene;
+/// # scenesplat::scene::formats::inria_ply::write_inria_ply(&scene, &[], &room)?;
+/// let loaded = open_scene(&room, &ReadOptions::default())?;
+/// # std::fs::remove_dir_all(&folder)?;
 /// let seen = inspect(&loaded, &InspectSettings::default());
 /// assert_eq!((seen.gaussians, seen.findings.len()), (16_000, 0));
 /// println!("{seen}");
-/// # Ok::<(), scenesplat::scene::SceneError>(())
+/// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub fn inspect(loaded: &LoadedScene, settings: &InspectSettings) -> Inspection {
     let scene = &loaded.scene;

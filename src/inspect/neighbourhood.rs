@@ -7,7 +7,7 @@ use scenesplat_scene::{Bounds, GaussianScene};
 
 /// The neighbour whose distance is looked at: the fourth, so that a pair or triple of stray
 /// Gaussians is not its own company.
-const NEIGHBOUR: usize = 4;
+pub(super) const NEIGHBOUR: usize = 4;
 
 /// A Gaussian is isolated when its neighbour is so many times farther than for 90 % of all …
 const FAR: f64 = 2.5;
