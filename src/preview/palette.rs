@@ -97,7 +97,7 @@ mod tests {
 
     #[test]
     fn classes_of_rooms_can_be_told_apart() {
-        let classes = scenesplat_datasets::synthetic::CLASSES.len();
+        let classes = scenesplat_rooms::CLASSES.len();
         assert!(classes <= DISTINCT.len(), "{classes} classes need as many distinct colours");
         let colors: Vec<[u8; 3]> = (0..DISTINCT.len()).map(class_color).collect();
         for a in 0..colors.len() {

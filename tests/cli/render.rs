@@ -149,7 +149,7 @@ fn a_camera_by_flags_and_views_from_inside() {
     let lit = (0..32).filter(|y| picture.get(24, *y).unwrap()[1] > 128).count();
     assert!((6..14).contains(&lit), "{lit} rows are lit");
 
-    let room = generate_room(&RoomSettings { num_gaussians: 8_000, seed: 3 }).unwrap();
+    let room = generate(&SyntheticRoomSettings::with_count(8_000, 3)).unwrap();
     let place = Place::new(&room.scene);
     done(&place.render("in", &["--inside", "3", "--size", "64x48", "--threads", "1"]));
     done(&place.render("in2", &["--inside", "3", "--size", "64x48", "--threads", "2"]));
