@@ -25,8 +25,6 @@
 //! ```
 
 pub mod alignment;
-pub mod bench;
-pub mod cli;
 pub mod embedded;
 pub mod inference;
 pub mod input;
@@ -37,8 +35,6 @@ pub mod network;
 pub mod outputs;
 pub mod preview;
 pub mod principal;
-pub mod progress;
-pub mod receipt;
 pub mod text;
 pub mod training;
 
