@@ -101,6 +101,7 @@ fn what_has_no_place_is_said() {
     let dir = tempfile::tempdir().unwrap();
     let mut scene = random_scene(2000, 4, 5);
     scene.segment = Some(vec![1; 2000]);
+    scene.opacity_logit = vec![0.0; 2000];
     scene.opacity_logit[1500] = 40.0;
     let report = write(&scene, &dir.path().join("lod-meta.json"), 2, false);
     let find = |field: &str| report.limits.iter().find(|l| l.field == field).unwrap().clone();
