@@ -4,7 +4,7 @@ use super::WrongUse;
 use super::common::{SourceArgs, SpzFrameArg, print, write_text};
 use crate::convert::{CropBox, FrameChange, Sample, SceneEdit};
 use crate::input::open_input;
-use crate::language_codes::encode_features;
+use crate::language_codes::compress_features;
 use crate::progress::{Progress, interrupted, listen_for_interrupt};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
@@ -246,7 +246,7 @@ fn add_codes(
         return Err(WrongUse(text.to_owned()).into());
     };
     let valid = scene.valid_feat_mask.as_deref();
-    let done = encode_features(features, valid, k, args.seed, &mut |done| {
+    let done = compress_features(features, valid, k, args.seed, &mut |done| {
         progress.advance("language codes", done);
         !interrupted()
     });
