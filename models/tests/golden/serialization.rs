@@ -70,7 +70,7 @@ fn a_batch_and_its_pooled_codes() {
     p.compare_ints("grid_coord", &cells);
     // The original names the lowest row of a cluster; our groups list members in row order.
     let heads: Vec<u32> = groups
-        .offsets
+        .offsets()
         .windows(2)
         .map(|o| groups.rows()[o[0] as usize..o[1] as usize].iter().copied().min().unwrap())
         .collect();
