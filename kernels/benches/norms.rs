@@ -19,7 +19,6 @@ mod support;
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use scenesplat_kernels::permute::gather_rows;
 use scenesplat_kernels::segment::{Groups, Reduce, reduce, reduce_backward};
-use scenesplat_kernels::serialization::invert;
 use scenesplat_kernels::{batch_norm, layer_norm};
 use support::{criterion, random};
 
