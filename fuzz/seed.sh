@@ -23,8 +23,9 @@ done
 cp assets/embedded/config.json models/tests/data/hub/config.json $corpus/network_config/
 find configs -name '*.toml' -exec cp {} $corpus/experiment/ \;
 find "$real" \( -name '*.png' -o -name '*.jpg' \) -size -64k -exec cp {} $corpus/picture/ \;
-convert() { cargo run -q --release -- convert --quiet --overwrite assets/demo/room.ply "$@" >/dev/null; }
 small=$(mktemp -d)
+cargo run -q --release --example synthetic_room -- 7 "$small/room" 100
+convert() { cargo run -q --release -- convert --quiet --overwrite "$small/room.ply" "$@" >/dev/null; }
 convert "$small/a.ply" --sample 20
 cp "$small/a.ply" $corpus/ply/labelled.ply
 cp "$small/a.ply" $corpus/ply_points/labelled.ply
@@ -50,7 +51,7 @@ images = b"1 1 0 0 0 0 0 0 1 a.png\n5 6 1\n"
 points = b"1 1 2 3 9 9 9 0.5 1 0\n"
 open(f"{corpus}/colmap_text/one", "wb").write(struct.pack("<II", len(cameras), len(images)) + cameras + images + points)
 PY
-cargo run -q --release -- inspect --quiet assets/demo/room.ply --sheet "$small/sheet.png" >/dev/null || true
+cargo run -q --release -- inspect --quiet "$small/room.ply" --sheet "$small/sheet.png" >/dev/null || true
 [ ! -f "$small/sheet.png" ] || cp "$small/sheet.png" $corpus/picture/
 rm -r "$small"
 find $corpus -type f | wc -l
