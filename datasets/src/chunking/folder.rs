@@ -44,7 +44,7 @@ impl ChunkFolder {
                     "holds chunks that were cut with other settings: {}",
                     differences(&this.settings, &known)
                 ),
-                mend: "give another --out, the same settings, or remove the folder".to_owned(),
+                help: "give another --out, the same settings, or remove the folder".to_owned(),
             }
             .into()),
             Some(_) => Ok(this),

@@ -287,7 +287,7 @@ fn labelled_points(source: &Path) -> Result<Option<Vec<[f32; 3]>>, SceneError> {
         return Err(SceneError::Format {
             path,
             problem: format!("expected shape (M, 3), got {:?}", file.shape()),
-            mend: "remove the file or save positions".to_owned(),
+            help: "remove the file or save positions".to_owned(),
         });
     }
     Ok(Some(file.read_f32()?.as_chunks::<3>().0.to_vec()))

@@ -61,8 +61,8 @@ impl StagedFolder {
                     // What cannot be put back must not be deleted.
                     self.part = None;
                     let problem = format!("cannot be moved to {}: {source}", to.display());
-                    let mend = format!("files of the old scene are in {}", aside.display());
-                    return Err(SceneError::format(from, problem, mend));
+                    let help = format!("files of the old scene are in {}", aside.display());
+                    return Err(SceneError::format(from, problem, help));
                 }
             }
             return Err(SceneError::io(to, "cannot put the finished file in place")(source));

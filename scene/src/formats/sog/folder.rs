@@ -70,8 +70,8 @@ impl FolderWriter {
         leaving.retain(|name| self.folder.join(name).exists());
         if let Some(name) = leaving.first().filter(|_| !overwrite) {
             let path = self.folder.join(name);
-            let mend = "overwrite it or choose another folder";
-            return Err(SceneError::format(&path, "is there already", mend));
+            let help = "overwrite it or choose another folder";
+            return Err(SceneError::format(&path, "is there already", help));
         }
         let mut moves: Vec<(PathBuf, PathBuf)> = Vec::new();
         for name in &leaving {
