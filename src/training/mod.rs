@@ -5,6 +5,7 @@ pub mod curves;
 pub mod data;
 pub mod export;
 pub mod identity;
+mod record;
 mod run;
 
 pub use config::ExperimentConfig;

@@ -5,6 +5,7 @@ use super::curves::write_curves;
 use super::data;
 use super::export::export_model;
 use super::identity::identity;
+use super::record::{RunRecord, write};
 use crate::text::class_list;
 use anyhow::{Context, Result};
 use scenesplat_datasets::{BatchLoader, TrainBatch};
@@ -236,7 +237,10 @@ impl Run<'_> {
             None => Progress::default(),
         };
         // Not before: a run that is refused leaves the record of the first one.
-        self.record(&trainer.identity()?.hash(), start)?;
+        let record = self.record(&trainer.identity()?.hash(), start);
+        write(&out.join("config.toml"), &toml::to_string_pretty(self.config)?)?;
+        record.write()?;
+        let mut trainer = trainer.with_callback(record);
         let progress = trainer.fit(module, loader, evaluators, start)?;
         let model = out.join("model");
         let remarks = export_model(self.checkpoints, &self.config.model, &model)?;
@@ -245,40 +249,16 @@ impl Run<'_> {
 }
 
 impl Run<'_> {
-    /// Writes `config.toml` and `run.json`; a resumed run adds where it began to the latter.
-    fn record(&self, experiment: &str, start: Progress) -> Result<()> {
-        let path = self.options.out.join("run.json");
-        let mut starts = match std::fs::read_to_string(&path) {
-            Ok(text) if start.step > 0 => serde_json::from_str::<serde_json::Value>(&text)
-                .ok()
-                .and_then(|run| run["starts"].as_array().cloned())
-                .unwrap_or_default(),
-            _ => Vec::new(),
-        };
+    /// The record of the run, which begins at `start`.
+    fn record(&self, experiment: &str, start: Progress) -> RunRecord {
         let commit = self.options.commit.as_deref().unwrap_or("unknown");
-        let version = env!("CARGO_PKG_VERSION");
-        starts.push(
-            serde_json::json!({ "step": start.step, "scenesplat": version, "commit": commit }),
-        );
-        let run = serde_json::json!({
-            "scenesplat": version,
-            "commit": commit,
-            "experiment": experiment,
-            "losses": self.losses,
-            "classes": self.classes,
-            "starts": starts,
-        });
-        self.write("config.toml", &toml::to_string_pretty(self.config)?)?;
-        self.write("run.json", &serde_json::to_string_pretty(&run)?)
-    }
-
-    /// Replaces a small file of the run.
-    fn write(&self, name: &str, content: &str) -> Result<()> {
-        let path = self.options.out.join(name);
-        let beside = path.with_extension("partial");
-        std::fs::write(&beside, content)
-            .and_then(|()| std::fs::rename(&beside, &path))
-            .with_context(|| path.display().to_string())
+        let program =
+            serde_json::json!({ "scenesplat": env!("CARGO_PKG_VERSION"), "commit": commit });
+        let mut run = program.clone();
+        run["experiment"] = experiment.into();
+        run["losses"] = self.losses.clone().into();
+        run["classes"] = self.classes.clone().into();
+        RunRecord::new(&self.options.out, start.step, &program, run)
     }
 }
 

@@ -32,6 +32,9 @@ pub struct TrainerConfig {
     /// Parameters that may go without gradient, such as a head whose term starts later: parts of
     /// names.
     pub idle: Vec<String>,
+    /// Largest share of the scenes that may be left out, and of their rows that may be dropped when
+    /// they are read; the run stops at the end of an epoch with more, `0..=1`.
+    pub max_left_out: f64,
     /// Checkpoints.
     pub checkpoint: CheckpointConfig,
     /// Alarms about features and statistics that collapse.
@@ -51,6 +54,7 @@ impl Default for TrainerConfig {
             ema: None,
             freeze: Vec::new(),
             idle: Vec::new(),
+            max_left_out: 0.1,
             checkpoint: CheckpointConfig::default(),
             health: HealthConfig::default(),
         }
@@ -111,11 +115,12 @@ impl Default for HealthConfig {
 impl TrainerConfig {
     /// Settings that a resumed run may change: what they do not touch are the steps. With
     /// `recompute`, gradients are the same up to the rounding of sums.
-    pub const MAY_CHANGE: [&str; 8] = [
+    pub const MAY_CHANGE: [&str; 9] = [
         "log_every",
         "eval_every",
         "recompute",
         "idle",
+        "max_left_out",
         "checkpoint.dir",
         "checkpoint.every_steps",
         "checkpoint.keep",
@@ -133,6 +138,8 @@ impl TrainerConfig {
         at_least_one("accumulate", self.accumulate)?;
         at_least_one("log_every", self.log_every)?;
         at_least_one("checkpoint.keep", self.checkpoint.keep as u64)?;
+        let share = (0.0..=1.0).contains(&self.max_left_out);
+        check_setting("max_left_out", self.max_left_out, share, "in 0..=1")?;
         if let Some(norm) = self.clip_norm {
             check_setting("clip_norm", norm, norm.is_finite() && norm > 0.0, "above 0")?;
         }

@@ -136,7 +136,7 @@ pub enum TrainError {
     },
     /// A file of a checkpoint is not what was written.
     #[error(
-        "{}: {problem}; remove its folder to go on from the checkpoint before it",
+        "{} {problem}; remove its folder to go on from the checkpoint before it",
         path.display()
     )]
     Damaged {
@@ -205,6 +205,25 @@ pub enum TrainError {
         tally: Tally,
         /// Scenes of its batches.
         scenes: Vec<String>,
+    },
+    /// More of the data was left out than a run may leave out.
+    #[error(
+        "{name}: {left_out} of {of} {what} were left out, more than max_left_out = {limit} allows; {}",
+        sample(reasons)
+    )]
+    TooMuchLeftOut {
+        /// `train`, or the name of an evaluator.
+        name: String,
+        /// "scenes" or "rows".
+        what: &'static str,
+        /// How many were left out.
+        left_out: usize,
+        /// How many there are.
+        of: usize,
+        /// Largest share.
+        limit: f64,
+        /// Reasons, one a scene.
+        reasons: Vec<String>,
     },
     /// An evaluation saw no labelled row.
     #[error("evaluation {name}: none of its {scenes} scenes has a labelled row")]
@@ -279,7 +298,11 @@ fn hints(suspects: &[String]) -> String {
 fn list_changes(changes: &[Change]) -> String {
     const SHOWN: usize = 6;
     let one = |c: &Change| format!("{} was {} and is {}", c.setting, c.was, c.is);
-    let mut text = changes.iter().take(SHOWN).map(one).collect::<Vec<_>>().join(", ");
+    // Another kind of thing explains that its settings are others.
+    let (kinds, rest): (Vec<_>, Vec<_>) =
+        changes.iter().partition(|c| c.setting == "task" || c.setting.ends_with(".type"));
+    let mut text =
+        kinds.into_iter().chain(rest).take(SHOWN).map(one).collect::<Vec<_>>().join(", ");
     if changes.len() > SHOWN {
         text.push_str(&format!(", and {} more", changes.len() - SHOWN));
     }

@@ -1,6 +1,7 @@
 //! What happens in a run, and who is told.
 
 use crate::{Selection, TrainError};
+use scenesplat_datasets::LeftOut;
 use scenesplat_metrics::Measurement;
 use std::path::Path;
 
@@ -54,6 +55,14 @@ pub enum Event<'a> {
     Evaluated {
         /// With full names, such as `unseen/f-mIoU`.
         measurements: &'a [Measurement],
+    },
+    /// At the end of an epoch: what of the data was left out or repaired, if that is more than said
+    /// before.
+    Data {
+        /// `train`, or the name of an evaluator.
+        name: &'a str,
+        /// Counts and reasons, of the whole run so far.
+        left_out: &'a LeftOut,
     },
     /// Something looks wrong although every number is finite.
     Alarm {
@@ -127,6 +136,11 @@ pub trait Evaluator<M: ?Sized>: Send {
     /// Names of the measurements that it may give, without the prefix. Settings that name one are
     /// checked against them before the first step.
     fn measurements(&self) -> Vec<String>;
+
+    /// What was left out or repaired in the scenes read so far.
+    fn left_out(&self) -> LeftOut {
+        LeftOut::default()
+    }
 
     /// Runs the whole evaluation; must not change the module.
     ///

@@ -10,7 +10,7 @@ use scenesplat_metrics::Measurement;
 use scenesplat_trainers::callbacks::{EarlyStopping, JsonLines, TensorBoard, read_json_lines};
 use scenesplat_trainers::checkpoint::{best_checkpoint, newest_checkpoint};
 use scenesplat_trainers::{
-    Callback, End, Evaluator, Event, Flow, Progress, TrainError, TrainerConfig,
+    Callback, End, Evaluator, Event, Flow, Progress, TrainError, Trainer, TrainerConfig,
 };
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -4,7 +4,7 @@ use super::scenes::{for_each, some_label, values};
 use crate::TrainError;
 use crate::event::{Evaluator, Progress};
 use crate::tasks::SemanticSegmentation;
-use scenesplat_datasets::{Dataset, InputFeatures};
+use scenesplat_datasets::{Dataset, InputFeatures, LeftOut};
 use scenesplat_metrics::{ConfusionMatrix, Measurement, Metric, TesterReport};
 use std::sync::Arc;
 
@@ -37,6 +37,10 @@ impl SegmentationEvaluator {
 impl Evaluator<SemanticSegmentation> for SegmentationEvaluator {
     fn name(&self) -> &str {
         &self.name
+    }
+
+    fn left_out(&self) -> LeftOut {
+        self.data.left_out()
     }
 
     fn measurements(&self) -> Vec<String> {

@@ -4,7 +4,7 @@ use super::scenes::{for_each, some_label, values};
 use crate::TrainError;
 use crate::event::{Evaluator, Progress};
 use crate::tasks::LanguagePretraining;
-use scenesplat_datasets::{Dataset, InputFeatures};
+use scenesplat_datasets::{Dataset, InputFeatures, LeftOut};
 use scenesplat_metrics::{
     ConfusionMatrix, FeatureSlice, Measurement, Metric, TesterReport, TextTable, ZeroShotOptions,
     classify, vote,
@@ -73,6 +73,10 @@ impl ZeroShotEvaluator {
 impl Evaluator<LanguagePretraining> for ZeroShotEvaluator {
     fn name(&self) -> &str {
         &self.name
+    }
+
+    fn left_out(&self) -> LeftOut {
+        self.data.left_out()
     }
 
     fn measurements(&self) -> Vec<String> {

@@ -12,7 +12,7 @@ use crate::module::TrainingModule;
 use crate::optim::{Optimizer, Schedule};
 use crate::{Identity, Tally, TrainError, TrainerConfig};
 use candle_core::Var;
-use scenesplat_datasets::BatchLoader;
+use scenesplat_datasets::{BatchLoader, LeftOut};
 use scenesplat_models::{ParamStore, Recompute};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -36,6 +36,8 @@ pub struct Trainer {
     tally: Tally,
     /// Whether the epoch that ends here has not been evaluated yet.
     evaluation_due: bool,
+    /// What was said of the data, by the name of who reads them.
+    said: BTreeMap<String, LeftOut>,
     resumed: Option<CheckpointState>,
 }
 
@@ -75,6 +77,7 @@ impl Trainer {
             best: None,
             tally: Tally::default(),
             evaluation_due: false,
+            said: BTreeMap::new(),
             resumed: None,
         })
     }
@@ -170,6 +173,7 @@ impl Trainer {
                 }
             }
             drop(stream);
+            self.look_at_data("train", data.left_out(), at, &mut flow)?;
             if place == last {
                 self.check_epoch(&mut run, at)?;
                 self.evaluation_due = true;

@@ -5,6 +5,7 @@ use super::{Run, Trainer};
 use crate::TrainError;
 use crate::event::{Evaluator, Event, Flow, Progress};
 use crate::module::TrainingModule;
+use scenesplat_datasets::LeftOut;
 use scenesplat_metrics::Measurement;
 use std::collections::BTreeSet;
 
@@ -97,10 +98,44 @@ impl Trainer {
             }
             let event = Event::Eval { name: evaluator.name(), measurements: &found };
             flow = flow.and(self.emit(&event, at)?);
+            self.look_at_data(evaluator.name(), evaluator.left_out(), at, &mut flow)?;
             all.extend(found);
         }
         flow = flow.and(self.emit(&Event::Evaluated { measurements: &all }, at)?);
         Ok((Some(all), flow))
+    }
+
+    /// Says what of the data was left out, if it is more than before, and stops if it is too much.
+    pub(super) fn look_at_data(
+        &mut self,
+        name: &str,
+        left_out: LeftOut,
+        at: Progress,
+        flow: &mut Flow,
+    ) -> Result<(), TrainError> {
+        if self.said.get(name) == Some(&left_out) || left_out == LeftOut::default() {
+            return Ok(());
+        }
+        *flow = flow.and(self.emit(&Event::Data { name, left_out: &left_out }, at)?);
+        let limit = self.config.max_left_out;
+        for (what, count, of) in [
+            ("scenes", left_out.skipped.len(), left_out.scenes),
+            ("rows", left_out.dropped_rows(), left_out.rows),
+        ] {
+            if count as f64 > limit * of as f64 {
+                let (name, reasons) = (name.to_owned(), left_out.lines());
+                return Err(TrainError::TooMuchLeftOut {
+                    name,
+                    what,
+                    left_out: count,
+                    of,
+                    limit,
+                    reasons,
+                });
+            }
+        }
+        self.said.insert(name.to_owned(), left_out);
+        Ok(())
     }
 
     /// The deciding value, if it is the best so far.

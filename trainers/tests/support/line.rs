@@ -13,8 +13,8 @@ use std::path::Path;
 /// `y = x·w + noise`, whose noise comes from the step's generator.
 pub struct Line {
     pub params: ParamStore,
-    weight: Tensor,
-    bias: Tensor,
+    pub weight: Tensor,
+    pub bias: Tensor,
     pub use_bias: bool,
     pub noise: f64,
 }
