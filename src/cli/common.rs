@@ -4,7 +4,7 @@ use super::WrongUse;
 use crate::inference::{EncodeError, Fidelity};
 use crate::input::open_input;
 use crate::memory::Bytes;
-use crate::network::{NetworkConfig, WeightOptions, Weights, config_beside};
+use crate::network::{NetworkChoice, WeightOptions, Weights, network_of};
 use crate::outputs::{OpenedScene, guess_up};
 use crate::preview::UpAxis;
 use crate::progress::{Progress, interrupted, listen_for_interrupt};
@@ -15,7 +15,7 @@ use clap::ValueEnum;
 use scenesplat_kernels::Precision;
 use scenesplat_kernels::simd::Isa;
 use scenesplat_models::convert::{Branch, ConvLayout};
-use scenesplat_models::{Compute, LoadPolicy, PointTransformerV3Config};
+use scenesplat_models::{Compute, LoadPolicy};
 use scenesplat_scene::{GaussianScene, Policy, ReadOptions, SpzFrame};
 use std::cell::Cell;
 use std::io::Write;
@@ -26,7 +26,7 @@ use std::path::{Path, PathBuf};
 pub struct Shared {
     /// Network: language, semseg, tiny or a .toml file; from the weights' folder if it has one.
     #[arg(long, value_name = "NAME|FILE")]
-    pub config: Option<NetworkConfig>,
+    pub config: Option<NetworkChoice>,
     /// Checkpoint, model folder, seeded:N for values without meaning, or embedded, the small network
     /// inside the program, which is the default if no --config is given either.
     #[arg(long, value_name = "PATH|seeded:N|embedded")]
@@ -258,7 +258,9 @@ impl FeatureSource {
     /// What to add to a title where the result means nothing.
     pub fn remark(&self) -> &'static str {
         match self {
-            Self::Network(network) if network.is_meaningless() => " (seeded weights: no meaning)",
+            Self::Network(network) if network.has_random_weights() => {
+                " (seeded weights: no meaning)"
+            }
             _ => "",
         }
     }
@@ -324,19 +326,8 @@ impl<'a> Session<'a> {
             let text = "--config: the network inside the program has its own; leave it out";
             return Err(WrongUse(text.to_owned()).into());
         }
-        let beside = match (&self.shared.config, weights) {
-            (None, Weights::File(path)) => config_beside(path)?,
-            _ => None,
-        };
-        let config = match (&self.shared.config, beside) {
-            (Some(config), _) => config.resolve()?,
-            (None, Some(config)) => config,
-            (None, None) if *weights == Weights::Embedded => crate::embedded::config()?,
-            (None, None) => NetworkConfig::Language.resolve()?,
-        };
         let precision = inference.precision;
         let compute = Compute { precision, fold: !inference.exact };
-        let config = PointTransformerV3Config { compute, ..config };
         self.receipt.computation(precision.name(), Isa::current().name());
         let why = "form of the numbers that products multiply; sums are f32";
         self.receipt.setting("precision", precision, why);
@@ -349,7 +340,8 @@ impl<'a> Session<'a> {
             branch: inference.branch.into(),
             conv_layout: inference.conv_layout.into(),
         };
-        let network = Network::load(config, weights, options)?;
+        let config = network_of(weights, self.shared.config.as_ref(), options)?;
+        let network = Network::load(config.with_compute(compute), weights, options)?;
         for (path, sha256) in network.files() {
             self.progress.say(format!("weights {} sha256 {sha256}", path.display()));
             let bytes = std::fs::metadata(path).map_or(0, |m| m.len());
@@ -472,7 +464,7 @@ impl<'a> Session<'a> {
         inference: &Inference,
     ) -> Result<SceneFeatures> {
         let stage = self.receipt.stage("network");
-        let grid_size = inference.grid_size.unwrap_or(network.config().grid_size);
+        let grid_size = inference.grid_size.unwrap_or(network.grid_size());
         if !(grid_size.is_finite() && grid_size > 0.0) {
             let text = format!("--grid-size {grid_size}: must be above 0");
             return Err(WrongUse(text).into());

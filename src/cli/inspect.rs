@@ -4,7 +4,7 @@ use super::common::{Session, Shared, SourceArgs, parse_up, print, write_text};
 use crate::input::scene_name;
 use crate::inspect::sheet::write_sheet;
 use crate::inspect::{InspectSettings, inspect};
-use crate::network::NetworkConfig;
+use crate::network::NetworkChoice;
 use crate::preview::UpAxis;
 use anyhow::{Context, Result, bail};
 use scenesplat_scene::ReadOptions;
@@ -43,8 +43,8 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start(&args.shared, line)?;
-    let config = args.shared.config.clone().unwrap_or(NetworkConfig::Language);
-    let network = (name_of(&config), config.resolve()?);
+    let config = args.shared.config.clone().unwrap_or(NetworkChoice::Language);
+    let network = (config.to_string(), config.resolve()?);
     let opened = {
         let _stage = session.receipt.stage("read");
         let opened = {
@@ -100,16 +100,6 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         bail!("{}: {} findings: {}", args.scene.display(), names.len(), names.join(", "));
     }
     Ok(())
-}
-
-/// What the network is called in the estimate.
-fn name_of(config: &NetworkConfig) -> String {
-    match config {
-        NetworkConfig::Language => "language".to_owned(),
-        NetworkConfig::Semseg => "semseg".to_owned(),
-        NetworkConfig::Tiny => "tiny".to_owned(),
-        NetworkConfig::File(path) => path.display().to_string(),
-    }
 }
 
 /// `room.ply` → `room.ply.inspect.png`; the description of a folder is named after the folder.

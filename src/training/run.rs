@@ -11,9 +11,7 @@ use anyhow::{Context, Result};
 use scenesplat_datasets::{BatchLoader, TrainBatch};
 use scenesplat_losses::{TextTable as LossTexts, build_objective};
 use scenesplat_models::weights::{SourceOptions, WeightSource, resolve};
-use scenesplat_models::{
-    Compute, LanguageModel, LoadPolicy, ParamStore, PointTransformerV3Config, SemanticSegmenter,
-};
+use scenesplat_models::{LoadPolicy, ParamStore};
 use scenesplat_scene::LabelSet;
 use scenesplat_trainers::callbacks::{
     Console, EarlyStopping, JsonLines, TensorBoard, read_json_lines,
@@ -87,10 +85,7 @@ pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunRepor
     let text = config.text.as_ref().map(data::text_table).transpose()?;
     std::fs::create_dir_all(&options.out).with_context(|| options.out.display().to_string())?;
     let (params, mut remarks) = parameters(config)?;
-    let model = PointTransformerV3Config {
-        compute: Compute { precision: config.precision()?, ..config.model.compute },
-        ..config.model.clone()
-    };
+    let network = config.network()?.model.build(params.builder())?;
     let loss_texts = match &text {
         Some(t) => Some(LossTexts::new(&t.table.values, t.table.dim)?),
         None => None,
@@ -112,13 +107,11 @@ pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunRepor
                 (Targets::ClassText, Some(t)) => TargetSource::class_text(&t.table)?,
                 _ => TargetSource::Features,
             };
-            let network = LanguageModel::new(&model, params.builder())?;
             let module = LanguagePretraining::new(params, network, objective, targets);
             let mut evaluators = zero_shot(config, text.as_ref())?;
             run.fit(&module, &mut *loader, &mut evaluators)?
         }
         Task::SemanticSegmentation => {
-            let network = SemanticSegmenter::new(&model, params.builder())?;
             let module = SemanticSegmentation::new(params, network, objective);
             let mut evaluators = segmentation(config, text.as_ref())?;
             run.fit(&module, &mut *loader, &mut evaluators)?
@@ -143,10 +136,7 @@ fn parameters(config: &ExperimentConfig) -> Result<(ParamStore, Vec<String>)> {
     let source = WeightSource::files(files, SourceOptions::default())?;
     let params = ParamStore::trainable_from(source, config.model_seed);
     // A trial build asks for every name, so that the report is complete before training begins.
-    match config.model.num_classes {
-        Some(_) => _ = SemanticSegmenter::new(&config.model, params.builder())?,
-        None => _ = LanguageModel::new(&config.model, params.builder())?,
-    }
+    config.model.build(params.builder())?;
     let report = params.report();
     report.check(LoadPolicy::Partial, &path.display().to_string())?;
     Ok((params, vec![format!("{}: {report}", path.display())]))
@@ -243,7 +233,7 @@ impl Run<'_> {
         let mut trainer = trainer.with_callback(record);
         let progress = trainer.fit(module, loader, evaluators, start)?;
         let model = out.join("model");
-        let remarks = export_model(self.checkpoints, &self.config.model, &model)?;
+        let remarks = export_model(self.checkpoints, &self.config.network()?, &model)?;
         Ok((progress, (model, remarks)))
     }
 }

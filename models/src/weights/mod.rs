@@ -12,4 +12,4 @@ pub use folder::{ModelFolder, resolve};
 pub use hash_init::{hashed_parameter, name_hash, unit};
 pub use pth::{PickleValue, summarize};
 pub(crate) use source::Found;
-pub use source::{SourceOptions, WeightSource};
+pub use source::{Shapes, SourceOptions, WeightSource};
