@@ -8,6 +8,7 @@
 
 pub mod camera;
 pub mod class_map;
+mod class_names;
 pub mod error;
 pub mod formats;
 pub mod frame;
@@ -20,6 +21,7 @@ pub mod similarity;
 pub mod spherical_harmonics;
 pub mod text_table;
 pub mod value_policy;
+pub mod vector;
 
 pub use camera::{Camera, Distortion};
 pub use class_map::ClassMap;

@@ -2,6 +2,7 @@
 
 use super::UpAxis;
 use super::discs::{Disc, Lens};
+use scenesplat_scene::vector::cross;
 
 /// Turns a scene so that +z is up.
 #[derive(Clone, Copy)]
@@ -48,10 +49,6 @@ impl Upright {
         // A sum of one coordinate and two zeros would turn -0 into 0 only: no rounding.
         self.rows.map(|r| r[0] * p[0] + r[1] * p[1] + r[2] * p[2])
     }
-}
-
-fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 /// The box that is shown, and how.

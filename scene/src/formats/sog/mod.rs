@@ -29,6 +29,7 @@ mod reader;
 mod source;
 mod streamed;
 mod texture;
+mod ticker;
 mod writer;
 
 pub use meta::is_sog_meta_json;
