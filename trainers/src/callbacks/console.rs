@@ -3,6 +3,7 @@
 use crate::TrainError;
 use crate::event::{Callback, End, Event, Flow, Progress};
 use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
+use scenesplat_datasets::LeftOut;
 use scenesplat_metrics::Measurement;
 use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
@@ -30,6 +31,32 @@ impl Console {
             Some(bar) => bar.println(line),
             // A closed standard error is no reason to end a run.
             None => _ = writeln!(std::io::stderr(), "{line}"),
+        }
+    }
+
+    /// What of the data was left out, the first scenes with their reasons.
+    fn data(&self, name: &str, left_out: &LeftOut, at: Progress) {
+        const SHOWN: usize = 5;
+        let lines = left_out.lines();
+        for line in lines.iter().take(SHOWN) {
+            self.say(&format!("step {}: {name}: {line}", at.step));
+        }
+        if lines.len() > SHOWN {
+            let more = lines.len() - SHOWN;
+            self.say(&format!(
+                "step {}: {name}: {more} more scenes were repaired or left out",
+                at.step
+            ));
+        }
+        let (lacking, of) = (left_out.without_labels.len(), left_out.scenes);
+        if lacking > 0 {
+            self.say(&format!("step {}: {name}: {lacking} of {of} scenes have no labels", at.step));
+        }
+        // Where none has features, they are not what is trained on.
+        let lacking = left_out.without_features.len();
+        if lacking > 0 && lacking < of {
+            let what = "have no language features";
+            self.say(&format!("step {}: {name}: {lacking} of {of} scenes {what}", at.step));
         }
     }
 
@@ -73,7 +100,7 @@ impl Default for Console {
 impl Callback for Console {
     fn on_event(&mut self, event: &Event<'_>, at: Progress) -> Result<Flow, TrainError> {
         match event {
-            Event::FitStart { parameters, steps_per_epoch } => {
+            Event::FitStart { parameters, steps_per_epoch, leftover_batches } => {
                 self.began = Some((Instant::now(), at.step));
                 if let Some(bar) = &self.bar {
                     bar.set_length(at.total_steps);
@@ -91,7 +118,14 @@ impl Callback for Console {
                     "training {parameters} parameters, {} steps ({steps_per_epoch} an epoch){from}",
                     at.total_steps
                 ));
+                if *leftover_batches > 0 {
+                    self.say(&format!(
+                        "{leftover_batches} batches of each epoch are left out: they fill no step"
+                    ));
+                }
             }
+            Event::Evaluated { .. } => {}
+            Event::Data { name, left_out } => self.data(name, left_out, at),
             Event::Step { measurements } => self.step(measurements, at),
             Event::Eval { name, measurements } => {
                 let prefix = format!("{name}/");
