@@ -24,7 +24,9 @@ pub mod point_transformer_v3;
 mod recompute;
 pub mod weights;
 
-pub use backbone::{Backbone, Forward, LanguageModel, Mode, Orders, SemanticSegmenter};
+pub use backbone::{
+    Backbone, Forward, FrozenStatistics, LanguageModel, Mode, Orders, SemanticSegmenter,
+};
 pub use compute::Compute;
 pub use lpips::{Lpips, LpipsNet};
 pub use params::{LoadPolicy, LoadReport, ParamStore};

@@ -8,7 +8,7 @@ use scenesplat_models::{
     Backbone, Forward, ParamStore, PointCloud, PointTransformerV3Config, Recompute,
     SemanticSegmenter,
 };
-use scenesplat_trainers::{AdamW, AdamWConfig, Controls, Optimizer, group_by_keyword};
+use scenesplat_trainers::{AdamW, AdamWConfig, Optimizer, StepHyperparameters, group_by_keyword};
 
 /// The network with its optimizer, voxels and labels.
 pub struct TrainStep {
@@ -94,7 +94,9 @@ impl TrainStep {
         if let (true, Some(found)) = (self.first_gradient.is_empty(), grads.get(&self.stem)) {
             self.first_gradient = found.flatten_all()?.to_vec1()?;
         }
-        self.optimizer.step(&grads, &Controls::default()).map_err(candle_core::Error::wrap)?;
+        self.optimizer
+            .step(&grads, &StepHyperparameters::default())
+            .map_err(candle_core::Error::wrap)?;
         loss.to_scalar::<f32>()
     }
 }

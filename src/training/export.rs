@@ -1,9 +1,9 @@
 //! A trained network as others take it.
 
 use anyhow::{Context, Result};
-use candle_core::{Device, Tensor};
+use candle_core::Tensor;
 use scenesplat_models::PointTransformerV3Config;
-use scenesplat_trainers::checkpoint::{best_checkpoint, newest_checkpoint};
+use scenesplat_trainers::checkpoint::{best_checkpoint, newest_checkpoint, read_network};
 use std::collections::HashMap;
 use std::path::Path;
 
@@ -32,16 +32,9 @@ pub fn export_model(
             (dir, name)
         }
     };
-    let load = |name: &str| -> Result<HashMap<String, Tensor>> {
-        let path = dir.join(name);
-        candle_core::safetensors::load(&path, &Device::Cpu)
-            .with_context(|| path.display().to_string())
-    };
-    let mut tensors = load("params.safetensors")?;
+    let tensors = read_network(&dir)?;
     let averaged = dir.join("average.safetensors").is_file();
-    if averaged {
-        tensors.extend(load("average.safetensors")?);
-    }
+    let tensors = tensors.into_iter().collect();
     write_model(&tensors, config, folder)?;
     let averaged = if averaged { ", averaged parameters" } else { "" };
     Ok(vec![format!("model: {remark}{averaged}")])

@@ -1,6 +1,6 @@
 //! What happens in a run, and who is told.
 
-use crate::TrainError;
+use crate::{Selection, TrainError};
 use scenesplat_metrics::Measurement;
 use std::path::Path;
 
@@ -35,6 +35,8 @@ pub enum Event<'a> {
         parameters: usize,
         /// Steps in an epoch.
         steps_per_epoch: u64,
+        /// Batches at the end of each epoch that do not fill a step (`accumulate`) and are left out.
+        leftover_batches: u64,
     },
     /// After an optimizer step, each `log_every` steps and after the last.
     Step {
@@ -46,6 +48,11 @@ pub enum Event<'a> {
         /// Which evaluator.
         name: &'a str,
         /// What it found, names prefixed with the evaluator's.
+        measurements: &'a [Measurement],
+    },
+    /// After all evaluators ran: everything they found.
+    Evaluated {
+        /// With full names, such as `unseen/f-mIoU`.
         measurements: &'a [Measurement],
     },
     /// Something looks wrong although every number is finite.
@@ -76,6 +83,14 @@ pub enum Flow {
     Stop,
 }
 
+impl Flow {
+    /// Stops if either does.
+    #[must_use]
+    pub fn and(self, other: Self) -> Self {
+        if other == Self::Stop { other } else { self }
+    }
+}
+
 /// Watches a run: logs, progress bars, early stopping. Cannot change the model.
 pub trait Callback: Send {
     /// Called for every event, in the order in which callbacks were added.
@@ -83,6 +98,12 @@ pub trait Callback: Send {
     /// # Errors
     /// If it cannot do its work, a log that cannot be written, say: the run ends.
     fn on_event(&mut self, event: &Event<'_>, at: Progress) -> Result<Flow, TrainError>;
+
+    /// The measurement that it waits for, with the setting that names it; the run does not begin if
+    /// no evaluator gives it.
+    fn waits_for(&self) -> Option<(&'static str, &Selection)> {
+        None
+    }
 
     /// What must survive a resume, under the callback's name; `None` if nothing.
     fn state(&self) -> Option<(&'static str, serde_json::Value)> {
@@ -102,6 +123,10 @@ pub trait Callback: Send {
 pub trait Evaluator<M: ?Sized>: Send {
     /// Prefix of its measurements, `snake_case`.
     fn name(&self) -> &str;
+
+    /// Names of the measurements that it may give, without the prefix. Settings that name one are
+    /// checked against them before the first step.
+    fn measurements(&self) -> Vec<String>;
 
     /// Runs the whole evaluation; must not change the module.
     ///

@@ -1,7 +1,7 @@
 //! Batch normalisation followed by a GELU, as every batch norm of the network is.
 
 use super::vector;
-use crate::{Mode, ops};
+use crate::{Forward, Mode, ops};
 use candle_core::{DType, Result, Tensor, Var, bail};
 use candle_nn::{Init, VarBuilder};
 
@@ -50,6 +50,14 @@ impl BatchNorm {
         let mean: Vec<f64> = vector(&mean)?.into_iter().map(f64::from).collect();
         let (scale, shift) = ops::scale_shift(&vector(&weight)?, &vector(&bias)?, &mean, &inverse);
         Ok(Self(Form::Frozen { scale, shift }))
+    }
+
+    /// The mode of a forward pass, evaluation if the statistics are frozen.
+    pub fn mode(&self, cx: &Forward<'_>) -> Mode {
+        match &self.0 {
+            Form::Trainable { mean, .. } if cx.frozen.contains(mean) => Mode::Eval,
+            _ => cx.mode,
+        }
     }
 
     /// Factor and summand per channel, if frozen.

@@ -73,7 +73,7 @@ impl Default for Console {
 impl Callback for Console {
     fn on_event(&mut self, event: &Event<'_>, at: Progress) -> Result<Flow, TrainError> {
         match event {
-            Event::FitStart { parameters, steps_per_epoch } => {
+            Event::FitStart { parameters, steps_per_epoch, leftover_batches } => {
                 self.began = Some((Instant::now(), at.step));
                 if let Some(bar) = &self.bar {
                     bar.set_length(at.total_steps);
@@ -91,7 +91,13 @@ impl Callback for Console {
                     "training {parameters} parameters, {} steps ({steps_per_epoch} an epoch){from}",
                     at.total_steps
                 ));
+                if *leftover_batches > 0 {
+                    self.say(&format!(
+                        "{leftover_batches} batches of each epoch are left out: they fill no step"
+                    ));
+                }
             }
+            Event::Evaluated { .. } => {}
             Event::Step { measurements } => self.step(measurements, at),
             Event::Eval { name, measurements } => {
                 let prefix = format!("{name}/");
