@@ -1,7 +1,7 @@
 //! Scenes of an experiment: where they come from and how they become batches.
 
-use super::config::{ExperimentConfig, TextConfig, TransformList};
-use crate::text::read_text_table;
+use super::config::{ExperimentConfig, Targets, Task, TextConfig, TransformList};
+use crate::text::{class_list, read_text_table};
 use anyhow::{Context, Result};
 use scenesplat_datasets::transforms::build_transforms;
 use scenesplat_datasets::{
@@ -9,6 +9,7 @@ use scenesplat_datasets::{
 };
 use scenesplat_rooms::CLASSES;
 use scenesplat_rooms::vocabulary::Vocabulary;
+use scenesplat_scene::label_set::find_name;
 use scenesplat_scene::{LabelSet, TextTable};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -43,9 +44,10 @@ pub struct EvaluationConfig {
     /// What is done to each.
     #[serde(default = "validation")]
     pub transforms: TransformList,
-    /// Neighbours that vote on each label; 1 for no vote.
-    #[serde(default = "one")]
-    pub vote_k: usize,
+    /// Neighbours that vote on each label. If not given, as the paper evaluates: 25, but for logits
+    /// where the Gaussians themselves are labelled, which are not voted on (1).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub vote_k: Option<usize>,
     /// Texts of these scenes' classes, where they are others than those of the experiment.
     #[serde(default)]
     pub text: Option<TextConfig>,
@@ -90,7 +92,8 @@ pub fn loader(config: &ExperimentConfig) -> Result<Box<dyn BatchLoader<TrainBatc
 /// # Errors
 /// If scenes or transforms cannot be had.
 pub fn evaluation(entry: &EvaluationConfig, config: &ExperimentConfig) -> Result<Arc<dyn Dataset>> {
-    dataset(&entry.source, &entry.transforms, config.model.grid_size, 0, 1)
+    let source = entry.source.clone().for_evaluation();
+    dataset(&source, &entry.transforms, config.model.grid_size, 0, 1)
         .with_context(|| format!("evaluate {:?}", entry.name))
 }
 
@@ -110,8 +113,86 @@ fn dataset(
 pub struct ClassTexts {
     /// One row for each class of the labels.
     pub table: TextTable,
-    /// Names left out of the averages that begin with f.
-    pub exclude: Vec<String>,
+    /// Names left out of the averages that begin with f; `None` for what the benchmark leaves out.
+    pub exclude: Option<Vec<String>>,
+    /// Whether the rows go by the names of the classes, rather than by names that were chosen for
+    /// them.
+    pub has_class_names: bool,
+}
+
+impl ClassTexts {
+    /// Refuses texts that are not those of the labels.
+    ///
+    /// # Errors
+    /// If there are more or fewer rows than classes, or the first name that differs.
+    fn check(&self, classes: &LabelSet) -> Result<()> {
+        let names = &self.table.names;
+        anyhow::ensure!(
+            names.len() == classes.len(),
+            "the labels have {} classes and the texts {} rows; take the table of these classes, or \
+             choose its rows in the order of the labels with `rows`",
+            classes.len(),
+            names.len()
+        );
+        if !self.has_class_names {
+            return Ok(());
+        }
+        let differing = classes.names.iter().zip(names).enumerate().find(|(_, (class, text))| {
+            find_name(std::slice::from_ref(*text), class).is_err()
+        });
+        match differing {
+            None => Ok(()),
+            Some((i, (class, text))) => anyhow::bail!(
+                "class {i} of the labels is {class:?} and row {i} of the texts {text:?}; take the \
+                 table of these classes, or choose its rows in the order of the labels with `rows`"
+            ),
+        }
+    }
+}
+
+/// Checks that the labels of every source are those of the texts or of the classifier, where they are
+/// used, and that every list of classes can be read.
+///
+/// # Errors
+/// Names the first source whose classes do not fit.
+pub fn check_classes(config: &ExperimentConfig, text: Option<&ClassTexts>) -> Result<()> {
+    let by_text = config.task == Task::LanguagePretraining;
+    let check = |source: &SourceConfig, used: bool, text: Option<&ClassTexts>| -> Result<()> {
+        let classes = if used { source.needed_label_set()? } else { source.label_set()? };
+        let Some(classes) = classes.filter(|_| used) else { return Ok(()) };
+        if let (true, Some(text)) = (by_text, text) {
+            return text.check(&classes);
+        }
+        match config.model.num_classes {
+            Some(n) if n != classes.len() => anyhow::bail!(
+                "the labels have {} classes and model.num_classes is {n}",
+                classes.len()
+            ),
+            _ => Ok(()),
+        }
+    };
+    for (i, entry) in config.train.iter().enumerate() {
+        let used = !by_text || config.targets == Targets::ClassText;
+        check(&entry.source, used, text).with_context(|| format!("train[{i}]"))?;
+    }
+    for entry in &config.evaluate {
+        let own = entry.text.as_ref().map(text_table).transpose()?;
+        check(&entry.source, true, own.as_ref().or(text))
+            .with_context(|| format!("evaluate {:?}", entry.name))?;
+    }
+    Ok(())
+}
+
+/// Classes that the averages of an evaluation leave out: those that the texts name, else those that
+/// its benchmark does.
+///
+/// # Errors
+/// If a name is none of the classes.
+pub fn excluded(source: &SourceConfig, text: Option<&ClassTexts>) -> Result<Vec<usize>> {
+    if let Some((text, names)) = text.and_then(|text| Some((text, text.exclude.as_ref()?))) {
+        return Ok(class_list(&LabelSet::new(text.table.names.clone())?, names)?);
+    }
+    Ok(source.label_set()?.map_or_else(Vec::new, |classes| classes.excluded))
 }
 
 /// Reads or makes the texts of the classes.
@@ -119,8 +200,10 @@ pub struct ClassTexts {
 /// # Errors
 /// If a table cannot be read or lacks a row.
 pub fn text_table(config: &TextConfig) -> Result<ClassTexts> {
-    let (table, exclude) = match config {
-        TextConfig::Vocabulary { dim, exclude } => (Vocabulary::new(*dim)?.class_table(), exclude),
+    let (table, exclude, has_class_names) = match config {
+        TextConfig::Vocabulary { dim, exclude } => {
+            (Vocabulary::new(*dim)?.class_table(), Some(exclude.clone()), true)
+        }
         TextConfig::Table { path, names, rows, exclude } => {
             let table = read_text_table(path, names.as_deref())?;
             let table = if rows.is_empty() {
@@ -128,16 +211,17 @@ pub fn text_table(config: &TextConfig) -> Result<ClassTexts> {
             } else {
                 choose(&table, rows, rows.clone()).with_context(|| path.display().to_string())?
             };
-            (table, exclude)
+            (table, exclude.clone(), rows.is_empty())
         }
         TextConfig::SyntheticClasses { path, names, exclude } => {
             let table = read_text_table(path, names.as_deref())?;
             let rows: Vec<String> = CLASSES.iter().map(|c| c.scannet200_name.to_owned()).collect();
             let names = CLASSES.iter().map(|c| c.name.to_owned()).collect();
-            (choose(&table, &rows, names).with_context(|| path.display().to_string())?, exclude)
+            let table = choose(&table, &rows, names).with_context(|| path.display().to_string())?;
+            (table, Some(exclude.clone()), true)
         }
     };
-    Ok(ClassTexts { table, exclude: exclude.clone() })
+    Ok(ClassTexts { table, exclude, has_class_names })
 }
 
 /// The named rows of a table, in this order, under new names.
