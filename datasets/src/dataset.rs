@@ -124,7 +124,8 @@ mod tests {
     }
 
     fn dataset(transforms: Vec<Arc<dyn Transform>>, repeat: usize) -> SceneDataset {
-        let source = Arc::new(SyntheticRooms::new(2, SyntheticRoomSettings::with_count(200, 0), 1).unwrap());
+        let source =
+            Arc::new(SyntheticRooms::new(2, SyntheticRoomSettings::with_count(200, 0), 1).unwrap());
         SceneDataset::new(source, transforms, 5, repeat).unwrap()
     }
 
@@ -148,7 +149,8 @@ mod tests {
         let error = data.get(0, 1).unwrap_err();
         assert!(matches!(&error, DataError::Sample { id, .. } if id == "room-000001"), "{error}");
         assert!(matches!(data.get(0, 2), Err(DataError::RowOutOfRange { row: 2, rows: 2 })));
-        let source = Arc::new(SyntheticRooms::new(2, SyntheticRoomSettings::with_count(200, 0), 1).unwrap());
+        let source =
+            Arc::new(SyntheticRooms::new(2, SyntheticRoomSettings::with_count(200, 0), 1).unwrap());
         assert!(SceneDataset::new(source, vec![], 0, 0).is_err());
     }
 }

@@ -28,7 +28,7 @@ pub mod weighted_mix;
 
 pub use dataset::{Dataset, SceneDataset};
 pub use error::DataError;
-pub use from_points::{PointCloud, PointSettings, estimate_normals, gaussians_from_points};
+pub use from_points::{PointSettings, SurfacePoints, estimate_normals, gaussians_from_points};
 pub use full_scene::FullScene;
 pub use input_features::{InputChannel, InputFeatures};
 pub use loader::{BatchLoader, BrokenScenes, LoaderSettings, SceneLoader, SkippedScene};

@@ -451,6 +451,6 @@ mod tests {
                 read += 1;
             }
         }
-        assert_eq!(read, 9);
+        assert_eq!(read, 14);
     }
 }

@@ -137,9 +137,12 @@ impl ClassTexts {
         if !self.has_class_names {
             return Ok(());
         }
-        let differing = classes.names.iter().zip(names).enumerate().find(|(_, (class, text))| {
-            find_name(std::slice::from_ref(*text), class).is_err()
-        });
+        let differing = classes
+            .names
+            .iter()
+            .zip(names)
+            .enumerate()
+            .find(|(_, (class, text))| find_name(std::slice::from_ref(*text), class).is_err());
         match differing {
             None => Ok(()),
             Some((i, (class, text))) => anyhow::bail!(
@@ -233,4 +236,123 @@ fn choose(table: &TextTable, rows: &[String], names: Vec<String>) -> Result<Text
         values.extend_from_slice(row);
     }
     Ok(TextTable::from_rows(names, values, table.dim)?)
+}
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use scenesplat_datasets::chunking::{ChunkFolder, ChunkSettings};
+    use scenesplat_rooms::{SyntheticRoomSettings, generate};
+    use scenesplat_scene::formats::npy_folder::write_npy_folder;
+    use std::path::Path;
+
+    const ROOT: &str = env!("CARGO_MANIFEST_DIR");
+
+    /// A folder of benchmarks with one small scene in each split, as their preprocessing leaves them.
+    fn benchmarks() -> tempfile::TempDir {
+        let data = tempfile::tempdir().unwrap();
+        let scene = generate(&SyntheticRoomSettings::with_count(400, 3)).unwrap().scene;
+        for (name, labels) in [
+            ("matterport3d", "segment_nyu_160"),
+            ("scannetpp", "segment"),
+            ("scannet", "segment200"),
+        ] {
+            for split in ["train", "val", "test"] {
+                let folder = data.path().join(name).join(split).join("scene_00");
+                std::fs::create_dir_all(folder.parent().unwrap()).unwrap();
+                write_npy_folder(&scene, &folder, false).unwrap();
+                if labels != "segment" {
+                    std::fs::rename(
+                        folder.join("segment.npy"),
+                        folder.join(format!("{labels}.npy")),
+                    )
+                    .unwrap();
+                }
+            }
+        }
+        data
+    }
+
+    fn cut(data: &Path, benchmark: &str, splits: [&str; 2]) {
+        // Small scenes have few Gaussians; all else as the program cuts them.
+        let settings = ChunkSettings { minimum_size: 1, ..ChunkSettings::default() };
+        for split in splits {
+            let folder = ChunkFolder::open(&data.join(benchmark), split, settings.clone()).unwrap();
+            let scene = data.join(benchmark).join(split).join("scene_00");
+            folder.cut("scene_00", &scene, &mut |_| true).unwrap();
+        }
+    }
+
+    fn read(file: &str, data: &Path) -> ExperimentConfig {
+        let path = Path::new(ROOT).join("configs").join(file);
+        let value = |_: &str| Some(data.display().to_string());
+        ExperimentConfig::read_with(&path, &value).unwrap()
+    }
+
+    #[test]
+    fn configurations_start_from_what_chunking_writes() {
+        let data = benchmarks();
+        let run = |file: &str| -> Result<usize> {
+            let config = read(file, data.path());
+            let loader = loader(&config)?;
+            for entry in &config.evaluate {
+                assert!(!evaluation(entry, &config)?.is_empty());
+            }
+            Ok(loader.batches_per_epoch())
+        };
+        let files = ["joint", "matterport3d", "scannetpp", "scannet_scannetpp"]
+            .map(|name| format!("language_pretraining/{name}.toml"));
+        for file in &files {
+            let error = format!("{:#}", run(file).err().unwrap());
+            assert!(error.contains("scenesplat chunk"), "{file}: {error}");
+        }
+        cut(data.path(), "matterport3d", ["train", "val"]);
+        cut(data.path(), "scannetpp", ["train", "test"]);
+        cut(data.path(), "scannet", ["train", "test"]);
+        for file in &files {
+            assert!(run(file).unwrap() > 0, "{file}");
+        }
+    }
+
+    fn texts(names: &[String], exclude: Option<Vec<String>>) -> ClassTexts {
+        let dim = 2;
+        let values = names.iter().flat_map(|_| [1.0, 0.0]).collect();
+        let table = TextTable::from_rows(names.to_vec(), values, dim).unwrap();
+        ClassTexts { table, exclude, has_class_names: true }
+    }
+
+    #[test]
+    fn labels_must_be_those_of_the_texts() {
+        let data = benchmarks();
+        let mut config = read("language_pretraining/scannet.toml", data.path());
+        let names = config.evaluate[0].source.label_set().unwrap().unwrap().names;
+        check_classes(&config, Some(&texts(&names, None))).unwrap();
+        let refused = |config: &ExperimentConfig, text: &ClassTexts| {
+            format!("{:#}", check_classes(config, Some(text)).unwrap_err())
+        };
+        let error = refused(&config, &texts(&names[..199], None));
+        assert!(error.contains("200 classes") && error.contains("199 rows"), "{error}");
+        let mut swapped = names.clone();
+        swapped.swap(3, 7);
+        let error = refused(&config, &texts(&swapped, None));
+        assert!(error.contains("class 3") && error.contains(&names[3]), "{error}");
+        let chosen = ClassTexts { has_class_names: false, ..texts(&swapped, None) };
+        check_classes(&config, Some(&chosen)).unwrap();
+        // Other spellings are the same names.
+        let upper: Vec<String> = names.iter().map(|n| n.to_uppercase().replace(' ', "_")).collect();
+        check_classes(&config, Some(&texts(&upper, None))).unwrap();
+        let source = &config.evaluate[0].source;
+        assert_eq!(excluded(source, Some(&texts(&names, None))).unwrap(), [0, 2, 35]);
+        let own = texts(&names, Some(vec!["chair".to_owned()]));
+        assert_eq!(excluded(source, Some(&own)).unwrap().len(), 1);
+        assert_eq!(excluded(source, None).unwrap(), [0, 2, 35]);
+        config = read("semantic_segmentation/scannet20.toml", data.path());
+        check_classes(&config, None).unwrap();
+        config.model.num_classes = Some(21);
+        let error = format!("{:#}", check_classes(&config, None).unwrap_err());
+        assert!(error.contains("20 classes") && error.contains("21"), "{error}");
+        let missing = r#"{"type": "generic", "root": ".", "class_names": "nowhere.txt"}"#;
+        config.train[0].source = serde_json::from_str(missing).unwrap();
+        let error = format!("{:#}", check_classes(&config, None).unwrap_err());
+        assert!(error.contains("nowhere.txt"), "{error}");
+    }
 }

@@ -105,7 +105,8 @@ mod tests {
     fn rooms_are_found_by_name_and_do_not_depend_on_their_number() {
         let settings =
             SyntheticRoomSettings { num_gaussians: Some(300), ..SyntheticRoomSettings::default() };
-        let few: Box<dyn DataSource> = Box::new(SyntheticRooms::new(3, settings.clone(), 5).unwrap());
+        let few: Box<dyn DataSource> =
+            Box::new(SyntheticRooms::new(3, settings.clone(), 5).unwrap());
         let many = SyntheticRooms::new(12, settings, 5).unwrap();
         assert_eq!(few.scene_ids()[1], "room-000001");
         let load = |id| few.load(id).unwrap();

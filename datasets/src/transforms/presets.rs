@@ -32,7 +32,8 @@ pub fn semantic_segmentation(grid_size: f64) -> Vec<TransformConfig> {
 pub fn validation(grid_size: f64) -> Vec<TransformConfig> {
     vec![
         CenterShift { apply_z: true }.into(),
-        GridSample { grid_size, keep: Keep::Nearest, keep_full: true, ..GridSample::default() }.into(),
+        GridSample { grid_size, keep: Keep::Nearest, keep_full: true, ..GridSample::default() }
+            .into(),
         CenterShift { apply_z: false }.into(),
     ]
 }

@@ -78,8 +78,7 @@ impl Protocol<'_> {
             let full = sample.full.take().unwrap_or_else(|| as_sampled(&sample));
             let scene = sample.id.clone();
             let out = forward(sample, features, model)?;
-            self.score(&full, &label(&out)?, &mut scores)?
-                .ok_or(TrainError::NoLabels { scene })?;
+            self.score(&full, &label(&out)?, &mut scores)?.ok_or(TrainError::NoLabels { scene })?;
         }
         if scores.model.num_labelled() > 0 {
             return Ok(scores);
@@ -140,7 +139,10 @@ fn forward(
         let out = model.forward(&point_cloud(&batch)?, &mut Forward::eval(&mut rng))?;
         values(&out)
     };
-    { forward }().map_err(|source| TrainError::Forward { source })
+    {
+        forward
+    }
+    ().map_err(|source| TrainError::Forward { source })
 }
 
 fn values(out: &Tensor) -> candle_core::Result<Vec<f32>> {
