@@ -24,8 +24,6 @@
 //! # }
 //! ```
 
-pub mod bench;
-pub mod cli;
 pub mod convert;
 pub mod embedded;
 pub mod inference;
@@ -37,8 +35,6 @@ pub mod network;
 pub mod outputs;
 pub mod preview;
 pub mod principal;
-pub mod progress;
-pub mod receipt;
 pub mod text;
 pub mod training;
 

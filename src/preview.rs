@@ -106,7 +106,8 @@ pub struct SplatShapes<'a> {
 }
 
 /// Sizes and opacities of a scene, to make [`PreviewRows`] of.
-pub(crate) struct SceneRows {
+#[derive(Debug, Clone)]
+pub struct SceneRows {
     scale: Vec<[f32; 3]>,
     /// The middle one of the three.
     radius: Vec<f32>,
@@ -114,7 +115,8 @@ pub(crate) struct SceneRows {
 }
 
 impl SceneRows {
-    pub(crate) fn of(scene: &GaussianScene) -> Self {
+    /// Of all rows of a scene.
+    pub fn of(scene: &GaussianScene) -> Self {
         let scale: Vec<[f32; 3]> = (0..scene.len()).map(|row| scene.scale(row)).collect();
         let middle = |s: &[f32; 3]| {
             let mut s = *s;
@@ -127,11 +129,7 @@ impl SceneRows {
     }
 
     /// `color`: one per Gaussian of the same scene.
-    pub(crate) fn rows<'a>(
-        &'a self,
-        scene: &'a GaussianScene,
-        color: &'a [[u8; 3]],
-    ) -> PreviewRows<'a> {
+    pub fn rows<'a>(&'a self, scene: &'a GaussianScene, color: &'a [[u8; 3]]) -> PreviewRows<'a> {
         let Self { scale, radius, opacity } = self;
         let shapes = Some(SplatShapes { quat: &scene.quat, scale });
         PreviewRows { coord: &scene.coord, color, radius, opacity, shapes }
@@ -261,16 +259,18 @@ pub fn write_preview(
 }
 
 /// Writes a picture, beside the path first, then renamed. Returns the size of the file.
-pub(crate) fn write_png(path: &Path, picture: &RgbPicture) -> Result<u64, PreviewError> {
+///
+/// # Errors
+/// If it cannot be encoded or written.
+pub fn write_png(path: &Path, picture: &RgbPicture) -> Result<u64, PreviewError> {
     put_png(path, picture.encode_png())
 }
 
-/// As [`write_png`], of 16-bit grey values.
-pub(crate) fn write_png16(
-    path: &Path,
-    values: &[u16],
-    size: [u32; 2],
-) -> Result<u64, PreviewError> {
+/// As [`write_png`], of 16-bit grey values, row by row; `size`: width, height.
+///
+/// # Errors
+/// As [`write_png`].
+pub fn write_png16(path: &Path, values: &[u16], size: [u32; 2]) -> Result<u64, PreviewError> {
     let (expected, got) = (size[0] as usize * size[1] as usize, values.len());
     let picture = Picture::new(size[0], size[1], Channels::Gray, Samples::Sixteen(values.to_vec()))
         .ok_or(PreviewError::Rows { field: "depth", expected, got })?;

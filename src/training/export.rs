@@ -115,8 +115,13 @@ source = { type = "synthetic", count = 2, seed = 9, room = { num_gaussians = 150
         let file = out.join("experiment.toml");
         std::fs::write(&file, text).unwrap();
         let experiment = ExperimentConfig::read(&file).unwrap();
-        let options =
-            RunOptions { out: out.join("run"), resume: false, quiet: true, stop: Arc::default() };
+        let options = RunOptions {
+            commit: None,
+            out: out.join("run"),
+            resume: false,
+            quiet: true,
+            stop: Arc::default(),
+        };
         let report = train(&experiment, &options).unwrap();
         let log = read_json_lines(&out.join("run/metrics.jsonl")).unwrap();
         let trained = log.iter().rfind(|m| m.name == "unseen/allAcc").unwrap().value;

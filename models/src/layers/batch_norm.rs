@@ -81,7 +81,7 @@ impl BatchNorm {
 
     /// The mode of a forward pass, evaluation if the statistics are frozen.
     pub fn mode(&self, cx: &Forward<'_>) -> Mode {
-        match &self.0 {
+        match &self.form {
             Form::Trainable { mean, .. } if cx.frozen.contains(mean) => Mode::Eval,
             _ => cx.mode,
         }
