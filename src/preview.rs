@@ -19,8 +19,8 @@ pub use palette::{UNLABELLED_COLOR, class_color};
 
 use discs::{Canvas, Disc, Lens};
 use framing::{Framing, Upright};
-use scenesplat_scene::GaussianScene;
 use scenesplat_scene::picture::{Channels, Picture, RgbPicture, Samples};
+use scenesplat_scene::{GaussianScene, UpAxis};
 use std::path::{Path, PathBuf};
 
 /// Why there is no preview.
@@ -55,30 +55,6 @@ pub enum PreviewError {
         #[source]
         source: std::io::Error,
     },
-}
-
-/// The direction that is up in a scene.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-pub enum UpAxis {
-    /// +x
-    #[serde(rename = "+x")]
-    PlusX,
-    /// −x
-    #[serde(rename = "-x")]
-    MinusX,
-    /// +y
-    #[serde(rename = "+y")]
-    PlusY,
-    /// −y: objects from image-based pipelines, whose y points down.
-    #[serde(rename = "-y")]
-    MinusY,
-    /// +z: captured rooms.
-    #[default]
-    #[serde(rename = "+z")]
-    PlusZ,
-    /// −z
-    #[serde(rename = "-z")]
-    MinusZ,
 }
 
 /// What to draw, one row per Gaussian.

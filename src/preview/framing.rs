@@ -1,7 +1,8 @@
 //! Where the cameras stand and what they show.
 
-use super::UpAxis;
 use super::discs::{Disc, Lens};
+use scenesplat_scene::UpAxis;
+use scenesplat_scene::quantile::quantile;
 use scenesplat_scene::vector::cross;
 
 /// Turns a scene so that +z is up.
@@ -12,18 +13,7 @@ pub(super) struct Upright {
 
 impl Upright {
     pub(super) fn new(up: UpAxis) -> Self {
-        let (axis, sign) = match up {
-            UpAxis::PlusX => (0, 1.0),
-            UpAxis::MinusX => (0, -1.0),
-            UpAxis::PlusY => (1, 1.0),
-            UpAxis::MinusY => (1, -1.0),
-            UpAxis::PlusZ => (2, 1.0),
-            UpAxis::MinusZ => (2, -1.0),
-        };
-        let mut rows = [[0.0; 3]; 3];
-        rows[2][axis] = sign;
-        rows[0][if axis == 0 { 1 } else { 0 }] = 1.0;
-        rows[1] = cross(rows[2], rows[0]);
+        let rows = up.upright().map(|row| row.map(|v| v as f32));
         Self { rows }
     }
 
@@ -90,7 +80,7 @@ const WALL_COVER: f64 = 0.6;
 impl Framing {
     pub(super) fn of(discs: &[Disc], open_rooms: bool) -> Self {
         let mut radii: Vec<f32> = discs.iter().map(|d| d.radius).collect();
-        let border = 2.0 * quantile(&mut radii, 0.5).clamp(1e-4, 1e4);
+        let border = 2.0 * at(&mut radii, 0.5).clamp(1e-4, 1e4);
         let (low, high) = bounds(&discs.iter(), OUTSIDE, border);
         let largest = (0..3).map(|a| high[a] - low[a]).fold(0.0, f64::max);
         let mut framing = Self {
@@ -261,16 +251,13 @@ fn bounds<'a>(
     for axis in 0..3 {
         values.clear();
         values.extend(discs.clone().map(|d| d.centre[axis]));
-        low[axis] = quantile(&mut values, share) - border;
-        high[axis] = quantile(&mut values, 1.0 - share) + border;
+        low[axis] = at(&mut values, share) - border;
+        high[axis] = at(&mut values, 1.0 - share) + border;
     }
     (low, high)
 }
 
-fn quantile(values: &mut [f32], share: f64) -> f64 {
-    if values.is_empty() {
-        return 0.0;
-    }
-    let index = ((values.len() - 1) as f64 * share).round() as usize;
-    f64::from(*values.select_nth_unstable_by(index, f32::total_cmp).1)
+/// A quantile, 0 without values.
+fn at(values: &mut [f32], share: f64) -> f64 {
+    quantile(values, share).map_or(0.0, f64::from)
 }

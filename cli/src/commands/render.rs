@@ -8,14 +8,13 @@ use crate::session::Session;
 use anyhow::{Context, Result};
 use cameras::{Shot, Shots};
 use clap::ValueEnum;
-use scenesplat::outputs::guess_up;
-use scenesplat::preview::{UpAxis, depth_picture, write_png, write_png16};
+use scenesplat::preview::{depth_picture, write_png, write_png16};
 use scenesplat::rasterizer::{
     DepthRequest, Gaussians, PlanRequest, Prepared, RasterSettings, RenderPlan, RenderRequest,
     Rendered, SceneProfile, View,
 };
 use scenesplat::scene::picture::RgbPicture;
-use scenesplat::scene::{GaussianScene, ReadOptions};
+use scenesplat::scene::{GaussianScene, ReadOptions, UpAxis, guess_up};
 use std::path::PathBuf;
 
 /// Draws a scene: one PNG for each camera of a file, or for cameras around the scene. With --depth
@@ -107,7 +106,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let scene = read_scene(&session, args)?;
     let shots = match read {
         Some(shots) => shots,
-        None => cameras::around(&scene, args.up.unwrap_or_else(|| guess_up(&scene)), args),
+        None => cameras::around(&scene, args.up.unwrap_or_else(|| guess_up(&scene).axis), args),
     };
     for note in &shots.notes {
         session.progress.say(note);

@@ -13,6 +13,7 @@ mod inspect;
 mod lift_labels;
 mod render;
 mod training;
+mod upright;
 
 pub use demo_scene::{asset, class_names};
 use std::path::Path;

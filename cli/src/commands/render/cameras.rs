@@ -3,9 +3,9 @@
 use super::super::WrongUse;
 use super::Args;
 use anyhow::Result;
-use scenesplat::preview::{Ceiling, Orbit, SceneRows, UpAxis};
+use scenesplat::preview::{Ceiling, Orbit, SceneRows};
 use scenesplat::rasterizer::View;
-use scenesplat::scene::{Camera, GaussianScene, open_cameras};
+use scenesplat::scene::{Camera, GaussianScene, UpAxis, open_cameras};
 use std::collections::HashSet;
 use std::path::Path;
 

@@ -1,6 +1,6 @@
 //! Where a scene is: all of it, and the part that is not stray.
 
-use super::statistics::{quantile, rank};
+use crate::quantile::{quantile, rank};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -14,7 +14,7 @@ const REACH: f64 = 1.0;
 /// Share of the rows within reach, at each end of an axis, that the robust box leaves out.
 const FRINGE: f64 = 0.005;
 
-/// An axis-aligned box, metres.
+/// An axis-aligned box, in units of the scene.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Bounds {
     /// Smallest coordinates.
@@ -34,6 +34,11 @@ impl Bounds {
         self.extent().into_iter().fold(0.0, f64::max)
     }
 
+    /// Shortest side.
+    pub fn smallest_extent(&self) -> f64 {
+        self.extent().into_iter().fold(f64::INFINITY, f64::min)
+    }
+
     /// Length of the diagonal.
     pub fn diagonal(&self) -> f64 {
         self.extent().iter().map(|e| e * e).sum::<f64>().sqrt()
@@ -51,7 +56,7 @@ impl Bounds {
     }
 
     /// The box grown by a length on every side.
-    pub(super) fn grown(&self, by: f64) -> Self {
+    pub fn grown(&self, by: f64) -> Self {
         Self { low: self.low.map(|v| v - by), high: self.high.map(|v| v + by) }
     }
 
@@ -60,8 +65,8 @@ impl Bounds {
     }
 }
 
-/// Bounds of all rows, which must not be none.
-pub(super) fn raw_bounds(coord: &[[f32; 3]]) -> Bounds {
+/// Bounds of all rows, whose coordinates are finite; from infinity down to −infinity without any.
+pub fn raw_bounds(coord: &[[f32; 3]]) -> Bounds {
     let (low, high) = coord
         .par_iter()
         .with_min_len(1 << 14)
@@ -84,8 +89,8 @@ pub(super) fn raw_bounds(coord: &[[f32; 3]]) -> Bounds {
 ///
 /// Its core spans the quantiles 10 % to 90 % of each axis; the box spans nearly all rows that lie
 /// within one largest side of the core around it. Nothing that fewer than a tenth of the rows do can
-/// move it by more than that.
-pub(super) fn robust_bounds(coord: &[[f32; 3]]) -> Bounds {
+/// move it by more than that. Without rows it is a point.
+pub fn robust_bounds(coord: &[[f32; 3]]) -> Bounds {
     let mut core = between(coord, OUTSIDE_CORE);
     if core.largest_extent() == 0.0 {
         // Most rows are in one place.
