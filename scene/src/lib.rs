@@ -10,6 +10,7 @@
 pub mod bounds;
 pub mod camera;
 pub mod class_map;
+mod class_names;
 pub mod edit;
 pub mod error;
 pub mod formats;
@@ -26,6 +27,7 @@ pub mod text_table;
 pub mod up;
 pub mod up_axis;
 pub mod value_policy;
+pub mod vector;
 
 pub use bounds::{Bounds, raw_bounds, robust_bounds};
 pub use camera::{Camera, Distortion};

@@ -8,7 +8,7 @@ use anyhow::{Context, Result};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use scenesplat::input::open_input;
 use scenesplat::inspect::{Floaters, find_floaters};
-use scenesplat::language_codes::encode_features;
+use scenesplat::language_codes::compress_features;
 use scenesplat::scene::edit::{
     CropBox, EditReport, EulerAngles, FrameChange, Offset, SampleSize, SceneEdit, UpSource, merge,
 };
@@ -401,7 +401,7 @@ fn add_codes(
         return Err(WrongUse(text.to_owned()).into());
     };
     let valid = scene.valid_feat_mask.as_deref();
-    let done = encode_features(features, valid, k, args.seed, &mut |done| {
+    let done = compress_features(features, valid, k, args.seed, &mut |done| {
         progress.advance("language codes", done);
         !interrupted()
     });

@@ -379,7 +379,7 @@ fn inputs(scenes: &[String]) -> Result<Vec<Input>> {
             let text = format!("{scene:?}: write synthetic:COUNT:SEED, such as synthetic:20:7");
             return Err(WrongUse(text).into());
         };
-        let rooms = Arc::new(SyntheticRooms::new(count, SyntheticRoomSettings::default(), seed));
+        let rooms = Arc::new(SyntheticRooms::new(count, SyntheticRoomSettings::default(), seed)?);
         all.extend((0..count).map(|index| Input::Room { rooms: Arc::clone(&rooms), index }));
     }
     Ok(all)

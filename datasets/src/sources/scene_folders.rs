@@ -144,7 +144,10 @@ impl SceneFolders {
     fn label_file(&self, path: &Path) -> Option<&String> {
         let files = self.options.segment.iter();
         if path.is_dir() {
-            return files.into_iter().find(|stem| path.join(format!("{stem}.npy")).is_file());
+            let there = |stem: &&String, prefix| path.join(format!("{prefix}{stem}.npy")).is_file();
+            let of_gaussians = files.clone().find(|stem| there(stem, ""));
+            // A scene may have labelled points only.
+            return of_gaussians.or_else(|| files.into_iter().find(|stem| there(stem, "pc_")));
         }
         // Other formats have one name for labels, or a property that is looked up on reading.
         files.into_iter().next()

@@ -11,6 +11,7 @@ pub mod ksplat;
 mod label_column;
 pub mod labelled_ply;
 mod language_columns;
+mod limit_tally;
 pub(crate) mod memory;
 pub mod npy;
 pub mod npy_folder;

@@ -286,6 +286,10 @@ impl Reader<'_> {
             if found.iter().any(|f| f == stem) {
                 return Ok(Some(stem.to_owned()));
             }
+            if self.folder.join(format!("pc_{stem}.npy")).is_file() {
+                // Labelled points have them; the Gaussians have none.
+                return Ok(None);
+            }
             let there = if found.is_empty() { "no labels".to_owned() } else { found.join(", ") };
             let problem = format!("has no {stem}.npy to read labels from; it has {there}");
             return Err(SceneError::format(self.folder, problem, "choose other labels"));

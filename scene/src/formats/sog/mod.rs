@@ -31,6 +31,7 @@ mod source;
 mod streamed;
 mod streamed_writer;
 mod texture;
+mod ticker;
 mod writer;
 
 pub use meta::is_sog_meta_json;

@@ -7,9 +7,10 @@ use super::meta::OWN_KEY;
 use super::order::spatial_order;
 use super::palette::Palette;
 use super::reader::{CENTROIDS_PER_LINE, ROWS_FOR_TABLE, line_width, plausible_rows};
+use super::ticker::Ticker;
 use super::{META_NAME, texture};
 use crate::formats::files::AtomicFile;
-use crate::formats::write::LimitTally;
+use crate::formats::limit_tally::LimitTally;
 use crate::formats::{SceneFormat, WriteOptions, WriteProgress, WriteReport, semantics};
 use crate::{GaussianScene, SceneError};
 use rayon::prelude::*;
@@ -25,33 +26,6 @@ const ROWS_PER_TASK: usize = 16_384;
 const SMALLEST_LOG_SCALE: f32 = -27.631_02;
 /// Name of the block of labels.
 const LABELS_NAME: &str = "labels.safetensors";
-
-/// Tells the caller how far the work is, and hears whether to go on.
-pub(super) struct Ticker<'a> {
-    progress: WriteProgress<'a>,
-    from: f64,
-    to: f64,
-}
-
-impl<'a> Ticker<'a> {
-    /// For the whole work.
-    pub(super) fn new(progress: WriteProgress<'a>) -> Self {
-        Self { progress, from: 0.0, to: 1.0 }
-    }
-
-    /// At that fraction of this part of the work.
-    pub(super) fn tick(&mut self, fraction: f64) -> Result<(), SceneError> {
-        let at = self.from + (self.to - self.from) * fraction;
-        if (self.progress)(at) { Ok(()) } else { Err(SceneError::Stopped) }
-    }
-
-    /// A part of the work, by fractions of this one.
-    pub(super) fn part(&mut self, from: f64, to: f64) -> Ticker<'_> {
-        let range = self.to - self.from;
-        let (from, to) = (self.from + range * from, self.from + range * to);
-        Ticker { progress: &mut *self.progress, from, to }
-    }
-}
 
 /// Writes a scene as one archive, its entries stored as they are.
 ///

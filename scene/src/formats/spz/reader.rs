@@ -4,11 +4,11 @@ use super::attributes::{
     ByteTables, decode_bytes, decode_positions, decode_rest, decode_triples, rest_factors,
 };
 use super::extensions::Records;
-use super::header::{ANTIALIASED, Block, Contents, Header, LEGACY_SIZE, MAGIC, read_legacy};
+use super::header::{ANTIALIASED, Block, Contents, Header, MAGIC, read_legacy};
 use super::quaternion::QuatCoding;
 use super::rows::{Buffers, both, read_block, skip_block};
 use super::signs::Signs;
-use super::source::{Source, Trailing};
+use super::source::{LEGACY_SIZE, Source, Trailing};
 use crate::formats::{LoadedScene, ReadOptions, SceneFormat, SpzFrame, semantics};
 use crate::frame::Frame;
 use crate::value_policy::Rule;
