@@ -77,9 +77,9 @@ impl SceneDataset {
 
     fn make(&self, epoch: u64, index: usize, id: &str) -> Result<Sample, DataError> {
         let loaded = self.source.load(id)?;
-        let points = loaded.scene.labelled_points.as_ref().and_then(|p| p.segment.as_ref());
-        let mut labels = [loaded.scene.segment.as_ref(), points].into_iter().flatten().flatten();
-        let labels = labels.any(|label| *label >= 0);
+        let points = loaded.scene.labelled_points.as_ref().and_then(|p| p.segment.as_deref());
+        let labels = [loaded.scene.segment.as_deref(), points];
+        let labels = labels.into_iter().flatten().flatten().any(|label| *label >= 0);
         let about = (loaded.report.source_rows, labels, loaded.scene.lang_feat.is_some());
         let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
         seen.entry(id.to_owned()).or_insert(about);

@@ -3,7 +3,6 @@
 use super::discs::{Disc, Lens};
 use scenesplat_scene::UpAxis;
 use scenesplat_scene::quantile::quantile;
-use scenesplat_scene::vector::cross;
 
 /// Turns a scene so that +z is up.
 #[derive(Clone, Copy)]

@@ -135,14 +135,11 @@ fn forward(
 ) -> Result<Vec<f32>, TrainError> {
     let batch = collate_samples(vec![sample], features)?;
     let mut rng = ChaCha8Rng::seed_from_u64(0);
-    let forward = || {
+    let mut forward = || {
         let out = model.forward(&point_cloud(&batch)?, &mut Forward::eval(&mut rng))?;
         values(&out)
     };
-    {
-        forward
-    }
-    ().map_err(|source| TrainError::Forward { source })
+    forward().map_err(|source| TrainError::Forward { source })
 }
 
 fn values(out: &Tensor) -> candle_core::Result<Vec<f32>> {
