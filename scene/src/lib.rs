@@ -6,9 +6,11 @@
 //!
 //! Not for: rendering, training, searching for neighbours.
 
+pub mod atomic_file;
 pub mod camera;
 pub mod class_map;
 pub mod error;
+pub mod folder_lock;
 pub mod formats;
 pub mod frame;
 pub mod gaussian_scene;
@@ -16,12 +18,15 @@ pub mod label_set;
 pub mod language_code;
 pub mod similarity;
 pub mod spherical_harmonics;
+pub mod staged_folder;
 pub mod text_table;
 pub mod value_policy;
 
+pub use atomic_file::{AtomicFile, WriteError};
 pub use camera::{Camera, Distortion};
 pub use class_map::ClassMap;
 pub use error::SceneError;
+pub use folder_lock::FolderLock;
 pub use formats::cameras::{CameraKind, CameraSet, SparsePoints, open_cameras};
 pub use formats::{
     LoadedScene, ReadOptions, SceneFormat, SceneKind, SpzFrame, WriteOptions, WriteReport,
@@ -32,5 +37,6 @@ pub use gaussian_scene::{FeatureRows, GaussianScene, LabelledPoints};
 pub use label_set::LabelSet;
 pub use language_code::{LanguageCode, LanguageCodebook};
 pub use similarity::Similarity;
+pub use staged_folder::StagedFolder;
 pub use text_table::TextTable;
 pub use value_policy::{Policy, RepairReport};

@@ -1,6 +1,7 @@
 //! Writing `.npy` arrays, at once or row by row.
 
-use super::files::{AtomicFile, write_all_at};
+use super::files::write_all_at;
+use crate::AtomicFile;
 use crate::SceneError;
 use half::f16;
 use std::collections::BTreeMap;

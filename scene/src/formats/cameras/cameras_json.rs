@@ -6,7 +6,7 @@
 //! `cy` are read if they are there.
 
 use super::{CameraKind, CameraSet, pixels, without_mark};
-use crate::formats::files::AtomicFile;
+use crate::AtomicFile;
 use crate::frame::Matrix3;
 use crate::{Camera, Distortion, SceneError};
 use serde::de::IgnoredAny;

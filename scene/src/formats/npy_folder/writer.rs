@@ -1,6 +1,6 @@
 //! Writing the preprocessed scene.
 
-use super::staging::StagedFolder;
+use crate::StagedFolder;
 use crate::formats::npy_writer::{NpyElement, NpyRowWriter};
 use crate::formats::packed_values::{
     ALPHA_ENDS, COLOR_CLIPPED, SIZE_CUT, SIZE_VANISHES, alpha, tally_colors, tally_sizes,

@@ -3,9 +3,10 @@
 use super::PlyFile;
 use super::header::{HeaderLine, PlyElement, PlyProperty, PlyPropertyKind, PlyType};
 use super::layout::Cell;
+use crate::AtomicFile;
 use crate::SceneError;
 use crate::formats::WriteProgress;
-use crate::formats::files::{AtomicFile, write_all_at};
+use crate::formats::files::write_all_at;
 use half::f16;
 use rayon::prelude::*;
 use std::io::{BufWriter, Write};

@@ -2,16 +2,15 @@
 
 use super::codebook::Codebook;
 use super::codes::{LogAxis, alpha_byte, encode_quat};
-use super::folder::FolderWriter;
+use super::folder::{check_free, files_of_old_scene};
 use super::meta::OWN_KEY;
 use super::order::spatial_order;
 use super::palette::Palette;
 use super::reader::{CENTROIDS_PER_LINE, ROWS_FOR_TABLE, line_width, plausible_rows};
 use super::{META_NAME, texture};
-use crate::formats::files::AtomicFile;
 use crate::formats::write::LimitTally;
 use crate::formats::{SceneFormat, WriteOptions, WriteProgress, WriteReport, semantics};
-use crate::{GaussianScene, SceneError};
+use crate::{AtomicFile, GaussianScene, SceneError, StagedFolder};
 use rayon::prelude::*;
 use serde_json::{Value, json};
 use std::io::{BufWriter, Write};
@@ -114,17 +113,23 @@ pub fn write_sog_folder(
 ) -> Result<WriteReport, SceneError> {
     let mut report = WriteReport::new(SceneFormat::SogFolder, scene.len());
     let mut ticker = Ticker::new(progress);
-    let mut folder = FolderWriter::create(path)?;
     let own_name = path.file_name().and_then(|name| name.to_str()).unwrap_or(META_NAME);
+    let old = files_of_old_scene(path);
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let mut staged = StagedFolder::create(folder.unwrap_or(Path::new(".")))?;
+    // The description comes last in the folder, so that it never names what is not there yet.
+    staged.add(own_name);
+    let mut names = vec![own_name.to_owned()];
     encode(scene, path, &mut report, &mut ticker, &mut |name, bytes| {
-        folder.write(if name == META_NAME { own_name } else { name }, bytes)
+        let name = if name == META_NAME { own_name } else { name };
+        names.push(name.to_owned());
+        Ok(staged.write(name, bytes)?)
     })?;
     ticker.tick(0.99)?;
-    // The description comes last in the folder, so that it never names what is not there yet, and
-    // first in the report.
-    let mut files = folder.commit(options.overwrite)?;
-    files.rotate_right(1);
-    for file in &files {
+    if !options.overwrite {
+        check_free(path, old.iter().chain(&names).map(String::as_str))?;
+    }
+    for file in &staged.commit(&old)? {
         report.wrote(file)?;
     }
     Ok(report)
