@@ -4,7 +4,7 @@ use scenesplat_kernels::grid_sample::GridSampleError;
 use scenesplat_scene::SceneError;
 use std::path::PathBuf;
 
-/// Why data cannot become network input. Every variant says where, what and how to mend it.
+/// Why data cannot become network input. Every variant says where, what and how to fix it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DataError {
@@ -107,14 +107,14 @@ pub enum DataError {
         benchmark: &'static str,
     },
     /// A step of a pipeline needs what an earlier step makes.
-    #[error("{step}: the sample has no {missing} ({mend})")]
+    #[error("{step}: the sample has no {missing} ({help})")]
     Missing {
         /// The step.
         step: &'static str,
         /// What it needs.
         missing: &'static str,
         /// What to do.
-        mend: &'static str,
+        help: &'static str,
     },
     /// A setting outside its range.
     #[error("{setting}: {value} is not allowed, expected {expected}")]

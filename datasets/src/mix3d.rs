@@ -112,7 +112,7 @@ fn check(sample: &Sample) -> Result<(), DataError> {
     Err(DataError::Missing {
         step: "mixing scenes",
         missing: "cells",
-        mend: "end the transforms with a grid sample",
+        help: "end the transforms with a grid sample",
     })
 }
 

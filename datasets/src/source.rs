@@ -85,7 +85,7 @@ impl SceneFolder {
                 let name = name.ok_or_else(|| SceneError::Format {
                     path: path.clone(),
                     problem: "has a name that is not Unicode".to_owned(),
-                    mend: "rename it".to_owned(),
+                    help: "rename it".to_owned(),
                 })?;
                 ids.push(name.to_owned());
             }

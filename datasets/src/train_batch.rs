@@ -105,7 +105,7 @@ fn append(
         return Err(DataError::Missing {
             step: "batch",
             missing: "cells",
-            mend: "end the transforms with a grid sample",
+            help: "end the transforms with a grid sample",
         });
     }
     fill_optional_arrays(

@@ -35,7 +35,7 @@ pub enum KernelError {
     #[error("kernel size {0}: a submanifold convolution needs 1, 3, 5 or 7")]
     KernelSize(usize),
     /// A point that cannot be put on the grid.
-    #[error("coord row {row}, axis {axis}: {value} cannot be put on a grid; {mend}")]
+    #[error("coord row {row}, axis {axis}: {value} cannot be put on a grid; {help}")]
     Coord {
         /// Row of the point.
         row: usize,
@@ -44,7 +44,7 @@ pub enum KernelError {
         /// The coordinate, metres.
         value: f64,
         /// What the user can do.
-        mend: &'static str,
+        help: &'static str,
     },
     /// A voxel size that is not a positive finite number.
     #[error("grid size {0}: must be positive and finite (metres)")]

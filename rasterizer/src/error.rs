@@ -1,6 +1,6 @@
 //! Errors of this crate.
 
-/// What can go wrong. Every variant names the field and the value, and how to mend it.
+/// What can go wrong. Every variant names the field and the value, and how to fix it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RasterError {

@@ -61,7 +61,7 @@ impl ClassMap {
             if out[row] != -1 {
                 return Err(SceneError::Classes {
                     problem: format!("the map of classes gives {:?} twice", from[row]),
-                    mend: "keep one of the entries".to_owned(),
+                    help: "keep one of the entries".to_owned(),
                 });
             }
             // A list of more than 2^31 names would not fit into memory.

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-/// What can go wrong with a scene or its files. Every variant says where, what and how to mend it.
+/// What can go wrong with a scene or its files. Every variant says where, what and how to fix it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SceneError {
@@ -18,17 +18,17 @@ pub enum SceneError {
         source: std::io::Error,
     },
     /// The file does not follow its format.
-    #[error("{}: {problem}{}", path.display(), hint(mend))]
+    #[error("{}: {problem}{}", path.display(), hint(help))]
     Format {
         /// Which file.
         path: PathBuf,
         /// What is wrong, with the element, property or offset.
         problem: String,
         /// What the user can do, may be empty.
-        mend: String,
+        help: String,
     },
     /// A value that no policy can repair.
-    #[error("{}: element {element}, field {field}: {value} is not allowed{}", path.display(), hint(mend))]
+    #[error("{}: element {element}, field {field}: {value} is not allowed{}", path.display(), hint(help))]
     Value {
         /// Which file.
         path: PathBuf,
@@ -39,7 +39,7 @@ pub enum SceneError {
         /// The offending value as text.
         value: String,
         /// What the user can do.
-        mend: String,
+        help: String,
     },
     /// An array with the wrong number of rows.
     #[error("{field}: expected {expected} rows, got {got}")]
@@ -63,12 +63,12 @@ pub enum SceneError {
     #[error("stopped; nothing was written")]
     Stopped,
     /// A list of classes, or the table of their text vectors, that cannot be used.
-    #[error("{problem}{}", hint(mend))]
+    #[error("{problem}{}", hint(help))]
     Classes {
         /// What is wrong.
         problem: String,
         /// What the user can do, may be empty.
-        mend: String,
+        help: String,
     },
     /// A file or folder that could not be written.
     #[error(transparent)]
@@ -96,9 +96,9 @@ impl SceneError {
     pub(crate) fn format(
         path: &Path,
         problem: impl Into<String>,
-        mend: impl Into<String>,
+        help: impl Into<String>,
     ) -> SceneError {
-        SceneError::Format { path: path.to_owned(), problem: problem.into(), mend: mend.into() }
+        SceneError::Format { path: path.to_owned(), problem: problem.into(), help: help.into() }
     }
 
     /// Turns an I/O error into a [`SceneError::Io`] for `path`; made for `map_err`.
@@ -111,6 +111,6 @@ impl SceneError {
     }
 }
 
-fn hint(mend: &str) -> String {
-    if mend.is_empty() { String::new() } else { format!(" ({mend})") }
+fn hint(help: &str) -> String {
+    if help.is_empty() { String::new() } else { format!(" ({help})") }
 }

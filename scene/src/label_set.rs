@@ -146,7 +146,7 @@ fn edit_distance(a: &[char], b: &str) -> usize {
 
 /// Refuses lists that are empty, or hold an empty name or one twice.
 pub(crate) fn check_names(names: &[String]) -> Result<(), SceneError> {
-    let bad = |problem: String, mend: &str| SceneError::Classes { problem, mend: mend.to_owned() };
+    let bad = |problem: String, help: &str| SceneError::Classes { problem, help: help.to_owned() };
     if names.is_empty() {
         return Err(bad("the list of classes is empty".to_owned(), "give at least one name"));
     }
@@ -184,8 +184,8 @@ pub fn read_names(path: &Path) -> Result<Vec<String>, SceneError> {
         };
         let names = list.and_then(|list| serde_json::from_value::<Vec<String>>(list.clone()).ok());
         names.ok_or_else(|| {
-            let mend = "give a list of strings, or an object with one as `classes` or `labels`";
-            SceneError::format(path, "holds no list of class names", mend)
+            let help = "give a list of strings, or an object with one as `classes` or `labels`";
+            SceneError::format(path, "holds no list of class names", help)
         })?
     } else {
         text.lines().map(str::trim).filter(|l| !l.is_empty()).map(str::to_owned).collect()

@@ -50,7 +50,7 @@ impl LanguageCodebook {
         if let Some(at) = finite {
             return Err(SceneError::Classes {
                 problem: format!("the language codebook holds a number that is not finite ({at})"),
-                mend: "compute the codes again".to_owned(),
+                help: "compute the codes again".to_owned(),
             });
         }
         Ok(())

@@ -37,7 +37,7 @@ impl TextTable {
         dim: usize,
     ) -> Result<Self, SceneError> {
         let bad =
-            |problem: String, mend: &str| Err(SceneError::Classes { problem, mend: mend.into() });
+            |problem: String, help: &str| Err(SceneError::Classes { problem, help: help.into() });
         if dim == 0 || values.is_empty() || !values.len().is_multiple_of(dim) {
             let count = values.len();
             return bad(format!("{count} values are no table of text vectors of length {dim}"), "");
@@ -77,7 +77,7 @@ impl TextTable {
     pub fn read(path: &Path, names: Option<&Path>) -> Result<Self, SceneError> {
         let file =
             std::fs::File::open(path).map_err(SceneError::io(path, "cannot open the vectors"))?;
-        let bad = |problem: String, mend: &str| SceneError::format(path, problem, mend);
+        let bad = |problem: String, help: &str| SceneError::format(path, problem, help);
         let failed = || SceneError::io(path, "cannot read the vectors");
         let about = file.metadata().map_err(failed())?;
         if !about.is_file() || about.len() == 0 {
@@ -104,7 +104,7 @@ impl TextTable {
             (None, None) => names_in_manifest(path)?,
         };
         Self::from_rows(names, values, dim).map_err(|error| match error {
-            SceneError::Classes { problem, mend } => bad(problem, &mend),
+            SceneError::Classes { problem, help } => bad(problem, &help),
             other => other,
         })
     }
@@ -178,19 +178,19 @@ struct ManifestEntry {
 
 /// The names that the manifest beside `path` gives for it.
 fn names_in_manifest(path: &Path) -> Result<Vec<String>, SceneError> {
-    let mend = "give a file with one class name a line";
+    let help = "give a file with one class name a line";
     let manifest = path.with_file_name(MANIFEST);
     if !manifest.exists() {
-        return Err(SceneError::format(path, "does not name its classes", mend));
+        return Err(SceneError::format(path, "does not name its classes", help));
     }
     let text = std::fs::read_to_string(&manifest)
         .map_err(SceneError::io(&manifest, "cannot read the manifest"))?;
     let parsed: Manifest = serde_json::from_str(&text)
-        .map_err(|error| SceneError::format(&manifest, format!("is no manifest: {error}"), mend))?;
+        .map_err(|error| SceneError::format(&manifest, format!("is no manifest: {error}"), help))?;
     let name = path.file_name().and_then(|n| n.to_str()).unwrap_or_default();
     match parsed.entries.into_iter().find(|e| e.file == name) {
         Some(entry) => Ok(entry.labels),
-        None => Err(SceneError::format(&manifest, format!("has no entry for {name}"), mend)),
+        None => Err(SceneError::format(&manifest, format!("has no entry for {name}"), help)),
     }
 }
 

@@ -118,7 +118,7 @@ impl RepairReport {
                 } else {
                     finding.example.clone()
                 },
-                mend: format!(
+                help: format!(
                     "{}; the repair policy would say: {}",
                     finding.bad_value, finding.done
                 ),

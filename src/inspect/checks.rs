@@ -54,7 +54,7 @@ pub(super) fn check_positions(
             first: Some(*row),
             example: format!("{:?}", scene.coord[*row]),
             message: format!("the scene does not fit on the voxel grid: {message}"),
-            mend: "remove the outliers, or rescale the scene to metres; the networks refuse it so",
+            help: "remove the outliers, or rescale the scene to metres; the networks refuse it so",
         });
     }
     if rows < FEWEST_ROWS {
@@ -69,7 +69,7 @@ pub(super) fn check_positions(
                     "fewer than {FEWEST_ROWS} Gaussians: outliers, sizes, isolation, unit and convergence \
                      are not judged"
                 ),
-                mend: "",
+                help: "",
             },
         );
     }
@@ -82,7 +82,7 @@ pub(super) fn check_positions(
                 first: Some(0),
                 example: format!("{:?}", scene.coord[0]),
                 message: "all Gaussians are in one place".to_owned(),
-                mend: "export the scene again; its positions are lost",
+                help: "export the scene again; its positions are lost",
             },
         );
     }
@@ -98,7 +98,7 @@ pub(super) fn check_positions(
                 "so far from the origin, single precision has rounded positions to {} m",
                 short(f64::from(step))
             ),
-            mend: "subtract the origin of the survey before exporting; rounding cannot be undone",
+            help: "subtract the origin of the survey before exporting; rounding cannot be undone",
         });
     }
 }
@@ -125,7 +125,7 @@ pub(super) fn check_outliers(findings: &mut Findings<'_>, scene: &GaussianScene,
                 short(robust.diagonal()),
                 short(metres)
             ),
-            mend: "cut the scene to its box; each outlier costs a voxel and spoils whatever uses \
+            help: "cut the scene to its box; each outlier costs a voxel and spoils whatever uses \
                    the full bounds",
         });
     }
@@ -133,7 +133,7 @@ pub(super) fn check_outliers(findings: &mut Findings<'_>, scene: &GaussianScene,
 
 pub(super) fn check_unit(findings: &mut Findings<'_>, rows: usize, unit: Option<&UnitGuess>) {
     let Some(guess) = unit.filter(|_| rows >= FEWEST_ROWS) else { return };
-    let (severity, mend) = match guess.unit {
+    let (severity, help) = match guess.unit {
         LengthUnit::Metre => return,
         LengthUnit::Centimetre => (Severity::Note, ""),
         LengthUnit::Millimetre => (
@@ -155,7 +155,7 @@ pub(super) fn check_unit(findings: &mut Findings<'_>, rows: usize, unit: Option<
             first: None,
             example: guess.evidence.clone(),
             message: format!("one unit seems to be 1 {}, not 1 m", guess.unit.symbol()),
-            mend,
+            help,
         },
     );
 }
@@ -190,7 +190,7 @@ pub(super) fn check_sizes(findings: &mut Findings<'_>, scene: &GaussianScene, ro
                 short(diagonal),
                 short(metres)
             ),
-            mend: "delete them, or clamp their scale; each tints much of every picture",
+            help: "delete them, or clamp their scale; each tints much of every picture",
         });
     }
 }
@@ -219,7 +219,7 @@ pub(super) fn check_isolated(
                 short(metres),
                 short(near.spacing.unwrap_or(0.0))
             ),
-            mend: if is_many {
+            help: if is_many {
                 "remove floaters in an editor; each gets a label of its own and may answer queries"
             } else {
                 ""
@@ -242,7 +242,7 @@ pub(super) fn check_duplicates(findings: &mut Findings<'_>, found: &Duplicates, 
                  colour",
                 percent(whole.count, rows)
             ),
-            mend: if is_many {
+            help: if is_many {
                 "remove the copies; a snapshot in the middle of training has them where Gaussians \
                  were just cloned: train on"
             } else {
@@ -260,7 +260,7 @@ pub(super) fn check_duplicates(findings: &mut Findings<'_>, found: &Duplicates, 
                 first: found.position.first,
                 example: String::new(),
                 message: "Gaussians stand where another one stands, but differ from it".to_owned(),
-                mend: "",
+                help: "",
             },
         );
     }
@@ -279,7 +279,7 @@ pub(super) fn check_opacity(findings: &mut Findings<'_>, scene: &GaussianScene, 
                 example: format!("median {:.3}, 95 % below {:.3}", q.p50, q.p95),
                 message: "nearly everything is transparent: the training has not converged"
                     .to_owned(),
-                mend: "train longer, or check the poses; labels of haze mean little",
+                help: "train longer, or check the poses; labels of haze mean little",
             },
         );
     }
@@ -296,7 +296,7 @@ pub(super) fn check_opacity(findings: &mut Findings<'_>, scene: &GaussianScene, 
                     "{} of the Gaussians have an opacity below 1/255, which no renderer draws",
                     percent(invisible.count, rows)
                 ),
-                mend: "",
+                help: "",
             },
         );
     }
@@ -315,7 +315,7 @@ pub(super) fn check_harmonics(findings: &mut Findings<'_>, scene: &GaussianScene
                     "degree {} is declared, but coefficients beyond degree {used} are all zero",
                     scene.sh_degree
                 ),
-                mend: "",
+                help: "",
             },
         );
     }

@@ -1,4 +1,4 @@
-//! What is wrong with a scene, in words: names, counts, first rows and mends.
+//! What is wrong with a scene, in words: names, counts, first rows and help.
 
 use scenesplat_scene::LoadedScene;
 use scenesplat_scene::value_policy::{self, Action, Rule};
@@ -44,7 +44,7 @@ pub struct Finding {
     /// What it is.
     pub message: String,
     /// What to do about it.
-    pub mend: String,
+    pub help: String,
 }
 
 /// Collects findings and notes of a scene.
@@ -64,7 +64,7 @@ impl<'a> Findings<'a> {
             first_row: None,
             example: String::new(),
             message: text.clone(),
-            mend: String::new(),
+            help: String::new(),
         });
         Self { loaded, all: rules.chain(remarks).collect() }
     }
@@ -82,7 +82,7 @@ impl<'a> Findings<'a> {
             first_row,
             example: about.example,
             message: about.message,
-            mend: about.mend.to_owned(),
+            help: about.help.to_owned(),
         });
     }
 
@@ -100,7 +100,7 @@ pub(super) struct About {
     pub(super) first: Option<usize>,
     pub(super) example: String,
     pub(super) message: String,
-    pub(super) mend: &'static str,
+    pub(super) help: &'static str,
 }
 
 /// A rule that applied while the file was read, in the words of the value policy.
@@ -114,7 +114,7 @@ fn of_rule(found: &value_policy::Finding) -> Finding {
         _ if drops => Severity::Error,
         _ => Severity::Warning,
     };
-    let mend = match (severity, found.rule) {
+    let help = match (severity, found.rule) {
         (Severity::Note, _) => "",
         (_, Rule::FileTrailing) => "export the scene again; the file may have been joined or cut",
         (Severity::Error, _) => {
@@ -130,7 +130,7 @@ fn of_rule(found: &value_policy::Finding) -> Finding {
         first_row: Some(found.first_element),
         example: found.example.clone(),
         message: format!("{}: {}; {}", found.field, found.bad_value, found.done),
-        mend: mend.to_owned(),
+        help: help.to_owned(),
     }
 }
 
@@ -175,7 +175,7 @@ mod tests {
             let drops = row.done == "the Gaussian is left out";
             assert_eq!(finding.severity == Severity::Error, drops, "{row:?}");
             assert_eq!(finding.severity == Severity::Note, row.action == Action::Accept);
-            assert_eq!(finding.mend.is_empty(), row.action == Action::Accept);
+            assert_eq!(finding.help.is_empty(), row.action == Action::Accept);
         }
     }
 }

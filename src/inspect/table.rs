@@ -146,8 +146,8 @@ impl Finding {
             head.push_str(&self.message);
         }
         let mut lines = wrap(&head, width);
-        if !self.mend.is_empty() {
-            lines.extend(wrap(&format!("mend: {}", self.mend), width));
+        if !self.help.is_empty() {
+            lines.extend(wrap(&format!("help: {}", self.help), width));
         }
         // All but the first line are indented.
         lines.iter_mut().skip(1).for_each(|l| l.insert_str(0, "    "));
@@ -224,7 +224,7 @@ mod tests {
             first_row: Some(7),
             example: "x".repeat(200),
             message: "many words ".repeat(30),
-            mend: "remove them".to_owned(),
+            help: "remove them".to_owned(),
         };
         let lines = finding.lines(60);
         assert!(lines[0].starts_with("warning floaters: 12 345 rows, first 7"), "{lines:?}");

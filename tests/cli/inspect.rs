@@ -51,7 +51,7 @@ fn planted(name: &str, plant: impl Fn(&mut GaussianScene) -> (usize, Option<usiz
         assert_eq!(names(&seen), [name], "{which}: {:#?}", seen.findings);
         let finding = &seen.findings[0];
         assert_eq!((finding.count, finding.first_row), (count, first), "{which}: {finding:?}");
-        assert!(!finding.mend.is_empty() && !finding.message.is_empty());
+        assert!(!finding.help.is_empty() && !finding.message.is_empty());
         assert_eq!(seen.gaussians, scene.len());
     }
 }
@@ -138,7 +138,7 @@ fn millimetres_instead_of_metres() {
     let seen = look(&scene);
     let unit = seen.unit.unwrap();
     assert!(unit.unit == LengthUnit::Millimetre && unit.confidence > 0.8, "{unit:?}");
-    assert!(seen.findings[0].mend.contains("--scale 0.001"));
+    assert!(seen.findings[0].help.contains("--scale 0.001"));
     // The other way round: kilometres.
     planted("unit", |scene| {
         scene.coord.iter_mut().flatten().for_each(|v| *v /= 1000.0);
@@ -348,7 +348,7 @@ fn is_complete(json: &serde_json::Value) {
         assert!(finding["name"].is_string() && finding["severity"].is_string());
         assert!(finding["count"].is_u64() && finding["message"].is_string());
         assert!(finding["first_row"].is_u64() || finding["first_row"].is_null());
-        assert!(finding["example"].is_string() && finding["mend"].is_string());
+        assert!(finding["example"].is_string() && finding["help"].is_string());
     }
 }
 

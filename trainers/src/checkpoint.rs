@@ -12,6 +12,8 @@
 
 use crate::{Progress, TrainError, TrainerConfig};
 use candle_core::{Device, Tensor};
+use scenesplat_models::weights::save_tensors;
+use scenesplat_scene::AtomicFile;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
@@ -120,7 +122,9 @@ pub(crate) fn write(dir: &Path, contents: &Contents<'_>) -> Result<PathBuf, Trai
     if beside.exists() {
         std::fs::remove_dir_all(&beside).map_err(io(&beside, "cannot remove"))?;
     }
-    std::fs::create_dir_all(&beside).map_err(io(&beside, "cannot make"))?;
+    std::fs::create_dir_all(dir).map_err(io(dir, "cannot make"))?;
+    // Not over anything: a link in the way would lead out of the folder.
+    std::fs::create_dir(&beside).map_err(io(&beside, "cannot make"))?;
     contents
         .params
         .save(&beside.join("params.safetensors"))
@@ -131,7 +135,7 @@ pub(crate) fn write(dir: &Path, contents: &Contents<'_>) -> Result<PathBuf, Trai
     }
     let text = serde_json::to_string_pretty(&contents.state)
         .map_err(|e| io(&beside, "cannot describe")(e.into()))?;
-    write_synced(&beside.join("state.json"), text.as_bytes())?;
+    AtomicFile::write(&beside.join("state.json"), text.as_bytes())?;
     if place.exists() {
         std::fs::remove_dir_all(&place).map_err(io(&place, "cannot replace"))?;
     }
@@ -142,24 +146,7 @@ pub(crate) fn write(dir: &Path, contents: &Contents<'_>) -> Result<PathBuf, Trai
 fn save(path: &Path, tensors: &BTreeMap<String, Tensor>) -> Result<(), TrainError> {
     let tensors: HashMap<&str, Tensor> =
         tensors.iter().map(|(n, t)| (n.as_str(), t.clone())).collect();
-    candle_core::safetensors::save(&tensors, path)
-        .and_then(|()| Ok(std::fs::File::open(path)?.sync_all()?))
-        .map_err(TrainError::tensor(&path.display().to_string()))
-}
-
-/// Written to the disk before it returns.
-pub(crate) fn write_synced(path: &Path, bytes: &[u8]) -> Result<(), TrainError> {
-    use std::io::Write;
-    let write = || {
-        let mut file = std::fs::File::create(path)?;
-        file.write_all(bytes)?;
-        file.sync_all()
-    };
-    write().map_err(|source| TrainError::Io {
-        path: path.to_owned(),
-        action: "cannot write",
-        source,
-    })
+    save_tensors(&tensors, path).map_err(TrainError::tensor(&path.display().to_string()))
 }
 
 /// Reads `state.json`.
@@ -220,9 +207,7 @@ pub(crate) fn mark_best(dir: &Path, best: &BestCheckpoint) -> Result<(), TrainEr
     };
     let text =
         serde_json::to_string_pretty(best).map_err(|e| error("cannot describe")(e.into()))?;
-    let beside = path.with_extension("partial");
-    write_synced(&beside, text.as_bytes())?;
-    std::fs::rename(&beside, &path).map_err(error("cannot rename to"))
+    Ok(AtomicFile::write(&path, text.as_bytes())?)
 }
 
 /// Removes all but the last `keep` checkpoints and the best one.

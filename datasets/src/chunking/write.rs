@@ -138,7 +138,8 @@ impl<'a> Staged<'a> {
         if part.exists() {
             fs::remove_dir_all(&part).map_err(failed)?;
         }
-        fs::create_dir_all(&part).map_err(failed)?;
+        // Not over anything: a link in the way would lead out of the folder.
+        fs::create_dir(&part).map_err(failed)?;
         Ok(Self { chunk, target: out.join(name), part, done: false })
     }
 
@@ -287,7 +288,7 @@ fn labelled_points(source: &Path) -> Result<Option<Vec<[f32; 3]>>, SceneError> {
         return Err(SceneError::Format {
             path,
             problem: format!("expected shape (M, 3), got {:?}", file.shape()),
-            mend: "remove the file or save positions".to_owned(),
+            help: "remove the file or save positions".to_owned(),
         });
     }
     Ok(Some(file.read_f32()?.as_chunks::<3>().0.to_vec()))

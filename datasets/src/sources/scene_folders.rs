@@ -78,7 +78,7 @@ impl SceneFolders {
             return Err(SceneError::Format {
                 path: root.to_owned(),
                 problem: format!("holds no scene {}", in_folders(folders)),
-                mend: "a scene is a folder with a coord.npy, or a file such as .ply or .spz"
+                help: "a scene is a folder with a coord.npy, or a file such as .ply or .spz"
                     .to_owned(),
             }
             .into());
@@ -102,7 +102,7 @@ impl SceneFolders {
                 return Err(SceneError::Format {
                     path,
                     problem: "has a name that is not Unicode".to_owned(),
-                    mend: "rename it".to_owned(),
+                    help: "rename it".to_owned(),
                 }
                 .into());
             };

@@ -116,7 +116,7 @@ impl Sorted {
         }
         let mut sorted =
             Self { entries, row_bits, row_mask: (1 << row_bits) - 1, low, dropped_bits };
-        sorted.mend(codes);
+        sorted.order_dropped_bits(codes);
         sorted
     }
 
@@ -139,7 +139,7 @@ impl Sorted {
     }
 
     /// Puts rows in order whose codes differ in the dropped bits only.
-    fn mend(&mut self, codes: &[u64]) {
+    fn order_dropped_bits(&mut self, codes: &[u64]) {
         if self.dropped_bits == 0 {
             return;
         }

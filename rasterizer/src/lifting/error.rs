@@ -4,19 +4,19 @@ use crate::RasterError;
 use scenesplat_scene::SceneError;
 use std::path::{Path, PathBuf};
 
-/// Why labels could not be lifted. Every variant says where, what and how to mend it.
+/// Why labels could not be lifted. Every variant says where, what and how to fix it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum LiftError {
     /// A file of segments or features that cannot be used.
-    #[error("{}: {problem} ({mend})", path.display())]
+    #[error("{}: {problem} ({help})", path.display())]
     File {
         /// Which file or folder.
         path: PathBuf,
         /// What is wrong, with the place and the value.
         problem: String,
         /// What the user can do.
-        mend: String,
+        help: String,
     },
     /// Arguments that do not fit together, or a setting out of range.
     #[error("{field}: {problem}")]
@@ -49,8 +49,8 @@ pub enum LiftError {
 }
 
 impl LiftError {
-    pub(crate) fn file(path: &Path, problem: impl Into<String>, mend: impl Into<String>) -> Self {
-        Self::File { path: path.to_owned(), problem: problem.into(), mend: mend.into() }
+    pub(crate) fn file(path: &Path, problem: impl Into<String>, help: impl Into<String>) -> Self {
+        Self::File { path: path.to_owned(), problem: problem.into(), help: help.into() }
     }
 
     pub(crate) fn argument(field: &'static str, problem: impl Into<String>) -> Self {

@@ -42,12 +42,12 @@ pub(super) fn read_feature_table(path: &Path) -> Result<FeatureTable, LiftError>
 }
 
 fn check_shape(shape: &[usize], path: &Path) -> Result<(), LiftError> {
-    let mend = "one row per segment is expected: [segments, channels]";
+    let help = "one row per segment is expected: [segments, channels]";
     let &[rows, dim] = shape else {
-        return Err(LiftError::file(path, format!("holds an array of shape {shape:?}"), mend));
+        return Err(LiftError::file(path, format!("holds an array of shape {shape:?}"), help));
     };
     if dim == 0 && rows > 0 {
-        return Err(LiftError::file(path, format!("holds features of shape {shape:?}"), mend));
+        return Err(LiftError::file(path, format!("holds features of shape {shape:?}"), help));
     }
     if rows > usize::from(NO_SEGMENT) {
         let problem = format!("has {rows} segments, more than {NO_SEGMENT}");

@@ -91,7 +91,7 @@ impl SegmentFolder {
     pub fn open(path: &Path, options: SegmentOptions) -> Result<Self, LiftError> {
         check_levels(&options)?;
         let names = file_names(path)?;
-        let mends = "see the layouts of segment folders: <frame>_s.npy with <frame>_f.npy, or \
+        let help = "see the layouts of segment folders: <frame>_s.npy with <frame>_f.npy, or \
                      <frame>.png with <frame>.npy or features.npy";
         let maps: Vec<&str> = names.iter().filter_map(|n| n.strip_suffix("_s.npy")).collect();
         if !maps.is_empty() {
@@ -99,7 +99,7 @@ impl SegmentFolder {
                 let table = format!("{name}_f.npy");
                 if !names.contains(&table) {
                     let map = path.join(format!("{name}_s.npy"));
-                    return Err(LiftError::file(&map, format!("has no {table} beside it"), mends));
+                    return Err(LiftError::file(&map, format!("has no {table} beside it"), help));
                 }
                 let map = path.join(format!("{name}_s.npy"));
                 Ok(Frame { name: (*name).to_owned(), map, table: Some(path.join(table)) })
@@ -110,7 +110,7 @@ impl SegmentFolder {
         }
         let maps: Vec<&str> = names.iter().filter_map(|n| n.strip_suffix(".png")).collect();
         if maps.is_empty() {
-            return Err(LiftError::file(path, "holds no maps of segments", mends));
+            return Err(LiftError::file(path, "holds no maps of segments", help));
         }
         if options.levels != [0] {
             let problem = format!("levels {:?} of PNG maps, which have level 0", options.levels);
@@ -125,7 +125,7 @@ impl SegmentFolder {
             let map = path.join(format!("{name}.png"));
             let table = if shared.is_some() { None } else { table_of(name) };
             if table.is_none() && shared.is_none() {
-                return Err(LiftError::file(&map, "has no feature table beside it", mends));
+                return Err(LiftError::file(&map, "has no feature table beside it", help));
             }
             Ok(Frame { name: (*name).to_owned(), map, table })
         };
@@ -223,8 +223,8 @@ impl SegmentFolder {
             map.resized(width, height).ok_or_else(|| {
                 let problem =
                     format!("is {}×{}, its camera {width}×{height}", map.width(), map.height());
-                let mend = "maps have the size of their pictures, or are scaled as a whole";
-                LiftError::file(&frame.map, problem, mend)
+                let help = "maps have the size of their pictures, or are scaled as a whole";
+                LiftError::file(&frame.map, problem, help)
             })
         };
         let levels = maps.into_iter().map(fit).collect::<Result<_, _>>()?;

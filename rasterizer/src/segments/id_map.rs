@@ -16,10 +16,10 @@ pub(super) fn read_id_png(
     segments: usize,
     none: Option<u16>,
 ) -> Result<SegmentMap, LiftError> {
-    let mend = "a grey PNG of 8 or 16 bits is expected";
+    let help = "a grey PNG of 8 or 16 bits is expected";
     let io = LiftError::spool(path, "cannot read the map of segment ids");
     let file = BufReader::new(File::open(path).map_err(io)?);
-    let bad = |e: image::ImageError| LiftError::file(path, format!("is no PNG: {e}"), mend);
+    let bad = |e: image::ImageError| LiftError::file(path, format!("is no PNG: {e}"), help);
     let decoder = PngDecoder::new(file).map_err(bad)?;
     let (width, height) = decoder.dimensions();
     if u64::from(width) * u64::from(height) > MAX_PIXELS {
@@ -28,14 +28,14 @@ pub(super) fn read_id_png(
     }
     let color = decoder.color_type();
     if !matches!(color, ColorType::L8 | ColorType::L16) {
-        return Err(LiftError::file(path, format!("holds {color:?} pixels"), mend));
+        return Err(LiftError::file(path, format!("holds {color:?} pixels"), help));
     }
     let (values, default): (Vec<u16>, u16) = match DynamicImage::from_decoder(decoder) {
         Ok(DynamicImage::ImageLuma8(map)) => {
             (map.into_raw().into_iter().map(u16::from).collect(), u16::from(u8::MAX))
         }
         Ok(DynamicImage::ImageLuma16(map)) => (map.into_raw(), u16::MAX),
-        Ok(_) => return Err(LiftError::file(path, "holds no grey pixels", mend)),
+        Ok(_) => return Err(LiftError::file(path, "holds no grey pixels", help)),
         Err(e) => return Err(bad(e)),
     };
     let none = none.unwrap_or(default);
@@ -43,8 +43,8 @@ pub(super) fn read_id_png(
     if let Some(at) = values.iter().position(|&id| outside(id)) {
         let (row, column) = (at / width as usize, at % width as usize);
         let problem = format!("row {row}, column {column}: id {}", values[at]);
-        let mend = format!("the feature table has {segments} rows; {none} is no segment");
-        return Err(LiftError::file(path, problem, mend));
+        let help = format!("the feature table has {segments} rows; {none} is no segment");
+        return Err(LiftError::file(path, problem, help));
     }
     let ids = values.into_iter().map(|id| if id == none { NO_SEGMENT } else { id }).collect();
     SegmentMap::new(width, height, ids)

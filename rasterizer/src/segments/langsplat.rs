@@ -47,8 +47,8 @@ pub(super) fn read_id_maps(
                         at / width,
                         at % width
                     );
-                    let mend = format!("the feature table has {segments} rows; -1 is no segment");
-                    return Err(LiftError::file(path, problem, mend));
+                    let help = format!("the feature table has {segments} rows; -1 is no segment");
+                    return Err(LiftError::file(path, problem, help));
                 }
             });
         }

@@ -50,8 +50,8 @@ pub fn read_ksplat(
     options: &ReadOptions,
 ) -> Result<LoadedScene, SceneError> {
     let file = parse(bytes).map_err(|problem| {
-        let mend = "the file is damaged or cut short; export the scene again";
-        SceneError::format(path, problem, mend)
+        let help = "the file is damaged or cut short; export the scene again";
+        SceneError::format(path, problem, help)
     })?;
     let mut report = RepairReport::default();
     if file.end < bytes.len() {

@@ -250,7 +250,7 @@ impl NpyFile {
                 element,
                 field: "values".to_owned(),
                 value: "a number that is not whole".to_owned(),
-                mend: "save the array as integers".to_owned(),
+                help: "save the array as integers".to_owned(),
             });
         }
         Ok(values.into_iter().flatten().collect())
@@ -271,7 +271,7 @@ impl NpyFile {
                     element,
                     field: "values".to_owned(),
                     value: value.to_string(),
-                    mend: "0 to 255 is expected".to_owned(),
+                    help: "0 to 255 is expected".to_owned(),
                 })
             })
             .collect()

@@ -159,7 +159,7 @@ pub(crate) fn check_storable(scene: &GaussianScene, path: &Path) -> Result<(), S
             element: row,
             field: field.to_owned(),
             value: format!("{:?}", rows[row]),
-            mend: "leave the Gaussian out, or give it a number".to_owned(),
+            help: "leave the Gaussian out, or give it a number".to_owned(),
         })
     }
     let finite = |values: &[f32]| values.iter().all(|v| v.is_finite());

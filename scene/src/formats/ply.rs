@@ -192,7 +192,7 @@ impl PlyFile {
                 element: row,
                 field: property.to_owned(),
                 value: values[row].to_string(),
-                mend: "the column must hold whole numbers".to_owned(),
+                help: "the column must hold whole numbers".to_owned(),
             });
         }
         Ok(values.into_iter().map(|v| v as i64).collect())

@@ -142,8 +142,8 @@ pub fn read_splat(
     options: &ReadOptions,
 ) -> Result<LoadedScene, SceneError> {
     if let Some(problem) = length_problem(bytes) {
-        let mend = "the file is cut short, or is no .splat file; export the scene again";
-        return Err(SceneError::format(path, problem, mend));
+        let help = "the file is cut short, or is no .splat file; export the scene again";
+        return Err(SceneError::format(path, problem, help));
     }
     let rows = bytes.len() / RECORD_BYTES;
     let (logits, terms) = (alpha_logits(), color_terms());

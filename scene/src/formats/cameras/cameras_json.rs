@@ -56,12 +56,12 @@ pub fn is_cameras_json(bytes: &[u8]) -> bool {
 /// # Errors
 /// If it is no such file, or if a camera is not usable.
 pub fn read_cameras_json(bytes: &[u8], path: &Path) -> Result<CameraSet, SceneError> {
-    let mend = "export the cameras again";
+    let help = "export the cameras again";
     let entries: Vec<Entry> = serde_json::from_slice(without_mark(bytes))
-        .map_err(|e| SceneError::format(path, format!("is no list of cameras: {e}"), mend))?;
+        .map_err(|e| SceneError::format(path, format!("is no list of cameras: {e}"), help))?;
     let camera = |(i, entry): (usize, Entry)| {
         let bad = |problem: String| {
-            SceneError::format(path, format!("camera {i} {:?} {problem}", entry.img_name), mend)
+            SceneError::format(path, format!("camera {i} {:?} {problem}", entry.img_name), help)
         };
         let size = |v: f64| pixels(v).ok_or_else(|| bad(format!("is {v} pixels wide or high")));
         let (width, height) = (size(entry.width)?, size(entry.height)?);

@@ -143,8 +143,8 @@ fn open_beside(i: usize, uri: &str, path: &Path) -> Result<MappedFile, SceneErro
     let shown: String = uri.chars().take(80).collect();
     let Some(relative) = relative_path(uri) else {
         let problem = format!("buffer {i} is at {shown:?}, which is no file below this folder");
-        let mend = "only files beside the document are opened; export it as .glb";
-        return Err(SceneError::format(path, problem, mend));
+        let help = "only files beside the document are opened; export it as .glb";
+        return Err(SceneError::format(path, problem, help));
     };
     let file = path.parent().unwrap_or(Path::new("")).join(relative);
     // Asked before opening: to open a pipe would wait for someone to write into it.

@@ -111,8 +111,8 @@ pub(super) fn gaussian_primitives<'a>(
     }
     if jobs.is_empty() {
         let problem = format!("shows no Gaussians; it has {others} primitives of other kinds");
-        let mend = "Gaussians are points with KHR_gaussian_splatting, or with _ROTATION and _SCALE";
-        return Err(SceneError::format(path, problem, mend));
+        let help = "Gaussians are points with KHR_gaussian_splatting, or with _ROTATION and _SCALE";
+        return Err(SceneError::format(path, problem, help));
     }
     report.notes.extend(notes);
     if others > 0 {

@@ -107,7 +107,7 @@ pub fn write_ply_with_columns(
     append: &[PlyColumn<'_>],
     out: &Path,
 ) -> Result<(), SceneError> {
-    let bad = |problem: String, mend: &str| SceneError::format(&source.path, problem, mend);
+    let bad = |problem: String, help: &str| SceneError::format(&source.path, problem, help);
     let index = source.header.elements.iter().position(|e| e.name == VERTEX);
     let index = index.ok_or_else(|| bad("has no element vertex".to_owned(), ""))?;
     let element = &source.header.elements[index];

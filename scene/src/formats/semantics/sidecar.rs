@@ -42,8 +42,8 @@ impl Sidecar {
         // their files are the same but for them.
         let there = if carries { path.exists() } else { is_ours(&path) };
         if there && !overwrite {
-            let mend = "overwrite it or choose another name";
-            return Err(SceneError::format(&path, "is there already", mend));
+            let help = "overwrite it or choose another name";
+            return Err(SceneError::format(&path, "is there already", help));
         }
         Ok(Self { path, remove: there && !carries })
     }
@@ -148,8 +148,8 @@ fn read_block(
 ) -> Result<(), SceneError> {
     let block = MappedFile::open(beside)?;
     let about = read_about(block.bytes()).map_err(|e| {
-        let mend = "remove it, or write the scene with its labels again";
-        SceneError::format(beside, format!("cannot be read as labels of a scene: {e}"), mend)
+        let help = "remove it, or write the scene with its labels again";
+        SceneError::format(beside, format!("cannot be read as labels of a scene: {e}"), help)
     })?;
     if about.scene != Some(SceneFingerprint::of(scene_bytes)) {
         report.notes.push(format!(

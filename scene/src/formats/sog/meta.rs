@@ -66,13 +66,13 @@ pub fn is_sog_meta_json(bytes: &[u8]) -> bool {
 impl SogMeta {
     /// Reads the text of a `meta.json`; `path` is for messages.
     pub(super) fn parse(bytes: &[u8], path: &Path) -> Result<Self, SceneError> {
-        let mend = "export the scene again";
+        let help = "export the scene again";
         if bytes.len() > MAX_META_BYTES {
             let problem = format!("is {} bytes long, more than any meta.json", bytes.len());
-            return Err(SceneError::format(path, problem, mend));
+            return Err(SceneError::format(path, problem, help));
         }
         let value: Value = serde_json::from_slice(bytes)
-            .map_err(|e| SceneError::format(path, format!("is no JSON: {e}"), mend))?;
+            .map_err(|e| SceneError::format(path, format!("is no JSON: {e}"), help))?;
         let root = Field::root(path, &value);
         let version = match root.opt("version") {
             Some(version) => version.count()?,

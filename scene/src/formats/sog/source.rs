@@ -193,15 +193,15 @@ impl<'a> Archive<'a> {
     }
 
     fn read(&self, name: &str, limit: usize) -> Result<PartBytes<'a>, SceneError> {
-        let mend = "copy or export the scene again";
-        let bad = |problem: String| SceneError::format(&self.path_of(name), problem, mend);
+        let help = "copy or export the scene again";
+        let bad = |problem: String| SceneError::format(&self.path_of(name), problem, help);
         let Some(entry) = self.entry(name) else {
             let problem = if self.entries.contains_key(name) {
                 format!("has an entry {name} that ends beyond the file")
             } else {
                 format!("has no entry {}{name}", self.inside)
             };
-            return Err(SceneError::format(&self.path, problem, mend));
+            return Err(SceneError::format(&self.path, problem, help));
         };
         if entry.encrypted {
             return Err(bad("is encrypted".into()));

@@ -75,11 +75,11 @@ pub(super) fn read_streamed(path: &Path, options: &ReadOptions) -> Result<Loaded
     drop(file);
     if options.lod >= meta.lod_levels {
         let problem = format!("has {} levels of detail, no level {}", meta.lod_levels, options.lod);
-        let mend = match meta.lod_levels {
+        let help = match meta.lod_levels {
             0 | 1 => "ask for level 0".to_owned(),
             levels => format!("ask for one of 0 (finest) to {} (coarsest)", levels - 1),
         };
-        return Err(SceneError::format(path, problem, mend));
+        return Err(SceneError::format(path, problem, help));
     }
     if let Some(name) = meta.filenames.iter().find(|name| !is_inside(name)) {
         return Err(bad(format!("names {name:?}, which is no file below this folder")));
@@ -128,13 +128,13 @@ fn missing_files(path: &Path, level: usize, missing: &[&str], complete: &[String
     let shown = missing.iter().take(5).copied().collect::<Vec<_>>().join(", ");
     let more =
         if missing.len() > 5 { format!(" and {} more", missing.len() - 5) } else { "".into() };
-    let mend = if complete.is_empty() {
+    let help = if complete.is_empty() {
         "copy all files of the scene".to_owned()
     } else {
         format!("copy all files of the scene; levels that are complete: {}", complete.join(", "))
     };
     let problem = format!("needs for level {level} files that are not there: {shown}{more}");
-    SceneError::format(path, problem, mend)
+    SceneError::format(path, problem, help)
 }
 
 /// The runs of one level in each chunk file, in the order of the file, and how many leaves had to

@@ -161,8 +161,8 @@ fn encode(
     let (low, high) = (low?, high?);
     if scene.len() as u64 > plausible_rows((low.len() + high.len()) as u64) {
         let problem = format!("would hold {} Gaussians, nearly all in one place", scene.len());
-        let mend = "readers would take the file for damaged; choose another format";
-        return Err(SceneError::format(path, problem, mend));
+        let help = "readers would take the file for damaged; choose another format";
+        return Err(SceneError::format(path, problem, help));
     }
     sink("means_l.webp", &low)?;
     sink("means_u.webp", &high)?;

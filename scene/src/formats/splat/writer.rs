@@ -91,8 +91,8 @@ pub fn write_splat(
     }
     if let Some(problem) = splat_problem(MappedFile::of_written(&file)?.bytes()) {
         let problem = format!("would not be recognised as a .splat file: it {problem}");
-        let mend = "scale the scene to metres, or choose another format";
-        return Err(SceneError::format(path, problem, mend));
+        let help = "scale the scene to metres, or choose another format";
+        return Err(SceneError::format(path, problem, help));
     }
     let labels = sidecar.commit(scene, None, file)?;
     let mut report = WriteReport::new(SceneFormat::Splat, rows);

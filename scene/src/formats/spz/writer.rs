@@ -88,7 +88,7 @@ impl<'a> Coder<'a> {
         path: &Path,
         options: &WriteOptions,
     ) -> Result<Self, SceneError> {
-        let bad = |problem: String, mend: &str| Err(SceneError::format(path, problem, mend));
+        let bad = |problem: String, help: &str| Err(SceneError::format(path, problem, help));
         let version = options.spz_version;
         if !(2..=4).contains(&version) {
             return bad(format!("cannot be written as SPZ version {version}"), "choose 2, 3 or 4");
@@ -278,7 +278,7 @@ fn check_values(scene: &GaussianScene, path: &Path) -> Result<(), SceneError> {
             element,
             field: field.to_owned(),
             value,
-            mend: "leave the Gaussian out".to_owned(),
+            help: "leave the Gaussian out".to_owned(),
         }),
     }
 }

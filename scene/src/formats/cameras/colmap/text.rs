@@ -103,7 +103,7 @@ impl<'a> Lines<'a> {
             Some(count) if count != read as u64 => {
                 let problem = format!("its comment says {count}, but {read} were found");
                 let file = self.folder.join(self.name);
-                Err(SceneError::format(&file, problem, "mend the file, or remove the comment"))
+                Err(SceneError::format(&file, problem, "correct the file, or remove the comment"))
             }
             _ => Ok(()),
         }
