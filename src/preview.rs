@@ -20,8 +20,8 @@ pub use palette::{UNLABELLED_COLOR, class_color};
 use discs::{Canvas, Disc, Lens};
 use framing::{Framing, Upright};
 use image::{ImageEncoder, RgbImage};
-use scenesplat_scene::GaussianScene;
-use std::path::{Path, PathBuf};
+use scenesplat_scene::{AtomicFile, GaussianScene, WriteError};
+use std::path::Path;
 
 /// Why there is no preview.
 #[derive(Debug, thiserror::Error)]
@@ -47,14 +47,8 @@ pub enum PreviewError {
     #[error("preview: the picture cannot be encoded as PNG")]
     Encode(#[from] image::ImageError),
     /// The file could not be written.
-    #[error("{}: cannot write the preview", path.display())]
-    Write {
-        /// Which file.
-        path: PathBuf,
-        /// Why it failed.
-        #[source]
-        source: std::io::Error,
-    },
+    #[error(transparent)]
+    Write(#[from] WriteError),
 }
 
 /// The direction that is up in a scene.
@@ -260,7 +254,7 @@ pub fn write_preview(
     write_png(path, &picture)
 }
 
-/// Writes a picture, beside the path first, then renamed. Returns the size of the file.
+/// Writes a picture, which appears when it is complete. Returns the size of the file.
 pub(crate) fn write_png(path: &Path, picture: &RgbImage) -> Result<u64, PreviewError> {
     let (width, height) = picture.dimensions();
     encode_png(path, picture.as_raw(), [width, height], image::ExtendedColorType::Rgb8)
@@ -285,16 +279,7 @@ fn encode_png(
 ) -> Result<u64, PreviewError> {
     let mut png = Vec::new();
     image::codecs::png::PngEncoder::new(&mut png).write_image(bytes, width, height, kind)?;
-    let mut beside = path.as_os_str().to_owned();
-    beside.push(format!(".part-{}", std::process::id()));
-    let beside = PathBuf::from(beside);
-    std::fs::write(&beside, &png).and_then(|()| std::fs::rename(&beside, path)).map_err(
-        |source| {
-            // The half-written file is of no use to anyone; the first error is the one to show.
-            let _ = std::fs::remove_file(&beside);
-            PreviewError::Write { path: path.to_owned(), source }
-        },
-    )?;
+    AtomicFile::write(path, &png)?;
     Ok(png.len() as u64)
 }
 

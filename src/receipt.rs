@@ -4,6 +4,7 @@
 //! A [`Receipt`] records while the command runs; [`Receipt::finish`] gives a [`ReceiptReport`],
 //! which prints as a table and is written as JSON.
 
+use scenesplat_scene::AtomicFile;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::cell::RefCell;
@@ -27,6 +28,9 @@ pub enum ReceiptError {
         #[source]
         source: std::io::Error,
     },
+    /// The receipt could not be written.
+    #[error("the receipt cannot be written")]
+    Write(#[from] scenesplat_scene::WriteError),
     /// The report could not be put into JSON.
     #[error("the receipt cannot be written as JSON")]
     Json(#[from] serde_json::Error),
@@ -293,26 +297,13 @@ impl ReceiptReport {
         Ok(serde_json::to_string_pretty(self)? + "\n")
     }
 
-    /// Writes the report as JSON, beside the path first, then renamed: readers never see half.
+    /// Writes the report as JSON; the file appears when it is complete.
     ///
     /// # Errors
     /// If the file cannot be written.
     pub fn write_json(&self, path: &Path) -> Result<(), ReceiptError> {
         let text = self.to_json()?;
-        let mut beside = path.as_os_str().to_owned();
-        beside.push(format!(".part-{}", std::process::id()));
-        let beside = PathBuf::from(beside);
-        std::fs::write(&beside, text).and_then(|()| std::fs::rename(&beside, path)).map_err(
-            |source| {
-                // The half-written file is of no use to anyone; the first error is the one to show.
-                let _ = std::fs::remove_file(&beside);
-                ReceiptError::Io {
-                    path: path.to_owned(),
-                    action: "cannot write the receipt",
-                    source,
-                }
-            },
-        )
+        Ok(AtomicFile::write(path, text.as_bytes())?)
     }
 
     /// Time of a stage, seconds; 0 if it did not run.

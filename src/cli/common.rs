@@ -16,7 +16,7 @@ use scenesplat_kernels::Precision;
 use scenesplat_kernels::simd::Isa;
 use scenesplat_models::convert::{Branch, ConvLayout};
 use scenesplat_models::{Compute, LoadPolicy, PointTransformerV3Config};
-use scenesplat_scene::{GaussianScene, Policy, ReadOptions, SpzFrame};
+use scenesplat_scene::{AtomicFile, GaussianScene, Policy, ReadOptions, SpzFrame};
 use std::cell::Cell;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -565,13 +565,9 @@ impl<'a> Session<'a> {
     }
 }
 
-/// Writes a text file beside its place and renames it. Gives its size.
+/// Writes a text file, which appears when it is complete. Gives its size.
 pub fn write_text(path: &Path, text: &str) -> Result<u64> {
-    let mut beside = path.as_os_str().to_owned();
-    beside.push(".partial");
-    std::fs::write(&beside, text)
-        .and_then(|()| std::fs::rename(&beside, path))
-        .with_context(|| path.display().to_string())?;
+    AtomicFile::write(path, text.as_bytes())?;
     Ok(text.len() as u64)
 }
 

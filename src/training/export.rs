@@ -3,6 +3,8 @@
 use anyhow::{Context, Result};
 use candle_core::{Device, Tensor};
 use scenesplat_models::PointTransformerV3Config;
+use scenesplat_models::weights::save_tensors;
+use scenesplat_scene::StagedFolder;
 use scenesplat_trainers::checkpoint::{best_checkpoint, newest_checkpoint};
 use std::collections::HashMap;
 use std::path::Path;
@@ -47,7 +49,7 @@ pub fn export_model(
     Ok(vec![format!("model: {remark}{averaged}")])
 }
 
-/// Writes a model folder, each file beside and renamed.
+/// Writes a model folder; its files appear together.
 ///
 /// # Errors
 /// If a file cannot be written.
@@ -56,11 +58,9 @@ pub fn write_model(
     config: &PointTransformerV3Config,
     folder: &Path,
 ) -> Result<()> {
-    std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
-    let beside = folder.join("model.partial");
-    candle_core::safetensors::save(tensors, &beside)?;
-    std::fs::rename(&beside, folder.join("model.safetensors"))?;
-    std::fs::write(&beside, serde_json::to_string_pretty(config)?)?;
-    std::fs::rename(&beside, folder.join("config.json"))?;
+    let mut staged = StagedFolder::create(folder)?;
+    save_tensors(tensors, &staged.add("model.safetensors"))?;
+    staged.write("config.json", serde_json::to_string_pretty(config)?.as_bytes())?;
+    staged.commit::<&str>(&[])?;
     Ok(())
 }

@@ -12,7 +12,7 @@ use scenesplat_models::weights::{SourceOptions, WeightSource, resolve};
 use scenesplat_models::{
     Compute, LanguageModel, LoadPolicy, ParamStore, PointTransformerV3Config, SemanticSegmenter,
 };
-use scenesplat_scene::{LabelSet, TextTable};
+use scenesplat_scene::{AtomicFile, FolderLock, LabelSet, TextTable};
 use scenesplat_trainers::callbacks::{
     Console, EarlyStopping, JsonLines, TensorBoard, read_json_lines,
 };
@@ -66,8 +66,11 @@ pub struct RunReport {
 /// | `model/` | the best network (the last, if none is marked), as `--weights` takes it |
 ///
 /// # Errors
-/// If the experiment does not fit together, data cannot be read, or training fails.
+/// If the experiment does not fit together, data cannot be read, training fails, or another run is
+/// writing to the same folder.
 pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunReport> {
+    let lock = || FolderLock::acquire(&options.out);
+    let early = options.out.is_dir().then(lock).transpose()?;
     let checkpoints = options.out.join("checkpoints");
     let newest = newest_checkpoint(&checkpoints)?;
     anyhow::ensure!(
@@ -82,6 +85,8 @@ pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunRepor
     );
     let text = config.text.as_ref().map(data::text_table).transpose()?;
     std::fs::create_dir_all(&options.out).with_context(|| options.out.display().to_string())?;
+    // Held until the end, also against a run that found no folder a moment ago.
+    let _lock = early.map_or_else(lock, Ok)?;
     let (params, mut remarks) = parameters(config)?;
     let model = PointTransformerV3Config {
         compute: Compute { precision: config.precision()?, ..config.model.compute },
@@ -148,13 +153,7 @@ fn record(
     text: Option<&TextTable>,
     out: &Path,
 ) -> Result<()> {
-    let write = |name: &str, content: &str| {
-        let path = out.join(name);
-        let beside = path.with_extension("partial");
-        std::fs::write(&beside, content)
-            .and_then(|()| std::fs::rename(&beside, &path))
-            .with_context(|| path.display().to_string())
-    };
+    let write = |name: &str, content: &str| AtomicFile::write(&out.join(name), content.as_bytes());
     write("config.toml", &toml::to_string_pretty(config)?)?;
     let run = serde_json::json!({
         "scenesplat": env!("CARGO_PKG_VERSION"),
@@ -162,7 +161,8 @@ fn record(
         "losses": objective.settings(),
         "classes": text.map(|t| &t.names),
     });
-    write("run.json", &serde_json::to_string_pretty(&run)?)
+    write("run.json", &serde_json::to_string_pretty(&run)?)?;
+    Ok(())
 }
 
 /// Commit of the working tree, if there is one.
