@@ -165,7 +165,7 @@ impl<T: NpyElement> NpyRowWriter<T> {
             let problem = format!("row {row} of {} was never written", self.rows);
             return Err(SceneError::format(self.file.target(), problem, ""));
         }
-        self.file.commit()
+        Ok(self.file.commit()?)
     }
 
     /// Completes the file; rows that were never written hold 0.
@@ -173,7 +173,7 @@ impl<T: NpyElement> NpyRowWriter<T> {
     /// # Errors
     /// If the file cannot be completed.
     pub fn finish_with_zeros(self) -> Result<(), SceneError> {
-        self.file.commit()
+        Ok(self.file.commit()?)
     }
 }
 

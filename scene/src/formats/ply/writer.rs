@@ -178,7 +178,7 @@ pub fn write_ply_with_columns(
     }
     to.flush().map_err(write_failed())?;
     drop(to);
-    file.commit()
+    Ok(file.commit()?)
 }
 
 /// The header of the source with another encoding and further properties.
@@ -359,7 +359,7 @@ pub(crate) fn write_new_ply(
     for element in after {
         at += write_rows(&file, at, element.count, &element.columns, &mut tick)?;
     }
-    file.commit()
+    Ok(file.commit()?)
 }
 
 /// Bytes of a row.
