@@ -23,8 +23,6 @@
 //! ```
 
 pub mod assets;
-pub mod bench;
-pub mod cli;
 pub mod convert;
 pub mod embedded;
 pub mod inference;
@@ -36,8 +34,6 @@ pub mod network;
 pub mod outputs;
 pub mod preview;
 pub mod principal;
-pub mod progress;
-pub mod receipt;
 pub mod text;
 pub mod training;
 

@@ -25,21 +25,12 @@ pub struct OpenedScene {
 }
 
 /// Number type of written features.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FeatureType {
     /// 4 bytes a value.
     F32,
     /// 2 bytes a value, rounded to nearest.
     F16,
-}
-
-/// File format of written features.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub enum FeatureFormat {
-    /// `features.npy`, `[N, D]`.
-    Npy,
-    /// `features.safetensors` with the tensor `features`, `[N, D]`.
-    Safetensors,
 }
 
 /// Rows written at a time.

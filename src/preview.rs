@@ -100,7 +100,8 @@ pub struct SplatShapes<'a> {
 }
 
 /// Sizes and opacities of a scene, to make [`PreviewRows`] of.
-pub(crate) struct SceneRows {
+#[derive(Debug, Clone)]
+pub struct SceneRows {
     scale: Vec<[f32; 3]>,
     /// The middle one of the three.
     radius: Vec<f32>,
@@ -108,7 +109,8 @@ pub(crate) struct SceneRows {
 }
 
 impl SceneRows {
-    pub(crate) fn of(scene: &GaussianScene) -> Self {
+    /// Of all rows of a scene.
+    pub fn of(scene: &GaussianScene) -> Self {
         let scale: Vec<[f32; 3]> = (0..scene.len()).map(|row| scene.scale(row)).collect();
         let middle = |s: &[f32; 3]| {
             let mut s = *s;
@@ -121,11 +123,7 @@ impl SceneRows {
     }
 
     /// `color`: one per Gaussian of the same scene.
-    pub(crate) fn rows<'a>(
-        &'a self,
-        scene: &'a GaussianScene,
-        color: &'a [[u8; 3]],
-    ) -> PreviewRows<'a> {
+    pub fn rows<'a>(&'a self, scene: &'a GaussianScene, color: &'a [[u8; 3]]) -> PreviewRows<'a> {
         let Self { scale, radius, opacity } = self;
         let shapes = Some(SplatShapes { quat: &scene.quat, scale });
         PreviewRows { coord: &scene.coord, color, radius, opacity, shapes }
@@ -255,17 +253,19 @@ pub fn write_preview(
 }
 
 /// Writes a picture, which appears when it is complete. Returns the size of the file.
-pub(crate) fn write_png(path: &Path, picture: &RgbImage) -> Result<u64, PreviewError> {
+///
+/// # Errors
+/// If it cannot be encoded or written.
+pub fn write_png(path: &Path, picture: &RgbImage) -> Result<u64, PreviewError> {
     let (width, height) = picture.dimensions();
     encode_png(path, picture.as_raw(), [width, height], image::ExtendedColorType::Rgb8)
 }
 
-/// As [`write_png`], of 16-bit grey values.
-pub(crate) fn write_png16(
-    path: &Path,
-    values: &[u16],
-    size: [u32; 2],
-) -> Result<u64, PreviewError> {
+/// As [`write_png`], of 16-bit grey values, row by row; `size`: width, height.
+///
+/// # Errors
+/// As [`write_png`].
+pub fn write_png16(path: &Path, values: &[u16], size: [u32; 2]) -> Result<u64, PreviewError> {
     // The encoder takes bytes in the order of this machine.
     let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_ne_bytes()).collect();
     encode_png(path, &bytes, size, image::ExtendedColorType::L16)

@@ -117,7 +117,7 @@ impl fmt::Display for Inspection {
 
 impl Finding {
     /// All of it in one line.
-    pub(crate) fn lines_joined(&self) -> String {
+    pub fn lines_joined(&self) -> String {
         self.lines(usize::MAX).iter().map(|l| l.trim()).collect::<Vec<_>>().join("; ")
     }
 
