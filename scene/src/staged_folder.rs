@@ -56,6 +56,22 @@ impl StagedFolder {
         path
     }
 
+    /// Adds every file that waits and was not added by its name, in the order of names.
+    ///
+    /// # Errors
+    /// If the files cannot be listed.
+    pub fn add_waiting(&mut self) -> Result<(), WriteError> {
+        let failed = || WriteError::io(&self.folder, "cannot list the files that wait");
+        let mut found = Vec::new();
+        for entry in fs::read_dir(self.waiting()).map_err(failed())? {
+            found.push(entry.map_err(failed())?.file_name());
+        }
+        found.sort();
+        found.retain(|name| !self.names.contains(name));
+        self.names.extend(found);
+        Ok(())
+    }
+
     /// Writes a file of these bytes.
     ///
     /// # Errors
@@ -156,7 +172,8 @@ mod tests {
         }
         let mut staged = StagedFolder::create(dir.path()).unwrap();
         staged.write("a", b"new").unwrap();
-        fs::write(staged.add("b"), "new").unwrap();
+        fs::write(staged.waiting().join("b"), "new").unwrap();
+        staged.add_waiting().unwrap();
         assert_eq!(fs::read(dir.path().join("a")).unwrap(), b"old");
         let paths = staged.commit(&["gone"]).unwrap();
         assert_eq!(paths, [dir.path().join("a"), dir.path().join("b")]);

@@ -2,6 +2,7 @@
 
 use super::WrongUse;
 use crate::bench::{Measured, Request, Settings, Step, Stopped, measure, names, run as run_rows};
+use crate::outputs::Outputs;
 use crate::progress::{Progress, interrupted, listen_for_interrupt};
 use crate::terminal::{print, write_text};
 use anyhow::{Context, Result, bail};
@@ -56,9 +57,7 @@ pub fn run(args: &Args) -> Result<()> {
             return Err(WrongUse(format!("--only {name}: no such row; the rows are {all}")).into());
         }
     }
-    if let Some(path) = &args.json {
-        check_folder(path)?;
-    }
+    Outputs::new(Path::new("")).claim_any("--json", args.json.as_ref())?;
     // A handler is there already when several commands run in one process.
     let _ = listen_for_interrupt();
     let progress = Progress::new(args.quiet);
@@ -91,18 +90,6 @@ pub fn run(args: &Args) -> Result<()> {
     if !report.failed.is_empty() {
         let names: Vec<&str> = report.failed.iter().map(|f| f.name.as_str()).collect();
         bail!("{} rows could not be measured: {}", names.len(), names.join(", "));
-    }
-    Ok(())
-}
-
-/// Refuses what would only fail after minutes.
-fn check_folder(json: &Path) -> Result<()> {
-    let folder = json.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    if !folder.is_dir() {
-        bail!("--json {}: the folder is not there", json.display());
-    }
-    if json.is_dir() {
-        bail!("--json {}: is a folder", json.display());
     }
     Ok(())
 }

@@ -10,6 +10,7 @@ mod convert;
 mod hostile;
 mod inspect;
 mod lift_labels;
+mod outputs;
 mod render;
 mod training;
 
