@@ -15,7 +15,7 @@ use scenesplat::scene::{
     FeatureRows, GaussianScene, ReadOptions, SceneFormat, WriteOptions, write_scene,
 };
 use serde_json::json;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Writes a scene in another format, whole or in part. Labels, scores, instances and language codes
 /// go along. What the format cannot hold is said.

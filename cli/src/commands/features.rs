@@ -62,8 +62,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start(&args.shared, line)?;
     session.outputs.reads(&args.scene)?;
     let features_file = match args.format {
-        FeatureFormat::Npy => "features.npy",
-        FeatureFormat::Safetensors => "features.safetensors",
+        Format::Npy => "features.npy",
+        Format::Safetensors => "features.safetensors",
     };
     session.make_out(&[features_file, "features.ply", "preview.png"])?;
     let network = session.network(&args.inference)?;

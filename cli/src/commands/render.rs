@@ -226,7 +226,7 @@ fn write(session: &Session<'_>, args: &Args, shot: &Shot, picture: &Rendered) ->
         .zip(&picture.transmittance)
         .map(|(d, t)| if 1.0 - t >= SOLID { *d } else { 0.0 })
         .collect();
-    let inside = |folder: &str| session.out(&format!("{folder}/{}.png", shot.name))?;
+    let inside = |folder: &str| session.out(&format!("{folder}/{}.png", shot.name));
     let mut lost = 0;
     let steps: Vec<u16> = solid
         .iter()
