@@ -19,7 +19,7 @@ pub use palette::{UNLABELLED_COLOR, class_color};
 
 use discs::{Canvas, Disc, Lens};
 use framing::{Framing, Upright};
-use image::{ImageEncoder, RgbImage};
+use scenesplat_scene::picture::{Channels, Picture, RgbPicture, Samples};
 use scenesplat_scene::{AtomicFile, GaussianScene, WriteError};
 use std::path::Path;
 
@@ -45,7 +45,7 @@ pub enum PreviewError {
     },
     /// The picture could not be encoded.
     #[error("preview: the picture cannot be encoded as PNG")]
-    Encode(#[from] image::ImageError),
+    Encode(#[source] std::io::Error),
     /// The file could not be written.
     #[error(transparent)]
     Write(#[from] WriteError),
@@ -179,7 +179,7 @@ pub fn render_preview(
     rows: &PreviewRows<'_>,
     legend: &[LegendEntry],
     settings: &PreviewSettings,
-) -> Result<RgbImage, PreviewError> {
+) -> Result<RgbPicture, PreviewError> {
     let expected = rows.coord.len();
     let shapes = rows.shapes.map_or((expected, expected), |s| (s.quat.len(), s.scale.len()));
     for (field, got) in [
@@ -212,7 +212,7 @@ pub fn render_preview(
     let legend_width = if legend.is_empty() { 0 } else { LEGEND_WIDTH };
     let width = 2 * view + 3 * MARGIN + legend_width;
     let height = TITLE_HEIGHT + view + MARGIN;
-    let mut picture = RgbImage::from_pixel(width, height, image::Rgb(BACKGROUND));
+    let mut picture = RgbPicture::filled(width, height, BACKGROUND);
     let right = 2 * MARGIN + view;
 
     for (left, lens) in [(MARGIN, framing.perspective()), (right, framing.top())] {
@@ -256,9 +256,8 @@ pub fn write_preview(
 ///
 /// # Errors
 /// If it cannot be encoded or written.
-pub fn write_png(path: &Path, picture: &RgbImage) -> Result<u64, PreviewError> {
-    let (width, height) = picture.dimensions();
-    encode_png(path, picture.as_raw(), [width, height], image::ExtendedColorType::Rgb8)
+pub fn write_png(path: &Path, picture: &RgbPicture) -> Result<u64, PreviewError> {
+    put_png(path, picture.encode_png())
 }
 
 /// As [`write_png`], of 16-bit grey values, row by row; `size`: width, height.
@@ -266,19 +265,14 @@ pub fn write_png(path: &Path, picture: &RgbImage) -> Result<u64, PreviewError> {
 /// # Errors
 /// As [`write_png`].
 pub fn write_png16(path: &Path, values: &[u16], size: [u32; 2]) -> Result<u64, PreviewError> {
-    // The encoder takes bytes in the order of this machine.
-    let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_ne_bytes()).collect();
-    encode_png(path, &bytes, size, image::ExtendedColorType::L16)
+    let (expected, got) = (size[0] as usize * size[1] as usize, values.len());
+    let picture = Picture::new(size[0], size[1], Channels::Gray, Samples::Sixteen(values.to_vec()))
+        .ok_or(PreviewError::Rows { field: "depth", expected, got })?;
+    put_png(path, picture.encode_png())
 }
 
-fn encode_png(
-    path: &Path,
-    bytes: &[u8],
-    [width, height]: [u32; 2],
-    kind: image::ExtendedColorType,
-) -> Result<u64, PreviewError> {
-    let mut png = Vec::new();
-    image::codecs::png::PngEncoder::new(&mut png).write_image(bytes, width, height, kind)?;
+fn put_png(path: &Path, png: std::io::Result<Vec<u8>>) -> Result<u64, PreviewError> {
+    let png = png.map_err(PreviewError::Encode)?;
     AtomicFile::write(path, &png)?;
     Ok(png.len() as u64)
 }
@@ -314,7 +308,7 @@ fn visible_discs(rows: &PreviewRows<'_>, upright: Upright) -> Vec<Disc> {
 }
 
 /// A bar of a round number of metres in the lower left corner of a view.
-fn draw_scale_bar(picture: &mut RgbImage, lens: &Lens, [left, top]: [u32; 2], view: u32) {
+fn draw_scale_bar(picture: &mut RgbPicture, lens: &Lens, [left, top]: [u32; 2], view: u32) {
     let Some(metres_per_pixel) = lens.metres_per_pixel(view) else { return };
     let longest = metres_per_pixel * f64::from(view) / 4.0;
     let power = 10.0_f64.powf(longest.log10().floor());
@@ -333,7 +327,7 @@ fn draw_scale_bar(picture: &mut RgbImage, lens: &Lens, [left, top]: [u32; 2], vi
     text::draw(picture, x, y - 12, 1, INK, &label, view);
 }
 
-fn draw_legend(picture: &mut RgbImage, left: u32, top: u32, legend: &[LegendEntry]) {
+fn draw_legend(picture: &mut RgbPicture, left: u32, top: u32, legend: &[LegendEntry]) {
     let mut sorted: Vec<&LegendEntry> = legend.iter().collect();
     sorted.sort_by(|a, b| b.count.cmp(&a.count).then_with(|| a.name.cmp(&b.name)));
     let room = (picture.height().saturating_sub(top + MARGIN)) / 22;
@@ -365,14 +359,14 @@ fn draw_legend(picture: &mut RgbImage, left: u32, top: u32, legend: &[LegendEntr
 
 /// Fills a rectangle, as far as it is inside.
 pub(crate) fn fill(
-    picture: &mut RgbImage,
+    picture: &mut RgbPicture,
     [left, top]: [u32; 2],
     [width, height]: [u32; 2],
     color: [u8; 3],
 ) {
     for y in top..(top + height).min(picture.height()) {
         for x in left..(left + width).min(picture.width()) {
-            picture.put_pixel(x, y, image::Rgb(color));
+            picture.set(x, y, color);
         }
     }
 }
@@ -395,7 +389,7 @@ mod tests {
     use super::*;
 
     /// The scene as discs and rendered.
-    fn both(coord: &[[f32; 3]], settings: &PreviewSettings) -> [RgbImage; 2] {
+    fn both(coord: &[[f32; 3]], settings: &PreviewSettings) -> [RgbPicture; 2] {
         let n = coord.len();
         let rows = PreviewRows {
             coord,
@@ -413,7 +407,7 @@ mod tests {
     }
 
     /// As discs, after a look that the rendered picture shows the same.
-    fn render(coord: &[[f32; 3]], settings: &PreviewSettings) -> RgbImage {
+    fn render(coord: &[[f32; 3]], settings: &PreviewSettings) -> RgbPicture {
         let [discs, splats] = both(coord, settings);
         let counts = red(&discs).into_iter().zip(red(&splats));
         assert!(counts.clone().all(|(d, s)| s >= d), "{counts:?}");
@@ -424,9 +418,9 @@ mod tests {
     }
 
     /// First and last column and row of the reddish pixels of each view.
-    fn bounds(picture: &RgbImage) -> [[f64; 4]; 2] {
+    fn bounds(picture: &RgbPicture) -> [[f64; 4]; 2] {
         let mut bounds = [[f64::MAX, f64::MAX, 0.0, 0.0]; 2];
-        for (x, y, _) in picture.enumerate_pixels().filter(|p| is_red(p.2)) {
+        for (x, y, _) in picture.enumerate().filter(|p| is_red(p.2)) {
             let b = &mut bounds[usize::from(x > MARGIN + 96)];
             let (x, y) = (f64::from(x), f64::from(y));
             *b = [b[0].min(x), b[1].min(y), b[2].max(x), b[3].max(y)];
@@ -477,9 +471,9 @@ mod tests {
     }
 
     /// Mean place of the reddish pixels of each view, x and y.
-    fn middle(picture: &RgbImage) -> [f64; 4] {
+    fn middle(picture: &RgbPicture) -> [f64; 4] {
         let (mut sums, counts) = ([0.0; 4], red(picture));
-        for (x, y, pixel) in picture.enumerate_pixels() {
+        for (x, y, pixel) in picture.enumerate() {
             let view = usize::from(x > MARGIN + 96);
             if is_red(pixel) {
                 sums[2 * view] += f64::from(x) / counts[view] as f64;
@@ -489,8 +483,8 @@ mod tests {
         sums
     }
 
-    fn is_red(pixel: &image::Rgb<u8>) -> bool {
-        let [r, g, b] = pixel.0.map(i32::from);
+    fn is_red(pixel: [u8; 3]) -> bool {
+        let [r, g, b] = pixel.map(i32::from);
         r > g + 30 && r > b + 30
     }
 
@@ -499,9 +493,9 @@ mod tests {
     }
 
     /// Pixels of each view that a reddish disc covers.
-    fn red(picture: &RgbImage) -> [usize; 2] {
+    fn red(picture: &RgbPicture) -> [usize; 2] {
         let mut counts = [0; 2];
-        for (x, _, pixel) in picture.enumerate_pixels() {
+        for (x, _, pixel) in picture.enumerate() {
             if is_red(pixel) {
                 counts[usize::from(x > MARGIN + 96)] += 1;
             }

@@ -16,6 +16,7 @@ pub mod frame;
 pub mod gaussian_scene;
 pub mod label_set;
 pub mod language_code;
+pub mod picture;
 pub mod similarity;
 pub mod spherical_harmonics;
 pub mod staged_folder;

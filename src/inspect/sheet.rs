@@ -5,8 +5,8 @@ use super::{Finding, Histogram, Inspection, Severity};
 use crate::input::scene_name;
 use crate::preview::orthographic::{LevelViews, Viewpoint};
 use crate::preview::{BACKGROUND, FAINT_INK, INK, PreviewError, SceneRows, fill, text, write_png};
-use image::RgbImage;
 use scenesplat_scene::GaussianScene;
+use scenesplat_scene::picture::RgbPicture;
 use std::path::Path;
 
 const WIDTH: u32 = 1600;
@@ -39,12 +39,12 @@ const GOOD: [u8; 3] = [136, 210, 138];
 ///
 /// # Errors
 /// If `seen` is not of this scene.
-pub fn render_sheet(scene: &GaussianScene, seen: &Inspection) -> Result<RgbImage, PreviewError> {
+pub fn render_sheet(scene: &GaussianScene, seen: &Inspection) -> Result<RgbPicture, PreviewError> {
     if scene.len() != seen.usable {
         let (expected, got) = (seen.usable, scene.len());
         return Err(PreviewError::Rows { field: "coord", expected, got });
     }
-    let mut picture = RgbImage::from_pixel(WIDTH, HEIGHT, image::Rgb(BACKGROUND));
+    let mut picture = RgbPicture::filled(WIDTH, HEIGHT, BACKGROUND);
     draw_title(&mut picture, seen);
     draw_views(&mut picture, scene, seen);
     let by_gaussians = occupancy(seen);
@@ -83,7 +83,7 @@ pub fn write_sheet(
     write_png(path, &render_sheet(scene, seen)?)
 }
 
-fn draw_title(picture: &mut RgbImage, seen: &Inspection) {
+fn draw_title(picture: &mut RgbPicture, seen: &Inspection) {
     let name = scene_name(Path::new(&seen.path)).map(|n| n.to_string_lossy().into_owned());
     let title = format!(
         "{}: {} Gaussians ({})",
@@ -116,7 +116,7 @@ fn ink_of(severity: Severity) -> [u8; 3] {
 /// Below this number of Gaussians, their sizes matter to what a view must show.
 const FEW: usize = 1000;
 
-fn draw_views(picture: &mut RgbImage, scene: &GaussianScene, seen: &Inspection) {
+fn draw_views(picture: &mut RgbPicture, scene: &GaussianScene, seen: &Inspection) {
     let color: Vec<[u8; 3]> = (0..scene.len()).map(|row| scene.color_u8(row)).collect();
     let sizes = SceneRows::of(scene);
     let rows = sizes.rows(scene, &color);
@@ -159,7 +159,7 @@ impl<'a> Chart<'a> {
         Self { title, ends, counts: &histogram.counts, outside }
     }
 
-    fn draw(&self, picture: &mut RgbImage, left: u32, top: u32) {
+    fn draw(&self, picture: &mut RgbPicture, left: u32, top: u32) {
         fill(picture, [left, top], [CHART_WIDTH, CHART_HEIGHT], PANEL);
         text::draw(picture, left + 8, top + 8, 1, INK, self.title, CHART_WIDTH - 16);
         let highest = self.counts.iter().copied().max().unwrap_or(0);
@@ -196,7 +196,7 @@ impl<'a> Chart<'a> {
 }
 
 /// Key figures, then findings, then notes, as far as there is room.
-fn draw_text(picture: &mut RgbImage, seen: &Inspection) {
+fn draw_text(picture: &mut RgbPicture, seen: &Inspection) {
     let width = WIDTH - TEXT_LEFT - EDGE;
     let mut y = LOWER;
     for (what, value) in seen.figures() {

@@ -1,6 +1,6 @@
 //! Depth as people see it.
 
-use image::RgbImage;
+use scenesplat_scene::picture::RgbPicture;
 
 /// Colours from near to far: six points of a ramp whose lightness rises evenly, so that it can be
 /// read without colour vision (after viridis).
@@ -19,7 +19,7 @@ const NOTHING: [u8; 3] = [0; 3];
 /// Colours of depths, near is bright; 0 and what is not finite is black.
 ///
 /// The ramp spans the depths from the nearest to the farthest 2 %.
-pub fn depth_picture(depth: &[f32], width: u32, height: u32) -> RgbImage {
+pub fn depth_picture(depth: &[f32], width: u32, height: u32) -> RgbPicture {
     let is_depth = |d: f32| d > 0.0 && d.is_finite();
     let mut sorted: Vec<f32> = depth.iter().copied().filter(|d| is_depth(*d)).collect();
     sorted.sort_unstable_by(f32::total_cmp);
@@ -41,9 +41,9 @@ pub fn depth_picture(depth: &[f32], width: u32, height: u32) -> RgbImage {
             (a + part * (b - a)).round() as u8
         })
     };
-    RgbImage::from_fn(width, height, |x, y| {
+    RgbPicture::from_fn(width, height, |x, y| {
         let at = y as usize * width as usize + x as usize;
-        image::Rgb(depth.get(at).map_or(NOTHING, |d| color(*d)))
+        depth.get(at).map_or(NOTHING, |d| color(*d))
     })
 }
 
@@ -55,13 +55,13 @@ mod tests {
     fn near_is_bright_and_nothing_is_black() {
         let depth = [1.0, 2.0, 3.0, 0.0, f32::NAN, f32::INFINITY];
         let picture = depth_picture(&depth, 3, 2);
-        assert_eq!(picture.get_pixel(0, 0).0, [253, 231, 37]);
-        assert_eq!(picture.get_pixel(2, 0).0, [68, 1, 84]);
+        assert_eq!(picture.get(0, 0).unwrap(), [253, 231, 37]);
+        assert_eq!(picture.get(2, 0).unwrap(), [68, 1, 84]);
         for x in 0..3 {
-            assert_eq!(picture.get_pixel(x, 1).0, [0; 3]);
+            assert_eq!(picture.get(x, 1).unwrap(), [0; 3]);
         }
         let flat = depth_picture(&[4.0; 4], 2, 2);
-        assert!(flat.pixels().all(|p| p.0 == [253, 231, 37]));
-        assert!(depth_picture(&[0.0; 4], 2, 2).pixels().all(|p| p.0 == [0; 3]));
+        assert!(flat.pixels().iter().all(|p| *p == [253, 231, 37]));
+        assert!(depth_picture(&[0.0; 4], 2, 2).pixels().iter().all(|p| *p == [0; 3]));
     }
 }

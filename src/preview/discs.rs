@@ -1,7 +1,7 @@
 //! Discs with a depth buffer.
 
-use image::{Rgb, RgbImage};
 use rayon::prelude::*;
+use scenesplat_scene::picture::RgbPicture;
 
 /// A Gaussian as it is drawn.
 #[derive(Clone, Copy)]
@@ -148,7 +148,7 @@ impl Canvas {
     }
 
     /// Writes the picture, shaded and scaled down, with its upper left corner at `left`, `top`.
-    pub(super) fn copy_to(&self, picture: &mut RgbImage, left: u32, top: u32) {
+    pub(super) fn copy_to(&self, picture: &mut RgbPicture, left: u32, top: u32) {
         let view = self.side as u32 / SUPERSAMPLING;
         let near = self.depth.iter().copied().fold(f32::INFINITY, f32::min);
         let lines: Vec<Vec<[u8; 3]>> = (0..view)
@@ -157,7 +157,7 @@ impl Canvas {
             .collect();
         for (y, line) in (top..).zip(lines) {
             for (x, color) in (left..).zip(line) {
-                picture.put_pixel(x, y, Rgb(color));
+                picture.set(x, y, color);
             }
         }
     }

@@ -3,7 +3,7 @@
 use super::discs::{Canvas, Disc, Lens};
 use super::framing::{Framing, Upright};
 use super::{FAINT_INK, PreviewRows, UpAxis, draw_scale_bar, text, visible_discs};
-use image::RgbImage;
+use scenesplat_scene::picture::RgbPicture;
 
 /// Where a level view looks from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -50,7 +50,7 @@ impl LevelViews {
     /// Draws a view into the picture, with a scale bar and the names of its axes.
     pub(crate) fn draw(
         &self,
-        picture: &mut RgbImage,
+        picture: &mut RgbPicture,
         from: Viewpoint,
         left: u32,
         top: u32,
@@ -112,7 +112,7 @@ impl LevelViews {
     }
 
     /// A small cross of two axes with the letters of the scene's own axes.
-    fn draw_axes(&self, picture: &mut RgbImage, axes: [[f64; 3]; 3], left: u32, bottom: u32) {
+    fn draw_axes(&self, picture: &mut RgbPicture, axes: [[f64; 3]; 3], left: u32, bottom: u32) {
         const LENGTH: u32 = 30;
         super::fill(picture, [left - 14, bottom - 50], [74, 74], LABEL_GROUND);
         super::fill(picture, [left, bottom], [LENGTH, 2], FAINT_INK);

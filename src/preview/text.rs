@@ -1,7 +1,7 @@
 //! Lines of text from an 8×8 bitmap font.
 
 use font8x8::{BASIC_FONTS, LATIN_FONTS, UnicodeFonts};
-use image::{Rgb, RgbImage};
+use scenesplat_scene::picture::RgbPicture;
 
 /// Width of a line, pixels, at `size` pixels per dot.
 pub(crate) fn width(text: &str, size: u32) -> u32 {
@@ -10,7 +10,7 @@ pub(crate) fn width(text: &str, size: u32) -> u32 {
 
 /// Draws a line; what is wider than `max_width` is cut and ends in `..`.
 pub(crate) fn draw(
-    picture: &mut RgbImage,
+    picture: &mut RgbPicture,
     left: u32,
     top: u32,
     size: u32,
@@ -37,12 +37,10 @@ pub(crate) fn draw(
     }
 }
 
-fn dot(picture: &mut RgbImage, [left, top]: [u32; 2], size: u32, color: [u8; 3]) {
+fn dot(picture: &mut RgbPicture, [left, top]: [u32; 2], size: u32, color: [u8; 3]) {
     for y in top..top + size {
         for x in left..left + size {
-            if let Some(pixel) = picture.get_pixel_mut_checked(x, y) {
-                *pixel = Rgb(color);
-            }
+            picture.set(x, y, color);
         }
     }
 }

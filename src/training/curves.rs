@@ -2,7 +2,7 @@
 
 use crate::preview::{text, write_png};
 use anyhow::Result;
-use image::{Rgb, RgbImage};
+use scenesplat_scene::picture::RgbPicture;
 use scenesplat_trainers::callbacks::LoggedValue;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -37,8 +37,7 @@ pub fn write_curves(log: &[LoggedValue], title: &str, path: &Path) -> Result<()>
     anyhow::ensure!(!curves.is_empty(), "{}: the log holds no value to draw", path.display());
     let columns = (curves.len() as u32).min(3);
     let rows = (curves.len() as u32).div_ceil(columns);
-    let mut picture =
-        RgbImage::from_pixel(columns * PANEL[0], rows * PANEL[1] + 36, Rgb(BACKGROUND));
+    let mut picture = RgbPicture::filled(columns * PANEL[0], rows * PANEL[1] + 36, BACKGROUND);
     text::draw(&mut picture, 14, 10, 2, INK, title, columns * PANEL[0] - 28);
     for (i, curve) in (0..).zip(&curves) {
         let corner = [i % columns * PANEL[0], i / columns * PANEL[1] + 36];
@@ -73,7 +72,7 @@ fn curves(log: &[LoggedValue]) -> Vec<Curve> {
     by_name.into_values().filter(|c| !c.points.is_empty()).collect()
 }
 
-fn panel(picture: &mut RgbImage, corner: [u32; 2], curve: &Curve) {
+fn panel(picture: &mut RgbPicture, corner: [u32; 2], curve: &Curve) {
     let [left, top, right, bottom] = MARGIN;
     let (x0, y0) = (corner[0] + left, corner[1] + top);
     let (width, height) = (PANEL[0] - left - right, PANEL[1] - top - bottom);
@@ -118,7 +117,7 @@ fn panel(picture: &mut RgbImage, corner: [u32; 2], curve: &Curve) {
 }
 
 fn draw_curve(
-    picture: &mut RgbImage,
+    picture: &mut RgbPicture,
     points: &[[f64; 2]],
     place: impl Fn([f64; 2]) -> [f64; 2],
     color: [u8; 3],
@@ -178,17 +177,15 @@ fn short(value: f64) -> String {
     }
 }
 
-fn line(picture: &mut RgbImage, from: [f64; 2], to: [f64; 2], color: [u8; 3], thick: i64) {
+fn line(picture: &mut RgbPicture, from: [f64; 2], to: [f64; 2], color: [u8; 3], thick: i64) {
     let length = (to[0] - from[0]).abs().max((to[1] - from[1]).abs()).ceil().max(1.0);
     for i in 0..=length as u32 {
         let part = f64::from(i) / length;
         let [x, y] = [0, 1].map(|a| (from[a] + (to[a] - from[a]) * part).round() as i64);
         for dx in 0..thick {
             for dy in 0..thick {
-                if let (Ok(x), Ok(y)) = (u32::try_from(x + dx), u32::try_from(y + dy))
-                    && let Some(pixel) = picture.get_pixel_mut_checked(x, y)
-                {
-                    *pixel = Rgb(color);
+                if let (Ok(x), Ok(y)) = (u32::try_from(x + dx), u32::try_from(y + dy)) {
+                    picture.set(x, y, color);
                 }
             }
         }
@@ -232,9 +229,9 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("curves.png");
         write_curves(&log, "a run", &path).unwrap();
-        let picture = image::open(&path).unwrap().to_rgb8();
-        assert_eq!(picture.dimensions(), (2 * PANEL[0], PANEL[1] + 36));
-        assert!(picture.pixels().any(|p| p.0 == SMOOTH));
+        let picture = scenesplat_scene::picture::read_picture(&path).unwrap().to_rgb8();
+        assert_eq!((picture.width(), picture.height()), (2 * PANEL[0], PANEL[1] + 36));
+        assert!(picture.pixels().contains(&SMOOTH));
         assert!(write_curves(&log[4..4], "", &path).is_err());
     }
 

@@ -3,12 +3,12 @@
 use candle_core::{Result, Var};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use scenesplat::losses::{CrossEntropy, LossInput, LovaszSoftmax, Objective};
-use scenesplat::models::{
+use scenesplat_losses::{CrossEntropy, LossInput, LovaszSoftmax, Objective};
+use scenesplat_models::{
     Backbone, Forward, ParamStore, PointCloud, PointTransformerV3Config, Recompute,
     SemanticSegmenter,
 };
-use scenesplat::trainers::{AdamW, AdamWConfig, Controls, Optimizer, group_by_keyword};
+use scenesplat_trainers::{AdamW, AdamWConfig, Controls, Optimizer, group_by_keyword};
 
 /// The network with its optimizer, voxels and labels.
 pub struct TrainStep {

@@ -14,11 +14,11 @@ use scenesplat::models::Lpips;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
-/// Compares two PNG files, or the PNG files of two folders by their names. The first is the render,
-/// the second the truth. 16-bit grey pictures are depth, all others colour.
+/// Compares two pictures, PNG or JPEG, or those of two folders by their names without ending. The
+/// first is the render, the second the truth. 16-bit grey pictures are depth, all others colour.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// A PNG file or a folder of such.
+    /// A PNG or JPEG file, or a folder of such.
     pub a: PathBuf,
     /// What it should be.
     pub b: PathBuf,

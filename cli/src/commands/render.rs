@@ -8,13 +8,13 @@ use crate::session::Session;
 use anyhow::{Context, Result};
 use cameras::{Shot, Shots};
 use clap::ValueEnum;
-use image::RgbImage;
 use scenesplat::outputs::guess_up;
 use scenesplat::preview::{UpAxis, depth_picture, write_png, write_png16};
 use scenesplat::rasterizer::{
     DepthRequest, Gaussians, PlanRequest, Prepared, RasterSettings, RenderPlan, RenderRequest,
     Rendered, SceneProfile, View,
 };
+use scenesplat::scene::picture::RgbPicture;
 use scenesplat::scene::{GaussianScene, ReadOptions};
 use std::path::PathBuf;
 
@@ -217,7 +217,8 @@ fn write(session: &Session<'_>, args: &Args, shot: &Shot, picture: &Rendered) ->
     let (width, height) = (picture.width, picture.height);
     let bytes = |v: &f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
     let rgb: Vec<u8> = picture.rgb.iter().flatten().map(bytes).collect();
-    let rgb = RgbImage::from_raw(width, height, rgb).context("a picture has three channels")?;
+    let rgb = RgbPicture::from_pixels(width, height, rgb.as_chunks::<3>().0.to_vec())
+        .context("a picture has three channels")?;
     let path = session.out(&format!("{}.png", shot.name))?;
     session.wrote(&path, write_png(&path, &rgb)?);
     let Some(depth) = picture.depth_expected.as_ref().filter(|_| args.depth) else { return Ok(0) };

@@ -1,7 +1,7 @@
 //! `compare`: numbers, pairing, messages.
 
 use crate::{done, scenesplat, stderr};
-use image::{ImageBuffer, Luma, Rgb, RgbImage};
+use scenesplat::scene::picture::{Channels, Picture, RgbPicture, Samples};
 use std::path::{Path, PathBuf};
 
 struct Place {
@@ -22,12 +22,14 @@ impl Place {
     }
 
     fn grey(&self, name: &str, value: u8) {
-        RgbImage::from_pixel(32, 24, Rgb([value; 3])).save(self.path(name)).unwrap();
+        let picture = RgbPicture::filled(32, 24, [value; 3]);
+        std::fs::write(self.path(name), picture.encode_png().unwrap()).unwrap();
     }
 
     fn depth(&self, name: &str, value: impl Fn(u32) -> u16) {
-        let picture = ImageBuffer::from_fn(32, 24, |x, _| Luma([value(x)]));
-        picture.save(self.path(name)).unwrap();
+        let values = (0..32 * 24).map(|i| value(i % 32)).collect();
+        let picture = Picture::new(32, 24, Channels::Gray, Samples::Sixteen(values)).unwrap();
+        std::fs::write(self.path(name), picture.encode_png().unwrap()).unwrap();
     }
 
     fn compare(&self, a: &str, b: &str, more: &[&str]) -> std::process::Output {
@@ -83,6 +85,52 @@ fn means_over_a_folder() {
     assert!(text.contains("13.979") && !text.contains("SSIM") && !text.contains("LPIPS"), "{text}");
 }
 
+/// A gray JPEG of 32 × 24 pixels, all 51: twelve blocks, the first −77 off the middle, the others as
+/// the one before. A short file: quantisation by 8, one code for each table that is used.
+fn jpeg() -> Vec<u8> {
+    let mut out = vec![0xff, 0xd8, 0xff, 0xdb, 0, 67, 0];
+    out.extend([8; 64]);
+    out.extend([0xff, 0xc0, 0, 11, 8, 0, 24, 0, 32, 1, 1, 0x11, 0]);
+    // Differences of 0 and 7 bits are the codes 0 and 10; "nothing follows" is the code 0.
+    for (table, counts, values) in [(0, [1, 1], vec![0, 7]), (0x10, [1, 0], vec![0])] {
+        out.extend([0xff, 0xc4, 0, 19 + values.len() as u8, table]);
+        out.extend(counts);
+        out.extend([0; 14]);
+        out.extend(values);
+    }
+    out.extend([0xff, 0xda, 0, 8, 1, 1, 0, 0, 63, 0]);
+    // 10, then −77 in seven bits (127 − 77 = 50), 0; then eleven times 0 and 0; ones to the end.
+    let bits = format!("10{:07b}0{}", 50, "00".repeat(11));
+    assert_eq!(bits.len(), 32);
+    out.extend(u32::from_str_radix(&bits, 2).unwrap().to_be_bytes());
+    out.extend([0xff, 0xd9]);
+    out
+}
+
+#[test]
+fn photos_are_jpeg() {
+    let place = Place::new();
+    place.grey("a/one.png", 102);
+    place.grey("a/two.png", 51);
+    std::fs::write(place.path("b/one.JPG"), jpeg()).unwrap();
+    std::fs::write(place.path("b/two.jpeg"), jpeg()).unwrap();
+    let output = place.compare("a", "b", &["--metrics", "psnr"]);
+    done(&output);
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(text.contains("13.979") && text.contains("1 identical"), "{text}");
+    std::fs::write(place.path("b/one.JPG"), &jpeg()[..100]).unwrap();
+    let output = place.compare("a", "b", &["--metrics", "psnr"]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(
+        stderr(&output).contains("one.JPG: is a JPEG that cannot be read"),
+        "{}",
+        stderr(&output)
+    );
+    place.grey("b/one.png", 7);
+    let output = place.compare("a", "b", &[]);
+    assert!(stderr(&output).contains("one picture by their names"), "{}", stderr(&output));
+}
+
 #[test]
 fn what_does_not_fit_together_is_said() {
     let place = Place::new();
@@ -93,16 +141,19 @@ fn what_does_not_fit_together_is_said() {
         assert!(stderr(&output).contains(part), "{part} in {}", stderr(&output));
     };
     said("a", "b", &[], "has no one.png");
-    said("b", "b", &[], "no .png files");
+    said("b", "b", &[], "no .png, .jpg or .jpeg files");
     said("a", "a/one.png", &[], "two of a kind");
     said("a", "none", &[], "none");
-    RgbImage::new(32, 25).save(place.path("b/one.png")).unwrap();
+    let taller = RgbPicture::filled(32, 25, [0; 3]).encode_png().unwrap();
+    std::fs::write(place.path("b/one.png"), taller).unwrap();
     said("a", "b", &[], "32 × 24 against 32 × 25");
     place.depth("b/one.png", |_| 1);
     said("a", "b", &[], "depth, the other colour");
     std::fs::write(place.path("b/one.png"), b"no picture").unwrap();
     said("a", "b", &[], "one.png");
-    image::RgbaImage::new(32, 24).save(place.path("b/one.png")).unwrap();
+    let clear = Samples::Eight(vec![0; 32 * 24 * 4]);
+    let clear = Picture::new(32, 24, Channels::Rgba, clear).unwrap().encode_png().unwrap();
+    std::fs::write(place.path("b/one.png"), clear).unwrap();
     said("a", "b", &[], "transparent");
     place.grey("b/one.png", 51);
     said("a", "b", &["--lpips-weights", "missing.safetensors"], "missing.safetensors");

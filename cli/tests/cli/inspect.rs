@@ -461,7 +461,7 @@ fn threads_change_nothing() {
                 write_inria_ply(&scene, &[], &path).unwrap();
                 let loaded = open_scene(&path, &ReadOptions::default()).unwrap();
                 let picture = render_sheet(&loaded.scene, &seen).unwrap();
-                (Inspection { path: String::new(), ..seen }, picture.into_raw())
+                (Inspection { path: String::new(), ..seen }, picture)
             })
         };
         let one = on(1);
@@ -488,7 +488,9 @@ fn the_command_prints_and_writes() {
     assert!(said.contains("16 000 (ply)") && said.contains("no findings"), "{said}");
     assert!(said.contains("room.ply.inspect.png"), "the sheet is named:\n{said}");
     assert_eq!(stderr(&output), "");
-    let sheet = image::open(folder.path().join("out/room.ply.inspect.png")).unwrap();
+    let sheet =
+        scenesplat::scene::picture::read_picture(&folder.path().join("out/room.ply.inspect.png"))
+            .unwrap();
     assert_eq!((sheet.width(), sheet.height()), (1600, 1080));
     let seen = json(Path::new(&file));
     is_complete(&seen);

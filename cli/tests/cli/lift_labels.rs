@@ -6,6 +6,7 @@ use scenesplat::scene::formats::cameras::write_cameras_json;
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
 use scenesplat::scene::formats::npy::NpyFile;
 use scenesplat::scene::formats::npy_writer::write_npy;
+use scenesplat::scene::picture::{Channels, Picture, Samples};
 use scenesplat::scene::{Camera, Distortion, GaussianScene};
 use std::path::Path;
 use tempfile::TempDir;
@@ -195,10 +196,10 @@ fn pictures_of_ids_with_one_table() {
     let segments = dir.path().join("segments");
     std::fs::remove_dir_all(&segments).unwrap();
     std::fs::create_dir(&segments).unwrap();
-    let map = image::GrayImage::from_fn(W as u32 / 2, H as u32 / 2, |x, _| {
-        image::Luma([u8::from(x >= W as u32 / 4)])
-    });
-    map.save(segments.join("b.png")).unwrap();
+    let ids = (0..W * H / 4).map(|i| u8::from(i % (W / 2) >= W / 4)).collect();
+    let (w, h) = (W as u32 / 2, H as u32 / 2);
+    let map = Picture::new(w, h, Channels::Gray, Samples::Eight(ids)).unwrap();
+    std::fs::write(segments.join("b.png"), map.encode_png().unwrap()).unwrap();
     write_npy(&segments.join("features.npy"), &[2, 2], &[1.0f32, 0.0, 0.0, 1.0]).unwrap();
     done(&lift(dir.path(), &[]));
     let features = values(&dir.path().join("out/lang_feat.npy"));

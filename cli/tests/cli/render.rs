@@ -4,6 +4,7 @@ use crate::{done, scenesplat, stderr};
 use scenesplat::datasets::{RoomSettings, generate_room};
 use scenesplat::scene::formats::cameras::write_cameras_json;
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
+use scenesplat::scene::picture::{RgbPicture, Samples, read_picture};
 use scenesplat::scene::{Camera, Distortion, GaussianScene};
 use std::path::{Path, PathBuf};
 use std::process::Output;
@@ -65,8 +66,8 @@ fn camera(name: &str) -> Camera {
     }
 }
 
-fn open(path: &Path) -> image::DynamicImage {
-    image::open(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+fn open(path: &Path) -> RgbPicture {
+    read_picture(path).unwrap().to_rgb8()
 }
 
 #[test]
@@ -75,17 +76,17 @@ fn colour_and_depth_of_a_sphere() {
     let cameras = place.cameras(&[camera("images/left.jpg"), camera("right.jpg")]);
     let more = ["--cameras", &cameras, "--camera", "left", "--depth"];
     done(&place.render("out", &more));
-    let picture = open(&place.path("out/left.png")).into_rgb8();
-    assert_eq!(picture.dimensions(), (48, 32));
-    let [r, g, b] = picture.get_pixel(24, 16).0;
+    let picture = open(&place.path("out/left.png"));
+    assert_eq!((picture.width(), picture.height()), (48, 32));
+    let [r, g, b] = picture.get(24, 16).unwrap();
     assert!(r > 220 && g < 30 && b < 20, "{r} {g} {b}");
-    assert_eq!(picture.get_pixel(0, 0).0, [0; 3]);
+    assert_eq!(picture.get(0, 0).unwrap(), [0; 3]);
     // The front one weighs 0.99, the one behind it what is left.
-    let image::DynamicImage::ImageLuma16(depth) = open(&place.path("out/depth/left.png")) else {
-        panic!("depth is 16-bit grey");
-    };
-    assert!((2000..2030).contains(&depth.get_pixel(24, 16).0[0]), "{:?}", depth.get_pixel(24, 16));
-    assert_eq!(depth.get_pixel(0, 0).0, [0]);
+    let depth = read_picture(&place.path("out/depth/left.png")).unwrap().into_samples();
+    let Samples::Sixteen(depth) = depth else { panic!("depth is 16-bit grey") };
+    assert_eq!(depth.len(), 48 * 32);
+    assert!((2000..2030).contains(&depth[16 * 48 + 24]), "{:?}", depth[16 * 48 + 24]);
+    assert_eq!(depth[0], 0);
     assert!(place.path("out/depth_color/left.png").exists());
     assert!(!place.path("out/right.png").exists());
     let receipt = std::fs::read_to_string(place.path("out/receipt.json")).unwrap();
@@ -94,10 +95,10 @@ fn colour_and_depth_of_a_sphere() {
     // By number, larger, on white, with everything computed: the same picture in the middle.
     let more = ["--cameras", &cameras, "--camera", "1", "--background", "1,1,1", "--plan", "full"];
     done(&place.render("white", &[&more[..], &["--size", "96x64"]].concat()));
-    let white = open(&place.path("white/right.png")).into_rgb8();
-    assert_eq!(white.dimensions(), (96, 64));
-    assert_eq!(white.get_pixel(0, 0).0, [255; 3]);
-    let [r, g, b] = white.get_pixel(48, 32).0;
+    let white = open(&place.path("white/right.png"));
+    assert_eq!((white.width(), white.height()), (96, 64));
+    assert_eq!(white.get(0, 0).unwrap(), [255; 3]);
+    let [r, g, b] = white.get(48, 32).unwrap();
     assert!(r > 220 && g < 30 && b < 20, "{r} {g} {b}");
 }
 
@@ -123,8 +124,8 @@ fn an_orbit_shows_the_scene_from_all_sides_whatever_the_threads() {
         let name = format!("orbit_{k:03}.png");
         let [one, two] = ["one", "two"].map(|out| std::fs::read(place.path(out).join(&name)));
         assert_eq!(one.unwrap(), two.unwrap(), "{name}");
-        let picture = open(&place.path("one").join(&name)).into_rgb8();
-        let lit = picture.pixels().filter(|p| p.0.iter().any(|v| *v > 20)).count();
+        let picture = open(&place.path("one").join(&name));
+        let lit = picture.pixels().iter().filter(|p| p.iter().any(|v| *v > 20)).count();
         assert!(lit * 5 > 64 * 48, "{name}: {lit} pixels");
         pictures.push(picture);
     }
@@ -161,6 +162,6 @@ fn wrong_use_is_said() {
     // Nothing to draw is a black picture, not an error.
     let place = Place::new(&GaussianScene { opacity_logit: vec![-20.0; 2], ..sphere() });
     done(&place.render("out", &["--size", "32x32", "--orbit", "1", "--depth"]));
-    let picture = open(&place.path("out/orbit_000.png")).into_rgb8();
-    assert!(picture.pixels().all(|p| p.0 == [0; 3]));
+    let picture = open(&place.path("out/orbit_000.png"));
+    assert!(picture.pixels().iter().all(|p| *p == [0; 3]));
 }

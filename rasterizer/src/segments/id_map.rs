@@ -1,14 +1,8 @@
 //! Maps of segment ids as grey PNG.
 
 use crate::lifting::{LiftError, NO_SEGMENT, SegmentMap};
-use image::codecs::png::PngDecoder;
-use image::{ColorType, DynamicImage, ImageDecoder};
-use std::fs::File;
-use std::io::BufReader;
+use scenesplat_scene::picture::{Channels, Samples, read_png};
 use std::path::Path;
-
-/// The most pixels of a map.
-const MAX_PIXELS: u64 = 1 << 28;
 
 /// Reads ids below `segments`; `none` is the value of pixels without one, by default the largest.
 pub(super) fn read_id_png(
@@ -16,27 +10,15 @@ pub(super) fn read_id_png(
     segments: usize,
     none: Option<u16>,
 ) -> Result<SegmentMap, LiftError> {
-    let help = "a grey PNG of 8 or 16 bits is expected";
-    let io = LiftError::spool(path, "cannot read the map of segment ids");
-    let file = BufReader::new(File::open(path).map_err(io)?);
-    let bad = |e: image::ImageError| LiftError::file(path, format!("is no PNG: {e}"), help);
-    let decoder = PngDecoder::new(file).map_err(bad)?;
-    let (width, height) = decoder.dimensions();
-    if u64::from(width) * u64::from(height) > MAX_PIXELS {
-        let problem = format!("has {width}×{height} pixels, more than {MAX_PIXELS}");
-        return Err(LiftError::file(path, problem, "maps have the size of their pictures"));
+    let picture = read_png(path)?;
+    let (width, height, channels) = (picture.width(), picture.height(), picture.channels());
+    if channels != Channels::Gray {
+        let help = "a grey PNG of 8 or 16 bits is expected";
+        return Err(LiftError::file(path, format!("holds {channels:?} pixels"), help));
     }
-    let color = decoder.color_type();
-    if !matches!(color, ColorType::L8 | ColorType::L16) {
-        return Err(LiftError::file(path, format!("holds {color:?} pixels"), help));
-    }
-    let (values, default): (Vec<u16>, u16) = match DynamicImage::from_decoder(decoder) {
-        Ok(DynamicImage::ImageLuma8(map)) => {
-            (map.into_raw().into_iter().map(u16::from).collect(), u16::from(u8::MAX))
-        }
-        Ok(DynamicImage::ImageLuma16(map)) => (map.into_raw(), u16::MAX),
-        Ok(_) => return Err(LiftError::file(path, "holds no grey pixels", help)),
-        Err(e) => return Err(bad(e)),
+    let (values, default): (Vec<u16>, u16) = match picture.into_samples() {
+        Samples::Eight(map) => (map.into_iter().map(u16::from).collect(), u16::from(u8::MAX)),
+        Samples::Sixteen(map) => (map, u16::MAX),
     };
     let none = none.unwrap_or(default);
     let outside = |id: u16| id != none && usize::from(id) >= segments;

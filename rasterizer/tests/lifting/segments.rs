@@ -1,10 +1,10 @@
 //! Folders of segments: both layouts, and what is wrong with them.
 
 use half::f16;
-use image::{GrayImage, ImageBuffer, Luma, RgbImage};
 use scenesplat_rasterizer::lifting::NO_SEGMENT;
 use scenesplat_rasterizer::segments::{SegmentFolder, SegmentLayout, SegmentOptions};
 use scenesplat_scene::formats::npy_writer::{NpyElement, write_npy};
+use scenesplat_scene::picture::{Channels, Picture, RgbPicture, Samples};
 use std::path::Path;
 use tempfile::TempDir;
 
@@ -20,6 +20,11 @@ fn folder() -> TempDir {
 
 fn npy<T: NpyElement>(dir: &Path, name: &str, shape: &[usize], values: &[T]) {
     write_npy(&dir.join(name), shape, values).unwrap();
+}
+
+fn gray_png(path: &Path, samples: Samples) {
+    let picture = Picture::new(W, H, Channels::Gray, samples).unwrap();
+    std::fs::write(path, picture.encode_png().unwrap()).unwrap();
 }
 
 fn options(levels: &[usize]) -> SegmentOptions {
@@ -81,11 +86,11 @@ fn maps_of_any_number_type() {
 #[test]
 fn maps_as_pictures() {
     let dir = folder();
-    let byte = |x: u32, y: u32| Luma([if x == 0 { 255 } else { (y % 2) as u8 }]);
-    GrayImage::from_fn(W, H, byte).save(dir.path().join("one.png")).unwrap();
-    let word = |x: u32, y: u32| Luma([if x == 0 { u16::MAX } else { (y % 2) as u16 }]);
-    let map: ImageBuffer<Luma<u16>, _> = ImageBuffer::from_fn(W, H, word);
-    map.save(dir.path().join("two.png")).unwrap();
+    let id = |i: u32, none: u16| if i % W == 0 { none } else { (i / W % 2) as u16 };
+    let bytes = (0..W * H).map(|i| id(i, 255) as u8).collect();
+    let words = (0..W * H).map(|i| id(i, u16::MAX)).collect();
+    gray_png(&dir.path().join("one.png"), Samples::Eight(bytes));
+    gray_png(&dir.path().join("two.png"), Samples::Sixteen(words));
     npy(dir.path(), "one.npy", &[2, 3], &[1.0f32; 6]);
     let tensor = [1.0f32; 6].map(f32::to_le_bytes).concat();
     let view = safetensors::tensor::TensorView::new(safetensors::Dtype::F32, vec![2, 3], &tensor);
@@ -200,17 +205,20 @@ fn pictures_that_are_no_maps_are_refused() {
         let open = SegmentFolder::open(dir.path(), SegmentOptions::default()).unwrap();
         open.read(0, W, H).unwrap_err().to_string()
     };
-    let color = spoilt(&|path| RgbImage::new(W, H).save(path).unwrap());
-    assert!(color.contains("a.png") && color.contains("Rgb8"), "{color}");
+    let color = spoilt(&|path| {
+        let color = RgbPicture::filled(W, H, [0; 3]).encode_png().unwrap();
+        std::fs::write(path, color).unwrap();
+    });
+    assert!(color.contains("a.png") && color.contains("Rgb"), "{color}");
     let broken = spoilt(&|path| std::fs::write(path, b"\x89PNG\r\n\x1a\nno").unwrap());
     assert!(broken.contains("a.png") && broken.contains("no PNG"), "{broken}");
-    let outside = spoilt(&|path| GrayImage::from_pixel(W, H, Luma([7])).save(path).unwrap());
+    let outside = spoilt(&|path| gray_png(path, Samples::Eight(vec![7; (W * H) as usize])));
     assert!(outside.contains("row 0, column 0: id 7"), "{outside}");
 
     let dir = folder();
     let open = |dir: &Path| SegmentFolder::open(dir, SegmentOptions::default()).unwrap_err();
     assert!(open(dir.path()).to_string().contains("no maps"));
-    GrayImage::new(W, H).save(dir.path().join("a.png")).unwrap();
+    gray_png(&dir.path().join("a.png"), Samples::Eight(vec![0; (W * H) as usize]));
     assert!(open(dir.path()).to_string().contains("no feature table"));
     assert!(open(&dir.path().join("missing")).to_string().contains("missing"));
     for levels in [&[][..], &[4], &[1, 1]] {

@@ -4,7 +4,7 @@
 
 pub mod cameras;
 pub mod compressed_ply;
-mod files;
+pub(crate) mod files;
 pub mod gltf;
 pub mod inria_ply;
 pub mod ksplat;

@@ -1,8 +1,8 @@
 //! Which pictures belong together, and their values.
 
 use anyhow::{Context, Result, bail};
-use image::DynamicImage;
-use std::collections::BTreeSet;
+use scenesplat::scene::picture::{Channels, Samples, read_picture};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Two files to compare.
@@ -53,32 +53,50 @@ fn kind(path: &Path) -> Result<Kind> {
 }
 
 fn folder_pairs(a: &Path, b: &Path) -> Result<Vec<Pair>> {
-    let (in_a, in_b) = (png_names(a)?, png_names(b)?);
+    let (in_a, in_b) = (picture_names(a)?, picture_names(b)?);
     for (names, others, other) in [(&in_a, &in_b, b), (&in_b, &in_a, a)] {
-        let missing: Vec<&str> = names.difference(others).map(String::as_str).collect();
+        let missing: Vec<&String> =
+            names.iter().filter(|(stem, _)| !others.contains_key(*stem)).map(|n| n.1).collect();
         if let Some(first) = missing.first() {
             let more = match missing.len() {
                 1 => String::new(),
                 n => format!(" and {} more", n - 1),
             };
-            bail!("{}: has no {first}{more}; both folders need the same names", other.display());
+            bail!(
+                "{}: has no {first}{more}; both folders need the same names (endings may differ)",
+                other.display()
+            );
         }
     }
     if in_a.is_empty() {
-        bail!("{}: has no .png files", a.display());
+        bail!("{}: has no .png, .jpg or .jpeg files", a.display());
     }
-    Ok(in_a.into_iter().map(|name| Pair { a: a.join(&name), b: b.join(&name), name }).collect())
+    let pair = |(stem, name): (String, String)| {
+        let other = in_b.get(&stem).unwrap_or(&name);
+        Pair { a: a.join(&name), b: b.join(other), name }
+    };
+    Ok(in_a.into_iter().map(pair).collect())
 }
 
-fn png_names(folder: &Path) -> Result<BTreeSet<String>> {
+/// Names of the pictures of a folder by their names without ending.
+fn picture_names(folder: &Path) -> Result<BTreeMap<String, String>> {
     let context = || folder.display().to_string();
-    let mut names = BTreeSet::new();
+    let mut names = BTreeMap::new();
     for entry in std::fs::read_dir(folder).with_context(context)? {
         let path = entry.with_context(context)?.path();
-        let is_png = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png"));
-        let name = path.file_name().and_then(|n| n.to_str());
-        if let Some(name) = name.filter(|_| is_png && path.is_file()) {
-            names.insert(name.to_owned());
+        let is_picture = path
+            .extension()
+            .is_some_and(|e| ["png", "jpg", "jpeg"].iter().any(|p| e.eq_ignore_ascii_case(p)));
+        if !(is_picture && path.is_file()) {
+            continue;
+        }
+        let text =
+            |part: Option<&std::ffi::OsStr>| part.and_then(|n| n.to_str()).map(str::to_owned);
+        let (Some(stem), Some(name)) = (text(path.file_stem()), text(path.file_name())) else {
+            bail!("{}: its name is not UTF-8; rename it", path.display());
+        };
+        if let Some(other) = names.insert(stem, name.clone()) {
+            bail!("{}: {other} and {name} are one picture by their names; keep one", context());
         }
     }
     Ok(names)
@@ -86,19 +104,15 @@ fn png_names(folder: &Path) -> Result<BTreeSet<String>> {
 
 /// Reads a picture.
 pub(super) fn read(path: &Path, depth_scale: f64) -> Result<Picture> {
-    let context = || path.display().to_string();
-    let picture = image::ImageReader::open(path)
-        .and_then(image::ImageReader::with_guessed_format)
-        .with_context(context)?
-        .decode()
-        .with_context(context)?;
+    let picture = read_picture(path)?;
     let size = [picture.width() as usize, picture.height() as usize];
-    if let DynamicImage::ImageLuma16(depth) = &picture {
+    if let (Channels::Gray, Samples::Sixteen(depth)) = (picture.channels(), picture.samples()) {
         let unit = |v: &u16| (f64::from(*v) / depth_scale) as f32;
-        return Ok(Picture::Depth { values: depth.as_raw().iter().map(unit).collect(), size });
+        return Ok(Picture::Depth { values: depth.iter().map(unit).collect(), size });
     }
-    if picture.color().has_alpha() && picture.to_rgba16().pixels().any(|p| p.0[3] != u16::MAX) {
-        bail!("{}: is transparent in places; put it on the background of the other", context());
+    if picture.is_transparent() {
+        let path = path.display();
+        bail!("{path}: is transparent in places; put it on the background of the other");
     }
-    Ok(Picture::Color { values: picture.to_rgb32f().into_raw(), size })
+    Ok(Picture::Color { values: picture.to_rgb_f32(), size })
 }
