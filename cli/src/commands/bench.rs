@@ -100,7 +100,8 @@ struct Scratch(PathBuf);
 impl Scratch {
     fn new() -> Result<Self> {
         let folder = std::env::temp_dir().join(format!("scenesplat-bench-{}", std::process::id()));
-        std::fs::create_dir_all(&folder)
+        // Not into a folder, or behind a link, that somebody else has put there.
+        std::fs::create_dir(&folder)
             .with_context(|| format!("{}: cannot make a scratch folder", folder.display()))?;
         Ok(Self(folder))
     }
