@@ -10,7 +10,7 @@ use scenesplat::kernels::Precision;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// Measures how fast networks and kernels are on this machine, and how far from the least time that
 /// it would allow. Needs no files. Run nothing else meanwhile.
@@ -99,7 +99,9 @@ struct Scratch(PathBuf);
 
 impl Scratch {
     fn new() -> Result<Self> {
-        let folder = std::env::temp_dir().join(format!("scenesplat-bench-{}", std::process::id()));
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |t| t.as_nanos());
+        let name = format!("scenesplat-bench-{}-{now}", std::process::id());
+        let folder = std::env::temp_dir().join(name);
         // Not into a folder, or behind a link, that somebody else has put there.
         std::fs::create_dir(&folder)
             .with_context(|| format!("{}: cannot make a scratch folder", folder.display()))?;
