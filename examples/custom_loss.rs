@@ -2,7 +2,7 @@
 
 use candle_core::{Device, Result, Tensor};
 use scenesplat::losses::{CosineLoss, Loss, LossInput, Objective};
-use scenesplat::models::{Forward, LanguageModel, ParamStore, PointCloud};
+use scenesplat::models::{Forward, ParamStore, PointCloud};
 use scenesplat::prelude::*;
 
 /// Mean absolute difference of features and targets, over the rows that have a target.
@@ -30,7 +30,7 @@ impl Loss for L1 {
 
 fn main() -> anyhow::Result<()> {
     let store = ParamStore::trainable(0);
-    let network = LanguageModel::new(&PointTransformerV3Config::tiny(), store.builder())?;
+    let network = ModelConfig::tiny().build(store.builder())?;
     let grid: Vec<[i32; 3]> = (0..200).map(|i| [i % 20, i / 20, i % 3]).collect();
     let feat: Vec<f32> = (0..200 * 11).map(|i| (i as f32 * 0.37).sin()).collect();
     let points = PointCloud::single(grid, Tensor::from_vec(feat, (200, 11), &Device::Cpu)?)?;

@@ -4,7 +4,7 @@
 use scenesplat::datasets::transforms::{TransformConfig, language_pretraining, validation};
 use scenesplat::datasets::{BatchLoader, InputFeatures, LoaderSettings, SceneLoader};
 use scenesplat::losses::{CosineLoss, LossInput, Objective, TextClassification, TextTable};
-use scenesplat::models::{Forward, LanguageModel, ParamStore};
+use scenesplat::models::{Forward, ParamStore};
 use scenesplat::prelude::*;
 use scenesplat::trainers::evaluators::ZeroShotEvaluator;
 use scenesplat::trainers::tasks::{TargetSource, point_cloud};
@@ -28,7 +28,7 @@ fn main() -> anyhow::Result<()> {
     let (unseen, names) = (rooms(10, 1000, validation(grid))?, text::metric_table(&texts)?);
     let judge = ZeroShotEvaluator::new("unseen", unseen, input, names, vec![0, 1, 2]);
     let store = ParamStore::trainable(0);
-    let network = LanguageModel::new(&PointTransformerV3Config::tiny(), store.builder())?;
+    let network = ModelConfig::tiny().build(store.builder())?;
     let score = || judge.confusion(&network).map(|c| c.tester_report().foreground_mean_iou);
     let params = store.parameters();
     let groups = group_by_keyword(&params, 0.003, 0.02, &[]);

@@ -7,7 +7,7 @@ use std::path::Path;
 
 fn main() -> anyhow::Result<()> {
     let scene = open_scene(Path::new("assets/demo/room.ply"), &ReadOptions::default())?.scene;
-    let config = NetworkConfig::Tiny.resolve()?;
+    let config = NetworkConfig::tiny();
     let network = Network::load(config, &Weights::Seeded(0), WeightOptions::default())?;
     let features = SceneEncoder::new(&network).encode(&scene, &mut |_| Ok(()))?;
 

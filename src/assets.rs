@@ -29,7 +29,7 @@ pub fn demo_room() -> Result<GaussianScene> {
 /// If the room has no labels.
 pub fn demo_classes(room: &GaussianScene) -> Result<TextTable> {
     let labels = room.segment.as_ref().context("the room has no labels")?;
-    let config = NetworkConfig::Tiny.resolve()?;
+    let config = NetworkConfig::tiny();
     let network = Network::load(config, &Weights::Seeded(0), WeightOptions::default())?;
     let features = SceneEncoder::new(&network).encode(room, &mut |_| Ok(()))?;
     let width = features.width();

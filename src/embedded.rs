@@ -2,10 +2,10 @@
 //!
 //! What it is, what it was trained on and what it cannot do stands in `assets/embedded/README.md`.
 
+use crate::NetworkConfig;
 use anyhow::{Context, Result};
 use candle_core::Tensor;
 use scenesplat_datasets::synthetic::Vocabulary;
-use scenesplat_models::PointTransformerV3Config;
 use std::collections::BTreeMap;
 
 const WEIGHTS: &[u8] = include_bytes!("../assets/embedded/model.safetensors");
@@ -14,11 +14,11 @@ const CONFIG: &str = include_str!("../assets/embedded/config.json");
 /// Name that receipts and messages give it.
 pub const NAME: &str = "embedded";
 
-/// Its shape.
+/// Its shape, and what it reads.
 ///
 /// # Errors
 /// If the program was built with a broken file.
-pub fn config() -> Result<PointTransformerV3Config> {
+pub fn config() -> Result<NetworkConfig> {
     serde_json::from_str(CONFIG).context("assets/embedded/config.json")
 }
 
@@ -37,8 +37,7 @@ pub fn tensors() -> Result<BTreeMap<String, Tensor>> {
 /// # Errors
 /// If the network is narrower than a vocabulary can be.
 pub fn vocabulary() -> Result<Vocabulary> {
-    let config = config()?;
-    Ok(Vocabulary::new(config.projection.unwrap_or_else(|| config.out_channels()))?)
+    Ok(Vocabulary::new(config()?.model.out_channels())?)
 }
 
 /// SHA-256 of the weights, hexadecimal.
@@ -64,7 +63,7 @@ mod tests {
         assert!(network.report().is_complete(), "{}", network.report());
         assert!(stored_bytes() <= 8_000_000, "{}", stored_bytes());
         assert_eq!(network.model().out_channels(), vocabulary().unwrap().dim());
-        assert!(!network.is_meaningless());
+        assert!(!network.has_random_weights());
         let finite = |t: &Tensor| {
             let t = t.to_dtype(candle_core::DType::F32).unwrap().flatten_all().unwrap();
             t.to_vec1::<f32>().unwrap().iter().all(|v| v.is_finite())

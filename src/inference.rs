@@ -7,7 +7,7 @@ use scenesplat_datasets::{
     ExactPlan, FastPlan, InferencePlan, NetworkInput, TileSettings, sample_rng, split_into_tiles,
 };
 use scenesplat_models::ops::normalize_rows;
-use scenesplat_models::{Forward, Orders, PointCloud, PointTransformerV3Config};
+use scenesplat_models::{Forward, Orders, PointCloud};
 use scenesplat_scene::GaussianScene;
 use std::fs::File;
 use std::ops::Range;
@@ -147,7 +147,7 @@ impl<'a> SceneEncoder<'a> {
         Self {
             network,
             fidelity: Fidelity::Fast,
-            grid_size: network.config().grid_size,
+            grid_size: network.grid_size(),
             max_memory: None,
             halo: 50,
             shuffle_orders: None,
@@ -168,8 +168,7 @@ impl<'a> SceneEncoder<'a> {
         scene: &GaussianScene,
         progress: &mut ProgressFn<'_>,
     ) -> Result<SceneFeatures, EncodeError> {
-        let features =
-            self.network.input_features().map_err(|e| EncodeError::Setting(e.to_string()))?;
+        let features = self.network.input().clone();
         let grid_size = self.grid_size;
         let plan = match self.fidelity {
             Fidelity::Fast => FastPlan { grid_size, features }.build(scene)?,
@@ -192,7 +191,7 @@ impl<'a> SceneEncoder<'a> {
         } else {
             SlotStore::memory(plan.num_slots(), width)
         };
-        let align = self.network.config().stride.iter().product::<usize>() as u32;
+        let align = self.network.model().alignment();
         let tile_settings =
             TileSettings { max_voxels: budget.max_voxels, halo: self.halo, align: align.max(1) };
         let passes = plan.num_inputs();
@@ -262,8 +261,9 @@ impl<'a> SceneEncoder<'a> {
         let seed = self.shuffle_orders.unwrap_or(0);
         let mut rng: ChaCha8Rng = sample_rng(seed, pass as u64, tile as u64);
         let orders = if self.shuffle_orders.is_some() { Orders::Shuffled } else { Orders::Listed };
-        let costs = block_costs(self.network.config());
-        let total: f64 = costs.iter().map(|(_, c)| c).sum();
+        let cost = self.network.model().cost();
+        let total = cost.as_ref().map_or(1.0, |cost| cost.work_per_voxel());
+        let costs = cost.map_or(Vec::new(), |cost| cost.parts);
         let mut done = 0.0;
         let mut stopped = None;
         report(0.0)?;
@@ -296,7 +296,13 @@ impl<'a> SceneEncoder<'a> {
         let Some(limit) = self.max_memory else {
             return Ok(Budget { max_voxels: usize::MAX, spill: false });
         };
-        let per_voxel = self.network.config().inference_bytes_per_voxel() as u64;
+        let Some(cost) = self.network.model().cost() else {
+            return Err(EncodeError::Setting(
+                "max_memory: the backbone does not say how much memory it needs (Backbone::cost)"
+                    .to_owned(),
+            ));
+        };
+        let per_voxel = cost.bytes_per_voxel.max(1) as u64;
         // Scene arrays, the plan's tables, packed weights, program and allocator.
         let fixed = scene_bytes(scene)
             + (plan.num_voxels() * (12 + 4 * plan.channels() + 8) + scene.len() * 8) as u64
@@ -360,29 +366,6 @@ pub(crate) fn scene_bytes(scene: &GaussianScene) -> u64 {
     let language = scene.lang_feat.as_ref().map_or(0, |f| f.values.len() * 2) + codes;
     let rest = scene.sh_rest.len() * 4;
     (scene.len() * (14 * 4 + labels * 4 + normal) + rest + language) as u64
-}
-
-/// Relative cost of each named part of a network, by operations per voxel of the finest scale.
-pub(crate) fn block_costs(config: &PointTransformerV3Config) -> Vec<(String, f64)> {
-    let cost = |c: usize, patch: usize, stage: usize| {
-        let c = c as f64;
-        // Convolution over 14 neighbours, linear layers, attention; a quarter of the voxels a scale.
-        (c * c * (14.0 + 13.0) + 2.0 * c * patch as f64) * 0.27f64.powi(stage as i32)
-    };
-    let mut out = Vec::new();
-    for (stage, &depth) in config.enc_depths.iter().enumerate() {
-        for j in 0..depth {
-            let c = cost(config.enc_channels[stage], config.enc_patch_size[stage], stage);
-            out.push((format!("enc.enc{stage}.block{j}"), c));
-        }
-    }
-    for (stage, &depth) in config.dec_depths.iter().enumerate() {
-        for j in 0..depth {
-            let c = cost(config.dec_channels[stage], config.dec_patch_size[stage], stage);
-            out.push((format!("dec.dec{stage}.block{j}"), c));
-        }
-    }
-    out
 }
 
 fn softmax_rows(values: &mut [f32], width: usize) {

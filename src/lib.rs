@@ -13,7 +13,7 @@
 //! # fn main() -> anyhow::Result<()> {
 //! let room = scenesplat::datasets::generate_room(&RoomSettings { num_gaussians: 500, seed: 1 })?;
 //! // Seeded weights show the mechanism; their features mean nothing.
-//! let network = Network::load(NetworkConfig::Tiny.resolve()?, &Weights::Seeded(0), WeightOptions::default())?;
+//! let network = Network::load(NetworkConfig::tiny(), &Weights::Seeded(0), WeightOptions::default())?;
 //! let features = SceneEncoder::new(&network).encode(&room.scene, &mut |_| Ok(()))?;
 //! assert_eq!(features.width(), 64);
 //! let first = features.gaussian_rows(0..1)?;
@@ -38,7 +38,7 @@ pub mod text;
 pub mod training;
 
 pub use inference::{EncodeError, SceneEncoder, SceneFeatures};
-pub use network::{Network, NetworkConfig, WeightOptions, Weights};
+pub use network::{Network, NetworkConfig, NetworkOutput, WeightOptions, Weights};
 pub use scenesplat_datasets as datasets;
 pub use scenesplat_kernels as kernels;
 pub use scenesplat_losses as losses;
@@ -51,8 +51,10 @@ pub use scenesplat_trainers as trainers;
 /// The types that nearly every program needs.
 pub mod prelude {
     pub use crate::datasets::RoomSettings;
-    pub use crate::models::{Backbone, PointTransformerV3Config};
+    pub use crate::models::{Backbone, ModelConfig, PointTransformerV3Config};
     pub use crate::scene::{GaussianScene, ReadOptions, open_scene};
     pub use crate::text::read_text_table;
-    pub use crate::{Network, NetworkConfig, SceneEncoder, SceneFeatures, WeightOptions, Weights};
+    pub use crate::{
+        Network, NetworkConfig, NetworkOutput, SceneEncoder, SceneFeatures, WeightOptions, Weights,
+    };
 }

@@ -1,70 +1,18 @@
 //! A network configuration with its weights.
 
+mod choice;
+mod config;
+
+pub use choice::{NetworkChoice, config_beside, network_of};
+pub use config::{NetworkConfig, documented_input};
+
 use candle_core::Result;
-use scenesplat_datasets::{InputChannel, InputFeatures};
+use scenesplat_datasets::InputFeatures;
 use scenesplat_models::convert::{Branch, ConvLayout};
 use scenesplat_models::weights::{SourceOptions, WeightSource, resolve};
-use scenesplat_models::{
-    Backbone, LanguageModel, LoadPolicy, LoadReport, ParamStore, PointTransformerV3Config,
-    SemanticSegmenter,
-};
-use std::path::{Path, PathBuf};
+use scenesplat_models::{Backbone, LoadPolicy, LoadReport, ParamStore};
+use std::path::PathBuf;
 use std::str::FromStr;
-
-/// Which network.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum NetworkConfig {
-    /// 768-d language features.
-    Language,
-    /// 20 classes, reads normals.
-    Semseg,
-    /// 64-d features, small and fast, for trying things out.
-    Tiny,
-    /// A TOML or JSON file with the fields of [`PointTransformerV3Config`].
-    File(PathBuf),
-}
-
-impl FromStr for NetworkConfig {
-    type Err = String;
-
-    fn from_str(text: &str) -> std::result::Result<Self, String> {
-        Ok(match text {
-            "language" => Self::Language,
-            "semseg" => Self::Semseg,
-            "tiny" => Self::Tiny,
-            path if path.ends_with(".toml") || path.ends_with(".json") => Self::File(path.into()),
-            other => {
-                return Err(format!(
-                    "{other:?} is no configuration; use language, semseg, tiny or a .toml file"
-                ));
-            }
-        })
-    }
-}
-
-impl NetworkConfig {
-    /// The configuration, read if it is a file.
-    ///
-    /// # Errors
-    /// If the file cannot be read or has unknown or wrong fields.
-    pub fn resolve(&self) -> anyhow::Result<PointTransformerV3Config> {
-        use anyhow::Context;
-        let path = match self {
-            Self::Language => return Ok(PointTransformerV3Config::language()),
-            Self::Semseg => return Ok(PointTransformerV3Config::semseg()),
-            Self::Tiny => return Ok(PointTransformerV3Config::tiny()),
-            Self::File(path) => path,
-        };
-        let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
-        let config: PointTransformerV3Config = if path.extension().is_some_and(|e| e == "json") {
-            serde_json::from_str(&text).with_context(|| path.display().to_string())?
-        } else {
-            toml::from_str(&text).with_context(|| path.display().to_string())?
-        };
-        config.check().with_context(|| path.display().to_string())?;
-        Ok(config)
-    }
-}
 
 /// Where the weights come from.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -105,18 +53,41 @@ pub struct WeightOptions {
     pub conv_layout: ConvLayout,
 }
 
+impl WeightOptions {
+    /// How checkpoints are read.
+    pub fn source(self) -> SourceOptions {
+        SourceOptions { branch: self.branch, conv_layout: self.conv_layout }
+    }
+}
+
+/// What the rows are that a network gives.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum NetworkOutput {
+    /// Features, whose direction counts.
+    Features,
+    /// Logits of classes.
+    Logits,
+}
+
 /// A network ready for inference.
 pub struct Network {
-    config: PointTransformerV3Config,
+    config: Option<NetworkConfig>,
+    input: InputFeatures,
+    grid_size: f64,
+    output: NetworkOutput,
     model: Box<dyn Backbone>,
     report: LoadReport,
     files: Vec<(PathBuf, String)>,
-    meaningless: bool,
+    random_weights: bool,
 }
 
 impl std::fmt::Debug for Network {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Network").field("config", &self.config).finish_non_exhaustive()
+        f.debug_struct("Network")
+            .field("config", &self.config)
+            .field("input", &self.input)
+            .field("grid_size", &self.grid_size)
+            .finish_non_exhaustive()
     }
 }
 
@@ -126,11 +97,8 @@ impl Network {
     /// # Errors
     /// If the configuration does not fit together, or the weights do not fit it as far as the
     /// policy asks; the message lists matched, missing, unexpected and mis-shaped names.
-    pub fn load(
-        config: PointTransformerV3Config,
-        weights: &Weights,
-        options: WeightOptions,
-    ) -> Result<Self> {
+    pub fn load(config: NetworkConfig, weights: &Weights, options: WeightOptions) -> Result<Self> {
+        config.check()?;
         let (source, files) = match weights {
             Weights::Seeded(seed) => (WeightSource::hashed(*seed, ""), Vec::new()),
             Weights::Embedded => {
@@ -145,29 +113,76 @@ impl Network {
                     .iter()
                     .map(|f| Ok((f.path().to_owned(), f.sha256()?)))
                     .collect::<Result<_>>()?;
-                let source_options =
-                    SourceOptions { branch: options.branch, conv_layout: options.conv_layout };
-                (WeightSource::files(folder.files, source_options)?, files)
+                (WeightSource::files(folder.files, options.source())?, files)
             }
         };
         let store = ParamStore::frozen(source);
-        let model: Box<dyn Backbone> = match config.num_classes {
-            Some(_) => Box::new(SemanticSegmenter::new(&config, store.builder())?),
-            None => Box::new(LanguageModel::new(&config, store.builder())?),
-        };
+        let model = config.model.build(store.builder())?;
         let report = store.report();
         match weights {
             Weights::File(path) => report.check(options.policy, &path.display().to_string())?,
             Weights::Embedded => report.check(LoadPolicy::Strict, crate::embedded::NAME)?,
             Weights::Seeded(_) => {}
         }
-        let meaningless = matches!(weights, Weights::Seeded(_));
-        Ok(Self { config, model, report, files, meaningless })
+        Ok(Self {
+            input: config.input.clone(),
+            grid_size: config.model.grid_size,
+            output: match config.model.num_classes() {
+                Some(_) => NetworkOutput::Logits,
+                None => NetworkOutput::Features,
+            },
+            random_weights: matches!(weights, Weights::Seeded(_)),
+            config: Some(config),
+            model,
+            report,
+            files,
+        })
     }
 
-    /// The configuration.
-    pub fn config(&self) -> &PointTransformerV3Config {
-        &self.config
+    /// Any backbone with its weights, such as one of your own: `input` is what its rows are made of,
+    /// `grid_size` the voxels that it was trained at, metres.
+    ///
+    /// Tiles need [`Backbone::alignment`], a memory limit needs [`Backbone::cost`].
+    ///
+    /// # Errors
+    /// If the voxel size is not above 0, or nothing is read.
+    pub fn from_backbone(
+        model: impl Backbone + 'static,
+        input: InputFeatures,
+        grid_size: f64,
+        output: NetworkOutput,
+    ) -> Result<Self> {
+        if !(grid_size.is_finite() && grid_size > 0.0) {
+            candle_core::bail!("grid_size: {grid_size} is not above 0");
+        }
+        if input.width() == 0 {
+            candle_core::bail!("input.channels: at least one channel is needed");
+        }
+        Ok(Self {
+            config: None,
+            input,
+            grid_size,
+            output,
+            model: Box::new(model),
+            report: LoadReport::default(),
+            files: Vec::new(),
+            random_weights: false,
+        })
+    }
+
+    /// The configuration; `None` for a network [from a backbone](Self::from_backbone).
+    pub fn config(&self) -> Option<&NetworkConfig> {
+        self.config.as_ref()
+    }
+
+    /// What it reads of a Gaussian.
+    pub fn input(&self) -> &InputFeatures {
+        &self.input
+    }
+
+    /// Voxel size that it was trained at, metres.
+    pub fn grid_size(&self) -> f64 {
+        self.grid_size
     }
 
     /// The network itself.
@@ -186,49 +201,18 @@ impl Network {
     }
 
     /// Whether the weights are seeded, so that no output means anything.
-    pub fn is_meaningless(&self) -> bool {
-        self.meaningless
+    pub fn has_random_weights(&self) -> bool {
+        self.random_weights
     }
 
     /// Whether the output are class scores rather than language features.
     pub fn is_classifier(&self) -> bool {
-        self.config.num_classes.is_some()
+        self.output == NetworkOutput::Logits
     }
 
-    /// What the network reads of a Gaussian, by the number of its inputs.
-    ///
-    /// # Errors
-    /// If no released network has that many inputs.
-    pub fn input_features(&self) -> anyhow::Result<InputFeatures> {
-        use InputChannel::{Color, Height, Normal, Opacity, Quat, Scale};
-        let channels = match self.config.in_channels {
-            11 => vec![Color, Opacity, Quat, Scale],
-            12 => vec![Color, Opacity, Quat, Scale, Height],
-            14 => vec![Color, Opacity, Quat, Scale, Normal],
-            other => anyhow::bail!(
-                "in_channels: {other} inputs are none of the known sets (11: colour, opacity, quat, \
-                 scale; 12: those and the height; 14: those and the normal)"
-            ),
-        };
-        Ok(InputFeatures { channels, ..InputFeatures::default() })
-    }
-
-    /// Bytes of the packed weights.
+    /// Bytes of the packed weights; 0 for a network [from a backbone](Self::from_backbone), which
+    /// does not tell.
     pub fn weight_bytes(&self) -> usize {
         self.report.parameters * size_of::<f32>()
-    }
-}
-
-/// Reads a configuration that lies beside the weights of a model folder, if there is one.
-///
-/// # Errors
-/// If it is there and cannot be read.
-pub fn config_beside(weights: &Path) -> anyhow::Result<Option<PointTransformerV3Config>> {
-    if !weights.is_dir() {
-        return Ok(None);
-    }
-    match resolve(weights)?.config {
-        Some(path) => NetworkConfig::File(path).resolve().map(Some),
-        None => Ok(None),
     }
 }

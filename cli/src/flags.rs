@@ -6,7 +6,7 @@ use clap::ValueEnum;
 use scenesplat::kernels::Precision;
 use scenesplat::memory::Bytes;
 use scenesplat::models::convert::{Branch, ConvLayout};
-use scenesplat::network::{NetworkConfig, Weights};
+use scenesplat::network::{NetworkChoice, Weights};
 use scenesplat::preview::UpAxis;
 use scenesplat::scene::{Policy, ReadOptions, SpzFrame};
 use std::path::PathBuf;
@@ -16,7 +16,7 @@ use std::path::PathBuf;
 pub struct Shared {
     /// Network: language, semseg, tiny or a .toml file; from the weights' folder if it has one.
     #[arg(long, value_name = "NAME|FILE")]
-    pub config: Option<NetworkConfig>,
+    pub config: Option<NetworkChoice>,
     /// Checkpoint, model folder, seeded:N for values without meaning, or embedded, the small network
     /// inside the program, which is the default if no --config is given either.
     #[arg(long, value_name = "PATH|seeded:N|embedded")]

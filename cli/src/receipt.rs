@@ -174,6 +174,7 @@ impl Receipt {
     }
 
     /// Runs `work` as a stage.
+    #[cfg(test)]
     pub fn time<T>(&self, name: &str, work: impl FnOnce() -> T) -> T {
         let _stage = self.stage(name);
         work()
@@ -297,6 +298,7 @@ impl ReceiptReport {
     }
 
     /// Time of a stage, seconds; 0 if it did not run.
+    #[cfg(test)]
     pub fn seconds(&self, stage: &str) -> f64 {
         self.stages.iter().find(|s| s.name == stage).map_or(0.0, |s| s.seconds)
     }

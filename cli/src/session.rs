@@ -11,8 +11,8 @@ use scenesplat::inference::{EncodeError, Fidelity};
 use scenesplat::input::open_input;
 use scenesplat::kernels::simd::Isa;
 use scenesplat::memory::Bytes;
-use scenesplat::models::{Compute, LoadPolicy, PointTransformerV3Config};
-use scenesplat::network::{NetworkConfig, WeightOptions, Weights, config_beside};
+use scenesplat::models::{Compute, LoadPolicy};
+use scenesplat::network::{WeightOptions, Weights, network_of};
 use scenesplat::outputs::{OpenedScene, guess_up};
 use scenesplat::preview::UpAxis;
 use scenesplat::scene::{GaussianScene, ReadOptions};
@@ -40,7 +40,9 @@ impl FeatureSource {
     /// What to add to a title where the result means nothing.
     pub fn remark(&self) -> &'static str {
         match self {
-            Self::Network(network) if network.is_meaningless() => " (seeded weights: no meaning)",
+            Self::Network(network) if network.has_random_weights() => {
+                " (seeded weights: no meaning)"
+            }
             _ => "",
         }
     }
@@ -121,19 +123,8 @@ impl<'a> Session<'a> {
             let text = "--config: the network inside the program has its own; leave it out";
             return Err(WrongUse(text.to_owned()).into());
         }
-        let beside = match (&self.shared.config, weights) {
-            (None, Weights::File(path)) => config_beside(path)?,
-            _ => None,
-        };
-        let config = match (&self.shared.config, beside) {
-            (Some(config), _) => config.resolve()?,
-            (None, Some(config)) => config,
-            (None, None) if *weights == Weights::Embedded => scenesplat::embedded::config()?,
-            (None, None) => NetworkConfig::Language.resolve()?,
-        };
         let precision = inference.precision;
         let compute = Compute { precision, fold: !inference.exact };
-        let config = PointTransformerV3Config { compute, ..config };
         self.receipt.computation(precision.name(), Isa::current().name());
         let why = "form of the numbers that products multiply; sums are f32";
         self.receipt.setting("precision", precision, why);
@@ -146,7 +137,8 @@ impl<'a> Session<'a> {
             branch: inference.branch.into(),
             conv_layout: inference.conv_layout.into(),
         };
-        let network = Network::load(config, weights, options)?;
+        let config = network_of(weights, self.shared.config.as_ref(), options)?;
+        let network = Network::load(config.with_compute(compute), weights, options)?;
         for (path, sha256) in network.files() {
             self.progress.say(format!("weights {} sha256 {sha256}", path.display()));
             let bytes = std::fs::metadata(path).map_or(0, |m| m.len());
@@ -270,7 +262,7 @@ impl<'a> Session<'a> {
         inference: &Inference,
     ) -> Result<SceneFeatures> {
         let stage = self.receipt.stage("network");
-        let grid_size = inference.grid_size.unwrap_or(network.config().grid_size);
+        let grid_size = inference.grid_size.unwrap_or(network.grid_size());
         if !(grid_size.is_finite() && grid_size > 0.0) {
             let text = format!("--grid-size {grid_size}: must be above 0");
             return Err(WrongUse(text).into());

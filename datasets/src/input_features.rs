@@ -55,8 +55,45 @@ impl InputChannel {
 pub struct InputFeatures {
     /// Channel groups in the order of the network's input.
     pub channels: Vec<InputChannel>,
-    /// Lower and upper limit of the scales, metres; `None` passes them on as they are.
+    /// Lower and upper limit of the scales, metres; `None` (`"none"` in files) passes them on as they
+    /// are.
+    #[serde(with = "scale_clip")]
     pub scale_clip: Option<[f32; 2]>,
+}
+
+/// `None` is a word in files: an entry that is left out means the default.
+mod scale_clip {
+    use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
+
+    #[derive(Deserialize)]
+    #[serde(untagged)]
+    enum Clip {
+        Word(String),
+        Limits([f32; 2]),
+        Null(()),
+    }
+
+    pub(super) fn serialize<S: Serializer>(
+        clip: &Option<[f32; 2]>,
+        serializer: S,
+    ) -> Result<S::Ok, S::Error> {
+        match clip {
+            Some(limits) => limits.serialize(serializer),
+            None => serializer.serialize_str("none"),
+        }
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(
+        deserializer: D,
+    ) -> Result<Option<[f32; 2]>, D::Error> {
+        let wrong = || de::Error::custom("scale_clip: expected [low, high] in metres or \"none\"");
+        match Clip::deserialize(deserializer).map_err(|_| wrong())? {
+            Clip::Limits(limits) => Ok(Some(limits)),
+            Clip::Null(()) => Ok(None),
+            Clip::Word(word) if word == "none" => Ok(None),
+            Clip::Word(_) => Err(wrong()),
+        }
+    }
 }
 
 impl Default for InputFeatures {

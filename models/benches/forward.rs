@@ -11,8 +11,7 @@ use rand_chacha::ChaCha8Rng;
 use scenesplat_kernels::Precision;
 use scenesplat_models::weights::WeightSource;
 use scenesplat_models::{
-    Backbone, Compute, Forward, LanguageModel, ParamStore, PointCloud, PointTransformerV3Config,
-    SemanticSegmenter,
+    Backbone, Compute, Forward, ModelConfig, ParamStore, PointCloud, PointTransformerV3Config,
 };
 use support::{criterion, features, short, voxels};
 
@@ -57,8 +56,8 @@ fn language(c: &mut Criterion) {
     for precision in PRECISIONS {
         let compute = Compute { precision, ..Compute::default() };
         let config = PointTransformerV3Config { compute, ..PointTransformerV3Config::language() };
-        let network = LanguageModel::new(&config, weights().builder()).expect("a network");
-        bench(c, "forward_language", precision, &network, &[10_000, 20_000, 100_000]);
+        let network = ModelConfig::new(config).build(weights().builder()).expect("a network");
+        bench(c, "forward_language", precision, network.as_ref(), &[10_000, 20_000, 100_000]);
     }
 }
 
@@ -76,8 +75,11 @@ fn segmentation(c: &mut Criterion) {
             compute,
             ..PointTransformerV3Config::semseg()
         };
-        let network = SemanticSegmenter::new(&config, weights().builder()).expect("a network");
-        bench(c, "forward_semseg", precision, &network, &sizes);
+        let network = ModelConfig::new(config)
+            .with_classes(20)
+            .build(weights().builder())
+            .expect("a network");
+        bench(c, "forward_semseg", precision, network.as_ref(), &sizes);
     }
 }
 

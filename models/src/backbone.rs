@@ -1,11 +1,9 @@
-//! What a network is to its users, and the networks with their heads.
+//! What a network is to its users.
 
+use crate::Compute;
 use crate::point_cloud::PointCloud;
-use crate::point_transformer_v3::{PointTransformerV3, PointTransformerV3Config};
 use crate::recompute::Recompute;
-use crate::{layers::Linear, ops};
-use candle_core::{Result, Tensor, bail};
-use candle_nn::VarBuilder;
+use candle_core::{Result, Tensor};
 use rand_chacha::ChaCha8Rng;
 
 /// Whether drop path and batch statistics are on. An argument, never hidden state.
@@ -68,7 +66,28 @@ impl<'a> Forward<'a> {
     }
 }
 
+/// What inference with a backbone costs, by its shape alone.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BackboneCost {
+    /// Bytes of memory per input voxel, at the widest moment.
+    pub bytes_per_voxel: usize,
+    /// Multiply–adds per input voxel of each part, in the order in which they run, by the names that
+    /// an [`Observer`] hears when they are done. They need not be all of the network.
+    pub parts: Vec<(String, f64)>,
+}
+
+impl BackboneCost {
+    /// Multiply–adds per input voxel of all parts.
+    pub fn work_per_voxel(&self) -> f64 {
+        self.parts.iter().map(|(_, work)| work).sum()
+    }
+}
+
 /// Maps a batch of voxels to features of the same voxels.
+///
+/// The first two methods are all that training needs. The others are what
+/// whole scenes need: where tiles may begin, how far the work has come,
+/// how much memory it takes.
 pub trait Backbone: Send + Sync {
     /// Features of every input row. `[N, out_channels]`
     ///
@@ -77,82 +96,35 @@ pub trait Backbone: Send + Sync {
     fn forward(&self, points: &PointCloud, cx: &mut Forward<'_>) -> Result<Tensor>;
     /// Width of the output.
     fn out_channels(&self) -> usize;
-}
-
-/// A backbone whose last features, at unit length, are the language embedding.
-pub struct LanguageModel {
-    backbone: PointTransformerV3,
-    /// To the width of the texts, where the backbone is narrower.
-    projection: Option<Linear>,
-    width: usize,
-}
-
-impl LanguageModel {
-    /// Builds the network; parameters have the backbone's names, those of a projection are
-    /// `projection.*`.
-    ///
-    /// # Errors
-    /// If the configuration has a segmentation head, or parameters exist with another shape.
-    pub fn new(config: &PointTransformerV3Config, vb: VarBuilder<'_>) -> Result<Self> {
-        if config.num_classes.is_some() {
-            bail!("num_classes: a language network has no classifier; build a SemanticSegmenter");
-        }
-        let backbone = PointTransformerV3::new(config, vb.clone())?;
-        let (narrow, vb) = (backbone.out_channels(), vb.pp("projection"));
-        let wide = |n| Linear::with(config.compute, narrow, n, true, vb);
-        let projection = config.projection.map(wide).transpose()?;
-        Ok(Self { width: config.projection.unwrap_or(narrow), backbone, projection })
+    /// Edge of the coarsest cells in voxels: a tile that begins at a multiple of it falls into the
+    /// same cells as the whole scene. 1 for a network with one scale.
+    fn alignment(&self) -> u32 {
+        1
+    }
+    /// What inference costs; `None` if the network does not know.
+    fn cost(&self) -> Option<BackboneCost> {
+        None
+    }
+    /// How it computes; a head behind it does the same.
+    fn compute(&self) -> Compute {
+        Compute::default()
     }
 }
 
-impl Backbone for LanguageModel {
-    /// Unit rows, except that a zero row stays zero.
+impl<B: Backbone + ?Sized> Backbone for Box<B> {
     fn forward(&self, points: &PointCloud, cx: &mut Forward<'_>) -> Result<Tensor> {
-        let mut feat = self.backbone.forward(points, cx)?;
-        if let Some(projection) = &self.projection {
-            feat = projection.forward(&feat)?;
-        }
-        ops::l2_normalize(&feat)
+        (**self).forward(points, cx)
     }
     fn out_channels(&self) -> usize {
-        self.width
+        (**self).out_channels()
     }
-}
-
-/// A backbone with a linear classifier.
-pub struct SemanticSegmenter {
-    backbone: PointTransformerV3,
-    head: Linear,
-    num_classes: usize,
-}
-
-impl SemanticSegmenter {
-    /// Builds the network; the classifier's parameters are `seg_head.*`.
-    ///
-    /// # Errors
-    /// If the configuration names no number of classes, or parameters exist with another shape.
-    pub fn new(config: &PointTransformerV3Config, vb: VarBuilder<'_>) -> Result<Self> {
-        let Some(num_classes) = config.num_classes else {
-            bail!("segmentation needs num_classes in the configuration");
-        };
-        let backbone = PointTransformerV3::new(config, vb.clone())?;
-        let head = Linear::with(
-            config.compute,
-            backbone.out_channels(),
-            num_classes,
-            true,
-            vb.pp("seg_head"),
-        )?;
-        Ok(Self { backbone, head, num_classes })
+    fn alignment(&self) -> u32 {
+        (**self).alignment()
     }
-}
-
-impl Backbone for SemanticSegmenter {
-    /// Class logits.
-    fn forward(&self, points: &PointCloud, cx: &mut Forward<'_>) -> Result<Tensor> {
-        self.head.forward(&self.backbone.forward(points, cx)?)
+    fn cost(&self) -> Option<BackboneCost> {
+        (**self).cost()
     }
-    fn out_channels(&self) -> usize {
-        self.num_classes
+    fn compute(&self) -> Compute {
+        (**self).compute()
     }
 }

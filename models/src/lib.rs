@@ -12,11 +12,14 @@
     reason = "constructors take a VarBuilder by value, as candle's do"
 )]
 
+mod architecture;
 mod backbone;
 mod compute;
 pub mod convert;
+mod head;
 pub mod layers;
 mod lpips;
+mod model_config;
 pub mod ops;
 pub mod params;
 mod point_cloud;
@@ -24,9 +27,12 @@ pub mod point_transformer_v3;
 mod recompute;
 pub mod weights;
 
-pub use backbone::{Backbone, Forward, LanguageModel, Mode, Orders, SemanticSegmenter};
+pub use architecture::{Architecture, BackboneConfig};
+pub use backbone::{Backbone, BackboneCost, Forward, Mode, Observer, Orders};
 pub use compute::Compute;
+pub use head::{Head, LanguageModel, SemanticSegmenter};
 pub use lpips::{Lpips, LpipsNet};
+pub use model_config::{ModelConfig, UniqueKeys};
 pub use params::{LoadPolicy, LoadReport, ParamStore};
 pub use point_cloud::PointCloud;
 pub use point_transformer_v3::{PointTransformerV3, PointTransformerV3Config};

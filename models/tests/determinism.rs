@@ -7,7 +7,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scenesplat_models::weights::{WeightSource, unit};
 use scenesplat_models::{
-    Backbone, Forward, LanguageModel, ParamStore, PointCloud, PointTransformerV3Config,
+    Backbone, Forward, ModelConfig, ParamStore, PointCloud, PointTransformerV3Config,
 };
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -35,14 +35,14 @@ fn config() -> PointTransformerV3Config {
     }
 }
 
-fn frozen() -> LanguageModel {
+fn frozen() -> Box<dyn Backbone> {
     let store = ParamStore::frozen(WeightSource::hashed(5, ""));
-    LanguageModel::new(&config(), store.builder()).unwrap()
+    ModelConfig::new(config()).build(store.builder()).unwrap()
 }
 
-fn trainable() -> (ParamStore, LanguageModel) {
+fn trainable() -> (ParamStore, Box<dyn Backbone>) {
     let store = ParamStore::trainable_from(WeightSource::hashed(5, ""), 0);
-    let model = LanguageModel::new(&config(), store.builder()).unwrap();
+    let model = ModelConfig::new(config()).build(store.builder()).unwrap();
     (store, model)
 }
 
@@ -94,12 +94,12 @@ fn batch(scenes: &[&Scene]) -> PointCloud {
     PointCloud::new(cells, feat, offsets).unwrap()
 }
 
-fn run(model: &LanguageModel, points: &PointCloud) -> candle_core::Result<Vec<Vec<f32>>> {
+fn run(model: &dyn Backbone, points: &PointCloud) -> candle_core::Result<Vec<Vec<f32>>> {
     let mut rng = ChaCha8Rng::seed_from_u64(0);
     model.forward(points, &mut Forward::eval(&mut rng))?.to_vec2()
 }
 
-fn features(model: &LanguageModel, scenes: &[&Scene]) -> Vec<Vec<f32>> {
+fn features(model: &dyn Backbone, scenes: &[&Scene]) -> Vec<Vec<f32>> {
     run(model, &batch(scenes)).unwrap()
 }
 
@@ -188,7 +188,7 @@ fn wide_layers_in_any_company_with_any_number_of_threads() {
         mlp_ratio: 4,
         ..config()
     };
-    let build = |store: &ParamStore| LanguageModel::new(&wide, store.builder()).unwrap();
+    let build = |store: &ParamStore| ModelConfig::new(wide.clone()).build(store.builder()).unwrap();
     let source = WeightSource::hashed(5, "");
     let packed = build(&ParamStore::frozen(source.clone()));
     let store = ParamStore::trainable_from(source, 0);
@@ -429,7 +429,7 @@ fn what_is_refused() {
 fn training_on_a_single_voxel() {
     let store = ParamStore::trainable_from(WeightSource::hashed(5, ""), 0);
     let shape = PointTransformerV3Config { drop_path: 0.0, ..config() };
-    let model = LanguageModel::new(&shape, store.builder()).unwrap();
+    let model = ModelConfig::new(shape).build(store.builder()).unwrap();
     let statistics = || -> Vec<(String, Vec<f32>)> {
         let all = store.buffers();
         let value = |v: &candle_core::Var| {

@@ -8,7 +8,7 @@ use rand_chacha::ChaCha8Rng;
 use scenesplat_kernels::Precision;
 use scenesplat_models::weights::{WeightSource, unit};
 use scenesplat_models::{
-    Backbone, Compute, Forward, LanguageModel, ParamStore, PointCloud, PointTransformerV3Config,
+    Backbone, Compute, Forward, ModelConfig, ParamStore, PointCloud, PointTransformerV3Config,
 };
 use std::collections::BTreeMap;
 
@@ -58,7 +58,7 @@ fn batch(scenes: &[(Vec<[i32; 3]>, Vec<f32>)]) -> PointCloud {
 
 fn features(compute: Compute, points: &PointCloud) -> Vec<Vec<f32>> {
     let store = ParamStore::frozen(WeightSource::hashed(5, ""));
-    let model = LanguageModel::new(&config(compute), store.builder()).unwrap();
+    let model = ModelConfig::new(config(compute)).build(store.builder()).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(0);
     model.forward(points, &mut Forward::eval(&mut rng)).unwrap().to_vec2().unwrap()
 }
@@ -138,7 +138,7 @@ fn gradients(precision: Precision) -> BTreeMap<String, Vec<f32>> {
     let store = ParamStore::trainable_from(WeightSource::hashed(5, ""), 0);
     let compute = Compute { precision, fold: true };
     let config = PointTransformerV3Config { drop_path: 0.0, ..config(compute) };
-    let model = LanguageModel::new(&config, store.builder()).unwrap();
+    let model = ModelConfig::new(config).build(store.builder()).unwrap();
     let points = batch(&[room(24, 5)]);
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     let out = model.forward(&points, &mut Forward::train(&mut rng)).unwrap();

@@ -5,14 +5,14 @@ use candle_core::{Device, Tensor, backprop::GradStore};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use scenesplat_models::{
-    Backbone, Forward, LanguageModel, ParamStore, PointCloud, PointTransformerV3Config, Recompute,
+    Backbone, Forward, ModelConfig, ParamStore, PointCloud, PointTransformerV3Config, Recompute,
 };
 use std::collections::BTreeMap;
 
 fn gradients(recomputed: bool) -> (Vec<f32>, BTreeMap<String, Vec<f32>>) {
     let store = ParamStore::trainable(3);
     let config = PointTransformerV3Config { drop_path: 0.3, ..PointTransformerV3Config::tiny() };
-    let network = LanguageModel::new(&config, store.builder()).unwrap();
+    let network = ModelConfig::new(config).build(store.builder()).unwrap();
     let side = 14;
     let grid: Vec<[i32; 3]> =
         (0..side * side).map(|i| [i % side, i / side, (i * i / 7) % 5]).collect();

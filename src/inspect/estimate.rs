@@ -1,8 +1,9 @@
 //! What it will cost to run a network over a scene on this machine.
 
-use crate::inference::{block_costs, scene_bytes};
+use crate::NetworkConfig;
+use crate::inference::scene_bytes;
 use scenesplat_kernels::gemm::{Epilogue, PackedMatrix, gemm};
-use scenesplat_models::PointTransformerV3Config;
+use scenesplat_models::ModelConfig;
 use scenesplat_scene::GaussianScene;
 use serde::Serialize;
 use std::time::{Duration, Instant};
@@ -50,13 +51,11 @@ pub struct Estimate {
 
 /// Operations per voxel: as measured, scaled by the work of the blocks. Of the two networks that were
 /// measured the one nearer in work sets the efficiency.
-fn flop_per_voxel(config: &PointTransformerV3Config) -> f64 {
-    let work = |config: &PointTransformerV3Config| -> f64 {
-        block_costs(config).iter().map(|(_, cost)| cost).sum()
-    };
+fn flop_per_voxel(config: &ModelConfig) -> f64 {
+    let work = |config: &ModelConfig| config.backbone.get().cost().work_per_voxel();
     let own = work(config);
-    let language = work(&PointTransformerV3Config::language());
-    let semseg = work(&PointTransformerV3Config::semseg());
+    let language = work(&ModelConfig::language());
+    let semseg = work(&ModelConfig::semseg());
     if (own / language).ln().abs() <= (own / semseg).ln().abs() {
         LANGUAGE_FLOP_PER_VOXEL * own / language
     } else {
@@ -89,19 +88,18 @@ pub fn estimate(
     scene: &GaussianScene,
     voxels: usize,
     network: &str,
-    config: &PointTransformerV3Config,
+    config: &NetworkConfig,
     gflops: f64,
 ) -> Estimate {
-    let seconds = flop_per_voxel(config) * voxels as f64 / (gflops * 1e9);
+    let seconds = flop_per_voxel(&config.model) * voxels as f64 / (gflops * 1e9);
     let (n, v) = (scene.len() as f64, voxels as f64);
     // As the encoder counts: scene, tables of the plan, weights, features, and the work per voxel.
     let bytes = scene_bytes(scene) as f64
-        + v * (12 + 4 * config.in_channels + 8) as f64
+        + v * (12 + 4 * config.model.in_channels() + 8) as f64
         + n * 8.0
-        + 4.0 * config.num_values() as f64
-        + v * 4.0
-            * config.num_classes.or(config.projection).unwrap_or(config.out_channels()) as f64
-        + v * config.inference_bytes_per_voxel() as f64
+        + 4.0 * config.model.num_values() as f64
+        + v * 4.0 * config.model.out_channels() as f64
+        + v * config.model.backbone.get().cost().bytes_per_voxel as f64
         + FIXED_BYTES;
     Estimate {
         network: network.to_owned(),
@@ -122,8 +120,8 @@ mod tests {
     fn the_two_networks_cost_what_was_measured() {
         let scene = GaussianScene::default();
         for (name, config, seconds, bytes) in [
-            ("language", PointTransformerV3Config::language(), 43.5, 2.52e9),
-            ("semseg", PointTransformerV3Config::semseg(), 1.78, 0.62e9),
+            ("language", NetworkConfig::language(), 43.5, 2.52e9),
+            ("semseg", NetworkConfig::semseg(), 1.78, 0.62e9),
         ] {
             // 188 Gflop/s is the speed of the product on the machine of those measurements.
             let e = estimate(&scene, 100_000, name, &config, 188.0);
@@ -131,7 +129,7 @@ mod tests {
             let off = e.bytes as f64 / bytes;
             assert!((0.7..1.5).contains(&off), "{name}: {} of {bytes} bytes", e.bytes);
         }
-        let tiny = estimate(&scene, 100_000, "tiny", &PointTransformerV3Config::tiny(), 188.0);
+        let tiny = estimate(&scene, 100_000, "tiny", &NetworkConfig::tiny(), 188.0);
         assert!(tiny.seconds > 0.01 && tiny.seconds < 1.78, "{tiny:?}");
     }
 

@@ -26,9 +26,9 @@ pub use statistics::{Border, Histogram, Quantiles};
 pub use unit::{LengthUnit, UnitGuess};
 pub use up::{UpEvidence, UpGuess};
 
+use crate::NetworkConfig;
 use crate::preview::UpAxis;
 use findings::Findings;
-use scenesplat_models::PointTransformerV3Config;
 use scenesplat_scene::LoadedScene;
 use serde::Serialize;
 
@@ -43,7 +43,7 @@ pub struct InspectSettings {
     pub grid_size: f64,
     /// The network to estimate the cost of, and its name; `None`: no estimate, which is the only
     /// part that is measured and therefore not the same twice.
-    pub network: Option<(String, PointTransformerV3Config)>,
+    pub network: Option<(String, NetworkConfig)>,
 }
 
 impl Default for InspectSettings {

@@ -1,10 +1,11 @@
 //! An experiment as a file.
 
+use crate::NetworkConfig;
 use anyhow::{Context, Result};
 use scenesplat_datasets::transforms::{self, TransformConfig};
 use scenesplat_datasets::{InputFeatures, LoaderSettings, MixRule};
 use scenesplat_losses::LossConfig;
-use scenesplat_models::PointTransformerV3Config;
+use scenesplat_models::{Compute, ModelConfig};
 use scenesplat_trainers::{AdamWConfig, CosineSchedule, KeywordGroup, OneCycle, TrainerConfig};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -21,9 +22,9 @@ use super::data::{EvaluationConfig, TrainDataConfig};
 pub struct ExperimentConfig {
     /// What the network is trained for.
     pub task: Task,
-    /// The network.
+    /// The network: its architecture, head and voxel size.
     #[serde(default)]
-    pub model: PointTransformerV3Config,
+    pub model: ModelConfig,
     /// Form of the numbers that are multiplied: `f32`, `split` or `bf16`. Parameters, sums, norms,
     /// softmax and losses are f32 in any case.
     #[serde(default = "f32_name")]
@@ -258,12 +259,12 @@ impl ExperimentConfig {
         anyhow::ensure!(!self.train.is_empty(), "train: at least one dataset is needed");
         anyhow::ensure!(!self.losses.is_empty(), "losses: at least one term is needed");
         let reads = self.input.width();
-        let takes = self.model.in_channels;
+        let takes = self.model.in_channels();
         anyhow::ensure!(
             reads == takes,
             "model.in_channels is {takes}, but the channels of `input` are {reads} together"
         );
-        let head = self.model.num_classes.is_some();
+        let head = self.model.num_classes().is_some();
         match self.task {
             Task::LanguagePretraining => {
                 anyhow::ensure!(!head, "model.num_classes: language pretraining has no classifier");
@@ -285,6 +286,17 @@ impl ExperimentConfig {
         self.loader.seed = seed;
         self.trainer.seed = seed;
         self.train.iter_mut().for_each(|data| data.seed = seed);
+    }
+
+    /// The network with what it reads.
+    ///
+    /// # Errors
+    /// If there is no such precision.
+    pub fn network(&self) -> Result<NetworkConfig> {
+        let compute =
+            Compute { precision: self.precision()?, ..self.model.backbone.get().compute() };
+        let config = NetworkConfig { model: self.model.clone(), input: self.input.clone() };
+        Ok(config.with_compute(compute))
     }
 
     /// The precision of products.

@@ -1,8 +1,8 @@
 //! A trained network as others take it.
 
+use crate::NetworkConfig;
 use anyhow::{Context, Result};
 use candle_core::{Device, Tensor};
-use scenesplat_models::PointTransformerV3Config;
 use scenesplat_models::weights::save_tensors;
 use scenesplat_scene::StagedFolder;
 use scenesplat_trainers::checkpoint::{best_checkpoint, newest_checkpoint};
@@ -18,7 +18,7 @@ use std::path::Path;
 /// If there is no checkpoint or a file cannot be read or written.
 pub fn export_model(
     checkpoints: &Path,
-    config: &PointTransformerV3Config,
+    config: &NetworkConfig,
     folder: &Path,
 ) -> Result<Vec<String>> {
     let (dir, remark) = match best_checkpoint(checkpoints)? {
@@ -49,13 +49,14 @@ pub fn export_model(
     Ok(vec![format!("model: {remark}{averaged}")])
 }
 
-/// Writes a model folder; its files appear together.
+/// Writes a model folder, whose files appear together: `config.json` says what the network is and
+/// what it reads.
 ///
 /// # Errors
 /// If a file cannot be written.
 pub fn write_model(
     tensors: &HashMap<String, Tensor>,
-    config: &PointTransformerV3Config,
+    config: &NetworkConfig,
     folder: &Path,
 ) -> Result<()> {
     let mut staged = StagedFolder::create(folder)?;
@@ -63,4 +64,105 @@ pub fn write_model(
     staged.write("config.json", serde_json::to_string_pretty(config)?.as_bytes())?;
     staged.commit::<&str>(&[])?;
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{ExperimentConfig, RunOptions, data, train};
+    use crate::network::{Network, NetworkConfig, WeightOptions, Weights, config_beside};
+    use crate::{SceneEncoder, text};
+    use scenesplat_metrics::Metric;
+    use scenesplat_trainers::callbacks::read_json_lines;
+    use scenesplat_trainers::evaluators::ZeroShotEvaluator;
+    use std::path::Path;
+    use std::sync::Arc;
+
+    const EXPERIMENT: &str = r#"
+task = "language_pretraining"
+targets = "class_text"
+text = { type = "vocabulary", dim = 16 }
+[input]
+channels = CHANNELS
+[model]
+in_channels = WIDTH
+grid_size = 0.15
+stride = [2]
+enc_depths = [1, 1]
+enc_channels = [8, 16]
+enc_num_head = [1, 2]
+enc_patch_size = [64, 64]
+dec_depths = [1]
+dec_channels = [16]
+dec_num_head = [2]
+dec_patch_size = [64]
+[[train]]
+source = { type = "synthetic", count = 2, seed = 1, room = { num_gaussians = 1500 } }
+transforms = "language_pretraining"
+repeat = 6
+[loader]
+workers = 1
+mix_probability = 0.0
+[[losses]]
+type = "cosine"
+[optimizer]
+lr = 0.01
+groups = []
+[trainer]
+epochs = 1
+[[evaluate]]
+name = "unseen"
+source = { type = "synthetic", count = 2, seed = 9, room = { num_gaussians = 1500 } }
+"#;
+
+    /// Trains, and gives what the run measured last, what its folder says, and what the folder's
+    /// network measures on the same scenes.
+    fn run(out: &Path, channels: &str, width: usize) -> (f64, NetworkConfig, f64) {
+        let text = EXPERIMENT.replace("CHANNELS", channels).replace("WIDTH", &width.to_string());
+        std::fs::create_dir_all(out).unwrap();
+        let file = out.join("experiment.toml");
+        std::fs::write(&file, text).unwrap();
+        let experiment = ExperimentConfig::read(&file).unwrap();
+        let options =
+            RunOptions { out: out.join("run"), resume: false, quiet: true, stop: Arc::default() };
+        let report = train(&experiment, &options).unwrap();
+        let log = read_json_lines(&out.join("run/metrics.jsonl")).unwrap();
+        let trained = log.iter().rfind(|m| m.name == "unseen/allAcc").unwrap().value;
+
+        let config = config_beside(&report.model).unwrap().unwrap();
+        let weights = Weights::File(report.model);
+        let network = Network::load(config.clone(), &weights, WeightOptions::default()).unwrap();
+        let entry = &experiment.evaluate[0];
+        let scenes = data::evaluation(entry, &experiment).unwrap();
+        let table = data::text_table(experiment.text.as_ref().unwrap()).unwrap().table;
+        let table = text::metric_table(&table).unwrap();
+        let input = network.input().clone();
+        let evaluator = ZeroShotEvaluator::new("again", scenes, input, table, Vec::new());
+        let measured = evaluator.confusion(network.model()).unwrap().measure();
+        let again = measured.iter().find(|m| m.name == "allAcc").unwrap().value;
+        (trained, config, again)
+    }
+
+    #[test]
+    fn a_model_folder_says_what_its_network_reads() {
+        let folder = tempfile::tempdir().unwrap();
+        let own = |name: &str, channels: &str, width| {
+            let (trained, config, again) = run(&folder.path().join(name), channels, width);
+            let written = serde_json::to_value(&config.input.channels).unwrap().to_string();
+            assert_eq!(written, channels.replace(' ', ""));
+            assert!((trained - again).abs() < 1e-9, "{name}: {trained}, then {again}");
+            config
+        };
+        let plain = own("plain", r#"["color", "opacity", "quat", "scale"]"#, 11);
+        let swapped = own("swapped", r#"["scale", "quat", "opacity", "color"]"#, 11);
+        assert_ne!(plain, swapped);
+        // A set that no released network has.
+        let config = own("normals", r#"["color", "normal"]"#, 6);
+        let weights = Weights::File(folder.path().join("normals/run/model"));
+        let network = Network::load(config, &weights, WeightOptions::default()).unwrap();
+        let settings = scenesplat_datasets::RoomSettings { num_gaussians: 300, seed: 1 };
+        let mut scene = scenesplat_datasets::generate_room(&settings).unwrap().scene;
+        scene.normal = Some(vec![[0.0, 0.0, 1.0]; scene.len()]);
+        let features = SceneEncoder::new(&network).encode(&scene, &mut |_| Ok(())).unwrap();
+        assert_eq!((features.len(), features.width()), (scene.len(), 16));
+    }
 }

@@ -9,9 +9,7 @@ use anyhow::{Context, Result};
 use scenesplat_datasets::{BatchLoader, TrainBatch};
 use scenesplat_losses::{Objective, TextTable as LossTexts, build_objective};
 use scenesplat_models::weights::{SourceOptions, WeightSource, resolve};
-use scenesplat_models::{
-    Compute, LanguageModel, LoadPolicy, ParamStore, PointTransformerV3Config, SemanticSegmenter,
-};
+use scenesplat_models::{LoadPolicy, ParamStore};
 use scenesplat_scene::{AtomicFile, FolderLock, LabelSet, TextTable};
 use scenesplat_trainers::callbacks::{
     Console, EarlyStopping, JsonLines, TensorBoard, read_json_lines,
@@ -88,10 +86,7 @@ pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunRepor
     // Held until the end, also against a run that found no folder a moment ago.
     let _lock = early.map_or_else(lock, Ok)?;
     let (params, mut remarks) = parameters(config)?;
-    let model = PointTransformerV3Config {
-        compute: Compute { precision: config.precision()?, ..config.model.compute },
-        ..config.model.clone()
-    };
+    let network = config.network()?.model.build(params.builder())?;
     let loss_texts = match &text {
         Some(t) => Some(LossTexts::new(&t.table.values, t.table.dim)?),
         None => None,
@@ -106,13 +101,11 @@ pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunRepor
                 (Targets::ClassText, Some(t)) => TargetSource::class_text(&t.table)?,
                 _ => TargetSource::Features,
             };
-            let network = LanguageModel::new(&model, params.builder())?;
             let module = LanguagePretraining::new(params, network, objective, targets);
             let mut evaluators = zero_shot(config, text.as_ref())?;
             run.fit(&module, &mut *loader, &mut evaluators)?
         }
         Task::SemanticSegmentation => {
-            let network = SemanticSegmenter::new(&model, params.builder())?;
             let module = SemanticSegmentation::new(params, network, objective);
             let mut evaluators = segmentation(config, text.as_ref())?;
             run.fit(&module, &mut *loader, &mut evaluators)?
@@ -137,10 +130,7 @@ fn parameters(config: &ExperimentConfig) -> Result<(ParamStore, Vec<String>)> {
     let source = WeightSource::files(files, SourceOptions::default())?;
     let params = ParamStore::trainable_from(source, config.model_seed);
     // A trial build asks for every name, so that the report is complete before training begins.
-    match config.model.num_classes {
-        Some(_) => _ = SemanticSegmenter::new(&config.model, params.builder())?,
-        None => _ = LanguageModel::new(&config.model, params.builder())?,
-    }
+    config.model.build(params.builder())?;
     let report = params.report();
     report.check(LoadPolicy::Partial, &path.display().to_string())?;
     Ok((params, vec![format!("{}: {report}", path.display())]))
@@ -254,7 +244,7 @@ impl Run<'_> {
         };
         let progress = trainer.fit(module, loader, evaluators, start)?;
         let model = out.join("model");
-        let remarks = export_model(self.checkpoints, &self.config.model, &model)?;
+        let remarks = export_model(self.checkpoints, &self.config.network()?, &model)?;
         Ok((progress, (model, remarks)))
     }
 }

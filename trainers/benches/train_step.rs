@@ -12,7 +12,7 @@ mod train_step;
 use candle_core::{Device, Tensor};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use scenesplat_kernels::Precision;
-use scenesplat_models::{Compute, PointCloud, PointTransformerV3Config};
+use scenesplat_models::{Compute, ModelConfig, PointCloud, PointTransformerV3Config};
 use support::{criterion, features, short, voxels};
 use train_step::TrainStep;
 
@@ -30,6 +30,7 @@ fn steps(c: &mut Criterion) {
         for precision in [Precision::F32, Precision::Bf16] {
             let compute = Compute { precision, ..config.compute };
             let config = PointTransformerV3Config { compute, ..config.clone() };
+            let config = ModelConfig::new(config).with_classes(20);
             for recompute in [false, true] {
                 let mut step =
                     TrainStep::new(&config, points.clone(), recompute).expect("a network");

@@ -13,9 +13,7 @@ use scenesplat_losses::{
     AggregatedContrastive, CosineLoss, CrossEntropy, LovaszSoftmax, Objective,
 };
 use scenesplat_metrics::Measurement;
-use scenesplat_models::{
-    Compute, LanguageModel, ParamStore, PointTransformerV3Config, SemanticSegmenter,
-};
+use scenesplat_models::{Compute, ModelConfig, ParamStore, PointTransformerV3Config};
 use scenesplat_scene::TextTable;
 use scenesplat_trainers::checkpoint::newest_checkpoint;
 use scenesplat_trainers::evaluators::{SegmentationEvaluator, ZeroShotEvaluator};
@@ -29,19 +27,19 @@ use std::sync::{Arc, Mutex};
 
 const WIDTH: usize = 24;
 
-fn network(precision: Precision) -> PointTransformerV3Config {
-    PointTransformerV3Config {
+fn network(precision: Precision) -> ModelConfig {
+    ModelConfig::new(PointTransformerV3Config {
         enc_channels: vec![8, 16, 16],
         enc_num_head: vec![1, 2, 2],
         enc_patch_size: vec![64; 3],
         dec_channels: vec![16, 16],
         dec_num_head: vec![2, 2],
         dec_patch_size: vec![64; 2],
-        projection: Some(WIDTH),
         drop_path: 0.2,
         compute: Compute { precision, ..Compute::default() },
         ..PointTransformerV3Config::tiny()
-    }
+    })
+    .with_projection(WIDTH)
 }
 
 /// Directions of the classes: nothing but apart from each other.
@@ -71,7 +69,7 @@ fn loader(data: Arc<dyn Dataset>, workers: usize) -> SceneLoader {
 
 fn language(precision: Precision, seed: u64) -> LanguagePretraining {
     let params = ParamStore::trainable(seed);
-    let model = LanguageModel::new(&network(precision), params.builder()).unwrap();
+    let model = network(precision).build(params.builder()).unwrap();
     let contrastive = AggregatedContrastive { min_points: 20, ..AggregatedContrastive::default() };
     let objective = Objective::new().with(1.0, CosineLoss::default()).with(0.02, contrastive);
     let targets = TargetSource::class_text(&texts()).unwrap();
@@ -234,12 +232,8 @@ fn both_tasks_learn_their_rooms() {
         check(&record, "zero_shot", 0.8);
     }
     let params = ParamStore::trainable(4);
-    let shape = PointTransformerV3Config {
-        num_classes: Some(CLASSES.len()),
-        projection: None,
-        ..network(Precision::F32)
-    };
-    let model = SemanticSegmenter::new(&shape, params.builder()).unwrap();
+    let shape = network(Precision::F32).with_classes(CLASSES.len());
+    let model = shape.build(params.builder()).unwrap();
     let objective = Objective::new().with(1.0, CrossEntropy::default()).with(1.0, LovaszSoftmax);
     let (module, record) = (SemanticSegmentation::new(params, model, objective), Record::default());
     let evaluator =

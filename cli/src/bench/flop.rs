@@ -27,13 +27,15 @@ impl Flop {
     }
 }
 
-/// Counts the operations on one scene. Frozen layers may be joined, as the configuration says: then
+/// Counts the operations on one scene; `head` is the width of a linear layer behind the network, 0
+/// for none. Frozen layers may be joined, as the configuration says: then
 /// the linear layer behind each convolution is a part of it.
 ///
 /// # Errors
 /// If the voxels are out of range.
 pub(super) fn count(
     config: &PointTransformerV3Config,
+    head: usize,
     voxels: &[[i32; 3]],
     frozen: bool,
 ) -> Result<Flop> {
@@ -71,8 +73,7 @@ pub(super) fn count(
             rest += depth * block(dec[stage], config.dec_patch_size[stage])?;
         }
     }
-    let head = config.num_classes.or(config.projection);
-    let head = head.map_or(0, |classes| 2 * n * config.out_channels() * classes);
+    let head = 2 * n * config.out_channels() * head;
     Ok(Flop { stem: stem as u64, rest: (rest + head) as u64 })
 }
 
@@ -93,16 +94,15 @@ mod tests {
             dec_channels: vec![6],
             dec_num_head: vec![1],
             dec_patch_size: vec![16],
-            num_classes: Some(5),
             ..PointTransformerV3Config::tiny()
         };
-        let found = count(&config, &[[0, 0, 0]], false).unwrap();
+        let found = count(&config, 5, &[[0, 0, 0]], false).unwrap();
         assert_eq!(found.stem, 2 * 3 * 4);
         let block = |c: u64| 2 * (1 + 5 + 8) * c * c + 4 * c;
         let scales = 2 * 4 * 8 + 2 * 8 * 6 + 2 * 4 * 6;
         assert_eq!(found.rest, block(4) + 2 * block(8) + block(6) + scales + 2 * 6 * 5);
         assert_eq!(found.train(), 2 * found.stem + 3 * found.rest);
-        let joined = count(&config, &[[0, 0, 0]], true).unwrap();
+        let joined = count(&config, 5, &[[0, 0, 0]], true).unwrap();
         assert_eq!(found.rest - joined.rest, 2 * (16 + 2 * 64 + 36));
     }
 }

@@ -11,25 +11,36 @@ use rand_chacha::ChaCha8Rng;
 use scenesplat::kernels::Precision;
 use scenesplat::models::weights::WeightSource;
 use scenesplat::models::{
-    Backbone, Compute, Forward, LanguageModel, ParamStore, PointCloud, PointTransformerV3Config,
-    SemanticSegmenter,
+    Compute, Forward, ModelConfig, ParamStore, PointCloud, PointTransformerV3Config,
 };
 use std::path::Path;
 
 /// Rows that are compared between precisions.
 const COMPARED: usize = 4096;
 
-fn with_precision(
-    config: PointTransformerV3Config,
-    precision: Precision,
-) -> PointTransformerV3Config {
-    PointTransformerV3Config { compute: Compute { precision, ..config.compute }, ..config }
+/// A network as it is measured.
+struct Subject {
+    shape: PointTransformerV3Config,
+    /// Classes of a classifier behind it, 0 for none.
+    classes: usize,
 }
 
-fn semseg(precision: Precision) -> PointTransformerV3Config {
+impl Subject {
+    fn new(shape: PointTransformerV3Config, classes: usize, precision: Precision) -> Self {
+        let compute = Compute { precision, ..shape.compute };
+        Self { shape: PointTransformerV3Config { compute, ..shape }, classes }
+    }
+
+    fn model(&self) -> ModelConfig {
+        let model = ModelConfig::new(self.shape.clone());
+        if self.classes > 0 { model.with_classes(self.classes) } else { model }
+    }
+}
+
+fn semseg(precision: Precision) -> Subject {
     // Without normals, as the networks it is compared with.
-    let config = PointTransformerV3Config::semseg();
-    with_precision(PointTransformerV3Config { in_channels: 11, ..config }, precision)
+    let shape = PointTransformerV3Config::semseg();
+    Subject::new(PointTransformerV3Config { in_channels: 11, ..shape }, 20, precision)
 }
 
 fn cloud(voxels: Vec<[i32; 3]>, channels: usize) -> Result<PointCloud> {
@@ -40,26 +51,19 @@ fn cloud(voxels: Vec<[i32; 3]>, channels: usize) -> Result<PointCloud> {
 
 /// The language network.
 pub(super) fn language(n: usize, request: &Request) -> Result<Measured> {
-    let config = with_precision(PointTransformerV3Config::language(), request.precision);
-    let weights = ParamStore::frozen(WeightSource::hashed(0, ""));
-    let network = LanguageModel::new(&config, weights.builder())?;
-    forward(&config, &network, n, request)
+    let shape = PointTransformerV3Config::language();
+    forward(&Subject::new(shape, 0, request.precision), n, request)
 }
 
 /// The segmentation network.
 pub(super) fn segmentation(n: usize, request: &Request) -> Result<Measured> {
-    let config = semseg(request.precision);
-    let weights = ParamStore::frozen(WeightSource::hashed(0, ""));
-    let network = SemanticSegmenter::new(&config, weights.builder())?;
-    forward(&config, &network, n, request)
+    forward(&semseg(request.precision), n, request)
 }
 
-fn forward(
-    config: &PointTransformerV3Config,
-    network: &dyn Backbone,
-    n: usize,
-    request: &Request,
-) -> Result<Measured> {
+fn forward(subject: &Subject, n: usize, request: &Request) -> Result<Measured> {
+    let (config, model) = (&subject.shape, subject.model());
+    let weights = ParamStore::frozen(WeightSource::hashed(0, ""));
+    let network = model.build(weights.builder())?;
     let voxels = room::voxels(n);
     let points = cloud(voxels.clone(), config.in_channels)?;
     let mut out = None;
@@ -77,8 +81,8 @@ fn forward(
     let io = 4 * n * (config.in_channels + width);
     Ok(Measured {
         size: n,
-        flop: flop::count(config, &voxels, true)?.forward(),
-        bytes: (io + weight_size(request.precision) * config.num_values()) as u64,
+        flop: flop::count(config, subject.classes, &voxels, true)?.forward(),
+        bytes: (io + weight_size(request.precision) * model.num_values()) as u64,
         accuracy,
         ..measured
     })
@@ -86,9 +90,10 @@ fn forward(
 
 /// Forward, cross entropy, backward, AdamW.
 pub(super) fn train_step(n: usize, recompute: bool, request: &Request) -> Result<Measured> {
-    let config = semseg(request.precision);
+    let subject = semseg(request.precision);
+    let (config, model) = (&subject.shape, subject.model());
     let voxels = room::voxels(n);
-    let mut step = TrainStep::new(&config, cloud(voxels.clone(), config.in_channels)?, recompute)?;
+    let mut step = TrainStep::new(&model, cloud(voxels.clone(), config.in_channels)?, recompute)?;
     if !request.one_pass {
         // The first of thousands of steps allocates what all others use again.
         step.run()?;
@@ -103,9 +108,9 @@ pub(super) fn train_step(n: usize, recompute: bool, request: &Request) -> Result
     let accuracy = compare(request, gradient, width, "channels of the first gradient of the stem")?;
     Ok(Measured {
         size: n,
-        flop: flop::count(&config, &voxels, false)?.train(),
+        flop: flop::count(config, subject.classes, &voxels, false)?.train(),
         // Input; weights and both moments, read and written.
-        bytes: (4 * n * config.in_channels + 24 * config.num_values()) as u64,
+        bytes: (4 * n * config.in_channels + 24 * model.num_values()) as u64,
         accuracy,
         ..measured
     })

@@ -4,15 +4,12 @@ use candle_core::{Result, Var};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use scenesplat_losses::{CrossEntropy, LossInput, LovaszSoftmax, Objective};
-use scenesplat_models::{
-    Backbone, Forward, ParamStore, PointCloud, PointTransformerV3Config, Recompute,
-    SemanticSegmenter,
-};
+use scenesplat_models::{Backbone, Forward, ModelConfig, ParamStore, PointCloud, Recompute};
 use scenesplat_trainers::{AdamW, AdamWConfig, Controls, Optimizer, group_by_keyword};
 
 /// The network with its optimizer, voxels and labels.
 pub struct TrainStep {
-    network: SemanticSegmenter,
+    network: Box<dyn Backbone>,
     optimizer: AdamW,
     objective: Objective,
     points: PointCloud,
@@ -29,13 +26,9 @@ impl TrainStep {
     ///
     /// # Errors
     /// If the input does not fit.
-    pub fn new(
-        config: &PointTransformerV3Config,
-        points: PointCloud,
-        recompute: bool,
-    ) -> Result<Self> {
+    pub fn new(config: &ModelConfig, points: PointCloud, recompute: bool) -> Result<Self> {
         let store = ParamStore::trainable(0);
-        let network = SemanticSegmenter::new(config, store.builder())?;
+        let network = config.build(store.builder())?;
         let parameters = store.parameters();
         let Some(stem) = parameters.get("embedding.stem.conv.weight").cloned() else {
             candle_core::bail!("the network has no stem");

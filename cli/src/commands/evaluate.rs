@@ -314,7 +314,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     for (name, report) in &rows {
         print(&format!("{name:14} {}", columns(report)));
     }
-    let meaningless = network.as_ref().is_some_and(scenesplat::Network::is_meaningless);
+    let meaningless = network.as_ref().is_some_and(scenesplat::Network::has_random_weights);
     if meaningless {
         print("the features come from seeded weights: their row means nothing");
     }
@@ -443,7 +443,7 @@ fn label_map(args: &Args, names: &[String]) -> Result<Option<Vec<i32>>> {
 
 /// The classes of a segmentation network as a table: each is its own direction.
 fn classes_of(network: &Network, args: &Args) -> Result<TextTable> {
-    let count = network.config().num_classes.unwrap_or(0);
+    let count = network.model().out_channels();
     let Some(path) = &args.classes.text_names else {
         let text = "--text-names is missing: the names of the network's classes, one a line";
         return Err(WrongUse(text.to_owned()).into());

@@ -7,7 +7,7 @@ use anyhow::{Context, Result, bail};
 use scenesplat::input::scene_name;
 use scenesplat::inspect::sheet::write_sheet;
 use scenesplat::inspect::{InspectSettings, inspect};
-use scenesplat::network::NetworkConfig;
+use scenesplat::network::NetworkChoice;
 use scenesplat::preview::UpAxis;
 use scenesplat::scene::ReadOptions;
 use std::ffi::OsString;
@@ -45,8 +45,8 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start(&args.shared, line)?;
-    let config = args.shared.config.clone().unwrap_or(NetworkConfig::Language);
-    let network = (name_of(&config), config.resolve()?);
+    let config = args.shared.config.clone().unwrap_or(NetworkChoice::Language);
+    let network = (config.to_string(), config.resolve()?);
     session.outputs.reads(&args.scene)?;
     session.outputs.claim_any("--json", args.json.as_ref())?;
     let sheet = match (&args.sheet, args.no_sheet) {
@@ -106,16 +106,6 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         bail!("{}: {} findings: {}", args.scene.display(), names.len(), names.join(", "));
     }
     Ok(())
-}
-
-/// What the network is called in the estimate.
-fn name_of(config: &NetworkConfig) -> String {
-    match config {
-        NetworkConfig::Language => "language".to_owned(),
-        NetworkConfig::Semseg => "semseg".to_owned(),
-        NetworkConfig::Tiny => "tiny".to_owned(),
-        NetworkConfig::File(path) => path.display().to_string(),
-    }
 }
 
 /// `room.ply` → `room.ply.inspect.png`; the description of a folder is named after the folder.

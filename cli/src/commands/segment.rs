@@ -262,7 +262,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
             let text = "--text is for language networks; name the classes with --text-names";
             return Err(WrongUse(text.to_owned()).into());
         }
-        let count = network.config().num_classes.unwrap_or(0);
+        let count = network.model().out_channels();
         let names = match &args.classes.text_names {
             Some(path) => read_names(path)?,
             None => (0..count).map(|i| format!("class {i}")).collect(),

@@ -4,11 +4,12 @@ use crate::flags::{BranchArg, ConvLayoutArg, Shared};
 use crate::session::Session;
 use crate::terminal::print;
 use anyhow::Result;
+use scenesplat::models::LoadPolicy;
 use scenesplat::models::convert::{Renamed, rename};
-use scenesplat::models::weights::{resolve, summarize};
-use scenesplat::models::{LoadPolicy, PointTransformerV3Config};
+use scenesplat::models::weights::{WeightSource, resolve, summarize};
 use scenesplat::network::{
-    Network, NetworkConfig, WeightOptions, Weights as Source, config_beside,
+    Network, NetworkChoice, NetworkConfig, WeightOptions, Weights as Source, config_beside,
+    network_of,
 };
 use std::path::PathBuf;
 
@@ -76,27 +77,29 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
             "skipped": file.skipped(), "values": values,
         }));
     }
-    drop(folder);
-
-    let mut candidates: Vec<(String, PointTransformerV3Config)> = Vec::new();
-    match (&args.shared.config, config_beside(&args.checkpoint)?) {
-        (Some(config), _) => candidates.push((format!("{config:?}"), config.resolve()?)),
-        (None, Some(config)) => candidates.push(("the folder's own".to_owned(), config)),
-        (None, None) => {
-            for (name, config) in [
-                ("language", NetworkConfig::Language),
-                ("semseg", NetworkConfig::Semseg),
-                ("tiny", NetworkConfig::Tiny),
-            ] {
-                candidates.push((name.to_owned(), config.resolve()?));
-            }
-            candidates.push(("self-supervised".to_owned(), PointTransformerV3Config::ssl()));
-        }
-    }
     let options = WeightOptions {
         policy: LoadPolicy::Partial,
         branch: args.branch.into(),
         conv_layout: args.conv_layout.into(),
+    };
+    let shapes = WeightSource::files(folder.files, options.source())?.shapes();
+
+    let candidates: Vec<(String, NetworkConfig)> = match &args.shared.config {
+        Some(choice) => {
+            let own = network_of(&Source::File(args.checkpoint.clone()), Some(choice), options)?;
+            vec![(choice.to_string(), own)]
+        }
+        None => match config_beside(&args.checkpoint)? {
+            Some(own) => vec![("the folder's own".to_owned(), own)],
+            None => NetworkChoice::NAMED
+                .into_iter()
+                .map(|(name, choice)| {
+                    // Inputs of an unknown kind are no network of ours: the plain one says why.
+                    let adapted = choice.resolve_for(&shapes).or_else(|_| choice.resolve())?;
+                    Ok((name.to_owned(), adapted))
+                })
+                .collect::<Result<_>>()?,
+        },
     };
     let mut fits = Vec::new();
     for (name, config) in candidates {

@@ -422,10 +422,7 @@ fn a_segmentation_network_labels_and_is_evaluated_by_its_own_classes() {
     let folder = tempfile::tempdir().unwrap();
     let config = folder.path().join("seg.toml");
     let classes = scenesplat::datasets::generated_room::CLASS_NAMES;
-    let tiny_shape = scenesplat::models::PointTransformerV3Config {
-        num_classes: Some(classes.len()),
-        ..scenesplat::models::PointTransformerV3Config::tiny()
-    };
+    let tiny_shape = scenesplat::models::ModelConfig::tiny().with_classes(classes.len());
     std::fs::write(&config, toml::to_string(&tiny_shape).unwrap()).unwrap();
     let names = folder.path().join("names.txt");
     std::fs::write(&names, classes.join("\n")).unwrap();

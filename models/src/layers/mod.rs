@@ -8,7 +8,7 @@ mod linear_norm;
 mod mlp;
 mod sparse_conv;
 
-pub use batch_norm::BatchNorm;
+pub use batch_norm::{BatchNorm, BatchNormConstants};
 pub use drop_path::DropPath;
 pub use layer_norm::LayerNorm;
 pub use linear::Linear;

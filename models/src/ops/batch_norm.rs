@@ -121,16 +121,21 @@ pub(crate) fn frozen_cannot_train() -> Result<Tensor> {
     bail!("batch_norm: frozen weights cannot train; load them into a trainable store")
 }
 
-/// `gelu(x · scale + shift)` per channel, without gradient.
+/// `x · scale + shift` per channel, then the exact GELU if asked for; without gradient.
 ///
 /// # Errors
 /// If shapes do not fit or `x` wants a gradient.
-pub(crate) fn scale_shift_gelu_frozen(x: &Tensor, scale: &[f32], shift: &[f32]) -> Result<Tensor> {
+pub(crate) fn scale_shift_frozen(
+    x: &Tensor,
+    scale: &[f32],
+    shift: &[f32],
+    gelu: bool,
+) -> Result<Tensor> {
     refuse_gradient("batch_norm", x)?;
     let (_, c) = x.dims2()?;
     if c != scale.len() {
         bail!("batch_norm: input {:?} does not fit {} channels", x.shape(), scale.len());
     }
     let shape = x.shape().clone();
-    read("batch_norm", x, |x| make(shape, |out| apply(x, scale, shift, true, out)))
+    read("batch_norm", x, |x| make(shape, |out| apply(x, scale, shift, gelu, out)))
 }

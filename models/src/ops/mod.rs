@@ -17,7 +17,7 @@ mod segment_reduce;
 mod sparse_conv;
 
 pub use batch_norm::{BatchStatistics, batch_norm, batch_statistics, scale_shift};
-pub(crate) use batch_norm::{frozen_cannot_train, scale_shift_gelu_frozen};
+pub(crate) use batch_norm::{frozen_cannot_train, scale_shift_frozen};
 pub use gelu::gelu;
 pub use layer_norm::{layer_norm, layer_norm_frozen};
 pub use linear::{linear, linear_frozen, linear_with, mlp_frozen};

@@ -1,7 +1,10 @@
 //! Shape of a network.
 
-use crate::Compute;
+use super::PointTransformerV3;
+use crate::weights::Shapes;
+use crate::{Architecture, Backbone, BackboneCost, Compute};
 use candle_core::{Result, bail};
+use candle_nn::VarBuilder;
 use scenesplat_kernels::segment::Reduce;
 use scenesplat_kernels::serialization::Curve;
 use serde::{Deserialize, Serialize};
@@ -75,15 +78,8 @@ pub struct PointTransformerV3Config {
     pub pooling: PoolingReduce,
     /// Whether there is a learned token for masked rows (self-supervised networks).
     pub mask_token: bool,
-    /// Classes of a linear head on the output; none for a language network.
-    pub num_classes: Option<usize>,
-    /// Width that a linear layer brings the features of a language network to, so that a narrow
-    /// network can have wide features; none in the original.
-    pub projection: Option<usize>,
     /// Whether scenes of a batch are kept apart.
     pub batch_rule: BatchRule,
-    /// Voxel size that the network is trained for, metres.
-    pub grid_size: f64,
     /// Precision and joined layers: not part of the network, so not stored with it.
     #[serde(skip)]
     pub compute: Compute,
@@ -114,15 +110,12 @@ impl PointTransformerV3Config {
             drop_path: 0.3,
             pooling: PoolingReduce::Mean,
             mask_token: false,
-            num_classes: None,
-            projection: None,
             batch_rule: BatchRule::Isolated,
-            grid_size: 0.02,
             compute: Compute::default(),
         }
     }
 
-    /// The supervised segmentation network: 14 inputs (with normals), 20 classes.
+    /// The supervised segmentation network: 14 inputs (with normals), 64 outputs.
     pub fn semseg() -> Self {
         Self {
             in_channels: 14,
@@ -135,20 +128,13 @@ impl PointTransformerV3Config {
             dec_channels: vec![64, 64, 128, 256],
             dec_num_head: vec![4, 4, 8, 16],
             dec_patch_size: vec![1024; 4],
-            num_classes: Some(20),
             ..Self::language()
         }
     }
 
     /// The self-supervised network: as for segmentation, with maximum pooling and a mask token.
     pub fn ssl() -> Self {
-        Self {
-            in_channels: 11,
-            pooling: PoolingReduce::Max,
-            mask_token: true,
-            num_classes: None,
-            ..Self::semseg()
-        }
+        Self { in_channels: 11, pooling: PoolingReduce::Max, mask_token: true, ..Self::semseg() }
     }
 
     /// A small language network (64 outputs) for trying things out.
@@ -173,7 +159,7 @@ impl PointTransformerV3Config {
         self.enc_depths.len()
     }
 
-    /// Width of the output (before a classifier or projection).
+    /// Width of the output.
     pub fn out_channels(&self) -> usize {
         let last = if self.dec_depths.is_empty() {
             self.enc_channels.last()
@@ -214,8 +200,7 @@ impl PointTransformerV3Config {
                 + linear(self.enc_channels[stage], c)
                 + 2 * norm(c);
         }
-        let head = self.num_classes.or(self.projection);
-        sum + head.map_or(0, |n| linear(self.out_channels(), n))
+        sum
     }
 
     /// Bytes of memory that inference needs per input voxel, at the widest moment.
@@ -231,6 +216,30 @@ impl PointTransformerV3Config {
         let rows = 5 * finest.max(deeper) + widest(&self.enc_channels) + self.in_channels;
         let tables = 14 * 8 + 200;
         (rows * size_of::<f32>() + tables) * 11 / 10
+    }
+
+    /// Multiply–adds per input voxel of each block, by its name.
+    pub fn block_costs(&self) -> Vec<(String, f64)> {
+        let cost = |c: usize, patch: usize, stage: usize| {
+            let c = c as f64;
+            // Convolution over 14 neighbours, linear layers, attention; a quarter of the voxels a
+            // scale.
+            (c * c * (14.0 + 13.0) + 2.0 * c * patch as f64) * 0.27f64.powi(stage as i32)
+        };
+        let mut out = Vec::new();
+        for (stage, &depth) in self.enc_depths.iter().enumerate() {
+            for j in 0..depth {
+                let c = cost(self.enc_channels[stage], self.enc_patch_size[stage], stage);
+                out.push((format!("enc.enc{stage}.block{j}"), c));
+            }
+        }
+        for (stage, &depth) in self.dec_depths.iter().enumerate() {
+            for j in 0..depth {
+                let c = cost(self.dec_channels[stage], self.dec_patch_size[stage], stage);
+                out.push((format!("dec.dec{stage}.block{j}"), c));
+            }
+        }
+        out
     }
 
     /// Checks that the lists fit together and gives the curves.
@@ -266,11 +275,6 @@ impl PointTransformerV3Config {
         };
         sizes("in_channels", &[self.in_channels])?;
         sizes("mlp_ratio", &[self.mlp_ratio])?;
-        sizes("num_classes", self.num_classes.as_slice())?;
-        sizes("projection", self.projection.as_slice())?;
-        if self.num_classes.is_some() && self.projection.is_some() {
-            bail!("projection: a classifier (num_classes) reads the features as they are");
-        }
         sizes("enc_channels", &self.enc_channels)?;
         sizes("dec_channels", &self.dec_channels)?;
         sizes("enc_num_head", &self.enc_num_head)?;
@@ -287,9 +291,6 @@ impl PointTransformerV3Config {
         }
         if let Some(i) = self.stride.iter().position(|s| !s.is_power_of_two()) {
             bail!("stride[{i}]: {} is not a power of two", self.stride[i]);
-        }
-        if !(self.grid_size.is_finite() && self.grid_size > 0.0) {
-            bail!("grid_size: {} is not above 0", self.grid_size);
         }
         if !(0.0..1.0).contains(&self.drop_path) {
             bail!("drop_path: {} is not in 0..1", self.drop_path);
@@ -318,6 +319,42 @@ impl PointTransformerV3Config {
             split(&self.dec_depths, linspace(self.drop_path, self.dec_depths.iter().sum()));
         rates.iter_mut().for_each(|stage| stage.reverse());
         rates
+    }
+}
+
+impl Architecture for PointTransformerV3Config {
+    fn check(&self) -> Result<()> {
+        Self::check(self).map(|_| ())
+    }
+    fn build(&self, vb: VarBuilder<'_>) -> Result<Box<dyn Backbone>> {
+        Ok(Box::new(PointTransformerV3::new(self, vb)?))
+    }
+    fn in_channels(&self) -> usize {
+        self.in_channels
+    }
+    fn out_channels(&self) -> usize {
+        Self::out_channels(self)
+    }
+    fn num_values(&self) -> usize {
+        Self::num_values(self)
+    }
+    fn cost(&self) -> BackboneCost {
+        BackboneCost {
+            bytes_per_voxel: self.inference_bytes_per_voxel(),
+            parts: self.block_costs(),
+        }
+    }
+    fn compute(&self) -> Compute {
+        self.compute
+    }
+    fn set_compute(&mut self, compute: Compute) {
+        self.compute = compute;
+    }
+    fn adapt_to(&mut self, shapes: &Shapes) {
+        self.take_inputs(shapes);
+    }
+    fn fits(&self, shapes: &Shapes) -> bool {
+        self.has_shapes(shapes)
     }
 }
 

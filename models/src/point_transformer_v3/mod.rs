@@ -14,6 +14,7 @@ mod block;
 mod config;
 mod embedding;
 mod pooling;
+mod recognize;
 mod unpooling;
 
 pub use attention::SerializedAttention;
@@ -23,7 +24,7 @@ pub use embedding::Embedding;
 pub use pooling::SerializedPooling;
 pub use unpooling::{SerializedUnpooling, Unpooled};
 
-use crate::{Backbone, Forward, Orders, PointCloud, ops};
+use crate::{Architecture, Backbone, BackboneCost, Compute, Forward, Orders, PointCloud, ops};
 use candle_core::{Result, Tensor, bail};
 use candle_nn::{Init, VarBuilder};
 use rand::Rng;
@@ -335,5 +336,20 @@ impl Backbone for PointTransformerV3 {
     }
     fn out_channels(&self) -> usize {
         self.config.out_channels()
+    }
+    fn alignment(&self) -> u32 {
+        let edge = self
+            .config
+            .stride
+            .iter()
+            .try_fold(1u32, |edge, &stride| edge.checked_mul(u32::try_from(stride).ok()?));
+        // Wider than the grid: every voxel falls into one cell, wherever a tile begins.
+        edge.unwrap_or(1 << 21)
+    }
+    fn cost(&self) -> Option<BackboneCost> {
+        Some(Architecture::cost(&self.config))
+    }
+    fn compute(&self) -> Compute {
+        self.config.compute
     }
 }

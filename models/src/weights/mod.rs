@@ -14,4 +14,4 @@ pub use hash_init::{hashed_parameter, name_hash, unit};
 pub use pth::{PickleValue, summarize};
 pub use save::save_tensors;
 pub(crate) use source::Found;
-pub use source::{SourceOptions, WeightSource};
+pub use source::{Shapes, SourceOptions, WeightSource};

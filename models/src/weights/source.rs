@@ -6,6 +6,9 @@ use candle_core::{Result, Tensor, bail};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+/// Shapes of a checkpoint's weights, by our names, in our layout.
+pub type Shapes = BTreeMap<String, Vec<usize>>;
+
 /// Values by our names.
 #[derive(Debug, Clone)]
 pub struct WeightSource(Kind);
@@ -85,6 +88,22 @@ impl WeightSource {
         Ok(Self(Kind::Files { entries, files: Arc::new(files), ignored, layout }))
     }
 
+    /// Shapes of all weights; none for hashed values, which have every shape.
+    pub fn shapes(&self) -> Shapes {
+        match &self.0 {
+            Kind::Empty | Kind::Hashed { .. } => Shapes::new(),
+            Kind::Tensors(tensors) => {
+                tensors.iter().map(|(name, t)| (name.clone(), t.dims().to_vec())).collect()
+            }
+            Kind::Files { entries, files, layout, .. } => entries
+                .iter()
+                .map(|(name, (file, original))| {
+                    (name.clone(), stored_shape(&files[*file], original, *layout))
+                })
+                .collect(),
+        }
+    }
+
     /// Whether this source never has a value.
     pub(crate) fn is_empty(&self) -> bool {
         matches!(self.0, Kind::Empty)
@@ -128,13 +147,8 @@ impl WeightSource {
             Kind::Files { entries, files, layout, .. } => {
                 let Some((file, original)) = entries.get(name) else { return Ok(Found::Nothing) };
                 let file = &files[*file];
-                let stored = file.entries().get(original).map_or(&[][..], |e| &e.shape);
+                let stored = stored_shape(file, original, *layout);
                 let swap = *layout == ConvLayout::KernelInOut && stored.len() == 5;
-                let stored = if swap {
-                    [4, 0, 1, 2, 3].map(|d| stored[d]).to_vec()
-                } else {
-                    stored.to_vec()
-                };
                 // Some exports keep single values as [1].
                 let single = shape.is_empty() && stored == [1];
                 if stored != shape && !single {
@@ -145,5 +159,14 @@ impl WeightSource {
                 value.contiguous()?.reshape(shape).map(Found::Value)
             }
         }
+    }
+}
+
+/// Shape of an entry, convolutions as ours are laid out.
+fn stored_shape(file: &WeightFile, entry: &str, layout: ConvLayout) -> Vec<usize> {
+    let stored = file.entries().get(entry).map_or(&[][..], |e| &e.shape);
+    match (layout, stored) {
+        (ConvLayout::KernelInOut, &[x, y, z, input, output]) => vec![output, x, y, z, input],
+        _ => stored.to_vec(),
     }
 }

@@ -7,8 +7,8 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use scenesplat_models::weights::{WeightSource, unit};
 use scenesplat_models::{
-    Backbone, Forward, LanguageModel, Mode, Orders, ParamStore, PointCloud, PointTransformerV3,
-    PointTransformerV3Config, SemanticSegmenter,
+    Backbone, Forward, Mode, ModelConfig, Orders, ParamStore, PointCloud, PointTransformerV3,
+    PointTransformerV3Config,
 };
 use std::collections::BTreeMap;
 
@@ -60,7 +60,6 @@ fn run(
     let g = Golden::open(file)?;
     let mut config = config(&g);
     config.drop_path = expected.drop_path;
-    config.num_classes = expected.num_classes;
     assert_eq!(
         config,
         PointTransformerV3Config { batch_rule: config.batch_rule, ..expected.clone() },
@@ -109,7 +108,7 @@ fn run(
 fn language() {
     let expected = PointTransformerV3Config::language();
     let Some((g, store)) = run("g_lang_full.safetensors", "", &expected) else { return };
-    let network = LanguageModel::new(&expected, store.builder()).unwrap();
+    let network = ModelConfig::language().build(store.builder()).unwrap();
     let report = store.report();
     // Buffers are entries of the state dict but no parameters.
     let shapes = store.shapes();
@@ -133,9 +132,11 @@ fn language() {
 fn semantic_segmentation() {
     let expected = PointTransformerV3Config::semseg();
     let Some((g, store)) = run("g_semseg_full.safetensors", "backbone.", &expected) else { return };
-    let network = SemanticSegmenter::new(&expected, store.builder()).unwrap();
+    let network = ModelConfig::semseg().build(store.builder()).unwrap();
     assert_eq!(store.shapes().len(), 488);
-    assert_eq!(store.report().parameters, expected.num_values());
+    assert_eq!(store.report().parameters, ModelConfig::semseg().num_values());
+    let recognized = |store: &ParamStore| ModelConfig::recognize(&store.shapes());
+    assert_eq!(recognized(&store), Some(ModelConfig::semseg()));
     let mut rng = ChaCha8Rng::seed_from_u64(0);
     let out = network.forward(&points(&g), &mut Forward::eval(&mut rng)).unwrap();
     g.compare_tensor("out.logits", &out);

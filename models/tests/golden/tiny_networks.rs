@@ -33,7 +33,6 @@ pub fn config(g: &Golden) -> PointTransformerV3Config {
             PoolingReduce::Mean
         },
         mask_token: g.config()["do_mask"] == true,
-        num_classes: None,
         batch_rule: if flash { BatchRule::SharedDepth } else { BatchRule::SharedDepthAndPatch },
         ..PointTransformerV3Config::language()
     }

@@ -274,7 +274,7 @@ fn an_impossible_variance_is_refused() {
     let bad = candle_core::Tensor::new(&[1f32, -0.5, 1.0, 1.0], &candle_core::Device::Cpu).unwrap();
     tensors.insert(name.to_owned(), bad);
     let store = ParamStore::frozen(WeightSource::tensors(tensors));
-    let message = scenesplat_models::LanguageModel::new(&config(), store.builder()).err().unwrap();
+    let message = config().build(store.builder()).err().unwrap();
     assert!(message.to_string().contains("running_var[1] is -0.5"), "{message}");
 }
 

@@ -79,7 +79,7 @@ fn a_partial_load_keeps_the_first_values_of_the_rest() {
 #[test]
 fn unexpected_entries_alone_are_a_matter_of_policy() {
     let mut shallow = config();
-    shallow.dec_depths = vec![0];
+    shape(&mut shallow).dec_depths = vec![0];
     let (store, _) = built(&shallow, source("half.pth", SourceOptions::default()));
     let report = store.report();
     assert!(report.missing.is_empty() && report.misshaped.is_empty());

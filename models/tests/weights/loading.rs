@@ -9,10 +9,7 @@ use scenesplat_models::weights::{
 };
 use scenesplat_models::{LoadPolicy, LoadReport, ParamStore};
 
-fn report(
-    config: &scenesplat_models::PointTransformerV3Config,
-    source: WeightSource,
-) -> LoadReport {
+fn report(config: &scenesplat_models::ModelConfig, source: WeightSource) -> LoadReport {
     let store = ParamStore::frozen(source);
     network(config, &store);
     store.report()

@@ -5,8 +5,8 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use scenesplat_models::weights::{SourceOptions, WeightFile, WeightSource, unit};
 use scenesplat_models::{
-    Backbone, Forward, LanguageModel, ParamStore, PointCloud, PointTransformerV3Config,
-    SemanticSegmenter,
+    Backbone, BackboneConfig, Forward, ModelConfig, ParamStore, PointCloud,
+    PointTransformerV3Config,
 };
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -18,13 +18,22 @@ pub fn data(file: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(file)
 }
 
-pub fn config() -> PointTransformerV3Config {
+pub fn config() -> ModelConfig {
     let text = std::fs::read_to_string(data("hub/config.json")).unwrap();
     serde_json::from_str(&text).unwrap()
 }
 
-pub fn with_head() -> PointTransformerV3Config {
-    PointTransformerV3Config { num_classes: Some(3), ..config() }
+pub fn with_head() -> ModelConfig {
+    config().with_classes(3)
+}
+
+/// The shape of the backbone.
+pub fn shape(config: &mut ModelConfig) -> &mut PointTransformerV3Config {
+    match &mut config.backbone {
+        BackboneConfig::PointTransformerV3(shape) => shape,
+        #[allow(unreachable_patterns)]
+        other => panic!("{other:?}"),
+    }
 }
 
 /// 60 voxels of one scene.
@@ -34,11 +43,8 @@ pub fn points() -> PointCloud {
     PointCloud::single(cells, feat).unwrap()
 }
 
-pub fn network(config: &PointTransformerV3Config, store: &ParamStore) -> Box<dyn Backbone> {
-    match config.num_classes {
-        None => Box::new(LanguageModel::new(config, store.builder()).unwrap()),
-        Some(_) => Box::new(SemanticSegmenter::new(config, store.builder()).unwrap()),
-    }
+pub fn network(config: &ModelConfig, store: &ParamStore) -> Box<dyn Backbone> {
+    config.build(store.builder()).unwrap()
 }
 
 pub fn bits(t: &Tensor) -> Vec<u32> {
@@ -71,10 +77,7 @@ pub fn values(store: &ParamStore) -> BTreeMap<String, Vec<u64>> {
 }
 
 /// A trainable store that a network was built from, and the network.
-pub fn built(
-    config: &PointTransformerV3Config,
-    source: WeightSource,
-) -> (ParamStore, Box<dyn Backbone>) {
+pub fn built(config: &ModelConfig, source: WeightSource) -> (ParamStore, Box<dyn Backbone>) {
     let store = ParamStore::trainable_from(source, 0);
     let network = network(config, &store);
     (store, network)
@@ -88,7 +91,7 @@ pub fn assert_same(got: &BTreeMap<String, Vec<u64>>, expected: &BTreeMap<String,
 }
 
 /// Checks that a source gives what the hash gives, in values and in features, packed or not.
-pub fn assert_hashed(config: &PointTransformerV3Config, source: &WeightSource, seed: u64) {
+pub fn assert_hashed(config: &ModelConfig, source: &WeightSource, seed: u64) {
     let hashed = WeightSource::hashed(seed, "");
     let (store, from_file) = built(config, source.clone());
     let (expected, from_hash) = built(config, hashed.clone());

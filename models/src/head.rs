@@ -1,0 +1,157 @@
+//! What makes features or classes of a backbone's output.
+
+use crate::{Backbone, BackboneCost, Compute, Forward, PointCloud, layers::Linear, ops};
+use candle_core::{Result, Tensor, bail};
+use candle_nn::VarBuilder;
+
+/// What stands behind a backbone.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Head {
+    /// Features at unit length: a [`LanguageModel`].
+    Features {
+        /// Width that a linear layer brings them to, so that a narrow network can have wide
+        /// features; none in the original.
+        projection: Option<usize>,
+    },
+    /// Logits of so many classes: a [`SemanticSegmenter`].
+    Classes(usize),
+}
+
+impl Head {
+    /// Puts the head behind a backbone.
+    ///
+    /// # Errors
+    /// If parameters exist with another shape.
+    pub fn build(
+        self,
+        backbone: impl Backbone + 'static,
+        vb: VarBuilder<'_>,
+    ) -> Result<Box<dyn Backbone>> {
+        Ok(match self {
+            Self::Features { projection } => {
+                Box::new(LanguageModel::new(backbone, projection, vb)?)
+            }
+            Self::Classes(classes) => Box::new(SemanticSegmenter::new(backbone, classes, vb)?),
+        })
+    }
+
+    /// Width of what comes out, behind a backbone of this width.
+    pub fn out_channels(self, backbone: usize) -> usize {
+        match self {
+            Self::Features { projection } => projection.unwrap_or(backbone),
+            Self::Classes(classes) => classes,
+        }
+    }
+
+    /// Values of its parameters, behind a backbone of this width.
+    pub fn num_values(self, backbone: usize) -> usize {
+        match self {
+            Self::Features { projection: None } => 0,
+            Self::Features { projection: Some(n) } | Self::Classes(n) => backbone * n + n,
+        }
+    }
+
+    /// Checks its widths.
+    ///
+    /// # Errors
+    /// Names the field that is 0.
+    pub fn check(self) -> Result<()> {
+        match self {
+            Self::Features { projection: Some(0) } => bail!("projection: must be at least 1"),
+            Self::Classes(0) => bail!("num_classes: must be at least 1"),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// A backbone whose features, at unit length, are the language embedding.
+pub struct LanguageModel {
+    backbone: Box<dyn Backbone>,
+    /// To the width of the texts, where the backbone is narrower.
+    projection: Option<Linear>,
+    width: usize,
+}
+
+impl LanguageModel {
+    /// Puts the head behind a backbone, whatever it is; parameters of a projection are
+    /// `projection.*`.
+    ///
+    /// # Errors
+    /// If parameters exist with another shape.
+    pub fn new(
+        backbone: impl Backbone + 'static,
+        projection: Option<usize>,
+        vb: VarBuilder<'_>,
+    ) -> Result<Self> {
+        let (narrow, vb) = (backbone.out_channels(), vb.pp("projection"));
+        let wide = |n| Linear::with(backbone.compute(), narrow, n, true, vb);
+        let layer = projection.map(wide).transpose()?;
+        let width = projection.unwrap_or(narrow);
+        Ok(Self { width, backbone: Box::new(backbone), projection: layer })
+    }
+}
+
+impl Backbone for LanguageModel {
+    /// Unit rows, except that a zero row stays zero.
+    fn forward(&self, points: &PointCloud, cx: &mut Forward<'_>) -> Result<Tensor> {
+        let mut feat = self.backbone.forward(points, cx)?;
+        if let Some(projection) = &self.projection {
+            feat = projection.forward(&feat)?;
+        }
+        ops::l2_normalize(&feat)
+    }
+    fn out_channels(&self) -> usize {
+        self.width
+    }
+    fn alignment(&self) -> u32 {
+        self.backbone.alignment()
+    }
+    fn cost(&self) -> Option<BackboneCost> {
+        self.backbone.cost()
+    }
+    fn compute(&self) -> Compute {
+        self.backbone.compute()
+    }
+}
+
+/// A backbone with a linear classifier.
+pub struct SemanticSegmenter {
+    backbone: Box<dyn Backbone>,
+    head: Linear,
+    num_classes: usize,
+}
+
+impl SemanticSegmenter {
+    /// Puts the classifier behind a backbone, whatever it is; its parameters are `seg_head.*`.
+    ///
+    /// # Errors
+    /// If parameters exist with another shape.
+    pub fn new(
+        backbone: impl Backbone + 'static,
+        num_classes: usize,
+        vb: VarBuilder<'_>,
+    ) -> Result<Self> {
+        let width = backbone.out_channels();
+        let head = Linear::with(backbone.compute(), width, num_classes, true, vb.pp("seg_head"))?;
+        Ok(Self { backbone: Box::new(backbone), head, num_classes })
+    }
+}
+
+impl Backbone for SemanticSegmenter {
+    /// Class logits.
+    fn forward(&self, points: &PointCloud, cx: &mut Forward<'_>) -> Result<Tensor> {
+        self.head.forward(&self.backbone.forward(points, cx)?)
+    }
+    fn out_channels(&self) -> usize {
+        self.num_classes
+    }
+    fn alignment(&self) -> u32 {
+        self.backbone.alignment()
+    }
+    fn cost(&self) -> Option<BackboneCost> {
+        self.backbone.cost()
+    }
+    fn compute(&self) -> Compute {
+        self.backbone.compute()
+    }
+}

@@ -1,0 +1,146 @@
+//! Which network, by name or file, with or without a look at its weights.
+
+use super::config::NetworkConfig;
+use super::{WeightOptions, Weights};
+use scenesplat_models::ModelConfig;
+use scenesplat_models::weights::{Shapes, WeightSource, resolve};
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+/// Which network.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum NetworkChoice {
+    /// 768-d language features.
+    Language,
+    /// Class scores; as many classes as the weights have, 20 without weights; reads normals.
+    Semseg,
+    /// 64-d features of self-supervised training.
+    Ssl,
+    /// 64-d features, small and fast, for trying things out.
+    Tiny,
+    /// A TOML or JSON file of a [`NetworkConfig`].
+    File(PathBuf),
+}
+
+impl NetworkChoice {
+    /// The names, with what they stand for.
+    pub const NAMED: [(&'static str, Self); 4] = [
+        ("language", Self::Language),
+        ("semseg", Self::Semseg),
+        ("ssl", Self::Ssl),
+        ("tiny", Self::Tiny),
+    ];
+
+    /// The configuration, read if it is a file.
+    ///
+    /// # Errors
+    /// If the file cannot be read or has unknown or wrong fields.
+    pub fn resolve(&self) -> anyhow::Result<NetworkConfig> {
+        Ok(match self {
+            Self::Language => NetworkConfig::language(),
+            Self::Semseg => NetworkConfig::semseg(),
+            Self::Ssl => NetworkConfig::ssl(),
+            Self::Tiny => NetworkConfig::tiny(),
+            Self::File(path) => return NetworkConfig::read(path),
+        })
+    }
+
+    /// As [`resolve`](Self::resolve); a network that is told by its name takes the number of inputs
+    /// and classes from weights of these shapes.
+    ///
+    /// # Errors
+    /// As [`resolve`](Self::resolve), and if it is unknown what so many inputs are.
+    pub fn resolve_for(&self, shapes: &Shapes) -> anyhow::Result<NetworkConfig> {
+        match self {
+            Self::File(path) => NetworkConfig::read(path),
+            named => Ok(named.resolve()?.adapted_to(shapes)?),
+        }
+    }
+}
+
+impl FromStr for NetworkChoice {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if let Some((_, named)) = Self::NAMED.into_iter().find(|(name, _)| *name == text) {
+            return Ok(named);
+        }
+        if text.ends_with(".toml") || text.ends_with(".json") {
+            return Ok(Self::File(text.into()));
+        }
+        Err(format!(
+            "{text:?} is no configuration; use language, semseg, ssl, tiny or a .toml file"
+        ))
+    }
+}
+
+impl std::fmt::Display for NetworkChoice {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match Self::NAMED.iter().find(|(_, named)| named == self) {
+            Some((name, _)) => f.write_str(name),
+            None => match self {
+                Self::File(path) => write!(f, "{}", path.display()),
+                named => write!(f, "{named:?}"),
+            },
+        }
+    }
+}
+
+/// The network that weights belong to: what is chosen, else what the model folder says, else the
+/// released network whose shapes the weights have, else the language network.
+///
+/// # Errors
+/// If a file cannot be read or says wrong things.
+pub fn network_of(
+    weights: &Weights,
+    choice: Option<&NetworkChoice>,
+    options: WeightOptions,
+) -> anyhow::Result<NetworkConfig> {
+    let path = match weights {
+        Weights::Embedded => return crate::embedded::config(),
+        Weights::Seeded(_) => return choice.unwrap_or(&NetworkChoice::Language).resolve(),
+        Weights::File(path) => path,
+    };
+    if let Some(NetworkChoice::File(path)) = choice {
+        return NetworkConfig::read(path);
+    }
+    let folder = resolve(path)?;
+    if let (None, Some(config)) = (choice, &folder.config) {
+        return NetworkConfig::read(config);
+    }
+    let shapes = WeightSource::files(folder.files, options.source())?.shapes();
+    match choice {
+        Some(choice) => choice.resolve_for(&shapes),
+        None => match ModelConfig::recognize(&shapes) {
+            Some(model) => Ok(NetworkConfig::with_documented_input(model)?),
+            // What does not fit is said best by name and shape.
+            None => Ok(NetworkConfig::language()),
+        },
+    }
+}
+
+/// Reads a configuration that lies beside the weights of a model folder, if there is one.
+///
+/// # Errors
+/// If it is there and cannot be read.
+pub fn config_beside(weights: &Path) -> anyhow::Result<Option<NetworkConfig>> {
+    if !weights.is_dir() {
+        return Ok(None);
+    }
+    resolve(weights)?.config.map(|path| NetworkConfig::read(&path)).transpose()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_read_as_they_are_written() {
+        for (name, choice) in NetworkChoice::NAMED {
+            assert_eq!(name.parse::<NetworkChoice>().unwrap(), choice);
+            assert_eq!(choice.to_string(), name);
+            choice.resolve().unwrap().check().unwrap();
+        }
+        assert!("pointnet".parse::<NetworkChoice>().unwrap_err().contains("ssl"));
+    }
+}
