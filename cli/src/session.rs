@@ -85,7 +85,7 @@ impl<'a> Session<'a> {
         if let Some(Weights::File(path)) = &shared.weights {
             outputs.reads(path)?;
         }
-        if let Some(NetworkConfig::File(path)) = &shared.config {
+        if let Some(NetworkChoice::File(path)) = &shared.config {
             outputs.reads(path)?;
         }
         Ok(Self { shared, receipt, progress, outputs, written: RefCell::default() })
