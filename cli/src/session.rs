@@ -12,7 +12,7 @@ use scenesplat::input::open_input;
 use scenesplat::kernels::simd::Isa;
 use scenesplat::memory::Bytes;
 use scenesplat::models::{Compute, LoadPolicy};
-use scenesplat::network::{WeightOptions, Weights, network_of};
+use scenesplat::network::{NetworkChoice, WeightOptions, Weights, network_of};
 use scenesplat::outputs::{OpenedScene, guess_up};
 use scenesplat::preview::UpAxis;
 use scenesplat::scene::{GaussianScene, ReadOptions};
