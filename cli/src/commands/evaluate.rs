@@ -7,13 +7,13 @@ use crate::session::Session;
 use crate::terminal::{print, write_text};
 use anyhow::{Context, Result};
 use scenesplat::Network;
-use scenesplat::datasets::synthetic::{CLASSES, SyntheticClass};
-use scenesplat::datasets::{DataSource, SourceScene, SyntheticRoomSettings, SyntheticRooms};
+use scenesplat::datasets::{DataSource, SourceScene, SyntheticRooms};
 use scenesplat::metrics::{
     ConfusionMatrix, Fault, FeatureSlice, Metric, OracleCheck, OracleVote, TesterReport,
     UnknownRule, classify, keep_withheld, random_labels, vote,
 };
 use scenesplat::outputs::OpenedScene;
+use scenesplat::rooms::{CLASSES, SyntheticClass, SyntheticRoomSettings};
 use scenesplat::scene::formats::npy::NpyFile;
 use scenesplat::scene::label_set::{find_name, read_names};
 use scenesplat::scene::{ClassMap, GaussianScene, LabelSet, LoadedScene, SceneKind, TextTable};

@@ -6,7 +6,6 @@ use crate::outputs::Outputs;
 use crate::session::{FeatureSource, Session};
 use crate::terminal::write_text;
 use anyhow::{Context, Result};
-use scenesplat::datasets::synthetic::Vocabulary;
 use scenesplat::inference::SceneFeatures;
 use scenesplat::metrics::{
     FeatureFn, FeatureRows, UnknownRule, ZeroShotOptions, classify, keep_withheld, vote,
@@ -14,6 +13,7 @@ use scenesplat::metrics::{
 use scenesplat::outputs::{
     ResultColumns, label_colors, legend, write_colored_ply, write_scene_preview,
 };
+use scenesplat::rooms::Vocabulary;
 use scenesplat::scene::formats::npy_writer::write_npy;
 use scenesplat::scene::label_set::read_names;
 use scenesplat::scene::{LabelSet, TextTable};
