@@ -46,9 +46,9 @@ struct Claim {
 /// The output folder while the command runs.
 #[derive(Debug)]
 struct Staged {
-    main: StagedFolder,
-    /// Folders in it.
+    /// Folders in it; dropped first, as a folder goes only when it is empty.
     inner: BTreeMap<String, StagedFolder>,
+    main: StagedFolder,
     _lock: FolderLock,
 }
 
