@@ -2,7 +2,7 @@
 
 use crate::inference::SceneFeatures;
 use crate::preview::{
-    LegendEntry, PreviewSettings, SceneRows, UNLABELLED_COLOR, UpAxis, class_color, write_preview,
+    LegendEntry, PreviewSettings, SceneRows, UNLABELLED_COLOR, class_color, write_preview,
 };
 use anyhow::{Context, Result};
 use half::f16;
@@ -12,7 +12,7 @@ use scenesplat_scene::formats::ply::{
     ColumnValues, PlyColumn, PlyFile, free_column_name, write_ply_with_columns,
 };
 use scenesplat_scene::gaussian_scene::u8_to_dc;
-use scenesplat_scene::{AtomicFile, GaussianScene, LoadedScene, SceneKind};
+use scenesplat_scene::{AtomicFile, GaussianScene, LoadedScene, SceneFormat, UpAxis};
 use std::path::Path;
 
 /// A scene as a command opened it.
@@ -173,7 +173,7 @@ pub fn write_colored_ply(
     path: &Path,
 ) -> Result<u64> {
     let loaded = &opened.loaded;
-    if opened.converted || loaded.kind != SceneKind::InriaPly {
+    if opened.converted || loaded.kind != SceneFormat::Ply {
         let mut scene = GaussianScene {
             sh_dc: colors.iter().map(|c| c.map(u8_to_dc)).collect(),
             sh_rest: Vec::new(),
@@ -312,23 +312,4 @@ pub fn write_scene_preview(
     let settings = PreviewSettings { title: title.to_owned(), up, ..PreviewSettings::default() };
     let rows = SceneRows::of(scene);
     Ok(write_preview(path, &rows.rows(scene, colors), legend, &settings)?)
-}
-
-/// Which way is up, judged by the shape: rooms are flat along z; objects from image-based
-/// pipelines stand along y, which points down.
-pub fn guess_up(scene: &GaussianScene) -> UpAxis {
-    let extent: [f32; 3] = std::array::from_fn(|axis| {
-        let step = scene.len().div_ceil(50_000).max(1);
-        let mut v: Vec<f32> = scene.coord.iter().step_by(step).map(|c| c[axis]).collect();
-        v.sort_by(f32::total_cmp);
-        match v.len() {
-            0 => 0.0,
-            n => v[(n - 1) * 98 / 100] - v[(n - 1) * 2 / 100],
-        }
-    });
-    if extent[2] <= 0.8 * extent[0].max(extent[1]) && extent[1] < 1.6 * extent[0] {
-        UpAxis::PlusZ
-    } else {
-        UpAxis::MinusY
-    }
 }

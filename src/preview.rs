@@ -7,6 +7,8 @@
 mod depth_picture;
 mod discs;
 mod framing;
+mod inside;
+mod look_at;
 mod orbit;
 pub(crate) mod orthographic;
 mod palette;
@@ -14,13 +16,15 @@ mod splats;
 pub(crate) mod text;
 
 pub use depth_picture::depth_picture;
+pub use inside::inside_views;
+pub use look_at::LookAt;
 pub use orbit::{Ceiling, Orbit};
 pub use palette::{UNLABELLED_COLOR, class_color};
 
 use discs::{Canvas, Disc, Lens};
 use framing::{Framing, Upright};
 use scenesplat_scene::picture::{Channels, Picture, RgbPicture, Samples};
-use scenesplat_scene::{AtomicFile, GaussianScene, WriteError};
+use scenesplat_scene::{AtomicFile, GaussianScene, UpAxis, WriteError};
 use std::path::Path;
 
 /// Why there is no preview.
@@ -49,30 +53,6 @@ pub enum PreviewError {
     /// The file could not be written.
     #[error(transparent)]
     Write(#[from] WriteError),
-}
-
-/// The direction that is up in a scene.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-pub enum UpAxis {
-    /// +x
-    #[serde(rename = "+x")]
-    PlusX,
-    /// −x
-    #[serde(rename = "-x")]
-    MinusX,
-    /// +y
-    #[serde(rename = "+y")]
-    PlusY,
-    /// −y: objects from image-based pipelines, whose y points down.
-    #[serde(rename = "-y")]
-    MinusY,
-    /// +z: captured rooms.
-    #[default]
-    #[serde(rename = "+z")]
-    PlusZ,
-    /// −z
-    #[serde(rename = "-z")]
-    MinusZ,
 }
 
 /// What to draw, one row per Gaussian.

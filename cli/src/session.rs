@@ -7,15 +7,15 @@ use crate::progress::{Progress, interrupted, listen_for_interrupt};
 use crate::receipt::Receipt;
 use crate::terminal::print;
 use anyhow::{Context, Result};
+use scenesplat::alignment::{Alignment, AlignmentSettings, Remark};
 use scenesplat::inference::{EncodeError, Fidelity};
 use scenesplat::input::open_input;
 use scenesplat::kernels::simd::Isa;
 use scenesplat::memory::Bytes;
 use scenesplat::models::{Compute, LoadPolicy};
 use scenesplat::network::{NetworkChoice, WeightOptions, Weights, network_of};
-use scenesplat::outputs::{OpenedScene, guess_up};
-use scenesplat::preview::UpAxis;
-use scenesplat::scene::{GaussianScene, ReadOptions};
+use scenesplat::outputs::OpenedScene;
+use scenesplat::scene::{GaussianScene, ReadOptions, UpAxis, guess_up};
 use scenesplat::{Network, SceneEncoder, SceneFeatures};
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
@@ -276,6 +276,15 @@ impl<'a> Session<'a> {
             spill_folder: self.shared.out.clone(),
             ..SceneEncoder::new(network)
         };
+        let alignment = Alignment::of(
+            scene,
+            &AlignmentSettings {
+                up: inference.up,
+                metres_per_unit: inference.unit,
+                as_is: inference.as_is,
+            },
+        );
+        self.tell(&alignment, inference.as_is);
         let receipt = &self.receipt;
         let why = "fast: one Gaussian a voxel; exact: a sampling at half the voxel size, averaged";
         receipt.setting("fidelity", format!("{:?}", encoder.fidelity).to_lowercase(), why);
@@ -283,7 +292,7 @@ impl<'a> Session<'a> {
         if inference.shuffle_orders {
             receipt.setting("shuffle_orders", self.shared.seed, "seed");
         }
-        let features = encoder.encode(scene, &mut |at| {
+        let features = encoder.encode_aligned(scene, alignment, &mut |at| {
             if interrupted() {
                 return Err(EncodeError::Stopped);
             }
@@ -328,9 +337,61 @@ impl<'a> Session<'a> {
         Ok(features)
     }
 
+    /// Says and notes what the network makes of a scene that lies otherwise than it knows.
+    fn tell(&self, alignment: &Alignment, as_is: bool) {
+        let up = &alignment.up;
+        let why = match (as_is, up.given) {
+            (true, _) => "as is: the network takes +z for up",
+            (false, true) => "up in the scene, as given",
+            (false, false) => "up in the scene, by its shape",
+        };
+        self.receipt.setting("up", up.axis, why);
+        for remark in &alignment.remarks {
+            let text = match *remark {
+                Remark::Turned { from } => {
+                    let why =
+                        "the network read a copy turned from this up to +z; files keep theirs";
+                    self.receipt.setting("turned", from, why);
+                    format!(
+                        "up is {from}{}: the network reads a copy turned to +z; files keep their \
+                         frame (--up AXIS if it is another, --as-is to leave it)",
+                        if up.given { "" } else { ", by the shape of the scene" }
+                    )
+                }
+                Remark::Scaled { by } => {
+                    let why = "metres per unit; the network read a copy in metres";
+                    self.receipt.setting("unit", by, why);
+                    format!(
+                        "one unit is {by} m: the network reads a copy in metres; files keep their \
+                         unit (--unit UNIT if it is another, --as-is to leave it)"
+                    )
+                }
+                Remark::UpUnclear { likely, confidence } => format!(
+                    "WHICH WAY IS UP IS UNCLEAR ({likely} is likeliest, confidence {confidence:.2}): \
+                     the network takes +z for up, and most labels are lost if it is not; say it with \
+                     --up AXIS"
+                ),
+                Remark::UnitUnclear { likely, confidence } => format!(
+                    "THE UNIT IS UNCLEAR ({} is likeliest, confidence {confidence:.2}): the network \
+                     takes it for metres, and labels mean little if it is not; say it with --unit \
+                     {} or --unit m",
+                    likely.symbol(),
+                    likely.symbol()
+                ),
+            };
+            if remark.is_warning() {
+                self.progress.say(format!("*** {text} ***"));
+            } else {
+                self.progress.say(&text);
+            }
+            // Each scene of several has its own.
+            self.receipt.warning(text);
+        }
+    }
+
     /// Which way is up.
     pub fn up(&self, scene: &GaussianScene, inference: &Inference) -> UpAxis {
-        inference.up.unwrap_or_else(|| guess_up(scene))
+        inference.up.unwrap_or_else(|| guess_up(scene).axis)
     }
 
     /// Stops here if the user asked to.

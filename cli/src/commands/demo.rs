@@ -8,12 +8,11 @@ use anyhow::{Context, Result, anyhow};
 use clap::Parser;
 use scenesplat::metrics::{ConfusionMatrix, Metric};
 use scenesplat::outputs::{label_colors, legend, write_scene_preview};
-use scenesplat::preview::UpAxis;
 use scenesplat::rooms::{CLASSES, SyntheticRoomSettings, generate};
-use scenesplat::scene::FolderLock;
 use scenesplat::scene::atomic_file::check_replaceable;
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
 use scenesplat::scene::formats::npy::NpyFile;
+use scenesplat::scene::{FolderLock, UpAxis};
 use std::path::PathBuf;
 
 /// Rooms of this seed are in no training configuration of the project.
@@ -61,7 +60,6 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
 
     let out = args.out.to_string_lossy();
     let mut words = vec![path.to_string_lossy().into_owned(), "--out".into(), out.clone().into()];
-    words.extend(["--up", "+z"].map(String::from));
     if args.quiet {
         words.push("--quiet".into());
     }
@@ -88,7 +86,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         percent(report.foreground_mean_iou)
     ));
     print(&format!("look at {out}/preview.png beside {out}/truth.png; then try"));
-    print(&format!("  scenesplat query {out}/room.ply \"chair\" --up +z --out {out}/chair"));
+    print(&format!("  scenesplat query {out}/room.ply \"chair\" --out {out}/chair"));
     Ok(())
 }
 

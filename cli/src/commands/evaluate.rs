@@ -16,7 +16,7 @@ use scenesplat::outputs::OpenedScene;
 use scenesplat::rooms::{CLASSES, SyntheticClass, SyntheticRoomSettings};
 use scenesplat::scene::formats::npy::NpyFile;
 use scenesplat::scene::label_set::{find_name, read_names};
-use scenesplat::scene::{ClassMap, GaussianScene, LabelSet, LoadedScene, SceneKind, TextTable};
+use scenesplat::scene::{ClassMap, GaussianScene, LabelSet, LoadedScene, SceneFormat, TextTable};
 use scenesplat::text::{class_list, metric_table};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -387,7 +387,7 @@ fn inputs(scenes: &[String]) -> Result<Vec<Input>> {
             let text = format!("{scene:?}: write synthetic:COUNT:SEED, such as synthetic:20:7");
             return Err(WrongUse(text).into());
         };
-        let rooms = Arc::new(SyntheticRooms::new(count, SyntheticRoomSettings::default(), seed));
+        let rooms = Arc::new(SyntheticRooms::new(count, SyntheticRoomSettings::default(), seed)?);
         all.extend((0..count).map(|index| Input::Room { rooms: Arc::clone(&rooms), index }));
     }
     Ok(all)
@@ -403,7 +403,7 @@ impl Input {
                 let SourceScene { scene, report } = rooms.load(id)?;
                 session.receipt.add_rows_in(scene.len());
                 let path = PathBuf::from(id);
-                let kind = SceneKind::InriaPly;
+                let kind = SceneFormat::Ply;
                 let loaded = LoadedScene { scene, report, kept_rows: None, path, kind };
                 Ok(OpenedScene { loaded, converted: false })
             }

@@ -8,8 +8,7 @@ use scenesplat::input::scene_name;
 use scenesplat::inspect::sheet::write_sheet;
 use scenesplat::inspect::{InspectSettings, inspect};
 use scenesplat::network::NetworkChoice;
-use scenesplat::preview::UpAxis;
-use scenesplat::scene::ReadOptions;
+use scenesplat::scene::{ReadOptions, UpAxis};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 

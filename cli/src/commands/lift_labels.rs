@@ -14,14 +14,13 @@ use clap::builder::TypedValueParser;
 use depth::DepthArg;
 use pictures::Pictures;
 use scenesplat::memory::Bytes;
-use scenesplat::outputs::{OpenedScene, guess_up};
-use scenesplat::preview::UpAxis;
+use scenesplat::outputs::OpenedScene;
 use scenesplat::rasterizer::Gaussians;
 use scenesplat::rasterizer::lifting::{
     Aggregate, DepthTolerance, FinaliseSettings, LiftError, LiftSettings, Lifter, Robust,
 };
 use scenesplat::rasterizer::segments::{CameraMatches, SegmentFolder, SegmentOptions};
-use scenesplat::scene::{Camera, open_cameras};
+use scenesplat::scene::{Camera, UpAxis, guess_up, open_cameras};
 use std::path::PathBuf;
 
 /// Lifts the segments of pictures onto the Gaussians: writes lang_feat.npy ([N, D], f16, one row per
@@ -369,7 +368,7 @@ impl Args {
         let name = self.scene.file_name().unwrap_or_default().to_string_lossy();
         let title = format!("{name}: lifted labels (principal components as colours)");
         let scene = &opened.loaded.scene;
-        let up = self.up.unwrap_or_else(|| guess_up(scene));
+        let up = self.up.unwrap_or_else(|| guess_up(scene).axis);
         let path = folder.join("preview.png");
         let bytes = scenesplat::outputs::write_scene_preview(
             scene,

@@ -14,6 +14,7 @@ mod lift_labels;
 mod outputs;
 mod render;
 mod training;
+mod upright;
 
 pub use demo_scene::{asset, class_names};
 use std::path::Path;

@@ -2,15 +2,17 @@
 
 use super::codebook::Codebook;
 use super::codes::{LogAxis, alpha_byte, encode_quat};
-use super::folder::{check_free, files_of_old_scene};
+use super::folder::FolderWriter;
 use super::meta::OWN_KEY;
 use super::order::spatial_order;
 use super::palette::Palette;
 use super::reader::{CENTROIDS_PER_LINE, ROWS_FOR_TABLE, line_width, plausible_rows};
+use super::ticker::Ticker;
 use super::{META_NAME, texture};
-use crate::formats::write::LimitTally;
+use crate::AtomicFile;
+use crate::formats::limit_tally::LimitTally;
 use crate::formats::{SceneFormat, WriteOptions, WriteProgress, WriteReport, semantics};
-use crate::{AtomicFile, GaussianScene, SceneError, StagedFolder};
+use crate::{GaussianScene, SceneError};
 use rayon::prelude::*;
 use serde_json::{Value, json};
 use std::io::{BufWriter, Write};
@@ -24,33 +26,6 @@ const ROWS_PER_TASK: usize = 16_384;
 const SMALLEST_LOG_SCALE: f32 = -27.631_02;
 /// Name of the block of labels.
 const LABELS_NAME: &str = "labels.safetensors";
-
-/// Tells the caller how far the work is, and hears whether to go on.
-pub(super) struct Ticker<'a> {
-    progress: WriteProgress<'a>,
-    from: f64,
-    to: f64,
-}
-
-impl<'a> Ticker<'a> {
-    /// For the whole work.
-    pub(super) fn new(progress: WriteProgress<'a>) -> Self {
-        Self { progress, from: 0.0, to: 1.0 }
-    }
-
-    /// At that fraction of this part of the work.
-    pub(super) fn tick(&mut self, fraction: f64) -> Result<(), SceneError> {
-        let at = self.from + (self.to - self.from) * fraction;
-        if (self.progress)(at) { Ok(()) } else { Err(SceneError::Stopped) }
-    }
-
-    /// A part of the work, by fractions of this one.
-    pub(super) fn part(&mut self, from: f64, to: f64) -> Ticker<'_> {
-        let range = self.to - self.from;
-        let (from, to) = (self.from + range * from, self.from + range * to);
-        Ticker { progress: &mut *self.progress, from, to }
-    }
-}
 
 /// Writes a scene as one archive, its entries stored as they are.
 ///
@@ -83,7 +58,7 @@ pub fn write_sog(
         .compression_method(CompressionMethod::Stored)
         .last_modified_time(DateTime::default())
         .unix_permissions(0o644);
-    encode(scene, path, &mut report, &mut ticker, &mut |name, bytes| {
+    encode(scene, path, Order::Spatial, &mut report, &mut ticker, &mut |name, bytes| {
         let options = options.large_file(bytes.len() as u64 >= u64::from(u32::MAX));
         zip.start_file(name, options).map_err(cannot)?;
         zip.write_all(bytes).map_err(SceneError::io(path, "cannot write the archive"))
@@ -113,35 +88,39 @@ pub fn write_sog_folder(
 ) -> Result<WriteReport, SceneError> {
     let mut report = WriteReport::new(SceneFormat::SogFolder, scene.len());
     let mut ticker = Ticker::new(progress);
+    let mut folder = FolderWriter::create(path)?;
     let own_name = path.file_name().and_then(|name| name.to_str()).unwrap_or(META_NAME);
-    let old = files_of_old_scene(path);
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    let mut staged = StagedFolder::create(folder.unwrap_or(Path::new(".")))?;
-    // The description comes last in the folder, so that it never names what is not there yet.
-    staged.add(own_name);
-    let mut names = vec![own_name.to_owned()];
-    encode(scene, path, &mut report, &mut ticker, &mut |name, bytes| {
-        let name = if name == META_NAME { own_name } else { name };
-        names.push(name.to_owned());
-        Ok(staged.write(name, bytes)?)
+    encode(scene, path, Order::Spatial, &mut report, &mut ticker, &mut |name, bytes| {
+        folder.write(if name == META_NAME { own_name } else { name }, bytes)
     })?;
     ticker.tick(0.99)?;
-    if !options.overwrite {
-        check_free(path, old.iter().chain(&names).map(String::as_str))?;
-    }
-    for file in &staged.commit(&old)? {
+    // The description comes last in the folder, so that it never names what is not there yet, and
+    // first in the report.
+    let mut files = folder.commit(options.overwrite)?;
+    files.rotate_right(1);
+    for file in &files {
         report.wrote(file)?;
     }
     Ok(report)
 }
 
 /// Takes a part under its name.
-type Sink<'a> = &'a mut dyn FnMut(&str, &[u8]) -> Result<(), SceneError>;
+pub(super) type Sink<'a> = &'a mut dyn FnMut(&str, &[u8]) -> Result<(), SceneError>;
+
+/// Whether rows may be sorted.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Order {
+    /// In space, unless they are so already.
+    Spatial,
+    /// Somebody counts on the order.
+    Kept,
+}
 
 /// Encodes a scene, part by part, `meta.json` last.
-fn encode(
+pub(super) fn encode(
     scene: &GaussianScene,
     path: &Path,
+    rows: Order,
     report: &mut WriteReport,
     ticker: &mut Ticker<'_>,
     sink: Sink<'_>,
@@ -152,7 +131,7 @@ fn encode(
     };
     let (axes, codes) = position_codes(&scene.coord);
     ticker.tick(0.05)?;
-    let order = spatial_order(&codes);
+    let order = if rows == Order::Kept { None } else { spatial_order(&codes) };
     ticker.tick(0.1)?;
     let out = Textures { path, size, order: order.as_deref(), rows: scene.len() };
 

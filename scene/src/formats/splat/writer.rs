@@ -2,12 +2,12 @@
 
 use super::{RECORD_BYTES, rotation_part, splat_problem};
 use crate::formats::files::MappedFile;
+use crate::formats::limit_tally::LimitTally;
 use crate::formats::packed_values::{
     ALPHA_ENDS, COLOR_CLIPPED, SIZE_CUT, SIZE_VANISHES, alpha, canonical_quat, check_storable,
     color_of, log_of_scale, nearest_byte, settle, tally_colors, tally_sizes, unit_f64,
 };
 use crate::formats::semantics::Sidecar;
-use crate::formats::write::LimitTally;
 use crate::formats::{SceneFormat, WriteOptions, WriteProgress, WriteReport};
 use crate::{AtomicFile, GaussianScene, SceneError};
 use rayon::prelude::*;
