@@ -7,7 +7,8 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use scenesplat_models::weights::{WeightSource, unit};
 use scenesplat_models::{
-    Backbone, ForwardlConfig, ParamStore, PointCloud, PointTransformerV3, PointTransformerV3Config,
+    Backbone, Forward, ModelConfig, ParamStore, PointCloud, PointTransformerV3,
+    PointTransformerV3Config,
 };
 use std::collections::BTreeMap;
 

@@ -1,6 +1,6 @@
 //! Writing binary glTF with `KHR_gaussian_splatting`.
 
-use crate::formats::files::AtomicFile;
+use crate::AtomicFile;
 use crate::formats::limit_tally::LimitTally;
 use crate::formats::packed_values::{
     ALPHA_ENDS, SIZE_CUT, SIZE_VANISHES, alpha, canonical_quat, check_storable, log_of_scale,
