@@ -24,7 +24,7 @@
 //! # }
 //! ```
 
-pub mod convert;
+pub mod alignment;
 pub mod embedded;
 pub mod inference;
 pub mod input;
@@ -38,6 +38,7 @@ pub mod principal;
 pub mod text;
 pub mod training;
 
+pub use alignment::{Alignment, AlignmentSettings};
 pub use inference::{EncodeError, SceneEncoder, SceneFeatures};
 pub use network::{Network, NetworkConfig, NetworkOutput, WeightOptions, Weights};
 pub use scenesplat_datasets as datasets;

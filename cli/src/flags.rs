@@ -3,12 +3,12 @@
 use crate::commands::WrongUse;
 use anyhow::Result;
 use clap::ValueEnum;
+use scenesplat::inspect::LengthUnit;
 use scenesplat::kernels::Precision;
 use scenesplat::memory::Bytes;
 use scenesplat::models::convert::{Branch, ConvLayout};
 use scenesplat::network::{NetworkChoice, Weights};
-use scenesplat::preview::UpAxis;
-use scenesplat::scene::{Policy, ReadOptions, SpzFrame};
+use scenesplat::scene::{Policy, ReadOptions, SpzFrame, UpAxis};
 use std::path::PathBuf;
 
 /// Flags that all commands share.
@@ -166,9 +166,17 @@ pub struct Inference {
     /// Layout of sparse convolutions in the checkpoint.
     #[arg(long, value_enum, default_value_t = ConvLayoutArg::Spconv2)]
     pub conv_layout: ConvLayoutArg,
-    /// Which way is up in pictures; judged by the shape if not given.
+    /// Which way is up in the scene, for pictures and for the network, which reads a turned copy of a
+    /// scene that lies otherwise than +z; judged by the scene if not given.
     #[arg(long, value_name = "AXIS", value_parser = parse_up, allow_hyphen_values = true)]
     pub up: Option<UpAxis>,
+    /// What one unit of the scene is: m, cm, mm, km or a number of metres. The network reads a scaled
+    /// copy; judged by the scene if not given.
+    #[arg(long, value_name = "UNIT|METRES", value_parser = parse_unit)]
+    pub unit: Option<f64>,
+    /// The network reads the scene as it is: neither turned nor scaled.
+    #[arg(long, conflicts_with = "unit")]
+    pub as_is: bool,
 }
 
 impl Inference {
@@ -182,6 +190,8 @@ impl Inference {
             (self.halo != 50, "--halo"),
             (self.shuffle_orders, "--shuffle-orders"),
             (self.partial_weights, "--partial-weights"),
+            (self.unit.is_some(), "--unit"),
+            (self.as_is, "--as-is"),
         ];
         flags.iter().find(|(given, _)| *given).map(|(_, name)| *name)
     }
@@ -233,13 +243,16 @@ pub fn parse_positive(text: &str) -> Result<f64, String> {
 
 /// Reads the name of an axis.
 pub fn parse_up(text: &str) -> Result<UpAxis, String> {
-    Ok(match text {
-        "+x" | "x" => UpAxis::PlusX,
-        "-x" => UpAxis::MinusX,
-        "+y" | "y" => UpAxis::PlusY,
-        "-y" => UpAxis::MinusY,
-        "+z" | "z" => UpAxis::PlusZ,
-        "-z" => UpAxis::MinusZ,
-        _ => return Err(format!("{text:?} is no axis; write +z or -y")),
-    })
+    text.parse()
+}
+
+/// Reads a unit of length, in metres.
+pub fn parse_unit(text: &str) -> Result<f64, String> {
+    let named = LengthUnit::ALL.into_iter().find(|unit| unit.symbol() == text);
+    named
+        .map(LengthUnit::metres)
+        .or_else(|| text.parse().ok().filter(|m: &f64| m.is_finite() && *m > 0.0))
+        .ok_or_else(|| {
+            format!("{text:?} is no unit; write mm, cm, m, km or metres, such as 0.3048")
+        })
 }

@@ -1,22 +1,23 @@
 //! What most commands begin with: threads, the output folder, the network, the scene.
 
 use crate::commands::WrongUse;
-use crate::flags::{Inference, Shared};
+use crate::flags::{Inference, NetworkArgs, Shared};
+use crate::outputs::Outputs;
 use crate::progress::{Progress, interrupted, listen_for_interrupt};
 use crate::receipt::Receipt;
 use crate::terminal::print;
 use anyhow::{Context, Result};
+use scenesplat::alignment::{Alignment, AlignmentSettings, Remark};
 use scenesplat::inference::{EncodeError, Fidelity};
 use scenesplat::input::open_input;
 use scenesplat::kernels::simd::Isa;
 use scenesplat::memory::Bytes;
 use scenesplat::models::{Compute, LoadPolicy};
-use scenesplat::network::{WeightOptions, Weights, network_of};
-use scenesplat::outputs::{OpenedScene, guess_up};
-use scenesplat::preview::UpAxis;
-use scenesplat::scene::{GaussianScene, ReadOptions, printable};
+use scenesplat::network::{NetworkChoice, WeightOptions, Weights, network_of};
+use scenesplat::outputs::OpenedScene;
+use scenesplat::scene::{GaussianScene, ReadOptions, UpAxis, guess_up, printable};
 use scenesplat::{Network, SceneEncoder, SceneFeatures};
-use std::cell::Cell;
+use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 
 /// Where features come from.
@@ -55,7 +56,9 @@ pub struct Session<'a> {
     pub receipt: Receipt,
     /// What is shown.
     pub progress: Progress,
-    made_out: Cell<bool>,
+    /// What is read and written.
+    pub outputs: Outputs,
+    written: RefCell<Vec<(PathBuf, u64)>>,
 }
 
 impl<'a> Session<'a> {
@@ -68,26 +71,45 @@ impl<'a> Session<'a> {
         receipt.computation("f32", Isa::current().name());
         receipt.threads(rayon::current_num_threads());
         let progress = Progress::new(shared.quiet);
-        Ok(Self { shared, receipt, progress, made_out: Cell::new(false) })
+        let outputs = Outputs::new(&shared.out);
+        outputs.claim_any("--receipt", shared.receipt.as_ref())?;
+        Ok(Self { shared, receipt, progress, outputs, written: RefCell::default() })
     }
 
-    /// Makes the output folder; called before anything expensive.
-    pub fn make_out(&self) -> Result<()> {
-        let out = &self.shared.out;
-        self.made_out.set(true);
-        std::fs::create_dir_all(out)
-            .with_context(|| format!("{}: cannot make the output folder", out.display()))
+    /// As [`start`](Self::start) for a command with a network, whose files are inputs.
+    pub fn start_with(shared: &'a Shared, network: &NetworkArgs, command: &str) -> Result<Self> {
+        let session = Self::start(shared, command)?;
+        if let Some(Weights::File(path)) = &network.weights {
+            session.outputs.reads(path)?;
+        }
+        if let Some(NetworkChoice::File(path)) = &network.config {
+            session.outputs.reads(path)?;
+        }
+        Ok(session)
     }
 
-    /// A file of the output folder.
-    pub fn out(&self, name: &str) -> PathBuf {
-        self.shared.out.join(name)
+    /// Makes the output folder, for files of these names and the receipt, and keeps other runs out
+    /// of it; called before anything expensive, when the inputs are known.
+    pub fn make_out(&self, names: &[&str]) -> Result<()> {
+        self.outputs.open_folder(names)
+    }
+
+    /// Where to write a file of the output folder; it gets there when the command is done.
+    pub fn out(&self, name: &str) -> Result<PathBuf> {
+        self.outputs.path(name)
     }
 
     /// Notes a written file.
     pub fn wrote(&self, path: &Path, bytes: u64) {
         self.receipt.add_bytes_written(bytes);
-        self.progress.say(format!("wrote {} ({})", printable(path), Bytes(bytes)));
+        self.written.borrow_mut().push((self.outputs.shown(path), bytes));
+    }
+
+    /// Writes a text file outside of the output folder, which was claimed.
+    pub fn write_file(&self, path: &Path, text: &str) -> Result<()> {
+        self.outputs.file(path, text.as_bytes())?;
+        self.wrote(path, text.len() as u64);
+        Ok(())
     }
 
     /// Builds the network.
@@ -164,6 +186,7 @@ impl<'a> Session<'a> {
     /// Reads a scene without a word about its values; a labelled point cloud is turned into
     /// Gaussians.
     pub fn read(&self, path: &Path, options: &ReadOptions) -> Result<OpenedScene> {
+        self.outputs.reads(path)?;
         self.progress.say(format!("reading {}", path.display()));
         let (opened, remark) = open_input(path, options)?;
         if let Some(text) = remark {
@@ -246,6 +269,15 @@ impl<'a> Session<'a> {
             spill_folder: self.shared.out.clone(),
             ..SceneEncoder::new(network)
         };
+        let alignment = Alignment::of(
+            scene,
+            &AlignmentSettings {
+                up: inference.up,
+                metres_per_unit: inference.unit,
+                as_is: inference.as_is,
+            },
+        );
+        self.tell(&alignment, inference.as_is);
         let receipt = &self.receipt;
         let why = "fast: one Gaussian a voxel; exact: a sampling at half the voxel size, averaged";
         receipt.setting("fidelity", format!("{:?}", encoder.fidelity).to_lowercase(), why);
@@ -253,7 +285,7 @@ impl<'a> Session<'a> {
         if inference.shuffle_orders {
             receipt.setting("shuffle_orders", inference.seed, "seed");
         }
-        let features = encoder.encode(scene, &mut |at| {
+        let features = encoder.encode_aligned(scene, alignment, &mut |at| {
             if interrupted() {
                 return Err(EncodeError::Stopped);
             }
@@ -298,9 +330,61 @@ impl<'a> Session<'a> {
         Ok(features)
     }
 
+    /// Says and notes what the network makes of a scene that lies otherwise than it knows.
+    fn tell(&self, alignment: &Alignment, as_is: bool) {
+        let up = &alignment.up;
+        let why = match (as_is, up.given) {
+            (true, _) => "as is: the network takes +z for up",
+            (false, true) => "up in the scene, as given",
+            (false, false) => "up in the scene, by its shape",
+        };
+        self.receipt.setting("up", up.axis, why);
+        for remark in &alignment.remarks {
+            let text = match *remark {
+                Remark::Turned { from } => {
+                    let why =
+                        "the network read a copy turned from this up to +z; files keep theirs";
+                    self.receipt.setting("turned", from, why);
+                    format!(
+                        "up is {from}{}: the network reads a copy turned to +z; files keep their \
+                         frame (--up AXIS if it is another, --as-is to leave it)",
+                        if up.given { "" } else { ", by the shape of the scene" }
+                    )
+                }
+                Remark::Scaled { by } => {
+                    let why = "metres per unit; the network read a copy in metres";
+                    self.receipt.setting("unit", by, why);
+                    format!(
+                        "one unit is {by} m: the network reads a copy in metres; files keep their \
+                         unit (--unit UNIT if it is another, --as-is to leave it)"
+                    )
+                }
+                Remark::UpUnclear { likely, confidence } => format!(
+                    "WHICH WAY IS UP IS UNCLEAR ({likely} is likeliest, confidence {confidence:.2}): \
+                     the network takes +z for up, and most labels are lost if it is not; say it with \
+                     --up AXIS"
+                ),
+                Remark::UnitUnclear { likely, confidence } => format!(
+                    "THE UNIT IS UNCLEAR ({} is likeliest, confidence {confidence:.2}): the network \
+                     takes it for metres, and labels mean little if it is not; say it with --unit \
+                     {} or --unit m",
+                    likely.symbol(),
+                    likely.symbol()
+                ),
+            };
+            if remark.is_warning() {
+                self.progress.say(format!("*** {text} ***"));
+            } else {
+                self.progress.say(&text);
+            }
+            // Each scene of several has its own.
+            self.receipt.warning(text);
+        }
+    }
+
     /// Which way is up.
     pub fn up(&self, scene: &GaussianScene, inference: &Inference) -> UpAxis {
-        inference.up.unwrap_or_else(|| guess_up(scene))
+        inference.up.unwrap_or_else(|| guess_up(scene).axis)
     }
 
     /// Stops here if the user asked to.
@@ -308,20 +392,34 @@ impl<'a> Session<'a> {
         if interrupted() { Err(EncodeError::Stopped.into()) } else { Ok(()) }
     }
 
-    /// Prints and writes the receipt.
+    /// Puts everything in place, the receipt last, and prints it.
     pub fn finish(&self) -> Result<()> {
+        self.check_stop()?;
         let report = self.receipt.finish();
+        let text = report.to_json()?;
+        self.outputs.commit(Some((&text, self.shared.receipt.as_deref())))?;
+        self.say_written();
         if !self.shared.quiet {
             print(&report.to_string());
         }
-        let beside = self.out("receipt.json");
-        if self.made_out.get() {
-            report.write_json(&beside)?;
-        }
-        if let Some(path) = &self.shared.receipt {
-            report.write_json(path)?;
-        }
         Ok(())
+    }
+
+    /// Puts everything in place, without a receipt unless the user asked for one.
+    pub fn finish_quietly(&self) -> Result<()> {
+        if self.shared.receipt.is_some() {
+            return self.finish();
+        }
+        self.check_stop()?;
+        self.outputs.commit(None)?;
+        self.say_written();
+        Ok(())
+    }
+
+    fn say_written(&self) {
+        for (path, bytes) in self.written.borrow().iter() {
+            self.progress.say(format!("wrote {} ({})", printable(path), Bytes(*bytes)));
+        }
     }
 }
 

@@ -4,8 +4,8 @@
 //! would be waited for, a device never ends), texts only up to a stated size, and a pointer that
 //! git-lfs left in place of the file is named as such.
 
-use crate::SceneError;
 use crate::printable::printable;
+use crate::{AtomicFile, SceneError};
 use memmap2::Mmap;
 use std::fs::{File, Metadata, OpenOptions};
 use std::io::Read;
@@ -162,6 +162,13 @@ impl InputFile {
             Content::Mapped(map, file)
         };
         Ok(Self { path: path.to_owned(), content })
+    }
+
+    /// What was written to an [`AtomicFile`] so far; to be dropped before it is committed.
+    pub(crate) fn of_written(written: &AtomicFile) -> Result<Self, SceneError> {
+        let target = written.target();
+        let file = written.file()?.try_clone();
+        Self::map(file.map_err(SceneError::io(target, "cannot read the file"))?, target)
     }
 
     /// A copy of bytes that stand for a file.

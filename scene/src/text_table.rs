@@ -1,8 +1,8 @@
 //! Text vectors of classes, as a language model embeds their names.
 
 use crate::SceneError;
+use crate::class_names::read_names;
 use crate::input_file::{InputFile, read_text_file};
-use crate::label_set::read_names;
 use half::{bf16, f16};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::Deserialize;

@@ -14,14 +14,13 @@ use clap::builder::TypedValueParser;
 use depth::DepthArg;
 use pictures::Pictures;
 use scenesplat::memory::Bytes;
-use scenesplat::outputs::{OpenedScene, guess_up};
-use scenesplat::preview::UpAxis;
+use scenesplat::outputs::OpenedScene;
 use scenesplat::rasterizer::Gaussians;
 use scenesplat::rasterizer::lifting::{
     Aggregate, DepthTolerance, FinaliseSettings, LiftError, LiftSettings, Lifter, Robust,
 };
 use scenesplat::rasterizer::segments::{CameraMatches, SegmentFolder, SegmentOptions};
-use scenesplat::scene::{Camera, open_cameras};
+use scenesplat::scene::{Camera, UpAxis, guess_up, open_cameras};
 use std::path::PathBuf;
 
 /// Lifts the segments of pictures onto the Gaussians: writes lang_feat.npy ([N, D], f16, one row per
@@ -137,9 +136,12 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start(&args.shared, line)?;
     // Whatever can be wrong with flags and names is found before anything expensive.
     args.finalise(false).check().map_err(|e| WrongUse(e.to_string()))?;
+    for path in [&args.scene, &args.cameras, &args.segments] {
+        session.outputs.reads(path)?;
+    }
     let (cameras, folder, matches) = args.pictures(&session)?;
     let views = pictures::views(&cameras, &matches, &args.cameras)?;
-    session.make_out()?;
+    session.make_out(if args.level.len() == 1 { &write::FILES } else { &[] })?;
     let opened = args.open(&session)?;
     let gaussians = Gaussians::from_scene(&opened.loaded.scene)?;
     args.record(&session)?;
@@ -347,11 +349,9 @@ impl Args {
         robust: bool,
     ) -> Result<()> {
         let folder = match self.level.len() {
-            1 => self.shared.out.clone(),
-            _ => session.out(&format!("level-{level}")),
+            1 => session.outputs.main_folder()?,
+            _ => session.outputs.inner_folder(&format!("level-{level}"))?,
         };
-        std::fs::create_dir_all(&folder)
-            .with_context(|| format!("{}: cannot make the folder", folder.display()))?;
         let stage = session.receipt.stage("features");
         let mut writer = write::Writer::new(opened, &folder, lifter.tables())?;
         let rows = opened.loaded.scene.len().max(1);
@@ -382,7 +382,7 @@ impl Args {
         let name = self.scene.file_name().unwrap_or_default().to_string_lossy();
         let title = format!("{name}: lifted labels (principal components as colours)");
         let scene = &opened.loaded.scene;
-        let up = self.up.unwrap_or_else(|| guess_up(scene));
+        let up = self.up.unwrap_or_else(|| guess_up(scene).axis);
         let path = folder.join("preview.png");
         let bytes = scenesplat::outputs::write_scene_preview(
             scene,

@@ -12,8 +12,10 @@ mod hostile;
 mod inputs;
 mod inspect;
 mod lift_labels;
+mod outputs;
 mod render;
 mod training;
+mod upright;
 
 pub use demo_scene::{asset, class_names};
 use std::path::Path;

@@ -1,7 +1,7 @@
 //! The block of labels as a file beside a scene, for formats that cannot hold it.
 
 use super::{ABOUT, SceneFingerprint, decode, encode_with, has_any, read_about};
-use crate::formats::files::AtomicFile;
+use crate::AtomicFile;
 use crate::input_file::InputFile;
 use crate::{GaussianScene, Policy, RepairReport, SceneError};
 use std::io::Write;
@@ -60,7 +60,7 @@ impl Sidecar {
     ) -> Result<Option<PathBuf>, SceneError> {
         let mut labels = None;
         if has_any(scene) {
-            let fingerprint = SceneFingerprint::of(file.map()?.bytes());
+            let fingerprint = SceneFingerprint::of(InputFile::of_written(&file)?.bytes());
             labels = stage(scene, order, &self.path, fingerprint)?;
         }
         file.sync()?;
