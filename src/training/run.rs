@@ -11,6 +11,7 @@ use scenesplat_datasets::{BatchLoader, TrainBatch};
 use scenesplat_losses::{TextTable as LossTexts, build_objective};
 use scenesplat_models::weights::{SourceOptions, WeightSource, resolve};
 use scenesplat_models::{LoadPolicy, ParamStore};
+use scenesplat_scene::FolderLock;
 use scenesplat_trainers::callbacks::{
     Console, EarlyStopping, JsonLines, TensorBoard, read_json_lines,
 };
@@ -66,8 +67,11 @@ pub struct RunReport {
 /// | `model/` | the best network (the last, if none is marked), as `--weights` takes it |
 ///
 /// # Errors
-/// If the experiment does not fit together, data cannot be read, or training fails.
+/// If the experiment does not fit together, data cannot be read, training fails, or another run is
+/// writing to the same folder.
 pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunReport> {
+    let lock = || FolderLock::acquire(&options.out);
+    let early = options.out.is_dir().then(lock).transpose()?;
     let checkpoints = options.out.join("checkpoints");
     let newest = newest_checkpoint(&checkpoints)?;
     anyhow::ensure!(
@@ -83,6 +87,8 @@ pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunRepor
     let text = config.text.as_ref().map(data::text_table).transpose()?;
     data::check_classes(config, text.as_ref())?;
     std::fs::create_dir_all(&options.out).with_context(|| options.out.display().to_string())?;
+    // Held until the end, also against a run that found no folder a moment ago.
+    let _lock = early.map_or_else(lock, Ok)?;
     let (params, mut remarks) = parameters(config)?;
     let network = config.network()?.model.build(params.builder())?;
     let loss_texts = match &text {

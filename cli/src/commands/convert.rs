@@ -2,6 +2,7 @@
 
 use super::WrongUse;
 use crate::flags::{SourceArgs, SpzFrameArg};
+use crate::outputs::Outputs;
 use crate::progress::{Progress, interrupted, listen_for_interrupt};
 use crate::terminal::{print, write_text};
 use anyhow::{Context, Result};
@@ -351,19 +352,18 @@ fn check_paths(args: &Args, format: SceneFormat) -> Result<()> {
     if !args.overwrite && format != SceneFormat::NpyFolder && args.to.exists() {
         anyhow::bail!("{}: is there already (--overwrite replaces it)", args.to.display());
     }
-    let Some(json) = &args.json else { return Ok(()) };
-    let folder = json.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    if !folder.is_dir() {
-        anyhow::bail!("--json {}: the folder is not there", json.display());
+    let outputs = Outputs::new(&args.to);
+    args.from.iter().try_for_each(|from| outputs.reads(from))?;
+    outputs.reads_any([args.features.as_deref()])?;
+    let folders = [SceneFormat::NpyFolder, SceneFormat::SogFolder, SceneFormat::SogStreamed];
+    if !folders.contains(&format) {
+        // In place, if --overwrite says so; over the features never.
+        let features = Outputs::new(&args.to);
+        features.reads_any([args.features.as_deref()])?;
+        features.claim("the target", &args.to)?;
+        outputs.reads(&args.to)?;
     }
-    let same = |other: &Path| {
-        let full = |p: &Path| p.canonicalize().unwrap_or_else(|_| p.to_owned());
-        other == json || full(other) == full(json)
-    };
-    if same(&args.to) || args.from.iter().any(|from| same(from)) {
-        anyhow::bail!("--json {}: would replace the scene", json.display());
-    }
-    Ok(())
+    outputs.claim_any("--json", args.json.as_ref())
 }
 
 /// Makes codes from the features of the scene or of a file.

@@ -122,8 +122,9 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     }
     let session = Session::start(&args.shared, line)?;
     // Wrong cameras are said before a large scene is read.
+    session.outputs.reads_any([Some(args.scene.as_path()), args.cameras.as_deref()])?;
     let read = args.cameras.as_ref().map(|path| cameras::read(path, args)).transpose()?;
-    session.make_out()?;
+    session.make_out(&[])?;
     let scene = read_scene(&session, args)?;
     let shots = match read {
         Some(shots) => shots,
@@ -132,6 +133,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
             cameras::of_scene(&scene, up, args)?
         }
     };
+    let names: Vec<String> = shots.list.iter().map(|shot| format!("{}.png", shot.name)).collect();
+    session.make_out(&names.iter().map(String::as_str).collect::<Vec<_>>())?;
     for note in &shots.notes {
         session.progress.say(note);
     }
@@ -239,7 +242,7 @@ fn write(session: &Session<'_>, args: &Args, shot: &Shot, picture: &Rendered) ->
     let rgb: Vec<u8> = picture.rgb.iter().flatten().map(bytes).collect();
     let rgb = RgbPicture::from_pixels(width, height, rgb.as_chunks::<3>().0.to_vec())
         .context("a picture has three channels")?;
-    let path = session.out(&format!("{}.png", shot.name));
+    let path = session.out(&format!("{}.png", shot.name))?;
     session.wrote(&path, write_png(&path, &rgb)?);
     let Some(depth) = picture.depth_expected.as_ref().filter(|_| args.depth) else { return Ok(0) };
     let solid: Vec<f32> = depth
@@ -247,11 +250,7 @@ fn write(session: &Session<'_>, args: &Args, shot: &Shot, picture: &Rendered) ->
         .zip(&picture.transmittance)
         .map(|(d, t)| if 1.0 - t >= SOLID { *d } else { 0.0 })
         .collect();
-    let folder = |name: &str| -> Result<PathBuf> {
-        let folder = session.out(name);
-        std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
-        Ok(folder.join(format!("{}.png", shot.name)))
-    };
+    let inside = |folder: &str| session.out(&format!("{folder}/{}.png", shot.name));
     let mut lost = 0;
     let steps: Vec<u16> = solid
         .iter()
@@ -261,9 +260,9 @@ fn write(session: &Session<'_>, args: &Args, shot: &Shot, picture: &Rendered) ->
             if steps > 65535.0 { 0 } else { steps as u16 }
         })
         .collect();
-    let path = folder("depth")?;
+    let path = inside("depth")?;
     session.wrote(&path, write_png16(&path, &steps, [width, height])?);
-    let path = folder("depth_color")?;
+    let path = inside("depth_color")?;
     session.wrote(&path, write_png(&path, &depth_picture(&solid, width, height))?);
     Ok(lost)
 }

@@ -4,7 +4,6 @@
 //! [`GaussianScene`] holds them before activation; colour bytes survive both ways exactly. There is
 //! no file for spherical harmonics beyond the DC term.
 
-mod staging;
 mod writer;
 
 pub use writer::{write_npy_folder, write_npy_scene};

@@ -1,6 +1,6 @@
 //! Writing the preprocessed scene.
 
-use super::staging::StagedFolder;
+use crate::StagedFolder;
 use crate::formats::limit_tally::LimitTally;
 use crate::formats::npy_writer::{NpyElement, NpyRowWriter};
 use crate::formats::packed_values::{

@@ -4,7 +4,7 @@ use super::META_NAME;
 use super::meta::SogMeta;
 use super::streamed::part_names;
 use crate::SceneError;
-use crate::formats::files::make_beside;
+use crate::atomic_file::make_beside;
 use std::fs::{self, File};
 use std::io::Write;
 use std::path::{Path, PathBuf};

@@ -9,7 +9,7 @@ use super::palette::Palette;
 use super::reader::{CENTROIDS_PER_LINE, ROWS_FOR_TABLE, line_width, plausible_rows};
 use super::ticker::Ticker;
 use super::{META_NAME, texture};
-use crate::formats::files::AtomicFile;
+use crate::AtomicFile;
 use crate::formats::limit_tally::LimitTally;
 use crate::formats::{SceneFormat, WriteOptions, WriteProgress, WriteReport, semantics};
 use crate::{GaussianScene, SceneError};
