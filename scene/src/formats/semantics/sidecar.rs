@@ -34,6 +34,13 @@ impl Sidecar {
     ) -> Result<Self, SceneError> {
         let path = sidecar_path(scene_path);
         let carries = has_any(scene);
+        // A name that is too long, say, must not be found out when the scene is in place already.
+        if carries
+            && let Err(source) = std::fs::symlink_metadata(&path)
+            && source.kind() != std::io::ErrorKind::NotFound
+        {
+            return Err(SceneError::io(&path, "cannot write the labels beside the scene")(source));
+        }
         if carries && path.exists() && !path.is_file() {
             let problem = "is in the way of the labels of the scene: it is not a file";
             return Err(SceneError::format(&path, problem, "remove it or choose another name"));
