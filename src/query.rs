@@ -178,3 +178,61 @@ impl Selection {
         (count > 0).then_some(place)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use scenesplat_rooms::{ClassId, ColorName};
+
+    /// One Gaussian of each given object, as a perfect network would see it.
+    fn scene(objects: &[(ClassId, ColorName)]) -> (SceneFeatures, Vec<[f32; 3]>, Vocabulary) {
+        let words = Vocabulary::new(96).unwrap();
+        let rows = objects.iter().flat_map(|&(c, color)| words.object_target(c, color)).collect();
+        let coord = (0..objects.len()).map(|i| [i as f32, 0.0, 0.0]).collect();
+        (SceneFeatures::from_rows(rows, 96).unwrap(), coord, words)
+    }
+
+    #[test]
+    fn a_group_is_meant_by_its_members() {
+        let seats = [ClassId::Chair, ClassId::Sofa];
+        let objects: Vec<_> = ClassId::ALL.iter().map(|&c| (c, ColorName::Brown)).collect();
+        let (features, coord, words) = scene(&objects);
+        let query = Query::of_vocabulary(&words, "seat").unwrap();
+        let found = select(&features, &query, &QuerySettings::default(), &coord).unwrap();
+        for (&class, &selected) in ClassId::ALL.iter().zip(&found.selected) {
+            let is_seat = query.meant.names.iter().any(|n| n == class.about().name);
+            assert_eq!(selected == 1, is_seat, "{}", class.about().name);
+        }
+        assert!(seats.iter().all(|s| query.meant.names.iter().any(|n| n == s.about().name)));
+    }
+
+    #[test]
+    fn a_class_in_a_color_is_not_one_in_another() {
+        let objects = [
+            (ClassId::Chair, ColorName::Red),
+            (ClassId::Chair, ColorName::Blue),
+            (ClassId::Table, ColorName::Red),
+        ];
+        let (features, coord, words) = scene(&objects);
+        let query = Query::of_vocabulary(&words, "red chair").unwrap();
+        let found = select(&features, &query, &QuerySettings::default(), &coord).unwrap();
+        assert_eq!(found.selected, [1, 0, 0]);
+        let place = found.place(&coord).unwrap();
+        assert_eq!((place.count, place.center, place.high), (1, [0.0; 3], [0.0; 3]));
+    }
+
+    #[test]
+    fn rows_without_direction_and_texts_of_another_width_are_not_found() {
+        let words = Vocabulary::new(96).unwrap();
+        let query = Query::of_vocabulary(&words, "chair").unwrap();
+        let none = SceneFeatures::from_rows(vec![0.0; 96], 96).unwrap();
+        let settings = QuerySettings::default();
+        let found = select(&none, &query, &settings, &[[0.0; 3]]).unwrap();
+        assert_eq!(found.place(&[[0.0; 3]]), None);
+        assert_eq!(found.selected, [0]);
+        let narrow = SceneFeatures::from_rows(vec![1.0; 8], 8).unwrap();
+        let error = select(&narrow, &query, &settings, &[[0.0; 3]]).unwrap_err();
+        assert!(matches!(error, LabelError::Width { texts: 96, features: 8 }), "{error}");
+        assert!(SceneFeatures::from_rows(vec![1.0; 8], 3).is_err());
+    }
+}

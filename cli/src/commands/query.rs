@@ -38,6 +38,10 @@ pub struct Args {
     /// Neighbours that vote on the selection; 0 or 1 for no vote.
     #[arg(long, value_name = "K", default_value_t = 25)]
     pub vote_k: usize,
+    /// Features made before instead of a network: .npy, [N, D], one row per Gaussian, such as
+    /// lang_feat.npy of lift-labels or features.npy.
+    #[arg(long, value_name = "FILE.npy")]
+    pub features: Option<PathBuf>,
     /// Flags of the network.
     #[command(flatten)]
     pub inference: Inference,
@@ -53,7 +57,7 @@ fn query(args: &Args) -> Result<Query> {
         return Ok(Query::of_vocabulary(&vocabulary, &args.query).map_err(|e| wrong(&e))?);
     }
     let table = match (&args.classes.text, &args.embedding) {
-        (None, None) if args.shared.is_embedded() => {
+        (None, None) if args.shared.is_embedded() && args.features.is_none() => {
             let vocabulary = scenesplat::embedded::vocabulary()?;
             return Ok(Query::of_vocabulary(&vocabulary, &args.query).map_err(|e| wrong(&e))?);
         }
@@ -124,13 +128,18 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     if let Some(path) = &args.embedding {
         session.receipt.fingerprint("embedding", path)?;
     }
-    let (opened, source) = session.open_with_source(&args.scene, &args.inference, |network| {
-        if network.is_classifier() {
-            let text = "a segmentation network cannot be queried; use --config language";
-            return Err(WrongUse(text.to_owned()).into());
-        }
-        check_width(network.model().out_channels(), query.width())
-    })?;
+    let (opened, source) = session.open_with_source(
+        &args.scene,
+        &args.inference,
+        args.features.as_deref(),
+        |network| {
+            if network.is_classifier() {
+                let text = "a segmentation network cannot be queried; use --config language";
+                return Err(WrongUse(text.to_owned()).into());
+            }
+            check_width(network.model().out_channels(), query.width())
+        },
+    )?;
     let scene = &opened.loaded.scene;
     if let (FeatureSource::Codes, Some(code)) = (&source, &scene.lang_code) {
         if args.classes.text.is_none() && args.embedding.is_none() {
@@ -140,7 +149,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         }
         check_width(code.codebook.feature_width(), query.width())?;
     }
-    let features = session.features(scene, &source, &args.inference)?;
+    let features = session.features(&opened, &source, &args.inference)?;
 
     // A misspelt rival would go on to compete.
     let rivals = LabelSet::new(query.rivals.names.clone())?;

@@ -30,6 +30,10 @@ pub struct Args {
     /// Neighbours that vote on each label; 0 or 1 for no vote.
     #[arg(long, value_name = "K", default_value_t = 25)]
     pub vote_k: usize,
+    /// Features made before instead of a network: .npy, [N, D], one row per Gaussian, such as
+    /// lang_feat.npy of lift-labels or features.npy.
+    #[arg(long, value_name = "FILE.npy")]
+    pub features: Option<PathBuf>,
     /// Flags of the network.
     #[command(flatten)]
     pub inference: Inference,
@@ -153,10 +157,15 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         None => None,
     };
     let embedded = args.shared.is_embedded();
-    let (opened, source) = session.open_with_source(&args.scene, &args.inference, |network| {
-        let needed = !network.is_classifier() && table.is_none();
-        if needed { args.classes.text_table(embedded).map(drop) } else { Ok(()) }
-    })?;
+    let (opened, source) = session.open_with_source(
+        &args.scene,
+        &args.inference,
+        args.features.as_deref(),
+        |network| {
+            let needed = !network.is_classifier() && table.is_none();
+            if needed { args.classes.text_table(embedded).map(drop) } else { Ok(()) }
+        },
+    )?;
     let (labels_of, text) = if let Some(network) = source.classifier() {
         if args.classes.text.is_some() {
             let text = "--text is for language networks; name the classes with --text-names";
@@ -180,7 +189,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let options = args.classes.options(&labels_of)?;
     args.classes.record(&session)?;
     let scene = &opened.loaded.scene;
-    let features = session.features(scene, &source, &args.inference)?;
+    let features = session.features(&opened, &source, &args.inference)?;
 
     let classes = match &text {
         Some(text) => labels::Classes::Texts(text),
