@@ -1,17 +1,18 @@
 //! Scales of a batch of voxels and their neighbourhoods: what networks attend over that know points
 //! and no space-filling curves.
 //!
-//! Everything belongs to one scene, and everything that could tie is settled by the place of a
-//! voxel: rows are in Morton order, and of equally near neighbours the first in that order counts.
+//! Everything belongs to one scene, and what could tie is settled by place: rows are sorted by x, y
+//! and z, and of equally near neighbours the first in that order counts. That order is the same
+//! wherever a scene or a tile begins, which an order along a curve is not.
 
 use crate::{PointCloud, ops};
 use candle_core::{Device, Result, Tensor, bail};
 use scenesplat_kernels::neighbors::KdTree;
 use scenesplat_kernels::segment::{Groups, Reduce};
-use scenesplat_kernels::serialization::{Curve, argsort, codes, depth_of, invert};
+use scenesplat_kernels::serialization::{argsort, depth_of, invert};
 use std::sync::Arc;
 
-/// Voxels of a batch at one scale, in Morton order within each scene.
+/// Voxels of a batch at one scale, sorted within each scene.
 #[derive(Debug, Clone)]
 pub(crate) struct Scale {
     /// Cells of this scale.
@@ -67,8 +68,8 @@ impl Scale {
         }
         let mut order = Vec::with_capacity(cells.len());
         for scene in offsets.windows(2) {
-            let morton = codes(Curve::Z, &cells[scene[0]..scene[1]], 21);
-            order.extend(argsort(&morton).into_iter().map(|i| i + scene[0] as u32));
+            let keys: Vec<u64> = cells[scene[0]..scene[1]].iter().map(key).collect();
+            order.extend(argsort(&keys).into_iter().map(|i| i + scene[0] as u32));
         }
         let cells: Vec<[i32; 3]> = order.iter().map(|&row| cells[row as usize]).collect();
         let coord = cells.iter().map(|c| c.map(|v| v as f32)).collect();
@@ -98,9 +99,9 @@ impl Scale {
         };
         let (mut cells, mut coord, mut offsets) = (Vec::new(), Vec::new(), vec![0]);
         for scene in self.offsets.windows(2) {
-            let morton = codes(Curve::Z, &above[scene[0]..scene[1]], 21);
-            let order = argsort(&morton);
-            for members in order.chunk_by(|&a, &b| morton[a as usize] == morton[b as usize]) {
+            let keys: Vec<u64> = above[scene[0]..scene[1]].iter().map(key).collect();
+            let order = argsort(&keys);
+            for members in order.chunk_by(|&a, &b| keys[a as usize] == keys[b as usize]) {
                 let mut sum = [0f64; 3];
                 for &member in members {
                     let row = scene[0] + member as usize;
@@ -231,6 +232,11 @@ impl Neighborhood {
         let edges = out.len();
         Tensor::from_vec(out, (edges, 1), &Device::Cpu)
     }
+}
+
+/// A cell of 21 bits an axis as a number that sorts by x, then y, then z.
+fn key(cell: &[i32; 3]) -> u64 {
+    cell.iter().fold(0, |key, &v| key << 21 | v as u64)
 }
 
 /// Edges by the group that `inverse` names, in their order.

@@ -9,7 +9,7 @@
 //! positions are voxel numbers instead of metres (the batch norm behind the first layer of the
 //! position encoding takes the unit out); cells are counted from the corner of the grid instead of
 //! the scene's lowest point, so that tiles of a scene have its cells; a scene with fewer points than
-//! neighbours attends to those it has; equally near neighbours count in Morton order; batch norm of a
+//! neighbours attends to those it has; equally near neighbours count by their place; batch norm of a
 //! single row takes the remembered statistics; attention has no dropout. The hidden layer of the
 //! original's classifier belongs to the backbone (`out`), so that any head can stand behind it.
 
