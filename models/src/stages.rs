@@ -22,8 +22,14 @@ pub(crate) fn edge(strides: &[usize]) -> u32 {
     product.map_or(1 << 21, |edge| edge.min(1 << 21))
 }
 
+/// Most scales.
+const MOST_STAGES: usize = 16;
+
 /// Checks that lists have an entry for each stage.
 pub(crate) fn check_lengths(stages: usize, lists: &[(&str, usize)]) -> Result<()> {
+    if stages > MOST_STAGES {
+        bail!("enc_depths: {stages} stages are more than {MOST_STAGES}, the most that is allowed");
+    }
     match lists.iter().find(|(_, length)| *length != stages) {
         Some((field, got)) => {
             bail!("{field}: expected {stages} entries, as many as enc_depths, got {got}")
@@ -32,8 +38,9 @@ pub(crate) fn check_lengths(stages: usize, lists: &[(&str, usize)]) -> Result<()
     }
 }
 
-/// The largest width, count or size that a network may have: far beyond any that computes.
-pub(crate) const LARGEST: usize = 1 << 16;
+/// The largest width, count or size that a network may have: a file may come from anybody, and this is
+/// far beyond any network that is known.
+const LARGEST: usize = 1 << 14;
 
 /// Checks that sizes are at least 1, and not absurd.
 pub(crate) fn check_sizes(lists: &[(&str, &[usize])]) -> Result<()> {
@@ -52,7 +59,7 @@ pub(crate) fn check_sizes(lists: &[(&str, &[usize])]) -> Result<()> {
 }
 
 /// Most blocks of a stage.
-const DEEPEST: usize = 1024;
+const DEEPEST: usize = 256;
 
 /// Checks that numbers of blocks are not absurd.
 pub(crate) fn check_depths(lists: &[(&str, &[usize])]) -> Result<()> {
