@@ -15,7 +15,7 @@ use scenesplat::{datasets, text};
 use std::sync::Arc;
 
 fn main() -> anyhow::Result<()> {
-    let texts = datasets::synthetic::Vocabulary::new(64)?.class_table();
+    let texts = scenesplat::rooms::Vocabulary::new(64)?.class_table();
     let rooms = |count, seed, steps: Vec<TransformConfig>| {
         let source = datasets::SyntheticRooms::new(count, Default::default(), seed);
         let steps = datasets::build_transforms(&steps)?;

@@ -1,17 +1,18 @@
-//! The library in 20 lines: a scene in, labels out.
+//! The library in 20 lines: a scene in, labels out, with the network inside the program.
 
+use scenesplat::embedded;
 use scenesplat::metrics::{FeatureSlice, ZeroShotOptions, classify};
 use scenesplat::prelude::*;
+use scenesplat::rooms::{SyntheticRoomSettings, generate};
 use scenesplat::text::metric_table;
-use std::path::Path;
 
 fn main() -> anyhow::Result<()> {
-    let scene = open_scene(Path::new("assets/demo/room.ply"), &ReadOptions::default())?.scene;
-    let config = NetworkConfig::tiny();
-    let network = Network::load(config, &Weights::Seeded(0), WeightOptions::default())?;
+    // Or a file: open_scene("scene.ply".as_ref(), &ReadOptions::default())?.scene
+    let scene = generate(&SyntheticRoomSettings { room: 3, ..Default::default() })?.scene;
+    let network = Network::load(embedded::config()?, &Weights::Embedded, WeightOptions::default())?;
     let features = SceneEncoder::new(&network).encode(&scene, &mut |_| Ok(()))?;
 
-    let text = read_text_table(Path::new("assets/demo/classes.safetensors"), None)?;
+    let text = embedded::vocabulary()?.class_table();
     let rows = features.gaussian_rows(0..features.len())?;
     let rows = FeatureSlice::new(&rows, features.width())?;
     let found = classify(&rows, &metric_table(&text)?, &ZeroShotOptions::default())?;

@@ -3,10 +3,10 @@
 //! `room.classes.png` of room 7, with 4000 Gaussians per square metre.
 
 use anyhow::Context;
-use scenesplat::datasets::synthetic::{CLASSES, Group, SyntheticRoomSettings, generate};
 use scenesplat::preview::{
     LegendEntry, PreviewRows, PreviewSettings, UNLABELLED_COLOR, class_color, write_preview,
 };
+use scenesplat::rooms::{CLASSES, Group, SyntheticRoomSettings, generate};
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
 use std::path::Path;
 

@@ -15,8 +15,9 @@ cp "$real"/objects/playbot_sog2_lod/6_0/meta.json $corpus/sog_json/v2.json
 cp "$real"/objects/playcanvas_logo_sog1/meta.json $corpus/sog_json/v1.json
 cp "$real"/objects/playbot_sog2_lod/lod-meta.json $corpus/sog_json/lod.json
 cp "$real"/scenes/arkit_brush/cameras.json $corpus/cameras_json/
-convert() { cargo run -q --release -- convert --quiet --overwrite assets/demo/room.ply "$@" >/dev/null; }
 small=$(mktemp -d)
+cargo run -q --release --example synthetic_room -- 7 "$small/room" 100
+convert() { cargo run -q --release -- convert --quiet --overwrite "$small/room.ply" "$@" >/dev/null; }
 convert "$small/a.ply" --sample 20
 cp "$small/a.ply" $corpus/ply/labelled.ply
 cp "$small/a.ply" $corpus/ply_points/labelled.ply

@@ -231,10 +231,10 @@ fn cut_harmonics(scene: &mut GaussianScene, degree: u8) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::datasets::{RoomSettings, generate_room};
+    use scenesplat_rooms::{SyntheticRoomSettings, generate};
 
     fn room() -> GaussianScene {
-        generate_room(&RoomSettings { num_gaussians: 2000, seed: 3 }).unwrap().scene
+        generate(&SyntheticRoomSettings::with_count(2000, 3)).unwrap().scene
     }
 
     #[test]

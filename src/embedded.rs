@@ -5,7 +5,7 @@
 use crate::NetworkConfig;
 use anyhow::{Context, Result};
 use candle_core::Tensor;
-use scenesplat_datasets::synthetic::Vocabulary;
+use scenesplat_rooms::Vocabulary;
 use std::collections::BTreeMap;
 
 const WEIGHTS: &[u8] = include_bytes!("../assets/embedded/model.safetensors");

@@ -3,26 +3,27 @@
 //! The crates behind this facade: [`scene`] (scenes and their files), [`kernels`] (algorithms on
 //! slices), [`datasets`] (from scenes to network input), [`models`] (networks and weights),
 //! [`metrics`] (labels, votes, evaluation, pictures), [`rasterizer`] (pictures of scenes), [`trainers`]
-//! (optimizers and schedules). This crate adds
+//! (optimizers and schedules), [`rooms`] (synthetic rooms). This crate adds
 //! what joins them: [`Network`] (a configuration with its weights), [`SceneEncoder`] (a scene in,
 //! features out) and what the commands write.
 //!
 //! ```
+//! use scenesplat::embedded;
 //! use scenesplat::prelude::*;
+//! use scenesplat::rooms::{SyntheticRoomSettings, generate};
 //!
 //! # fn main() -> anyhow::Result<()> {
-//! let room = scenesplat::datasets::generate_room(&RoomSettings { num_gaussians: 500, seed: 1 })?;
-//! // Seeded weights show the mechanism; their features mean nothing.
-//! let network = Network::load(NetworkConfig::tiny(), &Weights::Seeded(0), WeightOptions::default())?;
+//! let room = generate(&SyntheticRoomSettings::with_count(500, 1))?;
+//! // The network that comes with the program: it knows furnished rooms.
+//! let network = Network::load(embedded::config()?, &Weights::Embedded, WeightOptions::default())?;
 //! let features = SceneEncoder::new(&network).encode(&room.scene, &mut |_| Ok(()))?;
-//! assert_eq!(features.width(), 64);
+//! assert_eq!(features.width(), embedded::vocabulary()?.dim());
 //! let first = features.gaussian_rows(0..1)?;
 //! assert!((first.iter().map(|v| v * v).sum::<f32>() - 1.0).abs() < 1e-5);
 //! # Ok(())
 //! # }
 //! ```
 
-pub mod assets;
 pub mod bench;
 pub mod cli;
 pub mod convert;
@@ -49,12 +50,12 @@ pub use scenesplat_losses as losses;
 pub use scenesplat_metrics as metrics;
 pub use scenesplat_models as models;
 pub use scenesplat_rasterizer as rasterizer;
+pub use scenesplat_rooms as rooms;
 pub use scenesplat_scene as scene;
 pub use scenesplat_trainers as trainers;
 
 /// The types that nearly every program needs.
 pub mod prelude {
-    pub use crate::datasets::RoomSettings;
     pub use crate::models::{Backbone, ModelConfig, PointTransformerV3Config};
     pub use crate::scene::{GaussianScene, ReadOptions, open_scene};
     pub use crate::text::read_text_table;

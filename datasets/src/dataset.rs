@@ -99,8 +99,9 @@ impl Dataset for SceneDataset {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{GeneratedRooms, SampleRng};
+    use crate::{SampleRng, SyntheticRooms};
     use rand_chacha::rand_core::RngCore;
+    use scenesplat_rooms::SyntheticRoomSettings;
 
     #[derive(Debug)]
     struct Shake;
@@ -123,7 +124,7 @@ mod tests {
     }
 
     fn dataset(transforms: Vec<Arc<dyn Transform>>, repeat: usize) -> SceneDataset {
-        let source = Arc::new(GeneratedRooms::new(2, 200, 1));
+        let source = Arc::new(SyntheticRooms::new(2, SyntheticRoomSettings::with_count(200, 0), 1));
         SceneDataset::new(source, transforms, 5, repeat).unwrap()
     }
 
@@ -131,9 +132,9 @@ mod tests {
     fn seed_epoch_and_index_decide_the_sample() {
         let data = dataset(vec![Arc::new(Shake)], 2);
         assert_eq!(data.len(), 4);
-        assert_eq!([data.id(0), data.id(3), data.id(4)], ["room-0", "room-1", ""]);
+        assert_eq!([data.id(0), data.id(3), data.id(4)], ["room-000000", "room-000001", ""]);
         let sample = data.get(1, 2).unwrap();
-        assert_eq!(sample.id, "room-0");
+        assert_eq!(sample.id, "room-000000");
         assert_eq!(sample, data.get(1, 2).unwrap());
         assert_ne!(sample.coord, data.get(1, 0).unwrap().coord, "a repeat draws anew");
         assert_ne!(sample.coord, data.get(2, 2).unwrap().coord);
@@ -145,9 +146,9 @@ mod tests {
     fn errors_name_the_scene() {
         let data = dataset(vec![Arc::new(Breaks)], 1);
         let error = data.get(0, 1).unwrap_err();
-        assert!(matches!(&error, DataError::Sample { id, .. } if id == "room-1"), "{error}");
+        assert!(matches!(&error, DataError::Sample { id, .. } if id == "room-000001"), "{error}");
         assert!(matches!(data.get(0, 2), Err(DataError::RowOutOfRange { row: 2, rows: 2 })));
-        let source = Arc::new(GeneratedRooms::new(2, 200, 1));
+        let source = Arc::new(SyntheticRooms::new(2, SyntheticRoomSettings::with_count(200, 0), 1));
         assert!(SceneDataset::new(source, vec![], 0, 0).is_err());
     }
 }

@@ -28,6 +28,9 @@ pub enum DataError {
     /// A scene or folder of scenes is not as it should be, such as arrays of different lengths.
     #[error(transparent)]
     Rows(Box<SceneError>),
+    /// A synthetic room cannot be made.
+    #[error(transparent)]
+    Room(#[from] scenesplat_rooms::RoomError),
     /// Rows cannot be grouped into voxels.
     #[error(transparent)]
     Grid(#[from] GridSampleError),

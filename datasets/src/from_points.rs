@@ -7,6 +7,7 @@ use scenesplat_kernels::grid_sample::GridSampleError;
 use scenesplat_kernels::neighbors::{KdTree, Neighbor, NeighborError};
 use scenesplat_scene::GaussianScene;
 use scenesplat_scene::gaussian_scene::u8_to_dc;
+use scenesplat_scene::quaternion::quat_from_z_to;
 
 /// Neighbours whose mean distance is the local spacing.
 const SPACING_NEIGHBOURS: usize = 3;
@@ -216,17 +217,6 @@ fn unit_normal(normal: [f32; 3]) -> Option<[f64; 3]> {
     (norm.is_finite() && norm > 1e-12).then(|| normal.map(|v| v / norm))
 }
 
-/// The unit quaternion `w, x, y, z` that turns +z to a unit vector by the shortest way.
-pub(crate) fn quat_from_z_to([x, y, z]: [f64; 3]) -> [f64; 4] {
-    let w = 1.0 + z;
-    if w < 1e-9 {
-        // Half a turn about any horizontal axis.
-        return [0.0, 1.0, 0.0, 0.0];
-    }
-    let norm = (w * w + x * x + y * y).sqrt();
-    [w / norm, -y / norm, x / norm, 0.0]
-}
-
 /// Direction of least spread of a point and its neighbours; `None` if they span no plane.
 fn plane_normal(coord: &[[f32; 3]], row: usize, found: &[Neighbor]) -> Option<[f64; 3]> {
     let centre = coord[row].map(f64::from);
@@ -296,7 +286,7 @@ fn symmetric_eigen(mut m: [[f64; 3]; 3]) -> ([f64; 3], [[f64; 3]; 3]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rng::{direction, sample_rng, unit};
+    use scenesplat_kernels::random::{direction, sample_rng, unit};
 
     /// A flat square lattice with the given spacing, turned so that its normal is `normal`.
     fn lattice(side: usize, spacing: f64, normal: [f64; 3]) -> Vec<[f32; 3]> {

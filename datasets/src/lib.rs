@@ -1,6 +1,6 @@
-//! From scenes to network input: where scenes come from ([`source`], [`generated_room`],
-//! [`from_points`]), what the network reads of them ([`input_features`]), in which voxels
-//! ([`plan`]), in which pieces ([`tiles`]) and how pieces are joined ([`batch`]).
+//! From scenes to network input: where scenes come from ([`source`], [`sources`], [`from_points`]),
+//! what the network reads of them ([`input_features`]), in which voxels ([`plan`]) and in which
+//! pieces ([`tiles`]).
 //!
 //! For training: a [`dataset`] makes a [`sample`] of each scene, and a [`loader`] joins samples to
 //! batches ([`train_batch`]), some of them mixed ([`mix3d`]). Augmentation is made of [`transforms`].
@@ -8,12 +8,10 @@
 //! Plain arrays: no tensor library, no device. Everything is a function of its arguments and a
 //! seed; the number of threads never changes a result.
 
-pub mod batch;
 pub mod chunking;
 pub mod dataset;
 pub mod error;
 pub mod from_points;
-pub mod generated_room;
 pub mod input_features;
 pub mod loader;
 pub mod mix3d;
@@ -22,26 +20,22 @@ pub mod rng;
 pub mod sample;
 pub mod source;
 pub mod sources;
-pub mod synthetic;
 pub mod tiles;
 pub mod train_batch;
 pub mod transforms;
 pub mod weighted_mix;
 
-pub use batch::{Batch, collate};
 pub use dataset::{Dataset, SceneDataset};
 pub use error::DataError;
 pub use from_points::{PointCloud, PointSettings, estimate_normals, gaussians_from_points};
-pub use generated_room::{GeneratedRoom, RoomSettings, generate_room};
 pub use input_features::{InputChannel, InputFeatures};
 pub use loader::{BatchLoader, BrokenScenes, LoaderSettings, SceneLoader, SkippedScene};
 pub use mix3d::mix_pairs;
 pub use plan::{ExactPlan, FastPlan, InferencePlan, NetworkInput, Representative, SlotMean};
 pub use rng::{SampleRng, sample_rng};
 pub use sample::{Sample, Transform};
-pub use source::{DataSource, GeneratedRooms, SceneFolder, SourceScene};
-pub use sources::{Benchmark, SceneFolders, SourceConfig, Split};
-pub use synthetic::{SyntheticObject, SyntheticRoom, SyntheticRoomSettings, SyntheticRooms};
+pub use source::{DataSource, SourceScene};
+pub use sources::{Benchmark, SceneFolders, SourceConfig, Split, SyntheticRooms};
 pub use tiles::{Tile, TileSettings, Tiling, split_into_tiles};
 pub use train_batch::{TrainBatch, collate_samples};
 pub use transforms::{TransformConfig, build_transforms};

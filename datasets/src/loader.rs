@@ -141,12 +141,14 @@ type Skipped = Arc<Mutex<BTreeMap<String, SkippedScene>>>;
 /// ```
 /// use scenesplat_datasets::transforms::{build_transforms, language_pretraining};
 /// use scenesplat_datasets::{
-///     BatchLoader, GeneratedRooms, InputFeatures, LoaderSettings, SceneDataset, SceneLoader,
+///     BatchLoader, InputFeatures, LoaderSettings, SceneDataset, SceneLoader, SyntheticRooms,
 /// };
+/// use scenesplat_rooms::SyntheticRoomSettings;
 /// use std::sync::Arc;
 ///
 /// // One's own scenes: `SceneFolders::new("my/scenes".as_ref(), &[], Default::default())?`
-/// let source = Arc::new(GeneratedRooms::new(4, 2000, 1));
+/// let room = SyntheticRoomSettings { num_gaussians: Some(2000), ..Default::default() };
+/// let source = Arc::new(SyntheticRooms::new(4, room, 1));
 /// let transforms = build_transforms(&language_pretraining(0.05))?;
 /// let dataset = Arc::new(SceneDataset::new(source, transforms, 7, 1)?);
 /// let settings = LoaderSettings { batch_size: 2, workers: 1, ..LoaderSettings::default() };

@@ -319,10 +319,10 @@ fn group(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{RoomSettings, generate_room};
+    use scenesplat_rooms::{SyntheticRoomSettings, generate};
 
     fn room(num_gaussians: usize) -> GaussianScene {
-        generate_room(&RoomSettings { num_gaussians, seed: 5 }).unwrap().scene
+        generate(&SyntheticRoomSettings::with_count(num_gaussians, 5)).unwrap().scene
     }
 
     fn at(coord: Vec<[f32; 3]>) -> GaussianScene {

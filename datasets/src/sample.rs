@@ -184,10 +184,10 @@ pub trait Transform: Send + Sync + Debug {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{RoomSettings, generate_room};
+    use scenesplat_rooms::{SyntheticRoomSettings, generate};
 
     fn sample() -> Sample {
-        let room = generate_room(&RoomSettings { num_gaussians: 400, seed: 1 }).unwrap();
+        let room = generate(&SyntheticRoomSettings::with_count(400, 1)).unwrap();
         let mut sample = Sample::from_scene("room", room.scene);
         let n = sample.len();
         let values = (0..n * 2).map(|i| f16::from_f32(i as f32)).collect();
@@ -199,7 +199,7 @@ mod tests {
 
     #[test]
     fn values_are_activated() {
-        let room = generate_room(&RoomSettings { num_gaussians: 50, seed: 2 }).unwrap().scene;
+        let room = generate(&SyntheticRoomSettings::with_count(50, 2)).unwrap().scene;
         let sample = Sample::from_scene("a", room.clone());
         sample.check().unwrap();
         for row in 0..room.len() {

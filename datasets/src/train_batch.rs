@@ -184,10 +184,10 @@ fn valid_rows(rows: &FeatureRows) -> Vec<bool> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{RoomSettings, generate_room};
+    use scenesplat_rooms::{SyntheticRoomSettings, generate};
 
     fn sample(seed: u64, rows: u32) -> Sample {
-        let room = generate_room(&RoomSettings { num_gaussians: 300, seed }).unwrap();
+        let room = generate(&SyntheticRoomSettings::with_count(300, seed)).unwrap();
         let mut sample = Sample::from_scene(format!("room-{seed}"), room.scene);
         sample.select_rows(&(0..rows).collect::<Vec<_>>());
         sample.grid_coord = (0..rows as i32).map(|i| [i, seed as i32, 0]).collect();

@@ -3,8 +3,9 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
 use half::f16;
+use scenesplat_datasets::DataError;
 use scenesplat_datasets::chunking::{ChunkFolder, ChunkReport, ChunkSettings};
-use scenesplat_datasets::{DataError, RoomSettings, generate_room};
+use scenesplat_rooms::{SyntheticRoomSettings, generate};
 use scenesplat_scene::formats::npy::{NpyFile, NpyType};
 use scenesplat_scene::formats::npy_writer::write_npy;
 use scenesplat_scene::{ReadOptions, SceneFormat, WriteOptions, open_scene, write_scene};
@@ -166,7 +167,7 @@ fn other_settings_are_refused() {
 #[test]
 fn any_format_can_be_cut() {
     let dir = tempfile::tempdir().unwrap();
-    let room = generate_room(&RoomSettings { num_gaussians: 3000, seed: 1 }).unwrap().scene;
+    let room = generate(&SyntheticRoomSettings::with_count(3000, 1)).unwrap().scene;
     let source = dir.path().join("room.ply");
     write_scene(&room, &source, SceneFormat::Ply, &WriteOptions::default(), &mut |_| true).unwrap();
     let settings = ChunkSettings { range: [2.0; 2], stride: [1.0; 2], ..settings() };

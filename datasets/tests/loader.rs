@@ -4,16 +4,18 @@
 
 use scenesplat_datasets::transforms::{build_transforms, language_pretraining};
 use scenesplat_datasets::{
-    BatchLoader, BrokenScenes, DataError, Dataset, GeneratedRooms, InputFeatures, LoaderSettings,
-    Sample, SceneDataset, SceneLoader, SourceConfig, TrainBatch,
+    BatchLoader, BrokenScenes, DataError, Dataset, InputFeatures, LoaderSettings, Sample,
+    SceneDataset, SceneLoader, SourceConfig, SyntheticRooms, TrainBatch,
 };
+use scenesplat_rooms::SyntheticRoomSettings;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 fn rooms(count: usize) -> Arc<SceneDataset> {
-    let source = Arc::new(GeneratedRooms::new(count, 1500, 3));
+    let source =
+        Arc::new(SyntheticRooms::new(count, SyntheticRoomSettings::with_count(1500, 0), 3));
     let transforms = build_transforms(&language_pretraining(0.05)).unwrap();
     Arc::new(SceneDataset::new(source, transforms, 11, 1).unwrap())
 }

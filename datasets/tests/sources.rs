@@ -210,7 +210,7 @@ fn configurations_survive_a_file_and_refuse_what_they_do_not_know() {
     ] {
         assert!(serde_json::from_value::<SourceConfig>(wrong.clone()).is_err(), "{wrong}");
     }
-    let rooms = json!({"type": "generated_rooms", "count": 2, "num_gaussians": 300});
+    let rooms = json!({"type": "synthetic", "count": 2, "room": {"num_gaussians": 300}});
     let rooms: SourceConfig = serde_json::from_value(rooms).unwrap();
     assert_eq!(rooms.build().unwrap().scene_ids().len(), 2);
     assert!(!rooms.label_set().unwrap().unwrap().is_empty());

@@ -4,15 +4,17 @@
 
 use scenesplat_datasets::transforms::{build_transforms, validation};
 use scenesplat_datasets::{
-    BatchLoader, GeneratedRooms, InputFeatures, LoaderSettings, MixRule, SceneDataset, SceneLoader,
+    BatchLoader, InputFeatures, LoaderSettings, MixRule, SceneDataset, SceneLoader, SyntheticRooms,
     TrainBatch, WeightedMix,
 };
+use scenesplat_rooms::SyntheticRoomSettings;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Rooms of a seed of their own, one a batch.
 fn loader(rooms: usize, seed: u64, workers: usize) -> SceneLoader {
-    let source = Arc::new(GeneratedRooms::new(rooms, 300, 100 * seed));
+    let source =
+        Arc::new(SyntheticRooms::new(rooms, SyntheticRoomSettings::with_count(300, 0), 100 * seed));
     let transforms = build_transforms(&validation(0.1)).unwrap();
     let dataset = SceneDataset::new(source, transforms, seed, 1).unwrap();
     let settings = LoaderSettings {
@@ -92,7 +94,7 @@ fn a_dataset_that_begins_anew_has_another_order() {
     for order in &mut orders {
         let mut sorted = order.clone();
         sorted.sort();
-        assert_eq!(sorted, ["room-0", "room-1", "room-2", "room-3"]);
+        assert_eq!(sorted, ["room-000000", "room-000001", "room-000002", "room-000003"]);
     }
     assert!(orders.iter().any(|order| *order != first), "epochs differ");
     let mut passes = orders.chunks(2);

@@ -30,6 +30,7 @@ pub mod patch_attention;
 pub mod patches;
 pub mod permute;
 pub mod precision;
+pub mod random;
 #[doc(hidden)]
 pub mod reference;
 pub mod segment;

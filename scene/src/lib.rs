@@ -15,6 +15,7 @@ pub mod gaussian_scene;
 pub mod label_set;
 pub mod language_code;
 pub mod picture;
+pub mod quaternion;
 pub mod similarity;
 pub mod spherical_harmonics;
 pub mod text_table;

@@ -7,12 +7,12 @@ use crate::Network;
 use crate::outputs::OpenedScene;
 use crate::text::{class_list, metric_table};
 use anyhow::{Context, Result};
-use scenesplat_datasets::synthetic::{CLASSES, SyntheticClass};
-use scenesplat_datasets::{DataSource, SourceScene, SyntheticRoomSettings, SyntheticRooms};
+use scenesplat_datasets::{DataSource, SourceScene, SyntheticRooms};
 use scenesplat_metrics::{
     ConfusionMatrix, Fault, FeatureSlice, Metric, OracleCheck, OracleVote, TesterReport,
     UnknownRule, classify, keep_withheld, random_labels, vote,
 };
+use scenesplat_rooms::{CLASSES, SyntheticClass, SyntheticRoomSettings};
 use scenesplat_scene::formats::npy::NpyFile;
 use scenesplat_scene::label_set::{find_name, read_names};
 use scenesplat_scene::{ClassMap, GaussianScene, LabelSet, LoadedScene, SceneKind, TextTable};

@@ -6,10 +6,10 @@ use crate::inference::SceneFeatures;
 use crate::outputs::{ResultColumns, label_colors, legend, write_colored_ply, write_scene_preview};
 use crate::text::{class_list, metric_table, read_text_table};
 use anyhow::{Context, Result};
-use scenesplat_datasets::synthetic::Vocabulary;
 use scenesplat_metrics::{
     FeatureFn, FeatureRows, UnknownRule, ZeroShotOptions, classify, keep_withheld, vote,
 };
+use scenesplat_rooms::Vocabulary;
 use scenesplat_scene::formats::npy_writer::write_npy;
 use scenesplat_scene::label_set::read_names;
 use scenesplat_scene::{LabelSet, TextTable};

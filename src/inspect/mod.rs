@@ -116,12 +116,17 @@ pub struct Inspection {
 /// use scenesplat::inspect::{InspectSettings, inspect};
 /// use scenesplat::scene::{ReadOptions, open_scene};
 ///
-/// # let room = concat!(env!("CARGO_MANIFEST_DIR"), "/assets/demo/room.ply");
-/// let loaded = open_scene(room.as_ref(), &ReadOptions::default())?;
+/// # use scenesplat::rooms::{SyntheticRoomSettings, generate};
+/// # let folder = std::env::temp_dir().join(format!("inspect-{}", std::process::id()));
+/// # let (room, _) = (folder.join("room.ply"), std::fs::create_dir_all(&folder)?);
+/// # let scene = generate(&SyntheticRoomSettings::with_count(16_000, 7))?.scene;
+/// # scenesplat::scene::formats::inria_ply::write_inria_ply(&scene, &[], &room)?;
+/// let loaded = open_scene(&room, &ReadOptions::default())?;
+/// # std::fs::remove_dir_all(&folder)?;
 /// let seen = inspect(&loaded, &InspectSettings::default());
 /// assert_eq!((seen.gaussians, seen.findings.len()), (16_000, 0));
 /// println!("{seen}");
-/// # Ok::<(), scenesplat::scene::SceneError>(())
+/// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub fn inspect(loaded: &LoadedScene, settings: &InspectSettings) -> Inspection {
     let scene = &loaded.scene;

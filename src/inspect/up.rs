@@ -235,11 +235,11 @@ fn weigh(looks: &[Look], robust: &Bounds, up: UpAxis, habit: UpAxis) -> UpEviden
 mod tests {
     use super::*;
     use crate::inspect::bounds::robust_bounds;
-    use scenesplat_datasets::{RoomSettings, generate_room};
+    use scenesplat_rooms::{SyntheticRoomSettings, generate};
 
     #[test]
     fn rooms_are_upright_however_they_are_turned() {
-        let room = generate_room(&RoomSettings { num_gaussians: 6_000, seed: 3 }).unwrap().scene;
+        let room = generate(&SyntheticRoomSettings::with_count(6_000, 3)).unwrap().scene;
         let guess_of = |scene: &GaussianScene| guess(scene, &robust_bounds(&scene.coord));
         assert_eq!(guess_of(&room).axis, UpAxis::PlusZ);
         // Half a turn about x: quaternion (0, 1, 0, 0) from the left.
@@ -259,8 +259,7 @@ mod tests {
 
     #[test]
     fn a_corridor_does_not_stand_on_its_end() {
-        let mut corridor =
-            generate_room(&RoomSettings { num_gaussians: 6_000, seed: 4 }).unwrap().scene;
+        let mut corridor = generate(&SyntheticRoomSettings::with_count(6_000, 4)).unwrap().scene;
         corridor.coord.iter_mut().for_each(|c| c[0] *= 4.0);
         corridor.log_scale.iter_mut().for_each(|s| s[0] += 0.7);
         let robust = robust_bounds(&corridor.coord);

@@ -3,12 +3,12 @@
 use super::config::{ExperimentConfig, TextConfig, TransformList};
 use crate::text::read_text_table;
 use anyhow::{Context, Result};
-use scenesplat_datasets::synthetic::CLASSES;
-use scenesplat_datasets::synthetic::vocabulary::Vocabulary;
 use scenesplat_datasets::transforms::build_transforms;
 use scenesplat_datasets::{
     BatchLoader, Dataset, SceneLoader, SourceConfig, TrainBatch, WeightedMix,
 };
+use scenesplat_rooms::CLASSES;
+use scenesplat_rooms::vocabulary::Vocabulary;
 use scenesplat_scene::{LabelSet, TextTable};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;

@@ -216,8 +216,8 @@ source = { type = "synthetic", count = 2, seed = 9, room = { num_gaussians = 150
         let config = own("normals", r#"["color", "normal"]"#, 6);
         let weights = Weights::File(folder.path().join("normals/run/model"));
         let network = Network::load(config, &weights, WeightOptions::default()).unwrap();
-        let settings = scenesplat_datasets::RoomSettings { num_gaussians: 300, seed: 1 };
-        let mut scene = scenesplat_datasets::generate_room(&settings).unwrap().scene;
+        let settings = scenesplat_rooms::SyntheticRoomSettings::with_count(300, 1);
+        let mut scene = scenesplat_rooms::generate(&settings).unwrap().scene;
         scene.normal = Some(vec![[0.0, 0.0, 1.0]; scene.len()]);
         let features = SceneEncoder::new(&network).encode(&scene, &mut |_| Ok(())).unwrap();
         assert_eq!((features.len(), features.width()), (scene.len(), 16));

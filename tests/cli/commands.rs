@@ -1,6 +1,6 @@
 //! What each command writes.
 
-use crate::{asset, done, scenesplat, stderr, tiny};
+use crate::{asset, class_names, done, scenesplat, stderr, tiny};
 use scenesplat::scene::formats::npy::NpyFile;
 use scenesplat::scene::formats::ply::PlyFile;
 use std::path::Path;
@@ -212,7 +212,7 @@ fn evaluate_passes_its_oracle_and_refuses_a_broken_one() {
     let out = folder.path().join("e");
     let text = asset("classes.safetensors");
     let names = folder.path().join("names.txt");
-    let all = scenesplat::datasets::generated_room::CLASS_NAMES.join("\n");
+    let all = class_names().join("\n");
     std::fs::write(&names, all).unwrap();
     let base = ["--text", text.to_str().unwrap(), "--label-names", names.to_str().unwrap()];
     for vote in ["0", "25"] {
@@ -242,7 +242,7 @@ fn evaluate_reads_features_from_a_file() {
     done(&tiny("features", &asset("room.ply"), &folder.path().join("f"), &[]));
     let text = asset("classes.safetensors");
     let names = folder.path().join("names.txt");
-    std::fs::write(&names, scenesplat::datasets::generated_room::CLASS_NAMES.join("\n")).unwrap();
+    std::fs::write(&names, class_names().join("\n")).unwrap();
     let features = folder.path().join("f/features.npy");
     let common = ["--text", text.to_str().unwrap(), "--label-names", names.to_str().unwrap()];
     let value = |more: &[&str]| {
@@ -407,7 +407,7 @@ fn a_folder_of_arrays_works_like_the_file_it_came_from() {
     assert!(worst < 2e-4, "{worst}");
 
     let names = folder.path().join("names.txt");
-    std::fs::write(&names, scenesplat::datasets::generated_room::CLASS_NAMES.join("\n")).unwrap();
+    std::fs::write(&names, class_names().join("\n")).unwrap();
     let text = asset("classes.safetensors");
     let out = folder.path().join("e");
     let args = ["--text", text.to_str().unwrap(), "--label-names", names.to_str().unwrap()];
@@ -421,7 +421,7 @@ fn a_folder_of_arrays_works_like_the_file_it_came_from() {
 fn a_segmentation_network_labels_and_is_evaluated_by_its_own_classes() {
     let folder = tempfile::tempdir().unwrap();
     let config = folder.path().join("seg.toml");
-    let classes = scenesplat::datasets::generated_room::CLASS_NAMES;
+    let classes = class_names();
     let tiny_shape = scenesplat::models::ModelConfig::tiny().with_classes(classes.len());
     std::fs::write(&config, toml::to_string(&tiny_shape).unwrap()).unwrap();
     let names = folder.path().join("names.txt");

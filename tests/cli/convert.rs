@@ -169,7 +169,8 @@ fn language_codes_answer_queries_without_a_network() {
     let args = ["query", spz.to_str().unwrap(), "chair", "--text", text, "--out"];
     done(&scenesplat(&[&args[..], &[query.to_str().unwrap()]].concat()));
     // A scene without codes goes to the network inside the program, whose texts these are not.
-    let args = ["query", "assets/demo/room.ply", "chair", "--text", text, "--out"];
+    let room = asset("room.ply");
+    let args = ["query", room.to_str().unwrap(), "chair", "--text", text, "--out"];
     let output = scenesplat(&[&args[..], &[query.to_str().unwrap()]].concat());
     assert_eq!(output.status.code(), Some(2));
     assert!(stderr(&output).contains("--weights"), "{}", stderr(&output));

@@ -1,9 +1,10 @@
 //! `inspect`: planted defects are named, clean scenes are not blamed, hard scenes do not stop it.
 
 use crate::{asset, done, scenesplat, stderr};
-use scenesplat::datasets::{RoomSettings, generate_room, sample_rng};
+use scenesplat::datasets::sample_rng;
 use scenesplat::inspect::sheet::render_sheet;
 use scenesplat::inspect::{InspectSettings, Inspection, LengthUnit, Severity, inspect};
+use scenesplat::rooms::{SyntheticRoomSettings, generate};
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
 use scenesplat::scene::{GaussianScene, LanguageCode, LanguageCodebook, ReadOptions, open_scene};
 use std::path::{Path, PathBuf};
@@ -34,7 +35,7 @@ fn names(seen: &Inspection) -> Vec<&str> {
 }
 
 fn room() -> GaussianScene {
-    generate_room(&RoomSettings { num_gaussians: 20_000, seed: 5 }).unwrap().scene
+    generate(&SyntheticRoomSettings::with_count(20_000, 5)).unwrap().scene
 }
 
 fn biker() -> Option<GaussianScene> {
@@ -265,7 +266,9 @@ fn coordinates_of_a_survey() {
 fn clean_scenes_raise_nothing() {
     let mut seen = vec![look(&room())];
     for (num_gaussians, seed) in [(500, 0), (2_000, 1), (60_000, 2)] {
-        seen.push(look(&generate_room(&RoomSettings { num_gaussians, seed }).unwrap().scene));
+        seen.push(look(
+            &generate(&SyntheticRoomSettings::with_count(num_gaussians, seed)).unwrap().scene,
+        ));
     }
     let real = [
         "objects/biker.compressed.ply",

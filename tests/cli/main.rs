@@ -7,19 +7,16 @@ mod chunk;
 mod commands;
 mod compare;
 mod convert;
+mod demo_scene;
 mod hostile;
 mod inspect;
 mod lift_labels;
 mod render;
 mod training;
 
-use std::path::{Path, PathBuf};
+pub use demo_scene::{asset, class_names};
+use std::path::Path;
 use std::process::{Command, Output};
-
-/// A file that comes with the project.
-pub fn asset(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/demo").join(name)
-}
 
 /// Runs the program.
 pub fn scenesplat(args: &[&str]) -> Output {

@@ -1,7 +1,7 @@
 //! `render`: pictures, depth, cameras by name and number, plans, messages.
 
 use crate::{done, scenesplat, stderr};
-use scenesplat::datasets::{RoomSettings, generate_room};
+use scenesplat::rooms::{SyntheticRoomSettings, generate};
 use scenesplat::scene::formats::cameras::write_cameras_json;
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
 use scenesplat::scene::picture::{RgbPicture, Samples, read_picture};
@@ -115,7 +115,7 @@ fn pictures_that_show_nothing_are_said() {
 
 #[test]
 fn an_orbit_shows_the_scene_from_all_sides_whatever_the_threads() {
-    let room = generate_room(&RoomSettings { num_gaussians: 8_000, seed: 3 }).unwrap();
+    let room = generate(&SyntheticRoomSettings::with_count(8_000, 3)).unwrap();
     let place = Place::new(&room.scene);
     done(&place.render("one", &["--size", "64x48", "--threads", "1"]));
     done(&place.render("two", &["--size", "64x48", "--threads", "2", "--orbit", "4"]));

@@ -70,7 +70,7 @@ fn a_run_leaves_what_it_promises_and_its_weights_work() {
     assert!(stderr(&resumed).contains("seed was 0 and is 5"), "{}", stderr(&resumed));
 
     let names = folder.path().join("names.txt");
-    let classes = scenesplat::datasets::synthetic::CLASSES.iter().map(|c| c.name);
+    let classes = scenesplat::rooms::CLASSES.iter().map(|c| c.name);
     std::fs::write(&names, classes.collect::<Vec<_>>().join("\n")).unwrap();
     let (model, labels) = (out.join("model"), folder.path().join("labels"));
     done(&scenesplat(&[

@@ -2,11 +2,10 @@
 //! interruptions, and finite numbers for as long as it runs.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
-use scenesplat_datasets::synthetic::CLASSES;
 use scenesplat_datasets::transforms::{language_pretraining, validation};
 use scenesplat_datasets::{
     DataError, Dataset, InputFeatures, LoaderSettings, Sample, SampleRng, SceneDataset,
-    SceneLoader, SyntheticRoomSettings, SyntheticRooms, Transform, build_transforms,
+    SceneLoader, SyntheticRooms, Transform, build_transforms,
 };
 use scenesplat_kernels::Precision;
 use scenesplat_losses::{
@@ -14,6 +13,7 @@ use scenesplat_losses::{
 };
 use scenesplat_metrics::Measurement;
 use scenesplat_models::{Compute, ModelConfig, ParamStore, PointTransformerV3Config};
+use scenesplat_rooms::{CLASSES, SyntheticRoomSettings};
 use scenesplat_scene::TextTable;
 use scenesplat_trainers::checkpoint::newest_checkpoint;
 use scenesplat_trainers::evaluators::{SegmentationEvaluator, ZeroShotEvaluator};

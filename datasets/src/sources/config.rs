@@ -1,11 +1,8 @@
 //! Sources by name.
 
-use super::{Benchmark, SceneFolders, SceneFoldersOptions, Split};
-use crate::synthetic::vocabulary::Vocabulary;
-use crate::{
-    DataError, DataSource, GeneratedRooms, SceneDataset, SyntheticRoomSettings, SyntheticRooms,
-    Transform,
-};
+use super::{Benchmark, SceneFolders, SceneFoldersOptions, Split, SyntheticRooms};
+use crate::{DataError, DataSource, SceneDataset, Transform};
+use scenesplat_rooms::{SyntheticRoomSettings, Vocabulary};
 use scenesplat_scene::{LabelSet, Policy};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -81,23 +78,10 @@ pub struct GenericFolder {
     pub policy: Policy,
 }
 
-/// Simple generated rooms, for trials of a pipeline.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct RoomsSettings {
-    /// Number of rooms.
-    pub count: usize,
-    /// Gaussians of a room.
-    pub num_gaussians: usize,
-    /// Seed of the first room.
-    #[serde(default)]
-    pub seed: u64,
-}
-
 /// Furnished synthetic rooms.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct SyntheticFolder {
+pub struct SyntheticRoomsConfig {
     /// Number of rooms.
     pub count: usize,
     /// Other seeds give other rooms.
@@ -147,10 +131,8 @@ pub enum SourceConfig {
     Kitti360(BenchmarkFolder),
     /// Anybody's folder.
     Generic(GenericFolder),
-    /// Simple generated rooms.
-    GeneratedRooms(RoomsSettings),
     /// Furnished rooms, made as they are needed, with exact labels.
-    Synthetic(SyntheticFolder),
+    Synthetic(SyntheticRoomsConfig),
 }
 
 impl SourceConfig {
@@ -160,10 +142,7 @@ impl SourceConfig {
     /// If a folder is missing or holds no scene.
     pub fn build(&self) -> Result<Arc<dyn DataSource>, DataError> {
         let folders = match self {
-            Self::GeneratedRooms(RoomsSettings { count, num_gaussians, seed }) => {
-                return Ok(Arc::new(GeneratedRooms::new(*count, *num_gaussians, *seed)));
-            }
-            Self::Synthetic(SyntheticFolder { count, seed, room, vocabulary }) => {
+            Self::Synthetic(SyntheticRoomsConfig { count, seed, room, vocabulary }) => {
                 let mut rooms = SyntheticRooms::new(*count, room.clone(), *seed);
                 if let Some(dim) = *vocabulary {
                     let built = Vocabulary::new(dim).map_err(|error| {
@@ -206,12 +185,8 @@ impl SourceConfig {
             Self::Generic(folder) => {
                 folder.class_names.as_deref().map(LabelSet::read).transpose().map_err(Into::into)
             }
-            Self::GeneratedRooms(_) => {
-                let names = crate::generated_room::CLASS_NAMES.map(str::to_owned).to_vec();
-                Ok(Some(LabelSet::new(names)?))
-            }
             Self::Synthetic(_) => {
-                let names = crate::synthetic::CLASSES.iter().map(|c| c.name.to_owned());
+                let names = scenesplat_rooms::CLASSES.iter().map(|c| c.name.to_owned());
                 Ok(Some(LabelSet::new(names.collect())?))
             }
             other => other
@@ -236,7 +211,7 @@ impl SourceConfig {
     /// Makes relative paths start at `base`, the folder of the configuration file, say.
     pub fn place(&mut self, base: &Path) {
         let folder = match self {
-            Self::GeneratedRooms(_) | Self::Synthetic(_) => return,
+            Self::Synthetic(_) => return,
             Self::Generic(folder) => {
                 folder.class_names.iter_mut().for_each(|path| *path = base.join(&*path));
                 folder.root = base.join(&folder.root);
@@ -275,7 +250,7 @@ impl SourceConfig {
             Self::Arkitscenes(folder) => (Benchmark::Arkitscenes, folder),
             Self::Holicity(folder) => (Benchmark::Holicity, folder),
             Self::Kitti360(folder) => (Benchmark::Kitti360, folder),
-            Self::Generic(_) | Self::GeneratedRooms(_) | Self::Synthetic(_) => return None,
+            Self::Generic(_) | Self::Synthetic(_) => return None,
         })
     }
 }

@@ -8,10 +8,12 @@ mod benchmark;
 mod class_lists;
 mod config;
 mod scene_folders;
+mod synthetic_rooms;
 
 pub use benchmark::{Benchmark, Split};
 pub use class_lists::{
     HOLICITY_IDS, KITTI360_IDS, MATTERPORT21_NYU40_IDS, SCANNET20_NYU40_IDS, SCANNET200_IDS,
 };
-pub use config::{BenchmarkFolder, GenericFolder, RoomsSettings, SourceConfig, SyntheticFolder};
+pub use config::{BenchmarkFolder, GenericFolder, SourceConfig, SyntheticRoomsConfig};
 pub use scene_folders::{SceneFolders, SceneFoldersOptions};
+pub use synthetic_rooms::SyntheticRooms;

@@ -114,6 +114,7 @@ mod tests {
     use super::*;
     use crate::transforms::testing::{applied, at, room};
     use crate::{FastPlan, sample_rng};
+    use scenesplat_rooms::{SyntheticRoomSettings, generate};
     use std::collections::{BTreeMap, BTreeSet};
 
     #[test]
@@ -180,7 +181,7 @@ mod tests {
 
     #[test]
     fn nearest_is_what_inference_reads() {
-        let room = crate::generate_room(&crate::RoomSettings { num_gaussians: 8000, seed: 2 });
+        let room = generate(&SyntheticRoomSettings::with_count(8000, 2));
         let scene = room.unwrap().scene;
         let plan = FastPlan::default().build(&scene).unwrap();
         let input = plan.input(0).unwrap();

@@ -40,9 +40,7 @@ pub use config::{TransformConfig, build_transforms};
 pub use elastic::ElasticDistortion;
 pub use grid_sample::{GridSample, Keep};
 pub use limit_values::LimitValues;
-pub use presets::{
-    language_pretraining, semantic_segmentation, test_time_augmentation, validation,
-};
+pub use presets::{language_pretraining, semantic_segmentation, validation};
 pub use random_dropout::RandomDropout;
 pub use random_flip::RandomFlip;
 pub use random_jitter::RandomJitter;
@@ -82,13 +80,14 @@ fn check_range(setting: &'static str, [low, high]: [f64; 2]) -> Result<(), DataE
 pub(crate) mod testing {
     //! Samples for the tests of the steps.
 
-    use crate::{RoomSettings, Sample, Transform, generate_room, sample_rng};
+    use crate::{Sample, Transform, sample_rng};
+    use scenesplat_rooms::{SyntheticRoomSettings, generate};
     use scenesplat_scene::LabelledPoints;
 
     /// Part of a generated room, with labelled points.
     pub fn room(rows: usize) -> Sample {
-        let settings = RoomSettings { num_gaussians: rows.max(1000), seed: 3 };
-        let mut sample = Sample::from_scene("room", generate_room(&settings).unwrap().scene);
+        let settings = SyntheticRoomSettings::with_count(rows.max(1000), 3);
+        let mut sample = Sample::from_scene("room", generate(&settings).unwrap().scene);
         sample.select_rows(&(0..rows as u32).collect::<Vec<_>>());
         let coord: Vec<[f32; 3]> = sample.coord.iter().step_by(7).copied().collect();
         let segment = Some((0..coord.len() as i32).map(|i| i % 3 - 1).collect());

@@ -3,7 +3,7 @@
 use super::{
     Axis, CenterShift, ChromaticAutoContrast, ChromaticJitter, ChromaticTranslation,
     ElasticDistortion, GridSample, Keep, RandomDropout, RandomFlip, RandomJitter, RandomRotate,
-    RandomRotateTargetAngle, RandomScale, RotationCenter, SphereCrop, TransformConfig,
+    RandomScale, RotationCenter, SphereCrop, TransformConfig,
 };
 
 /// Training of the language networks, with cells of `grid_size` metres (0.02 there; 0.005 for
@@ -34,30 +34,6 @@ pub fn validation(grid_size: f64) -> Vec<TransformConfig> {
         GridSample { grid_size, keep: Keep::Nearest, ..GridSample::default() }.into(),
         CenterShift { apply_z: false }.into(),
     ]
-}
-
-/// The changes under which semantic segmentation is tested; predictions are averaged over them: four
-/// turns about z at each of three sizes, and both mirrors at once.
-///
-/// # Source
-/// `aug_transform` of `configs/*/semseg-*.py`, SceneSplat be9d5e1.
-pub fn test_time_augmentation() -> Vec<Vec<TransformConfig>> {
-    let turn = |angle| {
-        let angles = vec![angle];
-        RandomRotateTargetAngle { angles, probability: 1.0, ..<_>::default() }.into()
-    };
-    let mut variants = Vec::new();
-    for size in [1.0, 0.95, 1.05] {
-        for angle in [0.0, 0.5, 1.0, 1.5] {
-            let mut steps = vec![turn(angle)];
-            if size != 1.0 {
-                steps.push(RandomScale { factor: [size, size] }.into());
-            }
-            variants.push(steps);
-        }
-    }
-    variants.push(vec![RandomFlip { probability: 1.0, exact: false }.into()]);
-    variants
 }
 
 fn training(grid_size: f64, jitter_clip: f64, point_max: usize) -> Vec<TransformConfig> {
@@ -123,20 +99,6 @@ mod tests {
             run(&language_pretraining(0.02), &scene, 1)
         );
         assert_eq!(run(&validation(0.02), &scene, 0), run(&validation(0.02), &scene, 1));
-    }
-
-    #[test]
-    fn thirteen_variants_are_fixed_and_different() {
-        let scene = at(&[[1.0, 2.0, 3.0], [-4.0, 0.5, 0.25]]);
-        let variants = test_time_augmentation();
-        assert_eq!(variants.len(), 13);
-        let coords: Vec<_> = variants.iter().map(|steps| run(steps, &scene, 0).coord).collect();
-        assert_eq!(coords, variants.iter().map(|s| run(s, &scene, 9).coord).collect::<Vec<_>>());
-        assert_eq!(coords[0], scene.coord);
-        assert_eq!(coords[12], [[-1.0, -2.0, 3.0], [4.0, -0.5, 0.25]]);
-        for (i, a) in coords.iter().enumerate() {
-            assert!(coords[..i].iter().all(|b| a != b || i == 12), "{i}");
-        }
     }
 
     #[test]

@@ -5,7 +5,6 @@
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use scenesplat_datasets::synthetic::{SyntheticRoomSettings, generate};
 use scenesplat_rasterizer::lifting::{
     DepthEffect, DepthProbe, FinaliseSettings, LabelledPicture, LiftError, LiftSettings, Lifter,
     NO_SEGMENT, SegmentMap,
@@ -13,6 +12,7 @@ use scenesplat_rasterizer::lifting::{
 use scenesplat_rasterizer::{
     Gaussians, RasterSettings, Span, TILE, TileRect, TileVisitor, View, blend, project, tile_lists,
 };
+use scenesplat_rooms::{SyntheticRoomSettings, generate};
 use scenesplat_scene::GaussianScene;
 
 /// Width of the objects' features.

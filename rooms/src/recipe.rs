@@ -1,0 +1,176 @@
+//! What kinds of rooms there are and what stands in them.
+
+mod bathroom;
+mod bedroom;
+mod extras;
+mod kitchen;
+mod living;
+mod office;
+
+use crate::dice::{between, chance, weighted, whole};
+use crate::furniture;
+use crate::model::Build;
+use crate::place::{Layout, STRAIGHT, around};
+use crate::shell::{Plan, build};
+use scenesplat_kernels::random::SampleRng;
+use serde::{Deserialize, Serialize};
+
+/// What a room is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RoomKind {
+    /// Sofa, television, dining table.
+    Living,
+    /// Bed, nightstands, wardrobe.
+    Bedroom,
+    /// Desks with computers.
+    Office,
+    /// Run of cabinets with sink and stove.
+    Kitchen,
+    /// Toilet, washbasin, bathtub.
+    Bathroom,
+    /// A flat of one room: two of the others together, sometimes with a bathtub or a sink.
+    Mixed,
+}
+
+impl RoomKind {
+    /// All kinds.
+    pub const ALL: [Self; 6] =
+        [Self::Living, Self::Bedroom, Self::Office, Self::Kitchen, Self::Bathroom, Self::Mixed];
+
+    /// Chosen so that each class is in a tenth of the rooms or more.
+    const WEIGHTS: [f64; 6] = [0.17, 0.17, 0.15, 0.16, 0.17, 0.18];
+
+    pub(crate) fn random(rng: &mut SampleRng) -> Self {
+        Self::ALL[weighted(rng, &Self::WEIGHTS)]
+    }
+
+    /// Smallest and largest side of the plan, metres.
+    fn sides(self) -> [f64; 2] {
+        match self {
+            Self::Living => [3.4, 6.0],
+            Self::Bedroom => [3.0, 5.0],
+            Self::Office => [2.9, 5.4],
+            Self::Kitchen => [2.7, 5.0],
+            Self::Bathroom => [2.1, 3.5],
+            Self::Mixed => [4.2, 6.8],
+        }
+    }
+}
+
+/// Builds and furnishes a room.
+pub(crate) fn furnish(kind: RoomKind, rng: &mut SampleRng) -> Layout {
+    let [short, long] = kind.sides();
+    let size = [between(rng, short, long), between(rng, short, long)];
+    let is_l = kind != RoomKind::Bathroom && size[0].min(size[1]) > 3.3 && chance(rng, 0.3);
+    let notch = is_l.then(|| size.map(|s| s * between(rng, 0.25, 0.45)));
+    let plan = Plan {
+        size,
+        height: between(rng, 2.25, 3.2),
+        notch,
+        is_wet: kind == RoomKind::Bathroom,
+        has_ceiling: chance(rng, 0.7),
+    };
+    let mut layout = build(&plan, rng);
+    let mut room = Room { layout: &mut layout, rng };
+    match kind {
+        RoomKind::Living => room.living(),
+        RoomKind::Bedroom => room.bedroom(),
+        RoomKind::Office => room.office(),
+        RoomKind::Kitchen => room.kitchen(),
+        RoomKind::Bathroom => room.bathroom(),
+        RoomKind::Mixed => room.mixed(),
+    }
+    room.extras(kind);
+    room.clutter();
+    layout
+}
+
+struct Room<'a> {
+    layout: &'a mut Layout,
+    rng: &'a mut SampleRng,
+}
+
+impl Room<'_> {
+    fn likely(&mut self, probability: f64) -> bool {
+        chance(self.rng, probability)
+    }
+
+    fn at_wall(&mut self, build: Build) -> Option<usize> {
+        let model = build(self.rng);
+        self.layout.against_wall(model, [0.0, 0.0], self.rng)
+    }
+
+    /// On a wall, its middle between these heights.
+    fn hang(&mut self, build: Build, z: [f64; 2]) -> Option<usize> {
+        let model = build(self.rng);
+        self.layout.against_wall(model, z, self.rng)
+    }
+
+    fn on_floor(&mut self, build: Build) -> Option<usize> {
+        let model = build(self.rng);
+        self.layout.on_floor(model, self.rng)
+    }
+
+    /// Something on the wall above an object that stands at it.
+    fn above(&mut self, parent: usize, build: Build, gap: f64) -> Option<usize> {
+        let model = build(self.rng);
+        let block = around(&model);
+        let object = &self.layout.objects[parent];
+        let bounds = object.model.bounds();
+        let z = bounds.high[2] + gap.max(0.05 - block.low[2]);
+        let pose = object.pose.then([0.0, bounds.low[1] - block.low[1] + 0.003, z], STRAIGHT);
+        self.layout.try_put(model, pose).ok()
+    }
+
+    fn mixed(&mut self) {
+        let first = whole(self.rng, 0, 3);
+        let second = (first + whole(self.rng, 1, 3)) % 4;
+        for kind in [first, second] {
+            match kind {
+                0 => self.living(),
+                1 => self.bedroom(),
+                2 => self.workplace(),
+                _ => self.kitchen(),
+            }
+        }
+        for (build, probability) in [
+            (furniture::bathroom::sink as Build, 0.15),
+            (furniture::bathroom::bathtub, 0.12),
+            (furniture::bathroom::toilet, 0.1),
+            (furniture::kitchen::refrigerator, 0.25),
+        ] {
+            if self.likely(probability) {
+                self.at_wall(build);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use scenesplat_kernels::random::sample_rng;
+
+    #[test]
+    fn nothing_stands_in_anything_else() {
+        let mut num_objects = 0;
+        for index in 0..120 {
+            let mut rng = sample_rng(11, index, 0);
+            let kind = RoomKind::random(&mut rng);
+            let layout = furnish(kind, &mut rng);
+            num_objects += layout.objects.len();
+            for (i, a) in layout.objects.iter().enumerate() {
+                for b in &layout.objects[..i] {
+                    let overlap =
+                        a.footprints.iter().any(|f| b.footprints.iter().any(|g| f.overlaps(g)));
+                    let (a, b) = (a.model.class, b.model.class);
+                    assert!(!overlap, "{kind:?} {index}: {a:?} in {b:?}");
+                }
+                let is_flat = a.footprints.is_empty();
+                assert_eq!(is_flat, a.model.class.about().groups == [crate::Group::Structure]);
+            }
+        }
+        assert!(num_objects > 120 * 18, "{num_objects}");
+    }
+}

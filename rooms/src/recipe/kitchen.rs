@@ -1,0 +1,119 @@
+//! Runs of kitchen cabinets.
+
+use super::Room;
+use crate::dice::{between, pick};
+use crate::furniture::{decoration, kitchen, seating, small, storage};
+use crate::model::Build;
+use crate::place::STRAIGHT;
+
+impl Room<'_> {
+    pub(super) fn kitchen(&mut self) {
+        self.kitchen_run();
+        if self.likely(0.8) {
+            self.at_wall(kitchen::refrigerator);
+        }
+        if self.likely(0.75) {
+            self.dining();
+        }
+        for (build, probability) in [
+            (small::trash_can as Build, 0.6),
+            (seating::stool, 0.4),
+            (storage::cabinet, 0.25),
+            (decoration::plant, 0.25),
+        ] {
+            if self.likely(probability) {
+                self.at_wall(build);
+            }
+        }
+        if self.likely(0.5) {
+            self.hang(small::wall_clock, [1.7, 2.0]);
+        }
+    }
+
+    /// Base units in a row along a wall with a sink and a stove, cupboards and a hood above.
+    pub(super) fn kitchen_run(&mut self) {
+        let style = kitchen::Style::new(self.rng);
+        let order: Vec<usize> = {
+            let mut walls: Vec<usize> = (0..self.layout.walls.len()).collect();
+            walls.sort_by(|&a, &b| {
+                self.layout.walls[b].length.total_cmp(&self.layout.walls[a].length)
+            });
+            if walls.len() > 1 && self.likely(0.5) {
+                walls.swap(0, 1);
+            }
+            walls
+        };
+        let run = pick(self.rng, &[5, 6, 7]);
+        let (sink_at, stove_at) = if self.likely(0.5) { (1, 3) } else { (3, 1) };
+        for wall in order {
+            let start = between(self.rng, 0.02, 0.3);
+            if self.run_along(wall, start, (run, sink_at, stove_at), &style) >= 2 {
+                return;
+            }
+        }
+    }
+
+    /// Number of units that found a place.
+    pub(super) fn run_along(
+        &mut self,
+        wall: usize,
+        start: f64,
+        (run, sink_at, stove_at): (usize, usize, usize),
+        style: &kitchen::Style,
+    ) -> usize {
+        let wall = self.layout.walls[wall].clone();
+        let mut at = start;
+        let mut placed = 0;
+        let mut slot = 0;
+        let mut next_fails = 0;
+        while slot < run && next_fails < 12 {
+            let wide = if slot == stove_at { 0.6 } else { pick(self.rng, &[0.5, 0.6, 0.6, 0.8]) };
+            let wide = if slot == sink_at { 0.8 } else { wide };
+            if at + wide > wall.length - 0.02 {
+                break;
+            }
+            let unit = if slot == stove_at {
+                kitchen::stove(style, self.rng)
+            } else {
+                kitchen::base_unit(style, wide, slot == sink_at, self.rng)
+            };
+            let pose = wall.pose(at + wide / 2.0, style.deep / 2.0 + 0.01, 0.0);
+            let Ok(base) = self.layout.try_put(unit, pose) else {
+                // Past a door or a window; before the first unit the run just starts later.
+                at += 0.25;
+                next_fails += 1;
+                continue;
+            };
+            placed += 1;
+            if slot == sink_at {
+                let sink = kitchen::kitchen_sink(self.rng);
+                let _ = self.layout.try_put(sink, pose.then([0.0, 0.0, style.high], STRAIGHT));
+            }
+            self.over_unit(base, slot == stove_at, wide, style);
+            at += wide + 0.008;
+            slot += 1;
+        }
+        placed
+    }
+
+    pub(super) fn over_unit(
+        &mut self,
+        base: usize,
+        is_stove: bool,
+        wide: f64,
+        style: &kitchen::Style,
+    ) {
+        let pose = self.layout.objects[base].pose;
+        let back = -style.deep / 2.0;
+        if is_stove {
+            let z = between(self.rng, 1.5, 1.65);
+            let hood = kitchen::range_hood((self.layout.height - z).max(0.2), self.rng);
+            let pose = pose.then([0.0, back + 0.25, z], STRAIGHT);
+            let _ = self.layout.try_put(hood, pose);
+        } else if self.likely(0.6) {
+            let unit = kitchen::wall_unit(style, wide, self.rng);
+            let pose = pose.then([0.0, back + 0.17, 1.45], STRAIGHT);
+            let _ = self.layout.try_put(unit, pose);
+        }
+    }
+}

@@ -1,0 +1,80 @@
+//! Desks with computers.
+
+use super::Room;
+use crate::dice::{between, small_turn, whole};
+use crate::furniture::{decoration, electronics, lighting, seating, small, storage, tables};
+use crate::model::Build;
+use crate::place::STRAIGHT;
+
+impl Room<'_> {
+    /// A desk with a computer and a chair.
+    pub(super) fn workplace(&mut self) {
+        let Some(desk) = self.at_wall(tables::desk) else { return };
+        let [x, y, _] = self.layout.objects[desk].model.bounds().high;
+        let screens = if self.likely(0.35) && x > 0.65 { 2 } else { 1 };
+        if self.likely(0.85) {
+            let twin = electronics::monitor(self.rng);
+            for i in 0..screens {
+                let at = if screens == 2 {
+                    (f64::from(i) - 0.5) * x * 1.05
+                } else {
+                    between(self.rng, -0.1, 0.1)
+                };
+                let turn = small_turn(self.rng, 0.15);
+                self.layout.on_top_at(desk, 0, [at, -y * 0.4], turn, twin.clone());
+            }
+            let keyboard = electronics::keyboard(self.rng);
+            let turn = small_turn(self.rng, 0.1);
+            let at = between(self.rng, -0.08, 0.08);
+            // Keys look towards the chair, which is at the front of the desk.
+            self.layout.on_top_at(desk, 0, [at, y * 0.55], turn, keyboard);
+        }
+        if self.likely(0.5) {
+            let laptop = electronics::laptop(self.rng);
+            let turn = small_turn(self.rng, 0.3);
+            self.layout.on_top(desk, 0, laptop, Some(turn), self.rng);
+        }
+        if self.likely(0.4) {
+            let mug = small::mug(self.rng);
+            self.layout.on_top(desk, 0, mug, None, self.rng);
+        }
+        if self.likely(0.35) {
+            let lamp = lighting::table_lamp(self.rng);
+            self.layout.on_top(desk, 0, lamp, None, self.rng);
+        }
+        if self.likely(0.9) {
+            let chair = seating::chair(self.rng);
+            let at = between(self.rng, -0.1, 0.1);
+            self.pull_up(desk, chair, [at, y], 1.0);
+        }
+        if self.likely(0.5) {
+            let bin = small::trash_can(self.rng);
+            let at = x + 0.25;
+            self.layout.near(desk, bin, &[([at, 0.0], STRAIGHT), ([-at, 0.0], STRAIGHT)]);
+        }
+    }
+
+    pub(super) fn office(&mut self) {
+        for _ in 0..whole(self.rng, 1, 4) {
+            self.workplace();
+        }
+        for (build, probability) in [
+            (storage::bookshelf as Build, 0.7),
+            (storage::cabinet, 0.6),
+            (decoration::plant, 0.5),
+            (small::trash_can, 0.5),
+            (lighting::floor_lamp, 0.25),
+            (storage::bookshelf, 0.3),
+        ] {
+            if self.likely(probability) {
+                self.at_wall(build);
+            }
+        }
+        if self.likely(0.3) {
+            self.dining();
+        }
+        if self.likely(0.25) {
+            self.at_wall(seating::sofa);
+        }
+    }
+}

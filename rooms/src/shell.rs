@@ -1,0 +1,267 @@
+//! Floor, ceiling and walls with their windows, doors, curtains and radiators.
+
+use crate::classes::ClassId;
+use crate::dice::{between, chance, pick, whole};
+use crate::furniture::openings::{curtain, door, radiator, tiles, window};
+use crate::material::{ColorName, Material, Texture, wood};
+use crate::model::{Block, Model};
+use crate::place::{Footprint, Layout, Pose, STRAIGHT, Wall};
+use crate::shape::Shape;
+use scenesplat_kernels::random::SampleRng;
+
+/// What decides the shell of a room.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Plan {
+    /// Extent, metres.
+    pub(crate) size: [f64; 2],
+    pub(crate) height: f64,
+    /// Extent of the corner that is missing.
+    pub(crate) notch: Option<[f64; 2]>,
+    pub(crate) is_wet: bool,
+    pub(crate) has_ceiling: bool,
+}
+
+/// An empty room with openings and what hangs in them.
+pub(crate) fn build(plan: &Plan, rng: &mut SampleRng) -> Layout {
+    let mut layout = Layout {
+        size: plan.size,
+        height: plan.height,
+        walls: walls(plan),
+        objects: Vec::new(),
+        notch: notch(plan),
+        kept_free: Vec::new(),
+    };
+    add_door(&mut layout, rng);
+    for _ in 0..whole(rng, 1, 3) {
+        add_window(&mut layout, plan.is_wet, rng);
+    }
+    let (name, paint) = wall_paint(plan.is_wet, rng);
+    let skirting = (!plan.is_wet && chance(rng, 0.7)).then(|| between(rng, 0.05, 0.12));
+    let skirting_paint = if chance(rng, 0.6) { Material::plain([236.0; 3]) } else { wood(rng).1 };
+    for index in 0..layout.walls.len() {
+        let wall = layout.walls[index].clone();
+        let paint = if chance(rng, 0.12) { wall_paint(false, rng) } else { (name, paint) };
+        let mut model = wall_model(&wall, plan.height, paint);
+        if let Some(high) = skirting {
+            skirt(&mut model, &wall, high, skirting_paint);
+        }
+        layout.put_flat(model, wall.pose(0.0, 0.0, 0.0));
+    }
+    level_faces(&mut layout, plan, rng);
+    layout
+}
+
+impl Layout {
+    /// Parts of the building bound the room; they take no place in it.
+    fn put_flat(&mut self, model: Model, pose: Pose) -> usize {
+        let index = self.put(model, pose);
+        self.objects[index].footprints.clear();
+        index
+    }
+}
+
+fn walls(plan: &Plan) -> Vec<Wall> {
+    let [l, w] = plan.size;
+    let corners = match plan.notch {
+        None => vec![[0.0, 0.0], [l, 0.0], [l, w], [0.0, w]],
+        Some([x, y]) => {
+            vec![[0.0, 0.0], [l, 0.0], [l, w - y], [l - x, w - y], [l - x, w], [0.0, w]]
+        }
+    };
+    (0..corners.len())
+        .map(|i| {
+            let (a, b) = (corners[i], corners[(i + 1) % corners.len()]);
+            let (dx, dy): (f64, f64) = (b[0] - a[0], b[1] - a[1]);
+            let length = dx.abs() + dy.abs();
+            Wall { start: a, along: [dx / length, dy / length], length, openings: Vec::new() }
+        })
+        .collect()
+}
+
+fn notch(plan: &Plan) -> Option<Footprint> {
+    let ([l, w], [x, y]) = (plan.size, plan.notch?);
+    let block = Block { low: [l - x, w - y, -1.0], high: [l, w, plan.height + 1.0] };
+    Some(Footprint::of(&block, &Pose { origin: [0.0; 3], turn: STRAIGHT }))
+}
+
+/// A free stretch of a wall, `wide` metres and a margin; index of the wall and middle.
+fn stretch(layout: &Layout, wide: f64, rng: &mut SampleRng) -> Option<(usize, f64)> {
+    for _ in 0..20 {
+        let index = whole(rng, 0, layout.walls.len() as u32 - 1) as usize;
+        let wall = &layout.walls[index];
+        let reach = wide / 2.0 + 0.12;
+        if wall.length < 2.0 * reach {
+            continue;
+        }
+        let at = between(rng, reach, wall.length - reach);
+        let free = |o: &[f64; 4]| at + reach < o[0] || at - reach > o[1];
+        if wall.openings.iter().all(free) {
+            return Some((index, at));
+        }
+    }
+    None
+}
+
+fn add_door(layout: &mut Layout, rng: &mut SampleRng) {
+    let size = [between(rng, 0.78, 1.02), between(rng, 1.98, 2.12_f64.min(layout.height - 0.05))];
+    let Some((index, at)) = stretch(layout, size[0], rng) else { return };
+    let model = door(size, rng);
+    let wall = &mut layout.walls[index];
+    wall.openings.push([at - size[0] / 2.0, at + size[0] / 2.0, 0.0, size[1]]);
+    let pose = wall.pose(at, 0.0, 0.0);
+    let half = size[0] / 2.0;
+    let block = Block { low: [-half, 0.0, 0.05], high: [half, 0.75, size[1]] };
+    layout.kept_free.push(Footprint::of(&block, &pose));
+    layout.put_flat(model, pose);
+}
+
+fn add_window(layout: &mut Layout, is_wet: bool, rng: &mut SampleRng) {
+    let french = !is_wet && chance(rng, 0.2);
+    let wide = if is_wet { between(rng, 0.5, 0.9) } else { between(rng, 0.8, 2.3) };
+    let (sill, top) = if french {
+        (0.05, between(rng, 2.0, layout.height - 0.1))
+    } else {
+        let sill = if is_wet { between(rng, 1.1, 1.5) } else { between(rng, 0.55, 1.05) };
+        (sill, (sill + between(rng, 0.7, 1.6)).min(layout.height - 0.15))
+    };
+    let Some((index, at)) = stretch(layout, wide, rng) else { return };
+    let recess = if chance(rng, 0.7) { between(rng, 0.03, 0.2) } else { 0.0 };
+    let model = window([wide, top - sill], recess, rng);
+    let wall = &mut layout.walls[index];
+    let wall_length = wall.length;
+    wall.openings.push([at - wide / 2.0, at + wide / 2.0, sill, top]);
+    let pose = wall.pose(at, 0.0, sill);
+    let standing = wall.pose(at, 0.0, 0.0);
+    layout.put_flat(model, pose);
+    if !is_wet && chance(rng, 0.6) {
+        let half =
+            (wide / 2.0 + between(rng, 0.1, 0.35)).min(at - 0.03).min(wall_length - at - 0.03);
+        let low = if french || chance(rng, 0.7) { 0.0 } else { sill - 0.2 };
+        let rod = (top + between(rng, 0.06, 0.2)).min(layout.height - 0.06) - low;
+        if half > wide / 2.0 - 0.05 {
+            let cloth = curtain(half, rod, rng);
+            let off = between(rng, 0.08, 0.11);
+            // Its own place, not a gap before the window, so it may be tried only once.
+            let _ = layout.try_put(cloth, standing.then([0.0, off, low], STRAIGHT));
+        }
+    }
+    if sill > 0.55 && chance(rng, 0.4) {
+        let heater = radiator((wide * between(rng, 0.6, 0.95)).max(0.5), rng);
+        let off = 0.04 - heater.bounds().low[1];
+        let _ = layout.try_put(heater, standing.then([0.0, off, 0.0], STRAIGHT));
+    }
+    let half = wide / 2.0;
+    let block = Block { low: [-half, 0.0, sill.max(0.05)], high: [half, 0.06, top] };
+    layout.kept_free.push(Footprint::of(&block, &standing));
+}
+
+fn wall_paint(is_wet: bool, rng: &mut SampleRng) -> (ColorName, Material) {
+    if is_wet && chance(rng, 0.8) {
+        return (ColorName::White, tiles(rng));
+    }
+    use ColorName::{Beige, Blue, Green, Grey, Pink, White, Yellow};
+    let name =
+        pick(rng, &[White, White, White, White, Beige, Beige, Grey, Yellow, Green, Blue, Pink]);
+    // Paint of walls is pale.
+    let base = super::vector::mix(name.sample(rng), [238.0; 3], between(rng, 0.2, 0.7));
+    let texture = match whole(rng, 0, 9) {
+        0 => Texture::Stripes(between(rng, 0.05, 0.2)),
+        1 => Texture::Boards(0.1, 9.0),
+        2 => Texture::Plain,
+        _ => Texture::Mottled(between(rng, 0.2, 0.9)),
+    };
+    let second = base.map(|c| c * between(rng, 0.88, 0.96));
+    (name, Material::new(base, texture, rng).with_second(second))
+}
+
+/// The face of a wall around its holes; the back is hidden.
+fn wall_model(wall: &Wall, height: f64, (name, paint): (ColorName, Material)) -> Model {
+    let mut model = Model::new(ClassId::Wall, name, 0.8);
+    let mut openings = wall.openings.clone();
+    openings.sort_by(|a, b| a[0].total_cmp(&b[0]));
+    let mut rectangle = |[from, to]: [f64; 2], [low, high]: [f64; 2]| {
+        if to - from < 1e-6 || high - low < 1e-6 {
+            return;
+        }
+        // Looks into the room: left × up.
+        let (u, v) = ([from - to, 0.0, 0.0], [0.0, 0.0, high - low]);
+        model.add(Shape::flat([to, 0.0, low], u, v), paint);
+        model.add_hidden(Shape::flat([from, -0.12, low], times_minus(u), v), paint);
+    };
+    let mut end = 0.0;
+    for &[from, to, low, high] in &openings {
+        rectangle([end, from], [0.0, height]);
+        rectangle([from, to], [0.0, low]);
+        rectangle([from, to], [high, height]);
+        end = to;
+    }
+    rectangle([end, wall.length], [0.0, height]);
+    model
+}
+
+fn times_minus(v: [f64; 3]) -> [f64; 3] {
+    super::vector::times(v, -1.0)
+}
+
+fn skirt(model: &mut Model, wall: &Wall, high: f64, material: Material) {
+    let mut doors: Vec<[f64; 2]> =
+        wall.openings.iter().filter(|o| o[2] < high).map(|o| [o[0], o[1]]).collect();
+    doors.sort_by(|a, b| a[0].total_cmp(&b[0]));
+    doors.push([wall.length, wall.length]);
+    let mut end = 0.0;
+    for [from, to] in doors {
+        if from - end > 0.02 {
+            let (u, v) = ([end - from, 0.0, 0.0], [0.0, 0.0, high]);
+            model.add(Shape::flat([from, 0.012, 0.0], u, v), material);
+            let top = Shape::flat([end, 0.0, high], [from - end, 0.0, 0.0], [0.0, 0.012, 0.0]);
+            model.add(top, material);
+        }
+        end = to;
+    }
+}
+
+/// Floor and ceiling, of one or two rectangles.
+fn level_faces(layout: &mut Layout, plan: &Plan, rng: &mut SampleRng) {
+    let [l, w] = plan.size;
+    let parts = match plan.notch {
+        None => vec![([0.0, 0.0], [l, w])],
+        Some([x, y]) => vec![([0.0, 0.0], [l, w - y]), ([0.0, w - y], [l - x, w])],
+    };
+    let (name, ground) = ground(plan.is_wet, rng);
+    let mut floor = Model::new(ClassId::Floor, name, 0.9);
+    let white = ColorName::White.sample(rng);
+    let white = Material::new(white, Texture::Mottled(0.6), rng);
+    let mut ceiling = Model::new(ClassId::Ceiling, ColorName::White, 0.6);
+    for &(low, high) in &parts {
+        let (u, v) = ([high[0] - low[0], 0.0, 0.0], [0.0, high[1] - low[1], 0.0]);
+        floor.add(Shape::flat([low[0], low[1], 0.0], u, v), ground);
+        ceiling.add(Shape::flat([low[0], low[1], plan.height], v, u), white);
+    }
+    let origin = Pose { origin: [0.0; 3], turn: STRAIGHT };
+    layout.put_flat(floor, origin);
+    if plan.has_ceiling {
+        layout.put_flat(ceiling, origin);
+    }
+}
+
+fn ground(is_wet: bool, rng: &mut SampleRng) -> (ColorName, Material) {
+    use ColorName::{Beige, Blue, Brown, Grey, Red, White};
+    if is_wet || chance(rng, 0.2) {
+        let name = pick(rng, &[White, Grey, Grey, Beige, Blue]);
+        let base = name.sample(rng);
+        let joint = base.map(|c| c * 0.7);
+        return (
+            name,
+            Material::new(base, Texture::Tiles(between(rng, 0.2, 0.6)), rng).with_second(joint),
+        );
+    }
+    if chance(rng, 0.3) {
+        let name = pick(rng, &[Grey, Beige, Brown, Blue, Red]);
+        let base = name.sample(rng);
+        return (name, Material::new(base, Texture::Mottled(between(rng, 0.05, 0.3)), rng));
+    }
+    let name = pick(rng, &[Brown, Brown, Beige, Grey]);
+    let base = name.sample(rng);
+    let texture = Texture::Boards(between(rng, 0.08, 0.22), between(rng, 0.6, 1.8));
+    (name, Material::new(base, texture, rng).with_second(base.map(|c| c * 0.8)))
+}

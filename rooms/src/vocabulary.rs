@@ -1,0 +1,432 @@
+//! The text side of networks that are trained on synthetic rooms: vectors of known words.
+//!
+//! This is **not** a text encoder. It knows the names of the classes, their groups, basic colours
+//! and common synonyms, and refuses every other word by naming those it knows. The vectors say
+//! nothing about language; they are fixed directions that compose: what "red chair" means is the
+//! sum of what "chair" and "red" mean.
+//!
+//! Each class, group and colour has a concept, a unit vector nearly at right angles to all others.
+//! The target of a class is its concept plus those of its groups, so that a query for a group finds
+//! its members; the target of an object adds its colour.
+
+mod concepts;
+mod words;
+
+use crate::classes::{CLASSES, ClassId, Group};
+use crate::material::ColorName;
+use crate::{SyntheticObject, SyntheticRoom};
+use concepts::{add_times, directions, unit_f32};
+use scenesplat_scene::TextTable;
+use words::{Concept, nearest, parse};
+
+/// Smallest length of vectors: below, concepts cannot be told apart.
+pub const MIN_DIM: usize = 32;
+
+/// The row number of Gaussians without a target: floaters.
+pub const NO_TARGET: u32 = u32::MAX;
+
+/// Weight of a class's first group beside its own concept.
+const FIRST_GROUP: f64 = 0.6;
+/// Weight of each further group.
+const OTHER_GROUP: f64 = 0.45;
+/// Weight of the colour in an object's target, and of a colour word beside a noun.
+const COLOR: f64 = 0.4;
+
+/// Why a text has no vector.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum VocabularyError {
+    /// A word that is not known.
+    #[error(
+        "the built-in vocabulary does not know {word:?}; the nearest words it knows are {} (it is a \
+         list of words, not a text encoder: give text vectors of your own for other words)",
+        nearest.join(", ")
+    )]
+    UnknownWord {
+        /// The word.
+        word: String,
+        /// Known words that are spelt most alike, nearest first.
+        nearest: Vec<&'static str>,
+    },
+    /// A text without any word.
+    #[error("the query {text:?} has no word; say what to look for, such as \"red chair\"")]
+    NoWord {
+        /// The text.
+        text: String,
+    },
+    /// Vectors too short.
+    #[error("vectors of length {dim} cannot tell the concepts apart; use at least {MIN_DIM}")]
+    Dim {
+        /// The length asked for.
+        dim: usize,
+    },
+}
+
+/// What every Gaussian of a room should be like.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Targets {
+    /// Unit vectors, each once. `[R, dim]`
+    pub table: Vec<f32>,
+    /// Length of a vector.
+    pub dim: usize,
+    /// Row of the table for every Gaussian; [`NO_TARGET`] for floaters. `[N]`
+    pub index: Vec<u32>,
+}
+
+/// Vectors of the known words.
+///
+/// ```
+/// use scenesplat_rooms::{ClassId, ColorName, Vocabulary};
+///
+/// let vocabulary = Vocabulary::new(64)?;
+/// let query = vocabulary.embed("red chairs")?;
+/// let score = |target: Vec<f32>| query.iter().zip(target).map(|(q, t)| q * t).sum::<f32>();
+/// let red = score(vocabulary.object_target(ClassId::Chair, ColorName::Red));
+/// let blue = score(vocabulary.object_target(ClassId::Chair, ColorName::Blue));
+/// let table = score(vocabulary.object_target(ClassId::Table, ColorName::Red));
+/// assert!(red > blue && blue > table);
+/// # Ok::<(), scenesplat_rooms::vocabulary::VocabularyError>(())
+/// ```
+#[derive(Debug, Clone, PartialEq)]
+pub struct Vocabulary {
+    dim: usize,
+    /// Unit vectors of classes, then groups, then colours.
+    concepts: Vec<Vec<f64>>,
+}
+
+impl Vocabulary {
+    /// The vocabulary with vectors of length `dim`; the same on any machine.
+    ///
+    /// # Errors
+    /// If `dim` is below [`MIN_DIM`].
+    pub fn new(dim: usize) -> Result<Self, VocabularyError> {
+        if dim < MIN_DIM {
+            return Err(VocabularyError::Dim { dim });
+        }
+        let count = CLASSES.len() + Group::ALL.len() + ColorName::ALL.len();
+        Ok(Self { dim, concepts: directions(count, dim) })
+    }
+
+    /// Length of the vectors.
+    pub fn dim(&self) -> usize {
+        self.dim
+    }
+
+    /// The unit vector of a text such as `"red chair"`, `"furniture"`, `"couches"`.
+    ///
+    /// Case, punctuation, articles and plurals do not matter.
+    ///
+    /// # Errors
+    /// If a word is not known or there is none.
+    pub fn embed(&self, text: &str) -> Result<Vec<f32>, VocabularyError> {
+        let found = parse(text).map_err(|word| {
+            let nearest = nearest(&word);
+            VocabularyError::UnknownWord { word, nearest }
+        })?;
+        if found.is_empty() {
+            return Err(VocabularyError::NoWord { text: text.to_owned() });
+        }
+        Ok(self.join(&found))
+    }
+
+    /// The unit vector of concepts together.
+    fn join(&self, concepts: &[Concept]) -> Vec<f32> {
+        let has_noun = concepts.iter().any(|c| !matches!(c, Concept::Color(_)));
+        let mut sum = vec![0.0; self.dim];
+        for concept in concepts {
+            match *concept {
+                Concept::Class(class) => add_times(&mut sum, &self.class_vector(class), 1.0),
+                Concept::Group(group) => add_times(&mut sum, self.group(group), 1.0),
+                Concept::Color(color) => {
+                    let weight = if has_noun { COLOR } else { 1.0 };
+                    add_times(&mut sum, self.color(color), weight);
+                }
+            }
+        }
+        unit_f32(&sum)
+    }
+
+    /// What a text has to beat where Gaussians are selected by it: the classes it does not mean, and,
+    /// if it names a colour, itself in every other colour.
+    ///
+    /// # Errors
+    /// As [`embed`](Self::embed).
+    pub fn rivals(&self, text: &str) -> Result<TextTable, VocabularyError> {
+        // Says what is wrong with the text.
+        self.embed(text)?;
+        let found = parse(text).unwrap_or_default();
+        let meant = |class: ClassId| {
+            found.iter().any(|concept| match concept {
+                Concept::Class(c) => *c == class,
+                Concept::Group(group) => class.about().groups.contains(group),
+                Concept::Color(_) => false,
+            })
+        };
+        let nouns: Vec<Concept> =
+            found.iter().copied().filter(|c| !matches!(c, Concept::Color(_))).collect();
+        let colors: Vec<ColorName> = found
+            .iter()
+            .filter_map(|c| if let Concept::Color(color) = c { Some(*color) } else { None })
+            .collect();
+        let mut table = TextTable { names: Vec::new(), dim: self.dim, values: Vec::new() };
+        let mut push = |name: String, row: Vec<f32>| {
+            table.names.push(name);
+            table.values.extend(row);
+        };
+        if !nouns.is_empty() {
+            for &class in ClassId::ALL.iter().filter(|&&class| !meant(class)) {
+                push(class.about().name.to_owned(), self.class_target(class));
+            }
+        }
+        if !colors.is_empty() {
+            for other in ColorName::ALL.into_iter().filter(|c| !colors.contains(c)) {
+                let mut concepts = nouns.clone();
+                concepts.push(Concept::Color(other));
+                push(format!("in {}", other.word()), self.join(&concepts));
+            }
+        }
+        Ok(table)
+    }
+
+    /// The unit target of a class: its concept and its groups'.
+    pub fn class_target(&self, class: ClassId) -> Vec<f32> {
+        unit_f32(&self.class_vector(class))
+    }
+
+    /// The unit target of an object: its class, its groups and its colour.
+    pub fn object_target(&self, class: ClassId, color: ColorName) -> Vec<f32> {
+        let mut sum = self.class_vector(class);
+        add_times(&mut sum, self.color(color), COLOR);
+        unit_f32(&sum)
+    }
+
+    /// The targets of all classes with their names, in the order of [`CLASSES`].
+    pub fn class_table(&self) -> TextTable {
+        TextTable {
+            names: CLASSES.iter().map(|c| c.name.to_owned()).collect(),
+            dim: self.dim,
+            values: ClassId::ALL.iter().flat_map(|&c| self.class_target(c)).collect(),
+        }
+    }
+
+    /// Targets of a room's Gaussians: class, groups and colour of the object that each is part of.
+    pub fn targets(&self, room: &SyntheticRoom) -> Targets {
+        self.targets_by(room, |o| (o.class, Some(o.color)))
+    }
+
+    /// As [`targets`](Self::targets), without colours: one row per class that is there.
+    pub fn class_targets(&self, room: &SyntheticRoom) -> Targets {
+        self.targets_by(room, |o| (o.class, None))
+    }
+
+    fn targets_by(
+        &self,
+        room: &SyntheticRoom,
+        key: impl Fn(&SyntheticObject) -> (ClassId, Option<ColorName>),
+    ) -> Targets {
+        let keys: Vec<_> = room.objects.iter().map(key).collect();
+        let mut rows = keys.clone();
+        rows.sort_unstable();
+        rows.dedup();
+        let table = rows.iter().flat_map(|&(class, color)| match color {
+            Some(color) => self.object_target(class, color),
+            None => self.class_target(class),
+        });
+        let table = table.collect();
+        // Every key is among the rows, so the search always finds it.
+        let row_of_object: Vec<u32> =
+            keys.iter().map(|k| rows.binary_search(k).map_or(NO_TARGET, |r| r as u32)).collect();
+        let instance = room.scene.instance.as_deref().unwrap_or(&[]);
+        let row = |&i: &i32| {
+            usize::try_from(i).ok().and_then(|i| row_of_object.get(i).copied()).unwrap_or(NO_TARGET)
+        };
+        Targets { table, dim: self.dim, index: instance.iter().map(row).collect() }
+    }
+
+    fn class_vector(&self, class: ClassId) -> Vec<f64> {
+        let mut sum = self.concepts[class.index()].clone();
+        for (i, &group) in class.about().groups.iter().enumerate() {
+            add_times(&mut sum, self.group(group), if i == 0 { FIRST_GROUP } else { OTHER_GROUP });
+        }
+        sum
+    }
+
+    fn group(&self, group: Group) -> &[f64] {
+        &self.concepts[CLASSES.len() + group as usize]
+    }
+
+    fn color(&self, color: ColorName) -> &[f64] {
+        &self.concepts[CLASSES.len() + Group::ALL.len() + color as usize]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{SyntheticRoomSettings, generate};
+
+    fn dot(a: &[f32], b: &[f32]) -> f64 {
+        a.iter().zip(b).map(|(&a, &b)| f64::from(a) * f64::from(b)).sum()
+    }
+
+    /// Lowest score of those that should come first, highest of the others.
+    fn margin(scores: &[(f64, bool)]) -> f64 {
+        let low = scores.iter().filter(|s| s.1).map(|s| s.0).fold(f64::INFINITY, f64::min);
+        low - scores.iter().filter(|s| !s.1).map(|s| s.0).fold(f64::NEG_INFINITY, f64::max)
+    }
+
+    #[test]
+    fn groups_rank_their_members_first() {
+        for dim in [64, 128, 768] {
+            let vocabulary = Vocabulary::new(dim).unwrap();
+            for group in Group::ALL {
+                let query = vocabulary.embed(words::group_word(group)).unwrap();
+                let by_class: Vec<_> = (ClassId::ALL.iter())
+                    .map(|&c| {
+                        let is_in = c.about().groups.contains(&group);
+                        (dot(&query, &vocabulary.class_target(c)), is_in)
+                    })
+                    .collect();
+                assert!(margin(&by_class) > 0.1, "{dim} {group:?} {}", margin(&by_class));
+                let by_object: Vec<_> = (ClassId::ALL.iter())
+                    .flat_map(|&c| ColorName::ALL.map(|color| (c, color)))
+                    .map(|(c, color)| {
+                        let is_in = c.about().groups.contains(&group);
+                        (dot(&query, &vocabulary.object_target(c, color)), is_in)
+                    })
+                    .collect();
+                assert!(margin(&by_object) > 0.05, "{dim} {group:?} {}", margin(&by_object));
+            }
+        }
+    }
+
+    #[test]
+    fn exactly_what_is_meant_beats_the_rivals() {
+        let vocabulary = Vocabulary::new(96).unwrap();
+        let selects = |text: &str, class: ClassId, color: ColorName| {
+            let target = vocabulary.object_target(class, color);
+            let score = dot(&vocabulary.embed(text).unwrap(), &target);
+            let rivals = vocabulary.rivals(text).unwrap();
+            rivals.values.chunks_exact(96).all(|row| score > dot(row, &target))
+        };
+        for &class in ClassId::ALL {
+            for color in ColorName::ALL {
+                assert_eq!(
+                    selects("red chair", class, color),
+                    class == ClassId::Chair && color == ColorName::Red,
+                    "{class:?} {color:?}"
+                );
+                assert_eq!(selects("sofas", class, color), class == ClassId::Sofa, "{class:?}");
+                let furniture = class.about().groups.contains(&Group::Furniture);
+                assert_eq!(selects("furniture", class, color), furniture, "{class:?} {color:?}");
+            }
+        }
+        assert!(vocabulary.rivals("chiar").is_err());
+    }
+
+    #[test]
+    fn a_colour_and_a_noun_rank_in_three_steps() {
+        for dim in [MIN_DIM, 64, 256] {
+            let vocabulary = Vocabulary::new(dim).unwrap();
+            for class in ClassId::ALL {
+                for color in ColorName::ALL {
+                    let text = format!("a {} {}", color.word(), class.about().name);
+                    let query = vocabulary.embed(&text).unwrap();
+                    let score = |c, k| dot(&query, &vocabulary.object_target(c, k));
+                    let right = score(*class, color);
+                    let others = ColorName::ALL.map(|k| (k, score(*class, k)));
+                    let others = others.iter().filter(|(k, _)| *k != color).map(|(_, s)| *s);
+                    let best = others.clone().fold(f64::NEG_INFINITY, f64::max);
+                    let worst = others.fold(f64::INFINITY, f64::min);
+                    assert!(right > best + 0.02, "{text}");
+                    for other in ClassId::ALL.iter().filter(|c| *c != class) {
+                        assert!(worst > score(*other, color) + 0.02, "{dim} {text} {other:?}");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn each_class_is_nearest_to_its_own_target() {
+        for dim in [MIN_DIM, 64] {
+            let vocabulary = Vocabulary::new(dim).unwrap();
+            let table = vocabulary.class_table();
+            assert_eq!(table.len(), CLASSES.len());
+            for (i, class) in ClassId::ALL.iter().enumerate() {
+                let query = vocabulary.embed(class.about().name).unwrap();
+                for j in 0..CLASSES.len() {
+                    let score = dot(&query, table.row(j).unwrap());
+                    assert!(if i == j { score > 0.9999 } else { score < 0.75 }, "{i} {j} {score}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn plurals_synonyms_and_unknown_words() {
+        let vocabulary = Vocabulary::new(64).unwrap();
+        let same = |a: &str, b: &str| {
+            assert_eq!(vocabulary.embed(a).unwrap(), vocabulary.embed(b).unwrap(), "{a} {b}");
+        };
+        same("Couches", "sofa");
+        same("the red CHAIRS!", "red chair");
+        same("bookcases", "bookshelf");
+        same("shelves", "bookshelf");
+        same("trash bin", "trash can");
+        same("television", "tv");
+        same("a seat", "seats");
+        same("mugs", "cup");
+        same("grey gray", "grey");
+        same("this is a kitchen counter", "kitchen cabinet");
+        let error = vocabulary.embed("red chiar").unwrap_err();
+        let VocabularyError::UnknownWord { word, nearest } = &error else { panic!("{error}") };
+        assert_eq!((word.as_str(), nearest[0]), ("chiar", "chair"));
+        assert!(error.to_string().contains("chair"));
+        for text in ["", "  the !", "\u{0}"] {
+            let error = vocabulary.embed(text).unwrap_err();
+            assert!(matches!(error, VocabularyError::NoWord { .. }), "{error}");
+        }
+        let long = "x".repeat(100_000);
+        assert!(vocabulary.embed(&long).is_err());
+        assert_eq!(Vocabulary::new(8), Err(VocabularyError::Dim { dim: 8 }));
+    }
+
+    #[test]
+    fn every_scannet_name_of_a_class_is_known() {
+        let vocabulary = Vocabulary::new(64).unwrap();
+        for class in CLASSES {
+            let query = vocabulary.embed(class.scannet200_name).unwrap();
+            assert_eq!(query, vocabulary.embed(class.name).unwrap(), "{}", class.scannet200_name);
+        }
+    }
+
+    #[test]
+    fn targets_are_shared_rows() {
+        let settings = SyntheticRoomSettings { num_gaussians: Some(4000), ..Default::default() };
+        let room = generate(&settings).unwrap();
+        let vocabulary = Vocabulary::new(64).unwrap();
+        let segment = room.scene.segment.as_deref().unwrap();
+        let instance = room.scene.instance.as_deref().unwrap();
+        for (targets, by_color) in
+            [(vocabulary.targets(&room), true), (vocabulary.class_targets(&room), false)]
+        {
+            assert_eq!(targets.index.len(), 4000);
+            assert!(targets.table.len() <= 64 * room.objects.len());
+            for (i, &row) in targets.index.iter().enumerate() {
+                if segment[i] < 0 {
+                    assert_eq!(row, NO_TARGET);
+                    continue;
+                }
+                let found = &targets.table[row as usize * 64..][..64];
+                let class = ClassId::ALL[segment[i] as usize];
+                let color = room.objects[instance[i] as usize].color;
+                let expected = match by_color {
+                    true => vocabulary.object_target(class, color),
+                    false => vocabulary.class_target(class),
+                };
+                assert_eq!(found, expected);
+            }
+        }
+    }
+}

@@ -1,0 +1,257 @@
+//! The words that are known, and how texts are read.
+
+use crate::classes::{ClassId, Group};
+use crate::material::ColorName;
+
+/// What a word stands for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Concept {
+    Class(ClassId),
+    Group(Group),
+    Color(ColorName),
+}
+
+/// Words that say nothing about what is meant.
+const IGNORED: &[&str] = &[
+    "a", "an", "the", "this", "that", "is", "are", "some", "any", "all", "of", "with", "in", "and",
+    "or",
+];
+
+/// Other names of classes; those of ScanNet's benchmarks where they mean the same.
+const SYNONYMS: &[(&str, ClassId)] = &[
+    ("armchair", ClassId::Chair),
+    ("office chair", ClassId::Chair),
+    ("dining chair", ClassId::Chair),
+    ("footstool", ClassId::Stool),
+    ("ottoman", ClassId::Stool),
+    ("couch", ClassId::Sofa),
+    ("settee", ClassId::Sofa),
+    ("dining table", ClassId::Table),
+    ("kitchen table", ClassId::Table),
+    ("office desk", ClassId::Desk),
+    ("reading desk", ClassId::Desk),
+    ("writing desk", ClassId::Desk),
+    ("dresser", ClassId::Cabinet),
+    ("sideboard", ClassId::Cabinet),
+    ("chest of drawers", ClassId::Cabinet),
+    ("cupboard", ClassId::Cabinet),
+    ("file cabinet", ClassId::Cabinet),
+    ("bathroom cabinet", ClassId::Cabinet),
+    ("counter", ClassId::KitchenCabinet),
+    ("kitchen counter", ClassId::KitchenCabinet),
+    ("closet", ClassId::Wardrobe),
+    ("armoire", ClassId::Wardrobe),
+    ("bookcase", ClassId::Bookshelf),
+    ("shelf", ClassId::Bookshelf),
+    ("rack", ClassId::Bookshelf),
+    ("night stand", ClassId::Nightstand),
+    ("bedside table", ClassId::Nightstand),
+    ("tv cabinet", ClassId::TvStand),
+    ("television stand", ClassId::TvStand),
+    ("television", ClassId::Tv),
+    ("computer monitor", ClassId::Monitor),
+    ("computer screen", ClassId::Monitor),
+    ("display", ClassId::Monitor),
+    ("notebook computer", ClassId::Laptop),
+    ("light", ClassId::Lamp),
+    ("ceiling light", ClassId::Lamp),
+    ("ceiling lamp", ClassId::Lamp),
+    ("chandelier", ClassId::Lamp),
+    ("floor lamp", ClassId::Lamp),
+    ("table lamp", ClassId::Lamp),
+    ("potted plant", ClassId::Plant),
+    ("house plant", ClassId::Plant),
+    ("painting", ClassId::Picture),
+    ("portrait", ClassId::Picture),
+    ("poster", ClassId::Picture),
+    ("photo", ClassId::Picture),
+    ("drapes", ClassId::Curtain),
+    ("drape", ClassId::Curtain),
+    ("carpet", ClassId::Rug),
+    ("mat", ClassId::Rug),
+    ("cushion", ClassId::Pillow),
+    ("carton", ClassId::Box),
+    ("cardboard box", ClassId::Box),
+    ("crate", ClassId::Box),
+    ("bin", ClassId::TrashCan),
+    ("trash bin", ClassId::TrashCan),
+    ("trash", ClassId::TrashCan),
+    ("garbage bin", ClassId::TrashCan),
+    ("garbage can", ClassId::TrashCan),
+    ("recycling bin", ClassId::TrashCan),
+    ("wastebasket", ClassId::TrashCan),
+    ("cup", ClassId::Mug),
+    ("coffee mug", ClassId::Mug),
+    ("alarm clock", ClassId::Clock),
+    ("heater", ClassId::Radiator),
+    ("basin", ClassId::Sink),
+    ("washbasin", ClassId::Sink),
+    ("tub", ClassId::Bathtub),
+    ("bath", ClassId::Bathtub),
+    ("fridge", ClassId::Refrigerator),
+    ("mini fridge", ClassId::Refrigerator),
+    ("oven", ClassId::Stove),
+    ("cooker", ClassId::Stove),
+    ("extractor hood", ClassId::RangeHood),
+    ("cooker hood", ClassId::RangeHood),
+];
+
+const GROUP_WORDS: &[(&str, Group)] = &[
+    ("structure", Group::Structure),
+    ("building", Group::Structure),
+    ("furniture", Group::Furniture),
+    ("seat", Group::Seat),
+    ("seating", Group::Seat),
+    ("work surface", Group::Surface),
+    ("surface", Group::Surface),
+    ("storage", Group::Storage),
+    ("electronics", Group::Electronics),
+    ("electronic device", Group::Electronics),
+    ("device", Group::Electronics),
+    ("appliance", Group::Appliance),
+    ("machine", Group::Appliance),
+    ("bathroom", Group::Bathroom),
+    ("sanitary ware", Group::Bathroom),
+    ("kitchen", Group::Kitchen),
+    ("decoration", Group::Decoration),
+    ("decor", Group::Decoration),
+    ("textile", Group::Textile),
+    ("cloth", Group::Textile),
+    ("small object", Group::Object),
+    ("object", Group::Object),
+    ("thing", Group::Object),
+];
+
+/// The word for a group.
+#[cfg(test)]
+pub(super) fn group_word(group: Group) -> &'static str {
+    GROUP_WORDS.iter().find(|w| w.1 == group).map_or("", |w| w.0)
+}
+
+/// Every known phrase with its concept.
+fn phrases() -> impl Iterator<Item = (&'static str, Concept)> {
+    let names = ClassId::ALL.iter().map(|&c| (c.about().name, Concept::Class(c)));
+    let synonyms = SYNONYMS.iter().map(|&(word, c)| (word, Concept::Class(c)));
+    let groups = GROUP_WORDS.iter().map(|&(word, g)| (word, Concept::Group(g)));
+    let colors = ColorName::ALL.iter().map(|&c| (c.word(), Concept::Color(c)));
+    let gray = std::iter::once(("gray", Concept::Color(ColorName::Grey)));
+    names.chain(synonyms).chain(groups).chain(colors).chain(gray)
+}
+
+/// The concepts of a text, each once, in its order.
+///
+/// # Errors
+/// The first word that is not known.
+pub(super) fn parse(text: &str) -> Result<Vec<Concept>, String> {
+    let lower = text.to_lowercase();
+    let words: Vec<&str> = lower
+        .split(|c: char| !c.is_alphanumeric())
+        .filter(|w| !w.is_empty() && !IGNORED.contains(w))
+        .collect();
+    let mut found = Vec::new();
+    let mut at = 0;
+    while at < words.len() {
+        // The longest phrase wins: "kitchen cabinet" is no cabinet in a kitchen.
+        let longest = phrases()
+            .filter_map(|(phrase, concept)| {
+                let length = phrase_length(phrase, &words[at..])?;
+                Some((length, concept))
+            })
+            .fold(None, |best: Option<(usize, Concept)>, next| match best {
+                Some(best) if best.0 >= next.0 => Some(best),
+                _ => Some(next),
+            });
+        let Some((length, concept)) = longest else { return Err(words[at].to_owned()) };
+        if !found.contains(&concept) {
+            found.push(concept);
+        }
+        at += length;
+    }
+    Ok(found)
+}
+
+/// Number of words that a phrase takes at the start of `words`; `None` if it is not there.
+fn phrase_length(phrase: &str, words: &[&str]) -> Option<usize> {
+    let mut length = 0;
+    for part in phrase.split(' ').filter(|p| !IGNORED.contains(p)) {
+        if !is_form_of(words.get(length)?, part) {
+            return None;
+        }
+        length += 1;
+    }
+    Some(length)
+}
+
+/// Whether a word is another in the singular or plural.
+fn is_form_of(word: &str, base: &str) -> bool {
+    let strip = |end| word.strip_suffix(end);
+    word == base
+        || strip("s") == Some(base)
+        || strip("es") == Some(base)
+        || strip("ies").is_some_and(|stem| base.strip_suffix('y') == Some(stem))
+        || strip("ves").is_some_and(|stem| base.strip_suffix('f') == Some(stem))
+}
+
+/// The three known phrases that are spelt most like a word.
+pub(super) fn nearest(word: &str) -> Vec<&'static str> {
+    // Longer ones are like no known word; their distances would only take time.
+    let word: Vec<char> = word.chars().take(40).collect();
+    let mut all: Vec<_> = phrases().map(|(phrase, _)| (distance(&word, phrase), phrase)).collect();
+    all.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.cmp(b.1)));
+    all.dedup();
+    all.into_iter().take(3).map(|(_, phrase)| phrase).collect()
+}
+
+/// Letters to change, add, drop or swap with their neighbour.
+fn distance(a: &[char], b: &str) -> usize {
+    let b: Vec<char> = b.chars().collect();
+    let mut rows = vec![(0..=b.len()).collect::<Vec<usize>>()];
+    for i in 1..=a.len() {
+        let mut row = vec![i];
+        for j in 1..=b.len() {
+            let change = rows[i - 1][j - 1] + usize::from(a[i - 1] != b[j - 1]);
+            let mut best = change.min(rows[i - 1][j] + 1).min(row[j - 1] + 1);
+            if i > 1 && j > 1 && a[i - 1] == b[j - 2] && a[i - 2] == b[j - 1] {
+                best = best.min(rows[i - 2][j - 2] + 1);
+            }
+            row.push(best);
+        }
+        rows.push(row);
+    }
+    rows[a.len()][b.len()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::CLASSES;
+
+    #[test]
+    fn phrases_are_unique_and_lower_case() {
+        let mut all: Vec<_> = phrases().map(|p| p.0).collect();
+        let count = all.len();
+        all.sort_unstable();
+        all.dedup();
+        assert_eq!(all.len(), count);
+        assert!(all.iter().all(|p| p.to_lowercase() == *p));
+        assert!(CLASSES.iter().all(|c| all.contains(&c.name)));
+    }
+
+    #[test]
+    fn distances_count_letters() {
+        let chars = |w: &str| w.chars().collect::<Vec<_>>();
+        assert_eq!(distance(&chars("chiar"), "chair"), 1);
+        assert_eq!(distance(&chars(""), "bed"), 3);
+        assert_eq!(distance(&chars("sofa"), "sofa"), 0);
+    }
+
+    #[test]
+    fn the_longest_phrase_wins() {
+        assert_eq!(parse("kitchen cabinets"), Ok(vec![Concept::Class(ClassId::KitchenCabinet)]));
+        assert_eq!(
+            parse("kitchen lamp"),
+            Ok(vec![Concept::Group(Group::Kitchen), Concept::Class(ClassId::Lamp)])
+        );
+        assert_eq!(parse("chest of drawers"), Ok(vec![Concept::Class(ClassId::Cabinet)]));
+    }
+}
