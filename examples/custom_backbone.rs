@@ -2,10 +2,11 @@
 //! whole scenes.
 
 use candle_core::{Result, Tensor};
-use scenesplat::datasets::{InputFeatures, generate_room, sample_rng};
+use scenesplat::datasets::{InputFeatures, sample_rng};
 use scenesplat::models::layers::Linear;
 use scenesplat::models::{Forward, LanguageModel, ParamStore, PointCloud};
 use scenesplat::prelude::*;
+use scenesplat::rooms::{SyntheticRoomSettings, generate};
 
 /// A linear layer on each voxel.
 struct PerVoxel {
@@ -38,7 +39,7 @@ fn main() -> anyhow::Result<()> {
     }
 
     // A whole scene, at voxels of 5 cm.
-    let room = generate_room(&RoomSettings { num_gaussians: 2000, seed: 1 })?;
+    let room = generate(&SyntheticRoomSettings::with_count(2000, 1))?;
     let network = Network::from_backbone(model, input, 0.05, NetworkOutput::Features)?;
     let features = SceneEncoder::new(&network).encode(&room.scene, &mut |_| Ok(()))?;
     println!("{} Gaussians, {} numbers each", features.len(), features.width());

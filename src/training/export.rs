@@ -169,8 +169,8 @@ source = { type = "synthetic", count = 2, seed = 9, room = { num_gaussians = 150
         let config = config_beside(&report.model).unwrap().unwrap();
         let weights = Weights::File(report.model);
         let network = Network::load(config, &weights, WeightOptions::default()).unwrap();
-        let settings = scenesplat_datasets::RoomSettings { num_gaussians: 6000, seed: 1 };
-        let scene = scenesplat_datasets::generate_room(&settings).unwrap().scene;
+        let settings = scenesplat_rooms::SyntheticRoomSettings::with_count(6000, 1);
+        let scene = scenesplat_rooms::generate(&settings).unwrap().scene;
         let mut encoder = SceneEncoder { grid_size: 0.03, ..SceneEncoder::new(&network) };
         let whole = encoder.encode(&scene, &mut |_| Ok(())).unwrap();
         assert_eq!((whole.len(), whole.width(), whole.summary.tiles), (scene.len(), 41, 1));
