@@ -551,3 +551,108 @@ impl Backbone for PointTransformerV2 {
         self.config.compute
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ParamStore;
+    use crate::weights::{WeightSource, unit};
+    use candle_core::Device;
+    use std::collections::BTreeMap;
+
+    /// Rows of f64, and the parameters by name.
+    type Rows = Vec<Vec<f64>>;
+    type Parameters = BTreeMap<String, Vec<f64>>;
+
+    fn linear(p: &Parameters, name: &str, x: &Rows) -> Rows {
+        let (weight, bias) = (&p[&format!("{name}.weight")], &p[&format!("{name}.bias")]);
+        let row = |x: &Vec<f64>| {
+            let out = weight.chunks_exact(x.len()).zip(bias);
+            out.map(|(w, b)| b + w.iter().zip(x).map(|(w, x)| w * x).sum::<f64>()).collect()
+        };
+        x.iter().map(row).collect()
+    }
+
+    fn norm_relu(p: &Parameters, name: &str, x: Rows) -> Rows {
+        let of = |field: &str| &p[&format!("{name}.{field}")];
+        let (weight, bias) = (of("weight"), of("bias"));
+        let (mean, var) = (of("running_mean"), of("running_var"));
+        let value = |(i, v): (usize, f64)| {
+            ((v - mean[i]) / (var[i] + 1e-5).sqrt() * weight[i] + bias[i]).max(0.0)
+        };
+        x.into_iter().map(|row| row.into_iter().enumerate().map(value).collect()).collect()
+    }
+
+    fn joined(p: &Parameters, name: &str, x: &Rows) -> Rows {
+        norm_relu(p, &format!("{name}.norm"), linear(p, &format!("{name}.linear"), x))
+    }
+
+    fn encoding(p: &Parameters, name: &str, x: &Rows) -> Rows {
+        linear(p, &format!("{name}.last"), &joined(p, &format!("{name}.hidden"), x))
+    }
+
+    #[test]
+    fn attention_is_the_formula() {
+        let cells: Vec<[i32; 3]> = (0..12).map(|i| [i % 4, i / 4, i % 3]).collect();
+        let (n, c, groups, k) = (cells.len(), 6, 3, 4);
+        let feat = unit("x", n * c, 2);
+        let tensor = Tensor::from_vec(feat.clone(), (n, c), &Device::Cpu).unwrap();
+        let (mut scale, sorted) =
+            Scale::new(&PointCloud::single(cells.clone(), tensor).unwrap()).unwrap();
+        let near = scale.neighbors(k).unwrap();
+        let store = ParamStore::trainable_from(WeightSource::hashed(9, ""), 0);
+        let layer =
+            GroupedVectorAttention::new(Compute::default(), c, groups, true, store.builder())
+                .unwrap();
+        let tensor = Tensor::from_vec(feat.clone(), (n, c), &Device::Cpu).unwrap();
+        let out = layer.forward(&sorted.rows(&tensor).unwrap(), &near, Mode::Eval).unwrap();
+        let out = sorted.back(&out).unwrap().to_vec2::<f32>().unwrap();
+
+        let p: Parameters = store
+            .parameters()
+            .into_iter()
+            .chain(store.buffers())
+            .filter(|(name, _)| !name.ends_with("tracked"))
+            .map(|(name, v)| {
+                let values = v.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+                (name, values.into_iter().map(f64::from).collect())
+            })
+            .collect();
+        let x: Rows = feat.chunks(c).map(|r| r.iter().map(|v| f64::from(*v)).collect()).collect();
+        let query = joined(&p, "query", &x);
+        let key = joined(&p, "key", &x);
+        let value = linear(&p, "value", &x);
+        for (i, here) in cells.iter().enumerate() {
+            // Nearest first; equally near ones by place.
+            let mut order: Vec<usize> = (0..n).collect();
+            let apart =
+                |j: usize| -> i32 { cells[j].iter().zip(here).map(|(a, b)| (a - b).pow(2)).sum() };
+            order.sort_by_key(|&j| (apart(j), cells[j]));
+            order.truncate(k);
+            let place = |j: &usize| {
+                cells[*j].iter().zip(here).map(|(a, b)| f64::from(a - b)).collect::<Vec<_>>()
+            };
+            let places: Rows = order.iter().map(place).collect();
+            let (add, multiply) =
+                (encoding(&p, "position", &places), encoding(&p, "multiplier", &places));
+            let relation: Rows = (0..k)
+                .map(|e| {
+                    let j = order[e];
+                    let one = |d| (key[j][d] - query[i][d]) * multiply[e][d] + add[e][d];
+                    (0..c).map(one).collect()
+                })
+                .collect();
+            let logits = encoding(&p, "weight", &relation);
+            for channel in 0..c {
+                let group = channel / (c / groups);
+                let powers: Vec<f64> = logits.iter().map(|l| l[group].exp()).collect();
+                let sum: f64 = powers.iter().sum();
+                let expected: f64 = (0..k)
+                    .map(|e| powers[e] / sum * (value[order[e]][channel] + add[e][channel]))
+                    .sum();
+                let got = f64::from(out[i][channel]);
+                assert!((got - expected).abs() < 1e-5 * (1.0 + expected.abs()), "{got} {expected}");
+            }
+        }
+    }
+}
