@@ -4,10 +4,7 @@
 //! `lib.rs`, and a row here. Nothing else asks which architecture a network has.
 
 use crate::weights::Shapes;
-use crate::{
-    Backbone, BackboneCost, Compute, PointTransformerV1Config, PointTransformerV2Config,
-    PointTransformerV3Config,
-};
+use crate::{Backbone, BackboneCost, Compute};
 use candle_core::Result;
 use candle_nn::VarBuilder;
 use serde::Serialize;
@@ -114,11 +111,11 @@ macro_rules! architectures {
 }
 
 architectures! {
-    PointTransformerV3(PointTransformerV3Config) = "point_transformer_v3":
+    PointTransformerV3(crate::PointTransformerV3Config) = "point_transformer_v3":
         "Attention in patches of space-filling curves.";
-    PointTransformerV1(PointTransformerV1Config) = "point_transformer_v1":
+    PointTransformerV1(crate::PointTransformerV1Config) = "point_transformer_v1":
         "Vector attention over nearest neighbours.";
-    PointTransformerV2(PointTransformerV2Config) = "point_transformer_v2":
+    PointTransformerV2(crate::PointTransformerV2Config) = "point_transformer_v2":
         "Grouped vector attention over nearest neighbours.";
 }
 
