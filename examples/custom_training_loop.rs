@@ -51,7 +51,7 @@ fn main() -> anyhow::Result<()> {
             let loss = objective.forward(&input)?.total;
             let mut grads = loss.backward()?;
             clip_grad_norm(&params, &mut grads, 1.0)?;
-            optimizer.step(&grads, &OneCycle::default().controls(step, epochs * steps))?;
+            optimizer.step(&grads, &OneCycle::default().hyperparameters(step, epochs * steps))?;
             println!("step {step}: loss {:.3}", loss.to_scalar::<f32>()?);
         }
     }

@@ -10,7 +10,7 @@ mod planted;
 use anyhow::{Context, Result};
 use planted::{Planted, Recovered, Size};
 use scenesplat::outputs::{label_colors, write_scene_preview};
-use scenesplat::preview::UpAxis;
+use scenesplat::scene::UpAxis;
 use scenesplat_rasterizer::lifting::{
     DepthProbe, DepthTolerance, FinaliseSettings, LiftSettings, Robust,
 };

@@ -1,5 +1,6 @@
 //! A whole scene through the network: passes, tiles, and the way back to every Gaussian.
 
+use crate::alignment::{Alignment, AlignmentSettings};
 use crate::network::Network;
 use candle_core::{Device, Tensor};
 use rand_chacha::ChaCha8Rng;
@@ -107,6 +108,9 @@ pub struct SceneEncoder<'a> {
     pub shuffle_orders: Option<u64>,
     /// Where features go that do not fit into memory.
     pub spill_folder: PathBuf,
+    /// What is known of the scene; by default its up and unit are estimated, and a scene that lies
+    /// on its side or is in millimetres is read as a turned or scaled copy.
+    pub alignment: AlignmentSettings,
 }
 
 /// Features of a scene: one row per voxel (or read Gaussian), and which row each Gaussian has.
@@ -117,6 +121,8 @@ pub struct SceneFeatures {
     sampled: Vec<u32>,
     /// How the scene was cut.
     pub summary: EncodeSummary,
+    /// How the scene was turned and scaled for the network; `None` if none was run.
+    pub alignment: Option<Alignment>,
 }
 
 /// What was done to a scene.
@@ -152,13 +158,15 @@ impl<'a> SceneEncoder<'a> {
             halo: 50,
             shuffle_orders: None,
             spill_folder: std::env::temp_dir(),
+            alignment: AlignmentSettings::default(),
         }
     }
 
     /// Features of every Gaussian of a scene.
     ///
     /// For a language network rows have unit length; for a classifier they are class
-    /// probabilities, averaged over the passes.
+    /// probabilities, averaged over the passes. The network reads the scene upright and in metres,
+    /// as [`alignment`](Self::alignment) says; what was done is in the result.
     ///
     /// # Errors
     /// If the scene is empty or cannot be put on the grid, the network refuses it, memory does not
@@ -166,6 +174,34 @@ impl<'a> SceneEncoder<'a> {
     pub fn encode(
         &self,
         scene: &GaussianScene,
+        progress: &mut ProgressFn<'_>,
+    ) -> Result<SceneFeatures, EncodeError> {
+        self.encode_aligned(scene, Alignment::of(scene, &self.alignment), progress)
+    }
+
+    /// As [`encode`](Self::encode), with an alignment that was worked out before.
+    ///
+    /// # Errors
+    /// As [`encode`](Self::encode).
+    pub fn encode_aligned(
+        &self,
+        scene: &GaussianScene,
+        alignment: Alignment,
+        progress: &mut ProgressFn<'_>,
+    ) -> Result<SceneFeatures, EncodeError> {
+        let aligned = alignment.apply(scene);
+        // The copy and the scene are both there.
+        let beside = if alignment.is_identity() { 0 } else { scene_bytes(scene) };
+        let mut features = self.encode_as_is(&aligned, beside, progress)?;
+        features.alignment = Some(alignment);
+        Ok(features)
+    }
+
+    /// Features of a scene as the network reads it; `beside`: bytes of what stays in memory.
+    fn encode_as_is(
+        &self,
+        scene: &GaussianScene,
+        beside: u64,
         progress: &mut ProgressFn<'_>,
     ) -> Result<SceneFeatures, EncodeError> {
         let features = self.network.input().clone();
@@ -185,7 +221,7 @@ impl<'a> SceneEncoder<'a> {
         }
         check_way_back(scene, &plan, grid_size)?;
         let width = self.network.model().out_channels();
-        let budget = self.budget(scene, &plan, width)?;
+        let budget = self.budget(scene, beside, &plan, width)?;
         let mut slots = if budget.spill {
             SlotStore::file(&self.spill_folder, plan.num_slots(), width)?
         } else {
@@ -244,7 +280,7 @@ impl<'a> SceneEncoder<'a> {
             slots.finish(|row, _| normalize_rows(row, width))?;
         }
         let InferencePlan { sampled, inverse, .. } = plan;
-        Ok(SceneFeatures { slots, inverse, sampled, summary })
+        Ok(SceneFeatures { slots, inverse, sampled, summary, alignment: None })
     }
 
     /// One call of the network.
@@ -290,6 +326,7 @@ impl<'a> SceneEncoder<'a> {
     fn budget(
         &self,
         scene: &GaussianScene,
+        beside: u64,
         plan: &InferencePlan<'_>,
         width: usize,
     ) -> Result<Budget, EncodeError> {
@@ -305,6 +342,7 @@ impl<'a> SceneEncoder<'a> {
         let per_voxel = cost.bytes_per_voxel.max(1) as u64;
         // Scene arrays, the plan's tables, packed weights, program and allocator.
         let fixed = scene_bytes(scene)
+            + beside
             + (plan.num_voxels() * (12 + 4 * plan.channels() + 8) + scene.len() * 8) as u64
             + self.network.weight_bytes() as u64
             + (64 << 20);
@@ -398,7 +436,7 @@ impl SceneFeatures {
             spilled: false,
         };
         let slots = SlotStore::codes(scene.len(), code);
-        Some(Self { slots, inverse: rows.clone(), sampled: rows, summary })
+        Some(Self { slots, inverse: rows.clone(), sampled: rows, summary, alignment: None })
     }
 
     /// Number of Gaussians.

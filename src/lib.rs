@@ -24,8 +24,7 @@
 //! # }
 //! ```
 
-pub mod bench;
-pub mod cli;
+pub mod alignment;
 pub mod convert;
 pub mod embedded;
 pub mod inference;
@@ -37,11 +36,10 @@ pub mod network;
 pub mod outputs;
 pub mod preview;
 pub mod principal;
-pub mod progress;
-pub mod receipt;
 pub mod text;
 pub mod training;
 
+pub use alignment::{Alignment, AlignmentSettings};
 pub use inference::{EncodeError, SceneEncoder, SceneFeatures};
 pub use network::{Network, NetworkConfig, NetworkOutput, WeightOptions, Weights};
 pub use scenesplat_datasets as datasets;

@@ -2,7 +2,7 @@
 
 use crate::inference::SceneFeatures;
 use crate::preview::{
-    LegendEntry, PreviewSettings, SceneRows, UNLABELLED_COLOR, UpAxis, class_color, write_preview,
+    LegendEntry, PreviewSettings, SceneRows, UNLABELLED_COLOR, class_color, write_preview,
 };
 use anyhow::{Context, Result};
 use half::f16;
@@ -12,7 +12,7 @@ use scenesplat_scene::formats::ply::{
     ColumnValues, PlyColumn, PlyFile, free_column_name, write_ply_with_columns,
 };
 use scenesplat_scene::gaussian_scene::u8_to_dc;
-use scenesplat_scene::{GaussianScene, LoadedScene, SceneKind};
+use scenesplat_scene::{GaussianScene, LoadedScene, SceneKind, UpAxis};
 use std::path::Path;
 
 /// A scene as a command opened it.
@@ -25,21 +25,12 @@ pub struct OpenedScene {
 }
 
 /// Number type of written features.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FeatureType {
     /// 4 bytes a value.
     F32,
     /// 2 bytes a value, rounded to nearest.
     F16,
-}
-
-/// File format of written features.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub enum FeatureFormat {
-    /// `features.npy`, `[N, D]`.
-    Npy,
-    /// `features.safetensors` with the tensor `features`, `[N, D]`.
-    Safetensors,
 }
 
 /// Rows written at a time.
@@ -324,23 +315,4 @@ pub fn write_scene_preview(
     let settings = PreviewSettings { title: title.to_owned(), up, ..PreviewSettings::default() };
     let rows = SceneRows::of(scene);
     Ok(write_preview(path, &rows.rows(scene, colors), legend, &settings)?)
-}
-
-/// Which way is up, judged by the shape: rooms are flat along z; objects from image-based
-/// pipelines stand along y, which points down.
-pub fn guess_up(scene: &GaussianScene) -> UpAxis {
-    let extent: [f32; 3] = std::array::from_fn(|axis| {
-        let step = scene.len().div_ceil(50_000).max(1);
-        let mut v: Vec<f32> = scene.coord.iter().step_by(step).map(|c| c[axis]).collect();
-        v.sort_by(f32::total_cmp);
-        match v.len() {
-            0 => 0.0,
-            n => v[(n - 1) * 98 / 100] - v[(n - 1) * 2 / 100],
-        }
-    });
-    if extent[2] <= 0.8 * extent[0].max(extent[1]) && extent[1] < 1.6 * extent[0] {
-        UpAxis::PlusZ
-    } else {
-        UpAxis::MinusY
-    }
 }

@@ -19,8 +19,8 @@ pub use palette::{UNLABELLED_COLOR, class_color};
 
 use discs::{Canvas, Disc, Lens};
 use framing::{Framing, Upright};
-use scenesplat_scene::GaussianScene;
 use scenesplat_scene::picture::{Channels, Picture, RgbPicture, Samples};
+use scenesplat_scene::{GaussianScene, UpAxis};
 use std::path::{Path, PathBuf};
 
 /// Why there is no preview.
@@ -57,30 +57,6 @@ pub enum PreviewError {
     },
 }
 
-/// The direction that is up in a scene.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-pub enum UpAxis {
-    /// +x
-    #[serde(rename = "+x")]
-    PlusX,
-    /// −x
-    #[serde(rename = "-x")]
-    MinusX,
-    /// +y
-    #[serde(rename = "+y")]
-    PlusY,
-    /// −y: objects from image-based pipelines, whose y points down.
-    #[serde(rename = "-y")]
-    MinusY,
-    /// +z: captured rooms.
-    #[default]
-    #[serde(rename = "+z")]
-    PlusZ,
-    /// −z
-    #[serde(rename = "-z")]
-    MinusZ,
-}
-
 /// What to draw, one row per Gaussian.
 #[derive(Debug, Clone, Copy)]
 pub struct PreviewRows<'a> {
@@ -106,7 +82,8 @@ pub struct SplatShapes<'a> {
 }
 
 /// Sizes and opacities of a scene, to make [`PreviewRows`] of.
-pub(crate) struct SceneRows {
+#[derive(Debug, Clone)]
+pub struct SceneRows {
     scale: Vec<[f32; 3]>,
     /// The middle one of the three.
     radius: Vec<f32>,
@@ -114,7 +91,8 @@ pub(crate) struct SceneRows {
 }
 
 impl SceneRows {
-    pub(crate) fn of(scene: &GaussianScene) -> Self {
+    /// Of all rows of a scene.
+    pub fn of(scene: &GaussianScene) -> Self {
         let scale: Vec<[f32; 3]> = (0..scene.len()).map(|row| scene.scale(row)).collect();
         let middle = |s: &[f32; 3]| {
             let mut s = *s;
@@ -127,11 +105,7 @@ impl SceneRows {
     }
 
     /// `color`: one per Gaussian of the same scene.
-    pub(crate) fn rows<'a>(
-        &'a self,
-        scene: &'a GaussianScene,
-        color: &'a [[u8; 3]],
-    ) -> PreviewRows<'a> {
+    pub fn rows<'a>(&'a self, scene: &'a GaussianScene, color: &'a [[u8; 3]]) -> PreviewRows<'a> {
         let Self { scale, radius, opacity } = self;
         let shapes = Some(SplatShapes { quat: &scene.quat, scale });
         PreviewRows { coord: &scene.coord, color, radius, opacity, shapes }
@@ -261,16 +235,18 @@ pub fn write_preview(
 }
 
 /// Writes a picture, beside the path first, then renamed. Returns the size of the file.
-pub(crate) fn write_png(path: &Path, picture: &RgbPicture) -> Result<u64, PreviewError> {
+///
+/// # Errors
+/// If it cannot be encoded or written.
+pub fn write_png(path: &Path, picture: &RgbPicture) -> Result<u64, PreviewError> {
     put_png(path, picture.encode_png())
 }
 
-/// As [`write_png`], of 16-bit grey values.
-pub(crate) fn write_png16(
-    path: &Path,
-    values: &[u16],
-    size: [u32; 2],
-) -> Result<u64, PreviewError> {
+/// As [`write_png`], of 16-bit grey values, row by row; `size`: width, height.
+///
+/// # Errors
+/// As [`write_png`].
+pub fn write_png16(path: &Path, values: &[u16], size: [u32; 2]) -> Result<u64, PreviewError> {
     let (expected, got) = (size[0] as usize * size[1] as usize, values.len());
     let picture = Picture::new(size[0], size[1], Channels::Gray, Samples::Sixteen(values.to_vec()))
         .ok_or(PreviewError::Rows { field: "depth", expected, got })?;

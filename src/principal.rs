@@ -33,19 +33,20 @@ pub fn principal_colors(features: &SceneFeatures) -> Result<Vec<[u8; 3]>, Encode
 }
 
 /// Which rows of many to find directions from: every so many.
-pub(crate) fn sample_step(rows: usize) -> usize {
+pub fn sample_step(rows: usize) -> usize {
     rows.div_ceil(SAMPLE).max(1)
 }
 
 /// The three directions along which rows differ most, strongest first.
-pub(crate) struct PrincipalDirections {
+#[derive(Debug, Clone)]
+pub struct PrincipalDirections {
     mean: Vec<f64>,
     directions: [Vec<f64>; 3],
 }
 
 impl PrincipalDirections {
     /// `rows`: `[n, width]`; without rows, or along directions that no row has, projections are 0.
-    pub(crate) fn find(mut rows: Vec<f32>, width: usize) -> Self {
+    pub fn find(mut rows: Vec<f32>, width: usize) -> Self {
         let n = (rows.len() / width).max(1);
         let mut mean = vec![0f64; width];
         for row in rows.chunks_exact(width) {
@@ -60,7 +61,7 @@ impl PrincipalDirections {
     }
 
     /// Coordinates of a row along the directions.
-    pub(crate) fn project(&self, row: &[f32]) -> [f32; 3] {
+    pub fn project(&self, row: &[f32]) -> [f32; 3] {
         let along = |d: &Vec<f64>| -> f64 {
             row.iter().zip(&self.mean).zip(d).map(|((v, m), d)| (f64::from(*v) - m) * d).sum()
         };
@@ -70,7 +71,7 @@ impl PrincipalDirections {
 
 /// Coordinates as red, green, blue, each stretched over its 2–98 % range; rows without any take the
 /// colour of what has no label.
-pub(crate) fn stretched_colors(projected: &[Option<[f32; 3]>]) -> Vec<[u8; 3]> {
+pub fn stretched_colors(projected: &[Option<[f32; 3]>]) -> Vec<[u8; 3]> {
     let ranges: [(f32, f32); 3] = std::array::from_fn(|axis| {
         let mut values: Vec<f32> = projected.iter().flatten().map(|p| p[axis]).collect();
         values.sort_by(f32::total_cmp);

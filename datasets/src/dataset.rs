@@ -1,6 +1,6 @@
 //! Samples by number.
 
-use crate::{DataError, DataSource, Sample, Transform, sample_rng};
+use crate::{DataError, DataSource, LeftOut, RepairedScene, Sample, Transform, sample_rng};
 use scenesplat_scene::RepairReport;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -26,6 +26,11 @@ pub trait Dataset: Send + Sync {
 
     /// Name of the scene that sample `index` is made of; empty if there is no such sample.
     fn id(&self, index: usize) -> &str;
+
+    /// What was left out or repaired in the scenes read so far, and what they lack.
+    fn left_out(&self) -> LeftOut {
+        LeftOut::default()
+    }
 }
 
 /// The scenes of a source, each changed by the same transforms.
@@ -35,6 +40,8 @@ pub struct SceneDataset {
     seed: u64,
     repeat: usize,
     repairs: Mutex<BTreeMap<String, RepairReport>>,
+    /// Rows of each scene read so far, whether it has labels, and whether it has features.
+    seen: Mutex<BTreeMap<String, (usize, bool, bool)>>,
 }
 
 impl SceneDataset {
@@ -52,7 +59,14 @@ impl SceneDataset {
         if repeat == 0 || source.scene_ids().len().checked_mul(repeat).is_none() {
             return Err(crate::error::bad_setting("repeat", repeat, "a number of 1 or more"));
         }
-        Ok(Self { source, transforms, seed, repeat, repairs: Mutex::default() })
+        Ok(Self {
+            source,
+            transforms,
+            seed,
+            repeat,
+            repairs: Mutex::default(),
+            seen: Mutex::default(),
+        })
     }
 
     /// The scenes in which something had to be repaired or left out so far, by name, with what.
@@ -62,6 +76,11 @@ impl SceneDataset {
 
     fn make(&self, epoch: u64, index: usize, id: &str) -> Result<Sample, DataError> {
         let loaded = self.source.load(id)?;
+        let labels = loaded.scene.segment.as_ref().is_some_and(|s| s.iter().any(|l| *l >= 0));
+        let about = (loaded.report.source_rows, labels, loaded.scene.lang_feat.is_some());
+        let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
+        seen.entry(id.to_owned()).or_insert(about);
+        drop(seen);
         if !loaded.report.is_clean() {
             let mut repairs = self.repairs.lock().unwrap_or_else(PoisonError::into_inner);
             repairs.entry(id.to_owned()).or_insert(loaded.report);
@@ -93,6 +112,22 @@ impl Dataset for SceneDataset {
     fn id(&self, index: usize) -> &str {
         let ids = self.source.scene_ids();
         if index < self.len() { &ids[index % ids.len()] } else { "" }
+    }
+
+    fn left_out(&self) -> LeftOut {
+        let seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
+        let repairs = self.repairs.lock().unwrap_or_else(PoisonError::into_inner);
+        let lacking = |lacks: fn(&(usize, bool, bool)) -> bool| {
+            seen.iter().filter(|(_, about)| lacks(about)).map(|(id, _)| id.clone()).collect()
+        };
+        LeftOut {
+            scenes: seen.len(),
+            rows: seen.values().map(|(rows, ..)| rows).sum(),
+            skipped: BTreeMap::new(),
+            repaired: repairs.iter().map(|(id, r)| (id.clone(), RepairedScene::from(r))).collect(),
+            without_labels: lacking(|(_, labels, _)| !labels),
+            without_features: lacking(|(.., features)| !features),
+        }
     }
 }
 

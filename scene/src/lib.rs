@@ -6,6 +6,7 @@
 //!
 //! Not for: rendering, training, searching for neighbours.
 
+pub mod bounds;
 pub mod camera;
 pub mod class_map;
 pub mod error;
@@ -15,12 +16,16 @@ pub mod gaussian_scene;
 pub mod label_set;
 pub mod language_code;
 pub mod picture;
+pub mod quantile;
 pub mod quaternion;
 pub mod similarity;
 pub mod spherical_harmonics;
 pub mod text_table;
+pub mod up;
+pub mod up_axis;
 pub mod value_policy;
 
+pub use bounds::{Bounds, raw_bounds, robust_bounds};
 pub use camera::{Camera, Distortion};
 pub use class_map::ClassMap;
 pub use error::SceneError;
@@ -35,4 +40,6 @@ pub use label_set::LabelSet;
 pub use language_code::{LanguageCode, LanguageCodebook};
 pub use similarity::Similarity;
 pub use text_table::TextTable;
+pub use up::{UpEvidence, UpGuess, guess_up, guess_up_within};
+pub use up_axis::UpAxis;
 pub use value_policy::{Policy, RepairReport};

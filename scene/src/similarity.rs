@@ -75,7 +75,7 @@ impl GaussianScene {
             // A mirrored ellipsoid is the one turned by the negative matrix, which is a rotation.
             let sign = if determinant(&by.rotation) < 0.0 { -1.0 } else { 1.0 };
             let turn = matrix_to_quat(&by.rotation.map(|row| row.map(|v| v * sign)));
-            self.quat.par_iter_mut().for_each(|q| *q = multiply(turn, *q));
+            self.quat.par_iter_mut().for_each(|q| *q = quat_product(turn, *q));
         }
         let width = self.sh_rest_len() * 3;
         if width > 0 {
@@ -93,7 +93,7 @@ impl GaussianScene {
 }
 
 /// The unit quaternion `w, x, y, z` of a rotation matrix.
-pub(crate) fn matrix_to_quat(m: &Matrix3) -> [f64; 4] {
+pub fn matrix_to_quat(m: &Matrix3) -> [f64; 4] {
     let trace = [
         m[0][0] + m[1][1] + m[2][2],
         m[0][0] - m[1][1] - m[2][2],
@@ -114,8 +114,8 @@ pub(crate) fn matrix_to_quat(m: &Matrix3) -> [f64; 4] {
     }
 }
 
-/// The product `a · b` of quaternions, normalised, with `w ≥ 0`.
-fn multiply(a: [f64; 4], b: [f32; 4]) -> [f32; 4] {
+/// The product `a · b` of quaternions `w, x, y, z`, normalised, with `w ≥ 0`.
+pub fn quat_product(a: [f64; 4], b: [f32; 4]) -> [f32; 4] {
     let b = b.map(f64::from);
     let q = [
         a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],

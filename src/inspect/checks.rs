@@ -1,13 +1,12 @@
 //! The thresholds: what counts as a finding, and in which words.
 
-use super::bounds::Bounds;
 use super::content::{TooWide, Values};
 use super::duplicates::Duplicates;
 use super::findings::{About, Findings, Severity};
 use super::neighbourhood::{FEWEST_ROWS, Neighbourhood, reach};
 use super::statistics::{count_rows, largest};
 use super::unit::{LengthUnit, UnitGuess, short};
-use scenesplat_scene::GaussianScene;
+use scenesplat_scene::{Bounds, GaussianScene};
 
 /// A Gaussian is an outlier when its distance from the robust box exceeds so many of its diagonals.
 /// The badly converged capture of the calibration reaches 1.6, clean scenes 0.03.

@@ -1,11 +1,10 @@
 //! What is in a scene: distributions, harmonics, voxels, labels.
 
-use super::bounds::Bounds;
 use super::statistics::{Histogram, Quantiles, count_rows, sort};
 use rayon::prelude::*;
 use scenesplat_datasets::plan::center_shift;
 use scenesplat_kernels::grid_sample::{GridSampleError, KeyOrder, voxel_groups};
-use scenesplat_scene::GaussianScene;
+use scenesplat_scene::{Bounds, GaussianScene};
 use serde::Serialize;
 use std::collections::BTreeSet;
 

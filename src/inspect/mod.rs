@@ -5,7 +5,6 @@
 //! is written as JSON. Every number is finite or null. The thresholds were set on the real scenes
 //! listed in `docs/inspect.md`, which raise no finding.
 
-mod bounds;
 mod checks;
 mod content;
 mod duplicates;
@@ -16,20 +15,18 @@ pub mod sheet;
 mod statistics;
 mod table;
 mod unit;
-mod up;
 
-pub use bounds::Bounds;
 pub use content::{Labels, LanguageCodes, ShBand, Values, Voxels};
 pub use estimate::{Estimate, estimate, measure_gflops};
 pub use findings::{Finding, Severity};
 pub use statistics::{Border, Histogram, Quantiles};
 pub use unit::{LengthUnit, UnitGuess};
-pub use up::{UpEvidence, UpGuess};
+pub(crate) use unit::{guess_unit, may_be_no_metre, usual_spacing};
 
 use crate::NetworkConfig;
-use crate::preview::UpAxis;
 use findings::Findings;
-use scenesplat_scene::LoadedScene;
+pub use scenesplat_scene::{Bounds, UpEvidence, UpGuess};
+use scenesplat_scene::{LoadedScene, UpAxis, guess_up_within, raw_bounds, robust_bounds};
 use serde::Serialize;
 
 /// How to look at a scene.
@@ -130,15 +127,15 @@ pub struct Inspection {
 /// ```
 pub fn inspect(loaded: &LoadedScene, settings: &InspectSettings) -> Inspection {
     let scene = &loaded.scene;
-    let bounds = bounds::raw_bounds(&scene.coord);
-    let robust = bounds::robust_bounds(&scene.coord);
+    let bounds = raw_bounds(&scene.coord);
+    let robust = robust_bounds(&scene.coord);
     let zone = robust.grown(checks::OUTLIER_DIAGONALS * robust.diagonal());
     let near = neighbourhood::neighbourhood(scene, &zone);
     let (voxels, too_wide) = content::voxels(scene, settings.grid_size, &zone);
     let unit = unit::guess_unit(&robust, near.spacing);
     let up = match settings.up {
-        Some(up) => up::given(up),
-        None => up::guess(scene, &robust),
+        Some(up) => UpGuess::given(up),
+        None => guess_up_within(scene, &robust),
     };
     let sh_bands = content::sh_bands(scene);
     let sh_degree_used = sh_bands.iter().filter(|b| b.rows > 0).map(|b| b.band).max().unwrap_or(0);

@@ -1,13 +1,13 @@
 //! How near the neighbours of each Gaussian are, and which Gaussians have none.
 
-use super::bounds::Bounds;
-use super::statistics::{Counted, count_rows, largest, quantile};
+use super::statistics::{Counted, count_rows, largest};
 use scenesplat_kernels::neighbors::KdTree;
-use scenesplat_scene::GaussianScene;
+use scenesplat_scene::quantile::quantile;
+use scenesplat_scene::{Bounds, GaussianScene};
 
 /// The neighbour whose distance is looked at: the fourth, so that a pair or triple of stray
 /// Gaussians is not its own company.
-const NEIGHBOUR: usize = 4;
+pub(super) const NEIGHBOUR: usize = 4;
 
 /// A Gaussian is isolated when its neighbour is so many times farther than for 90 % of all …
 const FAR: f64 = 2.5;

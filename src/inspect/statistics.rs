@@ -1,6 +1,7 @@
 //! Quantiles and histograms that do not depend on the number of threads.
 
 use rayon::prelude::*;
+use scenesplat_scene::quantile::rank;
 use serde::Serialize;
 
 /// Rows that one task looks at.
@@ -105,11 +106,6 @@ pub(super) fn sort(values: &mut [f32]) {
     values.par_sort_unstable_by(f32::total_cmp);
 }
 
-/// Index of a quantile among `len` sorted values: the nearest rank.
-pub(super) fn rank(len: usize, share: f64) -> usize {
-    ((len.saturating_sub(1)) as f64 * share).round() as usize
-}
-
 impl Quantiles {
     /// The same of the powers of ten of the values.
     pub(super) fn power_of_ten(self) -> Self {
@@ -145,15 +141,6 @@ impl Quantiles {
             max: at(1.0),
         })
     }
-}
-
-/// Quantile of unsorted values, which are rearranged; `None` without any.
-pub(super) fn quantile(values: &mut [f32], share: f64) -> Option<f32> {
-    if values.is_empty() {
-        return None;
-    }
-    let at = rank(values.len(), share);
-    Some(*values.select_nth_unstable_by(at, f32::total_cmp).1)
 }
 
 /// Counts the rows that `holds` is true of, with the first of them.
@@ -210,7 +197,6 @@ mod tests {
         assert_eq!(Quantiles::of_sorted(&[]), None);
         let one = Quantiles::of_sorted(&[7.0]).unwrap();
         assert_eq!((one.min, one.p50, one.max), (7.0, 7.0, 7.0));
-        assert_eq!(quantile(&mut [3.0, 1.0, 2.0], 0.5), Some(2.0));
     }
 
     #[test]

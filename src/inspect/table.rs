@@ -117,7 +117,7 @@ impl fmt::Display for Inspection {
 
 impl Finding {
     /// All of it in one line.
-    pub(crate) fn lines_joined(&self) -> String {
+    pub fn lines_joined(&self) -> String {
         self.lines(usize::MAX).iter().map(|l| l.trim()).collect::<Vec<_>>().join("; ")
     }
 
@@ -185,7 +185,7 @@ fn sure(confidence: f64) -> String {
     let word = match confidence {
         c if c >= 0.6 => "quite sure",
         c if c >= 0.3 => "likely",
-        c if c >= 0.15 => "perhaps",
+        c if c >= 0.25 => "perhaps",
         _ => "a guess",
     };
     format!("{word} ({confidence:.2})")

@@ -1,6 +1,9 @@
 //! What one unit of the coordinates is.
 
-use super::bounds::Bounds;
+use super::neighbourhood::NEIGHBOUR;
+use scenesplat_kernels::neighbors::KdTree;
+use scenesplat_scene::Bounds;
+use scenesplat_scene::quantile::quantile;
 use serde::Serialize;
 
 /// A unit of length.
@@ -21,6 +24,19 @@ pub enum LengthUnit {
 }
 
 impl LengthUnit {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Metre, Self::Centimetre, Self::Millimetre, Self::Kilometre];
+
+    /// Its length, metres.
+    pub fn metres(self) -> f64 {
+        match self {
+            Self::Metre => 1.0,
+            Self::Centimetre => 0.01,
+            Self::Millimetre => 0.001,
+            Self::Kilometre => 1000.0,
+        }
+    }
+
     /// Its symbol.
     pub fn symbol(self) -> &'static str {
         match self {
@@ -51,19 +67,43 @@ const COARSE: f64 = 1.0;
 /// From here on a room is better explained by centimetres; terrain is as large, so it stays a remark.
 const ROOM_IN_CM: f64 = 150.0;
 
+/// Gaussians whose spacing is measured where the whole scene is not looked at.
+const SAMPLE: usize = 50_000;
+
 /// Smaller than five voxels of 2 cm.
 const TINY: f64 = 0.1;
 
+/// Whether the size alone leaves the metre in doubt; only then is the spacing worth measuring.
+pub(crate) fn may_be_no_metre(robust: &Bounds) -> bool {
+    let size = robust.largest_extent();
+    size > ROOM_IN_CM || (0.0 < size && size < TINY)
+}
+
+/// Median distance to the fourth neighbour, by a sample of the Gaussians; `None` if there are too
+/// few, or a coordinate is not finite.
+pub(crate) fn usual_spacing(coord: &[[f32; 3]]) -> Option<f64> {
+    let tree = KdTree::new(coord).ok().filter(|_| coord.len() > NEIGHBOUR)?;
+    let step = coord.len().div_ceil(SAMPLE);
+    let query: Vec<[f32; 3]> = coord.iter().step_by(step).copied().collect();
+    let mut distance: Vec<f32> = tree.map_nearest(
+        &query,
+        NEIGHBOUR + 1,
+        || (),
+        |(), _, near| near.last().map_or(0.0, |n| n.distance_squared.sqrt() as f32),
+    );
+    quantile(&mut distance, 0.5).map(f64::from)
+}
+
 /// Judges by the largest side of the robust box and the usual distance of neighbours, metres if the
 /// unit is the metre. `None` if the scene has no extent.
-pub(super) fn guess_unit(robust: &Bounds, spacing: Option<f64>) -> Option<UnitGuess> {
+pub(crate) fn guess_unit(robust: &Bounds, spacing: Option<f64>) -> Option<UnitGuess> {
     let size = robust.largest_extent();
     let spacing = spacing?;
     if size <= 0.0 {
         return None;
     }
     let about = format!("{} units across, neighbours {} apart", short(size), short(spacing));
-    let upright = robust.extent().into_iter().fold(f64::INFINITY, f64::min) / size;
+    let upright = robust.smallest_extent() / size;
     Some(if size > LARGE && spacing > COARSE {
         // Twice as large is twice as sure; a kilometre is the least that a survey has.
         let confidence = (0.6 + 0.2 * (size / LARGE).log2()).min(0.98);

@@ -1,7 +1,8 @@
 //! Where the cameras stand and what they show.
 
-use super::UpAxis;
 use super::discs::{Disc, Lens};
+use scenesplat_scene::UpAxis;
+use scenesplat_scene::quantile::quantile;
 
 /// Turns a scene so that +z is up.
 #[derive(Clone, Copy)]
@@ -11,18 +12,7 @@ pub(super) struct Upright {
 
 impl Upright {
     pub(super) fn new(up: UpAxis) -> Self {
-        let (axis, sign) = match up {
-            UpAxis::PlusX => (0, 1.0),
-            UpAxis::MinusX => (0, -1.0),
-            UpAxis::PlusY => (1, 1.0),
-            UpAxis::MinusY => (1, -1.0),
-            UpAxis::PlusZ => (2, 1.0),
-            UpAxis::MinusZ => (2, -1.0),
-        };
-        let mut rows = [[0.0; 3]; 3];
-        rows[2][axis] = sign;
-        rows[0][if axis == 0 { 1 } else { 0 }] = 1.0;
-        rows[1] = cross(rows[2], rows[0]);
+        let rows = up.upright().map(|row| row.map(|v| v as f32));
         Self { rows }
     }
 
@@ -48,10 +38,6 @@ impl Upright {
         // A sum of one coordinate and two zeros would turn -0 into 0 only: no rounding.
         self.rows.map(|r| r[0] * p[0] + r[1] * p[1] + r[2] * p[2])
     }
-}
-
-fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 /// The box that is shown, and how.
@@ -93,7 +79,7 @@ const WALL_COVER: f64 = 0.6;
 impl Framing {
     pub(super) fn of(discs: &[Disc], open_rooms: bool) -> Self {
         let mut radii: Vec<f32> = discs.iter().map(|d| d.radius).collect();
-        let border = 2.0 * quantile(&mut radii, 0.5).clamp(1e-4, 1e4);
+        let border = 2.0 * at(&mut radii, 0.5).clamp(1e-4, 1e4);
         let (low, high) = bounds(&discs.iter(), OUTSIDE, border);
         let largest = (0..3).map(|a| high[a] - low[a]).fold(0.0, f64::max);
         let mut framing = Self {
@@ -264,16 +250,13 @@ fn bounds<'a>(
     for axis in 0..3 {
         values.clear();
         values.extend(discs.clone().map(|d| d.centre[axis]));
-        low[axis] = quantile(&mut values, share) - border;
-        high[axis] = quantile(&mut values, 1.0 - share) + border;
+        low[axis] = at(&mut values, share) - border;
+        high[axis] = at(&mut values, 1.0 - share) + border;
     }
     (low, high)
 }
 
-fn quantile(values: &mut [f32], share: f64) -> f64 {
-    if values.is_empty() {
-        return 0.0;
-    }
-    let index = ((values.len() - 1) as f64 * share).round() as usize;
-    f64::from(*values.select_nth_unstable_by(index, f32::total_cmp).1)
+/// A quantile, 0 without values.
+fn at(values: &mut [f32], share: f64) -> f64 {
+    quantile(values, share).map_or(0.0, f64::from)
 }

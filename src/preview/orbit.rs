@@ -1,8 +1,8 @@
 //! Cameras around a scene that has none of its own.
 
 use super::framing::{Framing, Upright};
-use super::{PreviewRows, UpAxis, visible_discs};
-use scenesplat_scene::{Camera, Distortion};
+use super::{PreviewRows, visible_discs};
+use scenesplat_scene::{Camera, Distortion, UpAxis};
 
 /// Cameras that look at a scene from around it, and what has to be left out to look into it.
 #[derive(Debug, Clone, PartialEq)]

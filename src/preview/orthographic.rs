@@ -2,7 +2,8 @@
 
 use super::discs::{Canvas, Disc, Lens};
 use super::framing::{Framing, Upright};
-use super::{FAINT_INK, PreviewRows, UpAxis, draw_scale_bar, text, visible_discs};
+use super::{FAINT_INK, PreviewRows, draw_scale_bar, text, visible_discs};
+use scenesplat_scene::UpAxis;
 use scenesplat_scene::picture::RgbPicture;
 
 /// Where a level view looks from.

@@ -57,7 +57,7 @@ fn curves(log: &[LoggedValue]) -> Vec<Curve> {
     for value in log {
         let kind = match value.name.split('/').next() {
             Some("train") => 0,
-            Some("health") => 2,
+            Some("health" | "data") => 2,
             _ => 1,
         };
         if value.name.ends_with("seconds_per_step") {

@@ -2,8 +2,8 @@
 
 use crate::NetworkConfig;
 use anyhow::{Context, Result};
-use candle_core::{Device, Tensor};
-use scenesplat_trainers::checkpoint::{best_checkpoint, newest_checkpoint};
+use candle_core::Tensor;
+use scenesplat_trainers::checkpoint::{best_checkpoint, newest_checkpoint, read_network};
 use std::collections::HashMap;
 use std::path::Path;
 
@@ -32,16 +32,9 @@ pub fn export_model(
             (dir, name)
         }
     };
-    let load = |name: &str| -> Result<HashMap<String, Tensor>> {
-        let path = dir.join(name);
-        candle_core::safetensors::load(&path, &Device::Cpu)
-            .with_context(|| path.display().to_string())
-    };
-    let mut tensors = load("params.safetensors")?;
+    let tensors = read_network(&dir)?;
     let averaged = dir.join("average.safetensors").is_file();
-    if averaged {
-        tensors.extend(load("average.safetensors")?);
-    }
+    let tensors = tensors.into_iter().collect();
     write_model(&tensors, config, folder)?;
     let averaged = if averaged { ", averaged parameters" } else { "" };
     Ok(vec![format!("model: {remark}{averaged}")])
@@ -122,8 +115,13 @@ source = { type = "synthetic", count = 2, seed = 9, room = { num_gaussians = 150
         let file = out.join("experiment.toml");
         std::fs::write(&file, text).unwrap();
         let experiment = ExperimentConfig::read(&file).unwrap();
-        let options =
-            RunOptions { out: out.join("run"), resume: false, quiet: true, stop: Arc::default() };
+        let options = RunOptions {
+            commit: None,
+            out: out.join("run"),
+            resume: false,
+            quiet: true,
+            stop: Arc::default(),
+        };
         let report = train(&experiment, &options).unwrap();
         let log = read_json_lines(&out.join("run/metrics.jsonl")).unwrap();
         let trained = log.iter().rfind(|m| m.name == "unseen/allAcc").unwrap().value;

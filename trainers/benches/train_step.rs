@@ -6,7 +6,7 @@
 mod support;
 /// The step of `scenesplat bench`.
 #[allow(dead_code, reason = "the program also compares gradients")]
-#[path = "../../src/bench/train_step.rs"]
+#[path = "../../cli/src/bench/train_step.rs"]
 mod train_step;
 
 use candle_core::{Device, Tensor};

@@ -134,7 +134,7 @@ fn neither_workers_threads_nor_interruptions_change_a_bit() {
         let module = language(Precision::F32, 2);
         let mut second = trainer(&module, settings());
         let newest = newest_checkpoint(dir.path()).unwrap().unwrap();
-        let start = second.load_checkpoint(&newest, module.params()).unwrap();
+        let start = second.load_checkpoint(&newest, &module).unwrap();
         second.fit(&module, &mut loader(data.clone(), workers), &mut [], start).unwrap();
         assert_eq!(expected, state(&module), "interrupted at {stop}, {workers} workers");
     }

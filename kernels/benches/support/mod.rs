@@ -2,7 +2,7 @@
 #![allow(dead_code, reason = "each benchmark uses a part")]
 
 /// The room of `scenesplat bench`.
-#[path = "../../../src/bench/room.rs"]
+#[path = "../../../cli/src/bench/room.rs"]
 mod room;
 
 use criterion::Criterion;

@@ -103,7 +103,7 @@ fn run(case: &str, mode: Mode) {
     let mut rng = ChaCha8Rng::seed_from_u64(0);
     let given = orders.clone();
     let mut cx =
-        Forward { mode, rng: &mut rng, orders, observer: Some(&mut observer), recompute: None };
+        Forward { mode, orders, observer: Some(&mut observer), ..Forward::train(&mut rng) };
     let both = network.forward_both(&points, mask.as_deref(), &mut cx).unwrap();
     let out = both.decoder.unwrap();
 

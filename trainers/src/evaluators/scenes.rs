@@ -6,6 +6,7 @@ use candle_core::Tensor;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use scenesplat_datasets::{Dataset, InputFeatures, TrainBatch, collate_samples};
+use scenesplat_metrics::ConfusionMatrix;
 use scenesplat_models::{Backbone, Forward};
 
 /// Calls `f` with each labelled scene of `data` and the network's output for it. A scene without any
@@ -39,4 +40,16 @@ pub(super) fn for_each(
 /// The values of a tensor, row-major.
 pub(super) fn values(out: &Tensor) -> Result<Vec<f32>, TrainError> {
     out.flatten_all().and_then(|t| t.to_vec1()).map_err(|source| TrainError::Forward { source })
+}
+
+/// Checks that an evaluation has seen a labelled row.
+pub(super) fn some_label(
+    name: &str,
+    scenes: usize,
+    confusion: &ConfusionMatrix,
+) -> Result<(), TrainError> {
+    if confusion.num_labelled() > 0 {
+        return Ok(());
+    }
+    Err(TrainError::NothingMeasured { name: name.to_owned(), scenes })
 }

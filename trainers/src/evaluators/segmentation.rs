@@ -1,11 +1,11 @@
 //! Supervised segmentation: the class with the largest logit, compared with the truth.
 
-use super::scenes::{for_each, values};
+use super::scenes::{for_each, some_label, values};
 use crate::TrainError;
 use crate::event::{Evaluator, Progress};
 use crate::tasks::SemanticSegmentation;
-use scenesplat_datasets::{Dataset, InputFeatures};
-use scenesplat_metrics::{ConfusionMatrix, Measurement, Metric};
+use scenesplat_datasets::{Dataset, InputFeatures, LeftOut};
+use scenesplat_metrics::{ConfusionMatrix, Measurement, Metric, TesterReport};
 use std::sync::Arc;
 
 /// Labels every voxel with its largest logit and measures mIoU, mAcc, allAcc (as
@@ -39,6 +39,14 @@ impl Evaluator<SemanticSegmentation> for SegmentationEvaluator {
         &self.name
     }
 
+    fn left_out(&self) -> LeftOut {
+        self.data.left_out()
+    }
+
+    fn measurements(&self) -> Vec<String> {
+        TesterReport::NAMES.map(str::to_owned).to_vec()
+    }
+
     fn run(
         &mut self,
         module: &SemanticSegmentation,
@@ -51,6 +59,7 @@ impl Evaluator<SemanticSegmentation> for SegmentationEvaluator {
             let predicted: Vec<i32> = logits.chunks_exact(classes).map(largest).collect();
             Ok(confusion.update((&predicted, labels))?)
         })?;
+        some_label(&self.name, self.data.len(), &confusion)?;
         Ok(confusion.measure())
     }
 }

@@ -1,12 +1,13 @@
 //! Zero-shot segmentation: the class whose text is nearest, compared with the truth.
 
-use super::scenes::{for_each, values};
+use super::scenes::{for_each, some_label, values};
 use crate::TrainError;
 use crate::event::{Evaluator, Progress};
 use crate::tasks::LanguagePretraining;
-use scenesplat_datasets::{Dataset, InputFeatures};
+use scenesplat_datasets::{Dataset, InputFeatures, LeftOut};
 use scenesplat_metrics::{
-    ConfusionMatrix, FeatureSlice, Measurement, Metric, TextTable, ZeroShotOptions, classify, vote,
+    ConfusionMatrix, FeatureSlice, Measurement, Metric, TesterReport, TextTable, ZeroShotOptions,
+    classify, vote,
 };
 use std::sync::Arc;
 
@@ -74,11 +75,21 @@ impl Evaluator<LanguagePretraining> for ZeroShotEvaluator {
         &self.name
     }
 
+    fn left_out(&self) -> LeftOut {
+        self.data.left_out()
+    }
+
+    fn measurements(&self) -> Vec<String> {
+        TesterReport::NAMES.map(str::to_owned).to_vec()
+    }
+
     fn run(
         &mut self,
         module: &LanguagePretraining,
         _: Progress,
     ) -> Result<Vec<Measurement>, TrainError> {
-        Ok(self.confusion(module.model())?.measure())
+        let confusion = self.confusion(module.model())?;
+        some_label(&self.name, self.data.len(), &confusion)?;
+        Ok(confusion.measure())
     }
 }

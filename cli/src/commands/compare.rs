@@ -1,0 +1,116 @@
+//! `scenesplat compare`
+
+mod measure;
+mod pictures;
+mod table;
+
+use crate::progress::{Progress, interrupted, listen_for_interrupt};
+use crate::terminal::{print, write_text};
+use anyhow::{Context, Result};
+use clap::ValueEnum;
+use measure::{Measured, Summary, measure};
+use scenesplat::models::Lpips;
+use serde_json::json;
+use std::path::PathBuf;
+
+/// Compares two pictures, PNG or JPEG, or those of two folders by their names without ending. The
+/// first is the render, the second the truth. 16-bit grey pictures are depth, all others colour.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// A PNG or JPEG file, or a folder of such.
+    pub a: PathBuf,
+    /// What it should be.
+    pub b: PathBuf,
+    /// What to measure; all by default.
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "NAME,…")]
+    pub metrics: Vec<MetricArg>,
+    /// Weights of LPIPS, AlexNet or VGG16, as one safetensors file; without them it is left out.
+    #[arg(long, value_name = "FILE")]
+    pub lpips_weights: Option<PathBuf>,
+    /// Steps per unit in 16-bit pictures of depth: 1000 for millimetres.
+    #[arg(long, value_name = "STEPS", default_value_t = 1000.0)]
+    pub depth_scale: f64,
+    /// Also writes all numbers as JSON here.
+    #[arg(long, value_name = "FILE.json")]
+    pub json: Option<PathBuf>,
+    /// Says nothing about the progress.
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+/// A metric of pictures.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum MetricArg {
+    /// Peak signal-to-noise ratio.
+    Psnr,
+    /// Structural similarity, with each treatment of the border.
+    Ssim,
+    /// Perceptual distance.
+    Lpips,
+    /// Mean absolute error of depth.
+    Depth,
+}
+
+impl Args {
+    /// Whether a metric is asked for.
+    fn wants(&self, metric: MetricArg) -> bool {
+        self.metrics.is_empty() || self.metrics.contains(&metric)
+    }
+}
+
+/// What is said where the distance cannot be computed.
+const NO_LPIPS: &str = "LPIPS skipped: weights not found (give them with --lpips-weights)";
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<()> {
+    // A handler is there already when several commands run in one process.
+    let _ = listen_for_interrupt();
+    if !(args.depth_scale.is_finite() && args.depth_scale > 0.0) {
+        let text = format!("--depth-scale {}: must be above 0", args.depth_scale);
+        return Err(super::WrongUse(text).into());
+    }
+    let progress = Progress::new(args.quiet);
+    let pairs = pictures::pairs(&args.a, &args.b)?;
+    let lpips = match &args.lpips_weights {
+        Some(path) if args.wants(MetricArg::Lpips) => {
+            Some(Lpips::load(path).context("LPIPS: the weights cannot be used")?)
+        }
+        _ => None,
+    };
+    let mut measured = Vec::new();
+    for (k, pair) in pairs.iter().enumerate() {
+        if interrupted() {
+            return Err(scenesplat::inference::EncodeError::Stopped.into());
+        }
+        progress.advance("compare", k as f64 / pairs.len() as f64);
+        measured.push(measure(args, pair, lpips.as_ref())?);
+    }
+    progress.finish();
+    let summary = Summary::of(&measured);
+    let no_lpips = args.wants(MetricArg::Lpips) && lpips.is_none();
+    print(&table::table(&measured, &summary));
+    if no_lpips {
+        print(NO_LPIPS);
+    }
+    if let Some(path) = &args.json {
+        let net = lpips.as_ref().map(|l| l.net().name());
+        let note = no_lpips.then_some(NO_LPIPS);
+        write_text(path, &report(&measured, &summary, net, note)?)?;
+    }
+    Ok(())
+}
+
+fn report(
+    measured: &[Measured],
+    summary: &Summary,
+    net: Option<&str>,
+    note: Option<&str>,
+) -> Result<String> {
+    let report = json!({
+        "images": measured,
+        "mean": summary,
+        "lpips_net": net,
+        "lpips_note": note,
+    });
+    Ok(serde_json::to_string_pretty(&report)? + "\n")
+}

@@ -1,0 +1,100 @@
+//! `scenesplat features`
+
+use crate::flags::{Inference, Shared};
+use crate::session::Session;
+use anyhow::Result;
+use scenesplat::outputs::{
+    FeatureType, ResultColumns, write_colored_ply, write_features_npy, write_features_safetensors,
+    write_scene_preview,
+};
+use scenesplat::principal::principal_colors;
+use std::path::PathBuf;
+
+/// Writes features.npy ([N, D], one row per Gaussian of the file), features.ply and preview.png
+/// (coloured by the features' three principal components) and a receipt.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// A .ply file or a folder of .npy files.
+    pub scene: PathBuf,
+    /// Number type of the features.
+    #[arg(long, value_enum, default_value_t = Dtype::F32)]
+    pub dtype: Dtype,
+    /// File format of the features.
+    #[arg(long, value_enum, default_value_t = Format::Npy)]
+    pub format: Format,
+    /// Flags of the network.
+    #[command(flatten)]
+    pub inference: Inference,
+    /// Flags of all commands.
+    #[command(flatten)]
+    pub shared: Shared,
+}
+
+/// Number type of written features.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum Dtype {
+    /// 4 bytes a value.
+    F32,
+    /// 2 bytes a value, rounded to nearest.
+    F16,
+}
+
+impl From<Dtype> for FeatureType {
+    fn from(dtype: Dtype) -> Self {
+        match dtype {
+            Dtype::F32 => Self::F32,
+            Dtype::F16 => Self::F16,
+        }
+    }
+}
+
+/// File format of written features.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum Format {
+    /// `features.npy`, `[N, D]`.
+    Npy,
+    /// `features.safetensors` with the tensor `features`, `[N, D]`.
+    Safetensors,
+}
+
+/// Runs the command.
+pub fn run(args: &Args, line: &str) -> Result<()> {
+    let session = Session::start(&args.shared, line)?;
+    session.make_out()?;
+    let network = session.network(&args.inference)?;
+    let opened = session.open(&args.scene, &args.inference)?;
+    let features = session.encode(&opened.loaded.scene, &network, &args.inference)?;
+    drop(network);
+    {
+        let _stage = session.receipt.stage("write");
+        let (path, bytes) = match args.format {
+            Format::Npy => {
+                let path = session.out("features.npy");
+                let bytes = write_features_npy(&opened, &features, args.dtype.into(), &path)?;
+                (path, bytes)
+            }
+            Format::Safetensors => {
+                let path = session.out("features.safetensors");
+                let bytes =
+                    write_features_safetensors(&opened, &features, args.dtype.into(), &path)?;
+                (path, bytes)
+            }
+        };
+        session.wrote(&path, bytes);
+        session.receipt.add_rows_out(opened.loaded.source_rows());
+    }
+    session.check_stop()?;
+    let _stage = session.receipt.stage("picture");
+    let colors = principal_colors(&features)?;
+    let path = session.out("features.ply");
+    let bytes = write_colored_ply(&opened, &colors, &ResultColumns::default(), &path)?;
+    session.wrote(&path, bytes);
+    let name = args.scene.file_name().unwrap_or_default().to_string_lossy();
+    let title = format!("{name}: features (principal components as colours)");
+    let up = session.up(&opened.loaded.scene, &args.inference);
+    let path = session.out("preview.png");
+    let bytes = write_scene_preview(&opened.loaded.scene, &colors, &[], &title, up, &path)?;
+    session.wrote(&path, bytes);
+    drop(_stage);
+    session.finish()
+}

@@ -1,0 +1,134 @@
+//! `scenesplat inspect`
+
+use crate::flags::{Shared, SourceArgs, parse_up};
+use crate::session::Session;
+use crate::terminal::{print, write_text};
+use anyhow::{Context, Result, bail};
+use scenesplat::input::scene_name;
+use scenesplat::inspect::sheet::write_sheet;
+use scenesplat::inspect::{InspectSettings, inspect};
+use scenesplat::network::NetworkChoice;
+use scenesplat::scene::{ReadOptions, UpAxis};
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+/// Prints what is in a scene, what is wrong with it and what the network will cost, and draws it as
+/// SCENE.inspect.png in the output folder.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The scene, in any format.
+    pub scene: PathBuf,
+    /// Also writes everything as JSON here.
+    #[arg(long, value_name = "FILE.json")]
+    pub json: Option<PathBuf>,
+    /// Draws the sheet here instead.
+    #[arg(long, value_name = "FILE.png", conflicts_with = "no_sheet")]
+    pub sheet: Option<PathBuf>,
+    /// Draws no sheet.
+    #[arg(long)]
+    pub no_sheet: bool,
+    /// Which way is up in the sheet; judged by the scene if not given.
+    #[arg(long, value_name = "AXIS", value_parser = parse_up, allow_hyphen_values = true)]
+    pub up: Option<UpAxis>,
+    /// Ends with exit code 1 if there is any finding; notes do not count.
+    #[arg(long)]
+    pub fail_on_findings: bool,
+    /// How to read the scene.
+    #[command(flatten)]
+    pub source: SourceArgs,
+    /// Flags of all commands; --config names the network whose cost is estimated.
+    #[command(flatten)]
+    pub shared: Shared,
+}
+
+/// Runs the command.
+pub fn run(args: &Args, line: &str) -> Result<()> {
+    let session = Session::start(&args.shared, line)?;
+    let config = args.shared.config.clone().unwrap_or(NetworkChoice::Language);
+    let network = (config.to_string(), config.resolve()?);
+    let opened = {
+        let _stage = session.receipt.stage("read");
+        let opened = {
+            let options = ReadOptions { sh_rest: true, ..args.source.options() };
+            session.read(&args.scene, &options)?
+        };
+        session.receipt.add_rows_in(opened.loaded.source_rows());
+        if args.shared.receipt.is_some() {
+            session.receipt.fingerprint("input", &args.scene)?;
+        }
+        opened
+    };
+    session.check_stop()?;
+    let seen = {
+        let _stage = session.receipt.stage("inspect");
+        let settings = InspectSettings {
+            from_points: opened.converted,
+            up: args.up,
+            network: Some(network),
+            ..InspectSettings::default()
+        };
+        inspect(&opened.loaded, &settings)
+    };
+    print(&seen.to_string());
+    session.check_stop()?;
+    if let Some(path) = &args.json {
+        let bytes = write_text(path, &serde_json::to_string_pretty(&seen)?)?;
+        session.wrote(path, bytes);
+    }
+    if !args.no_sheet {
+        let _stage = session.receipt.stage("picture");
+        let path = match &args.sheet {
+            Some(path) => path.clone(),
+            None => {
+                let out = &args.shared.out;
+                std::fs::create_dir_all(out)
+                    .with_context(|| format!("{}: cannot make the output folder", out.display()))?;
+                session.out(&sheet_name(&args.scene).to_string_lossy())
+            }
+        };
+        let bytes = write_sheet(&path, &opened.loaded.scene, &seen)?;
+        session.receipt.add_bytes_written(bytes);
+        print(&format!("sheet {}", path.display()));
+    }
+    for finding in &seen.findings {
+        session.receipt.warning(finding.lines_joined());
+    }
+    if args.shared.receipt.is_some() {
+        session.finish()?;
+    }
+    if args.fail_on_findings && !seen.findings.is_empty() {
+        let names: Vec<&str> = seen.findings.iter().map(|f| f.name.as_str()).collect();
+        bail!("{}: {} findings: {}", args.scene.display(), names.len(), names.join(", "));
+    }
+    Ok(())
+}
+
+/// `room.ply` → `room.ply.inspect.png`; the description of a folder is named after the folder.
+fn sheet_name(scene: &Path) -> OsString {
+    // A path such as `.` has a name only once it is resolved.
+    let full = std::fs::canonicalize(scene).unwrap_or_else(|_| scene.to_owned());
+    let mut name = scene_name(&full).unwrap_or("scene".as_ref()).to_owned();
+    name.push(".inspect.png");
+    name
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sheets_are_named_after_the_scene() {
+        for (scene, name) in [
+            ("somewhere/room.ply", "room.ply.inspect.png"),
+            ("room.spz", "room.spz.inspect.png"),
+            ("robot/meta.json", "robot.inspect.png"),
+        ] {
+            assert_eq!(sheet_name(Path::new(scene)), name);
+        }
+        let here = tempfile::tempdir().unwrap();
+        let folder = here.path().join("scene.v1");
+        std::fs::create_dir(&folder).unwrap();
+        assert_eq!(sheet_name(&folder), "scene.v1.inspect.png");
+        assert_eq!(sheet_name(&folder.join(".")), "scene.v1.inspect.png");
+    }
+}

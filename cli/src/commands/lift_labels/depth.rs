@@ -1,0 +1,110 @@
+//! Whether only pixels of a Gaussian's own depth label it.
+
+use super::pictures::Pictures;
+use super::{Args, RuleArg};
+use crate::session::Session;
+use anyhow::{Context, Result};
+use scenesplat::rasterizer::Gaussians;
+use scenesplat::rasterizer::lifting::{DepthEffect, DepthProbe, DepthTolerance};
+use std::path::PathBuf;
+
+/// Which depth has to agree.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum DepthArg {
+    /// That of the scene, if some pictures show that it helps.
+    Auto,
+    /// None.
+    Off,
+    /// That of the scene.
+    Render,
+    /// What was measured, one file per frame.
+    Folder(PathBuf),
+}
+
+impl From<PathBuf> for DepthArg {
+    fn from(path: PathBuf) -> Self {
+        match path.to_str() {
+            Some("auto") => Self::Auto,
+            Some("off") => Self::Off,
+            Some("render") => Self::Render,
+            _ => Self::Folder(path),
+        }
+    }
+}
+
+impl Args {
+    /// What depth has to agree with a Gaussian's, if any; with `auto`, by what some pictures show.
+    pub(super) fn decide_depth(
+        &self,
+        session: &Session<'_>,
+        gaussians: &Gaussians,
+        pictures: &Pictures<'_>,
+    ) -> Result<Option<DepthTolerance>> {
+        let note = |text: &str| {
+            session.receipt.setting("depth", text, "pixels of another depth label nothing");
+        };
+        match &self.depth {
+            DepthArg::Off => {
+                note("off");
+                return Ok(None);
+            }
+            DepthArg::Auto if self.rule == RuleArg::CentrePixel => {
+                note("auto: off");
+                return Ok(None);
+            }
+            DepthArg::Auto => {}
+            DepthArg::Render => {
+                note("render");
+                return Ok(Some(DepthTolerance::RENDERED));
+            }
+            DepthArg::Folder(folder) => {
+                note(&folder.display().to_string());
+                return Ok(Some(DepthTolerance::default()));
+            }
+        }
+        let effect = self.depth_effect(session, gaussians, pictures)?;
+        let found = effect.misleading.map_or("unknown".to_owned(), |m| format!("{m:.3}"));
+        let chosen = if effect.helps() { "render" } else { "off" };
+        session.progress.say(format!(
+            "labels at another depth mislead: {found} (0: as right as the others, 1: by lot) on {} \
+             Gaussians, {:.1} % of the weight is at its depth; depth agreement: {chosen}",
+            effect.gaussians,
+            100.0 * effect.kept
+        ));
+        let why = "measured for --depth auto";
+        session.receipt.setting("depth_misleading", found, why);
+        session.receipt.setting("depth_gaussians", effect.gaussians, why);
+        session.receipt.setting("depth_kept", format!("{:.3}", effect.kept), why);
+        note(&format!("auto: {chosen}"));
+        Ok(effect.helps().then_some(DepthTolerance::RENDERED))
+    }
+
+    fn depth_effect(
+        &self,
+        session: &Session<'_>,
+        gaussians: &Gaussians,
+        pictures: &Pictures<'_>,
+    ) -> Result<DepthEffect> {
+        let _stage = session.receipt.stage("depth agreement");
+        let all = pictures.len();
+        let count = all.min(DepthProbe::PICTURES);
+        let mut probe = None;
+        for number in 0..count {
+            session.check_stop()?;
+            session.progress.advance("trying depth agreement", number as f64 / count as f64);
+            let picture = pictures.read(number * all / count)?;
+            let (dim, probe) = match &mut probe {
+                Some((dim, probe)) => (*dim, probe),
+                none => {
+                    let dim = picture.segments.dim;
+                    let new = DepthProbe::new(gaussians, dim, &self.settings(None))?;
+                    (dim, &mut none.insert((dim, new)).1)
+                }
+            };
+            picture.check_dim(dim)?;
+            probe.add(&picture.labelled()).with_context(|| format!("frame {}", picture.name))?;
+        }
+        session.progress.finish();
+        Ok(probe.context("no camera has segments")?.1.effect()?)
+    }
+}

@@ -1,0 +1,104 @@
+//! Cameras, their segments and depths, picture by picture.
+
+use super::depth::DepthArg;
+use anyhow::{Context, Result};
+use scenesplat::rasterizer::View;
+use scenesplat::rasterizer::lifting::LabelledPicture;
+use scenesplat::rasterizer::segments::{CameraMatches, FrameSegments, SegmentFolder};
+use scenesplat::scene::Camera;
+use scenesplat::scene::formats::npy::NpyFile;
+use std::path::Path;
+
+/// The views of the cameras that have a frame.
+pub(super) fn views(
+    cameras: &[Camera],
+    matches: &CameraMatches,
+    path: &Path,
+) -> Result<Vec<Option<View>>> {
+    let view = |(camera, frame): (&Camera, &Option<usize>)| {
+        let view = frame.map(|_| View::from_camera(camera)).transpose();
+        view.with_context(|| format!("{}: camera {:?}", path.display(), camera.name))
+    };
+    cameras.iter().zip(&matches.frames).map(view).collect()
+}
+
+/// Those with their frames.
+pub(super) fn paired<'a>(
+    views: &'a [Option<View>],
+    matches: &CameraMatches,
+) -> Vec<(&'a View, usize)> {
+    let pairs = views.iter().zip(&matches.frames);
+    pairs.filter_map(|(view, frame)| view.as_ref().zip(*frame)).collect()
+}
+
+/// The pictures that are read one by one.
+pub(super) struct Pictures<'a> {
+    folder: &'a SegmentFolder,
+    /// Cameras and the numbers of their frames.
+    views: Vec<(&'a View, usize)>,
+    depth: &'a DepthArg,
+}
+
+/// One of them.
+pub(super) struct Picture<'a> {
+    pub(super) name: &'a str,
+    view: &'a View,
+    pub(super) segments: FrameSegments,
+    depth: Option<Vec<f32>>,
+}
+
+impl<'a> Pictures<'a> {
+    pub(super) fn new(
+        folder: &'a SegmentFolder,
+        views: Vec<(&'a View, usize)>,
+        depth: &'a DepthArg,
+    ) -> Self {
+        Self { folder, views, depth }
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.views.len()
+    }
+
+    pub(super) fn read(&self, number: usize) -> Result<Picture<'a>> {
+        let (view, frame) = self.views[number];
+        let name = self.folder.name(frame);
+        let segments = self.folder.read(frame, view.width, view.height)?;
+        Ok(Picture { name, view, segments, depth: measured_depth(self.depth, name, view)? })
+    }
+}
+
+impl Picture<'_> {
+    pub(super) fn labelled(&self) -> LabelledPicture<'_> {
+        LabelledPicture {
+            view: self.view,
+            levels: &self.segments.levels,
+            features: &self.segments.features,
+            depth: self.depth.as_deref(),
+        }
+    }
+
+    /// Checks that features are as wide as those before.
+    pub(super) fn check_dim(&self, dim: usize) -> Result<()> {
+        let (name, mine) = (self.name, self.segments.dim);
+        anyhow::ensure!(
+            mine == dim,
+            "{name}: its features have {mine} values, those before it {dim}"
+        );
+        Ok(())
+    }
+}
+
+/// The measured depth of a frame.
+fn measured_depth(depth: &DepthArg, frame: &str, view: &View) -> Result<Option<Vec<f32>>> {
+    let DepthArg::Folder(folder) = depth else { return Ok(None) };
+    let file = NpyFile::open(&folder.join(format!("{frame}.npy")))?;
+    let expected = [view.height as usize, view.width as usize];
+    anyhow::ensure!(
+        file.shape() == expected,
+        "{}: is {:?}, its camera {expected:?} (depth has to have the size of the picture)",
+        file.path().display(),
+        file.shape()
+    );
+    Ok(Some(file.read_f32()?))
+}

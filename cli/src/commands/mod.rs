@@ -1,0 +1,103 @@
+//! The commands of the program. Exit codes: 0 done, 1 failed, 2 wrong use.
+
+mod bench;
+mod chunk;
+mod compare;
+mod convert;
+mod demo;
+mod evaluate;
+mod features;
+mod inspect;
+mod lift_labels;
+mod query;
+mod render;
+mod segment;
+mod train;
+mod weights;
+
+use clap::{Parser, Subcommand};
+use std::ffi::OsString;
+use std::process::ExitCode;
+
+/// Language features, labels and queries for scenes of 3D Gaussians, on a plain CPU.
+#[derive(Debug, Parser)]
+#[command(name = "scenesplat", version, about)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Labels a furnished room with the network inside the program: needs no file.
+    Demo(demo::Args),
+    /// Looks at a scene: what is in it, what is wrong with it, what it will cost.
+    Inspect(inspect::Args),
+    /// Writes one feature row per Gaussian.
+    Features(features::Args),
+    /// Labels every Gaussian with a class.
+    Segment(segment::Args),
+    /// Finds the Gaussians of an object by its name.
+    Query(query::Args),
+    /// Lifts labels of pictures onto the Gaussians.
+    LiftLabels(lift_labels::Args),
+    /// Measures labels against the truth that scenes carry.
+    Evaluate(evaluate::Args),
+    /// Draws a scene as its cameras, or cameras around it, see it.
+    Render(render::Args),
+    /// Measures how much pictures differ.
+    Compare(compare::Args),
+    /// Writes a scene in another format, whole or in part.
+    Convert(convert::Args),
+    /// Trains a network as a file says.
+    Train(train::Args),
+    /// Cuts scenes into overlapping squares for training.
+    Chunk(chunk::Args),
+    /// Says what is in a checkpoint and which network it fits.
+    Weights(weights::Args),
+    /// Measures the speed of this machine.
+    Bench(bench::Args),
+}
+
+/// The command line is right in form but asks for something that does not fit together.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub(crate) struct WrongUse(pub String);
+
+/// Runs the program on the given arguments, the first of which is its name.
+pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
+    let args: Vec<OsString> = args.into_iter().collect();
+    let line = args.iter().skip(1).map(|a| a.to_string_lossy()).collect::<Vec<_>>().join(" ");
+    let cli = match Cli::try_parse_from(&args) {
+        Ok(cli) => cli,
+        Err(e) => {
+            // Help and version are no errors.
+            let code = if e.use_stderr() { 2 } else { 0 };
+            let _ = e.print();
+            return ExitCode::from(code);
+        }
+    };
+    let done = match &cli.command {
+        Command::Demo(args) => demo::run(args, &line),
+        Command::Inspect(args) => inspect::run(args, &line),
+        Command::Features(args) => features::run(args, &line),
+        Command::Segment(args) => segment::run(args, &line),
+        Command::Query(args) => query::run(args, &line),
+        Command::LiftLabels(args) => lift_labels::run(args, &line),
+        Command::Evaluate(args) => evaluate::run(args, &line),
+        Command::Render(args) => render::run(args, &line),
+        Command::Compare(args) => compare::run(args),
+        Command::Convert(args) => convert::run(args),
+        Command::Train(args) => train::run(args),
+        Command::Chunk(args) => chunk::run(args),
+        Command::Weights(args) => weights::run(args, &line),
+        Command::Bench(args) => bench::run(args),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(e) => {
+            crate::terminal::print_error(&e);
+            ExitCode::from(if e.downcast_ref::<WrongUse>().is_some() { 2 } else { 1 })
+        }
+    }
+}

@@ -1,0 +1,137 @@
+//! The cameras of a `render`: of a file, or around the scene.
+
+use super::super::WrongUse;
+use super::Args;
+use anyhow::Result;
+use scenesplat::preview::{Ceiling, Orbit, SceneRows};
+use scenesplat::rasterizer::View;
+use scenesplat::scene::{Camera, GaussianScene, UpAxis, open_cameras};
+use std::collections::HashSet;
+use std::path::Path;
+
+/// A camera and the name of its picture.
+pub(super) struct Shot {
+    pub(super) name: String,
+    pub(super) camera: Camera,
+}
+
+/// All pictures to take.
+pub(super) struct Shots {
+    pub(super) list: Vec<Shot>,
+    /// Depth at which the near walls of a room end.
+    pub(super) near: Option<f64>,
+    pub(super) ceiling: Option<Ceiling>,
+    pub(super) notes: Vec<String>,
+}
+
+/// Size of the pictures around a scene.
+const ORBIT_SIZE: [u32; 2] = [640, 480];
+
+/// The chosen cameras of a file.
+pub(super) fn read(path: &Path, args: &Args) -> Result<Shots> {
+    let set = open_cameras(path)?;
+    let mut cameras = Vec::new();
+    if args.chosen.is_empty() {
+        cameras.extend(set.cameras.iter().enumerate());
+    }
+    for wanted in &args.chosen {
+        cameras.push(find(&set.cameras, wanted, path)?);
+    }
+    for (_, camera) in &cameras {
+        // Lenses that cannot be drawn are said before a large scene is read.
+        View::from_camera(camera)?;
+    }
+    let mut taken = HashSet::new();
+    let list = cameras
+        .into_iter()
+        .map(|(index, camera)| {
+            let mut name = picture_name(&camera.name, index);
+            if !taken.insert(name.clone()) {
+                // Folders of several lenses often number their pictures alike.
+                name = format!("{name}_{index:05}");
+                taken.insert(name.clone());
+            }
+            Shot { name, camera: args.size.map_or(camera.clone(), |size| resized(camera, size)) }
+        })
+        .collect();
+    Ok(Shots { list, near: None, ceiling: None, notes: set.notes })
+}
+
+/// A camera by the name of its picture, with or without folder and ending, or by its number.
+fn find<'a>(cameras: &'a [Camera], wanted: &str, path: &Path) -> Result<(usize, &'a Camera)> {
+    let of_name = |name: &str| {
+        let path = Path::new(name);
+        [Some(path.as_os_str()), path.file_name(), path.file_stem()]
+            .into_iter()
+            .flatten()
+            .any(|part| part == wanted)
+    };
+    let by_name = cameras.iter().enumerate().find(|(_, camera)| of_name(&camera.name));
+    let by_number = || wanted.parse().ok().and_then(|i: usize| Some((i, cameras.get(i)?)));
+    by_name.or_else(by_number).ok_or_else(|| {
+        let names: Vec<&str> = cameras.iter().take(3).map(|c| c.name.as_str()).collect();
+        let text = format!(
+            "--camera {wanted}: {} has {} cameras, numbers from 0, names such as {}",
+            path.display(),
+            cameras.len(),
+            names.join(", ")
+        );
+        WrongUse(text).into()
+    })
+}
+
+/// The stem of a picture's file, fit for a file name.
+fn picture_name(name: &str, index: usize) -> String {
+    let stem = Path::new(name).file_stem().unwrap_or_default().to_string_lossy();
+    let fit = |c: char| if c.is_control() || "/\\:*?\"<>|".contains(c) { '_' } else { c };
+    let name: String = stem.chars().map(fit).collect();
+    if name.is_empty() { format!("camera_{index:05}") } else { name }
+}
+
+/// The same camera with a picture of another size.
+fn resized(camera: &Camera, [width, height]: [u32; 2]) -> Camera {
+    let x = f64::from(width) / f64::from(camera.width);
+    let y = f64::from(height) / f64::from(camera.height);
+    Camera {
+        width,
+        height,
+        fx: camera.fx * x,
+        fy: camera.fy * y,
+        cx: camera.cx * x,
+        cy: camera.cy * y,
+        ..camera.clone()
+    }
+}
+
+/// Cameras around a scene.
+pub(super) fn around(scene: &GaussianScene, up: UpAxis, args: &Args) -> Shots {
+    let count = usize::from(args.orbit.unwrap_or(4));
+    let color = vec![[0; 3]; scene.len()];
+    let sizes = SceneRows::of(scene);
+    let rows = sizes.rows(scene, &color);
+    let orbit = Orbit::around(&rows, up, count, args.size.unwrap_or(ORBIT_SIZE));
+    let mut notes = Vec::new();
+    if orbit.near.is_some() {
+        notes.push("a closed room: ceiling and near walls are left out".to_owned());
+    }
+    let shot = |camera: Camera| Shot { name: camera.name.clone(), camera };
+    Shots {
+        list: orbit.cameras.into_iter().map(shot).collect(),
+        near: orbit.near,
+        ceiling: orbit.ceiling,
+        notes,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_fit_into_a_folder() {
+        assert_eq!(picture_name("images/left/0001.jpg", 4), "0001");
+        assert_eq!(picture_name("..", 4), "camera_00004");
+        assert_eq!(picture_name("", 12), "camera_00012");
+        assert_eq!(picture_name("a:b\\c?.png", 0), "a_b_c_");
+    }
+}

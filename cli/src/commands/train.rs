@@ -1,0 +1,95 @@
+//! `scenesplat train`
+
+use crate::progress::{interrupted, listen_for_interrupt};
+use crate::terminal::print;
+use anyhow::{Context, Result};
+use scenesplat::trainers::checkpoint::newest_checkpoint;
+use scenesplat::training::{ExperimentConfig, RunOptions, train};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+/// Trains a network as a file says; can be interrupted and resumed.
+///
+/// Ctrl-C saves and stops; `--resume` goes on, with the bits that an uninterrupted run has.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The experiment: data, network, losses, optimizer (see configs/).
+    #[arg(value_name = "CONFIG.toml")]
+    pub config: PathBuf,
+    /// Folder of the run. [default: runs/ and the name of the file]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Goes on with the run in that folder.
+    #[arg(long)]
+    pub resume: bool,
+    /// Starts anew or goes on, whichever applies.
+    #[arg(long, conflicts_with = "resume")]
+    pub resume_if_there: bool,
+    /// Other seed of first values, order and augmentation than the file's.
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// Threads; all cores by default. Results do not depend on it.
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+    /// Reads the experiment, prints it with everything that it extends, and trains nothing.
+    #[arg(long)]
+    pub check: bool,
+    /// Shows no progress.
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<()> {
+    let mut config = ExperimentConfig::read(&args.config)?;
+    if let Some(seed) = args.seed {
+        config.set_seed(seed);
+    }
+    if args.check {
+        print(&toml::to_string_pretty(&config)?);
+        return Ok(());
+    }
+    if let Some(threads) = args.threads {
+        rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("--threads")?;
+    }
+    let name = args.config.file_stem().unwrap_or_default();
+    let out = args.out.clone().unwrap_or_else(|| PathBuf::from("runs").join(name));
+    let there = || newest_checkpoint(&out.join("checkpoints"));
+    let resume = args.resume || (args.resume_if_there && there()?.is_some());
+    listen_for_interrupt()?;
+    let stop = Arc::new(AtomicBool::new(false));
+    watch(Arc::clone(&stop));
+    let report = train(
+        &config,
+        &RunOptions {
+            out,
+            resume,
+            quiet: args.quiet,
+            stop,
+            commit: option_env!("SCENESPLAT_COMMIT").map(str::to_owned),
+        },
+    )?;
+    for remark in &report.remarks {
+        print(remark);
+    }
+    let at = report.progress;
+    print(&format!("weights: {}", report.model.display()));
+    print(&format!("curves: {}", report.curves.display()));
+    if at.step < at.total_steps {
+        print(&format!("stopped at step {} of {}: --resume goes on", at.step, at.total_steps));
+    }
+    Ok(())
+}
+
+/// Tells the trainer when the user asks to stop.
+fn watch(stop: Arc<AtomicBool>) {
+    // Ends with the program: there is nothing to clean up.
+    std::thread::spawn(move || {
+        while !interrupted() {
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        stop.store(true, Ordering::SeqCst);
+    });
+}

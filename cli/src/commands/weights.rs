@@ -1,0 +1,126 @@
+//! `scenesplat weights`
+
+use crate::flags::{BranchArg, ConvLayoutArg, Shared};
+use crate::session::Session;
+use crate::terminal::{print, write_text};
+use anyhow::Result;
+use scenesplat::models::LoadPolicy;
+use scenesplat::models::convert::{Renamed, rename};
+use scenesplat::models::weights::{WeightSource, resolve, summarize};
+use scenesplat::network::{
+    Network, NetworkChoice, NetworkConfig, WeightOptions, Weights as Source, config_beside,
+    network_of,
+};
+use std::path::PathBuf;
+
+/// Prints the files with their SHA-256, their entries, and which network they fit.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// A .safetensors, .pth or .pt file, or a model folder.
+    pub checkpoint: PathBuf,
+    /// Lists every entry.
+    #[arg(long)]
+    pub list: bool,
+    /// Writes the findings as JSON.
+    #[arg(long, value_name = "FILE.json")]
+    pub json: Option<PathBuf>,
+    /// Half of a self-supervised checkpoint.
+    #[arg(long, value_enum, default_value_t = BranchArg::Teacher)]
+    pub branch: BranchArg,
+    /// Layout of sparse convolutions in the checkpoint.
+    #[arg(long, value_enum, default_value_t = ConvLayoutArg::Spconv2)]
+    pub conv_layout: ConvLayoutArg,
+    /// Flags of all commands; --config asks about one network only.
+    #[command(flatten)]
+    pub shared: Shared,
+}
+
+/// Runs the command.
+pub fn run(args: &Args, line: &str) -> Result<()> {
+    let session = Session::start(&args.shared, line)?;
+    let folder = resolve(&args.checkpoint)?;
+    let mut files = Vec::new();
+    for file in &folder.files {
+        let values: usize =
+            file.entries().values().map(|e| e.shape.iter().product::<usize>()).sum();
+        let sha256 = file.sha256()?;
+        let bytes = std::fs::metadata(file.path()).map_or(0, |m| m.len());
+        session.receipt.fingerprint_known("weights", file.path(), bytes, &sha256);
+        print(&format!(
+            "{}\n  sha256 {sha256}\n  {} tensors, {values} values, {} other entries",
+            file.path().display(),
+            file.entries().len(),
+            file.skipped().len()
+        ));
+        if let Ok(top) = summarize(file.path()) {
+            for (key, value) in top.iter().take(12) {
+                print(&format!("  {key}: {}", serde_json::to_string(value)?));
+            }
+            if top.len() > 12 {
+                print(&format!("  … {} more", top.len() - 12));
+            }
+        }
+        if args.list {
+            for (name, entry) in file.entries() {
+                let ours = match rename(name, args.branch.into()) {
+                    Renamed::Weight(ours) if ours == *name => String::new(),
+                    Renamed::Weight(ours) => format!(" → {ours}"),
+                    Renamed::Ignored(origin) => format!(" (ignored: {origin})"),
+                };
+                print(&format!("  {name} {:?} {}{ours}", entry.shape, entry.dtype));
+            }
+        }
+        files.push(serde_json::json!({
+            "path": file.path(), "sha256": sha256, "entries": file.entries(),
+            "skipped": file.skipped(), "values": values,
+        }));
+    }
+    let options = WeightOptions {
+        policy: LoadPolicy::Partial,
+        branch: args.branch.into(),
+        conv_layout: args.conv_layout.into(),
+    };
+    let shapes = WeightSource::files(folder.files, options.source())?.shapes();
+
+    let candidates: Vec<(String, NetworkConfig)> = match &args.shared.config {
+        Some(choice) => {
+            let own = network_of(&Source::File(args.checkpoint.clone()), Some(choice), options)?;
+            vec![(choice.to_string(), own)]
+        }
+        None => match config_beside(&args.checkpoint)? {
+            Some(own) => vec![("the folder's own".to_owned(), own)],
+            None => NetworkChoice::NAMED
+                .into_iter()
+                .map(|(name, choice)| {
+                    // Inputs of an unknown kind are no network of ours: the plain one says why.
+                    let adapted = choice.resolve_for(&shapes).or_else(|_| choice.resolve())?;
+                    Ok((name.to_owned(), adapted))
+                })
+                .collect::<Result<_>>()?,
+        },
+    };
+    let mut fits = Vec::new();
+    for (name, config) in candidates {
+        match Network::load(config, &Source::File(args.checkpoint.clone()), options) {
+            Ok(network) => {
+                let report = network.report();
+                let verdict = if report.is_complete() { "fits" } else { "does not fit" };
+                print(&format!("{name}: {verdict}: {report}"));
+                fits.push(serde_json::json!({ "network": name, "fits": report.is_complete(), "report": report }));
+            }
+            Err(e) => {
+                print(&format!("{name}: does not fit: {e}"));
+                fits.push(serde_json::json!({ "network": name, "fits": false }));
+            }
+        }
+    }
+    if let Some(path) = &args.json {
+        let text =
+            serde_json::to_string_pretty(&serde_json::json!({ "files": files, "networks": fits }))?;
+        write_text(path, &text)?;
+    }
+    if args.shared.receipt.is_some() {
+        session.finish()?;
+    }
+    Ok(())
+}

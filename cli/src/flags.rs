@@ -1,0 +1,242 @@
+//! Flags that commands share.
+
+use crate::commands::WrongUse;
+use anyhow::Result;
+use clap::ValueEnum;
+use scenesplat::inspect::LengthUnit;
+use scenesplat::kernels::Precision;
+use scenesplat::memory::Bytes;
+use scenesplat::models::convert::{Branch, ConvLayout};
+use scenesplat::network::{NetworkChoice, Weights};
+use scenesplat::scene::{Policy, ReadOptions, SpzFrame, UpAxis};
+use std::path::PathBuf;
+
+/// Flags that all commands share.
+#[derive(Debug, clap::Args)]
+pub struct Shared {
+    /// Network: language, semseg, tiny or a .toml file; from the weights' folder if it has one.
+    #[arg(long, value_name = "NAME|FILE")]
+    pub config: Option<NetworkChoice>,
+    /// Checkpoint, model folder, seeded:N for values without meaning, or embedded, the small network
+    /// inside the program, which is the default if no --config is given either.
+    #[arg(long, value_name = "PATH|seeded:N|embedded")]
+    pub weights: Option<Weights>,
+    /// Threads; all cores by default. Results do not depend on it.
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+    /// Where to compute.
+    #[arg(long, value_enum, default_value_t = Device::Cpu)]
+    pub device: Device,
+    /// Folder for the results.
+    #[arg(long, value_name = "DIR", default_value = "scenesplat-out")]
+    pub out: PathBuf,
+    /// Also writes what was done and what it cost as JSON here.
+    #[arg(long, value_name = "FILE.json")]
+    pub receipt: Option<PathBuf>,
+    /// Seed of everything random (nothing is, unless asked for).
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub seed: u64,
+    /// Says nothing about the progress, and prints no receipt; results are still printed.
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+/// Where to compute.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Device {
+    /// The processor.
+    Cpu,
+}
+
+/// Flags of commands that read a scene.
+#[derive(Debug, clap::Args)]
+pub struct SourceArgs {
+    /// Which labels of a scene to read: a PLY property or the stem of a .npy file.
+    #[arg(long, value_name = "NAME")]
+    pub segment_name: Option<String>,
+    /// Refuses files with values that would be repaired.
+    #[arg(long)]
+    pub strict: bool,
+    /// What an SPZ file that is read is taken to be in: rub, as the format prescribes, or raw, as in
+    /// the PLY file it was made from.
+    #[arg(long, value_enum, default_value_t = SpzFrameArg::Rub)]
+    pub spz_frame: SpzFrameArg,
+    /// Level of detail of a streamed scene, 0 = finest.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub lod: usize,
+}
+
+impl Shared {
+    /// The weights, given or by default.
+    ///
+    /// # Errors
+    /// If a configuration is given without weights.
+    pub fn weights(&self) -> Result<Weights> {
+        match (&self.weights, &self.config) {
+            (Some(weights), _) => Ok(weights.clone()),
+            (None, None) => Ok(Weights::Embedded),
+            (None, Some(_)) => Err(WrongUse(
+                "--config needs --weights: give a checkpoint, or seeded:0 to try the program \
+                 without one (its labels mean nothing then); without both, the small network inside \
+                 the program is used"
+                    .to_owned(),
+            )
+            .into()),
+        }
+    }
+
+    /// Whether the network inside the program is used, whose texts are its own vocabulary.
+    pub fn is_embedded(&self) -> bool {
+        matches!((&self.weights, &self.config), (Some(Weights::Embedded), _) | (None, None))
+    }
+}
+
+impl SourceArgs {
+    /// What to read; nothing but what a network needs.
+    pub fn options(&self) -> ReadOptions {
+        ReadOptions {
+            policy: if self.strict { Policy::Strict } else { Policy::Repair },
+            segment: self.segment_name.clone(),
+            lang_feat: false,
+            sh_rest: false,
+            spz_frame: self.spz_frame.into(),
+            lod: self.lod,
+        }
+    }
+}
+
+/// Frames of SPZ files.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum SpzFrameArg {
+    /// Right, up, back.
+    Rub,
+    /// As in the PLY file.
+    Raw,
+}
+
+impl From<SpzFrameArg> for SpzFrame {
+    fn from(frame: SpzFrameArg) -> Self {
+        match frame {
+            SpzFrameArg::Rub => Self::Rub,
+            SpzFrameArg::Raw => Self::Raw,
+        }
+    }
+}
+
+/// Flags of commands that run a network over a scene.
+#[derive(Debug, clap::Args)]
+pub struct Inference {
+    /// The original's steps (a sampling at half the voxel size, several passes, average) instead of
+    /// one pass.
+    #[arg(long)]
+    pub exact: bool,
+    /// Form of the numbers that are multiplied: f32; split (f32 as two bf16, where the CPU has bf16
+    /// tiles); bf16 (rounded to 8 bits; about twice as fast with AVX512-BF16).
+    #[arg(long, value_name = "f32|split|bf16", default_value_t = Precision::F32)]
+    pub precision: Precision,
+    /// Voxel size, metres; by default the one that the network was trained at.
+    #[arg(long, value_name = "M")]
+    pub grid_size: Option<f64>,
+    /// Limit for the whole process (8GB, 512MB); larger scenes go through overlapping tiles.
+    #[arg(long, value_name = "SIZE")]
+    pub max_memory: Option<Bytes>,
+    /// Context around a tile, voxels.
+    #[arg(long, value_name = "N", default_value_t = 50)]
+    pub halo: u32,
+    /// Shuffles curve orders as the original does, but with --seed.
+    #[arg(long)]
+    pub shuffle_orders: bool,
+    /// How to read the scene.
+    #[command(flatten)]
+    pub source: SourceArgs,
+    /// Loads what fits of a checkpoint that does not fit the network.
+    #[arg(long)]
+    pub partial_weights: bool,
+    /// Half of a self-supervised checkpoint.
+    #[arg(long, value_enum, default_value_t = BranchArg::Teacher)]
+    pub branch: BranchArg,
+    /// Layout of sparse convolutions in the checkpoint.
+    #[arg(long, value_enum, default_value_t = ConvLayoutArg::Spconv2)]
+    pub conv_layout: ConvLayoutArg,
+    /// Which way is up in the scene, for pictures and for the network, which reads a turned copy of a
+    /// scene that lies otherwise than +z; judged by the scene if not given.
+    #[arg(long, value_name = "AXIS", value_parser = parse_up, allow_hyphen_values = true)]
+    pub up: Option<UpAxis>,
+    /// What one unit of the scene is: m, cm, mm, km or a number of metres. The network reads a scaled
+    /// copy; judged by the scene if not given.
+    #[arg(long, value_name = "UNIT|METRES", value_parser = parse_unit)]
+    pub unit: Option<f64>,
+    /// The network reads the scene as it is: neither turned nor scaled.
+    #[arg(long, conflicts_with = "unit")]
+    pub as_is: bool,
+}
+
+impl Inference {
+    /// A flag that was given and only means something to a network.
+    pub fn network_flag(&self) -> Option<&'static str> {
+        let flags = [
+            (self.exact, "--exact"),
+            (self.precision != Precision::F32, "--precision"),
+            (self.grid_size.is_some(), "--grid-size"),
+            (self.max_memory.is_some(), "--max-memory"),
+            (self.halo != 50, "--halo"),
+            (self.shuffle_orders, "--shuffle-orders"),
+            (self.partial_weights, "--partial-weights"),
+            (self.unit.is_some(), "--unit"),
+            (self.as_is, "--as-is"),
+        ];
+        flags.iter().find(|(given, _)| *given).map(|(_, name)| *name)
+    }
+}
+
+/// Half of a self-supervised checkpoint.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum BranchArg {
+    /// The averaged network.
+    Teacher,
+    /// The trained network.
+    Student,
+}
+
+/// Layout of sparse convolutions.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ConvLayoutArg {
+    /// `[out, kx, ky, kz, in]`
+    Spconv2,
+    /// `[kx, ky, kz, in, out]`
+    Spconv1,
+}
+
+impl From<BranchArg> for Branch {
+    fn from(branch: BranchArg) -> Self {
+        match branch {
+            BranchArg::Teacher => Self::Teacher,
+            BranchArg::Student => Self::Student,
+        }
+    }
+}
+
+impl From<ConvLayoutArg> for ConvLayout {
+    fn from(layout: ConvLayoutArg) -> Self {
+        match layout {
+            ConvLayoutArg::Spconv2 => Self::OutKernelIn,
+            ConvLayoutArg::Spconv1 => Self::KernelInOut,
+        }
+    }
+}
+
+/// Reads the name of an axis.
+pub fn parse_up(text: &str) -> Result<UpAxis, String> {
+    text.parse()
+}
+
+/// Reads a unit of length, in metres.
+pub fn parse_unit(text: &str) -> Result<f64, String> {
+    let named = LengthUnit::ALL.into_iter().find(|unit| unit.symbol() == text);
+    named
+        .map(LengthUnit::metres)
+        .or_else(|| text.parse().ok().filter(|m: &f64| m.is_finite() && *m > 0.0))
+        .ok_or_else(|| {
+            format!("{text:?} is no unit; write mm, cm, m, km or metres, such as 0.3048")
+        })
+}

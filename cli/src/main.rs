@@ -1,0 +1,19 @@
+//! The `scenesplat` program.
+
+mod allocator;
+mod bench;
+mod commands;
+mod flags;
+mod progress;
+mod receipt;
+mod session;
+mod terminal;
+
+/// Keeps pages between the large short-lived buffers of a network.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
+fn main() -> std::process::ExitCode {
+    allocator::keep_pages();
+    commands::run(std::env::args_os())
+}

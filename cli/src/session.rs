@@ -1,0 +1,400 @@
+//! What most commands begin with: threads, the output folder, the network, the scene.
+
+use crate::commands::WrongUse;
+use crate::flags::{Inference, Shared};
+use crate::progress::{Progress, interrupted, listen_for_interrupt};
+use crate::receipt::Receipt;
+use crate::terminal::print;
+use anyhow::{Context, Result};
+use scenesplat::alignment::{Alignment, AlignmentSettings, Remark};
+use scenesplat::inference::{EncodeError, Fidelity};
+use scenesplat::input::open_input;
+use scenesplat::kernels::simd::Isa;
+use scenesplat::memory::Bytes;
+use scenesplat::models::{Compute, LoadPolicy};
+use scenesplat::network::{WeightOptions, Weights, network_of};
+use scenesplat::outputs::OpenedScene;
+use scenesplat::scene::{GaussianScene, ReadOptions, UpAxis, guess_up};
+use scenesplat::{Network, SceneEncoder, SceneFeatures};
+use std::cell::Cell;
+use std::path::{Path, PathBuf};
+
+/// Where features come from.
+pub enum FeatureSource {
+    /// A network that is run over the scene.
+    Network(Box<Network>),
+    /// The language codes of the scene.
+    Codes,
+}
+
+impl FeatureSource {
+    /// The network, if it is one with classes of its own.
+    pub fn classifier(&self) -> Option<&Network> {
+        match self {
+            Self::Network(network) if network.is_classifier() => Some(network),
+            _ => None,
+        }
+    }
+
+    /// What to add to a title where the result means nothing.
+    pub fn remark(&self) -> &'static str {
+        match self {
+            Self::Network(network) if network.has_random_weights() => {
+                " (seeded weights: no meaning)"
+            }
+            _ => "",
+        }
+    }
+}
+
+/// A running command.
+pub struct Session<'a> {
+    /// Shared flags.
+    pub shared: &'a Shared,
+    /// What is recorded.
+    pub receipt: Receipt,
+    /// What is shown.
+    pub progress: Progress,
+    made_out: Cell<bool>,
+}
+
+impl<'a> Session<'a> {
+    /// Sets up threads, the output folder, Ctrl-C and the receipt.
+    pub fn start(shared: &'a Shared, command: &str) -> Result<Self> {
+        if shared.threads == Some(0) {
+            return Err(WrongUse("--threads 0: at least one thread is needed".to_owned()).into());
+        }
+        if let Some(n) = shared.threads {
+            // Fails if the system gives no such number of threads, or a pool exists already.
+            let built = rayon::ThreadPoolBuilder::new().num_threads(n).build_global();
+            if built.is_err() && rayon::current_num_threads() != n {
+                anyhow::bail!("--threads {n}: the system does not allow that many");
+            }
+        }
+        // A handler is there already when several commands run in one process.
+        let _ = listen_for_interrupt();
+        let receipt = Receipt::new(format!("scenesplat {command}"));
+        receipt.computation("f32", Isa::current().name());
+        receipt.threads(rayon::current_num_threads());
+        let progress = Progress::new(shared.quiet);
+        Ok(Self { shared, receipt, progress, made_out: Cell::new(false) })
+    }
+
+    /// Makes the output folder; called before anything expensive.
+    pub fn make_out(&self) -> Result<()> {
+        let out = &self.shared.out;
+        self.made_out.set(true);
+        std::fs::create_dir_all(out)
+            .with_context(|| format!("{}: cannot make the output folder", out.display()))
+    }
+
+    /// A file of the output folder.
+    pub fn out(&self, name: &str) -> PathBuf {
+        self.shared.out.join(name)
+    }
+
+    /// Notes a written file.
+    pub fn wrote(&self, path: &Path, bytes: u64) {
+        self.receipt.add_bytes_written(bytes);
+        self.progress.say(format!("wrote {} ({})", path.display(), Bytes(bytes)));
+    }
+
+    /// Builds the network.
+    pub fn network(&self, inference: &Inference) -> Result<Network> {
+        let stage = self.receipt.stage("weights");
+        let weights = &self.shared.weights()?;
+        if *weights == Weights::Embedded && self.shared.config.is_some() {
+            let text = "--config: the network inside the program has its own; leave it out";
+            return Err(WrongUse(text.to_owned()).into());
+        }
+        let precision = inference.precision;
+        let compute = Compute { precision, fold: !inference.exact };
+        self.receipt.computation(precision.name(), Isa::current().name());
+        let why = "form of the numbers that products multiply; sums are f32";
+        self.receipt.setting("precision", precision, why);
+        let options = WeightOptions {
+            policy: if inference.partial_weights {
+                LoadPolicy::Partial
+            } else {
+                LoadPolicy::Strict
+            },
+            branch: inference.branch.into(),
+            conv_layout: inference.conv_layout.into(),
+        };
+        let config = network_of(weights, self.shared.config.as_ref(), options)?;
+        let network = Network::load(config.with_compute(compute), weights, options)?;
+        for (path, sha256) in network.files() {
+            self.progress.say(format!("weights {} sha256 {sha256}", path.display()));
+            let bytes = std::fs::metadata(path).map_or(0, |m| m.len());
+            self.receipt.fingerprint_known("weights", path, bytes, sha256);
+        }
+        match weights {
+            Weights::Seeded(seed) => {
+                let text = format!(
+                    "SEEDED WEIGHTS ({seed}): features, labels and scores mean nothing; they show \
+                     the mechanism and its cost"
+                );
+                self.progress.say(format!("*** {text} ***"));
+                self.receipt.warning(text);
+                self.receipt.setting("weights", format!("seeded:{seed}"), "values from a hash");
+            }
+            Weights::Embedded => {
+                self.progress.say(
+                    "weights: the small network inside the program, trained on synthetic rooms \
+                     (its card: assets/embedded/README.md)",
+                );
+                let sha256 = scenesplat::embedded::sha256();
+                self.receipt.setting("weights", scenesplat::embedded::NAME, &sha256);
+            }
+            Weights::File(_) => self.progress.say(format!("weights: {}", network.report())),
+        }
+        if inference.partial_weights && !network.report().is_complete() {
+            self.receipt.warning(format!("partial weights: {}", network.report()));
+        }
+        drop(stage);
+        Ok(network)
+    }
+
+    /// Reads a scene; a labelled point cloud is turned into Gaussians.
+    pub fn open(&self, path: &Path, inference: &Inference) -> Result<OpenedScene> {
+        let stage = self.receipt.stage("read");
+        let opened = self.read(path, &inference.source.options())?;
+        if !opened.loaded.report.is_clean() {
+            let text = opened.loaded.report.to_string();
+            self.progress.say(&text);
+            self.receipt.warning(text);
+        }
+        self.receipt.add_rows_in(opened.loaded.source_rows());
+        self.receipt.fingerprint("input", path)?;
+        drop(stage);
+        Ok(opened)
+    }
+
+    /// Reads a scene without a word about its values; a labelled point cloud is turned into
+    /// Gaussians.
+    pub fn read(&self, path: &Path, options: &ReadOptions) -> Result<OpenedScene> {
+        self.progress.say(format!("reading {}", path.display()));
+        let (opened, remark) = open_input(path, options)?;
+        if let Some(text) = remark {
+            self.progress.say(text);
+            self.receipt.setting("input", "point cloud", "points were turned into Gaussians");
+        }
+        Ok(opened)
+    }
+
+    /// Reads a scene and decides where its features come from: from the network of --weights, or,
+    /// without that, from the language codes that the scene carries. `check` looks at the network
+    /// before anything is read.
+    pub fn open_with_source(
+        &self,
+        path: &Path,
+        inference: &Inference,
+        check: impl FnOnce(&Network) -> Result<()>,
+    ) -> Result<(OpenedScene, FeatureSource)> {
+        if self.shared.weights.is_some() {
+            let network = self.network(inference)?;
+            check(&network)?;
+            return Ok((self.open(path, inference)?, FeatureSource::Network(Box::new(network))));
+        }
+        if !path.exists() {
+            // The missing file is the better message.
+            return self.open(path, inference).map(|opened| (opened, FeatureSource::Codes));
+        }
+        let opened = self.open(path, inference)?;
+        let Some(code) = &opened.loaded.scene.lang_code else {
+            let network = self.network(inference)?;
+            check(&network)?;
+            return Ok((opened, FeatureSource::Network(Box::new(network))));
+        };
+        if let Some(flag) = inference.network_flag() {
+            let text = format!("{flag} is about the network; give --weights too");
+            return Err(WrongUse(text).into());
+        }
+        if self.shared.config.is_some() {
+            return Err(WrongUse("--config names a network; give --weights too".to_owned()).into());
+        }
+        let text = format!(
+            "no --weights: using the language codes of the scene, {} numbers a Gaussian",
+            code.width()
+        );
+        self.progress.say(text);
+        self.receipt.setting("features", "codes", "language codes that the scene carries");
+        Ok((opened, FeatureSource::Codes))
+    }
+
+    /// The features of a scene from their source.
+    pub fn features(
+        &self,
+        scene: &GaussianScene,
+        source: &FeatureSource,
+        inference: &Inference,
+    ) -> Result<SceneFeatures> {
+        match source {
+            FeatureSource::Network(network) => self.encode(scene, network, inference),
+            FeatureSource::Codes => {
+                SceneFeatures::from_codes(scene).context("the scene carries no language codes")
+            }
+        }
+    }
+
+    /// Runs the network over a scene.
+    pub fn encode(
+        &self,
+        scene: &GaussianScene,
+        network: &Network,
+        inference: &Inference,
+    ) -> Result<SceneFeatures> {
+        let stage = self.receipt.stage("network");
+        let grid_size = inference.grid_size.unwrap_or(network.grid_size());
+        if !(grid_size.is_finite() && grid_size > 0.0) {
+            let text = format!("--grid-size {grid_size}: must be above 0");
+            return Err(WrongUse(text).into());
+        }
+        let encoder = SceneEncoder {
+            fidelity: if inference.exact { Fidelity::Exact } else { Fidelity::Fast },
+            grid_size,
+            max_memory: inference.max_memory.map(|b| b.0),
+            halo: inference.halo,
+            shuffle_orders: inference.shuffle_orders.then_some(self.shared.seed),
+            spill_folder: self.shared.out.clone(),
+            ..SceneEncoder::new(network)
+        };
+        let alignment = Alignment::of(
+            scene,
+            &AlignmentSettings {
+                up: inference.up,
+                metres_per_unit: inference.unit,
+                as_is: inference.as_is,
+            },
+        );
+        self.tell(&alignment, inference.as_is);
+        let receipt = &self.receipt;
+        let why = "fast: one Gaussian a voxel; exact: a sampling at half the voxel size, averaged";
+        receipt.setting("fidelity", format!("{:?}", encoder.fidelity).to_lowercase(), why);
+        receipt.setting("grid_size", encoder.grid_size, "metres");
+        if inference.shuffle_orders {
+            receipt.setting("shuffle_orders", self.shared.seed, "seed");
+        }
+        let features = encoder.encode_aligned(scene, alignment, &mut |at| {
+            if interrupted() {
+                return Err(EncodeError::Stopped);
+            }
+            let tiles = if at.tiles > 1 {
+                format!(", tile {}/{}", at.tile, at.tiles)
+            } else {
+                String::new()
+            };
+            let passes = if at.passes > 1 {
+                format!(", pass {}/{}", at.pass, at.passes)
+            } else {
+                String::new()
+            };
+            self.progress.advance(&format!("network{passes}{tiles}"), at.done);
+            Ok(())
+        });
+        self.progress.finish();
+        let features = features?;
+        let s = features.summary;
+        if s.tiles > s.passes {
+            receipt.setting("tiles", s.tiles, "the scene was cut to stay below --max-memory");
+            receipt.setting("halo", s.smallest_halo, "narrowest context around a tile, voxels");
+        }
+        if s.shrunk_halos > 0 {
+            let text = format!(
+                "{} tiles had to narrow their halo to as little as {} voxels; features near their \
+                 borders differ from an untiled run (allow more memory)",
+                s.shrunk_halos, s.smallest_halo
+            );
+            self.progress.say(&text);
+            receipt.warning(text);
+        }
+        self.progress.say(format!(
+            "{} Gaussians, {} voxels, {} passes, {} tiles, {} voxels computed",
+            features.len(),
+            s.voxels,
+            s.passes,
+            s.tiles,
+            s.voxels_computed
+        ));
+        drop(stage);
+        Ok(features)
+    }
+
+    /// Says and notes what the network makes of a scene that lies otherwise than it knows.
+    fn tell(&self, alignment: &Alignment, as_is: bool) {
+        let up = &alignment.up;
+        let why = match (as_is, up.given) {
+            (true, _) => "as is: the network takes +z for up",
+            (false, true) => "up in the scene, as given",
+            (false, false) => "up in the scene, by its shape",
+        };
+        self.receipt.setting("up", up.axis, why);
+        for remark in &alignment.remarks {
+            let text = match *remark {
+                Remark::Turned { from } => {
+                    let why =
+                        "the network read a copy turned from this up to +z; files keep theirs";
+                    self.receipt.setting("turned", from, why);
+                    format!(
+                        "up is {from}{}: the network reads a copy turned to +z; files keep their \
+                         frame (--up AXIS if it is another, --as-is to leave it)",
+                        if up.given { "" } else { ", by the shape of the scene" }
+                    )
+                }
+                Remark::Scaled { by } => {
+                    let why = "metres per unit; the network read a copy in metres";
+                    self.receipt.setting("unit", by, why);
+                    format!(
+                        "one unit is {by} m: the network reads a copy in metres; files keep their \
+                         unit (--unit UNIT if it is another, --as-is to leave it)"
+                    )
+                }
+                Remark::UpUnclear { likely, confidence } => format!(
+                    "WHICH WAY IS UP IS UNCLEAR ({likely} is likeliest, confidence {confidence:.2}): \
+                     the network takes +z for up, and most labels are lost if it is not; say it with \
+                     --up AXIS"
+                ),
+                Remark::UnitUnclear { likely, confidence } => format!(
+                    "THE UNIT IS UNCLEAR ({} is likeliest, confidence {confidence:.2}): the network \
+                     takes it for metres, and labels mean little if it is not; say it with --unit \
+                     {} or --unit m",
+                    likely.symbol(),
+                    likely.symbol()
+                ),
+            };
+            if remark.is_warning() {
+                self.progress.say(format!("*** {text} ***"));
+            } else {
+                self.progress.say(&text);
+            }
+            // Each scene of several has its own.
+            self.receipt.warning(text);
+        }
+    }
+
+    /// Which way is up.
+    pub fn up(&self, scene: &GaussianScene, inference: &Inference) -> UpAxis {
+        inference.up.unwrap_or_else(|| guess_up(scene).axis)
+    }
+
+    /// Stops here if the user asked to.
+    pub fn check_stop(&self) -> Result<()> {
+        if interrupted() { Err(EncodeError::Stopped.into()) } else { Ok(()) }
+    }
+
+    /// Prints and writes the receipt.
+    pub fn finish(&self) -> Result<()> {
+        let report = self.receipt.finish();
+        if !self.shared.quiet {
+            print(&report.to_string());
+        }
+        let beside = self.out("receipt.json");
+        if self.made_out.get() {
+            report.write_json(&beside)?;
+        }
+        if let Some(path) = &self.shared.receipt {
+            report.write_json(path)?;
+        }
+        Ok(())
+    }
+}
