@@ -17,7 +17,7 @@ use std::sync::Arc;
 fn main() -> anyhow::Result<()> {
     let texts = scenesplat::rooms::Vocabulary::new(64)?.class_table();
     let rooms = |count, seed, steps: Vec<TransformConfig>| {
-        let source = datasets::SyntheticRooms::new(count, Default::default(), seed);
+        let source = datasets::SyntheticRooms::new(count, Default::default(), seed)?;
         let steps = datasets::build_transforms(&steps)?;
         datasets::SceneDataset::new(Arc::new(source), steps, 0, 1).map(Arc::new)
     };

@@ -29,7 +29,7 @@ impl Callback for StopAfter {
 fn main() -> anyhow::Result<()> {
     let checkpoints = std::env::temp_dir().join(format!("train_and_resume-{}", std::process::id()));
     let part = |stop: u64| -> anyhow::Result<Progress> {
-        let source = Arc::new(datasets::SyntheticRooms::new(8, Default::default(), 1));
+        let source = Arc::new(datasets::SyntheticRooms::new(8, Default::default(), 1)?);
         let steps = datasets::build_transforms(&semantic_segmentation(0.1))?;
         let scenes = Arc::new(SceneDataset::new(source, steps, 0, 1)?);
         let settings = LoaderSettings::default();

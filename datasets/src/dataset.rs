@@ -2,6 +2,7 @@
 
 use crate::{DataError, DataSource, LeftOut, RepairedScene, Sample, Transform, sample_rng};
 use scenesplat_scene::RepairReport;
+use scenesplat_scene::value_policy::Rule;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -76,12 +77,15 @@ impl SceneDataset {
 
     fn make(&self, epoch: u64, index: usize, id: &str) -> Result<Sample, DataError> {
         let loaded = self.source.load(id)?;
-        let labels = loaded.scene.segment.as_ref().is_some_and(|s| s.iter().any(|l| *l >= 0));
+        let points = loaded.scene.labelled_points.as_ref().and_then(|p| p.segment.as_deref());
+        let labels = [loaded.scene.segment.as_deref(), points];
+        let labels = labels.into_iter().flatten().flatten().any(|label| *label >= 0);
         let about = (loaded.report.source_rows, labels, loaded.scene.lang_feat.is_some());
         let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
         seen.entry(id.to_owned()).or_insert(about);
         drop(seen);
-        if !loaded.report.is_clean() {
+        // Labels that are read as none are legal values, but they are lost.
+        if !loaded.report.is_clean() || loaded.report.count(Rule::SegmentNone) > 0 {
             let mut repairs = self.repairs.lock().unwrap_or_else(PoisonError::into_inner);
             repairs.entry(id.to_owned()).or_insert(loaded.report);
         }
@@ -159,7 +163,8 @@ mod tests {
     }
 
     fn dataset(transforms: Vec<Arc<dyn Transform>>, repeat: usize) -> SceneDataset {
-        let source = Arc::new(SyntheticRooms::new(2, SyntheticRoomSettings::with_count(200, 0), 1));
+        let source =
+            Arc::new(SyntheticRooms::new(2, SyntheticRoomSettings::with_count(200, 0), 1).unwrap());
         SceneDataset::new(source, transforms, 5, repeat).unwrap()
     }
 
@@ -183,7 +188,8 @@ mod tests {
         let error = data.get(0, 1).unwrap_err();
         assert!(matches!(&error, DataError::Sample { id, .. } if id == "room-000001"), "{error}");
         assert!(matches!(data.get(0, 2), Err(DataError::RowOutOfRange { row: 2, rows: 2 })));
-        let source = Arc::new(SyntheticRooms::new(2, SyntheticRoomSettings::with_count(200, 0), 1));
+        let source =
+            Arc::new(SyntheticRooms::new(2, SyntheticRoomSettings::with_count(200, 0), 1).unwrap());
         assert!(SceneDataset::new(source, vec![], 0, 0).is_err());
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::SkippedScene;
 use scenesplat_scene::RepairReport;
-use scenesplat_scene::value_policy::Action;
+use scenesplat_scene::value_policy::{Action, Finding, Rule};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -36,10 +36,11 @@ pub struct RepairedScene {
 
 impl From<&RepairReport> for RepairedScene {
     fn from(report: &RepairReport) -> Self {
-        let repaired = report.findings.iter().filter(|f| f.action != Action::Accept);
-        let reason = |f: &scenesplat_scene::value_policy::Finding| {
-            format!("{} rows: {} is {}: {}", f.count, f.field, f.bad_value, f.done)
-        };
+        // A label that is read as none is legal, but it is lost.
+        let counts = |f: &&Finding| f.action != Action::Accept || f.rule == Rule::SegmentNone;
+        let repaired = report.findings.iter().filter(counts);
+        let reason =
+            |f: &Finding| format!("{} rows: {} is {}: {}", f.count, f.field, f.bad_value, f.done);
         Self {
             rows: report.source_rows,
             dropped_rows: report.dropped_rows,

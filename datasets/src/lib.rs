@@ -12,6 +12,7 @@ pub mod chunking;
 pub mod dataset;
 pub mod error;
 pub mod from_points;
+pub mod full_scene;
 pub mod input_features;
 pub mod left_out;
 pub mod loader;
@@ -28,7 +29,8 @@ pub mod weighted_mix;
 
 pub use dataset::{Dataset, SceneDataset};
 pub use error::DataError;
-pub use from_points::{PointCloud, PointSettings, estimate_normals, gaussians_from_points};
+pub use from_points::{PointSettings, SurfacePoints, estimate_normals, gaussians_from_points};
+pub use full_scene::FullScene;
 pub use input_features::{InputChannel, InputFeatures};
 pub use left_out::{LeftOut, RepairedScene};
 pub use loader::{BatchLoader, BrokenScenes, LoaderSettings, SceneLoader, SkippedScene};

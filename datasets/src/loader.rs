@@ -153,7 +153,7 @@ type Skipped = Arc<Mutex<BTreeMap<String, SkippedScene>>>;
 ///
 /// // One's own scenes: `SceneFolders::new("my/scenes".as_ref(), &[], Default::default())?`
 /// let room = SyntheticRoomSettings { num_gaussians: Some(2000), ..Default::default() };
-/// let source = Arc::new(SyntheticRooms::new(4, room, 1));
+/// let source = Arc::new(SyntheticRooms::new(4, room, 1)?);
 /// let transforms = build_transforms(&language_pretraining(0.05))?;
 /// let dataset = Arc::new(SceneDataset::new(source, transforms, 7, 1)?);
 /// let settings = LoaderSettings { batch_size: 2, workers: 1, ..LoaderSettings::default() };

@@ -271,16 +271,7 @@ impl ParamStore {
         }
         let tensors: std::collections::HashMap<String, Tensor> =
             inner.variables.iter().map(|(n, v)| (n.clone(), v.as_tensor().clone())).collect();
-        let beside = path.with_extension("partial");
-        let written = candle_core::safetensors::save(&tensors, &beside).and_then(|()| {
-            std::fs::File::open(&beside)?.sync_all()?;
-            Ok(std::fs::rename(&beside, path)?)
-        });
-        written.map_err(|e| {
-            // What is wrong has been found already; a rest that stays does no harm.
-            _ = std::fs::remove_file(&beside);
-            candle_core::Error::Msg(format!("{}: {e}", path.display()))
-        })
+        crate::weights::save_tensors(&tensors, path)
     }
 }
 

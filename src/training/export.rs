@@ -3,6 +3,8 @@
 use crate::NetworkConfig;
 use anyhow::{Context, Result};
 use candle_core::Tensor;
+use scenesplat_models::weights::save_tensors;
+use scenesplat_scene::StagedFolder;
 use scenesplat_trainers::checkpoint::{best_checkpoint, newest_checkpoint, read_network};
 use std::collections::HashMap;
 use std::path::Path;
@@ -40,7 +42,7 @@ pub fn export_model(
     Ok(vec![format!("model: {remark}{averaged}")])
 }
 
-/// Writes a model folder, each file beside and renamed: `config.json` says what the network is and
+/// Writes a model folder, whose files appear together: `config.json` says what the network is and
 /// what it reads.
 ///
 /// # Errors
@@ -50,12 +52,10 @@ pub fn write_model(
     config: &NetworkConfig,
     folder: &Path,
 ) -> Result<()> {
-    std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
-    let beside = folder.join("model.partial");
-    candle_core::safetensors::save(tensors, &beside)?;
-    std::fs::rename(&beside, folder.join("model.safetensors"))?;
-    std::fs::write(&beside, serde_json::to_string_pretty(config)?)?;
-    std::fs::rename(&beside, folder.join("config.json"))?;
+    let mut staged = StagedFolder::create(folder)?;
+    save_tensors(tensors, &staged.add("model.safetensors"))?;
+    staged.write("config.json", serde_json::to_string_pretty(config)?.as_bytes())?;
+    staged.commit::<&str>(&[])?;
     Ok(())
 }
 

@@ -1,6 +1,7 @@
 //! `run.json`: what a run was made of, and what became of its data.
 
 use anyhow::{Context, Result};
+use scenesplat_scene::AtomicFile;
 use scenesplat_trainers::{Callback, Event, Flow, Progress, TrainError};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -54,8 +55,5 @@ impl Callback for RunRecord {
 
 /// Replaces a small file of the run.
 pub(super) fn write(path: &Path, content: &str) -> Result<()> {
-    let beside = path.with_extension("partial");
-    std::fs::write(&beside, content)
-        .and_then(|()| std::fs::rename(&beside, path))
-        .with_context(|| path.display().to_string())
+    Ok(AtomicFile::write(path, content.as_bytes())?)
 }

@@ -6,13 +6,12 @@ use super::data;
 use super::export::export_model;
 use super::identity::identity;
 use super::record::{RunRecord, write};
-use crate::text::class_list;
 use anyhow::{Context, Result};
 use scenesplat_datasets::{BatchLoader, TrainBatch};
 use scenesplat_losses::{TextTable as LossTexts, build_objective};
 use scenesplat_models::weights::{SourceOptions, WeightSource, resolve};
 use scenesplat_models::{LoadPolicy, ParamStore};
-use scenesplat_scene::LabelSet;
+use scenesplat_scene::FolderLock;
 use scenesplat_trainers::callbacks::{
     Console, EarlyStopping, JsonLines, TensorBoard, read_json_lines,
 };
@@ -68,8 +67,11 @@ pub struct RunReport {
 /// | `model/` | the best network (the last, if none is marked), as `--weights` takes it |
 ///
 /// # Errors
-/// If the experiment does not fit together, data cannot be read, or training fails.
+/// If the experiment does not fit together, data cannot be read, training fails, or another run is
+/// writing to the same folder.
 pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunReport> {
+    let lock = || FolderLock::acquire(&options.out);
+    let early = options.out.is_dir().then(lock).transpose()?;
     let checkpoints = options.out.join("checkpoints");
     let newest = newest_checkpoint(&checkpoints)?;
     anyhow::ensure!(
@@ -83,7 +85,10 @@ pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunRepor
         checkpoints.display()
     );
     let text = config.text.as_ref().map(data::text_table).transpose()?;
+    data::check_classes(config, text.as_ref())?;
     std::fs::create_dir_all(&options.out).with_context(|| options.out.display().to_string())?;
+    // Held until the end, also against a run that found no folder a moment ago.
+    let _lock = early.map_or_else(lock, Ok)?;
     let (params, mut remarks) = parameters(config)?;
     let network = config.network()?.model.build(params.builder())?;
     let loss_texts = match &text {
@@ -150,12 +155,15 @@ fn zero_shot(
     for entry in &config.evaluate {
         let own = entry.text.as_ref().map(data::text_table).transpose()?;
         let text = own.as_ref().or(text).context("text: zero-shot evaluation needs it")?;
-        let excluded = class_list(&LabelSet::new(text.table.names.clone())?, &text.exclude)?;
+        let excluded = data::excluded(&entry.source, Some(text))?;
         let table = crate::text::metric_table(&text.table)?;
         let data = data::evaluation(entry, config)?;
         let evaluator =
             ZeroShotEvaluator::new(&entry.name, data, config.input.clone(), table, excluded);
-        all.push(Box::new(evaluator.with_vote(entry.vote_k)));
+        all.push(Box::new(match entry.vote_k {
+            Some(k) => evaluator.with_vote(k),
+            None => evaluator,
+        }));
     }
     Ok(all)
 }
@@ -164,15 +172,16 @@ fn segmentation(
     config: &ExperimentConfig,
     text: Option<&data::ClassTexts>,
 ) -> Result<Vec<Box<dyn Evaluator<SemanticSegmentation>>>> {
-    let excluded = match text {
-        Some(t) => class_list(&LabelSet::new(t.table.names.clone())?, &t.exclude)?,
-        None => Vec::new(),
-    };
     let mut all: Vec<Box<dyn Evaluator<SemanticSegmentation>>> = Vec::new();
     for entry in &config.evaluate {
         let data = data::evaluation(entry, config)?;
         let input = config.input.clone();
-        all.push(Box::new(SegmentationEvaluator::new(&entry.name, data, input, excluded.clone())));
+        let excluded = data::excluded(&entry.source, text)?;
+        let evaluator = SegmentationEvaluator::new(&entry.name, data, input, excluded);
+        all.push(Box::new(match entry.vote_k {
+            Some(k) => evaluator.with_vote(k),
+            None => evaluator,
+        }));
     }
     Ok(all)
 }

@@ -244,6 +244,9 @@ pub enum TrainError {
         #[source]
         source: std::io::Error,
     },
+    /// A file of the run that could not be written.
+    #[error(transparent)]
+    Write(#[from] scenesplat_scene::WriteError),
     /// Data.
     #[error(transparent)]
     Data(#[from] scenesplat_datasets::DataError),

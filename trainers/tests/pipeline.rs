@@ -54,7 +54,7 @@ fn rooms(gaussians: usize) -> Arc<SyntheticRooms> {
         num_gaussians: Some(gaussians),
         ..SyntheticRoomSettings::default()
     };
-    Arc::new(SyntheticRooms::new(6, settings, 3))
+    Arc::new(SyntheticRooms::new(6, settings, 3).unwrap())
 }
 
 fn training_data(gaussians: usize) -> Arc<dyn Dataset> {

@@ -54,10 +54,7 @@ impl JsonLines {
                 kept.push(b'\n');
             }
         }
-        let beside = self.path.with_extension("partial");
-        crate::checkpoint::write_synced(&beside, &kept)?;
-        std::fs::rename(&beside, &self.path)
-            .map_err(TrainError::io(&self.path, "cannot rename to"))?;
+        scenesplat_scene::AtomicFile::write(&self.path, &kept)?;
         let file = File::options().append(true).open(&self.path);
         self.file = Some(BufWriter::new(file.map_err(TrainError::io(&self.path, "cannot open"))?));
         Ok(())

@@ -21,6 +21,7 @@ pub(crate) use files::read_tensors;
 use crate::{Identity, Progress, Tally, TrainError};
 use candle_core::Tensor;
 use scenesplat_models::ParamStore;
+use scenesplat_scene::AtomicFile;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -121,7 +122,9 @@ pub(crate) fn write(dir: &Path, mut contents: Contents<'_>) -> Result<PathBuf, T
     if beside.exists() {
         std::fs::remove_dir_all(&beside).map_err(TrainError::io(&beside, "cannot remove"))?;
     }
-    std::fs::create_dir_all(&beside).map_err(TrainError::io(&beside, "cannot make"))?;
+    std::fs::create_dir_all(dir).map_err(TrainError::io(dir, "cannot make"))?;
+    // Not over anything: a link in the way would lead out of the folder.
+    std::fs::create_dir(&beside).map_err(TrainError::io(&beside, "cannot make"))?;
     let stores = contents.stores.iter().map(|(name, store)| (store_file(name), *store));
     let mut names = vec![OPTIMIZER.to_owned()];
     for (name, store) in std::iter::once((PARAMS.to_owned(), contents.params)).chain(stores) {
@@ -149,17 +152,7 @@ pub(crate) fn write(dir: &Path, mut contents: Contents<'_>) -> Result<PathBuf, T
 
 /// Written to the disk before it returns.
 pub(crate) fn write_synced(path: &Path, bytes: &[u8]) -> Result<(), TrainError> {
-    use std::io::Write;
-    let write = || {
-        let mut file = std::fs::File::create(path)?;
-        file.write_all(bytes)?;
-        file.sync_all()
-    };
-    write().map_err(|source| TrainError::Io {
-        path: path.to_owned(),
-        action: "cannot write",
-        source,
-    })
+    Ok(AtomicFile::write(path, bytes)?)
 }
 
 /// Reads `state.json`.
@@ -238,9 +231,7 @@ pub(crate) fn mark_best(dir: &Path, best: &BestCheckpoint) -> Result<(), TrainEr
     };
     let text =
         serde_json::to_string_pretty(best).map_err(|e| error("cannot describe")(e.into()))?;
-    let beside = path.with_extension("partial");
-    write_synced(&beside, text.as_bytes())?;
-    std::fs::rename(&beside, &path).map_err(error("cannot rename to"))
+    Ok(AtomicFile::write(&path, text.as_bytes())?)
 }
 
 /// Removes all but the last `keep` checkpoints and the best one.
