@@ -1,6 +1,6 @@
 //! `run.json`: what a run was made of, and what became of its data.
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use scenesplat_scene::AtomicFile;
 use scenesplat_trainers::{Callback, Event, Flow, Progress, TrainError};
 use serde_json::{Value, json};

@@ -19,7 +19,7 @@ use scenesplat::scene::{
     FeatureRows, GaussianScene, ReadOptions, SceneFormat, WriteOptions, write_scene,
 };
 use serde_json::json;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Writes a scene in another format, whole or in part; several scenes become one. Labels, scores,
 /// instances and language codes go along. What the format cannot hold is said.

@@ -1,12 +1,12 @@
 //! Writing binary glTF with `KHR_gaussian_splatting`.
 
 use crate::AtomicFile;
+use crate::formats::limit_tally::LimitTally;
 use crate::formats::packed_values::{
     ALPHA_ENDS, SIZE_CUT, SIZE_VANISHES, alpha, canonical_quat, check_storable, log_of_scale,
     settle, tally_sizes,
 };
 use crate::formats::semantics::Sidecar;
-use crate::formats::write::LimitTally;
 use crate::formats::{SceneFormat, WriteOptions, WriteProgress, WriteReport};
 use crate::gaussian_scene::probability_to_logit;
 use crate::spherical_harmonics::ShRotation;

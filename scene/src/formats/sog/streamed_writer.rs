@@ -3,7 +3,8 @@
 use super::LOD_META_NAME;
 use super::folder::FolderWriter;
 use super::levels::{Leaf, leaves};
-use super::writer::{Order, Ticker, encode};
+use super::ticker::Ticker;
+use super::writer::{Order, encode};
 use crate::formats::{SceneFormat, WriteOptions, WriteProgress, WriteReport};
 use crate::{GaussianScene, SceneError};
 use serde_json::{Map, Value, json};
