@@ -236,7 +236,7 @@ impl Neighborhood {
 
 /// A cell of 21 bits an axis as a number that sorts by x, then y, then z.
 fn key(cell: &[i32; 3]) -> u64 {
-    cell.iter().fold(0, |key, &v| key << 21 | v as u64)
+    cell.iter().fold(0, |key, &v| (key << 21) | v as u64)
 }
 
 /// Edges by the group that `inverse` names, in their order.

@@ -329,7 +329,7 @@ impl PointTransformerV1 {
             let (enc, dec) = (vb.pp(format!("enc.enc{i}")), vb.pp(format!("dec.dec{i}")));
             let neighbors = config.neighbors[i];
             let blocks = |depth: usize, vb: &VarBuilder<'_>| {
-                let block = |j| Block::new(compute, c, share, vb.pp(format!("block{j}")));
+                let block = |j: usize| Block::new(compute, c, share, vb.pp(format!("block{j}")));
                 (0..depth).map(block).collect::<Result<Vec<_>>>()
             };
             let down = TransitionDown {

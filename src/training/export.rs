@@ -155,7 +155,8 @@ source = { type = "synthetic", count = 2, seed = 9, room = { num_gaussians = 150
         std::fs::write(&file, text).unwrap();
         let experiment = ExperimentConfig::read(&file).unwrap();
         let stop = Arc::default();
-        let options = RunOptions { out: out.join("run"), resume: false, quiet: true, stop };
+        let out_run = out.join("run");
+        let options = RunOptions { commit: None, out: out_run, resume: false, quiet: true, stop };
         let report = train(&experiment, &options).unwrap();
         let log = read_json_lines(&out.join("run/metrics.jsonl")).unwrap();
         let losses: Vec<f64> =
