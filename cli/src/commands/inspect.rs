@@ -1,14 +1,16 @@
 //! `scenesplat inspect`
 
-use crate::flags::{Shared, SourceArgs, parse_up};
+use crate::flags::{NetworkArgs, Shared, SourceArgs, parse_up};
 use crate::session::Session;
 use crate::terminal::print;
 use anyhow::{Context, Result, bail};
+use scenesplat::embedded;
 use scenesplat::input::scene_name;
 use scenesplat::inspect::sheet::write_sheet;
 use scenesplat::inspect::{InspectSettings, inspect};
-use scenesplat::network::NetworkChoice;
-use scenesplat::scene::{ReadOptions, UpAxis};
+use scenesplat::models::weights::resolve;
+use scenesplat::network::{NetworkChoice, NetworkConfig, WeightOptions, Weights, network_of};
+use scenesplat::scene::{ReadOptions, UpAxis, printable};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
@@ -36,16 +38,18 @@ pub struct Args {
     /// How to read the scene.
     #[command(flatten)]
     pub source: SourceArgs,
-    /// Flags of all commands; --config names the network whose cost is estimated.
+    /// The network whose cost is estimated.
+    #[command(flatten)]
+    pub network: NetworkArgs,
+    /// Flags of all commands.
     #[command(flatten)]
     pub shared: Shared,
 }
 
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
-    let session = Session::start(&args.shared, line)?;
-    let config = args.shared.config.clone().unwrap_or(NetworkChoice::Language);
-    let network = (config.to_string(), config.resolve()?);
+    let session = Session::start_with(&args.shared, &args.network, line)?;
+    let network = network(&args.network)?;
     session.outputs.reads(&args.scene)?;
     session.outputs.claim_any("--json", args.json.as_ref())?;
     let sheet = match (&args.sheet, args.no_sheet) {
@@ -105,6 +109,25 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         bail!("{}: {} findings: {}", args.scene.display(), names.len(), names.join(", "));
     }
     Ok(())
+}
+
+/// The network and what it is called in the estimate.
+fn network(args: &NetworkArgs) -> Result<(String, NetworkConfig)> {
+    let Some(weights) = &args.weights else {
+        let choice = args.config.clone().unwrap_or(NetworkChoice::Language);
+        return Ok((choice.to_string(), choice.resolve()?));
+    };
+    // Weights that `segment` would refuse are refused here too.
+    let name = match (weights, &args.config) {
+        (Weights::File(path), choice) => {
+            resolve(path)?;
+            choice.as_ref().map_or_else(|| printable(path).into_owned(), ToString::to_string)
+        }
+        (_, Some(choice)) => choice.to_string(),
+        (Weights::Embedded, None) => embedded::NAME.to_owned(),
+        (Weights::Seeded(_), None) => NetworkChoice::Language.to_string(),
+    };
+    Ok((name, network_of(weights, args.config.as_ref(), WeightOptions::default())?))
 }
 
 /// `room.ply` → `room.ply.inspect.png`; the description of a folder is named after the folder.
