@@ -92,11 +92,7 @@ impl Scale {
     pub fn pool(&self, edge: usize) -> (Self, Arc<Groups>) {
         let edge = i32::try_from(edge).unwrap_or(i32::MAX);
         let above: Vec<[i32; 3]> = self.cells.iter().map(|c| c.map(|v| v / edge)).collect();
-        let mut groups = Groups {
-            rows: Vec::with_capacity(above.len()),
-            offsets: vec![0],
-            inverse: vec![0; above.len()],
-        };
+        let (mut rows, mut ends) = (Vec::with_capacity(above.len()), vec![0]);
         let (mut cells, mut coord, mut offsets) = (Vec::new(), Vec::new(), vec![0]);
         for scene in self.offsets.windows(2) {
             let keys: Vec<u64> = above[scene[0]..scene[1]].iter().map(key).collect();
@@ -105,17 +101,17 @@ impl Scale {
                 let mut sum = [0f64; 3];
                 for &member in members {
                     let row = scene[0] + member as usize;
-                    groups.rows.push(row as u32);
-                    groups.inverse[row] = cells.len() as u32;
+                    rows.push(row as u32);
                     let at = self.coord[row];
                     sum.iter_mut().zip(at).for_each(|(s, v)| *s += f64::from(v));
                 }
                 cells.push(above[scene[0] + members[0] as usize]);
                 coord.push(sum.map(|s| (s / members.len() as f64) as f32));
-                groups.offsets.push(groups.rows.len() as u32);
+                ends.push(rows.len() as u32);
             }
             offsets.push(cells.len());
         }
+        let groups = Groups::new(rows, ends).expect("each voxel is in one cell");
         (Self { cells, coord, offsets, found: Vec::new() }, Arc::new(groups))
     }
 
@@ -124,8 +120,8 @@ impl Scale {
     pub fn pool_to_voxels(&self, edge: usize) -> (Self, Arc<Groups>) {
         let (mut coarse, groups) = self.pool(edge);
         for (group, coord) in coarse.coord.iter_mut().enumerate() {
-            let span = groups.offsets[group] as usize..groups.offsets[group + 1] as usize;
-            let members = groups.rows[span].iter().map(|&row| self.coord[row as usize]);
+            let span = groups.offsets()[group] as usize..groups.offsets()[group + 1] as usize;
+            let members = groups.rows()[span].iter().map(|&row| self.coord[row as usize]);
             let mean = *coord;
             let away = |at: &[f32; 3]| -> f64 {
                 at.iter().zip(mean).map(|(a, b)| (f64::from(*a) - f64::from(b)).powi(2)).sum()
@@ -161,7 +157,7 @@ impl Neighborhood {
         if total.is_none() {
             bail!("neighbors: {} rows with {k} neighbours each are too many", queries.len());
         }
-        let mut by_query = Groups { rows: Vec::new(), offsets: vec![0], inverse: Vec::new() };
+        let mut ends = vec![0];
         let mut source_of = Vec::new();
         let scenes = queries.offsets.windows(2).zip(sources.offsets.windows(2));
         for (of_queries, of_sources) in scenes {
@@ -174,21 +170,20 @@ impl Neighborhood {
                 || (),
                 |(), _, near| near.iter().map(|n| n.row).collect(),
             );
-            for (query, near) in found.into_iter().enumerate() {
-                let query = (of_queries[0] + query) as u32;
-                by_query.inverse.extend(near.iter().map(|_| query));
+            for near in found {
                 source_of.extend(near);
-                by_query.offsets.push(source_of.len() as u32);
+                ends.push(source_of.len() as u32);
             }
         }
-        by_query.rows = (0..source_of.len() as u32).collect();
+        let edges = (0..source_of.len() as u32).collect();
+        let by_query = Groups::new(edges, ends).expect("the edges of a query follow each other");
         let mut relative = Vec::with_capacity(3 * source_of.len());
-        for (&source, &query) in source_of.iter().zip(&by_query.inverse) {
+        for (&source, &query) in source_of.iter().zip(by_query.inverse()) {
             let (a, b) = (sources.coord[source as usize], queries.coord[query as usize]);
             relative.extend(a.iter().zip(b).map(|(a, b)| a - b));
         }
         let relative = Tensor::from_vec(relative, (source_of.len(), 3), &Device::Cpu)?;
-        let sources = Arc::new(grouped(source_of, sources.len()));
+        let sources = Arc::new(grouped(&source_of, sources.len()));
         Ok(Self { queries: Arc::new(by_query), sources, relative })
     }
 
@@ -224,7 +219,7 @@ impl Neighborhood {
         let distance = |d: &Vec<f32>| d.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
         let weights: Vec<f64> = rows.iter().map(|d| 1.0 / (distance(d) + NEAR)).collect();
         let mut out = Vec::with_capacity(weights.len());
-        for span in self.queries.offsets.windows(2) {
+        for span in self.queries.offsets().windows(2) {
             let own = &weights[span[0] as usize..span[1] as usize];
             let sum: f64 = own.iter().sum();
             out.extend(own.iter().map(|w| (w / sum) as f32));
@@ -240,7 +235,7 @@ fn key(cell: &[i32; 3]) -> u64 {
 }
 
 /// Edges by the group that `inverse` names, in their order.
-fn grouped(inverse: Vec<u32>, groups: usize) -> Groups {
+fn grouped(inverse: &[u32], groups: usize) -> Groups {
     let mut offsets = vec![0u32; groups + 1];
     inverse.iter().for_each(|&g| offsets[g as usize + 1] += 1);
     for group in 0..groups {
@@ -253,5 +248,5 @@ fn grouped(inverse: Vec<u32>, groups: usize) -> Groups {
         rows[*at as usize] = edge as u32;
         *at += 1;
     }
-    Groups { rows, offsets, inverse }
+    Groups::new(rows, offsets).expect("every edge has one source")
 }

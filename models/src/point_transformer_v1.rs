@@ -436,12 +436,8 @@ impl Backbone for PointTransformerV1 {
 
 /// The rows of each scene; scenes without rows have no group.
 fn scenes(offsets: &[usize]) -> Groups {
-    let mut groups = Groups { rows: Vec::new(), offsets: vec![0], inverse: Vec::new() };
-    for scene in offsets.windows(2).filter(|s| s[1] > s[0]) {
-        let group = groups.len() as u32;
-        groups.inverse.extend((scene[0]..scene[1]).map(|_| group));
-        groups.offsets.push(scene[1] as u32);
-    }
-    groups.rows = (0..groups.inverse.len() as u32).collect();
-    groups
+    let filled = offsets.windows(2).filter(|s| s[1] > s[0]).map(|s| s[1] as u32);
+    let ends: Vec<u32> = std::iter::once(0).chain(filled).collect();
+    let rows = (0..ends[ends.len() - 1]).collect();
+    Groups::new(rows, ends).expect("scenes follow each other")
 }
