@@ -382,8 +382,7 @@ fn settings_reach_what_they_set() {
         ("\"class_text\"", "\"features\""),
     ] {
         assert!(base.contains(from), "{from}");
-        let changed =
-            weights(&base.replace(from, to), &format!("{}", to.replace(['"', '\n', ' '], "")));
+        let changed = weights(&base.replace(from, to), &to.replace(['"', '\n', ' '], ""));
         assert!(changed != plain, "{to} had no effect");
     }
 }

@@ -77,7 +77,7 @@ fn norms(c: &mut Criterion) {
 fn rows(c: &mut Criterion) {
     let order = shuffled();
     let offsets = (0..=ROWS).step_by(GROUP).map(|o| o as u32).collect();
-    let groups = Groups::new(order.clone(), offsets).unwrap();
+    let groups = Groups::new(order.clone(), offsets).expect("groups fit");
     for channels in [64, 768] {
         let x = random(ROWS * channels);
         let pooled = random(groups.len() * channels);

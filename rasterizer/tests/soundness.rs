@@ -70,7 +70,7 @@ fn lists_belong_to_their_view() {
     let said = refusal(|| drop(tile_lists(&projected, &huge, &settings)));
     assert!(said.contains("tiles"), "{said}");
     // Arrays of another length.
-    let mut torn = projected.clone();
+    let mut torn = projected;
     torn.conic.clear();
     refusal(|| drop(tile_lists(&torn, &view, &settings)));
     refusal(|| drop(blend(&torn, &lists, &view, &settings, |_| Nothing)));

@@ -281,7 +281,10 @@ fn beginning(name: &std::ffi::OsStr) -> OsString {
     // Of the 255 bytes, 23 are dots, digits and the ending.
     const MOST: usize = 200;
     match name.to_str() {
-        Some(text) if text.len() > MOST => text[..text.floor_char_boundary(MOST)].into(),
+        Some(text) if text.len() > MOST => {
+            let fits = |&(start, c): &(usize, char)| start + c.len_utf8() <= MOST;
+            text.char_indices().take_while(fits).map(|(_, c)| c).collect::<String>().into()
+        }
         None if name.len() > MOST => OsString::from("long"),
         _ => name.to_owned(),
     }

@@ -46,7 +46,7 @@ fn jpeg(width: u16, height: u16, components: u8, blocks: &[Vec<u8>]) -> Vec<u8> 
             bits += "0";
         }
     }
-    while bits.len() % 8 != 0 {
+    while !bits.len().is_multiple_of(8) {
         bits += "1";
     }
     for byte in bits.as_bytes().chunks(8) {

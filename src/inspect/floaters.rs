@@ -83,7 +83,7 @@ mod tests {
         let clean = slab();
         let found = find_floaters(&clean);
         assert_eq!((found.kept.len(), found.removed()), (clean.len(), 0));
-        let mut scene = clean.clone();
+        let mut scene = clean;
         // Near, far away, and a pair that keeps itself company.
         scene.coord[7] = [1.0, 1.0, 2.5];
         scene.coord[500] = [400.0, 0.0, 0.0];

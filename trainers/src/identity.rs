@@ -147,6 +147,7 @@ mod tests {
     use super::*;
     use serde_json::json;
 
+    #[allow(clippy::needless_pass_by_value, reason = "reads better with json!")]
     fn identity(value: Value) -> Identity {
         Identity::new().with_settings("", &value).unwrap()
     }

@@ -58,7 +58,7 @@ fn fit(counts: fn(u64) -> bool, empty: bool) -> std::result::Result<Progress, Tr
 fn an_epoch_in_which_no_row_counts_ends_the_run() {
     // One batch of each epoch of seven is enough.
     fit(|step| step % 7 == 3, false).unwrap();
-    let error = fit(|step| step < 7 || step > 13, false).unwrap_err();
+    let error = fit(|step| !(7..=13).contains(&step), false).unwrap_err();
     let TrainError::NothingCounted { epoch, tally, scenes } = &error else { panic!("{error}") };
     assert_eq!((*epoch, tally.batches, tally.rows, tally.counted_rows), (1, 7, 35, 0));
     assert_eq!(*scenes, ["kitchen"]);

@@ -105,7 +105,7 @@ fn losses_get_the_rows_that_count_and_their_weights() {
     let module = LanguagePretraining::new(params, model, objective, targets);
     let batch = batch();
     let out = step(&module, &batch);
-    let labels = batch.segment.clone().unwrap();
+    let labels = batch.segment.as_ref().unwrap();
     let counted = labels.iter().filter(|l| **l >= 0).count();
     assert_eq!((out.rows, out.counted_rows), (labels.len(), counted));
     assert!(labels.len() - counted >= 7);
@@ -116,7 +116,7 @@ fn losses_get_the_rows_that_count_and_their_weights() {
     assert!((total - (0.25 - 1.0) * sum).abs() < 1e-4 * sum.abs(), "{total} {sum}");
     let told = a.2.lock().unwrap();
     let (label, valid, target, progress) = &told[0];
-    assert_eq!(label.as_ref().unwrap(), &labels);
+    assert_eq!(label.as_ref().unwrap(), labels);
     assert_eq!(*progress, 0.25);
     let table = texts();
     for (row, &label) in labels.iter().enumerate() {

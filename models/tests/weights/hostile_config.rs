@@ -74,6 +74,7 @@ fn no_size_is_believed() {
     assert!(cases > 300, "{cases}");
 }
 
+#[allow(clippy::needless_pass_by_value, reason = "for map_err")]
 fn boxed(error: candle_core::Error) -> Box<dyn std::error::Error> {
     error.to_string().into()
 }

@@ -86,7 +86,7 @@ fn maps_of_any_number_type() {
 #[test]
 fn maps_as_pictures() {
     let dir = folder();
-    let id = |i: u32, none: u16| if i % W == 0 { none } else { (i / W % 2) as u16 };
+    let id = |i: u32, none: u16| if i.is_multiple_of(W) { none } else { (i / W % 2) as u16 };
     let bytes = (0..W * H).map(|i| id(i, 255) as u8).collect();
     let words = (0..W * H).map(|i| id(i, u16::MAX)).collect();
     gray_png(&dir.path().join("one.png"), Samples::Eight(bytes));

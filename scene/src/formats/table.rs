@@ -38,6 +38,9 @@ pub enum SceneFormat {
     NpyFolder,
 }
 
+/// Whether bytes are a file of this kind.
+type Recognize = fn(&[u8]) -> bool;
+
 /// Reads a scene from the bytes of a file.
 type Read = fn(&[u8], &Path, &ReadOptions) -> Result<LoadedScene, SceneError>;
 
@@ -57,7 +60,7 @@ pub struct FormatRow {
     pub endings: &'static [&'static str],
     /// Where a whole file of this kind is recognised by its bytes, and read from them. Formats that
     /// come as several files, and PLY, are recognised in `open`.
-    pub(super) reader: Option<(fn(&[u8]) -> bool, Read)>,
+    pub(super) reader: Option<(Recognize, Read)>,
     pub(super) writer: Option<Write>,
     /// The frame that it prescribes; readers and writers convert from and to it. `None`: it says
     /// nothing, and the numbers of the file are those in memory.
@@ -253,7 +256,7 @@ impl SceneFormat {
     pub fn is_scene_file_name(name: &str) -> bool {
         let name = name.to_ascii_lowercase();
         let ends = |e: &&str| e.starts_with('.') && name.ends_with(*e);
-        FORMATS.iter().any(|row| row.endings.iter().any(|e| ends(&e)))
+        FORMATS.iter().any(|row| row.endings.iter().any(ends))
     }
 }
 

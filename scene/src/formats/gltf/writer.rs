@@ -23,13 +23,16 @@ const FLOAT: u32 = 5126;
 /// Bytes before the content of each chunk.
 const CHUNK_HEADER: u64 = 8;
 
+/// Writes the numbers of a row of a scene.
+type RowValues = Box<dyn Fn(&GaussianScene, usize, &mut [f32]) + Sync>;
+
 /// One attribute of the Gaussians.
 struct Attribute {
     name: String,
     shape: &'static str,
     width: usize,
     /// The numbers of a row, `width` of them.
-    value: Box<dyn Fn(&GaussianScene, usize, &mut [f32]) + Sync>,
+    value: RowValues,
 }
 
 /// Writes a scene as a `.glb` file, and its labels beside it.
