@@ -4,10 +4,12 @@ use crate::flags::{Shared, SourceArgs, parse_up};
 use crate::session::Session;
 use crate::terminal::{print, write_text};
 use anyhow::{Context, Result, bail};
+use scenesplat::embedded;
 use scenesplat::input::scene_name;
 use scenesplat::inspect::sheet::write_sheet;
 use scenesplat::inspect::{InspectSettings, inspect};
-use scenesplat::network::NetworkChoice;
+use scenesplat::memory::machine_memory;
+use scenesplat::network::{NetworkChoice, NetworkConfig, WeightOptions, Weights, network_of};
 use scenesplat::scene::{ReadOptions, UpAxis};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -36,7 +38,8 @@ pub struct Args {
     /// How to read the scene.
     #[command(flatten)]
     pub source: SourceArgs,
-    /// Flags of all commands; --config names the network whose cost is estimated.
+    /// Flags of all commands; --weights and --config name the network whose cost is estimated, as
+    /// they name the one of segment.
     #[command(flatten)]
     pub shared: Shared,
 }
@@ -44,8 +47,7 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start(&args.shared, line)?;
-    let config = args.shared.config.clone().unwrap_or(NetworkChoice::Language);
-    let network = (config.to_string(), config.resolve()?);
+    let (name, config) = network(&args.shared)?;
     let opened = {
         let _stage = session.receipt.stage("read");
         let opened = {
@@ -64,7 +66,9 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         let settings = InspectSettings {
             from_points: opened.converted,
             up: args.up,
-            network: Some(network),
+            grid_size: config.model.grid_size,
+            network: Some((name, config)),
+            machine_bytes: machine_memory().map(|bytes| bytes.0),
             ..InspectSettings::default()
         };
         inspect(&opened.loaded, &settings)
@@ -101,6 +105,23 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         bail!("{}: {} findings: {}", args.scene.display(), names.len(), names.join(", "));
     }
     Ok(())
+}
+
+/// The network that `segment` would run with the same flags, and what it is called. A configuration
+/// alone will do: only its size is asked for.
+fn network(shared: &Shared) -> Result<(String, NetworkConfig)> {
+    if let (None, Some(config)) = (&shared.weights, &shared.config) {
+        return Ok((config.to_string(), config.resolve()?));
+    }
+    let weights = shared.weights()?;
+    let config = network_of(&weights, shared.config.as_ref(), WeightOptions::default())?;
+    let name = match (&shared.config, &weights) {
+        (Some(config), _) => config.to_string(),
+        (None, Weights::Embedded) => embedded::NAME.to_owned(),
+        (None, Weights::Seeded(_)) => NetworkChoice::Language.to_string(),
+        (None, Weights::File(path)) => path.display().to_string(),
+    };
+    Ok((name, config))
 }
 
 /// `room.ply` → `room.ply.inspect.png`; the description of a folder is named after the folder.
