@@ -17,7 +17,7 @@ use std::sync::Arc;
 fn main() -> anyhow::Result<()> {
     let texts = scenesplat::rooms::Vocabulary::new(64)?.class_table();
     let rooms = |count, seed, steps: Vec<TransformConfig>| {
-        let source = datasets::SyntheticRooms::new(count, Default::default(), seed);
+        let source = datasets::SyntheticRooms::new(count, Default::default(), seed)?;
         let steps = datasets::build_transforms(&steps)?;
         datasets::SceneDataset::new(Arc::new(source), steps, 0, 1).map(Arc::new)
     };
@@ -51,7 +51,7 @@ fn main() -> anyhow::Result<()> {
             let loss = objective.forward(&input)?.total;
             let mut grads = loss.backward()?;
             clip_grad_norm(&params, &mut grads, 1.0)?;
-            optimizer.step(&grads, &OneCycle::default().controls(step, epochs * steps))?;
+            optimizer.step(&grads, &OneCycle::default().hyperparameters(step, epochs * steps))?;
             println!("step {step}: loss {:.3}", loss.to_scalar::<f32>()?);
         }
     }

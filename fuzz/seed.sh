@@ -5,7 +5,7 @@ cd "$(dirname "$0")/.."
 shared=${SCENESPLAT_SHARED:-../shared}
 real=$shared/real
 corpus=fuzz/corpus
-mkdir -p $corpus/{ply,ply_points,spz,splat,sog,sog_json,ksplat,gltf,cameras_json,transforms_json,colmap_binary,colmap_text,npy,labels}
+mkdir -p $corpus/{ply,ply_points,spz,splat,sog,sog_json,ksplat,gltf,cameras_json,transforms_json,colmap_binary,colmap_text,npy,labels,weights,pickle,network_config,experiment,picture}
 cp "$real"/fixtures/*.spz $corpus/spz/
 cp "$real"/fixtures/*.splat $corpus/splat/
 cp "$real"/fixtures/*.ksplat $corpus/ksplat/
@@ -15,6 +15,14 @@ cp "$real"/objects/playbot_sog2_lod/6_0/meta.json $corpus/sog_json/v2.json
 cp "$real"/objects/playcanvas_logo_sog1/meta.json $corpus/sog_json/v1.json
 cp "$real"/objects/playbot_sog2_lod/lod-meta.json $corpus/sog_json/lod.json
 cp "$real"/scenes/arkit_brush/cameras.json $corpus/cameras_json/
+find models/tests/data -name '*.safetensors' -size -64k -exec cp {} $corpus/weights/ \;
+cp models/tests/data/*.pth models/tests/data/*.pt $corpus/weights/
+for archive in models/tests/data/*.pth models/tests/data/*.pt; do
+  unzip -p "$archive" '*data.pkl' >"$corpus/pickle/$(basename "$archive").pkl" || true
+done
+cp assets/embedded/config.json models/tests/data/hub/config.json $corpus/network_config/
+find configs -name '*.toml' -exec cp {} $corpus/experiment/ \;
+find "$real" \( -name '*.png' -o -name '*.jpg' \) -size -64k -exec cp {} $corpus/picture/ \;
 small=$(mktemp -d)
 cargo run -q --release --example synthetic_room -- 7 "$small/room" 100
 convert() { cargo run -q --release -- convert --quiet --overwrite "$small/room.ply" "$@" >/dev/null; }
@@ -43,5 +51,7 @@ images = b"1 1 0 0 0 0 0 0 1 a.png\n5 6 1\n"
 points = b"1 1 2 3 9 9 9 0.5 1 0\n"
 open(f"{corpus}/colmap_text/one", "wb").write(struct.pack("<II", len(cameras), len(images)) + cameras + images + points)
 PY
+cargo run -q --release -- inspect --quiet "$small/room.ply" --sheet "$small/sheet.png" >/dev/null || true
+[ ! -f "$small/sheet.png" ] || cp "$small/sheet.png" $corpus/picture/
 rm -r "$small"
 find $corpus -type f | wc -l

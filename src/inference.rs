@@ -221,7 +221,7 @@ impl<'a> SceneEncoder<'a> {
         if plan.num_inputs() == 0 {
             return Err(EncodeError::Setting("the scene has no Gaussian".to_owned()));
         }
-        check_way_back(scene, &plan, grid_size)?;
+        check_inverse_map(scene, &plan, grid_size)?;
         let width = self.network.model().out_channels();
         let budget = self.budget(scene, beside, &plan, width)?;
         let mut slots = if budget.spill {
@@ -372,7 +372,7 @@ impl<'a> SceneEncoder<'a> {
 
 /// Checks that every Gaussian gets the feature of a Gaussian of its own voxel: a row that went astray
 /// would give plausible nonsense.
-fn check_way_back(
+fn check_inverse_map(
     scene: &GaussianScene,
     plan: &InferencePlan<'_>,
     grid_size: f64,

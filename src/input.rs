@@ -2,10 +2,10 @@
 
 use crate::outputs::OpenedScene;
 use anyhow::Result;
-use scenesplat_datasets::{PointCloud, PointSettings, gaussians_from_points};
+use scenesplat_datasets::{PointSettings, SurfacePoints, gaussians_from_points};
 use scenesplat_scene::formats::labelled_ply::{LABEL_NAMES, read_labelled_ply};
 use scenesplat_scene::formats::ply::{PlyFile, is_ply};
-use scenesplat_scene::{LoadedScene, ReadOptions, SceneKind, open_scene};
+use scenesplat_scene::{LoadedScene, ReadOptions, SceneFormat, open_scene};
 use std::ffi::OsStr;
 use std::io::Read;
 use std::path::Path;
@@ -21,7 +21,7 @@ pub fn open_input(path: &Path, options: &ReadOptions) -> Result<(OpenedScene, Op
         return Ok((OpenedScene { loaded: open_scene(path, options)?, converted: false }, None));
     }
     let (cloud, report) = read_labelled_ply(path, options.policy, label)?;
-    let points = PointCloud {
+    let points = SurfacePoints {
         coord: cloud.coord,
         color: cloud.color,
         normal: cloud.normal,
@@ -42,7 +42,7 @@ pub fn open_input(path: &Path, options: &ReadOptions) -> Result<(OpenedScene, Op
         report,
         kept_rows: cloud.kept_rows,
         path: path.to_owned(),
-        kind: SceneKind::InriaPly,
+        kind: SceneFormat::Ply,
     };
     Ok((OpenedScene { loaded, converted: true }, Some(text)))
 }

@@ -5,15 +5,12 @@ use rand::seq::index::sample;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rayon::prelude::*;
+use scenesplat_kernels::eigenvectors::{Iteration, leading_eigenvectors};
 use scenesplat_kernels::gemm::gemm_tn;
 use scenesplat_scene::{FeatureRows, LanguageCode, LanguageCodebook};
 
 /// Rows that the axes are found from.
 const SAMPLE: usize = 30_000;
-/// Rounds of the subspace iteration; the captured variance settles long before.
-const ROUNDS: usize = 60;
-/// One less the cosine by which a direction still turns when it counts as found.
-const SETTLED: f64 = 1e-12;
 /// Rows of one task.
 const BLOCK: usize = 1024;
 /// Codes are kept below this, well within 16 bits.
@@ -64,7 +61,7 @@ pub enum CodeError {
 ///
 /// # Errors
 /// If `k` is 0 or wider than the features, no row has a feature, or `progress` stops it.
-pub fn encode_features(
+pub fn compress_features(
     features: &FeatureRows,
     valid: Option<&[bool]>,
     k: usize,
@@ -106,7 +103,9 @@ pub fn encode_features(
     }
     let mut covariance = vec![0f32; width * width];
     gemm_tn(&table, width, &table, width, None, &mut covariance);
-    let axes = strongest(&covariance, width, k, progress).ok_or(CodeError::Stopped)?;
+    let axes = leading_eigenvectors(&covariance, width, k, Iteration::default(), progress)
+        .ok_or(CodeError::Stopped)?;
+    let axes = axes.iter().flatten().map(|v| *v as f32).collect();
     let mut codebook = LanguageCodebook { mean, axes };
 
     let has_feature: Vec<bool> = {
@@ -182,64 +181,6 @@ fn cosine(a: &[f16], b: &[f32]) -> f64 {
     if aa > 0.0 && bb > 0.0 { dot / (aa.sqrt() * bb.sqrt()) } else { 0.0 }
 }
 
-/// The `k` eigenvectors with the largest eigenvalues of a symmetric matrix, row by row, by subspace
-/// iteration. Directions without any variance become 0. `None` if `progress` stops it.
-fn strongest(
-    matrix: &[f32],
-    width: usize,
-    k: usize,
-    progress: &mut dyn FnMut(f64) -> bool,
-) -> Option<Vec<f32>> {
-    // A fixed start that is not orthogonal to anything likely.
-    let mut basis: Vec<Vec<f64>> = (0..k)
-        .map(|j| (0..width).map(|i| ((i * (j + 2) + j) as f64 * 0.7).sin() + 0.01).collect())
-        .collect();
-    let largest = (0..width).map(|i| f64::from(matrix[i * width + i])).fold(0.0, f64::max);
-    for round in 0..ROUNDS {
-        if !progress(round as f64 / ROUNDS as f64) {
-            return None;
-        }
-        let mut next: Vec<Vec<f64>> = basis
-            .par_iter()
-            .map(|vector| {
-                let dot =
-                    |row: &[f32]| row.iter().zip(vector).map(|(m, b)| f64::from(*m) * b).sum();
-                matrix.chunks_exact(width).map(dot).collect()
-            })
-            .collect();
-        for j in 0..k {
-            // Twice: once leaves a remainder where directions nearly agree.
-            for _ in 0..2 {
-                let (done, rest) = next.split_at_mut(j);
-                for other in done.iter() {
-                    let dot: f64 = rest[0].iter().zip(other).map(|(a, b)| a * b).sum();
-                    rest[0].iter_mut().zip(other).for_each(|(a, b)| *a -= dot * b);
-                }
-            }
-            let norm = next[j].iter().map(|v| v * v).sum::<f64>().sqrt();
-            let scale = if norm > largest * 1e-9 { 1.0 / norm } else { 0.0 };
-            next[j].iter_mut().for_each(|v| *v *= scale);
-        }
-        // How far each direction turned; later rounds would turn it less still.
-        let turned = basis.iter().zip(&next).map(|(old, new)| {
-            let dot: f64 = old.iter().zip(new).map(|(a, b)| a * b).sum();
-            1.0 - dot.abs()
-        });
-        let settled = turned.fold(0.0, f64::max) < SETTLED;
-        basis = next;
-        if settled {
-            break;
-        }
-    }
-    let mut out = Vec::with_capacity(k * width);
-    for direction in basis {
-        // A fixed sign, so that codes do not flip between machines.
-        let sign = if direction.iter().sum::<f64>() < 0.0 { -1.0 } else { 1.0 };
-        out.extend(direction.iter().map(|v| (v * sign) as f32));
-    }
-    Some(out)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -260,13 +201,13 @@ mod tests {
     #[test]
     fn features_of_low_rank_come_back() {
         let features = plane(3000);
-        let done = encode_features(&features, None, 3, 0, &mut |_| true).unwrap();
+        let done = compress_features(&features, None, 3, 0, &mut |_| true).unwrap();
         assert!(done.lowest_cosine > 0.9999, "{}", done.lowest_cosine);
         assert_eq!(done.valid, 3000);
-        let fewer = encode_features(&features, None, 2, 0, &mut |_| true).unwrap();
+        let fewer = compress_features(&features, None, 2, 0, &mut |_| true).unwrap();
         assert!(fewer.mean_cosine < done.mean_cosine);
         // More axes than the features have are 0 and harm nothing.
-        let more = encode_features(&features, None, 12, 0, &mut |_| true).unwrap();
+        let more = compress_features(&features, None, 12, 0, &mut |_| true).unwrap();
         assert!(more.lowest_cosine > 0.9999);
         more.code.codebook.check().unwrap();
     }
@@ -275,16 +216,16 @@ mod tests {
     fn rows_without_a_feature_have_the_code_0() {
         let mut features = plane(100);
         features.values[..12].fill(f16::ZERO);
-        let done = encode_features(&features, None, 3, 0, &mut |_| true).unwrap();
+        let done = compress_features(&features, None, 3, 0, &mut |_| true).unwrap();
         assert_eq!(done.valid, 99);
         assert_eq!(done.code.values[..3], [f16::ZERO; 3]);
         let masked = vec![false; 100];
         assert_eq!(
-            encode_features(&features, Some(&masked), 3, 0, &mut |_| true).unwrap_err(),
+            compress_features(&features, Some(&masked), 3, 0, &mut |_| true).unwrap_err(),
             CodeError::NoFeatures
         );
-        assert!(encode_features(&features, None, 0, 0, &mut |_| true).is_err());
-        assert!(encode_features(&features, None, 13, 0, &mut |_| true).is_err());
+        assert!(compress_features(&features, None, 0, 0, &mut |_| true).is_err());
+        assert!(compress_features(&features, None, 13, 0, &mut |_| true).is_err());
     }
 
     #[test]
@@ -292,7 +233,7 @@ mod tests {
         let mut features = plane(500);
         features.values[12 * 7] = f16::NAN;
         features.values[12 * 9 + 3] = f16::INFINITY;
-        let done = encode_features(&features, None, 3, 0, &mut |_| true).unwrap();
+        let done = compress_features(&features, None, 3, 0, &mut |_| true).unwrap();
         assert_eq!((done.valid, done.not_finite), (498, 2));
         assert!(done.lowest_cosine > 0.999, "{}", done.lowest_cosine);
         assert_eq!(done.code.values[21..24], [f16::ZERO; 3]);
@@ -304,21 +245,21 @@ mod tests {
         let mut features = plane(500);
         let scale = |v: f16| f16::from_f32(v.to_f32() * 30_000.0);
         features.values.iter_mut().for_each(|v| *v = scale(*v));
-        let done = encode_features(&features, None, 3, 0, &mut |_| true).unwrap();
+        let done = compress_features(&features, None, 3, 0, &mut |_| true).unwrap();
         assert!(done.lowest_cosine > 0.999, "{}", done.lowest_cosine);
         assert!(done.code.values.iter().all(|v| v.is_finite()));
     }
 
     #[test]
     fn it_stops_when_told_to() {
-        let stopped = encode_features(&plane(500), None, 3, 0, &mut |_| false);
+        let stopped = compress_features(&plane(500), None, 3, 0, &mut |_| false);
         assert_eq!(stopped.unwrap_err(), CodeError::Stopped);
     }
 
     #[test]
     fn one_row_is_its_own_mean() {
         let features = plane(1);
-        let done = encode_features(&features, None, 1, 0, &mut |_| true).unwrap();
+        let done = compress_features(&features, None, 1, 0, &mut |_| true).unwrap();
         assert!(done.lowest_cosine > 0.9999);
     }
 }

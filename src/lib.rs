@@ -25,7 +25,6 @@
 //! ```
 
 pub mod alignment;
-pub mod convert;
 pub mod embedded;
 pub mod inference;
 pub mod input;

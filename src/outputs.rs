@@ -12,7 +12,7 @@ use scenesplat_scene::formats::ply::{
     ColumnValues, PlyColumn, PlyFile, free_column_name, write_ply_with_columns,
 };
 use scenesplat_scene::gaussian_scene::u8_to_dc;
-use scenesplat_scene::{GaussianScene, LoadedScene, SceneKind, UpAxis};
+use scenesplat_scene::{AtomicFile, GaussianScene, LoadedScene, SceneFormat, UpAxis};
 use std::path::Path;
 
 /// A scene as a command opened it.
@@ -88,9 +88,9 @@ pub fn write_features_safetensors(
     .to_string();
     // The data start on a multiple of 8.
     header.push_str(&" ".repeat(header.len().next_multiple_of(8) - header.len()));
-    let beside = path.with_extension("safetensors.partial");
     let written = (|| -> Result<()> {
-        let mut file = std::io::BufWriter::new(std::fs::File::create(&beside)?);
+        let part = AtomicFile::create(path)?;
+        let mut file = std::io::BufWriter::new(part.file()?);
         file.write_all(&(header.len() as u64).to_le_bytes())?;
         file.write_all(header.as_bytes())?;
         let mut count = 0;
@@ -105,14 +105,11 @@ pub fn write_features_safetensors(
             Ok(())
         })?;
         file.flush()?;
+        drop(file);
         // A header that promises more than there is would make every reader stumble.
         anyhow::ensure!(count == rows * width, "wrote {count} of {} values", rows * width);
-        std::fs::rename(&beside, path)?;
-        Ok(())
+        Ok(part.commit()?)
     })();
-    if written.is_err() {
-        let _ = std::fs::remove_file(&beside);
-    }
     written.with_context(|| path.display().to_string())?;
     file_size(path)
 }
@@ -176,7 +173,7 @@ pub fn write_colored_ply(
     path: &Path,
 ) -> Result<u64> {
     let loaded = &opened.loaded;
-    if opened.converted || loaded.kind != SceneKind::InriaPly {
+    if opened.converted || loaded.kind != SceneFormat::Ply {
         let mut scene = GaussianScene {
             sh_dc: colors.iter().map(|c| c.map(u8_to_dc)).collect(),
             sh_rest: Vec::new(),

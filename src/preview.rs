@@ -7,6 +7,8 @@
 mod depth_picture;
 mod discs;
 mod framing;
+mod inside;
+mod look_at;
 mod orbit;
 pub(crate) mod orthographic;
 mod palette;
@@ -14,14 +16,16 @@ mod splats;
 pub(crate) mod text;
 
 pub use depth_picture::depth_picture;
+pub use inside::inside_views;
+pub use look_at::LookAt;
 pub use orbit::{Ceiling, Orbit};
 pub use palette::{UNLABELLED_COLOR, class_color};
 
 use discs::{Canvas, Disc, Lens};
 use framing::{Framing, Upright};
 use scenesplat_scene::picture::{Channels, Picture, RgbPicture, Samples};
-use scenesplat_scene::{GaussianScene, UpAxis};
-use std::path::{Path, PathBuf};
+use scenesplat_scene::{AtomicFile, GaussianScene, UpAxis, WriteError};
+use std::path::Path;
 
 /// Why there is no preview.
 #[derive(Debug, thiserror::Error)]
@@ -47,14 +51,8 @@ pub enum PreviewError {
     #[error("preview: the picture cannot be encoded as PNG")]
     Encode(#[source] std::io::Error),
     /// The file could not be written.
-    #[error("{}: cannot write the preview", path.display())]
-    Write {
-        /// Which file.
-        path: PathBuf,
-        /// Why it failed.
-        #[source]
-        source: std::io::Error,
-    },
+    #[error(transparent)]
+    Write(#[from] WriteError),
 }
 
 /// What to draw, one row per Gaussian.
@@ -234,7 +232,7 @@ pub fn write_preview(
     write_png(path, &picture)
 }
 
-/// Writes a picture, beside the path first, then renamed. Returns the size of the file.
+/// Writes a picture, which appears when it is complete. Returns the size of the file.
 ///
 /// # Errors
 /// If it cannot be encoded or written.
@@ -255,16 +253,7 @@ pub fn write_png16(path: &Path, values: &[u16], size: [u32; 2]) -> Result<u64, P
 
 fn put_png(path: &Path, png: std::io::Result<Vec<u8>>) -> Result<u64, PreviewError> {
     let png = png.map_err(PreviewError::Encode)?;
-    let mut beside = path.as_os_str().to_owned();
-    beside.push(format!(".part-{}", std::process::id()));
-    let beside = PathBuf::from(beside);
-    std::fs::write(&beside, &png).and_then(|()| std::fs::rename(&beside, path)).map_err(
-        |source| {
-            // The half-written file is of no use to anyone; the first error is the one to show.
-            let _ = std::fs::remove_file(&beside);
-            PreviewError::Write { path: path.to_owned(), source }
-        },
-    )?;
+    AtomicFile::write(path, &png)?;
     Ok(png.len() as u64)
 }
 

@@ -2,12 +2,15 @@
 
 use crate::inference::{EncodeError, SceneFeatures};
 use crate::preview::UNLABELLED_COLOR;
+use scenesplat_kernels::eigenvectors::{Iteration, leading_eigenvectors};
 use scenesplat_kernels::gemm::gemm_tn;
 
 /// Rows that the directions are found from.
 const SAMPLE: usize = 20_000;
-/// Rounds of the orthogonal iteration; the picture needs no more.
-const ROUNDS: usize = 40;
+/// A picture needs no more rounds, and of directions that rows do not have only rounding of the f32
+/// sums is left, below 1e-7 of the whole.
+const ITERATION: Iteration =
+    Iteration { rounds: 40, settled: 0.0, negligible: 1e-6, orthogonalizations: 1 };
 
 /// One colour per Gaussian: the features' three principal components as red, green, blue, each
 /// stretched over its 2–98 % range.
@@ -41,7 +44,8 @@ pub fn sample_step(rows: usize) -> usize {
 #[derive(Debug, Clone)]
 pub struct PrincipalDirections {
     mean: Vec<f64>,
-    directions: [Vec<f64>; 3],
+    /// At most three; the others are none.
+    directions: Vec<Vec<f64>>,
 }
 
 impl PrincipalDirections {
@@ -57,7 +61,9 @@ impl PrincipalDirections {
         }
         let mut covariance = vec![0f32; width * width];
         gemm_tn(&rows, width, &rows, width, None, &mut covariance);
-        Self { mean, directions: strongest(&covariance, width) }
+        let found =
+            leading_eigenvectors(&covariance, width, width.min(3), ITERATION, &mut |_| true);
+        Self { mean, directions: found.unwrap_or_default() }
     }
 
     /// Coordinates of a row along the directions.
@@ -65,7 +71,7 @@ impl PrincipalDirections {
         let along = |d: &Vec<f64>| -> f64 {
             row.iter().zip(&self.mean).zip(d).map(|((v, m), d)| (f64::from(*v) - m) * d).sum()
         };
-        [0, 1, 2].map(|k: usize| along(&self.directions[k]) as f32)
+        [0, 1, 2].map(|k: usize| self.directions.get(k).map_or(0.0, along) as f32)
     }
 }
 
@@ -90,54 +96,9 @@ pub fn stretched_colors(projected: &[Option<[f32; 3]>]) -> Vec<[u8; 3]> {
     projected.iter().map(color).collect()
 }
 
-/// The three eigenvectors with the largest eigenvalues, by orthogonal iteration.
-fn strongest(matrix: &[f32], width: usize) -> [Vec<f64>; 3] {
-    // A fixed start that is not orthogonal to anything likely.
-    let mut basis: [Vec<f64>; 3] = std::array::from_fn(|k| {
-        (0..width).map(|i| ((i * (k + 2) + k) as f64 * 0.7).sin() + 0.01).collect()
-    });
-    let trace: f64 = matrix.iter().step_by(width + 1).map(|v| f64::from(*v)).sum();
-    for _ in 0..ROUNDS {
-        for k in 0..3 {
-            let mut next: Vec<f64> = matrix
-                .chunks_exact(width)
-                .map(|row| row.iter().zip(&basis[k]).map(|(m, b)| f64::from(*m) * b).sum())
-                .collect();
-            for done in basis.iter().take(k) {
-                let dot: f64 = next.iter().zip(done).map(|(a, b)| a * b).sum();
-                next.iter_mut().zip(done).for_each(|(a, b)| *a -= dot * b);
-            }
-            let norm = next.iter().map(|v| v * v).sum::<f64>().sqrt();
-            // Fewer directions than colours: the others are none. What is left of them is rounding of
-            // the f32 sums, below 1e-7 of the whole.
-            next.iter_mut().for_each(|v| *v = if norm > 1e-6 * trace { *v / norm } else { 0.0 });
-            basis[k] = next;
-        }
-    }
-    // A fixed sign, so that colours do not flip between machines.
-    for direction in &mut basis {
-        if direction.iter().sum::<f64>() < 0.0 {
-            direction.iter_mut().for_each(|v| *v = -*v);
-        }
-    }
-    basis
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn finds_the_axes_of_a_diagonal_matrix() {
-        let mut matrix = vec![0f32; 25];
-        for (i, v) in [1.0, 9.0, 0.5, 4.0, 2.0].iter().enumerate() {
-            matrix[i * 6] = *v;
-        }
-        let found = strongest(&matrix, 5);
-        for (direction, axis) in found.iter().zip([1, 3, 4]) {
-            assert!(direction[axis].abs() > 0.999, "{direction:?}");
-        }
-    }
 
     #[test]
     fn rows_along_one_line_have_one_direction() {

@@ -4,6 +4,7 @@ mod allocator;
 mod bench;
 mod commands;
 mod flags;
+mod outputs;
 mod progress;
 mod receipt;
 mod session;

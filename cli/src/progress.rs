@@ -1,28 +1,38 @@
-//! What a long command shows: a bar on a terminal, plain lines elsewhere; and stopping on Ctrl-C.
+//! What a long command shows: a bar on a terminal, plain lines elsewhere; and stopping on Ctrl-C or SIGTERM.
 
 use indicatif::{ProgressBar, ProgressStyle};
+use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::flag;
 use std::cell::RefCell;
 use std::io::IsTerminal;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, LazyLock};
 use std::time::{Duration, Instant};
 
-static INTERRUPTS: AtomicU32 = AtomicU32::new(0);
+/// Whether somebody asked to stop.
+static STOP: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
 
-/// Makes Ctrl-C ask the work to stop; a second one ends the program at once.
+/// Makes Ctrl-C and SIGTERM (of schedulers and containers) ask the work to stop; a second one ends
+/// the program at once. SIGHUP is left as it is: `nohup` works.
 ///
 /// # Errors
 /// If the system does not allow it.
-pub fn listen_for_interrupt() -> Result<(), ctrlc::Error> {
-    ctrlc::set_handler(|| {
-        if INTERRUPTS.fetch_add(1, Ordering::SeqCst) > 0 {
-            std::process::exit(1);
-        }
-    })
+pub fn listen_for_interrupt() -> std::io::Result<()> {
+    static LISTENING: AtomicBool = AtomicBool::new(false);
+    if LISTENING.swap(true, Ordering::SeqCst) {
+        return Ok(());
+    }
+    for signal in [SIGINT, SIGTERM] {
+        // In this order: the first signal finds the flag unset, and sets it.
+        flag::register_conditional_shutdown(signal, 1, Arc::clone(&STOP))?;
+        flag::register(signal, Arc::clone(&STOP))?;
+    }
+    Ok(())
 }
 
-/// Whether the user asked to stop.
+/// Whether the user or the system asked to stop.
 pub fn interrupted() -> bool {
-    INTERRUPTS.load(Ordering::SeqCst) > 0
+    STOP.load(Ordering::SeqCst)
 }
 
 /// Shows the steps of a command on standard error.

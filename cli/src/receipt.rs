@@ -32,6 +32,9 @@ pub enum ReceiptError {
     Json(#[from] serde_json::Error),
 }
 
+/// Characters of the widest value to whose width the other values of a receipt are padded.
+const WIDEST_COLUMN: usize = 24;
+
 /// The name of the stage that holds the time outside all others.
 pub const OTHER_STAGE: &str = "other";
 
@@ -294,28 +297,6 @@ impl ReceiptReport {
         Ok(serde_json::to_string_pretty(self)? + "\n")
     }
 
-    /// Writes the report as JSON, beside the path first, then renamed: readers never see half.
-    ///
-    /// # Errors
-    /// If the file cannot be written.
-    pub fn write_json(&self, path: &Path) -> Result<(), ReceiptError> {
-        let text = self.to_json()?;
-        let mut beside = path.as_os_str().to_owned();
-        beside.push(format!(".part-{}", std::process::id()));
-        let beside = PathBuf::from(beside);
-        std::fs::write(&beside, text).and_then(|()| std::fs::rename(&beside, path)).map_err(
-            |source| {
-                // The half-written file is of no use to anyone; the first error is the one to show.
-                let _ = std::fs::remove_file(&beside);
-                ReceiptError::Io {
-                    path: path.to_owned(),
-                    action: "cannot write the receipt",
-                    source,
-                }
-            },
-        )
-    }
-
     /// Time of a stage, seconds; 0 if it did not run.
     #[cfg(test)]
     pub fn seconds(&self, stage: &str) -> f64 {
@@ -349,7 +330,9 @@ impl fmt::Display for ReceiptReport {
             bytes_text(self.bytes_written)
         )?;
         let name_width = self.settings.iter().map(|s| s.name.chars().count()).max().unwrap_or(0);
-        let value_width = self.settings.iter().map(|s| s.value.chars().count()).max().unwrap_or(0);
+        // A long value, such as a plan, stands for itself: the others are not padded to its length.
+        let widths = self.settings.iter().map(|s| s.value.chars().count());
+        let value_width = widths.filter(|&width| width <= WIDEST_COLUMN).max().unwrap_or(0);
         for SettingUsed { name, value, why } in &self.settings {
             writeln!(f, "  set {name:name_width$} = {value:value_width$}  {why}")?;
         }
@@ -548,7 +531,6 @@ mod tests {
 
     #[test]
     fn json_returns_unchanged_and_is_renamed_into_place() {
-        let folder = tempfile::tempdir().unwrap();
         let receipt = Receipt::new("encode room.ply");
         receipt.add_rows_in(1_234_567);
         receipt.add_rows_out(5);
@@ -559,13 +541,10 @@ mod tests {
         receipt.computation("f32", "avx512");
         receipt.threads(2);
         let report = receipt.finish();
-        let path = folder.path().join("receipt.json");
-        report.write_json(&path).unwrap();
-        let text = std::fs::read_to_string(&path).unwrap();
+        let text = report.to_json().unwrap();
         let back: ReceiptReport = serde_json::from_str(&text).unwrap();
         assert_eq!(back.settings, report.settings);
         assert_eq!(back.settings.len(), 1);
-        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
         let value: serde_json::Value = serde_json::from_str(&text).unwrap();
         let mut names: Vec<&str> = value.as_object().unwrap().keys().map(String::as_str).collect();
         names.sort_unstable();
@@ -589,8 +568,18 @@ mod tests {
         for part in ["1 234 567", "grid_size = 0.05", "zero quaternions", "avx512, f32", "total"] {
             assert!(table.contains(part), "{part} in\n{table}");
         }
-        let error = report.write_json(&folder.path().join("no/receipt.json")).unwrap_err();
-        assert!(error.to_string().contains("receipt.json"), "{error}");
+    }
+
+    #[test]
+    fn a_long_value_does_not_widen_the_lines_of_others() {
+        let receipt = Receipt::new("render room.ply");
+        receipt.setting("plan", "p".repeat(480), "what is computed");
+        receipt.setting("preset", "gsplat-1.6", "constants");
+        receipt.setting("depth_scale", 1000, "steps");
+        let table = receipt.finish().to_string();
+        assert!(table.contains("= gsplat-1.6  constants"), "{table}");
+        assert!(table.contains("= 1000        steps"), "{table}");
+        assert!(!table.contains(&" ".repeat(30)), "{table}");
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use crate::commands::WrongUse;
 use crate::flags::{Inference, Shared};
+use crate::outputs::Outputs;
 use crate::progress::{Progress, interrupted, listen_for_interrupt};
 use crate::receipt::Receipt;
 use crate::terminal::print;
@@ -12,11 +13,11 @@ use scenesplat::input::open_input;
 use scenesplat::kernels::simd::Isa;
 use scenesplat::memory::Bytes;
 use scenesplat::models::{Compute, LoadPolicy};
-use scenesplat::network::{WeightOptions, Weights, network_of};
+use scenesplat::network::{NetworkChoice, WeightOptions, Weights, network_of};
 use scenesplat::outputs::OpenedScene;
 use scenesplat::scene::{GaussianScene, ReadOptions, UpAxis, guess_up};
 use scenesplat::{Network, SceneEncoder, SceneFeatures};
-use std::cell::Cell;
+use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 
 /// Where features come from.
@@ -55,7 +56,9 @@ pub struct Session<'a> {
     pub receipt: Receipt,
     /// What is shown.
     pub progress: Progress,
-    made_out: Cell<bool>,
+    /// What is read and written.
+    pub outputs: Outputs,
+    written: RefCell<Vec<(PathBuf, u64)>>,
 }
 
 impl<'a> Session<'a> {
@@ -77,26 +80,39 @@ impl<'a> Session<'a> {
         receipt.computation("f32", Isa::current().name());
         receipt.threads(rayon::current_num_threads());
         let progress = Progress::new(shared.quiet);
-        Ok(Self { shared, receipt, progress, made_out: Cell::new(false) })
+        let outputs = Outputs::new(&shared.out);
+        outputs.claim_any("--receipt", shared.receipt.as_ref())?;
+        if let Some(Weights::File(path)) = &shared.weights {
+            outputs.reads(path)?;
+        }
+        if let Some(NetworkChoice::File(path)) = &shared.config {
+            outputs.reads(path)?;
+        }
+        Ok(Self { shared, receipt, progress, outputs, written: RefCell::default() })
     }
 
-    /// Makes the output folder; called before anything expensive.
-    pub fn make_out(&self) -> Result<()> {
-        let out = &self.shared.out;
-        self.made_out.set(true);
-        std::fs::create_dir_all(out)
-            .with_context(|| format!("{}: cannot make the output folder", out.display()))
+    /// Makes the output folder, for files of these names and the receipt, and keeps other runs out
+    /// of it; called before anything expensive, when the inputs are known.
+    pub fn make_out(&self, names: &[&str]) -> Result<()> {
+        self.outputs.open_folder(names)
     }
 
-    /// A file of the output folder.
-    pub fn out(&self, name: &str) -> PathBuf {
-        self.shared.out.join(name)
+    /// Where to write a file of the output folder; it gets there when the command is done.
+    pub fn out(&self, name: &str) -> Result<PathBuf> {
+        self.outputs.path(name)
     }
 
     /// Notes a written file.
     pub fn wrote(&self, path: &Path, bytes: u64) {
         self.receipt.add_bytes_written(bytes);
-        self.progress.say(format!("wrote {} ({})", path.display(), Bytes(bytes)));
+        self.written.borrow_mut().push((self.outputs.shown(path), bytes));
+    }
+
+    /// Writes a text file outside of the output folder, which was claimed.
+    pub fn write_file(&self, path: &Path, text: &str) -> Result<()> {
+        self.outputs.file(path, text.as_bytes())?;
+        self.wrote(path, text.len() as u64);
+        Ok(())
     }
 
     /// Builds the network.
@@ -173,6 +189,7 @@ impl<'a> Session<'a> {
     /// Reads a scene without a word about its values; a labelled point cloud is turned into
     /// Gaussians.
     pub fn read(&self, path: &Path, options: &ReadOptions) -> Result<OpenedScene> {
+        self.outputs.reads(path)?;
         self.progress.say(format!("reading {}", path.display()));
         let (opened, remark) = open_input(path, options)?;
         if let Some(text) = remark {
@@ -382,19 +399,33 @@ impl<'a> Session<'a> {
         if interrupted() { Err(EncodeError::Stopped.into()) } else { Ok(()) }
     }
 
-    /// Prints and writes the receipt.
+    /// Puts everything in place, the receipt last, and prints it.
     pub fn finish(&self) -> Result<()> {
+        self.check_stop()?;
         let report = self.receipt.finish();
+        let text = report.to_json()?;
+        self.outputs.commit(Some((&text, self.shared.receipt.as_deref())))?;
+        self.say_written();
         if !self.shared.quiet {
             print(&report.to_string());
         }
-        let beside = self.out("receipt.json");
-        if self.made_out.get() {
-            report.write_json(&beside)?;
-        }
-        if let Some(path) = &self.shared.receipt {
-            report.write_json(path)?;
-        }
         Ok(())
+    }
+
+    /// Puts everything in place, without a receipt unless the user asked for one.
+    pub fn finish_quietly(&self) -> Result<()> {
+        if self.shared.receipt.is_some() {
+            return self.finish();
+        }
+        self.check_stop()?;
+        self.outputs.commit(None)?;
+        self.say_written();
+        Ok(())
+    }
+
+    fn say_written(&self) {
+        for (path, bytes) in self.written.borrow().iter() {
+            self.progress.say(format!("wrote {} ({})", path.display(), Bytes(*bytes)));
+        }
     }
 }

@@ -1,7 +1,8 @@
 //! Samples by number.
 
-use crate::{DataError, DataSource, Sample, Transform, sample_rng};
+use crate::{DataError, DataSource, LeftOut, RepairedScene, Sample, Transform, sample_rng};
 use scenesplat_scene::RepairReport;
+use scenesplat_scene::value_policy::Rule;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -26,6 +27,11 @@ pub trait Dataset: Send + Sync {
 
     /// Name of the scene that sample `index` is made of; empty if there is no such sample.
     fn id(&self, index: usize) -> &str;
+
+    /// What was left out or repaired in the scenes read so far, and what they lack.
+    fn left_out(&self) -> LeftOut {
+        LeftOut::default()
+    }
 }
 
 /// The scenes of a source, each changed by the same transforms.
@@ -35,6 +41,8 @@ pub struct SceneDataset {
     seed: u64,
     repeat: usize,
     repairs: Mutex<BTreeMap<String, RepairReport>>,
+    /// Rows of each scene read so far, whether it has labels, and whether it has features.
+    seen: Mutex<BTreeMap<String, (usize, bool, bool)>>,
 }
 
 impl SceneDataset {
@@ -52,7 +60,14 @@ impl SceneDataset {
         if repeat == 0 || source.scene_ids().len().checked_mul(repeat).is_none() {
             return Err(crate::error::bad_setting("repeat", repeat, "a number of 1 or more"));
         }
-        Ok(Self { source, transforms, seed, repeat, repairs: Mutex::default() })
+        Ok(Self {
+            source,
+            transforms,
+            seed,
+            repeat,
+            repairs: Mutex::default(),
+            seen: Mutex::default(),
+        })
     }
 
     /// The scenes in which something had to be repaired or left out so far, by name, with what.
@@ -62,7 +77,15 @@ impl SceneDataset {
 
     fn make(&self, epoch: u64, index: usize, id: &str) -> Result<Sample, DataError> {
         let loaded = self.source.load(id)?;
-        if !loaded.report.is_clean() {
+        let points = loaded.scene.labelled_points.as_ref().and_then(|p| p.segment.as_deref());
+        let labels = [loaded.scene.segment.as_deref(), points];
+        let labels = labels.into_iter().flatten().flatten().any(|label| *label >= 0);
+        let about = (loaded.report.source_rows, labels, loaded.scene.lang_feat.is_some());
+        let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
+        seen.entry(id.to_owned()).or_insert(about);
+        drop(seen);
+        // Labels that are read as none are legal values, but they are lost.
+        if !loaded.report.is_clean() || loaded.report.count(Rule::SegmentNone) > 0 {
             let mut repairs = self.repairs.lock().unwrap_or_else(PoisonError::into_inner);
             repairs.entry(id.to_owned()).or_insert(loaded.report);
         }
@@ -94,6 +117,22 @@ impl Dataset for SceneDataset {
         let ids = self.source.scene_ids();
         if index < self.len() { &ids[index % ids.len()] } else { "" }
     }
+
+    fn left_out(&self) -> LeftOut {
+        let seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
+        let repairs = self.repairs.lock().unwrap_or_else(PoisonError::into_inner);
+        let lacking = |lacks: fn(&(usize, bool, bool)) -> bool| {
+            seen.iter().filter(|(_, about)| lacks(about)).map(|(id, _)| id.clone()).collect()
+        };
+        LeftOut {
+            scenes: seen.len(),
+            rows: seen.values().map(|(rows, ..)| rows).sum(),
+            skipped: BTreeMap::new(),
+            repaired: repairs.iter().map(|(id, r)| (id.clone(), RepairedScene::from(r))).collect(),
+            without_labels: lacking(|(_, labels, _)| !labels),
+            without_features: lacking(|(.., features)| !features),
+        }
+    }
 }
 
 #[cfg(test)]
@@ -124,7 +163,8 @@ mod tests {
     }
 
     fn dataset(transforms: Vec<Arc<dyn Transform>>, repeat: usize) -> SceneDataset {
-        let source = Arc::new(SyntheticRooms::new(2, SyntheticRoomSettings::with_count(200, 0), 1));
+        let source =
+            Arc::new(SyntheticRooms::new(2, SyntheticRoomSettings::with_count(200, 0), 1).unwrap());
         SceneDataset::new(source, transforms, 5, repeat).unwrap()
     }
 
@@ -148,7 +188,8 @@ mod tests {
         let error = data.get(0, 1).unwrap_err();
         assert!(matches!(&error, DataError::Sample { id, .. } if id == "room-000001"), "{error}");
         assert!(matches!(data.get(0, 2), Err(DataError::RowOutOfRange { row: 2, rows: 2 })));
-        let source = Arc::new(SyntheticRooms::new(2, SyntheticRoomSettings::with_count(200, 0), 1));
+        let source =
+            Arc::new(SyntheticRooms::new(2, SyntheticRoomSettings::with_count(200, 0), 1).unwrap());
         assert!(SceneDataset::new(source, vec![], 0, 0).is_err());
     }
 }

@@ -20,7 +20,7 @@ const UP: [f64; 3] = [0.0, 0.0, 1.0];
 
 /// Points of a surface with what is known about each.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct PointCloud {
+pub struct SurfacePoints {
     /// Positions, metres. `[N, 3]`
     pub coord: Vec<[f32; 3]>,
     /// sRGB bytes; mid grey if absent. `[N, 3]`
@@ -75,7 +75,7 @@ pub struct ConvertedPoints {
 /// # Errors
 /// If arrays have different lengths, a coordinate is not finite, or a setting is out of range.
 pub fn gaussians_from_points(
-    points: &PointCloud,
+    points: &SurfacePoints,
     settings: &PointSettings,
 ) -> Result<ConvertedPoints, DataError> {
     settings.check()?;
@@ -327,12 +327,12 @@ mod tests {
     fn a_lattice_becomes_discs_in_its_plane() {
         let normal = [0.6, 0.0, 0.8];
         let coord = lattice(20, 0.03, normal);
-        let cloud = PointCloud {
+        let cloud = SurfacePoints {
             color: Some(vec![[10, 200, 255]; coord.len()]),
             segment: Some(vec![4; coord.len()]),
             instance: Some(vec![9; coord.len()]),
             coord,
-            ..PointCloud::default()
+            ..SurfacePoints::default()
         };
         let out = gaussians_from_points(&cloud, &PointSettings::default()).unwrap();
         out.scene.check_rows().unwrap();
@@ -354,7 +354,7 @@ mod tests {
         let mut normal = vec![[0.0, 3.0, 0.0]; 64];
         normal[5] = [0.0; 3];
         normal[6] = [f32::NAN, 0.0, 0.0];
-        let cloud = PointCloud { coord, normal: Some(normal), ..PointCloud::default() };
+        let cloud = SurfacePoints { coord, normal: Some(normal), ..SurfacePoints::default() };
         let out = gaussians_from_points(&cloud, &PointSettings::default()).unwrap();
         assert_eq!(out.num_estimated_normals, 2);
         let normal = out.scene.normal.unwrap();
@@ -367,7 +367,7 @@ mod tests {
         let line: Vec<[f32; 3]> = (0..30).map(|i| [i as f32 * 0.01, 0.0, 0.0]).collect();
         for coord in [vec![], vec![[1.0; 3]], vec![[0.0; 3], [0.1; 3]], vec![[2.0; 3]; 40], line] {
             let n = coord.len();
-            let cloud = PointCloud { coord, ..PointCloud::default() };
+            let cloud = SurfacePoints { coord, ..SurfacePoints::default() };
             let out = gaussians_from_points(&cloud, &PointSettings::default()).unwrap();
             assert_eq!(out.num_balls, n);
             for row in 0..n {
@@ -382,7 +382,7 @@ mod tests {
     fn an_outlier_keeps_a_small_gaussian() {
         let mut coord = lattice(10, 0.02, [0.0, 0.0, 1.0]);
         coord.push([1000.0, 0.0, 0.0]);
-        let cloud = PointCloud { coord, ..PointCloud::default() };
+        let cloud = SurfacePoints { coord, ..SurfacePoints::default() };
         let out = gaussians_from_points(&cloud, &PointSettings::default()).unwrap();
         assert!(out.scene.scale(100).iter().all(|&s| s <= 0.1001));
     }
@@ -391,11 +391,11 @@ mod tests {
     fn wrong_input_is_named() {
         let settings = PointSettings::default();
         let cloud =
-            PointCloud { coord: vec![[0.0; 3], [0.0, f32::NAN, 0.0]], ..Default::default() };
+            SurfacePoints { coord: vec![[0.0; 3], [0.0, f32::NAN, 0.0]], ..Default::default() };
         let error = gaussians_from_points(&cloud, &settings).unwrap_err();
         assert!(matches!(error, DataError::NotFinite { row: 1, field: "coord", .. }), "{error}");
         let cloud =
-            PointCloud { coord: vec![[0.0; 3]], segment: Some(vec![]), ..Default::default() };
+            SurfacePoints { coord: vec![[0.0; 3]], segment: Some(vec![]), ..Default::default() };
         assert!(matches!(
             gaussians_from_points(&cloud, &settings),
             Err(DataError::Length { field: "segment", expected: 1, got: 0 })
@@ -406,7 +406,7 @@ mod tests {
             PointSettings { thickness: 0.0, ..settings.clone() },
             PointSettings { max_scale: f32::INFINITY, ..settings },
         ] {
-            let error = gaussians_from_points(&PointCloud::default(), &bad);
+            let error = gaussians_from_points(&SurfacePoints::default(), &bad);
             assert!(matches!(error, Err(DataError::Setting { .. })));
         }
     }

@@ -8,7 +8,7 @@ pub use batches::SceneBatches;
 use crate::error::bad_setting;
 use crate::mix3d::mixed_len;
 use crate::rng::{Purpose, permutation, purpose_rng};
-use crate::{DataError, Dataset, InputFeatures, TrainBatch};
+use crate::{DataError, Dataset, InputFeatures, LeftOut, TrainBatch};
 use assembly::Assembly;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -28,6 +28,11 @@ pub trait BatchLoader<B> {
         epoch: u64,
         skip: usize,
     ) -> Box<dyn Iterator<Item = Result<B, DataError>> + '_>;
+
+    /// What was left out or repaired in the scenes read so far, and what they lack.
+    fn left_out(&self) -> LeftOut {
+        LeftOut::default()
+    }
 }
 
 /// What to do about a scene that cannot be read or changed.
@@ -121,7 +126,7 @@ impl LoaderSettings {
 }
 
 /// A scene that was left out, see [`BrokenScenes::Skip`].
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct SkippedScene {
     /// How often it was left out of a batch.
     pub times: usize,
@@ -148,7 +153,7 @@ type Skipped = Arc<Mutex<BTreeMap<String, SkippedScene>>>;
 ///
 /// // One's own scenes: `SceneFolders::new("my/scenes".as_ref(), &[], Default::default())?`
 /// let room = SyntheticRoomSettings { num_gaussians: Some(2000), ..Default::default() };
-/// let source = Arc::new(SyntheticRooms::new(4, room, 1));
+/// let source = Arc::new(SyntheticRooms::new(4, room, 1)?);
 /// let transforms = build_transforms(&language_pretraining(0.05))?;
 /// let dataset = Arc::new(SceneDataset::new(source, transforms, 7, 1)?);
 /// let settings = LoaderSettings { batch_size: 2, workers: 1, ..LoaderSettings::default() };
@@ -248,5 +253,14 @@ impl BatchLoader<TrainBatch> for SceneLoader {
         skip: usize,
     ) -> Box<dyn Iterator<Item = Result<TrainBatch, DataError>> + '_> {
         Box::new(self.batches(epoch, skip))
+    }
+
+    fn left_out(&self) -> LeftOut {
+        let mut left_out = self.assembly.dataset.left_out();
+        left_out.skipped = self.skipped();
+        // A scene that cannot be read at all was tried nonetheless.
+        let (skipped, seen) = (left_out.skipped.len(), left_out.scenes);
+        left_out.scenes = seen.max(skipped);
+        left_out
     }
 }

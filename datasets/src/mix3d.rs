@@ -91,6 +91,7 @@ fn merge(
     }
     // Points to evaluate on are of no use in a scene that never was.
     first.labelled_points = None;
+    first.full = None;
     if !exact {
         shift_to_zero(&mut first.grid_coord);
     }

@@ -1,7 +1,7 @@
 //! One scene on its way to the network.
 
 use crate::error::check_length;
-use crate::{DataError, SampleRng};
+use crate::{DataError, FullScene, SampleRng};
 use half::f16;
 use scenesplat_scene::{FeatureRows, GaussianScene, LabelledPoints};
 use std::fmt::Debug;
@@ -41,6 +41,9 @@ pub struct Sample {
     pub grid_size: f64,
     /// Labelled points to evaluate on, in the same frame; independent row count.
     pub labelled_points: Option<LabelledPoints>,
+    /// The scene that the rows were sampled from, if a
+    /// [`GridSample`](crate::transforms::GridSample) was told to keep it.
+    pub full: Option<FullScene>,
 }
 
 impl Sample {
@@ -72,6 +75,7 @@ impl Sample {
             grid_coord: Vec::new(),
             grid_size: 0.0,
             labelled_points: scene.labelled_points,
+            full: None,
         }
     }
 
@@ -86,7 +90,8 @@ impl Sample {
     }
 
     /// Keeps the given rows, in the given order; rows may repeat. The one place where the number of
-    /// rows changes, so no array can get out of step. Labelled points stay.
+    /// rows changes, so no array can get out of step. Labelled points stay; the full scene goes, whose
+    /// voxels these rows no longer are.
     ///
     /// # Panics
     /// If a row is out of range or an array is shorter than `coord` (a bug of the caller; see
@@ -115,6 +120,7 @@ impl Sample {
         if !self.grid_coord.is_empty() {
             pick(&mut self.grid_coord, rows);
         }
+        self.full = None;
     }
 
     /// Checks that every array has one row per Gaussian.
@@ -137,6 +143,9 @@ impl Sample {
         }
         if !self.grid_coord.is_empty() {
             check_length("grid_coord", n, self.grid_coord.len())?;
+        }
+        if let Some(full) = &self.full {
+            check_length("full.voxel", full.len(), full.voxel.len())?;
         }
         Ok(())
     }

@@ -2,7 +2,7 @@
 
 use crate::error::bad_setting;
 use crate::loader::SceneBatches;
-use crate::{BatchLoader, DataError, SceneLoader, TrainBatch};
+use crate::{BatchLoader, DataError, LeftOut, SceneLoader, TrainBatch};
 use serde::{Deserialize, Serialize};
 
 /// In which order, and how often, datasets give a batch.
@@ -139,6 +139,12 @@ impl BatchLoader<TrainBatch> for WeightedMix {
             failed = batch.is_err();
             Some(batch)
         }))
+    }
+
+    fn left_out(&self) -> LeftOut {
+        let mut all = LeftOut::default();
+        self.loaders.iter().for_each(|loader| all.add(BatchLoader::left_out(loader)));
+        all
     }
 }
 

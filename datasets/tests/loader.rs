@@ -14,8 +14,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 fn rooms(count: usize) -> Arc<SceneDataset> {
-    let source =
-        Arc::new(SyntheticRooms::new(count, SyntheticRoomSettings::with_count(1500, 0), 3));
+    let source = Arc::new(
+        SyntheticRooms::new(count, SyntheticRoomSettings::with_count(1500, 0), 3).unwrap(),
+    );
     let transforms = build_transforms(&language_pretraining(0.05)).unwrap();
     Arc::new(SceneDataset::new(source, transforms, 11, 1).unwrap())
 }

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use scenesplat_datasets::{PointCloud, PointSettings, gaussians_from_points};
+use scenesplat_datasets::{PointSettings, SurfacePoints, gaussians_from_points};
 use scenesplat_rooms::{SyntheticRoomSettings, generate};
 
 #[test]
@@ -18,10 +18,10 @@ fn rooms_of_points_are_as_converted_points() {
         };
         let room = generate(&all_points).unwrap();
         assert!(room.is_points);
-        let cloud = PointCloud {
+        let cloud = SurfacePoints {
             coord: room.scene.coord.clone(),
             normal: room.scene.normal.clone(),
-            ..PointCloud::default()
+            ..SurfacePoints::default()
         };
         let converted = gaussians_from_points(&cloud, &PointSettings::default()).unwrap().scene;
         let mut ratios: Vec<f32> = (room.scene.log_scale.iter().zip(&converted.log_scale))

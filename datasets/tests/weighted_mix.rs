@@ -13,8 +13,9 @@ use std::sync::Arc;
 
 /// Rooms of a seed of their own, one a batch.
 fn loader(rooms: usize, seed: u64, workers: usize) -> SceneLoader {
-    let source =
-        Arc::new(SyntheticRooms::new(rooms, SyntheticRoomSettings::with_count(300, 0), 100 * seed));
+    let source = Arc::new(
+        SyntheticRooms::new(rooms, SyntheticRoomSettings::with_count(300, 0), 100 * seed).unwrap(),
+    );
     let transforms = build_transforms(&validation(0.1)).unwrap();
     let dataset = SceneDataset::new(source, transforms, seed, 1).unwrap();
     let settings = LoaderSettings {

@@ -18,7 +18,7 @@ fn attention(c: &mut Criterion) {
     let cloud = SerializedCloud::new(voxels(ROWS), offsets, &[Curve::Z], CurveDepth::PerScene)
         .expect("voxels of a room");
     let (patches, order) = (cloud.patches(PATCH_SIZE), &cloud.order(0).order);
-    let products: usize = patches.patches.iter().map(|p| p.own * p.len).sum();
+    let products: usize = patches.patches().iter().map(|p| p.own * p.len).sum();
 
     let mut group = c.benchmark_group("attention");
     for (count, dim) in [(4, 16), (16, 48)] {

@@ -19,7 +19,6 @@ mod support;
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use scenesplat_kernels::permute::gather_rows;
 use scenesplat_kernels::segment::{Groups, Reduce, reduce, reduce_backward};
-use scenesplat_kernels::serialization::invert;
 use scenesplat_kernels::{batch_norm, layer_norm};
 use support::{criterion, random};
 
@@ -77,11 +76,8 @@ fn norms(c: &mut Criterion) {
 
 fn rows(c: &mut Criterion) {
     let order = shuffled();
-    let groups = Groups {
-        inverse: invert(&order).iter().map(|p| p / GROUP as u32).collect(),
-        offsets: (0..=ROWS).step_by(GROUP).map(|o| o as u32).collect(),
-        rows: order.clone(),
-    };
+    let offsets = (0..=ROWS).step_by(GROUP).map(|o| o as u32).collect();
+    let groups = Groups::new(order.clone(), offsets).unwrap();
     for channels in [64, 768] {
         let x = random(ROWS * channels);
         let pooled = random(groups.len() * channels);

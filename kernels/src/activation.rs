@@ -153,15 +153,23 @@ pub fn normal_cdf_in_place(values: &mut [f32]) {
 }
 
 /// Exact GELU of every element. `out` and `x` have the same length.
+///
+/// # Panics
+/// If they have not (a bug of the caller).
 pub fn gelu_forward(x: &[f32], out: &mut [f32]) {
+    assert_eq!(x.len(), out.len(), "gelu: output length");
     out.par_chunks_mut(BLOCK).zip(x.par_chunks(BLOCK)).for_each(|(out, x)| {
         out.copy_from_slice(x);
         gelu_in_place(out);
     });
 }
 
-/// Gradient of the GELU: `out = grad · (Φ(x) + x·φ(x))`.
+/// Gradient of the GELU: `out = grad · (Φ(x) + x·φ(x))`. All have the same length.
+///
+/// # Panics
+/// If they have not (a bug of the caller).
 pub fn gelu_backward(x: &[f32], grad: &[f32], out: &mut [f32]) {
+    assert_eq!([x.len(), grad.len()], [out.len(); 2], "gelu: gradient lengths");
     out.par_chunks_mut(BLOCK).zip(x.par_chunks(BLOCK)).zip(grad.par_chunks(BLOCK)).for_each(
         |((out, x), grad)| {
             out.copy_from_slice(x);

@@ -5,6 +5,7 @@
 //! look, because every gradient of the input depends on sums over all rows.
 
 use crate::activation::gelu_in_place;
+use crate::shape::elements;
 use crate::simd::{Vector, dispatch};
 use rayon::prelude::*;
 
@@ -134,11 +135,16 @@ pub fn statistics(x: &[f32], c: usize) -> Statistics {
 ///
 /// # Shapes
 /// `x`, `out`: `[N, C]` · `scale`, `shift`: `[C]`
+///
+/// # Panics
+/// If lengths do not fit (a bug of the caller).
 pub fn apply(x: &[f32], scale: &[f32], shift: &[f32], gelu: bool, out: &mut [f32]) {
     let c = scale.len();
+    assert_eq!((shift.len(), x.len()), (c, out.len()), "batch norm: shift and output lengths");
     if c == 0 {
         return;
     }
+    assert!(x.len().is_multiple_of(c), "batch norm: rows of {c} channels");
     let piece = (CACHED / c).max(1) * c;
     out.par_chunks_mut(piece).zip(x.par_chunks(piece)).for_each(|(out, x)| {
         dispatch!((x: &[f32], scale: &[f32], shift: &[f32], out: &mut [f32]),
@@ -167,6 +173,9 @@ unsafe fn scale_rows<V: Vector>(x: &[f32], scale: &[f32], shift: &[f32], out: &m
 ///
 /// # Shapes
 /// `x`, `grad`, `dx`: `[N, C]` · `weight`, `mean`, `inverse`: `[C]`
+///
+/// # Panics
+/// If lengths do not fit (a bug of the caller).
 pub fn backward(
     x: &[f32],
     grad: &[f32],
@@ -180,7 +189,10 @@ pub fn backward(
     if c == 0 {
         return (Vec::new(), Vec::new());
     }
-    let n = (x.len() / c).max(1) as f64;
+    let rows = x.len() / c;
+    let arrays = [x.len(), grad.len(), dx.len()] == [elements([rows, c]); 3];
+    assert!(arrays && [mean.len(), inverse.len()] == [c; 2], "batch norm: gradient lengths");
+    let n = rows.max(1) as f64;
     let parts: Vec<Vec<f64>> = x
         .par_chunks(BLOCK * c)
         .zip(grad.par_chunks(BLOCK * c))

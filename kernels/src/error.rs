@@ -31,6 +31,14 @@ pub enum KernelError {
         /// The offsets given.
         offsets: Vec<usize>,
     },
+    /// Groups that do not hold every row once.
+    #[error("groups of {rows} rows: {problem}")]
+    Groups {
+        /// Rows listed.
+        rows: usize,
+        /// What is wrong.
+        problem: String,
+    },
     /// A kernel size that has no centre.
     #[error("kernel size {0}: a submanifold convolution needs 1, 3, 5 or 7")]
     KernelSize(usize),

@@ -70,6 +70,9 @@ unsafe fn normalise<V: Vector>(
 ///
 /// # Shapes
 /// `x`, `residual`, `out`: `[N, C]` · `weight`, `bias`: `[C]`
+///
+/// # Panics
+/// If lengths do not fit (a bug of the caller).
 pub fn forward(
     x: &[f32],
     residual: Option<&[f32]>,
@@ -79,9 +82,12 @@ pub fn forward(
     out: &mut [f32],
 ) {
     let c = weight.len();
+    assert_eq!((bias.len(), out.len()), (c, x.len()), "layer norm: bias and output lengths");
+    assert!(residual.is_none_or(|r| r.len() == x.len()), "layer norm: residual length");
     if c == 0 {
         return;
     }
+    assert!(x.len().is_multiple_of(c), "layer norm: rows of {c} channels");
     out.par_chunks_mut(BLOCK * c).zip(x.par_chunks(BLOCK * c)).enumerate().for_each(
         |(block, (out, x))| {
             let residual = residual.map(|r| &r[block * BLOCK * c..block * BLOCK * c + x.len()]);
@@ -96,6 +102,9 @@ pub fn forward(
 ///
 /// # Shapes
 /// `x`, `grad`, `dx`: `[N, C]` · returns `([C], [C])`
+///
+/// # Panics
+/// If lengths do not fit (a bug of the caller).
 pub fn backward(
     x: &[f32],
     grad: &[f32],
@@ -107,6 +116,8 @@ pub fn backward(
     if c == 0 {
         return (Vec::new(), Vec::new());
     }
+    assert!(x.len().is_multiple_of(c), "layer norm: rows of {c} channels");
+    assert_eq!([grad.len(), dx.len()], [x.len(); 2], "layer norm: gradient lengths");
     let partial: Vec<Vec<f64>> = dx
         .par_chunks_mut(BLOCK * c)
         .zip(x.par_chunks(BLOCK * c))

@@ -14,12 +14,15 @@
 //! | [`gemm`] | matrix products with fused endings, in the [`Precision`] asked for |
 //! | [`layer_norm`], [`batch_norm`], [`activation`] | normalisation, GELU |
 //! | [`segment`], [`permute`] | groups of rows, row copies |
+//! | [`eigenvectors`] | the directions along which rows differ most |
+//! | [`simd`] | instruction sets, and code compiled for each |
 //!
 //! Threads come from rayon's current pool. Row numbers are `u32` (a batch holds up to 2³² − 2
 //! rows), element offsets `usize`.
 
 pub mod activation;
 pub mod batch_norm;
+pub mod eigenvectors;
 pub mod error;
 pub mod gemm;
 pub mod grid_sample;
@@ -36,6 +39,7 @@ pub mod reference;
 pub mod segment;
 pub mod serialization;
 pub mod serialized_cloud;
+mod shape;
 pub mod simd;
 pub mod sparse_conv;
 

@@ -5,6 +5,8 @@
 //! the last K points of the sequence. Borrowed points are seen as keys; their outputs are dropped.
 //! Every scene is cut for itself: a small batch mate never shrinks another scene's patches.
 
+use crate::error::check_offsets;
+
 /// One patch: a stretch of slots.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Patch {
@@ -17,27 +19,37 @@ pub struct Patch {
 }
 
 /// The patches of a batch.
+///
+/// Made by [`cut`] alone: the attention sizes its buffers by them and finds rows through them without
+/// asking again, so what they say of each other must be true.
+///
+/// ```compile_fail,E0451
+/// use scenesplat_kernels::patches::{Patches, cut};
+/// let lie = Patches { longest: 1, ..cut(&[0, 4096], 4096) };
+/// ```
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Patches {
-    /// Position in the serialized sequence that each slot shows. `[slots]`
-    pub pad: Vec<u32>,
-    /// Slot of each position. `[N]`
-    pub unpad: Vec<u32>,
-    /// The patches, scene after scene.
-    pub patches: Vec<Patch>,
-    /// Largest number of slots of a patch.
-    pub longest: usize,
+    pad: Vec<u32>,
+    unpad: Vec<u32>,
+    patches: Vec<Patch>,
+    longest: usize,
 }
 
 /// Cuts scenes (rows `offsets[i]..offsets[i + 1]` of the sequence) into patches of `patch_size`.
 ///
 /// # Panics
-/// If `patch_size` is 0 (configurations are checked before), or if padding needs more than 2³² slots.
+/// If `patch_size` is 0 (configurations are checked before), if the offsets do not start at 0 or fall
+/// (a bug of the caller), or if padding needs more than 2³² slots.
 pub fn cut(offsets: &[usize], patch_size: usize) -> Patches {
     assert!(patch_size > 0, "patch size 0");
+    let rows = offsets.last().copied().unwrap_or(0);
+    let checked = check_offsets(offsets, rows);
+    assert!(checked.is_ok(), "patches: {}", checked.err().map_or(String::new(), |e| e.to_string()));
+    // No patch is longer than the sequence; sums with a larger size would wrap around.
+    let patch_size = patch_size.min(rows.max(1));
     let mut out = Patches {
-        pad: Vec::with_capacity(offsets.last().map_or(0, |n| n + n / 64)),
-        unpad: Vec::with_capacity(offsets.last().copied().unwrap_or(0)),
+        pad: Vec::with_capacity(rows + rows / 64),
+        unpad: Vec::with_capacity(rows),
         patches: Vec::new(),
         longest: 0,
     };
@@ -67,6 +79,31 @@ pub fn cut(offsets: &[usize], patch_size: usize) -> Patches {
 }
 
 impl Patches {
+    /// Position in the serialized sequence that each slot shows. `[slots]`
+    pub fn pad(&self) -> &[u32] {
+        &self.pad
+    }
+
+    /// Slot of each position. `[N]`
+    pub fn unpad(&self) -> &[u32] {
+        &self.unpad
+    }
+
+    /// Positions of the sequence, N.
+    pub fn num_positions(&self) -> usize {
+        self.unpad.len()
+    }
+
+    /// The patches, scene after scene.
+    pub fn patches(&self) -> &[Patch] {
+        &self.patches
+    }
+
+    /// Largest number of slots of a patch.
+    pub fn longest(&self) -> usize {
+        self.longest
+    }
+
     /// First slot of each patch, closed by the number of slots. `[patches + 1]`
     pub fn boundaries(&self) -> Vec<usize> {
         self.patches.iter().map(|p| p.start).chain([self.pad.len()]).collect()

@@ -1,5 +1,6 @@
 //! Copies of rows: gathers and permutations.
 
+use crate::shape::elements;
 use rayon::prelude::*;
 
 /// Values that one task copies, about a second-level cache full.
@@ -9,7 +10,11 @@ const BLOCK_VALUES: usize = 1 << 16;
 ///
 /// # Shapes
 /// `x`: `[M, C]` · `rows`: `[N]`, each below M · `out`: `[N, C]`
+///
+/// # Panics
+/// If a row is out of range or `out` has another length (bugs of the caller).
 pub fn gather_rows<T: Copy + Send + Sync>(x: &[T], c: usize, rows: &[u32], out: &mut [T]) {
+    assert_eq!(out.len(), elements([rows.len(), c]), "gathered rows: output length");
     if c == 0 {
         return;
     }

@@ -1,6 +1,8 @@
 //! Reductions over groups of rows.
 
+use crate::KernelError;
 use crate::permute::{prefetch_rows, row_start};
+use crate::shape::elements;
 use crate::simd::{Vector, dispatch};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -16,18 +18,65 @@ pub enum Reduce {
     Sum,
 }
 
-/// Which rows belong together: group `g` holds `rows[offsets[g]..offsets[g + 1]]`.
+/// Which rows belong together: group `g` holds `rows()[offsets()[g]..offsets()[g + 1]]`, and every row
+/// is in one group.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Groups {
-    /// Row numbers, group after group. `[N]`
-    pub rows: Vec<u32>,
-    /// `[G + 1]`
-    pub offsets: Vec<u32>,
-    /// Group of each row. `[N]`
-    pub inverse: Vec<u32>,
+    rows: Vec<u32>,
+    offsets: Vec<u32>,
+    inverse: Vec<u32>,
 }
 
 impl Groups {
+    /// Groups listed one after the other.
+    ///
+    /// # Shapes
+    /// `rows`: `[N]`, each of 0..N once · `offsets`: `[G + 1]`, from 0 to N, never falling
+    ///
+    /// # Errors
+    /// If a row is missing, out of range or there twice, or the offsets do not cut the list.
+    pub fn new(rows: Vec<u32>, offsets: Vec<u32>) -> Result<Self, KernelError> {
+        let n = rows.len();
+        let bad = |problem: String| KernelError::Groups { rows: n, problem };
+        let ends = (offsets.first().copied(), offsets.last().map(|&o| o as usize));
+        if ends != (Some(0), Some(n)) || !offsets.is_sorted() {
+            return Err(bad(format!("offsets must rise from 0 to {n}, got {offsets:?}")));
+        }
+        /// No group yet; there are fewer groups than rows can be numbered.
+        const NONE: u32 = u32::MAX;
+        let mut inverse = vec![NONE; n];
+        for (group, span) in offsets.windows(2).enumerate() {
+            for &row in &rows[span[0] as usize..span[1] as usize] {
+                match inverse.get_mut(row as usize) {
+                    Some(of) if *of == NONE => *of = group as u32,
+                    Some(_) => return Err(bad(format!("row {row} is there twice"))),
+                    None => return Err(bad(format!("row {row} is out of range"))),
+                }
+            }
+        }
+        Ok(Self { rows, offsets, inverse })
+    }
+
+    /// Groups whose parts are known to fit each other.
+    pub(crate) fn of_parts(rows: Vec<u32>, offsets: Vec<u32>, inverse: Vec<u32>) -> Self {
+        Self { rows, offsets, inverse }
+    }
+
+    /// Row numbers, group after group. `[N]`
+    pub fn rows(&self) -> &[u32] {
+        &self.rows
+    }
+
+    /// Where each group starts in [`Self::rows`], closed by their number. `[G + 1]`
+    pub fn offsets(&self) -> &[u32] {
+        &self.offsets
+    }
+
+    /// Group of each row. `[N]`
+    pub fn inverse(&self) -> &[u32] {
+        &self.inverse
+    }
+
     /// Number of groups.
     pub fn len(&self) -> usize {
         self.offsets.len() - 1
@@ -49,11 +98,16 @@ const GROUPS_PER_TASK: usize = 64;
 /// Rows that one task of the backward fills.
 const ROWS_PER_TASK: usize = 64;
 
-/// Reduces each group of rows; members are taken in the order of `groups.rows`.
+/// Reduces each group of rows; members are taken in the order of [`Groups::rows`].
 ///
 /// # Shapes
 /// `x`: `[N, C]` · `out`: `[G, C]`
+///
+/// # Panics
+/// If lengths do not fit the groups (a bug of the caller).
 pub fn reduce(x: &[f32], c: usize, groups: &Groups, how: Reduce, out: &mut [f32]) {
+    assert_eq!(x.len(), elements([groups.rows.len(), c]), "groups: input length");
+    assert_eq!(out.len(), elements([groups.len(), c]), "groups: output length");
     if c == 0 {
         return;
     }
@@ -115,6 +169,9 @@ fn exceeds(value: f32, largest: f32) -> bool {
 ///
 /// # Shapes
 /// `x`, `dx`: `[N, C]` · `grad`: `[G, C]`
+///
+/// # Panics
+/// As [`reduce`].
 pub fn reduce_backward(
     x: &[f32],
     c: usize,
@@ -123,6 +180,9 @@ pub fn reduce_backward(
     grad: &[f32],
     dx: &mut [f32],
 ) {
+    assert_eq!(x.len(), elements([groups.rows.len(), c]), "groups: input length");
+    assert_eq!(grad.len(), elements([groups.len(), c]), "groups: gradient length");
+    assert_eq!(dx.len(), x.len(), "groups: result length");
     if c == 0 {
         return;
     }
@@ -238,7 +298,7 @@ mod tests {
     use super::*;
 
     fn groups() -> Groups {
-        Groups { rows: vec![1, 2, 0], offsets: vec![0, 2, 3], inverse: vec![1, 0, 0] }
+        Groups::new(vec![1, 2, 0], vec![0, 2, 3]).unwrap()
     }
 
     #[test]
@@ -271,7 +331,8 @@ mod tests {
         (0..used.len()).for_each(|g| offsets[g + 1] += offsets[g]);
         let x: Vec<f32> = (0..n * c).map(|i| (i * 31 % 1009) as f32 - 500.0).collect();
         let want = [false, true].map(|m| crate::reference::pool(&x, c, &inverse, used.len(), m));
-        let all = Groups { rows, offsets, inverse };
+        let all = Groups::new(rows, offsets).unwrap();
+        assert_eq!(all.inverse, inverse);
         for (how, want) in [(Reduce::Mean, &want[0]), (Reduce::Max, &want[1])] {
             let mut out = vec![0.0; used.len() * c];
             reduce(&x, c, &all, how, &mut out);
@@ -290,7 +351,8 @@ mod tests {
         let rows: Vec<u32> = (0..n as u32).map(|i| i * 7 % n as u32).collect();
         let mut inverse = vec![0; n];
         rows.iter().enumerate().for_each(|(i, &r)| inverse[r as usize] = i as u32 / 3);
-        let all = Groups { rows, offsets: (0..=n as u32).step_by(3).collect(), inverse };
+        let all = Groups::new(rows, (0..=n as u32).step_by(3).collect()).unwrap();
+        assert_eq!(all.inverse, inverse);
         let mut out = vec![0.0; all.len() * c];
         reduce(&x, c, &all, Reduce::Max, &mut out);
         let grad: Vec<f32> = (1..=out.len()).map(|i| i as f32).collect();

@@ -156,7 +156,12 @@ impl SerializedCloud {
     /// # Panics
     /// If it is not a permutation of the orders (a bug of the caller).
     pub fn permute_orders(&mut self, permutation: &[usize]) {
-        assert_eq!(permutation.len(), self.orders.len(), "order permutation");
+        let mut sorted = permutation.to_vec();
+        sorted.sort_unstable();
+        assert!(
+            sorted.iter().copied().eq(0..self.orders.len()),
+            "order permutation {permutation:?}"
+        );
         self.curves = permutation.iter().map(|&i| std::mem::take(&mut self.curves[i])).collect();
         self.orders = permutation.iter().map(|&i| self.orders[i].clone()).collect();
     }
@@ -201,7 +206,7 @@ impl SerializedCloud {
         let curves = self.curves.iter().map(|c| pick(c)).collect();
         let depth = self.depth.iter().zip(&shifts).map(|(d, s)| d - s).collect();
         group_starts.push(self.len() as u32);
-        let groups = Groups { rows, offsets: group_starts, inverse };
+        let groups = Groups::of_parts(rows, group_starts, inverse);
         (Self::from_codes(grid_coord, offsets, depth, curves), groups)
     }
 
@@ -270,8 +275,8 @@ mod tests {
         assert_eq!(cloud.depth(), [3, 3]);
         assert_eq!(cloud.codes(0), [0, 270, 6, 265, 3, 56, 271]);
         let (coarse, groups) = cloud.pool(1);
-        assert_eq!(groups.inverse, [0, 1, 0, 1, 2, 3, 4]);
-        assert_eq!(groups.offsets, [0, 2, 4, 5, 6, 7]);
+        assert_eq!(groups.inverse(), [0, 1, 0, 1, 2, 3, 4]);
+        assert_eq!(groups.offsets(), [0, 2, 4, 5, 6, 7]);
         assert_eq!(coarse.grid_coord(), [[0, 0, 0], [2, 0, 1], [0, 0, 0], [1, 1, 1], [2, 0, 1]]);
         assert_eq!(coarse.offsets(), [0, 2, 5]);
         assert_eq!(coarse.depth(), [2, 2]);
@@ -305,6 +310,6 @@ mod tests {
                 .unwrap();
         assert_eq!(cloud.depth(), [0]);
         let (coarse, groups) = cloud.pool(1);
-        assert_eq!((coarse.len(), groups.inverse.as_slice()), (1, &[0, 0, 0][..]));
+        assert_eq!((coarse.len(), groups.inverse()), (1, &[0, 0, 0][..]));
     }
 }

@@ -10,6 +10,7 @@ use crate::gemm::{
     add_outer_products, column_groups, gemm_tn_with, multiply_prepared, multiply_rows,
 };
 use crate::kernel_map::KernelMap;
+use crate::shape::elements;
 use rayon::prelude::*;
 
 /// Weights of a convolution, packed tap by tap.
@@ -40,7 +41,7 @@ impl PackedConv {
         cout: usize,
         taps: usize,
     ) -> Self {
-        assert_eq!(weight.len(), cout * taps * cin, "convolution weight length");
+        assert_eq!(weight.len(), elements([cout, taps, cin]), "convolution weight length");
         let taps = (0..taps)
             .into_par_iter()
             .map(|t| {
@@ -59,6 +60,7 @@ impl PackedConv {
         cout: usize,
         taps: usize,
     ) -> Self {
+        assert_eq!(weight.len(), elements([cout, taps, cin]), "convolution weight length");
         let taps = (0..taps)
             .into_par_iter()
             .map(|t| {
@@ -113,8 +115,8 @@ fn run(
     one_by_one: bool,
 ) {
     let (cin, cout) = (weight.cin, weight.cout);
-    assert_eq!(x.len(), map.rows() * cin, "convolution input length");
-    assert_eq!(out.len(), map.rows() * cout, "convolution output length");
+    assert_eq!(x.len(), elements([map.rows(), cin]), "convolution input length");
+    assert_eq!(out.len(), elements([map.rows(), cout]), "convolution output length");
     if cout == 0 {
         return;
     }
@@ -173,6 +175,9 @@ fn run(
 ///
 /// # Shapes
 /// `grad`: `[N, cout]` · `weight`: `[cout, k, k, k, cin]` · `dx`: `[N, cin]`
+///
+/// # Panics
+/// If lengths do not fit (a bug of the caller).
 pub fn backward_input(
     precision: Precision,
     map: &KernelMap,
@@ -202,6 +207,9 @@ const STRETCHES: usize = 16;
 ///
 /// # Shapes
 /// `x`: `[N, cin]` · `grad`: `[N, cout]`
+///
+/// # Panics
+/// If lengths do not fit (a bug of the caller).
 pub fn backward_weight(
     precision: Precision,
     map: &KernelMap,
@@ -212,9 +220,9 @@ pub fn backward_weight(
     dw: &mut [f32],
 ) {
     let taps = map.taps();
-    assert_eq!(dw.len(), cout * taps * cin, "convolution weight length");
-    assert_eq!(x.len(), map.rows() * cin, "convolution input length");
-    assert_eq!(grad.len(), map.rows() * cout, "convolution gradient length");
+    assert_eq!(dw.len(), elements([cout, taps, cin]), "convolution weight length");
+    assert_eq!(x.len(), elements([map.rows(), cin]), "convolution input length");
+    assert_eq!(grad.len(), elements([map.rows(), cout]), "convolution gradient length");
     if cin > 0 && cin.is_multiple_of(16) && cout > 0 && size_of_val(dw) <= PARTIAL_BYTES {
         return backward_narrow_weight(map, x, grad, cin, cout, dw);
     }

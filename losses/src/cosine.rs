@@ -5,8 +5,9 @@ use crate::loss::{Loss, LossInput};
 use crate::rows::{Reduction, sum_rows};
 use crate::scalar_op::{Backward, scalar_loss};
 use crate::values::{Real, make_rows, read_matrix};
-use crate::vector::{dots, norm, widest};
+use crate::vector::{dots, norm};
 use candle_core::{DType, Result, Tensor};
+use scenesplat_kernels::simd::compiled;
 
 const NAME: &str = "cosine";
 
@@ -89,7 +90,7 @@ fn typed<T: Real>(
 }
 
 fn row<T: Real>(p: &[T], t: &[T]) -> (f64, Kept) {
-    let [pp, tt, pt] = widest(|| dots(p, t));
+    let [pp, tt, pt] = compiled(|| dots(p, t));
     let (p_norm, t_norm) = (pp.sqrt(), tt.sqrt());
     let (p_norm, t_norm, cosine) = if pp.is_finite() && tt.is_finite() {
         (p_norm.max(EPS), t_norm.max(EPS), pt / p_norm.max(EPS) / t_norm.max(EPS))
@@ -137,7 +138,7 @@ impl CosineBackward {
                         let t = t.read::<T>(row..row + 1, &mut t_scratch);
                         let outer = -factor * kept.inverse;
                         let along = kept.along * kept.inverse;
-                        widest(|| {
+                        compiled(|| {
                             for ((out, p), t) in out.iter_mut().zip(p).zip(t) {
                                 let inner = t.wide() * kept.target_inverse - p.wide() * along;
                                 *out = T::narrow(outer * inner);

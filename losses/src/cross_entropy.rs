@@ -5,9 +5,10 @@ use crate::error::{LossError, check_len};
 use crate::loss::{Loss, LossInput};
 use crate::scalar_op::{Backward, scalar_loss};
 use crate::values::{Matrix, Real, make_rows, read_matrix, rows_per_task};
-use crate::vector::{exp_shifted, sum, widest};
+use crate::vector::{exp_shifted, sum};
 use candle_core::{DType, Result, Tensor};
 use rayon::prelude::*;
+use scenesplat_kernels::simd::compiled;
 
 const NAME: &str = "cross_entropy";
 
@@ -194,7 +195,7 @@ pub(crate) fn log_sum_exp<'s, T: Real>(
     let values = logits.read(row..row + 1, &mut scratch.values);
     scratch.exponentials.resize(values.len(), 0.0);
     let exponentials = &mut scratch.exponentials;
-    let (sum, least, largest) = widest(|| {
+    let (sum, least, largest) = compiled(|| {
         let (mut least, mut largest) = (values[0], values[0]);
         for v in values {
             least = if *v < least { *v } else { least };
@@ -243,7 +244,7 @@ impl CrossEntropyBackward {
                 for (row, out) in (first..).zip(out.chunks_exact_mut(classes)) {
                     if self.label[row] != IGNORE {
                         let z = logits_matrix.read::<T>(row..row + 1, &mut scratch);
-                        widest(|| exp_shifted(z, self.log_sums[row], &mut p));
+                        compiled(|| exp_shifted(z, self.log_sums[row], &mut p));
                         self.row(&p, self.label[row] as usize, factor, out);
                     }
                 }
@@ -258,7 +259,7 @@ impl CrossEntropyBackward {
         let spread = target.spread();
         let scale = hit + spread * target.total;
         if target.smoothing == 0.0 {
-            widest(|| {
+            compiled(|| {
                 for (out, p) in out.iter_mut().zip(p) {
                     *out = T::narrow(factor * scale * p);
                 }

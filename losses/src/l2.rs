@@ -5,8 +5,9 @@ use crate::loss::{Loss, LossInput};
 use crate::rows::{Reduction, sum_rows};
 use crate::scalar_op::{Backward, scalar_loss};
 use crate::values::{Real, make_rows, read_matrix};
-use crate::vector::{squared_distance, widest};
+use crate::vector::squared_distance;
 use candle_core::{DType, Result, Tensor};
+use scenesplat_kernels::simd::compiled;
 
 const NAME: &str = "l2";
 
@@ -64,7 +65,7 @@ fn typed<T: Real>(
     valid: Option<&[bool]>,
     reduction: Reduction,
 ) -> Result<Option<Tensor>> {
-    let row = |p: &[T], t: &[T]| (widest(|| squared_distance(p, t)), ());
+    let row = |p: &[T], t: &[T]| (compiled(|| squared_distance(p, t)), ());
     let (total, _, count) = sum_rows(NAME, pred, target, valid, row)?;
     if count == 0 {
         return Ok(None);
@@ -106,7 +107,7 @@ impl L2Backward {
                         }
                         let p = p.read::<T>(row..row + 1, &mut p_scratch);
                         let t = t.read::<T>(row..row + 1, &mut t_scratch);
-                        widest(|| {
+                        compiled(|| {
                             for ((out, p), t) in out.iter_mut().zip(p).zip(t) {
                                 *out = T::narrow(factor * (p.wide() - t.wide()));
                             }

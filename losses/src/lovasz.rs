@@ -6,9 +6,10 @@ use crate::error::LossError;
 use crate::loss::{Loss, LossInput};
 use crate::scalar_op::{Backward, scalar_loss};
 use crate::values::{Real, make_rows, read_matrix};
-use crate::vector::{dot, exp_shifted, widest};
+use crate::vector::{dot, exp_shifted};
 use candle_core::{DType, Result, Tensor};
 use rayon::prelude::*;
+use scenesplat_kernels::simd::compiled;
 
 const NAME: &str = "lovasz_softmax";
 
@@ -115,7 +116,7 @@ fn errors<T: Real>(
                         return Some(error);
                     }
                     let p = &scratch.exponentials;
-                    let total = widest(|| crate::vector::sum(p));
+                    let total = compiled(|| crate::vector::sum(p));
                     let own = label[at] as usize;
                     for (&class, error) in present.iter().zip(errors[i..].iter_mut().step_by(BLOCK))
                     {
@@ -206,7 +207,7 @@ impl<T: Real> Backward for LovaszBackward<T> {
                     }
                     let z = logits_matrix.read::<T>(row..row + 1, &mut scratch);
                     let out = &mut out[(row - first) * classes..][..classes];
-                    widest(|| {
+                    compiled(|| {
                         exp_shifted(z, self.log_sums[at], &mut p);
                         let mean = dot(&p, &q);
                         for ((out, p), q) in out.iter_mut().zip(&p).zip(&q) {

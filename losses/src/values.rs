@@ -1,11 +1,11 @@
 //! Rows of a tensor as plain numbers, whatever type they are stored in.
 
 use crate::error::LossError;
-use crate::vector::widest;
 use candle_core::{CpuStorage, DType, Device, Result, Storage, Tensor, WithDType};
 use half::slice::HalfFloatSliceExt;
 use half::{bf16, f16};
 use rayon::prelude::*;
+use scenesplat_kernels::simd::compiled;
 use std::ops::Range;
 
 /// The type that rows are computed in: f64 for f64, f32 for all else. Sums are always f64.
@@ -91,7 +91,7 @@ pub(crate) trait Half: WithDType + Default {
 impl Half for bf16 {
     /// To the nearest, ties to even, in a loop that becomes vector instructions.
     fn from_f32(values: &[f32], out: &mut [Self]) {
-        widest(|| {
+        compiled(|| {
             for (out, value) in out.iter_mut().zip(values) {
                 let bits = value.to_bits();
                 let rounded = (bits.wrapping_add(0x7fff + ((bits >> 16) & 1)) >> 16) as u16;

@@ -1,27 +1,10 @@
-//! Inner loops over the channels of a row: sums in f64, in an order that no vector width changes.
+//! Inner loops over the channels of a row: sums in f64, in an order that no vector width changes;
+//! callers have them [compiled](scenesplat_kernels::simd::compiled) for the CPU.
 
 use crate::values::Real;
 
 /// Partial sums of a row: two of the widest f64 registers that are asked for.
 const LANES: usize = 8;
-
-/// Runs `f`, compiled for AVX2 where the CPU has it. Multiplications and additions stay separate
-/// operations, so results have the same bits everywhere.
-#[inline(always)]
-pub(crate) fn widest<R>(f: impl FnOnce() -> R) -> R {
-    #[cfg(target_arch = "x86_64")]
-    {
-        #[target_feature(enable = "avx2")]
-        fn avx2<R>(f: impl FnOnce() -> R) -> R {
-            f()
-        }
-        if is_x86_feature_detected!("avx2") {
-            // SAFETY: the CPU has AVX2.
-            return unsafe { avx2(f) };
-        }
-    }
-    f()
-}
 
 /// `Σ p·p`, `Σ t·t`, `Σ p·t`
 #[inline(always)]
@@ -158,6 +141,7 @@ fn exp(x: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use scenesplat_kernels::simd::compiled;
 
     #[test]
     fn exponentials() {
@@ -185,7 +169,7 @@ mod tests {
                 b.iter().map(|b| b * b).sum::<f64>(),
                 pairs().map(|(a, b)| a * b).sum::<f64>(),
             ];
-            assert_eq!(widest(|| dots(&a, &b)), want, "small integers and halves are exact");
+            assert_eq!(compiled(|| dots(&a, &b)), want, "small integers and halves are exact");
             assert_eq!(dot(&a, &b), want[2]);
             assert_eq!(
                 squared_distance(&a, &b),

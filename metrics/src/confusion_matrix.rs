@@ -150,6 +150,10 @@ impl Metric for ConfusionMatrix {
         Ok(())
     }
 
+    fn names(&self) -> Vec<String> {
+        TesterReport::NAMES.map(str::to_owned).to_vec()
+    }
+
     fn measure(&self) -> Vec<Measurement> {
         self.tester_report().measurements()
     }

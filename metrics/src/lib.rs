@@ -8,7 +8,6 @@
 //!
 //! ```text
 //! feature rows ──classify──► label per splat ──vote──► label per query point
-//!                                                        │ instance_vote, remap_labels (optional)
 //!                                                        ▼
 //!                                  ConfusionMatrix ──► TesterReport, EvaluatorReport
 //! ```
@@ -16,7 +15,7 @@
 //! # Conventions
 //! - A **label** is an `i32`: `0..num_classes` is a class, `-1` ([`IGNORE`]) is none. Any other
 //!   value is an error that names its row, never silently dropped: data sets that mark unlabelled
-//!   rows with 255 map it first ([`remap_labels`]).
+//!   rows with 255 map it first.
 //! - Ties go to the smallest id, everywhere.
 //! - Rows are processed in parallel, and no result depends on the number of threads.
 //! - A number that cannot be computed (no labelled row, say) is `None`, never NaN.
@@ -53,13 +52,11 @@ pub mod collapse;
 mod confusion_matrix;
 mod error;
 pub mod image;
-mod instance_vote;
 mod metric;
 mod oracle;
 mod random_labels;
 #[doc(hidden)]
 pub mod reference;
-mod remap;
 mod report;
 mod rows;
 mod similarity;
@@ -70,11 +67,9 @@ mod zero_shot;
 
 pub use confusion_matrix::ConfusionMatrix;
 pub use error::MetricError;
-pub use instance_vote::instance_vote;
 pub use metric::{Measurement, Metric};
 pub use oracle::{Fault, OracleCheck, OracleFailure, OracleReport, OracleStage, OracleVote};
 pub use random_labels::random_labels;
-pub use remap::remap_labels;
 pub use report::{EvaluatorClass, EvaluatorReport, TesterClass, TesterReport};
 pub use rows::{FeatureFn, FeatureRows, FeatureSlice};
 pub use similarity::cosine_scores;

@@ -38,6 +38,9 @@ pub trait Metric: Send {
     /// If the other metric measures something else (another number of classes, say).
     fn merge(&mut self, other: &Self) -> Result<(), MetricError>;
 
+    /// Names of the numbers that [`measure`](Self::measure) may give.
+    fn names(&self) -> Vec<String>;
+
     /// The numbers so far. Undefined ones are left out. The state is kept.
     fn measure(&self) -> Vec<Measurement>;
 }

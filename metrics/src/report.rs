@@ -103,14 +103,18 @@ impl TesterReport {
 
     /// The defined ones of `mIoU`, `mAcc`, `allAcc`, `f-mIoU`, `f-mAcc`, in this order.
     pub fn measurements(&self) -> Vec<Measurement> {
-        named([
-            ("mIoU", self.mean_iou),
-            ("mAcc", self.mean_accuracy),
-            ("allAcc", self.all_accuracy),
-            ("f-mIoU", self.foreground_mean_iou),
-            ("f-mAcc", self.foreground_mean_accuracy),
-        ])
+        let values = [
+            self.mean_iou,
+            self.mean_accuracy,
+            self.all_accuracy,
+            self.foreground_mean_iou,
+            self.foreground_mean_accuracy,
+        ];
+        named(std::array::from_fn::<_, 5, _>(|i| (Self::NAMES[i], values[i])))
     }
+
+    /// Names of the measurements.
+    pub const NAMES: [&'static str; 5] = ["mIoU", "mAcc", "allAcc", "f-mIoU", "f-mAcc"];
 }
 
 /// Counts and scores of one class, evaluator's definition.

@@ -7,6 +7,7 @@
 
 use crate::{FeatureRows, MetricError, TextTable};
 use rayon::prelude::*;
+use scenesplat_kernels::simd::{Isa, compiled_for};
 
 /// Running sums per dot product: one AVX-512 register, two AVX2, four SSE or NEON.
 const LANES: usize = 16;
@@ -165,35 +166,20 @@ fn rescale(rows: &[f32], dim: usize, norms: &mut [Option<f64>], out: &mut Vec<f3
 
 /// `out[r, c] = rows[r] · text[c]`.
 fn dots(rows: &[f32], text: &[f32], dim: usize, out: &mut [f32]) {
-    #[cfg(target_arch = "x86_64")]
-    {
-        if is_x86_feature_detected!("avx512f") {
-            // SAFETY: the CPU has the instructions this copy was compiled for.
-            return unsafe { dots_avx512(rows, text, dim, out) };
-        }
-        if is_x86_feature_detected!("avx2") {
-            // SAFETY: as above.
-            return unsafe { dots_avx2(rows, text, dim, out) };
-        }
-    }
-    dots_portable(rows, text, dim, out);
+    dots_with(Isa::current(), rows, text, dim, out);
 }
 
-// The tile sizes fill each instruction set's registers with running sums.
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx512f")]
-fn dots_avx512(rows: &[f32], text: &[f32], dim: usize, out: &mut [f32]) {
-    tiled::<4, 4>(rows, text, dim, out);
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn dots_avx2(rows: &[f32], text: &[f32], dim: usize, out: &mut [f32]) {
-    tiled::<2, 3>(rows, text, dim, out);
-}
-
-fn dots_portable(rows: &[f32], text: &[f32], dim: usize, out: &mut [f32]) {
-    tiled::<1, 2>(rows, text, dim, out);
+fn dots_with(isa: Isa, rows: &[f32], text: &[f32], dim: usize, out: &mut [f32]) {
+    // The tile sizes fill each instruction set's registers with running sums.
+    compiled_for(
+        isa,
+        #[inline(always)]
+        |isa| match isa {
+            Isa::Portable => tiled::<1, 2>(rows, text, dim, out),
+            Isa::Avx2 => tiled::<2, 3>(rows, text, dim, out),
+            _ => tiled::<4, 4>(rows, text, dim, out),
+        },
+    );
 }
 
 #[inline(always)]
@@ -300,17 +286,13 @@ mod tests {
         for (num_rows, num_classes, dim) in [(1, 1, 1), (5, 7, 15), (9, 21, 48), (6, 5, 777)] {
             let rows = wave(num_rows * dim, 0.37);
             let text = wave(num_classes * dim, 0.73);
-            let mut portable = vec![0.0; num_rows * num_classes];
-            let mut best = portable.clone();
-            dots_portable(&rows, &text, dim, &mut portable);
-            dots(&rows, &text, dim, &mut best);
-            assert_eq!(portable, best);
-            #[cfg(target_arch = "x86_64")]
-            if is_x86_feature_detected!("avx2") {
-                let mut avx2 = vec![0.0; num_rows * num_classes];
-                // SAFETY: just checked.
-                unsafe { dots_avx2(&rows, &text, dim, &mut avx2) };
-                assert_eq!(portable, avx2);
+            let with = |isa: Isa| {
+                let mut out = vec![0.0; num_rows * num_classes];
+                dots_with(isa, &rows, &text, dim, &mut out);
+                out
+            };
+            for isa in Isa::ALL {
+                assert_eq!(with(isa), with(Isa::Portable), "{isa:?}");
             }
         }
     }

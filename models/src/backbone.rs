@@ -3,8 +3,10 @@
 use crate::Compute;
 use crate::point_cloud::PointCloud;
 use crate::recompute::Recompute;
-use candle_core::{Result, Tensor};
+use candle_core::{Result, Tensor, TensorId, Var};
 use rand_chacha::ChaCha8Rng;
+use std::collections::HashSet;
+use std::sync::Arc;
 
 /// Whether drop path and batch statistics are on. An argument, never hidden state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -29,6 +31,23 @@ pub enum Orders {
     Given(Vec<Vec<usize>>),
 }
 
+/// Batch statistics that neither move nor come from the batch, though the rest of the network
+/// trains: those of frozen layers.
+#[derive(Debug, Clone, Default)]
+pub struct FrozenStatistics(Arc<HashSet<TensorId>>);
+
+impl FrozenStatistics {
+    /// Of the given buffers, see [`ParamStore::buffers`](crate::ParamStore::buffers).
+    pub fn new<'a>(buffers: impl IntoIterator<Item = &'a Var>) -> Self {
+        Self(Arc::new(buffers.into_iter().map(|var| var.id()).collect()))
+    }
+
+    /// Whether a buffer is one of them.
+    pub fn contains(&self, buffer: &Var) -> bool {
+        self.0.contains(&buffer.id())
+    }
+}
+
 /// Called with the name of a finished part and the features there: for progress, inspection and
 /// tests. An error stops the pass.
 pub type Observer<'a> = dyn FnMut(&str, &Tensor) -> Result<()> + 'a;
@@ -45,17 +64,26 @@ pub struct Forward<'a> {
     pub observer: Option<&'a mut Observer<'a>>,
     /// Keeps the inputs of blocks only and computes the rest again in the backward pass.
     pub recompute: Option<Recompute>,
+    /// Batch norms that use their remembered statistics in training too.
+    pub frozen: FrozenStatistics,
 }
 
 impl<'a> Forward<'a> {
     /// Deterministic, orders as listed.
     pub fn eval(rng: &'a mut ChaCha8Rng) -> Self {
-        Self { mode: Mode::Eval, rng, orders: Orders::Listed, observer: None, recompute: None }
+        Self { mode: Mode::Eval, orders: Orders::Listed, ..Self::train(rng) }
     }
 
     /// Training, with shuffled orders.
     pub fn train(rng: &'a mut ChaCha8Rng) -> Self {
-        Self { mode: Mode::Train, rng, orders: Orders::Shuffled, observer: None, recompute: None }
+        Self {
+            mode: Mode::Train,
+            rng,
+            orders: Orders::Shuffled,
+            observer: None,
+            recompute: None,
+            frozen: FrozenStatistics::default(),
+        }
     }
 
     pub(crate) fn observe(&mut self, name: &str, feat: &Tensor) -> Result<()> {

@@ -28,7 +28,7 @@ mod recompute;
 pub mod weights;
 
 pub use architecture::{Architecture, BackboneConfig};
-pub use backbone::{Backbone, BackboneCost, Forward, Mode, Observer, Orders};
+pub use backbone::{Backbone, BackboneCost, Forward, FrozenStatistics, Mode, Observer, Orders};
 pub use compute::Compute;
 pub use head::{Head, LanguageModel, SemanticSegmenter};
 pub use lpips::{Lpips, LpipsNet};

@@ -219,14 +219,23 @@ impl ParamStore {
     /// If the store is frozen, the file cannot be read, or its names or shapes are not exactly those
     /// of the store; nothing has changed then.
     pub fn restore(&self, path: &Path) -> Result<()> {
+        let origin = path.display().to_string();
+        let stored = candle_core::safetensors::load(path, &Device::Cpu)
+            .map_err(|e| candle_core::Error::Msg(format!("{origin}: {e}")))?;
+        self.restore_from(stored.into_iter().collect(), &origin)
+    }
+
+    /// As [`restore`](Self::restore), from values that were read already; `origin` names them in
+    /// messages.
+    ///
+    /// # Errors
+    /// As [`restore`](Self::restore).
+    pub fn restore_from(&self, mut stored: BTreeMap<String, Tensor>, origin: &str) -> Result<()> {
         let inner = self.lock();
+        let place = |problem: String| candle_core::Error::Msg(format!("{origin}: {problem}"));
         if !inner.trainable {
-            bail!("a frozen store keeps no values to restore");
+            return Err(place("a frozen store keeps no values to restore".to_owned()));
         }
-        let place =
-            |problem: String| candle_core::Error::Msg(format!("{}: {problem}", path.display()));
-        let mut stored =
-            candle_core::safetensors::load(path, &Device::Cpu).map_err(|e| place(e.to_string()))?;
         let mut values = Vec::with_capacity(inner.variables.len());
         for (name, var) in &inner.variables {
             let Some(value) = stored.remove(name) else {
@@ -243,7 +252,7 @@ impl ParamStore {
             }
             values.push(value);
         }
-        if let Some(name) = stored.keys().min() {
+        if let Some(name) = stored.keys().next() {
             return Err(place(format!("has {name}, which the network has not")));
         }
         inner.variables.values().zip(&values).try_for_each(|(var, value)| var.set(value))
@@ -262,16 +271,7 @@ impl ParamStore {
         }
         let tensors: std::collections::HashMap<String, Tensor> =
             inner.variables.iter().map(|(n, v)| (n.clone(), v.as_tensor().clone())).collect();
-        let beside = path.with_extension("partial");
-        let written = candle_core::safetensors::save(&tensors, &beside).and_then(|()| {
-            std::fs::File::open(&beside)?.sync_all()?;
-            Ok(std::fs::rename(&beside, path)?)
-        });
-        written.map_err(|e| {
-            // What is wrong has been found already; a rest that stays does no harm.
-            _ = std::fs::remove_file(&beside);
-            candle_core::Error::Msg(format!("{}: {e}", path.display()))
-        })
+        crate::weights::save_tensors(&tensors, path)
     }
 }
 

@@ -1,4 +1,4 @@
-//! The way back from a picture of the garden, on one and two threads.
+//! The backward pass from a picture of the garden, on one and two threads.
 #![allow(missing_docs, reason = "criterion's macros make undocumented items")]
 
 mod common;
@@ -18,15 +18,15 @@ fn render_backward_garden(c: &mut Criterion) {
     let traced = trace(&gaussians, view, settings, TraceRequest::rgb_depth()).expect("a garden");
     let pixels = view.pixels();
     let (rgb, plane) = (signs(3 * pixels), signs(pixels));
-    let colour = Upstream { rgb: Some(&rgb), ..Upstream::default() };
-    let depth = Upstream { depth_expected: Some(&plane), alpha: Some(&plane), ..colour };
+    let color = Upstream { rgb: Some(&rgb), ..Upstream::default() };
+    let depth = Upstream { depth_expected: Some(&plane), alpha: Some(&plane), ..color };
     let all = GradMask::all();
     let opacities = GradMask { opacities: true, ..GradMask::none() };
     let rows = [
-        ("rgb", colour, all),
+        ("rgb", color, all),
         ("rgb_alpha_depth", depth, all),
-        ("sh_only", colour, GradMask::sh_only()),
-        ("opacities_only", colour, opacities),
+        ("sh_only", color, GradMask::sh_only()),
+        ("opacities_only", color, opacities),
     ];
     let mut group = c.benchmark_group("render_backward_garden");
     let mut out = Gradients::zeros(&gaussians, 0);

@@ -1,4 +1,4 @@
-//! 1.5 million real Gaussians at 640×480: rendering, the way back and lifting.
+//! 1.5 million real Gaussians at 640×480: rendering, the backward pass and lifting.
 //!
 //! The largest real scene of the shared data has half a million, so it stands here three times, side
 //! by side and all in the picture.

@@ -67,13 +67,13 @@ pub trait TileVisitor: Send {
     /// The transmittance from which on spans no longer matter to it: rows of a tile whose pixels have
     /// all come down to it may be left out, and what [`finish`](Self::finish) is given with them. 0:
     /// every span matters.
-    const ENOUGH: f32 = 0.0;
+    const STOP_TRANSMITTANCE: f32 = 0.0;
 
     /// The Gaussian of row `row` of [`Projected`] comes soon: a place to [`prefetch`] what
     /// [`span`](Self::span) reads of it. Rows are in no order in memory, so that each is waited for
     /// otherwise.
     #[inline(always)]
-    fn soon(&self, _row: u32) {}
+    fn prefetch(&self, _row: u32) {}
 
     /// A Gaussian begins: list position `entry`, row of [`Projected`] `row`.
     #[inline(always)]
@@ -102,6 +102,13 @@ pub fn blend<V: TileVisitor>(
     settings: &RasterSettings,
     make: impl Fn(TileRect) -> V + Sync,
 ) -> Vec<V::Output> {
+    let (columns, rows) = view.tiles();
+    assert!(
+        (lists.columns, lists.rows) == (columns, rows)
+            && lists.offsets.len() == columns * rows + 1
+            && lists.entries.len() == lists.reach.len(),
+        "lists of other tiles than the view's {columns} × {rows}"
+    );
     let splats = Splat::all(projected, |_| []);
     let scene = Blend { splats: &splats, lists, settings };
     let tile = |tile: usize| {
@@ -207,10 +214,10 @@ unsafe fn run<L: Lanes, V: TileVisitor>(
         for (entry, (&row, &reach)) in entries.iter().zip(reach).enumerate() {
             if let Some(&ahead) = entries.get(entry + AHEAD) {
                 prefetch(&splats[ahead as usize]);
-                visitor.soon(ahead);
+                visitor.prefetch(ahead);
             }
             if entry % LOOK == 0 {
-                rows = pixels.live_rows::<L>(V::ENOUGH);
+                rows = pixels.live_rows::<L>(V::STOP_TRANSMITTANCE);
                 if rows == 0 {
                     break;
                 }

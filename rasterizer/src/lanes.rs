@@ -3,7 +3,7 @@
 //! A Gaussian covers five pixels of a row of a tile on average, so registers of eight, placed at any
 //! pixel of the row, hold less of what is outside than those of sixteen, which always hold the row.
 //! Where there are registers of sixteen they win in the forward pass all the same: half of the
-//! instructions, and nothing to find out about places. The way back, with its ten sums per Gaussian,
+//! instructions, and nothing to find out about places. The backward pass, with its ten sums per Gaussian,
 //! is faster with eight; AVX-512VL gives these twice the registers to live in.
 
 use scenesplat_kernels::simd::Isa;
@@ -57,7 +57,7 @@ pub(crate) trait Lanes: Copy {
     unsafe fn or_else(self, mask: Self::Mask, o: Self) -> Self;
 }
 
-/// A register of eight, with what the way back needs.
+/// A register of eight, with what the backward pass needs.
 ///
 /// # Safety
 /// As [`Lanes`].
@@ -73,7 +73,7 @@ pub(crate) trait Lanes8: Lanes {
 
 /// Work on the values of a span, in the registers that the span came in.
 pub(crate) trait OnLanes {
-    /// Does it.
+    /// Runs the work on registers of type `L`.
     ///
     /// # Safety
     /// The CPU has the instruction set of `L`.

@@ -1,12 +1,15 @@
 //! What is in a scene that a renderer could leave out: one parallel look at its values.
 
 use crate::Gaussians;
-use crate::isa::with_isa;
 use rayon::prelude::*;
+use scenesplat_kernels::simd::compiled;
 use serde::{Deserialize, Serialize};
 
 /// Opacity below which a Gaussian is never drawn, with every preset.
 pub const FAINT: f32 = 1.0 / 255.0;
+
+/// A colour change up to half a step of a byte is none.
+pub const HARMONICS_LIMIT: f32 = 1.0 / 512.0;
 
 /// Rows that one task looks at; fixed, as what is found does not depend on the number of threads.
 const BLOCK: usize = 8192;
@@ -132,13 +135,12 @@ impl Default for Found {
 impl Found {
     fn of(gaussians: &Gaussians, rows: std::ops::Range<usize>) -> Self {
         let mut found = Self::default();
-        let isa = scenesplat_kernels::simd::Isa::current();
         let (means, quats) = (&gaussians.means[rows.clone()], &gaussians.quats[rows.clone()]);
         let (scales, opacities) = (&gaussians.scales[rows.clone()], &gaussians.opacities[rows]);
-        with_isa!(isa, add_rows(
-            found: &mut Found, means: &[[f32; 3]], quats: &[[f32; 4]], scales: &[[f32; 3]],
-            opacities: &[f32],
-        ) -> (); &mut found, means, quats, scales, opacities);
+        compiled(
+            #[inline(always)]
+            || add_rows(&mut found, means, quats, scales, opacities),
+        );
         found
     }
 
@@ -355,7 +357,7 @@ fn scan_harmonics(gaussians: &Gaussians) -> HarmonicsProfile {
             probe.add(i as u32, tails(gaussians, i));
         }
         // The last band by itself counts: nothing can be left out, whatever the others say.
-        if probe.tail[usize::from(degree) - 1] >= crate::plan::HARMONICS_LIMIT {
+        if probe.tail[usize::from(degree) - 1] >= HARMONICS_LIMIT {
             return profile(probe, looked_at + 1);
         }
     }

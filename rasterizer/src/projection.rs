@@ -2,12 +2,11 @@
 
 mod footprints;
 
-use crate::isa::with_isa;
 use crate::{Gaussians, RasterError, RasterSettings, TILE, View};
+pub(crate) use footprints::tangent_limits;
 use footprints::{Lens, project_rows};
-pub(crate) use footprints::{cross, dot, rotation, tangent_limits};
 use rayon::prelude::*;
-use std::ops::Range;
+use scenesplat_kernels::simd::compiled_for;
 
 /// Gaussians per task: few enough to share among threads, many enough not to be felt.
 const CHUNK: usize = 4096;
@@ -30,7 +29,7 @@ pub struct CullCounts {
     /// Beside the picture.
     pub outside: usize,
     /// A colour that is not finite. Only passes with colour look.
-    pub colour: usize,
+    pub color: usize,
 }
 
 /// Gaussians in the picture: one row per visible one, in the order of their index.
@@ -100,14 +99,14 @@ impl Projected {
     }
 
     /// Takes out the rows whose colour is not finite, and counts them.
-    pub(crate) fn drop_bad_colours(&mut self, colours: &mut Vec<[f32; 3]>) {
+    pub(crate) fn drop_bad_colors(&mut self, colors: &mut Vec<[f32; 3]>) {
         let good = |c: &[f32; 3]| c.iter().all(|v| v.is_finite());
-        if colours.par_iter().with_min_len(CHUNK).all(good) {
+        if colors.par_iter().with_min_len(CHUNK).all(good) {
             return;
         }
-        let keep: Vec<bool> = colours.iter().map(good).collect();
+        let keep: Vec<bool> = colors.iter().map(good).collect();
         let bad = keep.iter().filter(|&&k| !k).count();
-        self.culled.colour += bad;
+        self.culled.color += bad;
         retain(&mut self.index, &keep);
         retain(&mut self.mean2d, &keep);
         retain(&mut self.depth, &keep);
@@ -117,7 +116,7 @@ impl Projected {
         retain(&mut self.variance, &keep);
         retain(&mut self.level, &keep);
         retain(&mut self.half_extent, &keep);
-        retain(colours, &keep);
+        retain(colors, &keep);
     }
 
     /// All parts, one after the other.
@@ -131,7 +130,7 @@ impl Projected {
             culled.overflow += o.overflow;
             culled.opacity += o.opacity;
             culled.outside += o.outside;
-            culled.colour += o.colour;
+            culled.color += o.color;
         }
         Self {
             index: join(parts, |p| &p.index),
@@ -196,9 +195,11 @@ pub fn project(
     let isa = settings.isa();
     let chunk = |c: usize| {
         let rows = c * CHUNK..((c + 1) * CHUNK).min(gaussians.len());
-        with_isa!(isa, project_rows(
-            lens: &Lens<'_>, gaussians: &Gaussians, rows: Range<usize>,
-        ) -> Projected; &lens, gaussians, rows)
+        compiled_for(
+            isa,
+            #[inline(always)]
+            |_| project_rows(&lens, gaussians, rows),
+        )
     };
     let chunks: Vec<Projected> =
         (0..gaussians.len().div_ceil(CHUNK)).into_par_iter().map(chunk).collect();

@@ -3,10 +3,10 @@
 use crate::canvas::Canvas;
 use crate::gaussians::expect;
 use crate::projection::CullCounts;
-use crate::visitors::{Colour, Depth, Features, Nothing, Transmittance, Weights};
+use crate::visitors::{Color, Depth, Features, Nothing, Transmittance, Weights};
 use crate::{
     Gaussians, Projected, RasterError, RasterSettings, TILE, TileLists, TileRect, TileVisitor,
-    View, blend, colors, project, tile_lists,
+    View, blend, project, tile_lists,
 };
 use std::array::from_fn;
 
@@ -155,15 +155,15 @@ pub fn render(
         return Err(RasterError::Degree { degree });
     }
     let mut projected = project(gaussians, view, settings)?;
-    let mut colours = Vec::new();
+    let mut colors = Vec::new();
     let degree = request.sh_degree.unwrap_or(3).min(gaussians.sh_degree);
     if request.rgb {
-        colours = colors(gaussians, view, &projected, degree);
-        projected.drop_bad_colours(&mut colours);
+        colors = crate::colors(gaussians, view, &projected, degree);
+        projected.drop_bad_colors(&mut colors);
     }
     let lists = tile_lists(&projected, view, settings);
     let scene = Scene { projected: &projected, lists: &lists, view, settings };
-    let mut out = scene.render(request, request.rgb.then_some(&colours[..]), gaussians.len());
+    let mut out = scene.render(request, request.rgb.then_some(&colors[..]), gaussians.len());
     out.culled = projected.culled;
     let visible = projected.len();
     let pixels = |on: bool| if on { view.pixels() } else { 0 };
@@ -243,11 +243,11 @@ struct Scene<'a> {
 
 impl Scene<'_> {
     /// Picks the visitors; every combination is a pixel loop of its own.
-    fn render(self, request: &RenderRequest, colours: Option<&[[f32; 3]]>, n: usize) -> Rendered {
+    fn render(self, request: &RenderRequest, colors: Option<&[[f32; 3]]>, n: usize) -> Rendered {
         let DepthRequest { accumulated, expected, median } = request.depth;
         let pixels = self.view.pixels();
         let plane = |on: bool, channels: usize| vec![0.0; if on { pixels * channels } else { 0 }];
-        let mut rgb = plane(colours.is_some(), 3);
+        let mut rgb = plane(colors.is_some(), 3);
         let mut sums = plane(accumulated || expected, 1);
         let mut medians = plane(median, 1);
         let mut transmittance = plane(true, 1);
@@ -260,10 +260,10 @@ impl Scene<'_> {
             transmittance: Canvas::new(&mut transmittance, width, 1),
         };
         let background = self.settings.background;
-        let contributions = match colours {
-            Some(colours) => self.with_depth(request, &canvases, n, &mut last, |rect| {
+        let contributions = match colors {
+            Some(colors) => self.with_depth(request, &canvases, n, &mut last, |rect| {
                 // SAFETY: `blend` makes one visitor per tile.
-                Colour::new(colours, background, unsafe { canvases.rgb.tile(rect) })
+                Color::new(colors, background, unsafe { canvases.rgb.tile(rect) })
             }),
             None => self.with_depth(request, &canvases, n, &mut last, |_| Nothing),
         };
@@ -274,7 +274,7 @@ impl Scene<'_> {
         Rendered {
             width,
             height: self.view.height,
-            rgb: colours.is_some().then_some(rgb),
+            rgb: colors.is_some().then_some(rgb),
             transmittance,
             depth_accumulated: accumulated.then_some(sums),
             depth_expected: expected,
@@ -291,7 +291,7 @@ impl Scene<'_> {
         canvases: &Canvases<'_>,
         n: usize,
         last: &mut [u32],
-        colour: impl Fn(TileRect) -> C + Sync,
+        color: impl Fn(TileRect) -> C + Sync,
     ) -> Option<Contributions> {
         let (depth, isa) = (&self.projected.depth, self.settings.isa());
         // SAFETY: `blend` makes one visitor per tile.
@@ -300,15 +300,14 @@ impl Scene<'_> {
         let medians = |rect| Depth::<true>::new(depth, unsafe { canvases.medians.tile(rect) }, isa);
         let mean = request.depth.accumulated || request.depth.expected;
         match (mean, request.depth.median) {
-            (false, false) => self.with_weights(request, canvases, n, last, colour),
-            (true, false) => {
-                self.with_weights(request, canvases, n, last, |r| (colour(r), sums(r)))
-            }
+            (false, false) => self.with_weights(request, canvases, n, last, color),
+            (true, false) => self.with_weights(request, canvases, n, last, |r| (color(r), sums(r))),
             (false, true) => {
-                self.with_weights(request, canvases, n, last, |r| (colour(r), medians(r)))
+                self.with_weights(request, canvases, n, last, |r| (color(r), medians(r)))
             }
-            (true, true) => self
-                .with_weights(request, canvases, n, last, |r| (colour(r), (sums(r), medians(r)))),
+            (true, true) => {
+                self.with_weights(request, canvases, n, last, |r| (color(r), (sums(r), medians(r))))
+            }
         }
     }
 

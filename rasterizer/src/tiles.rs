@@ -1,15 +1,18 @@
 //! Which Gaussians each tile of 16×16 pixels draws, front to back.
 
 use crate::depth_order::{Shared, depth_order};
-use crate::isa::with_isa;
 use crate::splats::prefetch;
 use crate::{ExtentRule, Projected, RasterSettings, TILE, View};
 use rayon::prelude::*;
+use scenesplat_kernels::simd::compiled_for;
 
 /// Fewest Gaussians per task.
 const MIN_CHUNK: usize = 2048;
 /// Gaussians between asking for one and reading it: depth order is no order in memory.
 const AHEAD: usize = 16;
+/// Most tiles: a [`Hit`] has room for the numbers of as many. A picture that [`View::check`] accepts
+/// has no more than 2²⁰ + 2¹³ of them.
+const MAX_TILES: usize = 1 << 24;
 /// Most tasks: each counts all tiles.
 const MAX_CHUNKS: usize = 32;
 
@@ -48,17 +51,27 @@ impl TileLists {
 /// rectangle of the tile's pixel centres. With [`ExtentRule::Circle`], where its square meets the
 /// tile, and then all rows are in reach, as in the programs with that rule: pixels outside the
 /// square count if they are above the cut.
+///
+/// # Panics
+/// If the picture is larger than [`View::check`] allows, or `projected` is not what
+/// [`project`](crate::project) made (its arrays differ in length).
 pub fn tile_lists(projected: &Projected, view: &View, settings: &RasterSettings) -> TileLists {
     let (columns, rows) = view.tiles();
+    // Places in the lists are counted by tile and then written through a pointer: a number that did
+    // not fit would count for one tile and write for another.
+    let tiles = columns.checked_mul(rows);
+    assert!(tiles.is_some_and(|tiles| tiles <= MAX_TILES), "a picture of {columns} × {rows} tiles");
     let order = depth_order(&projected.depth);
     let chunk = order.len().div_ceil(MAX_CHUNKS).max(MIN_CHUNK);
     let isa = settings.isa();
     let hits: Vec<Hits> = order
         .par_chunks(chunk)
         .map(|order| {
-            with_isa!(isa, hits(
-                projected: &Projected, order: &[u32], view: &View, rule: ExtentRule,
-            ) -> Hits; projected, order, view, settings.extent)
+            compiled_for(
+                isa,
+                #[inline(always)]
+                |_| hits(projected, order, view, settings.extent),
+            )
         })
         .collect();
     let mut starts: Vec<Vec<u32>> = Vec::with_capacity(hits.len());
@@ -102,7 +115,7 @@ pub fn tile_lists(projected: &Projected, view: &View, settings: &RasterSettings)
 /// A Gaussian in a tile.
 struct Hit {
     row: u32,
-    /// Tile above the lowest 8 bits, reach in them: a picture has at most 2²⁰ tiles.
+    /// Tile, below [`MAX_TILES`], above the lowest 8 bits; reach in them.
     place: u32,
 }
 

@@ -24,11 +24,15 @@ impl TileVisitor for Nothing {
 impl<A: TileVisitor, B: TileVisitor> TileVisitor for (A, B) {
     type Output = (A::Output, B::Output);
     const LAST: bool = A::LAST || B::LAST;
-    const ENOUGH: f32 = if A::ENOUGH < B::ENOUGH { A::ENOUGH } else { B::ENOUGH };
+    const STOP_TRANSMITTANCE: f32 = if A::STOP_TRANSMITTANCE < B::STOP_TRANSMITTANCE {
+        A::STOP_TRANSMITTANCE
+    } else {
+        B::STOP_TRANSMITTANCE
+    };
     #[inline(always)]
-    fn soon(&self, row: u32) {
-        self.0.soon(row);
-        self.1.soon(row);
+    fn prefetch(&self, row: u32) {
+        self.0.prefetch(row);
+        self.1.prefetch(row);
     }
     #[inline(always)]
     fn enter(&mut self, entry: u32, row: u32) {
@@ -52,41 +56,41 @@ impl<A: TileVisitor, B: TileVisitor> TileVisitor for (A, B) {
 }
 
 /// Colour, `Σ w c` and what is left of the background.
-pub(crate) struct Colour<'a> {
-    colours: &'a [[f32; 3]],
+pub(crate) struct Color<'a> {
+    colors: &'a [[f32; 3]],
     background: Option<[f32; 3]>,
     sums: Aligned<[[f32; PIXELS]; 3]>,
     target: CanvasTile<'a>,
 }
 
-impl<'a> Colour<'a> {
+impl<'a> Color<'a> {
     pub(crate) fn new(
-        colours: &'a [[f32; 3]],
+        colors: &'a [[f32; 3]],
         background: Option<[f32; 3]>,
         target: CanvasTile<'a>,
     ) -> Self {
-        Self { colours, background, sums: Aligned([[0.0; PIXELS]; 3]), target }
+        Self { colors, background, sums: Aligned([[0.0; PIXELS]; 3]), target }
     }
 }
 
-impl TileVisitor for Colour<'_> {
+impl TileVisitor for Color<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn soon(&self, row: u32) {
+    fn prefetch(&self, row: u32) {
         // Twelve bytes may be in two cache lines.
-        let [r, _, b] = &self.colours[row as usize];
+        let [r, _, b] = &self.colors[row as usize];
         prefetch(r);
         prefetch(b);
     }
 
     #[inline(always)]
     fn span(&mut self, _: u32, row: u32, span: Span<'_>) {
-        let colour = self.colours[row as usize];
+        let color = self.colors[row as usize];
         for k in 0..3 {
             let sums = &mut self.sums.0[k][span.at..span.at + span.weights.len()];
             for (sum, weight) in sums.iter_mut().zip(span.weights) {
-                *sum += weight * colour[k];
+                *sum += weight * color[k];
             }
         }
     }
@@ -148,10 +152,10 @@ impl OnLanes for Median<'_> {
 
 impl<const MEDIAN: bool> TileVisitor for Depth<'_, MEDIAN> {
     type Output = ();
-    const ENOUGH: f32 = if MEDIAN { HALF } else { 0.0 };
+    const STOP_TRANSMITTANCE: f32 = if MEDIAN { HALF } else { 0.0 };
 
     #[inline(always)]
-    fn soon(&self, row: u32) {
+    fn prefetch(&self, row: u32) {
         prefetch(&self.depth[row as usize]);
     }
 

@@ -1,5 +1,7 @@
 //! Vectors of three numbers.
 
+pub(crate) use scenesplat_scene::vector::{cross, dot};
+
 pub(crate) type V3 = [f64; 3];
 
 /// Upwards.
@@ -24,14 +26,6 @@ pub(crate) fn add_times(a: V3, b: V3, by: f64) -> V3 {
 
 pub(crate) fn mix(a: V3, b: V3, share: f64) -> V3 {
     std::array::from_fn(|i| a[i] + (b[i] - a[i]) * share)
-}
-
-pub(crate) fn dot(a: V3, b: V3) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-pub(crate) fn cross(a: V3, b: V3) -> V3 {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 pub(crate) fn length(a: V3) -> f64 {

@@ -70,6 +70,9 @@ pub enum SceneError {
         /// What the user can do, may be empty.
         help: String,
     },
+    /// A file or folder that could not be written.
+    #[error(transparent)]
+    Write(#[from] crate::WriteError),
     /// No class of that name.
     #[error("no class is called {query:?}; nearest: {}", nearest.join(", "))]
     UnknownClass {

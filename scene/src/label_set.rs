@@ -1,6 +1,7 @@
 //! Class names, and finding a class by what a user calls it.
 
 use crate::SceneError;
+pub use crate::class_names::read_names;
 use crate::text_table::TextTable;
 use std::path::Path;
 
@@ -161,39 +162,6 @@ pub(crate) fn check_names(names: &[String]) -> Result<(), SceneError> {
         }
     }
     Ok(())
-}
-
-/// Reads class names: one a line (blank lines are skipped), or JSON: a list of strings, or an
-/// object with such a list as `classes`, `labels` or `names`.
-///
-/// # Errors
-/// If the file cannot be read, is no text, or is JSON of another form.
-pub fn read_names(path: &Path) -> Result<Vec<String>, SceneError> {
-    let text =
-        std::fs::read_to_string(path).map_err(SceneError::io(path, "cannot read class names"))?;
-    // A byte order mark would become part of the first name.
-    let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
-    let names = if text.trim_start().starts_with(['[', '{']) {
-        let json: serde_json::Value = serde_json::from_str(text)
-            .map_err(|error| SceneError::format(path, format!("is not valid JSON: {error}"), ""))?;
-        let list = match &json {
-            serde_json::Value::Object(object) => {
-                ["classes", "labels", "names"].iter().find_map(|key| object.get(*key))
-            }
-            other => Some(other),
-        };
-        let names = list.and_then(|list| serde_json::from_value::<Vec<String>>(list.clone()).ok());
-        names.ok_or_else(|| {
-            let help = "give a list of strings, or an object with one as `classes` or `labels`";
-            SceneError::format(path, "holds no list of class names", help)
-        })?
-    } else {
-        text.lines().map(str::trim).filter(|l| !l.is_empty()).map(str::to_owned).collect()
-    };
-    if names.is_empty() {
-        return Err(SceneError::format(path, "holds no class name", "write one name a line"));
-    }
-    Ok(names)
 }
 
 #[cfg(test)]

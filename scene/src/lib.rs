@@ -1,15 +1,20 @@
 //! What a scene of 3D Gaussians is, and its files.
 //!
-//! Plain arrays and structs: no tensor library, no randomness, no network. The central type is
-//! [`GaussianScene`]; [`formats`] reads and writes it, [`value_policy`] says what happens to bad
-//! values on the way in, [`label_set`] holds class names and their text vectors.
+//! Plain arrays and structs: no tensor library, no network, no randomness without a seed. The
+//! central type is [`GaussianScene`]; [`formats`] reads and writes it, [`edit`] changes it,
+//! [`value_policy`] says what happens to bad values on the way in, [`label_set`] holds class names
+//! and their text vectors.
 //!
 //! Not for: rendering, training, searching for neighbours.
 
+pub mod atomic_file;
 pub mod bounds;
 pub mod camera;
 pub mod class_map;
+mod class_names;
+pub mod edit;
 pub mod error;
+pub mod folder_lock;
 pub mod formats;
 pub mod frame;
 pub mod gaussian_scene;
@@ -20,25 +25,30 @@ pub mod quantile;
 pub mod quaternion;
 pub mod similarity;
 pub mod spherical_harmonics;
+pub mod staged_folder;
 pub mod text_table;
 pub mod up;
 pub mod up_axis;
 pub mod value_policy;
+pub mod vector;
 
+pub use atomic_file::{AtomicFile, WriteError};
 pub use bounds::{Bounds, raw_bounds, robust_bounds};
 pub use camera::{Camera, Distortion};
 pub use class_map::ClassMap;
 pub use error::SceneError;
+pub use folder_lock::FolderLock;
 pub use formats::cameras::{CameraKind, CameraSet, SparsePoints, open_cameras};
 pub use formats::{
-    LoadedScene, ReadOptions, SceneFormat, SceneKind, SpzFrame, WriteOptions, WriteReport,
-    open_scene, open_scene_bytes, write_scene,
+    LoadedScene, ReadOptions, SceneFormat, SpzFrame, WriteOptions, WriteReport, open_scene,
+    open_scene_bytes, write_scene,
 };
 pub use frame::Frame;
 pub use gaussian_scene::{FeatureRows, GaussianScene, LabelledPoints};
 pub use label_set::LabelSet;
 pub use language_code::{LanguageCode, LanguageCodebook};
 pub use similarity::Similarity;
+pub use staged_folder::StagedFolder;
 pub use text_table::TextTable;
 pub use up::{UpEvidence, UpGuess, guess_up, guess_up_within};
 pub use up_axis::UpAxis;

@@ -17,6 +17,13 @@ pub struct Similarity {
 }
 
 impl Similarity {
+    /// Leaves everything as it is.
+    pub const IDENTITY: Self = Self {
+        rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        scale: 1.0,
+        translation: [0.0; 3],
+    };
+
     /// From one frame to another, in the same units and about the same origin.
     pub fn between(from: Frame, to: Frame) -> Self {
         Self { rotation: from.matrix_to(to), scale: 1.0, translation: [0.0; 3] }
@@ -132,18 +139,10 @@ pub fn quat_product(a: [f64; 4], b: [f32; 4]) -> [f32; 4] {
 mod tests {
     use super::*;
     use crate::frame::product;
-
-    fn quat_to_matrix(q: [f32; 4]) -> Matrix3 {
-        let [w, x, y, z] = q.map(f64::from);
-        [
-            [1. - 2. * (y * y + z * z), 2. * (x * y - w * z), 2. * (x * z + w * y)],
-            [2. * (x * y + w * z), 1. - 2. * (x * x + z * z), 2. * (y * z - w * x)],
-            [2. * (x * z - w * y), 2. * (y * z + w * x), 1. - 2. * (x * x + y * y)],
-        ]
-    }
+    use crate::vector::rotation;
 
     fn covariance(scene: &GaussianScene) -> Matrix3 {
-        let r = quat_to_matrix(scene.quat[0]);
+        let r = rotation(scene.quat[0].map(f64::from));
         let s = scene.log_scale[0].map(|s| f64::from(s).exp());
         let rs = r.map(|row| [row[0] * s[0], row[1] * s[1], row[2] * s[2]]);
         let t = [0, 1, 2].map(|i| [0, 1, 2].map(|j| rs[j][i]));

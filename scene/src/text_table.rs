@@ -1,7 +1,7 @@
 //! Text vectors of classes, as a language model embeds their names.
 
 use crate::SceneError;
-use crate::label_set::read_names;
+use crate::class_names::read_names;
 use half::{bf16, f16};
 use memmap2::Mmap;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};

@@ -10,13 +10,13 @@ use scenesplat_scene::formats::compressed_ply::write_compressed_ply;
 use scenesplat_scene::formats::ply::{ColumnValues, PlyColumn, PlyFile, write_ply_with_columns};
 use scenesplat_scene::{
     GaussianScene, LanguageCode, LanguageCodebook, LoadedScene, ReadOptions, SceneError,
-    SceneFormat, SceneKind, WriteOptions, WriteReport, open_scene,
+    SceneFormat, WriteOptions, WriteReport, open_scene,
 };
 use std::path::Path;
 
 fn open(path: &Path) -> LoadedScene {
     let loaded = open_scene(path, &ReadOptions::default()).unwrap();
-    assert_eq!(loaded.kind, SceneKind::CompressedPly);
+    assert_eq!(loaded.kind, SceneFormat::CompressedPly);
     loaded
 }
 

@@ -214,7 +214,10 @@ fn what_is_no_scene() {
     for bytes in [&garbage[..], b"", b"ply", b"PLY\n", b"\0\0\0\0"] {
         let error = open_scene(&save(dir.path(), bytes), &ReadOptions::default()).unwrap_err();
         let error = error.to_string();
-        assert!(error.contains("supported are PLY") && error.contains(".spz"), "{error}");
+        assert!(
+            error.contains("supported are ") && error.contains(".ply") && error.contains(".spz"),
+            "{error}"
+        );
     }
     for path in [dir.path().to_owned(), dir.path().join("missing.ply")] {
         assert!(open_scene(&path, &ReadOptions::default()).is_err());

@@ -8,7 +8,7 @@ use common::{Encoding, inria_columns, language_code, ply_bytes, random_scene};
 use scenesplat_scene::formats::inria_ply::write_inria_ply;
 use scenesplat_scene::formats::ply::{ColumnValues, PlyColumn, PlyFile};
 use scenesplat_scene::value_policy::Rule;
-use scenesplat_scene::{LoadedScene, Policy, ReadOptions, SceneError, SceneKind, open_scene};
+use scenesplat_scene::{LoadedScene, Policy, ReadOptions, SceneError, SceneFormat, open_scene};
 
 fn open(bytes: &[u8]) -> Result<LoadedScene, SceneError> {
     open_with(bytes, &ReadOptions::default())
@@ -55,7 +55,7 @@ fn every_degree_survives_writing_and_reading() {
         write_inria_ply(&scene, &extra, &path).unwrap();
         let loaded = open_scene(&path, &strict()).unwrap();
         assert_eq!(loaded.scene, scene, "degree {degree}");
-        assert_eq!(loaded.kind, SceneKind::InriaPly);
+        assert_eq!(loaded.kind, SceneFormat::Ply);
         assert!(loaded.kept_rows.is_none());
         let file = PlyFile::open(&path).unwrap();
         assert_eq!(file.column_f32("vertex", "extra").unwrap(), score);

@@ -10,7 +10,7 @@ use scenesplat_scene::formats::ksplat::{is_ksplat, read_ksplat};
 use scenesplat_scene::formats::splat::is_splat;
 use scenesplat_scene::value_policy::Rule;
 use scenesplat_scene::{
-    GaussianScene, LoadedScene, ReadOptions, SceneError, SceneKind, open_scene,
+    GaussianScene, LoadedScene, ReadOptions, SceneError, SceneFormat, open_scene,
 };
 use std::path::Path;
 
@@ -155,7 +155,7 @@ fn sections_buckets_and_levels() {
         assert!(is_ksplat(&bytes));
         let loaded = read(&bytes).unwrap();
         let scene = &loaded.scene;
-        assert_eq!((loaded.kind, scene.len(), scene.sh_degree), (SceneKind::Ksplat, 19, 2));
+        assert_eq!((loaded.kind, scene.len(), scene.sh_degree), (SceneFormat::Ksplat, 19, 2));
         assert!(loaded.report.is_clean(), "{}", loaded.report);
         // Section and bucket of every row.
         let places = [(0, 0, 4), (0, 1, 4), (0, 2, 3), (0, 3, 1), (2, 0, 1), (2, 2, 2), (3, 0, 4)];

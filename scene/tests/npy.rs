@@ -11,7 +11,7 @@ use scenesplat_scene::formats::npy_folder::write_npy_folder;
 use scenesplat_scene::formats::npy_writer::{NpyRowWriter, write_npy};
 use scenesplat_scene::value_policy::Rule;
 use scenesplat_scene::{
-    FeatureRows, GaussianScene, LabelledPoints, Policy, ReadOptions, SceneKind, open_scene,
+    FeatureRows, GaussianScene, LabelledPoints, Policy, ReadOptions, SceneFormat, open_scene,
 };
 use std::path::{Path, PathBuf};
 
@@ -267,7 +267,7 @@ fn a_folder_holds_the_whole_scene() {
     write_npy_folder(&scene, &folder, false).unwrap();
     let options = ReadOptions { policy: Policy::Strict, ..ReadOptions::default() };
     let loaded = open_scene(&folder, &options).unwrap();
-    assert_eq!(loaded.kind, SceneKind::NpyFolder);
+    assert_eq!(loaded.kind, SceneFormat::NpyFolder);
     let mut back = loaded.scene;
     for row in 0..scene.len() {
         // Activated and back in f32: a relative error of the probability or scale of a few ulp.

@@ -10,7 +10,7 @@ use scenesplat_scene::formats::ply::{ColumnValues, PlyColumn, PlyFile, write_ply
 use scenesplat_scene::label_set::read_names;
 use scenesplat_scene::value_policy::Rule;
 use scenesplat_scene::{
-    GaussianScene, LabelSet, LoadedScene, Policy, ReadOptions, SceneKind, TextTable, open_scene,
+    GaussianScene, LabelSet, LoadedScene, Policy, ReadOptions, SceneFormat, TextTable, open_scene,
 };
 
 fn open(relative: &str) -> Option<LoadedScene> {
@@ -39,7 +39,7 @@ fn biker_compressed() {
     let Some(loaded) = open("real/objects/biker.compressed.ply") else { return };
     let scene = &loaded.scene;
     assert_eq!(scene.len(), 152_746);
-    assert_eq!(loaded.kind, SceneKind::CompressedPly);
+    assert_eq!(loaded.kind, SceneFormat::CompressedPly);
     assert_eq!(scene.sh_degree, 0);
     // The first record, unpacked by hand in the description of the format.
     close(&scene.coord[0], &[-0.104_537, -2.387_898, -0.360_811], 1e-6);
@@ -60,7 +60,7 @@ fn plain_files_have_the_right_number_of_rows() {
         let Some(loaded) = open(name) else { continue };
         assert_eq!(loaded.scene.len(), rows, "{name}");
         assert_eq!(loaded.source_rows(), rows, "{name}");
-        assert_eq!(loaded.kind, SceneKind::InriaPly);
+        assert_eq!(loaded.kind, SceneFormat::Ply);
         check_unit(&loaded.scene);
     }
 }

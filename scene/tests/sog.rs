@@ -12,7 +12,7 @@ use scenesplat_scene::formats::sog::{
 };
 use scenesplat_scene::{
     GaussianScene, LanguageCode, LanguageCodebook, LoadedScene, Policy, ReadOptions, SceneError,
-    SceneKind, WriteOptions, WriteReport, open_scene,
+    SceneFormat, WriteOptions, WriteReport, open_scene,
 };
 use std::collections::BTreeMap;
 use std::f64::consts::SQRT_2;
@@ -84,7 +84,7 @@ fn real_files_have_the_right_number_of_rows() {
     ] {
         let Some(loaded) = real(&format!("real/objects/{name}")) else { continue };
         assert_eq!((loaded.scene.len(), loaded.scene.sh_degree), (rows, degree), "{name}");
-        assert_eq!(loaded.kind, SceneKind::Sog);
+        assert_eq!(loaded.kind, SceneFormat::Sog);
         for q in &loaded.scene.quat {
             let norm: f64 = q.iter().map(|&v| f64::from(v).powi(2)).sum();
             assert!((norm - 1.0).abs() < 1e-6 && q[0] >= 0.0, "{name} {q:?}");

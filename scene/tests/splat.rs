@@ -10,7 +10,7 @@ use scenesplat_scene::formats::splat::{is_splat, read_splat, splat_problem, writ
 use scenesplat_scene::value_policy::Rule;
 use scenesplat_scene::{
     GaussianScene, LanguageCode, LanguageCodebook, LoadedScene, Policy, ReadOptions, SceneError,
-    SceneFormat, SceneKind, WriteOptions, WriteReport, open_scene,
+    SceneFormat, WriteOptions, WriteReport, open_scene,
 };
 use std::collections::HashMap;
 use std::path::Path;
@@ -38,7 +38,7 @@ fn a_record_by_hand() {
     let bytes = record([1.5, -2.0, 1e-3], [0.5, 0.0, 2.0], [0, 51, 255, 102], [192, 64, 192, 64]);
     let loaded = read(&bytes).unwrap();
     let scene = &loaded.scene;
-    assert_eq!(loaded.kind, SceneKind::Splat);
+    assert_eq!(loaded.kind, SceneFormat::Splat);
     assert_eq!(scene.coord, [[1.5, -2.0, 1e-3]]);
     assert_eq!(scene.log_scale, [[0.5f32.ln(), f32::NEG_INFINITY, 2.0f32.ln()]]);
     assert_eq!(scene.quat, [[0.5, -0.5, 0.5, -0.5]]);
@@ -161,7 +161,7 @@ fn what_is_written_is_recognised_or_not_written() {
         let bytes = std::fs::read(&path).unwrap();
         assert_eq!(splat_problem(&bytes), None, "{rows} rows");
         let back = open_scene(&path, &ReadOptions::default()).unwrap();
-        assert_eq!((back.kind, back.scene.coord), (SceneKind::Splat, scene.coord.clone()));
+        assert_eq!((back.kind, back.scene.coord), (SceneFormat::Splat, scene.coord.clone()));
 
         for row in 0..rows {
             scene.coord[row][2] = 1e20;

@@ -12,7 +12,7 @@ use scenesplat_scene::{
 };
 use std::path::{Path, PathBuf};
 
-const FORMATS: [(SceneFormat, &str); 7] = [
+const FORMATS: [(SceneFormat, &str); 9] = [
     (SceneFormat::Ply, "a.ply"),
     (SceneFormat::CompressedPly, "a.compressed.ply"),
     (SceneFormat::Spz, "a.spz"),
@@ -20,9 +20,11 @@ const FORMATS: [(SceneFormat, &str); 7] = [
     (SceneFormat::Sog, "a.sog"),
     (SceneFormat::SogFolder, "sog/meta.json"),
     (SceneFormat::NpyFolder, "deeper/npy"),
+    (SceneFormat::Glb, "a.glb"),
+    (SceneFormat::SogStreamed, "lod/lod-meta.json"),
 ];
 /// Those with a file of labels beside the scene.
-const BESIDE: [(SceneFormat, &str); 2] = [FORMATS[1], FORMATS[3]];
+const BESIDE: [(SceneFormat, &str); 3] = [FORMATS[1], FORMATS[3], FORMATS[7]];
 
 fn write(
     scene: &GaussianScene,
@@ -308,7 +310,11 @@ fn labels_in_the_way_are_there_already() {
 fn a_scene_whose_labels_cannot_be_written_is_not_replaced() {
     for (format, _) in BESIDE {
         let folder = tempfile::tempdir().unwrap();
-        let ending = if format == SceneFormat::Splat { "splat" } else { "compressed.ply" };
+        let ending = match format {
+            SceneFormat::Splat => "splat",
+            SceneFormat::Glb => "glb",
+            _ => "compressed.ply",
+        };
         // The temporary name of the labels is longer than file systems allow, no other one is.
         let path =
             folder.path().join(format!("{:a<length$}.{ending}", "", length = 228 - ending.len()));

@@ -227,13 +227,7 @@ pub(super) fn check_sizes(findings: &mut Findings<'_>, scene: &GaussianScene, ro
     if diagonal <= 0.0 || too_few {
         return;
     }
-    let is_giant = |row: usize| {
-        let reach = reach(scene, row);
-        reach > GIANT_DIAGONALS * diagonal
-            && scene.opacity(row) >= GIANT_OPACITY
-            // A background that ends before the scene begins does no harm.
-            && robust.distance(scene.coord[row]) <= reach
-    };
+    let is_giant = |row: usize| is_giant(scene, row, robust);
     let giants = count_rows(scene.len(), is_giant);
     let largest = largest(scene.len(), |row| is_giant(row).then(|| reach(scene, row)));
     if let (Some(first), Some((_, metres))) = (giants.first, largest) {
@@ -251,9 +245,18 @@ pub(super) fn check_sizes(findings: &mut Findings<'_>, scene: &GaussianScene, ro
                 short(diagonal),
                 short(metres)
             ),
-            help: "delete them, or clamp their scale; each tints much of every picture",
+            help: "remove them, or clamp their scale; each tints much of every picture",
         });
     }
+}
+
+/// Whether a Gaussian is larger than the scene, whose robust bounds have an extent.
+pub(super) fn is_giant(scene: &GaussianScene, row: usize, robust: &Bounds) -> bool {
+    let reach = reach(scene, row);
+    reach > GIANT_DIAGONALS * robust.diagonal()
+        && scene.opacity(row) >= GIANT_OPACITY
+        // A background that ends before the scene begins does no harm.
+        && robust.distance(scene.coord[row]) <= reach
 }
 
 pub(super) fn check_isolated(
@@ -281,7 +284,7 @@ pub(super) fn check_isolated(
                 short(near.spacing.unwrap_or(0.0))
             ),
             help: if is_many {
-                "remove floaters in an editor; each gets a label of its own and may answer queries"
+                "remove floaters; each gets a label of its own and may answer queries"
             } else {
                 ""
             },

@@ -38,43 +38,64 @@ pub(super) struct Neighbourhood {
     pub(super) most_isolated: Option<(usize, f64)>,
 }
 
+/// Distances to the fourth neighbours, and what is usual among them.
+pub(super) struct Distances {
+    distance: Vec<f32>,
+    /// The median.
+    spacing: Option<f64>,
+    /// That of 90 %; 0 where there are too few rows, or too many in one place, to tell.
+    usual: f64,
+    unsupported: f64,
+}
+
+impl Distances {
+    /// `None` where there are too few rows. Coordinates are finite.
+    pub(super) fn of(scene: &GaussianScene) -> Option<Self> {
+        let coord = &scene.coord;
+        if coord.len() <= NEIGHBOUR {
+            return None;
+        }
+        // Cannot fail for finite coordinates; without a tree nothing is said.
+        let tree = KdTree::new(coord).ok()?;
+        let distance: Vec<f32> = tree.map_nearest(
+            coord,
+            NEIGHBOUR + 1,
+            || (),
+            |(), _, near| near.last().map_or(0.0, |n| n.distance_squared.sqrt() as f32),
+        );
+        drop(tree);
+        let mut sorted = distance.clone();
+        let spacing = quantile(&mut sorted, 0.5).map(f64::from);
+        let usual = quantile(&mut sorted, 0.9).map_or(0.0, f64::from);
+        if coord.len() < FEWEST_ROWS || usual <= 0.0 {
+            return Some(Self { distance, spacing, usual: 0.0, unsupported: 0.0 });
+        }
+        let ratio = |row: usize| (f64::from(distance[row]) / reach(scene, row)) as f32;
+        let mut ratios: Vec<f32> = (0..coord.len()).map(ratio).collect();
+        let usual_ratio = quantile(&mut ratios, 0.5).map_or(0.0, f64::from);
+        let unsupported = UNSUPPORTED.max(UNUSUAL * usual_ratio);
+        Some(Self { distance, spacing, usual, unsupported })
+    }
+
+    /// Whether a Gaussian has no others around.
+    pub(super) fn is_isolated(&self, scene: &GaussianScene, row: usize) -> bool {
+        let d = f64::from(self.distance[row]);
+        self.usual > 0.0
+            && d > FAR * self.usual
+            && (d > VERY_FAR * self.usual || d > self.unsupported * reach(scene, row))
+    }
+}
+
 /// Measures distances; `zone` is where rows count as part of the scene. Coordinates are finite.
 pub(super) fn neighbourhood(scene: &GaussianScene, zone: &Bounds) -> Neighbourhood {
-    let coord = &scene.coord;
-    if coord.len() <= NEIGHBOUR {
-        return Neighbourhood::default();
-    }
-    // Cannot fail for finite coordinates; without a tree nothing is said.
-    let Ok(tree) = KdTree::new(coord) else { return Neighbourhood::default() };
-    let distance: Vec<f32> = tree.map_nearest(
-        coord,
-        NEIGHBOUR + 1,
-        || (),
-        |(), _, near| near.last().map_or(0.0, |n| n.distance_squared.sqrt() as f32),
-    );
-    drop(tree);
-    let mut sorted = distance.clone();
-    let spacing = quantile(&mut sorted, 0.5).map(f64::from);
-    let usual = quantile(&mut sorted, 0.9).map_or(0.0, f64::from);
-    if coord.len() < FEWEST_ROWS || usual <= 0.0 {
-        return Neighbourhood { spacing, ..Neighbourhood::default() };
-    }
-    let mut ratios: Vec<f32> =
-        (0..coord.len()).map(|row| (f64::from(distance[row]) / reach(scene, row)) as f32).collect();
-    let usual_ratio = quantile(&mut ratios, 0.5).map_or(0.0, f64::from);
-    let unsupported = UNSUPPORTED.max(UNUSUAL * usual_ratio);
-    let is_isolated = |row: usize| {
-        let d = f64::from(distance[row]);
-        if d <= FAR * usual || zone.distance(coord[row]) > 0.0 {
-            return false;
-        }
-        d > VERY_FAR * usual || d > unsupported * reach(scene, row)
-    };
+    let Some(distances) = Distances::of(scene) else { return Neighbourhood::default() };
+    let is_isolated =
+        |row: usize| distances.is_isolated(scene, row) && zone.distance(scene.coord[row]) == 0.0;
     Neighbourhood {
-        spacing,
-        isolated: count_rows(coord.len(), is_isolated),
-        most_isolated: largest(coord.len(), |row| {
-            is_isolated(row).then(|| f64::from(distance[row]))
+        spacing: distances.spacing,
+        isolated: count_rows(scene.len(), is_isolated),
+        most_isolated: largest(scene.len(), |row| {
+            is_isolated(row).then(|| f64::from(distances.distance[row]))
         }),
     }
 }

@@ -6,7 +6,9 @@ use scenesplat_datasets::transforms::{self, TransformConfig};
 use scenesplat_datasets::{InputFeatures, LoaderSettings, MixRule};
 use scenesplat_losses::LossConfig;
 use scenesplat_models::{Compute, ModelConfig};
-use scenesplat_trainers::{AdamWConfig, CosineSchedule, KeywordGroup, OneCycle, TrainerConfig};
+use scenesplat_trainers::{
+    AdamWConfig, CosineSchedule, KeywordGroup, OneCycle, Selection, TrainerConfig,
+};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -111,9 +113,10 @@ pub enum TextConfig {
         /// meet a table of other names.
         #[serde(default)]
         rows: Vec<String>,
-        /// Classes left out of the averages that begin with f.
-        #[serde(default)]
-        exclude: Vec<String>,
+        /// Classes left out of the averages that begin with f; if not given, those that the benchmark
+        /// of the labels leaves out.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        exclude: Option<Vec<String>>,
     },
     /// The built-in vocabulary of the synthetic rooms.
     Vocabulary {
@@ -150,6 +153,10 @@ pub struct OptimizerConfig {
     pub weight_decay: f64,
     /// Parameters with a rate of their own, by part of their name.
     pub groups: Vec<KeywordGroup>,
+    /// Decay that varies over the run, in the place of `weight_decay`: `{ warmup = 0.0, warmup_from =
+    /// 0.04, from = 0.04, to = 0.4 }`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub weight_decay_schedule: Option<CosineSchedule>,
     /// Moments.
     pub adamw: AdamWConfig,
 }
@@ -160,6 +167,7 @@ impl Default for OptimizerConfig {
             lr: 0.006,
             weight_decay: 0.05,
             groups: vec![KeywordGroup { keyword: "block".to_owned(), lr: 0.0006 }],
+            weight_decay_schedule: None,
             adamw: AdamWConfig::default(),
         }
     }
@@ -185,8 +193,8 @@ impl Default for ScheduleConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EarlyStoppingConfig {
-    /// Full name of the measurement, such as `zero_shot/f-mIoU`.
-    pub measurement: String,
+    /// Full name of the measurement, such as `zero_shot/f-mIoU`; a list for the mean of several.
+    pub measurement: Selection,
     /// Evaluations without a better value.
     pub patience: u64,
     /// Whether a smaller value is better.
@@ -256,6 +264,12 @@ impl ExperimentConfig {
         self.trainer.check().context("trainer")?;
         self.loader.check().context("loader")?;
         self.precision()?;
+        if let Some(stopping) = &self.early_stopping {
+            anyhow::ensure!(
+                stopping.patience > 0,
+                "early_stopping.patience is 0, expected 1 or more"
+            );
+        }
         anyhow::ensure!(!self.train.is_empty(), "train: at least one dataset is needed");
         anyhow::ensure!(!self.losses.is_empty(), "losses: at least one term is needed");
         let reads = self.input.width();
@@ -449,6 +463,6 @@ mod tests {
                 read += 1;
             }
         }
-        assert_eq!(read, 9);
+        assert_eq!(read, 14);
     }
 }

@@ -1,7 +1,7 @@
 //! Curves of a run as a picture: one panel for each thing that was measured.
 
-use crate::preview::text;
-use anyhow::{Context, Result};
+use crate::preview::{text, write_png};
+use anyhow::Result;
 use scenesplat_scene::picture::RgbPicture;
 use scenesplat_trainers::callbacks::LoggedValue;
 use std::collections::BTreeMap;
@@ -43,13 +43,8 @@ pub fn write_curves(log: &[LoggedValue], title: &str, path: &Path) -> Result<()>
         let corner = [i % columns * PANEL[0], i / columns * PANEL[1] + 36];
         panel(&mut picture, corner, curve);
     }
-    let beside = path.with_extension("partial.png");
-    picture
-        .encode_png()
-        .and_then(|png| std::fs::write(&beside, png))
-        .map_err(anyhow::Error::from)
-        .and_then(|()| Ok(std::fs::rename(&beside, path)?))
-        .with_context(|| path.display().to_string())
+    write_png(path, &picture)?;
+    Ok(())
 }
 
 fn curves(log: &[LoggedValue]) -> Vec<Curve> {
@@ -57,7 +52,7 @@ fn curves(log: &[LoggedValue]) -> Vec<Curve> {
     for value in log {
         let kind = match value.name.split('/').next() {
             Some("train") => 0,
-            Some("health") => 2,
+            Some("health" | "data") => 2,
             _ => 1,
         };
         if value.name.ends_with("seconds_per_step") {

@@ -1,7 +1,7 @@
 //! Scenes of an experiment: where they come from and how they become batches.
 
-use super::config::{ExperimentConfig, TextConfig, TransformList};
-use crate::text::read_text_table;
+use super::config::{ExperimentConfig, Targets, Task, TextConfig, TransformList};
+use crate::text::{class_list, read_text_table};
 use anyhow::{Context, Result};
 use scenesplat_datasets::transforms::build_transforms;
 use scenesplat_datasets::{
@@ -9,6 +9,7 @@ use scenesplat_datasets::{
 };
 use scenesplat_rooms::CLASSES;
 use scenesplat_rooms::vocabulary::Vocabulary;
+use scenesplat_scene::label_set::find_name;
 use scenesplat_scene::{LabelSet, TextTable};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -43,9 +44,10 @@ pub struct EvaluationConfig {
     /// What is done to each.
     #[serde(default = "validation")]
     pub transforms: TransformList,
-    /// Neighbours that vote on each label; 1 for no vote.
-    #[serde(default = "one")]
-    pub vote_k: usize,
+    /// Neighbours that vote on each label. If not given, as the paper evaluates: 25, but for logits
+    /// where the Gaussians themselves are labelled, which are not voted on (1).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub vote_k: Option<usize>,
     /// Texts of these scenes' classes, where they are others than those of the experiment.
     #[serde(default)]
     pub text: Option<TextConfig>,
@@ -90,7 +92,8 @@ pub fn loader(config: &ExperimentConfig) -> Result<Box<dyn BatchLoader<TrainBatc
 /// # Errors
 /// If scenes or transforms cannot be had.
 pub fn evaluation(entry: &EvaluationConfig, config: &ExperimentConfig) -> Result<Arc<dyn Dataset>> {
-    dataset(&entry.source, &entry.transforms, config.model.grid_size, 0, 1)
+    let source = entry.source.clone().for_evaluation();
+    dataset(&source, &entry.transforms, config.model.grid_size, 0, 1)
         .with_context(|| format!("evaluate {:?}", entry.name))
 }
 
@@ -110,8 +113,89 @@ fn dataset(
 pub struct ClassTexts {
     /// One row for each class of the labels.
     pub table: TextTable,
-    /// Names left out of the averages that begin with f.
-    pub exclude: Vec<String>,
+    /// Names left out of the averages that begin with f; `None` for what the benchmark leaves out.
+    pub exclude: Option<Vec<String>>,
+    /// Whether the rows go by the names of the classes, rather than by names that were chosen for
+    /// them.
+    pub has_class_names: bool,
+}
+
+impl ClassTexts {
+    /// Refuses texts that are not those of the labels.
+    ///
+    /// # Errors
+    /// If there are more or fewer rows than classes, or the first name that differs.
+    fn check(&self, classes: &LabelSet) -> Result<()> {
+        let names = &self.table.names;
+        anyhow::ensure!(
+            names.len() == classes.len(),
+            "the labels have {} classes and the texts {} rows; take the table of these classes, or \
+             choose its rows in the order of the labels with `rows`",
+            classes.len(),
+            names.len()
+        );
+        if !self.has_class_names {
+            return Ok(());
+        }
+        let differing = classes
+            .names
+            .iter()
+            .zip(names)
+            .enumerate()
+            .find(|(_, (class, text))| find_name(std::slice::from_ref(*text), class).is_err());
+        match differing {
+            None => Ok(()),
+            Some((i, (class, text))) => anyhow::bail!(
+                "class {i} of the labels is {class:?} and row {i} of the texts {text:?}; take the \
+                 table of these classes, or choose its rows in the order of the labels with `rows`"
+            ),
+        }
+    }
+}
+
+/// Checks that the labels of every source are those of the texts or of the classifier, where they are
+/// used, and that every list of classes can be read.
+///
+/// # Errors
+/// Names the first source whose classes do not fit.
+pub fn check_classes(config: &ExperimentConfig, text: Option<&ClassTexts>) -> Result<()> {
+    let by_text = config.task == Task::LanguagePretraining;
+    let check = |source: &SourceConfig, used: bool, text: Option<&ClassTexts>| -> Result<()> {
+        let classes = if used { source.needed_label_set()? } else { source.label_set()? };
+        let Some(classes) = classes.filter(|_| used) else { return Ok(()) };
+        if let (true, Some(text)) = (by_text, text) {
+            return text.check(&classes);
+        }
+        match config.model.num_classes() {
+            Some(n) if n != classes.len() => anyhow::bail!(
+                "the labels have {} classes and model.num_classes is {n}",
+                classes.len()
+            ),
+            _ => Ok(()),
+        }
+    };
+    for (i, entry) in config.train.iter().enumerate() {
+        let used = !by_text || config.targets == Targets::ClassText;
+        check(&entry.source, used, text).with_context(|| format!("train[{i}]"))?;
+    }
+    for entry in &config.evaluate {
+        let own = entry.text.as_ref().map(text_table).transpose()?;
+        check(&entry.source, true, own.as_ref().or(text))
+            .with_context(|| format!("evaluate {:?}", entry.name))?;
+    }
+    Ok(())
+}
+
+/// Classes that the averages of an evaluation leave out: those that the texts name, else those that
+/// its benchmark does.
+///
+/// # Errors
+/// If a name is none of the classes.
+pub fn excluded(source: &SourceConfig, text: Option<&ClassTexts>) -> Result<Vec<usize>> {
+    if let Some((text, names)) = text.and_then(|text| Some((text, text.exclude.as_ref()?))) {
+        return Ok(class_list(&LabelSet::new(text.table.names.clone())?, names)?);
+    }
+    Ok(source.label_set()?.map_or_else(Vec::new, |classes| classes.excluded))
 }
 
 /// Reads or makes the texts of the classes.
@@ -119,8 +203,10 @@ pub struct ClassTexts {
 /// # Errors
 /// If a table cannot be read or lacks a row.
 pub fn text_table(config: &TextConfig) -> Result<ClassTexts> {
-    let (table, exclude) = match config {
-        TextConfig::Vocabulary { dim, exclude } => (Vocabulary::new(*dim)?.class_table(), exclude),
+    let (table, exclude, has_class_names) = match config {
+        TextConfig::Vocabulary { dim, exclude } => {
+            (Vocabulary::new(*dim)?.class_table(), Some(exclude.clone()), true)
+        }
         TextConfig::Table { path, names, rows, exclude } => {
             let table = read_text_table(path, names.as_deref())?;
             let table = if rows.is_empty() {
@@ -128,16 +214,17 @@ pub fn text_table(config: &TextConfig) -> Result<ClassTexts> {
             } else {
                 choose(&table, rows, rows.clone()).with_context(|| path.display().to_string())?
             };
-            (table, exclude)
+            (table, exclude.clone(), rows.is_empty())
         }
         TextConfig::SyntheticClasses { path, names, exclude } => {
             let table = read_text_table(path, names.as_deref())?;
             let rows: Vec<String> = CLASSES.iter().map(|c| c.scannet200_name.to_owned()).collect();
             let names = CLASSES.iter().map(|c| c.name.to_owned()).collect();
-            (choose(&table, &rows, names).with_context(|| path.display().to_string())?, exclude)
+            let table = choose(&table, &rows, names).with_context(|| path.display().to_string())?;
+            (table, Some(exclude.clone()), true)
         }
     };
-    Ok(ClassTexts { table, exclude: exclude.clone() })
+    Ok(ClassTexts { table, exclude, has_class_names })
 }
 
 /// The named rows of a table, in this order, under new names.
@@ -149,4 +236,123 @@ fn choose(table: &TextTable, rows: &[String], names: Vec<String>) -> Result<Text
         values.extend_from_slice(row);
     }
     Ok(TextTable::from_rows(names, values, table.dim)?)
+}
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use scenesplat_datasets::chunking::{ChunkFolder, ChunkSettings};
+    use scenesplat_rooms::{SyntheticRoomSettings, generate};
+    use scenesplat_scene::formats::npy_folder::write_npy_folder;
+    use std::path::Path;
+
+    const ROOT: &str = env!("CARGO_MANIFEST_DIR");
+
+    /// A folder of benchmarks with one small scene in each split, as their preprocessing leaves them.
+    fn benchmarks() -> tempfile::TempDir {
+        let data = tempfile::tempdir().unwrap();
+        let scene = generate(&SyntheticRoomSettings::with_count(400, 3)).unwrap().scene;
+        for (name, labels) in [
+            ("matterport3d", "segment_nyu_160"),
+            ("scannetpp", "segment"),
+            ("scannet", "segment200"),
+        ] {
+            for split in ["train", "val", "test"] {
+                let folder = data.path().join(name).join(split).join("scene_00");
+                std::fs::create_dir_all(folder.parent().unwrap()).unwrap();
+                write_npy_folder(&scene, &folder, false).unwrap();
+                if labels != "segment" {
+                    std::fs::rename(
+                        folder.join("segment.npy"),
+                        folder.join(format!("{labels}.npy")),
+                    )
+                    .unwrap();
+                }
+            }
+        }
+        data
+    }
+
+    fn cut(data: &Path, benchmark: &str, splits: [&str; 2]) {
+        // Small scenes have few Gaussians; all else as the program cuts them.
+        let settings = ChunkSettings { minimum_size: 1, ..ChunkSettings::default() };
+        for split in splits {
+            let folder = ChunkFolder::open(&data.join(benchmark), split, settings.clone()).unwrap();
+            let scene = data.join(benchmark).join(split).join("scene_00");
+            folder.cut("scene_00", &scene, &mut |_| true).unwrap();
+        }
+    }
+
+    fn read(file: &str, data: &Path) -> ExperimentConfig {
+        let path = Path::new(ROOT).join("configs").join(file);
+        let value = |_: &str| Some(data.display().to_string());
+        ExperimentConfig::read_with(&path, &value).unwrap()
+    }
+
+    #[test]
+    fn configurations_start_from_what_chunking_writes() {
+        let data = benchmarks();
+        let run = |file: &str| -> Result<usize> {
+            let config = read(file, data.path());
+            let loader = loader(&config)?;
+            for entry in &config.evaluate {
+                assert!(!evaluation(entry, &config)?.is_empty());
+            }
+            Ok(loader.batches_per_epoch())
+        };
+        let files = ["joint", "matterport3d", "scannetpp", "scannet_scannetpp"]
+            .map(|name| format!("language_pretraining/{name}.toml"));
+        for file in &files {
+            let error = format!("{:#}", run(file).err().unwrap());
+            assert!(error.contains("scenesplat chunk"), "{file}: {error}");
+        }
+        cut(data.path(), "matterport3d", ["train", "val"]);
+        cut(data.path(), "scannetpp", ["train", "test"]);
+        cut(data.path(), "scannet", ["train", "test"]);
+        for file in &files {
+            assert!(run(file).unwrap() > 0, "{file}");
+        }
+    }
+
+    fn texts(names: &[String], exclude: Option<Vec<String>>) -> ClassTexts {
+        let dim = 2;
+        let values = names.iter().flat_map(|_| [1.0, 0.0]).collect();
+        let table = TextTable::from_rows(names.to_vec(), values, dim).unwrap();
+        ClassTexts { table, exclude, has_class_names: true }
+    }
+
+    #[test]
+    fn labels_must_be_those_of_the_texts() {
+        let data = benchmarks();
+        let mut config = read("language_pretraining/scannet.toml", data.path());
+        let names = config.evaluate[0].source.label_set().unwrap().unwrap().names;
+        check_classes(&config, Some(&texts(&names, None))).unwrap();
+        let refused = |config: &ExperimentConfig, text: &ClassTexts| {
+            format!("{:#}", check_classes(config, Some(text)).unwrap_err())
+        };
+        let error = refused(&config, &texts(&names[..199], None));
+        assert!(error.contains("200 classes") && error.contains("199 rows"), "{error}");
+        let mut swapped = names.clone();
+        swapped.swap(3, 7);
+        let error = refused(&config, &texts(&swapped, None));
+        assert!(error.contains("class 3") && error.contains(&names[3]), "{error}");
+        let chosen = ClassTexts { has_class_names: false, ..texts(&swapped, None) };
+        check_classes(&config, Some(&chosen)).unwrap();
+        // Other spellings are the same names.
+        let upper: Vec<String> = names.iter().map(|n| n.to_uppercase().replace(' ', "_")).collect();
+        check_classes(&config, Some(&texts(&upper, None))).unwrap();
+        let source = &config.evaluate[0].source;
+        assert_eq!(excluded(source, Some(&texts(&names, None))).unwrap(), [0, 2, 35]);
+        let own = texts(&names, Some(vec!["chair".to_owned()]));
+        assert_eq!(excluded(source, Some(&own)).unwrap().len(), 1);
+        assert_eq!(excluded(source, None).unwrap(), [0, 2, 35]);
+        config = read("semantic_segmentation/scannet20.toml", data.path());
+        check_classes(&config, None).unwrap();
+        config.model = config.model.with_classes(21);
+        let error = format!("{:#}", check_classes(&config, None).unwrap_err());
+        assert!(error.contains("20 classes") && error.contains("21"), "{error}");
+        let missing = r#"{"type": "generic", "root": ".", "class_names": "nowhere.txt"}"#;
+        config.train[0].source = serde_json::from_str(missing).unwrap();
+        let error = format!("{:#}", check_classes(&config, None).unwrap_err());
+        assert!(error.contains("nowhere.txt"), "{error}");
+    }
 }

@@ -2,8 +2,10 @@
 
 use crate::NetworkConfig;
 use anyhow::{Context, Result};
-use candle_core::{Device, Tensor};
-use scenesplat_trainers::checkpoint::{best_checkpoint, newest_checkpoint};
+use candle_core::Tensor;
+use scenesplat_models::weights::save_tensors;
+use scenesplat_scene::StagedFolder;
+use scenesplat_trainers::checkpoint::{best_checkpoint, newest_checkpoint, read_network};
 use std::collections::HashMap;
 use std::path::Path;
 
@@ -32,22 +34,15 @@ pub fn export_model(
             (dir, name)
         }
     };
-    let load = |name: &str| -> Result<HashMap<String, Tensor>> {
-        let path = dir.join(name);
-        candle_core::safetensors::load(&path, &Device::Cpu)
-            .with_context(|| path.display().to_string())
-    };
-    let mut tensors = load("params.safetensors")?;
+    let tensors = read_network(&dir)?;
     let averaged = dir.join("average.safetensors").is_file();
-    if averaged {
-        tensors.extend(load("average.safetensors")?);
-    }
+    let tensors = tensors.into_iter().collect();
     write_model(&tensors, config, folder)?;
     let averaged = if averaged { ", averaged parameters" } else { "" };
     Ok(vec![format!("model: {remark}{averaged}")])
 }
 
-/// Writes a model folder, each file beside and renamed: `config.json` says what the network is and
+/// Writes a model folder, whose files appear together: `config.json` says what the network is and
 /// what it reads.
 ///
 /// # Errors
@@ -57,12 +52,10 @@ pub fn write_model(
     config: &NetworkConfig,
     folder: &Path,
 ) -> Result<()> {
-    std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
-    let beside = folder.join("model.partial");
-    candle_core::safetensors::save(tensors, &beside)?;
-    std::fs::rename(&beside, folder.join("model.safetensors"))?;
-    std::fs::write(&beside, serde_json::to_string_pretty(config)?)?;
-    std::fs::rename(&beside, folder.join("config.json"))?;
+    let mut staged = StagedFolder::create(folder)?;
+    save_tensors(tensors, &staged.add("model.safetensors"))?;
+    staged.write("config.json", serde_json::to_string_pretty(config)?.as_bytes())?;
+    staged.commit::<&str>(&[])?;
     Ok(())
 }
 
@@ -122,8 +115,13 @@ source = { type = "synthetic", count = 2, seed = 9, room = { num_gaussians = 150
         let file = out.join("experiment.toml");
         std::fs::write(&file, text).unwrap();
         let experiment = ExperimentConfig::read(&file).unwrap();
-        let options =
-            RunOptions { out: out.join("run"), resume: false, quiet: true, stop: Arc::default() };
+        let options = RunOptions {
+            commit: None,
+            out: out.join("run"),
+            resume: false,
+            quiet: true,
+            stop: Arc::default(),
+        };
         let report = train(&experiment, &options).unwrap();
         let log = read_json_lines(&out.join("run/metrics.jsonl")).unwrap();
         let trained = log.iter().rfind(|m| m.name == "unseen/allAcc").unwrap().value;

@@ -4,13 +4,14 @@ use super::config::{ExperimentConfig, OptimizerConfig, ScheduleConfig, Targets, 
 use super::curves::write_curves;
 use super::data;
 use super::export::export_model;
-use crate::text::class_list;
+use super::identity::identity;
+use super::record::{RunRecord, write};
 use anyhow::{Context, Result};
 use scenesplat_datasets::{BatchLoader, TrainBatch};
-use scenesplat_losses::{Objective, TextTable as LossTexts, build_objective};
+use scenesplat_losses::{TextTable as LossTexts, build_objective};
 use scenesplat_models::weights::{SourceOptions, WeightSource, resolve};
 use scenesplat_models::{LoadPolicy, ParamStore};
-use scenesplat_scene::{LabelSet, TextTable};
+use scenesplat_scene::FolderLock;
 use scenesplat_trainers::callbacks::{
     Console, EarlyStopping, JsonLines, TensorBoard, read_json_lines,
 };
@@ -18,8 +19,8 @@ use scenesplat_trainers::checkpoint::newest_checkpoint;
 use scenesplat_trainers::evaluators::{SegmentationEvaluator, ZeroShotEvaluator};
 use scenesplat_trainers::tasks::{LanguagePretraining, SemanticSegmentation, TargetSource};
 use scenesplat_trainers::{
-    AdamW, Evaluator, Optimizer, Progress, Schedule, Trainer, TrainerConfig, TrainingModule,
-    group_by_keyword,
+    AdamW, Evaluator, Identity, Optimizer, Progress, Schedule, Trainer, TrainerConfig,
+    TrainingModule, WithWeightDecay, group_by_keyword,
 };
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -36,6 +37,8 @@ pub struct RunOptions {
     pub quiet: bool,
     /// Once set, the run saves and stops.
     pub stop: Arc<AtomicBool>,
+    /// Commit that the program was built from, for the record; `None` if it is not known.
+    pub commit: Option<String>,
 }
 
 /// What a run left behind.
@@ -56,7 +59,7 @@ pub struct RunReport {
 /// | file | what |
 /// |---|---|
 /// | `config.toml` | the experiment, files that it extends included |
-/// | `run.json` | version of the program, git commit, losses and classes as they were used |
+/// | `run.json` | version and commit of the program, losses and classes as they were used, where it was resumed |
 /// | `metrics.jsonl` | everything that was measured, one value a line |
 /// | `tensorboard/` | the same for TensorBoard |
 /// | `checkpoints/` | the last ones and the best one |
@@ -64,8 +67,11 @@ pub struct RunReport {
 /// | `model/` | the best network (the last, if none is marked), as `--weights` takes it |
 ///
 /// # Errors
-/// If the experiment does not fit together, data cannot be read, or training fails.
+/// If the experiment does not fit together, data cannot be read, training fails, or another run is
+/// writing to the same folder.
 pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunReport> {
+    let lock = || FolderLock::acquire(&options.out);
+    let early = options.out.is_dir().then(lock).transpose()?;
     let checkpoints = options.out.join("checkpoints");
     let newest = newest_checkpoint(&checkpoints)?;
     anyhow::ensure!(
@@ -79,7 +85,10 @@ pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunRepor
         checkpoints.display()
     );
     let text = config.text.as_ref().map(data::text_table).transpose()?;
+    data::check_classes(config, text.as_ref())?;
     std::fs::create_dir_all(&options.out).with_context(|| options.out.display().to_string())?;
+    // Held until the end, also against a run that found no folder a moment ago.
+    let _lock = early.map_or_else(lock, Ok)?;
     let (params, mut remarks) = parameters(config)?;
     let network = config.network()?.model.build(params.builder())?;
     let loss_texts = match &text {
@@ -87,9 +96,16 @@ pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunRepor
         None => None,
     };
     let objective = build_objective(&config.losses, loss_texts.as_ref())?;
-    record(config, &objective, text.as_ref().map(|t| &t.table), &options.out)?;
+    let run = Run {
+        config,
+        options,
+        checkpoints: &checkpoints,
+        newest: newest.as_deref(),
+        identity: identity(config, text.as_ref(), &params)?,
+        losses: objective.settings(),
+        classes: text.as_ref().map(|t| t.table.names.clone()),
+    };
     let mut loader = data::loader(config)?;
-    let run = Run { config, options, checkpoints: &checkpoints, newest: newest.as_deref() };
     let (progress, exported) = match config.task {
         Task::LanguagePretraining => {
             let targets = match (config.targets, &text) {
@@ -131,37 +147,6 @@ fn parameters(config: &ExperimentConfig) -> Result<(ParamStore, Vec<String>)> {
     Ok((params, vec![format!("{}: {report}", path.display())]))
 }
 
-/// Writes `config.toml` and `run.json`.
-fn record(
-    config: &ExperimentConfig,
-    objective: &Objective,
-    text: Option<&TextTable>,
-    out: &Path,
-) -> Result<()> {
-    let write = |name: &str, content: &str| {
-        let path = out.join(name);
-        let beside = path.with_extension("partial");
-        std::fs::write(&beside, content)
-            .and_then(|()| std::fs::rename(&beside, &path))
-            .with_context(|| path.display().to_string())
-    };
-    write("config.toml", &toml::to_string_pretty(config)?)?;
-    let run = serde_json::json!({
-        "scenesplat": env!("CARGO_PKG_VERSION"),
-        "git_commit": git_commit(),
-        "losses": objective.settings(),
-        "classes": text.map(|t| &t.names),
-    });
-    write("run.json", &serde_json::to_string_pretty(&run)?)
-}
-
-/// Commit of the working tree, if there is one.
-fn git_commit() -> Option<String> {
-    let out = std::process::Command::new("git").args(["rev-parse", "HEAD"]).output().ok()?;
-    let text = String::from_utf8(out.stdout).ok()?;
-    out.status.success().then(|| text.trim().to_owned())
-}
-
 fn zero_shot(
     config: &ExperimentConfig,
     text: Option<&data::ClassTexts>,
@@ -170,12 +155,15 @@ fn zero_shot(
     for entry in &config.evaluate {
         let own = entry.text.as_ref().map(data::text_table).transpose()?;
         let text = own.as_ref().or(text).context("text: zero-shot evaluation needs it")?;
-        let excluded = class_list(&LabelSet::new(text.table.names.clone())?, &text.exclude)?;
+        let excluded = data::excluded(&entry.source, Some(text))?;
         let table = crate::text::metric_table(&text.table)?;
         let data = data::evaluation(entry, config)?;
         let evaluator =
             ZeroShotEvaluator::new(&entry.name, data, config.input.clone(), table, excluded);
-        all.push(Box::new(evaluator.with_vote(entry.vote_k)));
+        all.push(Box::new(match entry.vote_k {
+            Some(k) => evaluator.with_vote(k),
+            None => evaluator,
+        }));
     }
     Ok(all)
 }
@@ -184,15 +172,16 @@ fn segmentation(
     config: &ExperimentConfig,
     text: Option<&data::ClassTexts>,
 ) -> Result<Vec<Box<dyn Evaluator<SemanticSegmentation>>>> {
-    let excluded = match text {
-        Some(t) => class_list(&LabelSet::new(t.table.names.clone())?, &t.exclude)?,
-        None => Vec::new(),
-    };
     let mut all: Vec<Box<dyn Evaluator<SemanticSegmentation>>> = Vec::new();
     for entry in &config.evaluate {
         let data = data::evaluation(entry, config)?;
         let input = config.input.clone();
-        all.push(Box::new(SegmentationEvaluator::new(&entry.name, data, input, excluded.clone())));
+        let excluded = data::excluded(&entry.source, text)?;
+        let evaluator = SegmentationEvaluator::new(&entry.name, data, input, excluded);
+        all.push(Box::new(match entry.vote_k {
+            Some(k) => evaluator.with_vote(k),
+            None => evaluator,
+        }));
     }
     Ok(all)
 }
@@ -203,6 +192,9 @@ struct Run<'a> {
     options: &'a RunOptions,
     checkpoints: &'a Path,
     newest: Option<&'a Path>,
+    identity: Identity,
+    losses: Vec<String>,
+    classes: Option<Vec<String>>,
 }
 
 /// The exported model, with what is to be said about it.
@@ -221,31 +213,51 @@ impl Run<'_> {
         let mut trainer = Trainer::new(
             settings,
             optimizer(&self.config.optimizer, module.params())?,
-            schedule(&self.config.schedule)?,
+            schedule(self.config)?,
         )?
         .with_callback(JsonLines::new(&out.join("metrics.jsonl")))
         .with_callback(TensorBoard::new(&out.join("tensorboard")))
+        .with_identity(self.identity.clone())
         .with_stop(self.options.stop.clone());
         if !self.options.quiet {
             trainer = trainer.with_callback(Console::new());
         }
         if let Some(e) = &self.config.early_stopping {
             trainer = trainer.with_callback(EarlyStopping::new(
-                &e.measurement,
+                e.measurement.clone(),
                 e.patience,
                 e.smaller_is_better,
             ));
         }
         let start = match self.newest {
-            Some(dir) => trainer
-                .load_checkpoint(dir, module.params())
-                .with_context(|| dir.display().to_string())?,
+            Some(dir) => {
+                trainer.load_checkpoint(dir, module).with_context(|| dir.display().to_string())?
+            }
             None => Progress::default(),
         };
+        // Not before: a run that is refused leaves the record of the first one.
+        let record = self.record(&trainer.identity()?.hash(), start);
+        write(&out.join("config.toml"), &toml::to_string_pretty(self.config)?)?;
+        record.write()?;
+        let mut trainer = trainer.with_callback(record);
         let progress = trainer.fit(module, loader, evaluators, start)?;
         let model = out.join("model");
         let remarks = export_model(self.checkpoints, &self.config.network()?, &model)?;
         Ok((progress, (model, remarks)))
+    }
+}
+
+impl Run<'_> {
+    /// The record of the run, which begins at `start`.
+    fn record(&self, experiment: &str, start: Progress) -> RunRecord {
+        let commit = self.options.commit.as_deref().unwrap_or("unknown");
+        let program =
+            serde_json::json!({ "scenesplat": env!("CARGO_PKG_VERSION"), "commit": commit });
+        let mut run = program.clone();
+        run["experiment"] = experiment.into();
+        run["losses"] = self.losses.clone().into();
+        run["classes"] = self.classes.clone().into();
+        RunRecord::new(&self.options.out, start.step, &program, run)
     }
 }
 
@@ -262,8 +274,8 @@ fn optimizer(config: &OptimizerConfig, params: &ParamStore) -> Result<Box<dyn Op
     Ok(Box::new(AdamW::new(groups, config.adamw)?))
 }
 
-fn schedule(config: &ScheduleConfig) -> Result<Box<dyn Schedule>> {
-    Ok(match config {
+fn schedule(config: &ExperimentConfig) -> Result<Box<dyn Schedule>> {
+    let rate: Box<dyn Schedule> = match &config.schedule {
         ScheduleConfig::OneCycle(cycle) => {
             cycle.check()?;
             Box::new(*cycle)
@@ -272,5 +284,12 @@ fn schedule(config: &ScheduleConfig) -> Result<Box<dyn Schedule>> {
             cosine.check()?;
             Box::new(*cosine)
         }
+    };
+    Ok(match config.optimizer.weight_decay_schedule {
+        Some(decay) => {
+            decay.check().context("optimizer.weight_decay_schedule")?;
+            Box::new(WithWeightDecay { rate, decay })
+        }
+        None => rate,
     })
 }

@@ -1,7 +1,7 @@
 //! Settings of a run.
 
-use crate::TrainError;
 use crate::error::check_setting;
+use crate::{Selection, TrainError};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -26,11 +26,15 @@ pub struct TrainerConfig {
     /// Decay of a moving average of the parameters, `0..1`; evaluations and exports then use the
     /// average. Off if absent.
     pub ema: Option<f64>,
-    /// Parameters that stay as they are: parts of names.
+    /// Parameters and batch statistics that stay as they are: parts of names. Each part must be in
+    /// some name. A batch norm whose statistics are frozen normalises by them in training too.
     pub freeze: Vec<String>,
     /// Parameters that may go without gradient, such as a head whose term starts later: parts of
     /// names.
     pub idle: Vec<String>,
+    /// Largest share of the scenes that may be left out, and of their rows that may be dropped when
+    /// they are read; the run stops at the end of an epoch with more, `0..=1`.
+    pub max_left_out: f64,
     /// Checkpoints.
     pub checkpoint: CheckpointConfig,
     /// Alarms about features and statistics that collapse.
@@ -50,6 +54,7 @@ impl Default for TrainerConfig {
             ema: None,
             freeze: Vec::new(),
             idle: Vec::new(),
+            max_left_out: 0.1,
             checkpoint: CheckpointConfig::default(),
             health: HealthConfig::default(),
         }
@@ -66,8 +71,9 @@ pub struct CheckpointConfig {
     pub every_steps: u64,
     /// How many of the last ones stay, at least 1; the best one stays besides.
     pub keep: usize,
-    /// Measurement whose best value marks the best checkpoint, e.g. `zero_shot/f-mIoU`.
-    pub best: Option<String>,
+    /// Measurement whose best value marks the best checkpoint, e.g. `zero_shot/f-mIoU`, or a list of
+    /// several whose mean does.
+    pub best: Option<Selection>,
     /// Whether a smaller value is better.
     pub smaller_is_better: bool,
 }
@@ -107,6 +113,20 @@ impl Default for HealthConfig {
 }
 
 impl TrainerConfig {
+    /// Settings that a resumed run may change: what they do not touch are the steps. With
+    /// `recompute`, gradients are the same up to the rounding of sums.
+    pub const MAY_CHANGE: [&str; 9] = [
+        "log_every",
+        "eval_every",
+        "recompute",
+        "idle",
+        "max_left_out",
+        "checkpoint.dir",
+        "checkpoint.every_steps",
+        "checkpoint.keep",
+        "health",
+    ];
+
     /// Checks settings that come from a file.
     ///
     /// # Errors
@@ -114,9 +134,12 @@ impl TrainerConfig {
     pub fn check(&self) -> Result<(), TrainError> {
         let at_least_one =
             |field, value: u64| check_setting(field, value as f64, value >= 1, "at least 1");
+        at_least_one("epochs", self.epochs)?;
         at_least_one("accumulate", self.accumulate)?;
         at_least_one("log_every", self.log_every)?;
         at_least_one("checkpoint.keep", self.checkpoint.keep as u64)?;
+        let share = (0.0..=1.0).contains(&self.max_left_out);
+        check_setting("max_left_out", self.max_left_out, share, "in 0..=1")?;
         if let Some(norm) = self.clip_norm {
             check_setting("clip_norm", norm, norm.is_finite() && norm > 0.0, "above 0")?;
         }

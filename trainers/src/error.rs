@@ -1,3 +1,4 @@
+use crate::{Change, Tally};
 use candle_core::DType;
 
 /// Errors of this crate.
@@ -125,16 +126,112 @@ pub enum TrainError {
     },
     /// A checkpoint belongs to another run.
     #[error(
-        "the checkpoint cannot be continued: {field} was {expected} and is {got}; set it back, or \
-         start a new run from its params.safetensors"
+        "the checkpoint cannot be continued: {}; set it back, or start a new run from its \
+         params.safetensors",
+        list_changes(changes)
     )]
     Resume {
-        /// Which setting.
-        field: &'static str,
-        /// Its value in the checkpoint.
-        expected: String,
-        /// Its value now.
-        got: String,
+        /// The settings that differ.
+        changes: Vec<Change>,
+    },
+    /// A file of a checkpoint is not what was written.
+    #[error(
+        "{} {problem}; remove its folder to go on from the checkpoint before it",
+        path.display()
+    )]
+    Damaged {
+        /// Which file.
+        path: std::path::PathBuf,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// Something cannot be written down.
+    #[error("{what}: {problem}")]
+    Unwritable {
+        /// What.
+        what: String,
+        /// Why.
+        problem: String,
+    },
+    /// A measurement that decides something is given by no evaluation.
+    #[error("{setting}: no evaluation gives {name:?}; {}", list_known(known))]
+    UnknownMeasurement {
+        /// Where the name stands.
+        setting: &'static str,
+        /// The name.
+        name: String,
+        /// Names that exist.
+        known: Vec<String>,
+    },
+    /// An evaluator gave a measurement that it had not named beforehand.
+    #[error("the evaluator {evaluator} measured {name:?}, which it does not list")]
+    UnlistedMeasurement {
+        /// Name of the evaluator.
+        evaluator: String,
+        /// Name of the measurement.
+        name: String,
+    },
+    /// Two things have one name.
+    #[error("two {what} are called {name:?}: give each a name of its own")]
+    DuplicateName {
+        /// What they are.
+        what: &'static str,
+        /// Their name.
+        name: String,
+    },
+    /// A part of a parameter's name that no parameter has.
+    #[error("{setting}: no parameter's name contains {part:?}; there are {}", sample(names))]
+    NoSuchParameter {
+        /// Where it stands.
+        setting: &'static str,
+        /// The part.
+        part: String,
+        /// Names of parameters.
+        names: Vec<String>,
+    },
+    /// Every parameter is frozen.
+    #[error("freeze leaves no parameter to train")]
+    AllFrozen,
+    /// A whole epoch held nothing to learn from.
+    #[error(
+        "nothing to train on: in epoch {epoch}, none of {} rows in {} batches ({} of them empty) \
+         counts for the loss (no label, or no target feature); the scenes were {}",
+        tally.rows, tally.batches, tally.empty_batches, sample(scenes)
+    )]
+    NothingCounted {
+        /// Which epoch.
+        epoch: u64,
+        /// What was in it.
+        tally: Tally,
+        /// Scenes of its batches.
+        scenes: Vec<String>,
+    },
+    /// More of the data was left out than a run may leave out.
+    #[error(
+        "{name}: {left_out} of {of} {what} were left out, more than max_left_out = {limit} allows; {}",
+        sample(reasons)
+    )]
+    TooMuchLeftOut {
+        /// `train`, or the name of an evaluator.
+        name: String,
+        /// "scenes" or "rows".
+        what: &'static str,
+        /// How many were left out.
+        left_out: usize,
+        /// How many there are.
+        of: usize,
+        /// Largest share.
+        limit: f64,
+        /// Reasons, one a scene.
+        reasons: Vec<String>,
+    },
+    /// An evaluation saw no labelled row.
+    #[error("evaluation {name}: none of its {scenes} scenes has a labelled row")]
+    NothingMeasured {
+        /// Which evaluation.
+        name: String,
+        /// Scenes that were looked at.
+        scenes: usize,
     },
     /// A file of the run.
     #[error("{action} {}", path.display())]
@@ -147,6 +244,9 @@ pub enum TrainError {
         #[source]
         source: std::io::Error,
     },
+    /// A file of the run that could not be written.
+    #[error(transparent)]
+    Write(#[from] scenesplat_scene::WriteError),
     /// Data.
     #[error(transparent)]
     Data(#[from] scenesplat_datasets::DataError),
@@ -170,7 +270,10 @@ impl TrainError {
     pub(crate) fn in_step(self, step: u64, scenes: Vec<String>, suspects: Vec<String>) -> Self {
         match self {
             // Says itself what is missing where.
-            Self::Data(_) | Self::ShortEpoch { .. } | Self::DeadParameters { .. } => self,
+            Self::Data(_)
+            | Self::ShortEpoch { .. }
+            | Self::DeadParameters { .. }
+            | Self::NothingCounted { .. } => self,
             source => Self::Step { step, scenes, suspects, source: Box::new(source) },
         }
     }
@@ -192,6 +295,38 @@ impl TrainError {
 
 fn hints(suspects: &[String]) -> String {
     if suspects.is_empty() { String::new() } else { format!(" ({})", suspects.join("; ")) }
+}
+
+/// The changes, most of them.
+fn list_changes(changes: &[Change]) -> String {
+    const SHOWN: usize = 6;
+    let one = |c: &Change| format!("{} was {} and is {}", c.setting, c.was, c.is);
+    // Another kind of thing explains that its settings are others.
+    let (kinds, rest): (Vec<_>, Vec<_>) =
+        changes.iter().partition(|c| c.setting == "task" || c.setting.ends_with(".type"));
+    let mut text =
+        kinds.into_iter().chain(rest).take(SHOWN).map(one).collect::<Vec<_>>().join(", ");
+    if changes.len() > SHOWN {
+        text.push_str(&format!(", and {} more", changes.len() - SHOWN));
+    }
+    text
+}
+
+fn list_known(known: &[String]) -> String {
+    match known {
+        [] => "there is no evaluation".to_owned(),
+        known => format!("there are {}", known.join(", ")),
+    }
+}
+
+/// Some of many names.
+fn sample(names: &[String]) -> String {
+    const SHOWN: usize = 8;
+    let mut text = names.iter().take(SHOWN).cloned().collect::<Vec<_>>().join(", ");
+    if names.len() > SHOWN {
+        text.push_str(&format!(", … {} more", names.len() - SHOWN));
+    }
+    text
 }
 
 /// Checks a setting against a range.

@@ -1,6 +1,7 @@
 //! What happens in a run, and who is told.
 
-use crate::TrainError;
+use crate::{Selection, TrainError};
+use scenesplat_datasets::LeftOut;
 use scenesplat_metrics::Measurement;
 use std::path::Path;
 
@@ -35,6 +36,8 @@ pub enum Event<'a> {
         parameters: usize,
         /// Steps in an epoch.
         steps_per_epoch: u64,
+        /// Batches at the end of each epoch that do not fill a step (`accumulate`) and are left out.
+        leftover_batches: u64,
     },
     /// After an optimizer step, each `log_every` steps and after the last.
     Step {
@@ -47,6 +50,19 @@ pub enum Event<'a> {
         name: &'a str,
         /// What it found, names prefixed with the evaluator's.
         measurements: &'a [Measurement],
+    },
+    /// After all evaluators ran: everything they found.
+    Evaluated {
+        /// With full names, such as `unseen/f-mIoU`.
+        measurements: &'a [Measurement],
+    },
+    /// At the end of an epoch: what of the data was left out or repaired, if that is more than said
+    /// before.
+    Data {
+        /// `train`, or the name of an evaluator.
+        name: &'a str,
+        /// Counts and reasons, of the whole run so far.
+        left_out: &'a LeftOut,
     },
     /// Something looks wrong although every number is finite.
     Alarm {
@@ -76,6 +92,14 @@ pub enum Flow {
     Stop,
 }
 
+impl Flow {
+    /// Stops if either does.
+    #[must_use]
+    pub fn and(self, other: Self) -> Self {
+        if other == Self::Stop { other } else { self }
+    }
+}
+
 /// Watches a run: logs, progress bars, early stopping. Cannot change the model.
 pub trait Callback: Send {
     /// Called for every event, in the order in which callbacks were added.
@@ -83,6 +107,12 @@ pub trait Callback: Send {
     /// # Errors
     /// If it cannot do its work, a log that cannot be written, say: the run ends.
     fn on_event(&mut self, event: &Event<'_>, at: Progress) -> Result<Flow, TrainError>;
+
+    /// The measurement that it waits for, with the setting that names it; the run does not begin if
+    /// no evaluator gives it.
+    fn waits_for(&self) -> Option<(&'static str, &Selection)> {
+        None
+    }
 
     /// What must survive a resume, under the callback's name; `None` if nothing.
     fn state(&self) -> Option<(&'static str, serde_json::Value)> {
@@ -102,6 +132,15 @@ pub trait Callback: Send {
 pub trait Evaluator<M: ?Sized>: Send {
     /// Prefix of its measurements, `snake_case`.
     fn name(&self) -> &str;
+
+    /// Names of the measurements that it may give, without the prefix. Settings that name one are
+    /// checked against them before the first step.
+    fn measurements(&self) -> Vec<String>;
+
+    /// What was left out or repaired in the scenes read so far.
+    fn left_out(&self) -> LeftOut {
+        LeftOut::default()
+    }
 
     /// Runs the whole evaluation; must not change the module.
     ///

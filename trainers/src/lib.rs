@@ -34,7 +34,7 @@
 //!     let loss = weight.sqr()?.sum_all()?;
 //!     let mut grads = loss.backward()?;
 //!     clip_grad_norm(&params, &mut grads, 1.0)?;
-//!     optimizer.step(&grads, &schedule.controls(step, 100))?;
+//!     optimizer.step(&grads, &schedule.hyperparameters(step, 100))?;
 //! }
 //! assert!(weight.sqr()?.sum_all()?.to_scalar::<f32>()? < 0.1);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
@@ -47,10 +47,14 @@ mod config;
 mod error;
 pub mod evaluators;
 mod event;
+mod freeze;
 pub mod gradients;
 mod health;
+mod identity;
 mod module;
 pub mod optim;
+mod selection;
+mod tally;
 pub mod tasks;
 mod trainer;
 
@@ -58,9 +62,12 @@ pub use average::Average;
 pub use config::{CheckpointConfig, HealthConfig, TrainerConfig};
 pub use error::TrainError;
 pub use event::{Callback, End, Evaluator, Event, Flow, Progress};
-pub use module::{StepContext, StepOutput, TrainingModule};
+pub use identity::{Change, Identity};
+pub use module::{AfterStep, StepContext, StepOutput, TrainingModule};
 pub use optim::{
-    AdamW, AdamWConfig, Controls, CosineSchedule, KeywordGroup, OneCycle, Optimizer, ParamGroup,
-    Schedule, clip_grad_norm, ema_update, grad_norm, group_by_keyword,
+    AdamW, AdamWConfig, CosineSchedule, KeywordGroup, OneCycle, Optimizer, ParamGroup, Schedule,
+    StepHyperparameters, WithWeightDecay, clip_grad_norm, ema_update, grad_norm, group_by_keyword,
 };
+pub use selection::Selection;
+pub use tally::Tally;
 pub use trainer::Trainer;

@@ -1,7 +1,8 @@
 //! What is trained: a model together with how it learns from a batch.
 
-use candle_core::Tensor;
+use candle_core::{Tensor, Var};
 use scenesplat_models::{Forward, ParamStore};
+use std::collections::BTreeMap;
 
 /// What a step gets besides its batch.
 pub struct StepContext<'a> {
@@ -9,6 +10,10 @@ pub struct StepContext<'a> {
     pub forward: Forward<'a>,
     /// Part of the run that is done, `0..1`: for terms with a schedule.
     pub progress: f64,
+    /// Optimizer steps done before this one: what a schedule of a module's own goes by.
+    pub step: u64,
+    /// Planned steps.
+    pub total_steps: u64,
     /// Seed of whatever else is random in this step. The same after a resume.
     pub seed: u64,
 }
@@ -17,10 +22,26 @@ pub struct StepContext<'a> {
 pub struct StepOutput {
     /// What is minimised. Scalar f32
     pub loss: Tensor,
+    /// Rows of the batch.
+    pub rows: usize,
+    /// Rows that the loss looks at (they have a label, or a target). A run in which none counts for a
+    /// whole epoch stops with an error.
+    pub counted_rows: usize,
     /// For the log: values by name, e.g. of each term of the loss, detached.
     pub terms: Vec<(String, f64)>,
     /// Detached output rows, `[N, D]`, for the collapse alarms; `None` if they would mean nothing.
     pub features: Option<Tensor>,
+}
+
+/// What a module gets after an optimizer step.
+pub struct AfterStep<'a> {
+    /// Number of the step that was taken, from 0.
+    pub step: u64,
+    /// Planned steps.
+    pub total_steps: u64,
+    /// The parameters that the optimizer moved, by name: those of [`TrainingModule::params`] that
+    /// are not frozen.
+    pub trained: &'a BTreeMap<String, Var>,
 }
 
 /// A model together with how it learns from a batch.
@@ -44,6 +65,25 @@ pub trait TrainingModule {
         batch: &Self::Batch,
         cx: &mut StepContext<'_>,
     ) -> candle_core::Result<StepOutput>;
+
+    /// Called after each optimizer step: what moves by other rules than gradients, such as a teacher
+    /// that follows its student ([`ema_update`](crate::ema_update) by a
+    /// [`CosineSchedule`](crate::CosineSchedule) of the step).
+    ///
+    /// What it changes must be in [`stores`](Self::stores), and may depend on the step and on
+    /// parameters alone; then a resumed run has the bits of an uninterrupted one.
+    ///
+    /// # Errors
+    /// If an update fails; the run ends.
+    fn after_step(&self, _cx: &AfterStep<'_>) -> Result<(), crate::TrainError> {
+        Ok(())
+    }
+
+    /// Further stores that checkpoints keep, by name (`snake_case`; the name of their file): a
+    /// teacher's parameters, say. The optimizer does not see them.
+    fn stores(&self) -> Vec<(&'static str, &ParamStore)> {
+        Vec::new()
+    }
 
     /// Whether there is nothing to learn from a batch; it is then passed over, but counted.
     fn is_empty(&self, _batch: &Self::Batch) -> bool {

@@ -6,8 +6,8 @@ mod support;
 
 use candle_core::{Var, backprop::GradStore};
 use scenesplat_trainers::{
-    AdamW, AdamWConfig, Controls, CosineSchedule, OneCycle, Optimizer, ParamGroup, Schedule,
-    clip_grad_norm, ema_update,
+    AdamW, AdamWConfig, CosineSchedule, OneCycle, Optimizer, ParamGroup, Schedule,
+    StepHyperparameters, clip_grad_norm, ema_update,
 };
 use std::collections::BTreeMap;
 use support::Golden;
@@ -30,7 +30,7 @@ fn one_cycle(case: &str) {
         golden.config["max_lr"].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect();
     let (mut lr, mut beta1) = (vec![], vec![]);
     for step in 0..total {
-        let controls = schedule.controls(step, total);
+        let controls = schedule.hyperparameters(step, total);
         lr.extend(max_lr.iter().map(|max| max * controls.lr_scale));
         beta1.extend([controls.beta1.unwrap(); 2]);
     }
@@ -84,8 +84,8 @@ fn adamw(case: &str) {
     for step in 0..10 {
         let controls = match cycles {
             // Not in the manifest, but what the recorded rates follow.
-            true => OneCycle { warmup: 0.25, ..OneCycle::default() }.controls(step, 12),
-            false => Controls::default(),
+            true => OneCycle { warmup: 0.25, ..OneCycle::default() }.hyperparameters(step, 12),
+            false => StepHyperparameters::default(),
         };
         let rates = [lr * controls.lr_scale, lr / 10.0 * controls.lr_scale];
         golden.check(&format!("lr.{step}"), &rates);

@@ -6,8 +6,8 @@ mod support;
 
 use candle_core::{DType, Device, Tensor, Var, backprop::GradStore};
 use scenesplat_trainers::{
-    AdamW, AdamWConfig, Controls, KeywordGroup, Optimizer, ParamGroup, TrainError, clip_grad_norm,
-    ema_update, grad_norm, group_by_keyword,
+    AdamW, AdamWConfig, KeywordGroup, Optimizer, ParamGroup, StepHyperparameters, TrainError,
+    clip_grad_norm, ema_update, grad_norm, group_by_keyword,
 };
 use std::collections::BTreeMap;
 use support::values;
@@ -48,7 +48,9 @@ fn wave(var: &Var, step: usize) -> GradStore {
 fn the_first_step_goes_by_the_sign() {
     let weight = var(&[1.0, 1.0, 1.0]);
     let mut optimizer = adamw(&params([("w", weight.clone())]), 0.1, 0.0);
-    optimizer.step(&grads([(&weight, &[5.0, -1e-3, 0.0])]), &Controls::default()).unwrap();
+    optimizer
+        .step(&grads([(&weight, &[5.0, -1e-3, 0.0])]), &StepHyperparameters::default())
+        .unwrap();
     for (got, expected) in values(&weight).iter().zip([0.9, 1.1, 1.0]) {
         assert!((got - expected).abs() < 2e-6, "{got} {expected}");
     }
@@ -59,7 +61,7 @@ fn a_zero_gradient_decays_and_a_missing_one_does_nothing() {
     let (zero, missing) = (var(&[2.0]), var(&[2.0]));
     let both = params([("missing", missing.clone()), ("zero", zero.clone())]);
     let mut optimizer = adamw(&both, 0.1, 0.5);
-    optimizer.step(&grads([(&zero, &[0.0])]), &Controls::default()).unwrap();
+    optimizer.step(&grads([(&zero, &[0.0])]), &StepHyperparameters::default()).unwrap();
     assert_eq!(values(&zero), [f64::from(2.0_f32 * 0.95)]);
     assert_eq!(values(&missing), [2.0]);
     let state = optimizer.state().unwrap();
@@ -77,11 +79,12 @@ fn groups_and_controls_set_the_rate() {
     assert_eq!(groups.iter().map(|g| g.params.len()).collect::<Vec<_>>(), [1, 1, 0, 0]);
     let mut optimizer = AdamW::new(groups, AdamWConfig::default()).unwrap();
     let (block, stem) = (&both[names[0]], &both[names[1]]);
-    let controls = Controls { lr_scale: 0.5, beta1: Some(0.95), weight_decay: Some(0.0) };
+    let controls =
+        StepHyperparameters { lr_scale: 0.5, beta1: Some(0.95), weight_decay: Some(0.0) };
     optimizer.step(&grads([(block, &[1.0]), (stem, &[1.0])]), &controls).unwrap();
     assert!((values(block)[0] + 0.005).abs() < 1e-7);
     assert!((values(stem)[0] + 0.05).abs() < 1e-7);
-    let still = Controls { lr_scale: 0.0, ..Controls::default() };
+    let still = StepHyperparameters { lr_scale: 0.0, ..StepHyperparameters::default() };
     let before = values(stem);
     optimizer.step(&grads([(stem, &[1.0])]), &still).unwrap();
     assert_eq!(values(stem), before);
@@ -95,7 +98,7 @@ fn a_gradient_that_is_not_finite_is_named_and_changes_nothing() {
     for value in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
         let mut store = grads([(&good, &[1.0, 1.0]), (&bad, &[0.0, value, 0.0])]);
         let errors = [
-            optimizer.step(&store, &Controls::default()).unwrap_err(),
+            optimizer.step(&store, &StepHyperparameters::default()).unwrap_err(),
             clip_grad_norm(&both, &mut store, 1.0).unwrap_err(),
             grad_norm(&both, &store).unwrap_err(),
         ];
@@ -114,7 +117,8 @@ fn huge_gradients_are_clipped_or_refused() {
     let named = params([("w", weight.clone())]);
     let mut optimizer = adamw(&named, 0.1, 0.0);
     let huge = [f32::MAX, -f32::MAX, 0.0, f32::MAX];
-    let error = optimizer.step(&grads([(&weight, &huge)]), &Controls::default()).unwrap_err();
+    let error =
+        optimizer.step(&grads([(&weight, &huge)]), &StepHyperparameters::default()).unwrap_err();
     assert!(matches!(error, TrainError::GradientTooLarge { .. }), "{error}");
     let mut store = grads([(&weight, &huge)]);
     let norm = clip_grad_norm(&named, &mut store, 2.0).unwrap();
@@ -124,7 +128,7 @@ fn huge_gradients_are_clipped_or_refused() {
     for (got, sign) in clipped.iter().zip([1.0, -1.0, 0.0, 1.0]) {
         assert!((got - sign * expected).abs() < 1e-6, "{clipped:?}");
     }
-    optimizer.step(&store, &Controls::default()).unwrap();
+    optimizer.step(&store, &StepHyperparameters::default()).unwrap();
     assert!(values(&weight).iter().all(|v| v.is_finite()));
 }
 
@@ -155,7 +159,7 @@ fn a_hundred_million_steps_later() {
     let mut state = optimizer.state().unwrap();
     state.insert("w.step".to_owned(), Tensor::new(100_000_000_i64, &Device::Cpu).unwrap());
     optimizer.load_state(&state).unwrap();
-    optimizer.step(&grads([(&weight, &[1.0, -1.0])]), &Controls::default()).unwrap();
+    optimizer.step(&grads([(&weight, &[1.0, -1.0])]), &StepHyperparameters::default()).unwrap();
     // No bias correction is left: m = 0.1 g, v = 0.001 g².
     let expected = 1.0 - 0.1 * 0.1 / 0.001_f64.sqrt();
     assert!((values(&weight)[0] - expected).abs() < 1e-6);
@@ -177,7 +181,10 @@ fn a_saved_state_continues_bit_for_bit() {
             let mut store = wave(weight, i);
             let grad = store.get(weight).unwrap().to_dtype(dtype).unwrap();
             store.insert(weight, grad);
-            let controls = Controls { beta1: Some(0.9 - 0.01 * i as f64), ..Controls::default() };
+            let controls = StepHyperparameters {
+                beta1: Some(0.9 - 0.01 * i as f64),
+                ..StepHyperparameters::default()
+            };
             optimizer.step(&store, &controls).unwrap();
         };
         let (weight, mut optimizer) = new();
@@ -215,7 +222,7 @@ fn slices_and_tensor_operations_agree() {
         store.insert(&fast, flipped);
         store.insert(&slow, grad.to_dtype(DType::F64).unwrap());
         for optimizer in &mut optimizers {
-            optimizer.step(&store, &Controls::default()).unwrap();
+            optimizer.step(&store, &StepHyperparameters::default()).unwrap();
         }
     }
     for (a, b) in values(&fast).iter().zip(values(&slow)) {
@@ -235,7 +242,7 @@ fn thread_count_does_not_matter() {
             for i in 0..3 {
                 let mut store = wave(&weight, i);
                 norms.push(clip_grad_norm(&named, &mut store, 1.0).unwrap());
-                optimizer.step(&store, &Controls::default()).unwrap();
+                optimizer.step(&store, &StepHyperparameters::default()).unwrap();
             }
             (values(&weight), norms)
         })
@@ -248,7 +255,7 @@ fn thread_count_does_not_matter() {
 fn states_that_do_not_fit_are_refused() {
     let weight = var(&[1.0, 2.0]);
     let mut optimizer = adamw(&params([("w", weight.clone())]), 0.1, 0.0);
-    optimizer.step(&grads([(&weight, &[1.0, 1.0])]), &Controls::default()).unwrap();
+    optimizer.step(&grads([(&weight, &[1.0, 1.0])]), &StepHyperparameters::default()).unwrap();
     let good = optimizer.state().unwrap();
     let mut refuse = |change: &dyn Fn(&mut BTreeMap<String, Tensor>), message: &str| {
         let mut state = good.clone();
@@ -297,10 +304,19 @@ fn malformed_inputs_are_named() {
     let mut optimizer = adamw(&params([("w", weight.clone())]), 0.1, 0.0);
     let store = grads([(&weight, &[1.0, 1.0])]);
     for (controls, message) in [
-        (Controls { lr_scale: -1.0, ..Controls::default() }, "lr_scale is -1, expected at least 0"),
-        (Controls { beta1: Some(1.0), ..Controls::default() }, "beta1 is 1, expected in 0..1"),
         (
-            Controls { weight_decay: Some(f64::INFINITY), ..Controls::default() },
+            StepHyperparameters { lr_scale: -1.0, ..StepHyperparameters::default() },
+            "lr_scale is -1, expected at least 0",
+        ),
+        (
+            StepHyperparameters { beta1: Some(1.0), ..StepHyperparameters::default() },
+            "beta1 is 1, expected in 0..1",
+        ),
+        (
+            StepHyperparameters {
+                weight_decay: Some(f64::INFINITY),
+                ..StepHyperparameters::default()
+            },
             "weight_decay is inf, expected at least 0",
         ),
     ] {
@@ -308,13 +324,13 @@ fn malformed_inputs_are_named() {
     }
     let store = grads([(&weight, &[1.0])]);
     assert_eq!(
-        optimizer.step(&store, &Controls::default()).unwrap_err().to_string(),
+        optimizer.step(&store, &StepHyperparameters::default()).unwrap_err().to_string(),
         "gradient of w: expected F32 [2], got F32 [1]"
     );
     assert_eq!(values(&weight), [1.0, 2.0]);
     // No parameters at all is fine.
     let mut empty = AdamW::new(vec![], plain).unwrap();
-    empty.step(&store, &Controls::default()).unwrap();
+    empty.step(&store, &StepHyperparameters::default()).unwrap();
     assert!(empty.state().unwrap().is_empty());
 }
 

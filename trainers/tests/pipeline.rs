@@ -54,7 +54,7 @@ fn rooms(gaussians: usize) -> Arc<SyntheticRooms> {
         num_gaussians: Some(gaussians),
         ..SyntheticRoomSettings::default()
     };
-    Arc::new(SyntheticRooms::new(6, settings, 3))
+    Arc::new(SyntheticRooms::new(6, settings, 3).unwrap())
 }
 
 fn training_data(gaussians: usize) -> Arc<dyn Dataset> {
@@ -134,7 +134,7 @@ fn neither_workers_threads_nor_interruptions_change_a_bit() {
         let module = language(Precision::F32, 2);
         let mut second = trainer(&module, settings());
         let newest = newest_checkpoint(dir.path()).unwrap().unwrap();
-        let start = second.load_checkpoint(&newest, module.params()).unwrap();
+        let start = second.load_checkpoint(&newest, &module).unwrap();
         second.fit(&module, &mut loader(data.clone(), workers), &mut [], start).unwrap();
         assert_eq!(expected, state(&module), "interrupted at {stop}, {workers} workers");
     }

@@ -58,8 +58,8 @@ fn cosine_with_and_without_warmup() {
     let warm = CosineSchedule { warmup: 0.3, warmup_from: 0.0, from: 1.0, to: 0.0 };
     let first: Vec<f64> = (0..4).map(|n| warm.factor(n, 10)).collect();
     assert_eq!(first, [0.0, 0.5, 1.0, 1.0]);
-    assert_eq!(warm.controls(1, 10).lr_scale, 0.5);
-    assert_eq!(warm.controls(1, 10).beta1, None);
+    assert_eq!(warm.hyperparameters(1, 10).lr_scale, 0.5);
+    assert_eq!(warm.hyperparameters(1, 10).beta1, None);
     let one_step = CosineSchedule { warmup: 0.1, ..warm };
     assert_eq!([0, 1].map(|n| one_step.value(n, 10)), [0.0, 1.0]);
     let only_warm = CosineSchedule { warmup: 1.0, ..warm };

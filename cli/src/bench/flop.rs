@@ -61,7 +61,7 @@ pub(super) fn count(
         let block = |c: usize, patch_size: usize| -> Result<usize> {
             let n = cloud.len();
             let patches = cloud.patches(patch_size);
-            let products: usize = patches.patches.iter().map(|p| p.own * p.len).sum();
+            let products: usize = patches.patches().iter().map(|p| p.own * p.len).sum();
             // Convolution, its linear layer, query, key, value and projection, both layers of the
             // MLP; then queries with keys and weights with values.
             let linear = after_convolution + 3 + 1 + 2 * config.mlp_ratio;

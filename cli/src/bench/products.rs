@@ -98,7 +98,7 @@ pub(super) fn attention(c: usize, heads: usize, n: usize, request: &Request) -> 
     let out = out.map(|t| t.flatten_all()?.to_vec1::<f32>()).transpose()?.unwrap_or_default();
     let x = x.flatten_all()?.to_vec1::<f32>()?;
     let (rows, better) = weights.some_rows(&x, c, heads, &patches, &cloud.order(0).order);
-    let products: usize = patches.patches.iter().map(|p| p.own * p.len).sum();
+    let products: usize = patches.patches().iter().map(|p| p.own * p.len).sum();
     Ok(Measured {
         size: n,
         flop: (8 * n * c * c + 4 * products * c) as u64,
@@ -144,8 +144,8 @@ impl Weights {
         patches: &Patches,
         order: &[u32],
     ) -> (Vec<usize>, Vec<f64>) {
-        let patch = patches.patches[patches.patches.len() / 2];
-        let row = |slot: usize| order[patches.pad[slot] as usize] as usize;
+        let patch = patches.patches()[patches.patches().len() / 2];
+        let row = |slot: usize| order[patches.pad()[slot] as usize] as usize;
         let keys = checks::widened(x, c, (patch.start..patch.start + patch.len).map(row));
         let part = |p: usize, x: &[f64]| {
             let bias = &self.qkv_bias[p * c..(p + 1) * c];

@@ -5,7 +5,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use scenesplat_losses::{CrossEntropy, LossInput, LovaszSoftmax, Objective};
 use scenesplat_models::{Backbone, Forward, ModelConfig, ParamStore, PointCloud, Recompute};
-use scenesplat_trainers::{AdamW, AdamWConfig, Controls, Optimizer, group_by_keyword};
+use scenesplat_trainers::{AdamW, AdamWConfig, Optimizer, StepHyperparameters, group_by_keyword};
 
 /// The network with its optimizer, voxels and labels.
 pub struct TrainStep {
@@ -87,7 +87,9 @@ impl TrainStep {
         if let (true, Some(found)) = (self.first_gradient.is_empty(), grads.get(&self.stem)) {
             self.first_gradient = found.flatten_all()?.to_vec1()?;
         }
-        self.optimizer.step(&grads, &Controls::default()).map_err(candle_core::Error::wrap)?;
+        self.optimizer
+            .step(&grads, &StepHyperparameters::default())
+            .map_err(candle_core::Error::wrap)?;
         loss.to_scalar::<f32>()
     }
 }

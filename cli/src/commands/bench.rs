@@ -2,6 +2,7 @@
 
 use super::WrongUse;
 use crate::bench::{Measured, Request, Settings, Step, Stopped, measure, names, run as run_rows};
+use crate::outputs::Outputs;
 use crate::progress::{Progress, interrupted, listen_for_interrupt};
 use crate::terminal::{print, write_text};
 use anyhow::{Context, Result, bail};
@@ -9,7 +10,7 @@ use scenesplat::kernels::Precision;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// Measures how fast networks and kernels are on this machine, and how far from the least time that
 /// it would allow. Needs no files. Run nothing else meanwhile.
@@ -56,9 +57,7 @@ pub fn run(args: &Args) -> Result<()> {
             return Err(WrongUse(format!("--only {name}: no such row; the rows are {all}")).into());
         }
     }
-    if let Some(path) = &args.json {
-        check_folder(path)?;
-    }
+    Outputs::new(Path::new("")).claim_any("--json", args.json.as_ref())?;
     // A handler is there already when several commands run in one process.
     let _ = listen_for_interrupt();
     let progress = Progress::new(args.quiet);
@@ -95,25 +94,16 @@ pub fn run(args: &Args) -> Result<()> {
     Ok(())
 }
 
-/// Refuses what would only fail after minutes.
-fn check_folder(json: &Path) -> Result<()> {
-    let folder = json.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    if !folder.is_dir() {
-        bail!("--json {}: the folder is not there", json.display());
-    }
-    if json.is_dir() {
-        bail!("--json {}: is a folder", json.display());
-    }
-    Ok(())
-}
-
 /// A folder that goes when this does.
 struct Scratch(PathBuf);
 
 impl Scratch {
     fn new() -> Result<Self> {
-        let folder = std::env::temp_dir().join(format!("scenesplat-bench-{}", std::process::id()));
-        std::fs::create_dir_all(&folder)
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |t| t.as_nanos());
+        let name = format!("scenesplat-bench-{}-{now}", std::process::id());
+        let folder = std::env::temp_dir().join(name);
+        // Not into a folder, or behind a link, that somebody else has put there.
+        std::fs::create_dir(&folder)
             .with_context(|| format!("{}: cannot make a scratch folder", folder.display()))?;
         Ok(Self(folder))
     }

@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use scenesplat::datasets::chunking::{ChunkFolder, ChunkReport, ChunkSettings};
 use scenesplat::datasets::sources::{SceneFolders, SceneFoldersOptions};
 use scenesplat::datasets::{DataError, DataSource};
-use scenesplat::scene::SceneError;
+use scenesplat::scene::{FolderLock, SceneError};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
@@ -74,6 +74,7 @@ pub fn run(args: &Args) -> Result<()> {
     let names = chunk_names(&scenes, args.scenes.as_deref())?;
     let split = args.split.as_deref().unwrap_or("all");
     let folder = ChunkFolder::open(&args.out, split, settings)?;
+    let _lock = FolderLock::acquire(folder.path())?;
     let mut total = Totals::default();
     for (i, (name, id)) in names.iter().enumerate() {
         let step = format!("{name} ({} of {})", i + 1, names.len());

@@ -4,6 +4,7 @@ mod measure;
 mod pictures;
 mod table;
 
+use crate::outputs::Outputs;
 use crate::progress::{Progress, interrupted, listen_for_interrupt};
 use crate::terminal::{print, write_text};
 use anyhow::{Context, Result};
@@ -11,7 +12,7 @@ use clap::ValueEnum;
 use measure::{Measured, Summary, measure};
 use scenesplat::models::Lpips;
 use serde_json::json;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Compares two pictures, PNG or JPEG, or those of two folders by their names without ending. The
 /// first is the render, the second the truth. 16-bit grey pictures are depth, all others colour.
@@ -69,6 +70,9 @@ pub fn run(args: &Args) -> Result<()> {
         let text = format!("--depth-scale {}: must be above 0", args.depth_scale);
         return Err(super::WrongUse(text).into());
     }
+    let outputs = Outputs::new(Path::new(""));
+    outputs.reads_any([Some(args.a.as_path()), Some(&args.b), args.lpips_weights.as_deref()])?;
+    outputs.claim_any("--json", args.json.as_ref())?;
     let progress = Progress::new(args.quiet);
     let pairs = pictures::pairs(&args.a, &args.b)?;
     let lpips = match &args.lpips_weights {

@@ -1,15 +1,18 @@
 //! `scenesplat demo`
 
 use super::segment;
+use crate::outputs::withdraw;
+use crate::progress::interrupted;
 use crate::terminal::print;
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, anyhow};
 use clap::Parser;
 use scenesplat::metrics::{ConfusionMatrix, Metric};
 use scenesplat::outputs::{label_colors, legend, write_scene_preview};
 use scenesplat::rooms::{CLASSES, SyntheticRoomSettings, generate};
-use scenesplat::scene::UpAxis;
+use scenesplat::scene::atomic_file::check_replaceable;
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
 use scenesplat::scene::formats::npy::NpyFile;
+use scenesplat::scene::{FolderLock, UpAxis};
 use std::path::PathBuf;
 
 /// Rooms of this seed are in no training configuration of the project.
@@ -42,10 +45,17 @@ struct Line {
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
     std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
+    // The labelling takes it again.
+    drop(FolderLock::acquire(&args.out)?);
+    for name in ["room.ply", "truth.png"] {
+        check_replaceable(&args.out.join(name))?;
+    }
     let settings =
         SyntheticRoomSettings { seed: UNSEEN, room: args.room, ..SyntheticRoomSettings::default() };
     let room = generate(&settings)?;
     let path = args.out.join("room.ply");
+    // From here on the receipt of another room would be wrong.
+    withdraw(&args.out.join("receipt.json"))?;
     write_inria_ply(&room.scene, &[], &path)?;
 
     let out = args.out.to_string_lossy();
@@ -53,7 +63,9 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     if args.quiet {
         words.push("--quiet".into());
     }
-    segment::run(&Line::try_parse_from(&words)?.args, line)?;
+    segment::run(&Line::try_parse_from(&words)?.args, line).map_err(|error| {
+        if interrupted() { anyhow!("stopped; only {} was written", path.display()) } else { error }
+    })?;
 
     let truth = room.scene.segment.as_deref().context("a room has labels")?;
     let labels = NpyFile::open(&args.out.join("labels.npy"))?.read_i64()?;

@@ -16,9 +16,9 @@ use scenesplat::outputs::OpenedScene;
 use scenesplat::rooms::{CLASSES, SyntheticClass, SyntheticRoomSettings};
 use scenesplat::scene::formats::npy::NpyFile;
 use scenesplat::scene::label_set::{find_name, read_names};
-use scenesplat::scene::{ClassMap, GaussianScene, LabelSet, LoadedScene, SceneKind, TextTable};
+use scenesplat::scene::{ClassMap, GaussianScene, LabelSet, LoadedScene, SceneFormat, TextTable};
 use scenesplat::text::{class_list, metric_table};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -128,6 +128,15 @@ fn truth(
 pub fn run(args: &Args, line: &str) -> Result<()> {
     let began = Instant::now();
     let session = Session::start(&args.shared, line)?;
+    args.scenes.iter().try_for_each(|scene| session.outputs.reads(Path::new(scene)))?;
+    args.classes.claim_inputs(&session.outputs)?;
+    let features = args.features.as_deref().map(Path::new);
+    session.outputs.reads_any([
+        args.label_names.as_deref(),
+        args.class_map.as_deref(),
+        features,
+    ])?;
+    session.outputs.claim_any("--json", args.json.as_ref())?;
     let inputs = inputs(&args.scenes)?;
     let from_file = args.features.as_deref().filter(|f| *f != "oracle").map(PathBuf::from);
     let oracle_only = args.features.as_deref() == Some("oracle");
@@ -152,7 +161,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let withholds = options.unknown != UnknownRule::default();
     let to_text = label_map(args, &text.names)?;
     let table = metric_table(&text)?;
-    session.make_out()?;
+    session.make_out(&["evaluation.json"])?;
     args.classes.record(&session)?;
     session.receipt.setting("vote_k", args.vote_k, "neighbours that vote on each label");
     let names: Vec<&str> = excluded.iter().map(|&c| text.names[c].as_str()).collect();
@@ -345,12 +354,11 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
             json[key] = json["oracle"][key].clone();
         }
     }
-    let path = session.out("evaluation.json");
+    let path = session.out("evaluation.json")?;
     let bytes = write_text(&path, &serde_json::to_string_pretty(&json)?)?;
     session.wrote(&path, bytes);
     if let Some(path) = &args.json {
-        let bytes = write_text(path, &serde_json::to_string_pretty(&json)?)?;
-        session.wrote(path, bytes);
+        session.write_file(path, &serde_json::to_string_pretty(&json)?)?;
     }
     session.finish()
 }
@@ -379,7 +387,7 @@ fn inputs(scenes: &[String]) -> Result<Vec<Input>> {
             let text = format!("{scene:?}: write synthetic:COUNT:SEED, such as synthetic:20:7");
             return Err(WrongUse(text).into());
         };
-        let rooms = Arc::new(SyntheticRooms::new(count, SyntheticRoomSettings::default(), seed));
+        let rooms = Arc::new(SyntheticRooms::new(count, SyntheticRoomSettings::default(), seed)?);
         all.extend((0..count).map(|index| Input::Room { rooms: Arc::clone(&rooms), index }));
     }
     Ok(all)
@@ -395,7 +403,7 @@ impl Input {
                 let SourceScene { scene, report } = rooms.load(id)?;
                 session.receipt.add_rows_in(scene.len());
                 let path = PathBuf::from(id);
-                let kind = SceneKind::InriaPly;
+                let kind = SceneFormat::Ply;
                 let loaded = LoadedScene { scene, report, kept_rows: None, path, kind };
                 Ok(OpenedScene { loaded, converted: false })
             }

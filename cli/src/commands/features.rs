@@ -60,7 +60,12 @@ pub enum Format {
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start(&args.shared, line)?;
-    session.make_out()?;
+    session.outputs.reads(&args.scene)?;
+    let features_file = match args.format {
+        Format::Npy => "features.npy",
+        Format::Safetensors => "features.safetensors",
+    };
+    session.make_out(&[features_file, "features.ply", "preview.png"])?;
     let network = session.network(&args.inference)?;
     let opened = session.open(&args.scene, &args.inference)?;
     let features = session.encode(&opened.loaded.scene, &network, &args.inference)?;
@@ -69,12 +74,12 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         let _stage = session.receipt.stage("write");
         let (path, bytes) = match args.format {
             Format::Npy => {
-                let path = session.out("features.npy");
+                let path = session.out(features_file)?;
                 let bytes = write_features_npy(&opened, &features, args.dtype.into(), &path)?;
                 (path, bytes)
             }
             Format::Safetensors => {
-                let path = session.out("features.safetensors");
+                let path = session.out(features_file)?;
                 let bytes =
                     write_features_safetensors(&opened, &features, args.dtype.into(), &path)?;
                 (path, bytes)
@@ -86,13 +91,13 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     session.check_stop()?;
     let _stage = session.receipt.stage("picture");
     let colors = principal_colors(&features)?;
-    let path = session.out("features.ply");
+    let path = session.out("features.ply")?;
     let bytes = write_colored_ply(&opened, &colors, &ResultColumns::default(), &path)?;
     session.wrote(&path, bytes);
     let name = args.scene.file_name().unwrap_or_default().to_string_lossy();
     let title = format!("{name}: features (principal components as colours)");
     let up = session.up(&opened.loaded.scene, &args.inference);
-    let path = session.out("preview.png");
+    let path = session.out("preview.png")?;
     let bytes = write_scene_preview(&opened.loaded.scene, &colors, &[], &title, up, &path)?;
     session.wrote(&path, bytes);
     drop(_stage);

@@ -2,7 +2,7 @@
 
 use crate::flags::{Shared, SourceArgs, parse_up};
 use crate::session::Session;
-use crate::terminal::{print, write_text};
+use crate::terminal::print;
 use anyhow::{Context, Result, bail};
 use scenesplat::embedded;
 use scenesplat::input::scene_name;
@@ -47,7 +47,25 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start(&args.shared, line)?;
+<<<<<<< HEAD
     let (name, config) = network(&args.shared)?;
+=======
+    let config = args.shared.config.clone().unwrap_or(NetworkChoice::Language);
+    let network = (config.to_string(), config.resolve()?);
+    session.outputs.reads(&args.scene)?;
+    session.outputs.claim_any("--json", args.json.as_ref())?;
+    let sheet = match (&args.sheet, args.no_sheet) {
+        (_, true) => None,
+        (Some(path), _) => Some(path.clone()),
+        (None, _) => {
+            let out = &args.shared.out;
+            std::fs::create_dir_all(out)
+                .with_context(|| format!("{}: cannot make the output folder", out.display()))?;
+            Some(out.join(sheet_name(&args.scene)))
+        }
+    };
+    session.outputs.claim_any("--sheet", sheet.as_ref())?;
+>>>>>>> main
     let opened = {
         let _stage = session.receipt.stage("read");
         let opened = {
@@ -76,29 +94,20 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     print(&seen.to_string());
     session.check_stop()?;
     if let Some(path) = &args.json {
-        let bytes = write_text(path, &serde_json::to_string_pretty(&seen)?)?;
-        session.wrote(path, bytes);
+        session.write_file(path, &serde_json::to_string_pretty(&seen)?)?;
     }
-    if !args.no_sheet {
+    if let Some(path) = &sheet {
         let _stage = session.receipt.stage("picture");
-        let path = match &args.sheet {
-            Some(path) => path.clone(),
-            None => {
-                let out = &args.shared.out;
-                std::fs::create_dir_all(out)
-                    .with_context(|| format!("{}: cannot make the output folder", out.display()))?;
-                session.out(&sheet_name(&args.scene).to_string_lossy())
-            }
-        };
-        let bytes = write_sheet(&path, &opened.loaded.scene, &seen)?;
+        let waiting = session.outputs.file_path(path)?;
+        let bytes = write_sheet(&waiting, &opened.loaded.scene, &seen)?;
         session.receipt.add_bytes_written(bytes);
-        print(&format!("sheet {}", path.display()));
     }
     for finding in &seen.findings {
         session.receipt.warning(finding.lines_joined());
     }
-    if args.shared.receipt.is_some() {
-        session.finish()?;
+    session.finish_quietly()?;
+    if let Some(path) = &sheet {
+        print(&format!("sheet {}", path.display()));
     }
     if args.fail_on_findings && !seen.findings.is_empty() {
         let names: Vec<&str> = seen.findings.iter().map(|f| f.name.as_str()).collect();

@@ -127,9 +127,12 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start(&args.shared, line)?;
     // Whatever can be wrong with flags and names is found before anything expensive.
     args.finalise(false).check().map_err(|e| WrongUse(e.to_string()))?;
+    for path in [&args.scene, &args.cameras, &args.segments] {
+        session.outputs.reads(path)?;
+    }
     let (cameras, folder, matches) = args.pictures(&session)?;
     let views = pictures::views(&cameras, &matches, &args.cameras)?;
-    session.make_out()?;
+    session.make_out(if args.level.len() == 1 { &write::FILES } else { &[] })?;
     let opened = args.open(&session)?;
     let gaussians = Gaussians::from_scene(&opened.loaded.scene)?;
     args.record(&session)?;
@@ -332,11 +335,9 @@ impl Args {
         robust: bool,
     ) -> Result<()> {
         let folder = match self.level.len() {
-            1 => self.shared.out.clone(),
-            _ => session.out(&format!("level-{level}")),
+            1 => session.outputs.main_folder()?,
+            _ => session.outputs.inner_folder(&format!("level-{level}"))?,
         };
-        std::fs::create_dir_all(&folder)
-            .with_context(|| format!("{}: cannot make the folder", folder.display()))?;
         let stage = session.receipt.stage("features");
         let mut writer = write::Writer::new(opened, &folder, lifter.tables())?;
         let rows = opened.loaded.scene.len().max(1);

@@ -73,6 +73,10 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Err(e) => {
             // Help and version are no errors.
             let code = if e.use_stderr() { 2 } else { 0 };
+            if code == 0 {
+                crate::terminal::note(e.print());
+                return end(crate::terminal::check_output());
+            }
             let _ = e.print();
             return ExitCode::from(code);
         }
@@ -93,6 +97,11 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Weights(args) => weights::run(args, &line),
         Command::Bench(args) => bench::run(args),
     };
+    // An error of the command comes first; results that did not get out are one, too.
+    end(done.and_then(|()| crate::terminal::check_output()))
+}
+
+fn end(done: anyhow::Result<()>) -> ExitCode {
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(e) => {

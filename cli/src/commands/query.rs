@@ -137,8 +137,10 @@ fn read_vector(path: &Path) -> Result<Vec<f32>> {
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start(&args.shared, line)?;
+    session.outputs.reads_any([Some(args.scene.as_path()), args.embedding.as_deref()])?;
+    args.classes.claim_inputs(&session.outputs)?;
     let (text, row) = texts(args)?;
-    session.make_out()?;
+    session.make_out(&["scores.npy", "selection.npy", "query.ply", "preview.png"])?;
     args.classes.record(&session)?;
     if let Some(path) = &args.embedding {
         session.receipt.fingerprint("embedding", path)?;
@@ -211,14 +213,14 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     {
         let _stage = session.receipt.stage("write");
         let rows = opened.loaded.source_rows();
-        let path = session.out("scores.npy");
+        let path = session.out("scores.npy")?;
         write_npy(&path, &[rows], &opened.loaded.to_source_rows(&scores, 0.0)?)?;
         session.wrote(&path, (rows * 4 + 128) as u64);
-        let path = session.out("selection.npy");
+        let path = session.out("selection.npy")?;
         let bytes: Vec<u8> = selected.iter().map(|s| *s as u8).collect();
         write_npy(&path, &[rows], &opened.loaded.to_source_rows(&bytes, 0)?)?;
         session.wrote(&path, (rows + 128) as u64);
-        let path = session.out("query.ply");
+        let path = session.out("query.ply")?;
         let columns = ResultColumns { label: Some(&selected), score: Some(&scores) };
         let bytes = write_colored_ply(&opened, &colors, &columns, &path)?;
         session.wrote(&path, bytes);
@@ -235,7 +237,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
                 count: selected.len() as u64 - count,
             },
         ];
-        let path = session.out("preview.png");
+        let path = session.out("preview.png")?;
         let title = format!("\"{}\"{}", args.query, source.remark());
         let up = session.up(scene, &args.inference);
         let bytes = write_scene_preview(scene, &colors, &entries, &title, up, &path)?;

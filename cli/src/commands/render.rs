@@ -30,10 +30,27 @@ pub struct Args {
     /// Only these cameras: names of pictures, or numbers from 0.
     #[arg(long = "camera", value_name = "NAME|INDEX", num_args = 1.., requires = "cameras")]
     pub chosen: Vec<String>,
-    /// Number of cameras around the scene; 4 if there is no --cameras.
-    #[arg(long, value_name = "N", conflicts_with = "cameras",
+    /// Number of cameras around the scene; 4 if no other cameras are given.
+    #[arg(long, value_name = "N", conflicts_with_all = ["cameras", "eye", "inside"],
           value_parser = clap::value_parser!(u16).range(1..=3600))]
     pub orbit: Option<u16>,
+    /// Number of cameras that look around from a free place inside the scene: for rooms.
+    #[arg(long, value_name = "N", conflicts_with_all = ["cameras", "eye"],
+          value_parser = clap::value_parser!(u16).range(1..=3600))]
+    pub inside: Option<u16>,
+    /// Where a single camera stands, in the coordinates of the scene.
+    #[arg(long, value_name = "X,Y,Z", requires = "target", conflicts_with = "cameras",
+          value_parser = parse_point, allow_hyphen_values = true)]
+    pub eye: Option<[f64; 3]>,
+    /// What it looks at.
+    #[arg(long, value_name = "X,Y,Z", requires = "eye",
+          value_parser = parse_point, allow_hyphen_values = true)]
+    pub target: Option<[f64; 3]>,
+    /// Angle of view across the shorter side of the picture, of --eye (60 by default) and --inside
+    /// (75).
+    #[arg(long, value_name = "DEGREES", conflicts_with_all = ["cameras", "orbit"],
+          value_parser = parse_fov)]
+    pub fov: Option<f64>,
     /// Also writes depth.
     #[arg(long)]
     pub depth: bool,
@@ -56,7 +73,7 @@ pub struct Args {
     /// auto leaves out what the scene does not have; full computes everything.
     #[arg(long, value_enum, default_value_t = PlanArg::Auto)]
     pub plan: PlanArg,
-    /// Which way is up for cameras around the scene; judged by the shape if not given.
+    /// Which way is up for --orbit, --inside and --eye; judged by the scene if not given.
     #[arg(long, value_name = "AXIS", value_parser = parse_up, allow_hyphen_values = true)]
     pub up: Option<UpAxis>,
     /// How to read the scene.
@@ -99,15 +116,25 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         let text = format!("--depth-scale {}: must be above 0", args.depth_scale);
         return Err(WrongUse(text).into());
     }
+    if args.fov.is_some() && args.eye.is_none() && args.inside.is_none() {
+        let text = "--fov goes with --eye and --target, or with --inside";
+        return Err(WrongUse(text.to_owned()).into());
+    }
     let session = Session::start(&args.shared, line)?;
     // Wrong cameras are said before a large scene is read.
+    session.outputs.reads_any([Some(args.scene.as_path()), args.cameras.as_deref()])?;
     let read = args.cameras.as_ref().map(|path| cameras::read(path, args)).transpose()?;
-    session.make_out()?;
+    session.make_out(&[])?;
     let scene = read_scene(&session, args)?;
     let shots = match read {
         Some(shots) => shots,
-        None => cameras::around(&scene, args.up.unwrap_or_else(|| guess_up(&scene).axis), args),
+        None => {
+            let up = args.up.unwrap_or_else(|| guess_up(&scene).axis);
+            cameras::of_scene(&scene, up, args)?
+        }
     };
+    let names: Vec<String> = shots.list.iter().map(|shot| format!("{}.png", shot.name)).collect();
+    session.make_out(&names.iter().map(String::as_str).collect::<Vec<_>>())?;
     for note in &shots.notes {
         session.progress.say(note);
     }
@@ -215,7 +242,7 @@ fn write(session: &Session<'_>, args: &Args, shot: &Shot, picture: &Rendered) ->
     let rgb: Vec<u8> = picture.rgb.iter().flatten().map(bytes).collect();
     let rgb = RgbPicture::from_pixels(width, height, rgb.as_chunks::<3>().0.to_vec())
         .context("a picture has three channels")?;
-    let path = session.out(&format!("{}.png", shot.name));
+    let path = session.out(&format!("{}.png", shot.name))?;
     session.wrote(&path, write_png(&path, &rgb)?);
     let Some(depth) = picture.depth_expected.as_ref().filter(|_| args.depth) else { return Ok(0) };
     let solid: Vec<f32> = depth
@@ -223,11 +250,7 @@ fn write(session: &Session<'_>, args: &Args, shot: &Shot, picture: &Rendered) ->
         .zip(&picture.transmittance)
         .map(|(d, t)| if 1.0 - t >= SOLID { *d } else { 0.0 })
         .collect();
-    let folder = |name: &str| -> Result<PathBuf> {
-        let folder = session.out(name);
-        std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
-        Ok(folder.join(format!("{}.png", shot.name)))
-    };
+    let inside = |folder: &str| session.out(&format!("{folder}/{}.png", shot.name));
     let mut lost = 0;
     let steps: Vec<u16> = solid
         .iter()
@@ -237,9 +260,9 @@ fn write(session: &Session<'_>, args: &Args, shot: &Shot, picture: &Rendered) ->
             if steps > 65535.0 { 0 } else { steps as u16 }
         })
         .collect();
-    let path = folder("depth")?;
+    let path = inside("depth")?;
     session.wrote(&path, write_png16(&path, &steps, [width, height])?);
-    let path = folder("depth_color")?;
+    let path = inside("depth_color")?;
     session.wrote(&path, write_png(&path, &depth_picture(&solid, width, height))?);
     Ok(lost)
 }
@@ -251,6 +274,18 @@ fn parse_size(text: &str) -> Result<[u32; 2], String> {
         Some([w, h]) if w > 0 && h > 0 => Ok([w, h]),
         _ => Err(format!("{text:?} is no size; write 640x480")),
     }
+}
+
+fn parse_point(text: &str) -> Result<[f64; 3], String> {
+    let values: Option<Vec<f64>> =
+        text.split(',').map(|v| v.trim().parse().ok().filter(|v: &f64| v.is_finite())).collect();
+    let point = values.and_then(|v| <[f64; 3]>::try_from(v).ok());
+    point.ok_or_else(|| format!("{text:?} is no point; write three numbers: 1.5,0,-2"))
+}
+
+fn parse_fov(text: &str) -> Result<f64, String> {
+    let angle = text.parse().ok().filter(|v: &f64| *v >= 1.0 && *v <= 170.0);
+    angle.ok_or_else(|| format!("{text:?}: write an angle of 1 to 170 degrees"))
 }
 
 fn parse_color(text: &str) -> Result<[f32; 3], String> {

@@ -2,6 +2,7 @@
 
 use super::WrongUse;
 use crate::flags::{Inference, Shared};
+use crate::outputs::Outputs;
 use crate::session::{FeatureSource, Session};
 use crate::terminal::write_text;
 use anyhow::{Context, Result};
@@ -64,6 +65,11 @@ pub struct Classes {
 }
 
 impl Classes {
+    /// Notes the files that the choice is read from.
+    pub fn claim_inputs(&self, outputs: &Outputs) -> Result<()> {
+        outputs.reads_any([self.text.as_deref(), self.text_names.as_deref()])
+    }
+
     /// The texts: those given, or the vocabulary of the network inside the program, or a hint what
     /// to give.
     pub fn text_table(&self, embedded: bool) -> Result<TextTable> {
@@ -237,7 +243,10 @@ fn scores_of(
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start(&args.shared, line)?;
-    session.make_out()?;
+    session.outputs.reads(&args.scene)?;
+    args.classes.claim_inputs(&session.outputs)?;
+    let names = ["labels.npy", "scores.npy", "classes.json", "segmented.ply", "preview.png"];
+    session.make_out(&names)?;
     // A bad table is better found before the scene is read.
     let table = match &args.classes.text {
         Some(_) => Some(args.classes.text_table(false)?),
@@ -307,16 +316,16 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     {
         let _stage = session.receipt.stage("write");
         let rows = opened.loaded.source_rows();
-        let path = session.out("labels.npy");
+        let path = session.out("labels.npy")?;
         write_npy(&path, &[rows], &opened.loaded.to_source_rows(&labels, -1)?)?;
         session.wrote(&path, (rows * 4 + 128) as u64);
-        let path = session.out("scores.npy");
+        let path = session.out("scores.npy")?;
         write_npy(&path, &[rows], &opened.loaded.to_source_rows(&scores, 0.0)?)?;
         session.wrote(&path, (rows * 4 + 128) as u64);
-        let path = session.out("classes.json");
+        let path = session.out("classes.json")?;
         let bytes = write_text(&path, &serde_json::to_string_pretty(&labels_of.names)?)?;
         session.wrote(&path, bytes);
-        let path = session.out("segmented.ply");
+        let path = session.out("segmented.ply")?;
         let columns = ResultColumns { label: Some(&labels), score: Some(&scores) };
         let bytes = write_colored_ply(&opened, &label_colors(&labels), &columns, &path)?;
         session.wrote(&path, bytes);
@@ -325,7 +334,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     {
         let _stage = session.receipt.stage("picture");
         let name = args.scene.file_name().unwrap_or_default().to_string_lossy();
-        let path = session.out("preview.png");
+        let path = session.out("preview.png")?;
         let bytes = write_scene_preview(
             scene,
             &label_colors(&labels),

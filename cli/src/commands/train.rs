@@ -61,7 +61,16 @@ pub fn run(args: &Args) -> Result<()> {
     listen_for_interrupt()?;
     let stop = Arc::new(AtomicBool::new(false));
     watch(Arc::clone(&stop));
-    let report = train(&config, &RunOptions { out, resume, quiet: args.quiet, stop })?;
+    let report = train(
+        &config,
+        &RunOptions {
+            out,
+            resume,
+            quiet: args.quiet,
+            stop,
+            commit: option_env!("SCENESPLAT_COMMIT").map(str::to_owned),
+        },
+    )?;
     for remark in &report.remarks {
         print(remark);
     }

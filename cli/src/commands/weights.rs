@@ -2,7 +2,7 @@
 
 use crate::flags::{BranchArg, ConvLayoutArg, Shared};
 use crate::session::Session;
-use crate::terminal::{print, write_text};
+use crate::terminal::print;
 use anyhow::Result;
 use scenesplat::models::LoadPolicy;
 use scenesplat::models::convert::{Renamed, rename};
@@ -38,6 +38,8 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start(&args.shared, line)?;
+    session.outputs.reads(&args.checkpoint)?;
+    session.outputs.claim_any("--json", args.json.as_ref())?;
     let folder = resolve(&args.checkpoint)?;
     let mut files = Vec::new();
     for file in &folder.files {
@@ -117,10 +119,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     if let Some(path) = &args.json {
         let text =
             serde_json::to_string_pretty(&serde_json::json!({ "files": files, "networks": fits }))?;
-        write_text(path, &text)?;
+        session.write_file(path, &text)?;
     }
-    if args.shared.receipt.is_some() {
-        session.finish()?;
-    }
-    Ok(())
+    session.finish_quietly()
 }

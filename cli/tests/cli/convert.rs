@@ -16,8 +16,8 @@ fn read(path: &Path) -> GaussianScene {
 }
 
 /// Every format that can be written, by the name of its file.
-const TARGETS: [&str; 7] =
-    ["a.ply", "a.compressed.ply", "a.spz", "a.splat", "a.sog", "sog/meta.json", "folder"];
+const TARGETS: [&str; 8] =
+    ["a.ply", "a.compressed.ply", "a.spz", "a.splat", "a.glb", "a.sog", "sog/meta.json", "folder"];
 
 #[test]
 fn labels_go_through_every_format() {
@@ -120,8 +120,16 @@ fn walk(folder: &Path) -> Vec<String> {
 fn wrong_use_is_said() {
     let folder = tempfile::tempdir().unwrap();
     let to = |name: &str| folder.path().join(name);
-    let cases: [(&str, &[&str], &str); 6] = [
+    let cases: [(&str, &[&str], &str); 14] = [
         ("a.obj", &[], "--format"),
+        ("a.obj", &[], ".compressed.ply (compressed-ply), .ply (ply), .spz (spz), .glb (glb)"),
+        ("a.ksplat", &[], "ksplat files are read, not written; what can be written: "),
+        ("a.ply", &["--format", "ksplat"], "[possible values: compressed-ply, ply, "),
+        ("a.spz", &["--frame", "RDF:RUB"], "--to-spz-frame raw"),
+        ("a.glb", &["--frame", "LUF"], "converted to it when it is written"),
+        ("a.ply", &["--scale", "-1"], "above 0"),
+        ("a.ply", &["--rotate", "1,2"], "three angles"),
+        ("a.ply", &["--up", "z+"], "no axis"),
         ("a.ply", &["--crop", "1,2,3"], "X0,Y0,Z0,X1,Y1,Z1"),
         ("a.ply", &["--sample", "0"], "100000"),
         ("a.ply", &["--frame", "XYZ"], "RDF"),
@@ -174,4 +182,137 @@ fn language_codes_answer_queries_without_a_network() {
     let output = scenesplat(&[&args[..], &[query.to_str().unwrap()]].concat());
     assert_eq!(output.status.code(), Some(2));
     assert!(stderr(&output).contains("--weights"), "{}", stderr(&output));
+}
+
+/// A room of flat Gaussians, 4 × 3 × 2.5 m: floor at 0.7, two walls.
+fn room_of_discs() -> GaussianScene {
+    let mut scene = GaussianScene::default();
+    let half = std::f32::consts::FRAC_1_SQRT_2;
+    for i in 0..50 {
+        for j in 0..50 {
+            let (a, b) = (i as f32 / 49.0, j as f32 / 49.0);
+            scene.coord.push([4.0 * a, 3.0 * b, 0.7]);
+            scene.quat.push([1.0, 0.0, 0.0, 0.0]);
+            scene.coord.push([4.0 * a, 0.0, 0.7 + 2.5 * b]);
+            scene.quat.push([half, half, 0.0, 0.0]);
+            scene.coord.push([0.0, 3.0 * a, 0.7 + 2.5 * b]);
+            scene.quat.push([half, 0.0, half, 0.0]);
+        }
+    }
+    let n = scene.coord.len();
+    scene.log_scale = vec![[0.04f32.ln(), 0.04f32.ln(), 0.002f32.ln()]; n];
+    scene.opacity_logit = vec![3.0; n];
+    scene.sh_dc = vec![[0.2; 3]; n];
+    scene
+}
+
+fn write(scene: &GaussianScene, path: &Path) {
+    scenesplat::scene::formats::inria_ply::write_inria_ply(scene, &[], path).unwrap();
+}
+
+fn report(path: &Path) -> serde_json::Value {
+    serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
+}
+
+#[test]
+fn scenes_are_made_level_turned_and_moved() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let room = room_of_discs();
+    write(&room, &at("room.ply"));
+    done(&convert(&at("room.ply"), &at("tilted.ply"), &["--rotate", "8,-5,30"]));
+    let json = at("report.json");
+    let flags = ["--level", "--up", "+z", "--json", json.to_str().unwrap()];
+    let output = convert(&at("tilted.ply"), &at("level.ply"), &flags);
+    done(&output);
+    assert!(stderr(&output).contains("level: turned by"), "{}", stderr(&output));
+    let level = read(&at("level.ply"));
+    let off = level.coord.iter().step_by(3).map(|p| p[2].abs()).fold(0.0, f32::max);
+    assert!(off < 2e-3, "the floor is off by {off}");
+    let tilt = report(&json)["edit"]["level"]["tilt"].as_f64().unwrap();
+    let due = (8f64.to_radians().cos() * 5f64.to_radians().cos()).acos().to_degrees();
+    assert!((tilt - due).abs() < 0.05, "{tilt} {due}");
+
+    // Quarter turns, and up as found.
+    done(&convert(&at("room.ply"), &at("side.ply"), &["--rotate", "90,0,0"]));
+    done(&convert(&at("side.ply"), &at("up.ply"), &["--up", "-y"]));
+    for (new, old) in read(&at("up.ply")).coord.iter().zip(&room.coord) {
+        assert!((new[2] - old[2]).abs() < 1e-6, "{new:?} {old:?}");
+    }
+    done(&convert(&at("room.ply"), &at("moved.ply"), &["--translate", "1,-2,-0.7"]));
+    for (new, old) in read(&at("moved.ply")).coord.iter().zip(&room.coord) {
+        let due = [old[0] + 1.0, old[1] - 2.0, old[2] - 0.7];
+        assert!((0..3).all(|a| (new[a] - due[a]).abs() < 1e-6), "{new:?} {due:?}");
+    }
+    // Where nothing is level, that is said, and nothing is turned.
+    let balls = GaussianScene { log_scale: vec![[-3.0; 3]; room.len()], ..room };
+    write(&balls, &at("balls.ply"));
+    let output = convert(&at("balls.ply"), &at("still.ply"), &["--level", "--up", "+z"]);
+    done(&output);
+    assert!(stderr(&output).contains("no level surface was found"), "{}", stderr(&output));
+    assert_eq!(read(&at("still.ply")).quat, balls.quat);
+}
+
+#[test]
+fn a_frame_of_the_format_is_not_applied_twice() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let room = room_of_discs();
+    write(&room, &at("room.ply"));
+    for name in ["a.spz", "a.glb"] {
+        done(&convert(&at("room.ply"), &at(name), &[]));
+        for (new, old) in read(&at(name)).coord.iter().zip(&room.coord) {
+            assert!((0..3).all(|a| (new[a] - old[a]).abs() < 1e-3), "{name}: {new:?} {old:?}");
+        }
+    }
+    for (name, frame) in [("a.spz", "RUB:RDF"), ("a.glb", "LUF:RDF")] {
+        let output = convert(&at(name), &at("b.ply"), &["--frame", frame]);
+        assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
+        assert!(stderr(&output).contains("was converted to RDF"), "{}", stderr(&output));
+    }
+    // As it is in the file, it can be turned.
+    done(&convert(&at("room.ply"), &at("raw.spz"), &["--frame", "RUB", "--to-spz-frame", "raw"]));
+    let raw = ["--spz-frame", "raw", "--frame", "RUB:RDF"];
+    done(&convert(&at("raw.spz"), &at("b.ply"), &raw));
+    for (new, old) in read(&at("b.ply")).coord.iter().zip(&room.coord) {
+        assert!((0..3).all(|a| (new[a] - old[a]).abs() < 1e-3), "{new:?} {old:?}");
+    }
+}
+
+#[test]
+fn scenes_are_merged_and_floaters_removed() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let mut room = room_of_discs();
+    write(&room, &at("a.ply"));
+    room.segment = Some(vec![3; room.len()]);
+    room.coord[10] = [2.0, 1.5, 9.0];
+    room.log_scale[20] = [9f32.ln(); 3];
+    write(&room, &at("b.ply"));
+    let (a, b, both) = (at("a.ply"), at("b.ply"), at("both.ply"));
+    let json = at("report.json");
+    let args = ["convert", a.to_str().unwrap(), b.to_str().unwrap(), both.to_str().unwrap()];
+    let flags = ["--json", json.to_str().unwrap()];
+    let output = scenesplat(&[&args[..], &flags].concat());
+    done(&output);
+    assert!(stderr(&output).contains("no label (scene 1)"), "{}", stderr(&output));
+    let scene = read(&both);
+    let n = room.len();
+    assert_eq!(scene.coord[n..], room.coord);
+    let labels = scene.segment.unwrap();
+    assert_eq!((labels[n - 1], labels[n]), (-1, 3));
+    assert_eq!(report(&json)["from"]["scenes"].as_array().unwrap().len(), 2);
+    assert_eq!(report(&json)["from"]["gaussians"], 2 * n);
+
+    let flags = ["--remove-floaters", "--overwrite", "--json", json.to_str().unwrap()];
+    let output = convert(&b, &both, &flags);
+    done(&output);
+    let said = format!("floaters: 1 isolated and 1 giant Gaussians of {n}");
+    assert!(stderr(&output).contains(&said), "{}", stderr(&output));
+    let rows: Vec<usize> = (0..n).filter(|row| ![10, 20].contains(row)).collect();
+    assert_eq!(read(&both).coord, room.select_rows(&rows).unwrap().coord);
+    assert_eq!(report(&json)["floaters"]["giants"], 1);
+    // The source is never its own target.
+    let output = scenesplat(&["convert", a.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(2));
 }

@@ -31,7 +31,7 @@ pub fn class_names() -> Vec<String> {
     CLASSES.iter().map(|class| class.name.to_owned()).collect()
 }
 
-/// A room made as small as its Gaussians call for, so that voxels of 2 cm are full and tiles meet.
+/// A living room, which has floor, walls, tables and chairs in it.
 fn room_scene() -> GaussianScene {
     let kind = Some(RoomKind::Living);
     let settings =

@@ -11,6 +11,7 @@ mod demo_scene;
 mod hostile;
 mod inspect;
 mod lift_labels;
+mod outputs;
 mod render;
 mod training;
 mod upright;

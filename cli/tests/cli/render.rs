@@ -137,6 +137,50 @@ fn an_orbit_shows_the_scene_from_all_sides_whatever_the_threads() {
 }
 
 #[test]
+fn a_camera_by_flags_and_views_from_inside() {
+    let place = Place::new(&sphere());
+    // From behind, on the other side of the hidden green one.
+    let look = ["--eye", "0,0,7", "--target", "0,0,0", "--fov", "30", "--up", "-y"];
+    done(&place.render("out", &[&look[..], &["--size", "48x32"]].concat()));
+    let picture = open(&place.path("out/view.png"));
+    let [r, g, b] = picture.get(24, 16).unwrap();
+    assert!(g > 220 && r < 30 && b < 30, "{r} {g} {b}");
+    // The angle is across the shorter side: at 30° ± 16 pixels show ± 0.8 at a distance of 3.
+    let lit = (0..32).filter(|y| picture.get(24, *y).unwrap()[1] > 128).count();
+    assert!((6..14).contains(&lit), "{lit} rows are lit");
+
+    let room = generate(&SyntheticRoomSettings::with_count(8_000, 3)).unwrap();
+    let place = Place::new(&room.scene);
+    done(&place.render("in", &["--inside", "3", "--size", "64x48", "--threads", "1"]));
+    done(&place.render("in2", &["--inside", "3", "--size", "64x48", "--threads", "2"]));
+    let mut pictures = Vec::new();
+    for k in 0..3 {
+        let name = format!("inside_{k:03}.png");
+        let [one, two] = ["in", "in2"].map(|out| std::fs::read(place.path(out).join(&name)));
+        assert_eq!(one.unwrap(), two.unwrap(), "{name}");
+        let picture = open(&place.path("in").join(&name));
+        let lit = picture.pixels().iter().filter(|p| p.iter().any(|v| *v > 20)).count();
+        assert!(lit * 5 > 64 * 48 * 4, "{name}: walls are all around, {lit} pixels");
+        pictures.push(picture);
+    }
+    assert!(pictures[0] != pictures[1] && pictures[1] != pictures[2]);
+}
+
+#[test]
+fn names_keep_their_dots() {
+    let place = Place::new(&sphere());
+    let cameras = place.cameras(&[camera("left/frame.0001"), camera("left/frame.0002.png")]);
+    done(&place.render("out", &["--cameras", &cameras]));
+    for name in ["frame.0001.png", "frame.0002.png"] {
+        assert!(place.path("out").join(name).exists(), "{name}");
+    }
+    let one = ["--cameras", &cameras, "--camera", "frame.0002"];
+    done(&place.render("one", &one));
+    assert!(!place.path("one/frame.0001.png").exists());
+    assert!(place.path("one/frame.0002.png").exists());
+}
+
+#[test]
 fn wrong_use_is_said() {
     let place = Place::new(&sphere());
     let transforms = place.path("transforms.json");
@@ -145,7 +189,13 @@ fn wrong_use_is_said() {
         [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}"#;
     std::fs::write(&transforms, text).unwrap();
     let cameras = place.cameras(&[camera("a.jpg")]);
-    let cases: [(&[&str], i32, &str); 7] = [
+    let cases: [(&[&str], i32, &str); 13] = [
+        (&["--eye", "0,0,7"], 2, "--target"),
+        (&["--target", "0,0,7"], 2, "--eye"),
+        (&["--eye", "1,2,3", "--target", "1,2,3"], 2, "looks nowhere"),
+        (&["--eye", "1,2", "--target", "1,2,3"], 2, "three numbers"),
+        (&["--inside", "2", "--fov", "200"], 2, "170"),
+        (&["--orbit", "2", "--fov", "60"], 2, "--fov"),
         (&["--cameras", &cameras, "--camera", "b"], 2, "a.jpg"),
         (&["--cameras", &cameras, "--camera", "1"], 2, "1 cameras"),
         (&["--orbit", "0"], 2, "--orbit"),

@@ -4,7 +4,7 @@ use crate::{done, scenesplat, stderr};
 use std::path::Path;
 
 /// A few steps of a tiny network on tiny rooms.
-const EXPERIMENT: &str = r#"
+pub const EXPERIMENT: &str = r#"
 task = "semantic_segmentation"
 [model]
 grid_size = 0.15

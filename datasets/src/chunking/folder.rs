@@ -3,7 +3,7 @@
 use super::write::write_chunks;
 use super::{ChunkReport, ChunkSettings};
 use crate::DataError;
-use scenesplat_scene::SceneError;
+use scenesplat_scene::{AtomicFile, SceneError};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -109,11 +109,10 @@ fn differences(here: &ChunkSettings, there: &ChunkSettings) -> String {
     texts.join("; ")
 }
 
-/// Writes beside the file and renames.
+/// Replaces the file by these notes.
 fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<(), SceneError> {
     let failed =
         |source| SceneError::Io { path: path.to_owned(), action: "cannot write the notes", source };
     let text = serde_json::to_vec_pretty(value).map_err(|error| failed(error.into()))?;
-    let part = path.with_extension("part");
-    fs::write(&part, text).and_then(|()| fs::rename(&part, path)).map_err(failed)
+    Ok(AtomicFile::write(path, &text)?)
 }

@@ -138,7 +138,8 @@ impl<'a> Staged<'a> {
         if part.exists() {
             fs::remove_dir_all(&part).map_err(failed)?;
         }
-        fs::create_dir_all(&part).map_err(failed)?;
+        // Not over anything: a link in the way would lead out of the folder.
+        fs::create_dir(&part).map_err(failed)?;
         Ok(Self { chunk, target: out.join(name), part, done: false })
     }
 

@@ -8,38 +8,6 @@ use crate::transforms::LimitValues;
 use scenesplat_scene::LabelSet;
 use std::path::Path;
 
-/// A benchmark whose scenes were turned into folders of `.npy` files.
-///
-/// Where the original has a script for that, the folders are as it writes them.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-#[non_exhaustive]
-pub enum Benchmark {
-    /// ScanNet, 20 classes.
-    Scannet20,
-    /// ScanNet, 200 classes.
-    Scannet200,
-    /// ScanNet++ version 1, its 100 most frequent classes.
-    Scannetpp,
-    /// ScanNet++ version 2, the same classes; more scenes, otherwise alike.
-    ScannetppV2,
-    /// Matterport3D regions, 21 classes.
-    Matterport21,
-    /// Matterport3D regions, 160 classes.
-    Matterport160,
-    /// Replica.
-    Replica,
-    /// Hypersim.
-    Hypersim,
-    /// 3RScan.
-    ThreeRScan,
-    /// ARKitScenes.
-    Arkitscenes,
-    /// HoliCity, 4 classes of streets.
-    Holicity,
-    /// KITTI-360, 37 classes of streets; label 0 stands for no class.
-    Kitti360,
-}
-
 /// What scenes are used for.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -74,98 +42,134 @@ enum Limits {
     Kitti,
 }
 
-const STRUCTURE: &[&str] = &["wall", "floor", "ceiling"];
+pub(super) const STRUCTURE: &[&str] = &["wall", "floor", "ceiling"];
+
+/// What a benchmark without preprocessing in the original is like.
+const PLAIN: Profile = Profile {
+    name: "",
+    segment: &["segment"],
+    folders: [&["train"], &["val"], &["test"]],
+    classes: None,
+    excluded: STRUCTURE,
+    limits: Limits::Wide,
+};
+
+/// All that is not evaluated on is trained on, as in the joint configuration.
+const SCANNET: Profile = Profile {
+    folders: [
+        &["train_grid1.0cm_chunk6x6_stride3x3", "test_grid1.0cm_chunk6x6_stride3x3"],
+        &["val"],
+        &["val"],
+    ],
+    limits: Limits::Indoor,
+    ..PLAIN
+};
+
+const MATTERPORT: Profile = Profile {
+    folders: [
+        &["train_grid1.0cm_chunk6x6_stride3x3", "val_grid1.0cm_chunk6x6_stride3x3"],
+        &["test_grid1.0cm_chunk6x6_stride3x3"],
+        &["test"],
+    ],
+    limits: Limits::Indoor,
+    ..PLAIN
+};
+
+macro_rules! benchmarks {
+    ($($(#[$about:meta])* $name:ident: $profile:expr;)*) => {
+        /// A benchmark whose scenes were turned into folders of `.npy` files.
+        ///
+        /// Where the original has a script for that, the folders are as it writes them.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+        #[non_exhaustive]
+        pub enum Benchmark {
+            $($(#[$about])* $name,)*
+        }
+
+        impl Benchmark {
+            /// All of them.
+            pub const ALL: [Self; PROFILES.len()] = [$(Self::$name),*];
+        }
+
+        /// In the order of the variants.
+        const PROFILES: &[Profile] = &[$($profile),*];
+    };
+}
+
+benchmarks! {
+    /// ScanNet, 20 classes.
+    Scannet20: Profile {
+        name: "scannet20",
+        segment: &["segment20"],
+        classes: Some(SCANNET20),
+        excluded: &["wall", "floor"],
+        ..SCANNET
+    };
+    /// ScanNet, 200 classes.
+    Scannet200: Profile {
+        name: "scannet200",
+        segment: &["segment200"],
+        classes: Some(SCANNET200),
+        ..SCANNET
+    };
+    /// ScanNet++ version 1, its 100 most frequent classes.
+    Scannetpp: Profile {
+        name: "scannetpp",
+        segment: &["segment", "segment200"],
+        classes: Some(SCANNETPP100),
+        ..SCANNET
+    };
+    /// ScanNet++ version 2, the same classes; more scenes, otherwise alike.
+    ScannetppV2: Profile {
+        name: "scannetpp_v2",
+        segment: &["segment", "segment200"],
+        classes: Some(SCANNETPP100),
+        ..SCANNET
+    };
+    /// Matterport3D regions, 21 classes.
+    Matterport21: Profile {
+        name: "matterport21",
+        classes: Some(MATTERPORT21),
+        excluded: &["wall", "floor", "other furniture", "ceiling"],
+        ..MATTERPORT
+    };
+    /// Matterport3D regions, 160 classes.
+    Matterport160: Profile {
+        name: "matterport160",
+        segment: &["segment_nyu_160"],
+        classes: Some(MATTERPORT160),
+        ..MATTERPORT
+    };
+    /// Replica.
+    Replica: Profile { name: "replica", ..PLAIN };
+    /// Hypersim.
+    Hypersim: Profile { name: "hypersim", ..PLAIN };
+    /// 3RScan.
+    ThreeRScan: Profile { name: "3rscan", ..PLAIN };
+    /// ARKitScenes.
+    Arkitscenes: Profile { name: "arkitscenes", ..PLAIN };
+    /// HoliCity, 4 classes of streets.
+    Holicity: Profile {
+        name: "holicity",
+        folders: [&["train_grid0.5cm_chunk6x6_stride4x4"], &["val"], &["test"]],
+        classes: Some(HOLICITY),
+        excluded: &[],
+        ..PLAIN
+    };
+    /// KITTI-360, 37 classes of streets; label 0 stands for no class.
+    Kitti360: Profile {
+        name: "kitti360",
+        folders: [&["test"]; 3],
+        classes: Some(KITTI360),
+        excluded: &["unlabeled"],
+        limits: Limits::Kitti,
+        ..PLAIN
+    };
+}
 
 impl Benchmark {
-    /// All of them.
-    pub const ALL: [Self; 12] = [
-        Self::Scannet20,
-        Self::Scannet200,
-        Self::Scannetpp,
-        Self::ScannetppV2,
-        Self::Matterport21,
-        Self::Matterport160,
-        Self::Replica,
-        Self::Hypersim,
-        Self::ThreeRScan,
-        Self::Arkitscenes,
-        Self::Holicity,
-        Self::Kitti360,
-    ];
-
-    fn profile(self) -> Profile {
-        // As the joint configuration uses them: all that is not evaluated on is trained on.
-        const SCANNET: [&[&str]; 3] = [
-            &["train_grid1.0cm_chunk6x6_stride3x3", "test_grid1.0cm_chunk6x6_stride3x3"],
-            &["val"],
-            &["val"],
-        ];
-        const MATTERPORT: [&[&str]; 3] = [
-            &[
-                "train_grid1.0cm_chunk6x6_stride3x3_filtered",
-                "val_grid1.0cm_chunk6x6_stride3x3_filtered",
-            ],
-            &["test_grid1.0cm_chunk6x6_stride3x3"],
-            &["test"],
-        ];
-        const PLAIN: [&[&str]; 3] = [&["train"], &["val"], &["test"]];
-        let plain = |name| Profile {
-            name,
-            segment: &["segment"],
-            folders: PLAIN,
-            classes: None,
-            excluded: STRUCTURE,
-            limits: Limits::Wide,
-        };
-        let scannet = |name, segment, classes, excluded| Profile {
-            segment,
-            folders: SCANNET,
-            classes: Some(classes),
-            excluded,
-            limits: Limits::Indoor,
-            ..plain(name)
-        };
-        match self {
-            Self::Scannet20 => scannet("scannet20", &["segment20"], SCANNET20, &["wall", "floor"]),
-            Self::Scannet200 => scannet("scannet200", &["segment200"], SCANNET200, STRUCTURE),
-            Self::Scannetpp => {
-                scannet("scannetpp", &["segment", "segment200"], SCANNETPP100, STRUCTURE)
-            }
-            Self::ScannetppV2 => {
-                scannet("scannetpp_v2", &["segment", "segment200"], SCANNETPP100, STRUCTURE)
-            }
-            Self::Matterport21 => Profile {
-                folders: MATTERPORT,
-                classes: Some(MATTERPORT21),
-                excluded: &["wall", "floor", "other furniture", "ceiling"],
-                limits: Limits::Indoor,
-                ..plain("matterport21")
-            },
-            Self::Matterport160 => Profile {
-                segment: &["segment_nyu_160"],
-                folders: MATTERPORT,
-                classes: Some(MATTERPORT160),
-                limits: Limits::Indoor,
-                ..plain("matterport160")
-            },
-            Self::Replica => plain("replica"),
-            Self::Hypersim => plain("hypersim"),
-            Self::ThreeRScan => plain("3rscan"),
-            Self::Arkitscenes => plain("arkitscenes"),
-            Self::Holicity => Profile {
-                folders: [&["train_grid0.5cm_chunk6x6_stride4x4"], &["val"], &["test"]],
-                classes: Some(HOLICITY),
-                excluded: &[],
-                ..plain("holicity")
-            },
-            Self::Kitti360 => Profile {
-                folders: [&["test"]; 3],
-                classes: Some(KITTI360),
-                excluded: &["unlabeled"],
-                limits: Limits::Kitti,
-                ..plain("kitti360")
-            },
-        }
+    fn profile(self) -> &'static Profile {
+        &PROFILES[self as usize]
     }
 
     /// Its name in configurations.
@@ -183,7 +187,9 @@ impl Benchmark {
     ///
     /// Chunks are trained on, whole scenes evaluated on. The training sets hold the scenes of every
     /// split that is not evaluated on, so ScanNet's `test`, which has no labels, is among them;
-    /// Matterport3D is evaluated on `test` and trained on the rest. HoliCity's names are those of its
+    /// Matterport3D is evaluated on `test` and trained on the rest. Its original chunks were filtered by
+    /// a script that is not published and are called `…_filtered`; here they are those that chunking
+    /// writes, and `folders` names the others. HoliCity's names are those of its
     /// split lists. KITTI-360's preprocessing puts everything into `test`. Replica, Hypersim, 3RScan
     /// and ARKitScenes have no preprocessing in the original; `train`, `val` and `test` are ours.
     pub fn folders(self, split: Split) -> &'static [&'static str] {

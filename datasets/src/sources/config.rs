@@ -1,34 +1,41 @@
 //! Sources by name.
 
 use super::{Benchmark, SceneFolders, SceneFoldersOptions, Split, SyntheticRooms};
+use crate::error::bad_setting;
 use crate::{DataError, DataSource, SceneDataset, Transform};
-use scenesplat_rooms::{SyntheticRoomSettings, Vocabulary};
+use scenesplat_rooms::{CLASSES, SyntheticRoomSettings, Vocabulary};
 use scenesplat_scene::{LabelSet, Policy};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Where the scenes of a benchmark are, and what of them is read.
+/// Where scenes are on disk, and what of them is read.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct BenchmarkFolder {
-    /// The folder of the splits.
+pub struct FolderConfig {
+    /// The folder of the scenes, or of `folders`, or of the splits of a benchmark.
     pub root: PathBuf,
-    /// What the scenes are used for; says in which folders they are.
-    #[serde(default)]
-    pub split: Split,
-    /// Folders of `root` to use instead.
+    /// What the scenes of a benchmark are used for, `train` if not given: says in which folders they
+    /// are, see [`Benchmark::folders`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub split: Option<Split>,
+    /// Folders of `root` to use; for a benchmark, instead of those of its split.
     #[serde(default)]
     pub folders: Vec<String>,
+    /// The file (its stem) or PLY property with the labels. If not given, that of the benchmark;
+    /// `segment` or `label` without one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub segment: Option<String>,
     /// Shrinks and limits values as the original's scene loader does.
     #[serde(default)]
     pub exact: bool,
     /// Whether language features are read.
     #[serde(default = "yes")]
     pub lang_feat: bool,
-    /// Whether labelled points are kept, for evaluation on them.
-    #[serde(default)]
-    pub labelled_points: bool,
+    /// Whether labelled points are read, to be scored instead of the Gaussians. If not given, for
+    /// evaluations only, see [`SourceConfig::for_evaluation`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub labelled_points: Option<bool>,
     /// Scenes to leave out: names, or the part of names before an `_`.
     #[serde(default)]
     pub excluded_scenes: Vec<String>,
@@ -43,39 +50,28 @@ pub struct BenchmarkFolder {
     pub policy: Policy,
 }
 
-/// Scenes of one's own: files of any format, or folders of `.npy` files.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct GenericFolder {
-    /// The folder of the scenes, or of `folders`.
-    pub root: PathBuf,
-    /// Folders of `root` to use.
-    #[serde(default)]
-    pub folders: Vec<String>,
-    /// The file (its stem) or PLY property with the labels; `segment` or `label` if not given.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub segment: Option<String>,
-    /// Limits values as the original's scene loader for one's own data does.
-    #[serde(default)]
-    pub exact: bool,
-    /// Whether language features are read.
-    #[serde(default = "yes")]
-    pub lang_feat: bool,
-    /// Whether labelled points are kept, for evaluation on them.
-    #[serde(default)]
-    pub labelled_points: bool,
-    /// Scenes to leave out: names, or the part of names before an `_`.
-    #[serde(default)]
-    pub excluded_scenes: Vec<String>,
-    /// Most scenes, the first by name; all if not given.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub limit: Option<usize>,
-    /// Names of the classes, one a line.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub class_names: Option<PathBuf>,
-    /// Whether bad values are repaired or the scene is refused.
-    #[serde(default)]
-    pub policy: Policy,
+fn yes() -> bool {
+    true
+}
+
+impl FolderConfig {
+    /// The scenes in the given folders, labels from the first of the given files that is there.
+    fn scenes(&self, folders: Vec<String>, labels: &[&str]) -> Result<SceneFolders, DataError> {
+        let segment = match &self.segment {
+            Some(own) => vec![own.clone()],
+            None => labels.iter().map(|&stem| stem.to_owned()).collect(),
+        };
+        let options = SceneFoldersOptions {
+            segment,
+            lang_feat: self.lang_feat,
+            labelled_points: self.labelled_points.unwrap_or(false),
+            excluded_scenes: self.excluded_scenes.clone(),
+            policy: self.policy,
+        };
+        let folders = if self.folders.is_empty() { folders } else { self.folders.clone() };
+        let scenes = SceneFolders::new(&self.root, &folders, options)?;
+        Ok(scenes.truncated(self.limit.unwrap_or(usize::MAX)))
+    }
 }
 
 /// Furnished synthetic rooms.
@@ -95,70 +91,102 @@ pub struct SyntheticRoomsConfig {
     pub vocabulary: Option<usize>,
 }
 
-fn yes() -> bool {
-    true
+impl SyntheticRoomsConfig {
+    fn build(&self) -> Result<SyntheticRooms, DataError> {
+        let rooms = SyntheticRooms::new(self.count, self.room.clone(), self.seed)?;
+        let Some(dim) = self.vocabulary else { return Ok(rooms) };
+        let vocabulary = Vocabulary::new(dim)
+            .map_err(|error| bad_setting("vocabulary", error, "a width that fits"))?;
+        Ok(rooms.with_vocabulary(Arc::new(vocabulary)))
+    }
 }
 
-/// A source as configuration files give it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "type", rename_all = "snake_case")]
-#[non_exhaustive]
-pub enum SourceConfig {
-    /// ScanNet, 20 classes.
-    Scannet20(BenchmarkFolder),
-    /// ScanNet, 200 classes.
-    Scannet200(BenchmarkFolder),
-    /// ScanNet++ version 1.
-    Scannetpp(BenchmarkFolder),
-    /// ScanNet++ version 2.
-    ScannetppV2(BenchmarkFolder),
-    /// Matterport3D, 21 classes.
-    Matterport21(BenchmarkFolder),
-    /// Matterport3D, 160 classes.
-    Matterport160(BenchmarkFolder),
-    /// Replica.
-    Replica(BenchmarkFolder),
-    /// Hypersim.
-    Hypersim(BenchmarkFolder),
-    /// 3RScan.
-    #[serde(rename = "3rscan")]
-    ThreeRScan(BenchmarkFolder),
-    /// ARKitScenes.
-    Arkitscenes(BenchmarkFolder),
-    /// HoliCity.
-    Holicity(BenchmarkFolder),
-    /// KITTI-360.
-    Kitti360(BenchmarkFolder),
-    /// Anybody's folder.
-    Generic(GenericFolder),
-    /// Furnished rooms, made as they are needed, with exact labels.
-    Synthetic(SyntheticRoomsConfig),
+macro_rules! source_config {
+    ($($name:ident: $text:literal;)*) => {
+        /// A source as configuration files give it: `type` is its name, the other entries are the
+        /// fields of [`FolderConfig`] or [`SyntheticRoomsConfig`].
+        #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+        #[serde(tag = "type", rename_all = "snake_case")]
+        #[non_exhaustive]
+        pub enum SourceConfig {
+            $(
+                #[doc = concat!("The benchmark `", $text, "`.")]
+                #[serde(rename = $text)]
+                $name(FolderConfig),
+            )*
+            /// Anybody's folder.
+            Generic(FolderConfig),
+            /// Furnished rooms, made as they are needed, with exact labels.
+            Synthetic(SyntheticRoomsConfig),
+        }
+
+        impl SourceConfig {
+            /// The benchmark, and where it is.
+            pub fn benchmark(&self) -> Option<(Benchmark, &FolderConfig)> {
+                match self {
+                    $(Self::$name(folder) => Some((Benchmark::$name, folder)),)*
+                    Self::Generic(_) | Self::Synthetic(_) => None,
+                }
+            }
+
+            fn folder_mut(&mut self) -> Option<&mut FolderConfig> {
+                match self {
+                    $(Self::$name(folder) => Some(folder),)*
+                    Self::Generic(folder) => Some(folder),
+                    Self::Synthetic(_) => None,
+                }
+            }
+        }
+    };
+}
+
+// Names as in `Benchmark::name`.
+source_config! {
+    Scannet20: "scannet20";
+    Scannet200: "scannet200";
+    Scannetpp: "scannetpp";
+    ScannetppV2: "scannetpp_v2";
+    Matterport21: "matterport21";
+    Matterport160: "matterport160";
+    Replica: "replica";
+    Hypersim: "hypersim";
+    ThreeRScan: "3rscan";
+    Arkitscenes: "arkitscenes";
+    Holicity: "holicity";
+    Kitti360: "kitti360";
 }
 
 impl SourceConfig {
     /// The source; scenes are listed, none is read.
     ///
     /// # Errors
-    /// If a folder is missing or holds no scene.
+    /// If a folder is missing or holds no scene, or a setting has no meaning for this source.
     pub fn build(&self) -> Result<Arc<dyn DataSource>, DataError> {
-        let folders = match self {
-            Self::Synthetic(SyntheticRoomsConfig { count, seed, room, vocabulary }) => {
-                let mut rooms = SyntheticRooms::new(*count, room.clone(), *seed);
-                if let Some(dim) = *vocabulary {
-                    let built = Vocabulary::new(dim).map_err(|error| {
-                        crate::error::bad_setting("vocabulary", error, "a larger width")
-                    })?;
-                    rooms = rooms.with_vocabulary(Arc::new(built));
-                }
-                return Ok(Arc::new(rooms));
+        match self {
+            Self::Synthetic(rooms) => Ok(Arc::new(rooms.build()?)),
+            Self::Generic(FolderConfig { split: Some(split), .. }) => {
+                let expected = "no split: a folder of one's own has none, name `folders`";
+                Err(bad_setting("split", format!("{split:?}"), expected))
             }
-            Self::Generic(folder) => generic(folder)?,
-            other => match other.benchmark() {
-                Some((benchmark, folder)) => of_benchmark(benchmark, folder)?,
-                None => return Err(crate::error::bad_setting("type", "?", "a known source")),
-            },
-        };
-        Ok(Arc::new(folders))
+            Self::Generic(folder) => Ok(Arc::new(folder.scenes(Vec::new(), &[])?)),
+            other => {
+                let Some((benchmark, folder)) = other.benchmark() else {
+                    return Err(bad_setting("type", "?", "a known source"));
+                };
+                let folders = benchmark.folders(folder.split.unwrap_or_default());
+                let folders = folders.iter().map(|&name| name.to_owned()).collect();
+                Ok(Arc::new(folder.scenes(folders, benchmark.label_files())?))
+            }
+        }
+    }
+
+    /// The source as an evaluation reads it: with labelled points, unless it says otherwise.
+    #[must_use]
+    pub fn for_evaluation(mut self) -> Self {
+        if let Some(folder) = self.folder_mut() {
+            folder.labelled_points.get_or_insert(true);
+        }
+        self
     }
 
     /// A dataset of this source; with `exact`, values are limited before the first transform.
@@ -176,23 +204,38 @@ impl SourceConfig {
         SceneDataset::new(self.build()?, transforms, seed, repeat)
     }
 
-    /// The classes of the labels; `None` if nothing is known of them.
+    /// The classes of the labels, those marked that its f-mIoU leaves out; `None` if nothing is known
+    /// of them.
     ///
     /// # Errors
-    /// If the file of names cannot be read, or one is needed and not given.
+    /// If a file of names is given and cannot be read.
     pub fn label_set(&self) -> Result<Option<LabelSet>, DataError> {
         match self {
             Self::Generic(folder) => {
                 folder.class_names.as_deref().map(LabelSet::read).transpose().map_err(Into::into)
             }
             Self::Synthetic(_) => {
-                let names = scenesplat_rooms::CLASSES.iter().map(|c| c.name.to_owned());
-                Ok(Some(LabelSet::new(names.collect())?))
+                let names = CLASSES.iter().map(|class| class.name.to_owned()).collect();
+                Ok(Some(LabelSet::new(names)?.exclude(super::benchmark::STRUCTURE)?))
             }
-            other => other
-                .benchmark()
-                .map(|(benchmark, folder)| benchmark.label_set(folder.class_names.as_deref()))
-                .transpose(),
+            other => match other.needed_label_set() {
+                Err(DataError::NoClassNames { .. }) => Ok(None),
+                known => known,
+            },
+        }
+    }
+
+    /// As [`label_set`](Self::label_set), where labels are needed: a benchmark must have names.
+    ///
+    /// # Errors
+    /// As [`label_set`](Self::label_set), and if the program has no list of a benchmark and none is
+    /// given.
+    pub fn needed_label_set(&self) -> Result<Option<LabelSet>, DataError> {
+        match self.benchmark() {
+            Some((benchmark, folder)) => {
+                benchmark.label_set(folder.class_names.as_deref()).map(Some)
+            }
+            None => self.label_set(),
         }
     }
 
@@ -210,76 +253,38 @@ impl SourceConfig {
 
     /// Makes relative paths start at `base`, the folder of the configuration file, say.
     pub fn place(&mut self, base: &Path) {
-        let folder = match self {
-            Self::Synthetic(_) => return,
-            Self::Generic(folder) => {
-                folder.class_names.iter_mut().for_each(|path| *path = base.join(&*path));
-                folder.root = base.join(&folder.root);
-                return;
-            }
-            Self::Scannet20(folder)
-            | Self::Scannet200(folder)
-            | Self::Scannetpp(folder)
-            | Self::ScannetppV2(folder)
-            | Self::Matterport21(folder)
-            | Self::Matterport160(folder)
-            | Self::Replica(folder)
-            | Self::Hypersim(folder)
-            | Self::ThreeRScan(folder)
-            | Self::Arkitscenes(folder)
-            | Self::Holicity(folder)
-            | Self::Kitti360(folder) => folder,
-        };
+        let Some(folder) = self.folder_mut() else { return };
         // Joining keeps absolute paths.
         folder.class_names.iter_mut().for_each(|path| *path = base.join(&*path));
         folder.root = base.join(&folder.root);
     }
+}
 
-    /// The benchmark, and where it is.
-    pub fn benchmark(&self) -> Option<(Benchmark, &BenchmarkFolder)> {
-        Some(match self {
-            Self::Scannet20(folder) => (Benchmark::Scannet20, folder),
-            Self::Scannet200(folder) => (Benchmark::Scannet200, folder),
-            Self::Scannetpp(folder) => (Benchmark::Scannetpp, folder),
-            Self::ScannetppV2(folder) => (Benchmark::ScannetppV2, folder),
-            Self::Matterport21(folder) => (Benchmark::Matterport21, folder),
-            Self::Matterport160(folder) => (Benchmark::Matterport160, folder),
-            Self::Replica(folder) => (Benchmark::Replica, folder),
-            Self::Hypersim(folder) => (Benchmark::Hypersim, folder),
-            Self::ThreeRScan(folder) => (Benchmark::ThreeRScan, folder),
-            Self::Arkitscenes(folder) => (Benchmark::Arkitscenes, folder),
-            Self::Holicity(folder) => (Benchmark::Holicity, folder),
-            Self::Kitti360(folder) => (Benchmark::Kitti360, folder),
-            Self::Generic(_) | Self::Synthetic(_) => return None,
-        })
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_benchmark_can_be_named() {
+        for benchmark in Benchmark::ALL {
+            let value = serde_json::json!({"type": benchmark.name(), "root": "a"});
+            let config: SourceConfig = serde_json::from_value(value).unwrap();
+            assert_eq!(config.benchmark().map(|(found, _)| found), Some(benchmark));
+        }
     }
-}
 
-fn of_benchmark(benchmark: Benchmark, folder: &BenchmarkFolder) -> Result<SceneFolders, DataError> {
-    let options = SceneFoldersOptions {
-        segment: benchmark.label_files().iter().map(|&stem| stem.to_owned()).collect(),
-        lang_feat: folder.lang_feat,
-        labelled_points: folder.labelled_points,
-        excluded_scenes: folder.excluded_scenes.clone(),
-        policy: folder.policy,
-    };
-    let folders: Vec<String> = if folder.folders.is_empty() {
-        benchmark.folders(folder.split).iter().map(|&name| name.to_owned()).collect()
-    } else {
-        folder.folders.clone()
-    };
-    let scenes = SceneFolders::new(&folder.root, &folders, options)?;
-    Ok(scenes.truncated(folder.limit.unwrap_or(usize::MAX)))
-}
-
-fn generic(folder: &GenericFolder) -> Result<SceneFolders, DataError> {
-    let options = SceneFoldersOptions {
-        segment: folder.segment.iter().cloned().collect(),
-        lang_feat: folder.lang_feat,
-        labelled_points: folder.labelled_points,
-        excluded_scenes: folder.excluded_scenes.clone(),
-        policy: folder.policy,
-    };
-    let scenes = SceneFolders::new(&folder.root, &folder.folders, options)?;
-    Ok(scenes.truncated(folder.limit.unwrap_or(usize::MAX)))
+    #[test]
+    fn settings_without_meaning_are_refused() {
+        let read = |value| serde_json::from_value::<SourceConfig>(value).unwrap();
+        let split = read(serde_json::json!({"type": "generic", "root": ".", "split": "train"}));
+        assert!(split.build().err().unwrap().to_string().contains("split"));
+        for count in [usize::MAX, 1 << 40] {
+            let rooms = read(serde_json::json!({"type": "synthetic", "count": count}));
+            assert!(rooms.build().err().unwrap().to_string().contains("count"));
+        }
+        let missing = serde_json::json!({"type": "generic", "root": ".", "class_names": "none"});
+        assert!(read(missing).label_set().is_err());
+        let unknown = read(serde_json::json!({"type": "replica", "root": "."}));
+        assert!(unknown.label_set().unwrap().is_none() && unknown.needed_label_set().is_err());
+    }
 }

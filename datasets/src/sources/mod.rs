@@ -14,6 +14,6 @@ pub use benchmark::{Benchmark, Split};
 pub use class_lists::{
     HOLICITY_IDS, KITTI360_IDS, MATTERPORT21_NYU40_IDS, SCANNET20_NYU40_IDS, SCANNET200_IDS,
 };
-pub use config::{BenchmarkFolder, GenericFolder, SourceConfig, SyntheticRoomsConfig};
+pub use config::{FolderConfig, SourceConfig, SyntheticRoomsConfig};
 pub use scene_folders::{SceneFolders, SceneFoldersOptions};
-pub use synthetic_rooms::SyntheticRooms;
+pub use synthetic_rooms::{MAX_ROOMS, SyntheticRooms};

@@ -1,11 +1,8 @@
 //! The scenes of several folders.
 
 use crate::{DataError, DataSource, SourceScene};
-use scenesplat_scene::{LabelledPoints, Policy, ReadOptions, SceneError, open_scene};
+use scenesplat_scene::{LabelledPoints, Policy, ReadOptions, SceneError, SceneFormat, open_scene};
 use std::path::{Path, PathBuf};
-
-/// Endings of files that hold a scene; a folder holds one if it has a `coord.npy` or `meta.json`.
-const SCENE_ENDINGS: [&str; 7] = ["ply", "spz", "splat", "sog", "ksplat", "glb", "gltf"];
 
 /// What of a scene is read.
 #[derive(Debug, Clone, PartialEq)]
@@ -147,7 +144,10 @@ impl SceneFolders {
     fn label_file(&self, path: &Path) -> Option<&String> {
         let files = self.options.segment.iter();
         if path.is_dir() {
-            return files.into_iter().find(|stem| path.join(format!("{stem}.npy")).is_file());
+            let there = |stem: &&String, prefix| path.join(format!("{prefix}{stem}.npy")).is_file();
+            let of_gaussians = files.clone().find(|stem| there(stem, ""));
+            // A scene may have labelled points only.
+            return of_gaussians.or_else(|| files.into_iter().find(|stem| there(stem, "pc_")));
         }
         // Other formats have one name for labels, or a property that is looked up on reading.
         files.into_iter().next()
@@ -193,8 +193,8 @@ fn is_scene(path: &Path) -> bool {
     if path.is_dir() {
         return path.join("coord.npy").is_file() || path.join("meta.json").is_file();
     }
-    let ending = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
-    SCENE_ENDINGS.iter().any(|known| ending.eq_ignore_ascii_case(known))
+    let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+    SceneFormat::is_scene_file_name(name)
 }
 
 fn in_folders(folders: &[String]) -> String {

@@ -1,11 +1,15 @@
 //! Synthetic rooms as a source of scenes.
 
+use crate::error::bad_setting;
 use crate::{DataError, DataSource, SourceScene};
 use half::f16;
 use scenesplat_rooms::vocabulary::{NO_TARGET, Vocabulary};
 use scenesplat_rooms::{SyntheticRoom, SyntheticRoomSettings, generate};
 use scenesplat_scene::{FeatureRows, RepairReport};
 use std::sync::Arc;
+
+/// Most rooms of a source.
+pub const MAX_ROOMS: usize = 1_000_000;
 
 /// Any number of rooms `room-000000`, `room-000001`, …; nothing is kept, `load` generates.
 #[derive(Debug, Clone)]
@@ -18,10 +22,20 @@ pub struct SyntheticRooms {
 impl SyntheticRooms {
     /// The first `count` rooms of a seed. Of the settings, `seed` is replaced and `room` is where
     /// the numbering starts; room `i` depends on the seed and `i` only, not on `count`.
-    pub fn new(count: usize, mut settings: SyntheticRoomSettings, seed: u64) -> Self {
+    ///
+    /// # Errors
+    /// If there are more than [`MAX_ROOMS`] rooms, whose names alone would fill the memory.
+    pub fn new(
+        count: usize,
+        mut settings: SyntheticRoomSettings,
+        seed: u64,
+    ) -> Result<Self, DataError> {
+        if count > MAX_ROOMS {
+            return Err(bad_setting("count", count, "at most 1000000 rooms"));
+        }
         let ids = (0..count).map(|i| format!("room-{i:06}")).collect();
         settings.seed = seed;
-        Self { ids, settings, vocabulary: None }
+        Ok(Self { ids, settings, vocabulary: None })
     }
 
     /// Gives every Gaussian of an object its feature in the vocabulary: class, groups and colour.
@@ -91,8 +105,9 @@ mod tests {
     fn rooms_are_found_by_name_and_do_not_depend_on_their_number() {
         let settings =
             SyntheticRoomSettings { num_gaussians: Some(300), ..SyntheticRoomSettings::default() };
-        let few: Box<dyn DataSource> = Box::new(SyntheticRooms::new(3, settings.clone(), 5));
-        let many = SyntheticRooms::new(12, settings, 5);
+        let few: Box<dyn DataSource> =
+            Box::new(SyntheticRooms::new(3, settings.clone(), 5).unwrap());
+        let many = SyntheticRooms::new(12, settings, 5).unwrap();
         assert_eq!(few.scene_ids()[1], "room-000001");
         let load = |id| few.load(id).unwrap();
         assert_eq!(load("room-000002"), many.load("room-000002").unwrap());

@@ -3,7 +3,7 @@
 use super::check_positive;
 use crate::error::check_finite;
 use crate::rng::below;
-use crate::{DataError, Sample, SampleRng, Transform};
+use crate::{DataError, FullScene, Sample, SampleRng, Transform};
 use scenesplat_kernels::grid_sample::{KeyOrder, voxel_groups};
 use scenesplat_scene::LabelledPoints;
 use serde::{Deserialize, Serialize};
@@ -39,6 +39,9 @@ pub struct GridSample {
     pub grid_size: f64,
     /// Which Gaussian of a cell is kept.
     pub keep: Keep,
+    /// Whether the scene as it is before the sampling is kept, labelled points included, see
+    /// [`FullScene`]: evaluations score it.
+    pub keep_full: bool,
     /// Whether labelled points are thinned.
     pub thin_labelled_points: bool,
     /// Draws and orders as the original does.
@@ -47,7 +50,13 @@ pub struct GridSample {
 
 impl Default for GridSample {
     fn default() -> Self {
-        Self { grid_size: 0.02, keep: Keep::Random, thin_labelled_points: true, exact: false }
+        Self {
+            grid_size: 0.02,
+            keep: Keep::Random,
+            keep_full: false,
+            thin_labelled_points: true,
+            exact: false,
+        }
     }
 }
 
@@ -76,9 +85,17 @@ impl Transform for GridSample {
                 groups.drawn_rows(&draws)?
             }
         };
+        let full = self.keep_full.then(|| FullScene {
+            coord: sample.coord.clone(),
+            voxel: groups.inverse.clone(),
+            segment: sample.segment.clone(),
+            valid_feat: sample.valid_feat.clone(),
+            points: sample.labelled_points.clone(),
+        });
         // Old cells, if any, are replaced.
         sample.grid_coord.clear();
         sample.select_rows(&rows);
+        sample.full = full;
         sample.grid_coord = groups.grid_coord;
         sample.grid_size = self.grid_size;
         match &mut sample.labelled_points {

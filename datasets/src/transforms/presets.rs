@@ -27,11 +27,13 @@ pub fn semantic_segmentation(grid_size: f64) -> Vec<TransformConfig> {
 /// [`FastPlan`](crate::FastPlan) reads a scene. Labelled points are thinned by the same cells.
 ///
 /// # Source
-/// The `val` transforms of the same files. Differs: they keep a random Gaussian of a cell.
+/// The `val` transforms of the same files. Differs: they keep a random Gaussian of a cell; here the
+/// whole scene is kept beside the sample, to be scored as the original's tester scores it.
 pub fn validation(grid_size: f64) -> Vec<TransformConfig> {
     vec![
         CenterShift { apply_z: true }.into(),
-        GridSample { grid_size, keep: Keep::Nearest, ..GridSample::default() }.into(),
+        GridSample { grid_size, keep: Keep::Nearest, keep_full: true, ..GridSample::default() }
+            .into(),
         CenterShift { apply_z: false }.into(),
     ]
 }

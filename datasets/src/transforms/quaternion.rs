@@ -1,5 +1,7 @@
 //! Quaternions `w, x, y, z`, in f64.
 
+pub(super) use scenesplat_scene::vector::rotation as matrix;
+
 /// A unit quaternion; no rotation for zero, NaN and infinite ones, which turn nothing.
 pub(super) fn unit(quat: [f64; 4]) -> [f64; 4] {
     // Scaled first, so that no square over- or underflows.
@@ -26,15 +28,6 @@ pub(super) fn product(a: [f64; 4], b: [f64; 4]) -> [f64; 4] {
 /// The same rotation with `w ≥ 0`.
 pub(super) fn with_positive_w(quat: [f64; 4]) -> [f64; 4] {
     if quat[0] < 0.0 { quat.map(|v| -v) } else { quat }
-}
-
-/// The rotation matrix of a unit quaternion, rows first.
-pub(super) fn matrix([w, x, y, z]: [f64; 4]) -> [[f64; 3]; 3] {
-    [
-        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-    ]
 }
 
 /// The unit quaternion of a rotation matrix, its largest component positive (Shepperd's method).

@@ -324,8 +324,9 @@ pub(crate) unsafe fn panel(
     k_pairs: usize,
     accumulate: bool,
 ) {
-    debug_assert!(c.len() >= rows && k_pairs.is_multiple_of(TILE));
-    debug_assert!(width.is_multiple_of(TILE) && (TILE..=4 * TILE).contains(&width));
+    // A few comparisons for thousands of products.
+    assert!(c.len() >= rows && k_pairs.is_multiple_of(TILE));
+    assert!(width.is_multiple_of(TILE) && (TILE..=4 * TILE).contains(&width));
     let steps = k_pairs / TILE;
     let mut sums = Sums([0.0; BLOCK]);
     let mut row = 0;

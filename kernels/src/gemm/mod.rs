@@ -25,6 +25,7 @@ pub(crate) use rows::{LeftRows, PreparedRows, RowPointers, RowPointersMut, multi
 pub(crate) use transposed::add_outer_products;
 pub use transposed::{gemm_tn, gemm_tn_with};
 
+use crate::shape::elements;
 use micro::PANEL;
 use rayon::prelude::*;
 
@@ -58,10 +59,10 @@ pub fn gemm(a: &[f32], b: &PackedMatrix, epilogue: Epilogue<'_>, out: &mut [f32]
     }
     let m = out.len() / n;
     assert!(
-        a.len() == m * k && out.len() == m * n,
+        a.len() == elements([m, k]) && out.len() == m * n,
         "gemm: lengths do not fit [{m}, {k}]·[{k}, {n}]"
     );
-    assert!(epilogue.residual.is_none_or(|r| r.len() == out.len()), "gemm: residual length");
+    check_epilogue(epilogue, n, out.len());
     if k == 0 {
         out.fill(0.0);
         finish(out, n, Epilogue { ..epilogue });
@@ -102,6 +103,11 @@ pub fn gemm(a: &[f32], b: &PackedMatrix, epilogue: Epilogue<'_>, out: &mut [f32]
             }
         }
     });
+}
+
+fn check_epilogue(epilogue: Epilogue<'_>, n: usize, len: usize) {
+    assert!(epilogue.bias.is_none_or(|b| b.len() == n), "gemm: bias length");
+    assert!(epilogue.residual.is_none_or(|r| r.len() == len), "gemm: residual length");
 }
 
 /// Cuts the columns into groups of whole panels when there are too few row blocks to share out.
@@ -154,10 +160,13 @@ pub fn mlp(
         return;
     }
     assert!(h > 0, "mlp: no hidden channel");
-    assert!(b2.k() == h && bias1.len() == h && out.len() / n.max(1) * k == a.len(), "mlp: shapes");
+    let m = out.len() / n;
+    let shapes = b2.k() == h && bias1.len() == h && out.len() == m * n;
+    assert!(shapes && a.len() == elements([m, k]), "mlp: shapes");
+    check_epilogue(epilogue, n, out.len());
     // A smaller block than in `gemm`: the hidden rows are four times as wide and must stay cached.
     const ROWS: usize = ROW_BLOCK / 2;
-    out.par_chunks_mut(ROWS * n.max(1)).enumerate().for_each_init(
+    out.par_chunks_mut(ROWS * n).enumerate().for_each_init(
         || vec![0f32; ROWS * h],
         |hidden, (block, out)| {
             let first = block * ROWS;

@@ -3,6 +3,7 @@
 use super::bf16;
 use super::micro::PANEL;
 use crate::Precision;
+use crate::shape::elements;
 use crate::simd::Isa;
 
 /// What multiplies: follows from the precision and the CPU.
@@ -87,6 +88,9 @@ impl PackedMatrix {
     ///
     /// A weight stored `[out, in]` for `y = x·Wᵀ` is packed with `k = in`, `n = out`,
     /// `k_stride = 1`, `n_stride = in`.
+    ///
+    /// # Panics
+    /// If an element is not in `values` (a bug of the caller).
     pub fn from_strided(
         values: &[f32],
         k: usize,
@@ -98,6 +102,9 @@ impl PackedMatrix {
     }
 
     /// [`PackedMatrix::from_strided`] for products of another precision.
+    ///
+    /// # Panics
+    /// As [`PackedMatrix::from_strided`].
     pub fn from_strided_with(
         precision: Precision,
         values: &[f32],
@@ -136,6 +143,13 @@ impl PackedMatrix {
     }
 
     fn fill(&mut self, values: &[f32], k: usize, n: usize, k_stride: usize, n_stride: usize) {
+        if k > 0 && n > 0 {
+            let last = elements([k - 1, k_stride]).checked_add(elements([n - 1, n_stride]));
+            let inside = last.is_some_and(|last| last < values.len());
+            assert!(inside, "packed matrix: [{k}, {n}] with strides {k_stride}, {n_stride}");
+            // The three parts of a split matrix, and padding to whole tiles and panels.
+            elements([k.max(32), n.max(16), 16]);
+        }
         (self.k, self.n, self.steps) = (k, n, self.unit.steps(k));
         let (len, unit, steps) = (self.steps * self.padded_n(), self.unit, self.steps);
         match &mut self.values {

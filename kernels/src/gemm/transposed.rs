@@ -2,6 +2,7 @@
 
 use super::{K_BLOCK, PackedMatrix, RowPointers, RowPointersMut, multiply_rows, repack_with};
 use crate::Precision;
+use crate::shape::elements;
 use crate::simd::{Vector, dispatch};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -46,7 +47,7 @@ pub fn gemm_tn_with(
     pairs: Option<(&[u32], &[u32])>,
     out: &mut [f32],
 ) {
-    assert_eq!(out.len(), m * n, "gemm_tn: result length");
+    assert_eq!(out.len(), elements([m, n]), "gemm_tn: result length");
     out.fill(0.0);
     if m == 0 || n == 0 {
         return;

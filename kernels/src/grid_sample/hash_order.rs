@@ -5,8 +5,8 @@
 //! column the handful of low bits is left.
 
 use super::CHUNK;
-use super::group::{pieces, running_sum};
 use super::keys::fnv_key;
+use super::parts::{pieces, running_sum};
 use crate::serialization::Sorted;
 use rayon::prelude::*;
 

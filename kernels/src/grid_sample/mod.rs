@@ -8,6 +8,7 @@ mod bounds;
 mod group;
 mod hash_order;
 mod keys;
+mod parts;
 
 pub use group::voxel_groups;
 pub use keys::{fnv_key, morton_key, ravel_key};

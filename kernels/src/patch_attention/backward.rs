@@ -12,6 +12,7 @@ use super::{Heads, slot_rows, tasks};
 use crate::gemm::SharedMut;
 use crate::gemm::micro::Singles;
 use crate::patches::{Patch, Patches};
+use crate::shape::elements;
 use rayon::prelude::*;
 
 /// Queries whose weights are held at a time; a multiple of the tile's rows.
@@ -25,7 +26,7 @@ const MOST_LANES: usize = 64;
 /// `qkv`, `dqkv`: `[N, 3·C]` · `grad`: `[N, C]`
 ///
 /// # Panics
-/// If lengths do not fit (a bug of the caller).
+/// As [`super::forward`].
 pub fn backward(
     qkv: &[f32],
     heads: Heads,
@@ -35,18 +36,21 @@ pub fn backward(
     dqkv: &mut [f32],
 ) {
     let (c, dim) = (heads.channels(), heads.dim);
-    assert_eq!(qkv.len(), order.len() * 3 * c, "attention: qkv length");
-    assert_eq!(grad.len(), order.len() * c, "attention: gradient length");
+    assert_eq!(qkv.len(), elements([order.len(), 3, c]), "attention: qkv length");
+    assert_eq!(grad.len(), elements([order.len(), c]), "attention: gradient length");
     assert_eq!(dqkv.len(), qkv.len(), "attention: result length");
     let rows = slot_rows(patches, order);
+    if grad.is_empty() {
+        return;
+    }
     let out = SharedMut(dqkv.as_mut_ptr());
     // Own slots are written at once; borrowed ones are added afterwards, in a fixed order.
     let borrowed: Vec<(Patch, usize, Vec<f32>)> = tasks(patches, heads)
         .map_init(
-            || Scratch::new(dim, patches.longest),
+            || Scratch::new(dim, patches.longest()),
             |s, t| {
                 let task = &Task::new(qkv, heads, patches, &rows, t);
-                let (patch, head) = (patches.patches[t / heads.count], task.head);
+                let (patch, head) = (patches.patches()[t / heads.count], task.head);
                 // Own rows and this head's channels are written by no one else.
                 dispatch_softmax!(
                     (task: &Task<'_>, grad: &[f32], s: &mut Scratch, out: SharedMut),

@@ -10,6 +10,8 @@
 mod backward;
 mod block;
 mod forward;
+#[cfg(target_arch = "x86_64")]
+mod pairs;
 mod softmax;
 mod task;
 #[cfg(test)]
@@ -23,6 +25,7 @@ use crate::gemm::SharedMut;
 use crate::gemm::micro::Singles;
 use crate::patches::Patches;
 use crate::precision::Precision;
+use crate::shape::elements;
 use forward::{Scratch, attend};
 use rayon::prelude::*;
 use softmax::dispatch_softmax;
@@ -40,8 +43,11 @@ pub struct Heads {
 
 impl Heads {
     /// Channels of all heads.
+    ///
+    /// # Panics
+    /// If a `usize` cannot count them.
     pub fn channels(self) -> usize {
-        self.count * self.dim
+        elements([self.count, self.dim])
     }
 
     /// `1 / √dim`
@@ -64,7 +70,7 @@ impl Heads {
 /// `order`: `[N]` · `out`: `[N, C]`
 ///
 /// # Panics
-/// If lengths do not fit (a bug of the caller).
+/// If lengths do not fit each other or the patches, or `order` is no permutation (bugs of the caller).
 pub fn forward(qkv: &[f32], heads: Heads, patches: &Patches, order: &[u32], out: &mut [f32]) {
     forward_with(Precision::F32, qkv, heads, patches, order, out);
 }
@@ -87,24 +93,27 @@ pub fn forward_with(
     out: &mut [f32],
 ) {
     let c = heads.channels();
-    assert_eq!(qkv.len(), order.len() * 3 * c, "attention: qkv length");
-    assert_eq!(out.len(), order.len() * c, "attention: output length");
+    assert_eq!(qkv.len(), elements([order.len(), 3, c]), "attention: qkv length");
+    assert_eq!(out.len(), elements([order.len(), c]), "attention: output length");
     let rows = slot_rows(patches, order);
+    if out.is_empty() {
+        return;
+    }
     let out = SharedMut(out.as_mut_ptr());
     // In all of these each row is owned by one patch, and each head has its own channels.
     #[cfg(target_arch = "x86_64")]
-    if precision == Precision::Bf16 && weights::has_pairs() {
+    if precision == Precision::Bf16 && pairs::has_pairs() {
         return tasks(patches, heads).for_each_init(
-            || Scratch::new(heads.dim, patches.longest),
+            || Scratch::new(heads.dim, patches.longest()),
             |s, t| {
                 let task = &Task::new(qkv, heads, patches, &rows, t);
                 // SAFETY: the instruction set was asked for; disjoint writes as above.
-                unsafe { weights::attend_pairs(task, s, out) };
+                unsafe { pairs::attend_pairs(task, s, out) };
             },
         );
     }
     tasks(patches, heads).for_each_init(
-        || Scratch::new(heads.dim, patches.longest),
+        || Scratch::new(heads.dim, patches.longest()),
         |s, t| {
             let task = &Task::new(qkv, heads, patches, &rows, t);
             if precision == Precision::Bf16 {
@@ -123,11 +132,12 @@ pub fn forward_with(
 }
 
 /// Row of each slot. Checks that every row is the own row of one slot only, on which the parallel
-/// writes rely.
+/// writes rely, and that there is a slot for every row.
 fn slot_rows(patches: &Patches, order: &[u32]) -> Vec<u32> {
-    let rows: Vec<u32> = patches.pad.iter().map(|&p| order[p as usize]).collect();
+    assert_eq!(patches.num_positions(), order.len(), "attention: positions of the patches");
+    let rows: Vec<u32> = patches.pad().iter().map(|&p| order[p as usize]).collect();
     let mut owned = vec![false; order.len()];
-    for patch in &patches.patches {
+    for patch in patches.patches() {
         assert!(patch.own <= patch.len, "attention: patch {patch:?}");
         for &row in &rows[patch.start..patch.start + patch.own] {
             let first = !std::mem::replace(&mut owned[row as usize], true);
@@ -139,5 +149,5 @@ fn slot_rows(patches: &Patches, order: &[u32]) -> Vec<u32> {
 
 /// One task for each patch and head.
 fn tasks(patches: &Patches, heads: Heads) -> impl IndexedParallelIterator<Item = usize> {
-    (0..patches.patches.len() * heads.count).into_par_iter()
+    (0..elements([patches.patches().len(), heads.count])).into_par_iter()
 }

@@ -29,11 +29,11 @@ impl<'a> Task<'a> {
         t: usize,
     ) -> Self {
         let place = |t: usize| {
-            let patch = patches.patches.get(t / heads.count);
+            let patch = patches.patches().get(t / heads.count);
             (patch.map_or(&[][..], |p| &rows[p.start..p.start + p.len]), t % heads.count)
         };
         let (rows, head) = place(t);
-        let own = patches.patches[t / heads.count].own;
+        let own = patches.patches()[t / heads.count].own;
         Self { qkv, heads, head, rows, own, next: place(t + 1) }
     }
 

@@ -25,9 +25,9 @@ fn setup(counts: &[usize], k: usize) -> (Patches, Vec<u32>) {
 fn slow(qkv: &[f32], heads: Heads, patches: &Patches, order: &[u32]) -> Vec<f64> {
     let c = heads.channels();
     let mut out = vec![f64::NAN; order.len() * c];
-    for p in &patches.patches {
+    for p in patches.patches() {
         let rows: Vec<usize> =
-            (p.start..p.start + p.len).map(|s| order[patches.pad[s] as usize] as usize).collect();
+            (p.start..p.start + p.len).map(|s| order[patches.pad()[s] as usize] as usize).collect();
         let part = reference::attention_segment(qkv, heads.count, heads.dim, &rows);
         for (i, &row) in rows[..p.own].iter().enumerate() {
             out[row * c..(row + 1) * c].copy_from_slice(&part[i * c..(i + 1) * c]);
@@ -184,8 +184,8 @@ fn nan_and_infinity_stay_in_their_patch() {
     let mut clean_grad = vec![0.0; clean.len()];
     backward(&clean, heads, &patches, &order, &grad, &mut clean_grad);
     let seen = |row: usize| {
-        patches.patches.iter().any(|p| {
-            let mut rows = patches.pad[p.start..p.start + p.len].iter();
+        patches.patches().iter().any(|p| {
+            let mut rows = patches.pad()[p.start..p.start + p.len].iter();
             rows.clone().any(|&s| order[s as usize] as usize == row)
                 && rows.any(|&s| order[s as usize] == 100)
         })
@@ -222,8 +222,8 @@ fn nan_and_infinity_stay_in_their_patch() {
     for (i, (g, c)) in dqkv.iter().zip(&clean_grad).enumerate() {
         // Rows that another patch borrows are seen with it; heads do not mix.
         let hit = i % (2 * DIM) < DIM
-            && patches.patches.iter().any(|p| {
-                let rows: Vec<usize> = patches.pad[p.start..p.start + p.len]
+            && patches.patches().iter().any(|p| {
+                let rows: Vec<usize> = patches.pad()[p.start..p.start + p.len]
                     .iter()
                     .map(|&s| order[s as usize] as usize)
                     .collect();
@@ -238,9 +238,9 @@ fn nan_and_infinity_stay_in_their_patch() {
 fn slow_gradient(qkv: &[f32], heads: Heads, p: &Patches, order: &[u32], grad: &[f32]) -> Vec<f64> {
     let (c, dim) = (heads.channels(), heads.dim);
     let mut out = vec![0.0; qkv.len()];
-    for patch in &p.patches {
+    for patch in p.patches() {
         let rows: Vec<usize> = (patch.start..patch.start + patch.len)
-            .map(|s| order[p.pad[s] as usize] as usize)
+            .map(|s| order[p.pad()[s] as usize] as usize)
             .collect();
         for (h, &q) in (0..heads.count).flat_map(|h| rows[..patch.own].iter().map(move |q| (h, q)))
         {
@@ -314,7 +314,7 @@ fn threads_change_no_bit() {
 #[cfg(target_arch = "x86_64")]
 #[test]
 fn pairs_agree_with_rounded_operands() {
-    if !weights::has_pairs() {
+    if !pairs::has_pairs() {
         eprintln!("not run: no AVX512-BF16 in use");
         return;
     }
@@ -324,8 +324,8 @@ fn pairs_agree_with_rounded_operands() {
     let pairs = run(Precision::Bf16, &qkv, heads, &patches, &order);
     let mut plain = vec![f32::NAN; 150 * 23];
     let rows = slot_rows(&patches, &order);
-    let mut s = Scratch::new(23, patches.longest);
-    for t in 0..patches.patches.len() {
+    let mut s = Scratch::new(23, patches.longest());
+    for t in 0..patches.patches().len() {
         let task = &Task::new(&qkv, heads, &patches, &rows, t);
         let (s, out) = (&mut s, SharedMut(plain.as_mut_ptr()));
         dispatch_softmax!((task: &Task<'_>, s: &mut Scratch<f32>, out: SharedMut), V, MR, NV =>

@@ -1,12 +1,8 @@
 //! How attention's factors are held in memory: as f32, or rounded to bf16.
 
-use super::forward::{Scratch, attend};
 use super::softmax::SoftmaxVector;
-use super::task::Task;
-use crate::gemm::SharedMut;
 use crate::gemm::bf16;
 use crate::gemm::micro::{Products, Singles};
-use crate::simd::Isa;
 use std::marker::PhantomData;
 
 /// Products whose operands attention can make from f32.
@@ -125,7 +121,7 @@ mod x86 {
         unsafe fn pack_along(row: &[f32], to: &mut [u32]) {
             let (rows, rest) = row.as_chunks::<16>();
             for (i, from) in rows.iter().enumerate() {
-                // SAFETY: eight pairs fit into `to`; [`super::attend_pairs`] enables what is needed.
+                // SAFETY: eight pairs fit into `to`; [`super::pairs::attend_pairs`] enables what is needed.
                 unsafe {
                     let pairs = _mm512_cvtneps_pbh(_mm512_loadu_ps(from.as_ptr()));
                     let pairs: __m256i = std::mem::transmute(pairs);
@@ -144,7 +140,7 @@ mod x86 {
             let whole = to.len() / 16 * 16;
             for i in (0..whole).step_by(16) {
                 let second = second.map_or(&zero[..], |s| &s[i..i + 16]);
-                // SAFETY: 16 values each; [`super::attend_pairs`] enables what is needed.
+                // SAFETY: 16 values each; [`super::pairs::attend_pairs`] enables what is needed.
                 unsafe {
                     let [first, second] =
                         [&first[i..i + 16], second].map(|row| _mm512_loadu_ps(row.as_ptr()));
@@ -158,7 +154,7 @@ mod x86 {
 
         #[inline(always)]
         unsafe fn store(first: __m512, second: __m512, to: *mut u32) {
-            // SAFETY: the trait's contract; [`super::attend_pairs`] enables AVX512BW too.
+            // SAFETY: the trait's contract; [`super::pairs::attend_pairs`] enables AVX512BW too.
             unsafe {
                 let both: __m512i = std::mem::transmute(_mm512_cvtne2ps_pbh(second, first));
                 let index = _mm512_loadu_si512(INTERLEAVE.as_ptr().cast());
@@ -166,23 +162,4 @@ mod x86 {
             }
         }
     }
-}
-
-/// [`attend`] with AVX512-BF16.
-///
-/// # Safety
-/// As [`attend`]; see [`has_pairs`].
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx512f,avx512dq,avx512bw,avx512bf16,avx2,fma")]
-pub(super) unsafe fn attend_pairs(task: &Task<'_>, s: &mut Scratch<u32>, out: SharedMut) {
-    // SAFETY: the features are enabled; the rest is the caller's promise.
-    unsafe { attend::<crate::gemm::micro::Bf16Pairs, 6, 4>(task, s, out) }
-}
-
-/// Whether [`attend_pairs`] may run.
-#[cfg(target_arch = "x86_64")]
-pub(super) fn has_pairs() -> bool {
-    Isa::current() >= Isa::Avx512Bf16
-        && is_x86_feature_detected!("avx512dq")
-        && is_x86_feature_detected!("avx512bw")
 }

@@ -5,9 +5,10 @@ use crate::error::LossError;
 use crate::rows::Reduction;
 use crate::scalar_op::{Backward, scalar_loss};
 use crate::values::{Matrix, Real, make_rows, read_matrix};
-use crate::vector::{dot, norm, widest};
+use crate::vector::{dot, norm};
 use candle_core::{DType, Result, Tensor};
 use rayon::prelude::*;
+use scenesplat_kernels::simd::compiled;
 
 /// Norms below this count as this, as in PyTorch.
 const EPS: f64 = 1e-12;
@@ -96,7 +97,7 @@ fn sum<T: Real>(pred: &Matrix<'_>, rows: &[u32], scratch: &mut Vec<T>) -> Vec<f6
     let mut sum = vec![0.0; pred.columns];
     for &row in rows {
         let values = pred.read(row as usize..row as usize + 1, scratch);
-        widest(|| sum.iter_mut().zip(values).for_each(|(s, v)| *s += v.wide()));
+        compiled(|| sum.iter_mut().zip(values).for_each(|(s, v)| *s += v.wide()));
     }
     sum
 }
@@ -116,7 +117,7 @@ impl Unit {
     /// The gradient of the sum from that of the unit vector.
     fn gradient(&self, grad: &[f64]) -> Vec<f64> {
         // Below the floor the divisor is a constant.
-        let along = if self.norm > EPS { widest(|| dot(&self.direction, grad)) } else { 0.0 };
+        let along = if self.norm > EPS { compiled(|| dot(&self.direction, grad)) } else { 0.0 };
         let pairs = grad.iter().zip(&self.direction);
         pairs.map(|(g, u)| (g - along * u) / self.norm).collect()
     }
@@ -130,7 +131,7 @@ fn contrast(sums: &[Vec<f64>], temperature: f64, reduction: Reduction) -> (f64, 
     let logits: Vec<f64> = (0..n * n)
         .into_par_iter()
         .with_min_len(16)
-        .map(|at| widest(|| dot(a(at / n), b(at % n))) / temperature)
+        .map(|at| compiled(|| dot(a(at / n), b(at % n))) / temperature)
         .collect();
     let row = |i: usize| (0..n).map(move |j| i * n + j);
     let column = |j: usize| (0..n).map(move |i| i * n + j);
@@ -157,7 +158,7 @@ fn contrast(sums: &[Vec<f64>], temperature: f64, reduction: Reduction) -> (f64, 
         for j in 0..n {
             let (factor, other) =
                 if half % 2 == 0 { (grad(i, j), b(j)) } else { (grad(j, i), a(j)) };
-            widest(|| gradient.iter_mut().zip(other).for_each(|(g, o)| *g += factor * o));
+            compiled(|| gradient.iter_mut().zip(other).for_each(|(g, o)| *g += factor * o));
         }
         units[half].gradient(&gradient)
     });

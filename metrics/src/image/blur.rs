@@ -4,7 +4,7 @@
 //! `i + 5`. How the border is treated, and whether the blur or its adjoint is meant, changes only
 //! the first and last few rows of it, so that one loop serves all.
 
-use scenesplat_kernels::simd::Isa;
+use scenesplat_kernels::simd::{Isa, compiled_for};
 use std::ops::Range;
 
 pub(super) const RADIUS: usize = 5;
@@ -161,18 +161,17 @@ fn blur_across(axis: &Axis, channels: usize, row: &[f64], out: &mut [f64]) {
 
 /// `out = Σ taps[k] · lines[k]`, the sum in the order of the taps.
 fn blur_down(taps: &[f64; TAPS], lines: &[&[f64]; TAPS], out: &mut [f64]) {
-    #[cfg(target_arch = "x86_64")]
-    {
-        #[target_feature(enable = "avx2,fma")]
-        fn fused(taps: &[f64; TAPS], lines: &[&[f64]; TAPS], out: &mut [f64]) {
-            weighted_sum::<true>(taps, lines, out);
-        }
-        if Isa::current() >= Isa::Avx2 {
-            // SAFETY: the CPU has AVX2 and FMA, as `Isa` has found out.
-            return unsafe { fused(taps, lines, out) };
-        }
-    }
-    weighted_sum::<false>(taps, lines, out);
+    compiled_for(
+        Isa::current().min(Isa::Avx2),
+        #[inline(always)]
+        |isa| {
+            if isa == Isa::Avx2 {
+                weighted_sum::<true>(taps, lines, out);
+            } else {
+                weighted_sum::<false>(taps, lines, out);
+            }
+        },
+    );
 }
 
 #[inline(always)]

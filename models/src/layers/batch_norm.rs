@@ -1,7 +1,7 @@
 //! Batch normalisation, alone or with an activation behind it.
 
 use super::vector;
-use crate::{Mode, ops};
+use crate::{Forward, Mode, ops};
 use candle_core::{DType, Result, Tensor, Var, bail};
 use candle_nn::{Init, VarBuilder};
 
@@ -77,6 +77,14 @@ impl BatchNorm {
         let mean: Vec<f64> = vector(&mean)?.into_iter().map(f64::from).collect();
         let (scale, shift) = ops::scale_shift(&vector(&weight)?, &vector(&bias)?, &mean, &inverse);
         Ok(Self { form: Form::Frozen { scale, shift }, constants })
+    }
+
+    /// The mode of a forward pass, evaluation if the statistics are frozen.
+    pub fn mode(&self, cx: &Forward<'_>) -> Mode {
+        match &self.form {
+            Form::Trainable { mean, .. } if cx.frozen.contains(mean) => Mode::Eval,
+            _ => cx.mode,
+        }
     }
 
     /// Factor and summand per channel, if frozen.

@@ -2,7 +2,7 @@
 
 use super::linear::parameters;
 use super::{BatchNorm, Linear, vector};
-use crate::{Compute, Mode, ops};
+use crate::{Compute, Forward, Mode, ops};
 use candle_core::Result;
 use candle_core::Tensor;
 use candle_nn::VarBuilder;
@@ -42,6 +42,11 @@ impl LinearNorm {
         };
         let bias = bias.iter().zip(scale).zip(shift).map(|((b, s), t)| b.mul_add(*s, *t)).collect();
         Ok(Self { linear: Linear::frozen(compute, &weight, cin, cout, Some(bias)), norm: None })
+    }
+
+    /// As [`BatchNorm::mode`].
+    pub fn mode(&self, cx: &Forward<'_>) -> Mode {
+        self.norm.as_ref().map_or(cx.mode, |norm| norm.mode(cx))
     }
 
     /// `[N, in] → [N, out]`

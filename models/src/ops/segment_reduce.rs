@@ -17,8 +17,8 @@ impl CustomOp1 for SegmentReduce {
     }
     fn cpu_fwd(&self, s: &CpuStorage, l: &Layout) -> Result<(CpuStorage, Shape)> {
         let (n, c) = l.shape().dims2()?;
-        if n != self.groups.rows.len() {
-            bail!("segment_reduce: expected {} rows, got {n}", self.groups.rows.len());
+        if n != self.groups.rows().len() {
+            bail!("segment_reduce: expected {} rows, got {n}", self.groups.rows().len());
         }
         let mut out = vec![0f32; self.groups.len() * c];
         reduce(cpu_slice("segment_reduce", s, l)?, c, &self.groups, self.how, &mut out);
@@ -56,9 +56,9 @@ impl CustomOp1 for ExpandGroups {
         if g != self.groups.len() {
             bail!("expand_groups: expected {} rows, got {g}", self.groups.len());
         }
-        let n = self.groups.inverse.len();
+        let n = self.groups.inverse().len();
         let mut out = vec![0f32; n * c];
-        gather_rows(cpu_slice("expand_groups", s, l)?, c, &self.groups.inverse, &mut out);
+        gather_rows(cpu_slice("expand_groups", s, l)?, c, self.groups.inverse(), &mut out);
         Ok((CpuStorage::F32(out), (n, c).into()))
     }
     fn bwd(&self, x: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {

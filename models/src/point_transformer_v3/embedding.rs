@@ -39,6 +39,6 @@ impl Embedding {
         let map = cloud.kernel_map(size).map_err(candle_core::Error::wrap)?;
         // No later layer has this kernel size, and the table is large.
         cloud.forget_kernel_map(size);
-        self.norm.forward_gelu(&self.conv.forward(x, map)?, cx.mode)
+        self.norm.forward_gelu(&self.conv.forward(x, map)?, self.norm.mode(cx))
     }
 }

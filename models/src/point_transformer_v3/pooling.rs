@@ -52,6 +52,6 @@ impl SerializedPooling {
         let (coarse, groups) = cloud.pool(self.shift);
         let groups = Arc::new(groups);
         let pooled = ops::segment_reduce(&self.proj.forward(x)?, groups.clone(), self.reduce)?;
-        Ok((self.norm.forward_gelu(&pooled, cx.mode)?, coarse, groups))
+        Ok((self.norm.forward_gelu(&pooled, self.norm.mode(cx))?, coarse, groups))
     }
 }

@@ -54,8 +54,8 @@ impl SerializedUnpooling {
         groups: Arc<Groups>,
         cx: &Forward<'_>,
     ) -> Result<Unpooled> {
-        let up = self.proj.forward(coarse, cx.mode)?;
-        let skip = self.skip.forward(fine, cx.mode)?;
+        let up = self.proj.forward(coarse, self.proj.mode(cx))?;
+        let skip = self.skip.forward(fine, self.skip.mode(cx))?;
         let sum = (&skip + ops::expand_groups(&up, groups)?)?;
         Ok(Unpooled { sum, skip })
     }

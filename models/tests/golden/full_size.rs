@@ -7,7 +7,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use scenesplat_models::weights::{WeightSource, unit};
 use scenesplat_models::{
-    Backbone, Forward, Mode, ModelConfig, Orders, ParamStore, PointCloud, PointTransformerV3,
+    Backbone, Forward, ModelConfig, ParamStore, PointCloud, PointTransformerV3,
     PointTransformerV3Config,
 };
 use std::collections::BTreeMap;
@@ -77,13 +77,7 @@ fn run(
         Ok(())
     };
     let mut rng = ChaCha8Rng::seed_from_u64(0);
-    let mut cx = Forward {
-        mode: Mode::Eval,
-        rng: &mut rng,
-        orders: Orders::Listed,
-        observer: Some(&mut observer),
-        recompute: None,
-    };
+    let mut cx = Forward { observer: Some(&mut observer), ..Forward::eval(&mut rng) };
     let out = network.forward_both(&points, mask.as_deref(), &mut cx).unwrap();
     let mut compared = 0;
     for (module, t) in observed(seen, &points.grid_coord, &points.offsets) {

@@ -62,17 +62,17 @@ fn a_batch_and_its_pooled_codes() {
     let p = Golden::open("a_pool_codes.safetensors").unwrap();
     let (coarse, groups) = cloud.pool(1);
     check(&p, &coarse);
-    p.compare_ints("cluster", &groups.inverse);
-    let counts: Vec<u32> = groups.offsets.windows(2).map(|o| o[1] - o[0]).collect();
+    p.compare_ints("cluster", groups.inverse());
+    let counts: Vec<u32> = groups.offsets().windows(2).map(|o| o[1] - o[0]).collect();
     p.compare_ints("counts", &counts);
     p.compare_ints("batch", &coarse.scene_of_rows());
     let cells: Vec<i32> = coarse.grid_coord().iter().flatten().copied().collect();
     p.compare_ints("grid_coord", &cells);
     // The original names the lowest row of a cluster; our groups list members in row order.
     let heads: Vec<u32> = groups
-        .offsets
+        .offsets()
         .windows(2)
-        .map(|o| groups.rows[o[0] as usize..o[1] as usize].iter().copied().min().unwrap())
+        .map(|o| groups.rows()[o[0] as usize..o[1] as usize].iter().copied().min().unwrap())
         .collect();
     p.compare_ints("head_indices", &heads);
 }

@@ -103,7 +103,7 @@ fn run(case: &str, mode: Mode) {
     let mut rng = ChaCha8Rng::seed_from_u64(0);
     let given = orders.clone();
     let mut cx =
-        Forward { mode, rng: &mut rng, orders, observer: Some(&mut observer), recompute: None };
+        Forward { mode, orders, observer: Some(&mut observer), ..Forward::train(&mut rng) };
     let both = network.forward_both(&points, mask.as_deref(), &mut cx).unwrap();
     let out = both.decoder.unwrap();
 
@@ -189,8 +189,7 @@ fn run(case: &str, mode: Mode) {
         let packed = PointTransformerV3::new(&config, store.builder()).unwrap();
         let points = PointCloud::new(cells, inputs.tensor("in.feat"), offsets).unwrap();
         let mut rng = ChaCha8Rng::seed_from_u64(0);
-        let mut cx =
-            Forward { mode, rng: &mut rng, orders: given, observer: None, recompute: None };
+        let mut cx = Forward { mode, orders: given, ..Forward::eval(&mut rng) };
         let out = packed.forward_both(&points, mask.as_deref(), &mut cx).unwrap().decoder.unwrap();
         g.compare_tensor("eval.out.feat", &out);
     }

@@ -222,7 +222,7 @@ fn unpooling() {
             if mode == Mode::Train { &["proj.0.bias", "proj_skip.0.bias"] } else { &[] };
         let inputs = [("coarse", &coarse), ("fine", &fine)];
         check_normed(&format!("unpooling {mode:?}"), &store, fixed, &inputs, &out.sum, |v| {
-            let up = slow::gather(&branch(v, &v["coarse"], "proj", 0), 5, &groups.inverse);
+            let up = slow::gather(&branch(v, &v["coarse"], "proj", 0), 5, groups.inverse());
             slow::add(&branch(v, &v["fine"], "proj_skip", 1), &up)
         });
     }

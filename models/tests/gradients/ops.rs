@@ -182,7 +182,7 @@ fn segments() {
     }
     let out = ops::expand_groups(&y, groups.clone()).unwrap();
     check("expand_groups", F32_EPS, &[("y", &y)], &out, |v: &Values| {
-        slow::gather(&v["y"], 5, &groups.inverse)
+        slow::gather(&v["y"], 5, groups.inverse())
     });
 }
 

@@ -98,9 +98,9 @@ pub fn conv(
 pub fn attention(qkv: &[f64], heads: Heads, patches: &Patches, order: &[u32]) -> Vec<f64> {
     let (c, dim) = (heads.channels(), heads.dim);
     let mut out = vec![f64::NAN; order.len() * c];
-    for patch in &patches.patches {
+    for patch in patches.patches() {
         let slots = patch.start..patch.start + patch.len;
-        let rows: Vec<usize> = slots.map(|s| order[patches.pad[s] as usize] as usize).collect();
+        let rows: Vec<usize> = slots.map(|s| order[patches.pad()[s] as usize] as usize).collect();
         for (&query, h) in
             rows[..patch.own].iter().flat_map(|q| (0..heads.count).map(move |h| (q, h)))
         {
@@ -120,8 +120,8 @@ pub fn attention(qkv: &[f64], heads: Heads, patches: &Patches, order: &[u32]) ->
 
 pub fn reduce(x: &[f64], c: usize, groups: &Groups, how: Reduce) -> Vec<f64> {
     let mut out = Vec::new();
-    for span in groups.offsets.windows(2) {
-        let rows = &groups.rows[span[0] as usize..span[1] as usize];
+    for span in groups.offsets().windows(2) {
+        let rows = &groups.rows()[span[0] as usize..span[1] as usize];
         for j in 0..c {
             let values = rows.iter().map(|r| x[*r as usize * c + j]);
             out.push(match how {

@@ -4,7 +4,7 @@
 //! a textbook derivation needs collapses: `Σ′⁻¹V = [ε r₁ + r₂×c ; ε r₂ + c×r₁] / det Σ′`, without the
 //! cancellation of `Σ′₂₂ r₁ − Σ′₁₂ r₂`. Neither `Σ` nor its gradient is ever formed.
 
-use crate::projection::{cross, dot, rotation};
+use scenesplat_scene::vector::{cross, dot, rotation};
 
 /// Gradients of what the projection gives, for one visible Gaussian.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]

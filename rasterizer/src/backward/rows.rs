@@ -26,14 +26,14 @@ pub(crate) struct Pass<'a> {
 pub(crate) struct Sums {
     /// See [`pixels`](super::pixels).
     pub moments: [f32; MOMENTS],
-    pub colour: [f32; 3],
+    pub color: [f32; 3],
     pub depth: f32,
 }
 
 impl<'a> Pass<'a> {
     /// Walks over all tiles. One row per visible Gaussian.
     pub(crate) fn pixels(&self, pairs: &PairsOfRow) -> Vec<Sums> {
-        let colours = &self.trace.colours;
+        let colors = &self.trace.colors;
         let depths = &self.trace.projected.depth;
         let geometry = self.mask.geometry();
         let mut rows = vec![Sums::default(); self.trace.projected.len()];
@@ -41,12 +41,12 @@ impl<'a> Pass<'a> {
         match (geometry, self.upstream.rgb.is_some(), self.upstream.depth()) {
             (true, true, true) => {
                 let both = |row: usize| {
-                    let [r, g, b] = colours[row];
+                    let [r, g, b] = colors[row];
                     [r, g, b, depths[row]]
                 };
                 self.walk::<4, 10>(both, pairs, &mut rows);
             }
-            (true, true, false) => self.walk::<3, 9>(|row| colours[row], pairs, &mut rows),
+            (true, true, false) => self.walk::<3, 9>(|row| colors[row], pairs, &mut rows),
             (true, false, true) => {
                 self.walk::<1, 7>(|row| [depths[row]], pairs, &mut rows);
             }
@@ -54,7 +54,7 @@ impl<'a> Pass<'a> {
                 self.walk::<0, 6>(|_| [], pairs, &mut rows);
             }
             (false, true, _) if self.mask.sh => {
-                self.walk::<3, 3>(|row| colours[row], pairs, &mut rows);
+                self.walk::<3, 3>(|row| colors[row], pairs, &mut rows);
             }
             _ => {}
         }
@@ -87,7 +87,7 @@ impl<'a> Pass<'a> {
             let first = K - C;
             row.moments[..first].copy_from_slice(&sum[..first]);
             if C >= 3 {
-                row.colour.copy_from_slice(&sum[first..first + 3]);
+                row.color.copy_from_slice(&sum[first..first + 3]);
             }
             if C == 4 || C == 1 {
                 row.depth = sum[K - 1];
@@ -189,7 +189,7 @@ impl<'a> Pass<'a> {
             for row in begin..end {
                 let at = index[row] as usize - first;
                 let harmonics = &mut sh[at * width..(at + 1) * width];
-                let moved = self.colour(index[row] as usize, eye, &rows[row], harmonics);
+                let moved = self.color(index[row] as usize, eye, &rows[row], harmonics);
                 if self.mask.geometry() {
                     let to = (&mut means[at], &mut quats[at], &mut scales[at], &mut opacities[at]);
                     self.geometry(&lens, row, &rows[row], moved, to);
@@ -201,19 +201,19 @@ impl<'a> Pass<'a> {
     /// Adds the gradients of one Gaussian's harmonics, and gives back what its centre gets from
     /// its colour.
     #[inline]
-    fn colour(&self, i: usize, eye: [f32; 3], row: &Sums, sh: &mut [f32]) -> [f32; 3] {
+    fn color(&self, i: usize, eye: [f32; 3], row: &Sums, sh: &mut [f32]) -> [f32; 3] {
         let wanted = harmonics::Wanted {
             harmonics: self.mask.sh,
             direction: self.mask.means && self.mask.sh_direction && self.trace.sh_degree > 0,
         };
-        if row.colour == [0.0; 3] || !(wanted.harmonics || wanted.direction) {
+        if row.color == [0.0; 3] || !(wanted.harmonics || wanted.direction) {
             return [0.0; 3];
         }
         let stride = sh.len();
         let coefficients = &self.gaussians.sh[i * stride..(i + 1) * stride];
         let to = [0, 1, 2].map(|k| self.gaussians.means[i][k] - eye[k]);
         let degree = self.trace.sh_degree;
-        harmonics::pull_back(degree, coefficients, to, row.colour, wanted, sh)
+        harmonics::pull_back(degree, coefficients, to, row.color, wanted, sh)
     }
 
     /// Adds the gradients of one Gaussian's geometry; `moved` goes to the centre too.

@@ -1,12 +1,12 @@
-//! A forward pass that remembers what the way back needs.
+//! A forward pass that remembers what the backward pass needs.
 
 use super::BackwardError;
 use crate::canvas::Canvas;
 use crate::gaussians::expect;
-use crate::visitors::{Colour, Depth, Nothing, Transmittance};
+use crate::visitors::{Color, Depth, Nothing, Transmittance};
 use crate::{
     Gaussians, Projected, RasterError, RasterSettings, Rendered, TileLists, TileRect, TileVisitor,
-    View, blend, colors, project, tile_lists,
+    View, blend, project, tile_lists,
 };
 
 /// Which pictures to trace; the transmittance always is one.
@@ -42,7 +42,7 @@ pub struct Trace {
     /// Who is drawn where.
     pub lists: TileLists,
     /// Their colours; empty if colour was not asked for. `[visible, 3]`
-    pub colours: Vec<[f32; 3]>,
+    pub colors: Vec<[f32; 3]>,
     /// Degree of the harmonics that the colours are made of.
     pub sh_degree: u8,
     /// Gaussians in the scene.
@@ -83,10 +83,10 @@ pub fn trace(
     }
     let mut projected = project(gaussians, view, settings)?;
     let sh_degree = request.sh_degree.unwrap_or(3).min(gaussians.sh_degree);
-    let mut colours = Vec::new();
+    let mut colors = Vec::new();
     if request.rgb {
-        colours = colors(gaussians, view, &projected, sh_degree);
-        projected.drop_bad_colours(&mut colours);
+        colors = crate::colors(gaussians, view, &projected, sh_degree);
+        projected.drop_bad_colors(&mut colors);
     }
     let lists = tile_lists(&projected, view, settings);
     let plane =
@@ -102,13 +102,13 @@ pub fn trace(
     let background = settings.background;
     // SAFETY: `blend` makes one visitor per tile, here and below.
     let rgb_tile = |rect| unsafe { rgb_canvas.tile(rect) };
-    let colour = |rect| Colour::new(&colours, background, rgb_tile(rect));
+    let color = |rect| Color::new(&colors, background, rgb_tile(rect));
     // SAFETY: as above.
     let sums_tile = |rect| unsafe { sums_canvas.tile(rect) };
     let depth = |rect| Depth::<false>::new(&projected.depth, sums_tile(rect), settings.isa());
     let last = match (request.rgb, request.depth) {
-        (true, true) => draw.with(|rect| (colour(rect), depth(rect))),
-        (true, false) => draw.with(colour),
+        (true, true) => draw.with(|rect| (color(rect), depth(rect))),
+        (true, false) => draw.with(color),
         (false, true) => draw.with(depth),
         (false, false) => draw.with(|_| Nothing),
     };
@@ -126,7 +126,7 @@ pub fn trace(
         culled: projected.culled,
         ..Rendered::default()
     };
-    Ok(Trace { picture, projected, lists, colours, sh_degree, gaussians: gaussians.len(), last })
+    Ok(Trace { picture, projected, lists, colors, sh_degree, gaussians: gaussians.len(), last })
 }
 
 /// What the pixel loop reads, and where the transmittance goes.

@@ -1,11 +1,13 @@
 //! Sums of blending weights per Gaussian and segment.
 
 use super::tile_segments::{MAX_BITS, SegmentTuple, TileSegments};
-use super::view_weights::TileDepths;
 use crate::lanes::{Lanes, OnLanes, on_lanes};
 use crate::splats::Aligned;
 use crate::{SPAN, Span, TILE, TileVisitor};
 use scenesplat_kernels::simd::Isa;
+
+/// The depths of one tile, row by row; NaN where there is none, which agrees with nothing.
+pub(super) type TileDepths = [[f32; TILE]; TILE];
 
 /// How much of a Gaussian a tile shows in one tuple of segments.
 #[derive(Debug, Clone, Copy)]

@@ -1,7 +1,7 @@
 //! Sums over feature rows, with the registers that the CPU has.
 
 use super::tables::SegmentTables;
-use scenesplat_kernels::simd::Isa;
+use scenesplat_kernels::simd::{Isa, compiled_for};
 
 /// A segment and how much it counts.
 pub(super) type Label = (u32, f32);
@@ -18,21 +18,13 @@ macro_rules! with_versions {
     ($(#[$doc:meta])* $name:ident = $body:ident ($($arg:ident: $t:ty),*) $(-> $out:ty)?) => {
         $(#[$doc])*
         pub(super) fn $name($($arg: $t),*) $(-> $out)? {
-            #[cfg(target_arch = "x86_64")]
-            {
-                #[target_feature(enable = "avx512f,avx2,fma")]
-                fn avx512($($arg: $t),*) $(-> $out)? { $body::<true>($($arg),*) }
-                #[target_feature(enable = "avx2,fma")]
-                fn avx2($($arg: $t),*) $(-> $out)? { $body::<true>($($arg),*) }
-                match Isa::current() {
-                    // SAFETY: the features were detected.
-                    isa if isa >= Isa::Avx512 => return unsafe { avx512($($arg),*) },
-                    // SAFETY: as above.
-                    Isa::Avx2 => return unsafe { avx2($($arg),*) },
-                    _ => {}
-                }
-            }
-            $body::<false>($($arg),*)
+            compiled_for(
+                Isa::current(),
+                #[inline(always)]
+                |isa| {
+                    if isa >= Isa::Avx2 { $body::<true>($($arg),*) } else { $body::<false>($($arg),*) }
+                },
+            )
         }
     };
 }

@@ -1,18 +1,18 @@
 //! Weights per Gaussian and segment of one picture.
 
 use super::LiftError;
-use super::alpha_weighted::{AlphaWeighted, TileSums, TileWeight};
+use super::alpha_weighted::{AlphaWeighted, TileDepths, TileSums, TileWeight};
 use super::centre_pixel::{CentrePixel, CentrePixels};
 use super::segment_map::{NO_SEGMENT, SegmentMap};
 use super::spool::SegmentWeight;
 use super::tile_segments::{MAX_LEVELS, NOWHERE, SegmentTuple, TileSegments};
-use crate::projection::{dot, rotation};
 use crate::render::median_depth;
 use crate::{
     Gaussians, Projected, RasterSettings, TILE, TileLists, TileRect, View, blend, project,
     tile_lists,
 };
 use rayon::prelude::*;
+use scenesplat_scene::vector::{dot, rotation};
 use std::ops::Range;
 
 /// Which pixels of a picture label a Gaussian.
@@ -126,9 +126,6 @@ pub struct ViewWeights {
     /// Gaussians in the picture.
     pub visible: usize,
 }
-
-/// The depths of one tile, row by row; NaN where there is none, which agrees with nothing.
-pub(super) type TileDepths = [[f32; TILE]; TILE];
 
 /// The depth of a pixel, NaN if there is none.
 fn known(depth: f32) -> f32 {

@@ -129,7 +129,7 @@ fn harmonics(
     } else {
         format!("bands above {least} change no colour by more than {change:.5}, limit 1/512")
     };
-    said(least, evidence, if change == 0.0 { Bound::Exact } else { Bound::Colour(change) })
+    said(least, evidence, if change == 0.0 { Bound::Exact } else { Bound::Color(change) })
 }
 
 fn rotations(
@@ -174,7 +174,7 @@ fn rotations(
     // σ moves by 2·excess·σ at most, a weight by that share of itself, and weights sum to 1.
     let bound = match 2.0 * SIGMA_MAX * excess {
         0.0 => Bound::Rounding,
-        change => Bound::Colour(change),
+        change => Bound::Color(change),
     };
     said(true, evidence, bound)
 }

@@ -39,10 +39,8 @@ mod text;
 
 pub use prepared::Prepared;
 
+pub use crate::profile::HARMONICS_LIMIT;
 use crate::{DepthRequest, RasterError, RasterSettings, RenderRequest, SceneProfile};
-
-/// A colour change up to half a step of a byte is none.
-pub const HARMONICS_LIMIT: f32 = 1.0 / 512.0;
 
 /// Scales of a Gaussian that differ by less, relatively, are equal: a few roundings of f32.
 pub const ISOTROPY_LIMIT: f32 = 1e-6;
@@ -147,7 +145,7 @@ pub enum Bound {
     /// Only by the rounding of f32, as another order of the same sums would.
     Rounding,
     /// A colour channel by at most this.
-    Colour(f32),
+    Color(f32),
 }
 
 /// One thing that was decided.
@@ -230,7 +228,7 @@ impl RenderPlan {
     /// The sum of all bounds: a colour channel of [`full`](Self::full) differs by at most this,
     /// rounding aside.
     pub fn bound(&self) -> f32 {
-        let bound = |d: &Decision| if let Bound::Colour(c) = d.bound { c } else { 0.0 };
+        let bound = |d: &Decision| if let Bound::Color(c) = d.bound { c } else { 0.0 };
         self.decisions.iter().map(bound).sum()
     }
 

@@ -2,6 +2,7 @@
 
 use super::Projected;
 use crate::{ExtentRule, Gaussians, RasterSettings, View};
+use scenesplat_scene::vector::{cross, dot, rotation};
 use std::ops::Range;
 
 /// Gaussians side by side: compilers make registers of such arrays.
@@ -286,24 +287,4 @@ impl<'a> Lens<'a> {
             (block.half_extent[0][k], block.half_extent[1][k]) = (half[0], half[1]);
         }
     }
-}
-
-/// The matrix of a quaternion `w, x, y, z` of norm 1.
-#[inline(always)]
-pub(crate) fn rotation([w, x, y, z]: [f32; 4]) -> [[f32; 3]; 3] {
-    [
-        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-    ]
-}
-
-#[inline(always)]
-pub(crate) fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-#[inline(always)]
-pub(crate) fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }

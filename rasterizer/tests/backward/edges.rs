@@ -112,8 +112,8 @@ fn bad_input_is_named() {
     let refused = |up: Upstream<'_>, g: &Gaussians, view: &View| {
         backward(g, view, &settings, &traced, &up, mask).unwrap_err()
     };
-    let colour = vec![1.0; 3 * 19 * 17];
-    let rgb = Upstream { rgb: Some(&colour), ..Upstream::default() };
+    let color = vec![1.0; 3 * 19 * 17];
+    let rgb = Upstream { rgb: Some(&color), ..Upstream::default() };
     assert!(matches!(refused(rgb, &g, &view()), BackwardError::NotTraced { picture: "rgb" }));
     let expected = Upstream { depth_expected: Some(&plane), ..Upstream::default() };
     let error = refused(expected, &g, &view());

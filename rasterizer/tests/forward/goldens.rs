@@ -114,10 +114,10 @@ fn background() {
     let Some(scene) = Golden::open("scene") else { return };
     let Some(golden) = Golden::open("render_background_sh3") else { return };
     let (gaussians, views) = (scene.gaussians(), scene.views([64, 96]));
-    let colour = golden.f32(if golden.has("backgrounds") { "backgrounds" } else { "background" });
+    let color = golden.f32(if golden.has("backgrounds") { "backgrounds" } else { "background" });
     for (camera, view) in views.iter().enumerate() {
-        let at = if colour.len() > 3 { 3 * camera } else { 0 };
-        let background = Some([colour[at], colour[at + 1], colour[at + 2]]);
+        let at = if color.len() > 3 { 3 * camera } else { 0 };
+        let background = Some([color[at], color[at + 1], color[at + 2]]);
         let settings = RasterSettings { background, ..RasterSettings::default() };
         let out = render(&gaussians, view, &settings, &everything()).unwrap();
         let boundary = golden.part("boundary", camera);

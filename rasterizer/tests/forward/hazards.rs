@@ -18,7 +18,7 @@ fn visible(scene: &Gaussians) -> bool {
         + culled.overflow
         + culled.opacity
         + culled.outside
-        + culled.colour;
+        + culled.color;
     assert_eq!(sum + out.work.visible, scene.len(), "every row is drawn or counted");
     out.contributions.unwrap().sum[0] > 0.0
 }

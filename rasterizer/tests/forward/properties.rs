@@ -142,7 +142,7 @@ fn a_gaussian_by_hand() {
     let mut view = view(33, 33);
     (view.cx, view.cy) = (16.5, 16.5);
     let out = render(&scene, &view, &RasterSettings::default(), &everything()).unwrap();
-    let colour = 0.5 + 0.282_094_79;
+    let color = 0.5 + 0.282_094_79;
     let expected = |dx: f32, dy: f32| 0.8 * (-0.5 * (dx * dx / 9.3 + dy * dy / 6.55)).exp();
     let rgb = out.rgb.as_ref().unwrap();
     let mut sum = 0.0;
@@ -152,7 +152,7 @@ fn a_gaussian_by_hand() {
             let alpha = if alpha < 1.0 / 255.0 { 0.0 } else { alpha };
             sum += alpha;
             let i = y * 33 + x;
-            assert!((rgb[3 * i] - alpha * colour).abs() < 2e-6, "pixel {x}, {y}");
+            assert!((rgb[3 * i] - alpha * color).abs() < 2e-6, "pixel {x}, {y}");
             assert!((out.alpha()[i] - alpha).abs() < 2e-6);
             let depth = if alpha > 0.0 { 2.0 } else { 0.0 };
             assert_eq!(out.depth_median.as_ref().unwrap()[i], depth);
@@ -165,15 +165,14 @@ fn a_gaussian_by_hand() {
 }
 
 #[test]
-fn features_blend_as_colours_do() {
+fn features_blend_as_colors_do() {
     let scene = random(100, 15);
     let (view, settings) = (view(40, 30), RasterSettings::default());
     let projected = project(&scene, &view, &settings).unwrap();
-    let colours = colors(&scene, &view, &projected, 2);
+    let colors = colors(&scene, &view, &projected, 2);
     let mut features = vec![f32::NAN; 5 * scene.len()];
-    for (&i, colour) in projected.index.iter().zip(&colours) {
-        features[5 * i as usize..][..5]
-            .copy_from_slice(&[1.0, colour[0], colour[1], colour[2], 0.0]);
+    for (&i, color) in projected.index.iter().zip(&colors) {
+        features[5 * i as usize..][..5].copy_from_slice(&[1.0, color[0], color[1], color[2], 0.0]);
     }
     let blended = render_features(&scene, &view, &settings, &features, 5).unwrap();
     let out = render(&scene, &view, &settings, &RenderRequest::rgb()).unwrap();

@@ -16,7 +16,7 @@ struct Splat {
     mean: [f64; 2],
     conic: [f64; 3],
     opacity: f64,
-    colour: [f64; 3],
+    color: [f64; 3],
 }
 
 type M3 = [[f64; 3]; 3];
@@ -70,7 +70,7 @@ fn splat(g: &Gaussians, i: usize, view: &View, settings: &RasterSettings) -> Opt
     let to = view.centre();
     let basis = spherical_harmonics::basis::<16>(std::array::from_fn(|k| g.means[i][k] - to[k]));
     let bands = g.sh_len();
-    let colour = std::array::from_fn(|ch| {
+    let color = std::array::from_fn(|ch| {
         let sum: f64 = (0..bands)
             .map(|k| f64::from(basis[k]) * f64::from(g.sh[3 * (bands * i + k) + ch]))
             .sum();
@@ -81,7 +81,7 @@ fn splat(g: &Gaussians, i: usize, view: &View, settings: &RasterSettings) -> Opt
         mean: [fx * p[0] / p[2] + cx, fy * p[1] / p[2] + cy],
         conic: [c / det, -b / det, a / det],
         opacity,
-        colour,
+        color,
     })
 }
 
@@ -117,7 +117,7 @@ pub fn picture(g: &Gaussians, view: &View, settings: &RasterSettings) -> Picture
                 break;
             }
             for k in 0..3 {
-                out.rgb[3 * i + k] += alpha * t * s.colour[k];
+                out.rgb[3 * i + k] += alpha * t * s.color[k];
             }
             out.depth[i] += alpha * t * s.z;
             t = after;

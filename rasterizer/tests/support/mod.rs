@@ -6,6 +6,8 @@
     reason = "a test that cannot set itself up should stop"
 )]
 
+mod around_points;
+
 use safetensors::{Dtype, SafeTensors};
 use scenesplat_rasterizer::{Gaussians, View};
 use std::collections::BTreeMap;
@@ -125,7 +127,7 @@ pub fn garden() -> Option<(Gaussians, Vec<View>)> {
         bytes.split_off(10 + header)
     };
     let points = words(&entry("means3d.npy"), f32::from_le_bytes).as_chunks().0.to_vec();
-    let colours: Vec<[f32; 3]> =
+    let colors: Vec<[f32; 3]> =
         entry("colors.npy").as_chunks().0.iter().map(|c| c.map(|v| f32::from(v) / 255.0)).collect();
     let poses = words(&entry("viewmats.npy"), f32::from_le_bytes);
     let lenses = words(&entry("Ks.npy"), f32::from_le_bytes);
@@ -134,5 +136,5 @@ pub fn garden() -> Option<(Gaussians, Vec<View>)> {
         .zip(lenses.chunks_exact(9))
         .map(|(pose, lens)| view(pose, lens, [420, 648]))
         .collect();
-    Some((Gaussians::around_points(&points, &colours, 7).unwrap(), views))
+    Some((around_points::around_points(&points, &colors, 7), views))
 }

@@ -15,7 +15,8 @@
 //!
 //! The names carry the prefix `KHR_gaussian_splatting:`, in older files `_`. The logarithms come
 //! from a draft of the extension; the text that followed says standard deviations. Colours of the
-//! space `lin_rec709_display` become sRGB, harmonics to first order. Nothing is fetched from a
+//! space `lin_rec709_display` become sRGB, harmonics to first order. Labels come from a file beside
+//! it that [`write_glb`] wrote. Nothing is fetched from a
 //! network, and only files below the folder of the document are opened.
 
 mod accessor;
@@ -28,11 +29,13 @@ mod placement;
 mod primitives;
 mod singular;
 mod spz_parts;
+mod writer;
 
 pub use container::is_glb;
+pub use writer::write_glb;
 
 use super::memory::zeroed;
-use super::{LoadedScene, ReadOptions, SceneKind};
+use super::{LoadedScene, ReadOptions, SceneFormat, semantics};
 use crate::value_policy::Rule;
 use crate::{GaussianScene, RepairReport, SceneError};
 use attributes::{Attributes, used_attributes};
@@ -53,6 +56,11 @@ const MAX_GROWTH: usize = 16;
 const SPZ_GROWTH: usize = 4;
 /// Small scenes may be shown any number of times; bytes.
 const ALWAYS_FITS: usize = 1 << 24;
+
+/// Whether a file is glTF, as JSON or binary.
+pub fn is_gltf(bytes: &[u8]) -> bool {
+    is_glb(bytes) || (super::open::is_json(bytes) && is_gltf_json(bytes))
+}
 
 fn file_error(path: &Path, problem: impl Into<String>) -> SceneError {
     SceneError::format(path, problem, "export the scene again")
@@ -143,7 +151,7 @@ pub fn read_gltf(
             "SCALE has no negative value and was read as standard deviations".to_owned()
         });
     }
-    let rows = parts.iter().map(Part::rows).sum();
+    let rows: usize = parts.iter().map(Part::rows).sum();
     let mut scene = GaussianScene { sh_degree: degree, ..GaussianScene::default() };
     for (part, job) in parts.into_iter().zip(&jobs) {
         let first = scene.len();
@@ -158,7 +166,8 @@ pub fn read_gltf(
         job.place.apply(&mut read);
         append(&mut scene, read, rows, path)?;
     }
-    LoadedScene::finish(scene, report, options.policy, path, SceneKind::Gltf)
+    semantics::read_sidecar(path, bytes, rows, options.policy, &mut scene, &mut report)?;
+    LoadedScene::finish(scene, report, options.policy, path, SceneFormat::Gltf)
 }
 
 /// Which buffers hold anything of the Gaussians.

@@ -7,7 +7,7 @@ use super::ply::{
     ColumnSource, ColumnValues, Gather, PlyColumn, PlyElement, PlyFile, PlyPropertyKind, PlyType,
     write_new_ply,
 };
-use super::{LoadedScene, ReadOptions, SceneKind, WriteProgress};
+use super::{LoadedScene, ReadOptions, SceneFormat, WriteProgress};
 use crate::gaussian_scene::{SH_C0, u8_to_dc};
 use crate::value_policy::{DEFAULT_GREY, DEFAULT_SCALE, FLAT_SCALE, Rule};
 use crate::{GaussianScene, RepairReport, SceneError};
@@ -101,7 +101,7 @@ pub fn read_inria_ply(file: &PlyFile, options: &ReadOptions) -> Result<LoadedSce
     scene.segment = read_segment(file, vertex, options.segment.as_deref(), &mut reader.report)?;
     scene.instance = read_instance(file, vertex, &mut reader.report)?;
     scene.lang_code = read_language_code(file, vertex, &mut reader.report)?;
-    LoadedScene::finish(scene, reader.report, options.policy, file.path(), SceneKind::InriaPly)
+    LoadedScene::finish(scene, reader.report, options.policy, file.path(), SceneFormat::Ply)
 }
 
 struct Reader<'a> {

@@ -10,7 +10,7 @@ mod header;
 mod record;
 
 use super::scene_blocks::fill_scene;
-use super::{LoadedScene, ReadOptions, SceneKind, semantics};
+use super::{LoadedScene, ReadOptions, SceneFormat, semantics};
 use crate::value_policy::Rule;
 use crate::{RepairReport, SceneError};
 use header::{HEADER_BYTES, MAX_LEVEL, SECTION_HEADER_BYTES, parse, u16_at, u32_at};
@@ -69,7 +69,7 @@ pub fn read_ksplat(
         }
     });
     semantics::read_sidecar(path, bytes, file.rows, options.policy, &mut scene, &mut report)?;
-    LoadedScene::finish(scene, report, options.policy, path, SceneKind::Ksplat)
+    LoadedScene::finish(scene, report, options.policy, path, SceneFormat::Ksplat)
 }
 
 #[cfg(test)]

@@ -11,6 +11,7 @@ pub mod ksplat;
 mod label_column;
 pub mod labelled_ply;
 mod language_columns;
+mod limit_tally;
 pub(crate) mod memory;
 pub mod npy;
 pub mod npy_folder;
@@ -23,12 +24,12 @@ pub mod semantics;
 pub mod sog;
 pub mod splat;
 pub mod spz;
+pub mod table;
 pub mod write;
 
 pub use open::{open_scene, open_scene_bytes};
-pub use write::{
-    PrecisionLimit, SceneFormat, WriteOptions, WriteProgress, WriteReport, write_scene,
-};
+pub use table::{FORMATS, FormatRow, SceneFormat};
+pub use write::{PrecisionLimit, WriteOptions, WriteProgress, WriteReport, write_scene};
 
 use crate::value_policy::clean_scene;
 use crate::{GaussianScene, Policy, RepairReport, SceneError};
@@ -78,44 +79,6 @@ impl Default for ReadOptions {
     }
 }
 
-/// The kinds of files that hold a scene.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum SceneKind {
-    /// PLY with one float per property.
-    InriaPly,
-    /// PLY with packed integers in chunks of 256.
-    CompressedPly,
-    /// Folder of `.npy` files.
-    NpyFolder,
-    /// 32 bytes a Gaussian, no header.
-    Splat,
-    /// Niantic's compressed container.
-    Spz,
-    /// Textures and codebooks in a folder or archive.
-    Sog,
-    /// Sections of buckets, for one viewer.
-    Ksplat,
-    /// A glTF primitive with Gaussian attributes.
-    Gltf,
-}
-
-impl SceneKind {
-    /// The word for it in messages and reports.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::InriaPly => "ply",
-            Self::CompressedPly => "compressed-ply",
-            Self::NpyFolder => "npy",
-            Self::Splat => "splat",
-            Self::Spz => "spz",
-            Self::Sog => "sog",
-            Self::Ksplat => "ksplat",
-            Self::Gltf => "gltf",
-        }
-    }
-}
-
 /// A scene with what is needed to write results back to where it came from.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LoadedScene {
@@ -128,7 +91,7 @@ pub struct LoadedScene {
     /// The file or folder.
     pub path: PathBuf,
     /// What it is.
-    pub kind: SceneKind,
+    pub kind: SceneFormat,
 }
 
 impl LoadedScene {
@@ -138,7 +101,7 @@ impl LoadedScene {
         mut report: RepairReport,
         policy: Policy,
         path: &Path,
-        kind: SceneKind,
+        kind: SceneFormat,
     ) -> Result<Self, SceneError> {
         let (scene, kept_rows) = clean_scene(scene, &mut report, policy, path)?;
         Ok(Self { scene, report, kept_rows, path: path.to_owned(), kind })

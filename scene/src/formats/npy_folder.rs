@@ -4,7 +4,6 @@
 //! [`GaussianScene`] holds them before activation; colour bytes survive both ways exactly. There is
 //! no file for spherical harmonics beyond the DC term.
 
-mod staging;
 mod writer;
 
 pub use writer::{write_npy_folder, write_npy_scene};
@@ -14,7 +13,7 @@ use super::label_column::{
 };
 use super::npy::{NpyFile, NpyType};
 use super::semantics::clean_code;
-use super::{LoadedScene, ReadOptions, SceneKind};
+use super::{LoadedScene, ReadOptions, SceneFormat};
 use crate::gaussian_scene::{SH_C0, probability_to_logit, u8_to_dc};
 use crate::value_policy::{DEFAULT_GREY, DEFAULT_SCALE, Rule};
 use crate::{
@@ -85,7 +84,7 @@ pub fn read_npy_folder(folder: &Path, options: &ReadOptions) -> Result<LoadedSce
         labelled_points,
         ..GaussianScene::default()
     };
-    LoadedScene::finish(scene, reader.report, options.policy, folder, SceneKind::NpyFolder)
+    LoadedScene::finish(scene, reader.report, options.policy, folder, SceneFormat::NpyFolder)
 }
 
 /// Opens the file of that stem if it exists.
@@ -285,6 +284,10 @@ impl Reader<'_> {
         if let Some(stem) = wanted {
             if found.iter().any(|f| f == stem) {
                 return Ok(Some(stem.to_owned()));
+            }
+            if self.folder.join(format!("pc_{stem}.npy")).is_file() {
+                // Labelled points have them; the Gaussians have none.
+                return Ok(None);
             }
             let there = if found.is_empty() { "no labels".to_owned() } else { found.join(", ") };
             let problem = format!("has no {stem}.npy to read labels from; it has {there}");

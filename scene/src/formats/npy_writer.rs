@@ -1,6 +1,7 @@
 //! Writing `.npy` arrays, at once or row by row.
 
-use super::files::{AtomicFile, write_all_at};
+use super::files::write_all_at;
+use crate::AtomicFile;
 use crate::SceneError;
 use half::f16;
 use std::collections::BTreeMap;
@@ -164,7 +165,7 @@ impl<T: NpyElement> NpyRowWriter<T> {
             let problem = format!("row {row} of {} was never written", self.rows);
             return Err(SceneError::format(self.file.target(), problem, ""));
         }
-        self.file.commit()
+        Ok(self.file.commit()?)
     }
 
     /// Completes the file; rows that were never written hold 0.
@@ -172,7 +173,7 @@ impl<T: NpyElement> NpyRowWriter<T> {
     /// # Errors
     /// If the file cannot be completed.
     pub fn finish_with_zeros(self) -> Result<(), SceneError> {
-        self.file.commit()
+        Ok(self.file.commit()?)
     }
 }
 

@@ -2,17 +2,12 @@
 
 use super::files::MappedFile;
 use super::ply::PlyFile;
+use super::table::{FORMATS, supported};
 use super::{
-    LoadedScene, ReadOptions, cameras, compressed_ply, gltf, inria_ply, ksplat, npy_folder, ply,
-    sog, splat, spz,
+    LoadedScene, ReadOptions, cameras, compressed_ply, inria_ply, npy_folder, ply, sog, splat,
 };
 use crate::SceneError;
 use std::path::Path;
-
-/// What can be read, for error messages.
-const SUPPORTED: &str = "supported are PLY (plain or compressed), .splat, .spz, SOG (folder, \
-                         archive, levels of detail), .ksplat, glTF with KHR_gaussian_splatting, \
-                         and folders of .npy files with coord.npy";
 
 /// Reads a scene from a file or folder in any format.
 ///
@@ -42,12 +37,12 @@ pub fn open_scene(path: &Path, options: &ReadOptions) -> Result<LoadedScene, Sce
         } else {
             "is a folder without coord.npy or meta.json"
         };
-        return Err(SceneError::format(path, problem, SUPPORTED));
+        return Err(SceneError::format(path, problem, supported()));
     }
     // Asked before opening: to open a pipe would wait for someone to write into it.
     let about = std::fs::metadata(path).map_err(SceneError::io(path, "cannot open the scene"))?;
     if !about.is_file() {
-        return Err(SceneError::format(path, "is neither a file nor a folder", SUPPORTED));
+        return Err(SceneError::format(path, "is neither a file nor a folder", supported()));
     }
     let file = MappedFile::open(path)?;
     let bytes = file.bytes();
@@ -75,23 +70,14 @@ pub fn open_scene_bytes(
     if ply::is_ply(bytes) {
         return read_ply(&PlyFile::from_bytes(bytes, path)?, options);
     }
-    if spz::is_spz(bytes) {
-        return spz::read_spz(bytes, path, options);
+    for row in &FORMATS {
+        if let Some((is_it, read)) = row.reader
+            && is_it(bytes)
+        {
+            return read(bytes, path, options);
+        }
     }
-    if gltf::is_glb(bytes) || (is_json(bytes) && gltf::is_gltf_json(bytes)) {
-        return gltf::read_gltf(bytes, path, options);
-    }
-    if sog::is_sog_archive(bytes) {
-        return sog::read_sog_archive(bytes, path, options);
-    }
-    if ksplat::is_ksplat(bytes) {
-        return ksplat::read_ksplat(bytes, path, options);
-    }
-    // Without any mark of its own, so after all the others.
-    if splat::is_splat(bytes) {
-        return splat::read_splat(bytes, path, options);
-    }
-    Err(SceneError::format(path, describe(path, bytes), SUPPORTED))
+    Err(SceneError::format(path, describe(path, bytes), supported()))
 }
 
 fn read_ply(file: &PlyFile, options: &ReadOptions) -> Result<LoadedScene, SceneError> {
@@ -102,7 +88,7 @@ fn read_ply(file: &PlyFile, options: &ReadOptions) -> Result<LoadedScene, SceneE
 }
 
 /// Whether it may be JSON; spares every other file the attempt to parse it.
-fn is_json(bytes: &[u8]) -> bool {
+pub(super) fn is_json(bytes: &[u8]) -> bool {
     // A mark of UTF-8 may come first.
     let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     matches!(text.trim_ascii_start(), [b'{' | b'[', ..])

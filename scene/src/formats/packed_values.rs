@@ -1,6 +1,6 @@
 //! Codes of a few bits that survive being read and written again, shared by the packed formats.
 
-use super::write::LimitTally;
+use super::limit_tally::LimitTally;
 use crate::gaussian_scene::{SH_C0, probability_to_logit, u8_to_dc};
 use crate::{GaussianScene, SceneError};
 use rayon::prelude::*;

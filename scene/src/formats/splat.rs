@@ -10,7 +10,7 @@ pub use writer::write_splat;
 
 use super::packed_values::{alpha_logits, color_terms, log_of_scale};
 use super::scene_blocks::{SceneBlock, fill_scene};
-use super::{LoadedScene, ReadOptions, SceneKind, semantics};
+use super::{LoadedScene, ReadOptions, SceneFormat, semantics};
 use crate::{RepairReport, SceneError};
 use std::path::Path;
 
@@ -159,5 +159,5 @@ pub fn read_splat(
     });
     let mut report = RepairReport::default();
     semantics::read_sidecar(path, bytes, rows, options.policy, &mut scene, &mut report)?;
-    LoadedScene::finish(scene, report, options.policy, path, SceneKind::Splat)
+    LoadedScene::finish(scene, report, options.policy, path, SceneFormat::Splat)
 }

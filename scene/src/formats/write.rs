@@ -1,64 +1,12 @@
 //! Writing a scene in any format, and saying what the format could not hold.
 
+use super::limit_tally::LimitTally;
 use super::packed_values::check_storable;
-use super::{compressed_ply, inria_ply, npy_folder, sog, splat, spz};
-use crate::formats::SpzFrame;
+use super::{SceneFormat, SpzFrame, inria_ply};
 use crate::{GaussianScene, SceneError};
 use serde::Serialize;
 use std::fmt;
 use std::path::{Path, PathBuf};
-
-/// The formats that scenes can be written in.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum SceneFormat {
-    /// PLY with one float per property: loses nothing.
-    Ply,
-    /// PLY with packed integers in chunks of 256.
-    CompressedPly,
-    /// Niantic's compressed container.
-    Spz,
-    /// 32 bytes a Gaussian.
-    Splat,
-    /// Textures and codebooks, in one archive.
-    Sog,
-    /// Textures and codebooks, as files of a folder.
-    SogFolder,
-    /// Folder of `.npy` files.
-    NpyFolder,
-}
-
-impl SceneFormat {
-    /// The format that a name asks for: `.ply`, `.compressed.ply`, `.spz`, `.splat`, `.sog`,
-    /// `meta.json` (a SOG folder), or no ending at all (a folder of `.npy` files).
-    pub fn from_path(path: &Path) -> Option<Self> {
-        let name = path.file_name()?.to_str()?.to_ascii_lowercase();
-        let ends = |ending: &str| name.ends_with(ending);
-        Some(match () {
-            () if ends(".compressed.ply") => Self::CompressedPly,
-            () if ends(".ply") => Self::Ply,
-            () if ends(".spz") => Self::Spz,
-            () if ends(".splat") => Self::Splat,
-            () if ends(".sog") => Self::Sog,
-            () if name == "meta.json" => Self::SogFolder,
-            () if path.extension().is_none() => Self::NpyFolder,
-            () => return None,
-        })
-    }
-
-    /// The word for it in messages and on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Ply => "ply",
-            Self::CompressedPly => "compressed-ply",
-            Self::Spz => "spz",
-            Self::Splat => "splat",
-            Self::Sog => "sog",
-            Self::SogFolder => "sog-folder",
-            Self::NpyFolder => "npy",
-        }
-    }
-}
 
 /// How to write.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -67,13 +15,16 @@ pub struct WriteOptions {
     pub spz_version: u8,
     /// The frame of the numbers in SPZ files.
     pub spz_frame: SpzFrame,
+    /// Levels of detail of streamed SOG scenes, 1 to 8; each has a quarter of the Gaussians of the one
+    /// before.
+    pub lod_levels: u8,
     /// Whether an existing scene may be replaced.
     pub overwrite: bool,
 }
 
 impl Default for WriteOptions {
     fn default() -> Self {
-        Self { spz_version: 4, spz_frame: SpzFrame::Rub, overwrite: false }
+        Self { spz_version: 4, spz_frame: SpzFrame::Rub, lod_levels: 4, overwrite: false }
     }
 }
 
@@ -147,6 +98,25 @@ impl WriteReport {
         }
     }
 
+    /// Adds what became of a part of the scene, whose rows are these of the whole.
+    pub(crate) fn add_part(&mut self, part: &WriteReport, rows: &[u32]) {
+        for limit in &part.limits {
+            let first = rows.get(limit.first_row).map_or(0, |&row| row as usize);
+            let known = self
+                .limits
+                .iter_mut()
+                .find(|known| known.field == limit.field && known.limit == limit.limit);
+            match known {
+                Some(known) => {
+                    known.rows += limit.rows;
+                    known.first_row = known.first_row.min(first);
+                    known.largest_change = known.largest_change.max(limit.largest_change);
+                }
+                None => self.limits.push(PrecisionLimit { first_row: first, ..limit.clone() }),
+            }
+        }
+    }
+
     /// Notes an array that the format has no place for.
     pub(crate) fn left_out(&mut self, field: &'static str, why: &str) {
         let all = LimitTally { rows: self.gaussians, first_row: 0, largest_change: f64::NAN };
@@ -175,39 +145,6 @@ impl fmt::Display for WriteReport {
     }
 }
 
-/// Rows that a limit concerns, counted in parallel and merged.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct LimitTally {
-    pub(crate) rows: usize,
-    pub(crate) first_row: usize,
-    pub(crate) largest_change: f64,
-}
-
-impl Default for LimitTally {
-    fn default() -> Self {
-        Self { rows: 0, first_row: usize::MAX, largest_change: 0.0 }
-    }
-}
-
-impl LimitTally {
-    /// Counts a row that changes by `change`.
-    pub(crate) fn add(&mut self, row: usize, change: f64) {
-        self.rows += 1;
-        self.first_row = self.first_row.min(row);
-        // A change from infinity to a number is infinite; NaN never is the larger one.
-        self.largest_change = self.largest_change.max(change);
-    }
-
-    /// The rows of both.
-    pub(crate) fn merge(self, other: Self) -> Self {
-        Self {
-            rows: self.rows + other.rows,
-            first_row: self.first_row.min(other.first_row),
-            largest_change: self.largest_change.max(other.largest_change),
-        }
-    }
-}
-
 /// Writes a scene; the file appears under its name when it is complete.
 ///
 /// Labels, scores, instances and language codes go along in every format: as columns of a PLY file,
@@ -228,6 +165,11 @@ pub fn write_scene(
     options: &WriteOptions,
     progress: WriteProgress<'_>,
 ) -> Result<WriteReport, SceneError> {
+    let Some(write) = format.row().writer else {
+        let problem = format!("cannot be written: {} is only read", format.name());
+        let help = format!("what can be written: {}", SceneFormat::writable_endings());
+        return Err(SceneError::format(path, problem, help));
+    };
     scene.check_rows()?;
     if scene.is_empty() {
         return Err(SceneError::format(path, "would hold no Gaussian at all", ""));
@@ -244,32 +186,29 @@ pub fn write_scene(
         return Err(SceneError::Stopped);
     }
     // The writers ask a last time when all is written, before the file gets its name.
-    let mut report = match format {
-        SceneFormat::Ply => {
-            let mut report = WriteReport::new(format, scene.len());
-            inria_ply::write_with_progress(scene, &[], path, progress)?;
-            report.wrote(path)?;
-            report
-        }
-        SceneFormat::NpyFolder => npy_folder::write_npy_scene(scene, path, options, progress)?,
-        SceneFormat::CompressedPly => {
-            compressed_ply::write_compressed_ply(scene, path, options, progress)?
-        }
-        SceneFormat::Spz => spz::write_spz(scene, path, options, progress)?,
-        SceneFormat::Splat => splat::write_splat(scene, path, options, progress)?,
-        SceneFormat::Sog => sog::write_sog(scene, path, options, progress)?,
-        SceneFormat::SogFolder => sog::write_sog_folder(scene, path, options, progress)?,
-    };
+    let mut report = write(scene, path, options, progress)?;
     note_left_out(scene, &mut report);
     progress(1.0);
     Ok(report)
 }
 
+/// Writes a PLY file of floats.
+pub(super) fn write_ply(
+    scene: &GaussianScene,
+    path: &Path,
+    _options: &WriteOptions,
+    progress: WriteProgress<'_>,
+) -> Result<WriteReport, SceneError> {
+    let mut report = WriteReport::new(SceneFormat::Ply, scene.len());
+    inria_ply::write_with_progress(scene, &[], path, progress)?;
+    report.wrote(path)?;
+    Ok(report)
+}
+
 /// Notes the arrays that no writer of the format takes.
 fn note_left_out(scene: &GaussianScene, report: &mut WriteReport) {
-    let features = matches!(report.format, SceneFormat::NpyFolder);
-    let normals = matches!(report.format, SceneFormat::NpyFolder | SceneFormat::Ply);
-    if scene.lang_feat.is_some() && !features {
+    let keeps = report.format.row().keeps;
+    if scene.lang_feat.is_some() && !keeps.features {
         let why = if scene.lang_code.is_some() {
             "no place in this format; the language codes stand for them"
         } else {
@@ -277,13 +216,13 @@ fn note_left_out(scene: &GaussianScene, report: &mut WriteReport) {
         };
         report.left_out("lang_feat", why);
     }
-    if scene.labelled_points.is_some() && !features {
+    if scene.labelled_points.is_some() && !keeps.features {
         report.left_out("labelled_points", "no place in this format");
     }
-    if scene.normal.is_some() && !normals {
+    if scene.normal.is_some() && !keeps.normals {
         report.left_out("normal", "no place in this format");
     }
-    if scene.sh_degree > 0 && features {
+    if scene.sh_degree > 0 && !keeps.harmonics {
         report.left_out("sh_rest", "no place in this format");
     }
 }

@@ -8,7 +8,8 @@ use crate::{
 use half::f16;
 use scenesplat_scene::formats::spz::{is_spz, read_spz};
 use scenesplat_scene::{
-    GaussianScene, LoadedScene, Policy, ReadOptions, SceneKind, SpzFrame, WriteOptions, open_scene,
+    GaussianScene, LoadedScene, Policy, ReadOptions, SceneFormat, SpzFrame, WriteOptions,
+    open_scene,
 };
 use std::io::Write;
 use std::path::Path;
@@ -21,7 +22,7 @@ fn real(relative: &str) -> Option<LoadedScene> {
     let options =
         ReadOptions { policy: Policy::Strict, spz_frame: SpzFrame::Raw, ..ReadOptions::default() };
     let loaded = read_spz(&bytes, &path, &options).unwrap();
-    assert_eq!(loaded.kind, SceneKind::Spz);
+    assert_eq!(loaded.kind, SceneFormat::Spz);
     assert!(loaded.report.notes.is_empty(), "{}", loaded.report);
     Some(loaded)
 }

@@ -17,7 +17,12 @@ fn frames_are_turned_into_each_other() {
     for version in 2..=4 {
         let (raw, _) = write_with(
             &scene,
-            &WriteOptions { spz_version: version, spz_frame: SpzFrame::Raw, overwrite: false },
+            &WriteOptions {
+                spz_version: version,
+                spz_frame: SpzFrame::Raw,
+                overwrite: false,
+                ..WriteOptions::default()
+            },
         );
         // What is stored as it is, and read as right, up, back, is off by that frame.
         let mut turned = read(&raw).scene;
@@ -62,8 +67,12 @@ fn a_file_may_say_which_frame_it_is_in() {
         let mut moved = scene.clone();
         moved.change_frame(Frame::CANONICAL, frame.parse().unwrap());
         for version in [3, 4] {
-            let options =
-                WriteOptions { spz_version: version, spz_frame: SpzFrame::Raw, overwrite: false };
+            let options = WriteOptions {
+                spz_version: version,
+                spz_frame: SpzFrame::Raw,
+                overwrite: false,
+                ..WriteOptions::default()
+            };
             let (bytes, _) = write_with(&moved, &options);
             let payload = number.to_le_bytes();
             let bytes = match version {

@@ -50,7 +50,12 @@ fn hard_scenes() -> Vec<(String, GaussianScene)> {
 
 #[test]
 fn written_read_and_written_again_is_the_same_file() {
-    let options = |spz_version, spz_frame| WriteOptions { spz_version, spz_frame, overwrite: true };
+    let options = |spz_version, spz_frame| WriteOptions {
+        spz_version,
+        spz_frame,
+        overwrite: true,
+        ..WriteOptions::default()
+    };
     for (name, scene) in hard_scenes() {
         // Positions are the same in all versions.
         let versions = if name.starts_with("far") { 4..=4 } else { 2..=4 };

@@ -1,39 +1,77 @@
-//! A run on the screen: a bar on a terminal, plain lines elsewhere.
+//! A run on the screen: one line that is written again and again on a terminal, lines elsewhere.
 
 use crate::TrainError;
 use crate::event::{Callback, End, Event, Flow, Progress};
-use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
+use scenesplat_datasets::LeftOut;
 use scenesplat_metrics::Measurement;
 use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
 
+/// Goes to the start of the line and empties it.
+const CLEAR: &str = "\r\x1b[2K";
 /// Between two plain lines of steps.
 const LINE_EVERY: Duration = Duration::from_secs(10);
 
 /// Shows a run on standard error, with the time it will take.
 #[derive(Debug)]
 pub struct Console {
-    bar: Option<ProgressBar>,
+    /// Whether a line can be written over.
+    terminal: bool,
+    /// Whether there is one to write over.
+    open_line: bool,
     began: Option<(Instant, u64)>,
     last_line: Option<Instant>,
 }
 
 impl Console {
-    /// A bar if standard error is a terminal, lines otherwise.
+    /// A line that changes if standard error is a terminal, one after the other otherwise.
     pub fn new() -> Self {
-        let bar = std::io::stderr().is_terminal().then(ProgressBar::no_length);
-        Self { bar, began: None, last_line: None }
+        let terminal = std::io::stderr().is_terminal();
+        Self { terminal, open_line: false, began: None, last_line: None }
     }
 
-    fn say(&self, line: &str) {
-        match &self.bar {
-            Some(bar) => bar.println(line),
-            // A closed standard error is no reason to end a run.
-            None => _ = writeln!(std::io::stderr(), "{line}"),
+    /// Writes a line that stays.
+    fn say(&mut self, line: &str) {
+        let clear = if self.open_line { CLEAR } else { "" };
+        self.open_line = false;
+        // A closed standard error is no reason to end a run.
+        _ = writeln!(std::io::stderr(), "{clear}{line}");
+    }
+
+    /// Writes a line that the next one replaces.
+    fn say_for_now(&mut self, line: &str) {
+        self.open_line = true;
+        let mut stderr = std::io::stderr();
+        _ = write!(stderr, "{CLEAR}{line}").and_then(|()| stderr.flush());
+    }
+
+    /// What of the data was left out, the first scenes with their reasons.
+    fn data(&mut self, name: &str, left_out: &LeftOut, at: Progress) {
+        const SHOWN: usize = 5;
+        let lines = left_out.lines();
+        for line in lines.iter().take(SHOWN) {
+            self.say(&format!("step {}: {name}: {line}", at.step));
+        }
+        if lines.len() > SHOWN {
+            let more = lines.len() - SHOWN;
+            self.say(&format!(
+                "step {}: {name}: {more} more scenes were repaired or left out",
+                at.step
+            ));
+        }
+        let (lacking, of) = (left_out.without_labels.len(), left_out.scenes);
+        if lacking > 0 {
+            self.say(&format!("step {}: {name}: {lacking} of {of} scenes have no labels", at.step));
+        }
+        // Where none has features, they are not what is trained on.
+        let lacking = left_out.without_features.len();
+        if lacking > 0 && lacking < of {
+            let what = "have no language features";
+            self.say(&format!("step {}: {name}: {lacking} of {of} scenes {what}", at.step));
         }
     }
 
-    /// Time until the end, from the speed so far; candle-free and good enough after some steps.
+    /// Time until the end, from the speed so far; good enough after some steps.
     fn remaining(&self, at: Progress) -> Option<Duration> {
         let (began, first) = self.began?;
         let done = at.step.checked_sub(first).filter(|d| *d > 0)?;
@@ -48,18 +86,16 @@ impl Console {
         if let Some(norm) = find("train/grad_norm") {
             text.push_str(&format!(", gradient {norm:.3}"));
         }
-        if let Some(bar) = &self.bar {
-            bar.set_position(at.step);
-            bar.set_message(text);
+        let rest = self.remaining(at).map_or(String::new(), |d| format!(", {} to go", human(d)));
+        let line = format!("step {}/{}: {text}{rest}", at.step, at.total_steps);
+        if self.terminal && at.step < at.total_steps {
+            self.say_for_now(&line);
             return;
         }
         let due = self.last_line.is_none_or(|t| t.elapsed() >= LINE_EVERY);
         if due || at.step == at.total_steps {
             self.last_line = Some(Instant::now());
-            let rest = self
-                .remaining(at)
-                .map_or(String::new(), |d| format!(", {} to go", HumanDuration(d)));
-            self.say(&format!("step {}/{}: {text}{rest}", at.step, at.total_steps));
+            self.say(&line);
         }
     }
 }
@@ -73,25 +109,22 @@ impl Default for Console {
 impl Callback for Console {
     fn on_event(&mut self, event: &Event<'_>, at: Progress) -> Result<Flow, TrainError> {
         match event {
-            Event::FitStart { parameters, steps_per_epoch } => {
+            Event::FitStart { parameters, steps_per_epoch, leftover_batches } => {
                 self.began = Some((Instant::now(), at.step));
-                if let Some(bar) = &self.bar {
-                    bar.set_length(at.total_steps);
-                    if let Ok(style) =
-                        ProgressStyle::with_template("{bar:30} {pos}/{len}, {eta} to go, {msg}")
-                    {
-                        bar.set_style(style);
-                    }
-                    bar.set_position(at.step);
-                    bar.reset_eta();
-                }
                 let from =
                     if at.step > 0 { format!(" from step {}", at.step) } else { String::new() };
                 self.say(&format!(
                     "training {parameters} parameters, {} steps ({steps_per_epoch} an epoch){from}",
                     at.total_steps
                 ));
+                if *leftover_batches > 0 {
+                    self.say(&format!(
+                        "{leftover_batches} batches of each epoch are left out: they fill no step"
+                    ));
+                }
             }
+            Event::Evaluated { .. } => {}
+            Event::Data { name, left_out } => self.data(name, left_out, at),
             Event::Step { measurements } => self.step(measurements, at),
             Event::Eval { name, measurements } => {
                 let prefix = format!("{name}/");
@@ -108,9 +141,6 @@ impl Callback for Console {
                 self.say(&format!("step {}: saved {}{best}", at.step, dir.display()));
             }
             Event::FitEnd { end } => {
-                if let Some(bar) = &self.bar {
-                    bar.finish_and_clear();
-                }
                 let took = self.began.map_or(Duration::ZERO, |(t, _)| t.elapsed());
                 let how = match end {
                     End::Finished => "done",
@@ -120,10 +150,33 @@ impl Callback for Console {
                     "{how} at step {} of {} after {}",
                     at.step,
                     at.total_steps,
-                    HumanDuration(took)
+                    human(took)
                 ));
             }
         }
         Ok(Flow::Continue)
+    }
+}
+
+/// A duration in its two largest units.
+fn human(duration: Duration) -> String {
+    match duration.as_secs() {
+        s if s < 60 => format!("{s} s"),
+        s if s < 3600 => format!("{} min {} s", s / 60, s % 60),
+        s if s < 86_400 => format!("{} h {} min", s / 3600, s % 3600 / 60),
+        s => format!("{} d {} h", s / 86_400, s % 86_400 / 3600),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn durations_have_two_units() {
+        let text = |s| human(Duration::from_secs(s));
+        assert_eq!([text(0), text(59)], ["0 s", "59 s"]);
+        assert_eq!([text(61), text(3600)], ["1 min 1 s", "1 h 0 min"]);
+        assert_eq!([text(86_399), text(90_000)], ["23 h 59 min", "1 d 1 h"]);
     }
 }

@@ -1,13 +1,13 @@
 //! Stops a run that no longer gets better.
 
-use crate::TrainError;
 use crate::event::{Callback, Event, Flow, Progress};
+use crate::{Selection, TrainError};
 use serde::{Deserialize, Serialize};
 
 /// Stops after `patience` evaluations in a row that were no better than the best one before.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EarlyStopping {
-    measurement: String,
+    measurement: Selection,
     patience: u64,
     smaller_is_better: bool,
     state: State,
@@ -21,8 +21,8 @@ struct State {
 }
 
 impl EarlyStopping {
-    /// Watches a measurement of an evaluator by its full name, such as `zero_shot/f-mIoU`.
-    pub fn new(measurement: impl Into<String>, patience: u64, smaller_is_better: bool) -> Self {
+    /// Watches a measurement by its full name, such as `zero_shot/f-mIoU`, or the mean of several.
+    pub fn new(measurement: impl Into<Selection>, patience: u64, smaller_is_better: bool) -> Self {
         let measurement = measurement.into();
         Self { measurement, patience, smaller_is_better, state: State::default() }
     }
@@ -30,22 +30,25 @@ impl EarlyStopping {
 
 impl Callback for EarlyStopping {
     fn on_event(&mut self, event: &Event<'_>, _: Progress) -> Result<Flow, TrainError> {
-        let Event::Eval { measurements, .. } = event else { return Ok(Flow::Continue) };
-        let Some(found) = measurements.iter().find(|m| m.name == self.measurement) else {
-            return Ok(Flow::Continue);
-        };
+        let Event::Evaluated { measurements } = event else { return Ok(Flow::Continue) };
+        // One that is undefined this time is no better.
+        let value = self.measurement.value(measurements).unwrap_or(f64::NAN);
         let better = match self.state.best {
             // Any number is better than none; NaN never is.
-            None => !found.value.is_nan(),
-            Some(best) if self.smaller_is_better => found.value < best,
-            Some(best) => found.value > best,
+            None => !value.is_nan(),
+            Some(best) if self.smaller_is_better => value < best,
+            Some(best) => value > best,
         };
         if better {
-            self.state = State { best: Some(found.value), waited: 0 };
+            self.state = State { best: Some(value), waited: 0 };
             return Ok(Flow::Continue);
         }
         self.state.waited += 1;
         Ok(if self.state.waited >= self.patience { Flow::Stop } else { Flow::Continue })
+    }
+
+    fn waits_for(&self) -> Option<(&'static str, &Selection)> {
+        Some(("early_stopping.measurement", &self.measurement))
     }
 
     fn state(&self) -> Option<(&'static str, serde_json::Value)> {

@@ -2,6 +2,8 @@
 
 use crate::TrainError;
 use crate::event::{Callback, Event, Flow, Progress};
+use scenesplat_datasets::LeftOut;
+use scenesplat_metrics::Measurement;
 use serde::{Deserialize, Serialize};
 use std::fs::File;
 use std::io::{BufRead, BufReader, BufWriter, Write};
@@ -52,10 +54,7 @@ impl JsonLines {
                 kept.push(b'\n');
             }
         }
-        let beside = self.path.with_extension("partial");
-        crate::checkpoint::write_synced(&beside, &kept)?;
-        std::fs::rename(&beside, &self.path)
-            .map_err(TrainError::io(&self.path, "cannot rename to"))?;
+        scenesplat_scene::AtomicFile::write(&self.path, &kept)?;
         let file = File::options().append(true).open(&self.path);
         self.file = Some(BufWriter::new(file.map_err(TrainError::io(&self.path, "cannot open"))?));
         Ok(())
@@ -70,6 +69,7 @@ impl Callback for JsonLines {
                 return Ok(Flow::Continue);
             }
             Event::Step { measurements } | Event::Eval { measurements, .. } => *measurements,
+            Event::Data { name, left_out } => &data_measurements(name, left_out),
             _ => return Ok(Flow::Continue),
         };
         let error = TrainError::io(&self.path, "cannot write");
@@ -88,6 +88,14 @@ impl Callback for JsonLines {
         file.flush().map_err(&error)?;
         Ok(Flow::Continue)
     }
+}
+
+/// Counts of what was left out: `data/train/skipped_scenes` and so on.
+fn data_measurements(name: &str, left_out: &LeftOut) -> Vec<Measurement> {
+    let entry = |(count, value): (&str, usize)| {
+        Measurement::new(format!("data/{name}/{count}"), value as f64)
+    };
+    left_out.counts().map(entry).to_vec()
 }
 
 /// Reads a log. A last line that was cut off is left out.

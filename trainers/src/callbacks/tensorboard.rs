@@ -30,7 +30,7 @@ impl TensorBoard {
             .map_err(TrainError::io(&self.folder, "cannot make"))?;
         let seconds = now() as u64;
         let name = format!("events.out.tfevents.{seconds:010}.scenesplat.{step}");
-        let file = File::create(self.folder.join(name))
+        let file = create(&self.folder.join(name))
             .map_err(TrainError::io(&self.folder, "cannot write in"))?;
         let mut file = BufWriter::new(file);
         // Field 3 of an event: the version of the file.
@@ -39,6 +39,21 @@ impl TensorBoard {
         record(&mut file, &event).map_err(TrainError::io(&self.folder, "cannot write in"))?;
         self.file = Some(file);
         Ok(())
+    }
+}
+
+/// Makes a file that was not there: a run that is resumed within a second gets one of its own.
+fn create(path: &Path) -> std::io::Result<File> {
+    let mut number = 0;
+    loop {
+        let mut name = path.as_os_str().to_owned();
+        if number > 0 {
+            name.push(format!(".{number}"));
+        }
+        match File::create_new(&name) {
+            Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists && number < 1000 => number += 1,
+            made => return made,
+        }
     }
 }
 

@@ -4,5 +4,6 @@ mod scenes;
 mod segmentation;
 mod zero_shot;
 
+pub use scenes::{Scores, VOTE_K};
 pub use segmentation::SegmentationEvaluator;
 pub use zero_shot::ZeroShotEvaluator;

@@ -1,15 +1,17 @@
 //! Supervised segmentation: the class with the largest logit, compared with the truth.
 
-use super::scenes::{for_each, values};
+use super::scenes::{Protocol, Scores, VOTE_K};
 use crate::TrainError;
 use crate::event::{Evaluator, Progress};
 use crate::tasks::SemanticSegmentation;
-use scenesplat_datasets::{Dataset, InputFeatures};
-use scenesplat_metrics::{ConfusionMatrix, Measurement, Metric};
+use scenesplat_datasets::{Dataset, InputFeatures, LeftOut};
+use scenesplat_metrics::Measurement;
 use std::sync::Arc;
 
-/// Labels every voxel with its largest logit and measures mIoU, mAcc, allAcc (as
-/// [`ConfusionMatrix`]).
+/// Labels every Gaussian with the largest logit of its voxel and measures the numbers of [`Scores`].
+///
+/// Where a scene has labelled points with classes, they are scored: each takes the majority of the
+/// [`VOTE_K`] Gaussians nearest to it. Else every labelled Gaussian is, without a vote.
 ///
 /// # Source
 /// `SemSegEvaluator`, SceneSplat be9d5e1. Differs: averages are over the classes that occur, not
@@ -19,6 +21,7 @@ pub struct SegmentationEvaluator {
     data: Arc<dyn Dataset>,
     features: InputFeatures,
     excluded: Vec<usize>,
+    vote_k: Option<usize>,
 }
 
 impl SegmentationEvaluator {
@@ -30,7 +33,15 @@ impl SegmentationEvaluator {
         features: InputFeatures,
         excluded: Vec<usize>,
     ) -> Self {
-        Self { name: name.into(), data, features, excluded }
+        Self { name: name.into(), data, features, excluded, vote_k: None }
+    }
+
+    /// Each scored point or Gaussian takes the majority of the `k` Gaussians nearest to it; for
+    /// Gaussians, 1 is no vote.
+    #[must_use]
+    pub fn with_vote(mut self, k: usize) -> Self {
+        self.vote_k = Some(k);
+        self
     }
 }
 
@@ -39,19 +50,30 @@ impl Evaluator<SemanticSegmentation> for SegmentationEvaluator {
         &self.name
     }
 
+    fn left_out(&self) -> LeftOut {
+        self.data.left_out()
+    }
+
+    fn measurements(&self) -> Vec<String> {
+        Scores::names()
+    }
+
     fn run(
         &mut self,
         module: &SemanticSegmentation,
         _: Progress,
     ) -> Result<Vec<Measurement>, TrainError> {
         let classes = module.model().out_channels();
-        let mut confusion = ConfusionMatrix::new(classes)?.with_excluded(&self.excluded)?;
-        for_each(self.data.as_ref(), &self.features, module.model(), |_, labels, out| {
-            let logits = values(out)?;
-            let predicted: Vec<i32> = logits.chunks_exact(classes).map(largest).collect();
-            Ok(confusion.update((&predicted, labels))?)
-        })?;
-        Ok(confusion.measure())
+        let protocol = Protocol {
+            excluded: &self.excluded,
+            answers: (0..classes as i32).collect(),
+            points_k: self.vote_k.unwrap_or(VOTE_K),
+            gaussians_k: self.vote_k.unwrap_or(1),
+        };
+        let data = self.data.as_ref();
+        let label = |logits: &[f32]| Ok(logits.chunks_exact(classes).map(largest).collect());
+        let scores = protocol.run(&self.name, data, &self.features, module.model(), label)?;
+        Ok(scores.measurements())
     }
 }
 

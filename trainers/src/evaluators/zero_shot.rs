@@ -1,21 +1,27 @@
 //! Zero-shot segmentation: the class whose text is nearest, compared with the truth.
 
-use super::scenes::{for_each, values};
+use super::scenes::{Protocol, Scores, VOTE_K};
 use crate::TrainError;
 use crate::event::{Evaluator, Progress};
 use crate::tasks::LanguagePretraining;
-use scenesplat_datasets::{Dataset, InputFeatures};
+use scenesplat_datasets::{Dataset, InputFeatures, LeftOut};
 use scenesplat_metrics::{
-    ConfusionMatrix, FeatureSlice, Measurement, Metric, TextTable, ZeroShotOptions, classify, vote,
+    ConfusionMatrix, FeatureSlice, Measurement, TextTable, ZeroShotOptions, classify,
 };
+use scenesplat_models::Backbone;
 use std::sync::Arc;
 
-/// Labels every voxel by the nearest of the class texts and measures mIoU, mAcc, allAcc, f-mIoU,
-/// f-mAcc (as [`ConfusionMatrix`]).
+/// Labels every Gaussian by the class text nearest to the feature of its voxel and measures the
+/// numbers of [`Scores`].
+///
+/// Where a scene has labelled points with classes, they are scored, else every labelled Gaussian.
+/// Each takes the majority of the [`VOTE_K`] Gaussians nearest to it that have a language feature
+/// in the data (all, if the data do not say).
 ///
 /// # Source
-/// `LangPretrainZeroShotSemSegEval`, SceneSplat be9d5e1. Differs: numbers are those of the tester;
-/// scenes are looked at one by one, so none votes in another.
+/// `LangPretrainZeroShotSemSegEval`, SceneSplat be9d5e1. Differs: numbers are those of the tester,
+/// and so are the voters: all Gaussians, not one a voxel, and all labelled points; scenes are looked
+/// at one by one, so none votes in another; labels never use instances of the truth.
 pub struct ZeroShotEvaluator {
     name: String,
     data: Arc<dyn Dataset>,
@@ -26,8 +32,10 @@ pub struct ZeroShotEvaluator {
 }
 
 impl ZeroShotEvaluator {
-    /// `data` ends with a grid sample; its labels index the rows of `text`. `excluded` classes (wall,
-    /// floor, ceiling) are left out of the averages that begin with f.
+    /// `data` ends with a grid sample that keeps the full scene, as
+    /// [`validation`](scenesplat_datasets::transforms::validation) does (else the sample is the scene);
+    /// its labels index the rows of `text`. `excluded` classes (wall, floor, ceiling) are left out of
+    /// the averages that begin with f.
     pub fn new(
         name: impl Into<String>,
         data: Arc<dyn Dataset>,
@@ -35,10 +43,11 @@ impl ZeroShotEvaluator {
         text: TextTable,
         excluded: Vec<usize>,
     ) -> Self {
-        Self { name: name.into(), data, features, text, excluded, vote_k: 1 }
+        Self { name: name.into(), data, features, text, excluded, vote_k: VOTE_K }
     }
 
-    /// Each voxel takes the majority of its `k` nearest; 1 is none.
+    /// Each scored point or Gaussian takes the majority of the `k` nearest; for Gaussians, 1 is no
+    /// vote.
     #[must_use]
     pub fn with_vote(mut self, k: usize) -> Self {
         self.vote_k = k;
@@ -48,24 +57,34 @@ impl ZeroShotEvaluator {
     /// The counts over all scenes.
     ///
     /// # Errors
-    /// If data cannot be read or the network fails.
-    pub fn confusion(
-        &self,
-        model: &dyn scenesplat_models::Backbone,
-    ) -> Result<ConfusionMatrix, TrainError> {
-        let classes = self.text.num_classes();
-        let mut confusion = ConfusionMatrix::new(classes)?.with_excluded(&self.excluded)?;
-        for_each(self.data.as_ref(), &self.features, model, |batch, labels, out| {
-            let found = values(out)?;
-            let rows = FeatureSlice::new(&found, model.out_channels())?;
-            let mut predicted = classify(&rows, &self.text, &ZeroShotOptions::default())?.labels;
-            if self.vote_k > 1 {
-                let (coord, k) = (&batch.coord, self.vote_k.min(batch.len()));
-                predicted = vote(coord, &predicted, None, coord, k, classes)?;
-            }
-            Ok(confusion.update((&predicted, labels))?)
-        })?;
-        Ok(confusion)
+    /// If data cannot be read, none is labelled, or the network fails.
+    pub fn scores(&self, model: &dyn Backbone) -> Result<Scores, TrainError> {
+        let protocol = Protocol {
+            excluded: &self.excluded,
+            answers: self.answers()?,
+            points_k: self.vote_k,
+            gaussians_k: self.vote_k,
+        };
+        let width = model.out_channels();
+        let label = |rows: &[f32]| {
+            let rows = FeatureSlice::new(rows, width)?;
+            Ok(classify(&rows, &self.text, &ZeroShotOptions::default())?.labels)
+        };
+        protocol.run(&self.name, self.data.as_ref(), &self.features, model, label)
+    }
+
+    /// What the network said, against the truth: a part of [`scores`](Self::scores).
+    ///
+    /// # Errors
+    /// As [`scores`](Self::scores).
+    pub fn confusion(&self, model: &dyn Backbone) -> Result<ConfusionMatrix, TrainError> {
+        Ok(self.scores(model)?.model)
+    }
+
+    /// What the text of each class comes out as: itself, or an earlier class of the same text.
+    fn answers(&self) -> Result<Vec<i32>, TrainError> {
+        let rows = FeatureSlice::new(self.text.rows(), self.text.dim())?;
+        Ok(classify(&rows, &self.text, &ZeroShotOptions::default())?.labels)
     }
 }
 
@@ -74,11 +93,19 @@ impl Evaluator<LanguagePretraining> for ZeroShotEvaluator {
         &self.name
     }
 
+    fn left_out(&self) -> LeftOut {
+        self.data.left_out()
+    }
+
+    fn measurements(&self) -> Vec<String> {
+        Scores::names()
+    }
+
     fn run(
         &mut self,
         module: &LanguagePretraining,
         _: Progress,
     ) -> Result<Vec<Measurement>, TrainError> {
-        Ok(self.confusion(module.model())?.measure())
+        Ok(self.scores(module.model())?.measurements())
     }
 }

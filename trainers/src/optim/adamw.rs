@@ -1,4 +1,4 @@
-use super::{Controls, Optimizer, ParamGroup, clip, slices};
+use super::{Optimizer, ParamGroup, StepHyperparameters, clip, slices};
 use crate::TrainError;
 use crate::error::check_setting;
 use candle_core::{
@@ -156,13 +156,17 @@ impl Slot {
 }
 
 impl Optimizer for AdamW {
-    fn step(&mut self, grads: &GradStore, controls: &Controls) -> Result<(), TrainError> {
+    fn step(
+        &mut self,
+        grads: &GradStore,
+        hyperparameters: &StepHyperparameters,
+    ) -> Result<(), TrainError> {
         let AdamWConfig { beta1, beta2, eps } = self.config;
-        let scale = controls.lr_scale;
+        let scale = hyperparameters.lr_scale;
         check_setting("lr_scale", scale, scale.is_finite() && scale >= 0.0, "at least 0")?;
-        let beta1 = controls.beta1.unwrap_or(beta1);
+        let beta1 = hyperparameters.beta1.unwrap_or(beta1);
         check_setting("beta1", beta1, (0.0..1.0).contains(&beta1), "in 0..1")?;
-        controls.weight_decay.map_or(Ok(()), check_decay)?;
+        hyperparameters.weight_decay.map_or(Ok(()), check_decay)?;
         // Everything is checked before anything changes.
         let grads = self.checked_grads(grads)?;
         // A gradient may share memory with some parameter, so all are read before any is written.
@@ -175,7 +179,7 @@ impl Optimizer for AdamW {
             let rates = &self.groups[slot.group];
             let (lr, t) = (rates.lr * scale, slot.step as f64);
             let change = Change {
-                keep: 1.0 - lr * controls.weight_decay.unwrap_or(rates.weight_decay),
+                keep: 1.0 - lr * hyperparameters.weight_decay.unwrap_or(rates.weight_decay),
                 rate: lr / (1.0 - beta1.powf(t)),
                 root_scale: (1.0 - beta2.powf(t)).sqrt(),
                 eps,
@@ -183,6 +187,17 @@ impl Optimizer for AdamW {
             slot.update_parameter(&change).map_err(TrainError::tensor(&slot.name))?;
         }
         Ok(())
+    }
+
+    fn settings(&self) -> serde_json::Value {
+        let group = |(i, group): (usize, &GroupRates)| {
+            let parameters = self.slots.iter().filter(|slot| slot.group == i).count();
+            serde_json::json!({
+                "lr": group.lr, "weight_decay": group.weight_decay, "parameters": parameters,
+            })
+        };
+        let groups: Vec<_> = self.groups.iter().enumerate().map(group).collect();
+        serde_json::json!({ "adamw": self.config, "parameter_groups": groups })
     }
 
     fn state(&self) -> Result<BTreeMap<String, Tensor>, TrainError> {

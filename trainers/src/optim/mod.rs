@@ -11,7 +11,7 @@ pub use adamw::{AdamW, AdamWConfig};
 pub use clip::{clip_grad_norm, grad_norm};
 pub use ema::ema_update;
 pub use groups::{KeywordGroup, ParamGroup, group_by_keyword};
-pub use schedule::{CosineSchedule, OneCycle, Schedule};
+pub use schedule::{CosineSchedule, OneCycle, Schedule, WithWeightDecay};
 
 use crate::TrainError;
 use candle_core::{Tensor, backprop::GradStore};
@@ -19,7 +19,7 @@ use std::collections::BTreeMap;
 
 /// What changes from step to step; the rest belongs to the optimizer.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Controls {
+pub struct StepHyperparameters {
     /// Factor on every group's learning rate, at least 0.
     pub lr_scale: f64,
     /// Momentum of all groups for this step, in `0..1`; the optimizer's own if `None`.
@@ -28,7 +28,7 @@ pub struct Controls {
     pub weight_decay: Option<f64>,
 }
 
-impl Default for Controls {
+impl Default for StepHyperparameters {
     fn default() -> Self {
         Self { lr_scale: 1.0, beta1: None, weight_decay: None }
     }
@@ -45,8 +45,17 @@ pub trait Optimizer: Send {
     ///
     /// # Errors
     /// If a gradient is not finite, too large, or of another shape or type than its parameter, or a
-    /// control is out of range. Nothing has changed then.
-    fn step(&mut self, grads: &GradStore, controls: &Controls) -> Result<(), TrainError>;
+    /// hyperparameter is out of range. Nothing has changed then.
+    fn step(
+        &mut self,
+        grads: &GradStore,
+        hyperparameters: &StepHyperparameters,
+    ) -> Result<(), TrainError>;
+
+    /// What a checkpoint shall compare before a run goes on; nothing by default.
+    fn settings(&self) -> serde_json::Value {
+        serde_json::Value::Null
+    }
 
     /// Moments and counters, by name: copies that later steps leave alone.
     ///

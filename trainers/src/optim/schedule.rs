@@ -1,4 +1,4 @@
-use super::Controls;
+use super::StepHyperparameters;
 use crate::TrainError;
 use crate::error::check_setting;
 use serde::{Deserialize, Serialize};
@@ -17,12 +17,22 @@ pub trait Schedule: Send {
         None
     }
 
-    /// Both, as an optimizer takes them.
-    fn controls(&self, step: u64, total: u64) -> Controls {
-        Controls {
+    /// Weight decay of all groups at `step` of `total`; `None` leaves each group its own.
+    fn weight_decay(&self, _step: u64, _total: u64) -> Option<f64> {
+        None
+    }
+
+    /// What a checkpoint shall compare before a run goes on; nothing by default.
+    fn settings(&self) -> serde_json::Value {
+        serde_json::Value::Null
+    }
+
+    /// All of them, as an optimizer takes them.
+    fn hyperparameters(&self, step: u64, total: u64) -> StepHyperparameters {
+        StepHyperparameters {
             lr_scale: self.factor(step, total),
             beta1: self.beta1(step, total),
-            weight_decay: None,
+            weight_decay: self.weight_decay(step, total),
         }
     }
 }
@@ -110,6 +120,10 @@ impl Schedule for OneCycle {
     fn beta1(&self, step: u64, total: u64) -> Option<f64> {
         Some(self.value(step, total, self.max_beta1, self.min_beta1, self.max_beta1))
     }
+
+    fn settings(&self) -> serde_json::Value {
+        named("one_cycle", self)
+    }
 }
 
 /// A straight warm-up, then half a cosine from one value to another.
@@ -190,6 +204,72 @@ impl Schedule for CosineSchedule {
     fn factor(&self, step: u64, total: u64) -> f64 {
         self.value(step, total)
     }
+
+    fn settings(&self) -> serde_json::Value {
+        named("cosine", self)
+    }
+}
+
+/// A schedule of the learning rate, and one of the weight decay beside it: step `n` decays by
+/// `decay.value(n, total)`.
+pub struct WithWeightDecay<S> {
+    /// Of the learning rate and momentum.
+    pub rate: S,
+    /// Of the weight decay.
+    pub decay: CosineSchedule,
+}
+
+impl<S: Schedule> Schedule for WithWeightDecay<S> {
+    fn factor(&self, step: u64, total: u64) -> f64 {
+        self.rate.factor(step, total)
+    }
+
+    fn beta1(&self, step: u64, total: u64) -> Option<f64> {
+        self.rate.beta1(step, total)
+    }
+
+    fn weight_decay(&self, step: u64, total: u64) -> Option<f64> {
+        Some(self.decay.value(step, total))
+    }
+
+    fn settings(&self) -> serde_json::Value {
+        let decay = named("cosine", &self.decay);
+        match self.rate.settings() {
+            serde_json::Value::Object(mut settings) => {
+                settings.insert("weight_decay".to_owned(), decay);
+                settings.into()
+            }
+            other => serde_json::json!({ "rate": other, "weight_decay": decay }),
+        }
+    }
+}
+
+impl<S: Schedule + ?Sized> Schedule for Box<S> {
+    fn factor(&self, step: u64, total: u64) -> f64 {
+        (**self).factor(step, total)
+    }
+
+    fn beta1(&self, step: u64, total: u64) -> Option<f64> {
+        (**self).beta1(step, total)
+    }
+
+    fn weight_decay(&self, step: u64, total: u64) -> Option<f64> {
+        (**self).weight_decay(step, total)
+    }
+
+    fn settings(&self) -> serde_json::Value {
+        (**self).settings()
+    }
+}
+
+/// Settings with the name by which files choose them.
+fn named(name: &str, settings: &impl Serialize) -> serde_json::Value {
+    // Plain numbers: nothing that JSON could refuse.
+    let mut value = serde_json::to_value(settings).unwrap_or_default();
+    if let Some(fields) = value.as_object_mut() {
+        fields.insert("type".to_owned(), name.into());
+    }
+    value
 }
 
 /// From `a` at 0 to `b` at 1, flat at both ends.

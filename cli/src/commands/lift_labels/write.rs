@@ -9,6 +9,16 @@ use scenesplat::scene::SceneError;
 use scenesplat::scene::formats::npy_writer::{NpyElement, NpyRowWriter, write_npy};
 use std::path::{Path, PathBuf};
 
+/// The files of one granularity, with the picture of them.
+pub(super) const FILES: [&str; 6] = [
+    "lang_feat.npy",
+    "valid_feat_mask.npy",
+    "confidence.npy",
+    "views.npy",
+    "coverage.npy",
+    "preview.png",
+];
+
 /// Writes features as they come and keeps what is small.
 pub(super) struct Writer<'a> {
     opened: &'a OpenedScene,

@@ -3,7 +3,7 @@
 use super::super::WrongUse;
 use super::Args;
 use anyhow::Result;
-use scenesplat::preview::{Ceiling, Orbit, SceneRows};
+use scenesplat::preview::{Ceiling, LookAt, Orbit, SceneRows, inside_views};
 use scenesplat::rasterizer::View;
 use scenesplat::scene::{Camera, GaussianScene, UpAxis, open_cameras};
 use std::collections::HashSet;
@@ -60,11 +60,8 @@ pub(super) fn read(path: &Path, args: &Args) -> Result<Shots> {
 /// A camera by the name of its picture, with or without folder and ending, or by its number.
 fn find<'a>(cameras: &'a [Camera], wanted: &str, path: &Path) -> Result<(usize, &'a Camera)> {
     let of_name = |name: &str| {
-        let path = Path::new(name);
-        [Some(path.as_os_str()), path.file_name(), path.file_stem()]
-            .into_iter()
-            .flatten()
-            .any(|part| part == wanted)
+        let file = name.rsplit(['/', '\\']).next().unwrap_or(name);
+        [name, file, without_ending(file)].contains(&wanted)
     };
     let by_name = cameras.iter().enumerate().find(|(_, camera)| of_name(&camera.name));
     let by_number = || wanted.parse().ok().and_then(|i: usize| Some((i, cameras.get(i)?)));
@@ -80,12 +77,25 @@ fn find<'a>(cameras: &'a [Camera], wanted: &str, path: &Path) -> Result<(usize, 
     })
 }
 
-/// The stem of a picture's file, fit for a file name.
+/// Endings of pictures; whatever else follows a dot is part of a name (`frame.0001`).
+const PICTURE_ENDINGS: [&str; 12] =
+    ["png", "jpg", "jpeg", "webp", "tif", "tiff", "bmp", "exr", "heic", "dng", "gif", "ppm"];
+
+fn without_ending(file: &str) -> &str {
+    match file.rsplit_once('.') {
+        Some((stem, ending)) if PICTURE_ENDINGS.iter().any(|e| ending.eq_ignore_ascii_case(e)) => {
+            stem
+        }
+        _ => file,
+    }
+}
+
+/// The name of a picture without folder and ending, fit for a file name.
 fn picture_name(name: &str, index: usize) -> String {
-    let stem = Path::new(name).file_stem().unwrap_or_default().to_string_lossy();
-    let fit = |c: char| if c.is_control() || "/\\:*?\"<>|".contains(c) { '_' } else { c };
-    let name: String = stem.chars().map(fit).collect();
-    if name.is_empty() { format!("camera_{index:05}") } else { name }
+    let file = name.rsplit(['/', '\\']).next().unwrap_or(name);
+    let fit = |c: char| if c.is_control() || ":*?\"<>|".contains(c) { '_' } else { c };
+    let name: String = without_ending(file).chars().map(fit).collect();
+    if name.chars().all(|c| c == '.') { format!("camera_{index:05}") } else { name }
 }
 
 /// The same camera with a picture of another size.
@@ -103,8 +113,34 @@ fn resized(camera: &Camera, [width, height]: [u32; 2]) -> Camera {
     }
 }
 
+/// Cameras without a file: the one of the flags, those inside, or those around the scene.
+pub(super) fn of_scene(scene: &GaussianScene, up: UpAxis, args: &Args) -> Result<Shots> {
+    let size = args.size.unwrap_or(ORBIT_SIZE);
+    let plain = |cameras: Vec<Camera>| {
+        let shot = |camera: Camera| Shot { name: camera.name.clone(), camera };
+        let list = cameras.into_iter().map(shot).collect();
+        Shots { list, near: None, ceiling: None, notes: Vec::new() }
+    };
+    if let (Some(eye), Some(target)) = (args.eye, args.target) {
+        let look = LookAt { eye, target, fov: args.fov.unwrap_or(60.0) };
+        let camera = look.camera("view", up, size).ok_or_else(|| {
+            WrongUse(format!("--target {target:?}: is where --eye is; the camera looks nowhere"))
+        })?;
+        return Ok(plain(vec![camera]));
+    }
+    if let Some(count) = args.inside {
+        let color = vec![[0; 3]; scene.len()];
+        let sizes = SceneRows::of(scene);
+        let fov = args.fov.unwrap_or(75.0);
+        let cameras = inside_views(&sizes.rows(scene, &color), up, count.into(), fov, size);
+        anyhow::ensure!(!cameras.is_empty(), "--inside: the scene has no Gaussian to stand among");
+        return Ok(plain(cameras));
+    }
+    Ok(around(scene, up, args))
+}
+
 /// Cameras around a scene.
-pub(super) fn around(scene: &GaussianScene, up: UpAxis, args: &Args) -> Shots {
+fn around(scene: &GaussianScene, up: UpAxis, args: &Args) -> Shots {
     let count = usize::from(args.orbit.unwrap_or(4));
     let color = vec![[0; 3]; scene.len()];
     let sizes = SceneRows::of(scene);
@@ -132,6 +168,9 @@ mod tests {
         assert_eq!(picture_name("images/left/0001.jpg", 4), "0001");
         assert_eq!(picture_name("..", 4), "camera_00004");
         assert_eq!(picture_name("", 12), "camera_00012");
-        assert_eq!(picture_name("a:b\\c?.png", 0), "a_b_c_");
+        assert_eq!(picture_name("a:b\\c?.png", 0), "c_");
+        assert_eq!(picture_name("left/frame.0001", 0), "frame.0001");
+        assert_eq!(picture_name("frame.0001.JPEG", 0), "frame.0001");
+        assert_eq!(picture_name("v1.2/scan.left.png", 0), "scan.left");
     }
 }

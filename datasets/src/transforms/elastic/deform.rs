@@ -1,6 +1,7 @@
 //! A Gaussian under a linear map.
 
 use crate::transforms::quaternion::{matrix, of_matrix, unit, with_positive_w};
+use scenesplat_scene::vector::{cross, dot};
 
 /// Rows first.
 pub(super) type Matrix = [[f64; 3]; 3];
@@ -87,14 +88,6 @@ fn orthogonalise(columns: &mut [[f64; 3]; 3]) {
             return;
         }
     }
-}
-
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 #[cfg(test)]

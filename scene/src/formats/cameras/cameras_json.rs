@@ -6,7 +6,7 @@
 //! `cy` are read if they are there.
 
 use super::{CameraKind, CameraSet, pixels, without_mark};
-use crate::formats::files::AtomicFile;
+use crate::AtomicFile;
 use crate::frame::Matrix3;
 use crate::{Camera, Distortion, SceneError};
 use serde::de::IgnoredAny;
@@ -59,7 +59,7 @@ pub fn read_cameras_json(bytes: &[u8], path: &Path) -> Result<CameraSet, SceneEr
     let help = "export the cameras again";
     let entries: Vec<Entry> = serde_json::from_slice(without_mark(bytes))
         .map_err(|e| SceneError::format(path, format!("is no list of cameras: {e}"), help))?;
-    let camera = |(i, entry): (usize, Entry)| {
+    let camera = |(i, entry): (usize, Entry)| -> Result<Camera, SceneError> {
         let bad = |problem: String| {
             SceneError::format(path, format!("camera {i} {:?} {problem}", entry.img_name), help)
         };
@@ -119,7 +119,7 @@ pub fn write_cameras_json(cameras: &[Camera], path: &Path) -> Result<(), SceneEr
     let file = AtomicFile::create(path)?;
     let mut to = file.file()?;
     to.write_all(&bytes).map_err(SceneError::io(path, "cannot write the cameras"))?;
-    file.commit()
+    Ok(file.commit()?)
 }
 
 /// The centre, rounded to about 12 digits of its largest coordinate.

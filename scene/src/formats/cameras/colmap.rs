@@ -9,6 +9,7 @@ pub use text::read_colmap_text;
 
 use super::{CameraKind, CameraSet, SparsePoints};
 use crate::formats::files::MappedFile;
+use crate::vector::rotation;
 use crate::{Camera, SceneError};
 use models::{Lens, intrinsics};
 use std::collections::BTreeMap;
@@ -121,15 +122,6 @@ fn join(
     let mut notes = Vec::new();
     let points = points.map(|points| finite_points(points, &mut notes));
     CameraSet { cameras, points, kind, notes }.finish(folder)
-}
-
-/// The matrix of a unit quaternion `w, x, y, z`.
-fn rotation([w, x, y, z]: [f64; 4]) -> [[f64; 3]; 3] {
-    [
-        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-    ]
 }
 
 /// Leaves out points without a position, and says so.

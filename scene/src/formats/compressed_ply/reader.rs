@@ -9,7 +9,7 @@ use crate::formats::label_column::{read_instance, read_segment};
 use crate::formats::packed_values::{alpha_logits, dc_of};
 use crate::formats::ply::{ByteRows, PlyFile};
 use crate::formats::scene_blocks::{SceneBlock, fill_scene};
-use crate::formats::{LoadedScene, ReadOptions, SceneKind, semantics};
+use crate::formats::{LoadedScene, ReadOptions, SceneFormat, semantics};
 use crate::value_policy::Rule;
 use crate::{RepairReport, SceneError};
 use rayon::prelude::*;
@@ -95,7 +95,7 @@ pub fn read_compressed_ply(
         let (path, policy) = (file.path(), options.policy);
         semantics::read_sidecar(path, bytes, vertex.count, policy, &mut scene, &mut report)?;
     }
-    LoadedScene::finish(scene, report, options.policy, file.path(), SceneKind::CompressedPly)
+    LoadedScene::finish(scene, report, options.policy, file.path(), SceneFormat::CompressedPly)
 }
 
 fn within(bounds: &[f32; 12], first: usize, word: u32) -> [f32; 3] {

@@ -5,6 +5,7 @@ use super::singular::singular_values;
 use crate::frame::{Matrix3, determinant, product};
 use crate::similarity::matrix_to_quat;
 use crate::spherical_harmonics::ShRotation;
+use crate::vector::rotation;
 use crate::{GaussianScene, Similarity};
 use rayon::prelude::*;
 
@@ -118,10 +119,5 @@ fn stretch(linear: &Matrix3, log_scale: [f32; 3], quat: [f32; 4]) -> Option<([f3
 fn matrix(quat: [f32; 4]) -> Matrix3 {
     let q = quat.map(f64::from);
     let norm = q.iter().map(|v| v * v).sum::<f64>().sqrt();
-    let [w, x, y, z] = q.map(|v| v / norm);
-    [
-        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-    ]
+    rotation(q.map(|v| v / norm))
 }

@@ -1,6 +1,7 @@
 //! Singular values of a 3×3 matrix.
 
 use crate::frame::Matrix3;
+use crate::vector::{cross, dot};
 
 /// Sweeps after which even hard matrices have converged.
 const MAX_SWEEPS: usize = 30;
@@ -74,14 +75,6 @@ fn complete(u: &mut Matrix3, s: &[f64; 3]) {
     if s[2] == 0.0 {
         u[2] = cross(u[0], u[1]);
     }
-}
-
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 #[cfg(test)]

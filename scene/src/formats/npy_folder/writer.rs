@@ -1,11 +1,11 @@
 //! Writing the preprocessed scene.
 
-use super::staging::StagedFolder;
+use crate::StagedFolder;
+use crate::formats::limit_tally::LimitTally;
 use crate::formats::npy_writer::{NpyElement, NpyRowWriter};
 use crate::formats::packed_values::{
     ALPHA_ENDS, COLOR_CLIPPED, SIZE_CUT, SIZE_VANISHES, alpha, tally_colors, tally_sizes,
 };
-use crate::formats::write::LimitTally;
 use crate::formats::{SceneFormat, WriteOptions, WriteProgress, WriteReport};
 use crate::gaussian_scene::{probability_to_logit, sigmoid};
 use crate::{GaussianScene, SceneError};

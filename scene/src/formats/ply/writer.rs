@@ -3,9 +3,10 @@
 use super::PlyFile;
 use super::header::{HeaderLine, PlyElement, PlyProperty, PlyPropertyKind, PlyType};
 use super::layout::Cell;
+use crate::AtomicFile;
 use crate::SceneError;
 use crate::formats::WriteProgress;
-use crate::formats::files::{AtomicFile, write_all_at};
+use crate::formats::files::write_all_at;
 use half::f16;
 use rayon::prelude::*;
 use std::io::{BufWriter, Write};
@@ -177,7 +178,7 @@ pub fn write_ply_with_columns(
     }
     to.flush().map_err(write_failed())?;
     drop(to);
-    file.commit()
+    Ok(file.commit()?)
 }
 
 /// The header of the source with another encoding and further properties.
@@ -358,7 +359,7 @@ pub(crate) fn write_new_ply(
     for element in after {
         at += write_rows(&file, at, element.count, &element.columns, &mut tick)?;
     }
-    file.commit()
+    Ok(file.commit()?)
 }
 
 /// Bytes of a row.

@@ -1,7 +1,8 @@
 //! The block of labels as a file beside a scene, for formats that cannot hold it.
 
 use super::{ABOUT, SceneFingerprint, decode, encode_with, has_any, read_about};
-use crate::formats::files::{AtomicFile, MappedFile};
+use crate::AtomicFile;
+use crate::formats::files::MappedFile;
 use crate::{GaussianScene, Policy, RepairReport, SceneError};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -59,7 +60,7 @@ impl Sidecar {
     ) -> Result<Option<PathBuf>, SceneError> {
         let mut labels = None;
         if has_any(scene) {
-            let fingerprint = SceneFingerprint::of(file.map()?.bytes());
+            let fingerprint = SceneFingerprint::of(MappedFile::of_written(&file)?.bytes());
             labels = stage(scene, order, &self.path, fingerprint)?;
         }
         file.sync()?;

@@ -5,7 +5,7 @@
 //! with all 65,536, is what makes a million rows a matter of seconds. Sums have a fixed order, so
 //! the result does not depend on the number of threads.
 
-use super::writer::Ticker;
+use super::ticker::Ticker;
 use crate::SceneError;
 use rayon::prelude::*;
 

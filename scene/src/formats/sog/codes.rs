@@ -2,10 +2,12 @@
 //!
 //! Every encoder here gives a code that stays the same when its own value is encoded again.
 
-use super::meta::ByteTable;
 use crate::gaussian_scene::probability_to_logit;
 use rayon::prelude::*;
 use std::f64::consts::SQRT_2;
+
+/// What a byte of a texture stands for.
+pub(super) type ByteTable = [f32; 256];
 
 /// Positions along one axis: 65,536 equal steps between two bounds in `sign(p) · ln(1 + |p|)`.
 #[derive(Debug, Clone, Copy, PartialEq)]

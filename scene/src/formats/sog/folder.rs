@@ -1,8 +1,10 @@
 //! Replacing the files of a scene in a folder, all of them or none.
 
+use super::META_NAME;
 use super::meta::SogMeta;
+use super::streamed::part_names;
 use crate::SceneError;
-use crate::formats::files::make_beside;
+use crate::atomic_file::make_beside;
 use std::fs::{self, File};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -50,7 +52,11 @@ impl FolderWriter {
     /// Writes one of the files.
     pub(super) fn write(&mut self, name: &str, bytes: &[u8]) -> Result<(), SceneError> {
         let target = self.folder.join(name);
-        File::create_new(self.part.join(name))
+        let part = self.part.join(name);
+        // Parts of streamed scenes have folders of their own.
+        part.parent()
+            .map_or(Ok(()), fs::create_dir_all)
+            .and_then(|()| File::create_new(part))
             .and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync_all()))
             .map_err(SceneError::io(&target, "cannot write the file"))?;
         self.written.push(name.to_owned());
@@ -63,8 +69,16 @@ impl FolderWriter {
     /// Fails, with everything as it was, if a file is there already and `overwrite` is not set.
     pub(super) fn commit(mut self, overwrite: bool) -> Result<Vec<PathBuf>, SceneError> {
         let written = std::mem::take(&mut self.written);
+        // What is moved is in the folder itself: files, and folders of parts as a whole.
+        let mut entries: Vec<String> = Vec::new();
+        for name in &written {
+            let entry = top(name);
+            if !entries.iter().any(|known| known == entry) {
+                entries.push(entry.to_owned());
+            }
+        }
         let mut leaving = self.files_of_old_scene();
-        leaving.extend(written.iter().cloned());
+        leaving.extend(entries.iter().cloned());
         leaving.sort_unstable();
         leaving.dedup();
         leaving.retain(|name| self.folder.join(name).exists());
@@ -77,7 +91,7 @@ impl FolderWriter {
         for name in &leaving {
             moves.push((self.folder.join(name), self.old().join(name)));
         }
-        for name in &written {
+        for name in &entries {
             moves.push((self.part.join(name), self.folder.join(name)));
         }
         for (i, (from, to)) in moves.iter().enumerate() {
@@ -97,11 +111,31 @@ impl FolderWriter {
     /// but textures and labels, whatever it names.
     fn files_of_old_scene(&self) -> Vec<String> {
         let Ok(text) = fs::read(&self.meta) else { return Vec::new() };
+        if let Some(parts) = part_names(&text) {
+            // A folder of a part has textures and a description, and nothing of anybody else.
+            let folders = parts.iter().map(|name| top(name)).filter(|name| is_part_folder(name));
+            let mut folders: Vec<String> = folders.map(str::to_owned).collect();
+            folders.sort_unstable();
+            folders.dedup();
+            folders.retain(|name| self.folder.join(name).join(META_NAME).is_file());
+            return folders;
+        }
         let Ok(meta) = SogMeta::parse(&text, &self.meta) else { return Vec::new() };
         let is_ours = |name: &&str| name.ends_with(".webp") || name.ends_with(".safetensors");
         let plain = meta.files().into_iter().filter(|name| !name.contains('/') && is_ours(name));
         plain.filter(|name| self.folder.join(name).is_file()).map(str::to_owned).collect()
     }
+}
+
+/// The first part of a path.
+fn top(name: &str) -> &str {
+    name.split('/').next().unwrap_or(name)
+}
+
+/// Whether a folder is called as those of parts are: `<level>_<number>`.
+fn is_part_folder(name: &str) -> bool {
+    let is_number = |text: &str| !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit());
+    name.split_once('_').is_some_and(|(level, number)| is_number(level) && is_number(number))
 }
 
 impl Drop for FolderWriter {

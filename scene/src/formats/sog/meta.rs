@@ -1,5 +1,6 @@
 //! `meta.json`: which texture holds what, and how its bytes become values.
 
+use super::codes::{ByteTable, alpha_table};
 use super::json::Field;
 use crate::SceneError;
 use serde_json::Value;
@@ -9,9 +10,6 @@ use std::path::{Component, Path};
 pub(super) const MAX_META_BYTES: usize = 4 << 20;
 /// The key, beside those of the format, under which the file of labels is named.
 pub(super) const OWN_KEY: &str = "scenesplat";
-
-/// What a byte of a texture stands for.
-pub(super) type ByteTable = [f32; 256];
 
 /// A `meta.json` of either version; both come down to one table for each channel.
 pub(super) struct SogMeta {
@@ -148,7 +146,7 @@ fn parse_v2(root: &Field<'_>) -> Result<SogMeta, SceneError> {
         }
     };
     let count = root.get("count")?.count()?;
-    let color_tables = Box::new([color, color, color, super::codes::alpha_table()]);
+    let color_tables = Box::new([color, color, color, alpha_table()]);
     parse_common(root, count, Box::new([scale; 3]), color_tables, sh_rest)
 }
 

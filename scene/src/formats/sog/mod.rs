@@ -22,22 +22,26 @@ mod codebook;
 mod codes;
 mod folder;
 mod json;
+mod levels;
 mod meta;
 mod order;
 mod palette;
 mod reader;
 mod source;
 mod streamed;
+mod streamed_writer;
 mod texture;
+mod ticker;
 mod writer;
 
 pub use meta::is_sog_meta_json;
 pub use source::is_sog_archive;
 pub use streamed::is_lod_meta_json;
+pub use streamed_writer::write_sog_streamed;
 pub use writer::{write_sog, write_sog_folder};
 
 use super::files::MappedFile;
-use super::{LoadedScene, ReadOptions, SceneKind, semantics};
+use super::{LoadedScene, ReadOptions, SceneFormat, semantics};
 use crate::{RepairReport, SceneError};
 use reader::{OpenSog, empty_scene};
 use source::Source;
@@ -119,7 +123,7 @@ fn read_one(
         let (path, block) = source.part(name, labels_limit(rows))?;
         semantics::decode(block.bytes(), rows, &mut scene, &mut report, &path)?;
     }
-    LoadedScene::finish(scene, report, options.policy, path, SceneKind::Sog)
+    LoadedScene::finish(scene, report, options.policy, path, SceneFormat::Sog)
 }
 
 /// Longest block of labels that is unpacked: some codebook, and a code of up to 500 numbers a row.

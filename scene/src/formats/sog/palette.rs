@@ -2,7 +2,7 @@
 
 use super::cluster::{self, Rows};
 use super::codebook::Codebook;
-use super::writer::Ticker;
+use super::ticker::Ticker;
 use crate::{GaussianScene, SceneError};
 use rayon::prelude::*;
 

@@ -1,7 +1,7 @@
 //! From textures to the arrays of a scene.
 
-use super::codes::{LogAxis, decode_quat};
-use super::meta::{ByteTable, SogMeta};
+use super::codes::{ByteTable, LogAxis, decode_quat};
+use super::meta::SogMeta;
 use super::source::{PartBytes, Source};
 use super::texture::TextureHead;
 use crate::SceneError;

@@ -4,7 +4,7 @@ use super::meta::{is_inside, parse_json};
 use super::reader::{OpenSog, empty_scene};
 use super::source::Source;
 use crate::formats::files::MappedFile;
-use crate::formats::{LoadedScene, ReadOptions, SceneKind};
+use crate::formats::{LoadedScene, ReadOptions, SceneFormat};
 use crate::{RepairReport, SceneError};
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -45,6 +45,12 @@ pub fn is_lod_meta_json(bytes: &[u8]) -> bool {
     parse_json(bytes, MAX_LOD_META_BYTES).is_some_and(|value| {
         value["lodLevels"].is_number() && value["filenames"].is_array() && value["tree"].is_object()
     })
+}
+
+/// Names of the chunk files of a streamed scene that this program wrote or can read.
+pub(super) fn part_names(json: &[u8]) -> Option<Vec<String>> {
+    let meta: LodMeta = serde_json::from_slice(json).ok()?;
+    Some(meta.filenames)
 }
 
 impl Node {
@@ -209,7 +215,7 @@ fn read_chunks(
         with_chunk(chunk, options, |sog| sog.decode(runs, &mut scene, first))?;
         first += runs.iter().map(Range::len).sum::<usize>();
     }
-    LoadedScene::finish(scene, report, options.policy, path, SceneKind::Sog)
+    LoadedScene::finish(scene, report, options.policy, path, SceneFormat::Sog)
 }
 
 /// Opens a chunk, a `meta.json` or an archive, for as long as `then` runs.

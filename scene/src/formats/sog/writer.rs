@@ -7,9 +7,10 @@ use super::meta::OWN_KEY;
 use super::order::spatial_order;
 use super::palette::Palette;
 use super::reader::{CENTROIDS_PER_LINE, ROWS_FOR_TABLE, line_width, plausible_rows};
+use super::ticker::Ticker;
 use super::{META_NAME, texture};
-use crate::formats::files::AtomicFile;
-use crate::formats::write::LimitTally;
+use crate::AtomicFile;
+use crate::formats::limit_tally::LimitTally;
 use crate::formats::{SceneFormat, WriteOptions, WriteProgress, WriteReport, semantics};
 use crate::{GaussianScene, SceneError};
 use rayon::prelude::*;
@@ -25,33 +26,6 @@ const ROWS_PER_TASK: usize = 16_384;
 const SMALLEST_LOG_SCALE: f32 = -27.631_02;
 /// Name of the block of labels.
 const LABELS_NAME: &str = "labels.safetensors";
-
-/// Tells the caller how far the work is, and hears whether to go on.
-pub(super) struct Ticker<'a> {
-    progress: WriteProgress<'a>,
-    from: f64,
-    to: f64,
-}
-
-impl<'a> Ticker<'a> {
-    /// For the whole work.
-    pub(super) fn new(progress: WriteProgress<'a>) -> Self {
-        Self { progress, from: 0.0, to: 1.0 }
-    }
-
-    /// At that fraction of this part of the work.
-    pub(super) fn tick(&mut self, fraction: f64) -> Result<(), SceneError> {
-        let at = self.from + (self.to - self.from) * fraction;
-        if (self.progress)(at) { Ok(()) } else { Err(SceneError::Stopped) }
-    }
-
-    /// A part of the work, by fractions of this one.
-    pub(super) fn part(&mut self, from: f64, to: f64) -> Ticker<'_> {
-        let range = self.to - self.from;
-        let (from, to) = (self.from + range * from, self.from + range * to);
-        Ticker { progress: &mut *self.progress, from, to }
-    }
-}
 
 /// Writes a scene as one archive, its entries stored as they are.
 ///
@@ -84,7 +58,7 @@ pub fn write_sog(
         .compression_method(CompressionMethod::Stored)
         .last_modified_time(DateTime::default())
         .unix_permissions(0o644);
-    encode(scene, path, &mut report, &mut ticker, &mut |name, bytes| {
+    encode(scene, path, Order::Spatial, &mut report, &mut ticker, &mut |name, bytes| {
         let options = options.large_file(bytes.len() as u64 >= u64::from(u32::MAX));
         zip.start_file(name, options).map_err(cannot)?;
         zip.write_all(bytes).map_err(SceneError::io(path, "cannot write the archive"))
@@ -116,7 +90,7 @@ pub fn write_sog_folder(
     let mut ticker = Ticker::new(progress);
     let mut folder = FolderWriter::create(path)?;
     let own_name = path.file_name().and_then(|name| name.to_str()).unwrap_or(META_NAME);
-    encode(scene, path, &mut report, &mut ticker, &mut |name, bytes| {
+    encode(scene, path, Order::Spatial, &mut report, &mut ticker, &mut |name, bytes| {
         folder.write(if name == META_NAME { own_name } else { name }, bytes)
     })?;
     ticker.tick(0.99)?;
@@ -131,12 +105,22 @@ pub fn write_sog_folder(
 }
 
 /// Takes a part under its name.
-type Sink<'a> = &'a mut dyn FnMut(&str, &[u8]) -> Result<(), SceneError>;
+pub(super) type Sink<'a> = &'a mut dyn FnMut(&str, &[u8]) -> Result<(), SceneError>;
+
+/// Whether rows may be sorted.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Order {
+    /// In space, unless they are so already.
+    Spatial,
+    /// Somebody counts on the order.
+    Kept,
+}
 
 /// Encodes a scene, part by part, `meta.json` last.
-fn encode(
+pub(super) fn encode(
     scene: &GaussianScene,
     path: &Path,
+    rows: Order,
     report: &mut WriteReport,
     ticker: &mut Ticker<'_>,
     sink: Sink<'_>,
@@ -147,7 +131,7 @@ fn encode(
     };
     let (axes, codes) = position_codes(&scene.coord);
     ticker.tick(0.05)?;
-    let order = spatial_order(&codes);
+    let order = if rows == Order::Kept { None } else { spatial_order(&codes) };
     ticker.tick(0.1)?;
     let out = Textures { path, size, order: order.as_deref(), rows: scene.len() };
 

@@ -1,15 +1,15 @@
 //! Writing `.splat` files.
 
 use super::{RECORD_BYTES, rotation_part, splat_problem};
-use crate::formats::files::AtomicFile;
+use crate::formats::files::MappedFile;
+use crate::formats::limit_tally::LimitTally;
 use crate::formats::packed_values::{
     ALPHA_ENDS, COLOR_CLIPPED, SIZE_CUT, SIZE_VANISHES, alpha, canonical_quat, check_storable,
     color_of, log_of_scale, nearest_byte, settle, tally_colors, tally_sizes, unit_f64,
 };
 use crate::formats::semantics::Sidecar;
-use crate::formats::write::LimitTally;
 use crate::formats::{SceneFormat, WriteOptions, WriteProgress, WriteReport};
-use crate::{GaussianScene, SceneError};
+use crate::{AtomicFile, GaussianScene, SceneError};
 use rayon::prelude::*;
 use std::io::Write;
 use std::path::Path;
@@ -89,7 +89,7 @@ pub fn write_splat(
             return Err(SceneError::Stopped);
         }
     }
-    if let Some(problem) = splat_problem(file.map()?.bytes()) {
+    if let Some(problem) = splat_problem(MappedFile::of_written(&file)?.bytes()) {
         let problem = format!("would not be recognised as a .splat file: it {problem}");
         let help = "scale the scene to metres, or choose another format";
         return Err(SceneError::format(path, problem, help));

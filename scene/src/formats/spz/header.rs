@@ -1,11 +1,9 @@
 //! The headers, and which blocks follow them.
 
-use super::source::{Source, most_decompressed};
+use super::source::{LEGACY_SIZE, Source, most_decompressed};
 
 /// First bytes of every header.
 pub(super) const MAGIC: [u8; 4] = *b"NGSP";
-/// Size of the header of versions 1 to 3.
-pub(super) const LEGACY_SIZE: usize = 16;
 /// Size of the header of version 4.
 pub(super) const V4_SIZE: usize = 32;
 /// Flag: the scene was trained for antialiased rendering.

@@ -1,7 +1,7 @@
 //! What an SPZ file cannot hold, counted while a scene is encoded.
 
 use crate::formats::WriteReport;
-use crate::formats::write::LimitTally;
+use crate::formats::limit_tally::LimitTally;
 
 /// Rows concerned, by limit.
 #[derive(Debug, Clone, Copy, Default)]

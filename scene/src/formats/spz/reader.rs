@@ -4,12 +4,12 @@ use super::attributes::{
     ByteTables, decode_bytes, decode_positions, decode_rest, decode_triples, rest_factors,
 };
 use super::extensions::Records;
-use super::header::{ANTIALIASED, Block, Contents, Header, LEGACY_SIZE, MAGIC, read_legacy};
+use super::header::{ANTIALIASED, Block, Contents, Header, MAGIC, read_legacy};
 use super::quaternion::QuatCoding;
 use super::rows::{Buffers, both, read_block, skip_block};
 use super::signs::Signs;
-use super::source::{Source, Trailing};
-use crate::formats::{LoadedScene, ReadOptions, SceneKind, SpzFrame, semantics};
+use super::source::{LEGACY_SIZE, Source, Trailing};
+use crate::formats::{LoadedScene, ReadOptions, SceneFormat, SpzFrame, semantics};
 use crate::frame::Frame;
 use crate::value_policy::Rule;
 use crate::{GaussianScene, RepairReport, SceneError};
@@ -35,7 +35,7 @@ pub fn read_spz(
     options: &ReadOptions,
 ) -> Result<LoadedScene, SceneError> {
     let (scene, report) = read_spz_as_stored(bytes, path, options)?;
-    LoadedScene::finish(scene, report, options.policy, path, SceneKind::Spz)
+    LoadedScene::finish(scene, report, options.policy, path, SceneFormat::Spz)
 }
 
 /// As [`read_spz`], with bad values still in place.

@@ -5,6 +5,9 @@ use std::io::{ErrorKind, Read};
 use zstd::stream::read::Decoder;
 use zstd::zstd_safe::get_frame_content_size;
 
+/// Size of the header of versions 1 to 3.
+pub(super) const LEGACY_SIZE: usize = 16;
+
 /// First bytes of a gzip stream.
 pub(super) const GZIP: [u8; 2] = [0x1f, 0x8b];
 /// First bytes of a zstd frame.
@@ -69,7 +72,7 @@ impl<'a> Source<'a> {
     /// Most bytes that there can be, from what is known before decompression.
     pub(super) fn most(&self) -> u64 {
         match self {
-            Self::Raw(left) => left.len() as u64 + super::header::LEGACY_SIZE as u64,
+            Self::Raw(left) => left.len() as u64 + LEGACY_SIZE as u64,
             Self::Gzip(_, size) => {
                 (*size as u64).saturating_mul(DEFLATE_RATIO).min(most_decompressed(*size))
             }

@@ -9,7 +9,7 @@ use super::header::{Block, EXTENSIONS, Header, USUAL_BITS, V4_SIZE};
 use super::limits::{Limits, PositionGrid};
 use super::quaternion::QuatCoding;
 use super::signs::Signs;
-use crate::formats::files::AtomicFile;
+use crate::AtomicFile;
 use crate::formats::{SceneFormat, WriteOptions, WriteProgress, WriteReport};
 use crate::{GaussianScene, SceneError};
 use flate2::Compression;

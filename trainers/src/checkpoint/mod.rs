@@ -4,20 +4,37 @@
 //! DIR/step-000000120/params.safetensors      parameters and batch statistics
 //!                    optimizer.safetensors   moments and counters
 //!                    average.safetensors     moving average of the parameters, if there is one
-//!                    state.json              step, settings, callbacks
+//!                    teacher.safetensors     further stores of the module, by their names
+//!                    state.json              step, settings, checksums of the files, callbacks
 //! DIR/best.json                              which of the folders is the best, and its value
 //! ```
 //!
-//! There is neither a random state nor a loader position to store: both follow from seed and step.
+//! There is neither a random state nor a loader position to store: both follow from seed and step. A
+//! checkpoint is taken up only by a run of the same settings ([`Identity`](crate::Identity)), and
+//! only if its files are what was written.
 
-use crate::{Progress, TrainError, TrainerConfig};
-use candle_core::{Device, Tensor};
+mod files;
+
+pub use files::FileSum;
+pub(crate) use files::read_tensors;
+
+use crate::{Identity, Progress, Tally, TrainError};
+use candle_core::Tensor;
+use scenesplat_models::ParamStore;
+use scenesplat_scene::AtomicFile;
 use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Version of the layout above.
-const FORMAT: u32 = 1;
+pub(crate) const FORMAT: u32 = 2;
+
+/// Parameters and batch statistics of a checkpoint.
+pub(crate) const PARAMS: &str = "params.safetensors";
+/// Moments and counters.
+pub(crate) const OPTIMIZER: &str = "optimizer.safetensors";
+/// The moving average.
+pub(crate) const AVERAGE: &str = "average.safetensors";
 
 /// What `state.json` holds.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -29,8 +46,16 @@ pub struct CheckpointState {
     pub progress: Progress,
     /// Batches of an epoch; another number would put the loader at another place.
     pub batches_per_epoch: usize,
-    /// Settings of the loop.
-    pub config: TrainerConfig,
+    /// SHA-256 of `experiment`.
+    pub experiment_hash: String,
+    /// Settings that must be the same to go on.
+    pub experiment: Identity,
+    /// Lengths and checksums of the files beside it, by name.
+    pub files: BTreeMap<String, FileSum>,
+    /// Rows and batches of the epoch under way.
+    pub tally: Tally,
+    /// Whether the run was stopped at the end of an epoch, before its evaluation.
+    pub evaluation_due: bool,
     /// Best value so far of the measurement that decides.
     pub best: Option<f64>,
     /// States of callbacks by name.
@@ -38,39 +63,13 @@ pub struct CheckpointState {
 }
 
 impl CheckpointState {
-    pub(crate) fn new(
-        progress: Progress,
-        batches_per_epoch: usize,
-        config: &TrainerConfig,
-        best: Option<f64>,
-        callbacks: BTreeMap<String, serde_json::Value>,
-    ) -> Self {
-        let config = config.clone();
-        Self { format: FORMAT, progress, batches_per_epoch, config, best, callbacks }
-    }
-
-    /// Checks that a run with other settings can go on from here bit for bit. What may differ: the
-    /// intervals of log, evaluation and checkpoints, and `recompute`.
+    /// Checks that a run of these settings goes on from here bit for bit.
     ///
     /// # Errors
-    /// Names the first setting that differs.
-    pub(crate) fn check(&self, config: &TrainerConfig, batches: usize) -> Result<(), TrainError> {
-        let mine = &self.config;
-        let fields = [
-            ("seed", mine.seed.to_string(), config.seed.to_string()),
-            ("epochs", mine.epochs.to_string(), config.epochs.to_string()),
-            ("accumulate", mine.accumulate.to_string(), config.accumulate.to_string()),
-            ("clip_norm", format!("{:?}", mine.clip_norm), format!("{:?}", config.clip_norm)),
-            ("ema", format!("{:?}", mine.ema), format!("{:?}", config.ema)),
-            ("freeze", format!("{:?}", mine.freeze), format!("{:?}", config.freeze)),
-            ("batches of an epoch", self.batches_per_epoch.to_string(), batches.to_string()),
-        ];
-        for (field, expected, got) in fields {
-            if expected != got {
-                return Err(TrainError::Resume { field, expected, got });
-            }
-        }
-        Ok(())
+    /// Names the settings that differ, with both values.
+    pub fn check(&self, experiment: &Identity) -> Result<(), TrainError> {
+        let changes = self.experiment.changes(experiment);
+        if changes.is_empty() { Ok(()) } else { Err(TrainError::Resume { changes }) }
     }
 }
 
@@ -103,86 +102,98 @@ fn steps(dir: &Path) -> Result<Vec<(u64, PathBuf)>, TrainError> {
 
 /// Everything that a checkpoint holds.
 pub(crate) struct Contents<'a> {
-    pub(crate) params: &'a scenesplat_models::ParamStore,
+    pub(crate) params: &'a ParamStore,
+    pub(crate) stores: Vec<(&'static str, &'a ParamStore)>,
     pub(crate) optimizer: BTreeMap<String, Tensor>,
     pub(crate) average: Option<BTreeMap<String, Tensor>>,
+    /// Without its checksums.
     pub(crate) state: CheckpointState,
 }
 
-/// Writes a checkpoint beside its place and moves it there when it is complete.
-pub(crate) fn write(dir: &Path, contents: &Contents<'_>) -> Result<PathBuf, TrainError> {
-    let place = dir.join(format!("step-{:09}", contents.state.progress.step));
-    let beside = place.with_extension("partial");
-    let io = |path: &Path, action| {
-        let path = path.to_owned();
-        move |source| TrainError::Io { path, action, source }
-    };
-    if beside.exists() {
-        std::fs::remove_dir_all(&beside).map_err(io(&beside, "cannot remove"))?;
-    }
-    std::fs::create_dir_all(&beside).map_err(io(&beside, "cannot make"))?;
-    contents
-        .params
-        .save(&beside.join("params.safetensors"))
-        .map_err(TrainError::tensor("params.safetensors"))?;
-    save(&beside.join("optimizer.safetensors"), &contents.optimizer)?;
-    if let Some(average) = &contents.average {
-        save(&beside.join("average.safetensors"), average)?;
-    }
-    let text = serde_json::to_string_pretty(&contents.state)
-        .map_err(|e| io(&beside, "cannot describe")(e.into()))?;
-    write_synced(&beside.join("state.json"), text.as_bytes())?;
-    if place.exists() {
-        std::fs::remove_dir_all(&place).map_err(io(&place, "cannot replace"))?;
-    }
-    std::fs::rename(&beside, &place).map_err(io(&place, "cannot rename to"))?;
-    Ok(place)
+/// The file of a further store of a module.
+pub(crate) fn store_file(name: &str) -> String {
+    format!("{name}.safetensors")
 }
 
-fn save(path: &Path, tensors: &BTreeMap<String, Tensor>) -> Result<(), TrainError> {
-    let tensors: HashMap<&str, Tensor> =
-        tensors.iter().map(|(n, t)| (n.as_str(), t.clone())).collect();
-    candle_core::safetensors::save(&tensors, path)
-        .and_then(|()| Ok(std::fs::File::open(path)?.sync_all()?))
-        .map_err(TrainError::tensor(&path.display().to_string()))
+/// Writes a checkpoint beside its place and moves it there when it is complete.
+pub(crate) fn write(dir: &Path, mut contents: Contents<'_>) -> Result<PathBuf, TrainError> {
+    let place = dir.join(format!("step-{:09}", contents.state.progress.step));
+    let beside = place.with_extension("partial");
+    if beside.exists() {
+        std::fs::remove_dir_all(&beside).map_err(TrainError::io(&beside, "cannot remove"))?;
+    }
+    std::fs::create_dir_all(dir).map_err(TrainError::io(dir, "cannot make"))?;
+    // Not over anything: a link in the way would lead out of the folder.
+    std::fs::create_dir(&beside).map_err(TrainError::io(&beside, "cannot make"))?;
+    let stores = contents.stores.iter().map(|(name, store)| (store_file(name), *store));
+    let mut names = vec![OPTIMIZER.to_owned()];
+    for (name, store) in std::iter::once((PARAMS.to_owned(), contents.params)).chain(stores) {
+        store.save(&beside.join(&name)).map_err(TrainError::tensor(&name))?;
+        names.push(name);
+    }
+    files::save(&beside.join(OPTIMIZER), &contents.optimizer)?;
+    if let Some(average) = &contents.average {
+        files::save(&beside.join(AVERAGE), average)?;
+        names.push(AVERAGE.to_owned());
+    }
+    for name in names {
+        let sum = files::sum(&beside.join(&name))?;
+        contents.state.files.insert(name, sum);
+    }
+    let text = serde_json::to_string_pretty(&contents.state)
+        .map_err(|e| TrainError::io(&beside, "cannot describe")(e.into()))?;
+    write_synced(&beside.join("state.json"), text.as_bytes())?;
+    if place.exists() {
+        std::fs::remove_dir_all(&place).map_err(TrainError::io(&place, "cannot replace"))?;
+    }
+    std::fs::rename(&beside, &place).map_err(TrainError::io(&place, "cannot rename to"))?;
+    Ok(place)
 }
 
 /// Written to the disk before it returns.
 pub(crate) fn write_synced(path: &Path, bytes: &[u8]) -> Result<(), TrainError> {
-    use std::io::Write;
-    let write = || {
-        let mut file = std::fs::File::create(path)?;
-        file.write_all(bytes)?;
-        file.sync_all()
-    };
-    write().map_err(|source| TrainError::Io {
-        path: path.to_owned(),
-        action: "cannot write",
-        source,
-    })
+    Ok(AtomicFile::write(path, bytes)?)
 }
 
 /// Reads `state.json`.
 ///
 /// # Errors
-/// If the folder is no complete checkpoint of this format.
+/// If the folder is no complete checkpoint of this format, or its settings are not what was written.
 pub fn read_state(dir: &Path) -> Result<CheckpointState, TrainError> {
     let path = dir.join("state.json");
     let error = |source| TrainError::Io { path: path.clone(), action: "cannot read", source };
+    let damaged = |problem: String| TrainError::Damaged { path: path.clone(), problem };
     let text = std::fs::read_to_string(&path).map_err(error)?;
-    let state: CheckpointState = serde_json::from_str(&text).map_err(|e| error(e.into()))?;
-    if state.format != FORMAT {
-        let (expected, got) = (FORMAT.to_string(), state.format.to_string());
-        return Err(TrainError::Resume { field: "checkpoint format", expected, got });
+    let value: serde_json::Value =
+        serde_json::from_str(&text).map_err(|e| damaged(format!("is no JSON: {e}")))?;
+    let format = value.get("format").cloned().unwrap_or_default();
+    if format != FORMAT {
+        let problem = format!(
+            "is of format {format}, this program writes {FORMAT}: go on with the program that wrote it, \
+             or start a new run from its {PARAMS}"
+        );
+        return Err(damaged(problem));
+    }
+    let state: CheckpointState =
+        serde_json::from_value(value).map_err(|e| damaged(format!("cannot be understood: {e}")))?;
+    if state.experiment.hash() != state.experiment_hash {
+        return Err(damaged("names settings that do not fit their checksum".to_owned()));
     }
     Ok(state)
 }
 
-/// Reads tensors by name.
-pub(crate) fn read_tensors(path: &Path) -> Result<BTreeMap<String, Tensor>, TrainError> {
-    let tensors = candle_core::safetensors::load(path, &Device::Cpu)
-        .map_err(TrainError::tensor(&path.display().to_string()))?;
-    Ok(tensors.into_iter().collect())
+/// The network of a checkpoint: parameters, averaged where there is an average, and batch
+/// statistics.
+///
+/// # Errors
+/// If a file is missing, not what was written, or holds a value that is not finite.
+pub fn read_network(dir: &Path) -> Result<BTreeMap<String, Tensor>, TrainError> {
+    let state = read_state(dir)?;
+    let mut tensors = read_tensors(dir, &state, PARAMS)?;
+    if state.files.contains_key(AVERAGE) {
+        tensors.extend(read_tensors(dir, &state, AVERAGE)?);
+    }
+    Ok(tensors)
 }
 
 /// Which checkpoint is the best.
@@ -220,9 +231,7 @@ pub(crate) fn mark_best(dir: &Path, best: &BestCheckpoint) -> Result<(), TrainEr
     };
     let text =
         serde_json::to_string_pretty(best).map_err(|e| error("cannot describe")(e.into()))?;
-    let beside = path.with_extension("partial");
-    write_synced(&beside, text.as_bytes())?;
-    std::fs::rename(&beside, &path).map_err(error("cannot rename to"))
+    Ok(AtomicFile::write(&path, text.as_bytes())?)
 }
 
 /// Removes all but the last `keep` checkpoints and the best one.

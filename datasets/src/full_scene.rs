@@ -1,0 +1,55 @@
+//! The whole scene behind a sample of voxels.
+
+use scenesplat_scene::LabelledPoints;
+
+/// All Gaussians of a scene, of which a sample holds one a voxel: what an evaluation scores, because
+/// a network's answer for a voxel is its answer for every Gaussian in it.
+///
+/// Positions are those before the sampling; points and Gaussians share a frame, which need not be
+/// that of the sample.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct FullScene {
+    /// Centres, metres. `[N, 3]`
+    pub coord: Vec<[f32; 3]>,
+    /// Row of the sample that each Gaussian is in a voxel with. `[N]`
+    pub voxel: Vec<u32>,
+    /// Class index, -1 = ignored. `[N]`
+    pub segment: Option<Vec<i32>>,
+    /// Whether the Gaussian has a language feature, so that it may vote. `[N]`
+    pub valid_feat: Option<Vec<bool>>,
+    /// Labelled points to score instead of the Gaussians, all of them; independent row count.
+    pub points: Option<LabelledPoints>,
+}
+
+impl FullScene {
+    /// Number of Gaussians.
+    pub fn len(&self) -> usize {
+        self.coord.len()
+    }
+
+    /// Whether there is no Gaussian.
+    pub fn is_empty(&self) -> bool {
+        self.coord.is_empty()
+    }
+
+    /// What each Gaussian receives of what its voxel has.
+    ///
+    /// # Panics
+    /// If `of_voxels` is shorter than the sample (a bug of the caller).
+    pub fn spread<T: Copy>(&self, of_voxels: &[T]) -> Vec<T> {
+        self.voxel.iter().map(|&voxel| of_voxels[voxel as usize]).collect()
+    }
+
+    /// Where the truth is known, and what it is there: at the labelled points if they have classes,
+    /// else at the Gaussians; `None` without any.
+    pub fn truth(&self) -> Option<(&[[f32; 3]], &[i32])> {
+        let points = self.points.as_ref();
+        let of_points = points.and_then(|p| Some((p.coord.as_slice(), p.segment.as_deref()?)));
+        of_points.or_else(|| Some((self.coord.as_slice(), self.segment.as_deref()?)))
+    }
+
+    /// Whether the truth is that of labelled points.
+    pub fn scores_points(&self) -> bool {
+        self.points.as_ref().is_some_and(|points| points.segment.is_some())
+    }
+}

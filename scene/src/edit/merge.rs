@@ -1,0 +1,243 @@
+//! Joining several scenes into one.
+
+use super::EditError;
+use crate::language_code::LanguageCode;
+use crate::{FeatureRows, GaussianScene, LabelledPoints};
+use serde::Serialize;
+
+/// What joining scenes did beyond putting their rows one after the other.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
+pub struct MergeReport {
+    /// Rows of each scene, in order.
+    pub rows: Vec<usize>,
+    /// What was lost or filled in, in words, each with the scenes concerned (numbered from 1).
+    pub notes: Vec<String>,
+}
+
+/// Puts the rows of several scenes one after the other.
+///
+/// - Harmonics: the highest degree of all; missing bands become 0, which changes no color.
+/// - Labels, scores, instances: where a scene has none, its rows have no label (−1), a score of 0.
+///   Instances are counted on, so that no two scenes share one; classes are not: they are numbers
+///   of the same list.
+/// - Language codes are kept if all scenes that have any share one codebook, else dropped. Features
+///   are kept if all that have any are as wide. Rows without get zeros: no feature.
+/// - Normals are kept only if all scenes have them.
+///
+/// # Errors
+/// If there is no scene, or the arrays of one do not fit together.
+pub fn merge(scenes: Vec<GaussianScene>) -> Result<(GaussianScene, MergeReport), EditError> {
+    for scene in &scenes {
+        scene.check_rows()?;
+    }
+    let mut report = MergeReport::default();
+    report.rows.extend(scenes.iter().map(GaussianScene::len));
+    let mut scenes = scenes;
+    if scenes.len() == 1 {
+        return Ok((scenes.swap_remove(0), report));
+    }
+    let Some(degree) = scenes.iter().map(|s| s.sh_degree).max() else {
+        return Err(EditError::NoScene);
+    };
+    let mut out = GaussianScene { sh_degree: degree, ..GaussianScene::default() };
+    out.segment =
+        joined(&scenes, "class labels", "no label", &mut report, |s| s.segment.clone(), -1);
+    out.segment_score =
+        joined(&scenes, "scores", "a score of 0", &mut report, |s| s.segment_score.clone(), 0.0);
+    let starts = instance_starts(&scenes);
+    out.instance = instances(&scenes, starts.as_deref(), &mut report);
+    out.lang_code = codes(&scenes, &mut report);
+    out.lang_feat = features(&scenes, &mut report);
+    out.valid_feat_mask = masks(&scenes, out.lang_feat.is_some());
+    out.normal = normals(&scenes, &mut report);
+    out.labelled_points = labelled_points(&scenes, starts.as_deref());
+    let lower = numbers(&scenes, |s| s.sh_degree < degree);
+    if !lower.is_empty() {
+        let bands = "missing bands of spherical harmonics became 0";
+        report.notes.push(format!("{bands} ({})", scenes_text(&lower)));
+    }
+    let width = out.sh_rest_len() * 3;
+    for scene in scenes {
+        let rest = scene.sh_rest_len() * 3;
+        for row in 0..scene.len() {
+            out.sh_rest.extend_from_slice(&scene.sh_rest[row * rest..(row + 1) * rest]);
+            out.sh_rest.resize(out.sh_rest.len() + width - rest, 0.0);
+        }
+        out.coord.extend(scene.coord);
+        out.log_scale.extend(scene.log_scale);
+        out.quat.extend(scene.quat);
+        out.opacity_logit.extend(scene.opacity_logit);
+        out.sh_dc.extend(scene.sh_dc);
+    }
+    out.check_rows()?;
+    Ok((out, report))
+}
+
+/// Numbers, from 1, of the scenes for which something is so.
+fn numbers(scenes: &[GaussianScene], is_so: impl Fn(&GaussianScene) -> bool) -> Vec<usize> {
+    (1..).zip(scenes).filter(|(_, s)| is_so(s)).map(|(number, _)| number).collect()
+}
+
+fn scenes_text(numbers: &[usize]) -> String {
+    let list: Vec<String> = numbers.iter().map(usize::to_string).collect();
+    format!("scene {}", list.join(", "))
+}
+
+/// One value per row of all scenes, if any scene has them; `fill` for the others.
+fn joined<T: Copy>(
+    scenes: &[GaussianScene],
+    what: &str,
+    fill_text: &str,
+    report: &mut MergeReport,
+    values: impl Fn(&GaussianScene) -> Option<Vec<T>>,
+    fill: T,
+) -> Option<Vec<T>> {
+    let without = numbers(scenes, |s| values(s).is_none());
+    if without.len() == scenes.len() {
+        return None;
+    }
+    if !without.is_empty() {
+        let text = format!("rows without {what} got {fill_text} ({})", scenes_text(&without));
+        report.notes.push(text);
+    }
+    let rows = |s: &GaussianScene| values(s).unwrap_or_else(|| vec![fill; s.len()]);
+    Some(scenes.iter().flat_map(rows).collect())
+}
+
+/// What is added to the instances of each scene, so that no two scenes share one; `None` if their
+/// numbers would not fit.
+fn instance_starts(scenes: &[GaussianScene]) -> Option<Vec<i32>> {
+    let mut next = 0i32;
+    let mut starts = Vec::with_capacity(scenes.len());
+    for scene in scenes {
+        let points = scene.labelled_points.as_ref().and_then(|p| p.instance.as_ref());
+        let ids = scene.instance.iter().flatten().chain(points.into_iter().flatten());
+        starts.push(next);
+        if let Some(most) = ids.copied().max().filter(|most| *most >= 0) {
+            next = next.checked_add(most)?.checked_add(1)?;
+        }
+    }
+    Some(starts)
+}
+
+fn moved_on(ids: &[i32], start: i32) -> Vec<i32> {
+    ids.iter().map(|&id| if id < 0 { id } else { id + start }).collect()
+}
+
+/// Instances, counted on from scene to scene.
+fn instances(
+    scenes: &[GaussianScene],
+    starts: Option<&[i32]>,
+    report: &mut MergeReport,
+) -> Option<Vec<i32>> {
+    let without = numbers(scenes, |s| s.instance.is_none());
+    if without.len() == scenes.len() {
+        return None;
+    }
+    let Some(starts) = starts else {
+        report.notes.push("instances were dropped: their numbers do not fit 32 bits".to_owned());
+        return None;
+    };
+    report.notes.push("instances were numbered on from scene to scene".to_owned());
+    if !without.is_empty() {
+        let text = scenes_text(&without);
+        report.notes.push(format!("rows without instances got no instance ({text})"));
+    }
+    let rows = |(scene, start): (&GaussianScene, &i32)| match &scene.instance {
+        Some(ids) => moved_on(ids, *start),
+        None => vec![-1; scene.len()],
+    };
+    Some(scenes.iter().zip(starts).flat_map(rows).collect())
+}
+
+fn codes(scenes: &[GaussianScene], report: &mut MergeReport) -> Option<LanguageCode> {
+    let mut books = scenes.iter().filter_map(|s| s.lang_code.as_ref()).map(|c| &c.codebook);
+    let first = books.next()?;
+    if books.any(|book| book != first) {
+        let text = "language codes were dropped: the scenes have different codebooks; make codes of \
+                    the features of all";
+        report.notes.push(text.to_owned());
+        return None;
+    }
+    let without = numbers(scenes, |s| s.lang_code.is_none());
+    if !without.is_empty() {
+        report.notes.push(format!("rows without language code ({})", scenes_text(&without)));
+    }
+    let width = first.code_width();
+    let rows = |s: &GaussianScene| match &s.lang_code {
+        Some(code) => code.values.clone(),
+        None => vec![half::f16::ZERO; s.len() * width],
+    };
+    let values = scenes.iter().flat_map(rows).collect();
+    Some(LanguageCode { values, codebook: first.clone() })
+}
+
+fn features(scenes: &[GaussianScene], report: &mut MergeReport) -> Option<FeatureRows> {
+    let mut widths = scenes.iter().filter_map(|s| s.lang_feat.as_ref()).map(|f| f.dim);
+    let dim = widths.next()?;
+    if let Some(other) = widths.find(|other| *other != dim) {
+        let text = format!("language features were dropped: of {dim} and of {other} numbers");
+        report.notes.push(text);
+        return None;
+    }
+    let without = numbers(scenes, |s| s.lang_feat.is_none());
+    if !without.is_empty() {
+        report.notes.push(format!("rows without language features ({})", scenes_text(&without)));
+    }
+    let rows = |s: &GaussianScene| match &s.lang_feat {
+        Some(rows) => rows.values.clone(),
+        None => vec![half::f16::ZERO; s.len() * dim],
+    };
+    Some(FeatureRows { values: scenes.iter().flat_map(rows).collect(), dim })
+}
+
+/// Which rows have features: needed where some have none.
+fn masks(scenes: &[GaussianScene], has_features: bool) -> Option<Vec<bool>> {
+    let needed = scenes.iter().any(|s| s.valid_feat_mask.is_some() || s.lang_feat.is_none());
+    (has_features && needed).then(|| {
+        let rows = |s: &GaussianScene| {
+            s.valid_feat_mask.clone().unwrap_or_else(|| vec![s.lang_feat.is_some(); s.len()])
+        };
+        scenes.iter().flat_map(rows).collect()
+    })
+}
+
+fn normals(scenes: &[GaussianScene], report: &mut MergeReport) -> Option<Vec<[f32; 3]>> {
+    let without = numbers(scenes, |s| s.normal.is_none());
+    if without.len() == scenes.len() {
+        return None;
+    }
+    if !without.is_empty() {
+        let text = scenes_text(&without);
+        report.notes.push(format!("normals were dropped: some scenes have none ({text})"));
+        return None;
+    }
+    Some(scenes.iter().flat_map(|s| s.normal.iter().flatten().copied()).collect())
+}
+
+/// Points of all scenes; as for Gaussians, those without a label have −1.
+fn labelled_points(scenes: &[GaussianScene], starts: Option<&[i32]>) -> Option<LabelledPoints> {
+    let starts = starts.map_or_else(|| vec![0; scenes.len()], <[i32]>::to_vec);
+    let of = || {
+        let pairs = scenes.iter().zip(&starts);
+        pairs.filter_map(|(s, start)| Some((s.labelled_points.as_ref()?, *start)))
+    };
+    of().next()?;
+    let segment = of().any(|(p, _)| p.segment.is_some()).then(|| {
+        let rows =
+            |p: &LabelledPoints| p.segment.clone().unwrap_or_else(|| vec![-1; p.coord.len()]);
+        of().flat_map(|(p, _)| rows(p)).collect()
+    });
+    let instance = of().any(|(p, _)| p.instance.is_some()).then(|| {
+        let rows = |p: &LabelledPoints, start| match &p.instance {
+            Some(ids) => moved_on(ids, start),
+            None => vec![-1; p.coord.len()],
+        };
+        of().flat_map(|(p, start)| rows(p, start)).collect()
+    });
+    Some(LabelledPoints {
+        coord: of().flat_map(|(p, _)| p.coord.iter().copied()).collect(),
+        segment,
+        instance,
+    })
+}

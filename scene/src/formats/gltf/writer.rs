@@ -1,0 +1,293 @@
+//! Writing binary glTF with `KHR_gaussian_splatting`.
+
+use crate::AtomicFile;
+use crate::formats::limit_tally::LimitTally;
+use crate::formats::packed_values::{
+    ALPHA_ENDS, SIZE_CUT, SIZE_VANISHES, alpha, canonical_quat, check_storable, log_of_scale,
+    settle, tally_sizes,
+};
+use crate::formats::semantics::Sidecar;
+use crate::formats::{SceneFormat, WriteOptions, WriteProgress, WriteReport};
+use crate::gaussian_scene::probability_to_logit;
+use crate::spherical_harmonics::ShRotation;
+use crate::{Frame, GaussianScene, SceneError};
+use rayon::prelude::*;
+use serde_json::{Map, Value, json};
+use std::io::Write;
+use std::path::Path;
+
+/// Numbers that are encoded before they are handed to the file: 4 MiB.
+const NUMBERS_PER_WRITE: usize = 1 << 20;
+/// Code of f32 in glTF.
+const FLOAT: u32 = 5126;
+/// Bytes before the content of each chunk.
+const CHUNK_HEADER: u64 = 8;
+
+/// One attribute of the Gaussians.
+struct Attribute {
+    name: String,
+    shape: &'static str,
+    width: usize,
+    /// The numbers of a row, `width` of them.
+    value: Box<dyn Fn(&GaussianScene, usize, &mut [f32]) + Sync>,
+}
+
+/// Writes a scene as a `.glb` file, and its labels beside it.
+///
+/// One primitive of points with f32 attributes, in glTF's frame ([`Frame::LUF`]): standard
+/// deviations, quaternions `x, y, z, w`, opacities 0 to 1, and every band of harmonics. Positions,
+/// harmonics and the signs of rotations change by signs only, and come back bit for bit; sizes and
+/// opacities pass through an exponential of 32 bits. Written again, a file that was written here is
+/// the same.
+///
+/// # Errors
+/// As [`write_scene`](super::super::write_scene); also if the file would exceed 4 GiB, which the
+/// container cannot hold.
+pub fn write_glb(
+    scene: &GaussianScene,
+    path: &Path,
+    options: &WriteOptions,
+    progress: WriteProgress<'_>,
+) -> Result<WriteReport, SceneError> {
+    scene.check_rows()?;
+    check_storable(scene, path)?;
+    let attributes = attributes(scene);
+    let rows = scene.len() as u64;
+    let binary: u64 = attributes.iter().map(|a| 4 * a.width as u64 * rows).sum();
+    let text = document(scene, &attributes, binary);
+    let total = 12 + 2 * CHUNK_HEADER + text.len() as u64 + binary;
+    let Ok(total) = u32::try_from(total) else {
+        let problem = format!("would be {total} bytes long, more than a .glb file can be");
+        let help = "cut harmonics, split the scene or choose another format";
+        return Err(SceneError::format(path, problem, help));
+    };
+    let sidecar = Sidecar::prepare(scene, path, options.overwrite)?;
+    let file = AtomicFile::create(path)?;
+    let failed = |e| SceneError::io(path, "cannot write the scene")(e);
+    let mut head = b"glTF".to_vec();
+    head.extend(2u32.to_le_bytes());
+    head.extend(total.to_le_bytes());
+    head.extend((text.len() as u32).to_le_bytes());
+    head.extend(b"JSON");
+    head.extend(&text);
+    head.extend((binary as u32).to_le_bytes());
+    head.extend(b"BIN\0");
+    file.file()?.write_all(&head).map_err(failed)?;
+    let mut written = 0u64;
+    for attribute in &attributes {
+        let rows_at_once = (NUMBERS_PER_WRITE / attribute.width).max(1);
+        for first in (0..scene.len()).step_by(rows_at_once) {
+            let count = rows_at_once.min(scene.len() - first);
+            let bytes = encode(scene, attribute, first, count);
+            file.file()?.write_all(&bytes).map_err(failed)?;
+            written += bytes.len() as u64;
+            if !progress(written as f64 / binary as f64) {
+                return Err(SceneError::Stopped);
+            }
+        }
+    }
+    let labels = sidecar.commit(scene, None, file)?;
+    let mut report = WriteReport::new(SceneFormat::Glb, scene.len());
+    report.wrote(path)?;
+    note_limits(scene, &mut report);
+    if let Some(labels) = labels {
+        report.wrote(&labels)?;
+    }
+    Ok(report)
+}
+
+/// The attributes in the order of the file. Both frames differ by signs only.
+fn attributes(scene: &GaussianScene) -> Vec<Attribute> {
+    let turn = Frame::CANONICAL.matrix_to(Frame::LUF);
+    let [x, y, z] = [0, 1, 2].map(|i| turn[i][i] as f32);
+    let name = |part: &str| format!("KHR_gaussian_splatting:{part}");
+    let mut out = vec![
+        Attribute {
+            name: "POSITION".to_owned(),
+            shape: "VEC3",
+            width: 3,
+            value: Box::new(move |scene, row, out| {
+                let [a, b, c] = scene.coord[row];
+                out.copy_from_slice(&[x * a, y * b, z * c]);
+            }),
+        },
+        Attribute {
+            name: name("ROTATION"),
+            shape: "VEC4",
+            width: 4,
+            value: Box::new(move |scene, row, out| {
+                let [w, a, b, c] = canonical_quat(scene.quat[row]);
+                out.copy_from_slice(&[y * z * a, x * z * b, x * y * c, w]);
+            }),
+        },
+        Attribute {
+            name: name("SCALE"),
+            shape: "VEC3",
+            width: 3,
+            value: Box::new(|scene, row, out| {
+                out.copy_from_slice(&scene.log_scale[row].map(scale_code));
+            }),
+        },
+        Attribute {
+            name: name("OPACITY"),
+            shape: "SCALAR",
+            width: 1,
+            value: Box::new(|scene, row, out| out[0] = alpha_code(scene.opacity_logit[row])),
+        },
+        Attribute {
+            name: name("SH_DEGREE_0_COEF_0"),
+            shape: "VEC3",
+            width: 3,
+            value: Box::new(|scene, row, out| out.copy_from_slice(&scene.sh_dc[row])),
+        },
+    ];
+    let bands = scene.sh_rest_len();
+    let mut signs = vec![1.0f32; bands * 3];
+    ShRotation::new(&turn).apply(&mut signs);
+    let mut k = 0;
+    for degree in 1..=usize::from(scene.sh_degree) {
+        for coefficient in 0..2 * degree + 1 {
+            let (at, sign) = (3 * k, signs[3 * k]);
+            out.push(Attribute {
+                name: name(&format!("SH_DEGREE_{degree}_COEF_{coefficient}")),
+                shape: "VEC3",
+                width: 3,
+                value: Box::new(move |scene, row, out| {
+                    let first = row * bands * 3 + at;
+                    for (out, value) in out.iter_mut().zip(&scene.sh_rest[first..first + 3]) {
+                        *out = sign * value;
+                    }
+                }),
+            });
+            k += 1;
+        }
+    }
+    out
+}
+
+/// Some rows of an attribute as bytes.
+fn encode(scene: &GaussianScene, attribute: &Attribute, first: usize, count: usize) -> Vec<u8> {
+    let width = attribute.width;
+    let mut bytes = vec![0u8; 4 * width * count];
+    bytes.par_chunks_mut(4 * width * 4096).enumerate().for_each(|(task, bytes)| {
+        let mut row = [0.0f32; 4];
+        for (i, bytes) in bytes.chunks_exact_mut(4 * width).enumerate() {
+            (attribute.value)(scene, first + task * 4096 + i, &mut row[..width]);
+            for (bytes, value) in bytes.as_chunks_mut::<4>().0.iter_mut().zip(&row) {
+                *bytes = value.to_le_bytes();
+            }
+        }
+    });
+    bytes
+}
+
+/// The JSON, padded with spaces to a multiple of four.
+fn document(scene: &GaussianScene, attributes: &[Attribute], binary: u64) -> Vec<u8> {
+    let (mut views, mut accessors, mut names) = (Vec::new(), Vec::new(), Map::new());
+    let mut offset = 0u64;
+    for (index, attribute) in attributes.iter().enumerate() {
+        let length = 4 * attribute.width as u64 * scene.len() as u64;
+        views.push(json!({ "buffer": 0, "byteOffset": offset, "byteLength": length }));
+        let mut accessor = json!({
+            "bufferView": index,
+            "componentType": FLOAT,
+            "count": scene.len(),
+            "type": attribute.shape,
+        });
+        if attribute.name == "POSITION" {
+            // Prescribed for positions.
+            let (low, high) = bounds(scene, attribute);
+            accessor["min"] = json!(low);
+            accessor["max"] = json!(high);
+        }
+        accessors.push(accessor);
+        names.insert(attribute.name.clone(), Value::from(index));
+        offset += length;
+    }
+    let mut text = json!({
+        "asset": { "version": "2.0", "generator": "scenesplat" },
+        "extensionsUsed": ["KHR_gaussian_splatting"],
+        "scene": 0,
+        "scenes": [{ "nodes": [0] }],
+        "nodes": [{ "mesh": 0 }],
+        "meshes": [{ "primitives": [{
+            "mode": 0,
+            "attributes": names,
+            "extensions": { "KHR_gaussian_splatting": {
+                "kernel": "ellipse",
+                "colorSpace": "srgb_rec709_display",
+                "sortingMethod": "cameraDistance",
+                "projection": "perspective",
+            } },
+        }] }],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{ "byteLength": binary }],
+    })
+    .to_string()
+    .into_bytes();
+    text.resize(text.len().next_multiple_of(4), b' ');
+    text
+}
+
+fn bounds(scene: &GaussianScene, position: &Attribute) -> ([f32; 3], [f32; 3]) {
+    let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+    let mut p = [0.0; 3];
+    for row in 0..scene.len() {
+        (position.value)(scene, row, &mut p);
+        for a in 0..3 {
+            low[a] = low[a].min(p[a]);
+            high[a] = high[a].max(p[a]);
+        }
+    }
+    (low, high)
+}
+
+/// The standard deviation that comes back as itself.
+fn scale_code(log: f32) -> f32 {
+    let nearest = |log: f32| (f64::from(log).exp() as f32).min(f32::MAX);
+    // The bits of positive floats are in the order of their values.
+    let step = |bits: u32| nearest(log_of_scale(f32::from_bits(bits))).to_bits();
+    f32::from_bits(settle(nearest(log).to_bits(), step))
+}
+
+/// The opacity that comes back as itself.
+fn alpha_code(logit: f32) -> f32 {
+    let nearest = |logit: f32| alpha(logit) as f32;
+    let step = |bits: u32| nearest(probability_to_logit(f32::from_bits(bits))).to_bits();
+    f32::from_bits(settle(nearest(logit).to_bits(), step))
+}
+
+fn note_limits(scene: &GaussianScene, report: &mut WriteReport) {
+    let [mut large, mut small, mut ends] = [LimitTally::default(); 3];
+    for row in 0..scene.len() {
+        let sizes = scene.log_scale[row];
+        tally_sizes(row, sizes, sizes.map(scale_code), &mut large, &mut small);
+        let logit = scene.opacity_logit[row];
+        let code = alpha_code(logit);
+        if logit.is_finite() && (code == 0.0 || code == 1.0) {
+            ends.add(row, (alpha(logit) - f64::from(code)).abs());
+        }
+    }
+    report.limit("log_scale", SIZE_CUT, large);
+    report.limit("log_scale", SIZE_VANISHES, small);
+    report.limit("opacity_logit", ALPHA_ENDS, ends);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn codes_come_back_as_themselves() {
+        for i in -2000..2000 {
+            let value = i as f32 * 0.0137;
+            let code = alpha_code(value);
+            assert_eq!(alpha_code(probability_to_logit(code)), code, "{value}");
+            let code = scale_code(value);
+            assert_eq!(scale_code(log_of_scale(code)), code, "{value}");
+        }
+        assert_eq!((alpha_code(f32::INFINITY), alpha_code(f32::NEG_INFINITY)), (1.0, 0.0));
+        assert_eq!(scale_code(f32::NEG_INFINITY), 0.0);
+    }
+}

@@ -1,0 +1,99 @@
+//! Cameras that stand somewhere and look somewhere.
+
+use super::framing::Upright;
+use scenesplat_scene::{Camera, Distortion, UpAxis};
+
+/// Where a camera stands, and what it looks at.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LookAt {
+    /// Its centre, in the coordinates of the scene.
+    pub eye: [f64; 3],
+    /// A point in the middle of its picture.
+    pub target: [f64; 3],
+    /// Angle of view across the shorter side of the picture, degrees, above 0 and below 180.
+    pub fov: f64,
+}
+
+impl LookAt {
+    /// The camera; up in the scene is up in the picture. Straight up or down there is no such
+    /// direction: then the first level axis points to the right.
+    ///
+    /// `None` if the target is where the eye is, or a number makes no sense.
+    pub fn camera(&self, name: &str, up: UpAxis, [width, height]: [u32; 2]) -> Option<Camera> {
+        let upright = Upright::new(up);
+        let to: [f64; 3] = [0, 1, 2].map(|a| self.target[a] - self.eye[a]);
+        let distance = dot(to, to).sqrt();
+        let is_angle = self.fov > 0.0 && self.fov < 180.0;
+        if !(distance.is_finite() && distance > 0.0 && is_angle && width > 0 && height > 0) {
+            return None;
+        }
+        let forward = to.map(|v| v / distance);
+        let right = cross(forward, upright.turn_back([0.0, 0.0, 1.0]));
+        let length = dot(right, right).sqrt();
+        let right = if length > 1e-6 {
+            right.map(|v| v / length)
+        } else {
+            upright.turn_back([1.0, 0.0, 0.0])
+        };
+        let rotation = [right, cross(forward, right), forward];
+        let focal = f64::from(width.min(height)) / (2.0 * (self.fov / 2.0).to_radians().tan());
+        Some(Camera {
+            name: name.to_owned(),
+            width,
+            height,
+            fx: focal,
+            fy: focal,
+            cx: f64::from(width) / 2.0,
+            cy: f64::from(height) / 2.0,
+            distortion: Distortion::None,
+            rotation,
+            translation: rotation.map(|axis| -dot(axis, self.eye)),
+        })
+    }
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_target_is_in_the_middle_and_up_is_up() {
+        let look = LookAt { eye: [1.0, 2.0, 3.0], target: [4.0, -1.0, 2.0], fov: 60.0 };
+        for (up, axis, sign) in [
+            (UpAxis::PlusZ, 2, 1.0),
+            (UpAxis::MinusY, 1, -1.0),
+            (UpAxis::PlusX, 0, 1.0),
+            (UpAxis::MinusZ, 2, -1.0),
+        ] {
+            let mut camera = look.camera("a", up, [200, 100]).unwrap();
+            camera.check(std::path::Path::new("flags")).unwrap();
+            let [x, y] = camera.project(look.target).unwrap();
+            assert!((x - 100.0).abs() < 1e-9 && (y - 50.0).abs() < 1e-9, "{x} {y}");
+            assert!((0..3).all(|a| (camera.centre()[a] - look.eye[a]).abs() < 1e-12));
+            let mut above = look.target;
+            above[axis] += 0.1 * sign;
+            assert!(camera.project(above).unwrap()[1] < 50.0, "{up:?}");
+            // Half of 60° across the shorter side: the edge is at tan 30°.
+            assert!((camera.fy - 50.0 / 30f64.to_radians().tan()).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn straight_down_and_nowhere() {
+        let down = LookAt { eye: [0.0, 0.0, 5.0], target: [0.0; 3], fov: 90.0 };
+        let mut camera = down.camera("a", UpAxis::PlusZ, [64, 64]).unwrap();
+        camera.check(std::path::Path::new("flags")).unwrap();
+        assert!(camera.project([1.0, 0.0, 0.0]).unwrap()[0] > 32.0);
+        for (target, fov) in [([0.0, 0.0, 5.0], 90.0), ([f64::NAN; 3], 90.0), ([0.0; 3], 180.0)] {
+            assert!(LookAt { target, fov, ..down }.camera("a", UpAxis::PlusZ, [64, 64]).is_none());
+        }
+    }
+}

@@ -1,0 +1,59 @@
+//! `run.json`: what a run was made of, and what became of its data.
+
+use anyhow::Result;
+use scenesplat_scene::AtomicFile;
+use scenesplat_trainers::{Callback, Event, Flow, Progress, TrainError};
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+
+/// Writes `run.json`, again whenever more of the data was left out.
+pub(super) struct RunRecord {
+    path: PathBuf,
+    run: Value,
+}
+
+impl RunRecord {
+    /// A record of a run that begins at `step`, with these facts; a resumed run keeps the list of
+    /// earlier beginnings.
+    pub(super) fn new(folder: &Path, step: u64, program: &Value, mut run: Value) -> Self {
+        let path = folder.join("run.json");
+        let mut starts = Vec::new();
+        if step > 0
+            && let Ok(text) = std::fs::read_to_string(&path)
+            && let Ok(before) = serde_json::from_str::<Value>(&text)
+        {
+            starts = before["starts"].as_array().cloned().unwrap_or_default();
+        }
+        let mut start = program.clone();
+        start["step"] = step.into();
+        starts.push(start);
+        run["starts"] = starts.into();
+        run["data"] = json!({});
+        Self { path, run }
+    }
+
+    /// Writes it as it stands.
+    pub(super) fn write(&self) -> Result<()> {
+        write(&self.path, &serde_json::to_string_pretty(&self.run)?)
+    }
+}
+
+impl Callback for RunRecord {
+    fn on_event(&mut self, event: &Event<'_>, _: Progress) -> Result<Flow, TrainError> {
+        if let Event::Data { name, left_out } = event {
+            let unwritable = |problem: String| {
+                let what = self.path.display().to_string();
+                TrainError::Unwritable { what, problem }
+            };
+            self.run["data"][*name] =
+                serde_json::to_value(left_out).map_err(|e| unwritable(e.to_string()))?;
+            self.write().map_err(|e| unwritable(format!("{e:#}")))?;
+        }
+        Ok(Flow::Continue)
+    }
+}
+
+/// Replaces a small file of the run.
+pub(super) fn write(path: &Path, content: &str) -> Result<()> {
+    Ok(AtomicFile::write(path, content.as_bytes())?)
+}

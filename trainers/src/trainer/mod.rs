@@ -1,0 +1,241 @@
+//! The training loop.
+
+mod report;
+mod resume;
+mod step;
+
+use crate::average::Average;
+use crate::checkpoint::CheckpointState;
+use crate::event::{Callback, End, Evaluator, Event, Flow, Progress};
+use crate::freeze::Freeze;
+use crate::module::TrainingModule;
+use crate::optim::{Optimizer, Schedule};
+use crate::{Identity, Tally, TrainError, TrainerConfig};
+use candle_core::Var;
+use scenesplat_datasets::{BatchLoader, LeftOut};
+use scenesplat_models::{ParamStore, Recompute};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+/// Runs the loop: batches in, better parameters out.
+///
+/// A run is a function of its settings, data and seed: what happens in step `n` depends on `n` and
+/// the parameters alone. So a run that was interrupted and goes on from a checkpoint ends with the
+/// same bits as one that was not.
+pub struct Trainer {
+    config: TrainerConfig,
+    optimizer: Box<dyn Optimizer>,
+    schedule: Box<dyn Schedule>,
+    callbacks: Vec<Box<dyn Callback>>,
+    stop: Option<Arc<AtomicBool>>,
+    identity: Identity,
+    average: Option<Average>,
+    best: Option<f64>,
+    tally: Tally,
+    /// Whether the epoch that ends here has not been evaluated yet.
+    evaluation_due: bool,
+    /// What was said of the data, by the name of who reads them.
+    said: BTreeMap<String, LeftOut>,
+    resumed: Option<CheckpointState>,
+}
+
+/// What every step of a run shares.
+struct Run<'a, M> {
+    module: &'a M,
+    /// The parameters that are not frozen.
+    params: BTreeMap<String, Var>,
+    freeze: Freeze,
+    recompute: Option<Recompute>,
+    /// Whether each parameter has been seen to get a gradient.
+    checked: bool,
+    /// Names of scenes of the epoch under way, for messages; only a few.
+    scenes: BTreeSet<String>,
+    batches_per_epoch: usize,
+}
+
+impl Trainer {
+    /// A trainer without callbacks.
+    ///
+    /// # Errors
+    /// If a setting is out of its range.
+    pub fn new(
+        config: TrainerConfig,
+        optimizer: Box<dyn Optimizer>,
+        schedule: Box<dyn Schedule>,
+    ) -> Result<Self, TrainError> {
+        config.check()?;
+        Ok(Self {
+            config,
+            optimizer,
+            schedule,
+            callbacks: Vec::new(),
+            stop: None,
+            identity: Identity::new(),
+            average: None,
+            best: None,
+            tally: Tally::default(),
+            evaluation_due: false,
+            said: BTreeMap::new(),
+            resumed: None,
+        })
+    }
+
+    /// Adds a callback.
+    #[must_use]
+    pub fn with_callback(mut self, callback: impl Callback + 'static) -> Self {
+        self.callbacks.push(Box::new(callback));
+        self
+    }
+
+    /// Once the flag is set, the run saves and stops after the step under way.
+    #[must_use]
+    pub fn with_stop(mut self, stop: Arc<AtomicBool>) -> Self {
+        self.stop = Some(stop);
+        self
+    }
+
+    /// Adds what a checkpoint shall remember of the run besides the trainer's own settings (model,
+    /// data, losses): only a run of the same identity goes on from it.
+    #[must_use]
+    pub fn with_identity(mut self, identity: Identity) -> Self {
+        self.identity = self.identity.and(identity);
+        self
+    }
+
+    /// Trains from `start`: `Progress::default()`, or what [`load_checkpoint`](Self::load_checkpoint)
+    /// gave. Returns where it stopped; `step == total_steps` if nothing asked it to stop before.
+    ///
+    /// # Errors
+    /// If a setting names a measurement or parameter that does not exist, data cannot be read or hold
+    /// nothing to learn from for a whole epoch, a number is not finite, a parameter has no gradient, or
+    /// a callback, evaluator or checkpoint fails. What the parameters are then is not defined; the last
+    /// checkpoint is.
+    pub fn fit<M: TrainingModule>(
+        &mut self,
+        module: &M,
+        data: &mut dyn BatchLoader<M::Batch>,
+        evaluators: &mut [Box<dyn Evaluator<M>>],
+        start: Progress,
+    ) -> Result<Progress, TrainError> {
+        let batches = data.batches_per_epoch();
+        let steps_per_epoch = batches as u64 / self.config.accumulate;
+        if steps_per_epoch == 0 {
+            return Err(TrainError::ShortEpoch { epoch: 0, expected: self.config.accumulate });
+        }
+        self.check_batches(batches)?;
+        self.check_names(evaluators)?;
+        let freeze = Freeze::new(&self.config, module.params())?;
+        let params = freeze.trained(module.params());
+        if let (Some(decay), None) = (self.config.ema, &self.average) {
+            self.average = Some(Average::new(&params, decay)?);
+        }
+        let recompute = self.config.recompute.then(|| Recompute::new(params.clone()));
+        let mut run = Run {
+            module,
+            params,
+            freeze,
+            recompute,
+            checked: false,
+            scenes: BTreeSet::new(),
+            batches_per_epoch: batches,
+        };
+        let mut at = Progress { total_steps: self.config.epochs * steps_per_epoch, ..start };
+        let parameters = run.params.values().map(|v| v.elem_count()).sum();
+        let leftover_batches = batches as u64 % self.config.accumulate;
+        let event = Event::FitStart { parameters, steps_per_epoch, leftover_batches };
+        let mut flow = self.emit(&event, at)?;
+        let mut saved = start.step;
+        if self.evaluation_due && flow == Flow::Continue {
+            // Stopped at the very end of an epoch, before its evaluation.
+            flow = self.end_epoch(&run, evaluators, at, &mut saved)?;
+        }
+        while at.step < at.total_steps && flow == Flow::Continue {
+            at.epoch = at.step / steps_per_epoch;
+            let skip = at.step % steps_per_epoch * self.config.accumulate;
+            let last = steps_per_epoch * self.config.accumulate;
+            let mut stream = data.epoch(at.epoch, skip as usize);
+            let mut place = skip;
+            while place < last && flow == Flow::Continue {
+                let began = Instant::now();
+                let report = self.step(&mut run, &mut *stream, &mut place, at)?;
+                at.step += 1;
+                flow = self.report(module, &report, at, began.elapsed().as_secs_f64())?;
+                if self.stop.as_ref().is_some_and(|s| s.load(Ordering::SeqCst)) {
+                    flow = Flow::Stop;
+                }
+                let every = self.config.checkpoint.every_steps;
+                // The one at the end of an epoch follows its evaluation.
+                if every > 0 && at.step.is_multiple_of(every) && place < last {
+                    self.checkpoint(&run, at, None)?;
+                    saved = at.step;
+                }
+            }
+            drop(stream);
+            self.look_at_data("train", data.left_out(), at, &mut flow)?;
+            if place == last {
+                self.check_epoch(&mut run, at)?;
+                self.evaluation_due = true;
+                if flow == Flow::Continue {
+                    flow = self.end_epoch(&run, evaluators, at, &mut saved)?;
+                }
+            }
+        }
+        if saved != at.step {
+            self.checkpoint(&run, at, None)?;
+        }
+        let end = if at.step == at.total_steps { End::Finished } else { End::Stopped };
+        self.emit(&Event::FitEnd { end }, at)?;
+        Ok(at)
+    }
+
+    /// Evaluates, and saves if it is time or the state is the best so far.
+    fn end_epoch<M: TrainingModule>(
+        &mut self,
+        run: &Run<'_, M>,
+        evaluators: &mut [Box<dyn Evaluator<M>>],
+        at: Progress,
+        saved: &mut u64,
+    ) -> Result<Flow, TrainError> {
+        let (found, mut flow) = self.evaluate(run, evaluators, at)?;
+        self.evaluation_due = false;
+        let better = self.better(found.as_deref(), at, &mut flow)?;
+        let every = self.config.checkpoint.every_steps;
+        let due = every == 0 || at.step.is_multiple_of(every);
+        if better.is_some() || due {
+            self.checkpoint(run, at, better)?;
+            *saved = at.step;
+        }
+        Ok(flow)
+    }
+
+    /// Ends the run if a whole epoch held nothing to learn from.
+    fn check_epoch<M>(&mut self, run: &mut Run<'_, M>, at: Progress) -> Result<(), TrainError> {
+        let tally = std::mem::take(&mut self.tally);
+        let scenes = std::mem::take(&mut run.scenes);
+        if tally.counted_rows > 0 {
+            return Ok(());
+        }
+        Err(TrainError::NothingCounted {
+            epoch: at.epoch,
+            tally,
+            scenes: scenes.into_iter().collect(),
+        })
+    }
+
+    /// Runs `f` with the averaged parameters, if there is an average: for exports.
+    ///
+    /// # Errors
+    /// That of `f`, or if a frozen part does not exist.
+    pub fn with_average<R>(
+        &self,
+        params: &ParamStore,
+        f: impl FnOnce() -> Result<R, TrainError>,
+    ) -> Result<R, TrainError> {
+        match &self.average {
+            Some(average) => average.during(&Freeze::new(&self.config, params)?.trained(params), f),
+            None => f(),
+        }
+    }
+}

@@ -1,0 +1,155 @@
+//! One optimizer step.
+
+use super::{Run, Trainer};
+use crate::event::Progress;
+use crate::gradients::{add_gradients, check_gradients};
+use crate::module::{AfterStep, StepContext, TrainingModule};
+use crate::optim::{clip_grad_norm, grad_norm};
+use crate::{Tally, TrainError};
+use candle_core::Tensor;
+use candle_core::backprop::GradStore;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use scenesplat_datasets::DataError;
+use scenesplat_models::Forward;
+use std::collections::BTreeMap;
+
+/// Scenes of an epoch that a message can name.
+const NAMED_SCENES: usize = 64;
+
+/// What one optimizer step did.
+#[derive(Default)]
+pub(super) struct StepReport {
+    pub(super) loss: f64,
+    pub(super) terms: BTreeMap<String, f64>,
+    pub(super) grad_norm: f64,
+    pub(super) lr_factor: f64,
+    pub(super) tally: Tally,
+    pub(super) features: Option<Tensor>,
+}
+
+impl Trainer {
+    /// Forward and backward of `accumulate` batches, then the update.
+    pub(super) fn step<M: TrainingModule>(
+        &mut self,
+        run: &mut Run<'_, M>,
+        stream: &mut dyn Iterator<Item = Result<M::Batch, DataError>>,
+        place: &mut u64,
+        at: Progress,
+    ) -> Result<StepReport, TrainError> {
+        let mut report = StepReport::default();
+        let mut batches = Vec::new();
+        let done = self.gradients(run, stream, place, at, &mut batches, &mut report);
+        self.tally.add(report.tally);
+        for scene in batches.iter().flat_map(|b| run.module.scenes(b)) {
+            if run.scenes.len() < NAMED_SCENES {
+                run.scenes.insert(scene);
+            }
+        }
+        let updated = done.and_then(|grads| self.update(run, grads, at, &mut report));
+        updated.map_err(|error| {
+            let scenes = batches.iter().flat_map(|b| run.module.scenes(b)).collect();
+            let suspects = batches.iter().flat_map(|b| run.module.suspects(b)).collect();
+            error.in_step(at.step, scenes, suspects)
+        })?;
+        Ok(report)
+    }
+
+    /// The mean gradient of the next `accumulate` batches, which are put into `batches`. An empty one
+    /// counts as a gradient of zeros.
+    fn gradients<M: TrainingModule>(
+        &self,
+        run: &mut Run<'_, M>,
+        stream: &mut dyn Iterator<Item = Result<M::Batch, DataError>>,
+        place: &mut u64,
+        at: Progress,
+        batches: &mut Vec<M::Batch>,
+        report: &mut StepReport,
+    ) -> Result<GradStore, TrainError> {
+        let mut grads = GradStore::default();
+        for _ in 0..self.config.accumulate {
+            let Some(batch) = stream.next().transpose()? else {
+                return Err(TrainError::ShortEpoch { epoch: at.epoch, expected: *place + 1 });
+            };
+            batches.push(batch);
+            let batch = &batches[batches.len() - 1];
+            report.tally.batches += 1;
+            if run.module.is_empty(batch) {
+                report.tally.empty_batches += 1;
+                *place += 1;
+                continue;
+            }
+            let mut new = self.micro_step(run, batch, *place, at, report)?;
+            if !run.checked {
+                check_gradients(&run.params, &new, &self.config.idle)?;
+                run.checked = true;
+            }
+            add_gradients(&mut grads, &mut new, &run.params)?;
+            *place += 1;
+        }
+        Ok(grads)
+    }
+
+    /// What follows from the gradients: clipping, the optimizer's step, the average, the module's own.
+    fn update<M: TrainingModule>(
+        &mut self,
+        run: &Run<'_, M>,
+        mut grads: GradStore,
+        at: Progress,
+        report: &mut StepReport,
+    ) -> Result<(), TrainError> {
+        let hyperparameters = self.schedule.hyperparameters(at.step, at.total_steps);
+        report.lr_factor = hyperparameters.lr_scale;
+        report.grad_norm = match self.config.clip_norm {
+            Some(max) => clip_grad_norm(&run.params, &mut grads, max)?,
+            None => grad_norm(&run.params, &grads)?,
+        };
+        self.optimizer.step(&grads, &hyperparameters)?;
+        if let Some(average) = &self.average {
+            average.update(&run.params, at.step)?;
+        }
+        let (step, total_steps) = (at.step, at.total_steps);
+        run.module.after_step(&AfterStep { step, total_steps, trained: &run.params })
+    }
+
+    fn micro_step<M: TrainingModule>(
+        &self,
+        run: &Run<'_, M>,
+        batch: &M::Batch,
+        place: u64,
+        at: Progress,
+        report: &mut StepReport,
+    ) -> Result<GradStore, TrainError> {
+        let tensor = |source| TrainError::Forward { source };
+        let mut rng = ChaCha8Rng::seed_from_u64(self.config.seed);
+        rng.set_stream(at.epoch << 32 | place);
+        let (recompute, frozen) = (run.recompute.clone(), run.freeze.statistics());
+        let forward = Forward { recompute, frozen, ..Forward::train(&mut rng) };
+        let progress = at.step as f64 / at.total_steps as f64;
+        let seed = self.config.seed ^ (at.epoch << 32 | place).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        let (step, total_steps) = (at.step, at.total_steps);
+        let mut cx = StepContext { forward, progress, step, total_steps, seed };
+        let out = run.module.training_step(batch, &mut cx).map_err(tensor)?;
+        run.freeze.hold()?;
+        let value = f64::from(out.loss.to_scalar::<f32>().map_err(tensor)?);
+        let terms = out.terms.iter().map(|(n, v)| (n.as_str(), *v));
+        // A term says more than their sum.
+        if let Some((term, value)) = terms.chain([("loss", value)]).find(|(_, v)| !v.is_finite()) {
+            return Err(TrainError::NonFiniteLoss { term: term.to_owned(), value });
+        }
+        let share = 1.0 / self.config.accumulate as f64;
+        let mut grads =
+            out.loss.affine(share, 0.0).and_then(|loss| loss.backward()).map_err(tensor)?;
+        if let Some(recompute) = &run.recompute {
+            recompute.drain_into(&mut grads).map_err(tensor)?;
+        }
+        report.loss += value * share;
+        for (name, value) in out.terms {
+            *report.terms.entry(name).or_default() += value * share;
+        }
+        report.tally.rows += out.rows as u64;
+        report.tally.counted_rows += out.counted_rows as u64;
+        report.features = out.features;
+        Ok(grads)
+    }
+}
