@@ -13,6 +13,10 @@ use scenesplat_scene::{FeatureRows, LanguageCode, LanguageCodebook};
 const SAMPLE: usize = 30_000;
 /// Rows of one task.
 const BLOCK: usize = 1024;
+/// Widest code: beyond, it is no shorter than features, and its axes take hours.
+const MAX_CODE_WIDTH: usize = 256;
+/// Widest features that axes are found for: their covariance is that squared.
+const MAX_FEATURE_WIDTH: usize = 4096;
 /// Codes are kept below this, well within 16 bits.
 const LARGEST_CODE: f32 = 1024.0;
 
@@ -36,7 +40,9 @@ pub struct EncodedFeatures {
 pub enum CodeError {
     /// The width asked for makes no sense.
     #[error(
-        "codes of {asked} numbers cannot be made from features of {width} (choose 1 to {width})"
+        "codes of {asked} numbers cannot be made from features of {width} (choose 1 to {}; features \
+         have up to {MAX_FEATURE_WIDTH} numbers)",
+        (*width).min(MAX_CODE_WIDTH)
     )]
     Width {
         /// Width asked for.
@@ -60,7 +66,7 @@ pub enum CodeError {
 /// done and gives `false` to stop.
 ///
 /// # Errors
-/// If `k` is 0 or wider than the features, no row has a feature, or `progress` stops it.
+/// If `k` is 0, above 256 or wider than the features, those are wider than 4096, no row has a feature, or `progress` stops it.
 pub fn compress_features(
     features: &FeatureRows,
     valid: Option<&[bool]>,
@@ -69,7 +75,7 @@ pub fn compress_features(
     progress: &mut dyn FnMut(f64) -> bool,
 ) -> Result<EncodedFeatures, CodeError> {
     let width = features.dim;
-    if k == 0 || k > width {
+    if k == 0 || k > width.min(MAX_CODE_WIDTH) || width > MAX_FEATURE_WIDTH {
         return Err(CodeError::Width { asked: k, width });
     }
     let row = |i: usize| &features.values[i * width..(i + 1) * width];
@@ -248,6 +254,16 @@ mod tests {
         let done = compress_features(&features, None, 3, 0, &mut |_| true).unwrap();
         assert!(done.lowest_cosine > 0.999, "{}", done.lowest_cosine);
         assert!(done.code.values.iter().all(|v| v.is_finite()));
+    }
+
+    #[test]
+    fn widths_that_would_never_end_are_refused() {
+        for (width, k) in [(5000, 300), (5000, 3), (4096, 257)] {
+            let features = FeatureRows { values: vec![f16::ONE; width], dim: width };
+            let error = compress_features(&features, None, k, 0, &mut |_| true).unwrap_err();
+            assert_eq!(error, CodeError::Width { asked: k, width });
+            assert!(error.to_string().contains("choose 1 to 256"), "{error}");
+        }
     }
 
     #[test]

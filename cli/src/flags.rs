@@ -14,17 +14,10 @@ use std::path::PathBuf;
 /// Flags that all commands share.
 #[derive(Debug, clap::Args)]
 pub struct Shared {
-    /// Network: language, semseg, tiny or a .toml file; from the weights' folder if it has one.
-    #[arg(long, value_name = "NAME|FILE")]
-    pub config: Option<NetworkChoice>,
-    /// Checkpoint, model folder, seeded:N for values without meaning, or embedded, the small network
-    /// inside the program, which is the default if no --config is given either.
-    #[arg(long, value_name = "PATH|seeded:N|embedded")]
-    pub weights: Option<Weights>,
     /// Threads; all cores by default. Results do not depend on it.
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
-    /// Where to compute.
+    /// Where to compute: there is nothing but the processor as yet.
     #[arg(long, value_enum, default_value_t = Device::Cpu)]
     pub device: Device,
     /// Folder for the results.
@@ -33,12 +26,21 @@ pub struct Shared {
     /// Also writes what was done and what it cost as JSON here.
     #[arg(long, value_name = "FILE.json")]
     pub receipt: Option<PathBuf>,
-    /// Seed of everything random (nothing is, unless asked for).
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    pub seed: u64,
     /// Says nothing about the progress, and prints no receipt; results are still printed.
     #[arg(long)]
     pub quiet: bool,
+}
+
+/// Which network.
+#[derive(Debug, clap::Args)]
+pub struct NetworkArgs {
+    /// Network: language, semseg, tiny or a .toml file; from the weights' folder if it has one.
+    #[arg(long, value_name = "NAME|FILE")]
+    pub config: Option<NetworkChoice>,
+    /// Checkpoint, model folder, seeded:N for values without meaning, or embedded, the small network
+    /// inside the program, which is the default if no --config is given either.
+    #[arg(long, value_name = "PATH|seeded:N|embedded")]
+    pub weights: Option<Weights>,
 }
 
 /// Where to compute.
@@ -66,7 +68,7 @@ pub struct SourceArgs {
     pub lod: usize,
 }
 
-impl Shared {
+impl NetworkArgs {
     /// The weights, given or by default.
     ///
     /// # Errors
@@ -126,6 +128,12 @@ impl From<SpzFrameArg> for SpzFrame {
 /// Flags of commands that run a network over a scene.
 #[derive(Debug, clap::Args)]
 pub struct Inference {
+    /// Which network.
+    #[command(flatten)]
+    pub network: NetworkArgs,
+    /// Seed of everything random (nothing is, unless asked for).
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub seed: u64,
     /// The original's steps (a sampling at half the voxel size, several passes, average) instead of
     /// one pass.
     #[arg(long)]
@@ -135,7 +143,7 @@ pub struct Inference {
     #[arg(long, value_name = "f32|split|bf16", default_value_t = Precision::F32)]
     pub precision: Precision,
     /// Voxel size, metres; by default the one that the network was trained at.
-    #[arg(long, value_name = "M")]
+    #[arg(long, value_name = "M", value_parser = parse_positive, allow_hyphen_values = true)]
     pub grid_size: Option<f64>,
     /// Limit for the whole process (8GB, 512MB); larger scenes go through overlapping tiles.
     #[arg(long, value_name = "SIZE")]
@@ -222,6 +230,14 @@ impl From<ConvLayoutArg> for ConvLayout {
             ConvLayoutArg::Spconv2 => Self::OutKernelIn,
             ConvLayoutArg::Spconv1 => Self::KernelInOut,
         }
+    }
+}
+
+/// Reads a number above 0.
+pub fn parse_positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
+        _ => Err(format!("{text:?}: a number above 0 is expected")),
     }
 }
 

@@ -8,6 +8,7 @@ mod outputs;
 mod progress;
 mod receipt;
 mod session;
+mod signals;
 mod terminal;
 
 /// Keeps pages between the large short-lived buffers of a network.
@@ -16,5 +17,6 @@ static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 fn main() -> std::process::ExitCode {
     allocator::keep_pages();
+    signals::prepare();
     commands::run(std::env::args_os())
 }

@@ -129,6 +129,9 @@ impl Outputs {
         if name.ends_with("meta.json") || name.ends_with(".gltf") {
             inputs.push(parent(path).to_owned());
         }
+        if [".safetensors", ".pth", ".pt"].iter().any(|ending| name.ends_with(ending)) {
+            inputs.push(parent(path).join("config.json"));
+        }
         let mut labels = path.as_os_str().to_owned();
         labels.push(".labels.safetensors");
         inputs.push(labels.into());
@@ -423,6 +426,8 @@ mod tests {
             assert!(later.is_err(), "{name}");
         }
         let outputs = Outputs::new(&at("out"));
+        outputs.reads(&at("model/model.safetensors")).unwrap();
+        assert!(outputs.claim("--json", &at("model/config.json")).is_err(), "it is read too");
         outputs.reads(&at("scene.ply")).unwrap();
         outputs.claim("--json", &at("new.json")).unwrap();
         assert!(outputs.claim("--receipt", &at("new.json")).is_err(), "the same file twice");

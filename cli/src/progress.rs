@@ -1,6 +1,7 @@
 //! What a long command shows: a bar on a terminal, plain lines elsewhere; and stopping on Ctrl-C or SIGTERM.
 
 use indicatif::{ProgressBar, ProgressStyle};
+use scenesplat::scene::{printable, printable_text};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;
 use std::cell::RefCell;
@@ -64,7 +65,7 @@ impl Progress {
             return;
         }
         match self.bar.borrow().as_ref() {
-            Some(bar) => bar.println(text.as_ref()),
+            Some(bar) => bar.println(printable_text(text.as_ref())),
             None => eprint_line(text.as_ref()),
         }
     }
@@ -84,7 +85,7 @@ impl Progress {
                     style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> "),
                 )
             });
-            bar.set_message(step.to_owned());
+            bar.set_message(printable(step).into_owned());
             bar.set_position((done * 1000.0) as u64);
             return;
         }
@@ -107,5 +108,5 @@ impl Progress {
 fn eprint_line(text: &str) {
     use std::io::Write;
     // A closed standard error is no reason to fail.
-    let _ = writeln!(std::io::stderr(), "{text}");
+    let _ = writeln!(std::io::stderr(), "{}", printable_text(text));
 }

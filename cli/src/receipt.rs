@@ -4,6 +4,8 @@
 //! A [`Receipt`] records while the command runs; [`Receipt::finish`] gives a [`ReceiptReport`],
 //! which prints as a table and is written as JSON.
 
+use scenesplat::scene::SceneError;
+use scenesplat::scene::input_file::open_regular_file;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::cell::RefCell;
@@ -27,6 +29,9 @@ pub enum ReceiptError {
         #[source]
         source: std::io::Error,
     },
+    /// It is no file that can be read.
+    #[error(transparent)]
+    Input(#[from] SceneError),
     /// The report could not be put into JSON.
     #[error("the receipt cannot be written as JSON")]
     Json(#[from] serde_json::Error),
@@ -411,7 +416,8 @@ pub fn sha256_of(path: &Path) -> Result<(String, u64), ReceiptError> {
             action: "cannot read the file for its fingerprint",
             source,
         };
-        let mut file = std::fs::File::open(path).map_err(io)?;
+        // A pipe would be waited for.
+        let mut file = open_regular_file(path)?;
         let mut piece = vec![0; 1 << 20];
         loop {
             match file.read(&mut piece) {

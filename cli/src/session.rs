@@ -1,7 +1,7 @@
 //! What most commands begin with: threads, the output folder, the network, the scene.
 
 use crate::commands::WrongUse;
-use crate::flags::{Inference, Shared};
+use crate::flags::{Inference, NetworkArgs, Shared};
 use crate::outputs::Outputs;
 use crate::progress::{Progress, interrupted, listen_for_interrupt};
 use crate::receipt::Receipt;
@@ -15,7 +15,7 @@ use scenesplat::memory::Bytes;
 use scenesplat::models::{Compute, LoadPolicy};
 use scenesplat::network::{NetworkChoice, WeightOptions, Weights, network_of};
 use scenesplat::outputs::OpenedScene;
-use scenesplat::scene::{GaussianScene, ReadOptions, UpAxis, guess_up};
+use scenesplat::scene::{GaussianScene, ReadOptions, UpAxis, guess_up, printable};
 use scenesplat::{Network, SceneEncoder, SceneFeatures};
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
@@ -64,16 +64,7 @@ pub struct Session<'a> {
 impl<'a> Session<'a> {
     /// Sets up threads, the output folder, Ctrl-C and the receipt.
     pub fn start(shared: &'a Shared, command: &str) -> Result<Self> {
-        if shared.threads == Some(0) {
-            return Err(WrongUse("--threads 0: at least one thread is needed".to_owned()).into());
-        }
-        if let Some(n) = shared.threads {
-            // Fails if the system gives no such number of threads, or a pool exists already.
-            let built = rayon::ThreadPoolBuilder::new().num_threads(n).build_global();
-            if built.is_err() && rayon::current_num_threads() != n {
-                anyhow::bail!("--threads {n}: the system does not allow that many");
-            }
-        }
+        set_threads(shared.threads)?;
         // A handler is there already when several commands run in one process.
         let _ = listen_for_interrupt();
         let receipt = Receipt::new(format!("scenesplat {command}"));
@@ -82,13 +73,19 @@ impl<'a> Session<'a> {
         let progress = Progress::new(shared.quiet);
         let outputs = Outputs::new(&shared.out);
         outputs.claim_any("--receipt", shared.receipt.as_ref())?;
-        if let Some(Weights::File(path)) = &shared.weights {
-            outputs.reads(path)?;
-        }
-        if let Some(NetworkChoice::File(path)) = &shared.config {
-            outputs.reads(path)?;
-        }
         Ok(Self { shared, receipt, progress, outputs, written: RefCell::default() })
+    }
+
+    /// As [`start`](Self::start) for a command with a network, whose files are inputs.
+    pub fn start_with(shared: &'a Shared, network: &NetworkArgs, command: &str) -> Result<Self> {
+        let session = Self::start(shared, command)?;
+        if let Some(Weights::File(path)) = &network.weights {
+            session.outputs.reads(path)?;
+        }
+        if let Some(NetworkChoice::File(path)) = &network.config {
+            session.outputs.reads(path)?;
+        }
+        Ok(session)
     }
 
     /// Makes the output folder, for files of these names and the receipt, and keeps other runs out
@@ -118,8 +115,8 @@ impl<'a> Session<'a> {
     /// Builds the network.
     pub fn network(&self, inference: &Inference) -> Result<Network> {
         let stage = self.receipt.stage("weights");
-        let weights = &self.shared.weights()?;
-        if *weights == Weights::Embedded && self.shared.config.is_some() {
+        let weights = &inference.network.weights()?;
+        if *weights == Weights::Embedded && inference.network.config.is_some() {
             let text = "--config: the network inside the program has its own; leave it out";
             return Err(WrongUse(text.to_owned()).into());
         }
@@ -137,10 +134,10 @@ impl<'a> Session<'a> {
             branch: inference.branch.into(),
             conv_layout: inference.conv_layout.into(),
         };
-        let config = network_of(weights, self.shared.config.as_ref(), options)?;
+        let config = network_of(weights, inference.network.config.as_ref(), options)?;
         let network = Network::load(config.with_compute(compute), weights, options)?;
         for (path, sha256) in network.files() {
-            self.progress.say(format!("weights {} sha256 {sha256}", path.display()));
+            self.progress.say(format!("weights {} sha256 {sha256}", printable(path)));
             let bytes = std::fs::metadata(path).map_or(0, |m| m.len());
             self.receipt.fingerprint_known("weights", path, bytes, sha256);
         }
@@ -208,7 +205,7 @@ impl<'a> Session<'a> {
         inference: &Inference,
         check: impl FnOnce(&Network) -> Result<()>,
     ) -> Result<(OpenedScene, FeatureSource)> {
-        if self.shared.weights.is_some() {
+        if inference.network.weights.is_some() {
             let network = self.network(inference)?;
             check(&network)?;
             return Ok((self.open(path, inference)?, FeatureSource::Network(Box::new(network))));
@@ -227,7 +224,7 @@ impl<'a> Session<'a> {
             let text = format!("{flag} is about the network; give --weights too");
             return Err(WrongUse(text).into());
         }
-        if self.shared.config.is_some() {
+        if inference.network.config.is_some() {
             return Err(WrongUse("--config names a network; give --weights too".to_owned()).into());
         }
         let text = format!(
@@ -263,16 +260,12 @@ impl<'a> Session<'a> {
     ) -> Result<SceneFeatures> {
         let stage = self.receipt.stage("network");
         let grid_size = inference.grid_size.unwrap_or(network.grid_size());
-        if !(grid_size.is_finite() && grid_size > 0.0) {
-            let text = format!("--grid-size {grid_size}: must be above 0");
-            return Err(WrongUse(text).into());
-        }
         let encoder = SceneEncoder {
             fidelity: if inference.exact { Fidelity::Exact } else { Fidelity::Fast },
             grid_size,
             max_memory: inference.max_memory.map(|b| b.0),
             halo: inference.halo,
-            shuffle_orders: inference.shuffle_orders.then_some(self.shared.seed),
+            shuffle_orders: inference.shuffle_orders.then_some(inference.seed),
             spill_folder: self.shared.out.clone(),
             ..SceneEncoder::new(network)
         };
@@ -290,7 +283,7 @@ impl<'a> Session<'a> {
         receipt.setting("fidelity", format!("{:?}", encoder.fidelity).to_lowercase(), why);
         receipt.setting("grid_size", encoder.grid_size, "metres");
         if inference.shuffle_orders {
-            receipt.setting("shuffle_orders", self.shared.seed, "seed");
+            receipt.setting("shuffle_orders", inference.seed, "seed");
         }
         let features = encoder.encode_aligned(scene, alignment, &mut |at| {
             if interrupted() {
@@ -425,7 +418,30 @@ impl<'a> Session<'a> {
 
     fn say_written(&self) {
         for (path, bytes) in self.written.borrow().iter() {
-            self.progress.say(format!("wrote {} ({})", path.display(), Bytes(*bytes)));
+            self.progress.say(format!("wrote {} ({})", printable(path), Bytes(*bytes)));
         }
     }
+}
+
+/// Threads beyond the cores only cost memory and time; so many are allowed for tests in any case.
+const THREADS_ALWAYS: usize = 64;
+
+/// Takes that many threads, if a number is given.
+///
+/// # Errors
+/// If it is 0, above four times the cores (and above 64), or more than the system gives.
+pub fn set_threads(threads: Option<usize>) -> Result<()> {
+    let Some(n) = threads else { return Ok(()) };
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let most = cores.saturating_mul(4).max(THREADS_ALWAYS);
+    if !(1..=most).contains(&n) {
+        let text = format!("--threads {n}: 1 to {most} are possible on {cores} cores");
+        return Err(WrongUse(text).into());
+    }
+    // Fails if the system gives no such number of threads, or a pool exists already.
+    let built = rayon::ThreadPoolBuilder::new().num_threads(n).build_global();
+    if built.is_err() && rayon::current_num_threads() != n {
+        anyhow::bail!("--threads {n}: the system does not allow that many");
+    }
+    Ok(())
 }

@@ -1,7 +1,7 @@
 //! What goes to standard output and error, and small text files.
 
 use anyhow::{Context, Result};
-use scenesplat::scene::AtomicFile;
+use scenesplat::scene::{AtomicFile, printable_text};
 use std::io::{ErrorKind, Write};
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
@@ -17,7 +17,7 @@ static FAILED: Mutex<Option<std::io::Error>> = Mutex::new(None);
 
 /// Writes text to standard output; [`check_output`] tells whether it got there.
 pub fn print(text: &str) {
-    note(writeln!(std::io::stdout(), "{text}"));
+    note(writeln!(std::io::stdout(), "{}", printable_text(text)));
 }
 
 /// Notes what became of writing to standard output.
@@ -45,7 +45,7 @@ pub fn check_output() -> Result<()> {
 /// Writes an error with all its causes to standard error.
 pub fn print_error(error: &anyhow::Error) {
     let text = without_waiting_names(&format!("{error:#}"));
-    let _ = writeln!(std::io::stderr(), "error: {text}");
+    let _ = writeln!(std::io::stderr(), "error: {}", printable_text(&text));
 }
 
 /// Paths as users know them: without the folders, `.new.<16 digits>.part`, in which files wait.

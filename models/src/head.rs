@@ -4,6 +4,9 @@ use crate::{Backbone, BackboneCost, Compute, Forward, PointCloud, layers::Linear
 use candle_core::{Result, Tensor, bail};
 use candle_nn::VarBuilder;
 
+/// The most classes, or features of a projection.
+const MAX_WIDTH: usize = 1 << 16;
+
 /// What stands behind a backbone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Head {
@@ -47,20 +50,26 @@ impl Head {
     pub fn num_values(self, backbone: usize) -> usize {
         match self {
             Self::Features { projection: None } => 0,
-            Self::Features { projection: Some(n) } | Self::Classes(n) => backbone * n + n,
+            Self::Features { projection: Some(n) } | Self::Classes(n) => {
+                backbone.saturating_mul(n).saturating_add(n)
+            }
         }
     }
 
     /// Checks its widths.
     ///
     /// # Errors
-    /// Names the field that is 0.
+    /// Names the field that is 0 or beyond any use.
     pub fn check(self) -> Result<()> {
-        match self {
-            Self::Features { projection: Some(0) } => bail!("projection: must be at least 1"),
-            Self::Classes(0) => bail!("num_classes: must be at least 1"),
-            _ => Ok(()),
+        let (field, width) = match self {
+            Self::Features { projection: None } => return Ok(()),
+            Self::Features { projection: Some(n) } => ("projection", n),
+            Self::Classes(n) => ("num_classes", n),
+        };
+        if !(1..=MAX_WIDTH).contains(&width) {
+            bail!("{field}: {width} is not in 1 to {MAX_WIDTH}");
         }
+        Ok(())
     }
 }
 

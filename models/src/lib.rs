@@ -33,7 +33,7 @@ pub use compute::Compute;
 pub use head::{Head, LanguageModel, SemanticSegmenter};
 pub use lpips::{Lpips, LpipsNet};
 pub use model_config::{ModelConfig, UniqueKeys};
-pub use params::{LoadPolicy, LoadReport, ParamStore};
+pub use params::{LoadPolicy, LoadReport, MAX_VALUES, ParamStore};
 pub use point_cloud::PointCloud;
 pub use point_transformer_v3::{PointTransformerV3, PointTransformerV3Config};
 pub use recompute::Recompute;

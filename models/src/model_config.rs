@@ -1,5 +1,6 @@
 //! A backbone with its head and its voxel size, as files give them.
 
+use crate::params::MAX_VALUES;
 use crate::weights::Shapes;
 use crate::{Backbone, BackboneConfig, Compute, Head, PointTransformerV3Config};
 use candle_core::{Result, bail};
@@ -102,7 +103,8 @@ impl ModelConfig {
         self
     }
 
-    /// Checks that the fields fit together.
+    /// Checks that the fields fit together, and that the network has no more than [`MAX_VALUES`]
+    /// values.
     ///
     /// # Errors
     /// Names the first field that does not.
@@ -111,6 +113,10 @@ impl ModelConfig {
         self.head.check()?;
         if !(self.grid_size.is_finite() && self.grid_size > 0.0) {
             bail!("grid_size: {} is not above 0", self.grid_size);
+        }
+        let values = self.num_values();
+        if values > MAX_VALUES {
+            bail!("the sizes make a network of {values} values, at most {MAX_VALUES} are possible");
         }
         Ok(())
     }
@@ -145,7 +151,7 @@ impl ModelConfig {
     /// Values of all parameters and buffers, without building anything.
     pub fn num_values(&self) -> usize {
         let backbone = self.backbone.get();
-        backbone.num_values() + self.head.num_values(backbone.out_channels())
+        backbone.num_values().saturating_add(self.head.num_values(backbone.out_channels()))
     }
 
     /// Reads the table of a file.

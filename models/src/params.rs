@@ -11,6 +11,15 @@ use std::fmt;
 use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+/// The most values a store gives out: 4 GiB of f32, 11 times the language network.
+///
+/// A configuration is only a claim, so nothing is reserved for more.
+pub const MAX_VALUES: usize = 1 << 30;
+
+/// First values that a frozen store makes up for names which its files lack or have in another
+/// shape, besides as many as the files hold: room for the largest released network, no more.
+const MAX_INVENTED: usize = 1 << 27;
+
 /// The parameters and buffers of one module, by name: the registry that candle lacks.
 ///
 /// A module asks for its parameters while it is built. A trainable store answers with variables,
@@ -31,6 +40,10 @@ struct Inner {
     missing: BTreeSet<String>,
     misshaped: BTreeMap<String, (Vec<usize>, Vec<usize>)>,
     matched: BTreeSet<String>,
+    /// Values given out.
+    values: usize,
+    /// Those of them that the source had not.
+    invented: usize,
 }
 
 /// How to treat names that are in only one of model and file.
@@ -161,6 +174,8 @@ impl ParamStore {
             missing: BTreeSet::new(),
             misshaped: BTreeMap::new(),
             matched: BTreeSet::new(),
+            values: 0,
+            invented: 0,
         };
         Self { inner: Arc::new(Mutex::new(inner)) }
     }
@@ -275,6 +290,35 @@ impl ParamStore {
     }
 }
 
+impl Inner {
+    /// Counts what a module asks for, before anything is reserved for it.
+    fn claim(&mut self, name: &str, dims: &[usize]) -> Result<usize> {
+        let count = dims.iter().try_fold(1usize, |n, d| n.checked_mul(*d));
+        let sum = count.and_then(|n| n.checked_add(self.values)).filter(|sum| *sum <= MAX_VALUES);
+        let (Some(count), Some(sum)) = (count, sum) else {
+            bail!("{name}: with its shape {dims:?} the network has more than {MAX_VALUES} values");
+        };
+        self.values = sum;
+        Ok(count)
+    }
+
+    /// Counts values that the files do not have.
+    ///
+    /// Frozen weights that do not fit are refused in the end, with a list of all names; but a network
+    /// that is larger than its files by far is not even built for that.
+    fn invent(&mut self, name: &str, dims: &[usize], count: usize, stored: &str) -> Result<()> {
+        self.invented += count;
+        let there = self.source.num_values().unwrap_or(MAX_VALUES);
+        if !self.trainable && self.invented > there.saturating_add(MAX_INVENTED) {
+            bail!(
+                "{name}: the network has {dims:?}, {stored}; the configuration is not the one that \
+                 these weights were trained with"
+            );
+        }
+        Ok(())
+    }
+}
+
 /// Batch statistics by their last name part.
 fn is_buffer(name: &str) -> bool {
     let last = name.rsplit('.').next();
@@ -298,6 +342,7 @@ impl SimpleBackend for ParamStore {
             }
             return Ok(var.as_tensor().clone());
         }
+        let count = inner.claim(name, &dims)?;
         inner.requested.insert(name.to_owned(), dims.clone());
         let value = match inner.source.take(name, &dims)? {
             Found::Value(t) => {
@@ -305,11 +350,13 @@ impl SimpleBackend for ParamStore {
                 Some(t.to_dtype(dtype)?)
             }
             Found::OtherShape(stored) => {
+                inner.invent(name, &dims, count, &format!("the file {stored:?}"))?;
                 inner.misshaped.insert(name.to_owned(), (dims, stored));
                 None
             }
             Found::Nothing => {
                 if !inner.source.is_empty() {
+                    inner.invent(name, &dims, count, "the file nothing of that name")?;
                     inner.missing.insert(name.to_owned());
                 }
                 None

@@ -51,4 +51,4 @@ pub use render::{
 pub use settings::{ExtentRule, RasterSettings};
 pub use spherical_harmonics::colors;
 pub use tiles::{TileLists, tile_lists};
-pub use view::View;
+pub use view::{MAX_PIXELS, MAX_SIDE, View};

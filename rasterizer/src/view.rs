@@ -6,9 +6,9 @@ use scenesplat_scene::{Camera, Distortion};
 /// How far `RRᵀ` may be from the identity.
 const ROTATION_TOLERANCE: f32 = 1e-4;
 /// Longest side: tile and pixel numbers of a row fit 16 bits.
-const MAX_SIDE: u32 = 65_535;
+pub const MAX_SIDE: u32 = 65_535;
 /// Most pixels of a picture; 1 GiB per channel.
-const MAX_PIXELS: u64 = 1 << 28;
+pub const MAX_PIXELS: u64 = 1 << 28;
 
 /// A pinhole camera with its pose and picture size.
 ///

@@ -22,6 +22,9 @@ use words::{Concept, nearest, parse};
 /// Smallest length of vectors: below, concepts cannot be told apart.
 pub const MIN_DIM: usize = 32;
 
+/// Largest length of vectors, many times that of any text encoder.
+pub const MAX_DIM: usize = 1 << 14;
+
 /// The row number of Gaussians without a target: floaters.
 pub const NO_TARGET: u32 = u32::MAX;
 
@@ -54,8 +57,8 @@ pub enum VocabularyError {
         /// The text.
         text: String,
     },
-    /// Vectors too short.
-    #[error("vectors of length {dim} cannot tell the concepts apart; use at least {MIN_DIM}")]
+    /// Vectors too short to tell concepts apart, or longer than anything can use.
+    #[error("vectors of length {dim} are not possible; use {MIN_DIM} to {MAX_DIM}")]
     Dim {
         /// The length asked for.
         dim: usize,
@@ -98,9 +101,9 @@ impl Vocabulary {
     /// The vocabulary with vectors of length `dim`; the same on any machine.
     ///
     /// # Errors
-    /// If `dim` is below [`MIN_DIM`].
+    /// If `dim` is not in [`MIN_DIM`] to [`MAX_DIM`].
     pub fn new(dim: usize) -> Result<Self, VocabularyError> {
-        if dim < MIN_DIM {
+        if !(MIN_DIM..=MAX_DIM).contains(&dim) {
             return Err(VocabularyError::Dim { dim });
         }
         let count = CLASSES.len() + Group::ALL.len() + ColorName::ALL.len();

@@ -1,6 +1,7 @@
 //! From the class names of one data set to those of another.
 
 use crate::SceneError;
+use crate::input_file::read_text_file;
 use crate::label_set::find_name;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -34,8 +35,7 @@ impl ClassMap {
     /// # Errors
     /// If the file cannot be read or is no table of strings.
     pub fn read(path: &Path) -> Result<Self, SceneError> {
-        let text = std::fs::read_to_string(path)
-            .map_err(SceneError::io(path, "cannot read the map of classes"))?;
+        let text = read_text_file(path)?;
         let pairs: Result<BTreeMap<String, String>, String> = if text.trim_start().starts_with('{')
         {
             serde_json::from_str(&text).map_err(|error| error.to_string())

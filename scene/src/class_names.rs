@@ -1,6 +1,7 @@
 //! Files of class names.
 
 use crate::SceneError;
+use crate::input_file::read_text_file;
 use std::path::Path;
 
 /// Reads class names: one a line (blank lines are skipped), or JSON: a list of strings, or an
@@ -9,8 +10,7 @@ use std::path::Path;
 /// # Errors
 /// If the file cannot be read, is no text, or is JSON of another form.
 pub fn read_names(path: &Path) -> Result<Vec<String>, SceneError> {
-    let text =
-        std::fs::read_to_string(path).map_err(SceneError::io(path, "cannot read class names"))?;
+    let text = read_text_file(path)?;
     // A byte order mark would become part of the first name.
     let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
     let names = if text.trim_start().starts_with(['[', '{']) {

@@ -1,5 +1,6 @@
 //! Errors of this crate.
 
+use crate::printable::{printable, printable_text, shown};
 use std::path::{Path, PathBuf};
 
 /// What can go wrong with a scene or its files. Every variant says where, what and how to fix it.
@@ -7,7 +8,7 @@ use std::path::{Path, PathBuf};
 #[non_exhaustive]
 pub enum SceneError {
     /// The file could not be opened, read or written.
-    #[error("{}: {action}", path.display())]
+    #[error("{}: {action}", shown(path))]
     Io {
         /// Which file.
         path: PathBuf,
@@ -18,7 +19,7 @@ pub enum SceneError {
         source: std::io::Error,
     },
     /// The file does not follow its format.
-    #[error("{}: {problem}{}", path.display(), hint(help))]
+    #[error("{}: {}{}", shown(path), printable_text(problem), hint(help))]
     Format {
         /// Which file.
         path: PathBuf,
@@ -28,7 +29,13 @@ pub enum SceneError {
         help: String,
     },
     /// A value that no policy can repair.
-    #[error("{}: element {element}, field {field}: {value} is not allowed{}", path.display(), hint(help))]
+    #[error(
+        "{}: element {element}, field {}: {} is not allowed{}",
+        shown(path),
+        printable(field),
+        printable(value),
+        hint(help)
+    )]
     Value {
         /// Which file.
         path: PathBuf,
@@ -59,11 +66,22 @@ pub enum SceneError {
         /// Number of rows.
         rows: usize,
     },
+    /// Memory for what a file holds is not to be had.
+    #[error(
+        "{}: {bytes} bytes of memory for it are not to be had (close other programs, or raise the limit)",
+        shown(path)
+    )]
+    OutOfMemory {
+        /// Which file.
+        path: PathBuf,
+        /// Bytes that were asked for.
+        bytes: usize,
+    },
     /// The user asked to stop; nothing was written.
     #[error("stopped; nothing was written")]
     Stopped,
     /// A list of classes, or the table of their text vectors, that cannot be used.
-    #[error("{problem}{}", hint(help))]
+    #[error("{}{}", printable_text(problem), hint(help))]
     Classes {
         /// What is wrong.
         problem: String,
@@ -74,7 +92,7 @@ pub enum SceneError {
     #[error(transparent)]
     Write(#[from] crate::WriteError),
     /// No class of that name.
-    #[error("no class is called {query:?}; nearest: {}", nearest.join(", "))]
+    #[error("no class is called {query:?}; nearest: {}", printable(&nearest.join(", ")))]
     UnknownClass {
         /// What was asked for.
         query: String,
@@ -82,7 +100,7 @@ pub enum SceneError {
         nearest: Vec<String>,
     },
     /// Several classes fit the name equally well.
-    #[error("{query:?} may mean any of: {} (write the name exactly)", candidates.join(", "))]
+    #[error("{query:?} may mean any of: {} (write the name exactly)", printable(&candidates.join(", ")))]
     AmbiguousClass {
         /// What was asked for.
         query: String,
@@ -112,5 +130,5 @@ impl SceneError {
 }
 
 fn hint(help: &str) -> String {
-    if help.is_empty() { String::new() } else { format!(" ({help})") }
+    if help.is_empty() { String::new() } else { format!(" ({})", printable_text(help)) }
 }

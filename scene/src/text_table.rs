@@ -2,8 +2,8 @@
 
 use crate::SceneError;
 use crate::class_names::read_names;
+use crate::input_file::{InputFile, read_text_file};
 use half::{bf16, f16};
-use memmap2::Mmap;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::Deserialize;
 use std::path::Path;
@@ -75,20 +75,11 @@ impl TextTable {
     /// If a file cannot be read, no tensor fits, no names are found, or as
     /// [`from_rows`](Self::from_rows).
     pub fn read(path: &Path, names: Option<&Path>) -> Result<Self, SceneError> {
-        let file =
-            std::fs::File::open(path).map_err(SceneError::io(path, "cannot open the vectors"))?;
+        let file = InputFile::open(path)?;
         let bad = |problem: String, help: &str| SceneError::format(path, problem, help);
-        let failed = || SceneError::io(path, "cannot read the vectors");
-        let about = file.metadata().map_err(failed())?;
-        if !about.is_file() || about.len() == 0 {
-            return Err(bad("is empty or no file".to_owned(), ""));
-        }
-        // SAFETY: the mapping is only read; truncation by another process while it lives, for the
-        // length of this function, would stop the program, as with every mapped file.
-        let map = unsafe { Mmap::map(&file) }.map_err(failed())?;
         let broken = |error| bad(format!("is not a .safetensors file: {error}"), "");
-        let tensors = SafeTensors::deserialize(&map).map_err(broken)?;
-        let (_, metadata) = SafeTensors::read_metadata(&map).map_err(broken)?;
+        let tensors = SafeTensors::deserialize(file.bytes()).map_err(broken)?;
+        let (_, metadata) = SafeTensors::read_metadata(file.bytes()).map_err(broken)?;
         let tensor = find_tensor(&tensors)
             .map_err(|problem| bad(problem, "name the tensor of vectors text_embeddings"))?;
         let &[_, dim] = tensor.shape() else {
@@ -97,6 +88,7 @@ impl TextTable {
         let values = floats(&tensor)
             .ok_or_else(|| bad(format!("{TENSOR} holds {:?}, no floats", tensor.dtype()), ""))?;
         let labels = metadata.metadata().as_ref().and_then(|m| m.get("labels"));
+        file.check_length()?;
         let names = match (names, labels) {
             (Some(names), _) => read_names(names)?,
             (None, Some(json)) => serde_json::from_str(json)
@@ -183,8 +175,7 @@ fn names_in_manifest(path: &Path) -> Result<Vec<String>, SceneError> {
     if !manifest.exists() {
         return Err(SceneError::format(path, "does not name its classes", help));
     }
-    let text = std::fs::read_to_string(&manifest)
-        .map_err(SceneError::io(&manifest, "cannot read the manifest"))?;
+    let text = read_text_file(&manifest)?;
     let parsed: Manifest = serde_json::from_str(&text)
         .map_err(|error| SceneError::format(&manifest, format!("is no manifest: {error}"), help))?;
     let name = path.file_name().and_then(|n| n.to_str()).unwrap_or_default();

@@ -1,5 +1,7 @@
 //! Changing scenes: what is kept, what turns with the scene, what joining loses.
 
+#![allow(clippy::unwrap_used, reason = "a test that cannot set itself up should stop")]
+
 use half::f16;
 use scenesplat_scene::edit::{
     CropBox, EulerAngles, Offset, SampleSize, SceneEdit, UpSource, merge,

@@ -1,5 +1,7 @@
 //! Pictures: what is read of PNG and JPEG, and what is refused before memory is reserved.
 
+#![allow(clippy::unwrap_used, reason = "a test that cannot set itself up should stop")]
+
 use scenesplat_scene::picture::{
     Channels, MAX_PIXELS, Picture, RgbPicture, Samples, decode_picture, read_picture, read_png,
 };

@@ -297,6 +297,18 @@ fn bad_headers_are_errors() {
     long.resize(3 << 20, b'c');
     let error = PlyFile::open(&write(dir.path(), "a.ply", &long)).err().unwrap().to_string();
     assert!(error.contains("does not end within"), "{error}");
+    // Within a megabyte: found out line by line these took seconds.
+    let elements: String = (0..50_000).map(|i| format!("element e{i} 0\n")).collect();
+    let columns: String = (0..50_000).map(|i| format!("property int p{i}\n")).collect();
+    for (text, message) in [
+        (elements, "more than 1024 elements"),
+        (format!("element vertex 1\n{columns}"), "more than 16384 properties"),
+    ] {
+        let text = format!("ply\nformat ascii 1.0\n{text}end_header\n");
+        assert!(text.len() < 1 << 20);
+        let error = PlyFile::from_bytes(text.as_bytes(), Path::new("a.ply")).err().unwrap();
+        assert!(error.to_string().contains(message), "{error}");
+    }
 }
 
 #[test]

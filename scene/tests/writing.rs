@@ -315,9 +315,9 @@ fn a_scene_whose_labels_cannot_be_written_is_not_replaced() {
             SceneFormat::Glb => "glb",
             _ => "compressed.ply",
         };
-        // The temporary name of the labels is longer than file systems allow, no other one is.
+        // The name of the labels is longer than file systems allow, that of the scene is not.
         let path =
-            folder.path().join(format!("{:a<length$}.{ending}", "", length = 228 - ending.len()));
+            folder.path().join(format!("{:a<length$}.{ending}", "", length = 239 - ending.len()));
         write(&random_scene(10, 0, 1), &path, format, false).unwrap();
         let before = contents(folder.path());
         let error = write(&labelled(20), &path, format, true).unwrap_err();

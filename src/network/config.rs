@@ -99,7 +99,7 @@ impl NetworkConfig {
     pub fn read(path: &Path) -> anyhow::Result<Self> {
         use anyhow::Context;
         let place = || path.display().to_string();
-        let text = std::fs::read_to_string(path).with_context(place)?;
+        let text = scenesplat_scene::input_file::read_text_file(path)?;
         let config: Self = if path.extension().is_some_and(|e| e == "json") {
             serde_json::from_str(&text).with_context(place)?
         } else {

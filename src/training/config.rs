@@ -353,7 +353,7 @@ fn read_table(
     let here = path.canonicalize().with_context(|| path.display().to_string())?;
     anyhow::ensure!(!seen.contains(&here), "{}: extends itself", path.display());
     seen.push(here);
-    let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+    let text = scenesplat_scene::input_file::read_text_file(path)?;
     let text = with_variables(&text, variable).with_context(|| path.display().to_string())?;
     let mut own: toml::Table = text.parse().with_context(|| path.display().to_string())?;
     let Some(base) = own.remove("extends") else { return Ok(own) };

@@ -63,7 +63,7 @@ pub use config::{CheckpointConfig, HealthConfig, TrainerConfig};
 pub use error::TrainError;
 pub use event::{Callback, End, Evaluator, Event, Flow, Progress};
 pub use identity::{Change, Identity};
-pub use module::{AfterStep, StepContext, StepOutput, TrainingModule};
+pub use module::{AfterStep, HasBackbone, StepContext, StepOutput, TrainingModule};
 pub use optim::{
     AdamW, AdamWConfig, CosineSchedule, KeywordGroup, OneCycle, Optimizer, ParamGroup, Schedule,
     StepHyperparameters, WithWeightDecay, clip_grad_norm, ema_update, grad_norm, group_by_keyword,

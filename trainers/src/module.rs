@@ -1,7 +1,7 @@
 //! What is trained: a model together with how it learns from a batch.
 
 use candle_core::{Tensor, Var};
-use scenesplat_models::{Forward, ParamStore};
+use scenesplat_models::{Backbone, Forward, ParamStore};
 use std::collections::BTreeMap;
 
 /// What a step gets besides its batch.
@@ -100,4 +100,11 @@ pub trait TrainingModule {
     fn suspects(&self, _batch: &Self::Batch) -> Vec<String> {
         Vec::new()
     }
+}
+
+/// A module with one network, which the [`evaluators`](crate::evaluators) can run: a task of one's own
+/// that has it is scored as ours are.
+pub trait HasBackbone {
+    /// The network whose rows are scored: language features or logits.
+    fn backbone(&self) -> &dyn Backbone;
 }

@@ -2,11 +2,13 @@
 
 use super::WrongUse;
 use crate::progress::{Progress, interrupted, listen_for_interrupt};
+use crate::session::set_threads;
 use crate::terminal::print;
 use anyhow::{Context, Result};
 use scenesplat::datasets::chunking::{ChunkFolder, ChunkReport, ChunkSettings};
 use scenesplat::datasets::sources::{SceneFolders, SceneFoldersOptions};
 use scenesplat::datasets::{DataError, DataSource};
+use scenesplat::scene::input_file::read_text_file;
 use scenesplat::scene::{FolderLock, SceneError};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -60,12 +62,7 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let settings = settings(args)?;
-    if let Some(n) = args.threads {
-        let built = rayon::ThreadPoolBuilder::new().num_threads(n).build_global();
-        if n == 0 || (built.is_err() && rayon::current_num_threads() != n) {
-            return Err(WrongUse(format!("--threads {n}: not possible here")).into());
-        }
-    }
+    set_threads(args.threads)?;
     // A handler is there already when several commands run in one process.
     let _ = listen_for_interrupt();
     let progress = Progress::new(args.quiet);
@@ -126,8 +123,7 @@ fn settings(args: &Args) -> Result<ChunkSettings> {
 fn chunk_names(scenes: &SceneFolders, subset: Option<&Path>) -> Result<Vec<(String, String)>> {
     let mut wanted: Option<BTreeSet<String>> = None;
     if let Some(path) = subset {
-        let text = std::fs::read_to_string(path)
-            .with_context(|| format!("--scenes {}", path.display()))?;
+        let text = read_text_file(path).context("--scenes")?;
         let lines = text.lines().map(str::trim).filter(|line| !line.is_empty());
         wanted = Some(lines.map(str::to_owned).collect());
     }

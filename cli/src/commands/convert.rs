@@ -1,9 +1,10 @@
 //! `scenesplat convert`
 
 use super::WrongUse;
-use crate::flags::{SourceArgs, SpzFrameArg};
+use crate::flags::{SourceArgs, SpzFrameArg, parse_positive};
 use crate::outputs::Outputs;
 use crate::progress::{Progress, interrupted, listen_for_interrupt};
+use crate::session::set_threads;
 use crate::terminal::{print, write_text};
 use anyhow::{Context, Result};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
@@ -53,7 +54,7 @@ pub struct Args {
     #[arg(long, value_name = "0..4", value_parser = clap::value_parser!(u8).range(0..=4))]
     pub sh: Option<u8>,
     /// Multiplies positions and sizes: 0.001 for a scene in millimetres.
-    #[arg(long, value_name = "FACTOR", value_parser = parse_scale, allow_hyphen_values = true)]
+    #[arg(long, value_name = "FACTOR", value_parser = parse_positive, allow_hyphen_values = true)]
     pub scale: Option<f64>,
     /// Renames the axes: the directions of +x, +y, +z as letters of right/left, up/down,
     /// forward/back. FROM is RDF if not given, the frame of scenes in memory. SPZ and glTF files have a
@@ -126,20 +127,10 @@ fn parse_up_source(text: &str) -> Result<UpSource, String> {
     }
 }
 
-fn parse_scale(text: &str) -> Result<f64, String> {
-    let factor = text.parse().ok().filter(|v: &f64| v.is_finite() && *v > 0.0);
-    factor.ok_or_else(|| format!("{text:?}: write a factor above 0"))
-}
-
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let format = target_format(args)?;
-    if let Some(n) = args.threads {
-        let built = rayon::ThreadPoolBuilder::new().num_threads(n).build_global();
-        if n == 0 || (built.is_err() && rayon::current_num_threads() != n) {
-            return Err(WrongUse(format!("--threads {n}: not possible here")).into());
-        }
-    }
+    set_threads(args.threads)?;
     // A handler is there already when several commands run in one process.
     let _ = listen_for_interrupt();
     let progress = Progress::new(args.quiet);

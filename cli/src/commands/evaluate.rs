@@ -127,7 +127,7 @@ fn truth(
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
     let began = Instant::now();
-    let session = Session::start(&args.shared, line)?;
+    let session = Session::start_with(&args.shared, &args.inference.network, line)?;
     args.scenes.iter().try_for_each(|scene| session.outputs.reads(Path::new(scene)))?;
     args.classes.claim_inputs(&session.outputs)?;
     let features = args.features.as_deref().map(Path::new);
@@ -149,7 +149,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         if args.features.is_none() { Some(session.network(&args.inference)?) } else { None };
     let text = match &network {
         Some(network) if network.is_classifier() => classes_of(network, args)?,
-        _ => args.classes.text_table(args.shared.is_embedded())?,
+        _ => args.classes.text_table(args.inference.network.is_embedded())?,
     };
     let set = LabelSet::new(text.names.clone())?;
     let excluded = match &args.exclude {
@@ -263,7 +263,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
             .map(|&l| usize::try_from(l).map_or(-1, |l| answers[l]))
             .collect();
         oracle.update((&voted(&told)?, scored))?;
-        random.update((&random_labels(scored.len(), classes, args.shared.seed)?, scored))?;
+        random.update((&random_labels(scored.len(), classes, args.inference.seed)?, scored))?;
         drop(_stage);
         if oracle_only {
             continue;

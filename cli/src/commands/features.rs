@@ -14,7 +14,7 @@ use std::path::PathBuf;
 /// (coloured by the features' three principal components) and a receipt.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// A .ply file or a folder of .npy files.
+    /// The scene, in any format.
     pub scene: PathBuf,
     /// Number type of the features.
     #[arg(long, value_enum, default_value_t = Dtype::F32)]
@@ -59,7 +59,7 @@ pub enum Format {
 
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
-    let session = Session::start(&args.shared, line)?;
+    let session = Session::start_with(&args.shared, &args.inference.network, line)?;
     session.outputs.reads(&args.scene)?;
     let features_file = match args.format {
         Format::Npy => "features.npy",

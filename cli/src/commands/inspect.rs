@@ -1,6 +1,6 @@
 //! `scenesplat inspect`
 
-use crate::flags::{Shared, SourceArgs, parse_up};
+use crate::flags::{NetworkArgs, Shared, SourceArgs, parse_up};
 use crate::session::Session;
 use crate::terminal::print;
 use anyhow::{Context, Result, bail};
@@ -9,8 +9,9 @@ use scenesplat::input::scene_name;
 use scenesplat::inspect::sheet::write_sheet;
 use scenesplat::inspect::{InspectSettings, inspect};
 use scenesplat::memory::machine_memory;
+use scenesplat::models::weights::resolve;
 use scenesplat::network::{NetworkChoice, NetworkConfig, WeightOptions, Weights, network_of};
-use scenesplat::scene::{ReadOptions, UpAxis};
+use scenesplat::scene::{ReadOptions, UpAxis, printable};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
@@ -29,7 +30,7 @@ pub struct Args {
     /// Draws no sheet.
     #[arg(long)]
     pub no_sheet: bool,
-    /// Which way is up in the sheet; judged by the scene if not given.
+    /// Which way is up; judged by the scene if not given.
     #[arg(long, value_name = "AXIS", value_parser = parse_up, allow_hyphen_values = true)]
     pub up: Option<UpAxis>,
     /// Ends with exit code 1 if there is any finding; notes do not count.
@@ -38,20 +39,18 @@ pub struct Args {
     /// How to read the scene.
     #[command(flatten)]
     pub source: SourceArgs,
-    /// Flags of all commands; --weights and --config name the network whose cost is estimated, as
-    /// they name the one of segment.
+    /// The network whose cost is estimated.
+    #[command(flatten)]
+    pub network: NetworkArgs,
+    /// Flags of all commands.
     #[command(flatten)]
     pub shared: Shared,
 }
 
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
-    let session = Session::start(&args.shared, line)?;
-<<<<<<< HEAD
-    let (name, config) = network(&args.shared)?;
-=======
-    let config = args.shared.config.clone().unwrap_or(NetworkChoice::Language);
-    let network = (config.to_string(), config.resolve()?);
+    let session = Session::start_with(&args.shared, &args.network, line)?;
+    let (name, config) = network(&args.network)?;
     session.outputs.reads(&args.scene)?;
     session.outputs.claim_any("--json", args.json.as_ref())?;
     let sheet = match (&args.sheet, args.no_sheet) {
@@ -65,7 +64,6 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         }
     };
     session.outputs.claim_any("--sheet", sheet.as_ref())?;
->>>>>>> main
     let opened = {
         let _stage = session.receipt.stage("read");
         let opened = {
@@ -118,19 +116,24 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
 
 /// The network that `segment` would run with the same flags, and what it is called. A configuration
 /// alone will do: only its size is asked for.
-fn network(shared: &Shared) -> Result<(String, NetworkConfig)> {
-    if let (None, Some(config)) = (&shared.weights, &shared.config) {
-        return Ok((config.to_string(), config.resolve()?));
-    }
-    let weights = shared.weights()?;
-    let config = network_of(&weights, shared.config.as_ref(), WeightOptions::default())?;
-    let name = match (&shared.config, &weights) {
-        (Some(config), _) => config.to_string(),
-        (None, Weights::Embedded) => embedded::NAME.to_owned(),
-        (None, Weights::Seeded(_)) => NetworkChoice::Language.to_string(),
-        (None, Weights::File(path)) => path.display().to_string(),
+fn network(args: &NetworkArgs) -> Result<(String, NetworkConfig)> {
+    let Some(weights) = &args.weights else {
+        return match &args.config {
+            Some(choice) => Ok((choice.to_string(), choice.resolve()?)),
+            None => Ok((embedded::NAME.to_owned(), embedded::config()?)),
+        };
     };
-    Ok((name, config))
+    // Weights that `segment` would refuse are refused here too.
+    let name = match (weights, &args.config) {
+        (Weights::File(path), choice) => {
+            resolve(path)?;
+            choice.as_ref().map_or_else(|| printable(path).into_owned(), ToString::to_string)
+        }
+        (_, Some(choice)) => choice.to_string(),
+        (Weights::Embedded, None) => embedded::NAME.to_owned(),
+        (Weights::Seeded(_), None) => NetworkChoice::Language.to_string(),
+    };
+    Ok((name, network_of(weights, args.config.as_ref(), WeightOptions::default())?))
 }
 
 /// `room.ply` → `room.ply.inspect.png`; the description of a folder is named after the folder.

@@ -41,7 +41,8 @@ pub struct Args {
     #[arg(long, value_enum, default_value_t = RuleArg::AlphaWeighted)]
     pub rule: RuleArg,
     /// Granularities of the maps, up to 4, comma-separated; several write into folders level-N.
-    #[arg(long, value_name = "N", value_delimiter = ',', default_value = "0")]
+    #[arg(long, value_name = "0..3", value_delimiter = ',', default_value = "0",
+          value_parser = parse_level)]
     pub level: Vec<usize>,
     /// Guards against wrong labels: always, never, or if the pictures contradict each other.
     #[arg(long, value_enum, default_value_t = RobustArg::Auto)]
@@ -91,6 +92,14 @@ pub struct Args {
     /// Flags of all commands.
     #[command(flatten)]
     pub shared: Shared,
+}
+
+/// Reads the number of a granularity.
+fn parse_level(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(level @ 0..=3) => Ok(level),
+        _ => Err(format!("{text:?}: levels are 0 to 3")),
+    }
 }
 
 /// Which pixels count.
@@ -277,6 +286,11 @@ impl Args {
         }
         session.progress.finish();
         let lifter = lifter.context("no camera has segments")?;
+        anyhow::ensure!(
+            !lifter.tables().is_empty(),
+            "{}: no picture has a segment with a feature",
+            self.segments.display()
+        );
         if without_feature > 0 {
             let text =
                 format!("{without_feature} segments have a feature of zeros: they label nothing");

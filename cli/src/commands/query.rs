@@ -54,7 +54,7 @@ fn texts(args: &Args) -> Result<(TextTable, usize)> {
         return from_vocabulary(&vocabulary, &args.query);
     }
     let table = match (&args.classes.text, &args.embedding) {
-        (None, None) if args.shared.is_embedded() => {
+        (None, None) if args.inference.network.is_embedded() => {
             return from_vocabulary(&scenesplat::embedded::vocabulary()?, &args.query);
         }
         (None, None) => {
@@ -136,7 +136,7 @@ fn read_vector(path: &Path) -> Result<Vec<f32>> {
 
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
-    let session = Session::start(&args.shared, line)?;
+    let session = Session::start_with(&args.shared, &args.inference.network, line)?;
     session.outputs.reads_any([Some(args.scene.as_path()), args.embedding.as_deref()])?;
     args.classes.claim_inputs(&session.outputs)?;
     let (text, row) = texts(args)?;

@@ -3,15 +3,15 @@
 mod cameras;
 
 use super::WrongUse;
-use crate::flags::{Shared, SourceArgs, parse_up};
+use crate::flags::{Shared, SourceArgs, parse_positive, parse_up};
 use crate::session::Session;
 use anyhow::{Context, Result};
 use cameras::{Shot, Shots};
 use clap::ValueEnum;
 use scenesplat::preview::{depth_picture, write_png, write_png16};
 use scenesplat::rasterizer::{
-    DepthRequest, Gaussians, PlanRequest, Prepared, RasterSettings, RenderPlan, RenderRequest,
-    Rendered, SceneProfile, View,
+    DepthRequest, Gaussians, MAX_PIXELS, MAX_SIDE, PlanRequest, Prepared, RasterSettings,
+    RenderPlan, RenderRequest, Rendered, SceneProfile, View,
 };
 use scenesplat::scene::picture::RgbPicture;
 use scenesplat::scene::{GaussianScene, ReadOptions, UpAxis, guess_up};
@@ -56,7 +56,8 @@ pub struct Args {
     pub depth: bool,
     /// What one unit of the scene is in the 16-bit pictures of depth: 1000 writes millimetres of a
     /// scene in metres.
-    #[arg(long, value_name = "STEPS", default_value_t = 1000.0, requires = "depth")]
+    #[arg(long, value_name = "STEPS", default_value_t = 1000.0, requires = "depth",
+          value_parser = parse_positive, allow_hyphen_values = true)]
     pub depth_scale: f64,
     /// Size of the pictures; by default the cameras' own, 640x480 for those around the scene.
     #[arg(long, value_name = "WxH", value_parser = parse_size)]
@@ -112,10 +113,6 @@ const SOLID: f32 = 0.5;
 
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
-    if !(args.depth_scale.is_finite() && args.depth_scale > 0.0) {
-        let text = format!("--depth-scale {}: must be above 0", args.depth_scale);
-        return Err(WrongUse(text).into());
-    }
     if args.fov.is_some() && args.eye.is_none() && args.inside.is_none() {
         let text = "--fov goes with --eye and --target, or with --inside";
         return Err(WrongUse(text.to_owned()).into());
@@ -268,10 +265,16 @@ fn write(session: &Session<'_>, args: &Args, shot: &Shot, picture: &Rendered) ->
 }
 
 fn parse_size(text: &str) -> Result<[u32; 2], String> {
-    let size =
+    let size: Option<[u32; 2]> =
         text.split_once(['x', 'X']).and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
     match size {
-        Some([w, h]) if w > 0 && h > 0 => Ok([w, h]),
+        Some([w, h]) if w > 0 && h > 0 => {
+            if w.max(h) > MAX_SIDE || u64::from(w) * u64::from(h) > MAX_PIXELS {
+                let most = format!("{MAX_SIDE} on a side and {MAX_PIXELS} in all");
+                return Err(format!("{text:?}: pictures have at most {most}"));
+            }
+            Ok([w, h])
+        }
         _ => Err(format!("{text:?} is no size; write 640x480")),
     }
 }

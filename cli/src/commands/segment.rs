@@ -100,7 +100,8 @@ impl Classes {
                         "--text {text}: the width must be a number, as in vocabulary:96"
                     ))
                 })?;
-                Ok(Some(Vocabulary::new(dim)?))
+                let built = Vocabulary::new(dim);
+                Ok(Some(built.map_err(|e| WrongUse(format!("--text {text}: {e}")))?))
             }
             _ => Ok(None),
         }
@@ -242,7 +243,7 @@ fn scores_of(
 
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
-    let session = Session::start(&args.shared, line)?;
+    let session = Session::start_with(&args.shared, &args.inference.network, line)?;
     session.outputs.reads(&args.scene)?;
     args.classes.claim_inputs(&session.outputs)?;
     let names = ["labels.npy", "scores.npy", "classes.json", "segmented.ply", "preview.png"];
@@ -252,7 +253,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         Some(_) => Some(args.classes.text_table(false)?),
         None => None,
     };
-    let embedded = args.shared.is_embedded();
+    let embedded = args.inference.network.is_embedded();
     let (opened, source) = session.open_with_source(&args.scene, &args.inference, |network| {
         let needed = !network.is_classifier() && table.is_none();
         if needed { args.classes.text_table(embedded).map(drop) } else { Ok(()) }

@@ -1,8 +1,9 @@
 //! `scenesplat train`
 
 use crate::progress::{interrupted, listen_for_interrupt};
+use crate::session::set_threads;
 use crate::terminal::print;
-use anyhow::{Context, Result};
+use anyhow::Result;
 use scenesplat::trainers::checkpoint::newest_checkpoint;
 use scenesplat::training::{ExperimentConfig, RunOptions, train};
 use std::path::PathBuf;
@@ -51,9 +52,7 @@ pub fn run(args: &Args) -> Result<()> {
         print(&toml::to_string_pretty(&config)?);
         return Ok(());
     }
-    if let Some(threads) = args.threads {
-        rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("--threads")?;
-    }
+    set_threads(args.threads)?;
     let name = args.config.file_stem().unwrap_or_default();
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from("runs").join(name));
     let there = || newest_checkpoint(&out.join("checkpoints"));

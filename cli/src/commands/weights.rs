@@ -30,7 +30,10 @@ pub struct Args {
     /// Layout of sparse convolutions in the checkpoint.
     #[arg(long, value_enum, default_value_t = ConvLayoutArg::Spconv2)]
     pub conv_layout: ConvLayoutArg,
-    /// Flags of all commands; --config asks about one network only.
+    /// Asks about this network only: language, semseg, tiny or a .toml file.
+    #[arg(long, value_name = "NAME|FILE")]
+    pub config: Option<NetworkChoice>,
+    /// Flags of all commands.
     #[command(flatten)]
     pub shared: Shared,
 }
@@ -43,8 +46,10 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let folder = resolve(&args.checkpoint)?;
     let mut files = Vec::new();
     for file in &folder.files {
-        let values: usize =
-            file.entries().values().map(|e| e.shape.iter().product::<usize>()).sum();
+        // Shapes in a pickle are only claims.
+        let values = |shape: &[usize]| shape.iter().fold(1usize, |n, d| n.saturating_mul(*d));
+        let values = file.entries().values().map(|e| values(&e.shape));
+        let values = values.fold(0usize, usize::saturating_add);
         let sha256 = file.sha256()?;
         let bytes = std::fs::metadata(file.path()).map_or(0, |m| m.len());
         session.receipt.fingerprint_known("weights", file.path(), bytes, &sha256);
@@ -84,7 +89,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     };
     let shapes = WeightSource::files(folder.files, options.source())?.shapes();
 
-    let candidates: Vec<(String, NetworkConfig)> = match &args.shared.config {
+    let candidates: Vec<(String, NetworkConfig)> = match &args.config {
         Some(choice) => {
             let own = network_of(&Source::File(args.checkpoint.clone()), Some(choice), options)?;
             vec![(choice.to_string(), own)]

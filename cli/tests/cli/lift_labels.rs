@@ -229,7 +229,7 @@ fn what_does_not_fit_is_refused_before_anything_is_written() {
     };
     refused(&["--view-exponent", "2"], 2, &["view exponent", "is 2"]);
     refused(&["--coverage", "nan"], 2, &["coverage"]);
-    refused(&["--level", "7"], 1, &["level", "[7]"]);
+    refused(&["--level", "7"], 2, &["--level", "\"7\"", "0 to 3"]);
     refused(&["--level", "3"], 1, &["a_s.npy", "level 3"]);
 
     let cameras = [camera("x.png", 0.0)];

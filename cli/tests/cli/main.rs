@@ -9,6 +9,7 @@ mod compare;
 mod convert;
 mod demo_scene;
 mod hostile;
+mod inputs;
 mod inspect;
 mod lift_labels;
 mod outputs;

@@ -74,6 +74,9 @@ impl FolderConfig {
     }
 }
 
+/// The most synthetic rooms: each has a name that is kept.
+const MAX_ROOMS: usize = 1_000_000;
+
 /// Furnished synthetic rooms.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -93,6 +96,9 @@ pub struct SyntheticRoomsConfig {
 
 impl SyntheticRoomsConfig {
     fn build(&self) -> Result<SyntheticRooms, DataError> {
+        if self.count > MAX_ROOMS {
+            return Err(bad_setting("count", self.count, "at most 1,000,000 rooms"));
+        }
         let rooms = SyntheticRooms::new(self.count, self.room.clone(), self.seed)?;
         let Some(dim) = self.vocabulary else { return Ok(rooms) };
         let vocabulary = Vocabulary::new(dim)

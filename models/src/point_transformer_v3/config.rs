@@ -1,6 +1,7 @@
 //! Shape of a network.
 
 use super::PointTransformerV3;
+use crate::params::MAX_VALUES;
 use crate::weights::Shapes;
 use crate::{Architecture, Backbone, BackboneCost, Compute};
 use candle_core::{Result, bail};
@@ -8,6 +9,23 @@ use candle_nn::VarBuilder;
 use scenesplat_kernels::segment::Reduce;
 use scenesplat_kernels::serialization::Curve;
 use serde::{Deserialize, Serialize};
+
+/// The most scales.
+const MAX_STAGES: usize = 16;
+/// The most entries in the list of curves; there are four.
+const MAX_ORDERS: usize = 64;
+/// The widest input of a voxel.
+const MAX_INPUTS: usize = 1 << 16;
+/// The most channels of a stage, 21 times those of the language network's widest.
+const MAX_CHANNELS: usize = 1 << 14;
+/// The widest hidden layer of a block, in channels.
+const MAX_MLP_RATIO: usize = 64;
+/// The largest pooling factor: curves have 21 bits an axis.
+const MAX_STRIDE: usize = 1 << 16;
+/// The most blocks of a stage.
+const MAX_DEPTH: usize = 256;
+/// The most points of an attention patch, 64 times the original's.
+const MAX_PATCH_SIZE: usize = 1 << 16;
 
 /// How features of pooled voxels are joined.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -169,38 +187,47 @@ impl PointTransformerV3Config {
         last.copied().unwrap_or(0)
     }
 
-    /// Values of all parameters and buffers, without building anything.
+    /// Values of all parameters and buffers, without building anything; at most `usize::MAX`.
     pub fn num_values(&self) -> usize {
-        let linear = |i: usize, o: usize| i * o + o;
+        // Of a configuration that was not checked, sizes may be anything.
+        let product = |sizes: &[usize]| sizes.iter().fold(1usize, |n, s| n.saturating_mul(*s));
+        let sum = |counts: &[usize]| counts.iter().fold(0usize, |n, c| n.saturating_add(*c));
+        let linear = |i: usize, o: usize| product(&[i, o]).saturating_add(o);
         let block = |c: usize| {
-            27 * c * c
-                + c
-                + linear(c, c)
-                + 2 * c
-                + 4 * c
-                + linear(c, 3 * c)
-                + linear(c, c)
-                + linear(c, self.mlp_ratio * c)
-                + linear(self.mlp_ratio * c, c)
+            let hidden = product(&[self.mlp_ratio, c]);
+            let (conv, qkv) = (product(&[27, c, c]), linear(c, product(&[3, c])));
+            let norms = product(&[7, c]);
+            sum(&[
+                conv,
+                norms,
+                linear(c, c),
+                qkv,
+                linear(c, c),
+                linear(c, hidden),
+                linear(hidden, c),
+            ])
         };
-        let norm = |c: usize| 4 * c + 1;
-        let first = self.enc_channels[0];
-        let mut sum = 125 * self.in_channels * first + norm(first);
-        sum += if self.mask_token { first } else { 0 };
-        for (stage, (&c, &depth)) in self.enc_channels.iter().zip(&self.enc_depths).enumerate() {
-            sum += depth * block(c);
-            if stage > 0 {
-                sum += linear(self.enc_channels[stage - 1], c) + norm(c);
-            }
+        let norm = |c: usize| product(&[4, c]).saturating_add(1);
+        let first = self.enc_channels.first().copied().unwrap_or(0);
+        let mut all = product(&[125, self.in_channels, first]).saturating_add(norm(first));
+        all = all.saturating_add(if self.mask_token { first } else { 0 });
+        let mut finer = None;
+        for (&c, &depth) in self.enc_channels.iter().zip(&self.enc_depths) {
+            let down = finer.map_or(0, |finer| sum(&[linear(finer, c), norm(c)]));
+            all = sum(&[all, product(&[depth, block(c)]), down]);
+            finer = Some(c);
         }
         for (stage, (&c, &depth)) in self.dec_channels.iter().zip(&self.dec_depths).enumerate() {
             let coarse = self.dec_channels.get(stage + 1).or(self.enc_channels.last());
-            sum += depth * block(c)
-                + linear(coarse.copied().unwrap_or(0), c)
-                + linear(self.enc_channels[stage], c)
-                + 2 * norm(c);
+            let skip = self.enc_channels.get(stage).copied().unwrap_or(0);
+            let up = [
+                linear(coarse.copied().unwrap_or(0), c),
+                linear(skip, c),
+                norm(c).saturating_mul(2),
+            ];
+            all = sum(&[all, product(&[depth, block(c)]), sum(&up)]);
         }
-        sum
+        all
     }
 
     /// Bytes of memory that inference needs per input voxel, at the widest moment.
@@ -242,11 +269,16 @@ impl PointTransformerV3Config {
         out
     }
 
-    /// Checks that the lists fit together and gives the curves.
+    /// Checks that sizes are possible and the lists fit together, and gives the curves.
+    ///
+    /// A configuration may come from a file that somebody else wrote, so every size has an upper
+    /// bound, far above any network that is known, and so has the number of values in all
+    /// ([`MAX_VALUES`]): nothing is reserved for more.
     ///
     /// # Errors
     /// Names the first field that does not fit.
     pub fn check(&self) -> Result<Vec<Curve>> {
+        self.check_limits()?;
         let stages = self.num_stages();
         let lengths = [
             ("stride", self.stride.len(), stages.saturating_sub(1)),
@@ -269,18 +301,6 @@ impl PointTransformerV3Config {
                 bail!("{field}: expected {want} entries for {stages} encoder stages, got {got}");
             }
         }
-        let sizes = |field: &str, values: &[usize]| match values.iter().position(|v| *v == 0) {
-            Some(i) => bail!("{field}[{i}]: must be at least 1"),
-            None => Ok(()),
-        };
-        sizes("in_channels", &[self.in_channels])?;
-        sizes("mlp_ratio", &[self.mlp_ratio])?;
-        sizes("enc_channels", &self.enc_channels)?;
-        sizes("dec_channels", &self.dec_channels)?;
-        sizes("enc_num_head", &self.enc_num_head)?;
-        sizes("dec_num_head", &self.dec_num_head)?;
-        sizes("enc_patch_size", &self.enc_patch_size)?;
-        sizes("dec_patch_size", &self.dec_patch_size)?;
         for (field, channels, heads) in [
             ("enc_num_head", &self.enc_channels, &self.enc_num_head),
             ("dec_num_head", &self.dec_channels, &self.dec_num_head),
@@ -305,6 +325,42 @@ impl PointTransformerV3Config {
                 None => bail!("order: {name:?} is not one of z, z-trans, hilbert, hilbert-trans"),
             })
             .collect()
+    }
+
+    /// That no size is 0 or beyond its limit.
+    fn check_limits(&self) -> Result<()> {
+        for (field, entries, most) in [
+            ("enc_depths", self.enc_depths.len(), MAX_STAGES),
+            ("order", self.order.len(), MAX_ORDERS),
+        ] {
+            if entries > most {
+                bail!("{field}: {entries} entries, at most {most} are possible");
+            }
+        }
+        let sizes: [(&str, &[usize], usize, usize); 11] = [
+            ("in_channels", &[self.in_channels], 1, MAX_INPUTS),
+            ("mlp_ratio", &[self.mlp_ratio], 1, MAX_MLP_RATIO),
+            ("stride", &self.stride, 1, MAX_STRIDE),
+            ("enc_depths", &self.enc_depths, 0, MAX_DEPTH),
+            ("dec_depths", &self.dec_depths, 0, MAX_DEPTH),
+            ("enc_channels", &self.enc_channels, 1, MAX_CHANNELS),
+            ("dec_channels", &self.dec_channels, 1, MAX_CHANNELS),
+            ("enc_num_head", &self.enc_num_head, 1, MAX_CHANNELS),
+            ("dec_num_head", &self.dec_num_head, 1, MAX_CHANNELS),
+            ("enc_patch_size", &self.enc_patch_size, 1, MAX_PATCH_SIZE),
+            ("dec_patch_size", &self.dec_patch_size, 1, MAX_PATCH_SIZE),
+        ];
+        for (field, values, least, most) in sizes {
+            let bad = values.iter().enumerate().find(|(_, v)| !(least..=most).contains(*v));
+            let Some((i, value)) = bad else { continue };
+            let place = if values.len() > 1 { format!("{field}[{i}]") } else { field.to_owned() };
+            bail!("{place}: {value} is not in {least} to {most}");
+        }
+        let values = self.num_values();
+        if values > MAX_VALUES {
+            bail!("the sizes make a network of {values} values, at most {MAX_VALUES} are possible");
+        }
+        Ok(())
     }
 
     /// Drop rates of the encoder's blocks, stage by stage: rising from 0 to `drop_path`.
@@ -399,6 +455,13 @@ mod tests {
         assert!(broken(&|c| c.enc_patch_size[2] = 0).contains("enc_patch_size[2]"));
         assert!(broken(&|c| c.order[0] = "peano".into()).contains("peano"));
         assert!(broken(&|c| c.enc_depths.clear()).contains("enc_depths"));
+        assert!(broken(&|c| c.order = vec!["z".into(); 65]).contains("order: 65 entries"));
+        assert!(broken(&|c| c.in_channels = 1 << 62).contains("in_channels: 4611686018427387904"));
+        let large = broken(&|c| {
+            c.dec_channels = vec![1 << 14; 3];
+            c.mlp_ratio = 64;
+        });
+        assert!(large.contains("values, at most"), "{large}");
         for c in [
             PointTransformerV3Config::semseg(),
             PointTransformerV3Config::ssl(),

@@ -1,7 +1,10 @@
 //! One weight file, opened but not yet read.
 
 use super::pth::PthFile;
+use candle_core::safetensors::{BufferedSafetensors, MmapedSafetensors};
 use candle_core::{DType, Device, Result, Tensor, bail};
+use scenesplat_scene::input_file::{COPIED_BELOW, is_lfs_pointer, open_regular_file, read_file};
+use scenesplat_scene::printable;
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -25,7 +28,8 @@ pub struct WeightFile {
 }
 
 enum Kind {
-    Safetensors(candle_core::safetensors::MmapedSafetensors),
+    Copied(BufferedSafetensors),
+    Mapped(MmapedSafetensors),
     Pth(PthFile),
 }
 
@@ -41,22 +45,24 @@ impl std::fmt::Debug for WeightFile {
 impl WeightFile {
     /// Reads the directory of a file.
     ///
+    /// A safetensors file below [`COPIED_BELOW`] is copied into memory; a larger one is mapped, and
+    /// must not be cut short by another process while it is open.
+    ///
     /// # Errors
-    /// If the file cannot be read, is cut off or is of no known kind.
+    /// If the file cannot be read, is no regular file, is cut off or is of no known kind.
     pub fn open(path: &Path) -> Result<Self> {
-        let mut start = [0u8; 16];
-        let mut file = std::fs::File::open(path)
-            .map_err(|e| candle_core::Error::Msg(format!("{}: {e}", path.display())))?;
+        let mut start = [0u8; 48];
+        let mut file = open_regular_file(path).map_err(|e| about(path, e))?;
         let mut got = 0;
         while got < start.len() {
             match file.read(&mut start[got..]) {
                 Ok(0) => break,
                 Ok(n) => got += n,
-                Err(e) => bail!("{}: {e}", path.display()),
+                Err(e) => bail!("{}: {e}", printable(path)),
             }
         }
         if got == 0 {
-            bail!("{}: the file is empty", path.display());
+            bail!("{}: the file is empty", printable(path));
         }
         if start.starts_with(b"PK\x03\x04") {
             let pth = PthFile::open(path)?;
@@ -67,38 +73,51 @@ impl WeightFile {
         if got >= 9 && start[8] == b'{' {
             return Self::open_safetensors(path);
         }
-        if start.starts_with(b"version https://") {
+        if is_lfs_pointer(&start) {
             bail!(
                 "{}: a git-lfs pointer, not the weights themselves; fetch them with git lfs pull",
-                path.display()
+                printable(path)
             );
         }
         if start[0] == 0x80 {
             bail!(
                 "{}: a PyTorch file of the old kind (before 1.6); open it in PyTorch and save it \
                  again with torch.save",
-                path.display()
+                printable(path)
             );
         }
         bail!(
             "{}: neither safetensors nor a PyTorch checkpoint (zip); got bytes {:02x?}",
-            path.display(),
-            &start[..got]
+            printable(path),
+            &start[..got.min(16)]
         )
     }
 
     fn open_safetensors(path: &Path) -> Result<Self> {
-        // SAFETY: the file is mapped read-only; changing it while it is read is the user's fault,
-        // as for every memory-mapped reader.
-        let mapped = unsafe { candle_core::safetensors::MmapedSafetensors::new(path) }
-            .map_err(|e| candle_core::Error::Msg(format!("{}: {e}", path.display())))?;
+        let length = open_regular_file(path)
+            .map_err(|e| about(path, e))?
+            .metadata()
+            .map_err(|e| about(path, e))?
+            .len();
+        let kind = if length < COPIED_BELOW {
+            let bytes = read_file(path, COPIED_BELOW).map_err(|e| about(path, e))?;
+            Kind::Copied(BufferedSafetensors::new(bytes).map_err(|e| at(path, e))?)
+        } else {
+            // SAFETY: the file is mapped read-only; that no other process cuts it short meanwhile is
+            // the contract of this function.
+            Kind::Mapped(unsafe { MmapedSafetensors::new(path) }.map_err(|e| at(path, e))?)
+        };
+        let tensors = match &kind {
+            Kind::Copied(file) => file.tensors(),
+            Kind::Mapped(file) => file.tensors(),
+            Kind::Pth(_) => Vec::new(),
+        };
         let mut entries = BTreeMap::new();
-        for (name, view) in mapped.tensors() {
+        for (name, view) in tensors {
             let dtype = DType::try_from(view.dtype())
                 .map_or_else(|_| format!("{:?}", view.dtype()), |d| d.as_str().to_owned());
             entries.insert(name, TensorEntry { shape: view.shape().to_vec(), dtype });
         }
-        let kind = Kind::Safetensors(mapped);
         Ok(Self { path: path.to_owned(), entries, skipped: Vec::new(), kind })
     }
 
@@ -124,14 +143,14 @@ impl WeightFile {
     /// their checksum (safetensors has none: compare [`WeightFile::sha256`]).
     pub fn read(&self, name: &str) -> Result<Tensor> {
         let tensor = match &self.kind {
-            Kind::Safetensors(mapped) => mapped.load(name, &Device::Cpu),
+            Kind::Copied(file) => file.load(name, &Device::Cpu),
+            Kind::Mapped(file) => file.load(name, &Device::Cpu),
             Kind::Pth(pth) => pth.read(name),
         };
         // Types too new to convert exist: what goes wrong there is about this file too.
         let converted =
             tensor.and_then(|t| if t.dtype().is_float() { t.to_dtype(DType::F32) } else { Ok(t) });
-        converted
-            .map_err(|e| candle_core::Error::Msg(format!("{}: {name}: {e}", self.path.display())))
+        converted.map_err(|e| at(&self.path, format!("{}: {e}", printable(name))))
     }
 
     /// SHA-256 of the whole file, in hexadecimal.
@@ -139,7 +158,7 @@ impl WeightFile {
     /// # Errors
     /// If the file cannot be read.
     pub fn sha256(&self) -> Result<String> {
-        let mut file = std::fs::File::open(&self.path)?;
+        let mut file = open_regular_file(&self.path).map_err(|e| about(&self.path, e))?;
         let mut hash = Sha256::new();
         let mut buffer = vec![0u8; 1 << 20];
         loop {
@@ -153,6 +172,21 @@ impl WeightFile {
     }
 }
 
+/// An error of this file.
+fn at(path: &Path, problem: impl std::fmt::Display) -> candle_core::Error {
+    candle_core::Error::Msg(format!("{}: {problem}", printable(path)))
+}
+
+/// An error in opening; those of the scene crate name the file themselves.
+pub(super) fn about(path: &Path, error: impl std::error::Error + 'static) -> candle_core::Error {
+    let error: &dyn std::error::Error = &error;
+    let source = error.source().map_or_else(String::new, |source| format!(": {source}"));
+    match error.downcast_ref::<scenesplat_scene::SceneError>() {
+        Some(error) => candle_core::Error::Msg(format!("{error}{source}")),
+        None => at(path, error),
+    }
+}
+
 /// Reads a file that holds one tensor (bare, or alone in a dictionary), as f32.
 ///
 /// # Errors
@@ -162,7 +196,7 @@ pub fn read_single_tensor(path: &Path) -> Result<Tensor> {
     let names: Vec<&String> = file.entries.keys().collect();
     match names.as_slice() {
         [name] => file.read(name)?.to_dtype(DType::F32),
-        [] => bail!("{}: holds no tensor", path.display()),
-        many => bail!("{}: holds {} tensors, expected one: {many:?}", path.display(), many.len()),
+        [] => bail!("{}: holds no tensor", printable(path)),
+        many => bail!("{}: holds {} tensors, expected one: {many:?}", printable(path), many.len()),
     }
 }

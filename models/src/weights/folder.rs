@@ -1,7 +1,9 @@
 //! Model folders as the Hugging Face hub lays them out, on disk.
 
 use super::WeightFile;
+use super::file::about;
 use candle_core::{Result, bail};
+use scenesplat_scene::input_file::read_text_file;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -70,7 +72,7 @@ pub fn resolve(path: &Path) -> Result<ModelFolder> {
 
 /// The shard files that an index names.
 fn shards(index: &Path) -> Result<BTreeSet<String>> {
-    let text = std::fs::read_to_string(index)?;
+    let text = read_text_file(index).map_err(|e| about(index, e))?;
     let json: serde_json::Value = serde_json::from_str(&text)
         .map_err(|e| candle_core::Error::Msg(format!("{}: {e}", index.display())))?;
     let Some(map) = json.get("weight_map").and_then(|m| m.as_object()) else {

@@ -3,8 +3,11 @@
 //! Only data are read: no class of the pickle is ever run.
 
 use super::TensorEntry;
+use super::file::about;
 use super::pickle::{Pickle, Ref, Value};
 use candle_core::{DType, Device, Result, Tensor, bail};
+use scenesplat_scene::input_file::open_regular_file;
+use scenesplat_scene::printable;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufReader, Read};
@@ -60,7 +63,7 @@ pub enum PickleValue {
 }
 
 fn message(path: &Path, e: &dyn std::fmt::Display) -> candle_core::Error {
-    candle_core::Error::Msg(format!("{}: {e}", path.display()))
+    candle_core::Error::Msg(format!("{}: {e}", printable(path)))
 }
 
 /// Reads up to `limit` bytes of an entry after `skip`, and the rest for its checksum alone.
@@ -85,7 +88,7 @@ fn read_entry(zip: &mut Archive, name: &str, skip: u64, limit: u64) -> Result<Ve
 
 /// A checkpoint's archive, the folder inside it, and its description.
 fn unpickle(path: &Path) -> Result<(Archive, String, Pickle)> {
-    let file = File::open(path).map_err(|e| message(path, &e))?;
+    let file = open_regular_file(path).map_err(|e| about(path, e))?;
     let mut zip = ZipArchive::new(BufReader::new(file)).map_err(|e| {
         message(path, &format!("{e}; the file is damaged or cut off, fetch it again"))
     })?;
@@ -98,7 +101,7 @@ fn unpickle(path: &Path) -> Result<(Archive, String, Pickle)> {
         }
     }
     let Some(name) = description else {
-        bail!("{}: a zip archive without data.pkl is no PyTorch checkpoint", path.display());
+        bail!("{}: a zip archive without data.pkl is no PyTorch checkpoint", printable(path));
     };
     let folder = name.strip_suffix("data.pkl").unwrap_or_default().to_owned();
     let order = format!("{folder}byteorder");
@@ -108,13 +111,13 @@ fn unpickle(path: &Path) -> Result<(Archive, String, Pickle)> {
             let text = String::from_utf8_lossy(&text);
             bail!(
                 "{}: byte order {text:?}; only little-endian checkpoints are read",
-                path.display()
+                printable(path)
             );
         }
     }
     let bytes = read_entry(&mut zip, &name, 0, MAX_PICKLE + 1).map_err(|e| message(path, &e))?;
     if bytes.len() as u64 > MAX_PICKLE {
-        bail!("{}: data.pkl is larger than {} MiB", path.display(), MAX_PICKLE >> 20);
+        bail!("{}: data.pkl is larger than {} MiB", printable(path), MAX_PICKLE >> 20);
     }
     let pickle = Pickle::parse(&bytes).map_err(|e| message(path, &e))?;
     Ok((zip, folder, pickle))
@@ -198,14 +201,14 @@ impl PthFile {
         let (archive, folder, pickle) = unpickle(path)?;
         let (mut tensors, mut skipped) = (BTreeMap::new(), Vec::new());
         let malformed =
-            |name: &str, e| candle_core::Error::Msg(format!("{}: {name}: {e}", path.display()));
+            |name: &str, e| candle_core::Error::Msg(format!("{}: {name}: {e}", printable(path)));
         let Value::Dict(top) = pickle.root() else {
             let root = pickle.root_ref();
             let Some(info) = tensor_info(&pickle, root, &folder) else {
                 bail!(
                     "{}: holds neither a dictionary nor a tensor; a whole pickled module cannot be \
                      read: save its state_dict()",
-                    path.display()
+                    printable(path)
                 );
             };
             tensors.insert(String::new(), info.map_err(|e| malformed("the tensor", e))?);

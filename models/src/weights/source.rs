@@ -118,6 +118,21 @@ impl WeightSource {
         }
     }
 
+    /// Values of all entries; `None` for hashed values, which are as many as asked for.
+    pub(crate) fn num_values(&self) -> Option<usize> {
+        let count = |shape: &[usize]| shape.iter().fold(1usize, |n, d| n.saturating_mul(*d));
+        let sum = |counts: &mut dyn Iterator<Item = usize>| counts.fold(0, usize::saturating_add);
+        match &self.0 {
+            Kind::Empty => Some(0),
+            Kind::Hashed { .. } => None,
+            Kind::Files { files, .. } => {
+                let entries = files.iter().flat_map(|file| file.entries().values());
+                Some(sum(&mut entries.map(|entry| count(&entry.shape))))
+            }
+            Kind::Tensors(tensors) => Some(sum(&mut tensors.values().map(Tensor::elem_count))),
+        }
+    }
+
     /// Entries that the table knows to be no weights.
     pub(crate) fn ignored(&self) -> &[(String, String)] {
         match &self.0 {

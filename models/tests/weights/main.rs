@@ -9,6 +9,7 @@ mod containers;
 mod damage;
 mod fit;
 mod folders;
+mod hostile_config;
 mod loading;
 mod round_trip;
 mod support;

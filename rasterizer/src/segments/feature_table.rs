@@ -4,7 +4,15 @@ use crate::lifting::{LiftError, NO_SEGMENT};
 use half::{bf16, f16};
 use safetensors::{Dtype, SafeTensors};
 use scenesplat_scene::formats::npy::NpyFile;
+use scenesplat_scene::input_file::read_file;
 use std::path::Path;
+
+/// The most values of a feature, four times those of the widest encoders of pictures.
+///
+/// A table without rows can claim any width, and every Gaussian gets a feature that wide.
+const MAX_DIM: usize = 1 << 14;
+/// The most bytes of a table: all segments of a picture with the widest features in f32.
+const MAX_TABLE_BYTES: u64 = NO_SEGMENT as u64 * MAX_DIM as u64 * 4;
 
 /// Features of segments.
 #[derive(Debug, Clone, PartialEq)]
@@ -49,6 +57,10 @@ fn check_shape(shape: &[usize], path: &Path) -> Result<(), LiftError> {
     if dim == 0 && rows > 0 {
         return Err(LiftError::file(path, format!("holds features of shape {shape:?}"), help));
     }
+    if dim > MAX_DIM {
+        let problem = format!("holds features of {dim} values, at most {MAX_DIM} are possible");
+        return Err(LiftError::file(path, problem, help));
+    }
     if rows > usize::from(NO_SEGMENT) {
         let problem = format!("has {rows} segments, more than {NO_SEGMENT}");
         return Err(LiftError::file(path, problem, "drop the smallest segments"));
@@ -58,8 +70,7 @@ fn check_shape(shape: &[usize], path: &Path) -> Result<(), LiftError> {
 
 /// The tensor `features`, or the only one.
 fn read_safetensors(path: &Path) -> Result<(Vec<usize>, Vec<f32>), LiftError> {
-    let io = LiftError::spool(path, "cannot read the segment features");
-    let bytes = std::fs::read(path).map_err(io)?;
+    let bytes = read_file(path, MAX_TABLE_BYTES)?;
     let bad = |problem: String| {
         LiftError::file(path, problem, "write one tensor called features, [segments, channels]")
     };

@@ -192,6 +192,9 @@ fn what_is_wrong_is_named_with_its_file_and_place() {
         let error = spoilt(spoil);
         assert!(about.iter().all(|text| error.contains(text)), "{error}: {about:?}");
     }
+    // A table without rows may claim any width, and a safetensors file too.
+    let wide = spoilt(|d| npy(d, "a_f.npy", &[0, 1 << 24], &[0.0f32; 0]));
+    assert!(wide.contains("a_f.npy") && wide.contains("16777216 values"), "{wide}");
     let many = spoilt(|d| npy(d, "a_f.npy", &[65_536, 1], &vec![1.0f32; 65_536]));
     assert!(many.contains("65536 segments"), "{many}");
 }

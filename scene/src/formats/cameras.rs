@@ -12,7 +12,7 @@ pub use cameras_json::{is_cameras_json, read_cameras_json, write_cameras_json};
 pub use colmap::{is_colmap_folder, read_colmap_binary, read_colmap_text};
 pub use nerfstudio::{is_transforms_json, read_transforms_json};
 
-use super::files::MappedFile;
+use crate::input_file::InputFile;
 use crate::{Camera, SceneError};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -95,7 +95,7 @@ pub fn open_cameras(path: &Path) -> Result<CameraSet, SceneError> {
         let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
         return colmap::open_colmap(folder);
     }
-    let file = MappedFile::open(path)?;
+    let file = InputFile::open(path)?;
     // By the first sign only, so that a damaged file is told what is wrong with it.
     match without_mark(file.bytes()).iter().find(|byte| !byte.is_ascii_whitespace()) {
         Some(b'[') => read_cameras_json(file.bytes(), path),

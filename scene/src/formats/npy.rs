@@ -2,8 +2,8 @@
 //!
 //! Not for arrays of objects, strings or records. Writing is in [`super::npy_writer`].
 
-use super::files::MappedFile;
 use crate::SceneError;
+use crate::input_file::{InputFile, reserve};
 use half::f16;
 use rayon::prelude::*;
 use std::path::Path;
@@ -65,7 +65,7 @@ impl NpyType {
 /// Values stay in the file (it is mapped into memory) until they are read. The header has been
 /// checked against the length of the file, so reading cannot be made to reserve more than that.
 pub struct NpyFile {
-    map: MappedFile,
+    map: InputFile,
     ty: NpyType,
     big_endian: bool,
     shape: Vec<usize>,
@@ -92,7 +92,7 @@ impl NpyFile {
     /// If the file cannot be read, is no `.npy` file, holds something other than numbers, has more
     /// than two dimensions in Fortran order, or is not exactly as long as its shape says.
     pub fn open(path: &Path) -> Result<Self, SceneError> {
-        Self::new(MappedFile::open(path)?)
+        Self::new(InputFile::open(path)?)
     }
 
     /// As [`open`](Self::open), from the bytes of a file, of which a copy is kept; `path` is for
@@ -101,10 +101,10 @@ impl NpyFile {
     /// # Errors
     /// As [`open`](Self::open).
     pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, SceneError> {
-        Self::new(MappedFile::from_bytes(bytes, path))
+        Self::new(InputFile::from_bytes(bytes, path))
     }
 
-    fn new(map: MappedFile) -> Result<Self, SceneError> {
+    fn new(map: InputFile) -> Result<Self, SceneError> {
         let path = map.path();
         let bad = |problem: String| SceneError::format(path, problem, "save the array again");
         let bytes = map.bytes();
@@ -277,17 +277,20 @@ impl NpyFile {
             .collect()
     }
 
+    /// Room for all values.
+    fn values<T: Copy + Default>(&self) -> Result<Vec<T>, SceneError> {
+        let mut out = Vec::new();
+        reserve(&mut out, self.count, self.path())?;
+        out.resize(self.count, T::default());
+        Ok(out)
+    }
+
     /// Reads all values, in parallel.
     fn read<T: Copy + Default + Send + Sync>(
         &self,
         convert: impl Fn(Value) -> T + Sync,
     ) -> Result<Vec<T>, SceneError> {
-        let mut out = Vec::new();
-        if out.try_reserve_exact(self.count).is_err() {
-            let problem = format!("{} values do not fit into memory", self.count);
-            return Err(SceneError::format(self.path(), problem, "split the scene"));
-        }
-        out.resize(self.count, T::default());
+        let mut out = self.values::<T>()?;
         let bytes = &self.map.bytes()[self.data_start..];
         let size = self.ty.size();
         out.par_chunks_mut(VALUES_PER_TASK).zip(bytes.par_chunks(VALUES_PER_TASK * size)).for_each(
@@ -297,8 +300,9 @@ impl NpyFile {
                 }
             },
         );
+        self.map.check_length()?;
         let Some([rows, columns]) = self.transposed else { return Ok(out) };
-        let mut turned = vec![T::default(); self.count];
+        let mut turned = self.values::<T>()?;
         for (row, to) in turned.chunks_exact_mut(columns.max(1)).enumerate() {
             for (column, to) in to.iter_mut().enumerate() {
                 *to = out[column * rows + row];

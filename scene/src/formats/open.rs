@@ -1,18 +1,21 @@
 //! Finding out what a path holds, and reading it.
 
-use super::files::MappedFile;
 use super::ply::PlyFile;
 use super::table::{FORMATS, supported};
 use super::{
     LoadedScene, ReadOptions, cameras, compressed_ply, inria_ply, npy_folder, ply, sog, splat,
 };
 use crate::SceneError;
+#[cfg(doc)]
+use crate::input_file::COPIED_BELOW;
+use crate::input_file::InputFile;
 use std::path::Path;
 
 /// Reads a scene from a file or folder in any format.
 ///
-/// What it is is found out by looking into it, whatever it is called. Files are mapped into memory
-/// and read in parallel.
+/// What it is is found out by looking into it, whatever it is called. Small files are
+/// copied into memory, large ones mapped ([`COPIED_BELOW`]); a file that changes its length meanwhile is
+/// an error.
 ///
 /// ```no_run
 /// use scenesplat_scene::{ReadOptions, open_scene};
@@ -39,22 +42,22 @@ pub fn open_scene(path: &Path, options: &ReadOptions) -> Result<LoadedScene, Sce
         };
         return Err(SceneError::format(path, problem, supported()));
     }
-    // Asked before opening: to open a pipe would wait for someone to write into it.
-    let about = std::fs::metadata(path).map_err(SceneError::io(path, "cannot open the scene"))?;
-    if !about.is_file() {
-        return Err(SceneError::format(path, "is neither a file nor a folder", supported()));
-    }
-    let file = MappedFile::open(path)?;
+    let file = InputFile::open(path)?;
     let bytes = file.bytes();
     if ply::is_ply(bytes) {
         // Keeps the map instead of a copy.
-        return read_ply(&PlyFile::open_mapped(file)?, options);
+        let file = PlyFile::open_mapped(file)?;
+        let loaded = read_ply(&file, options)?;
+        file.check_length()?;
+        return Ok(loaded);
     }
     // These are made of several files.
     if is_json(bytes) && (sog::is_sog_meta_json(bytes) || sog::is_lod_meta_json(bytes)) {
         return sog::read_sog(path, options);
     }
-    open_scene_bytes(bytes, path, options)
+    let loaded = open_scene_bytes(bytes, path, options)?;
+    file.check_length()?;
+    Ok(loaded)
 }
 
 /// Reads a scene from the bytes of a single file; `path` is for messages, and for files that belong

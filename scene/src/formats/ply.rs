@@ -18,9 +18,9 @@ pub(crate) use raw_rows::ByteRows;
 pub(crate) use writer::{ColumnSource, NewElement, write_new_ply};
 pub use writer::{ColumnValues, PlyColumn, free_column_name, write_ply_with_columns};
 
-use super::files::MappedFile;
 use super::memory;
 use crate::SceneError;
+use crate::input_file::InputFile;
 use header::{Header, parse_header};
 use layout::{Cell, Layout, lay_out};
 use rayon::prelude::*;
@@ -44,7 +44,7 @@ pub struct PlyFile {
 }
 
 enum Data {
-    Mapped(MappedFile),
+    Mapped(InputFile),
     /// What an ascii file says, as little-endian binary.
     Converted(Vec<u8>),
 }
@@ -79,11 +79,11 @@ impl PlyFile {
     /// # Errors
     /// If the file cannot be read, is not PLY, is malformed, or is shorter than its header says.
     pub fn open(path: &Path) -> Result<Self, SceneError> {
-        Self::open_mapped(MappedFile::open(path)?)
+        Self::open_mapped(InputFile::open(path)?)
     }
 
     /// As [`open`](Self::open), from a file that is mapped already.
-    pub(crate) fn open_mapped(file: MappedFile) -> Result<Self, SceneError> {
+    pub(crate) fn open_mapped(file: InputFile) -> Result<Self, SceneError> {
         let path = file.path().to_owned();
         Self::new(Data::Mapped(file), &path)
     }
@@ -94,7 +94,7 @@ impl PlyFile {
     /// # Errors
     /// As [`open`](Self::open).
     pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, SceneError> {
-        Self::new(Data::Mapped(MappedFile::from_bytes(bytes, path)), path)
+        Self::new(Data::Mapped(InputFile::from_bytes(bytes, path)), path)
     }
 
     fn new(mut data: Data, path: &Path) -> Result<Self, SceneError> {
@@ -125,6 +125,17 @@ impl PlyFile {
             }
         };
         Ok(file)
+    }
+
+    /// Checks, after reading, that the file is as long as it was.
+    ///
+    /// # Errors
+    /// If another process has changed its length.
+    pub(crate) fn check_length(&self) -> Result<(), SceneError> {
+        match &self.data {
+            Data::Mapped(file) => file.check_length(),
+            Data::Converted(_) => Ok(()),
+        }
     }
 
     /// Where the file is.

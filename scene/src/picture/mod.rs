@@ -10,7 +10,7 @@ mod rgb;
 pub use rgb::RgbPicture;
 
 use crate::SceneError;
-use crate::formats::files::MappedFile;
+use crate::input_file::InputFile;
 use std::path::Path;
 
 /// The most pixels of a picture that is read: 134 million, larger than any camera's.
@@ -144,7 +144,7 @@ impl Picture {
 /// If the file cannot be read, is neither, is damaged or cut short, or has more than
 /// [`MAX_PIXELS`] pixels.
 pub fn read_picture(path: &Path) -> Result<Picture, SceneError> {
-    decode_picture(MappedFile::open(path)?.bytes(), path)
+    decode_picture(InputFile::open(path)?.bytes(), path)
 }
 
 /// Reads a PNG picture and nothing else: for numbers that a lossy format would change.
@@ -152,7 +152,7 @@ pub fn read_picture(path: &Path) -> Result<Picture, SceneError> {
 /// # Errors
 /// As [`read_picture`].
 pub fn read_png(path: &Path) -> Result<Picture, SceneError> {
-    let file = MappedFile::open(path)?;
+    let file = InputFile::open(path)?;
     if !png::is_png(file.bytes()) {
         return Err(SceneError::format(path, "is no PNG", ""));
     }

@@ -1,5 +1,6 @@
 //! What scores a network during training. Each owns its data.
 
+mod own_metric;
 mod scenes;
 mod segmentation;
 mod zero_shot;

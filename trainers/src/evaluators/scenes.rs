@@ -1,5 +1,6 @@
 //! One scene after the other through a network, in evaluation mode, and its labels to the truth.
 
+use super::own_metric::OwnMetrics;
 use crate::TrainError;
 use crate::tasks::point_cloud;
 use candle_core::Tensor;
@@ -53,7 +54,7 @@ pub(super) struct Protocol<'a> {
 }
 
 impl Protocol<'_> {
-    /// Scores every scene: `label` turns the network's rows into classes. A scene without any row is
+    /// Scores every scene, in `own` metrics too: `label` turns the network's rows into classes. A scene without any row is
     /// passed over.
     ///
     /// # Errors
@@ -64,6 +65,7 @@ impl Protocol<'_> {
         data: &dyn Dataset,
         features: &InputFeatures,
         model: &dyn Backbone,
+        own: &mut OwnMetrics,
         label: impl Fn(&[f32]) -> Result<Vec<i32>, TrainError>,
     ) -> Result<Scores, TrainError> {
         let classes = self.answers.len();
@@ -78,7 +80,8 @@ impl Protocol<'_> {
             let full = sample.full.take().unwrap_or_else(|| as_sampled(&sample));
             let scene = sample.id.clone();
             let out = forward(sample, features, model)?;
-            self.score(&full, &label(&out)?, &mut scores)?.ok_or(TrainError::NoLabels { scene })?;
+            self.score(&full, &label(&out)?, &mut scores, own)?
+                .ok_or(TrainError::NoLabels { scene })?;
         }
         if scores.model.num_labelled() > 0 {
             return Ok(scores);
@@ -92,6 +95,7 @@ impl Protocol<'_> {
         full: &FullScene,
         of_voxels: &[i32],
         scores: &mut Scores,
+        own: &mut OwnMetrics,
     ) -> Result<Option<()>, TrainError> {
         let Some((at, truth)) = full.truth() else { return Ok(None) };
         let k = if full.scores_points() { self.points_k.max(1) } else { self.gaussians_k };
@@ -102,7 +106,9 @@ impl Protocol<'_> {
             true => vote(&full.coord, &labels, valid, at, k, self.answers.len()),
             false => Ok(labels),
         };
-        scores.model.update((&carried(full.spread(of_voxels))?, truth))?;
+        let predicted = carried(full.spread(of_voxels))?;
+        scores.model.update((&predicted, truth))?;
+        own.update(&predicted, truth)?;
         let known = self.truth_of_gaussians(full, at, truth)?;
         let told = known.iter().map(|&l| usize::try_from(l).map_or(-1, |l| self.answers[l]));
         scores.oracle.update((&carried(told.collect())?, truth))?;
@@ -173,7 +179,7 @@ mod tests {
     fn scored(protocol: &Protocol<'_>, full: &FullScene, of_voxels: &[i32]) -> Scores {
         let matrix = || ConfusionMatrix::new(3).unwrap();
         let mut scores = Scores { model: matrix(), oracle: matrix() };
-        protocol.score(full, of_voxels, &mut scores).unwrap().unwrap();
+        protocol.score(full, of_voxels, &mut scores, &mut OwnMetrics::default()).unwrap().unwrap();
         scores
     }
 
@@ -246,7 +252,12 @@ mod tests {
         let none = FullScene { points: None, segment: None, ..scene() };
         let matrix = || ConfusionMatrix::new(3).unwrap();
         let mut scores = Scores { model: matrix(), oracle: matrix() };
-        assert!(protocol(1, 1).score(&none, &[0, 1, 2], &mut scores).unwrap().is_none());
+        assert!(
+            protocol(1, 1)
+                .score(&none, &[0, 1, 2], &mut scores, &mut OwnMetrics::default())
+                .unwrap()
+                .is_none()
+        );
     }
 
     #[test]
@@ -254,6 +265,10 @@ mod tests {
         let full = FullScene { points: None, segment: Some(vec![7; 7]), ..scene() };
         let matrix = || ConfusionMatrix::new(3).unwrap();
         let mut scores = Scores { model: matrix(), oracle: matrix() };
-        assert!(protocol(1, 1).score(&full, &[0, 1, 2], &mut scores).is_err());
+        assert!(
+            protocol(1, 1)
+                .score(&full, &[0, 1, 2], &mut scores, &mut OwnMetrics::default())
+                .is_err()
+        );
     }
 }

@@ -1,11 +1,12 @@
 //! Supervised segmentation: the class with the largest logit, compared with the truth.
 
+use super::own_metric::OwnMetrics;
 use super::scenes::{Protocol, Scores, VOTE_K};
 use crate::TrainError;
 use crate::event::{Evaluator, Progress};
-use crate::tasks::SemanticSegmentation;
+use crate::module::HasBackbone;
 use scenesplat_datasets::{Dataset, InputFeatures, LeftOut};
-use scenesplat_metrics::Measurement;
+use scenesplat_metrics::{Measurement, Metric};
 use std::sync::Arc;
 
 /// Labels every Gaussian with the largest logit of its voxel and measures the numbers of [`Scores`].
@@ -22,6 +23,7 @@ pub struct SegmentationEvaluator {
     features: InputFeatures,
     excluded: Vec<usize>,
     vote_k: Option<usize>,
+    own: OwnMetrics,
 }
 
 impl SegmentationEvaluator {
@@ -33,7 +35,14 @@ impl SegmentationEvaluator {
         features: InputFeatures,
         excluded: Vec<usize>,
     ) -> Self {
-        Self { name: name.into(), data, features, excluded, vote_k: None }
+        Self {
+            name: name.into(),
+            data,
+            features,
+            excluded,
+            vote_k: None,
+            own: OwnMetrics::default(),
+        }
     }
 
     /// Each scored point or Gaussian takes the majority of the `k` Gaussians nearest to it; for
@@ -43,9 +52,20 @@ impl SegmentationEvaluator {
         self.vote_k = Some(k);
         self
     }
+
+    /// Feeds a metric of one's own too, with the predicted and the true class of what is scored (-1 for
+    /// none), scene by scene; each evaluation begins with the metric as it is given here.
+    #[must_use]
+    pub fn with_metric<M>(mut self, metric: M) -> Self
+    where
+        M: for<'a> Metric<Update<'a> = (&'a [i32], &'a [i32])> + Clone + 'static,
+    {
+        self.own.add(metric);
+        self
+    }
 }
 
-impl Evaluator<SemanticSegmentation> for SegmentationEvaluator {
+impl<M: HasBackbone> Evaluator<M> for SegmentationEvaluator {
     fn name(&self) -> &str {
         &self.name
     }
@@ -55,15 +75,11 @@ impl Evaluator<SemanticSegmentation> for SegmentationEvaluator {
     }
 
     fn measurements(&self) -> Vec<String> {
-        Scores::names()
+        [Scores::names(), self.own.names()].concat()
     }
 
-    fn run(
-        &mut self,
-        module: &SemanticSegmentation,
-        _: Progress,
-    ) -> Result<Vec<Measurement>, TrainError> {
-        let classes = module.model().out_channels();
+    fn run(&mut self, module: &M, _: Progress) -> Result<Vec<Measurement>, TrainError> {
+        let classes = module.backbone().out_channels();
         let protocol = Protocol {
             excluded: &self.excluded,
             answers: (0..classes as i32).collect(),
@@ -72,8 +88,9 @@ impl Evaluator<SemanticSegmentation> for SegmentationEvaluator {
         };
         let data = self.data.as_ref();
         let label = |logits: &[f32]| Ok(logits.chunks_exact(classes).map(largest).collect());
-        let scores = protocol.run(&self.name, data, &self.features, module.model(), label)?;
-        Ok(scores.measurements())
+        let (network, mut own) = (module.backbone(), self.own.fresh());
+        let scores = protocol.run(&self.name, data, &self.features, network, &mut own, label)?;
+        Ok([scores.measurements(), own.measure()].concat())
     }
 }
 

@@ -1,12 +1,13 @@
 //! Zero-shot segmentation: the class whose text is nearest, compared with the truth.
 
+use super::own_metric::OwnMetrics;
 use super::scenes::{Protocol, Scores, VOTE_K};
 use crate::TrainError;
 use crate::event::{Evaluator, Progress};
-use crate::tasks::LanguagePretraining;
+use crate::module::HasBackbone;
 use scenesplat_datasets::{Dataset, InputFeatures, LeftOut};
 use scenesplat_metrics::{
-    ConfusionMatrix, FeatureSlice, Measurement, TextTable, ZeroShotOptions, classify,
+    ConfusionMatrix, FeatureSlice, Measurement, Metric, TextTable, ZeroShotOptions, classify,
 };
 use scenesplat_models::Backbone;
 use std::sync::Arc;
@@ -29,6 +30,7 @@ pub struct ZeroShotEvaluator {
     text: TextTable,
     excluded: Vec<usize>,
     vote_k: usize,
+    own: OwnMetrics,
 }
 
 impl ZeroShotEvaluator {
@@ -43,7 +45,15 @@ impl ZeroShotEvaluator {
         text: TextTable,
         excluded: Vec<usize>,
     ) -> Self {
-        Self { name: name.into(), data, features, text, excluded, vote_k: VOTE_K }
+        Self {
+            name: name.into(),
+            data,
+            features,
+            text,
+            excluded,
+            vote_k: VOTE_K,
+            own: OwnMetrics::default(),
+        }
     }
 
     /// Each scored point or Gaussian takes the majority of the `k` nearest; for Gaussians, 1 is no
@@ -54,11 +64,30 @@ impl ZeroShotEvaluator {
         self
     }
 
+    /// Feeds a metric of one's own too, with the predicted and the true class of what is scored (-1 for
+    /// none), scene by scene; each evaluation begins with the metric as it is given here.
+    #[must_use]
+    pub fn with_metric<M>(mut self, metric: M) -> Self
+    where
+        M: for<'a> Metric<Update<'a> = (&'a [i32], &'a [i32])> + Clone + 'static,
+    {
+        self.own.add(metric);
+        self
+    }
+
     /// The counts over all scenes.
     ///
     /// # Errors
     /// If data cannot be read, none is labelled, or the network fails.
     pub fn scores(&self, model: &dyn Backbone) -> Result<Scores, TrainError> {
+        self.scores_and_own(model, &mut self.own.fresh())
+    }
+
+    fn scores_and_own(
+        &self,
+        model: &dyn Backbone,
+        own: &mut OwnMetrics,
+    ) -> Result<Scores, TrainError> {
         let protocol = Protocol {
             excluded: &self.excluded,
             answers: self.answers()?,
@@ -70,7 +99,7 @@ impl ZeroShotEvaluator {
             let rows = FeatureSlice::new(rows, width)?;
             Ok(classify(&rows, &self.text, &ZeroShotOptions::default())?.labels)
         };
-        protocol.run(&self.name, self.data.as_ref(), &self.features, model, label)
+        protocol.run(&self.name, self.data.as_ref(), &self.features, model, own, label)
     }
 
     /// What the network said, against the truth: a part of [`scores`](Self::scores).
@@ -88,7 +117,7 @@ impl ZeroShotEvaluator {
     }
 }
 
-impl Evaluator<LanguagePretraining> for ZeroShotEvaluator {
+impl<M: HasBackbone> Evaluator<M> for ZeroShotEvaluator {
     fn name(&self) -> &str {
         &self.name
     }
@@ -98,14 +127,12 @@ impl Evaluator<LanguagePretraining> for ZeroShotEvaluator {
     }
 
     fn measurements(&self) -> Vec<String> {
-        Scores::names()
+        [Scores::names(), self.own.names()].concat()
     }
 
-    fn run(
-        &mut self,
-        module: &LanguagePretraining,
-        _: Progress,
-    ) -> Result<Vec<Measurement>, TrainError> {
-        Ok(self.scores(module.model())?.measurements())
+    fn run(&mut self, module: &M, _: Progress) -> Result<Vec<Measurement>, TrainError> {
+        let mut own = self.own.fresh();
+        let scores = self.scores_and_own(module.backbone(), &mut own)?;
+        Ok([scores.measurements(), own.measure()].concat())
     }
 }

@@ -1,7 +1,7 @@
 //! Vision-language pretraining: the network's features shall be those of its targets.
 
 use super::input::{bad_values, evaluate, point_cloud};
-use crate::module::{StepContext, StepOutput, TrainingModule};
+use crate::module::{HasBackbone, StepContext, StepOutput, TrainingModule};
 use candle_core::{Device, Result, Tensor, bail};
 use scenesplat_datasets::TrainBatch;
 use scenesplat_losses::{LossInput, Objective};
@@ -98,9 +98,10 @@ impl LanguagePretraining {
     ) -> Self {
         Self { params, model: Box::new(model), objective, targets }
     }
+}
 
-    /// The network.
-    pub fn model(&self) -> &dyn Backbone {
+impl HasBackbone for LanguagePretraining {
+    fn backbone(&self) -> &dyn Backbone {
         self.model.as_ref()
     }
 }

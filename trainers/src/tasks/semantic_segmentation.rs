@@ -1,7 +1,7 @@
 //! Supervised segmentation: a class for each row.
 
 use super::input::{bad_values, evaluate, point_cloud};
-use crate::module::{StepContext, StepOutput, TrainingModule};
+use crate::module::{HasBackbone, StepContext, StepOutput, TrainingModule};
 use candle_core::{Result, bail};
 use scenesplat_datasets::TrainBatch;
 use scenesplat_losses::{LossInput, Objective};
@@ -22,9 +22,10 @@ impl SemanticSegmentation {
     pub fn new(params: ParamStore, model: impl Backbone + 'static, objective: Objective) -> Self {
         Self { params, model: Box::new(model), objective }
     }
+}
 
-    /// The network.
-    pub fn model(&self) -> &dyn Backbone {
+impl HasBackbone for SemanticSegmentation {
+    fn backbone(&self) -> &dyn Backbone {
         self.model.as_ref()
     }
 }

@@ -8,7 +8,7 @@ pub use binary::read_colmap_binary;
 pub use text::read_colmap_text;
 
 use super::{CameraKind, CameraSet, SparsePoints};
-use crate::formats::files::MappedFile;
+use crate::input_file::InputFile;
 use crate::vector::rotation;
 use crate::{Camera, SceneError};
 use models::{Lens, intrinsics};
@@ -57,11 +57,11 @@ pub(super) fn open_colmap(folder: &Path) -> Result<CameraSet, SceneError> {
         let problem = "has not both cameras and images of a COLMAP model";
         return Err(SceneError::format(folder, problem, MEND));
     };
-    let open = |stem: &str| MappedFile::open(&folder.join(format!("{stem}.{ending}")));
+    let open = |stem: &str| InputFile::open(&folder.join(format!("{stem}.{ending}")));
     let (cameras, images) = (open("cameras")?, open("images")?);
     let points = folder.join(format!("points3D.{ending}"));
-    let points = if points.is_file() { Some(MappedFile::open(&points)?) } else { None };
-    let points = points.as_ref().map(MappedFile::bytes);
+    let points = if points.is_file() { Some(InputFile::open(&points)?) } else { None };
+    let points = points.as_ref().map(InputFile::bytes);
     let read = if ending == "bin" { read_colmap_binary } else { read_colmap_text };
     read(cameras.bytes(), images.bytes(), points, folder)
 }

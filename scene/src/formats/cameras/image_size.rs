@@ -1,6 +1,6 @@
 //! Width and height of a picture, from the beginning of its file.
 
-use std::fs::File;
+use crate::input_file::open_regular_file;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
@@ -13,7 +13,7 @@ pub(super) fn image_size(path: &Path) -> Option<(u32, u32)> {
     let files = std::iter::once(path.to_owned()).chain(endings);
     let file = files.into_iter().find(|file| file.is_file())?;
     let mut head = Vec::new();
-    File::open(file).ok()?.take(HEAD).read_to_end(&mut head).ok()?;
+    open_regular_file(&file).ok()?.take(HEAD).read_to_end(&mut head).ok()?;
     png_size(&head).or_else(|| jpeg_size(&head))
 }
 

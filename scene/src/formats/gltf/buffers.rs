@@ -3,7 +3,7 @@
 use super::document::{Buffer, Document};
 use super::file_error;
 use crate::SceneError;
-use crate::formats::files::MappedFile;
+use crate::input_file::InputFile;
 use base64::Engine;
 use base64::alphabet;
 use base64::engine::{DecodePaddingMode, GeneralPurpose, GeneralPurposeConfig};
@@ -20,7 +20,7 @@ enum Bytes<'a> {
     Unread,
     Here(&'a [u8]),
     Decoded(Vec<u8>),
-    Mapped(MappedFile),
+    Mapped(InputFile),
 }
 
 /// The buffers of a document, those that are needed opened.
@@ -139,7 +139,7 @@ fn data_uri(uri: &str) -> Option<&str> {
     uri[5..].split_once(',').filter(|(kind, _)| kind.ends_with(";base64")).map(|(_, text)| text)
 }
 
-fn open_beside(i: usize, uri: &str, path: &Path) -> Result<MappedFile, SceneError> {
+fn open_beside(i: usize, uri: &str, path: &Path) -> Result<InputFile, SceneError> {
     let shown: String = uri.chars().take(80).collect();
     let Some(relative) = relative_path(uri) else {
         let problem = format!("buffer {i} is at {shown:?}, which is no file below this folder");
@@ -152,7 +152,7 @@ fn open_beside(i: usize, uri: &str, path: &Path) -> Result<MappedFile, SceneErro
     if !about.is_file() {
         return Err(SceneError::format(&file, "is a buffer, but not a file", ""));
     }
-    MappedFile::open(&file)
+    InputFile::open(&file)
 }
 
 /// The path that a relative reference means; `None` if it could lead out of the folder.

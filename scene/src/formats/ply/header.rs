@@ -7,6 +7,10 @@ use std::path::Path;
 
 /// A header is text for people; one longer than this is a damaged or hostile file.
 const MAX_HEADER_BYTES: usize = 1 << 20;
+/// Files of splats and meshes have two to five.
+const MAX_ELEMENTS: usize = 1024;
+/// Of all elements together; wide language features are thousands of columns.
+const MAX_PROPERTIES: usize = 1 << 14;
 
 /// How the data of a PLY file are stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -198,6 +202,7 @@ pub(super) fn parse_header(bytes: &[u8], path: &Path) -> Result<Header, SceneErr
     let mut names = HashSet::new();
     let (_, mut at) = next_line(bytes, 0).unwrap_or((0..0, bytes.len()));
     let mut number = 1usize;
+    let mut properties = 0;
     loop {
         number += 1;
         let Some((range, next)) = next_line(bytes, at) else {
@@ -249,6 +254,9 @@ pub(super) fn parse_header(bytes: &[u8], path: &Path) -> Result<Header, SceneErr
                     .ok()
                     .and_then(|c| usize::try_from(c).ok())
                     .ok_or_else(|| bad("the number of rows is not a count"))?;
+                if elements.len() == MAX_ELEMENTS {
+                    return Err(bad(&format!("more than {MAX_ELEMENTS} elements")));
+                }
                 if elements.iter().any(|e| e.name == *name) {
                     return Err(bad("a second element of this name"));
                 }
@@ -274,6 +282,10 @@ pub(super) fn parse_header(bytes: &[u8], path: &Path) -> Result<Header, SceneErr
                 let Some(element) = elements.last_mut() else {
                     return Err(bad("a property before any element"));
                 };
+                properties += 1;
+                if properties > MAX_PROPERTIES {
+                    return Err(bad(&format!("more than {MAX_PROPERTIES} properties")));
+                }
                 if !names.insert(name.to_owned()) {
                     return Err(bad("a second property of this name; rename one of them"));
                 }

@@ -2,7 +2,7 @@
 
 use super::{ABOUT, SceneFingerprint, decode, encode_with, has_any, read_about};
 use crate::AtomicFile;
-use crate::formats::files::MappedFile;
+use crate::input_file::InputFile;
 use crate::{GaussianScene, Policy, RepairReport, SceneError};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -34,6 +34,13 @@ impl Sidecar {
     ) -> Result<Self, SceneError> {
         let path = sidecar_path(scene_path);
         let carries = has_any(scene);
+        // A name that is too long, say, must not be found out when the scene is in place already.
+        if carries
+            && let Err(source) = std::fs::symlink_metadata(&path)
+            && source.kind() != std::io::ErrorKind::NotFound
+        {
+            return Err(SceneError::io(&path, "cannot write the labels beside the scene")(source));
+        }
         if carries && path.exists() && !path.is_file() {
             let problem = "is in the way of the labels of the scene: it is not a file";
             return Err(SceneError::format(&path, problem, "remove it or choose another name"));
@@ -60,7 +67,7 @@ impl Sidecar {
     ) -> Result<Option<PathBuf>, SceneError> {
         let mut labels = None;
         if has_any(scene) {
-            let fingerprint = SceneFingerprint::of(MappedFile::of_written(&file)?.bytes());
+            let fingerprint = SceneFingerprint::of(InputFile::of_written(&file)?.bytes());
             labels = stage(scene, order, &self.path, fingerprint)?;
         }
         file.sync()?;
@@ -102,7 +109,7 @@ fn is_ours(path: &Path) -> bool {
     if !path.is_file() {
         return false;
     }
-    let Ok(file) = MappedFile::open(path) else { return false };
+    let Ok(file) = InputFile::open(path) else { return false };
     let head = &file.bytes()[..file.bytes().len().min(HEAD)];
     read_about(file.bytes()).is_ok() || head.windows(ABOUT.len()).any(|w| w == ABOUT.as_bytes())
 }
@@ -146,7 +153,7 @@ fn read_block(
     scene: &mut GaussianScene,
     report: &mut RepairReport,
 ) -> Result<(), SceneError> {
-    let block = MappedFile::open(beside)?;
+    let block = InputFile::open(beside)?;
     let about = read_about(block.bytes()).map_err(|e| {
         let help = "remove it, or write the scene with its labels again";
         SceneError::format(beside, format!("cannot be read as labels of a scene: {e}"), help)

@@ -1,10 +1,11 @@
 //! Replacing the files of a scene in a folder, all of them or none.
 
 use super::META_NAME;
-use super::meta::SogMeta;
+use super::meta::{MAX_META_BYTES, SogMeta};
 use super::streamed::part_names;
 use crate::SceneError;
 use crate::atomic_file::make_beside;
+use crate::input_file::read_file;
 use std::fs::{self, File};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -110,7 +111,7 @@ impl FolderWriter {
     /// The files that the present `meta.json` names, if it is one; none in other folders, and none
     /// but textures and labels, whatever it names.
     fn files_of_old_scene(&self) -> Vec<String> {
-        let Ok(text) = fs::read(&self.meta) else { return Vec::new() };
+        let Ok(text) = read_file(&self.meta, MAX_META_BYTES as u64) else { return Vec::new() };
         if let Some(parts) = part_names(&text) {
             // A folder of a part has textures and a description, and nothing of anybody else.
             let folders = parts.iter().map(|name| top(name)).filter(|name| is_part_folder(name));

@@ -40,8 +40,8 @@ pub use streamed::is_lod_meta_json;
 pub use streamed_writer::write_sog_streamed;
 pub use writer::{write_sog, write_sog_folder};
 
-use super::files::MappedFile;
 use super::{LoadedScene, ReadOptions, SceneFormat, semantics};
+use crate::input_file::InputFile;
 use crate::{RepairReport, SceneError};
 use reader::{OpenSog, empty_scene};
 use source::Source;
@@ -54,7 +54,7 @@ const LOD_META_NAME: &str = "lod-meta.json";
 fn description_in(folder: &Path) -> Option<PathBuf> {
     let holds = |name: &str, test: fn(&[u8]) -> bool| {
         let path = folder.join(name);
-        let found = path.is_file() && MappedFile::open(&path).is_ok_and(|f| test(f.bytes()));
+        let found = path.is_file() && InputFile::open(&path).is_ok_and(|f| test(f.bytes()));
         found.then_some(path)
     };
     holds(META_NAME, is_sog_meta_json).or_else(|| holds(LOD_META_NAME, is_lod_meta_json))
@@ -85,7 +85,7 @@ pub fn read_sog(path: &Path, options: &ReadOptions) -> Result<LoadedScene, Scene
     } else {
         path.to_owned()
     };
-    let file = MappedFile::open(&description)?;
+    let file = InputFile::open(&description)?;
     if file.bytes().starts_with(b"PK") {
         return read_sog_archive(file.bytes(), path, options);
     }

@@ -2,7 +2,7 @@
 
 use super::meta::MAX_META_BYTES;
 use crate::SceneError;
-use crate::formats::files::MappedFile;
+use crate::input_file::InputFile;
 use std::collections::BTreeMap;
 use std::io::{Cursor, Read};
 use std::path::{Path, PathBuf};
@@ -15,7 +15,7 @@ const DEFLATE_MAX_RATIO: usize = 1032;
 /// The bytes of a part.
 pub(super) enum PartBytes<'a> {
     /// A file of its own.
-    Mapped(MappedFile),
+    Mapped(InputFile),
     /// Stored in the archive as it is.
     Stored(&'a [u8]),
     /// Unpacked.
@@ -100,7 +100,7 @@ impl<'a> Source<'a> {
     pub(super) fn meta(&self) -> Result<(PathBuf, PartBytes<'a>), SceneError> {
         match self {
             Self::Folder { meta, .. } => {
-                Ok((meta.clone(), PartBytes::Mapped(MappedFile::open(meta)?)))
+                Ok((meta.clone(), PartBytes::Mapped(InputFile::open(meta)?)))
             }
             Self::Archive(_) => self.part(META, MAX_META_BYTES),
         }
@@ -120,7 +120,7 @@ impl<'a> Source<'a> {
                     let problem = format!("names the file {name}, which is not there");
                     return Err(SceneError::format(meta, problem, "copy all files of the scene"));
                 }
-                let file = MappedFile::open(&path)?;
+                let file = InputFile::open(&path)?;
                 Ok((path, PartBytes::Mapped(file)))
             }
             Self::Archive(archive) => Ok((archive.path_of(name), archive.read(name, limit)?)),

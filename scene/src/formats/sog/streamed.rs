@@ -3,8 +3,8 @@
 use super::meta::{is_inside, parse_json};
 use super::reader::{OpenSog, empty_scene};
 use super::source::Source;
-use crate::formats::files::MappedFile;
 use crate::formats::{LoadedScene, ReadOptions, SceneFormat};
+use crate::input_file::InputFile;
 use crate::{RepairReport, SceneError};
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -72,7 +72,7 @@ fn pick(leaf: &BTreeMap<usize, Run>, level: usize) -> Option<(usize, Run)> {
 /// Reads one level of a streamed scene, from its `lod-meta.json`.
 pub(super) fn read_streamed(path: &Path, options: &ReadOptions) -> Result<LoadedScene, SceneError> {
     let bad = |problem: String| SceneError::format(path, problem, "export the scene again");
-    let file = MappedFile::open(path)?;
+    let file = InputFile::open(path)?;
     if file.bytes().len() > MAX_LOD_META_BYTES {
         return Err(bad(format!("is {} bytes long", file.bytes().len())));
     }
@@ -224,7 +224,7 @@ fn with_chunk<T>(
     options: &ReadOptions,
     then: impl FnOnce(&OpenSog<'_>) -> Result<T, SceneError>,
 ) -> Result<T, SceneError> {
-    let file = MappedFile::open(path)?;
+    let file = InputFile::open(path)?;
     let source = if file.bytes().starts_with(b"PK") {
         Source::archive(file.bytes(), path)?
     } else {

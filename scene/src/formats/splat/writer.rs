@@ -1,7 +1,6 @@
 //! Writing `.splat` files.
 
 use super::{RECORD_BYTES, rotation_part, splat_problem};
-use crate::formats::files::MappedFile;
 use crate::formats::limit_tally::LimitTally;
 use crate::formats::packed_values::{
     ALPHA_ENDS, COLOR_CLIPPED, SIZE_CUT, SIZE_VANISHES, alpha, canonical_quat, check_storable,
@@ -9,6 +8,7 @@ use crate::formats::packed_values::{
 };
 use crate::formats::semantics::Sidecar;
 use crate::formats::{SceneFormat, WriteOptions, WriteProgress, WriteReport};
+use crate::input_file::InputFile;
 use crate::{AtomicFile, GaussianScene, SceneError};
 use rayon::prelude::*;
 use std::io::Write;
@@ -89,7 +89,7 @@ pub fn write_splat(
             return Err(SceneError::Stopped);
         }
     }
-    if let Some(problem) = splat_problem(MappedFile::of_written(&file)?.bytes()) {
+    if let Some(problem) = splat_problem(InputFile::of_written(&file)?.bytes()) {
         let problem = format!("would not be recognised as a .splat file: it {problem}");
         let help = "scale the scene to metres, or choose another format";
         return Err(SceneError::format(path, problem, help));
