@@ -1,10 +1,12 @@
-//! A backbone of one's own: anything that maps voxels to rows.
+//! A backbone of one's own: anything that maps voxels to rows. It trains like ours, and runs over
+//! whole scenes.
 
-use candle_core::{Device, Result, Tensor};
-use rand::SeedableRng;
+use candle_core::{Result, Tensor};
+use scenesplat::datasets::{InputFeatures, sample_rng};
 use scenesplat::models::layers::Linear;
-use scenesplat::models::{Forward, ParamStore, PointCloud, ops};
+use scenesplat::models::{Forward, LanguageModel, ParamStore, PointCloud};
 use scenesplat::prelude::*;
+use scenesplat::rooms::{SyntheticRoomSettings, generate};
 
 /// A linear layer on each voxel.
 struct PerVoxel {
@@ -13,7 +15,7 @@ struct PerVoxel {
 
 impl Backbone for PerVoxel {
     fn forward(&self, points: &PointCloud, _: &mut Forward<'_>) -> Result<Tensor> {
-        ops::l2_normalize(&self.linear.forward(&points.feat)?)
+        self.linear.forward(&points.feat)
     }
     fn out_channels(&self) -> usize {
         8
@@ -21,15 +23,25 @@ impl Backbone for PerVoxel {
 }
 
 fn main() -> anyhow::Result<()> {
+    let input = InputFeatures::default();
     let store = ParamStore::trainable(0);
-    let backbone = PerVoxel { linear: Linear::new(11, 8, true, store.builder())? };
-    let feat = Tensor::ones((3, 11), candle_core::DType::F32, &Device::Cpu)?;
+    let linear = Linear::new(input.width(), 8, true, store.builder())?;
+    // Any head of ours stands behind it: here features of 16 numbers at unit length.
+    let model = LanguageModel::new(PerVoxel { linear }, Some(16), store.builder())?;
+
+    // One gradient, as training takes it.
+    let feat = Tensor::ones((3, 11), candle_core::DType::F32, &candle_core::Device::Cpu)?;
     let points = PointCloud::single(vec![[0, 0, 0], [1, 0, 0], [5, 5, 5]], feat)?;
-    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(0);
-    let out = backbone.forward(&points, &mut Forward::train(&mut rng))?;
+    let out = model.forward(&points, &mut Forward::train(&mut sample_rng(0, 0, 0)))?;
     let gradients = out.sum_all()?.backward()?;
     for (name, var) in store.parameters() {
         println!("{name}: gradient {:?}", gradients.get(&var).map(Tensor::shape));
     }
+
+    // A whole scene, at voxels of 5 cm.
+    let room = generate(&SyntheticRoomSettings::with_count(2000, 1))?;
+    let network = Network::from_backbone(model, input, 0.05, NetworkOutput::Features)?;
+    let features = SceneEncoder::new(&network).encode(&room.scene, &mut |_| Ok(()))?;
+    println!("{} Gaussians, {} numbers each", features.len(), features.width());
     Ok(())
 }

@@ -45,7 +45,7 @@ impl Metric for Variety {
 }
 
 fn main() -> anyhow::Result<()> {
-    let source = Arc::new(SyntheticRooms::new(3, Default::default(), 1));
+    let source = Arc::new(SyntheticRooms::new(3, Default::default(), 1)?);
     let rooms = Arc::new(SceneDataset::new(source, build_transforms(&validation(0.1))?, 0, 1)?);
     let params = ParamStore::trainable(0);
     let network = ModelConfig::tiny().with_classes(CLASSES.len()).build(params.builder())?;

@@ -419,9 +419,31 @@ impl SceneFeatures {
     /// `None` if it carries none.
     pub fn from_codes(scene: &GaussianScene) -> Option<Self> {
         let code = scene.lang_code.clone()?;
-        let rows: Vec<u32> = (0..scene.len() as u32).collect();
+        Some(Self::of_gaussians(SlotStore::codes(scene.len(), code), scene.len()))
+    }
+
+    /// Features that were made before, one row per Gaussian, such as those lifted from pictures. Rows
+    /// are brought to unit length; rows of zeros stay, and have no class. `[N, width]`
+    ///
+    /// # Errors
+    /// If there is no value, or the number of values is no multiple of `width`.
+    pub fn from_rows(mut values: Vec<f32>, width: usize) -> Result<Self, EncodeError> {
+        if width == 0 || values.is_empty() || !values.len().is_multiple_of(width) {
+            return Err(EncodeError::Setting(format!(
+                "features: {} values are no rows of {width}",
+                values.len()
+            )));
+        }
+        normalize_rows(&mut values, width);
+        let rows = values.len() / width;
+        Ok(Self::of_gaussians(SlotStore::rows(values, width), rows))
+    }
+
+    /// One row for each Gaussian; no network was run.
+    fn of_gaussians(slots: SlotStore, count: usize) -> Self {
+        let rows: Vec<u32> = (0..count as u32).collect();
         let summary = EncodeSummary {
-            voxels: scene.len(),
+            voxels: count,
             passes: 0,
             tiles: 0,
             smallest_halo: 0,
@@ -429,8 +451,7 @@ impl SceneFeatures {
             voxels_computed: 0,
             spilled: false,
         };
-        let slots = SlotStore::codes(scene.len(), code);
-        Some(Self { slots, inverse: rows.clone(), sampled: rows, summary, alignment: None })
+        Self { slots, inverse: rows.clone(), sampled: rows, summary, alignment: None }
     }
 
     /// Number of Gaussians.

@@ -29,12 +29,14 @@ pub mod embedded;
 pub mod inference;
 pub mod input;
 pub mod inspect;
+pub mod labels;
 pub mod language_codes;
 pub mod memory;
 pub mod network;
 pub mod outputs;
 pub mod preview;
 pub mod principal;
+pub mod query;
 pub mod text;
 pub mod training;
 

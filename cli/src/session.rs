@@ -15,7 +15,8 @@ use scenesplat::memory::Bytes;
 use scenesplat::models::{Compute, LoadPolicy};
 use scenesplat::network::{NetworkChoice, WeightOptions, Weights, network_of};
 use scenesplat::outputs::OpenedScene;
-use scenesplat::scene::{GaussianScene, ReadOptions, UpAxis, guess_up, printable};
+use scenesplat::scene::formats::npy::NpyFile;
+use scenesplat::scene::{GaussianScene, LoadedScene, ReadOptions, UpAxis, guess_up, printable};
 use scenesplat::{Network, SceneEncoder, SceneFeatures};
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
@@ -26,6 +27,8 @@ pub enum FeatureSource {
     Network(Box<Network>),
     /// The language codes of the scene.
     Codes,
+    /// A file with a row per Gaussian.
+    File(PathBuf),
 }
 
 impl FeatureSource {
@@ -203,8 +206,22 @@ impl<'a> Session<'a> {
         &self,
         path: &Path,
         inference: &Inference,
+        file: Option<&Path>,
         check: impl FnOnce(&Network) -> Result<()>,
     ) -> Result<(OpenedScene, FeatureSource)> {
+        if let Some(file) = file {
+            if inference.network.weights.is_some() || inference.network.config.is_some() {
+                let text = "--features are there already: leave out --weights and --config";
+                return Err(WrongUse(text.to_owned()).into());
+            }
+            if let Some(flag) = inference.network_flag() {
+                let text = format!("{flag} is about the network, which --features replace");
+                return Err(WrongUse(text).into());
+            }
+            self.outputs.reads(file)?;
+            self.receipt.fingerprint("features", file)?;
+            return Ok((self.open(path, inference)?, FeatureSource::File(file.to_owned())));
+        }
         if inference.network.weights.is_some() {
             let network = self.network(inference)?;
             check(&network)?;
@@ -239,12 +256,14 @@ impl<'a> Session<'a> {
     /// The features of a scene from their source.
     pub fn features(
         &self,
-        scene: &GaussianScene,
+        opened: &OpenedScene,
         source: &FeatureSource,
         inference: &Inference,
     ) -> Result<SceneFeatures> {
+        let scene = &opened.loaded.scene;
         match source {
             FeatureSource::Network(network) => self.encode(scene, network, inference),
+            FeatureSource::File(path) => features_of_file(path, &opened.loaded),
             FeatureSource::Codes => {
                 SceneFeatures::from_codes(scene).context("the scene carries no language codes")
             }
@@ -444,4 +463,27 @@ pub fn set_threads(threads: Option<usize>) -> Result<()> {
         anyhow::bail!("--threads {n}: the system does not allow that many");
     }
     Ok(())
+}
+
+/// Features that a file holds, `[N, D]`: a row for each row of the scene's file, or for each that was
+/// kept.
+fn features_of_file(path: &Path, loaded: &LoadedScene) -> Result<SceneFeatures> {
+    let file = NpyFile::open(path)?;
+    let rows = loaded.source_rows();
+    let &[count, width] = file.shape() else {
+        anyhow::bail!("{}: expected [{rows}, D], got {:?}", path.display(), file.shape());
+    };
+    let kept = loaded.kept_rows.as_deref();
+    let values = match kept {
+        _ if count == loaded.scene.len() => file.read_f32()?,
+        Some(kept) if count == rows => {
+            let all = file.read_f32()?;
+            kept.iter().flat_map(|&r| &all[r as usize * width..][..width]).copied().collect()
+        }
+        _ => anyhow::bail!(
+            "{}: {count} rows, but the scene has {rows}: these features belong to another scene",
+            path.display()
+        ),
+    };
+    Ok(SceneFeatures::from_rows(values, width)?)
 }

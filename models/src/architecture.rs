@@ -4,7 +4,7 @@
 //! `lib.rs`, and a row here. Nothing else asks which architecture a network has.
 
 use crate::weights::Shapes;
-use crate::{Backbone, BackboneCost, Compute, PointTransformerV3Config};
+use crate::{Backbone, BackboneCost, Compute};
 use candle_core::Result;
 use candle_nn::VarBuilder;
 use serde::Serialize;
@@ -111,8 +111,12 @@ macro_rules! architectures {
 }
 
 architectures! {
-    PointTransformerV3(PointTransformerV3Config) = "point_transformer_v3":
+    PointTransformerV3(crate::PointTransformerV3Config) = "point_transformer_v3":
         "Attention in patches of space-filling curves.";
+    PointTransformerV1(crate::PointTransformerV1Config) = "point_transformer_v1":
+        "Vector attention over nearest neighbours.";
+    PointTransformerV2(crate::PointTransformerV2Config) = "point_transformer_v2":
+        "Grouped vector attention over nearest neighbours.";
 }
 
 /// Fields of a configuration; an error begins with the field's name.

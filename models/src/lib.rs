@@ -1,4 +1,4 @@
-//! Networks on candle tensors: Point Transformer V3 for Gaussians, and its weights.
+//! Networks on candle tensors: Point Transformer V3 for Gaussians, the two before it, and weights.
 //!
 //! A network is a plain struct built from a [`candle_nn::VarBuilder`]. Built from a
 //! [`ParamStore`] that holds variables it trains: every operation has a gradient. Built from frozen
@@ -20,11 +20,15 @@ mod head;
 pub mod layers;
 mod lpips;
 mod model_config;
+mod neighborhood;
 pub mod ops;
 pub mod params;
 mod point_cloud;
+pub mod point_transformer_v1;
+pub mod point_transformer_v2;
 pub mod point_transformer_v3;
 mod recompute;
+mod stages;
 pub mod weights;
 
 pub use architecture::{Architecture, BackboneConfig};
@@ -35,5 +39,7 @@ pub use lpips::{Lpips, LpipsNet};
 pub use model_config::{ModelConfig, UniqueKeys};
 pub use params::{LoadPolicy, LoadReport, MAX_VALUES, ParamStore};
 pub use point_cloud::PointCloud;
+pub use point_transformer_v1::{PointTransformerV1, PointTransformerV1Config};
+pub use point_transformer_v2::{PointTransformerV2, PointTransformerV2Config};
 pub use point_transformer_v3::{PointTransformerV3, PointTransformerV3Config};
 pub use recompute::Recompute;

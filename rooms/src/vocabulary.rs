@@ -191,6 +191,39 @@ impl Vocabulary {
         Ok(table)
     }
 
+    /// The members of the groups that a text names ("seat": chair, sofa, stool), in the colors that it
+    /// names; without any row if it names no group.
+    ///
+    /// # Errors
+    /// As [`embed`](Self::embed).
+    pub fn members(&self, text: &str) -> Result<TextTable, VocabularyError> {
+        self.embed(text)?;
+        let found = parse(text).unwrap_or_default();
+        let mut table = TextTable { names: Vec::new(), dim: self.dim, values: Vec::new() };
+        let named = |c: &&Concept| matches!(c, Concept::Class(_));
+        // "kitchen chair" means chairs; the group only says which.
+        if found.iter().any(|c| named(&c)) {
+            return Ok(table);
+        }
+        let colors = || found.iter().copied().filter(|c| matches!(c, Concept::Color(_)));
+        for &class in ClassId::ALL {
+            let groups = class.about().groups;
+            if !found.iter().any(|c| matches!(c, Concept::Group(g) if groups.contains(g))) {
+                continue;
+            }
+            table.names.push(class.about().name.to_owned());
+            table.values.extend(match colors().next() {
+                None => self.class_target(class),
+                Some(_) => {
+                    let concepts: Vec<Concept> =
+                        std::iter::once(Concept::Class(class)).chain(colors()).collect();
+                    self.join(&concepts)
+                }
+            });
+        }
+        Ok(table)
+    }
+
     /// The unit target of a class: its concept and its groups'.
     pub fn class_target(&self, class: ClassId) -> Vec<f32> {
         unit_f32(&self.class_vector(class))

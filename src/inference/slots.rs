@@ -47,6 +47,11 @@ impl SlotStore {
         Ok(Self { width, count: vec![0; slots], values: Values::File(file) })
     }
 
+    /// Finished rows. `[slots, width]`
+    pub(super) fn rows(values: Vec<f32>, width: usize) -> Self {
+        Self { width, count: vec![1; values.len() / width], values: Values::Memory(values) }
+    }
+
     /// Rows that are stored as codes; their features are brought to unit length.
     pub(super) fn codes(slots: usize, code: LanguageCode) -> Self {
         let width = code.codebook.feature_width();

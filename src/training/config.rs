@@ -5,7 +5,7 @@ use anyhow::{Context, Result};
 use scenesplat_datasets::transforms::{self, TransformConfig};
 use scenesplat_datasets::{InputFeatures, LoaderSettings, MixRule};
 use scenesplat_losses::LossConfig;
-use scenesplat_models::{Compute, ModelConfig};
+use scenesplat_models::{BackboneConfig, Compute, ModelConfig};
 use scenesplat_trainers::{
     AdamWConfig, CosineSchedule, KeywordGroup, OneCycle, Selection, TrainerConfig,
 };
@@ -394,14 +394,22 @@ fn with_variables(text: &str, variable: &dyn Fn(&str) -> Option<String>) -> Resu
 fn join(base: &mut toml::Table, own: toml::Table) {
     for (key, value) in own {
         match (base.get_mut(&key), value) {
-            (Some(toml::Value::Table(old)), toml::Value::Table(new))
-                if !(new.contains_key("type") && new.get("type") != old.get("type")) =>
-            {
+            (Some(toml::Value::Table(old)), toml::Value::Table(new)) if !is_another(old, &new) => {
                 join(old, new);
             }
             (_, value) => _ = base.insert(key, value),
         }
     }
+}
+
+/// Whether a table is about something else than the other: its `type` or its `architecture` differs.
+fn is_another(old: &toml::Table, new: &toml::Table) -> bool {
+    let name = |table: &toml::Table, default: &str| match table.get("architecture") {
+        Some(toml::Value::String(name)) => name.clone(),
+        _ => default.to_owned(),
+    };
+    let usual = name(old, BackboneConfig::NAMES[0]);
+    name(new, &usual) != usual || (new.contains_key("type") && new.get("type") != old.get("type"))
 }
 
 #[cfg(test)]
@@ -418,6 +426,19 @@ mod tests {
         join(&mut base, table("list = [3]\n[t]\ny = 5\n[s]\ntype = 'other'"));
         let expected = table("a = 1\nlist = [3]\n[t]\nx = 1\ny = 5\n[s]\ntype = 'other'");
         assert_eq!(base, expected);
+    }
+
+    #[test]
+    fn another_architecture_takes_no_fields() {
+        let mut base = table("[model]\nstride = [2]\nmlp_ratio = 2");
+        let same = "[model]\narchitecture = 'point_transformer_v3'\nstride = [4]";
+        join(&mut base, table(same));
+        assert_eq!(base, table(&format!("{same}\nmlp_ratio = 2")));
+        let other = "[model]\narchitecture = 'point_transformer_v2'\nstride = [3]";
+        join(&mut base, table(other));
+        assert_eq!(base, table(other));
+        join(&mut base, table("[model]\nstride = [2]"));
+        assert_eq!(base, table(&other.replace('3', "2")));
     }
 
     #[test]
@@ -463,6 +484,6 @@ mod tests {
                 read += 1;
             }
         }
-        assert_eq!(read, 14);
+        assert_eq!(read, 16);
     }
 }

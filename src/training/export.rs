@@ -140,6 +140,64 @@ source = { type = "synthetic", count = 2, seed = 9, room = { num_gaussians = 150
         (trained, config, again)
     }
 
+    /// The loss of each step, and the folder's network on a room, whole and in tiles.
+    fn trains_and_runs(out: &Path, model: &str) {
+        let text = EXPERIMENT
+            .replace("CHANNELS", r#"["color", "opacity", "quat", "scale"]"#)
+            .replace("language_pretraining", "semantic_segmentation")
+            .replace("targets = \"class_text\"\n", "")
+            .replace("\"cosine\"", "\"cross_entropy\"")
+            .replace("repeat = 6", "repeat = 20")
+            .replace("epochs = 1", "epochs = 1\nlog_every = 1");
+        let (start, end) = (text.find("[model]").unwrap(), text.find("[[train]]").unwrap());
+        let text = format!("{}[model]\ngrid_size = 0.15\n{model}{}", &text[..start], &text[end..]);
+        let file = out.join("experiment.toml");
+        std::fs::write(&file, text).unwrap();
+        let experiment = ExperimentConfig::read(&file).unwrap();
+        let stop = Arc::default();
+        let out_run = out.join("run");
+        let options = RunOptions { commit: None, out: out_run, resume: false, quiet: true, stop };
+        let report = train(&experiment, &options).unwrap();
+        let log = read_json_lines(&out.join("run/metrics.jsonl")).unwrap();
+        let losses: Vec<f64> =
+            log.iter().filter(|m| m.name == "train/loss").map(|m| m.value).collect();
+        let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+        let (first, last) = (mean(&losses[..5]), mean(&losses[losses.len() - 5..]));
+        assert!(last < 0.9 * first, "{losses:?}");
+
+        let config = config_beside(&report.model).unwrap().unwrap();
+        let weights = Weights::File(report.model);
+        let network = Network::load(config, &weights, WeightOptions::default()).unwrap();
+        let settings = scenesplat_rooms::SyntheticRoomSettings::with_count(6000, 1);
+        let scene = scenesplat_rooms::generate(&settings).unwrap().scene;
+        let mut encoder = SceneEncoder { grid_size: 0.03, ..SceneEncoder::new(&network) };
+        let whole = encoder.encode(&scene, &mut |_| Ok(())).unwrap();
+        assert_eq!((whole.len(), whole.width(), whole.summary.tiles), (scene.len(), 41, 1));
+        let cost = network.model().cost().unwrap().bytes_per_voxel as u64;
+        encoder.max_memory = Some((70 << 20) + 4200 * cost);
+        encoder.halo = 4;
+        let parts = encoder.encode(&scene, &mut |_| Ok(())).unwrap();
+        assert!(parts.summary.tiles > 1 || parts.summary.voxels < 4300, "{:?}", parts.summary);
+    }
+
+    #[test]
+    fn networks_of_points_train_and_run_like_the_others() {
+        let one = tempfile::tempdir().unwrap();
+        trains_and_runs(
+            one.path(),
+            "architecture = \"point_transformer_v1\"\nnum_classes = 41\nstride = [1, 2]\n\
+             enc_depths = [1, 1]\nchannels = [16, 32]\nneighbors = [6, 8]\ndec_depths = [1, 1]\n",
+        );
+        let two = tempfile::tempdir().unwrap();
+        trains_and_runs(
+            two.path(),
+            "architecture = \"point_transformer_v2\"\nnum_classes = 41\ndrop_path = 0.0\n\
+             patch_embed_channels = 12\npatch_embed_groups = 3\nstride = [2]\nenc_depths = [1]\n\
+             enc_channels = [24]\nenc_groups = [6]\nenc_neighbors = [8]\ndec_depths = [1]\n\
+             dec_channels = [12]\ndec_groups = [3]\ndec_neighbors = [8]\n",
+        );
+    }
+
     #[test]
     fn a_model_folder_says_what_its_network_reads() {
         let folder = tempfile::tempdir().unwrap();

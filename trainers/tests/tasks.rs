@@ -68,7 +68,7 @@ fn rooms(count: usize) -> Arc<dyn Dataset> {
     let settings =
         SyntheticRoomSettings { num_gaussians: Some(600), ..SyntheticRoomSettings::default() };
     let steps = build_transforms(&validation(0.3)).unwrap();
-    let source = Arc::new(SyntheticRooms::new(count, settings, 3));
+    let source = Arc::new(SyntheticRooms::new(count, settings, 3).unwrap());
     Arc::new(SceneDataset::new(source, steps, 1, 1).unwrap())
 }
 

@@ -1,13 +1,14 @@
 //! `scenesplat evaluate`
 
 use super::WrongUse;
-use super::segment::{Classes, label_slots};
+use super::segment::Classes;
 use crate::flags::{Inference, Shared};
 use crate::session::Session;
 use crate::terminal::{print, write_text};
 use anyhow::{Context, Result};
 use scenesplat::Network;
 use scenesplat::datasets::{DataSource, SourceScene, SyntheticRooms};
+use scenesplat::labels::{self, label_gaussians};
 use scenesplat::metrics::{
     ConfusionMatrix, Fault, FeatureSlice, Metric, OracleCheck, OracleVote, TesterReport,
     UnknownRule, classify, keep_withheld, random_labels, vote,
@@ -272,9 +273,11 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
             (Some(network), _) => {
                 let features = session.encode(scene, network, &args.inference)?;
                 let _stage = session.receipt.stage("labels");
-                let classifier = network.is_classifier();
-                let slots = label_slots(classifier, &features, Some(&text), &options)?;
-                features.inverse().iter().map(|s| slots.labels[*s as usize]).collect()
+                let classes = match network.is_classifier() {
+                    true => labels::Classes::Probabilities(text.len()),
+                    false => labels::Classes::Texts(&text),
+                };
+                label_gaussians(&features, classes, &options)?.labels
             }
             (None, Some(file)) => {
                 let _stage = session.receipt.stage("labels");

@@ -1,21 +1,19 @@
 //! `scenesplat query`
 
 use super::WrongUse;
-use super::segment::{Classes, slot_rows};
+use super::segment::Classes;
 use crate::flags::{Inference, Shared};
 use crate::session::{FeatureSource, Session};
 use crate::terminal::print;
 use anyhow::Result;
-use scenesplat::metrics::{ZeroShotOptions, classify, vote};
 use scenesplat::models::weights::read_single_tensor;
 use scenesplat::outputs::{ResultColumns, write_colored_ply, write_scene_preview};
 use scenesplat::preview::LegendEntry;
-use scenesplat::rooms::Vocabulary;
+use scenesplat::query::{Query, QuerySettings, Selection, select};
+use scenesplat::scene::LabelSet;
 use scenesplat::scene::formats::npy::NpyFile;
 use scenesplat::scene::formats::npy_writer::write_npy;
-use scenesplat::scene::label_set::{find_name, nearest_names};
-use scenesplat::scene::{LabelSet, TextTable};
-use scenesplat::text::metric_table;
+use scenesplat::scene::label_set::nearest_names;
 use std::path::{Path, PathBuf};
 
 /// Writes scores.npy (cosine with the query), selection.npy (0 or 1), query.ply (a heat map with
@@ -40,6 +38,10 @@ pub struct Args {
     /// Neighbours that vote on the selection; 0 or 1 for no vote.
     #[arg(long, value_name = "K", default_value_t = 25)]
     pub vote_k: usize,
+    /// Features made before instead of a network: .npy, [N, D], one row per Gaussian, such as
+    /// lang_feat.npy of lift-labels or features.npy.
+    #[arg(long, value_name = "FILE.npy")]
+    pub features: Option<PathBuf>,
     /// Flags of the network.
     #[command(flatten)]
     pub inference: Inference,
@@ -48,14 +50,16 @@ pub struct Args {
     pub shared: Shared,
 }
 
-/// The texts with the query among them, and the query's row.
-fn texts(args: &Args) -> Result<(TextTable, usize)> {
+/// What is asked for, with its rivals.
+fn query(args: &Args) -> Result<Query> {
+    let wrong = |error: &dyn std::fmt::Display| WrongUse(error.to_string());
     if let (Some(vocabulary), None) = (args.classes.vocabulary()?, &args.embedding) {
-        return from_vocabulary(&vocabulary, &args.query);
+        return Ok(Query::of_vocabulary(&vocabulary, &args.query).map_err(|e| wrong(&e))?);
     }
     let table = match (&args.classes.text, &args.embedding) {
-        (None, None) if args.inference.network.is_embedded() => {
-            return from_vocabulary(&scenesplat::embedded::vocabulary()?, &args.query);
+        (None, None) if args.inference.network.is_embedded() && args.features.is_none() => {
+            let vocabulary = scenesplat::embedded::vocabulary()?;
+            return Ok(Query::of_vocabulary(&vocabulary, &args.query).map_err(|e| wrong(&e))?);
         }
         (None, None) => {
             return Err(WrongUse(
@@ -69,13 +73,12 @@ fn texts(args: &Args) -> Result<(TextTable, usize)> {
         (None, Some(_)) => None,
     };
     let Some(path) = &args.embedding else {
-        let table = match table {
-            Some(table) => table,
-            None => return Err(WrongUse("--text is missing".to_owned()).into()),
+        let Some(table) = table else {
+            return Err(WrongUse("--text is missing".to_owned()).into());
         };
-        return match find_name(&table.names, &args.query) {
-            Ok(row) => Ok((table, row)),
-            Err(_) => Err(WrongUse(format!(
+        return match Query::of_table(&table, &args.query)? {
+            Some(query) => Ok(query),
+            None => Err(WrongUse(format!(
                 "{:?} is not among the {} names of --text; nearest: {}. For any other text give \
                  its embedding with --embedding FILE",
                 args.query,
@@ -104,27 +107,7 @@ fn texts(args: &Args) -> Result<(TextTable, usize)> {
         )
         .into());
     }
-    let (mut names, mut values) = table.map_or((Vec::new(), Vec::new()), |t| (t.names, t.values));
-    // A row of the same name would be its own rival.
-    if let Ok(row) = find_name(&names, &args.query) {
-        names.remove(row);
-        values.drain(row * vector.len()..(row + 1) * vector.len());
-    }
-    names.push(args.query.clone());
-    values.extend_from_slice(&vector);
-    let row = names.len() - 1;
-    Ok((TextTable::from_rows(names, values, vector.len())?, row))
-}
-
-/// The query in the words of the network inside the program, with what it has to beat.
-fn from_vocabulary(vocabulary: &Vocabulary, query: &str) -> Result<(TextTable, usize)> {
-    let wrong = |error| WrongUse(format!("{error}"));
-    let vector = vocabulary.embed(query).map_err(wrong)?;
-    let mut table = vocabulary.rivals(query).map_err(wrong)?;
-    table.names.push(query.to_owned());
-    table.values.extend(vector);
-    let row = table.names.len() - 1;
-    Ok((table, row))
+    Ok(Query::of_vector(&args.query, vector, table.as_ref())?)
 }
 
 fn read_vector(path: &Path) -> Result<Vec<f32>> {
@@ -139,19 +122,24 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start_with(&args.shared, &args.inference.network, line)?;
     session.outputs.reads_any([Some(args.scene.as_path()), args.embedding.as_deref()])?;
     args.classes.claim_inputs(&session.outputs)?;
-    let (text, row) = texts(args)?;
+    let query = query(args)?;
     session.make_out(&["scores.npy", "selection.npy", "query.ply", "preview.png"])?;
     args.classes.record(&session)?;
     if let Some(path) = &args.embedding {
         session.receipt.fingerprint("embedding", path)?;
     }
-    let (opened, source) = session.open_with_source(&args.scene, &args.inference, |network| {
-        if network.is_classifier() {
-            let text = "a segmentation network cannot be queried; use --config language";
-            return Err(WrongUse(text.to_owned()).into());
-        }
-        check_width(network.model().out_channels(), text.dim)
-    })?;
+    let (opened, source) = session.open_with_source(
+        &args.scene,
+        &args.inference,
+        args.features.as_deref(),
+        |network| {
+            if network.is_classifier() {
+                let text = "a segmentation network cannot be queried; use --config language";
+                return Err(WrongUse(text.to_owned()).into());
+            }
+            check_width(network.model().out_channels(), query.width())
+        },
+    )?;
     let scene = &opened.loaded.scene;
     if let (FeatureSource::Codes, Some(code)) = (&source, &scene.lang_code) {
         if args.classes.text.is_none() && args.embedding.is_none() {
@@ -159,55 +147,27 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
                         them, or --weights embedded to use the network inside the program";
             return Err(WrongUse(text.to_owned()).into());
         }
-        check_width(code.codebook.feature_width(), text.dim)?;
+        check_width(code.codebook.feature_width(), query.width())?;
     }
-    let features = session.features(scene, &source, &args.inference)?;
+    let features = session.features(&opened, &source, &args.inference)?;
 
-    let (scores, selected) = {
+    // A misspelt rival would go on to compete.
+    let rivals = LabelSet::new(query.rivals.names.clone())?;
+    args.classes.options(&rivals)?;
+    session.receipt.setting("vote_k", args.vote_k, "neighbours that vote on the selection");
+    let found = {
         let _stage = session.receipt.stage("query");
-        let rows = slot_rows(&features)?;
-        let own_text = TextTable::from_rows(
-            vec![args.query.clone()],
-            text.row(row).unwrap_or_default().to_vec(),
-            text.dim,
-        )?;
-        let own = classify(&rows, &metric_table(&own_text)?, &ZeroShotOptions::default())?;
-        let set = LabelSet::new(text.names.clone())?;
-        let mut candidates =
-            args.classes.options(&set)?.candidates.unwrap_or_else(|| vec![true; text.len()]);
-        candidates[row] = false;
-        // The best rival of each row, if there is any.
-        let rivals = if candidates.contains(&true) {
-            let options =
-                ZeroShotOptions { candidates: Some(candidates), ..ZeroShotOptions::default() };
-            Some(classify(&rows, &metric_table(&text)?, &options)?.scores)
-        } else {
-            None
+        let settings = QuerySettings {
+            without: args.classes.without.clone(),
+            min_score: args.classes.min_score,
+            min_margin: args.classes.min_margin,
+            vote_k: args.vote_k,
         };
-        let wins = |slot: usize| {
-            let score = own.scores[slot];
-            // A row without a direction has no class, not even the only one.
-            own.labels[slot] >= 0
-                && rivals.as_ref().is_none_or(|r| {
-                    score > r[slot] && score - r[slot] >= args.classes.min_margin.unwrap_or(0.0)
-                })
-                && args.classes.min_score.is_none_or(|m| score >= m)
-        };
-        let slots: Vec<bool> = (0..features.num_slots()).map(wins).collect();
-        let scores: Vec<f32> = features.inverse().iter().map(|s| own.scores[*s as usize]).collect();
-        let selected: Vec<i32> =
-            features.inverse().iter().map(|s| i32::from(slots[*s as usize])).collect();
-        (scores, selected)
-    };
-    let selected = if args.vote_k > 1 {
-        let _stage = session.receipt.stage("vote");
-        session.receipt.setting("vote_k", args.vote_k, "neighbours that vote on the selection");
-        vote(&scene.coord, &selected, None, &scene.coord, args.vote_k, 2)?
-    } else {
-        selected
+        select(&features, &query, &settings, &scene.coord)?
     };
     session.check_stop()?;
-    describe(&args.query, scene, &scores, &selected);
+    describe(&args.query, &found, &scene.coord);
+    let Selection { scores, selected } = found;
 
     let colors = heat(&scores, &selected);
     {
@@ -282,42 +242,18 @@ fn heat(scores: &[f32], selected: &[i32]) -> Vec<[u8; 3]> {
 }
 
 /// Prints how much was found and where.
-fn describe(
-    query: &str,
-    scene: &scenesplat::scene::GaussianScene,
-    scores: &[f32],
-    selected: &[i32],
-) {
-    let rows: Vec<usize> = (0..selected.len()).filter(|&i| selected[i] == 1).collect();
-    let best = scores.iter().copied().filter(|s| s.is_finite()).fold(f32::NEG_INFINITY, f32::max);
-    if rows.is_empty() {
+fn describe(query: &str, found: &Selection, coord: &[[f32; 3]]) {
+    let best = found.best_score().unwrap_or(f32::NEG_INFINITY);
+    let Some(place) = found.place(coord) else {
         print(&format!("{query:?}: nothing selected; the best score is {best:.4}"));
         return;
-    }
-    let mut low = [f32::INFINITY; 3];
-    let mut high = [f32::NEG_INFINITY; 3];
-    let mut mean = [0f64; 3];
-    for &row in &rows {
-        for axis in 0..3 {
-            let v = scene.coord[row][axis];
-            low[axis] = low[axis].min(v);
-            high[axis] = high[axis].max(v);
-            mean[axis] += f64::from(v) / rows.len() as f64;
-        }
-    }
+    };
+    let [center, low, high] = [place.center, place.low.map(f64::from), place.high.map(f64::from)]
+        .map(|[x, y, z]| format!("({x:.2}, {y:.2}, {z:.2})"));
     print(&format!(
-        "{query:?}: {} of {} Gaussians, centre ({:.2}, {:.2}, {:.2}) m, box ({:.2}, {:.2}, {:.2}) \
-         to ({:.2}, {:.2}, {:.2}) m, best score {best:.4}",
-        rows.len(),
-        selected.len(),
-        mean[0],
-        mean[1],
-        mean[2],
-        low[0],
-        low[1],
-        low[2],
-        high[0],
-        high[1],
-        high[2]
+        "{query:?}: {} of {} Gaussians, centre {center} m, box {low} to {high} m, best score \
+         {best:.4}",
+        place.count,
+        found.selected.len(),
     ));
 }

@@ -5,11 +5,9 @@ use crate::flags::{Inference, Shared};
 use crate::outputs::Outputs;
 use crate::session::{FeatureSource, Session};
 use crate::terminal::write_text;
-use anyhow::{Context, Result};
-use scenesplat::inference::SceneFeatures;
-use scenesplat::metrics::{
-    FeatureFn, FeatureRows, UnknownRule, ZeroShotOptions, classify, keep_withheld, vote,
-};
+use anyhow::Result;
+use scenesplat::labels::{self, label_with_vote};
+use scenesplat::metrics::{UnknownRule, ZeroShotOptions};
 use scenesplat::outputs::{
     ResultColumns, label_colors, legend, write_colored_ply, write_scene_preview,
 };
@@ -17,7 +15,7 @@ use scenesplat::rooms::Vocabulary;
 use scenesplat::scene::formats::npy_writer::write_npy;
 use scenesplat::scene::label_set::read_names;
 use scenesplat::scene::{LabelSet, TextTable};
-use scenesplat::text::{class_list, metric_table, read_text_table};
+use scenesplat::text::{class_list, read_text_table};
 use std::path::{Path, PathBuf};
 
 /// Writes labels.npy, scores.npy, segmented.ply (class colours, label and score columns),
@@ -32,6 +30,10 @@ pub struct Args {
     /// Neighbours that vote on each label; 0 or 1 for no vote.
     #[arg(long, value_name = "K", default_value_t = 25)]
     pub vote_k: usize,
+    /// Features made before instead of a network: .npy, [N, D], one row per Gaussian, such as
+    /// lang_feat.npy of lift-labels or features.npy.
+    #[arg(long, value_name = "FILE.npy")]
+    pub features: Option<PathBuf>,
     /// Flags of the network.
     #[command(flatten)]
     pub inference: Inference,
@@ -143,104 +145,6 @@ impl Classes {
     }
 }
 
-/// Labels and scores of the distinct rows of a scene.
-pub struct SlotLabels {
-    /// Class or −1. `[S]`
-    pub labels: Vec<i32>,
-    /// Cosine, or probability for a classifier. `[S]`
-    pub scores: Vec<f32>,
-    /// Rows without a usable feature.
-    pub unusable: usize,
-    /// Rows below the unknown thresholds.
-    pub withheld: usize,
-}
-
-/// Feature rows of a scene as the metrics read them.
-pub fn slot_rows(features: &SceneFeatures) -> Result<impl FeatureRows + '_> {
-    Ok(FeatureFn::new(features.num_slots(), features.width(), |rows, out: &mut [f32]| {
-        out.copy_from_slice(&features.slot_rows(rows)?);
-        Ok(())
-    })?)
-}
-
-/// Labels each distinct row.
-pub fn label_slots(
-    classifier: bool,
-    features: &SceneFeatures,
-    text: Option<&TextTable>,
-    options: &ZeroShotOptions,
-) -> Result<SlotLabels> {
-    if classifier {
-        let mut out =
-            SlotLabels { labels: Vec::new(), scores: Vec::new(), unusable: 0, withheld: 0 };
-        let allowed = |c: usize| options.candidates.as_ref().is_none_or(|m| m[c]);
-        let UnknownRule { min_cosine, min_margin } = options.unknown;
-        for row in 0..features.num_slots() {
-            let p = features.slot_rows(row..row + 1)?;
-            let mut best: Option<usize> = None;
-            let mut second = 0.0;
-            for c in (0..p.len()).filter(|&c| allowed(c) && p[c].is_finite()) {
-                if best.is_none_or(|b| p[c] > p[b]) {
-                    second = best.map_or(0.0, |b| p[b]);
-                    best = Some(c);
-                } else {
-                    second = p[c].max(second);
-                }
-            }
-            let score = best.map_or(0.0, |b| p[b]);
-            let withheld = best.is_some()
-                && (min_cosine.is_some_and(|m| score < m)
-                    || min_margin.is_some_and(|m| score - second < m));
-            out.labels.push(best.filter(|_| !withheld).map_or(-1, |b| b as i32));
-            out.scores.push(score);
-            out.unusable += usize::from(best.is_none());
-            out.withheld += usize::from(withheld);
-        }
-        return Ok(out);
-    }
-    let text = text.context("a language network needs --text")?;
-    if text.dim != features.width() {
-        return Err(WrongUse(format!(
-            "--text: its rows have {} values, the features {}",
-            text.dim,
-            features.width()
-        ))
-        .into());
-    }
-    let found = classify(&slot_rows(features)?, &metric_table(text)?, options)?;
-    Ok(SlotLabels {
-        labels: found.labels,
-        scores: found.scores,
-        unusable: found.num_unusable,
-        withheld: found.num_withheld,
-    })
-}
-
-/// The score of each Gaussian's label after a vote: cosine of its own feature with the text, or its
-/// probability of the class. Unlabelled Gaussians keep the score that was too low.
-fn scores_of(
-    features: &SceneFeatures,
-    text: Option<&TextTable>,
-    labels: &[i32],
-    mut scores: Vec<f32>,
-) -> Result<Vec<f32>> {
-    const BLOCK: usize = 4096;
-    let width = features.width();
-    for start in (0..labels.len()).step_by(BLOCK) {
-        let end = (start + BLOCK).min(labels.len());
-        let rows = features.gaussian_rows(start..end)?;
-        for (i, row) in (start..end).zip(rows.chunks_exact(width)) {
-            let Ok(label) = usize::try_from(labels[i]) else { continue };
-            scores[i] = match text.map(|t| t.row(label)) {
-                None => row[label],
-                Some(Some(text)) => row.iter().zip(text).map(|(a, b)| a * b).sum(),
-                Some(None) => 0.0,
-            };
-        }
-    }
-    Ok(scores)
-}
-
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start_with(&args.shared, &args.inference.network, line)?;
@@ -254,10 +158,15 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         None => None,
     };
     let embedded = args.inference.network.is_embedded();
-    let (opened, source) = session.open_with_source(&args.scene, &args.inference, |network| {
-        let needed = !network.is_classifier() && table.is_none();
-        if needed { args.classes.text_table(embedded).map(drop) } else { Ok(()) }
-    })?;
+    let (opened, source) = session.open_with_source(
+        &args.scene,
+        &args.inference,
+        args.features.as_deref(),
+        |network| {
+            let needed = !network.is_classifier() && table.is_none();
+            if needed { args.classes.text_table(embedded).map(drop) } else { Ok(()) }
+        },
+    )?;
     let (labels_of, text) = if let Some(network) = source.classifier() {
         if args.classes.text.is_some() {
             let text = "--text is for language networks; name the classes with --text-names";
@@ -281,38 +190,24 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let options = args.classes.options(&labels_of)?;
     args.classes.record(&session)?;
     let scene = &opened.loaded.scene;
-    let features = session.features(scene, &source, &args.inference)?;
+    let features = session.features(&opened, &source, &args.inference)?;
 
-    let (labels, scores) = {
+    let classes = match &text {
+        Some(text) => labels::Classes::Texts(text),
+        None => labels::Classes::Probabilities(labels_of.len()),
+    };
+    let found = {
         let _stage = session.receipt.stage("labels");
-        let slots = label_slots(source.classifier().is_some(), &features, text.as_ref(), &options)?;
-        if slots.unusable + slots.withheld > 0 {
-            session.progress.say(format!(
-                "{} voxels unknown by the thresholds, {} without a usable feature",
-                slots.withheld, slots.unusable
-            ));
-        }
-        let per_gaussian = |s: &u32| *s as usize;
-        let labels: Vec<i32> =
-            features.inverse().iter().map(|s| slots.labels[per_gaussian(s)]).collect();
-        let scores: Vec<f32> =
-            features.inverse().iter().map(|s| slots.scores[per_gaussian(s)]).collect();
-        (labels, scores)
-    };
-    session.check_stop()?;
-    let (labels, scores) = if args.vote_k > 1 {
-        let _stage = session.receipt.stage("vote");
         session.receipt.setting("vote_k", args.vote_k, "neighbours that vote on each label");
-        let mut voted =
-            vote(&scene.coord, &labels, None, &scene.coord, args.vote_k, labels_of.len())?;
-        if options.unknown != UnknownRule::default() {
-            keep_withheld(&labels, &mut voted);
-        }
-        let scores = scores_of(&features, text.as_ref(), &voted, scores)?;
-        (voted, scores)
-    } else {
-        (labels, scores)
+        label_with_vote(&features, classes, &options, &scene.coord, args.vote_k)?
     };
+    if found.num_withheld + found.num_unusable > 0 {
+        session.progress.say(format!(
+            "{} voxels unknown by the thresholds, {} without a usable feature",
+            found.num_withheld, found.num_unusable
+        ));
+    }
+    let (labels, scores) = (found.labels, found.scores);
     session.check_stop()?;
     {
         let _stage = session.receipt.stage("write");

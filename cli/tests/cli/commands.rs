@@ -461,3 +461,33 @@ fn a_segmentation_network_labels_and_is_evaluated_by_its_own_classes() {
         assert_eq!(run(command, &args).status.code(), Some(2), "{command}");
     }
 }
+
+#[test]
+fn features_of_a_file_stand_in_for_a_network() {
+    let folder = tempfile::tempdir().unwrap();
+    let [made, by_network, by_file] = ["made", "network", "file"].map(|n| folder.path().join(n));
+    let (room, text) = (asset("room.ply"), asset("classes.safetensors"));
+    let text = text.to_str().unwrap();
+    done(&tiny("features", &room, &made, &[]));
+    done(&tiny("segment", &room, &by_network, &["--text", text]));
+    let features = made.join("features.npy");
+    let [room, out, features] = [&room, &by_file, &features].map(|p| p.to_str().unwrap());
+    let args = ["segment", room, "--features", features, "--text", text, "--out", out];
+    done(&scenesplat(&args));
+    let labels = |out: &Path| NpyFile::open(&out.join("labels.npy")).unwrap().read_i64().unwrap();
+    assert_eq!(labels(&by_network), labels(&by_file));
+    let args = ["query", room, "floor", "--features", features, "--text", text, "--out", out];
+    done(&scenesplat(&args));
+    let selected = NpyFile::open(&by_file.join("selection.npy")).unwrap().read_u8().unwrap();
+    assert!(selected.contains(&1) && selected.contains(&0));
+
+    // Of another scene, or beside a network: refused.
+    let short = folder.path().join("short.npy");
+    scenesplat::scene::formats::npy_writer::write_npy(&short, &[3, 64], &[0.1f32; 192]).unwrap();
+    let short = short.to_str().unwrap();
+    let output = scenesplat(&["segment", room, "--features", short, "--text", text, "--out", out]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(stderr(&output).contains("belong to another scene"), "{}", stderr(&output));
+    let args = ["segment", room, "--features", features, "--weights", "embedded", "--out", out];
+    assert_eq!(scenesplat(&args).status.code(), Some(2));
+}

@@ -2,6 +2,7 @@
 
 use super::PointTransformerV3;
 use crate::params::MAX_VALUES;
+use crate::stages::{linspace, split};
 use crate::weights::Shapes;
 use crate::{Architecture, Backbone, BackboneCost, Compute};
 use candle_core::{Result, bail};
@@ -412,15 +413,6 @@ impl Architecture for PointTransformerV3Config {
     fn fits(&self, shapes: &Shapes) -> bool {
         self.has_shapes(shapes)
     }
-}
-
-fn linspace(high: f64, n: usize) -> Vec<f64> {
-    (0..n).map(|i| if n > 1 { high * i as f64 / (n - 1) as f64 } else { 0.0 }).collect()
-}
-
-fn split(depths: &[usize], values: Vec<f64>) -> Vec<Vec<f64>> {
-    let mut rest = values.into_iter();
-    depths.iter().map(|&d| rest.by_ref().take(d).collect()).collect()
 }
 
 #[cfg(test)]

@@ -338,13 +338,7 @@ impl Backbone for PointTransformerV3 {
         self.config.out_channels()
     }
     fn alignment(&self) -> u32 {
-        let edge = self
-            .config
-            .stride
-            .iter()
-            .try_fold(1u32, |edge, &stride| edge.checked_mul(u32::try_from(stride).ok()?));
-        // Wider than the grid: every voxel falls into one cell, wherever a tile begins.
-        edge.unwrap_or(1 << 21)
+        crate::stages::edge(&self.config.stride)
     }
     fn cost(&self) -> Option<BackboneCost> {
         Some(Architecture::cost(&self.config))

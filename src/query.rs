@@ -1,0 +1,238 @@
+//! A text in, the Gaussians that it means out.
+
+use crate::inference::SceneFeatures;
+use crate::labels::{LabelError, check_width, distinct_rows};
+use crate::text::metric_table;
+use scenesplat_metrics::{ZeroShotOptions, classify, vote};
+use scenesplat_rooms::Vocabulary;
+use scenesplat_rooms::vocabulary::VocabularyError;
+use scenesplat_scene::label_set::find_name;
+use scenesplat_scene::{SceneError, TextTable};
+
+/// What is looked for: texts that mean it, and texts that it has to beat.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Query {
+    /// The text as it was asked for.
+    pub text: String,
+    /// What means it; the best of them counts. A group ("seat") is meant by its members too
+    /// ("chair", "sofa"). At least one row.
+    pub meant: TextTable,
+    /// What else a Gaussian may be; may be without any row.
+    pub rivals: TextTable,
+}
+
+impl Query {
+    /// A row of a table; the other rows are its rivals. `None` if the table has no such name.
+    ///
+    /// # Errors
+    /// If the row has no direction.
+    pub fn of_table(table: &TextTable, text: &str) -> Result<Option<Self>, SceneError> {
+        let Ok(row) = find_name(&table.names, text) else { return Ok(None) };
+        let vector = table.row(row).unwrap_or_default().to_vec();
+        Self::of_vector(text, vector, Some(table)).map(Some)
+    }
+
+    /// A vector of one's own; the rows of `rivals` but one of the same name are its rivals.
+    ///
+    /// # Errors
+    /// If the vector has no direction, or its width is not that of the rivals.
+    pub fn of_vector(
+        text: &str,
+        vector: Vec<f32>,
+        rivals: Option<&TextTable>,
+    ) -> Result<Self, SceneError> {
+        let width = vector.len();
+        let meant = TextTable::from_rows(vec![text.to_owned()], vector, width)?;
+        let mut others = TextTable { names: Vec::new(), values: Vec::new(), dim: width };
+        if let Some(table) = rivals {
+            others.dim = table.dim;
+            // A row of the same name would be its own rival.
+            let own = find_name(&table.names, text).ok();
+            for (row, name) in table.names.iter().enumerate().filter(|(row, _)| Some(*row) != own) {
+                others.names.push(name.clone());
+                others.values.extend_from_slice(table.row(row).unwrap_or_default());
+            }
+        }
+        Ok(Self { text: text.to_owned(), meant, rivals: others })
+    }
+
+    /// The words of the network inside the program.
+    ///
+    /// # Errors
+    /// If the vocabulary does not know a word.
+    pub fn of_vocabulary(vocabulary: &Vocabulary, text: &str) -> Result<Self, VocabularyError> {
+        let mut meant = vocabulary.members(text)?;
+        meant.names.insert(0, text.to_owned());
+        meant.values.splice(0..0, vocabulary.embed(text)?);
+        Ok(Self { text: text.to_owned(), meant, rivals: vocabulary.rivals(text)? })
+    }
+
+    /// Values of a text row.
+    pub fn width(&self) -> usize {
+        self.meant.dim
+    }
+}
+
+/// When a Gaussian is selected.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct QuerySettings {
+    /// Rivals that do not count, by name.
+    pub without: Vec<String>,
+    /// Least cosine.
+    pub min_score: Option<f32>,
+    /// Least lead over the best rival.
+    pub min_margin: Option<f32>,
+    /// Neighbours that vote on the selection; below 2 none do.
+    pub vote_k: usize,
+}
+
+/// What was found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Selection {
+    /// Cosine with the best of what is meant. `[N]`
+    pub scores: Vec<f32>,
+    /// 1 where selected, else 0. `[N]`
+    pub selected: Vec<i32>,
+}
+
+/// Where the selected Gaussians are.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Place {
+    /// How many they are.
+    pub count: usize,
+    /// Mean of their positions, metres.
+    pub center: [f64; 3],
+    /// Lowest corner of their box, metres.
+    pub low: [f32; 3],
+    /// Highest corner of their box, metres.
+    pub high: [f32; 3],
+}
+
+/// Selects the Gaussians that a query means: those whose best meant text beats every rival and
+/// reaches the thresholds, after a vote of neighbours.
+///
+/// `coord`: positions of the same Gaussians, metres. `[N, 3]`
+///
+/// # Errors
+/// If texts and features differ in width, nothing speaks against any Gaussian (no rival and no least
+/// score), or features cannot be read.
+pub fn select(
+    features: &SceneFeatures,
+    query: &Query,
+    settings: &QuerySettings,
+    coord: &[[f32; 3]],
+) -> Result<Selection, LabelError> {
+    check_width(query.width(), features.width())?;
+    let rows = distinct_rows(features)?;
+    let own = classify(&rows, &metric_table(&query.meant)?, &ZeroShotOptions::default())?;
+    let counts = |name: &String| find_name(&settings.without, name).is_err();
+    let candidates: Vec<bool> = query.rivals.names.iter().map(counts).collect();
+    let rivals = if candidates.contains(&true) {
+        let options =
+            ZeroShotOptions { candidates: Some(candidates), ..ZeroShotOptions::default() };
+        Some(classify(&rows, &metric_table(&query.rivals)?, &options)?.scores)
+    } else {
+        None
+    };
+    let wins = |slot: usize| {
+        let score = own.scores[slot];
+        // A row without a direction has no class, not even the only one.
+        own.labels[slot] >= 0
+            && rivals.as_ref().is_none_or(|r| {
+                score > r[slot] && score - r[slot] >= settings.min_margin.unwrap_or(0.0)
+            })
+            && settings.min_score.is_none_or(|m| score >= m)
+    };
+    let distinct: Vec<i32> = (0..features.num_slots()).map(|slot| i32::from(wins(slot))).collect();
+    let scores = features.inverse().iter().map(|s| own.scores[*s as usize]).collect();
+    let mut selected: Vec<i32> = features.inverse().iter().map(|s| distinct[*s as usize]).collect();
+    if settings.vote_k > 1 {
+        selected = vote(coord, &selected, None, coord, settings.vote_k, 2)?;
+    }
+    Ok(Selection { scores, selected })
+}
+
+impl Selection {
+    /// The best finite score; `None` if no Gaussian has one.
+    pub fn best_score(&self) -> Option<f32> {
+        self.scores.iter().copied().filter(|s| s.is_finite()).max_by(f32::total_cmp)
+    }
+
+    /// Where the selected Gaussians are; `None` if none is. `coord`: metres. `[N, 3]`
+    pub fn place(&self, coord: &[[f32; 3]]) -> Option<Place> {
+        let rows = || self.selected.iter().zip(coord).filter(|(s, _)| **s == 1).map(|(_, c)| c);
+        let count = rows().count();
+        let mut place = Place {
+            count,
+            center: [0.0; 3],
+            low: [f32::INFINITY; 3],
+            high: [f32::NEG_INFINITY; 3],
+        };
+        for c in rows() {
+            for axis in 0..3 {
+                place.low[axis] = place.low[axis].min(c[axis]);
+                place.high[axis] = place.high[axis].max(c[axis]);
+                place.center[axis] += f64::from(c[axis]) / count as f64;
+            }
+        }
+        (count > 0).then_some(place)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use scenesplat_rooms::{ClassId, ColorName};
+
+    /// One Gaussian of each given object, as a perfect network would see it.
+    fn scene(objects: &[(ClassId, ColorName)]) -> (SceneFeatures, Vec<[f32; 3]>, Vocabulary) {
+        let words = Vocabulary::new(96).unwrap();
+        let rows = objects.iter().flat_map(|&(c, color)| words.object_target(c, color)).collect();
+        let coord = (0..objects.len()).map(|i| [i as f32, 0.0, 0.0]).collect();
+        (SceneFeatures::from_rows(rows, 96).unwrap(), coord, words)
+    }
+
+    #[test]
+    fn a_group_is_meant_by_its_members() {
+        let seats = [ClassId::Chair, ClassId::Sofa];
+        let objects: Vec<_> = ClassId::ALL.iter().map(|&c| (c, ColorName::Brown)).collect();
+        let (features, coord, words) = scene(&objects);
+        let query = Query::of_vocabulary(&words, "seat").unwrap();
+        let found = select(&features, &query, &QuerySettings::default(), &coord).unwrap();
+        for (&class, &selected) in ClassId::ALL.iter().zip(&found.selected) {
+            let is_seat = query.meant.names.iter().any(|n| n == class.about().name);
+            assert_eq!(selected == 1, is_seat, "{}", class.about().name);
+        }
+        assert!(seats.iter().all(|s| query.meant.names.iter().any(|n| n == s.about().name)));
+    }
+
+    #[test]
+    fn a_class_in_a_color_is_not_one_in_another() {
+        let objects = [
+            (ClassId::Chair, ColorName::Red),
+            (ClassId::Chair, ColorName::Blue),
+            (ClassId::Table, ColorName::Red),
+        ];
+        let (features, coord, words) = scene(&objects);
+        let query = Query::of_vocabulary(&words, "red chair").unwrap();
+        let found = select(&features, &query, &QuerySettings::default(), &coord).unwrap();
+        assert_eq!(found.selected, [1, 0, 0]);
+        let place = found.place(&coord).unwrap();
+        assert_eq!((place.count, place.center, place.high), (1, [0.0; 3], [0.0; 3]));
+    }
+
+    #[test]
+    fn rows_without_direction_and_texts_of_another_width_are_not_found() {
+        let words = Vocabulary::new(96).unwrap();
+        let query = Query::of_vocabulary(&words, "chair").unwrap();
+        let none = SceneFeatures::from_rows(vec![0.0; 96], 96).unwrap();
+        let settings = QuerySettings::default();
+        let found = select(&none, &query, &settings, &[[0.0; 3]]).unwrap();
+        assert_eq!(found.place(&[[0.0; 3]]), None);
+        assert_eq!(found.selected, [0]);
+        let narrow = SceneFeatures::from_rows(vec![1.0; 8], 8).unwrap();
+        let error = select(&narrow, &query, &settings, &[[0.0; 3]]).unwrap_err();
+        assert!(matches!(error, LabelError::Width { texts: 96, features: 8 }), "{error}");
+        assert!(SceneFeatures::from_rows(vec![1.0; 8], 3).is_err());
+    }
+}
