@@ -6,7 +6,9 @@
 //! belong to rows, so they need no turning back. The floor needs no step of its own: voxels are
 //! counted from the lowest Gaussian, and heights from the ground of the copy.
 
-use crate::inspect::{LengthUnit, UnitGuess, guess_unit, may_be_no_metre, usual_spacing};
+use crate::inspect::{
+    LengthUnit, UnitGuess, guess_unit, is_surely_no_metre, may_be_no_metre, usual_spacing,
+};
 use rayon::prelude::*;
 use scenesplat_scene::similarity::{matrix_to_quat, quat_product};
 use scenesplat_scene::{Bounds, GaussianScene, UpAxis, UpGuess, guess_up_within, robust_bounds};
@@ -15,9 +17,6 @@ use std::borrow::Cow;
 
 /// With fewer Gaussians neither up nor unit is judged.
 const FEWEST_ROWS: usize = 100;
-
-/// From this confidence on a scene is scaled to metres.
-const SURE_UNIT: f64 = 0.9;
 
 /// What the user knows about a scene.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -127,9 +126,7 @@ impl Alignment {
             return;
         }
         let (likely, confidence) = (guess.unit, guess.confidence);
-        // Terrain sampled by the metre is as large as a room in millimetres, but flat.
-        let is_room_shaped = robust.smallest_extent() > 0.15 * robust.largest_extent();
-        if confidence >= SURE_UNIT && is_room_shaped {
+        if is_surely_no_metre(&guess, robust) {
             self.set_scale(likely.metres());
         } else {
             self.remarks.push(Remark::UnitUnclear { likely, confidence });

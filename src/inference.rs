@@ -15,8 +15,10 @@ use std::ops::Range;
 use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
+mod budget;
 mod slots;
 
+pub(crate) use budget::{MemoryNeed, scene_bytes};
 use slots::SlotStore;
 
 /// Why a scene could not be encoded.
@@ -340,13 +342,17 @@ impl<'a> SceneEncoder<'a> {
             ));
         };
         let per_voxel = cost.bytes_per_voxel.max(1) as u64;
-        // Scene arrays, the plan's tables, packed weights, program and allocator.
-        let fixed = scene_bytes(scene)
-            + beside
-            + (plan.num_voxels() * (12 + 4 * plan.channels() + 8) + scene.len() * 8) as u64
-            + self.network.weight_bytes() as u64
-            + (64 << 20);
-        let features = (plan.num_slots() * width * size_of::<f32>()) as u64;
+        let need = MemoryNeed {
+            rows: scene.len(),
+            scene: scene_bytes(scene) + beside,
+            voxels: plan.num_voxels(),
+            channels: plan.channels(),
+            slots: plan.num_slots(),
+            width,
+            weights: self.network.weight_bytes() as u64,
+            per_voxel,
+        };
+        let (fixed, features) = (need.fixed(), need.features());
         // Features move to a file once they would take more than a third of what is left.
         let spill = features > limit.saturating_sub(fixed) / 3;
         let rest = limit.saturating_sub(fixed + if spill { 0 } else { features });
@@ -392,18 +398,6 @@ fn check_inverse_map(
 struct Budget {
     max_voxels: usize,
     spill: bool,
-}
-
-/// Bytes of the arrays of a scene.
-pub(crate) fn scene_bytes(scene: &GaussianScene) -> u64 {
-    let labels = usize::from(scene.segment.is_some())
-        + usize::from(scene.instance.is_some())
-        + usize::from(scene.segment_score.is_some());
-    let normal = usize::from(scene.normal.is_some()) * 12;
-    let codes = scene.lang_code.as_ref().map_or(0, |c| c.values.len() * 2);
-    let language = scene.lang_feat.as_ref().map_or(0, |f| f.values.len() * 2) + codes;
-    let rest = scene.sh_rest.len() * 4;
-    (scene.len() * (14 * 4 + labels * 4 + normal) + rest + language) as u64
 }
 
 fn softmax_rows(values: &mut [f32], width: usize) {

@@ -48,6 +48,21 @@ impl fmt::Display for Bytes {
     }
 }
 
+/// Memory that this machine, or the container that the process runs in, has; `None` where the system
+/// does not tell.
+pub fn machine_memory() -> Option<Bytes> {
+    let kib = |line: &str| line.strip_prefix("MemTotal:")?.trim().strip_suffix(" kB")?.parse().ok();
+    let whole = std::fs::read_to_string("/proc/meminfo")
+        .ok()?
+        .lines()
+        .find_map(kib)
+        .map(|kib: u64| kib.saturating_mul(1024));
+    // "max" where there is no limit.
+    let limit = std::fs::read_to_string("/sys/fs/cgroup/memory.max").ok();
+    let limit = limit.and_then(|text| text.trim().parse::<u64>().ok());
+    whole.into_iter().chain(limit).min().map(Bytes)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -61,6 +76,13 @@ mod tests {
         }
         for bad in ["", "GB", "-1GB", "8XB", "0", "nan", "inf"] {
             assert!(bad.parse::<Bytes>().is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn a_machine_has_memory() {
+        if cfg!(target_os = "linux") {
+            assert!(machine_memory().unwrap() > Bytes(16_000_000));
         }
     }
 }

@@ -2,11 +2,13 @@
 
 use super::content::{TooWide, Values};
 use super::duplicates::Duplicates;
+use super::estimate::Estimate;
 use super::findings::{About, Findings, Severity};
 use super::neighbourhood::{FEWEST_ROWS, Neighbourhood, reach};
 use super::statistics::{count_rows, largest};
-use super::unit::{LengthUnit, UnitGuess, short};
-use scenesplat_scene::{Bounds, GaussianScene};
+use super::unit::{LengthUnit, UnitGuess, is_surely_no_metre, short};
+use crate::memory::Bytes;
+use scenesplat_scene::{Bounds, GaussianScene, UpAxis, UpGuess};
 
 /// A Gaussian is an outlier when its distance from the robust box exceeds so many of its diagonals.
 /// The badly converged capture of the calibration reaches 1.6, clean scenes 0.03.
@@ -130,20 +132,80 @@ pub(super) fn check_outliers(findings: &mut Findings<'_>, scene: &GaussianScene,
     }
 }
 
-pub(super) fn check_unit(findings: &mut Findings<'_>, rows: usize, unit: Option<&UnitGuess>) {
+/// What networks make of the direction.
+pub(super) fn check_up(findings: &mut Findings<'_>, rows: usize, up: &UpGuess) {
+    if rows < FEWEST_ROWS || (up.is_sure() && up.axis == UpAxis::PlusZ) {
+        return;
+    }
+    let message = if up.is_sure() {
+        format!("up is {}: networks read a copy turned to +z, files keep their frame", up.axis)
+    } else {
+        format!(
+            "which way is up is unclear, {} is likeliest: networks take +z for up, and lose most \
+             labels if it is not; say it with --up AXIS",
+            up.axis
+        )
+    };
+    let example = format!("confidence {:.2}", up.confidence);
+    findings.add(
+        Severity::Note,
+        "up",
+        About { count: rows, first: None, example, message, help: "" },
+    );
+}
+
+/// A need beyond the machine.
+pub(super) fn check_memory(
+    findings: &mut Findings<'_>,
+    estimate: Option<&Estimate>,
+    machine_bytes: Option<u64>,
+) {
+    let Some((estimate, there)) = estimate.zip(machine_bytes) else { return };
+    if estimate.bytes > there {
+        findings.add(
+            Severity::Warning,
+            "memory",
+            About {
+                count: 0,
+                first: None,
+                example: format!("{} voxels", estimate.voxels),
+                message: format!(
+                    "the {} network needs about {} for the whole scene, this machine has {}",
+                    estimate.network,
+                    Bytes(estimate.bytes),
+                    Bytes(there)
+                ),
+                help: "give --max-memory SIZE, less than the machine has: the scene then goes through \
+                       the network in tiles",
+            },
+        );
+    }
+}
+
+pub(super) fn check_unit(
+    findings: &mut Findings<'_>,
+    rows: usize,
+    unit: Option<&UnitGuess>,
+    robust: &Bounds,
+) {
     let Some(guess) = unit.filter(|_| rows >= FEWEST_ROWS) else { return };
     let (severity, help) = match guess.unit {
         LengthUnit::Metre => return,
         LengthUnit::Centimetre => (Severity::Note, ""),
+        LengthUnit::Millimetre if is_surely_no_metre(guess, robust) => (
+            Severity::Warning,
+            "networks read a copy in metres; scenesplat convert SCENE OUT --scale 0.001 makes it so \
+             for all programs",
+        ),
         LengthUnit::Millimetre => (
             Severity::Warning,
-            "scenesplat convert SCENE OUT --scale 0.001: positions and sizes in metres, as the \
-             voxels of 2 cm need them",
+            "networks take it for metres and warn, unless told --unit mm; scenesplat convert SCENE \
+             OUT --scale 0.001 makes positions and sizes metres",
         ),
         LengthUnit::Kilometre => (
             Severity::Warning,
-            "scenesplat convert SCENE OUT --scale 1000: as it is, all of it falls into a few voxels \
-             of 2 cm",
+            "networks take it for metres and warn, unless told --unit km: as it is, all of it falls \
+             into a few voxels; scenesplat convert SCENE OUT --scale 1000 makes it metres",
         ),
     };
     findings.add(

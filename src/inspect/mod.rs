@@ -12,21 +12,24 @@ mod estimate;
 mod findings;
 mod floaters;
 mod neighbourhood;
+mod rates;
 pub mod sheet;
 mod statistics;
 mod table;
 mod unit;
 
 pub use content::{Labels, LanguageCodes, ShBand, Values, Voxels};
-pub use estimate::{Estimate, estimate, measure_gflops};
+pub use estimate::{Estimate, estimate};
 pub use findings::{Finding, Severity};
 pub use floaters::{Floaters, find_floaters};
+pub(crate) use rates::PROCESS_BYTES;
 pub use statistics::{Border, Histogram, Quantiles};
 pub use unit::{LengthUnit, UnitGuess};
-pub(crate) use unit::{guess_unit, may_be_no_metre, usual_spacing};
+pub(crate) use unit::{guess_unit, is_surely_no_metre, may_be_no_metre, usual_spacing};
 
 use crate::NetworkConfig;
 use findings::Findings;
+use scenesplat_kernels::simd::Isa;
 pub use scenesplat_scene::{Bounds, UpEvidence, UpGuess};
 use scenesplat_scene::{LoadedScene, UpAxis, guess_up_within, raw_bounds, robust_bounds};
 use serde::Serialize;
@@ -40,14 +43,15 @@ pub struct InspectSettings {
     pub up: Option<UpAxis>,
     /// Voxel size, metres.
     pub grid_size: f64,
-    /// The network to estimate the cost of, and its name; `None`: no estimate, which is the only
-    /// part that is measured and therefore not the same twice.
+    /// The network to estimate the cost of, and its name; `None`: no estimate.
     pub network: Option<(String, NetworkConfig)>,
+    /// Memory of the machine, bytes: more is a finding. `None`: not known.
+    pub machine_bytes: Option<u64>,
 }
 
 impl Default for InspectSettings {
     fn default() -> Self {
-        Self { from_points: false, up: None, grid_size: 0.02, network: None }
+        Self { from_points: false, up: None, grid_size: 0.02, network: None, machine_bytes: None }
     }
 }
 
@@ -109,7 +113,7 @@ pub struct Inspection {
 
 /// Looks at a scene.
 ///
-/// The result is the same for any number of threads, except for the estimate.
+/// The result is the same for any number of threads, except for the time of the estimate.
 ///
 /// ```
 /// use scenesplat::inspect::{InspectSettings, inspect};
@@ -147,18 +151,21 @@ pub fn inspect(loaded: &LoadedScene, settings: &InspectSettings) -> Inspection {
     let mut findings = Findings::of_reading(loaded);
     checks::check_positions(&mut findings, scene, &bounds, &robust, too_wide.as_ref());
     checks::check_outliers(&mut findings, scene, &robust);
-    checks::check_unit(&mut findings, scene.len(), unit.as_ref());
+    checks::check_up(&mut findings, scene.len(), &up);
+    checks::check_unit(&mut findings, scene.len(), unit.as_ref(), &robust);
     checks::check_sizes(&mut findings, scene, &robust);
     checks::check_isolated(&mut findings, scene, &near);
     checks::check_duplicates(&mut findings, &duplicates::find_duplicates(scene), scene.len());
     checks::check_opacity(&mut findings, scene, &opacity);
     checks::check_harmonics(&mut findings, scene, sh_degree_used);
-    let (findings, notes) = findings.split();
-
     let estimate =
         settings.network.as_ref().zip(voxels.as_ref()).map(|((name, config), voxels)| {
-            estimate(scene, voxels.count, name, config, measure_gflops())
+            let threads = rayon::current_num_threads();
+            estimate(scene, voxels.count, name, config, threads, Isa::current())
         });
+    checks::check_memory(&mut findings, estimate.as_ref(), settings.machine_bytes);
+    let (findings, notes) = findings.split();
+
     Inspection {
         path: loaded.path.display().to_string(),
         format: if settings.from_points { "points" } else { loaded.kind.name() },

@@ -78,7 +78,7 @@ impl Inspection {
             rows.push((
                 "cost",
                 format!(
-                    "{} network: {low} to {high} on {} threads, {}",
+                    "segment with the {} network: {low} to {high} on {} threads, {}",
                     e.network,
                     e.threads,
                     Bytes(e.bytes)

@@ -73,6 +73,17 @@ const SAMPLE: usize = 50_000;
 /// Smaller than five voxels of 2 cm.
 const TINY: f64 = 0.1;
 
+/// From this confidence on networks read a scene in metres.
+const SURE: f64 = 0.9;
+
+/// Whether a unit other than the metre is so sure that networks read the scene scaled. Terrain
+/// sampled by the metre is as large as a room in millimetres, but flat.
+pub(crate) fn is_surely_no_metre(guess: &UnitGuess, robust: &Bounds) -> bool {
+    guess.unit != LengthUnit::Metre
+        && guess.confidence >= SURE
+        && robust.smallest_extent() > 0.15 * robust.largest_extent()
+}
+
 /// Whether the size alone leaves the metre in doubt; only then is the spacing worth measuring.
 pub(crate) fn may_be_no_metre(robust: &Bounds) -> bool {
     let size = robust.largest_extent();

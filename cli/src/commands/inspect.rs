@@ -8,6 +8,7 @@ use scenesplat::embedded;
 use scenesplat::input::scene_name;
 use scenesplat::inspect::sheet::write_sheet;
 use scenesplat::inspect::{InspectSettings, inspect};
+use scenesplat::memory::machine_memory;
 use scenesplat::models::weights::resolve;
 use scenesplat::network::{NetworkChoice, NetworkConfig, WeightOptions, Weights, network_of};
 use scenesplat::scene::{ReadOptions, UpAxis, printable};
@@ -29,7 +30,7 @@ pub struct Args {
     /// Draws no sheet.
     #[arg(long)]
     pub no_sheet: bool,
-    /// Which way is up in the sheet; judged by the scene if not given.
+    /// Which way is up; judged by the scene if not given.
     #[arg(long, value_name = "AXIS", value_parser = parse_up, allow_hyphen_values = true)]
     pub up: Option<UpAxis>,
     /// Ends with exit code 1 if there is any finding; notes do not count.
@@ -49,7 +50,7 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start_with(&args.shared, &args.network, line)?;
-    let network = network(&args.network)?;
+    let (name, config) = network(&args.network)?;
     session.outputs.reads(&args.scene)?;
     session.outputs.claim_any("--json", args.json.as_ref())?;
     let sheet = match (&args.sheet, args.no_sheet) {
@@ -81,7 +82,9 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         let settings = InspectSettings {
             from_points: opened.converted,
             up: args.up,
-            network: Some(network),
+            grid_size: config.model.grid_size,
+            network: Some((name, config)),
+            machine_bytes: machine_memory().map(|bytes| bytes.0),
             ..InspectSettings::default()
         };
         inspect(&opened.loaded, &settings)
@@ -111,11 +114,14 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     Ok(())
 }
 
-/// The network and what it is called in the estimate.
+/// The network that `segment` would run with the same flags, and what it is called. A configuration
+/// alone will do: only its size is asked for.
 fn network(args: &NetworkArgs) -> Result<(String, NetworkConfig)> {
     let Some(weights) = &args.weights else {
-        let choice = args.config.clone().unwrap_or(NetworkChoice::Language);
-        return Ok((choice.to_string(), choice.resolve()?));
+        return match &args.config {
+            Some(choice) => Ok((choice.to_string(), choice.resolve()?)),
+            None => Ok((embedded::NAME.to_owned(), embedded::config()?)),
+        };
     };
     // Weights that `segment` would refuse are refused here too.
     let name = match (weights, &args.config) {

@@ -502,9 +502,16 @@ fn the_command_prints_and_writes() {
     assert_eq!(seen["labels"]["classes"], 13);
     let estimate = &seen["estimate"];
     assert!(estimate["seconds"].as_f64().unwrap() > 0.0, "{estimate}");
-    assert!(estimate["bytes"].as_u64().unwrap() > 400_000_000, "weights alone are as large");
-    assert_eq!((&estimate["network"], &estimate["threads"]), (&"language".into(), &2.into()));
-    let language = estimate["bytes"].as_u64().unwrap();
+    // The network that `segment` runs without flags, at its own voxel size.
+    assert!(estimate["bytes"].as_u64().unwrap() < 400_000_000, "{estimate}");
+    assert_eq!((&estimate["network"], &estimate["threads"]), (&"embedded".into(), &2.into()));
+    assert_eq!(seen["voxels"]["size"], 0.06);
+    done(&scenesplat(&["inspect", room, "--no-sheet", "--config", "language", "--json", &file]));
+    let language = json(Path::new(&file))["estimate"]["bytes"].as_u64().unwrap();
+    assert!(language > 400_000_000, "weights alone are as large");
+    let missing = scenesplat(&["inspect", room, "--no-sheet", "--weights", &at("no.pth")]);
+    assert_eq!(missing.status.code(), Some(1), "weights that are not there");
+    assert!(stderr(&missing).contains("no.pth"), "{}", stderr(&missing));
 
     // Another network, another sheet, a direction.
     let args = ["--config", "semseg", "--up", "-y", "--sheet", &at("s.png"), "--json", &file];
