@@ -85,7 +85,6 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
             grid_size: config.model.grid_size,
             network: Some((name, config)),
             machine_bytes: machine_memory().map(|bytes| bytes.0),
-            ..InspectSettings::default()
         };
         inspect(&opened.loaded, &settings)
     };
