@@ -12,45 +12,75 @@ use crate::rows::Reduction;
 use crate::text_classification::TextClassification;
 use serde::{Deserialize, Serialize};
 
-/// One term of an objective in a configuration file.
-///
-/// ```
-/// use scenesplat_losses::{LossConfig, build_objective};
-///
-/// #[derive(serde::Deserialize)]
-/// struct File {
-///     losses: Vec<LossConfig>,
-/// }
-/// let file: File = toml::from_str(
-///     r#"
-///     [[losses]]
-///     type = "cosine"
-///     [[losses]]
-///     type = "aggregated_contrastive"
-///     weight = 0.02
-///     schedule = { last = 75.0 }
-///     classes = "off"
-///     "#,
-/// )?;
-/// let objective = build_objective(&file.losses, None)?;
-/// assert_eq!(objective.settings()[0], "1 · cosine");
-/// # Ok::<(), Box<dyn std::error::Error>>(())
-/// ```
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "type", rename_all = "snake_case")]
-pub enum LossConfig {
-    /// [`CosineLoss`]
-    Cosine(RowLossConfig),
-    /// [`L2Loss`]
-    L2(RowLossConfig),
-    /// [`AggregatedContrastive`]
-    AggregatedContrastive(ContrastiveConfig),
-    /// [`CrossEntropy`]
-    CrossEntropy(CrossEntropyConfig),
-    /// [`LovaszSoftmax`]
-    LovaszSoftmax(LovaszConfig),
-    /// [`TextClassification`]
-    TextClassification(TextClassificationConfig),
+/// A row for each loss: its name (in files in small letters), the type of its settings, which has a
+/// `weight`, and how they become the loss.
+macro_rules! loss_config {
+    ($($name:ident($config:ty) => $build:expr;)*) => {
+        /// One term of an objective in a configuration file.
+        ///
+        /// ```
+        /// use scenesplat_losses::{LossConfig, build_objective};
+        ///
+        /// #[derive(serde::Deserialize)]
+        /// struct File {
+        ///     losses: Vec<LossConfig>,
+        /// }
+        /// let file: File = toml::from_str(
+        ///     r#"
+        ///     [[losses]]
+        ///     type = "cosine"
+        ///     [[losses]]
+        ///     type = "aggregated_contrastive"
+        ///     weight = 0.02
+        ///     schedule = { last = 75.0 }
+        ///     classes = "off"
+        ///     "#,
+        /// )?;
+        /// let objective = build_objective(&file.losses, None)?;
+        /// assert_eq!(objective.settings()[0], "1 · cosine");
+        /// # Ok::<(), Box<dyn std::error::Error>>(())
+        /// ```
+        #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+        #[serde(tag = "type", rename_all = "snake_case")]
+        pub enum LossConfig {
+            $(#[doc = concat!("Settings of `", stringify!($name), "`.")] $name($config),)*
+        }
+
+        impl LossConfig {
+            /// Weight in the objective.
+            pub fn weight(&self) -> f64 {
+                match self {
+                    $(Self::$name(config) => config.weight,)*
+                }
+            }
+
+            /// The loss; `texts` are the data's, for pseudo-labels.
+            ///
+            /// # Errors
+            /// If a setting is out of its range, or there are no texts where some are needed.
+            pub fn build(&self, texts: Option<&TextTable>) -> Result<Box<dyn Loss>, LossError> {
+                in_range("objective", "weight", self.weight(), f64::is_finite, "a finite number")?;
+                match self {
+                    $(Self::$name(config) => {
+                        let build: fn(&$config, Option<&TextTable>) -> Built = $build;
+                        build(config, texts)
+                    })*
+                }
+            }
+        }
+    };
+}
+
+/// A loss, or what is wrong with its settings.
+type Built = Result<Box<dyn Loss>, LossError>;
+
+loss_config! {
+    Cosine(RowLossConfig) => |c, _| Ok(Box::new(CosineLoss { reduction: c.reduction }));
+    L2(RowLossConfig) => |c, _| Ok(Box::new(L2Loss { reduction: c.reduction }));
+    AggregatedContrastive(ContrastiveConfig) => |c, texts| Ok(Box::new(c.build(texts)?));
+    CrossEntropy(CrossEntropyConfig) => |c, _| Ok(Box::new(c.build()?));
+    LovaszSoftmax(LovaszConfig) => |_, _| Ok(Box::new(LovaszSoftmax));
+    TextClassification(TextClassificationConfig) => |c, texts| Ok(Box::new(c.build(texts)?));
 }
 
 /// Settings of [`CosineLoss`] and [`L2Loss`].
@@ -182,35 +212,6 @@ impl TextClassificationConfig {
         let texts = texts.ok_or(missing)?.clone();
         let Self { temperature, lovasz, label_smoothing, .. } = *self;
         Ok(TextClassification { texts, temperature, lovasz, label_smoothing })
-    }
-}
-
-impl LossConfig {
-    /// Weight in the objective.
-    pub fn weight(&self) -> f64 {
-        match self {
-            Self::Cosine(c) | Self::L2(c) => c.weight,
-            Self::AggregatedContrastive(c) => c.weight,
-            Self::CrossEntropy(c) => c.weight,
-            Self::LovaszSoftmax(c) => c.weight,
-            Self::TextClassification(c) => c.weight,
-        }
-    }
-
-    /// The loss; `texts` are the data's, for pseudo-labels.
-    ///
-    /// # Errors
-    /// If a setting is out of its range, or there are no texts for pseudo-labels.
-    pub fn build(&self, texts: Option<&TextTable>) -> Result<Box<dyn Loss>, LossError> {
-        in_range("objective", "weight", self.weight(), f64::is_finite, "a finite number")?;
-        Ok(match self {
-            Self::Cosine(c) => Box::new(CosineLoss { reduction: c.reduction }),
-            Self::L2(c) => Box::new(L2Loss { reduction: c.reduction }),
-            Self::AggregatedContrastive(c) => Box::new(c.build(texts)?),
-            Self::CrossEntropy(c) => Box::new(c.build()?),
-            Self::LovaszSoftmax(_) => Box::new(LovaszSoftmax),
-            Self::TextClassification(c) => Box::new(c.build(texts)?),
-        })
     }
 }
 
