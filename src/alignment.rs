@@ -1,7 +1,7 @@
 //! What is done to a scene before a network reads it: networks know rooms with +z up, in metres.
 //!
 //! A room that lies on its side loses most labels, and nothing in its file says how it lies. So up
-//! and unit are estimated ([`guess_up`], [`guess_unit`]); where the evidence suffices, a copy is
+//! and unit are estimated (as [`inspect`](crate::inspect::inspect) does); where the evidence suffices, a copy is
 //! turned and scaled for the network alone, and where it does not, a [`Remark`] says so. Outputs
 //! belong to rows, so they need no turning back. The floor needs no step of its own: voxels are
 //! counted from the lowest Gaussian, and heights from the ground of the copy.
