@@ -72,7 +72,8 @@ pub fn leading_eigenvectors(
         }
         // How far each direction turned; later rounds would turn it less still.
         let turned = basis.iter().zip(&next).map(|(old, new)| 1.0 - dot(old, new).abs());
-        let settled = turned.fold(0.0, f64::max) < how.settled;
+        // The start is of no particular length, so that the first round says nothing.
+        let settled = round > 0 && turned.fold(0.0, f64::max) < how.settled;
         basis = next;
         if settled {
             break;

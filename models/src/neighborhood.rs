@@ -121,12 +121,18 @@ impl Scale {
         let (mut coarse, groups) = self.pool(edge);
         for (group, coord) in coarse.coord.iter_mut().enumerate() {
             let span = groups.offsets()[group] as usize..groups.offsets()[group + 1] as usize;
-            let members = groups.rows()[span].iter().map(|&row| self.coord[row as usize]);
-            let mean = *coord;
+            let members = || groups.rows()[span.clone()].iter().map(|&r| self.coord[r as usize]);
+            // From the first of them on: sums of voxel positions are exact then, and equal distances
+            // stay equal wherever the scene is.
+            let Some(from) = members().next() else { continue };
+            let offset = |at: &[f32; 3]| [0, 1, 2].map(|a| f64::from(at[a]) - f64::from(from[a]));
+            let mut sum = [0f64; 3];
+            members().for_each(|at| sum.iter_mut().zip(offset(&at)).for_each(|(s, v)| *s += v));
+            let count = span.len() as f64;
             let away = |at: &[f32; 3]| -> f64 {
-                at.iter().zip(mean).map(|(a, b)| (f64::from(*a) - f64::from(b)).powi(2)).sum()
+                offset(at).iter().zip(sum).map(|(v, s)| (v * count - s).powi(2)).sum()
             };
-            if let Some(near) = members.min_by(|a, b| away(a).total_cmp(&away(b))) {
+            if let Some(near) = members().min_by(|a, b| away(a).total_cmp(&away(b))) {
                 *coord = near;
             }
         }

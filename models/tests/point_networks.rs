@@ -144,7 +144,8 @@ fn gradients_are_central_differences() {
             let gradient = grads.get(var).unwrap_or_else(|| panic!("{name} has no gradient"));
             let gradient = gradient.flatten_all().unwrap().to_vec1::<f32>().unwrap();
             // Along the sign of the gradient: all its elements count.
-            let step = 2e-3f32;
+            // Small, because of the kinks of ReLU: at 2e-3 a parameter of PTv2 is off by 18 %, at 3e-4 by 11.
+            let step = 1e-4f32;
             let along: Vec<f32> = gradient.iter().map(|g| g.signum()).collect();
             let expected: f64 = gradient.iter().map(|g| f64::from(g.abs())).sum();
             let old = var.as_tensor().copy().unwrap();

@@ -55,12 +55,12 @@ pub fn identity(
     let grid = config.model.grid_size;
     for (i, entry) in config.train.iter().enumerate() {
         let steps = entry.transforms.steps(grid)?;
-        identity = identity.with_settings(&format!("train[{i}].steps"), &steps)?;
+        identity = identity.with_settings(&format!("train[{i}].transforms"), &steps)?;
         identity = with_scenes(identity, &format!("train[{i}]"), &entry.source)?;
     }
     for (i, entry) in config.evaluate.iter().enumerate() {
         let steps = entry.transforms.steps(grid)?;
-        identity = identity.with_settings(&format!("evaluate[{i}].steps"), &steps)?;
+        identity = identity.with_settings(&format!("evaluate[{i}].transforms"), &steps)?;
         identity = with_scenes(identity, &format!("evaluate[{i}]"), &entry.source)?;
         if let Some(text) = &entry.text {
             let table = data::text_table(text)?;

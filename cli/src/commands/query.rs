@@ -152,8 +152,9 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let features = session.features(&opened, &source, &args.inference)?;
 
     // A misspelt rival would go on to compete.
-    let rivals = LabelSet::new(query.rivals.names.clone())?;
-    args.classes.options(&rivals)?;
+    if !args.classes.without.is_empty() {
+        args.classes.options(&LabelSet::new(query.rivals.names.clone())?)?;
+    }
     session.receipt.setting("vote_k", args.vote_k, "neighbours that vote on the selection");
     let found = {
         let _stage = session.receipt.stage("query");

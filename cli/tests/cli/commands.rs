@@ -74,11 +74,12 @@ fn segment_writes_labels_a_coloured_scene_and_a_receipt() {
     assert_ne!(dc, colored.column_f32("vertex", "f_dc_1").unwrap());
     let scores = NpyFile::open(&out.join("scores.npy")).unwrap().read_f32().unwrap();
     assert_eq!(colored.column_f32("vertex", "score").unwrap(), scores);
-    // The shipped rows were made from this room: far better than chance, or the chain is broken.
+    // The rows were made from this room with weights that mean nothing: twice as good as chance among
+    // its 22 classes, or the chain is broken.
     let truth = source.column_i64("vertex", "segment").unwrap();
     let names: Vec<String> = serde_json::from_slice(&bytes(&out.join("classes.json"))).unwrap();
     let hits = labels.iter().zip(&truth).filter(|(a, b)| a == b && **b >= 0).count();
-    assert!(names.len() > 5 && hits * 3 > labels.len(), "{hits} of {}", labels.len());
+    assert!(names.len() > 5 && hits * 11 > labels.len(), "{hits} of {}", labels.len());
     assert!(is_png(&out.join("preview.png")));
 
     let receipt: serde_json::Value = serde_json::from_slice(&bytes(&receipt)).unwrap();

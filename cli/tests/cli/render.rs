@@ -202,7 +202,7 @@ fn wrong_use_is_said() {
         (&["--size", "12"], 2, "640x480"),
         (&["--background", "1,2,3"], 2, "0 to 1"),
         (&["--cameras", transforms.to_str().unwrap()], 1, "fisheye"),
-        (&["--size", "70000x4"], 1, "65,535"),
+        (&["--size", "70000x4"], 2, "65535"),
     ];
     for (more, code, said) in cases {
         let output = place.render("out", more);
