@@ -60,9 +60,9 @@ mod tests {
     };
     use scenesplat_rooms::{CLASSES, SyntheticRoomSettings, generate};
 
-    /// The card states f-mIoU 0.73 for twenty rooms of this seed; five hold fewer classes, and a class
-    /// that is predicted though no room has it counts 0.
-    const LOWEST_F_MIOU: f64 = 0.5;
+    /// Measured once, over five rooms of this seed. The card states 0.73 for twenty; five hold fewer
+    /// classes, and one that is predicted though no room has it counts 0.
+    const F_MIOU: f64 = 0.679;
 
     /// Five rooms that no training saw: a change of the network, the rooms, the input or the inference
     /// that costs accuracy shows here.
@@ -89,7 +89,8 @@ mod tests {
         }
         let found = confusion.tester_report().foreground_mean_iou.unwrap();
         println!("f-mIoU of the embedded network on five unseen rooms: {found:.4}");
-        assert!(found > LOWEST_F_MIOU, "f-mIoU {found}");
+        // Instruction sets differ in the last bits, which may move single Gaussians.
+        assert!((found - F_MIOU).abs() < 0.01, "f-mIoU {found}, {F_MIOU} is stored");
     }
 
     #[test]
