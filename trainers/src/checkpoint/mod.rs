@@ -10,7 +10,7 @@
 //! ```
 //!
 //! There is neither a random state nor a loader position to store: both follow from seed and step. A
-//! checkpoint is taken up only by a run of the same settings ([`Identity`](crate::Identity)), and
+//! checkpoint is taken up only by a run of the same settings ([`crate::Identity`]), and
 //! only if its files are what was written.
 
 mod files;
