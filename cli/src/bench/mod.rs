@@ -10,6 +10,7 @@ mod flop;
 mod machine;
 mod multiply_add;
 mod networks;
+pub mod process;
 mod products;
 mod report;
 mod room;
