@@ -50,8 +50,7 @@ impl Rotations {
     pub fn new(grid_coord: &[[i32; 3]], dim: usize, base: f64) -> Self {
         assert!(dim > 0 && dim.is_multiple_of(6), "rotary embedding: head width {dim}");
         let count = dim / 6;
-        let steps: Vec<f64> =
-            (0..count).map(|i| base.powf(-(i as f64) / count as f64)).collect();
+        let steps: Vec<f64> = (0..count).map(|i| base.powf(-(i as f64) / count as f64)).collect();
         let mut pairs = vec![[0.0; 2]; elements([grid_coord.len(), dim / 2])];
         let rows = pairs.par_chunks_mut(dim / 2).zip(grid_coord).with_min_len(BLOCK);
         rows.for_each(|(row, place)| {
@@ -94,7 +93,8 @@ impl Rotations {
         if c == 0 {
             return;
         }
-        let blocks = qkv.par_chunks_mut(BLOCK * 3 * c).zip(self.pairs.par_chunks(BLOCK * self.dim / 2));
+        let blocks =
+            qkv.par_chunks_mut(BLOCK * 3 * c).zip(self.pairs.par_chunks(BLOCK * self.dim / 2));
         blocks.for_each(|(rows, pairs)| {
             compiled(
                 #[inline(always)]
@@ -194,10 +194,17 @@ mod tests {
             (0..18).map(|d| turned[d] * turned[54 + 18 + d]).sum::<f32>()
         };
         for by in [1, 1000, 1 << 20] {
-            assert!((product(by) - product(0)).abs() < 5e-6, "{by}: {} {}", product(by), product(0));
+            assert!(
+                (product(by) - product(0)).abs() < 5e-6,
+                "{by}: {} {}",
+                product(by),
+                product(0)
+            );
         }
         // A voxel further away along one axis is another product.
-        assert!((product(0) - (0..18).map(|d| qkv[d] * qkv[54 + 18 + d]).sum::<f32>()).abs() > 1e-3);
+        assert!(
+            (product(0) - (0..18).map(|d| qkv[d] * qkv[54 + 18 + d]).sum::<f32>()).abs() > 1e-3
+        );
     }
 
     #[test]

@@ -36,7 +36,9 @@ impl Flop {
 /// If the voxels are out of range, or the operations of the architecture are not counted.
 pub(super) fn count(model: &ModelConfig, voxels: &[[i32; 3]], frozen: bool) -> Result<Flop> {
     let mut flop = match &model.backbone {
-        BackboneConfig::PointTransformerV3(config) => patches_at_every_scale(config, voxels, frozen),
+        BackboneConfig::PointTransformerV3(config) => {
+            patches_at_every_scale(config, voxels, frozen)
+        }
         BackboneConfig::LitePt(config) => convolutions_then_attention(config, voxels, frozen),
         other => bail!("operations of {} are not counted", other.name()),
     }?;
@@ -84,8 +86,12 @@ fn convolutions_then_attention(
         let decoder = dec.get(stage).map(|&c| {
             (config.dec_depths[stage], c, config.dec_blocks[stage], config.dec_patch_size[stage])
         });
-        let encoder =
-            (config.enc_depths[stage], enc[stage], config.enc_blocks[stage], config.enc_patch_size[stage]);
+        let encoder = (
+            config.enc_depths[stage],
+            enc[stage],
+            config.enc_blocks[stage],
+            config.enc_patch_size[stage],
+        );
         for (depth, c, kind, patch_size) in std::iter::once(encoder).chain(decoder) {
             let tables = Tables(&cloud);
             if depth > 0 && kind.has_convolution() {
@@ -105,7 +111,13 @@ fn finest(voxels: &[[i32; 3]]) -> Result<SerializedCloud> {
 }
 
 /// Layers from a scale to `stage` and back: pooling, and both branches of the decoder.
-fn between(enc: &[usize], dec: &[usize], stage: usize, fine: usize, coarse: usize) -> Result<usize> {
+fn between(
+    enc: &[usize],
+    dec: &[usize],
+    stage: usize,
+    fine: usize,
+    coarse: usize,
+) -> Result<usize> {
     let mut sum = 2 * fine * enc[stage - 1] * enc[stage];
     if let Some(&up) = dec.get(stage - 1) {
         let below = *dec.get(stage).or(enc.last()).context("no stage")?;

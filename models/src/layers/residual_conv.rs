@@ -21,8 +21,7 @@ impl ResidualConv {
     /// # Errors
     /// If parameters exist with another shape.
     pub fn new(compute: Compute, channels: usize, vb: VarBuilder<'_>) -> Result<Self> {
-        let (conv, linear) =
-            SparseConv::with_linear(compute, channels, 3, vb.pp("0"), vb.pp("1"))?;
+        let (conv, linear) = SparseConv::with_linear(compute, channels, 3, vb.pp("0"), vb.pp("1"))?;
         Ok(Self { conv, linear, norm: LayerNorm::new(channels, vb.pp("2"))? })
     }
 

@@ -54,12 +54,7 @@ impl PointRopeAttention {
     ///
     /// # Errors
     /// If the input does not fit.
-    pub fn forward(
-        &self,
-        x: Tensor,
-        scale: &Scale,
-        residual: Option<&Tensor>,
-    ) -> Result<Tensor> {
+    pub fn forward(&self, x: Tensor, scale: &Scale, residual: Option<&Tensor>) -> Result<Tensor> {
         let cloud = scale.cloud();
         let qkv = self.qkv.forward(&x)?;
         drop(x);

@@ -394,7 +394,10 @@ mod tests {
         let dec = config.decoder_blocks();
         assert!(close(&rates(&dec[3]), &[0.3, 6.0 * 0.3 / 7.0]));
         assert!(close(&rates(&dec[0]), &[0.3 / 7.0, 0.0]));
-        assert_eq!(enc[3].iter().map(|b| b.attention.order).collect::<Vec<_>>(), [0, 1, 2, 3, 0, 1]);
+        assert_eq!(
+            enc[3].iter().map(|b| b.attention.order).collect::<Vec<_>>(),
+            [0, 1, 2, 3, 0, 1]
+        );
     }
 
     #[test]

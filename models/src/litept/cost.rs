@@ -17,8 +17,7 @@ impl LitePtConfig {
         let block = |shape: &BlockShape| {
             let c = shape.attention.channels;
             let hidden = shape.mlp_ratio * c;
-            let entry =
-                if shape.kind.has_convolution() { 28 * c * c + 4 * c } else { 2 * c };
+            let entry = if shape.kind.has_convolution() { 28 * c * c + 4 * c } else { 2 * c };
             let attention = 4 * c + linear(c, 3 * c) + linear(c, c);
             let mlp = linear(c, hidden) + linear(hidden, c);
             entry + if shape.kind.has_attention() { attention + mlp } else { 0 }

@@ -18,7 +18,8 @@ impl LitePtConfig {
     /// weights do not show (heads, patches, curves, angles) is not asked.
     pub(super) fn has_shapes(&self, shapes: &Shapes) -> bool {
         let is = |name: String, shape: &[usize]| shapes.get(&name).is_some_and(|s| s == shape);
-        let parts = |name: &str| [format!("{name}.conv.0.weight"), format!("{name}.attn.qkv.weight")];
+        let parts =
+            |name: &str| [format!("{name}.conv.0.weight"), format!("{name}.attn.qkv.weight")];
         let has_blocks = |stage: &str, blocks: &[BlockShape]| {
             let same = blocks.iter().enumerate().all(|(i, shape)| {
                 let c = shape.attention.channels;

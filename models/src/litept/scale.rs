@@ -30,8 +30,7 @@ impl Scale {
         offsets: Vec<usize>,
         curves: &[Curve],
     ) -> Result<Self, KernelError> {
-        let cloud =
-            SerializedCloud::new(grid_coord, offsets, curves, CurveDepth::PerSceneExtent)?;
+        let cloud = SerializedCloud::new(grid_coord, offsets, curves, CurveDepth::PerSceneExtent)?;
         Ok(Self { cloud, rotations: Mutex::default() })
     }
 

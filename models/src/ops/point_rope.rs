@@ -28,8 +28,12 @@ impl CustomOp1 for PointRope {
         let (n, c3) = shape.dims2()?;
         let (rows, c) = (self.rotations.len(), self.heads.channels());
         if (n, c3) != (rows, 3 * c) || self.heads.dim != self.rotations.dim() {
-            bail!("point_rope: expected [{rows}, {}] of heads of {}, got {shape:?} of {}",
-                3 * c, self.rotations.dim(), self.heads.dim);
+            bail!(
+                "point_rope: expected [{rows}, {}] of heads of {}, got {shape:?} of {}",
+                3 * c,
+                self.rotations.dim(),
+                self.heads.dim
+            );
         }
         let out = self.turned(cpu_slice("point_rope", s, l)?, Turn::Forward);
         Ok((CpuStorage::F32(out), shape))

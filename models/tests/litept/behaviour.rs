@@ -37,7 +37,10 @@ fn neither_batch_mates_nor_threads_nor_the_order_of_rows_change_a_bit() {
             let order: Vec<usize> = (0..n).map(|i| i * 101 % n).collect();
             let turned = Scene {
                 cells: order.iter().map(|&i| one.cells[i]).collect(),
-                feat: order.iter().flat_map(|&i| one.feat[i * CHANNELS..][..CHANNELS].to_vec()).collect(),
+                feat: order
+                    .iter()
+                    .flat_map(|&i| one.feat[i * CHANNELS..][..CHANNELS].to_vec())
+                    .collect(),
             };
             let got = bits(network.as_ref(), &batch(&[&turned]));
             for (row, &from) in order.iter().enumerate() {

@@ -132,7 +132,8 @@ fn gradients_are_differences_of_the_formulas() {
         for (mode, eps) in [(Mode::Eval, 3e-5), (Mode::Train, 3e-4)] {
             let config = LitePtConfig { drop_path: 0.0, ..config.clone() };
             let (out, got) = gradients(&config, &scenes, mode);
-            let slow = Reference { train: mode == Mode::Train, ..reference(&config, &Orders::Listed) };
+            let slow =
+                Reference { train: mode == Mode::Train, ..reference(&config, &Orders::Listed) };
             let found = error(&out, &slow.forward(&scenes));
             assert!(found < F32_EPS, "{name}, {mode:?}: output {found:.1e}");
             let direction = noise(out.len());
@@ -140,9 +141,8 @@ fn gradients_are_differences_of_the_formulas() {
                 let out = slow.forward(&scenes);
                 out.iter().zip(&direction).map(|(o, r)| o * f64::from(*r)).sum()
             };
-            let norm = |values: &[f32]| {
-                values.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt()
-            };
+            let norm =
+                |values: &[f32]| values.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
             let largest = got.values().map(|g| norm(g)).fold(0f64, f64::max);
             let mut worst = (0f64, String::new());
             for (parameter, gradient) in &got {

@@ -72,7 +72,8 @@ impl Reference<'_> {
         let channels = &c.enc_channels;
         let stem = "embedding.stem";
         let x: Vec<f64> = feat;
-        let x = self.conv(&x, &rows, [c.in_channels, channels[0], 5], &format!("{stem}.conv"), false);
+        let x =
+            self.conv(&x, &rows, [c.in_channels, channels[0], 5], &format!("{stem}.conv"), false);
         let mut x = self.norm_gelu(&x, channels[0], &format!("{stem}.norm"));
         let mut attending = 0;
         // Rows, features, cell of each row, permutation of the curves.
@@ -180,11 +181,8 @@ impl Reference<'_> {
         biased: bool,
     ) -> Vec<f64> {
         let weight = self.values.get(&format!("{name}.weight"), &[o, k, k, k, i]);
-        let bias = if biased {
-            self.values.get(&format!("{name}.bias"), &[o])
-        } else {
-            vec![0.0; o]
-        };
+        let bias =
+            if biased { self.values.get(&format!("{name}.bias"), &[o]) } else { vec![0.0; o] };
         let half = k as i32 / 2;
         let mut out = Vec::new();
         for (row, (scene, cell)) in rows.cells.iter().enumerate() {
@@ -314,8 +312,7 @@ impl Reference<'_> {
                         qkv[row * 3 * c + part * c + head * dim + d]
                     };
                     let score = |key: usize| {
-                        let product: f64 =
-                            (0..dim).map(|d| at(query, 0, d) * at(key, 1, d)).sum();
+                        let product: f64 = (0..dim).map(|d| at(query, 0, d) * at(key, 1, d)).sum();
                         product / (dim as f64).sqrt()
                     };
                     let scores: Vec<f64> = keys.iter().map(|key| score(*key)).collect();
