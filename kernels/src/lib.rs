@@ -14,6 +14,7 @@
 //! | [`kernel_map`], [`sparse_conv`] | submanifold convolution |
 //! | [`gemm`] | matrix products with fused endings, in the [`Precision`] asked for |
 //! | [`layer_norm`], [`batch_norm`], [`activation`] | normalisation, GELU |
+//! | [`unit_rows`] | rows of unit length |
 //! | [`segment`], [`permute`] | groups of rows, row copies |
 //! | [`eigenvectors`] | the directions along which rows differ most |
 //! | [`simd`] | instruction sets, and code compiled for each |
@@ -44,6 +45,7 @@ pub mod serialized_cloud;
 mod shape;
 pub mod simd;
 pub mod sparse_conv;
+pub mod unit_rows;
 
 pub use error::{KernelError, check_offsets};
 pub use precision::Precision;
