@@ -71,7 +71,7 @@ mod tests {
         let network =
             Network::load(config().unwrap(), &Weights::Embedded, WeightOptions::default()).unwrap();
         let texts = vocabulary().unwrap().class_table();
-        let table = crate::text::metric_table(&texts).unwrap();
+        let table = crate::text::text_rows(&texts).unwrap();
         let background: Vec<usize> = ["wall", "floor", "ceiling"]
             .map(|name| CLASSES.iter().position(|class| class.name == name).unwrap())
             .to_vec();
@@ -83,7 +83,7 @@ mod tests {
             let features = SceneEncoder::new(&network).encode(&scene, &mut |_| Ok(())).unwrap();
             let rows = features.gaussian_rows(0..features.len()).unwrap();
             let rows = FeatureSlice::new(&rows, features.width()).unwrap();
-            let labels = classify(&rows, &table, &ZeroShotOptions::default()).unwrap().labels;
+            let labels = classify(&rows, table, &ZeroShotOptions::default()).unwrap().labels;
             let voted = vote(&scene.coord, &labels, None, &scene.coord, 25, CLASSES.len()).unwrap();
             confusion.update((&voted, scene.segment.as_ref().unwrap())).unwrap();
         }

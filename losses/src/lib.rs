@@ -47,7 +47,7 @@ pub use config::{
     RowLossConfig, TextClassificationConfig, build_objective,
 };
 pub use contrastive::{
-    AggregatedContrastive, ClassHalves, ClassSource, Schedule, TextTable, aggregated_contrastive,
+    AggregatedContrastive, ClassHalves, ClassSource, Schedule, TextColumns, aggregated_contrastive,
     argmax_labels, pseudo_labels, split_classes,
 };
 pub use cosine::{CosineLoss, cosine};

@@ -7,7 +7,7 @@ mod support;
 use candle_core::{DType, Result, Tensor, Var};
 use scenesplat_losses::{
     AggregatedContrastive, ClassSource, CosineLoss, CrossEntropy, IGNORE, L2Loss, Loss, LossConfig,
-    LossInput, LovaszSoftmax, Objective, Schedule, TextTable, argmax_labels, build_objective,
+    LossInput, LovaszSoftmax, Objective, Schedule, TextColumns, argmax_labels, build_objective,
     pseudo_labels,
 };
 use support::{evaluate, input, matrix, noise, number, wide};
@@ -96,7 +96,7 @@ fn schedules() {
 #[test]
 fn where_classes_come_from() {
     // Targets near three texts, one zero row, one row without a target.
-    let texts = TextTable::new(&[5.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 2.0], 3).unwrap();
+    let texts = TextColumns::new(&[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], 3).unwrap();
     assert_eq!((texts.len(), texts.is_empty()), (3, false));
     let rows = [[0.0, 0.1, 0.2], [0.9, 0.1, 0.0], [0.0; 3], [0.0, 9.0, 1.0], [2.0, 2.0, 0.0]];
     let target = matrix(rows.as_flattened(), 3, DType::BF16);
@@ -108,10 +108,10 @@ fn where_classes_come_from() {
     assert!(argmax_labels(&target, Some(&valid[..4])).is_err());
     let narrow = matrix(&noise(4, 1), 2, DType::F32);
     assert!(pseudo_labels(&narrow, &texts, None).unwrap_err().to_string().contains("[N, 3]"));
-    for (values, dim) in [(&[][..], 3), (&[1.0; 4], 3), (&[1.0; 3], 0), (&[0.0; 3], 3)] {
-        assert!(TextTable::new(values, dim).is_err());
+    for (values, dim) in [(&[][..], 3), (&[1.0; 4], 3), (&[1.0; 3], 0), (&[0.0; 3], 3), (&[2.0, 0.0], 2)] {
+        assert!(TextColumns::new(values, dim).is_err());
     }
-    assert!(TextTable::new(&[f32::NAN, 1.0], 2).unwrap_err().to_string().contains("class 0"));
+    assert!(TextColumns::new(&[f32::NAN, 1.0], 2).unwrap_err().to_string().contains("class 0"));
 
     // Blocks of rows: far more than one, with damage in the last.
     let mut many = noise(3 * 9000, 4);
@@ -173,8 +173,12 @@ fn any_number_of_threads() {
     const WIDTH: usize = 67;
     let label: Vec<i32> = (0..ROWS).map(|i| (i * i % 71) as i32 - 4).map(|l| l.max(-1)).collect();
     let valid: Vec<bool> = (0..ROWS).map(|i| i % 5 != 3).collect();
-    let texts: Vec<f32> = noise(20 * WIDTH, 8).iter().map(|v| *v as f32).collect();
-    let texts = TextTable::new(&texts, WIDTH).unwrap();
+    let mut texts: Vec<f32> = noise(20 * WIDTH, 8).iter().map(|v| *v as f32).collect();
+    for row in texts.chunks_exact_mut(WIDTH) {
+        let norm = row.iter().map(|v| v * v).sum::<f32>().sqrt();
+        row.iter_mut().for_each(|v| *v /= norm);
+    }
+    let texts = TextColumns::new(&texts, WIDTH).unwrap();
     let contrastive = |classes| AggregatedContrastive {
         classes,
         min_points: 20,
@@ -245,7 +249,7 @@ fn configuration_files() {
         type = "lovasz_softmax"
     "#;
     let terms = parse(text).unwrap();
-    let texts = TextTable::new(&[1.0, 0.0], 2).unwrap();
+    let texts = TextColumns::new(&[1.0, 0.0], 2).unwrap();
     let objective = build_objective(&terms, Some(&texts)).unwrap();
     let lines = objective.settings();
     assert_eq!(lines[0], "1 · cosine");

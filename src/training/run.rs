@@ -8,7 +8,7 @@ use super::identity::identity;
 use super::record::{RunRecord, write};
 use anyhow::{Context, Result};
 use scenesplat_datasets::{BatchLoader, TrainBatch};
-use scenesplat_losses::{TextTable as LossTexts, build_objective};
+use scenesplat_losses::{TextColumns, build_objective};
 use scenesplat_models::weights::{SourceOptions, WeightSource, resolve};
 use scenesplat_models::{LoadPolicy, ParamStore};
 use scenesplat_scene::FolderLock;
@@ -92,7 +92,7 @@ pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunRepor
     let (params, mut remarks) = parameters(config)?;
     let network = config.network()?.model.build(params.builder())?;
     let loss_texts = match &text {
-        Some(t) => Some(LossTexts::new(&t.table.values, t.table.dim)?),
+        Some(t) => Some(TextColumns::new(&t.table.values, t.table.dim)?),
         None => None,
     };
     let objective = build_objective(&config.losses, loss_texts.as_ref())?;
@@ -156,7 +156,7 @@ fn zero_shot(
         let own = entry.text.as_ref().map(data::text_table).transpose()?;
         let text = own.as_ref().or(text).context("text: zero-shot evaluation needs it")?;
         let excluded = data::excluded(&entry.source, Some(text))?;
-        let table = crate::text::metric_table(&text.table)?;
+        let table = text.table.clone();
         let data = data::evaluation(entry, config)?;
         let evaluator =
             ZeroShotEvaluator::new(&entry.name, data, config.input.clone(), table, excluded);

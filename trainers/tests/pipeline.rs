@@ -219,10 +219,9 @@ fn both_tasks_learn_their_rooms() {
     };
     {
         let (module, record) = (language(Precision::F32, 1), Record::default());
-        let table = scenesplat_metrics::TextTable::new(&texts().values, WIDTH).unwrap();
         let input = InputFeatures::default();
         let evaluator =
-            ZeroShotEvaluator::new("zero_shot", seen.clone(), input, table, vec![0, 1, 2]);
+            ZeroShotEvaluator::new("zero_shot", seen.clone(), input, texts(), vec![0, 1, 2]);
         let mut evaluators: Vec<Box<dyn Evaluator<LanguagePretraining>>> =
             vec![Box::new(evaluator)];
         trainer(&module, settings.clone())

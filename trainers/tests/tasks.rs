@@ -226,8 +226,7 @@ fn a_task_and_a_metric_of_ones_own_are_evaluated_in_evaluation_mode() {
     let params = ParamStore::trainable(1);
     let model = PerVoxel::new(&params, WIDTH);
     let module = Own { params, model: Box::new(model) };
-    let table = scenesplat_metrics::TextTable::new(&texts().values, WIDTH).unwrap();
-    let mut zero_shot = ZeroShotEvaluator::new("own", rooms(1), input, table, Vec::new())
+    let mut zero_shot = ZeroShotEvaluator::new("own", rooms(1), input, texts(), Vec::new())
         .with_metric(Right::default());
     let found = zero_shot.run(&module, Progress::default()).unwrap();
     assert!(found.iter().any(|m| m.name == "right"));

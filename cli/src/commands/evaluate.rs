@@ -18,7 +18,7 @@ use scenesplat::rooms::{CLASSES, SyntheticClass, SyntheticRoomSettings};
 use scenesplat::scene::formats::npy::NpyFile;
 use scenesplat::scene::label_set::{find_name, read_names};
 use scenesplat::scene::{ClassMap, GaussianScene, LabelSet, LoadedScene, SceneFormat, TextTable};
-use scenesplat::text::{class_list, metric_table};
+use scenesplat::text::{class_list, text_rows};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
@@ -161,7 +161,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     // What a threshold withheld stays unknown; rows without a usable feature may be filled.
     let withholds = options.unknown != UnknownRule::default();
     let to_text = label_map(args, &text.names)?;
-    let table = metric_table(&text)?;
+    let table = text_rows(&text)?;
     session.make_out(&["evaluation.json"])?;
     args.classes.record(&session)?;
     session.receipt.setting("vote_k", args.vote_k, "neighbours that vote on each label");
@@ -196,7 +196,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         let mut answers: Vec<i32>;
         {
             let _stage = session.receipt.stage("oracle");
-            let mut check = OracleCheck::new(&truth.gaussians, &table)
+            let mut check = OracleCheck::new(&truth.gaussians, table)
                 .with_class_names(&text.names)
                 .with_excluded(&excluded)
                 .with_options(options.clone());
@@ -293,7 +293,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
                 }
                 let values = array.read_f32()?;
                 let all =
-                    classify(&FeatureSlice::new(&values, text.dim)?, &table, &options)?.labels;
+                    classify(&FeatureSlice::new(&values, text.dim)?, table, &options)?.labels;
                 match &opened.loaded.kept_rows {
                     Some(kept) => kept.iter().map(|r| all[*r as usize]).collect(),
                     None => all,

@@ -5,7 +5,7 @@ mod classes;
 mod halves;
 
 pub use aggregate::aggregated_contrastive;
-pub use classes::{ClassSource, TextTable, argmax_labels, pseudo_labels};
+pub use classes::{ClassSource, TextColumns, argmax_labels, pseudo_labels};
 pub use halves::{ClassHalves, split_classes};
 
 use crate::error::LossError;

@@ -5,6 +5,7 @@ use crate::module::{HasBackbone, StepContext, StepOutput, TrainingModule};
 use candle_core::{Device, Result, Tensor, bail};
 use scenesplat_datasets::TrainBatch;
 use scenesplat_losses::{LossInput, Objective};
+use scenesplat_metrics::TextRows;
 use scenesplat_models::{Backbone, ParamStore};
 use scenesplat_scene::TextTable;
 
@@ -18,21 +19,14 @@ pub enum TargetSource {
 }
 
 impl TargetSource {
-    /// Targets by class from a table; its rows are brought to unit length.
+    /// Targets by class from a table.
     ///
     /// # Errors
-    /// If a row is zero or not finite (named).
+    /// If a row does not have unit length, which those of [`TextTable::from_rows`] have.
     pub fn class_text(table: &TextTable) -> Result<Self> {
-        let width = table.values.len() / table.len().max(1);
-        let mut values = table.values.clone();
-        for (name, row) in table.names.iter().zip(values.chunks_exact_mut(width.max(1))) {
-            let norm = row.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
-            if !norm.is_finite() || norm <= 0.0 {
-                bail!("text row {name:?}: its length is {norm}, which has no direction");
-            }
-            row.iter_mut().for_each(|v| *v = (f64::from(*v) / norm) as f32);
-        }
-        Tensor::from_vec(values, (table.len(), width), &Device::Cpu).map(Self::ClassText)
+        let rows = TextRows::new(&table.values, table.dim).map_err(candle_core::Error::wrap)?;
+        let shape = (rows.num_classes(), rows.dim());
+        Tensor::from_slice(rows.rows(), shape, &Device::Cpu).map(Self::ClassText)
     }
 
     /// Targets of a batch, and which rows have one. `[N, D]`, `[N]`
