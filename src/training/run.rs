@@ -17,7 +17,9 @@ use scenesplat_trainers::callbacks::{
 };
 use scenesplat_trainers::checkpoint::newest_checkpoint;
 use scenesplat_trainers::evaluators::{SegmentationEvaluator, ZeroShotEvaluator};
-use scenesplat_trainers::tasks::{LanguagePretraining, SemanticSegmentation, TargetSource};
+use scenesplat_trainers::tasks::{
+    LanguagePretraining, SemanticSegmentation, TargetSource, TaskModule,
+};
 use scenesplat_trainers::{
     AdamW, Evaluator, Identity, Optimizer, Progress, Schedule, Trainer, TrainerConfig,
     TrainingModule, WithWeightDecay, group_by_keyword,
@@ -112,14 +114,13 @@ pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunRepor
                 (Targets::ClassText, Some(t)) => TargetSource::class_text(&t.table)?,
                 _ => TargetSource::Features,
             };
-            let module = LanguagePretraining::new(params, network, objective, targets);
-            let mut evaluators = zero_shot(config, text.as_ref())?;
-            run.fit(&module, &mut *loader, &mut evaluators)?
+            let task = LanguagePretraining { targets };
+            let module = TaskModule::new(params, network, objective, task);
+            run.fit(&module, &mut *loader, &mut zero_shot(config, text.as_ref())?)?
         }
         Task::SemanticSegmentation => {
-            let module = SemanticSegmentation::new(params, network, objective);
-            let mut evaluators = segmentation(config, text.as_ref())?;
-            run.fit(&module, &mut *loader, &mut evaluators)?
+            let module = TaskModule::new(params, network, objective, SemanticSegmentation);
+            run.fit(&module, &mut *loader, &mut segmentation(config, text.as_ref())?)?
         }
     };
     let log = read_json_lines(&options.out.join("metrics.jsonl"))?;
@@ -150,8 +151,8 @@ fn parameters(config: &ExperimentConfig) -> Result<(ParamStore, Vec<String>)> {
 fn zero_shot(
     config: &ExperimentConfig,
     text: Option<&data::ClassTexts>,
-) -> Result<Vec<Box<dyn Evaluator<LanguagePretraining>>>> {
-    let mut all: Vec<Box<dyn Evaluator<LanguagePretraining>>> = Vec::new();
+) -> Result<Vec<Box<dyn Evaluator<TaskModule>>>> {
+    let mut all: Vec<Box<dyn Evaluator<TaskModule>>> = Vec::new();
     for entry in &config.evaluate {
         let own = entry.text.as_ref().map(data::text_table).transpose()?;
         let text = own.as_ref().or(text).context("text: zero-shot evaluation needs it")?;
@@ -171,8 +172,8 @@ fn zero_shot(
 fn segmentation(
     config: &ExperimentConfig,
     text: Option<&data::ClassTexts>,
-) -> Result<Vec<Box<dyn Evaluator<SemanticSegmentation>>>> {
-    let mut all: Vec<Box<dyn Evaluator<SemanticSegmentation>>> = Vec::new();
+) -> Result<Vec<Box<dyn Evaluator<TaskModule>>>> {
+    let mut all: Vec<Box<dyn Evaluator<TaskModule>>> = Vec::new();
     for entry in &config.evaluate {
         let data = data::evaluation(entry, config)?;
         let input = config.input.clone();

@@ -16,7 +16,8 @@ use scenesplat_rooms::{CLASSES, SyntheticRoomSettings};
 use scenesplat_scene::TextTable;
 use scenesplat_trainers::evaluators::{SegmentationEvaluator, ZeroShotEvaluator};
 use scenesplat_trainers::tasks::{
-    LanguagePretraining, SemanticSegmentation, TargetSource, point_cloud,
+    LanguagePretraining, Learner, RowTargets, SemanticSegmentation, TargetSource, TaskModule,
+    TrainingTask, point_cloud,
 };
 use scenesplat_trainers::{
     AdamW, AdamWConfig, Evaluator, HasBackbone, OneCycle, Progress, StepContext, StepOutput,
@@ -102,7 +103,7 @@ fn losses_get_the_rows_that_count_and_their_weights() {
     let (a, b) = (Spy::new("a", 1.0), Spy::new("b", -0.5));
     let objective = Objective::new().with(0.25, a.clone()).with(2.0, b);
     let targets = TargetSource::class_text(&texts()).unwrap();
-    let module = LanguagePretraining::new(params, model, objective, targets);
+    let module = TaskModule::new(params, model, objective, LanguagePretraining { targets });
     let batch = batch();
     let out = step(&module, &batch);
     let labels = batch.segment.as_ref().unwrap();
@@ -133,7 +134,7 @@ fn rows_without_label_or_feature_do_not_count() {
     let params = ParamStore::trainable(1);
     let model = PerVoxel::new(&params, CLASSES.len());
     let objective = Objective::new().with(1.0, scenesplat_losses::CrossEntropy::default());
-    let module = SemanticSegmentation::new(params, model, objective);
+    let module = TaskModule::new(params, model, objective, SemanticSegmentation);
     let mut batch = batch();
     let before = step(&module, &batch);
     let labels = batch.segment.as_mut().unwrap();
@@ -146,7 +147,7 @@ fn rows_without_label_or_feature_do_not_count() {
     let params = ParamStore::trainable(1);
     let model = PerVoxel::new(&params, WIDTH);
     let objective = Objective::new().with(1.0, scenesplat_losses::CosineLoss::default());
-    let module = LanguagePretraining::new(params, model, objective, TargetSource::Features);
+    let module = TaskModule::new(params, model, objective, LanguagePretraining { targets: TargetSource::Features });
     let one = half::f16::from_f32(1.0);
     let rows = batch.len();
     let feat = scenesplat_scene::FeatureRows { values: vec![one; rows * WIDTH], dim: WIDTH };
@@ -239,9 +240,9 @@ fn evaluation_moves_no_statistic_and_freezing_holds_them() {
         let params = ParamStore::trainable(1);
         let network = ModelConfig::tiny().with_classes(classes).build(params.builder()).unwrap();
         let objective = Objective::new().with(1.0, scenesplat_losses::CrossEntropy::default());
-        SemanticSegmentation::new(params, network, objective)
+        TaskModule::new(params, network, objective, SemanticSegmentation)
     };
-    let buffers = |module: &SemanticSegmentation| -> Vec<(String, Vec<f32>)> {
+    let buffers = |module: &TaskModule| -> Vec<(String, Vec<f32>)> {
         let value = |v: &candle_core::Var| {
             v.to_dtype(candle_core::DType::F32).unwrap().flatten_all().unwrap().to_vec1().unwrap()
         };
