@@ -1,6 +1,7 @@
 //! A training loop of one's own: a small language network on 40 synthetic rooms, scored on 10 rooms
 //! it has never seen. `cargo run --release --example custom_training_loop`
 
+use scenesplat::datasets;
 use scenesplat::datasets::transforms::{TransformConfig, language_pretraining, validation};
 use scenesplat::datasets::{BatchLoader, InputFeatures, LoaderSettings, SceneLoader};
 use scenesplat::losses::{CosineLoss, LossInput, Objective, TextClassification, TextColumns};
@@ -11,7 +12,6 @@ use scenesplat::trainers::tasks::{TargetSource, point_cloud};
 use scenesplat::trainers::{
     AdamW, AdamWConfig, OneCycle, Optimizer, Schedule, clip_grad_norm, group_by_keyword,
 };
-use scenesplat::datasets;
 use std::sync::Arc;
 
 fn main() -> anyhow::Result<()> {

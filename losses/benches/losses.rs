@@ -5,7 +5,7 @@ use candle_core::{DType, Device, Result, Tensor, Var};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use scenesplat_losses::{
     AggregatedContrastive, ClassSource, CosineLoss, CrossEntropy, L2Loss, Loss, LossInput,
-    LovaszSoftmax, Schedule, TextColumns,
+    LovaszSoftmax, TermSchedule, TextColumns,
 };
 use std::time::Duration;
 
@@ -66,7 +66,7 @@ fn features(c: &mut Criterion) {
     let (pred, target) = (noise(WIDTH, 1).expect("rows"), noise(WIDTH, 2).expect("rows"));
     let contrastive = |classes| AggregatedContrastive {
         classes,
-        schedule: Schedule::Always,
+        schedule: TermSchedule::Always,
         ..AggregatedContrastive::default()
     };
     for dtype in [DType::F32, DType::BF16] {

@@ -1,6 +1,6 @@
 //! Losses as they stand in a configuration file.
 
-use crate::contrastive::{AggregatedContrastive, ClassSource, Schedule, TextColumns};
+use crate::contrastive::{AggregatedContrastive, ClassSource, TermSchedule, TextColumns};
 use crate::cosine::CosineLoss;
 use crate::cross_entropy::CrossEntropy;
 use crate::error::LossError;
@@ -108,7 +108,7 @@ pub struct ContrastiveConfig {
     /// τ.
     pub temperature: f64,
     /// `"always"`, `"skip"` or `{ last = PERCENT }`.
-    pub schedule: Schedule,
+    pub schedule: TermSchedule,
     /// Classes with fewer rows are left out.
     pub min_points: usize,
     /// Where the classes come from.
@@ -220,7 +220,7 @@ impl ContrastiveConfig {
         const LOSS: &str = "aggregated_contrastive";
         let positive = |v: f64| v > 0.0 && v.is_finite();
         in_range(LOSS, "temperature", self.temperature, positive, "a finite number above 0")?;
-        if let Schedule::Last(percent) = self.schedule {
+        if let TermSchedule::Last(percent) = self.schedule {
             let percentage = |v| (0.0..=100.0).contains(&v);
             in_range(LOSS, "schedule.last", percent, percentage, "a percentage, 0..=100")?;
         }

@@ -7,7 +7,7 @@ mod support;
 use candle_core::{DType, Result, Tensor, Var};
 use scenesplat_losses::{
     AggregatedContrastive, ClassSource, CosineLoss, CrossEntropy, IGNORE, L2Loss, Loss, LossConfig,
-    LossInput, LovaszSoftmax, Objective, Schedule, TextColumns, argmax_labels, build_objective,
+    LossInput, LovaszSoftmax, Objective, TermSchedule, TextColumns, argmax_labels, build_objective,
     pseudo_labels,
 };
 use support::{evaluate, input, matrix, noise, number, wide};
@@ -87,10 +87,10 @@ fn a_failing_term_is_named() {
 
 #[test]
 fn schedules() {
-    let last = Schedule::Last(75.0);
+    let last = TermSchedule::Last(75.0);
     assert!(!last.is_on(0.0) && !last.is_on(0.25) && last.is_on(0.2501) && last.is_on(1.0));
-    assert!(Schedule::Last(100.0).is_on(1e-9) && !Schedule::Last(0.0).is_on(1.0));
-    assert!(Schedule::Always.is_on(0.0) && !Schedule::Skip.is_on(1.0));
+    assert!(TermSchedule::Last(100.0).is_on(1e-9) && !TermSchedule::Last(0.0).is_on(1.0));
+    assert!(TermSchedule::Always.is_on(0.0) && !TermSchedule::Skip.is_on(1.0));
 }
 
 #[test]
@@ -108,7 +108,9 @@ fn where_classes_come_from() {
     assert!(argmax_labels(&target, Some(&valid[..4])).is_err());
     let narrow = matrix(&noise(4, 1), 2, DType::F32);
     assert!(pseudo_labels(&narrow, &texts, None).unwrap_err().to_string().contains("[N, 3]"));
-    for (values, dim) in [(&[][..], 3), (&[1.0; 4], 3), (&[1.0; 3], 0), (&[0.0; 3], 3), (&[2.0, 0.0], 2)] {
+    for (values, dim) in
+        [(&[][..], 3), (&[1.0; 4], 3), (&[1.0; 3], 0), (&[0.0; 3], 3), (&[2.0, 0.0], 2)]
+    {
         assert!(TextColumns::new(values, dim).is_err());
     }
     assert!(TextColumns::new(&[f32::NAN, 1.0], 2).unwrap_err().to_string().contains("class 0"));
@@ -129,7 +131,7 @@ fn where_classes_come_from() {
     let loss = |classes| AggregatedContrastive {
         classes,
         min_points: 2,
-        schedule: Schedule::Always,
+        schedule: TermSchedule::Always,
         ..AggregatedContrastive::default()
     };
     let pred = matrix(&noise(90, 5), 3, DType::F32);

@@ -5,8 +5,8 @@
 mod support;
 
 use scenesplat_metrics::{
-    Fault, MetricError, OracleCheck, OracleFailure, OracleStage, OracleVote, TextRows,
-    UnknownRule, ZeroShotOptions, random_labels,
+    Fault, MetricError, OracleCheck, OracleFailure, OracleStage, OracleVote, TextRows, UnknownRule,
+    ZeroShotOptions, random_labels,
 };
 use support::{Golden, gridded_room, in_all_pools, random_rows, rng, unit_rows};
 

@@ -47,7 +47,7 @@ pub use formats::{
     open_scene_bytes, write_scene,
 };
 pub use frame::Frame;
-pub use gaussian_scene::{FeatureRows, GaussianScene, LabelledPoints};
+pub use gaussian_scene::{GaussianScene, LabelledPoints, LanguageFeatures};
 pub use label_set::LabelSet;
 pub use language_code::{LanguageCode, LanguageCodebook};
 pub use printable::{printable, printable_text};

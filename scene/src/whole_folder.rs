@@ -39,8 +39,7 @@ impl WholeFolder {
     pub fn create(place: &Path) -> Result<Self, WriteError> {
         check_folder(place)?;
         if let Some(around) = place.parent().filter(|p| !p.as_os_str().is_empty()) {
-            fs::create_dir_all(around)
-                .map_err(WriteError::io(around, "cannot make the folder"))?;
+            fs::create_dir_all(around).map_err(WriteError::io(around, "cannot make the folder"))?;
         }
         let action = "cannot make a folder beside it";
         let ((), part) = make_beside(place, action, |path| fs::create_dir(path))?;

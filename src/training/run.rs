@@ -1,6 +1,6 @@
 //! From an experiment's file to a trained network.
 
-use super::config::{ExperimentConfig, OptimizerConfig, ScheduleConfig, Targets, Task};
+use super::config::{ExperimentConfig, OptimizerConfig, ScheduleConfig, TargetChoice, Task};
 use super::curves::write_curves;
 use super::data;
 use super::export::export_model;
@@ -111,7 +111,7 @@ pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunRepor
     let (progress, exported) = match config.task {
         Task::LanguagePretraining => {
             let targets = match (config.targets, &text) {
-                (Targets::ClassText, Some(t)) => TargetSource::class_text(&t.table)?,
+                (TargetChoice::ClassText, Some(t)) => TargetSource::class_text(&t.table)?,
                 _ => TargetSource::Features,
             };
             let task = LanguagePretraining { targets };

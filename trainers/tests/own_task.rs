@@ -13,8 +13,8 @@ use scenesplat_rooms::SyntheticRoomSettings;
 use scenesplat_trainers::callbacks::{JsonLines, read_json_lines};
 use scenesplat_trainers::tasks::{Learner, RowTargets, TaskModule, TrainingTask, point_cloud};
 use scenesplat_trainers::{
-    AdamW, AdamWConfig, AfterStep, OneCycle, Progress, StepContext, StepOutput, TrainError, Trainer,
-    TrainerConfig, TrainingModule, group_by_keyword,
+    AdamW, AdamWConfig, AfterStep, OneCycle, Progress, StepContext, StepOutput, TrainError,
+    Trainer, TrainerConfig, TrainingModule, group_by_keyword,
 };
 use std::sync::Arc;
 

@@ -224,8 +224,7 @@ fn both_tasks_learn_their_rooms() {
         let input = InputFeatures::default();
         let evaluator =
             ZeroShotEvaluator::new("zero_shot", seen.clone(), input, texts(), vec![0, 1, 2]);
-        let mut evaluators: Vec<Box<dyn Evaluator<TaskModule>>> =
-            vec![Box::new(evaluator)];
+        let mut evaluators: Vec<Box<dyn Evaluator<TaskModule>>> = vec![Box::new(evaluator)];
         trainer(&module, settings.clone())
             .with_callback(record.clone())
             .fit(&module, &mut loader(training_data(900), 1), &mut evaluators, Progress::default())
@@ -236,7 +235,8 @@ fn both_tasks_learn_their_rooms() {
     let shape = network(Precision::F32).with_classes(CLASSES.len());
     let model = shape.build(params.builder()).unwrap();
     let objective = Objective::new().with(1.0, CrossEntropy::default()).with(1.0, LovaszSoftmax);
-    let (module, record) = (TaskModule::new(params, model, objective, SemanticSegmentation), Record::default());
+    let (module, record) =
+        (TaskModule::new(params, model, objective, SemanticSegmentation), Record::default());
     let evaluator =
         SegmentationEvaluator::new("segmentation", seen, InputFeatures::default(), Vec::new());
     let mut evaluators: Vec<Box<dyn Evaluator<TaskModule>>> = vec![Box::new(evaluator)];

@@ -147,10 +147,15 @@ fn rows_without_label_or_feature_do_not_count() {
     let params = ParamStore::trainable(1);
     let model = PerVoxel::new(&params, WIDTH);
     let objective = Objective::new().with(1.0, scenesplat_losses::CosineLoss::default());
-    let module = TaskModule::new(params, model, objective, LanguagePretraining { targets: TargetSource::Features });
+    let module = TaskModule::new(
+        params,
+        model,
+        objective,
+        LanguagePretraining { targets: TargetSource::Features },
+    );
     let one = half::f16::from_f32(1.0);
     let rows = batch.len();
-    let feat = scenesplat_scene::FeatureRows { values: vec![one; rows * WIDTH], dim: WIDTH };
+    let feat = scenesplat_scene::LanguageFeatures { values: vec![one; rows * WIDTH], dim: WIDTH };
     batch.lang_feat = Some(feat);
     batch.valid_feat = Some((0..rows).map(|row| row % 3 == 0).collect());
     assert_eq!(step(&module, &batch).counted_rows, rows.div_ceil(3));

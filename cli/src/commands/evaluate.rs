@@ -292,8 +292,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
                     );
                 }
                 let values = array.read_f32()?;
-                let all =
-                    classify(&FeatureSlice::new(&values, text.dim)?, table, &options)?.labels;
+                let all = classify(&FeatureSlice::new(&values, text.dim)?, table, &options)?.labels;
                 match &opened.loaded.kept_rows {
                     Some(kept) => kept.iter().map(|r| all[*r as usize]).collect(),
                     None => all,

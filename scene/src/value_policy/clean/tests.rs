@@ -146,7 +146,7 @@ fn features_that_are_not_finite_are_masked_out() {
     use half::f16;
     let mut s = scene(2);
     let values = vec![f16::ONE, f16::ONE, f16::ONE, f16::NAN];
-    s.lang_feat = Some(crate::FeatureRows { values, dim: 2 });
+    s.lang_feat = Some(crate::LanguageFeatures { values, dim: 2 });
     s.valid_feat_mask = Some(vec![true; 2]);
     let (out, _, report) = clean(s);
     assert_eq!(out.valid_feat_mask.unwrap(), [true, false]);
