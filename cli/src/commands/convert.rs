@@ -17,7 +17,7 @@ use scenesplat::scene::edit::{
 use scenesplat::scene::formats::FORMATS;
 use scenesplat::scene::formats::npy::NpyFile;
 use scenesplat::scene::{
-    FeatureRows, GaussianScene, ReadOptions, SceneFormat, WriteOptions, write_scene,
+    GaussianScene, LanguageFeatures, ReadOptions, SceneFormat, WriteOptions, write_scene,
 };
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -384,7 +384,7 @@ fn add_codes(
                 kept.iter().flat_map(|&r| &values[r as usize * dim..(r as usize + 1) * dim]);
             values = picked.copied().collect();
         }
-        scene.lang_feat = Some(FeatureRows { values, dim });
+        scene.lang_feat = Some(LanguageFeatures { values, dim });
         scene.valid_feat_mask = None;
     }
     let Some(features) = &scene.lang_feat else {
