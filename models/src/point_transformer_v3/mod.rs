@@ -12,6 +12,7 @@
 mod attention;
 mod block;
 mod config;
+mod cost;
 mod embedding;
 mod pooling;
 mod recognize;
@@ -20,6 +21,7 @@ mod unpooling;
 pub use attention::SerializedAttention;
 pub use block::{Block, BlockShape};
 pub use config::{BatchRule, PointTransformerV3Config, PoolingReduce};
+pub use cost::MultiplyAdds;
 pub use embedding::Embedding;
 pub use pooling::SerializedPooling;
 pub use unpooling::{SerializedUnpooling, Unpooled};
