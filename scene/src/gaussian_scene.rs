@@ -292,7 +292,7 @@ mod tests {
     use crate::language_code::LanguageCodebook;
 
     #[test]
-    fn every_byte_survives_the_colour_round_trip() {
+    fn every_byte_survives_the_color_round_trip() {
         for byte in 0..=255 {
             assert_eq!(dc_to_u8(u8_to_dc(byte)), byte);
         }

@@ -7,7 +7,7 @@ use scenesplat_scene::value_policy::Rule;
 use serde_json::json;
 
 #[test]
-fn integers_strides_and_colours() {
+fn integers_strides_and_colors() {
     let mut doc = Doc::new();
     // Interleaved: a position of three u16 (not normalized), 2 bytes nothing, four i8.
     let mut bytes = Vec::new();
@@ -118,7 +118,7 @@ fn sparse_accessors_replace_elements() {
 }
 
 #[test]
-fn linear_colours_become_srgb() {
+fn linear_colors_become_srgb() {
     let mut scene = random_scene(50, 1, 9);
     scene.sh_dc[0] = [0.0, (1.0 - 0.5) / SH_C0, (0.0 - 0.5) / SH_C0];
     let mut doc = Doc::new();

@@ -110,7 +110,7 @@ fn normalising_is_idempotent_for_any_direction() {
 }
 
 #[test]
-fn colours_and_coefficients_are_repaired_in_place() {
+fn colors_and_coefficients_are_repaired_in_place() {
     let mut s = scene(2);
     s.sh_dc[1] = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY];
     s.sh_degree = 1;
