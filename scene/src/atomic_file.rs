@@ -47,7 +47,7 @@ pub enum WriteError {
         /// Which folder.
         path: PathBuf,
     },
-    /// Something went wrong while files of a folder were moved, and again on the way back.
+    /// Something went wrong while files of a folder were moved, and again while they were put back.
     #[error("{}: {problem} (what was there before is in {})", path.display(), aside.display())]
     Stranded {
         /// Which file.
