@@ -62,8 +62,8 @@ pub fn write_model(
 #[cfg(test)]
 mod tests {
     use super::super::{ExperimentConfig, RunOptions, data, train};
+    use crate::SceneEncoder;
     use crate::network::{Network, NetworkConfig, WeightOptions, Weights, config_beside};
-    use crate::{SceneEncoder, text};
     use scenesplat_metrics::Metric;
     use scenesplat_trainers::callbacks::read_json_lines;
     use scenesplat_trainers::evaluators::ZeroShotEvaluator;

@@ -16,8 +16,7 @@ use scenesplat_rooms::{CLASSES, SyntheticRoomSettings};
 use scenesplat_scene::TextTable;
 use scenesplat_trainers::evaluators::{SegmentationEvaluator, ZeroShotEvaluator};
 use scenesplat_trainers::tasks::{
-    LanguagePretraining, Learner, RowTargets, SemanticSegmentation, TargetSource, TaskModule,
-    TrainingTask, point_cloud,
+    LanguagePretraining, SemanticSegmentation, TargetSource, TaskModule, point_cloud,
 };
 use scenesplat_trainers::{
     AdamW, AdamWConfig, Evaluator, HasBackbone, OneCycle, Progress, StepContext, StepOutput,

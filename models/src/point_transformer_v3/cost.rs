@@ -95,7 +95,7 @@ impl PointTransformerV3Config {
                     scales += cloud.len() * coarse * up + fine * enc[stage - 1] * up;
                 }
             }
-            let mut block = |c: usize, patch_size: usize| -> Result<f64> {
+            let block = |c: usize, patch_size: usize| -> Result<f64> {
                 let patches = cloud.patches(patch_size);
                 let attended: usize = patches.patches().iter().map(|p| p.own * p.len).sum();
                 let size = BlockSize {

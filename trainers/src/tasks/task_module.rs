@@ -4,7 +4,6 @@ use super::input::bad_values;
 use super::learner::Learner;
 use crate::TrainError;
 use crate::module::{AfterStep, HasBackbone, StepContext, StepOutput, TrainingModule};
-use candle_core::Result;
 use scenesplat_datasets::TrainBatch;
 use scenesplat_losses::Objective;
 use scenesplat_models::{Backbone, ParamStore};
@@ -51,7 +50,7 @@ pub trait TrainingTask: Send + Sync {
         learner: &Learner,
         batch: &TrainBatch,
         cx: &mut StepContext<'_>,
-    ) -> Result<StepOutput>;
+    ) -> candle_core::Result<StepOutput>;
 
     /// As [`TrainingModule::after_step`].
     ///
@@ -99,7 +98,11 @@ impl TrainingModule for TaskModule {
         self.learner.params()
     }
 
-    fn training_step(&self, batch: &TrainBatch, cx: &mut StepContext<'_>) -> Result<StepOutput> {
+    fn training_step(
+        &self,
+        batch: &TrainBatch,
+        cx: &mut StepContext<'_>,
+    ) -> candle_core::Result<StepOutput> {
         self.task.step(&self.learner, batch, cx)
     }
 
