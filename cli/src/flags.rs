@@ -241,6 +241,14 @@ pub fn parse_positive(text: &str) -> Result<f64, String> {
     }
 }
 
+/// Reads the number of a granularity.
+pub fn parse_level(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(level @ 0..=3) => Ok(level),
+        _ => Err(format!("{text:?}: levels are 0 to 3")),
+    }
+}
+
 /// Reads the name of an axis.
 pub fn parse_up(text: &str) -> Result<UpAxis, String> {
     text.parse()

@@ -1,7 +1,7 @@
 //! Which network, by name or file, with or without a look at its weights.
 
 use super::config::NetworkConfig;
-use super::{WeightOptions, Weights};
+use super::{NetworkError, WeightOptions, Weights};
 use scenesplat_models::ModelConfig;
 use scenesplat_models::weights::{Shapes, WeightSource, resolve};
 use std::path::{Path, PathBuf};
@@ -35,7 +35,7 @@ impl NetworkChoice {
     ///
     /// # Errors
     /// If the file cannot be read or has unknown or wrong fields.
-    pub fn resolve(&self) -> anyhow::Result<NetworkConfig> {
+    pub fn resolve(&self) -> Result<NetworkConfig, NetworkError> {
         Ok(match self {
             Self::Language => NetworkConfig::language(),
             Self::Semseg => NetworkConfig::semseg(),
@@ -50,7 +50,7 @@ impl NetworkChoice {
     ///
     /// # Errors
     /// As [`resolve`](Self::resolve), and if it is unknown what so many inputs are.
-    pub fn resolve_for(&self, shapes: &Shapes) -> anyhow::Result<NetworkConfig> {
+    pub fn resolve_for(&self, shapes: &Shapes) -> Result<NetworkConfig, NetworkError> {
         match self {
             Self::File(path) => NetworkConfig::read(path),
             named => Ok(named.resolve()?.adapted_to(shapes)?),
@@ -95,7 +95,7 @@ pub fn network_of(
     weights: &Weights,
     choice: Option<&NetworkChoice>,
     options: WeightOptions,
-) -> anyhow::Result<NetworkConfig> {
+) -> Result<NetworkConfig, NetworkError> {
     let path = match weights {
         Weights::Embedded => return crate::embedded::config(),
         Weights::Seeded(_) => return choice.unwrap_or(&NetworkChoice::Language).resolve(),
@@ -123,7 +123,7 @@ pub fn network_of(
 ///
 /// # Errors
 /// If it is there and cannot be read.
-pub fn config_beside(weights: &Path) -> anyhow::Result<Option<NetworkConfig>> {
+pub fn config_beside(weights: &Path) -> Result<Option<NetworkConfig>, NetworkError> {
     if !weights.is_dir() {
         return Ok(None);
     }

@@ -1,7 +1,7 @@
 //! Operations of a network on given voxels.
 
 use anyhow::Result;
-use scenesplat::models::PointTransformerV3Config;
+use scenesplat::models::{Head, ModelConfig};
 
 /// Operations of a forward pass; a multiply–add counts as two. Only matrix products count.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -25,34 +25,81 @@ impl Flop {
     }
 }
 
-/// Counts the operations on one scene; `head` is the width of a linear layer behind the network, 0
-/// for none. `frozen`: as inference joins layers.
+/// Counts the operations on one scene, head included. Frozen layers may be joined, as the
+/// configuration says: then the linear layer behind each convolution is a part of it.
 ///
 /// # Errors
-/// If the voxels are out of range.
-pub(super) fn count(
-    config: &PointTransformerV3Config,
-    head: usize,
-    voxels: &[[i32; 3]],
-    frozen: bool,
-) -> Result<Flop> {
-    let found = config.multiply_adds(voxels, frozen)?;
-    let head = (voxels.len() * config.out_channels() * head) as u64;
+/// If the voxels are out of range, or the operations of the architecture are not counted.
+pub(super) fn count(model: &ModelConfig, voxels: &[[i32; 3]], frozen: bool) -> Result<Flop> {
+    let found = model.backbone.get().multiply_adds(voxels, frozen)?;
+    let width = match model.head {
+        Head::Classes(width) | Head::Features { projection: Some(width) } => width,
+        Head::Features { projection: None } => 0,
+    };
+    let head = (voxels.len() * model.backbone.get().out_channels() * width) as u64;
     Ok(Flop { stem: 2 * found.stem, rest: 2 * (found.rest + head) })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use scenesplat::models::litept::BlockKind;
+    use scenesplat::models::{LitePtConfig, PointTransformerV3Config};
 
     #[test]
-    fn a_multiply_add_is_two_and_training_three_times_that() {
-        let config = PointTransformerV3Config::tiny();
-        let voxels = [[0, 0, 0], [0, 0, 1]];
-        let found = config.multiply_adds(&voxels, false).unwrap();
-        let with_head = count(&config, 5, &voxels, false).unwrap();
-        assert_eq!(with_head.rest, 2 * (found.rest + 2 * config.out_channels() as u64 * 5));
-        assert_eq!(with_head.forward(), 2 * found.stem + with_head.rest);
-        assert_eq!(with_head.train(), 2 * (2 * found.stem) + 3 * with_head.rest);
+    fn one_voxel_by_hand() {
+        let config = PointTransformerV3Config {
+            in_channels: 3,
+            stride: vec![2],
+            enc_depths: vec![1, 2],
+            enc_channels: vec![4, 8],
+            enc_num_head: vec![1, 1],
+            enc_patch_size: vec![16, 16],
+            dec_depths: vec![1],
+            dec_channels: vec![6],
+            dec_num_head: vec![1],
+            dec_patch_size: vec![16],
+            ..PointTransformerV3Config::tiny()
+        };
+        let model = ModelConfig::new(config).with_classes(5);
+        let found = count(&model, &[[0, 0, 0]], false).unwrap();
+        assert_eq!(found.stem, 2 * 3 * 4);
+        let block = |c: u64| 2 * (1 + 5 + 8) * c * c + 4 * c;
+        let scales = 2 * 4 * 8 + 2 * 8 * 6 + 2 * 4 * 6;
+        assert_eq!(found.rest, block(4) + 2 * block(8) + block(6) + scales + 2 * 6 * 5);
+        assert_eq!(found.train(), 2 * found.stem + 3 * found.rest);
+        let joined = count(&model, &[[0, 0, 0]], true).unwrap();
+        assert_eq!(found.rest - joined.rest, 2 * (16 + 2 * 64 + 36));
+    }
+
+    #[test]
+    fn one_voxel_of_litept_by_hand() {
+        let config = LitePtConfig {
+            in_channels: 3,
+            stride: vec![2],
+            enc_depths: vec![1, 2],
+            enc_channels: vec![4, 12],
+            enc_blocks: vec![BlockKind::Convolution, BlockKind::Attention],
+            enc_num_head: vec![1, 2],
+            enc_patch_size: vec![16, 16],
+            dec_depths: vec![0],
+            dec_channels: vec![6],
+            dec_blocks: vec![BlockKind::Both],
+            dec_num_head: vec![1],
+            dec_patch_size: vec![16],
+            ..LitePtConfig::small()
+        };
+        let model = ModelConfig::new(config.clone()).with_projection(7);
+        let found = count(&model, &[[0, 0, 0]], false).unwrap();
+        assert_eq!(found.stem, 2 * 3 * 4);
+        let attention = |c: u64| 2 * 12 * c * c + 4 * c;
+        let scales = 2 * 4 * 12 + 2 * 12 * 6 + 2 * 4 * 6;
+        assert_eq!(found.rest, 2 * 2 * 16 + 2 * attention(12) + scales + 2 * 6 * 7);
+        let joined = count(&model, &[[0, 0, 0]], true).unwrap();
+        assert_eq!(found.rest - joined.rest, 2 * 16);
+        // A block of both kinds, in the decoder.
+        let more = ModelConfig::new(LitePtConfig { dec_depths: vec![1], ..config });
+        let more = count(&more.with_projection(7), &[[0, 0, 0]], true).unwrap();
+        assert_eq!(more.rest - joined.rest, 2 * 36 + attention(6));
     }
 }

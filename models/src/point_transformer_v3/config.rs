@@ -4,7 +4,7 @@ use super::PointTransformerV3;
 use crate::params::MAX_VALUES;
 use crate::stages::{linspace, split};
 use crate::weights::Shapes;
-use crate::{Architecture, Backbone, BackboneCost, Compute};
+use crate::{Architecture, Backbone, BackboneCost, Compute, MultiplyAdds};
 use candle_core::{Result, bail};
 use candle_nn::VarBuilder;
 use scenesplat_kernels::segment::Reduce;
@@ -361,6 +361,9 @@ impl Architecture for PointTransformerV3Config {
             bytes_per_voxel: self.inference_bytes_per_voxel(),
             parts: self.block_costs(),
         }
+    }
+    fn multiply_adds(&self, voxels: &[[i32; 3]], frozen: bool) -> Result<MultiplyAdds> {
+        self.count_multiply_adds(voxels, frozen)
     }
     fn compute(&self) -> Compute {
         self.compute

@@ -2,32 +2,13 @@
 //! given voxels.
 
 use super::PointTransformerV3Config;
+use crate::multiply_adds::{BlockSize, MultiplyAdds, between, finest};
 use candle_core::Result;
-use scenesplat_kernels::serialization::Curve;
-use scenesplat_kernels::serialized_cloud::{CurveDepth, SerializedCloud};
 
 /// Pairs of a 3³ kernel map per voxel, on average over scenes.
 const PAIRS_PER_VOXEL: f64 = 14.0;
 /// Voxels of a scale per voxel of the finer one, on average over scenes.
 const KEPT_BY_POOLING: f64 = 0.27;
-
-/// What a block works on.
-struct BlockSize {
-    voxels: f64,
-    /// Pairs of the 3³ kernel map.
-    pairs: f64,
-    /// Pairs of voxels that attend to each other.
-    attended: f64,
-}
-
-/// Multiply–adds of one forward pass. Only matrix products count.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct MultiplyAdds {
-    /// The first convolution: training needs no gradient of its input.
-    pub stem: u64,
-    /// All products but those of the stem.
-    pub rest: u64,
-}
 
 impl PointTransformerV3Config {
     /// Bytes of memory that inference needs per input voxel, at the widest moment.
@@ -68,42 +49,27 @@ impl PointTransformerV3Config {
         out
     }
 
-    /// Multiply–adds on the voxels of one scene. `frozen`: layers are joined where
-    /// [`Compute::fold`](crate::Compute) says so, as inference joins them; the linear layer behind a
-    /// convolution is a part of it then.
-    ///
-    /// # Errors
-    /// If the voxels are out of range, or the fields of the configuration do not fit together.
-    pub fn multiply_adds(&self, voxels: &[[i32; 3]], frozen: bool) -> Result<MultiplyAdds> {
+    /// As [`Architecture::multiply_adds`](crate::Architecture::multiply_adds).
+    pub(super) fn count_multiply_adds(
+        &self,
+        voxels: &[[i32; 3]],
+        frozen: bool,
+    ) -> Result<MultiplyAdds> {
         self.check()?;
-        let failed = candle_core::Error::wrap;
-        let offsets = vec![0, voxels.len()];
-        let depth = CurveDepth::PerScene;
-        let mut cloud =
-            SerializedCloud::new(voxels.to_vec(), offsets, &[Curve::Z], depth).map_err(failed)?;
+        let folded = frozen && self.compute.fold;
+        let mut cloud = finest(voxels)?;
         let (enc, dec) = (&self.enc_channels, &self.dec_channels);
-        let stem = cloud.kernel_map(5).map_err(failed)?.num_pairs() * self.in_channels * enc[0];
-        let mut scales = 0;
-        let mut blocks = 0.0;
+        let map = cloud.kernel_map(5).map_err(candle_core::Error::wrap)?;
+        let stem = map.num_pairs() * self.in_channels * enc[0];
+        let (mut scales, mut blocks) = (0, 0.0);
         for stage in 0..self.num_stages() {
             if stage > 0 {
-                let (fine, c) = (cloud.len(), enc[stage]);
+                let fine = cloud.len();
                 cloud = cloud.pool(self.stride[stage - 1].trailing_zeros()).0;
-                scales += fine * enc[stage - 1] * c;
-                if let Some(&up) = dec.get(stage - 1) {
-                    let coarse = dec.get(stage).copied().unwrap_or(c);
-                    scales += cloud.len() * coarse * up + fine * enc[stage - 1] * up;
-                }
+                scales += between(enc, dec, stage, fine, cloud.len());
             }
             let block = |c: usize, patch_size: usize| -> Result<f64> {
-                let patches = cloud.patches(patch_size);
-                let attended: usize = patches.patches().iter().map(|p| p.own * p.len).sum();
-                let size = BlockSize {
-                    voxels: cloud.len() as f64,
-                    pairs: cloud.kernel_map(3).map_err(failed)?.num_pairs() as f64,
-                    attended: attended as f64,
-                };
-                Ok(self.block_work(c, frozen && self.compute.fold, &size))
+                Ok(self.block_work(c, folded, &BlockSize::count(&cloud, patch_size)?))
             };
             blocks +=
                 self.enc_depths[stage] as f64 * block(enc[stage], self.enc_patch_size[stage])?;
@@ -111,17 +77,11 @@ impl PointTransformerV3Config {
                 blocks += depth as f64 * block(dec[stage], self.dec_patch_size[stage])?;
             }
         }
-        // Counts are whole numbers far below 2⁵³.
         Ok(MultiplyAdds { stem: stem as u64, rest: scales as u64 + blocks as u64 })
     }
 
-    /// Multiply–adds of a block of `c` channels: convolution, its linear layer unless it is `folded`
-    /// into it, query, key, value and projection, both layers of the MLP; then queries with keys and
-    /// weights with values.
     fn block_work(&self, c: usize, folded: bool, size: &BlockSize) -> f64 {
-        let linear = (usize::from(!folded) + 3 + 1 + 2 * self.mlp_ratio) as f64;
-        let c = c as f64;
-        (size.pairs + linear * size.voxels) * c * c + 2.0 * size.attended * c
+        size.convolution(c, folded) + size.attention(c, self.mlp_ratio)
     }
 }
 
@@ -147,14 +107,14 @@ mod tests {
 
     #[test]
     fn one_voxel_by_hand() {
-        let found = small().multiply_adds(&[[0, 0, 0]], false).unwrap();
+        let found = small().count_multiply_adds(&[[0, 0, 0]], false).unwrap();
         assert_eq!(found.stem, 3 * 4);
         let block = |c: u64| (1 + 5 + 8) * c * c + 2 * c;
         let scales = 4 * 8 + 8 * 6 + 4 * 6;
         assert_eq!(found.rest, block(4) + 2 * block(8) + block(6) + scales);
-        let joined = small().multiply_adds(&[[0, 0, 0]], true).unwrap();
+        let joined = small().count_multiply_adds(&[[0, 0, 0]], true).unwrap();
         assert_eq!(found.rest - joined.rest, 16 + 2 * 64 + 36);
-        assert!(small().multiply_adds(&[[i32::MAX, 0, 0], [i32::MIN, 0, 0]], true).is_err());
+        assert!(small().count_multiply_adds(&[[i32::MAX, 0, 0], [i32::MIN, 0, 0]], true).is_err());
     }
 
     #[test]
@@ -166,7 +126,7 @@ mod tests {
             .chain((0..47 * 47).map(|i| [0, i % 47 + 1, i / 47 + 1]))
             .collect();
         let config = PointTransformerV3Config::language();
-        let counted = config.multiply_adds(&voxels, false).unwrap().rest as f64;
+        let counted = config.count_multiply_adds(&voxels, false).unwrap().rest as f64;
         let expected: f64 = config.block_costs().iter().map(|(_, work)| work).sum();
         let ratio = counted / (expected * voxels.len() as f64);
         assert!((0.6..1.6).contains(&ratio), "{ratio}");
