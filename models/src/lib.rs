@@ -38,7 +38,7 @@ pub use architecture::{Architecture, BackboneConfig};
 pub use backbone::{Backbone, BackboneCost, Forward, FrozenStatistics, Mode, Observer, Orders};
 pub use compute::Compute;
 pub use head::{Head, LanguageModel, SemanticSegmenter};
-pub use litept::{LitePt, LitePtConfig};
+pub use litept::{LitePt, LitePtConfig, LitePtSize};
 pub use lpips::{Lpips, LpipsNet};
 pub use model_config::{ModelConfig, UniqueKeys};
 pub use multiply_adds::MultiplyAdds;
