@@ -278,6 +278,18 @@ impl ExperimentConfig {
             reads == takes,
             "model.in_channels is {takes}, but the channels of `input` are {reads} together"
         );
+        for (i, entry) in self.train.iter().enumerate() {
+            anyhow::ensure!(
+                !entry.source.asks_for_labelled_points(),
+                "train[{i}].source.labelled_points: points are scored, not learned from; leave it out"
+            );
+        }
+        if let Some(dir) = &self.trainer.checkpoint.dir {
+            anyhow::bail!(
+                "trainer.checkpoint.dir is {}: the checkpoints of a run are in its folder; leave it out",
+                dir.display()
+            );
+        }
         let head = self.model.num_classes().is_some();
         match self.task {
             Task::LanguagePretraining => {
@@ -288,6 +300,10 @@ impl ExperimentConfig {
             }
             Task::SemanticSegmentation => {
                 anyhow::ensure!(head, "model.num_classes: segmentation needs it");
+                anyhow::ensure!(
+                    self.targets == Targets::Features,
+                    "targets: segmentation learns labels and has none; leave it out"
+                );
             }
         }
         Ok(())

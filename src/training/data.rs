@@ -166,13 +166,12 @@ pub fn check_classes(config: &ExperimentConfig, text: Option<&ClassTexts>) -> Re
         if let (true, Some(text)) = (by_text, text) {
             return text.check(&classes);
         }
-        match config.model.num_classes() {
-            Some(n) if n != classes.len() => anyhow::bail!(
-                "the labels have {} classes and model.num_classes is {n}",
-                classes.len()
-            ),
-            _ => Ok(()),
+        if let Some(n) = config.model.num_classes().filter(|n| *n != classes.len()) {
+            let labels = classes.len();
+            anyhow::bail!("the labels have {labels} classes and model.num_classes is {n}");
         }
+        // Texts say which classes averages leave out, and losses may look at them.
+        text.map_or(Ok(()), |text| text.check(&classes))
     };
     for (i, entry) in config.train.iter().enumerate() {
         let used = !by_text || config.targets == Targets::ClassText;

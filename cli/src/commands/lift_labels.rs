@@ -80,7 +80,8 @@ pub struct Args {
     /// Value of PNG pixels that belong to no segment; by default the largest, 255 or 65535.
     #[arg(long, value_name = "VALUE")]
     pub no_segment: Option<u16>,
-    /// Memory for weights (8GB, 512MB); more wait in a file in the output folder.
+    /// Memory for weights that wait (8GB, 512MB; at least 49.2 kB); more wait in a file in the output
+    /// folder.
     #[arg(long, value_name = "SIZE")]
     pub max_memory: Option<Bytes>,
     /// Which way is up in the preview; judged by the scene if not given.
@@ -136,6 +137,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start(&args.shared, line)?;
     // Whatever can be wrong with flags and names is found before anything expensive.
     args.finalise(false).check().map_err(|e| WrongUse(e.to_string()))?;
+    args.check_memory()?;
     for path in [&args.scene, &args.cameras, &args.segments] {
         session.outputs.reads(path)?;
     }
@@ -156,6 +158,19 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
 }
 
 impl Args {
+    /// Refuses a limit that could not be kept.
+    fn check_memory(&self) -> Result<()> {
+        // Trying depth agreement takes two lists of weights.
+        let least = Bytes(LiftSettings::least_memory(self.level.len().max(2)));
+        match self.max_memory {
+            Some(limit) if limit < least => {
+                let text = format!("--max-memory {limit}: weights need at least {least}");
+                Err(WrongUse(text).into())
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// Cameras and the frames that belong to them.
     fn pictures(
         &self,
