@@ -857,9 +857,8 @@ pub const CASES: &[Case] = &[
         "language",
         "/evaluate/0/source/vocabulary",
         "64",
-        Measured,
-    )
-    .with(&[("/evaluate/0/source/room/num_gaussians", "4000"), ("/evaluate/0/vote_k", "3")]),
+        Nothing("only floaters have no feature, and none stands near a label"),
+    ),
     row(
         "evaluate[*].source(synthetic).room.seed",
         "language",
@@ -952,7 +951,11 @@ pub const CASES: &[Case] = &[
         "true",
         Measured,
     )
-    .with(&[("/input/scale_clip", "none")]),
+    .with(&[
+        ("/input/scale_clip", "none"),
+        ("/trainer/epochs", "6"),
+        ("/optimizer/lr", "0.05"),
+    ]),
     row(
         "evaluate[*].source(generic).lang_feat",
         "folders",
@@ -1032,7 +1035,12 @@ pub const CASES: &[Case] = &[
         "true",
         Measured,
     )
-    .with(&[("/input/scale_clip", "none")]),
+    .with(&[
+        ("/input/scale_clip", "none"),
+        ("/trainer/epochs", "6"),
+        ("/optimizer/lr", "0.05"),
+        ("/evaluate/0/source/split", "train"),
+    ]),
     row(
         "evaluate[*].source(replica).lang_feat",
         "folders",
@@ -1160,11 +1168,8 @@ pub const CASES: &[Case] = &[
         "unseen/nothing",
         Refused("early_stopping.measurement"),
     ),
-    row("early_stopping.patience", "language", "/early_stopping/patience", "1", Files).with(&[
-        ("/trainer/epochs", "4"),
-        ("/optimizer/lr", "0.0"),
-        ("/optimizer/groups/0/lr", "0.0"),
-    ]),
+    row("early_stopping.patience", "language", "/early_stopping/patience", "1", Weights)
+        .with(&[("/early_stopping/measurement", "unseen/oracle/mIoU"), ("/trainer/epochs", "4")]),
     row(
         "early_stopping.smaller_is_better",
         "language",

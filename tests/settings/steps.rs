@@ -50,8 +50,12 @@ const FIELDS: &[(&str, &str, &str, &str)] = &[
 ];
 
 /// Fields that another one needs.
-const BESIDE: &[(&str, &str, &str)] =
-    &[("grid_sample", "grid_size", "0.3"), ("sphere_crop", "point_max", "500")];
+const BESIDE: &[(&str, &str, &str)] = &[
+    ("grid_sample", "grid_size", "0.3"),
+    ("sphere_crop", "point_max", "500"),
+    // Beyond half a turn quaternions change their sign.
+    ("random_rotate", "angle", "[1.5, 1.5]"),
+];
 
 fn room() -> Sample {
     let scene = generate(&SyntheticRoomSettings::with_count(2000, 3)).unwrap().scene;

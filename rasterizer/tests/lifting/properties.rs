@@ -208,7 +208,7 @@ fn neither_memory_nor_threads_change_a_bit() {
             let plain = run(u64::MAX, 1, rule, &finalise);
             // Each thread has 512 Gaussians of a picture at least.
             assert!(plain.valid.iter().filter(|&&v| v).count() > 500);
-            let least = LiftSettings::least_memory(1);
+            let least = LiftSettings::least_memory(2);
             for (memory, threads) in [(u64::MAX, 3), (least, 1), (least, 4)] {
                 assert_eq!(plain, run(memory, threads, rule, &finalise), "{memory} {threads}");
             }
