@@ -3,7 +3,7 @@
 
 use anyhow::Context;
 use candle_core::{DType, Device};
-use scenesplat::training::export::write_model;
+use scenesplat::experiment::export::write_model;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 

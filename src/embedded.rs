@@ -2,8 +2,7 @@
 //!
 //! What it is, what it was trained on and what it cannot do stands in `assets/embedded/README.md`.
 
-use crate::NetworkConfig;
-use anyhow::{Context, Result};
+use crate::network::{NetworkConfig, NetworkError};
 use candle_core::Tensor;
 use scenesplat_rooms::Vocabulary;
 use std::collections::BTreeMap;
@@ -18,17 +17,16 @@ pub const NAME: &str = "embedded";
 ///
 /// # Errors
 /// If the program was built with a broken file.
-pub fn config() -> Result<NetworkConfig> {
-    serde_json::from_str(CONFIG).context("assets/embedded/config.json")
+pub fn config() -> Result<NetworkConfig, NetworkError> {
+    serde_json::from_str(CONFIG).map_err(NetworkError::config("assets/embedded/config.json"))
 }
 
 /// Its values by name, in the types they are stored in.
 ///
 /// # Errors
 /// If the program was built with a broken file.
-pub fn tensors() -> Result<BTreeMap<String, Tensor>> {
-    let tensors = candle_core::safetensors::load_buffer(WEIGHTS, &candle_core::Device::Cpu)
-        .context("assets/embedded/model.safetensors")?;
+pub fn tensors() -> Result<BTreeMap<String, Tensor>, NetworkError> {
+    let tensors = candle_core::safetensors::load_buffer(WEIGHTS, &candle_core::Device::Cpu)?;
     Ok(tensors.into_iter().collect())
 }
 
@@ -36,7 +34,7 @@ pub fn tensors() -> Result<BTreeMap<String, Tensor>> {
 ///
 /// # Errors
 /// If the network is narrower than a vocabulary can be.
-pub fn vocabulary() -> Result<Vocabulary> {
+pub fn vocabulary() -> Result<Vocabulary, NetworkError> {
     Ok(Vocabulary::new(config()?.model.out_channels())?)
 }
 
@@ -54,11 +52,10 @@ pub fn stored_bytes() -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Network, SceneEncoder, WeightOptions, Weights};
-    use scenesplat_metrics::{
-        ConfusionMatrix, FeatureSlice, Metric, ZeroShotOptions, classify, vote,
-    };
-    use scenesplat_rooms::{CLASSES, SyntheticRoomSettings, generate};
+    use crate::evaluation::{EvaluationSettings, background, evaluate};
+    use crate::{Network, WeightOptions, Weights};
+    use scenesplat_rooms::{SyntheticRoomSettings, generate};
+    use scenesplat_scene::LabelSet;
 
     /// Measured once, over five rooms of this seed. The card states 0.73 for twenty; five hold fewer
     /// classes, and one that is predicted though no room has it counts 0.
@@ -71,23 +68,14 @@ mod tests {
         let network =
             Network::load(config().unwrap(), &Weights::Embedded, WeightOptions::default()).unwrap();
         let texts = vocabulary().unwrap().class_table();
-        let table = crate::text::metric_table(&texts).unwrap();
-        let background: Vec<usize> = ["wall", "floor", "ceiling"]
-            .map(|name| CLASSES.iter().position(|class| class.name == name).unwrap())
-            .to_vec();
-        let mut confusion =
-            ConfusionMatrix::new(CLASSES.len()).unwrap().with_excluded(&background).unwrap();
-        for room in 0..5 {
+        let excluded = background(&LabelSet::new(texts.names.clone()).unwrap());
+        let settings = EvaluationSettings { excluded, ..EvaluationSettings::default() };
+        let rooms = (0..5).map(|room| {
             let settings = SyntheticRoomSettings { seed: 777, room, ..Default::default() };
-            let scene = generate(&settings).unwrap().scene;
-            let features = SceneEncoder::new(&network).encode(&scene, &mut |_| Ok(())).unwrap();
-            let rows = features.gaussian_rows(0..features.len()).unwrap();
-            let rows = FeatureSlice::new(&rows, features.width()).unwrap();
-            let labels = classify(&rows, &table, &ZeroShotOptions::default()).unwrap().labels;
-            let voted = vote(&scene.coord, &labels, None, &scene.coord, 25, CLASSES.len()).unwrap();
-            confusion.update((&voted, scene.segment.as_ref().unwrap())).unwrap();
-        }
-        let found = confusion.tester_report().foreground_mean_iou.unwrap();
+            (format!("room {room}"), generate(&settings).unwrap().scene)
+        });
+        let report = evaluate(&network, &texts, settings, rooms, None, &mut |_| Ok(())).unwrap();
+        let found = report.model.unwrap().foreground_mean_iou.unwrap();
         println!("f-mIoU of the embedded network on five unseen rooms: {found:.4}");
         // Instruction sets differ in the last bits, which may move single Gaussians.
         assert!((found - F_MIOU).abs() < 0.01, "f-mIoU {found}, {F_MIOU} is stored");

@@ -42,8 +42,8 @@ pub enum EncodeError {
     },
     /// The memory limit leaves nothing to work with.
     #[error(
-        "--max-memory {limit}: the scene, the weights and {voxels} voxels already need {needed}; \
-         allow at least {advice}"
+        "a memory limit of {limit} is too low: the scene, the weights and {voxels} voxels already \
+         need {needed}; allow at least {advice}"
     )]
     Memory {
         /// The limit.

@@ -1,21 +1,65 @@
 //! What the commands read: a scene, or a labelled point cloud that becomes one.
 
+use crate::inference::{EncodeError, SceneFeatures};
 use crate::outputs::OpenedScene;
-use anyhow::Result;
-use scenesplat_datasets::{PointSettings, SurfacePoints, gaussians_from_points};
+use scenesplat_datasets::{DataError, PointSettings, SurfacePoints, gaussians_from_points};
 use scenesplat_scene::formats::labelled_ply::{LABEL_NAMES, read_labelled_ply};
+use scenesplat_scene::formats::npy::NpyFile;
 use scenesplat_scene::formats::ply::{PlyFile, is_ply};
-use scenesplat_scene::{LoadedScene, ReadOptions, SceneFormat, open_scene};
+use scenesplat_scene::{
+    FeatureRows, LoadedScene, ReadOptions, SceneError, SceneFormat, open_scene,
+};
 use std::ffi::OsStr;
 use std::io::Read;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+
+/// Why there is no scene to work with.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum InputError {
+    /// A file that cannot be read.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// Points that cannot be turned into Gaussians.
+    #[error(transparent)]
+    Points(#[from] DataError),
+    /// An array that is no table of features.
+    #[error("{}: expected [{rows}, D], got {shape:?}", path.display())]
+    Shape {
+        /// Which file.
+        path: PathBuf,
+        /// Rows that the scene's file has.
+        rows: usize,
+        /// What there is.
+        shape: Vec<usize>,
+    },
+    /// Features of another scene.
+    #[error(
+        "{}: {count} rows, but the scene has {rows}: these features belong to another scene",
+        path.display()
+    )]
+    OtherScene {
+        /// Which file.
+        path: PathBuf,
+        /// Its rows.
+        count: usize,
+        /// Rows that the scene's file has.
+        rows: usize,
+    },
+    /// Features that cannot be used.
+    #[error(transparent)]
+    Features(#[from] EncodeError),
+}
 
 /// Reads a scene in any format. The points of a labelled point cloud become discs as wide as their
 /// spacing, and the text says so.
 ///
 /// # Errors
 /// As [`open_scene`]; also if the points cannot be turned into Gaussians.
-pub fn open_input(path: &Path, options: &ReadOptions) -> Result<(OpenedScene, Option<String>)> {
+pub fn open_input(
+    path: &Path,
+    options: &ReadOptions,
+) -> Result<(OpenedScene, Option<String>), InputError> {
     let label = options.segment.as_deref();
     if !labelled_cloud(path, label) {
         return Ok((OpenedScene { loaded: open_scene(path, options)?, converted: false }, None));
@@ -45,6 +89,61 @@ pub fn open_input(path: &Path, options: &ReadOptions) -> Result<(OpenedScene, Op
         kind: SceneFormat::Ply,
     };
     Ok((OpenedScene { loaded, converted: true }, Some(text)))
+}
+
+/// Reads the features of a scene from a file, `.npy`, `[N, D]`: a row for each row of the scene's
+/// file, or for each that was kept.
+///
+/// # Errors
+/// If the file cannot be read, or has another number of rows.
+pub fn read_features(path: &Path, loaded: &LoadedScene) -> Result<SceneFeatures, InputError> {
+    let rows = loaded.source_rows();
+    let (file, count, width) = open_features(path, rows)?;
+    let kept = loaded.kept_rows.as_deref();
+    let values = match kept {
+        _ if count == loaded.scene.len() => file.read_f32()?,
+        Some(kept) if count == rows => pick(&file.read_f32()?, kept, width),
+        _ => return Err(InputError::OtherScene { path: path.to_owned(), count, rows }),
+    };
+    Ok(SceneFeatures::from_rows(values, width)?)
+}
+
+/// As [`read_features`], as a scene carries them: rounded to half precision. `rows`: those of the
+/// scene's file, of which `kept` were kept (all if `None`).
+///
+/// # Errors
+/// If the file cannot be read, or has another number of rows.
+pub fn read_feature_rows(
+    path: &Path,
+    rows: usize,
+    kept: Option<&[u32]>,
+) -> Result<FeatureRows, InputError> {
+    let (file, count, dim) = open_features(path, rows)?;
+    if count != rows {
+        return Err(InputError::OtherScene { path: path.to_owned(), count, rows });
+    }
+    let values = file.read_f16()?;
+    let values = match kept {
+        Some(kept) => pick(&values, kept, dim),
+        None => values,
+    };
+    Ok(FeatureRows { values, dim })
+}
+
+/// A table of features with its number of rows and their width.
+fn open_features(path: &Path, rows: usize) -> Result<(NpyFile, usize, usize), InputError> {
+    let file = NpyFile::open(path)?;
+    match *file.shape() {
+        [count, width] => Ok((file, count, width)),
+        _ => {
+            let shape = file.shape().to_vec();
+            Err(InputError::Shape { path: path.to_owned(), rows, shape })
+        }
+    }
+}
+
+fn pick<T: Copy>(values: &[T], rows: &[u32], width: usize) -> Vec<T> {
+    rows.iter().flat_map(|&r| &values[r as usize * width..][..width]).copied().collect()
 }
 
 /// What to call a scene: its file or folder; one that is described by a `meta.json` or

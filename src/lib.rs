@@ -5,14 +5,14 @@
 //! [`metrics`] (labels, votes, evaluation, pictures), [`rasterizer`] (pictures of scenes), [`trainers`]
 //! (optimizers and schedules), [`rooms`] (synthetic rooms). This crate adds
 //! what joins them: [`Network`] (a configuration with its weights), [`SceneEncoder`] (a scene in,
-//! features out) and what the commands write.
+//! features out), [`labels`], [`query`], [`evaluation`], [`experiment`] and what the commands write.
 //!
 //! ```
 //! use scenesplat::embedded;
 //! use scenesplat::prelude::*;
 //! use scenesplat::rooms::{SyntheticRoomSettings, generate};
 //!
-//! # fn main() -> anyhow::Result<()> {
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! let room = generate(&SyntheticRoomSettings::with_count(500, 1))?;
 //! // The network that comes with the program: it knows furnished rooms.
 //! let network = Network::load(embedded::config()?, &Weights::Embedded, WeightOptions::default())?;
@@ -26,6 +26,8 @@
 
 pub mod alignment;
 pub mod embedded;
+pub mod evaluation;
+pub mod experiment;
 pub mod inference;
 pub mod input;
 pub mod inspect;
@@ -38,7 +40,6 @@ pub mod preview;
 pub mod principal;
 pub mod query;
 pub mod text;
-pub mod training;
 
 pub use alignment::{Alignment, AlignmentSettings};
 pub use inference::{EncodeError, SceneEncoder, SceneFeatures};

@@ -2,11 +2,12 @@
 
 mod choice;
 mod config;
+mod error;
 
 pub use choice::{NetworkChoice, config_beside, network_of};
 pub use config::{NetworkConfig, documented_input};
+pub use error::NetworkError;
 
-use candle_core::Result;
 use scenesplat_datasets::InputFeatures;
 use scenesplat_models::convert::{Branch, ConvLayout};
 use scenesplat_models::weights::{SourceOptions, WeightSource, resolve};
@@ -97,22 +98,22 @@ impl Network {
     /// # Errors
     /// If the configuration does not fit together, or the weights do not fit it as far as the
     /// policy asks; the message lists matched, missing, unexpected and mis-shaped names.
-    pub fn load(config: NetworkConfig, weights: &Weights, options: WeightOptions) -> Result<Self> {
+    pub fn load(
+        config: NetworkConfig,
+        weights: &Weights,
+        options: WeightOptions,
+    ) -> Result<Self, NetworkError> {
         config.check()?;
         let (source, files) = match weights {
             Weights::Seeded(seed) => (WeightSource::hashed(*seed, ""), Vec::new()),
-            Weights::Embedded => {
-                let tensors = crate::embedded::tensors();
-                let tensors = tensors.map_err(|e| candle_core::Error::Msg(format!("{e:#}")))?;
-                (WeightSource::tensors(tensors), Vec::new())
-            }
+            Weights::Embedded => (WeightSource::tensors(crate::embedded::tensors()?), Vec::new()),
             Weights::File(path) => {
                 let folder = resolve(path)?;
                 let files = folder
                     .files
                     .iter()
                     .map(|f| Ok((f.path().to_owned(), f.sha256()?)))
-                    .collect::<Result<_>>()?;
+                    .collect::<Result<_, NetworkError>>()?;
                 (WeightSource::files(folder.files, options.source())?, files)
             }
         };
@@ -151,12 +152,12 @@ impl Network {
         input: InputFeatures,
         grid_size: f64,
         output: NetworkOutput,
-    ) -> Result<Self> {
+    ) -> Result<Self, NetworkError> {
         if !(grid_size.is_finite() && grid_size > 0.0) {
-            candle_core::bail!("grid_size: {grid_size} is not above 0");
+            return Err(NetworkError::NotPositive { field: "grid_size", value: grid_size });
         }
         if input.width() == 0 {
-            candle_core::bail!("input.channels: at least one channel is needed");
+            return Err(NetworkError::NoChannels);
         }
         Ok(Self {
             config: None,

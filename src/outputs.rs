@@ -1,10 +1,10 @@
 //! What the commands write: features, labels, coloured scenes, previews.
 
-use crate::inference::SceneFeatures;
+use crate::inference::{EncodeError, SceneFeatures};
 use crate::preview::{
-    LegendEntry, PreviewSettings, SceneRows, UNLABELLED_COLOR, class_color, write_preview,
+    LegendEntry, PreviewError, PreviewSettings, SceneRows, UNLABELLED_COLOR, class_color,
+    write_preview,
 };
-use anyhow::{Context, Result};
 use half::f16;
 use scenesplat_scene::formats::inria_ply::write_inria_ply;
 use scenesplat_scene::formats::npy_writer::NpyRowWriter;
@@ -12,8 +12,49 @@ use scenesplat_scene::formats::ply::{
     ColumnValues, PlyColumn, PlyFile, free_column_name, write_ply_with_columns,
 };
 use scenesplat_scene::gaussian_scene::u8_to_dc;
-use scenesplat_scene::{AtomicFile, GaussianScene, LoadedScene, SceneFormat, UpAxis};
-use std::path::Path;
+use scenesplat_scene::{
+    AtomicFile, GaussianScene, LoadedScene, SceneError, SceneFormat, UpAxis, WriteError,
+};
+use std::path::{Path, PathBuf};
+
+/// Why a result could not be written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum OutputError {
+    /// The scene does not fit its file any more, or a scene file could not be written.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// A file that could not be put in place.
+    #[error(transparent)]
+    Write(#[from] WriteError),
+    /// A picture that could not be drawn or written.
+    #[error(transparent)]
+    Preview(#[from] PreviewError),
+    /// Features that went to a file could not be read.
+    #[error(transparent)]
+    Features(#[from] EncodeError),
+    /// A file that could not be written or looked at.
+    #[error("{}", path.display())]
+    Io {
+        /// Which file.
+        path: PathBuf,
+        /// Why.
+        #[source]
+        source: std::io::Error,
+    },
+    /// A header would promise other than there is.
+    #[error("{}: wrote {written} of {expected} values", path.display())]
+    Incomplete {
+        /// Which file.
+        path: PathBuf,
+        /// Values that there were.
+        written: usize,
+        /// Values that the scene calls for.
+        expected: usize,
+    },
+}
+
+type Result<T, E = OutputError> = std::result::Result<T, E>;
 
 /// A scene as a command opened it.
 #[derive(Debug)]
@@ -88,29 +129,34 @@ pub fn write_features_safetensors(
     .to_string();
     // The data start on a multiple of 8.
     header.push_str(&" ".repeat(header.len().next_multiple_of(8) - header.len()));
-    let written = (|| -> Result<()> {
+    let io = |source| OutputError::Io { path: path.to_owned(), source };
+    {
         let part = AtomicFile::create(path)?;
         let mut file = std::io::BufWriter::new(part.file()?);
-        file.write_all(&(header.len() as u64).to_le_bytes())?;
-        file.write_all(header.as_bytes())?;
+        file.write_all(&(header.len() as u64).to_le_bytes()).map_err(io)?;
+        file.write_all(header.as_bytes()).map_err(io)?;
         let mut count = 0;
         for_each_source_block(opened, features, |values| {
             count += values.len();
             for v in values {
                 match ty {
-                    FeatureType::F32 => file.write_all(&v.to_le_bytes())?,
-                    FeatureType::F16 => file.write_all(&f16::from_f32(*v).to_le_bytes())?,
+                    FeatureType::F32 => file.write_all(&v.to_le_bytes()).map_err(io)?,
+                    FeatureType::F16 => {
+                        file.write_all(&f16::from_f32(*v).to_le_bytes()).map_err(io)?
+                    }
                 }
             }
             Ok(())
         })?;
-        file.flush()?;
+        file.flush().map_err(io)?;
         drop(file);
         // A header that promises more than there is would make every reader stumble.
-        anyhow::ensure!(count == rows * width, "wrote {count} of {} values", rows * width);
-        Ok(part.commit()?)
-    })();
-    written.with_context(|| path.display().to_string())?;
+        if count != rows * width {
+            let (path, expected) = (path.to_owned(), rows * width);
+            return Err(OutputError::Incomplete { path, written: count, expected });
+        }
+        part.commit()?;
+    }
     file_size(path)
 }
 
@@ -145,7 +191,8 @@ fn for_each_source_block(
 }
 
 fn file_size(path: &Path) -> Result<u64> {
-    Ok(std::fs::metadata(path).with_context(|| path.display().to_string())?.len())
+    let io = |source| OutputError::Io { path: path.to_owned(), source };
+    Ok(std::fs::metadata(path).map_err(io)?.len())
 }
 
 /// Columns to add to a coloured scene, one value per Gaussian.

@@ -12,6 +12,7 @@ mod look_at;
 mod orbit;
 pub(crate) mod orthographic;
 mod palette;
+mod rendered;
 mod splats;
 pub(crate) mod text;
 
@@ -20,6 +21,7 @@ pub use inside::inside_views;
 pub use look_at::LookAt;
 pub use orbit::{Ceiling, Orbit};
 pub use palette::{UNLABELLED_COLOR, class_color};
+pub use rendered::{depth_steps, rendered_picture, solid_depth};
 
 use discs::{Canvas, Disc, Lens};
 use framing::{Framing, Upright};

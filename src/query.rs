@@ -86,6 +86,11 @@ pub struct QuerySettings {
     pub vote_k: usize,
 }
 
+/// Color of the selected Gaussians in pictures.
+pub const SELECTED_COLOR: [u8; 3] = [255, 140, 40];
+/// Color that stands for all others in legends.
+pub const OTHERS_COLOR: [u8; 3] = [110, 110, 118];
+
 /// What was found.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Selection {
@@ -153,6 +158,26 @@ pub fn select(
 }
 
 impl Selection {
+    /// Colors of a picture of it: selected Gaussians orange, the others grey, brighter with their
+    /// score. `[N]`
+    pub fn colors(&self) -> Vec<[u8; 3]> {
+        let mut sorted: Vec<f32> = self.scores.iter().copied().filter(|s| s.is_finite()).collect();
+        sorted.sort_by(f32::total_cmp);
+        let at = |q: f32| sorted.get(((sorted.len().max(1) - 1) as f32 * q) as usize).copied();
+        let (low, high) = (at(0.02).unwrap_or(0.0), at(0.98).unwrap_or(0.0));
+        let color = |(&score, &selected): (&f32, &i32)| {
+            let t = if high > low { ((score - low) / (high - low)).clamp(0.0, 1.0) } else { 0.0 };
+            match selected {
+                1 => SELECTED_COLOR,
+                _ => {
+                    let v = (60.0 + 100.0 * t) as u8;
+                    [v, v, v.saturating_add(8)]
+                }
+            }
+        };
+        self.scores.iter().zip(&self.selected).map(color).collect()
+    }
+
     /// The best finite score; `None` if no Gaussian has one.
     pub fn best_score(&self) -> Option<f32> {
         self.scores.iter().copied().filter(|s| s.is_finite()).max_by(f32::total_cmp)

@@ -2,8 +2,8 @@
 //! its name unless it is in the list of those that may change. And settings reach what they set.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
+use scenesplat::experiment::{ExperimentConfig, MAY_CHANGE, RunOptions, train};
 use scenesplat::trainers::TrainerConfig;
-use scenesplat::training::{ExperimentConfig, MAY_CHANGE, RunOptions, train};
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -163,7 +163,7 @@ fn read(folder: &Path, text: &str) -> ExperimentConfig {
 fn run(config: &ExperimentConfig, out: &Path, resume: bool) -> Result<(), String> {
     let (out, stop) = (out.to_owned(), Default::default());
     let options = RunOptions { out, resume, quiet: true, stop, commit: None };
-    train(config, &options).map(|_| ()).map_err(|e| format!("{e:#}"))
+    train(config, &options).map(|_| ()).map_err(|e| format!("{:#}", anyhow::Error::from(e)))
 }
 
 /// Paths of all leaves: `/train/0/source/count`, as JSON pointers.

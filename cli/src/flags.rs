@@ -34,7 +34,8 @@ pub struct Shared {
 /// Which network.
 #[derive(Debug, clap::Args)]
 pub struct NetworkArgs {
-    /// Network: language, semseg, tiny or a .toml file; from the weights' folder if it has one.
+    /// Network: language, semseg, ssl, tiny, litept-s (-s-decoder, -b, -l) or a .toml file; from
+    /// the weights' folder if it has one.
     #[arg(long, value_name = "NAME|FILE")]
     pub config: Option<NetworkChoice>,
     /// Checkpoint, model folder, seeded:N for values without meaning, or embedded, the small network
@@ -238,6 +239,14 @@ pub fn parse_positive(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
         _ => Err(format!("{text:?}: a number above 0 is expected")),
+    }
+}
+
+/// Reads the number of a granularity.
+pub fn parse_level(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(level @ 0..=3) => Ok(level),
+        _ => Err(format!("{text:?}: levels are 0 to 3")),
     }
 }
 

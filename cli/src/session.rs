@@ -9,14 +9,14 @@ use crate::terminal::print;
 use anyhow::{Context, Result};
 use scenesplat::alignment::{Alignment, AlignmentSettings, Remark};
 use scenesplat::inference::{EncodeError, Fidelity};
-use scenesplat::input::open_input;
+use scenesplat::input::{open_input, read_features};
 use scenesplat::kernels::simd::Isa;
 use scenesplat::memory::Bytes;
 use scenesplat::models::{Compute, LoadPolicy};
 use scenesplat::network::{NetworkChoice, WeightOptions, Weights, network_of};
 use scenesplat::outputs::OpenedScene;
-use scenesplat::scene::formats::npy::NpyFile;
-use scenesplat::scene::{GaussianScene, LoadedScene, ReadOptions, UpAxis, guess_up, printable};
+use scenesplat::scene::formats::npy_writer::{NpyElement, write_npy};
+use scenesplat::scene::{GaussianScene, ReadOptions, UpAxis, guess_up, printable};
 use scenesplat::{Network, SceneEncoder, SceneFeatures};
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
@@ -40,14 +40,14 @@ impl FeatureSource {
         }
     }
 
+    /// Whether the features come from seeded weights, and mean nothing.
+    pub fn has_random_weights(&self) -> bool {
+        matches!(self, Self::Network(network) if network.has_random_weights())
+    }
+
     /// What to add to a title where the result means nothing.
     pub fn remark(&self) -> &'static str {
-        match self {
-            Self::Network(network) if network.has_random_weights() => {
-                " (seeded weights: no meaning)"
-            }
-            _ => "",
-        }
+        if self.has_random_weights() { " (seeded weights: no meaning)" } else { "" }
     }
 }
 
@@ -106,6 +106,22 @@ impl<'a> Session<'a> {
     pub fn wrote(&self, path: &Path, bytes: u64) {
         self.receipt.add_bytes_written(bytes);
         self.written.borrow_mut().push((self.outputs.shown(path), bytes));
+    }
+
+    /// Writes one value for each row of the scene's file, `fill` for those that were left out.
+    pub fn write_rows<T: NpyElement>(
+        &self,
+        name: &str,
+        opened: &OpenedScene,
+        values: &[T],
+        fill: T,
+    ) -> Result<()> {
+        let rows = opened.loaded.source_rows();
+        let path = self.out(name)?;
+        write_npy(&path, &[rows], &opened.loaded.to_source_rows(values, fill)?)?;
+        let bytes = std::fs::metadata(&path).with_context(|| path.display().to_string())?.len();
+        self.wrote(&path, bytes);
+        Ok(())
     }
 
     /// Writes a text file outside of the output folder, which was claimed.
@@ -171,10 +187,16 @@ impl<'a> Session<'a> {
         Ok(network)
     }
 
-    /// Reads a scene; a labelled point cloud is turned into Gaussians.
+    /// Reads a scene as a network's flags say; a labelled point cloud is turned into Gaussians.
     pub fn open(&self, path: &Path, inference: &Inference) -> Result<OpenedScene> {
+        self.open_with(path, &inference.source.options())
+    }
+
+    /// Reads a scene, says what was wrong with it, and notes it in the receipt; a labelled point cloud
+    /// is turned into Gaussians.
+    pub fn open_with(&self, path: &Path, options: &ReadOptions) -> Result<OpenedScene> {
         let stage = self.receipt.stage("read");
-        let opened = self.read(path, &inference.source.options())?;
+        let opened = self.read(path, options)?;
         if !opened.loaded.report.is_clean() {
             let text = opened.loaded.report.to_string();
             self.progress.say(&text);
@@ -263,7 +285,7 @@ impl<'a> Session<'a> {
         let scene = &opened.loaded.scene;
         match source {
             FeatureSource::Network(network) => self.encode(scene, network, inference),
-            FeatureSource::File(path) => features_of_file(path, &opened.loaded),
+            FeatureSource::File(path) => Ok(read_features(path, &opened.loaded)?),
             FeatureSource::Codes => {
                 SceneFeatures::from_codes(scene).context("the scene carries no language codes")
             }
@@ -322,7 +344,10 @@ impl<'a> Session<'a> {
             Ok(())
         });
         self.progress.finish();
-        let features = features?;
+        let features = features.map_err(|error| match error {
+            EncodeError::Memory { .. } => anyhow::Error::from(error).context("--max-memory"),
+            other => other.into(),
+        })?;
         let s = features.summary;
         if s.tiles > s.passes {
             receipt.setting("tiles", s.tiles, "the scene was cut to stay below --max-memory");
@@ -463,27 +488,4 @@ pub fn set_threads(threads: Option<usize>) -> Result<()> {
         anyhow::bail!("--threads {n}: the system does not allow that many");
     }
     Ok(())
-}
-
-/// Features that a file holds, `[N, D]`: a row for each row of the scene's file, or for each that was
-/// kept.
-fn features_of_file(path: &Path, loaded: &LoadedScene) -> Result<SceneFeatures> {
-    let file = NpyFile::open(path)?;
-    let rows = loaded.source_rows();
-    let &[count, width] = file.shape() else {
-        anyhow::bail!("{}: expected [{rows}, D], got {:?}", path.display(), file.shape());
-    };
-    let kept = loaded.kept_rows.as_deref();
-    let values = match kept {
-        _ if count == loaded.scene.len() => file.read_f32()?,
-        Some(kept) if count == rows => {
-            let all = file.read_f32()?;
-            kept.iter().flat_map(|&r| &all[r as usize * width..][..width]).copied().collect()
-        }
-        _ => anyhow::bail!(
-            "{}: {count} rows, but the scene has {rows}: these features belong to another scene",
-            path.display()
-        ),
-    };
-    Ok(SceneFeatures::from_rows(values, width)?)
 }

@@ -40,16 +40,9 @@ impl FullScene {
         self.voxel.iter().map(|&voxel| of_voxels[voxel as usize]).collect()
     }
 
-    /// Where the truth is known, and what it is there: at the labelled points if they have classes,
-    /// else at the Gaussians; `None` without any.
-    pub fn truth(&self) -> Option<(&[[f32; 3]], &[i32])> {
-        let points = self.points.as_ref();
-        let of_points = points.and_then(|p| Some((p.coord.as_slice(), p.segment.as_deref()?)));
-        of_points.or_else(|| Some((self.coord.as_slice(), self.segment.as_deref()?)))
-    }
-
-    /// Whether the truth is that of labelled points.
-    pub fn scores_points(&self) -> bool {
-        self.points.as_ref().is_some_and(|points| points.segment.is_some())
+    /// Positions and classes of the labelled points, if they have classes: what is scored then.
+    pub fn scored_points(&self) -> Option<(&[[f32; 3]], &[i32])> {
+        let points = self.points.as_ref()?;
+        Some((&points.coord, points.segment.as_deref()?))
     }
 }

@@ -2,7 +2,7 @@
 //! Experiments as TOML, without variables of the environment.
 
 use libfuzzer_sys::fuzz_target;
-use scenesplat::training::ExperimentConfig;
+use scenesplat::experiment::ExperimentConfig;
 use scenesplat_fuzz::file;
 
 fuzz_target!(|bytes: &[u8]| {

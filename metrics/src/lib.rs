@@ -59,6 +59,7 @@ mod random_labels;
 pub mod reference;
 mod report;
 mod rows;
+mod scene_truth;
 mod similarity;
 mod sweep;
 mod text_table;
@@ -72,6 +73,7 @@ pub use oracle::{Fault, OracleCheck, OracleFailure, OracleReport, OracleStage, O
 pub use random_labels::random_labels;
 pub use report::{EvaluatorClass, EvaluatorReport, TesterClass, TesterReport};
 pub use rows::{FeatureFn, FeatureRows, FeatureSlice};
+pub use scene_truth::{SceneTruth, Scores, VoteRule};
 pub use similarity::cosine_scores;
 pub use text_table::TextTable;
 pub use voting::{keep_withheld, vote};

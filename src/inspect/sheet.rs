@@ -7,6 +7,7 @@ use crate::preview::orthographic::{LevelViews, Viewpoint};
 use crate::preview::{BACKGROUND, FAINT_INK, INK, PreviewError, SceneRows, fill, text, write_png};
 use scenesplat_scene::GaussianScene;
 use scenesplat_scene::picture::RgbPicture;
+use std::ffi::OsString;
 use std::path::Path;
 
 const WIDTH: u32 = 1600;
@@ -230,5 +231,35 @@ fn draw_text(picture: &mut RgbPicture, seen: &Inspection) {
             y += LINE;
         }
         y += BLOCK_GAP;
+    }
+}
+
+/// What to call the sheet of a scene: `room.ply` → `room.ply.inspect.png`; the description of a folder is named after the folder.
+pub fn sheet_name(scene: &Path) -> OsString {
+    // A path such as `.` has a name only once it is resolved.
+    let full = std::fs::canonicalize(scene).unwrap_or_else(|_| scene.to_owned());
+    let mut name = scene_name(&full).unwrap_or("scene".as_ref()).to_owned();
+    name.push(".inspect.png");
+    name
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sheets_are_named_after_the_scene() {
+        for (scene, name) in [
+            ("somewhere/room.ply", "room.ply.inspect.png"),
+            ("room.spz", "room.spz.inspect.png"),
+            ("robot/meta.json", "robot.inspect.png"),
+        ] {
+            assert_eq!(sheet_name(Path::new(scene)), name);
+        }
+        let here = tempfile::tempdir().unwrap();
+        let folder = here.path().join("scene.v1");
+        std::fs::create_dir(&folder).unwrap();
+        assert_eq!(sheet_name(&folder), "scene.v1.inspect.png");
+        assert_eq!(sheet_name(&folder.join(".")), "scene.v1.inspect.png");
     }
 }

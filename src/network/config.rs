@@ -1,5 +1,6 @@
 //! Everything that a network is, as a file says it.
 
+use super::NetworkError;
 use candle_core::Result;
 use scenesplat_datasets::{InputChannel, InputFeatures};
 use scenesplat_models::weights::Shapes;
@@ -96,16 +97,14 @@ impl NetworkConfig {
     ///
     /// # Errors
     /// If it cannot be read, has unknown or wrong fields, or its fields do not fit together.
-    pub fn read(path: &Path) -> anyhow::Result<Self> {
-        use anyhow::Context;
-        let place = || path.display().to_string();
+    pub fn read(path: &Path) -> std::result::Result<Self, NetworkError> {
         let text = scenesplat_scene::input_file::read_text_file(path)?;
         let config: Self = if path.extension().is_some_and(|e| e == "json") {
-            serde_json::from_str(&text).with_context(place)?
+            serde_json::from_str(&text).map_err(NetworkError::config(path))?
         } else {
-            toml::from_str(&text).with_context(place)?
+            toml::from_str(&text).map_err(NetworkError::config(path))?
         };
-        config.check().with_context(place)?;
+        config.check().map_err(NetworkError::config(path))?;
         Ok(config)
     }
 

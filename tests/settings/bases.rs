@@ -1,11 +1,11 @@
 //! Experiments that together have every kind of table, and the scenes that they read.
 
 use candle_core::{Device, Tensor};
+use scenesplat::experiment::ExperimentConfig;
 use scenesplat::rooms::vocabulary::Vocabulary;
 use scenesplat::rooms::{CLASSES, SyntheticRoomSettings, generate};
 use scenesplat::scene::formats::npy_folder::write_npy_folder;
 use scenesplat::scene::{FeatureRows, GaussianScene, LabelledPoints};
-use scenesplat::training::ExperimentConfig;
 use serde_json::Value;
 use std::path::Path;
 

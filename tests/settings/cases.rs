@@ -857,7 +857,7 @@ pub const CASES: &[Case] = &[
         "language",
         "/evaluate/0/source/vocabulary",
         "64",
-        Nothing("only floaters have no feature, and none stands near a label"),
+        Nothing("only floaters have no feature, and no vote turns on them"),
     ),
     row(
         "evaluate[*].source(synthetic).room.seed",

@@ -1,7 +1,7 @@
 //! Which settings there are, as the program says itself when it refuses one.
 
 use scenesplat::datasets::transforms::TransformConfig;
-use scenesplat::training::ExperimentConfig;
+use scenesplat::experiment::ExperimentConfig;
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 

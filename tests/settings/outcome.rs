@@ -1,7 +1,7 @@
 //! What a run comes to.
 
 use crate::bases::Data;
-use scenesplat::training::{ExperimentConfig, RunOptions, train};
+use scenesplat::experiment::{ExperimentConfig, RunOptions, train};
 use serde_json::Value;
 use std::path::Path;
 

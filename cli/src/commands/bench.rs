@@ -1,16 +1,14 @@
 //! `scenesplat bench`
 
 use super::WrongUse;
-use crate::bench::{Measured, Request, Settings, Step, Stopped, measure, names, run as run_rows};
+use crate::bench::process::{Scratch, measure_here, measure_in_a_process};
+use crate::bench::{Settings, Step, names, run as run_rows};
 use crate::outputs::Outputs;
-use crate::progress::{Progress, interrupted, listen_for_interrupt};
+use crate::progress::{Progress, listen_for_interrupt};
 use crate::terminal::{print, write_text};
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use scenesplat::kernels::Precision;
-use std::io::Read;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// Measures how fast networks and kernels are on this machine, and how far from the least time that
 /// it would allow. Needs no files. Run nothing else meanwhile.
@@ -39,9 +37,6 @@ pub struct Args {
     #[arg(long, hide = true, value_name = "JSON")]
     pub measure: Option<String>,
 }
-
-/// How often a row's process is looked at.
-const POLL: Duration = Duration::from_millis(20);
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
@@ -73,7 +68,7 @@ pub fn run(args: &Args) -> Result<()> {
         precisions,
         threads: args.threads.unwrap_or_else(rayon::current_num_threads),
         quick: args.quick,
-        scratch: scratch.0.clone(),
+        scratch: scratch.path().to_owned(),
     };
     let report = run_rows(&settings, &mut measure_in_a_process, &mut |step| match step {
         Step::Begins(i, of, name, precision) => {
@@ -91,100 +86,5 @@ pub fn run(args: &Args) -> Result<()> {
         let names: Vec<&str> = report.failed.iter().map(|f| f.name.as_str()).collect();
         bail!("{} rows could not be measured: {}", names.len(), names.join(", "));
     }
-    Ok(())
-}
-
-/// A folder that goes when this does.
-struct Scratch(PathBuf);
-
-impl Scratch {
-    fn new() -> Result<Self> {
-        let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |t| t.as_nanos());
-        let name = format!("scenesplat-bench-{}-{now}", std::process::id());
-        let folder = std::env::temp_dir().join(name);
-        // Not into a folder, or behind a link, that somebody else has put there.
-        std::fs::create_dir(&folder)
-            .with_context(|| format!("{}: cannot make a scratch folder", folder.display()))?;
-        Ok(Self(folder))
-    }
-}
-
-impl Drop for Scratch {
-    fn drop(&mut self) {
-        // A rest in the system's folder for such does no harm.
-        let _ = std::fs::remove_dir_all(&self.0);
-    }
-}
-
-/// Ends the process when dropped.
-struct Running(Child);
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        // It has ended already, unless something went wrong or the user stopped.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-/// Measures a row in a fresh process of this program.
-fn measure_in_a_process(request: &Request) -> Result<Measured> {
-    if interrupted() {
-        return Err(Stopped.into());
-    }
-    let program = std::env::current_exe().context("cannot find this program")?;
-    let child = Command::new(program)
-        .args(["bench", "--measure", &serde_json::to_string(request)?])
-        // Its end tells the row that this process is gone.
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .context("cannot start a process for the row")?;
-    let mut child = Running(child);
-    // The answer is far smaller than a pipe, so nothing needs to be read until the end.
-    let status = loop {
-        if interrupted() {
-            return Err(Stopped.into());
-        }
-        if let Some(status) = child.0.try_wait()? {
-            break status;
-        }
-        std::thread::sleep(POLL);
-    };
-    // Ctrl-C reaches the row's process too, perhaps first.
-    if interrupted() {
-        return Err(Stopped.into());
-    }
-    let mut answer = String::new();
-    let mut said = String::new();
-    if let (Some(out), Some(err)) = (&mut child.0.stdout, &mut child.0.stderr) {
-        out.read_to_string(&mut answer)?;
-        err.read_to_string(&mut said)?;
-    }
-    if !status.success() {
-        let said = said.trim().trim_start_matches("error: ");
-        match status.code() {
-            Some(_) if !said.is_empty() => bail!("{said}"),
-            _ => bail!("its process ended with {status}; perhaps there is too little memory"),
-        }
-    }
-    serde_json::from_str(&answer).context("the row's process gave no answer")
-}
-
-/// Measures one row in this process and prints what it found.
-fn measure_here(request: &str) -> Result<()> {
-    let request: Request = serde_json::from_str(request)
-        .map_err(|e| WrongUse(format!("--measure: {e}; it is for the program itself")))?;
-    let built = rayon::ThreadPoolBuilder::new().num_threads(request.threads).build_global();
-    if built.is_err() && rayon::current_num_threads() != request.threads {
-        bail!("--threads {}: the system does not allow that many", request.threads);
-    }
-    std::thread::spawn(|| {
-        // Whatever started this holds the other end and writes nothing.
-        let _ = std::io::stdin().read_to_end(&mut Vec::new());
-        std::process::exit(1);
-    });
-    print(&serde_json::to_string(&measure(&request)?)?);
     Ok(())
 }

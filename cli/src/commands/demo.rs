@@ -6,13 +6,14 @@ use crate::progress::interrupted;
 use crate::terminal::print;
 use anyhow::{Context, Result, anyhow};
 use clap::Parser;
-use scenesplat::metrics::{ConfusionMatrix, Metric};
+use scenesplat::evaluation::background;
+use scenesplat::metrics::{SceneTruth, Scores, VoteRule};
 use scenesplat::outputs::{label_colors, legend, write_scene_preview};
 use scenesplat::rooms::{CLASSES, SyntheticRoomSettings, generate};
 use scenesplat::scene::atomic_file::check_replaceable;
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
 use scenesplat::scene::formats::npy::NpyFile;
-use scenesplat::scene::{FolderLock, UpAxis};
+use scenesplat::scene::{FolderLock, LabelSet, UpAxis};
 use std::path::PathBuf;
 
 /// Rooms of this seed are in no training configuration of the project.
@@ -70,10 +71,16 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let truth = room.scene.segment.as_deref().context("a room has labels")?;
     let labels = NpyFile::open(&args.out.join("labels.npy"))?.read_i64()?;
     let labels: Vec<i32> = labels.into_iter().map(|label| label as i32).collect();
-    let mut confusion = ConfusionMatrix::new(CLASSES.len())?.with_excluded(&[0, 1, 2])?;
-    confusion.update((&labels, truth))?;
-    let report = confusion.tester_report();
     let names: Vec<String> = CLASSES.iter().map(|c| c.name.to_owned()).collect();
+    let report = {
+        let known = SceneTruth::new(&room.scene.coord, Some(truth), None, names.len())?;
+        let known = known.context("a room has labels")?;
+        let background = background(&LabelSet::new(names.clone())?);
+        let mut scores = Scores::new(names.len(), &background)?;
+        // The labels were voted on already.
+        scores.add_labels(&known, labels, &VoteRule::of(1))?;
+        scores.model.tester_report()
+    };
     let picture = args.out.join("truth.png");
     let entries = legend(truth, &names);
     let (colors, up) = (label_colors(truth), UpAxis::PlusZ);

@@ -5,15 +5,13 @@ use crate::session::Session;
 use crate::terminal::print;
 use anyhow::{Context, Result, bail};
 use scenesplat::embedded;
-use scenesplat::input::scene_name;
-use scenesplat::inspect::sheet::write_sheet;
+use scenesplat::inspect::sheet::{sheet_name, write_sheet};
 use scenesplat::inspect::{InspectSettings, inspect};
 use scenesplat::memory::machine_memory;
 use scenesplat::models::weights::resolve;
 use scenesplat::network::{NetworkChoice, NetworkConfig, WeightOptions, Weights, network_of};
 use scenesplat::scene::{ReadOptions, UpAxis, printable};
-use std::ffi::OsString;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Prints what is in a scene, what is wrong with it and what the network will cost, and draws it as
 /// SCENE.inspect.png in the output folder.
@@ -133,34 +131,4 @@ fn network(args: &NetworkArgs) -> Result<(String, NetworkConfig)> {
         (Weights::Seeded(_), None) => NetworkChoice::Language.to_string(),
     };
     Ok((name, network_of(weights, args.config.as_ref(), WeightOptions::default())?))
-}
-
-/// `room.ply` → `room.ply.inspect.png`; the description of a folder is named after the folder.
-fn sheet_name(scene: &Path) -> OsString {
-    // A path such as `.` has a name only once it is resolved.
-    let full = std::fs::canonicalize(scene).unwrap_or_else(|_| scene.to_owned());
-    let mut name = scene_name(&full).unwrap_or("scene".as_ref()).to_owned();
-    name.push(".inspect.png");
-    name
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn sheets_are_named_after_the_scene() {
-        for (scene, name) in [
-            ("somewhere/room.ply", "room.ply.inspect.png"),
-            ("room.spz", "room.spz.inspect.png"),
-            ("robot/meta.json", "robot.inspect.png"),
-        ] {
-            assert_eq!(sheet_name(Path::new(scene)), name);
-        }
-        let here = tempfile::tempdir().unwrap();
-        let folder = here.path().join("scene.v1");
-        std::fs::create_dir(&folder).unwrap();
-        assert_eq!(sheet_name(&folder), "scene.v1.inspect.png");
-        assert_eq!(sheet_name(&folder.join(".")), "scene.v1.inspect.png");
-    }
 }

@@ -2,6 +2,7 @@
 
 mod bench;
 mod chunk;
+mod classes;
 mod compare;
 mod convert;
 mod demo;

@@ -3,9 +3,9 @@
 use crate::progress::{interrupted, listen_for_interrupt};
 use crate::session::set_threads;
 use crate::terminal::print;
-use anyhow::Result;
+use anyhow::{Result, anyhow};
+use scenesplat::experiment::{ExperimentConfig, ExperimentError, RunOptions, train};
 use scenesplat::trainers::checkpoint::newest_checkpoint;
-use scenesplat::training::{ExperimentConfig, RunOptions, train};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -69,7 +69,14 @@ pub fn run(args: &Args) -> Result<()> {
             stop,
             commit: option_env!("SCENESPLAT_COMMIT").map(str::to_owned),
         },
-    )?;
+    )
+    .map_err(|error| match error {
+        ExperimentError::HoldsRun { path } => anyhow!(
+            "{}: holds a run already; give --resume to go on with it, or another --out",
+            path.display()
+        ),
+        other => other.into(),
+    })?;
     for remark in &report.remarks {
         print(remark);
     }

@@ -192,7 +192,7 @@ fn scenes_with_labelled_points_only_are_evaluated() {
     let figures: serde_json::Value =
         serde_json::from_slice(&std::fs::read(out.join("evaluation.json")).unwrap()).unwrap();
     let value = |row: &serde_json::Value| row["all_acc"].as_f64().unwrap();
-    assert!(value(&figures) > 0.4, "{figures}");
+    assert!(value(&figures) > 5.0 * value(&figures["random_labels"]), "{figures}");
     assert!(value(&figures["oracle"]) > value(&figures), "{figures}");
     // With each point's own Gaussian alone, the truth loses nothing.
     done(&scenesplat(&[

@@ -44,7 +44,8 @@ impl ChunkFolder {
                     "holds chunks that were cut with other settings: {}",
                     differences(&this.settings, &known)
                 ),
-                help: "give another --out, the same settings, or remove the folder".to_owned(),
+                help: "choose another folder or the same settings, or remove this folder"
+                    .to_owned(),
             }
             .into()),
             Some(_) => Ok(this),

@@ -5,6 +5,7 @@ mod scenes;
 mod segmentation;
 mod zero_shot;
 
-pub use scenes::{Scores, VOTE_K};
+pub use scenes::VOTE_K;
+pub use scenesplat_metrics::Scores;
 pub use segmentation::SegmentationEvaluator;
 pub use zero_shot::ZeroShotEvaluator;

@@ -7,38 +7,11 @@ use candle_core::Tensor;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use scenesplat_datasets::{Dataset, FullScene, InputFeatures, Sample, collate_samples};
-use scenesplat_metrics::{ConfusionMatrix, Measurement, Metric, TesterReport, vote};
+use scenesplat_metrics::{SceneTruth, Scores, VoteRule};
 use scenesplat_models::{Backbone, Forward};
 
 /// Neighbours that vote, as the paper evaluates.
 pub const VOTE_K: usize = 25;
-
-/// Counts of an evaluation.
-#[derive(Debug, Clone)]
-pub struct Scores {
-    /// What the network said, against the truth.
-    pub model: ConfusionMatrix,
-    /// The truth of the Gaussians through the same vote, against the truth: what a network without
-    /// an error would score.
-    pub oracle: ConfusionMatrix,
-}
-
-impl Scores {
-    /// Names of the [`measurements`](Self::measurements): those of a [`TesterReport`], and the same
-    /// after `oracle/`.
-    pub fn names() -> Vec<String> {
-        let own = TesterReport::NAMES.iter().map(|&name| name.to_owned());
-        own.chain(TesterReport::NAMES.iter().map(|name| format!("oracle/{name}"))).collect()
-    }
-
-    /// The numbers of both, undefined ones left out.
-    pub fn measurements(&self) -> Vec<Measurement> {
-        let mut all = self.model.measure();
-        let oracle = self.oracle.measure().into_iter();
-        all.extend(oracle.map(|m| Measurement::new(format!("oracle/{}", m.name), m.value)));
-        all
-    }
-}
 
 /// How labels of voxels are brought to where the truth is known.
 pub(super) struct Protocol<'a> {
@@ -47,10 +20,8 @@ pub(super) struct Protocol<'a> {
     /// What a row of each class comes out as without an error: itself, but for classes whose texts
     /// are equal. `[C]`
     pub answers: Vec<i32>,
-    /// Neighbours that vote for a labelled point.
-    pub points_k: usize,
-    /// Neighbours that vote for a Gaussian where the Gaussians themselves are labelled.
-    pub gaussians_k: usize,
+    /// Who votes on what is scored.
+    pub vote: VoteRule,
 }
 
 impl Protocol<'_> {
@@ -68,9 +39,7 @@ impl Protocol<'_> {
         own: &mut OwnMetrics,
         label: impl Fn(&[f32]) -> Result<Vec<i32>, TrainError>,
     ) -> Result<Scores, TrainError> {
-        let classes = self.answers.len();
-        let matrix = || ConfusionMatrix::new(classes)?.with_excluded(self.excluded);
-        let mut scores = Scores { model: matrix()?, oracle: matrix()? };
+        let mut scores = Scores::new(self.answers.len(), self.excluded)?;
         for index in 0..data.len() {
             // Always epoch 0: an evaluation sees the same rows each time.
             let mut sample = data.get(0, index)?;
@@ -97,39 +66,17 @@ impl Protocol<'_> {
         scores: &mut Scores,
         own: &mut OwnMetrics,
     ) -> Result<Option<()>, TrainError> {
-        let Some((at, truth)) = full.truth() else { return Ok(None) };
-        let k = if full.scores_points() { self.points_k.max(1) } else { self.gaussians_k };
+        let (own_labels, points) = (full.segment.as_deref(), full.scored_points());
+        let truth = SceneTruth::new(&full.coord, own_labels, points, self.answers.len())?;
+        let Some(truth) = truth else { return Ok(None) };
         // Gaussians without a collected feature do not vote, as in the original; if there is not one,
         // the mask says nothing.
-        let valid = full.valid_feat.as_deref().filter(|valid| valid.contains(&true));
-        let carried = |labels: Vec<i32>| match full.scores_points() || k > 1 {
-            true => vote(&full.coord, &labels, valid, at, k, self.answers.len()),
-            false => Ok(labels),
-        };
-        let predicted = carried(full.spread(of_voxels))?;
-        scores.model.update((&predicted, truth))?;
-        own.update(&predicted, truth)?;
-        let known = self.truth_of_gaussians(full, at, truth)?;
-        let told = known.iter().map(|&l| usize::try_from(l).map_or(-1, |l| self.answers[l]));
-        scores.oracle.update((&carried(told.collect())?, truth))?;
+        let voters = full.valid_feat.as_deref().filter(|valid| valid.contains(&true));
+        let truth = truth.with_voters(voters);
+        let predicted = scores.add_labels(&truth, full.spread(of_voxels), &self.vote)?;
+        own.update(&predicted, truth.scored())?;
+        scores.add_oracle(&truth, &self.answers, &self.vote)?;
         Ok(Some(()))
-    }
-
-    /// The class of each Gaussian: its own, or that of the nearest labelled point where Gaussians
-    /// have none.
-    fn truth_of_gaussians(
-        &self,
-        full: &FullScene,
-        at: &[[f32; 3]],
-        truth: &[i32],
-    ) -> Result<Vec<i32>, TrainError> {
-        let classes = self.answers.len();
-        let own = full.segment.as_ref().filter(|labels| labels.iter().any(|&l| l >= 0));
-        let Some(labels) = own else { return Ok(vote(at, truth, None, &full.coord, 1, classes)?) };
-        // Checked here, because they index the answers.
-        let mut checked = ConfusionMatrix::new(classes)?;
-        checked.update((labels, labels))?;
-        Ok(labels.clone())
     }
 }
 
@@ -169,7 +116,8 @@ mod tests {
     use scenesplat_scene::LabelledPoints;
 
     fn protocol(points_k: usize, gaussians_k: usize) -> Protocol<'static> {
-        Protocol { excluded: &[], answers: vec![0, 1, 2], points_k, gaussians_k }
+        let vote = VoteRule { points_k, gaussians_k, keep_withheld: false };
+        Protocol { excluded: &[], answers: vec![0, 1, 2], vote }
     }
 
     fn on_a_line(x: &[f32]) -> Vec<[f32; 3]> {
@@ -177,8 +125,7 @@ mod tests {
     }
 
     fn scored(protocol: &Protocol<'_>, full: &FullScene, of_voxels: &[i32]) -> Scores {
-        let matrix = || ConfusionMatrix::new(3).unwrap();
-        let mut scores = Scores { model: matrix(), oracle: matrix() };
+        let mut scores = Scores::new(3, &[]).unwrap();
         protocol.score(full, of_voxels, &mut scores, &mut OwnMetrics::default()).unwrap().unwrap();
         scores
     }
@@ -250,8 +197,7 @@ mod tests {
         // 1.0: of 1.0, 1.1 and 0.2 two say 1. 2.0 and 2.1: with 1.1, two say 2.
         assert!((voted.model.tester_report().all_accuracy.unwrap() - 6.0 / 7.0).abs() < 1e-9);
         let none = FullScene { points: None, segment: None, ..scene() };
-        let matrix = || ConfusionMatrix::new(3).unwrap();
-        let mut scores = Scores { model: matrix(), oracle: matrix() };
+        let mut scores = Scores::new(3, &[]).unwrap();
         assert!(
             protocol(1, 1)
                 .score(&none, &[0, 1, 2], &mut scores, &mut OwnMetrics::default())
@@ -263,8 +209,7 @@ mod tests {
     #[test]
     fn labels_of_no_class_are_an_error() {
         let full = FullScene { points: None, segment: Some(vec![7; 7]), ..scene() };
-        let matrix = || ConfusionMatrix::new(3).unwrap();
-        let mut scores = Scores { model: matrix(), oracle: matrix() };
+        let mut scores = Scores::new(3, &[]).unwrap();
         assert!(
             protocol(1, 1)
                 .score(&full, &[0, 1, 2], &mut scores, &mut OwnMetrics::default())

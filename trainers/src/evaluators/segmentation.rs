@@ -1,12 +1,12 @@
 //! Supervised segmentation: the class with the largest logit, compared with the truth.
 
 use super::own_metric::OwnMetrics;
-use super::scenes::{Protocol, Scores, VOTE_K};
+use super::scenes::{Protocol, VOTE_K};
 use crate::TrainError;
 use crate::event::{Evaluator, Progress};
 use crate::module::HasBackbone;
 use scenesplat_datasets::{Dataset, InputFeatures, LeftOut};
-use scenesplat_metrics::{Measurement, Metric};
+use scenesplat_metrics::{Measurement, Metric, Scores, VoteRule};
 use std::sync::Arc;
 
 /// Labels every Gaussian with the largest logit of its voxel and measures the numbers of [`Scores`].
@@ -83,8 +83,11 @@ impl<M: HasBackbone> Evaluator<M> for SegmentationEvaluator {
         let protocol = Protocol {
             excluded: &self.excluded,
             answers: (0..classes as i32).collect(),
-            points_k: self.vote_k.unwrap_or(VOTE_K),
-            gaussians_k: self.vote_k.unwrap_or(1),
+            vote: VoteRule {
+                points_k: self.vote_k.unwrap_or(VOTE_K),
+                gaussians_k: self.vote_k.unwrap_or(1),
+                keep_withheld: false,
+            },
         };
         let data = self.data.as_ref();
         let label = |logits: &[f32]| Ok(logits.chunks_exact(classes).map(largest).collect());

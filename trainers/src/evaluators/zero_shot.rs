@@ -1,13 +1,14 @@
 //! Zero-shot segmentation: the class whose text is nearest, compared with the truth.
 
 use super::own_metric::OwnMetrics;
-use super::scenes::{Protocol, Scores, VOTE_K};
+use super::scenes::{Protocol, VOTE_K};
 use crate::TrainError;
 use crate::event::{Evaluator, Progress};
 use crate::module::HasBackbone;
 use scenesplat_datasets::{Dataset, InputFeatures, LeftOut};
 use scenesplat_metrics::{
-    ConfusionMatrix, FeatureSlice, Measurement, Metric, TextTable, ZeroShotOptions, classify,
+    ConfusionMatrix, FeatureSlice, Measurement, Metric, Scores, TextTable, VoteRule,
+    ZeroShotOptions, classify,
 };
 use scenesplat_models::Backbone;
 use std::sync::Arc;
@@ -91,8 +92,7 @@ impl ZeroShotEvaluator {
         let protocol = Protocol {
             excluded: &self.excluded,
             answers: self.answers()?,
-            points_k: self.vote_k,
-            gaussians_k: self.vote_k,
+            vote: VoteRule::of(self.vote_k),
         };
         let width = model.out_channels();
         let label = |rows: &[f32]| {

@@ -1,7 +1,7 @@
 //! Whether only pixels of a Gaussian's own depth label it.
 
+use super::args::{Args, RuleArg};
 use super::pictures::Pictures;
-use super::{Args, RuleArg};
 use crate::session::Session;
 use anyhow::{Context, Result};
 use scenesplat::rasterizer::Gaussians;

@@ -1,13 +1,53 @@
 //! Cameras, their segments and depths, picture by picture.
 
+use super::Args;
 use super::depth::DepthArg;
+use crate::session::Session;
 use anyhow::{Context, Result};
 use scenesplat::rasterizer::View;
 use scenesplat::rasterizer::lifting::LabelledPicture;
-use scenesplat::rasterizer::segments::{CameraMatches, FrameSegments, SegmentFolder};
-use scenesplat::scene::Camera;
+use scenesplat::rasterizer::segments::{
+    CameraMatches, FrameSegments, SegmentFolder, SegmentOptions,
+};
 use scenesplat::scene::formats::npy::NpyFile;
+use scenesplat::scene::{Camera, open_cameras};
 use std::path::Path;
+
+impl Args {
+    /// Cameras and the frames that belong to them.
+    pub(super) fn pictures(
+        &self,
+        session: &Session<'_>,
+    ) -> Result<(Vec<Camera>, SegmentFolder, CameraMatches)> {
+        let _stage = session.receipt.stage("pictures");
+        let set = open_cameras(&self.cameras)?;
+        for note in &set.notes {
+            session.progress.say(note);
+        }
+        let options =
+            SegmentOptions { levels: self.level.clone(), png_no_segment: self.no_segment };
+        let folder = SegmentFolder::open(&self.segments, options)?;
+        let names: Vec<&str> = set.cameras.iter().map(|c| c.name.as_str()).collect();
+        let matches = folder.match_cameras(&names)?;
+        let text = format!(
+            "{} cameras, {} frames, {} with both",
+            names.len(),
+            folder.len(),
+            matches.num_matched()
+        );
+        session.progress.say(&text);
+        if let Some(frame) = matches.without_camera.first() {
+            let count = matches.without_camera.len();
+            session.receipt.warning(format!("{count} frames have no camera ({frame}, …)"));
+        }
+        if let Some(camera) = names.iter().zip(&matches.frames).find(|(_, f)| f.is_none()) {
+            let count = names.len() - matches.num_matched();
+            session.receipt.warning(format!("{count} cameras have no segments ({}, …)", camera.0));
+        }
+        session.receipt.setting("pictures", matches.num_matched(), "cameras with segments");
+        Ok((set.cameras, folder, matches))
+    }
+}
 
 /// The views of the cameras that have a frame.
 pub(super) fn views(

@@ -1,11 +1,11 @@
-//! The cameras of a `render`: of a file, or around the scene.
+//! The pictures of a `render`, and the cameras of a file.
 
-use super::super::WrongUse;
 use super::Args;
+use crate::commands::WrongUse;
 use anyhow::Result;
-use scenesplat::preview::{Ceiling, LookAt, Orbit, SceneRows, inside_views};
+use scenesplat::preview::Ceiling;
 use scenesplat::rasterizer::View;
-use scenesplat::scene::{Camera, GaussianScene, UpAxis, open_cameras};
+use scenesplat::scene::{Camera, open_cameras};
 use std::collections::HashSet;
 use std::path::Path;
 
@@ -23,9 +23,6 @@ pub(super) struct Shots {
     pub(super) ceiling: Option<Ceiling>,
     pub(super) notes: Vec<String>,
 }
-
-/// Size of the pictures around a scene.
-const ORBIT_SIZE: [u32; 2] = [640, 480];
 
 /// The chosen cameras of a file.
 pub(super) fn read(path: &Path, args: &Args) -> Result<Shots> {
@@ -110,52 +107,6 @@ fn resized(camera: &Camera, [width, height]: [u32; 2]) -> Camera {
         cx: camera.cx * x,
         cy: camera.cy * y,
         ..camera.clone()
-    }
-}
-
-/// Cameras without a file: the one of the flags, those inside, or those around the scene.
-pub(super) fn of_scene(scene: &GaussianScene, up: UpAxis, args: &Args) -> Result<Shots> {
-    let size = args.size.unwrap_or(ORBIT_SIZE);
-    let plain = |cameras: Vec<Camera>| {
-        let shot = |camera: Camera| Shot { name: camera.name.clone(), camera };
-        let list = cameras.into_iter().map(shot).collect();
-        Shots { list, near: None, ceiling: None, notes: Vec::new() }
-    };
-    if let (Some(eye), Some(target)) = (args.eye, args.target) {
-        let look = LookAt { eye, target, fov: args.fov.unwrap_or(60.0) };
-        let camera = look.camera("view", up, size).ok_or_else(|| {
-            WrongUse(format!("--target {target:?}: is where --eye is; the camera looks nowhere"))
-        })?;
-        return Ok(plain(vec![camera]));
-    }
-    if let Some(count) = args.inside {
-        let color = vec![[0; 3]; scene.len()];
-        let sizes = SceneRows::of(scene);
-        let fov = args.fov.unwrap_or(75.0);
-        let cameras = inside_views(&sizes.rows(scene, &color), up, count.into(), fov, size);
-        anyhow::ensure!(!cameras.is_empty(), "--inside: the scene has no Gaussian to stand among");
-        return Ok(plain(cameras));
-    }
-    Ok(around(scene, up, args))
-}
-
-/// Cameras around a scene.
-fn around(scene: &GaussianScene, up: UpAxis, args: &Args) -> Shots {
-    let count = usize::from(args.orbit.unwrap_or(4));
-    let color = vec![[0; 3]; scene.len()];
-    let sizes = SceneRows::of(scene);
-    let rows = sizes.rows(scene, &color);
-    let orbit = Orbit::around(&rows, up, count, args.size.unwrap_or(ORBIT_SIZE));
-    let mut notes = Vec::new();
-    if orbit.near.is_some() {
-        notes.push("a closed room: ceiling and near walls are left out".to_owned());
-    }
-    let shot = |camera: Camera| Shot { name: camera.name.clone(), camera };
-    Shots {
-        list: orbit.cameras.into_iter().map(shot).collect(),
-        near: orbit.near,
-        ceiling: orbit.ceiling,
-        notes,
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::config::ExperimentConfig;
 use super::data::{self, ClassTexts};
-use anyhow::{Context, Result};
+use super::error::{ExperimentError, Place};
 use candle_core::DType;
 use scenesplat_datasets::SourceConfig;
 use scenesplat_models::ParamStore;
@@ -40,7 +40,7 @@ pub fn identity(
     config: &ExperimentConfig,
     text: Option<&ClassTexts>,
     first_values: &ParamStore,
-) -> Result<Identity> {
+) -> Result<Identity, ExperimentError> {
     let own = MAY_CHANGE.map(|(name, _)| name.to_owned()).into_iter();
     let loop_settings = TrainerConfig::MAY_CHANGE.map(|name| format!("trainer.{name}"));
     let may_change: Vec<String> = own.chain(loop_settings).collect();
@@ -71,8 +71,12 @@ pub fn identity(
 }
 
 /// Adds which scenes and classes a source holds.
-fn with_scenes(identity: Identity, name: &str, source: &SourceConfig) -> Result<Identity> {
-    let scenes = source.build().with_context(|| format!("{name}.source"))?;
+fn with_scenes(
+    identity: Identity,
+    name: &str,
+    source: &SourceConfig,
+) -> Result<Identity, ExperimentError> {
+    let scenes = source.build().at(|| format!("{name}.source"))?;
     let ids = scenes.scene_ids();
     let listed = format!("{} scenes, {}", ids.len(), names_hash(ids));
     let identity = identity.with(&format!("{name}.source.scenes"), listed);
@@ -107,7 +111,7 @@ fn table_hash(text: &ClassTexts) -> String {
 }
 
 /// Of the first values of parameters and batch statistics, by name.
-fn values_hash(params: &ParamStore) -> Result<String> {
+fn values_hash(params: &ParamStore) -> Result<String, ExperimentError> {
     let mut hash = Sha256::new();
     let (parameters, buffers) = (params.parameters(), params.buffers());
     for (name, var) in parameters.iter().chain(&buffers) {

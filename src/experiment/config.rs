@@ -1,7 +1,7 @@
 //! An experiment as a file.
 
+use super::error::{ExperimentError, Place};
 use crate::NetworkConfig;
-use anyhow::{Context, Result};
 use scenesplat_datasets::transforms::{self, TransformConfig};
 use scenesplat_datasets::{InputFeatures, LoaderSettings, MixRule};
 use scenesplat_losses::LossConfig;
@@ -13,6 +13,8 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 use super::data::{EvaluationConfig, TrainDataConfig};
+
+type Result<T, E = ExperimentError> = std::result::Result<T, E>;
 
 /// What is trained, on what, and how. The file is TOML; relative paths start at its folder, also
 /// those that it takes from a file that it extends.
@@ -224,10 +226,13 @@ impl TransformList {
                 "language_pretraining" => transforms::language_pretraining(grid_size),
                 "semantic_segmentation" => transforms::semantic_segmentation(grid_size),
                 "validation" => transforms::validation(grid_size),
-                other => anyhow::bail!(
-                    "transforms: {other:?} is no preset; use language_pretraining, \
-                     semantic_segmentation, validation, or a list of steps"
-                ),
+                other => {
+                    let problem = format!(
+                        "{other:?} is no preset; use language_pretraining, semantic_segmentation, \
+                         validation, or a list of steps"
+                    );
+                    return Err(ExperimentError::setting("transforms", problem));
+                }
             },
         })
     }
@@ -248,9 +253,10 @@ impl ExperimentConfig {
     /// As [`read`](Self::read).
     pub fn read_with(path: &Path, variable: &dyn Fn(&str) -> Option<String>) -> Result<Self> {
         let table = read_table(path, variable, &mut Vec::new())?;
-        let text = toml::to_string(&table).context("joining configuration files")?;
-        let mut config: Self = toml::from_str(&text).with_context(|| path.display().to_string())?;
-        config.check().with_context(|| path.display().to_string())?;
+        let place = || path.display().to_string();
+        let text = toml::to_string(&table).at(place)?;
+        let mut config: Self = toml::from_str(&text).at(place)?;
+        config.check().at(place)?;
         config.place(path.parent().unwrap_or(Path::new("")));
         Ok(config)
     }
@@ -260,53 +266,56 @@ impl ExperimentConfig {
     /// # Errors
     /// Names the first field that does not fit.
     pub fn check(&self) -> Result<()> {
-        self.model.check().context("model")?;
-        self.trainer.check().context("trainer")?;
-        self.loader.check().context("loader")?;
+        let wrong = |field: &str, problem: &str| Err(ExperimentError::setting(field, problem));
+        self.model.check().at(|| "model".to_owned())?;
+        self.trainer.check().at(|| "trainer".to_owned())?;
+        self.loader.check().at(|| "loader".to_owned())?;
         self.precision()?;
-        if let Some(stopping) = &self.early_stopping {
-            anyhow::ensure!(
-                stopping.patience > 0,
-                "early_stopping.patience is 0, expected 1 or more"
-            );
+        if self.early_stopping.as_ref().is_some_and(|stopping| stopping.patience == 0) {
+            return wrong("early_stopping.patience", "0, expected 1 or more");
         }
-        anyhow::ensure!(!self.train.is_empty(), "train: at least one dataset is needed");
-        anyhow::ensure!(!self.losses.is_empty(), "losses: at least one term is needed");
+        if self.train.is_empty() {
+            return wrong("train", "at least one dataset is needed");
+        }
+        if self.losses.is_empty() {
+            return wrong("losses", "at least one term is needed");
+        }
         let reads = self.input.width();
         let takes = self.model.in_channels();
-        anyhow::ensure!(
-            reads == takes,
-            "model.in_channels is {takes}, but the channels of `input` are {reads} together"
-        );
-        for (i, entry) in self.train.iter().enumerate() {
-            anyhow::ensure!(
-                !entry.source.asks_for_labelled_points(),
-                "train[{i}].source.labelled_points: points are scored, not learned from; leave it out"
-            );
+        if reads != takes {
+            let problem =
+                format!("its channels are {reads} together, but model.in_channels is {takes}");
+            return wrong("input", &problem);
+        }
+        if let Some(i) = self.train.iter().position(|t| t.source.asks_for_labelled_points()) {
+            let field = format!("train[{i}].source.labelled_points");
+            return wrong(&field, "points are scored, not learned from; leave it out");
         }
         if let Some(dir) = &self.trainer.checkpoint.dir {
-            anyhow::bail!(
-                "trainer.checkpoint.dir is {}: the checkpoints of a run are in its folder; leave it out",
+            let problem = format!(
+                "{}: the checkpoints of a run are in its folder; leave it out",
                 dir.display()
             );
+            return wrong("trainer.checkpoint.dir", &problem);
         }
         let head = self.model.num_classes().is_some();
         match self.task {
-            Task::LanguagePretraining => {
-                anyhow::ensure!(!head, "model.num_classes: language pretraining has no classifier");
-                let needs = self.targets == Targets::ClassText;
-                let without = needs && self.text.is_none();
-                anyhow::ensure!(!without, "text: targets = \"class_text\" needs it");
+            Task::LanguagePretraining if head => {
+                wrong("model.num_classes", "language pretraining has no classifier")
             }
-            Task::SemanticSegmentation => {
-                anyhow::ensure!(head, "model.num_classes: segmentation needs it");
-                anyhow::ensure!(
-                    self.targets == Targets::Features,
-                    "targets: segmentation learns labels and has none; leave it out"
-                );
+            Task::LanguagePretraining
+                if self.targets == Targets::ClassText && self.text.is_none() =>
+            {
+                wrong("text", "targets = \"class_text\" needs it")
             }
+            Task::SemanticSegmentation if self.targets != Targets::Features => {
+                wrong("targets", "segmentation learns labels and has none; leave it out")
+            }
+            Task::SemanticSegmentation if !head => {
+                wrong("model.num_classes", "segmentation needs it")
+            }
+            Task::LanguagePretraining | Task::SemanticSegmentation => Ok(()),
         }
-        Ok(())
     }
 
     /// Sets the seed of everything that is random: first values, order, augmentation, steps. The
@@ -334,7 +343,7 @@ impl ExperimentConfig {
     /// # Errors
     /// If there is none of this name.
     pub fn precision(&self) -> Result<scenesplat_kernels::Precision> {
-        self.precision.parse().map_err(|e| anyhow::anyhow!("precision: {e}"))
+        self.precision.parse().map_err(|e| ExperimentError::setting("precision", format!("{e}")))
     }
 
     /// Makes relative paths start at `folder`.
@@ -366,15 +375,19 @@ fn read_table(
     variable: &dyn Fn(&str) -> Option<String>,
     seen: &mut Vec<PathBuf>,
 ) -> Result<toml::Table> {
-    let here = path.canonicalize().with_context(|| path.display().to_string())?;
-    anyhow::ensure!(!seen.contains(&here), "{}: extends itself", path.display());
+    let place = || path.display().to_string();
+    let here = path.canonicalize().map_err(ExperimentError::io(path))?;
+    if seen.contains(&here) {
+        return Err(ExperimentError::Circle { path: path.to_owned() });
+    }
     seen.push(here);
     let text = scenesplat_scene::input_file::read_text_file(path)?;
-    let text = with_variables(&text, variable).with_context(|| path.display().to_string())?;
-    let mut own: toml::Table = text.parse().with_context(|| path.display().to_string())?;
+    let text = with_variables(&text, variable).at(place)?;
+    let mut own: toml::Table = text.parse::<toml::Table>().at(place)?;
     let Some(base) = own.remove("extends") else { return Ok(own) };
     let toml::Value::String(base) = base else {
-        anyhow::bail!("{}: extends: expected the path of a file, got {base}", path.display());
+        let problem = format!("expected the path of a file, got {base}");
+        return Err(ExperimentError::setting("extends", problem)).at(place);
     };
     let base = path.parent().unwrap_or(Path::new("")).join(base);
     let mut joined = read_table(&base, variable, seen)?;
@@ -392,9 +405,10 @@ fn with_variables(text: &str, variable: &dyn Fn(&str) -> Option<String>) -> Resu
         while let (Some(start), true) = (rest.find("${"), code.contains("${")) {
             let Some(length) = rest[start..].find('}') else { break };
             let name = &rest[start + 2..start + length];
-            let value = variable(name).with_context(|| {
-                format!("line {}: ${{{name}}}: set this environment variable", number + 1)
-            })?;
+            let value = variable(name).ok_or_else(|| {
+                ExperimentError::setting(format!("${{{name}}}"), "set this environment variable")
+            });
+            let value = value.at(|| format!("line {}", number + 1))?;
             out.push_str(&rest[..start]);
             out.push_str(&value);
             rest = &rest[start + length + 1..];
@@ -465,14 +479,14 @@ mod tests {
             std::fs::write(dir.path().join(format!("{name}.toml")), text).unwrap();
         }
         let error = ExperimentConfig::read(&dir.path().join("a.toml")).unwrap_err();
-        assert!(error.to_string().contains("extends itself"), "{error:#}");
+        assert!(error.to_string().contains("extends itself"), "{error}");
     }
 
     #[test]
     fn unset_variables_are_named_with_their_line() {
         let none = |_: &str| None;
         let error = with_variables("x = 1\ny = '${ROOT}'", &none).unwrap_err();
-        let text = format!("{error:#}");
+        let text = format!("{:#}", anyhow::Error::from(error));
         assert!(text.contains("line 2") && text.contains("${ROOT}"), "{text}");
         assert_eq!(with_variables("# ${ROOT}", &none).unwrap(), "# ${ROOT}\n");
         let some = |name: &str| Some(format!("/{name}"));
@@ -500,6 +514,6 @@ mod tests {
                 read += 1;
             }
         }
-        assert_eq!(read, 16);
+        assert_eq!(read, 17);
     }
 }

@@ -3,10 +3,10 @@
 use super::config::{ExperimentConfig, OptimizerConfig, ScheduleConfig, Targets, Task};
 use super::curves::write_curves;
 use super::data;
+use super::error::{ExperimentError, Place};
 use super::export::export_model;
 use super::identity::identity;
 use super::record::{RunRecord, write};
-use anyhow::{Context, Result};
 use scenesplat_datasets::{BatchLoader, TrainBatch};
 use scenesplat_losses::{TextTable as LossTexts, build_objective};
 use scenesplat_models::weights::{SourceOptions, WeightSource, resolve};
@@ -25,6 +25,8 @@ use scenesplat_trainers::{
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
+
+type Result<T, E = ExperimentError> = std::result::Result<T, E>;
 
 /// How a run is started.
 #[derive(Debug, Clone)]
@@ -74,19 +76,16 @@ pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunRepor
     let early = options.out.is_dir().then(lock).transpose()?;
     let checkpoints = options.out.join("checkpoints");
     let newest = newest_checkpoint(&checkpoints)?;
-    anyhow::ensure!(
-        options.resume || newest.is_none(),
-        "{}: holds a run already; give --resume to go on with it, or another --out",
-        options.out.display()
-    );
-    anyhow::ensure!(
-        !options.resume || newest.is_some(),
-        "{}: there is no checkpoint to resume from",
-        checkpoints.display()
-    );
+    match (options.resume, &newest) {
+        (false, Some(_)) => {
+            return Err(ExperimentError::HoldsRun { path: options.out.clone() });
+        }
+        (true, None) => return Err(ExperimentError::NothingToResume { path: checkpoints }),
+        _ => {}
+    }
     let text = config.text.as_ref().map(data::text_table).transpose()?;
     data::check_classes(config, text.as_ref())?;
-    std::fs::create_dir_all(&options.out).with_context(|| options.out.display().to_string())?;
+    std::fs::create_dir_all(&options.out).map_err(ExperimentError::io(&options.out))?;
     // Held until the end, also against a run that found no folder a moment ago.
     let _lock = early.map_or_else(lock, Ok)?;
     let (params, mut remarks) = parameters(config)?;
@@ -137,7 +136,7 @@ fn parameters(config: &ExperimentConfig) -> Result<(ParamStore, Vec<String>)> {
     let Some(path) = &config.init_from else {
         return Ok((ParamStore::trainable(config.model_seed), Vec::new()));
     };
-    let files = resolve(path).with_context(|| path.display().to_string())?.files;
+    let files = resolve(path).at(|| path.display().to_string())?.files;
     let source = WeightSource::files(files, SourceOptions::default())?;
     let params = ParamStore::trainable_from(source, config.model_seed);
     // A trial build asks for every name, so that the report is complete before training begins.
@@ -154,7 +153,9 @@ fn zero_shot(
     let mut all: Vec<Box<dyn Evaluator<LanguagePretraining>>> = Vec::new();
     for entry in &config.evaluate {
         let own = entry.text.as_ref().map(data::text_table).transpose()?;
-        let text = own.as_ref().or(text).context("text: zero-shot evaluation needs it")?;
+        let text = own.as_ref().or(text);
+        let text =
+            text.ok_or_else(|| ExperimentError::setting("text", "zero-shot evaluation needs it"))?;
         let excluded = data::excluded(&entry.source, Some(text))?;
         let table = crate::text::metric_table(&text.table)?;
         let data = data::evaluation(entry, config)?;
@@ -231,9 +232,7 @@ impl Run<'_> {
             ));
         }
         let start = match self.newest {
-            Some(dir) => {
-                trainer.load_checkpoint(dir, module).with_context(|| dir.display().to_string())?
-            }
+            Some(dir) => trainer.load_checkpoint(dir, module).at(|| dir.display().to_string())?,
             None => Progress::default(),
         };
         // Not before: a run that is refused leaves the record of the first one.
@@ -266,11 +265,10 @@ fn optimizer(config: &OptimizerConfig, params: &ParamStore) -> Result<Box<dyn Op
     let groups =
         group_by_keyword(&params.parameters(), config.lr, config.weight_decay, &config.groups);
     for (rule, group) in config.groups.iter().zip(&groups[1..]) {
-        anyhow::ensure!(
-            !group.params.is_empty(),
-            "optimizer.groups: no parameter's name contains {:?}",
-            rule.keyword
-        );
+        if group.params.is_empty() {
+            let problem = format!("no parameter's name contains {:?}", rule.keyword);
+            return Err(ExperimentError::setting("optimizer.groups", problem));
+        }
     }
     Ok(Box::new(AdamW::new(groups, config.adamw)?))
 }
@@ -288,7 +286,7 @@ fn schedule(config: &ExperimentConfig) -> Result<Box<dyn Schedule>> {
     };
     Ok(match config.optimizer.weight_decay_schedule {
         Some(decay) => {
-            decay.check().context("optimizer.weight_decay_schedule")?;
+            decay.check().at(|| "optimizer.weight_decay_schedule".to_owned())?;
             Box::new(WithWeightDecay { rate, decay })
         }
         None => rate,

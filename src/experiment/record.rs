@@ -1,6 +1,6 @@
 //! `run.json`: what a run was made of, and what became of its data.
 
-use anyhow::Result;
+use super::ExperimentError;
 use scenesplat_scene::AtomicFile;
 use scenesplat_trainers::{Callback, Event, Flow, Progress, TrainError};
 use serde_json::{Value, json};
@@ -39,7 +39,7 @@ impl RunRecord {
     }
 
     /// Writes it as it stands.
-    pub(super) fn write(&self) -> Result<()> {
+    pub(super) fn write(&self) -> Result<(), ExperimentError> {
         write(&self.path, &serde_json::to_string_pretty(&self.run)?)
     }
 }
@@ -66,12 +66,20 @@ impl Callback for RunRecord {
             }
             _ => return Ok(Flow::Continue),
         }
-        self.write().map_err(|e| unwritable(format!("{e:#}")))?;
+        self.write().map_err(|e| unwritable(with_causes(&e)))?;
         Ok(Flow::Continue)
     }
 }
 
+/// An error with everything behind it, in one line.
+fn with_causes(error: &dyn std::error::Error) -> String {
+    match error.source() {
+        Some(source) => format!("{error}: {}", with_causes(source)),
+        None => error.to_string(),
+    }
+}
+
 /// Replaces a small file of the run.
-pub(super) fn write(path: &Path, content: &str) -> Result<()> {
+pub(super) fn write(path: &Path, content: &str) -> Result<(), ExperimentError> {
     Ok(AtomicFile::write(path, content.as_bytes())?)
 }

@@ -1,13 +1,15 @@
-//! Training from a file: `scenesplat train` and what it is made of.
+//! Experiments from files: `scenesplat train` and what it is made of.
 
 pub mod config;
 pub mod curves;
 pub mod data;
+mod error;
 pub mod export;
 pub mod identity;
 mod record;
 mod run;
 
 pub use config::ExperimentConfig;
+pub use error::ExperimentError;
 pub use identity::{MAY_CHANGE, identity};
 pub use run::{RunOptions, RunReport, train};

@@ -1,7 +1,7 @@
 //! Curves of a run as a picture: one panel for each thing that was measured.
 
+use super::ExperimentError;
 use crate::preview::{text, write_png};
-use anyhow::Result;
 use scenesplat_scene::picture::RgbPicture;
 use scenesplat_trainers::callbacks::LoggedValue;
 use std::collections::BTreeMap;
@@ -32,9 +32,11 @@ struct Curve {
 ///
 /// # Errors
 /// If there is nothing to draw or the picture cannot be written.
-pub fn write_curves(log: &[LoggedValue], title: &str, path: &Path) -> Result<()> {
+pub fn write_curves(log: &[LoggedValue], title: &str, path: &Path) -> Result<(), ExperimentError> {
     let curves = curves(log);
-    anyhow::ensure!(!curves.is_empty(), "{}: the log holds no value to draw", path.display());
+    if curves.is_empty() {
+        return Err(ExperimentError::EmptyLog { path: path.to_owned() });
+    }
     let columns = (curves.len() as u32).min(3);
     let rows = (curves.len() as u32).div_ceil(columns);
     let mut picture = RgbPicture::filled(columns * PANEL[0], rows * PANEL[1] + 36, BACKGROUND);

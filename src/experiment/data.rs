@@ -1,8 +1,8 @@
 //! Scenes of an experiment: where they come from and how they become batches.
 
 use super::config::{ExperimentConfig, Targets, Task, TextConfig, TransformList};
+use super::error::{ExperimentError, Place};
 use crate::text::{class_list, read_text_table};
-use anyhow::{Context, Result};
 use scenesplat_datasets::transforms::build_transforms;
 use scenesplat_datasets::{
     BatchLoader, Dataset, SceneLoader, SourceConfig, TrainBatch, WeightedMix,
@@ -13,6 +13,8 @@ use scenesplat_scene::label_set::find_name;
 use scenesplat_scene::{LabelSet, TextTable};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
+
+type Result<T, E = ExperimentError> = std::result::Result<T, E>;
 
 /// Scenes to train on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -78,7 +80,7 @@ pub fn loader(config: &ExperimentConfig) -> Result<Box<dyn BatchLoader<TrainBatc
     };
     let mut loaders = Vec::with_capacity(config.train.len());
     for (i, entry) in config.train.iter().enumerate() {
-        loaders.push(open(entry).with_context(|| format!("train[{i}]"))?);
+        loaders.push(open(entry).at(|| format!("train[{i}]"))?);
     }
     if loaders.len() == 1 && config.train[0].weight == 1 {
         return Ok(Box::new(loaders.remove(0)));
@@ -94,7 +96,7 @@ pub fn loader(config: &ExperimentConfig) -> Result<Box<dyn BatchLoader<TrainBatc
 pub fn evaluation(entry: &EvaluationConfig, config: &ExperimentConfig) -> Result<Arc<dyn Dataset>> {
     let source = entry.source.clone().for_evaluation();
     dataset(&source, &entry.transforms, config.model.grid_size, 0, 1)
-        .with_context(|| format!("evaluate {:?}", entry.name))
+        .at(|| format!("evaluate {:?}", entry.name))
 }
 
 fn dataset(
@@ -127,13 +129,14 @@ impl ClassTexts {
     /// If there are more or fewer rows than classes, or the first name that differs.
     fn check(&self, classes: &LabelSet) -> Result<()> {
         let names = &self.table.names;
-        anyhow::ensure!(
-            names.len() == classes.len(),
-            "the labels have {} classes and the texts {} rows; take the table of these classes, or \
-             choose its rows in the order of the labels with `rows`",
-            classes.len(),
-            names.len()
-        );
+        if names.len() != classes.len() {
+            return Err(ExperimentError::Classes(format!(
+                "the labels have {} classes and the texts {} rows; take the table of these classes, \
+                 or choose its rows in the order of the labels with `rows`",
+                classes.len(),
+                names.len()
+            )));
+        }
         if !self.has_class_names {
             return Ok(());
         }
@@ -145,10 +148,10 @@ impl ClassTexts {
             .find(|(_, (class, text))| find_name(std::slice::from_ref(*text), class).is_err());
         match differing {
             None => Ok(()),
-            Some((i, (class, text))) => anyhow::bail!(
+            Some((i, (class, text))) => Err(ExperimentError::Classes(format!(
                 "class {i} of the labels is {class:?} and row {i} of the texts {text:?}; take the \
                  table of these classes, or choose its rows in the order of the labels with `rows`"
-            ),
+            ))),
         }
     }
 }
@@ -167,20 +170,22 @@ pub fn check_classes(config: &ExperimentConfig, text: Option<&ClassTexts>) -> Re
             return text.check(&classes);
         }
         if let Some(n) = config.model.num_classes().filter(|n| *n != classes.len()) {
-            let labels = classes.len();
-            anyhow::bail!("the labels have {labels} classes and model.num_classes is {n}");
+            return Err(ExperimentError::Classes(format!(
+                "the labels have {} classes and model.num_classes is {n}",
+                classes.len()
+            )));
         }
         // Texts say which classes averages leave out, and losses may look at them.
         text.map_or(Ok(()), |text| text.check(&classes))
     };
     for (i, entry) in config.train.iter().enumerate() {
         let used = !by_text || config.targets == Targets::ClassText;
-        check(&entry.source, used, text).with_context(|| format!("train[{i}]"))?;
+        check(&entry.source, used, text).at(|| format!("train[{i}]"))?;
     }
     for entry in &config.evaluate {
         let own = entry.text.as_ref().map(text_table).transpose()?;
         check(&entry.source, true, own.as_ref().or(text))
-            .with_context(|| format!("evaluate {:?}", entry.name))?;
+            .at(|| format!("evaluate {:?}", entry.name))?;
     }
     Ok(())
 }
@@ -211,7 +216,7 @@ pub fn text_table(config: &TextConfig) -> Result<ClassTexts> {
             let table = if rows.is_empty() {
                 table
             } else {
-                choose(&table, rows, rows.clone()).with_context(|| path.display().to_string())?
+                choose(&table, rows, rows.clone()).at(|| path.display().to_string())?
             };
             (table, exclude.clone(), rows.is_empty())
         }
@@ -219,7 +224,7 @@ pub fn text_table(config: &TextConfig) -> Result<ClassTexts> {
             let table = read_text_table(path, names.as_deref())?;
             let rows: Vec<String> = CLASSES.iter().map(|c| c.scannet200_name.to_owned()).collect();
             let names = CLASSES.iter().map(|c| c.name.to_owned()).collect();
-            let table = choose(&table, &rows, names).with_context(|| path.display().to_string())?;
+            let table = choose(&table, &rows, names).at(|| path.display().to_string())?;
             (table, Some(exclude.clone()), true)
         }
     };
@@ -231,8 +236,7 @@ fn choose(table: &TextTable, rows: &[String], names: Vec<String>) -> Result<Text
     let set = LabelSet::new(table.names.clone())?;
     let mut values = Vec::with_capacity(rows.len() * table.dim);
     for name in rows {
-        let row = table.row(set.index_of(name)?).context("a row of the table")?;
-        values.extend_from_slice(row);
+        values.extend_from_slice(table.row(set.index_of(name)?).unwrap_or_default());
     }
     Ok(TextTable::from_rows(names, values, table.dim)?)
 }
@@ -245,6 +249,11 @@ mod tests {
     use std::path::Path;
 
     const ROOT: &str = env!("CARGO_MANIFEST_DIR");
+
+    /// An error as programs print it.
+    fn told(error: ExperimentError) -> String {
+        format!("{:#}", anyhow::Error::from(error))
+    }
 
     /// A folder of benchmarks with one small scene in each split, as their preprocessing leaves them.
     fn benchmarks() -> tempfile::TempDir {
@@ -301,7 +310,7 @@ mod tests {
         let files = ["joint", "matterport3d", "scannetpp", "scannet_scannetpp"]
             .map(|name| format!("language_pretraining/{name}.toml"));
         for file in &files {
-            let error = format!("{:#}", run(file).err().unwrap());
+            let error = told(run(file).err().unwrap());
             assert!(error.contains("scenesplat chunk"), "{file}: {error}");
         }
         cut(data.path(), "matterport3d", ["train", "val"]);
@@ -326,7 +335,7 @@ mod tests {
         let names = config.evaluate[0].source.label_set().unwrap().unwrap().names;
         check_classes(&config, Some(&texts(&names, None))).unwrap();
         let refused = |config: &ExperimentConfig, text: &ClassTexts| {
-            format!("{:#}", check_classes(config, Some(text)).unwrap_err())
+            told(check_classes(config, Some(text)).unwrap_err())
         };
         let error = refused(&config, &texts(&names[..199], None));
         assert!(error.contains("200 classes") && error.contains("199 rows"), "{error}");
@@ -347,11 +356,11 @@ mod tests {
         config = read("semantic_segmentation/scannet20.toml", data.path());
         check_classes(&config, None).unwrap();
         config.model = config.model.with_classes(21);
-        let error = format!("{:#}", check_classes(&config, None).unwrap_err());
+        let error = told(check_classes(&config, None).unwrap_err());
         assert!(error.contains("20 classes") && error.contains("21"), "{error}");
         let missing = r#"{"type": "generic", "root": ".", "class_names": "nowhere.txt"}"#;
         config.train[0].source = serde_json::from_str(missing).unwrap();
-        let error = format!("{:#}", check_classes(&config, None).unwrap_err());
+        let error = told(check_classes(&config, None).unwrap_err());
         assert!(error.contains("nowhere.txt"), "{error}");
     }
 }

@@ -1,7 +1,7 @@
 //! A trained network as others take it.
 
+use super::ExperimentError;
 use crate::NetworkConfig;
-use anyhow::{Context, Result};
 use candle_core::Tensor;
 use scenesplat_models::weights::save_tensors;
 use scenesplat_scene::StagedFolder;
@@ -20,7 +20,7 @@ pub fn export_model(
     checkpoints: &Path,
     config: &NetworkConfig,
     folder: &Path,
-) -> Result<Vec<String>> {
+) -> Result<Vec<String>, ExperimentError> {
     let (dir, remark) = match best_checkpoint(checkpoints)? {
         Some(best) => {
             let dir = checkpoints.join(&best.checkpoint);
@@ -28,8 +28,8 @@ pub fn export_model(
         }
         None => {
             let newest = newest_checkpoint(checkpoints)?;
-            let dir =
-                newest.with_context(|| format!("{}: no checkpoint", checkpoints.display()))?;
+            let none = || ExperimentError::NoCheckpoint { path: checkpoints.to_owned() };
+            let dir = newest.ok_or_else(none)?;
             let name = dir.file_name().unwrap_or_default().to_string_lossy().into_owned();
             (dir, name)
         }
@@ -51,7 +51,7 @@ pub fn write_model(
     tensors: &HashMap<String, Tensor>,
     config: &NetworkConfig,
     folder: &Path,
-) -> Result<()> {
+) -> Result<(), ExperimentError> {
     let mut staged = StagedFolder::create(folder)?;
     save_tensors(tensors, &staged.add("model.safetensors"))?;
     staged.write("config.json", serde_json::to_string_pretty(config)?.as_bytes())?;

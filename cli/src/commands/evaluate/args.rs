@@ -1,0 +1,148 @@
+//! The flags of `evaluate`, and what they choose.
+
+use crate::commands::WrongUse;
+use crate::commands::classes::Classes;
+use crate::flags::{Inference, Shared};
+use crate::outputs::Outputs;
+use crate::session::{FeatureSource, Session};
+use anyhow::Result;
+use scenesplat::Network;
+use scenesplat::evaluation::{self, EvaluationSettings, background, own_directions};
+use scenesplat::scene::label_set::read_names;
+use scenesplat::scene::{ClassMap, LabelSet, TextTable};
+use scenesplat::text::class_list;
+use std::path::{Path, PathBuf};
+
+/// Labels scenes and compares with their own labels; prints and writes evaluation.json.
+///
+/// Before anything is reported, the truth itself goes through the same chain (each point gets the
+/// text of its own class as its feature). If that oracle falls short of its analytic value by a
+/// single point, the evaluation is refused.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Scenes with labels: .ply files, folders of .npy files, or synthetic:COUNT:SEED for rooms that
+    /// are made on the spot.
+    #[arg(required = true, value_name = "SCENE|synthetic:COUNT:SEED")]
+    pub scenes: Vec<String>,
+    /// Choice of classes.
+    #[command(flatten)]
+    pub classes: Classes,
+    /// Names of the labels in the scenes, one a line or as JSON; if not given, labels are rows of
+    /// --text.
+    #[arg(long, value_name = "FILE")]
+    pub label_names: Option<PathBuf>,
+    /// Which class of --text each label name means (TOML or JSON); labels without one are ignored.
+    #[arg(long, value_name = "FILE")]
+    pub class_map: Option<PathBuf>,
+    /// Classes left out of f-mIoU and f-mAcc, comma-separated.
+    /// [default: those of wall, floor, ceiling that exist]
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    pub exclude: Option<Vec<String>>,
+    /// Lets only Gaussians vote that have a collected language feature (valid_feat_mask), as the
+    /// original does; its numbers then depend on where labels were collected.
+    #[arg(long)]
+    pub vote_valid_only: bool,
+    /// "oracle", or features made before (.npy, [N, D]; one scene only) instead of a network.
+    #[arg(long, value_name = "oracle|FILE.npy")]
+    pub features: Option<String>,
+    /// Neighbours that vote on each label; 0 or 1 for no vote.
+    #[arg(long, value_name = "K", default_value_t = 25)]
+    pub vote_k: usize,
+    /// Spoils this row of the oracle with the text of another class, to see the refusal.
+    #[arg(long, value_name = "ROW")]
+    pub break_oracle: Option<usize>,
+    /// Also writes the figures as JSON here: f_miou, f_macc, miou, macc, per_class, oracle, seconds.
+    #[arg(long, value_name = "FILE.json")]
+    pub json: Option<PathBuf>,
+    /// Flags of the network.
+    #[command(flatten)]
+    pub inference: Inference,
+    /// Flags of all commands.
+    #[command(flatten)]
+    pub shared: Shared,
+}
+
+/// In the place of features: the truth itself.
+const ORACLE: &str = "oracle";
+
+impl Args {
+    /// Notes the files that are read, and the one that is written outside of the output folder.
+    pub fn claim_inputs(&self, outputs: &Outputs) -> Result<()> {
+        self.scenes.iter().try_for_each(|scene| outputs.reads(Path::new(scene)))?;
+        self.classes.claim_inputs(outputs)?;
+        let features = self.features.as_deref().map(Path::new);
+        outputs.reads_any([self.label_names.as_deref(), self.class_map.as_deref(), features])?;
+        outputs.claim_any("--json", self.json.as_ref())
+    }
+
+    /// Where features come from; `None` if the truth alone is looked at.
+    pub fn source(&self, session: &Session<'_>, scenes: usize) -> Result<Option<FeatureSource>> {
+        match self.features.as_deref() {
+            Some(ORACLE) => Ok(None),
+            Some(_) if scenes > 1 => {
+                let text = "--features FILE holds the features of one scene only";
+                Err(WrongUse(text.to_owned()).into())
+            }
+            Some(file) => Ok(Some(FeatureSource::File(file.into()))),
+            None => {
+                let network = session.network(&self.inference)?;
+                Ok(Some(FeatureSource::Network(Box::new(network))))
+            }
+        }
+    }
+
+    /// The classes.
+    pub fn text_table(&self, source: Option<&FeatureSource>) -> Result<TextTable> {
+        match source.and_then(FeatureSource::classifier) {
+            Some(network) => self.own_classes(network),
+            None => self.classes.text_table(self.inference.network.is_embedded()),
+        }
+    }
+
+    /// The classes of a segmentation network.
+    fn own_classes(&self, network: &Network) -> Result<TextTable> {
+        let count = network.model().out_channels();
+        let Some(path) = &self.classes.text_names else {
+            let text = "--text-names is missing: the names of the network's classes, one a line";
+            return Err(WrongUse(text.to_owned()).into());
+        };
+        let names = read_names(path)?;
+        if names.len() != count || self.classes.text.is_some() {
+            return Err(WrongUse(format!(
+                "a segmentation network takes no --text, and --text-names with {count} names; got {}",
+                names.len()
+            ))
+            .into());
+        }
+        Ok(own_directions(names)?)
+    }
+
+    /// How scenes are scored.
+    pub fn settings(&self, text: &TextTable) -> Result<EvaluationSettings> {
+        let set = LabelSet::new(text.names.clone())?;
+        let excluded = match &self.exclude {
+            Some(names) => class_list(&set, names)?,
+            None => background(&set),
+        };
+        Ok(EvaluationSettings {
+            excluded,
+            options: self.classes.options(&set)?,
+            vote_k: self.vote_k,
+            voters_with_feature: self.vote_valid_only,
+            seed: self.inference.seed,
+        })
+    }
+
+    /// Class of --text for each label of the scenes, if the labels have names.
+    pub fn classes_of_labels(&self, classes: &[String]) -> Result<Option<Vec<i32>>> {
+        let Some(path) = &self.label_names else {
+            if self.class_map.is_some() {
+                return Err(WrongUse("--class-map needs --label-names".to_owned()).into());
+            }
+            return Ok(None);
+        };
+        let labels = read_names(path)?;
+        let map = self.class_map.as_deref().map(ClassMap::read).transpose()?;
+        Ok(Some(evaluation::classes_of_labels(&labels, map.as_ref(), classes)?))
+    }
+}

@@ -1,0 +1,102 @@
+//! `scenesplat evaluate`
+
+mod args;
+mod report;
+mod scenes;
+
+use super::WrongUse;
+use crate::session::{FeatureSource, Session};
+use anyhow::{Result, anyhow};
+pub use args::Args;
+use scenesplat::evaluation::{Evaluation, EvaluationError};
+use scenesplat::outputs::OpenedScene;
+use std::path::Path;
+use std::time::Instant;
+
+/// Runs the command.
+pub fn run(args: &Args, line: &str) -> Result<()> {
+    let began = Instant::now();
+    let session = Session::start_with(&args.shared, &args.inference.network, line)?;
+    args.claim_inputs(&session.outputs)?;
+    let inputs = scenes::inputs(&args.scenes)?;
+    let source = args.source(&session, inputs.len())?;
+    let text = args.text_table(source.as_ref())?;
+    let settings = args.settings(&text)?;
+    let excluded = settings.excluded.clone();
+    let class_of = args.classes_of_labels(&text.names)?;
+    let mut evaluation = Evaluation::new(&text, settings)?;
+    session.make_out(&["evaluation.json"])?;
+    args.classes.record(&session)?;
+    session.receipt.setting("vote_k", args.vote_k, "neighbours that vote on each label");
+    let names: Vec<&str> = excluded.iter().map(|&c| text.names[c].as_str()).collect();
+    session.receipt.setting("exclude", names.join(","), "left out of f-mIoU and f-mAcc");
+
+    for input in &inputs {
+        let opened = input.open(&session, &args.inference)?;
+        let own = input.classes_of_labels(&text.names);
+        let class_of = class_of.as_deref().or(own.as_deref());
+        score(args, &session, &mut evaluation, &opened, class_of, source.as_ref())?;
+    }
+    let meaningless = source.as_ref().is_some_and(FeatureSource::has_random_weights);
+    let mut json = report::tell(&evaluation.report(), &text.names, meaningless);
+    json["seconds"] = serde_json::json!(began.elapsed().as_secs_f64());
+    json["scenes"] = serde_json::json!(inputs.len());
+    json["excluded"] = serde_json::json!(excluded);
+    json["vote_k"] = serde_json::json!(args.vote_k);
+    report::write(&session, &json, args.json.as_deref())?;
+    session.finish()
+}
+
+/// Adds a scene: its truth, which has to come through the chain, and the labels by its features.
+fn score(
+    args: &Args,
+    session: &Session<'_>,
+    evaluation: &mut Evaluation<'_>,
+    opened: &OpenedScene,
+    class_of: Option<&[i32]>,
+    source: Option<&FeatureSource>,
+) -> Result<()> {
+    let (scene, path) = (&opened.loaded.scene, opened.loaded.path.as_path());
+    let explained = |error| explain(error, path);
+    let truth = evaluation.truth(scene, class_of).map_err(explained)?;
+    let checked = {
+        let _stage = session.receipt.stage("oracle");
+        session.progress.say("oracle: the truth through the same chain");
+        evaluation.check(&truth, args.break_oracle).map_err(explained)?
+    };
+    report::tell_oracle(session, evaluation.names(), &checked, path);
+    session.check_stop()?;
+    {
+        let _stage = session.receipt.stage("score");
+        evaluation.add_truth(&truth, &checked)?;
+    }
+    let Some(source) = source else { return Ok(()) };
+    let features = session.features(opened, source, &args.inference)?;
+    let labels = {
+        let _stage = session.receipt.stage("labels");
+        evaluation.label(&features, source.classifier().is_some())?
+    };
+    let _stage = session.receipt.stage("score");
+    Ok(evaluation.add_labels(&truth, labels)?)
+}
+
+/// An error with the scene, and with the flags that help.
+fn explain(error: EvaluationError, path: &Path) -> anyhow::Error {
+    let scene = path.display();
+    match error {
+        EvaluationError::UnknownLabel { .. } => {
+            anyhow!("{scene}: {error}; give the names with --label-names")
+        }
+        EvaluationError::NoLabels => anyhow!(
+            "{scene}: {error} (choose the labels with --segment-name, the classes with --class-map)"
+        ),
+        EvaluationError::NoVoters => {
+            WrongUse(format!("--vote-valid-only: {scene} has no valid_feat_mask")).into()
+        }
+        EvaluationError::Fault { row } => WrongUse(format!(
+            "--break-oracle {row}: choose a row with a label, in a scene with two classes"
+        ))
+        .into(),
+        other => anyhow::Error::from(other).context(scene.to_string()),
+    }
+}

@@ -1,0 +1,96 @@
+//! What `evaluate` prints and writes.
+
+use crate::session::Session;
+use crate::terminal::{print, write_text};
+use anyhow::Result;
+use scenesplat::evaluation::EvaluationReport;
+use scenesplat::metrics::{OracleReport, TesterReport};
+use serde_json::{Value, json};
+use std::path::Path;
+
+/// Says what the oracle found in a scene.
+pub fn tell_oracle(session: &Session<'_>, names: &[String], report: &OracleReport, path: &Path) {
+    for (class, becomes) in &report.aliases {
+        let other = usize::try_from(*becomes).ok().and_then(|c| names.get(c));
+        let text = format!(
+            "class {:?} rightly comes out as {:?} with these texts and options",
+            names[*class],
+            other.map_or("unknown", |n| n.as_str())
+        );
+        session.progress.say(&text);
+        session.receipt.warning(text);
+    }
+    print(&format!(
+        "{}: oracle matches its analytic value on {} labelled Gaussians, {} scored points: mIoU {}, \
+         allAcc {}",
+        path.display(),
+        report.num_labelled,
+        report.num_scored,
+        percent(report.metrics.mean_iou),
+        percent(report.metrics.all_accuracy)
+    ));
+}
+
+/// Prints the table, and gives its figures.
+pub fn tell(report: &EvaluationReport, names: &[String], meaningless: bool) -> Value {
+    print(&format!(
+        "{:14} {:>8} {:>8} {:>8} {:>8} {:>8}",
+        "", "mIoU", "mAcc", "allAcc", "f-mIoU", "f-mAcc"
+    ));
+    let rows = [("oracle", &report.oracle), ("random labels", &report.random)];
+    for (name, row) in rows.into_iter().chain(report.model.as_ref().map(|m| ("features", m))) {
+        print(&format!("{name:14} {}", columns(row)));
+    }
+    if meaningless {
+        print("the features come from seeded weights: their row means nothing");
+    }
+    let mut json = figures(report.model.as_ref().unwrap_or(&report.oracle), names);
+    json["oracle"] = figures(&report.oracle, names);
+    json["random_labels"] = figures(&report.random, names);
+    json["features"] = json!(if report.model.is_some() { "features" } else { "oracle" });
+    json["classes"] = json!(names);
+    json["meaningless"] = json!(meaningless);
+    json
+}
+
+/// Writes the figures into the output folder, and where --json says.
+pub fn write(session: &Session<'_>, json: &Value, elsewhere: Option<&Path>) -> Result<()> {
+    let text = serde_json::to_string_pretty(json)?;
+    let path = session.out("evaluation.json")?;
+    let bytes = write_text(&path, &text)?;
+    session.wrote(&path, bytes);
+    match elsewhere {
+        Some(path) => session.write_file(path, &text),
+        None => Ok(()),
+    }
+}
+
+fn figures(report: &TesterReport, names: &[String]) -> Value {
+    let per_class: Vec<_> = report
+        .classes
+        .iter()
+        .zip(names)
+        .filter(|(c, _)| c.union > 0)
+        .map(|(c, name)| {
+            json!({
+                "name": name, "iou": c.iou, "accuracy": c.accuracy,
+                "labelled": c.target, "excluded": c.excluded,
+            })
+        })
+        .collect();
+    json!({
+        "f_miou": report.foreground_mean_iou, "f_macc": report.foreground_mean_accuracy,
+        "miou": report.mean_iou, "macc": report.mean_accuracy, "all_acc": report.all_accuracy,
+        "per_class": per_class,
+    })
+}
+
+fn percent(value: Option<f64>) -> String {
+    value.map_or_else(|| "-".to_owned(), |v| format!("{:.2} %", v * 100.0))
+}
+
+fn columns(r: &TesterReport) -> String {
+    [r.mean_iou, r.mean_accuracy, r.all_accuracy, r.foreground_mean_iou, r.foreground_mean_accuracy]
+        .map(|v| format!("{:>8}", percent(v)))
+        .join(" ")
+}

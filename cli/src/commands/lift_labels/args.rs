@@ -1,0 +1,144 @@
+//! The flags of `lift-labels`.
+
+use super::depth::DepthArg;
+use crate::flags::{Shared, SourceArgs, parse_level, parse_up};
+use clap::ValueEnum;
+use clap::builder::TypedValueParser;
+use scenesplat::memory::Bytes;
+use scenesplat::rasterizer::lifting::{Aggregate, DepthTolerance, FinaliseSettings, LiftSettings};
+use scenesplat::scene::UpAxis;
+use std::path::PathBuf;
+
+/// Lifts the segments of pictures onto the Gaussians: writes lang_feat.npy ([N, D], f16, one row per
+/// Gaussian of the file, 0 without a label), valid_feat_mask.npy, confidence.npy, views.npy,
+/// coverage.npy, preview.png (coloured by the features) and a receipt.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The scene, in any format.
+    pub scene: PathBuf,
+    /// cameras.json, transforms.json or a COLMAP folder; pinhole cameras in the frame of the scene.
+    #[arg(long, value_name = "PATH")]
+    pub cameras: PathBuf,
+    /// Folder with FRAME_s.npy and FRAME_f.npy, or FRAME.png with feature tables; frames are named
+    /// as the cameras' pictures.
+    #[arg(long, value_name = "DIR")]
+    pub segments: PathBuf,
+    /// Which pixels label a Gaussian.
+    #[arg(long, value_enum, default_value_t = RuleArg::AlphaWeighted)]
+    pub rule: RuleArg,
+    /// Granularities of the maps, up to 4, comma-separated; several write into folders level-N.
+    #[arg(long, value_name = "0..3", value_delimiter = ',', default_value = "0",
+          value_parser = parse_level)]
+    pub level: Vec<usize>,
+    /// Guards against wrong labels: always, never, or if the pictures contradict each other.
+    #[arg(long, value_enum, default_value_t = RobustArg::Auto)]
+    pub robust: RobustArg,
+    /// What guarding means.
+    #[arg(long, value_enum, default_value_t = RobustRuleArg::Median)]
+    pub robust_rule: RobustRuleArg,
+    /// Power of the weight a picture has: 1 counts pixels, 0 gives every picture one vote.
+    #[arg(long, value_name = "GAMMA", default_value_t = 1.0)]
+    pub view_exponent: f32,
+    /// Least labelled weight of a Gaussian, in pixels over all pictures; less gets no feature.
+    #[arg(long, value_name = "TAU", default_value_t = 0.0)]
+    pub coverage: f32,
+    /// Least part of a Gaussian's weight that lies in segments.
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
+    pub labelled_share: f32,
+    /// Leaves out pixels this near to the border of a segment.
+    #[arg(long, value_name = "PIXELS", default_value_t = 0)]
+    pub erode: u32,
+    /// Leaves out pixels whose depth is not the Gaussian's: `render` by the median depth of the scene
+    /// itself (1 % and two standard deviations), or a folder of FRAME.npy, [H, W], 0 = unknown (3 %
+    /// and 0.05 units); `auto` does what `render` does if up to 16 of the pictures, spread evenly, show
+    /// in the first level that it leaves out wrong labels and keeps half of the weight (`off`
+    /// with the rule centre-pixel).
+    #[arg(
+        long,
+        value_name = "auto|off|render|DIR",
+        default_value = "auto",
+        value_parser = clap::builder::PathBufValueParser::new().map(DepthArg::from)
+    )]
+    pub depth: DepthArg,
+    /// Keeps the weighted mean as it is instead of dividing it by its length.
+    #[arg(long)]
+    pub unnormalised: bool,
+    /// Value of PNG pixels that belong to no segment; by default the largest, 255 or 65535.
+    #[arg(long, value_name = "VALUE")]
+    pub no_segment: Option<u16>,
+    /// Memory for weights that wait (8GB, 512MB; at least 49.2 kB); more wait in a file in the output
+    /// folder.
+    #[arg(long, value_name = "SIZE")]
+    pub max_memory: Option<Bytes>,
+    /// Which way is up in the preview; judged by the scene if not given.
+    #[arg(long, value_name = "AXIS", value_parser = parse_up, allow_hyphen_values = true)]
+    pub up: Option<UpAxis>,
+    /// How to read the scene.
+    #[command(flatten)]
+    pub source: SourceArgs,
+    /// Flags of all commands.
+    #[command(flatten)]
+    pub shared: Shared,
+}
+
+/// Which pixels count.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum RuleArg {
+    /// All that show it, by their blending weights.
+    AlphaWeighted,
+    /// The one at its centre, as Occam's LGS, with the constants of gsplat 1.4.
+    CentrePixel,
+}
+
+/// When to guard.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum RobustArg {
+    /// If measured disagreement is high.
+    Auto,
+    /// Always.
+    On,
+    /// Never.
+    Off,
+}
+
+/// How to guard.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum RobustRuleArg {
+    /// Geometric median.
+    Median,
+    /// The heaviest group of labels that are alike.
+    HeaviestGroup,
+}
+
+impl Args {
+    /// How weights are collected.
+    pub(super) fn settings(&self, depth: Option<DepthTolerance>) -> LiftSettings {
+        let base = match self.rule {
+            RuleArg::AlphaWeighted => LiftSettings::default(),
+            RuleArg::CentrePixel => LiftSettings::centre_pixel(),
+        };
+        LiftSettings {
+            erosion: self.erode,
+            depth,
+            memory: self.max_memory.map_or(base.memory, |b| b.0),
+            spill_folder: self.shared.out.clone(),
+            ..base
+        }
+    }
+
+    /// How features are made of them.
+    pub(super) fn finalise(&self, robust: bool) -> FinaliseSettings {
+        let base = if robust { FinaliseSettings::robust() } else { FinaliseSettings::default() };
+        let aggregate = match self.robust_rule {
+            RobustRuleArg::HeaviestGroup if robust => Aggregate::HEAVIEST_GROUP,
+            _ => base.aggregate,
+        };
+        FinaliseSettings {
+            aggregate,
+            view_exponent: self.view_exponent,
+            min_coverage: self.coverage,
+            min_labelled_share: self.labelled_share,
+            normalise: !self.unnormalised,
+        }
+    }
+}

@@ -1,0 +1,62 @@
+//! Features and files of one granularity.
+
+use super::{Args, write};
+use crate::progress::interrupted;
+use crate::session::Session;
+use anyhow::Result;
+use scenesplat::outputs::{OpenedScene, write_scene_preview};
+use scenesplat::rasterizer::lifting::{LiftError, Lifter};
+use scenesplat::scene::guess_up;
+
+impl Args {
+    /// Makes the features of one level and writes all files.
+    pub(super) fn write(
+        &self,
+        session: &Session<'_>,
+        opened: &OpenedScene,
+        lifter: &mut Lifter<'_>,
+        number: usize,
+        level: usize,
+        robust: bool,
+    ) -> Result<()> {
+        let folder = match self.level.len() {
+            1 => session.outputs.main_folder()?,
+            _ => session.outputs.inner_folder(&format!("level-{level}"))?,
+        };
+        let stage = session.receipt.stage("features");
+        let mut writer = write::Writer::new(opened, &folder, lifter.tables())?;
+        let rows = opened.loaded.scene.len().max(1);
+        lifter.features(number, &self.finalise(robust), |block| {
+            if interrupted() {
+                return Err(LiftError::Stopped);
+            }
+            session.progress.advance("features", block.first as f64 / rows as f64);
+            writer.add(&block)
+        })?;
+        session.progress.finish();
+        let written = writer.finish()?;
+        drop(stage);
+        for (path, bytes) in &written.files {
+            session.wrote(path, *bytes);
+        }
+        session.receipt.add_rows_out(opened.loaded.source_rows());
+        session.progress.say(format!(
+            "level {level}: {} of {} Gaussians have a feature; mean confidence {:.3}, seen by {:.1} \
+             pictures on average",
+            written.valid,
+            opened.loaded.scene.len(),
+            written.mean_confidence,
+            written.mean_views
+        ));
+        session.check_stop()?;
+        let _stage = session.receipt.stage("picture");
+        let name = self.scene.file_name().unwrap_or_default().to_string_lossy();
+        let title = format!("{name}: lifted labels (principal components as colours)");
+        let scene = &opened.loaded.scene;
+        let up = self.up.unwrap_or_else(|| guess_up(scene).axis);
+        let path = folder.join("preview.png");
+        let bytes = write_scene_preview(scene, &written.colors, &[], &title, up, &path)?;
+        session.wrote(&path, bytes);
+        Ok(())
+    }
+}

@@ -1,0 +1,79 @@
+//! `scenesplat query`
+
+mod args;
+mod write;
+
+use super::WrongUse;
+use crate::session::{FeatureSource, Session};
+use anyhow::Result;
+pub use args::Args;
+use args::query;
+use scenesplat::query::{QuerySettings, select};
+use scenesplat::scene::LabelSet;
+use write::{describe, write};
+
+/// Runs the command.
+pub fn run(args: &Args, line: &str) -> Result<()> {
+    let session = Session::start_with(&args.shared, &args.inference.network, line)?;
+    session.outputs.reads_any([Some(args.scene.as_path()), args.embedding.as_deref()])?;
+    args.classes.claim_inputs(&session.outputs)?;
+    let query = query(args)?;
+    session.make_out(&["scores.npy", "selection.npy", "query.ply", "preview.png"])?;
+    args.classes.record(&session)?;
+    if let Some(path) = &args.embedding {
+        session.receipt.fingerprint("embedding", path)?;
+    }
+    let (opened, source) = session.open_with_source(
+        &args.scene,
+        &args.inference,
+        args.features.as_deref(),
+        |network| {
+            if network.is_classifier() {
+                let text = "a segmentation network cannot be queried; use --config language";
+                return Err(WrongUse(text.to_owned()).into());
+            }
+            check_width(network.model().out_channels(), query.width())
+        },
+    )?;
+    let scene = &opened.loaded.scene;
+    if let (FeatureSource::Codes, Some(code)) = (&source, &scene.lang_code) {
+        if args.classes.text.is_none() && args.embedding.is_none() {
+            let text = "the scene carries language codes of its own: give --text or --embedding for \
+                        them, or --weights embedded to use the network inside the program";
+            return Err(WrongUse(text.to_owned()).into());
+        }
+        check_width(code.codebook.feature_width(), query.width())?;
+    }
+    let features = session.features(&opened, &source, &args.inference)?;
+
+    // A misspelt rival would go on to compete.
+    if !args.classes.without.is_empty() {
+        args.classes.options(&LabelSet::new(query.rivals.names.clone())?)?;
+    }
+    session.receipt.setting("vote_k", args.vote_k, "neighbours that vote on the selection");
+    let found = {
+        let _stage = session.receipt.stage("query");
+        let settings = QuerySettings {
+            without: args.classes.without.clone(),
+            min_score: args.classes.min_score,
+            min_margin: args.classes.min_margin,
+            vote_k: args.vote_k,
+        };
+        select(&features, &query, &settings, &scene.coord)?
+    };
+    session.check_stop()?;
+    describe(&args.query, &found, &scene.coord);
+    write(args, &session, &opened, &source, &found)?;
+    session.finish()
+}
+
+fn check_width(features: usize, texts: usize) -> Result<()> {
+    if features == texts {
+        return Ok(());
+    }
+    Err(WrongUse(format!(
+        "the texts have {texts} values, the features {features}: give the texts of this network, or \
+         with --weights the network of these texts"
+    ))
+    .into())
+}

@@ -1,0 +1,463 @@
+//! Labels of scenes against the truth that the scenes carry.
+
+use crate::inference::{EncodeError, EncodeProgress, SceneEncoder, SceneFeatures};
+use crate::labels::{Classes, LabelError, label_gaussians};
+use crate::network::Network;
+use crate::text::metric_table;
+use scenesplat_metrics::{
+    ConfusionMatrix, Fault, Metric, MetricError, OracleReport, SceneTruth, Scores, TesterReport,
+    UnknownRule, VoteRule, ZeroShotOptions, random_labels,
+};
+use scenesplat_rooms::{CLASSES, SyntheticClass};
+use scenesplat_scene::label_set::find_name;
+use scenesplat_scene::{ClassMap, GaussianScene, LabelSet, SceneError, TextTable};
+
+/// Why scenes could not be evaluated.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum EvaluationError {
+    /// A label that stands for nothing.
+    #[error("row {row} has label {label}, but there are only {known} names")]
+    UnknownLabel {
+        /// First such row, of the Gaussians or of the labelled points.
+        row: usize,
+        /// Its label.
+        label: i32,
+        /// Labels that are known.
+        known: usize,
+    },
+    /// A scene that says nothing about the classes.
+    #[error("no point has a label of a known class; nothing to evaluate")]
+    NoLabels,
+    /// Only Gaussians with a collected feature were to vote.
+    #[error("the scene does not say which Gaussians have a feature (no valid_feat_mask)")]
+    NoVoters,
+    /// A row that cannot be spoiled.
+    #[error("row {row} cannot be spoiled: choose one with a label, in a scene with two classes")]
+    Fault {
+        /// The row.
+        row: usize,
+    },
+    /// The truth itself does not come out as it must.
+    #[error(
+        "evaluation refused: the oracle falls short of its analytic value, so no number of this \
+         chain can be trusted"
+    )]
+    Oracle(#[source] MetricError),
+    /// What went wrong with one of several scenes.
+    #[error("{scene}")]
+    Scene {
+        /// Its name.
+        scene: String,
+        /// What went wrong.
+        #[source]
+        source: Box<EvaluationError>,
+    },
+    /// The network failed, or was stopped.
+    #[error(transparent)]
+    Encode(#[from] EncodeError),
+    /// Features and texts that do not fit together.
+    #[error(transparent)]
+    Label(#[from] LabelError),
+    /// Texts, labels or settings that cannot be used.
+    #[error(transparent)]
+    Metric(#[from] MetricError),
+}
+
+/// How scenes are scored.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EvaluationSettings {
+    /// Classes left out of the averages that begin with f, such as [`background`].
+    pub excluded: Vec<usize>,
+    /// Which classes compete, and when none wins.
+    pub options: ZeroShotOptions,
+    /// Neighbours that vote on each label; below 2 none do, but where labelled points are scored one
+    /// does.
+    pub vote_k: usize,
+    /// Lets only Gaussians vote that have a collected language feature, as the original does.
+    pub voters_with_feature: bool,
+    /// Seed of the random labels.
+    pub seed: u64,
+}
+
+impl Default for EvaluationSettings {
+    /// The paper's vote; no class is left out.
+    fn default() -> Self {
+        Self {
+            excluded: Vec::new(),
+            options: ZeroShotOptions::default(),
+            vote_k: 25,
+            voters_with_feature: false,
+            seed: 0,
+        }
+    }
+}
+
+/// The numbers of an evaluation.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EvaluationReport {
+    /// The truth of the Gaussians through the same chain: the ceiling of what any labels can reach.
+    pub oracle: TesterReport,
+    /// Labels drawn evenly from all classes: what any labels have to beat.
+    pub random: TesterReport,
+    /// The labels that were scored; `None` if none were.
+    pub model: Option<TesterReport>,
+}
+
+/// An evaluation over scenes, one after the other: [`truth`](Self::truth), then
+/// [`check`](Self::check), then [`add_truth`](Self::add_truth) and [`add_labels`](Self::add_labels).
+/// [`evaluate`] does all of it.
+#[derive(Debug)]
+pub struct Evaluation<'a> {
+    text: &'a TextTable,
+    table: scenesplat_metrics::TextTable,
+    settings: EvaluationSettings,
+    rule: VoteRule,
+    scores: Scores,
+    random: ConfusionMatrix,
+    has_labels: bool,
+}
+
+impl<'a> Evaluation<'a> {
+    /// No scene yet. `text`: the classes; for a network with classes of its own,
+    /// [`own_directions`].
+    ///
+    /// # Errors
+    /// If a text has no direction, or an excluded class does not exist.
+    pub fn new(text: &'a TextTable, settings: EvaluationSettings) -> Result<Self, EvaluationError> {
+        let scores = Scores::new(text.len(), &settings.excluded)?;
+        // What a threshold withheld stays unknown; rows without a usable feature may be filled.
+        let keep_withheld = settings.options.unknown != UnknownRule::default();
+        let rule = VoteRule { keep_withheld, ..VoteRule::of(settings.vote_k) };
+        let (table, random) = (metric_table(text)?, scores.oracle.clone());
+        Ok(Self { text, table, settings, rule, scores, random, has_labels: false })
+    }
+
+    /// Names of the classes.
+    pub fn names(&self) -> &[String] {
+        &self.text.names
+    }
+
+    /// What a scene says of its classes. `class_of`: the class that each of its labels means, -1 for
+    /// none; without it, labels are rows of the texts.
+    ///
+    /// # Errors
+    /// If nothing is labelled, a label stands for nothing, or the scene does not say who votes.
+    pub fn truth<'s>(
+        &self,
+        scene: &'s GaussianScene,
+        class_of: Option<&[i32]>,
+    ) -> Result<SceneTruth<'s>, EvaluationError> {
+        let classes = self.text.len();
+        let same: Vec<i32>;
+        let class_of = match class_of {
+            Some(map) => map,
+            None => {
+                same = (0..classes as i32).collect();
+                &same
+            }
+        };
+        let points = scene.labelled_points.as_ref();
+        let points = points.and_then(|p| Some((p.coord.as_slice(), p.segment.as_deref()?)));
+        let segment = scene.segment.as_deref();
+        let truth = SceneTruth::mapped(&scene.coord, segment, points, class_of, classes);
+        let truth = truth.map_err(|error| match error {
+            MetricError::LabelRange { row, value, num_classes, .. } => {
+                EvaluationError::UnknownLabel { row, label: value, known: num_classes }
+            }
+            other => other.into(),
+        })?;
+        let truth = truth
+            .filter(|truth| truth.scores_points() || truth.is_labelled())
+            .ok_or(EvaluationError::NoLabels)?;
+        if !self.settings.voters_with_feature {
+            return Ok(truth);
+        }
+        let voters = scene.valid_feat_mask.as_deref().ok_or(EvaluationError::NoVoters)?;
+        Ok(truth.with_voters(Some(voters)))
+    }
+
+    /// Runs the truth through the chain and compares with what must come out. `spoiled`: a row that
+    /// gets the text of another class, to see that the check notices.
+    ///
+    /// # Errors
+    /// [`EvaluationError::Oracle`] if anything comes out other than it must.
+    pub fn check(
+        &self,
+        truth: &SceneTruth<'_>,
+        spoiled: Option<usize>,
+    ) -> Result<OracleReport, EvaluationError> {
+        let mut check = truth
+            .check(&self.table, &self.rule)
+            .with_class_names(&self.text.names)
+            .with_excluded(&self.settings.excluded)
+            .with_options(self.settings.options.clone());
+        if let Some(row) = spoiled {
+            check = check.with_fault(fault(truth.labels(), row)?);
+        }
+        check.run().map_err(EvaluationError::Oracle)
+    }
+
+    /// Scores the truth that passed its check, and random labels.
+    ///
+    /// # Errors
+    /// If they cannot be counted.
+    pub fn add_truth(
+        &mut self,
+        truth: &SceneTruth<'_>,
+        checked: &OracleReport,
+    ) -> Result<(), EvaluationError> {
+        // What each class comes out as: itself, except for aliases.
+        let mut answers: Vec<i32> = (0..self.text.len() as i32).collect();
+        for &(class, becomes) in &checked.aliases {
+            answers[class] = becomes;
+        }
+        self.scores.add_oracle(truth, &answers, &self.rule)?;
+        let scored = truth.scored();
+        let random = random_labels(scored.len(), self.text.len(), self.settings.seed)?;
+        Ok(self.random.update((&random, scored))?)
+    }
+
+    /// The class of each Gaussian by its features; `classifier` if they are probabilities of the
+    /// classes. `[N]`
+    ///
+    /// # Errors
+    /// If features and texts differ in width, or features cannot be read.
+    pub fn label(
+        &self,
+        features: &SceneFeatures,
+        classifier: bool,
+    ) -> Result<Vec<i32>, EvaluationError> {
+        let classes = match classifier {
+            true => Classes::Probabilities(self.text.len()),
+            false => Classes::Texts(self.text),
+        };
+        Ok(label_gaussians(features, classes, &self.settings.options)?.labels)
+    }
+
+    /// Scores classes of the Gaussians, -1 for none. `[N]`
+    ///
+    /// # Errors
+    /// If they are not as many as Gaussians, or one is no class.
+    pub fn add_labels(
+        &mut self,
+        truth: &SceneTruth<'_>,
+        labels: Vec<i32>,
+    ) -> Result<(), EvaluationError> {
+        self.scores.add_labels(truth, labels, &self.rule)?;
+        self.has_labels = true;
+        Ok(())
+    }
+
+    /// The numbers over all scenes so far.
+    pub fn report(&self) -> EvaluationReport {
+        EvaluationReport {
+            oracle: self.scores.oracle.tester_report(),
+            random: self.random.tester_report(),
+            model: self.has_labels.then(|| self.scores.model.tester_report()),
+        }
+    }
+}
+
+/// Evaluates a network on scenes, of which one is held at a time: name and scene each.
+///
+/// `class_of`: as in [`Evaluation::truth`]. `progress` is called while the network runs, and may stop
+/// it.
+///
+/// ```
+/// use scenesplat::embedded;
+/// use scenesplat::evaluation::{EvaluationSettings, background, evaluate};
+/// use scenesplat::prelude::*;
+/// use scenesplat::rooms::{SyntheticRoomSettings, generate};
+/// use scenesplat::scene::LabelSet;
+///
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// let network = Network::load(embedded::config()?, &Weights::Embedded, WeightOptions::default())?;
+/// let text = embedded::vocabulary()?.class_table();
+/// let excluded = background(&LabelSet::new(text.names.clone())?);
+/// let settings = EvaluationSettings { excluded, ..EvaluationSettings::default() };
+/// let room = generate(&SyntheticRoomSettings::with_count(800, 1))?.scene;
+/// let scenes = [("room".to_owned(), room)];
+/// let report = evaluate(&network, &text, settings, scenes, None, &mut |_| Ok(()))?;
+/// assert!(report.model.unwrap().all_accuracy > report.random.all_accuracy);
+/// # Ok(())
+/// # }
+/// ```
+///
+/// # Errors
+/// Names the first scene that cannot be scored, and why.
+pub fn evaluate(
+    network: &Network,
+    text: &TextTable,
+    settings: EvaluationSettings,
+    scenes: impl IntoIterator<Item = (String, GaussianScene)>,
+    class_of: Option<&[i32]>,
+    progress: &mut dyn FnMut(EncodeProgress) -> Result<(), EncodeError>,
+) -> Result<EvaluationReport, EvaluationError> {
+    let mut evaluation = Evaluation::new(text, settings)?;
+    let encoder = SceneEncoder::new(network);
+    let mut add = |scene: &GaussianScene| {
+        let truth = evaluation.truth(scene, class_of)?;
+        let checked = evaluation.check(&truth, None)?;
+        evaluation.add_truth(&truth, &checked)?;
+        let features = encoder.encode(scene, progress)?;
+        let labels = evaluation.label(&features, network.is_classifier())?;
+        evaluation.add_labels(&truth, labels)
+    };
+    for (name, scene) in scenes {
+        add(&scene).map_err(|source| match source {
+            EvaluationError::Encode(EncodeError::Stopped) => source,
+            _ => EvaluationError::Scene { scene: name, source: Box::new(source) },
+        })?;
+    }
+    Ok(evaluation.report())
+}
+
+/// A row with the text of another class.
+fn fault(labels: &[i32], row: usize) -> Result<Fault, EvaluationError> {
+    let own = labels.get(row).copied().unwrap_or(-1);
+    let other = labels.iter().copied().find(|l| *l >= 0 && *l != own);
+    match (own >= 0, other) {
+        (true, Some(other)) => Ok(Fault { row, class: other as usize }),
+        _ => Err(EvaluationError::Fault { row }),
+    }
+}
+
+/// Those of wall, floor and ceiling that there are: what the averages that begin with f leave out
+/// where no benchmark says otherwise.
+pub fn background(classes: &LabelSet) -> Vec<usize> {
+    ["wall", "floor", "ceiling"].iter().filter_map(|n| classes.index_of(n).ok()).collect()
+}
+
+/// The classes of a network that has its own, as a table: each is its own direction.
+///
+/// # Errors
+/// If there is no name.
+pub fn own_directions(names: Vec<String>) -> Result<TextTable, SceneError> {
+    let count = names.len();
+    let values = (0..count * count).map(|i| f32::from(u8::from(i % (count + 1) == 0))).collect();
+    TextTable::from_rows(names, values, count)
+}
+
+/// The class that each label means, by a map or else by the same name; -1 for none.
+///
+/// # Errors
+/// If the map names what there is not.
+pub fn classes_of_labels(
+    labels: &[String],
+    map: Option<&ClassMap>,
+    classes: &[String],
+) -> Result<Vec<i32>, SceneError> {
+    match map {
+        Some(map) => map.indices(labels, classes),
+        None => {
+            let same_name = |l: &String| Some((l.clone(), find_name(classes, l).ok()?));
+            let pairs = labels.iter().filter_map(same_name);
+            ClassMap::from_pairs(pairs.map(|(l, c)| (l, classes[c].clone())))
+                .indices(labels, classes)
+        }
+    }
+}
+
+/// The class that each label of the synthetic rooms means, by its name there or in `ScanNet200`; -1
+/// for none.
+pub fn classes_of_rooms(classes: &[String]) -> Vec<i32> {
+    let row = |class: &SyntheticClass| {
+        let own = find_name(classes, class.name);
+        own.or_else(|_| find_name(classes, class.scannet200_name)).map_or(-1, |row| row as i32)
+    };
+    CLASSES.iter().map(row).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use scenesplat_scene::LabelledPoints;
+
+    fn names(names: &[&str]) -> Vec<String> {
+        names.iter().map(|&name| name.to_owned()).collect()
+    }
+
+    fn scene() -> GaussianScene {
+        GaussianScene {
+            coord: (0..4).map(|i| [i as f32, 0.0, 0.0]).collect(),
+            segment: Some(vec![0, 1, 1, -5]),
+            ..GaussianScene::default()
+        }
+    }
+
+    fn settings(vote_k: usize) -> EvaluationSettings {
+        EvaluationSettings { vote_k, ..EvaluationSettings::default() }
+    }
+
+    #[test]
+    fn labels_are_scored_beside_the_truth_and_chance() {
+        let text = own_directions(names(&["wall", "chair"])).unwrap();
+        let mut evaluation = Evaluation::new(&text, settings(0)).unwrap();
+        let scene = scene();
+        let truth = evaluation.truth(&scene, None).unwrap();
+        let checked = evaluation.check(&truth, None).unwrap();
+        evaluation.add_truth(&truth, &checked).unwrap();
+        assert!(evaluation.report().model.is_none());
+        evaluation.add_labels(&truth, vec![0, 0, 1, 1]).unwrap();
+        let report = evaluation.report();
+        assert_eq!(report.oracle.all_accuracy, Some(1.0));
+        assert_eq!(report.model.unwrap().all_accuracy, Some(2.0 / 3.0));
+        let error = evaluation.check(&truth, Some(0)).unwrap_err();
+        assert!(matches!(error, EvaluationError::Oracle(_)), "{error}");
+        let error = evaluation.check(&truth, Some(3)).unwrap_err();
+        assert!(matches!(error, EvaluationError::Fault { row: 3 }), "{error}");
+    }
+
+    #[test]
+    fn a_scene_with_labelled_points_only_has_an_oracle() {
+        let text = own_directions(names(&["wall", "chair"])).unwrap();
+        let mut evaluation = Evaluation::new(&text, settings(1)).unwrap();
+        let points = LabelledPoints {
+            coord: vec![[0.1, 0.0, 0.0], [2.9, 0.0, 0.0]],
+            segment: Some(vec![1, 0]),
+            instance: None,
+        };
+        let scene = GaussianScene { segment: None, labelled_points: Some(points), ..scene() };
+        let truth = evaluation.truth(&scene, None).unwrap();
+        let checked = evaluation.check(&truth, None).unwrap();
+        evaluation.add_truth(&truth, &checked).unwrap();
+        // Each Gaussian has the class of its nearest point, and each point that of its nearest Gaussian.
+        assert_eq!(evaluation.report().oracle.all_accuracy, Some(1.0));
+    }
+
+    #[test]
+    fn scenes_without_a_truth_are_refused() {
+        let text = own_directions(names(&["wall", "chair"])).unwrap();
+        let evaluation = Evaluation::new(&text, settings(0)).unwrap();
+        let refused = |scene: &GaussianScene, class_of: Option<&[i32]>| {
+            evaluation.truth(scene, class_of).unwrap_err()
+        };
+        let none = GaussianScene { segment: None, ..scene() };
+        assert!(matches!(refused(&none, None), EvaluationError::NoLabels));
+        assert!(matches!(refused(&scene(), Some(&[-1, -1])), EvaluationError::NoLabels));
+        let error = refused(&scene(), Some(&[0]));
+        assert!(
+            matches!(error, EvaluationError::UnknownLabel { row: 1, label: 1, known: 1 }),
+            "{error}"
+        );
+        let voters = EvaluationSettings { voters_with_feature: true, ..settings(3) };
+        let evaluation = Evaluation::new(&text, voters).unwrap();
+        let error = evaluation.truth(&scene(), None).unwrap_err();
+        assert!(matches!(error, EvaluationError::NoVoters), "{error}");
+        let masked = GaussianScene { valid_feat_mask: Some(vec![true; 4]), ..scene() };
+        evaluation.truth(&masked, None).unwrap();
+    }
+
+    #[test]
+    fn labels_find_their_classes() {
+        let classes = names(&["wall", "office chair"]);
+        let labels = names(&["office chair", "lamp", "wall"]);
+        assert_eq!(classes_of_labels(&labels, None, &classes).unwrap(), [1, -1, 0]);
+        let map = ClassMap::from_pairs([("lamp", "office chair")]);
+        assert_eq!(classes_of_labels(&labels, Some(&map), &classes).unwrap(), [-1, 1, -1]);
+        let of_rooms = classes_of_rooms(&classes);
+        assert_eq!(of_rooms.len(), CLASSES.len());
+        assert_eq!(of_rooms[0], 0);
+    }
+}
