@@ -229,6 +229,23 @@ dec_groups = [3]
 dec_neighbors = [8]
 num_classes = 41"#;
 
+const MODEL_LITE: &str = r#"[model]
+architecture = "litept"
+grid_size = 0.3
+drop_path = 0.3
+stride = [2]
+enc_depths = [1, 1]
+enc_channels = [12, 24]
+enc_blocks = ["convolution", "attention"]
+enc_num_head = [1, 2]
+enc_patch_size = [16, 16]
+dec_depths = [1]
+dec_channels = [12]
+dec_blocks = ["attention"]
+dec_num_head = [1]
+dec_patch_size = [16]
+num_classes = 41"#;
+
 /// A short run of a network of points.
 const POINTS: &str = r#"
 task = "semantic_segmentation"
@@ -246,7 +263,7 @@ groups = []
 "#;
 
 /// The bases by name.
-pub const ALL: [(&str, &str); 7] = [
+pub const ALL: [(&str, &str); 8] = [
     ("language", LANGUAGE),
     ("table", TABLE),
     ("rooms", CLASSES_OF_ROOMS),
@@ -254,6 +271,7 @@ pub const ALL: [(&str, &str); 7] = [
     ("segmentation", SEGMENTATION),
     ("v1", POINTS),
     ("v2", POINTS),
+    ("litept", POINTS),
 ];
 
 /// The text of a base.
@@ -362,6 +380,7 @@ pub fn read(data: &Data, name: &str, text: &str) -> Value {
     let model = match name {
         "v1" => MODEL_V1,
         "v2" => MODEL_V2,
+        "litept" => MODEL_LITE,
         _ => MODEL,
     };
     let path = data.path().join("experiment.toml");
