@@ -308,7 +308,7 @@ impl ExperimentConfig {
             {
                 wrong("text", "targets = \"class_text\" needs it")
             }
-            Task::SemanticSegmentation if self.targets != Targets::Features => {
+            Task::SemanticSegmentation if self.targets != TargetChoice::Features => {
                 wrong("targets", "segmentation learns labels and has none; leave it out")
             }
             Task::SemanticSegmentation if !head => {

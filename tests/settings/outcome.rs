@@ -36,12 +36,20 @@ pub fn run(data: &Data, config: &Value, name: &str) -> Outcome {
 }
 
 fn try_run(config: &Value, out: &Path) -> Result<(), String> {
-    let said = |error: &dyn std::fmt::Display| error.to_string();
-    let config: ExperimentConfig = serde_json::from_value(config.clone()).map_err(|e| said(&e))?;
-    config.check().map_err(|e| format!("{e:#}"))?;
+    let config: ExperimentConfig =
+        serde_json::from_value(config.clone()).map_err(|e| e.to_string())?;
+    config.check().map_err(|e| with_causes(&e))?;
     let (out, stop) = (out.to_owned(), Default::default());
     let options = RunOptions { out, resume: false, quiet: true, stop, commit: None };
-    train(&config, &options).map(|_| ()).map_err(|e| format!("{e:#}"))
+    train(&config, &options).map(|_| ()).map_err(|e| with_causes(&e))
+}
+
+/// An error with everything behind it.
+fn with_causes(error: &dyn std::error::Error) -> String {
+    match error.source() {
+        Some(source) => format!("{error}: {}", with_causes(source)),
+        None => error.to_string(),
+    }
 }
 
 fn read(out: &Path) -> Outcome {

@@ -14,7 +14,7 @@ use scenesplat_metrics::Measurement;
 use scenesplat_models::layers::{BatchNorm, Linear};
 use scenesplat_models::{Backbone, Forward, ParamStore, PointCloud};
 use scenesplat_trainers::checkpoint::newest_checkpoint;
-use scenesplat_trainers::tasks::SemanticSegmentation;
+use scenesplat_trainers::tasks::{SemanticSegmentation, TaskModule};
 use scenesplat_trainers::{
     AdamW, AdamWConfig, Callback, Event, Flow, OneCycle, Progress, StepContext, StepOutput,
     TrainError, Trainer, TrainerConfig, TrainingModule, group_by_keyword,
@@ -296,7 +296,7 @@ fn losses_that_draw_get_another_seed_each_batch() {
         let model = PerVoxel(Linear::new(11, 3, true, params.builder()).unwrap());
         let loss = Seeds::default();
         let objective = Objective::new().with(1.0, loss.clone());
-        let module = SemanticSegmentation::new(params, model, objective);
+        let module = TaskModule::new(params, model, objective, SemanticSegmentation);
         let groups = group_by_keyword(&module.params().parameters(), 0.01, 0.0, &[]);
         let optimizer = Box::new(AdamW::new(groups, AdamWConfig::default()).unwrap());
         let settings = TrainerConfig { seed, ..settings() };
