@@ -990,11 +990,7 @@ pub const CASES: &[Case] = &[
         "true",
         Measured,
     )
-    .with(&[
-        ("/input/scale_clip", "none"),
-        ("/trainer/epochs", "6"),
-        ("/optimizer/lr", "0.05"),
-    ]),
+    .with(&[("/input/scale_clip", "none")]),
     row(
         "evaluate[*].source(generic).lang_feat",
         "folders",
@@ -1076,9 +1072,8 @@ pub const CASES: &[Case] = &[
     )
     .with(&[
         ("/input/scale_clip", "none"),
-        ("/trainer/epochs", "6"),
-        ("/optimizer/lr", "0.05"),
-        ("/evaluate/0/source/split", "train"),
+        ("/evaluate/0/source/root", "DATA/halls"),
+        ("/evaluate/0/source/folders", r#"["."]"#),
     ]),
     row(
         "evaluate[*].source(replica).lang_feat",
