@@ -10,6 +10,7 @@
 //! | [`neighbors`] | the points nearest to a point |
 //! | [`serialization`] | space-filling-curve codes and orders |
 //! | [`patches`], [`patch_attention`] | attention inside patches of an order |
+//! | [`point_rope`] | queries and keys that turn with their voxel |
 //! | [`kernel_map`], [`sparse_conv`] | submanifold convolution |
 //! | [`gemm`] | matrix products with fused endings, in the [`Precision`] asked for |
 //! | [`layer_norm`], [`batch_norm`], [`activation`] | normalisation, GELU |
@@ -32,6 +33,7 @@ pub mod neighbors;
 pub mod patch_attention;
 pub mod patches;
 pub mod permute;
+pub mod point_rope;
 pub mod precision;
 pub mod random;
 #[doc(hidden)]

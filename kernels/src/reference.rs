@@ -205,6 +205,33 @@ pub fn attention_segment(qkv: &[f32], heads: usize, dim: usize, rows: &[usize]) 
     out
 }
 
+/// Queries and keys of `qkv` (`[N, 3·heads·dim]`) turned by their voxels' numbers, values as they are.
+pub fn point_rope(
+    qkv: &[f32],
+    grid_coord: &[[i32; 3]],
+    heads: usize,
+    dim: usize,
+    base: f64,
+) -> Vec<f64> {
+    let third = dim / 6;
+    let mut out: Vec<f64> = qkv.iter().map(|v| f64::from(*v)).collect();
+    for (row, place) in grid_coord.iter().enumerate() {
+        for head in 0..2 * heads {
+            for axis in 0..3 {
+                for i in 0..third {
+                    let angle = f64::from(place[axis]) / base.powf(i as f64 / third as f64);
+                    let u = (row * 3 * heads + head) * dim + 2 * axis * third + i;
+                    let v = u + third;
+                    let (a, b) = (out[u], out[v]);
+                    out[u] = a * angle.cos() - b * angle.sin();
+                    out[v] = b * angle.cos() + a * angle.sin();
+                }
+            }
+        }
+    }
+    out
+}
+
 /// Skilling's Hilbert code of one cell, bit by bit.
 pub fn hilbert_code(cell: [u32; 3], bits: u32) -> u64 {
     let mut x = cell;

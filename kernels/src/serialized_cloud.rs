@@ -4,7 +4,7 @@ use crate::error::{KernelError, check_offsets};
 use crate::kernel_map::KernelMap;
 use crate::patches::{Patches, cut};
 use crate::segment::Groups;
-use crate::serialization::{Curve, codes_into, depth_of, order_and_inverse};
+use crate::serialization::{Curve, MAX_DEPTH, codes_into, depth_of, order_and_inverse};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -17,6 +17,9 @@ pub enum CurveDepth {
     /// Each scene for itself: its result never depends on its batch mates.
     #[default]
     PerScene,
+    /// Each scene for itself, with room for one voxel more: the bits of its largest coordinate plus
+    /// one, at most 21. That is the rule of LitePT, which differs where the coordinate is 2ⁿ − 1.
+    PerSceneExtent,
     /// The largest coordinate of the batch, as the original does.
     WholeBatch,
 }
@@ -68,9 +71,20 @@ impl SerializedCloud {
                 e => e,
             })?);
         }
-        if depth == CurveDepth::WholeBatch {
-            let most = depths.iter().copied().max().unwrap_or(0);
-            depths.fill(most);
+        match depth {
+            CurveDepth::PerScene => {}
+            CurveDepth::PerSceneExtent => {
+                for (scene, depth) in offsets.windows(2).zip(&mut depths) {
+                    let most = grid_coord[scene[0]..scene[1]].iter().flatten().max();
+                    // Checked above: 0..2²¹.
+                    let extent = most.map_or(0, |most| most.unsigned_abs() + 1);
+                    *depth = (u32::BITS - extent.leading_zeros()).min(MAX_DEPTH);
+                }
+            }
+            CurveDepth::WholeBatch => {
+                let most = depths.iter().copied().max().unwrap_or(0);
+                depths.fill(most);
+            }
         }
         let rows = curves
             .iter()
@@ -301,6 +315,22 @@ mod tests {
             let shifted: Vec<u32> = alone.order(c).order.iter().map(|i| i + 1).collect();
             assert_eq!(shifted, both.order(c).order[1..]);
         }
+    }
+
+    #[test]
+    fn an_extent_has_room_for_one_voxel_more() {
+        let depth = |cells: &[[i32; 3]]| {
+            let (n, curves) = (cells.len(), [Curve::Hilbert]);
+            let offsets = vec![0, n, n];
+            SerializedCloud::new(cells.to_vec(), offsets, &curves, CurveDepth::PerSceneExtent)
+                .map(|cloud| cloud.depth().to_vec())
+        };
+        for (most, bits) in [(0, 1), (1, 2), (2, 2), (3, 3), (7, 4), (8, 4), (1 << 20, 21)] {
+            assert_eq!(depth(&[[0, most, 0], [0, 0, 0]]).unwrap(), [bits, 0], "{most}");
+        }
+        // Codes have no more bits than that.
+        assert_eq!(depth(&[[(1 << 21) - 1, 0, 0]]).unwrap(), [21, 0]);
+        assert!(depth(&[[1 << 21, 0, 0]]).is_err());
     }
 
     #[test]

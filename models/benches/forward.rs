@@ -11,7 +11,8 @@ use rand_chacha::ChaCha8Rng;
 use scenesplat_kernels::Precision;
 use scenesplat_models::weights::WeightSource;
 use scenesplat_models::{
-    Backbone, Compute, Forward, ModelConfig, ParamStore, PointCloud, PointTransformerV3Config,
+    Backbone, Compute, Forward, LitePtConfig, ModelConfig, ParamStore, PointCloud,
+    PointTransformerV3Config,
 };
 use support::{criterion, features, short, voxels};
 
@@ -83,6 +84,20 @@ fn segmentation(c: &mut Criterion) {
     }
 }
 
+/// LitePT-S with 768-wide features at unit length.
+fn litept_language(c: &mut Criterion) {
+    for precision in PRECISIONS {
+        let compute = Compute { precision, ..Compute::default() };
+        let network = ModelConfig::new(LitePtConfig::small())
+            .with_projection(768)
+            .with_compute(compute)
+            .build(weights().builder())
+            .expect("a network");
+        let sizes = [10_000, 20_000, 100_000, 400_000];
+        bench(c, "forward_litept_s_language", precision, network.as_ref(), &sizes);
+    }
+}
+
 /// Memory that the segmentation network takes for a million voxels, with some to spare.
 const MILLION_BYTES: u64 = 8_000_000_000;
 
@@ -94,5 +109,5 @@ fn free_memory() -> Option<u64> {
     Some(kib * 1024)
 }
 
-criterion_group!(name = benches; config = criterion(); targets = language, segmentation);
+criterion_group!(name = benches; config = criterion(); targets = language, litept_language, segmentation);
 criterion_main!(benches);

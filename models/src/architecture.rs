@@ -117,6 +117,8 @@ architectures! {
         "Vector attention over nearest neighbours.";
     PointTransformerV2(crate::PointTransformerV2Config) = "point_transformer_v2":
         "Grouped vector attention over nearest neighbours.";
+    LitePt(crate::LitePtConfig) = "litept":
+        "Convolutions on fine voxels, attention on coarse ones.";
 }
 
 /// Fields of a configuration; an error begins with the field's name.

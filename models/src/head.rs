@@ -7,6 +7,10 @@ use candle_nn::VarBuilder;
 /// The most classes, or features of a projection.
 const MAX_WIDTH: usize = 1 << 16;
 
+/// Names of the linear layers, as parameters and observers know them.
+const PROJECTION: &str = "projection";
+const CLASSIFIER: &str = "seg_head";
+
 /// What stands behind a backbone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Head {
@@ -56,6 +60,21 @@ impl Head {
         }
     }
 
+    /// What a network costs with it, behind a backbone of this width and cost: the product of its
+    /// linear layer, and its results beside what they are made from.
+    pub fn cost(self, mut backbone: BackboneCost, width: usize) -> BackboneCost {
+        let (name, wide, rows) = match self {
+            Self::Features { projection: None } => return backbone,
+            // And the same at unit length.
+            Self::Features { projection: Some(n) } => (PROJECTION, n, 2 * n),
+            Self::Classes(n) => (CLASSIFIER, n, n),
+        };
+        let bytes = (width + rows) * size_of::<f32>() * 11 / 10;
+        backbone.bytes_per_voxel = backbone.bytes_per_voxel.max(bytes);
+        backbone.parts.push((name.to_owned(), width as f64 * wide as f64));
+        backbone
+    }
+
     /// Checks its widths.
     ///
     /// # Errors
@@ -92,7 +111,7 @@ impl LanguageModel {
         projection: Option<usize>,
         vb: VarBuilder<'_>,
     ) -> Result<Self> {
-        let (narrow, vb) = (backbone.out_channels(), vb.pp("projection"));
+        let (narrow, vb) = (backbone.out_channels(), vb.pp(PROJECTION));
         let wide = |n| Linear::with(backbone.compute(), narrow, n, true, vb);
         let layer = projection.map(wide).transpose()?;
         let width = projection.unwrap_or(narrow);
@@ -106,6 +125,7 @@ impl Backbone for LanguageModel {
         let mut feat = self.backbone.forward(points, cx)?;
         if let Some(projection) = &self.projection {
             feat = projection.forward(&feat)?;
+            cx.observe(PROJECTION, &feat)?;
         }
         ops::l2_normalize(&feat)
     }
@@ -116,7 +136,9 @@ impl Backbone for LanguageModel {
         self.backbone.alignment()
     }
     fn cost(&self) -> Option<BackboneCost> {
-        self.backbone.cost()
+        let projection = self.projection.as_ref().map(|_| self.width);
+        let head = Head::Features { projection };
+        Some(head.cost(self.backbone.cost()?, self.backbone.out_channels()))
     }
     fn compute(&self) -> Compute {
         self.backbone.compute()
@@ -141,7 +163,7 @@ impl SemanticSegmenter {
         vb: VarBuilder<'_>,
     ) -> Result<Self> {
         let width = backbone.out_channels();
-        let head = Linear::with(backbone.compute(), width, num_classes, true, vb.pp("seg_head"))?;
+        let head = Linear::with(backbone.compute(), width, num_classes, true, vb.pp(CLASSIFIER))?;
         Ok(Self { backbone: Box::new(backbone), head, num_classes })
     }
 }
@@ -149,7 +171,9 @@ impl SemanticSegmenter {
 impl Backbone for SemanticSegmenter {
     /// Class logits.
     fn forward(&self, points: &PointCloud, cx: &mut Forward<'_>) -> Result<Tensor> {
-        self.head.forward(&self.backbone.forward(points, cx)?)
+        let logits = self.head.forward(&self.backbone.forward(points, cx)?)?;
+        cx.observe(CLASSIFIER, &logits)?;
+        Ok(logits)
     }
     fn out_channels(&self) -> usize {
         self.num_classes
@@ -158,7 +182,8 @@ impl Backbone for SemanticSegmenter {
         self.backbone.alignment()
     }
     fn cost(&self) -> Option<BackboneCost> {
-        self.backbone.cost()
+        let head = Head::Classes(self.num_classes);
+        Some(head.cost(self.backbone.cost()?, self.backbone.out_channels()))
     }
     fn compute(&self) -> Compute {
         self.backbone.compute()

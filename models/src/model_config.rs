@@ -2,7 +2,9 @@
 
 use crate::params::MAX_VALUES;
 use crate::weights::Shapes;
-use crate::{Backbone, BackboneConfig, Compute, Head, PointTransformerV3Config};
+use crate::{
+    Backbone, BackboneConfig, BackboneCost, Compute, Head, LitePtConfig, PointTransformerV3Config,
+};
 use candle_core::{Result, bail};
 use candle_nn::VarBuilder;
 use serde::de::{Error, MapAccess, Visitor};
@@ -79,15 +81,31 @@ impl ModelConfig {
         self
     }
 
-    /// The released network (language, segmentation, self-supervised, or the small one) that weights
-    /// of these shapes belong to, with their number of inputs and classes; `None` if they belong to
-    /// none.
+    /// The released network (language, segmentation, self-supervised, the small one, or a LitePT)
+    /// that weights of these shapes belong to, with their number of inputs and classes; `None` if
+    /// they belong to none.
     pub fn recognize(shapes: &Shapes) -> Option<Self> {
         let has_classes = shapes.contains_key("seg_head.weight");
+        let lite = LitePtConfig::NAMED.into_iter().map(|(_, config)| Self::new(config()));
         [Self::language(), Self::semseg(), Self::ssl(), Self::tiny()]
             .into_iter()
             .map(|config| config.adapted_to(shapes))
             .find(|c| c.num_classes().is_some() == has_classes && c.backbone.get().fits(shapes))
+            .or_else(|| {
+                // Of a LitePT any head is as released as another.
+                lite.map(|config| config.with_head_of(shapes).adapted_to(shapes))
+                    .find(|c| c.backbone.get().fits(shapes))
+            })
+    }
+
+    /// With the head that a checkpoint has.
+    fn with_head_of(self, shapes: &Shapes) -> Self {
+        let rows = |name: &str| shapes.get(name).and_then(|s| s.first()).copied();
+        match (rows("seg_head.weight"), rows("projection.weight")) {
+            (Some(classes), _) => self.with_classes(classes),
+            (None, Some(width)) => self.with_projection(width),
+            (None, None) => self,
+        }
     }
 
     /// This network with what a checkpoint says of its ends: the number of inputs, where its first
@@ -146,6 +164,12 @@ impl ModelConfig {
             Head::Classes(n) => Some(n),
             Head::Features { .. } => None,
         }
+    }
+
+    /// What inference costs, head included.
+    pub fn cost(&self) -> BackboneCost {
+        let backbone = self.backbone.get();
+        self.head.cost(backbone.cost(), backbone.out_channels())
     }
 
     /// Values of all parameters and buffers, without building anything.

@@ -1,20 +1,21 @@
-//! The networks that attend over nearest neighbours: gradients, independence, tiny inputs.
+//! Every architecture but the first: gradients, independence, tiny inputs.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
 use candle_core::{Device, Tensor};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use scenesplat_models::litept::BlockKind;
 use scenesplat_models::weights::{WeightSource, unit};
 use scenesplat_models::{
-    Backbone, BackboneConfig, Forward, ModelConfig, ParamStore, PointCloud,
+    Backbone, BackboneConfig, Forward, LitePtConfig, ModelConfig, ParamStore, PointCloud,
     PointTransformerV1Config, PointTransformerV2Config,
 };
 
 const CHANNELS: usize = 4;
 
 /// Small networks, one of each kind.
-fn configs() -> [BackboneConfig; 3] {
+fn configs() -> [BackboneConfig; 4] {
     let v1 = PointTransformerV1Config {
         in_channels: CHANNELS,
         stride: vec![1, 2, 2],
@@ -43,7 +44,23 @@ fn configs() -> [BackboneConfig; 3] {
         ..PointTransformerV2Config::default()
     };
     let multiplied = PointTransformerV2Config { position_multiplier: true, ..v2.clone() };
-    [v1.into(), v2.into(), multiplied.into()]
+    let lite = LitePtConfig {
+        in_channels: CHANNELS,
+        stride: vec![2; 2],
+        enc_depths: vec![2, 1, 2],
+        enc_channels: vec![8, 12, 18],
+        enc_blocks: vec![BlockKind::Convolution, BlockKind::Convolution, BlockKind::Attention],
+        enc_num_head: vec![1; 3],
+        enc_patch_size: vec![1024; 3],
+        dec_depths: vec![1, 1],
+        dec_channels: vec![8, 12],
+        dec_blocks: vec![BlockKind::Convolution, BlockKind::Attention],
+        dec_num_head: vec![1; 2],
+        dec_patch_size: vec![1024; 2],
+        drop_path: 0.0,
+        ..LitePtConfig::default()
+    };
+    [v1.into(), v2.into(), multiplied.into(), lite.into()]
 }
 
 #[derive(Clone)]

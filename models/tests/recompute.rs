@@ -4,14 +4,15 @@
 use candle_core::{Device, Tensor, backprop::GradStore};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use scenesplat_models::litept::BlockKind;
 use scenesplat_models::{
-    Backbone, Forward, ModelConfig, ParamStore, PointCloud, PointTransformerV3Config, Recompute,
+    Backbone, BackboneConfig, Forward, LitePtConfig, ModelConfig, ParamStore, PointCloud,
+    PointTransformerV3Config, Recompute,
 };
 use std::collections::BTreeMap;
 
-fn gradients(recomputed: bool) -> (Vec<f32>, BTreeMap<String, Vec<f32>>) {
+fn gradients(config: BackboneConfig, recomputed: bool) -> (Vec<f32>, BTreeMap<String, Vec<f32>>) {
     let store = ParamStore::trainable(3);
-    let config = PointTransformerV3Config { drop_path: 0.3, ..PointTransformerV3Config::tiny() };
     let network = ModelConfig::new(config).build(store.builder()).unwrap();
     let side = 14;
     let grid: Vec<[i32; 3]> =
@@ -42,7 +43,27 @@ fn gradients(recomputed: bool) -> (Vec<f32>, BTreeMap<String, Vec<f32>>) {
 
 #[test]
 fn gradients_are_those_of_the_plain_run() {
-    let (plain, recomputed) = (gradients(false), gradients(true));
+    let config = PointTransformerV3Config { drop_path: 0.3, ..PointTransformerV3Config::tiny() };
+    check(config.into());
+    let lite = LitePtConfig {
+        stride: vec![2; 2],
+        enc_depths: vec![1, 1, 3],
+        enc_channels: vec![12, 18, 36],
+        enc_blocks: vec![BlockKind::Convolution, BlockKind::Both, BlockKind::Attention],
+        enc_num_head: vec![1, 1, 2],
+        enc_patch_size: vec![64; 3],
+        dec_depths: vec![1; 2],
+        dec_channels: vec![18, 18],
+        dec_blocks: vec![BlockKind::Convolution, BlockKind::Attention],
+        dec_num_head: vec![1; 2],
+        dec_patch_size: vec![64; 2],
+        ..LitePtConfig::small()
+    };
+    check(lite.into());
+}
+
+fn check(config: BackboneConfig) {
+    let (plain, recomputed) = (gradients(config.clone(), false), gradients(config, true));
     assert_eq!(plain.0, recomputed.0, "features");
     for (name, expected) in &plain.1 {
         let found = &recomputed.1[name];

@@ -35,7 +35,7 @@ pub fn estimate(
     threads: usize,
     isa: Isa,
 ) -> Estimate {
-    let cost = config.model.backbone.get().cost();
+    let cost = config.model.cost();
     let rates = rates(isa);
     let (rows, v) = (scene.len() as f64, voxels as f64);
     let per_voxel = cost.work_per_voxel() / rates.multiply_adds + rates.voxel;

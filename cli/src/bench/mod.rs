@@ -40,6 +40,7 @@ enum Work {
     Attention { channels: usize, heads: usize },
     TrainStep { recompute: bool },
     Segmentation,
+    LitePtLanguage,
     Language,
 }
 
@@ -56,7 +57,7 @@ const fn row(name: &'static str, work: Work, full: usize, quick: usize) -> RowKi
     RowKind { name, work, size: [full, quick] }
 }
 
-const ALL: [RowKind; 18] = [
+const ALL: [RowKind; 19] = [
     row("peak_f32", Work::PeakF32, 0, 0),
     row("peak_bf16", Work::PeakBf16, 0, 0),
     row("bandwidth", Work::Bandwidth, 1 << 25, 1 << 23),
@@ -74,6 +75,7 @@ const ALL: [RowKind; 18] = [
     row("train_step_semseg_50k", Work::TrainStep { recompute: false }, 50_000, 2000),
     row("train_step_recompute_semseg_50k", Work::TrainStep { recompute: true }, 50_000, 2000),
     row("forward_semseg_100k", Work::Segmentation, 100_000, 2000),
+    row("forward_litept_s_language_100k", Work::LitePtLanguage, 100_000, 2000),
     row("forward_language_100k", Work::Language, 100_000, 2000),
 ];
 
@@ -92,13 +94,17 @@ impl RowKind {
                 | Work::Attention { .. }
                 | Work::TrainStep { .. }
                 | Work::Segmentation
+                | Work::LitePtLanguage
                 | Work::Language
         )
     }
 
     /// Whether its result is compared with that of the same row in f32.
     fn is_compared_with_f32(&self) -> bool {
-        matches!(self.work, Work::TrainStep { .. } | Work::Segmentation | Work::Language)
+        matches!(
+            self.work,
+            Work::TrainStep { .. } | Work::Segmentation | Work::LitePtLanguage | Work::Language
+        )
     }
 }
 
@@ -154,6 +160,7 @@ pub fn measure(request: &Request) -> Result<Measured> {
         Work::Attention { channels, heads } => products::attention(channels, heads, n, request),
         Work::TrainStep { recompute } => networks::train_step(n, recompute, request),
         Work::Segmentation => networks::segmentation(n, request),
+        Work::LitePtLanguage => networks::litept_language(n, request),
         Work::Language => networks::language(n, request),
     }?;
     Ok(Measured { speeds: vec![before, machine::speeds()], ..measured })

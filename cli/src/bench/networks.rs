@@ -11,36 +11,23 @@ use rand_chacha::ChaCha8Rng;
 use scenesplat::kernels::Precision;
 use scenesplat::models::weights::WeightSource;
 use scenesplat::models::{
-    Compute, Forward, ModelConfig, ParamStore, PointCloud, PointTransformerV3Config,
+    Compute, Forward, LitePtConfig, ModelConfig, ParamStore, PointCloud, PointTransformerV3Config,
 };
 use std::path::Path;
 
 /// Rows that are compared between precisions.
 const COMPARED: usize = 4096;
 
-/// A network as it is measured.
-struct Subject {
-    shape: PointTransformerV3Config,
-    /// Classes of a classifier behind it, 0 for none.
-    classes: usize,
+/// A network that computes in a precision.
+fn in_precision(model: ModelConfig, precision: Precision) -> ModelConfig {
+    let compute = Compute { precision, ..model.backbone.get().compute() };
+    model.with_compute(compute)
 }
 
-impl Subject {
-    fn new(shape: PointTransformerV3Config, classes: usize, precision: Precision) -> Self {
-        let compute = Compute { precision, ..shape.compute };
-        Self { shape: PointTransformerV3Config { compute, ..shape }, classes }
-    }
-
-    fn model(&self) -> ModelConfig {
-        let model = ModelConfig::new(self.shape.clone());
-        if self.classes > 0 { model.with_classes(self.classes) } else { model }
-    }
-}
-
-fn semseg(precision: Precision) -> Subject {
+fn semseg(precision: Precision) -> ModelConfig {
     // Without normals, as the networks it is compared with.
-    let shape = PointTransformerV3Config::semseg();
-    Subject::new(PointTransformerV3Config { in_channels: 11, ..shape }, 20, precision)
+    let shape = PointTransformerV3Config { in_channels: 11, ..PointTransformerV3Config::semseg() };
+    in_precision(ModelConfig::new(shape).with_classes(20), precision)
 }
 
 fn cloud(voxels: Vec<[i32; 3]>, channels: usize) -> Result<PointCloud> {
@@ -51,8 +38,14 @@ fn cloud(voxels: Vec<[i32; 3]>, channels: usize) -> Result<PointCloud> {
 
 /// The language network.
 pub(super) fn language(n: usize, request: &Request) -> Result<Measured> {
-    let shape = PointTransformerV3Config::language();
-    forward(&Subject::new(shape, 0, request.precision), n, request)
+    forward(&in_precision(ModelConfig::language(), request.precision), n, request)
+}
+
+/// LitePT-S with features as wide as those of the language network.
+pub(super) fn litept_language(n: usize, request: &Request) -> Result<Measured> {
+    let wide = ModelConfig::language().out_channels();
+    let model = ModelConfig::new(LitePtConfig::small()).with_projection(wide);
+    forward(&in_precision(model, request.precision), n, request)
 }
 
 /// The segmentation network.
@@ -60,12 +53,11 @@ pub(super) fn segmentation(n: usize, request: &Request) -> Result<Measured> {
     forward(&semseg(request.precision), n, request)
 }
 
-fn forward(subject: &Subject, n: usize, request: &Request) -> Result<Measured> {
-    let (config, model) = (&subject.shape, subject.model());
+fn forward(model: &ModelConfig, n: usize, request: &Request) -> Result<Measured> {
     let weights = ParamStore::frozen(WeightSource::hashed(0, ""));
     let network = model.build(weights.builder())?;
     let voxels = room::voxels(n);
-    let points = cloud(voxels.clone(), config.in_channels)?;
+    let points = cloud(voxels.clone(), model.in_channels())?;
     let mut out = None;
     let measured = time(request, || {
         out = None;
@@ -78,10 +70,10 @@ fn forward(subject: &Subject, n: usize, request: &Request) -> Result<Measured> {
     let rows = Tensor::from_vec(rows.clone(), rows.len(), &Device::Cpu)?;
     let (width, out) = (out.dim(1)?, out.index_select(&rows, 0)?.flatten_all()?.to_vec1::<f32>()?);
     let accuracy = compare(request, &out, width, "rows")?;
-    let io = 4 * n * (config.in_channels + width);
+    let io = 4 * n * (model.in_channels() + width);
     Ok(Measured {
         size: n,
-        flop: flop::count(config, subject.classes, &voxels, true)?.forward(),
+        flop: flop::count(model, &voxels, true)?.forward(),
         bytes: (io + weight_size(request.precision) * model.num_values()) as u64,
         accuracy,
         ..measured
@@ -90,10 +82,9 @@ fn forward(subject: &Subject, n: usize, request: &Request) -> Result<Measured> {
 
 /// Forward, cross entropy, backward, AdamW.
 pub(super) fn train_step(n: usize, recompute: bool, request: &Request) -> Result<Measured> {
-    let subject = semseg(request.precision);
-    let (config, model) = (&subject.shape, subject.model());
+    let model = semseg(request.precision);
     let voxels = room::voxels(n);
-    let mut step = TrainStep::new(&model, cloud(voxels.clone(), config.in_channels)?, recompute)?;
+    let mut step = TrainStep::new(&model, cloud(voxels.clone(), model.in_channels())?, recompute)?;
     if !request.one_pass {
         // The first of thousands of steps allocates what all others use again.
         step.run()?;
@@ -104,13 +95,13 @@ pub(super) fn train_step(n: usize, recompute: bool, request: &Request) -> Result
         Ok(())
     })?;
     let gradient = step.first_gradient();
-    let width = gradient.len() / config.enc_channels[0];
+    let width = gradient.len() / PointTransformerV3Config::semseg().enc_channels[0];
     let accuracy = compare(request, gradient, width, "channels of the first gradient of the stem")?;
     Ok(Measured {
         size: n,
-        flop: flop::count(config, subject.classes, &voxels, false)?.train(),
+        flop: flop::count(&model, &voxels, false)?.train(),
         // Input; weights and both moments, read and written.
-        bytes: (4 * n * config.in_channels + 24 * model.num_values()) as u64,
+        bytes: (4 * n * model.in_channels() + 24 * model.num_values()) as u64,
         accuracy,
         ..measured
     })

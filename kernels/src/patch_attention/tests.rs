@@ -50,6 +50,7 @@ fn shapes() -> Vec<(Vec<usize>, usize, Heads)> {
         (vec![2, 63], 64, Heads { count: 1, dim: 8 }),
         (vec![64, 65, 10, 200], 64, Heads { count: 2, dim: 48 }),
         (vec![129], 64, Heads { count: 3, dim: 12 }),
+        (vec![1030, 70], 1024, Heads { count: 2, dim: 18 }),
         (vec![1100, 47], 1024, Heads { count: 1, dim: 16 }),
         (vec![100, 49], 97, Heads { count: 2, dim: 1 }),
         (vec![150], 110, Heads { count: 1, dim: 7 }),

@@ -6,6 +6,7 @@ mod layer_norm;
 mod linear;
 mod linear_norm;
 mod mlp;
+mod residual_conv;
 mod sparse_conv;
 
 pub use batch_norm::{BatchNorm, BatchNormConstants};
@@ -14,6 +15,7 @@ pub use layer_norm::LayerNorm;
 pub use linear::Linear;
 pub use linear_norm::LinearNorm;
 pub use mlp::Mlp;
+pub use residual_conv::ResidualConv;
 pub use sparse_conv::SparseConv;
 
 use candle_core::{Result, Tensor};

@@ -2,7 +2,7 @@
 
 use super::attention::SerializedAttention;
 use super::config::BatchRule;
-use crate::layers::{DropPath, LayerNorm, Linear, Mlp, SparseConv};
+use crate::layers::{DropPath, LayerNorm, Mlp, ResidualConv};
 use crate::{Compute, Forward, Mode};
 use candle_core::{Result, Tensor};
 use candle_nn::VarBuilder;
@@ -34,10 +34,7 @@ pub struct BlockShape {
 /// `x + LN(Linear(conv(x)))`, then attention and MLP on normalised rows.
 #[derive(Debug)]
 pub struct Block {
-    conv: SparseConv,
-    /// `None` if it is part of the convolution.
-    conv_linear: Option<Linear>,
-    conv_norm: LayerNorm,
+    conv: ResidualConv,
     norm1: LayerNorm,
     attention: SerializedAttention,
     norm2: LayerNorm,
@@ -52,12 +49,8 @@ impl Block {
     /// If parameters exist with another shape.
     pub fn new(shape: BlockShape, vb: VarBuilder<'_>) -> Result<Self> {
         let c = shape.channels;
-        let (conv, conv_linear) =
-            SparseConv::with_linear(shape.compute, c, 3, vb.pp("cpe.0"), vb.pp("cpe.1"))?;
         Ok(Self {
-            conv,
-            conv_linear,
-            conv_norm: LayerNorm::new(c, vb.pp("cpe.2"))?,
+            conv: ResidualConv::new(shape.compute, c, vb.pp("cpe"))?,
             norm1: LayerNorm::new(c, vb.pp("norm1.0"))?,
             attention: SerializedAttention::new(
                 c,
@@ -120,16 +113,9 @@ impl Block {
         cloud: &SerializedCloud,
         cx: &mut Forward<'_>,
     ) -> Result<Tensor> {
-        let map = cloud.kernel_map(self.conv.kernel_size()).map_err(candle_core::Error::wrap)?;
         // Rows are as large as memory gets: each is given up as soon as nothing reads it.
         let mut x = x;
-        let mut y = self.conv.forward(conv_input.as_ref().unwrap_or(&x), map)?;
-        drop(conv_input);
-        if let Some(linear) = &self.conv_linear {
-            y = linear.forward(&y)?;
-        }
-        x = self.conv_norm.forward_residual(&y, Some(&x))?;
-        drop(y);
+        x = self.conv.forward(&x, conv_input, cloud)?;
         if cx.mode == Mode::Eval || self.drop_path.rate <= 0.0 {
             x = self.attention.forward(self.norm1.forward(&x)?, cloud, Some(&x))?;
             return self.mlp.forward_residual(&self.norm2.forward(&x)?, &x);

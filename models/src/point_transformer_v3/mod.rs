@@ -24,12 +24,12 @@ pub use embedding::Embedding;
 pub use pooling::SerializedPooling;
 pub use unpooling::{SerializedUnpooling, Unpooled};
 
-use crate::{Architecture, Backbone, BackboneCost, Compute, Forward, Orders, PointCloud, ops};
+use crate::row_order::{OrderShuffle, morton_rows};
+use crate::{Architecture, Backbone, BackboneCost, Compute, Forward, PointCloud};
 use candle_core::{Result, Tensor, bail};
 use candle_nn::{Init, VarBuilder};
-use rand::Rng;
 use scenesplat_kernels::segment::Groups;
-use scenesplat_kernels::serialization::{Curve, argsort, codes, depth_of, invert};
+use scenesplat_kernels::serialization::Curve;
 use scenesplat_kernels::serialized_cloud::{CurveDepth, SerializedCloud};
 use std::sync::Arc;
 
@@ -181,52 +181,32 @@ impl PointTransformerV3 {
         if n == 0 {
             bail!("feat: a batch without any voxel has no features");
         }
-        let (cloud, sorted) = self.serialize(points)?;
-        let mut permutations = match &cx.orders {
-            Orders::Given(p) => Some(p.clone().into_iter()),
-            _ => None,
+        let (cells, sorted) = morton_rows(points)?;
+        let depth = match self.config.batch_rule {
+            BatchRule::Isolated => CurveDepth::PerScene,
+            BatchRule::SharedDepth | BatchRule::SharedDepthAndPatch => CurveDepth::WholeBatch,
         };
-        let mut shuffle = |cloud: &mut SerializedCloud, cx: &mut Forward<'_>| {
-            let permutation = match (&cx.orders, &mut permutations) {
-                (Orders::Shuffled, _) => Some(random_permutation(cloud.num_orders(), cx.rng)),
-                (_, Some(given)) => match given.next() {
-                    Some(p) => Some(p),
-                    None => bail!("orders: fewer permutations given than the network has scales"),
-                },
-                _ => None,
-            };
-            if let Some(p) = permutation {
-                let mut seen = p.clone();
-                seen.sort_unstable();
-                if seen != (0..cloud.num_orders()).collect::<Vec<_>>() {
-                    bail!("orders: {p:?} is not a permutation of 0..{}", cloud.num_orders());
-                }
-                cloud.permute_orders(&p);
-            }
-            Ok(())
-        };
-        let mut cloud = cloud;
-        shuffle(&mut cloud, cx)?;
+        let mut cloud = SerializedCloud::new(cells, points.offsets.to_vec(), &self.curves, depth)
+            .map_err(candle_core::Error::wrap)?;
+        let mut shuffle = OrderShuffle::new(&cx.orders);
+        shuffle.apply(&mut cloud, cx)?;
         let mut cloud = Arc::new(cloud);
         let feat = match &sorted {
-            Some((order, inverse)) => {
-                ops::permute_rows(&points.feat, order.clone(), inverse.clone())?
-            }
+            Some(sorted) => sorted.enter(&points.feat)?,
             None => points.feat.clone(),
         };
         let mut x = self.embedding.forward(&feat, &cloud, cx)?;
         drop(feat);
         cx.observe("embedding", &x)?;
         if let Some(mask) = mask {
-            x =
-                self.replace_masked(&x, mask, sorted.as_ref().map(|(order, _)| order.as_slice()))?;
+            x = self.replace_masked(&x, mask, sorted.as_ref().map(|sorted| sorted.order()))?;
         }
 
         let mut skips: Vec<(Tensor, Arc<SerializedCloud>, Arc<Groups>)> = Vec::new();
         for (i, stage) in self.encoder.iter().enumerate() {
             if let Some(down) = &stage.down {
                 let (pooled, mut coarse, groups) = down.forward(&x, &cloud, cx)?;
-                shuffle(&mut coarse, cx)?;
+                shuffle.apply(&mut coarse, cx)?;
                 skips.push((x, std::mem::replace(&mut cloud, Arc::new(coarse)), groups));
                 x = pooled;
                 cx.observe(&format!("enc.enc{i}.down"), &x)?;
@@ -259,43 +239,10 @@ impl PointTransformerV3 {
             }
             cx.observe(&format!("dec.dec{i}"), &x)?;
         }
-        if let Some((order, inverse)) = sorted {
-            x = ops::permute_rows(&x, inverse, order)?;
+        if let Some(sorted) = sorted {
+            x = sorted.leave(&x)?;
         }
         Ok(EncoderDecoderOutput { encoder, encoder_offsets, decoder: Some(x) })
-    }
-
-    /// The finest scale with rows in Morton order, and the permutation unless there already.
-    ///
-    /// Sorted rows make convolutions read memory in order; the result is brought back at the end.
-    #[expect(clippy::type_complexity, reason = "a pair that lives for one call")]
-    fn serialize(
-        &self,
-        points: &PointCloud,
-    ) -> Result<(SerializedCloud, Option<(Arc<Vec<u32>>, Arc<Vec<u32>>)>)> {
-        let depth = match self.config.batch_rule {
-            BatchRule::Isolated => CurveDepth::PerScene,
-            BatchRule::SharedDepth | BatchRule::SharedDepthAndPatch => CurveDepth::WholeBatch,
-        };
-        scenesplat_kernels::check_offsets(&points.offsets, points.grid_coord.len())
-            .map_err(candle_core::Error::wrap)?;
-        // Checked before the rows are rearranged, so that an error names the caller's row.
-        depth_of(&points.grid_coord).map_err(candle_core::Error::wrap)?;
-        let mut order = Vec::with_capacity(points.grid_coord.len());
-        for scene in points.offsets.windows(2) {
-            let morton = codes(Curve::Z, &points.grid_coord[scene[0]..scene[1]], 21);
-            order.extend(argsort(&morton).into_iter().map(|i| i + scene[0] as u32));
-        }
-        let sorted = order.is_sorted();
-        let grid_coord = if sorted {
-            points.grid_coord.to_vec()
-        } else {
-            order.iter().map(|&i| points.grid_coord[i as usize]).collect()
-        };
-        let cloud = SerializedCloud::new(grid_coord, points.offsets.to_vec(), &self.curves, depth)
-            .map_err(candle_core::Error::wrap)?;
-        let inverse = invert(&order);
-        Ok((cloud, (!sorted).then(|| (Arc::new(order), Arc::new(inverse)))))
     }
 
     fn replace_masked(&self, x: &Tensor, mask: &[bool], order: Option<&[u32]>) -> Result<Tensor> {
@@ -312,14 +259,6 @@ impl PointTransformerV3 {
         let kept = masked.affine(-1.0, 1.0)?;
         x.broadcast_mul(&kept)? + masked.broadcast_mul(token)?
     }
-}
-
-fn random_permutation(n: usize, rng: &mut impl Rng) -> Vec<usize> {
-    let mut p: Vec<usize> = (0..n).collect();
-    for i in (1..n).rev() {
-        p.swap(i, rng.random_range(0..=i));
-    }
-    p
 }
 
 impl Backbone for PointTransformerV3 {

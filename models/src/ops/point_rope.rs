@@ -1,0 +1,57 @@
+//! Rotary embedding of voxel coordinates.
+
+use super::{cpu_slice, read};
+use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor, bail};
+use scenesplat_kernels::patch_attention::Heads;
+use scenesplat_kernels::point_rope::{Rotations, Turn};
+use std::sync::Arc;
+
+struct PointRope {
+    rotations: Arc<Rotations>,
+    heads: Heads,
+}
+
+impl PointRope {
+    fn turned(&self, values: &[f32], turn: Turn) -> Vec<f32> {
+        let mut out = values.to_vec();
+        self.rotations.apply(&mut out, self.heads, turn);
+        out
+    }
+}
+
+impl CustomOp1 for PointRope {
+    fn name(&self) -> &'static str {
+        "point_rope"
+    }
+    fn cpu_fwd(&self, s: &CpuStorage, l: &Layout) -> Result<(CpuStorage, Shape)> {
+        let shape = l.shape().clone();
+        let (n, c3) = shape.dims2()?;
+        let (rows, c) = (self.rotations.len(), self.heads.channels());
+        if (n, c3) != (rows, 3 * c) || self.heads.dim != self.rotations.dim() {
+            bail!(
+                "point_rope: expected [{rows}, {}] of heads of {}, got {shape:?} of {}",
+                3 * c,
+                self.rotations.dim(),
+                self.heads.dim
+            );
+        }
+        let out = self.turned(cpu_slice("point_rope", s, l)?, Turn::Forward);
+        Ok((CpuStorage::F32(out), shape))
+    }
+    fn bwd(&self, qkv: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
+        let dqkv = read("point_rope", grad, |grad| Ok(self.turned(grad, Turn::Back)))?;
+        Tensor::from_vec(dqkv, qkv.shape(), qkv.device()).map(Some)
+    }
+}
+
+/// Queries and keys turned by the angles of their voxels, values as they are; f32 in every
+/// precision.
+///
+/// # Shapes
+/// `qkv`: `[N, 3·C]`, the channels being q, k, v, each `[heads, dim]` · returns `[N, 3·C]`
+///
+/// # Errors
+/// If shapes do not fit or the tensor is not f32 on the CPU.
+pub fn point_rope(qkv: &Tensor, heads: Heads, rotations: Arc<Rotations>) -> Result<Tensor> {
+    qkv.contiguous()?.apply_op1(PointRope { rotations, heads })
+}

@@ -1,0 +1,99 @@
+//! In which order networks of several scales hold their rows, and which curve their blocks take.
+
+use crate::{Forward, Orders, PointCloud, ops};
+use candle_core::{Result, Tensor, bail};
+use rand::Rng;
+use scenesplat_kernels::serialization::{Curve, MAX_DEPTH, argsort, codes, depth_of, invert};
+use scenesplat_kernels::serialized_cloud::SerializedCloud;
+use std::sync::Arc;
+
+/// From the caller's rows to those of a network and back.
+#[derive(Debug)]
+pub(crate) struct SortedRows {
+    order: Arc<Vec<u32>>,
+    inverse: Arc<Vec<u32>>,
+}
+
+impl SortedRows {
+    /// The caller's row at each place.
+    pub fn order(&self) -> &[u32] {
+        &self.order
+    }
+
+    /// The caller's rows in the network's order. `[N, C]`
+    pub fn enter(&self, x: &Tensor) -> Result<Tensor> {
+        ops::permute_rows(x, self.order.clone(), self.inverse.clone())
+    }
+
+    /// The network's rows in the caller's order. `[N, C]`
+    pub fn leave(&self, x: &Tensor) -> Result<Tensor> {
+        ops::permute_rows(x, self.inverse.clone(), self.order.clone())
+    }
+}
+
+/// The voxels with the rows of each scene in Morton order, and the permutation unless they are
+/// there already.
+///
+/// Sorted rows make convolutions read memory in order; the result is brought back at the end.
+///
+/// # Errors
+/// If offsets or coordinates are out of range; the message names the caller's row.
+pub(crate) fn morton_rows(points: &PointCloud) -> Result<(Vec<[i32; 3]>, Option<SortedRows>)> {
+    let cells = &points.grid_coord;
+    scenesplat_kernels::check_offsets(&points.offsets, cells.len())
+        .map_err(candle_core::Error::wrap)?;
+    depth_of(cells).map_err(candle_core::Error::wrap)?;
+    let mut order = Vec::with_capacity(cells.len());
+    for scene in points.offsets.windows(2) {
+        let morton = codes(Curve::Z, &cells[scene[0]..scene[1]], MAX_DEPTH);
+        order.extend(argsort(&morton).into_iter().map(|i| i + scene[0] as u32));
+    }
+    if order.is_sorted() {
+        return Ok((cells.to_vec(), None));
+    }
+    let sorted = order.iter().map(|&i| cells[i as usize]).collect();
+    let inverse = invert(&order);
+    Ok((sorted, Some(SortedRows { order: Arc::new(order), inverse: Arc::new(inverse) })))
+}
+
+/// Permutes the curve orders of one scale after the other as [`Forward::orders`] says.
+pub(crate) struct OrderShuffle(Option<std::vec::IntoIter<Vec<usize>>>);
+
+impl OrderShuffle {
+    pub fn new(orders: &Orders) -> Self {
+        Self(match orders {
+            Orders::Given(p) => Some(p.clone().into_iter()),
+            Orders::Listed | Orders::Shuffled => None,
+        })
+    }
+
+    /// The next scale's.
+    ///
+    /// # Errors
+    /// If a given permutation is missing or is none of the scale's orders.
+    pub fn apply(&mut self, cloud: &mut SerializedCloud, cx: &mut Forward<'_>) -> Result<()> {
+        let permutation = match (&cx.orders, &mut self.0) {
+            (Orders::Shuffled, _) => random_permutation(cloud.num_orders(), cx.rng),
+            (_, Some(given)) => match given.next() {
+                Some(p) => p,
+                None => bail!("orders: fewer permutations given than the network has scales"),
+            },
+            _ => return Ok(()),
+        };
+        let mut seen = permutation.clone();
+        seen.sort_unstable();
+        if seen != (0..cloud.num_orders()).collect::<Vec<_>>() {
+            bail!("orders: {permutation:?} is not a permutation of 0..{}", cloud.num_orders());
+        }
+        cloud.permute_orders(&permutation);
+        Ok(())
+    }
+}
+
+fn random_permutation(n: usize, rng: &mut impl Rng) -> Vec<usize> {
+    let mut p: Vec<usize> = (0..n).collect();
+    for i in (1..n).rev() {
+        p.swap(i, rng.random_range(0..=i));
+    }
+    p
+}
