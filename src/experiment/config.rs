@@ -394,6 +394,6 @@ mod tests {
                 read += 1;
             }
         }
-        assert_eq!(read, 16);
+        assert_eq!(read, 17);
     }
 }
