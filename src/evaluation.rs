@@ -9,10 +9,10 @@ pub use error::EvaluationError;
 use crate::inference::{EncodeError, EncodeProgress, SceneEncoder, SceneFeatures};
 use crate::labels::{Classes, label_gaussians};
 use crate::network::Network;
-use crate::text::metric_table;
+use crate::text::text_rows;
 use scenesplat_metrics::{
     ConfusionMatrix, Fault, Metric, MetricError, OracleReport, SceneTruth, Scores, TesterReport,
-    UnknownRule, VoteRule, ZeroShotOptions, random_labels,
+    TextRows, UnknownRule, VoteRule, ZeroShotOptions, random_labels,
 };
 use scenesplat_scene::{GaussianScene, TextTable};
 
@@ -62,7 +62,7 @@ pub struct EvaluationReport {
 #[derive(Debug)]
 pub struct Evaluation<'a> {
     text: &'a TextTable,
-    table: scenesplat_metrics::TextTable,
+    rows: TextRows<'a>,
     settings: EvaluationSettings,
     rule: VoteRule,
     scores: Scores,
@@ -81,8 +81,8 @@ impl<'a> Evaluation<'a> {
         // What a threshold withheld stays unknown; rows without a usable feature may be filled.
         let keep_withheld = settings.options.unknown != UnknownRule::default();
         let rule = VoteRule { keep_withheld, ..VoteRule::of(settings.vote_k) };
-        let (table, random) = (metric_table(text)?, scores.oracle.clone());
-        Ok(Self { text, table, settings, rule, scores, random, has_labels: false })
+        let (rows, random) = (text_rows(text)?, scores.oracle.clone());
+        Ok(Self { text, rows, settings, rule, scores, random, has_labels: false })
     }
 
     /// Names of the classes.
@@ -140,7 +140,7 @@ impl<'a> Evaluation<'a> {
         spoiled: Option<usize>,
     ) -> Result<OracleReport, EvaluationError> {
         let mut check = truth
-            .check(&self.table, &self.rule)
+            .check(self.rows, &self.rule)
             .with_class_names(&self.text.names)
             .with_excluded(&self.settings.excluded)
             .with_options(self.settings.options.clone());

@@ -7,7 +7,7 @@ use scenesplat_scene::formats::labelled_ply::{LABEL_NAMES, read_labelled_ply};
 use scenesplat_scene::formats::npy::NpyFile;
 use scenesplat_scene::formats::ply::{PlyFile, is_ply};
 use scenesplat_scene::{
-    FeatureRows, LoadedScene, ReadOptions, SceneError, SceneFormat, open_scene,
+    LanguageFeatures, LoadedScene, ReadOptions, SceneError, SceneFormat, open_scene,
 };
 use std::ffi::OsStr;
 use std::io::Read;
@@ -117,7 +117,7 @@ pub fn read_feature_rows(
     path: &Path,
     rows: usize,
     kept: Option<&[u32]>,
-) -> Result<FeatureRows, InputError> {
+) -> Result<LanguageFeatures, InputError> {
     let (file, count, dim) = open_features(path, rows)?;
     if count != rows {
         return Err(InputError::OtherScene { path: path.to_owned(), count, rows });
@@ -127,7 +127,7 @@ pub fn read_feature_rows(
         Some(kept) => pick(&values, kept, dim),
         None => values,
     };
-    Ok(FeatureRows { values, dim })
+    Ok(LanguageFeatures { values, dim })
 }
 
 /// A table of features with its number of rows and their width.

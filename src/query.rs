@@ -2,7 +2,7 @@
 
 use crate::inference::SceneFeatures;
 use crate::labels::{LabelError, check_width, distinct_rows};
-use crate::text::metric_table;
+use crate::text::text_rows;
 use scenesplat_metrics::{ZeroShotOptions, classify, vote};
 use scenesplat_rooms::Vocabulary;
 use scenesplat_rooms::vocabulary::VocabularyError;
@@ -129,13 +129,13 @@ pub fn select(
 ) -> Result<Selection, LabelError> {
     check_width(query.width(), features.width())?;
     let rows = distinct_rows(features)?;
-    let own = classify(&rows, &metric_table(&query.meant)?, &ZeroShotOptions::default())?;
+    let own = classify(&rows, text_rows(&query.meant)?, &ZeroShotOptions::default())?;
     let counts = |name: &String| find_name(&settings.without, name).is_err();
     let candidates: Vec<bool> = query.rivals.names.iter().map(counts).collect();
     let rivals = if candidates.contains(&true) {
         let options =
             ZeroShotOptions { candidates: Some(candidates), ..ZeroShotOptions::default() };
-        Some(classify(&rows, &metric_table(&query.rivals)?, &options)?.scores)
+        Some(classify(&rows, text_rows(&query.rivals)?, &options)?.scores)
     } else {
         None
     };

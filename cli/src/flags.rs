@@ -34,7 +34,8 @@ pub struct Shared {
 /// Which network.
 #[derive(Debug, clap::Args)]
 pub struct NetworkArgs {
-    /// Network: language, semseg, tiny or a .toml file; from the weights' folder if it has one.
+    /// Network: language, semseg, ssl, tiny, litept-s (-s-decoder, -b, -l) or a .toml file; from
+    /// the weights' folder if it has one.
     #[arg(long, value_name = "NAME|FILE")]
     pub config: Option<NetworkChoice>,
     /// Checkpoint, model folder, seeded:N for values without meaning, or embedded, the small network

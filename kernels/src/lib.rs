@@ -16,6 +16,7 @@
 //! | [`layer_norm`], [`batch_norm`], [`activation`] | normalisation, GELU |
 //! | [`segment`], [`permute`] | groups of rows, row copies |
 //! | [`eigenvectors`] | the directions along which rows differ most |
+//! | [`unit_rows`] | whether rows have unit length |
 //! | [`simd`] | instruction sets, and code compiled for each |
 //!
 //! Threads come from rayon's current pool. Row numbers are `u32` (a batch holds up to 2³² − 2
@@ -44,6 +45,7 @@ pub mod serialized_cloud;
 mod shape;
 pub mod simd;
 pub mod sparse_conv;
+pub mod unit_rows;
 
 pub use error::{KernelError, check_offsets};
 pub use precision::Precision;

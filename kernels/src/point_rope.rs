@@ -179,7 +179,11 @@ mod tests {
             check(n, Heads { count, dim }, 100.0, 0);
         }
         check(40, Heads { count: 2, dim: 18 }, 10_000.0, 1 << 20);
-        check(40, Heads { count: 0, dim: 18 }, 100.0, 0);
+        Rotations::new(&voxels(5), 18, 100.0).apply(
+            &mut [],
+            Heads { count: 0, dim: 18 },
+            Turn::Forward,
+        );
     }
 
     #[test]

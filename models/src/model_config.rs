@@ -3,7 +3,7 @@
 use crate::params::MAX_VALUES;
 use crate::weights::Shapes;
 use crate::{
-    Backbone, BackboneConfig, BackboneCost, Compute, Head, LitePtConfig, PointTransformerV3Config,
+    Backbone, BackboneConfig, BackboneCost, Compute, Head, LitePtSize, PointTransformerV3Config,
 };
 use candle_core::{Result, bail};
 use candle_nn::VarBuilder;
@@ -86,25 +86,26 @@ impl ModelConfig {
     /// they belong to none.
     pub fn recognize(shapes: &Shapes) -> Option<Self> {
         let has_classes = shapes.contains_key("seg_head.weight");
-        let lite = LitePtConfig::NAMED.into_iter().map(|(_, config)| Self::new(config()));
+        let lite = LitePtSize::ALL.map(|size| Self::new(size.config()));
         [Self::language(), Self::semseg(), Self::ssl(), Self::tiny()]
             .into_iter()
             .map(|config| config.adapted_to(shapes))
             .find(|c| c.num_classes().is_some() == has_classes && c.backbone.get().fits(shapes))
             .or_else(|| {
                 // Of a LitePT any head is as released as another.
-                lite.map(|config| config.with_head_of(shapes).adapted_to(shapes))
+                lite.into_iter()
+                    .map(|config| config.with_head_of(shapes).adapted_to(shapes))
                     .find(|c| c.backbone.get().fits(shapes))
             })
     }
 
-    /// With the head that a checkpoint has.
-    fn with_head_of(self, shapes: &Shapes) -> Self {
+    /// With the head that a checkpoint has, or none.
+    #[must_use]
+    pub fn with_head_of(self, shapes: &Shapes) -> Self {
         let rows = |name: &str| shapes.get(name).and_then(|s| s.first()).copied();
         match (rows("seg_head.weight"), rows("projection.weight")) {
             (Some(classes), _) => self.with_classes(classes),
-            (None, Some(width)) => self.with_projection(width),
-            (None, None) => self,
+            (None, projection) => Self { head: Head::Features { projection }, ..self },
         }
     }
 

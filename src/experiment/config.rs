@@ -9,7 +9,7 @@ use scenesplat_datasets::{InputFeatures, LoaderSettings, MixRule};
 use scenesplat_losses::LossConfig;
 use scenesplat_models::{Compute, ModelConfig};
 use scenesplat_trainers::{
-    AdamWConfig, CosineSchedule, KeywordGroup, OneCycle, Selection, TrainerConfig,
+    AdamWConfig, CosineSchedule, Criterion, KeywordGroup, OneCycle, TrainerConfig,
 };
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -55,7 +55,7 @@ pub struct ExperimentConfig {
     pub loader: LoaderSettings,
     /// Where the targets of language pretraining come from.
     #[serde(default)]
-    pub targets: Targets,
+    pub targets: TargetChoice,
     /// Texts of the classes, for targets and zero-shot evaluation.
     #[serde(default)]
     pub text: Option<TextConfig>,
@@ -95,7 +95,7 @@ pub enum Task {
 /// Where targets of language pretraining come from.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Targets {
+pub enum TargetChoice {
     /// The scenes' own language features.
     #[default]
     Features,
@@ -199,7 +199,7 @@ impl Default for ScheduleConfig {
 #[serde(deny_unknown_fields)]
 pub struct EarlyStoppingConfig {
     /// Full name of the measurement, such as `zero_shot/f-mIoU`; a list for the mean of several.
-    pub measurement: Selection,
+    pub measurement: Criterion,
     /// Evaluations without a better value.
     pub patience: u64,
     /// Whether a smaller value is better.
@@ -296,7 +296,7 @@ impl ExperimentConfig {
                 wrong("model.num_classes", "language pretraining has no classifier")
             }
             Task::LanguagePretraining
-                if self.targets == Targets::ClassText && self.text.is_none() =>
+                if self.targets == TargetChoice::ClassText && self.text.is_none() =>
             {
                 wrong("text", "targets = \"class_text\" needs it")
             }

@@ -1,6 +1,6 @@
 //! Scenes of an experiment: where they come from and how they become batches.
 
-use super::config::{ExperimentConfig, Targets, Task, TextConfig, TransformList};
+use super::config::{ExperimentConfig, TargetChoice, Task, TextConfig, TransformList};
 use super::error::{ExperimentError, Place};
 use crate::text::{class_list, read_text_table};
 use scenesplat_datasets::transforms::build_transforms;
@@ -178,7 +178,7 @@ pub fn check_classes(config: &ExperimentConfig, text: Option<&ClassTexts>) -> Re
         }
     };
     for (i, entry) in config.train.iter().enumerate() {
-        let used = !by_text || config.targets == Targets::ClassText;
+        let used = !by_text || config.targets == TargetChoice::ClassText;
         check(&entry.source, used, text).at(|| format!("train[{i}]"))?;
     }
     for entry in &config.evaluate {

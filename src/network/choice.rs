@@ -2,8 +2,8 @@
 
 use super::config::NetworkConfig;
 use super::{NetworkError, WeightOptions, Weights};
-use scenesplat_models::ModelConfig;
 use scenesplat_models::weights::{Shapes, WeightSource, resolve};
+use scenesplat_models::{LitePtSize, ModelConfig};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -18,17 +18,23 @@ pub enum NetworkChoice {
     Ssl,
     /// 64-d features, small and fast, for trying things out.
     Tiny,
+    /// A LitePT by its name; 768-d language features unless weights have another head.
+    LitePt(LitePtSize),
     /// A TOML or JSON file of a [`NetworkConfig`].
     File(PathBuf),
 }
 
 impl NetworkChoice {
     /// The names, with what they stand for.
-    pub const NAMED: [(&'static str, Self); 4] = [
+    pub const NAMED: [(&'static str, Self); 8] = [
         ("language", Self::Language),
         ("semseg", Self::Semseg),
         ("ssl", Self::Ssl),
         ("tiny", Self::Tiny),
+        ("litept-s", Self::LitePt(LitePtSize::Small)),
+        ("litept-s-decoder", Self::LitePt(LitePtSize::SmallWithDecoder)),
+        ("litept-b", Self::LitePt(LitePtSize::Base)),
+        ("litept-l", Self::LitePt(LitePtSize::Large)),
     ];
 
     /// The configuration, read if it is a file.
@@ -41,18 +47,29 @@ impl NetworkChoice {
             Self::Semseg => NetworkConfig::semseg(),
             Self::Ssl => NetworkConfig::ssl(),
             Self::Tiny => NetworkConfig::tiny(),
+            Self::LitePt(size) => {
+                let wide = ModelConfig::language().out_channels();
+                let model = ModelConfig::new(size.config()).with_projection(wide);
+                NetworkConfig { model, ..NetworkConfig::language() }
+            }
             Self::File(path) => return NetworkConfig::read(path),
         })
     }
 
     /// As [`resolve`](Self::resolve); a network that is told by its name takes the number of inputs
-    /// and classes from weights of these shapes.
+    /// and classes from weights of these shapes, a LitePT its whole head.
     ///
     /// # Errors
     /// As [`resolve`](Self::resolve), and if it is unknown what so many inputs are.
     pub fn resolve_for(&self, shapes: &Shapes) -> Result<NetworkConfig, NetworkError> {
         match self {
             Self::File(path) => NetworkConfig::read(path),
+            // Published with classes, trained here with features: any head is as good as another.
+            Self::LitePt(_) => {
+                let NetworkConfig { model, input } = self.resolve()?;
+                let model = model.with_head_of(shapes);
+                Ok(NetworkConfig { model, input }.adapted_to(shapes)?)
+            }
             named => Ok(named.resolve()?.adapted_to(shapes)?),
         }
     }
@@ -68,9 +85,8 @@ impl FromStr for NetworkChoice {
         if text.ends_with(".toml") || text.ends_with(".json") {
             return Ok(Self::File(text.into()));
         }
-        Err(format!(
-            "{text:?} is no configuration; use language, semseg, ssl, tiny or a .toml file"
-        ))
+        let names = Self::NAMED.map(|(name, _)| name).join(", ");
+        Err(format!("{text:?} is no configuration; use {names} or a .toml file"))
     }
 }
 
@@ -133,6 +149,7 @@ pub fn config_beside(weights: &Path) -> Result<Option<NetworkConfig>, NetworkErr
 #[cfg(test)]
 mod tests {
     use super::*;
+    use scenesplat_models::Head;
 
     #[test]
     fn names_are_read_as_they_are_written() {
@@ -141,6 +158,23 @@ mod tests {
             assert_eq!(choice.to_string(), name);
             choice.resolve().unwrap().check().unwrap();
         }
-        assert!("pointnet".parse::<NetworkChoice>().unwrap_err().contains("ssl"));
+        let error = "pointnet".parse::<NetworkChoice>().unwrap_err();
+        assert!(error.contains("ssl") && error.contains("litept-b"), "{error}");
+    }
+
+    #[test]
+    fn a_named_litept_takes_its_head_from_the_weights() {
+        let choice = NetworkChoice::LitePt(LitePtSize::Small);
+        assert_eq!(choice.resolve().unwrap().model.out_channels(), 768);
+        let shapes = |name: &str, rows: usize| Shapes::from([(name.to_owned(), vec![rows, 72])]);
+        let head = |shapes: &Shapes| choice.resolve_for(shapes).unwrap().model.head;
+        assert_eq!(head(&shapes("seg_head.weight", 20)), Head::Classes(20));
+        let projection = |width| Head::Features { projection: width };
+        assert_eq!(head(&shapes("projection.weight", 512)), projection(Some(512)));
+        assert_eq!(head(&Shapes::new()), projection(None));
+        // Inputs of the published weights are not ours to guess.
+        let stem = ("embedding.stem.conv.weight".to_owned(), vec![36, 5, 5, 5, 6]);
+        let error = choice.resolve_for(&Shapes::from([stem])).unwrap_err().to_string();
+        assert!(error.contains("6 inputs"), "{error}");
     }
 }

@@ -13,8 +13,8 @@ use scenesplat_models::ParamStore;
 use scenesplat_trainers::callbacks::EarlyStopping;
 use scenesplat_trainers::checkpoint::best_checkpoint;
 use scenesplat_trainers::{
-    AdamW, AdamWConfig, AfterStep, Callback, CosineSchedule, Evaluator, Event, Flow, KeywordGroup,
-    OneCycle, Progress, Selection, StepContext, StepOutput, TrainError, Trainer, TrainerConfig,
+    AdamW, AdamWConfig, AfterStep, Callback, CosineSchedule, Criterion, Evaluator, Event, Flow,
+    KeywordGroup, OneCycle, Progress, StepContext, StepOutput, TrainError, Trainer, TrainerConfig,
     TrainingModule, WithWeightDecay, group_by_keyword,
 };
 use std::sync::{Arc, Mutex};
@@ -276,7 +276,7 @@ impl Evaluator<Traced> for Listed {
 fn judged(
     a: &[f64],
     b: &[f64],
-    best: Selection,
+    best: Criterion,
     smaller: bool,
     patience: u64,
     every: u64,
@@ -315,7 +315,7 @@ fn the_best_state_and_the_end_follow_from_the_measurements() {
     assert_eq!(judged(&a, &b, "a/value".into(), false, 4, 1), (42, 0.9, steps(6), 42));
     assert_eq!(judged(&a, &b, "a/value".into(), true, 2, 1), (7, 0.1, steps(3), 21));
     assert_eq!(judged(&a, &b, "b/value".into(), true, 9, 1), (42, 0.0, steps(6), 42));
-    let mean = Selection::Mean(vec!["a/value".into(), "b/value".into()]);
+    let mean = Criterion::Mean(vec!["a/value".into(), "b/value".into()]);
     // Means: 0.5, 0.3, 0.55, 0.4, 0.25, 0.45.
     assert_eq!(judged(&a, &b, mean.clone(), false, 3, 1), (21, 0.55, steps(6), 42));
     assert_eq!(judged(&a, &b, mean.clone(), true, 2, 1).0, 14);

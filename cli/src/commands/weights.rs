@@ -30,7 +30,7 @@ pub struct Args {
     /// Layout of sparse convolutions in the checkpoint.
     #[arg(long, value_enum, default_value_t = ConvLayoutArg::Spconv2)]
     pub conv_layout: ConvLayoutArg,
-    /// Asks about this network only: language, semseg, tiny or a .toml file.
+    /// Asks about this network only: language, semseg, ssl, tiny, litept-s (-s-decoder, -b, -l) or a .toml file.
     #[arg(long, value_name = "NAME|FILE")]
     pub config: Option<NetworkChoice>,
     /// Flags of all commands.

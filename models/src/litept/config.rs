@@ -5,7 +5,7 @@ use super::attention::AttentionShape;
 use super::block::BlockShape;
 use crate::stages::{check_depths, check_lengths, check_sizes, linspace, split};
 use crate::weights::Shapes;
-use crate::{Architecture, Backbone, BackboneCost, Compute};
+use crate::{Architecture, Backbone, BackboneCost, Compute, MultiplyAdds};
 use candle_core::{Result, bail};
 use candle_nn::VarBuilder;
 use scenesplat_kernels::serialization::Curve;
@@ -32,6 +32,34 @@ impl BlockKind {
     /// Whether there is attention.
     pub fn has_attention(self) -> bool {
         self != Self::Convolution
+    }
+}
+
+/// The published sizes of LitePT.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum LitePtSize {
+    /// S: 12.7 million parameters.
+    Small,
+    /// S*, with blocks in the decoder: 16 million.
+    SmallWithDecoder,
+    /// B: 45 million.
+    Base,
+    /// L: 86 million.
+    Large,
+}
+
+impl LitePtSize {
+    /// All of them, small ones first.
+    pub const ALL: [Self; 4] = [Self::Small, Self::SmallWithDecoder, Self::Base, Self::Large];
+
+    /// The configuration, for 11 inputs.
+    pub fn config(self) -> LitePtConfig {
+        match self {
+            Self::Small => LitePtConfig::small(),
+            Self::SmallWithDecoder => LitePtConfig::small_with_decoder(),
+            Self::Base => LitePtConfig::base(),
+            Self::Large => LitePtConfig::large(),
+        }
     }
 }
 
@@ -97,14 +125,6 @@ const STAGES: [BlockKind; 5] = [
 ];
 
 impl LitePtConfig {
-    /// The published networks by name.
-    pub const NAMED: [(&'static str, fn() -> Self); 4] = [
-        ("litept-s", Self::small),
-        ("litept-s-decoder", Self::small_with_decoder),
-        ("litept-b", Self::base),
-        ("litept-l", Self::large),
-    ];
-
     /// LitePT-S: 11 inputs, 72 outputs, 12,735,432 parameters.
     pub fn small() -> Self {
         Self {
@@ -365,6 +385,9 @@ impl Architecture for LitePtConfig {
     fn cost(&self) -> BackboneCost {
         self.inference_cost()
     }
+    fn multiply_adds(&self, voxels: &[[i32; 3]], frozen: bool) -> Result<MultiplyAdds> {
+        self.count_multiply_adds(voxels, frozen)
+    }
     fn compute(&self) -> Compute {
         self.compute
     }
@@ -411,7 +434,7 @@ mod tests {
         assert!(broken(&|c| c.stride[0] = 3).contains("stride[0]"));
         assert!(broken(&|c| c.dec_depths = vec![]).contains("dec_depths"));
         assert!(broken(&|c| c.enc_blocks.truncate(1)).contains("enc_blocks"));
-        assert!(broken(&|c| c.enc_num_head[3] = 21).contains("enc_num_head[3]"));
+        assert!(broken(&|c| c.enc_num_head[3] = 9).contains("enc_num_head[3]"));
         assert!(broken(&|c| c.enc_num_head[3] = 0).contains("enc_num_head[3]"));
         assert!(broken(&|c| c.rope_base = 0.5).contains("rope_base"));
         assert!(broken(&|c| c.rope_base = f64::NAN).contains("rope_base"));

@@ -24,7 +24,7 @@ mod scale;
 
 pub use attention::{AttentionShape, PointRopeAttention};
 pub use block::{Block, BlockShape};
-pub use config::{BlockKind, LitePtConfig};
+pub use config::{BlockKind, LitePtConfig, LitePtSize};
 pub use pooling::GridPooling;
 pub use scale::Scale;
 

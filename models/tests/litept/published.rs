@@ -1,6 +1,6 @@
 //! The published networks: sizes, names, and how weights are recognised.
 
-use scenesplat_models::{LitePtConfig, ModelConfig, ParamStore};
+use scenesplat_models::{LitePtConfig, LitePtSize, ModelConfig, ParamStore};
 
 fn store(model: &ModelConfig) -> ParamStore {
     let store = ParamStore::trainable(0);
@@ -74,7 +74,7 @@ fn the_smallest_has_these_names() {
 #[test]
 fn weights_are_recognised_with_any_head() {
     let all: Vec<LitePtConfig> =
-        LitePtConfig::NAMED.iter().map(|(_, config)| with_inputs(config(), 6)).collect();
+        LitePtSize::ALL.iter().map(|size| with_inputs(size.config(), 6)).collect();
     for config in &all {
         let alone = ModelConfig::new(config.clone());
         for model in
@@ -97,8 +97,8 @@ fn a_file_says_which() {
     let text = r#"{"architecture": "litept", "projection": 768}"#;
     let model: ModelConfig = serde_json::from_str(text).unwrap();
     assert_eq!(model, ModelConfig::new(LitePtConfig::small()).with_projection(768));
-    for (_, config) in LitePtConfig::NAMED {
-        let model = ModelConfig::new(config());
+    for size in LitePtSize::ALL {
+        let model = ModelConfig::new(size.config());
         model.check().unwrap();
         let text = serde_json::to_string(&model).unwrap();
         assert!(text.contains(r#""enc_blocks":["convolution","#), "{text}");
