@@ -5,7 +5,7 @@ use scenesplat::experiment::ExperimentConfig;
 use scenesplat::rooms::vocabulary::Vocabulary;
 use scenesplat::rooms::{CLASSES, SyntheticRoomSettings, generate};
 use scenesplat::scene::formats::npy_folder::write_npy_folder;
-use scenesplat::scene::{FeatureRows, GaussianScene, LabelledPoints};
+use scenesplat::scene::{GaussianScene, LabelledPoints, LanguageFeatures};
 use serde_json::Value;
 use std::path::Path;
 
@@ -356,7 +356,7 @@ fn room(seed: u64) -> GaussianScene {
     let one = half::f16::from_f32(1.0);
     let mut values = vec![half::f16::ZERO; n * 64];
     (0..n).for_each(|row| values[row * 64 + (row + seed as usize) % 64] = one);
-    scene.lang_feat = Some(FeatureRows { values, dim: 64 });
+    scene.lang_feat = Some(LanguageFeatures { values, dim: 64 });
     scene.valid_feat_mask = Some((0..n).map(|row| row % 5 != 0).collect());
     let labels = scene.segment.clone().unwrap();
     // Points with labels that are not quite those of the Gaussians.
