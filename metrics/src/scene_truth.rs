@@ -279,7 +279,7 @@ mod tests {
     #[test]
     fn gaussians_without_a_class_take_that_of_the_nearest_point() {
         let coord = on_a_line(&[0.0, 1.0, 2.0]);
-        let at = on_a_line(&[0.1, 1.9]);
+        let at = on_a_line(&[0.3, 1.9]);
         for own in [None, Some([IGNORE; 3].as_slice())] {
             let truth = SceneTruth::new(&coord, own, Some((&at, &[1, 0])), 2).unwrap().unwrap();
             assert_eq!(truth.labels(), [1, 1, 0]);
