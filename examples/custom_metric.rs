@@ -8,7 +8,7 @@ use scenesplat::models::ParamStore;
 use scenesplat::prelude::*;
 use scenesplat::rooms::CLASSES;
 use scenesplat::trainers::evaluators::SegmentationEvaluator;
-use scenesplat::trainers::tasks::SemanticSegmentation;
+use scenesplat::trainers::tasks::{SemanticSegmentation, TaskModule};
 use scenesplat::trainers::{Evaluator, Progress};
 use std::sync::Arc;
 
@@ -50,7 +50,7 @@ fn main() -> anyhow::Result<()> {
     let params = ParamStore::trainable(0);
     let network = ModelConfig::tiny().with_classes(CLASSES.len()).build(params.builder())?;
     let objective = Objective::new().with(1.0, CrossEntropy::default());
-    let module = SemanticSegmentation::new(params, network, objective);
+    let module = TaskModule::new(params, network, objective, SemanticSegmentation);
     let mut evaluator =
         SegmentationEvaluator::new("rooms", rooms, InputFeatures::default(), vec![])
             .with_metric(Variety::default());

@@ -1,9 +1,10 @@
 //! A training loop of one's own: a small language network on 40 synthetic rooms, scored on 10 rooms
 //! it has never seen. `cargo run --release --example custom_training_loop`
 
+use scenesplat::datasets;
 use scenesplat::datasets::transforms::{TransformConfig, language_pretraining, validation};
 use scenesplat::datasets::{BatchLoader, InputFeatures, LoaderSettings, SceneLoader};
-use scenesplat::losses::{CosineLoss, LossInput, Objective, TextClassification, TextTable};
+use scenesplat::losses::{CosineLoss, LossInput, Objective, TextClassification, TextColumns};
 use scenesplat::models::{Forward, ParamStore};
 use scenesplat::prelude::*;
 use scenesplat::trainers::evaluators::ZeroShotEvaluator;
@@ -11,7 +12,6 @@ use scenesplat::trainers::tasks::{TargetSource, point_cloud};
 use scenesplat::trainers::{
     AdamW, AdamWConfig, OneCycle, Optimizer, Schedule, clip_grad_norm, group_by_keyword,
 };
-use scenesplat::{datasets, text};
 use std::sync::Arc;
 
 fn main() -> anyhow::Result<()> {
@@ -25,15 +25,15 @@ fn main() -> anyhow::Result<()> {
     let settings = LoaderSettings { batch_size: 1, mix_probability: 0.0, ..Default::default() };
     let training = rooms(40, 1, language_pretraining(grid))?;
     let mut loader = SceneLoader::new(training, input.clone(), settings)?;
-    let (unseen, names) = (rooms(10, 1000, validation(grid))?, text::metric_table(&texts)?);
-    let judge = ZeroShotEvaluator::new("unseen", unseen, input, names, vec![0, 1, 2]);
+    let unseen = rooms(10, 1000, validation(grid))?;
+    let judge = ZeroShotEvaluator::new("unseen", unseen, input, texts.clone(), vec![0, 1, 2]);
     let store = ParamStore::trainable(0);
     let network = ModelConfig::tiny().build(store.builder())?;
     let score = || judge.confusion(&network).map(|c| c.tester_report().foreground_mean_iou);
     let params = store.parameters();
     let groups = group_by_keyword(&params, 0.003, 0.02, &[]);
     let mut optimizer = AdamW::new(groups, AdamWConfig::default())?;
-    let table = TextTable::new(&texts.values, texts.dim)?;
+    let table = TextColumns::new(&texts.values, texts.dim)?;
     let classify = TextClassification { temperature: 0.05, ..TextClassification::new(table) };
     let objective = Objective::new().with(0.2, CosineLoss::default()).with(1.0, classify);
     let targets = TargetSource::class_text(&texts)?;

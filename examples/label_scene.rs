@@ -4,7 +4,7 @@ use scenesplat::embedded;
 use scenesplat::metrics::{FeatureSlice, ZeroShotOptions, classify};
 use scenesplat::prelude::*;
 use scenesplat::rooms::{SyntheticRoomSettings, generate};
-use scenesplat::text::metric_table;
+use scenesplat::text::text_rows;
 
 fn main() -> anyhow::Result<()> {
     // Or a file: open_scene("scene.ply".as_ref(), &ReadOptions::default())?.scene
@@ -15,7 +15,7 @@ fn main() -> anyhow::Result<()> {
     let text = embedded::vocabulary()?.class_table();
     let rows = features.gaussian_rows(0..features.len())?;
     let rows = FeatureSlice::new(&rows, features.width())?;
-    let found = classify(&rows, &metric_table(&text)?, &ZeroShotOptions::default())?;
+    let found = classify(&rows, text_rows(&text)?, &ZeroShotOptions::default())?;
     println!("Gaussian 0: {} ({:.2})", text.names[found.labels[0] as usize], found.scores[0]);
     Ok(())
 }

@@ -7,7 +7,7 @@ use scenesplat::losses::{CrossEntropy, Objective};
 use scenesplat::models::ParamStore;
 use scenesplat::prelude::*;
 use scenesplat::trainers::checkpoint::newest_checkpoint;
-use scenesplat::trainers::tasks::SemanticSegmentation;
+use scenesplat::trainers::tasks::{SemanticSegmentation, TaskModule};
 use scenesplat::trainers::{
     AdamW, AdamWConfig, Callback, Event, Flow, OneCycle, Progress, TrainError, Trainer,
     TrainerConfig, group_by_keyword,
@@ -40,7 +40,7 @@ fn main() -> anyhow::Result<()> {
         let objective = Objective::new().with(1.0, CrossEntropy::default());
         let groups = group_by_keyword(&params.parameters(), 0.003, 0.02, &[]);
         let optimizer = Box::new(AdamW::new(groups, AdamWConfig::default())?);
-        let module = SemanticSegmentation::new(params, network, objective);
+        let module = TaskModule::new(params, network, objective, SemanticSegmentation);
         let mut config = TrainerConfig { epochs: 3, log_every: 1, ..Default::default() };
         config.checkpoint.dir = Some(checkpoints.clone());
         let mut trainer = Trainer::new(config, optimizer, Box::new(OneCycle::default()))?

@@ -7,7 +7,7 @@ use scenesplat_scene::formats::labelled_ply::{LABEL_NAMES, read_labelled_ply};
 use scenesplat_scene::formats::npy::NpyFile;
 use scenesplat_scene::formats::ply::{PlyFile, is_ply};
 use scenesplat_scene::{
-    FeatureRows, LoadedScene, ReadOptions, SceneError, SceneFormat, open_scene,
+    LanguageFeatures, LoadedScene, ReadOptions, SceneError, SceneFormat, open_scene,
 };
 use std::ffi::OsStr;
 use std::io::Read;
@@ -117,7 +117,7 @@ pub fn read_feature_rows(
     path: &Path,
     rows: usize,
     kept: Option<&[u32]>,
-) -> Result<FeatureRows, InputError> {
+) -> Result<LanguageFeatures, InputError> {
     let (file, count, dim) = open_features(path, rows)?;
     if count != rows {
         return Err(InputError::OtherScene { path: path.to_owned(), count, rows });
@@ -127,7 +127,7 @@ pub fn read_feature_rows(
         Some(kept) => pick(&values, kept, dim),
         None => values,
     };
-    Ok(FeatureRows { values, dim })
+    Ok(LanguageFeatures { values, dim })
 }
 
 /// A table of features with its number of rows and their width.
@@ -172,4 +172,29 @@ fn labelled_cloud(path: &Path, label: Option<&str>) -> bool {
     vertex.has("x")
         && (has(&LABEL_NAMES) || label.is_some_and(|l| vertex.has(l)))
         && !has(&["scale_0", "f_dc_0", "opacity", "packed_position"])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use scenesplat_scene::formats::npy_writer::write_npy;
+
+    #[test]
+    fn features_follow_the_rows_of_the_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("features.npy");
+        write_npy(&path, &[3, 2], &[0.0f32, 1.0, 2.0, 3.0, 4.0, 5.0]).unwrap();
+        let values = |kept: Option<&[u32]>| {
+            let rows = read_feature_rows(&path, 3, kept).unwrap();
+            assert_eq!(rows.dim, 2);
+            rows.values.iter().map(|v| v.to_f32()).collect::<Vec<f32>>()
+        };
+        assert_eq!(values(None), [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]);
+        assert_eq!(values(Some(&[2, 0])), [4.0, 5.0, 0.0, 1.0]);
+        let error = read_feature_rows(&path, 4, None).unwrap_err();
+        assert!(matches!(error, InputError::OtherScene { count: 3, rows: 4, .. }), "{error}");
+        write_npy(&path, &[6], &[0.0f32; 6]).unwrap();
+        let error = read_feature_rows(&path, 6, None).unwrap_err();
+        assert!(matches!(error, InputError::Shape { .. }), "{error}");
+    }
 }

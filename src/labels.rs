@@ -1,7 +1,7 @@
 //! Features and classes in, labels and scores out.
 
 use crate::inference::{EncodeError, SceneFeatures};
-use crate::text::metric_table;
+use crate::text::text_rows;
 use scenesplat_metrics::{
     FeatureFn, FeatureRows, MetricError, UnknownRule, ZeroShotOptions, classify, keep_withheld,
     vote,
@@ -132,7 +132,7 @@ fn label_distinct(
     match classes {
         Classes::Texts(text) => {
             check_width(text.dim, features.width())?;
-            let found = classify(&distinct_rows(features)?, &metric_table(text)?, options)?;
+            let found = classify(&distinct_rows(features)?, text_rows(text)?, options)?;
             Ok(Labels {
                 labels: found.labels,
                 scores: found.scores,

@@ -7,7 +7,7 @@ use rand_chacha::rand_core::SeedableRng;
 use rayon::prelude::*;
 use scenesplat_kernels::eigenvectors::{Iteration, leading_eigenvectors};
 use scenesplat_kernels::gemm::gemm_tn;
-use scenesplat_scene::{FeatureRows, LanguageCode, LanguageCodebook};
+use scenesplat_scene::{LanguageCode, LanguageCodebook, LanguageFeatures};
 
 /// Rows that the axes are found from.
 const SAMPLE: usize = 30_000;
@@ -68,7 +68,7 @@ pub enum CodeError {
 /// # Errors
 /// If `k` is 0, above 256 or wider than the features, those are wider than 4096, no row has a feature, or `progress` stops it.
 pub fn compress_features(
-    features: &FeatureRows,
+    features: &LanguageFeatures,
     valid: Option<&[bool]>,
     k: usize,
     seed: u64,
@@ -192,7 +192,7 @@ mod tests {
     use super::*;
 
     /// Features on a plane of three dimensions in twelve.
-    fn plane(rows: usize) -> FeatureRows {
+    fn plane(rows: usize) -> LanguageFeatures {
         let mut values = Vec::new();
         for i in 0..rows {
             let t = [(i as f32 * 0.37).sin(), (i as f32 * 0.73).cos(), (i as f32 * 1.1).sin()];
@@ -201,7 +201,7 @@ mod tests {
                 values.push(f16::from_f32(0.3 + 0.5 * v));
             }
         }
-        FeatureRows { values, dim: 12 }
+        LanguageFeatures { values, dim: 12 }
     }
 
     #[test]
@@ -259,7 +259,7 @@ mod tests {
     #[test]
     fn widths_that_would_never_end_are_refused() {
         for (width, k) in [(5000, 300), (5000, 3), (4096, 257)] {
-            let features = FeatureRows { values: vec![f16::ONE; width], dim: width };
+            let features = LanguageFeatures { values: vec![f16::ONE; width], dim: width };
             let error = compress_features(&features, None, k, 0, &mut |_| true).unwrap_err();
             assert_eq!(error, CodeError::Width { asked: k, width });
             assert!(error.to_string().contains("choose 1 to 256"), "{error}");

@@ -2,7 +2,7 @@
 
 use crate::inference::SceneFeatures;
 use crate::labels::{LabelError, check_width, distinct_rows};
-use crate::text::metric_table;
+use crate::text::text_rows;
 use scenesplat_metrics::{ZeroShotOptions, classify, vote};
 use scenesplat_rooms::Vocabulary;
 use scenesplat_rooms::vocabulary::VocabularyError;
@@ -129,13 +129,13 @@ pub fn select(
 ) -> Result<Selection, LabelError> {
     check_width(query.width(), features.width())?;
     let rows = distinct_rows(features)?;
-    let own = classify(&rows, &metric_table(&query.meant)?, &ZeroShotOptions::default())?;
+    let own = classify(&rows, text_rows(&query.meant)?, &ZeroShotOptions::default())?;
     let counts = |name: &String| find_name(&settings.without, name).is_err();
     let candidates: Vec<bool> = query.rivals.names.iter().map(counts).collect();
     let rivals = if candidates.contains(&true) {
         let options =
             ZeroShotOptions { candidates: Some(candidates), ..ZeroShotOptions::default() };
-        Some(classify(&rows, &metric_table(&query.rivals)?, &options)?.scores)
+        Some(classify(&rows, text_rows(&query.rivals)?, &options)?.scores)
     } else {
         None
     };
@@ -244,6 +244,14 @@ mod tests {
         assert_eq!(found.selected, [1, 0, 0]);
         let place = found.place(&coord).unwrap();
         assert_eq!((place.count, place.center, place.high), (1, [0.0; 3], [0.0; 3]));
+    }
+
+    #[test]
+    fn what_is_selected_stands_out() {
+        let found = Selection { scores: vec![0.0, 1.0, 0.5], selected: vec![0, 0, 1] };
+        assert_eq!(found.colors(), [[60, 60, 68], [160, 160, 168], SELECTED_COLOR]);
+        let flat = Selection { scores: vec![f32::NAN; 2], selected: vec![0, 1] };
+        assert_eq!(flat.colors(), [[60, 60, 68], SELECTED_COLOR]);
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! Class texts from any of the files that hold them.
 
+use scenesplat_metrics::{MetricError, TextRows};
 use scenesplat_models::weights::read_single_tensor;
 use scenesplat_scene::formats::npy::NpyFile;
 use scenesplat_scene::label_set::read_names;
@@ -78,14 +79,12 @@ pub fn read_text_vector(path: &Path) -> Result<Vec<f32>, TextError> {
     Ok(read_single_tensor(path)?.flatten_all()?.to_vec1::<f32>()?)
 }
 
-/// The text table as the metrics crate reads it.
+/// The rows of a text table as the metrics crate reads them.
 ///
 /// # Errors
-/// If a row is not usable.
-pub fn metric_table(
-    text: &TextTable,
-) -> Result<scenesplat_metrics::TextTable, scenesplat_metrics::MetricError> {
-    scenesplat_metrics::TextTable::new(&text.values, text.dim)
+/// If there is no row, or one does not have unit length.
+pub fn text_rows(text: &TextTable) -> Result<TextRows<'_>, MetricError> {
+    TextRows::new(&text.values, text.dim)
 }
 
 /// Indices of the classes of a comma-separated list.

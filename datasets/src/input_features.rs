@@ -36,7 +36,7 @@ impl InputChannel {
 
     fn field(self) -> &'static str {
         match self {
-            Self::Color => "colour",
+            Self::Color => "color",
             Self::Opacity => "opacity",
             Self::Quat => "quat",
             Self::Scale => "scale",
@@ -317,7 +317,7 @@ mod tests {
         broken = sample;
         broken.color[1][0] = f32::NAN;
         let error = InputFeatures::default().sample_rows(&broken).unwrap_err();
-        assert!(matches!(error, DataError::NotFinite { row: 1, field: "colour", .. }), "{error}");
+        assert!(matches!(error, DataError::NotFinite { row: 1, field: "color", .. }), "{error}");
         broken.normal = None;
         let features = InputFeatures { channels: vec![Normal], scale_clip: None };
         assert!(matches!(features.sample_rows(&broken), Err(DataError::NoNormals)));
@@ -375,7 +375,7 @@ mod tests {
         };
         type Poison = fn(&mut GaussianScene);
         let poison: [(&str, Poison); 5] = [
-            ("colour", |s| s.sh_dc[1][2] = f32::NAN),
+            ("color", |s| s.sh_dc[1][2] = f32::NAN),
             ("opacity", |s| s.opacity_logit[1] = f32::NAN),
             ("quat", |s| s.quat[1][3] = f32::NAN),
             ("scale", |s| s.log_scale[1][0] = f32::NAN),

@@ -106,7 +106,7 @@ impl Default for ExactPlan {
     }
 }
 
-/// Passes of the network over a scene, and the way back.
+/// Passes of the network over a scene, and the inverse map to its Gaussians.
 ///
 /// Outputs are collected in *slots*, one per Gaussian that is read at all: pass `i` adds row `m` of
 /// its output to slot `input(i).slots[m]` (see [`SlotMean`]), and Gaussian `g` receives slot

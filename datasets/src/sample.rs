@@ -3,7 +3,7 @@
 use crate::error::check_length;
 use crate::{DataError, FullScene, SampleRng};
 use half::f16;
-use scenesplat_scene::{FeatureRows, GaussianScene, LabelledPoints};
+use scenesplat_scene::{GaussianScene, LabelledPoints, LanguageFeatures};
 use std::fmt::Debug;
 
 /// A scene on its way through the transforms, values as the network's data files hold them, that
@@ -31,7 +31,7 @@ pub struct Sample {
     /// Instance id, -1 = none. `[N]`
     pub instance: Option<Vec<i32>>,
     /// Language features. `[N, D]`
-    pub lang_feat: Option<FeatureRows>,
+    pub lang_feat: Option<LanguageFeatures>,
     /// Whether the row of `lang_feat` holds a feature. `[N]`
     pub valid_feat: Option<Vec<bool>>,
     /// Cell of each Gaussian, not negative; empty before [`GridSample`](crate::transforms::GridSample).
@@ -111,7 +111,7 @@ impl Sample {
         for values in [&mut self.segment, &mut self.instance].into_iter().flatten() {
             pick(values, rows);
         }
-        if let Some(FeatureRows { values, dim }) = &mut self.lang_feat {
+        if let Some(LanguageFeatures { values, dim }) = &mut self.lang_feat {
             pick_features(values, *dim, rows);
         }
         if let Some(values) = &mut self.valid_feat {
@@ -200,7 +200,7 @@ mod tests {
         let mut sample = Sample::from_scene("room", room.scene);
         let n = sample.len();
         let values = (0..n * 2).map(|i| f16::from_f32(i as f32)).collect();
-        sample.lang_feat = Some(FeatureRows { values, dim: 2 });
+        sample.lang_feat = Some(LanguageFeatures { values, dim: 2 });
         sample.valid_feat = Some((0..n).map(|i| i % 3 == 0).collect());
         sample.grid_coord = (0..n as i32).map(|i| [i; 3]).collect();
         sample

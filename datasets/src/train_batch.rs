@@ -2,7 +2,7 @@
 
 use crate::{DataError, InputFeatures, Sample};
 use half::f16;
-use scenesplat_scene::FeatureRows;
+use scenesplat_scene::LanguageFeatures;
 
 /// Samples joined row by row, with what the network reads and what it shall learn; host memory.
 ///
@@ -26,7 +26,7 @@ pub struct TrainBatch {
     /// Instance id within its sample, -1 = none. `[M]`
     pub instance: Option<Vec<i32>>,
     /// Language features. `[M, D]`
-    pub lang_feat: Option<FeatureRows>,
+    pub lang_feat: Option<LanguageFeatures>,
     /// Whether the row of `lang_feat` holds a feature. `[M]`
     pub valid_feat: Option<Vec<bool>>,
 }
@@ -67,7 +67,8 @@ pub fn collate_samples(
     batch.feat.reserve_exact(total * batch.channels);
     batch.coord.reserve_exact(total);
     batch.grid_coord.reserve_exact(total);
-    batch.lang_feat = feature_width(&samples)?.map(|dim| FeatureRows { values: Vec::new(), dim });
+    batch.lang_feat =
+        feature_width(&samples)?.map(|dim| LanguageFeatures { values: Vec::new(), dim });
     let room = |there: bool| there.then(|| Vec::with_capacity(total));
     batch.segment = room(samples.iter().any(|s| s.segment.is_some()));
     batch.instance = room(samples.iter().any(|s| s.instance.is_some()));
@@ -159,7 +160,7 @@ pub(crate) fn fill_optional_arrays(
     }
     let known = sample.lang_feat.is_some();
     if let Some(dim) = lang_feat {
-        let none = || FeatureRows { values: vec![f16::ZERO; n * dim], dim };
+        let none = || LanguageFeatures { values: vec![f16::ZERO; n * dim], dim };
         sample.lang_feat.get_or_insert_with(none);
         if !known {
             // Zeros are no features, whatever the mask of the scene says.
@@ -175,7 +176,7 @@ pub(crate) fn fill_optional_arrays(
 }
 
 /// Which rows hold anything but zeros.
-fn valid_rows(rows: &FeatureRows) -> Vec<bool> {
+fn valid_rows(rows: &LanguageFeatures) -> Vec<bool> {
     // Rows of no width are no features, and have no number; the caller checked the length.
     let chunks = rows.values.chunks_exact(rows.dim.max(1));
     chunks.map(|row| row.iter().any(|&v| v != f16::ZERO)).collect()
@@ -195,9 +196,9 @@ mod tests {
         sample
     }
 
-    fn features(rows: usize, dim: usize) -> Option<FeatureRows> {
+    fn features(rows: usize, dim: usize) -> Option<LanguageFeatures> {
         let values = (0..rows * dim).map(|i| f16::from_f32(i as f32)).collect();
-        Some(FeatureRows { values, dim })
+        Some(LanguageFeatures { values, dim })
     }
 
     #[test]

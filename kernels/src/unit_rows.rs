@@ -1,59 +1,55 @@
-//! Rows of unit length.
+//! Rows that are to have unit length, such as texts of classes: checked where they are read.
 
-use crate::simd::compiled;
-use rayon::prelude::*;
+/// How far from 1 the length of a unit row may be: rows that were divided by their length in f32 by other
+/// programs pass, and no cosine with them is wrong by more.
+pub const UNIT_TOLERANCE: f64 = 1e-5;
 
-/// Norms below this count as this, as in PyTorch.
-const EPS: f64 = 1e-12;
-/// Sums that a norm is made of; fixed, so that the order of summation is.
-const LANES: usize = 16;
-
-/// Euclidean norm in f64, at least 1e-12: no square of an f32 over- or underflows there.
-pub fn norm(row: &[f32]) -> f64 {
-    compiled(
-        #[inline(always)]
-        || norm_of(row),
-    )
+/// Why values are no rows of unit length.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum UnitRowError {
+    /// The values do not divide into rows.
+    #[error("{values} values cannot be rows of {dim} channels")]
+    Shape {
+        /// Values found.
+        values: usize,
+        /// Channels of a row.
+        dim: usize,
+    },
+    /// A row has another length, or none: a NaN, an infinity, only zeros.
+    #[error("row {row} has norm {norm}, expected 1")]
+    Norm {
+        /// The first such row.
+        row: usize,
+        /// Its Euclidean norm.
+        norm: f64,
+    },
 }
 
-#[inline(always)]
-fn norm_of(row: &[f32]) -> f64 {
-    let (blocks, rest) = row.as_chunks::<LANES>();
-    let mut sums = [0f64; LANES];
-    for block in blocks {
-        for (sum, v) in sums.iter_mut().zip(block) {
-            *sum += f64::from(*v) * f64::from(*v);
+/// Number of rows of `values`, `[R, dim]`, each of which has length 1 within [`UNIT_TOLERANCE`].
+///
+/// # Errors
+/// If the values are no rows, or a row has another length.
+///
+/// ```
+/// use scenesplat_kernels::unit_rows::check_unit_rows;
+///
+/// assert_eq!(check_unit_rows(&[0.6, 0.8, 1.0, 0.0], 2), Ok(2));
+/// assert!(check_unit_rows(&[3.0, 4.0], 2).is_err());
+/// ```
+pub fn check_unit_rows(values: &[f32], dim: usize) -> Result<usize, UnitRowError> {
+    if dim == 0 || !values.len().is_multiple_of(dim) {
+        return Err(UnitRowError::Shape { values: values.len(), dim });
+    }
+    for (row, values) in values.chunks_exact(dim).enumerate() {
+        let norm = values.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
+        // A NaN is not near to 1.
+        let is_unit = (norm - 1.0).abs() <= UNIT_TOLERANCE;
+        if !is_unit {
+            return Err(UnitRowError::Norm { row, norm });
         }
     }
-    for (sum, v) in sums.iter_mut().zip(rest) {
-        *sum += f64::from(*v) * f64::from(*v);
-    }
-    sums.iter().sum::<f64>().sqrt().max(EPS)
-}
-
-/// Divides each row of `values` (`[N, c]`) by its norm; a zero row stays zero. On the calling
-/// thread.
-pub fn normalize_block(values: &mut [f32], c: usize) {
-    if c == 0 {
-        return;
-    }
-    compiled(
-        #[inline(always)]
-        || {
-            for row in values.chunks_exact_mut(c) {
-                let inverse = 1.0 / norm_of(row);
-                row.iter_mut().for_each(|v| *v = (f64::from(*v) * inverse) as f32);
-            }
-        },
-    );
-}
-
-/// [`normalize_block`] on all threads.
-pub fn normalize_rows(values: &mut [f32], c: usize) {
-    const ROWS: usize = 64;
-    if c > 0 {
-        values.par_chunks_mut(ROWS * c).for_each(|rows| normalize_block(rows, c));
-    }
+    Ok(values.len() / dim)
 }
 
 #[cfg(test)]
@@ -61,26 +57,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rows_have_unit_length_whatever_their_size() {
-        for c in [1, 3, 16, 17, 48, 770] {
-            for scale in [1.0, 1e-30, 1e30, 3e38, 1e-44] {
-                let row: Vec<f32> = (0..c).map(|i| ((i * 7 % 13) as f32 - 5.5) / 8.0).collect();
-                let mut values: Vec<f32> = row.iter().map(|v| v * scale).collect();
-                values.extend(vec![0.0; c]);
-                let want: f64 = values.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
-                assert!((norm(&values[..c]) - want.max(EPS)).abs() <= 1e-14 * want.max(EPS));
-                let before = values.clone();
-                normalize_rows(&mut values, c);
-                let length = values[..c].iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
-                let expected = if want < EPS { want / EPS } else { 1.0 };
-                assert!((length - expected).abs() < 1e-6, "{c} · {scale}: {length}");
-                for (after, before) in values.iter().zip(&before) {
-                    let exact = f64::from(*before) / want.max(EPS);
-                    assert!((f64::from(*after) - exact).abs() <= 1e-7);
-                }
-                assert!(values[c..].iter().all(|v| *v == 0.0));
-            }
+    fn the_first_row_of_another_length_is_named() {
+        let norm = |values: &[f32]| match check_unit_rows(values, 2) {
+            Err(UnitRowError::Norm { row, norm }) => Some((row, norm)),
+            _ => None,
+        };
+        assert_eq!(norm(&[1.0, 0.0, 3.0, 4.0, 0.0, 0.0]), Some((1, 5.0)));
+        assert_eq!(norm(&[0.0, 0.0]), Some((0, 0.0)));
+        assert!(norm(&[f32::NAN, 1.0]).is_some_and(|(_, norm)| norm.is_nan()));
+        assert_eq!(norm(&[f32::INFINITY, 1.0]), Some((0, f64::INFINITY)));
+        assert_eq!(norm(&[1.000_02, 0.0]).map(|n| n.0), Some(0));
+        assert_eq!(check_unit_rows(&[1.000_005, 0.0], 2), Ok(1));
+        assert_eq!(check_unit_rows(&[], 2), Ok(0));
+        for (values, dim) in [(&[1.0; 3][..], 2), (&[1.0; 3], 0)] {
+            assert_eq!(check_unit_rows(values, dim), Err(UnitRowError::Shape { values: 3, dim }));
         }
-        normalize_rows(&mut [], 0);
     }
 }

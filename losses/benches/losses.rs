@@ -5,7 +5,7 @@ use candle_core::{DType, Device, Result, Tensor, Var};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use scenesplat_losses::{
     AggregatedContrastive, ClassSource, CosineLoss, CrossEntropy, L2Loss, Loss, LossInput,
-    LovaszSoftmax, Schedule, TextTable,
+    LovaszSoftmax, TermSchedule, TextColumns,
 };
 use std::time::Duration;
 
@@ -66,7 +66,7 @@ fn features(c: &mut Criterion) {
     let (pred, target) = (noise(WIDTH, 1).expect("rows"), noise(WIDTH, 2).expect("rows"));
     let contrastive = |classes| AggregatedContrastive {
         classes,
-        schedule: Schedule::Always,
+        schedule: TermSchedule::Always,
         ..AggregatedContrastive::default()
     };
     for dtype in [DType::F32, DType::BF16] {
@@ -77,9 +77,11 @@ fn features(c: &mut Criterion) {
         bench(c, "contrastive", &contrastive(ClassSource::Labels), &pred, Some(&target));
     }
     let texts: Vec<f32> = noise(WIDTH, 3)
-        .and_then(|t| t.narrow(0, 0, CLASSES)?.flatten_all()?.to_vec1())
+        .and_then(|t| t.narrow(0, 0, CLASSES))
+        .and_then(|t| t.broadcast_div(&t.sqr()?.sum_keepdim(1)?.sqrt()?))
+        .and_then(|t| t.flatten_all()?.to_vec1())
         .expect("texts");
-    let texts = TextTable::new(&texts, WIDTH).expect("rows with a direction");
+    let texts = TextColumns::new(&texts, WIDTH).expect("rows of unit length");
     let pseudo = contrastive(ClassSource::PseudoLabels(texts));
     bench(c, "contrastive_pseudo_labels", &pseudo, &pred, Some(&target));
 }

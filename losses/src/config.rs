@@ -1,6 +1,6 @@
 //! Losses as they stand in a configuration file.
 
-use crate::contrastive::{AggregatedContrastive, ClassSource, Schedule, TextTable};
+use crate::contrastive::{AggregatedContrastive, ClassSource, TermSchedule, TextColumns};
 use crate::cosine::CosineLoss;
 use crate::cross_entropy::CrossEntropy;
 use crate::error::LossError;
@@ -58,11 +58,11 @@ macro_rules! loss_config {
             ///
             /// # Errors
             /// If a setting is out of its range, or there are no texts where some are needed.
-            pub fn build(&self, texts: Option<&TextTable>) -> Result<Box<dyn Loss>, LossError> {
+            pub fn build(&self, texts: Option<&TextColumns>) -> Result<Box<dyn Loss>, LossError> {
                 in_range("objective", "weight", self.weight(), f64::is_finite, "a finite number")?;
                 match self {
                     $(Self::$name(config) => {
-                        let build: fn(&$config, Option<&TextTable>) -> Built = $build;
+                        let build: fn(&$config, Option<&TextColumns>) -> Built = $build;
                         build(config, texts)
                     })*
                 }
@@ -108,7 +108,7 @@ pub struct ContrastiveConfig {
     /// τ.
     pub temperature: f64,
     /// `"always"`, `"skip"` or `{ last = PERCENT }`.
-    pub schedule: Schedule,
+    pub schedule: TermSchedule,
     /// Classes with fewer rows are left out.
     pub min_points: usize,
     /// Where the classes come from.
@@ -195,7 +195,7 @@ impl Default for TextClassificationConfig {
 }
 
 impl TextClassificationConfig {
-    fn build(&self, texts: Option<&TextTable>) -> Result<TextClassification, LossError> {
+    fn build(&self, texts: Option<&TextColumns>) -> Result<TextClassification, LossError> {
         const LOSS: &str = "text_classification";
         let positive = |v: f64| v > 0.0 && v.is_finite();
         in_range(LOSS, "temperature", self.temperature, positive, "a finite number above 0")?;
@@ -216,11 +216,11 @@ impl TextClassificationConfig {
 }
 
 impl ContrastiveConfig {
-    fn build(&self, texts: Option<&TextTable>) -> Result<AggregatedContrastive, LossError> {
+    fn build(&self, texts: Option<&TextColumns>) -> Result<AggregatedContrastive, LossError> {
         const LOSS: &str = "aggregated_contrastive";
         let positive = |v: f64| v > 0.0 && v.is_finite();
         in_range(LOSS, "temperature", self.temperature, positive, "a finite number above 0")?;
-        if let Schedule::Last(percent) = self.schedule {
+        if let TermSchedule::Last(percent) = self.schedule {
             let percentage = |v| (0.0..=100.0).contains(&v);
             in_range(LOSS, "schedule.last", percent, percentage, "a percentage, 0..=100")?;
         }
@@ -264,7 +264,7 @@ impl CrossEntropyConfig {
 /// As [`LossConfig::build`], or if there is no term.
 pub fn build_objective(
     terms: &[LossConfig],
-    texts: Option<&TextTable>,
+    texts: Option<&TextColumns>,
 ) -> Result<Objective, LossError> {
     in_range("objective", "number of terms", terms.len() as f64, |v| v > 0.0, "at least 1")?;
     terms.iter().try_fold(Objective::new(), |objective, term| {

@@ -47,8 +47,8 @@ pub use config::{
     RowLossConfig, TextClassificationConfig, build_objective,
 };
 pub use contrastive::{
-    AggregatedContrastive, ClassHalves, ClassSource, Schedule, TextTable, aggregated_contrastive,
-    argmax_labels, pseudo_labels, split_classes,
+    AggregatedContrastive, ClassHalves, ClassSource, TermSchedule, TextColumns,
+    aggregated_contrastive, argmax_labels, pseudo_labels, split_classes,
 };
 pub use cosine::{CosineLoss, cosine};
 pub use cross_entropy::{CrossEntropy, cross_entropy};

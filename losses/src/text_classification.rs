@@ -1,6 +1,6 @@
 //! Features classified by the texts of the classes, as zero-shot labelling does it.
 
-use crate::contrastive::TextTable;
+use crate::contrastive::TextColumns;
 use crate::cross_entropy::cross_entropy;
 use crate::error::LossError;
 use crate::loss::{Loss, LossInput};
@@ -20,7 +20,7 @@ const NAME: &str = "text_classification";
 #[derive(Debug, Clone)]
 pub struct TextClassification {
     /// Texts of the classes.
-    pub texts: TextTable,
+    pub texts: TextColumns,
     /// τ, above 0; the smaller, the more the nearest texts decide.
     pub temperature: f64,
     /// Weight of the Lovász term beside the cross entropy, at least 0.
@@ -31,7 +31,7 @@ pub struct TextClassification {
 
 impl TextClassification {
     /// With temperature 0.1 and the Lovász term at 1.
-    pub fn new(texts: TextTable) -> Self {
+    pub fn new(texts: TextColumns) -> Self {
         Self { texts, temperature: 0.1, lovasz: 1.0, label_smoothing: 0.0 }
     }
 }
@@ -87,7 +87,7 @@ mod tests {
     use candle_core::{Device, Var};
 
     fn loss(lovasz: f64) -> TextClassification {
-        let texts = TextTable::new(&[1.0, 0.0, 0.0, 2.0, -1.0, 0.0], 2).unwrap();
+        let texts = TextColumns::new(&[1.0, 0.0, 0.0, 1.0, -1.0, 0.0], 2).unwrap();
         TextClassification { texts, temperature: 0.5, lovasz, label_smoothing: 0.0 }
     }
 

@@ -7,7 +7,7 @@ mod support;
 use candle_core::{DType, Device, Result, Tensor, Var};
 use scenesplat_losses::{
     AggregatedContrastive, ClassHalves, ClassSource, CosineLoss, CrossEntropy, IGNORE, L2Loss,
-    Loss, LovaszSoftmax, Objective, Reduction, Schedule, aggregated_contrastive, cosine,
+    Loss, LovaszSoftmax, Objective, Reduction, TermSchedule, aggregated_contrastive, cosine,
     cross_entropy, first_not_finite, l2, lovasz_softmax,
 };
 use support::{evaluate, input, matrix, noise, number, reference, wide};
@@ -16,7 +16,7 @@ const F32: DType = DType::F32;
 
 fn contrastive() -> AggregatedContrastive {
     AggregatedContrastive {
-        schedule: Schedule::Always,
+        schedule: TermSchedule::Always,
         min_points: 2,
         ..AggregatedContrastive::default()
     }

@@ -7,7 +7,7 @@ mod support;
 use candle_core::{DType, Result, Tensor, Var};
 use scenesplat_losses::{
     AggregatedContrastive, ClassSource, CosineLoss, CrossEntropy, IGNORE, L2Loss, Loss, LossConfig,
-    LossInput, LovaszSoftmax, Objective, Schedule, TextTable, argmax_labels, build_objective,
+    LossInput, LovaszSoftmax, Objective, TermSchedule, TextColumns, argmax_labels, build_objective,
     pseudo_labels,
 };
 use support::{evaluate, input, matrix, noise, number, wide};
@@ -87,16 +87,16 @@ fn a_failing_term_is_named() {
 
 #[test]
 fn schedules() {
-    let last = Schedule::Last(75.0);
+    let last = TermSchedule::Last(75.0);
     assert!(!last.is_on(0.0) && !last.is_on(0.25) && last.is_on(0.2501) && last.is_on(1.0));
-    assert!(Schedule::Last(100.0).is_on(1e-9) && !Schedule::Last(0.0).is_on(1.0));
-    assert!(Schedule::Always.is_on(0.0) && !Schedule::Skip.is_on(1.0));
+    assert!(TermSchedule::Last(100.0).is_on(1e-9) && !TermSchedule::Last(0.0).is_on(1.0));
+    assert!(TermSchedule::Always.is_on(0.0) && !TermSchedule::Skip.is_on(1.0));
 }
 
 #[test]
 fn where_classes_come_from() {
     // Targets near three texts, one zero row, one row without a target.
-    let texts = TextTable::new(&[5.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 2.0], 3).unwrap();
+    let texts = TextColumns::new(&[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], 3).unwrap();
     assert_eq!((texts.len(), texts.is_empty()), (3, false));
     let rows = [[0.0, 0.1, 0.2], [0.9, 0.1, 0.0], [0.0; 3], [0.0, 9.0, 1.0], [2.0, 2.0, 0.0]];
     let target = matrix(rows.as_flattened(), 3, DType::BF16);
@@ -108,10 +108,12 @@ fn where_classes_come_from() {
     assert!(argmax_labels(&target, Some(&valid[..4])).is_err());
     let narrow = matrix(&noise(4, 1), 2, DType::F32);
     assert!(pseudo_labels(&narrow, &texts, None).unwrap_err().to_string().contains("[N, 3]"));
-    for (values, dim) in [(&[][..], 3), (&[1.0; 4], 3), (&[1.0; 3], 0), (&[0.0; 3], 3)] {
-        assert!(TextTable::new(values, dim).is_err());
+    for (values, dim) in
+        [(&[][..], 3), (&[1.0; 4], 3), (&[1.0; 3], 0), (&[0.0; 3], 3), (&[2.0, 0.0], 2)]
+    {
+        assert!(TextColumns::new(values, dim).is_err());
     }
-    assert!(TextTable::new(&[f32::NAN, 1.0], 2).unwrap_err().to_string().contains("class 0"));
+    assert!(TextColumns::new(&[f32::NAN, 1.0], 2).unwrap_err().to_string().contains("class 0"));
 
     // Blocks of rows: far more than one, with damage in the last.
     let mut many = noise(3 * 9000, 4);
@@ -129,7 +131,7 @@ fn where_classes_come_from() {
     let loss = |classes| AggregatedContrastive {
         classes,
         min_points: 2,
-        schedule: Schedule::Always,
+        schedule: TermSchedule::Always,
         ..AggregatedContrastive::default()
     };
     let pred = matrix(&noise(90, 5), 3, DType::F32);
@@ -173,8 +175,12 @@ fn any_number_of_threads() {
     const WIDTH: usize = 67;
     let label: Vec<i32> = (0..ROWS).map(|i| (i * i % 71) as i32 - 4).map(|l| l.max(-1)).collect();
     let valid: Vec<bool> = (0..ROWS).map(|i| i % 5 != 3).collect();
-    let texts: Vec<f32> = noise(20 * WIDTH, 8).iter().map(|v| *v as f32).collect();
-    let texts = TextTable::new(&texts, WIDTH).unwrap();
+    let mut texts: Vec<f32> = noise(20 * WIDTH, 8).iter().map(|v| *v as f32).collect();
+    for row in texts.chunks_exact_mut(WIDTH) {
+        let norm = row.iter().map(|v| v * v).sum::<f32>().sqrt();
+        row.iter_mut().for_each(|v| *v /= norm);
+    }
+    let texts = TextColumns::new(&texts, WIDTH).unwrap();
     let contrastive = |classes| AggregatedContrastive {
         classes,
         min_points: 20,
@@ -245,7 +251,7 @@ fn configuration_files() {
         type = "lovasz_softmax"
     "#;
     let terms = parse(text).unwrap();
-    let texts = TextTable::new(&[1.0, 0.0], 2).unwrap();
+    let texts = TextColumns::new(&[1.0, 0.0], 2).unwrap();
     let objective = build_objective(&terms, Some(&texts)).unwrap();
     let lines = objective.settings();
     assert_eq!(lines[0], "1 · cosine");

@@ -93,8 +93,8 @@ pub enum MetricError {
         /// The most that are supported.
         max: usize,
     },
-    /// A text embedding has no direction: a value is NaN or infinite, or all are zero.
-    #[error("text embedding of class {class} has norm {norm}, expected a finite positive one")]
+    /// A text embedding does not have unit length, or no length at all: a value is NaN or infinite.
+    #[error("text embedding of class {class} has norm {norm}, expected 1: divide it by its norm")]
     TextRow {
         /// Row of the table.
         class: usize,

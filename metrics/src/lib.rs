@@ -30,12 +30,12 @@
 //!
 //! ```
 //! use scenesplat_metrics::{
-//!     ConfusionMatrix, FeatureSlice, Metric, TextTable, ZeroShotOptions, classify, vote,
+//!     ConfusionMatrix, FeatureSlice, Metric, TextRows, ZeroShotOptions, classify, vote,
 //! };
 //!
-//! let text = TextTable::new(&[1.0, 0.0, 0.0, 1.0], 2)?; // two classes, two channels
+//! let text = TextRows::new(&[1.0, 0.0, 0.0, 1.0], 2)?; // two classes, two channels
 //! let features = [0.9, 0.1, 0.8, 0.3, 0.2, 0.7]; // three splats
-//! let found = classify(&FeatureSlice::new(&features, 2)?, &text, &ZeroShotOptions::default())?;
+//! let found = classify(&FeatureSlice::new(&features, 2)?, text, &ZeroShotOptions::default())?;
 //! assert_eq!(found.labels, [0, 0, 1]);
 //!
 //! let coord = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.2, 0.0, 0.0]];
@@ -62,7 +62,7 @@ mod rows;
 mod scene_truth;
 mod similarity;
 mod sweep;
-mod text_table;
+mod text_rows;
 mod voting;
 mod zero_shot;
 
@@ -75,7 +75,7 @@ pub use report::{EvaluatorClass, EvaluatorReport, TesterClass, TesterReport};
 pub use rows::{FeatureFn, FeatureRows, FeatureSlice};
 pub use scene_truth::{SceneTruth, Scores, VoteRule};
 pub use similarity::cosine_scores;
-pub use text_table::TextTable;
+pub use text_rows::TextRows;
 pub use voting::{keep_withheld, vote};
 pub use zero_shot::{
     UnknownRule, ZeroShotLabels, ZeroShotOptions, classify, sigmoid_threshold_to_cosine,

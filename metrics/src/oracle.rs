@@ -3,7 +3,7 @@ use crate::similarity::score_error;
 use crate::sweep::vote_by_sweep;
 use crate::voting::check_vote;
 use crate::{
-    ConfusionMatrix, FeatureFn, IGNORE, Metric, MetricError, TesterReport, TextTable, UnknownRule,
+    ConfusionMatrix, FeatureFn, IGNORE, Metric, MetricError, TesterReport, TextRows, UnknownRule,
     ZeroShotOptions, classify, keep_withheld, vote,
 };
 use std::collections::BTreeMap;
@@ -55,10 +55,10 @@ pub struct Fault {
 /// Features are made on the fly: memory stays at a few bytes per row.
 ///
 /// ```
-/// use scenesplat_metrics::{Fault, OracleCheck, TextTable};
+/// use scenesplat_metrics::{Fault, OracleCheck, TextRows};
 ///
-/// let text = TextTable::new(&[1.0, 0.0, 0.6, 0.8], 2)?;
-/// let check = OracleCheck::new(&[0, 1, -1, 1], &text);
+/// let text = TextRows::new(&[1.0, 0.0, 0.6, 0.8], 2)?;
+/// let check = OracleCheck::new(&[0, 1, -1, 1], text);
 /// assert_eq!(check.run()?.metrics.all_accuracy, Some(1.0));
 /// assert!(check.with_fault(Fault { row: 3, class: 0 }).run().is_err());
 /// # Ok::<(), scenesplat_metrics::MetricError>(())
@@ -66,7 +66,7 @@ pub struct Fault {
 #[derive(Debug, Clone)]
 pub struct OracleCheck<'a> {
     labels: &'a [i32],
-    text: &'a TextTable,
+    text: TextRows<'a>,
     names: &'a [String],
     excluded: &'a [usize],
     options: ZeroShotOptions,
@@ -142,7 +142,7 @@ impl std::error::Error for OracleFailure {}
 
 impl<'a> OracleCheck<'a> {
     /// A check of the zero-shot classes of rows with these true `labels`, `[N]`, without a vote.
-    pub fn new(labels: &'a [i32], text: &'a TextTable) -> Self {
+    pub fn new(labels: &'a [i32], text: TextRows<'a>) -> Self {
         let options = ZeroShotOptions::default();
         Self { labels, text, names: &[], excluded: &[], options, vote: None, fault: None }
     }

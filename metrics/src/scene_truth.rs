@@ -1,7 +1,7 @@
 use crate::error::{check_labels, check_rows};
 use crate::{
     ConfusionMatrix, IGNORE, Measurement, Metric, MetricError, OracleCheck, OracleVote,
-    TesterReport, TextTable, keep_withheld, vote,
+    TesterReport, TextRows, keep_withheld, vote,
 };
 use std::borrow::Cow;
 
@@ -183,7 +183,7 @@ impl<'a> SceneTruth<'a> {
     }
 
     /// A check of the chain on this truth, with this vote.
-    pub fn check<'b>(&'b self, text: &'b TextTable, rule: &VoteRule) -> OracleCheck<'b> {
+    pub fn check<'b>(&'b self, text: TextRows<'b>, rule: &VoteRule) -> OracleCheck<'b> {
         let check = OracleCheck::new(&self.labels, text);
         let Some(k) = self.k(rule) else { return check };
         check.with_vote(OracleVote {
@@ -279,7 +279,7 @@ mod tests {
     #[test]
     fn gaussians_without_a_class_take_that_of_the_nearest_point() {
         let coord = on_a_line(&[0.0, 1.0, 2.0]);
-        let at = on_a_line(&[0.1, 1.9]);
+        let at = on_a_line(&[0.3, 1.9]);
         for own in [None, Some([IGNORE; 3].as_slice())] {
             let truth = SceneTruth::new(&coord, own, Some((&at, &[1, 0])), 2).unwrap().unwrap();
             assert_eq!(truth.labels(), [1, 1, 0]);
@@ -295,14 +295,14 @@ mod tests {
     fn the_check_and_the_counts_use_the_same_vote() {
         let coord = on_a_line(&[0.0, 1.0, 2.0, 3.0]);
         let labels: &[i32] = &[0, 1, 1, 1];
-        let text = TextTable::new(&[1.0, 0.0, 0.0, 1.0], 2).unwrap();
+        let text = TextRows::new(&[1.0, 0.0, 0.0, 1.0], 2).unwrap();
         let voters = [true, true, true, false];
         for rule in [VoteRule::of(0), VoteRule::of(3)] {
             let truth = SceneTruth::new(&coord, Some(labels), None, 2)
                 .unwrap()
                 .unwrap()
                 .with_voters(Some(&voters));
-            let report = truth.check(&text, &rule).run().unwrap();
+            let report = truth.check(text, &rule).run().unwrap();
             let mut scores = Scores::new(2, &[]).unwrap();
             scores.add_oracle(&truth, &[0, 1], &rule).unwrap();
             assert_eq!(scores.oracle.tester_report(), report.metrics);

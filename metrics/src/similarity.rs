@@ -5,7 +5,7 @@
 //! multiply-add). So a score has the same bits for any thread count, chunk size, position of the
 //! row, and instruction set; wider registers only work on more rows and classes at once.
 
-use crate::{FeatureRows, MetricError, TextTable};
+use crate::{FeatureRows, MetricError, TextRows};
 use rayon::prelude::*;
 use scenesplat_kernels::simd::{Isa, compiled_for};
 
@@ -43,7 +43,7 @@ pub(crate) struct ChunkDots<'a> {
 /// Reads the rows `start..end` and multiplies them with the text table.
 pub(crate) fn chunk_dots<'a>(
     features: &dyn FeatureRows,
-    text: &TextTable,
+    text: TextRows<'_>,
     range: std::ops::Range<usize>,
     scratch: &'a mut Scratch,
 ) -> Result<ChunkDots<'a>, MetricError> {
@@ -90,7 +90,7 @@ pub(crate) fn cosine(dot: f32, norm: f64) -> f32 {
 /// If the channel counts differ or rows cannot be read.
 pub fn cosine_scores(
     features: &dyn FeatureRows,
-    text: &TextTable,
+    text: TextRows<'_>,
 ) -> Result<Vec<f32>, MetricError> {
     check_channels(features, text)?;
     let (n, c) = (features.num_rows(), text.num_classes());
@@ -117,7 +117,7 @@ pub fn cosine_scores(
 
 pub(crate) fn check_channels(
     features: &dyn FeatureRows,
-    text: &TextTable,
+    text: TextRows<'_>,
 ) -> Result<(), MetricError> {
     if features.dim() == text.dim() {
         Ok(())

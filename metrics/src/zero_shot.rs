@@ -1,6 +1,6 @@
 use crate::error::check_rows;
 use crate::similarity::{CHUNK_ROWS, Scratch, check_channels, chunk_dots, cosine};
-use crate::{FeatureRows, IGNORE, MetricError, TextTable};
+use crate::{FeatureRows, IGNORE, MetricError, TextRows};
 use rayon::prelude::*;
 
 /// When a row gets no class although one scored best. The default never withholds.
@@ -119,7 +119,7 @@ pub struct ZeroShotLabels {
 /// without a direction is -1, where the original picks class 0 or, for NaN, any.
 pub fn classify(
     features: &dyn FeatureRows,
-    text: &TextTable,
+    text: TextRows<'_>,
     options: &ZeroShotOptions,
 ) -> Result<ZeroShotLabels, MetricError> {
     check_channels(features, text)?;

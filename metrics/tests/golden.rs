@@ -7,12 +7,12 @@ mod support;
 
 use original::{instance_vote, remap_labels};
 use scenesplat_metrics::{
-    ConfusionMatrix, FeatureSlice, KdTree, Metric, TextTable, UnknownRule, ZeroShotOptions,
+    ConfusionMatrix, FeatureSlice, KdTree, Metric, TextRows, UnknownRule, ZeroShotOptions,
     classify, cosine_scores, sigmoid_threshold_to_cosine, vote,
 };
 use serde_json::Value;
 use std::collections::BTreeMap;
-use support::{Golden, all_close, close, shared};
+use support::{Golden, all_close, close, shared, unit_rows};
 
 const LOGIT_ATOL: f64 = 2e-6;
 const METRIC_ATOL: f64 = 1e-6;
@@ -27,26 +27,27 @@ fn config(case: &str) -> Option<Value> {
     Some(entry["config"].clone())
 }
 
-fn text_table(name: &str) -> TextTable {
+fn text_units(name: &str) -> Vec<f32> {
     let path = format!("real/text_embeddings/{name}_text_embeddings_siglip2.safetensors");
     let file = Golden::read(&path).unwrap();
-    TextTable::new(&file.f32("text_embeddings"), 768).unwrap()
+    unit_rows(&file.f32("text_embeddings"), 768)
 }
 
 fn evaluator_case(case: &str) {
     let Some(config) = config(case) else { return };
     let golden = Golden::read(&format!("goldens/network/{case}.safetensors")).unwrap();
-    let text = text_table(config["text"].as_str().unwrap());
+    let units = text_units(config["text"].as_str().unwrap());
+    let text = TextRows::new(&units, 768).unwrap();
     let num_classes = text.num_classes();
     assert_eq!(config["n_classes"], num_classes);
 
     // Scores and labels.
     let feat = golden.f32("in.feat");
     let features = FeatureSlice::new(&feat, 768).unwrap();
-    let scores = cosine_scores(&features, &text).unwrap();
+    let scores = cosine_scores(&features, text).unwrap();
     let logits = golden.f32("mid.logits_first_rows");
     all_close(&scores[..logits.len()], &logits, LOGIT_ATOL, "logits");
-    let plain = classify(&features, &text, &ZeroShotOptions::default()).unwrap();
+    let plain = classify(&features, text, &ZeroShotOptions::default()).unwrap();
     assert_eq!(plain.labels, golden.labels("mid.argmax"));
     assert_eq!((plain.num_unusable, plain.num_withheld), (0, 0));
     let sigmoid: Vec<f32> = plain.scores.iter().map(|s| 1.0 / (1.0 + (-s).exp())).collect();
@@ -56,7 +57,7 @@ fn evaluator_case(case: &str) {
     let min_cosine = Some(sigmoid_threshold_to_cosine(threshold));
     let unknown = UnknownRule { min_cosine, min_margin: None };
     let options = ZeroShotOptions { unknown, candidates: None };
-    let found = classify(&features, &text, &options).unwrap();
+    let found = classify(&features, text, &options).unwrap();
     assert_eq!(found.labels, golden.labels("mid.pred_after_threshold"));
     assert_eq!(config["below_threshold"], found.num_withheld);
 

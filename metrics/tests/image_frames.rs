@@ -5,7 +5,7 @@
 mod support;
 
 use rand::Rng;
-use scenesplat_metrics::image::frame_filter::{Frame, FrameFilter, FrameVerdict};
+use scenesplat_metrics::image::frame_filter::{CapturedFrame, FrameFilter, FrameVerdict};
 use scenesplat_metrics::image::sharpness::{GrayImage, shrink_to_width, variance_of_laplacian};
 use serde_json::Value;
 use support::{Golden, close, in_all_pools, rng, shared};
@@ -84,8 +84,9 @@ fn pose(i: usize) -> Option<[[f64; 4]; 3]> {
     Some([[1.0, 0.0, 0.0, i as f64], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
 }
 
-fn frames(sharpness: &[f64]) -> Vec<Frame> {
-    let frame = |(i, s): (usize, &f64)| Frame { sharpness: *s, pose: pose(i), image_hash: None };
+fn frames(sharpness: &[f64]) -> Vec<CapturedFrame> {
+    let frame =
+        |(i, s): (usize, &f64)| CapturedFrame { sharpness: *s, pose: pose(i), image_hash: None };
     sharpness.iter().enumerate().map(frame).collect()
 }
 

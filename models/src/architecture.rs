@@ -4,7 +4,7 @@
 //! `lib.rs`, and a row here. Nothing else asks which architecture a network has.
 
 use crate::weights::Shapes;
-use crate::{Backbone, BackboneCost, Compute};
+use crate::{Backbone, BackboneCost, Compute, MultiplyAdds};
 use candle_core::Result;
 use candle_nn::VarBuilder;
 use serde::Serialize;
@@ -33,6 +33,16 @@ pub trait Architecture: std::fmt::Debug {
     fn num_values(&self) -> usize;
     /// What inference costs.
     fn cost(&self) -> BackboneCost;
+    /// Multiply–adds of a forward pass on the voxels of one scene, for measurements. `frozen`: layers
+    /// are joined as inference joins them ([`Compute::fold`]); the linear layer behind a convolution is a
+    /// part of it then.
+    ///
+    /// # Errors
+    /// If the voxels are out of range, or the architecture does not count them.
+    fn multiply_adds(&self, voxels: &[[i32; 3]], frozen: bool) -> Result<MultiplyAdds> {
+        _ = (voxels, frozen);
+        candle_core::bail!("multiply–adds of this architecture are not counted")
+    }
     /// How the network computes.
     fn compute(&self) -> Compute;
     /// Sets how the network computes; no part of what a file says.

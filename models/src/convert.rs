@@ -5,7 +5,7 @@
 
 /// What to do with names that start with a prefix.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Action {
+pub enum NameAction {
     /// Cut the prefix off and look again.
     Strip,
     /// Cut it off if this half of a student–teacher pair was asked for, else ignore the entry.
@@ -26,44 +26,52 @@ pub enum Branch {
 
 /// One line of the table.
 #[derive(Debug, Clone, Copy)]
-pub struct Rule {
+pub struct NameRule {
     /// Start of the name.
     pub prefix: &'static str,
     /// What to do.
-    pub action: Action,
+    pub action: NameAction,
     /// Where such names come from.
     pub origin: &'static str,
 }
 
 /// The table.
-pub const RULES: &[Rule] = &[
-    Rule { prefix: "state_dict.", action: Action::Strip, origin: "trainer checkpoint" },
-    Rule { prefix: "module.", action: Action::Strip, origin: "data-parallel training" },
-    Rule { prefix: "backbone.", action: Action::Strip, origin: "language or segmentation wrapper" },
-    Rule {
+pub const RULES: &[NameRule] = &[
+    NameRule { prefix: "state_dict.", action: NameAction::Strip, origin: "trainer checkpoint" },
+    NameRule { prefix: "module.", action: NameAction::Strip, origin: "data-parallel training" },
+    NameRule {
+        prefix: "backbone.",
+        action: NameAction::Strip,
+        origin: "language or segmentation wrapper",
+    },
+    NameRule {
         prefix: "backbone_teacher.",
-        action: Action::StripIf(Branch::Teacher),
+        action: NameAction::StripIf(Branch::Teacher),
         origin: "self-supervised pair: teacher",
     },
-    Rule {
+    NameRule {
         prefix: "backbone_student.",
-        action: Action::StripIf(Branch::Student),
+        action: NameAction::StripIf(Branch::Student),
         origin: "self-supervised pair: student",
     },
-    Rule {
+    NameRule {
         prefix: "mae_head.",
-        action: Action::Ignore,
+        action: NameAction::Ignore,
         origin: "self-supervised reconstruction head",
     },
-    Rule {
+    NameRule {
         prefix: "dino_head.",
-        action: Action::Ignore,
+        action: NameAction::Ignore,
         origin: "self-supervised projection head",
     },
-    Rule { prefix: "ibot_head.", action: Action::Ignore, origin: "self-supervised patch head" },
-    Rule { prefix: "optimizer.", action: Action::Ignore, origin: "optimizer state" },
-    Rule { prefix: "scheduler.", action: Action::Ignore, origin: "learning-rate schedule" },
-    Rule { prefix: "scaler.", action: Action::Ignore, origin: "mixed-precision scaler" },
+    NameRule {
+        prefix: "ibot_head.",
+        action: NameAction::Ignore,
+        origin: "self-supervised patch head",
+    },
+    NameRule { prefix: "optimizer.", action: NameAction::Ignore, origin: "optimizer state" },
+    NameRule { prefix: "scheduler.", action: NameAction::Ignore, origin: "learning-rate schedule" },
+    NameRule { prefix: "scaler.", action: NameAction::Ignore, origin: "mixed-precision scaler" },
 ];
 
 /// Result of [`rename`].
@@ -82,9 +90,11 @@ pub fn rename(name: &str, branch: Branch) -> Renamed {
         for rule in RULES {
             if let Some(cut) = rest.strip_prefix(rule.prefix) {
                 match rule.action {
-                    Action::Strip => {}
-                    Action::StripIf(wanted) if wanted == branch => {}
-                    Action::StripIf(_) | Action::Ignore => return Renamed::Ignored(rule.origin),
+                    NameAction::Strip => {}
+                    NameAction::StripIf(wanted) if wanted == branch => {}
+                    NameAction::StripIf(_) | NameAction::Ignore => {
+                        return Renamed::Ignored(rule.origin);
+                    }
                 }
                 rest = cut;
                 continue 'again;

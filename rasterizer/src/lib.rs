@@ -42,7 +42,7 @@ mod visitors;
 pub use blend::{SPAN, Span, TILE, TileRect, TileVisitor, blend};
 pub use error::RasterError;
 pub use gaussians::Gaussians;
-pub use plan::{Bound, Decision, Gradients, PlanError, PlanRequest, Prepared, RenderPlan};
+pub use plan::{Bound, Decision, NeededGradients, PlanError, PlanRequest, Prepared, RenderPlan};
 pub use profile::{HarmonicsProfile, SceneProfile};
 pub use projection::{CullCounts, Projected, project};
 pub use render::{

@@ -5,8 +5,8 @@
 mod support;
 
 use scenesplat_rasterizer::{
-    Bound, DepthRequest, Gaussians, Gradients, PlanError, PlanRequest, RasterSettings, RenderPlan,
-    RenderRequest, Rendered, SceneProfile, View, WorkCounters,
+    Bound, DepthRequest, Gaussians, NeededGradients, PlanError, PlanRequest, RasterSettings,
+    RenderPlan, RenderRequest, Rendered, SceneProfile, View, WorkCounters,
 };
 use support::Golden;
 
@@ -135,7 +135,7 @@ fn bands_that_are_absent_or_too_weak_are_left_out() {
         assert!(work.iter().all(|w| w.sh_bands[degree + 1..].iter().all(|n| *n == 0)));
         assert!(work.iter().all(|w| w.sh_bands[degree] == w.visible));
         // Bands that are 0 still have gradients.
-        let gradients = Gradients { sh: true, ..Gradients::default() };
+        let gradients = NeededGradients { sh: true, ..NeededGradients::default() };
         let [plan, _] = plans(&absent, settings, PlanRequest { gradients, ..request });
         assert_eq!(plan.sh_degree, 3);
 
@@ -197,9 +197,9 @@ fn a_scene_of_plain_spheres_costs_no_more_than_that() {
         let [plan, _] = plans(&scene, black, PlanRequest { gradients, ..request });
         !plan.settings.isotropic
     };
-    assert!(needs(Gradients { scales: true, ..Gradients::default() }));
-    assert!(needs(Gradients { quats: true, ..Gradients::default() }));
-    assert!(!needs(Gradients { means: true, opacities: true, ..Gradients::default() }));
+    assert!(needs(NeededGradients { scales: true, ..NeededGradients::default() }));
+    assert!(needs(NeededGradients { quats: true, ..NeededGradients::default() }));
+    assert!(!needs(NeededGradients { means: true, opacities: true, ..NeededGradients::default() }));
     let mut headless = scene.clone();
     headless.quats[700] = [0.0; 4];
     headless.opacities[700] = 0.9;

@@ -301,7 +301,7 @@ mod tests {
     use scenesplat_kernels::random::sample_rng;
 
     #[test]
-    fn colours_stay_near_the_byte_range() {
+    fn colors_stay_near_the_byte_range() {
         let mut rng = sample_rng(1, 0, 0);
         let textures = [
             Texture::Plain,

@@ -361,7 +361,7 @@ mod tests {
     }
 
     #[test]
-    fn a_colour_and_a_noun_rank_in_three_steps() {
+    fn a_color_and_a_noun_rank_in_three_steps() {
         for dim in [MIN_DIM, 64, 256] {
             let vocabulary = Vocabulary::new(dim).unwrap();
             for class in ClassId::ALL {

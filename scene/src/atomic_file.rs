@@ -1,7 +1,7 @@
 //! The one way in which files are written: beside their place, then renamed.
 //!
 //! [`AtomicFile`] is one file, [`StagedFolder`](crate::StagedFolder) are several that appear
-//! together. Whoever looks at the place sees the old content or the new, never a part of it, and a
+//! together, [`WholeFolder`](crate::WholeFolder) is a folder with all that is in it. Whoever looks at the place sees the old content or the new, never a part of it, and a
 //! write that fails changes nothing.
 
 use std::ffi::OsString;
@@ -47,7 +47,7 @@ pub enum WriteError {
         /// Which folder.
         path: PathBuf,
     },
-    /// Something went wrong while files of a folder were moved, and again on the way back.
+    /// Something went wrong while files of a folder were moved, and again while they were put back.
     #[error("{}: {problem} (what was there before is in {})", path.display(), aside.display())]
     Stranded {
         /// Which file.
@@ -169,6 +169,23 @@ impl AtomicFile {
     pub fn commit(mut self) -> Result<(), WriteError> {
         self.sync()?;
         drop(self.file.take());
+        self.put_in_place()
+    }
+
+    /// As [`commit`](Self::commit), and gives the open file, for a log that goes on: its end is where
+    /// the next bytes go.
+    ///
+    /// # Errors
+    /// As [`commit`](Self::commit).
+    pub fn commit_open(mut self) -> Result<File, WriteError> {
+        self.sync()?;
+        self.file()?.seek(SeekFrom::End(0)).map_err(WriteError::io(&self.target, CANNOT_WRITE))?;
+        self.put_in_place()?;
+        let closed = || WriteError::NoPlace { path: self.target.clone(), problem: CLOSED };
+        self.file.take().ok_or_else(closed)
+    }
+
+    fn put_in_place(&mut self) -> Result<(), WriteError> {
         check_replaceable(&self.target)?;
         std::fs::rename(&self.temporary, &self.place)
             .map_err(WriteError::io(&self.target, "cannot put the finished file in place"))?;
@@ -341,6 +358,21 @@ mod tests {
         AtomicFile::write(&target, b"second").unwrap();
         assert_eq!(std::fs::read(&target).unwrap(), b"second");
         assert_eq!(names(dir.path()), ["a.bin"]);
+    }
+
+    #[test]
+    fn a_log_goes_on_in_the_file_that_was_put_in_place() {
+        let dir = tempfile::tempdir().unwrap();
+        let target = dir.path().join("log");
+        std::fs::write(&target, b"old").unwrap();
+        let mut part = AtomicFile::create(&target).unwrap();
+        part.write_all(b"kept").unwrap();
+        part.seek(SeekFrom::Start(0)).unwrap();
+        let mut log = part.commit_open().unwrap();
+        assert_eq!(names(dir.path()), ["log"]);
+        log.write_all(b" and more").unwrap();
+        drop(log);
+        assert_eq!(std::fs::read(&target).unwrap(), b"kept and more");
     }
 
     #[test]

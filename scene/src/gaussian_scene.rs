@@ -9,7 +9,7 @@ pub const SH_C0: f32 = 0.282_094_8;
 
 /// Per-row features of a fixed width, stored as f16 (that is how language features are on disk).
 #[derive(Debug, Clone, PartialEq)]
-pub struct FeatureRows {
+pub struct LanguageFeatures {
     /// Row-major values, `[N, dim]`.
     pub values: Vec<f16>,
     /// Width of a row.
@@ -71,7 +71,7 @@ pub struct GaussianScene {
     /// Short language codes with what decodes them. `[N, k]`
     pub lang_code: Option<LanguageCode>,
     /// Language features. `[N, D]`
-    pub lang_feat: Option<FeatureRows>,
+    pub lang_feat: Option<LanguageFeatures>,
     /// Whether the row of `lang_feat` holds a feature. `[N]`
     pub valid_feat_mask: Option<Vec<bool>>,
     /// Labelled points to evaluate on; independent row count.
@@ -247,10 +247,10 @@ impl GaussianScene {
                 values: pick_wide(&a.values, a.width(), rows),
                 codebook: a.codebook.clone(),
             }),
-            lang_feat: self
-                .lang_feat
-                .as_ref()
-                .map(|a| FeatureRows { values: pick_wide(&a.values, a.dim, rows), dim: a.dim }),
+            lang_feat: self.lang_feat.as_ref().map(|a| LanguageFeatures {
+                values: pick_wide(&a.values, a.dim, rows),
+                dim: a.dim,
+            }),
             valid_feat_mask: self.valid_feat_mask.as_ref().map(|a| pick(a, rows)),
             labelled_points: self.labelled_points.clone(),
         })
@@ -292,7 +292,7 @@ mod tests {
     use crate::language_code::LanguageCodebook;
 
     #[test]
-    fn every_byte_survives_the_colour_round_trip() {
+    fn every_byte_survives_the_color_round_trip() {
         for byte in 0..=255 {
             assert_eq!(dc_to_u8(u8_to_dc(byte)), byte);
         }
@@ -335,7 +335,7 @@ mod tests {
             segment_score: Some((0..n).map(|i| i as f32).collect()),
             instance: Some((5..5 + n as i32).collect()),
             lang_code: Some(LanguageCode { values: half(n * 2), codebook }),
-            lang_feat: Some(FeatureRows { values: half(n * 3), dim: 3 }),
+            lang_feat: Some(LanguageFeatures { values: half(n * 3), dim: 3 }),
             valid_feat_mask: Some((0..n).map(|i| i % 2 == 0).collect()),
             labelled_points: None,
         };
@@ -357,7 +357,7 @@ mod tests {
             quat: vec![[1.0, 0.0, 0.0, 0.0]; 2],
             opacity_logit: vec![0.0; 2],
             sh_dc: vec![[0.0; 3]; 2],
-            lang_feat: Some(FeatureRows { values: vec![f16::ZERO; 5], dim: 2 }),
+            lang_feat: Some(LanguageFeatures { values: vec![f16::ZERO; 5], dim: 2 }),
             ..GaussianScene::default()
         };
         assert!(matches!(scene.check_rows(), Err(SceneError::RowCount { field: "lang_feat", .. })));

@@ -33,6 +33,7 @@ pub mod up;
 pub mod up_axis;
 pub mod value_policy;
 pub mod vector;
+pub mod whole_folder;
 
 pub use atomic_file::{AtomicFile, WriteError};
 pub use bounds::{Bounds, raw_bounds, robust_bounds};
@@ -46,7 +47,7 @@ pub use formats::{
     open_scene_bytes, write_scene,
 };
 pub use frame::Frame;
-pub use gaussian_scene::{FeatureRows, GaussianScene, LabelledPoints};
+pub use gaussian_scene::{GaussianScene, LabelledPoints, LanguageFeatures};
 pub use label_set::LabelSet;
 pub use language_code::{LanguageCode, LanguageCodebook};
 pub use printable::{printable, printable_text};
@@ -56,3 +57,4 @@ pub use text_table::TextTable;
 pub use up::{UpEvidence, UpGuess, guess_up, guess_up_within};
 pub use up_axis::UpAxis;
 pub use value_policy::{Policy, RepairReport};
+pub use whole_folder::WholeFolder;

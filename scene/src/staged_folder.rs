@@ -20,6 +20,8 @@ pub struct StagedFolder {
     /// Where the files wait; `None` if it must not be deleted.
     part: Option<PathBuf>,
     names: Vec<OsString>,
+    /// Names under which a folder may go, with what is in it.
+    folders: Vec<OsString>,
 }
 
 impl StagedFolder {
@@ -34,6 +36,7 @@ impl StagedFolder {
             new_folders: missing.map(Path::to_owned).collect(),
             part: None,
             names: Vec::new(),
+            folders: Vec::new(),
         };
         fs::create_dir_all(folder).map_err(WriteError::io(folder, "cannot make the folder"))?;
         // A new one each time: what another run left in its own must not come into this one.
@@ -83,6 +86,30 @@ impl StagedFolder {
             .map_err(WriteError::io(&self.folder.join(name), "cannot write the file"))
     }
 
+    /// Writes a file of these bytes in a folder of the folder, which appears as a whole: one that is
+    /// there is replaced with all that is in it.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn write_in(&mut self, folder: &str, name: &str, bytes: &[u8]) -> Result<(), WriteError> {
+        let path = self.add(folder);
+        self.replace_folder(folder);
+        fs::create_dir_all(&path)
+            .and_then(|()| File::create_new(path.join(name)))
+            .and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync_all()))
+            .map_err(WriteError::io(&self.folder.join(folder).join(name), "cannot write the file"))
+    }
+
+    /// Lets a folder of that name, which would be refused, go as files go: with all that is in it.
+    pub fn replace_folder(&mut self, name: impl Into<OsString>) {
+        self.folders.push(name.into());
+    }
+
+    /// What was added, in that order.
+    pub fn names(&self) -> impl Iterator<Item = &OsStr> {
+        self.names.iter().map(OsString::as_os_str)
+    }
+
     /// The folder in which the files will be.
     pub fn folder(&self) -> &Path {
         &self.folder
@@ -93,8 +120,8 @@ impl StagedFolder {
         self.part.as_deref().unwrap_or(&self.folder)
     }
 
-    /// Moves the files in place, the first one last, and removes the files called `old`. Gives the
-    /// paths in the order they were added.
+    /// Moves the files in place, the first one last, and removes those called `old`. Gives the paths
+    /// in the order they were added.
     ///
     /// # Errors
     /// If something cannot be moved, or a place is taken by what is no regular file; then everything
@@ -109,7 +136,11 @@ impl StagedFolder {
         leaving.dedup();
         leaving.retain(|name| self.folder.join(name).symlink_metadata().is_ok());
         for name in &leaving {
-            check_replaceable(&self.folder.join(name))?;
+            let place = self.folder.join(name);
+            let may_go = self.folders.iter().any(|folder| folder == name);
+            if !(may_go && place.symlink_metadata().is_ok_and(|about| about.is_dir())) {
+                check_replaceable(&place)?;
+            }
         }
         let mut moves: Vec<(PathBuf, PathBuf)> = Vec::new();
         // What tells readers that there is something goes first and comes last.
@@ -221,6 +252,26 @@ mod tests {
         assert!(error.contains("is a folder"), "{error}");
         assert_eq!(names(dir.path()), ["a", "b"]);
         assert_eq!(fs::read(dir.path().join("a")).unwrap(), b"old");
+    }
+
+    #[test]
+    fn folders_are_replaced_only_where_that_was_said() {
+        let dir = tempfile::tempdir().unwrap();
+        for name in ["0_0", "0_1", "0_2"] {
+            fs::create_dir(dir.path().join(name)).unwrap();
+            fs::write(dir.path().join(name).join("old"), "old").unwrap();
+        }
+        let mut staged = StagedFolder::create(dir.path()).unwrap();
+        staged.write_in("0_0", "new", b"new").unwrap();
+        staged.replace_folder("0_1");
+        staged.commit(&["0_1"]).unwrap();
+        assert_eq!(names(dir.path()), ["0_0", "0_2"]);
+        assert_eq!(names(&dir.path().join("0_0")), ["new"]);
+
+        let staged = StagedFolder::create(dir.path()).unwrap();
+        let error = staged.commit(&["0_2"]).unwrap_err().to_string();
+        assert!(error.contains("is a folder"), "{error}");
+        assert_eq!(names(&dir.path().join("0_2")), ["old"]);
     }
 
     #[cfg(unix)]

@@ -27,7 +27,7 @@ pub enum Policy {
 
 /// How often a rule applied while a file was read.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Finding {
+pub struct ValueFinding {
     /// Which rule.
     pub rule: Rule,
     /// Its field, as in the table.
@@ -54,7 +54,7 @@ pub struct RepairReport {
     /// Rows left out because they could not be repaired.
     pub dropped_rows: usize,
     /// One entry for each rule that applied, in the order of the table.
-    pub findings: Vec<Finding>,
+    pub findings: Vec<ValueFinding>,
     /// Remarks that concern no value, such as label files that were not read.
     pub notes: Vec<String>,
 }
@@ -77,7 +77,7 @@ impl RepairReport {
         let at = self.findings.partition_point(|f| f.rule < rule);
         self.findings.insert(
             at,
-            Finding {
+            ValueFinding {
                 rule,
                 field: about.field,
                 bad_value: about.bad_value,
@@ -91,7 +91,7 @@ impl RepairReport {
     }
 
     /// The finding of that rule.
-    pub fn finding(&self, rule: Rule) -> Option<&Finding> {
+    pub fn finding(&self, rule: Rule) -> Option<&ValueFinding> {
         self.findings.iter().find(|f| f.rule == rule)
     }
 

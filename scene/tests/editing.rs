@@ -8,7 +8,8 @@ use scenesplat_scene::edit::{
 };
 use scenesplat_scene::spherical_harmonics::rest_basis;
 use scenesplat_scene::{
-    FeatureRows, GaussianScene, LabelledPoints, LanguageCode, LanguageCodebook, Similarity, UpAxis,
+    GaussianScene, LabelledPoints, LanguageCode, LanguageCodebook, LanguageFeatures, Similarity,
+    UpAxis,
 };
 
 /// Numbers in −1 ..= 1, the same every time.
@@ -43,7 +44,7 @@ fn full(rows: usize, degree: u8, seed: u32) -> GaussianScene {
     let codebook = LanguageCodebook { mean: vec![1.0, 2.0], axes: vec![0.5, 0.25] };
     let half = |count: usize| (0..count).map(|i| f16::from_f32(i as f32)).collect::<Vec<_>>();
     scene.lang_code = Some(LanguageCode { values: half(rows), codebook });
-    scene.lang_feat = Some(FeatureRows { values: half(rows * 2), dim: 2 });
+    scene.lang_feat = Some(LanguageFeatures { values: half(rows * 2), dim: 2 });
     let coord = scene.coord.clone();
     let labels = scene.segment.clone();
     scene.labelled_points =
@@ -271,7 +272,7 @@ fn what_does_not_go_together_is_said() {
     let mut a = full(2, 1, 1);
     let mut b = full(3, 3, 2);
     b.lang_code.as_mut().unwrap().codebook.mean[0] = 9.0;
-    b.lang_feat = Some(FeatureRows { values: vec![f16::ONE; 9], dim: 3 });
+    b.lang_feat = Some(LanguageFeatures { values: vec![f16::ONE; 9], dim: 3 });
     b.normal = None;
     a.segment = None;
     a.segment_score = None;

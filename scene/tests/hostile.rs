@@ -316,7 +316,7 @@ fn random_damage_to_folders_and_lists_never_panics() {
     scene.normal = Some(vec![[0.0, 0.0, 1.0]; 6]);
     scene.segment = Some(vec![1; 6]);
     let values = vec![half::f16::ONE; 12];
-    scene.lang_feat = Some(scenesplat_scene::FeatureRows { values, dim: 2 });
+    scene.lang_feat = Some(scenesplat_scene::LanguageFeatures { values, dim: 2 });
     write_npy_folder(&scene, &folder, false).unwrap();
     let mut files: Vec<PathBuf> =
         std::fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().path()).collect();

@@ -155,7 +155,7 @@ fn groups_in_part_and_odd_counts_are_refused() {
 }
 
 #[test]
-fn bytes_of_colour_are_kept_exactly() {
+fn bytes_of_color_are_kept_exactly() {
     let mut bytes = b"ply\nformat binary_little_endian 1.0\nelement vertex 256\nproperty float x\nproperty float y\nproperty float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n".to_vec();
     for i in 0..=255u8 {
         [0.0f32; 3].iter().for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));

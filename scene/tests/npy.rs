@@ -11,7 +11,7 @@ use scenesplat_scene::formats::npy_folder::write_npy_folder;
 use scenesplat_scene::formats::npy_writer::{NpyRowWriter, write_npy};
 use scenesplat_scene::value_policy::Rule;
 use scenesplat_scene::{
-    FeatureRows, GaussianScene, LabelledPoints, Policy, ReadOptions, SceneFormat, open_scene,
+    GaussianScene, LabelledPoints, LanguageFeatures, Policy, ReadOptions, SceneFormat, open_scene,
 };
 use std::path::{Path, PathBuf};
 
@@ -228,7 +228,7 @@ fn full_scene() -> GaussianScene {
     scene.lang_code = Some(common::language_code(n, 3, 8));
     let mut values = vec![f16::from_f32(0.25); n * 8];
     values[..8].fill(f16::ZERO);
-    scene.lang_feat = Some(FeatureRows { values, dim: 8 });
+    scene.lang_feat = Some(LanguageFeatures { values, dim: 8 });
     scene.valid_feat_mask = Some((0..n).map(|i| i > 0).collect());
     scene.labelled_points = Some(LabelledPoints {
         coord: vec![[1.0, 2.0, 3.0]; 7],

@@ -143,7 +143,7 @@ fn descriptions_with_wrong_values() {
 
 /// A lossless image that claims a size, with few bits after it that stand for any number of texels
 /// of one colour.
-fn one_colour(width: u32, height: u32) -> Vec<u8> {
+fn one_color(width: u32, height: u32) -> Vec<u8> {
     let mut payload = vec![0x2f];
     payload.extend_from_slice(&((width - 1) | (height - 1) << 14).to_le_bytes());
     // No transform, no cache, no groups; five codes of a single symbol, 0.
@@ -165,11 +165,11 @@ fn textures_that_claim_more_than_they_hold() {
     let mut meta = small_folder(dir.path());
     meta.as_object_mut().unwrap().remove("shN");
     // The image itself is legal: 50 Gaussians may well be alike.
-    NAMES.iter().for_each(|name| std::fs::write(dir.path().join(name), one_colour(8, 8)).unwrap());
+    NAMES.iter().for_each(|name| std::fs::write(dir.path().join(name), one_color(8, 8)).unwrap());
     std::fs::write(dir.path().join("meta.json"), meta.to_string()).unwrap();
     assert_eq!(read_sog(dir.path(), &ReadOptions::default()).unwrap().scene.len(), 50);
     for (width, height) in [(16_384, 16_384), (16_383, 16_383), (16_383, 70), (7, 7)] {
-        let bytes = one_colour(width, height);
+        let bytes = one_color(width, height);
         std::fs::write(dir.path().join("sh0.webp"), &bytes).unwrap();
         let error = error_of(dir.path(), &meta);
         assert!(error.contains(&format!("{width}×{height} texels")), "{error}");
@@ -183,7 +183,7 @@ fn textures_that_claim_more_than_they_hold() {
         }
         meta["count"] = json!(50);
         NAMES.iter().for_each(|name| {
-            std::fs::write(dir.path().join(name), one_colour(8, 8)).unwrap();
+            std::fs::write(dir.path().join(name), one_color(8, 8)).unwrap();
         });
     }
     check_memory();

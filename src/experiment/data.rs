@@ -1,6 +1,6 @@
 //! Scenes of an experiment: where they come from and how they become batches.
 
-use super::config::{ExperimentConfig, Targets, Task, TextConfig, TransformList};
+use super::config::{ExperimentConfig, TargetChoice, Task, TextConfig, TransformList};
 use super::error::{ExperimentError, Place};
 use crate::text::{class_list, read_text_table};
 use scenesplat_datasets::transforms::build_transforms;
@@ -169,16 +169,17 @@ pub fn check_classes(config: &ExperimentConfig, text: Option<&ClassTexts>) -> Re
         if let (true, Some(text)) = (by_text, text) {
             return text.check(&classes);
         }
-        match config.model.num_classes() {
-            Some(n) if n != classes.len() => Err(ExperimentError::Classes(format!(
+        if let Some(n) = config.model.num_classes().filter(|n| *n != classes.len()) {
+            return Err(ExperimentError::Classes(format!(
                 "the labels have {} classes and model.num_classes is {n}",
                 classes.len()
-            ))),
-            _ => Ok(()),
+            )));
         }
+        // Texts say which classes averages leave out, and losses may look at them.
+        text.map_or(Ok(()), |text| text.check(&classes))
     };
     for (i, entry) in config.train.iter().enumerate() {
-        let used = !by_text || config.targets == Targets::ClassText;
+        let used = !by_text || config.targets == TargetChoice::ClassText;
         check(&entry.source, used, text).at(|| format!("train[{i}]"))?;
     }
     for entry in &config.evaluate {

@@ -62,8 +62,8 @@ pub fn write_model(
 #[cfg(test)]
 mod tests {
     use super::super::{ExperimentConfig, RunOptions, data, train};
+    use crate::SceneEncoder;
     use crate::network::{Network, NetworkConfig, WeightOptions, Weights, config_beside};
-    use crate::{SceneEncoder, text};
     use scenesplat_metrics::Metric;
     use scenesplat_trainers::callbacks::read_json_lines;
     use scenesplat_trainers::evaluators::ZeroShotEvaluator;
@@ -132,7 +132,6 @@ source = { type = "synthetic", count = 2, seed = 9, room = { num_gaussians = 150
         let entry = &experiment.evaluate[0];
         let scenes = data::evaluation(entry, &experiment).unwrap();
         let table = data::text_table(experiment.text.as_ref().unwrap()).unwrap().table;
-        let table = text::metric_table(&table).unwrap();
         let input = network.input().clone();
         let evaluator = ZeroShotEvaluator::new("again", scenes, input, table, Vec::new());
         let measured = evaluator.confusion(network.model()).unwrap().measure();

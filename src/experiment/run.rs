@@ -1,6 +1,6 @@
 //! From an experiment's file to a trained network.
 
-use super::config::{ExperimentConfig, OptimizerConfig, ScheduleConfig, Targets, Task};
+use super::config::{ExperimentConfig, OptimizerConfig, ScheduleConfig, TargetChoice, Task};
 use super::curves::write_curves;
 use super::data;
 use super::error::{ExperimentError, Place};
@@ -8,7 +8,7 @@ use super::export::export_model;
 use super::identity::identity;
 use super::record::{RunRecord, write};
 use scenesplat_datasets::{BatchLoader, TrainBatch};
-use scenesplat_losses::{TextTable as LossTexts, build_objective};
+use scenesplat_losses::{TextColumns, build_objective};
 use scenesplat_models::weights::{SourceOptions, WeightSource, resolve};
 use scenesplat_models::{LoadPolicy, ParamStore};
 use scenesplat_scene::FolderLock;
@@ -17,7 +17,9 @@ use scenesplat_trainers::callbacks::{
 };
 use scenesplat_trainers::checkpoint::newest_checkpoint;
 use scenesplat_trainers::evaluators::{SegmentationEvaluator, ZeroShotEvaluator};
-use scenesplat_trainers::tasks::{LanguagePretraining, SemanticSegmentation, TargetSource};
+use scenesplat_trainers::tasks::{
+    LanguagePretraining, SemanticSegmentation, TargetSource, TaskModule,
+};
 use scenesplat_trainers::{
     AdamW, Evaluator, Identity, Optimizer, Progress, Schedule, Trainer, TrainerConfig,
     TrainingModule, WithWeightDecay, group_by_keyword,
@@ -91,7 +93,7 @@ pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunRepor
     let (params, mut remarks) = parameters(config)?;
     let network = config.network()?.model.build(params.builder())?;
     let loss_texts = match &text {
-        Some(t) => Some(LossTexts::new(&t.table.values, t.table.dim)?),
+        Some(t) => Some(TextColumns::new(&t.table.values, t.table.dim)?),
         None => None,
     };
     let objective = build_objective(&config.losses, loss_texts.as_ref())?;
@@ -108,17 +110,16 @@ pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunRepor
     let (progress, exported) = match config.task {
         Task::LanguagePretraining => {
             let targets = match (config.targets, &text) {
-                (Targets::ClassText, Some(t)) => TargetSource::class_text(&t.table)?,
+                (TargetChoice::ClassText, Some(t)) => TargetSource::class_text(&t.table)?,
                 _ => TargetSource::Features,
             };
-            let module = LanguagePretraining::new(params, network, objective, targets);
-            let mut evaluators = zero_shot(config, text.as_ref())?;
-            run.fit(&module, &mut *loader, &mut evaluators)?
+            let task = LanguagePretraining { targets };
+            let module = TaskModule::new(params, network, objective, task);
+            run.fit(&module, &mut *loader, &mut zero_shot(config, text.as_ref())?)?
         }
         Task::SemanticSegmentation => {
-            let module = SemanticSegmentation::new(params, network, objective);
-            let mut evaluators = segmentation(config, text.as_ref())?;
-            run.fit(&module, &mut *loader, &mut evaluators)?
+            let module = TaskModule::new(params, network, objective, SemanticSegmentation);
+            run.fit(&module, &mut *loader, &mut segmentation(config, text.as_ref())?)?
         }
     };
     let log = read_json_lines(&options.out.join("metrics.jsonl"))?;
@@ -149,15 +150,15 @@ fn parameters(config: &ExperimentConfig) -> Result<(ParamStore, Vec<String>)> {
 fn zero_shot(
     config: &ExperimentConfig,
     text: Option<&data::ClassTexts>,
-) -> Result<Vec<Box<dyn Evaluator<LanguagePretraining>>>> {
-    let mut all: Vec<Box<dyn Evaluator<LanguagePretraining>>> = Vec::new();
+) -> Result<Vec<Box<dyn Evaluator<TaskModule>>>> {
+    let mut all: Vec<Box<dyn Evaluator<TaskModule>>> = Vec::new();
     for entry in &config.evaluate {
         let own = entry.text.as_ref().map(data::text_table).transpose()?;
         let text = own.as_ref().or(text);
         let text =
             text.ok_or_else(|| ExperimentError::setting("text", "zero-shot evaluation needs it"))?;
         let excluded = data::excluded(&entry.source, Some(text))?;
-        let table = crate::text::metric_table(&text.table)?;
+        let table = text.table.clone();
         let data = data::evaluation(entry, config)?;
         let evaluator =
             ZeroShotEvaluator::new(&entry.name, data, config.input.clone(), table, excluded);
@@ -172,12 +173,13 @@ fn zero_shot(
 fn segmentation(
     config: &ExperimentConfig,
     text: Option<&data::ClassTexts>,
-) -> Result<Vec<Box<dyn Evaluator<SemanticSegmentation>>>> {
-    let mut all: Vec<Box<dyn Evaluator<SemanticSegmentation>>> = Vec::new();
+) -> Result<Vec<Box<dyn Evaluator<TaskModule>>>> {
+    let mut all: Vec<Box<dyn Evaluator<TaskModule>>> = Vec::new();
     for entry in &config.evaluate {
+        let own = entry.text.as_ref().map(data::text_table).transpose()?;
         let data = data::evaluation(entry, config)?;
         let input = config.input.clone();
-        let excluded = data::excluded(&entry.source, text)?;
+        let excluded = data::excluded(&entry.source, own.as_ref().or(text))?;
         let evaluator = SegmentationEvaluator::new(&entry.name, data, input, excluded);
         all.push(Box::new(match entry.vote_k {
             Some(k) => evaluator.with_vote(k),

@@ -1,6 +1,6 @@
 //! The thresholds: what counts as a finding, and in which words.
 
-use super::content::{TooWide, Values};
+use super::content::{Distribution, TooWide};
 use super::duplicates::Duplicates;
 use super::estimate::Estimate;
 use super::findings::{About, Findings, Severity};
@@ -330,7 +330,11 @@ pub(super) fn check_duplicates(findings: &mut Findings<'_>, found: &Duplicates, 
     }
 }
 
-pub(super) fn check_opacity(findings: &mut Findings<'_>, scene: &GaussianScene, opacity: &Values) {
+pub(super) fn check_opacity(
+    findings: &mut Findings<'_>,
+    scene: &GaussianScene,
+    opacity: &Distribution,
+) {
     let rows = scene.len();
     let Some(q) = opacity.quantiles else { return };
     if q.p95 < CONVERGED_OPACITY && rows >= FEWEST_ROWS {

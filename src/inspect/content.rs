@@ -10,7 +10,7 @@ use std::collections::BTreeSet;
 
 /// Distribution of one value per Gaussian.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Values {
+pub struct Distribution {
     /// Quantiles; where a value is infinite, null in JSON.
     pub quantiles: Option<Quantiles>,
     /// Rows by value.
@@ -51,7 +51,7 @@ pub struct Voxels {
 
 /// Class labels of the Gaussians.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Labels {
+pub struct LabelCounts {
     /// Classes that occur.
     pub classes: usize,
     /// Rows with a class.
@@ -76,16 +76,16 @@ const SCALE_BINS: u16 = 40;
 const ANISOTROPY_RANGE: [i32; 2] = [0, 6_000];
 const ANISOTROPY_BINS: u16 = 24;
 
-pub(super) fn opacity(scene: &GaussianScene) -> Values {
+pub(super) fn opacity(scene: &GaussianScene) -> Distribution {
     let mut values: Vec<f32> =
         (0..scene.len()).into_par_iter().map(|row| scene.opacity(row)).collect();
     let histogram = Histogram::count("opacity", &values, [0, 1000], OPACITY_BINS);
     sort(&mut values);
-    Values { quantiles: Quantiles::of_sorted(&values), histogram }
+    Distribution { quantiles: Quantiles::of_sorted(&values), histogram }
 }
 
 /// Largest and smallest standard deviation, and their ratio.
-pub(super) fn scales(scene: &GaussianScene) -> (Values, Values, Values) {
+pub(super) fn scales(scene: &GaussianScene) -> (Distribution, Distribution, Distribution) {
     let ends: Vec<[f32; 2]> = scene
         .log_scale
         .par_iter()
@@ -106,7 +106,7 @@ pub(super) fn scales(scene: &GaussianScene) -> (Values, Values, Values) {
         sort(values);
         // From logarithms of base 10; f64 holds them all.
         let quantiles = Quantiles::of_sorted(values).map(Quantiles::power_of_ten);
-        Values { quantiles, histogram }
+        Distribution { quantiles, histogram }
     };
     (
         metres("log10 of the largest scale, m", &mut largest, SCALE_RANGE, SCALE_BINS),
@@ -190,13 +190,13 @@ fn occupancy(coord: &[[f32; 3]], grid_size: f64) -> Result<Voxels, GridSampleErr
     })
 }
 
-pub(super) fn labels(scene: &GaussianScene) -> Option<Labels> {
+pub(super) fn labels(scene: &GaussianScene) -> Option<LabelCounts> {
     let distinct = |ids: &[i32]| ids.iter().filter(|&&i| i >= 0).collect::<BTreeSet<_>>().len();
     if scene.segment.is_none() && scene.instance.is_none() {
         return None;
     }
     let segment = scene.segment.as_deref().unwrap_or_default();
-    Some(Labels {
+    Some(LabelCounts {
         classes: distinct(segment),
         labelled: segment.iter().filter(|&&s| s >= 0).count(),
         instances: scene.instance.as_deref().map_or(0, distinct),

@@ -104,7 +104,7 @@ pub(super) struct About {
 }
 
 /// A rule that applied while the file was read, in the words of the value policy.
-fn of_rule(found: &value_policy::Finding) -> Finding {
+fn of_rule(found: &value_policy::ValueFinding) -> Finding {
     let drops = matches!(
         found.rule,
         Rule::CoordNotFinite | Rule::ScaleNan | Rule::ScaleInfinite | Rule::OpacityNan
@@ -162,7 +162,7 @@ mod tests {
     #[test]
     fn rules_that_leave_rows_out_are_errors() {
         for row in VALUE_RULES.iter().filter(|r| r.action != Action::Refuse) {
-            let finding = of_rule(&value_policy::Finding {
+            let finding = of_rule(&value_policy::ValueFinding {
                 rule: row.rule,
                 field: row.field,
                 bad_value: row.bad_value,

@@ -18,7 +18,7 @@ mod statistics;
 mod table;
 mod unit;
 
-pub use content::{Labels, LanguageCodes, ShBand, Values, Voxels};
+pub use content::{Distribution, LabelCounts, LanguageCodes, ShBand, Voxels};
 pub use estimate::{Estimate, estimate};
 pub use findings::{Finding, Severity};
 pub use floaters::{Floaters, find_floaters};
@@ -88,19 +88,19 @@ pub struct Inspection {
     /// The higher bands one by one.
     pub sh_bands: Vec<ShBand>,
     /// Opacity, 0..=1.
-    pub opacity: Values,
+    pub opacity: Distribution,
     /// Largest standard deviation of each Gaussian, metres; its histogram is of log10.
-    pub largest_scale: Values,
+    pub largest_scale: Distribution,
     /// Smallest standard deviation of each Gaussian, metres; its histogram is of log10.
-    pub smallest_scale: Values,
+    pub smallest_scale: Distribution,
     /// Largest standard deviation divided by the smallest; its histogram is of log10.
-    pub anisotropy: Values,
+    pub anisotropy: Distribution,
     /// Occupancy of the network's voxels; `None` if not even the robust part fits on the grid.
     pub voxels: Option<Voxels>,
     /// Whether there are normals.
     pub has_normals: bool,
     /// Class labels, if there are any.
-    pub labels: Option<Labels>,
+    pub labels: Option<LabelCounts>,
     /// Language codes, if there are any.
     pub language_codes: Option<LanguageCodes>,
     /// What is wrong, the worst first; empty for a clean scene.

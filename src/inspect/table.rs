@@ -1,7 +1,7 @@
 //! An inspection as lines of text.
 
 use super::unit::short;
-use super::{Finding, Inspection, Quantiles, Values};
+use super::{Distribution, Finding, Inspection, Quantiles};
 use crate::memory::Bytes;
 use std::fmt;
 
@@ -174,7 +174,7 @@ fn sides(extent: [f64; 3]) -> String {
     extent.map(short).join(" x ")
 }
 
-fn five(values: &Values, unit: &str) -> String {
+fn five(values: &Distribution, unit: &str) -> String {
     let Some(Quantiles { p5, p50, p95, .. }) = values.quantiles else {
         return "-".to_owned();
     };

@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn any_number_of_classes_has_colours() {
+    fn any_number_of_classes_has_colors() {
         for index in 48..1000 {
             assert_ne!(class_color(index), class_color(index - 1));
         }

@@ -1,7 +1,7 @@
 //! Settings of a run.
 
 use crate::error::check_setting;
-use crate::{Selection, TrainError};
+use crate::{Criterion, TrainError};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -73,7 +73,7 @@ pub struct CheckpointConfig {
     pub keep: usize,
     /// Measurement whose best value marks the best checkpoint, e.g. `zero_shot/f-mIoU`, or a list of
     /// several whose mean does.
-    pub best: Option<Selection>,
+    pub best: Option<Criterion>,
     /// Whether a smaller value is better.
     pub smaller_is_better: bool,
 }

@@ -247,6 +247,9 @@ pub enum TrainError {
     /// A file of the run that could not be written.
     #[error(transparent)]
     Write(#[from] scenesplat_scene::WriteError),
+    /// A file of the run that could not be read.
+    #[error(transparent)]
+    Read(#[from] scenesplat_scene::SceneError),
     /// Data.
     #[error(transparent)]
     Data(#[from] scenesplat_datasets::DataError),

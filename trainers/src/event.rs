@@ -1,6 +1,6 @@
 //! What happens in a run, and who is told.
 
-use crate::{Selection, TrainError};
+use crate::{Criterion, TrainError};
 use scenesplat_datasets::LeftOut;
 use scenesplat_metrics::Measurement;
 use std::path::Path;
@@ -110,7 +110,7 @@ pub trait Callback: Send {
 
     /// The measurement that it waits for, with the setting that names it; the run does not begin if
     /// no evaluator gives it.
-    fn waits_for(&self) -> Option<(&'static str, &Selection)> {
+    fn waits_for(&self) -> Option<(&'static str, &Criterion)> {
         None
     }
 

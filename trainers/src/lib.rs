@@ -68,6 +68,6 @@ pub use optim::{
     AdamW, AdamWConfig, CosineSchedule, KeywordGroup, OneCycle, Optimizer, ParamGroup, Schedule,
     StepHyperparameters, WithWeightDecay, clip_grad_norm, ema_update, grad_norm, group_by_keyword,
 };
-pub use selection::Selection;
+pub use selection::Criterion;
 pub use tally::Tally;
 pub use trainer::Trainer;

@@ -27,7 +27,8 @@ pub struct StepOutput {
     /// Rows that the loss looks at (they have a label, or a target). A run in which none counts for a
     /// whole epoch stops with an error.
     pub counted_rows: usize,
-    /// For the log: values by name, e.g. of each term of the loss, detached.
+    /// For the log: values by name, e.g. of each term of the loss that was on, detached. Where a step
+    /// has several batches, the mean over those that have the name is logged.
     pub terms: Vec<(String, f64)>,
     /// Detached output rows, `[N, D]`, for the collapse alarms; `None` if they would mean nothing.
     pub features: Option<Tensor>,

@@ -9,14 +9,14 @@ use std::fmt;
 /// as `"unseen/f-mIoU"`, or the mean of several (a list of names).
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(untagged)]
-pub enum Selection {
+pub enum Criterion {
     /// One measurement.
     One(String),
     /// The mean of several.
     Mean(Vec<String>),
 }
 
-impl Selection {
+impl Criterion {
     /// The measurements it is made of.
     pub fn names(&self) -> &[String] {
         match self {
@@ -52,19 +52,19 @@ impl Selection {
     }
 }
 
-impl From<&str> for Selection {
+impl From<&str> for Criterion {
     fn from(name: &str) -> Self {
         Self::One(name.to_owned())
     }
 }
 
-impl From<String> for Selection {
+impl From<String> for Criterion {
     fn from(name: String) -> Self {
         Self::One(name)
     }
 }
 
-impl fmt::Display for Selection {
+impl fmt::Display for Criterion {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::One(name) => f.write_str(name),
@@ -80,10 +80,10 @@ mod tests {
     #[test]
     fn a_mean_needs_all_its_parts() {
         let found = [Measurement::new("a/x", 1.0), Measurement::new("b/x", 4.0)];
-        let mean = |names: &[&str]| Selection::Mean(names.iter().map(|n| (*n).into()).collect());
+        let mean = |names: &[&str]| Criterion::Mean(names.iter().map(|n| (*n).into()).collect());
         assert_eq!(mean(&["a/x", "b/x"]).value(&found), Some(2.5));
         assert_eq!(mean(&["a/x", "c/x"]).value(&found), None);
-        assert_eq!(Selection::from("b/x").value(&found), Some(4.0));
+        assert_eq!(Criterion::from("b/x").value(&found), Some(4.0));
         let known = ["a/x".to_owned(), "b/x".to_owned()];
         mean(&["a/x", "b/x"]).check("best", &known).unwrap();
         let error = mean(&["a/x", "a/y"]).check("best", &known).unwrap_err().to_string();

@@ -17,7 +17,9 @@ use scenesplat_rooms::{CLASSES, SyntheticRoomSettings};
 use scenesplat_scene::TextTable;
 use scenesplat_trainers::checkpoint::newest_checkpoint;
 use scenesplat_trainers::evaluators::{SegmentationEvaluator, ZeroShotEvaluator};
-use scenesplat_trainers::tasks::{LanguagePretraining, SemanticSegmentation, TargetSource};
+use scenesplat_trainers::tasks::{
+    LanguagePretraining, SemanticSegmentation, TargetSource, TaskModule,
+};
 use scenesplat_trainers::{
     AdamW, AdamWConfig, Callback, Evaluator, Event, Flow, OneCycle, Progress, TrainError, Trainer,
     TrainerConfig, TrainingModule, group_by_keyword,
@@ -67,13 +69,13 @@ fn loader(data: Arc<dyn Dataset>, workers: usize) -> SceneLoader {
     SceneLoader::new(data, InputFeatures::default(), settings).unwrap()
 }
 
-fn language(precision: Precision, seed: u64) -> LanguagePretraining {
+fn language(precision: Precision, seed: u64) -> TaskModule {
     let params = ParamStore::trainable(seed);
     let model = network(precision).build(params.builder()).unwrap();
     let contrastive = AggregatedContrastive { min_points: 20, ..AggregatedContrastive::default() };
     let objective = Objective::new().with(1.0, CosineLoss::default()).with(0.02, contrastive);
     let targets = TargetSource::class_text(&texts()).unwrap();
-    LanguagePretraining::new(params, model, objective, targets)
+    TaskModule::new(params, model, objective, LanguagePretraining { targets })
 }
 
 fn trainer<M: TrainingModule>(module: &M, config: TrainerConfig) -> Trainer {
@@ -219,12 +221,10 @@ fn both_tasks_learn_their_rooms() {
     };
     {
         let (module, record) = (language(Precision::F32, 1), Record::default());
-        let table = scenesplat_metrics::TextTable::new(&texts().values, WIDTH).unwrap();
         let input = InputFeatures::default();
         let evaluator =
-            ZeroShotEvaluator::new("zero_shot", seen.clone(), input, table, vec![0, 1, 2]);
-        let mut evaluators: Vec<Box<dyn Evaluator<LanguagePretraining>>> =
-            vec![Box::new(evaluator)];
+            ZeroShotEvaluator::new("zero_shot", seen.clone(), input, texts(), vec![0, 1, 2]);
+        let mut evaluators: Vec<Box<dyn Evaluator<TaskModule>>> = vec![Box::new(evaluator)];
         trainer(&module, settings.clone())
             .with_callback(record.clone())
             .fit(&module, &mut loader(training_data(900), 1), &mut evaluators, Progress::default())
@@ -235,10 +235,11 @@ fn both_tasks_learn_their_rooms() {
     let shape = network(Precision::F32).with_classes(CLASSES.len());
     let model = shape.build(params.builder()).unwrap();
     let objective = Objective::new().with(1.0, CrossEntropy::default()).with(1.0, LovaszSoftmax);
-    let (module, record) = (SemanticSegmentation::new(params, model, objective), Record::default());
+    let (module, record) =
+        (TaskModule::new(params, model, objective, SemanticSegmentation), Record::default());
     let evaluator =
         SegmentationEvaluator::new("segmentation", seen, InputFeatures::default(), Vec::new());
-    let mut evaluators: Vec<Box<dyn Evaluator<SemanticSegmentation>>> = vec![Box::new(evaluator)];
+    let mut evaluators: Vec<Box<dyn Evaluator<TaskModule>>> = vec![Box::new(evaluator)];
     trainer(&module, settings)
         .with_callback(record.clone())
         .fit(&module, &mut loader(training_data(900), 1), &mut evaluators, Progress::default())

@@ -16,7 +16,7 @@ use scenesplat_rooms::{CLASSES, SyntheticRoomSettings};
 use scenesplat_scene::TextTable;
 use scenesplat_trainers::evaluators::{SegmentationEvaluator, ZeroShotEvaluator};
 use scenesplat_trainers::tasks::{
-    LanguagePretraining, SemanticSegmentation, TargetSource, point_cloud,
+    LanguagePretraining, SemanticSegmentation, TargetSource, TaskModule, point_cloud,
 };
 use scenesplat_trainers::{
     AdamW, AdamWConfig, Evaluator, HasBackbone, OneCycle, Progress, StepContext, StepOutput,
@@ -102,7 +102,7 @@ fn losses_get_the_rows_that_count_and_their_weights() {
     let (a, b) = (Spy::new("a", 1.0), Spy::new("b", -0.5));
     let objective = Objective::new().with(0.25, a.clone()).with(2.0, b);
     let targets = TargetSource::class_text(&texts()).unwrap();
-    let module = LanguagePretraining::new(params, model, objective, targets);
+    let module = TaskModule::new(params, model, objective, LanguagePretraining { targets });
     let batch = batch();
     let out = step(&module, &batch);
     let labels = batch.segment.as_ref().unwrap();
@@ -133,7 +133,7 @@ fn rows_without_label_or_feature_do_not_count() {
     let params = ParamStore::trainable(1);
     let model = PerVoxel::new(&params, CLASSES.len());
     let objective = Objective::new().with(1.0, scenesplat_losses::CrossEntropy::default());
-    let module = SemanticSegmentation::new(params, model, objective);
+    let module = TaskModule::new(params, model, objective, SemanticSegmentation);
     let mut batch = batch();
     let before = step(&module, &batch);
     let labels = batch.segment.as_mut().unwrap();
@@ -146,10 +146,15 @@ fn rows_without_label_or_feature_do_not_count() {
     let params = ParamStore::trainable(1);
     let model = PerVoxel::new(&params, WIDTH);
     let objective = Objective::new().with(1.0, scenesplat_losses::CosineLoss::default());
-    let module = LanguagePretraining::new(params, model, objective, TargetSource::Features);
+    let module = TaskModule::new(
+        params,
+        model,
+        objective,
+        LanguagePretraining { targets: TargetSource::Features },
+    );
     let one = half::f16::from_f32(1.0);
     let rows = batch.len();
-    let feat = scenesplat_scene::FeatureRows { values: vec![one; rows * WIDTH], dim: WIDTH };
+    let feat = scenesplat_scene::LanguageFeatures { values: vec![one; rows * WIDTH], dim: WIDTH };
     batch.lang_feat = Some(feat);
     batch.valid_feat = Some((0..rows).map(|row| row % 3 == 0).collect());
     assert_eq!(step(&module, &batch).counted_rows, rows.div_ceil(3));
@@ -226,8 +231,7 @@ fn a_task_and_a_metric_of_ones_own_are_evaluated_in_evaluation_mode() {
     let params = ParamStore::trainable(1);
     let model = PerVoxel::new(&params, WIDTH);
     let module = Own { params, model: Box::new(model) };
-    let table = scenesplat_metrics::TextTable::new(&texts().values, WIDTH).unwrap();
-    let mut zero_shot = ZeroShotEvaluator::new("own", rooms(1), input, table, Vec::new())
+    let mut zero_shot = ZeroShotEvaluator::new("own", rooms(1), input, texts(), Vec::new())
         .with_metric(Right::default());
     let found = zero_shot.run(&module, Progress::default()).unwrap();
     assert!(found.iter().any(|m| m.name == "right"));
@@ -240,9 +244,9 @@ fn evaluation_moves_no_statistic_and_freezing_holds_them() {
         let params = ParamStore::trainable(1);
         let network = ModelConfig::tiny().with_classes(classes).build(params.builder()).unwrap();
         let objective = Objective::new().with(1.0, scenesplat_losses::CrossEntropy::default());
-        SemanticSegmentation::new(params, network, objective)
+        TaskModule::new(params, network, objective, SemanticSegmentation)
     };
-    let buffers = |module: &SemanticSegmentation| -> Vec<(String, Vec<f32>)> {
+    let buffers = |module: &TaskModule| -> Vec<(String, Vec<f32>)> {
         let value = |v: &candle_core::Var| {
             v.to_dtype(candle_core::DType::F32).unwrap().flatten_all().unwrap().to_vec1().unwrap()
         };

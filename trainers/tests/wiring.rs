@@ -13,11 +13,14 @@ use scenesplat_models::ParamStore;
 use scenesplat_trainers::callbacks::EarlyStopping;
 use scenesplat_trainers::checkpoint::best_checkpoint;
 use scenesplat_trainers::{
-    AdamW, AdamWConfig, AfterStep, Callback, CosineSchedule, Evaluator, Event, Flow, KeywordGroup,
-    OneCycle, Progress, Selection, StepContext, StepOutput, TrainError, Trainer, TrainerConfig,
+    AdamW, AdamWConfig, AfterStep, Callback, CosineSchedule, Criterion, Evaluator, Event, Flow,
+    KeywordGroup, OneCycle, Progress, StepContext, StepOutput, TrainError, Trainer, TrainerConfig,
     TrainingModule, WithWeightDecay, group_by_keyword,
 };
 use std::sync::{Arc, Mutex};
+
+/// Not small beside the gradients, or Adam would hide their scale: that of all together cancels.
+const EPS: f64 = 0.05;
 
 /// What one micro-batch was told: step, planned steps, progress, seed.
 type Told = (u64, u64, f64, u64);
@@ -150,7 +153,7 @@ fn by_hand(s: &Settings, start: [f64; 5], data: &mut Numbers) -> (Vec<[f64; 5]>,
                 let eta = rate * if i == 4 { s.bias_lr } else { s.lr };
                 m[i] += (1.0 - beta1) * (g[i] - m[i]);
                 v[i] = 0.999 * v[i] + 0.001 * g[i] * g[i];
-                let root = (v[i] / (1.0 - 0.999f64.powi(t))).sqrt() + 1e-8;
+                let root = (v[i] / (1.0 - 0.999f64.powi(t))).sqrt() + EPS;
                 p[i] -= eta * decay * p[i];
                 p[i] -= eta * m[i] / (1.0 - beta1.powi(t)) / root;
             }
@@ -166,7 +169,8 @@ fn by_trainer(s: &Settings) -> (Traced, Trainer) {
     let module = Traced { empty: s.empty.clone(), ..Traced::new() };
     let rules = [KeywordGroup { keyword: "bias".to_owned(), lr: s.bias_lr }];
     let groups = group_by_keyword(&module.line.params.parameters(), s.lr, s.decay, &rules);
-    let optimizer = Box::new(AdamW::new(groups, AdamWConfig::default()).unwrap());
+    let adamw = AdamWConfig { eps: EPS, ..AdamWConfig::default() };
+    let optimizer = Box::new(AdamW::new(groups, adamw).unwrap());
     let rate = OneCycle { warmup: s.warmup, ..OneCycle::default() };
     let config = TrainerConfig {
         seed: 5,
@@ -276,7 +280,7 @@ impl Evaluator<Traced> for Listed {
 fn judged(
     a: &[f64],
     b: &[f64],
-    best: Selection,
+    best: Criterion,
     smaller: bool,
     patience: u64,
     every: u64,
@@ -315,7 +319,7 @@ fn the_best_state_and_the_end_follow_from_the_measurements() {
     assert_eq!(judged(&a, &b, "a/value".into(), false, 4, 1), (42, 0.9, steps(6), 42));
     assert_eq!(judged(&a, &b, "a/value".into(), true, 2, 1), (7, 0.1, steps(3), 21));
     assert_eq!(judged(&a, &b, "b/value".into(), true, 9, 1), (42, 0.0, steps(6), 42));
-    let mean = Selection::Mean(vec!["a/value".into(), "b/value".into()]);
+    let mean = Criterion::Mean(vec!["a/value".into(), "b/value".into()]);
     // Means: 0.5, 0.3, 0.55, 0.4, 0.25, 0.45.
     assert_eq!(judged(&a, &b, mean.clone(), false, 3, 1), (21, 0.55, steps(6), 42));
     assert_eq!(judged(&a, &b, mean.clone(), true, 2, 1).0, 14);

@@ -1,11 +1,7 @@
-//! Operations of a network on given voxels, counted from its tables.
+//! Operations of a network on given voxels.
 
-use anyhow::{Context, Result, bail};
-use scenesplat::kernels::serialization::Curve;
-use scenesplat::kernels::serialized_cloud::{CurveDepth, SerializedCloud};
-use scenesplat::models::{
-    BackboneConfig, Head, LitePtConfig, ModelConfig, PointTransformerV3Config,
-};
+use anyhow::Result;
+use scenesplat::models::{Head, ModelConfig};
 
 /// Operations of a forward pass; a multiply–add counts as two. Only matrix products count.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -35,130 +31,20 @@ impl Flop {
 /// # Errors
 /// If the voxels are out of range, or the operations of the architecture are not counted.
 pub(super) fn count(model: &ModelConfig, voxels: &[[i32; 3]], frozen: bool) -> Result<Flop> {
-    let mut flop = match &model.backbone {
-        BackboneConfig::PointTransformerV3(config) => {
-            patches_at_every_scale(config, voxels, frozen)
-        }
-        BackboneConfig::LitePt(config) => convolutions_then_attention(config, voxels, frozen),
-        other => bail!("operations of {} are not counted", other.name()),
-    }?;
-    let head = match model.head {
+    let found = model.backbone.get().multiply_adds(voxels, frozen)?;
+    let width = match model.head {
         Head::Classes(width) | Head::Features { projection: Some(width) } => width,
         Head::Features { projection: None } => 0,
     };
-    flop.rest += (2 * voxels.len() * model.backbone.get().out_channels() * head) as u64;
-    Ok(flop)
-}
-
-/// Occupied pairs, and products of queries and keys, of one scale.
-struct Tables<'a>(&'a SerializedCloud);
-
-impl Tables<'_> {
-    fn convolution(&self, c: usize, linear: usize) -> Result<usize> {
-        Ok(2 * (self.0.kernel_map(3)?.num_pairs() + linear * self.0.len()) * c * c)
-    }
-
-    /// Query, key, value and projection, both layers of the MLP; then queries with keys and weights
-    /// with values.
-    fn attention(&self, c: usize, patch_size: usize, mlp_ratio: usize) -> usize {
-        let patches = self.0.patches(patch_size);
-        let products: usize = patches.patches().iter().map(|p| p.own * p.len).sum();
-        2 * (3 + 1 + 2 * mlp_ratio) * self.0.len() * c * c + 4 * products * c
-    }
-}
-
-fn convolutions_then_attention(
-    config: &LitePtConfig,
-    voxels: &[[i32; 3]],
-    frozen: bool,
-) -> Result<Flop> {
-    let after_convolution = usize::from(!(frozen && config.compute.fold));
-    let mut cloud = finest(voxels)?;
-    let (enc, dec) = (&config.enc_channels, &config.dec_channels);
-    let stem = 2 * cloud.kernel_map(5)?.num_pairs() * config.in_channels * enc[0];
-    let mut rest = 0;
-    for stage in 0..config.num_stages() {
-        if stage > 0 {
-            let fine = cloud.len();
-            cloud = cloud.pool(config.stride[stage - 1].trailing_zeros()).0;
-            rest += between(enc, dec, stage, fine, cloud.len())?;
-        }
-        let decoder = dec.get(stage).map(|&c| {
-            (config.dec_depths[stage], c, config.dec_blocks[stage], config.dec_patch_size[stage])
-        });
-        let encoder = (
-            config.enc_depths[stage],
-            enc[stage],
-            config.enc_blocks[stage],
-            config.enc_patch_size[stage],
-        );
-        for (depth, c, kind, patch_size) in std::iter::once(encoder).chain(decoder) {
-            let tables = Tables(&cloud);
-            if depth > 0 && kind.has_convolution() {
-                rest += depth * tables.convolution(c, after_convolution)?;
-            }
-            if depth > 0 && kind.has_attention() {
-                rest += depth * tables.attention(c, patch_size, config.mlp_ratio);
-            }
-        }
-    }
-    Ok(Flop { stem: stem as u64, rest: rest as u64 })
-}
-
-fn finest(voxels: &[[i32; 3]]) -> Result<SerializedCloud> {
-    let offsets = vec![0, voxels.len()];
-    Ok(SerializedCloud::new(voxels.to_vec(), offsets, &[Curve::Z], CurveDepth::PerScene)?)
-}
-
-/// Layers from a scale to `stage` and back: pooling, and both branches of the decoder.
-fn between(
-    enc: &[usize],
-    dec: &[usize],
-    stage: usize,
-    fine: usize,
-    coarse: usize,
-) -> Result<usize> {
-    let mut sum = 2 * fine * enc[stage - 1] * enc[stage];
-    if let Some(&up) = dec.get(stage - 1) {
-        let below = *dec.get(stage).or(enc.last()).context("no stage")?;
-        sum += 2 * coarse * below * up + 2 * fine * enc[stage - 1] * up;
-    }
-    Ok(sum)
-}
-
-fn patches_at_every_scale(
-    config: &PointTransformerV3Config,
-    voxels: &[[i32; 3]],
-    frozen: bool,
-) -> Result<Flop> {
-    let after_convolution = usize::from(!(frozen && config.compute.fold));
-    let mut cloud = finest(voxels)?;
-    let stem = 2 * cloud.kernel_map(5)?.num_pairs() * config.in_channels * config.enc_channels[0];
-    let (enc, dec) = (&config.enc_channels, &config.dec_channels);
-    let mut rest = 0;
-    for stage in 0..config.num_stages() {
-        if stage > 0 {
-            let fine = cloud.len();
-            cloud = cloud.pool(config.stride[stage - 1].trailing_zeros()).0;
-            rest += between(enc, dec, stage, fine, cloud.len())?;
-        }
-        let block = |c: usize, patch_size: usize| -> Result<usize> {
-            let tables = Tables(&cloud);
-            let convolution = tables.convolution(c, after_convolution)?;
-            Ok(convolution + tables.attention(c, patch_size, config.mlp_ratio))
-        };
-        rest += config.enc_depths[stage] * block(enc[stage], config.enc_patch_size[stage])?;
-        if let Some(&depth) = config.dec_depths.get(stage) {
-            rest += depth * block(dec[stage], config.dec_patch_size[stage])?;
-        }
-    }
-    Ok(Flop { stem: stem as u64, rest: rest as u64 })
+    let head = (voxels.len() * model.backbone.get().out_channels() * width) as u64;
+    Ok(Flop { stem: 2 * found.stem, rest: 2 * (found.rest + head) })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use scenesplat::models::litept::BlockKind;
+    use scenesplat::models::{LitePtConfig, PointTransformerV3Config};
 
     #[test]
     fn one_voxel_by_hand() {

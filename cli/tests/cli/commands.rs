@@ -48,7 +48,7 @@ fn features_are_the_same_for_any_thread_count_and_run() {
 }
 
 #[test]
-fn segment_writes_labels_a_coloured_scene_and_a_receipt() {
+fn segment_writes_labels_a_colored_scene_and_a_receipt() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
     let receipt = folder.path().join("r.json");

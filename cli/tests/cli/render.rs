@@ -71,7 +71,7 @@ fn open(path: &Path) -> RgbPicture {
 }
 
 #[test]
-fn colour_and_depth_of_a_sphere() {
+fn color_and_depth_of_a_sphere() {
     let place = Place::new(&sphere());
     let cameras = place.cameras(&[camera("images/left.jpg"), camera("right.jpg")]);
     let more = ["--cameras", &cameras, "--camera", "left", "--depth"];

@@ -8,7 +8,8 @@ use rayon::prelude::*;
 use scenesplat_scene::formats::npy::NpyFile;
 use scenesplat_scene::formats::npy_folder::write_npy_folder;
 use scenesplat_scene::{
-    FeatureRows, GaussianScene, LabelledPoints, LoadedScene, ReadOptions, SceneError, open_scene,
+    GaussianScene, LabelledPoints, LanguageFeatures, LoadedScene, ReadOptions, SceneError,
+    open_scene,
 };
 use serde::{Deserialize, Serialize};
 use std::fs;
@@ -225,7 +226,7 @@ fn write_scenes(
     progress: Progress<'_>,
 ) -> Result<(), DataError> {
     let mut scene: GaussianScene = loaded.scene;
-    if let Some(FeatureRows { values, dim }) = &mut scene.lang_feat {
+    if let Some(LanguageFeatures { values, dim }) = &mut scene.lang_feat {
         normalise(values, *dim);
     }
     for (i, staged) in todo.iter().enumerate() {

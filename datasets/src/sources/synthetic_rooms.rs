@@ -5,7 +5,7 @@ use crate::{DataError, DataSource, SourceScene};
 use half::f16;
 use scenesplat_rooms::vocabulary::{NO_TARGET, Vocabulary};
 use scenesplat_rooms::{SyntheticRoom, SyntheticRoomSettings, generate};
-use scenesplat_scene::{FeatureRows, RepairReport};
+use scenesplat_scene::{LanguageFeatures, RepairReport};
 use std::sync::Arc;
 
 /// Most rooms of a source.
@@ -94,7 +94,7 @@ fn add_features(room: &mut SyntheticRoom, vocabulary: &Vocabulary) {
         }
     }
     room.scene.valid_feat_mask = Some(targets.index.iter().map(|&row| row != NO_TARGET).collect());
-    room.scene.lang_feat = Some(FeatureRows { values, dim });
+    room.scene.lang_feat = Some(LanguageFeatures { values, dim });
 }
 
 #[cfg(test)]

@@ -182,7 +182,7 @@ pub fn mlp(
 }
 
 /// `out = (a · b + bias)`, each row then divided by its norm as
-/// [`normalize_rows`](crate::unit_rows::normalize_rows) does, before it leaves the cache.
+/// [`normalize_rows`](crate::normalize::normalize_rows) does, before it leaves the cache.
 ///
 /// # Shapes
 /// As [`gemm`].
@@ -207,7 +207,7 @@ pub fn gemm_unit_rows(a: &[f32], b: &PackedMatrix, bias: Option<&[f32]>, out: &m
         let (first, rows) = (block * ROWS, out.len() / n);
         gemm_block(&a[first * k..(first + rows) * k], b, out);
         finish(out, n, epilogue);
-        crate::unit_rows::normalize_block(out, n);
+        crate::normalize::normalize_block(out, n);
     });
 }
 

@@ -65,7 +65,7 @@ fn rows_of_unit_length_are_those_of_the_plain_product() {
         let packed = PackedMatrix::from_strided(&w, k, n, 1, k);
         let mut want = vec![0.0; m * n];
         gemm(&a, &packed, Epilogue { bias: Some(&bias), ..Epilogue::default() }, &mut want);
-        crate::unit_rows::normalize_rows(&mut want, n);
+        crate::normalize::normalize_rows(&mut want, n);
         let mut got = vec![f32::NAN; m * n];
         gemm_unit_rows(&a, &packed, Some(&bias), &mut got);
         assert_eq!(got, want, "{m}x{k}x{n}");

@@ -4,9 +4,9 @@ use super::NAME;
 use crate::IGNORE;
 use crate::error::{LossError, check_len};
 use crate::values::read_matrix;
-use crate::vector::norm;
 use candle_core::{DType, Device, Result, Tensor};
 use rayon::prelude::*;
+use scenesplat_kernels::unit_rows::{UnitRowError, check_unit_rows};
 use std::fmt;
 
 /// Target rows that are compared with all texts at once: bounds the memory of the scores.
@@ -21,7 +21,7 @@ pub enum ClassSource {
     #[default]
     Labels,
     /// The text nearest to the target feature: no label is used.
-    PseudoLabels(TextTable),
+    PseudoLabels(TextColumns),
     /// The largest channel of the target feature, for targets whose channels are classes or codes.
     Argmax,
 }
@@ -39,39 +39,39 @@ impl fmt::Display for ClassSource {
     }
 }
 
-/// Text embeddings at unit length, one for each class.
+/// Text embeddings at unit length, one for each class, as the columns of a matrix, which is how a product
+/// with features takes them.
 #[derive(Debug, Clone)]
-pub struct TextTable {
-    /// `[D, C]` f32: the transpose, as the product needs it.
+pub struct TextColumns {
+    /// `[D, C]` f32
     columns: Tensor,
 }
 
-impl TextTable {
-    /// Rows of any norm. `values`: `[C, dim]`, row-major
+impl TextColumns {
+    /// From rows of unit length. `values`: `[C, dim]`, row-major
     ///
     /// # Errors
-    /// If the values are no rows of `dim` channels, there is none, or a row is zero or not finite.
+    /// If the values are no rows of `dim` channels, there is none, or a row does not have length 1
+    /// within 1e-5.
     pub fn new(values: &[f32], dim: usize) -> Result<Self> {
-        let wrong = |field, value: String, expected| LossError::Setting {
+        let wrong = |value: String, expected| LossError::Setting {
             loss: NAME,
-            setting: field,
+            setting: "texts",
             value,
             expected,
         };
-        if dim == 0 || values.is_empty() || !values.len().is_multiple_of(dim) {
-            let value = format!("{} values for rows of {dim}", values.len());
-            return Err(wrong("texts", value, "one row for each class").into());
-        }
-        let mut unit = Vec::with_capacity(values.len());
-        for (class, row) in values.chunks_exact(dim).enumerate() {
-            let norm = norm(row);
-            if !(norm > 0.0 && norm.is_finite()) {
-                let value = format!("a row of norm {norm} (class {class})");
-                return Err(wrong("texts", value, "rows that have a direction").into());
+        let rows = match check_unit_rows(values, dim) {
+            Ok(rows) if rows > 0 => rows,
+            Err(UnitRowError::Norm { row, norm }) => {
+                let value = format!("a row of norm {norm} (class {row})");
+                return Err(wrong(value, "rows of unit length").into());
             }
-            unit.extend(row.iter().map(|v| (f64::from(*v) / norm) as f32));
-        }
-        let rows = Tensor::from_vec(unit, (values.len() / dim, dim), &Device::Cpu)?;
+            _ => {
+                let value = format!("{} values for rows of {dim}", values.len());
+                return Err(wrong(value, "one row for each class").into());
+            }
+        };
+        let rows = Tensor::from_slice(values, (rows, dim), &Device::Cpu)?;
         Ok(Self { columns: rows.t()?.contiguous()? })
     }
 
@@ -90,7 +90,7 @@ impl TextTable {
         &self.columns
     }
 
-    /// Never: a table without a class cannot be made.
+    /// Never: there is no such matrix without a class.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -106,7 +106,7 @@ impl TextTable {
 /// If the widths differ, or a value of a valid row is not finite.
 pub fn pseudo_labels(
     target: &Tensor,
-    texts: &TextTable,
+    texts: &TextColumns,
     valid: Option<&[bool]>,
 ) -> Result<Vec<i32>> {
     let (rows, dim) = target.dims2()?;

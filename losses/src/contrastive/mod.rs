@@ -5,7 +5,7 @@ mod classes;
 mod halves;
 
 pub use aggregate::aggregated_contrastive;
-pub use classes::{ClassSource, TextTable, argmax_labels, pseudo_labels};
+pub use classes::{ClassSource, TextColumns, argmax_labels, pseudo_labels};
 pub use halves::{ClassHalves, split_classes};
 
 use crate::error::LossError;
@@ -20,7 +20,7 @@ const NAME: &str = "aggregated_contrastive";
 /// When a term is on.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Schedule {
+pub enum TermSchedule {
     /// In every step.
     #[default]
     Always,
@@ -31,7 +31,7 @@ pub enum Schedule {
     Last(f64),
 }
 
-impl Schedule {
+impl TermSchedule {
     /// Whether the term is on when this share (0..=1) of the training is done.
     pub fn is_on(self, progress: f64) -> bool {
         match self {
@@ -62,7 +62,7 @@ pub struct AggregatedContrastive {
     /// τ, above 0. Default: the paper's 0.2.
     pub temperature: f64,
     /// Default: the last 75 %.
-    pub schedule: Schedule,
+    pub schedule: TermSchedule,
     /// Classes with fewer rows are left out. At least 2; default: 100.
     pub min_points: usize,
     /// Where the classes come from. Default: the given labels, as in the paper.
@@ -75,7 +75,7 @@ impl Default for AggregatedContrastive {
     fn default() -> Self {
         Self {
             temperature: 0.2,
-            schedule: Schedule::Last(75.0),
+            schedule: TermSchedule::Last(75.0),
             min_points: 100,
             classes: ClassSource::Labels,
             reduction: Reduction::Mean,
@@ -119,8 +119,8 @@ impl Loss for AggregatedContrastive {
 
     fn off_reason(&self, input: &LossInput<'_>) -> String {
         match (self.schedule, &self.classes) {
-            (Schedule::Skip, _) => "its schedule is to skip it".to_owned(),
-            (Schedule::Last(percent), _) if !self.schedule.is_on(input.progress) => {
+            (TermSchedule::Skip, _) => "its schedule is to skip it".to_owned(),
+            (TermSchedule::Last(percent), _) if !self.schedule.is_on(input.progress) => {
                 format!("its schedule is the last {percent} % of the training")
             }
             (_, ClassSource::Off) => "it has no source of classes".to_owned(),
@@ -132,9 +132,9 @@ impl Loss for AggregatedContrastive {
     fn settings(&self) -> String {
         let Self { temperature, schedule, min_points, classes, .. } = self;
         let schedule = match schedule {
-            Schedule::Always => "always".to_owned(),
-            Schedule::Skip => "never".to_owned(),
-            Schedule::Last(percent) => format!("last {percent} %"),
+            TermSchedule::Always => "always".to_owned(),
+            TermSchedule::Skip => "never".to_owned(),
+            TermSchedule::Last(percent) => format!("last {percent} %"),
         };
         format!("temperature {temperature}, {schedule}, from {min_points} rows, classes: {classes}")
     }

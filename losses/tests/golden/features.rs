@@ -4,7 +4,7 @@ use crate::support::Golden;
 use candle_core::{Tensor, Var};
 use scenesplat_losses::{
     AggregatedContrastive, ClassHalves, ClassSource, CosineLoss, L2Loss, Loss, LossInput,
-    Reduction, Schedule, aggregated_contrastive, cosine, l2, split_classes,
+    Reduction, TermSchedule, aggregated_contrastive, cosine, l2, split_classes,
 };
 
 fn mask(g: &Golden) -> Vec<bool> {
@@ -111,8 +111,8 @@ fn contrastive() {
         let Some(g) = Golden::open(&format!("h_aggcon_{case}.safetensors")) else { return };
         let number = |key: &str| g.config()[key].as_f64().unwrap();
         let schedule = match g.config()["schedule"].as_str().unwrap() {
-            "all" => Schedule::Always,
-            "last_75" => Schedule::Last(75.0),
+            "all" => TermSchedule::Always,
+            "last_75" => TermSchedule::Last(75.0),
             other => panic!("schedule {other}"),
         };
         let sum = g.config()["reduction"] == "sum";
@@ -171,7 +171,7 @@ fn language_total() {
         progress: 0.9,
         seed: 0,
     };
-    assert!(Schedule::Last(75.0).is_on(input.progress));
+    assert!(TermSchedule::Last(75.0).is_on(input.progress));
     let term = |loss: &dyn Loss| loss.forward(&input).unwrap().unwrap();
     let contrast = aggregated_contrastive(&unit, &drawn(&g), 0.2, Reduction::Mean).unwrap();
     let total = (term(&CosineLoss::default()) + term(&L2Loss::default())).unwrap();

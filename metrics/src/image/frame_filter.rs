@@ -5,7 +5,7 @@ use std::collections::HashMap;
 
 /// What is known of a frame, in the order of the capture.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Frame {
+pub struct CapturedFrame {
     /// [`super::sharpness::variance_of_laplacian`] at one width for all frames.
     pub sharpness: f64,
     /// Camera to world or world to camera, row by row; `None` if the capture has none.
@@ -98,9 +98,9 @@ impl FrameFilter {
     ///
     /// # Errors
     /// If a setting is out of range, or a sharpness is negative, NaN or infinite.
-    pub fn judge(&self, frames: &[Frame]) -> Result<Vec<FrameVerdict>, ImageError> {
+    pub fn judge(&self, frames: &[CapturedFrame]) -> Result<Vec<FrameVerdict>, ImageError> {
         self.check()?;
-        let bad = |f: &Frame| !(f.sharpness.is_finite() && f.sharpness >= 0.0);
+        let bad = |f: &CapturedFrame| !(f.sharpness.is_finite() && f.sharpness >= 0.0);
         if let Some(row) = frames.iter().position(bad) {
             let (what, expected) = ("sharpness", "a finite number, 0 or more");
             return Err(ImageError::Row { what, row, value: frames[row].sharpness, expected });
@@ -135,7 +135,7 @@ impl FrameFilter {
     }
 
     /// Usable frames below the threshold, with their share of the median.
-    fn blurred(&self, frames: &[Frame], verdicts: &[FrameVerdict]) -> Vec<(usize, f64)> {
+    fn blurred(&self, frames: &[CapturedFrame], verdicts: &[FrameVerdict]) -> Vec<(usize, f64)> {
         let mut around = Vec::new();
         let mut found = Vec::new();
         for i in (0..frames.len()).filter(|&i| verdicts[i].is_kept()) {
@@ -162,9 +162,9 @@ impl FrameFilter {
 }
 
 /// The verdicts before sharpness is looked at.
-fn judge_poses(frames: &[Frame]) -> Vec<FrameVerdict> {
+fn judge_poses(frames: &[CapturedFrame]) -> Vec<FrameVerdict> {
     let mut first_with = HashMap::new();
-    let judge = |(i, frame): (usize, &Frame)| {
+    let judge = |(i, frame): (usize, &CapturedFrame)| {
         let Some(pose) = frame.pose else { return FrameVerdict::NoPose };
         if !is_pose(&pose) {
             return FrameVerdict::BadPose;

@@ -19,6 +19,15 @@ pub fn shared() -> Option<PathBuf> {
     None
 }
 
+/// Rows of unit length, as a table of texts brings them to it.
+pub fn unit_rows(values: &[f32], dim: usize) -> Vec<f32> {
+    let unit = |row: &[f32]| -> Vec<f32> {
+        let norm = row.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
+        row.iter().map(|v| (f64::from(*v) / norm) as f32).collect()
+    };
+    values.chunks_exact(dim).flat_map(unit).collect()
+}
+
 /// A safetensors file held in memory.
 pub struct Golden {
     name: String,

@@ -5,7 +5,7 @@ use super::attention::AttentionShape;
 use super::block::BlockShape;
 use crate::stages::{check_depths, check_lengths, check_sizes, linspace, split};
 use crate::weights::Shapes;
-use crate::{Architecture, Backbone, BackboneCost, Compute};
+use crate::{Architecture, Backbone, BackboneCost, Compute, MultiplyAdds};
 use candle_core::{Result, bail};
 use candle_nn::VarBuilder;
 use scenesplat_kernels::serialization::Curve;
@@ -384,6 +384,9 @@ impl Architecture for LitePtConfig {
     }
     fn cost(&self) -> BackboneCost {
         self.inference_cost()
+    }
+    fn multiply_adds(&self, voxels: &[[i32; 3]], frozen: bool) -> Result<MultiplyAdds> {
+        self.count_multiply_adds(voxels, frozen)
     }
     fn compute(&self) -> Compute {
         self.compute

@@ -1,8 +1,11 @@
-//! What a network costs, by its shape alone.
+//! What a pass of the network costs: memory, and multiply–adds on scenes as they are on average or on
+//! given voxels.
 
 use super::block::BlockShape;
 use super::config::LitePtConfig;
 use crate::BackboneCost;
+use crate::multiply_adds::{BlockSize, MultiplyAdds, between, finest};
+use candle_core::Result;
 
 /// Occupied voxels among the 5³ around one, on average.
 const TAPS_5: f64 = 43.0;
@@ -44,14 +47,10 @@ impl LitePtConfig {
 
     /// Multiply–adds of each part and memory at the widest moment, per input voxel.
     pub(super) fn inference_cost(&self) -> BackboneCost {
-        // Folded, the linear layer behind a convolution is a part of it.
-        let conv = if self.compute.fold { TAPS_3 } else { TAPS_3 + 1.0 };
         let block = |shape: &BlockShape| {
-            let c = shape.attention.channels as f64;
-            let attention = c * c * (4.0 + 2.0 * shape.mlp_ratio as f64)
-                + 2.0 * c * shape.attention.patch_size as f64;
-            let convolution = if shape.kind.has_convolution() { c * c * conv } else { 0.0 };
-            convolution + if shape.kind.has_attention() { attention } else { 0.0 }
+            let attended = shape.attention.patch_size as f64;
+            let size = BlockSize { voxels: 1.0, pairs: TAPS_3, attended };
+            block_work(shape, self.compute.fold, &size)
         };
         let product = |i: usize, o: usize| i as f64 * o as f64;
         let channels = &self.enc_channels;
@@ -76,6 +75,34 @@ impl LitePtConfig {
         BackboneCost { bytes_per_voxel: self.bytes_per_voxel(), parts }
     }
 
+    /// As [`Architecture::multiply_adds`](crate::Architecture::multiply_adds).
+    pub(super) fn count_multiply_adds(
+        &self,
+        voxels: &[[i32; 3]],
+        frozen: bool,
+    ) -> Result<MultiplyAdds> {
+        crate::Architecture::check(self)?;
+        let folded = frozen && self.compute.fold;
+        let mut cloud = finest(voxels)?;
+        let (enc, dec) = (&self.enc_channels, &self.dec_channels);
+        let map = cloud.kernel_map(5).map_err(candle_core::Error::wrap)?;
+        let stem = map.num_pairs() * self.in_channels * enc[0];
+        let (mut scales, mut works) = (0, 0.0);
+        let (encoder, decoder) = (self.encoder_blocks(), self.decoder_blocks());
+        for stage in 0..self.num_stages() {
+            if stage > 0 {
+                let fine = cloud.len();
+                cloud = cloud.pool(self.stride[stage - 1].trailing_zeros()).0;
+                scales += between(enc, dec, stage, fine, cloud.len());
+            }
+            for shape in encoder[stage].iter().chain(decoder.get(stage).into_iter().flatten()) {
+                let size = BlockSize::count(&cloud, shape.attention.patch_size)?;
+                works += block_work(shape, folded, &size);
+            }
+        }
+        Ok(MultiplyAdds { stem: stem as u64, rest: scales as u64 + works as u64 })
+    }
+
     /// At the finest scale stand side by side: in the stem its input, its result and the pairs of a
     /// 5³ kernel map; later the skip rows, what each of the two branches of the decoder gives, their
     /// sum, and the pairs of a 3³ map. Blocks of the decoder keep as much as those branches.
@@ -91,6 +118,14 @@ impl LitePtConfig {
         let widest = stem.max(encoder).max(decoder).max(attending);
         ((widest + 200.0) * 1.1) as usize
     }
+}
+
+/// Multiply–adds of a block.
+fn block_work(shape: &BlockShape, folded: bool, size: &BlockSize) -> f64 {
+    let c = shape.attention.channels;
+    let convolution = if shape.kind.has_convolution() { size.convolution(c, folded) } else { 0.0 };
+    let attends = shape.kind.has_attention();
+    convolution + if attends { size.attention(c, shape.mlp_ratio) } else { 0.0 }
 }
 
 #[cfg(test)]

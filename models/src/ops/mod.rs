@@ -28,7 +28,7 @@ pub use permute_rows::permute_rows;
 pub use point_rope::point_rope;
 pub use rasterize::{DepthChannel, GaussianTensors, rasterize};
 pub use residual::add_scaled_rows;
-pub use scenesplat_kernels::unit_rows::normalize_rows;
+pub use scenesplat_kernels::normalize::normalize_rows;
 pub use segment_reduce::{expand_groups, segment_reduce};
 pub use sparse_conv::{sparse_conv, sparse_conv_frozen, sparse_conv_with};
 

@@ -2,7 +2,7 @@
 
 use super::{cpu_slice, make, read};
 use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
-use scenesplat_kernels::unit_rows::{norm, normalize_rows};
+use scenesplat_kernels::normalize::{norm, normalize_rows};
 
 struct L2Normalize;
 

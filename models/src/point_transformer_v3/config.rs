@@ -4,7 +4,7 @@ use super::PointTransformerV3;
 use crate::params::MAX_VALUES;
 use crate::stages::{linspace, split};
 use crate::weights::Shapes;
-use crate::{Architecture, Backbone, BackboneCost, Compute};
+use crate::{Architecture, Backbone, BackboneCost, Compute, MultiplyAdds};
 use candle_core::{Result, bail};
 use candle_nn::VarBuilder;
 use scenesplat_kernels::segment::Reduce;
@@ -231,45 +231,6 @@ impl PointTransformerV3Config {
         all
     }
 
-    /// Bytes of memory that inference needs per input voxel, at the widest moment.
-    ///
-    /// That is the attention of a block: residual, query, key, value and result side by side, five
-    /// rows; plus what waits at the finest scale (the skip rows and the pairs of a 3³ kernel map,
-    /// 14 voxels on average), with a tenth for buffers.
-    pub fn inference_bytes_per_voxel(&self) -> usize {
-        let widest = |channels: &[usize]| channels.first().copied().unwrap_or(0);
-        // Coarser scales have a quarter of the voxels at most twice the width.
-        let finest = widest(&self.dec_channels).max(widest(&self.enc_channels));
-        let deeper = self.dec_channels.get(1).copied().unwrap_or(0) / 2;
-        let rows = 5 * finest.max(deeper) + widest(&self.enc_channels) + self.in_channels;
-        let tables = 14 * 8 + 200;
-        (rows * size_of::<f32>() + tables) * 11 / 10
-    }
-
-    /// Multiply–adds per input voxel of each block, by its name.
-    pub fn block_costs(&self) -> Vec<(String, f64)> {
-        let cost = |c: usize, patch: usize, stage: usize| {
-            let c = c as f64;
-            // Convolution over 14 neighbours, linear layers, attention; a quarter of the voxels a
-            // scale.
-            (c * c * (14.0 + 13.0) + 2.0 * c * patch as f64) * 0.27f64.powi(stage as i32)
-        };
-        let mut out = Vec::new();
-        for (stage, &depth) in self.enc_depths.iter().enumerate() {
-            for j in 0..depth {
-                let c = cost(self.enc_channels[stage], self.enc_patch_size[stage], stage);
-                out.push((format!("enc.enc{stage}.block{j}"), c));
-            }
-        }
-        for (stage, &depth) in self.dec_depths.iter().enumerate() {
-            for j in 0..depth {
-                let c = cost(self.dec_channels[stage], self.dec_patch_size[stage], stage);
-                out.push((format!("dec.dec{stage}.block{j}"), c));
-            }
-        }
-        out
-    }
-
     /// Checks that sizes are possible and the lists fit together, and gives the curves.
     ///
     /// A configuration may come from a file that somebody else wrote, so every size has an upper
@@ -400,6 +361,9 @@ impl Architecture for PointTransformerV3Config {
             bytes_per_voxel: self.inference_bytes_per_voxel(),
             parts: self.block_costs(),
         }
+    }
+    fn multiply_adds(&self, voxels: &[[i32; 3]], frozen: bool) -> Result<MultiplyAdds> {
+        self.count_multiply_adds(voxels, frozen)
     }
     fn compute(&self) -> Compute {
         self.compute

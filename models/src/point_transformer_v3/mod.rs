@@ -12,6 +12,7 @@
 mod attention;
 mod block;
 mod config;
+mod cost;
 mod embedding;
 mod pooling;
 mod recognize;

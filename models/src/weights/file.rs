@@ -1,5 +1,6 @@
 //! One weight file, opened but not yet read.
 
+use super::message::{about, at};
 use super::pth::PthFile;
 use candle_core::safetensors::{BufferedSafetensors, MmapedSafetensors};
 use candle_core::{DType, Device, Result, Tensor, bail};
@@ -169,21 +170,6 @@ impl WeightFile {
             hash.update(&buffer[..n]);
         }
         Ok(hash.finalize().iter().map(|b| format!("{b:02x}")).collect())
-    }
-}
-
-/// An error of this file.
-fn at(path: &Path, problem: impl std::fmt::Display) -> candle_core::Error {
-    candle_core::Error::Msg(format!("{}: {problem}", printable(path)))
-}
-
-/// An error in opening; those of the scene crate name the file themselves.
-pub(super) fn about(path: &Path, error: impl std::error::Error + 'static) -> candle_core::Error {
-    let error: &dyn std::error::Error = &error;
-    let source = error.source().map_or_else(String::new, |source| format!(": {source}"));
-    match error.downcast_ref::<scenesplat_scene::SceneError>() {
-        Some(error) => candle_core::Error::Msg(format!("{error}{source}")),
-        None => at(path, error),
     }
 }
 

@@ -1,7 +1,7 @@
 //! Model folders as the Hugging Face hub lays them out, on disk.
 
 use super::WeightFile;
-use super::file::about;
+use super::message::about;
 use candle_core::{Result, bail};
 use scenesplat_scene::input_file::read_text_file;
 use std::collections::BTreeSet;

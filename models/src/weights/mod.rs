@@ -3,6 +3,7 @@
 mod file;
 mod folder;
 mod hash_init;
+mod message;
 mod pickle;
 mod pth;
 mod save;

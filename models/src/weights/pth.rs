@@ -3,7 +3,7 @@
 //! Only data are read: no class of the pickle is ever run.
 
 use super::TensorEntry;
-use super::file::about;
+use super::message::about;
 use super::pickle::{Pickle, Ref, Value};
 use candle_core::{DType, Device, Result, Tensor, bail};
 use scenesplat_scene::input_file::open_regular_file;

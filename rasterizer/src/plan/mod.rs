@@ -70,7 +70,7 @@ pub enum PlanError {
 
 /// For which values a backward pass will follow.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Gradients {
+pub struct NeededGradients {
     /// Centres.
     pub means: bool,
     /// Quaternions.
@@ -83,7 +83,7 @@ pub struct Gradients {
     pub sh: bool,
 }
 
-impl Gradients {
+impl NeededGradients {
     /// All of them.
     pub const ALL: Self =
         Self { means: true, quats: true, scales: true, opacities: true, sh: true };
@@ -100,13 +100,13 @@ pub struct PlanRequest {
     /// Outputs of a render; `sh_degree` is the highest band that is wanted.
     pub render: RenderRequest,
     /// Gradients that will follow. Bands that are 0 and spheres still have gradients.
-    pub gradients: Gradients,
+    pub gradients: NeededGradients,
 }
 
 impl PlanRequest {
     /// A render without gradients.
     pub fn new(render: RenderRequest) -> Self {
-        Self { render, gradients: Gradients::default() }
+        Self { render, gradients: NeededGradients::default() }
     }
 
     /// What serves both.
@@ -126,7 +126,7 @@ impl PlanRequest {
                 // No limit is more than any limit.
                 sh_degree: a.sh_degree.zip(b.sh_degree).map(|(a, b)| a.max(b)),
             },
-            gradients: Gradients {
+            gradients: NeededGradients {
                 means: ga.means || gb.means,
                 quats: ga.quats || gb.quats,
                 scales: ga.scales || gb.scales,

@@ -2,7 +2,7 @@
 
 use super::EditError;
 use crate::language_code::LanguageCode;
-use crate::{FeatureRows, GaussianScene, LabelledPoints};
+use crate::{GaussianScene, LabelledPoints, LanguageFeatures};
 use serde::Serialize;
 
 /// What joining scenes did beyond putting their rows one after the other.
@@ -172,7 +172,7 @@ fn codes(scenes: &[GaussianScene], report: &mut MergeReport) -> Option<LanguageC
     Some(LanguageCode { values, codebook: first.clone() })
 }
 
-fn features(scenes: &[GaussianScene], report: &mut MergeReport) -> Option<FeatureRows> {
+fn features(scenes: &[GaussianScene], report: &mut MergeReport) -> Option<LanguageFeatures> {
     let mut widths = scenes.iter().filter_map(|s| s.lang_feat.as_ref()).map(|f| f.dim);
     let dim = widths.next()?;
     if let Some(other) = widths.find(|other| *other != dim) {
@@ -188,7 +188,7 @@ fn features(scenes: &[GaussianScene], report: &mut MergeReport) -> Option<Featur
         Some(rows) => rows.values.clone(),
         None => vec![half::f16::ZERO; s.len() * dim],
     };
-    Some(FeatureRows { values: scenes.iter().flat_map(rows).collect(), dim })
+    Some(LanguageFeatures { values: scenes.iter().flat_map(rows).collect(), dim })
 }
 
 /// Which rows have features: needed where some have none.

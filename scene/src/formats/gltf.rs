@@ -34,6 +34,7 @@ mod writer;
 pub use container::is_glb;
 pub use writer::write_glb;
 
+use super::json_text::is_json;
 use super::memory::zeroed;
 use super::{LoadedScene, ReadOptions, SceneFormat, semantics};
 use crate::value_policy::Rule;
@@ -59,7 +60,7 @@ const ALWAYS_FITS: usize = 1 << 24;
 
 /// Whether a file is glTF, as JSON or binary.
 pub fn is_gltf(bytes: &[u8]) -> bool {
-    is_glb(bytes) || (super::open::is_json(bytes) && is_gltf_json(bytes))
+    is_glb(bytes) || (is_json(bytes) && is_gltf_json(bytes))
 }
 
 fn file_error(path: &Path, problem: impl Into<String>) -> SceneError {

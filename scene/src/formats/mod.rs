@@ -7,6 +7,7 @@ pub mod compressed_ply;
 pub(crate) mod files;
 pub mod gltf;
 pub mod inria_ply;
+mod json_text;
 pub mod ksplat;
 mod label_column;
 pub mod labelled_ply;

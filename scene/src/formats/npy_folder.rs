@@ -17,7 +17,7 @@ use super::{LoadedScene, ReadOptions, SceneFormat};
 use crate::gaussian_scene::{SH_C0, probability_to_logit, u8_to_dc};
 use crate::value_policy::{DEFAULT_GREY, DEFAULT_SCALE, Rule};
 use crate::{
-    FeatureRows, GaussianScene, LabelledPoints, LanguageCode, LanguageCodebook, RepairReport,
+    GaussianScene, LabelledPoints, LanguageCode, LanguageCodebook, LanguageFeatures, RepairReport,
     SceneError,
 };
 use half::f16;
@@ -189,7 +189,7 @@ impl Reader<'_> {
     fn features(
         &mut self,
         wanted: bool,
-    ) -> Result<(Option<FeatureRows>, Option<Vec<bool>>), SceneError> {
+    ) -> Result<(Option<LanguageFeatures>, Option<Vec<bool>>), SceneError> {
         let mut mask = None;
         if let Some(file) = self.open("valid_feat_mask")? {
             if !matches!(file.shape(), [n] | [n, 1] if *n == self.rows) {
@@ -215,7 +215,7 @@ impl Reader<'_> {
         let mask = mask.unwrap_or_else(|| {
             values.par_chunks_exact(dim).map(|row| row.iter().any(|&v| v != f16::ZERO)).collect()
         });
-        Ok((Some(FeatureRows { values, dim }), Some(mask)))
+        Ok((Some(LanguageFeatures { values, dim }), Some(mask)))
     }
 
     /// Codes with their codebook, if there are any.
@@ -282,7 +282,8 @@ impl Reader<'_> {
     fn label_stem(&mut self, wanted: Option<&str>) -> Result<Option<String>, SceneError> {
         let found = self.label_files("segment")?;
         if let Some(stem) = wanted {
-            if found.iter().any(|f| f == stem) {
+            // Any name will do, also one that is not found by itself.
+            if self.folder.join(format!("{stem}.npy")).is_file() {
                 return Ok(Some(stem.to_owned()));
             }
             if self.folder.join(format!("pc_{stem}.npy")).is_file() {

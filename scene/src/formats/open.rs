@@ -1,5 +1,6 @@
 //! Finding out what a path holds, and reading it.
 
+use super::json_text::is_json;
 use super::ply::PlyFile;
 use super::table::{FORMATS, supported};
 use super::{
@@ -88,13 +89,6 @@ fn read_ply(file: &PlyFile, options: &ReadOptions) -> Result<LoadedScene, SceneE
         return compressed_ply::read_compressed_ply(file, options);
     }
     inria_ply::read_inria_ply(file, options)
-}
-
-/// Whether it may be JSON; spares every other file the attempt to parse it.
-pub(super) fn is_json(bytes: &[u8]) -> bool {
-    // A mark of UTF-8 may come first.
-    let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-    matches!(text.trim_ascii_start(), [b'{' | b'[', ..])
 }
 
 /// What an unsupported file seems to be.

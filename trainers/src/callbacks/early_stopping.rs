@@ -1,13 +1,13 @@
 //! Stops a run that no longer gets better.
 
 use crate::event::{Callback, Event, Flow, Progress};
-use crate::{Selection, TrainError};
+use crate::{Criterion, TrainError};
 use serde::{Deserialize, Serialize};
 
 /// Stops after `patience` evaluations in a row that were no better than the best one before.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EarlyStopping {
-    measurement: Selection,
+    measurement: Criterion,
     patience: u64,
     smaller_is_better: bool,
     state: State,
@@ -22,7 +22,7 @@ struct State {
 
 impl EarlyStopping {
     /// Watches a measurement by its full name, such as `zero_shot/f-mIoU`, or the mean of several.
-    pub fn new(measurement: impl Into<Selection>, patience: u64, smaller_is_better: bool) -> Self {
+    pub fn new(measurement: impl Into<Criterion>, patience: u64, smaller_is_better: bool) -> Self {
         let measurement = measurement.into();
         Self { measurement, patience, smaller_is_better, state: State::default() }
     }
@@ -47,7 +47,7 @@ impl Callback for EarlyStopping {
         Ok(if self.state.waited >= self.patience { Flow::Stop } else { Flow::Continue })
     }
 
-    fn waits_for(&self) -> Option<(&'static str, &Selection)> {
+    fn waits_for(&self) -> Option<(&'static str, &Criterion)> {
         Some(("early_stopping.measurement", &self.measurement))
     }
 

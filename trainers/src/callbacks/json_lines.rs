@@ -4,6 +4,8 @@ use crate::TrainError;
 use crate::event::{Callback, Event, Flow, Progress};
 use scenesplat_datasets::LeftOut;
 use scenesplat_metrics::Measurement;
+use scenesplat_scene::AtomicFile;
+use scenesplat_scene::input_file::open_regular_file;
 use serde::{Deserialize, Serialize};
 use std::fs::File;
 use std::io::{BufRead, BufReader, BufWriter, Write};
@@ -54,9 +56,9 @@ impl JsonLines {
                 kept.push(b'\n');
             }
         }
-        scenesplat_scene::AtomicFile::write(&self.path, &kept)?;
-        let file = File::options().append(true).open(&self.path);
-        self.file = Some(BufWriter::new(file.map_err(TrainError::io(&self.path, "cannot open"))?));
+        let mut file = AtomicFile::create(&self.path)?;
+        file.write_all(&kept).map_err(TrainError::io(&self.path, "cannot write"))?;
+        self.file = Some(BufWriter::new(file.commit_open()?));
         Ok(())
     }
 }
@@ -104,7 +106,7 @@ fn data_measurements(name: &str, left_out: &LeftOut) -> Vec<Measurement> {
 /// If the file cannot be read, or a line before the last is none of this log's; the error says which.
 pub fn read_json_lines(path: &Path) -> Result<Vec<LoggedValue>, TrainError> {
     let error = |action, source| TrainError::Io { path: path.to_owned(), action, source };
-    let file = File::open(path).map_err(|e| error("cannot open", e))?;
+    let file = open_regular_file(path)?;
     let mut values = Vec::new();
     let mut broken: Option<(usize, serde_json::Error)> = None;
     for (index, line) in BufReader::new(file).lines().enumerate() {

@@ -4,9 +4,10 @@
 use super::CheckpointState;
 use crate::TrainError;
 use candle_core::{DType, Device, Tensor};
+use scenesplat_models::weights::save_tensors;
+use scenesplat_scene::input_file::{open_regular_file, read_file};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
@@ -24,14 +25,12 @@ pub struct FileSum {
 pub(super) fn save(path: &Path, tensors: &BTreeMap<String, Tensor>) -> Result<(), TrainError> {
     let tensors: HashMap<&str, Tensor> =
         tensors.iter().map(|(n, t)| (n.as_str(), t.clone())).collect();
-    candle_core::safetensors::save(&tensors, path)
-        .and_then(|()| Ok(File::open(path)?.sync_all()?))
-        .map_err(TrainError::tensor(&path.display().to_string()))
+    save_tensors(&tensors, path).map_err(TrainError::tensor(&path.display().to_string()))
 }
 
 /// Length and checksum of a file as it is on the disk.
 pub(super) fn sum(path: &Path) -> Result<FileSum, TrainError> {
-    let mut file = File::open(path).map_err(TrainError::io(path, "cannot open"))?;
+    let mut file = open_regular_file(path)?;
     let (mut buffer, mut found) = (vec![0; 1 << 20], FileSum { bytes: 0, crc32c: 0 });
     loop {
         match file.read(&mut buffer).map_err(TrainError::io(path, "cannot read"))? {
@@ -66,7 +65,7 @@ pub(crate) fn read_tensors(
     if length != expected.bytes {
         return Err(damaged(format!("has {length} bytes, {} were written", expected.bytes)));
     }
-    let bytes = std::fs::read(&path).map_err(TrainError::io(&path, "cannot read"))?;
+    let bytes = read_file(&path, expected.bytes)?;
     if crc32c::crc32c(&bytes) != expected.crc32c {
         return Err(damaged("was changed after it was written".to_owned()));
     }

@@ -21,7 +21,8 @@ pub(crate) use files::read_tensors;
 use crate::{Identity, Progress, Tally, TrainError};
 use candle_core::Tensor;
 use scenesplat_models::ParamStore;
-use scenesplat_scene::AtomicFile;
+use scenesplat_scene::input_file::read_text_file;
+use scenesplat_scene::{AtomicFile, WholeFolder};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -118,13 +119,8 @@ pub(crate) fn store_file(name: &str) -> String {
 /// Writes a checkpoint beside its place and moves it there when it is complete.
 pub(crate) fn write(dir: &Path, mut contents: Contents<'_>) -> Result<PathBuf, TrainError> {
     let place = dir.join(format!("step-{:09}", contents.state.progress.step));
-    let beside = place.with_extension("partial");
-    if beside.exists() {
-        std::fs::remove_dir_all(&beside).map_err(TrainError::io(&beside, "cannot remove"))?;
-    }
-    std::fs::create_dir_all(dir).map_err(TrainError::io(dir, "cannot make"))?;
-    // Not over anything: a link in the way would lead out of the folder.
-    std::fs::create_dir(&beside).map_err(TrainError::io(&beside, "cannot make"))?;
+    let folder = WholeFolder::create(&place)?;
+    let beside = folder.waiting();
     let stores = contents.stores.iter().map(|(name, store)| (store_file(name), *store));
     let mut names = vec![OPTIMIZER.to_owned()];
     for (name, store) in std::iter::once((PARAMS.to_owned(), contents.params)).chain(stores) {
@@ -141,18 +137,10 @@ pub(crate) fn write(dir: &Path, mut contents: Contents<'_>) -> Result<PathBuf, T
         contents.state.files.insert(name, sum);
     }
     let text = serde_json::to_string_pretty(&contents.state)
-        .map_err(|e| TrainError::io(&beside, "cannot describe")(e.into()))?;
-    write_synced(&beside.join("state.json"), text.as_bytes())?;
-    if place.exists() {
-        std::fs::remove_dir_all(&place).map_err(TrainError::io(&place, "cannot replace"))?;
-    }
-    std::fs::rename(&beside, &place).map_err(TrainError::io(&place, "cannot rename to"))?;
+        .map_err(|e| TrainError::io(&place, "cannot describe")(e.into()))?;
+    folder.write("state.json", text.as_bytes())?;
+    folder.commit()?;
     Ok(place)
-}
-
-/// Written to the disk before it returns.
-pub(crate) fn write_synced(path: &Path, bytes: &[u8]) -> Result<(), TrainError> {
-    Ok(AtomicFile::write(path, bytes)?)
 }
 
 /// Reads `state.json`.
@@ -161,9 +149,8 @@ pub(crate) fn write_synced(path: &Path, bytes: &[u8]) -> Result<(), TrainError> 
 /// If the folder is no complete checkpoint of this format, or its settings are not what was written.
 pub fn read_state(dir: &Path) -> Result<CheckpointState, TrainError> {
     let path = dir.join("state.json");
-    let error = |source| TrainError::Io { path: path.clone(), action: "cannot read", source };
     let damaged = |problem: String| TrainError::Damaged { path: path.clone(), problem };
-    let text = std::fs::read_to_string(&path).map_err(error)?;
+    let text = read_text_file(&path)?;
     let value: serde_json::Value =
         serde_json::from_str(&text).map_err(|e| damaged(format!("is no JSON: {e}")))?;
     let format = value.get("format").cloned().unwrap_or_default();
@@ -217,24 +204,21 @@ pub fn best_checkpoint(dir: &Path) -> Result<Option<BestCheckpoint>, TrainError>
     if !path.is_file() {
         return Ok(None);
     }
-    let error = |source| TrainError::Io { path: path.clone(), action: "cannot read", source };
-    let text = std::fs::read_to_string(&path).map_err(error)?;
-    serde_json::from_str(&text).map(Some).map_err(|e| error(e.into()))
+    let text = read_text_file(&path)?;
+    serde_json::from_str(&text)
+        .map(Some)
+        .map_err(|e| TrainError::io(&path, "cannot understand")(e.into()))
 }
 
 /// Marks the best checkpoint.
 pub(crate) fn mark_best(dir: &Path, best: &BestCheckpoint) -> Result<(), TrainError> {
     let path = dir.join("best.json");
-    let error = |action| {
-        let path = path.clone();
-        move |source| TrainError::Io { path, action, source }
-    };
-    let text =
-        serde_json::to_string_pretty(best).map_err(|e| error("cannot describe")(e.into()))?;
+    let text = serde_json::to_string_pretty(best)
+        .map_err(|e| TrainError::io(&path, "cannot describe")(e.into()))?;
     Ok(AtomicFile::write(&path, text.as_bytes())?)
 }
 
-/// Removes all but the last `keep` checkpoints and the best one.
+/// Removes all but the last `keep` checkpoints and the best one, and what a killed run left of one.
 pub(crate) fn prune(dir: &Path, keep: usize) -> Result<(), TrainError> {
     let best = best_checkpoint(dir)?.map(|b| b.checkpoint);
     let found = steps(dir)?;
@@ -249,5 +233,23 @@ pub(crate) fn prune(dir: &Path, keep: usize) -> Result<(), TrainError> {
             })?;
         }
     }
+    for entry in std::fs::read_dir(dir).map_err(TrainError::io(dir, "cannot list"))? {
+        let path = entry.map_err(TrainError::io(dir, "cannot list"))?.path();
+        if path.file_name().and_then(|n| n.to_str()).is_some_and(is_leftover) {
+            std::fs::remove_dir_all(&path).map_err(TrainError::io(&path, "cannot remove"))?;
+        }
+    }
     Ok(())
+}
+
+/// Whether a name is that of a checkpoint being written: `.step-<9 digits>.<16 hex digits>.part`. This
+/// run writes none now, and another cannot write to its folder.
+fn is_leftover(name: &str) -> bool {
+    let middle = name.strip_prefix(".step-").and_then(|n| n.strip_suffix(".part"));
+    middle.and_then(|n| n.split_once('.')).is_some_and(|(step, token)| {
+        step.len() >= 9
+            && step.bytes().all(|b| b.is_ascii_digit())
+            && token.len() == 16
+            && token.bytes().all(|b| b.is_ascii_hexdigit())
+    })
 }

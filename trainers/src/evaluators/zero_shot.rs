@@ -7,10 +7,11 @@ use crate::event::{Evaluator, Progress};
 use crate::module::HasBackbone;
 use scenesplat_datasets::{Dataset, InputFeatures, LeftOut};
 use scenesplat_metrics::{
-    ConfusionMatrix, FeatureSlice, Measurement, Metric, Scores, TextTable, VoteRule,
+    ConfusionMatrix, FeatureSlice, Measurement, Metric, Scores, TextRows, VoteRule,
     ZeroShotOptions, classify,
 };
 use scenesplat_models::Backbone;
+use scenesplat_scene::TextTable;
 use std::sync::Arc;
 
 /// Labels every Gaussian by the class text nearest to the feature of its voxel and measures the
@@ -95,9 +96,10 @@ impl ZeroShotEvaluator {
             vote: VoteRule::of(self.vote_k),
         };
         let width = model.out_channels();
+        let text = TextRows::new(&self.text.values, self.text.dim)?;
         let label = |rows: &[f32]| {
             let rows = FeatureSlice::new(rows, width)?;
-            Ok(classify(&rows, &self.text, &ZeroShotOptions::default())?.labels)
+            Ok(classify(&rows, text, &ZeroShotOptions::default())?.labels)
         };
         protocol.run(&self.name, self.data.as_ref(), &self.features, model, own, label)
     }
@@ -112,8 +114,9 @@ impl ZeroShotEvaluator {
 
     /// What the text of each class comes out as: itself, or an earlier class of the same text.
     fn answers(&self) -> Result<Vec<i32>, TrainError> {
-        let rows = FeatureSlice::new(self.text.rows(), self.text.dim())?;
-        Ok(classify(&rows, &self.text, &ZeroShotOptions::default())?.labels)
+        let text = TextRows::new(&self.text.values, self.text.dim)?;
+        let rows = FeatureSlice::new(text.rows(), text.dim())?;
+        Ok(classify(&rows, text, &ZeroShotOptions::default())?.labels)
     }
 }
 

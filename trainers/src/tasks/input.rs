@@ -2,10 +2,7 @@
 
 use candle_core::{Device, Result, Tensor};
 use scenesplat_datasets::TrainBatch;
-use scenesplat_losses::{IGNORE, LossInput, Objective};
 use scenesplat_models::PointCloud;
-
-use crate::module::StepOutput;
 
 /// Voxels and features of a batch.
 ///
@@ -35,33 +32,4 @@ pub fn bad_values(batch: &TrainBatch) -> Vec<String> {
         }
     }
     found
-}
-
-/// Loss and terms of predictions. Rows count if they have a target, or a label where no target is
-/// asked for or none is there; none does in a step without any term.
-pub(super) fn evaluate(
-    objective: &Objective,
-    input: &LossInput<'_>,
-    features: Option<&Tensor>,
-) -> Result<StepOutput> {
-    let out = objective.forward(input)?;
-    let terms = out
-        .terms
-        .iter()
-        .map(|term| Ok((term.name.clone(), f64::from(term.value.to_scalar::<f32>()?))))
-        .collect::<Result<_>>()?;
-    let rows = input.pred.dim(0)?;
-    let targets = match (input.target, input.valid) {
-        (None, _) => 0,
-        (Some(_), None) => rows,
-        (Some(_), Some(valid)) => valid.iter().filter(|v| **v).count(),
-    };
-    let labels = || input.label.map_or(0, |l| l.iter().filter(|l| **l != IGNORE).count());
-    let counted_rows = match (out.terms.is_empty(), targets) {
-        (true, _) => 0,
-        (false, 0) => labels(),
-        (false, targets) => targets,
-    };
-    let features = features.map(Tensor::detach);
-    Ok(StepOutput { loss: out.total, rows, counted_rows, terms, features })
 }

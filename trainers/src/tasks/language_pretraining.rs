@@ -1,11 +1,11 @@
 //! Vision-language pretraining: the network's features shall be those of its targets.
 
-use super::input::{bad_values, evaluate, point_cloud};
-use crate::module::{HasBackbone, StepContext, StepOutput, TrainingModule};
+use super::learner::{Learner, RowTargets};
+use super::task_module::TrainingTask;
+use crate::module::{StepContext, StepOutput};
 use candle_core::{Device, Result, Tensor, bail};
 use scenesplat_datasets::TrainBatch;
-use scenesplat_losses::{LossInput, Objective};
-use scenesplat_models::{Backbone, ParamStore};
+use scenesplat_metrics::TextRows;
 use scenesplat_scene::TextTable;
 
 /// Where the target of a row comes from.
@@ -18,21 +18,14 @@ pub enum TargetSource {
 }
 
 impl TargetSource {
-    /// Targets by class from a table; its rows are brought to unit length.
+    /// Targets by class from a table.
     ///
     /// # Errors
-    /// If a row is zero or not finite (named).
+    /// If a row does not have unit length, which those of [`TextTable::from_rows`] have.
     pub fn class_text(table: &TextTable) -> Result<Self> {
-        let width = table.values.len() / table.len().max(1);
-        let mut values = table.values.clone();
-        for (name, row) in table.names.iter().zip(values.chunks_exact_mut(width.max(1))) {
-            let norm = row.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
-            if !norm.is_finite() || norm <= 0.0 {
-                bail!("text row {name:?}: its length is {norm}, which has no direction");
-            }
-            row.iter_mut().for_each(|v| *v = (f64::from(*v) / norm) as f32);
-        }
-        Tensor::from_vec(values, (table.len(), width), &Device::Cpu).map(Self::ClassText)
+        let rows = TextRows::new(&table.values, table.dim).map_err(candle_core::Error::wrap)?;
+        let shape = (rows.num_classes(), rows.dim());
+        Tensor::from_slice(rows.rows(), shape, &Device::Cpu).map(Self::ClassText)
     }
 
     /// Targets of a batch, and which rows have one. `[N, D]`, `[N]`
@@ -73,69 +66,28 @@ impl TargetSource {
     }
 }
 
-/// A language network with its losses.
-///
-/// Each step: features of all rows, the objective over rows that have a target. Classes
-/// (`segment`), where the data have them, are handed to the losses as well, which may or may not
-/// look at them.
+/// Each step: features of all rows, the losses over rows that have a target. Classes (`segment`),
+/// where the data have them, are handed to the losses as well, which may or may not look at them.
 ///
 /// # Source
 /// `LangPretrainer`, SceneSplat be9d5e1. Differs: the schedule of a term goes by step, not by epoch.
+#[derive(Debug, Clone)]
 pub struct LanguagePretraining {
-    params: ParamStore,
-    model: Box<dyn Backbone>,
-    objective: Objective,
-    targets: TargetSource,
+    /// Where the targets come from.
+    pub targets: TargetSource,
 }
 
-impl LanguagePretraining {
-    /// `model` must have been built from `params`.
-    pub fn new(
-        params: ParamStore,
-        model: impl Backbone + 'static,
-        objective: Objective,
-        targets: TargetSource,
-    ) -> Self {
-        Self { params, model: Box::new(model), objective, targets }
-    }
-}
-
-impl HasBackbone for LanguagePretraining {
-    fn backbone(&self) -> &dyn Backbone {
-        self.model.as_ref()
-    }
-}
-
-impl TrainingModule for LanguagePretraining {
-    type Batch = TrainBatch;
-
-    fn params(&self) -> &ParamStore {
-        &self.params
-    }
-
-    fn training_step(&self, batch: &TrainBatch, cx: &mut StepContext<'_>) -> Result<StepOutput> {
-        let pred = self.model.forward(&point_cloud(batch)?, &mut cx.forward)?;
+impl TrainingTask for LanguagePretraining {
+    fn step(
+        &self,
+        learner: &Learner,
+        batch: &TrainBatch,
+        cx: &mut StepContext<'_>,
+    ) -> Result<StepOutput> {
+        let pred = learner.forward(batch, cx)?;
         let (target, valid) = self.targets.of(batch)?;
-        let input = LossInput {
-            pred: &pred,
-            target: Some(&target),
-            label: batch.segment.as_deref(),
-            valid: Some(&valid),
-            progress: cx.progress,
-            seed: cx.seed,
-        };
-        evaluate(&self.objective, &input, Some(&pred))
-    }
-
-    fn is_empty(&self, batch: &TrainBatch) -> bool {
-        batch.is_empty()
-    }
-
-    fn scenes(&self, batch: &TrainBatch) -> Vec<String> {
-        batch.ids.clone()
-    }
-
-    fn suspects(&self, batch: &TrainBatch) -> Vec<String> {
-        bad_values(batch)
+        let label = batch.segment.as_deref();
+        let targets = RowTargets { target: Some(&target), valid: Some(&valid), label };
+        learner.output(&pred, targets, cx)
     }
 }

@@ -42,7 +42,7 @@ impl Trainer {
         if at.step.is_multiple_of(self.config.log_every) || last {
             let entry = |name: &str, value| Measurement::new(format!("train/{name}"), value);
             measurements.push(entry("loss", report.loss));
-            measurements.extend(report.terms.iter().map(|(name, value)| entry(name, *value)));
+            measurements.extend(report.terms.iter().map(|(name, term)| entry(name, term.value())));
             measurements.push(entry("lr_factor", report.lr_factor));
             measurements.push(entry("grad_norm", report.grad_norm));
             measurements.push(entry("counted_rows", report.tally.counted_rows as f64));

@@ -21,11 +21,29 @@ const NAMED_SCENES: usize = 64;
 #[derive(Default)]
 pub(super) struct StepReport {
     pub(super) loss: f64,
-    pub(super) terms: BTreeMap<String, f64>,
+    pub(super) terms: BTreeMap<String, TermMean>,
     pub(super) grad_norm: f64,
     pub(super) lr_factor: f64,
     pub(super) tally: Tally,
     pub(super) features: Option<Tensor>,
+}
+
+/// Mean of a term over the batches of a step in which it was on.
+#[derive(Default)]
+pub(super) struct TermMean {
+    sum: f64,
+    batches: u64,
+}
+
+impl TermMean {
+    fn add(&mut self, value: f64) {
+        self.sum += value;
+        self.batches += 1;
+    }
+
+    pub(super) fn value(&self) -> f64 {
+        self.sum / self.batches as f64
+    }
 }
 
 impl Trainer {
@@ -145,7 +163,7 @@ impl Trainer {
         }
         report.loss += value * share;
         for (name, value) in out.terms {
-            *report.terms.entry(name).or_default() += value * share;
+            report.terms.entry(name).or_default().add(value);
         }
         report.tally.rows += out.rows as u64;
         report.tally.counted_rows += out.counted_rows as u64;

@@ -110,7 +110,7 @@ fn normalising_is_idempotent_for_any_direction() {
 }
 
 #[test]
-fn colours_and_coefficients_are_repaired_in_place() {
+fn colors_and_coefficients_are_repaired_in_place() {
     let mut s = scene(2);
     s.sh_dc[1] = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY];
     s.sh_degree = 1;
@@ -146,7 +146,7 @@ fn features_that_are_not_finite_are_masked_out() {
     use half::f16;
     let mut s = scene(2);
     let values = vec![f16::ONE, f16::ONE, f16::ONE, f16::NAN];
-    s.lang_feat = Some(crate::FeatureRows { values, dim: 2 });
+    s.lang_feat = Some(crate::LanguageFeatures { values, dim: 2 });
     s.valid_feat_mask = Some(vec![true; 2]);
     let (out, _, report) = clean(s);
     assert_eq!(out.valid_feat_mask.unwrap(), [true, false]);

@@ -1,0 +1,49 @@
+use crate::MetricError;
+use crate::error::check_num_classes;
+use scenesplat_kernels::unit_rows::{UnitRowError, check_unit_rows};
+
+/// Text embeddings of the class names, one unit row each: a view of rows that someone else holds, such
+/// as the values of a table of texts.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TextRows<'a> {
+    num_classes: usize,
+    dim: usize,
+    /// `[num_classes, dim]`, row-major.
+    rows: &'a [f32],
+}
+
+impl<'a> TextRows<'a> {
+    /// A view of `[C, D]` embeddings of unit length, row-major.
+    ///
+    /// # Errors
+    /// If `rows` is not a multiple of `dim`, `dim` or the number of rows is 0 (or the latter above
+    /// 4096), or a row does not have norm 1 within 1e-5.
+    pub fn new(rows: &'a [f32], dim: usize) -> Result<Self, MetricError> {
+        let num_classes = check_unit_rows(rows, dim).map_err(|error| match error {
+            UnitRowError::Norm { row: class, norm } => MetricError::TextRow { class, norm },
+            _ => MetricError::RowShape { what: "text embeddings", len: rows.len(), dim },
+        })?;
+        check_num_classes(num_classes)?;
+        Ok(Self { num_classes, dim, rows })
+    }
+
+    /// Number of classes `C`.
+    pub fn num_classes(&self) -> usize {
+        self.num_classes
+    }
+
+    /// Channels per row `D`.
+    pub fn dim(&self) -> usize {
+        self.dim
+    }
+
+    /// `[C, D]` unit rows, row-major.
+    pub fn rows(&self) -> &'a [f32] {
+        self.rows
+    }
+
+    /// `[D]`, the unit row of one class, if it exists.
+    pub fn row(&self, class: usize) -> Option<&'a [f32]> {
+        self.rows.chunks_exact(self.dim).nth(class)
+    }
+}
