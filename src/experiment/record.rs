@@ -1,15 +1,18 @@
 //! `run.json`: what a run was made of, and what became of its data.
 
 use super::ExperimentError;
+use super::teacher::TeacherRecord;
 use scenesplat_scene::AtomicFile;
 use scenesplat_trainers::{Callback, Event, Flow, Progress, TrainError};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Writes `run.json`, again whenever more of the data was left out.
 pub(super) struct RunRecord {
     path: PathBuf,
     run: Value,
+    teacher: Option<Arc<TeacherRecord>>,
 }
 
 impl RunRecord {
@@ -29,24 +32,40 @@ impl RunRecord {
         starts.push(start);
         run["starts"] = starts.into();
         run["data"] = json!({});
-        Self { path, run }
+        Self { path, run, teacher: None }
+    }
+
+    /// With what the teacher did, if there is one.
+    pub(super) fn with_teacher(mut self, teacher: &Option<Arc<TeacherRecord>>) -> Self {
+        self.teacher.clone_from(teacher);
+        self
     }
 
     /// Writes it as it stands.
     pub(super) fn write(&self) -> Result<(), ExperimentError> {
-        write(&self.path, &serde_json::to_string_pretty(&self.run)?)
+        let mut run = self.run.clone();
+        if let Some(teacher) = &self.teacher {
+            run["teacher"] = teacher.to_json();
+        }
+        write(&self.path, &serde_json::to_string_pretty(&run)?)
     }
 }
 
 impl Callback for RunRecord {
     fn on_event(&mut self, event: &Event<'_>, _: Progress) -> Result<Flow, TrainError> {
+        let what = self.path.display().to_string();
+        let unwritable = |problem: String| TrainError::Unwritable { what: what.clone(), problem };
         if let Event::Data { name, left_out } = event {
-            let unwritable = |problem: String| {
-                let what = self.path.display().to_string();
-                TrainError::Unwritable { what, problem }
-            };
             self.run["data"][*name] =
                 serde_json::to_value(left_out).map_err(|e| unwritable(e.to_string()))?;
+            self.write().map_err(|e| unwritable(with_causes(&e)))?;
+        }
+        if self.teacher.is_some()
+            && matches!(
+                event,
+                Event::Evaluated { .. } | Event::Checkpoint { .. } | Event::FitEnd { .. }
+            )
+        {
             self.write().map_err(|e| unwritable(with_causes(&e)))?;
         }
         Ok(Flow::Continue)
