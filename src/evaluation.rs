@@ -1,68 +1,20 @@
 //! Labels of scenes against the truth that the scenes carry.
 
+mod classes;
+mod error;
+
+pub use classes::{background, classes_of_labels, classes_of_rooms, own_directions};
+pub use error::EvaluationError;
+
 use crate::inference::{EncodeError, EncodeProgress, SceneEncoder, SceneFeatures};
-use crate::labels::{Classes, LabelError, label_gaussians};
+use crate::labels::{Classes, label_gaussians};
 use crate::network::Network;
 use crate::text::text_rows;
 use scenesplat_metrics::{
     ConfusionMatrix, Fault, Metric, MetricError, OracleReport, SceneTruth, Scores, TesterReport,
     TextRows, UnknownRule, VoteRule, ZeroShotOptions, random_labels,
 };
-use scenesplat_rooms::{CLASSES, SyntheticClass};
-use scenesplat_scene::label_set::find_name;
-use scenesplat_scene::{ClassMap, GaussianScene, LabelSet, SceneError, TextTable};
-
-/// Why scenes could not be evaluated.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum EvaluationError {
-    /// A label that stands for nothing.
-    #[error("row {row} has label {label}, but there are only {known} names")]
-    UnknownLabel {
-        /// First such row, of the Gaussians or of the labelled points.
-        row: usize,
-        /// Its label.
-        label: i32,
-        /// Labels that are known.
-        known: usize,
-    },
-    /// A scene that says nothing about the classes.
-    #[error("no point has a label of a known class; nothing to evaluate")]
-    NoLabels,
-    /// Only Gaussians with a collected feature were to vote.
-    #[error("the scene does not say which Gaussians have a feature (no valid_feat_mask)")]
-    NoVoters,
-    /// A row that cannot be spoiled.
-    #[error("row {row} cannot be spoiled: choose one with a label, in a scene with two classes")]
-    Fault {
-        /// The row.
-        row: usize,
-    },
-    /// The truth itself does not come out as it must.
-    #[error(
-        "evaluation refused: the oracle falls short of its analytic value, so no number of this \
-         chain can be trusted"
-    )]
-    Oracle(#[source] MetricError),
-    /// What went wrong with one of several scenes.
-    #[error("{scene}")]
-    Scene {
-        /// Its name.
-        scene: String,
-        /// What went wrong.
-        #[source]
-        source: Box<EvaluationError>,
-    },
-    /// The network failed, or was stopped.
-    #[error(transparent)]
-    Encode(#[from] EncodeError),
-    /// Features and texts that do not fit together.
-    #[error(transparent)]
-    Label(#[from] LabelError),
-    /// Texts, labels or settings that cannot be used.
-    #[error(transparent)]
-    Metric(#[from] MetricError),
-}
+use scenesplat_scene::{GaussianScene, TextTable};
 
 /// How scenes are scored.
 #[derive(Debug, Clone, PartialEq)]
@@ -323,52 +275,6 @@ fn fault(labels: &[i32], row: usize) -> Result<Fault, EvaluationError> {
     }
 }
 
-/// Those of wall, floor and ceiling that there are: what the averages that begin with f leave out
-/// where no benchmark says otherwise.
-pub fn background(classes: &LabelSet) -> Vec<usize> {
-    ["wall", "floor", "ceiling"].iter().filter_map(|n| classes.index_of(n).ok()).collect()
-}
-
-/// The classes of a network that has its own, as a table: each is its own direction.
-///
-/// # Errors
-/// If there is no name.
-pub fn own_directions(names: Vec<String>) -> Result<TextTable, SceneError> {
-    let count = names.len();
-    let values = (0..count * count).map(|i| f32::from(u8::from(i % (count + 1) == 0))).collect();
-    TextTable::from_rows(names, values, count)
-}
-
-/// The class that each label means, by a map or else by the same name; -1 for none.
-///
-/// # Errors
-/// If the map names what there is not.
-pub fn classes_of_labels(
-    labels: &[String],
-    map: Option<&ClassMap>,
-    classes: &[String],
-) -> Result<Vec<i32>, SceneError> {
-    match map {
-        Some(map) => map.indices(labels, classes),
-        None => {
-            let same_name = |l: &String| Some((l.clone(), find_name(classes, l).ok()?));
-            let pairs = labels.iter().filter_map(same_name);
-            ClassMap::from_pairs(pairs.map(|(l, c)| (l, classes[c].clone())))
-                .indices(labels, classes)
-        }
-    }
-}
-
-/// The class that each label of the synthetic rooms means, by its name there or in `ScanNet200`; -1
-/// for none.
-pub fn classes_of_rooms(classes: &[String]) -> Vec<i32> {
-    let row = |class: &SyntheticClass| {
-        let own = find_name(classes, class.name);
-        own.or_else(|_| find_name(classes, class.scannet200_name)).map_or(-1, |row| row as i32)
-    };
-    CLASSES.iter().map(row).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -447,17 +353,5 @@ mod tests {
         assert!(matches!(error, EvaluationError::NoVoters), "{error}");
         let masked = GaussianScene { valid_feat_mask: Some(vec![true; 4]), ..scene() };
         evaluation.truth(&masked, None).unwrap();
-    }
-
-    #[test]
-    fn labels_find_their_classes() {
-        let classes = names(&["wall", "office chair"]);
-        let labels = names(&["office chair", "lamp", "wall"]);
-        assert_eq!(classes_of_labels(&labels, None, &classes).unwrap(), [1, -1, 0]);
-        let map = ClassMap::from_pairs([("lamp", "office chair")]);
-        assert_eq!(classes_of_labels(&labels, Some(&map), &classes).unwrap(), [-1, 1, -1]);
-        let of_rooms = classes_of_rooms(&classes);
-        assert_eq!(of_rooms.len(), CLASSES.len());
-        assert_eq!(of_rooms[0], 0);
     }
 }

@@ -173,3 +173,28 @@ fn labelled_cloud(path: &Path, label: Option<&str>) -> bool {
         && (has(&LABEL_NAMES) || label.is_some_and(|l| vertex.has(l)))
         && !has(&["scale_0", "f_dc_0", "opacity", "packed_position"])
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use scenesplat_scene::formats::npy_writer::write_npy;
+
+    #[test]
+    fn features_follow_the_rows_of_the_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("features.npy");
+        write_npy(&path, &[3, 2], &[0.0f32, 1.0, 2.0, 3.0, 4.0, 5.0]).unwrap();
+        let values = |kept: Option<&[u32]>| {
+            let rows = read_feature_rows(&path, 3, kept).unwrap();
+            assert_eq!(rows.dim, 2);
+            rows.values.iter().map(|v| v.to_f32()).collect::<Vec<f32>>()
+        };
+        assert_eq!(values(None), [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]);
+        assert_eq!(values(Some(&[2, 0])), [4.0, 5.0, 0.0, 1.0]);
+        let error = read_feature_rows(&path, 4, None).unwrap_err();
+        assert!(matches!(error, InputError::OtherScene { count: 3, rows: 4, .. }), "{error}");
+        write_npy(&path, &[6], &[0.0f32; 6]).unwrap();
+        let error = read_feature_rows(&path, 6, None).unwrap_err();
+        assert!(matches!(error, InputError::Shape { .. }), "{error}");
+    }
+}

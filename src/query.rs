@@ -247,6 +247,14 @@ mod tests {
     }
 
     #[test]
+    fn what_is_selected_stands_out() {
+        let found = Selection { scores: vec![0.0, 1.0, 0.5], selected: vec![0, 0, 1] };
+        assert_eq!(found.colors(), [[60, 60, 68], [160, 160, 168], SELECTED_COLOR]);
+        let flat = Selection { scores: vec![f32::NAN; 2], selected: vec![0, 1] };
+        assert_eq!(flat.colors(), [[60, 60, 68], SELECTED_COLOR]);
+    }
+
+    #[test]
     fn rows_without_direction_and_texts_of_another_width_are_not_found() {
         let words = Vocabulary::new(96).unwrap();
         let query = Query::of_vocabulary(&words, "chair").unwrap();

@@ -44,7 +44,8 @@ pub fn check_unit_rows(values: &[f32], dim: usize) -> Result<usize, UnitRowError
     for (row, values) in values.chunks_exact(dim).enumerate() {
         let norm = values.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
         // A NaN is not near to 1.
-        if !((norm - 1.0).abs() <= UNIT_TOLERANCE) {
+        let is_unit = (norm - 1.0).abs() <= UNIT_TOLERANCE;
+        if !is_unit {
             return Err(UnitRowError::Norm { row, norm });
         }
     }

@@ -63,13 +63,12 @@ impl Head {
     /// What a network costs with it, behind a backbone of this width and cost: the product of its
     /// linear layer, and its results beside what they are made from.
     pub fn cost(self, mut backbone: BackboneCost, width: usize) -> BackboneCost {
-        let (name, wide, rows) = match self {
+        let (name, wide) = match self {
             Self::Features { projection: None } => return backbone,
-            // And the same at unit length.
-            Self::Features { projection: Some(n) } => (PROJECTION, n, 2 * n),
-            Self::Classes(n) => (CLASSIFIER, n, n),
+            Self::Features { projection: Some(n) } => (PROJECTION, n),
+            Self::Classes(n) => (CLASSIFIER, n),
         };
-        let bytes = (width + rows) * size_of::<f32>() * 11 / 10;
+        let bytes = (width + wide) * size_of::<f32>() * 11 / 10;
         backbone.bytes_per_voxel = backbone.bytes_per_voxel.max(bytes);
         backbone.parts.push((name.to_owned(), width as f64 * wide as f64));
         backbone
@@ -122,12 +121,11 @@ impl LanguageModel {
 impl Backbone for LanguageModel {
     /// Unit rows, except that a zero row stays zero.
     fn forward(&self, points: &PointCloud, cx: &mut Forward<'_>) -> Result<Tensor> {
-        let mut feat = self.backbone.forward(points, cx)?;
-        if let Some(projection) = &self.projection {
-            feat = projection.forward(&feat)?;
-            cx.observe(PROJECTION, &feat)?;
-        }
-        ops::l2_normalize(&feat)
+        let feat = self.backbone.forward(points, cx)?;
+        let Some(projection) = &self.projection else { return ops::l2_normalize(&feat) };
+        let feat = projection.forward_unit(&feat)?;
+        cx.observe(PROJECTION, &feat)?;
+        Ok(feat)
     }
     fn out_channels(&self) -> usize {
         self.width

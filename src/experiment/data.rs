@@ -189,13 +189,14 @@ pub fn check_classes(config: &ExperimentConfig, text: Option<&ClassTexts>) -> Re
         if let (true, Some(text)) = (by_text, text) {
             return text.check(&classes);
         }
-        match config.model.num_classes() {
-            Some(n) if n != classes.len() => Err(ExperimentError::Classes(format!(
+        if let Some(n) = config.model.num_classes().filter(|n| *n != classes.len()) {
+            return Err(ExperimentError::Classes(format!(
                 "the labels have {} classes and model.num_classes is {n}",
                 classes.len()
-            ))),
-            _ => Ok(()),
+            )));
         }
+        // Texts say which classes averages leave out, and losses may look at them.
+        text.map_or(Ok(()), |text| text.check(&classes))
     };
     for (i, entry) in config.train.iter().enumerate() {
         let asks = |loss: &LossConfig| matches!(loss, LossConfig::TextClassification(_));

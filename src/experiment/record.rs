@@ -8,7 +8,10 @@ use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Writes `run.json`, again whenever more of the data was left out.
+/// Alarms of a run that are written down: the first ones say what is wrong.
+const MOST_ALARMS: usize = 100;
+
+/// Writes `run.json`, again whenever more of the data was left out or an alarm was raised.
 pub(super) struct RunRecord {
     path: PathBuf,
     run: Value,
@@ -16,22 +19,25 @@ pub(super) struct RunRecord {
 }
 
 impl RunRecord {
-    /// A record of a run that begins at `step`, with these facts; a resumed run keeps the list of
-    /// earlier beginnings.
+    /// A record of a run that begins at `step`, with these facts; a resumed run keeps the earlier
+    /// beginnings and alarms.
     pub(super) fn new(folder: &Path, step: u64, program: &Value, mut run: Value) -> Self {
         let path = folder.join("run.json");
-        let mut starts = Vec::new();
+        let (mut starts, mut alarms) = (Vec::new(), Vec::new());
         if step > 0
             && let Ok(text) = std::fs::read_to_string(&path)
             && let Ok(before) = serde_json::from_str::<Value>(&text)
         {
             starts = before["starts"].as_array().cloned().unwrap_or_default();
+            alarms = before["alarms"].as_array().cloned().unwrap_or_default();
+            alarms.retain(|alarm| alarm["step"].as_u64().is_some_and(|at| at <= step));
         }
         let mut start = program.clone();
         start["step"] = step.into();
         starts.push(start);
         run["starts"] = starts.into();
         run["data"] = json!({});
+        run["alarms"] = alarms.into();
         Self { path, run, teacher: None }
     }
 
@@ -52,22 +58,31 @@ impl RunRecord {
 }
 
 impl Callback for RunRecord {
-    fn on_event(&mut self, event: &Event<'_>, _: Progress) -> Result<Flow, TrainError> {
-        let what = self.path.display().to_string();
-        let unwritable = |problem: String| TrainError::Unwritable { what: what.clone(), problem };
-        if let Event::Data { name, left_out } = event {
-            self.run["data"][*name] =
-                serde_json::to_value(left_out).map_err(|e| unwritable(e.to_string()))?;
-            self.write().map_err(|e| unwritable(with_causes(&e)))?;
+    fn on_event(&mut self, event: &Event<'_>, at: Progress) -> Result<Flow, TrainError> {
+        let unwritable = |problem: String| {
+            let what = self.path.display().to_string();
+            TrainError::Unwritable { what, problem }
+        };
+        match event {
+            Event::Data { name, left_out } => {
+                self.run["data"][*name] =
+                    serde_json::to_value(left_out).map_err(|e| unwritable(e.to_string()))?;
+            }
+            Event::Alarm { message } => {
+                let Some(alarms) = self.run["alarms"].as_array_mut() else {
+                    return Ok(Flow::Continue);
+                };
+                if alarms.len() >= MOST_ALARMS {
+                    return Ok(Flow::Continue);
+                }
+                alarms.push(json!({ "step": at.step, "message": message }));
+            }
+            // What the teacher did is known at these times.
+            Event::Evaluated { .. } | Event::Checkpoint { .. } | Event::FitEnd { .. }
+                if self.teacher.is_some() => {}
+            _ => return Ok(Flow::Continue),
         }
-        if self.teacher.is_some()
-            && matches!(
-                event,
-                Event::Evaluated { .. } | Event::Checkpoint { .. } | Event::FitEnd { .. }
-            )
-        {
-            self.write().map_err(|e| unwritable(with_causes(&e)))?;
-        }
+        self.write().map_err(|e| unwritable(with_causes(&e)))?;
         Ok(Flow::Continue)
     }
 }

@@ -213,9 +213,10 @@ fn segmentation(
 ) -> Result<Vec<Box<dyn Evaluator<TaskModule>>>> {
     let mut all: Vec<Box<dyn Evaluator<TaskModule>>> = Vec::new();
     for entry in &config.evaluate {
+        let own = entry.text.as_ref().map(data::text_table).transpose()?;
         let data = data::evaluation(entry, config, None)?;
         let input = config.input.clone();
-        let excluded = data::excluded(&entry.source, text)?;
+        let excluded = data::excluded(&entry.source, own.as_ref().or(text))?;
         let evaluator = SegmentationEvaluator::new(&entry.name, data, input, excluded);
         all.push(Box::new(match entry.vote_k {
             Some(k) => evaluator.with_vote(k),

@@ -4,7 +4,7 @@
 #[path = "support/line.rs"]
 mod line;
 
-use line::{Line, StopAt, config, numbers, trainer, values};
+use line::{Line, Numbers, StopAt, config, numbers, trainer, values};
 use scenesplat_metrics::Measurement;
 use scenesplat_trainers::callbacks::{EarlyStopping, JsonLines, read_json_lines};
 use scenesplat_trainers::checkpoint::{best_checkpoint, newest_checkpoint, read_network};
@@ -246,4 +246,15 @@ fn a_run_stopped_at_the_end_of_an_epoch_evaluates_it_when_it_goes_on() {
     for stop in [7, 14, 13, 28] {
         assert_eq!(whole, outcome(Some(stop)), "stopped at {stop}");
     }
+}
+
+#[test]
+fn data_in_another_number_of_batches_are_refused() {
+    let (root, dir) = stopped();
+    let module = Line::new();
+    let mut again = trainer(&module, averaged(root.path()));
+    let start = again.load_checkpoint(&dir, &module).unwrap();
+    let mut more = Numbers { batches: 8, ..numbers() };
+    let error = again.fit(&module, &mut more, &mut [], start).unwrap_err().to_string();
+    assert!(error.contains("batches of an epoch was 7 and is 8"), "{error}");
 }

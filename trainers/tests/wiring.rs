@@ -19,6 +19,9 @@ use scenesplat_trainers::{
 };
 use std::sync::{Arc, Mutex};
 
+/// Not small beside the gradients, or Adam would hide their scale: that of all together cancels.
+const EPS: f64 = 0.05;
+
 /// What one micro-batch was told: step, planned steps, progress, seed.
 type Told = (u64, u64, f64, u64);
 
@@ -150,7 +153,7 @@ fn by_hand(s: &Settings, start: [f64; 5], data: &mut Numbers) -> (Vec<[f64; 5]>,
                 let eta = rate * if i == 4 { s.bias_lr } else { s.lr };
                 m[i] += (1.0 - beta1) * (g[i] - m[i]);
                 v[i] = 0.999 * v[i] + 0.001 * g[i] * g[i];
-                let root = (v[i] / (1.0 - 0.999f64.powi(t))).sqrt() + 1e-8;
+                let root = (v[i] / (1.0 - 0.999f64.powi(t))).sqrt() + EPS;
                 p[i] -= eta * decay * p[i];
                 p[i] -= eta * m[i] / (1.0 - beta1.powi(t)) / root;
             }
@@ -166,7 +169,8 @@ fn by_trainer(s: &Settings) -> (Traced, Trainer) {
     let module = Traced { empty: s.empty.clone(), ..Traced::new() };
     let rules = [KeywordGroup { keyword: "bias".to_owned(), lr: s.bias_lr }];
     let groups = group_by_keyword(&module.line.params.parameters(), s.lr, s.decay, &rules);
-    let optimizer = Box::new(AdamW::new(groups, AdamWConfig::default()).unwrap());
+    let adamw = AdamWConfig { eps: EPS, ..AdamWConfig::default() };
+    let optimizer = Box::new(AdamW::new(groups, adamw).unwrap());
     let rate = OneCycle { warmup: s.warmup, ..OneCycle::default() };
     let config = TrainerConfig {
         seed: 5,

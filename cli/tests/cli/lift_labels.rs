@@ -103,7 +103,7 @@ fn labels_reach_their_gaussians() {
     assert!(out.join("preview.png").is_file());
 
     // A limit on coverage, the other rule, all guards and a tiny memory still give the same here.
-    let guards = ["--robust", "on", "--depth", "render", "--erode", "1", "--max-memory", "1kB"];
+    let guards = ["--robust", "on", "--depth", "render", "--erode", "1", "--max-memory", "50kB"];
     done(&lift(dir.path(), &guards));
     assert_eq!(values(&out.join("lang_feat.npy"))[..4], [1.0, 0.0, 0.0, 1.0]);
     done(&lift(dir.path(), &["--rule", "centre-pixel", "--unnormalised"]));
@@ -230,6 +230,8 @@ fn what_does_not_fit_is_refused_before_anything_is_written() {
     refused(&["--view-exponent", "2"], 2, &["view exponent", "is 2"]);
     refused(&["--coverage", "nan"], 2, &["coverage"]);
     refused(&["--level", "7"], 2, &["--level", "\"7\"", "0 to 3"]);
+    refused(&["--max-memory", "1kB"], 2, &["--max-memory 1.0 kB", "at least 49.2 kB"]);
+    refused(&["--max-memory", "60kB", "--level", "0,1,2"], 2, &["at least 73.7 kB"]);
     refused(&["--level", "3"], 1, &["a_s.npy", "level 3"]);
 
     let cameras = [camera("x.png", 0.0)];

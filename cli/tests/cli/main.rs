@@ -12,6 +12,7 @@ mod hostile;
 mod inputs;
 mod inspect;
 mod lift_labels;
+mod networks;
 mod outputs;
 mod render;
 mod training;

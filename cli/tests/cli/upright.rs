@@ -3,9 +3,12 @@
 
 use crate::{done, scenesplat, stderr};
 use scenesplat::rooms::{SyntheticRoomSettings, generate};
+use scenesplat::scene::formats::cameras::write_cameras_json;
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
 use scenesplat::scene::formats::npy::NpyFile;
-use scenesplat::scene::{GaussianScene, Similarity, UpAxis};
+use scenesplat::scene::formats::npy_writer::write_npy;
+use scenesplat::scene::picture::{Samples, read_picture};
+use scenesplat::scene::{Camera, Distortion, GaussianScene, Similarity, UpAxis};
 use std::path::{Path, PathBuf};
 
 fn room() -> GaussianScene {
@@ -146,4 +149,97 @@ fn what_cannot_be_told_is_warned_of() {
         let args = ["segment", path.to_str().unwrap(), wrong[0], wrong[1]];
         assert_eq!(scenesplat(&args).status.code(), Some(2), "{wrong:?}");
     }
+}
+
+/// Mean difference of two pictures, of 255.
+fn apart(a: &Path, b: &Path) -> f64 {
+    let read = |path: &Path| -> Vec<u8> {
+        match read_picture(path).unwrap().into_samples() {
+            Samples::Eight(values) => values,
+            Samples::Sixteen(_) => panic!("{}: 8 bits are expected", path.display()),
+        }
+    };
+    let (a, b) = (read(a), read(b));
+    assert_eq!(a.len(), b.len());
+    let sum: f64 = a.iter().zip(&b).map(|(a, b)| f64::from(a.abs_diff(*b))).sum();
+    sum / a.len() as f64
+}
+
+#[test]
+fn every_direction_is_found_and_drawn_upright() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let upright = lying(folder.path(), "upright.ply", UpAxis::PlusZ, 1.0);
+    let orbit = |scene: &Path, name: &str, more: &[&str]| {
+        let args = [&["--orbit", "2", "--size", "96x72"], more].concat();
+        run("render", scene, &at(name), &args);
+        at(name).join("orbit_001.png")
+    };
+    let due = orbit(&upright, "upright", &[]);
+    for up in [UpAxis::MinusZ, UpAxis::PlusY, UpAxis::MinusY, UpAxis::PlusX, UpAxis::MinusX] {
+        let scene = lying(folder.path(), &format!("{}.ply", up.name()), up, 1.0);
+        let json = at("seen.json");
+        let args = ["inspect", scene.to_str().unwrap(), "--no-sheet", "--json"];
+        done(&scenesplat(&[&args[..], &[json.to_str().unwrap()]].concat()));
+        let seen: serde_json::Value =
+            serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
+        assert_eq!(seen["up"]["axis"], up.name(), "{}", seen["up"]);
+        let got = apart(&orbit(&scene, &format!("orbit {}", up.name()), &[]), &due);
+        assert!(got < 2.0, "{}: {got}", up.name());
+    }
+    // It takes the turn: as it lies, the picture is another.
+    let scene = at("-y.ply");
+    assert!(apart(&orbit(&scene, "as it lies", &["--up", "+z"]), &due) > 8.0);
+}
+
+#[test]
+fn lifted_labels_are_drawn_upright() {
+    let folder = tempfile::tempdir().unwrap();
+    let preview = |place: &str, up: UpAxis| {
+        let dir = folder.path().join(place);
+        std::fs::create_dir(&dir).unwrap();
+        let scene = lying(&dir, "room.ply", up, 1.0);
+        // Looks down into the room from above, wherever that is.
+        let m = up.upright();
+        let down = [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]];
+        let rotation = std::array::from_fn(|i| {
+            std::array::from_fn(|j| (0..3).map(|k| down[i][k] * m[k][j]).sum())
+        });
+        let (width, height) = (64, 48);
+        let camera = Camera {
+            name: "a.png".to_owned(),
+            width,
+            height,
+            fx: 30.0,
+            fy: 30.0,
+            cx: 32.0,
+            cy: 24.0,
+            distortion: Distortion::None,
+            rotation,
+            translation: [-2.0, 2.0, 8.0],
+        };
+        write_cameras_json(&[camera], &dir.join("cameras.json")).unwrap();
+        std::fs::create_dir(dir.join("segments")).unwrap();
+        let ids: Vec<i32> = (0..width * height).map(|i| i32::from(i % width >= 32)).collect();
+        let shape = [height as usize, width as usize];
+        write_npy(&dir.join("segments/a_s.npy"), &shape, &ids).unwrap();
+        write_npy(&dir.join("segments/a_f.npy"), &[2, 2], &[1.0f32, 0.0, 0.0, 1.0]).unwrap();
+        let [cameras, segments] = ["cameras.json", "segments"].map(|n| dir.join(n));
+        let more =
+            ["--cameras", cameras.to_str().unwrap(), "--segments", segments.to_str().unwrap()];
+        let out = dir.join("out");
+        run("lift-labels", &scene, &out, &[&more[..], &["--depth", "off"]].concat());
+        let given = dir.join("given");
+        run(
+            "lift-labels",
+            &scene,
+            &given,
+            &[&more[..], &["--depth", "off", "--up", "+z"]].concat(),
+        );
+        (out.join("preview.png"), given.join("preview.png"))
+    };
+    let (due, _) = preview("upright", UpAxis::PlusZ);
+    let (lying, as_it_lies) = preview("lying", UpAxis::MinusY);
+    assert!(apart(&lying, &due) < 2.0, "{}", apart(&lying, &due));
+    assert!(apart(&as_it_lies, &due) > 5.0, "{}", apart(&as_it_lies, &due));
 }

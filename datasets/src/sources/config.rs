@@ -86,7 +86,7 @@ pub struct SyntheticRoomsConfig {
     /// Other seeds give other rooms.
     #[serde(default)]
     pub seed: u64,
-    /// What the rooms are like.
+    /// What the rooms are like; their seed is that of the source.
     #[serde(default)]
     pub room: SyntheticRoomSettings,
     /// Width of the built-in vocabulary that gives each Gaussian a language feature; none without.
@@ -98,6 +98,10 @@ impl SyntheticRoomsConfig {
     fn build(&self) -> Result<SyntheticRooms, DataError> {
         if self.count > MAX_ROOMS {
             return Err(bad_setting("count", self.count, "at most 1,000,000 rooms"));
+        }
+        if self.room.seed != 0 {
+            let expected = "nothing: `seed` of the source is the seed of its rooms";
+            return Err(bad_setting("room.seed", self.room.seed, expected));
         }
         let rooms = SyntheticRooms::new(self.count, self.room.clone(), self.seed)?;
         let Some(dim) = self.vocabulary else { return Ok(rooms) };
@@ -242,6 +246,15 @@ impl SourceConfig {
                 benchmark.label_set(folder.class_names.as_deref()).map(Some)
             }
             None => self.label_set(),
+        }
+    }
+
+    /// Whether labelled points are asked for by name.
+    pub fn asks_for_labelled_points(&self) -> bool {
+        match self {
+            Self::Synthetic(_) => false,
+            Self::Generic(folder) => folder.labelled_points == Some(true),
+            other => other.benchmark().is_some_and(|(_, f)| f.labelled_points == Some(true)),
         }
     }
 

@@ -83,10 +83,11 @@ pub(crate) const TILE_ROWS: usize = 6;
 /// Columns of a packed panel.
 pub(crate) const PANEL: usize = 64;
 
-/// `c[i][0..16·NQ] (+)= Σ_p a[i][p] · b[p·b_stride ..]` for the rows given by pointers.
+/// `c[i][0..columns] (+)= Σ_p a[i][p] · b[p·b_stride ..]` for the rows given by pointers, where
+/// `columns` is at most the tile's width.
 ///
 /// # Safety
-/// `a[i]` must hold `k` values, `b` `k` rows of `16·NQ` values at `b_stride`, `c[i]` `16·NQ`
+/// `a[i]` must hold `k` values, `b` `k` rows of the tile's width at `b_stride`, `c[i]` `columns`
 /// writable values; the rows of `c` must be distinct.
 #[inline(always)]
 unsafe fn tile<P: Products, const MR: usize, const NV: usize>(
@@ -94,6 +95,7 @@ unsafe fn tile<P: Products, const MR: usize, const NV: usize>(
     b: *const P::Element,
     b_stride: usize,
     c: &[*mut f32; TILE_ROWS],
+    columns: usize,
     k: usize,
     accumulate: bool,
 ) {
@@ -112,11 +114,22 @@ unsafe fn tile<P: Products, const MR: usize, const NV: usize>(
             }
             bp = bp.add(b_stride);
         }
-        for i in 0..MR {
-            for j in 0..NV {
-                let out = c[i].add(j * lanes);
-                let value = if accumulate { P::Sum::load(out).add(acc[i][j]) } else { acc[i][j] };
-                value.store(out);
+        if columns >= NV * lanes {
+            for i in 0..MR {
+                for j in 0..NV {
+                    let (out, sum) = (c[i].add(j * lanes), acc[i][j]);
+                    let value = if accumulate { P::Sum::load(out).add(sum) } else { sum };
+                    value.store(out);
+                }
+            }
+            return;
+        }
+        for j in 0..NV {
+            let there = columns.saturating_sub(j * lanes).min(lanes);
+            for i in 0..MR {
+                let (out, sum) = (c[i].wrapping_add(j * lanes), acc[i][j]);
+                let value = if accumulate { P::Sum::load_first(out, there).add(sum) } else { sum };
+                value.store_first(out, there);
             }
         }
     }
@@ -129,23 +142,25 @@ unsafe fn tile_rows<P: Products, const NV: usize>(
     b: *const P::Element,
     b_stride: usize,
     c: &[*mut f32; TILE_ROWS],
+    columns: usize,
     k: usize,
     accumulate: bool,
 ) {
     // SAFETY: the caller's promise, passed on.
     unsafe {
         match rows {
-            6 => tile::<P, 6, NV>(a, b, b_stride, c, k, accumulate),
-            5 => tile::<P, 5, NV>(a, b, b_stride, c, k, accumulate),
-            4 => tile::<P, 4, NV>(a, b, b_stride, c, k, accumulate),
-            3 => tile::<P, 3, NV>(a, b, b_stride, c, k, accumulate),
-            2 => tile::<P, 2, NV>(a, b, b_stride, c, k, accumulate),
-            _ => tile::<P, 1, NV>(a, b, b_stride, c, k, accumulate),
+            6 => tile::<P, 6, NV>(a, b, b_stride, c, columns, k, accumulate),
+            5 => tile::<P, 5, NV>(a, b, b_stride, c, columns, k, accumulate),
+            4 => tile::<P, 4, NV>(a, b, b_stride, c, columns, k, accumulate),
+            3 => tile::<P, 3, NV>(a, b, b_stride, c, columns, k, accumulate),
+            2 => tile::<P, 2, NV>(a, b, b_stride, c, columns, k, accumulate),
+            _ => tile::<P, 1, NV>(a, b, b_stride, c, columns, k, accumulate),
         }
     }
 }
 
-/// Multiplies up to [`TILE_ROWS`] rows by one panel of `width` (16, 32, 48 or 64) columns.
+/// Multiplies up to [`TILE_ROWS`] rows by one panel of `width` (16, 32, 48 or 64) columns, of which
+/// the first `columns` exist in the result: more than `width − 16`.
 ///
 /// # Safety
 /// As [`tile`]; `rows` is in `1..=TILE_ROWS`, and only the first `rows` pointers are used.
@@ -156,6 +171,7 @@ pub(crate) unsafe fn panel<P: Products>(
     b: *const P::Element,
     width: usize,
     c: &[*mut f32; TILE_ROWS],
+    columns: usize,
     k: usize,
     accumulate: bool,
 ) {
@@ -170,15 +186,15 @@ pub(crate) unsafe fn panel<P: Products>(
             for p in cs.iter_mut().take(rows) {
                 *p = p.add(done);
             }
-            let bp = b.add(done);
+            let (bp, left) = (b.add(done), columns - done);
             if P::Sum::LANES == 8 {
-                tile_rows::<P, 2>(rows, a, bp, width, &cs, k, accumulate);
+                tile_rows::<P, 2>(rows, a, bp, width, &cs, left, k, accumulate);
             } else {
                 match quad {
-                    4 => tile_rows::<P, 4>(rows, a, bp, width, &cs, k, accumulate),
-                    3 => tile_rows::<P, 3>(rows, a, bp, width, &cs, k, accumulate),
-                    2 => tile_rows::<P, 2>(rows, a, bp, width, &cs, k, accumulate),
-                    _ => tile_rows::<P, 1>(rows, a, bp, width, &cs, k, accumulate),
+                    4 => tile_rows::<P, 4>(rows, a, bp, width, &cs, left, k, accumulate),
+                    3 => tile_rows::<P, 3>(rows, a, bp, width, &cs, left, k, accumulate),
+                    2 => tile_rows::<P, 2>(rows, a, bp, width, &cs, left, k, accumulate),
+                    _ => tile_rows::<P, 1>(rows, a, bp, width, &cs, left, k, accumulate),
                 }
             }
             done += quad * 16;

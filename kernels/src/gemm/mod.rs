@@ -181,6 +181,36 @@ pub fn mlp(
     );
 }
 
+/// `out = (a · b + bias)`, each row then divided by its norm as
+/// [`normalize_rows`](crate::normalize::normalize_rows) does, before it leaves the cache.
+///
+/// # Shapes
+/// As [`gemm`].
+///
+/// # Panics
+/// As [`gemm`].
+pub fn gemm_unit_rows(a: &[f32], b: &PackedMatrix, bias: Option<&[f32]>, out: &mut [f32]) {
+    let (k, n) = (b.k(), b.n());
+    if n == 0 || out.is_empty() {
+        return;
+    }
+    let m = out.len() / n;
+    assert!(
+        a.len() == elements([m, k]) && out.len() == m * n,
+        "gemm: lengths do not fit [{m}, {k}]·[{k}, {n}]"
+    );
+    let epilogue = Epilogue { bias, ..Epilogue::default() };
+    check_epilogue(epilogue, n, out.len());
+    // Whole rows, few enough for the second-level cache where they are wide.
+    const ROWS: usize = ROW_BLOCK / 2;
+    out.par_chunks_mut(ROWS * n).enumerate().for_each(|(block, out)| {
+        let (first, rows) = (block * ROWS, out.len() / n);
+        gemm_block(&a[first * k..(first + rows) * k], b, out);
+        finish(out, n, epilogue);
+        crate::normalize::normalize_block(out, n);
+    });
+}
+
 fn finish(out: &mut [f32], n: usize, epilogue: Epilogue<'_>) {
     if let Some(bias) = epilogue.bias {
         for row in out.chunks_exact_mut(n) {

@@ -301,8 +301,6 @@ unsafe fn multiply_with<P: Products>(
     let (k, n, padded_n) = (b.steps(), b.n(), columns.end);
     let k_step = K_BLOCK.min(k);
     let panels_cached = (CACHED_PANEL_BYTES / (k_step * PANEL * 4)).max(1) * PANEL;
-    let mut tail = [[0f32; PANEL]; TILE_ROWS];
-    let tail_rows: [*mut f32; TILE_ROWS] = std::array::from_fn(|i| tail[i].as_mut_ptr());
     let mut k0 = 0;
     while k0 < k {
         let k_len = k_step.min(k - k0);
@@ -336,27 +334,14 @@ unsafe fn multiply_with<P: Products>(
                 let mut start = group;
                 while start < group_end {
                     let width = PANEL.min(padded_n - start);
-                    // SAFETY: panels are contiguous; the columns written stay below `n`, the
-                    // padded ones go to `tail`.
+                    // SAFETY: panels are contiguous; the columns written stay below `n`.
                     unsafe {
                         let panel = values.as_ptr().add(start * k + k0 * width);
-                        if start + width <= n {
-                            let at: [*mut f32; TILE_ROWS] = std::array::from_fn(|i| {
-                                if i < height { c_rows[i].add(start) } else { c_rows[i] }
-                            });
-                            micro::panel::<P>(height, &a_rows, panel, width, &at, k_len, add);
-                        } else {
-                            micro::panel::<P>(
-                                height, &a_rows, panel, width, &tail_rows, k_len, false,
-                            );
-                            for i in 0..height {
-                                for j in 0..n - start {
-                                    let out = c_rows[i].add(start + j);
-                                    let value = *tail_rows[i].add(j);
-                                    *out = if add { *out + value } else { value };
-                                }
-                            }
-                        }
+                        let at: [*mut f32; TILE_ROWS] = std::array::from_fn(|i| {
+                            if i < height { c_rows[i].add(start) } else { c_rows[i] }
+                        });
+                        let there = width.min(n - start);
+                        micro::panel::<P>(height, &a_rows, panel, width, &at, there, k_len, add);
                     }
                     start += width;
                 }

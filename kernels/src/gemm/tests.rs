@@ -44,6 +44,35 @@ fn agrees_with_f64_for_odd_shapes() {
 }
 
 #[test]
+fn nothing_is_written_beyond_the_columns_that_exist() {
+    for precision in Precision::ALL {
+        for n in [1, 7, 15, 16, 17, 36, 60, 63, 65, 72, 130] {
+            let (m, k) = (13, 400);
+            let (a, w) = (random(m * k, 1), random(n * k, 2));
+            let packed = PackedMatrix::from_strided_with(precision, &w, k, n, 1, k);
+            let mut out = vec![f32::NAN; m * n + 64];
+            gemm(&a, &packed, Epilogue::default(), &mut out[..m * n]);
+            assert!(out[m * n..].iter().all(|v| v.is_nan()), "{precision}: {n} columns");
+            assert!(out[..m * n].iter().all(|v| v.is_finite()), "{precision}: {n} columns");
+        }
+    }
+}
+
+#[test]
+fn rows_of_unit_length_are_those_of_the_plain_product() {
+    for (m, k, n) in [(1, 5, 3), (97, 72, 770), (300, 40, 64), (2, 0, 4)] {
+        let (a, w, bias) = (random(m * k, 1), random(n * k, 2), random(n, 3));
+        let packed = PackedMatrix::from_strided(&w, k, n, 1, k);
+        let mut want = vec![0.0; m * n];
+        gemm(&a, &packed, Epilogue { bias: Some(&bias), ..Epilogue::default() }, &mut want);
+        crate::normalize::normalize_rows(&mut want, n);
+        let mut got = vec![f32::NAN; m * n];
+        gemm_unit_rows(&a, &packed, Some(&bias), &mut got);
+        assert_eq!(got, want, "{m}x{k}x{n}");
+    }
+}
+
+#[test]
 fn a_row_does_not_depend_on_its_neighbours_or_threads() {
     let (m, k, n) = (500, 500, 96);
     let a = random(m * k, 5);

@@ -12,6 +12,11 @@ pub(crate) trait Vector: Copy {
     unsafe fn splat(x: f32) -> Self;
     unsafe fn load(p: *const f32) -> Self;
     unsafe fn store(self, p: *mut f32);
+    /// The first `n` lanes from memory, `n` at most [`Vector::LANES`]; the others are 0 and their
+    /// memory is left alone.
+    unsafe fn load_first(p: *const f32, n: usize) -> Self;
+    /// Stores the first `n` lanes, `n` at most [`Vector::LANES`].
+    unsafe fn store_first(self, p: *mut f32, n: usize);
     unsafe fn add(self, o: Self) -> Self;
     unsafe fn sub(self, o: Self) -> Self;
     unsafe fn mul(self, o: Self) -> Self;
@@ -61,6 +66,22 @@ impl Vector for Plain {
     unsafe fn store(self, p: *mut f32) {
         // SAFETY: the caller vouches for 16 writable values.
         unsafe { p.cast::<[f32; 16]>().write_unaligned(self.0) }
+    }
+    #[inline(always)]
+    unsafe fn load_first(p: *const f32, n: usize) -> Self {
+        let mut out = [0.0; 16];
+        for (i, o) in out.iter_mut().enumerate().take(n) {
+            // SAFETY: the caller vouches for `n` readable values.
+            *o = unsafe { p.add(i).read() };
+        }
+        Self(out)
+    }
+    #[inline(always)]
+    unsafe fn store_first(self, p: *mut f32, n: usize) {
+        for (i, v) in self.0.into_iter().enumerate().take(n) {
+            // SAFETY: the caller vouches for `n` writable values.
+            unsafe { p.add(i).write(v) };
+        }
     }
     plain_binary! {
         add: |a, b| a + b;
@@ -130,6 +151,22 @@ pub(crate) mod x86 {
         )*};
     }
 
+    /// A mask of the first `n` of 16 lanes.
+    #[inline(always)]
+    fn first(n: usize) -> __mmask16 {
+        ((1u32 << n) - 1) as u16
+    }
+
+    /// A mask of the first `n` of 8 lanes.
+    #[inline(always)]
+    unsafe fn first_of_8(n: usize) -> __m256i {
+        // SAFETY: the caller's instruction set.
+        unsafe {
+            let lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
+            _mm256_cmpgt_epi32(_mm256_set1_epi32(n as i32), lanes)
+        }
+    }
+
     impl Vector for __m512 {
         const LANES: usize = 16;
         intrinsics! {
@@ -153,6 +190,16 @@ pub(crate) mod x86 {
         unsafe fn store(self, p: *mut f32) {
             // SAFETY: as above.
             unsafe { _mm512_storeu_ps(p, self) }
+        }
+        #[inline(always)]
+        unsafe fn load_first(p: *const f32, n: usize) -> Self {
+            // SAFETY: as above; lanes beyond the mask touch no memory.
+            unsafe { _mm512_maskz_loadu_ps(first(n), p) }
+        }
+        #[inline(always)]
+        unsafe fn store_first(self, p: *mut f32, n: usize) {
+            // SAFETY: as above.
+            unsafe { _mm512_mask_storeu_ps(p, first(n), self) }
         }
     }
 
@@ -185,6 +232,16 @@ pub(crate) mod x86 {
         unsafe fn store(self, p: *mut f32) {
             // SAFETY: as above.
             unsafe { _mm256_storeu_ps(p, self) }
+        }
+        #[inline(always)]
+        unsafe fn load_first(p: *const f32, n: usize) -> Self {
+            // SAFETY: as above; lanes beyond the mask touch no memory.
+            unsafe { _mm256_maskload_ps(p, first_of_8(n)) }
+        }
+        #[inline(always)]
+        unsafe fn store_first(self, p: *mut f32, n: usize) {
+            // SAFETY: as above.
+            unsafe { _mm256_maskstore_ps(p, first_of_8(n), self) }
         }
     }
 }

@@ -87,15 +87,26 @@ impl Linear {
         }
     }
 
-    /// `gelu(forward(x))`
+    /// `forward(x)` at unit length; a zero row stays zero.
     ///
     /// # Errors
     /// If the input does not fit.
-    pub fn forward_gelu(&self, x: &Tensor) -> Result<Tensor> {
+    pub fn forward_unit(&self, x: &Tensor) -> Result<Tensor> {
         match &self.0 {
-            Form::Trainable { .. } => ops::gelu(&self.forward(x)?),
+            Form::Trainable { .. } => ops::l2_normalize(&self.forward(x)?),
+            Form::Frozen { weight, bias } => ops::linear_unit_frozen(x, weight, bias.as_deref()),
+        }
+    }
+
+    /// `gelu(forward(x))`, plus a residual if given.
+    ///
+    /// # Errors
+    /// If the input does not fit.
+    pub fn forward_gelu(&self, x: &Tensor, residual: Option<&Tensor>) -> Result<Tensor> {
+        match &self.0 {
+            Form::Trainable { .. } => add(&ops::gelu(&self.forward(x)?)?, residual),
             Form::Frozen { weight, bias } => {
-                ops::linear_frozen(x, weight, bias.as_deref(), true, None)
+                ops::linear_frozen(x, weight, bias.as_deref(), true, residual)
             }
         }
     }

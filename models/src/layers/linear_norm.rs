@@ -1,7 +1,7 @@
 //! A linear layer with a batch norm and a GELU behind it.
 
 use super::linear::parameters;
-use super::{BatchNorm, Linear, vector};
+use super::{BatchNorm, Linear, add, vector};
 use crate::{Compute, Forward, Mode, ops};
 use candle_core::Result;
 use candle_core::Tensor;
@@ -57,7 +57,18 @@ impl LinearNorm {
         match &self.norm {
             Some(norm) => norm.forward_gelu(&self.linear.forward(x)?, mode),
             None if mode == Mode::Train => ops::frozen_cannot_train(),
-            None => self.linear.forward_gelu(x),
+            None => self.linear.forward_gelu(x, None),
+        }
+    }
+
+    /// `forward(x) + residual`
+    ///
+    /// # Errors
+    /// As [`forward`](Self::forward).
+    pub fn forward_residual(&self, x: &Tensor, residual: &Tensor, mode: Mode) -> Result<Tensor> {
+        match &self.norm {
+            None if mode == Mode::Eval => self.linear.forward_gelu(x, Some(residual)),
+            _ => add(&self.forward(x, mode)?, Some(residual)),
         }
     }
 }

@@ -170,7 +170,7 @@ impl Backbone for LitePt {
             let Some((fine, fine_scale, groups)) = skips.pop() else {
                 bail!("decoder stage {i} has no encoder stage");
             };
-            x = stage.up.forward(&x, &fine, groups, cx)?.sum;
+            x = stage.up.forward_sum(&x, &fine, groups, cx)?;
             drop(fine);
             scale = fine_scale;
             cx.observe(&format!("dec.dec{i}.up"), &x)?;

@@ -3,7 +3,7 @@
 use super::{check_residual, cpu_slice, make, read, refuse_gradient};
 use candle_core::{CpuStorage, CustomOp2, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use scenesplat_kernels::Precision;
-use scenesplat_kernels::gemm::{Epilogue, PackedMatrix, gemm, gemm_tn_with, mlp};
+use scenesplat_kernels::gemm::{Epilogue, PackedMatrix, gemm, gemm_tn_with, gemm_unit_rows, mlp};
 use scenesplat_kernels::sparse_conv::backward_bias;
 
 struct Linear(Precision);
@@ -161,6 +161,24 @@ pub fn linear_frozen(
             None => run(None),
         }
     })
+}
+
+/// `x · Wᵀ + b` at unit length, with packed weights: what [`l2_normalize`](super::l2_normalize) makes
+/// of [`linear_frozen`], without the rows in between.
+///
+/// # Errors
+/// If shapes do not fit or `x` wants a gradient.
+pub fn linear_unit_frozen(
+    x: &Tensor,
+    weight: &PackedMatrix,
+    bias: Option<&[f32]>,
+) -> Result<Tensor> {
+    refuse_gradient("linear", x)?;
+    let (m, k) = x.dims2()?;
+    if k != weight.k() {
+        bail!("linear: input [{m}, {k}] does not fit weight [{}, {}]", weight.n(), weight.k());
+    }
+    read("linear", x, |x| make((m, weight.n()), |out| gemm_unit_rows(x, weight, bias, out)))
 }
 
 /// `residual + W₂ · gelu(W₁ · x + b₁) + b₂` with packed weights, block of rows by block of rows.

@@ -21,13 +21,14 @@ pub use batch_norm::{BatchStatistics, batch_norm, batch_statistics, scale_shift}
 pub(crate) use batch_norm::{frozen_cannot_train, scale_shift_frozen};
 pub use gelu::gelu;
 pub use layer_norm::{layer_norm, layer_norm_frozen};
-pub use linear::{linear, linear_frozen, linear_with, mlp_frozen};
-pub use normalize::{l2_normalize, normalize_rows};
+pub use linear::{linear, linear_frozen, linear_unit_frozen, linear_with, mlp_frozen};
+pub use normalize::l2_normalize;
 pub use patch_attention::patch_attention;
 pub use permute_rows::permute_rows;
 pub use point_rope::point_rope;
 pub use rasterize::{DepthChannel, GaussianTensors, rasterize};
 pub use residual::add_scaled_rows;
+pub use scenesplat_kernels::normalize::normalize_rows;
 pub use segment_reduce::{expand_groups, segment_reduce};
 pub use sparse_conv::{sparse_conv, sparse_conv_frozen, sparse_conv_with};
 

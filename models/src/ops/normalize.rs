@@ -2,16 +2,12 @@
 
 use super::{cpu_slice, make, read};
 use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
-
-/// Norms below this count as this, as in PyTorch.
-const EPS: f64 = 1e-12;
+use scenesplat_kernels::normalize::{norm, normalize_rows};
 
 struct L2Normalize;
 
-/// Euclidean norm in f64: no square of an f32 over- or underflows there.
-fn norm(row: &[f32]) -> f64 {
-    row.iter().map(|v| f64::from(*v) * f64::from(*v)).sum::<f64>().sqrt().max(EPS)
-}
+/// Norms of this size were floored; below it the divisor is a constant.
+const EPS: f64 = 1e-12;
 
 impl CustomOp1 for L2Normalize {
     fn name(&self) -> &'static str {
@@ -51,18 +47,6 @@ impl CustomOp1 for L2Normalize {
         })
         .map(Some)
     }
-}
-
-/// Divides each row of `values` (`[N, c]`) by its norm; a zero row stays zero.
-pub fn normalize_rows(values: &mut [f32], c: usize) {
-    use rayon::prelude::*;
-    if c == 0 {
-        return;
-    }
-    values.par_chunks_mut(c).with_min_len(64).for_each(|row| {
-        let inverse = 1.0 / norm(row);
-        row.iter_mut().for_each(|v| *v = (f64::from(*v) * inverse) as f32);
-    });
 }
 
 /// `x / max(‖x‖, 1e-12)` for each row; a zero row stays zero.

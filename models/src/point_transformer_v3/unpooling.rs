@@ -43,6 +43,21 @@ impl SerializedUnpooling {
         })
     }
 
+    /// The sum alone, of [`forward`](Self::forward).
+    ///
+    /// # Errors
+    /// If the input does not fit.
+    pub fn forward_sum(
+        &self,
+        coarse: &Tensor,
+        fine: &Tensor,
+        groups: Arc<Groups>,
+        cx: &Forward<'_>,
+    ) -> Result<Tensor> {
+        let up = ops::expand_groups(&self.proj.forward(coarse, self.proj.mode(cx))?, groups)?;
+        self.skip.forward_residual(fine, &up, self.skip.mode(cx))
+    }
+
     /// `coarse`: `[M, in]`, `fine`: `[N, skip]` → `[N, C]`
     ///
     /// # Errors

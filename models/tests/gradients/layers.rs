@@ -31,7 +31,7 @@ fn linear() {
             check_part(&case, eps, &store, &[("x", &x), ("r", &r)], &out, |v| {
                 slow::add(&product(v), &v["r"])
             });
-            let out = layer.forward_gelu(&x).unwrap();
+            let out = layer.forward_gelu(&x, None).unwrap();
             let case = format!("{case}, gelu");
             check_part(&case, eps, &store, &[("x", &x)], &out, |v| slow::gelu(&product(v)));
         }

@@ -33,7 +33,8 @@ pub struct LiftSettings {
     /// Only pixels whose depth agrees label a Gaussian: the depth given with the picture, or else the
     /// median depth of the render itself, which costs a second pass over the pixels.
     pub depth: Option<DepthTolerance>,
-    /// Bytes of weights kept in memory; more wait in a file.
+    /// Bytes of weights that wait in memory, at least [`least_memory`](Self::least_memory); more wait in
+    /// a file.
     pub memory: u64,
     /// Folder of that file.
     pub spill_folder: PathBuf,
@@ -54,6 +55,11 @@ impl Default for LiftSettings {
 }
 
 impl LiftSettings {
+    /// The least `memory` for pictures of so many granularities: room for 1024 weights of each.
+    pub fn least_memory(levels: usize) -> u64 {
+        WeightSpool::LEAST_BUDGET.saturating_mul(levels as u64)
+    }
+
     /// The rule and the constants that labels were first lifted with: [`LiftRule::CentrePixel`].
     pub fn centre_pixel() -> Self {
         let raster = RasterSettings::gsplat_1_4();
@@ -191,6 +197,14 @@ impl<'a> Lifter<'a> {
             return Err(LiftError::argument("features", problem));
         }
         let block_rows = (BLOCK_BYTES / 4 / dim).clamp(1, 1 << 16);
+        let least = LiftSettings::least_memory(levels);
+        if settings.memory < least {
+            let problem = format!(
+                "{} bytes for {levels} granularities, at least {least} are needed",
+                settings.memory
+            );
+            return Err(LiftError::argument("memory", problem));
+        }
         let memory = settings.memory / levels as u64;
         let spool =
             || WeightSpool::new(gaussians.len(), block_rows, memory, &settings.spill_folder);

@@ -22,6 +22,10 @@ pub struct SegmentWeight {
 }
 
 const ENTRY_BYTES: usize = 12;
+/// Ordering by block takes a second copy.
+const BYTES_PER_WAITING: u64 = 2 * ENTRY_BYTES as u64;
+/// Fewer would make a file of crumbs.
+const LEAST_WEIGHTS: usize = 1024;
 /// Bytes turned into numbers, or back, at a time.
 const CHUNK_ENTRIES: usize = 1 << 15;
 
@@ -107,16 +111,19 @@ impl BlockWeights {
 }
 
 impl WeightSpool {
+    /// Room for 1024 weights.
+    pub const LEAST_BUDGET: u64 = LEAST_WEIGHTS as u64 * BYTES_PER_WAITING;
+
     /// An empty spool for `rows` Gaussians in blocks of `block_rows`; keeps about `budget` bytes in
-    /// memory (at least room for 1024 weights) and makes its file, if it needs one, in `folder`.
+    /// memory (at least [`LEAST_BUDGET`](Self::LEAST_BUDGET)) and makes its file, if it needs one, in
+    /// `folder`.
     pub fn new(rows: usize, block_rows: usize, budget: u64, folder: &Path) -> Self {
-        // Ordering by block takes a second copy.
-        let capacity = usize::try_from(budget / (2 * ENTRY_BYTES as u64)).unwrap_or(usize::MAX);
+        let capacity = usize::try_from(budget / BYTES_PER_WAITING).unwrap_or(usize::MAX);
         Self {
             rows,
             block_rows: block_rows.max(1),
             folder: folder.to_owned(),
-            capacity: capacity.max(1024),
+            capacity: capacity.max(LEAST_WEIGHTS),
             waiting: Vec::new(),
             file: None,
             runs: Vec::new(),

@@ -208,7 +208,8 @@ fn neither_memory_nor_threads_change_a_bit() {
             let plain = run(u64::MAX, 1, rule, &finalise);
             // Each thread has 512 Gaussians of a picture at least.
             assert!(plain.valid.iter().filter(|&&v| v).count() > 500);
-            for (memory, threads) in [(u64::MAX, 3), (0, 1), (0, 4)] {
+            let least = LiftSettings::least_memory(2);
+            for (memory, threads) in [(u64::MAX, 3), (least, 1), (least, 4)] {
                 assert_eq!(plain, run(memory, threads, rule, &finalise), "{memory} {threads}");
             }
         }
@@ -218,7 +219,13 @@ fn neither_memory_nor_threads_change_a_bit() {
 #[test]
 fn the_spool_goes_to_disk_when_it_must() {
     let (gaussians, views) = cloud(2500, 1, SIZE, 7);
-    let settings = LiftSettings { memory: 0, ..LiftSettings::default() };
+    let least = LiftSettings::least_memory(1);
+    let with = |memory| LiftSettings { memory, ..LiftSettings::default() };
+    // Less is refused rather than exceeded.
+    let error = Lifter::new(&gaussians, 1, 2, with(least - 1)).unwrap_err().to_string();
+    assert!(error.contains("memory: 24575 bytes") && error.contains("24576"), "{error}");
+    assert!(Lifter::new(&gaussians, 2, 2, with(least)).is_err(), "each granularity has its own");
+    let settings = with(least);
     let mut lifter = Lifter::new(&gaussians, 1, 2, settings).unwrap();
     let levels = [voronoi(SIZE[0], SIZE[1], 12, 0)];
     let features = rows(12, 2, 1);

@@ -282,7 +282,8 @@ impl Reader<'_> {
     fn label_stem(&mut self, wanted: Option<&str>) -> Result<Option<String>, SceneError> {
         let found = self.label_files("segment")?;
         if let Some(stem) = wanted {
-            if found.iter().any(|f| f == stem) {
+            // Any name will do, also one that is not found by itself.
+            if self.folder.join(format!("{stem}.npy")).is_file() {
                 return Ok(Some(stem.to_owned()));
             }
             if self.folder.join(format!("pc_{stem}.npy")).is_file() {

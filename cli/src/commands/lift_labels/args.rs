@@ -66,7 +66,8 @@ pub struct Args {
     /// Value of PNG pixels that belong to no segment; by default the largest, 255 or 65535.
     #[arg(long, value_name = "VALUE")]
     pub no_segment: Option<u16>,
-    /// Memory for weights (8GB, 512MB); more wait in a file in the output folder.
+    /// Memory for weights that wait (8GB, 512MB; at least 49.2 kB); more wait in a file in the output
+    /// folder.
     #[arg(long, value_name = "SIZE")]
     pub max_memory: Option<Bytes>,
     /// Which way is up in the preview; judged by the scene if not given.

@@ -13,14 +13,17 @@ use anyhow::Result;
 pub use args::Args;
 use clap::ValueEnum;
 use pictures::Pictures;
+use scenesplat::memory::Bytes;
 use scenesplat::outputs::OpenedScene;
 use scenesplat::rasterizer::Gaussians;
+use scenesplat::rasterizer::lifting::LiftSettings;
 
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start(&args.shared, line)?;
     // Whatever can be wrong with flags and names is found before anything expensive.
     args.finalise(false).check().map_err(|e| WrongUse(e.to_string()))?;
+    args.check_memory()?;
     for path in [&args.scene, &args.cameras, &args.segments] {
         session.outputs.reads(path)?;
     }
@@ -41,6 +44,19 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
 }
 
 impl Args {
+    /// Refuses a limit that could not be kept.
+    fn check_memory(&self) -> Result<()> {
+        // Trying depth agreement takes two lists of weights.
+        let least = Bytes(LiftSettings::least_memory(self.level.len().max(2)));
+        match self.max_memory {
+            Some(limit) if limit < least => {
+                let text = format!("--max-memory {limit}: weights need at least {least}");
+                Err(WrongUse(text).into())
+            }
+            _ => Ok(()),
+        }
+    }
+
     fn open(&self, session: &Session<'_>) -> Result<OpenedScene> {
         let opened = session.open_with(&self.scene, &self.source.options())?;
         // A folder may hold the pictures, too.

@@ -1,0 +1,120 @@
+//! Files that extend others, and variables in them.
+
+use super::Result;
+use crate::experiment::error::{ExperimentError, Place};
+use scenesplat_models::BackboneConfig;
+use std::path::{Path, PathBuf};
+
+/// A file joined with those it extends. `seen`: the files on the way here.
+pub(super) fn read_table(
+    path: &Path,
+    variable: &dyn Fn(&str) -> Option<String>,
+    seen: &mut Vec<PathBuf>,
+) -> Result<toml::Table> {
+    let place = || path.display().to_string();
+    let here = path.canonicalize().map_err(ExperimentError::io(path))?;
+    if seen.contains(&here) {
+        return Err(ExperimentError::Circle { path: path.to_owned() });
+    }
+    seen.push(here);
+    let text = scenesplat_scene::input_file::read_text_file(path)?;
+    let text = with_variables(&text, variable).at(place)?;
+    let mut own: toml::Table = text.parse::<toml::Table>().at(place)?;
+    let Some(base) = own.remove("extends") else { return Ok(own) };
+    let toml::Value::String(base) = base else {
+        let problem = format!("expected the path of a file, got {base}");
+        return Err(ExperimentError::setting("extends", problem)).at(place);
+    };
+    let base = path.parent().unwrap_or(Path::new("")).join(base);
+    let mut joined = read_table(&base, variable, seen)?;
+    join(&mut joined, own);
+    Ok(joined)
+}
+
+/// Replaces `${NAME}` by its value.
+fn with_variables(text: &str, variable: &dyn Fn(&str) -> Option<String>) -> Result<String> {
+    let mut out = String::with_capacity(text.len());
+    for (number, line) in text.lines().enumerate() {
+        let code = line.split('#').next().unwrap_or("");
+        let mut rest = line;
+        // A variable in a comment is an example.
+        while let (Some(start), true) = (rest.find("${"), code.contains("${")) {
+            let Some(length) = rest[start..].find('}') else { break };
+            let name = &rest[start + 2..start + length];
+            let value = variable(name).ok_or_else(|| {
+                ExperimentError::setting(format!("${{{name}}}"), "set this environment variable")
+            });
+            let value = value.at(|| format!("line {}", number + 1))?;
+            out.push_str(&rest[..start]);
+            out.push_str(&value);
+            rest = &rest[start + length + 1..];
+        }
+        out.push_str(rest);
+        out.push('\n');
+    }
+    Ok(out)
+}
+
+/// Puts `own` over `base`. A table that changes its `type` replaces the other: its fields are none
+/// of the new one's.
+fn join(base: &mut toml::Table, own: toml::Table) {
+    for (key, value) in own {
+        match (base.get_mut(&key), value) {
+            (Some(toml::Value::Table(old)), toml::Value::Table(new)) if !is_another(old, &new) => {
+                join(old, new);
+            }
+            (_, value) => _ = base.insert(key, value),
+        }
+    }
+}
+
+/// Whether a table is about something else than the other: its `type` or its `architecture` differs.
+fn is_another(old: &toml::Table, new: &toml::Table) -> bool {
+    let name = |table: &toml::Table, default: &str| match table.get("architecture") {
+        Some(toml::Value::String(name)) => name.clone(),
+        _ => default.to_owned(),
+    };
+    let usual = name(old, BackboneConfig::NAMES[0]);
+    name(new, &usual) != usual || (new.contains_key("type") && new.get("type") != old.get("type"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn table(text: &str) -> toml::Table {
+        text.parse().unwrap()
+    }
+
+    #[test]
+    fn files_are_joined() {
+        let mut base = table("a = 1\nlist = [1, 2]\n[t]\nx = 1\ny = 2\n[s]\ntype = 'p'\nq = 1");
+        join(&mut base, table("list = [3]\n[t]\ny = 5\n[s]\ntype = 'other'"));
+        let expected = table("a = 1\nlist = [3]\n[t]\nx = 1\ny = 5\n[s]\ntype = 'other'");
+        assert_eq!(base, expected);
+    }
+
+    #[test]
+    fn another_architecture_takes_no_fields() {
+        let mut base = table("[model]\nstride = [2]\nmlp_ratio = 2");
+        let same = "[model]\narchitecture = 'point_transformer_v3'\nstride = [4]";
+        join(&mut base, table(same));
+        assert_eq!(base, table(&format!("{same}\nmlp_ratio = 2")));
+        let other = "[model]\narchitecture = 'point_transformer_v2'\nstride = [3]";
+        join(&mut base, table(other));
+        assert_eq!(base, table(other));
+        join(&mut base, table("[model]\nstride = [2]"));
+        assert_eq!(base, table(&other.replace('3', "2")));
+    }
+
+    #[test]
+    fn unset_variables_are_named_with_their_line() {
+        let none = |_: &str| None;
+        let error = with_variables("x = 1\ny = '${ROOT}'", &none).unwrap_err();
+        let text = format!("{:#}", anyhow::Error::from(error));
+        assert!(text.contains("line 2") && text.contains("${ROOT}"), "{text}");
+        assert_eq!(with_variables("# ${ROOT}", &none).unwrap(), "# ${ROOT}\n");
+        let some = |name: &str| Some(format!("/{name}"));
+        assert_eq!(with_variables("a = '${X}/b/${Y}'", &some).unwrap(), "a = '/X/b//Y'\n");
+    }
+}
