@@ -72,7 +72,8 @@ fn teacher_config() -> NetworkConfig {
     let mut config = NetworkConfig::tiny();
     config.model.grid_size = 0.2;
     config.input.channels = serde_json::from_str(r#"["height", "color"]"#).unwrap();
-    let json = serde_json::to_string(&config).unwrap().replace("\"in_channels\":11", "\"in_channels\":4");
+    let json =
+        serde_json::to_string(&config).unwrap().replace("\"in_channels\":11", "\"in_channels\":4");
     serde_json::from_str(&json).unwrap()
 }
 
@@ -89,7 +90,13 @@ fn read(folder: &Path, text: &str) -> Result<ExperimentConfig, String> {
     ExperimentConfig::read(&path).map_err(|e| format!("{:#}", anyhow::Error::from(e)))
 }
 
-fn start(folder: &Path, text: &str, name: &str, resume: bool, stop: bool) -> Result<Vec<String>, String> {
+fn start(
+    folder: &Path,
+    text: &str,
+    name: &str,
+    resume: bool,
+    stop: bool,
+) -> Result<Vec<String>, String> {
     let config = read(folder, text)?;
     let stop = Arc::new(AtomicBool::new(stop));
     let options = RunOptions { out: folder.join(name), resume, quiet: true, stop, commit: None };
@@ -130,7 +137,8 @@ fn the_teacher_is_the_network_in_evaluation_mode_at_its_own_voxels() {
     // Heights count from the ground of what is read, which differs between a scene and its voxels.
     let mut own = teacher_config();
     own.input = scenesplat::datasets::InputFeatures::default();
-    own.model = ModelConfig { grid_size: 0.2, ..ModelConfig::new(PointTransformerV3Config::tiny()) };
+    own.model =
+        ModelConfig { grid_size: 0.2, ..ModelConfig::new(PointTransformerV3Config::tiny()) };
     let json = serde_json::to_string(&own).unwrap();
     std::fs::write(folder.path().join("teacher.json"), json).unwrap();
     let text = EXPERIMENT.replacen("[model]", "view = \"scene\"\n[model]", 1);
@@ -255,7 +263,8 @@ fn a_run_goes_on_with_its_own_teacher_only() {
     let resumed = |text: &str| start(folder.path(), text, "run", true, false);
     let error = resumed(&EXPERIMENT.replace("seeded:3", "seeded:4")).unwrap_err();
     assert!(error.contains("teacher.content was \"sha256"), "{error}");
-    let error = resumed(&EXPERIMENT.replacen("[model]", "view = \"scene\"\n[model]", 1)).unwrap_err();
+    let error =
+        resumed(&EXPERIMENT.replacen("[model]", "view = \"scene\"\n[model]", 1)).unwrap_err();
     assert!(error.contains("teacher.view was \"augmented\" and is \"scene\""), "{error}");
     let error =
         resumed(&EXPERIMENT.replacen("[model]", "precision = \"bf16\"\n[model]", 1)).unwrap_err();
@@ -350,7 +359,8 @@ fn experiments_that_do_not_fit_are_refused_before_the_first_step() {
         assert!(parts.iter().all(|part| error.contains(part)), "{to}: {error}");
         assert!(!folder.path().join("run/checkpoints").exists(), "{to}");
     };
-    let teacher = "[teacher]\ntype = \"network\"\nweights = \"seeded:3\"\nconfig = \"teacher.json\"";
+    let teacher =
+        "[teacher]\ntype = \"network\"\nweights = \"seeded:3\"\nconfig = \"teacher.json\"";
     refused(teacher, "", &["teacher", "distillation needs one"]);
     refused("\"distillation\"", "\"language_pretraining\"", &["teacher", "only task"]);
     refused("text =", "targets = \"class_text\"\ntext =", &["targets"]);

@@ -151,7 +151,10 @@ fn a_student_learns_from_a_teacher() {
     let (agreement, teacher) = (values("unseen/agreement/cosine"), values("unseen/teacher/allAcc"));
     assert!(agreement[5] > agreement[0], "{agreement:?}");
     // The same teacher on the same room, epoch after epoch; it knows rooms.
-    assert!(teacher.len() == 6 && teacher.iter().all(|v| *v == teacher[0] && *v > 0.3), "{teacher:?}");
+    assert!(
+        teacher.len() == 6 && teacher.iter().all(|v| *v == teacher[0] && *v > 0.3),
+        "{teacher:?}"
+    );
     assert_eq!(values("unseen/oracle/f-mIoU").len(), 6);
     // Its rows of the room were computed once and read ever after.
     let record = |out: &Path| -> serde_json::Value {
