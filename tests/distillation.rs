@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
 use scenesplat::alignment::AlignmentSettings;
-use scenesplat::datasets::{BatchLoader, Sample, TeacherRows};
+use scenesplat::datasets::{Sample, TeacherRows};
 use scenesplat::experiment::teacher::Teacher;
 use scenesplat::experiment::{ExperimentConfig, RunOptions, data, train};
 use scenesplat::models::{ModelConfig, PointTransformerV3Config};
@@ -221,10 +221,15 @@ fn neither_workers_nor_interruptions_nor_caches_change_a_bit() {
     let remarks = start(folder.path(), &full, "full", false, false).unwrap();
     assert!(remarks.iter().any(|r| r.contains("max_gb")), "{remarks:?}");
     assert_eq!(files().len(), 6);
-    // With what is augmented, rows of evaluations alone are kept.
+    // With what is augmented, rows of evaluations alone are kept: here those that are there already, as
+    // an evaluation shows the scene itself, and then anew.
     let augmented = cached.replace("view = \"scene\"", "view = \"augmented\"");
     weights(folder.path(), &augmented, "augmented");
-    assert_eq!(said(folder.path(), "augmented")["cache"]["kept"], 1);
+    let did = said(folder.path(), "augmented");
+    assert_eq!((&did["cache"]["read"], &did["taught"]), (&1.into(), &4.into()), "{did}");
+    weights(folder.path(), &augmented.replace("\"rows\"", "\"more rows\""), "elsewhere");
+    let did = said(folder.path(), "elsewhere");
+    assert_eq!((&did["cache"]["kept"], &did["taught"]), (&1.into(), &5.into()), "{did}");
 }
 
 #[test]
@@ -341,9 +346,9 @@ fn a_teacher_can_be_stored_features() {
     weights(folder.path(), &own, "words");
     let log = read_json_lines(&folder.path().join("words/metrics.jsonl")).unwrap();
     let value = |name: &str| log.iter().find(|m| m.name == name).unwrap().value;
-    // Words of the rooms are the truth, but for floaters and what the vote of three misses.
-    assert!(value("unseen/teacher/allAcc") > 0.9, "{}", value("unseen/teacher/allAcc"));
-    assert!(value("unseen/oracle/allAcc") >= value("unseen/teacher/allAcc") - 0.05);
+    // Words of the rooms are the truth, but for floaters, which have none.
+    let (teacher, oracle) = (value("unseen/teacher/allAcc"), value("unseen/oracle/allAcc"));
+    assert!((teacher - oracle).abs() < 0.05 && teacher > 0.7, "{teacher}, oracle {oracle}");
     for name in ["unseen/f-mIoU", "unseen/agreement/cosine", "unseen/agreement/top1"] {
         assert!(value(name).is_finite(), "{name}");
     }
