@@ -139,12 +139,11 @@ pub fn write_features_safetensors(
         for_each_source_block(opened, features, |values| {
             count += values.len();
             for v in values {
-                match ty {
-                    FeatureType::F32 => file.write_all(&v.to_le_bytes()).map_err(io)?,
-                    FeatureType::F16 => {
-                        file.write_all(&f16::from_f32(*v).to_le_bytes()).map_err(io)?
-                    }
-                }
+                let written = match ty {
+                    FeatureType::F32 => file.write_all(&v.to_le_bytes()),
+                    FeatureType::F16 => file.write_all(&f16::from_f32(*v).to_le_bytes()),
+                };
+                written.map_err(io)?;
             }
             Ok(())
         })?;

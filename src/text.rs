@@ -27,7 +27,7 @@ pub enum TextError {
         path: PathBuf,
         /// Its shape.
         #[source]
-        source: candle_core::Error,
+        source: Box<candle_core::Error>,
     },
     /// Rows that cannot be used.
     #[error("{}", path.display())]
@@ -36,7 +36,7 @@ pub enum TextError {
         path: PathBuf,
         /// Which row, and why.
         #[source]
-        source: SceneError,
+        source: Box<SceneError>,
     },
     /// A tensor without the names of its rows.
     #[error("{}: a PyTorch tensor holds no names; a file of names is needed, one a line", path.display())]
@@ -57,15 +57,16 @@ pub fn read_text_table(path: &Path, names: Option<&Path>) -> Result<TextTable, T
         return Ok(TextTable::read(path, names)?);
     }
     let tensor = read_single_tensor(path)?;
-    let (_, dim) =
-        tensor.dims2().map_err(|source| TextError::Shape { path: path.to_owned(), source })?;
+    let (_, dim) = tensor
+        .dims2()
+        .map_err(|source| TextError::Shape { path: path.to_owned(), source: source.into() })?;
     let Some(names) = names else {
         return Err(TextError::NoNames { path: path.to_owned() });
     };
     let names = read_names(names)?;
     let values = tensor.flatten_all()?.to_vec1::<f32>()?;
     TextTable::from_rows(names, values, dim)
-        .map_err(|source| TextError::Rows { path: path.to_owned(), source })
+        .map_err(|source| TextError::Rows { path: path.to_owned(), source: source.into() })
 }
 
 /// Reads the embedding of one text: `.npy`, or `.pt`/`.pth` with one tensor.

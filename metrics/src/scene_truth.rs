@@ -8,6 +8,9 @@ use std::borrow::Cow;
 const LABELS: &str = "labels";
 const POINT_LABELS: &str = "labels of points";
 
+/// Positions, metres, with their classes. `[M, 3]` and `[M]`
+type LabelledAt<'a> = (&'a [[f32; 3]], Cow<'a, [i32]>);
+
 /// How the labels of Gaussians get to where a scene is scored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct VoteRule {
@@ -48,7 +51,7 @@ impl VoteRule {
 pub struct SceneTruth<'a> {
     coord: &'a [[f32; 3]],
     labels: Cow<'a, [i32]>,
-    points: Option<(&'a [[f32; 3]], Cow<'a, [i32]>)>,
+    points: Option<LabelledAt<'a>>,
     voters: Option<&'a [bool]>,
     num_classes: usize,
 }
@@ -108,7 +111,7 @@ impl<'a> SceneTruth<'a> {
     fn checked(
         coord: &'a [[f32; 3]],
         labels: Option<Cow<'a, [i32]>>,
-        points: Option<(&'a [[f32; 3]], Cow<'a, [i32]>)>,
+        points: Option<LabelledAt<'a>>,
         num_classes: usize,
     ) -> Result<Option<Self>, MetricError> {
         if let Some(labels) = &labels {

@@ -353,7 +353,8 @@ impl ExperimentConfig {
     /// # Errors
     /// If there is none of this name.
     pub fn precision(&self) -> Result<scenesplat_kernels::Precision> {
-        self.precision.parse().map_err(|e| ExperimentError::setting("precision", format!("{e}")))
+        let wrong = |e: String| ExperimentError::setting("precision", e);
+        self.precision.parse().map_err(wrong)
     }
 
     /// Makes relative paths start at `folder`.

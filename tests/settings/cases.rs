@@ -56,7 +56,7 @@ impl Case {
 /// All settings.
 pub const CASES: &[Case] = &[
     // The experiment itself.
-    row("task", "language", "/task", "semantic_segmentation", Refused("num_classes")),
+    row("task", "language", "/task", "semantic_segmentation", Refused("targets")),
     row("precision", "language", "/precision", "bf16", Weights),
     row("model_seed", "language", "/model_seed", "4", Weights),
     row("init_from", "language", "/init_from", "DATA/init", Weights),
