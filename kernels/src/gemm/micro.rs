@@ -136,6 +136,7 @@ unsafe fn tile<P: Products, const MR: usize, const NV: usize>(
 }
 
 #[inline(always)]
+#[expect(clippy::too_many_arguments, reason = "plain numbers, inlined into one loop")]
 unsafe fn tile_rows<P: Products, const NV: usize>(
     rows: usize,
     a: &[*const P::Element; TILE_ROWS],
@@ -165,6 +166,7 @@ unsafe fn tile_rows<P: Products, const NV: usize>(
 /// # Safety
 /// As [`tile`]; `rows` is in `1..=TILE_ROWS`, and only the first `rows` pointers are used.
 #[inline(always)]
+#[expect(clippy::too_many_arguments, reason = "plain numbers, inlined into one loop")]
 pub(crate) unsafe fn panel<P: Products>(
     rows: usize,
     a: &[*const P::Element; TILE_ROWS],
