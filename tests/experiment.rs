@@ -123,6 +123,45 @@ epochs = 2
 keep = 2
 "#;
 
+/// A student of the network inside the program.
+const DISTILLATION: &str = r#"
+task = "distillation"
+text = { type = "vocabulary", dim = 96 }
+[teacher]
+type = "network"
+weights = "embedded"
+cache = { folder = "rows" }
+[model]
+grid_size = 0.3
+stride = [2]
+enc_depths = [1, 1]
+enc_channels = [8, 16]
+enc_num_head = [1, 2]
+enc_patch_size = [64, 64]
+dec_depths = [1]
+dec_channels = [16]
+dec_num_head = [2]
+dec_patch_size = [64]
+projection = 96
+[[train]]
+source = { type = "synthetic", count = 2, seed = 1, room = { num_gaussians = 400 } }
+transforms = "language_pretraining"
+[loader]
+workers = 1
+mix_probability = 0.0
+batch_size = 1
+[[losses]]
+type = "cosine"
+[[losses]]
+type = "smooth_l1"
+beta = 0.5
+[optimizer]
+groups = []
+[[evaluate]]
+name = "unseen"
+source = { type = "synthetic", count = 1, seed = 9, room = { num_gaussians = 400 } }
+"#;
+
 /// A scene of a few labelled Gaussians as text.
 fn write_scene(path: &Path, seed: u32) {
     let names = [
@@ -206,6 +245,7 @@ fn others(value: &Value) -> Vec<Value> {
         "skip",
         "max",
         "isolated",
+        "scene",
         "shared_depth",
         "labels",
         "off",
@@ -328,7 +368,7 @@ fn walk(text: &str, folder: &Path) -> (usize, Vec<String>) {
 
 #[test]
 fn every_setting_is_refused_by_name_unless_it_may_change() {
-    for (text, least) in [(LANGUAGE, 100), (SEGMENTATION, 50)] {
+    for (text, least) in [(LANGUAGE, 100), (SEGMENTATION, 50), (DISTILLATION, 40)] {
         let folder = folder();
         let (refused, wrong) = walk(text, folder.path());
         assert!(wrong.is_empty(), "{}", wrong.join("\n"));

@@ -1,6 +1,10 @@
 //! Samples by number.
 
-use crate::{DataError, DataSource, LeftOut, RepairedScene, Sample, Transform, sample_rng};
+use crate::teacher::Lesson;
+use crate::{
+    DataError, DataSource, LeftOut, RepairedScene, Sample, SceneTeacher, TeacherView, Transform,
+    sample_rng,
+};
 use scenesplat_scene::RepairReport;
 use scenesplat_scene::value_policy::Rule;
 use std::collections::BTreeMap;
@@ -40,6 +44,7 @@ pub struct SceneDataset {
     transforms: Vec<Arc<dyn Transform>>,
     seed: u64,
     repeat: usize,
+    lesson: Option<Lesson>,
     repairs: Mutex<BTreeMap<String, RepairReport>>,
     /// Rows of each scene read so far, whether it has labels, and whether it has features.
     seen: Mutex<BTreeMap<String, (usize, bool, bool)>>,
@@ -65,9 +70,23 @@ impl SceneDataset {
             transforms,
             seed,
             repeat,
+            lesson: None,
             repairs: Mutex::default(),
             seen: Mutex::default(),
         })
+    }
+
+    /// Lets a teacher say what each row shall be: its rows replace the language features of the
+    /// scenes, see [`teacher`](crate::teacher). With [`TeacherView::Augmented`] it looks before the last
+    /// `steps_after` transforms, see [`steps_after_look`](crate::teacher::steps_after_look).
+    #[must_use]
+    pub fn with_teacher(mut self, teacher: Arc<dyn SceneTeacher>, steps_after: usize) -> Self {
+        let steps_after = match teacher.view() {
+            TeacherView::Augmented => steps_after.min(self.transforms.len()),
+            TeacherView::Scene => self.transforms.len(),
+        };
+        self.lesson = Some(Lesson { teacher, steps_after });
+        self
     }
 
     /// The scenes in which something had to be repaired or left out so far, by name, with what.
@@ -92,10 +111,19 @@ impl SceneDataset {
         loaded.scene.check_rows()?;
         let mut sample = Sample::from_scene(id, loaded.scene);
         let mut rng = sample_rng(self.seed, epoch, index as u64);
-        for transform in &self.transforms {
+        let looks_at = self.lesson.as_ref().map(|l| self.transforms.len() - l.steps_after);
+        let mut shown = None;
+        for (i, transform) in self.transforms.iter().enumerate() {
+            if looks_at == Some(i) {
+                shown = self.lesson.as_ref().map(|lesson| lesson.look(&mut sample));
+            }
             transform.apply(&mut sample, &mut rng)?;
         }
         sample.check()?;
+        if let (Some(lesson), Some(shown)) = (&self.lesson, shown) {
+            lesson.give(shown, &mut sample)?;
+            sample.check()?;
+        }
         Ok(sample)
     }
 }

@@ -119,6 +119,13 @@ pub enum DataError {
         /// What to do.
         help: &'static str,
     },
+    /// A teacher has no rows for a scene.
+    #[error("the teacher has no rows for this scene")]
+    Teacher {
+        /// Why.
+        #[source]
+        source: Box<dyn std::error::Error + Send + Sync>,
+    },
     /// A setting outside its range.
     #[error("{setting}: {value} is not allowed, expected {expected}")]
     Setting {
@@ -132,6 +139,11 @@ pub enum DataError {
 }
 
 impl DataError {
+    /// A teacher has no rows for a scene, because of `error`; made for `map_err`.
+    pub fn teacher(error: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Self {
+        Self::Teacher { source: error.into() }
+    }
+
     /// Says of which scene this is, unless it does already.
     pub(crate) fn in_scene(self, id: &str) -> Self {
         match self {

@@ -1,5 +1,6 @@
 //! The whole scene behind a sample of voxels.
 
+use crate::TeacherRows;
 use scenesplat_scene::LabelledPoints;
 
 /// All Gaussians of a scene, of which a sample holds one a voxel: what an evaluation scores, because
@@ -19,6 +20,10 @@ pub struct FullScene {
     pub valid_feat: Option<Vec<bool>>,
     /// Labelled points to score instead of the Gaussians, all of them; independent row count.
     pub points: Option<LabelledPoints>,
+    /// What a teacher says of each Gaussian, if there is one. `[N]`
+    pub teacher: Option<TeacherRows>,
+    /// As [`Sample::origin_row`](crate::Sample::origin_row), until the teacher has answered. `[N]`
+    pub origin_row: Option<Vec<u32>>,
 }
 
 impl FullScene {

@@ -3,7 +3,8 @@
 //! pieces ([`tiles`]).
 //!
 //! For training: a [`dataset`] makes a [`sample`] of each scene, and a [`loader`] joins samples to
-//! batches ([`train_batch`]), some of them mixed ([`mix3d`]). Augmentation is made of [`transforms`].
+//! batches ([`train_batch`]), some of them mixed ([`mix3d`]). Augmentation is made of [`transforms`]; a
+//! [`teacher`] may say what is to be learned.
 //!
 //! Plain arrays: no tensor library, no device. Everything is a function of its arguments and a
 //! seed; the number of threads never changes a result.
@@ -22,6 +23,7 @@ pub mod rng;
 pub mod sample;
 pub mod source;
 pub mod sources;
+pub mod teacher;
 pub mod tiles;
 pub mod train_batch;
 pub mod transforms;
@@ -40,6 +42,7 @@ pub use rng::{SampleRng, sample_rng};
 pub use sample::{Sample, Transform};
 pub use source::{DataSource, SourceScene};
 pub use sources::{Benchmark, SceneFolders, SourceConfig, Split, SyntheticRooms};
+pub use teacher::{SceneTeacher, TeacherRows, TeacherView};
 pub use tiles::{Tile, TileSettings, Tiling, split_into_tiles};
 pub use train_batch::{TrainBatch, collate_samples};
 pub use transforms::{TransformConfig, build_transforms};

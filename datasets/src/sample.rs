@@ -44,6 +44,9 @@ pub struct Sample {
     /// The scene that the rows were sampled from, if a
     /// [`GridSample`](crate::transforms::GridSample) was told to keep it.
     pub full: Option<FullScene>,
+    /// Row that each Gaussian had when a [teacher](crate::SceneTeacher) looked; `None` if none does.
+    /// `[N]`
+    pub origin_row: Option<Vec<u32>>,
 }
 
 impl Sample {
@@ -76,6 +79,7 @@ impl Sample {
             grid_size: 0.0,
             labelled_points: scene.labelled_points,
             full: None,
+            origin_row: None,
         }
     }
 
@@ -117,6 +121,9 @@ impl Sample {
         if let Some(values) = &mut self.valid_feat {
             pick(values, rows);
         }
+        if let Some(values) = &mut self.origin_row {
+            pick(values, rows);
+        }
         if !self.grid_coord.is_empty() {
             pick(&mut self.grid_coord, rows);
         }
@@ -137,6 +144,7 @@ impl Sample {
         check_length("segment", n, self.segment.as_ref().map_or(n, Vec::len))?;
         check_length("instance", n, self.instance.as_ref().map_or(n, Vec::len))?;
         check_length("valid_feat", n, self.valid_feat.as_ref().map_or(n, Vec::len))?;
+        check_length("origin_row", n, self.origin_row.as_ref().map_or(n, Vec::len))?;
         if let Some(features) = &self.lang_feat {
             let expected = n.saturating_mul(features.dim);
             check_length("lang_feat", expected, features.values.len())?;
@@ -146,6 +154,9 @@ impl Sample {
         }
         if let Some(full) = &self.full {
             check_length("full.voxel", full.len(), full.voxel.len())?;
+            if let Some(taught) = &full.teacher {
+                taught.check(full.len())?;
+            }
         }
         Ok(())
     }

@@ -9,6 +9,7 @@ use crate::loss::Loss;
 use crate::lovasz::LovaszSoftmax;
 use crate::objective::Objective;
 use crate::rows::Reduction;
+use crate::smooth_l1::SmoothL1Loss;
 use crate::text_classification::TextClassification;
 use serde::{Deserialize, Serialize};
 
@@ -47,6 +48,11 @@ macro_rules! loss_config {
         }
 
         impl LossConfig {
+            /// Whether the term compares rows with target rows.
+            pub fn has_target(&self) -> bool {
+                matches!(self, Self::Cosine(_) | Self::L2(_) | Self::SmoothL1(_))
+            }
+
             /// Weight in the objective.
             pub fn weight(&self) -> f64 {
                 match self {
@@ -77,6 +83,7 @@ type Built = Result<Box<dyn Loss>, LossError>;
 loss_config! {
     Cosine(RowLossConfig) => |c, _| Ok(Box::new(CosineLoss { reduction: c.reduction }));
     L2(RowLossConfig) => |c, _| Ok(Box::new(L2Loss { reduction: c.reduction }));
+    SmoothL1(SmoothL1Config) => |c, _| Ok(Box::new(c.build()?));
     AggregatedContrastive(ContrastiveConfig) => |c, texts| Ok(Box::new(c.build(texts)?));
     CrossEntropy(CrossEntropyConfig) => |c, _| Ok(Box::new(c.build()?));
     LovaszSoftmax(LovaszConfig) => |_, _| Ok(Box::new(LovaszSoftmax));
@@ -96,6 +103,33 @@ pub struct RowLossConfig {
 impl Default for RowLossConfig {
     fn default() -> Self {
         Self { weight: 1.0, reduction: Reduction::Mean }
+    }
+}
+
+/// Settings of [`SmoothL1Loss`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SmoothL1Config {
+    /// Weight in the objective; default 1.
+    pub weight: f64,
+    /// β; default 1.
+    pub beta: f64,
+    /// Mean over the valid rows, or sum.
+    pub reduction: Reduction,
+}
+
+impl Default for SmoothL1Config {
+    fn default() -> Self {
+        let SmoothL1Loss { beta, reduction } = SmoothL1Loss::default();
+        Self { weight: 1.0, beta, reduction }
+    }
+}
+
+impl SmoothL1Config {
+    fn build(&self) -> Result<SmoothL1Loss, LossError> {
+        let positive = |v: f64| v > 0.0 && v.is_finite();
+        in_range("smooth_l1", "beta", self.beta, positive, "a finite number above 0")?;
+        Ok(SmoothL1Loss { beta: self.beta, reduction: self.reduction })
     }
 }
 

@@ -2,10 +2,10 @@
 
 use crate::error::LossError;
 use crate::loss::{Loss, LossInput};
-use crate::rows::{Reduction, sum_rows};
+use crate::rows::{Reduction, difference_gradient, sum_rows};
 use crate::scalar_op::{Backward, scalar_loss};
-use crate::values::{Real, make_rows, read_matrix};
-use crate::vector::squared_distance;
+use crate::values::Real;
+use crate::vector::sum_of_differences;
 use candle_core::{DType, Result, Tensor};
 use scenesplat_kernels::simd::compiled;
 
@@ -65,7 +65,7 @@ fn typed<T: Real>(
     valid: Option<&[bool]>,
     reduction: Reduction,
 ) -> Result<Option<Tensor>> {
-    let row = |p: &[T], t: &[T]| (compiled(|| squared_distance(p, t)), ());
+    let row = |p: &[T], t: &[T]| (compiled(|| sum_of_differences(p, t, |d| d * d)), ());
     let (total, _, count) = sum_rows(NAME, pred, target, valid, row)?;
     if count == 0 {
         return Ok(None);
@@ -87,34 +87,12 @@ impl Backward for L2Backward {
         NAME
     }
     fn gradient(&self, pred: &Tensor, factor: f64) -> Result<Tensor> {
-        match pred.dtype() {
-            DType::F64 => self.typed::<f64>(pred, factor),
-            _ => self.typed::<f32>(pred, factor),
-        }
-    }
-}
-
-impl L2Backward {
-    fn typed<T: Real>(&self, pred: &Tensor, factor: f64) -> Result<Tensor> {
         let factor = 2.0 * factor * self.factor;
-        read_matrix(NAME, "pred", pred, |p| {
-            read_matrix(NAME, "target", &self.target, |t| {
-                make_rows::<T>(pred, |first, out| {
-                    let (mut p_scratch, mut t_scratch) = (Vec::new(), Vec::new());
-                    for (row, out) in (first..).zip(out.chunks_exact_mut(p.columns)) {
-                        if self.valid.as_ref().is_some_and(|v| !v[row]) {
-                            continue;
-                        }
-                        let p = p.read::<T>(row..row + 1, &mut p_scratch);
-                        let t = t.read::<T>(row..row + 1, &mut t_scratch);
-                        compiled(|| {
-                            for ((out, p), t) in out.iter_mut().zip(p).zip(t) {
-                                *out = T::narrow(factor * (p.wide() - t.wide()));
-                            }
-                        });
-                    }
-                })
-            })
-        })
+        let slope = |x: f64| factor * x;
+        let valid = self.valid.as_deref();
+        match pred.dtype() {
+            DType::F64 => difference_gradient::<f64>(NAME, pred, &self.target, valid, slope),
+            _ => difference_gradient::<f32>(NAME, pred, &self.target, valid, slope),
+        }
     }
 }

@@ -1,8 +1,8 @@
-//! Losses for language pretraining and semantic segmentation, on candle tensors.
+//! Losses for language pretraining, distillation and semantic segmentation, on candle tensors.
 //!
 //! | loss | for | formula |
 //! |---|---|---|
-//! | [`CosineLoss`], [`L2Loss`] | features with target features | [`cosine`], [`l2`] |
+//! | [`CosineLoss`], [`L2Loss`], [`SmoothL1Loss`] | features with target features | [`cosine`], [`l2`], [`smooth_l1`] |
 //! | [`AggregatedContrastive`] | features with classes | [`aggregated_contrastive`] |
 //! | [`TextClassification`] | features with labels, by the texts of the classes | cross entropy and Lovász of cosines |
 //! | [`CrossEntropy`], [`LovaszSoftmax`] | logits with labels | [`cross_entropy`], [`lovasz_softmax`] |
@@ -38,13 +38,14 @@ mod lovasz;
 mod objective;
 mod rows;
 mod scalar_op;
+mod smooth_l1;
 mod text_classification;
 mod values;
 mod vector;
 
 pub use config::{
     ClassSourceConfig, ContrastiveConfig, CrossEntropyConfig, LossConfig, LovaszConfig,
-    RowLossConfig, TextClassificationConfig, build_objective,
+    RowLossConfig, SmoothL1Config, TextClassificationConfig, build_objective,
 };
 pub use contrastive::{
     AggregatedContrastive, ClassHalves, ClassSource, TermSchedule, TextColumns,
@@ -58,5 +59,6 @@ pub use loss::{IGNORE, Loss, LossInput};
 pub use lovasz::{LovaszSoftmax, lovasz_softmax};
 pub use objective::{Objective, ObjectiveOutput, OffTerm, Term};
 pub use rows::Reduction;
+pub use smooth_l1::{SmoothL1Loss, smooth_l1};
 pub use text_classification::TextClassification;
 pub use values::first_not_finite;

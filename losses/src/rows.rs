@@ -1,9 +1,10 @@
 //! What losses that compare rows with target rows share.
 
 use crate::error::{LossError, check_len};
-use crate::values::{Matrix, Real, read_matrix, rows_per_task};
+use crate::values::{Matrix, Real, make_rows, read_matrix, rows_per_task};
 use candle_core::{Result, Tensor};
 use rayon::prelude::*;
+use scenesplat_kernels::simd::compiled;
 use serde::{Deserialize, Serialize};
 
 /// How terms of rows (or of classes) become one number.
@@ -103,4 +104,34 @@ fn sum_task<T: Real, K>(
         total += value;
     }
     Ok(total)
+}
+
+/// The gradient of a loss that sums a function of `p − t` over rows that count and their channels:
+/// `slope(p − t)`, zeros in the other rows.
+pub(crate) fn difference_gradient<T: Real>(
+    loss: &'static str,
+    pred: &Tensor,
+    target: &Tensor,
+    valid: Option<&[bool]>,
+    slope: impl Fn(f64) -> f64 + Sync,
+) -> Result<Tensor> {
+    read_matrix(loss, "pred", pred, |p| {
+        read_matrix(loss, "target", target, |t| {
+            make_rows::<T>(pred, |first, out| {
+                let (mut p_scratch, mut t_scratch) = (Vec::new(), Vec::new());
+                for (row, out) in (first..).zip(out.chunks_exact_mut(p.columns)) {
+                    if valid.is_some_and(|v| !v[row]) {
+                        continue;
+                    }
+                    let p = p.read::<T>(row..row + 1, &mut p_scratch);
+                    let t = t.read::<T>(row..row + 1, &mut t_scratch);
+                    compiled(|| {
+                        for ((out, p), t) in out.iter_mut().zip(p).zip(t) {
+                            *out = T::narrow(slope(p.wide() - t.wide()));
+                        }
+                    });
+                }
+            })
+        })
+    })
 }

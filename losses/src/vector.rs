@@ -44,21 +44,19 @@ pub(crate) fn dot<T: Real>(a: &[T], b: &[T]) -> f64 {
     sums.iter().sum()
 }
 
-/// `Σ (p − t)²`
+/// `Σ h(p − t)`
 #[inline(always)]
-pub(crate) fn squared_distance<T: Real>(p: &[T], t: &[T]) -> f64 {
+pub(crate) fn sum_of_differences<T: Real>(p: &[T], t: &[T], h: impl Fn(f64) -> f64) -> f64 {
     let mut sums = [0f64; LANES];
     let (p8, p_rest) = p.as_chunks::<LANES>();
     let (t8, t_rest) = t.as_chunks::<LANES>();
     for (p, t) in p8.iter().zip(t8) {
         for l in 0..LANES {
-            let d = p[l].wide() - t[l].wide();
-            sums[l] += d * d;
+            sums[l] += h(p[l].wide() - t[l].wide());
         }
     }
     for (l, (p, t)) in p_rest.iter().zip(t_rest).enumerate() {
-        let d = p.wide() - t.wide();
-        sums[l] += d * d;
+        sums[l] += h(p.wide() - t.wide());
     }
     sums.iter().sum()
 }
@@ -172,7 +170,7 @@ mod tests {
             assert_eq!(compiled(|| dots(&a, &b)), want, "small integers and halves are exact");
             assert_eq!(dot(&a, &b), want[2]);
             assert_eq!(
-                squared_distance(&a, &b),
+                sum_of_differences(&a, &b, |d| d * d),
                 pairs().map(|(a, b)| (a - b).powi(2)).sum::<f64>()
             );
             assert_eq!(sum(&a), a.iter().sum::<f64>());

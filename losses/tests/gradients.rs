@@ -6,7 +6,8 @@ mod support;
 
 use candle_core::{DType, Result, Tensor};
 use scenesplat_losses::{
-    Reduction, aggregated_contrastive, cosine, cross_entropy, l2, lovasz_softmax, split_classes,
+    Reduction, aggregated_contrastive, cosine, cross_entropy, l2, lovasz_softmax, smooth_l1,
+    split_classes,
 };
 use support::{BF16_EPS, evaluate, matrix, noise, reference, wide};
 
@@ -37,17 +38,22 @@ fn cases() -> Vec<Case> {
     let wanted = [
         reference::cosine(&pred, &target, WIDTH, &valid),
         reference::l2(&pred, &target, WIDTH, &valid),
+        reference::smooth_l1(&pred, &target, WIDTH, &valid, 0.4),
+        reference::smooth_l1(&pred, &target, WIDTH, &valid, 1.0),
         reference::contrastive(&pred, WIDTH, &halves, 0.3),
         reference::cross_entropy(&pred, WIDTH, &label, 0.0, None),
         reference::cross_entropy(&pred, WIDTH, &label, 0.1, Some(&weights)),
         reference::lovasz(&pred, WIDTH, &label),
     ];
     let target = matrix(&target, WIDTH, DType::F64);
-    let ([t1, t2], [v1, v2]) = ([target.clone(), target], [valid.clone(), valid]);
+    let [t1, t2, t3, t4] = std::array::from_fn(|_| target.clone());
+    let [v1, v2, v3, v4] = std::array::from_fn(|_| valid.clone());
     let [l1, l2_, l3] = [label.clone(), label.clone(), label];
-    let losses: [(&'static str, LossFn); 6] = [
+    let losses: [(&'static str, LossFn); 8] = [
         ("cosine", Box::new(move |p| cosine(p, &t1, Some(&v1), Reduction::Mean))),
         ("l2", Box::new(move |p| l2(p, &t2, Some(&v2), Reduction::Mean))),
+        ("smooth l1", Box::new(move |p| smooth_l1(p, &t3, Some(&v3), 0.4, Reduction::Mean))),
+        ("smooth l1, wide", Box::new(move |p| smooth_l1(p, &t4, Some(&v4), 1.0, Reduction::Mean))),
         (
             "contrastive",
             Box::new(move |p| aggregated_contrastive(p, &halves, 0.3, Reduction::Mean)),
@@ -150,10 +156,14 @@ fn what_lower_types_hold_is_not_rounded_again() {
 fn targets_of_any_type() {
     let pred = matrix(&predictions(), WIDTH, DType::F32);
     let target = matrix(&noise(ROWS * WIDTH, 2), WIDTH, DType::BF16);
-    for f in [cosine, l2] {
-        let value = |target: &Tensor| {
-            evaluate(&pred, |p| f(p, target, None, Reduction::Mean)).unwrap().unwrap()
-        };
+    type RowLoss = fn(&Tensor, &Tensor) -> Result<Option<Tensor>>;
+    let losses: [RowLoss; 3] = [
+        |p, t| cosine(p, t, None, Reduction::Mean),
+        |p, t| l2(p, t, None, Reduction::Mean),
+        |p, t| smooth_l1(p, t, None, 0.5, Reduction::Mean),
+    ];
+    for f in losses {
+        let value = |target: &Tensor| evaluate(&pred, |p| f(p, target)).unwrap().unwrap();
         let want = value(&target.to_dtype(DType::F32).unwrap());
         assert_eq!(value(&target), want);
         assert_eq!(value(&target.to_dtype(DType::F64).unwrap()), want);

@@ -7,8 +7,8 @@ mod support;
 use candle_core::{DType, Device, Result, Tensor, Var};
 use scenesplat_losses::{
     AggregatedContrastive, ClassHalves, ClassSource, CosineLoss, CrossEntropy, IGNORE, L2Loss,
-    Loss, LovaszSoftmax, Objective, Reduction, TermSchedule, aggregated_contrastive, cosine,
-    cross_entropy, first_not_finite, l2, lovasz_softmax,
+    Loss, LovaszSoftmax, Objective, Reduction, SmoothL1Loss, TermSchedule, aggregated_contrastive,
+    cosine, cross_entropy, first_not_finite, l2, lovasz_softmax, smooth_l1,
 };
 use support::{evaluate, input, matrix, noise, number, reference, wide};
 
@@ -22,10 +22,11 @@ fn contrastive() -> AggregatedContrastive {
     }
 }
 
-fn all() -> [Box<dyn Loss>; 5] {
+fn all() -> [Box<dyn Loss>; 6] {
     [
         Box::new(CosineLoss::default()),
         Box::new(L2Loss::default()),
+        Box::new(SmoothL1Loss::default()),
         Box::new(contrastive()),
         Box::new(CrossEntropy::default()),
         Box::new(LovaszSoftmax),
@@ -61,7 +62,7 @@ fn no_row_that_counts() {
             let output =
                 objective.forward(&scenesplat_losses::LossInput { pred: &var, ..input }).unwrap();
             assert!(output.terms.is_empty());
-            assert_eq!(output.off.len(), 5);
+            assert_eq!(output.off.len(), 6);
             assert_eq!(number(&output.total), 0.0);
             let grads = output.total.backward().unwrap();
             assert!(wide(grads.get(&var).unwrap()).iter().all(|g| *g == 0.0));
@@ -85,6 +86,10 @@ fn one_and_two_rows() {
             reference::cosine(&p[..n], &t[..n], 4, &valid),
         );
         close(value(&|p| l2(p, &target, None, mean)), reference::l2(&p[..n], &t[..n], 4, &valid));
+        close(
+            value(&|p| smooth_l1(p, &target, None, 0.3, mean)),
+            reference::smooth_l1(&p[..n], &t[..n], 4, &valid, 0.3),
+        );
         close(
             value(&|p| cross_entropy(p, label, 0.0, None)),
             reference::cross_entropy(&p[..n], 4, label, 0.0, None),
@@ -135,7 +140,9 @@ fn values_that_are_not_finite_are_named() {
                 assert_eq!(got, want, "{name} {dtype:?}");
                 assert!(got.1[9..12].iter().all(|g| *g == 0.0), "{name}");
             }
-            for loss in [&CosineLoss::default() as &dyn Loss, &L2Loss::default()] {
+            for loss in
+                [&CosineLoss::default() as &dyn Loss, &L2Loss::default(), &SmoothL1Loss::default()]
+            {
                 let pred = matrix(&noise(18, 1), 3, F32);
                 let message = refusal(loss, &pred, &damaged(4), &label);
                 assert!(message.contains(&format!("target[4, 1] is {value}")), "{message}");
@@ -160,6 +167,7 @@ fn rows_without_direction() {
         let own = reference::cosine(&wide(&pred), &wide(&target), 3, &[false, false, false, true]);
         assert!((value - 3.0 - own).abs() < 1e-6, "{value}: three zero rows cost 1 each");
         sound("l2", &pred, |p| l2(p, &target, None, Reduction::Mean));
+        sound("smooth_l1", &pred, |p| smooth_l1(p, &target, None, 0.5, Reduction::Mean));
     }
     // A class of zero rows, and one whose rows cancel.
     let rows = [[0.0, 0.0], [0.0, 0.0], [1.0, 2.0], [-1.0, -2.0], [0.5, 1.0], [0.1, 0.0]];
@@ -211,6 +219,12 @@ fn huge_and_tiny_features() {
                 evaluate(&pred, |p| l2(p, &target, None, Reduction::Mean)).unwrap().unwrap();
             assert!(value >= 0.0, "{case}: {value}");
             assert!(gradient.iter().all(|g| g.is_finite()), "{case}: gradient of l2");
+            let (value, gradient) =
+                evaluate(&pred, |p| smooth_l1(p, &target, None, 0.5, Reduction::Sum))
+                    .unwrap()
+                    .unwrap();
+            assert!(value >= 0.0, "{case}: {value}");
+            assert!(gradient.iter().all(|g| g.abs() <= 1.0), "{case}: gradient of smooth l1");
         }
     }
 }
@@ -299,7 +313,7 @@ fn labels_and_shapes_that_do_not_fit() {
         let message = run(&whole, Some(&pred), Some(&good), None).unwrap_err().to_string();
         assert!(message.contains("f32, f64, bf16 or f16"), "{message}");
         match loss.name() {
-            "cosine" | "l2" => {
+            "cosine" | "l2" | "smooth_l1" => {
                 let message = run(&pred, Some(&narrow), None, None).unwrap_err().to_string();
                 assert!(message.contains("expected [4, 3], got [6, 2]"), "{message}");
                 let message = run(&pred, None, None, None).unwrap_err().to_string();
@@ -311,6 +325,10 @@ fn labels_and_shapes_that_do_not_fit() {
                 assert!(message.contains("label: expected [4], got [5]"), "{message}");
             }
         }
+    }
+    for beta in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+        let error = smooth_l1(&pred, &pred, None, beta, Reduction::Mean).unwrap_err().to_string();
+        assert!(error.contains("beta"), "{error}");
     }
     for temperature in [0.0, -1.0, f64::NAN, f64::INFINITY] {
         assert!(aggregated_contrastive(&pred, &[], temperature, Reduction::Mean).is_err());

@@ -15,6 +15,7 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 use super::data::{EvaluationConfig, TrainDataConfig};
+use super::teacher::{self, TeacherConfig};
 use file::read_table;
 
 type Result<T, E = ExperimentError> = std::result::Result<T, E>;
@@ -56,6 +57,9 @@ pub struct ExperimentConfig {
     /// Where the targets of language pretraining come from.
     #[serde(default)]
     pub targets: TargetChoice,
+    /// Whose rows the network shall learn, in distillation.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub teacher: Option<TeacherConfig>,
     /// Texts of the classes, for targets and zero-shot evaluation.
     #[serde(default)]
     pub text: Option<TextConfig>,
@@ -90,6 +94,8 @@ pub enum Task {
     LanguagePretraining,
     /// Logits shall name the class.
     SemanticSegmentation,
+    /// Features shall be those of a teacher.
+    Distillation,
 }
 
 /// Where targets of language pretraining come from.
@@ -290,6 +296,7 @@ impl ExperimentConfig {
                 format!("its channels are {reads} together, but model.in_channels is {takes}");
             return wrong("input", &problem);
         }
+        teacher::check(self)?;
         if let Some(i) = self.train.iter().position(|t| t.source.asks_for_labelled_points()) {
             let field = format!("train[{i}].source.labelled_points");
             return wrong(&field, "points are scored, not learned from; leave it out");
@@ -317,7 +324,7 @@ impl ExperimentConfig {
             Task::SemanticSegmentation if !head => {
                 wrong("model.num_classes", "segmentation needs it")
             }
-            Task::LanguagePretraining | Task::SemanticSegmentation => Ok(()),
+            Task::LanguagePretraining | Task::SemanticSegmentation | Task::Distillation => Ok(()),
         }
     }
 
@@ -358,6 +365,7 @@ impl ExperimentConfig {
             }
         };
         self.init_from.iter_mut().for_each(place);
+        self.teacher.iter_mut().for_each(|teacher| teacher.place(folder));
         let texts = self.evaluate.iter_mut().filter_map(|e| e.text.as_mut());
         for text in texts.chain(&mut self.text) {
             if let TextConfig::Table { path, names, .. }
@@ -391,8 +399,12 @@ mod tests {
     #[test]
     fn every_configuration_of_the_project_is_right() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs");
-        let folders =
-            [root.clone(), root.join("language_pretraining"), root.join("semantic_segmentation")];
+        let folders = [
+            root.clone(),
+            root.join("language_pretraining"),
+            root.join("semantic_segmentation"),
+            root.join("distillation"),
+        ];
         let mut read = 0;
         for folder in folders {
             for entry in std::fs::read_dir(folder).unwrap() {
@@ -409,6 +421,6 @@ mod tests {
                 read += 1;
             }
         }
-        assert_eq!(read, 17);
+        assert_eq!(read, 18);
     }
 }

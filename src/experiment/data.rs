@@ -2,11 +2,15 @@
 
 use super::config::{ExperimentConfig, TargetChoice, Task, TextConfig, TransformList};
 use super::error::{ExperimentError, Place};
+use super::teacher::Teacher;
 use crate::text::{class_list, read_text_table};
+use scenesplat_datasets::teacher::steps_after_look;
 use scenesplat_datasets::transforms::build_transforms;
 use scenesplat_datasets::{
-    BatchLoader, Dataset, SceneLoader, SourceConfig, TrainBatch, WeightedMix,
+    BatchLoader, Dataset, SceneLoader, SceneTeacher, SourceConfig, TeacherView, TrainBatch,
+    WeightedMix,
 };
+use scenesplat_losses::LossConfig;
 use scenesplat_rooms::CLASSES;
 use scenesplat_rooms::vocabulary::Vocabulary;
 use scenesplat_scene::label_set::find_name;
@@ -63,11 +67,14 @@ fn validation() -> TransformList {
     TransformList::Preset("validation".to_owned())
 }
 
-/// Batches to train on.
+/// Batches to train on, with the rows of a teacher, if there is one.
 ///
 /// # Errors
-/// If scenes or transforms cannot be had.
-pub fn loader(config: &ExperimentConfig) -> Result<Box<dyn BatchLoader<TrainBatch>>> {
+/// If scenes or transforms cannot be had, or the teacher would not see what the transforms do.
+pub fn loader(
+    config: &ExperimentConfig,
+    teacher: Option<&Teacher>,
+) -> Result<Box<dyn BatchLoader<TrainBatch>>> {
     let open = |entry: &TrainDataConfig| -> Result<SceneLoader> {
         let data = dataset(
             &entry.source,
@@ -75,6 +82,7 @@ pub fn loader(config: &ExperimentConfig) -> Result<Box<dyn BatchLoader<TrainBatc
             config.model.grid_size,
             entry.seed,
             entry.repeat,
+            teacher.map(|teacher| &teacher.train),
         )?;
         Ok(SceneLoader::new(data, config.input.clone(), config.loader.clone())?)
     };
@@ -89,13 +97,18 @@ pub fn loader(config: &ExperimentConfig) -> Result<Box<dyn BatchLoader<TrainBatc
     Ok(Box::new(WeightedMix::new(loaders, weights, config.mix)?))
 }
 
-/// Scenes of an evaluation.
+/// Scenes of an evaluation, with the rows of a teacher, if there is one.
 ///
 /// # Errors
-/// If scenes or transforms cannot be had.
-pub fn evaluation(entry: &EvaluationConfig, config: &ExperimentConfig) -> Result<Arc<dyn Dataset>> {
+/// If scenes or transforms cannot be had, or the teacher would not see what the transforms do.
+pub fn evaluation(
+    entry: &EvaluationConfig,
+    config: &ExperimentConfig,
+    teacher: Option<&Teacher>,
+) -> Result<Arc<dyn Dataset>> {
     let source = entry.source.clone().for_evaluation();
-    dataset(&source, &entry.transforms, config.model.grid_size, 0, 1)
+    let teacher = teacher.map(|teacher| &teacher.evaluate);
+    dataset(&source, &entry.transforms, config.model.grid_size, 0, 1, teacher)
         .at(|| format!("evaluate {:?}", entry.name))
 }
 
@@ -105,9 +118,16 @@ fn dataset(
     grid_size: f64,
     seed: u64,
     repeat: usize,
+    teacher: Option<&Arc<dyn SceneTeacher>>,
 ) -> Result<Arc<dyn Dataset>> {
-    let steps = build_transforms(&transforms.steps(grid_size)?)?;
-    Ok(Arc::new(source.dataset(steps, seed, repeat)?))
+    let steps = transforms.steps(grid_size)?;
+    let data = source.dataset(build_transforms(&steps)?, seed, repeat)?;
+    let Some(teacher) = teacher else { return Ok(Arc::new(data)) };
+    let steps_after = match teacher.view() {
+        TeacherView::Augmented => steps_after_look(&steps)?,
+        TeacherView::Scene => steps.len(),
+    };
+    Ok(Arc::new(data.with_teacher(Arc::clone(teacher), steps_after)))
 }
 
 /// Texts of the classes, and which are background.
@@ -162,7 +182,7 @@ impl ClassTexts {
 /// # Errors
 /// Names the first source whose classes do not fit.
 pub fn check_classes(config: &ExperimentConfig, text: Option<&ClassTexts>) -> Result<()> {
-    let by_text = config.task == Task::LanguagePretraining;
+    let by_text = config.task != Task::SemanticSegmentation;
     let check = |source: &SourceConfig, used: bool, text: Option<&ClassTexts>| -> Result<()> {
         let classes = if used { source.needed_label_set()? } else { source.label_set()? };
         let Some(classes) = classes.filter(|_| used) else { return Ok(()) };
@@ -179,7 +199,12 @@ pub fn check_classes(config: &ExperimentConfig, text: Option<&ClassTexts>) -> Re
         text.map_or(Ok(()), |text| text.check(&classes))
     };
     for (i, entry) in config.train.iter().enumerate() {
-        let used = !by_text || config.targets == TargetChoice::ClassText;
+        let asks = |loss: &LossConfig| matches!(loss, LossConfig::TextClassification(_));
+        let used = match config.task {
+            Task::SemanticSegmentation => true,
+            Task::LanguagePretraining => config.targets == TargetChoice::ClassText,
+            Task::Distillation => config.losses.iter().any(asks),
+        };
         check(&entry.source, used, text).at(|| format!("train[{i}]"))?;
     }
     for entry in &config.evaluate {
@@ -301,9 +326,9 @@ mod tests {
         let data = benchmarks();
         let run = |file: &str| -> Result<usize> {
             let config = read(file, data.path());
-            let loader = loader(&config)?;
+            let loader = loader(&config, None)?;
             for entry in &config.evaluate {
-                assert!(!evaluation(entry, &config)?.is_empty());
+                assert!(!evaluation(entry, &config, None)?.is_empty());
             }
             Ok(loader.batches_per_epoch())
         };

@@ -130,7 +130,7 @@ source = { type = "synthetic", count = 2, seed = 9, room = { num_gaussians = 150
         let weights = Weights::File(report.model);
         let network = Network::load(config.clone(), &weights, WeightOptions::default()).unwrap();
         let entry = &experiment.evaluate[0];
-        let scenes = data::evaluation(entry, &experiment).unwrap();
+        let scenes = data::evaluation(entry, &experiment, None).unwrap();
         let table = data::text_table(experiment.text.as_ref().unwrap()).unwrap().table;
         let input = network.input().clone();
         let evaluator = ZeroShotEvaluator::new("again", scenes, input, table, Vec::new());

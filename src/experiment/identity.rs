@@ -3,6 +3,7 @@
 use super::config::ExperimentConfig;
 use super::data::{self, ClassTexts};
 use super::error::{ExperimentError, Place};
+use super::teacher::Teacher;
 use candle_core::DType;
 use scenesplat_datasets::SourceConfig;
 use scenesplat_models::ParamStore;
@@ -12,10 +13,14 @@ use sha2::{Digest, Sha256};
 /// Settings of an experiment that a resumed run may change, with the reason; in the `trainer` table
 /// also [`TrainerConfig::MAY_CHANGE`]. Everything else must stay as it was. docs/training.md lists
 /// them.
-pub const MAY_CHANGE: [(&str, &str); 13] = [
+pub const MAY_CHANGE: [(&str, &str); 17] = [
     ("loader.workers", "batches do not depend on who makes them"),
     ("loader.prefetch", "batches do not depend on when they are made"),
     ("init_from", "the content of the files is compared"),
+    ("teacher.weights", "the content of the files is compared"),
+    ("teacher.config", "the content of the file is compared"),
+    ("teacher.folder", "lengths and samples of the files are compared"),
+    ("teacher.cache", "rows from a cache have the bits of computed ones"),
     ("text.path", "the content of the table is compared"),
     ("text.names", "the content of the table is compared"),
     ("train[*].source.root", "the names of the scenes are compared"),
@@ -32,7 +37,7 @@ pub const MAY_CHANGE: [(&str, &str); 13] = [
 /// The identity of an experiment: every setting that is not in [`MAY_CHANGE`], the steps that presets
 /// stand for, and checksums of what it reads (class texts, first weights, names of scenes and
 /// classes). `text`: the class texts that the experiment names; `first_values`: the parameters before
-/// the first step.
+/// the first step; `teacher`: the teacher that it names.
 ///
 /// # Errors
 /// If a scene folder or text table cannot be read.
@@ -40,6 +45,7 @@ pub fn identity(
     config: &ExperimentConfig,
     text: Option<&ClassTexts>,
     first_values: &ParamStore,
+    teacher: Option<&Teacher>,
 ) -> Result<Identity, ExperimentError> {
     let own = MAY_CHANGE.map(|(name, _)| name.to_owned()).into_iter();
     let loop_settings = TrainerConfig::MAY_CHANGE.map(|name| format!("trainer.{name}"));
@@ -51,6 +57,9 @@ pub fn identity(
     }
     if config.init_from.is_some() {
         identity = identity.with("init_from.content", values_hash(first_values)?);
+    }
+    if let Some(content) = teacher.and_then(|teacher| teacher.content.as_deref()) {
+        identity = identity.with("teacher.content", content);
     }
     let grid = config.model.grid_size;
     for (i, entry) in config.train.iter().enumerate() {
@@ -124,7 +133,7 @@ fn values_hash(params: &ParamStore) -> Result<String, ExperimentError> {
     Ok(hex(hash))
 }
 
-fn hex(hash: Sha256) -> String {
+pub(super) fn hex(hash: Sha256) -> String {
     let digits: String = hash.finalize().iter().take(16).map(|b| format!("{b:02x}")).collect();
     format!("sha256 {digits}")
 }

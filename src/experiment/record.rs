@@ -1,10 +1,12 @@
 //! `run.json`: what a run was made of, and what became of its data.
 
 use super::ExperimentError;
+use super::teacher::TeacherRecord;
 use scenesplat_scene::AtomicFile;
 use scenesplat_trainers::{Callback, Event, Flow, Progress, TrainError};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Alarms of a run that are written down: the first ones say what is wrong.
 const MOST_ALARMS: usize = 100;
@@ -13,6 +15,7 @@ const MOST_ALARMS: usize = 100;
 pub(super) struct RunRecord {
     path: PathBuf,
     run: Value,
+    teacher: Option<Arc<TeacherRecord>>,
 }
 
 impl RunRecord {
@@ -35,12 +38,22 @@ impl RunRecord {
         run["starts"] = starts.into();
         run["data"] = json!({});
         run["alarms"] = alarms.into();
-        Self { path, run }
+        Self { path, run, teacher: None }
+    }
+
+    /// With what the teacher did, if there is one.
+    pub(super) fn with_teacher(mut self, teacher: &Option<Arc<TeacherRecord>>) -> Self {
+        self.teacher.clone_from(teacher);
+        self
     }
 
     /// Writes it as it stands.
     pub(super) fn write(&self) -> Result<(), ExperimentError> {
-        write(&self.path, &serde_json::to_string_pretty(&self.run)?)
+        let mut run = self.run.clone();
+        if let Some(teacher) = &self.teacher {
+            run["teacher"] = teacher.to_json();
+        }
+        write(&self.path, &serde_json::to_string_pretty(&run)?)
     }
 }
 
@@ -64,6 +77,9 @@ impl Callback for RunRecord {
                 }
                 alarms.push(json!({ "step": at.step, "message": message }));
             }
+            // What the teacher did is known at these times.
+            Event::Evaluated { .. } | Event::Checkpoint { .. } | Event::FitEnd { .. }
+                if self.teacher.is_some() => {}
             _ => return Ok(Flow::Continue),
         }
         self.write().map_err(|e| unwritable(with_causes(&e)))?;

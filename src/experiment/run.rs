@@ -7,6 +7,7 @@ use super::error::{ExperimentError, Place};
 use super::export::export_model;
 use super::identity::identity;
 use super::record::{RunRecord, write};
+use super::teacher::{Teacher, TeacherRecord};
 use scenesplat_datasets::{BatchLoader, TrainBatch};
 use scenesplat_losses::{TextColumns, build_objective};
 use scenesplat_models::weights::{SourceOptions, WeightSource, resolve};
@@ -16,9 +17,11 @@ use scenesplat_trainers::callbacks::{
     Console, EarlyStopping, JsonLines, TensorBoard, read_json_lines,
 };
 use scenesplat_trainers::checkpoint::newest_checkpoint;
-use scenesplat_trainers::evaluators::{SegmentationEvaluator, ZeroShotEvaluator};
+use scenesplat_trainers::evaluators::{
+    DistillationEvaluator, SegmentationEvaluator, ZeroShotEvaluator,
+};
 use scenesplat_trainers::tasks::{
-    LanguagePretraining, SemanticSegmentation, TargetSource, TaskModule,
+    Distillation, LanguagePretraining, SemanticSegmentation, TargetSource, TaskModule,
 };
 use scenesplat_trainers::{
     AdamW, Evaluator, Identity, Optimizer, Progress, Schedule, Trainer, TrainerConfig,
@@ -87,6 +90,8 @@ pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunRepor
     }
     let text = config.text.as_ref().map(data::text_table).transpose()?;
     data::check_classes(config, text.as_ref())?;
+    let teacher = Teacher::open(config)?;
+    check_texts(config, text.as_ref())?;
     std::fs::create_dir_all(&options.out).map_err(ExperimentError::io(&options.out))?;
     // Held until the end, also against a run that found no folder a moment ago.
     let _lock = early.map_or_else(lock, Ok)?;
@@ -102,11 +107,12 @@ pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunRepor
         options,
         checkpoints: &checkpoints,
         newest: newest.as_deref(),
-        identity: identity(config, text.as_ref(), &params)?,
+        identity: identity(config, text.as_ref(), &params, teacher.as_ref())?,
         losses: objective.settings(),
         classes: text.as_ref().map(|t| t.table.names.clone()),
+        teacher: teacher.as_ref().map(|t| Arc::clone(&t.record)),
     };
-    let mut loader = data::loader(config)?;
+    let mut loader = data::loader(config, teacher.as_ref())?;
     let (progress, exported) = match config.task {
         Task::LanguagePretraining => {
             let targets = match (config.targets, &text) {
@@ -115,7 +121,14 @@ pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunRepor
             };
             let task = LanguagePretraining { targets };
             let module = TaskModule::new(params, network, objective, task);
-            run.fit(&module, &mut *loader, &mut zero_shot(config, text.as_ref())?)?
+            let evaluators = zero_shot(config, text.as_ref(), None)?.into_iter();
+            run.fit(&module, &mut *loader, &mut boxed(evaluators))?
+        }
+        Task::Distillation => {
+            let module = TaskModule::new(params, network, objective, Distillation);
+            let evaluators = zero_shot(config, text.as_ref(), teacher.as_ref())?.into_iter();
+            let evaluators = evaluators.map(DistillationEvaluator::new);
+            run.fit(&module, &mut *loader, &mut boxed(evaluators))?
         }
         Task::SemanticSegmentation => {
             let module = TaskModule::new(params, network, objective, SemanticSegmentation);
@@ -129,6 +142,7 @@ pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunRepor
         write_curves(&log, &title, &curves)?;
     }
     remarks.extend(exported.1);
+    remarks.extend(teacher.and_then(|teacher| teacher.record.remark()));
     Ok(RunReport { progress, model: exported.0, curves, remarks })
 }
 
@@ -147,11 +161,34 @@ fn parameters(config: &ExperimentConfig) -> Result<(ParamStore, Vec<String>)> {
     Ok((params, vec![format!("{}: {report}", path.display())]))
 }
 
+/// Checks that a student's features can be compared with the texts.
+fn check_texts(config: &ExperimentConfig, text: Option<&data::ClassTexts>) -> Result<()> {
+    let width = config.model.out_channels();
+    match text {
+        Some(text) if config.task == Task::Distillation && text.table.dim != width => {
+            let problem = format!(
+                "the texts are {} wide and the features {width}; take the texts that the teacher was \
+                 trained with",
+                text.table.dim
+            );
+            Err(ExperimentError::setting("text", problem))
+        }
+        _ => Ok(()),
+    }
+}
+
+fn boxed<E: Evaluator<TaskModule> + 'static>(
+    evaluators: impl Iterator<Item = E>,
+) -> Vec<Box<dyn Evaluator<TaskModule>>> {
+    evaluators.map(|e| -> Box<dyn Evaluator<TaskModule>> { Box::new(e) }).collect()
+}
+
 fn zero_shot(
     config: &ExperimentConfig,
     text: Option<&data::ClassTexts>,
-) -> Result<Vec<Box<dyn Evaluator<TaskModule>>>> {
-    let mut all: Vec<Box<dyn Evaluator<TaskModule>>> = Vec::new();
+    teacher: Option<&Teacher>,
+) -> Result<Vec<ZeroShotEvaluator>> {
+    let mut all = Vec::new();
     for entry in &config.evaluate {
         let own = entry.text.as_ref().map(data::text_table).transpose()?;
         let text = own.as_ref().or(text);
@@ -159,13 +196,13 @@ fn zero_shot(
             text.ok_or_else(|| ExperimentError::setting("text", "zero-shot evaluation needs it"))?;
         let excluded = data::excluded(&entry.source, Some(text))?;
         let table = text.table.clone();
-        let data = data::evaluation(entry, config)?;
+        let data = data::evaluation(entry, config, teacher)?;
         let evaluator =
             ZeroShotEvaluator::new(&entry.name, data, config.input.clone(), table, excluded);
-        all.push(Box::new(match entry.vote_k {
+        all.push(match entry.vote_k {
             Some(k) => evaluator.with_vote(k),
             None => evaluator,
-        }));
+        });
     }
     Ok(all)
 }
@@ -177,7 +214,7 @@ fn segmentation(
     let mut all: Vec<Box<dyn Evaluator<TaskModule>>> = Vec::new();
     for entry in &config.evaluate {
         let own = entry.text.as_ref().map(data::text_table).transpose()?;
-        let data = data::evaluation(entry, config)?;
+        let data = data::evaluation(entry, config, None)?;
         let input = config.input.clone();
         let excluded = data::excluded(&entry.source, own.as_ref().or(text))?;
         let evaluator = SegmentationEvaluator::new(&entry.name, data, input, excluded);
@@ -198,6 +235,7 @@ struct Run<'a> {
     identity: Identity,
     losses: Vec<String>,
     classes: Option<Vec<String>>,
+    teacher: Option<Arc<TeacherRecord>>,
 }
 
 /// The exported model, with what is to be said about it.
@@ -258,7 +296,7 @@ impl Run<'_> {
         run["experiment"] = experiment.into();
         run["losses"] = self.losses.clone().into();
         run["classes"] = self.classes.clone().into();
-        RunRecord::new(&self.options.out, start.step, &program, run)
+        RunRecord::new(&self.options.out, start.step, &program, run).with_teacher(&self.teacher)
     }
 }
 

@@ -1,10 +1,12 @@
 //! Experiments that together have every kind of table, and the scenes that they read.
 
 use candle_core::{Device, Tensor};
+use scenesplat::NetworkConfig;
 use scenesplat::experiment::ExperimentConfig;
 use scenesplat::rooms::vocabulary::Vocabulary;
 use scenesplat::rooms::{CLASSES, SyntheticRoomSettings, generate};
 use scenesplat::scene::formats::npy_folder::write_npy_folder;
+use scenesplat::scene::formats::npy_writer::write_npy;
 use scenesplat::scene::{GaussianScene, LabelledPoints, LanguageFeatures};
 use serde_json::Value;
 use std::path::Path;
@@ -262,8 +264,48 @@ type = "cross_entropy"
 groups = []
 "#;
 
+/// A student of a network.
+const STUDENT: &str = r#"
+task = "distillation"
+[teacher]
+type = "network"
+weights = "seeded:3"
+config = "tiny"
+view = "scene"
+cache = { folder = "DATA/rows", max_gb = 1e-9 }
+MODEL
+projection = 64
+[[train]]
+source = { type = "synthetic", count = 2, seed = 1, room = { num_gaussians = 500 } }
+transforms = "language_pretraining"
+[loader]
+workers = 0
+[[losses]]
+type = "smooth_l1"
+beta = 0.1
+[optimizer]
+groups = []
+"#;
+
+/// A student of stored features.
+const STORED: &str = r#"
+task = "distillation"
+teacher = { type = "features", folder = "DATA/features" }
+MODEL
+projection = 64
+[[train]]
+source = { type = "generic", root = "DATA/halls" }
+transforms = "validation"
+[loader]
+workers = 0
+[[losses]]
+type = "cosine"
+[optimizer]
+groups = []
+"#;
+
 /// The bases by name.
-pub const ALL: [(&str, &str); 8] = [
+pub const ALL: [(&str, &str); 10] = [
     ("language", LANGUAGE),
     ("table", TABLE),
     ("rooms", CLASSES_OF_ROOMS),
@@ -272,6 +314,8 @@ pub const ALL: [(&str, &str); 8] = [
     ("v1", POINTS),
     ("v2", POINTS),
     ("litept", POINTS),
+    ("student", STUDENT),
+    ("stored", STORED),
 ];
 
 /// The text of a base.
@@ -303,6 +347,19 @@ impl Data {
             write_npy_folder(&other_labels(seed), &path.join("scratch"), true).unwrap();
             std::fs::copy(path.join("scratch/segment.npy"), place.join("other.npy")).unwrap();
         }
+        for (id, seed) in [("one", 1), ("two_a", 2)] {
+            let n = room(seed).len();
+            for (features, factor) in [("features", 0.3_f32), ("other_features", 0.7)] {
+                let values: Vec<f32> = (0..n * 64).map(|i| (i as f32 * factor).sin()).collect();
+                let folder = path.join(features);
+                std::fs::create_dir_all(&folder).unwrap();
+                write_npy(&folder.join(format!("{id}.npy")), &[n, 64], &values).unwrap();
+            }
+        }
+        let mut teacher = NetworkConfig::tiny();
+        teacher.model.grid_size = 0.4;
+        let json = serde_json::to_string(&teacher).unwrap();
+        std::fs::write(path.join("teacher.json"), json).unwrap();
         let mut spoiled = room(8);
         spoiled.coord[3] = [f32::NAN; 3];
         spoiled.coord[5] = [f32::NAN; 3];

@@ -11,7 +11,7 @@ pub enum Effect {
     Logged,
     /// Which checkpoints are there.
     Files,
-    /// What is recorded of data and alarms.
+    /// What is recorded of data, alarms and the teacher.
     Recorded,
     /// There is no such run: it is refused, and the error says this.
     Refused(&'static str),
@@ -578,6 +578,15 @@ pub const CASES: &[Case] = &[
         Nothing("batches depend neither on who makes them nor on when"),
     ),
     // Class texts.
+    row("teacher(network).type", "student", "/teacher/type", "features", Refused("unknown field")),
+    row("teacher(network).weights", "student", "/teacher/weights", "seeded:4", Weights),
+    row("teacher(network).config", "student", "/teacher/config", "DATA/teacher.json", Weights),
+    row("teacher(network).precision", "student", "/teacher/precision", "bf16", Weights),
+    row("teacher(network).view", "student", "/teacher/view", "augmented", Weights),
+    row("teacher(network).cache.folder", "student", "/teacher/cache/folder", "DATA/own", Recorded),
+    row("teacher(network).cache.max_gb", "student", "/teacher/cache/max_gb", "1.0", Recorded),
+    row("teacher(features).type", "stored", "/teacher/type", "network", Refused("unknown field")),
+    row("teacher(features).folder", "stored", "/teacher/folder", "DATA/other_features", Weights),
     row("text(vocabulary).type", "language", "/text/type", "table", Refused("path")),
     row("text(vocabulary).dim", "language", "/text/dim", "96", Refused("96")),
     row(
@@ -626,6 +635,10 @@ pub const CASES: &[Case] = &[
         "cross_entropy",
         Refused("unknown field"),
     ),
+    row("losses[*](smooth_l1).type", "student", "/losses/0/type", "l2", Refused("beta")),
+    row("losses[*](smooth_l1).weight", "student", "/losses/0/weight", "0.3", Weights),
+    row("losses[*](smooth_l1).beta", "student", "/losses/0/beta", "0.5", Weights),
+    row("losses[*](smooth_l1).reduction", "student", "/losses/0/reduction", "sum", Weights),
     row("losses[*](l2).weight", "language", "/losses/1/weight", "0.9", Weights),
     row("losses[*](l2).reduction", "language", "/losses/1/reduction", "sum", Weights),
     row(

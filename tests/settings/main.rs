@@ -17,13 +17,14 @@ use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// What of an experiment's file is a choice between tables: each must be in some base.
-const CHOICES: [(&str, &str); 6] = [
+const CHOICES: [(&str, &str); 7] = [
     ("/train/0/source/type", "source"),
     ("/losses/0/type", "losses"),
     ("/schedule/type", "schedule"),
     ("/text/type", "text"),
     ("/model/architecture", "model"),
     ("/task", "task"),
+    ("/teacher/type", "teacher"),
 ];
 
 #[test]

@@ -18,7 +18,7 @@ pub struct Outcome {
     pub logged: Vec<(u64, String, u64)>,
     /// Checkpoints, and which is the best.
     pub files: Vec<String>,
-    /// What the record says of data and alarms.
+    /// What the record says of data, alarms and the teacher.
     pub record: String,
 }
 
@@ -76,6 +76,6 @@ fn read(out: &Path) -> Outcome {
         measured,
         logged,
         files,
-        record: format!("{} {}", record["data"], record["alarms"]),
+        record: format!("{} {} {}", record["data"], record["alarms"], record["teacher"]),
     }
 }

@@ -124,6 +124,12 @@ pub enum TrainError {
         /// Which.
         scene: String,
     },
+    /// A scene that a student and its teacher shall be compared on comes without rows of a teacher.
+    #[error("scene {scene} comes without rows of a teacher")]
+    NoTeacher {
+        /// Which.
+        scene: String,
+    },
     /// A checkpoint belongs to another run.
     #[error(
         "the checkpoint cannot be continued: {}; set it back, or start a new run from its \

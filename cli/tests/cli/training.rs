@@ -85,6 +85,94 @@ fn a_run_leaves_what_it_promises_and_its_weights_work() {
     ]));
 }
 
+/// A tiny student of the network inside the program.
+const DISTILLATION: &str = r#"
+task = "distillation"
+[teacher]
+type = "network"
+weights = "embedded"
+cache = { folder = "rows" }
+[model]
+grid_size = 0.2
+stride = [2]
+enc_depths = [1, 1]
+enc_channels = [8, 16]
+enc_num_head = [1, 2]
+enc_patch_size = [64, 64]
+dec_depths = [1]
+dec_channels = [16]
+dec_num_head = [2]
+dec_patch_size = [64]
+projection = 96
+[text]
+type = "vocabulary"
+dim = 96
+[[train]]
+source = { type = "synthetic", count = 4, seed = 1, room = { num_gaussians = 1500 } }
+transforms = "language_pretraining"
+[loader]
+mix_probability = 0.5
+[[losses]]
+type = "cosine"
+[[losses]]
+type = "l2"
+weight = 0.5
+[optimizer]
+lr = 0.01
+groups = []
+[trainer]
+epochs = 6
+log_every = 1
+[[evaluate]]
+name = "unseen"
+source = { type = "synthetic", count = 1, seed = 9, room = { num_gaussians = 1500 } }
+"#;
+
+#[test]
+fn a_student_learns_from_a_teacher() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("student.toml");
+    std::fs::write(&config, DISTILLATION).unwrap();
+    let (one, two) = (folder.path().join("one"), folder.path().join("two"));
+    done(&train(&config, &one, &["--threads", "1"]));
+    done(&train(&config, &two, &["--threads", "2"]));
+    let weights = |out: &Path| bytes(&out.join("model/model.safetensors"));
+    assert!(weights(&one) == weights(&two), "other bits with other threads");
+    let log = String::from_utf8(bytes(&one.join("metrics.jsonl"))).unwrap();
+    let log: Vec<serde_json::Value> =
+        log.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let values = |name: &str| -> Vec<f64> {
+        let of = log.iter().filter(|m| m["name"] == name);
+        of.map(|m| m["value"].as_f64().unwrap()).collect()
+    };
+    let losses = values("train/cosine");
+    assert_eq!(losses.len(), 12);
+    assert!(losses[11] < 0.9 * losses[0], "{losses:?}");
+    let (agreement, teacher) = (values("unseen/agreement/cosine"), values("unseen/teacher/allAcc"));
+    assert!(agreement[5] > agreement[0], "{agreement:?}");
+    // The same teacher on the same room, epoch after epoch; it knows rooms, though few Gaussians are far
+    // from what it was trained on: five times better than one of 41 classes by chance.
+    assert!(
+        teacher.len() == 6 && teacher.iter().all(|v| *v == teacher[0] && *v > 5.0 / 41.0),
+        "{teacher:?}"
+    );
+    assert_eq!(values("unseen/oracle/f-mIoU").len(), 6);
+    // Its rows of the room were computed once and read ever after.
+    let record = |out: &Path| -> serde_json::Value {
+        serde_json::from_slice(&bytes(&out.join("run.json"))).unwrap()
+    };
+    let (first, second) = (record(&one), record(&two));
+    assert_eq!(first["teacher"]["cache"]["kept"], 1, "{first}");
+    assert_eq!(first["teacher"]["cache"]["read"], 5);
+    assert_eq!(second["teacher"]["cache"]["read"], 6);
+    assert!(first["teacher"]["content"].as_str().is_some_and(|text| text.contains("sha256")));
+    // A student is a network like any other.
+    let (model, labels) = (one.join("model"), folder.path().join("labels"));
+    let (model, labels) = (model.to_str().unwrap(), labels.to_str().unwrap());
+    let words = ["--weights", model, "--text", "vocabulary", "--out", labels];
+    done(&scenesplat(&[["evaluate", "synthetic:1:3"].as_slice(), &words].concat()));
+}
+
 #[test]
 fn wrong_experiments_are_said() {
     let folder = tempfile::tempdir().unwrap();

@@ -91,6 +91,8 @@ impl Transform for GridSample {
             segment: sample.segment.clone(),
             valid_feat: sample.valid_feat.clone(),
             points: sample.labelled_points.clone(),
+            teacher: None,
+            origin_row: sample.origin_row.clone(),
         });
         // Old cells, if any, are replaced.
         sample.grid_coord.clear();

@@ -88,6 +88,17 @@ pub mod reference {
         costs.iter().sum::<f64>() / costs.len() as f64
     }
 
+    pub fn smooth_l1(p: &[f64], t: &[f64], d: usize, valid: &[bool], beta: f64) -> f64 {
+        let rows = p.chunks_exact(d).zip(t.chunks_exact(d)).zip(valid).filter(|(_, v)| **v);
+        let cost = |p: f64, t: f64| match (p - t).abs() {
+            near if near < beta => near * near / (2.0 * beta),
+            far => far - beta / 2.0,
+        };
+        let costs: Vec<f64> =
+            rows.map(|((p, t), _)| p.iter().zip(t).map(|(p, t)| cost(*p, *t)).sum()).collect();
+        costs.iter().sum::<f64>() / costs.len() as f64
+    }
+
     fn log_softmax(z: &[f64]) -> Vec<f64> {
         let largest = z.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let log_sum = largest + z.iter().map(|z| (z - largest).exp()).sum::<f64>().ln();

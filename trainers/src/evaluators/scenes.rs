@@ -6,7 +6,9 @@ use crate::tasks::point_cloud;
 use candle_core::Tensor;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use scenesplat_datasets::{Dataset, FullScene, InputFeatures, Sample, collate_samples};
+use scenesplat_datasets::{
+    Dataset, FullScene, InputFeatures, Sample, TeacherRows, collate_samples,
+};
 use scenesplat_metrics::{SceneTruth, Scores, VoteRule};
 use scenesplat_models::{Backbone, Forward};
 
@@ -25,8 +27,8 @@ pub(super) struct Protocol<'a> {
 }
 
 impl Protocol<'_> {
-    /// Scores every scene, in `own` metrics too: `label` turns the network's rows into classes. A scene without any row is
-    /// passed over.
+    /// Scores every scene, in `own` metrics too: `label` turns the network's rows into classes; it is
+    /// told of which scene they are, and what is scored there. A scene without any row is passed over.
     ///
     /// # Errors
     /// If a scene cannot be read or has no labels, no row of all is labelled, or the network fails.
@@ -37,7 +39,7 @@ impl Protocol<'_> {
         features: &InputFeatures,
         model: &dyn Backbone,
         own: &mut OwnMetrics,
-        label: impl Fn(&[f32]) -> Result<Vec<i32>, TrainError>,
+        mut label: impl FnMut(&str, &FullScene, &[f32]) -> Result<Vec<i32>, TrainError>,
     ) -> Result<Scores, TrainError> {
         let mut scores = Scores::new(self.answers.len(), self.excluded)?;
         for index in 0..data.len() {
@@ -49,8 +51,8 @@ impl Protocol<'_> {
             let full = sample.full.take().unwrap_or_else(|| as_sampled(&sample));
             let scene = sample.id.clone();
             let out = forward(sample, features, model)?;
-            self.score(&full, &label(&out)?, &mut scores, own)?
-                .ok_or(TrainError::NoLabels { scene })?;
+            let classes = label(&scene, &full, &out)?;
+            self.score(&full, &classes, &mut scores, own)?.ok_or(TrainError::NoLabels { scene })?;
         }
         if scores.model.num_labelled() > 0 {
             return Ok(scores);
@@ -66,17 +68,36 @@ impl Protocol<'_> {
         scores: &mut Scores,
         own: &mut OwnMetrics,
     ) -> Result<Option<()>, TrainError> {
-        let (own_labels, points) = (full.segment.as_deref(), full.scored_points());
-        let truth = SceneTruth::new(&full.coord, own_labels, points, self.answers.len())?;
-        let Some(truth) = truth else { return Ok(None) };
-        // Gaussians without a collected feature do not vote, as in the original; if there is not one,
-        // the mask says nothing.
-        let voters = full.valid_feat.as_deref().filter(|valid| valid.contains(&true));
-        let truth = truth.with_voters(voters);
+        let Some(truth) = self.truth(full)? else { return Ok(None) };
         let predicted = scores.add_labels(&truth, full.spread(of_voxels), &self.vote)?;
         own.update(&predicted, truth.scored())?;
         scores.add_oracle(&truth, &self.answers, &self.vote)?;
         Ok(Some(()))
+    }
+}
+
+impl Protocol<'_> {
+    /// Adds the classes that someone else gives the Gaussians of a scene, `[N]`.
+    pub(super) fn score_labels(
+        &self,
+        full: &FullScene,
+        labels: Vec<i32>,
+        scores: &mut Scores,
+    ) -> Result<(), TrainError> {
+        if let Some(truth) = self.truth(full)? {
+            scores.add_labels(&truth, labels, &self.vote)?;
+        }
+        Ok(())
+    }
+
+    /// What a scene is scored on, and who votes there; `None` if nothing of it has labels.
+    fn truth<'a>(&self, full: &'a FullScene) -> Result<Option<SceneTruth<'a>>, TrainError> {
+        let (own_labels, points) = (full.segment.as_deref(), full.scored_points());
+        let truth = SceneTruth::new(&full.coord, own_labels, points, self.answers.len())?;
+        // Gaussians without a collected feature do not vote, as in the original; if there is not one,
+        // the mask says nothing.
+        let voters = full.valid_feat.as_deref().filter(|valid| valid.contains(&true));
+        Ok(truth.map(|truth| truth.with_voters(voters)))
     }
 }
 
@@ -107,7 +128,17 @@ fn as_sampled(sample: &Sample) -> FullScene {
         segment: sample.segment.clone(),
         valid_feat: sample.valid_feat.clone(),
         points: sample.labelled_points.clone(),
+        teacher: as_taught(sample),
+        origin_row: None,
     }
+}
+
+/// The language features of a sample as those of a teacher.
+fn as_taught(sample: &Sample) -> Option<TeacherRows> {
+    let rows = sample.lang_feat.clone()?;
+    let valid = |i: usize| sample.valid_feat.as_ref().is_none_or(|valid| valid[i]);
+    let row_of = (0..sample.len()).map(|i| if valid(i) { i as u32 } else { TeacherRows::NONE });
+    Some(TeacherRows { rows, row_of: row_of.collect() })
 }
 
 #[cfg(test)]
@@ -142,6 +173,7 @@ mod tests {
                 segment: Some(vec![0, 1, 2]),
                 instance: None,
             }),
+            ..FullScene::default()
         }
     }
 

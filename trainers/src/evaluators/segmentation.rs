@@ -5,7 +5,7 @@ use super::scenes::{Protocol, VOTE_K};
 use crate::TrainError;
 use crate::event::{Evaluator, Progress};
 use crate::module::HasBackbone;
-use scenesplat_datasets::{Dataset, InputFeatures, LeftOut};
+use scenesplat_datasets::{Dataset, FullScene, InputFeatures, LeftOut};
 use scenesplat_metrics::{Measurement, Metric, Scores, VoteRule};
 use std::sync::Arc;
 
@@ -90,7 +90,9 @@ impl<M: HasBackbone> Evaluator<M> for SegmentationEvaluator {
             },
         };
         let data = self.data.as_ref();
-        let label = |logits: &[f32]| Ok(logits.chunks_exact(classes).map(largest).collect());
+        let label = |_: &str, _: &FullScene, logits: &[f32]| {
+            Ok(logits.chunks_exact(classes).map(largest).collect())
+        };
         let (network, mut own) = (module.backbone(), self.own.fresh());
         let scores = protocol.run(&self.name, data, &self.features, network, &mut own, label)?;
         Ok([scores.measurements(), own.measure()].concat())

@@ -5,7 +5,7 @@ use super::scenes::{Protocol, VOTE_K};
 use crate::TrainError;
 use crate::event::{Evaluator, Progress};
 use crate::module::HasBackbone;
-use scenesplat_datasets::{Dataset, InputFeatures, LeftOut};
+use scenesplat_datasets::{Dataset, FullScene, InputFeatures, LeftOut};
 use scenesplat_metrics::{
     ConfusionMatrix, FeatureSlice, Measurement, Metric, Scores, TextRows, VoteRule,
     ZeroShotOptions, classify,
@@ -90,18 +90,48 @@ impl ZeroShotEvaluator {
         model: &dyn Backbone,
         own: &mut OwnMetrics,
     ) -> Result<Scores, TrainError> {
-        let protocol = Protocol {
-            excluded: &self.excluded,
-            answers: self.answers()?,
-            vote: VoteRule::of(self.vote_k),
-        };
+        self.run_with(model, own, |_, _, _| Ok(()))
+    }
+
+    /// As [`scores`](Self::scores); `onlooker` sees what is scored of every scene, and rows and classes of
+    /// its sample.
+    pub(super) fn run_with(
+        &self,
+        model: &dyn Backbone,
+        own: &mut OwnMetrics,
+        mut onlooker: impl FnMut(&str, &FullScene, (&[f32], &[i32])) -> Result<(), TrainError>,
+    ) -> Result<Scores, TrainError> {
         let width = model.out_channels();
-        let text = TextRows::new(&self.text.values, self.text.dim)?;
-        let label = |rows: &[f32]| {
-            let rows = FeatureSlice::new(rows, width)?;
-            Ok(classify(&rows, text, &ZeroShotOptions::default())?.labels)
+        let label = |id: &str, full: &FullScene, rows: &[f32]| {
+            let classes = self.classify(rows, width)?;
+            onlooker(id, full, (rows, &classes))?;
+            Ok(classes)
         };
-        protocol.run(&self.name, self.data.as_ref(), &self.features, model, own, label)
+        self.protocol()?.run(&self.name, self.data.as_ref(), &self.features, model, own, label)
+    }
+
+    pub(super) fn protocol(&self) -> Result<Protocol<'_>, TrainError> {
+        let (answers, vote) = (self.answers()?, VoteRule::of(self.vote_k));
+        Ok(Protocol { excluded: &self.excluded, answers, vote })
+    }
+
+    /// The class of each row, -1 for rows of no direction.
+    pub(super) fn classify(&self, rows: &[f32], width: usize) -> Result<Vec<i32>, TrainError> {
+        let text = TextRows::new(&self.text.values, self.text.dim)?;
+        let rows = FeatureSlice::new(rows, width)?;
+        Ok(classify(&rows, text, &ZeroShotOptions::default())?.labels)
+    }
+
+    pub(super) fn own_metrics(&self) -> OwnMetrics {
+        self.own.fresh()
+    }
+
+    pub(super) fn title(&self) -> &str {
+        &self.name
+    }
+
+    pub(super) fn data_left_out(&self) -> LeftOut {
+        self.data.left_out()
     }
 
     /// What the network said, against the truth: a part of [`scores`](Self::scores).
@@ -115,8 +145,7 @@ impl ZeroShotEvaluator {
     /// What the text of each class comes out as: itself, or an earlier class of the same text.
     fn answers(&self) -> Result<Vec<i32>, TrainError> {
         let text = TextRows::new(&self.text.values, self.text.dim)?;
-        let rows = FeatureSlice::new(text.rows(), text.dim())?;
-        Ok(classify(&rows, text, &ZeroShotOptions::default())?.labels)
+        self.classify(text.rows(), text.dim())
     }
 }
 

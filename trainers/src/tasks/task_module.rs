@@ -19,11 +19,11 @@ use scenesplat_models::{Backbone, ParamStore};
 /// use scenesplat_trainers::{StepContext, StepOutput};
 ///
 /// /// The rows shall be those of another network.
-/// struct Distillation {
+/// struct Imitation {
 ///     teacher: Box<dyn Backbone>,
 /// }
 ///
-/// impl TrainingTask for Distillation {
+/// impl TrainingTask for Imitation {
 ///     fn step(
 ///         &self,
 ///         learner: &Learner,

@@ -1,0 +1,95 @@
+//! A network as a teacher.
+
+use super::cache::{Cache, Key};
+use super::record::TeacherRecord;
+use crate::network::Network;
+use candle_core::{Device, Tensor};
+use half::f16;
+use half::slice::HalfFloatSliceExt;
+use rand_chacha::ChaCha8Rng;
+use scenesplat_datasets::transforms::CenterShift;
+use scenesplat_datasets::{
+    DataError, Sample, SceneTeacher, TeacherRows, TeacherView, Transform, sample_rng,
+};
+use scenesplat_kernels::grid_sample::{KeyOrder, voxel_groups};
+use scenesplat_models::ops::normalize_rows;
+use scenesplat_models::{Forward, PointCloud};
+use scenesplat_scene::LanguageFeatures;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// A network that reads one scene at a time, whoever asks: several at once would only need more memory,
+/// as one uses all cores.
+pub(super) struct Reader {
+    pub network: Network,
+    /// Everything that its rows depend on, besides the scene.
+    pub identity: String,
+    pub busy: Mutex<()>,
+}
+
+/// A network that says what the rows of another shall be; frozen, in evaluation mode.
+pub(super) struct NetworkTeacher {
+    pub reader: Arc<Reader>,
+    pub view: TeacherView,
+    pub cache: Option<Arc<Cache>>,
+    pub record: Arc<TeacherRecord>,
+}
+
+impl SceneTeacher for NetworkTeacher {
+    fn view(&self) -> TeacherView {
+        self.view
+    }
+
+    fn teach(&self, mut shown: Sample) -> Result<TeacherRows, DataError> {
+        shown.lang_feat = None;
+        if self.view == TeacherView::Scene {
+            // Where the network's own evaluation puts a scene.
+            CenterShift::default().apply(&mut shown, &mut sample_rng(0, 0, 0))?;
+        }
+        let Some(cache) = &self.cache else {
+            let _one = self.reader.busy.lock().unwrap_or_else(PoisonError::into_inner);
+            self.record.taught();
+            return self.reader.rows(shown);
+        };
+        let key = Key::new(&self.reader.identity, &shown);
+        let (id, gaussians) = (shown.id.clone(), shown.len());
+        let width = self.reader.network.model().out_channels();
+        if let Some(rows) = cache.read(key, (&id, gaussians), width)? {
+            return Ok(rows);
+        }
+        let _one = self.reader.busy.lock().unwrap_or_else(PoisonError::into_inner);
+        self.record.taught();
+        let rows = self.reader.rows(shown)?;
+        cache.write(key, &rows);
+        Ok(rows)
+    }
+}
+
+impl Reader {
+    /// Unit rows, one for each voxel of the network's own size.
+    fn rows(&self, mut shown: Sample) -> Result<TeacherRows, DataError> {
+        let groups = voxel_groups(&shown.coord, self.network.grid_size(), KeyOrder::Morton)?;
+        // As in inference, the Gaussian nearest to its centre stands for a voxel.
+        shown.select_rows(&groups.nearest_to_centre(&shown.coord)?);
+        let input = self.network.input();
+        let feat = input.sample_rows(&shown)?;
+        let row_of = groups.inverse;
+        let model = self.network.model();
+        let forward = || {
+            let feat = Tensor::from_vec(feat, (shown.len(), input.width()), &Device::Cpu)?;
+            let points = PointCloud::single(groups.grid_coord, feat)?;
+            let mut rng: ChaCha8Rng = sample_rng(0, 0, 0);
+            model.forward(&points, &mut Forward::eval(&mut rng))?.flatten_all()?.to_vec1::<f32>()
+        };
+        let mut rows = forward().map_err(DataError::teacher)?;
+        let dim = model.out_channels();
+        if let Some(at) = rows.iter().position(|v| !v.is_finite()) {
+            let (row, column) = (at / dim, at % dim);
+            let problem = format!("channel {column} of its voxel {row} is {}", rows[at]);
+            return Err(DataError::teacher(problem));
+        }
+        normalize_rows(&mut rows, dim);
+        let mut values = vec![f16::ZERO; rows.len()];
+        values.convert_from_f32_slice(&rows);
+        Ok(TeacherRows { rows: LanguageFeatures { values, dim }, row_of })
+    }
+}
