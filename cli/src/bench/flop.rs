@@ -82,7 +82,7 @@ mod tests {
         let [lite, joined] = [false, true].map(|frozen| gflop(&lite, frozen));
         let language = gflop(&ModelConfig::language(), false);
         println!("LitePT-S {lite:.1}, joined {joined:.1}, language network {language:.0} GFLOP");
-        assert!((60.0..75.0).contains(&lite) && joined < lite, "{lite} {joined}");
+        assert!((50.0..75.0).contains(&lite) && joined < lite, "{lite} {joined}");
         assert!(language > 100.0 * lite, "{language}");
     }
 
