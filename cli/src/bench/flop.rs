@@ -73,6 +73,20 @@ mod tests {
     }
 
     #[test]
+    fn litept_takes_a_hundredth_of_the_language_network() {
+        let voxels = super::super::room::voxels(100_000);
+        let lite = ModelConfig::new(LitePtConfig::small()).with_projection(768);
+        let gflop = |model: &ModelConfig, frozen: bool| {
+            count(model, &voxels, frozen).unwrap().forward() as f64 / 1e9
+        };
+        let [lite, joined] = [false, true].map(|frozen| gflop(&lite, frozen));
+        let language = gflop(&ModelConfig::language(), false);
+        println!("LitePT-S {lite:.1}, joined {joined:.1}, language network {language:.0} GFLOP");
+        assert!((60.0..75.0).contains(&lite) && joined < lite, "{lite} {joined}");
+        assert!(language > 100.0 * lite, "{language}");
+    }
+
+    #[test]
     fn one_voxel_of_litept_by_hand() {
         let config = LitePtConfig {
             in_channels: 3,

@@ -83,21 +83,31 @@ pub(crate) const TILE_ROWS: usize = 6;
 /// Columns of a packed panel.
 pub(crate) const PANEL: usize = 64;
 
-/// `c[i][0..columns] (+)= Σ_p a[i][p] · b[p·b_stride ..]` for the rows given by pointers, where
+/// What a tile computes of a panel.
+#[derive(Clone, Copy)]
+pub(crate) struct Extent {
+    /// Columns of the packed panel, 16, 32, 48 or 64: from one step to the next.
+    pub width: usize,
+    /// Columns that exist in the result.
+    pub columns: usize,
+    /// Steps.
+    pub k: usize,
+    /// Whether the sums are added to what the result holds.
+    pub accumulate: bool,
+}
+
+/// `c[i][0..columns] (+)= Σ_p a[i][p] · b[p·width ..]` for the rows given by pointers, where
 /// `columns` is at most the tile's width.
 ///
 /// # Safety
-/// `a[i]` must hold `k` values, `b` `k` rows of the tile's width at `b_stride`, `c[i]` `columns`
+/// `a[i]` must hold `k` values, `b` `k` rows of the tile's width at the panel's, `c[i]` `columns`
 /// writable values; the rows of `c` must be distinct.
 #[inline(always)]
 unsafe fn tile<P: Products, const MR: usize, const NV: usize>(
     a: &[*const P::Element; TILE_ROWS],
     b: *const P::Element,
-    b_stride: usize,
     c: &[*mut f32; TILE_ROWS],
-    columns: usize,
-    k: usize,
-    accumulate: bool,
+    Extent { width, columns, k, accumulate }: Extent,
 ) {
     // SAFETY: the function's contract.
     unsafe {
@@ -112,7 +122,7 @@ unsafe fn tile<P: Products, const MR: usize, const NV: usize>(
                     acc[i][j] = P::multiply_add(av, bv[j], acc[i][j]);
                 }
             }
-            bp = bp.add(b_stride);
+            bp = bp.add(width);
         }
         if columns >= NV * lanes {
             for i in 0..MR {
@@ -136,67 +146,60 @@ unsafe fn tile<P: Products, const MR: usize, const NV: usize>(
 }
 
 #[inline(always)]
-#[expect(clippy::too_many_arguments, reason = "plain numbers, inlined into one loop")]
 unsafe fn tile_rows<P: Products, const NV: usize>(
     rows: usize,
     a: &[*const P::Element; TILE_ROWS],
     b: *const P::Element,
-    b_stride: usize,
     c: &[*mut f32; TILE_ROWS],
-    columns: usize,
-    k: usize,
-    accumulate: bool,
+    extent: Extent,
 ) {
     // SAFETY: the caller's promise, passed on.
     unsafe {
         match rows {
-            6 => tile::<P, 6, NV>(a, b, b_stride, c, columns, k, accumulate),
-            5 => tile::<P, 5, NV>(a, b, b_stride, c, columns, k, accumulate),
-            4 => tile::<P, 4, NV>(a, b, b_stride, c, columns, k, accumulate),
-            3 => tile::<P, 3, NV>(a, b, b_stride, c, columns, k, accumulate),
-            2 => tile::<P, 2, NV>(a, b, b_stride, c, columns, k, accumulate),
-            _ => tile::<P, 1, NV>(a, b, b_stride, c, columns, k, accumulate),
+            6 => tile::<P, 6, NV>(a, b, c, extent),
+            5 => tile::<P, 5, NV>(a, b, c, extent),
+            4 => tile::<P, 4, NV>(a, b, c, extent),
+            3 => tile::<P, 3, NV>(a, b, c, extent),
+            2 => tile::<P, 2, NV>(a, b, c, extent),
+            _ => tile::<P, 1, NV>(a, b, c, extent),
         }
     }
 }
 
-/// Multiplies up to [`TILE_ROWS`] rows by one panel of `width` (16, 32, 48 or 64) columns, of which
-/// the first `columns` exist in the result: more than `width − 16`.
+/// Multiplies up to [`TILE_ROWS`] rows by one panel, of whose columns more than `width − 16` exist in
+/// the result.
 ///
 /// # Safety
 /// As [`tile`]; `rows` is in `1..=TILE_ROWS`, and only the first `rows` pointers are used.
 #[inline(always)]
-#[expect(clippy::too_many_arguments, reason = "plain numbers, inlined into one loop")]
 pub(crate) unsafe fn panel<P: Products>(
     rows: usize,
     a: &[*const P::Element; TILE_ROWS],
     b: *const P::Element,
-    width: usize,
     c: &[*mut f32; TILE_ROWS],
-    columns: usize,
-    k: usize,
-    accumulate: bool,
+    extent: Extent,
 ) {
     // Registers hold 6 × 4 sums with 32 of them, 6 × 2 with 16.
     let quads = if P::Sum::LANES == 8 { 1 } else { 4 };
     // SAFETY: the caller's promise, passed on; columns stay below `width`.
     unsafe {
         let mut done = 0;
-        while done < width {
-            let quad = quads.min((width - done) / 16);
+        while done < extent.width {
+            let quad = quads.min((extent.width - done) / 16);
             let mut cs = *c;
             for p in cs.iter_mut().take(rows) {
                 *p = p.add(done);
             }
-            let (bp, left) = (b.add(done), columns - done);
+            let bp = b.add(done);
+            let extent = Extent { columns: extent.columns - done, ..extent };
             if P::Sum::LANES == 8 {
-                tile_rows::<P, 2>(rows, a, bp, width, &cs, left, k, accumulate);
+                tile_rows::<P, 2>(rows, a, bp, &cs, extent);
             } else {
                 match quad {
-                    4 => tile_rows::<P, 4>(rows, a, bp, width, &cs, left, k, accumulate),
-                    3 => tile_rows::<P, 3>(rows, a, bp, width, &cs, left, k, accumulate),
-                    2 => tile_rows::<P, 2>(rows, a, bp, width, &cs, left, k, accumulate),
-                    _ => tile_rows::<P, 1>(rows, a, bp, width, &cs, left, k, accumulate),
+                    4 => tile_rows::<P, 4>(rows, a, bp, &cs, extent),
+                    3 => tile_rows::<P, 3>(rows, a, bp, &cs, extent),
+                    2 => tile_rows::<P, 2>(rows, a, bp, &cs, extent),
+                    _ => tile_rows::<P, 1>(rows, a, bp, &cs, extent),
                 }
             }
             done += quad * 16;

@@ -1,7 +1,7 @@
 //! Products of rows found through pointers, on the calling thread.
 
 use super::bf16;
-use super::micro::{self, PANEL, Products, Singles, TILE_ROWS};
+use super::micro::{self, Extent, PANEL, Products, Singles, TILE_ROWS};
 use super::packed::{PackedMatrix, Unit, Values};
 use super::{K_BLOCK, ROW_BLOCK};
 use crate::simd::dispatch;
@@ -340,8 +340,9 @@ unsafe fn multiply_with<P: Products>(
                         let at: [*mut f32; TILE_ROWS] = std::array::from_fn(|i| {
                             if i < height { c_rows[i].add(start) } else { c_rows[i] }
                         });
-                        let there = width.min(n - start);
-                        micro::panel::<P>(height, &a_rows, panel, width, &at, there, k_len, add);
+                        let columns = width.min(n - start);
+                        let extent = Extent { width, columns, k: k_len, accumulate: add };
+                        micro::panel::<P>(height, &a_rows, panel, &at, extent);
                     }
                     start += width;
                 }

@@ -93,7 +93,7 @@ fn curves_positions_and_patches_matter() {
     };
     assert!(far(moved(&config, &Orders::Given(vec![vec![2, 3, 0, 1]; 2]))));
     assert!(far(moved(&LitePtConfig { rope_base: 50.0, ..config.clone() }, &Orders::Listed)));
-    let patches = LitePtConfig { enc_patch_size: vec![1024; 4], ..config.clone() };
+    let patches = LitePtConfig { enc_patch_size: vec![1024; 4], ..config };
     assert!(far(moved(&patches, &Orders::Listed)));
 }
 

@@ -11,7 +11,10 @@ use std::collections::BTreeMap;
 /// Values by name, made when they are asked for; so what was asked for can be compared with what
 /// the network has.
 #[derive(Default)]
-pub struct Values(RefCell<BTreeMap<String, (Vec<usize>, Vec<f64>)>>);
+pub struct Values(RefCell<BTreeMap<String, Shaped>>);
+
+/// Shape and values.
+type Shaped = (Vec<usize>, Vec<f64>);
 
 impl Values {
     fn get(&self, name: &str, shape: &[usize]) -> Vec<f64> {
@@ -53,6 +56,9 @@ impl Rows {
     }
 }
 
+/// Rows, features, cell of each row, permutation of the curves.
+type Finer = (Rows, Vec<f64>, Vec<usize>, Vec<usize>);
+
 pub struct Reference<'a> {
     pub config: &'a LitePtConfig,
     pub values: Values,
@@ -76,8 +82,7 @@ impl Reference<'_> {
             self.conv(&x, &rows, [c.in_channels, channels[0], 5], &format!("{stem}.conv"), false);
         let mut x = self.norm_gelu(&x, channels[0], &format!("{stem}.norm"));
         let mut attending = 0;
-        // Rows, features, cell of each row, permutation of the curves.
-        let mut finer: Vec<(Rows, Vec<f64>, Vec<usize>, Vec<usize>)> = Vec::new();
+        let mut finer: Vec<Finer> = Vec::new();
         let mut permutation = self.permutation(0, &mut attending);
         for stage in 0..channels.len() {
             let name = format!("enc.enc{stage}");
