@@ -114,7 +114,7 @@ pub(super) fn weights(path: &Path) -> Result<Weights> {
 }
 
 pub(super) fn precision(name: &str) -> Result<scenesplat_kernels::Precision> {
-    name.parse().map_err(|e| ExperimentError::setting("teacher.precision", format!("{e}")))
+    name.parse().map_err(|e: String| ExperimentError::setting("teacher.precision", e))
 }
 
 /// Checks that an experiment has a teacher exactly if it distils one, and nothing besides that would

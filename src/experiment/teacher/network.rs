@@ -17,8 +17,8 @@ use scenesplat_models::{Forward, PointCloud};
 use scenesplat_scene::LanguageFeatures;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// A network that reads one scene at a time, whoever asks: several at once would only need more memory,
-/// as one uses all cores.
+/// A network that reads one scene at a time with all cores, whoever asks: several at once would need as
+/// much more memory.
 pub(super) struct Reader {
     pub network: Network,
     /// Everything that its rows depend on, besides the scene.
@@ -46,7 +46,6 @@ impl SceneTeacher for NetworkTeacher {
             CenterShift::default().apply(&mut shown, &mut sample_rng(0, 0, 0))?;
         }
         let Some(cache) = &self.cache else {
-            let _one = self.reader.busy.lock().unwrap_or_else(PoisonError::into_inner);
             self.record.taught();
             return self.reader.rows(shown);
         };
@@ -56,7 +55,6 @@ impl SceneTeacher for NetworkTeacher {
         if let Some(rows) = cache.read(key, (&id, gaussians), width)? {
             return Ok(rows);
         }
-        let _one = self.reader.busy.lock().unwrap_or_else(PoisonError::into_inner);
         self.record.taught();
         let rows = self.reader.rows(shown)?;
         cache.write(key, &rows);
@@ -66,7 +64,15 @@ impl SceneTeacher for NetworkTeacher {
 
 impl Reader {
     /// Unit rows, one for each voxel of the network's own size.
-    fn rows(&self, mut shown: Sample) -> Result<TeacherRows, DataError> {
+    fn rows(&self, shown: Sample) -> Result<TeacherRows, DataError> {
+        let _one = self.busy.lock().unwrap_or_else(PoisonError::into_inner);
+        // A thread that makes batches has a pool of itself alone, and would read the scene on one core; a new
+        // one has those of all.
+        let joined = std::thread::scope(|scope| scope.spawn(|| self.compute(shown)).join());
+        joined.unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+    }
+
+    fn compute(&self, mut shown: Sample) -> Result<TeacherRows, DataError> {
         let groups = voxel_groups(&shown.coord, self.network.grid_size(), KeyOrder::Morton)?;
         // As in inference, the Gaussian nearest to its centre stands for a voxel.
         shown.select_rows(&groups.nearest_to_centre(&shown.coord)?);
