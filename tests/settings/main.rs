@@ -10,7 +10,7 @@ mod outcome;
 mod steps;
 
 use bases::{Data, read};
-use cases::{CASES, Effect};
+use cases::Effect;
 use known::{names_of, settings_of};
 use outcome::{Outcome, run};
 use serde_json::Value;
@@ -40,7 +40,7 @@ fn every_setting_has_a_row() {
         known.iter().any(|other| parts.iter().any(|part| other.starts_with(part)))
     };
     let known: BTreeSet<String> = known.iter().filter(|name| !inside(name)).cloned().collect();
-    let rows: BTreeSet<String> = CASES.iter().map(|case| case.setting.to_owned()).collect();
+    let rows: BTreeSet<String> = cases::all().map(|case| case.setting.to_owned()).collect();
     let missing: Vec<_> = known.difference(&rows).collect();
     assert!(missing.is_empty(), "settings without a row: {missing:#?}");
     let gone: Vec<_> = rows.difference(&known).collect();
@@ -105,7 +105,7 @@ fn every_setting_does_what_its_row_says() {
     std::fs::rename(data.path().join("first/model"), data.path().join("init")).unwrap();
     let mut bases: BTreeMap<String, Outcome> = BTreeMap::new();
     let mut wrong = Vec::new();
-    for (number, case) in CASES.iter().enumerate() {
+    for (number, case) in cases::all().enumerate() {
         let mut config = read(&data, case.base, bases::text(case.base));
         for (pointer, value) in case.with {
             set(&mut config, pointer, data.placed(parsed(value)));
