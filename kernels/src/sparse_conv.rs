@@ -370,7 +370,8 @@ mod tests {
 
     #[test]
     fn int8_is_near_tap_by_tap() {
-        for (n, cin, cout) in [(0, 64, 64), (1, 64, 65), (2, 70, 64), (900, 64, 96), (300, 131, 67)] {
+        for (n, cin, cout) in [(0, 64, 64), (1, 64, 65), (2, 70, 64), (900, 64, 96), (300, 131, 67)]
+        {
             let grid = grid(n, 9, true);
             let offsets = [0, n / 3, n];
             let map = KernelMap::build(&grid, &offsets, 3).unwrap();
@@ -389,7 +390,10 @@ mod tests {
             let error: f64 = pairs.map(|(g, w)| (f64::from(*g) - w).powi(2)).sum();
             let norm: f64 = want.iter().map(|w| w * w).sum();
             let relative = (error / norm.max(1e-30)).sqrt();
-            assert!(relative < 1.2e-2 && (n == 0 || relative > 1e-3), "{n} {cin} {cout}: {relative}");
+            assert!(
+                relative < 1.2e-2 && (n == 0 || relative > 1e-3),
+                "{n} {cin} {cout}: {relative}"
+            );
             // A scene alone has the same bits, and so has any number of threads.
             let first = n / 3;
             let alone = KernelMap::build(&grid[..first], &[0, first], 3).unwrap();
@@ -408,10 +412,16 @@ mod tests {
                 for tap in 0..27 {
                     let (from, to) = map.tap_pairs(tap);
                     let pairs = from.iter().zip(to);
-                    pairs.filter(|(f, _)| [0, n as u32 - 1].contains(f)).for_each(|(_, t)| bad[t as usize] = true);
+                    pairs
+                        .filter(|(f, _)| [0, n as u32 - 1].contains(f))
+                        .for_each(|(_, t)| bad[t as usize] = true);
                 }
                 for (i, (got, clean)) in run(&x).iter().zip(&out).enumerate() {
-                    assert!(if bad[i / cout] { got.is_nan() } else { got == clean }, "row {}", i / cout);
+                    assert!(
+                        if bad[i / cout] { got.is_nan() } else { got == clean },
+                        "row {}",
+                        i / cout
+                    );
                 }
             }
         }

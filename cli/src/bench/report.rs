@@ -270,7 +270,8 @@ impl Row {
         match self.flop {
             0 => format!("{:.1} GB/s", self.bytes as f64 / self.median_s / 1e9),
             flop => {
-                let unit = if self.precision == Precision::Int8.name() { "GOP/s" } else { "GFLOP/s" };
+                let unit =
+                    if self.precision == Precision::Int8.name() { "GOP/s" } else { "GFLOP/s" };
                 format!("{:.0} {unit}", flop as f64 / self.median_s / 1e9)
             }
         }

@@ -96,6 +96,8 @@ pub(crate) trait TileProducts {
     type Row: Copy + Default;
     /// What belongs to the columns of a panel.
     type Columns: Copy;
+    /// What brings a register of sums to scale.
+    type Scale: Copy;
     unsafe fn load(p: *const Self::Element) -> Self::Factor;
     unsafe fn splat(x: Self::Element) -> Self::Factor;
     unsafe fn multiply_add(a: Self::Factor, b: Self::Factor, sum: Self::Sum) -> Self::Sum;
@@ -103,13 +105,10 @@ pub(crate) trait TileProducts {
     unsafe fn row(row: *const Self::Element, steps: usize) -> Self::Row;
     /// What the sums of the columns from `at` on start with.
     unsafe fn start(columns: Self::Columns, at: usize) -> Self::Sum;
-    /// The results of sums of the columns from `at` on.
-    unsafe fn finish(
-        sum: Self::Sum,
-        row: Self::Row,
-        columns: Self::Columns,
-        at: usize,
-    ) -> Self::Value;
+    /// The scales of the columns from `at` on.
+    unsafe fn scale(columns: Self::Columns, at: usize) -> Self::Scale;
+    /// The results of sums.
+    unsafe fn finish(sum: Self::Sum, row: Self::Row, scale: Self::Scale) -> Self::Value;
 }
 
 impl<P: Products> TileProducts for P {
@@ -119,6 +118,7 @@ impl<P: Products> TileProducts for P {
     type Value = P::Sum;
     type Row = ();
     type Columns = ();
+    type Scale = ();
     #[inline(always)]
     unsafe fn load(p: *const P::Element) -> P::Factor {
         // SAFETY: the trait's contract.
@@ -142,7 +142,9 @@ impl<P: Products> TileProducts for P {
         unsafe { P::Sum::zero() }
     }
     #[inline(always)]
-    unsafe fn finish(sum: P::Sum, (): (), (): (), _: usize) -> P::Sum {
+    unsafe fn scale((): (), _: usize) {}
+    #[inline(always)]
+    unsafe fn finish(sum: P::Sum, (): (), (): ()) -> P::Sum {
         sum
     }
 }
@@ -206,12 +208,19 @@ unsafe fn tile<P: TileProducts, const MR: usize, const NV: usize>(
             }
             bp = bp.add(width);
         }
+        // A loop of its own, and short: the compiler unrolls it, or it would keep the sums in memory.
+        let mut values = [[P::Value::zero(); NV]; MR];
+        let scales: [P::Scale; NV] = std::array::from_fn(|j| P::scale(columns_of, at + j * lanes));
+        for i in 0..MR {
+            for j in 0..NV {
+                values[i][j] = P::finish(acc[i][j], sides.rows[i], scales[j]);
+            }
+        }
         if columns >= NV * lanes {
             for i in 0..MR {
                 for j in 0..NV {
-                    let (out, sum) = (c[i].add(j * lanes), acc[i][j]);
-                    let value = P::finish(sum, sides.rows[i], columns_of, at + j * lanes);
-                    let value = if accumulate { P::Value::load(out).add(value) } else { value };
+                    let (out, sum) = (c[i].add(j * lanes), values[i][j]);
+                    let value = if accumulate { P::Value::load(out).add(sum) } else { sum };
                     value.store(out);
                 }
             }
@@ -220,10 +229,9 @@ unsafe fn tile<P: TileProducts, const MR: usize, const NV: usize>(
         for j in 0..NV {
             let there = columns.saturating_sub(j * lanes).min(lanes);
             for i in 0..MR {
-                let (out, sum) = (c[i].wrapping_add(j * lanes), acc[i][j]);
-                let value = P::finish(sum, sides.rows[i], columns_of, at + j * lanes);
+                let (out, sum) = (c[i].wrapping_add(j * lanes), values[i][j]);
                 let value =
-                    if accumulate { P::Value::load_first(out, there).add(value) } else { value };
+                    if accumulate { P::Value::load_first(out, there).add(sum) } else { sum };
                 value.store_first(out, there);
             }
         }

@@ -72,6 +72,7 @@ impl TileProducts for Plain {
     type Value = crate::simd::Plain;
     type Row = f32;
     type Columns = ColumnScales;
+    type Scale = Self::Value;
     #[inline(always)]
     unsafe fn load(p: *const u32) -> [u32; 16] {
         // SAFETY: the trait's contract.
@@ -101,18 +102,20 @@ impl TileProducts for Plain {
         unsafe { columns.starts.add(at).cast::<[i32; 16]>().read_unaligned() }
     }
     #[inline(always)]
-    unsafe fn finish(sum: [i32; 16], row: f32, columns: ColumnScales, at: usize) -> Self::Value {
+    unsafe fn scale(columns: ColumnScales, at: usize) -> Self::Value {
         // SAFETY: as above.
-        unsafe {
-            let scales = Self::Value::load(columns.scales.add(at));
-            let sum = sum.map(|sum| sum as f32);
-            Self::Value::load(sum.as_ptr()).mul(scales).mul(Self::Value::splat(row))
-        }
+        unsafe { Self::Value::load(columns.scales.add(at)) }
+    }
+    #[inline(always)]
+    unsafe fn finish(sum: [i32; 16], row: f32, scale: Self::Value) -> Self::Value {
+        let sum = sum.map(|sum| sum as f32);
+        // SAFETY: as above.
+        unsafe { Self::Value::load(sum.as_ptr()).mul(scale).mul(Self::Value::splat(row)) }
     }
 }
 
 #[cfg(target_arch = "x86_64")]
-pub(crate) use x86::{Avx2, AvxVnni, Avx512Vnni};
+pub(crate) use x86::{Avx2, Avx512Vnni, AvxVnni};
 
 #[cfg(target_arch = "x86_64")]
 mod x86 {
@@ -135,6 +138,7 @@ mod x86 {
                 type Value = $float;
                 type Row = f32;
                 type Columns = ColumnScales;
+                type Scale = $float;
                 #[inline(always)]
                 unsafe fn load(p: *const u32) -> $int {
                     // SAFETY: the trait's contract.
@@ -164,17 +168,14 @@ mod x86 {
                     }
                 }
                 #[inline(always)]
-                unsafe fn finish(
-                    sum: $int,
-                    row: f32,
-                    columns: ColumnScales,
-                    at: usize,
-                ) -> $float {
+                unsafe fn scale(columns: ColumnScales, at: usize) -> $float {
                     // SAFETY: as above.
-                    unsafe {
-                        let scales = $load_float(columns.scales.add(at));
-                        $mul($mul($to_float(sum), scales), $splat_float(row))
-                    }
+                    unsafe { $load_float(columns.scales.add(at)) }
+                }
+                #[inline(always)]
+                unsafe fn finish(sum: $int, row: f32, scale: $float) -> $float {
+                    // SAFETY: as above.
+                    unsafe { $mul($mul($to_float(sum), scale), $splat_float(row)) }
                 }
             }
         };

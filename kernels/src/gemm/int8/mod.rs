@@ -18,7 +18,7 @@ mod dots;
 
 pub(crate) use dots::Dots;
 #[cfg(target_arch = "x86_64")]
-pub(crate) use dots::{Avx2, AvxVnni, Avx512Vnni};
+pub(crate) use dots::{Avx2, Avx512Vnni, AvxVnni};
 pub(crate) use dots::{ColumnScales, Plain};
 
 use super::K_BLOCK;
@@ -50,7 +50,11 @@ fn scale(values: &[f32]) -> (f32, f32, f32) {
     // Below this, 127 ÷ most could be ∞.
     const SMALL: f32 = f32::from_bits((127 - 100) << 23);
     const UP: f32 = f32::from_bits((127 + 100) << 23);
-    if most < SMALL { (most * UP / MOST / UP, UP, MOST / (most * UP)) } else { (most / MOST, 1.0, MOST / most) }
+    if most < SMALL {
+        (most * UP / MOST / UP, UP, MOST / (most * UP))
+    } else {
+        (most / MOST, 1.0, MOST / most)
+    }
 }
 
 /// The integers of `from` with 128 added, four to a word in memory order; the rest of `to` is left
@@ -121,7 +125,11 @@ impl Quads {
                 let mut sum = 0;
                 for (p, word) in integers.iter().enumerate() {
                     let signed = word ^ zeros;
-                    sum += signed.to_ne_bytes().map(|b| i32::from(b.cast_signed())).iter().sum::<i32>();
+                    sum += signed
+                        .to_ne_bytes()
+                        .map(|b| i32::from(b.cast_signed()))
+                        .iter()
+                        .sum::<i32>();
                     to[(block * K_BLOCK + p) * width + j - panel] = signed;
                 }
                 starts[block * padded_n + j] = -i32::from(OFFSET) * sum;

@@ -85,7 +85,10 @@ fn integers_are_the_nearest_and_of_any_length() {
         let bytes: Vec<u8> = words.iter().flat_map(|w| w.to_ne_bytes()).collect();
         for (x, byte) in x.iter().zip(&bytes) {
             let integer = f32::from(*byte) - 128.0;
-            assert!((x / scale - integer).abs() <= 0.5001 && integer.abs() <= 127.0, "{x} {integer}");
+            assert!(
+                (x / scale - integer).abs() <= 0.5001 && integer.abs() <= 127.0,
+                "{x} {integer}"
+            );
         }
         assert_eq!(bytes.iter().zip(&x).filter(|(b, _)| matches!(b, 1 | 255)).count().min(1), 1);
         assert_eq!(words[k.div_ceil(4)..], [7; 2], "{k}");
@@ -114,7 +117,9 @@ fn all_versions_have_the_same_bits() {
                 let from = RowPointers::Contiguous { base: rows.as_ptr(), stride };
                 let to = RowPointersMut::Contiguous { base: out.as_mut_ptr(), stride: n };
                 // SAFETY: rows and results of these sizes; the version is there.
-                unsafe { multiply_quads(dots, m, from, &b, quads, 0..b.padded_n(), to, accumulate) };
+                unsafe {
+                    multiply_quads(dots, m, from, &b, quads, 0..b.padded_n(), to, accumulate)
+                };
                 out.into_iter().map(f32::to_bits).collect::<Vec<_>>()
             });
             let results: Vec<_> = results.collect();
@@ -128,7 +133,8 @@ fn all_versions_have_the_same_bits() {
 #[test]
 fn versions_are_the_same_compiled_for_any_instruction_set() {
     // The loops that make integers are plain ones; this is what they must give on any CPU.
-    let x = [0.0, -0.0, 1.0, -1.0, 0.5, 0.003_937, 0.003_938, f32::MIN_POSITIVE, 0.996_06, 0.996_07];
+    let x =
+        [0.0, -0.0, 1.0, -1.0, 0.5, 0.003_937, 0.003_938, f32::MIN_POSITIVE, 0.996_06, 0.996_07];
     let mut words = [0; 3];
     let scale = quantize(&x, &mut words);
     let bytes: Vec<u8> = words.iter().flat_map(|w| w.to_ne_bytes()).collect();
@@ -205,7 +211,8 @@ fn a_row_does_not_depend_on_its_neighbours_or_threads() {
 #[test]
 fn narrow_matrices_compute_in_f32() {
     for (k, n, want) in [(63, 64, false), (64, 63, false), (64, 64, true), (768, 20, false)] {
-        let packed = PackedMatrix::from_strided_with(Precision::Int8, &vec![1.0; k * n], k, n, 1, k);
+        let packed =
+            PackedMatrix::from_strided_with(Precision::Int8, &vec![1.0; k * n], k, n, 1, k);
         assert_eq!(packed.unit() == Unit::Quads, want, "[{k}, {n}]");
         // A byte a value, and two words for each column.
         let bytes = if want { k * n + 8 * n } else { 4 * k * n.next_multiple_of(16) };
