@@ -394,6 +394,14 @@ impl Architecture for LitePtConfig {
     fn set_compute(&mut self, compute: Compute) {
         self.compute = compute;
     }
+    fn set_patch_size(&mut self, points: usize) -> std::result::Result<(), String> {
+        if !(0..self.num_stages()).any(|scale| self.attends(scale)) {
+            return Err("no block of this network attends".to_owned());
+        }
+        self.enc_patch_size.fill(points);
+        self.dec_patch_size.fill(points);
+        Ok(())
+    }
     fn adapt_to(&mut self, shapes: &Shapes) {
         self.take_inputs(shapes);
     }

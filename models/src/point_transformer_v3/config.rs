@@ -371,6 +371,11 @@ impl Architecture for PointTransformerV3Config {
     fn set_compute(&mut self, compute: Compute) {
         self.compute = compute;
     }
+    fn set_patch_size(&mut self, points: usize) -> std::result::Result<(), String> {
+        self.enc_patch_size.fill(points);
+        self.dec_patch_size.fill(points);
+        Ok(())
+    }
     fn adapt_to(&mut self, shapes: &Shapes) {
         self.take_inputs(shapes);
     }
