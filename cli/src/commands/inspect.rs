@@ -10,7 +10,7 @@ use scenesplat::kernels::Precision;
 use scenesplat::setting::Passes;
 use scenesplat::{Setting, embedded};
 use scenesplat::inspect::sheet::{sheet_name, write_sheet};
-use scenesplat::inspect::{InspectSettings, inspect};
+use scenesplat::inspect::{Finding, InspectSettings, inspect};
 use scenesplat::memory::machine_memory;
 use scenesplat::models::weights::resolve;
 use scenesplat::network::{NetworkChoice, NetworkConfig, WeightOptions, Weights, network_of};
@@ -86,7 +86,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         opened
     };
     session.check_stop()?;
-    let seen = {
+    let mut seen = {
         let _stage = session.receipt.stage("inspect");
         let settings = InspectSettings {
             from_points: opened.converted,
@@ -97,6 +97,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         };
         inspect(&opened.loaded, &settings)
     };
+    seen.findings.iter_mut().for_each(name_flags);
     print(&seen.to_string());
     session.check_stop()?;
     if let Some(path) = &args.json {
@@ -144,6 +145,20 @@ fn settled(config: NetworkConfig, setting: &Setting) -> Result<NetworkConfig> {
     let mut config = setting.apply_to_network(config).map_err(|error| wrong(error.to_string()))?;
     config.model.grid_size = setting.voxel.unwrap_or(config.model.grid_size);
     Ok(config)
+}
+
+/// Adds to a finding's help how the program is told so.
+fn name_flags(finding: &mut Finding) {
+    let flags = match finding.name.as_str() {
+        "up" => "--up AXIS of every command; scenesplat convert SCENE OUT --up AXIS turns it",
+        "memory" => "--max-memory SIZE of features, segment and query",
+        "unit" => "--unit mm or km; scenesplat convert SCENE OUT --scale 0.001 (or 1000)",
+        _ => return,
+    };
+    if !finding.help.is_empty() {
+        finding.help.push_str("; ");
+    }
+    finding.help.push_str(flags);
 }
 
 /// The network that `segment` would run with the same flags, and what it is called. A configuration
