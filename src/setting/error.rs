@@ -13,7 +13,9 @@ pub enum SettingError {
         key: String,
     },
     /// A key that is there already.
-    #[error("setting {key}: it stands there twice, with {first:?} and with {second:?}; leave one out")]
+    #[error(
+        "setting {key}: it stands there twice, with {first:?} and with {second:?}; leave one out"
+    )]
     Twice {
         /// Which key.
         key: &'static str,

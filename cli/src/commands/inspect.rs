@@ -6,15 +6,15 @@ use crate::session::Session;
 use crate::setting::parse_setting;
 use crate::terminal::print;
 use anyhow::{Context, Result, bail};
-use scenesplat::kernels::Precision;
-use scenesplat::setting::Passes;
-use scenesplat::{Setting, embedded};
 use scenesplat::inspect::sheet::{sheet_name, write_sheet};
 use scenesplat::inspect::{Finding, InspectSettings, inspect};
+use scenesplat::kernels::Precision;
 use scenesplat::memory::machine_memory;
 use scenesplat::models::weights::resolve;
 use scenesplat::network::{NetworkChoice, NetworkConfig, WeightOptions, Weights, network_of};
 use scenesplat::scene::{ReadOptions, UpAxis, printable};
+use scenesplat::setting::Passes;
+use scenesplat::{Setting, embedded};
 use std::path::PathBuf;
 
 /// Prints what is in a scene, what is wrong with it and what the network will cost, and draws it as

@@ -84,8 +84,9 @@ impl Args {
     /// Where features come from; `None` if the truth alone is looked at.
     pub fn source(&self, session: &Session<'_>, scenes: usize) -> Result<Option<FeatureSource>> {
         if let (Some(features), Some(key)) = (&self.features, self.inference.network_part()) {
-            let text =
-                format!("--setting {key} is about the network, which --features {features} replaces");
+            let text = format!(
+                "--setting {key} is about the network, which --features {features} replaces"
+            );
             return Err(WrongUse(text).into());
         }
         match self.features.as_deref() {
