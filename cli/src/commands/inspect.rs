@@ -97,7 +97,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         };
         inspect(&opened.loaded, &settings)
     };
-    seen.findings.iter_mut().for_each(name_flags);
+    seen.findings.iter_mut().chain(&mut seen.notes).for_each(name_flags);
     print(&seen.to_string());
     session.check_stop()?;
     if let Some(path) = &args.json {
