@@ -39,6 +39,7 @@ pub mod outputs;
 pub mod preview;
 pub mod principal;
 pub mod query;
+pub mod setting;
 pub mod text;
 
 pub use alignment::{Alignment, AlignmentSettings};
@@ -53,6 +54,7 @@ pub use scenesplat_rasterizer as rasterizer;
 pub use scenesplat_rooms as rooms;
 pub use scenesplat_scene as scene;
 pub use scenesplat_trainers as trainers;
+pub use setting::{Setting, SettingError};
 
 /// The types that nearly every program needs.
 pub mod prelude {

@@ -15,6 +15,7 @@ mod lift_labels;
 mod networks;
 mod outputs;
 mod render;
+mod settings;
 mod training;
 mod upright;
 
