@@ -25,7 +25,7 @@ pub enum Precision {
     /// outliers at the cost of its other values. Narrower layers compute as [`F32`](Self::F32), the
     /// core of attention as [`Bf16`](Self::Bf16).
     ///
-    /// Uses AVX512-VNNI or AVX-VNNI; elsewhere the same integers are multiplied without speed. The
+    /// Uses AMX, AVX512-VNNI or AVX-VNNI; elsewhere the same integers are multiplied without speed. The
     /// products have the same bits on every CPU. A row with a NaN or ±∞ gives NaN in all columns.
     Int8,
 }

@@ -120,7 +120,8 @@ fn lower_precisions_stay_near_f32() {
 fn int8_is_refused_in_training_by_name() {
     let compute = Compute { precision: Precision::Int8, fold: true };
     let store = ParamStore::trainable_from(WeightSource::hashed(5, ""), 0);
-    let refused = ModelConfig::new(config(compute)).build(store.builder()).unwrap_err().to_string();
+    let built = ModelConfig::new(config(compute)).build(store.builder());
+    let refused = built.err().unwrap().to_string();
     assert!(refused.contains("int8 is for inference"), "{refused}");
     let x = Tensor::zeros((2, 64), DType::F32, &Device::Cpu).unwrap();
     let w = Tensor::zeros((64, 64), DType::F32, &Device::Cpu).unwrap();

@@ -22,6 +22,8 @@ pub(crate) enum Unit {
     SplitPairs,
     /// Dot products of four 8-bit integers.
     Quads,
+    /// The same on tiles.
+    QuadTiles,
     /// Products of bf16 tiles.
     Tiles,
     /// The same on both parts of each f32.
@@ -33,6 +35,8 @@ impl Unit {
     pub(crate) fn of(precision: Precision, k: usize, n: usize) -> Self {
         match (precision, Isa::current()) {
             (Precision::Int8, _) if k.min(n) < int8::LEAST_CHANNELS => Self::Vector,
+            #[cfg(all(target_arch = "x86_64", target_os = "linux"))]
+            (Precision::Int8, Isa::Amx) if super::amx::has_bytes() => Self::QuadTiles,
             (Precision::Int8, _) => Self::Quads,
             (Precision::Bf16, Isa::Amx) => Self::Tiles,
             (Precision::Bf16, Isa::Avx512Bf16) => Self::Pairs,
@@ -52,6 +56,7 @@ impl Unit {
             Self::Vector | Self::RoundedVector => k,
             Self::Pairs => pairs,
             Self::Quads => k.div_ceil(4),
+            Self::QuadTiles => k.div_ceil(4).next_multiple_of(16),
             Self::SplitPairs => 3 * pairs,
             Self::Tiles => tiles,
             Self::SplitTiles => 3 * tiles,
@@ -60,17 +65,25 @@ impl Unit {
 
     /// Words of a left-hand row of `steps` steps.
     pub(crate) fn row_words(self, steps: usize) -> usize {
-        // Integers are followed by their scale.
-        if self == Self::Quads { steps + 1 } else { steps }
+        steps + self.scale_words()
+    }
+
+    /// Words behind those of the steps: the scale of integers, and what keeps rows of tiles in whole
+    /// cache lines.
+    fn scale_words(self) -> usize {
+        match self {
+            Self::Quads => 1,
+            Self::QuadTiles => 16,
+            _ => 0,
+        }
     }
 
     /// Writes a left-hand row as pairs or integers. `to`: `[row_words]`
     pub(crate) fn prepare_words(self, from: &[f32], to: &mut [u32]) {
         match self {
-            Self::Quads => {
-                if let Some((scale, integers)) = to.split_last_mut() {
-                    *scale = int8::quantize(from, integers).to_bits();
-                }
+            Self::Quads | Self::QuadTiles => {
+                let (integers, behind) = to.split_at_mut(to.len() - self.scale_words());
+                behind[0] = int8::quantize(from, integers).to_bits();
             }
             Self::SplitPairs | Self::SplitTiles => {
                 // [high, high, low] meets [high, low, high].
@@ -155,7 +168,7 @@ impl PackedMatrix {
     fn empty_for(unit: Unit) -> Self {
         let values = match unit {
             Unit::Vector | Unit::RoundedVector => Values::Single(Vec::new()),
-            Unit::Quads => Values::Quads(Quads::default()),
+            Unit::Quads | Unit::QuadTiles => Values::Quads(Quads::default()),
             _ => Values::Pairs(Vec::new()),
         };
         Self { values, unit, k: 0, n: 0, steps: 0 }

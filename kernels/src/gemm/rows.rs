@@ -83,7 +83,7 @@ impl PreparedRows {
         use rayon::prelude::*;
         match b.unit {
             // Tiles need rows side by side, so they are rounded when they are gathered.
-            Unit::Vector | Unit::Tiles | Unit::SplitTiles => Self::Unchanged,
+            Unit::Vector | Unit::Tiles | Unit::SplitTiles | Unit::QuadTiles => Self::Unchanged,
             Unit::RoundedVector => {
                 let mut rounded = vec![0.0; x.len()];
                 let block = 1 << 14;
@@ -193,6 +193,13 @@ pub(crate) unsafe fn multiply_prepared(
             // SAFETY: passed on; pairs are packed only where the instruction set was detected.
             unsafe { multiply_pairs(rows, a, b, values, columns, c, accumulate) }
         }
+        #[cfg(all(target_arch = "x86_64", target_os = "linux"))]
+        (LeftRows::Words(RowPointers::Contiguous { base, .. }), Values::Quads(quads))
+            if b.unit == Unit::QuadTiles =>
+        {
+            // SAFETY: passed on; integers are packed for tiles only where there are some.
+            unsafe { multiply_quad_tiles(rows, base, b, quads, columns, c, accumulate) }
+        }
         (LeftRows::Words(a), Values::Quads(quads)) => {
             // SAFETY: passed on; the version is one that the CPU has.
             unsafe { multiply_quads(Dots::current(), rows, a, b, quads, columns, c, accumulate) }
@@ -218,7 +225,7 @@ unsafe fn multiply_tiles(
     c: RowPointersMut<'_>,
     accumulate: bool,
 ) {
-    use super::amx;
+    use super::amx::{self, Operands::Pairs};
     assert!(rows <= ROW_BLOCK, "more rows than a block has");
     let (steps, n) = (b.steps(), b.n());
     // SAFETY: pairs are packed for tiles only where there are some.
@@ -246,7 +253,7 @@ unsafe fn multiply_tiles(
             unsafe {
                 let panel = values.as_ptr().add(start * steps + k0 * width);
                 let (from, add) = (a.add(k0), add && whole);
-                amx::panel(rows, from, steps, panel, width, &targets[..rows], k_len, add);
+                amx::panel(Pairs, rows, from, steps, panel, width, &targets[..rows], k_len, add);
             }
             if !whole {
                 for (i, from) in tail.chunks_exact(width).enumerate() {
@@ -256,6 +263,60 @@ unsafe fn multiply_tiles(
                     for (to, from) in to.iter_mut().zip(from) {
                         *to = if add { *to + from } else { *from };
                     }
+                }
+            }
+        }
+    }
+}
+
+/// Products of integers on tiles; `a` as for [`multiply_tiles`].
+#[cfg(all(target_arch = "x86_64", target_os = "linux"))]
+#[target_feature(enable = "avx512f,avx2,fma")]
+unsafe fn multiply_quad_tiles(
+    rows: usize,
+    a: *const u32,
+    b: &PackedMatrix,
+    quads: &Quads,
+    columns: Range<usize>,
+    c: RowPointersMut<'_>,
+    accumulate: bool,
+) {
+    use super::amx::{self, Operands::Bytes};
+    assert!(rows <= ROW_BLOCK, "more rows than a block has");
+    let (steps, stride, n) = (b.steps(), b.row_words(), b.n());
+    // SAFETY: integers are packed for tiles only where there are some.
+    unsafe { amx::configure() };
+    let mut sums = vec![0i32; rows * PANEL];
+    for k0 in (0..steps).step_by(K_BLOCK) {
+        let end = (k0 + K_BLOCK).min(steps);
+        let add = accumulate || k0 > 0;
+        for start in columns.clone().step_by(PANEL) {
+            let width = PANEL.min(columns.end - start);
+            let base = sums.as_mut_ptr().cast::<f32>();
+            let targets: [*mut f32; ROW_BLOCK] =
+                std::array::from_fn(|i| base.wrapping_add(i.min(rows - 1) * width));
+            for from in (k0..end).step_by(TILE_PAIRS) {
+                let len = TILE_PAIRS.min(end - from);
+                // SAFETY: as of the bf16 tiles; sums have `rows` rows of `width` values.
+                unsafe {
+                    let panel = quads.words.as_ptr().add(start * steps + from * width);
+                    let to = &targets[..rows];
+                    amx::panel(Bytes, rows, a.add(from), stride, panel, width, to, len, from > k0);
+                }
+            }
+            let there = width.min(n - start);
+            let starts = &quads.starts[k0 / K_BLOCK * b.padded_n() + start..][..there];
+            let scales = &quads.scales[start..start + there];
+            for (i, sums) in sums.chunks_exact(width).take(rows).enumerate() {
+                // SAFETY: the scale behind a row's words; the columns of the row that exist.
+                let (scale, to) = unsafe {
+                    let to = std::slice::from_raw_parts_mut(c.row(i).add(start), there);
+                    (f32::from_bits(a.add(i * stride + steps).read()), to)
+                };
+                for (((to, sum), start), column) in to.iter_mut().zip(sums).zip(starts).zip(scales)
+                {
+                    let value = sum.wrapping_add(*start) as f32 * column * scale;
+                    *to = if add { *to + value } else { value };
                 }
             }
         }

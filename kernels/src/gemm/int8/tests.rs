@@ -123,6 +123,12 @@ fn all_versions_have_the_same_bits() {
                 out.into_iter().map(f32::to_bits).collect::<Vec<_>>()
             });
             let results: Vec<_> = results.collect();
+            #[cfg(all(target_arch = "x86_64", target_os = "linux"))]
+            if super::super::amx::available() && super::super::amx::has_bytes() && !accumulate {
+                let tiles = PackedMatrix::for_unit(Unit::QuadTiles, &w, k, n, 1, k);
+                let bits: Vec<u32> = product(&a, &tiles, m).into_iter().map(f32::to_bits).collect();
+                assert!(bits == results[0], "{m}x{k}x{n} tiles");
+            }
             for (dots, result) in there.iter().zip(&results) {
                 assert!(*result == results[0], "{m}x{k}x{n} {dots:?} accumulate {accumulate}");
             }
