@@ -372,7 +372,7 @@ mod tests {
     fn int8_is_near_tap_by_tap() {
         for (n, cin, cout) in [(0, 64, 64), (1, 64, 65), (2, 70, 64), (900, 64, 96), (300, 131, 67)]
         {
-            let grid = grid(n, 9, true);
+            let grid = grid(n, 11, true);
             let offsets = [0, n / 3, n];
             let map = KernelMap::build(&grid, &offsets, 3).unwrap();
             let (mut x, w, b) = (random(n * cin, 1), random(cout * 27 * cin, 2), random(cout, 3));

@@ -374,7 +374,7 @@ fn products_of_bytes_are_exact() {
     if !tiles_or_say_so("products of bytes") || !has_bytes() {
         return;
     }
-    for (rows, quads, width) in [(1, 16, 16), (17, 32, 48), (33, 192, 64), (192, 384, 32)] {
+    for (rows, quads, width) in [(1_usize, 16, 16), (17, 32, 48), (33, 192, 64), (192, 384, 32)] {
         let byte = |i: usize| ((i * 2_654_435_761) >> 7) as u8;
         let word = |i: usize| u32::from_ne_bytes(std::array::from_fn(|b| byte(4 * i + b)));
         let a: Vec<u32> = (0..rows.next_multiple_of(TILE) * quads).map(word).collect();
