@@ -139,7 +139,7 @@ pub(in super::super) fn check(config: &ExperimentConfig) -> Result<()> {
             if !config.losses.iter().any(looks) {
                 return wrong(
                     "losses",
-                    "none compares with the teacher: add cosine, l2 or smooth_l1",
+                    "none compares with the teacher: add cosine, l2, smooth_l1 or text_distillation",
                 );
             }
             Ok(())
