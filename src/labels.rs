@@ -3,8 +3,8 @@
 use crate::inference::{EncodeError, SceneFeatures};
 use crate::text::text_rows;
 use scenesplat_metrics::{
-    FeatureFn, FeatureRows, MetricError, TextRows, UnknownRule, ZeroShotOptions, classify, keep_withheld,
-    vote,
+    FeatureFn, FeatureRows, MetricError, TextRows, UnknownRule, ZeroShotOptions, classify,
+    keep_withheld, vote,
 };
 use scenesplat_scene::TextTable;
 use std::borrow::Cow;

@@ -387,9 +387,10 @@ impl<'a> Session<'a> {
             s.voxels_computed
         ));
         if !features.calibrated.is_empty() {
-            let shares = features.calibrated.iter().map(|(name, kept)| {
-                format!("{:.2} % in {name}", 100.0 * kept)
-            });
+            let shares = features
+                .calibrated
+                .iter()
+                .map(|(name, kept)| format!("{:.2} % in {name}", 100.0 * kept));
             let text = shares.collect::<Vec<_>>().join(", ");
             self.progress.say(format!("rank: convolutions keep {text}"));
             receipt.setting("rank_keeps", text, "of their variance, on a part of the scene");

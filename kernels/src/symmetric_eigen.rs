@@ -47,7 +47,8 @@ pub fn symmetric_eigen(matrix: &[f64], n: usize, count: usize) -> SymmetricEigen
         for (k, mirror) in reflectors.iter().enumerate().rev() {
             reflect(&mut vector[k + 1..], mirror);
         }
-        let longest = vector.iter().copied().fold(0.0, |a: f64, v| if v.abs() > a.abs() { v } else { a });
+        let longest =
+            vector.iter().copied().fold(0.0, |a: f64, v| if v.abs() > a.abs() { v } else { a });
         if longest < 0.0 {
             vector.iter_mut().for_each(|v| *v = -*v);
         }
@@ -65,9 +66,8 @@ struct Reduced {
 
 /// Mirrors the matrix until only three diagonals are left.
 fn reduce(matrix: &[f64], n: usize) -> Reduced {
-    let mut rows: Vec<Vec<f64>> = (0..n)
-        .map(|i| (0..n).map(|j| matrix[i.min(j) * n + i.max(j)]).collect())
-        .collect();
+    let mut rows: Vec<Vec<f64>> =
+        (0..n).map(|i| (0..n).map(|j| matrix[i.min(j) * n + i.max(j)]).collect()).collect();
     let mut beside = vec![0.0; n];
     let mut reflectors = Vec::new();
     for k in 0..n.saturating_sub(2) {
@@ -224,7 +224,8 @@ mod tests {
                 let want = f64::from(u8::from(i == j));
                 assert!((dot(row(i), row(j)) - want).abs() < 1e-12, "{n}: {i} {j}");
             }
-            let longest = row(i).iter().copied().fold(0.0f64, |a, v| if v.abs() > a.abs() { v } else { a });
+            let longest =
+                row(i).iter().copied().fold(0.0f64, |a, v| if v.abs() > a.abs() { v } else { a });
             assert!(longest > 0.0);
         }
         assert!(found.values.is_sorted_by(|a, b| a >= b));

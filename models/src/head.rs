@@ -1,6 +1,8 @@
 //! What makes features or classes of a backbone's output.
 
-use crate::{Backbone, BackboneCost, Calibrated, Compute, Forward, PointCloud, layers::Linear, ops};
+use crate::{
+    Backbone, BackboneCost, Calibrated, Compute, Forward, PointCloud, layers::Linear, ops,
+};
 use candle_core::{Result, Tensor, bail};
 use candle_nn::VarBuilder;
 

@@ -36,7 +36,9 @@ mod stages;
 pub mod weights;
 
 pub use architecture::{Architecture, BackboneConfig};
-pub use backbone::{Backbone, BackboneCost, Calibrated, Forward, FrozenStatistics, Mode, Observer, Orders};
+pub use backbone::{
+    Backbone, BackboneCost, Calibrated, Forward, FrozenStatistics, Mode, Observer, Orders,
+};
 pub use compute::Compute;
 pub use head::{Head, LanguageModel, SemanticSegmenter};
 pub use litept::{LitePt, LitePtConfig, LitePtSize};

@@ -251,7 +251,9 @@ fn shortcuts_are_for_inference_and_for_networks_that_have_such_a_stage() {
         }),
     ];
     for other in &mut others {
-        assert!(other.set_last_stage(LastStage::Coarse).unwrap_err().contains("last decoder stage"));
+        assert!(
+            other.set_last_stage(LastStage::Coarse).unwrap_err().contains("last decoder stage")
+        );
         assert!(other.set_rank(4).unwrap_err().contains("last decoder stage"));
     }
     let mut own = config(Shortcuts::default());

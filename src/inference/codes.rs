@@ -37,7 +37,8 @@ impl FeatureCodes {
     /// # Panics
     /// If the values are no rows of this width (a bug of the caller).
     pub fn project(&self, rows: &[f32]) -> Vec<f32> {
-        let packed = PackedMatrix::from_strided(&self.axes, self.width, self.codes(), 1, self.width);
+        let packed =
+            PackedMatrix::from_strided(&self.axes, self.width, self.codes(), 1, self.width);
         self.project_with(rows, &packed)
     }
 
@@ -73,8 +74,7 @@ impl SceneFeatures {
     pub(super) fn into_codes(self, codes: usize) -> Result<Self, EncodeError> {
         let found = FeatureCodes::find(&self, codes)?;
         let slots = self.num_slots();
-        let packed =
-            PackedMatrix::from_strided(&found.axes, found.width, codes, 1, found.width);
+        let packed = PackedMatrix::from_strided(&found.axes, found.width, codes, 1, found.width);
         let mut values = Vec::with_capacity(slots * codes);
         for start in (0..slots).step_by(BLOCK) {
             let rows = self.slot_rows(start..(start + BLOCK).min(slots))?;
@@ -123,14 +123,15 @@ mod tests {
         assert_eq!((codes.codes(), coded.width(), coded.text_width()), (3, 3, 8));
         let text: Vec<f32> = (0..8).map(|d| (d as f32 * 0.4).cos()).collect();
         let short = codes.project(&text);
-        for (row, code) in rows.chunks_exact(8).zip(coded.slot_rows(0..300).unwrap().chunks_exact(3)) {
+        for (row, code) in
+            rows.chunks_exact(8).zip(coded.slot_rows(0..300).unwrap().chunks_exact(3))
+        {
             let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>();
             assert!((dot(row, &text) - dot(code, &short)).abs() < 1e-5);
             assert!((dot(code, code) - 1.0).abs() < 1e-5);
             // And back.
-            let back: Vec<f32> = (0..8).map(|d| {
-                (0..3).map(|j| code[j] * codes.axes[j * 8 + d]).sum()
-            }).collect();
+            let back: Vec<f32> =
+                (0..8).map(|d| (0..3).map(|j| code[j] * codes.axes[j * 8 + d]).sum()).collect();
             assert!(row.iter().zip(&back).all(|(a, b)| (a - b).abs() < 1e-5));
         }
     }

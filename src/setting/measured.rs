@@ -46,11 +46,7 @@ fn rows(features: &SceneFeatures) -> Vec<f32> {
 }
 
 /// `scenes`: each with its features as the network gives them.
-fn compare(
-    setting: &str,
-    scenes: &[(GaussianScene, SceneFeatures)],
-    text: &TextTable,
-) -> Compared {
+fn compare(setting: &str, scenes: &[(GaussianScene, SceneFeatures)], text: &TextTable) -> Compared {
     let excluded = background(&LabelSet::new(text.names.clone()).unwrap());
     let settings = EvaluationSettings { excluded, ..EvaluationSettings::default() };
     let mut evaluation = Evaluation::new(text, settings).unwrap();

@@ -145,11 +145,8 @@ fn the_last_stage_is_shortened() {
             serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
         seen["estimate"]["seconds"].as_f64().unwrap()
     };
-    let [all, coarse, low] = [
-        seconds(&[]),
-        seconds(&["--setting", "stage=coarse"]),
-        seconds(&["--setting", "rank=96"]),
-    ];
+    let [all, coarse, low] =
+        [seconds(&[]), seconds(&["--setting", "stage=coarse"]), seconds(&["--setting", "rank=96"])];
     assert!(coarse < low && low < all, "{all} {coarse} {low}");
 }
 
@@ -256,7 +253,8 @@ fn what_cannot_be_used_is_refused_by_name() {
         ("tiny", "codes=256", "64 numbers"),
         ("semseg", "codes=16", "probabilities"),
     ] {
-        let args = ["features", scene, "--config", config, "--weights", "seeded:0", "--setting", part];
+        let args =
+            ["features", scene, "--config", config, "--weights", "seeded:0", "--setting", part];
         refused(&args, &[part, words]);
     }
     // What a flag says otherwise.

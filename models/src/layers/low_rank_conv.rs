@@ -76,8 +76,7 @@ impl PlainConv {
         let kept = if all > 0.0 { positive(&eigen.values[..rank]) / all } else { 1.0 };
 
         let axes: Vec<f32> = eigen.vectors.iter().map(|v| *v as f32).collect();
-        let stacked =
-            PackedMatrix::from_strided(&self.weight, cout, taps * cin, taps * cin, 1);
+        let stacked = PackedMatrix::from_strided(&self.weight, cout, taps * cin, taps * cin, 1);
         let mut narrow = vec![0f32; rank * taps * cin];
         gemm(&axes, &stacked, Epilogue::default(), &mut narrow);
         drop(stacked);
@@ -190,7 +189,8 @@ mod tests {
         let mut moments = vec![0.0; 400];
         for row in case.y.chunks_exact(20) {
             for a in 0..20 {
-                (0..20).for_each(|b| moments[a * 20 + b] += (row[a] - mean[a]) * (row[b] - mean[b]));
+                (0..20)
+                    .for_each(|b| moments[a * 20 + b] += (row[a] - mean[a]) * (row[b] - mean[b]));
             }
         }
         let values = symmetric_eigen(&moments, 20, 0).values;
@@ -224,7 +224,8 @@ mod tests {
         let packed = PackedConv::new(&case.conv.weight, 4, 6, 27);
         let mut want = vec![0.0; 6];
         forward(&map, &case.x[..4], &packed, Some(&case.conv.bias), &mut want);
-        let got: Vec<f32> = low.forward(&one, &map).unwrap().flatten_all().unwrap().to_vec1().unwrap();
+        let got: Vec<f32> =
+            low.forward(&one, &map).unwrap().flatten_all().unwrap().to_vec1().unwrap();
         for (got, want) in got.iter().zip(&want) {
             assert!((got - want).abs() < 1e-5, "{got} {want}");
         }

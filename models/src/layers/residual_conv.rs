@@ -68,7 +68,11 @@ impl ResidualConv {
     ///
     /// # Errors
     /// If the input does not fit.
-    pub(crate) fn calibrated(&self, input: &Tensor, cloud: &SerializedCloud) -> Result<(Self, f64)> {
+    pub(crate) fn calibrated(
+        &self,
+        input: &Tensor,
+        cloud: &SerializedCloud,
+    ) -> Result<(Self, f64)> {
         let Conv::Waiting(conv, rank) = &self.conv else { return Ok((self.clone(), 1.0)) };
         let map = cloud.kernel_map(KERNEL).map_err(candle_core::Error::wrap)?;
         let (conv, kept) = conv.factor(*rank, input, &map)?;

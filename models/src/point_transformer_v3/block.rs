@@ -78,7 +78,11 @@ impl Block {
 
     /// The block with the rank of its convolution decided by what that reads, and the part of its
     /// variance that is kept.
-    pub(super) fn calibrated(&self, input: &Tensor, cloud: &SerializedCloud) -> Result<(Self, f64)> {
+    pub(super) fn calibrated(
+        &self,
+        input: &Tensor,
+        cloud: &SerializedCloud,
+    ) -> Result<(Self, f64)> {
         let (conv, kept) = self.conv.calibrated(input, cloud)?;
         Ok((Self { conv, ..self.clone() }, kept))
     }

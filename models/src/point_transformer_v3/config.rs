@@ -5,9 +5,7 @@ use crate::architecture::NO_LAST_STAGE;
 use crate::params::check_values;
 use crate::stages::{DEEPEST, LARGEST, MOST_STAGES, check_sizes, linspace, split};
 use crate::weights::Shapes;
-use crate::{
-    Architecture, Backbone, BackboneCost, Compute, LastStage, MultiplyAdds, Shortcuts,
-};
+use crate::{Architecture, Backbone, BackboneCost, Compute, LastStage, MultiplyAdds, Shortcuts};
 use candle_core::{Result, bail};
 use candle_nn::VarBuilder;
 use scenesplat_kernels::segment::Reduce;

@@ -28,8 +28,8 @@ pub use unpooling::{SerializedUnpooling, Unpooled};
 
 use crate::row_order::{OrderShuffle, morton_rows};
 use crate::{
-    Architecture, Backbone, BackboneCost, Calibrated, Compute, Forward, LastStage, Mode, PointCloud,
-    Shortcuts, ops,
+    Architecture, Backbone, BackboneCost, Calibrated, Compute, Forward, LastStage, Mode,
+    PointCloud, Shortcuts, ops,
 };
 use candle_core::{Result, Tensor, bail};
 use candle_nn::{Init, VarBuilder};
@@ -57,7 +57,8 @@ pub struct PointTransformerV3 {
 
 /// Called before each block of the last stage with its name, the block, what its convolution reads,
 /// and the scale; gives the block to run.
-type BeforeBlock<'a> = dyn FnMut(&str, &Arc<Block>, &Tensor, &SerializedCloud) -> Result<Arc<Block>> + 'a;
+type BeforeBlock<'a> =
+    dyn FnMut(&str, &Arc<Block>, &Tensor, &SerializedCloud) -> Result<Arc<Block>> + 'a;
 
 #[derive(Debug)]
 struct EncoderStage {
