@@ -4,6 +4,8 @@
 //! A [`Receipt`] records while the command runs; [`Receipt::finish`] gives a [`ReceiptReport`],
 //! which prints as a table and is written as JSON.
 
+use scenesplat::machine::peak_memory_bytes;
+pub use scenesplat::machine::Machine;
 use scenesplat::scene::SceneError;
 use scenesplat::scene::input_file::open_regular_file;
 use serde::{Deserialize, Serialize};
@@ -129,25 +131,6 @@ pub struct FileFingerprint {
     pub bytes: u64,
     /// SHA-256 in hexadecimal. Of a folder: of the sorted lines `<relative path>\0<sha256>\n`.
     pub sha256: String,
-}
-
-/// Where a command ran.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Machine {
-    /// Name of the processor.
-    pub cpu: String,
-    /// Cores that the process may use.
-    pub cores: usize,
-    /// Threads that worked.
-    pub threads: usize,
-    /// Instruction set of the kernels.
-    pub simd: String,
-    /// Operating system and architecture.
-    pub os: String,
-    /// Version of this program.
-    pub version: String,
-    /// Number type of the computation.
-    pub dtype: String,
 }
 
 impl Receipt {
@@ -358,33 +341,6 @@ impl fmt::Display for ReceiptReport {
     }
 }
 
-impl Machine {
-    /// This machine; number type and instruction set are noted by [`Receipt::computation`].
-    fn detect() -> Self {
-        Self {
-            cpu: cpu_name().unwrap_or_else(|| "unknown processor".to_owned()),
-            cores: std::thread::available_parallelism().map_or(1, usize::from),
-            threads: rayon::current_num_threads(),
-            os: format!("{} {}", std::env::consts::OS, std::env::consts::ARCH),
-            version: env!("CARGO_PKG_VERSION").to_owned(),
-            ..Self::default()
-        }
-    }
-}
-
-impl fmt::Display for Machine {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { cpu, cores, threads, simd, os, version, dtype } = self;
-        write!(f, "{cpu}, {cores} cores, {threads} threads")?;
-        for part in [simd, dtype, os] {
-            if !part.is_empty() {
-                write!(f, ", {part}")?;
-            }
-        }
-        write!(f, ", scenesplat {version}")
-    }
-}
-
 /// SHA-256 in hexadecimal and size of a file, or of all files of a folder.
 ///
 /// Files are read in pieces, so size does not matter.
@@ -451,20 +407,6 @@ fn collect_files(folder: &Path, files: &mut Vec<PathBuf>) -> Result<(), ReceiptE
         }
     }
     Ok(())
-}
-
-/// Largest resident memory of this process so far.
-fn peak_memory_bytes() -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
-    let kib: u64 = line.split_whitespace().next()?.parse().ok()?;
-    Some(kib * 1024)
-}
-
-fn cpu_name() -> Option<String> {
-    let info = std::fs::read_to_string("/proc/cpuinfo").ok()?;
-    let line = info.lines().find(|line| line.starts_with("model name"))?;
-    Some(line.split_once(':')?.1.trim().to_owned())
 }
 
 fn bytes_text(bytes: u64) -> String {
