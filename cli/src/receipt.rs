@@ -4,8 +4,8 @@
 //! A [`Receipt`] records while the command runs; [`Receipt::finish`] gives a [`ReceiptReport`],
 //! which prints as a table and is written as JSON.
 
-use scenesplat::machine::peak_memory_bytes;
 pub use scenesplat::machine::Machine;
+use scenesplat::machine::peak_memory_bytes;
 use scenesplat::scene::SceneError;
 use scenesplat::scene::input_file::open_regular_file;
 use serde::{Deserialize, Serialize};

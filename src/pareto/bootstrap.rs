@@ -33,7 +33,8 @@ pub fn f_miou_with_bounds(scenes: &[ConfusionMatrix]) -> Result<Option<[f64; 3]>
     let mut rng = ChaCha8Rng::seed_from_u64(SEED);
     let mut values = Vec::with_capacity(DRAWS);
     for _ in 0..DRAWS {
-        let picks: Vec<usize> = (0..scenes.len()).map(|_| rng.random_range(0..scenes.len())).collect();
+        let picks: Vec<usize> =
+            (0..scenes.len()).map(|_| rng.random_range(0..scenes.len())).collect();
         values.extend(pooled(&mut picks.into_iter())?);
     }
     values.sort_by(f64::total_cmp);

@@ -15,14 +15,8 @@ const BEATEN: Color = [186, 189, 194];
 const BEATEN_FILL: Color = [222, 224, 227];
 const CEILING: Color = [34, 140, 80];
 const CHANCE: Color = [190, 60, 60];
-const CURVES: [Color; 6] = [
-    [20, 98, 190],
-    [226, 106, 20],
-    [34, 140, 80],
-    [160, 70, 170],
-    [190, 60, 60],
-    [90, 100, 110],
-];
+const CURVES: [Color; 6] =
+    [[20, 98, 190], [226, 106, 20], [34, 140, 80], [160, 70, 170], [190, 60, 60], [90, 100, 110]];
 
 const SIZE: [u32; 2] = [1600, 900];
 /// Left, top, right and bottom of the plot.
@@ -42,12 +36,14 @@ pub(crate) fn chart(summary: &Summary) -> Drawing {
 fn front_chart(summary: &Summary) -> Drawing {
     let mut d = Drawing::new(SIZE[0], SIZE[1]);
     let scenes = if summary.num_scenes == 1 { "scene" } else { "scenes" };
-    let title = format!("What accuracy costs: f-mIoU against seconds, {} {scenes}", summary.num_scenes);
+    let title =
+        format!("What accuracy costs: f-mIoU against seconds, {} {scenes}", summary.num_scenes);
     d.text([PLOT[0], 22.0], 3, INK, Anchor::Start, &title);
     let machine = summary.machine.to_string();
     d.text([PLOT[0], 58.0], 1, SOFT, Anchor::Start, &machine);
     let all: Vec<&Point> = summary.all().collect();
-    let times: Vec<f64> = all.iter().flat_map(|p| [p.seconds_low, p.seconds_p50, p.seconds_high]).collect();
+    let times: Vec<f64> =
+        all.iter().flat_map(|p| [p.seconds_low, p.seconds_p50, p.seconds_high]).collect();
     let mut worths: Vec<f64> =
         all.iter().flat_map(|p| [p.f_miou, p.f_miou_low, p.f_miou_high]).flatten().collect();
     let ceiling = summary.oracle.as_ref().and_then(|p| p.f_miou);
@@ -162,8 +158,15 @@ fn shared_parts(summary: &Summary) -> Vec<&str> {
 pub(crate) fn training_chart(curves: &[TrainingCurve]) -> Drawing {
     let mut d = Drawing::new(SIZE[0], 620);
     let plot = [PLOT[0], 70.0, PLOT[2], 540.0];
-    d.text([PLOT[0], 22.0], 2, INK, Anchor::Start, "What training costs: quality against seconds of training");
-    let of = |i: usize| curves.iter().flat_map(|c| c.points.iter()).map(|p| p[i]).collect::<Vec<_>>();
+    d.text(
+        [PLOT[0], 22.0],
+        2,
+        INK,
+        Anchor::Start,
+        "What training costs: quality against seconds of training",
+    );
+    let of =
+        |i: usize| curves.iter().flat_map(|c| c.points.iter()).map(|p| p[i]).collect::<Vec<_>>();
     let (x, y) = (
         Scale::over(&of(0), true, [plot[0], plot[2]]),
         Scale::over(&of(1), false, [plot[3], plot[1]]),
@@ -185,7 +188,14 @@ pub(crate) fn training_chart(curves: &[TrainingCurve]) -> Drawing {
     d
 }
 
-fn axes(d: &mut Drawing, x: &Scale, y: &Scale, plot: [f64; 4], name: &str, text: fn(f64) -> String) {
+fn axes(
+    d: &mut Drawing,
+    x: &Scale,
+    y: &Scale,
+    plot: [f64; 4],
+    name: &str,
+    text: fn(f64) -> String,
+) {
     for tick in x.ticks() {
         let at = x.at(tick);
         d.line([at, plot[1]], [at, plot[3]], 1.0, GRID);
@@ -203,7 +213,11 @@ fn axes(d: &mut Drawing, x: &Scale, y: &Scale, plot: [f64; 4], name: &str, text:
 
 fn percent(value: f64) -> String {
     let percent = 100.0 * value;
-    if (percent - percent.round()).abs() < 1e-6 { format!("{percent:.0} %") } else { format!("{percent:.1} %") }
+    if (percent - percent.round()).abs() < 1e-6 {
+        format!("{percent:.0} %")
+    } else {
+        format!("{percent:.1} %")
+    }
 }
 
 /// Seconds as people say them.
@@ -239,7 +253,10 @@ mod tests {
     #[test]
     fn seconds_are_said_as_people_say_them() {
         let texts = [0.0000123, 0.01234, 0.5, 1.0, 12.34, 119.0, 600.0, 50_000.0].map(seconds_text);
-        assert_eq!(texts, ["12 us", "12.3 ms", "0.5 s", "1 s", "12.3 s", "119 s", "10 min", "13.9 h"]);
+        assert_eq!(
+            texts,
+            ["12 us", "12.3 ms", "0.5 s", "1 s", "12.3 s", "119 s", "10 min", "13.9 h"]
+        );
         assert_eq!((percent(0.25), percent(0.125)), ("25 %".to_owned(), "12.5 %".to_owned()));
     }
 }

@@ -71,12 +71,20 @@ mod tests {
 
     #[test]
     fn a_front_holds_what_no_other_beats() {
-        let points =
-            [[1.0, 0.5], [2.0, 0.4], [2.0, 0.7], [2.0, 0.7], [3.0, 0.7], [4.0, 0.9], [f64::NAN, 1.0]];
+        let points = [
+            [1.0, 0.5],
+            [2.0, 0.4],
+            [2.0, 0.7],
+            [2.0, 0.7],
+            [3.0, 0.7],
+            [4.0, 0.9],
+            [f64::NAN, 1.0],
+        ];
         let kept = front(&points);
         assert_eq!(kept, [true, false, true, false, false, true, false]);
         // Whatever was kept is beaten by nothing that was kept.
-        let on: Vec<[f64; 2]> = points.iter().zip(&kept).filter(|(_, k)| **k).map(|(p, _)| *p).collect();
+        let on: Vec<[f64; 2]> =
+            points.iter().zip(&kept).filter(|(_, k)| **k).map(|(p, _)| *p).collect();
         for (i, a) in on.iter().enumerate() {
             for (j, b) in on.iter().enumerate() {
                 assert!(i == j || !(a[0] <= b[0] && a[1] >= b[1]), "{a:?} beats {b:?}");

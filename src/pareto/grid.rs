@@ -120,7 +120,8 @@ impl Grid {
     /// # Errors
     /// If it cannot be read, or is no grid; the message names the part.
     pub fn read(path: &Path) -> Result<Self, ParetoError> {
-        let text = std::fs::read_to_string(path).map_err(ParetoError::io(path, "cannot read the grid"))?;
+        let text =
+            std::fs::read_to_string(path).map_err(ParetoError::io(path, "cannot read the grid"))?;
         Self::parse(&text, &path.display().to_string())
     }
 
@@ -140,9 +141,8 @@ impl Grid {
                 wrong(format!("axes.{name}: a list of values is expected, the cheapest first"))
             })?;
             let values = list.iter().map(text_of).collect::<Option<Vec<_>>>();
-            let values = values.ok_or_else(|| {
-                wrong(format!("axes.{name}: values are numbers or texts"))
-            })?;
+            let values =
+                values.ok_or_else(|| wrong(format!("axes.{name}: values are numbers or texts")))?;
             let mut seen = BTreeSet::new();
             let mut canonical = Vec::new();
             for value in values {

@@ -1,10 +1,10 @@
 //! A setting on a set of scenes: how long, how much memory, how good.
 
+use super::ParetoError;
 use super::bootstrap::{f_miou_with_bounds, quantile_of};
 use super::grid::Written;
 use super::quality::{Calibration, Hits, add_scene};
 use super::record::{Kind, Record, SceneRecord, Stage};
-use super::ParetoError;
 use crate::evaluation::{Evaluation, EvaluationSettings};
 use crate::inference::{SceneEncoder, SceneFeatures};
 use crate::input::open_input;
@@ -224,7 +224,8 @@ pub fn measure(job: &Job<'_>) -> Result<[Record; 3], ParetoError> {
 
 impl Quality {
     fn new(job: &Job<'_>) -> Result<Self, ParetoError> {
-        let empty = ConfusionMatrix::new(job.text.len())?.with_excluded(&job.evaluation.excluded)?;
+        let empty =
+            ConfusionMatrix::new(job.text.len())?.with_excluded(&job.evaluation.excluded)?;
         Ok(Self {
             matrices: Vec::new(),
             oracle: empty.clone(),
@@ -306,13 +307,15 @@ fn score(
     let rule = VoteRule { points_k: k.max(1), ..VoteRule::of(1) };
     scores.add_labels(&truth, labels.labels.clone(), &rule)?;
     let began = Instant::now();
-    let drawn = scenesplat_metrics::random_labels(truth.scored().len(), classes, job.evaluation.seed)?;
+    let drawn =
+        scenesplat_metrics::random_labels(truth.scored().len(), classes, job.evaluation.seed)?;
     quality.random.update((&drawn, truth.scored()))?;
     quality.random_seconds.push(began.elapsed().as_secs_f64());
     let report = scores.model.tester_report();
     record.f_miou = report.foreground_mean_iou;
     let text = (!job.network().is_classifier()).then_some(job.text);
-    let hits = add_scene(&mut quality.calibration, &features, text, &labels.labels, truth.labels())?;
+    let hits =
+        add_scene(&mut quality.calibration, &features, text, &labels.labels, truth.labels())?;
     quality.hits.hits += hits.hits;
     quality.hits.asked += hits.asked;
     for label in truth.scored() {
@@ -327,7 +330,8 @@ fn score(
         quality.compared += labels.labels.len();
     }
     if let Some(folder) = &job.keep_labels {
-        std::fs::create_dir_all(folder).map_err(ParetoError::io(folder, "cannot make the folder"))?;
+        std::fs::create_dir_all(folder)
+            .map_err(ParetoError::io(folder, "cannot make the folder"))?;
         write_npy(&labels_path(folder, index), &[labels.labels.len()], &labels.labels)?;
     }
     Ok(())
@@ -348,7 +352,8 @@ fn finish(
 ) -> Result<Record, ParetoError> {
     let samples: Vec<f64> = per_scene.iter().flat_map(|s| s.seconds.iter().copied()).collect();
     let of_repeat = |r: usize| {
-        let seconds: Vec<f64> = per_scene.iter().filter_map(|s| s.seconds.get(r).copied()).collect();
+        let seconds: Vec<f64> =
+            per_scene.iter().filter_map(|s| s.seconds.get(r).copied()).collect();
         quantile_of(&seconds, 0.5)
     };
     let medians: Vec<f64> = (0..job.repeats.max(1)).map(of_repeat).collect();
@@ -399,7 +404,8 @@ fn finish(
         f_macc: None,
         macc: None,
         all_acc: None,
-        agreement: (quality.compared > 0).then(|| quality.agreeing as f64 / quality.compared as f64),
+        agreement: (quality.compared > 0)
+            .then(|| quality.agreeing as f64 / quality.compared as f64),
         query_hit1: (quality.hits.asked > 0)
             .then(|| quality.hits.hits as f64 / quality.hits.asked as f64),
         ece: quality.calibration.error(),

@@ -76,10 +76,12 @@ pub fn page(
 /// Mean seconds of each stage over the sets.
 fn stages(records: &[Record], setting: &str, sets: &[String]) -> Vec<Stage> {
     let mut sums: BTreeMap<usize, Stage> = BTreeMap::new();
-    let of = |r: &&Record| r.kind == Kind::Setting && r.setting == setting && sets.contains(&r.scenes);
+    let of =
+        |r: &&Record| r.kind == Kind::Setting && r.setting == setting && sets.contains(&r.scenes);
     for record in records.iter().filter(of) {
         for (i, stage) in record.stages.iter().enumerate() {
-            let sum = sums.entry(i).or_insert(Stage { name: stage.name.clone(), ..Stage::default() });
+            let sum =
+                sums.entry(i).or_insert(Stage { name: stage.name.clone(), ..Stage::default() });
             sum.seconds += stage.seconds / sets.len() as f64;
             sum.share += stage.share / sets.len() as f64;
         }
@@ -95,8 +97,10 @@ mod tests {
 
     #[test]
     fn the_page_needs_nothing_else_and_no_name_ends_its_script() {
-        let records =
-            [record("k=1", 1.0, 0.5), Record { scenes: "</script>".to_owned(), ..record("k=1", 2.0, 0.4) }];
+        let records = [
+            record("k=1", 1.0, 0.5),
+            Record { scenes: "</script>".to_owned(), ..record("k=1", 2.0, 0.4) },
+        ];
         let summary = Summary::of(&records, Around::default()).unwrap();
         let page = page(&summary, &records, Some("<svg></svg>".to_owned())).unwrap();
         assert!(!page.contains(DATA));

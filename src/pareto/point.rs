@@ -45,7 +45,8 @@ impl Point {
     /// Of the records of one setting, one for each set of scenes.
     pub fn of(records: &[&Record]) -> Self {
         let count = records.len().max(1) as f64;
-        let mean = |get: &dyn Fn(&Record) -> f64| records.iter().map(|r| get(r)).sum::<f64>() / count;
+        let mean =
+            |get: &dyn Fn(&Record) -> f64| records.iter().map(|r| get(r)).sum::<f64>() / count;
         // A mean over some sets would not compare with one over all.
         let all = |get: &dyn Fn(&Record) -> Option<f64>| {
             records.iter().map(|r| get(r)).sum::<Option<f64>>().map(|sum| sum / count)

@@ -179,7 +179,13 @@ impl Records {
     }
 
     /// The record that is there already, if any.
-    pub fn find(&self, kind: Kind, setting: &str, neutral: Option<&str>, scenes: &str) -> Option<&Record> {
+    pub fn find(
+        &self,
+        kind: Kind,
+        setting: &str,
+        neutral: Option<&str>,
+        scenes: &str,
+    ) -> Option<&Record> {
         self.all.iter().find(|r| {
             r.kind == kind
                 && r.setting == setting
@@ -229,7 +235,8 @@ impl Records {
             if let Some((name, hash)) = own
                 && *hash != record.input_hash
             {
-                let short = |hash: &str| format!("{name} sha256 {}…", hash.get(..12).unwrap_or(hash));
+                let short =
+                    |hash: &str| format!("{name} sha256 {}…", hash.get(..12).unwrap_or(hash));
                 return foreign("input", short(&record.input_hash), short(hash));
             }
         }

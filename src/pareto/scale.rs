@@ -43,7 +43,8 @@ impl Scale {
         if self.logarithmic {
             let decades = (self.low.log10().floor() as i32)..=(self.high.log10().ceil() as i32);
             let of = |factors: &[f64]| -> Vec<f64> {
-                let all = decades.clone().flat_map(|e| factors.iter().map(move |f| f * 10f64.powi(e)));
+                let all =
+                    decades.clone().flat_map(|e| factors.iter().map(move |f| f * 10f64.powi(e)));
                 all.filter(inside).collect()
             };
             let dense = of(&[1.0, 2.0, 5.0]);
@@ -72,7 +73,8 @@ mod tests {
         let log = Scale::over(&[0.1, 20.0], true, [0.0, 100.0]);
         assert!((log.at(1.0) - log.at(0.1) - (log.at(10.0) - log.at(1.0))).abs() < 1e-9);
         assert!(log.ticks().iter().any(|t| (t - 1.0).abs() < 1e-12), "{:?}", log.ticks());
-        for same in [Scale::over(&[2.0, 2.0], true, [0.0, 1.0]), Scale::over(&[0.0], false, [0.0, 1.0])]
+        for same in
+            [Scale::over(&[2.0, 2.0], true, [0.0, 1.0]), Scale::over(&[0.0], false, [0.0, 1.0])]
         {
             assert!(!same.ticks().is_empty() && same.at(same.ticks()[0]).is_finite(), "{same:?}");
         }

@@ -1,12 +1,12 @@
 //! What is made of the records: the front, its knee, the classes, and what else the report shows.
 
+use super::ParetoError;
 use super::findings::{Finding, negative_findings};
 use super::front::{CLASSES, ClassWinner, cheapest_of_class, front, knee};
 use super::point::{Point, points, sets};
 use super::record::{Kind, Record};
 use super::search::RuledOut;
 use super::training::TrainingCurve;
-use super::ParetoError;
 use crate::machine::Machine;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -111,7 +111,8 @@ impl Summary {
         let places: Vec<[f64; 2]> = all.iter().map(place).collect();
         let reference = all.iter().find(|p| p.setting == around.reference).and_then(|p| p.f_miou);
         let winner = |share: f64| {
-            let found = reference.and_then(|r| cheapest_of_class(&places, r, share)).map(|i| &all[i]);
+            let found =
+                reference.and_then(|r| cheapest_of_class(&places, r, share)).map(|i| &all[i]);
             ClassWinner {
                 share,
                 setting: found.map(|p| p.setting.clone()),
@@ -162,7 +163,8 @@ pub(crate) fn place(point: &Point) -> [f64; 2] {
 pub(crate) fn split(all: &[Point]) -> (Vec<Point>, Vec<Point>) {
     let places: Vec<[f64; 2]> = all.iter().map(place).collect();
     let kept = front(&places);
-    let pick = |on: bool| all.iter().zip(&kept).filter(move |(_, k)| **k == on).map(|(p, _)| p.clone());
+    let pick =
+        |on: bool| all.iter().zip(&kept).filter(move |(_, k)| **k == on).map(|(p, _)| p.clone());
     let mut on: Vec<Point> = pick(true).collect();
     on.sort_by(|a, b| a.seconds_p50.total_cmp(&b.seconds_p50));
     (on, pick(false).collect())

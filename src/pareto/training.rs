@@ -38,15 +38,15 @@ impl TrainingCurve {
             text: error.to_string(),
         })?;
         let name = run.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        Self::of(&name, &log)
-            .map_err(|text| ParetoError::Training { path, text: text.to_owned() })
+        Self::of(&name, &log).map_err(|text| ParetoError::Training { path, text: text.to_owned() })
     }
 
     fn of(name: &str, log: &[LoggedValue]) -> Result<Self, &'static str> {
         let metric = ENDINGS
             .iter()
             .find_map(|ending| {
-                let fits = |v: &&LoggedValue| v.name.ends_with(ending) && !v.name.contains("oracle/");
+                let fits =
+                    |v: &&LoggedValue| v.name.ends_with(ending) && !v.name.contains("oracle/");
                 log.iter().find(fits)
             })
             .map(|v| v.name.clone())
@@ -65,7 +65,8 @@ impl TrainingCurve {
             return Err("no train/seconds_per_step was logged");
         }
         let at = |step: u64| {
-            let after = clock.iter().position(|(s, _)| *s >= step).unwrap_or(clock.len() - 1).max(1);
+            let after =
+                clock.iter().position(|(s, _)| *s >= step).unwrap_or(clock.len() - 1).max(1);
             let ((s0, t0), (s1, t1)) = (clock[after - 1], clock[after]);
             t0 + (t1 - t0) * (step - s0) as f64 / (s1 - s0) as f64
         };

@@ -14,6 +14,7 @@ mod inspect;
 mod lift_labels;
 mod networks;
 mod outputs;
+mod pareto;
 mod render;
 mod training;
 mod upright;
