@@ -14,7 +14,8 @@ use scenesplat::machine::Machine;
 use scenesplat::network::Weights;
 use scenesplat::pareto::{Grid, Kind, Record, Records, Written, seconds_text};
 use scenesplat::{Setting, embedded};
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// A run of the command.
@@ -33,6 +34,8 @@ pub struct Campaign<'a> {
     pub progress: &'a Progress,
     /// Requests so far.
     pub asked: Cell<usize>,
+    /// Weights that were looked at, by the network that a setting names.
+    pub weights: RefCell<BTreeMap<Option<String>, String>>,
 }
 
 /// What a process may be given beside its setting.
@@ -55,6 +58,15 @@ pub fn this_machine(threads: Option<usize>) -> Machine {
 impl Campaign<'_> {
     /// SHA-256 of the weights that a setting takes.
     pub fn weights_hash(&self, setting: &Setting) -> Result<String> {
+        if let Some(known) = self.weights.borrow().get(&setting.net) {
+            return Ok(known.clone());
+        }
+        let hash = self.hash_weights(setting)?;
+        self.weights.borrow_mut().insert(setting.net.clone(), hash.clone());
+        Ok(hash)
+    }
+
+    fn hash_weights(&self, setting: &Setting) -> Result<String> {
         let weights = match setting.net.as_deref() {
             None => weights_text(&self.args.network.weights()?),
             Some(net) => match self.grid.networks.get(net) {

@@ -25,7 +25,7 @@ use scenesplat::pareto::{
     ruled_out, write_report,
 };
 use scenesplat::scene::{FolderLock, printable};
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
 use std::time::Instant;
 
 /// Runs the command.
@@ -60,6 +60,7 @@ pub fn run(args: &Args) -> Result<()> {
         machine: this_machine(args.threads),
         progress: &progress,
         asked: Cell::new(0),
+        weights: RefCell::default(),
     };
     let hashes: Vec<_> = sets.iter().map(|s| (s.name.clone(), s.hash.clone())).collect();
     records.check_own(&campaign.machine.fingerprint(), &campaign.machine, &hashes)?;
