@@ -73,6 +73,10 @@ pub enum Fidelity {
     /// from [`Fidelity::Exact`] where several Gaussians share a voxel: they share its feature.
     #[default]
     Fast,
+    /// The first so many passes of [`Fidelity::Exact`]; Gaussians that none of them reads share the
+    /// feature of the nearest in their voxel that one did. 1 is not [`Fidelity::Fast`], which reads
+    /// another Gaussian of a voxel.
+    Passes(usize),
     /// The original's steps: every Gaussian of a 1 cm sampling is read, in several passes, and
     /// features are averaged.
     Exact,
@@ -208,15 +212,17 @@ impl<'a> SceneEncoder<'a> {
     ) -> Result<SceneFeatures, EncodeError> {
         let features = self.network.input().clone();
         let grid_size = self.grid_size;
+        let exact = |passes| ExactPlan {
+            grid_size,
+            sample_size: grid_size / 2.0,
+            passes,
+            features: features.clone(),
+            ..ExactPlan::default()
+        };
         let plan = match self.fidelity {
             Fidelity::Fast => FastPlan { grid_size, features }.build(scene)?,
-            Fidelity::Exact => ExactPlan {
-                grid_size,
-                sample_size: grid_size / 2.0,
-                features,
-                ..ExactPlan::default()
-            }
-            .build(scene)?,
+            Fidelity::Passes(passes) => exact(Some(passes)).build(scene)?,
+            Fidelity::Exact => exact(None).build(scene)?,
         };
         if plan.num_inputs() == 0 {
             return Err(EncodeError::Setting("the scene has no Gaussian".to_owned()));

@@ -41,6 +41,7 @@ pub mod pareto;
 pub mod preview;
 pub mod principal;
 pub mod query;
+pub mod setting;
 pub mod text;
 
 pub use alignment::{Alignment, AlignmentSettings};
@@ -55,6 +56,7 @@ pub use scenesplat_rasterizer as rasterizer;
 pub use scenesplat_rooms as rooms;
 pub use scenesplat_scene as scene;
 pub use scenesplat_trainers as trainers;
+pub use setting::{Setting, SettingError};
 
 /// The types that nearly every program needs.
 pub mod prelude {

@@ -8,25 +8,35 @@ mod depth_picture;
 mod discs;
 mod framing;
 mod inside;
+mod legend;
 mod look_at;
 mod orbit;
 pub(crate) mod orthographic;
 mod palette;
+mod png;
 mod rendered;
+mod rows;
 mod splats;
 pub(crate) mod text;
 
 pub use depth_picture::depth_picture;
 pub use inside::inside_views;
+pub use legend::LegendEntry;
 pub use look_at::LookAt;
 pub use orbit::{Ceiling, Orbit};
 pub use palette::{UNLABELLED_COLOR, class_color};
+pub use png::{write_png, write_png16};
 pub use rendered::{depth_steps, rendered_picture, solid_depth};
+pub use rows::{PreviewRows, SceneRows, SplatShapes};
 
-use discs::{Canvas, Disc, Lens};
+pub(crate) use legend::{fill, thousands};
+
+use discs::{Canvas, Disc};
 use framing::{Framing, Upright};
-use scenesplat_scene::picture::{Channels, Picture, RgbPicture, Samples};
-use scenesplat_scene::{AtomicFile, GaussianScene, UpAxis, WriteError};
+use legend::{LEGEND_WIDTH, draw_legend, draw_scale_bar};
+use rows::{discs_of, visible_rows};
+use scenesplat_scene::picture::RgbPicture;
+use scenesplat_scene::{UpAxis, WriteError};
 use std::path::Path;
 
 /// Why there is no preview.
@@ -57,72 +67,6 @@ pub enum PreviewError {
     Write(#[from] WriteError),
 }
 
-/// What to draw, one row per Gaussian.
-#[derive(Debug, Clone, Copy)]
-pub struct PreviewRows<'a> {
-    /// Centres, metres. Rows that are not finite are left out. `[N, 3]`
-    pub coord: &'a [[f32; 3]],
-    /// Colours: of the scene, or [`class_color`] of its labels. `[N, 3]`
-    pub color: &'a [[u8; 3]],
-    /// Size, metres: the standard deviation, say the middle one of three. `[N]`
-    pub radius: &'a [f32],
-    /// Opacity in 0..=1; the faintest Gaussians are left out. `[N]`
-    pub opacity: &'a [f32],
-    /// Gaussians are rendered with their shapes; without, as discs.
-    pub shapes: Option<SplatShapes<'a>>,
-}
-
-/// Shapes of Gaussians.
-#[derive(Debug, Clone, Copy)]
-pub struct SplatShapes<'a> {
-    /// `w, x, y, z`, any norm. `[N, 4]`
-    pub quat: &'a [[f32; 4]],
-    /// Standard deviations, metres. `[N, 3]`
-    pub scale: &'a [[f32; 3]],
-}
-
-/// Sizes and opacities of a scene, to make [`PreviewRows`] of.
-#[derive(Debug, Clone)]
-pub struct SceneRows {
-    scale: Vec<[f32; 3]>,
-    /// The middle one of the three.
-    radius: Vec<f32>,
-    opacity: Vec<f32>,
-}
-
-impl SceneRows {
-    /// Of all rows of a scene.
-    pub fn of(scene: &GaussianScene) -> Self {
-        let scale: Vec<[f32; 3]> = (0..scene.len()).map(|row| scene.scale(row)).collect();
-        let middle = |s: &[f32; 3]| {
-            let mut s = *s;
-            s.sort_by(f32::total_cmp);
-            s[1]
-        };
-        let radius = scale.iter().map(middle).collect();
-        let opacity = (0..scene.len()).map(|row| scene.opacity(row)).collect();
-        Self { scale, radius, opacity }
-    }
-
-    /// `color`: one per Gaussian of the same scene.
-    pub fn rows<'a>(&'a self, scene: &'a GaussianScene, color: &'a [[u8; 3]]) -> PreviewRows<'a> {
-        let Self { scale, radius, opacity } = self;
-        let shapes = Some(SplatShapes { quat: &scene.quat, scale });
-        PreviewRows { coord: &scene.coord, color, radius, opacity, shapes }
-    }
-}
-
-/// One class of the legend.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct LegendEntry {
-    /// Its name.
-    pub name: String,
-    /// Its colour in the picture.
-    pub color: [u8; 3],
-    /// Number of its Gaussians; the legend is sorted by it.
-    pub count: u64,
-}
-
 /// How to draw.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PreviewSettings {
@@ -146,12 +90,8 @@ pub(crate) const BACKGROUND: [u8; 3] = [30, 32, 38];
 pub(crate) const INK: [u8; 3] = [232, 232, 228];
 pub(crate) const FAINT_INK: [u8; 3] = [150, 152, 158];
 
-/// Most classes that the legend lists.
-const LEGEND_ROWS: usize = 24;
-
 const MARGIN: u32 = 12;
 const TITLE_HEIGHT: u32 = 40;
-const LEGEND_WIDTH: u32 = 340;
 
 /// Draws the picture.
 ///
@@ -232,138 +172,6 @@ pub fn write_preview(
 ) -> Result<u64, PreviewError> {
     let picture = render_preview(rows, legend, settings)?;
     write_png(path, &picture)
-}
-
-/// Writes a picture, which appears when it is complete. Returns the size of the file.
-///
-/// # Errors
-/// If it cannot be encoded or written.
-pub fn write_png(path: &Path, picture: &RgbPicture) -> Result<u64, PreviewError> {
-    put_png(path, picture.encode_png())
-}
-
-/// As [`write_png`], of 16-bit grey values, row by row; `size`: width, height.
-///
-/// # Errors
-/// As [`write_png`].
-pub fn write_png16(path: &Path, values: &[u16], size: [u32; 2]) -> Result<u64, PreviewError> {
-    let (expected, got) = (size[0] as usize * size[1] as usize, values.len());
-    let picture = Picture::new(size[0], size[1], Channels::Gray, Samples::Sixteen(values.to_vec()))
-        .ok_or(PreviewError::Rows { field: "depth", expected, got })?;
-    put_png(path, picture.encode_png())
-}
-
-fn put_png(path: &Path, png: std::io::Result<Vec<u8>>) -> Result<u64, PreviewError> {
-    let png = png.map_err(PreviewError::Encode)?;
-    AtomicFile::write(path, &png)?;
-    Ok(png.len() as u64)
-}
-
-/// Rows to draw: not the faintest, which hide the rest in captures with much haze.
-fn visible_rows(rows: &PreviewRows<'_>) -> Vec<usize> {
-    let mut opacities: Vec<f32> = rows.opacity.iter().copied().filter(|o| o.is_finite()).collect();
-    if opacities.is_empty() {
-        return Vec::new();
-    }
-    let middle = opacities.len() / 2;
-    let median = *opacities.select_nth_unstable_by(middle, f32::total_cmp).1;
-    // A badly converged capture may be faint throughout; half of it is drawn in any case.
-    let least = median.min(0.25);
-    (0..rows.coord.len())
-        .filter(|&i| rows.opacity[i] >= least && rows.coord[i].iter().all(|v| v.is_finite()))
-        .collect()
-}
-
-/// Rows as discs in the upright frame.
-fn discs_of(rows: &PreviewRows<'_>, kept: &[usize], upright: Upright) -> Vec<Disc> {
-    let disc = |&i: &usize| Disc {
-        centre: upright.turn(rows.coord[i]),
-        radius: if rows.radius[i].is_finite() { rows.radius[i].max(0.0) } else { 0.0 },
-        color: rows.color[i],
-    };
-    kept.iter().map(disc).collect()
-}
-
-/// Both.
-fn visible_discs(rows: &PreviewRows<'_>, upright: Upright) -> Vec<Disc> {
-    discs_of(rows, &visible_rows(rows), upright)
-}
-
-/// A bar of a round number of metres in the lower left corner of a view.
-fn draw_scale_bar(picture: &mut RgbPicture, lens: &Lens, [left, top]: [u32; 2], view: u32) {
-    let Some(metres_per_pixel) = lens.metres_per_pixel(view) else { return };
-    let longest = metres_per_pixel * f64::from(view) / 4.0;
-    let power = 10.0_f64.powf(longest.log10().floor());
-    let length = [5.0, 2.0, 1.0].map(|k| k * power).into_iter().find(|&l| l <= longest);
-    let Some(length) = length.filter(|l| l.is_finite() && *l > 0.0) else { return };
-    let pixels = (length / metres_per_pixel).round() as u32;
-    let (x, y) = (left + 10, top + view - 14);
-    fill(picture, [x, y], [pixels, 3], INK);
-    let label = if length >= 1.0 {
-        format!("{length} m")
-    } else if length >= 0.01 {
-        format!("{:.0} cm", length * 100.0)
-    } else {
-        format!("{} mm", length * 1000.0)
-    };
-    text::draw(picture, x, y - 12, 1, INK, &label, view);
-}
-
-fn draw_legend(picture: &mut RgbPicture, left: u32, top: u32, legend: &[LegendEntry]) {
-    let mut sorted: Vec<&LegendEntry> = legend.iter().collect();
-    sorted.sort_by(|a, b| b.count.cmp(&a.count).then_with(|| a.name.cmp(&b.name)));
-    let room = (picture.height().saturating_sub(top + MARGIN)) / 22;
-    // The last line is kept for the number of classes left out.
-    let lines = if sorted.len() > LEGEND_ROWS.min(room as usize) {
-        LEGEND_ROWS.min(room.saturating_sub(1) as usize)
-    } else {
-        sorted.len()
-    };
-    let right = left + LEGEND_WIDTH - MARGIN;
-    let mut y = top;
-    for entry in &sorted[..lines] {
-        fill(picture, [left, y], [16, 16], entry.color);
-        let count = thousands(entry.count);
-        let count_left = right - text::width(&count, 1);
-        text::draw(picture, count_left, y + 4, 1, FAINT_INK, &count, LEGEND_WIDTH);
-        // Long names are set in small letters before they are cut.
-        let space = count_left.saturating_sub(left + 32);
-        let size = if text::width(&entry.name, 2) <= space { 2 } else { 1 };
-        let drop = if size == 2 { 0 } else { 4 };
-        text::draw(picture, left + 24, y + drop, size, INK, &entry.name, space);
-        y += 22;
-    }
-    if sorted.len() > lines {
-        let more = format!("... {} more", sorted.len() - lines);
-        text::draw(picture, left + 24, y + 4, 1, FAINT_INK, &more, LEGEND_WIDTH);
-    }
-}
-
-/// Fills a rectangle, as far as it is inside.
-pub(crate) fn fill(
-    picture: &mut RgbPicture,
-    [left, top]: [u32; 2],
-    [width, height]: [u32; 2],
-    color: [u8; 3],
-) {
-    for y in top..(top + height).min(picture.height()) {
-        for x in left..(left + width).min(picture.width()) {
-            picture.set(x, y, color);
-        }
-    }
-}
-
-/// A whole number with a space between thousands.
-pub(crate) fn thousands(value: u64) -> String {
-    let digits = value.to_string();
-    let mut text = String::new();
-    for (i, digit) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i).is_multiple_of(3) {
-            text.push(' ');
-        }
-        text.push(digit);
-    }
-    text
 }
 
 #[cfg(test)]

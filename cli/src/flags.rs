@@ -1,8 +1,10 @@
 //! Flags that commands share.
 
 use crate::commands::WrongUse;
+use crate::setting::parse_setting;
 use anyhow::Result;
 use clap::ValueEnum;
+use scenesplat::Setting;
 use scenesplat::inspect::LengthUnit;
 use scenesplat::kernels::Precision;
 use scenesplat::memory::Bytes;
@@ -12,7 +14,7 @@ use scenesplat::scene::{Policy, ReadOptions, SpzFrame, UpAxis};
 use std::path::PathBuf;
 
 /// Flags that all commands share.
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Clone, clap::Args)]
 pub struct Shared {
     /// Threads; all cores by default. Results do not depend on it.
     #[arg(long, value_name = "N")]
@@ -32,7 +34,7 @@ pub struct Shared {
 }
 
 /// Which network.
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Clone, clap::Args)]
 pub struct NetworkArgs {
     /// Network: language, semseg, ssl, tiny, litept-s (-s-decoder, -b, -l) or a .toml file; from
     /// the weights' folder if it has one.
@@ -52,7 +54,7 @@ pub enum Device {
 }
 
 /// Flags of commands that read a scene.
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Clone, clap::Args)]
 pub struct SourceArgs {
     /// Which labels of a scene to read: a PLY property or the stem of a .npy file.
     #[arg(long, value_name = "NAME")]
@@ -79,7 +81,7 @@ impl NetworkArgs {
             (Some(weights), _) => Ok(weights.clone()),
             (None, None) => Ok(Weights::Embedded),
             (None, Some(_)) => Err(WrongUse(
-                "--config needs --weights: give a checkpoint, or seeded:0 to try the program \
+                "--config (or a setting's net) needs --weights: give a checkpoint, or seeded:0 to try the program \
                  without one (its labels mean nothing then); without both, the small network inside \
                  the program is used"
                     .to_owned(),
@@ -127,7 +129,7 @@ impl From<SpzFrameArg> for SpzFrame {
 }
 
 /// Flags of commands that run a network over a scene.
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Clone, clap::Args)]
 pub struct Inference {
     /// Which network.
     #[command(flatten)]
@@ -140,12 +142,19 @@ pub struct Inference {
     #[arg(long)]
     pub exact: bool,
     /// Form of the numbers that are multiplied: f32; split (f32 as two bf16, where the CPU has bf16
-    /// tiles); bf16 (rounded to 8 bits; about twice as fast with AVX512-BF16).
-    #[arg(long, value_name = "f32|split|bf16", default_value_t = Precision::F32)]
-    pub precision: Precision,
+    /// tiles); bf16 (rounded to 8 bits; about twice as fast with AVX512-BF16). f32 if not given.
+    #[arg(long, value_name = "f32|split|bf16")]
+    pub precision: Option<Precision>,
     /// Voxel size, metres; by default the one that the network was trained at.
     #[arg(long, value_name = "M", value_parser = parse_positive, allow_hyphen_values = true)]
     pub grid_size: Option<f64>,
+    /// All that trades accuracy for time in one string, such as voxel=0.04,patch=256,k=8: voxel, net,
+    /// precision, patch, stage, rank, passes, codes, k (docs/settings.md).
+    #[arg(long, value_name = "KEY=VALUE,...", value_parser = parse_setting)]
+    pub setting: Option<Setting>,
+    /// The parts of the setting and of the flags that say the same, see [`Self::settled`].
+    #[arg(skip)]
+    pub effective: Setting,
     /// Limit for the whole process (8GB, 512MB); larger scenes go through overlapping tiles.
     #[arg(long, value_name = "SIZE")]
     pub max_memory: Option<Bytes>,
@@ -184,8 +193,9 @@ impl Inference {
     /// A flag that was given and only means something to a network.
     pub fn network_flag(&self) -> Option<&'static str> {
         let flags = [
+            (self.network_part().is_some(), "--setting"),
             (self.exact, "--exact"),
-            (self.precision != Precision::F32, "--precision"),
+            (self.precision.is_some(), "--precision"),
             (self.grid_size.is_some(), "--grid-size"),
             (self.max_memory.is_some(), "--max-memory"),
             (self.halo != 50, "--halo"),

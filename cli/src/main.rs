@@ -8,6 +8,7 @@ mod outputs;
 mod progress;
 mod receipt;
 mod session;
+mod setting;
 mod signals;
 mod terminal;
 

@@ -91,6 +91,14 @@ impl<'a> Session<'a> {
         Ok(session)
     }
 
+    /// Notes the setting, in its canonical form.
+    pub fn note_setting(&self, inference: &Inference) {
+        if !inference.effective.is_empty() {
+            let why = "the parts that --setting and flags name (docs/settings.md)";
+            self.receipt.setting("setting", &inference.effective, why);
+        }
+    }
+
     /// Makes the output folder, for files of these names and the receipt, and keeps other runs out
     /// of it; called before anything expensive, when the inputs are known.
     pub fn make_out(&self, names: &[&str]) -> Result<()> {
@@ -139,7 +147,7 @@ impl<'a> Session<'a> {
             let text = "--config: the network inside the program has its own; leave it out";
             return Err(WrongUse(text.to_owned()).into());
         }
-        let precision = inference.precision;
+        let precision = inference.precision.unwrap_or_default();
         let compute = Compute { precision, fold: !inference.exact };
         self.receipt.computation(precision.name(), Isa::current().name());
         let why = "form of the numbers that products multiply; sums are f32";
@@ -154,7 +162,9 @@ impl<'a> Session<'a> {
             conv_layout: inference.conv_layout.into(),
         };
         let config = network_of(weights, inference.network.config.as_ref(), options)?;
-        let network = Network::load(config.with_compute(compute), weights, options)?;
+        let config = inference.effective.apply_to_network(config.with_compute(compute));
+        let config = config.map_err(|error| WrongUse(format!("--setting: {error}")))?;
+        let network = Network::load(config, weights, options)?;
         for (path, sha256) in network.files() {
             self.progress.say(format!("weights {} sha256 {sha256}", printable(path)));
             let bytes = std::fs::metadata(path).map_or(0, |m| m.len());
@@ -310,6 +320,7 @@ impl<'a> Session<'a> {
             spill_folder: self.shared.out.clone(),
             ..SceneEncoder::new(network)
         };
+        let encoder = inference.effective.apply_to_encoder(encoder);
         let alignment = Alignment::of(
             scene,
             &AlignmentSettings {
@@ -321,7 +332,12 @@ impl<'a> Session<'a> {
         self.tell(&alignment, inference.as_is);
         let receipt = &self.receipt;
         let why = "fast: one Gaussian a voxel; exact: a sampling at half the voxel size, averaged";
-        receipt.setting("fidelity", format!("{:?}", encoder.fidelity).to_lowercase(), why);
+        let fidelity = match encoder.fidelity {
+            Fidelity::Fast => "fast".to_owned(),
+            Fidelity::Passes(passes) => format!("at most {passes} passes of exact"),
+            Fidelity::Exact => "exact".to_owned(),
+        };
+        receipt.setting("fidelity", fidelity, why);
         receipt.setting("grid_size", encoder.grid_size, "metres");
         if inference.shuffle_orders {
             receipt.setting("shuffle_orders", inference.seed, "seed");

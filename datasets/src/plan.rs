@@ -91,6 +91,9 @@ pub struct ExactPlan {
     pub grid_size: f64,
     /// Which Gaussian a fine voxel keeps.
     pub representative: Representative,
+    /// The most passes; `None`: as many as the fullest voxel keeps Gaussians. Kept ones that no pass
+    /// reads take the output of the nearest that one does, of those in their voxel.
+    pub passes: Option<usize>,
     /// What the network reads.
     pub features: InputFeatures,
 }
@@ -101,6 +104,7 @@ impl Default for ExactPlan {
             sample_size: 0.01,
             grid_size: 0.02,
             representative: Representative::First,
+            passes: None,
             features: InputFeatures::default(),
         }
     }
@@ -145,8 +149,8 @@ impl ExactPlan {
     /// Plans the passes over a scene.
     ///
     /// # Errors
-    /// If a coordinate is not finite or the scene is too wide for the voxel size; row and axis are
-    /// named.
+    /// If a coordinate is not finite or the scene is too wide for the voxel size (row and axis are
+    /// named), or there may be no pass.
     ///
     /// # Source
     /// Test pipeline and `tools/lang_inference.py` of SceneSplat be9d5e1: `CenterShift`, `GridSample`
@@ -154,6 +158,10 @@ impl ExactPlan {
     /// Differs: its rotation by 0° re-normalises quaternions in f64; ours are left as stored.
     pub fn build<'a>(&self, scene: &'a GaussianScene) -> Result<InferencePlan<'a>, DataError> {
         scene.check_rows()?;
+        if self.passes == Some(0) {
+            let (setting, value) = ("passes", "0".to_owned());
+            return Err(DataError::Setting { setting, value, expected: "at least one" });
+        }
         let coord = center_shift(&scene.coord);
         let fine = group(scene, &coord, self.sample_size, KeyOrder::Fnv)?;
         let sampled = match self.representative {
@@ -170,18 +178,57 @@ impl ExactPlan {
         let kept: Vec<[f32; 3]> = sampled.iter().map(|&r| coord[r as usize]).collect();
         drop(coord);
         let fragments = voxel_groups(&kept, self.grid_size, KeyOrder::Fnv)?;
-        Ok(InferencePlan {
+        let all = InferencePlan {
             scene,
             features: self.features.clone(),
             grid_coord: fragments.grid_coord.clone(),
             fragments: Some(fragments),
             sampled,
             inverse,
-        })
+        };
+        match self.passes {
+            Some(passes) if passes < all.num_inputs() => all.limited_to(passes, &kept),
+            _ => Ok(all),
+        }
     }
 }
 
 impl InferencePlan<'_> {
+    /// The first passes of this plan alone; `kept`: where each slot's Gaussian is. `[S, 3]`
+    fn limited_to(self, passes: usize, kept: &[[f32; 3]]) -> Result<Self, DataError> {
+        let Some(all) = &self.fragments else { return Ok(self) };
+        // Pass i reads element i of a voxel, so these are the first elements of each.
+        let mut stands_for: Vec<u32> = (0..kept.len() as u32).collect();
+        for voxel in 0..all.num_voxels() {
+            let rows = all.rows_of(voxel);
+            let (read, rest) = rows.split_at(passes.min(rows.len()));
+            for &row in rest {
+                let apart = |other: &u32| -> f32 {
+                    let (a, b) = (kept[row as usize], kept[*other as usize]);
+                    (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum()
+                };
+                let nearest = read.iter().min_by(|a, b| apart(a).total_cmp(&apart(b)));
+                stands_for[row as usize] = nearest.copied().unwrap_or(row);
+            }
+        }
+        // Slots that are read, in their order, numbered anew.
+        let is_read = |slot: usize| stands_for[slot] as usize == slot;
+        let read: Vec<usize> = (0..kept.len()).filter(|&slot| is_read(slot)).collect();
+        let mut number = vec![0u32; kept.len()];
+        read.iter().enumerate().for_each(|(new, &slot)| number[slot] = new as u32);
+        let places: Vec<[f32; 3]> = read.iter().map(|&slot| kept[slot]).collect();
+        // Each voxel keeps a Gaussian, so the cells are the same.
+        let fragments = voxel_groups(&places, all.grid_size, KeyOrder::Fnv)?;
+        let inverse = self.inverse.iter().map(|&s| number[stands_for[s as usize] as usize]);
+        Ok(Self {
+            grid_coord: fragments.grid_coord.clone(),
+            sampled: read.iter().map(|&slot| self.sampled[slot]).collect(),
+            inverse: inverse.collect(),
+            fragments: Some(fragments),
+            ..self
+        })
+    }
+
     /// Number of passes; 0 for an empty scene.
     pub fn num_inputs(&self) -> usize {
         match &self.fragments {
@@ -398,6 +445,42 @@ mod tests {
                 assert_eq!(plan.inverse[row as usize] as usize, slot);
             }
         }
+    }
+
+    #[test]
+    fn some_passes_are_the_first_ones_of_all() {
+        let scene = room(20_000);
+        // Voxels that hold several.
+        let rule = ExactPlan { sample_size: 0.05, grid_size: 0.1, ..ExactPlan::default() };
+        let all = rule.build(&scene).unwrap();
+        assert!(all.num_inputs() > 3, "{}", all.num_inputs());
+        let coord = center_shift(&scene.coord);
+        for passes in [1, 2, 3] {
+            let some = ExactPlan { passes: Some(passes), ..rule.clone() }.build(&scene).unwrap();
+            assert_eq!((some.num_inputs(), some.num_voxels()), (passes, all.num_voxels()));
+            let mut read = vec![false; scene.len()];
+            for pass in 0..passes {
+                let (ours, theirs) = (some.input(pass).unwrap(), all.input(pass).unwrap());
+                assert_eq!((&ours.rows, &ours.grid_coord), (&theirs.rows, &theirs.grid_coord));
+                assert_eq!(ours.feat, theirs.feat);
+                for (&slot, &row) in ours.slots.iter().zip(&ours.rows) {
+                    assert_eq!(some.sampled[slot as usize], row);
+                    read[row as usize] = true;
+                }
+            }
+            // Each slot is read; who is read has its own, the others one of their voxel.
+            assert_eq!(read.iter().filter(|r| **r).count(), some.num_slots());
+            let cell = |row: usize| coord[row].map(|v| (f64::from(v) / 0.1).floor());
+            for (row, &slot) in some.inverse.iter().enumerate() {
+                let from = some.sampled[slot as usize] as usize;
+                assert!(read[from] && (!read[row] || from == row));
+                let own = all.sampled[all.inverse[row] as usize] as usize;
+                assert_eq!(cell(from), cell(own), "{row}");
+            }
+        }
+        let most = ExactPlan { passes: Some(all.num_inputs() + 1), ..rule.clone() };
+        assert_eq!(most.build(&scene).unwrap().sampled, all.sampled);
+        assert!(ExactPlan { passes: Some(0), ..most }.build(&scene).is_err());
     }
 
     #[test]

@@ -47,6 +47,14 @@ pub trait Architecture: std::fmt::Debug {
     fn compute(&self) -> Compute;
     /// Sets how the network computes; no part of what a file says.
     fn set_compute(&mut self, compute: Compute);
+    /// Cuts all attention into patches of so many points.
+    ///
+    /// # Errors
+    /// Says why not, where there are no such patches.
+    fn set_patch_size(&mut self, points: usize) -> std::result::Result<(), String> {
+        _ = points;
+        Err("this architecture has no attention patches".to_owned())
+    }
     /// Takes from a checkpoint what its first layer says of the number of inputs. Only for networks
     /// that are told by name; a file says its number itself.
     fn adapt_to(&mut self, shapes: &Shapes) {

@@ -31,6 +31,7 @@ pub mod point_transformer_v2;
 pub mod point_transformer_v3;
 mod recompute;
 mod row_order;
+mod shortcuts;
 mod stages;
 pub mod weights;
 
@@ -48,3 +49,4 @@ pub use point_transformer_v1::{PointTransformerV1, PointTransformerV1Config};
 pub use point_transformer_v2::{PointTransformerV2, PointTransformerV2Config};
 pub use point_transformer_v3::{PointTransformerV3, PointTransformerV3Config};
 pub use recompute::Recompute;
+pub use shortcuts::LastStage;

@@ -1,6 +1,6 @@
 //! A backbone with its head and its voxel size, as files give them.
 
-use crate::params::MAX_VALUES;
+use crate::params::check_values;
 use crate::weights::Shapes;
 use crate::{
     Backbone, BackboneConfig, BackboneCost, Compute, Head, LitePtSize, PointTransformerV3Config,
@@ -122,7 +122,7 @@ impl ModelConfig {
         self
     }
 
-    /// Checks that the fields fit together, and that the network has no more than [`MAX_VALUES`]
+    /// Checks that the fields fit together, and that the network has no more than [`MAX_VALUES`](crate::MAX_VALUES)
     /// values.
     ///
     /// # Errors
@@ -133,11 +133,7 @@ impl ModelConfig {
         if !(self.grid_size.is_finite() && self.grid_size > 0.0) {
             bail!("grid_size: {} is not above 0", self.grid_size);
         }
-        let values = self.num_values();
-        if values > MAX_VALUES {
-            bail!("the sizes make a network of {values} values, at most {MAX_VALUES} are possible");
-        }
-        Ok(())
+        check_values(self.num_values())
     }
 
     /// Builds the network.

@@ -16,6 +16,14 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 /// A configuration is only a claim, so nothing is reserved for more.
 pub const MAX_VALUES: usize = 1 << 30;
 
+/// Checks that a configuration asks for no more.
+pub(crate) fn check_values(values: usize) -> Result<()> {
+    if values > MAX_VALUES {
+        bail!("the sizes make a network of {values} values, at most {MAX_VALUES} are possible");
+    }
+    Ok(())
+}
+
 /// First values that a frozen store makes up for names which its files lack or have in another
 /// shape, besides as many as the files hold: room for the largest released network, no more.
 const MAX_INVENTED: usize = 1 << 27;

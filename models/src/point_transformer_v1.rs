@@ -17,7 +17,7 @@
 
 use crate::layers::{BatchNorm, BatchNormConstants, Linear};
 use crate::neighborhood::{Neighborhood, Scale};
-use crate::stages::{check_depths, check_lengths, check_sizes, edge};
+use crate::stages::{DEEPEST, LARGEST, check_lengths, check_sizes, edge};
 use crate::{Architecture, Backbone, BackboneCost, Compute, Forward, Mode, PointCloud, ops};
 use candle_core::{Result, Tensor, bail};
 use candle_nn::VarBuilder;
@@ -90,13 +90,14 @@ impl Architecture for PointTransformerV1Config {
             ],
         )?;
         check_sizes(&[
-            ("in_channels", &[self.in_channels]),
-            ("stride", &self.stride),
-            ("channels", &self.channels),
-            ("neighbors", &self.neighbors),
-            ("share_channels", &[self.share_channels]),
+            ("in_channels", &[self.in_channels], 1, LARGEST),
+            ("stride", &self.stride, 1, LARGEST),
+            ("channels", &self.channels, 1, LARGEST),
+            ("neighbors", &self.neighbors, 1, LARGEST),
+            ("share_channels", &[self.share_channels], 1, LARGEST),
+            ("enc_depths", &self.enc_depths, 0, DEEPEST),
+            ("dec_depths", &self.dec_depths, 0, DEEPEST),
         ])?;
-        check_depths(&[("enc_depths", &self.enc_depths), ("dec_depths", &self.dec_depths)])?;
         if self.stride[0] != 1 {
             bail!(
                 "stride[0]: {} given, but the first stage is the input's scale: 1",

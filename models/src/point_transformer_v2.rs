@@ -15,7 +15,7 @@
 
 use crate::layers::{BatchNorm, BatchNormConstants, DropPath, Linear};
 use crate::neighborhood::{Neighborhood, Scale};
-use crate::stages::{check_lengths, check_sizes, edge, linspace, split};
+use crate::stages::{DEEPEST, LARGEST, check_lengths, check_sizes, edge, linspace, split};
 use crate::{Architecture, Backbone, BackboneCost, Compute, Forward, Mode, PointCloud, ops};
 use candle_core::{Result, Tensor, bail};
 use candle_nn::VarBuilder;
@@ -175,22 +175,20 @@ impl Architecture for PointTransformerV2Config {
             ],
         )?;
         check_sizes(&[
-            ("in_channels", &[self.in_channels]),
-            ("patch_embed_channels", &[self.patch_embed_channels]),
-            ("patch_embed_groups", &[self.patch_embed_groups]),
-            ("patch_embed_neighbors", &[self.patch_embed_neighbors]),
-            ("stride", &self.stride),
-            ("enc_channels", &self.enc_channels),
-            ("enc_groups", &self.enc_groups),
-            ("enc_neighbors", &self.enc_neighbors),
-            ("dec_channels", &self.dec_channels),
-            ("dec_groups", &self.dec_groups),
-            ("dec_neighbors", &self.dec_neighbors),
-        ])?;
-        crate::stages::check_depths(&[
-            ("patch_embed_depth", &[self.patch_embed_depth]),
-            ("enc_depths", &self.enc_depths),
-            ("dec_depths", &self.dec_depths),
+            ("in_channels", &[self.in_channels], 1, LARGEST),
+            ("patch_embed_channels", &[self.patch_embed_channels], 1, LARGEST),
+            ("patch_embed_groups", &[self.patch_embed_groups], 1, LARGEST),
+            ("patch_embed_neighbors", &[self.patch_embed_neighbors], 1, LARGEST),
+            ("stride", &self.stride, 1, LARGEST),
+            ("enc_channels", &self.enc_channels, 1, LARGEST),
+            ("enc_groups", &self.enc_groups, 1, LARGEST),
+            ("enc_neighbors", &self.enc_neighbors, 1, LARGEST),
+            ("dec_channels", &self.dec_channels, 1, LARGEST),
+            ("dec_groups", &self.dec_groups, 1, LARGEST),
+            ("dec_neighbors", &self.dec_neighbors, 1, LARGEST),
+            ("patch_embed_depth", &[self.patch_embed_depth], 0, DEEPEST),
+            ("enc_depths", &self.enc_depths, 0, DEEPEST),
+            ("dec_depths", &self.dec_depths, 0, DEEPEST),
         ])?;
         for site in self.sites() {
             if site.channels % site.groups != 0 {

@@ -23,7 +23,7 @@ pub(crate) fn edge(strides: &[usize]) -> u32 {
 }
 
 /// Most scales.
-const MOST_STAGES: usize = 16;
+pub(crate) const MOST_STAGES: usize = 16;
 
 /// Checks that lists have an entry for each stage.
 pub(crate) fn check_lengths(stages: usize, lists: &[(&str, usize)]) -> Result<()> {
@@ -40,33 +40,21 @@ pub(crate) fn check_lengths(stages: usize, lists: &[(&str, usize)]) -> Result<()
 
 /// The largest width, count or size that a network may have: a file may come from anybody, and this is
 /// far beyond any network that is known.
-const LARGEST: usize = 1 << 14;
+pub(crate) const LARGEST: usize = 1 << 14;
 
-/// Checks that sizes are at least 1, and not absurd.
-pub(crate) fn check_sizes(lists: &[(&str, &[usize])]) -> Result<()> {
-    for (field, values) in lists {
-        for (i, value) in values.iter().enumerate() {
-            let at = if values.len() > 1 { format!("{field}[{i}]") } else { (*field).to_owned() };
-            if *value == 0 {
-                bail!("{at}: must be at least 1");
-            }
-            if *value > LARGEST {
-                bail!("{at}: {value} is more than {LARGEST}, the most that is allowed");
-            }
-        }
+/// Fields with their values, the least and the most that each may be.
+pub(crate) type Sizes<'a> = [(&'a str, &'a [usize], usize, usize)];
+
+/// Checks that sizes are neither too small nor absurd.
+pub(crate) fn check_sizes(sizes: &Sizes<'_>) -> Result<()> {
+    for (field, values, least, most) in sizes {
+        let bad = values.iter().enumerate().find(|(_, v)| !(least..=most).contains(v));
+        let Some((i, value)) = bad else { continue };
+        let place = if values.len() > 1 { format!("{field}[{i}]") } else { (*field).to_owned() };
+        bail!("{place}: {value} is not in {least} to {most}");
     }
     Ok(())
 }
 
 /// Most blocks of a stage.
-const DEEPEST: usize = 256;
-
-/// Checks that numbers of blocks are not absurd.
-pub(crate) fn check_depths(lists: &[(&str, &[usize])]) -> Result<()> {
-    for (field, values) in lists {
-        if let Some(value) = values.iter().find(|v| **v > DEEPEST) {
-            bail!("{field}: {value} blocks are more than {DEEPEST}, the most that is allowed");
-        }
-    }
-    Ok(())
-}
+pub(crate) const DEEPEST: usize = 256;

@@ -142,7 +142,7 @@ pub(super) fn check_up(findings: &mut Findings<'_>, rows: usize, up: &UpGuess) {
     } else {
         format!(
             "which way is up is unclear, {} is likeliest: networks take +z for up, and lose most \
-             labels if it is not; say it with --up AXIS",
+             labels if it is not; say which it is, or turn the scene",
             up.axis
         )
     };
@@ -175,8 +175,8 @@ pub(super) fn check_memory(
                     Bytes(estimate.bytes),
                     Bytes(there)
                 ),
-                help: "give --max-memory SIZE, less than the machine has: the scene then goes through \
-                       the network in tiles",
+                help: "limit the memory to less than the machine has: the scene then goes through the \
+                       network in tiles",
             },
         );
     }
@@ -194,18 +194,17 @@ pub(super) fn check_unit(
         LengthUnit::Centimetre => (Severity::Note, ""),
         LengthUnit::Millimetre if is_surely_no_metre(guess, robust) => (
             Severity::Warning,
-            "networks read a copy in metres; scenesplat convert SCENE OUT --scale 0.001 makes it so \
-             for all programs",
+            "networks read a copy in metres; scaled by 0.001 it is so for all programs",
         ),
         LengthUnit::Millimetre => (
             Severity::Warning,
-            "networks take it for metres and warn, unless told --unit mm; scenesplat convert SCENE \
-             OUT --scale 0.001 makes positions and sizes metres",
+            "networks take it for metres and warn, unless told that it is millimetres; scaling by \
+             0.001 makes positions and sizes metres",
         ),
         LengthUnit::Kilometre => (
             Severity::Warning,
-            "networks take it for metres and warn, unless told --unit km: as it is, all of it falls \
-             into a few voxels; scenesplat convert SCENE OUT --scale 1000 makes it metres",
+            "networks take it for metres and warn, unless told that it is kilometres: as it is, all \
+             of it falls into a few voxels; scaling by 1000 makes it metres",
         ),
     };
     findings.add(

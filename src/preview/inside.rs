@@ -1,7 +1,8 @@
 //! Views from inside a scene, for scans that were taken there.
 
+use super::LookAt;
 use super::framing::{Framing, Upright};
-use super::{LookAt, PreviewRows, visible_discs};
+use super::rows::{PreviewRows, visible_discs};
 use scenesplat_kernels::neighbors::KdTree;
 use scenesplat_scene::{Camera, UpAxis};
 

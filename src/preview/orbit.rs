@@ -1,7 +1,7 @@
 //! Cameras around a scene that has none of its own.
 
 use super::framing::{Framing, Upright};
-use super::{PreviewRows, visible_discs};
+use super::rows::{PreviewRows, visible_discs};
 use scenesplat_scene::{Camera, Distortion, UpAxis};
 
 /// Cameras that look at a scene from around it, and what has to be left out to look into it.

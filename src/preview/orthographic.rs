@@ -2,7 +2,9 @@
 
 use super::discs::{Canvas, Disc, Lens};
 use super::framing::{Framing, Upright};
-use super::{FAINT_INK, PreviewRows, draw_scale_bar, text, visible_discs};
+use super::legend::draw_scale_bar;
+use super::rows::{PreviewRows, visible_discs};
+use super::{FAINT_INK, text};
 use scenesplat_scene::UpAxis;
 use scenesplat_scene::picture::RgbPicture;
 

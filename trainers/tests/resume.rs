@@ -248,6 +248,49 @@ fn a_run_stopped_at_the_end_of_an_epoch_evaluates_it_when_it_goes_on() {
     }
 }
 
+/// Best at the first epoch.
+struct Rising;
+impl Evaluator<Line> for Rising {
+    fn name(&self) -> &str {
+        "score"
+    }
+    fn measurements(&self) -> Vec<String> {
+        vec!["error".to_owned()]
+    }
+    fn run(&mut self, _: &Line, at: Progress) -> Result<Vec<Measurement>, TrainError> {
+        Ok(vec![Measurement::new("error", at.epoch as f64)])
+    }
+}
+
+#[test]
+fn patience_goes_on_where_it_was() {
+    // Seven steps an epoch; the third evaluation is the second in vain.
+    let end = |stop: Option<u64>| {
+        let dir = tempfile::tempdir().unwrap();
+        let settings = config(Some(dir.path()));
+        let module = Line::new();
+        let with = || {
+            trainer(&module, settings.clone()).with_callback(EarlyStopping::new(
+                "score/error",
+                2,
+                true,
+            ))
+        };
+        let mut evaluators: Vec<Box<dyn Evaluator<Line>>> = vec![Box::new(Rising)];
+        let (mut at, mut last) = (Progress::default(), with());
+        if let Some(stop) = stop {
+            with()
+                .with_callback(StopAt(stop))
+                .fit(&module, &mut numbers(), &mut evaluators, at)
+                .unwrap();
+            let newest = newest_checkpoint(dir.path()).unwrap().unwrap();
+            at = last.load_checkpoint(&newest, &module).unwrap();
+        }
+        last.fit(&module, &mut numbers(), &mut evaluators, at).unwrap().step
+    };
+    assert_eq!([None, Some(9), Some(16)].map(end), [21; 3]);
+}
+
 #[test]
 fn data_in_another_number_of_batches_are_refused() {
     let (root, dir) = stopped();

@@ -11,7 +11,7 @@ use scenesplat::text::{TextError, class_list, read_text_table};
 use std::path::{Path, PathBuf};
 
 /// Which classes compete, and when none wins.
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Clone, clap::Args)]
 pub struct Classes {
     /// Text embeddings of the classes: .safetensors or .pt; or `vocabulary`, the words of the
     /// synthetic rooms (`vocabulary:768` for a network of that width). By default, for the network

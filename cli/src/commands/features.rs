@@ -1,5 +1,6 @@
 //! `scenesplat features`
 
+use super::WrongUse;
 use crate::flags::{Inference, Shared};
 use crate::session::Session;
 use anyhow::Result;
@@ -12,7 +13,7 @@ use std::path::PathBuf;
 
 /// Writes features.npy ([N, D], one row per Gaussian of the file), features.ply and preview.png
 /// (coloured by the features' three principal components) and a receipt.
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Clone, clap::Args)]
 pub struct Args {
     /// The scene, in any format.
     pub scene: PathBuf,
@@ -57,9 +58,22 @@ pub enum Format {
     Safetensors,
 }
 
+impl Args {
+    /// With the parts of the setting among the flags.
+    fn settled(&self) -> Result<Self> {
+        if self.inference.setting.as_ref().is_some_and(|setting| setting.k.is_some()) {
+            let text = "--setting k: features have no labels that neighbours could vote on";
+            return Err(WrongUse(text.to_owned()).into());
+        }
+        Ok(Self { inference: self.inference.settled(None)?.0, ..self.clone() })
+    }
+}
+
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
+    let args = &args.settled()?;
     let session = Session::start_with(&args.shared, &args.inference.network, line)?;
+    session.note_setting(&args.inference);
     session.outputs.reads(&args.scene)?;
     let features_file = match args.format {
         Format::Npy => "features.npy",

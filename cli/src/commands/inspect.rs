@@ -1,16 +1,20 @@
 //! `scenesplat inspect`
 
+use super::WrongUse;
 use crate::flags::{NetworkArgs, Shared, SourceArgs, parse_up};
 use crate::session::Session;
+use crate::setting::parse_setting;
 use crate::terminal::print;
 use anyhow::{Context, Result, bail};
-use scenesplat::embedded;
 use scenesplat::inspect::sheet::{sheet_name, write_sheet};
-use scenesplat::inspect::{InspectSettings, inspect};
+use scenesplat::inspect::{Finding, InspectSettings, inspect};
+use scenesplat::kernels::Precision;
 use scenesplat::memory::machine_memory;
 use scenesplat::models::weights::resolve;
 use scenesplat::network::{NetworkChoice, NetworkConfig, WeightOptions, Weights, network_of};
 use scenesplat::scene::{ReadOptions, UpAxis, printable};
+use scenesplat::setting::Passes;
+use scenesplat::{Setting, embedded};
 use std::path::PathBuf;
 
 /// Prints what is in a scene, what is wrong with it and what the network will cost, and draws it as
@@ -40,6 +44,10 @@ pub struct Args {
     /// The network whose cost is estimated.
     #[command(flatten)]
     pub network: NetworkArgs,
+    /// What the network would be run with, as segment takes it: of its parts, voxel, net, patch, stage
+    /// and rank change the estimate.
+    #[arg(long, value_name = "KEY=VALUE,...", value_parser = parse_setting)]
+    pub setting: Option<Setting>,
     /// Flags of all commands.
     #[command(flatten)]
     pub shared: Shared,
@@ -47,8 +55,11 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
-    let session = Session::start_with(&args.shared, &args.network, line)?;
-    let (name, config) = network(&args.network)?;
+    let setting = args.setting.clone().unwrap_or_default();
+    let chosen = args.network.with_net(setting.net.as_deref())?;
+    let session = Session::start_with(&args.shared, &chosen, line)?;
+    let (name, config) = network(&chosen)?;
+    let config = settled(config, &setting)?;
     session.outputs.reads(&args.scene)?;
     session.outputs.claim_any("--json", args.json.as_ref())?;
     let sheet = match (&args.sheet, args.no_sheet) {
@@ -75,7 +86,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         opened
     };
     session.check_stop()?;
-    let seen = {
+    let mut seen = {
         let _stage = session.receipt.stage("inspect");
         let settings = InspectSettings {
             from_points: opened.converted,
@@ -86,6 +97,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         };
         inspect(&opened.loaded, &settings)
     };
+    seen.findings.iter_mut().chain(&mut seen.notes).for_each(name_flags);
     print(&seen.to_string());
     session.check_stop()?;
     if let Some(path) = &args.json {
@@ -109,6 +121,44 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         bail!("{}: {} findings: {}", args.scene.display(), names.len(), names.join(", "));
     }
     Ok(())
+}
+
+/// The network with a setting, as far as the estimate knows it.
+fn settled(config: NetworkConfig, setting: &Setting) -> Result<NetworkConfig> {
+    let wrong = |text: String| WrongUse(format!("--setting {text}"));
+    let one_pass = Some(Passes::Count(1));
+    for (key, value) in setting.parts() {
+        let unknown = match key {
+            "precision" => setting.precision != Some(Precision::F32),
+            "passes" => setting.passes != one_pass,
+            "codes" | "k" => true,
+            _ => false,
+        };
+        if unknown {
+            let text = format!(
+                "{key}={value}: the estimate is of one pass in f32, as it is without this part; \
+                 leave it out"
+            );
+            return Err(wrong(text).into());
+        }
+    }
+    let mut config = setting.apply_to_network(config).map_err(|error| wrong(error.to_string()))?;
+    config.model.grid_size = setting.voxel.unwrap_or(config.model.grid_size);
+    Ok(config)
+}
+
+/// Adds to a finding's help how the program is told so.
+fn name_flags(finding: &mut Finding) {
+    let flags = match finding.name.as_str() {
+        "up" => "--up AXIS of every command; scenesplat convert SCENE OUT --up AXIS turns it",
+        "memory" => "--max-memory SIZE of features, segment and query",
+        "unit" => "--unit mm or km; scenesplat convert SCENE OUT --scale 0.001 (or 1000)",
+        _ => return,
+    };
+    if !finding.help.is_empty() {
+        finding.help.push_str("; ");
+    }
+    finding.help.push_str(flags);
 }
 
 /// The network that `segment` would run with the same flags, and what it is called. A configuration

@@ -17,16 +17,16 @@ use std::path::PathBuf;
 
 /// Writes labels.npy, scores.npy, segmented.ply (class colours, label and score columns),
 /// classes.json, preview.png and a receipt.
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Clone, clap::Args)]
 pub struct Args {
     /// The scene, in any format.
     pub scene: PathBuf,
     /// Choice of classes.
     #[command(flatten)]
     pub classes: Classes,
-    /// Neighbours that vote on each label; 0 or 1 for no vote.
-    #[arg(long, value_name = "K", default_value_t = 25)]
-    pub vote_k: usize,
+    /// Neighbours that vote on each label; 0 or 1 for no vote. [default: 25]
+    #[arg(long, value_name = "K")]
+    pub vote_k: Option<usize>,
     /// Features made before instead of a network: .npy, [N, D], one row per Gaussian, such as
     /// lang_feat.npy of lift-labels or features.npy.
     #[arg(long, value_name = "FILE.npy")]
@@ -39,9 +39,19 @@ pub struct Args {
     pub shared: Shared,
 }
 
+impl Args {
+    /// With the parts of the setting among the flags, and how many neighbours vote.
+    fn settled(&self) -> Result<(Self, usize)> {
+        let (inference, k) = self.inference.settled(self.vote_k)?;
+        Ok((Self { inference, ..self.clone() }, k))
+    }
+}
+
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
+    let (args, vote_k) = &args.settled()?;
     let session = Session::start_with(&args.shared, &args.inference.network, line)?;
+    session.note_setting(&args.inference);
     session.outputs.reads(&args.scene)?;
     args.classes.claim_inputs(&session.outputs)?;
     let names = ["labels.npy", "scores.npy", "classes.json", "segmented.ply", "preview.png"];
@@ -79,8 +89,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     };
     let found = {
         let _stage = session.receipt.stage("labels");
-        session.receipt.setting("vote_k", args.vote_k, "neighbours that vote on each label");
-        label_with_vote(&features, classes, &options, &scene.coord, args.vote_k)?
+        session.receipt.setting("vote_k", vote_k, "neighbours that vote on each label");
+        label_with_vote(&features, classes, &options, &scene.coord, *vote_k)?
     };
     if found.num_withheld + found.num_unusable > 0 {
         session.progress.say(format!(

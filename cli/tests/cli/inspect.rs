@@ -140,7 +140,7 @@ fn millimetres_instead_of_metres() {
     let seen = look(&scene);
     let unit = seen.unit.unwrap();
     assert!(unit.unit == LengthUnit::Millimetre && unit.confidence > 0.8, "{unit:?}");
-    assert!(seen.findings[0].help.contains("--scale 0.001"));
+    assert!(seen.findings[0].help.contains("by 0.001"));
     // The other way round: kilometres.
     planted("unit", |scene| {
         scene.coord.iter_mut().flatten().for_each(|v| *v /= 1000.0);

@@ -16,6 +16,7 @@ mod networks;
 mod outputs;
 mod pareto;
 mod render;
+mod settings;
 mod training;
 mod upright;
 

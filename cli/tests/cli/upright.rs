@@ -143,6 +143,10 @@ fn what_cannot_be_told_is_warned_of() {
     assert!(said.contains("UP IS UNCLEAR") && said.contains("--up"), "{said}");
     let receipt = std::fs::read_to_string(out.join("receipt.json")).unwrap();
     assert!(receipt.contains("UP IS UNCLEAR"), "{receipt}");
+    let looked = scenesplat(&["inspect", &path.display().to_string(), "--no-sheet"]);
+    let said =
+        String::from_utf8_lossy(&looked.stdout).split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(said.contains("up is unclear") && said.contains("--up AXIS"), "{said}");
     let said = run("segment", &path, &out, &["--vote-k", "1", "--up", "+z"]);
     assert!(!said.contains("UNCLEAR"), "{said}");
     for wrong in [["--unit", "furlong"], ["--unit", "-1"], ["--unit", "nan"]] {

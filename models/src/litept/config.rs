@@ -3,7 +3,7 @@
 use super::LitePt;
 use super::attention::AttentionShape;
 use super::block::BlockShape;
-use crate::stages::{check_depths, check_lengths, check_sizes, linspace, split};
+use crate::stages::{DEEPEST, LARGEST, check_lengths, check_sizes, linspace, split};
 use crate::weights::Shapes;
 use crate::{Architecture, Backbone, BackboneCost, Compute, MultiplyAdds};
 use candle_core::{Result, bail};
@@ -338,20 +338,18 @@ impl Architecture for LitePtConfig {
             }
         }
         check_sizes(&[
-            ("in_channels", &[self.in_channels]),
-            ("mlp_ratio", &[self.mlp_ratio]),
-            ("stride", &self.stride),
-            ("enc_channels", &self.enc_channels),
-            ("enc_num_head", &self.enc_num_head),
-            ("enc_patch_size", &self.enc_patch_size),
-            ("dec_channels", &self.dec_channels),
-            ("dec_num_head", &self.dec_num_head),
-            ("dec_patch_size", &self.dec_patch_size),
+            ("in_channels", &[self.in_channels], 1, LARGEST),
+            ("mlp_ratio", &[self.mlp_ratio], 1, MAX_MLP_RATIO),
+            ("stride", &self.stride, 1, LARGEST),
+            ("enc_channels", &self.enc_channels, 1, LARGEST),
+            ("enc_num_head", &self.enc_num_head, 1, LARGEST),
+            ("enc_patch_size", &self.enc_patch_size, 1, LARGEST),
+            ("dec_channels", &self.dec_channels, 1, LARGEST),
+            ("dec_num_head", &self.dec_num_head, 1, LARGEST),
+            ("dec_patch_size", &self.dec_patch_size, 1, LARGEST),
+            ("enc_depths", &self.enc_depths, 0, DEEPEST),
+            ("dec_depths", &self.dec_depths, 0, DEEPEST),
         ])?;
-        check_depths(&[("enc_depths", &self.enc_depths), ("dec_depths", &self.dec_depths)])?;
-        if self.mlp_ratio > MAX_MLP_RATIO {
-            bail!("mlp_ratio: {} is more than {MAX_MLP_RATIO}", self.mlp_ratio);
-        }
         if let Some(i) = self.stride.iter().position(|s| !s.is_power_of_two()) {
             bail!("stride[{i}]: {} is not a power of two", self.stride[i]);
         }
@@ -393,6 +391,17 @@ impl Architecture for LitePtConfig {
     }
     fn set_compute(&mut self, compute: Compute) {
         self.compute = compute;
+    }
+    fn set_patch_size(&mut self, points: usize) -> std::result::Result<(), String> {
+        if !(0..self.num_stages()).any(|scale| self.attends(scale)) {
+            return Err("no block of this network attends".to_owned());
+        }
+        if points > LARGEST {
+            return Err(format!("patches of this architecture have 1 to {LARGEST} points"));
+        }
+        self.enc_patch_size.fill(points);
+        self.dec_patch_size.fill(points);
+        Ok(())
     }
     fn adapt_to(&mut self, shapes: &Shapes) {
         self.take_inputs(shapes);

@@ -1,8 +1,8 @@
 //! Shape of a network.
 
 use super::PointTransformerV3;
-use crate::params::MAX_VALUES;
-use crate::stages::{linspace, split};
+use crate::params::check_values;
+use crate::stages::{DEEPEST, LARGEST, MOST_STAGES, check_sizes, linspace, split};
 use crate::weights::Shapes;
 use crate::{Architecture, Backbone, BackboneCost, Compute, MultiplyAdds};
 use candle_core::{Result, bail};
@@ -11,20 +11,14 @@ use scenesplat_kernels::segment::Reduce;
 use scenesplat_kernels::serialization::Curve;
 use serde::{Deserialize, Serialize};
 
-/// The most scales.
-const MAX_STAGES: usize = 16;
 /// The most entries in the list of curves; there are four.
 const MAX_ORDERS: usize = 64;
 /// The widest input of a voxel.
 const MAX_INPUTS: usize = 1 << 16;
-/// The most channels of a stage, 21 times those of the language network's widest.
-const MAX_CHANNELS: usize = 1 << 14;
 /// The widest hidden layer of a block, in channels.
 const MAX_MLP_RATIO: usize = 64;
 /// The largest pooling factor: curves have 21 bits an axis.
 const MAX_STRIDE: usize = 1 << 16;
-/// The most blocks of a stage.
-const MAX_DEPTH: usize = 256;
 /// The most points of an attention patch, 64 times the original's.
 const MAX_PATCH_SIZE: usize = 1 << 16;
 
@@ -292,37 +286,27 @@ impl PointTransformerV3Config {
     /// That no size is 0 or beyond its limit.
     fn check_limits(&self) -> Result<()> {
         for (field, entries, most) in [
-            ("enc_depths", self.enc_depths.len(), MAX_STAGES),
+            ("enc_depths", self.enc_depths.len(), MOST_STAGES),
             ("order", self.order.len(), MAX_ORDERS),
         ] {
             if entries > most {
                 bail!("{field}: {entries} entries, at most {most} are possible");
             }
         }
-        let sizes: [(&str, &[usize], usize, usize); 11] = [
+        check_sizes(&[
             ("in_channels", &[self.in_channels], 1, MAX_INPUTS),
             ("mlp_ratio", &[self.mlp_ratio], 1, MAX_MLP_RATIO),
             ("stride", &self.stride, 1, MAX_STRIDE),
-            ("enc_depths", &self.enc_depths, 0, MAX_DEPTH),
-            ("dec_depths", &self.dec_depths, 0, MAX_DEPTH),
-            ("enc_channels", &self.enc_channels, 1, MAX_CHANNELS),
-            ("dec_channels", &self.dec_channels, 1, MAX_CHANNELS),
-            ("enc_num_head", &self.enc_num_head, 1, MAX_CHANNELS),
-            ("dec_num_head", &self.dec_num_head, 1, MAX_CHANNELS),
+            ("enc_depths", &self.enc_depths, 0, DEEPEST),
+            ("dec_depths", &self.dec_depths, 0, DEEPEST),
+            ("enc_channels", &self.enc_channels, 1, LARGEST),
+            ("dec_channels", &self.dec_channels, 1, LARGEST),
+            ("enc_num_head", &self.enc_num_head, 1, LARGEST),
+            ("dec_num_head", &self.dec_num_head, 1, LARGEST),
             ("enc_patch_size", &self.enc_patch_size, 1, MAX_PATCH_SIZE),
             ("dec_patch_size", &self.dec_patch_size, 1, MAX_PATCH_SIZE),
-        ];
-        for (field, values, least, most) in sizes {
-            let bad = values.iter().enumerate().find(|(_, v)| !(least..=most).contains(*v));
-            let Some((i, value)) = bad else { continue };
-            let place = if values.len() > 1 { format!("{field}[{i}]") } else { field.to_owned() };
-            bail!("{place}: {value} is not in {least} to {most}");
-        }
-        let values = self.num_values();
-        if values > MAX_VALUES {
-            bail!("the sizes make a network of {values} values, at most {MAX_VALUES} are possible");
-        }
-        Ok(())
+        ])?;
+        check_values(self.num_values())
     }
 
     /// Drop rates of the encoder's blocks, stage by stage: rising from 0 to `drop_path`.
@@ -370,6 +354,11 @@ impl Architecture for PointTransformerV3Config {
     }
     fn set_compute(&mut self, compute: Compute) {
         self.compute = compute;
+    }
+    fn set_patch_size(&mut self, points: usize) -> std::result::Result<(), String> {
+        self.enc_patch_size.fill(points);
+        self.dec_patch_size.fill(points);
+        Ok(())
     }
     fn adapt_to(&mut self, shapes: &Shapes) {
         self.take_inputs(shapes);

@@ -14,6 +14,16 @@ pub const CASES: &[Case] = &[
         Measured,
     ),
     row("evaluate[*].vote_k", "language", "/evaluate/0/vote_k", "1", Measured),
+    row("evaluate[*].vote_k", "segmentation", "/evaluate/0/vote_k", "5", Measured),
+    // A network with classes of its own compares them with the texts, and takes what these leave out.
+    row(
+        "evaluate[*].text(vocabulary).exclude",
+        "segmentation",
+        "/evaluate/0/text/exclude",
+        "[]",
+        Measured,
+    )
+    .with(&[("/evaluate/0/text", r#"{ "type": "vocabulary", "dim": 64 }"#)]),
     row(
         "evaluate[*].source(synthetic).type",
         "language",

@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 /// Before anything is reported, the truth itself goes through the same chain (each point gets the
 /// text of its own class as its feature). If that oracle falls short of its analytic value by a
 /// single point, the evaluation is refused.
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Clone, clap::Args)]
 pub struct Args {
     /// Scenes with labels: .ply files, folders of .npy files, or synthetic:COUNT:SEED for rooms that
     /// are made on the spot.
@@ -45,9 +45,9 @@ pub struct Args {
     /// "oracle", or features made before (.npy, [N, D]; one scene only) instead of a network.
     #[arg(long, value_name = "oracle|FILE.npy")]
     pub features: Option<String>,
-    /// Neighbours that vote on each label; 0 or 1 for no vote.
-    #[arg(long, value_name = "K", default_value_t = 25)]
-    pub vote_k: usize,
+    /// Neighbours that vote on each label; 0 or 1 for no vote. [default: 25]
+    #[arg(long, value_name = "K")]
+    pub vote_k: Option<usize>,
     /// Spoils this row of the oracle with the text of another class, to see the refusal.
     #[arg(long, value_name = "ROW")]
     pub break_oracle: Option<usize>,
@@ -66,6 +66,12 @@ pub struct Args {
 const ORACLE: &str = "oracle";
 
 impl Args {
+    /// With the parts of the setting among the flags, and how many neighbours vote.
+    pub fn settled(&self) -> Result<(Self, usize)> {
+        let (inference, k) = self.inference.settled(self.vote_k)?;
+        Ok((Self { inference, ..self.clone() }, k))
+    }
+
     /// Notes the files that are read, and the one that is written outside of the output folder.
     pub fn claim_inputs(&self, outputs: &Outputs) -> Result<()> {
         self.scenes.iter().try_for_each(|scene| outputs.reads(Path::new(scene)))?;
@@ -77,6 +83,12 @@ impl Args {
 
     /// Where features come from; `None` if the truth alone is looked at.
     pub fn source(&self, session: &Session<'_>, scenes: usize) -> Result<Option<FeatureSource>> {
+        if let (Some(features), Some(key)) = (&self.features, self.inference.network_part()) {
+            let text = format!(
+                "--setting {key} is about the network, which --features {features} replaces"
+            );
+            return Err(WrongUse(text).into());
+        }
         match self.features.as_deref() {
             Some(ORACLE) => Ok(None),
             Some(_) if scenes > 1 => {
@@ -118,7 +130,7 @@ impl Args {
     }
 
     /// How scenes are scored.
-    pub fn settings(&self, text: &TextTable) -> Result<EvaluationSettings> {
+    pub fn settings(&self, text: &TextTable, vote_k: usize) -> Result<EvaluationSettings> {
         let set = LabelSet::new(text.names.clone())?;
         let excluded = match &self.exclude {
             Some(names) => class_list(&set, names)?,
@@ -127,7 +139,7 @@ impl Args {
         Ok(EvaluationSettings {
             excluded,
             options: self.classes.options(&set)?,
-            vote_k: self.vote_k,
+            vote_k,
             voters_with_feature: self.vote_valid_only,
             seed: self.inference.seed,
         })

@@ -16,18 +16,20 @@ use std::time::Instant;
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
     let began = Instant::now();
+    let (args, vote_k) = &args.settled()?;
     let session = Session::start_with(&args.shared, &args.inference.network, line)?;
+    session.note_setting(&args.inference);
     args.claim_inputs(&session.outputs)?;
     let inputs = scenes::inputs(&args.scenes)?;
     let source = args.source(&session, inputs.len())?;
     let text = args.text_table(source.as_ref())?;
-    let settings = args.settings(&text)?;
+    let settings = args.settings(&text, *vote_k)?;
     let excluded = settings.excluded.clone();
     let class_of = args.classes_of_labels(&text.names)?;
     let mut evaluation = Evaluation::new(&text, settings)?;
     session.make_out(&["evaluation.json"])?;
     args.classes.record(&session)?;
-    session.receipt.setting("vote_k", args.vote_k, "neighbours that vote on each label");
+    session.receipt.setting("vote_k", vote_k, "neighbours that vote on each label");
     let names: Vec<&str> = excluded.iter().map(|&c| text.names[c].as_str()).collect();
     session.receipt.setting("exclude", names.join(","), "left out of f-mIoU and f-mAcc");
 
@@ -42,7 +44,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     json["seconds"] = serde_json::json!(began.elapsed().as_secs_f64());
     json["scenes"] = serde_json::json!(inputs.len());
     json["excluded"] = serde_json::json!(excluded);
-    json["vote_k"] = serde_json::json!(args.vote_k);
+    json["vote_k"] = serde_json::json!(vote_k);
     report::write(&session, &json, args.json.as_deref())?;
     session.finish()
 }

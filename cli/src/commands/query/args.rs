@@ -16,7 +16,7 @@ use std::path::PathBuf;
 /// for the network inside the program, what its vocabulary knows ("red chair", "furniture").
 /// A Gaussian is selected when the query scores best among all rows of --text (if there are
 /// several), its score reaches --min-score, and most of its neighbours agree.
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Clone, clap::Args)]
 pub struct Args {
     /// The scene, in any format.
     pub scene: PathBuf,
@@ -28,9 +28,9 @@ pub struct Args {
     /// Rivals of the query and thresholds.
     #[command(flatten)]
     pub classes: Classes,
-    /// Neighbours that vote on the selection; 0 or 1 for no vote.
-    #[arg(long, value_name = "K", default_value_t = 25)]
-    pub vote_k: usize,
+    /// Neighbours that vote on the selection; 0 or 1 for no vote. [default: 25]
+    #[arg(long, value_name = "K")]
+    pub vote_k: Option<usize>,
     /// Features made before instead of a network: .npy, [N, D], one row per Gaussian, such as
     /// lang_feat.npy of lift-labels or features.npy.
     #[arg(long, value_name = "FILE.npy")]
@@ -41,6 +41,14 @@ pub struct Args {
     /// Flags of all commands.
     #[command(flatten)]
     pub shared: Shared,
+}
+
+impl Args {
+    /// With the parts of the setting among the flags, and how many neighbours vote.
+    pub fn settled(&self) -> Result<(Self, usize)> {
+        let (inference, k) = self.inference.settled(self.vote_k)?;
+        Ok((Self { inference, ..self.clone() }, k))
+    }
 }
 
 /// What is asked for, with its rivals.

@@ -14,7 +14,9 @@ use write::{describe, write};
 
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
+    let (args, vote_k) = &args.settled()?;
     let session = Session::start_with(&args.shared, &args.inference.network, line)?;
+    session.note_setting(&args.inference);
     session.outputs.reads_any([Some(args.scene.as_path()), args.embedding.as_deref()])?;
     args.classes.claim_inputs(&session.outputs)?;
     let query = query(args)?;
@@ -50,14 +52,14 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     if !args.classes.without.is_empty() {
         args.classes.options(&LabelSet::new(query.rivals.names.clone())?)?;
     }
-    session.receipt.setting("vote_k", args.vote_k, "neighbours that vote on the selection");
+    session.receipt.setting("vote_k", vote_k, "neighbours that vote on the selection");
     let found = {
         let _stage = session.receipt.stage("query");
         let settings = QuerySettings {
             without: args.classes.without.clone(),
             min_score: args.classes.min_score,
             min_margin: args.classes.min_margin,
-            vote_k: args.vote_k,
+            vote_k: *vote_k,
         };
         select(&features, &query, &settings, &scene.coord)?
     };

@@ -1,0 +1,200 @@
+//! `--setting`: each part reaches the computation, and what cannot be used is refused by name.
+
+use crate::{done, scenesplat, stderr, tiny};
+use scenesplat::rooms::{SyntheticRoomSettings, generate};
+use scenesplat::scene::formats::inria_ply::write_inria_ply;
+use std::path::{Path, PathBuf};
+
+fn room(folder: &Path, gaussians: usize) -> PathBuf {
+    let scene = generate(&SyntheticRoomSettings::with_count(gaussians, 5)).unwrap().scene;
+    let path = folder.join("room.ply");
+    write_inria_ply(&scene, &[], &path).unwrap();
+    path
+}
+
+struct Case {
+    folder: tempfile::TempDir,
+    scene: PathBuf,
+}
+
+impl Case {
+    fn new(gaussians: usize) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let scene = room(folder.path(), gaussians);
+        Self { folder, scene }
+    }
+    fn out(&self) -> PathBuf {
+        self.folder.path().join("out")
+    }
+    /// A file that a command with the seeded tiny network writes.
+    fn tiny(&self, file: &str, more: &[&str]) -> Vec<u8> {
+        done(&tiny("features", &self.scene, &self.out(), more));
+        std::fs::read(self.out().join(file)).unwrap()
+    }
+    /// A file that a command with the network inside the program writes.
+    fn own(&self, command: &str, file: &str, more: &[&str]) -> Vec<u8> {
+        let mut args = vec![command, self.scene.to_str().unwrap()];
+        args.extend((command == "query").then_some("chair"));
+        let out = self.out();
+        args.extend(["--out", out.to_str().unwrap()]);
+        args.extend(more);
+        done(&scenesplat(&args));
+        std::fs::read(out.join(file)).unwrap()
+    }
+    fn receipt(&self, name: &str) -> Option<String> {
+        let text = std::fs::read(self.out().join("receipt.json")).unwrap();
+        let json: serde_json::Value = serde_json::from_slice(&text).unwrap();
+        let settings = json["settings"].as_array().unwrap();
+        let found = settings.iter().find(|s| s["name"] == name)?;
+        Some(found["value"].as_str().unwrap().to_owned())
+    }
+}
+
+#[test]
+fn a_setting_is_the_flags_that_say_the_same() {
+    let case = Case::new(3000);
+    let plain = case.tiny("features.npy", &[]);
+    assert_eq!(case.receipt("setting"), None);
+    for (setting, flags) in [
+        ("voxel=0.1", &["--grid-size", "0.1"][..]),
+        ("precision=bf16", &["--precision", "bf16"]),
+        ("passes=all", &["--exact"]),
+        ("passes=all,voxel=0.2", &["--exact", "--grid-size", "0.2"]),
+    ] {
+        let by_setting = case.tiny("features.npy", &["--setting", setting]);
+        let mut parts: Vec<&str> = setting.split(',').collect();
+        parts.sort_unstable_by_key(|part| *part != "voxel=0.2");
+        assert_eq!(case.receipt("setting"), Some(parts.join(",")));
+        assert_ne!(by_setting, plain, "{setting} changes nothing");
+        assert_eq!(by_setting, case.tiny("features.npy", flags), "{setting}");
+        assert_eq!(case.receipt("setting"), Some(parts.join(",")), "flags name it too");
+        // Said twice alike is no contradiction.
+        let both = [&["--setting", setting][..], flags].concat();
+        assert_eq!(by_setting, case.tiny("features.npy", &both), "{setting}");
+    }
+    // What the network does anyway.
+    let own = "voxel=0.02,precision=f32,patch=256,stage=fine,passes=1";
+    assert_eq!(plain, case.tiny("features.npy", &["--setting", own]));
+    assert_eq!(case.receipt("setting").as_deref(), Some(own));
+    let patches = case.tiny("features.npy", &["--setting", "patch=16"]);
+    assert_ne!(plain, patches, "patch=16 changes nothing");
+    let some = case.tiny("features.npy", &["--setting", "passes=2,voxel=0.2"]);
+    assert_ne!(some, case.tiny("features.npy", &["--setting", "passes=1,voxel=0.2"]));
+    assert_ne!(some, case.tiny("features.npy", &["--setting", "passes=all,voxel=0.2"]));
+    let said = tiny("features", &case.scene, &case.out(), &["--setting", "passes=2,voxel=0.2"]);
+    assert!(stderr(&said).contains(" 2 passes,"), "{}", stderr(&said));
+}
+
+#[test]
+fn votes_and_networks_are_parts_too() {
+    let case = Case::new(3000);
+    let voted = case.own("segment", "labels.npy", &[]);
+    let alone = case.own("segment", "labels.npy", &["--setting", "k=0"]);
+    assert_eq!(case.receipt("vote_k").as_deref(), Some("0"));
+    assert_ne!(voted, alone);
+    assert_eq!(alone, case.own("segment", "labels.npy", &["--vote-k", "0"]));
+    assert_eq!(case.receipt("setting").as_deref(), Some("k=0"));
+    assert_eq!(voted, case.own("segment", "labels.npy", &["--setting", "net=embedded,k=25"]));
+    assert_eq!(case.receipt("setting").as_deref(), Some("net=embedded,k=25"));
+    let found = case.own("query", "selection.npy", &["--setting", "k=0,voxel=0.12"]);
+    let flags = ["--vote-k", "0", "--grid-size", "0.12"];
+    assert_eq!(found, case.own("query", "selection.npy", &flags));
+    // Of a configuration, the weights are given beside it; a folder has both.
+    let seeded = ["--weights", "seeded:0", "--setting", "net=tiny"];
+    let by_name = case.own("features", "features.npy", &seeded);
+    assert_eq!(by_name, case.tiny("features.npy", &[]));
+    // Evaluation as well, without a receipt of its own votes.
+    let room = "synthetic:1:3";
+    let figures = |more: &[&str]| {
+        let out = case.out();
+        let args = [&["evaluate", room, "--out", out.to_str().unwrap()][..], more].concat();
+        done(&scenesplat(&args));
+        let text = std::fs::read(out.join("evaluation.json")).unwrap();
+        let json: serde_json::Value = serde_json::from_slice(&text).unwrap();
+        (json["miou"].clone(), json["vote_k"].clone())
+    };
+    let coarse = figures(&["--setting", "voxel=0.2,k=1"]);
+    assert_eq!(coarse, figures(&["--grid-size", "0.2", "--vote-k", "1"]));
+    assert_ne!(coarse, figures(&["--setting", "voxel=0.3,k=1"]));
+}
+
+#[test]
+fn estimates_follow_the_setting() {
+    let case = Case::new(3000);
+    let json = case.folder.path().join("seen.json");
+    let estimate = |more: &[&str]| {
+        let args = ["inspect", case.scene.to_str().unwrap(), "--no-sheet", "--config", "language"];
+        let args = [&args[..], &["--json", json.to_str().unwrap()], more].concat();
+        done(&scenesplat(&args));
+        let seen: serde_json::Value =
+            serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
+        let number = |name: &str| seen["estimate"][name].as_f64().unwrap();
+        (number("voxels"), number("seconds"))
+    };
+    let own = estimate(&[]);
+    let wide = estimate(&["--setting", "voxel=0.3"]);
+    assert!(wide.0 < own.0 / 2.0 && wide.1 < own.1, "{own:?} {wide:?}");
+    assert!(estimate(&["--setting", "patch=64"]).1 < own.1);
+    assert_eq!(estimate(&["--setting", "passes=1,precision=f32"]), own);
+    for part in ["k=8", "codes=16", "precision=bf16", "passes=all", "passes=2"] {
+        let path = case.scene.to_str().unwrap();
+        let output = scenesplat(&["inspect", path, "--no-sheet", "--setting", part]);
+        assert_eq!(output.status.code(), Some(2), "{part}: {}", stderr(&output));
+        assert!(stderr(&output).contains(part), "{part}: {}", stderr(&output));
+    }
+}
+
+#[test]
+fn what_cannot_be_used_is_refused_by_name() {
+    let case = Case::new(300);
+    let scene = case.scene.to_str().unwrap();
+    let out = case.out();
+    let refused = |args: &[&str], parts: &[&str]| {
+        let output = scenesplat(&[args, &["--out", out.to_str().unwrap()]].concat());
+        let said = stderr(&output);
+        assert_eq!(output.status.code(), Some(2), "{args:?}: {said}");
+        assert!(parts.iter().all(|part| said.contains(part)), "{parts:?} not in: {said}");
+        assert!(!said.contains("panicked"), "{said}");
+        assert!(!out.join("features.npy").exists() && !out.join("labels.npy").exists());
+    };
+    for (setting, parts) in [
+        ("", &["no part is named"][..]),
+        ("speed=9", &["\"speed\" is unknown", "voxel, net, precision"]),
+        ("k=8,voxel=0.1,k=9", &["setting k", "twice"]),
+        ("voxel=0", &["voxel", "above 0"]),
+        ("voxel=nan", &["voxel", "above 0"]),
+        ("voxel=-1", &["voxel", "above 0"]),
+        ("voxel", &["KEY=VALUE"]),
+        ("voxel=", &["voxel"]),
+        ("rank=0", &["rank", "1 to"]),
+        ("stage=middle", &["stage", "fine or coarse"]),
+        ("precision=f64", &["precision", "bf16"]),
+        ("passes=0", &["passes", "all"]),
+        ("net=nowhere", &["net=nowhere", "litept-s"]),
+        ("net=tiny", &["net", "--weights"]),
+    ] {
+        refused(&["segment", scene, "--setting", setting], parts);
+    }
+    refused(&["features", scene, "--setting", "k=3"], &["--setting k"]);
+    // What a flag says otherwise.
+    for (flags, part) in [
+        (&["--grid-size", "0.1"][..], "voxel=0.2"),
+        (&["--precision", "f32"], "precision=bf16"),
+        (&["--vote-k", "25"], "k=8"),
+        (&["--exact"], "passes=1"),
+        (&["--exact"], "passes=2"),
+        (&["--weights", "seeded:0"], "net=embedded"),
+        (&["--config", "language", "--weights", "seeded:0"], "net=tiny"),
+        (&["--weights", "seeded:0"], &format!("net={scene}")),
+    ] {
+        let args = [&["segment", scene, "--setting", part][..], flags].concat();
+        refused(&args, &[flags[0], part, "contradicts"]);
+    }
+    let both = ["--config", "tiny", "--setting", "net=embedded"];
+    refused(&[&["segment", scene][..], &both].concat(), &["--config tiny", "contradicts"]);
+    // About a network, where none is run.
+    let oracle = ["evaluate", "synthetic:1:1", "--features", "oracle", "--setting", "voxel=0.1"];
+    refused(&oracle, &["--setting voxel"]);
+    let made = ["segment", scene, "--features", scene, "--setting", "voxel=0.1"];
+    refused(&made, &["--setting", "--features"]);
+}

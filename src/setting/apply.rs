@@ -1,0 +1,99 @@
+//! A setting on a network and on an encoder.
+
+use super::{Passes, Setting, SettingError};
+use crate::inference::{Fidelity, SceneEncoder};
+use crate::network::NetworkConfig;
+use scenesplat_models::{Compute, LastStage};
+
+impl Setting {
+    /// The network with this precision, patch size and last stage; with all passes its layers are
+    /// not joined. Weights are not asked for: the same ones fit.
+    ///
+    /// # Errors
+    /// If the network's architecture has no such thing.
+    pub fn apply_to_network(&self, config: NetworkConfig) -> Result<NetworkConfig, SettingError> {
+        let mut config = config;
+        let backbone = config.model.backbone.get_mut();
+        let mut compute = backbone.compute();
+        if let Some(precision) = self.precision {
+            compute.precision = precision;
+        }
+        if self.passes == Some(Passes::All) {
+            compute = Compute { fold: false, ..compute };
+        }
+        backbone.set_compute(compute);
+        if let Some(patch) = self.patch {
+            let name = |why: &str| SettingError::no_effect("patch", &patch, why);
+            backbone.set_patch_size(patch).map_err(|why| name(&why))?;
+        }
+        if self.stage == Some(LastStage::Coarse) {
+            let why = "the last stage on coarser voxels is not there yet";
+            return Err(SettingError::no_effect("stage", &LastStage::Coarse, why));
+        }
+        if let Some(rank) = self.rank {
+            let why = "convolutions of low rank are not there yet";
+            return Err(SettingError::no_effect("rank", &rank, why));
+        }
+        if let Some(codes) = self.codes {
+            let why = "features of fewer numbers are not there yet";
+            return Err(SettingError::no_effect("codes", &codes, why));
+        }
+        Ok(config)
+    }
+
+    /// The encoder with this voxel size and number of passes.
+    #[must_use]
+    pub fn apply_to_encoder<'a>(&self, encoder: SceneEncoder<'a>) -> SceneEncoder<'a> {
+        let mut encoder = encoder;
+        if let Some(voxel) = self.voxel {
+            encoder.grid_size = voxel;
+        }
+        match self.passes {
+            None => {}
+            Some(Passes::Count(1)) => encoder.fidelity = Fidelity::Fast,
+            Some(Passes::Count(count)) => encoder.fidelity = Fidelity::Passes(count),
+            Some(Passes::All) => encoder.fidelity = Fidelity::Exact,
+        }
+        encoder
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::network::NetworkChoice;
+    use scenesplat_kernels::Precision;
+    use scenesplat_models::{ModelConfig, PointTransformerV1Config, PointTransformerV2Config};
+
+    fn set(text: &str, name: &str) -> NetworkConfig {
+        let config = name.parse::<NetworkChoice>().unwrap().resolve().unwrap();
+        text.parse::<Setting>().unwrap().apply_to_network(config).unwrap()
+    }
+
+    #[test]
+    fn parts_that_are_not_named_stay() {
+        for (name, choice) in NetworkChoice::NAMED {
+            assert_eq!(set("", name), choice.resolve().unwrap());
+            assert_eq!(set("voxel=0.1,k=3,stage=fine,passes=1", name), choice.resolve().unwrap());
+            let compute = |text: &str| set(text, name).model.backbone.get().compute();
+            assert_eq!(compute("precision=bf16").precision, Precision::Bf16);
+            assert!(compute("precision=bf16").fold && !compute("passes=all").fold);
+            assert_ne!(set("patch=64", name), choice.resolve().unwrap());
+            set("patch=64", name).check().unwrap();
+        }
+    }
+
+    #[test]
+    fn networks_without_patches_say_so() {
+        let setting: Setting = "patch=64".parse().unwrap();
+        for model in [
+            ModelConfig::new(PointTransformerV1Config::default()),
+            ModelConfig::new(PointTransformerV2Config::default()),
+        ] {
+            let config = NetworkConfig { model, ..NetworkConfig::language() };
+            let error = setting.apply_to_network(config).unwrap_err();
+            assert!(matches!(error, SettingError::NoEffect { key: "patch", .. }), "{error}");
+            assert!(error.to_string().contains("patch=64 has no effect"), "{error}");
+        }
+    }
+}
