@@ -4,6 +4,7 @@
 //! A [`Receipt`] records while the command runs; [`Receipt::finish`] gives a [`ReceiptReport`],
 //! which prints as a table and is written as JSON.
 
+use crate::budget::BudgetReport;
 pub use scenesplat::machine::Machine;
 use scenesplat::machine::peak_memory_bytes;
 use scenesplat::scene::SceneError;
@@ -51,6 +52,7 @@ pub struct Receipt {
     start: Instant,
     clock: RefCell<Clock>,
     report: RefCell<ReceiptReport>,
+    budget: RefCell<Option<(BudgetReport, Instant)>>,
 }
 
 #[derive(Debug, Default)]
@@ -94,6 +96,9 @@ pub struct ReceiptReport {
     pub files: Vec<FileFingerprint>,
     /// Where it ran.
     pub machine: Machine,
+    /// What was expected of a setting that was chosen by a budget, and what became of it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub budget: Option<BudgetReport>,
 }
 
 /// Time spent in one stage.
@@ -141,7 +146,12 @@ impl Receipt {
             machine: Machine::detect(),
             ..ReceiptReport::default()
         };
-        Self { start: Instant::now(), clock: RefCell::default(), report: RefCell::new(report) }
+        Self {
+            start: Instant::now(),
+            clock: RefCell::default(),
+            report: RefCell::new(report),
+            budget: RefCell::default(),
+        }
     }
 
     /// Begins a stage; it ends when the guard is dropped. A stage begun meanwhile is a part of it.
@@ -233,6 +243,11 @@ impl Receipt {
         Ok(())
     }
 
+    /// Notes a setting that was chosen by a budget; `began`: since when time is spent.
+    pub fn budget(&self, report: BudgetReport, began: Instant) {
+        *self.budget.borrow_mut() = Some((report, began));
+    }
+
     /// Stops the clock. Stages still running end now.
     pub fn finish(&self) -> ReceiptReport {
         self.end_stages(0);
@@ -254,6 +269,10 @@ impl Receipt {
             })
             .collect();
         report.peak_memory_bytes = peak_memory_bytes();
+        report.budget = self.budget.borrow().clone().map(|(budget, began)| {
+            let spent_s = began.elapsed().as_secs_f64();
+            BudgetReport { spent_s, ..budget }
+        });
         report
     }
 
@@ -336,6 +355,14 @@ impl fmt::Display for ReceiptReport {
         }
         for warning in &self.warnings {
             writeln!(f, "  warning: {warning}")?;
+        }
+        if let Some(BudgetReport { asked_s, expected_s, spent_s, setting }) = &self.budget {
+            let asked = asked_s.map_or("no time".to_owned(), |s| format!("{s:.3} s"));
+            writeln!(
+                f,
+                "  budget: {asked} asked for, {expected_s:.3} s expected, {spent_s:.3} s spent: \
+                 {setting}"
+            )?;
         }
         writeln!(f, "  {}", self.machine)
     }

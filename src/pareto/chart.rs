@@ -26,6 +26,9 @@ const LIST: f64 = 1045.0;
 
 /// Draws the front with all that was measured; below it, the training curves if there are any.
 pub(crate) fn chart(summary: &Summary) -> Drawing {
+    if summary.points.is_empty() {
+        return training_chart(&summary.training);
+    }
     let mut drawing = front_chart(summary);
     if !summary.training.is_empty() {
         drawing.append(training_chart(&summary.training));
@@ -82,12 +85,17 @@ fn front_chart(summary: &Summary) -> Drawing {
     for p in &summary.points {
         bars(&mut d, p, [130, 170, 220]);
     }
+    let mut last = f64::NEG_INFINITY;
     for (i, p) in summary.points.iter().enumerate() {
         let is_knee = summary.knee.as_deref() == Some(&p.setting);
         let color = if is_knee { KNEE } else { FRONT };
         let [px, py] = at(p);
         d.disc([px, py], if is_knee { 9.0 } else { 7.0 }, color, [255; 3]);
-        d.text([px - 12.0, py - 28.0], 2, color, Anchor::End, &format!("{}", i + 1));
+        // A number that would stand on the one before goes below.
+        let up = if px - last < 34.0 { 12.0 } else { -28.0 };
+        let (side, anchor) = if up > 0.0 { (12.0, Anchor::Start) } else { (-12.0, Anchor::End) };
+        d.text([px + side, py + up], 2, color, anchor, &format!("{}", i + 1));
+        last = px;
     }
     list(&mut d, summary);
     d

@@ -115,6 +115,30 @@ impl Grid {
         Self::parse(text, "configs/pareto/default.toml")
     }
 
+    /// What a machine is calibrated with: settings of a network whose voxels are `voxel` metres, from
+    /// twice as coarse as its own to two passes.
+    ///
+    /// # Errors
+    /// If the size is not above 0.
+    pub fn calibration(voxel: f64) -> Result<Self, ParetoError> {
+        let of = |factor: f64, rest: &str| format!("\"voxel={},{rest}\"", tidy(factor * voxel));
+        let points = [
+            of(1.0, "k=8"),
+            of(1.0, "precision=bf16,k=8"),
+            of(1.0, "passes=2,k=8"),
+            of(1.0, "precision=bf16,k=1"),
+            of(1.25, "k=8"),
+            of(1.5, "precision=bf16,k=8"),
+            of(2.0, "precision=bf16,k=1"),
+        ];
+        let text = format!(
+            "reference = {}\npoints = [{}]\n",
+            of(1.0, "precision=f32,passes=1,k=25"),
+            points.join(", ")
+        );
+        Self::parse(&text, "the grid of a calibration")
+    }
+
     /// Reads a grid from a file.
     ///
     /// # Errors
@@ -238,6 +262,12 @@ impl Grid {
     }
 }
 
+/// Without the last bits of a product: 0.12 and not 0.12000000000000001.
+fn tidy(length: f64) -> f64 {
+    let text = format!("{length:.6}");
+    text.parse().unwrap_or(length)
+}
+
 fn text_of(value: &toml::Value) -> Option<String> {
     match value {
         toml::Value::String(text) => Some(text.clone()),
@@ -274,6 +304,10 @@ mod tests {
         let grid = Grid::default_grid().unwrap();
         assert!(grid.settings().unwrap().len() >= 12);
         assert!(!grid.neutral.threads.is_empty());
+        let grid = Grid::calibration(0.06).unwrap();
+        assert_eq!(grid.settings().unwrap().len(), 8);
+        assert_eq!(grid.reference.to_string(), "voxel=0.06,precision=f32,passes=1,k=25");
+        assert!(Grid::calibration(-1.0).is_err());
     }
 
     #[test]

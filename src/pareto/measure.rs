@@ -61,6 +61,8 @@ pub struct Job<'a> {
     pub reference: Option<PathBuf>,
     /// Folder that takes the labels.
     pub keep_labels: Option<PathBuf>,
+    /// What all records of a folder share.
+    pub conditions: String,
     /// SHA-256 of the weights.
     pub weights_hash: String,
     /// SHA-256 of the scenes.
@@ -414,6 +416,7 @@ fn finish(
         width: job.network().model().out_channels(),
         classes: job.text.len(),
         prediction_hash: hex(all_labels),
+        conditions: job.conditions.clone(),
         weights_hash: job.weights_hash.clone(),
         input_hash: job.input_hash.clone(),
         truth_hash: hex(quality.truth.clone()),

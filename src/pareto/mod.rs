@@ -6,7 +6,9 @@
 //! setting in a process of its own; nothing here starts one.
 
 mod bootstrap;
+mod budget;
 mod chart;
+mod cost;
 mod drawing;
 mod error;
 mod findings;
@@ -22,7 +24,9 @@ mod search;
 mod summary;
 mod training;
 
+pub use budget::{Ask, BudgetError, Calibrated, Calibration, Choice};
 pub use chart::seconds_text;
+pub use cost::{CostModel, Observation, Size};
 pub use error::ParetoError;
 pub use findings::{Finding, negative_findings};
 pub use front::{CLASSES, ClassWinner, cheapest_of_class, front, knee};

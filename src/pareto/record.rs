@@ -120,6 +120,8 @@ pub struct Record {
     pub classes: usize,
     /// SHA-256 of the labels of all scenes.
     pub prediction_hash: String,
+    /// The reference, the classes and what is written, which all records of a folder share.
+    pub conditions: String,
     /// SHA-256 of the weights.
     pub weights_hash: String,
     /// SHA-256 of the scenes.
@@ -208,9 +210,9 @@ impl Records {
         Ok(())
     }
 
-    /// Refuses records of another machine, program, input or weights.
+    /// Refuses records of another machine, program, input or choice of what is measured.
     ///
-    /// `weights`: what a setting's weights are now; `inputs`: sets of scenes with their hashes.
+    /// `conditions`: what records are to share; `inputs`: sets of scenes with their hashes.
     ///
     /// # Errors
     /// Names what differs.
@@ -218,12 +220,20 @@ impl Records {
         &self,
         fingerprint: &str,
         machine: &Machine,
+        conditions: &str,
         inputs: &[(String, String)],
     ) -> Result<(), ParetoError> {
         let foreign = |what, theirs: String, ours: String| {
             Err(ParetoError::Foreign { path: self.path.clone(), what, theirs, ours })
         };
-        for record in self.all.iter().filter(|r| r.kind != Kind::Neutral) {
+        for record in &self.all {
+            if record.conditions != conditions {
+                let (theirs, ours) = (record.conditions.clone(), conditions.to_owned());
+                return foreign("choice", theirs, ours);
+            }
+            if record.kind == Kind::Neutral {
+                continue;
+            }
             if record.machine.version != machine.version {
                 let (theirs, ours) = (record.machine.version.clone(), machine.version.clone());
                 return foreign("version", theirs, ours);
@@ -299,6 +309,7 @@ pub(crate) mod tests {
             width: 96,
             classes: 20,
             prediction_hash: format!("{setting}"),
+            conditions: "c".to_owned(),
             weights_hash: "w".to_owned(),
             input_hash: "i".to_owned(),
             truth_hash: "t".to_owned(),
@@ -336,14 +347,16 @@ pub(crate) mod tests {
         records.append(record("k=1", 1.0, 0.5)).unwrap();
         let input = |hash: &str| vec![("rooms".to_owned(), hash.to_owned())];
         let here = Machine::default();
-        records.check_own("m", &here, &input("i")).unwrap();
+        records.check_own("m", &here, "c", &input("i")).unwrap();
+        let error = records.check_own("m", &here, "d", &input("i")).unwrap_err();
+        assert!(error.to_string().contains("another choice"), "{error}");
         let newer = Machine { version: "9".to_owned(), ..here.clone() };
         for (fingerprint, machine, hash, what) in [
             ("m", &newer, "i", "version"),
             ("n", &here, "i", "machine"),
             ("m", &here, "j", "input"),
         ] {
-            let error = records.check_own(fingerprint, machine, &input(hash)).unwrap_err();
+            let error = records.check_own(fingerprint, machine, "c", &input(hash)).unwrap_err();
             assert!(error.to_string().contains(what), "{error}");
         }
     }

@@ -37,7 +37,7 @@ impl Scale {
         self.pixels[0] + share * (self.pixels[1] - self.pixels[0])
     }
 
-    /// Some five values inside, one, two or five times a power of ten each.
+    /// Four to nine values inside, one, two or five times a power of ten each.
     pub(crate) fn ticks(&self) -> Vec<f64> {
         let inside = |v: &f64| (self.low..=self.high).contains(v);
         if self.logarithmic {
@@ -50,12 +50,12 @@ impl Scale {
             let dense = of(&[1.0, 2.0, 5.0]);
             return if dense.len() <= 8 { dense } else { of(&[1.0]) };
         }
-        let raw = (self.high - self.low) / 5.0;
+        let raw = (self.high - self.low) / 8.0;
         let power = 10f64.powf(raw.log10().floor());
         let step = [1.0, 2.0, 5.0, 10.0].map(|f| f * power).into_iter().find(|s| *s >= raw);
         let step = step.unwrap_or(10.0 * power);
         let first = (self.low / step).ceil() as i64;
-        (first..).map(|i| i as f64 * step).take_while(|v| *v <= self.high).take(12).collect()
+        (first..).map(|i| i as f64 * step).take_while(|v| *v <= self.high).take(16).collect()
     }
 }
 
@@ -68,7 +68,7 @@ mod tests {
         let linear = Scale::over(&[0.40, 0.72, f64::NAN], false, [500.0, 100.0]);
         assert!(linear.at(0.40) > linear.at(0.72) && linear.at(0.72) > 100.0);
         let ticks = linear.ticks();
-        assert!((3..=7).contains(&ticks.len()), "{ticks:?}");
+        assert!((4..=9).contains(&ticks.len()), "{ticks:?}");
         assert!(ticks.iter().all(|t| (100.0..=500.0).contains(&linear.at(*t))));
         let log = Scale::over(&[0.1, 20.0], true, [0.0, 100.0]);
         assert!((log.at(1.0) - log.at(0.1) - (log.at(10.0) - log.at(1.0))).abs() < 1e-9);

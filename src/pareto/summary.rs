@@ -35,7 +35,7 @@ pub struct NeutralRow {
 }
 
 /// What `front.json` holds. Field names are stable.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
     /// Version of the program.
     pub version: String,
@@ -93,11 +93,21 @@ pub struct Around {
 }
 
 impl Summary {
-    /// Of all records.
+    /// Of all records; of training curves alone, where there are no records.
     ///
     /// # Errors
-    /// If no setting was measured on all sets with an f-mIoU.
+    /// If no setting was measured on all sets with an f-mIoU, or there is nothing at all.
     pub fn of(records: &[Record], around: Around) -> Result<Self, ParetoError> {
+        if records.is_empty() && !around.training.is_empty() {
+            let machine = Machine::detect();
+            return Ok(Self {
+                version: machine.version.clone(),
+                fingerprint: machine.fingerprint(),
+                machine,
+                training: around.training,
+                ..Self::default()
+            });
+        }
         let empty = || ParetoError::Empty { quality: "f-mIoU".to_owned() };
         let sets = sets(records);
         let all = points(records, Kind::Setting, &sets);

@@ -1,7 +1,7 @@
 //! The flags of `pareto`.
 
-use super::duration::{Seconds, parse_duration};
 use crate::commands::classes::Classes;
+use crate::duration::{Seconds, parse_duration};
 use crate::flags::{NetworkArgs, SourceArgs};
 use scenesplat::network::Weights;
 use std::path::{Path, PathBuf};
@@ -18,8 +18,16 @@ pub struct Args {
     pub grid: Option<PathBuf>,
     /// Scenes with labels: files or folders, or synthetic:COUNT:SEED for rooms that are made on the
     /// spot. Each is a set of its own.
-    #[arg(long, required_unless_present_any = ["training"], num_args = 1.., value_name = "SCENE|synthetic:COUNT:SEED")]
+    #[arg(long, required_unless_present_any = ["training", "calibrate"], num_args = 1.., value_name = "SCENE|synthetic:COUNT:SEED")]
     pub scenes: Vec<String>,
+    /// Measures this machine instead, for --budget of the other commands: a few settings of the
+    /// network on made rooms, in some two minutes. Stored in the user's data folder
+    /// (~/.local/share/scenesplat, or where SCENESPLAT_FRONTS says).
+    #[arg(long, conflicts_with_all = ["training"])]
+    pub calibrate: bool,
+    /// Gaussians of the rooms that a calibration times.
+    #[arg(long, value_name = "N", num_args = 1.., requires = "calibrate", default_values_t = [10_000, 60_000, 240_000])]
+    pub sizes: Vec<usize>,
     /// Repeats after a warm-up.
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=1000))]
     pub repeats: u16,

@@ -6,6 +6,7 @@ use super::request::Request;
 use crate::bench::Stopped;
 use crate::bench::process::run_in_a_process;
 use crate::commands::WrongUse;
+use crate::commands::classes::Classes;
 use crate::progress::Progress;
 use crate::receipt::sha256_of;
 use anyhow::{Context, Result};
@@ -66,6 +67,31 @@ impl Campaign<'_> {
         Ok(hash)
     }
 
+    /// What all records share, in words: records of other reference, classes or files do not compare.
+    pub fn conditions(&self) -> Result<String> {
+        let Args { classes, exclude, label_names, class_map, source, .. } = self.args;
+        let mut parts = vec![format!("reference {}", self.grid.reference)];
+        for (name, path) in [
+            ("text", &classes.text),
+            ("text names", &classes.text_names),
+            ("label names", label_names),
+            ("class map", class_map),
+        ] {
+            let Some(path) = path else { continue };
+            // Vocabularies are no files.
+            let hash = if path.is_file() { sha256_of(path)?.0 } else { String::new() };
+            parts.push(format!("{name} {} {}", path.display(), hash.get(..12).unwrap_or_default()));
+        }
+        parts.extend(exclude.as_ref().map(|names| format!("exclude {}", names.join(","))));
+        parts.extend(source.segment_name.as_ref().map(|name| format!("segment {name}")));
+        let Classes { without, min_score, min_margin, .. } = classes;
+        if !without.is_empty() || min_score.is_some() || min_margin.is_some() {
+            parts.push(format!("classes {without:?} {min_score:?} {min_margin:?}"));
+        }
+        parts.push(format!("writes {:?}", self.grid.writes));
+        Ok(parts.join("; "))
+    }
+
     fn hash_weights(&self, setting: &Setting) -> Result<String> {
         let weights = match setting.net.as_deref() {
             None => weights_text(&self.args.network.weights()?),
@@ -117,6 +143,7 @@ impl Campaign<'_> {
             labels: self.grid.writes.contains(&Written::Labels),
             threads: beside.threads.unwrap_or(self.machine.threads),
             max_memory: beside.max_memory.clone(),
+            conditions: self.conditions()?,
             weights_hash: self.weights_hash(setting)?,
             input_hash: set.hash.clone(),
             reference: folder(false).flatten(),

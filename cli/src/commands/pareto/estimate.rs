@@ -43,7 +43,7 @@ pub fn estimate(
                 total += load + work(setting, &campaign.grid.reference) * whole * scenes * passes;
             }
         }
-        total += neutral as f64 * (load + whole * scenes * 4.0);
+        total += neutral as f64 * (load + whole * scenes * 3.0);
     }
     Ok(total)
 }

@@ -1,9 +1,10 @@
 //! `scenesplat pareto`
 
 mod args;
+mod calibrate;
 mod campaign;
-mod duration;
 mod estimate;
+mod explore;
 mod inputs;
 mod neutral;
 mod point;
@@ -18,12 +19,9 @@ use crate::terminal::print;
 use anyhow::{Context, Result, anyhow, bail};
 pub use args::Args;
 use campaign::{Campaign, this_machine};
+use explore::explore;
 pub use point::{PointArgs, run_point};
-use scenesplat::Setting;
-use scenesplat::pareto::{
-    Around, Candidate, Grid, Kind, Records, RuledOut, Summary, TrainingCurve, Tried, order, points,
-    ruled_out, write_report,
-};
+use scenesplat::pareto::{Around, Grid, Record, Records, Summary, TrainingCurve, write_report};
 use scenesplat::scene::{FolderLock, printable};
 use std::cell::{Cell, RefCell};
 use std::time::Instant;
@@ -31,6 +29,10 @@ use std::time::Instant;
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let began = Instant::now();
+    let _ = listen_for_interrupt();
+    if args.calibrate {
+        return calibrate::calibrate(args);
+    }
     let grid = match &args.grid {
         Some(path) => Grid::read(path),
         None => Grid::default_grid(),
@@ -41,7 +43,6 @@ pub fn run(args: &Args) -> Result<()> {
     let runs = args.training.iter().chain(&grid.training);
     let training: Vec<TrainingCurve> =
         runs.map(|run| TrainingCurve::read(run)).collect::<Result<_, _>>()?;
-    let _ = listen_for_interrupt();
     let progress = Progress::new(args.quiet);
     std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
     let _lock = FolderLock::acquire(&args.out)?;
@@ -63,7 +64,8 @@ pub fn run(args: &Args) -> Result<()> {
         weights: RefCell::default(),
     };
     let hashes: Vec<_> = sets.iter().map(|s| (s.name.clone(), s.hash.clone())).collect();
-    records.check_own(&campaign.machine.fingerprint(), &campaign.machine, &hashes)?;
+    let (machine, conditions) = (&campaign.machine, campaign.conditions()?);
+    records.check_own(&machine.fingerprint(), machine, &conditions, &hashes)?;
     campaign.check_weights(&records, &settings)?;
     for setting in &settings {
         campaign.weights_hash(setting)?;
@@ -86,12 +88,14 @@ pub fn run(args: &Args) -> Result<()> {
         training,
         ..Around::default()
     };
-    let done = measure_all(&campaign, &settings, &mut records, &mut around, began).and_then(|()| {
-        match around.unmeasured.is_empty() {
+    let done =
+        explore(&campaign, &settings, &mut records, &mut around, began).and_then(|()| match around
+            .unmeasured
+            .is_empty()
+        {
             true => neutral::complete(&campaign, &neutral, &mut records, &args.out),
             false => Ok(()),
-        }
-    });
+        });
     if let Err(error) = done {
         let kept = records.all.len();
         return Err(match error.is::<Stopped>() {
@@ -101,9 +105,12 @@ pub fn run(args: &Args) -> Result<()> {
             false => error,
         });
     }
-    let summary = Summary::of(&records.all, around)?;
+    // Of the scenes that were asked for; without any, of all that were measured before.
+    let asked = |r: &&Record| args.scenes.is_empty() || args.scenes.contains(&r.scenes);
+    let shown: Vec<Record> = records.all.iter().filter(asked).cloned().collect();
+    let summary = Summary::of(&shown, around)?;
     tell::tell(&summary);
-    for (path, _) in write_report(&summary, &records.all, &args.out)? {
+    for (path, _) in write_report(&summary, &shown, &args.out)? {
         print(&format!("wrote {}", printable(&path)));
     }
     if !summary.unmeasured.is_empty() {
@@ -116,58 +123,4 @@ pub fn run(args: &Args) -> Result<()> {
         Some(row) => bail!("{} changed the labels on {}, and must not", row.neutral, row.scenes),
         None => Ok(()),
     }
-}
-
-/// Measures the settings that have to be measured, the reference first.
-fn measure_all(
-    campaign: &Campaign<'_>,
-    settings: &[Setting],
-    records: &mut Records,
-    around: &mut Around,
-    began: Instant,
-) -> Result<()> {
-    let (grid, args) = (campaign.grid, campaign.args);
-    let sets: Vec<String> = campaign.sets.iter().map(|s| s.name.clone()).collect();
-    let candidates = order(settings, &grid.axes);
-    for (i, candidate) in candidates.iter().enumerate() {
-        let setting: Setting = candidate.text.parse()?;
-        let measured = sets
-            .iter()
-            .all(|set| records.find(Kind::Setting, &candidate.text, None, set).is_some());
-        if !measured && i > 0 {
-            if let Some(by) = skipped(grid, candidate, records, &sets) {
-                campaign.progress.say(format!("  {} is ruled out by {}", by.setting, by.by));
-                around.skipped.push(by);
-                continue;
-            }
-            if began.elapsed().as_secs_f64() > args.limit.0 {
-                around.unmeasured.push(candidate.text.clone());
-                continue;
-            }
-        }
-        campaign.progress.say(format!("{}/{}", i + 1, candidates.len()));
-        campaign.complete(&setting, records, &args.out)?;
-    }
-    Ok(())
-}
-
-/// Why a candidate need not be measured, by what was measured so far.
-fn skipped(
-    grid: &Grid,
-    candidate: &Candidate,
-    records: &Records,
-    sets: &[String],
-) -> Option<RuledOut> {
-    if !grid.skip {
-        return None;
-    }
-    let tried = points(&records.all, Kind::Setting, sets).into_iter().filter_map(|point| {
-        let setting: Setting = point.setting.parse().ok()?;
-        Some(Tried {
-            candidate: Candidate::new(&setting),
-            cost: point.seconds_p50,
-            worth: point.f_miou?,
-        })
-    });
-    ruled_out(candidate, &tried.collect::<Vec<_>>(), &grid.axes)
 }

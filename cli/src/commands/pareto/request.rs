@@ -32,6 +32,8 @@ pub struct Request {
     pub threads: usize,
     /// Memory limit, as the flag takes it.
     pub max_memory: Option<String>,
+    /// What all records of a folder share.
+    pub conditions: String,
     /// SHA-256 of the weights.
     pub weights_hash: String,
     /// SHA-256 of the scenes.

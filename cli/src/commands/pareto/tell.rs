@@ -5,6 +5,18 @@ use scenesplat::pareto::{Point, Summary, seconds_text};
 
 /// Prints the front, the classes, the two rows, what was neutral and what bought nothing.
 pub fn tell(summary: &Summary) {
+    for curve in &summary.training {
+        print(&format!(
+            "{}: {} of {:.2} %, 99 % of it after {} of training",
+            curve.name,
+            curve.metric,
+            100.0 * curve.best,
+            seconds_text(curve.seconds_to_99)
+        ));
+    }
+    if summary.points.is_empty() {
+        return;
+    }
     print(&format!(
         "{:>10} {:>10} {:>9} {:>8} {:>8} {:>8} {:>7} {:>7}  setting",
         "p50", "p95", "peak MB", "f-mIoU", "mIoU", "agrees", "hit@1", "ECE"
