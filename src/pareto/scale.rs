@@ -48,7 +48,12 @@ impl Scale {
                 all.filter(inside).collect()
             };
             let dense = of(&[1.0, 2.0, 5.0]);
-            return if dense.len() <= 8 { dense } else { of(&[1.0]) };
+            match dense.len() {
+                // Less than a decade.
+                0..=2 => {}
+                3..=8 => return dense,
+                _ => return of(&[1.0]),
+            }
         }
         let raw = (self.high - self.low) / 8.0;
         let power = 10f64.powf(raw.log10().floor());
