@@ -59,6 +59,8 @@ pub fn calibrate(args: &Args) -> Result<()> {
         sets: &sets,
         scratch: scratch.path(),
         machine: machine.clone(),
+        // Quality alone is asked for here; times are those of whole commands.
+        repeats: 1,
         progress: &progress,
         asked: Cell::new(0),
         weights: RefCell::default(),

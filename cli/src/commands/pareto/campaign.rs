@@ -31,6 +31,8 @@ pub struct Campaign<'a> {
     pub scratch: &'a Path,
     /// This machine, with as many threads as work.
     pub machine: Machine,
+    /// Repeats after the warm-up.
+    pub repeats: usize,
     /// What is shown.
     pub progress: &'a Progress,
     /// Requests so far.
@@ -181,9 +183,8 @@ impl Campaign<'_> {
                 continue;
             }
             let labels = Labels { folder: Some(&folder), keep: is_reference };
-            let repeats = usize::from(self.args.repeats);
             let [mut record, oracle, random] =
-                self.measure(setting, set, repeats, &Beside::default(), labels)?;
+                self.measure(setting, set, self.repeats, &Beside::default(), labels)?;
             if is_reference {
                 record.agreement = Some(1.0);
                 for row in [oracle, random] {

@@ -34,7 +34,7 @@ pub fn estimate(
     neutral: usize,
 ) -> Result<f64> {
     let mut total = 0.0;
-    let passes = f64::from(campaign.args.repeats) + 2.0;
+    let passes = campaign.repeats as f64 + 2.0;
     for set in campaign.sets {
         let [whole, load] = cost(campaign, set, records)?;
         let scenes = set.scenes.len() as f64;

@@ -59,6 +59,7 @@ pub fn run(args: &Args) -> Result<()> {
         sets: &sets,
         scratch: scratch.path(),
         machine: this_machine(args.threads),
+        repeats: usize::from(args.repeats),
         progress: &progress,
         asked: Cell::new(0),
         weights: RefCell::default(),
