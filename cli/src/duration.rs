@@ -7,7 +7,10 @@ pub struct Seconds(pub f64);
 /// Reads `500ms`, `2s`, `1.5m`, `2min`, `2h`; a number alone is seconds.
 pub fn parse_duration(text: &str) -> Result<Seconds, String> {
     let lower = text.trim().to_ascii_lowercase();
-    let number = lower.trim_end_matches(|c: char| c.is_ascii_alphabetic());
+    // `nan` and `inf` are numbers, if no times.
+    let alone = lower.parse::<f64>().is_ok();
+    let number =
+        if alone { &lower } else { lower.trim_end_matches(|c: char| c.is_ascii_alphabetic()) };
     let factor = match lower[number.len()..].trim() {
         "" | "s" | "sec" => 1.0,
         "ms" => 1e-3,
