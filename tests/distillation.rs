@@ -378,6 +378,7 @@ fn experiments_that_do_not_fit_are_refused_before_the_first_step() {
     refused("seeded:3", "nowhere.safetensors", &["nowhere.safetensors"]);
     refused("seeded:3", "embedded", &["config", "leave it out"]);
     refused("[model]", "precision = \"f8\"\n[model]", &["teacher.precision"]);
+    refused("task =", "precision = \"int8\"\ntask =", &["precision", "int8 is for inference"]);
     refused("[model]", "views = \"scene\"\n[model]", &["views"]);
     refused("[model]", "cache = { folder = \"c\", max_gb = 0.0 }\n[model]", &["max_gb"]);
     refused("[model]", "cache = { folder = \"c\", size = 1 }\n[model]", &["size"]);

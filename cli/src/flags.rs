@@ -142,8 +142,10 @@ pub struct Inference {
     #[arg(long)]
     pub exact: bool,
     /// Form of the numbers that are multiplied: f32; split (f32 as two bf16, where the CPU has bf16
-    /// tiles); bf16 (rounded to 8 bits; about twice as fast with AVX512-BF16). f32 if not given.
-    #[arg(long, value_name = "f32|split|bf16")]
+    /// tiles); bf16 (rounded to 8 bits; about twice as fast with AVX512-BF16); int8 (layers of 64
+    /// channels and more as 8-bit integers with scales; fast with AVX512-VNNI or AVX-VNNI). f32 if not
+    /// given.
+    #[arg(long, value_name = "f32|split|bf16|int8")]
     pub precision: Option<Precision>,
     /// Voxel size, metres; by default the one that the network was trained at.
     #[arg(long, value_name = "M", value_parser = parse_positive, allow_hyphen_values = true)]

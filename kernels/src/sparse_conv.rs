@@ -158,10 +158,10 @@ fn run(
                             let from = LeftRows::Single(from);
                             multiply_prepared(rows, from, matrix, columns, to, true);
                         }
-                        PreparedRows::Pairs { values, steps } => {
+                        PreparedRows::Words { values, stride } => {
                             let base = values.as_ptr();
-                            let from = RowPointers::Gathered { base, stride: *steps, ids: input };
-                            let from = LeftRows::Pairs(from);
+                            let from = RowPointers::Gathered { base, stride: *stride, ids: input };
+                            let from = LeftRows::Words(from);
                             multiply_prepared(rows, from, matrix, columns, to, true);
                         }
                     }
@@ -171,7 +171,7 @@ fn run(
     });
 }
 
-/// Gradient of the input.
+/// Gradient of the input; [`Precision::Int8`], which has none, counts as f32.
 ///
 /// # Shapes
 /// `grad`: `[N, cout]` · `weight`: `[cout, k, k, k, cin]` · `dx`: `[N, cin]`
@@ -188,6 +188,7 @@ pub fn backward_input(
     dx: &mut [f32],
 ) {
     let taps = map.taps();
+    let precision = precision.of_gradients();
     let packed = PackedConv::transposed(precision, weight, cin, cout, taps);
     if map.has_duplicates() {
         run(&map.transposed(), grad, &packed, |tap| tap, None, dx, true);
@@ -363,6 +364,65 @@ mod tests {
             let want = reference::submanifold_conv(&grid, &offsets, &x, cin, &w, Some(&b), k);
             for (g, w) in out.iter().zip(&want) {
                 assert!((f64::from(*g) - w).abs() < 4e-5, "{g} {w}");
+            }
+        }
+    }
+
+    #[test]
+    fn int8_is_near_tap_by_tap() {
+        for (n, cin, cout) in [(0, 64, 64), (1, 64, 65), (2, 70, 64), (900, 64, 96), (300, 131, 67)]
+        {
+            let grid = grid(n, 11, true);
+            let offsets = [0, n / 3, n];
+            let map = KernelMap::build(&grid, &offsets, 3).unwrap();
+            let (mut x, w, b) = (random(n * cin, 1), random(cout * 27 * cin, 2), random(cout, 3));
+            // Neighbours of very different size: each row has its own scale.
+            x.iter_mut().enumerate().for_each(|(i, v)| *v *= 4f32.powi((i / cin % 3) as i32));
+            let weight = PackedConv::with_precision(Precision::Int8, &w, cin, cout, map.taps());
+            let run = |x: &[f32]| {
+                let mut out = vec![f32::NAN; n * cout];
+                forward(&map, x, &weight, Some(&b), &mut out);
+                out
+            };
+            let out = run(&x);
+            let want = reference::submanifold_conv(&grid, &offsets, &x, cin, &w, Some(&b), 3);
+            let pairs = out.iter().zip(&want);
+            let error: f64 = pairs.map(|(g, w)| (f64::from(*g) - w).powi(2)).sum();
+            let norm: f64 = want.iter().map(|w| w * w).sum();
+            let relative = (error / norm.max(1e-30)).sqrt();
+            assert!(
+                relative < 1.2e-2 && (n == 0 || relative > 1e-3),
+                "{n} {cin} {cout}: {relative}"
+            );
+            // A scene alone has the same bits, and so has any number of threads.
+            let first = n / 3;
+            let alone = KernelMap::build(&grid[..first], &[0, first], 3).unwrap();
+            let mut single = vec![f32::NAN; first * cout];
+            forward(&alone, &x[..first * cin], &weight, Some(&b), &mut single);
+            assert_eq!(single, out[..first * cout]);
+            for threads in [1, 3] {
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+                assert_eq!(pool.install(|| run(&x)), out);
+            }
+            if n > 100 {
+                // NaN and ∞ spread to the row's neighbours, as NaN, and no further.
+                let mut x = x.clone();
+                (x[3], x[(n - 1) * cin + 5]) = (f32::NAN, f32::INFINITY);
+                let mut bad = vec![false; n];
+                for tap in 0..27 {
+                    let (from, to) = map.tap_pairs(tap);
+                    let pairs = from.iter().zip(to);
+                    pairs
+                        .filter(|(f, _)| [0, n as u32 - 1].contains(f))
+                        .for_each(|(_, t)| bad[t as usize] = true);
+                }
+                for (i, (got, clean)) in run(&x).iter().zip(&out).enumerate() {
+                    assert!(
+                        if bad[i / cout] { got.is_nan() } else { got == clean },
+                        "row {}",
+                        i / cout
+                    );
+                }
             }
         }
     }

@@ -11,6 +11,7 @@ use crate::objective::Objective;
 use crate::rows::Reduction;
 use crate::smooth_l1::SmoothL1Loss;
 use crate::text_classification::TextClassification;
+use crate::text_distillation::TextDistillation;
 use serde::{Deserialize, Serialize};
 
 /// A row for each loss: its name (in files in small letters), the type of its settings, which has a
@@ -50,7 +51,10 @@ macro_rules! loss_config {
         impl LossConfig {
             /// Whether the term compares rows with target rows.
             pub fn has_target(&self) -> bool {
-                matches!(self, Self::Cosine(_) | Self::L2(_) | Self::SmoothL1(_))
+                matches!(
+                    self,
+                    Self::Cosine(_) | Self::L2(_) | Self::SmoothL1(_) | Self::TextDistillation(_)
+                )
             }
 
             /// Weight in the objective.
@@ -88,6 +92,7 @@ loss_config! {
     CrossEntropy(CrossEntropyConfig) => |c, _| Ok(Box::new(c.build()?));
     LovaszSoftmax(LovaszConfig) => |_, _| Ok(Box::new(LovaszSoftmax));
     TextClassification(TextClassificationConfig) => |c, texts| Ok(Box::new(c.build(texts)?));
+    TextDistillation(TextDistillationConfig) => |c, texts| Ok(Box::new(c.build(texts)?));
 }
 
 /// Settings of [`CosineLoss`] and [`L2Loss`].
@@ -237,15 +242,43 @@ impl TextClassificationConfig {
         in_range(LOSS, "lovasz", self.lovasz, weight, "a finite number ≥ 0")?;
         let share = |v| (0.0..1.0).contains(&v);
         in_range(LOSS, "label_smoothing", self.label_smoothing, share, "0..1")?;
-        let missing = LossError::Setting {
-            loss: LOSS,
-            setting: "texts",
-            value: "none".to_owned(),
-            expected: "data that come with text embeddings",
-        };
-        let texts = texts.ok_or(missing)?.clone();
+        let texts = needed(LOSS, texts)?;
         let Self { temperature, lovasz, label_smoothing, .. } = *self;
         Ok(TextClassification { texts, temperature, lovasz, label_smoothing })
+    }
+}
+
+/// The texts, which the loss cannot do without.
+fn needed(loss: &'static str, texts: Option<&TextColumns>) -> Result<TextColumns, LossError> {
+    let (value, expected) = ("none".to_owned(), "data that come with text embeddings");
+    texts.cloned().ok_or(LossError::Setting { loss, setting: "texts", value, expected })
+}
+
+/// Settings of [`TextDistillation`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct TextDistillationConfig {
+    /// Weight in the objective; default 1.
+    pub weight: f64,
+    /// τ; default 0.05.
+    pub temperature: f64,
+    /// Mean over the valid rows, or sum.
+    pub reduction: Reduction,
+}
+
+impl Default for TextDistillationConfig {
+    fn default() -> Self {
+        Self { weight: 1.0, temperature: 0.05, reduction: Reduction::Mean }
+    }
+}
+
+impl TextDistillationConfig {
+    fn build(&self, texts: Option<&TextColumns>) -> Result<TextDistillation, LossError> {
+        const LOSS: &str = "text_distillation";
+        let positive = |v: f64| v > 0.0 && v.is_finite();
+        in_range(LOSS, "temperature", self.temperature, positive, "a finite number above 0")?;
+        let Self { temperature, reduction, .. } = *self;
+        Ok(TextDistillation { texts: needed(LOSS, texts)?, temperature, reduction })
     }
 }
 

@@ -5,6 +5,7 @@
 //! | [`CosineLoss`], [`L2Loss`], [`SmoothL1Loss`] | features with target features | [`cosine`], [`l2`], [`smooth_l1`] |
 //! | [`AggregatedContrastive`] | features with classes | [`aggregated_contrastive`] |
 //! | [`TextClassification`] | features with labels, by the texts of the classes | cross entropy and Lovász of cosines |
+//! | [`TextDistillation`] | features with target features, by the texts of the classes | divergence of softmaxes of cosines |
 //! | [`CrossEntropy`], [`LovaszSoftmax`] | logits with labels | [`cross_entropy`], [`lovasz_softmax`] |
 //!
 //! Each is a free function with its settings in a struct that implements [`Loss`]; an [`Objective`]
@@ -40,12 +41,14 @@ mod rows;
 mod scalar_op;
 mod smooth_l1;
 mod text_classification;
+mod text_distillation;
 mod values;
 mod vector;
 
 pub use config::{
     ClassSourceConfig, ContrastiveConfig, CrossEntropyConfig, LossConfig, LovaszConfig,
-    RowLossConfig, SmoothL1Config, TextClassificationConfig, build_objective,
+    RowLossConfig, SmoothL1Config, TextClassificationConfig, TextDistillationConfig,
+    build_objective,
 };
 pub use contrastive::{
     AggregatedContrastive, ClassHalves, ClassSource, TermSchedule, TextColumns,
@@ -61,4 +64,5 @@ pub use objective::{Objective, ObjectiveOutput, OffTerm, Term};
 pub use rows::Reduction;
 pub use smooth_l1::{SmoothL1Loss, smooth_l1};
 pub use text_classification::TextClassification;
+pub use text_distillation::TextDistillation;
 pub use values::first_not_finite;

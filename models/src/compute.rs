@@ -5,8 +5,9 @@ use scenesplat_kernels::Precision;
 /// Choices that change speed and rounding, but not the function that a network stands for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Compute {
-    /// Form of the operands of products, in inference and training alike. Parameters, sums, norms
-    /// and gradients that are stored stay f32.
+    /// Form of the operands of products, in inference and training alike, but for
+    /// [`Precision::Int8`], in which nothing is trained. Parameters, sums, norms and gradients that are
+    /// stored stay f32.
     pub precision: Precision,
     /// Joins frozen layers that follow each other without anything between: the linear layer of a
     /// positional convolution goes into its taps, batch norms into the linear layer before them.

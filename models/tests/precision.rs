@@ -108,7 +108,25 @@ fn lower_precisions_stay_near_f32() {
         assert!(median >= 0.999 && low >= 0.99, "bf16: cosine {median}, 1st percentile {low}");
         // Eight bits of mantissa: an error below this would mean that nothing was rounded.
         assert!(relative(&bf16, &exact) > 1e-4, "bf16: {}", relative(&bf16, &exact));
+        let int8 = features(Compute { precision: Precision::Int8, fold }, &points);
+        let cosines = self::cosines(&int8, &exact);
+        let (median, low) = (cosines[cosines.len() / 2], cosines[cosines.len() / 100]);
+        assert!(median >= 0.995 && low >= 0.97, "int8: cosine {median}, 1st percentile {low}");
+        assert!(relative(&int8, &bf16) > 1e-3, "int8: {}", relative(&int8, &bf16));
     }
+}
+
+#[test]
+fn int8_is_refused_in_training_by_name() {
+    let compute = Compute { precision: Precision::Int8, fold: true };
+    let store = ParamStore::trainable_from(WeightSource::hashed(5, ""), 0);
+    let built = ModelConfig::new(config(compute)).build(store.builder());
+    let refused = built.err().unwrap().to_string();
+    assert!(refused.contains("int8 is for inference"), "{refused}");
+    let x = Tensor::zeros((2, 64), DType::F32, &Device::Cpu).unwrap();
+    let w = Tensor::zeros((64, 64), DType::F32, &Device::Cpu).unwrap();
+    let refused = scenesplat_models::ops::linear_with(Precision::Int8, &x, &w, None).unwrap_err();
+    assert!(refused.to_string().contains("int8 is for inference"), "{refused}");
 }
 
 #[test]

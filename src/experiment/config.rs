@@ -351,10 +351,18 @@ impl ExperimentConfig {
     /// The precision of products.
     ///
     /// # Errors
-    /// If there is none of this name.
+    /// If there is none of this name, or nothing can be trained in it.
     pub fn precision(&self) -> Result<scenesplat_kernels::Precision> {
         let wrong = |e: String| ExperimentError::setting("precision", e);
-        self.precision.parse().map_err(wrong)
+        let precision: scenesplat_kernels::Precision = self.precision.parse().map_err(wrong)?;
+        if !precision.has_gradient() {
+            let problem = format!(
+                "{precision} is for inference and has no gradient; train in f32, split or bf16 and use \
+                 {precision} with the trained weights"
+            );
+            return Err(ExperimentError::setting("precision", problem));
+        }
+        Ok(precision)
     }
 
     /// Makes relative paths start at `folder`.
@@ -421,6 +429,6 @@ mod tests {
                 read += 1;
             }
         }
-        assert_eq!(read, 18);
+        assert_eq!(read, 21);
     }
 }

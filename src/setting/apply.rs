@@ -77,6 +77,7 @@ mod tests {
             assert_eq!(set("voxel=0.1,k=3,stage=fine,passes=1", name), choice.resolve().unwrap());
             let compute = |text: &str| set(text, name).model.backbone.get().compute();
             assert_eq!(compute("precision=bf16").precision, Precision::Bf16);
+            assert_eq!(compute("precision=int8").precision, Precision::Int8);
             assert!(compute("precision=bf16").fold && !compute("passes=all").fold);
             assert_ne!(set("patch=64", name), choice.resolve().unwrap());
             set("patch=64", name).check().unwrap();

@@ -275,6 +275,9 @@ view = "scene"
 cache = { folder = "DATA/rows", max_gb = 1e-9 }
 MODEL
 projection = 64
+[text]
+type = "vocabulary"
+dim = 64
 [[train]]
 source = { type = "synthetic", count = 2, seed = 1, room = { num_gaussians = 500 } }
 transforms = "language_pretraining"
@@ -283,6 +286,9 @@ workers = 0
 [[losses]]
 type = "smooth_l1"
 beta = 0.1
+[[losses]]
+type = "text_distillation"
+temperature = 0.2
 [optimizer]
 groups = []
 "#;

@@ -1,6 +1,6 @@
 //! What the processor and the memory can do at most.
 
-use super::multiply_add::{Loop, bf16_loop, f32_loop};
+use super::multiply_add::{Loop, bf16_loop, f32_loop, int8_loop};
 use super::stopwatch::time;
 use super::{Measured, Request, Speeds};
 use anyhow::Result;
@@ -22,7 +22,11 @@ pub fn speeds() -> Speeds {
         });
         runs.fold(0.0, f64::max)
     };
-    Speeds { f32_flop_s: of(f32_loop()), bf16_flop_s: bf16_loop().map(of) }
+    Speeds {
+        f32_flop_s: of(f32_loop()),
+        bf16_flop_s: bf16_loop().map(of),
+        int8_op_s: int8_loop().map(of),
+    }
 }
 
 /// Operations a second of all threads, in registers.

@@ -31,6 +31,7 @@ use std::path::PathBuf;
 enum Work {
     PeakF32,
     PeakBf16,
+    PeakInt8,
     Bandwidth,
     Serialize,
     GridSample,
@@ -58,9 +59,10 @@ const fn row(name: &'static str, work: Work, full: usize, quick: usize) -> RowKi
     RowKind { name, work, size: [full, quick] }
 }
 
-const ALL: [RowKind; 19] = [
+const ALL: [RowKind; 20] = [
     row("peak_f32", Work::PeakF32, 0, 0),
     row("peak_bf16", Work::PeakBf16, 0, 0),
+    row("peak_int8", Work::PeakInt8, 0, 0),
     row("bandwidth", Work::Bandwidth, 1 << 25, 1 << 23),
     row("serialize_4x_1m", Work::Serialize, 1_000_000, 20_000),
     row("grid_sample_1m", Work::GridSample, 1_000_000, 20_000),
@@ -98,6 +100,21 @@ impl RowKind {
                 | Work::LitePtLanguage
                 | Work::Language
         )
+    }
+
+    /// The precision of a speed of the machine itself, which all floors need.
+    fn peak_of(&self) -> Option<&'static str> {
+        match self.work {
+            Work::PeakF32 | Work::Bandwidth => Some("f32"),
+            Work::PeakBf16 => Some("bf16"),
+            Work::PeakInt8 => Some("int8"),
+            _ => None,
+        }
+    }
+
+    /// Whether it can be computed in a precision.
+    fn is_in(&self, precision: Precision) -> bool {
+        precision.has_gradient() || !matches!(self.work, Work::TrainStep { .. })
     }
 
     /// Whether its result is compared with that of the same row in f32.
@@ -143,6 +160,9 @@ pub fn measure(request: &Request) -> Result<Measured> {
     let Some(row) = RowKind::find(&request.name) else {
         bail!("{:?} is no row", request.name);
     };
+    if !row.is_in(request.precision) {
+        bail!("{} is for inference: nothing is trained in it", request.precision);
+    }
     let n = row.size[usize::from(request.quick)];
     let before = machine::speeds();
     let measured = match row.work {
@@ -150,6 +170,10 @@ pub fn measure(request: &Request) -> Result<Measured> {
         Work::PeakBf16 => match multiply_add::bf16_loop() {
             Some(found) => machine::peak(found, request),
             None => bail!("this processor has no instructions for bf16"),
+        },
+        Work::PeakInt8 => match multiply_add::int8_loop() {
+            Some(found) => machine::peak(found, request),
+            None => bail!("this processor has no instructions for dot products of 8-bit integers"),
         },
         Work::Bandwidth => machine::bandwidth(n, request),
         Work::Serialize => tables::serialize(n, request),
@@ -230,14 +254,18 @@ pub fn run(
     let mut done: Vec<(RowKind, &str, Measured)> = Vec::new();
     let mut jobs = Vec::new();
     for row in ALL {
-        if let Work::PeakF32 | Work::PeakBf16 | Work::Bandwidth = row.work {
-            if row.work == Work::PeakBf16 && multiply_add::bf16_loop().is_none() {
+        if let Some(shown) = row.peak_of() {
+            let there = match row.work {
+                Work::PeakBf16 => multiply_add::bf16_loop().is_some(),
+                Work::PeakInt8 => multiply_add::int8_loop().is_some(),
+                _ => true,
+            };
+            if !there {
                 continue;
             }
             let measured = measure(&request(&row, Precision::F32))?;
             machine.note(row.work, &measured);
             if wanted(&row) {
-                let shown = if row.work == Work::PeakBf16 { "bf16" } else { "f32" };
                 say(Step::Done(&Row::new(&row, shown, settings, &measured, &machine)));
                 done.push((row, shown, measured));
             }
@@ -249,7 +277,10 @@ pub fn run(
         // What has no choice is measured whatever precision is asked for.
         let precisions =
             if row.has_precisions() { settings.precisions.as_slice() } else { &[Precision::F32] };
-        jobs.extend(precisions.iter().map(|&precision| (row, precision)));
+        // Training is left out where it cannot be, unless it was asked for: then it says so.
+        let named = !settings.only.is_empty();
+        let precisions = precisions.iter().filter(|&&p| named || row.is_in(p));
+        jobs.extend(precisions.map(|&precision| (row, precision)));
     }
     let mut failed = Vec::new();
     for (i, (row, precision)) in jobs.iter().enumerate() {
@@ -347,7 +378,7 @@ mod tests {
         let accuracy = None;
         // The machine is half as fast at first.
         let f32_flop_s = if request.name.starts_with("peak") { 100.0 } else { 200.0 };
-        let speeds = vec![Speeds { f32_flop_s, bf16_flop_s: None }];
+        let speeds = vec![Speeds { f32_flop_s, bf16_flop_s: None, int8_op_s: None }];
         Ok(Measured {
             size: 1,
             seconds: vec![3.0, 1.0, 1.5],

@@ -49,6 +49,29 @@ pub fn bf16_loop() -> Option<Loop> {
     None
 }
 
+/// The loop of 8-bit integers with i32 sums, where the processor has instructions for it.
+pub fn int8_loop() -> Option<Loop> {
+    #[cfg(target_arch = "x86_64")]
+    {
+        let per_lane = (2 * SUMS * STEPS) as u64;
+        if Isa::current() >= Isa::Avx512 && is_x86_feature_detected!("avx512vnni") {
+            return Some(Loop {
+                flop: 64 * per_lane,
+                // SAFETY: the instruction set was detected.
+                run: |factor| unsafe { x86::avx512_vnni(factor) },
+            });
+        }
+        if Isa::current() >= Isa::Avx2 && is_x86_feature_detected!("avxvnni") {
+            return Some(Loop {
+                flop: 32 * per_lane,
+                // SAFETY: as above.
+                run: |factor| unsafe { x86::avx_vnni(factor) },
+            });
+        }
+    }
+    None
+}
+
 /// Plain Rust: whatever the target's compiler makes of sixteen sums side by side.
 fn portable(factor: f32) -> f32 {
     let factor = [factor; 16];
@@ -102,5 +125,29 @@ mod x86 {
             }
         }
         sums.into_iter().map(|s| _mm512_reduce_add_ps(s)).sum()
+    }
+
+    #[target_feature(enable = "avx512f,avx512vnni")]
+    pub fn avx512_vnni(factor: f32) -> f32 {
+        let factor = _mm512_set1_epi32(factor.to_bits().cast_signed());
+        let mut sums = [factor; SUMS];
+        for _ in 0..STEPS {
+            for sum in &mut sums {
+                *sum = _mm512_dpbusd_epi32(*sum, factor, factor);
+            }
+        }
+        sums.into_iter().map(|s| _mm512_reduce_add_epi32(s) as f32).sum()
+    }
+
+    #[target_feature(enable = "avx2,avxvnni")]
+    pub fn avx_vnni(factor: f32) -> f32 {
+        let factor = _mm256_set1_epi32(factor.to_bits().cast_signed());
+        let mut sums = [factor; SUMS];
+        for _ in 0..STEPS {
+            for sum in &mut sums {
+                *sum = _mm256_dpbusd_avx_epi32(*sum, factor, factor);
+            }
+        }
+        sums.into_iter().map(|s| _mm256_extract_epi32::<0>(s) as f32).sum()
     }
 }

@@ -24,6 +24,7 @@ pub(super) fn weight_size(precision: Precision) -> usize {
     match precision {
         Precision::F32 | Precision::F32Split => 4,
         Precision::Bf16 => 2,
+        Precision::Int8 => 1,
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::{RowKind, Settings, Work};
 use crate::receipt::Receipt;
+use scenesplat::kernels::Precision;
 use scenesplat::kernels::simd::Isa;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -32,6 +33,8 @@ pub struct Speeds {
     pub f32_flop_s: f64,
     /// bf16; `None` without such instructions.
     pub bf16_flop_s: Option<f64>,
+    /// 8-bit integers; `None` without such instructions.
+    pub int8_op_s: Option<f64>,
 }
 
 /// How far a result is from a better one on the same input.
@@ -67,6 +70,8 @@ pub struct MachineSpeeds {
     pub peak_f32_flop_s: f64,
     /// The same in bf16; `None` without such instructions.
     pub peak_bf16_flop_s: Option<f64>,
+    /// The same of 8-bit integers; `None` without such instructions.
+    pub peak_int8_op_s: Option<f64>,
     /// Bytes a second that all threads together read from memory, by the median.
     pub bandwidth_bytes_s: f64,
 }
@@ -154,6 +159,7 @@ impl MachineSpeeds {
             version: machine.version,
             peak_f32_flop_s: 0.0,
             peak_bf16_flop_s: None,
+            peak_int8_op_s: None,
             bandwidth_bytes_s: 0.0,
         }
     }
@@ -166,29 +172,37 @@ impl MachineSpeeds {
         let bytes_s = measured.bytes as f64 / median(&measured.seconds);
         match work {
             Work::PeakF32 => self.peak_f32_flop_s = self.peak_f32_flop_s.max(flop_s),
-            Work::PeakBf16 => self.note_bf16(flop_s),
+            Work::PeakBf16 => raise(&mut self.peak_bf16_flop_s, Some(flop_s)),
+            Work::PeakInt8 => raise(&mut self.peak_int8_op_s, Some(flop_s)),
             Work::Bandwidth => self.bandwidth_bytes_s = self.bandwidth_bytes_s.max(bytes_s),
             _ => {}
         }
         for seen in &measured.speeds {
             self.peak_f32_flop_s = self.peak_f32_flop_s.max(seen.f32_flop_s);
-            seen.bf16_flop_s.into_iter().for_each(|speed| self.note_bf16(speed));
+            raise(&mut self.peak_bf16_flop_s, seen.bf16_flop_s);
+            raise(&mut self.peak_int8_op_s, seen.int8_op_s);
         }
-    }
-
-    fn note_bf16(&mut self, flop_s: f64) {
-        self.peak_bf16_flop_s = Some(self.peak_bf16_flop_s.unwrap_or(0.0).max(flop_s));
     }
 
     /// The least seconds for so many operations and bytes.
     fn floor(&self, precision: &str, flop: u64, bytes: u64) -> f64 {
         let peak = match (precision, self.peak_bf16_flop_s) {
+            // Of a network also what it leaves in bf16 and f32: a bound that it cannot reach.
+            ("int8", _) => self.peak_int8_op_s.unwrap_or(self.peak_f32_flop_s),
             ("bf16", Some(peak)) => peak,
             // Three products of bf16 parts on tiles; without them f32.
             ("split", Some(peak)) if self.simd == Isa::Amx.name() => peak / 3.0,
             _ => self.peak_f32_flop_s,
         };
         (flop as f64 / peak).max(bytes as f64 / self.bandwidth_bytes_s)
+    }
+}
+
+/// Keeps the larger one.
+fn raise(most: &mut Option<f64>, seen: Option<f64>) {
+    // Nothing is less than any number.
+    if seen > *most {
+        *most = seen;
     }
 }
 
@@ -255,7 +269,11 @@ impl Row {
     pub fn speed(&self) -> String {
         match self.flop {
             0 => format!("{:.1} GB/s", self.bytes as f64 / self.median_s / 1e9),
-            flop => format!("{:.0} GFLOP/s", flop as f64 / self.median_s / 1e9),
+            flop => {
+                let unit =
+                    if self.precision == Precision::Int8.name() { "GOP/s" } else { "GFLOP/s" };
+                format!("{:.0} {unit}", flop as f64 / self.median_s / 1e9)
+            }
         }
     }
 
@@ -316,6 +334,9 @@ impl fmt::Display for Report {
         )?;
         if let Some(peak) = m.peak_bf16_flop_s {
             write!(f, ", {:.0} GFLOP/s bf16", peak / 1e9)?;
+        }
+        if let Some(peak) = m.peak_int8_op_s {
+            write!(f, ", {:.0} GOP/s int8", peak / 1e9)?;
         }
         writeln!(f, ", {:.1} GB/s", m.bandwidth_bytes_s / 1e9)?;
         if self.quick {

@@ -20,7 +20,7 @@ pub struct Args {
     /// Only this row, with more samples; may be given several times.
     #[arg(long, value_name = "NAME")]
     pub only: Vec<String>,
-    /// Precision of matrix products: f32, split or bf16; may be given several times. f32 and bf16 if
+    /// Precision of matrix products: f32, split, bf16 or int8; may be given several times. f32 and bf16 if
     /// not given.
     #[arg(long, value_name = "NAME")]
     pub precision: Vec<Precision>,

@@ -87,13 +87,16 @@ fn tables_have_no_wrong_entry() {
 #[test]
 fn products_are_as_exact_as_their_precision() {
     let names = ["gemm_c768_100k", "conv3_c32_100k"];
-    let rows = rows(&names, &["--precision", "bf16", "--precision", "f32", "--precision", "split"]);
-    assert_eq!(rows.len(), 6);
+    let precisions = ["bf16", "f32", "split", "int8"].map(|p| ["--precision", p]).concat();
+    let rows = rows(&names, &precisions);
+    assert_eq!(rows.len(), 8);
     for row in &rows {
         // About eight bits of mantissa, both of two such parts, or all 24.
         let (low, high) = match row["precision"].as_str().unwrap() {
             "bf16" => (1e-4, 1e-2),
             "split" => (1e-9, 1e-4),
+            // 32 channels are too few for integers.
+            "int8" if row["name"] == "gemm_c768_100k" => (1e-3, 2e-2),
             _ => (1e-9, 1e-6),
         };
         assert!((low..high).contains(&error(row)), "{row}");
@@ -132,6 +135,19 @@ fn less_than_f32_alone() {
     let rows = rows(&["forward_semseg_100k"], &["--precision", "bf16"]);
     assert_eq!((rows.len(), &rows[0]["precision"]), (1, &Value::from("bf16")));
     assert!((1e-4..0.3).contains(&error(&rows[0])), "{rows:?}");
+}
+
+#[test]
+fn integers_are_for_inference() {
+    let rows = rows(&["forward_litept_s_language_100k"], &["--precision", "int8"]);
+    assert_eq!((rows.len(), &rows[0]["precision"]), (1, &Value::from("int8")));
+    let [low, middle] = ["cosine_p01", "cosine_median"].map(|c| rows[0][c].as_f64().unwrap());
+    assert!(0.9 < low && low <= middle && middle < 0.999_999, "{rows:?}");
+    let output =
+        scenesplat(&["bench", "--quick", "--only", "train_step_semseg_50k", "--precision", "int8"]);
+    assert_eq!(output.status.code(), Some(1));
+    let said = stderr(&output);
+    assert!(said.contains("int8 is for inference"), "{said}");
 }
 
 #[test]

@@ -96,6 +96,34 @@ fn segment_writes_labels_a_colored_scene_and_a_receipt() {
 }
 
 #[test]
+fn segment_with_integers_says_so_and_agrees_with_f32() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = asset("classes.safetensors");
+    let run = |name: &str, more: &[&str]| {
+        let (out, receipt) = (folder.path().join(name), folder.path().join(format!("{name}.json")));
+        let paths = [&text, &receipt].map(|p| p.to_str().unwrap());
+        let mut args = vec!["--text", paths[0], "--receipt", paths[1], "--vote-k", "0"];
+        args.extend(more);
+        done(&tiny("segment", &asset("room.ply"), &out, &args));
+        let receipt: serde_json::Value = serde_json::from_slice(&bytes(&receipt)).unwrap();
+        let labels = NpyFile::open(&out.join("labels.npy")).unwrap().read_i64().unwrap();
+        let scores = NpyFile::open(&out.join("scores.npy")).unwrap().read_f32().unwrap();
+        (labels, scores, receipt)
+    };
+    let (exact, exact_scores, _) = run("f32", &[]);
+    let (labels, scores, receipt) = run("int8", &["--precision", "int8"]);
+    assert_eq!(receipt["machine"]["dtype"], "int8", "{receipt}");
+    let same = labels.iter().zip(&exact).filter(|(a, b)| a == b).count();
+    assert!(scores != exact_scores, "nothing was rounded");
+    assert!(same * 100 >= labels.len() * 97, "{same} of {}", labels.len());
+    // The same by its part of a setting, whatever the number of threads.
+    let (again, again_scores, receipt) =
+        run("setting", &["--setting", "precision=int8", "--threads", "1"]);
+    assert_eq!((again, again_scores), (labels, scores));
+    assert_eq!(receipt["machine"]["dtype"], "int8");
+}
+
+#[test]
 fn unknown_thresholds_withhold_labels() {
     let folder = tempfile::tempdir().unwrap();
     let text = asset("classes.safetensors");

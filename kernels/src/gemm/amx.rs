@@ -1,11 +1,14 @@
-//! Products of bf16 pairs on AMX tiles: the innermost loop of a bf16 matrix product.
+//! Products of bf16 pairs, or of four bytes, on AMX tiles: the innermost loop of a matrix product.
 //!
 //! A tile register holds 16 rows of 64 bytes. `tdpbf16ps` multiplies a tile of 16 rows × 32 values
 //! of k by one of 32 values of k × 16 columns and adds the 16 × 16 products to f32 sums: 16,384
 //! operations every 16 cycles. Intrinsics for it are not stable, hence assembly; the registers'
 //! names are, as clobbers.
 //!
-//! # Arithmetic
+//! `tdpbusd` does the same with four bytes, unsigned rows and signed columns, in place of a pair, and
+//! adds to i32 sums, exactly: twice the operations. Everything else is the same for both.
+//!
+//! # Arithmetic of bf16
 //! Per step of 32 values of k, the even and the odd ones are two chains of fused multiply–adds in
 //! f32 that start at zero; their sum is added to the element's running sum. This order depends on
 //! `k` alone: rows, columns, threads and cuts of k between calls (at multiples of 32) never change a
@@ -51,13 +54,33 @@ pub(crate) fn available() -> bool {
     })
 }
 
-#[allow(unused_unsafe)] // CPUID is safe in newer versions of Rust than the oldest supported one.
 fn cpu_has_tiles() -> bool {
     const AMX_BF16: u32 = 1 << 22;
     const AMX_TILE: u32 = 1 << 24;
+    features() & (AMX_BF16 | AMX_TILE) == AMX_BF16 | AMX_TILE
+}
+
+/// Whether the CPU's tiles also multiply bytes; asked where [`available`] says yes.
+pub(crate) fn has_bytes() -> bool {
+    const AMX_INT8: u32 = 1 << 25;
+    static HAS: OnceLock<bool> = OnceLock::new();
+    *HAS.get_or_init(|| features() & AMX_INT8 != 0)
+}
+
+#[allow(unused_unsafe)] // CPUID is safe in newer versions of Rust than the oldest supported one.
+fn features() -> u32 {
     // SAFETY: every x86-64 CPU has CPUID.
-    let features = unsafe { if __cpuid(0).eax < 7 { 0 } else { __cpuid_count(7, 0).edx } };
-    features & (AMX_BF16 | AMX_TILE) == AMX_BF16 | AMX_TILE
+    unsafe { if __cpuid(0).eax < 7 { 0 } else { __cpuid_count(7, 0).edx } }
+}
+
+/// What tiles hold, and so which products are taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Operands {
+    /// Pairs of bf16; sums are f32.
+    Pairs,
+    /// Four bytes, without sign in rows and with sign in columns; sums are i32, whose bits stand in
+    /// place of f32.
+    Bytes,
 }
 
 /// Whether the system has turned on both parts of the tile state.
@@ -145,7 +168,7 @@ struct Block {
 /// `b`, stride `r9` · `rdi`, `r10` the rows of `c`, stride `rax`. Sums are in `tmm0`–`tmm3`.
 macro_rules! block {
     ($name:ident, clear: $($clear:literal)+, load: $($load:literal)+,
-     step: $($step:literal)+, store: $($store:literal)+) => {
+     step: $($step:expr),+; store: $($store:literal)+) => {
         /// # Safety
         /// Tiles are configured; the operands' tiles are readable and the sums' writable.
         unsafe fn $name(block: &Block) {
@@ -188,99 +211,132 @@ macro_rules! block {
     };
 }
 
-block!(two_by_two,
-    clear: "tilezero tmm0" "tilezero tmm1" "tilezero tmm2" "tilezero tmm3",
-    load:
-        "tileloadd tmm0, [rdi + rax*1]" "tileloadd tmm1, [rdi + rax*1 + 64]"
-        "tileloadd tmm2, [r10 + rax*1]" "tileloadd tmm3, [r10 + rax*1 + 64]",
-    step:
-        "tileloadd tmm4, [rsi + rdx*1]" "tileloadd tmm6, [rcx + r9*1]"
-        "tdpbf16ps tmm0, tmm4, tmm6"
-        "tileloadd tmm7, [rcx + r9*1 + 64]"
-        "tdpbf16ps tmm1, tmm4, tmm7"
-        "tileloadd tmm5, [r8 + rdx*1]"
-        "tdpbf16ps tmm2, tmm5, tmm6" "tdpbf16ps tmm3, tmm5, tmm7",
-    store:
-        "tilestored [rdi + rax*1], tmm0" "tilestored [rdi + rax*1 + 64], tmm1"
-        "tilestored [r10 + rax*1], tmm2" "tilestored [r10 + rax*1 + 64], tmm3");
+/// All shapes, with one instruction for the products.
+macro_rules! shapes {
+    ($module:ident, $dot:literal) => {
+        mod $module {
+            use super::{Block, TILE};
+            use std::arch::asm;
 
-block!(two_by_one,
-    clear: "tilezero tmm0" "tilezero tmm2",
-    load: "tileloadd tmm0, [rdi + rax*1]" "tileloadd tmm2, [r10 + rax*1]",
-    step:
-        "tileloadd tmm4, [rsi + rdx*1]" "tileloadd tmm6, [rcx + r9*1]"
-        "tdpbf16ps tmm0, tmm4, tmm6"
-        "tileloadd tmm5, [r8 + rdx*1]"
-        "tdpbf16ps tmm2, tmm5, tmm6",
-    store: "tilestored [rdi + rax*1], tmm0" "tilestored [r10 + rax*1], tmm2");
+        block!(two_by_two,
+            clear: "tilezero tmm0" "tilezero tmm1" "tilezero tmm2" "tilezero tmm3",
+            load:
+            "tileloadd tmm0, [rdi + rax*1]" "tileloadd tmm1, [rdi + rax*1 + 64]"
+            "tileloadd tmm2, [r10 + rax*1]" "tileloadd tmm3, [r10 + rax*1 + 64]",
+            step:
+                "tileloadd tmm4, [rsi + rdx*1]",
+                "tileloadd tmm6, [rcx + r9*1]",
+                concat!($dot, " tmm0, tmm4, tmm6"),
+                "tileloadd tmm7, [rcx + r9*1 + 64]",
+                concat!($dot, " tmm1, tmm4, tmm7"),
+                "tileloadd tmm5, [r8 + rdx*1]",
+                concat!($dot, " tmm2, tmm5, tmm6"),
+                concat!($dot, " tmm3, tmm5, tmm7");
+            store:
+            "tilestored [rdi + rax*1], tmm0" "tilestored [rdi + rax*1 + 64], tmm1"
+            "tilestored [r10 + rax*1], tmm2" "tilestored [r10 + rax*1 + 64], tmm3");
 
-// A single row of tiles takes all columns at once: fewer products than four in flight would wait
-// for each other.
-block!(one_by_four,
-    clear: "tilezero tmm0" "tilezero tmm1" "tilezero tmm2" "tilezero tmm3",
-    load:
-        "tileloadd tmm0, [rdi + rax*1]" "tileloadd tmm1, [rdi + rax*1 + 64]"
-        "tileloadd tmm2, [rdi + rax*1 + 128]" "tileloadd tmm3, [rdi + rax*1 + 192]",
-    step:
-        "tileloadd tmm4, [rsi + rdx*1]" "tileloadd tmm5, [rcx + r9*1]"
-        "tdpbf16ps tmm0, tmm4, tmm5"
-        "tileloadd tmm6, [rcx + r9*1 + 64]"
-        "tdpbf16ps tmm1, tmm4, tmm6"
-        "tileloadd tmm7, [rcx + r9*1 + 128]"
-        "tdpbf16ps tmm2, tmm4, tmm7"
-        "tileloadd tmm5, [rcx + r9*1 + 192]"
-        "tdpbf16ps tmm3, tmm4, tmm5",
-    store:
-        "tilestored [rdi + rax*1], tmm0" "tilestored [rdi + rax*1 + 64], tmm1"
-        "tilestored [rdi + rax*1 + 128], tmm2" "tilestored [rdi + rax*1 + 192], tmm3");
+        block!(two_by_one,
+            clear: "tilezero tmm0" "tilezero tmm2",
+            load: "tileloadd tmm0, [rdi + rax*1]" "tileloadd tmm2, [r10 + rax*1]",
+            step:
+                "tileloadd tmm4, [rsi + rdx*1]",
+                "tileloadd tmm6, [rcx + r9*1]",
+                concat!($dot, " tmm0, tmm4, tmm6"),
+                "tileloadd tmm5, [r8 + rdx*1]",
+                concat!($dot, " tmm2, tmm5, tmm6");
+            store: "tilestored [rdi + rax*1], tmm0" "tilestored [r10 + rax*1], tmm2");
 
-block!(one_by_three,
-    clear: "tilezero tmm0" "tilezero tmm1" "tilezero tmm2",
-    load:
-        "tileloadd tmm0, [rdi + rax*1]" "tileloadd tmm1, [rdi + rax*1 + 64]"
-        "tileloadd tmm2, [rdi + rax*1 + 128]",
-    step:
-        "tileloadd tmm4, [rsi + rdx*1]" "tileloadd tmm5, [rcx + r9*1]"
-        "tdpbf16ps tmm0, tmm4, tmm5"
-        "tileloadd tmm6, [rcx + r9*1 + 64]"
-        "tdpbf16ps tmm1, tmm4, tmm6"
-        "tileloadd tmm7, [rcx + r9*1 + 128]"
-        "tdpbf16ps tmm2, tmm4, tmm7",
-    store:
-        "tilestored [rdi + rax*1], tmm0" "tilestored [rdi + rax*1 + 64], tmm1"
-        "tilestored [rdi + rax*1 + 128], tmm2");
+        // A single row of tiles takes all columns at once: fewer products than four in flight would wait
+        // for each other.
+        block!(one_by_four,
+            clear: "tilezero tmm0" "tilezero tmm1" "tilezero tmm2" "tilezero tmm3",
+            load:
+            "tileloadd tmm0, [rdi + rax*1]" "tileloadd tmm1, [rdi + rax*1 + 64]"
+            "tileloadd tmm2, [rdi + rax*1 + 128]" "tileloadd tmm3, [rdi + rax*1 + 192]",
+            step:
+                "tileloadd tmm4, [rsi + rdx*1]",
+                "tileloadd tmm5, [rcx + r9*1]",
+                concat!($dot, " tmm0, tmm4, tmm5"),
+                "tileloadd tmm6, [rcx + r9*1 + 64]",
+                concat!($dot, " tmm1, tmm4, tmm6"),
+                "tileloadd tmm7, [rcx + r9*1 + 128]",
+                concat!($dot, " tmm2, tmm4, tmm7"),
+                "tileloadd tmm5, [rcx + r9*1 + 192]",
+                concat!($dot, " tmm3, tmm4, tmm5");
+            store:
+            "tilestored [rdi + rax*1], tmm0" "tilestored [rdi + rax*1 + 64], tmm1"
+            "tilestored [rdi + rax*1 + 128], tmm2" "tilestored [rdi + rax*1 + 192], tmm3");
 
-block!(one_by_two,
-    clear: "tilezero tmm0" "tilezero tmm1",
-    load: "tileloadd tmm0, [rdi + rax*1]" "tileloadd tmm1, [rdi + rax*1 + 64]",
-    step:
-        "tileloadd tmm4, [rsi + rdx*1]" "tileloadd tmm5, [rcx + r9*1]"
-        "tdpbf16ps tmm0, tmm4, tmm5"
-        "tileloadd tmm6, [rcx + r9*1 + 64]"
-        "tdpbf16ps tmm1, tmm4, tmm6",
-    store: "tilestored [rdi + rax*1], tmm0" "tilestored [rdi + rax*1 + 64], tmm1");
+        block!(one_by_three,
+            clear: "tilezero tmm0" "tilezero tmm1" "tilezero tmm2",
+            load:
+            "tileloadd tmm0, [rdi + rax*1]" "tileloadd tmm1, [rdi + rax*1 + 64]"
+            "tileloadd tmm2, [rdi + rax*1 + 128]",
+            step:
+                "tileloadd tmm4, [rsi + rdx*1]",
+                "tileloadd tmm5, [rcx + r9*1]",
+                concat!($dot, " tmm0, tmm4, tmm5"),
+                "tileloadd tmm6, [rcx + r9*1 + 64]",
+                concat!($dot, " tmm1, tmm4, tmm6"),
+                "tileloadd tmm7, [rcx + r9*1 + 128]",
+                concat!($dot, " tmm2, tmm4, tmm7");
+            store:
+            "tilestored [rdi + rax*1], tmm0" "tilestored [rdi + rax*1 + 64], tmm1"
+            "tilestored [rdi + rax*1 + 128], tmm2");
 
-block!(one_by_one,
-    clear: "tilezero tmm0",
-    load: "tileloadd tmm0, [rdi + rax*1]",
-    step:
-        "tileloadd tmm4, [rsi + rdx*1]" "tileloadd tmm5, [rcx + r9*1]"
-        "tdpbf16ps tmm0, tmm4, tmm5",
-    store: "tilestored [rdi + rax*1], tmm0");
+        block!(one_by_two,
+            clear: "tilezero tmm0" "tilezero tmm1",
+            load: "tileloadd tmm0, [rdi + rax*1]" "tileloadd tmm1, [rdi + rax*1 + 64]",
+            step:
+                "tileloadd tmm4, [rsi + rdx*1]",
+                "tileloadd tmm5, [rcx + r9*1]",
+                concat!($dot, " tmm0, tmm4, tmm5"),
+                "tileloadd tmm6, [rcx + r9*1 + 64]",
+                concat!($dot, " tmm1, tmm4, tmm6");
+            store: "tilestored [rdi + rax*1], tmm0" "tilestored [rdi + rax*1 + 64], tmm1");
+
+        block!(one_by_one,
+            clear: "tilezero tmm0",
+            load: "tileloadd tmm0, [rdi + rax*1]",
+            step:
+                "tileloadd tmm4, [rsi + rdx*1]",
+                "tileloadd tmm5, [rcx + r9*1]",
+                concat!($dot, " tmm0, tmm4, tmm5");
+            store: "tilestored [rdi + rax*1], tmm0");
+
+            /// # Safety
+            /// As of the blocks; `tiles` is `(1, 1..=4)` or `(2, 1..=2)`.
+            #[inline(always)]
+            pub(super) unsafe fn multiply(tiles: (usize, usize), block: &Block) {
+                // SAFETY: the caller's promise.
+                unsafe {
+                    match tiles {
+                        (2, 2) => two_by_two(block),
+                        (2, _) => two_by_one(block),
+                        (_, 4) => one_by_four(block),
+                        (_, 3) => one_by_three(block),
+                        (_, 2) => one_by_two(block),
+                        _ => one_by_one(block),
+                    }
+                }
+            }
+        }
+    };
+}
+
+shapes!(pairs, "tdpbf16ps");
+shapes!(bytes, "tdpbusd");
 
 /// # Safety
-/// As of the blocks; `tiles` is `(1, 1..=4)` or `(2, 1..=2)`.
+/// As of the blocks.
 #[inline(always)]
-unsafe fn multiply(tiles: (usize, usize), block: &Block) {
+unsafe fn multiply(operands: Operands, tiles: (usize, usize), block: &Block) {
     // SAFETY: the caller's promise.
     unsafe {
-        match tiles {
-            (2, 2) => two_by_two(block),
-            (2, _) => two_by_one(block),
-            (_, 4) => one_by_four(block),
-            (_, 3) => one_by_three(block),
-            (_, 2) => one_by_two(block),
-            _ => one_by_one(block),
+        match operands {
+            Operands::Pairs => pairs::multiply(tiles, block),
+            Operands::Bytes => bytes::multiply(tiles, block),
         }
     }
 }
@@ -305,6 +361,8 @@ fn spacing(c: &[*mut f32]) -> Option<isize> {
 /// - `b`: `[k_pairs, width]` pairs of the same kind, one pair of k of one column each
 /// - `c`: a pointer to each row of `width` sums
 ///
+/// [`Operands::Bytes`] have four bytes in place of each pair, and i32 in place of the sums.
+///
 /// Without `accumulate` the old values of `c` are not read.
 ///
 /// # Safety
@@ -315,6 +373,7 @@ fn spacing(c: &[*mut f32]) -> Option<isize> {
 #[allow(clippy::too_many_arguments)] // As the f32 micro-kernel's, and `a` is not row pointers.
 #[target_feature(enable = "avx512f")]
 pub(crate) unsafe fn panel(
+    operands: Operands,
     rows: usize,
     a: *const u32,
     a_stride: usize,
@@ -356,7 +415,7 @@ pub(crate) unsafe fn panel(
                         at.iter().for_each(|to| to.add(start).write_bytes(0, wide * TILE));
                     }
                 } else if c_stride.is_some() {
-                    multiply((tall, wide), &block);
+                    multiply(operands, (tall, wide), &block);
                 } else {
                     let sums = sums.0.as_mut_ptr();
                     let columns = wide * TILE;
@@ -366,7 +425,7 @@ pub(crate) unsafe fn panel(
                         }
                     }
                     let c_stride = 4 * columns as isize;
-                    multiply((tall, wide), &Block { c: sums, c_stride, ..block });
+                    multiply(operands, (tall, wide), &Block { c: sums, c_stride, ..block });
                     for (i, to) in at.iter().enumerate() {
                         copy(sums.add(i * columns), to.add(start), columns);
                     }

@@ -1,6 +1,7 @@
 //! The right-hand side of a product, packed into panels.
 
 use super::bf16;
+use super::int8::{self, Quads};
 use super::micro::PANEL;
 use crate::Precision;
 use crate::shape::elements;
@@ -19,6 +20,10 @@ pub(crate) enum Unit {
     /// there to check the parts on CPUs without tiles.
     #[cfg_attr(not(test), expect(dead_code, reason = "for tests"))]
     SplitPairs,
+    /// Dot products of four 8-bit integers.
+    Quads,
+    /// The same on tiles.
+    QuadTiles,
     /// Products of bf16 tiles.
     Tiles,
     /// The same on both parts of each f32.
@@ -26,9 +31,13 @@ pub(crate) enum Unit {
 }
 
 impl Unit {
-    /// The fastest way to the precision on this CPU.
-    pub(crate) fn of(precision: Precision) -> Self {
+    /// The fastest way to the precision on this CPU, for `k` values a sum and `n` columns.
+    pub(crate) fn of(precision: Precision, k: usize, n: usize) -> Self {
         match (precision, Isa::current()) {
+            (Precision::Int8, _) if k.min(n) < int8::LEAST_CHANNELS => Self::Vector,
+            #[cfg(all(target_arch = "x86_64", target_os = "linux"))]
+            (Precision::Int8, Isa::Amx) if super::amx::has_bytes() => Self::QuadTiles,
+            (Precision::Int8, _) => Self::Quads,
             (Precision::Bf16, Isa::Amx) => Self::Tiles,
             (Precision::Bf16, Isa::Avx512Bf16) => Self::Pairs,
             (Precision::Bf16, _) => Self::RoundedVector,
@@ -46,15 +55,36 @@ impl Unit {
         match self {
             Self::Vector | Self::RoundedVector => k,
             Self::Pairs => pairs,
+            Self::Quads => k.div_ceil(4),
+            Self::QuadTiles => k.div_ceil(4).next_multiple_of(16),
             Self::SplitPairs => 3 * pairs,
             Self::Tiles => tiles,
             Self::SplitTiles => 3 * tiles,
         }
     }
 
-    /// Writes a left-hand row as pairs. `to`: `[steps]`
-    pub(crate) fn prepare_pairs(self, from: &[f32], to: &mut [u32]) {
+    /// Words of a left-hand row of `steps` steps.
+    pub(crate) fn row_words(self, steps: usize) -> usize {
+        steps + self.scale_words()
+    }
+
+    /// Words behind those of the steps: the scale of integers, and what keeps rows of tiles in whole
+    /// cache lines.
+    fn scale_words(self) -> usize {
         match self {
+            Self::Quads => 1,
+            Self::QuadTiles => 16,
+            _ => 0,
+        }
+    }
+
+    /// Writes a left-hand row as pairs or integers. `to`: `[row_words]`
+    pub(crate) fn prepare_words(self, from: &[f32], to: &mut [u32]) {
+        match self {
+            Self::Quads | Self::QuadTiles => {
+                let (integers, behind) = to.split_at_mut(to.len() - self.scale_words());
+                behind[0] = int8::quantize(from, integers).to_bits();
+            }
             Self::SplitPairs | Self::SplitTiles => {
                 // [high, high, low] meets [high, low, high].
                 let (high, rest) = to.split_at_mut(to.len() / 3);
@@ -71,6 +101,7 @@ impl Unit {
 pub(crate) enum Values {
     Single(Vec<f32>),
     Pairs(Vec<u32>),
+    Quads(Quads),
 }
 
 /// A `[k, n]` matrix packed for the right-hand side of a product.
@@ -113,7 +144,7 @@ impl PackedMatrix {
         k_stride: usize,
         n_stride: usize,
     ) -> Self {
-        Self::for_unit(Unit::of(precision), values, k, n, k_stride, n_stride)
+        Self::for_unit(Unit::of(precision, k, n), values, k, n, k_stride, n_stride)
     }
 
     pub(crate) fn for_unit(
@@ -137,6 +168,7 @@ impl PackedMatrix {
     fn empty_for(unit: Unit) -> Self {
         let values = match unit {
             Unit::Vector | Unit::RoundedVector => Values::Single(Vec::new()),
+            Unit::Quads | Unit::QuadTiles => Values::Quads(Quads::default()),
             _ => Values::Pairs(Vec::new()),
         };
         Self { values, unit, k: 0, n: 0, steps: 0 }
@@ -166,6 +198,7 @@ impl PackedMatrix {
                 packed.resize(len, 0);
                 pack_pairs(packed, unit, steps, (k, n), (values, k_stride, n_stride));
             }
+            Values::Quads(packed) => packed.fill(steps, (k, n), (values, k_stride, n_stride)),
         }
     }
 
@@ -194,11 +227,17 @@ impl PackedMatrix {
         self.steps
     }
 
+    /// Words of a left-hand row that was prepared for this matrix.
+    pub(crate) fn row_words(&self) -> usize {
+        self.unit.row_words(self.steps)
+    }
+
     /// Bytes held.
     pub fn bytes(&self) -> usize {
         match &self.values {
             Values::Single(v) => size_of_val(v.as_slice()),
             Values::Pairs(v) => size_of_val(v.as_slice()),
+            Values::Quads(quads) => quads.bytes(),
         }
     }
 }
@@ -213,7 +252,7 @@ pub(crate) fn repack_with(
     k_stride: usize,
     n_stride: usize,
 ) {
-    let unit = Unit::of(precision);
+    let unit = Unit::of(precision, k, n);
     if into.unit != unit {
         *into = PackedMatrix::empty_for(unit);
     }

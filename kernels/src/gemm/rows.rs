@@ -1,7 +1,8 @@
 //! Products of rows found through pointers, on the calling thread.
 
 use super::bf16;
-use super::micro::{self, Extent, PANEL, Products, Singles, TILE_ROWS};
+use super::int8::{self, Dots, Quads};
+use super::micro::{self, Extent, PANEL, Sides, Singles, TILE_ROWS, TileProducts};
 use super::packed::{PackedMatrix, Unit, Values};
 use super::{K_BLOCK, ROW_BLOCK};
 use crate::simd::dispatch;
@@ -60,8 +61,8 @@ impl RowPointersMut<'_> {
 pub(crate) enum LeftRows<'a> {
     /// f32, rounded already where the unit wants that.
     Single(RowPointers<'a, f32>),
-    /// Pairs of bf16, [`PackedMatrix::steps`] of them.
-    Pairs(RowPointers<'a, u32>),
+    /// Pairs of bf16 or four integers each, [`PackedMatrix::steps`] of them, and what follows them.
+    Words(RowPointers<'a, u32>),
 }
 
 /// Rows of a matrix brought into that form once, for products that read them many times.
@@ -69,9 +70,10 @@ pub(crate) enum PreparedRows {
     /// As they are.
     Unchanged,
     Rounded(Vec<f32>),
-    Pairs {
+    Words {
         values: Vec<u32>,
-        steps: usize,
+        /// Words of a row.
+        stride: usize,
     },
 }
 
@@ -81,7 +83,7 @@ impl PreparedRows {
         use rayon::prelude::*;
         match b.unit {
             // Tiles need rows side by side, so they are rounded when they are gathered.
-            Unit::Vector | Unit::Tiles | Unit::SplitTiles => Self::Unchanged,
+            Unit::Vector | Unit::Tiles | Unit::SplitTiles | Unit::QuadTiles => Self::Unchanged,
             Unit::RoundedVector => {
                 let mut rounded = vec![0.0; x.len()];
                 let block = 1 << 14;
@@ -89,12 +91,12 @@ impl PreparedRows {
                 parts.for_each(|(to, from)| bf16::round_values(from, to));
                 Self::Rounded(rounded)
             }
-            Unit::Pairs | Unit::SplitPairs => {
-                let (k, steps) = (b.k(), b.steps());
-                let mut values = vec![0; x.len() / k * steps];
-                let rows = values.par_chunks_mut(steps).zip(x.par_chunks(k)).with_min_len(64);
-                rows.for_each(|(to, from)| b.unit.prepare_pairs(from, to));
-                Self::Pairs { values, steps }
+            Unit::Pairs | Unit::SplitPairs | Unit::Quads => {
+                let (k, stride) = (b.k(), b.row_words());
+                let mut values = vec![0; x.len() / k * stride];
+                let rows = values.par_chunks_mut(stride).zip(x.par_chunks(k)).with_min_len(64);
+                rows.for_each(|(to, from)| b.unit.prepare_words(from, to));
+                Self::Words { values, stride }
             }
         }
     }
@@ -123,8 +125,8 @@ pub(crate) unsafe fn multiply_rows(
         // SAFETY: passed on.
         return unsafe { multiply_prepared(rows, LeftRows::Single(a), b, columns, c, accumulate) };
     }
-    ROUNDED.with_borrow_mut(|(values, pairs)| {
-        let (k, steps) = (b.k(), b.steps());
+    ROUNDED.with_borrow_mut(|(values, words)| {
+        let (k, stride) = (b.k(), b.row_words());
         for first in (0..rows).step_by(ROW_BLOCK) {
             let count = ROW_BLOCK.min(rows - first);
             // SAFETY: the caller's promise for each row.
@@ -137,12 +139,12 @@ pub(crate) unsafe fn multiply_rows(
                 LeftRows::Single(RowPointers::Contiguous { base: values.as_ptr(), stride: k })
             } else {
                 // Tiles read sixteen rows at a time.
-                let padded = count.next_multiple_of(16) * steps;
-                pairs.resize(pairs.len().max(padded), 0);
+                let padded = count.next_multiple_of(16) * stride;
+                words.resize(words.len().max(padded), 0);
                 for i in 0..count {
-                    b.unit.prepare_pairs(row(i), &mut pairs[i * steps..(i + 1) * steps]);
+                    b.unit.prepare_words(row(i), &mut words[i * stride..(i + 1) * stride]);
                 }
-                LeftRows::Pairs(RowPointers::Contiguous { base: pairs.as_ptr(), stride: steps })
+                LeftRows::Words(RowPointers::Contiguous { base: words.as_ptr(), stride })
             };
             // SAFETY: rows of `c` as promised, from `first` on.
             unsafe {
@@ -163,7 +165,7 @@ pub(crate) unsafe fn multiply_rows(
 /// [`multiply_rows`] of rows that have the form of `b` already.
 ///
 /// # Safety
-/// As [`multiply_rows`]; the form is that of `b`, rows have `b.steps()` values.
+/// As [`multiply_rows`]; the form is that of `b`, rows have `b.row_words()` values.
 pub(crate) unsafe fn multiply_prepared(
     rows: usize,
     a: LeftRows<'_>,
@@ -177,19 +179,30 @@ pub(crate) unsafe fn multiply_prepared(
             // SAFETY: passed on.
             dispatch!((rows: usize, a: RowPointers<'_>, b: &PackedMatrix, values: &[f32],
                 columns: Range<usize>, c: RowPointersMut<'_>, accumulate: bool),
-                V => multiply_with::<Singles<V>>(rows, a, b, values, columns, c, accumulate));
+                V => multiply_with::<Singles<V>>(rows, a, b, values, columns, c, accumulate, |_, _| ()));
         }
         #[cfg(all(target_arch = "x86_64", target_os = "linux"))]
-        (LeftRows::Pairs(RowPointers::Contiguous { base, .. }), Values::Pairs(values))
+        (LeftRows::Words(RowPointers::Contiguous { base, .. }), Values::Pairs(values))
             if matches!(b.unit, Unit::Tiles | Unit::SplitTiles) =>
         {
             // SAFETY: passed on; pairs are packed for tiles only where there are some.
             unsafe { multiply_tiles(rows, base, b, values, columns, c, accumulate) }
         }
         #[cfg(target_arch = "x86_64")]
-        (LeftRows::Pairs(a), Values::Pairs(values)) => {
+        (LeftRows::Words(a), Values::Pairs(values)) => {
             // SAFETY: passed on; pairs are packed only where the instruction set was detected.
             unsafe { multiply_pairs(rows, a, b, values, columns, c, accumulate) }
+        }
+        #[cfg(all(target_arch = "x86_64", target_os = "linux"))]
+        (LeftRows::Words(RowPointers::Contiguous { base, .. }), Values::Quads(quads))
+            if b.unit == Unit::QuadTiles =>
+        {
+            // SAFETY: passed on; integers are packed for tiles only where there are some.
+            unsafe { multiply_quad_tiles(rows, base, b, quads, columns, c, accumulate) }
+        }
+        (LeftRows::Words(a), Values::Quads(quads)) => {
+            // SAFETY: passed on; the version is one that the CPU has.
+            unsafe { multiply_quads(Dots::current(), rows, a, b, quads, columns, c, accumulate) }
         }
         // A bug of this crate; a result left as it was would pass for one.
         _ => unreachable!("left-hand rows in another form than the matrix"),
@@ -212,7 +225,7 @@ unsafe fn multiply_tiles(
     c: RowPointersMut<'_>,
     accumulate: bool,
 ) {
-    use super::amx;
+    use super::amx::{self, Operands::Pairs};
     assert!(rows <= ROW_BLOCK, "more rows than a block has");
     let (steps, n) = (b.steps(), b.n());
     // SAFETY: pairs are packed for tiles only where there are some.
@@ -240,7 +253,7 @@ unsafe fn multiply_tiles(
             unsafe {
                 let panel = values.as_ptr().add(start * steps + k0 * width);
                 let (from, add) = (a.add(k0), add && whole);
-                amx::panel(rows, from, steps, panel, width, &targets[..rows], k_len, add);
+                amx::panel(Pairs, rows, from, steps, panel, width, &targets[..rows], k_len, add);
             }
             if !whole {
                 for (i, from) in tail.chunks_exact(width).enumerate() {
@@ -250,6 +263,60 @@ unsafe fn multiply_tiles(
                     for (to, from) in to.iter_mut().zip(from) {
                         *to = if add { *to + from } else { *from };
                     }
+                }
+            }
+        }
+    }
+}
+
+/// Products of integers on tiles; `a` as for [`multiply_tiles`].
+#[cfg(all(target_arch = "x86_64", target_os = "linux"))]
+#[target_feature(enable = "avx512f,avx2,fma")]
+unsafe fn multiply_quad_tiles(
+    rows: usize,
+    a: *const u32,
+    b: &PackedMatrix,
+    quads: &Quads,
+    columns: Range<usize>,
+    c: RowPointersMut<'_>,
+    accumulate: bool,
+) {
+    use super::amx::{self, Operands::Bytes};
+    assert!(rows <= ROW_BLOCK, "more rows than a block has");
+    let (steps, stride, n) = (b.steps(), b.row_words(), b.n());
+    // SAFETY: integers are packed for tiles only where there are some.
+    unsafe { amx::configure() };
+    let mut sums = vec![0i32; rows * PANEL];
+    for k0 in (0..steps).step_by(K_BLOCK) {
+        let end = (k0 + K_BLOCK).min(steps);
+        let add = accumulate || k0 > 0;
+        for start in columns.clone().step_by(PANEL) {
+            let width = PANEL.min(columns.end - start);
+            let base = sums.as_mut_ptr().cast::<f32>();
+            let targets: [*mut f32; ROW_BLOCK] =
+                std::array::from_fn(|i| base.wrapping_add(i.min(rows - 1) * width));
+            for from in (k0..end).step_by(TILE_PAIRS) {
+                let len = TILE_PAIRS.min(end - from);
+                // SAFETY: as of the bf16 tiles; sums have `rows` rows of `width` values.
+                unsafe {
+                    let panel = quads.words.as_ptr().add(start * steps + from * width);
+                    let to = &targets[..rows];
+                    amx::panel(Bytes, rows, a.add(from), stride, panel, width, to, len, from > k0);
+                }
+            }
+            let there = width.min(n - start);
+            let starts = &quads.starts[k0 / K_BLOCK * b.padded_n() + start..][..there];
+            let scales = &quads.scales[start..start + there];
+            for (i, sums) in sums.chunks_exact(width).take(rows).enumerate() {
+                // SAFETY: the scale behind a row's words; the columns of the row that exist.
+                let (scale, to) = unsafe {
+                    let to = std::slice::from_raw_parts_mut(c.row(i).add(start), there);
+                    (f32::from_bits(a.add(i * stride + steps).read()), to)
+                };
+                for (((to, sum), start), column) in to.iter_mut().zip(sums).zip(starts).zip(scales)
+                {
+                    let value = sum.wrapping_add(*start) as f32 * column * scale;
+                    *to = if add { *to + value } else { value };
                 }
             }
         }
@@ -269,7 +336,66 @@ unsafe fn multiply_pairs(
 ) {
     // SAFETY: passed on.
     unsafe {
-        multiply_with::<micro::Bf16Pairs>(rows, a, b, values, columns, c, accumulate);
+        multiply_with::<micro::Bf16Pairs>(rows, a, b, values, columns, c, accumulate, |_, _| ());
+    }
+}
+
+/// Products of integers, in one of the versions.
+///
+/// # Safety
+/// As [`multiply_prepared`]; the version is there.
+#[expect(clippy::too_many_arguments, reason = "those of the other products, and the version")]
+pub(super) unsafe fn multiply_quads(
+    dots: Dots,
+    rows: usize,
+    a: RowPointers<'_, u32>,
+    b: &PackedMatrix,
+    quads: &Quads,
+    columns: Range<usize>,
+    c: RowPointersMut<'_>,
+    accumulate: bool,
+) {
+    /// The product with the instructions of one version.
+    macro_rules! version {
+        ($name:ident, $dots:ty $(, $features:literal)?) => {
+            $(#[target_feature(enable = $features)])?
+            unsafe fn $name(
+                rows: usize,
+                a: RowPointers<'_, u32>,
+                b: &PackedMatrix,
+                quads: &Quads,
+                columns: Range<usize>,
+                c: RowPointersMut<'_>,
+                accumulate: bool,
+            ) {
+                // SAFETY: passed on; steps and columns are those of the matrix.
+                unsafe {
+                    let scales = |step, column| quads.columns(step, column);
+                    multiply_with::<$dots>(
+                        rows, a, b, &quads.words, columns, c, accumulate, scales,
+                    );
+                }
+            }
+        };
+    }
+    version!(plain, int8::Plain);
+    #[cfg(target_arch = "x86_64")]
+    version!(avx2, int8::Avx2, "avx2,fma");
+    #[cfg(target_arch = "x86_64")]
+    version!(avx_vnni, int8::AvxVnni, "avx2,fma,avxvnni");
+    #[cfg(target_arch = "x86_64")]
+    version!(avx512_vnni, int8::Avx512Vnni, "avx512f,avx512vnni,avx2,fma");
+    // SAFETY: passed on; the caller vouches for the instructions.
+    unsafe {
+        match dots {
+            #[cfg(target_arch = "x86_64")]
+            Dots::Avx512Vnni => avx512_vnni(rows, a, b, quads, columns, c, accumulate),
+            #[cfg(target_arch = "x86_64")]
+            Dots::AvxVnni => avx_vnni(rows, a, b, quads, columns, c, accumulate),
+            #[cfg(target_arch = "x86_64")]
+            Dots::Avx2 => avx2(rows, a, b, quads, columns, c, accumulate),
+            _ => plain(rows, a, b, quads, columns, c, accumulate),
+        }
     }
 }
 
@@ -288,8 +414,10 @@ unsafe fn prefetch<T>(row: *const T, len: usize) {
     let _ = (row, len, LINE, LINES);
 }
 
+/// `of_columns` gives what belongs to the columns from one on, for the steps from one on.
 #[inline(always)]
-unsafe fn multiply_with<P: Products>(
+#[expect(clippy::too_many_arguments, reason = "both sides, their sizes and the result")]
+unsafe fn multiply_with<P: TileProducts>(
     rows: usize,
     a: RowPointers<'_, P::Element>,
     b: &PackedMatrix,
@@ -297,6 +425,7 @@ unsafe fn multiply_with<P: Products>(
     columns: Range<usize>,
     c: RowPointersMut<'_>,
     accumulate: bool,
+    of_columns: impl Fn(usize, usize) -> P::Columns,
 ) {
     let (k, n, padded_n) = (b.steps(), b.n(), columns.end);
     let k_step = K_BLOCK.min(k);
@@ -313,10 +442,13 @@ unsafe fn multiply_with<P: Products>(
                 let height = TILE_ROWS.min(rows - row);
                 let mut a_rows = [std::ptr::null(); TILE_ROWS];
                 let mut c_rows = [std::ptr::null_mut(); TILE_ROWS];
+                let mut of_rows = [P::Row::default(); TILE_ROWS];
                 for i in 0..height {
                     // SAFETY: the caller's promise.
                     unsafe {
-                        a_rows[i] = a.row(row + i).add(k0);
+                        let from = a.row(row + i);
+                        of_rows[i] = P::row(from, k);
+                        a_rows[i] = from.add(k0);
                         c_rows[i] = c.row(row + i);
                     }
                 }
@@ -342,7 +474,9 @@ unsafe fn multiply_with<P: Products>(
                         });
                         let columns = width.min(n - start);
                         let extent = Extent { width, columns, k: k_len, accumulate: add };
-                        micro::panel::<P>(height, &a_rows, panel, &at, extent);
+                        let sides =
+                            Sides::<P> { a: a_rows, rows: of_rows, columns: of_columns(k0, start) };
+                        micro::panel(height, &sides, panel, &at, extent);
                     }
                     start += width;
                 }

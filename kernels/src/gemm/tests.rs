@@ -201,7 +201,7 @@ fn split_operands_come_close_to_f32() {
             .map(|(i, v)| v * 10f32.powi((i / k % 7) as i32 * 4 - 12))
             .collect();
         let want = reference::matmul_nt(&a, &w, m, k, n);
-        let mut units = vec![Unit::of(Precision::F32Split)];
+        let mut units = vec![Unit::of(Precision::F32Split, k, n)];
         if Isa::current() == Isa::Avx512Bf16 {
             units.push(Unit::SplitPairs);
         }

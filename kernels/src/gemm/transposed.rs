@@ -34,7 +34,7 @@ pub fn gemm_tn(
     gemm_tn_with(Precision::F32, a, m, b, n, pairs, out);
 }
 
-/// [`gemm_tn`] in another precision.
+/// [`gemm_tn`] in another precision; [`Precision::Int8`], which has no gradient, counts as f32.
 ///
 /// # Panics
 /// As [`gemm_tn`].
@@ -47,6 +47,7 @@ pub fn gemm_tn_with(
     pairs: Option<(&[u32], &[u32])>,
     out: &mut [f32],
 ) {
+    let precision = precision.of_gradients();
     assert_eq!(out.len(), elements([m, n]), "gemm_tn: result length");
     out.fill(0.0);
     if m == 0 || n == 0 {

@@ -80,7 +80,7 @@ pub fn forward(qkv: &[f32], heads: Heads, patches: &Patches, order: &[u32], out:
 /// With [`Precision::Bf16`] the scaled queries, keys, values and the weights before they are divided
 /// by their sum are rounded to bf16; scores, exponentials and sums are f32. A weight of 8 bits moves
 /// a result by up to 0.4 % of the largest value of the patch. [`Precision::F32Split`] computes as
-/// `F32`.
+/// `F32`, [`Precision::Int8`] as `Bf16`.
 ///
 /// # Panics
 /// As [`forward`].
@@ -93,6 +93,7 @@ pub fn forward_with(
     out: &mut [f32],
 ) {
     let c = heads.channels();
+    let rounds = matches!(precision, Precision::Bf16 | Precision::Int8);
     assert_eq!(qkv.len(), elements([order.len(), 3, c]), "attention: qkv length");
     assert_eq!(out.len(), elements([order.len(), c]), "attention: output length");
     let rows = slot_rows(patches, order);
@@ -102,7 +103,7 @@ pub fn forward_with(
     let out = SharedMut(out.as_mut_ptr());
     // In all of these each row is owned by one patch, and each head has its own channels.
     #[cfg(target_arch = "x86_64")]
-    if precision == Precision::Bf16 && pairs::has_pairs() {
+    if rounds && pairs::has_pairs() {
         return tasks(patches, heads).for_each_init(
             || Scratch::new(heads.dim, patches.longest()),
             |s, t| {
@@ -116,7 +117,7 @@ pub fn forward_with(
         || Scratch::new(heads.dim, patches.longest()),
         |s, t| {
             let task = &Task::new(qkv, heads, patches, &rows, t);
-            if precision == Precision::Bf16 {
+            if rounds {
                 dispatch_softmax!(
                     (task: &Task<'_>, s: &mut Scratch<f32>, out: SharedMut),
                     V, MR, NV => attend::<Rounded<V>, MR, NV>(task, s, out)

@@ -46,6 +46,7 @@ impl Linear {
     pub(crate) fn of(compute: Compute, weight: Tensor, bias: Option<Tensor>) -> Result<Self> {
         let (cout, cin) = weight.dims2()?;
         if weight.is_variable() {
+            ops::refuse_training("linear", compute.precision)?;
             return Ok(Self(Form::Trainable { weight, bias, precision: compute.precision }));
         }
         let bias = bias.as_ref().map(vector).transpose()?;

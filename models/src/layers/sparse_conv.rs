@@ -58,6 +58,7 @@ impl SparseConv {
     fn of(compute: Compute, weight: Tensor, bias: Option<Tensor>) -> Result<Self> {
         let (cout, kernel_size, _, _, cin) = weight.dims5()?;
         if weight.is_variable() {
+            ops::refuse_training("sparse_conv", compute.precision)?;
             let form = Form::Trainable { weight, bias, precision: compute.precision };
             return Ok(Self { kernel_size, form });
         }

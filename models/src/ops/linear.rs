@@ -1,6 +1,6 @@
 //! Linear layers.
 
-use super::{check_residual, cpu_slice, make, read, refuse_gradient};
+use super::{check_residual, cpu_slice, make, read, refuse_gradient, refuse_training};
 use candle_core::{CpuStorage, CustomOp2, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use scenesplat_kernels::Precision;
 use scenesplat_kernels::gemm::{Epilogue, PackedMatrix, gemm, gemm_tn_with, gemm_unit_rows, mlp};
@@ -117,13 +117,14 @@ pub fn linear(x: &Tensor, weight: &Tensor, bias: Option<&Tensor>) -> Result<Tens
 /// [`linear`] with operands in another precision, in the gradients too. Results are f32.
 ///
 /// # Errors
-/// As [`linear`].
+/// As [`linear`], or if the precision has no gradient.
 pub fn linear_with(
     precision: Precision,
     x: &Tensor,
     weight: &Tensor,
     bias: Option<&Tensor>,
 ) -> Result<Tensor> {
+    refuse_training("linear", precision)?;
     let x = x.contiguous()?;
     match bias {
         Some(bias) => x.apply_op3(weight, bias, Linear(precision)),

@@ -33,6 +33,7 @@ pub use segment_reduce::{expand_groups, segment_reduce};
 pub use sparse_conv::{sparse_conv, sparse_conv_frozen, sparse_conv_with};
 
 use candle_core::{CpuStorage, Device, Layout, Result, Shape, Storage, Tensor, bail};
+use scenesplat_kernels::Precision;
 
 /// The f32 values of a contiguous CPU tensor.
 pub(crate) fn cpu_slice<'a>(
@@ -78,6 +79,17 @@ pub(crate) fn refuse_gradient(op: &str, x: &Tensor) -> Result<()> {
         bail!(
             "{op}: these weights are frozen for inference and give no gradient; load them into a \
              trainable ParamStore, or detach the input"
+        );
+    }
+    Ok(())
+}
+
+/// Stops training in a precision that has no gradient.
+pub(crate) fn refuse_training(op: &str, precision: Precision) -> Result<()> {
+    if !precision.has_gradient() {
+        bail!(
+            "{op}: {precision} is for inference and has no gradient; train in f32, split or bf16, then \
+             read the weights into a frozen ParamStore"
         );
     }
     Ok(())

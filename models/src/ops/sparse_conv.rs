@@ -1,6 +1,6 @@
 //! Submanifold convolution.
 
-use super::{cpu_slice, make, read, refuse_gradient};
+use super::{cpu_slice, make, read, refuse_gradient, refuse_training};
 use candle_core::{CpuStorage, CustomOp2, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use scenesplat_kernels::Precision;
 use scenesplat_kernels::kernel_map::KernelMap;
@@ -132,7 +132,7 @@ pub fn sparse_conv(
 /// [`sparse_conv`] with operands in another precision, in the gradients too. Results are f32.
 ///
 /// # Errors
-/// As [`sparse_conv`].
+/// As [`sparse_conv`], or if the precision has no gradient.
 pub fn sparse_conv_with(
     precision: Precision,
     x: &Tensor,
@@ -140,6 +140,7 @@ pub fn sparse_conv_with(
     bias: Option<&Tensor>,
     map: Arc<KernelMap>,
 ) -> Result<Tensor> {
+    refuse_training("sparse_conv", precision)?;
     let x = x.contiguous()?;
     match bias {
         Some(bias) => x.apply_op3(weight, bias, SparseConv { precision, map }),

@@ -29,7 +29,7 @@ pub struct NetworkTeacherConfig {
     /// file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub config: Option<PathBuf>,
-    /// Form of the numbers in its products: `f32`, `split` or `bf16`.
+    /// Form of the numbers in its products: `f32`, `split`, `bf16` or `int8`.
     #[serde(default = "f32_name")]
     pub precision: String,
     /// What it is shown: `augmented`, what the student sees; or `scene`, each scene as it was read.
@@ -139,7 +139,7 @@ pub(in super::super) fn check(config: &ExperimentConfig) -> Result<()> {
             if !config.losses.iter().any(looks) {
                 return wrong(
                     "losses",
-                    "none compares with the teacher: add cosine, l2 or smooth_l1",
+                    "none compares with the teacher: add cosine, l2, smooth_l1 or text_distillation",
                 );
             }
             Ok(())

@@ -25,6 +25,22 @@ pub const CASES: &[Case] = &[
     row("losses[*](smooth_l1).weight", "student", "/losses/0/weight", "0.3", Weights),
     row("losses[*](smooth_l1).beta", "student", "/losses/0/beta", "0.5", Weights),
     row("losses[*](smooth_l1).reduction", "student", "/losses/0/reduction", "sum", Weights),
+    row(
+        "losses[*](text_distillation).type",
+        "student",
+        "/losses/1/type",
+        "cosine",
+        Refused("temperature"),
+    ),
+    row("losses[*](text_distillation).weight", "student", "/losses/1/weight", "0.3", Weights),
+    row(
+        "losses[*](text_distillation).temperature",
+        "student",
+        "/losses/1/temperature",
+        "0.6",
+        Weights,
+    ),
+    row("losses[*](text_distillation).reduction", "student", "/losses/1/reduction", "sum", Weights),
     row("losses[*](l2).weight", "language", "/losses/1/weight", "0.9", Weights),
     row("losses[*](l2).reduction", "language", "/losses/1/reduction", "sum", Weights),
     row(

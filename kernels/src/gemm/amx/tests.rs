@@ -92,7 +92,7 @@ fn product(
         let to: Vec<*mut f32> = (0..rows).map(|i| base.add(place(i))).collect();
         configure();
         let a = pairs.as_ptr();
-        panel(rows, a, a_stride, b.as_ptr(), width, &to, k / 2, old.is_some());
+        panel(Operands::Pairs, rows, a, a_stride, b.as_ptr(), width, &to, k / 2, old.is_some());
     }
     let mut out = Vec::new();
     for i in 0..rows {
@@ -367,4 +367,44 @@ fn three_products_of_halves_keep_15_bits() {
     assert!((0.98 * WORST..WORST).contains(&error), "{error:e}");
     // What rounds to infinity becomes NaN (its rest is −∞, and ∞ meets the other's rest of 0).
     assert!(split_error(&[f32::MAX], &[1.0]).is_nan());
+}
+
+#[test]
+fn products_of_bytes_are_exact() {
+    if !tiles_or_say_so("products of bytes") || !has_bytes() {
+        return;
+    }
+    for (rows, quads, width) in [(1_usize, 16, 16), (17, 32, 48), (33, 192, 64), (192, 384, 32)] {
+        let byte = |i: usize| ((i * 2_654_435_761) >> 7) as u8;
+        let word = |i: usize| u32::from_ne_bytes(std::array::from_fn(|b| byte(4 * i + b)));
+        let a: Vec<u32> = (0..rows.next_multiple_of(TILE) * quads).map(word).collect();
+        let b: Vec<u32> = (0..quads * width).map(|i| word(i + 77)).collect();
+        let mut sums = vec![1i32; rows * width];
+        let base = sums.as_mut_ptr().cast::<f32>();
+        let to: Vec<*mut f32> = (0..rows).map(|i| base.wrapping_add(i * width)).collect();
+        for accumulate in [false, true] {
+            // SAFETY: tiles are there; whole tiles of rows, distinct rows of sums.
+            unsafe {
+                configure();
+                let (a, b) = (a.as_ptr(), b.as_ptr());
+                panel(Operands::Bytes, rows, a, quads, b, width, &to, quads, accumulate);
+            }
+        }
+        for (i, row) in sums.chunks_exact(width).enumerate() {
+            for (j, sum) in row.iter().enumerate() {
+                let dot = |p: usize| {
+                    let pairs = a[i * quads + p]
+                        .to_ne_bytes()
+                        .into_iter()
+                        .zip(b[p * width + j].to_ne_bytes());
+                    pairs.map(|(a, b)| i32::from(a) * i32::from(b.cast_signed())).sum::<i32>()
+                };
+                assert_eq!(
+                    *sum,
+                    2 * (0..quads).map(dot).sum::<i32>(),
+                    "{rows} {quads} {width}: {i}, {j}"
+                );
+            }
+        }
+    }
 }
