@@ -1,5 +1,6 @@
 //! What most commands begin with: threads, the output folder, the network, the scene.
 
+use crate::budget::Chosen;
 use crate::commands::WrongUse;
 use crate::flags::{Inference, NetworkArgs, Shared};
 use crate::outputs::Outputs;
@@ -97,6 +98,16 @@ impl<'a> Session<'a> {
             let why = "the parts that --setting and flags name (docs/settings.md)";
             self.receipt.setting("setting", &inference.effective, why);
         }
+    }
+
+    /// Says and notes the setting that a budget chose.
+    pub fn note_budget(&self, chosen: Option<&Chosen>) {
+        let Some(chosen) = chosen else { return };
+        for remark in &chosen.remarks {
+            self.progress.say(remark);
+            self.receipt.warning(remark);
+        }
+        self.receipt.budget(chosen.report.clone(), chosen.began);
     }
 
     /// Makes the output folder, for files of these names and the receipt, and keeps other runs out

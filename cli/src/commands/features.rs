@@ -1,8 +1,9 @@
 //! `scenesplat features`
 
 use super::WrongUse;
+use crate::budget::{BudgetArgs, Chosen, Job, choose};
 use crate::flags::{Inference, Shared};
-use crate::session::Session;
+use crate::session::{Session, set_threads};
 use anyhow::Result;
 use scenesplat::outputs::{
     FeatureType, ResultColumns, write_colored_ply, write_features_npy, write_features_safetensors,
@@ -25,6 +26,9 @@ pub struct Args {
     /// File format of the features.
     #[arg(long, value_enum, default_value_t = Format::Npy)]
     pub format: Format,
+    /// What the setting is chosen by.
+    #[command(flatten)]
+    pub budget: BudgetArgs,
     /// Flags of the network.
     #[command(flatten)]
     pub inference: Inference,
@@ -64,6 +68,24 @@ pub enum Format {
 const AXES: &str = "feature_axes.npy";
 
 impl Args {
+    /// The setting that a budget chooses, if there is one, and the flags with it.
+    fn chosen(&self) -> Result<(Self, Option<Chosen>)> {
+        set_threads(self.shared.threads)?;
+        let job = Job {
+            command: "features",
+            scene: &self.scene,
+            inference: &self.inference,
+            vote_k: None,
+            features: None,
+        };
+        let chosen = choose(&self.budget, &job)?;
+        let mut args = self.clone();
+        if let Some(chosen) = &chosen {
+            args.inference.setting = Some(chosen.setting.clone());
+        }
+        Ok((args, chosen))
+    }
+
     /// With the parts of the setting among the flags.
     fn settled(&self) -> Result<Self> {
         if self.inference.setting.as_ref().is_some_and(|setting| setting.k.is_some()) {
@@ -76,9 +98,11 @@ impl Args {
 
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
+    let (args, chosen) = args.chosen()?;
     let args = &args.settled()?;
     let session = Session::start_with(&args.shared, &args.inference.network, line)?;
     session.note_setting(&args.inference);
+    session.note_budget(chosen.as_ref());
     session.outputs.reads(&args.scene)?;
     let features_file = match args.format {
         Format::Npy => "features.npy",
