@@ -89,7 +89,7 @@ fn compare(setting: &str, scenes: &[(GaussianScene, SceneFeatures)], text: &Text
 #[test]
 fn parts_keep_what_the_documentation_says() {
     let text = embedded::vocabulary().unwrap().class_table();
-    // Two rooms for the figures; the shares of one hold for this check.
+    // The figures of the documentation are of rooms 0 and 1.
     let scenes: Vec<(GaussianScene, SceneFeatures)> = (0..1)
         .map(|room| {
             let settings = SyntheticRoomSettings { seed: 777, room, ..Default::default() };
@@ -98,26 +98,22 @@ fn parts_keep_what_the_documentation_says() {
             (scene, plain)
         })
         .collect();
-    // Setting, least median cosine, least part of the same labels: below what was measured.
+    // Setting, least median cosine, least part of the same labels: below what was measured, for
+    // rooms and instruction sets differ.
     for (setting, cosine, same) in [
-        ("", 0.9999, 1.0),
-        ("voxel=0.12", 0.0, 0.0),
-        ("patch=128", 0.0, 0.0),
-        ("patch=64", 0.0, 0.0),
-        ("stage=coarse", 0.0, 0.0),
+        ("patch=128", 0.98, 0.93),
+        ("stage=coarse", 0.95, 0.8),
         ("rank=48", 0.9999, 0.999),
-        ("rank=36", 0.0, 0.0),
-        ("rank=24", 0.0, 0.0),
-        ("rank=12", 0.0, 0.0),
-        ("stage=coarse,rank=24", 0.0, 0.0),
-        ("codes=64", 0.0, 0.0),
-        ("codes=32", 0.0, 0.0),
-        ("codes=16", 0.0, 0.0),
-        ("passes=2", 0.0, 0.0),
-        ("passes=all", 0.0, 0.0),
-        ("precision=bf16", 0.999, 0.99),
+        ("rank=24", 0.995, 0.98),
+        ("stage=coarse,rank=24", 0.95, 0.8),
+        ("codes=64", 0.9999, 0.999),
+        ("codes=16", 0.96, 0.92),
     ] {
         let found = compare(setting, &scenes, &text);
         assert!(found.cosine[0] >= cosine && found.same >= same, "{setting}: {found:?}");
+        assert!(found.kept.iter().all(|kept| *kept > 0.9), "{setting}: {found:?}");
     }
+    // Trained at one size, it knows no other: not every part is worth its time.
+    let coarse = compare("voxel=0.12", &scenes, &text);
+    assert!(coarse.same < 0.8, "{coarse:?}");
 }
