@@ -2,7 +2,9 @@
 
 mod allocator;
 mod bench;
+mod budget;
 mod commands;
+mod duration;
 mod flags;
 mod outputs;
 mod progress;

@@ -4,6 +4,9 @@
 //! A [`Receipt`] records while the command runs; [`Receipt::finish`] gives a [`ReceiptReport`],
 //! which prints as a table and is written as JSON.
 
+use crate::budget::BudgetReport;
+pub use scenesplat::machine::Machine;
+use scenesplat::machine::peak_memory_bytes;
 use scenesplat::scene::SceneError;
 use scenesplat::scene::input_file::open_regular_file;
 use serde::{Deserialize, Serialize};
@@ -49,6 +52,7 @@ pub struct Receipt {
     start: Instant,
     clock: RefCell<Clock>,
     report: RefCell<ReceiptReport>,
+    budget: RefCell<Option<(BudgetReport, Instant)>>,
 }
 
 #[derive(Debug, Default)]
@@ -92,6 +96,9 @@ pub struct ReceiptReport {
     pub files: Vec<FileFingerprint>,
     /// Where it ran.
     pub machine: Machine,
+    /// What was expected of a setting that was chosen by a budget, and what became of it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub budget: Option<BudgetReport>,
 }
 
 /// Time spent in one stage.
@@ -131,25 +138,6 @@ pub struct FileFingerprint {
     pub sha256: String,
 }
 
-/// Where a command ran.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Machine {
-    /// Name of the processor.
-    pub cpu: String,
-    /// Cores that the process may use.
-    pub cores: usize,
-    /// Threads that worked.
-    pub threads: usize,
-    /// Instruction set of the kernels.
-    pub simd: String,
-    /// Operating system and architecture.
-    pub os: String,
-    /// Version of this program.
-    pub version: String,
-    /// Number type of the computation.
-    pub dtype: String,
-}
-
 impl Receipt {
     /// Starts the clock.
     pub fn new(command: impl Into<String>) -> Self {
@@ -158,7 +146,12 @@ impl Receipt {
             machine: Machine::detect(),
             ..ReceiptReport::default()
         };
-        Self { start: Instant::now(), clock: RefCell::default(), report: RefCell::new(report) }
+        Self {
+            start: Instant::now(),
+            clock: RefCell::default(),
+            report: RefCell::new(report),
+            budget: RefCell::default(),
+        }
     }
 
     /// Begins a stage; it ends when the guard is dropped. A stage begun meanwhile is a part of it.
@@ -250,6 +243,11 @@ impl Receipt {
         Ok(())
     }
 
+    /// Notes a setting that was chosen by a budget; `began`: since when time is spent.
+    pub fn budget(&self, report: BudgetReport, began: Instant) {
+        *self.budget.borrow_mut() = Some((report, began));
+    }
+
     /// Stops the clock. Stages still running end now.
     pub fn finish(&self) -> ReceiptReport {
         self.end_stages(0);
@@ -271,6 +269,10 @@ impl Receipt {
             })
             .collect();
         report.peak_memory_bytes = peak_memory_bytes();
+        report.budget = self.budget.borrow().clone().map(|(budget, began)| {
+            let spent_s = began.elapsed().as_secs_f64();
+            BudgetReport { spent_s, ..budget }
+        });
         report
     }
 
@@ -354,34 +356,15 @@ impl fmt::Display for ReceiptReport {
         for warning in &self.warnings {
             writeln!(f, "  warning: {warning}")?;
         }
+        if let Some(BudgetReport { asked_s, expected_s, spent_s, setting }) = &self.budget {
+            let asked = asked_s.map_or("no time".to_owned(), |s| format!("{s:.3} s"));
+            writeln!(
+                f,
+                "  budget: {asked} asked for, {expected_s:.3} s expected, {spent_s:.3} s spent: \
+                 {setting}"
+            )?;
+        }
         writeln!(f, "  {}", self.machine)
-    }
-}
-
-impl Machine {
-    /// This machine; number type and instruction set are noted by [`Receipt::computation`].
-    fn detect() -> Self {
-        Self {
-            cpu: cpu_name().unwrap_or_else(|| "unknown processor".to_owned()),
-            cores: std::thread::available_parallelism().map_or(1, usize::from),
-            threads: rayon::current_num_threads(),
-            os: format!("{} {}", std::env::consts::OS, std::env::consts::ARCH),
-            version: env!("CARGO_PKG_VERSION").to_owned(),
-            ..Self::default()
-        }
-    }
-}
-
-impl fmt::Display for Machine {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { cpu, cores, threads, simd, os, version, dtype } = self;
-        write!(f, "{cpu}, {cores} cores, {threads} threads")?;
-        for part in [simd, dtype, os] {
-            if !part.is_empty() {
-                write!(f, ", {part}")?;
-            }
-        }
-        write!(f, ", scenesplat {version}")
     }
 }
 
@@ -451,20 +434,6 @@ fn collect_files(folder: &Path, files: &mut Vec<PathBuf>) -> Result<(), ReceiptE
         }
     }
     Ok(())
-}
-
-/// Largest resident memory of this process so far.
-fn peak_memory_bytes() -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
-    let kib: u64 = line.split_whitespace().next()?.parse().ok()?;
-    Some(kib * 1024)
-}
-
-fn cpu_name() -> Option<String> {
-    let info = std::fs::read_to_string("/proc/cpuinfo").ok()?;
-    let line = info.lines().find(|line| line.starts_with("model name"))?;
-    Some(line.split_once(':')?.1.trim().to_owned())
 }
 
 fn bytes_text(bytes: u64) -> String {

@@ -1,5 +1,6 @@
 //! What most commands begin with: threads, the output folder, the network, the scene.
 
+use crate::budget::Chosen;
 use crate::commands::WrongUse;
 use crate::flags::{Inference, NetworkArgs, Shared};
 use crate::outputs::Outputs;
@@ -97,6 +98,16 @@ impl<'a> Session<'a> {
             let why = "the parts that --setting and flags name (docs/settings.md)";
             self.receipt.setting("setting", &inference.effective, why);
         }
+    }
+
+    /// Says and notes the setting that a budget chose.
+    pub fn note_budget(&self, chosen: Option<&Chosen>) {
+        let Some(chosen) = chosen else { return };
+        for remark in &chosen.remarks {
+            self.progress.say(remark);
+            self.receipt.warning(remark);
+        }
+        self.receipt.budget(chosen.report.clone(), chosen.began);
     }
 
     /// Makes the output folder, for files of these names and the receipt, and keeps other runs out
@@ -386,6 +397,24 @@ impl<'a> Session<'a> {
             s.tiles,
             s.voxels_computed
         ));
+        if !features.calibrated.is_empty() {
+            let shares = features
+                .calibrated
+                .iter()
+                .map(|(name, kept)| format!("{:.2} % in {name}", 100.0 * kept));
+            let text = shares.collect::<Vec<_>>().join(", ");
+            self.progress.say(format!("rank: convolutions keep {text}"));
+            receipt.setting("rank_keeps", text, "of their variance, on a part of the scene");
+        }
+        if let Some(codes) = features.codes() {
+            let text = format!("{:.2} %", 100.0 * codes.kept);
+            self.progress.say(format!(
+                "codes: {} of {} numbers keep {text} of the features' squared length",
+                codes.codes(),
+                codes.width
+            ));
+            receipt.setting("codes_keep", text, "of the features' squared length");
+        }
         drop(stage);
         Ok(features)
     }

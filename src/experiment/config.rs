@@ -429,6 +429,6 @@ mod tests {
                 read += 1;
             }
         }
-        assert_eq!(read, 18);
+        assert_eq!(read, 21);
     }
 }

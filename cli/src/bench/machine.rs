@@ -12,7 +12,7 @@ use std::time::Instant;
 const CHUNK: usize = 1 << 17;
 
 /// What the processor gives at this moment: the best of three short runs.
-pub(super) fn speeds() -> Speeds {
+pub fn speeds() -> Speeds {
     let of = |found: Loop| {
         let flop = found.flop * rayon::current_num_threads() as u64;
         let runs = (0..3).map(|_| {

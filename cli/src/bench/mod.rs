@@ -18,6 +18,7 @@ mod stopwatch;
 mod tables;
 mod train_step;
 
+pub use machine::speeds;
 pub use report::{Accuracy, Failure, MachineSpeeds, Measured, Report, Row, Speeds};
 
 use anyhow::{Result, bail};

@@ -54,18 +54,27 @@ impl Drop for Running {
 
 /// Measures a row in a fresh process of this program.
 pub fn measure_in_a_process(request: &Request) -> Result<Measured> {
+    let request = serde_json::to_string(request)?;
+    let answer = run_in_a_process(&["bench", "--measure", &request], &[])?;
+    serde_json::from_str(&answer).context("the row's process gave no answer")
+}
+
+/// Runs this program once more, with these variables beside its own, and gives what it printed, which
+/// has to be shorter than a pipe holds: 64 KiB. Ends it when the user asks to stop.
+pub fn run_in_a_process(args: &[&str], variables: &[(&str, &str)]) -> Result<String> {
     if interrupted() {
         return Err(Stopped.into());
     }
     let program = std::env::current_exe().context("cannot find this program")?;
     let child = Command::new(program)
-        .args(["bench", "--measure", &serde_json::to_string(request)?])
-        // Its end tells the row that this process is gone.
+        .args(args)
+        .envs(variables.iter().copied())
+        // Its end tells the process that this one is gone.
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()
-        .context("cannot start a process for the row")?;
+        .context("cannot start a process of this program")?;
     let mut child = Running(child);
     // The answer is far smaller than a pipe, so nothing needs to be read until the end.
     let status = loop {
@@ -77,7 +86,7 @@ pub fn measure_in_a_process(request: &Request) -> Result<Measured> {
         }
         std::thread::sleep(POLL);
     };
-    // Ctrl-C reaches the row's process too, perhaps first.
+    // Ctrl-C reaches the other process too, perhaps first.
     if interrupted() {
         return Err(Stopped.into());
     }
@@ -94,7 +103,16 @@ pub fn measure_in_a_process(request: &Request) -> Result<Measured> {
             _ => bail!("its process ended with {status}; perhaps there is too little memory"),
         }
     }
-    serde_json::from_str(&answer).context("the row's process gave no answer")
+    Ok(answer)
+}
+
+/// Ends this process when the one that started it, which holds the other end and writes nothing, is
+/// gone.
+pub fn end_with_parent() {
+    std::thread::spawn(|| {
+        let _ = std::io::stdin().read_to_end(&mut Vec::new());
+        std::process::exit(1);
+    });
 }
 
 /// Measures one row in this process and prints what it found.
@@ -105,11 +123,7 @@ pub fn measure_here(request: &str) -> Result<()> {
     if built.is_err() && rayon::current_num_threads() != request.threads {
         bail!("--threads {}: the system does not allow that many", request.threads);
     }
-    std::thread::spawn(|| {
-        // Whatever started this holds the other end and writes nothing.
-        let _ = std::io::stdin().read_to_end(&mut Vec::new());
-        std::process::exit(1);
-    });
+    end_with_parent();
     print(&serde_json::to_string(&measure(&request)?)?);
     Ok(())
 }

@@ -1,18 +1,21 @@
 //! `scenesplat features`
 
 use super::WrongUse;
+use crate::budget::{BudgetArgs, Chosen, Job, choose};
 use crate::flags::{Inference, Shared};
-use crate::session::Session;
+use crate::session::{Session, set_threads};
 use anyhow::Result;
 use scenesplat::outputs::{
     FeatureType, ResultColumns, write_colored_ply, write_features_npy, write_features_safetensors,
     write_scene_preview,
 };
 use scenesplat::principal::principal_colors;
+use scenesplat::scene::formats::npy_writer::write_npy;
 use std::path::PathBuf;
 
 /// Writes features.npy ([N, D], one row per Gaussian of the file), features.ply and preview.png
-/// (coloured by the features' three principal components) and a receipt.
+/// (coloured by the features' three principal components) and a receipt; with the setting codes=K
+/// features.npy is [N, K], and feature_axes.npy, [K, D], leads back: features · axes.
 #[derive(Debug, Clone, clap::Args)]
 pub struct Args {
     /// The scene, in any format.
@@ -23,6 +26,9 @@ pub struct Args {
     /// File format of the features.
     #[arg(long, value_enum, default_value_t = Format::Npy)]
     pub format: Format,
+    /// What the setting is chosen by.
+    #[command(flatten)]
+    pub budget: BudgetArgs,
     /// Flags of the network.
     #[command(flatten)]
     pub inference: Inference,
@@ -58,7 +64,28 @@ pub enum Format {
     Safetensors,
 }
 
+/// Where the directions are written that short features are coordinates along.
+const AXES: &str = "feature_axes.npy";
+
 impl Args {
+    /// The setting that a budget chooses, if there is one, and the flags with it.
+    fn chosen(&self) -> Result<(Self, Option<Chosen>)> {
+        set_threads(self.shared.threads)?;
+        let job = Job {
+            command: "features",
+            scene: &self.scene,
+            inference: &self.inference,
+            vote_k: None,
+            features: None,
+        };
+        let chosen = choose(&self.budget, &job)?;
+        let mut args = self.clone();
+        if let Some(chosen) = &chosen {
+            args.inference.setting = Some(chosen.setting.clone());
+        }
+        Ok((args, chosen))
+    }
+
     /// With the parts of the setting among the flags.
     fn settled(&self) -> Result<Self> {
         if self.inference.setting.as_ref().is_some_and(|setting| setting.k.is_some()) {
@@ -71,15 +98,19 @@ impl Args {
 
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
+    let (args, chosen) = args.chosen()?;
     let args = &args.settled()?;
     let session = Session::start_with(&args.shared, &args.inference.network, line)?;
     session.note_setting(&args.inference);
+    session.note_budget(chosen.as_ref());
     session.outputs.reads(&args.scene)?;
     let features_file = match args.format {
         Format::Npy => "features.npy",
         Format::Safetensors => "features.safetensors",
     };
-    session.make_out(&[features_file, "features.ply", "preview.png"])?;
+    let mut names = vec![features_file, "features.ply", "preview.png"];
+    names.extend(args.inference.effective.codes.map(|_| AXES));
+    session.make_out(&names)?;
     let network = session.network(&args.inference)?;
     let opened = session.open(&args.scene, &args.inference)?;
     let features = session.encode(&opened.loaded.scene, &network, &args.inference)?;
@@ -100,6 +131,11 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
             }
         };
         session.wrote(&path, bytes);
+        if let Some(codes) = features.codes() {
+            let path = session.out(AXES)?;
+            write_npy(&path, &[codes.codes(), codes.width], &codes.axes)?;
+            session.wrote(&path, std::fs::metadata(&path)?.len());
+        }
         session.receipt.add_rows_out(opened.loaded.source_rows());
     }
     session.check_stop()?;

@@ -10,6 +10,7 @@ mod evaluate;
 mod features;
 mod inspect;
 mod lift_labels;
+mod pareto;
 mod query;
 mod render;
 mod segment;
@@ -58,6 +59,11 @@ enum Command {
     Weights(weights::Args),
     /// Measures the speed of this machine.
     Bench(bench::Args),
+    /// Measures what accuracy costs in time: a grid of settings on labelled scenes.
+    Pareto(pareto::Args),
+    /// One setting, in this process: what `pareto` starts itself with.
+    #[command(hide = true)]
+    ParetoPoint(pareto::PointArgs),
 }
 
 /// The command line is right in form but asks for something that does not fit together.
@@ -97,6 +103,8 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Chunk(args) => chunk::run(args),
         Command::Weights(args) => weights::run(args, &line),
         Command::Bench(args) => bench::run(args),
+        Command::Pareto(args) => pareto::run(args),
+        Command::ParetoPoint(args) => pareto::run_point(args),
     };
     // An error of the command comes first; results that did not get out are one, too.
     end(done.and_then(|()| crate::terminal::check_output()))

@@ -2,8 +2,9 @@
 
 use super::WrongUse;
 use super::classes::Classes;
+use crate::budget::{BudgetArgs, Chosen, Job, choose};
 use crate::flags::{Inference, Shared};
-use crate::session::{FeatureSource, Session};
+use crate::session::{FeatureSource, Session, set_threads};
 use crate::terminal::write_text;
 use anyhow::Result;
 use scenesplat::Network;
@@ -31,6 +32,9 @@ pub struct Args {
     /// lang_feat.npy of lift-labels or features.npy.
     #[arg(long, value_name = "FILE.npy")]
     pub features: Option<PathBuf>,
+    /// What the setting is chosen by.
+    #[command(flatten)]
+    pub budget: BudgetArgs,
     /// Flags of the network.
     #[command(flatten)]
     pub inference: Inference,
@@ -40,6 +44,24 @@ pub struct Args {
 }
 
 impl Args {
+    /// The setting that a budget chooses, if there is one, and the flags with it.
+    fn chosen(&self) -> Result<(Self, Option<Chosen>)> {
+        set_threads(self.shared.threads)?;
+        let job = Job {
+            command: "segment",
+            scene: &self.scene,
+            inference: &self.inference,
+            vote_k: self.vote_k,
+            features: self.features.as_deref(),
+        };
+        let chosen = choose(&self.budget, &job)?;
+        let mut args = self.clone();
+        if let Some(chosen) = &chosen {
+            args.inference.setting = Some(chosen.setting.clone());
+        }
+        Ok((args, chosen))
+    }
+
     /// With the parts of the setting among the flags, and how many neighbours vote.
     fn settled(&self) -> Result<(Self, usize)> {
         let (inference, k) = self.inference.settled(self.vote_k)?;
@@ -49,9 +71,11 @@ impl Args {
 
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
+    let (args, chosen) = args.chosen()?;
     let (args, vote_k) = &args.settled()?;
     let session = Session::start_with(&args.shared, &args.inference.network, line)?;
     session.note_setting(&args.inference);
+    session.note_budget(chosen.as_ref());
     session.outputs.reads(&args.scene)?;
     args.classes.claim_inputs(&session.outputs)?;
     let names = ["labels.npy", "scores.npy", "classes.json", "segmented.ply", "preview.png"];

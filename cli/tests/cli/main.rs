@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
 mod bench;
+mod budget;
 mod chunk;
 mod commands;
 mod compare;
@@ -14,6 +15,7 @@ mod inspect;
 mod lift_labels;
 mod networks;
 mod outputs;
+mod pareto;
 mod render;
 mod settings;
 mod training;

@@ -1,8 +1,10 @@
 //! The flags of `query`, and what they ask for.
 
+use crate::budget::{BudgetArgs, Chosen, Job, choose};
 use crate::commands::WrongUse;
 use crate::commands::classes::Classes;
 use crate::flags::{Inference, Shared};
+use crate::session::set_threads;
 use anyhow::Result;
 use scenesplat::query::Query;
 use scenesplat::scene::label_set::nearest_names;
@@ -35,6 +37,9 @@ pub struct Args {
     /// lang_feat.npy of lift-labels or features.npy.
     #[arg(long, value_name = "FILE.npy")]
     pub features: Option<PathBuf>,
+    /// What the setting is chosen by.
+    #[command(flatten)]
+    pub budget: BudgetArgs,
     /// Flags of the network.
     #[command(flatten)]
     pub inference: Inference,
@@ -44,6 +49,24 @@ pub struct Args {
 }
 
 impl Args {
+    /// The setting that a budget chooses, if there is one, and the flags with it.
+    pub fn chosen(&self) -> Result<(Self, Option<Chosen>)> {
+        set_threads(self.shared.threads)?;
+        let job = Job {
+            command: "query",
+            scene: &self.scene,
+            inference: &self.inference,
+            vote_k: self.vote_k,
+            features: self.features.as_deref(),
+        };
+        let chosen = choose(&self.budget, &job)?;
+        let mut args = self.clone();
+        if let Some(chosen) = &chosen {
+            args.inference.setting = Some(chosen.setting.clone());
+        }
+        Ok((args, chosen))
+    }
+
     /// With the parts of the setting among the flags, and how many neighbours vote.
     pub fn settled(&self) -> Result<(Self, usize)> {
         let (inference, k) = self.inference.settled(self.vote_k)?;

@@ -14,9 +14,11 @@ use write::{describe, write};
 
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
+    let (args, chosen) = args.chosen()?;
     let (args, vote_k) = &args.settled()?;
     let session = Session::start_with(&args.shared, &args.inference.network, line)?;
     session.note_setting(&args.inference);
+    session.note_budget(chosen.as_ref());
     session.outputs.reads_any([Some(args.scene.as_path()), args.embedding.as_deref()])?;
     args.classes.claim_inputs(&session.outputs)?;
     let query = query(args)?;

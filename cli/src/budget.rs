@@ -1,0 +1,240 @@
+//! `--budget` and `--min-quality`: which setting a command takes, from a front that was measured.
+
+use crate::bench::speeds;
+use crate::commands::WrongUse;
+use crate::flags::Inference;
+use crate::setting::VOTE_K;
+use anyhow::{Context, Result};
+use scenesplat::alignment::{Alignment, AlignmentSettings};
+use scenesplat::datasets::plan::center_shift;
+use scenesplat::input::open_input;
+use scenesplat::kernels::grid_sample::{KeyOrder, voxel_groups};
+use scenesplat::kernels::simd::Isa;
+use scenesplat::machine::Machine;
+use scenesplat::network::Weights;
+use scenesplat::pareto::{Ask, Calibration, Size, seconds_text};
+use scenesplat::{Setting, embedded};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Names the folder of stored fronts, in place of the user's data folder.
+pub const FOLDER_VARIABLE: &str = "SCENESPLAT_FRONTS";
+
+/// What the setting is chosen by.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub struct BudgetArgs {
+    /// Most time that the command may take (500ms, 2s, 1m): it takes the best setting that keeps
+    /// it, by the front of this machine (scenesplat pareto --calibrate), and says which.
+    #[arg(long, value_name = "TIME", value_parser = crate::duration::parse_duration, allow_hyphen_values = true)]
+    pub budget: Option<crate::duration::Seconds>,
+    /// Least share of the reference setting's quality, 0 to 1: the command takes the cheapest setting
+    /// that has it, or with --budget the best of those.
+    #[arg(long, value_name = "SHARE", value_parser = parse_share, allow_hyphen_values = true)]
+    pub min_quality: Option<f64>,
+}
+
+fn parse_share(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(share) if share > 0.0 && share <= 1.0 => Ok(share),
+        _ => Err(format!("{text:?}: a share above 0 and up to 1 is expected, such as 0.95")),
+    }
+}
+
+/// The budget in a receipt.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct BudgetReport {
+    /// Seconds asked for; none if quality alone was.
+    pub asked_s: Option<f64>,
+    /// Seconds that the command was expected to take.
+    pub expected_s: f64,
+    /// Seconds that it took, choosing included.
+    pub spent_s: f64,
+    /// The setting that was chosen.
+    pub setting: String,
+}
+
+/// A chosen setting.
+#[derive(Debug)]
+pub struct Chosen {
+    /// The setting.
+    pub setting: Setting,
+    /// For the receipt; the time spent is noted at its end.
+    pub report: BudgetReport,
+    /// When the command began.
+    pub began: Instant,
+    /// What to say.
+    pub remarks: Vec<String>,
+}
+
+/// What a front is looked up for.
+pub struct Job<'a> {
+    /// `segment`, `features` or `query`.
+    pub command: &'static str,
+    /// The scene.
+    pub scene: &'a Path,
+    /// The flags of the network.
+    pub inference: &'a Inference,
+    /// A flag for the vote, which a chosen setting has its own k for.
+    pub vote_k: Option<usize>,
+    /// Features that replace the network.
+    pub features: Option<&'a Path>,
+}
+
+/// Chooses a setting if the flags ask for it.
+///
+/// # Errors
+/// If a flag contradicts it, there is no front, or nothing keeps what is asked for.
+pub fn choose(args: &BudgetArgs, job: &Job<'_>) -> Result<Option<Chosen>> {
+    let began = Instant::now();
+    if args.budget.is_none() && args.min_quality.is_none() {
+        return Ok(None);
+    }
+    let flag = if args.budget.is_some() { "--budget" } else { "--min-quality" };
+    check_flags(flag, job)?;
+    let weights_hash = weights_hash(job.inference)?;
+    let machine = Machine { simd: Isa::current().name().to_owned(), ..Machine::detect() };
+    let (front, slower, remarks) = front_of(flag, &weights_hash, &machine)?;
+    let (opened, _) = open_input(job.scene, &job.inference.source.options())?;
+    let scene = &opened.loaded.scene;
+    let alignment = Alignment::of(
+        scene,
+        &AlignmentSettings {
+            up: job.inference.up,
+            metres_per_unit: job.inference.unit,
+            as_is: job.inference.as_is,
+        },
+    );
+    let coord = center_shift(&alignment.apply(scene).coord);
+    let native = embedded::config().map(|config| config.model.grid_size).unwrap_or(0.02);
+    let mut counted: BTreeMap<u64, usize> = BTreeMap::new();
+    let mut size_of = |text: &str| {
+        let setting: Setting = text.parse().unwrap_or_default();
+        let size = setting.voxel.unwrap_or(native);
+        let voxels = *counted.entry(size.to_bits()).or_insert_with(|| {
+            voxel_groups(&coord, size, KeyOrder::Morton).map_or(coord.len(), |g| g.num_voxels())
+        });
+        Size {
+            gaussians: coord.len(),
+            voxels,
+            classes: front.classes,
+            width: setting.codes.unwrap_or(front.width),
+            k: setting.k.unwrap_or(VOTE_K),
+        }
+    };
+    // Counts the voxels, which is a part of what is spent.
+    for calibrated in &front.settings {
+        size_of(&calibrated.setting);
+    }
+    let ask = Ask {
+        seconds: args.budget.map(|b| b.0),
+        min_quality: args.min_quality,
+        max_memory: job.inference.max_memory.map(|b| b.0),
+    };
+    let spent = began.elapsed().as_secs_f64();
+    let choice = front
+        .choose(job.command, &ask, &mut size_of, slower, spent)
+        .map_err(|error| WrongUse(format!("{flag}: {error}")))?;
+    let mut remarks = remarks;
+    remarks.push(format!(
+        "{flag}: {} ({}); about {} of this command, {:.1} % of the reference's f-mIoU on {}",
+        choice.setting,
+        choice.why,
+        seconds_text(choice.seconds),
+        100.0 * choice.share,
+        front.scenes
+    ));
+    let mut setting: Setting = choice.setting.parse()?;
+    if job.command == "features" {
+        setting.k = None;
+    }
+    let report = BudgetReport {
+        asked_s: ask.seconds,
+        expected_s: choice.seconds,
+        spent_s: 0.0,
+        setting: choice.setting,
+    };
+    Ok(Some(Chosen { setting, report, began, remarks }))
+}
+
+/// Refuses flags that say what the budget is to choose.
+fn check_flags(flag: &str, job: &Job<'_>) -> Result<()> {
+    let inference = job.inference;
+    let flags = [
+        (inference.setting.is_some(), "--setting"),
+        (inference.precision.is_some(), "--precision"),
+        (inference.grid_size.is_some(), "--grid-size"),
+        (inference.exact, "--exact"),
+        (job.vote_k.is_some(), "--vote-k"),
+        (job.features.is_some(), "--features"),
+    ];
+    match flags.into_iter().find(|(given, _)| *given) {
+        Some((_, other)) => {
+            let text = format!("{flag} chooses the setting: leave out {other}");
+            Err(WrongUse(text).into())
+        }
+        None => Ok(()),
+    }
+}
+
+fn weights_hash(inference: &Inference) -> Result<String> {
+    Ok(match inference.network.weights()? {
+        Weights::Embedded => embedded::sha256(),
+        Weights::Seeded(seed) => format!("seeded:{seed}"),
+        Weights::File(path) => crate::receipt::sha256_of(&path)?.0,
+    })
+}
+
+/// The front of these weights: that of this machine, or the one that comes with the program with the
+/// factor between both machines. Also what to say about it.
+fn front_of(
+    flag: &str,
+    weights: &str,
+    machine: &Machine,
+) -> Result<(Calibration, f64, Vec<String>)> {
+    let path = stored_path(weights);
+    let mut remarks = Vec::new();
+    if let Some(path) = path.as_deref().filter(|path| path.exists()) {
+        let stored = Calibration::read(path)?;
+        if stored.fingerprint == machine.fingerprint() && stored.weights_hash == weights {
+            return Ok((stored, 1.0, remarks));
+        }
+        let what = match () {
+            () if stored.version != machine.version => format!("version {}", stored.version),
+            () if stored.weights_hash != weights => "other weights".to_owned(),
+            () => format!("another machine or number of threads ({})", stored.machine),
+        };
+        remarks.push(format!(
+            "*** {}: is of {what} and is not used; scenesplat pareto --calibrate makes it anew ***",
+            path.display()
+        ));
+    }
+    if weights != embedded::sha256() {
+        let mut text = String::new();
+        remarks.iter().for_each(|remark| text += &format!("{remark}; "));
+        return Err(WrongUse(format!(
+            "{flag}: {text}there is no front of these weights for this machine; make it with \
+             scenesplat pareto --calibrate and the same --weights"
+        ))
+        .into());
+    }
+    let shipped = Calibration::shipped().context("the front that comes with the program")?;
+    let slower = shipped.f32_flop_s / speeds().f32_flop_s;
+    remarks.push(format!(
+        "{flag}: no front of this machine; that of {} is used, times {slower:.2} by the speed of the \
+         processors (scenesplat pareto --calibrate measures it here, in two minutes at most)",
+        shipped.machine
+    ));
+    Ok((shipped, slower, remarks))
+}
+
+/// Where the front of these weights is stored; `None` where there is no folder for such.
+pub fn stored_path(weights: &str) -> Option<PathBuf> {
+    let given = std::env::var_os(FOLDER_VARIABLE).filter(|v| !v.is_empty()).map(PathBuf::from);
+    let home = || std::env::var_os("HOME").map(|home| PathBuf::from(home).join(".local/share"));
+    let data = std::env::var_os("XDG_DATA_HOME").filter(|v| !v.is_empty()).map(PathBuf::from);
+    let folder = given.or_else(|| Some(data.or_else(home)?.join("scenesplat")))?;
+    let short: String = weights.chars().filter(char::is_ascii_alphanumeric).take(16).collect();
+    Some(folder.join(format!("front-{short}.json")))
+}

@@ -1,0 +1,223 @@
+//! `pareto --calibrate`: what the commands take on this machine, and what settings are worth.
+
+use super::args::Args;
+use super::campaign::{Campaign, this_machine};
+use super::inputs;
+use crate::bench::process::{Scratch, run_in_a_process};
+use crate::bench::speeds;
+use crate::budget::stored_path;
+use crate::commands::WrongUse;
+use crate::progress::Progress;
+use crate::receipt::ReceiptReport;
+use crate::session::set_threads;
+use crate::terminal::print;
+use anyhow::{Context, Result, bail};
+use scenesplat::Setting;
+use scenesplat::datasets::plan::center_shift;
+use scenesplat::kernels::grid_sample::{KeyOrder, voxel_groups};
+use scenesplat::network::{WeightOptions, network_of};
+use scenesplat::pareto::{
+    Calibrated, Calibration, CostModel, Grid, Kind, Observation, Records, Size, points,
+    seconds_text,
+};
+use scenesplat::rooms::{SyntheticRoomSettings, generate};
+use scenesplat::scene::formats::inria_ply::write_inria_ply;
+use scenesplat::scene::{AtomicFile, GaussianScene, printable};
+use std::cell::{Cell, RefCell};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Rooms whose quality is measured: of a seed that no training of the project uses.
+const SCENES: &str = "synthetic:4:1022";
+/// Seed of the rooms that are timed.
+const TIMED: u64 = 1023;
+
+/// Calibrates, and stores the front.
+pub fn calibrate(args: &Args) -> Result<()> {
+    let began = Instant::now();
+    set_threads(args.threads)?;
+    let progress = Progress::new(args.quiet);
+    let weights = args.network.weights()?;
+    let options = WeightOptions::default();
+    let native = network_of(&weights, args.network.config.as_ref(), options)?.model.grid_size;
+    let grid =
+        args.grid.as_ref().map_or_else(|| Grid::calibration(native), |path| Grid::read(path));
+    let grid = grid.map_err(|e| WrongUse(e.to_string()))?;
+    let settings = grid.settings().map_err(|e| WrongUse(e.to_string()))?;
+    if settings.iter().any(|s| s.net.is_some()) {
+        let text = "--calibrate: a front is of one network; give it with --weights, not as net";
+        return Err(WrongUse(text.to_owned()).into());
+    }
+    let scratch = Scratch::new()?;
+    let mut records = Records::open(&scratch.path().join("records.jsonl"))?;
+    let given = if args.scenes.is_empty() { vec![SCENES.to_owned()] } else { args.scenes.clone() };
+    let sets = inputs::sets(&given, scratch.path(), &progress)?;
+    let machine = this_machine(args.threads);
+    let campaign = Campaign {
+        args,
+        grid: &grid,
+        sets: &sets,
+        scratch: scratch.path(),
+        machine: machine.clone(),
+        // Quality alone is asked for here; times are those of whole commands.
+        repeats: 1,
+        progress: &progress,
+        asked: Cell::new(0),
+        weights: RefCell::default(),
+    };
+    let weights_hash = campaign.weights_hash(&grid.reference)?;
+    let path = stored_path(&weights_hash)
+        .context("there is no data folder of this user: name one with SCENESPLAT_FRONTS")?;
+    let in_time = || {
+        let spent = began.elapsed().as_secs_f64();
+        if spent > args.limit.0 {
+            bail!(
+                "--limit: {} were over before the calibration was complete; nothing was stored",
+                seconds_text(args.limit.0)
+            );
+        }
+        Ok(())
+    };
+    for setting in &settings {
+        in_time()?;
+        campaign.complete(setting, &mut records, scratch.path())?;
+    }
+    let Some(first) = records.all.iter().find(|r| r.kind == Kind::Setting).cloned() else {
+        bail!("nothing was measured");
+    };
+    let mut runs = Vec::new();
+    for (i, &count) in args.sizes.iter().enumerate() {
+        let room = SyntheticRoomSettings {
+            room: i as u64,
+            ..SyntheticRoomSettings::with_count(count, TIMED)
+        };
+        let scene = generate(&room)?.scene;
+        let file = scratch.path().join(format!("timed-{i}.ply"));
+        write_inria_ply(&scene, &[], &file)?;
+        for (j, setting) in settings.iter().enumerate() {
+            let all = ["segment", "features", "query"];
+            for command in if j == 0 { &all[..] } else { &all[..1] } {
+                in_time()?;
+                let size = size_of(&scene, setting, native, first.width, first.classes)?;
+                let timed = Timed { command, scene: &file, setting, size, width: first.width };
+                runs.push(campaign.time(&timed)?);
+                progress.say(format!(
+                    "  {command} of {count} Gaussians, {setting}: {}",
+                    seconds_text(runs[runs.len() - 1].wall)
+                ));
+            }
+        }
+    }
+    let quality = points(&records.all, Kind::Setting, &given);
+    let front = Calibration {
+        version: machine.version.clone(),
+        fingerprint: machine.fingerprint(),
+        machine,
+        weights_hash,
+        f32_flop_s: speeds().f32_flop_s,
+        reference: grid.reference.to_string(),
+        scenes: given.join(", "),
+        width: first.width,
+        classes: first.classes,
+        settings: quality
+            .into_iter()
+            .filter_map(|p| Some(Calibrated { f_miou: p.f_miou?, setting: p.setting }))
+            .collect(),
+        model: CostModel::fit(&runs),
+    };
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    }
+    AtomicFile::write(&path, (serde_json::to_string_pretty(&front)? + "\n").as_bytes())?;
+    print(&format!(
+        "{} settings, {} runs in {}; nine of ten runs are within {:.0} % of the model",
+        front.settings.len(),
+        runs.len(),
+        seconds_text(began.elapsed().as_secs_f64()),
+        100.0 * front.model.error
+    ));
+    print(&format!("wrote {}", printable(&path)));
+    Ok(())
+}
+
+fn size_of(
+    scene: &GaussianScene,
+    setting: &Setting,
+    native: f64,
+    width: usize,
+    classes: usize,
+) -> Result<Size> {
+    let groups = voxel_groups(
+        &center_shift(&scene.coord),
+        setting.voxel.unwrap_or(native),
+        KeyOrder::Morton,
+    )?;
+    Ok(Size {
+        gaussians: scene.len(),
+        voxels: groups.num_voxels(),
+        classes,
+        width: setting.codes.unwrap_or(width),
+        k: setting.k.unwrap_or(crate::setting::VOTE_K),
+    })
+}
+
+/// A run to time.
+struct Timed<'a> {
+    command: &'a str,
+    scene: &'a Path,
+    setting: &'a Setting,
+    size: Size,
+    width: usize,
+}
+
+impl Campaign<'_> {
+    /// Runs a command as a user does, and reads its receipt.
+    fn time(&self, timed: &Timed<'_>) -> Result<Observation> {
+        let Timed { command, scene, setting, size, width } = timed;
+        let out: PathBuf = self.scratch.join("out");
+        let receipt = self.scratch.join("receipt.json");
+        let mut words = vec![(*command).to_owned(), scene.display().to_string()];
+        if *command == "query" {
+            words.push("chair".to_owned());
+        }
+        let given = if *command == "features" {
+            Setting { k: None, ..(*setting).clone() }
+        } else {
+            (*setting).clone()
+        };
+        if !given.is_empty() {
+            words.push(format!("--setting={given}"));
+        }
+        let mut flags = self.args.flags(None);
+        if *command == "features" {
+            // It knows no classes.
+            flags.retain(|flag| {
+                !["--text", "--without", "--min-score", "--min-margin"]
+                    .iter()
+                    .any(|f| flag.starts_with(f))
+            });
+        } else if !self.args.network.is_embedded()
+            && self.args.classes.text.is_none()
+            && self.args.classes.text_names.is_none()
+        {
+            flags.push(format!("--text=vocabulary:{width}"));
+        }
+        words.extend(flags);
+        words.push(format!("--out={}", out.display()));
+        words.push(format!("--receipt={}", receipt.display()));
+        words.push(format!("--threads={}", self.machine.threads));
+        words.push("--quiet".to_owned());
+        let words: Vec<&str> = words.iter().map(String::as_str).collect();
+        run_in_a_process(&words, &[]).with_context(|| format!("{command} with {setting}"))?;
+        let report: ReceiptReport = serde_json::from_str(&std::fs::read_to_string(&receipt)?)?;
+        let outer = report.stages.into_iter().filter(|s| !s.name.contains('/'));
+        Ok(Observation {
+            command: (*command).to_owned(),
+            setting: setting.to_string(),
+            size: *size,
+            stages: outer.map(|s| (s.name, s.seconds)).collect(),
+            wall: report.wall_seconds,
+            peak_bytes: report.peak_memory_bytes.unwrap_or(0),
+        })
+    }
+}

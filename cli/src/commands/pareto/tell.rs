@@ -1,0 +1,88 @@
+//! What the command prints.
+
+use crate::terminal::print;
+use scenesplat::pareto::{Point, Summary, seconds_text};
+
+/// Prints the front, the classes, the two rows, what was neutral and what bought nothing.
+pub fn tell(summary: &Summary) {
+    for curve in &summary.training {
+        print(&format!(
+            "{}: {} of {:.2} %, 99 % of it after {} of training",
+            curve.name,
+            curve.metric,
+            100.0 * curve.best,
+            seconds_text(curve.seconds_to_99)
+        ));
+    }
+    if summary.points.is_empty() {
+        return;
+    }
+    print(&format!(
+        "{:>10} {:>10} {:>9} {:>8} {:>8} {:>8} {:>7} {:>7}  setting",
+        "p50", "p95", "peak MB", "f-mIoU", "mIoU", "agrees", "hit@1", "ECE"
+    ));
+    let mut all: Vec<&Point> = summary.all().collect();
+    all.sort_by(|a, b| a.seconds_p50.total_cmp(&b.seconds_p50));
+    for point in all {
+        let on_front = summary.points.iter().any(|p| p.setting == point.setting);
+        let is_knee = summary.knee.as_deref() == Some(&point.setting);
+        let mark = if is_knee {
+            "  <- knee"
+        } else if on_front {
+            "  *"
+        } else {
+            ""
+        };
+        print(&line(point, mark));
+    }
+    for point in summary.oracle.iter().chain(&summary.random_labels) {
+        print(&line(point, ""));
+    }
+    print("* the front: no other setting is both no dearer and no worse");
+    for class in &summary.classes {
+        let found = class.setting.as_deref().zip(class.seconds_p50);
+        let text = found.map_or("none".to_owned(), |(setting, seconds)| {
+            format!("{} with {}", seconds_text(seconds), shown(setting))
+        });
+        print(&format!(">= {:.1} % of the reference: {text}", 100.0 * class.share));
+    }
+    for row in &summary.neutral {
+        let said = if row.equal {
+            "the same labels".to_owned()
+        } else {
+            format!("agreement {:.4}", row.agreement.unwrap_or(f64::NAN))
+        };
+        let verdict = if row.holds { "holds" } else { "DOES NOT HOLD" };
+        print(&format!("{} on {}: {said}; {}: {verdict}", row.neutral, row.scenes, row.rule));
+    }
+    for ruled_out in &summary.skipped {
+        print(&format!("not measured: {}, ruled out by {}", ruled_out.setting, ruled_out.by));
+    }
+    for setting in &summary.unmeasured {
+        print(&format!("not measured: {setting}, time was over"));
+    }
+    match summary.findings.as_slice() {
+        [] => print("bought nothing: none found; every dearer choice bought something"),
+        found => found.iter().for_each(|f| print(&format!("bought nothing: {f}"))),
+    }
+}
+
+fn shown(setting: &str) -> &str {
+    if setting.is_empty() { "(no part named)" } else { setting }
+}
+
+fn line(point: &Point, mark: &str) -> String {
+    let percent = |v: Option<f64>| v.map_or("-".to_owned(), |v| format!("{:.2}", 100.0 * v));
+    format!(
+        "{:>10} {:>10} {:>9.1} {:>8} {:>8} {:>8} {:>7} {:>7}  {}{mark}",
+        seconds_text(point.seconds_p50),
+        seconds_text(point.seconds_p95),
+        point.peak_bytes / 1e6,
+        percent(point.f_miou),
+        percent(point.miou),
+        percent(point.agreement),
+        percent(point.query_hit1),
+        point.ece.map_or("-".to_owned(), |v| format!("{v:.4}")),
+        shown(&point.setting)
+    )
+}

@@ -1,0 +1,94 @@
+//! How far a quality would move with other scenes of the same kind.
+
+use super::ParetoError;
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use scenesplat_metrics::{ConfusionMatrix, Metric};
+
+/// Seed of the draws: the same scenes give the same bounds.
+const SEED: u64 = 0x5EED_B007;
+/// Draws; the bounds then move by less than their own last shown digit.
+const DRAWS: usize = 1000;
+
+/// Foreground mean `IoU` of all scenes together, and the bounds between which 95 % of its values lie
+/// where as many scenes are drawn from these with replacement. With one scene there is no spread to
+/// tell: the bounds are the value.
+///
+/// # Errors
+/// If the matrices are not of one kind.
+pub fn f_miou_with_bounds(scenes: &[ConfusionMatrix]) -> Result<Option<[f64; 3]>, ParetoError> {
+    let pooled = |picks: &mut dyn Iterator<Item = usize>| -> Result<Option<f64>, ParetoError> {
+        let Some(first) = picks.next() else { return Ok(None) };
+        let mut sum = scenes[first].clone();
+        for pick in picks {
+            sum.merge(&scenes[pick])?;
+        }
+        Ok(sum.tester_report().foreground_mean_iou)
+    };
+    let Some(value) = pooled(&mut (0..scenes.len()))? else { return Ok(None) };
+    if scenes.len() == 1 {
+        return Ok(Some([value; 3]));
+    }
+    let mut rng = ChaCha8Rng::seed_from_u64(SEED);
+    let mut values = Vec::with_capacity(DRAWS);
+    for _ in 0..DRAWS {
+        let picks: Vec<usize> =
+            (0..scenes.len()).map(|_| rng.random_range(0..scenes.len())).collect();
+        values.extend(pooled(&mut picks.into_iter())?);
+    }
+    values.sort_by(f64::total_cmp);
+    Ok(Some([value, quantile(&values, 0.025), quantile(&values, 0.975)]))
+}
+
+/// A quantile of ascending values, between the two nearest; NaN of none.
+pub fn quantile(sorted: &[f64], q: f64) -> f64 {
+    let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };
+    let at = q.clamp(0.0, 1.0) * last as f64;
+    let (low, part) = (at.floor() as usize, at.fract());
+    let high = (low + 1).min(last);
+    sorted[low] + part * (sorted[high] - sorted[low])
+}
+
+/// As [`quantile`], of values in any order.
+pub fn quantile_of(values: &[f64], q: f64) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    quantile(&sorted, q)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn matrix(right: u64, wrong: u64) -> ConfusionMatrix {
+        let mut matrix = ConfusionMatrix::new(2).unwrap();
+        let truth = vec![0; (right + wrong) as usize];
+        let said: Vec<i32> = (0..right + wrong).map(|i| i32::from(i >= right)).collect();
+        matrix.update((&said, &truth)).unwrap();
+        matrix
+    }
+
+    #[test]
+    fn bounds_hold_the_value_and_are_the_same_each_time() {
+        let scenes: Vec<ConfusionMatrix> = (1..8).map(|i| matrix(10 * i, 50)).collect();
+        let [value, low, high] = f_miou_with_bounds(&scenes).unwrap().unwrap();
+        assert!(low < value && value < high, "{low} {value} {high}");
+        assert_eq!(f_miou_with_bounds(&scenes).unwrap(), Some([value, low, high]));
+        let one = f_miou_with_bounds(&scenes[..1]).unwrap().unwrap();
+        assert!(one[0] == one[1] && one[1] == one[2]);
+        assert_eq!(f_miou_with_bounds(&[]).unwrap(), None);
+        // Equal scenes have no spread.
+        let same = vec![matrix(30, 10); 5];
+        let [value, low, high] = f_miou_with_bounds(&same).unwrap().unwrap();
+        assert!((value - low).abs() < 1e-12 && (high - value).abs() < 1e-12);
+    }
+
+    #[test]
+    fn quantiles_lie_between_the_nearest() {
+        assert_eq!(quantile_of(&[3.0, 1.0, 2.0], 0.5), 2.0);
+        assert_eq!(quantile_of(&[1.0, 2.0], 0.95), 1.95);
+        assert_eq!(quantile_of(&[7.0], 0.95), 7.0);
+        assert!(quantile_of(&[], 0.5).is_nan());
+    }
+}

@@ -1,0 +1,259 @@
+//! What a command will take: a model of its stages in Gaussians, voxels, classes and width, fitted to
+//! runs.
+
+use super::bootstrap::quantile_of;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// What the time of a command grows with.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Size {
+    /// Gaussians of the scene.
+    pub gaussians: usize,
+    /// Voxels of the setting's size.
+    pub voxels: usize,
+    /// Classes that compete.
+    pub classes: usize,
+    /// Numbers of a feature.
+    pub width: usize,
+    /// Neighbours that vote.
+    pub k: usize,
+}
+
+/// A run of a command, as its receipt tells.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Observation {
+    /// `segment`, `features` or `query`.
+    pub command: String,
+    /// The setting.
+    pub setting: String,
+    /// How large it was.
+    pub size: Size,
+    /// Seconds of each stage that is no part of another.
+    pub stages: BTreeMap<String, f64>,
+    /// Seconds of the whole command.
+    pub wall: f64,
+    /// Largest resident memory, bytes.
+    pub peak_bytes: u64,
+}
+
+/// A fitted model. Coefficients are seconds, none below 0.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct CostModel {
+    /// Starting and loading the weights.
+    pub start: f64,
+    /// Reading: once, and a Gaussian.
+    pub read: Vec<f64>,
+    /// The network, by setting: once, a voxel, and a Gaussian, which has to be put into one.
+    pub network: BTreeMap<String, Vec<f64>>,
+    /// Labelling: once, a Gaussian, a Gaussian's neighbour, and a voxel's product with a class.
+    pub labels: Vec<f64>,
+    /// Writing and drawing, by command: once, a Gaussian, and a number of its feature.
+    pub results: BTreeMap<String, Vec<f64>>,
+    /// Memory, by setting, bytes: once, a Gaussian, and a voxel.
+    pub peak: BTreeMap<String, Vec<f64>>,
+    /// Nine of ten runs that the model was fitted to are within this share of it.
+    pub error: f64,
+}
+
+const LABEL_STAGES: [&str; 2] = ["labels", "query"];
+const RESULT_STAGES: [&str; 2] = ["write", "picture"];
+
+impl CostModel {
+    /// Least squares of the relative errors, stage by stage.
+    pub fn fit(runs: &[Observation]) -> Self {
+        let of = |run: &Observation, names: &[&str]| -> f64 {
+            names.iter().filter_map(|name| run.stages.get(*name)).sum()
+        };
+        let start = |run: &Observation| {
+            run.wall - of(run, &["read", "network", "labels", "query", "write", "picture"])
+        };
+        let starts: Vec<f64> = runs.iter().map(start).collect();
+        let fit = |chosen: &[&Observation], names: &[&str], terms: fn(&Size) -> Vec<f64>| {
+            let rows: Vec<Vec<f64>> = chosen.iter().map(|run| terms(&run.size)).collect();
+            nonnegative_fit(&rows, &chosen.iter().map(|run| of(run, names)).collect::<Vec<_>>())
+        };
+        let all: Vec<&Observation> = runs.iter().collect();
+        let groups = |key: fn(&Observation) -> &String| {
+            let mut groups: BTreeMap<String, Vec<&Observation>> = BTreeMap::new();
+            for run in runs {
+                groups.entry(key(run).clone()).or_default().push(run);
+            }
+            groups
+        };
+        let labelled: Vec<&Observation> =
+            all.iter().copied().filter(|run| of(run, &LABEL_STAGES) > 0.0).collect();
+        let by_setting = groups(|run| &run.setting);
+        let peaks = by_setting.iter().map(|(setting, runs)| {
+            let rows: Vec<Vec<f64>> = runs.iter().map(|run| memory_terms(&run.size)).collect();
+            let bytes: Vec<f64> = runs.iter().map(|run| run.peak_bytes as f64).collect();
+            (setting.clone(), nonnegative_fit(&rows, &bytes))
+        });
+        let mut model = Self {
+            start: quantile_of(&starts, 0.5).max(0.0),
+            read: fit(&all, &["read"], row_terms),
+            labels: fit(&labelled, &LABEL_STAGES, label_terms),
+            peak: peaks.collect(),
+            network: by_setting
+                .iter()
+                .map(|(setting, runs)| (setting.clone(), fit(runs, &["network"], network_terms)))
+                .collect(),
+            results: groups(|run| &run.command)
+                .iter()
+                .map(|(command, runs)| (command.clone(), fit(runs, &RESULT_STAGES, result_terms)))
+                .collect(),
+            error: 0.0,
+        };
+        let off = runs.iter().filter_map(|run| {
+            Some((model.seconds(&run.command, &run.setting, &run.size)? / run.wall - 1.0).abs())
+        });
+        model.error = quantile_of(&off.collect::<Vec<_>>(), 0.9);
+        model
+    }
+
+    /// Seconds of a command from its start, reading included; `None` for a setting or command that
+    /// was not fitted.
+    pub fn seconds(&self, command: &str, setting: &str, size: &Size) -> Option<f64> {
+        let network = sum(self.network.get(setting)?, &network_terms(size));
+        let results = sum(self.results.get(command)?, &result_terms(size));
+        let labels = match command {
+            "features" => 0.0,
+            _ => sum(&self.labels, &label_terms(size)),
+        };
+        Some(self.start + sum(&self.read, &row_terms(size)) + network + labels + results)
+    }
+
+    /// Largest resident memory, bytes; `None` for a setting that was not fitted.
+    pub fn peak_bytes(&self, setting: &str, size: &Size) -> Option<f64> {
+        Some(sum(self.peak.get(setting)?, &memory_terms(size)))
+    }
+}
+
+fn row_terms(size: &Size) -> Vec<f64> {
+    vec![1.0, size.gaussians as f64]
+}
+
+fn network_terms(size: &Size) -> Vec<f64> {
+    vec![1.0, size.voxels as f64, size.gaussians as f64]
+}
+
+fn label_terms(size: &Size) -> Vec<f64> {
+    let rows = size.gaussians as f64;
+    let neighbours = if size.k > 1 { size.k as f64 } else { 0.0 };
+    vec![1.0, rows, rows * neighbours, size.voxels as f64 * (size.classes * size.width) as f64]
+}
+
+fn result_terms(size: &Size) -> Vec<f64> {
+    let rows = size.gaussians as f64;
+    vec![1.0, rows, rows * size.width as f64]
+}
+
+fn memory_terms(size: &Size) -> Vec<f64> {
+    vec![1.0, size.gaussians as f64, size.voxels as f64]
+}
+
+fn sum(coefficients: &[f64], terms: &[f64]) -> f64 {
+    coefficients.iter().zip(terms).map(|(c, t)| c * t).sum()
+}
+
+/// Coefficients, none below 0, with the least sum of squared relative errors. Rows whose target is not
+/// above 0 do not count.
+///
+/// Coordinate descent: the problem is convex and has four unknowns at most.
+fn nonnegative_fit(rows: &[Vec<f64>], targets: &[f64]) -> Vec<f64> {
+    let width = rows.first().map_or(0, Vec::len);
+    let used: Vec<Vec<f64>> = rows
+        .iter()
+        .zip(targets)
+        .filter(|(_, target)| **target > 0.0)
+        .map(|(row, target)| row.iter().map(|term| term / target).collect())
+        .collect();
+    let mut x = vec![0.0; width];
+    let mut rest: Vec<f64> = vec![1.0; used.len()];
+    const ROUNDS: usize = 20_000;
+    for _ in 0..ROUNDS {
+        let mut moved = 0.0f64;
+        for j in 0..width {
+            let square: f64 = used.iter().map(|row| row[j] * row[j]).sum();
+            if square <= 0.0 {
+                continue;
+            }
+            let slope: f64 = used.iter().zip(&rest).map(|(row, r)| row[j] * r).sum();
+            let next = (x[j] + slope / square).max(0.0);
+            let step = next - x[j];
+            for (row, r) in used.iter().zip(&mut rest) {
+                *r -= step * row[j];
+            }
+            moved = moved.max(step.abs() * square.sqrt());
+            x[j] = next;
+        }
+        if moved < 1e-12 {
+            break;
+        }
+    }
+    x
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    /// Runs of a machine that follows the model to the letter.
+    pub(crate) fn runs() -> Vec<Observation> {
+        let mut runs = Vec::new();
+        for (setting, per_voxel, cell) in
+            [("voxel=0.06,k=25", 2e-5, 3), ("voxel=0.24,k=1", 1e-5, 40)]
+        {
+            for gaussians in [10_000, 40_000, 160_000] {
+                for command in ["segment", "features", "query"] {
+                    let k = if setting.ends_with("25") { 25 } else { 1 };
+                    let size =
+                        Size { gaussians, voxels: gaussians / cell, classes: 41, width: 96, k };
+                    let (n, v) = (gaussians as f64, size.voxels as f64);
+                    let labels = 1e-7 * n * k as f64 + 1e-10 * v * 41.0 * 96.0;
+                    let write = if command == "features" { 1e-9 * n * 96.0 } else { 1e-7 * n };
+                    let mut stages = BTreeMap::from([
+                        ("read".to_owned(), 1e-7 * n),
+                        ("network".to_owned(), 0.01 + per_voxel * v),
+                        ("write".to_owned(), write),
+                        ("picture".to_owned(), 0.05),
+                    ]);
+                    if command != "features" {
+                        stages.insert("labels".to_owned(), labels);
+                    }
+                    let wall = 0.04 + stages.values().sum::<f64>();
+                    let peak_bytes =
+                        50_000_000 + 100 * gaussians as u64 + 1000 * size.voxels as u64;
+                    let setting = setting.to_owned();
+                    let command = command.to_owned();
+                    runs.push(Observation { command, setting, size, stages, wall, peak_bytes });
+                }
+            }
+        }
+        runs
+    }
+
+    #[test]
+    fn a_model_gives_back_what_it_was_fitted_to_and_what_lies_beyond() {
+        let model = CostModel::fit(&runs());
+        assert!(model.error < 0.02, "{model:?}");
+        let size = Size { gaussians: 1_000_000, voxels: 333_333, classes: 41, width: 96, k: 25 };
+        let found = model.seconds("segment", "voxel=0.06,k=25", &size).unwrap();
+        let true_seconds = 0.04 + 0.1 + 0.01 + 6.667 + 2.5 + 0.131 + 0.1 + 0.05;
+        assert!((found / true_seconds - 1.0).abs() < 0.1, "{found} {true_seconds}");
+        assert!(model.seconds("segment", "voxel=0.3", &size).is_none());
+        assert!(model.seconds("render", "voxel=0.06,k=25", &size).is_none());
+        let peak = model.peak_bytes("voxel=0.06,k=25", &size).unwrap();
+        assert!((peak / 483e6 - 1.0).abs() < 0.1, "{peak}");
+    }
+
+    #[test]
+    fn coefficients_are_never_below_zero() {
+        // The best line falls; the best that may not fall is flat.
+        let rows: Vec<Vec<f64>> = (1..5).map(|i| vec![1.0, f64::from(i)]).collect();
+        let x = nonnegative_fit(&rows, &[4.0, 3.0, 2.0, 1.0]);
+        assert!(x[0] > 0.0 && x[1] == 0.0, "{x:?}");
+        assert_eq!(nonnegative_fit(&[], &[]), Vec::<f64>::new());
+        assert_eq!(nonnegative_fit(&[vec![1.0]], &[0.0]), [0.0]);
+    }
+}

@@ -1,0 +1,179 @@
+//! Figures that the confusion matrix does not hold: how well confidence and truth agree, and whether
+//! a query's best Gaussian is what was asked for.
+
+use super::ParetoError;
+use crate::inference::SceneFeatures;
+use scenesplat_scene::TextTable;
+
+/// Cosines are divided by this before a softmax makes probabilities of them. It is the same for all
+/// settings, so that their calibration errors compare; docs/accuracy_time.md says where it comes from.
+pub const TEMPERATURE: f32 = 0.05;
+/// Bins of the calibration error, equally wide.
+const BINS: usize = 15;
+/// Feature rows looked at together.
+const BLOCK: usize = 2048;
+
+/// Sums over scenes from which the calibration error comes.
+#[derive(Debug, Clone, Default)]
+pub struct Calibration {
+    /// Of each bin: Gaussians, sum of their confidence, number that are right.
+    bins: [(f64, f64, f64); BINS],
+}
+
+/// How many queries hit, of how many.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Hits {
+    /// Queries whose best Gaussian is of the class.
+    pub hits: usize,
+    /// Classes that were asked for: those that the scene has.
+    pub asked: usize,
+}
+
+impl Calibration {
+    fn add(&mut self, confidence: f64, right: bool) {
+        let bin = ((confidence * BINS as f64) as usize).min(BINS - 1);
+        let (count, sum, rights) = &mut self.bins[bin];
+        *count += 1.0;
+        *sum += confidence;
+        *rights += f64::from(u8::from(right));
+    }
+
+    /// Expected calibration error: mean distance of confidence from accuracy over bins of confidence,
+    /// each as heavy as it is full. `None` where nothing was labelled.
+    ///
+    /// # Source
+    /// Guo et al., "On Calibration of Modern Neural Networks", 2017, equation 3.
+    pub fn error(&self) -> Option<f64> {
+        let total: f64 = self.bins.iter().map(|b| b.0).sum();
+        let gap = |(count, sum, rights): &(f64, f64, f64)| {
+            if *count > 0.0 { (sum - rights).abs() } else { 0.0 }
+        };
+        (total > 0.0).then(|| self.bins.iter().map(gap).sum::<f64>() / total)
+    }
+}
+
+/// Adds a scene: the confidence in each Gaussian's label against its truth, and for each class of the
+/// truth whether the Gaussian that scores best for it is one.
+///
+/// `text`: the classes; `None` for a network whose rows are probabilities. `labels`, `truth`: class of
+/// each Gaussian, -1 for none. `[N]`
+///
+/// # Errors
+/// If features cannot be read.
+pub fn add_scene(
+    calibration: &mut Calibration,
+    features: &SceneFeatures,
+    text: Option<&TextTable>,
+    labels: &[i32],
+    truth: &[i32],
+) -> Result<Hits, ParetoError> {
+    let width = features.width();
+    let classes = text.map_or(width, TextTable::len);
+    let by_slot = members(features);
+    let mut best: Vec<(f32, Option<usize>)> = vec![(f32::NEG_INFINITY, None); classes];
+    for start in (0..features.num_slots()).step_by(BLOCK) {
+        let end = (start + BLOCK).min(features.num_slots());
+        let rows = features.slot_rows(start..end)?;
+        for (slot, row) in (start..end).zip(rows.chunks_exact(width)) {
+            let gaussians = &by_slot.rows[by_slot.starts[slot]..by_slot.starts[slot + 1]];
+            let Some(&first) = gaussians.first() else { continue };
+            let scores: Vec<f32> = match text {
+                Some(text) => text
+                    .values
+                    .chunks_exact(width)
+                    .map(|t| t.iter().zip(row).map(|(a, b)| a * b).sum())
+                    .collect(),
+                None => row.to_vec(),
+            };
+            for (best, &score) in best.iter_mut().zip(&scores) {
+                if score > best.0 {
+                    *best = (score, Some(first as usize));
+                }
+            }
+            let probabilities = if text.is_some() { softmax(&scores) } else { scores };
+            for &gaussian in gaussians {
+                let (label, known) = (labels[gaussian as usize], truth[gaussian as usize]);
+                let confidence = usize::try_from(label).ok().and_then(|l| probabilities.get(l));
+                if let (Some(&confidence), true) = (confidence, known >= 0)
+                    && confidence.is_finite()
+                {
+                    calibration.add(f64::from(confidence.clamp(0.0, 1.0)), label == known);
+                }
+            }
+        }
+    }
+    let mut hits = Hits::default();
+    for (class, (_, gaussian)) in best.iter().enumerate() {
+        if truth.iter().any(|&t| t == class as i32) {
+            hits.asked += 1;
+            hits.hits += usize::from(gaussian.is_some_and(|g| truth[g] == class as i32));
+        }
+    }
+    Ok(hits)
+}
+
+/// Which Gaussians have each row.
+struct Members {
+    starts: Vec<usize>,
+    rows: Vec<u32>,
+}
+
+fn members(features: &SceneFeatures) -> Members {
+    let mut starts = vec![0; features.num_slots() + 1];
+    for &slot in features.inverse() {
+        starts[slot as usize + 1] += 1;
+    }
+    for i in 1..starts.len() {
+        starts[i] += starts[i - 1];
+    }
+    let mut next = starts.clone();
+    let mut rows = vec![0; features.len()];
+    for (gaussian, &slot) in (0..).zip(features.inverse()) {
+        rows[next[slot as usize]] = gaussian;
+        next[slot as usize] += 1;
+    }
+    Members { starts, rows }
+}
+
+fn softmax(scores: &[f32]) -> Vec<f32> {
+    let top = scores.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+    let exp: Vec<f32> = scores.iter().map(|s| ((s - top) / TEMPERATURE).exp()).collect();
+    let sum: f32 = exp.iter().sum();
+    exp.into_iter().map(|e| e / sum).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::evaluation::own_directions;
+
+    #[test]
+    fn confidence_is_compared_with_accuracy_bin_by_bin() {
+        let mut calibration = Calibration::default();
+        assert_eq!(calibration.error(), None);
+        // Ten with 0.9 confidence of which nine are right: calibrated.
+        (0..10).for_each(|i| calibration.add(0.9, i > 0));
+        assert!(calibration.error().unwrap() < 1e-12);
+        // Ten more with 0.5 of which none is right: off by a half, half of the weight.
+        (0..10).for_each(|_| calibration.add(0.5, false));
+        assert!((calibration.error().unwrap() - 0.25).abs() < 1e-12);
+        // Certain is in the last bin, not behind it.
+        calibration.add(1.0, true);
+    }
+
+    #[test]
+    fn a_query_hits_if_its_best_gaussian_is_of_the_class() {
+        let names = ["wall", "chair", "lamp"].map(str::to_owned).to_vec();
+        let text = own_directions(names).unwrap();
+        let rows = vec![1.0, 0.0, 0.0, 0.6, 0.8, 0.0, 0.0, 1.0, 0.0];
+        let features = SceneFeatures::from_rows(rows, 3).unwrap();
+        let mut calibration = Calibration::default();
+        let mut hits = |truth: &[i32]| {
+            add_scene(&mut calibration, &features, Some(&text), &[0, 1, 1], truth).unwrap()
+        };
+        assert_eq!(hits(&[0, 1, 1]), Hits { hits: 2, asked: 2 });
+        // The best chair is a wall; no lamp is there to be asked for.
+        assert_eq!(hits(&[0, 1, 0]), Hits { hits: 1, asked: 2 });
+        assert_eq!(hits(&[-1, -1, -1]), Hits { hits: 0, asked: 0 });
+    }
+}
