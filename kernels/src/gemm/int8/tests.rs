@@ -118,7 +118,7 @@ fn all_versions_have_the_same_bits() {
                 let to = RowPointersMut::Contiguous { base: out.as_mut_ptr(), stride: n };
                 // SAFETY: rows and results of these sizes; the version is there.
                 unsafe {
-                    multiply_quads(dots, m, from, &b, quads, 0..b.padded_n(), to, accumulate)
+                    multiply_quads(dots, m, from, &b, quads, 0..b.padded_n(), to, accumulate);
                 };
                 out.into_iter().map(f32::to_bits).collect::<Vec<_>>()
             });
