@@ -101,7 +101,8 @@ impl Unit {
 pub(crate) enum Values {
     Single(Vec<f32>),
     Pairs(Vec<u32>),
-    Quads(Quads),
+    /// In a box: it has more parts than the others, and layers lie in enumerations.
+    Quads(Box<Quads>),
 }
 
 /// A `[k, n]` matrix packed for the right-hand side of a product.
@@ -168,7 +169,7 @@ impl PackedMatrix {
     fn empty_for(unit: Unit) -> Self {
         let values = match unit {
             Unit::Vector | Unit::RoundedVector => Values::Single(Vec::new()),
-            Unit::Quads | Unit::QuadTiles => Values::Quads(Quads::default()),
+            Unit::Quads | Unit::QuadTiles => Values::Quads(Box::default()),
             _ => Values::Pairs(Vec::new()),
         };
         Self { values, unit, k: 0, n: 0, steps: 0 }
