@@ -8,7 +8,7 @@ use scenesplat_datasets::{
     ExactPlan, FastPlan, InferencePlan, NetworkInput, TileSettings, sample_rng, split_into_tiles,
 };
 use scenesplat_models::ops::normalize_rows;
-use scenesplat_models::{Forward, Orders, PointCloud};
+use scenesplat_models::{Backbone, Forward, Orders, PointCloud};
 use scenesplat_scene::GaussianScene;
 use std::fs::File;
 use std::ops::Range;
@@ -16,9 +16,12 @@ use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 mod budget;
+mod codes;
+mod example;
 mod slots;
 
 pub(crate) use budget::{MemoryNeed, scene_bytes};
+pub use codes::FeatureCodes;
 use slots::SlotStore;
 
 /// Why a scene could not be encoded.
@@ -112,6 +115,9 @@ pub struct SceneEncoder<'a> {
     pub halo: u32,
     /// Shuffles the curve orders with this seed, as the original does without one.
     pub shuffle_orders: Option<u64>,
+    /// Brings features down to so many numbers, fewer than the network gives; `None`: as it gives
+    /// them. Texts follow by themselves, see [`SceneFeatures::codes`].
+    pub codes: Option<usize>,
     /// Where features go that do not fit into memory.
     pub spill_folder: PathBuf,
     /// What is known of the scene; by default its up and unit are estimated, and a scene that lies
@@ -125,6 +131,10 @@ pub struct SceneFeatures {
     slots: SlotStore,
     inverse: Vec<u32>,
     sampled: Vec<u32>,
+    codes: Option<FeatureCodes>,
+    /// Layers that an example of the scene decided, with the part of their variance that they keep,
+    /// 0..=1; see [`Backbone::calibrated`](scenesplat_models::Backbone::calibrated).
+    pub calibrated: Vec<(String, f64)>,
     /// How the scene was cut.
     pub summary: EncodeSummary,
     /// How the scene was turned and scaled for the network; `None` if none was run.
@@ -163,6 +173,7 @@ impl<'a> SceneEncoder<'a> {
             max_memory: None,
             halo: 50,
             shuffle_orders: None,
+            codes: None,
             spill_folder: std::env::temp_dir(),
             alignment: AlignmentSettings::default(),
         }
@@ -229,6 +240,7 @@ impl<'a> SceneEncoder<'a> {
         }
         check_inverse_map(scene, &plan, grid_size)?;
         let width = self.network.model().out_channels();
+        self.check_codes(width)?;
         let budget = self.budget(scene, beside, &plan, width)?;
         let mut slots = if budget.spill {
             SlotStore::file(&self.spill_folder, plan.num_slots(), width)?
@@ -239,6 +251,15 @@ impl<'a> SceneEncoder<'a> {
         let tile_settings =
             TileSettings { max_voxels: budget.max_voxels, halo: self.halo, align: align.max(1) };
         let passes = plan.num_inputs();
+        let calibrated = if self.network.model().needs_example() {
+            let (pass, tile, tiles, done) = (1, 1, 1, 0.0);
+            progress(EncodeProgress { pass, passes, tile, tiles, done })?;
+            let input = example::example(&plan.input(0)?, align);
+            self.network.model().calibrated(&points(&input)?)?
+        } else {
+            None
+        };
+        let model = calibrated.as_ref().map_or(self.network.model(), |c| &*c.backbone);
         let mut summary = EncodeSummary {
             voxels: plan.num_voxels(),
             passes,
@@ -275,7 +296,7 @@ impl<'a> SceneEncoder<'a> {
                     cut = tile.input(&input);
                     &cut
                 };
-                let values = self.forward(part, [pass, i], &mut report)?;
+                let values = self.forward(model, part, [pass, i], &mut report)?;
                 slots.add(&part.slots, &values, if whole { None } else { Some(&tile.is_core) })?;
                 computed += tile.voxels.len();
             }
@@ -288,24 +309,46 @@ impl<'a> SceneEncoder<'a> {
             slots.finish(|row, _| normalize_rows(row, width))?;
         }
         let InferencePlan { sampled, inverse, .. } = plan;
-        Ok(SceneFeatures { slots, inverse, sampled, summary, alignment: None })
+        let calibrated = calibrated.map_or(Vec::new(), |c| c.kept);
+        let (codes, alignment) = (None, None);
+        let features =
+            SceneFeatures { slots, inverse, sampled, codes, calibrated, summary, alignment };
+        match self.codes {
+            Some(codes) => features.into_codes(codes),
+            None => Ok(features),
+        }
+    }
+
+    /// That features of this width can be brought down.
+    fn check_codes(&self, width: usize) -> Result<(), EncodeError> {
+        let Some(codes) = self.codes else { return Ok(()) };
+        let error = |why: String| Err(EncodeError::Setting(format!("codes: {codes} {why}")));
+        if self.network.is_classifier() {
+            return error("numbers cannot hold the probabilities of classes".to_owned());
+        }
+        if codes == 0 || codes >= width {
+            return error(format!(
+                "is not in 1 to {}: the network's features have {width} numbers",
+                width.saturating_sub(1)
+            ));
+        }
+        Ok(())
     }
 
     /// One call of the network.
     fn forward(
         &self,
+        model: &dyn Backbone,
         input: &NetworkInput,
         [pass, tile]: [usize; 2],
         report: &mut dyn FnMut(f64) -> Result<(), EncodeError>,
     ) -> Result<Vec<f32>, EncodeError> {
-        let n = input.len();
-        let feat = Tensor::from_slice(&input.feat, (n, input.channels), &Device::Cpu)?;
-        let points = PointCloud::single(input.grid_coord.clone(), feat)?;
+        let points = points(input)?;
         // Each call draws its own orders, as in the original.
         let seed = self.shuffle_orders.unwrap_or(0);
         let mut rng: ChaCha8Rng = sample_rng(seed, pass as u64, tile as u64);
         let orders = if self.shuffle_orders.is_some() { Orders::Shuffled } else { Orders::Listed };
-        let cost = self.network.model().cost();
+        let cost = model.cost();
         let total = cost.as_ref().map_or(1.0, |cost| cost.work_per_voxel());
         let costs = cost.map_or(Vec::new(), |cost| cost.parts);
         let mut done = 0.0;
@@ -319,13 +362,13 @@ impl<'a> SceneEncoder<'a> {
             })
         };
         let mut cx = Forward { orders, observer: Some(&mut observer), ..Forward::eval(&mut rng) };
-        let out = self.network.model().forward(&points, &mut cx);
+        let out = model.forward(&points, &mut cx);
         if let Some(error) = stopped {
             return Err(error);
         }
         let mut values = out?.flatten_all()?.to_vec1::<f32>()?;
         if self.network.is_classifier() {
-            softmax_rows(&mut values, self.network.model().out_channels());
+            softmax_rows(&mut values, model.out_channels());
         }
         Ok(values)
     }
@@ -354,7 +397,7 @@ impl<'a> SceneEncoder<'a> {
             voxels: plan.num_voxels(),
             channels: plan.channels(),
             slots: plan.num_slots(),
-            width,
+            width: width + self.codes.unwrap_or(0),
             weights: self.network.weight_bytes() as u64,
             per_voxel,
         };
@@ -374,6 +417,12 @@ impl<'a> SceneEncoder<'a> {
         }
         Ok(Budget { max_voxels, spill })
     }
+}
+
+/// An input as the network takes it.
+fn points(input: &NetworkInput) -> candle_core::Result<PointCloud> {
+    let feat = Tensor::from_slice(&input.feat, (input.len(), input.channels), &Device::Cpu)?;
+    PointCloud::single(input.grid_coord.clone(), feat)
 }
 
 /// Checks that every Gaussian gets the feature of a Gaussian of its own voxel: a row that went astray
@@ -457,7 +506,9 @@ impl SceneFeatures {
             voxels_computed: 0,
             spilled: false,
         };
-        Self { slots, inverse: rows.clone(), sampled: rows, summary, alignment: None }
+        let inverse = rows.clone();
+        let (codes, calibrated) = (None, Vec::new());
+        Self { slots, inverse, sampled: rows, codes, calibrated, summary, alignment: None }
     }
 
     /// Number of Gaussians.

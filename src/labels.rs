@@ -3,10 +3,11 @@
 use crate::inference::{EncodeError, SceneFeatures};
 use crate::text::text_rows;
 use scenesplat_metrics::{
-    FeatureFn, FeatureRows, MetricError, UnknownRule, ZeroShotOptions, classify, keep_withheld,
-    vote,
+    FeatureFn, FeatureRows, MetricError, TextRows, UnknownRule, ZeroShotOptions, classify,
+    keep_withheld, vote,
 };
 use scenesplat_scene::TextTable;
+use std::borrow::Cow;
 
 /// Why a scene could not be labelled.
 #[derive(Debug, thiserror::Error)]
@@ -79,6 +80,39 @@ pub fn distinct_rows(features: &SceneFeatures) -> Result<impl FeatureRows + '_, 
     })
 }
 
+/// Texts as the rows of features can be compared with them: along the same directions.
+#[derive(Debug)]
+pub(crate) struct ComparableTexts<'t> {
+    values: Cow<'t, [f32]>,
+    dim: usize,
+}
+
+impl<'t> ComparableTexts<'t> {
+    /// # Errors
+    /// If texts and features are of different networks.
+    pub(crate) fn new(features: &SceneFeatures, text: &'t TextTable) -> Result<Self, LabelError> {
+        check_width(text.dim, features.text_width())?;
+        let Some(codes) = features.codes() else {
+            return Ok(Self { values: Cow::Borrowed(&text.values), dim: text.dim });
+        };
+        // What is wrong with a text is said of the text.
+        text_rows(text)?;
+        Ok(Self { values: Cow::Owned(codes.project(&text.values)), dim: codes.codes() })
+    }
+
+    /// As the metrics read them.
+    pub(crate) fn rows(&self) -> Result<TextRows<'_>, MetricError> {
+        match &self.values {
+            Cow::Borrowed(values) => TextRows::new(values, self.dim),
+            Cow::Owned(values) => TextRows::projected(values, self.dim),
+        }
+    }
+
+    fn row(&self, class: usize) -> Option<&[f32]> {
+        self.values.chunks_exact(self.dim).nth(class)
+    }
+}
+
 /// Labels each Gaussian by its own feature. `[N]`
 ///
 /// # Errors
@@ -131,8 +165,8 @@ fn label_distinct(
 ) -> Result<Labels, LabelError> {
     match classes {
         Classes::Texts(text) => {
-            check_width(text.dim, features.width())?;
-            let found = classify(&distinct_rows(features)?, text_rows(text)?, options)?;
+            let text = ComparableTexts::new(features, text)?;
+            let found = classify(&distinct_rows(features)?, text.rows()?, options)?;
             Ok(Labels {
                 labels: found.labels,
                 scores: found.scores,
@@ -148,7 +182,7 @@ fn label_distinct(
 }
 
 /// Refuses texts of another network.
-pub(crate) fn check_width(texts: usize, features: usize) -> Result<(), LabelError> {
+fn check_width(texts: usize, features: usize) -> Result<(), LabelError> {
     if texts == features { Ok(()) } else { Err(LabelError::Width { texts, features }) }
 }
 
@@ -194,14 +228,18 @@ fn rescore(
 ) -> Result<(), LabelError> {
     const BLOCK: usize = 4096;
     let width = features.width();
+    let text = match classes {
+        Classes::Texts(text) => Some(ComparableTexts::new(features, text)?),
+        Classes::Probabilities(_) => None,
+    };
     for start in (0..labels.len()).step_by(BLOCK) {
         let end = (start + BLOCK).min(labels.len());
         let rows = features.gaussian_rows(start..end)?;
         for (i, row) in (start..end).zip(rows.chunks_exact(width)) {
             let Ok(label) = usize::try_from(labels[i]) else { continue };
-            scores[i] = match classes {
-                Classes::Probabilities(_) => row[label],
-                Classes::Texts(table) => table
+            scores[i] = match &text {
+                None => row[label],
+                Some(table) => table
                     .row(label)
                     .map_or(0.0, |text| row.iter().zip(text).map(|(a, b)| a * b).sum()),
             };

@@ -1,8 +1,7 @@
 //! A text in, the Gaussians that it means out.
 
 use crate::inference::SceneFeatures;
-use crate::labels::{LabelError, check_width, distinct_rows};
-use crate::text::text_rows;
+use crate::labels::{ComparableTexts, LabelError, distinct_rows};
 use scenesplat_metrics::{ZeroShotOptions, classify, vote};
 use scenesplat_rooms::Vocabulary;
 use scenesplat_rooms::vocabulary::VocabularyError;
@@ -127,15 +126,16 @@ pub fn select(
     settings: &QuerySettings,
     coord: &[[f32; 3]],
 ) -> Result<Selection, LabelError> {
-    check_width(query.width(), features.width())?;
     let rows = distinct_rows(features)?;
-    let own = classify(&rows, text_rows(&query.meant)?, &ZeroShotOptions::default())?;
+    let meant = ComparableTexts::new(features, &query.meant)?;
+    let own = classify(&rows, meant.rows()?, &ZeroShotOptions::default())?;
     let counts = |name: &String| find_name(&settings.without, name).is_err();
     let candidates: Vec<bool> = query.rivals.names.iter().map(counts).collect();
     let rivals = if candidates.contains(&true) {
         let options =
             ZeroShotOptions { candidates: Some(candidates), ..ZeroShotOptions::default() };
-        Some(classify(&rows, text_rows(&query.rivals)?, &options)?.scores)
+        let rivals = ComparableTexts::new(features, &query.rivals)?;
+        Some(classify(&rows, rivals.rows()?, &options)?.scores)
     } else {
         None
     };

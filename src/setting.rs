@@ -4,6 +4,8 @@
 
 mod apply;
 mod error;
+#[cfg(test)]
+mod measured;
 mod parse;
 
 pub use error::SettingError;

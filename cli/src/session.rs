@@ -397,6 +397,24 @@ impl<'a> Session<'a> {
             s.tiles,
             s.voxels_computed
         ));
+        if !features.calibrated.is_empty() {
+            let shares = features
+                .calibrated
+                .iter()
+                .map(|(name, kept)| format!("{:.2} % in {name}", 100.0 * kept));
+            let text = shares.collect::<Vec<_>>().join(", ");
+            self.progress.say(format!("rank: convolutions keep {text}"));
+            receipt.setting("rank_keeps", text, "of their variance, on a part of the scene");
+        }
+        if let Some(codes) = features.codes() {
+            let text = format!("{:.2} %", 100.0 * codes.kept);
+            self.progress.say(format!(
+                "codes: {} of {} numbers keep {text} of the features' squared length",
+                codes.codes(),
+                codes.width
+            ));
+            receipt.setting("codes_keep", text, "of the features' squared length");
+        }
         drop(stage);
         Ok(features)
     }

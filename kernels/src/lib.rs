@@ -46,6 +46,7 @@ pub mod serialized_cloud;
 mod shape;
 pub mod simd;
 pub mod sparse_conv;
+pub mod symmetric_eigen;
 pub mod unit_rows;
 
 pub use error::{KernelError, check_offsets};

@@ -27,6 +27,31 @@ impl<'a> TextRows<'a> {
         Ok(Self { num_classes, dim, rows })
     }
 
+    /// A view of `[C, D]` embeddings of unit length along fewer directions than they had: rows of
+    /// length 1 or less. A text of which little is left has small products with every feature, as it
+    /// had before with features along those directions; brought back to unit length it would win
+    /// where it never did.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new), but shorter rows are none.
+    pub fn projected(rows: &'a [f32], dim: usize) -> Result<Self, MetricError> {
+        if dim == 0 || !rows.len().is_multiple_of(dim) {
+            let what = "text embeddings";
+            return Err(MetricError::RowShape { what, len: rows.len(), dim });
+        }
+        for (class, row) in rows.chunks_exact(dim).enumerate() {
+            let norm = row.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
+            // A NaN is not below anything.
+            let fits = norm <= 1.0 + 1e-4;
+            if !fits {
+                return Err(MetricError::TextRow { class, norm });
+            }
+        }
+        let num_classes = rows.len() / dim;
+        check_num_classes(num_classes)?;
+        Ok(Self { num_classes, dim, rows })
+    }
+
     /// Number of classes `C`.
     pub fn num_classes(&self) -> usize {
         self.num_classes

@@ -4,12 +4,16 @@
 //! `lib.rs`, and a row here. Nothing else asks which architecture a network has.
 
 use crate::weights::Shapes;
-use crate::{Backbone, BackboneCost, Compute, MultiplyAdds};
+use crate::{Backbone, BackboneCost, Compute, LastStage, MultiplyAdds};
 use candle_core::Result;
 use candle_nn::VarBuilder;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
+
+/// Why the last decoder stage cannot be shortened.
+pub(crate) const NO_LAST_STAGE: &str =
+    "only Point Transformer V3 with blocks in its last decoder stage can be shortened there";
 
 /// What a backbone's configuration says about it, without building anything.
 ///
@@ -54,6 +58,23 @@ pub trait Architecture: std::fmt::Debug {
     fn set_patch_size(&mut self, points: usize) -> std::result::Result<(), String> {
         _ = points;
         Err("this architecture has no attention patches".to_owned())
+    }
+    /// Runs the blocks of the last decoder stage on other voxels.
+    ///
+    /// # Errors
+    /// Says why not, where there are no such blocks.
+    fn set_last_stage(&mut self, stage: LastStage) -> std::result::Result<(), String> {
+        _ = stage;
+        Err(NO_LAST_STAGE.to_owned())
+    }
+    /// Gives the convolutions of the last decoder stage a rank, once they saw an example
+    /// ([`Backbone::calibrated`]).
+    ///
+    /// # Errors
+    /// Says why not, where there are none, or none so wide.
+    fn set_rank(&mut self, rank: usize) -> std::result::Result<(), String> {
+        _ = rank;
+        Err(NO_LAST_STAGE.to_owned())
     }
     /// Takes from a checkpoint what its first layer says of the number of inputs. Only for networks
     /// that are told by name; a file says its number itself.

@@ -111,6 +111,21 @@ impl BackboneCost {
     }
 }
 
+/// A network that saw an example of its input.
+pub struct Calibrated {
+    /// The network, to be run in place of the one that was asked.
+    pub backbone: Box<dyn Backbone>,
+    /// Layers that were worked out, with the part of their variance on the example that they keep,
+    /// 0..=1.
+    pub kept: Vec<(String, f64)>,
+}
+
+impl std::fmt::Debug for Calibrated {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Calibrated").field("kept", &self.kept).finish_non_exhaustive()
+    }
+}
+
 /// Maps a batch of voxels to features of the same voxels.
 ///
 /// The first two methods are all that training needs. The others are what
@@ -137,6 +152,19 @@ pub trait Backbone: Send + Sync {
     fn compute(&self) -> Compute {
         Compute::default()
     }
+    /// Whether it cannot run before it saw an example of its input.
+    fn needs_example(&self) -> bool {
+        false
+    }
+    /// The network with all that an example decides; `None` where there is nothing of that kind. The
+    /// same example decides the same.
+    ///
+    /// # Errors
+    /// If the example does not fit the network.
+    fn calibrated(&self, example: &PointCloud) -> Result<Option<Calibrated>> {
+        _ = example;
+        Ok(None)
+    }
 }
 
 impl<B: Backbone + ?Sized> Backbone for Box<B> {
@@ -154,5 +182,11 @@ impl<B: Backbone + ?Sized> Backbone for Box<B> {
     }
     fn compute(&self) -> Compute {
         (**self).compute()
+    }
+    fn needs_example(&self) -> bool {
+        (**self).needs_example()
+    }
+    fn calibrated(&self, example: &PointCloud) -> Result<Option<Calibrated>> {
+        (**self).calibrated(example)
     }
 }

@@ -1,6 +1,8 @@
 //! What makes features or classes of a backbone's output.
 
-use crate::{Backbone, BackboneCost, Compute, Forward, PointCloud, layers::Linear, ops};
+use crate::{
+    Backbone, BackboneCost, Calibrated, Compute, Forward, PointCloud, layers::Linear, ops,
+};
 use candle_core::{Result, Tensor, bail};
 use candle_nn::VarBuilder;
 
@@ -141,6 +143,16 @@ impl Backbone for LanguageModel {
     fn compute(&self) -> Compute {
         self.backbone.compute()
     }
+    fn needs_example(&self) -> bool {
+        self.backbone.needs_example()
+    }
+    fn calibrated(&self, example: &PointCloud) -> Result<Option<Calibrated>> {
+        let Some(Calibrated { backbone, kept }) = self.backbone.calibrated(example)? else {
+            return Ok(None);
+        };
+        let (projection, width) = (self.projection.clone(), self.width);
+        Ok(Some(Calibrated { backbone: Box::new(Self { backbone, projection, width }), kept }))
+    }
 }
 
 /// A backbone with a linear classifier.
@@ -185,5 +197,15 @@ impl Backbone for SemanticSegmenter {
     }
     fn compute(&self) -> Compute {
         self.backbone.compute()
+    }
+    fn needs_example(&self) -> bool {
+        self.backbone.needs_example()
+    }
+    fn calibrated(&self, example: &PointCloud) -> Result<Option<Calibrated>> {
+        let Some(Calibrated { backbone, kept }) = self.backbone.calibrated(example)? else {
+            return Ok(None);
+        };
+        let (head, num_classes) = (self.head.clone(), self.num_classes);
+        Ok(Some(Calibrated { backbone: Box::new(Self { backbone, head, num_classes }), kept }))
     }
 }

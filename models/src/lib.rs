@@ -36,7 +36,9 @@ mod stages;
 pub mod weights;
 
 pub use architecture::{Architecture, BackboneConfig};
-pub use backbone::{Backbone, BackboneCost, Forward, FrozenStatistics, Mode, Observer, Orders};
+pub use backbone::{
+    Backbone, BackboneCost, Calibrated, Forward, FrozenStatistics, Mode, Observer, Orders,
+};
 pub use compute::Compute;
 pub use head::{Head, LanguageModel, SemanticSegmenter};
 pub use litept::{LitePt, LitePtConfig, LitePtSize};
@@ -49,4 +51,4 @@ pub use point_transformer_v1::{PointTransformerV1, PointTransformerV1Config};
 pub use point_transformer_v2::{PointTransformerV2, PointTransformerV2Config};
 pub use point_transformer_v3::{PointTransformerV3, PointTransformerV3Config};
 pub use recompute::Recompute;
-pub use shortcuts::LastStage;
+pub use shortcuts::{LastStage, Shortcuts};

@@ -40,6 +40,12 @@ impl BlockSize {
         (self.pairs + linear) * (c * c) as f64
     }
 
+    /// As [`convolution`](Self::convolution), through so many channels.
+    pub(crate) fn convolution_of_rank(&self, c: usize, folded: bool, rank: usize) -> f64 {
+        let linear = if folded { 0.0 } else { self.voxels };
+        (self.pairs + self.voxels) * (c * rank) as f64 + linear * (c * c) as f64
+    }
+
     /// Query, key, value and projection, both layers of the MLP; then queries with keys and weights with
     /// values.
     pub(crate) fn attention(&self, c: usize, mlp_ratio: usize) -> f64 {

@@ -13,6 +13,16 @@ pub enum LastStage {
     Coarse,
 }
 
+/// What inference may leave out of a network whose weights stay as they are: no part of what a file
+/// says, and nothing to train with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Shortcuts {
+    /// Voxels of the last decoder stage.
+    pub stage: LastStage,
+    /// Rank of the convolutions of the last decoder stage, 1 to their width; `None`: as they are.
+    pub rank: Option<usize>,
+}
+
 impl fmt::Display for LastStage {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {

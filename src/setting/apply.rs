@@ -23,31 +23,40 @@ impl Setting {
         }
         backbone.set_compute(compute);
         if let Some(patch) = self.patch {
-            let name = |why: &str| SettingError::no_effect("patch", &patch, why);
+            let name = |why: &str| SettingError::not_here("patch", &patch, why);
             backbone.set_patch_size(patch).map_err(|why| name(&why))?;
         }
         if self.stage == Some(LastStage::Coarse) {
-            let why = "the last stage on coarser voxels is not there yet";
-            return Err(SettingError::no_effect("stage", &LastStage::Coarse, why));
+            let name = |why: String| SettingError::not_here("stage", &LastStage::Coarse, &why);
+            backbone.set_last_stage(LastStage::Coarse).map_err(name)?;
         }
         if let Some(rank) = self.rank {
-            let why = "convolutions of low rank are not there yet";
-            return Err(SettingError::no_effect("rank", &rank, why));
+            let name = |why: String| SettingError::not_here("rank", &rank, &why);
+            backbone.set_rank(rank).map_err(name)?;
         }
-        if let Some(codes) = self.codes {
-            let why = "features of fewer numbers are not there yet";
-            return Err(SettingError::no_effect("codes", &codes, why));
+        let width = config.model.out_channels();
+        match self.codes {
+            Some(codes) if config.model.num_classes().is_some() => {
+                let why = "the network gives probabilities of classes, no features";
+                return Err(SettingError::not_here("codes", &codes, why));
+            }
+            Some(codes) if codes >= width => {
+                let why = format!("the network's features have {width} numbers, no more");
+                return Err(SettingError::not_here("codes", &codes, &why));
+            }
+            _ => {}
         }
         Ok(config)
     }
 
-    /// The encoder with this voxel size and number of passes.
+    /// The encoder with this voxel size, number of passes and width of features.
     #[must_use]
     pub fn apply_to_encoder<'a>(&self, encoder: SceneEncoder<'a>) -> SceneEncoder<'a> {
         let mut encoder = encoder;
         if let Some(voxel) = self.voxel {
             encoder.grid_size = voxel;
         }
+        encoder.codes = self.codes.or(encoder.codes);
         match self.passes {
             None => {}
             Some(Passes::Count(1)) => encoder.fidelity = Fidelity::Fast,
@@ -93,8 +102,8 @@ mod tests {
         ] {
             let config = NetworkConfig { model, ..NetworkConfig::language() };
             let error = setting.apply_to_network(config).unwrap_err();
-            assert!(matches!(error, SettingError::NoEffect { key: "patch", .. }), "{error}");
-            assert!(error.to_string().contains("patch=64 has no effect"), "{error}");
+            assert!(matches!(error, SettingError::NotHere { key: "patch", .. }), "{error}");
+            assert!(error.to_string().contains("patch=64 cannot be used"), "{error}");
         }
     }
 }

@@ -40,20 +40,20 @@ pub enum SettingError {
         /// What it may be.
         expected: String,
     },
-    /// A part that means nothing to what is run.
-    #[error("setting {key}={value} has no effect here: {why}; leave it out")]
-    NoEffect {
+    /// A part that what is run has nothing of.
+    #[error("setting {key}={value} cannot be used here: {why}; leave it out")]
+    NotHere {
         /// Which key.
         key: &'static str,
         /// Its value.
         value: String,
-        /// Why it changes nothing.
+        /// Why not.
         why: String,
     },
 }
 
 impl SettingError {
-    pub(super) fn no_effect(key: &'static str, value: &impl ToString, why: &str) -> Self {
-        Self::NoEffect { key, value: value.to_string(), why: why.to_owned() }
+    pub(super) fn not_here(key: &'static str, value: &impl ToString, why: &str) -> Self {
+        Self::NotHere { key, value: value.to_string(), why: why.to_owned() }
     }
 }

@@ -10,10 +10,12 @@ use scenesplat::outputs::{
     write_scene_preview,
 };
 use scenesplat::principal::principal_colors;
+use scenesplat::scene::formats::npy_writer::write_npy;
 use std::path::PathBuf;
 
 /// Writes features.npy ([N, D], one row per Gaussian of the file), features.ply and preview.png
-/// (coloured by the features' three principal components) and a receipt.
+/// (coloured by the features' three principal components) and a receipt; with the setting codes=K
+/// features.npy is [N, K], and feature_axes.npy, [K, D], leads back: features · axes.
 #[derive(Debug, Clone, clap::Args)]
 pub struct Args {
     /// The scene, in any format.
@@ -62,6 +64,9 @@ pub enum Format {
     Safetensors,
 }
 
+/// Where the directions are written that short features are coordinates along.
+const AXES: &str = "feature_axes.npy";
+
 impl Args {
     /// The setting that a budget chooses, if there is one, and the flags with it.
     fn chosen(&self) -> Result<(Self, Option<Chosen>)> {
@@ -103,7 +108,9 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         Format::Npy => "features.npy",
         Format::Safetensors => "features.safetensors",
     };
-    session.make_out(&[features_file, "features.ply", "preview.png"])?;
+    let mut names = vec![features_file, "features.ply", "preview.png"];
+    names.extend(args.inference.effective.codes.map(|_| AXES));
+    session.make_out(&names)?;
     let network = session.network(&args.inference)?;
     let opened = session.open(&args.scene, &args.inference)?;
     let features = session.encode(&opened.loaded.scene, &network, &args.inference)?;
@@ -124,6 +131,11 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
             }
         };
         session.wrote(&path, bytes);
+        if let Some(codes) = features.codes() {
+            let path = session.out(AXES)?;
+            write_npy(&path, &[codes.codes(), codes.width], &codes.axes)?;
+            session.wrote(&path, std::fs::metadata(&path)?.len());
+        }
         session.receipt.add_rows_out(opened.loaded.source_rows());
     }
     session.check_stop()?;

@@ -3,6 +3,7 @@
 use crate::{done, scenesplat, stderr, tiny};
 use scenesplat::rooms::{SyntheticRoomSettings, generate};
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
+use scenesplat::scene::formats::npy::NpyFile;
 use std::path::{Path, PathBuf};
 
 fn room(folder: &Path, gaussians: usize) -> PathBuf {
@@ -119,6 +120,71 @@ fn votes_and_networks_are_parts_too() {
 }
 
 #[test]
+fn the_last_stage_is_shortened() {
+    let case = Case::new(3000);
+    let plain = case.own("features", "features.npy", &[]);
+    let mut seen = vec![plain];
+    for setting in ["stage=coarse", "rank=8", "stage=coarse,rank=8"] {
+        let found = case.own("features", "features.npy", &["--setting", setting]);
+        assert!(!seen.contains(&found), "{setting} changes nothing");
+        assert_eq!(case.receipt("setting").as_deref(), Some(setting));
+        let kept = case.receipt("rank_keeps");
+        assert_eq!(kept.is_some(), setting.contains("rank"), "{kept:?}");
+        assert!(kept.is_none_or(|text| text.contains("% in dec.dec0.block0")));
+        // The same for any number of threads.
+        let alone = ["--setting", setting, "--threads", "1"];
+        assert_eq!(found, case.own("features", "features.npy", &alone), "{setting}");
+        seen.push(found);
+    }
+    // The estimate knows what is left out.
+    let seconds = |more: &[&str]| {
+        let json = case.folder.path().join("seen.json");
+        let args = ["inspect", case.scene.to_str().unwrap(), "--no-sheet", "--config", "language"];
+        done(&scenesplat(&[&args[..], &["--json", json.to_str().unwrap()], more].concat()));
+        let seen: serde_json::Value =
+            serde_json::from_slice(&std::fs::read(&json).unwrap()).unwrap();
+        seen["estimate"]["seconds"].as_f64().unwrap()
+    };
+    let [all, coarse, low] =
+        [seconds(&[]), seconds(&["--setting", "stage=coarse"]), seconds(&["--setting", "rank=96"])];
+    assert!(coarse < low && low < all, "{all} {coarse} {low}");
+}
+
+#[test]
+fn features_are_written_as_codes_and_compared_as_such() {
+    let case = Case::new(3000);
+    let shape = |file: &str| NpyFile::open(&case.out().join(file)).unwrap().shape().to_vec();
+    let values = |file: &str| NpyFile::open(&case.out().join(file)).unwrap().read_f32().unwrap();
+    case.own("features", "features.npy", &[]);
+    let plain = values("features.npy");
+    assert!(!case.out().join("feature_axes.npy").exists());
+    case.own("features", "features.npy", &["--setting", "codes=32"]);
+    assert_eq!((shape("features.npy"), shape("feature_axes.npy")), (vec![3000, 32], vec![32, 96]));
+    assert!(case.receipt("codes_keep").unwrap().contains('%'));
+    let (codes, axes) = (values("features.npy"), values("feature_axes.npy"));
+    let mut mean = 0.0;
+    for (row, code) in plain.chunks_exact(96).zip(codes.chunks_exact(32)) {
+        let mut back = [0f32; 96];
+        for (c, axis) in code.iter().zip(axes.chunks_exact(96)) {
+            back.iter_mut().zip(axis).for_each(|(b, a)| *b += c * a);
+        }
+        mean += row.iter().zip(&back).map(|(a, b)| a * b).sum::<f32>() / 3000.0;
+    }
+    assert!(mean > 0.9, "{mean}");
+    // Labels and selections come from the codes, and are mostly what they were.
+    let same = |command: &str, file: &str, setting: &str| {
+        let plain = case.own(command, file, &[]);
+        let coded = case.own(command, file, &["--setting", setting]);
+        let equal = plain.iter().zip(&coded).filter(|(a, b)| a == b).count();
+        equal as f64 / plain.len() as f64
+    };
+    assert!(same("segment", "labels.npy", "codes=64") > 0.98);
+    assert!(same("query", "selection.npy", "codes=64") > 0.98);
+    let scores = same("segment", "scores.npy", "codes=16");
+    assert!(scores < 0.9, "16 numbers are others: {scores}");
+}
+
+#[test]
 fn estimates_follow_the_setting() {
     let case = Case::new(3000);
     let json = case.folder.path().join("seen.json");
@@ -176,6 +242,21 @@ fn what_cannot_be_used_is_refused_by_name() {
         refused(&["segment", scene, "--setting", setting], parts);
     }
     refused(&["features", scene, "--setting", "k=3"], &["--setting k"]);
+    // What the network has nothing of.
+    for (config, part, words) in [
+        ("litept-s", "stage=coarse", "only Point Transformer V3"),
+        ("litept-s-decoder", "rank=8", "only Point Transformer V3"),
+        ("litept-s", "patch=65536", "16384"),
+        ("tiny", "rank=65", "1 to 64"),
+        ("tiny", "rank=16384", "1 to 64"),
+        ("tiny", "codes=64", "64 numbers"),
+        ("tiny", "codes=256", "64 numbers"),
+        ("semseg", "codes=16", "probabilities"),
+    ] {
+        let args =
+            ["features", scene, "--config", config, "--weights", "seeded:0", "--setting", part];
+        refused(&args, &[part, words]);
+    }
     // What a flag says otherwise.
     for (flags, part) in [
         (&["--grid-size", "0.1"][..], "voxel=0.2"),

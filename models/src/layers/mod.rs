@@ -5,6 +5,7 @@ mod drop_path;
 mod layer_norm;
 mod linear;
 mod linear_norm;
+mod low_rank_conv;
 mod mlp;
 mod residual_conv;
 mod sparse_conv;

@@ -1,8 +1,9 @@
 //! Submanifold convolution layer.
 
+use super::low_rank_conv::PlainConv;
 use super::{Linear, vector};
 use crate::{Compute, ops};
-use candle_core::{Result, Tensor};
+use candle_core::{Result, Tensor, bail};
 use candle_nn::{Init, VarBuilder};
 use scenesplat_kernels::Precision;
 use scenesplat_kernels::gemm::{Epilogue, PackedMatrix, gemm};
@@ -91,30 +92,40 @@ impl SparseConv {
         conv: VarBuilder<'_>,
         linear: VarBuilder<'_>,
     ) -> Result<(Self, Option<Linear>)> {
-        let (weight, bias) = parameters(channels, channels, kernel_size, true, &conv)?;
-        let (outer, outer_bias) = super::linear::parameters(channels, channels, true, &linear)?;
-        if weight.is_variable() || !compute.fold {
-            let conv = Self::of(compute, weight, bias)?;
-            return Ok((conv, Some(Linear::of(compute, outer, outer_bias)?)));
+        let (inner, outer) = pair(channels, kernel_size, &conv, &linear)?;
+        if inner.0.is_variable() || !compute.fold {
+            let conv = Self::of(compute, inner.0, inner.1)?;
+            return Ok((conv, Some(Linear::of(compute, outer.0, outer.1)?)));
         }
-        let (bias, outer_bias) =
-            (vector_or_zero(bias, channels)?, vector_or_zero(outer_bias, channels)?);
-        let (c, taps) = (channels, kernel_size.pow(3));
-        let folded = ops::read("sparse_conv", &weight, |weight| {
-            ops::read("linear", &outer, |outer| {
-                // outer: [c, c], weight: [c, taps·c]
-                let inner = PackedMatrix::from_strided(weight, c, taps * c, taps * c, 1);
-                let mut joined = vec![0.0; weight.len()];
-                gemm(outer, &inner, Epilogue::default(), &mut joined);
-                let inner_bias = |row: &[f32]| -> f64 {
-                    row.iter().zip(&bias).map(|(w, b)| f64::from(*w) * f64::from(*b)).sum()
-                };
-                let bias = outer.chunks_exact(c).zip(&outer_bias);
-                let bias = bias.map(|(row, b)| (inner_bias(row) + f64::from(*b)) as f32).collect();
-                Ok(Self::frozen(compute, &joined, [c, c, kernel_size], Some(bias)))
-            })
-        })?;
-        Ok((folded, None))
+        let (weight, bias) = join(inner, outer, channels, kernel_size)?;
+        let shape = [channels, channels, kernel_size];
+        Ok((Self::frozen(compute, &weight, shape, Some(bias)), None))
+    }
+
+    /// As [`with_linear`](Self::with_linear), of a rank that an example will decide on.
+    ///
+    /// # Errors
+    /// If the parameters exist with another shape, or are to be trained.
+    pub(crate) fn plain_with_linear(
+        compute: Compute,
+        channels: usize,
+        kernel_size: usize,
+        conv: VarBuilder<'_>,
+        linear: VarBuilder<'_>,
+    ) -> Result<(PlainConv, Option<Linear>)> {
+        let (inner, outer) = pair(channels, kernel_size, &conv, &linear)?;
+        if inner.0.is_variable() {
+            bail!("sparse_conv: a convolution of low rank cannot be trained");
+        }
+        let shape = [channels, channels, kernel_size.pow(3)];
+        if !compute.fold {
+            let (weight, bias) = (inner.0.flatten_all()?.to_vec1()?, inner.1);
+            let bias = vector_or_zero(bias, channels)?;
+            let linear = Linear::of(compute, outer.0, outer.1)?;
+            return Ok((PlainConv { weight, bias, shape, compute }, Some(linear)));
+        }
+        let (weight, bias) = join(inner, outer, channels, kernel_size)?;
+        Ok((PlainConv { weight, bias, shape, compute }, None))
     }
 
     /// Taps along one axis.
@@ -150,6 +161,45 @@ fn parameters(
     let init = Init::Uniform { lo: -bound, up: bound };
     let weight = vb.get_with_hints((cout, k, k, k, cin), "weight", init)?;
     Ok((weight, bias.then(|| vb.get_with_hints(cout, "bias", init)).transpose()?))
+}
+
+/// A weight with its bias.
+type Parameters = (Tensor, Option<Tensor>);
+
+/// Those of a convolution and of the linear layer after it.
+fn pair(
+    channels: usize,
+    kernel_size: usize,
+    conv: &VarBuilder<'_>,
+    linear: &VarBuilder<'_>,
+) -> Result<(Parameters, Parameters)> {
+    let inner = parameters(channels, channels, kernel_size, true, conv)?;
+    Ok((inner, super::linear::parameters(channels, channels, true, linear)?))
+}
+
+/// One convolution that is both: the products of their weights, `[c, taps, c]`, and its bias.
+fn join(
+    (weight, bias): Parameters,
+    (outer, outer_bias): Parameters,
+    c: usize,
+    kernel_size: usize,
+) -> Result<(Vec<f32>, Vec<f32>)> {
+    let (bias, outer_bias) = (vector_or_zero(bias, c)?, vector_or_zero(outer_bias, c)?);
+    let taps = kernel_size.pow(3);
+    ops::read("sparse_conv", &weight, |weight| {
+        ops::read("linear", &outer, |outer| {
+            // outer: [c, c], weight: [c, taps·c]
+            let inner = PackedMatrix::from_strided(weight, c, taps * c, taps * c, 1);
+            let mut joined = vec![0.0; weight.len()];
+            gemm(outer, &inner, Epilogue::default(), &mut joined);
+            let inner_bias = |row: &[f32]| -> f64 {
+                row.iter().zip(&bias).map(|(w, b)| f64::from(*w) * f64::from(*b)).sum()
+            };
+            let bias = outer.chunks_exact(c).zip(&outer_bias);
+            let bias = bias.map(|(row, b)| (inner_bias(row) + f64::from(*b)) as f32).collect();
+            Ok((joined, bias))
+        })
+    })
 }
 
 fn vector_or_zero(bias: Option<Tensor>, channels: usize) -> Result<Vec<f32>> {

@@ -32,13 +32,13 @@ pub struct BlockShape {
 }
 
 /// `x + LN(Linear(conv(x)))`, then attention and MLP on normalised rows.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Block {
     conv: ResidualConv,
     norm1: LayerNorm,
-    attention: SerializedAttention,
+    attention: Arc<SerializedAttention>,
     norm2: LayerNorm,
-    mlp: Mlp,
+    mlp: Arc<Mlp>,
     drop_path: DropPath,
 }
 
@@ -48,11 +48,20 @@ impl Block {
     /// # Errors
     /// If parameters exist with another shape.
     pub fn new(shape: BlockShape, vb: VarBuilder<'_>) -> Result<Self> {
+        Self::with_rank(shape, None, vb)
+    }
+
+    /// As [`Block::new`]; with a rank it runs once it is [`calibrated`](Self::calibrated).
+    pub(super) fn with_rank(
+        shape: BlockShape,
+        rank: Option<usize>,
+        vb: VarBuilder<'_>,
+    ) -> Result<Self> {
         let c = shape.channels;
         Ok(Self {
-            conv: ResidualConv::new(shape.compute, c, vb.pp("cpe"))?,
+            conv: ResidualConv::with_rank(shape.compute, c, rank, vb.pp("cpe"))?,
             norm1: LayerNorm::new(c, vb.pp("norm1.0"))?,
-            attention: SerializedAttention::new(
+            attention: Arc::new(SerializedAttention::new(
                 c,
                 shape.num_heads,
                 shape.patch_size,
@@ -60,11 +69,22 @@ impl Block {
                 shape.batch_rule,
                 shape.compute,
                 vb.pp("attn"),
-            )?,
+            )?),
             norm2: LayerNorm::new(c, vb.pp("norm2.0"))?,
-            mlp: Mlp::with(shape.compute, c, shape.mlp_ratio * c, vb.pp("mlp.0"))?,
+            mlp: Arc::new(Mlp::with(shape.compute, c, shape.mlp_ratio * c, vb.pp("mlp.0"))?),
             drop_path: DropPath { rate: shape.drop_path },
         })
+    }
+
+    /// The block with the rank of its convolution decided by what that reads, and the part of its
+    /// variance that is kept.
+    pub(super) fn calibrated(
+        &self,
+        input: &Tensor,
+        cloud: &SerializedCloud,
+    ) -> Result<(Self, f64)> {
+        let (conv, kept) = self.conv.calibrated(input, cloud)?;
+        Ok((Self { conv, ..self.clone() }, kept))
     }
 
     /// As [`forward`](Self::forward); if the context says so, without keeping what the backward pass

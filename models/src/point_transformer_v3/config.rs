@@ -1,10 +1,11 @@
 //! Shape of a network.
 
 use super::PointTransformerV3;
+use crate::architecture::NO_LAST_STAGE;
 use crate::params::check_values;
 use crate::stages::{DEEPEST, LARGEST, MOST_STAGES, check_sizes, linspace, split};
 use crate::weights::Shapes;
-use crate::{Architecture, Backbone, BackboneCost, Compute, MultiplyAdds};
+use crate::{Architecture, Backbone, BackboneCost, Compute, LastStage, MultiplyAdds, Shortcuts};
 use candle_core::{Result, bail};
 use candle_nn::VarBuilder;
 use scenesplat_kernels::segment::Reduce;
@@ -96,6 +97,9 @@ pub struct PointTransformerV3Config {
     /// Precision and joined layers: not part of the network, so not stored with it.
     #[serde(skip)]
     pub compute: Compute,
+    /// What inference leaves out: not part of the network either.
+    #[serde(skip)]
+    pub shortcuts: Shortcuts,
 }
 
 impl Default for PointTransformerV3Config {
@@ -125,6 +129,7 @@ impl PointTransformerV3Config {
             mask_token: false,
             batch_rule: BatchRule::Isolated,
             compute: Compute::default(),
+            shortcuts: Shortcuts::default(),
         }
     }
 
@@ -165,6 +170,12 @@ impl PointTransformerV3Config {
             drop_path: 0.1,
             ..Self::language()
         }
+    }
+
+    /// Width of the last decoder stage, if that has blocks.
+    fn last_stage_width(&self) -> Option<usize> {
+        let blocks = self.dec_depths.first().is_some_and(|depth| *depth > 0);
+        self.dec_channels.first().copied().filter(|_| blocks)
     }
 
     /// Number of scales.
@@ -235,6 +246,9 @@ impl PointTransformerV3Config {
     /// Names the first field that does not fit.
     pub fn check(&self) -> Result<Vec<Curve>> {
         self.check_limits()?;
+        if self.shortcuts != Shortcuts::default() && self.last_stage_width().is_none() {
+            bail!("shortcuts: {NO_LAST_STAGE}");
+        }
         let stages = self.num_stages();
         let lengths = [
             ("stride", self.stride.len(), stages.saturating_sub(1)),
@@ -358,6 +372,21 @@ impl Architecture for PointTransformerV3Config {
     fn set_patch_size(&mut self, points: usize) -> std::result::Result<(), String> {
         self.enc_patch_size.fill(points);
         self.dec_patch_size.fill(points);
+        Ok(())
+    }
+    fn set_last_stage(&mut self, stage: LastStage) -> std::result::Result<(), String> {
+        self.last_stage_width().ok_or(NO_LAST_STAGE)?;
+        self.shortcuts.stage = stage;
+        Ok(())
+    }
+    fn set_rank(&mut self, rank: usize) -> std::result::Result<(), String> {
+        let width = self.last_stage_width().ok_or(NO_LAST_STAGE)?;
+        if !(1..=width).contains(&rank) {
+            return Err(format!(
+                "convolutions of the last stage are {width} wide: 1 to {width} are possible"
+            ));
+        }
+        self.shortcuts.rank = Some(rank);
         Ok(())
     }
     fn adapt_to(&mut self, shapes: &Shapes) {

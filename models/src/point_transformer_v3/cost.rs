@@ -3,6 +3,7 @@
 
 use super::PointTransformerV3Config;
 use crate::multiply_adds::{BlockSize, MultiplyAdds, between, finest};
+use crate::{LastStage, Shortcuts};
 use candle_core::Result;
 
 /// Pairs of a 3³ kernel map per voxel, on average over scenes.
@@ -23,26 +24,46 @@ impl PointTransformerV3Config {
         let deeper = self.dec_channels.get(1).copied().unwrap_or(0) / 2;
         let rows = 5 * finest.max(deeper) + widest(&self.enc_channels) + self.in_channels;
         let tables = PAIRS_PER_VOXEL as usize * 8 + 200;
-        (rows * size_of::<f32>() + tables) * 11 / 10
+        let mut values = rows as f64;
+        let mut bytes = tables;
+        if self.shortcuts.stage == LastStage::Coarse {
+            // Blocks have so many rows less; their result and the skip branch have as many as the
+            // input, and so have the tables of the way between.
+            let last = widest(&self.dec_channels) as f64;
+            let inside = 5.0 * last * KEPT_BY_POOLING + last;
+            let after = 2.0 * last + 2.0 * last * KEPT_BY_POOLING;
+            let before = 5.0 * widest(&self.enc_channels).max(deeper) as f64;
+            let entry = (widest(&self.enc_channels) + self.in_channels) as f64;
+            values = inside.max(after).max(before) + entry;
+            bytes += 64 + 8 * 4;
+        }
+        if let Some(rank) = self.shortcuts.rank {
+            // The narrow result beside the wide one; never the widest moment but for wide ranks.
+            let fine = self.shortcuts.stage == LastStage::Fine;
+            let here = 3 * widest(&self.dec_channels) + rank;
+            values = values.max(if fine { here as f64 } else { 0.0 });
+        }
+        ((values * size_of::<f32>() as f64) as usize + bytes) * 11 / 10
     }
 
     /// Multiply–adds of each block per input voxel of a scene, on average over scenes, by its name.
     pub fn block_costs(&self) -> Vec<(String, f64)> {
-        let cost = |c: usize, patch: usize, stage: usize| {
-            let voxels = KEPT_BY_POOLING.powi(stage as i32);
+        let cost = |c: usize, patch: usize, scale: usize, rank: Option<usize>| {
+            let voxels = KEPT_BY_POOLING.powi(scale as i32);
             let (pairs, attended) = (PAIRS_PER_VOXEL * voxels, patch as f64 * voxels);
-            self.block_work(c, false, &BlockSize { voxels, pairs, attended })
+            self.block_work(c, false, &BlockSize { voxels, pairs, attended }, rank)
         };
         let mut out = Vec::new();
         for (stage, &depth) in self.enc_depths.iter().enumerate() {
             for j in 0..depth {
-                let c = cost(self.enc_channels[stage], self.enc_patch_size[stage], stage);
+                let c = cost(self.enc_channels[stage], self.enc_patch_size[stage], stage, None);
                 out.push((format!("enc.enc{stage}.block{j}"), c));
             }
         }
         for (stage, &depth) in self.dec_depths.iter().enumerate() {
             for j in 0..depth {
-                let c = cost(self.dec_channels[stage], self.dec_patch_size[stage], stage);
+                let (scale, rank) = self.shortened(stage);
+                let c = cost(self.dec_channels[stage], self.dec_patch_size[stage], scale, rank);
                 out.push((format!("dec.dec{stage}.block{j}"), c));
             }
         }
@@ -68,20 +89,36 @@ impl PointTransformerV3Config {
                 cloud = cloud.pool(self.stride[stage - 1].trailing_zeros()).0;
                 scales += between(enc, dec, stage, fine, cloud.len());
             }
-            let block = |c: usize, patch_size: usize| -> Result<f64> {
-                Ok(self.block_work(c, folded, &BlockSize::count(&cloud, patch_size)?))
+            let block = |c: usize, patch_size: usize, rank: Option<usize>| -> Result<f64> {
+                Ok(self.block_work(c, folded, &BlockSize::count(&cloud, patch_size)?, rank))
             };
-            blocks +=
-                self.enc_depths[stage] as f64 * block(enc[stage], self.enc_patch_size[stage])?;
-            if let Some(&depth) = self.dec_depths.get(stage) {
-                blocks += depth as f64 * block(dec[stage], self.dec_patch_size[stage])?;
+            blocks += self.enc_depths[stage] as f64
+                * block(enc[stage], self.enc_patch_size[stage], None)?;
+            for (at, &depth) in self.dec_depths.iter().enumerate() {
+                let (scale, rank) = self.shortened(at);
+                if scale == stage {
+                    blocks += depth as f64 * block(dec[at], self.dec_patch_size[at], rank)?;
+                }
             }
         }
         Ok(MultiplyAdds { stem: stem as u64, rest: scales as u64 + blocks as u64 })
     }
 
-    fn block_work(&self, c: usize, folded: bool, size: &BlockSize) -> f64 {
-        size.convolution(c, folded) + size.attention(c, self.mlp_ratio)
+    /// On which scale the blocks of a decoder stage run, and the rank of their convolutions.
+    fn shortened(&self, stage: usize) -> (usize, Option<usize>) {
+        match self.shortcuts {
+            Shortcuts { stage: LastStage::Coarse, rank } if stage == 0 => (1, rank),
+            Shortcuts { rank, .. } if stage == 0 => (0, rank),
+            _ => (stage, None),
+        }
+    }
+
+    fn block_work(&self, c: usize, folded: bool, size: &BlockSize, rank: Option<usize>) -> f64 {
+        let convolution = match rank {
+            None => size.convolution(c, folded),
+            Some(rank) => size.convolution_of_rank(c, folded, rank),
+        };
+        convolution + size.attention(c, self.mlp_ratio)
     }
 }
 

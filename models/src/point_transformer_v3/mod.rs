@@ -11,6 +11,7 @@
 
 mod attention;
 mod block;
+mod coarse;
 mod config;
 mod cost;
 mod embedding;
@@ -26,10 +27,16 @@ pub use pooling::SerializedPooling;
 pub use unpooling::{SerializedUnpooling, Unpooled};
 
 use crate::row_order::{OrderShuffle, morton_rows};
-use crate::{Architecture, Backbone, BackboneCost, Compute, Forward, PointCloud};
+use crate::{
+    Architecture, Backbone, BackboneCost, Calibrated, Compute, Forward, LastStage, Mode,
+    PointCloud, Shortcuts, ops,
+};
 use candle_core::{Result, Tensor, bail};
 use candle_nn::{Init, VarBuilder};
-use scenesplat_kernels::segment::Groups;
+use coarse::Between;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use scenesplat_kernels::segment::{Groups, Reduce};
 use scenesplat_kernels::serialization::Curve;
 use scenesplat_kernels::serialized_cloud::{CurveDepth, SerializedCloud};
 use std::sync::Arc;
@@ -39,12 +46,19 @@ use std::sync::Arc;
 pub struct PointTransformerV3 {
     config: PointTransformerV3Config,
     curves: Vec<Curve>,
-    embedding: Embedding,
+    embedding: Arc<Embedding>,
     mask_token: Option<Tensor>,
-    encoder: Vec<EncoderStage>,
+    encoder: Arc<Vec<EncoderStage>>,
     /// Fine to coarse; run in reverse.
     decoder: Vec<DecoderStage>,
+    /// Whether the last stage waits for an example of its input.
+    waits: bool,
 }
+
+/// Called before each block of the last stage with its name, the block, what its convolution reads,
+/// and the scale; gives the block to run.
+type BeforeBlock<'a> =
+    dyn FnMut(&str, &Arc<Block>, &Tensor, &SerializedCloud) -> Result<Arc<Block>> + 'a;
 
 #[derive(Debug)]
 struct EncoderStage {
@@ -52,9 +66,9 @@ struct EncoderStage {
     blocks: Vec<Arc<Block>>,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 struct DecoderStage {
-    up: SerializedUnpooling,
+    up: Arc<SerializedUnpooling>,
     blocks: Vec<Arc<Block>>,
 }
 
@@ -77,12 +91,12 @@ impl PointTransformerV3 {
     pub fn new(config: &PointTransformerV3Config, vb: VarBuilder<'_>) -> Result<Self> {
         let curves = config.check()?;
         let compute = config.compute;
-        let embedding = Embedding::new(
+        let embedding = Arc::new(Embedding::new(
             config.in_channels,
             config.enc_channels[0],
             compute,
             vb.pp("embedding"),
-        )?;
+        )?);
         let mask_token = config
             .mask_token
             .then(|| {
@@ -144,18 +158,21 @@ impl PointTransformerV3 {
                 compute,
                 vb.pp("up"),
             )?;
+            let up = Arc::new(up);
+            let rank = config.shortcuts.rank.filter(|_| stage == 0);
             let blocks = rates
                 .iter()
                 .enumerate()
                 .map(|(i, &rate)| {
-                    Block::new(block(stage, i, true, rate), vb.pp(format!("block{i}")))
-                        .map(Arc::new)
+                    let shape = block(stage, i, true, rate);
+                    Block::with_rank(shape, rank, vb.pp(format!("block{i}"))).map(Arc::new)
                 })
                 .collect::<Result<_>>()?;
             decoder.push(DecoderStage { up, blocks });
         }
-        let config = config.clone();
-        Ok(Self { config, curves, embedding, mask_token, encoder, decoder })
+        let (config, encoder) = (config.clone(), Arc::new(encoder));
+        let waits = config.shortcuts.rank.is_some();
+        Ok(Self { config, curves, embedding, mask_token, encoder, decoder, waits })
     }
 
     /// The configuration it was built from.
@@ -175,6 +192,22 @@ impl PointTransformerV3 {
         mask: Option<&[bool]>,
         cx: &mut Forward<'_>,
     ) -> Result<EncoderDecoderOutput> {
+        self.run(points, mask, cx, None)
+    }
+
+    fn run(
+        &self,
+        points: &PointCloud,
+        mask: Option<&[bool]>,
+        cx: &mut Forward<'_>,
+        mut before_block: Option<&mut BeforeBlock<'_>>,
+    ) -> Result<EncoderDecoderOutput> {
+        if cx.mode == Mode::Train && self.config.shortcuts != Shortcuts::default() {
+            bail!("a network with shortcuts in its last stage cannot be trained");
+        }
+        if self.waits && before_block.is_none() {
+            bail!("rank: the network needs an example of its input first (Backbone::calibrated)");
+        }
         let (n, channels) = points.feat.dims2()?;
         if channels != self.config.in_channels {
             bail!("feat: expected [N, {}], got [{n}, {channels}]", self.config.in_channels);
@@ -227,16 +260,37 @@ impl PointTransformerV3 {
             let Some((fine, fine_cloud, groups)) = skips.pop() else {
                 bail!("decoder stage {i} has no encoder stage");
             };
-            let Unpooled { sum, skip } = stage.up.forward(&x, &fine, groups, cx)?;
+            let coarse = i == 0 && self.config.shortcuts.stage == LastStage::Coarse;
+            let mut way_back = None;
+            let Unpooled { sum, skip } = if coarse {
+                let [up, skip] = stage.up.branches(&x, &fine, cx)?;
+                let pooled = ops::segment_reduce(&skip, Arc::clone(&groups), Reduce::Mean)?;
+                let between = Between::new(&fine_cloud, &cloud, &groups)?;
+                way_back = Some((between, skip, pooled.clone(), fine_cloud));
+                Unpooled { sum: (up + &pooled)?, skip: pooled }
+            } else {
+                cloud = fine_cloud;
+                stage.up.forward(&x, &fine, groups, cx)?
+            };
             cx.observe(&format!("dec.dec{i}.up"), &sum)?;
             cx.observe(&format!("dec.dec{i}.up.skip"), &skip)?;
             drop(fine);
-            cloud = fine_cloud;
             x = sum;
             let mut conv_input = Some(skip);
             for (j, block) in stage.blocks.iter().enumerate() {
+                let name = format!("dec.dec{i}.block{j}");
+                let mut block = Arc::clone(block);
+                if let (0, Some(before)) = (i, before_block.as_deref_mut()) {
+                    block = before(&name, &block, conv_input.as_ref().unwrap_or(&x), &cloud)?;
+                }
                 x = block.forward_shared(x, conv_input.take(), &cloud, cx)?;
-                cx.observe(&format!("dec.dec{i}.block{j}"), &x)?;
+                cx.observe(&name, &x)?;
+            }
+            if let Some((between, skip, pooled, fine_cloud)) = way_back {
+                // What the voxels of a cell have in common comes from the cell and its neighbours,
+                // what tells them apart from their own skip branch.
+                x = between.add_to(&(x - pooled)?, &skip)?;
+                cloud = fine_cloud;
             }
             cx.observe(&format!("dec.dec{i}"), &x)?;
         }
@@ -285,5 +339,38 @@ impl Backbone for PointTransformerV3 {
     }
     fn compute(&self) -> Compute {
         self.config.compute
+    }
+    fn needs_example(&self) -> bool {
+        self.waits
+    }
+    fn calibrated(&self, example: &PointCloud) -> Result<Option<Calibrated>> {
+        if !self.waits {
+            return Ok(None);
+        }
+        let mut rng = ChaCha8Rng::seed_from_u64(0);
+        let (mut blocks, mut kept) = (Vec::new(), Vec::new());
+        // Each block sees what the calibrated ones before it make.
+        let mut before = |name: &str, block: &Arc<Block>, x: &Tensor, cloud: &SerializedCloud| {
+            let (block, part) = block.calibrated(x, cloud)?;
+            kept.push((name.to_owned(), part));
+            let block = Arc::new(block);
+            blocks.push(Arc::clone(&block));
+            Ok(block)
+        };
+        self.run(example, None, &mut Forward::eval(&mut rng), Some(&mut before))?;
+        let mut decoder = self.decoder.clone();
+        if let Some(last) = decoder.first_mut() {
+            last.blocks = blocks;
+        }
+        let network = Self {
+            config: self.config.clone(),
+            curves: self.curves.clone(),
+            embedding: Arc::clone(&self.embedding),
+            mask_token: self.mask_token.clone(),
+            encoder: Arc::clone(&self.encoder),
+            decoder,
+            waits: false,
+        };
+        Ok(Some(Calibrated { backbone: Box::new(network), kept }))
     }
 }

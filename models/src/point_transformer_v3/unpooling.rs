@@ -69,9 +69,20 @@ impl SerializedUnpooling {
         groups: Arc<Groups>,
         cx: &Forward<'_>,
     ) -> Result<Unpooled> {
-        let up = self.proj.forward(coarse, self.proj.mode(cx))?;
-        let skip = self.skip.forward(fine, self.skip.mode(cx))?;
+        let [up, skip] = self.branches(coarse, fine, cx)?;
         let sum = (&skip + ops::expand_groups(&up, groups)?)?;
         Ok(Unpooled { sum, skip })
+    }
+
+    /// The upsampled branch before it is given to the fine voxels, `[M, C]`, and the skip branch,
+    /// `[N, C]`.
+    pub(super) fn branches(
+        &self,
+        coarse: &Tensor,
+        fine: &Tensor,
+        cx: &Forward<'_>,
+    ) -> Result<[Tensor; 2]> {
+        let up = self.proj.forward(coarse, self.proj.mode(cx))?;
+        Ok([up, self.skip.forward(fine, self.skip.mode(cx))?])
     }
 }
