@@ -8,7 +8,7 @@ use scenesplat_kernels::Precision;
 use scenesplat_kernels::gemm::{Epilogue, PackedMatrix, gemm, mlp};
 use support::{criterion, random, short};
 
-const PRECISIONS: [Precision; 2] = [Precision::F32, Precision::Bf16];
+const PRECISIONS: [Precision; 3] = [Precision::F32, Precision::Bf16, Precision::Int8];
 
 fn packed(precision: Precision, k: usize, n: usize) -> PackedMatrix {
     PackedMatrix::from_strided_with(precision, &random(k * n), k, n, 1, k)

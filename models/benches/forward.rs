@@ -21,7 +21,7 @@ use support::{criterion, features, short, voxels};
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 /// Where they differ in speed on a processor without tiles.
-const PRECISIONS: [Precision; 2] = [Precision::F32, Precision::Bf16];
+const PRECISIONS: [Precision; 3] = [Precision::F32, Precision::Bf16, Precision::Int8];
 
 fn cloud(n: usize) -> PointCloud {
     let feat = Tensor::from_vec(features(n), (n, 11), &Device::Cpu).expect("11 channels");
