@@ -179,7 +179,7 @@ pub(crate) fn training_chart(curves: &[TrainingCurve]) -> Drawing {
         Scale::over(&of(0), true, [plot[0], plot[2]]),
         Scale::over(&of(1), false, [plot[3], plot[1]]),
     );
-    axes(&mut d, &x, &y, plot, "seconds of training", seconds_text);
+    axes(&mut d, &x, &y, plot, "seconds of training", |seconds| format!("{seconds:.0}"));
     for (i, curve) in curves.iter().enumerate() {
         let color = CURVES[i % CURVES.len()];
         let at = |p: &[f64; 2]| [x.at(p[0]), y.at(p[1])];

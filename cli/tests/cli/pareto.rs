@@ -241,3 +241,34 @@ fn hostile_grids_are_refused_before_anything_is_measured() {
     assert_eq!(output.status.code(), Some(2));
     assert!(stderr(&output).contains("synthetic:COUNT:SEED"), "{}", stderr(&output));
 }
+
+#[test]
+fn training_runs_are_shown_against_their_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let (run, out) = (folder.path().join("student"), folder.path().join("out"));
+    std::fs::create_dir(&run).unwrap();
+    let line = |step: usize, name: &str, value: f64| {
+        format!("{{\"step\":{step},\"epoch\":0,\"name\":\"{name}\",\"value\":{value}}}\n")
+    };
+    let log = [
+        line(10, "train/seconds_per_step", 2.0),
+        line(10, "unseen/f-mIoU", 0.4),
+        line(20, "train/seconds_per_step", 2.0),
+        line(20, "unseen/f-mIoU", 0.5),
+    ];
+    std::fs::write(run.join("metrics.jsonl"), log.concat()).unwrap();
+    let words = ["pareto", "--training", run.to_str().unwrap(), "--out", out.to_str().unwrap()];
+    let output = scenesplat(&words);
+    done(&output);
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(said.contains("student: unseen/f-mIoU of 50.00 %"), "{said}");
+    let curve = &json(&out.join("front.json"))["training"][0];
+    assert_eq!(curve["points"], serde_json::json!([[20.0, 0.4], [40.0, 0.5]]));
+    assert!(
+        std::fs::read_to_string(out.join("pareto.html")).unwrap().contains("What training costs")
+    );
+    let none = folder.path().to_str().unwrap();
+    let output = scenesplat(&["pareto", "--training", none, "--out", out.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(stderr(&output).contains("metrics.jsonl"), "{}", stderr(&output));
+}

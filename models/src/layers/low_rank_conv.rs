@@ -188,9 +188,9 @@ mod tests {
             (0..20).map(|o| case.y.iter().skip(o).step_by(20).sum::<f64>() / n as f64).collect();
         let mut moments = vec![0.0; 400];
         for row in case.y.chunks_exact(20) {
-            for a in 0..20 {
-                (0..20)
-                    .for_each(|b| moments[a * 20 + b] += (row[a] - mean[a]) * (row[b] - mean[b]));
+            let away: Vec<f64> = row.iter().zip(&mean).map(|(v, m)| v - m).collect();
+            for (a, x) in away.iter().enumerate() {
+                away.iter().enumerate().for_each(|(b, y)| moments[a * 20 + b] += x * y);
             }
         }
         let values = symmetric_eigen(&moments, 20, 0).values;

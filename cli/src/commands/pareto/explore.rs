@@ -17,6 +17,10 @@ pub fn explore(
     began: Instant,
 ) -> Result<()> {
     let (grid, args) = (campaign.grid, campaign.args);
+    if campaign.sets.is_empty() {
+        // Training curves alone.
+        return Ok(());
+    }
     let sets: Vec<String> = campaign.sets.iter().map(|s| s.name.clone()).collect();
     let candidates = order(settings, &grid.axes);
     for (i, candidate) in candidates.iter().enumerate() {

@@ -73,12 +73,14 @@ pub fn run(args: &Args) -> Result<()> {
     }
     let seconds = estimate::estimate(&campaign, &settings, &records, neutral.len())?;
     estimate::check(seconds, settings.len(), args.limit.0)?;
-    progress.say(format!(
-        "{} settings on {} sets of scenes: about {} at most",
-        settings.len(),
-        sets.len(),
-        scenesplat::pareto::seconds_text(seconds)
-    ));
+    if !sets.is_empty() {
+        progress.say(format!(
+            "{} settings on {} sets of scenes: about {}, neighbours that rule some out not counted",
+            settings.len(),
+            sets.len(),
+            scenesplat::pareto::seconds_text(seconds)
+        ));
+    }
     let mut around = Around {
         reference: grid.reference.to_string(),
         networks: grid
