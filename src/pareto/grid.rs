@@ -218,7 +218,8 @@ impl Grid {
             }
             if !network.weights.exists() {
                 let path = network.weights.display();
-                return Err(format!("networks.{name}: weights {path}: there is nothing"));
+                let text = "there is no such file (net=embedded needs no entry)";
+                return Err(format!("networks.{name}: weights {path}: {text}"));
             }
         }
         Ok(())
