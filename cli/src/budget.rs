@@ -107,7 +107,7 @@ pub fn choose(args: &BudgetArgs, job: &Job<'_>) -> Result<Option<Chosen>> {
         },
     );
     let coord = center_shift(&alignment.apply(scene).coord);
-    let native = embedded::config().map(|config| config.model.grid_size).unwrap_or(0.02);
+    let native = embedded::config().map_or(0.02, |config| config.model.grid_size);
     let mut counted: BTreeMap<u64, usize> = BTreeMap::new();
     let mut size_of = |text: &str| {
         let setting: Setting = text.parse().unwrap_or_default();

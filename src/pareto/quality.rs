@@ -104,7 +104,7 @@ pub fn add_scene(
     }
     let mut hits = Hits::default();
     for (class, (_, gaussian)) in best.iter().enumerate() {
-        if truth.iter().any(|&t| t == class as i32) {
+        if truth.contains(&(class as i32)) {
             hits.asked += 1;
             hits.hits += usize::from(gaussian.is_some_and(|g| truth[g] == class as i32));
         }

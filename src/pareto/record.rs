@@ -308,7 +308,7 @@ pub(crate) mod tests {
             stage_coverage: 1.0,
             width: 96,
             classes: 20,
-            prediction_hash: format!("{setting}"),
+            prediction_hash: setting.to_owned(),
             conditions: "c".to_owned(),
             weights_hash: "w".to_owned(),
             input_hash: "i".to_owned(),

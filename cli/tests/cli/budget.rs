@@ -44,7 +44,7 @@ fn a_calibrated_machine_keeps_budgets() {
     assert!(measured["model"]["network"][COARSE].is_array(), "{measured}");
 
     // The same front with figures by hand: the fine setting takes 20 s, the coarse one 5 s.
-    let mut front = measured.clone();
+    let mut front = measured;
     front["settings"] =
         json!([{ "setting": FINE, "f_miou": 0.7 }, { "setting": COARSE, "f_miou": 0.6 }]);
     let zero = json!([0.0, 0.0, 0.0]);

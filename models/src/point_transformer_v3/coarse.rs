@@ -171,7 +171,7 @@ mod tests {
     #[test]
     fn only_occupied_cells_of_the_own_scene_count() {
         // Two scenes with the same cells; the second has one cell less, and one that is alone.
-        let first = vec![[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]];
+        let first = [[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]];
         let cells = [&first[..], &[[0, 0, 0], [1, 0, 0], [9, 9, 9]]].concat();
         let fine = cloud(cells, vec![0, 4, 7]);
         let (coarse, groups) = fine.pool(1);

@@ -40,8 +40,10 @@ pub fn calibrate(args: &Args) -> Result<()> {
     let weights = args.network.weights()?;
     let options = WeightOptions::default();
     let native = network_of(&weights, args.network.config.as_ref(), options)?.model.grid_size;
-    let grid =
-        args.grid.as_ref().map_or_else(|| Grid::calibration(native), |path| Grid::read(path));
+    let grid = match &args.grid {
+        Some(path) => Grid::read(path),
+        None => Grid::calibration(native),
+    };
     let grid = grid.map_err(|e| WrongUse(e.to_string()))?;
     let settings = grid.settings().map_err(|e| WrongUse(e.to_string()))?;
     if settings.iter().any(|s| s.net.is_some()) {

@@ -41,8 +41,10 @@ pub fn run(args: &Args) -> Result<()> {
     let settings = grid.settings().map_err(|e| WrongUse(e.to_string()))?;
     let neutral = neutral::rows(&grid.neutral)?;
     let runs = args.training.iter().chain(&grid.training);
-    let training: Vec<TrainingCurve> =
-        runs.map(|run| TrainingCurve::read(run)).collect::<Result<_, _>>()?;
+    let mut training = Vec::new();
+    for run in runs {
+        training.push(TrainingCurve::read(run)?);
+    }
     let progress = Progress::new(args.quiet);
     std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
     let _lock = FolderLock::acquire(&args.out)?;
