@@ -3,6 +3,7 @@
 use crate::bench::speeds;
 use crate::commands::WrongUse;
 use crate::flags::Inference;
+use crate::session::set_threads;
 use crate::setting::VOTE_K;
 use anyhow::{Context, Result};
 use scenesplat::alignment::{Alignment, AlignmentSettings};
@@ -82,11 +83,26 @@ pub struct Job<'a> {
     pub features: Option<&'a Path>,
 }
 
-/// Chooses a setting if the flags ask for it.
+/// The flags of the network with the setting that a budget chooses, if there is one.
 ///
 /// # Errors
-/// If a flag contradicts it, there is no front, or nothing keeps what is asked for.
-pub fn choose(args: &BudgetArgs, job: &Job<'_>) -> Result<Option<Chosen>> {
+/// If a flag contradicts the budget, there is no front, or nothing keeps what is asked for.
+pub fn within_budget(
+    args: &BudgetArgs,
+    threads: Option<usize>,
+    job: &Job<'_>,
+) -> Result<(Inference, Option<Chosen>)> {
+    set_threads(threads)?;
+    let chosen = choose(args, job)?;
+    let mut inference = job.inference.clone();
+    if let Some(chosen) = &chosen {
+        inference.setting = Some(chosen.setting.clone());
+    }
+    Ok((inference, chosen))
+}
+
+/// Chooses a setting if the flags ask for it.
+fn choose(args: &BudgetArgs, job: &Job<'_>) -> Result<Option<Chosen>> {
     let began = Instant::now();
     if args.budget.is_none() && args.min_quality.is_none() {
         return Ok(None);

@@ -1,9 +1,9 @@
 //! `scenesplat features`
 
 use super::WrongUse;
-use crate::budget::{BudgetArgs, Chosen, Job, choose};
+use crate::budget::{BudgetArgs, Chosen, Job, within_budget};
 use crate::flags::{Inference, Shared};
-use crate::session::{Session, set_threads};
+use crate::session::Session;
 use anyhow::Result;
 use scenesplat::outputs::{
     FeatureType, ResultColumns, write_colored_ply, write_features_npy, write_features_safetensors,
@@ -70,7 +70,6 @@ const AXES: &str = "feature_axes.npy";
 impl Args {
     /// The setting that a budget chooses, if there is one, and the flags with it.
     fn chosen(&self) -> Result<(Self, Option<Chosen>)> {
-        set_threads(self.shared.threads)?;
         let job = Job {
             command: "features",
             scene: &self.scene,
@@ -78,12 +77,8 @@ impl Args {
             vote_k: None,
             features: None,
         };
-        let chosen = choose(&self.budget, &job)?;
-        let mut args = self.clone();
-        if let Some(chosen) = &chosen {
-            args.inference.setting = Some(chosen.setting.clone());
-        }
-        Ok((args, chosen))
+        let (inference, chosen) = within_budget(&self.budget, self.shared.threads, &job)?;
+        Ok((Self { inference, ..self.clone() }, chosen))
     }
 
     /// With the parts of the setting among the flags.

@@ -2,9 +2,9 @@
 
 use super::WrongUse;
 use super::classes::Classes;
-use crate::budget::{BudgetArgs, Chosen, Job, choose};
+use crate::budget::{BudgetArgs, Chosen, Job, within_budget};
 use crate::flags::{Inference, Shared};
-use crate::session::{FeatureSource, Session, set_threads};
+use crate::session::{FeatureSource, Session};
 use crate::terminal::write_text;
 use anyhow::Result;
 use scenesplat::Network;
@@ -46,7 +46,6 @@ pub struct Args {
 impl Args {
     /// The setting that a budget chooses, if there is one, and the flags with it.
     fn chosen(&self) -> Result<(Self, Option<Chosen>)> {
-        set_threads(self.shared.threads)?;
         let job = Job {
             command: "segment",
             scene: &self.scene,
@@ -54,12 +53,8 @@ impl Args {
             vote_k: self.vote_k,
             features: self.features.as_deref(),
         };
-        let chosen = choose(&self.budget, &job)?;
-        let mut args = self.clone();
-        if let Some(chosen) = &chosen {
-            args.inference.setting = Some(chosen.setting.clone());
-        }
-        Ok((args, chosen))
+        let (inference, chosen) = within_budget(&self.budget, self.shared.threads, &job)?;
+        Ok((Self { inference, ..self.clone() }, chosen))
     }
 
     /// With the parts of the setting among the flags, and how many neighbours vote.

@@ -1,10 +1,9 @@
 //! The flags of `query`, and what they ask for.
 
-use crate::budget::{BudgetArgs, Chosen, Job, choose};
+use crate::budget::{BudgetArgs, Chosen, Job, within_budget};
 use crate::commands::WrongUse;
 use crate::commands::classes::Classes;
 use crate::flags::{Inference, Shared};
-use crate::session::set_threads;
 use anyhow::Result;
 use scenesplat::query::Query;
 use scenesplat::scene::label_set::nearest_names;
@@ -51,7 +50,6 @@ pub struct Args {
 impl Args {
     /// The setting that a budget chooses, if there is one, and the flags with it.
     pub fn chosen(&self) -> Result<(Self, Option<Chosen>)> {
-        set_threads(self.shared.threads)?;
         let job = Job {
             command: "query",
             scene: &self.scene,
@@ -59,12 +57,8 @@ impl Args {
             vote_k: self.vote_k,
             features: self.features.as_deref(),
         };
-        let chosen = choose(&self.budget, &job)?;
-        let mut args = self.clone();
-        if let Some(chosen) = &chosen {
-            args.inference.setting = Some(chosen.setting.clone());
-        }
-        Ok((args, chosen))
+        let (inference, chosen) = within_budget(&self.budget, self.shared.threads, &job)?;
+        Ok((Self { inference, ..self.clone() }, chosen))
     }
 
     /// With the parts of the setting among the flags, and how many neighbours vote.
