@@ -13,6 +13,7 @@ use scenesplat::kernels::grid_sample::{KeyOrder, voxel_groups};
 use scenesplat::kernels::simd::Isa;
 use scenesplat::machine::Machine;
 use scenesplat::network::Weights;
+use scenesplat::outputs::OpenedScene;
 use scenesplat::pareto::{Ask, Calibration, Size, seconds_text};
 use scenesplat::{Setting, embedded};
 use serde::{Deserialize, Serialize};
@@ -57,7 +58,6 @@ pub struct BudgetReport {
 }
 
 /// A chosen setting.
-#[derive(Debug)]
 pub struct Chosen {
     /// The setting.
     pub setting: Setting,
@@ -67,6 +67,8 @@ pub struct Chosen {
     pub began: Instant,
     /// What to say.
     pub remarks: Vec<String>,
+    /// The scene, which is not read twice, and what to say about it.
+    pub input: (OpenedScene, Option<String>),
 }
 
 /// What a front is looked up for.
@@ -112,8 +114,19 @@ fn choose(args: &BudgetArgs, job: &Job<'_>) -> Result<Option<Chosen>> {
     let weights_hash = weights_hash(job.inference)?;
     let machine = Machine { simd: Isa::current().name().to_owned(), ..Machine::detect() };
     let (front, slower, remarks) = front_of(flag, &weights_hash, &machine)?;
-    let (opened, _) = open_input(job.scene, &job.inference.source.options())?;
-    let scene = &opened.loaded.scene;
+    let input = open_input(job.scene, &job.inference.source.options())?;
+    let scene = &input.0.loaded.scene;
+    if scene.lang_code.is_some()
+        && job.inference.network.weights.is_none()
+        && job.command != "features"
+    {
+        let text = format!(
+            "{flag} chooses the setting of a network, and {} carries language codes, which are used \
+             without one: leave out {flag}, or give --weights too",
+            job.scene.display()
+        );
+        return Err(WrongUse(text).into());
+    }
     let alignment = Alignment::of(
         scene,
         &AlignmentSettings {
@@ -171,7 +184,7 @@ fn choose(args: &BudgetArgs, job: &Job<'_>) -> Result<Option<Chosen>> {
         spent_s: 0.0,
         setting: choice.setting,
     };
-    Ok(Some(Chosen { setting, report, began, remarks }))
+    Ok(Some(Chosen { setting, report, began, remarks, input }))
 }
 
 /// Refuses flags that say what the budget is to choose.
@@ -213,13 +226,8 @@ fn front_of(
     let mut remarks = Vec::new();
     if let Some(path) = path.as_deref().filter(|path| path.exists()) {
         let stored = Calibration::read(path)?;
-        if stored.fingerprint == machine.fingerprint() && stored.weights_hash == weights {
+        let Some(what) = foreign(&stored, weights, machine) else {
             return Ok((stored, 1.0, remarks));
-        }
-        let what = match () {
-            () if stored.version != machine.version => format!("version {}", stored.version),
-            () if stored.weights_hash != weights => "other weights".to_owned(),
-            () => format!("another machine or number of threads ({})", stored.machine),
         };
         remarks.push(format!(
             "*** {}: is of {what} and is not used; scenesplat pareto --calibrate makes it anew ***",
@@ -243,6 +251,21 @@ fn front_of(
         shipped.machine
     ));
     Ok((shipped, slower, remarks))
+}
+
+/// What a stored front is of, if not of this program, these weights and this machine. Each field is
+/// looked at by itself: a file that was copied or edited may contradict its own fingerprint.
+fn foreign(stored: &Calibration, weights: &str, machine: &Machine) -> Option<String> {
+    let versions = [&stored.version, &stored.machine.version];
+    if let Some(other) = versions.into_iter().find(|version| **version != machine.version) {
+        return Some(format!("version {other}"));
+    }
+    if stored.weights_hash != weights {
+        return Some("other weights".to_owned());
+    }
+    let here = machine.fingerprint();
+    let same = stored.fingerprint == here && stored.machine.fingerprint() == here;
+    (!same).then(|| format!("another machine or number of threads ({})", stored.machine))
 }
 
 /// Where the front of these weights is stored; `None` where there is no folder for such.

@@ -63,6 +63,8 @@ pub struct Session<'a> {
     /// What is read and written.
     pub outputs: Outputs,
     written: RefCell<Vec<(PathBuf, u64)>>,
+    /// The scene, where a budget had to look at it before.
+    input: RefCell<Option<(OpenedScene, Option<String>)>>,
 }
 
 impl<'a> Session<'a> {
@@ -77,7 +79,8 @@ impl<'a> Session<'a> {
         let progress = Progress::new(shared.quiet);
         let outputs = Outputs::new(&shared.out);
         outputs.claim_any("--receipt", shared.receipt.as_ref())?;
-        Ok(Self { shared, receipt, progress, outputs, written: RefCell::default() })
+        let (written, input) = (RefCell::default(), RefCell::default());
+        Ok(Self { shared, receipt, progress, outputs, written, input })
     }
 
     /// As [`start`](Self::start) for a command with a network, whose files are inputs.
@@ -100,14 +103,15 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// Says and notes the setting that a budget chose.
-    pub fn note_budget(&self, chosen: Option<&Chosen>) {
+    /// Says and notes the setting that a budget chose, and keeps the scene that it was chosen for.
+    pub fn note_budget(&self, chosen: Option<Chosen>) {
         let Some(chosen) = chosen else { return };
         for remark in &chosen.remarks {
             self.progress.say(remark);
             self.receipt.warning(remark);
         }
-        self.receipt.budget(chosen.report.clone(), chosen.began);
+        self.receipt.budget(chosen.report, chosen.began);
+        *self.input.borrow_mut() = Some(chosen.input);
     }
 
     /// Makes the output folder, for files of these names and the receipt, and keeps other runs out
@@ -234,7 +238,8 @@ impl<'a> Session<'a> {
     pub fn read(&self, path: &Path, options: &ReadOptions) -> Result<OpenedScene> {
         self.outputs.reads(path)?;
         self.progress.say(format!("reading {}", path.display()));
-        let (opened, remark) = open_input(path, options)?;
+        let before = self.input.take().filter(|(opened, _)| opened.loaded.path == path);
+        let (opened, remark) = before.map_or_else(|| open_input(path, options), Ok)?;
         if let Some(text) = remark {
             self.progress.say(text);
             self.receipt.setting("input", "point cloud", "points were turned into Gaussians");

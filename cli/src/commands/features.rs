@@ -97,7 +97,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let args = &args.settled()?;
     let session = Session::start_with(&args.shared, &args.inference.network, line)?;
     session.note_setting(&args.inference);
-    session.note_budget(chosen.as_ref());
+    session.note_budget(chosen);
     session.outputs.reads(&args.scene)?;
     let features_file = match args.format {
         Format::Npy => "features.npy",

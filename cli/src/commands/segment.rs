@@ -70,7 +70,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let (args, vote_k) = &args.settled()?;
     let session = Session::start_with(&args.shared, &args.inference.network, line)?;
     session.note_setting(&args.inference);
-    session.note_budget(chosen.as_ref());
+    session.note_budget(chosen);
     session.outputs.reads(&args.scene)?;
     args.classes.claim_inputs(&session.outputs)?;
     let names = ["labels.npy", "scores.npy", "classes.json", "segmented.ply", "preview.png"];

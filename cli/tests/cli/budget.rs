@@ -110,12 +110,14 @@ fn a_calibrated_machine_keeps_budgets() {
 
     // Of another machine, of another version: named, and not used.
     for (field, value, part) in [
-        ("fingerprint", "0123456789abcdef", "another machine"),
-        ("version", "9.9.9", "version 9.9.9"),
+        ("/fingerprint", json!("0123456789abcdef"), "another machine"),
+        ("/machine/threads", json!(64), "another machine"),
+        ("/version", json!("9.9.9"), "version 9.9.9"),
+        ("/machine/version", json!("9.9.8"), "version 9.9.8"),
+        ("/weights_hash", json!("0123456789abcdef"), "other weights"),
     ] {
         let mut foreign = front.clone();
-        foreign[field] = value.into();
-        foreign["fingerprint"] = "0123456789abcdef".into();
+        *foreign.pointer_mut(field).unwrap() = value;
         put(&foreign);
         let output = command("segment", &["--budget", "1h"]);
         done(&output);

@@ -240,7 +240,7 @@ impl PointTransformerV3Config {
     ///
     /// A configuration may come from a file that somebody else wrote, so every size has an upper
     /// bound, far above any network that is known, and so has the number of values in all
-    /// ([`MAX_VALUES`]): nothing is reserved for more.
+    /// ([`MAX_VALUES`](crate::MAX_VALUES)): nothing is reserved for more.
     ///
     /// # Errors
     /// Names the first field that does not fit.
