@@ -129,11 +129,11 @@ pub(super) fn cases() -> Vec<Case> {
             )
         },
     ]);
-    for (name, from, to) in [
-        ("patch", "enc_patch_size = [64, 64]", "enc_patch_size = [32, 64]"),
-        ("loss", "\"lovasz_softmax\"", "\"cosine\""),
-        ("voxels", "grid_size = 0.3", "grid_size = 0.4"),
-        ("seed", "seed = 1", "seed = 7"),
+    for (name, word, from, to) in [
+        ("patch", "enc_patch_size", "enc_patch_size = [64, 64]", "enc_patch_size = [32, 64]"),
+        ("loss", "losses", "\"lovasz_softmax\"", "\"lovasz_softmax\"\nweight = 0.5"),
+        ("voxels", "grid_size", "grid_size = 0.3", "grid_size = 0.4"),
+        ("seed", "seed", "seed = 1", "seed = 7"),
     ] {
         cases.push(Case {
             area: "training",
@@ -146,9 +146,10 @@ pub(super) fn cases() -> Vec<Case> {
                 let out = t.folder().join("run");
                 start(&path, &out, false)?;
                 forget(&out, 4)?;
-                let other = config(t, &EXPERIMENT.replace(from, to));
-                let ended = other.and_then(|path| start(&path, &out, true));
-                ensure!(ended.is_err(), "the run goes on with {to}");
+                let other = config(t, &EXPERIMENT.replace(from, to))?;
+                let ended = start(&other, &out, true);
+                let named = ended.as_ref().is_err_and(|e| e.0.contains(word));
+                ensure!(named, "goes on with {to}, or does not name it: {ended:?}");
                 Ok(Finding::right())
             })
         });

@@ -144,7 +144,7 @@ pub(super) fn cases() -> Vec<Case> {
             for (p, t) in predicted.chunks(700).zip(truth.chunks(700)) {
                 let mut part = ConfusionMatrix::new(C)?;
                 part.update((p, t))?;
-                parts.merge(&part);
+                parts.merge(&part)?;
             }
             ensure!(whole.counts() == parts.counts(), "parts count otherwise");
             ensure!(whole.unassigned() == parts.unassigned(), "parts withhold otherwise");

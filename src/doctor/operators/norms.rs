@@ -147,10 +147,9 @@ fn layer(trial: &Trial<'_>, row: fn(usize) -> Vec<f32>) -> Result<Finding, Failu
             let (w, b) = (f64::from(weight[j]), f64::from(bias[j]));
             let term = (x - mean) / deviation * w;
             // The input itself is known to half a unit in its last place.
-            let rounding = match var {
-                0.0 => 0.0,
-                _ => largest / deviation * w.abs() * f64::from(f32::EPSILON) / F32,
-            };
+            let rounding = largest / deviation * w.abs() * f64::from(f32::EPSILON) / F32;
+            // Equal values have no difference to round.
+            let rounding = if var == 0.0 { 0.0 } else { rounding };
             want.push(Wide::of(term + b, term.abs() + b.abs() + rounding));
         }
     }
