@@ -277,7 +277,10 @@ fn bad_data(trial: &Trial<'_>) -> Result<Finding, Failure> {
         "{ type = \"generic\", root = \"data\" }",
     );
     let report = start(&config(trial, &text)?, &trial.folder().join("run"), false)?;
-    let said = report.remarks.join("\n");
-    ensure!(said.contains("10 "), "the run does not say what it left out: {said:?}");
+    let log = read_json_lines(&trial.folder().join("run/metrics.jsonl"))?;
+    let counted = |name: &str| log.iter().find(|v| v.name == name).map(|v| v.value);
+    for (name, want) in [("data/train/repaired_scenes", 2.0), ("data/train/dropped_rows", 20.0)] {
+        ensure!(counted(name) == Some(want), "{name} is {:?}, {want} is right", counted(name));
+    }
     finite(&trial.folder().join("run"), &report)
 }

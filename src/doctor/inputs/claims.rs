@@ -3,6 +3,7 @@
 use super::files::{file_name, open, refused, scene};
 use crate::doctor::case::{Case, Finding, Level, Policy};
 use crate::doctor::trial::{Failure, Trial, ensure};
+use scenesplat_rasterizer::View;
 use scenesplat_rasterizer::segments::{SegmentFolder, SegmentOptions};
 use scenesplat_rooms::{SyntheticRoomSettings, Vocabulary, generate};
 use scenesplat_scene::picture::decode_picture;
@@ -215,7 +216,8 @@ fn camera_size(trial: &Trial<'_>) -> Result<Finding, Failure> {
     let text = r#"[{"id": 0, "img_name": "a", "width": 4294967295, "height": 4294967295,
         "position": [0, 0, 0], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "fx": 50, "fy": 50}]"#;
     let path: &Path = &trial.file("cameras.json", text.as_bytes())?;
-    refused(open_cameras(path), &["cameras.json"])?;
+    let cameras = open_cameras(path)?.cameras;
+    refused(View::from_camera(&cameras[0]), &["4294967295"])?;
     Ok(Finding::right())
 }
 

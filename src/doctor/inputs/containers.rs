@@ -105,7 +105,7 @@ const CONTAINERS: &[Container] = &[
         name: "list-property",
         origin: LEVEL_1,
         bytes: || edited("float opacity", "list uchar float opacity"),
-        fate: Refused(&["opacity"]),
+        fate: Refused(&["scene.ply", "vertex"]),
     },
     Container {
         name: "no-end-of-header",

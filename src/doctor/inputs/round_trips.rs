@@ -162,7 +162,9 @@ fn cut(trial: &Trial<'_>, container: &Container) -> Result<Finding, Failure> {
     write_scene(&scene, &path, container.format, &WriteOptions::default(), &mut |_| true)?;
     let file = if path.is_dir() { path.join("coord.npy") } else { path.clone() };
     let whole = std::fs::read(&file)?;
-    for rest in [whole.len() / 2, whole.len() - 5] {
+    // Half of a `.splat` file is a whole one of half as many Gaussians: it has no header.
+    let half = if container.format == SceneFormat::Splat { 5 } else { whole.len() / 2 };
+    for rest in [half, whole.len() - 5] {
         std::fs::write(&file, &whole[..rest])?;
         refused(open(&path, ReadPolicy::Repair), &[file_name(container.format)])?;
     }

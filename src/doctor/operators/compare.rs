@@ -19,7 +19,7 @@ pub(super) const LONG_REASON: &str =
 pub(super) const EXACT_REASON: &str = "whole numbers and decisions: right or wrong";
 
 /// A value in f64, and what an error is measured against: the value itself, or, where terms cancel,
-/// the sum of their magnitudes.
+/// the sum of their magnitudes; an infinite scale allows any number.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Wide {
     pub(super) value: f64,
@@ -42,7 +42,7 @@ impl Wide {
         if self.value.is_nan() || got.is_nan() {
             return if self.value.is_nan() && got.is_nan() { 0.0 } else { f64::NAN };
         }
-        if got == self.value {
+        if got == self.value || self.scale.is_infinite() && self.value.is_finite() {
             return 0.0;
         }
         // Below the least normal f32 there are fewer bits.

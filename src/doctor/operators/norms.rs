@@ -146,10 +146,9 @@ fn layer(trial: &Trial<'_>, row: fn(usize) -> Vec<f32>) -> Result<Finding, Failu
         for (j, x) in row.iter().enumerate() {
             let (w, b) = (f64::from(weight[j]), f64::from(bias[j]));
             let term = (x - mean) / deviation * w;
-            // The input itself is known to half a unit in its last place.
-            let rounding = largest / deviation * w.abs() * f64::from(f32::EPSILON) / F32;
-            // Equal values have no difference to round.
-            let rounding = if var == 0.0 { 0.0 } else { rounding };
+            // The mean of f32 values, a sum in f32, is known to so much.
+            let unit = 2.0 * f64::from(f32::EPSILON);
+            let rounding = largest / deviation * w.abs() * unit / F32;
             want.push(Wide::of(term + b, term.abs() + b.abs() + rounding));
         }
     }

@@ -107,7 +107,14 @@ pub(super) fn cases() -> Vec<Case> {
                 Ok(found)
             };
             let name = format!("product-{precision}-{name}");
-            cases.push(Case { origin, tolerance, reason, ..operator(name, "products", check) });
+            let case = Case { origin, tolerance, reason, ..operator(name, "products", check) };
+            // The step of a row is a 127th of its largest value: what stands beside 40 has 3 steps.
+            cases.push(if precision == Precision::Int8 && case.name.ends_with("outlier") {
+                let reason = "a row's step is a 127th of its outlier: the cost of it, stated in Precision::Int8";
+                Case { tolerance: 1e-1, reason, ..case }
+            } else {
+                case
+            });
         }
         cases.push(Case {
             origin: "a NaN of one Gaussian spreads over its batch (SceneSplat, mixed batches)",
