@@ -9,7 +9,7 @@ use scenesplat::doctor::{
 use std::collections::BTreeSet;
 
 /// What the documentation claims, see `docs/hard_cases.md`.
-const LEAST: usize = 150;
+const LEAST: usize = 403;
 
 #[test]
 fn the_table_is_whole() {
@@ -22,7 +22,7 @@ fn the_table_is_whole() {
         let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';
         assert!(name.chars().all(plain), "{name}");
         assert!(!area.is_empty() && origin.len() > 10 && reason.len() > 10, "{name}");
-        assert!(tolerance.is_finite() && (0.0..=0.1).contains(tolerance), "{name}: {tolerance}");
+        assert!(tolerance.is_finite() && (0.0..=0.15).contains(tolerance), "{name}: {tolerance}");
         assert!(*policy != Policy::Refused || *tolerance == 0.0, "{name}: a refusal is no number");
     }
     for level in Level::ALL {
