@@ -70,7 +70,7 @@ impl Setting {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::network::{Network, NetworkChoice, WeightOptions, Weights};
+    use crate::network::NetworkChoice;
     use scenesplat_kernels::Precision;
     use scenesplat_models::{ModelConfig, PointTransformerV1Config, PointTransformerV2Config};
 
@@ -91,33 +91,6 @@ mod tests {
             assert_ne!(set("patch=64", name), choice.resolve().unwrap());
             set("patch=64", name).check().unwrap();
         }
-    }
-
-    #[test]
-    fn parts_of_the_encoder_reach_it() {
-        let config = "tiny".parse::<NetworkChoice>().unwrap().resolve().unwrap();
-        let network =
-            Network::load(config, &Weights::Seeded(0), WeightOptions::default()).unwrap();
-        let of = |text: &str| {
-            let setting: Setting = text.parse().unwrap();
-            let encoder = setting.apply_to_encoder(SceneEncoder::new(&network));
-            (encoder.grid_size, encoder.fidelity, encoder.codes)
-        };
-        let plain = of("");
-        assert_eq!(plain, (network.grid_size(), Fidelity::Fast, None));
-        assert_eq!(of("voxel=0.37"), (0.37, plain.1, plain.2));
-        assert_eq!(of("passes=1"), plain);
-        assert_eq!(of("passes=3"), (plain.0, Fidelity::Passes(3), plain.2));
-        assert_eq!(of("passes=all"), (plain.0, Fidelity::Exact, plain.2));
-        assert_eq!(of("codes=5"), (plain.0, plain.1, Some(5)));
-        // What an encoder has and a setting does not name stays.
-        let mut encoder = SceneEncoder::new(&network);
-        (encoder.grid_size, encoder.fidelity, encoder.codes) = (0.5, Fidelity::Exact, Some(7));
-        let after = Setting::default().apply_to_encoder(encoder);
-        assert_eq!(
-            (after.grid_size, after.fidelity, after.codes),
-            (0.5, Fidelity::Exact, Some(7))
-        );
     }
 
     #[test]
