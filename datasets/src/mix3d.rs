@@ -283,22 +283,6 @@ mod tests {
     }
 
     #[test]
-    fn instances_of_the_second_scene_follow_those_of_the_first() {
-        let mut a = sample("a", [0.0; 3], &line(3));
-        a.instance = Some(vec![4, -1, 0]);
-        let mut b = sample("b", [50.0, 0.0, 0.0], &line(4));
-        b.instance = Some(vec![0, 2, -1, 0]);
-        let mut none = sample("none", [0.0; 3], &line(2));
-        none.instance = Some(vec![-1; 2]);
-        let mixed = |pair: [&Sample; 2]| {
-            let pair = pair.map(Clone::clone).to_vec();
-            mix_pairs(pair, false, &mut sample_rng(1, 0, 0)).unwrap().remove(0).instance.unwrap()
-        };
-        assert_eq!(mixed([&a, &b]), [4, -1, 0, 5, 7, -1, 5]);
-        assert_eq!(mixed([&none, &b]), [-1, -1, 0, 2, -1, 0]);
-    }
-
-    #[test]
     fn the_coin_is_seeded_and_fair() {
         let mixed = |seed| {
             let pair = vec![sample("a", [0.0; 3], &line(4000)), sample("b", [0.0; 3], &line(4000))];

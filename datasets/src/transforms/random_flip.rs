@@ -101,16 +101,6 @@ mod tests {
     }
 
     #[test]
-    fn half_turns_stay_half_turns() {
-        // w = 0 has no sign that could be made positive.
-        for exact in [false, true] {
-            assert_eq!(mirrored([0.0, 1.0, 0.0, 0.0], 0, exact), [0.0, 1.0, 0.0, 0.0]);
-            assert_eq!(mirrored([0.0, 0.0, 1.0, 0.0], 1, exact), [0.0, 0.0, 1.0, 0.0]);
-        }
-        assert_eq!(mirrored([0.0, 0.6, 0.8, 0.0], 0, false), [0.0, 0.6, -0.8, 0.0]);
-    }
-
-    #[test]
     fn covariances_are_mirrored() {
         let sample = room(300);
         for exact in [false, true] {
