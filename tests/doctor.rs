@@ -113,20 +113,20 @@ fn a_wrong_operator_is_seen() {
     assert!(verdict(|_, _| {}).passed, "the right operator passes");
     let slightly = verdict(|i, v| {
         if i == 17 {
-            *v *= 1.0 + 1e-4
+            *v *= 1.0 + 1e-4;
         }
     });
     assert!(!slightly.passed && slightly.worst.contains("square 17"), "{slightly:?}");
     assert!(slightly.failure.unwrap().contains("is allowed"));
     let nan = verdict(|i, v| {
         if i == 63 {
-            *v = f32::NAN
+            *v = f32::NAN;
         }
     });
     assert!(!nan.passed && nan.error.is_none(), "{nan:?}");
     let infinite = verdict(|i, v| {
         if i == 3 {
-            *v = f32::INFINITY
+            *v = f32::INFINITY;
         }
     });
     assert!(!infinite.passed, "{infinite:?}");
