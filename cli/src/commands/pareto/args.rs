@@ -37,6 +37,10 @@ pub struct Args {
     /// Folder for the results; records in it are kept and not measured again.
     #[arg(long, value_name = "DIR", default_value = "pareto-out")]
     pub out: PathBuf,
+    /// records.jsonl of an earlier run: fails if a setting lost more than 0.3 points of f-mIoU, or takes
+    /// more than 1.15 times as long on the same machine.
+    #[arg(long, value_name = "FILE.jsonl", conflicts_with = "calibrate")]
+    pub against: Option<PathBuf>,
     /// Folders of training runs, whose quality is shown against their time.
     #[arg(long, num_args = 1.., value_name = "RUN_DIR")]
     pub training: Vec<PathBuf>,
