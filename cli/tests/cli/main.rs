@@ -18,6 +18,7 @@ mod outputs;
 mod pareto;
 mod render;
 mod settings;
+mod simulate;
 mod training;
 mod upright;
 
