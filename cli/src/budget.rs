@@ -277,3 +277,38 @@ pub fn stored_path(weights: &str) -> Option<PathBuf> {
     let short: String = weights.chars().filter(char::is_ascii_alphanumeric).take(16).collect();
     Some(folder.join(format!("front-{short}.json")))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_front_of_something_else_is_foreign_whichever_field_says_so() {
+        let here = Machine { version: "1.2.3".to_owned(), threads: 4, ..Machine::default() };
+        let own = || {
+            let shipped = Calibration::shipped().unwrap();
+            Calibration {
+                version: here.version.clone(),
+                machine: here.clone(),
+                fingerprint: here.fingerprint(),
+                weights_hash: "abc".to_owned(),
+                ..shipped
+            }
+        };
+        assert_eq!(foreign(&own(), "abc", &here), None);
+        type Change = fn(&mut Calibration);
+        let changes: [(Change, &str); 5] = [
+            (|front| front.version = "1.2.2".to_owned(), "version 1.2.2"),
+            (|front| front.machine.version = "2.0.0".to_owned(), "version 2.0.0"),
+            (|front| front.weights_hash = "abd".to_owned(), "other weights"),
+            (|front| front.machine.threads = 5, "another machine"),
+            (|front| front.fingerprint = "0".to_owned(), "another machine"),
+        ];
+        for (change, part) in changes {
+            let mut front = own();
+            change(&mut front);
+            let what = foreign(&front, "abc", &here).unwrap_or_default();
+            assert!(what.contains(part), "{what:?}: {part}");
+        }
+    }
+}

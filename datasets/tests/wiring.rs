@@ -5,7 +5,7 @@
 use scenesplat_datasets::transforms::{TransformConfig, build_transforms};
 use scenesplat_datasets::{
     BatchLoader, DataError, DataSource, Dataset, InputFeatures, LoaderSettings, Sample,
-    SceneDataset, SceneLoader, SourceScene, SyntheticRooms, TrainBatch, sample_rng,
+    SceneDataset, SceneLoader, SourceScene, SyntheticRooms, TrainBatch, mix_pairs, sample_rng,
 };
 use scenesplat_rooms::{SyntheticRoomSettings, generate};
 use scenesplat_scene::{GaussianScene, RepairReport};
@@ -189,4 +189,58 @@ fn rows_that_are_left_out_take_their_labels_along() {
             );
         }
     }
+}
+
+/// Gaussians in a row of cells that begins at x, with these instances.
+fn in_a_row(x: f32, instance: &[i32]) -> Sample {
+    let n = instance.len();
+    Sample {
+        id: "row".to_owned(),
+        coord: (0..n).map(|i| [x + i as f32 + 0.5, 0.5, 0.5]).collect(),
+        color: vec![[70.0, 80.0, 90.0]; n],
+        opacity: vec![0.5; n],
+        scale: vec![[0.1; 3]; n],
+        quat: vec![[1.0, 0.0, 0.0, 0.0]; n],
+        instance: Some(instance.to_vec()),
+        grid_coord: (0..n as i32).map(|i| [i, 0, 0]).collect(),
+        grid_size: 1.0,
+        ..Sample::default()
+    }
+}
+
+#[test]
+fn instances_of_a_scene_mixed_in_follow_those_of_the_first() {
+    let mixed = |first: &[i32], second: &[i32]| {
+        let pair = vec![in_a_row(0.0, first), in_a_row(50.0, second)];
+        mix_pairs(pair, false, &mut sample_rng(1, 0, 0)).unwrap().remove(0).instance.unwrap()
+    };
+    assert_eq!(mixed(&[4, -1, 0], &[0, 2, -1, 0]), [4, -1, 0, 5, 7, -1, 5]);
+    assert_eq!(mixed(&[-1, -1], &[0, 2, -1]), [-1, -1, 0, 2, -1]);
+}
+
+#[test]
+fn half_turns_stay_half_turns() {
+    // w = 0 has no sign that could be made positive.
+    for quat in [[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]] {
+        for step in [
+            json!({ "type": "random_flip", "probability": 1.0 }),
+            json!({ "type": "random_rotate", "angle": [0.0, 0.0], "probability": 1.0 }),
+        ] {
+            let mut sample = in_a_row(0.0, &[0]);
+            sample.quat = vec![quat];
+            steps(json!([step]))[0].apply(&mut sample, &mut sample_rng(1, 0, 0)).unwrap();
+            // The same turn has either sign.
+            assert_eq!(sample.quat[0].map(f32::abs), quat, "{step}");
+        }
+    }
+}
+
+#[test]
+fn contrast_leaves_a_constant_channel() {
+    let mut sample = in_a_row(0.0, &[0, 1, 2]);
+    sample.color[1][2] = 10.0;
+    let step = json!({ "type": "chromatic_auto_contrast", "probability": 1.0 });
+    steps(json!([step]))[0].apply(&mut sample, &mut sample_rng(1, 0, 0)).unwrap();
+    assert!(sample.color.iter().all(|c| c[..2] == [70.0, 80.0]), "{:?}", sample.color);
+    assert!(sample.color[1][2] < 10.0 && sample.color[0][2] > 90.0, "{:?}", sample.color);
 }

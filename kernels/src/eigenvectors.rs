@@ -149,6 +149,28 @@ mod tests {
     }
 
     #[test]
+    fn rounding_errors_are_no_directions() {
+        // Rows of two directions only, in no axis: what else the matrix seems to have is rounding.
+        let (width, rows) = (7, 50);
+        let row = |r: usize| -> Vec<f32> {
+            let [a, b] = [(r as f32 * 0.7).sin(), (r as f32 * 1.3).cos()];
+            (0..width).map(|i| a * (i as f32 + 0.3).sin() + b * (i as f32 * 2.1).cos()).collect()
+        };
+        let mut matrix = vec![0f32; width * width];
+        for row in (0..rows).map(row) {
+            for (i, to) in matrix.iter_mut().enumerate() {
+                *to += row[i / width] * row[i % width];
+            }
+        }
+        let how = Iteration { negligible: 1e-6, ..Iteration::default() };
+        let found = leading_eigenvectors(&matrix, width, 4, how, &mut |_| true).unwrap();
+        for vector in &found[..2] {
+            assert!((dot(vector, vector) - 1.0).abs() < 1e-12, "{found:?}");
+        }
+        assert!(found[2..].iter().flatten().all(|v| *v == 0.0), "{found:?}");
+    }
+
+    #[test]
     fn missing_directions_are_zero_and_a_stop_is_one() {
         let mut matrix = vec![0f32; 9];
         matrix[0] = 2.0;

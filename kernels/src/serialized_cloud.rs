@@ -301,6 +301,18 @@ mod tests {
     }
 
     #[test]
+    fn what_is_kept_is_kept_by_size() {
+        let cloud = example(CurveDepth::PerScene);
+        for size in [2, 3, 1024, 2] {
+            assert_eq!(*cloud.patches(size), cut(&[0, 4, 7], size), "patches of {size}");
+        }
+        assert!(Arc::ptr_eq(&cloud.patches(3), &cloud.patches(3)), "cut once");
+        for size in [3, 5, 3] {
+            assert_eq!(cloud.kernel_map(size).unwrap().kernel_size(), size);
+        }
+    }
+
+    #[test]
     fn a_scene_is_coded_alike_alone_and_in_a_batch() {
         let grid = vec![[0, 1, 1], [2, 2, 2], [1, 1, 3]];
         let alone =

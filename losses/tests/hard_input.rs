@@ -184,6 +184,27 @@ fn rows_without_direction() {
     assert!((value - want).abs() < 1e-6, "{value} and {want}");
 }
 
+/// Rows count by their direction down to the smallest norm, 1e-8, and below it as rows of that norm.
+#[test]
+fn short_rows_have_a_direction() {
+    for (p, t, want) in [
+        // Norms 5e-8 and 5e-8; the cosine is 24/25.
+        ([3e-8, 4e-8], [4e-8, 3e-8], 0.04),
+        ([3e-8, 4e-8], [0.8, 0.6], 0.04),
+        ([0.6, 0.8], [4e-8, 3e-8], 0.04),
+        // 5e-9 counts as 1e-8, so half of the cosine is left; of both, a quarter.
+        ([3e-9, 4e-9], [0.8, 0.6], 0.52),
+        ([0.6, 0.8], [4e-9, 3e-9], 0.52),
+        ([3e-9, 4e-9], [4e-9, 3e-9], 0.76),
+    ] {
+        for dtype in [F32, DType::F64] {
+            let (pred, target) = (matrix(&p, 2, dtype), matrix(&t, 2, dtype));
+            let value = sound("cosine", &pred, |p| cosine(p, &target, None, Reduction::Mean));
+            assert!((value - want).abs() < 1e-6, "{dtype:?} {p:?} {t:?}: {value}, by hand {want}");
+        }
+    }
+}
+
 /// Sizes whose squares leave the type, up to its largest numbers.
 #[test]
 fn huge_and_tiny_features() {

@@ -5,7 +5,7 @@
 mod support;
 
 use rand::Rng;
-use scenesplat_metrics::{KdTree, MetricError, reference, vote};
+use scenesplat_metrics::{KdTree, MetricError, SceneTruth, VoteRule, reference, vote};
 use support::{gridded_room, in_all_pools, random_labels, rng};
 
 #[test]
@@ -118,4 +118,16 @@ fn malformed_inputs_are_named() {
     // A voter that does not vote may be anywhere.
     assert_eq!(vote(&bad, &[0, 0], Some(&[true, false]), &coord, 1, 4).unwrap(), [0, 0]);
     assert!(text(vote(&coord, &[0, 0], None, &coord, 1, 0)).starts_with("0 classes"));
+}
+
+#[test]
+fn what_was_withheld_comes_back_only_where_it_may() {
+    let coord = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]];
+    let truth = SceneTruth::new(&coord, Some(&[1, 1, 1]), None, 2).unwrap().unwrap();
+    let after = |keep_withheld| {
+        let rule = VoteRule { keep_withheld, ..VoteRule::of(3) };
+        truth.carry(vec![1, -1, 1], &rule).unwrap()
+    };
+    assert_eq!(after(true), [1, -1, 1]);
+    assert_eq!(after(false), [1, 1, 1]);
 }

@@ -5,15 +5,15 @@
 use candle_core::{Result, Tensor};
 use scenesplat_datasets::transforms::validation;
 use scenesplat_datasets::{
-    Dataset, InputFeatures, LoaderSettings, SceneDataset, SceneLoader, SyntheticRooms, TrainBatch,
-    build_transforms, collate_samples,
+    DataError, Dataset, InputChannel, InputFeatures, LoaderSettings, Sample, SceneDataset,
+    SceneLoader, SyntheticRooms, TrainBatch, build_transforms, collate_samples,
 };
 use scenesplat_losses::{Loss, LossInput, Objective};
 use scenesplat_metrics::{Measurement, Metric, MetricError};
 use scenesplat_models::layers::Linear;
 use scenesplat_models::{Backbone, Forward, Mode, ModelConfig, ParamStore, PointCloud};
 use scenesplat_rooms::{CLASSES, SyntheticRoomSettings};
-use scenesplat_scene::TextTable;
+use scenesplat_scene::{LabelledPoints, TextTable};
 use scenesplat_trainers::evaluators::{SegmentationEvaluator, ZeroShotEvaluator};
 use scenesplat_trainers::tasks::{
     LanguagePretraining, SemanticSegmentation, TargetSource, TaskModule, point_cloud,
@@ -235,6 +235,71 @@ fn a_task_and_a_metric_of_ones_own_are_evaluated_in_evaluation_mode() {
         .with_metric(Right::default());
     let found = zero_shot.run(&module, Progress::default()).unwrap();
     assert!(found.iter().any(|m| m.name == "right"));
+}
+
+/// A scene of Gaussians on a line, of the classes given, and one point before them, of class 1.
+struct OnALine(Vec<usize>);
+impl Dataset for OnALine {
+    fn len(&self) -> usize {
+        1
+    }
+    fn id(&self, _: usize) -> &str {
+        "line"
+    }
+    fn get(&self, _: u64, _: usize) -> std::result::Result<Sample, DataError> {
+        let n = self.0.len();
+        let color = |class: &usize| std::array::from_fn(|c| if c == *class { 255.0 } else { 0.0 });
+        Ok(Sample {
+            id: "line".to_owned(),
+            coord: (0..n).map(|i| [i as f32, 0.0, 0.0]).collect(),
+            color: self.0.iter().map(color).collect(),
+            opacity: vec![1.0; n],
+            scale: vec![[0.1; 3]; n],
+            quat: vec![[1.0, 0.0, 0.0, 0.0]; n],
+            grid_coord: (0..n as i32).map(|i| [i, 0, 0]).collect(),
+            grid_size: 1.0,
+            labelled_points: Some(LabelledPoints {
+                coord: vec![[-1.0, 0.0, 0.0]],
+                segment: Some(vec![1]),
+                instance: None,
+            }),
+            ..Sample::default()
+        })
+    }
+}
+
+/// Gives its input.
+struct Echo;
+impl Backbone for Echo {
+    fn forward(&self, points: &PointCloud, _: &mut Forward<'_>) -> Result<Tensor> {
+        Ok(points.feat.clone())
+    }
+    fn out_channels(&self) -> usize {
+        3
+    }
+}
+
+#[test]
+fn as_many_neighbours_vote_as_it_says() {
+    // Nearest first. Votes of one: 0; of two: a tie, which the smaller class wins; of three: 1; of four: a
+    // tie again.
+    let data: Arc<dyn Dataset> = Arc::new(OnALine(vec![0, 1, 1, 0]));
+    let input = InputFeatures { channels: vec![InputChannel::Color], scale_clip: None };
+    let module = Own { params: ParamStore::trainable(1), model: Box::new(Echo) };
+    let axes = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+    let names = ["a", "b", "c"].map(str::to_owned).to_vec();
+    let texts = TextTable::from_rows(names, axes.to_vec(), 3).unwrap();
+    for (k, right) in [(1, 0.0), (2, 0.0), (3, 1.0), (4, 0.0), (9, 0.0)] {
+        let accuracy = |evaluator: &mut dyn Evaluator<Own>| {
+            let found = evaluator.run(&module, Progress::default()).unwrap();
+            found.iter().find(|m| m.name == "allAcc").unwrap().value
+        };
+        let by_text =
+            ZeroShotEvaluator::new("t", data.clone(), input.clone(), texts.clone(), Vec::new());
+        assert_eq!(accuracy(&mut by_text.with_vote(k)), right, "texts, {k} voters");
+        let by_logit = SegmentationEvaluator::new("s", data.clone(), input.clone(), Vec::new());
+        assert_eq!(accuracy(&mut by_logit.with_vote(k)), right, "logits, {k} voters");
+    }
 }
 
 #[test]

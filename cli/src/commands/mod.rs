@@ -6,6 +6,7 @@ mod classes;
 mod compare;
 mod convert;
 mod demo;
+mod doctor;
 mod evaluate;
 mod features;
 mod inspect;
@@ -62,6 +63,8 @@ enum Command {
     Weights(weights::Args),
     /// Measures the speed of this machine.
     Bench(bench::Args),
+    /// Runs hard cases on this machine: damaged files, numbers at the edge, operators against f64.
+    Doctor(doctor::Args),
     /// Measures what accuracy costs in time: a grid of settings on labelled scenes.
     Pareto(pareto::Args),
     /// One setting, in this process: what `pareto` starts itself with.
@@ -107,6 +110,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Chunk(args) => chunk::run(args),
         Command::Weights(args) => weights::run(args, &line),
         Command::Bench(args) => bench::run(args),
+        Command::Doctor(args) => doctor::run(args),
         Command::Pareto(args) => pareto::run(args),
         Command::ParetoPoint(args) => pareto::run_point(args),
     };

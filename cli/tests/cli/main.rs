@@ -9,6 +9,7 @@ mod commands;
 mod compare;
 mod convert;
 mod demo_scene;
+mod doctor;
 mod hostile;
 mod inputs;
 mod inspect;

@@ -6,7 +6,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scenesplat_kernels::Precision;
 use scenesplat_models::layers::{
-    BatchNorm, DropPath, LayerNorm, Linear, LinearNorm, Mlp, SparseConv,
+    BatchNorm, BatchNormConstants, DropPath, LayerNorm, Linear, LinearNorm, Mlp, SparseConv,
 };
 use scenesplat_models::{Compute, Mode};
 
@@ -62,6 +62,37 @@ fn batch_norm() {
         check_part(&format!("batch norm {mode:?}"), F32_EPS, &store, &[("x", &x)], &out, |v| {
             slow::gelu(&slow::batch_norm(&v["x"], &v["weight"], &v["bias"], given))
         });
+    }
+}
+
+#[test]
+fn what_a_batch_norm_remembers() {
+    // Neither 0.5 nor so small that rounding hides it.
+    let constants = BatchNormConstants { eps: 1e-3, momentum: 0.2 };
+    for rows in [2, ROWS] {
+        let store = store();
+        let layer = BatchNorm::with(constants, 6, store.builder()).unwrap();
+        let x = var("x", &[rows, 6]);
+        let remembered = |what: &str| flat(&store.buffers()[what]);
+        let before = ["running_mean", "running_var", "num_batches_tracked"].map(remembered);
+        layer.forward(&x, Mode::Eval).unwrap();
+        assert_eq!(before[1], remembered("running_var"), "evaluation moves nothing");
+        layer.forward(&x, Mode::Train).unwrap();
+        let x = flat(&x);
+        let n = rows as f64;
+        for c in 0..6 {
+            let column: Vec<f64> = x.iter().skip(c).step_by(6).copied().collect();
+            let mean = column.iter().sum::<f64>() / n;
+            // Divided by one less than the rows.
+            let var = column.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0);
+            for (what, old, new) in
+                [("running_mean", before[0][c], mean), ("running_var", before[1][c], var)]
+            {
+                let (got, want) = (remembered(what)[c], 0.8 * old + 0.2 * new);
+                assert!((got - want).abs() < 1e-6, "{what}, {rows} rows: {got}, by hand {want}");
+            }
+        }
+        assert_eq!(remembered("num_batches_tracked")[0], before[2][0] + 1.0);
     }
 }
 

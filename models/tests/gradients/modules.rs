@@ -3,16 +3,23 @@
 use crate::check::{F32_EPS, Values, check, check_part, cloud, flat, store, var};
 use crate::layers::drop_factors;
 use crate::slow;
+use candle_core::Tensor;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use scenesplat_kernels::patch_attention::Heads;
 use scenesplat_kernels::segment::Reduce;
-use scenesplat_kernels::serialized_cloud::SerializedCloud;
+use scenesplat_kernels::serialization::Curve;
+use scenesplat_kernels::serialized_cloud::{CurveDepth, SerializedCloud};
 use scenesplat_models::point_transformer_v3::{
     BatchRule, Block, BlockShape, Embedding, SerializedAttention, SerializedPooling,
     SerializedUnpooling,
 };
-use scenesplat_models::{Compute, Forward, Mode};
+use scenesplat_models::weights::WeightSource;
+use scenesplat_models::{
+    Backbone, Compute, Forward, Mode, ParamStore, PointCloud, PointTransformerV3,
+    PointTransformerV3Config,
+};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 const CHANNELS: usize = 6;
@@ -226,4 +233,61 @@ fn unpooling() {
             slow::add(&branch(v, &v["fine"], "proj_skip", 1), &up)
         });
     }
+}
+
+/// Of each stage, not only of a block that is handed its rows: weights were trained with it.
+#[test]
+fn decoder_stages_begin_with_the_skip_branch() {
+    let config = PointTransformerV3Config {
+        in_channels: 2,
+        stride: vec![2, 2],
+        enc_depths: vec![1; 3],
+        enc_channels: vec![4, 6, 8],
+        enc_num_head: vec![2; 3],
+        enc_patch_size: vec![PATCH; 3],
+        dec_depths: vec![2, 1],
+        dec_channels: vec![CHANNELS, 4],
+        dec_num_head: vec![HEADS; 2],
+        dec_patch_size: vec![PATCH; 2],
+        mlp_ratio: 2,
+        ..PointTransformerV3Config::language()
+    };
+    let store = ParamStore::frozen(WeightSource::hashed(5, ""));
+    let network = PointTransformerV3::new(&config, store.builder()).unwrap();
+    // In the order in which the network holds them, so that what it shows needs no rearranging.
+    let mut cells: Vec<[i32; 3]> = (0..60).map(|i| [i % 5, i / 5 % 4, i / 20]).collect();
+    cells.sort_by_key(|c| Curve::Z.code(c.map(|v| v as u32), 3));
+    let offsets = vec![0, cells.len()];
+    let feat = var("x", &[cells.len(), 2]).as_detached_tensor();
+    let points = PointCloud::new(cells.clone(), feat, offsets.clone()).unwrap();
+    let mut seen = BTreeMap::new();
+    let mut observer = |name: &str, x: &Tensor| {
+        seen.insert(name.to_owned(), x.clone());
+        Ok(())
+    };
+    let mut rng = rng();
+    let mut cx = Forward { observer: Some(&mut observer), ..Forward::eval(&mut rng) };
+    network.forward(&points, &mut cx).unwrap();
+
+    let shape = BlockShape {
+        channels: CHANNELS,
+        num_heads: HEADS,
+        patch_size: PATCH,
+        mlp_ratio: 2,
+        drop_path: 0.0,
+        order: 0,
+        batch_rule: config.batch_rule,
+        compute: Compute::default(),
+    };
+    let block = Block::new(shape, store.builder().pp("dec.dec0.block0")).unwrap();
+    let cloud = SerializedCloud::new(cells, offsets, &Curve::ALL, CurveDepth::PerScene).unwrap();
+    let apply = |conv_input: Option<Tensor>| {
+        let mut rng = ChaCha8Rng::seed_from_u64(4);
+        let (x, cx) = (seen["dec.dec0.up"].clone(), &mut Forward::eval(&mut rng));
+        flat(&block.forward(x, conv_input, &cloud, cx).unwrap())
+    };
+    let shown = flat(&seen["dec.dec0.block0"]);
+    assert_eq!(shown, apply(Some(seen["dec.dec0.up.skip"].clone())));
+    // Another input makes a difference, so the equality says something.
+    assert_ne!(shown, apply(None));
 }

@@ -1,0 +1,104 @@
+//! `scenesplat doctor`
+
+mod args;
+mod isas;
+
+use super::WrongUse;
+use crate::bench::Stopped;
+use crate::bench::process::Scratch;
+use crate::outputs::Outputs;
+use crate::progress::{Progress, interrupted, listen_for_interrupt};
+use crate::session::set_threads;
+use crate::terminal::{print, write_text};
+use anyhow::{Context, Result, bail};
+pub use args::Args;
+use args::chosen;
+use isas::{operators_to, other_isas};
+use scenesplat::doctor::{Case, Doctor, DoctorReport, Surroundings, Verdict};
+use scenesplat::scene::{FolderLock, printable};
+use std::path::Path;
+use std::time::Instant;
+
+/// Panics of cases say nothing by themselves: they are a case's failure, with their text.
+struct Silence;
+
+impl Silence {
+    fn new() -> Self {
+        std::panic::set_hook(Box::new(|_| {}));
+        Self
+    }
+}
+
+impl Drop for Silence {
+    fn drop(&mut self) {
+        // Back to the default.
+        drop(std::panic::take_hook());
+    }
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<()> {
+    let began = Instant::now();
+    set_threads(args.threads)?;
+    // A handler is there already when several commands run in one process.
+    let _ = listen_for_interrupt();
+    let progress = Progress::new(args.quiet);
+    let cases = chosen(args)?;
+    if let Some(path) = &args.operators_to {
+        return operators_to(path, &cases);
+    }
+    Outputs::new(Path::new("")).claim_any("--json", args.json.as_ref())?;
+    let scratch = Scratch::new()?;
+    let kept = args.case.as_ref().map(|name| args.out.join(name));
+    // Other runs stay out of the folder while it is written to.
+    let _lock = match &kept {
+        Some(folder) => {
+            if folder.exists() {
+                let text = format!("--out: {} is there already", folder.display());
+                return Err(WrongUse(text + "; give another --out, or remove it").into());
+            }
+            std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
+            Some(FolderLock::acquire(&args.out)?)
+        }
+        None => None,
+    };
+    let doctor = match &kept {
+        Some(_) => Doctor::new(&args.out)?.keeping(),
+        None => Doctor::new(scratch.path())?,
+    };
+    let verdicts = run_cases(&doctor, &cases, &progress)?;
+    let others = if args.full { other_isas(args, scratch.path(), &progress)? } else { Vec::new() };
+    progress.finish();
+    let surroundings = Surroundings::detect(doctor.threads());
+    let seconds = began.elapsed().as_secs_f64();
+    let report = DoctorReport::new(surroundings, verdicts, others, seconds);
+    print(&report.to_string());
+    if let Some(path) = &args.json {
+        write_text(path, &(serde_json::to_string_pretty(&report)? + "\n"))?;
+        progress.say(format!("wrote {}", path.display()));
+    }
+    if let Some(folder) = kept.filter(|folder| folder.exists()) {
+        print(&format!("kept what the case made: {}", printable(&folder.display().to_string())));
+    }
+    if report.failed > 0 {
+        bail!("{} of {} cases failed", report.failed, report.cases);
+    }
+    Ok(())
+}
+
+fn run_cases(doctor: &Doctor, cases: &[Case], progress: &Progress) -> Result<Vec<Verdict>> {
+    let _silence = Silence::new();
+    let mut verdicts = Vec::with_capacity(cases.len());
+    for (i, case) in cases.iter().enumerate() {
+        if interrupted() {
+            return Err(Stopped.into());
+        }
+        progress.advance(case.level.name(), i as f64 / cases.len() as f64);
+        let verdict = doctor.run(case);
+        if let Some(why) = &verdict.failure {
+            progress.say(format!("FAILED {}: {why}", case.name));
+        }
+        verdicts.push(verdict);
+    }
+    Ok(verdicts)
+}

@@ -1,0 +1,172 @@
+//! Values at the edge of what is legal, through the library's own writers and readers.
+
+use super::files::{file_name, open, refused, scene, through};
+use crate::doctor::case::{Case, Finding, Level, Policy};
+use crate::doctor::trial::{Failure, Trial, ensure};
+use scenesplat_scene::{
+    GaussianScene, Policy as ReadPolicy, SceneFormat, WriteOptions, write_scene,
+};
+
+/// A format, and how exactly it holds what is asked of it.
+struct Container {
+    format: SceneFormat,
+    name: &'static str,
+    /// One less the cosine of half the angle between rotations.
+    rotation: f64,
+    /// Of a position 10⁶ m from the origin, relative.
+    far: f64,
+    /// What a thickness of 0 may become, metres.
+    flat: f64,
+}
+
+const CONTAINERS: &[Container] = &[
+    Container { format: SceneFormat::Ply, name: "ply", rotation: 2e-7, far: 0.0, flat: 0.0 },
+    Container {
+        format: SceneFormat::CompressedPly,
+        name: "compressed",
+        rotation: 1e-4,
+        far: 1e-6,
+        flat: 1e-4,
+    },
+    Container { format: SceneFormat::Spz, name: "spz", rotation: 1e-4, far: 1e-6, flat: 1e-4 },
+    Container { format: SceneFormat::Splat, name: "splat", rotation: 1e-4, far: 0.0, flat: 0.0 },
+    Container { format: SceneFormat::Sog, name: "sog", rotation: 1e-4, far: 1e-5, flat: 1e-4 },
+    Container { format: SceneFormat::Glb, name: "glb", rotation: 2e-7, far: 0.0, flat: 0.0 },
+    Container { format: SceneFormat::NpyFolder, name: "npy", rotation: 2e-7, far: 0.0, flat: 0.0 },
+];
+
+/// Gaussians of the scenes.
+const ROWS: usize = 8;
+
+pub(super) fn cases() -> Vec<Case> {
+    let mut cases = Vec::new();
+    for container in CONTAINERS {
+        let case = |what: &str, check: fn(&Trial<'_>, &Container) -> Result<Finding, Failure>| {
+            Case {
+                area: "formats",
+                origin: "docs/formats.md: what formats cannot hold; docs/bad_values.md: why these are legal",
+                reason: "both ways are exact there",
+                ..Case::new(format!("{}-{what}", container.name), Level::Inputs, move |t| {
+                    check(t, container)
+                })
+            }
+        };
+        cases.push(Case {
+            origin: "open_questions B 22: half turns; each format stores its quaternion differently",
+            tolerance: container.rotation,
+            reason: "half a step of the format's bits in three components",
+            ..case("half-turns", half_turns)
+        });
+        cases.push(Case {
+            origin: "demands 2a, level 1: opacity logit ±∞ is legal; 8-bit formats are full of it",
+            ..case("alpha-0-and-1", alpha)
+        });
+        cases.push(Case {
+            origin: "demands 2a, level 1: log-scale −∞ is legal: a disc or a line",
+            tolerance: container.flat,
+            reason: "the smallest size the format can hold, or 0",
+            ..case("flat", flat)
+        });
+        cases.push(Case {
+            origin: "demands 2a, level 1: coordinates at a 10⁶ m offset (geo-referenced)",
+            tolerance: container.far,
+            reason: "the step of the format at that distance, relative; an f32 itself has 3e-8",
+            ..case("far-away", far)
+        });
+        cases.push(Case {
+            origin: "demands 2a, level 1: 1 Gaussian; the range of a column is 0 there",
+            tolerance: 1e-4,
+            reason: "of every value, to the coarsest format's step near 0 metres",
+            ..case("one-gaussian", one)
+        });
+        cases.push(Case {
+            origin: "demands 2a, level 1: truncated file",
+            policy: Policy::Refused,
+            reason: "a part of a file is no scene",
+            ..case("cut-short", cut)
+        });
+    }
+    cases
+}
+
+fn half_turns(trial: &Trial<'_>, container: &Container) -> Result<Finding, Failure> {
+    let mut scene = scene(ROWS, 0, 3);
+    scene.quat = vec![[0.0, 0.6, 0.0, 0.8]; ROWS];
+    let back = through(trial, &scene, container.format)?.scene;
+    ensure!(back.len() == ROWS, "{} Gaussians of {ROWS}", back.len());
+    let mut found = Finding::right();
+    for quat in back.quat {
+        let dot = 0.6 * f64::from(quat[1]) + 0.8 * f64::from(quat[3]);
+        found.add(1.0 - dot.abs(), || format!("[0, 0.6, 0, 0.8] became {quat:?}"));
+    }
+    Ok(found)
+}
+
+fn alpha(trial: &Trial<'_>, container: &Container) -> Result<Finding, Failure> {
+    let mut scene = scene(ROWS, 0, 4);
+    for (row, logit) in scene.opacity_logit.iter_mut().enumerate() {
+        *logit = if row % 2 == 0 { f32::INFINITY } else { f32::NEG_INFINITY };
+    }
+    let loaded = through(trial, &scene, container.format)?;
+    ensure!(loaded.report.is_clean(), "reported as repaired: {}", loaded.report);
+    let with = |alpha: f32| {
+        (0..loaded.scene.len()).filter(|&row| loaded.scene.opacity(row) == alpha).count()
+    };
+    let counts = (with(0.0), with(1.0));
+    ensure!(counts == (ROWS / 2, ROWS / 2), "{counts:?} Gaussians of alpha 0 and 1");
+    Ok(Finding::right())
+}
+
+fn flat(trial: &Trial<'_>, container: &Container) -> Result<Finding, Failure> {
+    let mut scene = scene(ROWS, 0, 5);
+    scene.log_scale.iter_mut().for_each(|scale| scale[1] = f32::NEG_INFINITY);
+    let loaded = through(trial, &scene, container.format)?;
+    ensure!(loaded.report.is_clean(), "reported as repaired: {}", loaded.report);
+    ensure!(loaded.scene.len() == ROWS, "{} Gaussians of {ROWS}", loaded.scene.len());
+    let thick = (0..ROWS).map(|row| f64::from(loaded.scene.scale(row)[1])).fold(0.0, f64::max);
+    Ok(Finding { error: thick, worst: format!("thickness 0 became {thick:e} m") })
+}
+
+fn far(trial: &Trial<'_>, container: &Container) -> Result<Finding, Failure> {
+    let mut scene = scene(ROWS, 0, 6);
+    // Steps that an f32 still holds at that distance, apart enough to know rows again.
+    for (row, coord) in scene.coord.iter_mut().enumerate() {
+        *coord = [1e6 + 8.0 * row as f32, -1e6, 0.5];
+    }
+    let loaded = through(trial, &scene, container.format)?;
+    ensure!(loaded.scene.len() == ROWS, "{} Gaussians of {ROWS}", loaded.scene.len());
+    let mut got = loaded.scene.coord;
+    got.sort_by(|a, b| a[0].total_cmp(&b[0]));
+    let mut found = Finding::right();
+    for (got, want) in got.iter().zip(&scene.coord) {
+        for (g, w) in got.iter().zip(want) {
+            let error = (f64::from(*g) - f64::from(*w)).abs() / 1e6;
+            found.add(error, || format!("{want:?} became {got:?}"));
+        }
+    }
+    Ok(found)
+}
+
+fn one(trial: &Trial<'_>, container: &Container) -> Result<Finding, Failure> {
+    let scene = GaussianScene { coord: vec![[0.25, -0.5, 0.75]], ..scene(1, 0, 7) };
+    let loaded = through(trial, &scene, container.format)?;
+    ensure!(loaded.scene.len() == 1, "{} Gaussians", loaded.scene.len());
+    let apart = loaded.scene.coord[0].iter().zip(&scene.coord[0]);
+    let error = apart.map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max);
+    Ok(Finding { error, worst: format!("{:?} became {:?}", scene.coord[0], loaded.scene.coord[0]) })
+}
+
+fn cut(trial: &Trial<'_>, container: &Container) -> Result<Finding, Failure> {
+    let path = trial.folder().join(file_name(container.format));
+    let scene = scene(ROWS, 0, 8);
+    write_scene(&scene, &path, container.format, &WriteOptions::default(), &mut |_| true)?;
+    let file = if path.is_dir() { path.join("coord.npy") } else { path.clone() };
+    let whole = std::fs::read(&file)?;
+    // Half of a `.splat` file is a whole one of half as many Gaussians: it has no header.
+    let half = if container.format == SceneFormat::Splat { 5 } else { whole.len() / 2 };
+    for rest in [half, whole.len() - 5] {
+        std::fs::write(&file, &whole[..rest])?;
+        refused(open(&path, ReadPolicy::Repair), &[file_name(container.format)])?;
+    }
+    Ok(Finding::right())
+}

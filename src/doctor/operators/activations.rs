@@ -1,0 +1,95 @@
+//! Exponential, normal distribution and GELU over the whole range of f32.
+
+use super::compare::{Wide, compare, operator};
+use super::products::normal_cdf;
+use crate::doctor::case::{Case, Finding};
+use crate::doctor::trial::{Failure, Trial};
+use scenesplat_kernels::activation::{
+    exp_in_place, gelu_backward, gelu_forward, normal_cdf_in_place,
+};
+
+pub(super) fn cases() -> Vec<Case> {
+    let case =
+        |name: &str, origin: &'static str, check: fn(&Trial<'_>) -> Result<Finding, Failure>| {
+            Case { origin, ..operator(name, "activations", check) }
+        };
+    vec![
+        case("exp", "demands 2a, level 2: log-sum-exp with logits of ±1e4", |t| {
+            // Below −87.3 there are denormals, which the kernel takes for 0.
+            sweep(t, exp_in_place, |x| match x {
+                x if x < -87.3 => Wide::of(0.0, 1e-30),
+                // From 88.7 on it may be infinite; it has to be from 88.73 on.
+                x if (88.7..88.73).contains(&x) => Wide::of(x.exp(), f64::INFINITY),
+                x if x >= 88.73 => Wide::own(f64::INFINITY),
+                x => Wide::own(x.exp()),
+            })
+        }),
+        case("normal-cdf", "the tail of Φ, by which GELU of negative numbers is small", |t| {
+            sweep(t, normal_cdf_in_place, |x| Wide::of(normal_cdf(x), normal_cdf(x).max(1e-30)))
+        }),
+        case("gelu", "demands 2a, level 2: GELU; ±∞, NaN, denormals and ±1e4", |t| {
+            sweep(
+                t,
+                |x| {
+                    let mut out = vec![0.0; x.len()];
+                    gelu_forward(x, &mut out);
+                    x.copy_from_slice(&out);
+                },
+                |x| {
+                    // −∞ · 0 is no number, in PyTorch too.
+                    let value = x * normal_cdf(x);
+                    Wide::of(value, value.abs().max(1e-30))
+                },
+            )
+        }),
+        case("gelu-gradient", "the slope of GELU, which changes its sign at −0.75", |t| {
+            let density = |x: f64| (-x * x / 2.0).exp() / (2.0 * std::f64::consts::PI).sqrt();
+            sweep(
+                t,
+                |x| {
+                    let mut out = vec![0.0; x.len()];
+                    gelu_backward(x, &vec![1.0; x.len()], &mut out);
+                    x.copy_from_slice(&out);
+                },
+                move |x| {
+                    if x.is_infinite() {
+                        return Wide::own(f64::from(u8::from(x > 0.0)));
+                    }
+                    let (a, b) = (normal_cdf(x), x * density(x));
+                    // Two terms that cancel at −0.75.
+                    Wide::of(a + b, (a + b.abs()).max(1e-30))
+                },
+            )
+        }),
+    ]
+}
+
+/// The range of f32 at steps that are fine where functions bend.
+fn inputs() -> Vec<f32> {
+    let mut all: Vec<f32> = (-48_000..=48_000).map(|i| i as f32 * 0.002).collect();
+    for exponent in -44..=38 {
+        let size = 10f32.powi(exponent);
+        all.extend([size, -size, 3.3 * size, -3.3 * size]);
+    }
+    all.extend([f32::INFINITY, f32::NEG_INFINITY, f32::NAN, 0.0, -0.0, f32::MAX, f32::MIN]);
+    all
+}
+
+fn sweep(
+    trial: &Trial<'_>,
+    run: fn(&mut [f32]),
+    reference: impl Fn(f64) -> Wide,
+) -> Result<Finding, Failure> {
+    let x = inputs();
+    trial.keep("x", &x)?;
+    let got = trial.one_and_many(|| {
+        let mut values = x.clone();
+        run(&mut values);
+        Ok(values)
+    })?;
+    let want: Vec<Wide> = x
+        .iter()
+        .map(|&x| if x.is_nan() { Wide::own(f64::NAN) } else { reference(f64::from(x)) })
+        .collect();
+    compare(&got, &want, |i| format!("at {:e}", x[i]))
+}

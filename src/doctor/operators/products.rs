@@ -1,0 +1,273 @@
+//! Matrix products in every precision.
+
+use super::compare::{BF16, F32, F32_REASON, LONG, LONG_REASON, Wide, compare, operator};
+use crate::doctor::case::{Case, Finding};
+use crate::doctor::noise::{Noise, noise};
+use crate::doctor::trial::{Failure, Trial, ensure};
+use scenesplat_kernels::Precision;
+use scenesplat_kernels::gemm::{Epilogue, PackedMatrix, gemm, gemm_tn_with, gemm_unit_rows, mlp};
+
+/// Rows times columns: `[m, k]` and `[n, k]`.
+struct Factors {
+    m: usize,
+    k: usize,
+    n: usize,
+    a: Vec<f32>,
+    w: Vec<f32>,
+}
+
+impl Factors {
+    fn of(m: usize, k: usize, n: usize, size: f32) -> Self {
+        Self { m, k, n, a: noise(m * k, 1, size), w: noise(n * k, 2, size) }
+    }
+
+    fn product(&self, precision: Precision) -> Vec<f32> {
+        let (k, n) = (self.k, self.n);
+        let packed = PackedMatrix::from_strided_with(precision, &self.w, k, n, 1, k);
+        let mut out = vec![0.0; self.m * n];
+        gemm(&self.a, &packed, Epilogue::default(), &mut out);
+        out
+    }
+
+    /// Sums in f64, measured against the sums of magnitudes.
+    fn reference(&self) -> Vec<Wide> {
+        let mut out = Vec::with_capacity(self.m * self.n);
+        for i in 0..self.m {
+            for j in 0..self.n {
+                let terms = (0..self.k)
+                    .map(|p| f64::from(self.a[i * self.k + p]) * f64::from(self.w[j * self.k + p]));
+                let (mut value, mut scale) = (0.0, 0.0);
+                terms.for_each(|t| (value, scale) = (value + t, scale + t.abs()));
+                out.push(Wide::of(value, scale));
+            }
+        }
+        out
+    }
+
+    fn check(&self, trial: &Trial<'_>, precision: Precision) -> Result<Finding, Failure> {
+        trial.keep(&format!("a_{}x{}", self.m, self.k), &self.a)?;
+        trial.keep(&format!("w_{}x{}", self.n, self.k), &self.w)?;
+        let got = trial.one_and_many(|| Ok(self.product(precision)))?;
+        let at = |i: usize| {
+            format!("row {}, column {} of {}×{}×{}", i / self.n, i % self.n, self.m, self.k, self.n)
+        };
+        compare(&got, &self.reference(), at)
+    }
+}
+
+/// What goes in.
+const INPUTS: &[(&str, &str, fn() -> Vec<Factors>)] = &[
+    ("odd-shapes", "CONTRIBUTING: 1, 2 rows, odd sizes; blocks of 16, 192, 384", || {
+        [(1, 1, 1), (2, 3, 17), (3, 65, 16), (193, 70, 33), (65, 385, 66), (5, 768, 80)]
+            .map(|(m, k, n)| Factors::of(m, k, n, 1.0))
+            .into()
+    }),
+    ("huge", "demands 2a, level 2: products up to 1e30", || vec![Factors::of(9, 96, 80, 1e15)]),
+    ("tiny", "demands 2a, level 2: products down to 1e-30", || vec![Factors::of(9, 96, 80, 1e-15)]),
+    ("cancelling", "demands 2a, level 2: sums whose terms cancel (Kahan, pairwise)", || {
+        let mut factors = Factors::of(4, 512, 80, 1.0);
+        // Every second term is the one before with the other sign, and a little more.
+        for row in factors.a.chunks_exact_mut(512) {
+            for pair in row.chunks_exact_mut(2) {
+                pair[1] = -pair[0] * 1.001;
+            }
+        }
+        for row in factors.w.chunks_exact_mut(512) {
+            for pair in row.chunks_exact_mut(2) {
+                pair[1] = pair[0];
+            }
+        }
+        vec![factors]
+    }),
+    ("outlier", "int8 products: a row's outlier costs its other values their bits", || {
+        let mut factors = Factors::of(6, 128, 96, 1.0);
+        factors.a[128 + 5] = 40.0;
+        factors.w[2 * 128 + 77] = -40.0;
+        vec![factors]
+    }),
+];
+
+pub(super) fn cases() -> Vec<Case> {
+    let mut cases = Vec::new();
+    for precision in Precision::ALL {
+        let (tolerance, reason) = match precision {
+            Precision::F32 => (F32, F32_REASON),
+            Precision::F32Split => {
+                (LONG, "two bf16 parts of an f32: at most 2^-15 of the terms' magnitudes")
+            }
+            Precision::Bf16 => (BF16, "error budget of bf16: 2e-2 relative to f64"),
+            Precision::Int8 => (BF16, "8-bit integers with a scale a row: the budget of bf16"),
+        };
+        for &(name, origin, inputs) in INPUTS {
+            let check = move |trial: &Trial<'_>| {
+                let mut found = Finding::right();
+                for factors in inputs() {
+                    found.join(factors.check(trial, precision)?);
+                }
+                Ok(found)
+            };
+            let name = format!("product-{precision}-{name}");
+            let case = Case { origin, tolerance, reason, ..operator(name, "products", check) };
+            // The step of a row is a 127th of its largest value: what stands beside 40 has 3 steps.
+            cases.push(if precision == Precision::Int8 && case.name.ends_with("outlier") {
+                let reason = "a row's step is a 127th of its outlier: the cost of it, stated in Precision::Int8";
+                Case { tolerance: 1e-1, reason, ..case }
+            } else {
+                case
+            });
+        }
+        cases.push(Case {
+            origin: "a NaN of one Gaussian spreads over its batch (SceneSplat, mixed batches)",
+            tolerance: 0.0,
+            reason: "rows without a NaN keep their bits",
+            ..operator(format!("product-{precision}-nan-in-a-row"), "products", move |_| {
+                nan_in_a_row(precision)
+            })
+        });
+    }
+    cases.push(Case {
+        origin: "demands 2a, level 2: sums over many terms",
+        tolerance: LONG,
+        reason: LONG_REASON,
+        ..operator("product-f32-of-20000-terms", "products", |t| {
+            Factors::of(3, 20_000, 17, 1.0).check(t, Precision::F32)
+        })
+    });
+    for precision in [Precision::F32, Precision::F32Split, Precision::Bf16] {
+        cases.push(Case {
+            origin: "gradients of weights: a sum over all rows of a batch",
+            tolerance: if precision == Precision::Bf16 { BF16 } else { LONG },
+            reason: "error budget of long sums; of bf16 2e-2",
+            ..operator(format!("weight-gradient-{precision}"), "products", move |t| {
+                transposed(t, precision)
+            })
+        });
+    }
+    cases.push(Case {
+        origin: "fused layers: bias, GELU and residual in one pass",
+        ..operator("mlp-fused", "products", fused)
+    });
+    cases.push(Case {
+        origin: "demands 2a, level 2: normalise(0) behind a product",
+        ..operator("unit-rows-of-a-product", "products", unit_rows)
+    });
+    cases
+}
+
+fn nan_in_a_row(precision: Precision) -> Result<Finding, Failure> {
+    let clean = Factors::of(7, 128, 96, 1.0);
+    let mut bad = Factors::of(7, 128, 96, 1.0);
+    bad.a[3 * 128 + 50] = f32::NAN;
+    bad.a[5 * 128 + 9] = f32::INFINITY;
+    let (clean, bad) = (clean.product(precision), bad.product(precision));
+    for row in 0..7 {
+        let at = row * 96..(row + 1) * 96;
+        if [3, 5].contains(&row) {
+            ensure!(bad[at].iter().all(|v| !v.is_finite()), "row {row} hides what is not finite");
+        } else {
+            ensure!(bad[at.clone()] == clean[at], "row {row} changed with another row");
+        }
+    }
+    Ok(Finding::right())
+}
+
+fn transposed(trial: &Trial<'_>, precision: Precision) -> Result<Finding, Failure> {
+    let (rows, m, n) = (3001, 33, 18);
+    let (a, b) = (noise(rows * m, 3, 1.0), noise(rows * n, 4, 1.0));
+    let got = trial.one_and_many(|| {
+        let mut out = vec![0.0; m * n];
+        gemm_tn_with(precision, &a, m, &b, n, None, &mut out);
+        Ok(out)
+    })?;
+    let mut want = vec![Wide::of(0.0, 0.0); m * n];
+    for row in 0..rows {
+        for i in 0..m {
+            for j in 0..n {
+                let term = f64::from(a[row * m + i]) * f64::from(b[row * n + j]);
+                let sum = &mut want[i * n + j];
+                *sum = Wide::of(sum.value + term, sum.scale + term.abs());
+            }
+        }
+    }
+    compare(&got, &want, |i| format!("element {}, {}", i / n, i % n))
+}
+
+/// Φ by the complementary error function's continued fraction and series, in f64.
+pub(super) fn normal_cdf(x: f64) -> f64 {
+    let t = x.abs() / std::f64::consts::SQRT_2;
+    let upper = if t < 3.0 {
+        // erf by its series.
+        let (mut term, mut sum) = (t, t);
+        for n in 1..200 {
+            term *= -t * t / f64::from(n);
+            sum += term / f64::from(2 * n + 1);
+        }
+        0.5 * (1.0 - 2.0 / std::f64::consts::PI.sqrt() * sum)
+    } else {
+        // erfc(t) = e^(−t²)/√π · 1/(t + ½/(t + 1/(t + 3⁄2/(t + …))))
+        let fraction = (1..80).rev().fold(t, |below, k| t + f64::from(k) / 2.0 / below);
+        0.5 * (-t * t).exp() / std::f64::consts::PI.sqrt() / fraction
+    };
+    if x > 0.0 { 1.0 - upper } else { upper }
+}
+
+fn fused(trial: &Trial<'_>) -> Result<Finding, Failure> {
+    let (m, k, h, n) = (101, 24, 50, 19);
+    let a = noise(m * k, 5, 1.0);
+    let (w1, b1) = (noise(h * k, 6, 0.3), noise(h, 7, 0.5));
+    let (w2, b2) = (noise(n * h, 8, 0.3), noise(n, 9, 0.5));
+    let residual = noise(m * n, 10, 1.0);
+    let (p1, p2) =
+        (PackedMatrix::from_strided(&w1, k, h, 1, k), PackedMatrix::from_strided(&w2, h, n, 1, h));
+    let got = trial.one_and_many(|| {
+        let mut out = vec![0.0; m * n];
+        let epilogue = Epilogue { bias: Some(&b2), residual: Some(&residual), gelu: false };
+        mlp(&a, (&p1, &b1), &p2, epilogue, &mut out);
+        Ok(out)
+    })?;
+    let mut want = Vec::new();
+    for i in 0..m {
+        let hidden: Vec<f64> = (0..h)
+            .map(|j| {
+                let x =
+                    (0..k).map(|p| f64::from(a[i * k + p]) * f64::from(w1[j * k + p])).sum::<f64>()
+                        + f64::from(b1[j]);
+                x * normal_cdf(x)
+            })
+            .collect();
+        for j in 0..n {
+            let terms: Vec<f64> = (0..h).map(|p| hidden[p] * f64::from(w2[j * h + p])).collect();
+            let rest = [f64::from(b2[j]), f64::from(residual[i * n + j])];
+            let all = || terms.iter().chain(&rest);
+            want.push(Wide::of(all().sum(), all().map(|t| t.abs()).sum()));
+        }
+    }
+    compare(&got, &want, |i| format!("row {}, column {}", i / n, i % n))
+}
+
+fn unit_rows(trial: &Trial<'_>) -> Result<Finding, Failure> {
+    let (m, k, n) = (100, 20, 33);
+    let mut a = noise(m * k, 11, 1.0);
+    let mut rng = Noise::new(12);
+    for (row, a) in a.chunks_exact_mut(k).enumerate() {
+        let size = [0.0, 1.0, 1e-30, 1e30][row % 4];
+        a.iter_mut().for_each(|v| *v = rng.float() * size);
+    }
+    let w = noise(n * k, 13, 1.0);
+    let packed = PackedMatrix::from_strided(&w, k, n, 1, k);
+    let got = trial.one_and_many(|| {
+        let mut out = vec![0.0; m * n];
+        gemm_unit_rows(&a, &packed, None, &mut out);
+        Ok(out)
+    })?;
+    let mut want = Vec::new();
+    for i in 0..m {
+        let row: Vec<f64> = (0..n)
+            .map(|j| (0..k).map(|p| f64::from(a[i * k + p]) * f64::from(w[j * k + p])).sum())
+            .collect();
+        let norm = row.iter().map(|v| v * v).sum::<f64>().sqrt();
+        // Norms below 1e-12 count as that: a zero row stays zero.
+        want.extend(row.iter().map(|v| Wide::of(v / norm.max(1e-12), 1.0)));
+    }
+    compare(&got, &want, |i| format!("row {}, column {}", i / n, i % n))
+}
