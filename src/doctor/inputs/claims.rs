@@ -204,7 +204,7 @@ fn png_bomb(trial: &Trial<'_>) -> Result<Finding, Failure> {
 }
 
 fn wide_table(trial: &Trial<'_>) -> Result<Finding, Failure> {
-    let ids: Vec<u8> = vec![-1i32; 12].iter().flat_map(|v| v.to_le_bytes()).collect();
+    let ids: Vec<u8> = [-1i32; 12].iter().flat_map(|v| v.to_le_bytes()).collect();
     trial.file("a_s.npy", &npy("<i4", "(1, 3, 4)", &ids))?;
     trial.file("a_f.npy", &npy("<f2", "(0, 16777216)", &[]))?;
     let folder = SegmentFolder::open(trial.folder(), SegmentOptions::default())?;

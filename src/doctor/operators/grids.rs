@@ -124,7 +124,7 @@ fn band(trial: &Trial<'_>, coord: &[[f32; 3]], size: f64) -> Result<Finding, Fai
             let exact = f64::from(p[axis]) / size;
             let got = f64::from(cell[axis]) + groups.min_cell[axis];
             let inside = exact - exact.floor();
-            let near_border = inside < BAND || inside > 1.0 - BAND;
+            let near_border = !(BAND..=1.0 - BAND).contains(&inside);
             let apart = (got - exact.floor()).abs();
             ensure!(
                 apart == 0.0 || near_border && apart == 1.0,

@@ -1,5 +1,7 @@
 //! Level 2: operators, losses and metrics against f64.
 
+#![allow(clippy::type_complexity, reason = "tables of names, origins and functions")]
+
 mod activations;
 mod attention;
 mod compare;
