@@ -133,7 +133,7 @@ pub struct SceneFeatures {
     sampled: Vec<u32>,
     codes: Option<FeatureCodes>,
     /// Layers that an example of the scene decided, with the part of their variance that they keep,
-    /// 0..=1; see [`Backbone::calibrated`](scenesplat_models::Backbone::calibrated).
+    /// 0..=1; see [`Backbone::calibrated`].
     pub calibrated: Vec<(String, f64)>,
     /// How the scene was cut.
     pub summary: EncodeSummary,

@@ -2,6 +2,8 @@
 //! what the network reads of them ([`input_features`]), in which voxels ([`plan`]) and in which
 //! pieces ([`tiles`]).
 //!
+//! What captures do to scenes can be simulated ([`effects`]).
+//!
 //! For training: a [`dataset`] makes a [`sample`] of each scene, and a [`loader`] joins samples to
 //! batches ([`train_batch`]), some of them mixed ([`mix3d`]). Augmentation is made of [`transforms`]; a
 //! [`teacher`] may say what is to be learned.
@@ -11,6 +13,7 @@
 
 pub mod chunking;
 pub mod dataset;
+pub mod effects;
 pub mod error;
 pub mod from_points;
 pub mod full_scene;
@@ -30,6 +33,7 @@ pub mod transforms;
 pub mod weighted_mix;
 
 pub use dataset::{Dataset, SceneDataset};
+pub use effects::{Effect, EffectSet, Simulated, simulate};
 pub use error::DataError;
 pub use from_points::{PointSettings, SurfacePoints, estimate_normals, gaussians_from_points};
 pub use full_scene::FullScene;

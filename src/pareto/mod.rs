@@ -5,6 +5,7 @@
 //! and a [`Summary`] with its [`page`] and pictures is made of the records alone. The program runs each
 //! setting in a process of its own; nothing here starts one.
 
+mod against;
 mod bootstrap;
 mod budget;
 mod chart;
@@ -24,6 +25,7 @@ mod search;
 mod summary;
 mod training;
 
+pub use against::{Change, Compared, MOST_LOSS, MOST_TIME, Regression, compare};
 pub use budget::{Ask, BudgetError, Calibrated, Calibration, Choice};
 pub use chart::seconds_text;
 pub use cost::{CostModel, Observation, Size};

@@ -15,6 +15,7 @@ mod pareto;
 mod query;
 mod render;
 mod segment;
+mod simulate;
 mod train;
 mod weights;
 
@@ -48,6 +49,8 @@ enum Command {
     Evaluate(evaluate::Args),
     /// Draws a scene as its cameras, or cameras around it, see it.
     Render(render::Args),
+    /// Does to a scene what a bad capture would have done.
+    Simulate(simulate::Args),
     /// Measures how much pictures differ.
     Compare(compare::Args),
     /// Writes a scene in another format, whole or in part.
@@ -100,6 +103,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::LiftLabels(args) => lift_labels::run(args, &line),
         Command::Evaluate(args) => evaluate::run(args, &line),
         Command::Render(args) => render::run(args, &line),
+        Command::Simulate(args) => simulate::run(args, &line),
         Command::Compare(args) => compare::run(args),
         Command::Convert(args) => convert::run(args),
         Command::Train(args) => train::run(args),

@@ -19,6 +19,7 @@ mod outputs;
 mod pareto;
 mod render;
 mod settings;
+mod simulate;
 mod training;
 mod upright;
 

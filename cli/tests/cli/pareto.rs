@@ -272,3 +272,54 @@ fn training_runs_are_shown_against_their_time() {
     assert_eq!(output.status.code(), Some(1));
     assert!(stderr(&output).contains("metrics.jsonl"), "{}", stderr(&output));
 }
+
+#[test]
+fn an_earlier_run_is_compared_with() {
+    let (folder, scenes, grid) = inputs();
+    std::fs::write(&grid, "reference = \"voxel=0.1,k=8\"\npoints = [\"k=1\"]\n").unwrap();
+    let out = folder.path().join("out");
+    done(&pareto(&grid, &scenes[..1], &out, &[]));
+    let first = out.join("records.jsonl");
+    // The same folder again: nothing is measured, and nothing differs.
+    let again = pareto(&grid, &scenes[..1], &out, &["--against", first.to_str().unwrap()]);
+    done(&again);
+    let said = String::from_utf8_lossy(&again.stdout).into_owned();
+    assert!(said.contains("2 settings, 2 with the same labels"), "{said}");
+    assert!(said.contains("1.00 to 1.00 times the time\n"), "{said}");
+
+    // A time and a quality of before that were better, and a setting that is not there.
+    let text = std::fs::read_to_string(&first).unwrap();
+    let mut planted: Vec<Value> = text.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+    planted.retain(|record| record["kind"] == "setting");
+    let half = planted[0]["seconds_p50"].as_f64().unwrap() / 2.0;
+    planted[0]["seconds_p50"] = half.into();
+    let better = planted[1]["f_miou"].as_f64().unwrap() + 0.01;
+    planted[1]["f_miou"] = better.into();
+    let mut other = planted[0].clone();
+    other["setting"] = "k=3".into();
+    planted.push(other);
+    let file = folder.path().join("before.jsonl");
+    let put = |records: &[Value]| {
+        let lines: String = records.iter().map(|r| format!("{r}\n")).collect();
+        std::fs::write(&file, lines).unwrap();
+        pareto(&grid, &scenes[..1], &out, &["--against", file.to_str().unwrap()])
+    };
+    let output = put(&planted);
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.contains("(2.00 times)") && said.contains("f-mIoU"), "{said}");
+    assert!(said.contains("k=3") && said.contains("is not compared"), "{said}");
+    assert!(stderr(&output).contains("2 settings became worse or slower"), "{}", stderr(&output));
+    // Times of another machine are told and not judged.
+    planted[0]["fingerprint"] = "0123456789abcdef".into();
+    planted[1]["f_miou"] = (better - 0.01).into();
+    let output = put(&planted);
+    done(&output);
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(said.contains("times are not judged") && said.contains("(2.00 times)"), "{said}");
+    // A file that is none is refused before anything else.
+    let missing = folder.path().join("none.jsonl");
+    let output = pareto(&grid, &scenes[..1], &out, &["--against", missing.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(stderr(&output).contains("none.jsonl"), "{}", stderr(&output));
+}

@@ -26,7 +26,7 @@ mod elastic;
 mod grid_sample;
 mod limit_values;
 mod presets;
-mod quaternion;
+pub(crate) mod quaternion;
 mod random_dropout;
 mod random_flip;
 mod random_jitter;

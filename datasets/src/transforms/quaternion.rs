@@ -1,9 +1,9 @@
 //! Quaternions `w, x, y, z`, in f64.
 
-pub(super) use scenesplat_scene::vector::rotation as matrix;
+pub(crate) use scenesplat_scene::vector::rotation as matrix;
 
 /// A unit quaternion; no rotation for zero, NaN and infinite ones, which turn nothing.
-pub(super) fn unit(quat: [f64; 4]) -> [f64; 4] {
+pub(crate) fn unit(quat: [f64; 4]) -> [f64; 4] {
     // Scaled first, so that no square over- or underflows.
     let largest = quat.iter().fold(0.0, |max: f64, v| max.max(v.abs()));
     if !(quat.iter().all(|v| v.is_finite()) && largest > 0.0) {
@@ -15,7 +15,7 @@ pub(super) fn unit(quat: [f64; 4]) -> [f64; 4] {
 }
 
 /// The rotation `b`, then `a`.
-pub(super) fn product(a: [f64; 4], b: [f64; 4]) -> [f64; 4] {
+pub(crate) fn product(a: [f64; 4], b: [f64; 4]) -> [f64; 4] {
     let ([w, x, y, z], [p, q, r, s]) = (a, b);
     [
         w * p - x * q - y * r - z * s,
@@ -26,12 +26,12 @@ pub(super) fn product(a: [f64; 4], b: [f64; 4]) -> [f64; 4] {
 }
 
 /// The same rotation with `w ≥ 0`.
-pub(super) fn with_positive_w(quat: [f64; 4]) -> [f64; 4] {
+pub(crate) fn with_positive_w(quat: [f64; 4]) -> [f64; 4] {
     if quat[0] < 0.0 { quat.map(|v| -v) } else { quat }
 }
 
 /// The unit quaternion of a rotation matrix, its largest component positive (Shepperd's method).
-pub(super) fn of_matrix(m: [[f64; 3]; 3]) -> [f64; 4] {
+pub(crate) fn of_matrix(m: [[f64; 3]; 3]) -> [f64; 4] {
     let trace = m[0][0] + m[1][1] + m[2][2];
     let squares = [trace, m[0][0], m[1][1], m[2][2]];
     let mut best = 0;
@@ -56,7 +56,7 @@ pub(super) fn of_matrix(m: [[f64; 3]; 3]) -> [f64; 4] {
 }
 
 /// A matrix times a column.
-pub(super) fn times(m: [[f64; 3]; 3], v: [f64; 3]) -> [f64; 3] {
+pub(crate) fn times(m: [[f64; 3]; 3], v: [f64; 3]) -> [f64; 3] {
     m.map(|row| row[0] * v[0] + row[1] * v[1] + row[2] * v[2])
 }
 

@@ -21,7 +21,9 @@ pub use args::Args;
 use campaign::{Campaign, this_machine};
 use explore::explore;
 pub use point::{PointArgs, run_point};
-use scenesplat::pareto::{Around, Grid, Record, Records, Summary, TrainingCurve, write_report};
+use scenesplat::pareto::{
+    Around, Grid, Record, Records, Summary, TrainingCurve, compare, write_report,
+};
 use scenesplat::scene::{FolderLock, printable};
 use std::cell::{Cell, RefCell};
 use std::time::Instant;
@@ -45,6 +47,8 @@ pub fn run(args: &Args) -> Result<()> {
     for run in runs {
         training.push(TrainingCurve::read(run)?);
     }
+    // Before anything is measured, and before it is overwritten if it is the same file.
+    let before = args.against.as_deref().map(Records::read).transpose()?;
     let progress = Progress::new(args.quiet);
     std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
     let _lock = FolderLock::acquire(&args.out)?;
@@ -124,8 +128,11 @@ pub fn run(args: &Args) -> Result<()> {
             summary.unmeasured.len()
         );
     }
-    match summary.neutral.iter().find(|row| !row.holds) {
-        Some(row) => bail!("{} changed the labels on {}, and must not", row.neutral, row.scenes),
-        None => Ok(()),
+    if let Some(row) = summary.neutral.iter().find(|row| !row.holds) {
+        bail!("{} changed the labels on {}, and must not", row.neutral, row.scenes);
+    }
+    match (&before, &args.against) {
+        (Some(before), Some(path)) => tell::compared(&compare(&shown, before), path),
+        _ => Ok(()),
     }
 }

@@ -1,7 +1,9 @@
 //! What the command prints.
 
 use crate::terminal::print;
-use scenesplat::pareto::{Point, Summary, seconds_text};
+use anyhow::{Result, bail};
+use scenesplat::pareto::{Compared, Point, Summary, seconds_text};
+use std::path::Path;
 
 /// Prints the front, the classes, the two rows, what was neutral and what bought nothing.
 pub fn tell(summary: &Summary) {
@@ -85,4 +87,34 @@ fn line(point: &Point, mark: &str) -> String {
         point.ece.map_or("-".to_owned(), |v| format!("{v:.4}")),
         shown(&point.setting)
     )
+}
+
+/// Says how an earlier run compares; an error if something became worse, or slower on the same machine.
+pub fn compared(found: &Compared, path: &Path) -> Result<()> {
+    let Some([least, most]) = found.times else {
+        bail!(
+            "--against {}: none of its settings was measured here with this input",
+            path.display()
+        );
+    };
+    let machine = if found.same_machine { "" } else { " (another machine: times are not judged)" };
+    print(&format!(
+        "against {}: {} settings, {} with the same labels to the last one; {least:.2} to {most:.2} times \
+         the time{machine}",
+        path.display(),
+        found.common,
+        found.same_labels
+    ));
+    for setting in &found.missing {
+        print(&format!(
+            "against: {setting} is not compared, it was not measured here with this input"
+        ));
+    }
+    for regression in &found.regressions {
+        print(&format!("against: {regression}"));
+    }
+    match found.failures().count() {
+        0 => Ok(()),
+        count => bail!("--against {}: {count} settings became worse or slower", path.display()),
+    }
 }

@@ -1,0 +1,102 @@
+//! What captures do to scenes, on demand: parts that nobody saw, floaters, rough surfaces, motion blur,
+//! drifting light, noise.
+//!
+//! An effect that is absent costs nothing and changes nothing: the empty set gives the scene as it was,
+//! bit for bit. Random numbers belong to (seed, effect, Gaussian or part), so one effect never
+//! changes what another draws, and the number of threads changes nothing. Lengths are in metres.
+//!
+//! # Source
+//! The causes of failure that SceneSplat (ICCV 2025) names in its supplement; strengths by severity are
+//! our own, in [`strength`].
+
+mod geometry;
+mod light;
+mod set;
+pub mod strength;
+
+pub use set::{Effect, EffectError, EffectSet, MOST_SEVERE};
+
+use crate::rng::SampleRng;
+use scenesplat_kernels::random::purpose_rng;
+use scenesplat_scene::{GaussianScene, SceneError};
+
+/// Purposes of random numbers from here on are those of effects.
+const FIRST_PURPOSE: u8 = 64;
+
+/// A scene after its effects.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Simulated {
+    /// The scene: what is left of it, then what was added. Added Gaussians have no label (−1) and no
+    /// valid language feature.
+    pub scene: GaussianScene,
+    /// Row of the original scene of each Gaussian; `None` for those that were added.
+    pub source: Vec<Option<usize>>,
+    /// What each effect did.
+    pub done: Vec<EffectDone>,
+}
+
+impl Simulated {
+    /// What the random numbers of each Gaussian belong to: its row in the original scene, or its number
+    /// among those that were added, so that no effect depends on what another removed.
+    fn keys(&self) -> Vec<u64> {
+        let mut added = (1 << 48)..;
+        let mut key = |source: &Option<usize>| match source {
+            Some(row) => *row as u64,
+            None => added.next().unwrap_or(u64::MAX),
+        };
+        self.source.iter().map(&mut key).collect()
+    }
+}
+
+/// What an effect did.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EffectDone {
+    /// Which effect.
+    pub effect: Effect,
+    /// How strong, above 0 and up to 5.
+    pub severity: f64,
+    /// Gaussians that it removed, added or changed.
+    pub changed: usize,
+    /// That in words.
+    pub text: String,
+}
+
+/// The random numbers of a part of an effect.
+fn rng(seed: u64, effect: Effect, index: u64) -> SampleRng {
+    purpose_rng(FIRST_PURPOSE + effect as u8, seed, 0, index)
+}
+
+/// Applies effects to a scene, in the order of [`Effect::ALL`].
+///
+/// Labelled points, which are no Gaussians, stay as they are. Values that are not finite stay, too.
+/// Higher spherical harmonics keep their directions; `light` and `noise` scale them with the colour.
+///
+/// # Errors
+/// If the scene's arrays do not match.
+pub fn simulate(
+    scene: &GaussianScene,
+    effects: &EffectSet,
+    seed: u64,
+) -> Result<Simulated, SceneError> {
+    scene.check_rows()?;
+    let mut out = Simulated {
+        scene: scene.clone(),
+        source: (0..scene.len()).map(Some).collect(),
+        done: Vec::new(),
+    };
+    for (effect, severity) in effects.present() {
+        let (changed, text) = match effect {
+            Effect::Holes => geometry::holes(&mut out, severity, seed)?,
+            Effect::Floaters => geometry::floaters(&mut out, severity, seed)?,
+            Effect::Surface => geometry::surface(&mut out, severity, seed),
+            Effect::Blur => geometry::blur(&mut out, severity, seed),
+            Effect::Light => light::light(&mut out.scene, severity, seed),
+            Effect::Noise => light::noise(&mut out, severity, seed),
+        };
+        out.done.push(EffectDone { effect, severity, changed, text });
+    }
+    Ok(out)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,181 @@
+//! Which effects, and how strong.
+
+use std::fmt;
+use std::str::FromStr;
+
+/// Severity that no effect exceeds.
+pub const MOST_SEVERE: f64 = 5.0;
+
+/// What a capture does to a scene. The number is part of the random numbers of an effect: it never
+/// changes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[repr(u8)]
+pub enum Effect {
+    /// Parts that no picture saw: missing.
+    Holes = 0,
+    /// Gaussians in the air that explain nothing.
+    Floaters = 1,
+    /// Surfaces that were not measured smoothly.
+    Surface = 2,
+    /// Pictures taken in motion: Gaussians drawn out and colours mixed.
+    Blur = 3,
+    /// Exposure and white balance that drift over the scene.
+    Light = 4,
+    /// Noise of the sensor.
+    Noise = 5,
+}
+
+impl Effect {
+    /// All of them, in the order in which they are applied: geometry, motion, light, sensor.
+    pub const ALL: [Self; 6] =
+        [Self::Holes, Self::Floaters, Self::Surface, Self::Blur, Self::Light, Self::Noise];
+
+    /// Name in texts.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Holes => "holes",
+            Self::Floaters => "floaters",
+            Self::Surface => "surface",
+            Self::Blur => "blur",
+            Self::Light => "light",
+            Self::Noise => "noise",
+        }
+    }
+}
+
+/// Effects with their severities, as text `holes=3,blur=1.5`; `none` is the empty set.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct EffectSet {
+    severity: [f64; Effect::ALL.len()],
+}
+
+/// A text that is no set of effects.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum EffectError {
+    /// Not `NAME=SEVERITY`.
+    #[error("{part:?}: NAME=SEVERITY is expected, such as holes=3")]
+    Form {
+        /// The part of the text.
+        part: String,
+    },
+    /// A name that is none.
+    #[error("{name:?} is no effect; there are {}", Effect::ALL.map(Effect::name).join(", "))]
+    Name {
+        /// The name.
+        name: String,
+    },
+    /// A name that was there before.
+    #[error("{name} is given twice")]
+    Twice {
+        /// The name.
+        name: String,
+    },
+    /// A severity that is none.
+    #[error("{name}={value}: a severity of 0 to {MOST_SEVERE} is expected")]
+    Severity {
+        /// The name.
+        name: String,
+        /// What was given.
+        value: String,
+    },
+}
+
+impl EffectSet {
+    /// How strong an effect is, 0 to 5; 0 is without it.
+    pub fn severity(&self, effect: Effect) -> f64 {
+        self.severity[effect as usize]
+    }
+
+    /// With an effect of that severity.
+    ///
+    /// # Errors
+    /// If the severity is not in 0..=5.
+    pub fn with(mut self, effect: Effect, severity: f64) -> Result<Self, EffectError> {
+        if !(0.0..=MOST_SEVERE).contains(&severity) {
+            let (name, value) = (effect.name().to_owned(), severity.to_string());
+            return Err(EffectError::Severity { name, value });
+        }
+        self.severity[effect as usize] = severity;
+        Ok(self)
+    }
+
+    /// Those that there are, in the order in which they are applied.
+    pub fn present(&self) -> impl Iterator<Item = (Effect, f64)> {
+        let all = Effect::ALL.map(|effect| (effect, self.severity(effect)));
+        all.into_iter().filter(|(_, severity)| *severity > 0.0)
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.present().next().is_none()
+    }
+}
+
+impl fmt::Display for EffectSet {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let parts: Vec<String> =
+            self.present().map(|(effect, s)| format!("{}={s}", effect.name())).collect();
+        f.write_str(if parts.is_empty() { "none" } else { "" })?;
+        f.write_str(&parts.join(","))
+    }
+}
+
+impl FromStr for EffectSet {
+    type Err = EffectError;
+
+    fn from_str(text: &str) -> Result<Self, EffectError> {
+        let mut set = Self::default();
+        if text == "none" {
+            return Ok(set);
+        }
+        let mut seen = Vec::new();
+        for part in text.split(',') {
+            let (name, value) =
+                part.split_once('=').ok_or_else(|| EffectError::Form { part: part.to_owned() })?;
+            let effect = Effect::ALL
+                .into_iter()
+                .find(|effect| effect.name() == name)
+                .ok_or_else(|| EffectError::Name { name: name.to_owned() })?;
+            if seen.contains(&effect) {
+                return Err(EffectError::Twice { name: name.to_owned() });
+            }
+            seen.push(effect);
+            let severity = value.parse().map_err(|_| EffectError::Severity {
+                name: name.to_owned(),
+                value: value.to_owned(),
+            })?;
+            set = set.with(effect, severity)?;
+        }
+        Ok(set)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn texts_return_and_wrong_ones_are_named() {
+        let set: EffectSet = "noise=5,holes=2.5,light=0".parse().unwrap();
+        assert_eq!(set.to_string(), "holes=2.5,noise=5");
+        assert_eq!(set.to_string().parse(), Ok(set));
+        assert_eq!(set.severity(Effect::Holes), 2.5);
+        assert!("none".parse::<EffectSet>().unwrap().is_empty());
+        assert_eq!(EffectSet::default().to_string(), "none");
+        for (text, part) in [
+            ("", "NAME=SEVERITY"),
+            ("holes", "NAME=SEVERITY"),
+            ("hole=2", "there are holes, floaters, surface"),
+            ("holes=1,holes=2", "holes is given twice"),
+            ("blur=6", "blur=6: a severity of 0 to 5"),
+            ("blur=-1", "0 to 5"),
+            ("blur=NaN", "0 to 5"),
+            ("blur=much", "blur=much"),
+            ("blur=1,", "NAME=SEVERITY"),
+        ] {
+            let error = text.parse::<EffectSet>().unwrap_err().to_string();
+            assert!(error.contains(part), "{text}: {error}");
+        }
+    }
+}
