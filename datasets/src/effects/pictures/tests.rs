@@ -101,7 +101,9 @@ fn each_effect_goes_to_the_identity_and_grows_with_severity() {
         };
         assert!(differs(1e-7) < 1e-6, "{name}: {}", differs(1e-7));
         let curve: Vec<f64> = [0.5, 1.0, 2.0, 3.0, 4.0, 5.0].map(differs).to_vec();
-        assert!(curve.is_sorted_by(|a, b| a < b) && curve[5] > 0.005, "{name}: {curve:?}");
+        // Motions below a pixel are none.
+        assert!(curve.is_sorted() && curve[5] > 2.0 * curve[2], "{name}: {curve:?}");
+        assert!(curve[2] > 5e-5, "{name}: {curve:?}");
     }
 }
 
