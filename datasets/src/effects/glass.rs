@@ -136,11 +136,11 @@ mod tests {
     use scenesplat_scene::LanguageFeatures;
     use scenesplat_scene::gaussian_scene::SH_C0;
 
-    /// A wall at y = 0 of 3 × 2 m with a floor before it, and a red needle 1 m before the wall's middle.
+    /// A wall at y = 0 of 3 × 2 m with a board before it, 1 m high, and a red needle 1 m before the wall's middle.
     fn scene() -> GaussianScene {
         let mut coord: Vec<[f32; 3]> =
             (0..6000).map(|i| [0.03 * (i % 100) as f32, 0.0, 0.0333 * (i / 100) as f32]).collect();
-        coord.extend((0..1500).map(|i| [0.06 * (i % 50) as f32, 0.06 * (i / 50) as f32, 0.0]));
+        coord.extend((0..1500).map(|i| [0.06 * (i % 50) as f32, 0.06 * (i / 50) as f32, 1.0]));
         coord.push([1.5, 1.0, 1.0]);
         let n = coord.len();
         let mut scene = GaussianScene {
