@@ -70,8 +70,8 @@ impl PictureRenderer for ScenePictures<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use scenesplat_datasets::effects::pictures::PictureSimulator;
     use scenesplat_datasets::effects::linear::{display, linear};
+    use scenesplat_datasets::effects::pictures::PictureSimulator;
     use scenesplat_datasets::effects::{EffectSet, Pane};
     use scenesplat_rasterizer::{
         DepthRequest, PlanRequest, RasterSettings, RenderPlan, SceneProfile,

@@ -142,7 +142,8 @@ pub fn largest_wall(coord: &[[f32; 3]], up: UpAxis) -> Option<Wall> {
         facing = [-angle.sin(), angle.cos()];
         offset = facing[0] * mean[0] + facing[1] * mean[1];
     }
-    let mut normal: [f64; 3] = std::array::from_fn(|i| facing[0] * first[i] + facing[1] * second[i]);
+    let mut normal: [f64; 3] =
+        std::array::from_fn(|i| facing[0] * first[i] + facing[1] * second[i]);
     let middle: [f64; 3] = std::array::from_fn(|i| 0.5 * (bounds.low[i] + bounds.high[i]));
     if dot(normal, middle) < offset {
         (normal, offset) = (normal.map(|v| -v), -offset);
@@ -173,9 +174,8 @@ impl Pane {
         };
         let ((x, half_width), (y, half_height)) = (place(wall.width), place(wall.height));
         let offset = wall.offset + wall.thickness;
-        let centre = std::array::from_fn(|i| {
-            offset * wall.normal[i] + x * wall.across[i] + y * wall.up[i]
-        });
+        let centre =
+            std::array::from_fn(|i| offset * wall.normal[i] + x * wall.across[i] + y * wall.up[i]);
         Self {
             normal: wall.normal,
             across: wall.across,

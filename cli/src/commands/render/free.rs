@@ -13,8 +13,11 @@ const ORBIT_SIZE: [u32; 2] = [640, 480];
 /// The cameras that the flags ask for.
 pub(super) fn of_scene(scene: &GaussianScene, up: UpAxis, args: &Args) -> Result<Shots> {
     let size = args.size.unwrap_or(ORBIT_SIZE);
-    let plain = |cameras: Vec<Camera>| {
-        Shots { list: numbered(cameras), near: None, ceiling: None, notes: Vec::new() }
+    let plain = |cameras: Vec<Camera>| Shots {
+        list: numbered(cameras),
+        near: None,
+        ceiling: None,
+        notes: Vec::new(),
     };
     if let (Some(eye), Some(target)) = (args.eye, args.target) {
         let look = LookAt { eye, target, fov: args.fov.unwrap_or(60.0) };
@@ -50,10 +53,5 @@ fn around(scene: &GaussianScene, up: UpAxis, args: &Args) -> Shots {
     if orbit.near.is_some() {
         notes.push("a closed room: ceiling and near walls are left out".to_owned());
     }
-    Shots {
-        list: numbered(orbit.cameras),
-        near: orbit.near,
-        ceiling: orbit.ceiling,
-        notes,
-    }
+    Shots { list: numbered(orbit.cameras), near: orbit.near, ceiling: orbit.ceiling, notes }
 }

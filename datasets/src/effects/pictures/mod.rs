@@ -92,7 +92,8 @@ impl EffectSet {
     pub fn split_for_pictures(&self) -> (Self, Self) {
         let (mut scene, mut pictures) = (Self::default(), Self::default());
         for (effect, severity) in self.present() {
-            let part = if Effect::ON_PICTURES.contains(&effect) { &mut pictures } else { &mut scene };
+            let part =
+                if Effect::ON_PICTURES.contains(&effect) { &mut pictures } else { &mut scene };
             part.severity[effect as usize] = severity;
         }
         (scene, pictures)

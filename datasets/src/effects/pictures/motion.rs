@@ -46,8 +46,7 @@ impl Twist {
         let theta = dot(w, w).sqrt();
         let (half, [a, b]) = (0.5 * theta, coefficients(theta));
         let ratio = if theta > 0.0 { half.sin() / theta } else { 0.5 };
-        let rotation =
-            quaternion::matrix([half.cos(), ratio * w[0], ratio * w[1], ratio * w[2]]);
+        let rotation = quaternion::matrix([half.cos(), ratio * w[0], ratio * w[1], ratio * w[2]]);
         let (once, twice) = (cross(w, v), cross(w, cross(w, v)));
         let translation = std::array::from_fn(|i| v[i] + a * once[i] + b * twice[i]);
         RigidMotion { rotation, translation }
@@ -195,9 +194,10 @@ mod tests {
                     assert!((back.v[i] - twist.v[i]).abs() < 1e-7, "{size} {back:?} {twist:?}");
                 }
                 let there = twist.exp();
-                assert!(near(apply(&there.inverse(), apply(&there, [1.0, 2.0, 3.0])), [
-                    1.0, 2.0, 3.0
-                ]));
+                assert!(near(
+                    apply(&there.inverse(), apply(&there, [1.0, 2.0, 3.0])),
+                    [1.0, 2.0, 3.0]
+                ));
             }
         }
     }

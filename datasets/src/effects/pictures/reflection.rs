@@ -96,8 +96,7 @@ pub(super) fn composite(
         let image = row * width + (width - 1 - column);
         for c in 0..3 {
             let [behind, image] = [rgb[3 * at + c], mirror[3 * image + c]].map(f64::from);
-            let light =
-                reflected * linear(image) + (1.0 - reflected) * through[c] * linear(behind);
+            let light = reflected * linear(image) + (1.0 - reflected) * through[c] * linear(behind);
             rgb[3 * at + c] = display(light) as f32;
         }
     }

@@ -232,7 +232,9 @@ fn effects_do_not_change_each_others_draws() {
 fn effects_on_scenes_are_refused_by_name() {
     let set: EffectSet = "blur=1,floaters=2".parse().unwrap();
     let error = PictureSimulator::new(&set, 0, None, 0.0).unwrap_err().to_string();
-    assert!(error.contains("floaters is an effect on scenes") && error.contains("blur, glass, light"));
+    assert!(
+        error.contains("floaters is an effect on scenes") && error.contains("blur, glass, light")
+    );
     let (scene, pictures) = "holes=2,blur=1,surface=3,glass=4,noise=5"
         .parse::<EffectSet>()
         .unwrap()
