@@ -27,7 +27,8 @@ fn main() -> Result<()> {
     // Rows: truth effect, severity, then the measure and severity of each detector.
     let mut found: Vec<(usize, f64, [(f64, f64); 3])> = Vec::new();
     for room in first..first + count {
-        let settings = SyntheticRoomSettings { room, ..SyntheticRoomSettings::with_count(40_000, 1) };
+        let settings =
+            SyntheticRoomSettings { room, ..SyntheticRoomSettings::with_count(40_000, 1) };
         let scene = generate(&settings)?.scene;
         let colors = vec![[0; 3]; scene.len()];
         let rows = SceneRows::of(&scene);
@@ -117,11 +118,11 @@ fn rank_correlation(pairs: &[(f64, f64)]) -> f64 {
         };
         values.iter().map(rank).collect()
     };
-    let (a, b) = (ranks(pairs.iter().map(|p| p.0).collect()), ranks(pairs.iter().map(|p| p.1).collect()));
+    let (a, b) =
+        (ranks(pairs.iter().map(|p| p.0).collect()), ranks(pairs.iter().map(|p| p.1).collect()));
     let n = pairs.len() as f64;
     let mean = (n - 1.0) / 2.0;
-    let moment = |x: &[f64], y: &[f64]| {
-        x.iter().zip(y).map(|(x, y)| (x - mean) * (y - mean)).sum::<f64>()
-    };
+    let moment =
+        |x: &[f64], y: &[f64]| x.iter().zip(y).map(|(x, y)| (x - mean) * (y - mean)).sum::<f64>();
     moment(&a, &b) / (moment(&a, &a) * moment(&b, &b)).sqrt()
 }

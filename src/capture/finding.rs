@@ -51,7 +51,9 @@ impl fmt::Display for CaptureFinding {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.measure {
             None => write!(f, "{}: the pictures do not say", self.effect)?,
-            Some(_) if self.is_present() => write!(f, "{}: severity {:.1}", self.effect, self.severity)?,
+            Some(_) if self.is_present() => {
+                write!(f, "{}: severity {:.1}", self.effect, self.severity)?
+            }
             Some(measure) => {
                 write!(f, "{}: absent ({measure:.2} below {})", self.effect, self.threshold)?;
             }

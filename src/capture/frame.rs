@@ -180,7 +180,11 @@ mod tests {
     impl PictureRenderer for Shades {
         type Error = std::convert::Infallible;
 
-        fn draw(&self, camera: &Camera, _: Option<&HalfSpace>) -> Result<DrawnPicture, Self::Error> {
+        fn draw(
+            &self,
+            camera: &Camera,
+            _: Option<&HalfSpace>,
+        ) -> Result<DrawnPicture, Self::Error> {
             let value = |at: u32| {
                 let (x, y) = (f64::from(at % camera.width), f64::from(at / camera.width));
                 (0.45 + 0.3 * (0.02 * x).sin() * (0.03 * y).cos()) as f32
@@ -203,8 +207,7 @@ mod tests {
             rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
             translation: [0.0; 3],
         };
-        let mut simulator =
-            PictureSimulator::new(&effect.parse().unwrap(), 3, None, 0.0).unwrap();
+        let mut simulator = PictureSimulator::new(&effect.parse().unwrap(), 3, None, 0.0).unwrap();
         let (picture, _) = simulator.take(&Shades, 0, &camera).unwrap();
         crate::preview::picture_of(&picture.rgb, 320, 240).unwrap()
     }

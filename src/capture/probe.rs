@@ -1,9 +1,9 @@
 //! Looks at the photos of a scene.
 
+use super::ScenePictures;
 use super::finding::{CaptureFinding, CaptureReport, Figure};
 use super::frame::{FrameFigures, frame_figures, motion};
 use super::shared_colors::SharedColors;
-use super::ScenePictures;
 use crate::preview::picture_of;
 use scenesplat_datasets::effects::linear::linear;
 use scenesplat_datasets::effects::pictures::PictureRenderer;
@@ -157,8 +157,7 @@ impl<'a> CaptureProbe<'a> {
         self.colors.add(colors);
         let name = camera.name.clone();
         let motion = motion(&figures, &own);
-        let evidence =
-            FrameEvidence { name, figures, sharpness_share: None, motion, gain: None };
+        let evidence = FrameEvidence { name, figures, sharpness_share: None, motion, gain: None };
         self.frames.push((evidence, own.sharpness));
         Ok(())
     }
@@ -243,11 +242,13 @@ fn blur(frames: &[FrameEvidence]) -> CaptureFinding {
 }
 
 fn light(frames: &[FrameEvidence]) -> CaptureFinding {
-    let gains: Vec<[f64; 3]> = frames.iter().filter_map(|f| f.gain).map(|g| g.map(f64::ln)).collect();
+    let gains: Vec<[f64; 3]> =
+        frames.iter().filter_map(|f| f.gain).map(|g| g.map(f64::ln)).collect();
     let exposures: Vec<f64> = gains.iter().map(|g| (g[0] + g[1] + g[2]) / 3.0).collect();
     let balances: Vec<f64> = gains.iter().map(|g| 0.5 * (g[0] - g[2])).collect();
     let enough = gains.len() >= FEWEST_FRAMES;
-    let [exposure, balance] = [exposures, balances].map(|v| if enough { deviation(&v) } else { 0.0 });
+    let [exposure, balance] =
+        [exposures, balances].map(|v| if enough { deviation(&v) } else { 0.0 });
     let figures = vec![
         figure("exposure ±", exposure / std::f64::consts::LN_2, "stops"),
         figure("red against blue ±", 100.0 * balance, "%"),
@@ -319,7 +320,8 @@ mod tests {
     #[test]
     fn effects_on_photos_are_found_as_strong_as_they_are_and_absent_ones_are_not() {
         // Not a room that thresholds were fitted on, and the scene at hand is no perfect reconstruction.
-        let settings = SyntheticRoomSettings { room: 205, ..SyntheticRoomSettings::with_count(15_000, 1) };
+        let settings =
+            SyntheticRoomSettings { room: 205, ..SyntheticRoomSettings::with_count(15_000, 1) };
         let scene = generate(&settings).unwrap().scene;
         let known = simulate(&scene, &"surface=1,noise=1".parse().unwrap(), 4).unwrap().scene;
         let (truth, known) = (prepared(&scene, false), prepared(&known, true));
@@ -391,7 +393,9 @@ mod tests {
     #[test]
     fn places_in_a_table() {
         let table = [0.0, 0.5, 2.0, 3.0];
-        for (value, want) in [(0.0, 0.0), (0.25, 0.5), (0.5, 1.0), (1.25, 1.5), (2.5, 2.5), (4.0, 4.0)] {
+        for (value, want) in
+            [(0.0, 0.0), (0.25, 0.5), (0.5, 1.0), (1.25, 1.5), (2.5, 2.5), (4.0, 4.0)]
+        {
             assert!((place_in(&table, value) - want).abs() < 1e-12, "{value}");
         }
     }

@@ -36,8 +36,9 @@ impl SharedColors {
         let mut count = vec![0; points.unwrap_or(0)];
         self.pictures.iter().flatten().for_each(|(i, _)| count[*i as usize] += 1);
         let is_shared = |i: u32| count[i as usize] >= FEWEST_PICTURES;
-        let enough =
-            |p: &Vec<(u32, [f64; 3])>| p.iter().filter(|(i, _)| is_shared(*i)).count() >= FEWEST_GAUSSIANS;
+        let enough = |p: &Vec<(u32, [f64; 3])>| {
+            p.iter().filter(|(i, _)| is_shared(*i)).count() >= FEWEST_GAUSSIANS
+        };
         let used: Vec<bool> = self.pictures.iter().map(enough).collect();
         let mut gains = vec![[0.0; 3]; self.pictures.len()];
         for c in 0..3 {
