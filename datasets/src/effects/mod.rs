@@ -11,9 +11,11 @@
 
 mod geometry;
 mod light;
+mod ranges;
 mod set;
 pub mod strength;
 
+pub use ranges::EffectRanges;
 pub use set::{Effect, EffectError, EffectSet, MOST_SEVERE};
 
 use crate::rng::SampleRng;
