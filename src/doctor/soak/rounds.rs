@@ -250,8 +250,13 @@ fn operators(_: &mut Bath, rng: &mut Noise) -> Result<Outcome, Failure> {
     forward_with(precision, &qkv, heads, &cut, &order, &mut out);
     let largest = qkv.iter().fold(0.0, |m: f32, v| m.max(v.abs()));
     // A mean of values is none larger than they; 8-bit steps may round it up.
-    let sound = out.iter().all(|v| v.abs() <= 1.02 * largest);
-    ensure!(sound, "attention of {rows} rows in {precision} leaves the range of its values");
+    let beyond = out.iter().position(|v| !(v.abs() <= 1.02 * largest));
+    ensure!(
+        beyond.is_none(),
+        "attention of {rows} rows in {precision}, patches of {patch}: value {beyond:?} of {c} channels is {:e}, \
+         none that goes in is beyond {largest:e}",
+        out[beyond.unwrap_or_default()]
+    );
     Ok(Outcome::Sound)
 }
 
