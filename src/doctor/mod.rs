@@ -18,6 +18,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod attacks;
 mod case;
 mod catalogue;
 mod inputs;
@@ -32,6 +33,7 @@ mod training;
 mod trial;
 mod verdict;
 
+pub use attacks::{ATTACKS, Attack};
 pub use case::{Case, Finding, Level, Policy};
 pub use catalogue::{catalogue, markdown, nearest_names};
 pub use measures::{Bounds, Measures, SignBias};

@@ -157,3 +157,22 @@ fn flags_that_would_do_nothing_are_refused() {
         assert_eq!(output.status.code(), Some(2), "{args:?}: {}", stderr(&output));
     }
 }
+
+#[test]
+fn curves_are_told_and_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("curves");
+    let path = out.to_str().unwrap();
+    let few = ["doctor", "--curves", path, "--rooms", "1", "--gaussians"];
+    let output = scenesplat(&[&few[..], &["1000"]].concat());
+    done(&output);
+    let said = String::from_utf8_lossy(&output.stdout);
+    for word in ["holes", "floaters", "f-mIoU", "largest fall", "rank correlation", "far away"] {
+        assert!(said.contains(word), "{word}: {said}");
+    }
+    let found = report(&out.join("severity.json"));
+    assert!(found["curves"].as_array().unwrap().len() >= 6, "{found}");
+    assert!(out.join("severity.png").is_file() && out.join("severity.svg").is_file());
+    let output = scenesplat(&[&few[..], &["10"]].concat());
+    assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
+}

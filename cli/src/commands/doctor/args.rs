@@ -10,7 +10,7 @@ use std::path::PathBuf;
 /// against f64, short trainings, damaged rooms. Needs no files. Each case is made anew, the same
 /// every time; docs/hard_cases.md lists them.
 ///
-/// --soak, --round and --training run something else instead of the cases.
+/// --soak, --round, --training and --curves run something else instead of the cases.
 #[derive(Debug, clap::Args)]
 #[command(group = clap::ArgGroup::new("instead").conflicts_with_all(["full", "case", "level", "operators_to"]))]
 pub struct Args {
@@ -30,7 +30,7 @@ pub struct Args {
     /// One round of --soak again, by the number that its report names; the seed as there.
     #[arg(long, value_name = "N", group = "instead")]
     pub round: Option<u64>,
-    /// Which random inputs of --soak. [default: 0]
+    /// Which random inputs of --soak [default: 0], which damage of --curves [default: 1]
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
     /// Trains a small network in every form: {f32, bf16} × {even, uneven batches} × {plain, accumulated,
@@ -43,6 +43,16 @@ pub struct Args {
     /// Seeds of --training. [default: 3]
     #[arg(long, value_name = "N", requires = "training")]
     pub seeds: Option<u64>,
+    /// Draws what labels of unseen rooms are worth against the severity of each capture effect:
+    /// severity.json, .png and .svg in this folder.
+    #[arg(long, value_name = "DIR", group = "instead")]
+    pub curves: Option<PathBuf>,
+    /// Rooms of --curves. [default: 4]
+    #[arg(long, value_name = "N", requires = "curves")]
+    pub rooms: Option<usize>,
+    /// Gaussians of each room of --curves. [default: 20000]
+    #[arg(long, value_name = "N", requires = "curves")]
+    pub gaussians: Option<usize>,
     /// Folder for the files of --case; they get a folder of the case's name in it.
     #[arg(long, value_name = "DIR", default_value = "scenesplat-out")]
     pub out: PathBuf,
@@ -63,8 +73,10 @@ pub struct Args {
 impl Args {
     /// Refuses a flag that would do nothing.
     pub(super) fn check(&self) -> Result<()> {
-        if self.seed.is_some() && self.soak.is_none() && self.round.is_none() {
-            let text = "--seed belongs to --soak and --round: the cases are the same every time";
+        let random = self.soak.is_some() || self.round.is_some() || self.curves.is_some();
+        if self.seed.is_some() && !random {
+            let text =
+                "--seed belongs to --soak, --round and --curves: the cases are the same every time";
             return Err(WrongUse(text.to_owned()).into());
         }
         if self.round.is_some() && self.json.is_some() {

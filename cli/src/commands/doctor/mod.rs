@@ -1,6 +1,7 @@
 //! `scenesplat doctor`
 
 mod args;
+mod curves;
 mod isas;
 mod soak;
 mod stability;
@@ -49,7 +50,7 @@ pub fn run(args: &Args) -> Result<()> {
     if let Some(round) = args.round {
         return soak::again(args, round);
     }
-    if args.soak.is_some() || args.training {
+    if args.soak.is_some() || args.training || args.curves.is_some() {
         Outputs::new(Path::new("")).claim_any("--json", args.json.as_ref())?;
     }
     if let Some(length) = args.soak {
@@ -57,6 +58,9 @@ pub fn run(args: &Args) -> Result<()> {
     }
     if args.training {
         return stability::run(args, &progress);
+    }
+    if let Some(folder) = &args.curves {
+        return curves::run(args, folder, &progress);
     }
     let cases = chosen(args)?;
     if let Some(path) = &args.operators_to {
