@@ -1,22 +1,22 @@
 //! [`CaptureEffects`]
 
 use super::check_probability;
-use crate::effects::{EffectRanges, simulate};
+use crate::effects::{EffectRanges, simulate_upright};
 use crate::error::bad_setting;
 use crate::rng::happens;
 use crate::{DataError, Sample, SampleRng, Transform};
 use half::f16;
 use rand_chacha::rand_core::RngCore;
 use scenesplat_scene::gaussian_scene::{SH_C0, probability_to_logit};
-use scenesplat_scene::{GaussianScene, LanguageFeatures};
+use scenesplat_scene::{GaussianScene, LanguageFeatures, UpAxis};
 use serde::{Deserialize, Serialize};
 
 /// With `probability`, does to the scene what a bad capture would have done: holes, floaters, rough
-/// surfaces, blur, drifting light, noise, see [`effects`](crate::effects). It belongs before
+/// surfaces, blur, glass, drifting light, noise, see [`effects`](crate::effects). It belongs before
 /// [`GridSample`](super::GridSample), which puts Gaussians where they then are.
 ///
 /// Labels, instances, features and a teacher's rows follow the Gaussians; added ones have none (−1, no
-/// valid feature). Labelled points, which are no Gaussians, stay. What no effect touches keeps its bits.
+/// valid feature), and those of a pane of glass lose theirs. +z is up. Labelled points, which are no Gaussians, stay. What no effect touches keeps its bits.
 ///
 /// # Source
 /// Our own; the causes of failure are those of the supplement of SceneSplat (ICCV 2025).
@@ -60,21 +60,21 @@ impl Transform for CaptureEffects {
         }
         let effects = self.effects.draw(rng);
         let before = as_scene(sample);
-        let after = simulate(&before, &effects, rng.next_u64())?;
+        let after = simulate_upright(&before, &effects, rng.next_u64(), Some(UpAxis::PlusZ))?;
         // Added Gaussians begin as any row; everything of it is replaced.
         let rows: Vec<u32> = after.source.iter().map(|row| row.unwrap_or(0) as u32).collect();
         sample.select_rows(&rows);
         for (row, source) in after.source.iter().enumerate() {
             take_over(sample, row, &after.scene, source.map(|source| (&before, source)));
-            if source.is_none() {
-                strip(sample, row);
+            if let (None, Some(origin)) = (source, &mut sample.origin_row) {
+                origin[row] = Sample::ADDED;
             }
         }
         Ok(())
     }
 }
 
-/// What the effects look at.
+/// What the effects look at. The mask says here whose labels and features stay.
 fn as_scene(sample: &Sample) -> GaussianScene {
     GaussianScene {
         coord: sample.coord.clone(),
@@ -83,6 +83,7 @@ fn as_scene(sample: &Sample) -> GaussianScene {
         opacity_logit: sample.opacity.iter().map(|&p| probability_to_logit(p)).collect(),
         sh_dc: sample.color.iter().map(|c| c.map(|v| (v / 255.0 - 0.5) / SH_C0)).collect(),
         normal: sample.normal.clone(),
+        valid_feat_mask: Some(vec![true; sample.len()]),
         ..GaussianScene::default()
     }
 }
@@ -112,9 +113,12 @@ fn take_over(
     if let (Some(normals), Some(new)) = (&mut sample.normal, &scene.normal) {
         normals[row] = new[row];
     }
+    if scene.valid_feat_mask.as_ref().is_some_and(|stays| !stays[row]) {
+        strip(sample, row);
+    }
 }
 
-/// Takes from an added Gaussian what it has no right to.
+/// Takes its label and feature from a Gaussian.
 fn strip(sample: &mut Sample, row: usize) {
     for values in [&mut sample.segment, &mut sample.instance].into_iter().flatten() {
         values[row] = -1;
@@ -125,9 +129,6 @@ fn strip(sample: &mut Sample, row: usize) {
     }
     if let Some(valid) = &mut sample.valid_feat {
         valid[row] = false;
-    }
-    if let Some(origin) = &mut sample.origin_row {
-        origin[row] = Sample::ADDED;
     }
 }
 
@@ -161,14 +162,15 @@ mod tests {
     fn it_is_the_simulator_with_the_numbers_of_the_step() {
         let scene = generate(&SyntheticRoomSettings::with_count(1000, 4)).unwrap().scene;
         let sample = Sample::from_scene("room", scene.clone());
-        let step = step("holes=2..4,floaters=5,surface=1,blur=1,light=2,noise=3");
+        let step = step("holes=2..4,floaters=5,surface=1,blur=1,glass=3,light=2,noise=3");
         let mut rng = sample_rng(11, 3, 7);
         let mut got = sample.clone();
         step.apply(&mut got, &mut { rng.clone() }).unwrap();
         got.check().unwrap();
         assert!(happens(&mut rng, 1.0));
         let drawn = step.effects.draw(&mut rng);
-        let simulated = simulate(&scene, &drawn, rng.next_u64()).unwrap();
+        let up = Some(UpAxis::PlusZ);
+        let simulated = simulate_upright(&scene, &drawn, rng.next_u64(), up).unwrap();
         assert!(simulated.source.iter().any(Option::is_none) && simulated.scene.len() < 1000);
         let want = Sample::from_scene("room", simulated.scene);
         assert_eq!((&got.segment, &got.instance), (&want.segment, &want.instance));
