@@ -14,7 +14,8 @@ fn a_short_soak_finds_nothing() {
         true
     })
     .unwrap();
-    assert!(report.passed && !report.stopped, "{report}");
+    // Other tests of this process take memory beside it; the program's own test looks at that.
+    assert!(report.problems.is_empty() && !report.stopped, "{report}");
     assert!(report.kinds.iter().all(|kind| kind.rounds > 0), "{report}");
     assert_eq!(report.rounds, report.kinds.iter().map(|kind| kind.rounds).sum::<u64>());
     assert!(shares.borrow().is_sorted());
