@@ -3,8 +3,8 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
 use scenesplat::doctor::{
-    ATTACKS, Attack, Case, Doctor, DoctorReport, Finding, Level, Policy, Surroundings, Verdict, catalogue, markdown,
-    nearest_names,
+    ATTACKS, Attack, Case, Doctor, DoctorReport, Finding, Level, Policy, Surroundings, Verdict,
+    catalogue, markdown, nearest_names,
 };
 use std::collections::BTreeSet;
 

@@ -140,10 +140,7 @@ impl Bounds {
     pub(super) fn broken(&self, found: &Measures) -> Option<String> {
         // NaN is within nothing.
         if let Some(ulp) = found.ulp.filter(|ulp| ulp.is_nan() || *ulp > self.ulp) {
-            return Some(format!(
-                "{ulp:.1} units in the last place, {:.1} are allowed",
-                self.ulp
-            ));
+            return Some(format!("{ulp:.1} units in the last place, {:.1} are allowed", self.ulp));
         }
         let bound = self.cosine_distance;
         if let Some(far) = found.cosine_distance.filter(|far| far.is_nan() || *far > bound) {
@@ -217,7 +214,8 @@ mod tests {
         let few = SignBias::of((1..20).map(f64::from).map(|i| (i * 1.01, i, i)));
         assert_eq!(few.map(|few| few.share), Some(1.0));
         // One number a hundred times is one rounding.
-        let same = SignBias::of((0..100).map(|i| (if i % 3 == 0 { -1.01 } else { 1.01 }, 1.0, 1.0)));
+        let same =
+            SignBias::of((0..100).map(|i| (if i % 3 == 0 { -1.01 } else { 1.01 }, 1.0, 1.0)));
         assert_eq!(same.map(|same| same.errors), Some(1));
         assert_eq!(bounds.broken(&Measures { sign_bias: few, ..Measures::default() }), None);
     }
@@ -226,7 +224,11 @@ mod tests {
     fn parts_join_to_the_worse() {
         let bias = |share: f64, z: f64| Some(SignBias { numbers: 9, errors: 9, share, z });
         let mut all = Measures { ulp: Some(1.0), cosine_distance: None, sign_bias: bias(0.9, 2.0) };
-        all.join(Measures { ulp: Some(f64::NAN), cosine_distance: Some(1e-9), sign_bias: bias(0.8, 9.0) });
+        all.join(Measures {
+            ulp: Some(f64::NAN),
+            cosine_distance: Some(1e-9),
+            sign_bias: bias(0.8, 9.0),
+        });
         all.join(Measures { ulp: Some(3.0), cosine_distance: Some(1e-12), sign_bias: None });
         assert!(all.ulp.unwrap().is_nan() && all.cosine_distance == Some(1e-9));
         assert_eq!(all.sign_bias, bias(0.8, 9.0));

@@ -38,9 +38,7 @@ pub use case::{Case, Finding, Level, Policy};
 pub use catalogue::{catalogue, markdown, nearest_names};
 pub use measures::{Bounds, Measures, SignBias};
 pub use report::{DoctorReport, IsaReport, Surroundings};
-pub use soak::{
-    SoakKind, SoakMemory, SoakProblem, SoakReport, SoakSettings, soak, soak_round,
-};
+pub use soak::{SoakKind, SoakMemory, SoakProblem, SoakReport, SoakSettings, soak, soak_round};
 pub use stability::{
     GradientCheck, PoisonCheck, StabilityReport, StabilityRun, StabilitySettings, stability,
 };

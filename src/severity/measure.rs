@@ -111,8 +111,7 @@ impl Damaged {
         room: &GaussianScene,
         simulated: &Simulated,
     ) -> Result<Self, SeverityError> {
-        let edge =
-            [0, 1].map(|axis| room.coord.iter().map(|p| p[axis]).fold(f32::MIN, f32::max));
+        let edge = [0, 1].map(|axis| room.coord.iter().map(|p| p[axis]).fold(f32::MIN, f32::max));
         let inside = |p: &[f32; 3]| (0..2).all(|axis| p[axis] > edge[axis] - CORNER);
         let (mut source, mut taken) = (Vec::new(), Vec::new());
         let mut there = vec![None; room.len()];

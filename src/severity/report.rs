@@ -132,8 +132,7 @@ pub(super) fn checks(curves: &[EffectCurve]) -> Vec<Check> {
         let what = "labels far away that change";
         all.push(check(effect, what, Some(*far_changed), FAR_CHANGED, false));
     }
-    let points: Vec<SeverityPoint> =
-        curves.iter().flat_map(|curve| curve.points.clone()).collect();
+    let points: Vec<SeverityPoint> = curves.iter().flat_map(|curve| curve.points.clone()).collect();
     let what = "rank correlation of confidence and f-mIoU";
     all.push(check("all", what, rank_correlation(&points), LEAST_CORRELATION, true));
     all
@@ -144,9 +143,8 @@ pub(super) fn rank_correlation(points: &[SeverityPoint]) -> Option<f64> {
     let a = ranks(points.iter().map(|p| p.confidence).collect());
     let b = ranks(points.iter().map(|p| p.f_miou).collect());
     let mean = (points.len() as f64 - 1.0) / 2.0;
-    let product = |x: &[f64], y: &[f64]| {
-        x.iter().zip(y).map(|(x, y)| (x - mean) * (y - mean)).sum::<f64>()
-    };
+    let product =
+        |x: &[f64], y: &[f64]| x.iter().zip(y).map(|(x, y)| (x - mean) * (y - mean)).sum::<f64>();
     let norm = (product(&a, &a) * product(&b, &b)).sqrt();
     (norm > 0.0).then(|| product(&a, &b) / norm)
 }

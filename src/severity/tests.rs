@@ -23,7 +23,9 @@ fn small_curves_are_drawn_and_written() {
         assert_eq!(curve.points.len(), 2);
         assert_eq!(curve.points[0], report.curves[0].points[0], "undamaged rooms are the same");
         for p in &curve.points {
-            assert!([p.f_miou, p.ece, p.confidence, p.unknown].iter().all(|v| (0.0..=1.0).contains(v)));
+            assert!(
+                [p.f_miou, p.ece, p.confidence, p.unknown].iter().all(|v| (0.0..=1.0).contains(v))
+            );
         }
     }
     // 15 % are missing; of what is left, everything has a label but the rooms' own floaters.
@@ -89,7 +91,10 @@ fn a_corner_is_damaged_and_the_rest_is_not() {
     let outside: Vec<_> = room.coord.iter().filter(|p| !inside(p)).collect();
     let kept: Vec<_> = scene.coord.iter().filter(|p| room.coord.contains(p)).collect();
     // All that was outside is there, in its order, with its bits.
-    assert_eq!(kept.iter().filter(|p| !inside(p)).collect::<Vec<_>>(), outside.iter().collect::<Vec<_>>());
+    assert_eq!(
+        kept.iter().filter(|p| !inside(p)).collect::<Vec<_>>(),
+        outside.iter().collect::<Vec<_>>()
+    );
     assert!(scene.len() - outside.len() > 0 && scene.coord.iter().any(|p| !room.coord.contains(p)));
     // The far labels: all others are told apart by one change each.
     let before = vec![1; room.len()];

@@ -123,7 +123,9 @@ fn a_short_soak_is_told_as_json_and_a_round_runs_again() {
     assert!(report["memory"]["end"].as_u64().unwrap() > 0);
     let output = scenesplat(&["doctor", "--round", "3", "--seed", "5"]);
     done(&output);
-    assert!(String::from_utf8_lossy(&output.stdout).contains("round 3 of seed 5 (network): passed"));
+    assert!(
+        String::from_utf8_lossy(&output.stdout).contains("round 3 of seed 5 (network): passed")
+    );
 }
 
 #[test]

@@ -153,7 +153,9 @@ mod tests {
         let boxes: Vec<_> =
             room.objects.iter().filter(|o| o.class == ClassId::Window).map(|o| o.bounds).collect();
         let near = |p: [f32; 3]| {
-            boxes.iter().any(|[low, high]| (0..3).all(|i| p[i] > low[i] - 0.15 && p[i] < high[i] + 0.15))
+            boxes
+                .iter()
+                .any(|[low, high]| (0..3).all(|i| p[i] > low[i] - 0.15 && p[i] < high[i] + 0.15))
         };
         // What is gone or lost its label was in a window.
         let there: std::collections::BTreeSet<usize> =
@@ -175,7 +177,8 @@ mod tests {
             let out = damage(&room, "blur=3,noise=1", seed);
             let [blur, noise] = &out.plan[..] else { panic!("{:?}", out.plan) };
             assert!(noise.on);
-            let alone = super::super::simulate(&room.scene, &"noise=1".parse().unwrap(), seed).unwrap();
+            let alone =
+                super::super::simulate(&room.scene, &"noise=1".parse().unwrap(), seed).unwrap();
             if blur.on {
                 fast += 1;
                 assert_ne!(out.simulated.scene, alone.scene);

@@ -1,7 +1,7 @@
 //! Sources by name.
 
-use crate::effects::EffectRanges;
 use super::{Benchmark, SceneFolders, SceneFoldersOptions, Split, SyntheticRooms};
+use crate::effects::EffectRanges;
 use crate::error::bad_setting;
 use crate::{DataError, DataSource, SceneDataset, Transform};
 use scenesplat_rooms::{CLASSES, SyntheticRoomSettings, Vocabulary};

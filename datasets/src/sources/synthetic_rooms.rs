@@ -158,7 +158,10 @@ mod tests {
         // 3 % for each severity, which is another one in each room.
         assert!(missing.len() > 2 && missing.iter().all(|n| (27..=108).contains(n)), "{missing:?}");
         assert_eq!(load(&source("none"), "room-000001"), load(&plain, "room-000001"));
-        let floaters = load(&source("floaters=5").with_vocabulary(Arc::new(Vocabulary::new(64).unwrap())), "room-000002");
+        let floaters = load(
+            &source("floaters=5").with_vocabulary(Arc::new(Vocabulary::new(64).unwrap())),
+            "room-000002",
+        );
         let mask = floaters.valid_feat_mask.unwrap();
         assert!(mask.len() > 900 && mask[900..].iter().all(|valid| !valid));
     }

@@ -200,13 +200,19 @@ mod tests {
             if segment[row] < 0 {
                 added += 1;
                 let valid = after.valid_feat.as_ref().unwrap()[row];
-                assert_eq!((after.instance.as_ref().unwrap()[row], valid, feature), (-1, false, 0.0));
+                assert_eq!(
+                    (after.instance.as_ref().unwrap()[row], valid, feature),
+                    (-1, false, 0.0)
+                );
                 assert_eq!(origin[row], Sample::ADDED);
                 continue;
             }
             // Untouched by either effect: the same bits.
             let was = segment[row] as usize;
-            assert_eq!((after.coord[row], after.scale[row]), (before.coord[was], before.scale[was]));
+            assert_eq!(
+                (after.coord[row], after.scale[row]),
+                (before.coord[was], before.scale[was])
+            );
             assert_eq!((after.color[row], after.quat[row]), (before.color[was], before.quat[was]));
             assert_eq!(after.opacity[row], before.opacity[was]);
             assert_eq!(after.instance.as_ref().unwrap()[row], was as i32 + 5000);

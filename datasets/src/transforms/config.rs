@@ -1,9 +1,9 @@
 //! Steps by name.
 
 use super::{
-    CaptureEffects, CenterShift, ChromaticAutoContrast, ChromaticJitter, ChromaticTranslation, ElasticDistortion,
-    GridSample, LimitValues, RandomDropout, RandomFlip, RandomJitter, RandomRotate,
-    RandomRotateTargetAngle, RandomScale, SphereCrop,
+    CaptureEffects, CenterShift, ChromaticAutoContrast, ChromaticJitter, ChromaticTranslation,
+    ElasticDistortion, GridSample, LimitValues, RandomDropout, RandomFlip, RandomJitter,
+    RandomRotate, RandomRotateTargetAngle, RandomScale, SphereCrop,
 };
 use crate::{DataError, Transform};
 use serde::{Deserialize, Serialize};

@@ -141,7 +141,11 @@ pub(in crate::doctor) fn open_legal(path: &Path) -> Result<LoadedScene, Failure>
 }
 
 /// Reads a file in which one row needs a repair: the strict policy has to refuse it and name the row.
-pub(in crate::doctor) fn open_repaired(path: &Path, rule: Rule, row: usize) -> Result<LoadedScene, Failure> {
+pub(in crate::doctor) fn open_repaired(
+    path: &Path,
+    rule: Rule,
+    row: usize,
+) -> Result<LoadedScene, Failure> {
     let loaded = open(path, Policy::Repair)?;
     let Some(finding) = loaded.report.finding(rule) else {
         return Err(Failure(format!("no finding {rule:?} in the report: {}", loaded.report)));

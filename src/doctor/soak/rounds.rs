@@ -18,9 +18,7 @@ use scenesplat_kernels::{Precision, layer_norm, normalize, patches};
 use scenesplat_metrics::ZeroShotOptions;
 use scenesplat_rasterizer::{Gaussians, RasterSettings, RenderRequest, View, render};
 use scenesplat_rooms::{SyntheticRoomSettings, generate};
-use scenesplat_scene::{
-    GaussianScene, Policy, SceneFormat, TextTable, WriteOptions, write_scene,
-};
+use scenesplat_scene::{GaussianScene, Policy, SceneFormat, TextTable, WriteOptions, write_scene};
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -300,7 +298,9 @@ fn effects(bath: &mut Bath, rng: &mut Noise) -> Result<Outcome, Failure> {
     let hard = rng.below(3) == 0;
     let room = match hard {
         true => hard_scene(rng),
-        false => generate(&SyntheticRoomSettings::with_count(300 + rng.below(700), rng.next()))?.scene,
+        false => {
+            generate(&SyntheticRoomSettings::with_count(300 + rng.below(700), rng.next()))?.scene
+        }
     };
     let mut set = EffectSet::default();
     for effect in Effect::ALL {

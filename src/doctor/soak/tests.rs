@@ -51,10 +51,7 @@ fn what_goes_wrong_is_told() {
     // The same seed has the same rounds: what failed fails again.
     let mut bath = Bath::new(folder.path()).unwrap();
     let draw = |bath: &mut Bath, seed, round| {
-        let kind = Kind {
-            name: "draw",
-            run: |_, rng| Err(Failure(rng.next().to_string())),
-        };
+        let kind = Kind { name: "draw", run: |_, rng| Err(Failure(rng.next().to_string())) };
         once(&kind, bath, seed, round).err().unwrap().0
     };
     assert_eq!(draw(&mut bath, 7, 12), draw(&mut bath, 7, 12));

@@ -97,7 +97,10 @@ pub(super) fn compare(
     let apart = recomputed.iter().zip(&plain).map(|(got, want)| distance(got, want));
     Ok([
         check("accumulated", distance(&accumulated[0], &mean)),
-        check("recomputed", apart.fold(0.0, |most: f64, d| if d > most || d.is_nan() { d } else { most })),
+        check(
+            "recomputed",
+            apart.fold(0.0, |most: f64, d| if d > most || d.is_nan() { d } else { most }),
+        ),
     ])
 }
 

@@ -84,7 +84,10 @@ impl BatchLoader<TrainBatch> for Asked<'_, '_> {
 }
 
 /// The trainer of all runs.
-pub(super) fn trainer(module: &impl TrainingModule, config: TrainerConfig) -> Result<Trainer, Failure> {
+pub(super) fn trainer(
+    module: &impl TrainingModule,
+    config: TrainerConfig,
+) -> Result<Trainer, Failure> {
     let groups = group_by_keyword(&module.params().parameters(), 0.003, 0.05, &[]);
     let optimizer = AdamW::new(groups, AdamWConfig::default())?;
     Ok(Trainer::new(config, Box::new(optimizer), Box::new(OneCycle::default()))?)
@@ -147,7 +150,8 @@ pub(super) fn train(
 /// An error with everything behind it, without the frames that tensors add where `RUST_BACKTRACE` is set.
 pub(super) fn with_causes(error: &dyn std::error::Error) -> String {
     let text = error.to_string();
-    let words: Vec<&str> = text.lines().take_while(|l| !l.trim_start().starts_with("0: ")).collect();
+    let words: Vec<&str> =
+        text.lines().take_while(|l| !l.trim_start().starts_with("0: ")).collect();
     let text = words.join(" ");
     match error.source() {
         Some(source) => format!("{text}: {}", with_causes(source)),

@@ -34,12 +34,8 @@ fn short_trainings_pass() {
 }
 
 fn run_of(steps: u64, losses: &[f64], idle: u64, rank: f64, alarms: &[&str]) -> StabilityRun {
-    let setup = Setup {
-        precision: Precision::F32,
-        batches: Batches::Even,
-        form: Form::Plain,
-        seed: 1,
-    };
+    let setup =
+        Setup { precision: Precision::F32, batches: Batches::Even, form: Form::Plain, seed: 1 };
     let alarms = alarms.iter().map(|a| (*a).to_owned()).collect();
     StabilityRun::new(&setup, steps, losses, idle, [Some(rank), Some(0.1)], alarms, None, 1.0)
 }
