@@ -11,13 +11,18 @@ use scenesplat_scene::gaussian_scene::SH_C0;
 use scenesplat_scene::vector::dot;
 
 /// Values of a display to linear light (IEC 61966-2-1).
-fn linear(srgb: f64) -> f64 {
+pub(super) fn linear(srgb: f64) -> f64 {
     if srgb <= 0.040_45 { srgb / 12.92 } else { ((srgb + 0.055) / 1.055).powf(2.4) }
 }
 
 /// Linear light to values of a display.
 fn display(linear: f64) -> f64 {
     if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 }
+}
+
+/// How much values of a display change with linear light, there.
+pub(super) fn display_slope(linear: f64) -> f64 {
+    if linear <= 0.003_130_8 { 12.92 } else { 1.055 / 2.4 * linear.powf(1.0 / 2.4 - 1.0) }
 }
 
 /// Changes the linear light of a Gaussian's colour, which a sensor cuts at 0 and 1. The harmonics

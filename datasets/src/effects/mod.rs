@@ -11,6 +11,7 @@
 
 mod geometry;
 mod light;
+pub mod profile;
 mod set;
 pub mod strength;
 

@@ -1,0 +1,32 @@
+//! From a measure to a decision and a severity. The numbers were fitted on synthetic rooms of the seeds 0 to 39
+//! and tested on others, by `cargo run --release --example effect_thresholds` (docs/effects.md).
+
+use super::super::{Effect, MOST_SEVERE};
+
+/// How a detector's measure is read.
+pub(super) struct Scale {
+    /// The effect is there from this measure on.
+    pub(super) threshold: f64,
+    /// Strength without the effect, and what each step of severity adds to it.
+    pub(super) line: [f64; 2],
+}
+
+impl Scale {
+    /// The severity of a strength, 0 to 5.
+    pub(super) fn severity(&self, strength: f64) -> f64 {
+        // NaN, of a unit that is none, becomes 0.
+        ((strength - self.line[0]) / self.line[1]).max(0.0).min(MOST_SEVERE)
+    }
+}
+
+pub(super) fn scale(effect: Effect) -> Scale {
+    let (threshold, line) = match effect {
+        Effect::Holes => (0.0085, [0.001, 0.0105]),
+        Effect::Floaters => (0.0046, [0.0018, 0.002]),
+        Effect::Surface => (0.0078, [0.0025, 0.0042]),
+        Effect::Blur => (0.75, [0.0065, 0.0135]),
+        Effect::Light => (0.35, [0.0, 0.245]),
+        Effect::Noise => (1.3, [0.0, 1.04]),
+    };
+    Scale { threshold, line }
+}
