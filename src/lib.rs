@@ -25,6 +25,7 @@
 //! ```
 
 pub mod alignment;
+pub mod capture;
 pub mod doctor;
 pub mod embedded;
 pub mod evaluation;

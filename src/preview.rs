@@ -26,7 +26,7 @@ pub use look_at::LookAt;
 pub use orbit::{Ceiling, Orbit};
 pub use palette::{UNLABELLED_COLOR, class_color};
 pub use png::{write_png, write_png16};
-pub use rendered::{depth_steps, rendered_picture, solid_depth};
+pub use rendered::{depth_steps, picture_of, rendered_picture, solid_depth};
 pub use rows::{PreviewRows, SceneRows, SplatShapes};
 
 pub(crate) use legend::{fill, thousands};

@@ -24,7 +24,7 @@ fn main() {
         };
         show("none", 0.0, &room.scene);
         for effect in Effect::ALL {
-            for severity in [1.0, 2.0, 3.0, 5.0] {
+            for severity in [1.0, 2.0, 3.0, 4.0, 5.0] {
                 let set = EffectSet::default().with(effect, severity).unwrap();
                 show(effect.name(), severity, &simulate(&room.scene, &set, seed).unwrap().scene);
             }

@@ -8,9 +8,14 @@ const SOLID: f32 = 0.5;
 
 /// The colors of a rendered picture, cut to 0..=1 and rounded to 8 bits; `None` if it has none.
 pub fn rendered_picture(rendered: &Rendered) -> Option<RgbPicture> {
+    picture_of(rendered.rgb.as_ref()?, rendered.width, rendered.height)
+}
+
+/// Colors, cut to 0..=1 and rounded to 8 bits; `None` unless there are `3 · width · height`.
+pub fn picture_of(rgb: &[f32], width: u32, height: u32) -> Option<RgbPicture> {
     let bytes = |v: &f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
-    let rgb: Vec<u8> = rendered.rgb.as_ref()?.iter().map(bytes).collect();
-    RgbPicture::from_pixels(rendered.width, rendered.height, rgb.as_chunks::<3>().0.to_vec())
+    let rgb: Vec<u8> = rgb.iter().map(bytes).collect();
+    RgbPicture::from_pixels(width, height, rgb.as_chunks::<3>().0.to_vec())
 }
 
 /// The expected depth of a rendered picture, units of the scene; 0 where less than half of the light

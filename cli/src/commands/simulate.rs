@@ -4,7 +4,7 @@ use crate::flags::{Shared, SourceArgs, parse_up};
 use crate::session::Session;
 use crate::terminal::print;
 use anyhow::{Result, bail};
-use scenesplat::datasets::effects::{EffectSet, simulate};
+use scenesplat::datasets::effects::{EffectSet, simulate_upright};
 use scenesplat::outputs::write_scene_preview;
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
 use scenesplat::scene::formats::npy_writer::write_npy;
@@ -19,13 +19,14 @@ use std::path::PathBuf;
 pub struct Args {
     /// The scene, in any format.
     pub scene: PathBuf,
-    /// What, and how strong from 0 to 5: holes, floaters, surface, blur, light, noise; or none.
+    /// What, and how strong from 0 to 5: holes, floaters, surface, blur, glass, light,
+    /// noise; or none.
     #[arg(long, value_name = "NAME=SEVERITY,…")]
     pub effect: EffectSet,
     /// Which of the possible damages.
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub seed: u64,
-    /// Which way is up in the picture. [default: what inspect finds]
+    /// Which way is up: for glass, and in the picture. [default: what inspect finds]
     #[arg(long, value_name = "AXIS", value_parser = parse_up, allow_hyphen_values = true)]
     pub up: Option<UpAxis>,
     /// How to read the scene.
@@ -48,7 +49,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         let _stage = session.receipt.stage("simulate");
         session.receipt.setting("effect", args.effect, "what is done to the scene");
         session.receipt.setting("seed", args.seed, "which of the possible damages");
-        simulate(scene, &args.effect, args.seed)?
+        simulate_upright(scene, &args.effect, args.seed, args.up)?
     };
     for done in &found.done {
         let text = format!("{}={}: {}", done.effect.name(), done.severity, done.text);

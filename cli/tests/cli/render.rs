@@ -167,6 +167,52 @@ fn a_camera_by_flags_and_views_from_inside() {
 }
 
 #[test]
+fn effects_happen_to_pictures_and_none_changes_no_bit() {
+    let room = generate(&SyntheticRoomSettings::with_count(8_000, 3)).unwrap();
+    let place = Place::new(&room.scene);
+    let look = ["--inside", "3", "--size", "64x48", "--depth"];
+    let run = |out: &str, more: &[&str]| {
+        let output = place.render(out, &[&look[..], more].concat());
+        done(&output);
+        let bytes = |k: usize| {
+            let name = format!("inside_{k:03}.png");
+            ["", "depth"].map(|d| std::fs::read(place.path(out).join(d).join(&name)).unwrap())
+        };
+        ([bytes(0), bytes(1), bytes(2)], stderr(&output))
+    };
+    let (plain, _) = run("plain", &[]);
+    for (out, effect) in [("none", "none"), ("zero", "blur=0,glass=0,light=0,noise=0,holes=0")] {
+        assert_eq!(run(out, &["--effect", effect, "--seed", "9"]).0, plain, "{effect}");
+        assert!(!place.path(out).join("effects.json").exists());
+    }
+    let all = "blur=5,light=3,noise=2,glass=4,floaters=2";
+    let (damaged, said) = run("all", &["--effect", all, "--seed", "2"]);
+    assert!((0..3).all(|k| damaged[k] != plain[k]));
+    for part in ["blur=5: motion of up to", "K = ", "glass=4: a pane in", "light=3", "noise=2"] {
+        assert!(said.contains(part), "{part}: {said}");
+    }
+    assert!(said.contains("floaters=2: 64 Gaussians added"), "{said}");
+    let receipt = std::fs::read_to_string(place.path("all/receipt.json")).unwrap();
+    assert!(receipt.contains("renders for 3 pictures") && receipt.contains("motion of up to"));
+    let text = std::fs::read_to_string(place.path("all/effects.json")).unwrap();
+    let frames: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let frames = frames["pictures"].as_array().unwrap().clone();
+    assert_eq!(frames.len(), 3);
+    for frame in &frames {
+        let pixels = frame["blur_pixels"].as_f64().unwrap();
+        assert_eq!(frame["poses"].as_f64().unwrap(), pixels.ceil().clamp(1.0, 16.0));
+        let glass = f64::from(u8::from(frame["glass_share"].as_f64().unwrap() > 0.0));
+        let renders = frame["renders"].as_f64().unwrap();
+        assert_eq!(renders, frame["poses"].as_f64().unwrap() + glass);
+    }
+    // Noise alone leaves depth as it was; the same seed makes the same pictures.
+    let (noisy, _) = run("noise", &["--effect", "noise=3"]);
+    assert!((0..3).all(|k| noisy[k][0] != plain[k][0] && noisy[k][1] == plain[k][1]));
+    assert_eq!(run("again", &["--effect", "noise=3", "--threads", "1"]).0, noisy);
+    assert_ne!(run("other", &["--effect", "noise=3", "--seed", "1"]).0, noisy);
+}
+
+#[test]
 fn names_keep_their_dots() {
     let place = Place::new(&sphere());
     let cameras = place.cameras(&[camera("left/frame.0001"), camera("left/frame.0002.png")]);
@@ -189,7 +235,7 @@ fn wrong_use_is_said() {
         [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}"#;
     std::fs::write(&transforms, text).unwrap();
     let cameras = place.cameras(&[camera("a.jpg")]);
-    let cases: [(&[&str], i32, &str); 13] = [
+    let cases: [(&[&str], i32, &str); 15] = [
         (&["--eye", "0,0,7"], 2, "--target"),
         (&["--target", "0,0,7"], 2, "--eye"),
         (&["--eye", "1,2,3", "--target", "1,2,3"], 2, "looks nowhere"),
@@ -203,6 +249,8 @@ fn wrong_use_is_said() {
         (&["--background", "1,2,3"], 2, "0 to 1"),
         (&["--cameras", transforms.to_str().unwrap()], 1, "fisheye"),
         (&["--size", "70000x4"], 2, "65535"),
+        (&["--effect", "blurr=2"], 2, "blur, glass, light, noise"),
+        (&["--effect", "blur=7"], 2, "0 to 5"),
     ];
     for (more, code, said) in cases {
         let output = place.render("out", more);

@@ -45,7 +45,7 @@ fn effects_are_those_of_the_library_and_none_changes_nothing() {
 #[test]
 fn wrong_effects_are_refused_by_name() {
     for (effect, part) in [
-        ("hole=1", "holes, floaters, surface, blur, light, noise"),
+        ("hole=1", "holes, floaters, surface, blur, glass, light, noise"),
         ("holes=6", "0 to 5"),
         ("holes=1,holes=1", "twice"),
     ] {

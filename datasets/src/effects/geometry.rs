@@ -83,6 +83,30 @@ fn median(mut values: Vec<f64>) -> f64 {
     *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
+/// Takes a Gaussian's labels away.
+pub(super) fn without_label(scene: &mut GaussianScene, row: usize) {
+    if let Some(segment) = &mut scene.segment {
+        segment[row] = -1;
+    }
+    if let Some(score) = &mut scene.segment_score {
+        score[row] = 0.0;
+    }
+    if let Some(instance) = &mut scene.instance {
+        instance[row] = -1;
+    }
+    if let Some(valid) = &mut scene.valid_feat_mask {
+        valid[row] = false;
+    }
+}
+
+/// Says which features are none, where rows from `first` on were added: without a mask, what was never
+/// seen would count as having one.
+pub(super) fn mask_added(scene: &mut GaussianScene, first: usize) {
+    if let (Some(_), None) = (&scene.lang_feat, &scene.valid_feat_mask) {
+        scene.valid_feat_mask = Some((0..scene.len()).map(|row| row < first).collect());
+    }
+}
+
 /// Adds Gaussians between the middle of the scene and its surfaces.
 pub(super) fn floaters(
     out: &mut Simulated,
@@ -121,23 +145,9 @@ pub(super) fn floaters(
         if let Some(normal) = &mut scene.normal {
             normal[row] = any;
         }
-        if let Some(segment) = &mut scene.segment {
-            segment[row] = -1;
-        }
-        if let Some(score) = &mut scene.segment_score {
-            score[row] = 0.0;
-        }
-        if let Some(instance) = &mut scene.instance {
-            instance[row] = -1;
-        }
-        if let Some(valid) = &mut scene.valid_feat_mask {
-            valid[row] = false;
-        }
+        without_label(&mut scene, row);
     }
-    // Without a mask, what was never seen would count as having a feature.
-    if let (Some(_), None) = (&scene.lang_feat, &scene.valid_feat_mask) {
-        scene.valid_feat_mask = Some((0..rows + count).map(|row| row < rows).collect());
-    }
+    mask_added(&mut scene, rows);
     out.scene = scene;
     out.source.extend(std::iter::repeat_n(None, count));
     Ok((count, format!("{count} Gaussians added in the air")))

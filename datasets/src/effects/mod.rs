@@ -1,5 +1,5 @@
 //! What captures do to scenes, on demand: parts that nobody saw, floaters, rough surfaces, motion blur,
-//! drifting light, noise.
+//! glass, drifting light, noise. And to [`pictures`] of scenes.
 //!
 //! An effect that is absent costs nothing and changes nothing: the empty set gives the scene as it was,
 //! bit for bit. Random numbers belong to (seed, effect, Gaussian or part), so one effect never
@@ -10,16 +10,21 @@
 //! our own, in [`strength`].
 
 mod geometry;
+mod glass;
 mod light;
+pub mod linear;
+pub mod pane;
+pub mod pictures;
 pub mod profile;
 mod set;
 pub mod strength;
 
+pub use pane::{Pane, Wall, largest_wall};
 pub use set::{Effect, EffectError, EffectSet, MOST_SEVERE};
 
 use crate::rng::SampleRng;
 use scenesplat_kernels::random::purpose_rng;
-use scenesplat_scene::{GaussianScene, SceneError};
+use scenesplat_scene::{GaussianScene, SceneError, UpAxis};
 
 /// Purposes of random numbers from here on are those of effects.
 const FIRST_PURPOSE: u8 = 64;
@@ -67,10 +72,18 @@ fn rng(seed: u64, effect: Effect, index: u64) -> SampleRng {
     purpose_rng(FIRST_PURPOSE + effect as u8, seed, 0, index)
 }
 
+/// The random numbers of a part of an effect on the picture with that number.
+fn frame_rng(seed: u64, effect: Effect, frame: u64, part: u64) -> SampleRng {
+    // Epoch 0 is the scene's.
+    purpose_rng(FIRST_PURPOSE + effect as u8, seed, frame.wrapping_add(1), part)
+}
+
 /// Applies effects to a scene, in the order of [`Effect::ALL`].
 ///
 /// Labelled points, which are no Gaussians, stay as they are. Values that are not finite stay, too.
 /// Higher spherical harmonics keep their directions; `light` and `noise` scale them with the colour.
+///
+/// `glass` takes for up what the scene looks like ([`guess_up`](scenesplat_scene::guess_up)).
 ///
 /// # Errors
 /// If the scene's arrays do not match.
@@ -78,6 +91,19 @@ pub fn simulate(
     scene: &GaussianScene,
     effects: &EffectSet,
     seed: u64,
+) -> Result<Simulated, SceneError> {
+    simulate_upright(scene, effects, seed, None)
+}
+
+/// As [`simulate`], where it may be known which way is up.
+///
+/// # Errors
+/// As [`simulate`].
+pub fn simulate_upright(
+    scene: &GaussianScene,
+    effects: &EffectSet,
+    seed: u64,
+    up: Option<UpAxis>,
 ) -> Result<Simulated, SceneError> {
     scene.check_rows()?;
     let mut out = Simulated {
@@ -91,6 +117,7 @@ pub fn simulate(
             Effect::Floaters => geometry::floaters(&mut out, severity, seed)?,
             Effect::Surface => geometry::surface(&mut out, severity, seed),
             Effect::Blur => geometry::blur(&mut out, severity, seed),
+            Effect::Glass => glass::glass(&mut out, severity, seed, up)?,
             Effect::Light => light::light(&mut out.scene, severity, seed),
             Effect::Noise => light::noise(&mut out, severity, seed),
         };

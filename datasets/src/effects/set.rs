@@ -23,12 +23,21 @@ pub enum Effect {
     Light = 4,
     /// Noise of the sensor.
     Noise = 5,
+    /// Panes that let light through and reflect some.
+    Glass = 6,
 }
 
 impl Effect {
-    /// All of them, in the order in which they are applied: geometry, motion, light, sensor.
-    pub const ALL: [Self; 6] =
-        [Self::Holes, Self::Floaters, Self::Surface, Self::Blur, Self::Light, Self::Noise];
+    /// All of them, in the order in which they are applied: geometry, motion, glass, light, sensor.
+    pub const ALL: [Self; 7] = [
+        Self::Holes,
+        Self::Floaters,
+        Self::Surface,
+        Self::Blur,
+        Self::Glass,
+        Self::Light,
+        Self::Noise,
+    ];
 
     /// Name in texts.
     pub fn name(self) -> &'static str {
@@ -39,6 +48,7 @@ impl Effect {
             Self::Blur => "blur",
             Self::Light => "light",
             Self::Noise => "noise",
+            Self::Glass => "glass",
         }
     }
 }
@@ -46,7 +56,7 @@ impl Effect {
 /// Effects with their severities, as text `holes=3,blur=1.5`; `none` is the empty set.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct EffectSet {
-    severity: [f64; Effect::ALL.len()],
+    pub(super) severity: [f64; Effect::ALL.len()],
 }
 
 /// A text that is no set of effects.

@@ -18,3 +18,14 @@ pub const LIGHT_BALANCE: f64 = 0.02;
 pub const NOISE_READ: f64 = 0.002;
 /// Standard deviation of noise at full light, which grows with the root of it.
 pub const NOISE_SHOT: f64 = 0.01;
+/// Part of the largest upright plane that is a pane of glass.
+pub const GLASS_SHARE: f64 = 0.12;
+/// Part of the light that a pane takes in.
+pub const GLASS_ALPHA: f64 = 0.06;
+/// In pictures: standard deviation of the turn of a camera during an exposure, about each of its two axes
+/// across the view, degrees. A tenth is a pixel of a picture 640 wide that shows 60°.
+pub const BLUR_DEGREES: f64 = 0.1;
+/// In pictures: standard deviation of the logarithm of the exposure from picture to picture.
+pub const LIGHT_LOG_GAIN: f64 = 0.1;
+/// In pictures: part of the automatic exposure that a camera does.
+pub const LIGHT_AUTOMATIC: f64 = 0.2;

@@ -39,7 +39,8 @@ fn nothing_is_the_scene_itself() {
         assert!(out.source.iter().enumerate().all(|(row, source)| *source == Some(row)));
     }
     let empty = GaussianScene::default();
-    let all: EffectSet = "holes=5,floaters=5,surface=5,blur=5,light=5,noise=5".parse().unwrap();
+    let all: EffectSet =
+        "holes=5,floaters=5,surface=5,blur=5,glass=5,light=5,noise=5".parse().unwrap();
     assert_eq!(simulate(&empty, &all, 1).unwrap().scene, empty);
 }
 
@@ -199,7 +200,8 @@ fn hard_values_stay_and_nothing_else_becomes_one() {
     scene.sh_dc[11] = [f32::NAN, 1e30, -1e30];
     // All in one place.
     (100..200).for_each(|row| scene.coord[row] = [0.5; 3]);
-    let all: EffectSet = "holes=5,floaters=5,surface=5,blur=5,light=5,noise=5".parse().unwrap();
+    let all: EffectSet =
+        "holes=5,floaters=5,surface=5,blur=5,glass=5,light=5,noise=5".parse().unwrap();
     let out = simulate(&scene, &all, 1).unwrap();
     let at = |source: usize| out.source.iter().position(|s| *s == Some(source));
     assert!(at(5).is_some(), "what is nowhere is in no hole");

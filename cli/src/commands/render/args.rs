@@ -3,6 +3,7 @@
 use super::parse::{parse_color, parse_fov, parse_point, parse_size};
 use crate::flags::{Shared, SourceArgs, parse_positive, parse_up};
 use clap::ValueEnum;
+use scenesplat::datasets::effects::EffectSet;
 use scenesplat::rasterizer::RasterSettings;
 use scenesplat::scene::UpAxis;
 use std::path::PathBuf;
@@ -64,6 +65,14 @@ pub struct Args {
     /// auto leaves out what the scene does not have; full computes everything.
     #[arg(long, value_enum, default_value_t = PlanArg::Auto)]
     pub plan: PlanArg,
+    /// What a bad capture does, and how strong from 0 to 5: blur, glass, light, noise happen to the
+    /// pictures; holes, floaters, surface to the scene before. Lengths are metres. Also writes
+    /// effects.json, what became of each picture.
+    #[arg(long, value_name = "NAME=SEVERITY,…", default_value = "none")]
+    pub effect: EffectSet,
+    /// Which of the possible damages.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub seed: u64,
     /// Which way is up for --orbit, --inside and --eye; judged by the scene if not given.
     #[arg(long, value_name = "AXIS", value_parser = parse_up, allow_hyphen_values = true)]
     pub up: Option<UpAxis>,

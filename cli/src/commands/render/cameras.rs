@@ -13,6 +13,8 @@ use std::path::Path;
 pub(super) struct Shot {
     pub(super) name: String,
     pub(super) camera: Camera,
+    /// Its number among all cameras, chosen or not.
+    pub(super) index: usize,
 }
 
 /// All pictures to take.
@@ -48,7 +50,8 @@ pub(super) fn read(path: &Path, args: &Args) -> Result<Shots> {
                 name = format!("{name}_{index:05}");
                 taken.insert(name.clone());
             }
-            Shot { name, camera: args.size.map_or(camera.clone(), |size| resized(camera, size)) }
+            let camera = args.size.map_or(camera.clone(), |size| resized(camera, size));
+            Shot { name, camera, index }
         })
         .collect();
     Ok(Shots { list, near: None, ceiling: None, notes: set.notes })

@@ -13,10 +13,11 @@ const ORBIT_SIZE: [u32; 2] = [640, 480];
 /// The cameras that the flags ask for.
 pub(super) fn of_scene(scene: &GaussianScene, up: UpAxis, args: &Args) -> Result<Shots> {
     let size = args.size.unwrap_or(ORBIT_SIZE);
-    let plain = |cameras: Vec<Camera>| {
-        let shot = |camera: Camera| Shot { name: camera.name.clone(), camera };
-        let list = cameras.into_iter().map(shot).collect();
-        Shots { list, near: None, ceiling: None, notes: Vec::new() }
+    let plain = |cameras: Vec<Camera>| Shots {
+        list: numbered(cameras),
+        near: None,
+        ceiling: None,
+        notes: Vec::new(),
     };
     if let (Some(eye), Some(target)) = (args.eye, args.target) {
         let look = LookAt { eye, target, fov: args.fov.unwrap_or(60.0) };
@@ -36,6 +37,11 @@ pub(super) fn of_scene(scene: &GaussianScene, up: UpAxis, args: &Args) -> Result
     Ok(around(scene, up, args))
 }
 
+fn numbered(cameras: Vec<Camera>) -> Vec<Shot> {
+    let shot = |(index, camera): (usize, Camera)| Shot { name: camera.name.clone(), camera, index };
+    cameras.into_iter().enumerate().map(shot).collect()
+}
+
 /// Cameras around a scene.
 fn around(scene: &GaussianScene, up: UpAxis, args: &Args) -> Shots {
     let count = usize::from(args.orbit.unwrap_or(4));
@@ -47,11 +53,5 @@ fn around(scene: &GaussianScene, up: UpAxis, args: &Args) -> Shots {
     if orbit.near.is_some() {
         notes.push("a closed room: ceiling and near walls are left out".to_owned());
     }
-    let shot = |camera: Camera| Shot { name: camera.name.clone(), camera };
-    Shots {
-        list: orbit.cameras.into_iter().map(shot).collect(),
-        near: orbit.near,
-        ceiling: orbit.ceiling,
-        notes,
-    }
+    Shots { list: numbered(orbit.cameras), near: orbit.near, ceiling: orbit.ceiling, notes }
 }

@@ -2,6 +2,7 @@
 
 mod args;
 mod cameras;
+mod effects;
 mod free;
 mod parse;
 
@@ -12,12 +13,13 @@ pub use args::Args;
 use args::PlanArg;
 use cameras::{Shot, Shots};
 use clap::ValueEnum;
-use scenesplat::preview::{
-    depth_picture, depth_steps, rendered_picture, solid_depth, write_png, write_png16,
-};
+use effects::Effects;
+use scenesplat::capture::ScenePictures;
+use scenesplat::datasets::effects::pictures::DrawnPicture;
+use scenesplat::preview::{depth_picture, depth_steps, picture_of, write_png, write_png16};
 use scenesplat::rasterizer::{
     DepthRequest, Gaussians, PlanRequest, Prepared, RasterSettings, RenderPlan, RenderRequest,
-    Rendered, SceneProfile, View,
+    SceneProfile,
 };
 use scenesplat::scene::{GaussianScene, ReadOptions, guess_up};
 
@@ -34,35 +36,38 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     session.make_out(&[])?;
     let options = ReadOptions { sh_rest: true, ..args.source.options() };
     let scene = session.open_with(&args.scene, &options)?.loaded.scene;
+    let up = || args.up.unwrap_or_else(|| guess_up(&scene).axis);
     let shots = match read {
         Some(shots) => shots,
-        None => {
-            let up = args.up.unwrap_or_else(|| guess_up(&scene).axis);
-            free::of_scene(&scene, up, args)?
-        }
+        None => free::of_scene(&scene, up(), args)?,
     };
-    let names: Vec<String> = shots.list.iter().map(|shot| format!("{}.png", shot.name)).collect();
+    let mut names: Vec<String> =
+        shots.list.iter().map(|shot| format!("{}.png", shot.name)).collect();
+    if !args.effect.split_for_pictures().1.is_empty() {
+        names.push("effects.json".to_owned());
+    }
     session.make_out(&names.iter().map(String::as_str).collect::<Vec<_>>())?;
     for note in &shots.notes {
         session.progress.say(note);
     }
-    let prepared = prepare(&session, args, scene, &shots)?;
+    let (scene, mut effects) = Effects::on(&session, args, scene, &shots)?;
+    let prepared = prepare(&session, args, scene, &shots, effects.needs_depth())?;
+    let pictures = ScenePictures::new(&prepared);
     let _stage = session.receipt.stage("render");
-    let request = prepared.plan().request.render;
     let (mut lost, mut empty) = (0, Vec::new());
     for (k, shot) in shots.list.iter().enumerate() {
         session.check_stop()?;
         let done = k as f64 / shots.list.len() as f64;
         session.progress.advance(&format!("render {}", shot.name), done);
-        let view = View::from_camera(&shot.camera)?;
-        let picture = prepared.render(&view, &request)?;
+        let picture = effects.take(&pictures, shot)?;
         lost += write(&session, args, shot, &picture)?;
-        if picture.work.visible == 0 {
+        if pictures.take_visible() == 0 {
             empty.push(shot.name.as_str());
         }
     }
     session.progress.finish();
     drop(_stage);
+    effects.tell(&session)?;
     if let Some(first) = empty.first() {
         let text = format!(
             "{} of {} pictures show no Gaussian, {first} first; are the cameras in the frame of the \
@@ -89,6 +94,7 @@ fn prepare(
     args: &Args,
     scene: GaussianScene,
     shots: &Shots,
+    needs_depth: bool,
 ) -> Result<Prepared> {
     let _stage = session.receipt.stage("plan");
     let mut gaussians = Gaussians::from_scene(&scene)?;
@@ -104,10 +110,10 @@ fn prepare(
     let settings = RasterSettings {
         antialiased: args.antialiased,
         background: args.background,
-        near: shots.near.map_or(preset.near, |near| preset.near.max(near as f32)),
+        near: near(args, shots),
         ..preset
     };
-    let depth = DepthRequest { expected: args.depth, ..DepthRequest::default() };
+    let depth = DepthRequest { expected: args.depth || needs_depth, ..DepthRequest::default() };
     let request = PlanRequest::new(RenderRequest { depth, ..RenderRequest::rgb() });
     let profile = SceneProfile::scan(&gaussians)?;
     let plan = match args.plan {
@@ -125,19 +131,25 @@ fn prepare(
     Ok(plan.prepare(gaussians)?)
 }
 
+/// Depth from which on Gaussians are drawn.
+fn near(args: &Args, shots: &Shots) -> f32 {
+    let preset = args.preset.settings().near;
+    shots.near.map_or(preset, |near| preset.max(near as f32))
+}
+
 /// Writes the pictures of a camera; gives the number of depths that do not fit.
-fn write(session: &Session<'_>, args: &Args, shot: &Shot, picture: &Rendered) -> Result<usize> {
-    let (width, height) = (picture.width, picture.height);
+fn write(session: &Session<'_>, args: &Args, shot: &Shot, picture: &DrawnPicture) -> Result<usize> {
+    let (width, height) = (shot.camera.width, shot.camera.height);
     let path = session.out(&format!("{}.png", shot.name))?;
-    let rgb = rendered_picture(picture).context("a picture has three channels")?;
+    let rgb = picture_of(&picture.rgb, width, height).context("a picture has three channels")?;
     session.wrote(&path, write_png(&path, &rgb)?);
-    let depth = solid_depth(picture).filter(|_| args.depth);
+    let depth = picture.depth.as_ref().filter(|_| args.depth);
     let Some(depth) = depth else { return Ok(0) };
     let inside = |folder: &str| session.out(&format!("{folder}/{}.png", shot.name));
-    let (steps, lost) = depth_steps(&depth, args.depth_scale);
+    let (steps, lost) = depth_steps(depth, args.depth_scale);
     let path = inside("depth")?;
     session.wrote(&path, write_png16(&path, &steps, [width, height])?);
     let path = inside("depth_color")?;
-    session.wrote(&path, write_png(&path, &depth_picture(&depth, width, height))?);
+    session.wrote(&path, write_png(&path, &depth_picture(depth, width, height))?);
     Ok(lost)
 }

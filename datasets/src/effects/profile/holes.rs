@@ -26,7 +26,7 @@ pub(super) fn measure(table: &Table<'_>, planes: &[Large], metres: f64) -> Outco
         table.rows.iter().map(|&row| table.scene.coord[row as usize].map(f64::from)).collect();
     let areas: Vec<[f64; 2]> = planes
         .par_iter()
-        .filter(|plane| plane.behind(&rows, diagonal) <= BEHIND)
+        .filter(|plane| plane.beyond(&rows, diagonal).len() as f64 <= BEHIND * rows.len() as f64)
         .map(|plane| plane.gaps(&rows, diagonal).map(|area| metres * metres * area))
         .collect();
     let (gaps, all) = areas.iter().fold((0.0, 0.0), |(g, a), v| (g + v[0], a + v[1]));
@@ -47,15 +47,6 @@ pub(super) fn measure(table: &Table<'_>, planes: &[Large], metres: f64) -> Outco
 }
 
 impl Large {
-    /// The share of the Gaussians on the side of the plane where there are fewer.
-    pub(super) fn behind(&self, rows: &[[f64; 3]], diagonal: f64) -> f64 {
-        let beyond = |sign: f64| {
-            let far = |row: &&[f64; 3]| sign * (dot(self.axes[2], **row) - self.offset) > THICK * diagonal;
-            rows.iter().filter(far).count()
-        };
-        beyond(1.0).min(beyond(-1.0)) as f64 / rows.len().max(1) as f64
-    }
-
     /// Areas of the gaps, and of the surface with them, in units of the scene.
     fn gaps(&self, rows: &[[f64; 3]], diagonal: f64) -> [f64; 2] {
         let on: Vec<[f64; 2]> = rows

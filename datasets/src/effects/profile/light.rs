@@ -4,7 +4,7 @@
 //! light are explained by one gradient, robustly. Texture, shading and shadows have none that holds for
 //! all surfaces.
 
-use super::super::light::linear;
+use super::super::linear::linear;
 use super::noise::color;
 use super::table::{Patch, Plane, Table, quantile_of, scramble};
 use super::{Figure, Measured, Outcome};

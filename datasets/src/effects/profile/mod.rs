@@ -14,6 +14,7 @@
 mod blur;
 mod evidence;
 mod floaters;
+mod glass;
 mod holes;
 pub mod isolation;
 mod light;
@@ -74,6 +75,7 @@ pub fn profile(scene: &GaussianScene, metres_per_unit: f64) -> EffectProfile {
             Effect::Floaters => floaters::measure(table),
             Effect::Surface => surface::measure(table, metres_per_unit),
             Effect::Blur => blur::measure(table, metres_per_unit),
+            Effect::Glass => glass::measure(table, &planes),
             Effect::Light => light::measure(table),
             Effect::Noise => noise::measure(table),
         }

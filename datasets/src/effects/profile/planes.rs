@@ -88,3 +88,14 @@ fn mean_axes(of: [[f64; 3]; 3], normals: impl Iterator<Item = [f64; 3]>) -> [[f6
     [first, cross(normal, first), normal]
 }
 
+impl Large {
+    /// The places behind it: on the side where there are fewer, the first if there are as many on both.
+    pub(super) fn beyond(&self, places: &[[f64; 3]], diagonal: f64) -> Vec<usize> {
+        let height = |i: usize| dot(self.axes[2], places[i]) - self.offset;
+        let side = |sign: f64| -> Vec<usize> {
+            (0..places.len()).filter(|&i| sign * height(i) > THICK * diagonal).collect()
+        };
+        let [a, b] = [side(1.0), side(-1.0)];
+        if b.len() < a.len() { b } else { a }
+    }
+}

@@ -3,19 +3,20 @@
 use super::table::{Table, quantile_of};
 use super::{FEWEST_PATCHES, Figure, Measured, Outcome};
 
-/// The smoother patches are those of walls and floors; furniture is curved.
-const SHARE: f64 = 0.3;
+/// The smoothest patches are those of walls and floors; furniture is curved and has edges.
+const SHARE: f64 = 0.1;
 
 pub(super) fn measure(table: &Table<'_>, metres: f64) -> Outcome {
-    let rough: Vec<f64> = table.flat().map(|(_, plane)| metres * plane.rough).collect();
+    let rough: Vec<f64> = 
+        table.patches.iter().map(|p| metres * p.rough).filter(|r| !r.is_nan()).collect();
     let Some(scatter) = quantile_of(rough.iter().copied(), SHARE) else {
-        return Err("there are no flat patches");
+        return Err("Gaussians lie on lines, or there are too few");
     };
     if rough.len() < FEWEST_PATCHES {
-        return Err("there are too few flat patches");
+        return Err("Gaussians lie on lines, or there are too few");
     }
     let middle = quantile_of(rough.iter().copied(), 0.5).unwrap_or(scatter);
-    let flat = rough.len() as f64 / table.patches.len() as f64;
+    let flat = table.flat().count() as f64 / table.patches.len() as f64;
     Ok(Measured {
         measure: Figure::new("scatter", scatter, "m"),
         more: vec![

@@ -27,6 +27,9 @@ pub(super) struct Patch {
     pub(super) near: Vec<u32>,
     /// Distance to the fourth neighbour.
     pub(super) fourth: f32,
+    /// Standard deviation of the centres across the plane of least squares, in units of the scene; NaN where
+    /// the patch has no plane: too few of them, or all on a line.
+    pub(super) rough: f64,
     /// The plane through the patch; `None` where the patch is no piece of a surface.
     pub(super) plane: Option<Plane>,
 }
@@ -36,8 +39,6 @@ pub(super) struct Patch {
 pub(super) struct Plane {
     /// Two directions in it, then the normal; each of length 1.
     pub(super) axes: [[f64; 3]; 3],
-    /// Standard deviation of the centres across it, in units of the scene.
-    pub(super) rough: f64,
 }
 
 /// What detectors look at.
@@ -124,19 +125,21 @@ pub(super) fn scramble(i: u64) -> u64 {
 }
 
 fn patch(coord: &[[f32; 3]], rows: &[u32], of: usize, near: &[Neighbor]) -> Patch {
+    let (rough, plane) = plane(coord, of, near);
     Patch {
         row: rows[of],
         near: near.iter().map(|n| rows[n.row as usize]).collect(),
         fourth: near.get(NEIGHBOUR).map_or(0.0, |n| n.distance_squared.sqrt() as f32),
-        plane: plane(coord, of, near),
+        rough,
+        plane,
     }
 }
 
-/// The plane of least squares through a patch, if it is flat.
-fn plane(coord: &[[f32; 3]], of: usize, near: &[Neighbor]) -> Option<Plane> {
+/// The deviation from the plane of least squares through a patch, and that plane if the patch is flat.
+fn plane(coord: &[[f32; 3]], of: usize, near: &[Neighbor]) -> (f64, Option<Plane>) {
     let n = near.len() as f64;
     if near.len() < NEAR / 2 {
-        return None;
+        return (f64::NAN, None);
     }
     // Relative to one point, so that coordinates far from the origin keep their digits.
     let from = |row: u32| -> [f64; 3] {
@@ -161,11 +164,11 @@ fn plane(coord: &[[f32; 3]], of: usize, near: &[Neighbor]) -> Option<Plane> {
     let mut order = [0, 1, 2];
     order.sort_by(|&a, &b| values[b].total_cmp(&values[a]));
     let [_, middle, least] = order.map(|i| values[i].max(0.0));
-    if !(middle > 0.0 && least <= FLAT * FLAT * middle && middle.is_finite()) {
-        return None;
+    if !(middle > 0.0 && middle.is_finite()) {
+        return (f64::NAN, None);
     }
     let axes: [[f64; 3]; 3] = order.map(|i| std::array::from_fn(|a| vectors[a][i]));
-    Some(Plane { axes, rough: least.sqrt() })
+    (least.sqrt(), (least <= FLAT * FLAT * middle).then_some(Plane { axes }))
 }
 
 /// The covariance of a Gaussian in the plane of a patch: along the first axis, between, along the second.

@@ -21,12 +21,13 @@ impl Scale {
 
 pub(super) fn scale(effect: Effect) -> Scale {
     let (threshold, line) = match effect {
-        Effect::Holes => (0.0085, [0.001, 0.0105]),
+        Effect::Holes => (0.009, [0.001, 0.0105]),
         Effect::Floaters => (0.0046, [0.0018, 0.002]),
-        Effect::Surface => (0.0078, [0.0025, 0.0042]),
+        Effect::Surface => (0.0068, [0.002, 0.0036]),
         Effect::Blur => (0.75, [0.0065, 0.0135]),
-        Effect::Light => (0.35, [0.0, 0.245]),
-        Effect::Noise => (1.3, [0.0, 1.04]),
+        Effect::Glass => (0.0043, [0.0, 0.0045]),
+        Effect::Light => (0.36, [0.0, 0.245]),
+        Effect::Noise => (1.4, [0.0, 1.04]),
     };
     Scale { threshold, line }
 }
