@@ -15,6 +15,7 @@ mod light;
 pub mod linear;
 pub mod pane;
 pub mod pictures;
+pub mod plan;
 pub mod profile;
 mod set;
 pub mod strength;

@@ -18,6 +18,7 @@ const THINNER: usize = 1;
 const IN_PLANE: f64 = 0.75;
 
 pub(super) fn measure(table: &Table<'_>, metres: f64) -> Outcome {
+    table.has_surfaces()?;
     let flat: Vec<_> = table.flat().collect();
     let excess: Vec<f64> = flat
         .par_iter()

@@ -1,7 +1,7 @@
 //! What was found, in numbers and words.
 
 use super::super::Effect;
-use super::thresholds::scale;
+use super::thresholds::{LEAST_SEVERITY, scale};
 use super::{Measured, Outcome};
 use serde::ser::{SerializeMap, SerializeStruct};
 use serde::{Serialize, Serializer};
@@ -27,6 +27,8 @@ pub struct EffectEvidence {
     pub present: bool,
     /// How strong it is, 0 to 5 on the scale of [`simulate`](super::super::simulate); 0 if it is not there.
     pub severity: f64,
+    /// The severity if it were there: what the evidence alone says.
+    pub strength: f64,
     /// The number that decides; `None` where nothing could be measured.
     pub measure: Option<Figure>,
     /// The effect is there from this value of the measure on.
@@ -77,15 +79,24 @@ impl EffectEvidence {
             Ok(measured) => measured,
             Err(why) => {
                 let text = format!("not judged: {why}");
-                let (present, severity, more) = (false, 0.0, Vec::new());
-                return Self { effect, present, severity, measure: None, threshold, more, text };
+                return Self {
+                    effect,
+                    present: false,
+                    severity: 0.0,
+                    strength: 0.0,
+                    measure: None,
+                    threshold,
+                    more: Vec::new(),
+                    text,
+                };
             }
         };
-        let present = measure.value >= threshold;
-        let severity = if present { scale.severity(strength) } else { 0.0 };
+        let strength = scale.severity(strength);
+        let present = measure.value >= threshold && strength >= LEAST_SEVERITY;
+        let severity = if present { strength } else { 0.0 };
         let off = Figure { value: threshold, ..measure.clone() };
         let text = format!("{} {measure}, off below {off}", words(effect));
-        Self { effect, present, severity, measure: Some(measure), threshold, more, text }
+        Self { effect, present, severity, strength, measure: Some(measure), threshold, more, text }
     }
 }
 

@@ -1,8 +1,10 @@
 //! Floaters: Gaussians around which there is neither a surface nor company.
 //!
 //! Looser than [`isolation`](super::isolation), which has to be right about each Gaussian: floaters that are
-//! each other's neighbours count, and so do large ones. A share of a scene is judged, not a row.
+//! each other's neighbours count, and so do large ones. A share of a scene is judged, not a row; and only
+//! where surfaces are what there is, as in rooms: fur and leaves have neither.
 
+use super::planes::Shell;
 use super::table::{Table, quantile_of};
 use super::{Figure, Measured, Outcome};
 
@@ -10,7 +12,8 @@ use super::{Figure, Measured, Outcome};
 /// surface: walls are often sampled more sparsely than what stands before them.
 const FAR: f64 = 2.75;
 
-pub(super) fn measure(table: &Table<'_>) -> Outcome {
+pub(super) fn measure(table: &Table<'_>, shell: &Shell) -> Outcome {
+    shell.is_room()?;
     let scene = table.scene;
     if table.spacing <= 0.0 {
         return Err("most Gaussians stand where another one stands");

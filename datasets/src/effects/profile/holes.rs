@@ -5,13 +5,12 @@
 //! ceiling) there is no gap; of curved surfaces, and of planes inside the scene, where several things of one
 //! height leave gaps between them, nothing is said.
 
-use super::planes::{Large, THICK};
-use super::table::{Table, quantile_of};
+use super::planes::{Large, Shell, THICK};
+use super::table::quantile_of;
 use super::{Figure, Measured, Outcome};
-use rayon::prelude::*;
 use scenesplat_scene::vector::dot;
 
-/// A plane bounds the scene if at most this share of the Gaussians is behind it.
+/// Gaps are looked for in planes with at most this share of the Gaussians behind them.
 const BEHIND: f64 = 0.03;
 /// Gaussians that a cell should hold.
 const PER_CELL: f64 = 10.0;
@@ -20,27 +19,24 @@ const MOST_CELLS: usize = 256;
 /// Of eight directions, in so many the surface goes on around a gap.
 const AROUND: usize = 6;
 
-pub(super) fn measure(table: &Table<'_>, planes: &[Large], metres: f64) -> Outcome {
-    let diagonal = table.bounds.diagonal();
-    let rows: Vec<[f64; 3]> =
-        table.rows.iter().map(|&row| table.scene.coord[row as usize].map(f64::from)).collect();
-    let areas: Vec<[f64; 2]> = planes
-        .par_iter()
-        .filter(|plane| plane.beyond(&rows, diagonal).len() as f64 <= BEHIND * rows.len() as f64)
-        .map(|plane| plane.gaps(&rows, diagonal).map(|area| metres * metres * area))
-        .collect();
+pub(super) fn measure(shell: &Shell, metres: f64) -> Outcome {
+    shell.is_room()?;
+    let square = metres * metres;
+    let areas: Vec<[f64; 2]> =
+        shell.walls.iter().filter(|w| w.share_behind <= BEHIND).map(|w| w.areas).collect();
     let (gaps, all) = areas.iter().fold((0.0, 0.0), |(g, a), v| (g + v[0], a + v[1]));
     if all <= 0.0 {
-        return Err("no large flat surface bounds the scene");
+        return Err("something stands behind every large flat surface");
     }
     let widest = areas.iter().map(|v| v[0]).fold(0.0, f64::max);
     Ok(Measured {
         measure: Figure::new("gap_share", gaps / all, ""),
         more: vec![
-            Figure::new("gap_area", gaps, "m²"),
-            Figure::new("gap_area_of_one_plane", widest, "m²"),
-            Figure::new("area", all, "m²"),
+            Figure::new("gap_area", square * gaps, "m²"),
+            Figure::new("gap_area_of_one_plane", square * widest, "m²"),
+            Figure::new("area", square * all, "m²"),
             Figure::new("planes", areas.len() as f64, ""),
+            Figure::new("area_over_box", shell.share_of_box, ""),
         ],
         strength: gaps / all,
     })
@@ -48,7 +44,7 @@ pub(super) fn measure(table: &Table<'_>, planes: &[Large], metres: f64) -> Outco
 
 impl Large {
     /// Areas of the gaps, and of the surface with them, in units of the scene.
-    fn gaps(&self, rows: &[[f64; 3]], diagonal: f64) -> [f64; 2] {
+    pub(super) fn gaps(&self, rows: &[[f64; 3]], diagonal: f64) -> [f64; 2] {
         let on: Vec<[f64; 2]> = rows
             .iter()
             .filter(|row| (dot(self.axes[2], **row) - self.offset).abs() <= THICK * diagonal)

@@ -2,10 +2,11 @@
 //!
 //! Pairs of patches that lie in one plane and have about the same hue are compared; their differences of
 //! light are explained by one gradient, robustly. Texture, shading and shadows have none that holds for
-//! all surfaces.
+//! all surfaces. Of rooms alone: objects are rounder, and shaded.
 
 use super::super::linear::linear;
 use super::noise::color;
+use super::planes::Shell;
 use super::table::{Patch, Plane, Table, quantile_of, scramble};
 use super::{Figure, Measured, Outcome};
 use rayon::prelude::*;
@@ -43,7 +44,8 @@ struct Pair {
     hue: f64,
 }
 
-pub(super) fn measure(table: &Table<'_>) -> Outcome {
+pub(super) fn measure(table: &Table<'_>, shell: &Shell) -> Outcome {
+    shell.is_room()?;
     let spots: Vec<Spot> =
         table.flat().filter_map(|(p, plane)| spot(table, p, plane)).collect();
     let half = 0.5 * table.bounds.diagonal();

@@ -28,6 +28,7 @@ pub use evidence::{EffectEvidence, EffectProfile, Figure};
 
 use super::Effect;
 use scenesplat_scene::GaussianScene;
+use planes::Shell;
 use table::Table;
 
 /// Fewer patches say nothing.
@@ -65,18 +66,18 @@ type Outcome = Result<Measured, &'static str>;
 /// ```
 pub fn profile(scene: &GaussianScene, metres_per_unit: f64) -> EffectProfile {
     let table = Table::of(scene, isolation::FEWEST_ROWS);
-    let planes = table.as_ref().map(planes::planes).unwrap_or_default();
+    let shell = table.as_ref().map(Shell::of).unwrap_or_default();
     let measure = |effect| {
         let Some(table) = &table else {
             return Err("fewer than 100 Gaussians with usable values, or all in one place");
         };
         match effect {
-            Effect::Holes => holes::measure(table, &planes, metres_per_unit),
-            Effect::Floaters => floaters::measure(table),
+            Effect::Holes => holes::measure(&shell, metres_per_unit),
+            Effect::Floaters => floaters::measure(table, &shell),
             Effect::Surface => surface::measure(table, metres_per_unit),
             Effect::Blur => blur::measure(table, metres_per_unit),
-            Effect::Glass => glass::measure(table, &planes),
-            Effect::Light => light::measure(table),
+            Effect::Glass => glass::measure(table, &shell),
+            Effect::Light => light::measure(table, &shell),
             Effect::Noise => noise::measure(table),
         }
     };

@@ -34,6 +34,7 @@ fn variance(srgb: f64) -> f64 {
 }
 
 pub(super) fn measure(table: &Table<'_>) -> Outcome {
+    table.has_surfaces()?;
     // (variance expected at severity 1, difference of hues), for both hues of each pair.
     let mut pairs: Vec<(f64, f64)> = Vec::new();
     for (patch, _) in table.flat() {

@@ -1,4 +1,4 @@
-//! The planes that hold most patches: walls, floors, table tops.
+//! The planes that hold most patches, and which of them bound the scene: walls, floors.
 
 use super::FEWEST_PATCHES;
 use super::table::{Patch, Plane, Table, choice, quantile_of};
@@ -10,11 +10,60 @@ const CANDIDATES: usize = 192;
 /// Planes that are looked at, and the least share of the flat patches that one holds.
 const MOST_PLANES: usize = 12;
 const LEAST_SHARE: f64 = 0.04;
+/// A plane with more of the Gaussians behind it bounds nothing.
+const BEHIND: f64 = 0.1;
+/// A room is a scene whose bounding planes have this share of the area of its box, or more. Rooms without
+/// a ceiling have 0.69 and more, objects up to 0.59, a house of several rooms 0.45.
+const ROOM: f64 = 0.62;
 /// Normals of one plane agree so well; its patches lie within so many diagonals of it.
 const SAME_NORMAL: f64 = 0.94;
 const ACROSS: f64 = 0.012;
 /// What lies within so many diagonals of a plane belongs to it: windows and doors are set back.
 pub(super) const THICK: f64 = 0.04;
+
+/// The planes that bound a scene.
+#[derive(Default)]
+pub(super) struct Shell {
+    pub(super) walls: Vec<Wall>,
+    /// Their area over that of the robust box.
+    pub(super) share_of_box: f64,
+}
+
+/// A plane that bounds the scene.
+pub(super) struct Wall {
+    /// Indices among the rows that are looked at of what is behind it.
+    pub(super) behind: Vec<usize>,
+    /// Their share of all.
+    pub(super) share_behind: f64,
+    /// Areas of its gaps, and of it with them, in units of the scene.
+    pub(super) areas: [f64; 2],
+}
+
+impl Shell {
+    pub(super) fn of(table: &Table<'_>) -> Self {
+        let diagonal = table.bounds.diagonal();
+        let places: Vec<[f64; 3]> =
+            table.rows.iter().map(|&row| table.scene.coord[row as usize].map(f64::from)).collect();
+        let wall = |plane: &Large| {
+            let behind = plane.beyond(&places, diagonal);
+            let share_behind = behind.len() as f64 / places.len() as f64;
+            (share_behind <= BEHIND).then(|| {
+                let areas = plane.gaps(&places, diagonal);
+                Wall { behind, share_behind, areas }
+            })
+        };
+        let walls: Vec<Wall> = planes(table).par_iter().filter_map(wall).collect();
+        let [x, y, z] = table.bounds.extent();
+        let area: f64 = walls.iter().map(|wall| wall.areas[1]).sum();
+        Self { share_of_box: area / (2.0 * (x * y + y * z + z * x)), walls }
+    }
+
+    /// Whether the scene is a room, which all that is known of these effects was learned on.
+    pub(super) fn is_room(&self) -> Result<(), &'static str> {
+        let is_room = self.share_of_box >= ROOM;
+        if is_room { Ok(()) } else { Err("no room: large flat surfaces make up too little of the scene's box") }
+    }
+}
 
 /// A large flat surface.
 pub(super) struct Large {
@@ -27,7 +76,7 @@ pub(super) struct Large {
 }
 
 /// The planes that hold most flat patches, the largest first; each patch counts for one.
-pub(super) fn planes(table: &Table<'_>) -> Vec<Large> {
+fn planes(table: &Table<'_>) -> Vec<Large> {
     let flat: Vec<(&Patch, Plane)> = table.flat().collect();
     let diagonal = table.bounds.diagonal();
     let places: Vec<[f64; 3]> = flat.iter().map(|(p, _)| table.place(p)).collect();
