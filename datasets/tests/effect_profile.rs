@@ -32,7 +32,9 @@ fn scenes_without_anything_to_judge_are_not_judged() {
     for scene in scenes {
         let seen = profile(&scene, 1.0);
         assert_eq!((seen.gaussians, seen.present().count()), (scene.len(), 0));
-        assert!(seen.effects.iter().all(|e| e.measure.is_none() && e.text.starts_with("not judged")));
+        assert!(
+            seen.effects.iter().all(|e| e.measure.is_none() && e.text.starts_with("not judged"))
+        );
     }
 }
 
@@ -81,7 +83,8 @@ fn the_number_of_threads_changes_nothing() {
 
 #[test]
 fn lengths_are_metres_whatever_the_unit() {
-    let scene = simulate(&room(20_000, 1003), &"surface=3,blur=3".parse().unwrap(), 1).unwrap().scene;
+    let scene =
+        simulate(&room(20_000, 1003), &"surface=3,blur=3".parse().unwrap(), 1).unwrap().scene;
     let mut millimetres = scene.clone();
     for row in 0..scene.len() {
         millimetres.coord[row] = scene.coord[row].map(|v| 1000.0 * v);

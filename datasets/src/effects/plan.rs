@@ -224,16 +224,13 @@ mod tests {
     #[test]
     fn evidence_that_trembles_flips_a_decision_at_most_once() {
         for centre in [0.94, 0.96, 1.0, 1.04, 1.06] {
-            let mut plan =
-                EffectPlan::new(&with_floaters(centre), &EffectChoices::default(), None);
+            let mut plan = EffectPlan::new(&with_floaters(centre), &EffectChoices::default(), None);
             let mut flips = 0;
             for i in 0..40 {
                 let noise = [0.01, -0.01, 0.004, -0.007][i % 4];
                 let seen = with_floaters(centre * (1.0 + noise));
                 let next = EffectPlan::new(&seen, &EffectChoices::default(), Some(&plan));
-                flips += usize::from(
-                    next.is_on(Effect::Floaters) != plan.is_on(Effect::Floaters),
-                );
+                flips += usize::from(next.is_on(Effect::Floaters) != plan.is_on(Effect::Floaters));
                 plan = next;
             }
             assert!(flips <= 1, "{centre}: {flips}");

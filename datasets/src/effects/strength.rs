@@ -23,8 +23,8 @@ pub const GLASS_SHARE: f64 = 0.12;
 /// Part of the light that a pane takes in.
 pub const GLASS_ALPHA: f64 = 0.06;
 /// In pictures: standard deviation of the turn of a camera during an exposure, about each of its two axes
-/// across the view, degrees. A tenth is a pixel of a picture 640 wide that shows 60°.
-pub const BLUR_DEGREES: f64 = 0.1;
+/// across the view, degrees. A fifth is two pixels of a picture 640 wide that shows 60°.
+pub const BLUR_DEGREES: f64 = 0.2;
 /// In pictures: standard deviation of the logarithm of the exposure from picture to picture.
 pub const LIGHT_LOG_GAIN: f64 = 0.1;
 /// In pictures: part of the automatic exposure that a camera does.

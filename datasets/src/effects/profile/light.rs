@@ -46,8 +46,7 @@ struct Pair {
 
 pub(super) fn measure(table: &Table<'_>, shell: &Shell) -> Outcome {
     shell.is_room()?;
-    let spots: Vec<Spot> =
-        table.flat().filter_map(|(p, plane)| spot(table, p, plane)).collect();
+    let spots: Vec<Spot> = table.flat().filter_map(|(p, plane)| spot(table, p, plane)).collect();
     let half = 0.5 * table.bounds.diagonal();
     let pairs: Vec<Pair> = (0..spots.len())
         .into_par_iter()
@@ -85,13 +84,19 @@ fn clipped(table: &Table<'_>) -> f64 {
 }
 
 fn spot(table: &Table<'_>, patch: &Patch, plane: Plane) -> Option<Spot> {
-    let middle = |i: usize| quantile_of(patch.near.iter().map(|&row| color(table, row as usize)[i]), 0.5);
+    let middle =
+        |i: usize| quantile_of(patch.near.iter().map(|&row| color(table, row as usize)[i]), 0.5);
     let [r, g, b] = [middle(0)?, middle(1)?, middle(2)?];
     if ![r, g, b].iter().all(|v| (RANGE[0]..=RANGE[1]).contains(v)) {
         return None;
     }
     let [r, g, b] = [r, g, b].map(|v| linear(v).log2());
-    Some(Spot { place: table.place(patch), plane, light: (r + g + b) / 3.0, hue: [r - b, g - 0.5 * (r + b)] })
+    Some(Spot {
+        place: table.place(patch),
+        plane,
+        light: (r + g + b) / 3.0,
+        hue: [r - b, g - 0.5 * (r + b)],
+    })
 }
 
 fn pair(a: &Spot, b: &Spot, half: f64) -> Option<Pair> {

@@ -27,8 +27,8 @@ mod thresholds;
 pub use evidence::{EffectEvidence, EffectProfile, Figure};
 
 use super::Effect;
-use scenesplat_scene::GaussianScene;
 use planes::Shell;
+use scenesplat_scene::GaussianScene;
 use table::Table;
 
 /// Fewer patches say nothing.

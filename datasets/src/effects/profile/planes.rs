@@ -61,7 +61,11 @@ impl Shell {
     /// Whether the scene is a room, which all that is known of these effects was learned on.
     pub(super) fn is_room(&self) -> Result<(), &'static str> {
         let is_room = self.share_of_box >= ROOM;
-        if is_room { Ok(()) } else { Err("no room: large flat surfaces make up too little of the scene's box") }
+        if is_room {
+            Ok(())
+        } else {
+            Err("no room: large flat surfaces make up too little of the scene's box")
+        }
     }
 }
 
@@ -95,7 +99,9 @@ fn planes(table: &Table<'_>) -> Vec<Large> {
     let mut found = Vec::new();
     while found.len() < MOST_PLANES {
         // The first of the largest.
-        let Some(best) = (0..members.len()).rev().max_by_key(|&k| members[k].1.len()) else { break };
+        let Some(best) = (0..members.len()).rev().max_by_key(|&k| members[k].1.len()) else {
+            break;
+        };
         let (c, rows) = members.swap_remove(best);
         if rows.len() < least {
             break;
@@ -109,7 +115,8 @@ fn planes(table: &Table<'_>) -> Vec<Large> {
         let fourth = middle(rows.iter().map(|&i| f64::from(flat[i].0.fourth)).collect());
         let again = found.iter().any(|other: &Large| {
             let sign = dot(other.axes[2], axes[2]);
-            sign.abs() > SAME_NORMAL && (sign.signum() * other.offset - offset).abs() < THICK * diagonal
+            sign.abs() > SAME_NORMAL
+                && (sign.signum() * other.offset - offset).abs() < THICK * diagonal
         });
         if fourth > 0.0 && !again {
             // Four others lie within that distance.

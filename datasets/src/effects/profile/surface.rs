@@ -7,7 +7,7 @@ use super::{FEWEST_PATCHES, Figure, Measured, Outcome};
 const SHARE: f64 = 0.1;
 
 pub(super) fn measure(table: &Table<'_>, metres: f64) -> Outcome {
-    let rough: Vec<f64> = 
+    let rough: Vec<f64> =
         table.patches.iter().map(|p| metres * p.rough).filter(|r| !r.is_nan()).collect();
     let Some(scatter) = quantile_of(rough.iter().copied(), SHARE) else {
         return Err("Gaussians lie on lines, or there are too few");

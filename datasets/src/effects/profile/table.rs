@@ -72,9 +72,12 @@ impl<'a> Table<'a> {
         let tree = KdTree::new(&coord).ok().filter(|_| bounds.diagonal() > 0.0)?;
         let chosen = choice(rows.len(), MOST_PATCHES);
         let queries: Vec<[f32; 3]> = chosen.iter().map(|&i| coord[i]).collect();
-        let patches = tree.map_nearest(&queries, NEAR + 1, || (), |(), i, near| {
-            patch(&coord, &rows, chosen[i], near)
-        });
+        let patches = tree.map_nearest(
+            &queries,
+            NEAR + 1,
+            || (),
+            |(), i, near| patch(&coord, &rows, chosen[i], near),
+        );
         let spacing = quantile_of(patches.iter().map(|p| f64::from(p.fourth)), 0.5)?;
         Some(Self { scene, rows, bounds, patches, spacing })
     }
@@ -87,7 +90,11 @@ impl<'a> Table<'a> {
     /// Whether surfaces are what there is, at this sampling.
     pub(super) fn has_surfaces(&self) -> Result<(), &'static str> {
         let enough = self.flat().count() as f64 >= LEAST_FLAT * self.patches.len() as f64;
-        if enough { Ok(()) } else { Err("too little of the scene is flat at the size of its patches") }
+        if enough {
+            Ok(())
+        } else {
+            Err("too little of the scene is flat at the size of its patches")
+        }
     }
 
     /// Where a patch is, in units of the scene.
@@ -182,9 +189,8 @@ fn plane(coord: &[[f32; 3]], of: usize, near: &[Neighbor]) -> (f64, Option<Plane
 
 /// The covariance of a Gaussian in the plane of a patch: along the first axis, between, along the second.
 pub(super) fn in_plane(scene: &GaussianScene, row: usize, plane: &Plane) -> [f64; 3] {
-    let turn = vector::rotation(crate::transforms::quaternion::unit(
-        scene.quat[row].map(f64::from),
-    ));
+    let turn =
+        vector::rotation(crate::transforms::quaternion::unit(scene.quat[row].map(f64::from)));
     let mut sum = [0.0; 3];
     for axis in 0..3 {
         let square = (2.0 * f64::from(scene.log_scale[row][axis])).exp();

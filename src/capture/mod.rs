@@ -1,5 +1,18 @@
-//! Pictures of a scene as a capture would have taken them: the rasterizer draws, the effects are those
-//! of [`effects::pictures`](crate::datasets::effects::pictures).
+//! Pictures of a scene as a capture would have taken them, and what pictures say about a capture.
+//!
+//! [`ScenePictures`] draws for the effects of
+//! [`effects::pictures`](crate::datasets::effects::pictures). [`CaptureProbe`] looks at photos of a scene
+//! and at the scene itself, and finds motion blur, drifting exposure and white balance, noise, clipped light
+//! and parts that were hardly seen.
+
+mod finding;
+mod frame;
+mod probe;
+mod shared_colors;
+
+pub use finding::{CaptureFinding, CaptureReport, Figure};
+pub use frame::{FrameFigures, frame_figures};
+pub use probe::{CaptureError, CaptureProbe, FrameEvidence};
 
 use crate::preview::solid_depth;
 use scenesplat_datasets::effects::pictures::{DrawnPicture, HalfSpace, PictureRenderer};
