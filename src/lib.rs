@@ -44,6 +44,7 @@ pub mod preview;
 pub mod principal;
 pub mod query;
 pub mod setting;
+pub mod severity;
 pub mod text;
 
 pub use alignment::{Alignment, AlignmentSettings};

@@ -3,13 +3,13 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
 use scenesplat::doctor::{
-    Case, Doctor, DoctorReport, Finding, Level, Policy, Surroundings, Verdict, catalogue, markdown,
-    nearest_names,
+    ATTACKS, Attack, Case, Doctor, DoctorReport, Finding, Level, Policy, Surroundings, Verdict,
+    catalogue, markdown, nearest_names,
 };
 use std::collections::BTreeSet;
 
 /// What the documentation claims, see `docs/hard_cases.md`.
-const LEAST: usize = 403;
+const LEAST: usize = 404;
 
 #[test]
 fn the_table_is_whole() {
@@ -44,6 +44,27 @@ fn the_documentation_shows_every_case() {
     assert!(text[start..] == due, "run this test with SCENESPLAT_BLESS=1 to write the tables anew");
     let count = catalogue().len();
     assert!(text[..start].contains(&format!("{count} cases")), "the page says another number");
+}
+
+/// An attack without a case or a test is none that is kept off.
+#[test]
+fn every_attack_is_a_case_or_a_test() {
+    let names: BTreeSet<String> = catalogue().into_iter().map(|case| case.name).collect();
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    for Attack { attempt, harm, cases, tests } in ATTACKS {
+        assert!(!cases.is_empty() || !tests.is_empty(), "{attempt}: nothing tries it");
+        assert!(!harm.is_empty());
+        for case in *cases {
+            assert!(names.contains(*case), "{attempt}: no case {case}");
+        }
+        for test in *tests {
+            let (file, function) = test.split_once("::").unwrap();
+            let text = std::fs::read_to_string(root.join(file)).unwrap();
+            let there = text.contains(&format!("#[test]\nfn {function}("))
+                || text.contains(&format!("]\nfn {function}("));
+            assert!(there, "{attempt}: no test {test}");
+        }
+    }
 }
 
 /// Runs cases, and tells which failed and why.

@@ -44,12 +44,16 @@ pub struct Sample {
     /// The scene that the rows were sampled from, if a
     /// [`GridSample`](crate::transforms::GridSample) was told to keep it.
     pub full: Option<FullScene>,
-    /// Row that each Gaussian had when a [teacher](crate::SceneTeacher) looked; `None` if none does.
+    /// Row that each Gaussian had when a [teacher](crate::SceneTeacher) looked, or
+    /// [`ADDED`](Self::ADDED); `None` if none does.
     /// `[N]`
     pub origin_row: Option<Vec<u32>>,
 }
 
 impl Sample {
+    /// In [`origin_row`](Self::origin_row): a Gaussian that no teacher saw, because it was added later.
+    pub const ADDED: u32 = u32::MAX;
+
     /// A scene as the transforms see it. Spherical harmonics above the colour are left behind.
     ///
     /// Colours become the bytes of the original preprocessing (truncated); a colour that is NaN

@@ -72,6 +72,8 @@ struct Kept {
     target_inverse: f64,
     /// Their cosine; 0 where the norm of `p` counts as ε, a constant.
     along: f64,
+    /// What the row counts.
+    weight: f64,
 }
 
 fn typed<T: Real>(
@@ -80,13 +82,41 @@ fn typed<T: Real>(
     valid: Option<&[bool]>,
     reduction: Reduction,
 ) -> Result<Option<Tensor>> {
-    let (total, kept, count) = sum_rows(NAME, pred, target, valid, row::<T>)?;
+    let (total, kept, count) = sum_rows(NAME, pred, target, valid, |_, p, t| row::<T>(p, t))?;
     if count == 0 {
         return Ok(None);
     }
     let factor = reduction.factor(count);
     let backward = CosineBackward { target: target.detach(), kept, factor };
     scalar_loss(pred, total * factor, backward).map(Some)
+}
+
+/// `−Σ wᵢ cos(pᵢ, tᵢ)`; rows of weight 0 are not read.
+///
+/// # Shapes
+/// `pred`, `target`: `[N, D]` · `weights`: `[N]`, finite
+pub(crate) fn weighted_cosines(
+    pred: &Tensor,
+    target: &Tensor,
+    weights: &[f64],
+) -> Result<Option<Tensor>> {
+    match pred.dtype() {
+        DType::F64 => weighted::<f64>(pred, target, weights),
+        _ => weighted::<f32>(pred, target, weights),
+    }
+}
+
+fn weighted<T: Real>(pred: &Tensor, target: &Tensor, weights: &[f64]) -> Result<Option<Tensor>> {
+    let counts: Vec<bool> = weights.iter().map(|w| *w != 0.0).collect();
+    let (total, kept, count) = sum_rows(NAME, pred, target, Some(&counts), |i, p, t| {
+        let (distance, kept) = row::<T>(p, t);
+        (weights[i] * (distance - 1.0), Kept { weight: weights[i], ..kept })
+    })?;
+    if count == 0 {
+        return Ok(None);
+    }
+    let backward = CosineBackward { target: target.detach(), kept, factor: 1.0 };
+    scalar_loss(pred, total, backward).map(Some)
 }
 
 fn row<T: Real>(p: &[T], t: &[T]) -> (f64, Kept) {
@@ -101,7 +131,8 @@ fn row<T: Real>(p: &[T], t: &[T]) -> (f64, Kept) {
         (p_norm, t_norm, products.sum())
     };
     let along = if p_norm > EPS { cosine } else { 0.0 };
-    (1.0 - cosine, Kept { inverse: 1.0 / p_norm, target_inverse: 1.0 / t_norm, along })
+    let (inverse, target_inverse) = (1.0 / p_norm, 1.0 / t_norm);
+    (1.0 - cosine, Kept { inverse, target_inverse, along, weight: 1.0 })
 }
 
 struct CosineBackward {
@@ -136,7 +167,7 @@ impl CosineBackward {
                         }
                         let p = p.read::<T>(row..row + 1, &mut p_scratch);
                         let t = t.read::<T>(row..row + 1, &mut t_scratch);
-                        let outer = -factor * kept.inverse;
+                        let outer = -factor * kept.weight * kept.inverse;
                         let along = kept.along * kept.inverse;
                         compiled(|| {
                             for ((out, p), t) in out.iter_mut().zip(p).zip(t) {

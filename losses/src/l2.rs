@@ -65,7 +65,7 @@ fn typed<T: Real>(
     valid: Option<&[bool]>,
     reduction: Reduction,
 ) -> Result<Option<Tensor>> {
-    let row = |p: &[T], t: &[T]| (compiled(|| sum_of_differences(p, t, |d| d * d)), ());
+    let row = |_: usize, p: &[T], t: &[T]| (compiled(|| sum_of_differences(p, t, |d| d * d)), ());
     let (total, _, count) = sum_rows(NAME, pred, target, valid, row)?;
     if count == 0 {
         return Ok(None);

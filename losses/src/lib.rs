@@ -1,4 +1,5 @@
-//! Losses for language pretraining, distillation and semantic segmentation, on candle tensors.
+//! Losses for language pretraining, distillation, semantic segmentation and self-supervision, on candle
+//! tensors.
 //!
 //! | loss | for | formula |
 //! |---|---|---|
@@ -7,6 +8,7 @@
 //! | [`TextClassification`] | features with labels, by the texts of the classes | cross entropy and Lovász of cosines |
 //! | [`TextDistillation`] | features with target features, by the texts of the classes | divergence of softmaxes of cosines |
 //! | [`CrossEntropy`], [`LovaszSoftmax`] | logits with labels | [`cross_entropy`], [`lovasz_softmax`] |
+//! | [`self_supervised`] | views and masked Gaussians with a teacher's | a table of its own |
 //!
 //! Each is a free function with its settings in a struct that implements [`Loss`]; an [`Objective`]
 //! weighs and adds them and gives each term for the log; [`LossConfig`] is how they stand in a file.
@@ -39,6 +41,7 @@ mod lovasz;
 mod objective;
 mod rows;
 mod scalar_op;
+pub mod self_supervised;
 mod smooth_l1;
 mod text_classification;
 mod text_distillation;

@@ -45,7 +45,7 @@ pub(crate) fn check_target(
     Ok(())
 }
 
-/// Sum over the rows that count of what `row_loss` gives for a row and its target; what it keeps of
+/// Sum over the rows that count of what `row_loss` gives for a row's number, its values and its target; what it keeps of
 /// each row; and the number of rows that count.
 ///
 /// A result that is not finite is an error where a value of the row is not finite.
@@ -54,7 +54,7 @@ pub(crate) fn sum_rows<T: Real, K: Copy + Default + Send + Sync>(
     pred: &Tensor,
     target: &Tensor,
     valid: Option<&[bool]>,
-    row_loss: impl Fn(&[T], &[T]) -> (f64, K) + Sync,
+    row_loss: impl Fn(usize, &[T], &[T]) -> (f64, K) + Sync,
 ) -> Result<(f64, Vec<K>, usize)> {
     check_target(loss, pred, target, valid)?;
     read_matrix(loss, "pred", pred, |p| {
@@ -85,7 +85,7 @@ fn sum_task<T: Real, K>(
     first: usize,
     kept: &mut [K],
     (p_scratch, t_scratch): &mut (Vec<T>, Vec<T>),
-    row_loss: impl Fn(&[T], &[T]) -> (f64, K),
+    row_loss: impl Fn(usize, &[T], &[T]) -> (f64, K),
 ) -> std::result::Result<f64, LossError> {
     let mut total = 0.0;
     for (row, keep) in (first..).zip(kept) {
@@ -94,7 +94,7 @@ fn sum_task<T: Real, K>(
         }
         let (p_row, t_row) = (p.read(row..row + 1, p_scratch), t.read(row..row + 1, t_scratch));
         let value;
-        (value, *keep) = row_loss(p_row, t_row);
+        (value, *keep) = row_loss(row, p_row, t_row);
         if !value.is_finite() {
             let bad = p.not_finite(loss, "pred", row);
             if let Some(error) = bad.or_else(|| t.not_finite(loss, "target", row)) {

@@ -90,7 +90,7 @@ fn typed<T: Real>(
         let x = x.abs();
         if x < beta { 0.5 * x * (x / beta) } else { x - 0.5 * beta }
     };
-    let row = |p: &[T], t: &[T]| (compiled(|| sum_of_differences(p, t, h)), ());
+    let row = |_: usize, p: &[T], t: &[T]| (compiled(|| sum_of_differences(p, t, h)), ());
     let (total, _, count) = sum_rows(NAME, pred, target, valid, row)?;
     if count == 0 {
         return Ok(None);

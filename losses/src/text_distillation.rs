@@ -93,7 +93,7 @@ fn divergence<T: Real>(
     valid: Option<&[bool]>,
     reduction: Reduction,
 ) -> Result<Option<Tensor>> {
-    let (total, kept, count) = sum_rows(NAME, student, teacher, valid, row::<T>)?;
+    let (total, kept, count) = sum_rows(NAME, student, teacher, valid, |_, s, t| row::<T>(s, t))?;
     if count == 0 {
         return Ok(None);
     }

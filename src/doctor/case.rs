@@ -1,5 +1,6 @@
 //! What a hard case is.
 
+use super::measures::{Bounds, Measures};
 use super::trial::{Failure, Trial};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -80,6 +81,8 @@ pub struct Finding {
     pub error: f64,
     /// The input with that error; empty where there is none to name.
     pub worst: String,
+    /// What else was measured of an operator.
+    pub measures: Measures,
 }
 
 impl Finding {
@@ -88,15 +91,21 @@ impl Finding {
         Self::default()
     }
 
+    /// One error, and where it is.
+    pub fn of(error: f64, worst: impl Into<String>) -> Self {
+        Self { error, worst: worst.into(), ..Self::default() }
+    }
+
     /// Takes an error in if it is the largest so far; a NaN is larger than anything.
     pub fn add(&mut self, error: f64, worst: impl FnOnce() -> String) {
         if error > self.error || error.is_nan() && !self.error.is_nan() {
-            *self = Self { error, worst: worst() };
+            (self.error, self.worst) = (error, worst());
         }
     }
 
     /// Takes the findings of a part in.
     pub fn join(&mut self, part: Self) {
+        self.measures.join(part.measures);
         self.add(part.error, || part.worst);
     }
 }
@@ -145,6 +154,11 @@ impl Case {
             quick: true,
             check: Box::new(check),
         }
+    }
+
+    /// What the measures beside the error may come to.
+    pub fn bounds(&self) -> Bounds {
+        Bounds::of(self.tolerance)
     }
 
     /// Runs the check alone: a panic is not caught, and the error is not compared.

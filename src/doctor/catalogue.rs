@@ -51,7 +51,7 @@ pub fn markdown() -> String {
         }
         text.push('\n');
     }
-    text
+    text + &super::attacks::markdown()
 }
 
 fn tolerance(case: &Case) -> String {

@@ -4,7 +4,8 @@
 //! is expected ([`Policy`]), a tolerance with its reason, and a function that makes its input and looks
 //! at what the library makes of it. Inputs are made, not stored: the same in every run. Operators are
 //! compared with references in f64 that stand in this module, written by the formula; each is computed
-//! by one thread and by several, which must give the same bits.
+//! by one thread and by several, which must give the same bits. Beside the error stand [`Measures`] with
+//! [`Bounds`] of their own: units in the last place, the direction of gradients, errors that lean to a side.
 //!
 //! ```
 //! use scenesplat::doctor::{Doctor, catalogue};
@@ -17,19 +18,29 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod attacks;
 mod case;
 mod catalogue;
 mod inputs;
+mod measures;
 mod noise;
 mod operators;
 mod report;
 mod scenes;
+mod soak;
+mod stability;
 mod training;
 mod trial;
 mod verdict;
 
+pub use attacks::{ATTACKS, Attack};
 pub use case::{Case, Finding, Level, Policy};
 pub use catalogue::{catalogue, markdown, nearest_names};
+pub use measures::{Bounds, Measures, SignBias};
 pub use report::{DoctorReport, IsaReport, Surroundings};
+pub use soak::{SoakKind, SoakMemory, SoakProblem, SoakReport, SoakSettings, soak, soak_round};
+pub use stability::{
+    GradientCheck, PoisonCheck, StabilityReport, StabilityRun, StabilitySettings, stability,
+};
 pub use trial::{Doctor, Failure, Trial};
 pub use verdict::Verdict;

@@ -136,8 +136,12 @@ impl fmt::Display for DoctorReport {
                     }
                     _ => String::new(),
                 };
-                let line =
-                    format!("    {:<width$}  {:<8}  {mark:<6}  {error}", v.name, v.policy.name());
+                let measures = v.measures.to_string();
+                let line = format!(
+                    "    {:<width$}  {:<8}  {mark:<6}  {error:<16}  {measures}",
+                    v.name,
+                    v.policy.name()
+                );
                 writeln!(f, "{}", line.trim_end())?;
             }
         }

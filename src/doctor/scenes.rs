@@ -40,7 +40,7 @@ impl Room {
 }
 
 /// The network inside the program.
-fn network(precision: Precision) -> Result<Network, Failure> {
+pub(super) fn network(precision: Precision) -> Result<Network, Failure> {
     let config = embedded::config()?.with_compute(Compute { precision, ..Compute::default() });
     Ok(Network::load(config, &Weights::Embedded, WeightOptions::default())?)
 }
@@ -66,11 +66,17 @@ pub(super) fn finite_unit_rows(features: &SceneFeatures, rows: usize) -> Result<
     Ok(found)
 }
 
+/// That a row for each Gaussian is there, finite and of unit length.
+pub(super) fn check_features(features: &SceneFeatures, rows: usize) -> Result<(), Failure> {
+    let finite = finite_unit_rows(features, rows)?;
+    ensure!(finite.error <= 1e-5, "features: {}", finite.worst);
+    Ok(())
+}
+
 /// Labels of a scene by the network's own vocabulary, with the usual vote.
 fn labels(scene: &GaussianScene) -> Result<Vec<i32>, Failure> {
     let features = encode(scene)?;
-    let finite = finite_unit_rows(&features, scene.len())?;
-    ensure!(finite.error <= 1e-5, "features: {}", finite.worst);
+    check_features(&features, scene.len())?;
     let texts = embedded::vocabulary()?.class_table();
     let found = label_with_vote(
         &features,
@@ -188,7 +194,7 @@ fn damage(change: fn(&mut GaussianScene, &mut Noise) -> Vec<bool>) -> Result<Fin
     }
     ensure!(all > room.len() / 4, "only {all} Gaussians are far away");
     let error = f64::from(changed as u32) / f64::from(all as u32);
-    Ok(Finding { error, worst: format!("{changed} of {all} labels far away changed") })
+    Ok(Finding::of(error, format!("{changed} of {all} labels far away changed")))
 }
 
 /// Batch mates and threads: the same bits.
@@ -334,5 +340,5 @@ fn in_precision(precision: Precision) -> Result<Finding, Failure> {
     ensure!(cosines.iter().all(|c| c.is_finite()), "features are not finite");
     cosines.sort_by(f64::total_cmp);
     let (median, least) = (cosines[rows / 2], cosines[0]);
-    Ok(Finding { error: (1.0 - median).max(0.0), worst: format!("least cosine {least:.6}") })
+    Ok(Finding::of((1.0 - median).max(0.0), format!("least cosine {least:.6}")))
 }

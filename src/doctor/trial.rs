@@ -81,7 +81,7 @@ impl Doctor {
         let made = std::fs::create_dir_all(&folder);
         let checked = made.map_err(Failure::from).and_then(|()| {
             catch_unwind(AssertUnwindSafe(|| case.check(&trial)))
-                .unwrap_or_else(|panic| Err(Failure(format!("panicked: {}", text(&*panic)))))
+                .unwrap_or_else(|panic| Err(Failure(format!("panicked: {}", panic_text(&*panic)))))
         });
         let empty = std::fs::read_dir(&folder).is_ok_and(|mut files| files.next().is_none());
         if !self.keep || empty {
@@ -98,7 +98,7 @@ impl Doctor {
 }
 
 /// What a panic said.
-fn text(panic: &(dyn Any + Send)) -> &str {
+pub(super) fn panic_text(panic: &(dyn Any + Send)) -> &str {
     let text = panic.downcast_ref::<&str>().copied();
     text.or_else(|| panic.downcast_ref::<String>().map(String::as_str)).unwrap_or("without a word")
 }
@@ -182,5 +182,5 @@ impl Trial<'_> {
 /// Compares what a case measured with what it allows.
 pub(super) fn passes(case: &Case, finding: &Finding) -> bool {
     // A NaN is at most nothing.
-    finding.error <= case.tolerance
+    finding.error <= case.tolerance && case.bounds().broken(&finding.measures).is_none()
 }

@@ -1,6 +1,7 @@
 //! What became of a case.
 
 use super::case::{Case, Finding, Level, Policy};
+use super::measures::{Bounds, Measures};
 use super::trial::passes;
 use serde::{Deserialize, Serialize};
 
@@ -25,6 +26,10 @@ pub struct Verdict {
     pub reason: String,
     /// Where the case comes from.
     pub origin: String,
+    /// What else was measured of an operator.
+    pub measures: Measures,
+    /// What those may come to.
+    pub bounds: Bounds,
     /// The input with the largest error.
     pub worst: String,
     /// Why it did not pass.
@@ -43,11 +48,12 @@ impl Verdict {
     ) -> Self {
         let passed = finding.as_ref().is_some_and(|finding| passes(case, finding));
         let too_far = || {
-            let found = finding.as_ref()?;
+            let found = finding.as_ref().filter(|_| !passed)?;
             let (error, worst) = (found.error, &found.worst);
-            let text =
-                format!("an error of {error:.3e}, {:.1e} is allowed ({worst})", case.tolerance);
-            (!passed).then_some(text)
+            if error <= case.tolerance {
+                return case.bounds().broken(&found.measures);
+            }
+            Some(format!("an error of {error:.3e}, {:.1e} is allowed ({worst})", case.tolerance))
         };
         Self {
             name: case.name.clone(),
@@ -59,6 +65,8 @@ impl Verdict {
             tolerance: case.tolerance,
             reason: case.reason.to_owned(),
             origin: case.origin.to_owned(),
+            measures: finding.as_ref().map(|f| f.measures).unwrap_or_default(),
+            bounds: case.bounds(),
             failure: failure.or_else(too_far),
             worst: finding.map(|f| f.worst).unwrap_or_default(),
             seconds,

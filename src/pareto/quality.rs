@@ -30,7 +30,8 @@ pub struct Hits {
 }
 
 impl Calibration {
-    fn add(&mut self, confidence: f64, right: bool) {
+    /// Takes one label in: its probability, and whether it is right.
+    pub(crate) fn add(&mut self, confidence: f64, right: bool) {
         let bin = ((confidence * BINS as f64) as usize).min(BINS - 1);
         let (count, sum, rights) = &mut self.bins[bin];
         *count += 1.0;
@@ -110,6 +111,34 @@ pub fn add_scene(
         }
     }
     Ok(hits)
+}
+
+/// The probability of each Gaussian's label; 0 where it has none. `[N]`
+///
+/// # Errors
+/// If features cannot be read.
+pub(crate) fn probabilities(
+    features: &SceneFeatures,
+    text: &TextTable,
+    labels: &[i32],
+) -> Result<Vec<f32>, ParetoError> {
+    let width = features.width();
+    let by_slot = members(features);
+    let mut out = vec![0.0; labels.len()];
+    for start in (0..features.num_slots()).step_by(BLOCK) {
+        let end = (start + BLOCK).min(features.num_slots());
+        let rows = features.slot_rows(start..end)?;
+        for (slot, row) in (start..end).zip(rows.chunks_exact(width)) {
+            let dot = |t: &[f32]| t.iter().zip(row).map(|(a, b)| a * b).sum();
+            let scores: Vec<f32> = text.values.chunks_exact(width).map(dot).collect();
+            let all = softmax(&scores);
+            for &gaussian in &by_slot.rows[by_slot.starts[slot]..by_slot.starts[slot + 1]] {
+                let label = usize::try_from(labels[gaussian as usize]).ok();
+                out[gaussian as usize] = label.and_then(|l| all.get(l).copied()).unwrap_or(0.0);
+            }
+        }
+    }
+    Ok(out)
 }
 
 /// Which Gaussians have each row.

@@ -14,6 +14,8 @@ const FIELDS: &[(&str, &str, &str, &str)] = &[
     ("limit_values", "scale", "null", "[0.02, 0.03]"),
     ("limit_values", "opacity_floor", "0.0", "1.0"),
     ("center_shift", "apply_z", "true", "false"),
+    ("capture_effects", "effects", "\"holes=2\"", "\"holes=1..3,noise=2\""),
+    ("capture_effects", "probability", "0.1", "0.9"),
     ("random_dropout", "ratio", "0.2", "0.5"),
     ("random_dropout", "probability", "0.1", "0.9"),
     ("random_rotate", "angle", "[-1.0, 1.0]", "[-0.1, 0.1]"),
@@ -51,6 +53,7 @@ const FIELDS: &[(&str, &str, &str, &str)] = &[
 
 /// Fields that another one needs.
 const BESIDE: &[(&str, &str, &str)] = &[
+    ("capture_effects", "effects", "\"noise=3\""),
     ("grid_sample", "grid_size", "0.3"),
     ("sphere_crop", "point_max", "500"),
     // Beyond half a turn quaternions change their sign.

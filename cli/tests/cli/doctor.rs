@@ -106,3 +106,75 @@ fn ctrl_c_stops_it() {
     assert!(rest.contains("stopped"), "{rest}");
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
 }
+
+#[test]
+fn a_short_soak_is_told_as_json_and_a_round_runs_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let json = folder.path().join("soak.json");
+    let output =
+        scenesplat(&["doctor", "--soak", "2s", "--seed", "5", "--json", json.to_str().unwrap()]);
+    done(&output);
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(said.contains("seed 5") && said.trim_end().ends_with("passed"), "{said}");
+    let report = report(&json);
+    assert_eq!((&report["passed"], &report["seed"]), (&true.into(), &5.into()));
+    assert!(report["rounds"].as_u64().unwrap() >= 7 && report["problems"] == Value::Array(vec![]));
+    #[cfg(target_os = "linux")]
+    assert!(report["memory"]["end"].as_u64().unwrap() > 0);
+    let output = scenesplat(&["doctor", "--round", "3", "--seed", "5"]);
+    done(&output);
+    assert!(
+        String::from_utf8_lossy(&output.stdout).contains("round 3 of seed 5 (network): passed")
+    );
+}
+
+#[test]
+fn a_short_grid_of_trainings_is_told_as_json() {
+    let folder = tempfile::tempdir().unwrap();
+    let json = folder.path().join("training.json");
+    let path = json.to_str().unwrap();
+    let args = ["doctor", "--training", "--steps", "1", "--seeds", "1", "--json", path];
+    let output = scenesplat(&args);
+    done(&output);
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(said.contains("12 trainings, 0 failed"), "{said}");
+    let report = report(&json);
+    assert_eq!(report["runs"].as_array().unwrap().len(), 12);
+    assert_eq!(report["poison"]["recovered"], true);
+}
+
+#[test]
+fn flags_that_would_do_nothing_are_refused() {
+    for args in [
+        &["doctor", "--seed", "3"][..],
+        &["doctor", "--steps", "3"],
+        &["doctor", "--training", "--steps", "0"],
+        &["doctor", "--training", "--seeds", "0"],
+        &["doctor", "--soak", "1s", "--full"],
+        &["doctor", "--soak", "1s", "--training"],
+        &["doctor", "--round", "3", "--json", "a.json"],
+        &["doctor", "--soak", "soon"],
+    ] {
+        let output = scenesplat(args);
+        assert_eq!(output.status.code(), Some(2), "{args:?}: {}", stderr(&output));
+    }
+}
+
+#[test]
+fn curves_are_told_and_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("curves");
+    let path = out.to_str().unwrap();
+    let few = ["doctor", "--curves", path, "--rooms", "1", "--gaussians"];
+    let output = scenesplat(&[&few[..], &["1000"]].concat());
+    done(&output);
+    let said = String::from_utf8_lossy(&output.stdout);
+    for word in ["holes", "floaters", "f-mIoU", "largest fall", "rank correlation", "far away"] {
+        assert!(said.contains(word), "{word}: {said}");
+    }
+    let found = report(&out.join("severity.json"));
+    assert!(found["curves"].as_array().unwrap().len() >= 6, "{found}");
+    assert!(out.join("severity.png").is_file() && out.join("severity.svg").is_file());
+    let output = scenesplat(&[&few[..], &["10"]].concat());
+    assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
+}

@@ -32,7 +32,15 @@ pub(super) fn glass(
     let Some(wall) = largest_wall(&out.scene.coord, up) else {
         return Ok((0, "no upright plane that could hold a pane".to_owned()));
     };
-    let pane = Pane::on(&wall, severity, seed);
+    on_pane(out, &Pane::on(&wall, severity, seed), seed)
+}
+
+/// As [`glass`], on a pane that is known.
+pub(super) fn on_pane(
+    out: &mut Simulated,
+    pane: &Pane,
+    seed: u64,
+) -> Result<(usize, String), SceneError> {
     let at = |row: usize| out.scene.coord[row].map(f64::from);
     // The pane stands before the wall's Gaussians, by their thickness.
     let in_sheet = |row: usize| {
@@ -47,7 +55,7 @@ pub(super) fn glass(
         before > 0.0 && before <= GHOST_METRES && pane.covers(at(row))
     };
     let ghosts: Vec<usize> = (0..rows).filter(|&row| is_reflected(row)).collect();
-    let share = share_that_stays(&out.scene, &sheet, &pane);
+    let share = share_that_stays(&out.scene, &sheet, pane);
     let keys = out.keys();
     let mut opacities = vec![None; rows];
     for &row in &sheet {
@@ -69,7 +77,7 @@ pub(super) fn glass(
     let rest = 3 * scene.sh_rest_len();
     let dim = [schlick(GHOST_COSINE); 3];
     for row in kept.len()..scene.len() {
-        mirror(&mut scene, row, &pane);
+        mirror(&mut scene, row, pane);
         scene.sh_rest[row * rest..(row + 1) * rest].fill(0.0);
         tint(&mut scene, row, dim);
         let opacity = GHOST_OPACITY * f64::from(scene.opacity(row));
@@ -90,6 +98,21 @@ pub(super) fn glass(
         ghosts.len()
     );
     Ok((sheet.len() + ghosts.len(), text))
+}
+
+/// As [`glass`], on several panes, one after the other.
+pub(super) fn on_panes(
+    out: &mut Simulated,
+    panes: &[Pane],
+    seed: u64,
+) -> Result<(usize, String), SceneError> {
+    let (mut changed, mut texts) = (0, Vec::new());
+    for pane in panes {
+        let (more, text) = on_pane(out, pane, seed)?;
+        changed += more;
+        texts.push(text);
+    }
+    Ok((changed, texts.join("; ")))
 }
 
 /// The share of a sheet's Gaussians that lets through `1 − α` of the light on average, each with opacity

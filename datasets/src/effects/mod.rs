@@ -15,10 +15,16 @@ mod light;
 pub mod linear;
 pub mod pane;
 pub mod pictures;
+pub mod plan;
+pub mod profile;
+mod ranges;
+mod rooms;
 mod set;
 pub mod strength;
 
 pub use pane::{Pane, Wall, largest_wall};
+pub use ranges::EffectRanges;
+pub use rooms::{RoomDamage, RoomEffect, simulate_in_room};
 pub use set::{Effect, EffectError, EffectSet, MOST_SEVERE};
 
 use crate::rng::SampleRng;
@@ -111,18 +117,34 @@ pub fn simulate_upright(
         done: Vec::new(),
     };
     for (effect, severity) in effects.present() {
-        let (changed, text) = match effect {
-            Effect::Holes => geometry::holes(&mut out, severity, seed)?,
-            Effect::Floaters => geometry::floaters(&mut out, severity, seed)?,
-            Effect::Surface => geometry::surface(&mut out, severity, seed),
-            Effect::Blur => geometry::blur(&mut out, severity, seed),
-            Effect::Glass => glass::glass(&mut out, severity, seed, up)?,
-            Effect::Light => light::light(&mut out.scene, severity, seed),
-            Effect::Noise => light::noise(&mut out, severity, seed),
-        };
+        let (changed, text) = apply(&mut out, effect, severity, seed, up, None)?;
         out.done.push(EffectDone { effect, severity, changed, text });
     }
     Ok(out)
+}
+
+/// Applies one effect: how many Gaussians it changed, and that in words. `panes`: where there is glass, if
+/// that is known.
+fn apply(
+    out: &mut Simulated,
+    effect: Effect,
+    severity: f64,
+    seed: u64,
+    up: Option<UpAxis>,
+    panes: Option<&[Pane]>,
+) -> Result<(usize, String), SceneError> {
+    Ok(match effect {
+        Effect::Holes => geometry::holes(out, severity, seed)?,
+        Effect::Floaters => geometry::floaters(out, severity, seed)?,
+        Effect::Surface => geometry::surface(out, severity, seed),
+        Effect::Blur => geometry::blur(out, severity, seed),
+        Effect::Glass => match panes {
+            None => glass::glass(out, severity, seed, up)?,
+            Some(panes) => glass::on_panes(out, panes, seed)?,
+        },
+        Effect::Light => light::light(&mut out.scene, severity, seed),
+        Effect::Noise => light::noise(out, severity, seed),
+    })
 }
 
 #[cfg(test)]

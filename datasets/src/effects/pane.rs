@@ -21,6 +21,9 @@ const FRINGE: f64 = 0.02;
 /// What is left of light that all of a pane takes in: glass is greenish.
 pub(super) const TINT: [f64; 3] = [0.92, 1.0, 0.96];
 
+/// Gaussians stray so far from the window that they belong to, metres.
+const LEAST_THICKNESS: f64 = 0.01;
+
 /// An upright plane of a scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Wall {
@@ -185,6 +188,35 @@ impl Pane {
             alpha: GLASS_ALPHA * severity,
             tint: TINT,
             thickness: wall.thickness,
+        }
+    }
+
+    /// The pane of a window: its box, and the size of the room that it is in, whose corner is the origin and
+    /// whose up is +z. It takes in 6 % · *s* of the light.
+    pub fn in_box([low, high]: [[f32; 3]; 2], room: [f32; 3], severity: f64) -> Self {
+        let [low, high] = [low, high].map(|p| p.map(f64::from));
+        let centre: [f64; 3] = std::array::from_fn(|i| 0.5 * (low[i] + high[i]));
+        let size = |i: usize| high[i] - low[i];
+        // Windows stand in walls along x or y.
+        let thin = usize::from(size(1) < size(0));
+        let towards = (0.5 * f64::from(room[thin]) - centre[thin]).signum();
+        let (mut normal, mut across) = ([0.0; 3], [0.0; 3]);
+        normal[thin] = towards;
+        across[1 - thin] = 1.0;
+        // Before all of what the window is made of.
+        let half_depth = 0.5 * size(thin);
+        let mut front = centre;
+        front[thin] += towards * half_depth;
+        Self {
+            normal,
+            across,
+            up: [0.0, 0.0, 1.0],
+            centre: front,
+            half: [0.5 * size(1 - thin), 0.5 * size(2)],
+            alpha: GLASS_ALPHA * severity,
+            tint: TINT,
+            // Twice this far behind its front a Gaussian still belongs to it.
+            thickness: half_depth + LEAST_THICKNESS,
         }
     }
 

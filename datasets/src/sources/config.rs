@@ -1,6 +1,7 @@
 //! Sources by name.
 
 use super::{Benchmark, SceneFolders, SceneFoldersOptions, Split, SyntheticRooms};
+use crate::effects::EffectRanges;
 use crate::error::bad_setting;
 use crate::{DataError, DataSource, SceneDataset, Transform};
 use scenesplat_rooms::{CLASSES, SyntheticRoomSettings, Vocabulary};
@@ -92,6 +93,9 @@ pub struct SyntheticRoomsConfig {
     /// Width of the built-in vocabulary that gives each Gaussian a language feature; none without.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vocabulary: Option<usize>,
+    /// What a bad capture does to those rooms that call for it, as `holes=0..3,glass=2`; nothing without.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub effects: Option<EffectRanges>,
 }
 
 impl SyntheticRoomsConfig {
@@ -103,7 +107,14 @@ impl SyntheticRoomsConfig {
             let expected = "nothing: `seed` of the source is the seed of its rooms";
             return Err(bad_setting("room.seed", self.room.seed, expected));
         }
-        let rooms = SyntheticRooms::new(self.count, self.room.clone(), self.seed)?;
+        let mut rooms = SyntheticRooms::new(self.count, self.room.clone(), self.seed)?;
+        if let Some(effects) = self.effects {
+            if effects.is_empty() {
+                let expected = "effects with a severity above 0, such as holes=0..3, or none of it";
+                return Err(bad_setting("effects", effects, expected));
+            }
+            rooms = rooms.with_effects(effects);
+        }
         let Some(dim) = self.vocabulary else { return Ok(rooms) };
         let vocabulary = Vocabulary::new(dim)
             .map_err(|error| bad_setting("vocabulary", error, "a width that fits"))?;

@@ -1,8 +1,11 @@
 //! Synthetic rooms as a source of scenes.
 
+use crate::effects::{EffectRanges, simulate_in_room};
 use crate::error::bad_setting;
 use crate::{DataError, DataSource, SourceScene};
 use half::f16;
+use rand_chacha::rand_core::RngCore;
+use scenesplat_kernels::random::sample_rng;
 use scenesplat_rooms::vocabulary::{NO_TARGET, Vocabulary};
 use scenesplat_rooms::{SyntheticRoom, SyntheticRoomSettings, generate};
 use scenesplat_scene::{LanguageFeatures, RepairReport};
@@ -10,6 +13,8 @@ use std::sync::Arc;
 
 /// Most rooms of a source.
 pub const MAX_ROOMS: usize = 1_000_000;
+/// The epoch that no training has: random numbers of the damage of rooms.
+const EFFECTS: u64 = u64::MAX;
 
 /// Any number of rooms `room-000000`, `room-000001`, …; nothing is kept, `load` generates.
 #[derive(Debug, Clone)]
@@ -17,6 +22,7 @@ pub struct SyntheticRooms {
     ids: Vec<String>,
     settings: SyntheticRoomSettings,
     vocabulary: Option<Arc<Vocabulary>>,
+    effects: EffectRanges,
 }
 
 impl SyntheticRooms {
@@ -35,7 +41,7 @@ impl SyntheticRooms {
         }
         let ids = (0..count).map(|i| format!("room-{i:06}")).collect();
         settings.seed = seed;
-        Ok(Self { ids, settings, vocabulary: None })
+        Ok(Self { ids, settings, vocabulary: None, effects: EffectRanges::default() })
     }
 
     /// Gives every Gaussian of an object its feature in the vocabulary: class, groups and colour.
@@ -45,7 +51,15 @@ impl SyntheticRooms {
         self
     }
 
-    /// A room with what is in it.
+    /// Damages each room as a bad capture of it would have, by those of the effects that the room calls for
+    /// ([`simulate_in_room`]); severities are drawn for each room by its seed and number.
+    #[must_use]
+    pub fn with_effects(mut self, effects: EffectRanges) -> Self {
+        self.effects = effects;
+        self
+    }
+
+    /// A room with what is in it, undamaged.
     ///
     /// # Errors
     /// As [`generate`], and if there is no room of this number.
@@ -71,11 +85,18 @@ impl DataSource for SyntheticRooms {
             known.len().cmp(&id.len()).then_with(|| known.as_str().cmp(id))
         });
         let unknown = || DataError::UnknownScene { id: id.to_owned(), known: self.ids.len() };
-        let mut room = self.room(index.map_err(|_| unknown())?)?;
+        let index = index.map_err(|_| unknown())?;
+        let mut room = self.room(index)?;
         if let Some(vocabulary) = &self.vocabulary {
             add_features(&mut room, vocabulary);
         }
-        let scene = room.scene;
+        let scene = if self.effects.is_empty() {
+            room.scene
+        } else {
+            let mut rng = sample_rng(self.settings.seed, EFFECTS, index as u64);
+            let effects = self.effects.draw(&mut rng);
+            simulate_in_room(&room, &effects, rng.next_u64())?.simulated.scene
+        };
         let report = RepairReport { source_rows: scene.len(), ..RepairReport::default() };
         Ok(SourceScene { scene, report })
     }
@@ -118,5 +139,30 @@ mod tests {
             assert!(matches!(error, DataError::UnknownScene { known: 3, .. }), "{error}");
         }
         assert!(many.room(12).is_err());
+    }
+
+    #[test]
+    fn rooms_are_damaged_each_by_itself() {
+        let settings =
+            SyntheticRoomSettings { num_gaussians: Some(900), ..SyntheticRoomSettings::default() };
+        let plain = SyntheticRooms::new(4, settings, 5).unwrap();
+        let source = |text: &str| plain.clone().with_effects(text.parse().unwrap());
+        let load = |source: &SyntheticRooms, room| source.load(room).unwrap().scene;
+        let (hurt, again) = (source("holes=1..4"), source("holes=1..4"));
+        let mut missing = std::collections::BTreeSet::new();
+        for room in ["room-000000", "room-000001", "room-000002", "room-000003"] {
+            let scene = load(&hurt, room);
+            assert_eq!(scene, load(&again, room));
+            missing.insert(900 - scene.len());
+        }
+        // 3 % for each severity, which is another one in each room.
+        assert!(missing.len() > 2 && missing.iter().all(|n| (27..=108).contains(n)), "{missing:?}");
+        assert_eq!(load(&source("none"), "room-000001"), load(&plain, "room-000001"));
+        let floaters = load(
+            &source("floaters=5").with_vocabulary(Arc::new(Vocabulary::new(64).unwrap())),
+            "room-000002",
+        );
+        let mask = floaters.valid_feat_mask.unwrap();
+        assert!(mask.len() > 900 && mask[900..].iter().all(|valid| !valid));
     }
 }

@@ -1,9 +1,9 @@
 //! Steps by name.
 
 use super::{
-    CenterShift, ChromaticAutoContrast, ChromaticJitter, ChromaticTranslation, ElasticDistortion,
-    GridSample, LimitValues, RandomDropout, RandomFlip, RandomJitter, RandomRotate,
-    RandomRotateTargetAngle, RandomScale, SphereCrop,
+    CaptureEffects, CenterShift, ChromaticAutoContrast, ChromaticJitter, ChromaticTranslation,
+    ElasticDistortion, GridSample, LimitValues, RandomDropout, RandomFlip, RandomJitter,
+    RandomRotate, RandomRotateTargetAngle, RandomScale, SphereCrop,
 };
 use crate::{DataError, Transform};
 use serde::{Deserialize, Serialize};
@@ -45,6 +45,7 @@ macro_rules! transform_config {
 transform_config! {
     LimitValues: "Shrinks and limits values.";
     CenterShift: "Moves the scene to the origin.";
+    CaptureEffects: "Damages the scene as a bad capture would have.";
     RandomDropout: "Leaves out some Gaussians.";
     RandomRotate: "Turns by a uniform angle.";
     RandomRotateTargetAngle: "Turns by one of several angles.";

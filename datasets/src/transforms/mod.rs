@@ -19,6 +19,7 @@
 //! Colours become −1..1 where a batch is made ([`InputFeatures`](crate::InputFeatures)), so there is
 //! no step for that, nor for choosing what is collected.
 
+mod capture_effects;
 mod center_shift;
 mod chromatic;
 mod config;
@@ -34,6 +35,7 @@ mod random_rotate;
 mod random_scale;
 mod sphere_crop;
 
+pub use capture_effects::CaptureEffects;
 pub use center_shift::CenterShift;
 pub use chromatic::{ChromaticAutoContrast, ChromaticJitter, ChromaticTranslation};
 pub use config::{TransformConfig, build_transforms};

@@ -8,8 +8,9 @@
 //!
 //! The exponents are taken relative to a shift of each query: the largest score of the first block
 //! of keys. A weight may thus exceed 1; only if the weights of a later block sum up to more than
-//! [`LARGEST_SUM`] does the query get a new shift. The shift is the starting value of the score's
-//! sum, so subtracting it costs nothing. All this depends on the query and the keys of its patch in
+//! [`LARGEST_SUM`] does the query get a new shift. It is taken off the finished score: as the starting
+//! value of its sum it would leave, beside scores of 10¹⁰ and more, a rounding error that no exponent
+//! holds. All this depends on the query and the keys of its patch in
 //! their order, not on other queries nor on threads.
 
 use super::softmax::SoftmaxVector;
@@ -55,7 +56,7 @@ pub(super) unsafe fn weights<P: Weights, const MR: usize, const NV: usize>(
     // SAFETY: the caller's promise; a register of the block lies inside `shift` and `sum`.
     unsafe {
         if start == 0 {
-            scores::<P, MR, NV>(s, 0, keys, [P::Sum::zero(); NV]);
+            scores::<P, MR, NV>(s, 0, keys);
             let top = largest::<P, NV>(s, keys);
             for v in 0..NV {
                 top[v].store(s.shift.as_mut_ptr().add(v * P::Sum::LANES));
@@ -66,12 +67,12 @@ pub(super) unsafe fn weights<P: Weights, const MR: usize, const NV: usize>(
             }
             return;
         }
-        let mut from = [P::Sum::zero(); NV];
+        let mut shift = [P::Sum::zero(); NV];
         for v in 0..NV {
-            from[v] = from[v].sub(P::Sum::load(s.shift.as_ptr().add(v * P::Sum::LANES)));
+            shift[v] = P::Sum::load(s.shift.as_ptr().add(v * P::Sum::LANES));
         }
-        scores::<P, MR, NV>(s, start, keys, from);
-        let mut sums = exponentials::<P, NV>(s, keys, [P::Sum::zero(); NV]);
+        scores::<P, MR, NV>(s, start, keys);
+        let mut sums = exponentials::<P, NV>(s, keys, shift);
         let mut fits = true;
         for v in 0..NV {
             fits &= sums[v].all_at_most(LARGEST_SUM);
@@ -79,10 +80,10 @@ pub(super) unsafe fn weights<P: Weights, const MR: usize, const NV: usize>(
         if !fits {
             raise_shift::<P, MR, NV>(s, start, keys, sums);
             for v in 0..NV {
-                from[v] = P::Sum::zero().sub(P::Sum::load(s.shift.as_ptr().add(v * P::Sum::LANES)));
+                shift[v] = P::Sum::load(s.shift.as_ptr().add(v * P::Sum::LANES));
             }
-            scores::<P, MR, NV>(s, start, keys, from);
-            sums = exponentials::<P, NV>(s, keys, [P::Sum::zero(); NV]);
+            // The scores are there: raising the shift looked for the largest of them.
+            sums = exponentials::<P, NV>(s, keys, shift);
         }
         for v in 0..NV {
             let to = s.sum.as_mut_ptr().add(v * P::Sum::LANES);
@@ -101,7 +102,7 @@ unsafe fn raise_shift<P: Weights, const MR: usize, const NV: usize>(
 ) {
     // SAFETY: the caller's promise.
     unsafe {
-        scores::<P, MR, NV>(s, start, keys, [P::Sum::zero(); NV]);
+        scores::<P, MR, NV>(s, start, keys);
         let top = largest::<P, NV>(s, keys);
         let lanes = NV * P::Sum::LANES;
         let rows = s.out.len() / lanes;
@@ -126,13 +127,12 @@ unsafe fn raise_shift<P: Weights, const MR: usize, const NV: usize>(
     }
 }
 
-/// `weights[j] = from + k_j · q` for a block of keys.
+/// `weights[j] = k_j · q` for a block of keys.
 #[inline(always)]
 unsafe fn scores<P: Weights, const MR: usize, const NV: usize>(
     s: &mut Block<'_, P::Element>,
     start: usize,
     keys: usize,
-    from: [P::Sum; NV],
 ) {
     let lanes = NV * P::Sum::LANES;
     let steps = s.steps;
@@ -145,7 +145,7 @@ unsafe fn scores<P: Weights, const MR: usize, const NV: usize>(
             let a = Spread { base: s.keys.as_ptr().add((start + j) * steps), row: steps, step: 1 };
             let to = s.weights.as_mut_ptr().add(j * lanes);
             with_rows!(rows, M => {
-                let sums = tile::<P, M, NV>(from, &a, &b, steps);
+                let sums = tile::<P, M, NV>([P::Sum::zero(); NV], &a, &b, steps);
                 for i in 0..M {
                     for v in 0..NV {
                         sums[i][v].store(to.add(i * lanes + v * P::Sum::LANES));

@@ -8,3 +8,4 @@ mod support;
 
 mod classes;
 mod features;
+mod self_supervised;

@@ -10,12 +10,12 @@ use scenesplat_scene::{
 use std::path::Path;
 
 /// Gaussians of the files; one of them is bad.
-pub(super) const ROWS: usize = 6;
+pub(in crate::doctor) const ROWS: usize = 6;
 /// The row that is bad.
-pub(super) const BAD: usize = 3;
+pub(in crate::doctor) const BAD: usize = 3;
 
 /// A scene that cleaning leaves as it is.
-pub(super) fn scene(rows: usize, sh_degree: u8, seed: u64) -> GaussianScene {
+pub(in crate::doctor) fn scene(rows: usize, sh_degree: u8, seed: u64) -> GaussianScene {
     let mut rng = Noise::new(seed);
     let mut scene = GaussianScene { sh_degree, ..GaussianScene::default() };
     for _ in 0..rows {
@@ -34,10 +34,10 @@ pub(super) fn scene(rows: usize, sh_degree: u8, seed: u64) -> GaussianScene {
 }
 
 /// Columns of a file, by name.
-pub(super) type Columns = Vec<(String, Vec<f32>)>;
+pub(in crate::doctor) type Columns = Vec<(String, Vec<f32>)>;
 
 /// The columns of the original trainer, degree 1, with normals and labels.
-pub(super) fn columns(rows: usize) -> Columns {
+pub(in crate::doctor) fn columns(rows: usize) -> Columns {
     let scene = scene(rows, 1, 9);
     let mut columns: Columns = Vec::new();
     let mut add = |name: &str, i: Option<usize>, values: Vec<f32>| {
@@ -72,7 +72,7 @@ pub(super) fn columns(rows: usize) -> Columns {
 }
 
 /// The columns with one value changed.
-pub(super) fn with(mut columns: Columns, name: &str, row: usize, value: f32) -> Columns {
+pub(in crate::doctor) fn with(mut columns: Columns, name: &str, row: usize, value: f32) -> Columns {
     for (_, values) in columns.iter_mut().filter(|(n, _)| n == name) {
         values[row] = value;
     }
@@ -81,14 +81,14 @@ pub(super) fn with(mut columns: Columns, name: &str, row: usize, value: f32) -> 
 
 /// How a file is encoded.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Encoding {
+pub(in crate::doctor) enum Encoding {
     Ascii,
     Little,
     Big,
 }
 
 /// A PLY file of float columns.
-pub(super) fn ply(columns: &Columns, encoding: Encoding, line_end: &str) -> Vec<u8> {
+pub(in crate::doctor) fn ply(columns: &Columns, encoding: Encoding, line_end: &str) -> Vec<u8> {
     let rows = columns.first().map_or(0, |(_, values)| values.len());
     let format = match encoding {
         Encoding::Ascii => "ascii",
@@ -114,12 +114,12 @@ pub(super) fn ply(columns: &Columns, encoding: Encoding, line_end: &str) -> Vec<
 }
 
 /// As most trainers write it.
-pub(super) fn little(columns: &Columns) -> Vec<u8> {
+pub(in crate::doctor) fn little(columns: &Columns) -> Vec<u8> {
     ply(columns, Encoding::Little, "\n")
 }
 
 /// The header of a binary file, and the rest.
-pub(super) fn cut_header(bytes: &[u8]) -> (String, &[u8]) {
+pub(in crate::doctor) fn cut_header(bytes: &[u8]) -> (String, &[u8]) {
     const END: &[u8] = b"end_header\n";
     let at =
         bytes.windows(END.len()).position(|w| w == END).map_or(bytes.len(), |at| at + END.len());
@@ -127,12 +127,12 @@ pub(super) fn cut_header(bytes: &[u8]) -> (String, &[u8]) {
 }
 
 /// Reads a file by the given policy.
-pub(super) fn open(path: &Path, policy: Policy) -> Result<LoadedScene, SceneError> {
+pub(in crate::doctor) fn open(path: &Path, policy: Policy) -> Result<LoadedScene, SceneError> {
     open_scene(path, &ReadOptions { policy, ..ReadOptions::default() })
 }
 
 /// Reads a file that both policies have to take.
-pub(super) fn open_legal(path: &Path) -> Result<LoadedScene, Failure> {
+pub(in crate::doctor) fn open_legal(path: &Path) -> Result<LoadedScene, Failure> {
     open(path, Policy::Strict)
         .map_err(|e| Failure(format!("the strict policy refuses what is legal: {e}")))?;
     let loaded = open(path, Policy::Repair)?;
@@ -141,7 +141,11 @@ pub(super) fn open_legal(path: &Path) -> Result<LoadedScene, Failure> {
 }
 
 /// Reads a file in which one row needs a repair: the strict policy has to refuse it and name the row.
-pub(super) fn open_repaired(path: &Path, rule: Rule, row: usize) -> Result<LoadedScene, Failure> {
+pub(in crate::doctor) fn open_repaired(
+    path: &Path,
+    rule: Rule,
+    row: usize,
+) -> Result<LoadedScene, Failure> {
     let loaded = open(path, Policy::Repair)?;
     let Some(finding) = loaded.report.finding(rule) else {
         return Err(Failure(format!("no finding {rule:?} in the report: {}", loaded.report)));
@@ -157,7 +161,7 @@ pub(super) fn open_repaired(path: &Path, rule: Rule, row: usize) -> Result<Loade
 }
 
 /// That a file is refused, with all of these words in the error.
-pub(super) fn refused<T, E: std::error::Error>(
+pub(in crate::doctor) fn refused<T, E: std::error::Error>(
     result: Result<T, E>,
     words: &[&str],
 ) -> Result<(), Failure> {
@@ -172,7 +176,7 @@ pub(super) fn refused<T, E: std::error::Error>(
 }
 
 /// That a quaternion has norm 1 and a real part of at least 0.
-pub(super) fn check_quats(scene: &GaussianScene) -> Result<(), Failure> {
+pub(in crate::doctor) fn check_quats(scene: &GaussianScene) -> Result<(), Failure> {
     for (row, quat) in scene.quat.iter().enumerate() {
         let norm: f64 = quat.iter().map(|&v| f64::from(v).powi(2)).sum();
         ensure!((norm - 1.0).abs() < 1e-6 && quat[0] >= 0.0, "quat of row {row} is {quat:?}");
@@ -181,7 +185,7 @@ pub(super) fn check_quats(scene: &GaussianScene) -> Result<(), Failure> {
 }
 
 /// The name of a scene in a format.
-pub(super) fn file_name(format: SceneFormat) -> &'static str {
+pub(in crate::doctor) fn file_name(format: SceneFormat) -> &'static str {
     match format {
         SceneFormat::Ply => "scene.ply",
         SceneFormat::CompressedPly => "scene.compressed.ply",
@@ -194,7 +198,7 @@ pub(super) fn file_name(format: SceneFormat) -> &'static str {
 }
 
 /// Writes a scene by the library's writer and reads it back.
-pub(super) fn through(
+pub(in crate::doctor) fn through(
     trial: &Trial<'_>,
     scene: &GaussianScene,
     format: SceneFormat,

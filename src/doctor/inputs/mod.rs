@@ -4,7 +4,7 @@ mod attacks;
 mod claims;
 mod columns;
 mod containers;
-mod files;
+pub(super) mod files;
 mod poison;
 mod quaternions;
 mod round_trips;

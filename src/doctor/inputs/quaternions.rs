@@ -133,7 +133,7 @@ fn check(trial: &Trial<'_>, rotation: &Rotation) -> Result<Finding, Failure> {
     };
     // Both signs are the same half turn.
     let error = if want[0] == 0.0 { error(1.0).min(error(-1.0)) } else { error(1.0) };
-    Ok(Finding { error, worst: format!("{:?} became {got:?}", rotation.quat) })
+    Ok(Finding::of(error, format!("{:?} became {got:?}", rotation.quat)))
 }
 
 /// The direction with a real part of at least 0.

@@ -124,7 +124,7 @@ fn flat(trial: &Trial<'_>, container: &Container) -> Result<Finding, Failure> {
     ensure!(loaded.report.is_clean(), "reported as repaired: {}", loaded.report);
     ensure!(loaded.scene.len() == ROWS, "{} Gaussians of {ROWS}", loaded.scene.len());
     let thick = (0..ROWS).map(|row| f64::from(loaded.scene.scale(row)[1])).fold(0.0, f64::max);
-    Ok(Finding { error: thick, worst: format!("thickness 0 became {thick:e} m") })
+    Ok(Finding::of(thick, format!("thickness 0 became {thick:e} m")))
 }
 
 fn far(trial: &Trial<'_>, container: &Container) -> Result<Finding, Failure> {
@@ -153,7 +153,7 @@ fn one(trial: &Trial<'_>, container: &Container) -> Result<Finding, Failure> {
     ensure!(loaded.scene.len() == 1, "{} Gaussians", loaded.scene.len());
     let apart = loaded.scene.coord[0].iter().zip(&scene.coord[0]);
     let error = apart.map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max);
-    Ok(Finding { error, worst: format!("{:?} became {:?}", scene.coord[0], loaded.scene.coord[0]) })
+    Ok(Finding::of(error, format!("{:?} became {:?}", scene.coord[0], loaded.scene.coord[0])))
 }
 
 fn cut(trial: &Trial<'_>, container: &Container) -> Result<Finding, Failure> {

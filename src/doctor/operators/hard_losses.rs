@@ -243,10 +243,7 @@ pub(super) fn cases() -> Vec<Case> {
             reason: "of 1: sums are f64, one rounding to f32",
             ..operator(name, "losses", move |_| {
                 let value = cosine_of(&p, &t)?;
-                Ok(Finding {
-                    error: (value - want).abs(),
-                    worst: format!("{value}, {want} is right"),
-                })
+                Ok(Finding::of((value - want).abs(), format!("{value}, {want} is right")))
             })
         });
     }

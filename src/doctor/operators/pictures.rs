@@ -310,10 +310,8 @@ fn layers(_: &Trial<'_>) -> Result<Finding, Failure> {
     let want = f64::from(n as u32) * (-f64::from(alpha)).ln_1p();
     // Compared as logarithms: 10⁴ roundings of 6e-8 each.
     let got = f64::from(out.transmittance[middle]).ln();
-    Ok(Finding {
-        error: ((got - want) / want).abs(),
-        worst: format!("ln of the transmittance {got}, f64 {want}"),
-    })
+    let text = format!("ln of the transmittance {got}, f64 {want}");
+    Ok(Finding::of(((got - want) / want).abs(), text))
 }
 
 /// A round Gaussian in front of the camera, by hand.

@@ -23,6 +23,13 @@ pub const CASES: &[Case] = &[
     )
     .with(&[("/targets", "features")]),
     row(
+        "train[*].source(synthetic).effects",
+        "language",
+        "/train/0/source/effects",
+        "holes=2,noise=1..3",
+        Weights,
+    ),
+    row(
         "train[*].source(synthetic).room.seed",
         "language",
         "/train/0/source/room/seed",

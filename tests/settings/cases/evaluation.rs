@@ -53,6 +53,13 @@ pub const CASES: &[Case] = &[
         Nothing("only floaters have no feature, and no vote turns on them"),
     ),
     row(
+        "evaluate[*].source(synthetic).effects",
+        "language",
+        "/evaluate/0/source/effects",
+        "holes=5",
+        Measured,
+    ),
+    row(
         "evaluate[*].source(synthetic).room.seed",
         "language",
         "/evaluate/0/source/room/seed",

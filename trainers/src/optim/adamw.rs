@@ -150,8 +150,9 @@ impl Slot {
         }
         let root = (self.second.sqrt()? / change.root_scale)?;
         let direction = (&self.first / (root + change.eps)?)?;
-        let kept = self.var.as_detached_tensor().affine(change.keep, 0.0)?;
-        self.var.set(&(kept - direction.affine(change.rate, 0.0)?)?)
+        let value = self.var.as_detached_tensor();
+        let change = (value.affine(change.decay, 0.0)? + direction.affine(change.rate, 0.0)?)?;
+        self.var.set(&(value - change)?)
     }
 }
 
@@ -179,7 +180,7 @@ impl Optimizer for AdamW {
             let rates = &self.groups[slot.group];
             let (lr, t) = (rates.lr * scale, slot.step as f64);
             let change = Change {
-                keep: 1.0 - lr * hyperparameters.weight_decay.unwrap_or(rates.weight_decay),
+                decay: lr * hyperparameters.weight_decay.unwrap_or(rates.weight_decay),
                 rate: lr / (1.0 - beta1.powf(t)),
                 root_scale: (1.0 - beta2.powf(t)).sqrt(),
                 eps,
@@ -294,7 +295,9 @@ struct SecondMoment {
 
 /// The last line of the update with the first one folded in.
 struct Change {
-    keep: f64,
+    /// η · weight decay. Taken off instead of multiplying by 1 − it: that factor, rounded to f32, is off by up
+    /// to 3e-8, always to the same side, which adds up over the steps.
+    decay: f64,
     rate: f64,
     root_scale: f64,
     eps: f64,
@@ -355,10 +358,10 @@ impl InplaceOp3 for Change {
         else {
             bail!("expected contiguous f32 data")
         };
-        let [keep, rate, root_scale, eps] =
-            [self.keep, self.rate, self.root_scale, self.eps].map(|v| v as f32);
+        let [decay, rate, root_scale, eps] =
+            [self.decay, self.rate, self.root_scale, self.eps].map(|v| v as f32);
         slices::zip3(slices::elements_mut(p, p_layout)?, m, v, |p, m, v| {
-            p * keep - rate * (m / (v.sqrt() / root_scale + eps))
+            p - (decay * p + rate * (m / (v.sqrt() / root_scale + eps)))
         });
         Ok(())
     }

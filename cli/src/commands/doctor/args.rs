@@ -1,6 +1,7 @@
 //! The flags of `doctor`, and the cases that they choose.
 
 use crate::commands::WrongUse;
+use crate::duration::{Seconds, parse_duration};
 use anyhow::Result;
 use scenesplat::doctor::{Case, Level, catalogue, nearest_names};
 use std::path::PathBuf;
@@ -8,7 +9,10 @@ use std::path::PathBuf;
 /// Runs hard cases on this machine: damaged files, numbers at the edge of their range, operators
 /// against f64, short trainings, damaged rooms. Needs no files. Each case is made anew, the same
 /// every time; docs/hard_cases.md lists them.
+///
+/// --soak, --round, --training and --curves run something else instead of the cases.
 #[derive(Debug, clap::Args)]
+#[command(group = clap::ArgGroup::new("instead").conflicts_with_all(["full", "case", "level", "operators_to"]))]
 pub struct Args {
     /// All cases, and the operators on each instruction set of the machine.
     #[arg(long)]
@@ -19,6 +23,36 @@ pub struct Args {
     /// Only cases of this level: inputs, operators, training or scenes.
     #[arg(long, value_name = "NAME", value_parser = parse_level)]
     pub level: Option<Level>,
+    /// Random inputs for so long (10m, 1h): files, values, operators, scenes through the network. None may
+    /// panic, nothing that is not finite may come out, memory has to stay flat.
+    #[arg(long, value_name = "TIME", value_parser = parse_duration, group = "instead")]
+    pub soak: Option<Seconds>,
+    /// One round of --soak again, by the number that its report names; the seed as there.
+    #[arg(long, value_name = "N", group = "instead")]
+    pub round: Option<u64>,
+    /// Which random inputs of --soak [default: 0], which damage of --curves [default: 1]
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// Trains a small network in every form: {f32, bf16} × {even, uneven batches} × {plain, accumulated,
+    /// recomputed} × seeds; compares their gradients, and poisons a batch. Hours at the default length.
+    #[arg(long, group = "instead")]
+    pub training: bool,
+    /// Optimizer steps of each of --training. [default: 2000]
+    #[arg(long, value_name = "N", requires = "training")]
+    pub steps: Option<u64>,
+    /// Seeds of --training. [default: 3]
+    #[arg(long, value_name = "N", requires = "training")]
+    pub seeds: Option<u64>,
+    /// Draws what labels of unseen rooms are worth against the severity of each capture effect:
+    /// severity.json, .png and .svg in this folder.
+    #[arg(long, value_name = "DIR", group = "instead")]
+    pub curves: Option<PathBuf>,
+    /// Rooms of --curves. [default: 4]
+    #[arg(long, value_name = "N", requires = "curves")]
+    pub rooms: Option<usize>,
+    /// Gaussians of each room of --curves. [default: 20000]
+    #[arg(long, value_name = "N", requires = "curves")]
+    pub gaussians: Option<usize>,
     /// Folder for the files of --case; they get a folder of the case's name in it.
     #[arg(long, value_name = "DIR", default_value = "scenesplat-out")]
     pub out: PathBuf,
@@ -34,6 +68,22 @@ pub struct Args {
     /// The operators alone, as JSON into this file: what the command starts itself with.
     #[arg(long, hide = true, value_name = "FILE.json")]
     pub operators_to: Option<PathBuf>,
+}
+
+impl Args {
+    /// Refuses a flag that would do nothing.
+    pub(super) fn check(&self) -> Result<()> {
+        let random = self.soak.is_some() || self.round.is_some() || self.curves.is_some();
+        if self.seed.is_some() && !random {
+            let text =
+                "--seed belongs to --soak, --round and --curves: the cases are the same every time";
+            return Err(WrongUse(text.to_owned()).into());
+        }
+        if self.round.is_some() && self.json.is_some() {
+            return Err(WrongUse("--json: a --round has no report".to_owned()).into());
+        }
+        Ok(())
+    }
 }
 
 fn parse_level(text: &str) -> Result<Level, String> {

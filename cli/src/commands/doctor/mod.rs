@@ -1,7 +1,10 @@
 //! `scenesplat doctor`
 
 mod args;
+mod curves;
 mod isas;
+mod soak;
+mod stability;
 
 use super::WrongUse;
 use crate::bench::Stopped;
@@ -39,10 +42,26 @@ impl Drop for Silence {
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let began = Instant::now();
+    args.check()?;
     set_threads(args.threads)?;
     // A handler is there already when several commands run in one process.
     let _ = listen_for_interrupt();
     let progress = Progress::new(args.quiet);
+    if let Some(round) = args.round {
+        return soak::again(args, round);
+    }
+    if args.soak.is_some() || args.training || args.curves.is_some() {
+        Outputs::new(Path::new("")).claim_any("--json", args.json.as_ref())?;
+    }
+    if let Some(length) = args.soak {
+        return soak::run(args, length, &progress);
+    }
+    if args.training {
+        return stability::run(args, &progress);
+    }
+    if let Some(folder) = &args.curves {
+        return curves::run(args, folder, &progress);
+    }
     let cases = chosen(args)?;
     if let Some(path) = &args.operators_to {
         return operators_to(path, &cases);

@@ -77,7 +77,7 @@ pub fn run(args: &Args) -> Result<()> {
     for setting in &settings {
         campaign.weights_hash(setting)?;
     }
-    let seconds = estimate::estimate(&campaign, &settings, &records, neutral.len())?;
+    let seconds = estimate::estimate(&campaign, &settings, &records, &neutral)?;
     estimate::check(seconds, settings.len(), args.limit.0)?;
     if !sets.is_empty() {
         progress.say(format!(

@@ -10,7 +10,7 @@ use scenesplat::pareto::{Kind, Neutral, Record, Records};
 use std::path::Path;
 
 /// Repeats of a row: its time is shown, not compared.
-const REPEATS: usize = 1;
+pub(super) const REPEATS: usize = 1;
 /// Least agreement of another instruction set: sums are rounded in another order, and a Gaussian
 /// between two classes may take the other.
 const OTHER_ISA: f64 = 0.999;

@@ -1,0 +1,180 @@
+//! Masked Gaussian modelling: what a hidden Gaussian looks like.
+
+use super::stored::stored_loss;
+use crate::error::{LossError, check_len};
+use crate::values::read_matrix;
+use candle_core::{Result, Tensor};
+use serde::{Deserialize, Serialize};
+use std::ops::Range;
+
+const NAME: &str = "masked_gaussians";
+/// Where the smooth absolute difference turns from a square into a line.
+const BETA: f64 = 0.1;
+/// Norms of quaternions below this count as this.
+const EPS: f64 = 1e-8;
+
+/// How far a predicted attribute is from the true one.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum GaussianDistance {
+    /// Mean square over all channels, as the original. A quaternion and its negative, which are one
+    /// rotation, are as far apart as can be.
+    #[default]
+    MeanSquare,
+    /// What fits each attribute, each with the same weight: a smooth absolute difference (β = 0.1),
+    /// mean over its channels, for color, opacity and log-scale; for rotations `1 − ⟨q̂, q⟩²`, the
+    /// squared sine of half of the angle between them, the same for both signs.
+    Fitted,
+}
+
+/// Which columns of the input an attribute has.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct AttributeColumns {
+    /// Name for logs: `color`, `opacity`, `quat`, `scale`, …
+    pub name: String,
+    /// Its columns.
+    pub columns: Range<usize>,
+    /// Whether they are a quaternion.
+    pub is_rotation: bool,
+}
+
+/// Distance of predicted attributes from what masked Gaussians are: the mean over rows that count, and
+/// of each attribute alone (for `MeanSquare` its mean over rows and channels). `None` if none counts.
+///
+/// # Shapes
+/// `pred`, `target`: `[N, C]`, C the columns of all attributes; the target gets no gradient · `counts`:
+/// `[N]` · second: one number for each attribute
+///
+/// # Errors
+/// If shapes do not fit, attributes do not cover the columns once each, a rotation has not four, or a
+/// value of a row that counts is not finite. A target rotation of zeros counts as none.
+///
+/// # Source
+/// The original's `mae` term is `MeanSquare` over color, opacity, quaternion and scale.
+pub fn masked_gaussians(
+    pred: &Tensor,
+    target: &Tensor,
+    counts: Option<&[bool]>,
+    attributes: &[AttributeColumns],
+    distance: GaussianDistance,
+) -> Result<Option<(Tensor, Vec<f64>)>> {
+    if pred.dims() != target.dims() {
+        let (expected, got) = (format!("{:?}", pred.dims()), format!("{:?}", target.dims()));
+        return Err(LossError::Shape { loss: NAME, field: "target", expected, got }.into());
+    }
+    let (rows, width) = pred.dims2()?;
+    check_attributes(attributes, width)?;
+    if let Some(counts) = counts {
+        check_len(NAME, "counts", rows, counts.len())?;
+    }
+    let used: Vec<usize> = (0..rows).filter(|&row| counts.is_none_or(|c| c[row])).collect();
+    if used.is_empty() || width == 0 {
+        return Ok(None);
+    }
+    let (p, t) = (read(pred, "pred", &used)?, read(target, "target", &used)?);
+    let mut gradient = vec![0.0; rows * width];
+    let mut sums = vec![0.0; attributes.len()];
+    for (i, &row) in used.iter().enumerate() {
+        for (attribute, sum) in attributes.iter().zip(&mut sums) {
+            let at = i * width + attribute.columns.start..i * width + attribute.columns.end;
+            let to = row * width + attribute.columns.start..row * width + attribute.columns.end;
+            let (p, t, out) = (&p[at.clone()], &t[at], &mut gradient[to]);
+            *sum += match distance {
+                GaussianDistance::MeanSquare => squares(p, t, out),
+                GaussianDistance::Fitted if attribute.is_rotation => rotation(p, t, out),
+                GaussianDistance::Fitted => smooth(p, t, out),
+            };
+        }
+    }
+    let count = used.len() as f64;
+    // Of a mean over all channels each attribute has as much as it has channels.
+    let share = match distance {
+        GaussianDistance::MeanSquare => 1.0 / (count * width as f64),
+        GaussianDistance::Fitted => 1.0 / count,
+    };
+    gradient.iter_mut().for_each(|g| *g *= share);
+    let loss = stored_loss(NAME, pred, sums.iter().sum::<f64>() * share, gradient)?;
+    let alone = |(sum, a): (f64, &AttributeColumns)| match distance {
+        GaussianDistance::MeanSquare => sum / (count * a.columns.len() as f64),
+        GaussianDistance::Fitted => sum / count,
+    };
+    Ok(Some((loss, sums.into_iter().zip(attributes).map(alone).collect())))
+}
+
+fn check_attributes(attributes: &[AttributeColumns], width: usize) -> Result<()> {
+    let mut next = 0;
+    for AttributeColumns { name, columns, is_rotation } in attributes {
+        let good =
+            columns.start == next && columns.end > next && (!is_rotation || columns.len() == 4);
+        if !good {
+            let value = format!("{name} = {columns:?}");
+            let expected = "columns that follow each other, four for a rotation";
+            return Err(
+                LossError::Setting { loss: NAME, setting: "attributes", value, expected }.into()
+            );
+        }
+        next = columns.end;
+    }
+    if next == width {
+        return Ok(());
+    }
+    let (expected, got) = (format!("[N, {next}]"), format!("[N, {width}]"));
+    Err(LossError::Shape { loss: NAME, field: "pred", expected, got }.into())
+}
+
+/// Rows that count, as f64.
+fn read(tensor: &Tensor, field: &'static str, used: &[usize]) -> Result<Vec<f64>> {
+    read_matrix(NAME, field, tensor, |matrix| {
+        let (mut out, mut scratch) = (Vec::with_capacity(used.len() * matrix.columns), Vec::new());
+        for &row in used {
+            out.extend_from_slice(matrix.read::<f64>(row..row + 1, &mut scratch));
+            if let Some(error) = matrix.not_finite(NAME, field, row) {
+                return Err(error.into());
+            }
+        }
+        Ok(out)
+    })
+}
+
+fn squares(p: &[f64], t: &[f64], gradient: &mut [f64]) -> f64 {
+    let mut sum = 0.0;
+    for ((p, t), g) in p.iter().zip(t).zip(gradient) {
+        sum += (p - t) * (p - t);
+        *g = 2.0 * (p - t);
+    }
+    sum
+}
+
+fn smooth(p: &[f64], t: &[f64], gradient: &mut [f64]) -> f64 {
+    let channels = p.len() as f64;
+    let mut sum = 0.0;
+    for ((p, t), g) in p.iter().zip(t).zip(gradient) {
+        let d = p - t;
+        sum += if d.abs() < BETA { 0.5 * d * d / BETA } else { d.abs() - 0.5 * BETA };
+        *g = (d / BETA).clamp(-1.0, 1.0) / channels;
+    }
+    sum / channels
+}
+
+fn rotation(p: &[f64], t: &[f64], gradient: &mut [f64]) -> f64 {
+    let length = |q: &[f64]| {
+        let largest = q.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
+        if largest == 0.0 {
+            return 0.0;
+        }
+        largest * q.iter().map(|v| (v / largest).powi(2)).sum::<f64>().sqrt()
+    };
+    let (p_length, t_length) = (length(p), length(t));
+    if t_length == 0.0 {
+        // No rotation: nothing to be right or wrong about.
+        return 0.0;
+    }
+    let divisor = p_length.max(EPS);
+    let cosine: f64 = p.iter().zip(t).map(|(p, t)| (p / divisor) * (t / t_length)).sum();
+    // Below EPS the divisor is a constant.
+    let along = if p_length > EPS { cosine } else { 0.0 };
+    for ((p, t), g) in p.iter().zip(t).zip(gradient) {
+        *g = -2.0 * cosine * (t / t_length - along * p / divisor) / divisor;
+    }
+    1.0 - cosine * cosine
+}

@@ -1,0 +1,207 @@
+//! A teacher's logits as distributions that no prototype can take over.
+
+use crate::error::LossError;
+use candle_core::{DType, Device, Result, Tensor};
+
+const CENTERING: &str = "centering";
+const SINKHORN: &str = "sinkhorn_knopp";
+
+fn logits(loss: &'static str, tensor: &Tensor) -> Result<(Vec<f64>, usize, usize)> {
+    let &[rows, width] = tensor.dims() else {
+        let (expected, got) = ("[N, K]".to_owned(), format!("{:?}", tensor.dims()));
+        return Err(LossError::Shape { loss, field: "logits", expected, got }.into());
+    };
+    let values: Vec<f64> = tensor.to_dtype(DType::F64)?.flatten_all()?.to_vec1()?;
+    match values.iter().position(|v| !v.is_finite()) {
+        None => Ok((values, rows, width)),
+        Some(at) => {
+            let (field, value) = ("logits", values[at]);
+            let (row, column) = (at / width, at % width);
+            Err(LossError::NotFinite { loss, field, row, column, value }.into())
+        }
+    }
+}
+
+fn check_temperature(loss: &'static str, value: f64) -> Result<()> {
+    if value > 0.0 && value.is_finite() {
+        return Ok(());
+    }
+    let (setting, value) = ("temperature", value.to_string());
+    let expected = "a finite number above 0";
+    Err(LossError::Setting { loss, setting, value, expected }.into())
+}
+
+/// `ln Σ exp(v)`; −∞ for nothing.
+fn log_sum_exp(values: impl Iterator<Item = f64> + Clone) -> f64 {
+    let largest = values.clone().fold(f64::NEG_INFINITY, f64::max);
+    if largest == f64::NEG_INFINITY {
+        return largest;
+    }
+    largest + values.map(|v| (v - largest).exp()).sum::<f64>().ln()
+}
+
+/// A running mean of logits, which is taken off before the softmax.
+///
+/// # Source
+/// DINO (arXiv:2104.14294), section 3.1.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Centering {
+    /// The mean. `[K]`
+    pub center: Vec<f64>,
+    /// Share of it that stays at an [`update`](Self::update), in 0..=1.
+    pub momentum: f64,
+}
+
+impl Centering {
+    /// Starts at zero.
+    pub fn new(prototypes: usize, momentum: f64) -> Self {
+        Self { center: vec![0.0; prototypes], momentum }
+    }
+
+    /// `softmax((logits − center)/τ)`, without gradient, in f32, or f64 if the logits are.
+    ///
+    /// # Shapes
+    /// `logits`: `[N, K]` · returns `[N, K]`; rows add up to 1
+    ///
+    /// # Errors
+    /// If the width differs, a logit is not finite, or `temperature` is not a finite number above 0.
+    pub fn targets(&self, logits_of_teacher: &Tensor, temperature: f64) -> Result<Tensor> {
+        check_temperature(CENTERING, temperature)?;
+        let (mut values, rows, width) = self.read(logits_of_teacher)?;
+        for row in values.chunks_exact_mut(width.max(1)) {
+            row.iter_mut().zip(&self.center).for_each(|(v, c)| *v = (*v - c) / temperature);
+            let sum = log_sum_exp(row.iter().copied());
+            row.iter_mut().for_each(|v| *v = (*v - sum).exp());
+        }
+        store(values, (rows, width), logits_of_teacher)
+    }
+
+    /// Moves the center to the mean of these logits, by `1 − momentum`; no rows change nothing.
+    ///
+    /// # Errors
+    /// If the width differs or a logit is not finite.
+    pub fn update(&mut self, logits_of_teacher: &Tensor) -> Result<()> {
+        let (values, rows, width) = self.read(logits_of_teacher)?;
+        if rows == 0 {
+            return Ok(());
+        }
+        for (k, center) in self.center.iter_mut().enumerate() {
+            let sum: f64 = values.iter().skip(k).step_by(width).sum();
+            *center = self.momentum * *center + (1.0 - self.momentum) * sum / rows as f64;
+        }
+        Ok(())
+    }
+
+    fn read(&self, tensor: &Tensor) -> Result<(Vec<f64>, usize, usize)> {
+        let (values, rows, width) = logits(CENTERING, tensor)?;
+        if width == self.center.len() {
+            return Ok((values, rows, width));
+        }
+        let expected = format!("[N, {}]", self.center.len());
+        let got = format!("{:?}", tensor.dims());
+        Err(LossError::Shape { loss: CENTERING, field: "logits", expected, got }.into())
+    }
+}
+
+/// Distributions over prototypes in which each prototype gets about the same share of all rows.
+///
+/// `exp(logits/τ)` is scaled in turn so that prototypes, then rows have equal sums, `iterations` times;
+/// rows add up to 1. In logarithms and f64, so that neither large logits nor a small τ make it 0 or
+/// infinite. No rows give no rows. Without gradient, in f32, or f64 if the logits are.
+///
+/// # Shapes
+/// `logits`: `[N, K]` · returns `[N, K]`
+///
+/// # Errors
+/// If a logit is not finite, or `temperature` is not a finite number above 0.
+///
+/// # Source
+/// Sinkhorn–Knopp as in SwAV (arXiv:2006.09882) and DINOv2; three iterations are usual.
+pub fn sinkhorn_knopp(
+    logits_of_teacher: &Tensor,
+    temperature: f64,
+    iterations: usize,
+) -> Result<Tensor> {
+    check_temperature(SINKHORN, temperature)?;
+    let (mut values, rows, width) = logits(SINKHORN, logits_of_teacher)?;
+    values.iter_mut().for_each(|v| *v /= temperature);
+    for _ in 0..iterations {
+        for k in 0..width {
+            let sum = log_sum_exp(values.iter().skip(k).step_by(width).copied());
+            // Of no rows there is nothing to take it off.
+            values.iter_mut().skip(k).step_by(width).for_each(|v| *v -= sum);
+        }
+        normalize_rows(&mut values, width);
+    }
+    normalize_rows(&mut values, width);
+    values.iter_mut().for_each(|v| *v = v.exp());
+    store(values, (rows, width), logits_of_teacher)
+}
+
+fn normalize_rows(logs: &mut [f64], width: usize) {
+    for row in logs.chunks_exact_mut(width.max(1)) {
+        let sum = log_sum_exp(row.iter().copied());
+        row.iter_mut().for_each(|v| *v -= sum);
+    }
+}
+
+fn store(values: Vec<f64>, shape: (usize, usize), like: &Tensor) -> Result<Tensor> {
+    let dtype = if like.dtype() == DType::F64 { DType::F64 } else { DType::F32 };
+    Tensor::from_vec(values, shape, &Device::Cpu)?.to_dtype(dtype)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn table(values: &[f64], width: usize) -> Tensor {
+        Tensor::from_vec(values.to_vec(), (values.len() / width, width), &Device::Cpu).unwrap()
+    }
+
+    #[test]
+    fn centering_is_the_softmax_of_what_is_left() {
+        let mut centering = Centering::new(2, 0.75);
+        let logits = table(&[4.0, 0.0, 0.0, 0.0], 2);
+        centering.update(&logits).unwrap();
+        assert_eq!(centering.center, [0.5, 0.0]);
+        let got = centering.targets(&logits, 0.5).unwrap().to_vec2::<f64>().unwrap();
+        let want = |z: f64| 1.0 / (1.0 + (-z).exp());
+        assert!((got[0][0] - want(7.0)).abs() < 1e-15 && (got[1][0] - want(-1.0)).abs() < 1e-15);
+        centering.update(&table(&[], 2).reshape((0, 2)).unwrap()).unwrap();
+        assert_eq!(centering.center, [0.5, 0.0]);
+        assert!(centering.update(&table(&[1.0, 2.0, 3.0], 3)).is_err());
+        let error = centering.targets(&table(&[0.0, f64::NAN], 2), 1.0).unwrap_err().to_string();
+        assert!(error.contains("logits[0, 1] is NaN"), "{error}");
+    }
+
+    #[test]
+    fn sinkhorn_spreads_what_one_prototype_would_take() {
+        // All rows prefer the first prototype; the two that do it least end at the second.
+        let logits = table(&[5.0, 0.0, 4.0, 0.0, 3.0, 0.0, 2.0, 0.0], 2);
+        let got = sinkhorn_knopp(&logits, 0.1, 50).unwrap().to_vec2::<f64>().unwrap();
+        for (row, first) in got.iter().zip([1.0, 1.0, 0.0, 0.0]) {
+            assert!((row[0] - first).abs() < 0.05 && (row[0] + row[1] - 1.0).abs() < 1e-12);
+        }
+        let share: f64 = got.iter().map(|row| row[0]).sum();
+        assert!((share - 2.0).abs() < 1e-6, "{share}");
+        // No iteration is the softmax.
+        let plain = sinkhorn_knopp(&logits, 1.0, 0).unwrap().to_vec2::<f64>().unwrap();
+        assert!((plain[3][0] - 1.0 / (1.0 + (-2f64).exp())).abs() < 1e-15);
+    }
+
+    #[test]
+    fn sinkhorn_of_hard_input() {
+        let none = table(&[], 3).reshape((0, 3)).unwrap();
+        assert_eq!(sinkhorn_knopp(&none, 0.1, 3).unwrap().dims(), [0, 3]);
+        // One row: equal shares of it, whatever it says. Two equal rows: the same.
+        for rows in [1, 2] {
+            let values = [1e6, -1e6, 0.0].repeat(rows);
+            let got = sinkhorn_knopp(&table(&values, 3), 1e-3, 3).unwrap();
+            for row in got.to_vec2::<f64>().unwrap() {
+                assert!(row.iter().all(|p| (p - 1.0 / 3.0).abs() < 1e-6), "{row:?}");
+            }
+        }
+        assert!(sinkhorn_knopp(&table(&[1.0], 1), 0.0, 3).is_err());
+        assert!(sinkhorn_knopp(&table(&[f64::INFINITY], 1), 1.0, 3).is_err());
+    }
+}

@@ -1,0 +1,328 @@
+//! Losses of self-supervision: gradients against central differences in f64, values against formulas,
+//! and input that nobody hopes for.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
+
+mod support;
+
+use candle_core::{DType, Device, Result, Tensor, Var};
+use scenesplat_losses::self_supervised::{
+    AttributeColumns, Expansion, GaussianDistance, SimDino, masked_cosine, masked_cross_entropy,
+    masked_gaussians, sim_dino, view_cross_entropy,
+};
+use support::{BF16_EPS, matrix, noise, number, wide};
+
+const STEP: f64 = 1e-6;
+
+fn cube(values: &[f64], views: usize, scenes: usize, dtype: DType) -> Tensor {
+    matrix(values, 1, dtype).reshape((views, scenes, values.len() / views / scenes)).unwrap()
+}
+
+fn units(values: &[f64], width: usize) -> Vec<f64> {
+    let unit = |row: &[f64]| {
+        let norm = row.iter().map(|v| v * v).sum::<f64>().sqrt();
+        row.iter().map(|v| v / norm).collect::<Vec<_>>()
+    };
+    values.chunks_exact(width).flat_map(unit).collect()
+}
+
+fn attributes() -> [AttributeColumns; 3] {
+    let of = |name: &str, columns, is_rotation| AttributeColumns {
+        name: name.to_owned(),
+        columns,
+        is_rotation,
+    };
+    [of("color", 0..3, false), of("quat", 3..7, true), of("scale", 7..9, false)]
+}
+
+type LossFn = Box<dyn Fn(&Tensor) -> Result<Option<Tensor>>>;
+
+/// Every loss with predictions that fit it: `[3, 4, 6]` for views, else `[8, 9]`.
+fn all() -> Vec<(&'static str, Vec<usize>, LossFn)> {
+    let teacher = || cube(&units(&noise(2 * 4 * 6, 2), 6), 2, 4, DType::F64);
+    let probabilities = |rows: usize| {
+        let values: Vec<f64> = noise(rows * 9, 5).iter().map(|v| v.abs() / 4.0).collect();
+        matrix(&values, 9, DType::F64)
+    };
+    let weights = vec![0.5, 0.5, 0.25, 0.0, 0.25, 0.125, 0.3, 0.1];
+    let dino = |settings: SimDino| -> LossFn {
+        let teacher = teacher();
+        Box::new(move |s| {
+            let teacher = teacher.to_dtype(s.dtype())?;
+            Ok(sim_dino(s, &teacher, &settings)?.map(|out| out.loss))
+        })
+    };
+    let target = matrix(&noise(8 * 9, 3), 9, DType::F64);
+    let modelling = |distance: GaussianDistance| -> LossFn {
+        let target = target.clone();
+        let counts = vec![true, true, false, true, true, true, true, false];
+        Box::new(move |p| {
+            let target = target.to_dtype(p.dtype())?;
+            let out = masked_gaussians(p, &target, Some(&counts), &attributes(), distance)?;
+            Ok(out.map(|(loss, _)| loss))
+        })
+    };
+    let rows = || vec![8, 9];
+    let views = || vec![3, 4, 6];
+    let probability_views =
+        cube(&noise(2 * 4 * 6, 6).iter().map(|v| v.abs()).collect::<Vec<_>>(), 2, 4, DType::F64);
+    let (cosine_target, cosine_weights) = (target.clone(), weights.clone());
+    let soft_target = probabilities(8);
+    vec![
+        ("simdino", views(), dino(SimDino::default())),
+        (
+            "simdino, student",
+            views(),
+            dino(SimDino { expansion: Expansion::Student, coefficient: 1.0, ..SimDino::default() }),
+        ),
+        ("simdino, any length", views(), dino(SimDino { normalized: false, ..SimDino::default() })),
+        (
+            "dino",
+            views(),
+            Box::new(move |s| {
+                view_cross_entropy(s, &probability_views.to_dtype(s.dtype())?, 0.3, false)
+            }),
+        ),
+        (
+            "ibot cosine",
+            rows(),
+            Box::new(move |p| {
+                masked_cosine(p, &cosine_target.to_dtype(p.dtype())?, &cosine_weights)
+            }),
+        ),
+        (
+            "ibot cross entropy",
+            rows(),
+            Box::new(move |p| {
+                masked_cross_entropy(p, &soft_target.to_dtype(p.dtype())?, &weights, 0.2)
+            }),
+        ),
+        ("masked, mean square", rows(), modelling(GaussianDistance::MeanSquare)),
+        ("masked, fitted", rows(), modelling(GaussianDistance::Fitted)),
+    ]
+}
+
+fn run(f: &LossFn, values: &[f64], shape: &[usize], dtype: DType) -> (f64, Vec<f64>) {
+    let tensor = Tensor::from_vec(values.to_vec(), shape, &Device::Cpu).unwrap();
+    let var = Var::from_tensor(&tensor.to_dtype(dtype).unwrap()).unwrap();
+    let loss = f(&var).unwrap().unwrap();
+    let gradient = loss.backward().unwrap().get(&var).unwrap().clone();
+    assert_eq!((gradient.dtype(), gradient.dims()), (dtype, shape));
+    (number(&loss), wide(&gradient))
+}
+
+#[test]
+fn gradients_of_masked_and_view_losses_are_central_differences() {
+    for (name, shape, f) in all() {
+        let size: usize = shape.iter().product();
+        let values = noise(size, 1);
+        let (_, gradient) = run(&f, &values, &shape, DType::F64);
+        let largest = gradient.iter().fold(0.0, |m: f64, g| m.max(g.abs()));
+        assert!(largest > 1e-3, "{name}: no gradient");
+        for at in 0..size {
+            let moved = |step: f64| {
+                let mut values = values.clone();
+                values[at] += step;
+                run(&f, &values, &shape, DType::F64).0
+            };
+            let want = (moved(STEP) - moved(-STEP)) / (2.0 * STEP);
+            let error = (gradient[at] - want).abs();
+            assert!(error < 1e-8 + 1e-7 * largest, "{name}[{at}]: {} {want}", gradient[at]);
+        }
+    }
+}
+
+#[test]
+fn lower_types_are_near_f64() {
+    for (name, shape, f) in all() {
+        let values = noise(shape.iter().product(), 1);
+        let (want, slope) = run(&f, &values, &shape, DType::F64);
+        let largest = slope.iter().fold(0.0, |m: f64, g| m.max(g.abs()));
+        for (dtype, eps) in [(DType::F32, 1e-5), (DType::BF16, BF16_EPS), (DType::F16, 4e-3)] {
+            let (got, gradient) = run(&f, &values, &shape, dtype);
+            assert!(
+                (got - want).abs() < eps * want.abs().max(1.0),
+                "{name} {dtype:?}: {got} {want}"
+            );
+            for (g, w) in gradient.iter().zip(&slope) {
+                assert!((g - w).abs() < 3.0 * eps * largest, "{name} {dtype:?}: {g} {w}");
+            }
+        }
+    }
+}
+
+/// The example of one number each, by the formulas in numpy.
+#[test]
+fn simdino_by_hand() {
+    let wave = |v: f64| -> Vec<f64> {
+        let at = |b: usize, k: usize| {
+            let (b, k) = (b as f64, k as f64);
+            (1.0 + 0.9 * v + 0.5 * b + 0.37 * k + 0.2 * v * k).sin()
+        };
+        let rows: Vec<f64> =
+            (0..3).flat_map(|b| (0..5).map(move |k| (b, k))).map(|(b, k)| at(b, k)).collect();
+        units(&rows, 5)
+    };
+    let student: Vec<f64> = (0..5).flat_map(|v| wave(f64::from(v))).collect();
+    let teacher: Vec<f64> = [0.25, 1.25].into_iter().flat_map(wave).collect();
+    let (student, teacher) = (cube(&student, 5, 3, DType::F64), cube(&teacher, 2, 3, DType::F64));
+    let out = sim_dino(&student, &teacher, &SimDino::default()).unwrap().unwrap();
+    let near = |got: f64, want: f64| assert!((got - want).abs() < 1e-6, "{got} {want}");
+    near(out.compression, -0.248_772_0);
+    near(out.expansion, 1.915_821_7);
+    near(number(&out.loss), -1.890_944_6);
+    near(out.global_compression, 0.090_542_7);
+}
+
+#[test]
+fn ibot_by_hand() {
+    let student: Vec<f64> = (0..12).map(|i| f64::from(i).sin()).collect();
+    let teacher: Vec<f64> = (0..12).map(|i| (0.5 * f64::from(i)).cos()).collect();
+    let (student, teacher) = (matrix(&student, 3, DType::F64), matrix(&teacher, 3, DType::F64));
+    let loss = masked_cosine(&student, &teacher, &[0.5, 0.5, 0.25, 0.25]).unwrap().unwrap();
+    assert!((number(&loss) + 0.455_192_6).abs() < 1e-6, "{}", number(&loss));
+}
+
+#[test]
+fn masked_rotations_have_no_sign() {
+    let quaternion = [0.5, -0.5, 0.5, 0.5];
+    let attributes =
+        [AttributeColumns { name: "quat".to_owned(), columns: 0..4, is_rotation: true }];
+    let cost = |p: &[f64], t: &[f64]| {
+        let (p, t) = (matrix(p, 4, DType::F64), matrix(t, 4, DType::F64));
+        let out = masked_gaussians(&p, &t, None, &attributes, GaussianDistance::Fitted);
+        number(&out.unwrap().unwrap().0)
+    };
+    assert!(cost(&quaternion.map(|v| -3.0 * v), &quaternion) < 1e-15);
+    // A quarter turn about z from the identity: sin²(45°).
+    let quarter = std::f64::consts::FRAC_1_SQRT_2;
+    assert!((cost(&[quarter, 0.0, 0.0, quarter], &[1.0, 0.0, 0.0, 0.0]) - 0.5).abs() < 1e-15);
+    // A half turn, whose real part is 0; no rotation at all; a prediction of zeros.
+    assert!((cost(&[0.0, 0.0, 0.0, 1.0], &[1.0, 0.0, 0.0, 0.0]) - 1.0).abs() < 1e-15);
+    assert_eq!(cost(&quaternion, &[0.0; 4]), 0.0);
+    assert_eq!(cost(&[0.0; 4], &quaternion), 1.0);
+    // In squares the negative is as far as can be.
+    let (p, t) = (quaternion.map(|v| -v), quaternion);
+    let (p, t) = (matrix(&p, 4, DType::F64), matrix(&t, 4, DType::F64));
+    let out = masked_gaussians(&p, &t, None, &attributes, GaussianDistance::MeanSquare);
+    let (loss, alone) = out.unwrap().unwrap();
+    assert_eq!((number(&loss), alone), (1.0, vec![1.0]));
+}
+
+#[test]
+fn attributes_are_told_alone() {
+    let (p, t) = (matrix(&noise(18, 1), 9, DType::F64), matrix(&noise(18, 2), 9, DType::F64));
+    for distance in [GaussianDistance::MeanSquare, GaussianDistance::Fitted] {
+        let (loss, alone) =
+            masked_gaussians(&p, &t, None, &attributes(), distance).unwrap().unwrap();
+        let want = match distance {
+            GaussianDistance::MeanSquare => {
+                (3.0 * alone[0] + 4.0 * alone[1] + 2.0 * alone[2]) / 9.0
+            }
+            GaussianDistance::Fitted => alone.iter().sum(),
+        };
+        assert!((number(&loss) - want).abs() < 1e-15, "{distance:?}");
+    }
+}
+
+#[test]
+fn nothing_masked_and_no_scene_are_off() {
+    for dtype in [DType::F32, DType::BF16, DType::F16, DType::F64] {
+        for rows in [0, 1, 3] {
+            let bad = (Tensor::ones((rows, 9), dtype, &Device::Cpu).unwrap() * f64::NAN).unwrap();
+            let none = vec![0.0; rows];
+            assert!(masked_cosine(&bad, &bad, &none).unwrap().is_none());
+            assert!(masked_cross_entropy(&bad, &bad, &none, 0.1).unwrap().is_none());
+            let counts = vec![false; rows];
+            let distance = GaussianDistance::Fitted;
+            assert!(
+                masked_gaussians(&bad, &bad, Some(&counts), &attributes(), distance)
+                    .unwrap()
+                    .is_none()
+            );
+        }
+        let (s, t) = (
+            Tensor::zeros((3, 0, 6), dtype, &Device::Cpu).unwrap(),
+            Tensor::zeros((2, 0, 6), dtype, &Device::Cpu).unwrap(),
+        );
+        assert!(sim_dino(&s, &t, &SimDino::default()).unwrap().is_none());
+        assert!(view_cross_entropy(&s, &t, 0.1, true).unwrap().is_none());
+    }
+}
+
+#[test]
+fn simdino_of_one_scene_one_view_and_equal_rows() {
+    let row = units(&noise(6, 1), 6);
+    // One view has nothing to agree with; one scene still has a rate.
+    let one = cube(&row, 1, 1, DType::F64);
+    let out = sim_dino(&one, &one, &SimDino::default()).unwrap().unwrap();
+    assert_eq!((out.compression, out.global_compression), (0.0, 0.0));
+    // γ · ½ ln(1 + D/ε), D = 6, B = 1
+    let want = 7.0 / 6.0 * 0.5 * 121f64.ln();
+    assert!((out.expansion - want).abs() < 1e-12, "{}", out.expansion);
+    // Eight equal scenes have the rate of rank one, and eight of any length the same.
+    for (length, normalized) in [(1.0, true), (1e6, false), (1e-3, false), (1e30, false)] {
+        let rows: Vec<f64> = row.repeat(2 * 8).iter().map(|v| length * v).collect();
+        let same = cube(&rows, 2, 8, DType::F64);
+        let out = sim_dino(&same, &same, &SimDino { normalized, ..SimDino::default() });
+        let out = out.unwrap().unwrap();
+        let want = 14.0 / 48.0 * 0.5 * 121f64.ln();
+        assert!((out.expansion - want).abs() < 1e-12, "{length}: {}", out.expansion);
+        assert!((out.compression - 1.0).abs() < 1e-12);
+    }
+    // More scenes than channels: the other side is factorised, to the same number.
+    let rows = units(&noise(2 * 9 * 2, 3), 2);
+    let wide_batch = cube(&rows, 2, 9, DType::F64);
+    let out = sim_dino(&wide_batch, &wide_batch, &SimDino::default()).unwrap().unwrap();
+    let mut want = 0.0;
+    for view in rows.chunks_exact(18) {
+        let [mut a, mut b, mut c] = [1.0, 0.0, 1.0];
+        for row in view.chunks_exact(2) {
+            let scale = 2.0 / (9.0 * 0.05);
+            a += scale * row[0] * row[0];
+            b += scale * row[0] * row[1];
+            c += scale * row[1] * row[1];
+        }
+        want += 0.5 * (a * c - b * b).ln() * 11.0 / 18.0 / 2.0;
+    }
+    assert!((out.expansion - want).abs() < 1e-12, "{} {want}", out.expansion);
+}
+
+#[test]
+fn what_does_not_fit_is_refused_by_name() {
+    let views = |rows: usize, scenes: usize, width: usize| {
+        Tensor::ones((rows, scenes, width), DType::F32, &Device::Cpu).unwrap()
+    };
+    let (s, t) = (views(3, 2, 4), views(2, 2, 4));
+    let message = |result: Result<bool>| result.unwrap_err().to_string();
+    let dino = |s: &Tensor, t: &Tensor, settings: SimDino| {
+        message(sim_dino(s, t, &settings).map(|out| out.is_some()))
+    };
+    let plain = SimDino::default();
+    assert!(dino(&s, &views(2, 3, 4), plain).contains("teacher: expected [1..=3, 2, 4]"));
+    assert!(dino(&s, &views(4, 2, 4), plain).contains("teacher"));
+    assert!(dino(&s, &views(0, 2, 4), plain).contains("teacher"));
+    assert!(dino(&s, &t, SimDino { epsilon: 0.0, ..plain }).contains("epsilon is 0"));
+    assert!(dino(&s, &t, SimDino { coefficient: f64::NAN, ..plain }).contains("coefficient"));
+    let bad = (s.clone() / 0.0).unwrap();
+    assert!(dino(&bad, &t, plain).contains("student[0, 0] is inf"));
+    // Four equal rows of 10³⁰: no digit of the identity is left.
+    let huge = |t: &Tensor| (t.to_dtype(DType::F64).unwrap() * 1e30).unwrap();
+    assert!(dino(&huge(&s), &huge(&t), plain).contains("normalized"));
+    let entropy = message(view_cross_entropy(&s, &t, -1.0, true).map(|l| l.is_some()));
+    assert!(entropy.contains("temperature is -1"), "{entropy}");
+
+    let rows = Tensor::ones((2, 9), DType::F32, &Device::Cpu).unwrap();
+    let cosine = message(masked_cosine(&rows, &rows, &[1.0]).map(|l| l.is_some()));
+    assert!(cosine.contains("weights"), "{cosine}");
+    let cosine = message(masked_cosine(&rows, &rows, &[1.0, f64::NAN]).map(|l| l.is_some()));
+    assert!(cosine.contains("weights[1, 0] is NaN"), "{cosine}");
+    let modelling = |rows: &Tensor, attributes: &[AttributeColumns]| {
+        let out = masked_gaussians(rows, rows, None, attributes, GaussianDistance::Fitted);
+        message(out.map(|l| l.is_some()))
+    };
+    assert!(modelling(&rows, &attributes()[..2]).contains("expected [N, 7], got [N, 9]"));
+    assert!(modelling(&rows, &attributes()[1..]).contains("quat = 3..7"));
+    let bad = (rows.clone() * f64::NAN).unwrap();
+    assert!(modelling(&bad, &attributes()).contains("pred[0, 0] is NaN"));
+}
