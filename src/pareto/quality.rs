@@ -136,7 +136,8 @@ pub(crate) fn probabilities(
             let top = all.iter().copied().fold(0.0, f32::max);
             for &gaussian in &by_slot.rows[by_slot.starts[slot]..by_slot.starts[slot + 1]] {
                 let label = usize::try_from(labels[gaussian as usize]).ok();
-                of_label[gaussian as usize] = label.and_then(|l| all.get(l).copied()).unwrap_or(0.0);
+                of_label[gaussian as usize] =
+                    label.and_then(|l| all.get(l).copied()).unwrap_or(0.0);
                 highest[gaussian as usize] = top;
             }
         }
