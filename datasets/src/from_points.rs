@@ -257,7 +257,7 @@ fn plane_normal(coord: &[[f32; 3]], row: usize, found: &[Neighbor]) -> Option<[f
 }
 
 /// Eigenvalues and eigenvectors (columns) of a symmetric matrix, by Jacobi rotations.
-fn symmetric_eigen(mut m: [[f64; 3]; 3]) -> ([f64; 3], [[f64; 3]; 3]) {
+pub(crate) fn symmetric_eigen(mut m: [[f64; 3]; 3]) -> ([f64; 3], [[f64; 3]; 3]) {
     let mut v = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
     // Convergence is quadratic: 4 to 6 sweeps reach the last bit.
     for _ in 0..12 {

@@ -75,9 +75,54 @@ pub struct CaptureReport {
     pub findings: Vec<CaptureFinding>,
 }
 
+/// Motion below which a picture is as good as any: detail lacking along it, nat.
+const HARMLESS_MOTION: f64 = 0.23;
+/// Least weight of a picture: it may be the only one that shows something.
+const LEAST_WEIGHT: f64 = 0.05;
+
+/// How much a picture's labels should count, above 0 and at most 1, by the detail that it lacks along its
+/// motion ([`FrameEvidence::motion`]): the part of it that is left. 1 where that is not known.
+pub fn frame_weight(motion: Option<f64>) -> f32 {
+    let excess = motion.map_or(0.0, |motion| (motion - HARMLESS_MOTION).max(0.0));
+    (-excess).exp().max(LEAST_WEIGHT) as f32
+}
+
 impl CaptureReport {
+    /// The weight of each picture's labels: 1 for all where no blur was found.
+    pub fn frame_weights(&self) -> Vec<f32> {
+        let blurred = self.finding("blur").is_some_and(CaptureFinding::is_present);
+        self.frames.iter().map(|f| frame_weight(f.motion.filter(|_| blurred))).collect()
+    }
+
     /// The finding about an effect.
     pub fn finding(&self, effect: &str) -> Option<&CaptureFinding> {
         self.findings.iter().find(|finding| finding.effect == effect)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn weights_fall_with_motion_and_stay_above_nothing() {
+        assert_eq!([None, Some(0.0), Some(0.2)].map(frame_weight), [1.0; 3]);
+        assert!((frame_weight(Some(0.23 + 0.5f64.recip().ln())) - 0.5).abs() < 1e-6);
+        assert_eq!(frame_weight(Some(99.0)), 0.05);
+        let frame = |motion| FrameEvidence {
+            name: String::new(),
+            figures: crate::capture::FrameFigures::default(),
+            sharpness_share: None,
+            motion,
+            gain: None,
+        };
+        let report = |measure| CaptureReport {
+            frames: vec![frame(Some(3.0)), frame(None)],
+            findings: vec![CaptureFinding::new("blur", measure, 0.75, Vec::new())],
+        };
+        // One picture that lacks something is no blurred capture.
+        assert_eq!(report(Some(0.5)).frame_weights(), [1.0, 1.0]);
+        let weights = report(Some(2.0)).frame_weights();
+        assert!(weights[0] < 0.1 && weights[1] == 1.0);
     }
 }

@@ -8,9 +8,8 @@
 mod finding;
 mod frame;
 mod probe;
-mod shared_colors;
 
-pub use finding::{CaptureFinding, CaptureReport, Figure};
+pub use finding::{CaptureFinding, CaptureReport, Figure, frame_weight};
 pub use frame::{FrameFigures, frame_figures};
 pub use probe::{CaptureError, CaptureProbe, FrameEvidence};
 

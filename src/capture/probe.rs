@@ -3,7 +3,6 @@
 use super::ScenePictures;
 use super::finding::{CaptureFinding, CaptureReport, Figure};
 use super::frame::{FrameFigures, frame_figures, motion};
-use super::shared_colors::SharedColors;
 use crate::preview::picture_of;
 use scenesplat_datasets::effects::linear::linear;
 use scenesplat_datasets::effects::pictures::PictureRenderer;
@@ -13,8 +12,11 @@ use scenesplat_rasterizer::{PlanError, Prepared};
 use scenesplat_scene::Camera;
 use scenesplat_scene::picture::RgbPicture;
 
-/// Gaussians whose colours are compared.
+/// Gaussians that are looked for in each photo.
 const POINTS: usize = 4000;
+/// Distance of the pixels whose colours are compared, and how many of them are needed.
+const PIXEL_STEP: usize = 4;
+const FEWEST_PIXELS: usize = 100;
 /// Opacity from which on a Gaussian shows its own colour.
 const SOLID: f32 = 0.5;
 /// How far a Gaussian may be from the depth of its pixel, as a share.
@@ -86,7 +88,7 @@ pub struct FrameEvidence {
     /// too much noise to tell.
     pub motion: Option<f64>,
     /// What its linear red, green and blue have to be divided by to be like the median photo's; `None` where
-    /// it shares too little with others.
+    /// too little of it shows the scene.
     pub gain: Option<[f64; 3]>,
 }
 
@@ -96,7 +98,8 @@ pub struct CaptureProbe<'a> {
     pictures: ScenePictures<'a>,
     points: Vec<[f64; 3]>,
     views: Vec<u32>,
-    colors: SharedColors,
+    /// Logarithms of red, green, blue over those of the scene's own pictures.
+    log_gains: Vec<Option<[f64; 3]>>,
     frames: Vec<(FrameEvidence, f64)>,
 }
 
@@ -115,7 +118,7 @@ impl<'a> CaptureProbe<'a> {
             pictures: ScenePictures::new(prepared),
             views: vec![0; points.len()],
             points,
-            colors: SharedColors::default(),
+            log_gains: Vec::new(),
             frames: Vec::new(),
         }
     }
@@ -134,27 +137,17 @@ impl<'a> CaptureProbe<'a> {
         let depth = drawn.depth.as_ref().ok_or(CaptureError::NoDepth)?;
         let figures = frame_figures(photo)?;
         let own = picture_of(&drawn.rgb, size[0], size[1]);
+        let width = size[0] as usize;
+        self.log_gains.push(own.as_ref().and_then(|own| log_gain(photo, own, depth)));
         let own = own.map(|own| frame_figures(&own)).transpose()?.unwrap_or_default();
-        let mut colors = Vec::new();
-        for (i, point) in self.points.iter().enumerate() {
+        for (views, point) in self.views.iter_mut().zip(&self.points) {
             let Some([x, y]) = camera.project(*point).filter(|at| camera.contains(*at)) else {
                 continue;
             };
-            let (x, y, z) = (x as usize, y as usize, camera.to_camera(*point)[2]);
-            let (width, height) = (size[0] as usize, size[1] as usize);
-            let surface = f64::from(depth[y * width + x]);
-            if (z - surface).abs() > DEPTH_SHARE * z {
-                continue;
-            }
-            self.views[i] += 1;
-            if x == 0 || y == 0 || x + 1 >= width || y + 1 >= height {
-                continue;
-            }
-            if let Some(color) = color_around(photo, x, y) {
-                colors.push((i as u32, color));
-            }
+            let z = camera.to_camera(*point)[2];
+            let surface = f64::from(depth[y as usize * width + x as usize]);
+            *views += u32::from((z - surface).abs() <= DEPTH_SHARE * z);
         }
-        self.colors.add(colors);
         let name = camera.name.clone();
         let motion = motion(&figures, &own);
         let evidence = FrameEvidence { name, figures, sharpness_share: None, motion, gain: None };
@@ -164,7 +157,7 @@ impl<'a> CaptureProbe<'a> {
 
     /// What the photos say so far.
     pub fn report(&self) -> CaptureReport {
-        let gains = self.colors.log_gains();
+        let gains = against_the_median(&self.log_gains);
         let ratio = |(frame, own): &(FrameEvidence, f64)| {
             (*own > 1e-6).then(|| frame.figures.sharpness / own)
         };
@@ -185,6 +178,35 @@ impl<'a> CaptureProbe<'a> {
         ];
         CaptureReport { frames, findings }
     }
+}
+
+/// How much more linear light a photo has than the scene's own picture, natural logarithm: the median over
+/// pixels that show something solid and are clipped in neither. What several photos agree on is in the
+/// scene's picture; what stands where the scene has nothing does not decide.
+fn log_gain(photo: &RgbPicture, own: &RgbPicture, depth: &[f32]) -> Option<[f64; 3]> {
+    let (width, height) = (photo.width() as usize, photo.height() as usize);
+    let mut ratios: [Vec<f64>; 3] = Default::default();
+    for y in (1..height.saturating_sub(1)).step_by(PIXEL_STEP) {
+        for x in (1..width.saturating_sub(1)).step_by(PIXEL_STEP) {
+            if depth[y * width + x] > 0.0
+                && let Some((a, b)) = color_around(photo, x, y).zip(color_around(own, x, y))
+            {
+                (0..3).for_each(|c| ratios[c].push(a[c] - b[c]));
+            }
+        }
+    }
+    let enough = ratios[0].len() >= FEWEST_PIXELS;
+    enough.then(|| ratios.map(|mut ratios| quantile(&mut ratios, 0.5).unwrap_or(0.0)))
+}
+
+/// Gains less those of the median photo: what all have in common is the scene's.
+fn against_the_median(gains: &[Option<[f64; 3]>]) -> Vec<Option<[f64; 3]>> {
+    let middle: [f64; 3] = std::array::from_fn(|c| {
+        let mut all: Vec<f64> = gains.iter().flatten().map(|gain| gain[c]).collect();
+        quantile(&mut all, 0.5).unwrap_or(0.0)
+    });
+    let less = |gain: [f64; 3]| std::array::from_fn(|c| gain[c] - middle[c]);
+    gains.iter().map(|gain| gain.map(less)).collect()
 }
 
 /// Logarithms of the mean linear colour of 3 × 3 pixels; `None` where one is clipped or too dark.
@@ -208,9 +230,13 @@ fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
     Some(*values.select_nth_unstable_by(at, f64::total_cmp).1)
 }
 
+/// The standard deviation of normally distributed values, by the median of their distances from their median: a
+/// photo that shows something else than the scene does not decide.
 fn deviation(values: &[f64]) -> f64 {
-    let mean = values.iter().sum::<f64>() / values.len() as f64;
-    (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / values.len() as f64).sqrt()
+    let mut sorted = values.to_vec();
+    let Some(middle) = quantile(&mut sorted, 0.5) else { return 0.0 };
+    let mut off: Vec<f64> = values.iter().map(|v| (v - middle).abs()).collect();
+    1.4826 * quantile(&mut off, 0.5).unwrap_or(0.0)
 }
 
 /// Where a value is in a rising table, in steps; beyond its end as far as its last step says.

@@ -28,6 +28,7 @@ pub use unit::{LengthUnit, UnitGuess};
 pub(crate) use unit::{guess_unit, is_surely_no_metre, may_be_no_metre, usual_spacing};
 
 use crate::NetworkConfig;
+use crate::datasets::effects::profile::{EffectProfile, profile};
 use findings::Findings;
 use scenesplat_kernels::simd::Isa;
 pub use scenesplat_scene::{Bounds, UpEvidence, UpGuess};
@@ -103,6 +104,8 @@ pub struct Inspection {
     pub labels: Option<LabelCounts>,
     /// Language codes, if there are any.
     pub language_codes: Option<LanguageCodes>,
+    /// What the scene says about its capture, by effect.
+    pub effects: EffectProfile,
     /// What is wrong, the worst first; empty for a clean scene.
     pub findings: Vec<Finding>,
     /// What is worth knowing though nothing is wrong.
@@ -148,6 +151,8 @@ pub fn inspect(loaded: &LoadedScene, settings: &InspectSettings) -> Inspection {
     let opacity = content::opacity(scene);
     let (largest_scale, smallest_scale, anisotropy) = content::scales(scene);
 
+    let metres = unit.as_ref().map_or(1.0, |guess| guess.unit.metres());
+    let effects = profile(scene, metres);
     let mut findings = Findings::of_reading(loaded);
     checks::check_positions(&mut findings, scene, &bounds, &robust, too_wide.as_ref());
     checks::check_outliers(&mut findings, scene, &robust);
@@ -189,6 +194,7 @@ pub fn inspect(loaded: &LoadedScene, settings: &InspectSettings) -> Inspection {
         has_normals: scene.normal.is_some(),
         labels: content::labels(scene),
         language_codes: content::language_codes(scene),
+        effects,
         findings,
         notes,
         estimate,

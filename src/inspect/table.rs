@@ -101,6 +101,10 @@ impl fmt::Display for Inspection {
         {
             writeln!(f, "  why {what:<7} {why}")?;
         }
+        writeln!(f, "capture effects, severity 0 to 5 (no: below its threshold)")?;
+        for line in self.effects.to_string().lines() {
+            writeln!(f, "  {line}")?;
+        }
         if self.findings.is_empty() {
             write!(f, "no findings")?;
         } else {

@@ -241,3 +241,39 @@ fn what_does_not_fit_is_refused_before_anything_is_written() {
     write_cameras_json(&[wide], &dir.path().join("cameras.json")).unwrap();
     refused(&[], 1, &["a_s.npy", "is 64×48, its camera 70×48"]);
 }
+
+#[test]
+fn photos_are_looked_at_and_change_nothing_unless_they_are_blurred() {
+    let dir = world();
+    let at = |name: &str| dir.path().join(name).to_str().unwrap().to_owned();
+    let render = |out: &str, more: &[&str]| {
+        let (scene, cameras, out) = (at("room.ply"), at("cameras.json"), at(out));
+        let words = ["render", &scene, "--cameras", &cameras, "--out", &out];
+        done(&scenesplat(&[&words[..], more].concat()));
+    };
+    render("photos", &[]);
+    let files = ["lang_feat.npy", "confidence.npy", "coverage.npy", "views.npy"];
+    let read = || files.map(|f| std::fs::read(dir.path().join("out").join(f)).unwrap());
+    done(&lift(dir.path(), &[]));
+    let plain = read();
+    let photos = at("photos");
+    let output = lift(dir.path(), &["--photos", &photos, "--frame-weights", "auto"]);
+    done(&output);
+    let said = stderr(&output);
+    for part in ["blur: ", "light: ", "coverage: ", "0 of 2 pictures count less"] {
+        assert!(said.contains(part), "{part}: {said}");
+    }
+    assert_eq!(read(), plain);
+    let receipt = std::fs::read_to_string(dir.path().join("out/receipt.json")).unwrap();
+    assert!(receipt.contains("photos/blur") && receipt.contains("frame_weights"), "{receipt}");
+    // Wrong folders and sizes are named.
+    render("large", &["--size", "128x96"]);
+    for (folder, part) in [("segments", "no photo is named like a frame"), ("large", "[128, 96]")] {
+        let output = lift(dir.path(), &["--photos", &at(folder)]);
+        assert_eq!(output.status.code(), Some(1));
+        assert!(stderr(&output).contains(part), "{}", stderr(&output));
+    }
+    let output = lift(dir.path(), &["--frame-weights", "auto"]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(stderr(&output).contains("--photos"), "{}", stderr(&output));
+}

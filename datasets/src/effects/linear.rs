@@ -10,6 +10,11 @@ pub fn display(linear: f64) -> f64 {
     if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 }
 }
 
+/// How much values of a display change with linear light, there.
+pub fn display_slope(linear: f64) -> f64 {
+    if linear <= 0.003_130_8 { 12.92 } else { 1.055 / 2.4 * linear.powf(1.0 / 2.4 - 1.0) }
+}
+
 /// How bright linear light is (ITU-R BT.709).
 pub fn luminance([red, green, blue]: [f64; 3]) -> f64 {
     0.2126 * red + 0.7152 * green + 0.0722 * blue
@@ -25,6 +30,9 @@ mod tests {
         for (srgb, want) in [(0.0, 0.0), (0.04, 0.003_095_975), (0.5, 0.214_041_14), (1.0, 1.0)] {
             assert!((linear(srgb) - want).abs() < 1e-8, "{srgb}: {}", linear(srgb));
             assert!((display(want) - srgb).abs() < 1e-7);
+            let step = 1e-6;
+            let slope = (display(want + step) - display(want)) / step;
+            assert!((display_slope(want) / slope - 1.0).abs() < 1e-3, "{slope}");
         }
         assert!((luminance([1.0; 3]) - 1.0).abs() < 1e-12);
     }

@@ -15,6 +15,8 @@ mod light;
 pub mod linear;
 pub mod pane;
 pub mod pictures;
+pub mod plan;
+pub mod profile;
 mod ranges;
 mod rooms;
 mod set;

@@ -53,6 +53,17 @@ impl Effect {
     }
 }
 
+impl Effect {
+    /// The effect of that name.
+    ///
+    /// # Errors
+    /// If there is none; it names those that there are.
+    pub fn named(name: &str) -> Result<Self, EffectError> {
+        let found = Self::ALL.into_iter().find(|effect| effect.name() == name);
+        found.ok_or_else(|| EffectError::Name { name: name.to_owned() })
+    }
+}
+
 /// Effects with their severities, as text `holes=3,blur=1.5`; `none` is the empty set.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct EffectSet {
@@ -80,6 +91,12 @@ pub enum EffectError {
     Twice {
         /// The name.
         name: String,
+    },
+    /// Not `NAME=CHOICE`.
+    #[error("{part:?}: NAME=on, off or auto is expected, such as floaters=auto")]
+    Choice {
+        /// The part of the text.
+        part: String,
     },
     /// A severity that is none.
     #[error("{name}={value}: a severity of 0 to {MOST_SEVERE} is expected")]
@@ -143,10 +160,7 @@ impl FromStr for EffectSet {
         for part in text.split(',') {
             let (name, value) =
                 part.split_once('=').ok_or_else(|| EffectError::Form { part: part.to_owned() })?;
-            let effect = Effect::ALL
-                .into_iter()
-                .find(|effect| effect.name() == name)
-                .ok_or_else(|| EffectError::Name { name: name.to_owned() })?;
+            let effect = Effect::named(name)?;
             if seen.contains(&effect) {
                 return Err(EffectError::Twice { name: name.to_owned() });
             }

@@ -170,6 +170,7 @@ pub struct Lifter<'a> {
     block_rows: usize,
     /// All weight of each Gaussian, labelled or not.
     totals: Vec<f64>,
+    weighted: usize,
 }
 
 impl<'a> Lifter<'a> {
@@ -214,6 +215,7 @@ impl<'a> Lifter<'a> {
             spools: std::iter::repeat_with(spool).take(levels).collect(),
             block_rows,
             totals: vec![0.0; gaussians.len()],
+            weighted: 0,
             settings,
         })
     }
@@ -221,6 +223,11 @@ impl<'a> Lifter<'a> {
     /// Segments of the pictures so far.
     pub fn tables(&self) -> &SegmentTables {
         &self.tables
+    }
+
+    /// Pictures that counted for less than others.
+    pub fn num_weighted(&self) -> usize {
+        self.weighted
     }
 
     /// Weights that wait, of all granularities.
@@ -239,6 +246,23 @@ impl<'a> Lifter<'a> {
     /// If maps, features or depth do not fit the camera or each other, the renderer refuses the view,
     /// or the file cannot be written.
     pub fn add(&mut self, picture: &LabelledPicture<'_>) -> Result<PictureReport, LiftError> {
+        self.add_weighted(picture, 1.0)
+    }
+
+    /// As [`add`](Self::add), where a picture counts for less than others: a blurred one, say. Coverage and
+    /// shares count as much as the labels. 1 is [`add`](Self::add), bit for bit.
+    ///
+    /// # Errors
+    /// As [`add`](Self::add), and a weight that is not above 0 and at most 1.
+    pub fn add_weighted(
+        &mut self,
+        picture: &LabelledPicture<'_>,
+        weight: f32,
+    ) -> Result<PictureReport, LiftError> {
+        if !(weight > 0.0 && weight <= 1.0) {
+            let problem = format!("{weight}; above 0 and at most 1 is expected");
+            return Err(LiftError::argument("weight of a picture", problem));
+        }
         self.check_picture(picture, self.spools.len())?;
         let LiftSettings { rule, raster, .. } = &self.settings;
         let measured = self.settings.depth.zip(picture.depth);
@@ -246,7 +270,11 @@ impl<'a> Lifter<'a> {
         let own = if depth.is_none() { self.settings.depth } else { None };
         let levels = self.eroded(picture);
         let labelled = LabelledView { view: picture.view, levels: &levels, depth };
-        let weights = weights_with_own_depth(self.gaussians, &labelled, own, *rule, raster)?;
+        let mut weights = weights_with_own_depth(self.gaussians, &labelled, own, *rule, raster)?;
+        if weight < 1.0 {
+            self.weighted += 1;
+            weights.scale(weight);
+        }
         self.take(&weights, picture.features)
     }
 
@@ -426,5 +454,80 @@ impl<'a> Lifter<'a> {
             Ok(())
         })?;
         Ok(all)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lifting::NO_SEGMENT;
+
+    fn view() -> View {
+        View {
+            world_to_camera: [[1., 0., 0., 0.], [0., 1., 0., 0.], [0., 0., 1., 0.]],
+            fx: 40.0,
+            fy: 40.0,
+            cx: 16.0,
+            cy: 16.0,
+            width: 32,
+            height: 32,
+        }
+    }
+
+    fn dot() -> Gaussians {
+        Gaussians {
+            means: vec![[0.0, 0.0, 2.0]],
+            quats: vec![[1.0, 0.0, 0.0, 0.0]],
+            scales: vec![[0.1; 3]],
+            opacities: vec![0.9],
+            sh: vec![0.0; 3],
+            sh_degree: 0,
+        }
+    }
+
+    /// Two pictures of a dot that name it differently, with these weights.
+    fn lifted(weights: [Option<f32>; 2]) -> (BlockFeatures, usize) {
+        let (gaussians, view) = (dot(), view());
+        let levels = [SegmentMap::new(32, 32, vec![0; 32 * 32]).unwrap()];
+        let mut lifter = Lifter::new(&gaussians, 1, 2, LiftSettings::default()).unwrap();
+        for (features, weight) in [[1.0, 0.0], [0.0, 1.0]].into_iter().zip(weights) {
+            let features = &features;
+            let picture = LabelledPicture { view: &view, levels: &levels, features, depth: None };
+            match weight {
+                None => lifter.add(&picture).unwrap(),
+                Some(weight) => lifter.add_weighted(&picture, weight).unwrap(),
+            };
+        }
+        let settings = FinaliseSettings { normalise: false, ..FinaliseSettings::default() };
+        (lifter.collect(0, &settings).unwrap(), lifter.num_weighted())
+    }
+
+    #[test]
+    fn pictures_count_as_much_as_they_weigh_and_one_is_no_weight_at_all() {
+        let (plain, count) = lifted([None, None]);
+        assert_eq!(count, 0);
+        assert_eq!(lifted([Some(1.0), Some(1.0)]), (plain.clone(), 0));
+        // By hand: three quarters to one quarter.
+        let (uneven, count) = lifted([None, Some(1.0 / 3.0)]);
+        assert_eq!(count, 1);
+        let near = |got: f32, want: f32| (got - want).abs() < 1e-6;
+        assert!(near(uneven.features[0], 0.75) && near(uneven.features[1], 0.25), "{uneven:?}");
+        // What all weigh alike changes no feature, and coverage by as much.
+        let (half, _) = lifted([Some(0.5), Some(0.5)]);
+        assert_eq!(half.features, plain.features);
+        assert!(near(half.coverage[0], 0.5 * plain.coverage[0]) && half.views == plain.views);
+    }
+
+    #[test]
+    fn weights_that_are_none_are_refused() {
+        let (gaussians, view) = (dot(), view());
+        let levels = [SegmentMap::new(32, 32, vec![NO_SEGMENT; 32 * 32]).unwrap()];
+        let mut lifter = Lifter::new(&gaussians, 1, 2, LiftSettings::default()).unwrap();
+        let picture =
+            LabelledPicture { view: &view, levels: &levels, features: &[1.0, 0.0], depth: None };
+        for weight in [0.0, -1.0, 1.01, f32::NAN, f32::INFINITY] {
+            let error = lifter.add_weighted(&picture, weight).unwrap_err().to_string();
+            assert!(error.contains("above 0 and at most 1"), "{error}");
+        }
     }
 }

@@ -127,6 +127,14 @@ pub struct ViewWeights {
     pub visible: usize,
 }
 
+impl ViewWeights {
+    /// Makes all of them count that many times as much.
+    pub(super) fn scale(&mut self, by: f32) {
+        self.levels.iter_mut().flatten().for_each(|w| w.weight *= by);
+        self.totals.iter_mut().for_each(|(_, total)| *total *= by);
+    }
+}
+
 /// The depth of a pixel, NaN if there is none.
 fn known(depth: f32) -> f32 {
     if depth > 0.0 && depth.is_finite() { depth } else { f32::NAN }

@@ -95,6 +95,56 @@ impl Planted {
         Ok(lifter)
     }
 
+    /// Lifts the maps of blurred pictures: of each the objects are where the camera was when the exposure began,
+    /// and the more it moved, the more segments have wrong names. `weigh` gives each picture's weight by
+    /// the length of its motion in pixels.
+    ///
+    /// Both are our assumption of what a segmenter makes of blurred pictures: 2 % of the segments per
+    /// pixel of motion, at most half of them. The camera turns by angles of 0.2° · `severity` (standard
+    /// deviation) about both axes across its view.
+    pub fn blurred_lifter(
+        &self,
+        severity: f64,
+        settings: LiftSettings,
+        weigh: impl Fn(f64) -> f32,
+    ) -> Result<Lifter<'_>, LiftError> {
+        let mut rng = ChaCha8Rng::seed_from_u64(78);
+        let count = self.num_objects();
+        let mut lifter = Lifter::new(&self.gaussians, 1, DIM, settings)?;
+        for view in &self.views {
+            let sd = (0.2 * severity).to_radians();
+            // Twelve uniform numbers are nearly a normal one.
+            let mut normal = || (0..12).map(|_| rng.random_range(0.0..1.0)).sum::<f64>() - 6.0;
+            let [x, y] = [sd * normal(), sd * normal()];
+            let pixels = f64::from(view.fx) * x.hypot(y);
+            let mut began = *view;
+            // Small angles: the camera's axes turned by half of the motion, made orthonormal again.
+            let turn = [[1.0, 0.0, y / 2.0], [0.0, 1.0, -x / 2.0], [-y / 2.0, x / 2.0, 1.0]];
+            for (row, turn) in began.world_to_camera.iter_mut().zip(turn) {
+                *row = std::array::from_fn(|j| {
+                    (0..3).map(|k| turn[k] as f32 * view.world_to_camera[k][j]).sum::<f32>()
+                });
+            }
+            orthonormal(&mut began.world_to_camera);
+            let map = if severity > 0.0 {
+                object_map(&self.gaussians, &self.object, &began)
+            } else {
+                object_map(&self.gaussians, &self.object, view)
+            };
+            let mut features = self.features.clone();
+            for (own, row) in features.chunks_exact_mut(DIM).enumerate() {
+                if rng.random_bool((0.02 * pixels).min(0.5)) {
+                    let other = (own + rng.random_range(1..count)) % count;
+                    row.copy_from_slice(&self.features[other * DIM..(other + 1) * DIM]);
+                }
+            }
+            let levels = std::slice::from_ref(&map);
+            let picture = LabelledPicture { view, levels, features: &features, depth: None };
+            lifter.add_weighted(&picture, weigh(pixels))?;
+        }
+        Ok(lifter)
+    }
+
     /// What depth agreement changes, by every `step`-th of these pictures.
     pub fn depth_effect(&self, wrong: f64, step: usize) -> Result<DepthEffect, LiftError> {
         let mut probe = DepthProbe::new(&self.gaussians, DIM, &LiftSettings::default())?;
@@ -167,6 +217,18 @@ impl Planted {
 
 fn dot(a: &[f32], b: &[f32]) -> f32 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// Makes the rotation of a pose orthonormal, row by row; the camera stays about where it is.
+fn orthonormal(pose: &mut [[f32; 4]; 3]) {
+    for i in 0..3 {
+        for j in 0..i {
+            let along: f32 = (0..3).map(|k| pose[i][k] * pose[j][k]).sum();
+            (0..3).for_each(|k| pose[i][k] -= along * pose[j][k]);
+        }
+        let norm = (0..3).map(|k| pose[i][k] * pose[i][k]).sum::<f32>().sqrt();
+        (0..3).for_each(|k| pose[i][k] /= norm);
+    }
 }
 
 /// Directions around a common one, cosines about 0.5: features of different things are never

@@ -23,6 +23,13 @@ pub struct Args {
     /// as the cameras' pictures.
     #[arg(long, value_name = "DIR")]
     pub segments: PathBuf,
+    /// Folder with the photos, FRAME.png or FRAME.jpg, of their cameras' size: says what they show of motion
+    /// blur, light, noise and coverage. One render for each.
+    #[arg(long, value_name = "DIR")]
+    pub photos: Option<PathBuf>,
+    /// auto lets photos that were taken in motion count less, if blur is found.
+    #[arg(long, value_enum, default_value_t = FrameWeightsArg::DEFAULT, requires = "photos")]
+    pub frame_weights: FrameWeightsArg,
     /// Which pixels label a Gaussian.
     #[arg(long, value_enum, default_value_t = RuleArg::AlphaWeighted)]
     pub rule: RuleArg,
@@ -88,6 +95,20 @@ pub enum RuleArg {
     AlphaWeighted,
     /// The one at its centre, as Occam's LGS, with the constants of gsplat 1.4.
     CentrePixel,
+}
+
+/// What photos are worth.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum FrameWeightsArg {
+    /// By the detail that they lack along their motion, if they are blurred.
+    Auto,
+    /// All the same.
+    Off,
+}
+
+impl FrameWeightsArg {
+    /// What was measured to be worth it (docs/lifting.md).
+    const DEFAULT: Self = Self::Auto;
 }
 
 /// When to guard.

@@ -9,12 +9,13 @@ use scenesplat::rasterizer::Gaussians;
 use scenesplat::rasterizer::lifting::{LiftSettings, Lifter, Robust};
 
 impl Args {
-    /// Collects the weights of all pictures.
+    /// Collects the weights of all pictures, each counting as much as it says.
     pub(super) fn lift<'a>(
         &self,
         session: &Session<'_>,
         gaussians: &'a Gaussians,
         pictures: &Pictures<'_>,
+        picture_weights: &[f32],
         settings: &LiftSettings,
     ) -> Result<Lifter<'a>> {
         let _stage = session.receipt.stage("lift");
@@ -33,7 +34,7 @@ impl Args {
             };
             picture.check_dim(lifter.tables().dim())?;
             let report = lifter
-                .add(&picture.labelled())
+                .add_weighted(&picture.labelled(), picture_weights[number])
                 .with_context(|| format!("frame {}", picture.name))?;
             without_feature += report.without_feature;
             weight += report.weight;

@@ -4,6 +4,7 @@ mod args;
 mod collect;
 mod depth;
 mod level;
+mod photos;
 mod pictures;
 mod write;
 
@@ -35,7 +36,10 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     args.record(&session)?;
     let pictures = Pictures::new(&folder, pictures::paired(&views, &matches), &args.depth);
     let settings = args.settings(args.decide_depth(&session, &gaussians, &pictures)?);
-    let mut lifter = args.lift(&session, &gaussians, &pictures, &settings)?;
+    let with_frames = cameras.iter().zip(&matches.frames).filter(|(_, frame)| frame.is_some());
+    let with_frames: Vec<_> = with_frames.map(|(camera, _)| camera).collect();
+    let weights = args.weigh(&session, &gaussians, &pictures, &with_frames)?;
+    let mut lifter = args.lift(&session, &gaussians, &pictures, &weights, &settings)?;
     for (number, &level) in args.level.iter().enumerate() {
         let robust = args.decide(&session, &mut lifter, number, level)?;
         args.write(&session, &opened, &mut lifter, number, level, robust)?;

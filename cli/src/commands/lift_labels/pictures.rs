@@ -100,6 +100,11 @@ impl<'a> Pictures<'a> {
         self.views.len()
     }
 
+    /// Name of its frame.
+    pub(super) fn name(&self, number: usize) -> &'a str {
+        self.folder.name(self.views[number].1)
+    }
+
     pub(super) fn read(&self, number: usize) -> Result<Picture<'a>> {
         let (view, frame) = self.views[number];
         let name = self.folder.name(frame);

@@ -1,0 +1,83 @@
+//! What the photos themselves say, and how much each of them counts.
+
+use super::args::{Args, FrameWeightsArg};
+use super::pictures::Pictures;
+use crate::session::Session;
+use anyhow::{Context, Result};
+use scenesplat::capture::CaptureProbe;
+use scenesplat::rasterizer::{
+    DepthRequest, Gaussians, PlanRequest, RasterSettings, RenderPlan, RenderRequest, SceneProfile,
+};
+use scenesplat::scene::Camera;
+use scenesplat::scene::picture::read_picture;
+use std::path::{Path, PathBuf};
+
+/// Endings of photos, in the order in which they are looked for.
+const ENDINGS: [&str; 6] = ["png", "jpg", "jpeg", "PNG", "JPG", "JPEG"];
+
+fn photo_of(folder: &Path, frame: &str) -> Option<PathBuf> {
+    ENDINGS.iter().map(|e| folder.join(format!("{frame}.{e}"))).find(|path| path.is_file())
+}
+
+impl Args {
+    /// The weight of each picture, all 1 without photos; `cameras` are those of the pictures.
+    pub(super) fn weigh(
+        &self,
+        session: &Session<'_>,
+        gaussians: &Gaussians,
+        pictures: &Pictures<'_>,
+        cameras: &[&Camera],
+    ) -> Result<Vec<f32>> {
+        let mut weights = vec![1.0; pictures.len()];
+        let Some(folder) = &self.photos else { return Ok(weights) };
+        let _stage = session.receipt.stage("photos");
+        let profile = SceneProfile::scan(gaussians)?;
+        let depth = DepthRequest { expected: true, ..DepthRequest::default() };
+        let request = PlanRequest::new(RenderRequest { depth, ..RenderRequest::rgb() });
+        let plan = RenderPlan::auto(&profile, RasterSettings::default(), request)?;
+        let prepared = plan.prepare(gaussians.clone())?;
+        let mut probe = CaptureProbe::new(&prepared);
+        let mut seen = Vec::new();
+        for (number, camera) in cameras.iter().enumerate() {
+            session.check_stop()?;
+            session.progress.advance("photos", number as f64 / cameras.len() as f64);
+            let Some(path) = photo_of(folder, pictures.name(number)) else { continue };
+            let photo = read_picture(&path)?.to_rgb8();
+            probe.add(camera, &photo).with_context(|| path.display().to_string())?;
+            seen.push(number);
+        }
+        session.progress.finish();
+        let missing = pictures.len() - seen.len();
+        anyhow::ensure!(
+            !seen.is_empty(),
+            "--photos {}: no photo is named like a frame ({}.png or .jpg, …)",
+            folder.display(),
+            pictures.name(0)
+        );
+        if missing > 0 {
+            let text = format!("{missing} of {} pictures have no photo", pictures.len());
+            session.progress.say(&text);
+            session.receipt.warning(text);
+        }
+        let report = probe.report();
+        for finding in &report.findings {
+            session.progress.say(finding.to_string());
+            let value = format!("{:.2}", finding.severity);
+            session.receipt.setting(
+                &format!("photos/{}", finding.effect),
+                value,
+                &finding.to_string(),
+            );
+        }
+        if self.frame_weights == FrameWeightsArg::Auto {
+            for (number, weight) in seen.iter().zip(report.frame_weights()) {
+                weights[*number] = weight;
+            }
+            let less = weights.iter().filter(|w| **w < 1.0).count();
+            let text = format!("{less} of {} pictures count less for their motion", weights.len());
+            session.progress.say(&text);
+            session.receipt.setting("frame_weights", less, &text);
+        }
+        Ok(weights)
+    }
+}

@@ -1,0 +1,157 @@
+//! The planes that hold most patches, and which of them bound the scene: walls, floors.
+
+use super::FEWEST_PATCHES;
+use super::table::{Patch, Plane, Table, choice, quantile_of};
+use rayon::prelude::*;
+use scenesplat_scene::vector::{cross, dot};
+
+/// Patches whose planes are tried.
+const CANDIDATES: usize = 192;
+/// Planes that are looked at, and the least share of the flat patches that one holds.
+const MOST_PLANES: usize = 12;
+const LEAST_SHARE: f64 = 0.04;
+/// A plane with more of the Gaussians behind it bounds nothing.
+const BEHIND: f64 = 0.1;
+/// A room is a scene whose bounding planes have this share of the area of its box, or more. Rooms without
+/// a ceiling have 0.69 and more, objects up to 0.59, a house of several rooms 0.45.
+const ROOM: f64 = 0.62;
+/// Normals of one plane agree so well; its patches lie within so many diagonals of it.
+const SAME_NORMAL: f64 = 0.94;
+const ACROSS: f64 = 0.012;
+/// What lies within so many diagonals of a plane belongs to it: windows and doors are set back.
+pub(super) const THICK: f64 = 0.04;
+
+/// The planes that bound a scene.
+#[derive(Default)]
+pub(super) struct Shell {
+    pub(super) walls: Vec<Wall>,
+    /// Their area over that of the robust box.
+    pub(super) share_of_box: f64,
+}
+
+/// A plane that bounds the scene.
+pub(super) struct Wall {
+    /// Indices among the rows that are looked at of what is behind it.
+    pub(super) behind: Vec<usize>,
+    /// Their share of all.
+    pub(super) share_behind: f64,
+    /// Areas of its gaps, and of it with them, in units of the scene.
+    pub(super) areas: [f64; 2],
+}
+
+impl Shell {
+    pub(super) fn of(table: &Table<'_>) -> Self {
+        let diagonal = table.bounds.diagonal();
+        let places: Vec<[f64; 3]> =
+            table.rows.iter().map(|&row| table.scene.coord[row as usize].map(f64::from)).collect();
+        let wall = |plane: &Large| {
+            let behind = plane.beyond(&places, diagonal);
+            let share_behind = behind.len() as f64 / places.len() as f64;
+            (share_behind <= BEHIND).then(|| {
+                let areas = plane.gaps(&places, diagonal);
+                Wall { behind, share_behind, areas }
+            })
+        };
+        let walls: Vec<Wall> = planes(table).par_iter().filter_map(wall).collect();
+        let [x, y, z] = table.bounds.extent();
+        let area: f64 = walls.iter().map(|wall| wall.areas[1]).sum();
+        Self { share_of_box: area / (2.0 * (x * y + y * z + z * x)), walls }
+    }
+
+    /// Whether the scene is a room, which all that is known of these effects was learned on.
+    pub(super) fn is_room(&self) -> Result<(), &'static str> {
+        let is_room = self.share_of_box >= ROOM;
+        if is_room {
+            Ok(())
+        } else {
+            Err("no room: large flat surfaces make up too little of the scene's box")
+        }
+    }
+}
+
+/// A large flat surface.
+pub(super) struct Large {
+    /// Two directions in it, then the normal; each of length 1.
+    pub(super) axes: [[f64; 3]; 3],
+    /// Where it is along its normal.
+    pub(super) offset: f64,
+    /// Gaussians that are looked at, for each unit of area.
+    pub(super) density: f64,
+}
+
+/// The planes that hold most flat patches, the largest first; each patch counts for one.
+fn planes(table: &Table<'_>) -> Vec<Large> {
+    let flat: Vec<(&Patch, Plane)> = table.flat().collect();
+    let diagonal = table.bounds.diagonal();
+    let places: Vec<[f64; 3]> = flat.iter().map(|(p, _)| table.place(p)).collect();
+    let candidates = choice(flat.len(), CANDIDATES);
+    let holds = |c: usize, i: usize| {
+        let (n, m) = (flat[c].1.axes[2], flat[i].1.axes[2]);
+        let apart: [f64; 3] = std::array::from_fn(|a| places[i][a] - places[c][a]);
+        dot(n, m).abs() >= SAME_NORMAL && dot(n, apart).abs() <= ACROSS * diagonal
+    };
+    let mut members: Vec<(usize, Vec<usize>)> = candidates
+        .par_iter()
+        .map(|&c| (c, (0..flat.len()).filter(|&i| holds(c, i)).collect()))
+        .collect();
+    let least = (LEAST_SHARE * flat.len() as f64).max(FEWEST_PATCHES as f64 / 2.0) as usize;
+    let mut is_free = vec![true; flat.len()];
+    let mut found = Vec::new();
+    while found.len() < MOST_PLANES {
+        // The first of the largest.
+        let Some(best) = (0..members.len()).rev().max_by_key(|&k| members[k].1.len()) else {
+            break;
+        };
+        let (c, rows) = members.swap_remove(best);
+        if rows.len() < least {
+            break;
+        }
+        rows.iter().for_each(|&i| is_free[i] = false);
+        members.iter_mut().for_each(|(_, rows)| rows.retain(|&i| is_free[i]));
+        members.sort_by_key(|m| m.0);
+        let axes = mean_axes(flat[c].1.axes, rows.iter().map(|&i| flat[i].1.axes[2]));
+        let middle = |values: Vec<f64>| quantile_of(values.into_iter(), 0.5).unwrap_or(0.0);
+        let offset = middle(rows.iter().map(|&i| dot(axes[2], places[i])).collect());
+        let fourth = middle(rows.iter().map(|&i| f64::from(flat[i].0.fourth)).collect());
+        let again = found.iter().any(|other: &Large| {
+            let sign = dot(other.axes[2], axes[2]);
+            sign.abs() > SAME_NORMAL
+                && (sign.signum() * other.offset - offset).abs() < THICK * diagonal
+        });
+        if fourth > 0.0 && !again {
+            // Four others lie within that distance.
+            let density = 4.0 / (std::f64::consts::PI * fourth * fourth);
+            found.push(Large { axes, offset, density });
+        }
+    }
+    found
+}
+
+/// Axes with the mean of the normals for a normal.
+fn mean_axes(of: [[f64; 3]; 3], normals: impl Iterator<Item = [f64; 3]>) -> [[f64; 3]; 3] {
+    let mut sum = [0.0; 3];
+    for n in normals {
+        let sign = dot(n, of[2]).signum();
+        (0..3).for_each(|a| sum[a] += sign * n[a]);
+    }
+    let unit = |v: [f64; 3]| {
+        let length = dot(v, v).sqrt();
+        v.map(|x| x / length)
+    };
+    let normal = unit(sum);
+    let along = dot(of[0], normal);
+    let first = unit(std::array::from_fn(|a| of[0][a] - along * normal[a]));
+    [first, cross(normal, first), normal]
+}
+
+impl Large {
+    /// The places behind it: on the side where there are fewer, the first if there are as many on both.
+    pub(super) fn beyond(&self, places: &[[f64; 3]], diagonal: f64) -> Vec<usize> {
+        let height = |i: usize| dot(self.axes[2], places[i]) - self.offset;
+        let side = |sign: f64| -> Vec<usize> {
+            (0..places.len()).filter(|&i| sign * height(i) > THICK * diagonal).collect()
+        };
+        let [a, b] = [side(1.0), side(-1.0)];
+        if b.len() < a.len() { b } else { a }
+    }
+}

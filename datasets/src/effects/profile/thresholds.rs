@@ -1,0 +1,36 @@
+//! From a measure to a decision and a severity. The numbers were fitted on synthetic rooms of the seeds 0 to 39
+//! and tested on others, by the example `effect_thresholds` (docs/effects.md).
+
+use super::super::{Effect, MOST_SEVERE};
+
+/// Less is not there, whatever the measure.
+pub(super) const LEAST_SEVERITY: f64 = 0.5;
+
+/// How a detector's measure is read.
+pub(super) struct Scale {
+    /// The effect is there from this measure on.
+    pub(super) threshold: f64,
+    /// Strength without the effect, and what each step of severity adds to it.
+    pub(super) line: [f64; 2],
+}
+
+impl Scale {
+    /// The severity of a strength, 0 to 5.
+    pub(super) fn severity(&self, strength: f64) -> f64 {
+        // NaN, of a unit that is none, becomes 0.
+        ((strength - self.line[0]) / self.line[1]).max(0.0).min(MOST_SEVERE)
+    }
+}
+
+pub(super) fn scale(effect: Effect) -> Scale {
+    let (threshold, line) = match effect {
+        Effect::Holes => (0.009, [0.001, 0.0105]),
+        Effect::Floaters => (0.0046, [0.0018, 0.002]),
+        Effect::Surface => (0.0068, [0.002, 0.0036]),
+        Effect::Blur => (0.64, [0.0065, 0.0135]),
+        Effect::Glass => (0.0043, [0.0, 0.0045]),
+        Effect::Light => (0.36, [0.0, 0.245]),
+        Effect::Noise => (1.4, [0.0, 1.04]),
+    };
+    Scale { threshold, line }
+}
