@@ -323,6 +323,6 @@ fn what_does_not_fit_is_refused_by_name() {
     };
     assert!(modelling(&rows, &attributes()[..2]).contains("expected [N, 7], got [N, 9]"));
     assert!(modelling(&rows, &attributes()[1..]).contains("quat = 3..7"));
-    let bad = (rows.clone() * f64::NAN).unwrap();
+    let bad = (rows * f64::NAN).unwrap();
     assert!(modelling(&bad, &attributes()).contains("pred[0, 0] is NaN"));
 }
