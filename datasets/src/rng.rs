@@ -14,6 +14,10 @@ pub(crate) enum Purpose {
     Mixing = 2,
     /// Which Gaussians of a cell a chunk keeps.
     Chunking = 3,
+    /// Which scenes of a batch are masked.
+    MaskedScenes = 4,
+    /// What is masked of a scene.
+    Masking = 5,
 }
 
 /// As [`sample_rng`], for something other than a sample.

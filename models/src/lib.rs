@@ -31,6 +31,7 @@ pub mod point_transformer_v2;
 pub mod point_transformer_v3;
 mod recompute;
 mod row_order;
+pub mod self_supervised_heads;
 mod shortcuts;
 mod stages;
 pub mod weights;

@@ -121,9 +121,18 @@ fn damaged() -> Vec<Case> {
         Case {
             origin: "demands 2a, level 4: holes (views missing)",
             tolerance: 0.15,
-            reason: "share of labels changed beyond 1.5 m of the hole: 0.095 here; rows that are gone move the \
-                borders of attention patches along the whole curve, so the 1 % asked for is not reached",
+            reason: "share of labels changed beyond 1.5 m of the hole: 0.095 here; it takes the room's outermost \
+                Gaussian, so that the middle of the bounding box moves, and all voxels with it: the 1 % asked for \
+                is not reached",
             ..case("room-with-a-hole", |scene, _| in_corner(scene))
+        },
+        Case {
+            origin: "demands 2a, level 4: holes (views missing), the outermost Gaussians stay",
+            ..case("room-with-a-hole-inside", |scene, _| {
+                let mut gone = in_corner(scene);
+                outermost(scene).for_each(|row| gone[row] = false);
+                gone
+            })
         },
         Case {
             origin: "demands 2a, level 4: floaters",
@@ -169,6 +178,15 @@ const FAR: f32 = 1.5;
 fn in_corner(scene: &GaussianScene) -> Vec<bool> {
     let edge = edge(scene);
     scene.coord.iter().map(|p| p[0] > edge[0] - CORNER && p[1] > edge[1] - CORNER).collect()
+}
+
+/// The Gaussians at either end of each axis: what the bounding box hangs on.
+fn outermost(scene: &GaussianScene) -> impl Iterator<Item = usize> + '_ {
+    let along = move |axis: usize, sign: f32| {
+        let at = move |row: &usize| sign * scene.coord[*row][axis];
+        (0..scene.len()).max_by(move |a, b| at(a).total_cmp(&at(b)))
+    };
+    (0..6).filter_map(move |i| along(i / 2, if i % 2 == 0 { 1.0 } else { -1.0 }))
 }
 
 fn edge(scene: &GaussianScene) -> [f32; 2] {

@@ -113,7 +113,8 @@ pub fn add_scene(
     Ok(hits)
 }
 
-/// The probability of each Gaussian's label; 0 where it has none. `[N]`
+/// The probability of each Gaussian's label (0 where it has none), and of the class that is most probable by
+/// its own feature, which a vote may have overruled. `[N]`
 ///
 /// # Errors
 /// If features cannot be read.
@@ -121,10 +122,10 @@ pub(crate) fn probabilities(
     features: &SceneFeatures,
     text: &TextTable,
     labels: &[i32],
-) -> Result<Vec<f32>, ParetoError> {
+) -> Result<[Vec<f32>; 2], ParetoError> {
     let width = features.width();
     let by_slot = members(features);
-    let mut out = vec![0.0; labels.len()];
+    let (mut of_label, mut highest) = (vec![0.0; labels.len()], vec![0.0; labels.len()]);
     for start in (0..features.num_slots()).step_by(BLOCK) {
         let end = (start + BLOCK).min(features.num_slots());
         let rows = features.slot_rows(start..end)?;
@@ -132,13 +133,16 @@ pub(crate) fn probabilities(
             let dot = |t: &[f32]| t.iter().zip(row).map(|(a, b)| a * b).sum();
             let scores: Vec<f32> = text.values.chunks_exact(width).map(dot).collect();
             let all = softmax(&scores);
+            let top = all.iter().copied().fold(0.0, f32::max);
             for &gaussian in &by_slot.rows[by_slot.starts[slot]..by_slot.starts[slot + 1]] {
                 let label = usize::try_from(labels[gaussian as usize]).ok();
-                out[gaussian as usize] = label.and_then(|l| all.get(l).copied()).unwrap_or(0.0);
+                of_label[gaussian as usize] =
+                    label.and_then(|l| all.get(l).copied()).unwrap_or(0.0);
+                highest[gaussian as usize] = top;
             }
         }
     }
-    Ok(out)
+    Ok([of_label, highest])
 }
 
 /// Which Gaussians have each row.

@@ -37,7 +37,7 @@ pub(super) fn chart(report: &SeverityReport) -> Drawing {
         ("f-mIoU", |p| p.f_miou),
         ("calibration error (ECE)", |p| p.ece),
         ("mean confidence", |p| p.confidence),
-        ("unknown (confidence below 95 % of undamaged)", |p| p.unknown),
+        ("unknown (less certain than 95 % of undamaged)", |p| p.unknown),
     ];
     for (i, (name, figure)) in figures.into_iter().enumerate() {
         let left = FIRST[0] + NEXT[0] * (i % 2) as f64;
@@ -62,9 +62,13 @@ fn panel(d: &mut Drawing, report: &SeverityReport, [left, top]: [f64; 2], name: 
         d.line([x.at(tick), top], [x.at(tick), bottom], 1.0, GRID);
         d.text([x.at(tick), bottom + 10.0], 2, SOFT, Anchor::Middle, &format!("{tick}"));
     }
-    for tick in y.ticks() {
+    let ticks = y.ticks();
+    // Steps below one percent need their decimals.
+    let step = ticks.windows(2).map(|pair| pair[1] - pair[0]).fold(1.0, f64::min);
+    let digits = usize::from(step < 0.0099) + usize::from(step < 0.00099);
+    for tick in ticks {
         d.line([left, y.at(tick)], [right, y.at(tick)], 1.0, GRID);
-        let text = format!("{:.0}%", 100.0 * tick);
+        let text = format!("{:.digits$}%", 100.0 * tick);
         d.text([left - 8.0, y.at(tick) - 8.0], 2, SOFT, Anchor::End, &text);
     }
     d.line([left, top], [left, bottom], 1.5, INK);

@@ -23,6 +23,8 @@ const FAR: f32 = 1.5;
 pub(super) struct Labelled {
     pub(super) labels: Vec<i32>,
     pub(super) confidence: Vec<f32>,
+    /// Of the class that is most probable by the Gaussian's own feature.
+    certainty: Vec<f32>,
 }
 
 /// The network with its classes.
@@ -30,7 +32,7 @@ pub(super) struct Bench {
     network: Network,
     texts: TextTable,
     excluded: Vec<usize>,
-    /// Confidence below which a Gaussian counts as unknown.
+    /// Probability of the likeliest class below which a Gaussian counts as unknown.
     pub(super) threshold: f32,
 }
 
@@ -48,13 +50,13 @@ impl Bench {
         let features = SceneEncoder::new(&self.network).encode(scene, &mut |_| Ok(()))?;
         let (classes, options) = (Classes::Texts(&self.texts), ZeroShotOptions::default());
         let labels = label_with_vote(&features, classes, &options, &scene.coord, VOTE_K)?.labels;
-        let confidence = probabilities(&features, &self.texts, &labels)?;
-        Ok(Labelled { labels, confidence })
+        let [confidence, certainty] = probabilities(&features, &self.texts, &labels)?;
+        Ok(Labelled { labels, confidence, certainty })
     }
 
     /// What undamaged rooms leave unknown is the same share everywhere.
     pub(super) fn set_threshold(&mut self, undamaged: &[Labelled]) {
-        let mut all: Vec<f32> = undamaged.iter().flat_map(|l| l.confidence.clone()).collect();
+        let mut all: Vec<f32> = undamaged.iter().flat_map(|l| l.certainty.clone()).collect();
         if all.is_empty() {
             return;
         }
@@ -71,16 +73,17 @@ impl Bench {
         let mut matrix = ConfusionMatrix::new(self.texts.len())?.with_excluded(&self.excluded)?;
         let mut calibration = Calibration::default();
         let (mut sum, mut unknown, mut count) = (0.0, 0u32, 0u32);
-        for (scene, Labelled { labels, confidence }) in rooms {
+        for (scene, Labelled { labels, confidence, certainty }) in rooms {
             let truth = scene.segment.clone().unwrap_or_default();
             matrix.update((labels, &truth))?;
-            for ((label, confidence), truth) in labels.iter().zip(confidence).zip(&truth) {
+            let rows = labels.iter().zip(confidence).zip(certainty).zip(&truth);
+            for (((label, confidence), certainty), truth) in rows {
                 if *truth < 0 {
                     continue;
                 }
                 calibration.add(f64::from(*confidence), label == truth);
                 sum += f64::from(*confidence);
-                unknown += u32::from(*confidence < self.threshold);
+                unknown += u32::from(*certainty < self.threshold);
                 count += 1;
             }
         }

@@ -26,7 +26,8 @@ pub struct SeverityPoint {
     pub ece: f64,
     /// Their mean.
     pub confidence: f64,
-    /// Share of the Gaussians with a probability below that of all but 5 % of undamaged rooms.
+    /// Share of the Gaussians whose likeliest class, by their own feature, is less probable than that of all but
+    /// 5 % in undamaged rooms.
     pub unknown: f64,
     /// Gaussians with a true label.
     pub scored: usize,
@@ -70,7 +71,7 @@ pub struct SeverityReport {
     pub room_seed: u64,
     /// Seed of the damage.
     pub seed: u64,
-    /// Confidence below which a Gaussian counts as unknown.
+    /// Probability of the likeliest class below which a Gaussian counts as unknown.
     pub unknown_below: f32,
     /// One for each effect.
     pub curves: Vec<EffectCurve>,

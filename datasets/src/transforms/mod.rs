@@ -53,7 +53,7 @@ pub use sphere_crop::{CropCenter, SphereCrop};
 use crate::DataError;
 use crate::error::bad_setting;
 
-fn check_probability(setting: &'static str, value: f64) -> Result<(), DataError> {
+pub(crate) fn check_probability(setting: &'static str, value: f64) -> Result<(), DataError> {
     if (0.0..=1.0).contains(&value) {
         Ok(())
     } else {
@@ -61,7 +61,7 @@ fn check_probability(setting: &'static str, value: f64) -> Result<(), DataError>
     }
 }
 
-fn check_positive(setting: &'static str, value: f64) -> Result<(), DataError> {
+pub(crate) fn check_positive(setting: &'static str, value: f64) -> Result<(), DataError> {
     if value.is_finite() && value > 0.0 {
         Ok(())
     } else {

@@ -176,14 +176,17 @@ mod tests {
 
     #[test]
     fn sinkhorn_spreads_what_one_prototype_would_take() {
-        // All rows prefer the first prototype; the two that do it least end at the second.
+        // All rows prefer the first prototype, by 10, 8, 6, 4 at τ = 0.5; equal shares take 7 off each.
         let logits = table(&[5.0, 0.0, 4.0, 0.0, 3.0, 0.0, 2.0, 0.0], 2);
-        let got = sinkhorn_knopp(&logits, 0.1, 50).unwrap().to_vec2::<f64>().unwrap();
-        for (row, first) in got.iter().zip([1.0, 1.0, 0.0, 0.0]) {
-            assert!((row[0] - first).abs() < 0.05 && (row[0] + row[1] - 1.0).abs() < 1e-12);
+        let got = sinkhorn_knopp(&logits, 0.5, 50).unwrap().to_vec2::<f64>().unwrap();
+        for (row, z) in got.iter().zip([3.0, 1.0, -1.0, -3.0]) {
+            let want = 1.0 / (1.0 + f64::exp(-z));
+            assert!((row[0] - want).abs() < 1e-12 && (row[0] + row[1] - 1.0).abs() < 1e-12);
         }
-        let share: f64 = got.iter().map(|row| row[0]).sum();
-        assert!((share - 2.0).abs() < 1e-6, "{share}");
+        // Three iterations are on the way: the first prototype still lacks some of its half.
+        let soon = sinkhorn_knopp(&logits, 0.5, 3).unwrap().to_vec2::<f64>().unwrap();
+        let share: f64 = soon.iter().map(|row| row[0]).sum();
+        assert!((share - 1.786_211_106_450_65).abs() < 1e-12, "{share}");
         // No iteration is the softmax.
         let plain = sinkhorn_knopp(&logits, 1.0, 0).unwrap().to_vec2::<f64>().unwrap();
         assert!((plain[3][0] - 1.0 / (1.0 + (-2f64).exp())).abs() < 1e-15);

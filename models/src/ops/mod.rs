@@ -22,7 +22,7 @@ pub(crate) use batch_norm::{frozen_cannot_train, scale_shift_frozen};
 pub use gelu::gelu;
 pub use layer_norm::{layer_norm, layer_norm_frozen};
 pub use linear::{linear, linear_frozen, linear_unit_frozen, linear_with, mlp_frozen};
-pub use normalize::l2_normalize;
+pub use normalize::{l2_normalize, l2_normalize_above};
 pub use patch_attention::patch_attention;
 pub use permute_rows::permute_rows;
 pub use point_rope::point_rope;

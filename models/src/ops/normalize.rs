@@ -4,9 +4,12 @@ use super::{cpu_slice, make, read};
 use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
 use scenesplat_kernels::normalize::{norm, normalize_rows};
 
-struct L2Normalize;
+struct L2Normalize {
+    /// Smaller norms count as this; below it the divisor is a constant.
+    floor: f64,
+}
 
-/// Norms of this size were floored; below it the divisor is a constant.
+/// The floor of the kernel.
 const EPS: f64 = 1e-12;
 
 impl CustomOp1 for L2Normalize {
@@ -17,7 +20,14 @@ impl CustomOp1 for L2Normalize {
         let (_, c) = l.shape().dims2()?;
         let x = cpu_slice("l2_normalize", s, l)?;
         let mut out = x.to_vec();
-        normalize_rows(&mut out, c);
+        if self.floor <= EPS {
+            normalize_rows(&mut out, c);
+        } else if c > 0 {
+            for row in out.chunks_exact_mut(c) {
+                let inverse = 1.0 / norm(row).max(self.floor);
+                row.iter_mut().for_each(|v| *v = (f64::from(*v) * inverse) as f32);
+            }
+        }
         Ok((CpuStorage::F32(out), l.shape().clone()))
     }
     fn bwd(&self, x: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
@@ -29,9 +39,9 @@ impl CustomOp1 for L2Normalize {
                     for ((x, g), out) in
                         x.chunks_exact(c).zip(g.chunks_exact(c)).zip(out.chunks_exact_mut(c))
                     {
-                        let norm = norm(x);
+                        let norm = norm(x).max(self.floor);
                         // Below the floor the divisor is a constant.
-                        let along = if norm > EPS {
+                        let along = if norm > self.floor {
                             let dot: f64 =
                                 x.iter().zip(g).map(|(x, g)| f64::from(*x) * f64::from(*g)).sum();
                             dot / norm / norm
@@ -57,5 +67,16 @@ impl CustomOp1 for L2Normalize {
 /// # Errors
 /// If the tensor is not a matrix of f32 on the CPU.
 pub fn l2_normalize(x: &Tensor) -> Result<Tensor> {
-    x.contiguous()?.apply_op1(L2Normalize)
+    x.contiguous()?.apply_op1(L2Normalize { floor: EPS })
+}
+
+/// `x / max(‖x‖, floor)` for each row; `floor` is 1e-12 at least. On the calling thread: for few rows.
+///
+/// # Shapes
+/// `x`: `[N, C]` f32 · returns `[N, C]`
+///
+/// # Errors
+/// If the tensor is not a matrix of f32 on the CPU.
+pub fn l2_normalize_above(x: &Tensor, floor: f64) -> Result<Tensor> {
+    x.contiguous()?.apply_op1(L2Normalize { floor: floor.max(EPS) })
 }

@@ -1,0 +1,108 @@
+//! What stands behind a backbone while it learns from scenes without labels.
+//!
+//! # Source
+//! `DINOHead` and the `mae_head` of SceneSplat be9d5e1, whose names of parameters these are. There no
+//! optimizer sees them: the heads keep their first values. Here they are parameters like all others.
+
+use crate::layers::{LayerNorm, Linear};
+use crate::{Compute, ops};
+use candle_core::{Result, Tensor};
+use candle_nn::{Init, VarBuilder};
+
+/// Norms below this count as this, as in the original.
+const EPS: f64 = 1e-4;
+/// Width inside of a [`ReconstructionHead`].
+const HIDDEN: usize = 32;
+
+/// Widths of a [`ProjectionHead`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ProjectionShape {
+    /// Of the rows that come in.
+    pub channels: usize,
+    /// Of both layers between.
+    pub hidden: usize,
+    /// Of the rows of unit length that come out.
+    pub out: usize,
+}
+
+/// Three linear layers with exact GELUs between; rows of unit length.
+///
+/// The original has 512 → 2048 → 2048 → 256 for a vector of a scene, and 64 → 256 → 256 → 32 for masked
+/// Gaussians.
+#[derive(Debug, Clone)]
+pub struct ProjectionHead {
+    layers: [Linear; 3],
+}
+
+impl ProjectionHead {
+    /// Parameters `mlp.0`, `mlp.2`, `mlp.4`: weights normal with σ = 0.02, biases 0.
+    ///
+    /// # Errors
+    /// If parameters exist with another shape.
+    pub fn new(shape: ProjectionShape, compute: Compute, vb: &VarBuilder<'_>) -> Result<Self> {
+        let init = Init::Randn { mean: 0.0, stdev: 0.02 };
+        let layer = |name: &str, cin: usize, cout: usize| -> Result<Linear> {
+            let vb = vb.pp(name);
+            let weight = vb.get_with_hints((cout, cin), "weight", init)?;
+            let bias = vb.get_with_hints(cout, "bias", Init::Const(0.0))?;
+            Linear::of(compute, weight, Some(bias))
+        };
+        let ProjectionShape { channels, hidden, out } = shape;
+        Ok(Self {
+            layers: [
+                layer("mlp.0", channels, hidden)?,
+                layer("mlp.2", hidden, hidden)?,
+                layer("mlp.4", hidden, out)?,
+            ],
+        })
+    }
+
+    /// `x / max(‖x‖, 1e-4)` of what the layers make of rows. `[N, C] → [N, out]`
+    ///
+    /// # Errors
+    /// If the input does not fit.
+    pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        let [first, second, last] = &self.layers;
+        let x = second.forward_gelu(&first.forward_gelu(x, None)?, None)?;
+        ops::l2_normalize_above(&last.forward(&x)?, EPS)
+    }
+}
+
+/// Attributes of a masked Gaussian from its row: linear to 32, layer norm, ReLU, linear.
+#[derive(Debug, Clone)]
+pub struct ReconstructionHead {
+    first: Linear,
+    norm: LayerNorm,
+    last: Linear,
+}
+
+impl ReconstructionHead {
+    /// Parameters `0`, `1`, `3`: weights normal with σ² = 2 ÷ rows of the weight, biases uniform in
+    /// ±1/√(columns).
+    ///
+    /// # Errors
+    /// If parameters exist with another shape.
+    pub fn new(channels: usize, out: usize, compute: Compute, vb: &VarBuilder<'_>) -> Result<Self> {
+        let layer = |name: &str, cin: usize, cout: usize| -> Result<Linear> {
+            let (vb, bound) = (vb.pp(name), 1.0 / (cin as f64).sqrt());
+            let normal = Init::Randn { mean: 0.0, stdev: (2.0 / cout as f64).sqrt() };
+            let weight = vb.get_with_hints((cout, cin), "weight", normal)?;
+            let uniform = Init::Uniform { lo: -bound, up: bound };
+            let bias = vb.get_with_hints(cout, "bias", uniform)?;
+            Linear::of(compute, weight, Some(bias))
+        };
+        Ok(Self {
+            first: layer("0", channels, HIDDEN)?,
+            norm: LayerNorm::new(HIDDEN, vb.pp("1"))?,
+            last: layer("3", HIDDEN, out)?,
+        })
+    }
+
+    /// `[N, C] → [N, out]`, in the scale of the network's inputs.
+    ///
+    /// # Errors
+    /// If the input does not fit.
+    pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        self.last.forward(&self.norm.forward(&self.first.forward(x)?)?.relu()?)
+    }
+}
