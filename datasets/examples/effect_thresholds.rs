@@ -164,9 +164,9 @@ fn roc(looks: &[Look], effect: Effect) -> Vec<[f64; 2]> {
     let mut curve = vec![at];
     for (i, (value, is_there)) in of.iter().enumerate() {
         if *is_there {
-            at[1] += 1.0 / there
+            at[1] += 1.0 / there;
         } else {
-            at[0] += 1.0 / clean
+            at[0] += 1.0 / clean;
         }
         // Equal measures fall together.
         if of.get(i + 1).is_none_or(|next| next.0 != *value) {

@@ -8,15 +8,16 @@ use std::sync::OnceLock;
 
 fn seen() -> EffectProfile {
     static SEEN: OnceLock<EffectProfile> = OnceLock::new();
-    let room = || generate(&SyntheticRoomSettings::with_count(4000, 1003)).unwrap().scene;
+    let room = || generate(&SyntheticRoomSettings::with_count(4000, 1003)).expect("a room").scene;
     SEEN.get_or_init(|| profile(&room(), 1.0)).clone()
 }
 
 /// The profile with a measure so far from its threshold.
 fn with_floaters(times: f64) -> EffectProfile {
     let mut seen = seen();
-    let floaters = seen.effects.iter_mut().find(|e| e.effect == Effect::Floaters).unwrap();
-    floaters.measure.as_mut().unwrap().value = times * floaters.threshold;
+    let floaters =
+        seen.effects.iter_mut().find(|e| e.effect == Effect::Floaters).expect("each has one");
+    floaters.measure.as_mut().expect("a room").value = times * floaters.threshold;
     seen
 }
 

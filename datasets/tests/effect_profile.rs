@@ -6,7 +6,7 @@ use scenesplat_rooms::{SyntheticRoomSettings, generate};
 use scenesplat_scene::GaussianScene;
 
 fn room(count: usize, seed: u64) -> GaussianScene {
-    generate(&SyntheticRoomSettings::with_count(count, seed)).unwrap().scene
+    generate(&SyntheticRoomSettings::with_count(count, seed)).expect("a room").scene
 }
 
 fn names(profile: &EffectProfile) -> Vec<&'static str> {

@@ -94,7 +94,7 @@ impl EffectEvidence {
         let strength = scale.severity(strength);
         let present = measure.value >= threshold && strength >= LEAST_SEVERITY;
         let severity = if present { strength } else { 0.0 };
-        let off = Figure { value: threshold, ..measure.clone() };
+        let off = Figure { value: threshold, ..measure };
         let text = format!("{} {measure}, off below {off}", words(effect));
         Self { effect, present, severity, strength, measure: Some(measure), threshold, more, text }
     }

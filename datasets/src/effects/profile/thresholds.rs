@@ -17,8 +17,9 @@ pub(super) struct Scale {
 impl Scale {
     /// The severity of a strength, 0 to 5.
     pub(super) fn severity(&self, strength: f64) -> f64 {
-        // NaN, of a unit that is none, becomes 0.
-        ((strength - self.line[0]) / self.line[1]).max(0.0).min(MOST_SEVERE)
+        let severity = (strength - self.line[0]) / self.line[1];
+        // NaN comes of a unit that is none.
+        if severity.is_nan() { 0.0 } else { severity.clamp(0.0, MOST_SEVERE) }
     }
 }
 
