@@ -20,12 +20,15 @@ const SEVERITIES: [f64; 6] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0];
 const PICTURES: usize = 20;
 const SIZE: [u32; 2] = [480, 360];
 
+/// Number of the effect that is there ([`EFFECTS`]' length: none), its severity, and measure and severity of each
+/// detector.
+type Row = (usize, f64, [(f64, f64); 3]);
+
 fn main() -> Result<()> {
     let mut args = std::env::args().skip(1);
     let first: u64 = args.next().map_or(Ok(200), |n| n.parse())?;
     let count: u64 = args.next().map_or(Ok(8), |n| n.parse())?;
-    // Rows: truth effect, severity, then the measure and severity of each detector.
-    let mut found: Vec<(usize, f64, [(f64, f64); 3])> = Vec::new();
+    let mut found: Vec<Row> = Vec::new();
     for room in first..first + count {
         let settings =
             SyntheticRoomSettings { room, ..SyntheticRoomSettings::with_count(40_000, 1) };
@@ -51,7 +54,7 @@ fn main() -> Result<()> {
         }
     }
     for (k, effect) in EFFECTS.iter().enumerate() {
-        let there = |row: &&(usize, f64, [(f64, f64); 3])| row.0 == k && row.1 >= 2.0;
+        let there = |row: &&Row| row.0 == k && row.1 >= 2.0;
         let hits = found.iter().filter(there).filter(|row| row.2[k].1 > 0.0).count();
         let all = found.iter().filter(there).count();
         // Alarms where there is nothing, and where there is only something else.

@@ -52,7 +52,7 @@ impl fmt::Display for CaptureFinding {
         match self.measure {
             None => write!(f, "{}: the pictures do not say", self.effect)?,
             Some(_) if self.is_present() => {
-                write!(f, "{}: severity {:.1}", self.effect, self.severity)?
+                write!(f, "{}: severity {:.1}", self.effect, self.severity)?;
             }
             Some(measure) => {
                 write!(f, "{}: absent ({measure:.2} below {})", self.effect, self.threshold)?;

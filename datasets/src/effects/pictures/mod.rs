@@ -267,8 +267,9 @@ fn check<E>(picture: &DrawnPicture, camera: &Camera, depth: bool) -> Result<(), 
 fn mean<E>(
     pictures: impl Iterator<Item = Result<DrawnPicture, PictureError<E>>>,
 ) -> Result<DrawnPicture, PictureError<E>> {
-    let (mut light, mut depths, mut count): (Vec<f64>, Option<Vec<(f64, usize)>>, usize) =
-        Default::default();
+    let (mut light, mut count) = (Vec::new(), 0);
+    // Sums, and of how many pictures.
+    let mut depths: Option<Vec<(f64, usize)>> = None;
     for picture in pictures {
         let picture = picture?;
         if count == 0 {

@@ -206,7 +206,7 @@ mod tests {
     fn exposures_are_centred_and_counted_by_pixels() {
         let camera = super::super::tests::camera();
         let motion = Twist { omega: [0.01, -0.02, 0.0], v: [0.03, 0.0, 0.01] };
-        assert_eq!(exposure_poses(&camera, &motion, 1), [camera.clone()]);
+        assert_eq!(exposure_poses(&camera, &motion, 1), std::slice::from_ref(&camera));
         let poses = exposure_poses(&camera, &motion, 5);
         let middle = RigidMotion::of_camera(&poses[2]);
         assert!(near(middle.translation, camera.translation));
