@@ -200,7 +200,7 @@ mod tests {
             ..Measures::default()
         };
         // As a coin falls.
-        let coin = |i: usize| if (i * i + i / 7) % 2 == 0 { 1e-6 } else { -1e-6 };
+        let coin = |i: usize| if (i * i + i / 7).is_multiple_of(2) { 1e-6 } else { -1e-6 };
         assert_eq!(bounds.broken(&bias(&|i, _| coin(i))), None);
         for error in [|_, _| 1e-6, |_, w: f64| -3e-6 * w] as [fn(usize, f64) -> f64; 2] {
             assert!(bounds.broken(&bias(&error)).unwrap().contains("100.0 % of"));

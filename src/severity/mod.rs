@@ -16,7 +16,6 @@ mod report;
 
 pub use report::{Check, EffectCurve, SeverityPoint, SeverityReport};
 
-use crate::evaluation::EvaluationError;
 use crate::inference::EncodeError;
 use crate::labels::LabelError;
 use crate::network::NetworkError;
@@ -95,12 +94,9 @@ pub enum SeverityError {
     /// No score.
     #[error(transparent)]
     Metric(#[from] MetricError),
-    /// No evaluation.
-    #[error(transparent)]
-    Evaluation(#[from] EvaluationError),
     /// No calibration, or no picture.
     #[error(transparent)]
-    Pareto(#[from] ParetoError),
+    Pareto(Box<ParetoError>),
     /// A report that cannot be written.
     #[error(transparent)]
     Io(#[from] std::io::Error),
@@ -110,6 +106,12 @@ pub enum SeverityError {
     /// A report that cannot be told.
     #[error(transparent)]
     Json(#[from] serde_json::Error),
+}
+
+impl From<ParetoError> for SeverityError {
+    fn from(error: ParetoError) -> Self {
+        Self::Pareto(Box::new(error))
+    }
 }
 
 /// Runs the network inside the program over rooms with each effect at each severity, and once more with

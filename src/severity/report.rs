@@ -141,8 +141,8 @@ pub(super) fn checks(curves: &[EffectCurve]) -> Vec<Check> {
 
 /// Spearman's; `None` if one of both is constant.
 pub(super) fn rank_correlation(points: &[SeverityPoint]) -> Option<f64> {
-    let a = ranks(points.iter().map(|p| p.confidence).collect());
-    let b = ranks(points.iter().map(|p| p.f_miou).collect());
+    let a = ranks(&points.iter().map(|p| p.confidence).collect::<Vec<_>>());
+    let b = ranks(&points.iter().map(|p| p.f_miou).collect::<Vec<_>>());
     let mean = (points.len() as f64 - 1.0) / 2.0;
     let product =
         |x: &[f64], y: &[f64]| x.iter().zip(y).map(|(x, y)| (x - mean) * (y - mean)).sum::<f64>();
@@ -151,7 +151,7 @@ pub(super) fn rank_correlation(points: &[SeverityPoint]) -> Option<f64> {
 }
 
 /// Ranks from 0; equal values share the mean of theirs.
-fn ranks(values: Vec<f64>) -> Vec<f64> {
+fn ranks(values: &[f64]) -> Vec<f64> {
     let rank = |v: &f64| {
         let below = values.iter().filter(|other| *other < v).count() as f64;
         let equal = values.iter().filter(|other| *other == v).count() as f64;

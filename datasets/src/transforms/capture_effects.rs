@@ -164,7 +164,7 @@ mod tests {
         let sample = Sample::from_scene("room", scene.clone());
         let step = step("holes=2..4,floaters=5,surface=1,blur=1,glass=3,light=2,noise=3");
         let mut rng = sample_rng(11, 3, 7);
-        let mut got = sample.clone();
+        let mut got = sample;
         step.apply(&mut got, &mut { rng.clone() }).unwrap();
         got.check().unwrap();
         assert!(happens(&mut rng, 1.0));
@@ -228,7 +228,7 @@ mod tests {
         let all = step("holes=0..3,floaters=2,surface=1,blur=1,light=1,noise=1");
         assert_eq!(applied(&all, &sample, 5), applied(&all, &sample, 5));
         assert_ne!(applied(&all, &sample, 5), applied(&all, &sample, 6));
-        let never = CaptureEffects { probability: 0.0, ..all.clone() };
+        let never = CaptureEffects { probability: 0.0, ..all };
         assert_eq!(applied(&never, &sample, 5), sample);
         assert!(applied(&all, &at(&[]), 1).is_empty());
         assert!(!applied(&all, &at(&[[1.0; 3]]), 1).is_empty());

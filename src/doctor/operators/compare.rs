@@ -171,7 +171,7 @@ mod tests {
             assert!(found.error < F32, "{}", found.error);
             bounds.broken(&found.measures)
         };
-        let sign = |i: usize| if (i * i + i / 7) % 2 == 0 { 1.0 } else { -1.0 };
+        let sign = |i: usize| if (i * i + i / 7).is_multiple_of(2) { 1.0 } else { -1.0 };
         assert_eq!(found(&|i| 2e-6 * sign(i)), None);
         assert!(found(&|i| -3e-6 * want[i]).unwrap().contains("lean to one side"), "too short");
         assert!(found(&|_| 1e-6).unwrap().contains("lean to one side"), "shifted");

@@ -248,7 +248,7 @@ fn operators(_: &mut Bath, rng: &mut Noise) -> Result<Outcome, Failure> {
     forward_with(precision, &qkv, heads, &cut, &order, &mut out);
     let largest = qkv.iter().fold(0.0, |m: f32, v| m.max(v.abs()));
     // A mean of values is none larger than they; 8-bit steps may round it up.
-    let beyond = out.iter().position(|v| !(v.abs() <= 1.02 * largest));
+    let beyond = out.iter().position(|v| v.is_nan() || v.abs() > 1.02 * largest);
     ensure!(
         beyond.is_none(),
         "attention of {rows} rows in {precision}, patches of {patch}: value {beyond:?} of {c} channels is {:e}, \
