@@ -205,13 +205,14 @@ fn no_flag_is_without_effect() {
     for args in [
         vec!["render", &scene, "--weights", "nope.pth"],
         vec!["render", &scene, "--config", "tiny"],
-        vec!["render", &scene, "--seed", "1"],
         vec!["lift-labels", &scene, "--cameras", "c", "--segments", "s", "--weights", "nope.pth"],
         vec!["weights", "x.pth", "--weights", "nope.pth"],
         vec!["inspect", &scene, "--seed", "1"],
     ] {
         refused(&args, 2, &["unexpected argument"]);
     }
+    // Nothing of a plain picture is drawn by lot.
+    refused(&["render", &scene, "--seed", "1"], 2, &["--effect"]);
     refused(&["inspect", &scene, "--weights", "/nonexistent"], 1, &["/nonexistent"]);
     let help = run(&["features", "--help"], |_| {});
     assert!(String::from_utf8_lossy(&help.stdout).contains("in any format"));

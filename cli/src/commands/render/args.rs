@@ -71,7 +71,7 @@ pub struct Args {
     #[arg(long, value_name = "NAME=SEVERITY,…", default_value = "none")]
     pub effect: EffectSet,
     /// Which of the possible damages.
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, requires = "effect")]
     pub seed: u64,
     /// Which way is up for --orbit, --inside and --eye; judged by the scene if not given.
     #[arg(long, value_name = "AXIS", value_parser = parse_up, allow_hyphen_values = true)]
