@@ -17,6 +17,7 @@ mod backbone;
 mod compute;
 pub mod convert;
 mod head;
+mod levels;
 pub mod layers;
 pub mod litept;
 mod lpips;
@@ -42,6 +43,7 @@ pub use backbone::{
 };
 pub use compute::Compute;
 pub use head::{Head, LanguageModel, SemanticSegmenter};
+pub use levels::{Level, LevelOptions, Levels, scene_means};
 pub use litept::{LitePt, LitePtConfig, LitePtSize};
 pub use lpips::{Lpips, LpipsNet};
 pub use model_config::{ModelConfig, UniqueKeys};

@@ -8,6 +8,7 @@ pub mod export;
 pub mod identity;
 mod record;
 mod run;
+mod self_supervision;
 pub mod teacher;
 
 pub use config::ExperimentConfig;

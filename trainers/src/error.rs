@@ -14,6 +14,14 @@ pub enum TrainError {
         #[source]
         source: candle_core::Error,
     },
+    /// A setting of self-supervised training that cannot be used.
+    #[error("self_supervised.{setting}: {problem}")]
+    SelfSupervised {
+        /// Which.
+        setting: &'static str,
+        /// What is wrong, and what would be right.
+        problem: String,
+    },
     /// A gradient has a NaN or an infinity.
     #[error("gradient of {name} is not finite")]
     NonFiniteGradient {
