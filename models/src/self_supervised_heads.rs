@@ -93,8 +93,7 @@ impl PrototypeHead {
         vb: &VarBuilder<'_>,
     ) -> Result<Self> {
         let init = Init::Randn { mean: 0.0, stdev: 0.02 };
-        let weight =
-            vb.pp("prototypes").get_with_hints((prototypes, shape.out), "weight", init)?;
+        let weight = vb.pp("prototypes").get_with_hints((prototypes, shape.out), "weight", init)?;
         Ok(Self { projection: ProjectionHead::new(shape, compute, vb)?, prototypes: weight })
     }
 

@@ -3,9 +3,9 @@
 use super::ExperimentError;
 use crate::NetworkConfig;
 use candle_core::Tensor;
+use scenesplat_models::BackboneConfig;
 use scenesplat_models::weights::save_tensors;
 use scenesplat_scene::StagedFolder;
-use scenesplat_models::BackboneConfig;
 use scenesplat_trainers::checkpoint::{
     best_checkpoint, newest_checkpoint, read_network, read_store,
 };

@@ -298,9 +298,7 @@ impl Run<'_> {
         let network = self.config.network()?;
         let remarks = match self_supervision::exported(self.config) {
             None => export_model(self.checkpoints, &network, &model)?,
-            Some(which) => {
-                export_self_supervised(self.checkpoints, &network, which, &model)?
-            }
+            Some(which) => export_self_supervised(self.checkpoints, &network, which, &model)?,
         };
         Ok((progress, (model, remarks)))
     }

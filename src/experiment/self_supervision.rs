@@ -19,20 +19,28 @@ pub(super) fn check(config: &ExperimentConfig) -> Result<()> {
         let at = steps.iter().position(|step| matches!(step, TransformConfig::Views(_)));
         match at {
             None if is_task => {
-                return wrong(&field, "self-supervised training compares views: end with a `views` step");
+                return wrong(
+                    &field,
+                    "self-supervised training compares views: end with a `views` step",
+                );
             }
             Some(_) if !is_task => {
                 return wrong(&field, "only task = \"self_supervised\" compares views");
             }
             Some(at) if at + 1 < steps.len() => {
-                return wrong(&field, "`views` comes last; give other steps before it or to its views");
+                return wrong(
+                    &field,
+                    "`views` comes last; give other steps before it or to its views",
+                );
             }
             _ => {}
         }
     }
     let settings = match (&config.self_supervised, is_task) {
         (None, false) => return Ok(()),
-        (None, true) => return wrong("self_supervised", "the task needs this table, with its terms"),
+        (None, true) => {
+            return wrong("self_supervised", "the task needs this table, with its terms");
+        }
         (Some(_), false) => {
             return wrong("self_supervised", "only task = \"self_supervised\" has it");
         }
@@ -43,7 +51,10 @@ pub(super) fn check(config: &ExperimentConfig) -> Result<()> {
         return wrong("losses", "the terms are those of self_supervised.terms; leave them out");
     }
     if !config.evaluate.is_empty() {
-        return wrong("evaluate", "there are no labels to score; use `scenesplat probe` on the model");
+        return wrong(
+            "evaluate",
+            "there are no labels to score; use `scenesplat probe` on the model",
+        );
     }
     if config.text.is_some() || config.targets != TargetChoice::Features {
         return wrong("text", "the task has neither texts nor targets; leave text and targets out");

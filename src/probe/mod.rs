@@ -98,8 +98,8 @@ pub fn probe(
     say: &mut dyn FnMut(&str) -> bool,
 ) -> Result<ProbeReport, ProbeError> {
     settings.check()?;
-    let config = config_beside(model)?
-        .ok_or_else(|| ProbeError::NoModel { path: model.to_owned() })?;
+    let config =
+        config_beside(model)?.ok_or_else(|| ProbeError::NoModel { path: model.to_owned() })?;
     let network =
         Network::load(config.clone(), &Weights::File(model.to_owned()), WeightOptions::default())?;
     let random = random_network(&config, settings.seed)?;

@@ -5,7 +5,9 @@ use crate::network::NetworkConfig;
 use candle_core::{Device, Tensor};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{RngCore, SeedableRng};
-use scenesplat_datasets::{Dataset, InputChannel, InputFeatures, Sample, TrainBatch, collate_samples};
+use scenesplat_datasets::{
+    Dataset, InputChannel, InputFeatures, Sample, TrainBatch, collate_samples,
+};
 use scenesplat_models::{Backbone, Forward, LevelOptions};
 use scenesplat_trainers::tasks::point_cloud;
 use serde::Serialize;
@@ -122,9 +124,7 @@ fn scene(
     };
     let batch = collate_samples(vec![sample], &input)?;
     let rows = match source {
-        RowSource::Inputs => {
-            Tensor::from_slice(&batch.feat, (m, batch.channels), &Device::Cpu)?
-        }
+        RowSource::Inputs => Tensor::from_slice(&batch.feat, (m, batch.channels), &Device::Cpu)?,
         RowSource::Network(network) => {
             let mut rng = ChaCha8Rng::seed_from_u64(0);
             let options = LevelOptions { mask: None, decoder: false };
@@ -187,23 +187,23 @@ pub(super) fn chosen_rows(
     seed: u64,
     stream: u64,
 ) -> Vec<u32> {
-        let mut labelled: Vec<u32> =
-            (0_u32..).zip(&scene.labels).filter(|(_, l)| **l >= 0).map(|(row, _)| row).collect();
-        let count = match regime {
-            LabelRegime::All => labelled.len(),
-            LabelRegime::Share(share) => {
-                ((labelled.len() as f64 * share).round() as usize).max(1).min(labelled.len())
-            }
-            LabelRegime::PerScene(count) => count.min(labelled.len()),
-        };
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        rng.set_stream(stream);
-        // The first of a random order, all of them where all are wanted.
-        for i in 0..count {
-            let left = (labelled.len() - i) as u64;
-            let j = i + ((u128::from(rng.next_u64()) * u128::from(left)) >> 64) as usize;
-            labelled.swap(i, j);
+    let mut labelled: Vec<u32> =
+        (0_u32..).zip(&scene.labels).filter(|(_, l)| **l >= 0).map(|(row, _)| row).collect();
+    let count = match regime {
+        LabelRegime::All => labelled.len(),
+        LabelRegime::Share(share) => {
+            ((labelled.len() as f64 * share).round() as usize).max(1).min(labelled.len())
         }
+        LabelRegime::PerScene(count) => count.min(labelled.len()),
+    };
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    rng.set_stream(stream);
+    // The first of a random order, all of them where all are wanted.
+    for i in 0..count {
+        let left = (labelled.len() - i) as u64;
+        let j = i + ((u128::from(rng.next_u64()) * u128::from(left)) >> 64) as usize;
+        labelled.swap(i, j);
+    }
     labelled.truncate(count);
     labelled.sort_unstable();
     labelled
@@ -222,9 +222,8 @@ pub(super) fn objects(scenes: &[ProbeScene]) -> Result<Option<Objects>, ProbeErr
             if instance < 0 || label < 0 {
                 continue;
             }
-            let (sum, count, votes) = sums
-                .entry(instance)
-                .or_insert_with(|| (vec![0.0; width], 0, BTreeMap::new()));
+            let (sum, count, votes) =
+                sums.entry(instance).or_insert_with(|| (vec![0.0; width], 0, BTreeMap::new()));
             let row = &values[row * width..][..width];
             sum.iter_mut().zip(row).for_each(|(sum, v)| *sum += f64::from(*v));
             *count += 1;

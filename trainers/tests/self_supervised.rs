@@ -18,9 +18,7 @@ use scenesplat_datasets::{
     collate_samples, sample_rng,
 };
 use scenesplat_losses::self_supervised::GaussianDistance;
-use scenesplat_models::{
-    Compute, Forward, ModelConfig, ParamStore, PointTransformerV3Config,
-};
+use scenesplat_models::{Compute, Forward, ModelConfig, ParamStore, PointTransformerV3Config};
 use scenesplat_rooms::SyntheticRoomSettings;
 use scenesplat_trainers::checkpoint::newest_checkpoint;
 use scenesplat_trainers::tasks::self_supervised::{
@@ -29,8 +27,8 @@ use scenesplat_trainers::tasks::self_supervised::{
     SimDinoTerm, TermConfig,
 };
 use scenesplat_trainers::{
-    AdamW, AdamWConfig, AfterStep, CosineSchedule, OneCycle, Progress, StepContext, StepOutput, Trainer,
-    TrainerConfig, TrainingModule, WithWeightDecay, group_by_keyword,
+    AdamW, AdamWConfig, AfterStep, CosineSchedule, OneCycle, Progress, StepContext, StepOutput,
+    Trainer, TrainerConfig, TrainingModule, WithWeightDecay, group_by_keyword,
 };
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -266,7 +264,10 @@ fn momentum_goes_by_the_step() {
 #[test]
 fn heads_are_trained_but_not_those_of_the_original() {
     for compat in [Compat::None, Compat::Original] {
-        let config = SelfSupervisedConfig { compat, ..settings(vec![masked_gaussians(), simdino(), ibot()]) };
+        let config = SelfSupervisedConfig {
+            compat,
+            ..settings(vec![masked_gaussians(), simdino(), ibot()])
+        };
         let module = module(&config, &model(true));
         let heads = |m: &SelfSupervised| {
             let all = everything(m).into_iter();
@@ -284,7 +285,8 @@ fn heads_are_trained_but_not_those_of_the_original() {
         assert_eq!(has_heads, compat == Compat::None);
     }
     // The original's teacher begins elsewhere.
-    let config = SelfSupervisedConfig { compat: Compat::Original, ..settings(vec![simdino(), ibot()]) };
+    let config =
+        SelfSupervisedConfig { compat: Compat::Original, ..settings(vec![simdino(), ibot()]) };
     let module = module(&config, &model(true));
     let (own, other) = (values(module.params()), values(module.teacher().unwrap()));
     let name = "enc.enc0.block0.attn.qkv.weight";
@@ -351,15 +353,12 @@ fn what_is_masked_is_not_seen() {
             row.fill(0.75);
         }
         let feat = Tensor::from_vec(feat, (view.len(), 11), &candle_core::Device::Cpu).unwrap();
-        scenesplat_models::PointCloud::new(
-            view.grid_coord.clone(),
-            feat,
-            view.offsets.clone(),
-        )
-        .unwrap()
+        scenesplat_models::PointCloud::new(view.grid_coord.clone(), feat, view.offsets.clone())
+            .unwrap()
     };
     let rows = |other: bool, hidden: &[bool], with: bool| {
-        let options = scenesplat_models::LevelOptions { mask: with.then_some(hidden), decoder: true };
+        let options =
+            scenesplat_models::LevelOptions { mask: with.then_some(hidden), decoder: true };
         let mut rng = rng();
         let mut cx = Forward::eval(&mut rng);
         let levels = backbone.forward_levels(&points(other, hidden), options, &mut cx).unwrap();
@@ -404,7 +403,9 @@ fn simdino_compares_other_views_of_the_same_scene() {
 
 #[test]
 fn weights_scale_their_terms() {
-    let heavier = |weight| TermConfig::SimDino(SimDinoTerm { weight, hidden: 16, out: 8, ..SimDinoTerm::default() });
+    let heavier = |weight| {
+        TermConfig::SimDino(SimDinoTerm { weight, hidden: 16, out: 8, ..SimDinoTerm::default() })
+    };
     let loss = |weight| {
         let terms = vec![masked_gaussians(), heavier(weight), ibot()];
         let out = one_step(&module(&settings(terms), &model(true)), &first_batch(), 0);
@@ -502,7 +503,8 @@ fn hard_batches_have_finite_losses_and_gradients() {
 
 #[test]
 fn all_masked_none_masked() {
-    let config = |ratio| SelfSupervisedConfig { masking: Some(masking(ratio)), ..settings(all_terms()) };
+    let config =
+        |ratio| SelfSupervisedConfig { masking: Some(masking(ratio)), ..settings(all_terms()) };
     let all = one_step(&module(&config(1.0), &model(true)), &first_batch(), 0);
     assert!(term(&all, "ibot").is_some() && term(&all, "masked_gaussians").is_some());
     assert!(all.loss.to_scalar::<f32>().unwrap().is_finite());

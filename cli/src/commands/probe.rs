@@ -217,7 +217,8 @@ fn tell(report: &ProbeReport) {
         "{:12} {:>6} {:>8} {:>8} {:>8} {:>8} {:>8}",
         "", "width", "mIoU", "mAcc", "allAcc", "objects", "seconds"
     ));
-    let percent = |v: Option<f64>| v.map_or_else(|| "-".to_owned(), |v| format!("{:.2}", v * 100.0));
+    let percent =
+        |v: Option<f64>| v.map_or_else(|| "-".to_owned(), |v| format!("{:.2}", v * 100.0));
     let line = |name: &str, r: &ProbeResult| {
         print(&format!(
             "{name:12} {:>6} {:>8} {:>8} {:>8} {:>8} {:>8.1}",

@@ -240,9 +240,12 @@ mod tests {
         for seed in 0..20 {
             let bright = applied(&only(0.4, 0.0, 0.0), &sample, seed).color[0];
             let factor = bright[0] / 10.0;
-            assert!((0.6..=1.4).contains(&factor) && near(bright, [10.0, 20.0, 30.0].map(|c| c * factor)));
-            for color in
-                [only(0.0, 0.4, 0.0), only(0.0, 0.0, 0.4)].map(|j| applied(&j, &sample, seed).color[0])
+            assert!(
+                (0.6..=1.4).contains(&factor)
+                    && near(bright, [10.0, 20.0, 30.0].map(|c| c * factor))
+            );
+            for color in [only(0.0, 0.4, 0.0), only(0.0, 0.0, 0.4)]
+                .map(|j| applied(&j, &sample, seed).color[0])
             {
                 let f = (color[0] - g) / (10.0 - g);
                 assert!((0.6..=1.4).contains(&f), "{color:?}");

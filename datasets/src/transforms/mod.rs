@@ -50,9 +50,6 @@ pub use elastic::ElasticDistortion;
 pub use grid_sample::{GridSample, Keep};
 pub use limit_values::LimitValues;
 pub use presets::{language_pretraining, semantic_segmentation, validation};
-pub use view_presets::{
-    self_distillation, self_supervised, self_supervised_joint, self_supervised_joint_scannetpp,
-};
 pub use random_dropout::RandomDropout;
 pub use random_flip::RandomFlip;
 pub use random_jitter::RandomJitter;
@@ -60,6 +57,9 @@ pub use random_rotate::{Axis, RandomRotate, RandomRotateTargetAngle, RotationCen
 pub use random_scale::RandomScale;
 pub use ratio_crop::RatioCrop;
 pub use sphere_crop::{CropCenter, SphereCrop};
+pub use view_presets::{
+    self_distillation, self_supervised, self_supervised_joint, self_supervised_joint_scannetpp,
+};
 pub use views::{CropOrigin, ViewCrop, ViewGroup, Views};
 pub use voxel_blur::VoxelBlur;
 

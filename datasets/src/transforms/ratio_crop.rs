@@ -38,12 +38,7 @@ impl RatioCrop {
     }
 
     /// The rows around `center`, ascending.
-    pub(super) fn rows(
-        &self,
-        sample: &Sample,
-        center: [f32; 3],
-        rng: &mut SampleRng,
-    ) -> Vec<u32> {
+    pub(super) fn rows(&self, sample: &Sample, center: [f32; 3], rng: &mut SampleRng) -> Vec<u32> {
         let most = sample.len().min(self.point_max);
         let count = (between(rng, self.ratio) * most as f64) as usize;
         nearest_rows(&sample.coord, center, count.max(1))

@@ -3,8 +3,8 @@
 use super::{
     Axis, CenterShift, ChromaticAutoContrast, ChromaticJitter, ChromaticTranslation, ColorJitter,
     ColorSolarize, CropOrigin, ElasticDistortion, GridSample, RandomDropout, RandomFlip,
-    RandomGrayscale, RandomJitter, RandomRotate, RandomScale, RatioCrop, RotationCenter, SphereCrop,
-    TransformConfig, ViewCrop, ViewGroup, Views, VoxelBlur,
+    RandomGrayscale, RandomJitter, RandomRotate, RandomScale, RatioCrop, RotationCenter,
+    SphereCrop, TransformConfig, ViewCrop, ViewGroup, Views, VoxelBlur,
 };
 use crate::views::ViewKind;
 

@@ -224,8 +224,8 @@ mod tests {
     use super::*;
     use crate::transforms::testing::{at, covariance, difference, room};
     use crate::transforms::{
-        CenterShift, ColorJitter, GridSample, RandomFlip, RandomRotate, RandomScale, self_distillation,
-        self_supervised,
+        CenterShift, ColorJitter, GridSample, RandomFlip, RandomRotate, RandomScale,
+        self_distillation, self_supervised,
     };
     use crate::{InputFeatures, collate_samples, sample_rng};
 
@@ -334,9 +334,12 @@ mod tests {
     fn batches_hold_view_by_view_and_leave_empty_scenes_out() {
         let steps: Vec<TransformConfig> = vec![two_and_two(&[]).into()];
         let scenes = [room(1500), at(&[]), at(&[[0.3; 3]]), room(900)];
-        let samples: Vec<Sample> = (0_u64..).zip(&scenes).map(|(i, s)| made(&steps, s, i)).collect();
+        let samples: Vec<Sample> =
+            (0_u64..).zip(&scenes).map(|(i, s)| made(&steps, s, i)).collect();
         let wanted: Vec<Vec<[f32; 3]>> = (0..4)
-            .map(|v| [0, 2, 3].iter().flat_map(|&s: &usize| samples[s].views[v].origin.clone()).collect())
+            .map(|v| {
+                [0, 2, 3].iter().flat_map(|&s: &usize| samples[s].views[v].origin.clone()).collect()
+            })
             .collect();
         let batch = collate_samples(samples, &InputFeatures::default()).unwrap();
         assert_eq!(batch.views.len(), 4);
@@ -382,8 +385,12 @@ mod tests {
         assert!(refused(&|v| v.groups.reverse()).contains("global"));
         assert!(refused(&|v| v.groups[0].views.clear()).contains("views"));
         assert!(refused(&|v| v.groups[1].views[0].clear()).contains("grid sample"));
-        assert!(refused(&|v| v.groups[0].shared.push(good.clone().into())).contains("views of views"));
-        assert!(refused(&|v| v.groups[0].crop.as_mut().unwrap().ratio = [1.0, 0.5]).contains("ratio"));
+        assert!(
+            refused(&|v| v.groups[0].shared.push(good.clone().into())).contains("views of views")
+        );
+        assert!(
+            refused(&|v| v.groups[0].crop.as_mut().unwrap().ratio = [1.0, 0.5]).contains("ratio")
+        );
         good.check().unwrap();
     }
 }

@@ -83,9 +83,8 @@ impl Transform for VoxelBlur {
             there.insert(cell(row), row_of(sample, row));
         }
         let reach = (TRUNCATE * sigma + 0.5) as i32;
-        let weight: Vec<f64> = (0..=reach)
-            .map(|d| (-0.5 * (f64::from(d) / sigma).powi(2)).exp())
-            .collect();
+        let weight: Vec<f64> =
+            (0..=reach).map(|d| (-0.5 * (f64::from(d) / sigma).powi(2)).exp()).collect();
         let blurred = |row: usize| {
             let (center, own) = (cell(row), row_of(sample, row));
             let (mut sum, mut total) = ([0.0; 11], 0.0);
@@ -131,7 +130,8 @@ mod tests {
 
     #[test]
     fn neighbours_share_by_their_distance() {
-        let mut sample = at(&[[0.01, 0.01, 0.01], [0.03, 0.01, 0.01], [0.05, 0.01, 0.01], [0.5; 3]]);
+        let mut sample =
+            at(&[[0.01, 0.01, 0.01], [0.03, 0.01, 0.01], [0.05, 0.01, 0.01], [0.5; 3]]);
         sample.opacity = vec![0.9, 0.9, 0.2, 0.9];
         sample.color[1] = [110.0, 20.0, 30.0];
         let blur = VoxelBlur { probability: 1.0, sigma: [1.0, 1.0], grid_size: 0.02 };

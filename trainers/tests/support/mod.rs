@@ -88,6 +88,11 @@ impl Golden {
         pairs.map(ratio).fold(0.0, f64::max)
     }
 
+    /// What an element may differ by; `None` if there is no such entry.
+    pub fn tolerance(&self, name: &str) -> Option<f64> {
+        self.tensors.get(name)?["tol"]["atol"].as_f64()
+    }
+
     pub fn has(&self, name: &str) -> bool {
         self.tensors.get(name).is_some()
     }

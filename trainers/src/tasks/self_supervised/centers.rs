@@ -18,11 +18,7 @@ pub(super) struct Centers {
 
 impl Centers {
     pub fn new() -> Self {
-        Self {
-            store: ParamStore::trainable(0),
-            momentum: BTreeMap::new(),
-            seen: Mutex::default(),
-        }
+        Self { store: ParamStore::trainable(0), momentum: BTreeMap::new(), seen: Mutex::default() }
     }
 
     /// Adds a center of zeros, if the balance has one.
@@ -110,10 +106,8 @@ fn evenness(targets: &Tensor) -> Result<f64> {
         return Ok(1.0);
     }
     let mean: Vec<f32> = targets.mean(0)?.to_vec1()?;
-    let entropy: f64 = mean
-        .iter()
-        .map(|&p| if p > 0.0 { -f64::from(p) * f64::from(p).ln() } else { 0.0 })
-        .sum();
+    let entropy: f64 =
+        mean.iter().map(|&p| if p > 0.0 { -f64::from(p) * f64::from(p).ln() } else { 0.0 }).sum();
     Ok(entropy / (width as f64).ln())
 }
 
@@ -129,8 +123,7 @@ mod tests {
         let logits = |values: &[f32]| {
             Tensor::from_vec(values.to_vec(), (values.len() / 2, 2), &Device::Cpu).unwrap()
         };
-        let value =
-            || centers.store().unwrap().parameters()["a"].to_vec1::<f32>().unwrap();
+        let value = || centers.store().unwrap().parameters()["a"].to_vec1::<f32>().unwrap();
         let (first, _) = centers.targets("a", &logits(&[4.0, 0.0]), 1.0, balance).unwrap();
         // Two batches of a step: the second still sees the old center.
         let (second, _) = centers.targets("a", &logits(&[4.0, 0.0]), 1.0, balance).unwrap();
@@ -147,7 +140,8 @@ mod tests {
 
     #[test]
     fn evenness_of_one_and_of_all() {
-        let table = |values: &[f32]| Tensor::new(values, &Device::Cpu).unwrap().reshape((2, 2)).unwrap();
+        let table =
+            |values: &[f32]| Tensor::new(values, &Device::Cpu).unwrap().reshape((2, 2)).unwrap();
         assert!((evenness(&table(&[1.0, 0.0, 0.0, 1.0])).unwrap() - 1.0).abs() < 1e-6);
         assert!(evenness(&table(&[1.0, 0.0, 1.0, 0.0])).unwrap().abs() < 1e-6);
     }

@@ -359,7 +359,8 @@ impl TermConfig {
     }
 
     fn check(&self) -> Result<(), TrainError> {
-        let number = |field, value: f64, good: bool, expected| check_setting(field, value, good, expected);
+        let number =
+            |field, value: f64, good: bool, expected| check_setting(field, value, good, expected);
         let above = |field, value: f64| {
             number(field, value, value.is_finite() && value > 0.0, "a finite number above 0")
         };

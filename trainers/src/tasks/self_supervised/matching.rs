@@ -59,9 +59,16 @@ pub(super) fn matched(
         let known = (to_rows[0]..to_rows[1]).filter(|&row| to.coord[row][0].is_finite());
         let tree = KdTree::of_rows(&to.coord, known).map_err(candle_core::Error::wrap)?;
         let queries = &from.coord[from_rows[0]..from_rows[1]];
-        let nearest = tree.map_nearest(queries, 1, || (), |(), _, near| {
-            near.first().filter(|n| n.distance_squared < max_distance * max_distance).map(|n| n.row)
-        });
+        let nearest = tree.map_nearest(
+            queries,
+            1,
+            || (),
+            |(), _, near| {
+                near.first()
+                    .filter(|n| n.distance_squared < max_distance * max_distance)
+                    .map(|n| n.row)
+            },
+        );
         for (row, partner) in (from_rows[0]..).zip(nearest) {
             if let Some(partner) = partner {
                 rows.push(row as u32);

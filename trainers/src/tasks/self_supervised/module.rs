@@ -5,16 +5,17 @@ use super::config::{Compat, SelfSupervisedConfig};
 use super::heads::{HEADS, Head, Widths};
 use super::teacher::Teacher;
 use super::terms::{Seen, TermOutput, Terms};
+use crate::TrainError;
 use crate::module::{AfterStep, HasBackbone, StepContext, StepOutput, TrainingModule};
 use crate::tasks::{bad_values, point_cloud};
-use crate::TrainError;
 use candle_core::{Device, Result, Tensor, bail};
 use half::f16;
+use scenesplat_datasets::InputChannel;
 use scenesplat_datasets::{InputFeatures, Masked, TrainBatch, View, ViewKind};
 use scenesplat_losses::self_supervised::AttributeColumns;
-use scenesplat_datasets::InputChannel;
 use scenesplat_models::{
-    Backbone, BackboneConfig, Forward, LevelOptions, ModelConfig, ParamStore, PointTransformerV3Config,
+    Backbone, BackboneConfig, Forward, LevelOptions, ModelConfig, ParamStore,
+    PointTransformerV3Config,
 };
 use std::collections::BTreeSet;
 
@@ -73,10 +74,8 @@ impl SelfSupervised {
             config.terms.iter().map(|term| Head::new(term, &widths, compute, store)).collect()
         };
         let student_heads = build(heads_in)?;
-        let teacher = config
-            .has_teacher()
-            .then(|| Teacher::new(model, config.compat, seed))
-            .transpose()?;
+        let teacher =
+            config.has_teacher().then(|| Teacher::new(model, config.compat, seed)).transpose()?;
         let teacher_heads = match (&teacher, config.compat) {
             (None, _) | (_, Compat::Original) => student_heads.clone(),
             (Some(teacher), Compat::None) => {
@@ -185,12 +184,9 @@ impl SelfSupervised {
 }
 
 /// The sum of the terms, and what is logged of them.
-fn sum(
-    outputs: Vec<TermOutput>,
-    views: &[View],
-    features: Option<Tensor>,
-) -> Result<StepOutput> {
-    let (mut loss, mut terms) = (Tensor::zeros((), candle_core::DType::F32, &Device::Cpu)?, Vec::new());
+fn sum(outputs: Vec<TermOutput>, views: &[View], features: Option<Tensor>) -> Result<StepOutput> {
+    let (mut loss, mut terms) =
+        (Tensor::zeros((), candle_core::DType::F32, &Device::Cpu)?, Vec::new());
     let mut counted_rows = 0;
     for TermOutput { name, weight, value, notes, rows } in outputs {
         terms.extend(notes.into_iter().map(|(note, value)| (format!("{name}/{note}"), value)));
@@ -235,7 +231,8 @@ fn check_views(views: &[View]) -> Result<()> {
     let Some(first) = views.first().filter(|view| view.kind == ViewKind::Global) else {
         bail!("views: the batch has none; end the transforms with a `views` step");
     };
-    let is_late = |pair: &[View]| pair[0].kind == ViewKind::Local && pair[1].kind == ViewKind::Global;
+    let is_late =
+        |pair: &[View]| pair[0].kind == ViewKind::Local && pair[1].kind == ViewKind::Global;
     if views.windows(2).any(is_late) {
         bail!("views: global ones come first");
     }
@@ -257,17 +254,23 @@ fn checked_backbone<'a>(
         );
     };
     if model.head != (scenesplat_models::Head::Features { projection: None }) {
-        bail!("model: self-supervised training has heads of its own; leave out num_classes and projection");
+        bail!(
+            "model: self-supervised training has heads of its own; leave out num_classes and projection"
+        );
     }
     match (backbone.mask_token, config.masking.is_some()) {
         (false, true) => bail!("model.mask_token: masks need it; set it to true"),
-        (true, false) => bail!("model.mask_token: nothing is masked, so nothing would teach it; set it to false, \
-                                or give self_supervised.masking"),
+        (true, false) => bail!(
+            "model.mask_token: nothing is masked, so nothing would teach it; set it to false, \
+                                or give self_supervised.masking"
+        ),
         _ => {}
     }
     let reads_rows = config.terms.iter().any(|term| term.reads_rows());
     if !reads_rows && !backbone.dec_depths.is_empty() {
-        bail!("model.dec_depths: no term reads the decoder's rows, so nothing would teach it; leave it empty");
+        bail!(
+            "model.dec_depths: no term reads the decoder's rows, so nothing would teach it; leave it empty"
+        );
     }
     Ok(backbone)
 }

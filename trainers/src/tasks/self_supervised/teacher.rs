@@ -58,7 +58,11 @@ impl Teacher {
     ///
     /// # Errors
     /// If the student lacks one.
-    pub fn follow(&self, student: &ParamStore, momentum: f64) -> std::result::Result<(), TrainError> {
+    pub fn follow(
+        &self,
+        student: &ParamStore,
+        momentum: f64,
+    ) -> std::result::Result<(), TrainError> {
         ema_update(&self.store.parameters(), &student.parameters(), momentum)
     }
 }

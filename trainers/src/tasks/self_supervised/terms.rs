@@ -181,7 +181,8 @@ impl Terms {
             }
             pred.push(step.student[*view].rows()?.index_select(rows, 0)?);
             let batch = &step.views[*view].batch;
-            let feat = Tensor::from_slice(&batch.feat, (batch.len(), batch.channels), &Device::Cpu)?;
+            let feat =
+                Tensor::from_slice(&batch.feat, (batch.len(), batch.channels), &Device::Cpu)?;
             target.push(feat.index_select(rows, 0)?);
         }
         if pred.is_empty() {
@@ -234,8 +235,7 @@ impl Terms {
             prototypes.balance,
         )?;
         let targets = targets.reshape((t, b, k))?;
-        let value =
-            view_cross_entropy(&student, &targets, prototypes.student_temperature, false)?;
+        let value = view_cross_entropy(&student, &targets, prototypes.student_temperature, false)?;
         let pairs = (t * step.student.len() - t).max(1) as f64;
         let value = value.map(|value| value / pairs).transpose()?;
         Ok((value, vec![("prototypes_used".to_owned(), even)], b))
@@ -252,8 +252,12 @@ impl Terms {
             return Ok((None, Vec::new(), 0));
         };
         let temperature = step.temperature(prototypes);
-        let (targets, even) =
-            self.centers.targets("ibot_cross_entropy", &teacher, temperature, prototypes.balance)?;
+        let (targets, even) = self.centers.targets(
+            "ibot_cross_entropy",
+            &teacher,
+            temperature,
+            prototypes.balance,
+        )?;
         // Of views and scenes, which each weigh about 1 where Gaussians share a patch's weight.
         let sum: f64 = weights.iter().sum();
         let weights: Vec<f64> = weights.iter().map(|w| w / sum).collect();
@@ -271,9 +275,8 @@ impl Terms {
     ) -> Result<Value> {
         let scales = step.student.first().map_or(0, |seen| seen.levels.encoder().len());
         let level = level_of(scales, term.up_cast)?;
-        let logits = |head: &Head, seen: &Seen, local| {
-            head.of_view(&seen.levels.up_cast(level)?, local)
-        };
+        let logits =
+            |head: &Head, seen: &Seen, local| head.of_view(&seen.levels.up_cast(level)?, local);
         let places = |view: usize, seen: &Seen| Places::new(&step.views[view], &seen.levels, level);
         let globals = step.teacher.len();
         let [same, cross, local] = term.shares;
@@ -317,7 +320,8 @@ impl Terms {
                 let teacher = logits(other, &step.teacher[with], is_local)?.detach();
                 let teacher = teacher.index_select(&Tensor::new(partners, &Device::Cpu)?, 0)?;
                 let prototypes = &term.prototypes;
-                let name = format!("self_distillation.{}", if is_local { "local" } else { "masked" });
+                let name =
+                    format!("self_distillation.{}", if is_local { "local" } else { "masked" });
                 let temperature = step.temperature(prototypes);
                 let (targets, evenness) =
                     self.centers.targets(&name, &teacher, temperature, prototypes.balance)?;
@@ -353,12 +357,7 @@ fn stacked(head: &Head, seen: &[Seen]) -> Result<Tensor> {
     Tensor::stack(&each.collect::<Result<Vec<_>>>()?, 0)
 }
 
-fn sim_dino_term(
-    term: &SimDinoTerm,
-    own: &Head,
-    other: &Head,
-    step: &Step<'_>,
-) -> Result<Value> {
+fn sim_dino_term(term: &SimDinoTerm, own: &Head, other: &Head, step: &Step<'_>) -> Result<Value> {
     let student = stacked(own, step.student)?;
     let teacher = stacked(other, step.teacher)?.detach();
     let settings = SimDino {
