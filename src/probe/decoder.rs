@@ -205,7 +205,7 @@ impl DecoderProbe {
 
     /// The parameters, the frozen ones among them.
     #[cfg(test)]
-    pub fn params(&self) -> &ParamStore {
+    fn params(&self) -> &ParamStore {
         self.module.params()
     }
 }
@@ -238,7 +238,10 @@ mod tests {
         let room = SyntheticRoomSettings { num_gaussians: Some(600), ..Default::default() };
         let rooms = Arc::new(SyntheticRooms::new(3, room, 1).unwrap());
         let (data, _) = ProbeScenes::new(rooms, 0.25, Some(1)).unwrap().split().unwrap();
-        let scenes = read(data.as_ref(), &config, RowSource::Inputs).unwrap();
+        let store = ParamStore::trainable(0);
+        let network = config.model.build(store.builder()).unwrap();
+        let source = RowSource::Network(network.as_ref());
+        let scenes = read(data.as_ref(), &config, source).unwrap();
         let settings = ProbeSettings {
             kind: ProbeKind::Decoder,
             labels: LabelRegime::All,

@@ -62,7 +62,7 @@ fn it_learns_and_says_what_is_kept() {
     let before = measured(&task);
     let groups = group_by_keyword(&task.params().parameters(), 0.01, 0.0, &[]);
     let optimizer = AdamW::new(groups, AdamWConfig::default()).unwrap();
-    let config = TrainerConfig { epochs: 40, ..TrainerConfig::default() };
+    let config = TrainerConfig { epochs: 100, ..TrainerConfig::default() };
     let mut trainer =
         Trainer::new(config, Box::new(optimizer), Box::new(OneCycle::default())).unwrap();
     trainer.fit(&task, &mut loader(), &mut [], Progress::default()).unwrap();
