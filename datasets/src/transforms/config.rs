@@ -2,7 +2,7 @@
 
 use super::{
     CaptureEffects, CenterShift, ChromaticAutoContrast, ChromaticJitter, ChromaticTranslation,
-    ElasticDistortion, GridSample, LimitValues, RandomDropout, RandomFlip, RandomJitter,
+    ElasticDistortion, GridSample, LimitValues, MeasuredEffects, RandomDropout, RandomFlip, RandomJitter,
     RandomRotate, RandomRotateTargetAngle, RandomScale, SphereCrop,
 };
 use crate::{DataError, Transform};
@@ -46,6 +46,7 @@ transform_config! {
     LimitValues: "Shrinks and limits values.";
     CenterShift: "Moves the scene to the origin.";
     CaptureEffects: "Damages the scene as a bad capture would have.";
+    MeasuredEffects: "Damages the scene as the captures of the training scenes were.";
     RandomDropout: "Leaves out some Gaussians.";
     RandomRotate: "Turns by a uniform angle.";
     RandomRotateTargetAngle: "Turns by one of several angles.";
