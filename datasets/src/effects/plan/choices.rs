@@ -40,6 +40,15 @@ impl EffectChoices {
     }
 }
 
+impl EffectChoices {
+    /// With another choice about an effect.
+    #[must_use]
+    pub fn with(mut self, effect: Effect, choice: EffectChoice) -> Self {
+        self.0[effect as usize] = choice;
+        self
+    }
+}
+
 impl FromStr for EffectChoices {
     type Err = EffectError;
 
