@@ -18,7 +18,7 @@ pub use report::{Figures, PairRow, SceneRow, SuiteReport, Worth};
 
 use super::measure::Bench;
 use super::{CurveSettings, SeverityError};
-use crate::compensation::{Consumer, modules, plan_of};
+use crate::compensation::{Consumer, modules};
 use scenesplat_datasets::effects::plan::{EffectChoice, EffectChoices};
 use scenesplat_datasets::effects::profile::profile_of;
 use scenesplat_datasets::effects::{Effect, EffectSet, simulate};
