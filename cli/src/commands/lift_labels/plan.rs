@@ -27,7 +27,7 @@ impl Args {
             (None, _) => "by choice".to_owned(),
         };
         EffectDecision {
-            effect: "depth agreement".to_owned(),
+            effect: "depth".to_owned(),
             choice,
             on,
             measure: measured.and_then(|found| found.misleading),
