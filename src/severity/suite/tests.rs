@@ -16,7 +16,7 @@ fn a_suite_has_clean_scenes_single_effects_and_pairs() {
 #[test]
 fn a_small_suite_is_run_and_nothing_is_done_by_itself() {
     let settings =
-        SuiteSettings { scenes: 3, pair_rooms: 0, gaussians: 4000, ..SuiteSettings::default() };
+        SuiteSettings { scenes: 3, pair_rooms: 0, gaussians: 12_000, ..SuiteSettings::default() };
     let mut shares = Vec::new();
     let report = effect_suite(&settings, &mut |_, share| {
         shares.push(share);
