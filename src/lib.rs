@@ -43,6 +43,7 @@ pub mod outputs;
 pub mod pareto;
 pub mod preview;
 pub mod principal;
+pub mod probe;
 pub mod query;
 pub mod setting;
 pub mod severity;

@@ -47,9 +47,8 @@ impl EffectArgs {
         let mut text = String::new();
         let named = || format!("--effect-plan {}", path.display());
         open_regular_file(path)?.read_to_string(&mut text).with_context(named)?;
-        let plan = ReceiptReport::plan_in(&text).map_err(|error| {
-            WrongUse(format!("{}: no receipt with a plan: {error}", named()))
-        })?;
+        let plan = ReceiptReport::plan_in(&text)
+            .map_err(|error| WrongUse(format!("{}: no receipt with a plan: {error}", named())))?;
         session.receipt.fingerprint("effect plan", path)?;
         Ok(Wish { choices: self.effect, stored: Some(plan) })
     }

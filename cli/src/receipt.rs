@@ -5,8 +5,8 @@
 //! which prints as a table and is written as JSON.
 
 use crate::budget::BudgetReport;
-pub use scenesplat::machine::Machine;
 use scenesplat::datasets::effects::plan::{EffectDecision, EffectPlan, PlanSection};
+pub use scenesplat::machine::Machine;
 use scenesplat::machine::peak_memory_bytes;
 use scenesplat::scene::SceneError;
 use scenesplat::scene::input_file::open_regular_file;

@@ -120,9 +120,8 @@ fn what_is_not_looked_for_costs_nothing_and_changes_nothing_else() {
     let holes = all.of(Effect::Holes);
     assert!(holes.present && !holes.regions.is_empty());
     for [x, y, z, radius] in &holes.regions {
-        let apart = |p: &[f32; 3]| {
-            ((p[0] - x).powi(2) + (p[1] - y).powi(2) + (p[2] - z).powi(2)).sqrt()
-        };
+        let apart =
+            |p: &[f32; 3]| ((p[0] - x).powi(2) + (p[1] - y).powi(2) + (p[2] - z).powi(2)).sqrt();
         let nearest = room.coord.iter().map(apart).fold(f32::MAX, f32::min);
         assert!(nearest > 0.02 && *radius > 0.15, "{nearest} {radius}");
     }

@@ -47,13 +47,15 @@ mod tests {
         let number = |i: usize, k: usize| ((i * 7919 + k * 104_729) % 1000) as f32 / 100.0 - 5.0;
         let coord: Vec<[f32; 3]> =
             (0..3000).map(|i| std::array::from_fn(|k| number(i, k))).collect();
-        let mut balls: Vec<[f32; 4]> =
-            (0..9).map(|i| [number(i, 5), number(i, 6), number(i, 7), 0.3 + 0.2 * i as f32]).collect();
+        let mut balls: Vec<[f32; 4]> = (0..9)
+            .map(|i| [number(i, 5), number(i, 6), number(i, 7), 0.3 + 0.2 * i as f32])
+            .collect();
         balls.extend([[f32::NAN, 0.0, 0.0, 9.0], [0.0, 0.0, 0.0, 0.0], [0.0; 4]]);
         let found = inside(&balls, &coord);
         let all = |p: &[f32; 3]| {
             balls[..9].iter().any(|b| {
-                (0..3).map(|a| f64::from(p[a] - b[a]).powi(2)).sum::<f64>() <= f64::from(b[3]).powi(2)
+                (0..3).map(|a| f64::from(p[a] - b[a]).powi(2)).sum::<f64>()
+                    <= f64::from(b[3]).powi(2)
             })
         };
         assert_eq!(found, coord.iter().map(all).collect::<Vec<_>>());

@@ -19,8 +19,7 @@ pub fn tiles_section(summary: &EncodeSummary, limited: bool) -> PlanSection {
     let besides = summary.voxels_computed.saturating_sub(summary.voxels * summary.passes);
     let changed = Some(if on { besides } else { 0 });
     let effect = "halo".to_owned();
-    let decision =
-        EffectDecision { effect, on, action, why, changed, ..EffectDecision::default() };
+    let decision = EffectDecision { effect, on, action, why, changed, ..EffectDecision::default() };
     PlanSection::new("tiles", vec![decision])
 }
 

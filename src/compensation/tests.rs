@@ -69,8 +69,10 @@ fn a_part_is_read_as_if_the_rest_were_not_there() {
     let voters = part.voters().unwrap();
     assert!(voters.iter().zip(0..).all(|(&votes, row)| votes == (row < added[0])));
     // What is read decides voxels: with the strays, the box and so the borders are others.
-    assert!(rows(&encoded(&scene, &(0..scene.len()).collect::<Vec<_>>()))[..100 * width]
-        != alone_rows[..100 * width]);
+    assert!(
+        rows(&encoded(&scene, &(0..scene.len()).collect::<Vec<_>>()))[..100 * width]
+            != alone_rows[..100 * width]
+    );
     assert!(alone.voters().is_none());
     // A part in the middle: rows are those of the scene.
     let odd: Vec<usize> = (0..3000).filter(|row| row % 3 == 1).collect();
@@ -160,8 +162,7 @@ fn rims_are_where_the_gaps_are_and_a_stored_plan_finds_them_again() {
 fn what_is_off_costs_nothing() {
     let scene = room();
     for choices in ["holes=off,floaters=off", "auto"] {
-        let mut plan: PlanSection =
-            plan_of(&scene, 1.0, ALL, &choices.parse().unwrap()).unwrap();
+        let mut plan: PlanSection = plan_of(&scene, 1.0, ALL, &choices.parse().unwrap()).unwrap();
         let about = Compensation::of(&mut plan, &scene);
         assert_eq!(about, Compensation::default());
         assert!(about.withheld().is_empty() && about.num_withheld() == 0);

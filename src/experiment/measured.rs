@@ -30,9 +30,7 @@ pub(super) fn with_measured_effects(
 }
 
 fn asks(list: &TransformList) -> bool {
-    let open = |step: &TransformConfig| {
-        matches!(step, TransformConfig::MeasuredEffects(step) if step.found.is_none())
-    };
+    let open = |step: &TransformConfig| matches!(step, TransformConfig::MeasuredEffects(step) if step.found.is_none());
     matches!(list, TransformList::Steps(steps) if steps.iter().any(open))
 }
 

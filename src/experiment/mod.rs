@@ -9,6 +9,7 @@ pub mod identity;
 mod measured;
 mod record;
 mod run;
+mod self_supervision;
 pub mod teacher;
 
 pub use config::ExperimentConfig;

@@ -48,9 +48,12 @@ impl SceneFeatures {
         kept.iter().zip(&self.inverse).for_each(|(&row, &slot)| slots[row] = Some(slot));
         let others: Vec<usize> = (0..coord.len()).filter(|&row| slots[row].is_none()).collect();
         let places: Vec<[f32; 3]> = others.iter().map(|&row| coord[row]).collect();
-        let nearest = tree.map_nearest(&places, 1, || (), |(), _, near| {
-            near.first().map(|neighbor| neighbor.row)
-        });
+        let nearest = tree.map_nearest(
+            &places,
+            1,
+            || (),
+            |(), _, near| near.first().map(|neighbor| neighbor.row),
+        );
         self.voters = Some(slots.iter().map(Option::is_some).collect());
         for (&row, near) in others.iter().zip(nearest) {
             let lost = || wrong(format!("Gaussian {row} is nowhere: no other one is nearest"));

@@ -15,13 +15,10 @@ fn room() -> GaussianScene {
 /// A room with a hole in its floor and a Gaussian far away.
 fn damaged(path: &Path) -> usize {
     let mut scene = room();
-    let [low, high] = [f32::min, f32::max].map(|f| {
-        [0, 1].map(|a| scene.coord.iter().map(|p| p[a]).reduce(f).unwrap())
-    });
+    let [low, high] = [f32::min, f32::max]
+        .map(|f| [0, 1].map(|a| scene.coord.iter().map(|p| p[a]).reduce(f).unwrap()));
     let middle = [0, 1].map(|a| 0.5 * (low[a] + high[a]));
-    let gone = |p: &[f32; 3]| {
-        p[2] < 0.3 && (0..2).all(|a| (p[a] - middle[a]).abs() < 0.7)
-    };
+    let gone = |p: &[f32; 3]| p[2] < 0.3 && (0..2).all(|a| (p[a] - middle[a]).abs() < 0.7);
     let rows: Vec<usize> = (0..scene.len()).filter(|&row| !gone(&scene.coord[row])).collect();
     scene = scene.select_rows(&rows).unwrap();
     scene.coord[0] = [70.0, 3.0, 4.0];

@@ -18,6 +18,7 @@ mod lift_labels;
 mod networks;
 mod outputs;
 mod pareto;
+mod probe;
 mod render;
 mod settings;
 mod simulate;

@@ -67,11 +67,7 @@ pub(super) fn check_place(sample: &Sample, step: &'static str) -> Result<(), Dat
 }
 
 /// Does to a sample what the effects do; +z is up.
-pub(super) fn damage(
-    sample: &mut Sample,
-    effects: &EffectSet,
-    seed: u64,
-) -> Result<(), DataError> {
+pub(super) fn damage(sample: &mut Sample, effects: &EffectSet, seed: u64) -> Result<(), DataError> {
     let before = as_scene(sample);
     let after = simulate_upright(&before, effects, seed, Some(UpAxis::PlusZ))?;
     // Added Gaussians begin as any row; everything of it is replaced.

@@ -57,7 +57,8 @@ impl MeasuredEffects {
         }
         match self.found.as_ref().map(Vec::len) {
             Some(0) => {
-                let expected = "what was found in one scene or more, such as [\"none\", \"holes=2\"]";
+                let expected =
+                    "what was found in one scene or more, such as [\"none\", \"holes=2\"]";
                 Err(bad_setting("measured_effects.found", "[]", expected))
             }
             _ => Ok(()),
@@ -95,12 +96,12 @@ impl Transform for MeasuredEffects {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::SourceScene;
     use crate::effects::profile::profile;
     use crate::effects::simulate;
     use crate::sample_rng;
     use crate::transforms::CaptureEffects;
     use crate::transforms::testing::{applied, room};
-    use crate::SourceScene;
     use scenesplat_rooms::{SyntheticRoomSettings, generate};
     use scenesplat_scene::GaussianScene;
 
@@ -134,8 +135,7 @@ mod tests {
         // Each is as likely, within five standard deviations of 60 draws.
         assert!(drawn.iter().all(|n| (2..=38).contains(n)), "{drawn:?}");
         // A range of one severity draws other numbers, and does the same otherwise.
-        let fixed =
-            CaptureEffects { effects: "holes=3".parse().unwrap(), probability: 1.0 };
+        let fixed = CaptureEffects { effects: "holes=3".parse().unwrap(), probability: 1.0 };
         let always = step("holes=3", &["holes=3"]);
         assert!(applied(&always, &sample, 1).len() < sample.len());
         assert!(applied(&fixed, &sample, 1).len() < sample.len());

@@ -190,8 +190,7 @@ mod tests {
 
     fn run(rule: Aggregate, tables: &SegmentTables, labels: &[Label]) -> (Vec<f32>, f64) {
         let mut out = vec![0.0; tables.dim()];
-        let found =
-            Workspace::new(tables.dim()).aggregate(rule, None, tables, labels, &mut out);
+        let found = Workspace::new(tables.dim()).aggregate(rule, None, tables, labels, &mut out);
         (out, found.agreement)
     }
 

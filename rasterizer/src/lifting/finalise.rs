@@ -130,30 +130,33 @@ pub fn finalise_block(
         .zip(out.guarded.par_chunks_mut(ROWS_PER_TASK))
         .zip(out.views.par_chunks_mut(ROWS_PER_TASK))
         .zip(out.coverage.par_chunks_mut(ROWS_PER_TASK));
-    tasks.enumerate().for_each(|(task, (((((features, valid), confidence), guarded), views), coverage))| {
-        let mut space = Workspace::new(dim);
-        let mut labels = Vec::new();
-        for i in 0..valid.len() {
-            let row = task * ROWS_PER_TASK + i;
-            let seen = Seen::collect(block.of(row), tables, settings.view_exponent, &mut labels);
-            views[i] = seen.views;
-            coverage[i] = seen.coverage as f32;
-            if labels.is_empty() {
-                continue;
+    tasks.enumerate().for_each(
+        |(task, (((((features, valid), confidence), guarded), views), coverage))| {
+            let mut space = Workspace::new(dim);
+            let mut labels = Vec::new();
+            for i in 0..valid.len() {
+                let row = task * ROWS_PER_TASK + i;
+                let seen =
+                    Seen::collect(block.of(row), tables, settings.view_exponent, &mut labels);
+                views[i] = seen.views;
+                coverage[i] = seen.coverage as f32;
+                if labels.is_empty() {
+                    continue;
+                }
+                let feature = &mut features[i * dim..(i + 1) * dim];
+                let rule = settings.aggregate;
+                let found = space.aggregate(rule, settings.guard_above, tables, &labels, feature);
+                confidence[i] = found.agreement as f32;
+                guarded[i] = found.guarded;
+                let enough = seen.coverage >= f64::from(settings.min_coverage)
+                    && seen.coverage >= f64::from(settings.min_labelled_share) * totals[row];
+                valid[i] = enough && if settings.normalise { normalise(feature) } else { true };
+                if !valid[i] {
+                    feature.fill(0.0);
+                }
             }
-            let feature = &mut features[i * dim..(i + 1) * dim];
-            let rule = settings.aggregate;
-            let found = space.aggregate(rule, settings.guard_above, tables, &labels, feature);
-            confidence[i] = found.agreement as f32;
-            guarded[i] = found.guarded;
-            let enough = seen.coverage >= f64::from(settings.min_coverage)
-                && seen.coverage >= f64::from(settings.min_labelled_share) * totals[row];
-            valid[i] = enough && if settings.normalise { normalise(feature) } else { true };
-            if !valid[i] {
-                feature.fill(0.0);
-            }
-        }
-    });
+        },
+    );
     out
 }
 

@@ -81,12 +81,12 @@ impl Mode {
         let set = |choices: EffectChoices, effect: &Effect, choice| choices.with(*effect, choice);
         match self {
             Self::Auto => EffectChoices::default(),
-            Self::Off => acted_on
-                .iter()
-                .fold(EffectChoices::default(), |c, e| set(c, e, EffectChoice::Off)),
-            Self::On => acted_on
-                .iter()
-                .fold(EffectChoices::default(), |c, e| set(c, e, EffectChoice::On)),
+            Self::Off => {
+                acted_on.iter().fold(EffectChoices::default(), |c, e| set(c, e, EffectChoice::Off))
+            }
+            Self::On => {
+                acted_on.iter().fold(EffectChoices::default(), |c, e| set(c, e, EffectChoice::On))
+            }
             Self::Found => {
                 let profile = profile_of(scene, 1.0, &acted_on);
                 acted_on.iter().fold(EffectChoices::default(), |c, e| {
@@ -156,13 +156,14 @@ pub fn effect_suite(
     let figures = |score: &Score, name: &str| score.figures(name, &bench);
     let modes =
         pooled.iter().map(|(mode, score)| figures(score, mode.name())).collect::<Result<_, _>>()?;
-    let worth = acted_on.iter().zip(&worth).map(|(effect, [off, on])| -> Result<_, SeverityError> {
-        Ok(Worth {
-            effect: effect.name().to_owned(),
-            off: figures(off, "off")?,
-            on: figures(on, "on")?,
-        })
-    });
+    let worth =
+        acted_on.iter().zip(&worth).map(|(effect, [off, on])| -> Result<_, SeverityError> {
+            Ok(Worth {
+                effect: effect.name().to_owned(),
+                off: figures(off, "off")?,
+                on: figures(on, "on")?,
+            })
+        });
     let worth = worth.collect::<Result<_, _>>()?;
     let pairs = combined(settings, &bench, &damage, &pairs, &mut step)?;
     Ok(SuiteReport {
@@ -197,8 +198,10 @@ fn combined(
         Ok(all.figures("off", bench)?.f_miou)
     };
     let clean = quality(&[])?;
-    let alone: BTreeMap<Effect, f64> =
-        Effect::ALL.into_iter().map(|e| Ok((e, quality(&[e])?))).collect::<Result<_, SeverityError>>()?;
+    let alone: BTreeMap<Effect, f64> = Effect::ALL
+        .into_iter()
+        .map(|e| Ok((e, quality(&[e])?)))
+        .collect::<Result<_, SeverityError>>()?;
     let row = |pair: &[Effect; 2]| -> Result<PairRow, SeverityError> {
         Ok(PairRow {
             effects: names(pair),
@@ -263,7 +266,9 @@ fn mixed(scenes: usize) -> Vec<Vec<Effect>> {
         i if i.is_multiple_of(4) => Vec::new(),
         i if i < 10 => vec![single[i - 1 - i / 4]],
         // Pairs that have holes or floaters first, which are what something acts on.
-        i => pairs[i - 10 - usize::from(i > 12) - usize::from(i > 16) - usize::from(i > 20)].to_vec(),
+        i => {
+            pairs[i - 10 - usize::from(i > 12) - usize::from(i > 16) - usize::from(i > 20)].to_vec()
+        }
     };
     (0..scenes).map(of).collect()
 }

@@ -119,14 +119,24 @@ impl fmt::Display for Figures {
 impl fmt::Display for SuiteReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { scenes, gaussians, severity, .. } = self;
-        writeln!(f, "{scenes} unseen rooms of {gaussians} Gaussians, effects at severity {severity}")?;
+        writeln!(
+            f,
+            "{scenes} unseen rooms of {gaussians} Gaussians, effects at severity {severity}"
+        )?;
         self.modes.iter().try_for_each(|mode| writeln!(f, "  {mode}"))?;
         for worth in &self.worth {
             let said = if worth.is_worth_it() { "worth it" } else { "not worth it" };
-            writeln!(f, "where there are {}: {said}\n  {}\n  {}", worth.effect, worth.off, worth.on)?;
+            writeln!(
+                f,
+                "where there are {}: {said}\n  {}\n  {}",
+                worth.effect, worth.off, worth.on
+            )?;
         }
         if !self.pairs.is_empty() {
-            writeln!(f, "f-mIoU without, with one, with the other, with both; worse than the sum by")?;
+            writeln!(
+                f,
+                "f-mIoU without, with one, with the other, with both; worse than the sum by"
+            )?;
         }
         for pair in &self.pairs {
             let [a, b, c, d] =

@@ -36,12 +36,9 @@ impl Score {
         let about = Compensation::of(&mut plan, scene);
         let alignment = Alignment::of(scene, &AlignmentSettings::default());
         let kept = about.kept(scene.len());
-        let features = SceneEncoder::new(&bench.network).encode_kept(
-            scene,
-            alignment,
-            &kept,
-            &mut |_| Ok(()),
-        )?;
+        let features =
+            SceneEncoder::new(&bench.network)
+                .encode_kept(scene, alignment, &kept, &mut |_| Ok(()))?;
         let (classes, options) = (Classes::Texts(&bench.texts), ZeroShotOptions::default());
         let mut found = label_with_vote(&features, classes, &options, &scene.coord, VOTE_K)?;
         found.withhold(about.withheld());

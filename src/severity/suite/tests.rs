@@ -42,7 +42,10 @@ fn a_small_suite_is_run_and_nothing_is_done_by_itself() {
         SuiteSettings { gaussians: 10, ..settings.clone() },
         SuiteSettings { severity: f64::NAN, ..settings },
     ] {
-        assert!(matches!(effect_suite(&wrong, &mut |_, _| true), Err(SeverityError::Setting { .. })));
+        assert!(matches!(
+            effect_suite(&wrong, &mut |_, _| true),
+            Err(SeverityError::Setting { .. })
+        ));
     }
 }
 
@@ -65,11 +68,7 @@ fn what_is_worth_it_and_what_two_effects_add_up_to_by_hand() {
     };
     assert!(worth(0.511, 0.1).is_worth_it() && worth(0.4, 0.079).is_worth_it());
     assert!(!worth(0.509, 0.081).is_worth_it());
-    let pair = PairRow {
-        effects: "holes+blur".to_owned(),
-        clean: 0.9,
-        alone: [0.8, 0.85],
-        together: 0.7,
-    };
+    let pair =
+        PairRow { effects: "holes+blur".to_owned(), clean: 0.9, alone: [0.8, 0.85], together: 0.7 };
     assert!((pair.excess() - 0.05).abs() < 1e-12);
 }

@@ -5,6 +5,7 @@ mod distillation;
 mod input;
 mod language_pretraining;
 mod learner;
+pub mod self_supervised;
 mod semantic_segmentation;
 mod task_module;
 

@@ -39,7 +39,11 @@ impl Args {
     }
 
     /// Whether photos count by their motion; `less`: how many count less.
-    pub(super) fn about_frames(&self, report: Option<&CaptureReport>, less: usize) -> EffectDecision {
+    pub(super) fn about_frames(
+        &self,
+        report: Option<&CaptureReport>,
+        less: usize,
+    ) -> EffectDecision {
         let blur = report.and_then(|report| report.finding("blur"));
         let auto = self.frame_weights == FrameWeightsArg::Auto;
         let on = auto && blur.is_some_and(CaptureFinding::is_present);

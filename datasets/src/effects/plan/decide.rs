@@ -74,11 +74,9 @@ fn about(
     };
     let why = match choice {
         EffectChoice::Auto if module.by_itself => evidence.text.clone(),
-        EffectChoice::Auto => format!(
-            "not by itself: {}; {}=on does it",
-            module.worth,
-            module.effect.name()
-        ),
+        EffectChoice::Auto => {
+            format!("not by itself: {}; {}=on does it", module.worth, module.effect.name())
+        }
         EffectChoice::On => format!("on by choice; {}", evidence.text),
         EffectChoice::Off => "off by choice".to_owned(),
     };
@@ -109,7 +107,6 @@ fn is_found(evidence: &EffectEvidence, was: Option<bool>) -> bool {
 /// That a wish has no effect here.
 pub(super) fn nothing_acts(effect: Effect, modules: &[EffectModule]) -> EffectError {
     let acted_on: Vec<&str> = modules.iter().map(|module| module.effect.name()).collect();
-    let acted_on =
-        if acted_on.is_empty() { "none".to_owned() } else { acted_on.join(", ") };
+    let acted_on = if acted_on.is_empty() { "none".to_owned() } else { acted_on.join(", ") };
     EffectError::NothingActs { name: effect.name().to_owned(), acted_on }
 }

@@ -71,11 +71,7 @@ pub fn profile(scene: &GaussianScene, metres_per_unit: f64) -> EffectProfile {
 
 /// As [`profile`], but looks for some of the effects alone; of the others nothing is said. The fewer, the less it
 /// costs, and without any the scene is not looked at.
-pub fn profile_of(
-    scene: &GaussianScene,
-    metres_per_unit: f64,
-    wanted: &[Effect],
-) -> EffectProfile {
+pub fn profile_of(scene: &GaussianScene, metres_per_unit: f64, wanted: &[Effect]) -> EffectProfile {
     let table = match wanted {
         [] => None,
         _ => Table::of(scene, isolation::FEWEST_ROWS),

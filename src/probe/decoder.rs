@@ -1,0 +1,211 @@
+//! A decoder over a frozen encoder.
+
+use super::rows::{ProbeScene, chosen_rows};
+use super::{ProbeError, ProbeSettings};
+use crate::network::NetworkConfig;
+use candle_core::D;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use scenesplat_datasets::{BatchLoader, DataError, TrainBatch};
+use scenesplat_losses::{CrossEntropy, Objective};
+use scenesplat_models::weights::{SourceOptions, WeightSource, resolve};
+use scenesplat_models::{
+    BackboneConfig, Forward, LoadPolicy, ModelConfig, ParamStore, PointTransformerV3Config,
+};
+use scenesplat_trainers::tasks::{SemanticSegmentation, TaskModule, point_cloud};
+use scenesplat_trainers::{
+    AdamW, AdamWConfig, HasBackbone, HealthConfig, OneCycle, Progress, Trainer, TrainerConfig,
+    TrainingModule, group_by_keyword,
+};
+use std::path::Path;
+
+/// Width of the decoder's finest scale, as of Sonata's.
+const FINEST: usize = 64;
+
+/// Where the encoder's values come from.
+pub(super) enum EncoderValues<'a> {
+    /// A model folder.
+    File(&'a Path),
+    /// From a seed, as training would begin.
+    Random,
+}
+
+/// A trained decoder on its encoder.
+pub(super) struct DecoderProbe {
+    module: TaskModule,
+    /// Width of the rows that the last layer reads.
+    pub width: usize,
+    /// Loss of the last step.
+    pub loss: f64,
+}
+
+/// Scenes as batches, one after the other.
+struct Scenes {
+    batches: Vec<TrainBatch>,
+    order: Vec<usize>,
+}
+
+impl BatchLoader<TrainBatch> for Scenes {
+    fn batches_per_epoch(&self) -> usize {
+        self.order.len()
+    }
+    fn epoch(
+        &mut self,
+        _: u64,
+        skip: usize,
+    ) -> Box<dyn Iterator<Item = Result<TrainBatch, DataError>> + '_> {
+        Box::new(self.order[skip..].iter().map(|&i| Ok(self.batches[i].clone())))
+    }
+}
+
+/// The network with a decoder of one block a scale and a classifier, and its encoder alone.
+fn networks(
+    config: &NetworkConfig,
+    classes: usize,
+) -> Result<(ModelConfig, ModelConfig), ProbeError> {
+    let BackboneConfig::PointTransformerV3(own) = &config.model.backbone else {
+        return Err(ProbeError::NoDecoder { architecture: config.model.backbone.name() });
+    };
+    let encoder = PointTransformerV3Config {
+        mask_token: false,
+        dec_depths: vec![],
+        dec_channels: vec![],
+        dec_num_head: vec![],
+        dec_patch_size: vec![],
+        ..own.clone()
+    };
+    let stages = own.num_stages() - 1;
+    let channels: Vec<usize> =
+        (0..stages).map(|i| if i == 0 { FINEST } else { own.enc_channels[i] }).collect();
+    let heads = |width: &usize| (1..=8).rev().find(|h| width % h == 0).unwrap_or(1);
+    let decoder = PointTransformerV3Config {
+        dec_depths: vec![1; stages],
+        dec_num_head: channels.iter().map(heads).collect(),
+        dec_channels: channels,
+        dec_patch_size: own.enc_patch_size[..stages].to_vec(),
+        drop_path: 0.0,
+        ..encoder.clone()
+    };
+    let grid_size = config.model.grid_size;
+    let model = |backbone: PointTransformerV3Config| ModelConfig {
+        grid_size,
+        ..ModelConfig::new(backbone)
+    };
+    Ok((model(decoder).with_classes(classes), model(encoder)))
+}
+
+/// Trains a decoder on scenes; the encoder and its batch statistics stay as they are.
+///
+/// # Errors
+/// If the network has another architecture, its weights do not fit, or training fails.
+pub(super) fn train(
+    config: &NetworkConfig,
+    values: EncoderValues<'_>,
+    scenes: &[ProbeScene],
+    classes: usize,
+    settings: &ProbeSettings,
+) -> Result<DecoderProbe, ProbeError> {
+    let (model, encoder) = networks(config, classes)?;
+    let source = match values {
+        EncoderValues::Random => ParamStore::trainable(settings.seed),
+        EncoderValues::File(path) => {
+            let files = resolve(path)?.files;
+            let source = WeightSource::files(files, SourceOptions::default())?;
+            ParamStore::trainable_from(source, settings.seed)
+        }
+    };
+    encoder.build(source.builder())?;
+    if let EncoderValues::File(path) = values {
+        source.report().check(LoadPolicy::AllowUnexpected, &path.display().to_string())?;
+    }
+    let params = ParamStore::trainable(settings.seed);
+    let network = model.build(params.builder())?;
+    let (own, own_buffers) = (params.parameters(), params.buffers());
+    for (name, value) in source.parameters().iter().chain(&source.buffers()) {
+        if let Some(var) = own.get(name).or_else(|| own_buffers.get(name)) {
+            var.set(&value.as_detached_tensor().copy()?)?;
+        }
+    }
+    let mut batches = Vec::with_capacity(scenes.len());
+    for (stream, scene) in (0..).zip(scenes) {
+        let mut batch = scene.batch.clone();
+        let mut labels = vec![-1; batch.len()];
+        for row in chosen_rows(scene, settings.labels, settings.seed, stream) {
+            labels[row as usize] = scene.labels[row as usize];
+        }
+        if labels.iter().any(|label| *label >= 0) {
+            batch.segment = Some(labels);
+            batches.push(batch);
+        }
+    }
+    if batches.is_empty() {
+        return Err(ProbeError::NoLabels);
+    }
+    let order = (0..settings.steps as usize).map(|step| step % batches.len()).collect();
+    let mut loader = Scenes { batches, order };
+    let objective = Objective::new().with(1.0, CrossEntropy::default());
+    let module = TaskModule::new(params, network, objective, SemanticSegmentation);
+    let frozen = vec!["embedding.".to_owned(), "enc.enc".to_owned()];
+    let trained: std::collections::BTreeMap<_, _> = module
+        .params()
+        .parameters()
+        .into_iter()
+        .filter(|(name, _)| !frozen.iter().any(|part| name.contains(part)))
+        .collect();
+    let groups = group_by_keyword(&trained, settings.lr, settings.weight_decay, &[]);
+    let optimizer = AdamW::new(groups, AdamWConfig::default())?;
+    let trainer_config = TrainerConfig {
+        seed: settings.seed,
+        clip_norm: Some(3.0),
+        freeze: frozen,
+        health: HealthConfig { every_steps: 0, ..HealthConfig::default() },
+        ..TrainerConfig::default()
+    };
+    let last = LastLoss::default();
+    let mut trainer =
+        Trainer::new(trainer_config, Box::new(optimizer), Box::new(OneCycle::default()))?
+            .with_callback(last.clone());
+    trainer.fit(&module, &mut loader, &mut [], Progress::default())?;
+    let width = FINEST;
+    let loss = *last.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    Ok(DecoderProbe { module, width, loss })
+}
+
+/// Keeps the loss of the last step that is logged.
+#[derive(Clone, Default)]
+struct LastLoss(std::sync::Arc<std::sync::Mutex<f64>>);
+
+impl scenesplat_trainers::Callback for LastLoss {
+    fn on_event(
+        &mut self,
+        event: &scenesplat_trainers::Event<'_>,
+        _: Progress,
+    ) -> Result<scenesplat_trainers::Flow, scenesplat_trainers::TrainError> {
+        if let scenesplat_trainers::Event::Step { measurements } = event
+            && let Some(loss) = measurements.iter().find(|m| m.name == "train/loss")
+        {
+            *self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = loss.value;
+        }
+        Ok(scenesplat_trainers::Flow::Continue)
+    }
+}
+
+impl DecoderProbe {
+    /// The class of each voxel of a scene. `[M]`
+    ///
+    /// # Errors
+    /// If the scene does not fit the network.
+    pub fn classes(&self, scene: &ProbeScene) -> Result<Vec<i32>, ProbeError> {
+        let mut rng = ChaCha8Rng::seed_from_u64(0);
+        let points = point_cloud(&scene.batch)?;
+        let logits = self.module.backbone().forward(&points, &mut Forward::eval(&mut rng))?;
+        let best = logits.detach().argmax(D::Minus1)?.to_vec1::<u32>()?;
+        Ok(best.into_iter().map(|class| class as i32).collect())
+    }
+
+    /// The parameters, the frozen ones among them.
+    #[cfg(test)]
+    pub fn params(&self) -> &ParamStore {
+        self.module.params()
+    }
+}
