@@ -26,6 +26,7 @@
 
 pub mod alignment;
 pub mod capture;
+pub mod compensation;
 pub mod doctor;
 pub mod embedded;
 pub mod evaluation;

@@ -7,6 +7,7 @@ pub mod data;
 mod error;
 pub mod export;
 pub mod identity;
+mod measured;
 mod record;
 mod run;
 mod self_supervision;

@@ -7,6 +7,7 @@ use super::data;
 use super::error::{ExperimentError, Place};
 use super::export::{export_model, export_self_supervised};
 use super::identity::identity;
+use super::measured::with_measured_effects;
 use super::record::{RunRecord, write};
 use super::self_supervision;
 use super::teacher::{Teacher, TeacherRecord};
@@ -90,6 +91,8 @@ pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunRepor
         (true, None) => return Err(ExperimentError::NothingToResume { path: checkpoints }),
         _ => {}
     }
+    let measured = with_measured_effects(config)?;
+    let config = &*measured;
     let text = config.text.as_ref().map(data::text_table).transpose()?;
     data::check_classes(config, text.as_ref())?;
     let teacher = Teacher::open(config)?;

@@ -16,6 +16,9 @@ const FIELDS: &[(&str, &str, &str, &str)] = &[
     ("center_shift", "apply_z", "true", "false"),
     ("capture_effects", "effects", "\"holes=2\"", "\"holes=1..3,noise=2\""),
     ("capture_effects", "probability", "0.1", "0.9"),
+    ("measured_effects", "most", "\"noise=1\"", "\"noise=3\""),
+    ("measured_effects", "found", "[\"noise=3\"]", "[\"holes=2,noise=1\"]"),
+    ("measured_effects", "probability", "0.1", "0.9"),
     ("random_dropout", "ratio", "0.2", "0.5"),
     ("random_dropout", "probability", "0.1", "0.9"),
     ("random_rotate", "angle", "[-1.0, 1.0]", "[-0.1, 0.1]"),
@@ -74,6 +77,8 @@ const TWO_VIEWS: &str = r#"[{"kind": "global", "shared": [{"type": "center_shift
 /// Fields that another one needs.
 const BESIDE: &[(&str, &str, &str)] = &[
     ("capture_effects", "effects", "\"noise=3\""),
+    ("measured_effects", "most", "\"holes=3,noise=3\""),
+    ("measured_effects", "found", "[\"noise=2\"]"),
     ("voxel_blur", "grid_size", "0.3"),
     ("grid_sample", "grid_size", "0.3"),
     ("sphere_crop", "point_max", "500"),

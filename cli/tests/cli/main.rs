@@ -10,6 +10,7 @@ mod compare;
 mod convert;
 mod demo_scene;
 mod doctor;
+mod effects;
 mod hostile;
 mod inputs;
 mod inspect;

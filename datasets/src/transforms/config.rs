@@ -2,9 +2,9 @@
 
 use super::{
     CaptureEffects, CenterShift, ChromaticAutoContrast, ChromaticJitter, ChromaticTranslation,
-    ColorJitter, ColorSolarize, ElasticDistortion, GridSample, LimitValues, RandomDropout,
-    RandomFlip, RandomGrayscale, RandomJitter, RandomRotate, RandomRotateTargetAngle, RandomScale,
-    RatioCrop, SphereCrop, Views, VoxelBlur,
+    ColorJitter, ColorSolarize, ElasticDistortion, GridSample, LimitValues, MeasuredEffects,
+    RandomDropout, RandomFlip, RandomGrayscale, RandomJitter, RandomRotate,
+    RandomRotateTargetAngle, RandomScale, RatioCrop, SphereCrop, Views, VoxelBlur,
 };
 use crate::{DataError, Transform};
 use serde::{Deserialize, Serialize};
@@ -47,6 +47,7 @@ transform_config! {
     LimitValues: "Shrinks and limits values.";
     CenterShift: "Moves the scene to the origin.";
     CaptureEffects: "Damages the scene as a bad capture would have.";
+    MeasuredEffects: "Damages the scene as the captures of the training scenes were.";
     RandomDropout: "Leaves out some Gaussians.";
     RandomRotate: "Turns by a uniform angle.";
     RandomRotateTargetAngle: "Turns by one of several angles.";
