@@ -533,9 +533,11 @@ fn measured_effects_are_those_of_the_scenes_and_a_run_that_goes_on_has_the_same(
   { type = "grid_sample", grid_size = 0.3 },
 ]"#;
     let rough = "effects = \"surface=4\", room = { num_gaussians = 3000 } }";
-    let text = LANGUAGE
-        .replacen("transforms = \"language_pretraining\"", steps, 1)
-        .replacen("room = { num_gaussians = 400 } }", rough, 1);
+    let text = LANGUAGE.replacen("transforms = \"language_pretraining\"", steps, 1).replacen(
+        "room = { num_gaussians = 400 } }",
+        rough,
+        1,
+    );
     let config = read(folder.path(), &text);
     let out = folder.path().join("measured");
     run(&config, &out, false).unwrap();
