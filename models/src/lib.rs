@@ -13,6 +13,7 @@
 )]
 
 mod architecture;
+pub mod autoencoder;
 mod backbone;
 mod compute;
 pub mod convert;

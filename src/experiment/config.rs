@@ -8,6 +8,7 @@ use scenesplat_datasets::transforms::{self, TransformConfig};
 use scenesplat_datasets::{InputFeatures, LoaderSettings, MixRule};
 use scenesplat_losses::LossConfig;
 use scenesplat_models::{Compute, ModelConfig};
+use scenesplat_trainers::tasks::autoencoder::AutoencoderConfig;
 use scenesplat_trainers::tasks::self_supervised::SelfSupervisedConfig;
 use scenesplat_trainers::{
     AdamWConfig, CosineSchedule, Criterion, KeywordGroup, OneCycle, TrainerConfig,
@@ -15,6 +16,7 @@ use scenesplat_trainers::{
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
+use super::compression;
 use super::data::{EvaluationConfig, TrainDataConfig};
 use super::self_supervision;
 use super::teacher::{self, TeacherConfig};
@@ -71,6 +73,9 @@ pub struct ExperimentConfig {
     /// Terms, masks and teacher of self-supervised training.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub self_supervised: Option<SelfSupervisedConfig>,
+    /// Widths and weights of an autoencoder.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub autoencoder: Option<AutoencoderConfig>,
     /// AdamW and its groups.
     #[serde(default)]
     pub optimizer: OptimizerConfig,
@@ -104,6 +109,8 @@ pub enum Task {
     Distillation,
     /// What is hidden of scenes, and what their views have in common; no labels.
     SelfSupervised,
+    /// Language features shall come back from few numbers.
+    Autoencoder,
 }
 
 /// Where targets of language pretraining come from.
@@ -304,7 +311,9 @@ impl ExperimentConfig {
             return wrong("train", "at least one dataset is needed");
         }
         self_supervision::check(self)?;
-        if self.losses.is_empty() && self.task != Task::SelfSupervised {
+        compression::check(self)?;
+        let own_terms = matches!(self.task, Task::SelfSupervised | Task::Autoencoder);
+        if self.losses.is_empty() && !own_terms {
             return wrong("losses", "at least one term is needed");
         }
         let reads = self.input.width();
@@ -345,7 +354,8 @@ impl ExperimentConfig {
             Task::LanguagePretraining
             | Task::SemanticSegmentation
             | Task::Distillation
-            | Task::SelfSupervised => Ok(()),
+            | Task::SelfSupervised
+            | Task::Autoencoder => Ok(()),
         }
     }
 

@@ -35,7 +35,7 @@ pub fn export_model(
 }
 
 /// The checkpoint that becomes the model, and which it is.
-fn chosen(checkpoints: &Path) -> Result<(PathBuf, String), ExperimentError> {
+pub(super) fn chosen(checkpoints: &Path) -> Result<(PathBuf, String), ExperimentError> {
     if let Some(best) = best_checkpoint(checkpoints)? {
         let dir = checkpoints.join(&best.checkpoint);
         return Ok((dir, format!("{} of {} ({})", best.checkpoint, best.measurement, best.value)));

@@ -1,5 +1,6 @@
 //! Experiments from files: `scenesplat train` and what it is made of.
 
+mod compression;
 pub mod config;
 pub mod curves;
 pub mod data;

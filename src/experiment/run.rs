@@ -1,5 +1,6 @@
 //! From an experiment's file to a trained network.
 
+use super::compression;
 use super::config::{ExperimentConfig, OptimizerConfig, ScheduleConfig, TargetChoice, Task};
 use super::curves::write_curves;
 use super::data;
@@ -105,7 +106,7 @@ pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunRepor
         None => None,
     };
     let objective = match config.task {
-        Task::SelfSupervised => Objective::new(),
+        Task::SelfSupervised | Task::Autoencoder => Objective::new(),
         _ => build_objective(&config.losses, loss_texts.as_ref())?,
     };
     let run = Run {
@@ -141,6 +142,11 @@ pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunRepor
             let evaluators = zero_shot(config, text.as_ref(), teacher.as_ref())?.into_iter();
             let evaluators = evaluators.map(DistillationEvaluator::new);
             run.fit(&module, &mut *loader, &mut boxed(evaluators))?
+        }
+        Task::Autoencoder => {
+            let module = compression::module(config, params)?;
+            let mut evaluators = compression::evaluators(config, text.as_ref())?;
+            run.fit(&module, &mut *loader, &mut evaluators)?
         }
         Task::SelfSupervised => {
             let module = self_supervision::module(config, params)?;
@@ -300,6 +306,9 @@ impl Run<'_> {
         let model = out.join("model");
         let network = self.config.network()?;
         let remarks = match self_supervision::exported(self.config) {
+            None if self.config.task == Task::Autoencoder => {
+                compression::export(self.config, self.checkpoints, &model)?
+            }
             None => export_model(self.checkpoints, &network, &model)?,
             Some(which) => export_self_supervised(self.checkpoints, &network, which, &model)?,
         };

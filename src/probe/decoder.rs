@@ -205,7 +205,73 @@ impl DecoderProbe {
 
     /// The parameters, the frozen ones among them.
     #[cfg(test)]
-    pub fn params(&self) -> &ParamStore {
+    fn params(&self) -> &ParamStore {
         self.module.params()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::rows::{RowSource, read};
+    use super::super::{LabelRegime, ProbeKind, ProbeScenes};
+    use super::*;
+    use scenesplat_datasets::SyntheticRooms;
+    use scenesplat_rooms::SyntheticRoomSettings;
+    use std::sync::Arc;
+
+    #[test]
+    fn the_encoder_and_its_statistics_stay_as_they_are() {
+        let backbone = PointTransformerV3Config {
+            stride: vec![2],
+            enc_depths: vec![1, 1],
+            enc_channels: vec![8, 16],
+            enc_num_head: vec![1, 2],
+            enc_patch_size: vec![32, 32],
+            dec_depths: vec![1],
+            dec_channels: vec![8],
+            dec_num_head: vec![1],
+            dec_patch_size: vec![32],
+            ..PointTransformerV3Config::language()
+        };
+        let model = ModelConfig { grid_size: 0.25, ..ModelConfig::new(backbone) };
+        let config = NetworkConfig { model, ..NetworkConfig::language() };
+        let room = SyntheticRoomSettings { num_gaussians: Some(600), ..Default::default() };
+        let rooms = Arc::new(SyntheticRooms::new(3, room, 1).unwrap());
+        let (data, _) = ProbeScenes::new(rooms, 0.25, Some(1)).unwrap().split().unwrap();
+        let store = ParamStore::trainable(0);
+        let network = config.model.build(store.builder()).unwrap();
+        let source = RowSource::Network(network.as_ref());
+        let scenes = read(data.as_ref(), &config, source).unwrap();
+        let settings = ProbeSettings {
+            kind: ProbeKind::Decoder,
+            labels: LabelRegime::All,
+            steps: 4,
+            ..ProbeSettings::default()
+        };
+        let before = ParamStore::trainable(settings.seed);
+        networks(&config, 41).unwrap().1.build(before.builder()).unwrap();
+        let probe = train(&config, EncoderValues::Random, &scenes, 41, &settings).unwrap();
+        let after = probe.params();
+        let bits = |t: &candle_core::Tensor| {
+            let values = t.to_dtype(candle_core::DType::F32).unwrap().flatten_all().unwrap();
+            values.to_vec1::<f32>().unwrap().iter().map(|v| v.to_bits()).collect::<Vec<_>>()
+        };
+        let (params, buffers) = (after.parameters(), after.buffers());
+        let mut compared = 0;
+        for (name, value) in before.parameters().iter().chain(&before.buffers()) {
+            let now = params.get(name).or_else(|| buffers.get(name)).unwrap();
+            assert_eq!(bits(value.as_tensor()), bits(now.as_tensor()), "{name}");
+            compared += 1;
+        }
+        assert!(compared > 40);
+        // What stands over it moved.
+        let head = params["seg_head.weight"].flatten_all().unwrap();
+        let first = ParamStore::trainable(settings.seed);
+        networks(&config, 41).unwrap().0.build(first.builder()).unwrap();
+        assert_ne!(
+            bits(&head),
+            bits(&first.parameters()["seg_head.weight"].flatten_all().unwrap())
+        );
+        assert_eq!(probe.classes(&scenes[0]).unwrap().len(), scenes[0].labels.len());
     }
 }

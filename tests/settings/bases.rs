@@ -369,8 +369,30 @@ epochs = 3
 log_every = 1
 "#;
 
+/// An autoencoder of language features.
+const CODES: &str = r#"
+task = "autoencoder"
+text = { type = "vocabulary", dim = 64 }
+[model]
+grid_size = 0.3
+[autoencoder]
+widths = [64, 16, 8]
+[[train]]
+source = { type = "synthetic", count = 4, seed = 1, vocabulary = 64, room = { num_gaussians = 500 } }
+transforms = "validation"
+[loader]
+workers = 0
+mix_probability = 0.0
+[optimizer]
+lr = 0.01
+groups = []
+[[evaluate]]
+name = "unseen"
+source = { type = "synthetic", count = 1, seed = 9, vocabulary = 64, room = { num_gaussians = 500 } }
+"#;
+
 /// The bases by name.
-pub const ALL: [(&str, &str); 11] = [
+pub const ALL: [(&str, &str); 12] = [
     ("language", LANGUAGE),
     ("table", TABLE),
     ("rooms", CLASSES_OF_ROOMS),
@@ -382,6 +404,7 @@ pub const ALL: [(&str, &str); 11] = [
     ("student", STUDENT),
     ("stored", STORED),
     ("views", VIEWS),
+    ("codes", CODES),
 ];
 
 /// The text of a base.

@@ -4,6 +4,9 @@ use super::Effect::{Refused, Weights};
 use super::{Case, row};
 
 pub const CASES: &[Case] = &[
+    row("autoencoder.widths", "codes", "/autoencoder/widths", "[64, 12, 8]", Weights),
+    row("autoencoder.l2", "codes", "/autoencoder/l2", "0.1", Weights),
+    row("autoencoder.cosine", "codes", "/autoencoder/cosine", "9.0", Weights),
     row("self_supervised.compat", "views", "/self_supervised/compat", "original", Weights),
     row("self_supervised.export", "views", "/self_supervised/export", "teacher", Weights),
     row(

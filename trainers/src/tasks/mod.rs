@@ -1,6 +1,7 @@
 //! What a network is trained for: a [`TrainingTask`] says what a batch asks of it; network and losses
 //! are those of a [`Learner`], and both together are a [`TaskModule`].
 
+pub mod autoencoder;
 mod distillation;
 mod input;
 mod language_pretraining;
