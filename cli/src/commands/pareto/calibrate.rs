@@ -29,7 +29,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// Rooms whose quality is measured: of a seed that no training of the project uses.
-const SCENES: &str = "synthetic:4:1022";
+const SCENES: &str = "synthetic:10:1022";
 /// Seed of the rooms that are timed.
 const TIMED: u64 = 1023;
 /// Gaussians of a room, about, in turn: larger scenes are several rooms, for voxels have to grow along, and
@@ -105,7 +105,8 @@ pub fn calibrate(args: &Args) -> Result<()> {
         if let Some(setting) = settings.first() {
             // The first run of a size pays for pages that the system has yet to give.
             let size = Size::default();
-            let warm = Timed { command: "segment", scene: &file, setting, size, width: first.width };
+            let warm =
+                Timed { command: "segment", scene: &file, setting, size, width: first.width };
             campaign.time(&warm)?;
         }
         for (j, setting) in settings.iter().enumerate() {
