@@ -18,6 +18,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 mod budget;
 mod codes;
 mod example;
+mod kept;
 mod slots;
 
 pub(crate) use budget::{MemoryNeed, scene_bytes};
@@ -132,6 +133,7 @@ pub struct SceneFeatures {
     inverse: Vec<u32>,
     sampled: Vec<u32>,
     codes: Option<FeatureCodes>,
+    voters: Option<Vec<bool>>,
     /// Layers that an example of the scene decided, with the part of their variance that they keep,
     /// 0..=1; see [`Backbone::calibrated`].
     pub calibrated: Vec<(String, f64)>,
@@ -310,9 +312,17 @@ impl<'a> SceneEncoder<'a> {
         }
         let InferencePlan { sampled, inverse, .. } = plan;
         let calibrated = calibrated.map_or(Vec::new(), |c| c.kept);
-        let (codes, alignment) = (None, None);
-        let features =
-            SceneFeatures { slots, inverse, sampled, codes, calibrated, summary, alignment };
+        let (codes, alignment, voters) = (None, None, None);
+        let features = SceneFeatures {
+            slots,
+            inverse,
+            sampled,
+            codes,
+            voters,
+            calibrated,
+            summary,
+            alignment,
+        };
         match self.codes {
             Some(codes) => features.into_codes(codes),
             None => Ok(features),
@@ -507,8 +517,8 @@ impl SceneFeatures {
             spilled: false,
         };
         let inverse = rows.clone();
-        let (codes, calibrated) = (None, Vec::new());
-        Self { slots, inverse, sampled: rows, codes, calibrated, summary, alignment: None }
+        let (codes, voters, calibrated) = (None, None, Vec::new());
+        Self { slots, inverse, sampled: rows, codes, voters, calibrated, summary, alignment: None }
     }
 
     /// Number of Gaussians.

@@ -69,6 +69,19 @@ pub struct Labels {
     pub num_withheld: usize,
 }
 
+impl Labels {
+    /// Takes the labels of some Gaussians (−1), whose scores stay; gives the number that had one. `rows`: whose;
+    /// shorter than the labels, the rest keep theirs.
+    pub fn withhold(&mut self, rows: &[bool]) -> usize {
+        let mut taken = 0;
+        for (label, _) in self.labels.iter_mut().zip(rows).filter(|(_, is)| **is) {
+            taken += usize::from(*label >= 0);
+            *label = -1;
+        }
+        taken
+    }
+}
+
 /// Feature rows of a scene as the metrics read them: the distinct ones, `[S, width]`.
 ///
 /// # Errors
@@ -132,7 +145,8 @@ pub fn label_gaussians(
 }
 
 /// As [`label_gaussians`], and then each Gaussian takes the class that most of its `k` nearest have
-/// (none for `k` below 2); what a threshold withheld stays unknown.
+/// (none for `k` below 2); what a threshold withheld stays unknown. Gaussians that no network read have no
+/// say ([`SceneFeatures::voters`]).
 ///
 /// `coord`: positions of the same Gaussians, metres. `[N, 3]`
 ///
@@ -147,7 +161,8 @@ pub fn label_with_vote(
 ) -> Result<Labels, LabelError> {
     let mut found = label_gaussians(features, classes, options)?;
     if k > 1 {
-        let mut voted = vote(coord, &found.labels, None, coord, k, classes.len())?;
+        let voters = features.voters();
+        let mut voted = vote(coord, &found.labels, voters, coord, k, classes.len())?;
         if options.unknown != UnknownRule::default() {
             keep_withheld(&found.labels, &mut voted);
         }

@@ -26,6 +26,7 @@
 
 pub mod alignment;
 pub mod capture;
+pub mod compensation;
 pub mod doctor;
 pub mod embedded;
 pub mod evaluation;
@@ -42,6 +43,7 @@ pub mod outputs;
 pub mod pareto;
 pub mod preview;
 pub mod principal;
+pub mod probe;
 pub mod query;
 pub mod setting;
 pub mod severity;

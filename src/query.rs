@@ -152,12 +152,23 @@ pub fn select(
     let scores = features.inverse().iter().map(|s| own.scores[*s as usize]).collect();
     let mut selected: Vec<i32> = features.inverse().iter().map(|s| distinct[*s as usize]).collect();
     if settings.vote_k > 1 {
-        selected = vote(coord, &selected, None, coord, settings.vote_k, 2)?;
+        selected = vote(coord, &selected, features.voters(), coord, settings.vote_k, 2)?;
     }
     Ok(Selection { scores, selected })
 }
 
 impl Selection {
+    /// Takes some Gaussians out of the selection, whose scores stay; gives the number that were in it. `rows`: which;
+    /// those beyond its end stay.
+    pub fn withhold(&mut self, rows: &[bool]) -> usize {
+        let mut taken = 0;
+        for (selected, _) in self.selected.iter_mut().zip(rows).filter(|(_, is)| **is) {
+            taken += usize::from(*selected == 1);
+            *selected = 0;
+        }
+        taken
+    }
+
     /// Colors of a picture of it: selected Gaussians orange, the others grey, brighter with their
     /// score. `[N]`
     pub fn colors(&self) -> Vec<[u8; 3]> {

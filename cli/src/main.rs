@@ -5,6 +5,7 @@ mod bench;
 mod budget;
 mod commands;
 mod duration;
+mod effects;
 mod flags;
 mod outputs;
 mod progress;

@@ -5,6 +5,7 @@
 //! which prints as a table and is written as JSON.
 
 use crate::budget::BudgetReport;
+use scenesplat::datasets::effects::plan::{EffectDecision, EffectPlan, PlanSection};
 pub use scenesplat::machine::Machine;
 use scenesplat::machine::peak_memory_bytes;
 use scenesplat::scene::SceneError;
@@ -99,6 +100,10 @@ pub struct ReceiptReport {
     /// What was expected of a setting that was chosen by a budget, and what became of it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget: Option<BudgetReport>,
+    /// What was decided about the scene, with evidence, to be followed again by `--effect-plan`; of the last scene
+    /// where there are several.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub effect_plan: Option<EffectPlan>,
 }
 
 /// Time spent in one stage.
@@ -243,6 +248,30 @@ impl Receipt {
         Ok(())
     }
 
+    /// Notes what was decided about a scene of so many Gaussians.
+    pub fn plan(&self, gaussians: usize, section: PlanSection) {
+        self.with_plan(gaussians, |plan| plan.put(section));
+    }
+
+    /// Notes one more decision about a scene of so many Gaussians.
+    pub fn decided(&self, gaussians: usize, section: &str, decision: EffectDecision) {
+        self.with_plan(gaussians, |plan| plan.add(section, decision));
+    }
+
+    fn with_plan(&self, gaussians: usize, change: impl FnOnce(&mut EffectPlan)) {
+        let mut report = self.report.borrow_mut();
+        let plan = report.effect_plan.get_or_insert_with(EffectPlan::default);
+        plan.gaussians = gaussians;
+        change(plan);
+    }
+
+    /// A part of the plan as text; empty where there is none.
+    pub fn plan_text(&self, section: &str) -> String {
+        let report = self.report.borrow();
+        let found = report.effect_plan.as_ref().and_then(|plan| plan.section(section));
+        found.map_or_else(String::new, ToString::to_string)
+    }
+
     /// Notes a setting that was chosen by a budget; `began`: since when time is spent.
     pub fn budget(&self, report: BudgetReport, began: Instant) {
         *self.budget.borrow_mut() = Some((report, began));
@@ -296,6 +325,22 @@ impl Drop for StageGuard<'_> {
 }
 
 impl ReceiptReport {
+    /// The plan of a receipt, or of a file that is one, in JSON.
+    ///
+    /// # Errors
+    /// If the text is neither.
+    pub fn plan_in(text: &str) -> Result<EffectPlan, serde_json::Error> {
+        #[derive(Deserialize)]
+        struct WithPlan {
+            effect_plan: EffectPlan,
+        }
+        let value: serde_json::Value = serde_json::from_str(text)?;
+        match value.get("sections") {
+            Some(_) => serde_json::from_value(value),
+            None => Ok(serde_json::from_value::<WithPlan>(value)?.effect_plan),
+        }
+    }
+
     /// The report as JSON.
     ///
     /// # Errors

@@ -9,6 +9,7 @@ use crate::receipt::Receipt;
 use crate::terminal::print;
 use anyhow::{Context, Result};
 use scenesplat::alignment::{Alignment, AlignmentSettings, Remark};
+use scenesplat::compensation::{Compensation, tiles_section};
 use scenesplat::inference::{EncodeError, Fidelity};
 use scenesplat::input::{open_input, read_features};
 use scenesplat::kernels::simd::Isa;
@@ -39,6 +40,11 @@ impl FeatureSource {
             Self::Network(network) if network.is_classifier() => Some(network),
             _ => None,
         }
+    }
+
+    /// Whether a network is run.
+    pub fn is_network(&self) -> bool {
+        matches!(self, Self::Network(_))
     }
 
     /// Whether the features come from seeded weights, and mean nothing.
@@ -301,16 +307,17 @@ impl<'a> Session<'a> {
         Ok((opened, FeatureSource::Codes))
     }
 
-    /// The features of a scene from their source.
+    /// The features of a scene from their source; `about`: what a network does not read.
     pub fn features(
         &self,
         opened: &OpenedScene,
         source: &FeatureSource,
         inference: &Inference,
+        about: &Compensation,
     ) -> Result<SceneFeatures> {
         let scene = &opened.loaded.scene;
         match source {
-            FeatureSource::Network(network) => self.encode(scene, network, inference),
+            FeatureSource::Network(network) => self.encode(scene, network, inference, about),
             FeatureSource::File(path) => Ok(read_features(path, &opened.loaded)?),
             FeatureSource::Codes => {
                 SceneFeatures::from_codes(scene).context("the scene carries no language codes")
@@ -318,12 +325,13 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// Runs the network over a scene.
+    /// Runs the network over a scene, without what it shall not read.
     pub fn encode(
         &self,
         scene: &GaussianScene,
         network: &Network,
         inference: &Inference,
+        about: &Compensation,
     ) -> Result<SceneFeatures> {
         let stage = self.receipt.stage("network");
         let grid_size = inference.grid_size.unwrap_or(network.grid_size());
@@ -358,7 +366,8 @@ impl<'a> Session<'a> {
         if inference.shuffle_orders {
             receipt.setting("shuffle_orders", inference.seed, "seed");
         }
-        let features = encoder.encode_aligned(scene, alignment, &mut |at| {
+        let kept = about.kept(scene.len());
+        let features = encoder.encode_kept(scene, alignment, &kept, &mut |at| {
             if interrupted() {
                 return Err(EncodeError::Stopped);
             }
@@ -381,6 +390,7 @@ impl<'a> Session<'a> {
             other => other.into(),
         })?;
         let s = features.summary;
+        receipt.plan(scene.len(), tiles_section(&s, inference.max_memory.is_some()));
         if s.tiles > s.passes {
             receipt.setting("tiles", s.tiles, "the scene was cut to stay below --max-memory");
             receipt.setting("halo", s.smallest_halo, "narrowest context around a tile, voxels");

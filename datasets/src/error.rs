@@ -17,6 +17,15 @@ pub enum DataError {
         #[source]
         source: Box<SceneError>,
     },
+    /// A scene of a source of one's own could not be read.
+    #[error("scene {id}")]
+    Unreadable {
+        /// Id of the scene.
+        id: String,
+        /// What is wrong with it.
+        #[source]
+        source: Box<dyn std::error::Error + Send + Sync>,
+    },
     /// A source has no scene of this id.
     #[error("no scene is called {id} ({known} scenes are known)")]
     UnknownScene {
@@ -147,7 +156,10 @@ impl DataError {
     /// Says of which scene this is, unless it does already.
     pub(crate) fn in_scene(self, id: &str) -> Self {
         match self {
-            Self::Scene { .. } | Self::Sample { .. } | Self::Panicked { .. } => self,
+            Self::Scene { .. }
+            | Self::Unreadable { .. }
+            | Self::Sample { .. }
+            | Self::Panicked { .. } => self,
             other => Self::Sample { id: id.to_owned(), source: Box::new(other) },
         }
     }

@@ -5,7 +5,7 @@
 //! What captures do to scenes can be simulated ([`effects`]).
 //!
 //! For training: a [`dataset`] makes a [`sample`] of each scene, and a [`loader`] joins samples to
-//! batches ([`train_batch`]), some of them mixed ([`mix3d`]). Augmentation is made of [`transforms`]; a
+//! batches ([`train_batch`]), some of them mixed ([`mix3d`]), or seen in several [`views`]. Augmentation is made of [`transforms`]; a
 //! [`teacher`] may say what is to be learned.
 //!
 //! Plain arrays: no tensor library, no device. Everything is a function of its arguments and a
@@ -31,6 +31,7 @@ pub mod teacher;
 pub mod tiles;
 pub mod train_batch;
 pub mod transforms;
+pub mod views;
 pub mod weighted_mix;
 
 pub use dataset::{Dataset, SceneDataset};
@@ -52,4 +53,5 @@ pub use teacher::{SceneTeacher, TeacherRows, TeacherView};
 pub use tiles::{Tile, TileSettings, Tiling, split_into_tiles};
 pub use train_batch::{TrainBatch, collate_samples};
 pub use transforms::{TransformConfig, build_transforms};
+pub use views::{View, ViewKind, ViewSample};
 pub use weighted_mix::{MixRule, WeightedMix};

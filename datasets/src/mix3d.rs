@@ -106,6 +106,10 @@ fn append<T>(all: &mut Option<Vec<T>>, part: Option<Vec<T>>) {
 
 fn check(sample: &Sample) -> Result<(), DataError> {
     sample.check()?;
+    if !sample.views.is_empty() {
+        let problem = ("of scenes in several views", "0: two scenes share no view");
+        return Err(crate::error::bad_setting("mix_probability", problem.0, problem.1));
+    }
     let sized = sample.grid_size.is_finite() && sample.grid_size > 0.0;
     if sample.is_empty() || (sized && sample.grid_coord.len() == sample.len()) {
         return Ok(());

@@ -48,6 +48,9 @@ pub struct Sample {
     /// [`ADDED`](Self::ADDED); `None` if none does.
     /// `[N]`
     pub origin_row: Option<Vec<u32>>,
+    /// Views of the scene, if a [`Views`](crate::transforms::Views) step made some; the sample itself
+    /// has no rows then.
+    pub views: Vec<crate::views::ViewSample>,
 }
 
 impl Sample {
@@ -84,6 +87,7 @@ impl Sample {
             labelled_points: scene.labelled_points,
             full: None,
             origin_row: None,
+            views: Vec::new(),
         }
     }
 

@@ -1,5 +1,6 @@
 //! Several samples as one.
 
+use crate::views::{View, collate_views};
 use crate::{DataError, InputFeatures, Sample};
 use half::f16;
 use scenesplat_scene::LanguageFeatures;
@@ -29,6 +30,9 @@ pub struct TrainBatch {
     pub lang_feat: Option<LanguageFeatures>,
     /// Whether the row of `lang_feat` holds a feature. `[M]`
     pub valid_feat: Option<Vec<bool>>,
+    /// Views of the scenes, if the samples have them: each a batch of its own. The batch itself has no
+    /// rows then.
+    pub views: Vec<View>,
 }
 
 impl TrainBatch {
@@ -40,7 +44,7 @@ impl TrainBatch {
     /// Whether there is no row: every scene of the batch was left out. There is nothing to learn
     /// from it; a trainer passes over it but counts it.
     pub fn is_empty(&self) -> bool {
-        self.coord.is_empty()
+        self.coord.is_empty() && self.views.iter().all(|view| view.batch.is_empty())
     }
 
     /// Number of samples.
@@ -49,7 +53,8 @@ impl TrainBatch {
     }
 }
 
-/// Joins samples in the given order. Empty samples keep their (empty) place.
+/// Joins samples in the given order. Empty samples keep their (empty) place; of samples with views, the
+/// views are joined, see [`views`](crate::views).
 ///
 /// `segment`, `instance` and `lang_feat` are there if any sample has them: what a sample lacks is
 /// filled with -1, -1 and with zeros that are not valid. `valid_feat` is there with `lang_feat`, or
@@ -59,11 +64,12 @@ impl TrainBatch {
 /// If a sample has no cells, arrays out of step, or values that must not reach the network, or if
 /// samples have language features of different widths; the scene is named.
 pub fn collate_samples(
-    samples: Vec<Sample>,
+    mut samples: Vec<Sample>,
     features: &InputFeatures,
 ) -> Result<TrainBatch, DataError> {
     let total = samples.iter().map(Sample::len).sum();
     let mut batch = TrainBatch { channels: features.width(), offsets: vec![0], ..<_>::default() };
+    batch.views = collate_views(&mut samples, features)?;
     batch.feat.reserve_exact(total * batch.channels);
     batch.coord.reserve_exact(total);
     batch.grid_coord.reserve_exact(total);

@@ -3,7 +3,8 @@
 use crate::Compute;
 use crate::point_cloud::PointCloud;
 use crate::recompute::Recompute;
-use candle_core::{Result, Tensor, TensorId, Var};
+use crate::{LevelOptions, Levels};
+use candle_core::{Result, Tensor, TensorId, Var, bail};
 use rand_chacha::ChaCha8Rng;
 use std::collections::HashSet;
 use std::sync::Arc;
@@ -139,6 +140,21 @@ pub trait Backbone: Send + Sync {
     fn forward(&self, points: &PointCloud, cx: &mut Forward<'_>) -> Result<Tensor>;
     /// Width of the output.
     fn out_channels(&self) -> usize;
+    /// Rows of every scale, with rows hidden from the network: what self-supervised training and
+    /// probes read.
+    ///
+    /// # Errors
+    /// If the input does not fit the network, it has no mask token for a mask, or does not give its
+    /// scales.
+    fn forward_levels(
+        &self,
+        points: &PointCloud,
+        options: LevelOptions<'_>,
+        cx: &mut Forward<'_>,
+    ) -> Result<Levels> {
+        _ = (points, options, cx);
+        bail!("this architecture does not give the rows of its scales; point_transformer_v3 does")
+    }
     /// Edge of the coarsest cells in voxels: a tile that begins at a multiple of it falls into the
     /// same cells as the whole scene. 1 for a network with one scale.
     fn alignment(&self) -> u32 {
@@ -170,6 +186,14 @@ pub trait Backbone: Send + Sync {
 impl<B: Backbone + ?Sized> Backbone for Box<B> {
     fn forward(&self, points: &PointCloud, cx: &mut Forward<'_>) -> Result<Tensor> {
         (**self).forward(points, cx)
+    }
+    fn forward_levels(
+        &self,
+        points: &PointCloud,
+        options: LevelOptions<'_>,
+        cx: &mut Forward<'_>,
+    ) -> Result<Levels> {
+        (**self).forward_levels(points, options, cx)
     }
     fn out_channels(&self) -> usize {
         (**self).out_channels()

@@ -1,7 +1,8 @@
 //! What makes features or classes of a backbone's output.
 
 use crate::{
-    Backbone, BackboneCost, Calibrated, Compute, Forward, PointCloud, layers::Linear, ops,
+    Backbone, BackboneCost, Calibrated, Compute, Forward, LevelOptions, Levels, PointCloud,
+    layers::Linear, ops,
 };
 use candle_core::{Result, Tensor, bail};
 use candle_nn::VarBuilder;
@@ -129,6 +130,14 @@ impl Backbone for LanguageModel {
         cx.observe(PROJECTION, &feat)?;
         Ok(feat)
     }
+    fn forward_levels(
+        &self,
+        points: &PointCloud,
+        options: LevelOptions<'_>,
+        cx: &mut Forward<'_>,
+    ) -> Result<Levels> {
+        self.backbone.forward_levels(points, options, cx)
+    }
     fn out_channels(&self) -> usize {
         self.width
     }
@@ -184,6 +193,14 @@ impl Backbone for SemanticSegmenter {
         let logits = self.head.forward(&self.backbone.forward(points, cx)?)?;
         cx.observe(CLASSIFIER, &logits)?;
         Ok(logits)
+    }
+    fn forward_levels(
+        &self,
+        points: &PointCloud,
+        options: LevelOptions<'_>,
+        cx: &mut Forward<'_>,
+    ) -> Result<Levels> {
+        self.backbone.forward_levels(points, options, cx)
     }
     fn out_channels(&self) -> usize {
         self.num_classes

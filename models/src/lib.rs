@@ -13,11 +13,13 @@
 )]
 
 mod architecture;
+pub mod autoencoder;
 mod backbone;
 mod compute;
 pub mod convert;
 mod head;
 pub mod layers;
+mod levels;
 pub mod litept;
 mod lpips;
 mod model_config;
@@ -42,6 +44,7 @@ pub use backbone::{
 };
 pub use compute::Compute;
 pub use head::{Head, LanguageModel, SemanticSegmenter};
+pub use levels::{Level, LevelOptions, Levels, scene_means};
 pub use litept::{LitePt, LitePtConfig, LitePtSize};
 pub use lpips::{Lpips, LpipsNet};
 pub use model_config::{ModelConfig, UniqueKeys};

@@ -68,6 +68,46 @@ impl ProjectionHead {
     }
 }
 
+/// Similarities with prototypes: a [`ProjectionHead`], and rows of unit length that its rows are
+/// compared with.
+#[derive(Debug, Clone)]
+pub struct PrototypeHead {
+    projection: ProjectionHead,
+    /// Brought to unit length at each pass: only their direction is learned. `[K, out]`
+    prototypes: Tensor,
+}
+
+impl PrototypeHead {
+    /// Parameters of the projection, and `prototypes.weight`: normal with σ = 0.02.
+    ///
+    /// # Errors
+    /// If parameters exist with another shape.
+    ///
+    /// # Source
+    /// The heads of Sonata (Pointcept d74c646), whose prototypes are weight-normalised with a fixed
+    /// length. Differs: three linear layers, where Sonata has two.
+    pub fn new(
+        shape: ProjectionShape,
+        prototypes: usize,
+        compute: Compute,
+        vb: &VarBuilder<'_>,
+    ) -> Result<Self> {
+        let init = Init::Randn { mean: 0.0, stdev: 0.02 };
+        let weight = vb.pp("prototypes").get_with_hints((prototypes, shape.out), "weight", init)?;
+        Ok(Self { projection: ProjectionHead::new(shape, compute, vb)?, prototypes: weight })
+    }
+
+    /// Cosines with each prototype, not yet divided by a temperature. `[N, C] → [N, K]`
+    ///
+    /// # Errors
+    /// If the input does not fit.
+    pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        let rows = self.projection.forward(x)?;
+        let prototypes = ops::l2_normalize_above(&self.prototypes, EPS)?;
+        ops::linear(&rows, &prototypes, None)
+    }
+}
+
 /// Attributes of a masked Gaussian from its row: linear to 32, layer norm, ReLU, linear.
 #[derive(Debug, Clone)]
 pub struct ReconstructionHead {
@@ -83,6 +123,20 @@ impl ReconstructionHead {
     /// # Errors
     /// If parameters exist with another shape.
     pub fn new(channels: usize, out: usize, compute: Compute, vb: &VarBuilder<'_>) -> Result<Self> {
+        Self::with_hidden(channels, HIDDEN, out, compute, vb)
+    }
+
+    /// As [`new`](Self::new), with another width inside.
+    ///
+    /// # Errors
+    /// If parameters exist with another shape.
+    pub fn with_hidden(
+        channels: usize,
+        hidden: usize,
+        out: usize,
+        compute: Compute,
+        vb: &VarBuilder<'_>,
+    ) -> Result<Self> {
         let layer = |name: &str, cin: usize, cout: usize| -> Result<Linear> {
             let (vb, bound) = (vb.pp(name), 1.0 / (cin as f64).sqrt());
             let normal = Init::Randn { mean: 0.0, stdev: (2.0 / cout as f64).sqrt() };
@@ -92,9 +146,9 @@ impl ReconstructionHead {
             Linear::of(compute, weight, Some(bias))
         };
         Ok(Self {
-            first: layer("0", channels, HIDDEN)?,
-            norm: LayerNorm::new(HIDDEN, vb.pp("1"))?,
-            last: layer("3", HIDDEN, out)?,
+            first: layer("0", channels, hidden)?,
+            norm: LayerNorm::new(hidden, vb.pp("1"))?,
+            last: layer("3", hidden, out)?,
         })
     }
 

@@ -8,13 +8,17 @@ use scenesplat_datasets::transforms::{self, TransformConfig};
 use scenesplat_datasets::{InputFeatures, LoaderSettings, MixRule};
 use scenesplat_losses::LossConfig;
 use scenesplat_models::{Compute, ModelConfig};
+use scenesplat_trainers::tasks::autoencoder::AutoencoderConfig;
+use scenesplat_trainers::tasks::self_supervised::SelfSupervisedConfig;
 use scenesplat_trainers::{
     AdamWConfig, CosineSchedule, Criterion, KeywordGroup, OneCycle, TrainerConfig,
 };
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
+use super::compression;
 use super::data::{EvaluationConfig, TrainDataConfig};
+use super::self_supervision;
 use super::teacher::{self, TeacherConfig};
 use file::read_table;
 
@@ -63,8 +67,15 @@ pub struct ExperimentConfig {
     /// Texts of the classes, for targets and zero-shot evaluation.
     #[serde(default)]
     pub text: Option<TextConfig>,
-    /// The terms of the loss.
+    /// The terms of the loss; those of self-supervised training are in its own table.
+    #[serde(default)]
     pub losses: Vec<LossConfig>,
+    /// Terms, masks and teacher of self-supervised training.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub self_supervised: Option<SelfSupervisedConfig>,
+    /// Widths and weights of an autoencoder.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub autoencoder: Option<AutoencoderConfig>,
     /// AdamW and its groups.
     #[serde(default)]
     pub optimizer: OptimizerConfig,
@@ -96,6 +107,10 @@ pub enum Task {
     SemanticSegmentation,
     /// Features shall be those of a teacher.
     Distillation,
+    /// What is hidden of scenes, and what their views have in common; no labels.
+    SelfSupervised,
+    /// Language features shall come back from few numbers.
+    Autoencoder,
 }
 
 /// Where targets of language pretraining come from.
@@ -217,7 +232,9 @@ pub struct EarlyStoppingConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum TransformList {
-    /// `language_pretraining`, `semantic_segmentation` or `validation`.
+    /// `language_pretraining`, `semantic_segmentation` or `validation`; with views
+    /// `self_supervised`, `self_supervised_joint`, `self_supervised_joint_scannetpp` or
+    /// `self_distillation`.
     Preset(String),
     /// One after the other.
     Steps(Vec<TransformConfig>),
@@ -235,10 +252,17 @@ impl TransformList {
                 "language_pretraining" => transforms::language_pretraining(grid_size),
                 "semantic_segmentation" => transforms::semantic_segmentation(grid_size),
                 "validation" => transforms::validation(grid_size),
+                "self_supervised" => transforms::self_supervised(grid_size),
+                "self_supervised_joint" => transforms::self_supervised_joint(grid_size),
+                "self_supervised_joint_scannetpp" => {
+                    transforms::self_supervised_joint_scannetpp(grid_size)
+                }
+                "self_distillation" => transforms::self_distillation(grid_size),
                 other => {
                     let problem = format!(
                         "{other:?} is no preset; use language_pretraining, semantic_segmentation, \
-                         validation, or a list of steps"
+                         validation, self_supervised, self_supervised_joint, \
+                         self_supervised_joint_scannetpp, self_distillation, or a list of steps"
                     );
                     return Err(ExperimentError::setting("transforms", problem));
                 }
@@ -286,7 +310,10 @@ impl ExperimentConfig {
         if self.train.is_empty() {
             return wrong("train", "at least one dataset is needed");
         }
-        if self.losses.is_empty() {
+        self_supervision::check(self)?;
+        compression::check(self)?;
+        let own_terms = matches!(self.task, Task::SelfSupervised | Task::Autoencoder);
+        if self.losses.is_empty() && !own_terms {
             return wrong("losses", "at least one term is needed");
         }
         let reads = self.input.width();
@@ -324,7 +351,11 @@ impl ExperimentConfig {
             Task::SemanticSegmentation if !head => {
                 wrong("model.num_classes", "segmentation needs it")
             }
-            Task::LanguagePretraining | Task::SemanticSegmentation | Task::Distillation => Ok(()),
+            Task::LanguagePretraining
+            | Task::SemanticSegmentation
+            | Task::Distillation
+            | Task::SelfSupervised
+            | Task::Autoencoder => Ok(()),
         }
     }
 

@@ -204,6 +204,7 @@ pub fn check_classes(config: &ExperimentConfig, text: Option<&ClassTexts>) -> Re
             Task::SemanticSegmentation => true,
             Task::LanguagePretraining => config.targets == TargetChoice::ClassText,
             Task::Distillation => config.losses.iter().any(asks),
+            Task::SelfSupervised | Task::Autoencoder => false,
         };
         check(&entry.source, used, text).at(|| format!("train[{i}]"))?;
     }

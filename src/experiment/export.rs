@@ -3,11 +3,15 @@
 use super::ExperimentError;
 use crate::NetworkConfig;
 use candle_core::Tensor;
+use scenesplat_models::BackboneConfig;
 use scenesplat_models::weights::save_tensors;
 use scenesplat_scene::StagedFolder;
-use scenesplat_trainers::checkpoint::{best_checkpoint, newest_checkpoint, read_network};
+use scenesplat_trainers::checkpoint::{
+    best_checkpoint, newest_checkpoint, read_network, read_store,
+};
+use scenesplat_trainers::tasks::self_supervised::{Export, is_head};
 use std::collections::HashMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Writes `model.safetensors` and `config.json` into `folder`: the parameters of the best
 /// checkpoint, or of the newest if none is marked, averaged ones where there is an average.
@@ -21,25 +25,55 @@ pub fn export_model(
     config: &NetworkConfig,
     folder: &Path,
 ) -> Result<Vec<String>, ExperimentError> {
-    let (dir, remark) = match best_checkpoint(checkpoints)? {
-        Some(best) => {
-            let dir = checkpoints.join(&best.checkpoint);
-            (dir, format!("{} of {} ({})", best.checkpoint, best.measurement, best.value))
-        }
-        None => {
-            let newest = newest_checkpoint(checkpoints)?;
-            let none = || ExperimentError::NoCheckpoint { path: checkpoints.to_owned() };
-            let dir = newest.ok_or_else(none)?;
-            let name = dir.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            (dir, name)
-        }
-    };
+    let (dir, remark) = chosen(checkpoints)?;
     let tensors = read_network(&dir)?;
     let averaged = dir.join("average.safetensors").is_file();
     let tensors = tensors.into_iter().collect();
     write_model(&tensors, config, folder)?;
     let averaged = if averaged { ", averaged parameters" } else { "" };
     Ok(vec![format!("model: {remark}{averaged}")])
+}
+
+/// The checkpoint that becomes the model, and which it is.
+pub(super) fn chosen(checkpoints: &Path) -> Result<(PathBuf, String), ExperimentError> {
+    if let Some(best) = best_checkpoint(checkpoints)? {
+        let dir = checkpoints.join(&best.checkpoint);
+        return Ok((dir, format!("{} of {} ({})", best.checkpoint, best.measurement, best.value)));
+    }
+    let newest = newest_checkpoint(checkpoints)?;
+    let none = || ExperimentError::NoCheckpoint { path: checkpoints.to_owned() };
+    let dir = newest.ok_or_else(none)?;
+    let name = dir.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    Ok((dir, name))
+}
+
+/// As [`export_model`], of the student or the teacher of self-supervised training, without their heads.
+/// The teacher has no mask token, as it masks nothing.
+///
+/// # Errors
+/// As [`export_model`].
+pub fn export_self_supervised(
+    checkpoints: &Path,
+    config: &NetworkConfig,
+    which: Export,
+    folder: &Path,
+) -> Result<Vec<String>, ExperimentError> {
+    let (dir, remark) = chosen(checkpoints)?;
+    let mut config = config.clone();
+    let (tensors, who) = match which {
+        Export::Student => (read_network(&dir)?, "student"),
+        Export::Teacher => (read_store(&dir, "teacher")?, "teacher"),
+    };
+    if let (Export::Teacher, BackboneConfig::PointTransformerV3(backbone)) =
+        (which, &mut config.model.backbone)
+    {
+        backbone.mask_token = false;
+    }
+    let tensors = tensors.into_iter().filter(|(name, _)| !is_head(name)).collect();
+    write_model(&tensors, &config, folder)?;
+    let averaged = which == Export::Student && dir.join("average.safetensors").is_file();
+    let averaged = if averaged { ", averaged parameters" } else { "" };
+    Ok(vec![format!("model: {remark}, the {who}{averaged}")])
 }
 
 /// Writes a model folder, whose files appear together: `config.json` says what the network is and

@@ -1,13 +1,16 @@
 //! Experiments from files: `scenesplat train` and what it is made of.
 
+mod compression;
 pub mod config;
 pub mod curves;
 pub mod data;
 mod error;
 pub mod export;
 pub mod identity;
+mod measured;
 mod record;
 mod run;
+mod self_supervision;
 pub mod teacher;
 
 pub use config::ExperimentConfig;

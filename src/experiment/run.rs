@@ -1,15 +1,18 @@
 //! From an experiment's file to a trained network.
 
+use super::compression;
 use super::config::{ExperimentConfig, OptimizerConfig, ScheduleConfig, TargetChoice, Task};
 use super::curves::write_curves;
 use super::data;
 use super::error::{ExperimentError, Place};
-use super::export::export_model;
+use super::export::{export_model, export_self_supervised};
 use super::identity::identity;
+use super::measured::with_measured_effects;
 use super::record::{RunRecord, write};
+use super::self_supervision;
 use super::teacher::{Teacher, TeacherRecord};
 use scenesplat_datasets::{BatchLoader, TrainBatch};
-use scenesplat_losses::{TextColumns, build_objective};
+use scenesplat_losses::{Objective, TextColumns, build_objective};
 use scenesplat_models::weights::{SourceOptions, WeightSource, resolve};
 use scenesplat_models::{LoadPolicy, ParamStore};
 use scenesplat_scene::FolderLock;
@@ -88,6 +91,8 @@ pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunRepor
         (true, None) => return Err(ExperimentError::NothingToResume { path: checkpoints }),
         _ => {}
     }
+    let measured = with_measured_effects(config)?;
+    let config = &*measured;
     let text = config.text.as_ref().map(data::text_table).transpose()?;
     data::check_classes(config, text.as_ref())?;
     let teacher = Teacher::open(config)?;
@@ -96,23 +101,29 @@ pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunRepor
     // Held until the end, also against a run that found no folder a moment ago.
     let _lock = early.map_or_else(lock, Ok)?;
     let (params, mut remarks) = parameters(config)?;
-    let network = config.network()?.model.build(params.builder())?;
     let loss_texts = match &text {
         Some(t) => Some(TextColumns::new(&t.table.values, t.table.dim)?),
         None => None,
     };
-    let objective = build_objective(&config.losses, loss_texts.as_ref())?;
+    let objective = match config.task {
+        Task::SelfSupervised | Task::Autoencoder => Objective::new(),
+        _ => build_objective(&config.losses, loss_texts.as_ref())?,
+    };
     let run = Run {
         config,
         options,
         checkpoints: &checkpoints,
         newest: newest.as_deref(),
         identity: identity(config, text.as_ref(), &params, teacher.as_ref())?,
-        losses: objective.settings(),
+        losses: match &config.self_supervised {
+            Some(settings) => settings.terms.iter().map(|term| format!("{term:?}")).collect(),
+            None => objective.settings(),
+        },
         classes: text.as_ref().map(|t| t.table.names.clone()),
         teacher: teacher.as_ref().map(|t| Arc::clone(&t.record)),
     };
     let mut loader = data::loader(config, teacher.as_ref())?;
+    let network = || config.network()?.model.build(params.builder()).map_err(ExperimentError::from);
     let (progress, exported) = match config.task {
         Task::LanguagePretraining => {
             let targets = match (config.targets, &text) {
@@ -120,17 +131,29 @@ pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunRepor
                 _ => TargetSource::Features,
             };
             let task = LanguagePretraining { targets };
+            let network = network()?;
             let module = TaskModule::new(params, network, objective, task);
             let evaluators = zero_shot(config, text.as_ref(), None)?.into_iter();
             run.fit(&module, &mut *loader, &mut boxed(evaluators))?
         }
         Task::Distillation => {
+            let network = network()?;
             let module = TaskModule::new(params, network, objective, Distillation);
             let evaluators = zero_shot(config, text.as_ref(), teacher.as_ref())?.into_iter();
             let evaluators = evaluators.map(DistillationEvaluator::new);
             run.fit(&module, &mut *loader, &mut boxed(evaluators))?
         }
+        Task::Autoencoder => {
+            let module = compression::module(config, params)?;
+            let mut evaluators = compression::evaluators(config, text.as_ref())?;
+            run.fit(&module, &mut *loader, &mut evaluators)?
+        }
+        Task::SelfSupervised => {
+            let module = self_supervision::module(config, params)?;
+            run.fit(&module, &mut *loader, &mut [])?
+        }
         Task::SemanticSegmentation => {
+            let network = network()?;
             let module = TaskModule::new(params, network, objective, SemanticSegmentation);
             run.fit(&module, &mut *loader, &mut segmentation(config, text.as_ref())?)?
         }
@@ -281,7 +304,14 @@ impl Run<'_> {
         let mut trainer = trainer.with_callback(record);
         let progress = trainer.fit(module, loader, evaluators, start)?;
         let model = out.join("model");
-        let remarks = export_model(self.checkpoints, &self.config.network()?, &model)?;
+        let network = self.config.network()?;
+        let remarks = match self_supervision::exported(self.config) {
+            None if self.config.task == Task::Autoencoder => {
+                compression::export(self.config, self.checkpoints, &model)?
+            }
+            None => export_model(self.checkpoints, &network, &model)?,
+            Some(which) => export_self_supervised(self.checkpoints, &network, which, &model)?,
+        };
         Ok((progress, (model, remarks)))
     }
 }

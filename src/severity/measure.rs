@@ -11,7 +11,7 @@ use scenesplat_metrics::{ConfusionMatrix, Metric, ZeroShotOptions};
 use scenesplat_scene::{GaussianScene, LabelSet, TextTable};
 
 /// Neighbours that vote, as in the paper.
-const VOTE_K: usize = 25;
+pub(super) const VOTE_K: usize = 25;
 /// Share of the Gaussians of undamaged rooms that may count as unknown.
 const UNKNOWN_UNDAMAGED: f64 = 0.05;
 /// Side of a damaged corner, metres.
@@ -29,9 +29,9 @@ pub(super) struct Labelled {
 
 /// The network with its classes.
 pub(super) struct Bench {
-    network: Network,
-    texts: TextTable,
-    excluded: Vec<usize>,
+    pub(super) network: Network,
+    pub(super) texts: TextTable,
+    pub(super) excluded: Vec<usize>,
     /// Probability of the likeliest class below which a Gaussian counts as unknown.
     pub(super) threshold: f32,
 }

@@ -13,8 +13,10 @@
 mod chart;
 mod measure;
 mod report;
+mod suite;
 
 pub use report::{Check, EffectCurve, SeverityPoint, SeverityReport};
+pub use suite::{Figures, PairRow, SceneRow, SuiteReport, SuiteSettings, Worth, effect_suite};
 
 use crate::inference::EncodeError;
 use crate::labels::LabelError;

@@ -310,8 +310,89 @@ type = "cosine"
 groups = []
 "#;
 
+/// Views of scenes, with every term.
+const VIEWS: &str = r#"
+task = "self_supervised"
+MODEL
+mask_token = true
+[[train]]
+source = { type = "synthetic", count = 4, seed = 1, vocabulary = 64, room = { num_gaussians = 500 } }
+transforms = [{ type = "center_shift" }, { type = "views", groups = [
+    { kind = "global", views = [
+        [{ type = "random_rotate", probability = 1.0 }, { type = "grid_sample", grid_size = 0.3 }],
+        [{ type = "random_rotate", probability = 1.0 }, { type = "grid_sample", grid_size = 0.3 }],
+    ] },
+    { kind = "local", crop = { ratio = [0.2, 0.5], point_max = 400 }, views = [
+        [{ type = "random_rotate", probability = 1.0 }, { type = "grid_sample", grid_size = 0.3 }],
+    ] },
+] }]
+[loader]
+workers = 0
+mix_probability = 0.0
+[self_supervised]
+masking = { shape = { patches = 0.6 }, ratio = [0.2, 0.5], scenes = 1.0, weight = "per_patch" }
+momentum = { warmup = 0.4, warmup_from = 0.6, from = 0.9, to = 1.0 }
+mask_size = { warmup = 0.4, warmup_from = 0.4, from = 0.6, to = 0.8 }
+mask_ratio = { warmup = 0.4, warmup_from = 0.3, from = 0.5, to = 0.6 }
+[[self_supervised.terms]]
+type = "masked_gaussians"
+distance = "fitted"
+[[self_supervised.terms]]
+type = "sim_dino"
+hidden = 8
+out = 6
+[[self_supervised.terms]]
+type = "dino"
+prototypes = { count = 6, hidden = 8, out = 4, student_temperature = 0.2, teacher_temperature = { warmup = 0.4, warmup_from = 0.1, from = 0.2, to = 0.3 }, balance = { centering = 0.9 } }
+[[self_supervised.terms]]
+type = "ibot"
+hidden = 8
+out = 6
+[[self_supervised.terms]]
+type = "ibot_cross_entropy"
+prototypes = { count = 6, hidden = 8, out = 4, student_temperature = 0.2, teacher_temperature = { warmup = 0.4, warmup_from = 0.1, from = 0.2, to = 0.3 }, balance = { centering = 0.9 } }
+[[self_supervised.terms]]
+type = "self_distillation"
+up_cast = 1
+max_distance = 0.5
+prototypes = { count = 6, hidden = 8, out = 4, student_temperature = 0.2, teacher_temperature = { warmup = 0.4, warmup_from = 0.1, from = 0.2, to = 0.3 }, balance = { sinkhorn_knopp = 3 } }
+[[self_supervised.terms]]
+type = "language_alignment"
+hidden = 8
+out = 64
+masked_only = true
+[optimizer]
+lr = 0.01
+groups = []
+[trainer]
+epochs = 3
+log_every = 1
+"#;
+
+/// An autoencoder of language features.
+const CODES: &str = r#"
+task = "autoencoder"
+text = { type = "vocabulary", dim = 64 }
+[model]
+grid_size = 0.3
+[autoencoder]
+widths = [64, 16, 8]
+[[train]]
+source = { type = "synthetic", count = 4, seed = 1, vocabulary = 64, room = { num_gaussians = 500 } }
+transforms = "validation"
+[loader]
+workers = 0
+mix_probability = 0.0
+[optimizer]
+lr = 0.01
+groups = []
+[[evaluate]]
+name = "unseen"
+source = { type = "synthetic", count = 1, seed = 9, vocabulary = 64, room = { num_gaussians = 500 } }
+"#;
+
 /// The bases by name.
-pub const ALL: [(&str, &str); 10] = [
+pub const ALL: [(&str, &str); 12] = [
     ("language", LANGUAGE),
     ("table", TABLE),
     ("rooms", CLASSES_OF_ROOMS),
@@ -322,6 +403,8 @@ pub const ALL: [(&str, &str); 10] = [
     ("litept", POINTS),
     ("student", STUDENT),
     ("stored", STORED),
+    ("views", VIEWS),
+    ("codes", CODES),
 ];
 
 /// The text of a base.

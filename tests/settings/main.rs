@@ -17,9 +17,10 @@ use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// What of an experiment's file is a choice between tables: each must be in some base.
-const CHOICES: [(&str, &str); 7] = [
+const CHOICES: [(&str, &str); 8] = [
     ("/train/0/source/type", "source"),
     ("/losses/0/type", "losses"),
+    ("/self_supervised/terms/0/type", "terms"),
     ("/schedule/type", "schedule"),
     ("/text/type", "text"),
     ("/model/architecture", "model"),

@@ -16,6 +16,9 @@ const FIELDS: &[(&str, &str, &str, &str)] = &[
     ("center_shift", "apply_z", "true", "false"),
     ("capture_effects", "effects", "\"holes=2\"", "\"holes=1..3,noise=2\""),
     ("capture_effects", "probability", "0.1", "0.9"),
+    ("measured_effects", "most", "\"noise=1\"", "\"noise=3\""),
+    ("measured_effects", "found", "[\"noise=3\"]", "[\"holes=2,noise=1\"]"),
+    ("measured_effects", "probability", "0.1", "0.9"),
     ("random_dropout", "ratio", "0.2", "0.5"),
     ("random_dropout", "probability", "0.1", "0.9"),
     ("random_rotate", "angle", "[-1.0, 1.0]", "[-0.1, 0.1]"),
@@ -41,6 +44,17 @@ const FIELDS: &[(&str, &str, &str, &str)] = &[
     ("chromatic_translation", "ratio", "0.05", "0.1"),
     ("chromatic_jitter", "probability", "0.1", "0.9"),
     ("chromatic_jitter", "std", "0.05", "0.1"),
+    ("color_jitter", "brightness", "0.4", "0.1"),
+    ("color_jitter", "contrast", "0.4", "0.1"),
+    ("color_jitter", "saturation", "0.2", "0.1"),
+    ("color_jitter", "hue", "0.1", "0.05"),
+    ("color_jitter", "probability", "0.1", "0.9"),
+    ("random_grayscale", "probability", "0.1", "0.9"),
+    ("color_solarize", "probability", "0.1", "0.9"),
+    ("color_solarize", "threshold", "128.0", "64.0"),
+    ("voxel_blur", "probability", "0.1", "0.9"),
+    ("voxel_blur", "sigma", "[1.0, 2.0]", "[0.5, 0.6]"),
+    ("voxel_blur", "grid_size", "0.3", "0.2"),
     ("grid_sample", "grid_size", "0.3", "0.2"),
     ("grid_sample", "keep", "\"random\"", "\"first\""),
     ("grid_sample", "keep_full", "false", "true"),
@@ -49,11 +63,23 @@ const FIELDS: &[(&str, &str, &str, &str)] = &[
     ("sphere_crop", "point_max", "500", "400"),
     ("sphere_crop", "center", "\"random\"", "\"middle\""),
     ("sphere_crop", "exact", "false", "true"),
+    ("ratio_crop", "ratio", "[0.4, 1.0]", "[0.2, 0.3]"),
+    ("ratio_crop", "point_max", "500", "400"),
+    ("views", "groups", ONE_VIEW, TWO_VIEWS),
 ];
+
+const ONE_VIEW: &str =
+    r#"[{"kind": "global", "views": [[{"type": "grid_sample", "grid_size": 0.3}]]}]"#;
+const TWO_VIEWS: &str = r#"[{"kind": "global", "shared": [{"type": "center_shift"}],
+    "crop": {"ratio": [0.4, 1.0], "point_max": 500, "center": "major"}, "views": [
+    [{"type": "grid_sample", "grid_size": 0.3}], [{"type": "grid_sample", "grid_size": 0.2}]]}]"#;
 
 /// Fields that another one needs.
 const BESIDE: &[(&str, &str, &str)] = &[
     ("capture_effects", "effects", "\"noise=3\""),
+    ("measured_effects", "most", "\"holes=3,noise=3\""),
+    ("measured_effects", "found", "[\"noise=2\"]"),
+    ("voxel_blur", "grid_size", "0.3"),
     ("grid_sample", "grid_size", "0.3"),
     ("sphere_crop", "point_max", "500"),
     // Beyond half a turn quaternions change their sign.
@@ -109,8 +135,13 @@ fn every_field_of_a_step_does_something() {
             };
             let most = |p: f64| 5.0 * (200.0 * p * (1.0 - p)).sqrt();
             for (step, p) in [(&a, 0.1), (&b, 0.9)] {
-                // The flip tosses for two axes.
-                let p = if *name == "random_flip" { 1.0 - (1.0 - p) * (1.0 - p) } else { p };
+                // The flip tosses for two axes, the jitter for four changes.
+                let tosses = match *name {
+                    "random_flip" => 2,
+                    "color_jitter" => 4,
+                    _ => 1,
+                };
+                let p = 1.0 - f64::powi(1.0 - p, tosses);
                 let n = changed(step);
                 assert!((n - 200.0 * p).abs() < most(p), "{name}: {n} of 200, {p}");
             }

@@ -98,6 +98,9 @@ pub struct HealthConfig {
     pub min_running_var: f64,
     /// Alarm if a channel's running variance rises above this.
     pub max_running_var: f64,
+    /// Looks in a row with an alarm about the features after which the run ends with an error; 0 only
+    /// raises alarms.
+    pub stop_after: u64,
 }
 
 impl Default for HealthConfig {
@@ -108,6 +111,7 @@ impl Default for HealthConfig {
             max_centred_cosine: 0.9,
             min_running_var: 1e-10,
             max_running_var: 1e10,
+            stop_after: 0,
         }
     }
 }

@@ -14,6 +14,26 @@ pub enum TrainError {
         #[source]
         source: candle_core::Error,
     },
+    /// Features that collapsed, and stayed so.
+    #[error(
+        "step {step}: the features have collapsed at {looks} looks in a row (health.stop_after): {alarms}"
+    )]
+    Collapsed {
+        /// Steps done.
+        step: u64,
+        /// Looks in a row.
+        looks: u64,
+        /// What was found last.
+        alarms: String,
+    },
+    /// A setting of self-supervised training that cannot be used.
+    #[error("self_supervised.{setting}: {problem}")]
+    SelfSupervised {
+        /// Which.
+        setting: &'static str,
+        /// What is wrong, and what would be right.
+        problem: String,
+    },
     /// A gradient has a NaN or an infinity.
     #[error("gradient of {name} is not finite")]
     NonFiniteGradient {

@@ -15,6 +15,8 @@ const ROWS: usize = 512;
 pub(crate) struct Health {
     pub(crate) measurements: Vec<Measurement>,
     pub(crate) alarms: Vec<String>,
+    /// Whether the features collapse.
+    pub(crate) collapsed: bool,
 }
 
 /// Looks at a sample of the feature rows and at the running variances.
@@ -36,6 +38,7 @@ pub(crate) fn look(
         if let Some(rank) = effective_rank(&chosen, width)? {
             health.note("effective_rank", rank);
             if rank < config.min_effective_rank {
+                health.collapsed = true;
                 health.alarms.push(format!(
                     "the features have an effective rank of {rank:.2} (of {width}): they collapse \
                      onto a line; lower the learning rate or give the loss a contrastive term"
@@ -45,6 +48,7 @@ pub(crate) fn look(
         if let Some(cosine) = centred_cosine(&chosen, width)? {
             health.note("centred_cosine", cosine);
             if cosine > config.max_centred_cosine {
+                health.collapsed = true;
                 health.alarms.push(format!(
                     "rows of features are alike (mean cosine {cosine:.3} after taking off their \
                      mean)"

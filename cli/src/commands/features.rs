@@ -2,9 +2,11 @@
 
 use super::WrongUse;
 use crate::budget::{BudgetArgs, Chosen, Job, within_budget};
+use crate::effects::EffectArgs;
 use crate::flags::{Inference, Shared};
 use crate::session::Session;
 use anyhow::Result;
+use scenesplat::compensation::Consumer;
 use scenesplat::outputs::{
     FeatureType, ResultColumns, write_colored_ply, write_features_npy, write_features_safetensors,
     write_scene_preview,
@@ -29,6 +31,9 @@ pub struct Args {
     /// What the setting is chosen by.
     #[command(flatten)]
     pub budget: BudgetArgs,
+    /// What is done about effects of the capture.
+    #[command(flatten)]
+    pub effects: EffectArgs,
     /// Flags of the network.
     #[command(flatten)]
     pub inference: Inference,
@@ -99,6 +104,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     session.note_setting(&args.inference);
     session.note_budget(chosen);
     session.outputs.reads(&args.scene)?;
+    let wish = args.effects.wish(&session, true, false)?;
     let features_file = match args.format {
         Format::Npy => "features.npy",
         Format::Safetensors => "features.safetensors",
@@ -108,7 +114,10 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     session.make_out(&names)?;
     let network = session.network(&args.inference)?;
     let opened = session.open(&args.scene, &args.inference)?;
-    let features = session.encode(&opened.loaded.scene, &network, &args.inference)?;
+    let scene = &opened.loaded.scene;
+    let consumer = Consumer { network: true, labels: false };
+    let about = session.compensation(&wish, scene, &args.inference, consumer)?;
+    let features = session.encode(scene, &network, &args.inference, &about)?;
     drop(network);
     {
         let _stage = session.receipt.stage("write");

@@ -12,6 +12,7 @@ mod features;
 mod inspect;
 mod lift_labels;
 mod pareto;
+mod probe;
 mod query;
 mod render;
 mod segment;
@@ -57,6 +58,8 @@ enum Command {
     Convert(convert::Args),
     /// Trains a network as a file says.
     Train(train::Args),
+    /// Asks what a network has learned: a small classifier on its rows, beside an untrained network.
+    Probe(probe::Args),
     /// Cuts scenes into overlapping squares for training.
     Chunk(chunk::Args),
     /// Says what is in a checkpoint and which network it fits.
@@ -107,6 +110,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Compare(args) => compare::run(args),
         Command::Convert(args) => convert::run(args),
         Command::Train(args) => train::run(args),
+        Command::Probe(args) => probe::run(args),
         Command::Chunk(args) => chunk::run(args),
         Command::Weights(args) => weights::run(args, &line),
         Command::Bench(args) => bench::run(args),

@@ -3,11 +3,13 @@
 use super::WrongUse;
 use super::classes::Classes;
 use crate::budget::{BudgetArgs, Chosen, Job, within_budget};
+use crate::effects::EffectArgs;
 use crate::flags::{Inference, Shared};
 use crate::session::{FeatureSource, Session};
 use crate::terminal::write_text;
 use anyhow::Result;
 use scenesplat::Network;
+use scenesplat::compensation::Consumer;
 use scenesplat::labels::{self, label_with_vote};
 use scenesplat::outputs::{
     ResultColumns, label_colors, legend, write_colored_ply, write_scene_preview,
@@ -35,6 +37,9 @@ pub struct Args {
     /// What the setting is chosen by.
     #[command(flatten)]
     pub budget: BudgetArgs,
+    /// What is done about effects of the capture.
+    #[command(flatten)]
+    pub effects: EffectArgs,
     /// Flags of the network.
     #[command(flatten)]
     pub inference: Inference,
@@ -72,6 +77,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     session.note_setting(&args.inference);
     session.note_budget(chosen);
     session.outputs.reads(&args.scene)?;
+    let wish = args.effects.wish(&session, args.features.is_none(), true)?;
     args.classes.claim_inputs(&session.outputs)?;
     let names = ["labels.npy", "scores.npy", "classes.json", "segmented.ply", "preview.png"];
     session.make_out(&names)?;
@@ -100,13 +106,15 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let options = args.classes.options(&labels_of)?;
     args.classes.record(&session)?;
     let scene = &opened.loaded.scene;
-    let features = session.features(&opened, &source, &args.inference)?;
+    let consumer = Consumer { network: source.is_network(), labels: true };
+    let about = session.compensation(&wish, scene, &args.inference, consumer)?;
+    let features = session.features(&opened, &source, &args.inference, &about)?;
 
     let classes = match &text {
         Some(text) => labels::Classes::Texts(text),
         None => labels::Classes::Probabilities(labels_of.len()),
     };
-    let found = {
+    let mut found = {
         let _stage = session.receipt.stage("labels");
         session.receipt.setting("vote_k", vote_k, "neighbours that vote on each label");
         label_with_vote(&features, classes, &options, &scene.coord, *vote_k)?
@@ -117,6 +125,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
             found.num_withheld, found.num_unusable
         ));
     }
+    session.note_withheld(found.withhold(about.withheld()), "labels");
     let (labels, scores) = (found.labels, found.scores);
     session.check_stop()?;
     {

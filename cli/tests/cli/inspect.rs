@@ -600,3 +600,36 @@ fn other_sources_are_named() {
     let Some(packed) = shared("real/objects/guitar.compressed.ply") else { return };
     assert_eq!(format(&packed)["format"], "compressed-ply");
 }
+
+#[test]
+fn effects_of_the_capture_are_in_the_json_by_name() {
+    use scenesplat::datasets::effects::{Effect, simulate};
+    let folder = tempfile::tempdir().unwrap();
+    let look = |name: &str, effects: &str| -> serde_json::Value {
+        let scene = simulate(&room(), &effects.parse().unwrap(), 2).unwrap().scene;
+        let [ply, json] = ["ply", "json"].map(|end| folder.path().join(format!("{name}.{end}")));
+        write_inria_ply(&scene, &[], &ply).unwrap();
+        let words = [ply.to_str().unwrap(), "--no-sheet", "--json", json.to_str().unwrap()];
+        let output = scenesplat(&[&["inspect"], &words[..]].concat());
+        done(&output);
+        let table = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(table.contains("capture effects, severity 0 to 5"), "{table}");
+        let text = std::fs::read_to_string(json).unwrap();
+        serde_json::from_str::<serde_json::Value>(&text).unwrap()["effects"].take()
+    };
+    let (clean, rough) = (look("clean", "none"), look("rough", "surface=4"));
+    for effect in Effect::ALL {
+        for seen in [&clean[effect.name()], &rough[effect.name()]] {
+            assert!((0.0..=5.0).contains(&seen["severity"].as_f64().unwrap()), "{seen}");
+            let present = seen["present"].as_bool().unwrap();
+            assert_eq!(present, seen["severity"].as_f64().unwrap() > 0.0, "{seen}");
+            let first = &seen["evidence"][0];
+            let judged = seen["judged"].as_bool().unwrap();
+            assert_eq!(judged, first["value"].is_f64() && first["name"].is_string(), "{seen}");
+            assert!(seen["threshold"].as_f64().unwrap() > 0.0);
+        }
+    }
+    assert_eq!(clean.as_object().unwrap().len(), Effect::ALL.len());
+    let [before, after] = [&clean, &rough].map(|e| e["surface"]["severity"].as_f64().unwrap());
+    assert!(before == 0.0 && after > 3.0, "{before} {after}");
+}

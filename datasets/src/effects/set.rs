@@ -1,5 +1,6 @@
 //! Which effects, and how strong.
 
+use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;
 
@@ -65,7 +66,8 @@ impl Effect {
 }
 
 /// Effects with their severities, as text `holes=3,blur=1.5`; `none` is the empty set.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
 pub struct EffectSet {
     pub(super) severity: [f64; Effect::ALL.len()],
 }
@@ -98,6 +100,25 @@ pub enum EffectError {
         /// The part of the text.
         part: String,
     },
+    /// Something is wanted about an effect that nothing acts on.
+    #[error("{name}=on: nothing here acts on {name}; acted on here: {acted_on}")]
+    NothingActs {
+        /// The effect.
+        name: String,
+        /// The effects that something acts on.
+        acted_on: String,
+    },
+    /// A stored plan is that of another scene.
+    #[error("the plan was made of a scene of {planned} Gaussians, this one has {got}")]
+    OtherScene {
+        /// Gaussians of the scene that it was made of.
+        planned: usize,
+        /// Gaussians of this one.
+        got: usize,
+    },
+    /// A stored plan without decisions about effects.
+    #[error("the plan decides nothing about effects")]
+    NoDecisions,
     /// A severity that is none.
     #[error("{name}={value}: a severity of 0 to {MOST_SEVERE} is expected")]
     Severity {
@@ -172,6 +193,20 @@ impl FromStr for EffectSet {
             set = set.with(effect, severity)?;
         }
         Ok(set)
+    }
+}
+
+impl TryFrom<String> for EffectSet {
+    type Error = EffectError;
+
+    fn try_from(text: String) -> Result<Self, EffectError> {
+        text.parse()
+    }
+}
+
+impl From<EffectSet> for String {
+    fn from(set: EffectSet) -> Self {
+        set.to_string()
     }
 }
 

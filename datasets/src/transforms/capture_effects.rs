@@ -1,7 +1,7 @@
 //! [`CaptureEffects`]
 
 use super::check_probability;
-use crate::effects::{EffectRanges, simulate_upright};
+use crate::effects::{EffectRanges, EffectSet, simulate_upright};
 use crate::error::bad_setting;
 use crate::rng::happens;
 use crate::{DataError, Sample, SampleRng, Transform};
@@ -48,30 +48,38 @@ impl CaptureEffects {
 impl Transform for CaptureEffects {
     fn apply(&self, sample: &mut Sample, rng: &mut SampleRng) -> Result<(), DataError> {
         self.check()?;
-        if !sample.grid_coord.is_empty() {
-            return Err(DataError::Missing {
-                step: "capture_effects",
-                missing: "Gaussians without cells",
-                help: "put it before grid_sample",
-            });
-        }
+        check_place(sample, "capture_effects")?;
         if !happens(rng, self.probability) || sample.is_empty() {
             return Ok(());
         }
         let effects = self.effects.draw(rng);
-        let before = as_scene(sample);
-        let after = simulate_upright(&before, &effects, rng.next_u64(), Some(UpAxis::PlusZ))?;
-        // Added Gaussians begin as any row; everything of it is replaced.
-        let rows: Vec<u32> = after.source.iter().map(|row| row.unwrap_or(0) as u32).collect();
-        sample.select_rows(&rows);
-        for (row, source) in after.source.iter().enumerate() {
-            take_over(sample, row, &after.scene, source.map(|source| (&before, source)));
-            if let (None, Some(origin)) = (source, &mut sample.origin_row) {
-                origin[row] = Sample::ADDED;
-            }
-        }
-        Ok(())
+        damage(sample, &effects, rng.next_u64())
     }
+}
+
+/// Refuses a sample whose Gaussians are in cells already.
+pub(super) fn check_place(sample: &Sample, step: &'static str) -> Result<(), DataError> {
+    if sample.grid_coord.is_empty() {
+        return Ok(());
+    }
+    let (missing, help) = ("Gaussians without cells", "put it before grid_sample");
+    Err(DataError::Missing { step, missing, help })
+}
+
+/// Does to a sample what the effects do; +z is up.
+pub(super) fn damage(sample: &mut Sample, effects: &EffectSet, seed: u64) -> Result<(), DataError> {
+    let before = as_scene(sample);
+    let after = simulate_upright(&before, effects, seed, Some(UpAxis::PlusZ))?;
+    // Added Gaussians begin as any row; everything of it is replaced.
+    let rows: Vec<u32> = after.source.iter().map(|row| row.unwrap_or(0) as u32).collect();
+    sample.select_rows(&rows);
+    for (row, source) in after.source.iter().enumerate() {
+        take_over(sample, row, &after.scene, source.map(|source| (&before, source)));
+        if let (None, Some(origin)) = (source, &mut sample.origin_row) {
+            origin[row] = Sample::ADDED;
+        }
+    }
+    Ok(())
 }
 
 /// What the effects look at. The mask says here whose labels and features stay.

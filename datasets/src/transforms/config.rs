@@ -2,8 +2,9 @@
 
 use super::{
     CaptureEffects, CenterShift, ChromaticAutoContrast, ChromaticJitter, ChromaticTranslation,
-    ElasticDistortion, GridSample, LimitValues, RandomDropout, RandomFlip, RandomJitter,
-    RandomRotate, RandomRotateTargetAngle, RandomScale, SphereCrop,
+    ColorJitter, ColorSolarize, ElasticDistortion, GridSample, LimitValues, MeasuredEffects,
+    RandomDropout, RandomFlip, RandomGrayscale, RandomJitter, RandomRotate,
+    RandomRotateTargetAngle, RandomScale, RatioCrop, SphereCrop, Views, VoxelBlur,
 };
 use crate::{DataError, Transform};
 use serde::{Deserialize, Serialize};
@@ -46,6 +47,7 @@ transform_config! {
     LimitValues: "Shrinks and limits values.";
     CenterShift: "Moves the scene to the origin.";
     CaptureEffects: "Damages the scene as a bad capture would have.";
+    MeasuredEffects: "Damages the scene as the captures of the training scenes were.";
     RandomDropout: "Leaves out some Gaussians.";
     RandomRotate: "Turns by a uniform angle.";
     RandomRotateTargetAngle: "Turns by one of several angles.";
@@ -56,8 +58,14 @@ transform_config! {
     ChromaticAutoContrast: "Stretches colours.";
     ChromaticTranslation: "Shifts colours.";
     ChromaticJitter: "Changes each colour a little.";
+    ColorJitter: "Changes brightness, contrast, saturation and hue.";
+    RandomGrayscale: "Takes colors away.";
+    ColorSolarize: "Turns bright colors into their negative.";
+    VoxelBlur: "Blurs over voxels.";
     GridSample: "Keeps one Gaussian of a cell.";
     SphereCrop: "Keeps the Gaussians near a centre.";
+    RatioCrop: "Keeps a share of the Gaussians, near a random one.";
+    Views: "Makes several views of the scene, as the last step.";
 }
 
 /// The steps, checked, in order.

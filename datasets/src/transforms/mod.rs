@@ -2,7 +2,8 @@
 //!
 //! Every step is a plain struct whose `Default` holds the parameters of the original's language
 //! pipeline, and a variant of [`TransformConfig`]; [`language_pretraining`],
-//! [`semantic_segmentation`] and [`validation`] are its pipelines.
+//! [`semantic_segmentation`] and [`validation`] are its pipelines, and [`self_supervised`] and its
+//! relatives those that end in several [`Views`] of a scene.
 //!
 //! A step moves a Gaussian as a whole: position, orientation, size and normal go together, and
 //! labelled points go along. Where the original forgets one of them, a field `exact` does what it
@@ -22,10 +23,12 @@
 mod capture_effects;
 mod center_shift;
 mod chromatic;
+mod color_jitter;
 mod config;
 mod elastic;
 mod grid_sample;
 mod limit_values;
+mod measured_effects;
 mod presets;
 pub(crate) mod quaternion;
 mod random_dropout;
@@ -33,22 +36,34 @@ mod random_flip;
 mod random_jitter;
 mod random_rotate;
 mod random_scale;
+mod ratio_crop;
 mod sphere_crop;
+mod view_presets;
+mod views;
+mod voxel_blur;
 
 pub use capture_effects::CaptureEffects;
 pub use center_shift::CenterShift;
 pub use chromatic::{ChromaticAutoContrast, ChromaticJitter, ChromaticTranslation};
+pub use color_jitter::{ColorJitter, ColorSolarize, RandomGrayscale};
 pub use config::{TransformConfig, build_transforms};
 pub use elastic::ElasticDistortion;
 pub use grid_sample::{GridSample, Keep};
 pub use limit_values::LimitValues;
+pub use measured_effects::MeasuredEffects;
 pub use presets::{language_pretraining, semantic_segmentation, validation};
 pub use random_dropout::RandomDropout;
 pub use random_flip::RandomFlip;
 pub use random_jitter::RandomJitter;
 pub use random_rotate::{Axis, RandomRotate, RandomRotateTargetAngle, RotationCenter};
 pub use random_scale::RandomScale;
+pub use ratio_crop::RatioCrop;
 pub use sphere_crop::{CropCenter, SphereCrop};
+pub use view_presets::{
+    self_distillation, self_supervised, self_supervised_joint, self_supervised_joint_scannetpp,
+};
+pub use views::{CropOrigin, ViewCrop, ViewGroup, Views};
+pub use voxel_blur::VoxelBlur;
 
 use crate::DataError;
 use crate::error::bad_setting;

@@ -49,6 +49,30 @@ impl SphereCrop {
     }
 }
 
+fn order(a: &(f64, u32), b: &(f64, u32)) -> std::cmp::Ordering {
+    a.0.total_cmp(&b.0).then(a.1.cmp(&b.1))
+}
+
+/// The nearest rows with their squared distances, in no order; all if there are no more.
+fn by_distance(coord: &[[f32; 3]], center: [f32; 3], count: usize) -> Vec<(f64, u32)> {
+    let rows = (0_u32..).zip(coord);
+    let mut rows: Vec<(f64, u32)> =
+        rows.map(|(row, &coord)| (distance_squared(coord, center), row)).collect();
+    if count < rows.len() {
+        rows.select_nth_unstable_by(count, order);
+        rows.truncate(count);
+    }
+    rows
+}
+
+/// The `count` rows nearest to a place, ascending; of equally far ones the first.
+pub(super) fn nearest_rows(coord: &[[f32; 3]], center: [f32; 3], count: usize) -> Vec<u32> {
+    let rows = by_distance(coord, center, count);
+    let mut rows: Vec<u32> = rows.into_iter().map(|(_, row)| row).collect();
+    rows.sort_unstable();
+    rows
+}
+
 impl Transform for SphereCrop {
     fn apply(&self, sample: &mut Sample, rng: &mut SampleRng) -> Result<(), DataError> {
         self.check()?;
@@ -60,12 +84,7 @@ impl Transform for SphereCrop {
             CropCenter::Middle => sample.len() / 2,
         };
         let center = sample.coord[center];
-        let rows = (0_u32..).zip(&sample.coord);
-        let mut rows: Vec<(f64, u32)> =
-            rows.map(|(row, &coord)| (distance_squared(coord, center), row)).collect();
-        let order = |a: &(f64, u32), b: &(f64, u32)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
-        rows.select_nth_unstable_by(self.point_max - 1, order);
-        rows.truncate(self.point_max);
+        let mut rows = by_distance(&sample.coord, center, self.point_max);
         if self.exact {
             rows.sort_unstable_by(order);
         } else {

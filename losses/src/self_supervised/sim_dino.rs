@@ -19,6 +19,8 @@ pub enum Expansion {
     StudentAndTeacher,
     /// The student's, `expa_type = 0`.
     Student,
+    /// Nobody's: there is no coding rate, and nothing that keeps scenes apart. For ablations.
+    None,
 }
 
 /// Settings of [`sim_dino`]; defaults are the original's.
@@ -174,6 +176,7 @@ fn expand(s: &Views, t: &Views, settings: &SimDino, gradient: &mut [f64]) -> Res
     let (share, teacher) = match settings.expansion {
         Expansion::StudentAndTeacher => (0.5, true),
         Expansion::Student => (1.0, false),
+        Expansion::None => return Ok(0.0),
     };
     let size = s.scenes * s.width;
     let mut total = 0.0;

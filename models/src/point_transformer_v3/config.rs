@@ -76,7 +76,8 @@ pub struct PointTransformerV3Config {
     pub enc_num_head: Vec<usize>,
     /// Points of an attention patch, each encoder stage.
     pub enc_patch_size: Vec<usize>,
-    /// Blocks of each decoder stage; empty for an encoder alone.
+    /// Blocks of each decoder stage; empty for an encoder alone, whose output are all of its scales,
+    /// up-cast to the input rows.
     pub dec_depths: Vec<usize>,
     /// Channels of each decoder stage.
     pub dec_channels: Vec<usize>,
@@ -183,14 +184,12 @@ impl PointTransformerV3Config {
         self.enc_depths.len()
     }
 
-    /// Width of the output.
+    /// Width of the output: of the decoder's last stage, or of all scales of an encoder alone.
     pub fn out_channels(&self) -> usize {
-        let last = if self.dec_depths.is_empty() {
-            self.enc_channels.last()
-        } else {
-            self.dec_channels.first()
-        };
-        last.copied().unwrap_or(0)
+        if self.dec_depths.is_empty() {
+            return self.enc_channels.iter().fold(0, |sum: usize, c| sum.saturating_add(*c));
+        }
+        self.dec_channels.first().copied().unwrap_or(0)
     }
 
     /// Values of all parameters and buffers, without building anything; at most `usize::MAX`.

@@ -26,6 +26,10 @@ impl PointTransformerV3Config {
         let tables = PAIRS_PER_VOXEL as usize * 8 + 200;
         let mut values = rows as f64;
         let mut bytes = tables;
+        if self.dec_depths.is_empty() {
+            // All scales at every voxel, and the same in the caller's order.
+            values = values.max((2 * self.out_channels() + widest(&self.enc_channels)) as f64);
+        }
         if self.shortcuts.stage == LastStage::Coarse {
             // Blocks have so many rows less; their result and the skip branch have as many as the
             // input, and so have the tables of the way between.

@@ -26,10 +26,10 @@ pub use embedding::Embedding;
 pub use pooling::SerializedPooling;
 pub use unpooling::{SerializedUnpooling, Unpooled};
 
-use crate::row_order::{OrderShuffle, morton_rows};
+use crate::row_order::{OrderShuffle, SortedRows, morton_rows};
 use crate::{
-    Architecture, Backbone, BackboneCost, Calibrated, Compute, Forward, LastStage, Mode,
-    PointCloud, Shortcuts, ops,
+    Architecture, Backbone, BackboneCost, Calibrated, Compute, Forward, LastStage, Level,
+    LevelOptions, Levels, Mode, PointCloud, Shortcuts, ops,
 };
 use candle_core::{Result, Tensor, bail};
 use candle_nn::{Init, VarBuilder};
@@ -81,6 +81,16 @@ pub struct EncoderDecoderOutput {
     pub encoder_offsets: Vec<usize>,
     /// Features of the input rows; `None` without decoder. `[N, dec_channels[0]]`
     pub decoder: Option<Tensor>,
+}
+
+/// What a pass gives.
+struct Pass {
+    encoder: Tensor,
+    encoder_offsets: Vec<usize>,
+    /// Fine to coarse; empty unless they were to be kept.
+    levels: Vec<Level>,
+    decoder: Option<Tensor>,
+    sorted: Option<SortedRows>,
 }
 
 impl PointTransformerV3 {
@@ -192,16 +202,20 @@ impl PointTransformerV3 {
         mask: Option<&[bool]>,
         cx: &mut Forward<'_>,
     ) -> Result<EncoderDecoderOutput> {
-        self.run(points, mask, cx, None)
+        let Pass { encoder, encoder_offsets, decoder, .. } =
+            self.run(points, LevelOptions { mask, decoder: true }, cx, false, None)?;
+        Ok(EncoderDecoderOutput { encoder, encoder_offsets, decoder })
     }
 
+    /// `keep`: rows of all scales are kept for the caller.
     fn run(
         &self,
         points: &PointCloud,
-        mask: Option<&[bool]>,
+        options: LevelOptions<'_>,
         cx: &mut Forward<'_>,
+        keep: bool,
         mut before_block: Option<&mut BeforeBlock<'_>>,
-    ) -> Result<EncoderDecoderOutput> {
+    ) -> Result<Pass> {
         if cx.mode == Mode::Train && self.config.shortcuts != Shortcuts::default() {
             bail!("a network with shortcuts in its last stage cannot be trained");
         }
@@ -232,15 +246,21 @@ impl PointTransformerV3 {
         let mut x = self.embedding.forward(&feat, &cloud, cx)?;
         drop(feat);
         cx.observe("embedding", &x)?;
-        if let Some(mask) = mask {
+        if let Some(mask) = options.mask {
             x = self.replace_masked(&x, mask, sorted.as_ref().map(|sorted| sorted.order()))?;
         }
 
         let mut skips: Vec<(Tensor, Arc<SerializedCloud>, Arc<Groups>)> = Vec::new();
+        let mut levels = Vec::new();
         for (i, stage) in self.encoder.iter().enumerate() {
             if let Some(down) = &stage.down {
                 let (pooled, mut coarse, groups) = down.forward(&x, &cloud, cx)?;
                 shuffle.apply(&mut coarse, cx)?;
+                if keep {
+                    let offsets = cloud.offsets().to_vec();
+                    let parents = Some(Arc::clone(&groups));
+                    levels.push(Level { feat: x.clone(), offsets, parents });
+                }
                 skips.push((x, std::mem::replace(&mut cloud, Arc::new(coarse)), groups));
                 x = pooled;
                 cx.observe(&format!("enc.enc{i}.down"), &x)?;
@@ -253,8 +273,12 @@ impl PointTransformerV3 {
         }
         let encoder = x.clone();
         let encoder_offsets = cloud.offsets().to_vec();
-        if self.decoder.is_empty() {
-            return Ok(EncoderDecoderOutput { encoder, encoder_offsets, decoder: None });
+        if keep {
+            let (feat, offsets) = (x.clone(), encoder_offsets.clone());
+            levels.push(Level { feat, offsets, parents: None });
+        }
+        if self.decoder.is_empty() || !options.decoder {
+            return Ok(Pass { encoder, encoder_offsets, levels, decoder: None, sorted });
         }
         for (i, stage) in self.decoder.iter().enumerate().rev() {
             let Some((fine, fine_cloud, groups)) = skips.pop() else {
@@ -294,10 +318,10 @@ impl PointTransformerV3 {
             }
             cx.observe(&format!("dec.dec{i}"), &x)?;
         }
-        if let Some(sorted) = sorted {
+        if let Some(sorted) = &sorted {
             x = sorted.leave(&x)?;
         }
-        Ok(EncoderDecoderOutput { encoder, encoder_offsets, decoder: Some(x) })
+        Ok(Pass { encoder, encoder_offsets, levels, decoder: Some(x), sorted })
     }
 
     fn replace_masked(&self, x: &Tensor, mask: &[bool], order: Option<&[u32]>) -> Result<Tensor> {
@@ -317,16 +341,26 @@ impl PointTransformerV3 {
 }
 
 impl Backbone for PointTransformerV3 {
-    /// Decoder features of the input rows. A network without decoder has none: call
-    /// [`PointTransformerV3::forward_both`] for its coarsest features.
+    /// Decoder features of the input rows; of a network without decoder all scales of its encoder,
+    /// up-cast to the input rows ([`Levels::up_cast`]).
     fn forward(&self, points: &PointCloud, cx: &mut Forward<'_>) -> Result<Tensor> {
-        let out = self.forward_both(points, None, cx)?;
-        match out.decoder {
-            Some(x) => Ok(x),
-            None => {
-                bail!("this network has no decoder; call forward_both for its encoder features")
-            }
+        if self.decoder.is_empty() {
+            let options = LevelOptions { mask: None, decoder: false };
+            return self.forward_levels(points, options, cx)?.up_cast(0);
         }
+        match self.forward_both(points, None, cx)?.decoder {
+            Some(x) => Ok(x),
+            None => bail!("the decoder gave no rows"),
+        }
+    }
+    fn forward_levels(
+        &self,
+        points: &PointCloud,
+        options: LevelOptions<'_>,
+        cx: &mut Forward<'_>,
+    ) -> Result<Levels> {
+        let Pass { levels, decoder, sorted, .. } = self.run(points, options, cx, true, None)?;
+        Ok(Levels { encoder: levels, decoder, sorted })
     }
     fn out_channels(&self) -> usize {
         self.config.out_channels()
@@ -357,7 +391,8 @@ impl Backbone for PointTransformerV3 {
             blocks.push(Arc::clone(&block));
             Ok(block)
         };
-        self.run(example, None, &mut Forward::eval(&mut rng), Some(&mut before))?;
+        let options = LevelOptions { mask: None, decoder: true };
+        self.run(example, options, &mut Forward::eval(&mut rng), false, Some(&mut before))?;
         let mut decoder = self.decoder.clone();
         if let Some(last) = decoder.first_mut() {
             last.blocks = blocks;

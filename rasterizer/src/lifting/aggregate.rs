@@ -36,6 +36,15 @@ const NEAREST: f32 = 1e-3;
 /// A move of the median below which it stays, squared.
 const STILL: f32 = 1e-8;
 
+/// How a feature came about.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Aggregated {
+    /// Length of the weighted mean.
+    pub(super) agreement: f64,
+    /// Whether a robust rule made it.
+    pub(super) guarded: bool,
+}
+
 /// Space for the work on one Gaussian after the other.
 #[derive(Debug)]
 pub(super) struct Workspace {
@@ -71,26 +80,30 @@ impl Workspace {
         (scaled(&self.sum, 1.0 / total, out)).sqrt().min(1.0)
     }
 
-    /// The feature by a rule into `out`, not normalised; gives the length of the weighted mean.
+    /// The feature by a rule into `out`, not normalised; of labels that vary by no more than `guard_above`, the mean.
     ///
     /// `labels`: weights above 0, at least one.
     pub(super) fn aggregate(
         &mut self,
         rule: Aggregate,
+        guard_above: Option<f32>,
         tables: &SegmentTables,
         labels: &[Label],
         out: &mut [f32],
-    ) -> f64 {
+    ) -> Aggregated {
         let agreement = self.mean(tables, labels, out);
+        let variance = 1.0 - agreement * agreement;
+        let agree = guard_above.is_some_and(|limit| variance <= f64::from(limit));
+        // One label is its own median.
         let same = labels.iter().all(|l| l.0 == labels[0].0);
+        let guarded = rule != Aggregate::WeightedMean && !agree && !same;
         match rule {
+            _ if !guarded => {}
             Aggregate::WeightedMean => {}
-            // One label is its own median.
-            _ if same => {}
             Aggregate::GeometricMedian { rounds } => self.median(rounds, tables, labels, out),
             Aggregate::HeaviestGroup { cosine } => self.heaviest(cosine, tables, labels, out),
         }
-        agreement
+        Aggregated { agreement, guarded }
     }
 
     /// From the mean in `out`.
@@ -177,8 +190,24 @@ mod tests {
 
     fn run(rule: Aggregate, tables: &SegmentTables, labels: &[Label]) -> (Vec<f32>, f64) {
         let mut out = vec![0.0; tables.dim()];
-        let agreement = Workspace::new(tables.dim()).aggregate(rule, tables, labels, &mut out);
-        (out, agreement)
+        let found = Workspace::new(tables.dim()).aggregate(rule, None, tables, labels, &mut out);
+        (out, found.agreement)
+    }
+
+    #[test]
+    fn a_rule_waits_for_labels_that_vary() {
+        // Two directions, three to one: the mean is (0.75, 0.25), the variance 1 - 0.625.
+        let tables = tables(&[1.0, 0.0, 0.0, 1.0], 2);
+        let labels = [(0, 3.0), (1, 1.0)];
+        let run = |rule, limit| {
+            let mut out = [0.0; 2];
+            let found = Workspace::new(2).aggregate(rule, limit, &tables, &labels, &mut out);
+            (out, found.guarded)
+        };
+        assert_eq!(run(Aggregate::MEDIAN, Some(0.38)), ([0.75, 0.25], false));
+        let (guarded, is) = run(Aggregate::MEDIAN, Some(0.37));
+        assert!(is && guarded[0] > 0.9 && run(Aggregate::MEDIAN, None) == (guarded, true));
+        assert_eq!(run(Aggregate::WeightedMean, None), ([0.75, 0.25], false));
     }
 
     #[test]

@@ -45,6 +45,9 @@ pub struct DepthEffect {
 }
 
 impl DepthEffect {
+    /// Depth agreement is worth it from this much on.
+    pub const MISLEADING: f64 = MISLEADING;
+
     /// Whether depth agreement is worth a second pass over the pixels: what it leaves out is
     /// misleading by 0.1 or more, and at least half of the weight stays.
     pub fn helps(&self) -> bool {

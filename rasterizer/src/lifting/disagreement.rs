@@ -17,13 +17,19 @@ pub struct Disagreement {
     within: f64,
     /// Sum of the Gaussians' means. `[D]`
     mean: Vec<f64>,
-    gaussians: u64,
+    /// That of each Gaussian.
+    variances: Vec<f32>,
 }
+
+/// A Gaussian's labels contradict each other from this part of the variance of all labels on.
+const CONFLICT: f64 = 0.2;
+/// Disagreement of true segments, and what each twentieth of wrong ones adds: see [`Robust`](super::Robust).
+const SEVERITY: [f64; 2] = [0.08, 0.07];
 
 impl Disagreement {
     /// Nothing seen yet.
     pub fn new(dim: usize) -> Self {
-        Self { within: 0.0, mean: vec![0.0; dim], gaussians: 0 }
+        Self { within: 0.0, mean: vec![0.0; dim], variances: Vec::new() }
     }
 
     /// Looks at every `step`-th Gaussian of a block, counted from the scene's first.
@@ -38,24 +44,45 @@ impl Disagreement {
             }
             self.within += consensus.variance;
             self.mean.iter_mut().zip(&consensus.mean).for_each(|(m, v)| *m += v);
-            self.gaussians += 1;
+            self.variances.push(consensus.variance as f32);
         }
     }
 
     /// Gaussians that two pictures or more saw, of those looked at.
     pub fn gaussians(&self) -> u64 {
-        self.gaussians
+        self.variances.len() as u64
     }
 
-    /// The disagreement, about `0..=1`; `None` if no Gaussian was seen by two pictures, or all
-    /// segments have one feature.
-    pub fn value(&self) -> Option<f64> {
-        if self.gaussians == 0 {
-            return None;
-        }
-        let count = self.gaussians as f64;
+    /// The variance of the labels of all Gaussians together, `0..=1`; `None` if no Gaussian was seen by two
+    /// pictures, or all segments have one feature.
+    pub fn overall(&self) -> Option<f64> {
+        let count = self.variances.len() as f64;
         let overall = 1.0 - self.mean.iter().map(|m| (m / count) * (m / count)).sum::<f64>();
-        (overall > 1e-6).then(|| self.within / count / overall)
+        // Not so for NaN, which comes of no Gaussian.
+        (overall > 1e-6).then_some(overall)
+    }
+
+    /// The disagreement, about `0..=1`; `None` where [`overall`](Self::overall) is.
+    pub fn value(&self) -> Option<f64> {
+        self.overall().map(|overall| self.within / self.variances.len() as f64 / overall)
+    }
+
+    /// The variance of a Gaussian's labels above which they contradict each other.
+    pub fn conflict(&self) -> Option<f64> {
+        self.overall().map(|overall| CONFLICT * overall)
+    }
+
+    /// Share of the Gaussians whose labels contradict each other, `0..=1`.
+    pub fn conflicting(&self) -> Option<f64> {
+        let limit = self.conflict()?;
+        let count = self.variances.iter().filter(|v| f64::from(**v) > limit).count();
+        Some(count as f64 / self.variances.len() as f64)
+    }
+
+    /// How strong it is, 0 to 5: a twentieth of the segments under wrong names for each step.
+    pub fn severity(&self) -> f64 {
+        let [none, step] = SEVERITY;
+        self.value().map_or(0.0, |value| ((value - none) / step).clamp(0.0, 5.0))
     }
 }
 

@@ -12,6 +12,9 @@ use rayon::prelude::*;
 pub struct FinaliseSettings {
     /// The rule.
     pub aggregate: Aggregate,
+    /// Where labels (unit vectors, by their weights) vary by no more than this, a Gaussian gets their weighted mean,
+    /// whatever the rule; `None`: the rule is for all. At least 0.
+    pub guard_above: Option<f32>,
     /// γ: a picture that saw a Gaussian with weight `W` counts `W^γ`. 1 counts pixels, so close
     /// pictures weigh most; 0 gives every picture one vote. In `0..=1`.
     pub view_exponent: f32,
@@ -28,6 +31,7 @@ impl Default for FinaliseSettings {
     fn default() -> Self {
         Self {
             aggregate: Aggregate::WeightedMean,
+            guard_above: None,
             view_exponent: 1.0,
             min_coverage: 0.0,
             min_labelled_share: 0.0,
@@ -54,6 +58,8 @@ impl FinaliseSettings {
             if good { Ok(()) } else { Err(LiftError::argument(field, problem)) }
         };
         let unit = |v: f32| (0.0..=1.0).contains(&v);
+        let limit = self.guard_above.unwrap_or(0.0);
+        check("variance to guard above", limit, limit >= 0.0, "at least 0")?;
         check("view exponent", self.view_exponent, unit(self.view_exponent), "from 0 to 1")?;
         let least = self.min_coverage;
         check("coverage", least, least >= 0.0 && least.is_finite(), "finite, at least 0")?;
@@ -78,6 +84,8 @@ pub struct BlockFeatures {
     /// How far the labels agree: the length of their weighted mean (they are unit vectors), in
     /// `0..=1`; 1 where all are the same, 0 without labels. Before any robust rule. `[B]`
     pub confidence: Vec<f32>,
+    /// Whether a robust rule made the feature. `[B]`
+    pub guarded: Vec<bool>,
     /// Pictures that saw the Gaussian in a segment. `[B]`
     pub views: Vec<u32>,
     /// Sum of the labelled weights over all pictures, pixels. `[B]`
@@ -110,6 +118,7 @@ pub fn finalise_block(
         features: vec![0.0; rows * dim],
         valid: vec![false; rows],
         confidence: vec![0.0; rows],
+        guarded: vec![false; rows],
         views: vec![0; rows],
         coverage: vec![0.0; rows],
     };
@@ -118,30 +127,36 @@ pub fn finalise_block(
         .par_chunks_mut(ROWS_PER_TASK * dim)
         .zip(out.valid.par_chunks_mut(ROWS_PER_TASK))
         .zip(out.confidence.par_chunks_mut(ROWS_PER_TASK))
+        .zip(out.guarded.par_chunks_mut(ROWS_PER_TASK))
         .zip(out.views.par_chunks_mut(ROWS_PER_TASK))
         .zip(out.coverage.par_chunks_mut(ROWS_PER_TASK));
-    tasks.enumerate().for_each(|(task, ((((features, valid), confidence), views), coverage))| {
-        let mut space = Workspace::new(dim);
-        let mut labels = Vec::new();
-        for i in 0..valid.len() {
-            let row = task * ROWS_PER_TASK + i;
-            let seen = Seen::collect(block.of(row), tables, settings.view_exponent, &mut labels);
-            views[i] = seen.views;
-            coverage[i] = seen.coverage as f32;
-            if labels.is_empty() {
-                continue;
+    tasks.enumerate().for_each(
+        |(task, (((((features, valid), confidence), guarded), views), coverage))| {
+            let mut space = Workspace::new(dim);
+            let mut labels = Vec::new();
+            for i in 0..valid.len() {
+                let row = task * ROWS_PER_TASK + i;
+                let seen =
+                    Seen::collect(block.of(row), tables, settings.view_exponent, &mut labels);
+                views[i] = seen.views;
+                coverage[i] = seen.coverage as f32;
+                if labels.is_empty() {
+                    continue;
+                }
+                let feature = &mut features[i * dim..(i + 1) * dim];
+                let rule = settings.aggregate;
+                let found = space.aggregate(rule, settings.guard_above, tables, &labels, feature);
+                confidence[i] = found.agreement as f32;
+                guarded[i] = found.guarded;
+                let enough = seen.coverage >= f64::from(settings.min_coverage)
+                    && seen.coverage >= f64::from(settings.min_labelled_share) * totals[row];
+                valid[i] = enough && if settings.normalise { normalise(feature) } else { true };
+                if !valid[i] {
+                    feature.fill(0.0);
+                }
             }
-            let feature = &mut features[i * dim..(i + 1) * dim];
-            let agreement = space.aggregate(settings.aggregate, tables, &labels, feature);
-            confidence[i] = agreement as f32;
-            let enough = seen.coverage >= f64::from(settings.min_coverage)
-                && seen.coverage >= f64::from(settings.min_labelled_share) * totals[row];
-            valid[i] = enough && if settings.normalise { normalise(feature) } else { true };
-            if !valid[i] {
-                feature.fill(0.0);
-            }
-        }
-    });
+        },
+    );
     out
 }
 

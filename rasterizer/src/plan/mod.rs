@@ -215,6 +215,11 @@ impl RenderPlan {
         }
     }
 
+    /// Whether it leaves out nothing.
+    pub fn is_full(&self) -> bool {
+        self.is_full
+    }
+
     /// The plan that serves what this one serves and another request too.
     ///
     /// # Errors

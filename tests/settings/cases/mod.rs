@@ -5,6 +5,7 @@ mod evaluation;
 mod experiment;
 mod losses;
 mod network;
+mod self_supervised;
 mod trainer;
 
 /// What a changed setting must change.
@@ -66,6 +67,7 @@ pub fn all() -> impl Iterator<Item = &'static Case> {
         network::CASES,
         data::CASES,
         losses::CASES,
+        self_supervised::CASES,
         trainer::CASES,
         evaluation::CASES,
     ]

@@ -113,6 +113,17 @@ pub const CASES: &[Case] = &[
     .with(&[("/trainer/checkpoint/best", "unseen/mIoU"), ("/trainer/epochs", "4")]),
     row("trainer.health.every_steps", "language", "/trainer/health/every_steps", "1", Logged),
     row(
+        "trainer.health.stop_after",
+        "language",
+        "/trainer/health/stop_after",
+        "1",
+        Refused("have collapsed"),
+    )
+    .with(&[
+        ("/trainer/health/every_steps", "1"),
+        ("/trainer/health/min_effective_rank", "1000.0"),
+    ]),
+    row(
         "trainer.health.min_effective_rank",
         "language",
         "/trainer/health/min_effective_rank",

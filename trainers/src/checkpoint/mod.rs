@@ -183,6 +183,14 @@ pub fn read_network(dir: &Path) -> Result<BTreeMap<String, Tensor>, TrainError> 
     Ok(tensors)
 }
 
+/// A further store of a checkpoint, see [`TrainingModule::stores`](crate::TrainingModule::stores).
+///
+/// # Errors
+/// If the checkpoint has none of this name, or its file is not what was written.
+pub fn read_store(dir: &Path, name: &str) -> Result<BTreeMap<String, Tensor>, TrainError> {
+    read_tensors(dir, &read_state(dir)?, &store_file(name))
+}
+
 /// Which checkpoint is the best.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

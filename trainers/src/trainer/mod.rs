@@ -34,6 +34,8 @@ pub struct Trainer {
     average: Option<Average>,
     best: Option<f64>,
     tally: Tally,
+    /// Looks in a row that found collapsed features.
+    collapsed_looks: u64,
     /// Whether the epoch that ends here has not been evaluated yet.
     evaluation_due: bool,
     /// What was said of the data, by the name of who reads them.
@@ -76,6 +78,7 @@ impl Trainer {
             average: None,
             best: None,
             tally: Tally::default(),
+            collapsed_looks: 0,
             evaluation_due: false,
             said: BTreeMap::new(),
             resumed: None,

@@ -59,12 +59,18 @@ impl Trainer {
             )?;
             measurements.extend(health.measurements);
             alarms = health.alarms;
+            self.collapsed_looks = if health.collapsed { self.collapsed_looks + 1 } else { 0 };
         }
         if !measurements.is_empty() {
             flow = self.emit(&Event::Step { measurements: &measurements }, at)?;
         }
         for message in &alarms {
             flow = flow.and(self.emit(&Event::Alarm { message }, at)?);
+        }
+        let patience = self.config.health.stop_after;
+        if patience > 0 && self.collapsed_looks >= patience {
+            let looks = self.collapsed_looks;
+            return Err(TrainError::Collapsed { step: at.step, looks, alarms: alarms.join("; ") });
         }
         Ok(flow)
     }

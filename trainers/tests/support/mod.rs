@@ -48,6 +48,10 @@ impl Golden {
             Dtype::F32 => {
                 view.data().as_chunks().0.iter().map(|b| f32::from_le_bytes(*b).into()).collect()
             }
+            Dtype::I64 => {
+                view.data().as_chunks().0.iter().map(|b| i64::from_le_bytes(*b) as f64).collect()
+            }
+            Dtype::U8 => view.data().iter().map(|b| f64::from(*b)).collect(),
             other => panic!("{name}: {other:?}"),
         };
         (view.shape().to_vec(), values)
@@ -74,6 +78,30 @@ impl Golden {
             let allowed = atol + rtol * e.abs();
             assert!((g - e).abs() <= allowed, "{name}[{i}]: got {g}, expected {e} ± {allowed}");
         }
+    }
+
+    /// The largest error as part of what is allowed.
+    pub fn worst_ratio(&self, name: &str, got: &[f64]) -> f64 {
+        let part = |key: &str| self.tensors[name]["tol"][key].as_f64().unwrap_or(0.0);
+        let pairs = got.iter().zip(self.values(name));
+        let ratio = |(g, e): (&f64, f64)| (g - e).abs() / (part("atol") + part("rtol") * e.abs());
+        pairs.map(ratio).fold(0.0, f64::max)
+    }
+
+    /// What an element may differ by; `None` if there is no such entry.
+    pub fn tolerance(&self, name: &str) -> Option<f64> {
+        self.tensors.get(name)?["tol"]["atol"].as_f64()
+    }
+
+    pub fn has(&self, name: &str) -> bool {
+        self.tensors.get(name).is_some()
+    }
+
+    /// Names that begin so, without those whose value the manifest calls unstable.
+    pub fn names(&self, prefix: &str) -> Vec<String> {
+        let all = self.tensors.as_object().expect("tensors").iter();
+        let stable = all.filter(|(_, about)| about["tol"].get("unstable").is_none());
+        stable.map(|(name, _)| name.clone()).filter(|name| name.starts_with(prefix)).collect()
     }
 
     pub fn check_tensor(&self, name: &str, got: &candle_core::Tensor) {

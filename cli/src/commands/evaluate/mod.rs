@@ -8,6 +8,7 @@ use super::WrongUse;
 use crate::session::{FeatureSource, Session};
 use anyhow::{Result, anyhow};
 pub use args::Args;
+use scenesplat::compensation::Compensation;
 use scenesplat::evaluation::{Evaluation, EvaluationError};
 use scenesplat::outputs::OpenedScene;
 use std::path::Path;
@@ -73,7 +74,7 @@ fn score(
         evaluation.add_truth(&truth, &checked)?;
     }
     let Some(source) = source else { return Ok(()) };
-    let features = session.features(opened, source, &args.inference)?;
+    let features = session.features(opened, source, &args.inference, &Compensation::default())?;
     let labels = {
         let _stage = session.receipt.stage("labels");
         evaluation.label(&features, source.classifier().is_some())?

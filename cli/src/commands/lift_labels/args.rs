@@ -1,5 +1,6 @@
 //! The flags of `lift-labels`.
 
+use super::collect::Guard;
 use super::depth::DepthArg;
 use crate::flags::{Shared, SourceArgs, parse_level, parse_up};
 use clap::ValueEnum;
@@ -148,7 +149,8 @@ impl Args {
     }
 
     /// How features are made of them.
-    pub(super) fn finalise(&self, robust: bool) -> FinaliseSettings {
+    pub(super) fn finalise(&self, guard: &Guard) -> FinaliseSettings {
+        let robust = guard.decision.on;
         let base = if robust { FinaliseSettings::robust() } else { FinaliseSettings::default() };
         let aggregate = match self.robust_rule {
             RobustRuleArg::HeaviestGroup if robust => Aggregate::HEAVIEST_GROUP,
@@ -156,6 +158,7 @@ impl Args {
         };
         FinaliseSettings {
             aggregate,
+            guard_above: guard.above,
             view_exponent: self.view_exponent,
             min_coverage: self.coverage,
             min_labelled_share: self.labelled_share,

@@ -4,9 +4,19 @@ use super::args::{Args, RobustArg};
 use super::pictures::Pictures;
 use crate::session::Session;
 use anyhow::{Context, Result};
+use scenesplat::datasets::effects::plan::EffectDecision;
 use scenesplat::memory::Bytes;
 use scenesplat::rasterizer::Gaussians;
 use scenesplat::rasterizer::lifting::{LiftSettings, Lifter, Robust};
+
+/// Whether a level is guarded against wrong labels, and above which variance of them.
+#[derive(Default)]
+pub struct Guard {
+    /// As the plan tells it.
+    pub decision: EffectDecision,
+    /// `None`: everywhere.
+    pub above: Option<f32>,
+}
 
 impl Args {
     /// Collects the weights of all pictures, each counting as much as it says.
@@ -62,14 +72,14 @@ impl Args {
         Ok(lifter)
     }
 
-    /// Whether to guard against wrong labels, by what was measured.
+    /// Whether to guard against wrong labels, and where, by what was measured.
     pub(super) fn decide(
         &self,
         session: &Session<'_>,
         lifter: &mut Lifter<'_>,
         number: usize,
         level: usize,
-    ) -> Result<bool> {
+    ) -> Result<Guard> {
         let _stage = session.receipt.stage("disagreement");
         let rule = match self.robust {
             RobustArg::Auto => Robust::default(),
@@ -82,7 +92,11 @@ impl Args {
         session.progress.say(format!(
             "level {level}: disagreement between pictures {figure} on {} Gaussians; {}",
             measured.gaussians(),
-            if robust { "guarding against wrong labels" } else { "taking the weighted mean" }
+            match (robust, self.robust) {
+                (false, _) => "taking the weighted mean",
+                (true, RobustArg::Auto) => "guarding where they contradict each other",
+                (true, _) => "guarding everywhere",
+            }
         ));
         let why = "variance of a Gaussian's labels over pictures, of that of all labels";
         session.receipt.setting(&format!("disagreement[{level}]"), figure, why);
@@ -91,6 +105,11 @@ impl Args {
             robust,
             "by --robust and the measurement",
         );
-        Ok(robust)
+        // Who asks for it gets it everywhere.
+        let above = match (robust, self.robust) {
+            (true, RobustArg::Auto) => measured.conflict().map(|limit| limit as f32),
+            _ => None,
+        };
+        Ok(Guard { decision: self.about_labels(level, robust, &measured), above })
     }
 }

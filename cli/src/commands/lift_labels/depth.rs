@@ -2,6 +2,7 @@
 
 use super::args::{Args, RuleArg};
 use super::pictures::Pictures;
+use super::plan::LIFTING;
 use crate::session::Session;
 use anyhow::{Context, Result};
 use scenesplat::rasterizer::Gaussians;
@@ -40,25 +41,27 @@ impl Args {
         gaussians: &Gaussians,
         pictures: &Pictures<'_>,
     ) -> Result<Option<DepthTolerance>> {
-        let note = |text: &str| {
+        let note = |text: &str, on: bool| {
             session.receipt.setting("depth", text, "pixels of another depth label nothing");
+            let decision = self.about_depth(on, None);
+            session.receipt.decided(gaussians.means.len(), LIFTING, decision);
         };
         match &self.depth {
             DepthArg::Off => {
-                note("off");
+                note("off", false);
                 return Ok(None);
             }
             DepthArg::Auto if self.rule == RuleArg::CentrePixel => {
-                note("auto: off");
+                note("auto: off", false);
                 return Ok(None);
             }
             DepthArg::Auto => {}
             DepthArg::Render => {
-                note("render");
+                note("render", true);
                 return Ok(Some(DepthTolerance::RENDERED));
             }
             DepthArg::Folder(folder) => {
-                note(&folder.display().to_string());
+                note(&folder.display().to_string(), true);
                 return Ok(Some(DepthTolerance::default()));
             }
         }
@@ -75,7 +78,9 @@ impl Args {
         session.receipt.setting("depth_misleading", found, why);
         session.receipt.setting("depth_gaussians", effect.gaussians, why);
         session.receipt.setting("depth_kept", format!("{:.3}", effect.kept), why);
-        note(&format!("auto: {chosen}"));
+        note(&format!("auto: {chosen}"), effect.helps());
+        let decision = self.about_depth(effect.helps(), Some(&effect));
+        session.receipt.decided(gaussians.means.len(), LIFTING, decision);
         Ok(effect.helps().then_some(DepthTolerance::RENDERED))
     }
 

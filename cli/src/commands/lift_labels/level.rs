@@ -1,9 +1,12 @@
 //! Features and files of one granularity.
 
+use super::collect::Guard;
+use super::plan::LIFTING;
 use super::{Args, write};
 use crate::progress::interrupted;
 use crate::session::Session;
 use anyhow::Result;
+use scenesplat::datasets::effects::plan::EffectDecision;
 use scenesplat::outputs::{OpenedScene, write_scene_preview};
 use scenesplat::rasterizer::lifting::{LiftError, Lifter};
 use scenesplat::scene::guess_up;
@@ -17,7 +20,7 @@ impl Args {
         lifter: &mut Lifter<'_>,
         number: usize,
         level: usize,
-        robust: bool,
+        guard: Guard,
     ) -> Result<()> {
         let folder = match self.level.len() {
             1 => session.outputs.main_folder()?,
@@ -26,14 +29,18 @@ impl Args {
         let stage = session.receipt.stage("features");
         let mut writer = write::Writer::new(opened, &folder, lifter.tables())?;
         let rows = opened.loaded.scene.len().max(1);
-        lifter.features(number, &self.finalise(robust), |block| {
+        let mut guarded = 0;
+        lifter.features(number, &self.finalise(&guard), |block| {
             if interrupted() {
                 return Err(LiftError::Stopped);
             }
             session.progress.advance("features", block.first as f64 / rows as f64);
+            guarded += block.guarded.iter().filter(|is| **is).count();
             writer.add(&block)
         })?;
         session.progress.finish();
+        let decision = EffectDecision { changed: Some(guarded), ..guard.decision };
+        session.receipt.decided(opened.loaded.scene.len(), LIFTING, decision);
         let written = writer.finish()?;
         drop(stage);
         for (path, bytes) in &written.files {

@@ -6,6 +6,7 @@ mod depth;
 mod level;
 mod photos;
 mod pictures;
+mod plan;
 mod write;
 
 use super::WrongUse;
@@ -13,6 +14,7 @@ use crate::session::Session;
 use anyhow::Result;
 pub use args::Args;
 use clap::ValueEnum;
+use collect::Guard;
 use pictures::Pictures;
 use scenesplat::memory::Bytes;
 use scenesplat::outputs::OpenedScene;
@@ -23,7 +25,7 @@ use scenesplat::rasterizer::lifting::LiftSettings;
 pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start(&args.shared, line)?;
     // Whatever can be wrong with flags and names is found before anything expensive.
-    args.finalise(false).check().map_err(|e| WrongUse(e.to_string()))?;
+    args.finalise(&Guard::default()).check().map_err(|e| WrongUse(e.to_string()))?;
     args.check_memory()?;
     for path in [&args.scene, &args.cameras, &args.segments] {
         session.outputs.reads(path)?;
@@ -41,9 +43,10 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let weights = args.weigh(&session, &gaussians, &pictures, &with_frames)?;
     let mut lifter = args.lift(&session, &gaussians, &pictures, &weights, &settings)?;
     for (number, &level) in args.level.iter().enumerate() {
-        let robust = args.decide(&session, &mut lifter, number, level)?;
-        args.write(&session, &opened, &mut lifter, number, level, robust)?;
+        let guard = args.decide(&session, &mut lifter, number, level)?;
+        args.write(&session, &opened, &mut lifter, number, level, guard)?;
     }
+    session.progress.say(session.receipt.plan_text(plan::LIFTING));
     session.finish()
 }
 

@@ -2,9 +2,11 @@
 
 use super::args::{Args, FrameWeightsArg};
 use super::pictures::Pictures;
+use super::plan::LIFTING;
 use crate::session::Session;
 use anyhow::{Context, Result};
 use scenesplat::capture::CaptureProbe;
+use scenesplat::compensation::render_section;
 use scenesplat::rasterizer::{
     DepthRequest, Gaussians, PlanRequest, RasterSettings, RenderPlan, RenderRequest, SceneProfile,
 };
@@ -29,12 +31,17 @@ impl Args {
         cameras: &[&Camera],
     ) -> Result<Vec<f32>> {
         let mut weights = vec![1.0; pictures.len()];
-        let Some(folder) = &self.photos else { return Ok(weights) };
+        let count = gaussians.means.len();
+        let Some(folder) = &self.photos else {
+            session.receipt.decided(count, LIFTING, self.about_frames(None, 0));
+            return Ok(weights);
+        };
         let _stage = session.receipt.stage("photos");
         let profile = SceneProfile::scan(gaussians)?;
         let depth = DepthRequest { expected: true, ..DepthRequest::default() };
         let request = PlanRequest::new(RenderRequest { depth, ..RenderRequest::rgb() });
         let plan = RenderPlan::auto(&profile, RasterSettings::default(), request)?;
+        session.receipt.plan(count, render_section(&plan));
         let prepared = plan.prepare(gaussians.clone())?;
         let mut probe = CaptureProbe::new(&prepared);
         let mut seen = Vec::new();
@@ -78,6 +85,8 @@ impl Args {
             session.progress.say(&text);
             session.receipt.setting("frame_weights", less, &text);
         }
+        let less = weights.iter().filter(|w| **w < 1.0).count();
+        session.receipt.decided(count, LIFTING, self.about_frames(Some(&report), less));
         Ok(weights)
     }
 }

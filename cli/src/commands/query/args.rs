@@ -3,6 +3,7 @@
 use crate::budget::{BudgetArgs, Chosen, Job, within_budget};
 use crate::commands::WrongUse;
 use crate::commands::classes::Classes;
+use crate::effects::EffectArgs;
 use crate::flags::{Inference, Shared};
 use anyhow::Result;
 use scenesplat::query::Query;
@@ -39,6 +40,9 @@ pub struct Args {
     /// What the setting is chosen by.
     #[command(flatten)]
     pub budget: BudgetArgs,
+    /// What is done about effects of the capture.
+    #[command(flatten)]
+    pub effects: EffectArgs,
     /// Flags of the network.
     #[command(flatten)]
     pub inference: Inference,

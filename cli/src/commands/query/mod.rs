@@ -8,6 +8,7 @@ use crate::session::{FeatureSource, Session};
 use anyhow::Result;
 pub use args::Args;
 use args::query;
+use scenesplat::compensation::Consumer;
 use scenesplat::query::{QuerySettings, select};
 use scenesplat::scene::LabelSet;
 use write::{describe, write};
@@ -20,6 +21,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     session.note_setting(&args.inference);
     session.note_budget(chosen);
     session.outputs.reads_any([Some(args.scene.as_path()), args.embedding.as_deref()])?;
+    let wish = args.effects.wish(&session, args.features.is_none(), true)?;
     args.classes.claim_inputs(&session.outputs)?;
     let query = query(args)?;
     session.make_out(&["scores.npy", "selection.npy", "query.ply", "preview.png"])?;
@@ -48,14 +50,16 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         }
         check_width(code.codebook.feature_width(), query.width())?;
     }
-    let features = session.features(&opened, &source, &args.inference)?;
+    let consumer = Consumer { network: source.is_network(), labels: true };
+    let about = session.compensation(&wish, scene, &args.inference, consumer)?;
+    let features = session.features(&opened, &source, &args.inference, &about)?;
 
     // A misspelt rival would go on to compete.
     if !args.classes.without.is_empty() {
         args.classes.options(&LabelSet::new(query.rivals.names.clone())?)?;
     }
     session.receipt.setting("vote_k", vote_k, "neighbours that vote on the selection");
-    let found = {
+    let mut found = {
         let _stage = session.receipt.stage("query");
         let settings = QuerySettings {
             without: args.classes.without.clone(),
@@ -65,6 +69,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         };
         select(&features, &query, &settings, &scene.coord)?
     };
+    session.note_withheld(found.withhold(about.withheld()), "selected Gaussians");
     session.check_stop()?;
     describe(&args.query, &found, &scene.coord);
     write(args, &session, &opened, &source, &found)?;

@@ -15,6 +15,7 @@ use cameras::{Shot, Shots};
 use clap::ValueEnum;
 use effects::Effects;
 use scenesplat::capture::ScenePictures;
+use scenesplat::compensation::render_section;
 use scenesplat::datasets::effects::pictures::DrawnPicture;
 use scenesplat::preview::{depth_picture, depth_steps, picture_of, write_png, write_png16};
 use scenesplat::rasterizer::{
@@ -121,6 +122,7 @@ fn prepare(
         PlanArg::Full => RenderPlan::full(&profile, settings, request)?,
     };
     session.progress.say(plan.to_string());
+    session.receipt.plan(gaussians.means.len(), render_section(&plan));
     let name = args.preset.to_possible_value();
     let name = name.as_ref().map_or("", |v| v.get_name());
     session.receipt.setting("preset", name, "constants of the renderer");

@@ -56,5 +56,6 @@ pub(super) fn measure(table: &Table<'_>, metres: f64) -> Outcome {
             Figure::new("flat_patches", flat.len() as f64, ""),
         ],
         strength: metres * length,
+        regions: Vec::new(),
     })
 }

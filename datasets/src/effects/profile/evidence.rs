@@ -1,6 +1,6 @@
 //! What was found, in numbers and words.
 
-use super::super::Effect;
+use super::super::{Effect, EffectSet};
 use super::thresholds::{LEAST_SEVERITY, scale};
 use super::{Measured, Outcome};
 use serde::ser::{SerializeMap, SerializeStruct};
@@ -35,6 +35,9 @@ pub struct EffectEvidence {
     pub threshold: f64,
     /// Numbers that go with it.
     pub more: Vec<Figure>,
+    /// Where it is, if the measure says that, whether it is there or not: balls (centre, radius) in units of the
+    /// scene. Of holes, the gaps with what lies around them.
+    pub regions: Vec<[f32; 4]>,
     /// One sentence.
     pub text: String,
 }
@@ -75,7 +78,7 @@ impl EffectEvidence {
     pub(super) fn new(effect: Effect, outcome: Outcome) -> Self {
         let scale = scale(effect);
         let threshold = scale.threshold;
-        let Measured { measure, more, strength } = match outcome {
+        let Measured { measure, more, strength, regions } = match outcome {
             Ok(measured) => measured,
             Err(why) => {
                 let text = format!("not judged: {why}");
@@ -87,6 +90,7 @@ impl EffectEvidence {
                     measure: None,
                     threshold,
                     more: Vec::new(),
+                    regions: Vec::new(),
                     text,
                 };
             }
@@ -96,7 +100,17 @@ impl EffectEvidence {
         let severity = if present { strength } else { 0.0 };
         let off = Figure { value: threshold, ..measure };
         let text = format!("{} {measure}, off below {off}", words(effect));
-        Self { effect, present, severity, strength, measure: Some(measure), threshold, more, text }
+        let measure = Some(measure);
+        Self { effect, present, severity, strength, measure, threshold, more, regions, text }
+    }
+}
+
+impl EffectEvidence {
+    /// How far the evidence is over what it takes, as a factor: the effect is there from 1 on. `None` where nothing
+    /// could be measured.
+    pub fn over_threshold(&self) -> Option<f64> {
+        let measure = self.measure.as_ref()?.value / self.threshold;
+        Some(measure.min(self.strength / LEAST_SEVERITY))
     }
 }
 
@@ -119,6 +133,14 @@ impl EffectProfile {
         // One for each, in this order.
         let index = Effect::ALL.iter().position(|e| *e == effect).unwrap_or(0);
         &self.effects[index]
+    }
+
+    /// The effects that are there, with their severities.
+    pub fn severities(&self) -> EffectSet {
+        self.present().fold(EffectSet::default(), |set, evidence| {
+            // A severity is clamped to what there is.
+            set.with(evidence.effect, evidence.severity).unwrap_or(set)
+        })
     }
 
     /// The effects that are there.

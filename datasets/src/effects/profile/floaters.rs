@@ -30,5 +30,6 @@ pub(super) fn measure(table: &Table<'_>, shell: &Shell) -> Outcome {
         Figure::new("looked_at", table.patches.len() as f64, "Gaussians"),
     ];
     more.extend(opacity.map(|o| Figure::new("opacity", o, "")));
-    Ok(Measured { measure: Figure::new("in_the_air", share, ""), more, strength: share })
+    let measure = Figure::new("in_the_air", share, "");
+    Ok(Measured { measure, more, strength: share, regions: Vec::new() })
 }

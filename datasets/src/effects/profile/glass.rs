@@ -31,5 +31,6 @@ pub(super) fn measure(table: &Table<'_>, shell: &Shell) -> Outcome {
             Figure::new("planes", shell.walls.len() as f64, ""),
         ],
         strength: best[0],
+        regions: Vec::new(),
     })
 }

@@ -18,12 +18,32 @@ const PER_CELL: f64 = 10.0;
 const MOST_CELLS: usize = 256;
 /// Of eight directions, in so many the surface goes on around a gap.
 const AROUND: usize = 6;
+/// Labels are lost up to so far from what is missing, metres (docs/effects.md).
+const RIM: f64 = 0.15;
+
+/// The gaps of a surface.
+pub(super) struct Gaps {
+    /// Areas of the gaps, and of the surface with them, in units of the scene.
+    pub(super) areas: [f64; 2],
+    /// Middles of the cells that are gaps, in units of the scene.
+    cells: Vec<[f64; 3]>,
+    /// Side of a cell, in units of the scene.
+    edge: f64,
+}
+
+impl Gaps {
+    /// Balls around the cells that reach over their rims.
+    fn regions(&self, metres: f64) -> impl Iterator<Item = [f32; 4]> {
+        let radius = self.edge * std::f64::consts::FRAC_1_SQRT_2 + RIM / metres;
+        self.cells.iter().map(move |[x, y, z]| [*x as f32, *y as f32, *z as f32, radius as f32])
+    }
+}
 
 pub(super) fn measure(shell: &Shell, metres: f64) -> Outcome {
     shell.is_room()?;
     let square = metres * metres;
-    let areas: Vec<[f64; 2]> =
-        shell.walls.iter().filter(|w| w.share_behind <= BEHIND).map(|w| w.areas).collect();
+    let bounding = || shell.walls.iter().filter(|w| w.share_behind <= BEHIND).map(|w| &w.gaps);
+    let areas: Vec<[f64; 2]> = bounding().map(|gaps| gaps.areas).collect();
     let (gaps, all) = areas.iter().fold((0.0, 0.0), |(g, a), v| (g + v[0], a + v[1]));
     if all <= 0.0 {
         return Err("something stands behind every large flat surface");
@@ -39,12 +59,13 @@ pub(super) fn measure(shell: &Shell, metres: f64) -> Outcome {
             Figure::new("area_over_box", shell.share_of_box, ""),
         ],
         strength: gaps / all,
+        regions: bounding().flat_map(|gaps| gaps.regions(metres)).collect(),
     })
 }
 
 impl Large {
-    /// Areas of the gaps, and of the surface with them, in units of the scene.
-    pub(super) fn gaps(&self, rows: &[[f64; 3]], diagonal: f64) -> [f64; 2] {
+    /// The gaps of this surface.
+    pub(super) fn gaps(&self, rows: &[[f64; 3]], diagonal: f64) -> Gaps {
         let on: Vec<[f64; 2]> = rows
             .iter()
             .filter(|row| (dot(self.axes[2], **row) - self.offset).abs() <= THICK * diagonal)
@@ -63,16 +84,25 @@ impl Large {
                 is_full[x as usize * cells[1] + y as usize] = true;
             }
         }
-        let (mut gaps, mut all) = (0usize, 0usize);
+        let middle = |x: usize, y: usize| -> [f64; 3] {
+            let [u, v] = [(x, 0), (y, 1)].map(|(cell, a)| low[a] + (cell as f64 + 0.5) * edge);
+            std::array::from_fn(|k| {
+                u * self.axes[0][k] + v * self.axes[1][k] + self.offset * self.axes[2][k]
+            })
+        };
+        let (mut found, mut all) = (Vec::new(), 0usize);
         for x in 0..cells[0] {
             for y in 0..cells[1] {
                 let full = is_full[x * cells[1] + y];
                 let gap = !full && goes_on(&is_full, cells, [x, y]) >= AROUND;
-                gaps += usize::from(gap);
+                if gap {
+                    found.push(middle(x, y));
+                }
                 all += usize::from(gap || full);
             }
         }
-        [gaps as f64 * edge * edge, all as f64 * edge * edge]
+        let areas = [found.len(), all].map(|cells| cells as f64 * edge * edge);
+        Gaps { areas, cells: found, edge }
     }
 }
 

@@ -73,6 +73,7 @@ pub(super) fn measure(table: &Table<'_>, shell: &Shell) -> Outcome {
             Figure::new("pairs", pairs.len() as f64, ""),
         ],
         strength: drift,
+        regions: Vec::new(),
     })
 }
 

@@ -42,6 +42,8 @@ struct Measured {
     more: Vec<Figure>,
     /// The number that the severity is read from.
     strength: f64,
+    /// Where it is, if that can be said: centre and radius, in units of the scene.
+    regions: Vec<[f32; 4]>,
 }
 
 /// What was measured, or why nothing could be.
@@ -64,9 +66,27 @@ type Outcome = Result<Measured, &'static str>;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub fn profile(scene: &GaussianScene, metres_per_unit: f64) -> EffectProfile {
-    let table = Table::of(scene, isolation::FEWEST_ROWS);
-    let shell = table.as_ref().map(Shell::of).unwrap_or_default();
+    profile_of(scene, metres_per_unit, &Effect::ALL)
+}
+
+/// As [`profile`], but looks for some of the effects alone; of the others nothing is said. The fewer, the less it
+/// costs, and without any the scene is not looked at.
+pub fn profile_of(scene: &GaussianScene, metres_per_unit: f64, wanted: &[Effect]) -> EffectProfile {
+    let table = match wanted {
+        [] => None,
+        _ => Table::of(scene, isolation::FEWEST_ROWS),
+    };
+    let has_shell = wanted.iter().any(|effect| {
+        matches!(effect, Effect::Holes | Effect::Floaters | Effect::Glass | Effect::Light)
+    });
+    let shell = match &table {
+        Some(table) if has_shell => Shell::of(table),
+        _ => Shell::default(),
+    };
     let measure = |effect| {
+        if !wanted.contains(&effect) {
+            return Err("not looked for");
+        }
         let Some(table) = &table else {
             return Err("fewer than 100 Gaussians with usable values, or all in one place");
         };

@@ -76,6 +76,7 @@ pub(super) fn measure(table: &Table<'_>) -> Outcome {
             Figure::new("pairs", pairs.len() as f64, ""),
         ],
         strength: square.sqrt(),
+        regions: Vec::new(),
     })
 }
 

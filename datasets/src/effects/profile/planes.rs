@@ -1,6 +1,7 @@
 //! The planes that hold most patches, and which of them bound the scene: walls, floors.
 
 use super::FEWEST_PATCHES;
+use super::holes::Gaps;
 use super::table::{Patch, Plane, Table, choice, quantile_of};
 use rayon::prelude::*;
 use scenesplat_scene::vector::{cross, dot};
@@ -35,8 +36,8 @@ pub(super) struct Wall {
     pub(super) behind: Vec<usize>,
     /// Their share of all.
     pub(super) share_behind: f64,
-    /// Areas of its gaps, and of it with them, in units of the scene.
-    pub(super) areas: [f64; 2],
+    /// Where nothing is though it goes on around.
+    pub(super) gaps: Gaps,
 }
 
 impl Shell {
@@ -48,13 +49,13 @@ impl Shell {
             let behind = plane.beyond(&places, diagonal);
             let share_behind = behind.len() as f64 / places.len() as f64;
             (share_behind <= BEHIND).then(|| {
-                let areas = plane.gaps(&places, diagonal);
-                Wall { behind, share_behind, areas }
+                let gaps = plane.gaps(&places, diagonal);
+                Wall { behind, share_behind, gaps }
             })
         };
         let walls: Vec<Wall> = planes(table).par_iter().filter_map(wall).collect();
         let [x, y, z] = table.bounds.extent();
-        let area: f64 = walls.iter().map(|wall| wall.areas[1]).sum();
+        let area: f64 = walls.iter().map(|wall| wall.gaps.areas[1]).sum();
         Self { share_of_box: area / (2.0 * (x * y + y * z + z * x)), walls }
     }
 

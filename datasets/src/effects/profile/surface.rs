@@ -25,5 +25,6 @@ pub(super) fn measure(table: &Table<'_>, metres: f64) -> Outcome {
             Figure::new("flat_share", flat, ""),
         ],
         strength: scatter,
+        regions: Vec::new(),
     })
 }

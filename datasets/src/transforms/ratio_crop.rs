@@ -1,0 +1,96 @@
+//! [`RatioCrop`]
+
+use super::sphere_crop::nearest_rows;
+use crate::error::bad_setting;
+use crate::rng::{below, between};
+use crate::{DataError, Sample, SampleRng, Transform};
+use serde::{Deserialize, Serialize};
+
+/// Keeps the Gaussians nearest to a random one: a share of `point_max`, drawn evenly between two
+/// bounds, and never more than there are.
+///
+/// # Source
+/// `SphereCropRandomMaxPoints` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1. Differs: the
+/// rows kept stay in order, and a share that comes to none keeps one; the share is of the Gaussians
+/// there are where these are fewer than `point_max` (there, small scenes are not cropped at all).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RatioCrop {
+    /// Lowest and highest share, in 0..=1.
+    pub ratio: [f64; 2],
+    /// What it is a share of, where there are as many.
+    pub point_max: usize,
+}
+
+impl Default for RatioCrop {
+    fn default() -> Self {
+        Self { ratio: [0.4, 1.0], point_max: 307_200 }
+    }
+}
+
+impl RatioCrop {
+    pub(super) fn check(&self) -> Result<(), DataError> {
+        check_ratio("ratio_crop.ratio", self.ratio)?;
+        if self.point_max > 0 {
+            return Ok(());
+        }
+        Err(bad_setting("ratio_crop.point_max", 0, "a number of 1 or more"))
+    }
+
+    /// The rows around `center`, ascending.
+    pub(super) fn rows(&self, sample: &Sample, center: [f32; 3], rng: &mut SampleRng) -> Vec<u32> {
+        let most = sample.len().min(self.point_max);
+        let count = (between(rng, self.ratio) * most as f64) as usize;
+        nearest_rows(&sample.coord, center, count.max(1))
+    }
+}
+
+pub(super) fn check_ratio(setting: &'static str, [low, high]: [f64; 2]) -> Result<(), DataError> {
+    if 0.0 <= low && low <= high && high <= 1.0 {
+        return Ok(());
+    }
+    Err(bad_setting(setting, format!("[{low}, {high}]"), "two shares in 0..=1, the lower first"))
+}
+
+impl Transform for RatioCrop {
+    fn apply(&self, sample: &mut Sample, rng: &mut SampleRng) -> Result<(), DataError> {
+        self.check()?;
+        if sample.is_empty() {
+            return Ok(());
+        }
+        let center = sample.coord[below(rng, sample.len() as u32) as usize];
+        let rows = self.rows(sample, center, rng);
+        sample.select_rows(&rows);
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::transforms::testing::{applied, at, room};
+
+    #[test]
+    fn the_share_lies_between_its_bounds() {
+        let sample = room(1000);
+        let crop = RatioCrop { ratio: [0.2, 0.4], point_max: 500 };
+        let counts: Vec<usize> = (0..50).map(|seed| applied(&crop, &sample, seed).len()).collect();
+        assert!(counts.iter().all(|n| (100..=200).contains(n)), "{counts:?}");
+        assert!(counts.iter().any(|n| *n < 130) && counts.iter().any(|n| *n > 170));
+        // Fewer than `point_max`: a share of what there is.
+        let small = RatioCrop { ratio: [0.5, 0.5], point_max: 5000 };
+        assert_eq!(applied(&small, &sample, 1).len(), 500);
+    }
+
+    #[test]
+    fn few_rows_and_bad_settings() {
+        let crop = RatioCrop { ratio: [0.0, 0.1], point_max: 10 };
+        assert!(applied(&crop, &at(&[]), 0).is_empty());
+        assert_eq!(applied(&crop, &at(&[[1.0; 3]]), 0).len(), 1);
+        assert_eq!(applied(&crop, &at(&[[1.0; 3]; 2]), 0).len(), 1);
+        for ratio in [[0.5, 0.1], [-0.1, 0.5], [0.5, 1.1], [f64::NAN, 1.0]] {
+            assert!(RatioCrop { ratio, ..RatioCrop::default() }.check().is_err());
+        }
+        assert!(RatioCrop { point_max: 0, ..RatioCrop::default() }.check().is_err());
+    }
+}

@@ -1,0 +1,211 @@
+//! Pipelines that end in several views of a scene.
+
+use super::{
+    Axis, CenterShift, ChromaticAutoContrast, ChromaticJitter, ChromaticTranslation, ColorJitter,
+    ColorSolarize, CropOrigin, ElasticDistortion, GridSample, RandomDropout, RandomFlip,
+    RandomGrayscale, RandomJitter, RandomRotate, RandomScale, RatioCrop, RotationCenter,
+    SphereCrop, TransformConfig, ViewCrop, ViewGroup, Views, VoxelBlur,
+};
+use crate::views::ViewKind;
+
+type Steps = Vec<TransformConfig>;
+
+/// Most Gaussians of a scene that views are cut out of.
+const SCENE_POINTS: usize = 819_200;
+/// What crops are a share of, with one dataset and with several.
+const SINGLE_POINTS: usize = 307_200;
+const JOINT_POINTS: usize = 256_000;
+
+fn center() -> TransformConfig {
+    CenterShift { apply_z: false }.into()
+}
+
+fn grid(grid_size: f64) -> TransformConfig {
+    GridSample { grid_size, ..GridSample::default() }.into()
+}
+
+fn blur(probability: f64, grid_size: f64) -> TransformConfig {
+    VoxelBlur { probability, grid_size, ..VoxelBlur::default() }.into()
+}
+
+fn elastic(fields: Vec<[f64; 2]>) -> TransformConfig {
+    ElasticDistortion { fields, ..ElasticDistortion::default() }.into()
+}
+
+/// What is done to a scene before its views are cut.
+fn base(grid_size: f64, single: bool, chromatic: bool) -> Steps {
+    let tilt = |axis| RandomRotate {
+        angle: [-1.0 / 64.0, 1.0 / 64.0],
+        axis,
+        center: RotationCenter::BoundingBox,
+        ..RandomRotate::default()
+    };
+    let mut steps: Steps = vec![CenterShift { apply_z: true }.into()];
+    if single {
+        steps.push(RandomDropout { ratio: 0.2, probability: 0.2 }.into());
+    }
+    steps.extend([
+        RandomRotate::default().into(),
+        tilt(Axis::X).into(),
+        tilt(Axis::Y).into(),
+        RandomScale { factor: [0.9, 1.1] }.into(),
+        RandomFlip::default().into(),
+        RandomJitter { sigma: 0.005, clip: 0.02 }.into(),
+        elastic(if single { vec![[0.2, 0.4], [0.8, 1.6]] } else { vec![[0.9, 0.1]] }),
+    ]);
+    if chromatic {
+        steps.extend([
+            ChromaticAutoContrast { probability: 0.2 }.into(),
+            ChromaticTranslation { probability: 0.95, ratio: 0.05 }.into(),
+            ChromaticJitter { probability: 0.95, std: 0.05 }.into(),
+        ]);
+    }
+    steps.push(grid(grid_size));
+    steps.push(SphereCrop { point_max: SCENE_POINTS, ..SphereCrop::default() }.into());
+    steps
+}
+
+/// Two global views of one region, three local ones of another, as the original cuts them.
+fn original_views(
+    grid_size: f64,
+    point_max: usize,
+    bend_local: bool,
+    changes: [Steps; 3],
+) -> TransformConfig {
+    let region = |ratio| -> Steps {
+        vec![center(), RandomFlip::default().into(), RatioCrop { ratio, point_max }.into()]
+    };
+    let each = |mut steps: Steps| {
+        steps.extend([grid(grid_size), center()]);
+        steps
+    };
+    let [first, second, local] = changes;
+    let mut local_region = region([0.1, 0.4]);
+    if bend_local {
+        local_region.insert(0, elastic(vec![[0.2, 0.4], [0.8, 1.6]]));
+    }
+    let views = Views {
+        groups: vec![
+            ViewGroup {
+                kind: ViewKind::Global,
+                shared: region([0.4, 1.0]),
+                crop: None,
+                views: vec![each(first), each(second)],
+            },
+            ViewGroup {
+                kind: ViewKind::Local,
+                shared: local_region,
+                crop: None,
+                views: vec![each(local); 3],
+            },
+        ],
+    };
+    views.into()
+}
+
+fn jitter() -> TransformConfig {
+    ColorJitter::default().into()
+}
+
+fn gray() -> TransformConfig {
+    RandomGrayscale::default().into()
+}
+
+fn dropout() -> TransformConfig {
+    RandomDropout { ratio: 0.2, probability: 0.2 }.into()
+}
+
+/// Self-supervised training on one dataset: two global and three local views, with cells of
+/// `grid_size` metres (0.02 there).
+///
+/// # Source
+/// The `train` transforms of the self-supervised configurations with one dataset, SceneSplat be9d5e1.
+pub fn self_supervised(grid_size: f64) -> Vec<TransformConfig> {
+    let mut steps = base(grid_size, true, true);
+    let changes = [
+        vec![jitter(), gray(), blur(1.0, grid_size)],
+        vec![jitter(), gray(), blur(0.1, grid_size), ColorSolarize::default().into()],
+        vec![jitter(), gray(), blur(0.5, grid_size)],
+    ];
+    steps.push(original_views(grid_size, SINGLE_POINTS, false, changes));
+    steps
+}
+
+/// As [`self_supervised`], of ScanNet++ beside other datasets.
+///
+/// # Source
+/// The ScanNet++ part of the configurations with several datasets.
+pub fn self_supervised_joint_scannetpp(grid_size: f64) -> Vec<TransformConfig> {
+    let mut steps = base(grid_size, false, true);
+    let changes = [
+        vec![jitter(), gray()],
+        vec![dropout(), jitter(), gray(), ColorSolarize::default().into()],
+        vec![dropout(), jitter(), gray()],
+    ];
+    steps.push(original_views(grid_size, JOINT_POINTS, true, changes));
+    steps
+}
+
+/// As [`self_supervised`], of every other dataset among several: the first global view has its own
+/// colors, and local ones lose Gaussians twice.
+///
+/// # Source
+/// The other parts of the configurations with several datasets.
+pub fn self_supervised_joint(grid_size: f64) -> Vec<TransformConfig> {
+    let mut steps = base(grid_size, false, false);
+    let changes = [
+        vec![],
+        vec![dropout(), jitter(), gray(), ColorSolarize::default().into()],
+        vec![dropout(), dropout(), jitter(), gray()],
+    ];
+    steps.push(original_views(grid_size, JOINT_POINTS, true, changes));
+    steps
+}
+
+/// Self-distillation: two global views around places of the first one, four local ones around places
+/// of it that no other local view covers; each turned, bent and jittered on its own.
+///
+/// # Source
+/// The `MultiViewGenerator` of Sonata's configurations, Pointcept d74c646. Differs: each view draws its
+/// colors alone (there both global ones share a draw).
+pub fn self_distillation(grid_size: f64) -> Vec<TransformConfig> {
+    let turn = |axis, angle: f64, center| RandomRotate {
+        angle: [-angle, angle],
+        axis,
+        center,
+        probability: 0.8,
+        ..RandomRotate::default()
+    };
+    let each: Steps = vec![
+        CenterShift { apply_z: true }.into(),
+        RandomScale { factor: [0.9, 1.1] }.into(),
+        turn(Axis::Z, 1.0, RotationCenter::Origin).into(),
+        turn(Axis::X, 1.0 / 64.0, RotationCenter::BoundingBox).into(),
+        turn(Axis::Y, 1.0 / 64.0, RotationCenter::BoundingBox).into(),
+        RandomFlip::default().into(),
+        RandomJitter { sigma: 0.005, clip: 0.02 }.into(),
+        elastic(vec![[0.2, 0.4], [0.8, 1.6]]),
+        ColorJitter { hue: 0.02, ..ColorJitter::default() }.into(),
+        ChromaticTranslation { probability: 0.95, ratio: 0.05 }.into(),
+        grid(grid_size),
+        center(),
+    ];
+    let crop = |ratio, center| Some(ViewCrop { ratio, point_max: 65_536, center });
+    let views = Views {
+        groups: vec![
+            ViewGroup {
+                kind: ViewKind::Global,
+                shared: vec![],
+                crop: crop([0.4, 1.0], CropOrigin::Major),
+                views: vec![each.clone(); 2],
+            },
+            ViewGroup {
+                kind: ViewKind::Local,
+                shared: vec![],
+                crop: crop([0.1, 0.4], CropOrigin::Uncovered),
+                views: vec![each; 4],
+            },
+        ],
+    };
+    vec![CenterShift { apply_z: true }.into(), grid(grid_size), views.into()]
+}

@@ -1,0 +1,104 @@
+//! Autoencoders of language features from a file.
+
+use super::config::{ExperimentConfig, TargetChoice, Task};
+use super::data::{self, ClassTexts};
+use super::error::{ExperimentError, Place};
+use super::export::chosen;
+use scenesplat_models::weights::save_tensors;
+use scenesplat_models::{ModelConfig, ParamStore};
+use scenesplat_scene::StagedFolder;
+use scenesplat_trainers::Evaluator;
+use scenesplat_trainers::checkpoint::read_network;
+use scenesplat_trainers::tasks::autoencoder::{AutoencoderEvaluator, AutoencoderTask};
+use std::path::Path;
+
+type Result<T, E = ExperimentError> = std::result::Result<T, E>;
+
+/// Checks that there is an autoencoder exactly if the task is one, and nothing besides that would have no
+/// effect.
+pub(super) fn check(config: &ExperimentConfig) -> Result<()> {
+    let wrong = |field: &str, problem: &str| Err(ExperimentError::setting(field, problem));
+    let is_task = config.task == Task::Autoencoder;
+    let settings = match (&config.autoencoder, is_task) {
+        (None, false) => return Ok(()),
+        (None, true) => return wrong("autoencoder", "the task needs this table, with its widths"),
+        (Some(_), false) => return wrong("autoencoder", "only task = \"autoencoder\" has it"),
+        (Some(settings), true) => settings,
+    };
+    settings.check().at(|| "autoencoder".to_owned())?;
+    let plain = ModelConfig { grid_size: config.model.grid_size, ..ModelConfig::default() };
+    if config.model != plain {
+        return wrong(
+            "model",
+            "an autoencoder has its own widths; of [model] only grid_size counts",
+        );
+    }
+    if !config.losses.is_empty() {
+        return wrong(
+            "losses",
+            "the terms are autoencoder.l2 and autoencoder.cosine; leave them out",
+        );
+    }
+    if config.targets != TargetChoice::Features {
+        return wrong("targets", "the targets are the features themselves; leave it out");
+    }
+    if config.init_from.is_some() {
+        return wrong("init_from", "an autoencoder begins with its own values; leave it out");
+    }
+    if config.precision != "f32" {
+        return wrong("precision", "an autoencoder is trained in f32; leave it out");
+    }
+    if let Some(i) = config.evaluate.iter().position(|entry| entry.vote_k.is_some()) {
+        return wrong(
+            &format!("evaluate[{i}].vote_k"),
+            "features are compared row by row; leave it out",
+        );
+    }
+    Ok(())
+}
+
+/// The module that is trained.
+pub(super) fn module(config: &ExperimentConfig, params: ParamStore) -> Result<AutoencoderTask> {
+    let Some(settings) = &config.autoencoder else {
+        return Err(ExperimentError::setting("autoencoder", "the task needs this table"));
+    };
+    Ok(AutoencoderTask::new(settings, params)?)
+}
+
+/// What is kept of the features of other scenes; classes are compared where there are texts.
+pub(super) fn evaluators(
+    config: &ExperimentConfig,
+    text: Option<&ClassTexts>,
+) -> Result<Vec<Box<dyn Evaluator<AutoencoderTask>>>> {
+    let mut all: Vec<Box<dyn Evaluator<AutoencoderTask>>> = Vec::new();
+    for entry in &config.evaluate {
+        let own = entry.text.as_ref().map(data::text_table).transpose()?;
+        let table = own.as_ref().or(text).map(|text| text.table.clone());
+        let width = config.autoencoder.as_ref().and_then(|a| a.widths.first().copied());
+        if let (Some(table), Some(width)) = (&table, width)
+            && table.dim != width
+        {
+            let problem = format!("the texts are {} wide and the features {width}", table.dim);
+            return Err(ExperimentError::setting("text", problem));
+        }
+        let data = data::evaluation(entry, config, None)?;
+        all.push(Box::new(AutoencoderEvaluator::new(&entry.name, data, table)));
+    }
+    Ok(all)
+}
+
+/// Writes `model.safetensors` and `autoencoder.json` (its settings) into `folder`.
+pub(super) fn export(
+    config: &ExperimentConfig,
+    checkpoints: &Path,
+    folder: &Path,
+) -> Result<Vec<String>> {
+    let (dir, remark) = chosen(checkpoints)?;
+    let tensors = read_network(&dir)?.into_iter().collect();
+    let mut staged = StagedFolder::create(folder)?;
+    save_tensors(&tensors, &staged.add("model.safetensors"))?;
+    let text = serde_json::to_string_pretty(&config.autoencoder)?;
+    staged.write("autoencoder.json", text.as_bytes())?;
+    staged.commit::<&str>(&[])?;
+    Ok(vec![format!("autoencoder: {remark}")])
+}

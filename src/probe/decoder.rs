@@ -1,0 +1,277 @@
+//! A decoder over a frozen encoder.
+
+use super::rows::{ProbeScene, chosen_rows};
+use super::{ProbeError, ProbeSettings};
+use crate::network::NetworkConfig;
+use candle_core::D;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use scenesplat_datasets::{BatchLoader, DataError, TrainBatch};
+use scenesplat_losses::{CrossEntropy, Objective};
+use scenesplat_models::weights::{SourceOptions, WeightSource, resolve};
+use scenesplat_models::{
+    BackboneConfig, Forward, LoadPolicy, ModelConfig, ParamStore, PointTransformerV3Config,
+};
+use scenesplat_trainers::tasks::{SemanticSegmentation, TaskModule, point_cloud};
+use scenesplat_trainers::{
+    AdamW, AdamWConfig, HasBackbone, HealthConfig, OneCycle, Progress, Trainer, TrainerConfig,
+    TrainingModule, group_by_keyword,
+};
+use std::path::Path;
+
+/// Width of the decoder's finest scale, as of Sonata's.
+const FINEST: usize = 64;
+
+/// Where the encoder's values come from.
+pub(super) enum EncoderValues<'a> {
+    /// A model folder.
+    File(&'a Path),
+    /// From a seed, as training would begin.
+    Random,
+}
+
+/// A trained decoder on its encoder.
+pub(super) struct DecoderProbe {
+    module: TaskModule,
+    /// Width of the rows that the last layer reads.
+    pub width: usize,
+    /// Loss of the last step.
+    pub loss: f64,
+}
+
+/// Scenes as batches, one after the other.
+struct Scenes {
+    batches: Vec<TrainBatch>,
+    order: Vec<usize>,
+}
+
+impl BatchLoader<TrainBatch> for Scenes {
+    fn batches_per_epoch(&self) -> usize {
+        self.order.len()
+    }
+    fn epoch(
+        &mut self,
+        _: u64,
+        skip: usize,
+    ) -> Box<dyn Iterator<Item = Result<TrainBatch, DataError>> + '_> {
+        Box::new(self.order[skip..].iter().map(|&i| Ok(self.batches[i].clone())))
+    }
+}
+
+/// The network with a decoder of one block a scale and a classifier, and its encoder alone.
+fn networks(
+    config: &NetworkConfig,
+    classes: usize,
+) -> Result<(ModelConfig, ModelConfig), ProbeError> {
+    let BackboneConfig::PointTransformerV3(own) = &config.model.backbone else {
+        return Err(ProbeError::NoDecoder { architecture: config.model.backbone.name() });
+    };
+    let encoder = PointTransformerV3Config {
+        mask_token: false,
+        dec_depths: vec![],
+        dec_channels: vec![],
+        dec_num_head: vec![],
+        dec_patch_size: vec![],
+        ..own.clone()
+    };
+    let stages = own.num_stages() - 1;
+    let channels: Vec<usize> =
+        (0..stages).map(|i| if i == 0 { FINEST } else { own.enc_channels[i] }).collect();
+    let heads = |width: &usize| (1..=8).rev().find(|h| width % h == 0).unwrap_or(1);
+    let decoder = PointTransformerV3Config {
+        dec_depths: vec![1; stages],
+        dec_num_head: channels.iter().map(heads).collect(),
+        dec_channels: channels,
+        dec_patch_size: own.enc_patch_size[..stages].to_vec(),
+        drop_path: 0.0,
+        ..encoder.clone()
+    };
+    let grid_size = config.model.grid_size;
+    let model = |backbone: PointTransformerV3Config| ModelConfig {
+        grid_size,
+        ..ModelConfig::new(backbone)
+    };
+    Ok((model(decoder).with_classes(classes), model(encoder)))
+}
+
+/// Trains a decoder on scenes; the encoder and its batch statistics stay as they are.
+///
+/// # Errors
+/// If the network has another architecture, its weights do not fit, or training fails.
+pub(super) fn train(
+    config: &NetworkConfig,
+    values: EncoderValues<'_>,
+    scenes: &[ProbeScene],
+    classes: usize,
+    settings: &ProbeSettings,
+) -> Result<DecoderProbe, ProbeError> {
+    let (model, encoder) = networks(config, classes)?;
+    let source = match values {
+        EncoderValues::Random => ParamStore::trainable(settings.seed),
+        EncoderValues::File(path) => {
+            let files = resolve(path)?.files;
+            let source = WeightSource::files(files, SourceOptions::default())?;
+            ParamStore::trainable_from(source, settings.seed)
+        }
+    };
+    encoder.build(source.builder())?;
+    if let EncoderValues::File(path) = values {
+        source.report().check(LoadPolicy::AllowUnexpected, &path.display().to_string())?;
+    }
+    let params = ParamStore::trainable(settings.seed);
+    let network = model.build(params.builder())?;
+    let (own, own_buffers) = (params.parameters(), params.buffers());
+    for (name, value) in source.parameters().iter().chain(&source.buffers()) {
+        if let Some(var) = own.get(name).or_else(|| own_buffers.get(name)) {
+            var.set(&value.as_detached_tensor().copy()?)?;
+        }
+    }
+    let mut batches = Vec::with_capacity(scenes.len());
+    for (stream, scene) in (0..).zip(scenes) {
+        let mut batch = scene.batch.clone();
+        let mut labels = vec![-1; batch.len()];
+        for row in chosen_rows(scene, settings.labels, settings.seed, stream) {
+            labels[row as usize] = scene.labels[row as usize];
+        }
+        if labels.iter().any(|label| *label >= 0) {
+            batch.segment = Some(labels);
+            batches.push(batch);
+        }
+    }
+    if batches.is_empty() {
+        return Err(ProbeError::NoLabels);
+    }
+    let order = (0..settings.steps as usize).map(|step| step % batches.len()).collect();
+    let mut loader = Scenes { batches, order };
+    let objective = Objective::new().with(1.0, CrossEntropy::default());
+    let module = TaskModule::new(params, network, objective, SemanticSegmentation);
+    let frozen = vec!["embedding.".to_owned(), "enc.enc".to_owned()];
+    let trained: std::collections::BTreeMap<_, _> = module
+        .params()
+        .parameters()
+        .into_iter()
+        .filter(|(name, _)| !frozen.iter().any(|part| name.contains(part)))
+        .collect();
+    let groups = group_by_keyword(&trained, settings.lr, settings.weight_decay, &[]);
+    let optimizer = AdamW::new(groups, AdamWConfig::default())?;
+    let trainer_config = TrainerConfig {
+        seed: settings.seed,
+        clip_norm: Some(3.0),
+        freeze: frozen,
+        health: HealthConfig { every_steps: 0, ..HealthConfig::default() },
+        ..TrainerConfig::default()
+    };
+    let last = LastLoss::default();
+    let mut trainer =
+        Trainer::new(trainer_config, Box::new(optimizer), Box::new(OneCycle::default()))?
+            .with_callback(last.clone());
+    trainer.fit(&module, &mut loader, &mut [], Progress::default())?;
+    let width = FINEST;
+    let loss = *last.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    Ok(DecoderProbe { module, width, loss })
+}
+
+/// Keeps the loss of the last step that is logged.
+#[derive(Clone, Default)]
+struct LastLoss(std::sync::Arc<std::sync::Mutex<f64>>);
+
+impl scenesplat_trainers::Callback for LastLoss {
+    fn on_event(
+        &mut self,
+        event: &scenesplat_trainers::Event<'_>,
+        _: Progress,
+    ) -> Result<scenesplat_trainers::Flow, scenesplat_trainers::TrainError> {
+        if let scenesplat_trainers::Event::Step { measurements } = event
+            && let Some(loss) = measurements.iter().find(|m| m.name == "train/loss")
+        {
+            *self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = loss.value;
+        }
+        Ok(scenesplat_trainers::Flow::Continue)
+    }
+}
+
+impl DecoderProbe {
+    /// The class of each voxel of a scene. `[M]`
+    ///
+    /// # Errors
+    /// If the scene does not fit the network.
+    pub fn classes(&self, scene: &ProbeScene) -> Result<Vec<i32>, ProbeError> {
+        let mut rng = ChaCha8Rng::seed_from_u64(0);
+        let points = point_cloud(&scene.batch)?;
+        let logits = self.module.backbone().forward(&points, &mut Forward::eval(&mut rng))?;
+        let best = logits.detach().argmax(D::Minus1)?.to_vec1::<u32>()?;
+        Ok(best.into_iter().map(|class| class as i32).collect())
+    }
+
+    /// The parameters, the frozen ones among them.
+    #[cfg(test)]
+    fn params(&self) -> &ParamStore {
+        self.module.params()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::rows::{RowSource, read};
+    use super::super::{LabelRegime, ProbeKind, ProbeScenes};
+    use super::*;
+    use scenesplat_datasets::SyntheticRooms;
+    use scenesplat_rooms::SyntheticRoomSettings;
+    use std::sync::Arc;
+
+    #[test]
+    fn the_encoder_and_its_statistics_stay_as_they_are() {
+        let backbone = PointTransformerV3Config {
+            stride: vec![2],
+            enc_depths: vec![1, 1],
+            enc_channels: vec![8, 16],
+            enc_num_head: vec![1, 2],
+            enc_patch_size: vec![32, 32],
+            dec_depths: vec![1],
+            dec_channels: vec![8],
+            dec_num_head: vec![1],
+            dec_patch_size: vec![32],
+            ..PointTransformerV3Config::language()
+        };
+        let model = ModelConfig { grid_size: 0.25, ..ModelConfig::new(backbone) };
+        let config = NetworkConfig { model, ..NetworkConfig::language() };
+        let room = SyntheticRoomSettings { num_gaussians: Some(600), ..Default::default() };
+        let rooms = Arc::new(SyntheticRooms::new(3, room, 1).unwrap());
+        let (data, _) = ProbeScenes::new(rooms, 0.25, Some(1)).unwrap().split().unwrap();
+        let store = ParamStore::trainable(0);
+        let network = config.model.build(store.builder()).unwrap();
+        let source = RowSource::Network(network.as_ref());
+        let scenes = read(data.as_ref(), &config, source).unwrap();
+        let settings = ProbeSettings {
+            kind: ProbeKind::Decoder,
+            labels: LabelRegime::All,
+            steps: 4,
+            ..ProbeSettings::default()
+        };
+        let before = ParamStore::trainable(settings.seed);
+        networks(&config, 41).unwrap().1.build(before.builder()).unwrap();
+        let probe = train(&config, EncoderValues::Random, &scenes, 41, &settings).unwrap();
+        let after = probe.params();
+        let bits = |t: &candle_core::Tensor| {
+            let values = t.to_dtype(candle_core::DType::F32).unwrap().flatten_all().unwrap();
+            values.to_vec1::<f32>().unwrap().iter().map(|v| v.to_bits()).collect::<Vec<_>>()
+        };
+        let (params, buffers) = (after.parameters(), after.buffers());
+        let mut compared = 0;
+        for (name, value) in before.parameters().iter().chain(&before.buffers()) {
+            let now = params.get(name).or_else(|| buffers.get(name)).unwrap();
+            assert_eq!(bits(value.as_tensor()), bits(now.as_tensor()), "{name}");
+            compared += 1;
+        }
+        assert!(compared > 40);
+        // What stands over it moved.
+        let head = params["seg_head.weight"].flatten_all().unwrap();
+        let first = ParamStore::trainable(settings.seed);
+        networks(&config, 41).unwrap().0.build(first.builder()).unwrap();
+        assert_ne!(
+            bits(&head),
+            bits(&first.parameters()["seg_head.weight"].flatten_all().unwrap())
+        );
+        assert_eq!(probe.classes(&scenes[0]).unwrap().len(), scenes[0].labels.len());
+    }
+}

@@ -1,0 +1,240 @@
+//! What a network has learned, asked by probes: small classifiers on its rows, while it stays as it is.
+//!
+//! [`probe`] reads a network's rows of some scenes, all scales of its encoder at every voxel, trains a
+//! classifier on some of them and scores it on others; beside it the same for the same network with
+//! values that nobody trained, and for what the network reads. A network that is worth something beats
+//! both: the first says that training taught it, the second that it did more than hand its inputs on.
+//!
+//! Rows are computed once, by weights that are packed for inference and have no gradient, so nothing can
+//! move them. Channels are brought to mean 0 and variance 1 over the rows that are learned from.
+
+mod classifier;
+mod decoder;
+mod error;
+mod rows;
+mod scenes;
+
+pub use classifier::{Fit, ProbeKind, ProbeSettings};
+pub use error::ProbeError;
+pub use rows::{LabelRegime, ProbeScene, RowSource};
+pub use scenes::ProbeScenes;
+
+use crate::network::{Network, NetworkConfig, WeightOptions, Weights, config_beside};
+use classifier::Classifier;
+use decoder::EncoderValues;
+use rows::{Objects, choose, objects};
+use scenesplat_metrics::{ConfusionMatrix, Metric, TesterReport};
+use scenesplat_models::ParamStore;
+use serde::Serialize;
+use std::path::Path;
+use std::time::Instant;
+
+/// What a probe found about one kind of rows.
+#[derive(Debug, Clone, Serialize)]
+pub struct ProbeResult {
+    /// Width of the rows.
+    pub width: usize,
+    /// Mean IoU over the classes that occur, 0..=1.
+    pub miou: Option<f64>,
+    /// Mean accuracy over the classes that occur, 0..=1.
+    pub macc: Option<f64>,
+    /// Share of the labelled Gaussians that are right, 0..=1.
+    pub all_acc: Option<f64>,
+    /// IoU of each class, 0..=1; `None` for one that does not occur.
+    pub class_iou: Vec<Option<f64>>,
+    /// Loss of the last steps.
+    pub loss: f64,
+    /// Seconds for rows, training and scoring.
+    pub seconds: f64,
+    /// The same for objects: the mean row of each instance, if scenes have instances.
+    pub objects: Option<ObjectResult>,
+}
+
+/// What a probe on objects found.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct ObjectResult {
+    /// Objects that were learned from.
+    pub train_objects: usize,
+    /// Objects that were scored.
+    pub test_objects: usize,
+    /// Share that is right, 0..=1.
+    pub accuracy: Option<f64>,
+    /// Mean over classes of the share that is right, 0..=1.
+    pub mean_accuracy: Option<f64>,
+}
+
+/// What [`probe`] gives.
+#[derive(Debug, Clone, Serialize)]
+pub struct ProbeReport {
+    /// How the probe was trained.
+    #[serde(flatten)]
+    pub settings: ProbeSettings,
+    /// Number of classes.
+    pub classes: usize,
+    /// Names of the scenes that were learned from.
+    pub train_scenes: Vec<String>,
+    /// Names of the scenes that were scored.
+    pub test_scenes: Vec<String>,
+    /// Labelled voxels there were to learn from.
+    pub labelled_rows: usize,
+    /// Labelled voxels that were learned from.
+    pub learned_rows: usize,
+    /// The network.
+    pub backbone: ProbeResult,
+    /// The same architecture with values that nobody trained.
+    pub random: ProbeResult,
+    /// What the network reads, and the height above the ground.
+    pub raw_inputs: ProbeResult,
+}
+
+/// Probes the network of a model folder. `say` hears what is being done, and says whether to go on.
+///
+/// # Errors
+/// If the folder is no model whose network gives its scales, or scenes cannot be read or hold no labels.
+pub fn probe(
+    model: &Path,
+    scenes: &ProbeScenes,
+    settings: &ProbeSettings,
+    say: &mut dyn FnMut(&str) -> bool,
+) -> Result<ProbeReport, ProbeError> {
+    settings.check()?;
+    let config =
+        config_beside(model)?.ok_or_else(|| ProbeError::NoModel { path: model.to_owned() })?;
+    let network =
+        Network::load(config.clone(), &Weights::File(model.to_owned()), WeightOptions::default())?;
+    let random = random_network(&config, settings.seed)?;
+    let sources = [
+        ("backbone", RowSource::Network(network.model())),
+        ("random", RowSource::Network(random.as_ref())),
+        ("raw_inputs", RowSource::Inputs),
+    ];
+    let (train, test) = scenes.split()?;
+    let mut report = None;
+    for (name, source) in sources {
+        if !say(&format!("{name}: rows of {} scenes", train.len() + test.len())) {
+            return Err(ProbeError::Stopped);
+        }
+        let began = Instant::now();
+        let read = |data: &dyn scenesplat_datasets::Dataset| rows::read(data, &config, source);
+        let (train_rows, test_rows) = (read(train.as_ref())?, read(test.as_ref())?);
+        let classes = classes_of(train_rows.iter().chain(&test_rows))?;
+        let learned = choose(&train_rows, settings.labels, settings.seed)?;
+        if !say(&format!("{name}: {} rows are learned from", learned.labels.len())) {
+            return Err(ProbeError::Stopped);
+        }
+        let values = match name {
+            "backbone" => Some(EncoderValues::File(model)),
+            "random" => Some(EncoderValues::Random),
+            _ => None,
+        };
+        let (answer, width, loss) = match (settings.kind, values) {
+            (ProbeKind::Decoder, Some(values)) => {
+                let decoder = decoder::train(&config, values, &train_rows, classes, settings)?;
+                let classes_of = |scene: &ProbeScene| decoder.classes(scene);
+                (score(classes_of, &test_rows, classes)?, decoder.width, decoder.loss)
+            }
+            _ => {
+                let classifier = Classifier::train(&learned, classes, settings)?;
+                let classes_of = |scene: &ProbeScene| classifier.classes(&scene.rows);
+                let loss = classifier.loss;
+                (score(classes_of, &test_rows, classes)?, classifier.width(), loss)
+            }
+        };
+        let objects = if settings.objects {
+            object_result(&train_rows, &test_rows, classes, settings)?
+        } else {
+            None
+        };
+        let result = result(&answer.tester_report(), (width, loss), began, objects);
+        let report = report.get_or_insert_with(|| {
+            let names = |scenes: &[ProbeScene]| scenes.iter().map(|s| s.id.clone()).collect();
+            let labelled = train_rows.iter().map(ProbeScene::num_labelled).sum();
+            ProbeReport {
+                settings: settings.clone(),
+                classes,
+                train_scenes: names(&train_rows),
+                test_scenes: names(&test_rows),
+                labelled_rows: labelled,
+                learned_rows: learned.labels.len(),
+                backbone: result.clone(),
+                random: result.clone(),
+                raw_inputs: result.clone(),
+            }
+        });
+        match name {
+            "random" => report.random = result,
+            "raw_inputs" => report.raw_inputs = result,
+            _ => {}
+        }
+    }
+    report.ok_or(ProbeError::NoLabels)
+}
+
+/// The architecture with first values, as training would begin with them.
+fn random_network(
+    config: &NetworkConfig,
+    seed: u64,
+) -> Result<Box<dyn scenesplat_models::Backbone>, ProbeError> {
+    let store = ParamStore::trainable(seed);
+    Ok(config.model.build(store.builder())?)
+}
+
+/// One more than the largest label.
+fn classes_of<'a>(scenes: impl Iterator<Item = &'a ProbeScene>) -> Result<usize, ProbeError> {
+    let largest = scenes.filter_map(|scene| scene.largest_label()).max();
+    largest.map(|label| label as usize + 1).ok_or(ProbeError::NoLabels)
+}
+
+/// Every labelled Gaussian takes the class of its voxel.
+fn score(
+    classes_of: impl Fn(&ProbeScene) -> Result<Vec<i32>, ProbeError>,
+    scenes: &[ProbeScene],
+    classes: usize,
+) -> Result<ConfusionMatrix, ProbeError> {
+    let mut confusion = ConfusionMatrix::new(classes)?;
+    for scene in scenes {
+        let of_rows = classes_of(scene)?;
+        let of_gaussians: Vec<i32> =
+            scene.voxel_of.iter().map(|&row| of_rows[row as usize]).collect();
+        confusion.update((&of_gaussians, &scene.truth))?;
+    }
+    Ok(confusion)
+}
+
+fn object_result(
+    train: &[ProbeScene],
+    test: &[ProbeScene],
+    classes: usize,
+    settings: &ProbeSettings,
+) -> Result<Option<ObjectResult>, ProbeError> {
+    let (Some(train), Some(test)) = (objects(train)?, objects(test)?) else { return Ok(None) };
+    let classifier = Classifier::train(&train.learned(), classes, settings)?;
+    let mut confusion = ConfusionMatrix::new(classes)?;
+    let Objects { rows, labels } = &test;
+    confusion.update((&classifier.classes(rows)?, labels))?;
+    let report = confusion.tester_report();
+    Ok(Some(ObjectResult {
+        train_objects: train.labels.len(),
+        test_objects: test.labels.len(),
+        accuracy: report.all_accuracy,
+        mean_accuracy: report.mean_accuracy,
+    }))
+}
+
+fn result(
+    report: &TesterReport,
+    (width, loss): (usize, f64),
+    began: Instant,
+    objects: Option<ObjectResult>,
+) -> ProbeResult {
+    ProbeResult {
+        width,
+        miou: report.mean_iou,
+        macc: report.mean_accuracy,
+        all_acc: report.all_accuracy,
+        class_iou: report.classes.iter().map(|c| c.iou).collect(),
+        loss,
+        seconds: began.elapsed().as_secs_f64(),
+        objects,
+    }
+}

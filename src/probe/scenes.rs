@@ -1,0 +1,65 @@
+//! Scenes that a probe learns from and is scored on.
+
+use super::ProbeError;
+use scenesplat_datasets::transforms::{build_transforms, validation};
+use scenesplat_datasets::{DataError, DataSource, Dataset, SceneDataset, SourceScene};
+use std::sync::Arc;
+
+/// Scenes in their order: the last ones are scored, the others are learned from.
+pub struct ProbeScenes {
+    source: Arc<dyn DataSource>,
+    grid_size: f64,
+    test: usize,
+}
+
+/// Some scenes of another source.
+struct Part {
+    source: Arc<dyn DataSource>,
+    ids: Vec<String>,
+}
+
+impl DataSource for Part {
+    fn scene_ids(&self) -> &[String] {
+        &self.ids
+    }
+    fn load(&self, id: &str) -> Result<SourceScene, DataError> {
+        self.source.load(id)
+    }
+}
+
+impl ProbeScenes {
+    /// `test`: how many of the last scenes are scored; a quarter, at least one, if not given.
+    /// `grid_size`: the network's voxels, metres.
+    ///
+    /// # Errors
+    /// If there are not two scenes, or none would be left to learn from.
+    pub fn new(
+        source: Arc<dyn DataSource>,
+        grid_size: f64,
+        test: Option<usize>,
+    ) -> Result<Self, ProbeError> {
+        let scenes = source.scene_ids().len();
+        if scenes < 2 {
+            return Err(ProbeError::TooFewScenes { scenes });
+        }
+        let test = test.unwrap_or((scenes / 4).max(1));
+        if test == 0 || test >= scenes {
+            let (setting, value) = ("test", test.to_string());
+            let expected = "at least one scene, and fewer than there are";
+            return Err(ProbeError::Setting { setting, value, expected });
+        }
+        Ok(Self { source, grid_size, test })
+    }
+
+    /// Those that are learned from, and those that are scored.
+    pub(super) fn split(&self) -> Result<(Arc<dyn Dataset>, Arc<dyn Dataset>), ProbeError> {
+        let ids = self.source.scene_ids();
+        let (train, test) = ids.split_at(ids.len() - self.test);
+        let dataset = |ids: &[String]| -> Result<Arc<dyn Dataset>, ProbeError> {
+            let part = Part { source: Arc::clone(&self.source), ids: ids.to_vec() };
+            let steps = build_transforms(&validation(self.grid_size))?;
+            Ok(Arc::new(SceneDataset::new(Arc::new(part), steps, 0, 1)?))
+        };
+        Ok((dataset(train)?, dataset(test)?))
+    }
+}

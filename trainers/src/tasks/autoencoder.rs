@@ -1,0 +1,252 @@
+//! Language features in few numbers, and what is left of them.
+
+use super::input::bad_values;
+use crate::TrainError;
+use crate::error::check_setting;
+use crate::event::{Evaluator, Progress};
+use crate::module::{StepContext, StepOutput, TrainingModule};
+use candle_core::{Device, Result, Tensor, bail};
+use scenesplat_datasets::{Dataset, LeftOut, TrainBatch};
+use scenesplat_losses::{Reduction, cosine, l2};
+use scenesplat_metrics::Measurement;
+use scenesplat_models::autoencoder::Autoencoder;
+use scenesplat_models::{Compute, Mode, ParamStore};
+use scenesplat_scene::{LanguageFeatures, TextTable};
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// How features are compressed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct AutoencoderConfig {
+    /// Widths of the features, of the layers between, and of the codes.
+    pub widths: Vec<usize>,
+    /// Weight of the square distance, summed over channels.
+    pub l2: f64,
+    /// Weight of 1 − cosine, of each row by itself.
+    pub cosine: f64,
+}
+
+impl Default for AutoencoderConfig {
+    /// The paper's "layer5, 16".
+    fn default() -> Self {
+        Self { widths: vec![768, 384, 192, 96, 48, 16], l2: 1.0, cosine: 1.0 }
+    }
+}
+
+impl AutoencoderConfig {
+    /// Checks the settings.
+    ///
+    /// # Errors
+    /// Names the first that is out of range.
+    pub fn check(&self) -> std::result::Result<(), TrainError> {
+        let above = |field, value: f64| {
+            check_setting(field, value, value.is_finite() && value >= 0.0, "0 or more")
+        };
+        above("l2", self.l2)?;
+        above("cosine", self.cosine)?;
+        check_setting("l2", self.l2, self.l2 + self.cosine > 0.0, "above 0 if cosine is 0")?;
+        let widths = self.widths.len() as f64;
+        check_setting("widths", widths, self.widths.len() > 1, "two widths or more")
+    }
+}
+
+/// An autoencoder of the language features of scenes (`lang_feat`), a row at a time.
+pub struct AutoencoderTask {
+    params: ParamStore,
+    network: Autoencoder,
+    config: AutoencoderConfig,
+}
+
+impl AutoencoderTask {
+    /// Takes its parameters from `params`.
+    ///
+    /// # Errors
+    /// If the settings do not fit together.
+    pub fn new(config: &AutoencoderConfig, params: ParamStore) -> Result<Self> {
+        config.check().map_err(candle_core::Error::wrap)?;
+        let network = Autoencoder::new(&config.widths, Compute::default(), &params.builder())?;
+        Ok(Self { params, network, config: config.clone() })
+    }
+
+    /// The network.
+    pub fn network(&self) -> &Autoencoder {
+        &self.network
+    }
+
+    /// The features of rows that have one, `[R, D]` at unit length.
+    fn features(
+        &self,
+        features: Option<&LanguageFeatures>,
+        valid: Option<&[bool]>,
+        scenes: &str,
+    ) -> Result<Tensor> {
+        let Some(features) = features else {
+            bail!("lang_feat: none of the scenes {scenes} has language features");
+        };
+        let width = self.config.widths[0];
+        if features.dim != width {
+            bail!(
+                "autoencoder.widths: the scenes' features are {} wide, and the first width is {width}",
+                features.dim
+            );
+        }
+        let mut values = Vec::new();
+        for (i, row) in features.values.chunks_exact(width).enumerate() {
+            let norm = row.iter().map(|v| v.to_f64().powi(2)).sum::<f64>().sqrt();
+            if norm > 0.0 && valid.is_none_or(|valid| valid[i]) {
+                values.extend(row.iter().map(|v| (v.to_f64() / norm) as f32));
+            } else if norm.is_nan() {
+                // Left to the loss, which names it.
+                values.extend(row.iter().map(|v| v.to_f32()));
+            }
+        }
+        let rows = values.len() / width;
+        Tensor::from_vec(values, (rows, width), &Device::Cpu)
+    }
+}
+
+impl TrainingModule for AutoencoderTask {
+    type Batch = TrainBatch;
+
+    fn params(&self) -> &ParamStore {
+        &self.params
+    }
+
+    fn training_step(&self, batch: &TrainBatch, cx: &mut StepContext<'_>) -> Result<StepOutput> {
+        let (features, valid) = (batch.lang_feat.as_ref(), batch.valid_feat.as_deref());
+        let target = self.features(features, valid, &batch.ids.join(", "))?;
+        let rows = target.dim(0)?;
+        let zero = Tensor::zeros((), candle_core::DType::F32, &Device::Cpu)?;
+        if rows == 0 {
+            let terms = Vec::new();
+            return Ok(StepOutput {
+                loss: zero,
+                rows: batch.len(),
+                counted_rows: 0,
+                terms,
+                features: None,
+            });
+        }
+        let codes = self.network.encode(&target, cx.forward.mode)?;
+        let back = self.network.decode(&codes)?;
+        let (mut loss, mut terms) = (zero, Vec::new());
+        for (name, weight, value) in [
+            ("l2", self.config.l2, l2(&back, &target, None, Reduction::Mean)?),
+            ("cosine", self.config.cosine, cosine(&back, &target, None, Reduction::Mean)?),
+        ] {
+            if let Some(value) = value {
+                terms.push((name.to_owned(), f64::from(value.to_scalar::<f32>()?)));
+                loss = (loss + (value * weight)?)?;
+            }
+        }
+        let features = Some(codes.detach());
+        Ok(StepOutput { loss, rows: batch.len(), counted_rows: rows, terms, features })
+    }
+
+    fn is_empty(&self, batch: &TrainBatch) -> bool {
+        batch.is_empty()
+    }
+
+    fn scenes(&self, batch: &TrainBatch) -> Vec<String> {
+        batch.ids.clone()
+    }
+
+    fn suspects(&self, batch: &TrainBatch) -> Vec<String> {
+        bad_values(batch)
+    }
+}
+
+/// What an autoencoder keeps of the features of scenes.
+///
+/// | measurement | |
+/// |---|---|
+/// | `l2` | mean square distance of a feature and what comes back |
+/// | `cosine` | mean of 1 − cosine |
+/// | `agreement` | share of rows to which both give the same class by the texts |
+/// | `agreement_centered` | the same after taking off the mean of all features |
+pub struct AutoencoderEvaluator {
+    name: String,
+    data: Arc<dyn Dataset>,
+    text: Option<TextTable>,
+}
+
+impl AutoencoderEvaluator {
+    /// Without texts there is no agreement.
+    pub fn new(name: impl Into<String>, data: Arc<dyn Dataset>, text: Option<TextTable>) -> Self {
+        Self { name: name.into(), data, text }
+    }
+}
+
+/// The class of each row by the texts, first of equal ones.
+fn classes(rows: &Tensor, texts: &Tensor) -> Result<Vec<u32>> {
+    rows.matmul(&texts.t()?)?.argmax(1)?.to_vec1()
+}
+
+impl Evaluator<AutoencoderTask> for AutoencoderEvaluator {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn left_out(&self) -> LeftOut {
+        self.data.left_out()
+    }
+
+    fn measurements(&self) -> Vec<String> {
+        let all = ["l2", "cosine", "agreement", "agreement_centered"];
+        let count = if self.text.is_some() { 4 } else { 2 };
+        all[..count].iter().map(|name| (*name).to_owned()).collect()
+    }
+
+    fn run(
+        &mut self,
+        module: &AutoencoderTask,
+        _: Progress,
+    ) -> std::result::Result<Vec<Measurement>, TrainError> {
+        let tensor = |source| TrainError::Forward { source };
+        let (mut before, mut after) = (Vec::new(), Vec::new());
+        for index in 0..self.data.len() {
+            let sample = self.data.get(0, index)?;
+            let (features, valid) = (sample.lang_feat.as_ref(), sample.valid_feat.as_deref());
+            let rows = module.features(features, valid, &sample.id).map_err(tensor)?;
+            let back = module
+                .network
+                .encode(&rows, Mode::Eval)
+                .and_then(|codes| module.network.decode(&codes))
+                .map_err(tensor)?;
+            before.push(rows);
+            after.push(back.detach());
+        }
+        self.compare(&before, &after).map_err(tensor)
+    }
+}
+
+impl AutoencoderEvaluator {
+    fn compare(&self, before: &[Tensor], after: &[Tensor]) -> Result<Vec<Measurement>> {
+        let rows: usize = before.iter().map(|t| t.dims()[0]).sum();
+        if rows == 0 {
+            return Ok(Vec::new());
+        }
+        let (before, after) = (Tensor::cat(before, 0)?, Tensor::cat(after, 0)?);
+        let count = rows as f64;
+        // Both have unit length: the square distance is twice 1 − cosine, but for rows of zeros.
+        let square: f64 = f64::from((&before - &after)?.sqr()?.sum_all()?.to_scalar::<f32>()?);
+        let product = f64::from((&before * &after)?.sum_all()?.to_scalar::<f32>()?);
+        let mut found = vec![
+            Measurement::new("l2", square / count),
+            Measurement::new("cosine", 1.0 - product / count),
+        ];
+        let Some(text) = &self.text else { return Ok(found) };
+        let texts = Tensor::from_slice(&text.values, (text.len(), text.dim), &Device::Cpu)?;
+        let agreement = |a: &Tensor, b: &Tensor| -> Result<f64> {
+            let pairs = classes(a, &texts)?.into_iter().zip(classes(b, &texts)?);
+            Ok(pairs.filter(|(a, b)| a == b).count() as f64 / count)
+        };
+        found.push(Measurement::new("agreement", agreement(&before, &after)?));
+        let mean = before.mean_keepdim(0)?;
+        let centered = |t: &Tensor| t.broadcast_sub(&mean);
+        let value = agreement(&centered(&before)?, &centered(&after)?)?;
+        found.push(Measurement::new("agreement_centered", value));
+        Ok(found)
+    }
+}

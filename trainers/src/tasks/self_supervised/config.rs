@@ -1,0 +1,480 @@
+//! What a file says of self-supervised training.
+
+use crate::CosineSchedule;
+use crate::TrainError;
+use crate::error::check_setting;
+use scenesplat_datasets::{MaskShape, Masking};
+use scenesplat_losses::self_supervised::{Expansion, GaussianDistance};
+use serde::{Deserialize, Serialize};
+
+/// Self-supervised training: a sum of terms over views of scenes, with a teacher where a term asks for
+/// one.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SelfSupervisedConfig {
+    /// Whether teacher and heads follow the original where we think that it errs.
+    pub compat: Compat,
+    /// Which network becomes the model folder.
+    pub export: Export,
+    /// Momentum of the teacher: after optimizer step `n` it keeps `momentum(n)` of itself.
+    pub momentum: CosineSchedule,
+    /// What the student does not see of global views; all is seen if not given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub masking: Option<Masking>,
+    /// Edge of masked patches over the run, metres, in the place of the one in `masking`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mask_size: Option<CosineSchedule>,
+    /// Share of masked patches over the run, in the place of the one in `masking`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mask_ratio: Option<CosineSchedule>,
+    /// The terms; each kind at most once.
+    pub terms: Vec<TermConfig>,
+}
+
+impl Default for SelfSupervisedConfig {
+    fn default() -> Self {
+        Self {
+            compat: Compat::None,
+            export: Export::Student,
+            momentum: CosineSchedule::teacher_momentum(),
+            masking: Some(Masking::default()),
+            mask_size: None,
+            mask_ratio: None,
+            terms: Vec::new(),
+        }
+    }
+}
+
+/// Whose rules hold for teacher and heads.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Compat {
+    /// Ours: the teacher begins as a copy of the student, has heads of its own that follow the
+    /// student's, and drops no path; heads are trained; both global views are reconstructed.
+    #[default]
+    None,
+    /// Those of SceneSplat be9d5e1: the teacher begins with other values, drops paths, and is read
+    /// through the student's heads, which no optimizer sees; of masked Gaussians only those of the first
+    /// global view are reconstructed; weights of masked Gaussians are rounded to f16.
+    Original,
+}
+
+/// Which network becomes the model folder.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Export {
+    /// The one that gradients move.
+    #[default]
+    Student,
+    /// The one that follows it.
+    Teacher,
+}
+
+/// One term of the loss.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "type", rename_all = "snake_case")]
+pub enum TermConfig {
+    /// What masked Gaussians look like.
+    MaskedGaussians(MaskedGaussiansTerm),
+    /// Vectors of scenes: alike in all views of one, unlike between scenes.
+    SimDino(SimDinoTerm),
+    /// Vectors of scenes: the teacher's distribution over prototypes.
+    Dino(DinoTerm),
+    /// Masked Gaussians: the direction of the teacher's row.
+    Ibot(IbotTerm),
+    /// Masked Gaussians: the teacher's distribution over prototypes.
+    IbotCrossEntropy(IbotCrossEntropyTerm),
+    /// Rows of a coarse scale, matched between views by their places: the teacher's distribution over
+    /// prototypes.
+    SelfDistillation(SelfDistillationTerm),
+    /// The scenes' language features (codes of an autoencoder, say).
+    LanguageAlignment(LanguageAlignmentTerm),
+}
+
+/// Masked Gaussian modelling.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MaskedGaussiansTerm {
+    /// What it counts.
+    pub weight: f64,
+    /// How far a reconstruction is from the Gaussian. `fitted` compares logarithms of sizes.
+    pub distance: GaussianDistance,
+}
+
+impl Default for MaskedGaussiansTerm {
+    fn default() -> Self {
+        Self { weight: 1.0, distance: GaussianDistance::MeanSquare }
+    }
+}
+
+/// SimDINO.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SimDinoTerm {
+    /// What it counts.
+    pub weight: f64,
+    /// Width inside of the head.
+    pub hidden: usize,
+    /// Width of the vectors.
+    pub out: usize,
+    /// Weight of the compression beside the coding rate.
+    pub coefficient: f64,
+    /// Distortion of the coding rate, above 0.
+    pub epsilon: f64,
+    /// Whose vectors are kept apart.
+    pub expansion: Expansion,
+}
+
+impl Default for SimDinoTerm {
+    fn default() -> Self {
+        Self {
+            weight: 1.0,
+            hidden: 2048,
+            out: 256,
+            coefficient: 0.1,
+            epsilon: 0.05,
+            expansion: Expansion::StudentAndTeacher,
+        }
+    }
+}
+
+/// Distributions over prototypes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Prototypes {
+    /// How many.
+    pub count: usize,
+    /// Width inside of the head.
+    pub hidden: usize,
+    /// Width of the rows that prototypes are compared with.
+    pub out: usize,
+    /// Temperature of the student.
+    pub student_temperature: f64,
+    /// Temperature of the teacher over the run.
+    pub teacher_temperature: CosineSchedule,
+    /// What keeps a prototype from taking all.
+    pub balance: Balance,
+}
+
+impl Default for Prototypes {
+    fn default() -> Self {
+        Self {
+            count: 1024,
+            hidden: 2048,
+            out: 256,
+            student_temperature: 0.1,
+            teacher_temperature: CosineSchedule::teacher_temperature(),
+            balance: Balance::SinkhornKnopp(3),
+        }
+    }
+}
+
+/// What keeps a prototype from taking all.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Balance {
+    /// A running mean of the teacher's logits is taken off; the share of it that stays in a step.
+    Centering(f64),
+    /// So many iterations of Sinkhorn and Knopp.
+    SinkhornKnopp(usize),
+}
+
+/// DINO.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DinoTerm {
+    /// What it counts.
+    pub weight: f64,
+    /// The distributions.
+    pub prototypes: Prototypes,
+}
+
+impl Default for DinoTerm {
+    fn default() -> Self {
+        Self { weight: 1.0, prototypes: Prototypes::default() }
+    }
+}
+
+/// iBOT as the original computes it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct IbotTerm {
+    /// What it counts.
+    pub weight: f64,
+    /// Width inside of the head.
+    pub hidden: usize,
+    /// Width of the rows that are compared.
+    pub out: usize,
+}
+
+impl Default for IbotTerm {
+    fn default() -> Self {
+        Self { weight: 1.0, hidden: 256, out: 32 }
+    }
+}
+
+/// iBOT as it is named.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct IbotCrossEntropyTerm {
+    /// What it counts.
+    pub weight: f64,
+    /// The distributions.
+    pub prototypes: Prototypes,
+}
+
+impl Default for IbotCrossEntropyTerm {
+    fn default() -> Self {
+        let prototypes = Prototypes { hidden: 256, out: 32, ..Prototypes::default() };
+        Self { weight: 1.0, prototypes }
+    }
+}
+
+/// Self-distillation of rows, after Sonata.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SelfDistillationTerm {
+    /// What it counts.
+    pub weight: f64,
+    /// The distributions.
+    pub prototypes: Prototypes,
+    /// How many scales above the coarsest one the rows are compared at, with all coarser scales beside
+    /// them.
+    pub up_cast: usize,
+    /// Largest distance of matched rows, by their places before augmentation, metres.
+    pub max_distance: f64,
+    /// Shares of masked views against the teacher's same view, against its other views, and of local
+    /// views against its first view.
+    pub shares: [f64; 3],
+}
+
+impl Default for SelfDistillationTerm {
+    fn default() -> Self {
+        let temperature = CosineSchedule { warmup: 0.05, warmup_from: 0.04, from: 0.07, to: 0.07 };
+        let prototypes = Prototypes {
+            count: 4096,
+            hidden: 4096,
+            teacher_temperature: temperature,
+            ..Prototypes::default()
+        };
+        let shares = [0.25, 0.25, 0.5];
+        Self { weight: 1.0, prototypes, up_cast: 2, max_distance: 0.32, shares }
+    }
+}
+
+/// Language alignment: cosine and square distance to the scenes' features.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LanguageAlignmentTerm {
+    /// What it counts.
+    pub weight: f64,
+    /// Width of the features: that of the scenes' `lang_feat`.
+    pub out: usize,
+    /// Width inside of the head.
+    pub hidden: usize,
+    /// Whether only masked Gaussians count, as beside masked Gaussian modelling in the paper.
+    pub masked_only: bool,
+}
+
+impl Default for LanguageAlignmentTerm {
+    fn default() -> Self {
+        Self { weight: 1.0, out: 16, hidden: 32, masked_only: true }
+    }
+}
+
+impl TermConfig {
+    /// Its name in files and logs, and that of its head's parameters.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::MaskedGaussians(_) => "masked_gaussians",
+            Self::SimDino(_) => "sim_dino",
+            Self::Dino(_) => "dino",
+            Self::Ibot(_) => "ibot",
+            Self::IbotCrossEntropy(_) => "ibot_cross_entropy",
+            Self::SelfDistillation(_) => "self_distillation",
+            Self::LanguageAlignment(_) => "language_alignment",
+        }
+    }
+
+    /// What it counts.
+    pub fn weight(&self) -> f64 {
+        match self {
+            Self::MaskedGaussians(term) => term.weight,
+            Self::SimDino(term) => term.weight,
+            Self::Dino(term) => term.weight,
+            Self::Ibot(term) => term.weight,
+            Self::IbotCrossEntropy(term) => term.weight,
+            Self::SelfDistillation(term) => term.weight,
+            Self::LanguageAlignment(term) => term.weight,
+        }
+    }
+
+    /// Whether it compares with a teacher.
+    pub fn has_teacher(&self) -> bool {
+        !matches!(self, Self::MaskedGaussians(_) | Self::LanguageAlignment(_))
+    }
+
+    /// Whether it reads rows of the finest scale, for which the decoder runs.
+    pub fn reads_rows(&self) -> bool {
+        !matches!(self, Self::SimDino(_) | Self::Dino(_) | Self::SelfDistillation(_))
+    }
+
+    /// Whether the teacher's rows of the finest scale are read.
+    pub(super) fn reads_rows_of_teacher(&self) -> bool {
+        matches!(self, Self::Ibot(_) | Self::IbotCrossEntropy(_))
+    }
+
+    /// Whether it looks at masked Gaussians alone.
+    pub fn needs_mask(&self) -> bool {
+        match self {
+            Self::MaskedGaussians(_) | Self::Ibot(_) | Self::IbotCrossEntropy(_) => true,
+            Self::LanguageAlignment(term) => term.masked_only,
+            _ => false,
+        }
+    }
+
+    /// Distributions over prototypes, if it has them.
+    pub(super) fn prototypes(&self) -> Option<&Prototypes> {
+        match self {
+            Self::Dino(term) => Some(&term.prototypes),
+            Self::IbotCrossEntropy(term) => Some(&term.prototypes),
+            Self::SelfDistillation(term) => Some(&term.prototypes),
+            _ => None,
+        }
+    }
+
+    fn sizes(&self) -> Vec<(&'static str, usize)> {
+        match self {
+            Self::SimDino(t) => vec![("hidden", t.hidden), ("out", t.out)],
+            Self::Ibot(t) => vec![("hidden", t.hidden), ("out", t.out)],
+            Self::LanguageAlignment(t) => vec![("hidden", t.hidden), ("out", t.out)],
+            _ => self.prototypes().map_or(Vec::new(), |p| {
+                vec![
+                    ("prototypes.count", p.count),
+                    ("prototypes.hidden", p.hidden),
+                    ("prototypes.out", p.out),
+                ]
+            }),
+        }
+    }
+
+    fn check(&self) -> Result<(), TrainError> {
+        let number =
+            |field, value: f64, good: bool, expected| check_setting(field, value, good, expected);
+        let above = |field, value: f64| {
+            number(field, value, value.is_finite() && value > 0.0, "a finite number above 0")
+        };
+        above("weight", self.weight())?;
+        for (field, size) in self.sizes() {
+            number(field, size as f64, (1..=1 << 16).contains(&size), "in 1..=65536")?;
+        }
+        if let Some(prototypes) = self.prototypes() {
+            above("prototypes.student_temperature", prototypes.student_temperature)?;
+            let schedule = prototypes.teacher_temperature;
+            schedule.check()?;
+            above("prototypes.teacher_temperature.from", schedule.from)?;
+            above("prototypes.teacher_temperature.to", schedule.to)?;
+            if schedule.warmup > 0.0 {
+                above("prototypes.teacher_temperature.warmup_from", schedule.warmup_from)?;
+            }
+            if let Balance::Centering(m) = prototypes.balance {
+                number("prototypes.balance.centering", m, (0.0..=1.0).contains(&m), "in 0..=1")?;
+            }
+        }
+        match self {
+            Self::SimDino(term) => {
+                above("epsilon", term.epsilon)?;
+                let c = term.coefficient;
+                number("coefficient", c, c.is_finite(), "a finite number")
+            }
+            Self::SelfDistillation(term) => {
+                above("max_distance", term.max_distance)?;
+                for share in term.shares {
+                    number("shares", share, share.is_finite() && share >= 0.0, "0 or more")?;
+                }
+                let sum: f64 = term.shares.iter().sum();
+                above("shares", sum)
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+impl SelfSupervisedConfig {
+    /// Whether there is a teacher.
+    pub fn has_teacher(&self) -> bool {
+        self.terms.iter().any(TermConfig::has_teacher)
+    }
+
+    /// Checks that the settings fit together.
+    ///
+    /// # Errors
+    /// Names the first that does not.
+    pub fn check(&self) -> Result<(), TrainError> {
+        let wrong = |setting: &'static str, problem: &'static str| {
+            Err(TrainError::SelfSupervised { setting, problem: problem.to_owned() })
+        };
+        if self.terms.is_empty() {
+            return wrong("terms", "at least one is needed");
+        }
+        for (i, term) in self.terms.iter().enumerate() {
+            term.check()?;
+            if self.terms[..i].iter().any(|other| other.name() == term.name()) {
+                return Err(TrainError::SelfSupervised {
+                    setting: "terms",
+                    problem: format!("{} is there twice", term.name()),
+                });
+            }
+            if term.needs_mask() && self.masking.is_none() {
+                return Err(TrainError::SelfSupervised {
+                    setting: "masking",
+                    problem: format!("{} looks at masked Gaussians; give it", term.name()),
+                });
+            }
+        }
+        self.momentum.check()?;
+        let values = [self.momentum.from, self.momentum.to];
+        for value in values {
+            check_setting("momentum", value, (0.0..=1.0).contains(&value), "in 0..=1")?;
+        }
+        if self.export == Export::Teacher && !self.has_teacher() {
+            return wrong("export", "no term has a teacher; export the student");
+        }
+        if let Some(masking) = &self.masking {
+            masking.check().map_err(|e| TrainError::SelfSupervised {
+                setting: "masking",
+                problem: e.to_string(),
+            })?;
+        } else if self.mask_size.is_some() || self.mask_ratio.is_some() {
+            return wrong("masking", "mask_size and mask_ratio vary it; give it");
+        }
+        if let Some(size) = &self.mask_size {
+            size.check()?;
+            if matches!(self.masking, Some(Masking { shape: MaskShape::Gaussians, .. })) {
+                return wrong("mask_size", "single Gaussians are masked, which have none");
+            }
+            for value in [size.from, size.to, size.warmup_from] {
+                check_setting("mask_size", value, value > 0.0, "metres above 0")?;
+            }
+        }
+        if let Some(ratio) = &self.mask_ratio {
+            ratio.check()?;
+            for value in [ratio.from, ratio.to, ratio.warmup_from] {
+                check_setting("mask_ratio", value, (0.0..=1.0).contains(&value), "in 0..=1")?;
+            }
+        }
+        Ok(())
+    }
+
+    /// How step `step` of `total` masks.
+    pub fn masking_at(&self, step: u64, total: u64) -> Option<Masking> {
+        let mut masking = self.masking?;
+        if let Some(size) = &self.mask_size {
+            masking.shape = MaskShape::Patches(size.value(step, total));
+        }
+        if let Some(ratio) = &self.mask_ratio {
+            masking.ratio = [ratio.value(step, total); 2];
+        }
+        Some(masking)
+    }
+}

@@ -1,0 +1,129 @@
+//! What stands behind student and teacher for each term.
+
+use super::config::{Prototypes, TermConfig};
+use candle_core::{Result, Tensor, bail};
+use scenesplat_models::self_supervised_heads::{
+    ProjectionHead, ProjectionShape, PrototypeHead, ReconstructionHead,
+};
+use scenesplat_models::{Compute, ParamStore};
+
+/// Where the parameters of heads stand, before the name of their term.
+pub(super) const HEADS: &str = "heads";
+
+/// Widths of what heads read and give.
+#[derive(Debug, Clone)]
+pub(super) struct Widths {
+    /// Rows of the finest scale.
+    pub rows: usize,
+    /// Channels of the encoder's scales, fine to coarse.
+    pub encoder: Vec<usize>,
+    /// Input channels: what is reconstructed.
+    pub input: usize,
+}
+
+/// A head; most have one, self-distillation has one for masked and one for local views.
+#[derive(Debug, Clone)]
+pub(super) enum Head {
+    Attributes(ReconstructionHead),
+    Vectors(ProjectionHead),
+    Logits(PrototypeHead),
+    Pair { masked: Option<PrototypeHead>, local: Option<PrototypeHead> },
+}
+
+impl Head {
+    /// The head of a term, with parameters `heads.<term>.*`.
+    ///
+    /// # Errors
+    /// If parameters exist with another shape, or the network has too few scales.
+    pub fn new(
+        term: &TermConfig,
+        widths: &Widths,
+        compute: Compute,
+        store: &ParamStore,
+    ) -> Result<Self> {
+        let vb = store.builder().pp(HEADS).pp(term.name());
+        let coarsest = widths.encoder.last().copied().unwrap_or(0);
+        let shape = |channels, hidden, out| ProjectionShape { channels, hidden, out };
+        let logits = |channels, p: &Prototypes, vb| {
+            PrototypeHead::new(shape(channels, p.hidden, p.out), p.count, compute, &vb)
+        };
+        Ok(match term {
+            TermConfig::MaskedGaussians(_) => {
+                Self::Attributes(ReconstructionHead::new(widths.rows, widths.input, compute, &vb)?)
+            }
+            TermConfig::LanguageAlignment(t) => Self::Attributes(ReconstructionHead::with_hidden(
+                widths.rows,
+                t.hidden,
+                t.out,
+                compute,
+                &vb,
+            )?),
+            TermConfig::SimDino(t) => {
+                Self::Vectors(ProjectionHead::new(shape(coarsest, t.hidden, t.out), compute, &vb)?)
+            }
+            TermConfig::Ibot(t) => Self::Vectors(ProjectionHead::new(
+                shape(widths.rows, t.hidden, t.out),
+                compute,
+                &vb,
+            )?),
+            TermConfig::Dino(t) => Self::Logits(logits(coarsest, &t.prototypes, vb)?),
+            TermConfig::IbotCrossEntropy(t) => {
+                Self::Logits(logits(widths.rows, &t.prototypes, vb)?)
+            }
+            TermConfig::SelfDistillation(t) => {
+                let level = level_of(widths.encoder.len(), t.up_cast)?;
+                let channels = widths.encoder[level..].iter().sum();
+                let head = |on: bool, name| {
+                    on.then(|| logits(channels, &t.prototypes, vb.pp(name))).transpose()
+                };
+                let [same, other, local] = t.shares;
+                Self::Pair {
+                    masked: head(same > 0.0 || other > 0.0, "masked")?,
+                    local: head(local > 0.0, "local")?,
+                }
+            }
+        })
+    }
+
+    /// Attributes of rows. `[N, C] → [N, input]`
+    pub fn attributes(&self, x: &Tensor) -> Result<Tensor> {
+        match self {
+            Self::Attributes(head) => head.forward(x),
+            _ => bail!("this head gives no attributes"),
+        }
+    }
+
+    /// Vectors of unit length or logits. `[N, C] → [N, out]`
+    pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        match self {
+            Self::Vectors(head) => head.forward(x),
+            Self::Logits(head) => head.forward(x),
+            Self::Attributes(head) => head.forward(x),
+            Self::Pair { .. } => bail!("this term has one head for each kind of view"),
+        }
+    }
+
+    /// Logits of rows of a local or another view.
+    pub fn of_view(&self, x: &Tensor, is_local: bool) -> Result<Tensor> {
+        let Self::Pair { masked, local } = self else { return self.forward(x) };
+        match if is_local { local } else { masked } {
+            Some(head) => head.forward(x),
+            None => bail!("there is no head for such views: their share is 0"),
+        }
+    }
+}
+
+/// The scale `up_cast` above the coarsest of `scales`.
+///
+/// # Errors
+/// If there is none.
+pub(super) fn level_of(scales: usize, up_cast: usize) -> Result<usize> {
+    match scales.checked_sub(up_cast + 1) {
+        Some(level) => Ok(level),
+        None => bail!(
+            "self_distillation.up_cast: {up_cast} scales above the coarsest of {scales}; at most {} are \
+             there",
+            scales.saturating_sub(1)
+        ),
+    }
+}

@@ -1,0 +1,16 @@
+//! Self-supervised training: a network learns from scenes without labels.
+
+mod centers;
+mod config;
+mod heads;
+mod matching;
+mod module;
+mod teacher;
+mod terms;
+
+pub use config::{
+    Balance, Compat, DinoTerm, Export, IbotCrossEntropyTerm, IbotTerm, LanguageAlignmentTerm,
+    MaskedGaussiansTerm, Prototypes, SelfDistillationTerm, SelfSupervisedConfig, SimDinoTerm,
+    TermConfig,
+};
+pub use module::{SelfSupervised, is_head};
