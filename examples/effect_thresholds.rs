@@ -4,7 +4,7 @@
 //!
 //! `cargo run --release --example effect_thresholds -- OUT 3000 60` looks at 60 rooms from
 //! seed 3000 on (thresholds were fitted on 40 from seed 0 on) and writes `effects.csv`, `effects.md` and
-//! `effects-roc.svg`.
+//! `effects-roc.svg`. A fourth argument such as `holes,glass` damages rooms by these effects alone.
 
 use scenesplat::datasets::effects::profile::{EffectProfile, profile};
 use scenesplat::datasets::effects::{Effect, EffectSet, MOST_SEVERE, simulate};
@@ -41,13 +41,17 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let out = PathBuf::from(args.next().ok_or("which folder?")?);
     let first: u64 = args.next().ok_or("which seed comes first?")?.parse()?;
     let rooms: u64 = args.next().ok_or("how many rooms?")?.parse()?;
+    let damages: Vec<Effect> = match args.next() {
+        Some(names) => names.split(',').map(Effect::named).collect::<Result<_, _>>()?,
+        None => Effect::ALL.to_vec(),
+    };
     std::fs::create_dir_all(&out)?;
     let mut looks = Vec::new();
     for seed in first..first + rooms {
         let settings = SyntheticRoomSettings::with_count(COUNTS[(seed % 4) as usize], seed);
         let room = generate(&settings)?.scene;
         looks.push(Look { seed, done: None, severity: 0.0, seen: profile(&room, 1.0) });
-        for effect in Effect::ALL {
+        for &effect in &damages {
             for severity in 1..=MOST_SEVERE as u32 {
                 let severity = f64::from(severity);
                 let set = EffectSet::default().with(effect, severity)?;
@@ -67,14 +71,18 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
 /// Everything, a line for each look and detector.
 fn csv(looks: &[Look]) -> String {
-    let mut text = String::from("seed,effect,severity,detector,measure,present,found_severity\n");
+    let mut text =
+        String::from("seed,effect,severity,detector,measure,present,found_severity,more\n");
     for look in looks {
         let done = look.done.map_or("none", Effect::name);
         for effect in Effect::ALL {
             let (m, e) = (look.measure(effect), look.seen.of(effect));
+            let more: Vec<String> =
+                e.more.iter().map(|f| format!("{}={:.6}", f.name, f.value)).collect();
+            let more = more.join(" ");
             let _ = writeln!(
                 text,
-                "{},{done},{},{},{m:.6},{},{:.3}",
+                "{},{done},{},{},{m:.6},{},{:.3},{more}",
                 look.seed,
                 look.severity,
                 effect.name(),

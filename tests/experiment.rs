@@ -522,3 +522,46 @@ fn misspelt_measurements_are_refused_before_the_first_step() {
     let best = std::fs::read_to_string(out.join("checkpoints/best.json")).unwrap();
     assert!(best.contains("mean of unseen/mIoU, unseen/allAcc"), "{best}");
 }
+
+/// What is found in the training scenes is written down, and is found again.
+#[test]
+fn measured_effects_are_those_of_the_scenes_and_a_run_that_goes_on_has_the_same() {
+    let folder = folder();
+    let steps = r#"transforms = [
+  { type = "center_shift" },
+  { type = "measured_effects", most = "surface=5,holes=2" },
+  { type = "grid_sample", grid_size = 0.3 },
+]"#;
+    let rough = "effects = \"surface=4\", room = { num_gaussians = 3000 } }";
+    let text = LANGUAGE.replacen("transforms = \"language_pretraining\"", steps, 1).replacen(
+        "room = { num_gaussians = 400 } }",
+        rough,
+        1,
+    );
+    let config = read(folder.path(), &text);
+    let out = folder.path().join("measured");
+    run(&config, &out, false).unwrap();
+    let model = |out: &Path| std::fs::read(out.join("model/model.safetensors")).unwrap();
+    let first = model(&out);
+    run(&config, &out, true).unwrap();
+    assert_eq!(model(&out), first);
+
+    // One entry for each of the two scenes.
+    let written = std::fs::read_to_string(out.join("config.toml")).unwrap();
+    let stored: Value = serde_json::to_value(read(folder.path(), &written)).unwrap();
+    let found = &stored["train"][0]["transforms"][1]["found"];
+    let severity = |text: &Value| -> f64 {
+        let text = text.as_str().unwrap();
+        text.strip_prefix("surface=").unwrap_or_else(|| panic!("{text}")).parse().unwrap()
+    };
+    let found: Vec<f64> = found.as_array().unwrap().iter().map(severity).collect();
+    assert!(found.len() == 2 && found.iter().all(|s| *s > 2.0), "{found:?}");
+    // The record by itself is the same run; one that finds something else is another.
+    let again = folder.path().join("again");
+    run(&read(folder.path(), &written), &again, false).unwrap();
+    assert_eq!(model(&again), first);
+    let other = written.replacen("found = [", "found = [\"none\",", 1);
+    assert_ne!(other, written);
+    let error = run(&read(folder.path(), &other), &again, true).unwrap_err();
+    assert!(error.contains("train[0].transforms"), "{error}");
+}

@@ -121,7 +121,7 @@ fn words(effect: Effect) -> &'static str {
         Effect::Floaters => "Gaussians with neither a surface nor company around them are",
         Effect::Surface => "centres lie off the plane of their neighbours by",
         Effect::Blur => "Gaussians are drawn out in common by, in sizes of theirs,",
-        Effect::Glass => "faint Gaussians behind a plane that bounds the scene are",
+        Effect::Glass => "of a plane that bounds the scene, what is see-through makes up",
         Effect::Light => "light drifts along surfaces, by",
         Effect::Noise => "noise that depends on the light as a sensor's does is",
     }

@@ -1,12 +1,17 @@
-//! Glass and mirrors: behind a plane that bounds the scene there is something, and it is fainter than the scene.
+//! Glass and mirrors: a large part of a plane that bounds the scene, in which whatever there is is faint, as a pane is
+//! that pictures see through; and behind it things as faint, which it reflected.
 //!
-//! Reflections become geometry behind a pane, and pictures disagree about it, so that it stays faint. What really
-//! stands behind a wall (the other part of a room with a corner) is as opaque as the rest. Panes that reflect
-//! nothing near them leave no such trace.
+//! The area of the cells of a plane in which nothing is opaque, though the surface goes on in nearly all directions, as a
+//! share of the plane; and the share of the scene that is fainter than usual behind a plane. Reflections become
+//! geometry behind a pane, and pictures disagree about it, so that it stays faint; panes that reflect nothing near them
+//! leave none. What really stands behind a wall (the other part of a room with a corner) is as opaque as the rest.
 
 use super::planes::Shell;
 use super::table::{Table, quantile_of};
 use super::{Figure, Measured, Outcome};
+
+/// What is behind counts so many times what is in the plane.
+const BEHIND: f64 = 3.0;
 
 pub(super) fn measure(table: &Table<'_>, shell: &Shell) -> Outcome {
     shell.is_room()?;
@@ -15,22 +20,23 @@ pub(super) fn measure(table: &Table<'_>, shell: &Shell) -> Outcome {
     let Some(usual) = quantile_of((0..all).map(opacity), 0.5) else {
         return Err("there are no Gaussians");
     };
-    let mut best = [0.0; 2];
+    let mut best = [0.0f64; 2];
     for wall in &shell.walls {
         let faint = wall.behind.iter().filter(|&&i| opacity(i) < usual).count() as f64;
         // Of what is no fainter than the scene, as much is below its median as above.
-        let more = 2.0 * faint - wall.behind.len() as f64;
-        if more / all as f64 > best[0] {
-            best = [more / all as f64, wall.share_behind];
-        }
+        let more = (2.0 * faint - wall.behind.len() as f64) / all as f64;
+        let pane = wall.gaps.faint / wall.gaps.areas[1].max(f64::MIN_POSITIVE);
+        best = [best[0].max(more), best[1].max(pane)];
     }
+    let strength = best[1] + BEHIND * best[0];
     Ok(Measured {
-        measure: Figure::new("faint_behind", best[0], ""),
+        measure: Figure::new("see_through", strength, ""),
         more: vec![
-            Figure::new("behind", best[1], ""),
+            Figure::new("faint_area", best[1], ""),
+            Figure::new("faint_behind", best[0], ""),
             Figure::new("planes", shell.walls.len() as f64, ""),
         ],
-        strength: best[0],
+        strength,
         regions: Vec::new(),
     })
 }

@@ -29,6 +29,8 @@ pub(super) struct Gaps {
     cells: Vec<[f64; 3]>,
     /// Side of a cell, in units of the scene.
     edge: f64,
+    /// Area of the cells in which everything is faint though the surface goes on around them, in units of the scene.
+    pub(super) faint: f64,
 }
 
 impl Gaps {
@@ -64,24 +66,27 @@ pub(super) fn measure(shell: &Shell, metres: f64) -> Outcome {
 }
 
 impl Large {
-    /// The gaps of this surface.
-    pub(super) fn gaps(&self, rows: &[[f64; 3]], diagonal: f64) -> Gaps {
-        let on: Vec<[f64; 2]> = rows
-            .iter()
-            .filter(|row| (dot(self.axes[2], **row) - self.offset).abs() <= THICK * diagonal)
-            .map(|row| [dot(self.axes[0], *row), dot(self.axes[1], *row)])
-            .collect();
+    /// The gaps of this surface, among Gaussians of which some are faint.
+    pub(super) fn gaps(&self, rows: &[[f64; 3]], is_faint: &[bool], diagonal: f64) -> Gaps {
+        let flat = |row: [f64; 3]| [dot(self.axes[0], row), dot(self.axes[1], row)];
+        let is_on =
+            |row: [f64; 3]| (dot(self.axes[2], row) - self.offset).abs() <= THICK * diagonal;
+        let near = || rows.iter().zip(is_faint).filter(|(row, _)| is_on(**row));
+        let on: Vec<[f64; 2]> = near().map(|(row, _)| flat(*row)).collect();
         let side = |a: usize, share| quantile_of(on.iter().map(|p| p[a]), share).unwrap_or(0.0);
         let low = [side(0, 0.002), side(1, 0.002)];
         let extent = [side(0, 0.998) - low[0], side(1, 0.998) - low[1]];
         let widest = extent[0].max(extent[1]);
         let edge = (PER_CELL / self.density).sqrt().max(widest / MOST_CELLS as f64);
         let cells = extent.map(|e| ((e / edge) as usize + 1).min(MOST_CELLS + 1));
-        let mut is_full = vec![false; cells[0] * cells[1]];
-        for p in &on {
+        let (mut is_full, mut is_solid) =
+            (vec![false; cells[0] * cells[1]], vec![false; cells[0] * cells[1]]);
+        for (p, (_, faint)) in on.iter().zip(near()) {
             let [x, y] = [0, 1].map(|a| ((p[a] - low[a]) / edge).floor());
             if x >= 0.0 && y >= 0.0 && (x as usize) < cells[0] && (y as usize) < cells[1] {
-                is_full[x as usize * cells[1] + y as usize] = true;
+                let cell = x as usize * cells[1] + y as usize;
+                is_full[cell] = true;
+                is_solid[cell] |= !faint;
             }
         }
         let middle = |x: usize, y: usize| -> [f64; 3] {
@@ -90,7 +95,7 @@ impl Large {
                 u * self.axes[0][k] + v * self.axes[1][k] + self.offset * self.axes[2][k]
             })
         };
-        let (mut found, mut all) = (Vec::new(), 0usize);
+        let (mut found, mut all, mut faint) = (Vec::new(), 0usize, 0usize);
         for x in 0..cells[0] {
             for y in 0..cells[1] {
                 let full = is_full[x * cells[1] + y];
@@ -99,10 +104,12 @@ impl Large {
                     found.push(middle(x, y));
                 }
                 all += usize::from(gap || full);
+                let is_pane = full && !is_solid[x * cells[1] + y];
+                faint += usize::from(is_pane && goes_on(&is_solid, cells, [x, y]) >= AROUND);
             }
         }
-        let areas = [found.len(), all].map(|cells| cells as f64 * edge * edge);
-        Gaps { areas, cells: found, edge }
+        let [gaps, all, faint] = [found.len(), all, faint].map(|cells| cells as f64 * edge * edge);
+        Gaps { areas: [gaps, all], cells: found, edge, faint }
     }
 }
 

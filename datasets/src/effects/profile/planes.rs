@@ -16,6 +16,8 @@ const BEHIND: f64 = 0.1;
 /// A room is a scene whose bounding planes have this share of the area of its box, or more. Rooms without
 /// a ceiling have 0.69 and more, objects up to 0.59, a house of several rooms 0.45.
 const ROOM: f64 = 0.62;
+/// Faint is what has less than this part of the median opacity.
+const FAINT: f64 = 0.6;
 /// Normals of one plane agree so well; its patches lie within so many diagonals of it.
 const SAME_NORMAL: f64 = 0.94;
 const ACROSS: f64 = 0.012;
@@ -34,7 +36,7 @@ pub(super) struct Shell {
 pub(super) struct Wall {
     /// Indices among the rows that are looked at of what is behind it.
     pub(super) behind: Vec<usize>,
-    /// Their share of all.
+    /// The share of all that those behind it are that are not faint.
     pub(super) share_behind: f64,
     /// Where nothing is though it goes on around.
     pub(super) gaps: Gaps,
@@ -45,11 +47,14 @@ impl Shell {
         let diagonal = table.bounds.diagonal();
         let places: Vec<[f64; 3]> =
             table.rows.iter().map(|&row| table.scene.coord[row as usize].map(f64::from)).collect();
+        let is_faint = faint(table);
         let wall = |plane: &Large| {
             let behind = plane.beyond(&places, diagonal);
-            let share_behind = behind.len() as f64 / places.len() as f64;
+            // What a pane reflects stands behind it, faint: it is no other room.
+            let solid = behind.iter().filter(|&&i| !is_faint[i]).count();
+            let share_behind = solid as f64 / places.len() as f64;
             (share_behind <= BEHIND).then(|| {
-                let gaps = plane.gaps(&places, diagonal);
+                let gaps = plane.gaps(&places, &is_faint, diagonal);
                 Wall { behind, share_behind, gaps }
             })
         };
@@ -68,6 +73,13 @@ impl Shell {
             Err("no room: large flat surfaces make up too little of the scene's box")
         }
     }
+}
+
+/// Which of the rows that are looked at are much less opaque than usual.
+fn faint(table: &Table<'_>) -> Vec<bool> {
+    let opacity = |&row: &u32| f64::from(table.scene.opacity(row as usize));
+    let usual = quantile_of(table.rows.iter().map(opacity), 0.5).unwrap_or(0.0);
+    table.rows.iter().map(|row| opacity(row) < FAINT * usual).collect()
 }
 
 /// A large flat surface.
