@@ -261,10 +261,10 @@ mod tests {
             assert_eq!(probe.classes(&learned.rows).unwrap().len(), n);
         }
         let refused = |settings: ProbeSettings| settings.check().unwrap_err().to_string();
-        assert!(refused(ProbeSettings { steps: 0, ..settings.clone() }).contains("steps"));
-        assert!(refused(ProbeSettings { lr: 0.0, ..settings.clone() }).contains("lr"));
+        assert!(refused(ProbeSettings { steps: 0, ..settings }).contains("steps"));
+        assert!(refused(ProbeSettings { lr: 0.0, ..settings }).contains("lr"));
         let labels = LabelRegime::Share(0.0);
-        assert!(refused(ProbeSettings { labels, ..settings.clone() }).contains("labels"));
+        assert!(refused(ProbeSettings { labels, ..settings }).contains("labels"));
         let labels = LabelRegime::PerScene(0);
         assert!(refused(ProbeSettings { labels, ..settings }).contains("labels"));
     }

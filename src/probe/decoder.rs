@@ -23,6 +23,7 @@ use std::path::Path;
 const FINEST: usize = 64;
 
 /// Where the encoder's values come from.
+#[derive(Clone, Copy)]
 pub(super) enum EncoderValues<'a> {
     /// A model folder.
     File(&'a Path),
@@ -77,7 +78,7 @@ fn networks(
     let stages = own.num_stages() - 1;
     let channels: Vec<usize> =
         (0..stages).map(|i| if i == 0 { FINEST } else { own.enc_channels[i] }).collect();
-    let heads = |width: &usize| (1..=8).rev().find(|h| width % h == 0).unwrap_or(1);
+    let heads = |width: &usize| (1..=8).rev().find(|h| width.is_multiple_of(*h)).unwrap_or(1);
     let decoder = PointTransformerV3Config {
         dec_depths: vec![1; stages],
         dec_num_head: channels.iter().map(heads).collect(),

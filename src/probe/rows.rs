@@ -209,6 +209,9 @@ pub(super) fn chosen_rows(
     labelled
 }
 
+/// Sum of the rows of an instance, their number, and how many have each class.
+type InstanceSum = (Vec<f64>, usize, BTreeMap<i32, usize>);
+
 /// The mean row of each instance, in the order of scenes and numbers; `None` if no scene has instances
 /// with a class.
 pub(super) fn objects(scenes: &[ProbeScene]) -> Result<Option<Objects>, ProbeError> {
@@ -217,7 +220,7 @@ pub(super) fn objects(scenes: &[ProbeScene]) -> Result<Option<Objects>, ProbeErr
         let Some(instances) = &scene.instances else { continue };
         width = scene.rows.dim(1)?;
         let values = scene.rows.flatten_all()?.to_vec1::<f32>()?;
-        let mut sums: BTreeMap<i32, (Vec<f64>, usize, BTreeMap<i32, usize>)> = BTreeMap::new();
+        let mut sums: BTreeMap<i32, InstanceSum> = BTreeMap::new();
         for (row, (&instance, &label)) in instances.iter().zip(&scene.labels).enumerate() {
             if instance < 0 || label < 0 {
                 continue;

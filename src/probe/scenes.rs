@@ -12,6 +12,9 @@ pub struct ProbeScenes {
     test: usize,
 }
 
+/// Scenes as a network reads them.
+type Scenes = Arc<dyn Dataset>;
+
 /// Some scenes of another source.
 struct Part {
     source: Arc<dyn DataSource>,
@@ -52,10 +55,10 @@ impl ProbeScenes {
     }
 
     /// Those that are learned from, and those that are scored.
-    pub(super) fn split(&self) -> Result<(Arc<dyn Dataset>, Arc<dyn Dataset>), ProbeError> {
+    pub(super) fn split(&self) -> Result<(Scenes, Scenes), ProbeError> {
         let ids = self.source.scene_ids();
         let (train, test) = ids.split_at(ids.len() - self.test);
-        let dataset = |ids: &[String]| -> Result<Arc<dyn Dataset>, ProbeError> {
+        let dataset = |ids: &[String]| -> Result<Scenes, ProbeError> {
             let part = Part { source: Arc::clone(&self.source), ids: ids.to_vec() };
             let steps = build_transforms(&validation(self.grid_size))?;
             Ok(Arc::new(SceneDataset::new(Arc::new(part), steps, 0, 1)?))

@@ -543,8 +543,7 @@ fn terms_and_networks_that_do_not_fit_are_refused() {
     assert!(refused(&no_mask, &model(true)).contains("masking"));
     assert!(refused(&settings(vec![simdino()]), &model(true)).contains("dec_depths"));
     assert!(refused(&good, &model(true).with_classes(3)).contains("num_classes"));
-    let mut far = SelfDistillationTerm::default();
-    far.up_cast = 2;
+    let far = SelfDistillationTerm { up_cast: 2, ..SelfDistillationTerm::default() };
     let far = settings(vec![TermConfig::SelfDistillation(far)]);
     assert!(refused(&far, &model(false)).contains("up_cast"));
     // Language features that the scenes do not have.

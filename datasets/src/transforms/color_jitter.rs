@@ -77,7 +77,7 @@ fn turn_hue(color: [f32; 3], part: f64) -> [f32; 3] {
     let (high, low) = (r.max(g).max(b), r.min(g).min(b));
     let range = high - low;
     // NaN has no hue either.
-    if !(range > 0.0) {
+    if range.is_nan() || range <= 0.0 {
         return color;
     }
     let sixths = if high == r {

@@ -163,9 +163,9 @@ mod tests {
             let norm: f32 = q.iter().map(|v| v * v).sum();
             (norm - 1.0).abs() < 1e-4
         }));
-        let never = VoxelBlur { probability: 0.0, ..blur.clone() };
+        let never = VoxelBlur { probability: 0.0, ..blur };
         assert_eq!(applied(&never, &sample, 2), sample);
-        assert!(VoxelBlur { sigma: [0.0, 1.0], ..blur.clone() }.check().is_err());
+        assert!(VoxelBlur { sigma: [0.0, 1.0], ..blur }.check().is_err());
         assert!(VoxelBlur { sigma: [1.0, 9.0], ..blur }.check().is_err());
     }
 }

@@ -27,7 +27,14 @@ pub(super) enum Head {
     Attributes(ReconstructionHead),
     Vectors(ProjectionHead),
     Logits(PrototypeHead),
-    Pair { masked: Option<PrototypeHead>, local: Option<PrototypeHead> },
+    Pair(Box<Pair>),
+}
+
+/// The heads of self-distillation.
+#[derive(Debug, Clone)]
+pub(super) struct Pair {
+    masked: Option<PrototypeHead>,
+    local: Option<PrototypeHead>,
 }
 
 impl Head {
@@ -77,10 +84,8 @@ impl Head {
                     on.then(|| logits(channels, &t.prototypes, vb.pp(name))).transpose()
                 };
                 let [same, other, local] = t.shares;
-                Self::Pair {
-                    masked: head(same > 0.0 || other > 0.0, "masked")?,
-                    local: head(local > 0.0, "local")?,
-                }
+                let masked = head(same > 0.0 || other > 0.0, "masked")?;
+                Self::Pair(Box::new(Pair { masked, local: head(local > 0.0, "local")? }))
             }
         })
     }
@@ -99,14 +104,14 @@ impl Head {
             Self::Vectors(head) => head.forward(x),
             Self::Logits(head) => head.forward(x),
             Self::Attributes(head) => head.forward(x),
-            Self::Pair { .. } => bail!("this term has one head for each kind of view"),
+            Self::Pair(_) => bail!("this term has one head for each kind of view"),
         }
     }
 
     /// Logits of rows of a local or another view.
     pub fn of_view(&self, x: &Tensor, is_local: bool) -> Result<Tensor> {
-        let Self::Pair { masked, local } = self else { return self.forward(x) };
-        match if is_local { local } else { masked } {
+        let Self::Pair(pair) = self else { return self.forward(x) };
+        match if is_local { &pair.local } else { &pair.masked } {
             Some(head) => head.forward(x),
             None => bail!("there is no head for such views: their share is 0"),
         }

@@ -379,7 +379,6 @@ fn sim_dino_term(term: &SimDinoTerm, own: &Head, other: &Head, step: &Step<'_>) 
 }
 
 /// What both heads make of the masked rows of all views, with their weights.
-#[expect(clippy::type_complexity, reason = "three arrays of the same rows")]
 fn masked_pairs(
     own: &Head,
     other: &Head,
