@@ -7,6 +7,7 @@ use anyhow::{Context, Result};
 use scenesplat::capture::{CaptureProbe, ScenePictures};
 use scenesplat::datasets::effects::pictures::PictureSimulator;
 use scenesplat::datasets::effects::{EffectSet, simulate};
+use scenesplat::metrics::rank_correlation;
 use scenesplat::preview::{SceneRows, inside_views, picture_of};
 use scenesplat::rasterizer::{
     DepthRequest, Gaussians, PlanRequest, Prepared, RasterSettings, RenderPlan, RenderRequest,
@@ -64,15 +65,15 @@ fn main() -> Result<()> {
         };
         let (clean, cleans) = alarms(&|truth| truth == EFFECTS.len());
         let (other, others) = alarms(&|truth| truth != k && truth != EFFECTS.len());
-        let pairs: Vec<(f64, f64)> = found
+        let (severities, measures): (Vec<f64>, Vec<f64>) = found
             .iter()
             .filter(|row| row.0 == k || row.0 == EFFECTS.len())
             .map(|row| (row.1, row.2[k].0))
-            .collect();
+            .unzip();
         println!(
             "{effect}: found {hits} of {all} from severity 2 on; false alarms {clean} of {cleans} clean, \
              {other} of {others} with another effect; rank correlation {:.3}",
-            rank_correlation(&pairs)
+            rank_correlation(&severities, &measures).unwrap_or(f64::NAN)
         );
     }
     Ok(())
@@ -109,23 +110,4 @@ fn measure(
         *out = (finding.measure.unwrap_or(f64::NAN), finding.severity);
     }
     Ok(out)
-}
-
-/// Spearman's rank correlation; equal values share their ranks.
-fn rank_correlation(pairs: &[(f64, f64)]) -> f64 {
-    let ranks = |values: Vec<f64>| -> Vec<f64> {
-        let rank = |v: &f64| {
-            let below = values.iter().filter(|w| *w < v).count();
-            let equal = values.iter().filter(|w| *w == v).count();
-            below as f64 + 0.5 * (equal as f64 - 1.0)
-        };
-        values.iter().map(rank).collect()
-    };
-    let (a, b) =
-        (ranks(pairs.iter().map(|p| p.0).collect()), ranks(pairs.iter().map(|p| p.1).collect()));
-    let n = pairs.len() as f64;
-    let mean = (n - 1.0) / 2.0;
-    let moment =
-        |x: &[f64], y: &[f64]| x.iter().zip(y).map(|(x, y)| (x - mean) * (y - mean)).sum::<f64>();
-    moment(&a, &b) / (moment(&a, &a) * moment(&b, &b)).sqrt()
 }

@@ -126,7 +126,7 @@ fn what_is_not_looked_for_costs_nothing_and_changes_nothing_else() {
         assert!(nearest > 0.02 && *radius > 0.15, "{nearest} {radius}");
     }
     // In another unit the same places.
-    let mut small = room.clone();
+    let mut small = room;
     small.coord.iter_mut().for_each(|p| *p = p.map(|v| 4.0 * v));
     small.log_scale.iter_mut().for_each(|s| *s = s.map(|v| v + 4f32.ln()));
     let scaled = profile_of(&small, 0.25, &[Effect::Holes]);

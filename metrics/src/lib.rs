@@ -55,6 +55,7 @@ pub mod image;
 mod metric;
 mod oracle;
 mod random_labels;
+mod rank_correlation;
 #[doc(hidden)]
 pub mod reference;
 mod report;
@@ -71,6 +72,7 @@ pub use error::MetricError;
 pub use metric::{Measurement, Metric};
 pub use oracle::{Fault, OracleCheck, OracleFailure, OracleReport, OracleStage, OracleVote};
 pub use random_labels::random_labels;
+pub use rank_correlation::rank_correlation;
 pub use report::{EvaluatorClass, EvaluatorReport, TesterClass, TesterReport};
 pub use rows::{FeatureFn, FeatureRows, FeatureSlice};
 pub use scene_truth::{SceneTruth, Scores, VoteRule};

@@ -21,6 +21,7 @@ pub mod gaussian_scene;
 pub mod input_file;
 pub mod label_set;
 pub mod language_code;
+pub mod linear_light;
 pub mod picture;
 pub mod printable;
 pub mod quantile;

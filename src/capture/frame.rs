@@ -1,9 +1,9 @@
 //! What a single picture says: how sharp it is, how noisy, how much of it is clipped.
 
-use scenesplat_datasets::effects::linear::linear;
 use scenesplat_datasets::effects::strength::{NOISE_READ, NOISE_SHOT};
 use scenesplat_metrics::image::ImageError;
 use scenesplat_metrics::image::sharpness::{GrayImage, shrink_to_width, variance_of_laplacian};
+use scenesplat_scene::linear_light::linear;
 use scenesplat_scene::picture::RgbPicture;
 
 /// Width at which sharpness is compared, pixels.
@@ -168,10 +168,10 @@ fn noise(gray: &GrayImage) -> Option<(f64, f64)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use scenesplat_datasets::effects::linear::display;
     use scenesplat_datasets::effects::pictures::{
         DrawnPicture, HalfSpace, PictureRenderer, PictureSimulator,
     };
+    use scenesplat_scene::linear_light::display;
     use scenesplat_scene::{Camera, Distortion};
 
     /// Soft shades of grey: what noise is measured on.

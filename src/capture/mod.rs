@@ -82,13 +82,13 @@ impl PictureRenderer for ScenePictures<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use scenesplat_datasets::effects::linear::{display, linear};
     use scenesplat_datasets::effects::pictures::PictureSimulator;
     use scenesplat_datasets::effects::{EffectSet, Pane};
     use scenesplat_rasterizer::{
         DepthRequest, PlanRequest, RasterSettings, RenderPlan, SceneProfile,
     };
     use scenesplat_scene::Distortion;
+    use scenesplat_scene::linear_light::{display, linear};
 
     /// A grey dot 2 m ahead, a white one 2 m behind the camera, and a red one 5 m ahead.
     fn prepared(depth: bool) -> Prepared {

@@ -4,12 +4,12 @@ use super::ScenePictures;
 use super::finding::{CaptureFinding, CaptureReport, Figure};
 use super::frame::{FrameFigures, frame_figures, motion};
 use crate::preview::picture_of;
-use scenesplat_datasets::effects::linear::linear;
 use scenesplat_datasets::effects::pictures::PictureRenderer;
 use scenesplat_datasets::effects::strength::{LIGHT_BALANCE, LIGHT_LOG_GAIN};
 use scenesplat_metrics::image::ImageError;
 use scenesplat_rasterizer::{PlanError, Prepared};
 use scenesplat_scene::Camera;
+use scenesplat_scene::linear_light::linear;
 use scenesplat_scene::picture::RgbPicture;
 
 /// Gaussians that are looked for in each photo.

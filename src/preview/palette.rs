@@ -1,5 +1,7 @@
 //! Colours of classes.
 
+use scenesplat_scene::linear_light::display;
+
 /// Colour of rows without a class.
 pub const UNLABELLED_COLOR: [u8; 3] = [96, 98, 104];
 
@@ -40,7 +42,7 @@ fn golden_color(index: usize) -> [u8; 3] {
         let rgb = oklch_to_rgb(lightness, chroma, hue);
         let inside = rgb.iter().all(|c| (0.0..=1.0).contains(c));
         if inside || chroma < 0.01 {
-            return rgb.map(|c| (gamma(c.clamp(0.0, 1.0)) * 255.0).round() as u8);
+            return rgb.map(|c| (display(c.clamp(0.0, 1.0)) * 255.0).round() as u8);
         }
         chroma -= 0.01;
     }
@@ -62,21 +64,14 @@ fn oklch_to_rgb(lightness: f64, chroma: f64, hue: f64) -> [f64; 3] {
     ]
 }
 
-fn gamma(linear: f64) -> f64 {
-    if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use scenesplat_scene::linear_light::linear;
 
     /// OKLab of sRGB (Ottosson 2020).
     fn oklab(color: [u8; 3]) -> [f64; 3] {
-        let linear = |v: u8| {
-            let c = f64::from(v) / 255.0;
-            if c <= 0.040_45 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
-        };
-        let [r, g, b] = color.map(linear);
+        let [r, g, b] = color.map(|v| linear(f64::from(v) / 255.0));
         let [l, m, s] = [
             0.412_221_470_8 * r + 0.536_332_536_3 * g + 0.051_445_992_9 * b,
             0.211_903_498_2 * r + 0.680_699_545_1 * g + 0.107_396_956_6 * b,

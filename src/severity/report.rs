@@ -3,6 +3,7 @@
 use super::chart::chart;
 use super::measure::Bench;
 use super::{CurveSettings, SeverityError};
+use scenesplat_metrics::rank_correlation;
 use scenesplat_scene::AtomicFile;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -127,7 +128,7 @@ pub(super) fn checks(curves: &[EffectCurve]) -> Vec<Check> {
         let steps = points.windows(2).map(|pair| pair[0].f_miou - pair[1].f_miou);
         let step = steps.fold(0.0, f64::max);
         all.push(check(effect, "largest fall of f-mIoU", Some(step), LARGEST_STEP, false));
-        let correlation = rank_correlation(points);
+        let correlation = correlation_of(points);
         let what = "rank correlation of confidence and f-mIoU";
         all.push(check(effect, what, correlation, LEAST_CORRELATION, true));
         let what = "labels far away that change";
@@ -135,29 +136,14 @@ pub(super) fn checks(curves: &[EffectCurve]) -> Vec<Check> {
     }
     let points: Vec<SeverityPoint> = curves.iter().flat_map(|curve| curve.points.clone()).collect();
     let what = "rank correlation of confidence and f-mIoU";
-    all.push(check("all", what, rank_correlation(&points), LEAST_CORRELATION, true));
+    all.push(check("all", what, correlation_of(&points), LEAST_CORRELATION, true));
     all
 }
 
-/// Spearman's; `None` if one of both is constant.
-pub(super) fn rank_correlation(points: &[SeverityPoint]) -> Option<f64> {
-    let a = ranks(&points.iter().map(|p| p.confidence).collect::<Vec<_>>());
-    let b = ranks(&points.iter().map(|p| p.f_miou).collect::<Vec<_>>());
-    let mean = (points.len() as f64 - 1.0) / 2.0;
-    let product =
-        |x: &[f64], y: &[f64]| x.iter().zip(y).map(|(x, y)| (x - mean) * (y - mean)).sum::<f64>();
-    let norm = (product(&a, &a) * product(&b, &b)).sqrt();
-    (norm > 0.0).then(|| product(&a, &b) / norm)
-}
-
-/// Ranks from 0; equal values share the mean of theirs.
-fn ranks(values: &[f64]) -> Vec<f64> {
-    let rank = |v: &f64| {
-        let below = values.iter().filter(|other| *other < v).count() as f64;
-        let equal = values.iter().filter(|other| *other == v).count() as f64;
-        below + (equal - 1.0) / 2.0
-    };
-    values.iter().map(rank).collect()
+/// Of confidence and quality.
+pub(super) fn correlation_of(points: &[SeverityPoint]) -> Option<f64> {
+    let column = |value: fn(&SeverityPoint) -> f64| points.iter().map(value).collect::<Vec<_>>();
+    rank_correlation(&column(|p| p.confidence), &column(|p| p.f_miou))
 }
 
 impl fmt::Display for SeverityReport {

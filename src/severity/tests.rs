@@ -1,5 +1,5 @@
 use super::measure::Damaged;
-use super::report::{checks, rank_correlation};
+use super::report::{checks, correlation_of};
 use super::*;
 
 #[test]
@@ -73,9 +73,9 @@ fn what_is_expected_can_be_missed() {
     let avalanche = curve(&[0.5, 0.45, 0.36, 0.3], &[0.9, 0.8, 0.7, 0.6], 0.011);
     assert_eq!(passed(avalanche), [true, true, false, true]);
     // By hand: ranks 3 2 1 0 and 3 1 2 0.
-    let found = rank_correlation(&curve(&[0.5, 0.3, 0.4, 0.2], &[0.9, 0.8, 0.7, 0.6], 0.0).points);
+    let found = correlation_of(&curve(&[0.5, 0.3, 0.4, 0.2], &[0.9, 0.8, 0.7, 0.6], 0.0).points);
     assert!((found.unwrap() - 0.8).abs() < 1e-12, "{found:?}");
-    assert_eq!(rank_correlation(&curve(&[0.5; 3], &[0.9, 0.8, 0.7], 0.0).points), None);
+    assert_eq!(correlation_of(&curve(&[0.5; 3], &[0.9, 0.8, 0.7], 0.0).points), None);
 }
 
 #[test]

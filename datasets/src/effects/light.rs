@@ -1,6 +1,5 @@
 //! Effects on colours, in linear light: drifting exposure and white balance, noise of the sensor.
 
-use super::linear::{display, linear};
 use super::strength::{LIGHT_BALANCE, LIGHT_STOPS, NOISE_READ, NOISE_SHOT};
 use super::{Effect, Simulated, rng};
 use crate::rng::normals;
@@ -9,6 +8,7 @@ use scenesplat_kernels::random::direction;
 use scenesplat_scene::GaussianScene;
 use scenesplat_scene::bounds::robust_bounds;
 use scenesplat_scene::gaussian_scene::SH_C0;
+use scenesplat_scene::linear_light::{display, linear};
 use scenesplat_scene::vector::dot;
 
 /// Changes the linear light of a Gaussian's colour, which a sensor cuts at 0 and 1. The harmonics

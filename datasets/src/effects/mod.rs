@@ -12,7 +12,6 @@
 mod geometry;
 mod glass;
 mod light;
-pub mod linear;
 pub mod pane;
 pub mod pictures;
 pub mod plan;

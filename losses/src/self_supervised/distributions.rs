@@ -39,7 +39,8 @@ pub fn masked_cross_entropy(
     }
 }
 
-fn check_temperature(loss: &'static str, value: f64) -> Result<()> {
+/// Checks what logits are divided by.
+pub(super) fn check_temperature(loss: &'static str, value: f64) -> Result<()> {
     if value > 0.0 && value.is_finite() {
         return Ok(());
     }

@@ -1,5 +1,6 @@
 //! A teacher's logits as distributions that no prototype can take over.
 
+use super::distributions::check_temperature;
 use crate::error::LossError;
 use candle_core::{DType, Device, Result, Tensor};
 
@@ -20,15 +21,6 @@ fn logits(loss: &'static str, tensor: &Tensor) -> Result<(Vec<f64>, usize, usize
             Err(LossError::NotFinite { loss, field, row, column, value }.into())
         }
     }
-}
-
-fn check_temperature(loss: &'static str, value: f64) -> Result<()> {
-    if value > 0.0 && value.is_finite() {
-        return Ok(());
-    }
-    let (setting, value) = ("temperature", value.to_string());
-    let expected = "a finite number above 0";
-    Err(LossError::Setting { loss, setting, value, expected }.into())
 }
 
 /// `ln Σ exp(v)`; −∞ for nothing.

@@ -26,7 +26,7 @@ pub struct Args {
     #[arg(long, conflicts_with_all = ["training"])]
     pub calibrate: bool,
     /// Gaussians of the rooms that a calibration times.
-    #[arg(long, value_name = "N", num_args = 1.., requires = "calibrate", default_values_t = [10_000, 60_000, 240_000, 1_000_000])]
+    #[arg(long, value_name = "N", num_args = 1.., requires = "calibrate", default_values_t = [10_000, 60_000, 240_000, 600_000])]
     pub sizes: Vec<usize>,
     /// Repeats after a warm-up.
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=1000))]

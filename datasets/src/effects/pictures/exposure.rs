@@ -1,9 +1,9 @@
 //! Exposure and white balance from picture to picture.
 
-use super::super::linear::luminance;
 use super::super::strength::{LIGHT_AUTOMATIC, LIGHT_BALANCE, LIGHT_LOG_GAIN};
 use super::super::{Effect, frame_rng};
 use crate::rng::normal_pair;
+use scenesplat_scene::linear_light::luminance;
 
 /// Time in which a camera makes up for 1 − 1/e of a change of brightness, seconds.
 const LAG_SECONDS: f64 = 0.5;

@@ -18,13 +18,13 @@ pub use motion::{
 };
 pub use reflection::{FRESNEL_R0, HalfSpace, schlick};
 
-use super::linear::{display, linear};
 use super::strength::{BLUR_DEGREES, NOISE_READ, NOISE_SHOT};
 use super::{Effect, EffectSet, Pane, frame_rng};
 use crate::rng::{normal_pair, normals};
 use exposure::Automatic;
 use rayon::prelude::*;
 use scenesplat_scene::Camera;
+use scenesplat_scene::linear_light::{display, linear};
 
 /// Distance behind a camera of the point about which it shakes: a wrist, metres.
 const PIVOT_METRES: f64 = 0.3;

@@ -1,8 +1,8 @@
 //! A pane in a picture: what it reflects, and what it lets through.
 
-use super::super::linear::{display, linear};
 use super::super::pane::Pane;
 use scenesplat_scene::Camera;
+use scenesplat_scene::linear_light::{display, linear};
 use scenesplat_scene::vector::dot;
 
 /// Part of the light that glass reflects at right angles: refractive index 1.5.

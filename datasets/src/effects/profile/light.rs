@@ -4,12 +4,12 @@
 //! light are explained by one gradient, robustly. Texture, shading and shadows have none that holds for
 //! all surfaces. Of rooms alone: objects are rounder, and shaded.
 
-use super::super::linear::linear;
 use super::noise::color;
 use super::planes::Shell;
 use super::table::{Patch, Plane, Table, quantile_of, scramble};
 use super::{Figure, Measured, Outcome};
 use rayon::prelude::*;
+use scenesplat_scene::linear_light::linear;
 use scenesplat_scene::vector::dot;
 
 /// Other patches that each patch is compared with, most of which lie in other planes.

@@ -5,11 +5,11 @@
 //! differences between neighbours is fitted, over levels of light, by a constant and that curve (a photon
 //! transfer curve), and the share of the curve is the evidence.
 
-use super::super::linear::{display_slope, linear};
 use super::super::strength::{NOISE_READ, NOISE_SHOT};
 use super::table::{Table, quantile_of};
 use super::{FEWEST_PATCHES, Figure, Measured, Outcome};
 use scenesplat_scene::gaussian_scene::SH_C0;
+use scenesplat_scene::linear_light::{display_slope, linear};
 
 /// Neighbours that are compared with a Gaussian.
 const PARTNERS: usize = 4;

@@ -5,6 +5,7 @@ use super::buffers::Buffers;
 use super::document::{Document, Primitive};
 use super::file_error;
 use crate::gaussian_scene::{SH_C0, probability_to_logit, u8_to_dc};
+use crate::linear_light::{display, display_slope};
 use crate::spherical_harmonics::MAX_DEGREE;
 use crate::value_policy::{DEFAULT_GREY, DEFAULT_SCALE, Rule};
 use crate::{GaussianScene, RepairReport, SceneError};
@@ -269,9 +270,9 @@ fn linear_to_srgb(scene: &mut GaussianScene) {
         .sh_dc
         .par_iter_mut()
         .map(|dc| {
-            let both = dc.map(|dc| srgb(0.5 + f64::from(SH_C0) * f64::from(dc)));
-            *dc = both.map(|(color, _)| ((color - 0.5) / f64::from(SH_C0)) as f32);
-            both.map(|(_, slope)| slope as f32)
+            let light = dc.map(|dc| 0.5 + f64::from(SH_C0) * f64::from(dc));
+            *dc = light.map(|light| ((display(light) - 0.5) / f64::from(SH_C0)) as f32);
+            light.map(|light| display_slope(light) as f32)
         })
         .collect();
     if width > 0 {
@@ -280,31 +281,5 @@ fn linear_to_srgb(scene: &mut GaussianScene) {
             let values = rest.iter_mut().zip(slope.iter().cycle());
             values.for_each(|(value, slope)| *value *= slope);
         });
-    }
-}
-
-/// The transfer function of IEC 61966-2-1 and its slope; continued below 0 and above 1.
-fn srgb(linear: f64) -> (f64, f64) {
-    if linear <= 0.003_130_8 {
-        return (12.92 * linear, 12.92);
-    }
-    let power = linear.powf(1.0 / 2.4);
-    (1.055 * power - 0.055, 1.055 / 2.4 * power / linear)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_transfer_function_and_its_slope() {
-        assert_eq!(srgb(0.0).0, 0.0);
-        assert!((srgb(1.0).0 - 1.0).abs() < 1e-12);
-        // Half of the light is about 73.5 % of the code.
-        assert!((srgb(0.5).0 - 0.735_356_9).abs() < 1e-6);
-        for at in [-0.2, 0.001, 0.1, 0.5, 1.3] {
-            let slope = (srgb(at + 1e-6).0 - srgb(at - 1e-6).0) / 2e-6;
-            assert!((srgb(at).1 - slope).abs() < 1e-4 * slope, "{at}");
-        }
     }
 }

@@ -2,13 +2,14 @@
 //! severity, a table of recall, false alarms and rank correlation, which detector fires on which effect, and ROC
 //! curves.
 //!
-//! `cargo run --release -p scenesplat-datasets --example effect_thresholds -- OUT 3000 60` looks at 60 rooms from
+//! `cargo run --release --example effect_thresholds -- OUT 3000 60` looks at 60 rooms from
 //! seed 3000 on (thresholds were fitted on 40 from seed 0 on) and writes `effects.csv`, `effects.md` and
 //! `effects-roc.svg`. A fourth argument such as `holes,glass` damages rooms by these effects alone.
 
-use scenesplat_datasets::effects::profile::{EffectProfile, profile};
-use scenesplat_datasets::effects::{Effect, EffectSet, MOST_SEVERE, simulate};
-use scenesplat_rooms::{SyntheticRoomSettings, generate};
+use scenesplat::datasets::effects::profile::{EffectProfile, profile};
+use scenesplat::datasets::effects::{Effect, EffectSet, MOST_SEVERE, simulate};
+use scenesplat::metrics::rank_correlation;
+use scenesplat::rooms::{SyntheticRoomSettings, generate};
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -121,7 +122,7 @@ fn table(looks: &[Look]) -> String {
             " **{:.2}** | {:.2} | {:.2} | {:.2} |",
             share(&damaged, effect),
             share(&clean, effect),
-            rank_correlation(&truth, &found),
+            rank_correlation(&truth, &found).unwrap_or(f64::NAN),
             area(&roc(looks, effect))
         );
     }
@@ -136,26 +137,6 @@ fn table(looks: &[Look]) -> String {
     }
     text.push('\n');
     text
-}
-
-/// Ranks from 0, equal values sharing theirs.
-fn ranks(values: &[f64]) -> Vec<f64> {
-    let rank = |v: &f64| {
-        let less = values.iter().filter(|w| *w < v).count();
-        let same = values.iter().filter(|w| *w == v).count();
-        less as f64 + 0.5 * (same as f64 - 1.0)
-    };
-    values.iter().map(rank).collect()
-}
-
-/// Spearman's.
-fn rank_correlation(a: &[f64], b: &[f64]) -> f64 {
-    let (a, b) = (ranks(a), ranks(b));
-    let mean = 0.5 * (a.len() as f64 - 1.0);
-    let sum = |x: &[f64], y: &[f64]| -> f64 {
-        x.iter().zip(y).map(|(x, y)| (x - mean) * (y - mean)).sum()
-    };
-    sum(&a, &b) / (sum(&a, &a) * sum(&b, &b)).sqrt()
 }
 
 /// Shares of false alarms and of rooms found, as the threshold falls.

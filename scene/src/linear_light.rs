@@ -12,7 +12,7 @@ pub fn display(linear: f64) -> f64 {
 
 /// How much values of a display change with linear light, there.
 pub fn display_slope(linear: f64) -> f64 {
-    if linear <= 0.003_130_8 { 12.92 } else { 1.055 / 2.4 * linear.powf(1.0 / 2.4 - 1.0) }
+    if linear <= 0.003_130_8 { 12.92 } else { 1.055 / 2.4 * linear.powf(1.0 / 2.4) / linear }
 }
 
 /// How bright linear light is (ITU-R BT.709).
@@ -33,6 +33,12 @@ mod tests {
             let step = 1e-6;
             let slope = (display(want + step) - display(want)) / step;
             assert!((display_slope(want) / slope - 1.0).abs() < 1e-3, "{slope}");
+        }
+        // Half of the light is about 73.5 % of the code; the curve goes on below 0 and above 1.
+        assert!((display(0.5) - 0.735_356_9).abs() < 1e-6);
+        for at in [-0.2, 0.001, 0.1, 0.5, 1.3] {
+            let slope = (display(at + 1e-6) - display(at - 1e-6)) / 2e-6;
+            assert!((display_slope(at) - slope).abs() < 1e-4 * slope, "{at}");
         }
         assert!((luminance([1.0; 3]) - 1.0).abs() < 1e-12);
     }
