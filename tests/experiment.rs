@@ -308,8 +308,8 @@ fn may_change(setting: &str) -> bool {
         name.strip_prefix(listed)
             .is_some_and(|rest| rest.is_empty() || rest.starts_with(['.', '[']))
     };
-    // A preset may be written out; what the steps do may not change.
-    if name.contains(".transforms[") {
+    // A preset may be written out; what the steps do may not change, so another preset is another run.
+    if name.contains(".transforms[") || name.ends_with(".transforms") {
         return false;
     }
     MAY_CHANGE.iter().any(|(listed, _)| inside(listed))
