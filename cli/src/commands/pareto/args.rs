@@ -21,7 +21,7 @@ pub struct Args {
     #[arg(long, required_unless_present_any = ["training", "calibrate"], num_args = 1.., value_name = "SCENE|synthetic:COUNT:SEED")]
     pub scenes: Vec<String>,
     /// Measures this machine instead, for --budget of the other commands: a few settings of the
-    /// network on made rooms, in some two minutes. Stored in the user's data folder
+    /// network on made rooms, in some three minutes. Stored in the user's data folder
     /// (~/.local/share/scenesplat, or where SCENESPLAT_FRONTS says).
     #[arg(long, conflicts_with_all = ["training"])]
     pub calibrate: bool,
