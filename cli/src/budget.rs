@@ -247,7 +247,7 @@ fn front_of(
     let slower = shipped.f32_flop_s / speeds().f32_flop_s;
     remarks.push(format!(
         "{flag}: no front of this machine; that of {} is used, times {slower:.2} by the speed of the \
-         processors (scenesplat pareto --calibrate measures it here, in two minutes at most)",
+         processors (scenesplat pareto --calibrate measures it here, in about three minutes)",
         shipped.machine
     ));
     Ok((shipped, slower, remarks))
