@@ -118,16 +118,30 @@ pub fn sinkhorn_knopp(
     let (mut values, rows, width) = logits(SINKHORN, logits_of_teacher)?;
     values.iter_mut().for_each(|v| *v /= temperature);
     for _ in 0..iterations {
-        for k in 0..width {
-            let sum = log_sum_exp(values.iter().skip(k).step_by(width).copied());
-            // Of no rows there is nothing to take it off.
-            values.iter_mut().skip(k).step_by(width).for_each(|v| *v -= sum);
-        }
+        normalize_columns(&mut values, width);
         normalize_rows(&mut values, width);
     }
     normalize_rows(&mut values, width);
     values.iter_mut().for_each(|v| *v = v.exp());
     store(values, (rows, width), logits_of_teacher)
+}
+
+/// Row by row, since a walk down each column would read the whole table once for each of them.
+fn normalize_columns(logs: &mut [f64], width: usize) {
+    let width = width.max(1);
+    let mut largest = vec![f64::NEG_INFINITY; width];
+    for row in logs.chunks_exact(width) {
+        largest.iter_mut().zip(row).for_each(|(m, v)| *m = m.max(*v));
+    }
+    let mut sums = vec![0.0; width];
+    for row in logs.chunks_exact(width) {
+        let terms = row.iter().zip(&largest).map(|(v, m)| (v - m).exp());
+        sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
+    }
+    let sums: Vec<f64> = sums.iter().zip(&largest).map(|(sum, m)| m + sum.ln()).collect();
+    for row in logs.chunks_exact_mut(width) {
+        row.iter_mut().zip(&sums).for_each(|(v, sum)| *v -= sum);
+    }
 }
 
 fn normalize_rows(logs: &mut [f64], width: usize) {

@@ -293,6 +293,8 @@ impl Terms {
         pairs.extend((globals..step.views.len()).map(|view| (local / locals as f64, view, 0)));
         let own_places: Vec<Places> =
             step.student.iter().enumerate().map(|(i, s)| places(i, s)).collect::<Result<_>>()?;
+        // The teacher's logits of each global view, by the head for masked and that for local views.
+        let mut of_teacher: Vec<[Option<Tensor>; 2]> = vec![[None, None]; globals];
         let (mut value, mut even, mut counted, mut matches) = (None, Vec::new(), 0, 0);
         for view in 0..step.views.len() {
             let is_local = step.views[view].kind == ViewKind::Local;
@@ -317,7 +319,11 @@ impl Terms {
                 counted += rows.len();
                 let weights = vec![1.0 / rows.len() as f64; rows.len()];
                 let student = student.index_select(&Tensor::new(rows, &Device::Cpu)?, 0)?;
-                let teacher = logits(other, &step.teacher[with], is_local)?.detach();
+                let slot = &mut of_teacher[with][usize::from(is_local)];
+                let teacher = match slot {
+                    Some(known) => known,
+                    None => slot.insert(logits(other, &step.teacher[with], is_local)?.detach()),
+                };
                 let teacher = teacher.index_select(&Tensor::new(partners, &Device::Cpu)?, 0)?;
                 let prototypes = &term.prototypes;
                 let name =
