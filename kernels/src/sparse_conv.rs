@@ -9,7 +9,7 @@ use crate::gemm::{
     LeftRows, PackedMatrix, PreparedRows, RowPointers, RowPointersMut, SharedMut,
     add_outer_products, column_groups, gemm_tn_with, multiply_prepared, multiply_rows,
 };
-use crate::kernel_map::KernelMap;
+use crate::kernel_map::{CHUNK, KernelMap};
 use crate::shape::elements;
 use rayon::prelude::*;
 
@@ -120,19 +120,30 @@ fn run(
     if cout == 0 {
         return;
     }
-    match bias {
-        Some(bias) => out.par_chunks_mut(cout).for_each(|row| row.copy_from_slice(bias)),
-        None => out.fill(0.0),
-    }
+    // Rows by the chunk, so that they are still in the cache when sums are added to them.
+    let start = |rows: &mut [f32]| match bias {
+        Some(bias) => rows.chunks_exact_mut(cout).for_each(|row| row.copy_from_slice(bias)),
+        None => rows.fill(0.0),
+    };
     if cin == 0 {
+        out.par_chunks_mut(CHUNK * cout).for_each(start);
         return;
     }
     let prepared = PreparedRows::new(x, &weight.taps[0]);
     let groups = column_groups(cout.next_multiple_of(16), map.num_chunks());
+    if groups.len() > 1 {
+        out.par_chunks_mut(CHUNK * cout).for_each(start);
+    }
     let target = SharedMut(out.as_mut_ptr());
     (0..map.num_chunks() * groups.len()).into_par_iter().for_each(|task| {
         let chunk = task / groups.len();
         let columns = &groups[task % groups.len()];
+        if groups.len() == 1 {
+            let first = chunk * CHUNK;
+            let rows = CHUNK.min(map.rows() - first);
+            // SAFETY: the rows of this chunk, which no other task touches.
+            start(unsafe { std::slice::from_raw_parts_mut(target.at(first * cout), rows * cout) });
+        }
         for tap in 0..map.taps() {
             let (input, output) = map.pairs(chunk, tap);
             let matrix = &weight.taps[weight_tap(tap)];

@@ -1,6 +1,6 @@
 //! Batch normalisation.
 
-use super::{cpu_slice, make, read, refuse_gradient};
+use super::{cpu_slice, make, make_unwritten, read, refuse_gradient};
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use scenesplat_kernels::batch_norm::{apply, backward, statistics};
 use std::sync::Arc;
@@ -137,5 +137,8 @@ pub(crate) fn scale_shift_frozen(
         bail!("batch_norm: input {:?} does not fit {} channels", x.shape(), scale.len());
     }
     let shape = x.shape().clone();
-    read("batch_norm", x, |x| make(shape, |out| apply(x, scale, shift, gelu, out)))
+    read("batch_norm", x, |x| {
+        // SAFETY: the kernel writes all of it and reads none before.
+        unsafe { make_unwritten(shape, |out| apply(x, scale, shift, gelu, out)) }
+    })
 }

@@ -1,6 +1,8 @@
 //! Layer normalisation.
 
-use super::{check_residual, cpu_slice, make, read, refuse_gradient};
+use super::{
+    check_residual, cpu_slice, make, make_unwritten, read, refuse_gradient, unwritten,
+};
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use scenesplat_kernels::layer_norm::{backward, forward};
 
@@ -25,7 +27,8 @@ impl CustomOp3 for LayerNorm {
         let weight = cpu_slice("layer_norm", s2, l2)?;
         let bias = cpu_slice("layer_norm", s3, l3)?;
         check(l1.shape(), weight.len())?;
-        let mut out = vec![0f32; x.len()];
+        // SAFETY: the kernel writes all of it and reads none before.
+        let mut out = unsafe { unwritten(x.len()) };
         forward(x, None, weight, bias, self.eps, &mut out);
         Ok((CpuStorage::F32(out), l1.shape().clone()))
     }
@@ -88,10 +91,12 @@ pub fn layer_norm_frozen(
         check_residual("layer_norm", r, [x.dim(0)?, weight.len()])?;
     }
     let shape = x.shape().clone();
+    let run = |x: &[f32], residual: Option<&[f32]>| {
+        // SAFETY: the kernel writes all of it and reads none before.
+        unsafe { make_unwritten(shape, |out| forward(x, residual, weight, bias, eps, out)) }
+    };
     read("layer_norm", x, |x| match residual {
-        Some(r) => {
-            read("layer_norm", r, |r| make(shape, |o| forward(x, Some(r), weight, bias, eps, o)))
-        }
-        None => make(shape, |o| forward(x, None, weight, bias, eps, o)),
+        Some(r) => read("layer_norm", r, |r| run(x, Some(r))),
+        None => run(x, None),
     })
 }

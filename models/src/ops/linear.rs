@@ -1,6 +1,8 @@
 //! Linear layers.
 
-use super::{check_residual, cpu_slice, make, read, refuse_gradient, refuse_training};
+use super::{
+    check_residual, cpu_slice, make, make_unwritten, read, refuse_gradient, refuse_training, unwritten,
+};
 use candle_core::{CpuStorage, CustomOp2, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use scenesplat_kernels::Precision;
 use scenesplat_kernels::gemm::{Epilogue, PackedMatrix, gemm, gemm_tn_with, gemm_unit_rows, mlp};
@@ -22,7 +24,8 @@ fn forward(
     let x = cpu_slice("linear", x.0, x.1)?;
     let w = cpu_slice("linear", w.0, w.1)?;
     let packed = PackedMatrix::from_strided_with(precision, w, k, n, 1, k);
-    let mut out = vec![0f32; m * n];
+    // SAFETY: the kernel writes all of it and reads none before.
+    let mut out = unsafe { unwritten(m * n) };
     gemm(x, &packed, Epilogue { bias, ..Epilogue::default() }, &mut out);
     Ok((CpuStorage::F32(out), (m, n).into()))
 }
@@ -153,9 +156,9 @@ pub fn linear_frozen(
     }
     read("linear", x, |x| {
         let run = |residual: Option<&[f32]>| {
-            make((m, weight.n()), |out| {
-                gemm(x, weight, Epilogue { bias, gelu, residual }, out);
-            })
+            let fill = |out: &mut [f32]| gemm(x, weight, Epilogue { bias, gelu, residual }, out);
+            // SAFETY: the kernel writes all of it and reads none before.
+            unsafe { make_unwritten((m, weight.n()), fill) }
         };
         match residual {
             Some(r) => read("linear", r, |r| run(Some(r))),
@@ -179,7 +182,10 @@ pub fn linear_unit_frozen(
     if k != weight.k() {
         bail!("linear: input [{m}, {k}] does not fit weight [{}, {}]", weight.n(), weight.k());
     }
-    read("linear", x, |x| make((m, weight.n()), |out| gemm_unit_rows(x, weight, bias, out)))
+    read("linear", x, |x| {
+        // SAFETY: the kernel writes all of it and reads none before.
+        unsafe { make_unwritten((m, weight.n()), |out| gemm_unit_rows(x, weight, bias, out)) }
+    })
 }
 
 /// `residual + W₂ · gelu(W₁ · x + b₁) + b₂` with packed weights, block of rows by block of rows.
@@ -201,11 +207,10 @@ pub fn mlp_frozen(
     }
     read("mlp", x, |x| {
         read("mlp", residual, |residual| {
-            make((m, n), |out| {
-                let epilogue =
-                    Epilogue { bias: Some(second.1), gelu: false, residual: Some(residual) };
-                mlp(x, first, second.0, epilogue, out);
-            })
+            let epilogue =
+                Epilogue { bias: Some(second.1), gelu: false, residual: Some(residual) };
+            // SAFETY: the kernel writes all of it and reads none before.
+            unsafe { make_unwritten((m, n), |out| mlp(x, first, second.0, epilogue, out)) }
         })
     })
 }

@@ -73,6 +73,37 @@ pub(crate) fn make(shape: impl Into<Shape>, f: impl FnOnce(&mut [f32])) -> Resul
     Tensor::from_vec(out, shape, &Device::Cpu)
 }
 
+/// As [`make`], of values that nobody cleared.
+///
+/// # Safety
+/// As [`unwritten`].
+pub(crate) unsafe fn make_unwritten(
+    shape: impl Into<Shape>,
+    f: impl FnOnce(&mut [f32]),
+) -> Result<Tensor> {
+    let shape = shape.into();
+    // SAFETY: passed on.
+    let mut out = unsafe { unwritten(shape.elem_count()) };
+    f(&mut out);
+    Tensor::from_vec(out, shape, &Device::Cpu)
+}
+
+/// Room for values that a kernel writes. Clearing it first is done by one thread alone, and takes as long as
+/// a quarter of a narrow layer. In debug builds it is full of NaN, which whoever reads too early finds.
+///
+/// # Safety
+/// Each value is written before it is read.
+#[expect(clippy::uninit_vec, reason = "that is what it is for; any bits are an f32")]
+pub(crate) unsafe fn unwritten(len: usize) -> Vec<f32> {
+    let mut values = Vec::with_capacity(len);
+    // SAFETY: the room is there, and what is in it is not read, as the caller promises.
+    unsafe { values.set_len(len) };
+    if cfg!(debug_assertions) {
+        values.fill(f32::NAN);
+    }
+    values
+}
+
 /// Stops an input that wants a gradient from entering an operation that has none.
 pub(crate) fn refuse_gradient(op: &str, x: &Tensor) -> Result<()> {
     if x.track_op() {

@@ -1,6 +1,8 @@
 //! Submanifold convolution.
 
-use super::{cpu_slice, make, read, refuse_gradient, refuse_training};
+use super::{
+    cpu_slice, make, make_unwritten, read, refuse_gradient, refuse_training, unwritten,
+};
 use candle_core::{CpuStorage, CustomOp2, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use scenesplat_kernels::Precision;
 use scenesplat_kernels::kernel_map::KernelMap;
@@ -32,7 +34,8 @@ impl SparseConv {
         }
         let values = cpu_slice("sparse_conv", w.0, w.1)?;
         let weight = PackedConv::with_precision(self.precision, values, cin, cout, self.map.taps());
-        let mut out = vec![0f32; n * cout];
+        // SAFETY: the kernel writes all of it and reads none before.
+        let mut out = unsafe { unwritten(n * cout) };
         forward(&self.map, cpu_slice("sparse_conv", x.0, x.1)?, &weight, bias, &mut out);
         Ok((CpuStorage::F32(out), (n, cout).into()))
     }
@@ -163,5 +166,8 @@ pub fn sparse_conv_frozen(
     if cin != weight.cin() || n != map.rows() {
         bail!("sparse_conv: expected [{}, {}], got {:?}", map.rows(), weight.cin(), x.shape());
     }
-    read("sparse_conv", x, |x| make((n, weight.cout()), |out| forward(map, x, weight, bias, out)))
+    read("sparse_conv", x, |x| {
+        // SAFETY: the kernel writes all of it and reads none before.
+        unsafe { make_unwritten((n, weight.cout()), |out| forward(map, x, weight, bias, out)) }
+    })
 }
