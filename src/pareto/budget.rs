@@ -150,8 +150,8 @@ impl Calibration {
     /// quality, the cheapest of equals; where no time is given, the cheapest.
     ///
     /// `size_of`: how large the work is with a setting. `slower`: how much longer this machine takes
-    /// than that of the front. `spent`: seconds that have passed. Times are taken a little longer than
-    /// the model says: by its own error, at least a tenth.
+    /// than that of the front. `spent`: seconds that have passed. Times are taken longer than the model
+    /// says: by its own error or by what the slowest of twenty runs took more, at least a tenth.
     ///
     /// # Errors
     /// If nothing fits; the message has the cheapest setting and its price.
@@ -194,7 +194,7 @@ impl Calibration {
                 return Err(BudgetError::Quality { asked, setting, best });
             }
         }
-        let margin = 1.0 + self.model.error.clamp(0.1, 0.5);
+        let margin = 1.0 + self.model.error.max(self.model.reserve).clamp(0.1, 0.6);
         let cheapest = all.iter().min_by(|a, b| a.seconds.total_cmp(&b.seconds));
         let cheapest = cheapest.map(|o| (o.calibrated.setting.clone(), o.seconds));
         if let Some(asked) = ask.seconds {

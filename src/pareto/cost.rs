@@ -54,6 +54,16 @@ pub struct CostModel {
     pub peak: BTreeMap<String, Vec<f64>>,
     /// Nine of ten runs that the model was fitted to are within this share of it.
     pub error: f64,
+    /// How many times as long as the fitted runs, which are the fastest, a run takes in the middle.
+    #[serde(default = "once")]
+    pub typical: f64,
+    /// Nineteen of twenty runs take at most so much more of that, a share.
+    #[serde(default)]
+    pub reserve: f64,
+}
+
+fn once() -> f64 {
+    1.0
 }
 
 const LABEL_STAGES: [&str; 2] = ["labels", "query"];
@@ -103,6 +113,8 @@ impl CostModel {
                 .map(|(command, runs)| (command.clone(), fit(runs, &RESULT_STAGES, result_terms)))
                 .collect(),
             error: 0.0,
+            typical: 1.0,
+            reserve: 0.0,
         };
         let off = runs.iter().filter_map(|run| {
             Some((model.seconds(&run.command, &run.setting, &run.size)? / run.wall - 1.0).abs())
@@ -111,8 +123,25 @@ impl CostModel {
         model
     }
 
-    /// Seconds of a command from its start, reading included; `None` for a setting or command that
-    /// was not fitted.
+    /// The model with what runs take that were not the fastest of theirs: `runs` are all, the slow ones
+    /// too. The fastest ones show how time grows with a scene, and are not what people get.
+    #[must_use]
+    pub fn with_spread(mut self, runs: &[Observation]) -> Self {
+        let times: Vec<f64> = runs
+            .iter()
+            .filter_map(|run| Some(run.wall / self.seconds(&run.command, &run.setting, &run.size)?))
+            .filter(|times| times.is_finite())
+            .collect();
+        if !times.is_empty() {
+            let typical = quantile_of(&times, 0.5).max(1.0);
+            self.typical *= typical;
+            self.reserve = (quantile_of(&times, 0.95) / typical - 1.0).max(0.0);
+        }
+        self
+    }
+
+    /// Seconds of a command from its start, reading included, as it takes in the middle; `None` for a
+    /// setting or command that was not fitted.
     pub fn seconds(&self, command: &str, setting: &str, size: &Size) -> Option<f64> {
         let network = sum(self.network.get(setting)?, &network_terms(size));
         let results = sum(self.results.get(command)?, &result_terms(size));
@@ -120,7 +149,8 @@ impl CostModel {
             "features" => 0.0,
             _ => sum(&self.labels, &label_terms(size)),
         };
-        Some(self.start + sum(&self.read, &row_terms(size)) + network + labels + results)
+        let fastest = self.start + sum(&self.read, &row_terms(size)) + network + labels + results;
+        Some(self.typical * fastest)
     }
 
     /// Largest resident memory, bytes; `None` for a setting that was not fitted.
@@ -231,6 +261,27 @@ pub(crate) mod tests {
             }
         }
         runs
+    }
+
+    #[test]
+    fn slow_runs_move_what_is_expected_and_what_is_kept_in_reserve() {
+        let model = CostModel::fit(&runs());
+        // Each run three times: as fast as can be, a fifth slower, half slower again.
+        let all: Vec<Observation> = runs()
+            .into_iter()
+            .flat_map(|run| {
+                [1.0, 1.2, 1.8].map(|times| Observation { wall: run.wall * times, ..run.clone() })
+            })
+            .collect();
+        let spread = model.clone().with_spread(&all);
+        assert!((spread.typical - 1.2).abs() < 0.03, "{}", spread.typical);
+        assert!((spread.reserve - 0.5).abs() < 0.05, "{}", spread.reserve);
+        let size = Size { gaussians: 50_000, voxels: 9_000, classes: 41, width: 96, k: 25 };
+        let seconds = |model: &CostModel| model.seconds("segment", "voxel=0.06,k=25", &size).unwrap();
+        assert!((seconds(&spread) / seconds(&model) / spread.typical - 1.0).abs() < 1e-9);
+        // Without other runs nothing is added.
+        let same = model.clone().with_spread(&[]);
+        assert_eq!(same, model);
     }
 
     #[test]
