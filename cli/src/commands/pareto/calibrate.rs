@@ -108,7 +108,7 @@ pub fn calibrate(args: &Args) -> Result<()> {
             let size = Size::default();
             let warm =
                 Timed { command: "segment", scene: &file, setting, size, width: first.width };
-            all_runs.push(campaign.time(&warm)?);
+            campaign.time(&warm)?;
         }
         for (j, setting) in settings.iter().enumerate() {
             let commands = ["segment", "features", "query"];
