@@ -1,0 +1,11 @@
+//! Metrics of labels, votes and pictures; one program, for linking takes longer than compiling.
+
+#[path = "../support/mod.rs"]
+mod support;
+
+mod confusion;
+mod image;
+mod image_frames;
+mod oracle;
+mod votes;
+mod zero_shot;

@@ -1,0 +1,180 @@
+//! What must not change a result, and what must.
+
+use super::scenes::{CHANNELS, Scene, batch, decoded, flat, frozen, plain, room, trainable};
+use candle_core::{Device, Tensor};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use scenesplat_kernels::Precision;
+use scenesplat_models::weights::unit;
+use scenesplat_models::{
+    Backbone, Compute, Forward, LitePtConfig, ModelConfig, Orders, ParamStore, PointCloud,
+};
+
+fn bits(network: &dyn Backbone, points: &PointCloud) -> Vec<u32> {
+    let mut rng = ChaCha8Rng::seed_from_u64(0);
+    let out = network.forward(points, &mut Forward::eval(&mut rng)).unwrap();
+    let values = flat(&out);
+    assert!(values.iter().all(|v| v.is_finite()));
+    values.into_iter().map(f32::to_bits).collect()
+}
+
+#[test]
+fn neither_batch_mates_nor_threads_nor_the_order_of_rows_change_a_bit() {
+    let (one, mate) = (room(13, "a"), room(6, "b"));
+    let n = one.cells.len();
+    for config in [plain(), decoded()] {
+        for precision in Precision::ALL {
+            let network = frozen(&config, Compute { precision, fold: true });
+            let alone = bits(network.as_ref(), &batch(&[&one]));
+            let width = network.out_channels();
+            let beside = bits(network.as_ref(), &batch(&[&mate, &one, &mate]));
+            assert!(beside[mate.cells.len() * width..][..n * width] == alone, "{precision}");
+            for threads in [1, 2, 3] {
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+                let again = pool.install(|| bits(network.as_ref(), &batch(&[&one])));
+                assert!(again == alone, "{precision}, {threads} threads");
+            }
+            let order: Vec<usize> = (0..n).map(|i| i * 101 % n).collect();
+            let turned = Scene {
+                cells: order.iter().map(|&i| one.cells[i]).collect(),
+                feat: order
+                    .iter()
+                    .flat_map(|&i| one.feat[i * CHANNELS..][..CHANNELS].to_vec())
+                    .collect(),
+            };
+            let got = bits(network.as_ref(), &batch(&[&turned]));
+            for (row, &from) in order.iter().enumerate() {
+                assert_eq!(got[row * width..][..width], alone[from * width..][..width]);
+            }
+        }
+    }
+}
+
+#[test]
+fn few_points_one_voxel_duplicates_and_the_largest_coordinate() {
+    let scene = |cells: Vec<[i32; 3]>| {
+        let feat = unit("few", cells.len() * CHANNELS, 3);
+        Scene { cells, feat }
+    };
+    let most = (1 << 21) - 1;
+    for config in [plain(), decoded()] {
+        for cells in [
+            vec![[0, 0, 0]],
+            vec![[5, 6, 7]],
+            vec![[0, 0, 0], [0, 0, 1]],
+            vec![[0, 0, 0], [900, 3, 17], [4, 4, 4]],
+            vec![[3, 3, 3]; 40],
+            vec![[most, most, most], [0, 0, 0], [most - 1, 0, 5]],
+            (0..50).map(|i| [i / 2 % 5, i / 10, i % 3 / 2]).collect(),
+        ] {
+            let scene = scene(cells);
+            let network = frozen(&config, Compute::default());
+            let alone = bits(network.as_ref(), &batch(&[&scene]));
+            assert!(alone.iter().any(|v| f32::from_bits(*v) != 0.0));
+            let empty = Scene { cells: vec![], feat: vec![] };
+            let beside = bits(network.as_ref(), &batch(&[&empty, &scene, &empty]));
+            assert_eq!(beside, alone);
+            // Training too, where a batch norm may see a single row.
+            let mut rng = ChaCha8Rng::seed_from_u64(0);
+            let (store, network) = trainable(&config);
+            let points = batch(&[&scene]);
+            let out = network.forward(&points, &mut Forward::train(&mut rng)).unwrap();
+            assert!(flat(&out).iter().all(|v| v.is_finite()));
+            let grads = out.sum_all().unwrap().backward().unwrap();
+            for (name, var) in store.parameters() {
+                let grad = grads.get(&var).unwrap_or_else(|| panic!("{name} has no gradient"));
+                assert!(flat(grad).iter().all(|v| v.is_finite()), "{name}");
+            }
+        }
+    }
+}
+
+#[test]
+fn duplicates_of_a_row_are_that_row() {
+    // All rows of a voxel see the same places; with the same features they are the same.
+    let mut scene = room(6, "a");
+    let n = scene.cells.len();
+    for row in [3, 3, 17] {
+        scene.cells.push(scene.cells[row]);
+        let feat = scene.feat[row * CHANNELS..][..CHANNELS].to_vec();
+        scene.feat.extend(feat);
+    }
+    let network = frozen(&plain(), Compute::default());
+    let got = bits(network.as_ref(), &batch(&[&scene]));
+    let width = network.out_channels();
+    let row = |i: usize| &got[i * width..][..width];
+    assert_eq!(row(n), row(3));
+    assert_eq!(row(n + 1), row(3));
+    assert_eq!(row(n + 2), row(17));
+}
+
+#[test]
+fn whole_cells_further_on_little_changes() {
+    // Curves may take another way there, so patches hold the whole scene here.
+    let config = LitePtConfig { enc_patch_size: vec![1024; 4], ..plain() };
+    let network = frozen(&config, Compute::default());
+    assert_eq!(network.alignment(), 8);
+    let near = room(9, "a");
+    let far = |by: i32| Scene {
+        cells: near.cells.iter().map(|c| c.map(|v| v + by)).collect(),
+        feat: near.feat.clone(),
+    };
+    let values = |scene: &Scene| -> Vec<f32> {
+        bits(network.as_ref(), &batch(&[scene])).into_iter().map(f32::from_bits).collect()
+    };
+    let here = values(&near);
+    let largest = here.iter().fold(0f32, |a, v| a.max(v.abs()));
+    let off = |by: i32| {
+        let there = values(&far(by));
+        there.iter().zip(&here).fold(0f32, |a, (t, h)| a.max((t - h).abs())) / largest
+    };
+    // A thousand radians further, angles are as exact as here.
+    assert!(off(8 * 1000) < 1e-5, "{}", off(8 * 1000));
+    assert!(off(1 << 20) < 1e-5, "{}", off(1 << 20));
+    // Other cells are another scene.
+    assert!(off(1) > 1e-3, "{}", off(1));
+}
+
+#[test]
+fn drop_path_and_shuffled_orders_come_from_the_generator() {
+    let points = batch(&[&room(10, "a")]);
+    let config = LitePtConfig { drop_path: 0.4, ..decoded() };
+    let run = |seed: u64, orders: Orders, drop_path: f64| {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut cx = Forward { orders, ..Forward::train(&mut rng) };
+        let config = LitePtConfig { drop_path, ..config.clone() };
+        flat(&trainable(&config).1.forward(&points, &mut cx).unwrap())
+    };
+    assert_eq!(run(1, Orders::Shuffled, 0.4), run(1, Orders::Shuffled, 0.4));
+    assert_ne!(run(1, Orders::Listed, 0.4), run(2, Orders::Listed, 0.4), "drop path");
+    assert_eq!(run(1, Orders::Listed, 0.0), run(2, Orders::Listed, 0.0));
+    assert_ne!(run(1, Orders::Shuffled, 0.0), run(2, Orders::Shuffled, 0.0), "orders");
+    let fail = |orders: Vec<Vec<usize>>| {
+        let mut rng = ChaCha8Rng::seed_from_u64(0);
+        let mut cx = Forward { orders: Orders::Given(orders), ..Forward::eval(&mut rng) };
+        let network = frozen(&config, Compute::default());
+        network.forward(&points, &mut cx).unwrap_err().to_string()
+    };
+    assert!(fail(vec![vec![0, 1, 2, 3]; 2]).contains("fewer permutations"));
+    assert!(fail(vec![vec![0, 1, 2, 2]; 3]).contains("not a permutation"));
+}
+
+#[test]
+fn what_does_not_fit_is_refused() {
+    let network = frozen(&plain(), Compute::default());
+    let fail = |cells: Vec<[i32; 3]>, width: usize| {
+        let feat = Tensor::zeros((cells.len(), width), candle_core::DType::F32, &Device::Cpu);
+        let points = PointCloud::single(cells, feat.unwrap()).unwrap();
+        let mut rng = ChaCha8Rng::seed_from_u64(0);
+        let error = network.forward(&points, &mut Forward::eval(&mut rng)).unwrap_err();
+        error.to_string()
+    };
+    assert!(fail(vec![[0, 0, 0]], 5).contains("expected [N, 4]"));
+    assert!(fail(vec![], 4).contains("without any voxel"));
+    assert!(fail(vec![[0, 0, 0], [0, -3, 0]], 4).contains("row 1, axis 1: -3"));
+    assert!(fail(vec![[0, 0, 1 << 21]], 4).contains("21 bits"));
+    let store = ParamStore::trainable(0);
+    let broken = LitePtConfig { stride: vec![3, 2, 2, 2], ..LitePtConfig::small() };
+    let error = ModelConfig::new(broken).build(store.builder()).err().unwrap().to_string();
+    assert!(error.contains("stride[0]"), "{error}");
+}
