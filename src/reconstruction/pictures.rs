@@ -151,8 +151,8 @@ mod tests {
         let camera = look.camera("view", UpAxis::PlusZ, [60, 40]).unwrap();
         let drawn = pictures.draw(&camera).unwrap();
         assert_eq!((drawn.picture.width(), drawn.picture.height()), (188, 40));
-        let left = |k: u32| drawn.picture.get(k * 64 + 16, 20).unwrap();
-        let right = |k: u32| drawn.picture.get(k * 64 + 43, 20).unwrap();
+        let left = |k: u32| drawn.picture.get(k * 64 + 21, 20).unwrap();
+        let right = |k: u32| drawn.picture.get(k * 64 + 39, 20).unwrap();
         assert!((0..3).all(|k| left(k)[0] > 200), "the visible one is in all of them");
         assert!(right(0)[2] > 200 && right(1) == [0; 3] && right(2)[1] > 200);
         assert_eq!(drawn.picture.get(61, 0), Some(GAP_COLOR));
