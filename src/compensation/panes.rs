@@ -6,6 +6,7 @@ use scenesplat_datasets::effects::plan::{
 };
 use scenesplat_datasets::effects::profile::{FAINT, profile_of};
 use scenesplat_datasets::effects::{Effect, EffectError};
+use scenesplat_kernels::neighbors::{KdTree, Neighbor};
 use scenesplat_kernels::symmetric_eigen::symmetric_eigen;
 use scenesplat_rasterizer::lifting::Panes;
 use scenesplat_scene::GaussianScene;
@@ -14,6 +15,10 @@ use std::collections::{BTreeMap, VecDeque};
 
 /// Balls of one pane overlap: the middles of two next to each other are nearer than this many radii.
 const NEXT: f64 = 2.1;
+/// A mirror image is so many radii of the balls from where it would be, at most: walls are thick.
+const MIRRORED: f64 = 1.5;
+/// Mirror images that are looked at on either side.
+const MOST_PLACES: usize = 4096;
 
 /// What lifting can do about glass.
 pub const TWO_LAYERS: EffectModule = EffectModule {
@@ -41,7 +46,8 @@ pub fn glass_decision(
 
 /// The panes in some balls (centre, radius), as the profile finds them: each of the balls that hang together is a pane.
 /// Its Gaussians are those in it that are fainter than usual; what is as faint behind it may be mirror images.
-/// Behind is the side where more is faint.
+/// Behind is the side
+/// of which more that is faint has something solid where its mirror image would be.
 pub fn panes_of(scene: &GaussianScene, balls: &[[f32; 4]]) -> Panes {
     let mut opacities: Vec<f32> = (0..scene.len()).map(|row| scene.opacity(row)).collect();
     let limit = FAINT as f32 * quantile(&mut opacities, 0.5).unwrap_or(0.0);
@@ -51,6 +57,7 @@ pub fn panes_of(scene: &GaussianScene, balls: &[[f32; 4]]) -> Panes {
         is_doubtful: vec![false; scene.len()],
         balls: together(balls),
     };
+    let solid = Solid::of(scene, |row| !is_faint(row));
     for pane in &panes.balls {
         let in_pane = inside(pane, &scene.coord);
         (0..scene.len()).for_each(|row| panes.is_sheet[row] |= in_pane[row] && is_faint(row));
@@ -64,19 +71,47 @@ pub fn panes_of(scene: &GaussianScene, balls: &[[f32; 4]]) -> Panes {
         };
         let next: Vec<[f32; 3]> = (0..scene.len()).map(next).collect();
         let beside = inside(pane, &next);
-        // Mirror images are faint.
-        let faint_share = |sign: f64| {
-            let rows = (0..scene.len()).filter(|&row| beside[row] && sign * heights[row] > 0.0);
-            let (faint, all) =
-                rows.fold((0u32, 0u32), |(f, n), row| (f + u32::from(is_faint(row)), n + 1));
-            f64::from(faint) / f64::from(all.max(1))
+        let before = |sign: f64| {
+            let faint = |row: &usize| beside[*row] && sign * heights[*row] > 0.0 && is_faint(*row);
+            let rows = (0..scene.len()).filter(faint);
+            let mirrored =
+                rows.map(|row| plane.mirrored(&scene.coord[row], heights[row])).collect();
+            solid.share_near(mirrored, MIRRORED * radius)
         };
-        let back = if faint_share(1.0) > faint_share(-1.0) { 1.0 } else { -1.0 };
+        let back = if before(1.0) > before(-1.0) { 1.0 } else { -1.0 };
         for row in 0..scene.len() {
             panes.is_doubtful[row] |= beside[row] && back * heights[row] > 0.0 && is_faint(row);
         }
     }
     panes
+}
+
+/// What is not faint.
+struct Solid(Option<KdTree>);
+
+impl Solid {
+    fn of(scene: &GaussianScene, is_solid: impl Fn(usize) -> bool) -> Self {
+        let there = |row: &usize| is_solid(*row) && scene.coord[*row].iter().all(|v| v.is_finite());
+        let coord: Vec<[f32; 3]> =
+            (0..scene.len()).filter(there).map(|row| scene.coord[row]).collect();
+        Self(KdTree::new(&coord).ok().filter(|_| !coord.is_empty()))
+    }
+
+    /// The share of some places within a distance of which there is something.
+    fn share_near(&self, places: Vec<[f32; 3]>, distance: f64) -> f64 {
+        let step = places.len().div_ceil(MOST_PLACES).max(1);
+        let places: Vec<[f32; 3]> = places.into_iter().step_by(step).collect();
+        let Self(Some(tree)) = self else { return 0.0 };
+        let is_near = tree.map_nearest(
+            &places,
+            1,
+            || (),
+            |(), _, near: &[Neighbor]| {
+                near.first().is_some_and(|n| n.distance_squared <= distance * distance)
+            },
+        );
+        is_near.iter().filter(|is| **is).count() as f64 / is_near.len().max(1) as f64
+    }
 }
 
 /// The plane through the middles of balls.
@@ -103,6 +138,10 @@ impl Plane {
 
     fn height(&self, p: &[f32; 3]) -> f64 {
         (0..3).map(|a| self.normal[a] * (f64::from(p[a]) - self.middle[a])).sum()
+    }
+
+    fn mirrored(&self, p: &[f32; 3], height: f64) -> [f32; 3] {
+        self.next_to(p, 2.0 * height)
     }
 
     fn next_to(&self, p: &[f32; 3], height: f64) -> [f32; 3] {
@@ -200,8 +239,8 @@ mod tests {
 
     #[test]
     fn what_is_faint_is_glass_and_behind_it_doubtful() {
-        // Much before the pane; in it: faint, solid; behind: faint, solid, faint but not behind the pane.
-        let mut coord = vec![[0.0, 0.5, 0.5]; 20];
+        // Much before the pane, some of it where a mirror would have it; in it: faint, solid; behind: faint, solid, faint but not behind the pane.
+        let mut coord = vec![[1.5, 0.42, 0.42]; 20];
         coord.extend([
             [2.0, 0.42, 0.42],
             [2.02, 0.42, 0.42],

@@ -79,8 +79,12 @@ impl Panes {
         let back = LabelledView { levels: &behind, ..picture };
         let mut out = drawn.weights(gaussians, &back, rule, settings);
         let is_sheet = |w: &SegmentWeight| self.is_sheet[w.gaussian as usize];
-        out.levels.iter_mut().for_each(|weights| weights.retain(|w| !is_sheet(w)));
-        if panes.iter().any(|map| map.num_ids() > 0) {
+        let names_pane = panes.iter().any(|map| map.num_ids() > 0);
+        // Where depth agrees, what is left of a pane is seen by itself.
+        if names_pane || depth.is_none() {
+            out.levels.iter_mut().for_each(|weights| weights.retain(|w| !is_sheet(w)));
+        }
+        if names_pane {
             // The median depth is that of what is behind.
             let front = LabelledView { levels: &panes, depth: None, ..picture };
             let front = drawn.weights(gaussians, &front, rule, settings);
