@@ -41,6 +41,7 @@ pub mod memory;
 pub mod network;
 pub mod outputs;
 pub mod pareto;
+pub mod phrases;
 pub mod preview;
 pub mod principal;
 pub mod probe;
@@ -60,6 +61,7 @@ pub use scenesplat_models as models;
 pub use scenesplat_rasterizer as rasterizer;
 pub use scenesplat_rooms as rooms;
 pub use scenesplat_scene as scene;
+pub use scenesplat_text as sentences;
 pub use scenesplat_trainers as trainers;
 pub use setting::{Setting, SettingError};
 

@@ -22,6 +22,7 @@ mod probe;
 mod render;
 mod settings;
 mod simulate;
+mod text;
 mod training;
 mod upright;
 
