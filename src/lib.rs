@@ -3,9 +3,9 @@
 //! The crates behind this facade: [`scene`] (scenes and their files), [`kernels`] (algorithms on
 //! slices), [`datasets`] (from scenes to network input), [`models`] (networks and weights),
 //! [`metrics`] (labels, votes, evaluation, pictures), [`rasterizer`] (pictures of scenes), [`trainers`]
-//! (optimizers and schedules), [`rooms`] (synthetic rooms). This crate adds
+//! (optimizers and schedules), [`rooms`] (synthetic rooms), [`sentences`] (phrases as vectors). This crate adds
 //! what joins them: [`Network`] (a configuration with its weights), [`SceneEncoder`] (a scene in,
-//! features out), [`labels`], [`query`], [`evaluation`], [`experiment`] and what the commands write.
+//! features out), [`labels`], [`query`], [`phrases`], [`evaluation`], [`experiment`] and what the commands write.
 //!
 //! ```
 //! use scenesplat::embedded;

@@ -173,6 +173,14 @@ impl<'a> PhraseReader<'a> {
         let anchors =
             Vocabulary::class_phrases().map(anchor).collect::<Result<_, PhraseError>>()?;
         if let Some(encoder) = encoder {
+            let (asked, has) = (table.encoder_dim(), encoder.dim());
+            if asked != has {
+                let folder = encoder.folder().display();
+                let problem = format!(
+                    "was made with all-MiniLM-L6-v2, {asked} numbers a phrase; the encoder in {folder} gives {has}"
+                );
+                return Err(PhraseError::Table { problem });
+            }
             let (phrases, least) = SAME_ENCODER;
             let encoded = encoder.encode(&phrases)?;
             for (phrase, vector) in phrases.iter().zip(encoded.values.chunks_exact(encoded.dim)) {

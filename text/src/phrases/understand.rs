@@ -66,11 +66,7 @@ impl PhraseTable {
     fn correct(&self, words: &[String]) -> (Vec<String>, Vec<(String, String)>) {
         let (mut right, mut corrected) = (Vec::with_capacity(words.len()), Vec::new());
         for word in words {
-            let other = if self.words.has(word) { None } else { self.words.halves(word) };
-            let other = other.or_else(|| {
-                let other = (!self.words.has(word)).then(|| self.words.correction(word));
-                other.flatten().map(str::to_owned)
-            });
+            let other = (!self.words.has(word)).then(|| self.words.correction(word)).flatten();
             match other {
                 Some(other) => {
                     right.extend(other.split(' ').map(str::to_owned));
