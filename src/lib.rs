@@ -31,6 +31,7 @@ pub mod doctor;
 pub mod embedded;
 pub mod evaluation;
 pub mod experiment;
+pub mod feature_codes;
 pub mod inference;
 pub mod input;
 pub mod inspect;

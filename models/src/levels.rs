@@ -19,7 +19,9 @@ pub struct LevelOptions<'a> {
 /// One scale of the encoder.
 #[derive(Debug, Clone)]
 pub struct Level {
-    /// What its last block gives, rows in the network's own order. `[M, C]`
+    /// What its last block gives, rows in the network's own order, which is that of the curve this pass
+    /// drew first where it shuffles them: another pass over the same points may number them otherwise.
+    /// `[M, C]`
     pub feat: Tensor,
     /// Rows of scene `i` are `offsets[i]..offsets[i + 1]`. `[B + 1]`
     pub offsets: Vec<usize>,
@@ -102,7 +104,7 @@ impl Levels {
     }
 
     /// The row of scale `to` that each of the caller's rows is part of, as [`up_cast`](Self::up_cast)
-    /// numbers them. `[N]`
+    /// numbers them in this pass. `[N]`
     ///
     /// # Errors
     /// If there is no such scale.

@@ -40,7 +40,8 @@ pub use measures::{Bounds, Measures, SignBias};
 pub use report::{DoctorReport, IsaReport, Surroundings};
 pub use soak::{SoakKind, SoakMemory, SoakProblem, SoakReport, SoakSettings, soak, soak_round};
 pub use stability::{
-    GradientCheck, PoisonCheck, StabilityReport, StabilityRun, StabilitySettings, stability,
+    GradientCheck, PoisonCheck, StabilityRecipe, StabilityReport, StabilityRun, StabilitySettings,
+    stability,
 };
 pub use trial::{Doctor, Failure, Trial};
 pub use verdict::Verdict;

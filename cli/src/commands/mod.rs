@@ -3,6 +3,7 @@
 mod bench;
 mod chunk;
 mod classes;
+mod codes;
 mod compare;
 mod convert;
 mod demo;
@@ -63,6 +64,8 @@ enum Command {
     Train(train::Args),
     /// Asks what a network has learned: a small classifier on its rows, beside an untrained network.
     Probe(probe::Args),
+    /// Turns language features of scenes into codes of a trained autoencoder, or back.
+    Codes(codes::Args),
     /// Cuts scenes into overlapping squares for training.
     Chunk(chunk::Args),
     /// Says what is in a checkpoint and which network it fits.
@@ -115,6 +118,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Convert(args) => convert::run(args),
         Command::Train(args) => train::run(args),
         Command::Probe(args) => probe::run(args),
+        Command::Codes(args) => codes::run(args, &line),
         Command::Chunk(args) => chunk::run(args),
         Command::Weights(args) => weights::run(args, &line),
         Command::Bench(args) => bench::run(args),

@@ -137,10 +137,15 @@ fn a_short_grid_of_trainings_is_told_as_json() {
     let output = scenesplat(&args);
     done(&output);
     let said = String::from_utf8_lossy(&output.stdout);
-    assert!(said.contains("12 trainings, 0 failed"), "{said}");
+    assert!(said.contains("20 trainings, 0 failed"), "{said}");
     let report = report(&json);
-    assert_eq!(report["runs"].as_array().unwrap().len(), 12);
+    assert_eq!(report["runs"].as_array().unwrap().len(), 20);
     assert_eq!(report["poison"]["recovered"], true);
+    let one = [&args[..], &["--recipe", "gaussian-ssl"]].concat();
+    let output = scenesplat(&one);
+    done(&output);
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(said.contains("4 trainings, 0 failed") && !said.contains("poisoned"), "{said}");
 }
 
 #[test]
@@ -148,6 +153,8 @@ fn flags_that_would_do_nothing_are_refused() {
     for args in [
         &["doctor", "--seed", "3"][..],
         &["doctor", "--steps", "3"],
+        &["doctor", "--recipe", "gaussian-ssl"],
+        &["doctor", "--training", "--recipe", "none"],
         &["doctor", "--training", "--steps", "0"],
         &["doctor", "--training", "--seeds", "0"],
         &["doctor", "--soak", "1s", "--full"],

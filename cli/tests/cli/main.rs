@@ -5,6 +5,7 @@
 mod bench;
 mod budget;
 mod chunk;
+mod codes;
 mod commands;
 mod compare;
 mod convert;

@@ -1,5 +1,6 @@
 //! Whether accumulation and recomputation change a gradient.
 
+use super::recipe::StabilityRecipe;
 use super::report::{GradientCheck, SAME};
 use super::setup::{ACCUMULATED, Batches, Rooms, module};
 use crate::doctor::trial::{Failure, ensure};
@@ -60,7 +61,8 @@ fn record(
     let recorded = Recorded::default();
     let optimizer = Recorder(module.params().parameters(), Arc::clone(&recorded));
     let config = TrainerConfig { seed, accumulate, recompute, ..TrainerConfig::default() };
-    let mut rooms = Rooms::new(batches, seed, ACCUMULATED as usize)?;
+    let mut rooms =
+        Rooms::new(StabilityRecipe::LanguagePretraining, batches, seed, ACCUMULATED as usize)?;
     Trainer::new(config, Box::new(optimizer), Box::new(OneCycle::default()))?.fit(
         &module,
         &mut rooms,

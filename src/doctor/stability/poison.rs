@@ -1,5 +1,6 @@
 //! A batch with a value that is not finite, in the middle of a training.
 
+use super::recipe::StabilityRecipe;
 use super::report::PoisonCheck;
 use super::run::{trainer, with_causes};
 use super::setup::{Batches, Rooms, module};
@@ -23,7 +24,8 @@ pub(super) fn check(seed: u64, folder: &Path) -> Result<PoisonCheck, Failure> {
         config
     };
     let rooms = |poisoned: Option<usize>| -> Result<Rooms, Failure> {
-        Ok(Rooms::new(Batches::Even, seed, STEPS)?.poisoned_at(poisoned))
+        Ok(Rooms::new(StabilityRecipe::LanguagePretraining, Batches::Even, seed, STEPS)?
+            .poisoned_at(poisoned))
     };
     let clean = module(Precision::F32, seed)?;
     let plain = TrainerConfig { seed, ..TrainerConfig::default() };

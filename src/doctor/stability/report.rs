@@ -1,7 +1,8 @@
 //! What the trainings came to.
 
 use super::StabilitySettings;
-use super::setup::{Setup, WIDTH};
+use super::recipe::StabilityRecipe;
+use super::setup::Setup;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -17,6 +18,8 @@ pub(super) const SAME: f64 = 1e-6;
 /// One training.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StabilityRun {
+    /// What was learned.
+    pub recipe: StabilityRecipe,
     /// Form of the numbers in products.
     pub precision: String,
     /// `even` or `uneven`: sizes of the scenes of a batch.
@@ -66,6 +69,7 @@ impl StabilityRun {
         let part = losses.len().div_ceil(10);
         let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
         let mut run = Self {
+            recipe: setup.recipe,
             precision: setup.precision.to_string(),
             batches: setup.batches.name().to_owned(),
             form: setup.form.name().to_owned(),
@@ -76,7 +80,7 @@ impl StabilityRun {
             first_loss: mean(&losses[..part]),
             last_loss: mean(&losses[losses.len() - part..]),
             effective_rank,
-            width: WIDTH,
+            width: setup.recipe.width(),
             centred_cosine,
             alarms,
             problem: None,
@@ -138,6 +142,8 @@ pub struct StabilityReport {
     pub steps: u64,
     /// Seeds.
     pub seeds: Vec<u64>,
+    /// What was learned.
+    pub recipes: Vec<StabilityRecipe>,
     /// The trainings.
     pub runs: Vec<StabilityRun>,
     /// Gradients beside each other.
@@ -164,8 +170,8 @@ impl StabilityReport {
         let failed = runs.iter().filter(|run| run.problem.is_some()).count()
             + gradients.iter().filter(|check| !check.passed).count()
             + poison.iter().filter(|check| !(check.named && check.recovered)).count();
-        let (steps, seeds) = (settings.steps, settings.seeds.clone());
-        Self { steps, seeds, runs, gradients, poison, stopped, failed, seconds }
+        let StabilitySettings { steps, seeds, recipes } = settings.clone();
+        Self { steps, seeds, recipes, runs, gradients, poison, stopped, failed, seconds }
     }
 }
 
@@ -173,14 +179,25 @@ impl fmt::Display for StabilityReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             f,
-            "{:<5} {:<6} {:<11} {:>4} {:>6} {:>15} {:>7} {:>9} {:>7} {:>7}",
-            "", "batch", "form", "seed", "steps", "loss", "skipped", "rank", "cosine", "seconds"
+            "{:<17} {:<5} {:<6} {:<11} {:>4} {:>6} {:>15} {:>7} {:>9} {:>7} {:>7}",
+            "",
+            "",
+            "batch",
+            "form",
+            "seed",
+            "steps",
+            "loss",
+            "skipped",
+            "rank",
+            "cosine",
+            "seconds"
         )?;
         for run in &self.runs {
             let of = |value: Option<f64>| value.map_or("-".to_owned(), |v| format!("{v:.2}"));
             writeln!(
                 f,
-                "{:<5} {:<6} {:<11} {:>4} {:>6} {:>15} {:>6.1}% {:>9} {:>7} {:>7.1}  {}",
+                "{:<17} {:<5} {:<6} {:<11} {:>4} {:>6} {:>15} {:>6.1}% {:>9} {:>7} {:>7.1}  {}",
+                run.recipe.name(),
                 run.precision,
                 run.batches,
                 run.form,

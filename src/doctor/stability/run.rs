@@ -1,5 +1,6 @@
 //! One training, watched step by step.
 
+use super::recipe::{StabilityRecipe, self_supervised};
 use super::report::StabilityRun;
 use super::setup::{Form, Rooms, Setup, module};
 use crate::doctor::trial::Failure;
@@ -99,6 +100,23 @@ pub(super) fn train(
     steps: u64,
     go_on: &mut dyn FnMut(f64) -> bool,
 ) -> Result<Option<StabilityRun>, Failure> {
+    let Setup { recipe, precision, seed, .. } = *setup;
+    match recipe {
+        StabilityRecipe::LanguagePretraining => {
+            train_module(&module(precision, seed)?, setup, steps, go_on)
+        }
+        StabilityRecipe::GaussianSsl | StabilityRecipe::SelfDistillation => {
+            train_module(&self_supervised(recipe, precision, seed)?, setup, steps, go_on)
+        }
+    }
+}
+
+fn train_module(
+    module: &impl TrainingModule<Batch = TrainBatch>,
+    setup: &Setup,
+    steps: u64,
+    go_on: &mut dyn FnMut(f64) -> bool,
+) -> Result<Option<StabilityRun>, Failure> {
     let began = Instant::now();
     let accumulate = setup.form.accumulate();
     let per_epoch = steps.min(STEPS_PER_EPOCH);
@@ -114,26 +132,38 @@ pub(super) fn train(
         ..TrainerConfig::default()
     };
     config.health.every_steps = planned.div_ceil(LOOKS);
-    let module = module(setup.precision, setup.seed)?;
     let (seen, stop) = (Arc::new(Mutex::new(Seen::default())), Arc::default());
     let mut loader = Asked {
-        rooms: Rooms::new(setup.batches, setup.seed, (per_epoch * accumulate) as usize)?,
+        rooms: Rooms::new(
+            setup.recipe,
+            setup.batches,
+            setup.seed,
+            (per_epoch * accumulate) as usize,
+        )?,
         batches: planned * accumulate,
         go_on,
         done: 0,
         stop: Arc::clone(&stop),
     };
-    let ended = trainer(&module, config)?
+    let ended = trainer(module, config)?
         .with_callback(Watch(Arc::clone(&seen)))
         .with_stop(Arc::clone(&stop))
-        .fit(&module, &mut loader, &mut [], Progress::default());
+        .fit(module, &mut loader, &mut [], Progress::default());
     let mut problem = ended.as_ref().err().map(|error| with_causes(error));
     if ended.is_ok_and(|at| at.step < planned) {
         return Ok(None);
     }
     let seen = std::mem::take(&mut *seen.lock().unwrap_or_else(PoisonError::into_inner));
     if problem.is_none() {
-        problem = not_finite(module.params())?.map(|name| format!("{name} is not finite"));
+        let stores = module.stores().into_iter().map(|(_, store)| store);
+        problem = stores
+            .chain([module.params()])
+            .map(not_finite)
+            .collect::<Result<Vec<_>, _>>()?
+            .into_iter()
+            .flatten()
+            .next()
+            .map(|name| format!("{name} is not finite"));
     }
     Ok(Some(StabilityRun::new(
         setup,

@@ -1,7 +1,7 @@
 //! What is trained, and on what.
 
+use super::recipe::StabilityRecipe;
 use crate::doctor::trial::Failure;
-use scenesplat_datasets::transforms::language_pretraining;
 use scenesplat_datasets::{
     BatchLoader, DataError, Dataset, InputFeatures, SceneDataset, SyntheticRooms, TrainBatch,
     build_transforms, collate_samples,
@@ -18,7 +18,7 @@ pub(super) const WIDTH: usize = 64;
 /// Batches whose gradients an accumulated step averages.
 pub(super) const ACCUMULATED: u64 = 4;
 /// Size of a voxel, metres.
-const GRID: f64 = 0.2;
+pub(super) const GRID: f64 = 0.2;
 /// Rooms that take turns.
 const ROOMS: usize = 16;
 
@@ -71,6 +71,7 @@ impl Form {
 /// One training.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Setup {
+    pub(super) recipe: StabilityRecipe,
     pub(super) precision: Precision,
     pub(super) batches: Batches,
     pub(super) form: Form,
@@ -79,8 +80,8 @@ pub(super) struct Setup {
 
 impl Setup {
     pub(super) fn name(&self) -> String {
-        let Self { precision, batches, form, seed } = self;
-        format!("{precision}, {} batches, {}, seed {seed}", batches.name(), form.name())
+        let Self { recipe, precision, batches, form, seed } = self;
+        format!("{recipe}, {precision}, {} batches, {}, seed {seed}", batches.name(), form.name())
     }
 }
 
@@ -119,14 +120,19 @@ pub(super) struct Rooms {
 }
 
 impl Rooms {
-    pub(super) fn new(batches: Batches, seed: u64, per_epoch: usize) -> Result<Self, Failure> {
+    pub(super) fn new(
+        recipe: StabilityRecipe,
+        batches: Batches,
+        seed: u64,
+        per_epoch: usize,
+    ) -> Result<Self, Failure> {
         let scenes = |gaussians: usize| -> Result<SceneDataset, Failure> {
             let settings = SyntheticRoomSettings {
                 num_gaussians: Some(gaussians),
                 ..SyntheticRoomSettings::default()
             };
             let source = Arc::new(SyntheticRooms::new(ROOMS, settings, seed)?);
-            let steps = build_transforms(&language_pretraining(GRID))?;
+            let steps = build_transforms(&recipe.transforms())?;
             Ok(SceneDataset::new(source, steps, seed, 1)?)
         };
         let [a, b] = batches.gaussians();

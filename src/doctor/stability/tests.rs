@@ -5,24 +5,24 @@ use super::*;
 #[test]
 fn short_trainings_pass() {
     let folder = tempfile::tempdir().unwrap();
-    let settings = StabilitySettings { steps: 3, seeds: vec![1] };
+    let settings = StabilitySettings { steps: 3, seeds: vec![1], ..StabilitySettings::default() };
     let mut shares = Vec::new();
     let report = stability(&settings, folder.path(), &mut |_, share| {
         shares.push(share);
         true
     })
     .unwrap();
-    assert_eq!((report.runs.len(), report.gradients.len(), report.failed), (12, 8, 0), "{report}");
+    assert_eq!((report.runs.len(), report.gradients.len(), report.failed), (20, 8, 0), "{report}");
     assert!(shares.is_sorted() && !report.stopped);
     for run in &report.runs {
         assert_eq!((run.steps, run.finite_steps, run.skipped), (3, 3, 0.0), "{run:?}");
         assert!(run.effective_rank.is_some() && run.centred_cosine.is_some(), "{run:?}");
     }
-    // Not the same training twelve times.
+    // Not the same training again and again.
     let mut losses: Vec<String> = report.runs.iter().map(|run| run.last_loss.to_string()).collect();
     losses.sort();
     losses.dedup();
-    assert!(losses.len() >= 8, "{report}");
+    assert!(losses.len() >= 16, "{report}");
     // Nor the same number: what is compared is computed otherwise.
     assert!(report.gradients.iter().any(|check| check.relative > 0.0), "{report}");
     let poison = report.poison.as_ref().unwrap();
@@ -30,12 +30,17 @@ fn short_trainings_pass() {
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "files are left behind");
     let json = serde_json::to_string(&report).unwrap();
     let back: StabilityReport = serde_json::from_str(&json).unwrap();
-    assert_eq!((back.runs.len(), back.failed), (12, 0));
+    assert_eq!((back.runs.len(), back.failed), (20, 0));
 }
 
 fn run_of(steps: u64, losses: &[f64], idle: u64, rank: f64, alarms: &[&str]) -> StabilityRun {
-    let setup =
-        Setup { precision: Precision::F32, batches: Batches::Even, form: Form::Plain, seed: 1 };
+    let setup = Setup {
+        recipe: StabilityRecipe::LanguagePretraining,
+        precision: Precision::F32,
+        batches: Batches::Even,
+        form: Form::Plain,
+        seed: 1,
+    };
     let alarms = alarms.iter().map(|a| (*a).to_owned()).collect();
     StabilityRun::new(&setup, steps, losses, idle, [Some(rank), Some(0.1)], alarms, None, 1.0)
 }
@@ -57,8 +62,14 @@ fn what_goes_wrong_is_told() {
     // Too early to tell.
     assert_eq!(run_of(100, &fine[..100], 0, 1.2, &[]).problem, None);
     assert_eq!(run_of(1, &[], 0, 1.2, &[]).finite_steps, 0);
-    let settings = StabilitySettings { steps: 1, seeds: Vec::new() };
-    assert!(stability(&settings, "nowhere".as_ref(), &mut |_, _| true).is_err());
+    let fine = StabilitySettings { steps: 1, seeds: vec![1], ..StabilitySettings::default() };
+    for nothing in [
+        StabilitySettings { steps: 0, ..fine.clone() },
+        StabilitySettings { seeds: Vec::new(), ..fine.clone() },
+        StabilitySettings { recipes: Vec::new(), ..fine },
+    ] {
+        assert!(stability(&nothing, "nowhere".as_ref(), &mut |_, _| true).is_err());
+    }
     // A gradient that is not divided is three times too long.
     assert!(gradients::distance(&[4.0, 8.0], &[1.0, 2.0]) > 2.9);
     assert!(gradients::distance(&[1.0, 2.0 + 1e-5], &[1.0, 2.0]) > SAME);
@@ -68,7 +79,7 @@ fn what_goes_wrong_is_told() {
 #[test]
 fn it_stops_when_asked_to() {
     let folder = tempfile::tempdir().unwrap();
-    let settings = StabilitySettings { steps: 4, seeds: vec![2] };
+    let settings = StabilitySettings { steps: 4, seeds: vec![2], ..StabilitySettings::default() };
     let mut calls = 0;
     let report = stability(&settings, folder.path(), &mut |_, _| {
         calls += 1;
@@ -77,4 +88,18 @@ fn it_stops_when_asked_to() {
     .unwrap();
     // The first training was done, the second was not.
     assert!(report.stopped && report.runs.len() == 1 && report.poison.is_none(), "{report}");
+}
+
+/// Training without labels has its own networks and views, and is judged by the same rules.
+#[test]
+fn recipes_without_labels_are_other_trainings() {
+    let folder = tempfile::tempdir().unwrap();
+    let recipes = vec![StabilityRecipe::SelfDistillation];
+    let settings = StabilitySettings { steps: 2, seeds: vec![1, 2], recipes };
+    let report = stability(&settings, folder.path(), &mut |_, _| true).unwrap();
+    assert_eq!((report.runs.len(), report.gradients.len(), report.failed), (8, 0, 0), "{report}");
+    assert!(report.poison.is_none());
+    let text = report.to_string();
+    assert!(text.contains("self-distillation") && !text.contains("language"), "{text}");
+    assert!(report.runs.iter().all(|run| run.width == 32 && run.effective_rank.unwrap() >= 1.0));
 }

@@ -3,7 +3,7 @@
 use crate::commands::WrongUse;
 use crate::duration::{Seconds, parse_duration};
 use anyhow::Result;
-use scenesplat::doctor::{Case, Level, catalogue, nearest_names};
+use scenesplat::doctor::{Case, Level, StabilityRecipe, catalogue, nearest_names};
 use std::path::PathBuf;
 
 /// Runs hard cases on this machine: damaged files, numbers at the edge of their range, operators
@@ -34,7 +34,8 @@ pub struct Args {
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
     /// Trains a small network in every form: {f32, bf16} × {even, uneven batches} × {plain, accumulated,
-    /// recomputed} × seeds; compares their gradients, and poisons a batch. Hours at the default length.
+    /// recomputed} × seeds; compares their gradients, and poisons a batch. Then without labels, by two
+    /// recipes: {f32, bf16} × {even, uneven batches} × seeds. Hours at the default length.
     #[arg(long, group = "instead")]
     pub training: bool,
     /// Optimizer steps of each of --training. [default: 2000]
@@ -43,6 +44,9 @@ pub struct Args {
     /// Seeds of --training. [default: 3]
     #[arg(long, value_name = "N", requires = "training")]
     pub seeds: Option<u64>,
+    /// What is learned in --training; all if not given.
+    #[arg(long, value_name = "NAME", requires = "training", value_parser = recipe)]
+    pub recipe: Option<StabilityRecipe>,
     /// Draws what labels of unseen rooms are worth against the severity of each capture effect:
     /// severity.json, .png and .svg in this folder.
     #[arg(long, value_name = "DIR", group = "instead")]
@@ -84,6 +88,14 @@ impl Args {
         }
         Ok(())
     }
+}
+
+fn recipe(text: &str) -> Result<StabilityRecipe, String> {
+    let known = StabilityRecipe::ALL.into_iter().find(|recipe| recipe.name() == text);
+    known.ok_or_else(|| {
+        let names: Vec<&str> = StabilityRecipe::ALL.iter().map(|recipe| recipe.name()).collect();
+        format!("{text:?}: one of {} is expected", names.join(", "))
+    })
 }
 
 fn parse_level(text: &str) -> Result<Level, String> {

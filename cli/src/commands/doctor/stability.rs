@@ -19,6 +19,9 @@ pub(super) fn run(args: &Args, progress: &Progress) -> Result<()> {
     if let Some(count) = args.seeds {
         settings.seeds = (1..=count).collect();
     }
+    if let Some(recipe) = args.recipe {
+        settings.recipes = vec![recipe];
+    }
     if settings.steps == 0 || settings.seeds.is_empty() {
         return Err(WrongUse("--steps, --seeds: 1 or more is expected".to_owned()).into());
     }

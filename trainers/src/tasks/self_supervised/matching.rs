@@ -79,6 +79,30 @@ pub(super) fn matched(
     Ok((rows, partners))
 }
 
+/// For each row of scale `level` in one pass the row of the same cell in another pass over the same view:
+/// rows of the one, and their partners.
+///
+/// # Errors
+/// If there is no such scale, or the passes are of different rows.
+pub(super) fn same_cells(
+    one: &Levels,
+    other: &Levels,
+    level: usize,
+) -> Result<(Vec<u32>, Vec<u32>)> {
+    let (rows, others) = (one.rows_at(level)?, other.rows_at(level)?);
+    let count = one.encoder()[level].feat.dim(0)?;
+    if rows.len() != others.len() || count != other.encoder()[level].feat.dim(0)? {
+        candle_core::bail!(
+            "passes over {} and {} rows are of different views",
+            rows.len(),
+            others.len()
+        );
+    }
+    let mut partners = vec![0; count];
+    rows.into_iter().zip(others).for_each(|(row, other)| partners[row as usize] = other);
+    Ok(((0..count as u32).collect(), partners))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

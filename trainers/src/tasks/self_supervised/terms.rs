@@ -6,7 +6,7 @@ use super::config::{
     SimDinoTerm, TermConfig,
 };
 use super::heads::{Head, level_of};
-use super::matching::{Places, matched};
+use super::matching::{Places, matched, same_cells};
 use crate::module::StepContext;
 use candle_core::{Device, Result, Tensor, bail};
 use scenesplat_datasets::{Masked, View, ViewKind};
@@ -291,8 +291,11 @@ impl Terms {
         }
         let locals = step.views.len() - globals;
         pairs.extend((globals..step.views.len()).map(|view| (local / locals as f64, view, 0)));
-        let own_places: Vec<Places> =
-            step.student.iter().enumerate().map(|(i, s)| places(i, s)).collect::<Result<_>>()?;
+        // A pass numbers the rows of its scales by the curve it drew first, so each has places of its own.
+        let all = |seen: &[Seen]| -> Result<Vec<Places>> {
+            seen.iter().enumerate().map(|(i, seen)| places(i, seen)).collect()
+        };
+        let (own_places, places_of_teacher) = (all(step.student)?, all(step.teacher)?);
         // The teacher's logits of each global view, by the head for masked and that for local views.
         let mut of_teacher: Vec<[Option<Tensor>; 2]> = vec![[None, None]; globals];
         let (mut value, mut even, mut counted, mut matches) = (None, Vec::new(), 0, 0);
@@ -306,11 +309,9 @@ impl Terms {
             let student = logits(own, &step.student[view], is_local)?;
             for (share, _, with) in of_view {
                 let (rows, partners) = if view == with {
-                    // The same Gaussians in the same cells.
-                    let all: Vec<u32> = (0..student.dim(0)? as u32).collect();
-                    (all.clone(), all)
+                    same_cells(&step.student[view].levels, &step.teacher[with].levels, level)?
                 } else {
-                    matched(&own_places[view], &own_places[with], term.max_distance)?
+                    matched(&own_places[view], &places_of_teacher[with], term.max_distance)?
                 };
                 matches += usize::from(!rows.is_empty());
                 if rows.is_empty() {
