@@ -11,8 +11,8 @@ use crate::labels::{Classes, label_gaussians};
 use crate::network::Network;
 use crate::text::text_rows;
 use scenesplat_metrics::{
-    ConfusionMatrix, Fault, Metric, MetricError, OracleReport, SceneTruth, Scores, TesterReport,
-    TextRows, UnknownRule, VoteRule, ZeroShotOptions, random_labels,
+    ConfusionMatrix, Fault, IGNORE, Metric, MetricError, OracleReport, SceneTruth, Scores,
+    TesterReport, TextRows, UnknownRule, VoteRule, ZeroShotOptions, random_labels,
 };
 use scenesplat_scene::{GaussianScene, TextTable};
 
@@ -52,8 +52,21 @@ pub struct EvaluationReport {
     pub oracle: TesterReport,
     /// Labels drawn evenly from all classes: what any labels have to beat.
     pub random: TesterReport,
-    /// The labels that were scored; `None` if none were.
+    /// The labels that were scored; `None` if none were. Withheld ones are wrong.
     pub model: Option<TesterReport>,
+    /// The same without what was withheld, as if nobody had asked there; `None` if nothing was.
+    pub given: Option<TesterReport>,
+    /// How many labels of what has a class were withheld.
+    pub withheld: u64,
+}
+
+/// Whose labels count where something is done about the effects of a capture.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Restraint<'a> {
+    /// Gaussians that vote; all if `None`. `[N]`
+    pub voters: Option<&'a [bool]>,
+    /// Whether no label is given at a place that is scored ([`SceneTruth::places`]); empty: one is everywhere. `[M]`
+    pub withheld: &'a [bool],
 }
 
 /// An evaluation over scenes, one after the other: [`truth`](Self::truth), then
@@ -68,6 +81,9 @@ pub struct Evaluation<'a> {
     scores: Scores,
     random: ConfusionMatrix,
     has_labels: bool,
+    /// Of what was not withheld.
+    given: ConfusionMatrix,
+    withheld: u64,
 }
 
 impl<'a> Evaluation<'a> {
@@ -81,8 +97,10 @@ impl<'a> Evaluation<'a> {
         // What a threshold withheld stays unknown; rows without a usable feature may be filled.
         let keep_withheld = settings.options.unknown != UnknownRule::default();
         let rule = VoteRule { keep_withheld, ..VoteRule::of(settings.vote_k) };
-        let (rows, random) = (text_rows(text)?, scores.oracle.clone());
-        Ok(Self { text, rows, settings, rule, scores, random, has_labels: false })
+        let (rows, random, given) =
+            (text_rows(text)?, scores.oracle.clone(), scores.oracle.clone());
+        let (has_labels, withheld) = (false, 0);
+        Ok(Self { text, rows, settings, rule, scores, random, has_labels, given, withheld })
     }
 
     /// Names of the classes.
@@ -196,7 +214,40 @@ impl<'a> Evaluation<'a> {
         truth: &SceneTruth<'_>,
         labels: Vec<i32>,
     ) -> Result<(), EvaluationError> {
-        self.scores.add_labels(truth, labels, &self.rule)?;
+        self.add_some_labels(truth, labels, Restraint::default())
+    }
+
+    /// As [`add_labels`](Self::add_labels), where some Gaussians do not vote, or no label is given at some places.
+    ///
+    /// # Errors
+    /// As [`add_labels`](Self::add_labels), and if `about` is of another number of Gaussians or places.
+    pub fn add_some_labels(
+        &mut self,
+        truth: &SceneTruth<'_>,
+        labels: Vec<i32>,
+        about: Restraint<'_>,
+    ) -> Result<(), EvaluationError> {
+        let voters: Option<Vec<bool>> = match (truth.voters(), about.voters) {
+            (Some(a), Some(b)) => Some(a.iter().zip(b).map(|(a, b)| *a && *b).collect()),
+            (a, b) => a.or(b).map(<[bool]>::to_vec),
+        };
+        let voting = truth.clone().with_voters(voters.as_deref());
+        let mut predicted = voting.carry(labels, &self.rule)?;
+        let mut answered = truth.scored().to_vec();
+        if !about.withheld.is_empty() {
+            let (expected, got) = (answered.len(), about.withheld.len());
+            if expected != got {
+                let what = "places without a label";
+                return Err(MetricError::RowCount { what, expected, got }.into());
+            }
+            for (place, _) in about.withheld.iter().enumerate().filter(|(_, is)| **is) {
+                predicted[place] = IGNORE;
+                self.withheld += u64::from(answered[place] != IGNORE);
+                answered[place] = IGNORE;
+            }
+        }
+        self.scores.model.update((&predicted, truth.scored()))?;
+        self.given.update((&predicted, &answered))?;
         self.has_labels = true;
         Ok(())
     }
@@ -207,6 +258,8 @@ impl<'a> Evaluation<'a> {
             oracle: self.scores.oracle.tester_report(),
             random: self.random.tester_report(),
             model: self.has_labels.then(|| self.scores.model.tester_report()),
+            given: (self.withheld > 0).then(|| self.given.tester_report()),
+            withheld: self.withheld,
         }
     }
 }
@@ -313,6 +366,36 @@ mod tests {
         assert!(matches!(error, EvaluationError::Oracle(_)), "{error}");
         let error = evaluation.check(&truth, Some(3)).unwrap_err();
         assert!(matches!(error, EvaluationError::Fault { row: 3 }), "{error}");
+    }
+
+    #[test]
+    fn withheld_labels_are_wrong_in_one_row_and_not_asked_for_in_the_other() {
+        let text = own_directions(names(&["wall", "chair"])).unwrap();
+        let scene = scene();
+        let score = |withheld: &[bool], voters: Option<&[bool]>, k| {
+            let mut evaluation = Evaluation::new(&text, settings(k)).unwrap();
+            let truth = evaluation.truth(&scene, None).unwrap();
+            let about = Restraint { voters, withheld };
+            evaluation
+                .add_some_labels(&truth, vec![0, 0, 1, 1], about)
+                .map(|()| evaluation.report())
+        };
+        let plain = score(&[], None, 0).unwrap();
+        assert!(plain.given.is_none() && plain.withheld == 0);
+        // The second is wrong, the last has no class: withholding both takes one of three.
+        let some = score(&[false, true, false, true], None, 0).unwrap();
+        assert_eq!(some.withheld, 1);
+        assert_eq!(some.model.unwrap().all_accuracy, Some(2.0 / 3.0));
+        assert_eq!(some.given.unwrap().all_accuracy, Some(1.0));
+        // The right one in its place.
+        let right = score(&[true, false, false, false], None, 0).unwrap();
+        assert_eq!(right.model.unwrap().all_accuracy, Some(1.0 / 3.0));
+        assert_eq!(right.given.unwrap().all_accuracy, Some(0.5));
+        // Only the third votes: all are chairs.
+        let voted = score(&[], Some(&[false, false, true, false]), 3).unwrap();
+        assert_eq!(voted.model.unwrap().all_accuracy, Some(2.0 / 3.0));
+        let error = score(&[true], None, 0).unwrap_err().to_string();
+        assert!(error.contains("places without a label"), "{error}");
     }
 
     #[test]

@@ -5,7 +5,8 @@ use crate::network::Network;
 use candle_core::{Device, Tensor};
 use rand_chacha::ChaCha8Rng;
 use scenesplat_datasets::{
-    ExactPlan, FastPlan, InferencePlan, NetworkInput, TileSettings, sample_rng, split_into_tiles,
+    Anchor, ExactPlan, FastPlan, InferencePlan, NetworkInput, TileSettings, sample_rng,
+    split_into_tiles,
 };
 use scenesplat_models::ops::normalize_rows;
 use scenesplat_models::{Backbone, Forward, Orders, PointCloud};
@@ -110,6 +111,8 @@ pub struct SceneEncoder<'a> {
     pub fidelity: Fidelity,
     /// Size of the network's voxels, metres; by default the one it was trained at.
     pub grid_size: f64,
+    /// Where voxels are counted from.
+    pub anchor: Anchor,
     /// Limit for the whole process, bytes; larger scenes go through tiles.
     pub max_memory: Option<u64>,
     /// Context around a tile, voxels.
@@ -176,6 +179,7 @@ impl<'a> SceneEncoder<'a> {
             halo: 50,
             shuffle_orders: None,
             codes: None,
+            anchor: Anchor::Box,
             spill_folder: std::env::temp_dir(),
             alignment: AlignmentSettings::default(),
         }
@@ -229,11 +233,12 @@ impl<'a> SceneEncoder<'a> {
             grid_size,
             sample_size: grid_size / 2.0,
             passes,
+            anchor: self.anchor,
             features: features.clone(),
             ..ExactPlan::default()
         };
         let plan = match self.fidelity {
-            Fidelity::Fast => FastPlan { grid_size, features }.build(scene)?,
+            Fidelity::Fast => FastPlan { grid_size, anchor: self.anchor, features }.build(scene)?,
             Fidelity::Passes(passes) => exact(Some(passes)).build(scene)?,
             Fidelity::Exact => exact(None).build(scene)?,
         };

@@ -47,6 +47,7 @@ pub mod preview;
 pub mod principal;
 pub mod probe;
 pub mod query;
+pub mod reconstruction;
 pub mod setting;
 pub mod severity;
 pub mod text;

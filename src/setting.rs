@@ -10,6 +10,7 @@ mod parse;
 
 pub use error::SettingError;
 
+use scenesplat_datasets::Anchor;
 use scenesplat_kernels::Precision;
 use scenesplat_models::LastStage;
 use std::fmt;
@@ -44,6 +45,8 @@ pub struct Setting {
     pub rank: Option<usize>,
     /// `passes`: how often the network runs.
     pub passes: Option<Passes>,
+    /// `anchor`: where voxels are counted from, `box` or `world`.
+    pub anchor: Option<Anchor>,
     /// `codes`: numbers of a feature, 1 to 256 and fewer than the network gives.
     pub codes: Option<usize>,
     /// `k`: neighbours that vote on a label; 0 and 1 are no vote.
@@ -71,8 +74,8 @@ impl fmt::Display for Passes {
 
 impl Setting {
     /// All keys, in the order in which a setting is written.
-    pub const KEYS: [&'static str; 9] =
-        ["voxel", "net", "precision", "patch", "stage", "rank", "passes", "codes", "k"];
+    pub const KEYS: [&'static str; 10] =
+        ["voxel", "net", "precision", "patch", "stage", "rank", "passes", "anchor", "codes", "k"];
 
     /// The parts that are named, in the order of [`KEYS`](Self::KEYS), with their values.
     pub fn parts(&self) -> Vec<(&'static str, String)> {
@@ -87,6 +90,7 @@ impl Setting {
             text(&self.stage),
             text(&self.rank),
             text(&self.passes),
+            self.anchor.map(|anchor| anchor.name().to_owned()),
             text(&self.codes),
             text(&self.k),
         ];
@@ -110,6 +114,7 @@ impl Setting {
             stage: self.stage.or(other.stage),
             rank: self.rank.or(other.rank),
             passes: self.passes.or(other.passes),
+            anchor: self.anchor.or(other.anchor),
             codes: self.codes.or(other.codes),
             k: self.k.or(other.k),
         }

@@ -4,6 +4,7 @@
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use scenesplat::datasets::Anchor;
 use scenesplat::inference::Fidelity;
 use scenesplat::network::NetworkChoice;
 use scenesplat::pareto::front;
@@ -25,6 +26,11 @@ fn parts_of_a_setting_reach_the_encoder() {
     assert_eq!(of("passes=3"), (plain.0, Fidelity::Passes(3), plain.2));
     assert_eq!(of("passes=all"), (plain.0, Fidelity::Exact, plain.2));
     assert_eq!(of("codes=5"), (plain.0, plain.1, Some(5)));
+    let anchor = |text: &str| {
+        let setting: Setting = text.parse().unwrap();
+        setting.apply_to_encoder(SceneEncoder::new(&network)).anchor
+    };
+    assert_eq!([anchor(""), anchor("anchor=world")], [Anchor::Box, Anchor::World]);
     // What an encoder has and a setting does not name stays.
     let mut encoder = SceneEncoder::new(&network);
     (encoder.grid_size, encoder.fidelity, encoder.codes) = (0.5, Fidelity::Exact, Some(7));

@@ -18,7 +18,7 @@ use std::path::PathBuf;
 #[derive(Debug, Clone, clap::Args)]
 pub struct EffectArgs {
     /// What is done about effects of the capture (docs/effects.md): NAME=auto as the scene's own evidence says, if it
-    /// was measured to be worth it; on; off. segment and query can withhold labels at the rims of holes; all can
+    /// was measured to be worth it; on; off. segment, query and evaluate can withhold labels at the rims of holes; all can
     /// leave floaters out of the voxels. A name that nothing acts on can only be auto or off.
     #[arg(long, value_name = "NAME=auto|on|off,…", default_value = "auto")]
     pub effect: EffectChoices,

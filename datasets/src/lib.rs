@@ -44,7 +44,9 @@ pub use left_out::{LeftOut, RepairedScene};
 pub use loader::{BatchLoader, BrokenScenes, LoaderSettings, SceneLoader, SkippedScene};
 pub use masking::{MaskShape, MaskWeight, Masked, Masking};
 pub use mix3d::mix_pairs;
-pub use plan::{ExactPlan, FastPlan, InferencePlan, NetworkInput, Representative, SlotMean};
+pub use plan::{
+    Anchor, ExactPlan, FastPlan, InferencePlan, NetworkInput, Representative, SlotMean,
+};
 pub use rng::{SampleRng, sample_rng};
 pub use sample::{Sample, Transform};
 pub use source::{DataSource, SourceScene};

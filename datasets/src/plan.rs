@@ -13,6 +13,7 @@ use crate::{DataError, InputFeatures};
 use scenesplat_kernels::grid_sample::{GridSampleError, KeyOrder, VoxelGroups, voxel_groups};
 use scenesplat_scene::GaussianScene;
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 
 /// One pass of the network over voxels.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -57,13 +58,15 @@ impl NetworkInput {
 pub struct FastPlan {
     /// Voxel size, metres.
     pub grid_size: f64,
+    /// Where voxels are counted from.
+    pub anchor: Anchor,
     /// What the network reads.
     pub features: InputFeatures,
 }
 
 impl Default for FastPlan {
     fn default() -> Self {
-        Self { grid_size: 0.02, features: InputFeatures::default() }
+        Self { grid_size: 0.02, anchor: Anchor::Box, features: InputFeatures::default() }
     }
 }
 
@@ -94,6 +97,8 @@ pub struct ExactPlan {
     /// The most passes; `None`: as many as the fullest voxel keeps Gaussians. Kept ones that no pass
     /// reads take the output of the nearest that one does, of those in their voxel.
     pub passes: Option<usize>,
+    /// Where voxels are counted from.
+    pub anchor: Anchor,
     /// What the network reads.
     pub features: InputFeatures,
 }
@@ -105,6 +110,7 @@ impl Default for ExactPlan {
             grid_size: 0.02,
             representative: Representative::First,
             passes: None,
+            anchor: Anchor::Box,
             features: InputFeatures::default(),
         }
     }
@@ -136,9 +142,10 @@ impl FastPlan {
     /// named.
     pub fn build<'a>(&self, scene: &'a GaussianScene) -> Result<InferencePlan<'a>, DataError> {
         scene.check_rows()?;
-        let coord = center_shift(&scene.coord);
-        let groups = group(scene, &coord, self.grid_size, KeyOrder::Morton)?;
+        let coord = self.anchor.shifted(&scene.coord);
+        let mut groups = group(scene, &coord, self.grid_size, KeyOrder::Morton)?;
         let sampled = groups.nearest_to_centre(&coord)?;
+        self.anchor.place(&mut groups);
         let VoxelGroups { grid_coord, inverse, .. } = groups;
         let features = self.features.clone();
         Ok(InferencePlan { scene, features, grid_coord, fragments: None, sampled, inverse })
@@ -162,7 +169,7 @@ impl ExactPlan {
             let (setting, value) = ("passes", "0".to_owned());
             return Err(DataError::Setting { setting, value, expected: "at least one" });
         }
-        let coord = center_shift(&scene.coord);
+        let coord = self.anchor.shifted(&scene.coord);
         let fine = group(scene, &coord, self.sample_size, KeyOrder::Fnv)?;
         let sampled = match self.representative {
             Representative::First => fine.first_rows(),
@@ -177,7 +184,8 @@ impl ExactPlan {
         let VoxelGroups { inverse, .. } = fine;
         let kept: Vec<[f32; 3]> = sampled.iter().map(|&r| coord[r as usize]).collect();
         drop(coord);
-        let fragments = voxel_groups(&kept, self.grid_size, KeyOrder::Fnv)?;
+        let mut fragments = voxel_groups(&kept, self.grid_size, KeyOrder::Fnv)?;
+        self.anchor.place(&mut fragments);
         let all = InferencePlan {
             scene,
             features: self.features.clone(),
@@ -330,16 +338,65 @@ impl SlotMean {
     }
 }
 
+/// Where voxels are counted from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Anchor {
+    /// The middle of the bounding box and its floor, as the original: labels do not depend on where a scene's origin
+    /// is, but the outermost Gaussian moves the borders of all voxels.
+    #[default]
+    Box,
+    /// The origin of the scene, in whole cells of the coarsest scale of a network: what is far away moves no border.
+    World,
+}
+
+impl Anchor {
+    /// All, each by the word for it.
+    pub const ALL: [(&'static str, Self); 2] = [("box", Self::Box), ("world", Self::World)];
+
+    /// The word for it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Box => "box",
+            Self::World => "world",
+        }
+    }
+
+    /// Coordinates that voxels are counted from the origin of.
+    fn shifted(self, coord: &[[f32; 3]]) -> Cow<'_, [[f32; 3]]> {
+        match self {
+            Self::Box => center_shift(coord).into(),
+            Self::World => coord.into(),
+        }
+    }
+
+    /// Moves cells, which begin at 0, so that cells of coarser scales do not depend on where the first one is.
+    fn place(self, groups: &mut VoxelGroups) {
+        if self == Self::World {
+            let first = groups.min_cell.map(|cell| cell.rem_euclid(COARSEST) as i32);
+            groups.grid_coord.iter_mut().for_each(|c| (0..3).for_each(|a| c[a] += first[a]));
+        }
+    }
+}
+
+/// Voxels of the widest cell that a network has: five scales, and one more for others.
+const COARSEST: f64 = 64.0;
+
 /// Moves the middle of the bounding box to x = y = 0 and its floor to z = 0.
 ///
 /// In f32, as the original: the last bit decides on which side of a voxel border a Gaussian falls.
 pub fn center_shift(coord: &[[f32; 3]]) -> Vec<[f32; 3]> {
-    let Some(&first) = coord.first() else { return Vec::new() };
+    let shift = box_shift(coord);
+    coord.iter().map(|c| std::array::from_fn(|a| c[a] - shift[a])).collect()
+}
+
+/// The middle of the bounding box along x and y, its floor along z; 0 without a point.
+fn box_shift(coord: &[[f32; 3]]) -> [f32; 3] {
+    let Some(&first) = coord.first() else { return [0.0; 3] };
     let (low, high) = coord.iter().fold((first, first), |(low, high), c| {
         (std::array::from_fn(|a| low[a].min(c[a])), std::array::from_fn(|a| high[a].max(c[a])))
     });
-    let shift = [(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0, low[2]];
-    coord.iter().map(|c| std::array::from_fn(|a| c[a] - shift[a])).collect()
+    [(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0, low[2]]
 }
 
 /// Groups shifted coordinates; errors show the coordinate of the file.
@@ -389,6 +446,54 @@ mod tests {
         let moved = center_shift(&[[1.0, -2.0, 5.0], [3.0, 4.0, 6.0]]);
         assert_eq!(moved, [[-1.0, -3.0, 0.0], [1.0, 3.0, 1.0]]);
         assert!(center_shift(&[]).is_empty());
+    }
+
+    #[test]
+    fn voxels_of_the_world_stay_when_the_outermost_gaussian_goes() {
+        let scene = room(20_000);
+        let far = |a: usize| {
+            (0..scene.len()).max_by(|&i, &j| scene.coord[i][a].total_cmp(&scene.coord[j][a]))
+        };
+        let first = |a: usize| {
+            (0..scene.len()).min_by(|&i, &j| scene.coord[i][a].total_cmp(&scene.coord[j][a]))
+        };
+        let gone: Vec<usize> = (0..3).flat_map(|a| [far(a).unwrap(), first(a).unwrap()]).collect();
+        // A wall, too: the box gets narrower by 7.4 voxels.
+        let stays = |row: &usize| !gone.contains(row) && scene.coord[*row][0] > 0.37;
+        let kept: Vec<usize> = (0..scene.len()).filter(stays).collect();
+        let hurt = scene.select_rows(&kept).unwrap();
+        // The cell of each Gaussian as a network's coarsest scale numbers it, and inside of that cell.
+        let cells = |scene: &GaussianScene, anchor, exact: bool| -> Vec<[i32; 3]> {
+            let plan = match exact {
+                false => FastPlan { grid_size: 0.05, anchor, ..FastPlan::default() }.build(scene),
+                true => {
+                    let sizes =
+                        ExactPlan { sample_size: 0.025, grid_size: 0.05, ..ExactPlan::default() };
+                    ExactPlan { anchor, ..sizes }.build(scene)
+                }
+            };
+            let plan = plan.unwrap();
+            let mut of_slot = vec![[0; 3]; plan.num_slots()];
+            for input in plan.inputs() {
+                let input = input.unwrap();
+                assert!(input.grid_coord.iter().flatten().all(|c| *c >= 0));
+                for (slot, cell) in input.slots.iter().zip(&input.grid_coord) {
+                    of_slot[*slot as usize] = *cell;
+                }
+            }
+            plan.inverse.iter().map(|slot| of_slot[*slot as usize]).collect()
+        };
+        for exact in [false, true] {
+            for (anchor, same) in [(Anchor::World, true), (Anchor::Box, false)] {
+                let (before, after) = (cells(&scene, anchor, exact), cells(&hurt, anchor, exact));
+                let moved = |i: usize| -> [i32; 3] {
+                    std::array::from_fn(|a| after[i][a] - before[kept[i]][a])
+                };
+                let all_same = (0..kept.len()).all(|i| moved(i) == moved(0));
+                let by_whole_cells = moved(0).iter().all(|m| m % 64 == 0);
+                assert_eq!(all_same && by_whole_cells, same, "{anchor:?} {exact} {:?}", moved(0));
+            }
+        }
     }
 
     #[test]

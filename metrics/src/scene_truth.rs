@@ -148,6 +148,16 @@ impl<'a> SceneTruth<'a> {
         self.points.as_ref().map_or(&self.labels, |(_, labels)| labels)
     }
 
+    /// Where it is scored: the places of the points, or of the Gaussians, metres.
+    pub fn places(&self) -> &[[f32; 3]] {
+        self.points.as_ref().map_or(self.coord, |(at, _)| at)
+    }
+
+    /// Who votes, if not all do. `[N]`
+    pub fn voters(&self) -> Option<&[bool]> {
+        self.voters
+    }
+
     /// Whether anything that is scored has a class.
     pub fn is_labelled(&self) -> bool {
         self.scored().iter().any(|&label| label != IGNORE)
@@ -177,8 +187,7 @@ impl<'a> SceneTruth<'a> {
     /// As [`vote`].
     pub fn carry(&self, labels: Vec<i32>, rule: &VoteRule) -> Result<Vec<i32>, MetricError> {
         let Some(k) = self.k(rule) else { return Ok(labels) };
-        let at = self.points.as_ref().map_or(self.coord, |(at, _)| at);
-        let mut after = vote(self.coord, &labels, self.voters, at, k, self.num_classes)?;
+        let mut after = vote(self.coord, &labels, self.voters, self.places(), k, self.num_classes)?;
         if rule.keep_withheld && self.points.is_none() {
             keep_withheld(&labels, &mut after);
         }

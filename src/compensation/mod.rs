@@ -15,9 +15,11 @@
 //!
 //! [`EffectPlan`]: scenesplat_datasets::effects::plan::EffectPlan
 
+mod panes;
 mod regions;
 mod sections;
 
+pub use panes::{TWO_LAYERS, glass_decision, panes_of};
 pub use sections::{render_section, tiles_section};
 
 use crate::inspect::find_floaters;
@@ -86,11 +88,13 @@ pub fn plan_of(
 }
 
 /// The Gaussians that a plan is about.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Compensation {
     kept: Option<Vec<usize>>,
     left_out: usize,
     withheld: Vec<bool>,
+    /// Balls that nothing in gets a label.
+    rims: Vec<[f32; 4]>,
 }
 
 impl Compensation {
@@ -106,6 +110,7 @@ impl Compensation {
         if let Some(holes) = plan.acting(Effect::Holes) {
             found.withheld = regions::inside(&holes.regions, &scene.coord);
             holes.changed = Some(found.num_withheld());
+            found.rims.clone_from(&holes.regions);
         }
         found
     }
@@ -123,6 +128,11 @@ impl Compensation {
     /// Gaussians that get no label; empty where all may get one, else `[N]`.
     pub fn withheld(&self) -> &[bool] {
         &self.withheld
+    }
+
+    /// Which of other places, in units of the scene, get no label; empty where all may get one. `[M, 3]` to `[M]`
+    pub fn withheld_at(&self, places: &[[f32; 3]]) -> Vec<bool> {
+        regions::inside(&self.rims, places)
     }
 
     /// How many they are.

@@ -113,19 +113,43 @@ pub fn add_scene(
     Ok(hits)
 }
 
-/// The probability of each Gaussian's label (0 where it has none), and of the class that is most probable by
-/// its own feature, which a vote may have overruled. `[N]`
+/// How sure labels are, by several measures. `[N]` each
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Sureness {
+    /// Probability of the label, 0 where there is none.
+    pub(crate) of_label: Vec<f32>,
+    /// Probability of the class that is most probable by the Gaussian's own feature, which a vote may have overruled.
+    pub(crate) highest: Vec<f32>,
+    /// That less the probability of the second.
+    pub(crate) margin: Vec<f32>,
+    /// One less the entropy of all classes, of the largest that there could be.
+    pub(crate) order: Vec<f32>,
+    /// The label's probability at twice the temperature.
+    pub(crate) tempered: Vec<f32>,
+    /// 1 where the vote took the Gaussian's own class.
+    pub(crate) agrees: Vec<f32>,
+}
+
+/// How sure the labels of a scene are.
 ///
 /// # Errors
 /// If features cannot be read.
-pub(crate) fn probabilities(
+pub(crate) fn sureness(
     features: &SceneFeatures,
     text: &TextTable,
     labels: &[i32],
-) -> Result<[Vec<f32>; 2], ParetoError> {
+) -> Result<Sureness, ParetoError> {
     let width = features.width();
     let by_slot = members(features);
-    let (mut of_label, mut highest) = (vec![0.0; labels.len()], vec![0.0; labels.len()]);
+    let zeros = vec![0.0; labels.len()];
+    let mut out = Sureness {
+        of_label: zeros.clone(),
+        highest: zeros.clone(),
+        margin: zeros.clone(),
+        order: zeros.clone(),
+        tempered: zeros.clone(),
+        agrees: zeros,
+    };
     for start in (0..features.num_slots()).step_by(BLOCK) {
         let end = (start + BLOCK).min(features.num_slots());
         let rows = features.slot_rows(start..end)?;
@@ -133,16 +157,29 @@ pub(crate) fn probabilities(
             let dot = |t: &[f32]| t.iter().zip(row).map(|(a, b)| a * b).sum();
             let scores: Vec<f32> = text.values.chunks_exact(width).map(dot).collect();
             let all = softmax(&scores);
-            let top = all.iter().copied().fold(0.0, f32::max);
+            let soft = softmax_at(&scores, 2.0 * TEMPERATURE);
+            let (mut own, mut top, mut second) = (0, 0.0f32, 0.0f32);
+            for (class, &p) in all.iter().enumerate() {
+                if p > top {
+                    (own, top, second) = (class, p, top);
+                } else {
+                    second = second.max(p);
+                }
+            }
+            let entropy: f32 = all.iter().filter(|p| **p > 0.0).map(|p| -p * p.ln()).sum();
+            let order = 1.0 - entropy / (all.len().max(2) as f32).ln();
             for &gaussian in &by_slot.rows[by_slot.starts[slot]..by_slot.starts[slot + 1]] {
-                let label = usize::try_from(labels[gaussian as usize]).ok();
-                of_label[gaussian as usize] =
-                    label.and_then(|l| all.get(l).copied()).unwrap_or(0.0);
-                highest[gaussian as usize] = top;
+                let at = gaussian as usize;
+                let label = usize::try_from(labels[at]).ok();
+                let of = |p: &[f32]| label.and_then(|l| p.get(l).copied()).unwrap_or(0.0);
+                out.of_label[at] = of(&all);
+                out.tempered[at] = of(&soft);
+                out.agrees[at] = f32::from(u8::from(label == Some(own)));
+                (out.highest[at], out.margin[at], out.order[at]) = (top, top - second, order);
             }
         }
     }
-    Ok([of_label, highest])
+    Ok(out)
 }
 
 /// Which Gaussians have each row.
@@ -169,8 +206,12 @@ fn members(features: &SceneFeatures) -> Members {
 }
 
 fn softmax(scores: &[f32]) -> Vec<f32> {
+    softmax_at(scores, TEMPERATURE)
+}
+
+fn softmax_at(scores: &[f32], temperature: f32) -> Vec<f32> {
     let top = scores.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-    let exp: Vec<f32> = scores.iter().map(|s| ((s - top) / TEMPERATURE).exp()).collect();
+    let exp: Vec<f32> = scores.iter().map(|s| ((s - top) / temperature).exp()).collect();
     let sum: f32 = exp.iter().sum();
     exp.into_iter().map(|e| e / sum).collect()
 }

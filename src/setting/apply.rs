@@ -56,6 +56,7 @@ impl Setting {
         if let Some(voxel) = self.voxel {
             encoder.grid_size = voxel;
         }
+        encoder.anchor = self.anchor.unwrap_or(encoder.anchor);
         encoder.codes = self.codes.or(encoder.codes);
         match self.passes {
             None => {}

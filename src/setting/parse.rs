@@ -1,6 +1,7 @@
 //! A setting from its string.
 
 use super::{Passes, Setting, SettingError};
+use scenesplat_datasets::Anchor;
 use scenesplat_kernels::Precision;
 use std::ops::RangeInclusive;
 use std::str::FromStr;
@@ -82,6 +83,10 @@ impl Setting {
                 let read = count(1..=MAX_PASSES).map_err(|_| wrong(&expected))?;
                 self.passes = read.map(Passes::Count);
             }
+            "anchor" => {
+                let found = Anchor::ALL.into_iter().find(|(name, _)| *name == value);
+                self.anchor = Some(found.ok_or_else(|| wrong("box or world"))?.1);
+            }
             "codes" => self.codes = count(1..=MAX_CODES)?,
             "k" => self.k = count(0..=usize::MAX)?,
             _ => return Err(SettingError::UnknownKey { key: key.to_owned() }),
@@ -95,7 +100,7 @@ mod tests {
     use super::*;
     use scenesplat_models::LastStage;
 
-    const ALL: &str = "voxel=0.04,net=litept-s,precision=bf16,patch=256,stage=coarse,rank=96,passes=all,codes=16,k=8";
+    const ALL: &str = "voxel=0.04,net=litept-s,precision=bf16,patch=256,stage=coarse,rank=96,passes=all,anchor=world,codes=16,k=8";
 
     #[test]
     fn every_key_is_read_and_written() {
@@ -108,6 +113,7 @@ mod tests {
             stage: Some(LastStage::Coarse),
             rank: Some(96),
             passes: Some(Passes::All),
+            anchor: Some(Anchor::World),
             codes: Some(16),
             k: Some(8),
         };

@@ -4,8 +4,9 @@ use super::SeverityError;
 use super::report::SeverityPoint;
 use crate::evaluation::background;
 use crate::labels::{Classes, label_with_vote};
-use crate::pareto::quality::{Calibration, probabilities};
+use crate::pareto::quality::{Calibration, Sureness, sureness};
 use crate::{Network, SceneEncoder, WeightOptions, Weights, embedded};
+use scenesplat_datasets::Anchor;
 use scenesplat_datasets::effects::Simulated;
 use scenesplat_metrics::{ConfusionMatrix, Metric, ZeroShotOptions};
 use scenesplat_scene::{GaussianScene, LabelSet, TextTable};
@@ -22,9 +23,7 @@ const FAR: f32 = 1.5;
 /// Labels of a scene with the probability of each.
 pub(super) struct Labelled {
     pub(super) labels: Vec<i32>,
-    pub(super) confidence: Vec<f32>,
-    /// Of the class that is most probable by the Gaussian's own feature.
-    certainty: Vec<f32>,
+    pub(super) sure: Sureness,
 }
 
 /// The network with its classes.
@@ -47,16 +46,30 @@ impl Bench {
 
     /// Labels as `segment` gives them.
     pub(super) fn label(&self, scene: &GaussianScene) -> Result<Labelled, SeverityError> {
-        let features = SceneEncoder::new(&self.network).encode(scene, &mut |_| Ok(()))?;
+        self.label_by(SceneEncoder::new(&self.network), scene)
+    }
+
+    /// As [`label`](Self::label), with voxels that are counted from the scene's origin.
+    pub(super) fn label_anchored(&self, scene: &GaussianScene) -> Result<Labelled, SeverityError> {
+        let encoder = SceneEncoder { anchor: Anchor::World, ..SceneEncoder::new(&self.network) };
+        self.label_by(encoder, scene)
+    }
+
+    fn label_by(
+        &self,
+        encoder: SceneEncoder<'_>,
+        scene: &GaussianScene,
+    ) -> Result<Labelled, SeverityError> {
+        let features = encoder.encode(scene, &mut |_| Ok(()))?;
         let (classes, options) = (Classes::Texts(&self.texts), ZeroShotOptions::default());
         let labels = label_with_vote(&features, classes, &options, &scene.coord, VOTE_K)?.labels;
-        let [confidence, certainty] = probabilities(&features, &self.texts, &labels)?;
-        Ok(Labelled { labels, confidence, certainty })
+        let sure = sureness(&features, &self.texts, &labels)?;
+        Ok(Labelled { labels, sure })
     }
 
     /// What undamaged rooms leave unknown is the same share everywhere.
     pub(super) fn set_threshold(&mut self, undamaged: &[Labelled]) {
-        let mut all: Vec<f32> = undamaged.iter().flat_map(|l| l.certainty.clone()).collect();
+        let mut all: Vec<f32> = undamaged.iter().flat_map(|l| l.sure.highest.clone()).collect();
         if all.is_empty() {
             return;
         }
@@ -73,18 +86,21 @@ impl Bench {
         let mut matrix = ConfusionMatrix::new(self.texts.len())?.with_excluded(&self.excluded)?;
         let mut calibration = Calibration::default();
         let (mut sum, mut unknown, mut count) = (0.0, 0u32, 0u32);
-        for (scene, Labelled { labels, confidence, certainty }) in rooms {
+        let mut others = [0.0; SeverityPoint::OTHERS.len()];
+        for (scene, Labelled { labels, sure }) in rooms {
             let truth = scene.segment.clone().unwrap_or_default();
             matrix.update((labels, &truth))?;
-            let rows = labels.iter().zip(confidence).zip(certainty).zip(&truth);
-            for (((label, confidence), certainty), truth) in rows {
+            for (row, (label, truth)) in labels.iter().zip(&truth).enumerate() {
                 if *truth < 0 {
                     continue;
                 }
-                calibration.add(f64::from(*confidence), label == truth);
-                sum += f64::from(*confidence);
-                unknown += u32::from(*certainty < self.threshold);
+                let confidence = f64::from(sure.of_label[row]);
+                calibration.add(confidence, label == truth);
+                sum += confidence;
+                unknown += u32::from(sure.highest[row] < self.threshold);
                 count += 1;
+                let other = [&sure.margin, &sure.order, &sure.tempered, &sure.agrees];
+                others.iter_mut().zip(other).for_each(|(sum, v)| *sum += f64::from(v[row]));
             }
         }
         let scored = f64::from(count.max(1));
@@ -94,6 +110,7 @@ impl Bench {
             ece: calibration.error().unwrap_or_default(),
             confidence: sum / scored,
             unknown: f64::from(unknown) / scored,
+            others: others.map(|sum| sum / scored),
             scored: count as usize,
         })
     }

@@ -15,7 +15,7 @@ mod measure;
 mod report;
 mod suite;
 
-pub use report::{Check, EffectCurve, SeverityPoint, SeverityReport};
+pub use report::{Check, ConfidenceRow, EffectCurve, SeverityPoint, SeverityReport};
 pub use suite::{Figures, PairRow, SceneRow, SuiteReport, SuiteSettings, Worth, effect_suite};
 
 use crate::inference::EncodeError;
@@ -133,7 +133,7 @@ pub fn severity_curves(
         (0..settings.rooms).map(|room| self::room(settings, room)).collect::<Result<_, _>>()?;
     // Undamaged rooms once; the rest, and the corners, for each effect.
     let points = settings.severities.len();
-    let total = (rooms.len() * (1 + settings.effects.len() * points)) as f64;
+    let total = (rooms.len() * (2 + settings.effects.len() * (points + 1))) as f64;
     let mut done = 0.0;
     let mut step = |text: &str| {
         let going = go_on(text, done / total);
@@ -141,10 +141,12 @@ pub fn severity_curves(
         if going { Ok(()) } else { Err(SeverityError::Stopped) }
     };
     let mut bench = Bench::new()?;
-    let mut clean = Vec::new();
+    let (mut clean, mut anchored) = (Vec::new(), Vec::new());
     for room in &rooms {
         step("undamaged rooms")?;
         clean.push(bench.label(room)?);
+        step("undamaged rooms")?;
+        anchored.push(bench.label_anchored(room)?.labels);
     }
     bench.set_threshold(&clean);
     let undamaged = bench.point(0.0, rooms.iter().zip(&clean))?;
@@ -154,6 +156,7 @@ pub fn severity_curves(
             effect: effect.name().to_owned(),
             points: vec![undamaged.clone()],
             far_changed: 0.0,
+            far_changed_anchored: 0.0,
         };
         for &severity in &settings.severities[1..] {
             let set = EffectSet::default().with(effect, severity)?;
@@ -168,15 +171,19 @@ pub fn severity_curves(
         }
         let worst = settings.severities.last().copied().unwrap_or_default();
         let set = EffectSet::default().with(effect, worst)?;
-        let (mut far, mut changed) = (0, 0);
+        let (mut far, mut changed, mut changed_anchored) = (0, 0, 0);
         for (i, (room, labels)) in rooms.iter().zip(&clean).enumerate() {
             step(effect.name())?;
             let damaged = Damaged::in_a_corner(room, &simulate(room, &set, seed(settings, i))?)?;
             let after = bench.label(&damaged.scene)?;
             let (all, other) = damaged.far_labels(room, &labels.labels, &after.labels);
             (far, changed) = (far + all, changed + other);
+            step(effect.name())?;
+            let after = bench.label_anchored(&damaged.scene)?;
+            changed_anchored += damaged.far_labels(room, &anchored[i], &after.labels).1;
         }
         curve.far_changed = f64::from(changed) / f64::from(far.max(1));
+        curve.far_changed_anchored = f64::from(changed_anchored) / f64::from(far.max(1));
         curves.push(curve);
     }
     Ok(SeverityReport::new(settings, &bench, curves, began.elapsed().as_secs_f64()))

@@ -30,8 +30,18 @@ pub struct SeverityPoint {
     /// Share of the Gaussians whose likeliest class, by their own feature, is less probable than that of all but
     /// 5 % in undamaged rooms.
     pub unknown: f64,
+    /// Means of other measures of how sure labels are, see [`OTHERS`](Self::OTHERS).
+    #[serde(default)]
+    pub others: [f64; 4],
     /// Gaussians with a true label.
     pub scored: usize,
+}
+
+impl SeverityPoint {
+    /// Of each Gaussian's own feature: probability of its likeliest class less that of the second; one less the
+    /// entropy over the classes, of the largest; of its label: the probability at twice the temperature; the share
+    /// of the labels that are what the Gaussian's own feature says, without the vote.
+    pub const OTHERS: [&'static str; 4] = ["margin", "order", "tempered", "agreement"];
 }
 
 /// The curve of an effect.
@@ -44,6 +54,20 @@ pub struct EffectCurve {
     /// Share of the labels farther than 1.5 m from a corner of 1 m that change when the effect is at its
     /// worst in that corner alone.
     pub far_changed: f64,
+    /// The same with voxels that are counted from the scene's origin (`anchor=world`).
+    #[serde(default)]
+    pub far_changed_anchored: f64,
+}
+
+/// How well a measure of confidence follows quality.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ConfidenceRow {
+    /// `confidence`, or one of [`SeverityPoint::OTHERS`].
+    pub measure: String,
+    /// Rank correlation with f-mIoU along the curve of each effect, in their order; `None` where it has no meaning.
+    pub curves: Vec<Option<f64>>,
+    /// Of all points together.
+    pub all: Option<f64>,
 }
 
 /// Something that is expected of a curve.
@@ -78,6 +102,9 @@ pub struct SeverityReport {
     pub curves: Vec<EffectCurve>,
     /// What is expected of them.
     pub checks: Vec<Check>,
+    /// How well measures of confidence follow quality.
+    #[serde(default)]
+    pub confidences: Vec<ConfidenceRow>,
     /// How long it took.
     pub seconds: f64,
 }
@@ -96,6 +123,7 @@ impl SeverityReport {
             seed: settings.seed,
             unknown_below: bench.threshold,
             checks: checks(&curves),
+            confidences: confidences(&curves),
             curves,
             seconds,
         }
@@ -124,7 +152,7 @@ pub(super) fn checks(curves: &[EffectCurve]) -> Vec<Check> {
         passed: value.is_none_or(|v| if least { v >= bound } else { v <= bound }),
     };
     let mut all = Vec::new();
-    for EffectCurve { effect, points, far_changed } in curves {
+    for EffectCurve { effect, points, far_changed, .. } in curves {
         let steps = points.windows(2).map(|pair| pair[0].f_miou - pair[1].f_miou);
         let step = steps.fold(0.0, f64::max);
         all.push(check(effect, "largest fall of f-mIoU", Some(step), LARGEST_STEP, false));
@@ -142,8 +170,25 @@ pub(super) fn checks(curves: &[EffectCurve]) -> Vec<Check> {
 
 /// Of confidence and quality.
 pub(super) fn correlation_of(points: &[SeverityPoint]) -> Option<f64> {
-    let column = |value: fn(&SeverityPoint) -> f64| points.iter().map(value).collect::<Vec<_>>();
-    rank_correlation(&column(|p| p.confidence), &column(|p| p.f_miou))
+    correlation_by(points, None)
+}
+
+/// Of confidence, or another measure of it, and quality.
+fn correlation_by(points: &[SeverityPoint], other: Option<usize>) -> Option<f64> {
+    let measure = |p: &SeverityPoint| other.map_or(p.confidence, |k| p.others[k]);
+    let quality: Vec<f64> = points.iter().map(|p| p.f_miou).collect();
+    rank_correlation(&points.iter().map(measure).collect::<Vec<_>>(), &quality)
+}
+
+pub(super) fn confidences(curves: &[EffectCurve]) -> Vec<ConfidenceRow> {
+    let all: Vec<SeverityPoint> = curves.iter().flat_map(|curve| curve.points.clone()).collect();
+    let others = SeverityPoint::OTHERS.iter().enumerate().map(|(k, name)| (*name, Some(k)));
+    let row = |(name, other): (&str, Option<usize>)| ConfidenceRow {
+        measure: name.to_owned(),
+        curves: curves.iter().map(|curve| correlation_by(&curve.points, other)).collect(),
+        all: correlation_by(&all, other),
+    };
+    std::iter::once(("confidence", None)).chain(others).map(row).collect()
 }
 
 impl fmt::Display for SeverityReport {
@@ -162,6 +207,18 @@ impl fmt::Display for SeverityReport {
                     100.0 * unknown
                 )?;
             }
+        }
+        writeln!(f, "rank correlation with f-mIoU along each curve, and of all points")?;
+        for ConfidenceRow { measure, curves, all } in &self.confidences {
+            write!(f, "  {measure:<10}")?;
+            for value in curves.iter().chain([all]) {
+                write!(f, " {:>6}", value.map_or("-".to_owned(), |v| format!("{v:.2}")))?;
+            }
+            writeln!(f)?;
+        }
+        for EffectCurve { effect, far_changed_anchored, .. } in &self.curves {
+            let far = 100.0 * far_changed_anchored;
+            writeln!(f, "{effect}: labels far away that change with anchor=world: {far:.2} %")?;
         }
         for (i, Check { effect, what, value, bound, passed }) in self.checks.iter().enumerate() {
             let value = value.map_or("-".to_owned(), |v| format!("{v:.3}"));

@@ -1,5 +1,5 @@
 use super::measure::Damaged;
-use super::report::{checks, correlation_of};
+use super::report::{checks, confidences, correlation_of};
 use super::*;
 
 #[test]
@@ -23,6 +23,7 @@ fn small_curves_are_drawn_and_written() {
         assert_eq!(curve.points.len(), 2);
         assert_eq!(curve.points[0], report.curves[0].points[0], "undamaged rooms are the same");
         for p in &curve.points {
+            assert!(p.others.iter().all(|v| (0.0..=1.0).contains(v)), "{:?}", p.others);
             assert!(
                 [p.f_miou, p.ece, p.confidence, p.unknown].iter().all(|v| (0.0..=1.0).contains(v))
             );
@@ -53,10 +54,12 @@ fn curve(quality: &[f64], confidence: &[f64], far_changed: f64) -> EffectCurve {
         ece: 0.1,
         confidence: *c,
         unknown: 0.1,
+        others: [0.5, 0.5, 0.5, 1.0 - *c],
         scored: 10,
     };
     let points = quality.iter().zip(confidence).enumerate().map(point).collect();
-    EffectCurve { effect: "holes".to_owned(), points, far_changed }
+    let effect = "holes".to_owned();
+    EffectCurve { effect, points, far_changed, far_changed_anchored: 0.0 }
 }
 
 #[test]
@@ -76,6 +79,13 @@ fn what_is_expected_can_be_missed() {
     let found = correlation_of(&curve(&[0.5, 0.3, 0.4, 0.2], &[0.9, 0.8, 0.7, 0.6], 0.0).points);
     assert!((found.unwrap() - 0.8).abs() < 1e-12, "{found:?}");
     assert_eq!(correlation_of(&curve(&[0.5; 3], &[0.9, 0.8, 0.7], 0.0).points), None);
+    // The fourth of the other measures turns the order round, the others do not change.
+    let rows = confidences(&[curve(&[0.5, 0.3, 0.4, 0.2], &[0.9, 0.8, 0.7, 0.6], 0.0)]);
+    let names: Vec<&str> = rows.iter().map(|row| row.measure.as_str()).collect();
+    assert_eq!(names, ["confidence", "margin", "order", "tempered", "agreement"]);
+    let near = |value: Option<f64>, want: f64| value.is_some_and(|v| (v - want).abs() < 1e-12);
+    assert!(near(rows[0].all, 0.8) && near(rows[4].curves[0], -0.8), "{rows:?}");
+    assert_eq!((rows[1].all, rows[3].curves[0]), (None, None));
 }
 
 #[test]

@@ -131,7 +131,7 @@ fn settled(config: NetworkConfig, setting: &Setting) -> Result<NetworkConfig> {
         let unknown = match key {
             "precision" => setting.precision != Some(Precision::F32),
             "passes" => setting.passes != one_pass,
-            "codes" | "k" => true,
+            "anchor" | "codes" | "k" => true,
             _ => false,
         };
         if unknown {

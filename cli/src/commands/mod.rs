@@ -15,6 +15,7 @@ mod lift_labels;
 mod pareto;
 mod probe;
 mod query;
+mod reconstruct;
 mod render;
 mod segment;
 mod simulate;
@@ -64,6 +65,8 @@ enum Command {
     Train(train::Args),
     /// Asks what a network has learned: a small classifier on its rows, beside an untrained network.
     Probe(probe::Args),
+    /// Draws what self-supervised training makes of masked parts of a scene.
+    Reconstruct(reconstruct::Args),
     /// Turns language features of scenes into codes of a trained autoencoder, or back.
     Codes(codes::Args),
     /// Cuts scenes into overlapping squares for training.
@@ -118,6 +121,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Convert(args) => convert::run(args),
         Command::Train(args) => train::run(args),
         Command::Probe(args) => probe::run(args),
+        Command::Reconstruct(args) => reconstruct::run(args, &line),
         Command::Codes(args) => codes::run(args, &line),
         Command::Chunk(args) => chunk::run(args),
         Command::Weights(args) => weights::run(args, &line),

@@ -153,3 +153,58 @@ fn wishes_that_nothing_follows_are_refused() {
     let output = scenesplat(&given);
     assert!(stderr(&output).contains("acted on here: holes"), "{}", stderr(&output));
 }
+
+#[test]
+fn evaluate_counts_withheld_labels_as_wrong_and_as_not_asked_for() {
+    use scenesplat::scene::formats::npy_folder::write_npy_folder;
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let full = room();
+    let middle = |a: usize| {
+        let [low, high] =
+            [f32::min, f32::max].map(|f| full.coord.iter().map(|p| p[a]).reduce(f).unwrap());
+        0.5 * (low + high)
+    };
+    let gone = |p: &[f32; 3]| p[2] < 0.3 && (0..2).all(|a| (p[a] - middle(a)).abs() < 0.7);
+    let rows: Vec<usize> = (0..full.len()).filter(|&row| !gone(&full.coord[row])).collect();
+    write_npy_folder(&full.select_rows(&rows).unwrap(), Path::new(&at("room")), false).unwrap();
+    let names: Vec<&str> = scenesplat::rooms::CLASSES.iter().map(|class| class.name).collect();
+    std::fs::write(at("names.txt"), names.join("\n")).unwrap();
+    let run = |out: &str, more: &[&str]| {
+        let (scene, names, out) = (at("room"), at("names.txt"), at(out));
+        let mut args = vec!["evaluate", &scene, "--as-is", "--label-names", &names, "--out", &out];
+        args.extend(more);
+        let output = scenesplat(&args);
+        let said = String::from_utf8_lossy(&output.stdout).into_owned();
+        (output, said, Path::new(&out).join("evaluation.json"))
+    };
+    let (output, said, path) = run("off", &[]);
+    done(&output);
+    let off = json(&path);
+    assert_eq!(off["withheld"], 0);
+    assert!(off.get("of_those_given").is_none() && !said.contains("of those given"), "{said}");
+
+    let (output, said, path) = run("on", &["--effect", "holes=on"]);
+    done(&output);
+    let on = json(&path);
+    let withheld = on["withheld"].as_u64().unwrap();
+    assert!(withheld > 10 && said.contains(&format!("{withheld} labels were withheld")), "{said}");
+    assert!(said.contains("of those given"), "{said}");
+    let right = |json: &Value| json["all_acc"].as_f64().unwrap();
+    assert!(right(&on) < right(&off) && right(&on["of_those_given"]) > right(&on));
+    // A stored plan gives the same figures without looking again.
+    let (output, _, path) = run("again", &["--effect-plan", &at("on/receipt.json")]);
+    done(&output);
+    let again = json(&path);
+    for key in ["all_acc", "f_miou", "withheld", "of_those_given"] {
+        assert_eq!(again[key], on[key], "{key}");
+    }
+    for (more, part) in [
+        (vec!["--features", "oracle", "--effect", "holes=on"], "nothing here acts on holes"),
+        (vec!["synthetic:500:1", "--effect-plan", &at("on/receipt.json")], "one scene only"),
+    ] {
+        let (output, ..) = run("no", &more);
+        let text = stderr(&output);
+        assert!(output.status.code() == Some(2) && text.contains(part), "{text}");
+    }
+}

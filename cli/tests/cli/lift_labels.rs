@@ -277,3 +277,31 @@ fn photos_are_looked_at_and_change_nothing_unless_they_are_blurred() {
     assert_eq!(output.status.code(), Some(2));
     assert!(stderr(&output).contains("--photos"), "{}", stderr(&output));
 }
+
+#[test]
+fn glass_is_looked_for_and_other_effects_are_refused_by_name() {
+    let dir = world();
+    let text = |name: &str| std::fs::read_to_string(dir.path().join("out").join(name)).unwrap();
+    done(&lift(dir.path(), &[]));
+    let plain = std::fs::read(dir.path().join("out/lang_feat.npy")).unwrap();
+    assert!(text("receipt.json").contains("\"effect\": \"glass\""), "{}", text("receipt.json"));
+    done(&lift(dir.path(), &["--effect", "glass=off"]));
+    assert_eq!(std::fs::read(dir.path().join("out/lang_feat.npy")).unwrap(), plain);
+    assert!(text("receipt.json").contains("off by choice"));
+    // Three blobs are no room: a wish that cannot be fulfilled is said.
+    let output = lift(dir.path(), &["--effect", "glass=on"]);
+    done(&output);
+    assert!(text("receipt.json").contains("no pane was found"), "{}", text("receipt.json"));
+    assert_eq!(std::fs::read(dir.path().join("out/lang_feat.npy")).unwrap(), plain);
+    // An earlier run is looked at, if there is one.
+    let receipt = dir.path().join("before.json");
+    std::fs::copy(dir.path().join("out/receipt.json"), &receipt).unwrap();
+    done(&lift(dir.path(), &["--effect-before", receipt.to_str().unwrap()]));
+    assert!(text("receipt.json").contains("effects before"), "{}", text("receipt.json"));
+    std::fs::write(&receipt, "{}").unwrap();
+    let output = lift(dir.path(), &["--effect-before", receipt.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
+    let output = lift(dir.path(), &["--effect", "holes=on"]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(stderr(&output).contains("acted on here: glass"), "{}", stderr(&output));
+}

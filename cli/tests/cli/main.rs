@@ -20,6 +20,7 @@ mod networks;
 mod outputs;
 mod pareto;
 mod probe;
+mod reconstruct;
 mod render;
 mod settings;
 mod simulate;

@@ -202,7 +202,7 @@ fn estimates_follow_the_setting() {
     assert!(wide.0 < own.0 / 2.0 && wide.1 < own.1, "{own:?} {wide:?}");
     assert!(estimate(&["--setting", "patch=64"]).1 < own.1);
     assert_eq!(estimate(&["--setting", "passes=1,precision=f32"]), own);
-    for part in ["k=8", "codes=16", "precision=bf16", "passes=all", "passes=2"] {
+    for part in ["k=8", "codes=16", "anchor=world", "precision=bf16", "passes=all", "passes=2"] {
         let path = case.scene.to_str().unwrap();
         let output = scenesplat(&["inspect", path, "--no-sheet", "--setting", part]);
         assert_eq!(output.status.code(), Some(2), "{part}: {}", stderr(&output));
@@ -230,6 +230,7 @@ fn what_cannot_be_used_is_refused_by_name() {
         ("voxel=0", &["voxel", "above 0"]),
         ("voxel=nan", &["voxel", "above 0"]),
         ("voxel=-1", &["voxel", "above 0"]),
+        ("anchor=room", &["anchor", "box or world"]),
         ("voxel", &["KEY=VALUE"]),
         ("voxel=", &["voxel"]),
         ("rank=0", &["rank", "1 to"]),

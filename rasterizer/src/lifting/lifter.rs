@@ -9,7 +9,7 @@ use super::view_weights::{
     DepthTolerance, LabelledView, LiftRule, ViewWeights, weights_of_all_and_agreeing,
     weights_with_own_depth,
 };
-use super::{Disagreement, LiftError};
+use super::{Disagreement, LiftError, Panes};
 use crate::{Gaussians, RasterSettings, View};
 use std::borrow::Cow;
 use std::path::PathBuf;
@@ -171,6 +171,9 @@ pub struct Lifter<'a> {
     /// All weight of each Gaussian, labelled or not.
     totals: Vec<f64>,
     weighted: usize,
+    panes: Option<Panes>,
+    /// Pictures that show one.
+    through_panes: usize,
 }
 
 impl<'a> Lifter<'a> {
@@ -216,8 +219,31 @@ impl<'a> Lifter<'a> {
             block_rows,
             totals: vec![0.0; gaussians.len()],
             weighted: 0,
+            panes: None,
+            through_panes: 0,
             settings,
         })
+    }
+
+    /// Keeps the labels of panes and of what is seen through them apart in the pictures that follow; pictures that
+    /// show no pane are what they would be without.
+    ///
+    /// # Errors
+    /// If the panes are of another number of Gaussians.
+    pub fn with_panes(mut self, panes: Panes) -> Result<Self, LiftError> {
+        panes.check(self.gaussians.len())?;
+        self.panes = Some(panes);
+        Ok(self)
+    }
+
+    /// Pictures that were split into what is in a pane and what is behind it.
+    pub fn num_through_panes(&self) -> usize {
+        self.through_panes
+    }
+
+    /// Gaussians that labels are lifted onto.
+    pub fn num_gaussians(&self) -> usize {
+        self.gaussians.len()
     }
 
     /// Segments of the pictures so far.
@@ -270,7 +296,15 @@ impl<'a> Lifter<'a> {
         let own = if depth.is_none() { self.settings.depth } else { None };
         let levels = self.eroded(picture);
         let labelled = LabelledView { view: picture.view, levels: &levels, depth };
-        let mut weights = weights_with_own_depth(self.gaussians, &labelled, own, *rule, raster)?;
+        let mut weights = match &self.panes {
+            None => weights_with_own_depth(self.gaussians, &labelled, own, *rule, raster)?,
+            Some(panes) => {
+                let (weights, shown) =
+                    panes.weights(self.gaussians, &labelled, own, *rule, raster)?;
+                self.through_panes += usize::from(shown);
+                weights
+            }
+        };
         if weight < 1.0 {
             self.weighted += 1;
             weights.scale(weight);
@@ -430,7 +464,13 @@ impl<'a> Lifter<'a> {
             let weights = self.block(level, block)?;
             let first = block * self.block_rows;
             let totals = &self.totals[first..first + weights.len()];
-            sink(finalise_block(&weights, &self.tables, totals, settings))?;
+            let mut features = finalise_block(&weights, &self.tables, totals, settings);
+            if let Some(panes) = &self.panes {
+                for (i, confidence) in features.confidence.iter_mut().enumerate() {
+                    *confidence = panes.confidence(first + i, *confidence);
+                }
+            }
+            sink(features)?;
         }
         Ok(())
     }

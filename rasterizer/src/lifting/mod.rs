@@ -15,6 +15,8 @@
 //! the budget nor on the number of threads. Gaussians keep their order; one without a label has a row
 //! of zeros.
 //!
+//! Where a scene has [`Panes`] of glass, what names a pane and what names what is behind it are kept apart.
+//!
 //! [`fuse_crops`] makes the feature of a segment from three crops of a picture.
 //!
 //! Not for: making segments or features (see [`crate::segments`] for how they come in).
@@ -28,6 +30,7 @@ mod error;
 mod finalise;
 mod fusion;
 mod lifter;
+mod panes;
 mod segment_map;
 mod spool;
 mod tables;
@@ -42,6 +45,7 @@ pub use error::LiftError;
 pub use finalise::{BlockFeatures, FinaliseSettings, finalise_block};
 pub use fusion::{FrameWeight, FusedFeatures, fuse_crops};
 pub use lifter::{LabelledPicture, LiftSettings, Lifter, PictureReport, Robust};
+pub use panes::Panes;
 pub use segment_map::{NO_SEGMENT, SegmentMap};
 pub use spool::{BlockWeights, SegmentWeight, WeightSpool};
 pub use tables::SegmentTables;

@@ -47,6 +47,13 @@ impl SegmentMap {
         self.ids[y as usize * self.width as usize + x as usize]
     }
 
+    /// A map of the same size with other ids, one for each pixel.
+    pub(super) fn with_ids(&self, ids: impl Iterator<Item = u16>) -> Self {
+        let ids: Vec<u16> = ids.collect();
+        debug_assert_eq!(ids.len(), self.ids.len());
+        Self { width: self.width, height: self.height, ids }
+    }
+
     /// One more than the largest id; 0 without segments.
     pub fn num_ids(&self) -> usize {
         let largest = self.ids.iter().filter(|&&id| id != NO_SEGMENT).max();

@@ -205,13 +205,13 @@ pub(super) fn weights_of_all_and_agreeing(
 }
 
 /// A view before its pixels.
-struct Drawn {
+pub(super) struct Drawn {
     projected: Projected,
     lists: TileLists,
 }
 
 impl Drawn {
-    fn new(
+    pub(super) fn new(
         gaussians: &Gaussians,
         view: &View,
         settings: &RasterSettings,
@@ -221,11 +221,11 @@ impl Drawn {
         Ok(Self { projected, lists })
     }
 
-    fn median_depth(&self, view: &View, settings: &RasterSettings) -> Vec<f32> {
+    pub(super) fn median_depth(&self, view: &View, settings: &RasterSettings) -> Vec<f32> {
         median_depth(&self.projected, &self.lists, view, settings)
     }
 
-    fn weights(
+    pub(super) fn weights(
         &self,
         gaussians: &Gaussians,
         picture: &LabelledView<'_>,
@@ -246,7 +246,7 @@ impl Drawn {
     }
 }
 
-fn check(picture: &LabelledView<'_>) -> Result<(), LiftError> {
+pub(super) fn check(picture: &LabelledView<'_>) -> Result<(), LiftError> {
     let View { width, height, .. } = *picture.view;
     if !(1..=MAX_LEVELS).contains(&picture.levels.len()) {
         let problem = format!("{} maps, 1 to {MAX_LEVELS} are expected", picture.levels.len());

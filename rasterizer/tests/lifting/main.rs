@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
 mod golden;
+mod panes;
 mod planted;
 mod properties;
 mod recovery;

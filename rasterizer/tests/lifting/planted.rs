@@ -69,19 +69,17 @@ impl Planted {
             ..SyntheticRoomSettings::default()
         };
         let room = generate(&settings).expect("a room");
-        let gaussians = Gaussians::from_scene(&room.scene).expect("activated values");
         let object = room.scene.instance.clone().expect("objects");
+        Self::of(room.scene, object, room.size, size)
+    }
+
+    /// Labels of a scene that is known: the object of each Gaussian, and the room from whose middle it is seen.
+    pub fn of(scene: GaussianScene, object: Vec<i32>, room: [f32; 3], size: Size) -> Self {
+        let gaussians = Gaussians::from_scene(&scene).expect("activated values");
         let objects = object.iter().max().map_or(0, |&o| o as usize + 1);
-        let views = cameras(room.size, size.views, size.picture);
+        let views = cameras(room, size.views, size.picture);
         let maps = views.iter().map(|view| object_map(&gaussians, &object, view)).collect();
-        Self {
-            gaussians,
-            object,
-            views,
-            maps,
-            features: object_features(objects),
-            scene: room.scene,
-        }
+        Self { gaussians, object, views, maps, features: object_features(objects), scene }
     }
 
     pub fn num_objects(&self) -> usize {
@@ -280,24 +278,33 @@ fn cameras(size: [f32; 3], count: usize, picture: [u32; 2]) -> Vec<View> {
 
 /// Per pixel the object of the Gaussian with the largest weight.
 fn object_map(gaussians: &Gaussians, object: &[i32], view: &View) -> SegmentMap {
+    let id = |row: u32| match row {
+        u32::MAX => NO_SEGMENT,
+        row => u16::try_from(object[row as usize]).unwrap_or(NO_SEGMENT),
+    };
+    let ids = heaviest(gaussians, view).into_iter().map(id).collect();
+    SegmentMap::new(view.width, view.height, ids).expect("one id per pixel")
+}
+
+/// Per pixel the Gaussian with the largest weight; `u32::MAX` where there is none.
+pub fn heaviest(gaussians: &Gaussians, view: &View) -> Vec<u32> {
     let settings = RasterSettings::default();
     let projected = project(gaussians, view, &settings).expect("a view");
     let lists = tile_lists(&projected, view, &settings);
     let make = |rect: TileRect| Heaviest { rect, best: [(0.0, u32::MAX); TILE * TILE] };
-    let mut ids = vec![NO_SEGMENT; view.pixels()];
+    let mut rows = vec![u32::MAX; view.pixels()];
     for (rect, best) in blend(&projected, &lists, view, &settings, make) {
         for r in 0..rect.height as usize {
             for c in 0..rect.width as usize {
                 let (_, row) = best[r * TILE + c];
                 let at = (rect.y0 as usize + r) * view.width as usize + rect.x0 as usize + c;
                 if row != u32::MAX {
-                    let object = object[projected.index[row as usize] as usize];
-                    ids[at] = u16::try_from(object).unwrap_or(NO_SEGMENT);
+                    rows[at] = projected.index[row as usize];
                 }
             }
         }
     }
-    SegmentMap::new(view.width, view.height, ids).expect("one id per pixel")
+    rows
 }
 
 /// The Gaussian with the largest weight of each pixel.

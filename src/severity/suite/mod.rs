@@ -33,6 +33,8 @@ pub struct SuiteSettings {
     pub scenes: usize,
     /// Rooms for each pair of effects; 0 for no pairs.
     pub pair_rooms: usize,
+    /// Which pairs; empty for all.
+    pub pairs: Vec<[Effect; 2]>,
     /// Gaussians of each room.
     pub gaussians: usize,
     /// How severe each effect is, above 0 and up to 5.
@@ -45,8 +47,15 @@ pub struct SuiteSettings {
 
 impl Default for SuiteSettings {
     fn default() -> Self {
-        let (room_seed, seed) = (4711, 1);
-        Self { scenes: 24, pair_rooms: 2, gaussians: 20_000, severity: 3.0, room_seed, seed }
+        Self {
+            scenes: 24,
+            pair_rooms: 2,
+            pairs: Vec::new(),
+            gaussians: 20_000,
+            severity: 3.0,
+            room_seed: 4711,
+            seed: 1,
+        }
     }
 }
 
@@ -115,7 +124,7 @@ pub fn effect_suite(
     let acted_on: Vec<Effect> = modules(LABELS).iter().map(|m| m.effect).collect();
     let damage = Damage::new(settings)?;
     let mixed = mixed(settings.scenes);
-    let pairs = pairs();
+    let pairs = if settings.pairs.is_empty() { pairs() } else { settings.pairs.clone() };
     let total = mixed.len() * (Mode::ALL.len() + acted_on.len())
         + settings.pair_rooms * (1 + Effect::ALL.len() + pairs.len());
     let mut done = 0usize;
@@ -198,10 +207,10 @@ fn combined(
         Ok(all.figures("off", bench)?.f_miou)
     };
     let clean = quality(&[])?;
-    let alone: BTreeMap<Effect, f64> = Effect::ALL
-        .into_iter()
-        .map(|e| Ok((e, quality(&[e])?)))
-        .collect::<Result<_, SeverityError>>()?;
+    let wanted =
+        Effect::ALL.into_iter().filter(|effect| pairs.iter().flatten().any(|e| e == effect));
+    let alone: BTreeMap<Effect, f64> =
+        wanted.map(|e| Ok((e, quality(&[e])?))).collect::<Result<_, SeverityError>>()?;
     let row = |pair: &[Effect; 2]| -> Result<PairRow, SeverityError> {
         Ok(PairRow {
             effects: names(pair),

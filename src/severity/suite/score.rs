@@ -6,7 +6,7 @@ use super::LABELS;
 use super::report::Figures;
 use crate::compensation::{Compensation, plan_of};
 use crate::labels::{Classes, label_with_vote};
-use crate::pareto::quality::{Calibration, probabilities};
+use crate::pareto::quality::{Calibration, sureness};
 use crate::{Alignment, AlignmentSettings, SceneEncoder};
 use scenesplat_datasets::effects::plan::EffectChoices;
 use scenesplat_metrics::{ConfusionMatrix, Metric, ZeroShotOptions};
@@ -43,7 +43,7 @@ impl Score {
         let mut found = label_with_vote(&features, classes, &options, &scene.coord, VOTE_K)?;
         found.withhold(about.withheld());
         let seconds = began.elapsed().as_secs_f64();
-        let [confidence, _] = probabilities(&features, &bench.texts, &found.labels)?;
+        let confidence = sureness(&features, &bench.texts, &found.labels)?.of_label;
         let truth = scene.segment.clone().unwrap_or_default();
         let (left_out, withheld) = (about.num_left_out(), about.num_withheld());
         let mut score = Self { seconds, left_out, withheld, ..Self::default() };

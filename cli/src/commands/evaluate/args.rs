@@ -2,6 +2,7 @@
 
 use crate::commands::WrongUse;
 use crate::commands::classes::Classes;
+use crate::effects::{EffectArgs, Wish};
 use crate::flags::{Inference, Shared};
 use crate::outputs::Outputs;
 use crate::session::{FeatureSource, Session};
@@ -54,6 +55,10 @@ pub struct Args {
     /// Also writes the figures as JSON here: f_miou, f_macc, miou, macc, per_class, oracle, seconds.
     #[arg(long, value_name = "FILE.json")]
     pub json: Option<PathBuf>,
+    /// What is done about effects of the capture. Withheld labels count as wrong in one row of the table, and are
+    /// left out in another.
+    #[command(flatten)]
+    pub effects: EffectArgs,
     /// Flags of the network.
     #[command(flatten)]
     pub inference: Inference,
@@ -79,6 +84,20 @@ impl Args {
         let features = self.features.as_deref().map(Path::new);
         outputs.reads_any([self.label_names.as_deref(), self.class_map.as_deref(), features])?;
         outputs.claim_any("--json", self.json.as_ref())
+    }
+
+    /// What to do about the effects of the captures of so many scenes.
+    pub fn wish(&self, session: &Session<'_>, scenes: usize) -> Result<Wish> {
+        if let (Some(path), true) = (&self.effects.effect_plan, scenes > 1) {
+            let text = format!("--effect-plan {} is of one scene only", path.display());
+            return Err(WrongUse(text).into());
+        }
+        let labels = self.features.as_deref() != Some(ORACLE);
+        if self.effects.effect_plan.is_some() && !labels {
+            let text = "--effect-plan is about labels; --features oracle has none";
+            return Err(WrongUse(text.to_owned()).into());
+        }
+        self.effects.wish(session, self.features.is_none(), labels)
     }
 
     /// Where features come from; `None` if the truth alone is looked at.

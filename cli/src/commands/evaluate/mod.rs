@@ -5,11 +5,12 @@ mod report;
 mod scenes;
 
 use super::WrongUse;
+use crate::effects::Wish;
 use crate::session::{FeatureSource, Session};
 use anyhow::{Result, anyhow};
 pub use args::Args;
-use scenesplat::compensation::Compensation;
-use scenesplat::evaluation::{Evaluation, EvaluationError};
+use scenesplat::compensation::Consumer;
+use scenesplat::evaluation::{Evaluation, EvaluationError, Restraint};
 use scenesplat::outputs::OpenedScene;
 use std::path::Path;
 use std::time::Instant;
@@ -22,6 +23,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     session.note_setting(&args.inference);
     args.claim_inputs(&session.outputs)?;
     let inputs = scenes::inputs(&args.scenes)?;
+    let wish = args.wish(&session, inputs.len())?;
     let source = args.source(&session, inputs.len())?;
     let text = args.text_table(source.as_ref())?;
     let settings = args.settings(&text, *vote_k)?;
@@ -38,7 +40,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         let opened = input.open(&session, &args.inference)?;
         let own = input.classes_of_labels(&text.names);
         let class_of = class_of.as_deref().or(own.as_deref());
-        score(args, &session, &mut evaluation, &opened, class_of, source.as_ref())?;
+        let source = source.as_ref().map(|source| (source, &wish));
+        score(args, &session, &mut evaluation, &opened, class_of, source)?;
     }
     let meaningless = source.as_ref().is_some_and(FeatureSource::has_random_weights);
     let mut json = report::tell(&evaluation.report(), &text.names, meaningless);
@@ -50,14 +53,15 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     session.finish()
 }
 
-/// Adds a scene: its truth, which has to come through the chain, and the labels by its features.
+/// Adds a scene: its truth, which has to come through the chain, and the labels by its features and by what is done
+/// about the effects of its capture.
 fn score(
     args: &Args,
     session: &Session<'_>,
     evaluation: &mut Evaluation<'_>,
     opened: &OpenedScene,
     class_of: Option<&[i32]>,
-    source: Option<&FeatureSource>,
+    source: Option<(&FeatureSource, &Wish)>,
 ) -> Result<()> {
     let (scene, path) = (&opened.loaded.scene, opened.loaded.path.as_path());
     let explained = |error| explain(error, path);
@@ -73,14 +77,18 @@ fn score(
         let _stage = session.receipt.stage("score");
         evaluation.add_truth(&truth, &checked)?;
     }
-    let Some(source) = source else { return Ok(()) };
-    let features = session.features(opened, source, &args.inference, &Compensation::default())?;
+    let Some((source, wish)) = source else { return Ok(()) };
+    let consumer = Consumer { network: source.is_network(), labels: true };
+    let about = session.compensation(wish, scene, &args.inference, consumer)?;
+    let features = session.features(opened, source, &args.inference, &about)?;
     let labels = {
         let _stage = session.receipt.stage("labels");
         evaluation.label(&features, source.classifier().is_some())?
     };
     let _stage = session.receipt.stage("score");
-    Ok(evaluation.add_labels(&truth, labels)?)
+    let withheld = about.withheld_at(truth.places());
+    let about = Restraint { voters: features.voters(), withheld: &withheld };
+    Ok(evaluation.add_some_labels(&truth, labels, about)?)
 }
 
 /// An error with the scene, and with the flags that help.

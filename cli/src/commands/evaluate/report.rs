@@ -38,14 +38,26 @@ pub fn tell(report: &EvaluationReport, names: &[String], meaningless: bool) -> V
         "", "mIoU", "mAcc", "allAcc", "f-mIoU", "f-mAcc"
     ));
     let rows = [("oracle", &report.oracle), ("random labels", &report.random)];
-    for (name, row) in rows.into_iter().chain(report.model.as_ref().map(|m| ("features", m))) {
+    let of_features = report.model.as_ref().map(|m| ("features", m));
+    let given = report.given.as_ref().map(|m| ("of those given", m));
+    for (name, row) in rows.into_iter().chain(of_features).chain(given) {
         print(&format!("{name:14} {}", columns(row)));
+    }
+    if report.withheld > 0 {
+        print(&format!(
+            "{} labels were withheld: wrong in the row of features, left out in the last one",
+            report.withheld
+        ));
     }
     if meaningless {
         print("the features come from seeded weights: their row means nothing");
     }
     let mut json = figures(report.model.as_ref().unwrap_or(&report.oracle), names);
     json["oracle"] = figures(&report.oracle, names);
+    json["withheld"] = json!(report.withheld);
+    if let Some(given) = &report.given {
+        json["of_those_given"] = figures(given, names);
+    }
     json["random_labels"] = figures(&report.random, names);
     json["features"] = json!(if report.model.is_some() { "features" } else { "oracle" });
     json["classes"] = json!(names);

@@ -5,6 +5,7 @@ use super::depth::DepthArg;
 use crate::flags::{Shared, SourceArgs, parse_level, parse_up};
 use clap::ValueEnum;
 use clap::builder::TypedValueParser;
+use scenesplat::datasets::effects::plan::EffectChoices;
 use scenesplat::memory::Bytes;
 use scenesplat::rasterizer::lifting::{Aggregate, DepthTolerance, FinaliseSettings, LiftSettings};
 use scenesplat::scene::UpAxis;
@@ -68,6 +69,15 @@ pub struct Args {
         value_parser = clap::builder::PathBufValueParser::new().map(DepthArg::from)
     )]
     pub depth: DepthArg,
+    /// What is done about effects of the capture (docs/effects.md); here there is glass alone: where the Gaussians show
+    /// panes, segments that name a pane label the pane alone, the others what is behind it. A name that nothing
+    /// acts on can only be auto or off.
+    #[arg(long, value_name = "glass=auto|on|off", default_value = "auto")]
+    pub effect: EffectChoices,
+    /// The receipt.json of an earlier run on this scene: what was decided there by itself stays until its measure is
+    /// 5 % on the other side of its threshold.
+    #[arg(long, value_name = "FILE.json")]
+    pub effect_before: Option<PathBuf>,
     /// Keeps the weighted mean as it is instead of dividing it by its length.
     #[arg(long)]
     pub unnormalised: bool,

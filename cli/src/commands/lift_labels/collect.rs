@@ -1,6 +1,7 @@
 //! The weights of all pictures, and whether they contradict each other.
 
 use super::args::{Args, RobustArg};
+use super::glass::Glass;
 use super::pictures::Pictures;
 use crate::session::Session;
 use anyhow::{Context, Result};
@@ -27,6 +28,7 @@ impl Args {
         pictures: &Pictures<'_>,
         picture_weights: &[f32],
         settings: &LiftSettings,
+        glass: &Glass,
     ) -> Result<Lifter<'a>> {
         let _stage = session.receipt.stage("lift");
         let mut lifter: Option<Lifter<'a>> = None;
@@ -39,7 +41,11 @@ impl Args {
                 Some(lifter) => lifter,
                 none => {
                     let (levels, dim) = (self.level.len(), picture.segments.dim);
-                    none.insert(Lifter::new(gaussians, levels, dim, settings.clone())?)
+                    let new = Lifter::new(gaussians, levels, dim, settings.clone())?;
+                    none.insert(match &glass.panes {
+                        Some(panes) => new.with_panes(panes.clone())?,
+                        None => new,
+                    })
                 }
             };
             picture.check_dim(lifter.tables().dim())?;

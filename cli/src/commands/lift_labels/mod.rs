@@ -3,6 +3,7 @@
 mod args;
 mod collect;
 mod depth;
+mod glass;
 mod level;
 mod photos;
 mod pictures;
@@ -27,9 +28,11 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     // Whatever can be wrong with flags and names is found before anything expensive.
     args.finalise(&Guard::default()).check().map_err(|e| WrongUse(e.to_string()))?;
     args.check_memory()?;
+    args.check_effects()?;
     for path in [&args.scene, &args.cameras, &args.segments] {
         session.outputs.reads(path)?;
     }
+    let before = args.plan_before(&session)?;
     let (cameras, folder, matches) = args.pictures(&session)?;
     let views = pictures::views(&cameras, &matches, &args.cameras)?;
     session.make_out(if args.level.len() == 1 { &write::FILES } else { &[] })?;
@@ -41,7 +44,9 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let with_frames = cameras.iter().zip(&matches.frames).filter(|(_, frame)| frame.is_some());
     let with_frames: Vec<_> = with_frames.map(|(camera, _)| camera).collect();
     let weights = args.weigh(&session, &gaussians, &pictures, &with_frames)?;
-    let mut lifter = args.lift(&session, &gaussians, &pictures, &weights, &settings)?;
+    let glass = args.decide_glass(&session, &opened.loaded.scene, before.as_ref())?;
+    let mut lifter = args.lift(&session, &gaussians, &pictures, &weights, &settings, &glass)?;
+    args.note_glass(&session, &lifter, glass);
     for (number, &level) in args.level.iter().enumerate() {
         let guard = args.decide(&session, &mut lifter, number, level)?;
         args.write(&session, &opened, &mut lifter, number, level, guard)?;

@@ -36,7 +36,7 @@ pub struct EffectEvidence {
     /// Numbers that go with it.
     pub more: Vec<Figure>,
     /// Where it is, if the measure says that, whether it is there or not: balls (centre, radius) in units of the
-    /// scene. Of holes, the gaps with what lies around them.
+    /// scene. Of holes, the gaps with what lies around them; of glass, the panes.
     pub regions: Vec<[f32; 4]>,
     /// One sentence.
     pub text: String,
@@ -121,7 +121,7 @@ fn words(effect: Effect) -> &'static str {
         Effect::Floaters => "Gaussians with neither a surface nor company around them are",
         Effect::Surface => "centres lie off the plane of their neighbours by",
         Effect::Blur => "Gaussians are drawn out in common by, in sizes of theirs,",
-        Effect::Glass => "of a plane that bounds the scene, what is see-through makes up",
+        Effect::Glass => "of a large plane, what is see-through makes up",
         Effect::Light => "light drifts along surfaces, by",
         Effect::Noise => "noise that depends on the light as a sensor's does is",
     }

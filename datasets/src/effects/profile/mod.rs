@@ -12,6 +12,7 @@
 //! synthetic rooms, and tested on others: docs/effects.md says how well they do.
 
 mod blur;
+mod cells;
 mod evidence;
 mod floaters;
 mod glass;
@@ -25,6 +26,7 @@ mod table;
 mod thresholds;
 
 pub use evidence::{EffectEvidence, EffectProfile, Figure};
+pub use planes::FAINT;
 
 use super::Effect;
 use planes::Shell;

@@ -16,11 +16,11 @@ const BEHIND: f64 = 0.1;
 /// A room is a scene whose bounding planes have this share of the area of its box, or more. Rooms without
 /// a ceiling have 0.69 and more, objects up to 0.59, a house of several rooms 0.45.
 const ROOM: f64 = 0.62;
-/// Faint is what has less than this part of the median opacity.
-const FAINT: f64 = 0.6;
+/// Faint is what has less than this part of the median opacity of a scene.
+pub const FAINT: f64 = 0.6;
 /// Normals of one plane agree so well; its patches lie within so many diagonals of it.
 const SAME_NORMAL: f64 = 0.94;
-const ACROSS: f64 = 0.012;
+pub(super) const ACROSS: f64 = 0.012;
 /// What lies within so many diagonals of a plane belongs to it: windows and doors are set back.
 pub(super) const THICK: f64 = 0.04;
 
@@ -28,6 +28,8 @@ pub(super) const THICK: f64 = 0.04;
 #[derive(Default)]
 pub(super) struct Shell {
     pub(super) walls: Vec<Wall>,
+    /// Balls of the panes in large planes that bound nothing, each plane's with the pane's share of it.
+    pub(super) partitions: Vec<(f64, Vec<[f32; 4]>)>,
     /// Their area over that of the robust box.
     pub(super) share_of_box: f64,
 }
@@ -53,15 +55,16 @@ impl Shell {
             // What a pane reflects stands behind it, faint: it is no other room.
             let solid = behind.iter().filter(|&&i| !is_faint[i]).count();
             let share_behind = solid as f64 / places.len() as f64;
-            (share_behind <= BEHIND).then(|| {
-                let gaps = plane.gaps(&places, &is_faint, diagonal);
-                Wall { behind, share_behind, gaps }
-            })
+            Wall { behind, share_behind, gaps: plane.gaps(&places, &is_faint, diagonal) }
         };
-        let walls: Vec<Wall> = planes(table).par_iter().filter_map(wall).collect();
+        let planes: Vec<Wall> = planes(table).par_iter().map(wall).collect();
+        let (walls, others): (Vec<Wall>, Vec<Wall>) =
+            planes.into_iter().partition(|wall| wall.share_behind <= BEHIND);
+        let pane = |wall: Wall| (wall.gaps.pane_share(), wall.gaps.pane_regions().collect());
+        let partitions = others.into_iter().map(pane).collect();
         let [x, y, z] = table.bounds.extent();
         let area: f64 = walls.iter().map(|wall| wall.gaps.areas[1]).sum();
-        Self { share_of_box: area / (2.0 * (x * y + y * z + z * x)), walls }
+        Self { share_of_box: area / (2.0 * (x * y + y * z + z * x)), walls, partitions }
     }
 
     /// Whether the scene is a room, which all that is known of these effects was learned on.
