@@ -59,20 +59,18 @@ impl KnownWords {
             letters
         };
         let near = self.0.iter().filter_map(|(known, count)| {
-            let other: Vec<char> = known.chars().collect();
-            if other.len() < SHORTEST - 1 || other.len().abs_diff(length) > bound {
+            let count_letters = known.chars().count();
+            if count_letters < SHORTEST - 1 || count_letters.abs_diff(length) > bound {
                 return None;
             }
+            let other: Vec<char> = known.chars().collect();
             let distance = distance(&letters, &other);
+            if distance > bound {
+                return None;
+            }
             let others = sorted(&letters) != sorted(&other);
             let start = letters.first() != other.first();
-            (distance <= bound).then_some((
-                distance,
-                others,
-                start,
-                u32::MAX - count,
-                known.as_str(),
-            ))
+            Some((distance, others, start, u32::MAX - count, known.as_str()))
         });
         near.min().map(|(.., known)| known)
     }
