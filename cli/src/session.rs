@@ -435,7 +435,7 @@ impl<'a> Session<'a> {
     }
 
     /// Says and notes what the network makes of a scene that lies otherwise than it knows.
-    fn tell(&self, alignment: &Alignment, as_is: bool) {
+    pub fn tell(&self, alignment: &Alignment, as_is: bool) {
         let up = &alignment.up;
         let why = match (as_is, up.given) {
             (true, _) => "as is: the network takes +z for up",

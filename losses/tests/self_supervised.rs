@@ -7,8 +7,8 @@ mod support;
 
 use candle_core::{DType, Device, Result, Tensor, Var};
 use scenesplat_losses::self_supervised::{
-    AttributeColumns, Expansion, GaussianDistance, SimDino, masked_cosine, masked_cross_entropy,
-    masked_gaussians, sim_dino, view_cross_entropy,
+    AttributeColumns, Centering, Expansion, GaussianDistance, SimDino, masked_cosine,
+    masked_cross_entropy, masked_gaussians, sim_dino, sinkhorn_knopp, view_cross_entropy,
 };
 use support::{BF16_EPS, matrix, noise, number, wide};
 
@@ -286,6 +286,49 @@ fn simdino_of_one_scene_one_view_and_equal_rows() {
         want += 0.5 * (a * c - b * b).ln() * 11.0 / 18.0 / 2.0;
     }
     assert!((out.expansion - want).abs() < 1e-12, "{} {want}", out.expansion);
+}
+
+/// As τ falls, τ times the cross entropy is what the largest logit is above the target's; targets are one
+/// prototype. Neither is lost on the way.
+#[test]
+fn temperatures_near_0() {
+    let student = [0.5, -0.25, 0.75, 1.0, 0.0, -1.0];
+    let teacher = [0.125, 0.5, 0.25, -0.5, 0.75, 0.0];
+    for dtype in [DType::F64, DType::F32, DType::BF16, DType::F16] {
+        let table = |values: &[f64]| {
+            Tensor::from_vec(values.to_vec(), (2, 3), &Device::Cpu)
+                .unwrap()
+                .to_dtype(dtype)
+                .unwrap()
+        };
+        let logits = Var::from_tensor(&table(&student)).unwrap();
+        let rows = |t: &Tensor| t.to_dtype(DType::F64).unwrap().to_vec2::<f64>().unwrap();
+        for tau in [1e-2, 1e-3, 1e-6, 1e-8] {
+            let centering = Centering { center: vec![0.0; 3], momentum: 0.9 };
+            let targets = centering.targets(&table(&teacher), tau).unwrap();
+            let one = [[0.0, 1.0, 0.0]; 2];
+            for (row, want) in rows(&targets).iter().zip(&one) {
+                assert!(row.iter().zip(want).all(|(a, b)| (a - b).abs() < 1e-9), "{tau}: {row:?}");
+            }
+            let balanced = rows(&sinkhorn_knopp(&table(&teacher), tau, 3).unwrap());
+            for row in &balanced {
+                let sum: f64 = row.iter().sum();
+                assert!(row.iter().all(|p| (0.0..=1.0 + 1e-6).contains(p)), "{tau}: {row:?}");
+                assert!((sum - 1.0).abs() < 1e-6, "{tau}: {row:?}");
+            }
+            if dtype == DType::F16 && tau < 1e-3 {
+                // Costs and slopes of 1/τ are beyond its 65504.
+                continue;
+            }
+            let cost = masked_cross_entropy(&logits, &targets, &[0.5, 0.5], tau).unwrap().unwrap();
+            // Row by row 0.75 + 0.25 and 1 − 0.
+            let scaled = tau * number(&cost);
+            assert!((scaled - 1.0).abs() < 1e-2, "{dtype:?} {tau}: {scaled}");
+            let grads = cost.backward().unwrap();
+            let slope = rows(grads.get(&logits).unwrap());
+            assert!(slope.iter().flatten().all(|v| v.is_finite()), "{dtype:?} {tau}: {slope:?}");
+        }
+    }
 }
 
 #[test]

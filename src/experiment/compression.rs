@@ -3,7 +3,7 @@
 use super::config::{ExperimentConfig, TargetChoice, Task};
 use super::data::{self, ClassTexts};
 use super::error::{ExperimentError, Place};
-use super::export::chosen;
+use super::export::exported_checkpoint;
 use scenesplat_models::weights::save_tensors;
 use scenesplat_models::{ModelConfig, ParamStore};
 use scenesplat_scene::StagedFolder;
@@ -93,7 +93,7 @@ pub(super) fn export(
     checkpoints: &Path,
     folder: &Path,
 ) -> Result<Vec<String>> {
-    let (dir, remark) = chosen(checkpoints)?;
+    let (dir, remark) = exported_checkpoint(checkpoints)?;
     let tensors = read_network(&dir)?.into_iter().collect();
     let mut staged = StagedFolder::create(folder)?;
     save_tensors(&tensors, &staged.add("model.safetensors"))?;

@@ -6,7 +6,7 @@ use super::error::{ExperimentError, Place};
 use crate::NetworkConfig;
 use scenesplat_datasets::transforms::{self, TransformConfig};
 use scenesplat_datasets::{InputFeatures, LoaderSettings, MixRule};
-use scenesplat_losses::LossConfig;
+use scenesplat_losses::{ClassSourceConfig, LossConfig};
 use scenesplat_models::{Compute, ModelConfig};
 use scenesplat_trainers::tasks::autoencoder::AutoencoderConfig;
 use scenesplat_trainers::tasks::self_supervised::SelfSupervisedConfig;
@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 use super::compression;
-use super::data::{EvaluationConfig, TrainDataConfig};
+use super::data::{EvaluationConfig, TrainDataConfig, reads_labels};
 use super::self_supervision;
 use super::teacher::{self, TeacherConfig};
 use file::read_table;
@@ -328,6 +328,18 @@ impl ExperimentConfig {
             let field = format!("train[{i}].source.labelled_points");
             return wrong(&field, "points are scored, not learned from; leave it out");
         }
+        for (i, entry) in self.train.iter().enumerate() {
+            let Some(labels) = &entry.labels else { continue };
+            labels.check().at(|| format!("train[{i}]"))?;
+            let by_classes = |loss: &LossConfig| match loss {
+                LossConfig::AggregatedContrastive(c) => c.classes == ClassSourceConfig::Labels,
+                _ => false,
+            };
+            if !reads_labels(self) && !self.losses.iter().any(by_classes) {
+                let field = format!("train[{i}].labels");
+                return wrong(&field, "nothing that is trained reads labels; leave it out");
+            }
+        }
         if let Some(dir) = &self.trainer.checkpoint.dir {
             let problem = format!(
                 "{}: the checkpoints of a run are in its folder; leave it out",
@@ -443,6 +455,7 @@ mod tests {
             root.join("language_pretraining"),
             root.join("semantic_segmentation"),
             root.join("distillation"),
+            root.join("self_supervised"),
         ];
         let mut read = 0;
         for folder in folders {
@@ -460,6 +473,6 @@ mod tests {
                 read += 1;
             }
         }
-        assert_eq!(read, 21);
+        assert_eq!(read, 42);
     }
 }

@@ -5,7 +5,7 @@ use super::error::{ExperimentError, Place};
 use super::teacher::Teacher;
 use crate::text::{class_list, read_text_table};
 use scenesplat_datasets::teacher::steps_after_look;
-use scenesplat_datasets::transforms::build_transforms;
+use scenesplat_datasets::transforms::{LimitLabels, build_transforms};
 use scenesplat_datasets::{
     BatchLoader, Dataset, SceneLoader, SceneTeacher, SourceConfig, TeacherView, TrainBatch,
     WeightedMix,
@@ -28,6 +28,9 @@ pub struct TrainDataConfig {
     pub source: SourceConfig,
     /// What is done to each.
     pub transforms: TransformList,
+    /// How many labels of each are learned from, before all transforms; all if not given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub labels: Option<LimitLabels>,
     /// How often each comes in an epoch, with other random numbers each time.
     #[serde(default = "one")]
     pub repeat: usize,
@@ -80,6 +83,7 @@ pub fn loader(
             &entry.source,
             &entry.transforms,
             config.model.grid_size,
+            entry.labels,
             entry.seed,
             entry.repeat,
             teacher.map(|teacher| &teacher.train),
@@ -108,7 +112,7 @@ pub fn evaluation(
 ) -> Result<Arc<dyn Dataset>> {
     let source = entry.source.clone().for_evaluation();
     let teacher = teacher.map(|teacher| &teacher.evaluate);
-    dataset(&source, &entry.transforms, config.model.grid_size, 0, 1, teacher)
+    dataset(&source, &entry.transforms, config.model.grid_size, None, 0, 1, teacher)
         .at(|| format!("evaluate {:?}", entry.name))
 }
 
@@ -116,12 +120,17 @@ fn dataset(
     source: &SourceConfig,
     transforms: &TransformList,
     grid_size: f64,
+    labels: Option<LimitLabels>,
     seed: u64,
     repeat: usize,
     teacher: Option<&Arc<dyn SceneTeacher>>,
 ) -> Result<Arc<dyn Dataset>> {
     let steps = transforms.steps(grid_size)?;
-    let data = source.dataset(build_transforms(&steps)?, seed, repeat)?;
+    let mut built = build_transforms(&steps)?;
+    if let Some(labels) = labels {
+        built.insert(0, Arc::new(labels));
+    }
+    let data = source.dataset(built, seed, repeat)?;
     let Some(teacher) = teacher else { return Ok(Arc::new(data)) };
     let steps_after = match teacher.view() {
         TeacherView::Augmented => steps_after_look(&steps)?,
@@ -176,6 +185,17 @@ impl ClassTexts {
     }
 }
 
+/// Whether training reads labels.
+pub fn reads_labels(config: &ExperimentConfig) -> bool {
+    let asks = |loss: &LossConfig| matches!(loss, LossConfig::TextClassification(_));
+    match config.task {
+        Task::SemanticSegmentation => true,
+        Task::LanguagePretraining => config.targets == TargetChoice::ClassText,
+        Task::Distillation => config.losses.iter().any(asks),
+        Task::SelfSupervised | Task::Autoencoder => false,
+    }
+}
+
 /// Checks that the labels of every source are those of the texts or of the classifier, where they are
 /// used, and that every list of classes can be read.
 ///
@@ -183,6 +203,7 @@ impl ClassTexts {
 /// Names the first source whose classes do not fit.
 pub fn check_classes(config: &ExperimentConfig, text: Option<&ClassTexts>) -> Result<()> {
     let by_text = config.task != Task::SemanticSegmentation;
+    let used_in_training = reads_labels(config);
     let check = |source: &SourceConfig, used: bool, text: Option<&ClassTexts>| -> Result<()> {
         let classes = if used { source.needed_label_set()? } else { source.label_set()? };
         let Some(classes) = classes.filter(|_| used) else { return Ok(()) };
@@ -199,14 +220,7 @@ pub fn check_classes(config: &ExperimentConfig, text: Option<&ClassTexts>) -> Re
         text.map_or(Ok(()), |text| text.check(&classes))
     };
     for (i, entry) in config.train.iter().enumerate() {
-        let asks = |loss: &LossConfig| matches!(loss, LossConfig::TextClassification(_));
-        let used = match config.task {
-            Task::SemanticSegmentation => true,
-            Task::LanguagePretraining => config.targets == TargetChoice::ClassText,
-            Task::Distillation => config.losses.iter().any(asks),
-            Task::SelfSupervised | Task::Autoencoder => false,
-        };
-        check(&entry.source, used, text).at(|| format!("train[{i}]"))?;
+        check(&entry.source, used_in_training, text).at(|| format!("train[{i}]"))?;
     }
     for entry in &config.evaluate {
         let own = entry.text.as_ref().map(text_table).transpose()?;
@@ -275,6 +289,42 @@ mod tests {
     use std::path::Path;
 
     const ROOT: &str = env!("CARGO_MANIFEST_DIR");
+
+    #[test]
+    fn few_labels_are_the_same_in_every_epoch() {
+        let config = |task: &str, labels: &str| -> ExperimentConfig {
+            let text = format!(
+                "task = '{task}'\n[model]\ngrid_size = 0.2\nnum_classes = 41\n[[train]]\n{labels}\n\
+                 source = {{ type = 'synthetic', count = 1, room = {{ num_gaussians = 3000 }} }}\n\
+                 transforms = 'validation'\n[loader]\nmix_probability = 0.0\nworkers = 0\n\
+                 [[losses]]\ntype = 'cross_entropy'"
+            );
+            toml::from_str(&text).unwrap()
+        };
+        let labelled = |labels: &str, epoch| -> Vec<usize> {
+            let config = config("semantic_segmentation", labels);
+            config.check().unwrap();
+            let mut loader = loader(&config, None).unwrap();
+            let batch = loader.epoch(epoch, 0).next().unwrap().unwrap();
+            let segment = batch.segment.unwrap();
+            (0..segment.len()).filter(|row| segment[*row] >= 0).collect()
+        };
+        let (all, few) = (labelled("", 0), labelled("labels = { keep = { share = 0.1 } }", 0));
+        assert!(!few.is_empty() && few.len() * 5 < all.len(), "{} of {}", few.len(), all.len());
+        assert_eq!(few, labelled("labels = { keep = { share = 0.1 } }", 3));
+        assert_ne!(few, labelled("labels = { keep = { share = 0.1 }, seed = 1 }", 0));
+        assert!(labelled("labels = { keep = { per_scene = 20 } }", 0).len() <= 20);
+        let wrong = told(
+            config("semantic_segmentation", "labels = { keep = { share = 2.0 } }")
+                .check()
+                .unwrap_err(),
+        );
+        assert!(wrong.contains("train[0]") && wrong.contains("labels.keep.share"), "{wrong}");
+        let mut vain = config("language_pretraining", "labels = { keep = { per_scene = 20 } }");
+        vain.losses = vec![toml::from_str("type = 'cosine'").unwrap()];
+        let vain = told(vain.check().unwrap_err());
+        assert!(vain.contains("train[0].labels") && vain.contains("leave it out"), "{vain}");
+    }
 
     /// An error as programs print it.
     fn told(error: ExperimentError) -> String {

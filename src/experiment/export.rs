@@ -25,7 +25,7 @@ pub fn export_model(
     config: &NetworkConfig,
     folder: &Path,
 ) -> Result<Vec<String>, ExperimentError> {
-    let (dir, remark) = chosen(checkpoints)?;
+    let (dir, remark) = exported_checkpoint(checkpoints)?;
     let tensors = read_network(&dir)?;
     let averaged = dir.join("average.safetensors").is_file();
     let tensors = tensors.into_iter().collect();
@@ -34,8 +34,11 @@ pub fn export_model(
     Ok(vec![format!("model: {remark}{averaged}")])
 }
 
-/// The checkpoint that becomes the model, and which it is.
-pub(super) fn chosen(checkpoints: &Path) -> Result<(PathBuf, String), ExperimentError> {
+/// The checkpoint that becomes the model (the best, or the newest if none is marked), and which it is.
+///
+/// # Errors
+/// If there is none.
+pub fn exported_checkpoint(checkpoints: &Path) -> Result<(PathBuf, String), ExperimentError> {
     if let Some(best) = best_checkpoint(checkpoints)? {
         let dir = checkpoints.join(&best.checkpoint);
         return Ok((dir, format!("{} of {} ({})", best.checkpoint, best.measurement, best.value)));
@@ -58,7 +61,7 @@ pub fn export_self_supervised(
     which: Export,
     folder: &Path,
 ) -> Result<Vec<String>, ExperimentError> {
-    let (dir, remark) = chosen(checkpoints)?;
+    let (dir, remark) = exported_checkpoint(checkpoints)?;
     let mut config = config.clone();
     let (tensors, who) = match which {
         Export::Student => (read_network(&dir)?, "student"),

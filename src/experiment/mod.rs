@@ -15,5 +15,6 @@ pub mod teacher;
 
 pub use config::ExperimentConfig;
 pub use error::ExperimentError;
+pub use export::exported_checkpoint;
 pub use identity::{MAY_CHANGE, identity};
 pub use run::{RunOptions, RunReport, train};

@@ -13,9 +13,9 @@ use scenesplat_datasets::transforms::{
     CenterShift, CropOrigin, GridSample, RandomRotate, ViewCrop, ViewGroup, Views,
 };
 use scenesplat_datasets::{
-    InputFeatures, LoaderSettings, MaskShape, MaskWeight, Masked, Masking, Sample, SceneDataset,
-    SceneLoader, SyntheticRooms, TrainBatch, TransformConfig, ViewKind, build_transforms,
-    collate_samples, sample_rng,
+    BatchLoader, DataError, InputFeatures, LoaderSettings, MaskShape, MaskWeight, Masked, Masking,
+    Sample, SceneDataset, SceneLoader, SyntheticRooms, TrainBatch, TransformConfig, ViewKind,
+    build_transforms, collate_samples, sample_rng,
 };
 use scenesplat_losses::self_supervised::GaussianDistance;
 use scenesplat_models::{Compute, Forward, ModelConfig, ParamStore, PointTransformerV3Config};
@@ -28,7 +28,7 @@ use scenesplat_trainers::tasks::self_supervised::{
 };
 use scenesplat_trainers::{
     AdamW, AdamWConfig, AfterStep, CosineSchedule, OneCycle, Progress, StepContext, StepOutput,
-    Trainer, TrainerConfig, TrainingModule, WithWeightDecay, group_by_keyword,
+    TrainError, Trainer, TrainerConfig, TrainingModule, WithWeightDecay, group_by_keyword,
 };
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -499,6 +499,46 @@ fn hard_batches_have_finite_losses_and_gradients() {
     }
     let nothing = batch_of(&[vec![]]);
     assert!(module.is_empty(&nothing), "no rows: the batch is passed over");
+    let beside = batch_of(&[vec![], line(20)]);
+    assert!(beside.views.iter().all(|view| view.batch.ids == ["scene-1"]), "left out of all views");
+}
+
+/// Batches with a value that is not finite in a view.
+struct Poisoned(SceneLoader);
+
+impl BatchLoader<TrainBatch> for Poisoned {
+    fn batches_per_epoch(&self) -> usize {
+        self.0.batches_per_epoch()
+    }
+    fn epoch(
+        &mut self,
+        epoch: u64,
+        skip: usize,
+    ) -> Box<dyn Iterator<Item = Result<TrainBatch, DataError>> + '_> {
+        Box::new(self.0.epoch(epoch, skip).map(|batch| {
+            batch.map(|mut batch| {
+                batch.views[1].batch.feat[5 * 11 + 3] = f32::NAN;
+                batch
+            })
+        }))
+    }
+}
+
+#[test]
+fn a_value_that_is_not_finite_is_named() {
+    let module = module(&settings(all_terms()), &model(true));
+    let before = everything(&module);
+    let error = trainer(&module, 1, None)
+        .fit(&module, &mut Poisoned(loader(0)), &mut [], Progress::default())
+        .unwrap_err();
+    let TrainError::Step { scenes, suspects, .. } = &error else { panic!("{error}") };
+    assert_eq!(scenes.len(), 2);
+    let named = suspects.join("; ");
+    assert!(named.contains(&format!("{}: feat 3 of row 5 is NaN", scenes[0])), "{named}");
+    let buffers = |name: &str| name.contains("running_") || name.contains("batches");
+    for ((name, old), (_, new)) in before.iter().zip(&everything(&module)) {
+        assert!(old == new || buffers(name), "{name}: the step was not taken");
+    }
 }
 
 #[test]

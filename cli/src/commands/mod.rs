@@ -15,9 +15,11 @@ mod lift_labels;
 mod pareto;
 mod probe;
 mod query;
+mod reconstruct;
 mod render;
 mod segment;
 mod simulate;
+mod text;
 mod train;
 mod weights;
 
@@ -45,6 +47,8 @@ enum Command {
     Segment(segment::Args),
     /// Finds the Gaussians of an object by its name.
     Query(query::Args),
+    /// Says what phrases mean to the network inside the program, and writes text embeddings of them.
+    Text(text::Args),
     /// Lifts labels of pictures onto the Gaussians.
     LiftLabels(lift_labels::Args),
     /// Measures labels against the truth that scenes carry.
@@ -61,6 +65,8 @@ enum Command {
     Train(train::Args),
     /// Asks what a network has learned: a small classifier on its rows, beside an untrained network.
     Probe(probe::Args),
+    /// Draws what self-supervised training makes of masked parts of a scene.
+    Reconstruct(reconstruct::Args),
     /// Turns language features of scenes into codes of a trained autoencoder, or back.
     Codes(codes::Args),
     /// Cuts scenes into overlapping squares for training.
@@ -106,6 +112,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Features(args) => features::run(args, &line),
         Command::Segment(args) => segment::run(args, &line),
         Command::Query(args) => query::run(args, &line),
+        Command::Text(args) => text::run(args),
         Command::LiftLabels(args) => lift_labels::run(args, &line),
         Command::Evaluate(args) => evaluate::run(args, &line),
         Command::Render(args) => render::run(args, &line),
@@ -114,6 +121,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Convert(args) => convert::run(args),
         Command::Train(args) => train::run(args),
         Command::Probe(args) => probe::run(args),
+        Command::Reconstruct(args) => reconstruct::run(args, &line),
         Command::Codes(args) => codes::run(args, &line),
         Command::Chunk(args) => chunk::run(args),
         Command::Weights(args) => weights::run(args, &line),

@@ -20,9 +20,11 @@ mod networks;
 mod outputs;
 mod pareto;
 mod probe;
+mod reconstruct;
 mod render;
 mod settings;
 mod simulate;
+mod text;
 mod training;
 mod upright;
 

@@ -4,7 +4,7 @@ use crate::{done, scenesplat, stderr};
 use serde_json::Value;
 use std::path::Path;
 
-const EXPERIMENT: &str = r#"
+pub const EXPERIMENT: &str = r#"
 task = "self_supervised"
 [model]
 grid_size = 0.25
@@ -42,8 +42,13 @@ groups = []
 
 /// Trains two steps, and gives the model folder.
 fn trained(folder: &Path, name: &str, export: &str) -> String {
+    run(folder, name, &EXPERIMENT.replace("EXPORT", export))
+}
+
+/// Trains, and gives the model folder.
+pub fn run(folder: &Path, name: &str, experiment: &str) -> String {
     let file = folder.join(format!("{name}.toml"));
-    std::fs::write(&file, EXPERIMENT.replace("EXPORT", export)).unwrap();
+    std::fs::write(&file, experiment).unwrap();
     let out = folder.join(name);
     let args = ["train", file.to_str().unwrap(), "--out", out.to_str().unwrap(), "--quiet"];
     done(&scenesplat(&args));

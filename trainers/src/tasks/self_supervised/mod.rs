@@ -5,6 +5,7 @@ mod config;
 mod heads;
 mod matching;
 mod module;
+mod reconstruct;
 mod teacher;
 mod terms;
 
@@ -14,3 +15,4 @@ pub use config::{
     TermConfig,
 };
 pub use module::{SelfSupervised, is_head};
+pub use reconstruct::Reconstructor;

@@ -14,7 +14,7 @@ use scenesplat_datasets::InputChannel;
 use scenesplat_datasets::{InputFeatures, Masked, TrainBatch, View, ViewKind};
 use scenesplat_losses::self_supervised::AttributeColumns;
 use scenesplat_models::{
-    Backbone, BackboneConfig, Forward, LevelOptions, ModelConfig, ParamStore,
+    Backbone, BackboneConfig, Forward, LevelOptions, Levels, ModelConfig, ParamStore,
     PointTransformerV3Config,
 };
 use std::collections::BTreeSet;
@@ -217,13 +217,14 @@ fn look(
     forward: &mut Forward<'_>,
 ) -> Result<Seen> {
     let levels = network.forward_levels(&point_cloud(&view.batch)?, options, forward)?;
-    let rows = match (options.decoder, levels.decoder()) {
-        (false, _) => None,
-        (true, Some(rows)) => Some(rows.clone()),
-        // An encoder alone: all of its scales at the voxels.
-        (true, None) => Some(levels.up_cast(0)?),
-    };
+    let rows = options.decoder.then(|| voxel_rows(&levels)).transpose()?;
     Ok(Seen { levels, rows })
+}
+
+/// Rows of the finest scale, in the caller's order: the decoder's, or of an encoder alone all of its scales
+/// at the voxels.
+pub(super) fn voxel_rows(levels: &Levels) -> Result<Tensor> {
+    levels.decoder().map_or_else(|| levels.up_cast(0), |rows| Ok(rows.clone()))
 }
 
 /// Views of the same scenes, global ones first.
@@ -243,7 +244,7 @@ fn check_views(views: &[View]) -> Result<()> {
     }
 }
 
-fn checked_backbone<'a>(
+pub(super) fn checked_backbone<'a>(
     config: &SelfSupervisedConfig,
     model: &'a ModelConfig,
 ) -> Result<&'a PointTransformerV3Config> {

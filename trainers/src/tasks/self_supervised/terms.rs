@@ -18,7 +18,7 @@ use scenesplat_losses::{Reduction, cosine, l2};
 use scenesplat_models::{Levels, scene_means};
 
 /// Sizes below this count as this before their logarithm, metres.
-const LEAST_SIZE: f64 = 1e-4;
+pub(super) const LEAST_SIZE: f64 = 1e-4;
 
 /// What a network makes of a view.
 pub(super) struct Seen {
