@@ -3,9 +3,9 @@
 //! The crates behind this facade: [`scene`] (scenes and their files), [`kernels`] (algorithms on
 //! slices), [`datasets`] (from scenes to network input), [`models`] (networks and weights),
 //! [`metrics`] (labels, votes, evaluation, pictures), [`rasterizer`] (pictures of scenes), [`trainers`]
-//! (optimizers and schedules), [`rooms`] (synthetic rooms). This crate adds
+//! (optimizers and schedules), [`rooms`] (synthetic rooms), [`sentences`] (phrases as vectors). This crate adds
 //! what joins them: [`Network`] (a configuration with its weights), [`SceneEncoder`] (a scene in,
-//! features out), [`labels`], [`query`], [`evaluation`], [`experiment`] and what the commands write.
+//! features out), [`labels`], [`query`], [`phrases`], [`evaluation`], [`experiment`] and what the commands write.
 //!
 //! ```
 //! use scenesplat::embedded;
@@ -42,6 +42,7 @@ pub mod memory;
 pub mod network;
 pub mod outputs;
 pub mod pareto;
+pub mod phrases;
 pub mod preview;
 pub mod principal;
 pub mod probe;
@@ -62,6 +63,7 @@ pub use scenesplat_models as models;
 pub use scenesplat_rasterizer as rasterizer;
 pub use scenesplat_rooms as rooms;
 pub use scenesplat_scene as scene;
+pub use scenesplat_text as sentences;
 pub use scenesplat_trainers as trainers;
 pub use setting::{Setting, SettingError};
 

@@ -149,6 +149,16 @@ impl Vocabulary {
         unit_f32(&sum)
     }
 
+    /// The names of the classes, then their synonyms, each with its class.
+    pub fn class_phrases() -> impl Iterator<Item = (&'static str, ClassId)> {
+        words::class_phrases()
+    }
+
+    /// The color words of a text, and the text without them.
+    pub fn split_colors(text: &str) -> (Vec<ColorName>, String) {
+        words::split_colors(text)
+    }
+
     /// What a text has to beat where Gaussians are selected by it: the classes it does not mean, and,
     /// if it names a colour, itself in every other colour.
     ///
@@ -426,6 +436,20 @@ mod tests {
         let long = "x".repeat(100_000);
         assert!(vocabulary.embed(&long).is_err());
         assert_eq!(Vocabulary::new(8), Err(VocabularyError::Dim { dim: 8 }));
+    }
+
+    #[test]
+    fn colors_are_split_off() {
+        let split = Vocabulary::split_colors;
+        assert_eq!(
+            split("a RED, gray recliner"),
+            (vec![ColorName::Red, ColorName::Grey], "a recliner".into())
+        );
+        assert_eq!(split("reddish chair"), (vec![], "reddish chair".into()));
+        assert_eq!(split("red red"), (vec![ColorName::Red], String::new()));
+        let phrases: Vec<_> = Vocabulary::class_phrases().collect();
+        assert_eq!(phrases[0], ("wall", ClassId::Wall));
+        assert!(phrases.len() > CLASSES.len() && phrases.contains(&("couch", ClassId::Sofa)));
     }
 
     #[test]

@@ -101,6 +101,21 @@ impl TextTable {
         })
     }
 
+    /// The table as a `.safetensors` file, which [`read`](Self::read) reads back bit for bit but for the last bit of
+    /// rows that are no unit vectors: `text_embeddings` in f32, the names as the metadata `labels`.
+    ///
+    /// # Errors
+    /// If the values are no rows of the table's width, one for each name.
+    pub fn to_safetensors(&self) -> Result<Vec<u8>, SceneError> {
+        let bytes: Vec<u8> = self.values.iter().flat_map(|v| v.to_le_bytes()).collect();
+        let bad = |problem: String| SceneError::Classes { problem, help: String::new() };
+        let view = TensorView::new(Dtype::F32, vec![self.names.len(), self.dim], &bytes)
+            .map_err(|error| bad(format!("the text table does not hold together: {error}")))?;
+        let labels = serde_json::Value::from(self.names.as_slice()).to_string();
+        safetensors::serialize([(TENSOR, view)], Some([("labels".to_owned(), labels)].into()))
+            .map_err(|error| bad(format!("the text table cannot be written: {error}")))
+    }
+
     /// Number of classes.
     pub fn len(&self) -> usize {
         self.names.len()
@@ -261,6 +276,18 @@ mod tests {
         let manifest = r#"{"entries": [{"file": "t.safetensors", "labels": ["sofa"]}]}"#;
         std::fs::write(dir.path().join(MANIFEST), manifest).unwrap();
         assert_eq!(TextTable::read(&path, None).unwrap().names, ["sofa"]);
+    }
+
+    #[test]
+    fn a_written_table_is_read_back() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("t.safetensors");
+        let names = vec!["bed".to_owned(), "\"sofa\", \u{1f6cb}".to_owned()];
+        let table = TextTable::from_rows(names, vec![0.6, 0.8, 1.0, 0.0], 2).unwrap();
+        std::fs::write(&path, table.to_safetensors().unwrap()).unwrap();
+        assert_eq!(TextTable::read(&path, None).unwrap(), table);
+        let uneven = TextTable { dim: 3, ..table };
+        assert!(uneven.to_safetensors().is_err());
     }
 
     #[test]

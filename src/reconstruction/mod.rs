@@ -84,7 +84,8 @@ pub struct Reconstruction {
     /// Voxels, and those that are masked.
     pub voxels: [usize; 2],
     /// Mean absolute difference, over masked voxels, of each kind of input channel from what the network
-    /// would have read, in the units of [`InputFeatures`]; a rotation and its negative are one.
+    /// would have read, in the units of [`InputFeatures`]; rotations at unit length, one and its negative the
+    /// same.
     pub errors: Vec<(InputChannel, f64)>,
 }
 
@@ -236,10 +237,13 @@ impl ReconstructionRun {
             let mut sum = 0.0;
             for (row, truth) in rows.chunks_exact(width).zip(truth) {
                 let (a, b) = (&row[columns.clone()], &truth[columns.clone()]);
-                let far = |sign: f32| -> f64 {
-                    a.iter().zip(b).map(|(a, b)| f64::from((a - sign * b).abs())).sum()
-                };
+                // A rotation is drawn at unit length, whatever the length that the head gives it.
                 let is_rotation = *channel == InputChannel::Quat;
+                let norm = a.iter().map(|v| v * v).sum::<f32>().sqrt();
+                let length = if is_rotation && norm > 0.0 { norm } else { 1.0 };
+                let far = |sign: f32| -> f64 {
+                    a.iter().zip(b).map(|(a, b)| f64::from((a / length - sign * b).abs())).sum()
+                };
                 sum += if is_rotation { far(1.0).min(far(-1.0)) } else { far(1.0) };
             }
             let count = (truth.len() * channel.width()).max(1);

@@ -46,18 +46,18 @@ impl Bench {
 
     /// Labels as `segment` gives them.
     pub(super) fn label(&self, scene: &GaussianScene) -> Result<Labelled, SeverityError> {
-        self.label_by(SceneEncoder::new(&self.network), scene)
+        self.label_by(&SceneEncoder::new(&self.network), scene)
     }
 
     /// As [`label`](Self::label), with voxels that are counted from the scene's origin.
     pub(super) fn label_anchored(&self, scene: &GaussianScene) -> Result<Labelled, SeverityError> {
         let encoder = SceneEncoder { anchor: Anchor::World, ..SceneEncoder::new(&self.network) };
-        self.label_by(encoder, scene)
+        self.label_by(&encoder, scene)
     }
 
     fn label_by(
         &self,
-        encoder: SceneEncoder<'_>,
+        encoder: &SceneEncoder<'_>,
         scene: &GaussianScene,
     ) -> Result<Labelled, SeverityError> {
         let features = encoder.encode(scene, &mut |_| Ok(()))?;

@@ -19,6 +19,7 @@ mod reconstruct;
 mod render;
 mod segment;
 mod simulate;
+mod text;
 mod train;
 mod weights;
 
@@ -46,6 +47,8 @@ enum Command {
     Segment(segment::Args),
     /// Finds the Gaussians of an object by its name.
     Query(query::Args),
+    /// Says what phrases mean to the network inside the program, and writes text embeddings of them.
+    Text(text::Args),
     /// Lifts labels of pictures onto the Gaussians.
     LiftLabels(lift_labels::Args),
     /// Measures labels against the truth that scenes carry.
@@ -109,6 +112,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Features(args) => features::run(args, &line),
         Command::Segment(args) => segment::run(args, &line),
         Command::Query(args) => query::run(args, &line),
+        Command::Text(args) => text::run(args),
         Command::LiftLabels(args) => lift_labels::run(args, &line),
         Command::Evaluate(args) => evaluate::run(args, &line),
         Command::Render(args) => render::run(args, &line),

@@ -24,6 +24,7 @@ mod reconstruct;
 mod render;
 mod settings;
 mod simulate;
+mod text;
 mod training;
 mod upright;
 

@@ -128,14 +128,35 @@ pub(super) fn group_word(group: Group) -> &'static str {
     GROUP_WORDS.iter().find(|w| w.1 == group).map_or("", |w| w.0)
 }
 
+/// Names of the classes, then their synonyms.
+pub(super) fn class_phrases() -> impl Iterator<Item = (&'static str, ClassId)> {
+    let names = ClassId::ALL.iter().map(|&c| (c.about().name, c));
+    names.chain(SYNONYMS.iter().copied())
+}
+
+/// The color words of a text, each once, and its other words.
+pub(super) fn split_colors(text: &str) -> (Vec<ColorName>, String) {
+    let lower = text.to_lowercase();
+    let (mut colors, mut rest) = (Vec::new(), Vec::new());
+    for word in lower.split(|c: char| !c.is_alphanumeric()).filter(|w| !w.is_empty()) {
+        let named = |c: &ColorName| c.word() == word;
+        let gray = (word == "gray").then_some(ColorName::Grey);
+        match ColorName::ALL.into_iter().find(named).or(gray) {
+            Some(color) if colors.contains(&color) => {}
+            Some(color) => colors.push(color),
+            None => rest.push(word),
+        }
+    }
+    (colors, rest.join(" "))
+}
+
 /// Every known phrase with its concept.
 fn phrases() -> impl Iterator<Item = (&'static str, Concept)> {
-    let names = ClassId::ALL.iter().map(|&c| (c.about().name, Concept::Class(c)));
-    let synonyms = SYNONYMS.iter().map(|&(word, c)| (word, Concept::Class(c)));
+    let classes = class_phrases().map(|(word, c)| (word, Concept::Class(c)));
     let groups = GROUP_WORDS.iter().map(|&(word, g)| (word, Concept::Group(g)));
     let colors = ColorName::ALL.iter().map(|&c| (c.word(), Concept::Color(c)));
     let gray = std::iter::once(("gray", Concept::Color(ColorName::Grey)));
-    names.chain(synonyms).chain(groups).chain(colors).chain(gray)
+    classes.chain(groups).chain(colors).chain(gray)
 }
 
 /// The concepts of a text, each once, in its order.

@@ -1,13 +1,15 @@
 //! `scenesplat query`
 
 mod args;
+mod asked;
+mod guess;
 mod write;
 
 use super::WrongUse;
 use crate::session::{FeatureSource, Session};
 use anyhow::Result;
 pub use args::Args;
-use args::query;
+use asked::query;
 use scenesplat::compensation::Consumer;
 use scenesplat::query::{QuerySettings, select};
 use scenesplat::scene::LabelSet;
@@ -20,14 +22,17 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start_with(&args.shared, &args.inference.network, line)?;
     session.note_setting(&args.inference);
     session.note_budget(chosen);
-    session.outputs.reads_any([Some(args.scene.as_path()), args.embedding.as_deref()])?;
+    let read = [Some(args.scene.as_path()), args.embedding.as_deref(), args.text_model.as_deref()];
+    session.outputs.reads_any(read)?;
     let wish = args.effects.wish(&session, args.features.is_none(), true)?;
     args.classes.claim_inputs(&session.outputs)?;
-    let query = query(args)?;
+    let query = query(args, &session)?;
     session.make_out(&["scores.npy", "selection.npy", "query.ply", "preview.png"])?;
     args.classes.record(&session)?;
-    if let Some(path) = &args.embedding {
-        session.receipt.fingerprint("embedding", path)?;
+    for (role, path) in [("embedding", &args.embedding), ("text_model", &args.text_model)] {
+        if let Some(path) = path {
+            session.receipt.fingerprint(role, path)?;
+        }
     }
     let (opened, source) = session.open_with_source(
         &args.scene,

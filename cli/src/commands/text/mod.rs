@@ -1,0 +1,153 @@
+//! `scenesplat text`
+
+mod build;
+
+use super::WrongUse;
+use crate::outputs::Outputs;
+use crate::progress::listen_for_interrupt;
+use crate::session::set_threads;
+use crate::terminal::print;
+use anyhow::Result;
+use scenesplat::phrases::{Encoded, PhraseError, PhraseReader, Reading, TextEncoder};
+use scenesplat::scene::TextTable;
+use scenesplat::scene::label_set::read_names;
+use serde_json::json;
+use std::path::{Path, PathBuf};
+
+/// Prints what phrases mean to the network inside the program: its nearest classes, how much they are alike, and what
+/// was corrected or not known. With a sentence encoder, also writes text embeddings that --text takes.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Phrases, such as "a place to sleep".
+    pub phrases: Vec<String>,
+    /// A file of further phrases, one a line, or a JSON list.
+    #[arg(long, value_name = "FILE")]
+    pub names: Option<PathBuf>,
+    /// Folder of a sentence encoder (all-MiniLM-L6-v2: config.json, tokenizer.json, model.safetensors), in place of the
+    /// phrase table inside the program.
+    #[arg(long, value_name = "DIR")]
+    pub text_model: Option<PathBuf>,
+    /// Writes the phrases and their vectors as a text table; needs --text-model.
+    #[arg(long, value_name = "FILE.safetensors")]
+    pub out: Option<PathBuf>,
+    /// Makes the vectors of a phrase table of the phrases; needs --text-model.
+    #[arg(long, value_name = "FILE.safetensors", conflicts_with = "out")]
+    pub phrase_table: Option<PathBuf>,
+    /// Writes what the phrases were taken for as JSON.
+    #[arg(long, value_name = "FILE.json")]
+    pub json: Option<PathBuf>,
+    /// Threads; all cores by default. Results do not depend on it.
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+}
+
+/// Runs the command.
+pub fn run(args: &Args) -> Result<()> {
+    set_threads(args.threads)?;
+    let _ = listen_for_interrupt();
+    let outputs = Outputs::new(Path::new("."));
+    outputs.reads_any([args.names.as_deref(), args.text_model.as_deref()])?;
+    for (flag, path) in
+        [("--out", &args.out), ("--phrase-table", &args.phrase_table), ("--json", &args.json)]
+    {
+        outputs.claim_any(flag, path.as_ref())?;
+    }
+    let mut phrases = args.phrases.clone();
+    if let Some(path) = &args.names {
+        phrases.extend(read_names(path)?);
+    }
+    if phrases.is_empty() {
+        return Err(WrongUse("give a phrase, or a file of them with --names".to_owned()).into());
+    }
+    let encoder = args.text_model.as_deref().map(TextEncoder::open).transpose()?;
+    match (&args.phrase_table, &args.out, &encoder) {
+        (Some(_), _, None) | (_, Some(_), None) => {
+            let text = "a table is made with a sentence encoder: give its folder with --text-model";
+            return Err(WrongUse(text.to_owned()).into());
+        }
+        (Some(path), _, Some(encoder)) => {
+            if args.json.is_some() {
+                let text =
+                    "--json says what phrases are taken for; leave it out with --phrase-table";
+                return Err(WrongUse(text.to_owned()).into());
+            }
+            build::run(&outputs, encoder, phrases, path)?;
+            return outputs.commit(None);
+        }
+        (_, Some(path), Some(encoder)) => write_table(&outputs, encoder, &phrases, path)?,
+        _ => {}
+    }
+    let readings = tell(&phrases, encoder.as_ref())?;
+    if let Some(path) = &args.json {
+        let about = json!({
+            "read_by": if encoder.is_some() { "encoder" } else { "phrase table" },
+            "phrases": readings,
+        });
+        outputs.file(path, (serde_json::to_string_pretty(&about)? + "\n").as_bytes())?;
+    }
+    outputs.commit(None)
+}
+
+/// Writes phrases with their vectors.
+fn write_table(
+    outputs: &Outputs,
+    encoder: &TextEncoder,
+    phrases: &[String],
+    path: &Path,
+) -> Result<()> {
+    let Encoded { dim, values, truncated } = encoder.encode(phrases)?;
+    for cut in truncated {
+        let name: String = phrases[cut.phrase].chars().take(40).collect();
+        print(&format!(
+            "{name:?}: only the first {} of its {} tokens were read",
+            cut.read, cut.tokens
+        ));
+    }
+    let table = TextTable { names: phrases.to_vec(), dim, values };
+    outputs.file(path, &table.to_safetensors()?)?;
+    print(&format!("{}: {} phrases, {dim} numbers each", path.display(), phrases.len()));
+    Ok(())
+}
+
+/// Prints what each phrase is taken for, and gives it for JSON.
+fn tell(phrases: &[String], encoder: Option<&TextEncoder>) -> Result<Vec<serde_json::Value>> {
+    let reader = match PhraseReader::new(encoder) {
+        Ok(reader) => reader,
+        // A table can be made with any encoder; what its phrases mean here, only one can say.
+        Err(error @ PhraseError::Table { .. }) if encoder.is_some() => {
+            print(&format!("{error}"));
+            return Ok(Vec::new());
+        }
+        Err(error) => return Err(error.into()),
+    };
+    let mut all = Vec::with_capacity(phrases.len());
+    for phrase in phrases {
+        match reader.read(phrase) {
+            Ok(reading) => {
+                print(&format!("{phrase:?}: {reading}"));
+                all.push(as_json(&reading));
+            }
+            Err(error @ (PhraseError::Phrase { .. } | PhraseError::Unknown { .. })) => {
+                print(&error.to_string());
+                all.push(json!({ "phrase": phrase, "error": error.to_string() }));
+            }
+            Err(error) => return Err(error.into()),
+        }
+    }
+    Ok(all)
+}
+
+/// A reading for JSON.
+pub fn as_json(reading: &Reading) -> serde_json::Value {
+    let classes = reading.nearest.iter().take(5).map(|near| {
+        json!({ "class": near.class.about().name, "similarity": near.similarity, "name": near.name })
+    });
+    json!({
+        "phrase": reading.text,
+        "taken_for": reading.known_text(),
+        "verdict": reading.verdict.to_string(),
+        "colors": reading.colors.iter().map(|c| c.word()).collect::<Vec<_>>(),
+        "nearest": classes.collect::<Vec<_>>(),
+        "remark": reading.remark,
+    })
+}
