@@ -37,7 +37,7 @@ impl Layer {
     }
 
     /// `x`: rows of phrases behind each other, of these lengths. `[Σ lengths, width]`
-    pub fn forward(&self, x: &mut Vec<f32>, lengths: &[usize]) {
+    pub fn forward(&self, x: &mut [f32], lengths: &[usize]) {
         let rows: usize = lengths.iter().sum();
         let qkv = product(x, &self.qkv, rows, false, None);
         let attended = attend(&qkv, lengths, self.heads, qkv.len() / rows.max(1) / 3);
