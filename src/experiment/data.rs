@@ -296,7 +296,7 @@ mod tests {
             let text = format!(
                 "task = '{task}'\n[model]\ngrid_size = 0.2\nnum_classes = 41\n[[train]]\n{labels}\n\
                  source = {{ type = 'synthetic', count = 1, room = {{ num_gaussians = 3000 }} }}\n\
-                 transforms = 'validation'\n[loader]\nmix_probability = 0.0\nworkers = 0\n\
+                 transforms = 'validation'\n[loader]\nbatch_size = 1\nmix_probability = 0.0\nworkers = 0\n\
                  [[losses]]\ntype = 'cross_entropy'"
             );
             toml::from_str(&text).unwrap()

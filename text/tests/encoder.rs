@@ -139,7 +139,7 @@ fn foreign_and_damaged_files_are_refused_by_name() {
         refused(&|f| std::fs::write(f.join(name), "").unwrap(), &[name]);
         refused(
             &|f| {
-                std::fs::write(f.join(name), "version https://git-lfs.github.com/spec/v1").unwrap()
+                std::fs::write(f.join(name), "version https://git-lfs.github.com/spec/v1").unwrap();
             },
             &["git-lfs"],
         );
