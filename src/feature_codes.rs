@@ -58,7 +58,7 @@ pub enum FeatureCodeError {
         /// Which file.
         path: PathBuf,
         /// What is wrong.
-        source: TrainError,
+        source: Box<TrainError>,
     },
     /// A scene without features in a file of their own.
     #[error(
@@ -142,7 +142,9 @@ impl TrainedAutoencoder {
         let config: AutoencoderConfig = serde_json::from_str(&text).map_err(|e| {
             FeatureCodeError::Settings { path: path.clone(), problem: e.to_string() }
         })?;
-        config.check().map_err(|source| FeatureCodeError::Range { path: path.clone(), source })?;
+        let range =
+            |source| FeatureCodeError::Range { path: path.clone(), source: Box::new(source) };
+        config.check().map_err(range)?;
         let weights = resolve(folder)?;
         let mut files: Vec<PathBuf> = weights.files.iter().map(|f| f.path().to_owned()).collect();
         let source = WeightSource::files(weights.files, SourceOptions::default())?;

@@ -277,7 +277,8 @@ pub(crate) mod tests {
         assert!((spread.typical - 1.2).abs() < 0.03, "{}", spread.typical);
         assert!((spread.reserve - 0.5).abs() < 0.05, "{}", spread.reserve);
         let size = Size { gaussians: 50_000, voxels: 9_000, classes: 41, width: 96, k: 25 };
-        let seconds = |model: &CostModel| model.seconds("segment", "voxel=0.06,k=25", &size).unwrap();
+        let seconds =
+            |model: &CostModel| model.seconds("segment", "voxel=0.06,k=25", &size).unwrap();
         assert!((seconds(&spread) / seconds(&model) / spread.typical - 1.0).abs() < 1e-9);
         // Without other runs nothing is added.
         let same = model.clone().with_spread(&[]);

@@ -43,7 +43,7 @@ pub enum ReconstructionError {
     Empty,
     /// A run that cannot be read.
     #[error(transparent)]
-    Experiment(#[from] ExperimentError),
+    Experiment(Box<ExperimentError>),
     /// A checkpoint that cannot be read.
     #[error(transparent)]
     Checkpoint(#[from] TrainError),
@@ -56,6 +56,12 @@ pub enum ReconstructionError {
     /// A network that does not fit its parameters, or cannot be run.
     #[error(transparent)]
     Model(#[from] candle_core::Error),
+}
+
+impl From<ExperimentError> for ReconstructionError {
+    fn from(error: ExperimentError) -> Self {
+        Self::Experiment(Box::new(error))
+    }
 }
 
 /// A self-supervised run with the term `masked_gaussians`: its student with the head.

@@ -2,9 +2,9 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
+use crate::support::{close, random_labels, rng};
 use rand::seq::SliceRandom;
 use scenesplat_metrics::{ConfusionMatrix, Measurement, Metric, MetricError};
-use crate::support::{close, random_labels, rng};
 
 fn matrix(classes: usize, prediction: &[i32], label: &[i32]) -> ConfusionMatrix {
     let mut matrix = ConfusionMatrix::new(classes).unwrap();

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
+use crate::support::{Golden, close, in_all_pools, rng, shared};
 use rand::Rng;
 use scenesplat_metrics::image::depth::{
     DepthRange, SamplePosition, depth_l1, depth_l1_with_gradient, sparse_disparity_l1,
@@ -11,7 +12,6 @@ use scenesplat_metrics::image::{
     ssim, ssim_map, ssim_with_gradient,
 };
 use serde_json::Value;
-use crate::support::{Golden, close, in_all_pools, rng, shared};
 
 /// The goldens' values are f64; their images f32.
 const VALUE_ATOL: f64 = 2e-8;

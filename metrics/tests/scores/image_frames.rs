@@ -2,11 +2,11 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
+use crate::support::{Golden, close, in_all_pools, rng, shared};
 use rand::Rng;
 use scenesplat_metrics::image::frame_filter::{CapturedFrame, FrameFilter, FrameVerdict};
 use scenesplat_metrics::image::sharpness::{GrayImage, shrink_to_width, variance_of_laplacian};
 use serde_json::Value;
-use crate::support::{Golden, close, in_all_pools, rng, shared};
 
 #[test]
 fn sharpness_of_the_goldens() {

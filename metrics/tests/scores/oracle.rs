@@ -2,11 +2,11 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
+use crate::support::{Golden, gridded_room, in_all_pools, random_rows, rng, unit_rows};
 use scenesplat_metrics::{
     Fault, MetricError, OracleCheck, OracleFailure, OracleStage, OracleVote, TextRows, UnknownRule,
     ZeroShotOptions, random_labels,
 };
-use crate::support::{Golden, gridded_room, in_all_pools, random_rows, rng, unit_rows};
 
 fn text_rows(seed: u64, num_classes: usize) -> Vec<f32> {
     unit_rows(&random_rows(&mut rng(seed), num_classes, 64), 64)

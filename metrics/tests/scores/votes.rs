@@ -2,9 +2,9 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
+use crate::support::{gridded_room, in_all_pools, random_labels, rng};
 use rand::Rng;
 use scenesplat_metrics::{KdTree, MetricError, SceneTruth, VoteRule, reference, vote};
-use crate::support::{gridded_room, in_all_pools, random_labels, rng};
 
 #[test]
 fn equals_sorting_all_distances() {

@@ -2,12 +2,12 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
+use crate::support::{in_all_pools, random_rows, rng, unit_rows};
 use rand::Rng;
 use scenesplat_metrics::{
     FeatureFn, FeatureRows, FeatureSlice, MetricError, TextRows, UnknownRule, ZeroShotLabels,
     ZeroShotOptions, classify, cosine_scores, reference,
 };
-use crate::support::{in_all_pools, random_rows, rng, unit_rows};
 
 /// Twice the rounding of 16 running sums over at most 50 blocks; measured errors are a tenth.
 const SCORE_ATOL: f64 = 8e-6;

@@ -1,8 +1,6 @@
 //! Layer normalisation.
 
-use super::{
-    check_residual, cpu_slice, make, make_unwritten, read, refuse_gradient, unwritten,
-};
+use super::{check_residual, cpu_slice, make, make_unwritten, read, refuse_gradient, unwritten};
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use scenesplat_kernels::layer_norm::{backward, forward};
 

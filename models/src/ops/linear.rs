@@ -1,7 +1,8 @@
 //! Linear layers.
 
 use super::{
-    check_residual, cpu_slice, make, make_unwritten, read, refuse_gradient, refuse_training, unwritten,
+    check_residual, cpu_slice, make, make_unwritten, read, refuse_gradient, refuse_training,
+    unwritten,
 };
 use candle_core::{CpuStorage, CustomOp2, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use scenesplat_kernels::Precision;
@@ -207,8 +208,7 @@ pub fn mlp_frozen(
     }
     read("mlp", x, |x| {
         read("mlp", residual, |residual| {
-            let epilogue =
-                Epilogue { bias: Some(second.1), gelu: false, residual: Some(residual) };
+            let epilogue = Epilogue { bias: Some(second.1), gelu: false, residual: Some(residual) };
             // SAFETY: the kernel writes all of it and reads none before.
             unsafe { make_unwritten((m, n), |out| mlp(x, first, second.0, epilogue, out)) }
         })

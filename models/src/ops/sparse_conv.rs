@@ -1,8 +1,6 @@
 //! Submanifold convolution.
 
-use super::{
-    cpu_slice, make, make_unwritten, read, refuse_gradient, refuse_training, unwritten,
-};
+use super::{cpu_slice, make, make_unwritten, read, refuse_gradient, refuse_training, unwritten};
 use candle_core::{CpuStorage, CustomOp2, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use scenesplat_kernels::Precision;
 use scenesplat_kernels::kernel_map::KernelMap;

@@ -1,7 +1,7 @@
 //! Attributes: integers, strides, sparse accessors, color spaces.
 
-use crate::common::random_scene;
 use super::document::{Doc, PREFIX, close};
+use crate::common::random_scene;
 use scenesplat_scene::gaussian_scene::{SH_C0, dc_to_u8};
 use scenesplat_scene::value_policy::Rule;
 use serde_json::json;

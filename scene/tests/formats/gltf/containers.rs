@@ -1,8 +1,8 @@
 //! Containers and the file of another program.
 
-use crate::common::{random_scene, shared};
 use super::document::{Doc, close, read};
 use super::placement::{TO_CANONICAL, check_moved, shine};
+use crate::common::{random_scene, shared};
 use scenesplat_scene::formats::gltf::{is_glb, is_gltf_json, read_gltf};
 use scenesplat_scene::gaussian_scene::{dc_to_u8, sigmoid};
 use scenesplat_scene::{Policy, ReadOptions, SceneFormat};

@@ -1,8 +1,8 @@
 //! Nodes that move Gaussians.
 
-use crate::common::random_scene;
 use super::document::Doc;
 use super::placement::{TO_CANONICAL, check_moved, shine, times};
+use crate::common::random_scene;
 use scenesplat_scene::value_policy::Rule;
 use serde_json::{Value, json};
 

@@ -1,7 +1,7 @@
 //! What is not read, and files that lie or are damaged.
 
-use crate::common::{SplitMix, random_scene};
 use super::document::Doc;
+use crate::common::{SplitMix, random_scene};
 use scenesplat_scene::ReadOptions;
 use scenesplat_scene::formats::gltf::{is_gltf_json, read_gltf};
 use serde_json::{Value, json};

@@ -1,7 +1,7 @@
 //! Gaussians that are an SPZ file inside.
 
-use crate::common::random_scene;
 use super::document::{Doc, close};
+use crate::common::random_scene;
 use scenesplat_scene::value_policy::Rule;
 use scenesplat_scene::{
     Frame, GaussianScene, ReadOptions, SceneFormat, WriteOptions, open_scene, write_scene,
