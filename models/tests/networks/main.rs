@@ -1,5 +1,7 @@
 //! Networks and their operations, but for goldens, gradients and weights; one program, for linking takes longer than compiling.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+
 mod determinism;
 mod litept;
 mod lpips;

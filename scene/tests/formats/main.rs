@@ -1,5 +1,7 @@
 //! Scenes in each format, read, written and edited; one program, for linking takes longer than compiling.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+
 #[path = "../common/mod.rs"]
 mod common;
 
