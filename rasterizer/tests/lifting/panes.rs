@@ -108,7 +108,7 @@ fn what_is_smaller_or_larger_than_the_pane_is_behind_it() {
     let maps = [map(2, &[28..36, 20..28]), map(2, &[12..54, 4..44])];
     for map in maps {
         for depth in [None, Some(DepthTolerance::RENDERED)] {
-            let (two, _, count) = lift(&gaussians, Some(&panes), &[map.clone()], depth);
+            let (two, _, count) = lift(&gaussians, Some(&panes), std::slice::from_ref(&map), depth);
             assert_eq!(count, 1);
             BEHIND.iter().for_each(|&i| assert_eq!(two[i], [0.0, 0.0, 1.0]));
             assert!(sheet.clone().all(|i| two[i] == [0.0; 3]));
