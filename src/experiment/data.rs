@@ -190,7 +190,9 @@ pub fn reads_labels(config: &ExperimentConfig) -> bool {
     let asks = |loss: &LossConfig| matches!(loss, LossConfig::TextClassification(_));
     match config.task {
         Task::SemanticSegmentation => true,
-        Task::LanguagePretraining => config.targets == TargetChoice::ClassText,
+        Task::LanguagePretraining => {
+            config.targets == TargetChoice::ClassText || config.losses.iter().any(asks)
+        }
         Task::Distillation => config.losses.iter().any(asks),
         Task::SelfSupervised | Task::Autoencoder => false,
     }

@@ -79,12 +79,15 @@ impl Panes {
         let back = LabelledView { levels: &behind, ..picture };
         let mut out = drawn.weights(gaussians, &back, rule, settings);
         let is_sheet = |w: &SegmentWeight| self.is_sheet[w.gaussian as usize];
-        let names_pane = panes.iter().any(|map| map.num_ids() > 0);
-        // Where depth agrees, what is left of a pane is seen by itself.
-        if names_pane || depth.is_none() {
-            out.levels.iter_mut().for_each(|weights| weights.retain(|w| !is_sheet(w)));
+        // Level by level: what one says is no other's affair.
+        let names_pane = |map: &SegmentMap| map.num_ids() > 0;
+        for (weights, map) in out.levels.iter_mut().zip(&panes) {
+            // Where depth agrees, what is left of a pane is seen by itself.
+            if names_pane(map) || depth.is_none() {
+                weights.retain(|w| !is_sheet(w));
+            }
         }
-        if names_pane {
+        if panes.iter().any(names_pane) {
             // The median depth is that of what is behind.
             let front = LabelledView { levels: &panes, depth: None, ..picture };
             let front = drawn.weights(gaussians, &front, rule, settings);

@@ -138,7 +138,9 @@ pub(super) fn class_phrases() -> impl Iterator<Item = (&'static str, ClassId)> {
 pub(super) fn split_colors(text: &str) -> (Vec<ColorName>, String) {
     let lower = text.to_lowercase();
     let (mut colors, mut rest) = (Vec::new(), Vec::new());
-    for word in lower.split(|c: char| !c.is_alphanumeric()).filter(|w| !w.is_empty()) {
+    // An apostrophe is inside a word: "child's".
+    let inside = |c: char| c.is_alphanumeric() || matches!(c, '\'' | '’');
+    for word in lower.split(|c: char| !inside(c)).filter(|w| !w.is_empty()) {
         let named = |c: &ColorName| c.word() == word;
         let gray = (word == "gray").then_some(ColorName::Grey);
         match ColorName::ALL.into_iter().find(named).or(gray) {

@@ -225,6 +225,13 @@ pub const CASES: &[Case] = &[
     )
     .with(&[("/train/0/source/root", "DATA/spoiled"), ("/train/0/source/folders", r#"["."]"#)]),
     row("train[*].transforms", "language", "/train/0/transforms", "validation", Weights),
+    row(
+        "train[*].labels",
+        "segmentation",
+        "/train/0/labels",
+        r#"{"keep": {"share": 0.3}}"#,
+        Weights,
+    ),
     row("train[*].repeat", "language", "/train/0/repeat", "2", Weights),
     row("train[*].weight", "language", "/train/0/weight", "2", Weights),
     row("train[*].seed", "language", "/train/0/seed", "2", Weights),

@@ -34,9 +34,13 @@ impl Tokens {
             .map_err(|error| bad(format!("is no tokenizer: {error}")))?;
         tokenizer.with_padding(None);
         tokenizer.with_truncation(None).map_err(|error| bad(error.to_string()))?;
-        let (have, rows) = (tokenizer.get_vocab_size(true), config.vocab_size);
-        if have > rows {
-            return Err(bad(format!("knows {have} word pieces, config.json names {rows}")));
+        let rows = config.vocab_size;
+        // Numbers, not their count: there may be gaps.
+        let last = tokenizer.get_vocab(true).into_values().max();
+        if let Some(last) = last.filter(|last| *last as usize >= rows) {
+            return Err(bad(format!(
+                "has a word piece number {last}, config.json names {rows} of them"
+            )));
         }
         let unknown = tokenizer.token_to_id("[UNK]");
         let tokens = Self { tokenizer, unknown, most: config.max_tokens };

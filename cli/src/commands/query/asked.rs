@@ -95,7 +95,8 @@ fn of_phrase(args: &Args, session: &Session<'_>, vocabulary: &Vocabulary) -> Res
         };
         let text = format!("{:?} is taken for {known:?}: {how}", args.query);
         session.receipt.setting("taken_for", known, &how);
-        let is_sure = asked.reading.as_ref().is_none_or(|r| r.verdict == Verdict::Sure);
+        // A corrected word may have been meant as it stands.
+        let is_sure = asked.reading.as_ref().is_some_and(|r| r.verdict == Verdict::Sure);
         if is_sure {
             session.progress.say(text);
         } else {

@@ -4,7 +4,6 @@ mod build;
 
 use super::WrongUse;
 use crate::outputs::Outputs;
-use crate::progress::listen_for_interrupt;
 use crate::session::set_threads;
 use crate::terminal::print;
 use anyhow::Result;
@@ -44,7 +43,6 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     set_threads(args.threads)?;
-    let _ = listen_for_interrupt();
     let outputs = Outputs::new(Path::new("."));
     outputs.reads_any([args.names.as_deref(), args.text_model.as_deref()])?;
     for (flag, path) in
@@ -55,6 +53,12 @@ pub fn run(args: &Args) -> Result<()> {
     let mut phrases = args.phrases.clone();
     if let Some(path) = &args.names {
         phrases.extend(read_names(path)?);
+    }
+    let given = phrases.len();
+    let mut seen = std::collections::BTreeSet::new();
+    phrases.retain(|phrase| seen.insert(phrase.clone()));
+    if phrases.len() < given {
+        print(&format!("{} phrases were given more than once", given - phrases.len()));
     }
     if phrases.is_empty() {
         return Err(WrongUse("give a phrase, or a file of them with --names".to_owned()).into());
@@ -77,7 +81,7 @@ pub fn run(args: &Args) -> Result<()> {
         (_, Some(path), Some(encoder)) => write_table(&outputs, encoder, &phrases, path)?,
         _ => {}
     }
-    let readings = tell(&phrases, encoder.as_ref())?;
+    let readings = tell(&phrases, encoder.as_ref(), args.out.is_some())?;
     if let Some(path) = &args.json {
         let about = json!({
             "read_by": if encoder.is_some() { "encoder" } else { "phrase table" },
@@ -110,11 +114,15 @@ fn write_table(
 }
 
 /// Prints what each phrase is taken for, and gives it for JSON.
-fn tell(phrases: &[String], encoder: Option<&TextEncoder>) -> Result<Vec<serde_json::Value>> {
+fn tell(
+    phrases: &[String],
+    encoder: Option<&TextEncoder>,
+    has_table: bool,
+) -> Result<Vec<serde_json::Value>> {
     let reader = match PhraseReader::new(encoder) {
         Ok(reader) => reader,
         // A table can be made with any encoder; what its phrases mean here, only one can say.
-        Err(error @ PhraseError::Table { .. }) if encoder.is_some() => {
+        Err(error @ PhraseError::Table { .. }) if encoder.is_some() && has_table => {
             print(&format!("{error}"));
             return Ok(Vec::new());
         }

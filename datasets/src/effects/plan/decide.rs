@@ -53,7 +53,9 @@ pub fn decide(
             let none = EffectDecision::default();
             return Ok(EffectDecision { effect: name, choice, why, changed, ..none });
         };
-        let was = before.and_then(|section| section.of(effect)).map(|d| d.on);
+        // What somebody asked for was no decision.
+        let was = before.and_then(|section| section.of(effect));
+        let was = was.filter(|d| d.choice == EffectChoice::Auto).map(|d| d.on);
         Ok(about(module, choice, profile.of(effect), was))
     };
     let decisions = Effect::ALL.into_iter().map(decision).collect::<Result<_, _>>()?;
