@@ -117,6 +117,27 @@ fn what_is_smaller_or_larger_than_the_pane_is_behind_it() {
 }
 
 #[test]
+fn a_level_is_lifted_the_same_beside_another() {
+    let (gaussians, panes, _) = world(false);
+    // A large thing that the pane is a small part of; and the same picture with the pane named.
+    let (large, named) = (map(2, &[12..54, 4..44]), map(1, &PANE));
+    let features = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+    for depth in [None, Some(DepthTolerance::RENDERED)] {
+        let lifted = |levels: &[SegmentMap], level: usize| {
+            let settings = LiftSettings { depth, ..LiftSettings::default() };
+            let mut lifter = Lifter::new(&gaussians, levels.len(), 3, settings).unwrap();
+            lifter = lifter.with_panes(panes.clone()).unwrap();
+            let (view, features) = (&view(), &features);
+            lifter.add(&LabelledPicture { view, levels, features, depth: None }).unwrap();
+            let lifted = lifter.collect(level, &FinaliseSettings::default()).unwrap();
+            (lifted.features, lifted.confidence)
+        };
+        let alone = lifted(std::slice::from_ref(&large), 0);
+        assert_eq!(lifted(&[named.clone(), large.clone()], 1), alone, "{depth:?}");
+    }
+}
+
+#[test]
 fn pictures_without_a_pane_are_what_they_were() {
     let (gaussians, panes, _) = world(true);
     let maps = [map(1, &PANE)];
