@@ -1,10 +1,6 @@
 //! What a checkpoint is taken up by, and what is refused.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
-#[path = "support/line.rs"]
-mod line;
-
-use line::{Line, Numbers, StopAt, config, numbers, trainer, values};
+use crate::line::{Line, Numbers, StopAt, config, numbers, trainer, values};
 use scenesplat_metrics::Measurement;
 use scenesplat_trainers::callbacks::{EarlyStopping, JsonLines, read_json_lines};
 use scenesplat_trainers::checkpoint::{best_checkpoint, newest_checkpoint, read_network};

@@ -1,6 +1,5 @@
 //! Distillation by hand: the loss from the teacher's rows, the weights of its terms, who counts, and the
 //! numbers of an evaluation of two networks.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
 use candle_core::{Device, Result, Tensor};
 use half::f16;

@@ -1,5 +1,4 @@
 //! A third task is one `impl`: a network learns the rows of another, which follows it or not.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
 use candle_core::{Result, Var};
 use scenesplat_datasets::transforms::validation;

@@ -1,16 +1,12 @@
 //! AdamW, clipping and averages on hard gradients, and what is saved.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
-
-mod support;
-
+use crate::support::values;
 use candle_core::{DType, Device, Tensor, Var, backprop::GradStore};
 use scenesplat_trainers::{
     AdamW, AdamWConfig, KeywordGroup, Optimizer, ParamGroup, StepHyperparameters, TrainError,
     clip_grad_norm, ema_update, grad_norm, group_by_keyword,
 };
 use std::collections::BTreeMap;
-use support::values;
 
 type Params = BTreeMap<String, Var>;
 

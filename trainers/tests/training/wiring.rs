@@ -1,12 +1,8 @@
 //! The loop against one written by hand in f64, which calls nothing of the trainer: gradients,
 //! accumulation, clipping, rates, momentum, decay, moving average.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
-#[path = "support/line.rs"]
-mod line;
-
+use crate::line::{Line, Numbers, Rows, numbers};
 use candle_core::Result;
-use line::{Line, Numbers, Rows, numbers};
 use scenesplat_datasets::BatchLoader;
 use scenesplat_metrics::Measurement;
 use scenesplat_models::ParamStore;

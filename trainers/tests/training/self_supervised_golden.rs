@@ -1,10 +1,7 @@
 //! A whole step of the original's self-supervised training: losses, gradients of every parameter, batch
 //! statistics.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
-#[path = "support/mod.rs"]
-mod support;
-
+use crate::support::{Golden, values};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use scenesplat_datasets::{InputFeatures, Masked, TrainBatch, View, ViewKind};
@@ -19,7 +16,6 @@ use scenesplat_trainers::tasks::self_supervised::{
     TermConfig,
 };
 use scenesplat_trainers::{StepContext, TrainingModule};
-use support::{Golden, values};
 
 const TERMS: [(&str, &str); 3] = [
     ("heads.sim_dino", "dino_head"),

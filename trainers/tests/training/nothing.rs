@@ -1,11 +1,7 @@
 //! Data that teach nothing, and data that were left out.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
-#[path = "support/line.rs"]
-mod line;
-
+use crate::line::{Line, Numbers, Rows, StopAt, config, numbers, trainer};
 use candle_core::Result;
-use line::{Line, Numbers, Rows, StopAt, config, numbers, trainer};
 use scenesplat_datasets::{BatchLoader, DataError, LeftOut, RepairedScene, SkippedScene};
 use scenesplat_models::ParamStore;
 use scenesplat_trainers::callbacks::{JsonLines, read_json_lines};

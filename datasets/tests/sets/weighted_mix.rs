@@ -1,7 +1,5 @@
 //! Mixing datasets: how often each comes, and that nothing depends on how batches are made.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
-
 use scenesplat_datasets::transforms::{build_transforms, validation};
 use scenesplat_datasets::{
     BatchLoader, InputFeatures, LoaderSettings, MixRule, SceneDataset, SceneLoader, SyntheticRooms,

@@ -1,6 +1,5 @@
 //! Order and chance around transforms: what is done first, what is tossed for anew, and what a colour
 //! step leaves alone. References are written out here.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
 use scenesplat_datasets::transforms::{TransformConfig, build_transforms};
 use scenesplat_datasets::{

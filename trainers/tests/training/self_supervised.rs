@@ -1,12 +1,8 @@
 //! Self-supervised training: teacher, heads, masks, centers and schedules do what they say, against loops
 //! written by hand; interrupted it ends with the same bits; hard input has a stated result.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
-#[path = "support/line.rs"]
-mod line;
-
+use crate::line::StopAt;
 use candle_core::Tensor;
-use line::StopAt;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use scenesplat_datasets::transforms::{

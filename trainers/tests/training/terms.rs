@@ -1,11 +1,7 @@
 //! What is logged of a loss's terms, which need not be on in every batch.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
-#[path = "support/line.rs"]
-mod line;
-
+use crate::line::{Line, Rows, config, numbers, trainer};
 use candle_core::Result;
-use line::{Line, Rows, config, numbers, trainer};
 use scenesplat_models::ParamStore;
 use scenesplat_trainers::callbacks::{JsonLines, read_json_lines};
 use scenesplat_trainers::{Progress, StepContext, StepOutput, TrainerConfig, TrainingModule};

@@ -1,7 +1,5 @@
 //! Chunks on disk: every array, resumed runs, odd scenes.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
-
 use half::f16;
 use scenesplat_datasets::DataError;
 use scenesplat_datasets::chunking::{ChunkFolder, ChunkReport, ChunkSettings};

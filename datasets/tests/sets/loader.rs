@@ -1,7 +1,5 @@
 //! The loader: the same batches however they are made, and what becomes of broken scenes.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
-
 use scenesplat_datasets::transforms::{build_transforms, language_pretraining};
 use scenesplat_datasets::{
     BatchLoader, BrokenScenes, DataError, Dataset, InputFeatures, LoaderSettings, Sample,

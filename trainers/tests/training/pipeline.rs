@@ -1,6 +1,5 @@
 //! A network from scenes to checkpoints: the same bits whatever the workers, threads and
 //! interruptions, and finite numbers for as long as it runs.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
 use scenesplat_datasets::transforms::{language_pretraining, validation};
 use scenesplat_datasets::{

@@ -1,10 +1,6 @@
 //! Where checkpoints are written, and what of others they leave alone.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
-#[path = "support/line.rs"]
-mod line;
-
-use line::{Line, StopAt, config, numbers, trainer};
+use crate::line::{Line, StopAt, config, numbers, trainer};
 use scenesplat_trainers::checkpoint::{newest_checkpoint, read_state};
 use scenesplat_trainers::{Progress, TrainError};
 use std::fs;

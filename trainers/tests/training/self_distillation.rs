@@ -1,6 +1,5 @@
 //! Self-distillation against a reference written by hand: rows of a scale, their places, the nearest row of
 //! the other view by trying all, and the shares of the pairs; with a fault in the reference it differs.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
 use candle_core::{Device, Tensor};
 use rand_chacha::ChaCha8Rng;

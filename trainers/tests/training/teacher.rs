@@ -1,12 +1,8 @@
 //! Self-distillation in small: a teacher that follows its student, with schedules of its momentum,
 //! its temperature and the weight decay. Interrupted anywhere, it ends with the same bits.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
-#[path = "support/line.rs"]
-mod line;
-
+use crate::line::{Numbers, Rows, StopAt, config, numbers};
 use candle_core::{Device, Result, Tensor, Var};
-use line::{Numbers, Rows, StopAt, config, numbers};
 use scenesplat_models::ParamStore;
 use scenesplat_trainers::checkpoint::newest_checkpoint;
 use scenesplat_trainers::{

@@ -1,10 +1,6 @@
 //! The loop on a model small enough to check by hand.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
-#[path = "support/line.rs"]
-mod line;
-
-use line::{Line, Numbers, Rows, StopAt, config, numbers, trainer, values};
+use crate::line::{Line, Numbers, Rows, StopAt, config, numbers, trainer, values};
 use scenesplat_datasets::{BatchLoader, DataError};
 use scenesplat_metrics::Measurement;
 use scenesplat_trainers::callbacks::{EarlyStopping, JsonLines, TensorBoard, read_json_lines};

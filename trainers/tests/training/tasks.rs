@@ -1,6 +1,5 @@
 //! Tasks and evaluators: what losses are told, which rows count, the mode of evaluation, and a task
 //! and a metric of one's own.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
 use candle_core::{Result, Tensor};
 use scenesplat_datasets::transforms::validation;

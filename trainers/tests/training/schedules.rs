@@ -1,7 +1,5 @@
 //! Schedules where the formulas get thin: short runs, ends, beyond.
 
-#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
-
 use scenesplat_trainers::{CosineSchedule, OneCycle, Schedule};
 
 fn close(got: f64, expected: f64) {

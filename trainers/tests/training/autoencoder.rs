@@ -1,5 +1,4 @@
 //! An autoencoder of language features: it learns, compares each row with itself, and says what is kept.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;

@@ -1,7 +1,5 @@
 //! Synthetic rooms that look as converted points do.
 
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
-
 use scenesplat_datasets::{PointSettings, SurfacePoints, gaussians_from_points};
 use scenesplat_rooms::{SyntheticRoomSettings, generate};
 

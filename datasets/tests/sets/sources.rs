@@ -1,7 +1,5 @@
 //! Sources on small folders that are as the preprocessing writes them.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
-
 use scenesplat_datasets::sources::{SceneFolders, SceneFoldersOptions};
 use scenesplat_datasets::{Benchmark, DataError, Dataset, SourceConfig, Split};
 use scenesplat_scene::formats::npy_writer::write_npy;

@@ -1,12 +1,8 @@
 //! What a step is given, and what is said of it: random numbers, recomputation, frozen statistics,
 //! logged values, looks at the features. Each against numbers written down here.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
-#[path = "support/line.rs"]
-mod line;
-
+use crate::line::{Line, Rows, StopAt, config, numbers, trainer};
 use candle_core::{Device, Result, Tensor};
-use line::{Line, Rows, StopAt, config, numbers, trainer};
 use rand_chacha::rand_core::RngCore;
 use scenesplat_datasets::{BatchLoader, TrainBatch};
 use scenesplat_losses::{Loss, LossInput, Objective};
