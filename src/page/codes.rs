@@ -38,10 +38,12 @@ pub(super) fn pack_codes(
     width: usize,
 ) -> Result<PageCodes, PageError> {
     let (count, dim) = (features.num_slots(), features.width());
+    let is_coded = features.codes().is_some();
     let mut values: Vec<f16> = Vec::with_capacity(count * dim);
     for start in (0..count).step_by(BLOCK) {
         for row in features.slot_rows(start..(start + BLOCK).min(count))?.chunks_exact(dim) {
-            let norm = row.iter().map(|v| v * v).sum::<f32>().sqrt();
+            // Features that were brought down to codes have the length that belongs to them.
+            let norm = if is_coded { 1.0 } else { row.iter().map(|v| v * v).sum::<f32>().sqrt() };
             let factor = if norm > 0.0 && norm.is_finite() { 1.0 / norm } else { 0.0 };
             // What is not finite has no feature.
             values.extend(row.iter().map(|v| f16::from_f32(if factor > 0.0 { v * factor } else { 0.0 })));
@@ -73,6 +75,7 @@ pub(super) fn pack_codes(
     for text in 0..table.len() {
         let row = comparable.row(text).unwrap_or_default();
         let norm = row.iter().map(|v| v * v).sum::<f32>().sqrt().max(f32::MIN_POSITIVE);
+        let norm = if is_coded { 1.0 } else { norm };
         let dot = |other: &[f32]| row.iter().zip(other).map(|(a, b)| a * b).sum::<f32>() / norm;
         out.extend(dot(&code.codebook.mean).to_le_bytes());
         for (axis, step) in code.codebook.axes.chunks_exact(dim).zip(&steps) {
