@@ -1,13 +1,13 @@
 //! How well objects agree with the true instances of rooms that nothing was trained on: with true labels, and with
 //! those of the network inside the program. `cargo run --release --example objects_of_rooms -- 20 2026`
 
+use scenesplat::embedded;
 use scenesplat::labels::{Classes, label_with_vote};
 use scenesplat::metrics::ZeroShotOptions;
 use scenesplat::objects::{Agreement, ObjectInput, ObjectSettings, UprightBox, find_objects};
 use scenesplat::prelude::*;
 use scenesplat::rooms::{SyntheticRoomSettings, generate};
 use scenesplat::scene::UpAxis;
-use scenesplat::embedded;
 
 #[derive(Default)]
 struct Sums {
@@ -23,7 +23,8 @@ impl Sums {
         for errors in [&mut self.center, &mut self.size] {
             errors.sort_by(f64::total_cmp);
         }
-        let at = |v: &[f64], q: f64| v.get((v.len().saturating_sub(1) as f64 * q) as usize).copied();
+        let at =
+            |v: &[f64], q: f64| v.get((v.len().saturating_sub(1) as f64 * q) as usize).copied();
         let share = |of: usize| self.matches as f64 / of.max(1) as f64;
         println!(
             "| {name} | {} | {} | {:.3} | {:.3} | {:.3} / {:.3} | {:.3} / {:.3} |",
@@ -59,7 +60,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             let values = features.gaussian_rows(row..row + 1).unwrap_or_default();
             sum.iter_mut().zip(values).for_each(|(s, v)| *s += v);
         };
-        let cases: [(&[i32], bool); 3] = [(truth, false), (&own.labels, false), (&own.labels, true)];
+        let cases: [(&[i32], bool); 3] =
+            [(truth, false), (&own.labels, false), (&own.labels, true)];
         for ((labels, with_features), sums) in cases.into_iter().zip(&mut sums) {
             let input = ObjectInput {
                 scene,
@@ -88,7 +90,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             }
         }
     }
-    println!("| labels | true | found | precision | recall | center error, m (50 / 90 %) | size error, m |");
+    println!(
+        "| labels | true | found | precision | recall | center error, m (50 / 90 %) | size error, m |"
+    );
     println!("|---|---|---|---|---|---|---|");
     for (name, sums) in ["true", "network", "network, with features"].iter().zip(&mut sums) {
         sums.show(name);

@@ -56,8 +56,8 @@ pub mod text;
 
 pub use alignment::{Alignment, AlignmentSettings};
 pub use inference::{EncodeError, SceneEncoder, SceneFeatures};
-pub use object_picture::object_picture;
 pub use network::{Network, NetworkConfig, NetworkOutput, WeightOptions, Weights};
+pub use object_picture::object_picture;
 pub use scenesplat_datasets as datasets;
 pub use scenesplat_kernels as kernels;
 pub use scenesplat_losses as losses;

@@ -3,9 +3,7 @@
 use crate::preview::text;
 use crate::preview::{Orbit, SceneRows, UNLABELLED_COLOR, class_color, picture_of};
 use scenesplat_objects::Catalogue;
-use scenesplat_rasterizer::{
-    Gaussians, RasterError, RasterSettings, RenderRequest, View, render,
-};
+use scenesplat_rasterizer::{Gaussians, RasterError, RasterSettings, RenderRequest, View, render};
 use scenesplat_scene::picture::RgbPicture;
 use scenesplat_scene::{Camera, GaussianScene, UpAxis};
 
@@ -17,7 +15,18 @@ const LINE: u32 = 20;
 /// Larger standard deviations than this part of the scene are haze before the camera.
 const HAZE: f64 = 0.5;
 const EDGES: [(usize, usize); 12] = [
-    (0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7),
+    (0, 1),
+    (1, 2),
+    (2, 3),
+    (3, 0),
+    (4, 5),
+    (5, 6),
+    (6, 7),
+    (7, 4),
+    (0, 4),
+    (1, 5),
+    (2, 6),
+    (3, 7),
 ];
 /// Parts of the building, whose boxes would hide all others.
 const BUILDING: [&str; 3] = ["wall", "floor", "ceiling"];
@@ -70,7 +79,8 @@ pub fn object_picture(
     }
     let background = crate::preview::BACKGROUND.map(|v| f32::from(v) / 255.0);
     settings.background = Some(background);
-    let rendered = render(&gaussians, &View::from_camera(camera)?, &settings, &RenderRequest::rgb())?;
+    let rendered =
+        render(&gaussians, &View::from_camera(camera)?, &settings, &RenderRequest::rgb())?;
     if let Some(view) = rendered.rgb.and_then(|rgb| picture_of(&rgb, VIEW[0], VIEW[1])) {
         for (x, y, color) in view.enumerate() {
             picture.set(x, y, color);
@@ -95,7 +105,9 @@ pub fn object_picture(
 fn draw_box(picture: &mut RgbPicture, camera: &Camera, corners: &[[f64; 3]; 8], color: [u8; 3]) {
     for (a, b) in EDGES {
         // Short steps: an edge may pass behind the camera.
-        let at = |t: f64| camera.project([0, 1, 2].map(|k| corners[a][k] * (1.0 - t) + corners[b][k] * t));
+        let at = |t: f64| {
+            camera.project([0, 1, 2].map(|k| corners[a][k] * (1.0 - t) + corners[b][k] * t))
+        };
         let (Some(p), Some(q)) = (at(0.0), at(1.0)) else { continue };
         let steps = ((p[0] - q[0]).hypot(p[1] - q[1]).ceil() as usize).clamp(1, 4096);
         for step in 0..=steps {

@@ -147,7 +147,10 @@ fn names_of_any_kind_are_text() {
         labels: Some(labels),
         names: &names,
         catalogue: Some(&catalogue),
-        remarks: &[attack.to_owned(), "]]>--></pre><script>globalThis.attacked=1</script>".to_owned()],
+        remarks: &[
+            attack.to_owned(),
+            "]]>--></pre><script>globalThis.attacked=1</script>".to_owned(),
+        ],
         ..plain(&room, "</title></style><script>globalThis.attacked=1</script>.ply")
     };
     let path = folder.join("hostile.html");

@@ -51,9 +51,8 @@ impl Agreement {
             }
             // At least half of both: nothing else can be as near.
             let best = common.iter().max_by_key(|(id, n)| (**n, -**id));
-            let iou = best.map_or(0.0, |(id, &n)| {
-                n as f64 / (object.count + sizes[id].0 - n) as f64
-            });
+            let iou =
+                best.map_or(0.0, |(id, &n)| n as f64 / (object.count + sizes[id].0 - n) as f64);
             match best {
                 Some((&truth, _)) if iou > 0.5 && sizes[&truth].1 == object.label as i32 => {
                     out.matches.push(Match { found: place, truth, iou });
@@ -63,7 +62,8 @@ impl Agreement {
             }
         }
         // What is too small to ask for may be found all the same.
-        let counted = |(id, (n, _)): &(&i32, &(usize, i32))| *n >= min_count || matched.contains_key(id);
+        let counted =
+            |(id, (n, _)): &(&i32, &(usize, i32))| *n >= min_count || matched.contains_key(id);
         for (id, _) in sizes.iter().filter(counted) {
             out.truth += 1;
             if !matched.contains_key(id) {

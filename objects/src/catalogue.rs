@@ -195,8 +195,8 @@ fn of_class(
 fn stands(input: &ObjectInput<'_>, rows: &[u32]) -> bool {
     let step = rows.len().div_ceil(SPACING_SAMPLE).max(1);
     let normals = rows.iter().step_by(step).filter_map(|&r| input.upright_normal(r as usize));
-    let (flat, upright) = normals
-        .fold((0, 0), |(flat, up), n| (flat + 1, up + u32::from(n[2].abs() < UPRIGHT)));
+    let (flat, upright) =
+        normals.fold((0, 0), |(flat, up), n| (flat + 1, up + u32::from(n[2].abs() < UPRIGHT)));
     flat > 0 && f64::from(upright) >= STANDS * f64::from(flat)
 }
 
@@ -207,9 +207,12 @@ fn spacing(coord: &[[f32; 3]], rows: &[u32]) -> Result<f64> {
     let tree = KdTree::new(&places)?;
     let sample: Vec<[f32; 3]> =
         places.iter().step_by(places.len().div_ceil(SPACING_SAMPLE)).copied().collect();
-    let mut far = tree.map_nearest(&sample, 5, || (), |(), _, near| {
-        near.last().map_or(0.0, |n| n.distance_squared.sqrt())
-    });
+    let mut far = tree.map_nearest(
+        &sample,
+        5,
+        || (),
+        |(), _, near| near.last().map_or(0.0, |n| n.distance_squared.sqrt()),
+    );
     let middle = far.len() / 2;
     Ok(*far.select_nth_unstable_by(middle, f64::total_cmp).1 / 1.09)
 }
@@ -249,9 +252,7 @@ impl Catalogue {
     /// Objects of each class that has some, by class: name, objects, Gaussians.
     pub fn counts(&self) -> Vec<(&str, usize, usize)> {
         let runs = self.objects.chunk_by(|a, b| a.label == b.label);
-        runs.map(|run| {
-            (run[0].class.as_str(), run.len(), run.iter().map(|o| o.count).sum())
-        })
-        .collect()
+        runs.map(|run| (run[0].class.as_str(), run.len(), run.iter().map(|o| o.count).sum()))
+            .collect()
     }
 }

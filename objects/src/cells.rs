@@ -109,7 +109,8 @@ pub(crate) fn pieces(
 
 /// Half of the steps to cells at most two away; the others are seen from the other side.
 fn forward_steps() -> impl Iterator<Item = [i32; 3]> {
-    (-2..=2).flat_map(|x| (-2..=2).flat_map(move |y| (-2..=2).map(move |z| [x, y, z])))
+    (-2..=2)
+        .flat_map(|x| (-2..=2).flat_map(move |y| (-2..=2).map(move |z| [x, y, z])))
         .filter(|step| *step > [0, 0, 0])
 }
 
@@ -133,7 +134,8 @@ mod tests {
     #[test]
     fn other_features_are_another_piece() {
         let coord = line(&[0.0, 0.06, 0.12, 0.18]);
-        let feature = |rows: &[u32]| Some(if rows[0] < 2 { vec![1.0, 0.0] } else { vec![0.0, 1.0] });
+        let feature =
+            |rows: &[u32]| Some(if rows[0] < 2 { vec![1.0, 0.0] } else { vec![0.0, 1.0] });
         let rows = [0, 1, 2, 3];
         assert_eq!(pieces(&rows, &coord, 0.1, &feature, 0.5), [vec![0, 1], vec![2, 3]]);
         assert_eq!(pieces(&rows, &coord, 0.1, &feature, -1.0).len(), 1);

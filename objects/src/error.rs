@@ -17,7 +17,9 @@ pub enum ObjectError {
         got: usize,
     },
     /// A label without a name.
-    #[error("labels[{row}] is {label}, but there are {names} names; give the names of these labels")]
+    #[error(
+        "labels[{row}] is {label}, but there are {names} names; give the names of these labels"
+    )]
     Label {
         /// Row of the Gaussian.
         row: usize,

@@ -152,13 +152,22 @@ fn is_pair(a: &UprightBox, b: &UprightBox) -> bool {
 mod tests {
     use super::*;
 
-    fn block(out: &mut Vec<[f32; 3]>, low: [f32; 3], size: [f32; 3], count: [usize; 3]) -> Vec<u32> {
+    fn block(
+        out: &mut Vec<[f32; 3]>,
+        low: [f32; 3],
+        size: [f32; 3],
+        count: [usize; 3],
+    ) -> Vec<u32> {
         let start = out.len() as u32;
         let at = |i: usize, n: usize, s: f32| s * i as f32 / (n.max(2) - 1) as f32;
         for i in 0..count[0] {
             for j in 0..count[1] {
                 for k in 0..count[2] {
-                    let step = [at(i, count[0], size[0]), at(j, count[1], size[1]), at(k, count[2], size[2])];
+                    let step = [
+                        at(i, count[0], size[0]),
+                        at(j, count[1], size[1]),
+                        at(k, count[2], size[2]),
+                    ];
                     out.push([0, 1, 2].map(|a| low[a] + step[a]));
                 }
             }

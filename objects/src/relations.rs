@@ -112,13 +112,17 @@ pub fn distance(a: &Object, b: &Object, relation: Relation) -> Option<f64> {
     match relation {
         Relation::On => {
             // A desk's top is not the top of its box where something stands behind; within it will do.
-            let rests = a_low >= b_low + 0.3 * (b_high - b_low).max(0.0) - REST && a_low <= b_high + REST;
+            let rests =
+                a_low >= b_low + 0.3 * (b_high - b_low).max(0.0) - REST && a_low <= b_high + REST;
             (over && rests && a_high > b_high).then(|| (a_low - b_high).abs())
         }
-        Relation::Above => (x.plan_gap(y) == 0.0 && a_low >= b_high - REST)
-            .then(|| (a_low - b_high).max(0.0)),
-        Relation::Under => (x.plan_gap(y) == 0.0 && a_high <= b_high - REST && a_low < b_low + REST)
-            .then(|| (b_high - a_high).max(0.0)),
+        Relation::Above => {
+            (x.plan_gap(y) == 0.0 && a_low >= b_high - REST).then(|| (a_low - b_high).max(0.0))
+        }
+        Relation::Under => {
+            (x.plan_gap(y) == 0.0 && a_high <= b_high - REST && a_low < b_low + REST)
+                .then(|| (b_high - a_high).max(0.0))
+        }
         Relation::In => {
             let inside = over && a_low >= b_low - REST && a_high <= b_high + REST;
             inside.then(|| x.plan_gap(y))
@@ -172,7 +176,10 @@ mod tests {
     #[test]
     fn questions_have_three_parts() {
         let q = Question::parse("the reading lamp On top of a desk").unwrap();
-        assert_eq!((q.what.as_str(), q.relation, q.to.as_str()), ("reading lamp", Relation::On, "desk"));
+        assert_eq!(
+            (q.what.as_str(), q.relation, q.to.as_str()),
+            ("reading lamp", Relation::On, "desk")
+        );
         assert_eq!(Question::parse("lamp next to the sofa").unwrap().relation, Relation::Near);
         for none in ["lamp", "on the desk", "lamp on", "lamp on the", "", "something to sit"] {
             assert_eq!(Question::parse(none), None, "{none}");

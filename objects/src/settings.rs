@@ -37,7 +37,8 @@ impl Default for ObjectSettings {
 
 impl ObjectSettings {
     pub(crate) fn check(&self) -> Result<()> {
-        let fail = |setting, value, expected| Err(ObjectError::Setting { setting, value, expected });
+        let fail =
+            |setting, value, expected| Err(ObjectError::Setting { setting, value, expected });
         if self.min_count == 0 {
             return fail("min_count", "0".to_owned(), "a number above 0");
         }

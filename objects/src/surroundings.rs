@@ -46,8 +46,7 @@ impl Walls {
             return Ok(Self(None));
         }
         let step = rows.len().div_ceil(WALL_ROWS);
-        let places: Vec<[f32; 3]> =
-            rows.iter().step_by(step).map(|&r| coord[r as usize]).collect();
+        let places: Vec<[f32; 3]> = rows.iter().step_by(step).map(|&r| coord[r as usize]).collect();
         Ok(Self(Some(KdTree::new(&places)?)))
     }
 
@@ -55,7 +54,8 @@ impl Walls {
     pub(crate) fn distance(&self, coord: &[[f32; 3]], rows: &[u32]) -> Option<f64> {
         let tree = self.0.as_ref()?;
         let step = rows.len().div_ceil(OBJECT_ROWS).max(1);
-        let of = |&row: &u32| tree.nearest(coord[row as usize], 1).first().map(|n| n.distance_squared);
+        let of =
+            |&row: &u32| tree.nearest(coord[row as usize], 1).first().map(|n| n.distance_squared);
         rows.iter().step_by(step).filter_map(of).reduce(f64::min).map(f64::sqrt)
     }
 }

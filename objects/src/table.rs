@@ -41,8 +41,20 @@ fn object(o: &Object) -> Value {
 
 /// The columns of the CSV table.
 const COLUMNS: [&str; 14] = [
-    "id", "class", "score", "count", "x", "y", "z", "length", "width", "height", "yaw", "volume",
-    "above_floor", "wall_distance",
+    "id",
+    "class",
+    "score",
+    "count",
+    "x",
+    "y",
+    "z",
+    "length",
+    "width",
+    "height",
+    "yaw",
+    "volume",
+    "above_floor",
+    "wall_distance",
 ];
 
 /// A catalogue as CSV, one object a line; what is not known is empty. A field with a comma, a quote or a
@@ -153,7 +165,9 @@ mod tests {
         let lines = csv(&c);
         assert_eq!(
             lines.lines().nth(1),
-            Some("1,chair,0.7500,40,1.0000,2.0000,0.5000,2.0000,1.0000,0.5000,0.1000,1.0000,0.2500,")
+            Some(
+                "1,chair,0.7500,40,1.0000,2.0000,0.5000,2.0000,1.0000,0.5000,0.1000,1.0000,0.2500,"
+            )
         );
         assert!(markdown(&c).contains("| 1 | chair | 0.75 | 40 | 1.00, 2.00, 0.50 |"));
     }

@@ -185,8 +185,8 @@ fn least_yaw(hull: &[[f64; 2]]) -> f64 {
         let (c, s) = (side[0] / length, side[1] / length);
         let extent = |u: [f64; 2]| {
             let along = hull.iter().map(|p| u[0] * p[0] + u[1] * p[1]);
-            let (low, high) = along
-                .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+            let (low, high) =
+                along.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
             high - low
         };
         let area = extent([c, s]) * extent([-s, c]);
@@ -213,7 +213,11 @@ mod tests {
                         (j as f32 / 10.0 - 0.5) * size[1],
                         (k as f32 / 4.0 - 0.5) * size[2],
                     ];
-                    out.push([at[0] + c * p[0] - s * p[1], at[1] + s * p[0] + c * p[1], at[2] + p[2]]);
+                    out.push([
+                        at[0] + c * p[0] - s * p[1],
+                        at[1] + s * p[0] + c * p[1],
+                        at[2] + p[2],
+                    ]);
                 }
             }
         }
@@ -259,11 +263,8 @@ mod tests {
     #[test]
     fn gaps_between_turned_boxes() {
         let unit = UprightBox { center: [0.0; 3], size: [1.0; 3], yaw: 0.0 };
-        let turned = UprightBox {
-            center: [2.0, 0.0, 0.0],
-            yaw: std::f64::consts::FRAC_PI_4,
-            ..unit
-        };
+        let turned =
+            UprightBox { center: [2.0, 0.0, 0.0], yaw: std::f64::consts::FRAC_PI_4, ..unit };
         assert!((unit.plan_gap(&turned) - (1.5 - 0.5f64.sqrt())).abs() < 1e-12);
         assert_eq!(unit.plan_gap(&unit), 0.0);
         let above = UprightBox { center: [0.0, 0.0, 3.0], ..unit };

@@ -64,7 +64,8 @@ pub(crate) fn split(rows: &[u32], coord: &[[f32; 3]], stands: bool) -> Option<Ve
         cells.iter().map(|c| c.map(|v| (f64::from(v) + 0.5) * CELL)).collect();
     let lines = lines(&middles)?;
     let nearest = |p: [f64; 2]| {
-        (0..lines.len()).fold(0, |n, i| if lines[i].distance(p) < lines[n].distance(p) { i } else { n })
+        (0..lines.len())
+            .fold(0, |n, i| if lines[i].distance(p) < lines[n].distance(p) { i } else { n })
     };
     let mut parts = vec![Vec::new(); lines.len()];
     rows.iter().for_each(|row| parts[nearest(plan(row))].push(*row));

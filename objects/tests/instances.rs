@@ -1,6 +1,8 @@
 //! Objects of synthetic rooms against their true instances.
 
-use scenesplat_objects::{Agreement, Catalogue, ObjectInput, ObjectSettings, UprightBox, find_objects};
+use scenesplat_objects::{
+    Agreement, Catalogue, ObjectInput, ObjectSettings, UprightBox, find_objects,
+};
 use scenesplat_rooms::{CLASSES, SyntheticRoom, SyntheticRoomSettings, generate};
 use scenesplat_scene::UpAxis;
 
@@ -41,8 +43,15 @@ fn objects_of_twenty_rooms_with_true_labels() {
         let room = generate(&settings).unwrap();
         let catalogue = find_objects(&input(&room, &names), &ObjectSettings::default()).unwrap();
         let agreed = agreement(&room, &catalogue);
-        println!("{:?}: precision {:.3}, recall {:.3}, {} of {} found as {}", room.kind,
-            agreed.precision(), agreed.recall(), agreed.matches.len(), agreed.truth, agreed.found);
+        println!(
+            "{:?}: precision {:.3}, recall {:.3}, {} of {} found as {}",
+            room.kind,
+            agreed.precision(),
+            agreed.recall(),
+            agreed.matches.len(),
+            agreed.truth,
+            agreed.found
+        );
         matches += agreed.matches.len();
         found += agreed.found;
         truth += agreed.truth;
@@ -50,7 +59,8 @@ fn objects_of_twenty_rooms_with_true_labels() {
             missed[room.objects[m.truth as usize].class.index()][0] += 1;
             // The box of the true rows is what could be found at best.
             let ids = room.scene.instance.as_deref().unwrap();
-            let rows: Vec<u32> = (0u32..).zip(ids).filter(|(_, id)| **id == m.truth).map(|(r, _)| r).collect();
+            let rows: Vec<u32> =
+                (0u32..).zip(ids).filter(|(_, id)| **id == m.truth).map(|(r, _)| r).collect();
             let want = UprightBox::around(&room.scene.coord, &rows).unwrap();
             let got = catalogue.objects[m.found].bounds;
             let d: f64 = (0..3).map(|a| (want.center[a] - got.center[a]).powi(2)).sum();
@@ -86,13 +96,15 @@ fn neither_the_order_of_rows_nor_threads_change_what_is_found() {
     let names = names();
     let room = generate(&SyntheticRoomSettings::with_count(30_000, 5)).unwrap();
     let found = find_objects(&input(&room, &names), &ObjectSettings::default()).unwrap();
-    let single = rayon_like_single(|| find_objects(&input(&room, &names), &ObjectSettings::default()));
+    let single =
+        rayon_like_single(|| find_objects(&input(&room, &names), &ObjectSettings::default()));
     assert_eq!(found, single.unwrap());
     let n = room.scene.len();
     let back: Vec<usize> = (0..n).rev().collect();
     let turned = SyntheticRoom { scene: room.scene.select_rows(&back).unwrap(), ..room.clone() };
     let other = find_objects(&input(&turned, &names), &ObjectSettings::default()).unwrap();
-    let classes = |c: &Catalogue| c.objects.iter().map(|o| (o.class.clone(), o.count)).collect::<Vec<_>>();
+    let classes =
+        |c: &Catalogue| c.objects.iter().map(|o| (o.class.clone(), o.count)).collect::<Vec<_>>();
     assert_eq!(classes(&found), classes(&other));
 }
 
@@ -152,5 +164,10 @@ fn what_does_not_fit_is_refused_and_nothing_is_no_error() {
     // Rows without a place are in no object.
     let mut broken = room.clone();
     broken.scene.coord.iter_mut().for_each(|c| c[1] = f32::NAN);
-    assert!(find_objects(&input(&broken, &names), &ObjectSettings::default()).unwrap().objects.is_empty());
+    assert!(
+        find_objects(&input(&broken, &names), &ObjectSettings::default())
+            .unwrap()
+            .objects
+            .is_empty()
+    );
 }

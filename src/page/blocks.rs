@@ -63,7 +63,8 @@ pub(super) fn pack(scene: &GaussianScene, rows: &[usize]) -> Packed {
     }
     // Only the range that occurs, so that 256 steps are fine.
     let logs = || rows.iter().flat_map(|&r| scene.log_scale[r]).filter(|v| v.is_finite());
-    let clamp = |v: f32| if v.is_finite() { v.clamp(LOG_SCALES[0], LOG_SCALES[1]) } else { LOG_SCALES[0] };
+    let clamp =
+        |v: f32| if v.is_finite() { v.clamp(LOG_SCALES[0], LOG_SCALES[1]) } else { LOG_SCALES[0] };
     let least = logs().map(clamp).fold(LOG_SCALES[1], f32::min);
     let most = logs().map(clamp).fold(least, f32::max);
     let range = (most - least).max(1e-6);
@@ -113,7 +114,8 @@ mod tests {
         let position = &packed.parts[0].1;
         let at = |axis: usize, row: usize| {
             let n = rows.len();
-            let value: u32 = (0..3).map(|b| u32::from(position[b * 3 * n + axis * n + row]) << (8 * b)).sum();
+            let value: u32 =
+                (0..3).map(|b| u32::from(position[b * 3 * n + axis * n + row]) << (8 * b)).sum();
             packed.about["origin"][axis].as_f64().unwrap() + f64::from(value) * packed.step
         };
         for (row, axis) in [(0, 0), (1, 0), (0, 1), (1, 2)] {

@@ -46,10 +46,18 @@ pub(super) fn pack_codes(
             let norm = if is_coded { 1.0 } else { row.iter().map(|v| v * v).sum::<f32>().sqrt() };
             let factor = if norm > 0.0 && norm.is_finite() { 1.0 / norm } else { 0.0 };
             // What is not finite has no feature.
-            values.extend(row.iter().map(|v| f16::from_f32(if factor > 0.0 { v * factor } else { 0.0 })));
+            values.extend(
+                row.iter().map(|v| f16::from_f32(if factor > 0.0 { v * factor } else { 0.0 })),
+            );
         }
     }
-    let done = compress_features(&LanguageFeatures { values, dim }, None, width.clamp(1, 32.min(dim)), 0, &mut |_| true)?;
+    let done = compress_features(
+        &LanguageFeatures { values, dim },
+        None,
+        width.clamp(1, 32.min(dim)),
+        0,
+        &mut |_| true,
+    )?;
     let code = &done.code;
     let width = code.width();
     let mut largest = vec![0f32; width];
@@ -58,7 +66,9 @@ pub(super) fn pack_codes(
     }
     let steps: Vec<f32> = largest.iter().map(|m| if *m > 0.0 { m / 127.0 } else { 1.0 }).collect();
     let values = code.values.chunks_exact(width).flat_map(|row| {
-        row.iter().zip(&steps).map(|(v, step)| (v.to_f32() / step).round().clamp(-127.0, 127.0) as i8 as u8)
+        row.iter()
+            .zip(&steps)
+            .map(|(v, step)| (v.to_f32() / step).round().clamp(-127.0, 127.0) as i8 as u8)
     });
     let values = values.collect();
     let has: Vec<bool> =

@@ -96,7 +96,10 @@ mod tests {
         let (page, blocks) = assemble(hostile, vec![("about", hostile.as_bytes().to_vec())]);
         assert!(!page.contains("alert(1)</script>"));
         assert!(page.contains("&lt;/title&gt;&lt;script&gt;alert(1)"));
-        assert_eq!(blocks.iter().map(|(n, _)| n.as_str()).collect::<Vec<_>>(), ["about", "program"]);
+        assert_eq!(
+            blocks.iter().map(|(n, _)| n.as_str()).collect::<Vec<_>>(),
+            ["about", "program"]
+        );
         // The page ends scripts where it says so, and nowhere else.
         assert_eq!(page.matches("</script").count(), blocks.len() + 1);
         assert_eq!(page.matches("<script").count(), blocks.len() + 1);

@@ -168,7 +168,10 @@ pub fn write_page(
     let words = Words::of(input.names, input.vocabulary)?;
     let instances = input.catalogue.map(Catalogue::instances);
     if let Some(labels) = input.labels {
-        parts.push(("label", blocks::planes(rows.iter().map(|&r| (labels[r] + 1).max(0) as u32), 2)));
+        parts.push((
+            "label",
+            blocks::planes(rows.iter().map(|&r| (labels[r] + 1).max(0) as u32), 2),
+        ));
     }
     if let Some(scores) = input.scores {
         let byte = |&r: &usize| (scores[r].clamp(0.0, 1.0) * 255.0).round() as u8;

@@ -1,10 +1,10 @@
 //! What the page knows of words: phrases with the classes that they are near to, groups, colors.
 
 use super::PageError;
+use rayon::prelude::*;
+use scenesplat_rooms::Group;
 use scenesplat_rooms::{CLASSES, ColorName, Vocabulary};
 use scenesplat_text::PhraseTable;
-use scenesplat_rooms::Group;
-use rayon::prelude::*;
 use serde_json::{Value, json};
 
 /// Classes that are noted of a phrase.
@@ -54,7 +54,9 @@ impl Words {
             let mut order: Vec<usize> = (0..best.len()).collect();
             order.sort_by(|&a, &b| best[b].total_cmp(&best[a]).then(a.cmp(&b)));
             let mut out = [0u8; 2 * NEAR];
-            for (place, &class) in order.iter().take(NEAR).enumerate().filter(|(_, c)| best[**c] > 0.0) {
+            for (place, &class) in
+                order.iter().take(NEAR).enumerate().filter(|(_, c)| best[**c] > 0.0)
+            {
                 out[2 * place] = class as u8 + 1;
                 out[2 * place + 1] = (best[class].min(1.0) * 255.0).round() as u8;
             }
@@ -66,7 +68,9 @@ impl Words {
             for group in Group::ALL {
                 let members: Vec<usize> =
                     (0..CLASSES.len()).filter(|&c| CLASSES[c].groups.contains(&group)).collect();
-                groups.push(json!({ "name": format!("{group:?}").to_lowercase(), "members": members }));
+                groups.push(
+                    json!({ "name": format!("{group:?}").to_lowercase(), "members": members }),
+                );
             }
             colors = ColorName::ALL.iter().map(|c| c.word()).collect();
         }

@@ -6,6 +6,7 @@ use crate::effects::EffectArgs;
 use crate::flags::Inference;
 use crate::session::{FeatureSource, Session};
 use anyhow::{Context, Result};
+use scenesplat::SceneFeatures;
 use scenesplat::alignment::{Alignment, AlignmentSettings};
 use scenesplat::compensation::Consumer;
 use scenesplat::labels::{self, label_with_vote};
@@ -13,7 +14,6 @@ use scenesplat::objects::{Catalogue, ObjectInput, ObjectSettings, find_objects};
 use scenesplat::outputs::OpenedScene;
 use scenesplat::scene::label_set::read_names;
 use scenesplat::scene::{LabelSet, TextTable, UpAxis};
-use scenesplat::SceneFeatures;
 use std::path::PathBuf;
 
 /// Where labels come from, and what is an object.
@@ -114,13 +114,23 @@ impl LabelArgs {
         let scene = &opened.loaded.scene;
         let labels = scene.segment.clone().ok_or_else(|| {
             let path = self.scene.display();
-            WrongUse(format!("--label-names: {path} carries no labels; leave it out to run a network"))
+            WrongUse(format!(
+                "--label-names: {path} carries no labels; leave it out to run a network"
+            ))
         })?;
         session.receipt.setting("labels", "scene", "labels that the scene carries");
         let scores = scene.segment_score.clone();
         let (up, metres_per_unit) = frame(session, &opened, &self.inference);
         Ok(Labelled {
-            opened, labels, scores, names, features: None, is_vocabulary: false, remark: "", up, metres_per_unit,
+            opened,
+            labels,
+            scores,
+            names,
+            features: None,
+            is_vocabulary: false,
+            remark: "",
+            up,
+            metres_per_unit,
         })
     }
 
@@ -183,11 +193,7 @@ impl LabelArgs {
 }
 
 /// Which way is up and what a unit is, as a network would read the scene.
-pub fn frame(
-    session: &Session<'_>,
-    opened: &OpenedScene,
-    inference: &Inference,
-) -> (UpAxis, f64) {
+pub fn frame(session: &Session<'_>, opened: &OpenedScene, inference: &Inference) -> (UpAxis, f64) {
     let scene = &opened.loaded.scene;
     let alignment = Alignment::of(
         scene,
@@ -210,7 +216,8 @@ impl Labelled {
     ) -> Result<Catalogue> {
         let _stage = session.receipt.stage("objects");
         let scene = &self.opened.loaded.scene;
-        let instances = scene.instance.as_deref().filter(|ids| !pieces && ids.iter().any(|i| *i >= 0));
+        let instances =
+            scene.instance.as_deref().filter(|ids| !pieces && ids.iter().any(|i| *i >= 0));
         if instances.is_some() {
             let text = "the scene carries instances: each is an object (--pieces looks for objects instead)";
             session.progress.say(text);

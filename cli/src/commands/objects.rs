@@ -57,7 +57,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     session.note_setting(&labels.inference);
     labels.claim_inputs(&session)?;
     session.outputs.claim_any("--json", args.json.as_ref())?;
-    let folder = args.export.as_deref().map(|name| check_folder(name).map(|()| name)).transpose()?;
+    let folder =
+        args.export.as_deref().map(|name| check_folder(name).map(|()| name)).transpose()?;
     let edits = !args.remove.is_empty() || !args.keep.is_empty();
     let more: &[&str] = if edits { &["edited.ply"] } else { &[] };
     session.make_out(&[&OBJECT_FILES[..], &["objects.md", "objects.png"], more].concat())?;
@@ -176,15 +177,23 @@ fn check_folder(name: &str) -> Result<()> {
     if plain {
         return Ok(());
     }
-    let text = format!("--export {name:?}: give one plain name, such as objects; the folder is made in --out");
+    let text = format!(
+        "--export {name:?}: give one plain name, such as objects; the folder is made in --out"
+    );
     Err(WrongUse(text).into())
 }
 
-fn export(session: &Session<'_>, scene: &GaussianScene, found: &Catalogue, folder: &str) -> Result<()> {
+fn export(
+    session: &Session<'_>,
+    scene: &GaussianScene,
+    found: &Catalogue,
+    folder: &str,
+) -> Result<()> {
     for object in &found.objects {
         let rows: Vec<usize> = object.rows.iter().map(|&r| r as usize).collect();
         let part = scene.select_rows(&rows)?;
-        let path = session.out(&format!("{folder}/{:03}-{}.ply", object.id, file_name(&object.class)))?;
+        let path =
+            session.out(&format!("{folder}/{:03}-{}.ply", object.id, file_name(&object.class)))?;
         write_inria_ply(&part, &[], &path)?;
         session.wrote(&path, std::fs::metadata(&path)?.len());
         session.check_stop()?;
@@ -200,7 +209,12 @@ fn file_name(class: &str) -> String {
     if name.is_empty() { "object".to_owned() } else { name }
 }
 
-fn edit(args: &Args, session: &Session<'_>, scene: &GaussianScene, found: &Catalogue) -> Result<()> {
+fn edit(
+    args: &Args,
+    session: &Session<'_>,
+    scene: &GaussianScene,
+    found: &Catalogue,
+) -> Result<()> {
     let mut chosen = vec![false; scene.len()];
     for phrase in args.remove.iter().chain(&args.keep) {
         for place in meant(found, phrase)? {

@@ -59,7 +59,11 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     if settings.max_splats == Some(0) {
         return Err(WrongUse("--max-splats: give a number above 0".to_owned()).into());
     }
-    let labelled = if args.plain { plain(labels, &session)? } else { labels.label(&session, *vote_k, false)? };
+    let labelled = if args.plain {
+        plain(labels, &session)?
+    } else {
+        labels.label(&session, *vote_k, false)?
+    };
     let found = match args.plain {
         true => None,
         false => Some(labelled.objects(&session, &labels.settings(), labels.pieces)?),
@@ -100,7 +104,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         report.position_step / 2.0
     ));
     if report.bytes > LARGE {
-        let text = "the page is large for a browser: --max-splats N or fewer --codes make it smaller";
+        let text =
+            "the page is large for a browser: --max-splats N or fewer --codes make it smaller";
         session.progress.say(text);
         session.receipt.warning(text);
     }
@@ -110,11 +115,16 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
 
 /// The Gaussians without labels.
 fn plain(labels: &LabelArgs, session: &Session<'_>) -> Result<Labelled> {
-    if let Some(flag) = labels.inference.network_flag().filter(|f| !["--unit", "--as-is"].contains(f)) {
+    if let Some(flag) =
+        labels.inference.network_flag().filter(|f| !["--unit", "--as-is"].contains(f))
+    {
         return Err(WrongUse(format!("{flag} is about a network, which --plain leaves out")).into());
     }
     if labels.inference.network.weights.is_some() || labels.inference.network.config.is_some() {
-        return Err(WrongUse("--plain runs no network: leave out --weights and --config".to_owned()).into());
+        return Err(WrongUse(
+            "--plain runs no network: leave out --weights and --config".to_owned(),
+        )
+        .into());
     }
     let opened = session.open_with(&labels.scene, &labels.inference.source.options())?;
     let (up, metres_per_unit) = super::labelled::frame(session, &opened, &labels.inference);
@@ -153,7 +163,8 @@ fn remarks(args: &Args, labelled: &Labelled) -> Vec<String> {
 
 impl Args {
     fn shared(&self) -> crate::flags::Shared {
-        let folder = self.out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let folder =
+            self.out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         crate::flags::Shared {
             threads: self.threads,
             device: crate::flags::Device::Cpu,

@@ -32,8 +32,7 @@ fn objects_are_listed_drawn_exported_and_taken_out() {
     let (path, names, scene) = room(folder.path());
     let (out, table) = (folder.path().join("out"), folder.path().join("objects.json"));
     let run = |more: &[&str]| {
-        let [path, names, out, table] =
-            [&path, &names, &out, &table].map(|p| p.to_str().unwrap());
+        let [path, names, out, table] = [&path, &names, &out, &table].map(|p| p.to_str().unwrap());
         let words = ["objects", path, "--label-names", names, "--out", out, "--json", table];
         scenesplat(&[&words[..], more].concat())
     };
