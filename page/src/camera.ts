@@ -41,7 +41,8 @@ export class Navigator {
       const key = e.key.length === 1 ? e.key.toLowerCase() : e.key;
       if (key in KEYS || key in TURNS) {
         this.held.add(key);
-        this.onChange();
+        // A tap may be shorter than a frame.
+        this.step(0.04);
         e.preventDefault();
       }
     });

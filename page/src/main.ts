@@ -38,6 +38,10 @@ class Page {
     const before = readHash(location.hash);
     this.mode = before.mode !== null && this.available(before.mode) ? before.mode
       : this.available("labels") ? "labels" : "colors";
+    // One looks into a room from above; its switch in the legend shows the ceiling again.
+    if (location.hash === "") {
+      this.data.about.classes.forEach((c, i) => c.name.toLowerCase() === "ceiling" && this.hidden.add(i + 1));
+    }
     before.hidden.forEach((h) => h <= this.data.about.classes.length && this.hidden.add(h));
     this.legend();
     this.objectList(null);
@@ -387,6 +391,7 @@ async function start(): Promise<void> {
   counts(about);
   const canvas = document.createElement("canvas");
   if (canvas.getContext("webgl2") === null) {
+    document.body.classList.add("blind");
     tell("This browser shows no WebGL 2, which the scene is drawn with. Try another browser, or switch on hardware acceleration. What is in the scene is listed here.");
     const rows = about.classes.filter((c) => c.count > 0).sort((a, b) => b.count - a.count)
       .slice(0, MOST_ROWS).map((c) => element("li", {}, [
