@@ -66,7 +66,7 @@ impl ObjectInput<'_> {
     }
 
     /// A place of the upright frame, metres, in the frame and unit of the scene.
-    pub(crate) fn to_scene(&self, p: [f64; 3]) -> [f64; 3] {
+    pub(crate) fn to_scene(self, p: [f64; 3]) -> [f64; 3] {
         let turn = self.up.upright();
         [0, 1, 2].map(|a| {
             let v = turn[0][a] * p[0] + turn[1][a] * p[1] + turn[2][a] * p[2];
@@ -82,7 +82,8 @@ impl ObjectInput<'_> {
         let others = [(shortest + 1) % 3, (shortest + 2) % 3];
         let next = scale[others[0]].min(scale[others[1]]);
         // As elsewhere in the workspace: flat is e times as thin as the next axis.
-        if !(next - scale[shortest] > 1.0) {
+        let thin = next - scale[shortest];
+        if thin.is_nan() || thin <= 1.0 {
             return None;
         }
         let m = scenesplat_scene::vector::rotation(*self.scene.quat.get(row)?);

@@ -37,7 +37,7 @@ pub(super) fn kept(scene: &GaussianScene, most: Option<usize>) -> Vec<usize> {
 
 /// Numbers as `bytes` planes, the lowest first.
 pub(super) fn planes(values: impl Iterator<Item = u32> + Clone, bytes: u32) -> Vec<u8> {
-    (0..bytes).flat_map(|b| values.clone().map(move |v| (v >> (8 * b)) as u8)).collect()
+    (0..bytes).flat_map(move |b| values.clone().map(move |v| (v >> (8 * b)) as u8)).collect()
 }
 
 /// Positions, scales, rotations and colors of some rows.
