@@ -121,7 +121,7 @@ impl<'t> ComparableTexts<'t> {
         }
     }
 
-    fn row(&self, class: usize) -> Option<&[f32]> {
+    pub(crate) fn row(&self, class: usize) -> Option<&[f32]> {
         self.values.chunks_exact(self.dim).nth(class)
     }
 }

@@ -3,9 +3,9 @@
 //! The crates behind this facade: [`scene`] (scenes and their files), [`kernels`] (algorithms on
 //! slices), [`datasets`] (from scenes to network input), [`models`] (networks and weights),
 //! [`metrics`] (labels, votes, evaluation, pictures), [`rasterizer`] (pictures of scenes), [`trainers`]
-//! (optimizers and schedules), [`rooms`] (synthetic rooms), [`sentences`] (phrases as vectors). This crate adds
+//! (optimizers and schedules), [`rooms`] (synthetic rooms), [`objects`] (instances and boxes), [`sentences`] (phrases as vectors). This crate adds
 //! what joins them: [`Network`] (a configuration with its weights), [`SceneEncoder`] (a scene in,
-//! features out), [`labels`], [`query`], [`phrases`], [`evaluation`], [`experiment`] and what the commands write.
+//! features out), [`labels`], [`query`], [`phrases`], [`evaluation`], [`experiment`], [`page`] (a scene to look at in a browser) and what the commands write.
 //!
 //! ```
 //! use scenesplat::embedded;
@@ -40,7 +40,9 @@ pub mod language_codes;
 pub mod machine;
 pub mod memory;
 pub mod network;
+mod object_picture;
 pub mod outputs;
+pub mod page;
 pub mod pareto;
 pub mod phrases;
 pub mod preview;
@@ -55,11 +57,13 @@ pub mod text;
 pub use alignment::{Alignment, AlignmentSettings};
 pub use inference::{EncodeError, SceneEncoder, SceneFeatures};
 pub use network::{Network, NetworkConfig, NetworkOutput, WeightOptions, Weights};
+pub use object_picture::object_picture;
 pub use scenesplat_datasets as datasets;
 pub use scenesplat_kernels as kernels;
 pub use scenesplat_losses as losses;
 pub use scenesplat_metrics as metrics;
 pub use scenesplat_models as models;
+pub use scenesplat_objects as objects;
 pub use scenesplat_rasterizer as rasterizer;
 pub use scenesplat_rooms as rooms;
 pub use scenesplat_scene as scene;

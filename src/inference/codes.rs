@@ -5,7 +5,6 @@ use super::{EncodeError, SceneFeatures};
 use crate::principal::sample_step;
 use scenesplat_kernels::gemm::{Epilogue, PackedMatrix, gemm, gemm_tn};
 use scenesplat_kernels::symmetric_eigen::symmetric_eigen;
-use scenesplat_models::ops::normalize_rows;
 
 /// Rows brought down at a time.
 const BLOCK: usize = 4096;
@@ -70,7 +69,9 @@ impl FeatureCodes {
 }
 
 impl SceneFeatures {
-    /// These features as codes of so many numbers, at unit length.
+    /// These features as codes of so many numbers. A code is as long as the part of its feature that the
+    /// axes hold, so that its product with a text is the feature's as far as the axes reach: brought to
+    /// unit length, the rows that they hold least of would come first for every rare text.
     pub(super) fn into_codes(self, codes: usize) -> Result<Self, EncodeError> {
         let found = FeatureCodes::find(&self, codes)?;
         let slots = self.num_slots();
@@ -80,7 +81,6 @@ impl SceneFeatures {
             let rows = self.slot_rows(start..(start + BLOCK).min(slots))?;
             values.extend(found.project_with(&rows, &packed));
         }
-        normalize_rows(&mut values, codes);
         Ok(Self { slots: SlotStore::rows(values, codes), codes: Some(found), ..self })
     }
 
@@ -98,6 +98,7 @@ impl SceneFeatures {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use scenesplat_models::ops::normalize_rows;
 
     /// Rows in three of eight dimensions, of unit length.
     fn rows(count: usize) -> Vec<f32> {
@@ -128,7 +129,7 @@ mod tests {
         {
             let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>();
             assert!((dot(row, &text) - dot(code, &short)).abs() < 1e-5);
-            assert!((dot(code, code) - 1.0).abs() < 1e-5);
+            assert!((dot(code, code) - 1.0).abs() < 1e-5, "all of a unit row is kept");
             // And back.
             let back: Vec<f32> =
                 (0..8).map(|d| (0..3).map(|j| code[j] * codes.axes[j * 8 + d]).sum()).collect();
@@ -150,6 +151,23 @@ mod tests {
             1.0 - kept
         };
         assert!(lost(1) > lost(2) && lost(2) > 1e-4 && lost(3) < 1e-5);
+    }
+
+    #[test]
+    fn a_row_that_the_axes_hardly_hold_is_not_what_a_text_finds_first() {
+        // Most rows lie along the first two directions; one lies off them, with a trace of the second.
+        let mut rows: Vec<f32> = (0..60)
+            .flat_map(|i| if i % 3 == 0 { [0.3, 0.95, 0.0] } else { [0.95, 0.3, 0.0] })
+            .collect();
+        rows.extend([0.0, 0.05, 1.0]);
+        normalize_rows(&mut rows, 3);
+        let coded = SceneFeatures::from_rows(rows.clone(), 3).unwrap().into_codes(2).unwrap();
+        let text = coded.codes().unwrap().project(&[0.0, 1.0, 0.0]);
+        let codes = coded.slot_rows(0..61).unwrap();
+        for (row, code) in rows.chunks_exact(3).zip(codes.chunks_exact(2)) {
+            let score = code.iter().zip(&text).map(|(a, b)| a * b).sum::<f32>();
+            assert!((score - row[1]).abs() < 0.01, "{score} instead of {}", row[1]);
+        }
     }
 
     #[test]

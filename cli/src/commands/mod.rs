@@ -11,7 +11,9 @@ mod doctor;
 mod evaluate;
 mod features;
 mod inspect;
+mod labelled;
 mod lift_labels;
+mod objects;
 mod pareto;
 mod probe;
 mod query;
@@ -21,6 +23,7 @@ mod segment;
 mod simulate;
 mod text;
 mod train;
+mod view;
 mod weights;
 
 use clap::{Parser, Subcommand};
@@ -47,6 +50,10 @@ enum Command {
     Segment(segment::Args),
     /// Finds the Gaussians of an object by its name.
     Query(query::Args),
+    /// Lists, boxes and exports the objects of a scene.
+    Objects(objects::Args),
+    /// Writes one HTML file to look at a scene and query it, without a server.
+    View(view::Args),
     /// Says what phrases mean to the network inside the program, and writes text embeddings of them.
     Text(text::Args),
     /// Lifts labels of pictures onto the Gaussians.
@@ -112,6 +119,8 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Features(args) => features::run(args, &line),
         Command::Segment(args) => segment::run(args, &line),
         Command::Query(args) => query::run(args, &line),
+        Command::Objects(args) => objects::run(args, &line),
+        Command::View(args) => view::run(args, &line),
         Command::Text(args) => text::run(args),
         Command::LiftLabels(args) => lift_labels::run(args, &line),
         Command::Evaluate(args) => evaluate::run(args, &line),

@@ -2,15 +2,18 @@
 
 use super::WrongUse;
 use super::classes::Classes;
+use super::labelled::{Labelled, frame};
+use super::objects::{OBJECT_FILES, summary, write_objects};
 use crate::budget::{BudgetArgs, Chosen, Job, within_budget};
 use crate::effects::EffectArgs;
 use crate::flags::{Inference, Shared};
 use crate::session::{FeatureSource, Session};
-use crate::terminal::write_text;
+use crate::terminal::{print, write_text};
 use anyhow::Result;
 use scenesplat::Network;
 use scenesplat::compensation::Consumer;
 use scenesplat::labels::{self, label_with_vote};
+use scenesplat::objects::ObjectSettings;
 use scenesplat::outputs::{
     ResultColumns, label_colors, legend, write_colored_ply, write_scene_preview,
 };
@@ -34,6 +37,9 @@ pub struct Args {
     /// lang_feat.npy of lift-labels or features.npy.
     #[arg(long, value_name = "FILE.npy")]
     pub features: Option<PathBuf>,
+    /// Also writes instances.npy, objects.json and objects.csv: the objects that the labels make, with boxes.
+    #[arg(long)]
+    pub instances: bool,
     /// What the setting is chosen by.
     #[command(flatten)]
     pub budget: BudgetArgs,
@@ -80,7 +86,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let wish = args.effects.wish(&session, args.features.is_none(), true)?;
     args.classes.claim_inputs(&session.outputs)?;
     let names = ["labels.npy", "scores.npy", "classes.json", "segmented.ply", "preview.png"];
-    session.make_out(&names)?;
+    let more: &[&str] = if args.instances { &OBJECT_FILES } else { &[] };
+    session.make_out(&[&names[..], more].concat())?;
     // A bad table is better found before the scene is read.
     let table = match &args.classes.text {
         Some(_) => Some(args.classes.text_table(false)?),
@@ -97,7 +104,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         },
     )?;
     let (labels_of, text) = if let Some(network) = source.classifier() {
-        (own_classes(args, network)?, None)
+        (own_classes(&args.classes, network)?, None)
     } else {
         let own = embedded && matches!(source, FeatureSource::Network(_));
         let text = table.map_or_else(|| args.classes.text_table(own), Ok)?;
@@ -155,17 +162,36 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         )?;
         session.wrote(&path, bytes);
     }
+    if args.instances {
+        let text = text.map(|text| (features, text));
+        let (up, metres_per_unit) = frame(&session, &opened, &args.inference);
+        let is_vocabulary = false;
+        let labelled = Labelled {
+            opened,
+            labels,
+            scores: Some(scores),
+            names: labels_of.names,
+            features: text,
+            is_vocabulary,
+            remark: source.remark(),
+            up,
+            metres_per_unit,
+        };
+        let found = labelled.objects(&session, &ObjectSettings::default(), false)?;
+        write_objects(&session, &labelled, &found)?;
+        print(&summary(&found));
+    }
     session.finish()
 }
 
 /// The classes of a segmentation network, by number where they have no names.
-fn own_classes(args: &Args, network: &Network) -> Result<LabelSet> {
-    if args.classes.text.is_some() {
+pub(super) fn own_classes(classes: &Classes, network: &Network) -> Result<LabelSet> {
+    if classes.text.is_some() {
         let text = "--text is for language networks; name the classes with --text-names";
         return Err(WrongUse(text.to_owned()).into());
     }
     let count = network.model().out_channels();
-    let names = match &args.classes.text_names {
+    let names = match &classes.text_names {
         Some(path) => read_names(path)?,
         None => (0..count).map(|i| format!("class {i}")).collect(),
     };

@@ -17,6 +17,7 @@ mod inputs;
 mod inspect;
 mod lift_labels;
 mod networks;
+mod objects;
 mod outputs;
 mod pareto;
 mod probe;

@@ -1,0 +1,246 @@
+//! A scene with labels: of a network, of features, or its own. What `objects` and `view` begin with.
+
+use super::WrongUse;
+use super::classes::Classes;
+use crate::effects::EffectArgs;
+use crate::flags::Inference;
+use crate::session::{FeatureSource, Session};
+use anyhow::{Context, Result};
+use scenesplat::SceneFeatures;
+use scenesplat::alignment::{Alignment, AlignmentSettings};
+use scenesplat::compensation::Consumer;
+use scenesplat::labels::{self, label_with_vote};
+use scenesplat::objects::{Catalogue, ObjectInput, ObjectSettings, find_objects};
+use scenesplat::outputs::OpenedScene;
+use scenesplat::scene::label_set::read_names;
+use scenesplat::scene::{LabelSet, TextTable, UpAxis};
+use std::path::PathBuf;
+
+/// Where labels come from, and what is an object.
+#[derive(Debug, Clone, clap::Args)]
+pub struct LabelArgs {
+    /// The scene, in any format.
+    pub scene: PathBuf,
+    /// Takes the labels that the scene carries, whose names these are (one a line, or a JSON list), instead of a network.
+    #[arg(long, value_name = "FILE", conflicts_with = "features")]
+    pub label_names: Option<PathBuf>,
+    /// Looks for objects even where the scene carries instances.
+    #[arg(long)]
+    pub pieces: bool,
+    /// Fewest Gaussians of an object.
+    #[arg(long, value_name = "N", default_value_t = 20)]
+    pub min_count: usize,
+    /// Gaussians of a class this near to each other, metres, belong together; by default 2.5 spacings of the class.
+    #[arg(long, value_name = "M", value_parser = crate::flags::parse_positive)]
+    pub gap: Option<f64>,
+    /// Choice of classes.
+    #[command(flatten)]
+    pub classes: Classes,
+    /// Neighbours that vote on each label; 0 or 1 for no vote. [default: 25]
+    #[arg(long, value_name = "K")]
+    pub vote_k: Option<usize>,
+    /// Features made before instead of a network: .npy, [N, D], one row per Gaussian.
+    #[arg(long, value_name = "FILE.npy")]
+    pub features: Option<PathBuf>,
+    /// What is done about effects of the capture.
+    #[command(flatten)]
+    pub effects: EffectArgs,
+    /// Flags of the network.
+    #[command(flatten)]
+    pub inference: Inference,
+}
+
+/// A scene with labels.
+pub struct Labelled {
+    /// The scene.
+    pub opened: OpenedScene,
+    /// Class of each Gaussian, −1 = none.
+    pub labels: Vec<i32>,
+    /// How sure it is.
+    pub scores: Option<Vec<f32>>,
+    /// Names of the classes.
+    pub names: Vec<String>,
+    /// Features with the texts of the classes, where there are texts.
+    pub features: Option<(SceneFeatures, TextTable)>,
+    /// Whether the classes are those of the network inside the program.
+    pub is_vocabulary: bool,
+    /// What to add to a title where the result means nothing.
+    pub remark: &'static str,
+    /// Which way is up.
+    pub up: UpAxis,
+    /// What one unit is, metres.
+    pub metres_per_unit: f64,
+}
+
+impl LabelArgs {
+    /// With the parts of the setting among the flags, and how many neighbours vote.
+    pub fn settled(&self) -> Result<(Self, usize)> {
+        let (inference, k) = self.inference.settled(self.vote_k)?;
+        Ok((Self { inference, ..self.clone() }, k))
+    }
+
+    /// Notes what is read.
+    pub fn claim_inputs(&self, session: &Session<'_>) -> Result<()> {
+        session.outputs.reads_any([Some(self.scene.as_path()), self.label_names.as_deref()])?;
+        self.classes.claim_inputs(&session.outputs)
+    }
+
+    /// What is an object.
+    pub fn settings(&self) -> ObjectSettings {
+        ObjectSettings { min_count: self.min_count, gap: self.gap, ..ObjectSettings::default() }
+    }
+
+    /// Reads the scene and labels it.
+    pub fn label(&self, session: &Session<'_>, vote_k: usize, sh_rest: bool) -> Result<Labelled> {
+        match &self.label_names {
+            Some(path) => self.own_labels(session, path, sh_rest),
+            None => self.network_labels(session, vote_k),
+        }
+    }
+
+    fn own_labels(&self, session: &Session<'_>, path: &PathBuf, sh_rest: bool) -> Result<Labelled> {
+        if let Some(flag) = self.inference.network_flag() {
+            let text = format!("{flag} is about a network, which --label-names leaves out");
+            return Err(WrongUse(text).into());
+        }
+        if self.inference.network.weights.is_some() || self.classes.text.is_some() {
+            let text = "--label-names takes the scene's own labels: leave out --weights and --text";
+            return Err(WrongUse(text.to_owned()).into());
+        }
+        let names = read_names(path)?;
+        session.receipt.fingerprint("label_names", path)?;
+        let options = scenesplat::scene::ReadOptions { sh_rest, ..self.inference.source.options() };
+        let opened = session.open_with(&self.scene, &options)?;
+        let scene = &opened.loaded.scene;
+        let labels = scene.segment.clone().ok_or_else(|| {
+            let path = self.scene.display();
+            WrongUse(format!(
+                "--label-names: {path} carries no labels; leave it out to run a network"
+            ))
+        })?;
+        session.receipt.setting("labels", "scene", "labels that the scene carries");
+        let scores = scene.segment_score.clone();
+        let (up, metres_per_unit) = frame(session, &opened, &self.inference);
+        Ok(Labelled {
+            opened,
+            labels,
+            scores,
+            names,
+            features: None,
+            is_vocabulary: false,
+            remark: "",
+            up,
+            metres_per_unit,
+        })
+    }
+
+    fn network_labels(&self, session: &Session<'_>, vote_k: usize) -> Result<Labelled> {
+        let args = self;
+        let wish = args.effects.wish(session, args.features.is_none(), true)?;
+        let table = match &args.classes.text {
+            Some(_) => Some(args.classes.text_table(false)?),
+            None => None,
+        };
+        let embedded = args.inference.network.is_embedded();
+        let (opened, source) = session.open_with_source(
+            &args.scene,
+            &args.inference,
+            args.features.as_deref(),
+            |network| {
+                let needed = !network.is_classifier() && table.is_none();
+                if needed { args.classes.text_table(embedded).map(drop) } else { Ok(()) }
+            },
+        )?;
+        let own = embedded && matches!(source, FeatureSource::Network(_));
+        let (labels_of, text) = if let Some(network) = source.classifier() {
+            (super::segment::own_classes(&args.classes, network)?, None)
+        } else {
+            let text = table.map_or_else(|| args.classes.text_table(own), Ok)?;
+            (LabelSet::new(text.names.clone())?, Some(text))
+        };
+        let options = args.classes.options(&labels_of)?;
+        args.classes.record(session)?;
+        let scene = &opened.loaded.scene;
+        let consumer = Consumer { network: source.is_network(), labels: true };
+        let about = session.compensation(&wish, scene, &args.inference, consumer)?;
+        let features = session.features(&opened, &source, &args.inference, &about)?;
+        let classes = match &text {
+            Some(text) => labels::Classes::Texts(text),
+            None => labels::Classes::Probabilities(labels_of.len()),
+        };
+        let mut found = {
+            let _stage = session.receipt.stage("labels");
+            session.receipt.setting("vote_k", vote_k, "neighbours that vote on each label");
+            label_with_vote(&features, classes, &options, &scene.coord, vote_k)?
+        };
+        session.note_withheld(found.withhold(about.withheld()), "labels");
+        session.check_stop()?;
+        let is_vocabulary = text.is_some() && (own || args.classes.vocabulary()?.is_some());
+        let (up, metres_per_unit) = frame(session, &opened, &args.inference);
+        let remark = source.remark();
+        Ok(Labelled {
+            labels: found.labels,
+            scores: Some(found.scores),
+            names: labels_of.names,
+            features: text.map(|text| (features, text)),
+            is_vocabulary,
+            remark,
+            up,
+            metres_per_unit,
+            opened,
+        })
+    }
+}
+
+/// Which way is up and what a unit is, as a network would read the scene.
+pub fn frame(session: &Session<'_>, opened: &OpenedScene, inference: &Inference) -> (UpAxis, f64) {
+    let scene = &opened.loaded.scene;
+    let alignment = Alignment::of(
+        scene,
+        &AlignmentSettings {
+            up: inference.up,
+            metres_per_unit: inference.unit,
+            as_is: inference.as_is,
+        },
+    );
+    (session.up(scene, inference), alignment.scale)
+}
+
+impl Labelled {
+    /// The objects; `pieces`: even where the scene carries instances.
+    pub fn objects(
+        &self,
+        session: &Session<'_>,
+        settings: &ObjectSettings,
+        pieces: bool,
+    ) -> Result<Catalogue> {
+        let _stage = session.receipt.stage("objects");
+        let scene = &self.opened.loaded.scene;
+        let instances =
+            scene.instance.as_deref().filter(|ids| !pieces && ids.iter().any(|i| *i >= 0));
+        if instances.is_some() {
+            let text = "the scene carries instances: each is an object (--pieces looks for objects instead)";
+            session.progress.say(text);
+            session.receipt.setting("instances", "scene", text);
+        }
+        let features = self.features.as_ref().map(|(features, _)| features);
+        let add = |row: usize, sum: &mut [f32]| {
+            let Some(features) = features else { return };
+            // A row that cannot be read says nothing about what belongs together.
+            if let Ok(values) = features.gaussian_rows(row..row + 1) {
+                sum.iter_mut().zip(values).for_each(|(s, v)| *s += v);
+            }
+        };
+        let input = ObjectInput {
+            scene,
+            labels: &self.labels,
+            scores: self.scores.as_deref(),
+            instances,
+            features: features.map(|f| (f.width(), &add as _)),
+            names: &self.names,
+            up: self.up,
+            metres_per_unit: self.metres_per_unit,
+        };
+        find_objects(&input, settings).context("no objects can be looked for")
+    }
+}

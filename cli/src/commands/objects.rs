@@ -1,0 +1,237 @@
+//! `scenesplat objects`
+
+use super::WrongUse;
+use super::labelled::{LabelArgs, Labelled};
+use crate::flags::Shared;
+use crate::session::Session;
+use crate::terminal::{print, write_text};
+use anyhow::{Context, Result};
+use scenesplat::object_picture;
+use scenesplat::objects::relations::Question;
+use scenesplat::objects::{Catalogue, Object, table};
+use scenesplat::preview::write_png;
+use scenesplat::scene::formats::inria_ply::write_inria_ply;
+use scenesplat::scene::label_set::find_name;
+use scenesplat::scene::{GaussianScene, printable_text};
+use std::path::PathBuf;
+
+/// Lists the objects of a scene: class, score, Gaussians, box, volume, place, distance from the walls, height over the
+/// floor. Writes objects.json, objects.csv, objects.md, instances.npy (the object of each Gaussian from 0, −1 = none),
+/// objects.png (numbered boxes) and a receipt.
+///
+/// Labels are those that segment gives, or with --label-names those that the scene carries. Instances that the scene
+/// carries are its objects; else pieces of one class that hang together in space and feature are (docs/objects.md).
+#[derive(Debug, Clone, clap::Args)]
+pub struct Args {
+    /// Where labels come from.
+    #[command(flatten)]
+    pub labels: LabelArgs,
+    /// Also writes the table as JSON here.
+    #[arg(long, value_name = "FILE.json")]
+    pub json: Option<PathBuf>,
+    /// Also writes each object as a PLY file into the folder DIR of the output folder.
+    #[arg(long, value_name = "DIR")]
+    pub export: Option<String>,
+    /// Also writes edited.ply without the objects of these classes, or that a phrase such as "lamp on the desk" means;
+    /// comma-separated.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', conflicts_with = "keep")]
+    pub remove: Vec<String>,
+    /// Also writes edited.ply with nothing but the objects of these classes or phrases.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    pub keep: Vec<String>,
+    /// Prints the objects that a phrase means, such as "lamp on the desk" (on, above, under, in, near).
+    #[arg(long, value_name = "PHRASE")]
+    pub find: Option<String>,
+    /// Flags of all commands.
+    #[command(flatten)]
+    pub shared: Shared,
+}
+
+/// What every catalogue is written as.
+pub const OBJECT_FILES: [&str; 3] = ["instances.npy", "objects.json", "objects.csv"];
+
+/// Runs the command.
+pub fn run(args: &Args, line: &str) -> Result<()> {
+    let (labels, vote_k) = &args.labels.settled()?;
+    let session = Session::start_with(&args.shared, &labels.inference.network, line)?;
+    session.note_setting(&labels.inference);
+    labels.claim_inputs(&session)?;
+    session.outputs.claim_any("--json", args.json.as_ref())?;
+    let folder =
+        args.export.as_deref().map(|name| check_folder(name).map(|()| name)).transpose()?;
+    let edits = !args.remove.is_empty() || !args.keep.is_empty();
+    let more: &[&str] = if edits { &["edited.ply"] } else { &[] };
+    session.make_out(&[&OBJECT_FILES[..], &["objects.md", "objects.png"], more].concat())?;
+    let labelled = labels.label(&session, *vote_k, edits || folder.is_some())?;
+    let found = labelled.objects(&session, &labels.settings(), labels.pieces)?;
+    session.check_stop()?;
+    print(&table::markdown(&found));
+    print(&summary(&found));
+    if let Some(phrase) = &args.find {
+        print(&answer(&found, phrase)?);
+    }
+    write_objects(&session, &labelled, &found)?;
+    if let Some(path) = &args.json {
+        session.write_file(path, &serde_json::to_string_pretty(&table::json(&found))?)?;
+    }
+    {
+        let _stage = session.receipt.stage("picture");
+        let path = session.out("objects.png")?;
+        let picture = object_picture(&labelled.opened.loaded.scene, &found, labelled.up)?;
+        let bytes = write_png(&path, &picture)?;
+        session.wrote(&path, bytes);
+    }
+    let _stage = session.receipt.stage("write");
+    let path = session.out("objects.md")?;
+    let bytes = write_text(&path, &table::markdown(&found))?;
+    session.wrote(&path, bytes);
+    let scene = with_instances(&labelled, &found);
+    if let Some(folder) = folder {
+        export(&session, &scene, &found, folder)?;
+    }
+    if edits {
+        edit(args, &session, &scene, &found)?;
+    }
+    session.receipt.add_rows_out(scene.len());
+    drop(_stage);
+    session.finish()
+}
+
+/// One line: how many objects of which classes.
+pub fn summary(found: &Catalogue) -> String {
+    let counts = found.counts();
+    let each: Vec<String> = counts
+        .iter()
+        .map(|(name, objects, _)| {
+            let name: String = printable_text(name).chars().take(60).collect();
+            format!("{objects} {name}")
+        })
+        .collect();
+    let floor = if found.floor.is_labelled { "the floor" } else { "the lowest Gaussians" };
+    format!(
+        "{} objects: {}; {} labelled Gaussians in no object; heights are over {floor}",
+        found.objects.len(),
+        if each.is_empty() { "none".to_owned() } else { each.join(", ") },
+        found.left_over
+    )
+}
+
+/// Writes `OBJECT_FILES` into the output folder.
+pub fn write_objects(session: &Session<'_>, labelled: &Labelled, found: &Catalogue) -> Result<()> {
+    session.write_rows("instances.npy", &labelled.opened, &found.instances(), -1)?;
+    let json = serde_json::to_string_pretty(&table::json(found))?;
+    for (name, text) in [("objects.json", json), ("objects.csv", table::csv(found))] {
+        let path = session.out(name)?;
+        let bytes = write_text(&path, &text)?;
+        session.wrote(&path, bytes);
+    }
+    Ok(())
+}
+
+/// The scene with its labels, scores and objects in it.
+fn with_instances(labelled: &Labelled, found: &Catalogue) -> GaussianScene {
+    GaussianScene {
+        segment: Some(labelled.labels.clone()),
+        segment_score: labelled.scores.clone(),
+        instance: Some(found.instances()),
+        lang_feat: None,
+        valid_feat_mask: None,
+        ..labelled.opened.loaded.scene.clone()
+    }
+}
+
+/// The places of the objects that a class or a phrase means.
+fn meant(found: &Catalogue, phrase: &str) -> Result<Vec<usize>> {
+    if let Some(places) = Question::parse(phrase).and_then(|q| q.answer(found)) {
+        return Ok(places);
+    }
+    let mut names: Vec<String> = found.objects.iter().map(|o| o.class.clone()).collect();
+    names.dedup();
+    let single = phrase.strip_suffix('s').unwrap_or(phrase);
+    let class = find_name(&names, phrase).or_else(|_| find_name(&names, single)).map_err(|_| {
+        let known: Vec<&str> = names.iter().take(60).map(String::as_str).collect();
+        let all = printable_text(&known.join(", ")).to_string();
+        WrongUse(format!("no object is a {phrase:?}; there are: {all}"))
+    })?;
+    Ok((0..found.objects.len()).filter(|&i| found.objects[i].class == names[class]).collect())
+}
+
+fn answer(found: &Catalogue, phrase: &str) -> Result<String> {
+    let places = meant(found, phrase)?;
+    if places.is_empty() {
+        return Ok(format!("{phrase:?}: none"));
+    }
+    let line = |&i: &usize| {
+        let Object { id, class, position: [x, y, z], .. } = &found.objects[i];
+        format!("{phrase:?}: {id} {} at {x:.2}, {y:.2}, {z:.2}", printable_text(class))
+    };
+    Ok(places.iter().map(line).collect::<Vec<_>>().join("\n"))
+}
+
+/// A folder of the output folder: one plain name.
+fn check_folder(name: &str) -> Result<()> {
+    let plain = !name.is_empty()
+        && name.len() <= 100
+        && !name.starts_with('.')
+        && name.chars().all(|c| c.is_ascii_alphanumeric() || "._-".contains(c));
+    if plain {
+        return Ok(());
+    }
+    let text = format!(
+        "--export {name:?}: give one plain name, such as objects; the folder is made in --out"
+    );
+    Err(WrongUse(text).into())
+}
+
+fn export(
+    session: &Session<'_>,
+    scene: &GaussianScene,
+    found: &Catalogue,
+    folder: &str,
+) -> Result<()> {
+    for object in &found.objects {
+        let rows: Vec<usize> = object.rows.iter().map(|&r| r as usize).collect();
+        let part = scene.select_rows(&rows)?;
+        let path =
+            session.out(&format!("{folder}/{:03}-{}.ply", object.id, file_name(&object.class)))?;
+        write_inria_ply(&part, &[], &path)?;
+        session.wrote(&path, std::fs::metadata(&path)?.len());
+        session.check_stop()?;
+    }
+    Ok(())
+}
+
+/// A class as a part of a file's name.
+fn file_name(class: &str) -> String {
+    let safe = |c: char| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' };
+    let name: String = class.chars().take(40).map(safe).collect();
+    let name = name.trim_matches('-').to_owned();
+    if name.is_empty() { "object".to_owned() } else { name }
+}
+
+fn edit(
+    args: &Args,
+    session: &Session<'_>,
+    scene: &GaussianScene,
+    found: &Catalogue,
+) -> Result<()> {
+    let mut chosen = vec![false; scene.len()];
+    for phrase in args.remove.iter().chain(&args.keep) {
+        for place in meant(found, phrase)? {
+            found.objects[place].rows.iter().for_each(|&row| chosen[row as usize] = true);
+        }
+    }
+    let keeps = !args.keep.is_empty();
+    let rows: Vec<usize> = (0..scene.len()).filter(|&row| chosen[row] == keeps).collect();
+    let left = scene.select_rows(&rows)?;
+    if left.is_empty() {
+        let flag = if keeps { "--keep" } else { "--remove" };
+        return Err(WrongUse(format!("{flag}: nothing would be left of the scene")).into());
+    }
+    print(&format!("edited.ply: {} of {} Gaussians", left.len(), scene.len()));
+    let path = session.out("edited.ply")?;
+    write_inria_ply(&left, &[], &path)?;
+    let bytes = std::fs::metadata(&path).with_context(|| path.display().to_string())?.len();
+    session.wrote(&path, bytes);
+    Ok(())
+}

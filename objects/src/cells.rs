@@ -1,0 +1,149 @@
+//! Pieces of a class that hang together: rows in cells, cells joined to near cells.
+
+use std::collections::HashMap;
+
+/// Sets that grow together; the smallest member stands for a set.
+#[derive(Debug)]
+pub(crate) struct Joined(Vec<u32>);
+
+impl Joined {
+    pub(crate) fn new(len: usize) -> Self {
+        Self((0..len as u32).collect())
+    }
+
+    pub(crate) fn root(&mut self, mut i: u32) -> u32 {
+        while self.0[i as usize] != i {
+            let up = self.0[self.0[i as usize] as usize];
+            self.0[i as usize] = up;
+            i = up;
+        }
+        i
+    }
+
+    pub(crate) fn join(&mut self, a: u32, b: u32) {
+        let (a, b) = (self.root(a), self.root(b));
+        self.0[a.max(b) as usize] = a.min(b);
+    }
+}
+
+/// Rows of one cell of a class.
+struct Cell {
+    at: [i32; 3],
+    rows: std::ops::Range<usize>,
+    center: [f64; 3],
+}
+
+/// Pieces of rows in which each cell is within `gap` metres of another. Cells whose mean features have a
+/// cosine below `min_similarity` are not joined. Pieces come by their first row, rows rise.
+///
+/// `rows`: rising, of finite `coord` `[N, 3]`.
+pub(crate) fn pieces(
+    rows: &[u32],
+    coord: &[[f32; 3]],
+    gap: f64,
+    similar: &dyn Fn(&[u32]) -> Option<Vec<f32>>,
+    min_similarity: f32,
+) -> Vec<Vec<u32>> {
+    let side = gap / 2.0;
+    // Far strays would leave the range of i32; they only meet others as far out.
+    let cell_of = |row: u32| {
+        coord[row as usize].map(|v| (f64::from(v) / side).floor().clamp(-1e9, 1e9) as i32)
+    };
+    let mut sorted: Vec<([i32; 3], u32)> = rows.iter().map(|&row| (cell_of(row), row)).collect();
+    sorted.sort_unstable();
+    let order: Vec<u32> = sorted.iter().map(|(_, row)| *row).collect();
+    let mut cells: Vec<Cell> = Vec::new();
+    for (i, (at, row)) in sorted.iter().enumerate() {
+        match cells.last_mut().filter(|c| c.at == *at) {
+            Some(cell) => cell.rows.end = i + 1,
+            None => cells.push(Cell { at: *at, rows: i..i + 1, center: [0.0; 3] }),
+        }
+        if let Some(cell) = cells.last_mut() {
+            let c = coord[*row as usize];
+            (0..3).for_each(|a| cell.center[a] += f64::from(c[a]));
+        }
+    }
+    drop(sorted);
+    for cell in &mut cells {
+        let count = cell.rows.len() as f64;
+        cell.center = cell.center.map(|v| v / count);
+    }
+    let features: Vec<Option<Vec<f32>>> =
+        cells.iter().map(|c| similar(&order[c.rows.clone()])).collect();
+    let index: HashMap<[i32; 3], u32> = (0..).zip(&cells).map(|(i, c)| (c.at, i)).collect();
+    let mut joined = Joined::new(cells.len());
+    for (i, cell) in (0u32..).zip(&cells) {
+        for step in forward_steps() {
+            let at = [0, 1, 2].map(|a| cell.at[a].saturating_add(step[a]));
+            let Some(&j) = index.get(&at) else { continue };
+            let d = [0, 1, 2].map(|a| cell.center[a] - cells[j as usize].center[a]);
+            if d[0] * d[0] + d[1] * d[1] + d[2] * d[2] > gap * gap {
+                continue;
+            }
+            let agree = match (&features[i as usize], &features[j as usize]) {
+                (Some(a), Some(b)) => {
+                    a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>() >= min_similarity
+                }
+                _ => true,
+            };
+            if agree {
+                joined.join(i, j);
+            }
+        }
+    }
+    let mut found: Vec<(u32, Vec<u32>)> = Vec::new();
+    let mut place: HashMap<u32, usize> = HashMap::new();
+    for (i, cell) in (0u32..).zip(&cells) {
+        let root = joined.root(i);
+        let at = *place.entry(root).or_insert_with(|| {
+            found.push((root, Vec::new()));
+            found.len() - 1
+        });
+        found[at].1.extend(&order[cell.rows.clone()]);
+    }
+    let mut found: Vec<Vec<u32>> = found.into_iter().map(|(_, rows)| rows).collect();
+    found.iter_mut().for_each(|rows| rows.sort_unstable());
+    found.sort_unstable_by_key(|rows| rows.first().copied());
+    found
+}
+
+/// Half of the steps to cells at most two away; the others are seen from the other side.
+fn forward_steps() -> impl Iterator<Item = [i32; 3]> {
+    (-2..=2)
+        .flat_map(|x| (-2..=2).flat_map(move |y| (-2..=2).map(move |z| [x, y, z])))
+        .filter(|step| *step > [0, 0, 0])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn line(xs: &[f32]) -> Vec<[f32; 3]> {
+        xs.iter().map(|&x| [x, 0.0, 0.0]).collect()
+    }
+
+    #[test]
+    fn what_is_near_is_one_piece() {
+        let coord = line(&[0.0, 0.05, 0.1, 0.5, 0.55, -7.0]);
+        let found = pieces(&[0, 1, 2, 3, 4, 5], &coord, 0.1, &|_| None, 0.0);
+        assert_eq!(found, [vec![0, 1, 2], vec![3, 4], vec![5]]);
+        assert_eq!(pieces(&[0, 1, 2, 3, 4, 5], &coord, 1.0, &|_| None, 0.0).len(), 2);
+        assert!(pieces(&[], &coord, 0.1, &|_| None, 0.0).is_empty());
+    }
+
+    #[test]
+    fn other_features_are_another_piece() {
+        let coord = line(&[0.0, 0.06, 0.12, 0.18]);
+        let feature =
+            |rows: &[u32]| Some(if rows[0] < 2 { vec![1.0, 0.0] } else { vec![0.0, 1.0] });
+        let rows = [0, 1, 2, 3];
+        assert_eq!(pieces(&rows, &coord, 0.1, &feature, 0.5), [vec![0, 1], vec![2, 3]]);
+        assert_eq!(pieces(&rows, &coord, 0.1, &feature, -1.0).len(), 1);
+    }
+
+    #[test]
+    fn places_out_of_any_grid_do_no_harm() {
+        let coord = line(&[3e38, 3e38, -3e38, 0.0]);
+        assert_eq!(pieces(&[0, 1, 2, 3], &coord, 0.1, &|_| None, 0.0).len(), 3);
+    }
+}

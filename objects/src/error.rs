@@ -1,0 +1,46 @@
+//! What can be wrong with what objects are looked for in.
+
+use scenesplat_kernels::neighbors::NeighborError;
+
+/// Why there is no catalogue.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ObjectError {
+    /// An array does not have one value per Gaussian.
+    #[error("{field}: expected {expected} rows, one a Gaussian, got {got}")]
+    Rows {
+        /// Which array.
+        field: &'static str,
+        /// Gaussians of the scene.
+        expected: usize,
+        /// Rows found.
+        got: usize,
+    },
+    /// A label without a name.
+    #[error(
+        "labels[{row}] is {label}, but there are {names} names; give the names of these labels"
+    )]
+    Label {
+        /// Row of the Gaussian.
+        row: usize,
+        /// What it is labelled.
+        label: i32,
+        /// Names that there are.
+        names: usize,
+    },
+    /// A setting out of range.
+    #[error("{setting}: {value} is not possible, expected {expected}")]
+    Setting {
+        /// Which setting.
+        setting: &'static str,
+        /// Its value.
+        value: String,
+        /// What would be right.
+        expected: &'static str,
+    },
+    /// Positions that have no neighbours.
+    #[error(transparent)]
+    Neighbors(#[from] NeighborError),
+}
+
+pub(crate) type Result<T, E = ObjectError> = std::result::Result<T, E>;

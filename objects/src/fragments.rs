@@ -1,0 +1,207 @@
+//! Fragments of one object joined over the gaps that a capture leaves.
+
+use crate::cells::Joined;
+use crate::upright_box::UprightBox;
+
+/// A fragment has at most this share of what it is joined to.
+const SMALL: f64 = 0.35;
+/// Fragments join over so many gaps in plan.
+const REACH: f64 = 2.5;
+/// Parts above each other join over this height, metres: a seat and its legs, a shade and its foot.
+const STACK: f64 = 0.35;
+/// Part of the smaller plan that must lie over the larger one.
+const OVER: f64 = 0.6;
+/// Halves of one thing hang in one plane, as high, and at most so far apart, metres.
+const PAIR: f64 = 2.2;
+/// What hangs in a plane is at most so thick and at least so high, metres.
+const THIN: f64 = 0.3;
+const HIGH: f64 = 0.8;
+
+/// Joins the pieces of one class that are fragments of one object. Those that come out larger than
+/// both by far are left apart.
+///
+/// `pairs`: whether thin hanging pieces at one height in one plane are one object (curtains).
+pub(crate) fn join(
+    pieces: Vec<Vec<u32>>,
+    coord: &[[f32; 3]],
+    gap: f64,
+    pairs: bool,
+) -> Vec<Vec<u32>> {
+    let boxes: Vec<UprightBox> =
+        pieces.iter().filter_map(|rows| UprightBox::around(coord, rows)).collect();
+    if boxes.len() != pieces.len() {
+        return pieces;
+    }
+    // The largest first: fragments go to the largest thing near.
+    let mut order: Vec<usize> = (0..pieces.len()).collect();
+    order.sort_by_key(|&i| (usize::MAX - pieces[i].len(), i));
+    let mut joined = Joined::new(pieces.len());
+    for (place, &small) in order.iter().enumerate() {
+        let (own, count) = (&boxes[small], pieces[small].len() as f64);
+        let distance = |&big: &usize| {
+            let other = &boxes[big];
+            let (plan, height) = (own.plan_gap(other), own.height_gap(other));
+            let is_small = count <= SMALL * pieces[big].len() as f64;
+            let fits = (is_small && plan.hypot(height) <= REACH * gap)
+                || (height <= STACK && is_over(own, other))
+                || (pairs && is_pair(own, other));
+            fits.then(|| plan.hypot(height))
+        };
+        let near = order[..place].iter().filter_map(|big| distance(big).map(|d| (d, *big)));
+        // Of equally near ones the first, which is larger.
+        let nearest = near.reduce(|best, next| if next.0 < best.0 { next } else { best });
+        if let Some((_, big)) = nearest {
+            joined.join(small as u32, big as u32);
+        }
+    }
+    gathered(pieces, &mut joined)
+}
+
+fn gathered(pieces: Vec<Vec<u32>>, joined: &mut Joined) -> Vec<Vec<u32>> {
+    let mut out: Vec<(u32, Vec<u32>)> = Vec::new();
+    for (i, rows) in (0u32..).zip(pieces) {
+        let root = joined.root(i);
+        match out.iter_mut().find(|(r, _)| *r == root) {
+            Some((_, all)) => all.extend(rows),
+            None => out.push((root, rows)),
+        }
+    }
+    let mut out: Vec<Vec<u32>> = out.into_iter().map(|(_, rows)| rows).collect();
+    out.iter_mut().for_each(|rows| rows.sort_unstable());
+    out
+}
+
+/// Two sides of one wall are so near, metres, and so long and high at least.
+const WALL: f64 = 0.2;
+const WALL_LONG: f64 = 1.0;
+
+/// Joins the two sides of walls: thin upright pieces, parallel, one before the other.
+pub(crate) fn join_sides(pieces: Vec<Vec<u32>>, coord: &[[f32; 3]]) -> Vec<Vec<u32>> {
+    let boxes: Vec<UprightBox> =
+        pieces.iter().filter_map(|rows| UprightBox::around(coord, rows)).collect();
+    if boxes.len() != pieces.len() {
+        return pieces;
+    }
+    let mut joined = Joined::new(pieces.len());
+    for (i, a) in boxes.iter().enumerate() {
+        for (j, b) in boxes.iter().enumerate().skip(i + 1) {
+            if are_sides(a, b) {
+                joined.join(i as u32, j as u32);
+            }
+        }
+    }
+    gathered(pieces, &mut joined)
+}
+
+fn are_sides(a: &UprightBox, b: &UprightBox) -> bool {
+    let wall = |b: &UprightBox| b.size[1] <= THIN && b.size[0] >= WALL_LONG && b.size[2] >= HIGH;
+    if !wall(a) || !wall(b) || a.plan_gap(b) > WALL {
+        return false;
+    }
+    let (s, c) = a.yaw.sin_cos();
+    if (b.yaw - a.yaw).cos().abs() < 0.995 {
+        return false;
+    }
+    let d = [b.center[0] - a.center[0], b.center[1] - a.center[1]];
+    let (along, across) = ((c * d[0] + s * d[1]).abs(), (c * d[1] - s * d[0]).abs());
+    let common = (a.size[0] + b.size[0]) / 2.0 - along;
+    across <= WALL + (a.size[1] + b.size[1]) / 2.0
+        && common >= 0.7 * a.size[0].min(b.size[0])
+        && a.height_gap(b) == 0.0
+}
+
+/// Whether most of one plan lies over or under the other.
+fn is_over(a: &UprightBox, b: &UprightBox) -> bool {
+    let (small, large) =
+        if a.size[0] * a.size[1] <= b.size[0] * b.size[1] { (a, b) } else { (b, a) };
+    let (s, c) = small.yaw.sin_cos();
+    let mut inside = 0;
+    for i in 0..7 {
+        for j in 0..7 {
+            let u = (f64::from(i) / 6.0 - 0.5) * small.size[0];
+            let v = (f64::from(j) / 6.0 - 0.5) * small.size[1];
+            let p = [small.center[0] + c * u - s * v, small.center[1] + s * u + c * v];
+            inside += u32::from(large.plan_distance(p) == 0.0);
+        }
+    }
+    f64::from(inside) >= OVER * 49.0
+}
+
+/// Whether two thin things hang in one plane at one height, near each other.
+fn is_pair(a: &UprightBox, b: &UprightBox) -> bool {
+    let thin = |b: &UprightBox| b.size[1] <= THIN && b.size[2] >= HIGH;
+    if !thin(a) || !thin(b) || a.plan_gap(b) > PAIR {
+        return false;
+    }
+    let ([al, ah], [bl, bh]) = (a.heights(), b.heights());
+    if (al - bl).abs() > 0.25 || (ah - bh).abs() > 0.25 {
+        return false;
+    }
+    let d = [b.center[0] - a.center[0], b.center[1] - a.center[1]];
+    // Both lie along the line between them: narrow ones may be wider than long in plan.
+    let off = |x: &UprightBox| {
+        let (s, c) = x.yaw.sin_cos();
+        let length = d[0].hypot(d[1]).max(1e-9);
+        ((c * d[0] + s * d[1]) / length).abs()
+    };
+    let along = |x: &UprightBox| off(x) > 0.98 || x.size[0] < 0.35;
+    along(a) && along(b)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn block(
+        out: &mut Vec<[f32; 3]>,
+        low: [f32; 3],
+        size: [f32; 3],
+        count: [usize; 3],
+    ) -> Vec<u32> {
+        let start = out.len() as u32;
+        let at = |i: usize, n: usize, s: f32| s * i as f32 / (n.max(2) - 1) as f32;
+        for i in 0..count[0] {
+            for j in 0..count[1] {
+                for k in 0..count[2] {
+                    let step = [
+                        at(i, count[0], size[0]),
+                        at(j, count[1], size[1]),
+                        at(k, count[2], size[2]),
+                    ];
+                    out.push([0, 1, 2].map(|a| low[a] + step[a]));
+                }
+            }
+        }
+        (start..out.len() as u32).collect()
+    }
+
+    #[test]
+    fn a_shade_over_its_foot_is_one_lamp_and_two_lamps_are_two() {
+        let mut coord = Vec::new();
+        let foot = block(&mut coord, [0.0; 3], [0.2, 0.2, 0.02], [6, 6, 2]);
+        let shade = block(&mut coord, [-0.05, -0.05, 0.3], [0.3, 0.3, 0.2], [8, 8, 4]);
+        let other = block(&mut coord, [1.0, 0.0, 0.0], [0.2, 0.2, 0.5], [6, 6, 6]);
+        let found = join(vec![foot, shade, other], &coord, 0.1, false);
+        assert_eq!(found.iter().map(Vec::len).collect::<Vec<_>>(), [72 + 256, 216]);
+    }
+
+    #[test]
+    fn two_halves_of_a_curtain_are_one_and_two_pictures_two() {
+        let mut coord = Vec::new();
+        let left = block(&mut coord, [0.0; 3], [0.5, 0.08, 2.0], [10, 2, 20]);
+        let right = block(&mut coord, [1.7, 0.0, 0.0], [0.5, 0.08, 2.0], [10, 2, 20]);
+        let pieces = vec![left, right];
+        assert_eq!(join(pieces.clone(), &coord, 0.1, true).len(), 1);
+        assert_eq!(join(pieces, &coord, 0.1, false).len(), 2);
+    }
+
+    #[test]
+    fn a_small_fragment_goes_to_the_nearest_large_piece() {
+        let mut coord = Vec::new();
+        let one = block(&mut coord, [0.0; 3], [1.0; 3], [6, 6, 6]);
+        let two = block(&mut coord, [2.0, 0.0, 0.0], [1.0; 3], [6, 6, 6]);
+        let bit = block(&mut coord, [1.85, 0.5, 0.5], [0.05; 3], [2, 2, 2]);
+        let found = join(vec![one, two, bit], &coord, 0.1, false);
+        assert_eq!(found.iter().map(Vec::len).collect::<Vec<_>>(), [216, 224]);
+    }
+}

@@ -1,0 +1,137 @@
+//! Pieces with panels across them, such as a row of cupboards, split between these panels.
+
+use crate::upright_box::UprightBox;
+
+/// Width of the bins along the piece, metres.
+const BIN: f64 = 0.02;
+/// A Gaussian faces along the piece within this cosine.
+const FACING: f32 = 0.85;
+/// Panels are at least so far apart, metres.
+const APART: f64 = 0.38;
+/// Parts are alike: the emptiest has at least this share of the surface of the fullest, for its length. The knees of a
+/// desk and its drawers are not.
+const ALIKE: f64 = 0.5;
+/// Part of its cross-section that a panel must cover.
+const COVER: f64 = 0.3;
+/// Cells of the cross-section, metres.
+const CELL: f64 = 0.08;
+
+/// The parts of a piece between panels that cross it, at least two; `None` for anything else.
+///
+/// `facing`: cosine of a Gaussian's normal with a direction in plan; `None` where it is not flat.
+pub(crate) fn split(
+    rows: &[u32],
+    coord: &[[f32; 3]],
+    facing: impl Fn(u32, [f32; 2]) -> Option<f32>,
+) -> Option<Vec<Vec<u32>>> {
+    let around = UprightBox::around(coord, rows)?;
+    let [long, deep, high] = around.size;
+    if long < 2.0 * APART || deep < 0.25 || high < 0.3 || long < 1.3 * deep {
+        return None;
+    }
+    let (s, c) = around.yaw.sin_cos();
+    let along = |row: u32| {
+        let p = coord[row as usize];
+        let d = [f64::from(p[0]) - around.center[0], f64::from(p[1]) - around.center[1]];
+        [c * d[0] + s * d[1] + long / 2.0, c * d[1] - s * d[0] + deep / 2.0, f64::from(p[2])]
+    };
+    let bins = (long / BIN).ceil() as usize + 1;
+    let mut across: Vec<Vec<[i32; 2]>> = vec![Vec::new(); bins];
+    for &row in rows {
+        if !facing(row, [c as f32, s as f32]).is_some_and(|f| f.abs() > FACING) {
+            continue;
+        }
+        let [t, u, z] = along(row);
+        if t >= 0.0 && t <= long {
+            across[(t / BIN) as usize].push([u, z].map(|v| (v / CELL).floor() as i32));
+        }
+    }
+    // A panel is as thick as its noise: two bins together.
+    let full = ((deep / CELL).ceil() * (high / CELL).ceil()).max(1.0);
+    let cover: Vec<f64> = (0..bins)
+        .map(|i| {
+            let from = i.saturating_sub(1);
+            let mut cells: Vec<[i32; 2]> = across[from..=i].iter().flatten().copied().collect();
+            cells.sort_unstable();
+            cells.dedup();
+            cells.len() as f64 / full
+        })
+        .collect();
+    let mut order: Vec<usize> = (0..bins).filter(|&i| cover[i] >= COVER).collect();
+    order.sort_by(|&a, &b| cover[b].total_cmp(&cover[a]).then(a.cmp(&b)));
+    let mut cuts: Vec<f64> = Vec::new();
+    for at in order.into_iter().map(|i| i as f64 * BIN) {
+        let inside = at > APART && at < long - APART;
+        if inside && cuts.iter().all(|cut| (cut - at).abs() > APART) {
+            cuts.push(at);
+        }
+    }
+    if cuts.is_empty() {
+        return None;
+    }
+    cuts.sort_unstable_by(f64::total_cmp);
+    let mut parts = vec![Vec::new(); cuts.len() + 1];
+    rows.iter().for_each(|&row| {
+        let at = along(row)[0];
+        parts[cuts.partition_point(|cut| *cut < at)].push(row);
+    });
+    let ends: Vec<f64> = std::iter::once(0.0).chain(cuts).chain([long]).collect();
+    let fullness = parts.iter().zip(ends.windows(2)).map(|(part, ends)| {
+        let cell = |&row: &u32| along(row).map(|v| (v / CELL).floor() as i32);
+        let mut cells: Vec<[i32; 3]> = part.iter().map(cell).collect();
+        cells.sort_unstable();
+        cells.dedup();
+        cells.len() as f64 / (ends[1] - ends[0])
+    });
+    let (least, most) = fullness.fold((f64::INFINITY, 0.0), |(l, m), f| (f.min(l), f.max(m)));
+    if least < ALIKE * most {
+        return None;
+    }
+    parts.retain(|p: &Vec<u32>| !p.is_empty());
+    parts.sort_unstable_by_key(|p| p.first().copied());
+    (parts.len() > 1).then_some(parts)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Three hollow boxes in a row; their faces with normals.
+    fn cupboards() -> (Vec<[f32; 3]>, Vec<[f32; 2]>) {
+        let (mut coord, mut normal) = (Vec::new(), Vec::new());
+        for unit in 0..3 {
+            let start = unit as f32 * 0.61;
+            for i in 0..20 {
+                for k in 0..20 {
+                    let (a, b) = (i as f32 * 0.03, k as f32 * 0.04);
+                    for x in [0.0, 0.6] {
+                        coord.push([start + x, a, b]);
+                        normal.push([1.0, 0.0]);
+                    }
+                    coord.push([start + a, 0.6, b]);
+                    normal.push([0.0, 1.0]);
+                }
+            }
+        }
+        (coord, normal)
+    }
+
+    #[test]
+    fn cupboards_are_split_between_their_sides() {
+        let (coord, normal) = cupboards();
+        let rows: Vec<u32> = (0..coord.len() as u32).collect();
+        let facing = |row: u32, d: [f32; 2]| {
+            let n = normal[row as usize];
+            Some(n[0] * d[0] + n[1] * d[1])
+        };
+        let parts = split(&rows, &coord, facing).unwrap();
+        assert_eq!(parts.len(), 3);
+        for (part, unit) in parts.iter().zip(0..) {
+            let own = part.iter().filter(|r| **r / 1200 == unit).count();
+            assert!(own > 780, "unit {unit}: {own} of {}", part.len());
+        }
+        assert_eq!(split(&rows, &coord, |_, _| None), None);
+        let one: Vec<u32> = (0..1200).collect();
+        assert_eq!(split(&one, &coord, facing), None);
+    }
+}

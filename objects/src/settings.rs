@@ -1,0 +1,53 @@
+//! What is taken for one object.
+
+use crate::error::{ObjectError, Result};
+use serde::Serialize;
+
+/// What is taken for one object; lengths in metres.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ObjectSettings {
+    /// Fewest Gaussians of an object, at least 1.
+    pub min_count: usize,
+    /// Gaussians of a class this near to each other belong together; by default 2.5 times the
+    /// spacing of the class, 0.04 to 0.25.
+    pub gap: Option<f64>,
+    /// Neighbouring cells whose mean features have a lower cosine are different objects; −1 joins whatever
+    /// touches.
+    pub min_similarity: f32,
+    /// Whether pieces are split along walls and panels, and fragments joined.
+    pub reshape: bool,
+    /// Name of the class that distances to walls are measured from.
+    pub wall: String,
+    /// Name of the class that heights are measured from.
+    pub floor: String,
+}
+
+impl Default for ObjectSettings {
+    fn default() -> Self {
+        Self {
+            min_count: 20,
+            gap: None,
+            min_similarity: 0.3,
+            reshape: true,
+            wall: "wall".to_owned(),
+            floor: "floor".to_owned(),
+        }
+    }
+}
+
+impl ObjectSettings {
+    pub(crate) fn check(&self) -> Result<()> {
+        let fail =
+            |setting, value, expected| Err(ObjectError::Setting { setting, value, expected });
+        if self.min_count == 0 {
+            return fail("min_count", "0".to_owned(), "a number above 0");
+        }
+        if let Some(gap) = self.gap.filter(|g| !(*g >= 1e-3 && *g <= 10.0)) {
+            return fail("gap", gap.to_string(), "0.001 to 10 metres");
+        }
+        if !(-1.0..=1.0).contains(&self.min_similarity) {
+            return fail("min_similarity", self.min_similarity.to_string(), "a cosine, -1 to 1");
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,61 @@
+//! The floor and the walls that places are measured from.
+
+use crate::error::Result;
+use scenesplat_kernels::neighbors::KdTree;
+use serde::Serialize;
+
+/// Rows of walls, and of an object, that distances are measured between.
+const WALL_ROWS: usize = 40_000;
+const OBJECT_ROWS: usize = 400;
+
+/// Where the floor is.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Floor {
+    /// Its height along up, metres.
+    pub height: f64,
+    /// Whether Gaussians labelled as floor say so, rather than the lowest ones.
+    pub is_labelled: bool,
+}
+
+impl Floor {
+    /// The middle of what is labelled floor, or of the lowest percent of all. `coord`: upright.
+    pub(crate) fn find(coord: &[[f32; 3]], labelled: &[u32]) -> Self {
+        let middle = |mut heights: Vec<f32>, share: f64| {
+            let at = ((heights.len().max(1) - 1) as f64 * share) as usize;
+            if heights.is_empty() {
+                return 0.0;
+            }
+            f64::from(*heights.select_nth_unstable_by(at, f32::total_cmp).1)
+        };
+        if labelled.is_empty() {
+            let all = coord.iter().map(|c| c[2]).filter(|z| z.is_finite()).collect();
+            return Self { height: middle(all, 0.01), is_labelled: false };
+        }
+        let own = labelled.iter().map(|&r| coord[r as usize][2]).collect();
+        Self { height: middle(own, 0.5), is_labelled: true }
+    }
+}
+
+/// Walls, for distances.
+#[derive(Debug)]
+pub(crate) struct Walls(Option<KdTree>);
+
+impl Walls {
+    pub(crate) fn new(coord: &[[f32; 3]], rows: &[u32]) -> Result<Self> {
+        if rows.is_empty() {
+            return Ok(Self(None));
+        }
+        let step = rows.len().div_ceil(WALL_ROWS);
+        let places: Vec<[f32; 3]> = rows.iter().step_by(step).map(|&r| coord[r as usize]).collect();
+        Ok(Self(Some(KdTree::new(&places)?)))
+    }
+
+    /// Least distance of some rows from a wall, metres; `None` without walls.
+    pub(crate) fn distance(&self, coord: &[[f32; 3]], rows: &[u32]) -> Option<f64> {
+        let tree = self.0.as_ref()?;
+        let step = rows.len().div_ceil(OBJECT_ROWS).max(1);
+        let of =
+            |&row: &u32| tree.nearest(coord[row as usize], 1).first().map(|n| n.distance_squared);
+        rows.iter().step_by(step).filter_map(of).reduce(f64::min).map(f64::sqrt)
+    }
+}

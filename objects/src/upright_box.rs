@@ -1,0 +1,273 @@
+//! The smallest upright box around points.
+
+use serde::Serialize;
+
+/// An upright box in metres; +z is up.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct UprightBox {
+    /// Middle.
+    pub center: [f64; 3],
+    /// Length along its first side, along its second, and height; the first is the longer one.
+    pub size: [f64; 3],
+    /// Angle from the x axis to its first side, radians, −π/2 < yaw ≤ π/2.
+    pub yaw: f64,
+}
+
+/// Share of the rows, at each end of a side, that may be stray.
+const STRAY: f64 = 0.005;
+
+impl UprightBox {
+    /// The box of least area in plan around most of some rows: 0.5 % at each end of each side may be
+    /// outside. `None` without rows.
+    ///
+    /// `coord`: metres, +z up, finite. `[N, 3]`
+    pub fn around(coord: &[[f32; 3]], rows: &[u32]) -> Option<Self> {
+        if rows.is_empty() {
+            return None;
+        }
+        let points: Vec<[f64; 3]> =
+            rows.iter().map(|&r| coord[r as usize].map(f64::from)).collect();
+        // Strays would turn the box; they are left out along 8 directions before the hull is made.
+        let mut inner = vec![true; points.len()];
+        for step in 0..8 {
+            let (s, c) = (f64::from(step) * std::f64::consts::PI / 8.0).sin_cos();
+            let along: Vec<f64> = points.iter().map(|p| c * p[0] + s * p[1]).collect();
+            let [low, high] = span(&along);
+            inner.iter_mut().zip(&along).for_each(|(i, a)| *i &= *a >= low && *a <= high);
+        }
+        let plan: Vec<[f64; 2]> =
+            points.iter().zip(&inner).filter(|(_, i)| **i).map(|(p, _)| [p[0], p[1]]).collect();
+        let yaw = least_yaw(&hull(plan));
+        let (s, c) = yaw.sin_cos();
+        let sides = [
+            span(&points.iter().map(|p| c * p[0] + s * p[1]).collect::<Vec<_>>()),
+            span(&points.iter().map(|p| c * p[1] - s * p[0]).collect::<Vec<_>>()),
+            span(&points.iter().map(|p| p[2]).collect::<Vec<_>>()),
+        ];
+        let middle = sides.map(|[low, high]| low.midpoint(high));
+        let mut size = sides.map(|[low, high]| high - low);
+        let mut yaw = yaw;
+        if size[1] > size[0] {
+            size.swap(0, 1);
+            yaw += std::f64::consts::FRAC_PI_2;
+        }
+        if yaw > std::f64::consts::FRAC_PI_2 {
+            yaw -= std::f64::consts::PI;
+        }
+        let center = [c * middle[0] - s * middle[1], s * middle[0] + c * middle[1], middle[2]];
+        Some(Self { center: center.map(|v| v + 0.0), size, yaw: yaw + 0.0 })
+    }
+
+    /// Lowest and highest z.
+    pub fn heights(&self) -> [f64; 2] {
+        let half = self.size[2] / 2.0;
+        [self.center[2] - half, self.center[2] + half]
+    }
+
+    /// Volume, m³.
+    pub fn volume(&self) -> f64 {
+        self.size.iter().product()
+    }
+
+    /// The four corners in plan, around it.
+    pub fn plan(&self) -> [[f64; 2]; 4] {
+        let (s, c) = self.yaw.sin_cos();
+        [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)].map(|(u, v)| {
+            let (u, v) = (u * self.size[0], v * self.size[1]);
+            [self.center[0] + c * u - s * v, self.center[1] + s * u + c * v]
+        })
+    }
+
+    /// The eight corners, the lower four first.
+    pub fn corners(&self) -> [[f64; 3]; 8] {
+        let (plan, z) = (self.plan(), self.heights());
+        std::array::from_fn(|i| [plan[i % 4][0], plan[i % 4][1], z[i / 4]])
+    }
+
+    /// Distance of a point from the box in plan, 0 inside.
+    pub fn plan_distance(&self, [x, y]: [f64; 2]) -> f64 {
+        let (s, c) = self.yaw.sin_cos();
+        let d = [x - self.center[0], y - self.center[1]];
+        let out = [c * d[0] + s * d[1], c * d[1] - s * d[0]];
+        let out = [0, 1].map(|a| (out[a].abs() - self.size[a] / 2.0).max(0.0));
+        out[0].hypot(out[1])
+    }
+
+    /// Least distance of the two boxes in plan: exact for boxes apart, 0 where they overlap.
+    pub fn plan_gap(&self, other: &Self) -> f64 {
+        if self.overlaps_in_plan(other) {
+            return 0.0;
+        }
+        // Of two rectangles apart, a corner of one is nearest to the other.
+        let from = |a: &Self, b: &Self| {
+            a.plan().into_iter().map(|p| b.plan_distance(p)).fold(f64::INFINITY, f64::min)
+        };
+        from(self, other).min(from(other, self))
+    }
+
+    /// Distance between the heights of two boxes, 0 where they share some.
+    pub fn height_gap(&self, other: &Self) -> f64 {
+        let ([a, b], [c, d]) = (self.heights(), other.heights());
+        (c - b).max(a - d).max(0.0)
+    }
+
+    fn overlaps_in_plan(&self, other: &Self) -> bool {
+        let d = [self.center[0] - other.center[0], self.center[1] - other.center[1]];
+        let axes = |b: &Self| {
+            let (s, c) = b.yaw.sin_cos();
+            [[c, s], [-s, c]]
+        };
+        let reach = |axis: [f64; 2], b: &Self| {
+            let own = axes(b);
+            (0..2)
+                .map(|i| b.size[i] / 2.0 * (axis[0] * own[i][0] + axis[1] * own[i][1]).abs())
+                .sum::<f64>()
+        };
+        axes(self).into_iter().chain(axes(other)).all(|axis| {
+            let between = (axis[0] * d[0] + axis[1] * d[1]).abs();
+            between < reach(axis, self) + reach(axis, other)
+        })
+    }
+}
+
+/// From the `STRAY` to the 1 − `STRAY` quantile; all of fewer than 200 values.
+fn span(values: &[f64]) -> [f64; 2] {
+    let mut sorted = values.to_vec();
+    let cut = (values.len() as f64 * STRAY) as usize;
+    let last = sorted.len() - 1;
+    let (_, low, _) = sorted.select_nth_unstable_by(cut, f64::total_cmp);
+    let low = *low;
+    let (_, high, _) = sorted.select_nth_unstable_by(last - cut, f64::total_cmp);
+    [low, *high]
+}
+
+/// The convex hull, around it; Andrew's monotone chain.
+fn hull(mut points: Vec<[f64; 2]>) -> Vec<[f64; 2]> {
+    points.sort_unstable_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
+    points.dedup();
+    if points.len() < 3 {
+        return points;
+    }
+    let turns = |a: [f64; 2], b: [f64; 2], c: [f64; 2]| {
+        (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+    };
+    let mut chain: Vec<[f64; 2]> = Vec::new();
+    for half in 0..2 {
+        let start = chain.len();
+        let mut add = |p: [f64; 2]| {
+            while chain.len() >= start + 2
+                && turns(chain[chain.len() - 2], chain[chain.len() - 1], p) <= 0.0
+            {
+                chain.pop();
+            }
+            chain.push(p);
+        };
+        if half == 0 {
+            points.iter().for_each(|&p| add(p));
+        } else {
+            points.iter().rev().for_each(|&p| add(p));
+        }
+        chain.pop();
+    }
+    chain
+}
+
+/// The direction of the hull's side that the rectangle of least area lies along; 0 for a point.
+fn least_yaw(hull: &[[f64; 2]]) -> f64 {
+    let mut best = (f64::INFINITY, 0.0);
+    for (i, a) in hull.iter().enumerate() {
+        let b = hull[(i + 1) % hull.len()];
+        let side = [b[0] - a[0], b[1] - a[1]];
+        let length = side[0].hypot(side[1]);
+        if length < 1e-9 {
+            continue;
+        }
+        let (c, s) = (side[0] / length, side[1] / length);
+        let extent = |u: [f64; 2]| {
+            let along = hull.iter().map(|p| u[0] * p[0] + u[1] * p[1]);
+            let (low, high) =
+                along.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+            high - low
+        };
+        let area = extent([c, s]) * extent([-s, c]);
+        if area < best.0 {
+            best = (area, s.atan2(c));
+        }
+    }
+    // Directions of a rectangle are the same a quarter turn on.
+    best.1.rem_euclid(std::f64::consts::FRAC_PI_2)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn grid(size: [f32; 3], yaw: f32, at: [f32; 3]) -> Vec<[f32; 3]> {
+        let (s, c) = yaw.sin_cos();
+        let mut out = Vec::new();
+        for i in 0..=10 {
+            for j in 0..=10 {
+                for k in 0..=4 {
+                    let p = [
+                        (i as f32 / 10.0 - 0.5) * size[0],
+                        (j as f32 / 10.0 - 0.5) * size[1],
+                        (k as f32 / 4.0 - 0.5) * size[2],
+                    ];
+                    out.push([
+                        at[0] + c * p[0] - s * p[1],
+                        at[1] + s * p[0] + c * p[1],
+                        at[2] + p[2],
+                    ]);
+                }
+            }
+        }
+        out
+    }
+
+    #[test]
+    fn a_turned_box_is_found_again() {
+        for yaw in [0.0f32, 0.3, 1.2, -0.7, std::f32::consts::FRAC_PI_2] {
+            let coord = grid([2.0, 1.0, 0.5], yaw, [3.0, -1.0, 0.7]);
+            let rows: Vec<u32> = (0..coord.len() as u32).collect();
+            let found = UprightBox::around(&coord, &rows).unwrap();
+            // Half a percent of 605 rows lie in the outermost planes anyway.
+            for (got, want) in found.size.into_iter().zip([2.0, 1.0, 0.5]) {
+                assert!((got - want).abs() < 0.02, "{found:?}");
+            }
+            for (got, want) in found.center.into_iter().zip([3.0, -1.0, 0.7]) {
+                assert!((got - want).abs() < 0.02, "{found:?}");
+            }
+            let off = (found.yaw - f64::from(yaw)).rem_euclid(std::f64::consts::PI);
+            assert!(off.min(std::f64::consts::PI - off) < 0.03, "{yaw}: {found:?}");
+        }
+    }
+
+    #[test]
+    fn a_stray_row_of_many_changes_little() {
+        let mut coord = grid([2.0, 1.0, 0.5], 0.3, [0.0; 3]);
+        coord.push([40.0, -30.0, 9.0]);
+        let rows: Vec<u32> = (0..coord.len() as u32).collect();
+        let found = UprightBox::around(&coord, &rows).unwrap();
+        assert!((found.volume() - 1.0).abs() < 0.05, "{found:?}");
+    }
+
+    #[test]
+    fn points_and_lines_have_boxes_too() {
+        let one = UprightBox::around(&[[1.0, 2.0, 3.0]], &[0]).unwrap();
+        assert_eq!((one.center, one.size), ([1.0, 2.0, 3.0], [0.0; 3]));
+        let line = UprightBox::around(&[[0.0; 3], [0.0, 2.0, 0.0]], &[0, 1]).unwrap();
+        assert_eq!(line.size, [2.0, 0.0, 0.0]);
+        assert_eq!(UprightBox::around(&[], &[]), None);
+    }
+
+    #[test]
+    fn gaps_between_turned_boxes() {
+        let unit = UprightBox { center: [0.0; 3], size: [1.0; 3], yaw: 0.0 };
+        let turned =
+            UprightBox { center: [2.0, 0.0, 0.0], yaw: std::f64::consts::FRAC_PI_4, ..unit };
+        assert!((unit.plan_gap(&turned) - (1.5 - 0.5f64.sqrt())).abs() < 1e-12);
+        assert_eq!(unit.plan_gap(&unit), 0.0);
+        let above = UprightBox { center: [0.0, 0.0, 3.0], ..unit };
+        assert_eq!(unit.height_gap(&above), 2.0);
+    }
+}

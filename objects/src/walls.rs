@@ -1,0 +1,176 @@
+//! Pieces that follow lines in plan, such as the walls of a room, split into these lines.
+
+use crate::upright_box::UprightBox;
+
+/// Side of the cells of the plan, metres.
+const CELL: f64 = 0.1;
+/// A line takes what is no further from it, metres.
+const REACH: f64 = 0.12;
+/// Angles that lines are looked for at.
+const ANGLES: usize = 180;
+/// Shortest line, metres.
+const SHORTEST: f64 = 0.6;
+/// Share of the cells that a line must hold.
+const LEAST_SHARE: f64 = 0.04;
+/// Pieces smaller than this in plan, metres, are furniture.
+const LEAST_SIDE: f64 = 1.2;
+/// Most of its rectangle that a piece of lines covers; and one that stands, as walls do.
+const FILL: f64 = 0.45;
+const STANDING_FILL: f64 = 0.75;
+/// Part of the cells that lines must explain.
+const EXPLAINED: f64 = 0.8;
+/// Most lines of one piece.
+const MOST: usize = 24;
+
+struct Line {
+    /// Unit normal and distance from the origin.
+    normal: [f64; 2],
+    offset: f64,
+    /// Extent along it.
+    span: [f64; 2],
+}
+
+impl Line {
+    fn distance(&self, p: [f64; 2]) -> f64 {
+        let off = (self.normal[0] * p[0] + self.normal[1] * p[1] - self.offset).abs();
+        let along = self.normal[0] * p[1] - self.normal[1] * p[0];
+        let past = (self.span[0] - along).max(along - self.span[1]).max(0.0);
+        off.hypot(past)
+    }
+}
+
+/// The parts of a piece that lie along lines in plan, at least two; `None` for anything else.
+///
+/// `stands`: whether its surfaces are upright.
+pub(crate) fn split(rows: &[u32], coord: &[[f32; 3]], stands: bool) -> Option<Vec<Vec<u32>>> {
+    let around = UprightBox::around(coord, rows)?;
+    if around.size[1] < LEAST_SIDE {
+        return None;
+    }
+    let plan = |row: &u32| {
+        let c = coord[*row as usize];
+        [f64::from(c[0]), f64::from(c[1])]
+    };
+    let mut cells: Vec<[i32; 2]> =
+        rows.iter().map(|r| plan(r).map(|v| (v / CELL).floor() as i32)).collect();
+    cells.sort_unstable();
+    cells.dedup();
+    let area = around.size[0] * around.size[1];
+    let fill = if stands { STANDING_FILL } else { FILL };
+    if cells.len() as f64 * CELL * CELL > fill * area {
+        return None;
+    }
+    let middles: Vec<[f64; 2]> =
+        cells.iter().map(|c| c.map(|v| (f64::from(v) + 0.5) * CELL)).collect();
+    let lines = lines(&middles)?;
+    let nearest = |p: [f64; 2]| {
+        (0..lines.len())
+            .fold(0, |n, i| if lines[i].distance(p) < lines[n].distance(p) { i } else { n })
+    };
+    let mut parts = vec![Vec::new(); lines.len()];
+    rows.iter().for_each(|row| parts[nearest(plan(row))].push(*row));
+    parts.retain(|p| !p.is_empty());
+    parts.sort_unstable_by_key(|p| p.first().copied());
+    (parts.len() > 1).then_some(parts)
+}
+
+/// Lines that explain most of the points, the strongest first.
+fn lines(points: &[[f64; 2]]) -> Option<Vec<Line>> {
+    let mut left: Vec<[f64; 2]> = points.to_vec();
+    let mut found = Vec::new();
+    while found.len() < MOST && !left.is_empty() {
+        let Some((line, inside)) = strongest(&left) else { break };
+        let share = inside.iter().filter(|i| **i).count() as f64 / points.len() as f64;
+        if share < LEAST_SHARE || line.span[1] - line.span[0] < SHORTEST {
+            break;
+        }
+        let mut flags = inside.iter();
+        left.retain(|_| !flags.next().copied().unwrap_or_default());
+        found.push(line);
+    }
+    let explained = 1.0 - left.len() as f64 / points.len() as f64;
+    (found.len() > 1 && explained >= EXPLAINED).then_some(found)
+}
+
+/// The line with most points near it, and which they are.
+fn strongest(points: &[[f64; 2]]) -> Option<(Line, Vec<bool>)> {
+    let normals = (0..ANGLES).map(|step| {
+        let (s, c) = (step as f64 * std::f64::consts::PI / ANGLES as f64).sin_cos();
+        [c, s]
+    });
+    let mut best: Option<(usize, [f64; 2], f64)> = None;
+    for normal in normals {
+        let mut offsets: Vec<f64> =
+            points.iter().map(|p| normal[0] * p[0] + normal[1] * p[1]).collect();
+        offsets.sort_unstable_by(f64::total_cmp);
+        let mut start = 0;
+        for end in 0..offsets.len() {
+            while offsets[end] - offsets[start] > CELL * 1.5 {
+                start += 1;
+            }
+            let count = end + 1 - start;
+            if best.is_none_or(|(most, ..)| count > most) {
+                best = Some((count, normal, offsets[start].midpoint(offsets[end])));
+            }
+        }
+    }
+    let (_, normal, offset) = best?;
+    let off = |p: &[f64; 2]| (normal[0] * p[0] + normal[1] * p[1] - offset).abs();
+    let inside: Vec<bool> = points.iter().map(|p| off(p) <= REACH).collect();
+    let along = points
+        .iter()
+        .zip(&inside)
+        .filter(|(_, i)| **i)
+        .map(|(p, _)| normal[0] * p[1] - normal[1] * p[0]);
+    let span = along.fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], v| [l.min(v), h.max(v)]);
+    Some((Line { normal, offset, span }, inside))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Walls of a rectangle, turned.
+    fn room(turn: f64) -> Vec<[f32; 3]> {
+        let (s, c) = turn.sin_cos();
+        let mut out = Vec::new();
+        for side in 0..4 {
+            let (length, across) = if side % 2 == 0 { (5.0, 0.0) } else { (4.0, 0.0) };
+            let corner = [[0.0, 0.0], [5.0, 0.0], [5.0, 4.0], [0.0, 4.0]][side];
+            let along = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]][side];
+            for i in 0..50 {
+                for k in 0..20 {
+                    let t = length * (f64::from(i) + 0.5) / 50.0;
+                    let p = [corner[0] + along[0] * t + across, corner[1] + along[1] * t];
+                    let z = f64::from(k) * 0.12;
+                    out.push([c * p[0] - s * p[1], s * p[0] + c * p[1], z].map(|v| v as f32));
+                }
+            }
+        }
+        out
+    }
+
+    #[test]
+    fn four_walls_are_four() {
+        for turn in [0.0, 0.4, 1.3] {
+            let coord = room(turn);
+            let rows: Vec<u32> = (0..coord.len() as u32).collect();
+            let parts = split(&rows, &coord, true).unwrap();
+            assert_eq!(parts.len(), 4, "{turn}");
+            for (part, side) in parts.iter().zip(0..) {
+                let own = part.iter().filter(|r| **r / 1000 == side).count();
+                assert!(own > 900, "{turn}, wall {side}: {own} of {}", part.len());
+            }
+        }
+    }
+
+    #[test]
+    fn what_fills_its_plan_stays_whole() {
+        let coord: Vec<[f32; 3]> =
+            (0..2500).map(|i| [(i % 50) as f32 * 0.06, (i / 50) as f32 * 0.06, 0.0]).collect();
+        let rows: Vec<u32> = (0..2500).collect();
+        assert_eq!(split(&rows, &coord, false), None, "a floor");
+        let wall: Vec<u32> = (0..1000).collect();
+        assert_eq!(split(&wall, &room(0.2), true), None, "one wall");
+    }
+}

@@ -1,0 +1,173 @@
+//! Objects of synthetic rooms against their true instances.
+
+use scenesplat_objects::{
+    Agreement, Catalogue, ObjectInput, ObjectSettings, UprightBox, find_objects,
+};
+use scenesplat_rooms::{CLASSES, SyntheticRoom, SyntheticRoomSettings, generate};
+use scenesplat_scene::UpAxis;
+
+const ROOMS: u64 = 20;
+const SEED: u64 = 2026;
+
+fn names() -> Vec<String> {
+    CLASSES.iter().map(|c| c.name.to_owned()).collect()
+}
+
+fn input<'a>(room: &'a SyntheticRoom, names: &'a [String]) -> ObjectInput<'a> {
+    ObjectInput {
+        scene: &room.scene,
+        labels: room.scene.segment.as_deref().unwrap(),
+        scores: None,
+        instances: None,
+        features: None,
+        names,
+        up: UpAxis::PlusZ,
+        metres_per_unit: 1.0,
+    }
+}
+
+fn agreement(room: &SyntheticRoom, found: &Catalogue) -> Agreement {
+    let scene = &room.scene;
+    let (ids, labels) = (scene.instance.as_deref().unwrap(), scene.segment.as_deref().unwrap());
+    Agreement::of(found, ids, labels, ObjectSettings::default().min_count)
+}
+
+#[test]
+fn objects_of_twenty_rooms_with_true_labels() {
+    let names = names();
+    let (mut matches, mut found, mut truth) = (0, 0, 0);
+    let (mut centers, mut sizes) = (Vec::new(), Vec::new());
+    let mut missed = vec![[0usize; 3]; names.len()];
+    for room in 0..ROOMS {
+        let settings = SyntheticRoomSettings { seed: SEED, room, ..Default::default() };
+        let room = generate(&settings).unwrap();
+        let catalogue = find_objects(&input(&room, &names), &ObjectSettings::default()).unwrap();
+        let agreed = agreement(&room, &catalogue);
+        println!(
+            "{:?}: precision {:.3}, recall {:.3}, {} of {} found as {}",
+            room.kind,
+            agreed.precision(),
+            agreed.recall(),
+            agreed.matches.len(),
+            agreed.truth,
+            agreed.found
+        );
+        matches += agreed.matches.len();
+        found += agreed.found;
+        truth += agreed.truth;
+        for m in &agreed.matches {
+            missed[room.objects[m.truth as usize].class.index()][0] += 1;
+            // The box of the true rows is what could be found at best.
+            let ids = room.scene.instance.as_deref().unwrap();
+            let rows: Vec<u32> =
+                (0u32..).zip(ids).filter(|(_, id)| **id == m.truth).map(|(r, _)| r).collect();
+            let want = UprightBox::around(&room.scene.coord, &rows).unwrap();
+            let got = catalogue.objects[m.found].bounds;
+            let d: f64 = (0..3).map(|a| (want.center[a] - got.center[a]).powi(2)).sum();
+            centers.push(d.sqrt());
+            sizes.push((0..3).map(|a| (want.size[a] - got.size[a]).abs()).fold(0.0, f64::max));
+        }
+        for &id in &agreed.missed {
+            missed[room.objects[id as usize].class.index()][1] += 1;
+        }
+        for &at in &agreed.wrong {
+            let o = &catalogue.objects[at];
+            println!("  wrong: {} {:?} {:?}, {} rows", o.class, o.position, o.bounds.size, o.count);
+            missed[catalogue.objects[at].label][2] += 1;
+        }
+    }
+    for (name, [hit, miss, wrong]) in names.iter().zip(&missed).filter(|(_, m)| m[1] + m[2] > 0) {
+        println!("{name}: {hit} found, {miss} missed, {wrong} wrong");
+    }
+    for errors in [&mut centers, &mut sizes] {
+        errors.sort_by(f64::total_cmp);
+    }
+    let at = |v: &[f64], q: f64| v[((v.len() - 1) as f64 * q) as usize];
+    println!("center error, m: middle {:.4}, 90 % {:.4}", at(&centers, 0.5), at(&centers, 0.9));
+    println!("size error, m: middle {:.4}, 90 % {:.4}", at(&sizes, 0.5), at(&sizes, 0.9));
+    let (precision, recall) = (matches as f64 / found as f64, matches as f64 / truth as f64);
+    println!("precision {precision:.4}, recall {recall:.4} of {truth} objects");
+    assert!(precision >= 0.9 && recall >= 0.9, "precision {precision:.4}, recall {recall:.4}");
+    assert!(at(&centers, 0.9) < 0.05 && at(&sizes, 0.9) < 0.1);
+}
+
+#[test]
+fn neither_the_order_of_rows_nor_threads_change_what_is_found() {
+    let names = names();
+    let room = generate(&SyntheticRoomSettings::with_count(30_000, 5)).unwrap();
+    let found = find_objects(&input(&room, &names), &ObjectSettings::default()).unwrap();
+    let single =
+        rayon_like_single(|| find_objects(&input(&room, &names), &ObjectSettings::default()));
+    assert_eq!(found, single.unwrap());
+    let n = room.scene.len();
+    let back: Vec<usize> = (0..n).rev().collect();
+    let turned = SyntheticRoom { scene: room.scene.select_rows(&back).unwrap(), ..room.clone() };
+    let other = find_objects(&input(&turned, &names), &ObjectSettings::default()).unwrap();
+    let classes =
+        |c: &Catalogue| c.objects.iter().map(|o| (o.class.clone(), o.count)).collect::<Vec<_>>();
+    assert_eq!(classes(&found), classes(&other));
+}
+
+fn rayon_like_single<T: Send>(f: impl FnOnce() -> T + Send) -> T {
+    rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap().install(f)
+}
+
+#[test]
+fn known_instances_are_the_objects() {
+    let names = names();
+    let room = generate(&SyntheticRoomSettings::with_count(30_000, 6)).unwrap();
+    let ids = room.scene.instance.as_deref();
+    let input = ObjectInput { instances: ids, ..input(&room, &names) };
+    let found = find_objects(&input, &ObjectSettings::default()).unwrap();
+    let agreed = agreement(&room, &found);
+    assert_eq!((agreed.precision(), agreed.recall()), (1.0, 1.0));
+    assert!(agreed.matches.iter().all(|m| m.iou == 1.0));
+}
+
+#[test]
+fn places_are_in_the_frame_and_unit_of_the_scene() {
+    let names = names();
+    let room = generate(&SyntheticRoomSettings::with_count(30_000, 7)).unwrap();
+    let plain = find_objects(&input(&room, &names), &ObjectSettings::default()).unwrap();
+    // Lying on its side, in centimetres: up is -y.
+    let mut lying = room.clone();
+    lying.scene.coord.iter_mut().for_each(|c| *c = [c[0], -c[2], c[1]].map(|v| v * 100.0));
+    let ln = 100f32.ln();
+    lying.scene.log_scale.iter_mut().for_each(|s| *s = s.map(|v| v + ln));
+    let input = ObjectInput { up: UpAxis::MinusY, metres_per_unit: 0.01, ..input(&lying, &names) };
+    let found = find_objects(&input, &ObjectSettings::default()).unwrap();
+    let of = |c: &Catalogue| c.objects.iter().find(|o| o.class == "floor").unwrap().clone();
+    let (a, b) = (of(&plain), of(&found));
+    assert!((a.volume - b.volume).abs() < 0.02 * a.bounds.size[0] * a.bounds.size[1]);
+    let want = [a.position[0], -a.position[2], a.position[1]].map(|v| v * 100.0);
+    for (got, want) in b.position.into_iter().zip(want) {
+        assert!((got - want).abs() < 5.0, "{:?} {want:?}", b.position);
+    }
+    assert!(found.floor.height.abs() < 0.02 && found.floor.is_labelled);
+}
+
+#[test]
+fn what_does_not_fit_is_refused_and_nothing_is_no_error() {
+    let names = names();
+    let room = generate(&SyntheticRoomSettings::with_count(500, 1)).unwrap();
+    let short = ObjectInput { labels: &[0; 3], ..input(&room, &names) };
+    let error = find_objects(&short, &ObjectSettings::default()).unwrap_err();
+    assert_eq!(error.to_string(), "labels: expected 500 rows, one a Gaussian, got 3");
+    let few = ObjectInput { names: &names[..1], ..input(&room, &names) };
+    let error = find_objects(&few, &ObjectSettings::default()).unwrap_err().to_string();
+    assert!(error.contains("there are 1 names"), "{error}");
+    let gap = ObjectSettings { gap: Some(f64::NAN), ..Default::default() };
+    assert!(find_objects(&input(&room, &names), &gap).is_err());
+    let none = vec![-1; 500];
+    let unlabelled = ObjectInput { labels: &none, ..input(&room, &names) };
+    assert!(find_objects(&unlabelled, &ObjectSettings::default()).unwrap().objects.is_empty());
+    // Rows without a place are in no object.
+    let mut broken = room.clone();
+    broken.scene.coord.iter_mut().for_each(|c| c[1] = f32::NAN);
+    assert!(
+        find_objects(&input(&broken, &names), &ObjectSettings::default())
+            .unwrap()
+            .objects
+            .is_empty()
+    );
+}

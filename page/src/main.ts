@@ -1,0 +1,423 @@
+// The page: what is on it and what happens when it is used.
+
+import { MODES, paint, viridis, type Mode } from "./colors";
+import { readAbout, readScene, type About, type SceneData } from "./data";
+import { byId, css, element, short, thousands } from "./dom";
+import { csv, ply, save } from "./exporting";
+import { readHash, writeHash } from "./hash";
+import { PhraseBook } from "./phrases";
+import { answer, foundObjects, selection, type Found } from "./query";
+import { Stage } from "./stage";
+
+const MODE_NAMES: Record<Mode, string> = {
+  colors: "Colors", labels: "Labels", objects: "Objects", confidence: "Confidence", features: "Features",
+};
+/** Longest lists that are shown at once. */
+const MOST_ROWS = 400;
+
+class Page {
+  private mode: Mode = "colors";
+  private hidden = new Set<number>();
+  private found: Found | null = null;
+  private threshold = 0;
+  private onlyWins = true;
+  private selected: Uint8Array | null = null;
+  private stage: Stage | null = null;
+  private book: PhraseBook;
+  readonly queryTimes: number[] = [];
+
+  constructor(private data: SceneData) {
+    this.book = new PhraseBook(data);
+  }
+
+  async start(): Promise<void> {
+    const canvas = byId<HTMLCanvasElement>("canvas");
+    this.stage = await Stage.open(this.data, canvas, (row) => this.describe(row));
+    this.modes();
+    this.controls();
+    const before = readHash(location.hash);
+    this.mode = before.mode !== null && this.available(before.mode) ? before.mode
+      : this.available("labels") ? "labels" : "colors";
+    // One looks into a room from above; its switch in the legend shows the ceiling again.
+    if (location.hash === "") {
+      this.data.about.classes.forEach((c, i) => c.name.toLowerCase() === "ceiling" && this.hidden.add(i + 1));
+    }
+    before.hidden.forEach((h) => h <= this.data.about.classes.length && this.hidden.add(h));
+    this.legend();
+    this.objectList(null);
+    this.refresh();
+    if (before.query !== "") {
+      byId<HTMLInputElement>("query").value = before.query;
+      this.ask(before.query, before.threshold);
+    }
+    if (before.camera !== null) this.stage.navigator.restore(before.camera);
+    setInterval(() => this.share(), 500);
+  }
+
+  /** For scripts and tests. */
+  get hooks() {
+    const stage = this.stage;
+    return {
+      ask: (text: string) => this.ask(text, null),
+      frames: () => stage?.frames ?? 0,
+      project: (row: number) => stage?.project(row) ?? null,
+      pick: (x: number, y: number) => stage?.pick(x, y) ?? -1,
+      selected: () => this.selected,
+      data: this.data,
+      queryTimes: this.queryTimes,
+    };
+  }
+
+  private available(mode: Mode): boolean {
+    const { about } = this.data;
+    if (mode === "labels") return about.classes.length > 0;
+    if (mode === "objects") return about.objects.length > 0;
+    if (mode === "confidence") return this.data.score.length > 0;
+    if (mode === "features") return about.codes !== null;
+    return true;
+  }
+
+  private modes(): void {
+    const bar = byId("modes");
+    MODES.filter((m) => this.available(m)).forEach((mode, i) => {
+      const button = element("button", { text: MODE_NAMES[mode], title: `Key ${i + 1}` });
+      button.dataset.mode = mode;
+      button.addEventListener("click", () => this.setMode(mode));
+      bar.append(button);
+    });
+  }
+
+  private setMode(mode: Mode): void {
+    this.mode = mode;
+    this.clearQuery();
+    this.refresh();
+  }
+
+  private controls(): void {
+    const input = byId<HTMLInputElement>("query");
+    byId("ask").addEventListener("submit", (e) => {
+      e.preventDefault();
+      this.ask(input.value, null);
+    });
+    input.addEventListener("input", () => {
+      const names = this.book.suggest(input.value, 8);
+      byId("suggestions").replaceChildren(...names.map((n) => {
+        const option = element("option");
+        option.value = n;
+        return option;
+      }));
+    });
+    const slider = byId<HTMLInputElement>("threshold");
+    slider.addEventListener("input", () => this.select(Number(slider.value)));
+    const wins = byId<HTMLInputElement>("wins");
+    wins.addEventListener("change", () => {
+      this.onlyWins = wins.checked;
+      this.select(this.threshold);
+    });
+    byId("clear").addEventListener("click", () => {
+      this.clearQuery();
+      this.refresh();
+    });
+    byId("invert").addEventListener("click", () => this.invert());
+    const name = () => short(this.data.about.title, 40).replace(/[^\p{L}\p{N}._-]+/gu, "_") || "scene";
+    byId("csv").addEventListener("click", () => this.selected !== null && save(`${name()}.csv`, csv(this.data, this.selected), "text/csv"));
+    byId("ply").addEventListener("click", () => this.selected !== null
+      && save(`${name()}.ply`, ply(this.data, this.selected) as BlobPart, "application/octet-stream"));
+    byId("home").addEventListener("click", () => this.stage?.navigator.goHome());
+    byId("all").addEventListener("click", () => this.showAll());
+    byId("fold").addEventListener("click", () => document.body.classList.toggle("folded"));
+    document.addEventListener("keydown", (e) => this.key(e));
+  }
+
+  private key(e: KeyboardEvent): void {
+    if (e.ctrlKey || e.metaKey || e.altKey) return;
+    const target = e.target as HTMLElement;
+    const types = target instanceof HTMLInputElement && target.type !== "checkbox" && target.type !== "range";
+    if (e.key === "Escape") {
+      this.clearQuery();
+      this.refresh();
+      byId("canvas").focus();
+      return;
+    }
+    if (types) return;
+    const modes = MODES.filter((m) => this.available(m));
+    if (e.key === "/") {
+      e.preventDefault();
+      byId("query").focus();
+    } else if (e.key === "?") {
+      const help = byId<HTMLDetailsElement>("help");
+      help.open = !help.open;
+    } else if (e.key >= "1" && e.key <= String(modes.length)) {
+      this.setMode(modes[Number(e.key) - 1]);
+    } else if (e.key === "h") {
+      this.stage?.navigator.goHome();
+    } else if (e.key === "i") {
+      this.invert();
+    } else if (e.key === "p" && this.stage !== null) {
+      this.describe(this.stage.pickCenter());
+    } else if (e.key === "+" || e.key === "-") {
+      this.stage?.navigator.zoom(e.key === "+" ? 0.85 : 1 / 0.85);
+    }
+  }
+
+  private ask(text: string, threshold: number | null): void {
+    if (text.trim() === "") {
+      this.clearQuery();
+      this.refresh();
+      return;
+    }
+    const began = performance.now();
+    this.found = answer(this.data, this.book, text.slice(0, 500));
+    byId<HTMLInputElement>("threshold").value = String(threshold ?? this.found.threshold);
+    this.select(threshold ?? this.found.threshold);
+    this.queryTimes.push(performance.now() - began);
+  }
+
+  private select(threshold: number): void {
+    if (this.found === null) return;
+    this.threshold = threshold;
+    this.selected = this.found.isUnknown && this.found.objects === null
+      ? new Uint8Array(this.data.about.count)
+      : selection(this.found, threshold, this.onlyWins);
+    this.refresh();
+  }
+
+  private invert(): void {
+    if (this.selected === null || this.found === null) return;
+    const invisible = this.hidden;
+    this.selected = this.selected.map((s, i) => (s === 1 || invisible.has(this.data.label[i]) ? 0 : 1));
+    this.found = { ...this.found, text: `all but ${this.found.text}` };
+    this.refresh();
+  }
+
+  private clearQuery(): void {
+    this.found = null;
+    this.selected = null;
+    byId<HTMLInputElement>("query").value = "";
+    this.stage?.outline([], 0);
+  }
+
+  /** All Gaussians of a class or an object as the selection. */
+  private take(text: string, is: (i: number) => boolean, objects: number[] | null): void {
+    const n = this.data.about.count;
+    const wins = new Uint8Array(n), heat = new Uint8Array(n);
+    for (let i = 0; i < n; i++) {
+      if (is(i)) {
+        wins[i] = 1;
+        heat[i] = this.data.score.length > 0 ? this.data.score[i] : 255;
+      }
+    }
+    this.found = { text, how: "", isUnknown: false, heat, wins, range: [0, 1], threshold: 0, objects };
+    byId<HTMLInputElement>("threshold").value = "0";
+    this.select(0);
+  }
+
+  private showAll(): void {
+    this.hidden.clear();
+    this.legend();
+    this.refresh();
+  }
+
+  private refresh(): void {
+    const { stage } = this;
+    if (stage === null) return;
+    paint(this.data, { mode: this.mode, hidden: this.hidden, found: this.found, selected: this.selected }, stage.paint);
+    stage.repaint();
+    document.querySelectorAll<HTMLButtonElement>("#modes button").forEach((b) => {
+      b.setAttribute("aria-pressed", String(this.found === null && b.dataset.mode === this.mode));
+    });
+    this.results();
+  }
+
+  private results(): void {
+    const panel = byId("results");
+    panel.hidden = this.found === null;
+    if (this.found === null || this.selected === null) {
+      this.objectList(null);
+      return;
+    }
+    const { found } = this;
+    const count = this.selected.reduce((sum, s) => sum + s, 0);
+    const objects = foundObjects(this.data, this.selected);
+    const what = objects.length === 1 ? "1 object" : `${objects.length} objects`;
+    byId("summary").textContent = found.isUnknown && count === 0
+      ? `“${short(found.text)}”: nothing found`
+      : `“${short(found.text)}”: ${thousands(count)} Gaussians, ${what}`;
+    byId("how").textContent = found.how;
+    const [low, high] = found.range;
+    const at = low + ((high - low) * this.threshold) / 255;
+    byId("value").textContent = at.toFixed(2);
+    byId("ramp").style.background = `linear-gradient(90deg, ${[0, 0.25, 0.5, 0.75, 1].map((t) => css(viridis(t))).join(", ")})`;
+    byId("low").textContent = low.toFixed(2);
+    byId("high").textContent = high.toFixed(2);
+    this.stage?.outline(objects.slice(0, 200).map((o) => this.data.about.objects[o.object].corners), 0xffb454);
+    this.objectList(objects.map((o) => o.object));
+  }
+
+  private legend(): void {
+    const list = byId("classes");
+    const { classes } = this.data.about;
+    const order = classes.map((_, i) => i).filter((i) => classes[i].count > 0)
+      .sort((a, b) => classes[b].count - classes[a].count || a - b);
+    const rows = order.slice(0, MOST_ROWS).map((i) => {
+      const { name, color, count } = classes[i];
+      const box = element("input");
+      box.type = "checkbox";
+      box.checked = !this.hidden.has(i + 1);
+      box.setAttribute("aria-label", `show ${short(name)}`);
+      box.addEventListener("change", () => {
+        if (box.checked) this.hidden.delete(i + 1);
+        else this.hidden.add(i + 1);
+        this.refresh();
+      });
+      const swatch = element("span", { className: "swatch" });
+      swatch.style.background = css(color);
+      const label = element("button", { text: short(name), className: "name", title: "select this class" });
+      label.addEventListener("click", () => this.take(name, (row) => this.data.label[row] === i + 1, null));
+      const only = element("button", { text: "only", className: "only", title: "hide all other classes" });
+      only.setAttribute("aria-label", `only ${short(name)}`);
+      only.addEventListener("click", () => {
+        this.hidden = new Set([0, ...classes.map((_, c) => c + 1)]);
+        this.hidden.delete(i + 1);
+        this.legend();
+        this.refresh();
+      });
+      return element("li", {}, [box, swatch, label, element("span", { text: thousands(count), className: "count" }), only]);
+    });
+    const none = this.data.about.count - classes.reduce((sum, c) => sum + c.count, 0);
+    if (none > 0 && classes.length > 0) {
+      const swatch = element("span", { className: "swatch" });
+      rows.push(element("li", { className: "none" }, [
+        element("span"), swatch, element("span", { text: "without a class", className: "name" }),
+        element("span", { text: thousands(none), className: "count" }), element("span"),
+      ]));
+    }
+    list.replaceChildren(...rows);
+    byId("legend").hidden = rows.length === 0;
+  }
+
+  private objectList(chosen: number[] | null): void {
+    const { objects, classes } = this.data.about;
+    const places = chosen ?? objects.map((_, i) => i);
+    byId("objects").hidden = objects.length === 0;
+    byId("objects-title").textContent = chosen === null ? `Objects (${objects.length})` : `Found objects (${places.length})`;
+    const rows = places.slice(0, MOST_ROWS).map((i) => {
+      const o = objects[i];
+      const size = o.size.map((v) => v.toFixed(2)).join(" × ");
+      const go = element("button", { className: "name", title: "go there" }, [
+        element("span", { text: `${o.id} ${short(classes[o.label].name, 28)}` }),
+        element("small", { text: `${size} m` }),
+      ]);
+      go.addEventListener("click", () => {
+        this.stage?.lookAt(o.corners);
+        if (chosen === null) this.take(`${short(classes[o.label].name)} ${o.id}`, (row) => this.data.object[row] === i + 1, [i]);
+      });
+      return element("li", {}, [go]);
+    });
+    byId("object-list").replaceChildren(...rows);
+  }
+
+  private describe(row: number): void {
+    const card = byId("card");
+    card.hidden = row < 0;
+    if (row < 0) return;
+    const { data } = this;
+    const { classes, objects, metresPerUnit } = data.about;
+    const lines: [string, string][] = [];
+    if (data.label[row] > 0) lines.push(["class", short(classes[data.label[row] - 1].name)]);
+    else if (classes.length > 0) lines.push(["class", "none"]);
+    if (data.score.length > 0) lines.push(["score", (data.score[row] / 255).toFixed(2)]);
+    const second = this.runnerUp(row);
+    if (second !== null) lines.push(["second", `${short(classes[second[0]].name)} (${second[1].toFixed(2)})`]);
+    if (data.object[row] > 0) {
+      const o = objects[data.object[row] - 1];
+      lines.push(["object", `${o.id}: ${thousands(o.count)} Gaussians`]);
+      lines.push(["size", `${o.size.map((v) => v.toFixed(2)).join(" × ")} m`]);
+    }
+    const p = Array.from(data.position.subarray(3 * row, 3 * row + 3), (v) => v * metresPerUnit);
+    lines.push(["place", `${p.map((v) => v.toFixed(3)).join(", ")} m`]);
+    lines.push(["Gaussian", thousands(data.rows.length > 0 ? data.rows[row] : row)]);
+    byId("facts").replaceChildren(...lines.flatMap(([k, v]) => [element("dt", { text: k }), element("dd", { text: v })]));
+  }
+
+  /** The class after the best one, by the codes. */
+  private runnerUp(row: number): [number, number] | null {
+    const { codes, texts, slot, about } = this.data;
+    const width = about.codes?.width ?? 0;
+    if (width === 0 || !(slot[row] < (about.codes?.slots ?? 0))) return null;
+    const own = codes.subarray(slot[row] * width, (slot[row] + 1) * width);
+    const all: [number, number][] = about.classes.map((_, c) => {
+      const text = texts.subarray(c * (width + 1), (c + 1) * (width + 1));
+      return [c, own.reduce((sum, v, j) => sum + v * text[j + 1], text[0])];
+    });
+    const others = all.filter(([c]) => c !== data_label(this.data, row));
+    others.sort((a, b) => b[1] - a[1]);
+    return others[0] ?? null;
+  }
+
+  private share(): void {
+    if (this.stage === null) return;
+    writeHash({
+      mode: this.mode,
+      query: this.found !== null ? byId<HTMLInputElement>("query").value : "",
+      threshold: this.threshold,
+      hidden: [...this.hidden],
+      camera: this.stage.navigator.state(),
+    });
+  }
+}
+
+function data_label(data: SceneData, row: number): number {
+  return data.label[row] - 1;
+}
+
+function counts(about: About): void {
+  document.title = `${short(about.title)} · scenesplat`;
+  byId("title").textContent = short(about.title);
+  const all = about.count < about.total ? ` of ${thousands(about.total)}` : "";
+  byId("count").textContent = `${thousands(about.count)}${all} Gaussians`;
+  byId("remarks").replaceChildren(...about.remarks.map((r) => element("li", { text: short(r, 300) })));
+}
+
+function tell(text: string): void {
+  const box = byId("message");
+  box.textContent = text;
+  box.hidden = false;
+}
+
+async function start(): Promise<void> {
+  const began = performance.now();
+  const about = await readAbout();
+  counts(about);
+  const canvas = document.createElement("canvas");
+  if (canvas.getContext("webgl2") === null) {
+    document.body.classList.add("blind");
+    tell("This browser shows no WebGL 2, which the scene is drawn with. Try another browser, or switch on hardware acceleration. What is in the scene is listed here.");
+    const rows = about.classes.filter((c) => c.count > 0).sort((a, b) => b.count - a.count)
+      .slice(0, MOST_ROWS).map((c) => element("li", {}, [
+        element("span"), element("span"), element("span", { text: short(c.name), className: "name" }),
+        element("span", { text: thousands(c.count), className: "count" }), element("span"),
+      ]));
+    byId("classes").replaceChildren(...rows);
+    byId("legend").hidden = rows.length === 0;
+    byId("loading").hidden = true;
+    Object.assign(window, { scenesplat: { ready: false, webgl: false } });
+    return;
+  }
+  const data = await readScene(about);
+  const page = new Page(data);
+  await page.start();
+  byId("loading").hidden = true;
+  const hooks = page.hooks;
+  const wait = () => {
+    if (hooks.frames() < 2) return void requestAnimationFrame(wait);
+    Object.assign(window, { scenesplat: { ...hooks, ready: true, webgl: true, loadMs: performance.now() - began } });
+  };
+  wait();
+}
+
+start().catch((error: unknown) => {
+  byId("loading").hidden = true;
+  tell(`The page could not be opened: ${short(String(error), 300)}`);
+  throw error;
+});

@@ -1,0 +1,191 @@
+// From what somebody types to what is looked for.
+
+import type { SceneData } from "./data";
+
+/** What a phrase asks for. */
+export interface Meaning {
+  /** Row of the texts, or −1. */
+  text: number;
+  /** Class, or −1. */
+  label: number;
+  /** Classes of a group, the class itself, or none. */
+  members: number[];
+  /** How it was understood, in words; empty if as typed. */
+  how: string;
+  /** Whether nothing in this scene's classes is like it. */
+  isUnknown: boolean;
+}
+
+/** "the lamp on the desk" in its parts. */
+export interface Relation {
+  what: string;
+  relation: string;
+  to: string;
+}
+
+const RELATIONS: [string, string][] = [
+  ["on top of", "on"], ["standing on", "on"], ["lying on", "on"], ["next to", "near"],
+  ["close to", "near"], ["beside", "near"], ["near", "near"], ["above", "above"], ["over", "above"],
+  ["below", "under"], ["under", "under"], ["inside", "in"], ["on", "on"], ["in", "in"],
+];
+const ARTICLES = new Set(["the", "a", "an", "some", "any", "my"]);
+/** As `ALIKE` and `SURE` of the program. */
+const ALIKE = 0.4;
+const SURE = 0.55;
+
+export function words(text: string): string[] {
+  const parts = text.toLowerCase().split(/[^\p{L}\p{N}]+/u);
+  return parts.filter((w) => w !== "" && !ARTICLES.has(w)).slice(0, 32);
+}
+
+function singular(word: string): string {
+  if (word.length > 4 && /(ches|shes|xes|sses)$/.test(word)) return word.slice(0, -2);
+  if (word.length > 4 && word.endsWith("ies")) return word.slice(0, -3) + "y";
+  if (word.length > 3 && word.endsWith("ves")) return word.slice(0, -3) + "f";
+  return word.length > 3 && word.endsWith("s") && !word.endsWith("ss") ? word.slice(0, -1) : word;
+}
+
+/** Whether two words differ by one letter more, less, other or by two swapped neighbours. */
+export function isTypo(a: string, b: string): boolean {
+  if (Math.abs(a.length - b.length) > 1 || a === b) return false;
+  let start = 0;
+  while (start < a.length && a[start] === b[start]) start++;
+  let end = 0;
+  const most = Math.min(a.length, b.length) - start;
+  while (end < most && a[a.length - 1 - end] === b[b.length - 1 - end]) end++;
+  const left = a.slice(start, a.length - end), right = b.slice(start, b.length - end);
+  if (left.length <= 1 && right.length <= 1) return true;
+  return left.length === 2 && right.length === 2 && left[0] === right[1] && left[1] === right[0];
+}
+
+export class PhraseBook {
+  private texts = new Map<string, number>();
+  private phrases = new Map<string, number>();
+  private groups = new Map<string, number[]>();
+  private known = new Set<string>();
+  private colors: Set<string>;
+
+  constructor(private data: SceneData) {
+    data.about.texts.forEach((name, i) => {
+      const key = words(name.slice(0, 200)).map(singular).join(" ");
+      if (key !== "" && !this.texts.has(key)) this.texts.set(key, i);
+    });
+    data.phrases.forEach((phrase, i) => {
+      const key = words(phrase).map(singular).join(" ");
+      if (!this.phrases.has(key)) this.phrases.set(key, i);
+    });
+    for (const { name, members } of data.about.groups) this.groups.set(words(name).map(singular).join(" "), members);
+    for (const key of [...this.texts.keys(), ...this.groups.keys(), ...this.phrases.keys()]) {
+      for (const word of key.split(" ")) this.known.add(word);
+    }
+    this.colors = new Set(data.about.colorWords);
+  }
+
+  relation(text: string): Relation | null {
+    const all = words(text);
+    for (let at = 1; at < all.length - 1; at++) {
+      for (const [phrase, relation] of RELATIONS) {
+        const parts = phrase.split(" ");
+        if (at + parts.length < all.length && parts.every((p, i) => all[at + i] === p)) {
+          return {
+            what: all.slice(0, at).join(" "), relation, to: all.slice(at + parts.length).join(" "),
+          };
+        }
+      }
+    }
+    return null;
+  }
+
+  /** Names that begin with, or hold, what was typed. */
+  suggest(typed: string, most: number): string[] {
+    const key = words(typed).join(" ");
+    if (key === "") return [];
+    const out: string[] = [];
+    const add = (name: string) => {
+      if (out.length < most && name.length <= 60 && !out.includes(name)) out.push(name);
+    };
+    const names = this.data.about.texts;
+    names.forEach((n) => n.slice(0, 60).toLowerCase().startsWith(key) && add(n));
+    this.data.phrases.forEach((p) => p.startsWith(key) && add(p));
+    names.forEach((n) => n.slice(0, 60).toLowerCase().includes(key) && add(n));
+    return out;
+  }
+
+  meaning(text: string): Meaning {
+    const typed = words(text).map(singular);
+    const none: Meaning = { text: -1, label: -1, members: [], how: "", isUnknown: true };
+    if (typed.length === 0) return { ...none, how: "holds no word" };
+    const direct = this.texts.get(typed.join(" "));
+    if (direct !== undefined) return this.ofText(direct, "");
+    const group = this.groups.get(typed.join(" "));
+    if (group !== undefined) {
+      const names = group.map((m) => this.data.about.classes[m].name);
+      return { text: -1, label: -1, members: group, how: names.join(", "), isUnknown: false };
+    }
+    const remarks: string[] = [];
+    const right = typed.map((word) => {
+      if (this.known.has(word) || word.length < 4) return word;
+      const other = this.correction(word);
+      if (other === null) return word;
+      remarks.push(`“${word}” taken as “${other}”`);
+      return other;
+    });
+    const corrected = this.texts.get(right.join(" "));
+    if (corrected !== undefined) return this.ofText(corrected, remarks.join("; "));
+    const colors = right.filter((w) => this.colors.has(w));
+    const rest = right.filter((w) => !this.colors.has(w));
+    const similar = this.similarity(rest.length > 0 ? rest : right);
+    if (similar === null) return { ...none, how: "none of these words is known" };
+    const [label, score] = similar;
+    if (score < ALIKE) {
+      return { ...none, how: "nothing among the classes of this scene is like it" };
+    }
+    const name = this.data.about.classes[label].name.slice(0, 60);
+    remarks.push(`taken as “${name}” (${score.toFixed(2)}${score < SURE ? ", not sure" : ""})`);
+    const painted = colors.length > 0 ? this.texts.get([colors[0], ...words(name).map(singular)].join(" ")) : undefined;
+    return this.ofText(painted ?? label, remarks.join("; "));
+  }
+
+  private ofText(text: number, how: string): Meaning {
+    const label = text < this.data.about.classes.length ? text : -1;
+    return { text, label, members: label >= 0 ? [label] : [], how, isUnknown: false };
+  }
+
+  private correction(word: string): string | null {
+    for (const other of this.known) {
+      if (other.length >= 4 && other[0] === word[0] && isTypo(word, other)) return other;
+    }
+    return null;
+  }
+
+  /** The nearest class by the longest known parts, and how near. */
+  private similarity(all: string[]): [number, number] | null {
+    const sums = new Map<number, number>();
+    let weight = 0;
+    for (let at = 0; at < all.length;) {
+      let length = Math.min(4, all.length - at);
+      let row: number | undefined;
+      for (; length > 0; length--) {
+        row = this.phrases.get(all.slice(at, at + length).join(" "));
+        if (row !== undefined) break;
+      }
+      if (row === undefined) {
+        at++;
+        continue;
+      }
+      for (let k = 0; k < 4; k++) {
+        const label = this.data.near[8 * row + 2 * k] - 1;
+        if (label < 0) continue;
+        const near = (this.data.near[8 * row + 2 * k + 1] / 255) * length;
+        sums.set(label, (sums.get(label) ?? 0) + near);
+      }
+      weight += length;
+      at += length;
+    }
+    let best: [number, number] | null = weight > 0 ? [-1, 0] : null;
+    for (const [label, sum] of sums) {
+      if (best !== null && sum / weight > best[1]) best = [label, sum / weight];
+    }
+    return best;
+  }
+}

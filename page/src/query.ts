@@ -1,0 +1,197 @@
+// Scores of a text, and what they select.
+
+import type { SceneData } from "./data";
+import { PhraseBook } from "./phrases";
+
+export interface Found {
+  /** What was asked. */
+  text: string;
+  /** How it was understood. */
+  how: string;
+  isUnknown: boolean;
+  /** Score of each Gaussian, 0..=255 of `range`; empty where nothing has one. */
+  heat: Uint8Array;
+  range: [number, number];
+  /** Whether a Gaussian is more like this than like any class. */
+  wins: Uint8Array;
+  threshold: number;
+  /** Objects that answer by themselves (relations); else null. */
+  objects: number[] | null;
+}
+
+/** Scores below the best class by less than this still win: i8 codes round. */
+const SLACK = 0.02;
+
+export function answer(data: SceneData, book: PhraseBook, text: string): Found {
+  const relation = book.relation(text);
+  if (relation !== null) {
+    const found = byRelation(data, book, text, relation);
+    if (found !== null) return found;
+  }
+  const versus = text.split(/\s+(?:vs\.?|versus)\s+/i);
+  if (versus.length === 2) return difference(data, book, text, versus);
+  const meaning = book.meaning(text);
+  if (meaning.isUnknown) return nothing(data, text, meaning.how);
+  if (data.codes.length > 0 && meaning.text >= 0) {
+    return byCodes(data, text, meaning.how, scores(data, meaning.text));
+  }
+  if (data.codes.length > 0 && meaning.members.length > 0) {
+    const best = scores(data, meaning.members[0]);
+    for (const member of meaning.members.slice(1)) {
+      scores(data, member).forEach((v, s) => { if (v > best[s]) best[s] = v; });
+    }
+    return byCodes(data, text, meaning.how, best);
+  }
+  if (meaning.members.length > 0) return byLabels(data, text, meaning.how, meaning.members);
+  return nothing(data, text, "this page has no language codes, only classes");
+}
+
+/** Score of a text in each slot. */
+function scores(data: SceneData, text: number): Float32Array {
+  const width = data.about.codes?.width ?? 0;
+  const row = data.texts.subarray(text * (width + 1), (text + 1) * (width + 1));
+  const slots = data.about.codes?.slots ?? 0;
+  const out = new Float32Array(slots);
+  const { codes } = data;
+  for (let s = 0, at = 0; s < slots; s++) {
+    let sum = row[0];
+    for (let j = 1; j <= width; j++) sum += row[j] * codes[at++];
+    out[s] = sum;
+  }
+  return out;
+}
+
+function byCodes(data: SceneData, text: string, how: string, own: Float32Array): Found {
+  const n = data.about.count;
+  let low = Infinity, high = -Infinity;
+  for (const v of own) {
+    if (v < low) low = v;
+    if (v > high) high = v;
+  }
+  if (!(high > low)) high = low + 1e-6;
+  const scale = 255 / (high - low);
+  const slots = own.length;
+  const slotHeat = new Uint8Array(slots), slotWins = new Uint8Array(slots);
+  const winners = new Uint32Array(256);
+  let won = 0;
+  for (let s = 0; s < slots; s++) {
+    const heat = (own[s] - low) * scale;
+    slotHeat[s] = heat;
+    if (own[s] >= data.best[s] - SLACK) {
+      slotWins[s] = 1;
+      winners[slotHeat[s]]++;
+      won++;
+    }
+  }
+  // All but the weakest twentieth of what wins.
+  let threshold = 0;
+  for (let sum = 0; threshold < 255; threshold++) {
+    sum += winners[threshold];
+    if (sum > won * 0.05) break;
+  }
+  const heat = new Uint8Array(n), wins = new Uint8Array(n);
+  for (let i = 0; i < n; i++) {
+    const s = data.slot[i];
+    if (s < slots) {
+      heat[i] = slotHeat[s];
+      wins[i] = slotWins[s];
+    }
+  }
+  return { text, how, isUnknown: false, heat, range: [low, high], wins, threshold, objects: null };
+}
+
+function byLabels(data: SceneData, text: string, how: string, labels: number[]): Found {
+  const n = data.about.count;
+  const heat = new Uint8Array(n), wins = new Uint8Array(n);
+  for (let i = 0; i < n; i++) {
+    if (labels.includes(data.label[i] - 1)) {
+      wins[i] = 1;
+      heat[i] = data.score.length > 0 ? data.score[i] : 255;
+    }
+  }
+  return { text, how, isUnknown: false, heat, range: [0, 1], wins, threshold: 0, objects: null };
+}
+
+function difference(data: SceneData, book: PhraseBook, text: string, sides: string[]): Found {
+  const [a, b] = sides.map((side) => book.meaning(side));
+  if (a.isUnknown || b.isUnknown || a.text < 0 || b.text < 0 || data.codes.length === 0) {
+    return nothing(data, text, a.how || b.how || "two texts with language codes are compared");
+  }
+  const [x, y] = [scores(data, a.text), scores(data, b.text)];
+  const most = x.reduce((m, v, s) => Math.max(m, Math.abs(v - y[s])), 1e-6);
+  const n = data.about.count;
+  const heat = new Uint8Array(n).fill(127), wins = new Uint8Array(n);
+  for (let i = 0; i < n; i++) {
+    const s = data.slot[i];
+    if (s >= x.length) continue;
+    const d = (x[s] - y[s]) / most;
+    heat[i] = 127.5 + 127.5 * d;
+    wins[i] = d > 0 ? 1 : 0;
+  }
+  const how = [a.how, b.how].filter((h) => h !== "").join("; ");
+  return { text, how, isUnknown: false, heat, range: [-most, most], wins, threshold: 128, objects: null };
+}
+
+function byRelation(
+  data: SceneData, book: PhraseBook, text: string, asked: { what: string; relation: string; to: string },
+): Found | null {
+  const what = book.meaning(asked.what), to = book.meaning(asked.to);
+  if (what.members.length === 0 || to.members.length === 0) return null;
+  const { objects, relations } = data.about;
+  const found = new Set<number>();
+  for (const [a, relation, b] of relations) {
+    const fits = relation === asked.relation || (relation === "on" && asked.relation === "above");
+    if (fits && what.members.includes(objects[a].label) && to.members.includes(objects[b].label)) found.add(a);
+  }
+  const n = data.about.count;
+  const heat = new Uint8Array(n), wins = new Uint8Array(n);
+  for (let i = 0; i < n; i++) {
+    if (found.has(data.object[i] - 1)) {
+      wins[i] = 1;
+      heat[i] = 255;
+    }
+  }
+  const names = [asked.what, asked.to];
+  const parts = [what.how, to.how, `${names[0]} ${asked.relation} ${names[1]}`];
+  return {
+    text, how: parts.filter((p) => p !== "").join("; "), isUnknown: found.size === 0,
+    heat, range: [0, 1], wins, threshold: 0, objects: [...found],
+  };
+}
+
+function nothing(data: SceneData, text: string, how: string): Found {
+  const none = new Uint8Array(data.about.count);
+  return { text, how, isUnknown: true, heat: none, range: [0, 1], wins: none, threshold: 0, objects: null };
+}
+
+/** What a threshold selects. */
+export function selection(found: Found, threshold: number, onlyWins: boolean): Uint8Array {
+  const out = new Uint8Array(found.heat.length);
+  for (let i = 0; i < out.length; i++) {
+    out[i] = found.heat[i] >= threshold && (!onlyWins || found.wins[i] === 1) ? 1 : 0;
+  }
+  return out;
+}
+
+export interface FoundObject {
+  object: number;
+  /** Selected Gaussians, and their part of the object's. */
+  count: number;
+  share: number;
+}
+
+/** Objects of which a third is selected, those with most of it first. */
+export function foundObjects(data: SceneData, selected: Uint8Array): FoundObject[] {
+  const counts = new Uint32Array(data.about.objects.length + 1);
+  const totals = new Uint32Array(counts.length);
+  for (let i = 0; i < selected.length; i++) {
+    totals[data.object[i]]++;
+    counts[data.object[i]] += selected[i];
+  }
+  const out: FoundObject[] = [];
+  data.about.objects.forEach((_, i) => {
+    const share = totals[i + 1] > 0 ? counts[i + 1] / totals[i + 1] : 0;
+    if (share >= 0.33) out.push({ object: i, count: counts[i + 1], share });
+  });
+  return out.sort((a, b) => b.share - a.share || b.count - a.count);
+}

@@ -1,0 +1,90 @@
+// A browser that notes every request, message and error of a page.
+import puppeteer from "puppeteer-core";
+import { existsSync } from "node:fs";
+
+const PLACES = [process.env.CHROMIUM, "/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"];
+
+export function chromium() {
+  return PLACES.find((path) => path && existsSync(path)) ?? null;
+}
+
+export async function launch(executablePath, webgl = true) {
+  const graphics = webgl
+    ? ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
+    : ["--disable-gpu", "--disable-3d-apis"];
+  return puppeteer.launch({
+    executablePath,
+    headless: true,
+    protocolTimeout: 300_000,
+    args: ["--no-sandbox", "--disable-dev-shm-usage", ...graphics],
+  });
+}
+
+/** Opens a page from disk; everything it does that it must not is in `bad`. */
+export async function open(browser, url, { width = 960, height = 640, mobile = false } = {}) {
+  const page = await browser.newPage();
+  await page.setViewport({ width, height, isMobile: mobile, hasTouch: mobile });
+  const bad = [];
+  page.on("request", (request) => {
+    const to = request.url();
+    const own = to === url || to.split("#")[0] === url.split("#")[0] || /^(blob|data):/.test(to);
+    if (!own) bad.push(`request: ${to.slice(0, 200)}`);
+  });
+  page.on("console", (message) => {
+    const text = message.text();
+    // What the software renderer says of itself when pixels are read.
+    if (message.type() === "error" || (message.type() === "warn" && !/GPU stall|swiftshader|WebGL/i.test(text))) {
+      bad.push(`${message.type()}: ${text.slice(0, 300)}`);
+    }
+  });
+  page.on("pageerror", (error) => bad.push(`error: ${String(error).slice(0, 300)}`));
+  page.on("dialog", (dialog) => {
+    bad.push(`dialog: ${dialog.message()}`);
+    void dialog.dismiss();
+  });
+  const began = performance.now();
+  await page.goto(url, { waitUntil: "domcontentloaded" });
+  return { page, bad, began };
+}
+
+export async function ready(page, timeout = 120_000) {
+  await page.waitForFunction(() => globalThis.scenesplat?.ready === true, { timeout, polling: 50 });
+}
+
+/** Waits until nothing new was drawn for a while. */
+export async function settled(page) {
+  await page.evaluate(async () => {
+    let last = -1;
+    for (let quiet = 0; quiet < 3;) {
+      const now = globalThis.scenesplat.frames();
+      quiet = now === last ? quiet + 1 : 0;
+      last = now;
+      await new Promise((resolve) => setTimeout(resolve, 120));
+    }
+  });
+}
+
+/** Red, green, blue of the canvas at some places of the window, and how many of all pixels differ from the ground. */
+export async function pixels(page, places) {
+  return page.evaluate((places) => {
+    const canvas = document.getElementById("canvas");
+    const copy = document.createElement("canvas");
+    copy.width = canvas.width;
+    copy.height = canvas.height;
+    const context = copy.getContext("2d", { willReadFrequently: true });
+    context.drawImage(canvas, 0, 0);
+    const { data } = context.getImageData(0, 0, copy.width, copy.height);
+    let drawn = 0;
+    for (let i = 0; i < data.length; i += 4) {
+      drawn += Math.abs(data[i] - 20) + Math.abs(data[i + 1] - 22) + Math.abs(data[i + 2] - 26) > 24 ? 1 : 0;
+    }
+    const rect = canvas.getBoundingClientRect();
+    const at = places.map(([x, y]) => {
+      const column = Math.round(((x - rect.left) / rect.width) * copy.width);
+      const row = Math.round(((y - rect.top) / rect.height) * copy.height);
+      const i = 4 * (row * copy.width + column);
+      return [data[i], data[i + 1], data[i + 2]];
+    });
+    return { drawn: drawn / (data.length / 4), at };
+  }, places);
+}

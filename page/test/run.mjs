@@ -1,0 +1,196 @@
+// Looks at pages as a browser shows them: node test/run.mjs FOLDER [SCREENSHOTS].
+//
+// FOLDER holds what `cargo test --workspace --test page` wrote: room.html, hostile.html, plain.html, room.json.
+import assert from "node:assert/strict";
+import { mkdirSync, readFileSync } from "node:fs";
+import { resolve } from "node:path";
+import { pathToFileURL } from "node:url";
+import { chromium, launch, open, pixels, ready, settled } from "./browser.mjs";
+
+const folder = resolve(process.argv[2] ?? "pages");
+const shots = process.argv[3] ? resolve(process.argv[3]) : null;
+if (shots) mkdirSync(shots, { recursive: true });
+const executable = chromium();
+if (executable === null) {
+  console.error("*** NOT RUN: no chromium; install it, or name it in CHROMIUM ***");
+  process.exit(3);
+}
+const url = (name) => pathToFileURL(`${folder}/${name}`).href;
+const shot = async (page, name) => {
+  if (shots) await page.screenshot({ path: `${shots}/${name}.png` });
+};
+const text = (page, id) => page.$eval(`#${id}`, (e) => e.textContent);
+const truth = JSON.parse(readFileSync(`${folder}/room.json`, "utf8"));
+
+const browser = await launch(executable);
+const times = {};
+try {
+  {
+    const { page, bad, began } = await open(browser, url("room.html"));
+    await ready(page);
+    times.first_picture_ms = Math.round(performance.now() - began);
+    await settled(page);
+    const seen = await pixels(page, []);
+    assert.ok(seen.drawn > 0.15, `the picture is blank: ${seen.drawn}`);
+    assert.match(await text(page, "count"), /Gaussians/);
+    await shot(page, "labels");
+
+    // A typed query: what the program says is selected is selected, and has the colors of heat.
+    await page.type("#query", "chair");
+    await page.keyboard.press("Enter");
+    await settled(page);
+    assert.match(await text(page, "summary"), /“chair”: [\d\u2009]+ Gaussians, \d+ object/);
+    const found = await page.evaluate((rows) => {
+      const selected = globalThis.scenesplat.selected();
+      const both = rows.filter((r) => selected[r] === 1).length;
+      const all = selected.reduce((sum, s) => sum + s, 0);
+      return { iou: both / (all + rows.length - both), all };
+    }, truth.chair);
+    assert.ok(found.iou > truth.least_iou, `chair: IoU ${found.iou} with the labels of the program`);
+    await shot(page, "chair");
+    const where = await page.evaluate(() => {
+      const { selected, project, pick } = globalThis.scenesplat;
+      const s = selected();
+      const hits = [];
+      for (let row = 0; row < s.length && hits.length < 40; row += 7) {
+        if (s[row] !== 1) continue;
+        const at = project(row);
+        if (at === null || at[0] < 360 || at[0] > 940 || at[1] < 20 || at[1] > 620) continue;
+        const seen = pick(at[0], at[1]);
+        if (seen >= 0 && s[seen] === 1) hits.push(at);
+      }
+      return hits;
+    });
+    assert.ok(where.length > 5, "no selected Gaussian is in the picture");
+    const heat = await pixels(page, where);
+    const colored = heat.at.filter(([r, g, b]) => Math.max(r, g, b) - Math.min(r, g, b) > 25).length;
+    assert.ok(colored > 0.6 * where.length, `${colored} of ${where.length} selected places have a color`);
+
+    // A click names what is there.
+    await page.mouse.click(where[0][0], where[0][1]);
+    assert.match(await text(page, "facts"), /chair/);
+    assert.match(await text(page, "facts"), /place/);
+    await shot(page, "click");
+
+    // Typing errors, plurals, phrases, colors, relations, nonsense.
+    for (const [typed, expected] of truth.phrases) {
+      await page.evaluate((t) => globalThis.scenesplat.ask(t), typed);
+      const said = `${await text(page, "summary")} ${await text(page, "how")}`;
+      assert.match(said, new RegExp(expected, "i"), `${typed}: ${said}`);
+    }
+
+    // Keys alone: find, another mode, clear, home, what is in the middle, inverted.
+    await page.focus("#canvas");
+    await page.keyboard.press("/");
+    assert.equal(await page.evaluate(() => document.activeElement.id), "query");
+    await page.keyboard.down("Control");
+    await page.keyboard.press("a");
+    await page.keyboard.up("Control");
+    await page.keyboard.type("floor");
+    await page.keyboard.press("Enter");
+    assert.match(await text(page, "summary"), /floor/);
+    await page.keyboard.press("Escape");
+    assert.equal(await page.$eval("#results", (e) => e.hidden), true);
+    for (const [key, mode] of [["1", "colors"], ["2", "labels"], ["3", "objects"], ["4", "confidence"], ["5", "features"]]) {
+      await page.keyboard.press(key);
+      const pressed = await page.$eval('#modes [aria-pressed="true"]', (b) => b.dataset.mode);
+      assert.equal(pressed, mode);
+      await settled(page);
+      assert.ok((await pixels(page, [])).drawn > 0.15, `${mode} is blank`);
+      await shot(page, mode);
+    }
+    const before = await page.evaluate(() => location.hash);
+    await page.keyboard.down("w");
+    await new Promise((r) => setTimeout(r, 400));
+    await page.keyboard.up("w");
+    await page.waitForFunction((old) => location.hash !== old, { timeout: 10_000 }, before);
+    await page.keyboard.press("h");
+    // Tab reaches every control, in order.
+    const reached = new Set();
+    for (let i = 0; i < 60; i++) {
+      await page.keyboard.press("Tab");
+      reached.add(await page.evaluate(() => document.activeElement.id || document.activeElement.className || document.activeElement.tagName));
+    }
+    assert.ok(reached.has("query") && reached.has("name"), [...reached].join(" "));
+
+    // Queries are fast; the address brings the same view back.
+    times.query_p95_ms = await page.evaluate(() => {
+      const { ask, queryTimes } = globalThis.scenesplat;
+      queryTimes.length = 0;
+      for (let i = 0; i < 40; i++) ask(["chair", "table", "red chair", "floor", "something to sit on"][i % 5]);
+      return Math.round([...queryTimes].sort((a, b) => a - b)[37] * 10) / 10;
+    });
+    await page.evaluate(() => { document.getElementById("query").value = "table"; globalThis.scenesplat.ask("table"); });
+    await page.waitForFunction(() => /query=table/.test(location.hash), { timeout: 10_000 });
+    const summary = await text(page, "summary");
+    const link = page.url();
+    assert.deepEqual(bad, []);
+    await page.close();
+    const again = await open(browser, link);
+    await ready(again.page);
+    assert.equal(await text(again.page, "summary"), summary);
+    assert.deepEqual(again.bad, []);
+    await again.page.close();
+  }
+  {
+    // On a phone.
+    const { page, bad } = await open(browser, url("room.html"), { width: 390, height: 780, mobile: true });
+    await ready(page);
+    await settled(page);
+    await shot(page, "phone");
+    const wide = await page.evaluate(() => document.documentElement.scrollWidth);
+    assert.ok(wide <= 390, `${wide} pixels wide`);
+    assert.ok((await pixels(page, [])).drawn > 0.1, "blank on a phone");
+    assert.deepEqual(bad, []);
+    await page.close();
+  }
+  {
+    // Names that would be markup, a class of a megabyte, emoji: text, and nothing runs.
+    const { page, bad } = await open(browser, url("hostile.html"));
+    await ready(page);
+    await settled(page);
+    await shot(page, "hostile");
+    assert.equal(await page.evaluate(() => globalThis.attacked), undefined);
+    const names = await page.$$eval("#classes .name", (all) => all.map((e) => e.textContent));
+    assert.ok(names.some((n) => n.includes("</script>")), names.join(" | ").slice(0, 300));
+    assert.ok(names.some((n) => n.includes("🪑")));
+    assert.ok(names.every((n) => n.length <= 70), "long names are cut");
+    assert.equal(await page.$$eval("#classes img, #classes script, #object-list img", (all) => all.length), 0);
+    for (const typed of ["</script>", "<img src=x onerror=globalThis.attacked=1>", "🪑", "\u202e", "a".repeat(5000)]) {
+      await page.evaluate((t) => globalThis.scenesplat.ask(t), typed);
+    }
+    assert.equal(await page.evaluate(() => globalThis.attacked), undefined);
+    assert.deepEqual(bad, []);
+    await page.close();
+    const evil = "#mode=%3Cscript%3E&query=%3Cimg%20src%3Dx%20onerror%3Dattacked%3D1%3E&hide=-1,1e9,x&camera=NaN,1,2,3,4,Infinity";
+    const hash = await open(browser, url("hostile.html") + evil);
+    await ready(hash.page);
+    assert.equal(await hash.page.evaluate(() => globalThis.attacked), undefined);
+    assert.deepEqual(hash.bad, []);
+    await hash.page.close();
+  }
+  {
+    // Without labels there is still the scene.
+    const { page, bad } = await open(browser, url("plain.html"));
+    await ready(page);
+    await settled(page);
+    assert.ok((await pixels(page, [])).drawn > 0.1, "plain is blank");
+    assert.equal(await page.$$eval("#modes button", (all) => all.length), 1);
+    assert.deepEqual(bad, []);
+    await page.close();
+  }
+} finally {
+  await browser.close();
+}
+const blind = await launch(executable, false);
+try {
+  const { page, bad } = await open(blind, url("room.html"));
+  await page.waitForSelector("#message:not([hidden])", { timeout: 30_000 });
+  assert.match(await text(page, "message"), /WebGL 2/);
+  assert.match(await text(page, "classes"), /chair/);
+  await shot(page, "no-webgl");
+  assert.deepEqual(bad, []);
+} finally {
+  await blind.close();
+}
+console.log(`pages: all right; ${JSON.stringify(times)}`);

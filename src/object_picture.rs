@@ -1,0 +1,154 @@
+//! A picture of a scene with the numbered boxes of its objects.
+
+use crate::preview::text;
+use crate::preview::{Orbit, SceneRows, UNLABELLED_COLOR, class_color, picture_of};
+use scenesplat_objects::Catalogue;
+use scenesplat_rasterizer::{Gaussians, RasterError, RasterSettings, RenderRequest, View, render};
+use scenesplat_scene::picture::RgbPicture;
+use scenesplat_scene::{Camera, GaussianScene, UpAxis};
+
+/// The view, pixels, and the list beside it.
+const VIEW: [u32; 2] = [1080, 860];
+const LIST: u32 = 300;
+/// Height of a line of the list, pixels.
+const LINE: u32 = 20;
+/// Larger standard deviations than this part of the scene are haze before the camera.
+const HAZE: f64 = 0.5;
+const EDGES: [(usize, usize); 12] = [
+    (0, 1),
+    (1, 2),
+    (2, 3),
+    (3, 0),
+    (4, 5),
+    (5, 6),
+    (6, 7),
+    (7, 4),
+    (0, 4),
+    (1, 5),
+    (2, 6),
+    (3, 7),
+];
+/// Parts of the building, whose boxes would hide all others.
+const BUILDING: [&str; 3] = ["wall", "floor", "ceiling"];
+
+/// Draws a scene from above one of its corners, without its ceiling and near walls, each object in a color of its own,
+/// with the numbers of the catalogue and a list of them. Walls, floors and ceilings have no box.
+///
+/// # Errors
+/// If the scene cannot be rendered.
+pub fn object_picture(
+    scene: &GaussianScene,
+    catalogue: &Catalogue,
+    up: UpAxis,
+) -> Result<RgbPicture, RasterError> {
+    let instances = catalogue.instances();
+    let plain: Vec<[u8; 3]> = (0..scene.len()).map(|row| scene.color_u8(row)).collect();
+    // Light of the scene keeps the sides of a thing apart.
+    let colors: Vec<[u8; 3]> = (instances.iter().zip(&plain))
+        .map(|(&id, rgb)| {
+            let light = rgb.iter().map(|&v| f32::from(v)).sum::<f32>() / 765.0;
+            let own = usize::try_from(id).map_or(UNLABELLED_COLOR, class_color);
+            own.map(|v| (f32::from(v) * (0.55 + 0.55 * light)).min(255.0) as u8)
+        })
+        .collect();
+    let shapes = SceneRows::of(scene);
+    let orbit = Orbit::around(&shapes.rows(scene, &colors), up, 1, VIEW);
+    let mut picture = RgbPicture::filled(VIEW[0] + LIST, VIEW[1], crate::preview::BACKGROUND);
+    let Some(camera) = orbit.cameras.first() else { return Ok(picture) };
+    let size = (0..3).map(|a| camera.centre()[a].powi(2)).sum::<f64>().sqrt().max(1.0);
+    let kept: Vec<usize> = (0..scene.len())
+        .filter(|&row| {
+            let c = scene.coord[row];
+            let hidden = orbit.ceiling.as_ref().is_some_and(|ceiling| ceiling.hides(c));
+            let haze = scene.scale(row).iter().any(|&s| f64::from(s) > HAZE * size);
+            c.iter().all(|v| v.is_finite()) && !hidden && !haze
+        })
+        .collect();
+    let drawn = scene.select_rows(&kept).ok();
+    let Some(drawn) = drawn.filter(|s| !s.is_empty()) else { return Ok(picture) };
+    let dc = kept.iter().flat_map(|&r| {
+        colors[r].map(|c| (f32::from(c) / 255.0 - 0.5) / scenesplat_scene::gaussian_scene::SH_C0)
+    });
+    let drawn = GaussianScene { sh_rest: Vec::new(), sh_degree: 0, ..drawn };
+    let mut gaussians = Gaussians::from_scene(&drawn)?;
+    gaussians.sh = dc.collect();
+    gaussians.sh_degree = 0;
+    let mut settings = RasterSettings { far: f32::INFINITY, ..RasterSettings::gsplat_1_6() };
+    if let Some(near) = orbit.near {
+        settings.near = near.max(1e-6) as f32;
+    }
+    let background = crate::preview::BACKGROUND.map(|v| f32::from(v) / 255.0);
+    settings.background = Some(background);
+    let rendered =
+        render(&gaussians, &View::from_camera(camera)?, &settings, &RenderRequest::rgb())?;
+    if let Some(view) = rendered.rgb.and_then(|rgb| picture_of(&rgb, VIEW[0], VIEW[1])) {
+        for (x, y, color) in view.enumerate() {
+            picture.set(x, y, color);
+        }
+    }
+    let mut labels = Vec::new();
+    for (i, object) in catalogue.objects.iter().enumerate() {
+        if BUILDING.iter().any(|name| object.class.eq_ignore_ascii_case(name)) {
+            continue;
+        }
+        let color = class_color(i);
+        draw_box(&mut picture, camera, &object.corners, color);
+        labels.extend(camera.project(object.position).map(|at| (at, object.id.to_string(), color)));
+    }
+    for (at, number, color) in labels {
+        badge(&mut picture, at, &number, color);
+    }
+    list(&mut picture, catalogue);
+    Ok(picture)
+}
+
+fn draw_box(picture: &mut RgbPicture, camera: &Camera, corners: &[[f64; 3]; 8], color: [u8; 3]) {
+    for (a, b) in EDGES {
+        // Short steps: an edge may pass behind the camera.
+        let at = |t: f64| {
+            camera.project([0, 1, 2].map(|k| corners[a][k] * (1.0 - t) + corners[b][k] * t))
+        };
+        let (Some(p), Some(q)) = (at(0.0), at(1.0)) else { continue };
+        let steps = ((p[0] - q[0]).hypot(p[1] - q[1]).ceil() as usize).clamp(1, 4096);
+        for step in 0..=steps {
+            let t = step as f64 / steps as f64;
+            let [x, y] = [0, 1].map(|k| p[k] * (1.0 - t) + q[k] * t);
+            if x >= 0.0 && y >= 0.0 && x < f64::from(VIEW[0]) && y < f64::from(VIEW[1]) {
+                picture.set(x as u32, y as u32, color);
+            }
+        }
+    }
+}
+
+/// A number on a dark field, where it fits into the view.
+fn badge(picture: &mut RgbPicture, [x, y]: [f64; 2], number: &str, color: [u8; 3]) {
+    let wide = text::width(number, 1) + 6;
+    let inside = x >= f64::from(wide) && y >= 8.0 && x + f64::from(wide) < f64::from(VIEW[0]);
+    if !inside || y + 8.0 >= f64::from(VIEW[1]) {
+        return;
+    }
+    let (left, top) = (x as u32 - wide / 2, y as u32 - 7);
+    crate::preview::fill(picture, [left, top], [wide, 14], [16, 17, 20]);
+    text::draw(picture, left + 3, top + 3, 1, color.map(|v| v.max(90)), number, wide);
+}
+
+/// The objects that are no part of the building, as many as fit.
+fn list(picture: &mut RgbPicture, catalogue: &Catalogue) {
+    let is_building = |class: &str| BUILDING.iter().any(|name| class.eq_ignore_ascii_case(name));
+    let all: Vec<(usize, &scenesplat_objects::Object)> =
+        catalogue.objects.iter().enumerate().filter(|(_, o)| !is_building(&o.class)).collect();
+    let fits = ((VIEW[1] - 16) / LINE) as usize;
+    let left = VIEW[0] + 12;
+    for (line, (i, object)) in (0u32..).zip(all.iter().take(fits)) {
+        let top = 12 + line * LINE;
+        let last = line as usize + 1 == fits && all.len() > fits;
+        let name = if last {
+            format!("and {} more", all.len() - fits + 1)
+        } else {
+            format!("{:>3} {}", object.id, object.class.chars().take(40).collect::<String>())
+        };
+        crate::preview::fill(picture, [left, top], [12, 12], class_color(*i));
+        let ink = crate::preview::INK;
+        text::draw(picture, left + 18, top + 2, 1, ink, &name, LIST - 36);
+    }
+}

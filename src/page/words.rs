@@ -1,0 +1,79 @@
+//! What the page knows of words: phrases with the classes that they are near to, groups, colors.
+
+use super::PageError;
+use rayon::prelude::*;
+use scenesplat_rooms::Group;
+use scenesplat_rooms::{CLASSES, ColorName, Vocabulary};
+use scenesplat_text::PhraseTable;
+use serde_json::{Value, json};
+
+/// Classes that are noted of a phrase.
+const NEAR: usize = 4;
+/// A class has one byte, and 0 is none.
+const MOST_CLASSES: usize = 255;
+
+/// Words of a page.
+#[derive(Default)]
+pub(super) struct Words {
+    pub(super) phrases: Vec<String>,
+    /// Of each phrase four times: class + 1, similarity · 255.
+    pub(super) near: Vec<u8>,
+    /// Name and members of each group of classes.
+    pub(super) groups: Vec<Value>,
+    /// Words for colors that can stand before a class.
+    pub(super) colors: Vec<&'static str>,
+}
+
+impl Words {
+    /// Of these classes; without any, or with too many for a byte, no phrase.
+    pub(super) fn of(names: &[String], vocabulary: Option<&Vocabulary>) -> Result<Self, PageError> {
+        if names.is_empty() || names.len() > MOST_CLASSES {
+            return Ok(Self::default());
+        }
+        let table = PhraseTable::embedded()?;
+        // Names and synonyms with their classes.
+        let mut anchors: Vec<(usize, Vec<f32>)> = Vec::new();
+        if vocabulary.is_some() {
+            for (phrase, class) in Vocabulary::class_phrases() {
+                anchors.extend(table.row(phrase).map(|row| (class.index(), row)));
+            }
+        } else {
+            for (class, name) in names.iter().enumerate() {
+                // A name of unknown words is near to nothing.
+                anchors.extend(table.understand(name).ok().map(|u| (class, u.row)));
+            }
+        }
+        let near = table.phrases().par_iter().map(|phrase| {
+            let mut best = vec![0f32; names.len()];
+            if let Some(row) = table.row(phrase) {
+                for (class, anchor) in &anchors {
+                    let dot: f32 = row.iter().zip(anchor).map(|(a, b)| a * b).sum();
+                    best[*class] = best[*class].max(dot);
+                }
+            }
+            let mut order: Vec<usize> = (0..best.len()).collect();
+            order.sort_by(|&a, &b| best[b].total_cmp(&best[a]).then(a.cmp(&b)));
+            let mut out = [0u8; 2 * NEAR];
+            for (place, &class) in
+                order.iter().take(NEAR).enumerate().filter(|(_, c)| best[**c] > 0.0)
+            {
+                out[2 * place] = class as u8 + 1;
+                out[2 * place + 1] = (best[class].min(1.0) * 255.0).round() as u8;
+            }
+            out
+        });
+        let near: Vec<u8> = near.collect::<Vec<_>>().into_iter().flatten().collect();
+        let (mut groups, mut colors) = (Vec::new(), Vec::new());
+        if vocabulary.is_some() {
+            for group in Group::ALL {
+                let members: Vec<usize> =
+                    (0..CLASSES.len()).filter(|&c| CLASSES[c].groups.contains(&group)).collect();
+                groups.push(
+                    json!({ "name": format!("{group:?}").to_lowercase(), "members": members }),
+                );
+            }
+            colors = ColorName::ALL.iter().map(|c| c.word()).collect();
+        }
+        Ok(Self { phrases: table.phrases().to_vec(), near, groups, colors })
+    }
+}

@@ -1,0 +1,340 @@
+//! Self-distillation against a reference written by hand: rows of a scale, their places, the nearest row of
+//! the other view by trying all, and the shares of the pairs; with a fault in the reference it differs.
+
+use candle_core::{Device, Tensor};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use scenesplat_datasets::transforms::{
+    CenterShift, CropOrigin, GridSample, RandomRotate, ViewCrop, ViewGroup, Views,
+};
+use scenesplat_datasets::{
+    InputFeatures, LoaderSettings, MaskShape, MaskWeight, Masked, Masking, SceneDataset,
+    SceneLoader, SyntheticRooms, TrainBatch, TransformConfig, View, ViewKind, build_transforms,
+};
+use scenesplat_losses::self_supervised::{masked_cross_entropy, sinkhorn_knopp};
+use scenesplat_models::self_supervised_heads::{ProjectionShape, PrototypeHead};
+use scenesplat_models::{
+    Backbone, BackboneConfig, Compute, Forward, LevelOptions, Levels, ModelConfig, ParamStore,
+    PointCloud, PointTransformerV3Config,
+};
+use scenesplat_rooms::SyntheticRoomSettings;
+use scenesplat_trainers::CosineSchedule;
+use scenesplat_trainers::tasks::self_supervised::{
+    Balance, Prototypes, SelfDistillationTerm, SelfSupervised, SelfSupervisedConfig, TermConfig,
+};
+use scenesplat_trainers::{HasBackbone, StepContext, TrainingModule};
+use std::sync::Arc;
+
+const GRID: f64 = 0.25;
+/// Scales are 0.25, 0.5 and 1 m; rows are compared at the middle one.
+const LEVEL: usize = 1;
+const CHANNELS: usize = 11;
+const SHARES: [f64; 3] = [0.2, 0.3, 0.5];
+/// Below half of a cell's diagonal, so that some rows have no partner.
+const MAX_DISTANCE: f64 = 0.2;
+const HEAD: ProjectionShape = ProjectionShape { channels: 16 + 24, hidden: 16, out: 8 };
+const PROTOTYPES: usize = 12;
+const TAU_STUDENT: f64 = 0.1;
+const TAU_TEACHER: f64 = 0.06;
+const SEED: u64 = 1;
+
+fn model() -> ModelConfig {
+    let config = PointTransformerV3Config {
+        in_channels: CHANNELS,
+        stride: vec![2, 2],
+        enc_depths: vec![1, 1, 1],
+        enc_channels: vec![8, 16, 24],
+        enc_num_head: vec![1, 2, 2],
+        enc_patch_size: vec![32; 3],
+        dec_depths: vec![],
+        dec_channels: vec![],
+        dec_num_head: vec![],
+        dec_patch_size: vec![],
+        drop_path: 0.0,
+        mask_token: true,
+        ..PointTransformerV3Config::language()
+    };
+    ModelConfig { grid_size: GRID, ..ModelConfig::new(config) }
+}
+
+fn module() -> SelfSupervised {
+    let prototypes = Prototypes {
+        count: PROTOTYPES,
+        hidden: HEAD.hidden,
+        out: HEAD.out,
+        student_temperature: TAU_STUDENT,
+        teacher_temperature: CosineSchedule::new(TAU_TEACHER, TAU_TEACHER),
+        balance: Balance::SinkhornKnopp(3),
+    };
+    let term = SelfDistillationTerm {
+        weight: 1.0,
+        prototypes,
+        up_cast: 1,
+        max_distance: MAX_DISTANCE,
+        shares: SHARES,
+    };
+    let masking = Masking {
+        shape: MaskShape::Patches(0.5),
+        ratio: [0.5; 2],
+        scenes: 1.0,
+        weight: MaskWeight::PerGaussian,
+    };
+    let config = SelfSupervisedConfig {
+        masking: Some(masking),
+        terms: vec![TermConfig::SelfDistillation(term)],
+        ..SelfSupervisedConfig::default()
+    };
+    let input = InputFeatures::default();
+    let built = SelfSupervised::new(&config, &model(), &input, ParamStore::trainable(3), 3);
+    let module = built.unwrap();
+    // A student that has left its teacher behind.
+    for (i, (_, var)) in module.params().parameters().into_iter().enumerate() {
+        let factor = 1.0 + 0.2 * ((i % 3) as f64 - 1.0);
+        var.set(&(var.as_detached_tensor() * factor).unwrap()).unwrap();
+    }
+    // First prototypes lie close together for what first heads give; farther apart, faults show.
+    for store in [module.params(), module.teacher().unwrap()] {
+        for (name, var) in store.parameters() {
+            if name.starts_with("heads.") && name.contains(".mlp.") && name.ends_with("weight") {
+                var.set(&(var.as_detached_tensor() * 20.0).unwrap()).unwrap();
+            }
+        }
+    }
+    module
+}
+
+fn first_batch() -> TrainBatch {
+    let each = || -> Vec<TransformConfig> {
+        let turn = RandomRotate { probability: 1.0, ..RandomRotate::default() };
+        let grid = GridSample { grid_size: GRID, ..GridSample::default() };
+        vec![turn.into(), grid.into(), CenterShift { apply_z: false }.into()]
+    };
+    let group = |kind, ratio, center| ViewGroup {
+        kind,
+        shared: vec![],
+        crop: Some(ViewCrop { ratio, point_max: 1500, center }),
+        views: vec![each(), each()],
+    };
+    let groups = vec![
+        group(ViewKind::Global, [0.6, 1.0], CropOrigin::Major),
+        group(ViewKind::Local, [0.2, 0.4], CropOrigin::Uncovered),
+    ];
+    let steps: Vec<TransformConfig> = vec![CenterShift::default().into(), Views { groups }.into()];
+    let room = SyntheticRoomSettings { num_gaussians: Some(1500), ..Default::default() };
+    let source = Arc::new(SyntheticRooms::new(2, room, 1).unwrap());
+    let data = SceneDataset::new(source, build_transforms(&steps).unwrap(), 7, 1).unwrap();
+    let settings =
+        LoaderSettings { batch_size: 2, workers: 0, mix_probability: 0.0, ..Default::default() };
+    let loader = SceneLoader::new(Arc::new(data), InputFeatures::default(), settings).unwrap();
+    loader.batches(0, 0).next().unwrap().unwrap()
+}
+
+/// What the reference does otherwise, to see that the comparison would notice.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Fault {
+    None,
+    /// The teacher's logits for local views by its head for masked ones.
+    OneHeadOfTheTeacher,
+    /// The shares of the same and the other view, one in the place of the other.
+    SharesSwapped,
+    /// Rows however far from each other.
+    AnyDistance,
+    /// The teacher sees what the student sees.
+    MaskedTeacher,
+    /// Rows with zeros in the place of the coarser scale.
+    NoCoarserScale,
+    /// Rows compared with those of the other scene, too.
+    AcrossScenes,
+    /// Local views against the last global view.
+    LocalAgainstLast,
+    /// Rows of the teacher by the numbers that the student's have: passes number rows each by the curve
+    /// that it drew first.
+    RowNumbersOfTheStudent,
+}
+
+/// A view of one network at the middle scale.
+struct Rows {
+    /// That scale's rows beside those of the coarser one. `[M, C]`
+    feat: Tensor,
+    /// Mean place before augmentation. `[M, 3]`
+    place: Vec<[f64; 3]>,
+    /// Scene of each row. `[M]`
+    scene: Vec<usize>,
+    /// Row of each of the view's Gaussians. `[N]`
+    of_gaussian: Vec<u32>,
+}
+
+fn look(
+    network: &dyn Backbone,
+    view: &View,
+    mask: Option<&Masked>,
+    rng: &mut ChaCha8Rng,
+    fault: Fault,
+) -> Rows {
+    let batch = &view.batch;
+    let feat = Tensor::from_vec(batch.feat.clone(), (batch.len(), CHANNELS), &Device::Cpu).unwrap();
+    let points = PointCloud::new(batch.grid_coord.clone(), feat, batch.offsets.clone()).unwrap();
+    let options = LevelOptions { mask: mask.map(|m| m.hidden.as_slice()), decoder: false };
+    let levels: Levels =
+        network.forward_levels(&points, options, &mut Forward::train(rng)).unwrap();
+    let (here, coarser) = (&levels.encoder()[LEVEL], &levels.encoder()[LEVEL + 1]);
+    let parent = here.parents.as_ref().unwrap().inverse();
+    let own = here.feat.to_vec2::<f32>().unwrap();
+    let above = coarser.feat.to_vec2::<f32>().unwrap();
+    let rows: Vec<f32> = (own.iter().zip(parent))
+        .flat_map(|(row, &parent)| {
+            let above = &above[parent as usize];
+            let gone = vec![0.0; above.len()];
+            let above = if fault == Fault::NoCoarserScale { &gone } else { above };
+            row.iter().chain(above).copied().collect::<Vec<_>>()
+        })
+        .collect();
+    let feat = Tensor::from_vec(rows, (own.len(), HEAD.channels), &Device::Cpu).unwrap();
+    let mut sums = vec![[0.0; 4]; own.len()];
+    let of_gaussian = levels.rows_at(LEVEL).unwrap();
+    for (&row, place) in of_gaussian.iter().zip(&view.origin) {
+        (0..3).for_each(|a| sums[row as usize][a] += f64::from(place[a]));
+        sums[row as usize][3] += 1.0;
+    }
+    let place = sums.iter().map(|s| [0, 1, 2].map(|a| f64::from((s[a] / s[3]) as f32))).collect();
+    let scene = (0..own.len()).map(|row| here.offsets[1..].iter().filter(|o| **o <= row).count());
+    Rows { feat, place, scene: scene.collect(), of_gaussian }
+}
+
+/// For each row of `from` the nearest of `to`, by trying all.
+fn partners(from: &Rows, to: &Rows, fault: Fault) -> Vec<(u32, u32)> {
+    let mut found = Vec::new();
+    for (row, place) in from.place.iter().enumerate() {
+        let mut best = (f64::INFINITY, 0);
+        for (other, there) in to.place.iter().enumerate() {
+            let distance: f64 = (0..3).map(|a| (place[a] - there[a]).powi(2)).sum::<f64>().sqrt();
+            let same = fault == Fault::AcrossScenes || from.scene[row] == to.scene[other];
+            if same && distance < best.0 {
+                best = (distance, other);
+            }
+        }
+        if best.0 < MAX_DISTANCE || fault == Fault::AnyDistance && best.0.is_finite() {
+            found.push((row as u32, best.1 as u32));
+        }
+    }
+    found
+}
+
+/// The rows of two passes over a view that hold the same Gaussians.
+fn same_cells(one: &Rows, other: &Rows, fault: Fault) -> Vec<(u32, u32)> {
+    let rows = 0..one.place.len() as u32;
+    if fault == Fault::RowNumbersOfTheStudent {
+        return rows.map(|row| (row, row)).collect();
+    }
+    let first = |row: u32| one.of_gaussian.iter().position(|r| *r == row).unwrap();
+    rows.map(|row| (row, other.of_gaussian[first(row)])).collect()
+}
+
+/// The term, and how many rows have a partner in the pairs of different views, of how many.
+fn reference(
+    module: &SelfSupervised,
+    batch: &TrainBatch,
+    masks: &[Option<Masked>],
+    fault: Fault,
+) -> (f64, [usize; 2]) {
+    let teacher_params = module.teacher().unwrap();
+    let mut of_teacher = model();
+    if let BackboneConfig::PointTransformerV3(config) = &mut of_teacher.backbone {
+        config.mask_token = fault == Fault::MaskedTeacher;
+    }
+    if fault == Fault::MaskedTeacher {
+        let token = module.params().parameters()["mask_token"].as_detached_tensor();
+        let own = teacher_params.builder().get(token.dims(), "mask_token").unwrap();
+        assert_eq!(own.dims(), token.dims());
+    }
+    let network = of_teacher.build(teacher_params.builder()).unwrap();
+    let head = |store: &ParamStore, name: &str| {
+        let vb = store.builder().pp("heads").pp("self_distillation").pp(name);
+        PrototypeHead::new(HEAD, PROTOTYPES, Compute::default(), &vb).unwrap()
+    };
+    // Both networks shuffle their curve orders by one generator, one view after the other.
+    let mut rng = ChaCha8Rng::seed_from_u64(SEED);
+    let views = batch.views.iter().zip(masks);
+    let student: Vec<Rows> = views
+        .map(|(view, mask)| look(module.backbone(), view, mask.as_ref(), &mut rng, fault))
+        .collect();
+    let teacher: Vec<Rows> = (0..2)
+        .map(|i| {
+            let mask = masks[i].as_ref().filter(|_| fault == Fault::MaskedTeacher);
+            look(network.as_ref(), &batch.views[i], mask, &mut rng, fault)
+        })
+        .collect();
+    let [mut same, mut other, local] = SHARES;
+    if fault == Fault::SharesSwapped {
+        (same, other) = (other, same);
+    }
+    let last = usize::from(fault == Fault::LocalAgainstLast);
+    // (share, student's view, teacher's view): two global views, two local ones.
+    let pairs = [
+        (same / 2.0, 0, 0),
+        (same / 2.0, 1, 1),
+        (other / 2.0, 0, 1),
+        (other / 2.0, 1, 0),
+        (local / 2.0, 2, last),
+        (local / 2.0, 3, last),
+    ];
+    let (mut sum, mut matched) = (0.0, [0, 0]);
+    for (share, view, with) in pairs {
+        let own = if view < 2 { "masked" } else { "local" };
+        let teachers = if fault == Fault::OneHeadOfTheTeacher { "masked" } else { own };
+        let pairs = if view == with {
+            same_cells(&student[view], &teacher[with], fault)
+        } else {
+            let places = match fault {
+                Fault::RowNumbersOfTheStudent => &student[with],
+                _ => &teacher[with],
+            };
+            let found = partners(&student[view], places, fault);
+            matched = [matched[0] + found.len(), matched[1] + student[view].place.len()];
+            found
+        };
+        assert!(!pairs.is_empty());
+        let (rows, with_rows): (Vec<u32>, Vec<u32>) = pairs.into_iter().unzip();
+        let (count, weight) = (rows.len(), 1.0 / rows.len() as f64);
+        let pick = |rows: Vec<u32>, of: &Tensor| {
+            of.index_select(&Tensor::new(rows, &Device::Cpu).unwrap(), 0).unwrap()
+        };
+        let logits = head(module.params(), own).forward(&pick(rows, &student[view].feat)).unwrap();
+        let teachers = head(teacher_params, teachers);
+        let targets = teachers.forward(&pick(with_rows, &teacher[with].feat)).unwrap();
+        let targets = sinkhorn_knopp(&targets, TAU_TEACHER, 3).unwrap();
+        let cost = masked_cross_entropy(&logits, &targets, &vec![weight; count], TAU_STUDENT);
+        sum += share * f64::from(cost.unwrap().unwrap().to_scalar::<f32>().unwrap());
+    }
+    (sum, matched)
+}
+
+#[test]
+fn self_distillation_is_what_trying_all_rows_gives() {
+    let (module, batch) = (module(), first_batch());
+    let mut rng = ChaCha8Rng::seed_from_u64(SEED);
+    let forward = Forward::train(&mut rng);
+    let mut cx = StepContext { forward, progress: 0.0, step: 0, total_steps: 10, seed: 9 };
+    let masks = module.masks(&batch.views, &cx).unwrap();
+    let kinds: Vec<ViewKind> = batch.views.iter().map(|view| view.kind).collect();
+    let (global, local) = (ViewKind::Global, ViewKind::Local);
+    assert_eq!(kinds, [global, global, local, local]);
+    let out = module.step_with_masks(&batch.views, &masks, &mut cx).unwrap();
+    let got = out.terms.iter().find(|(name, _)| name == "self_distillation").unwrap().1;
+    let (want, [matched, of]) = reference(&module, &batch, &masks, Fault::None);
+    assert!((got - want).abs() < 1e-5 * want, "{got}, not {want}");
+    assert!(matched > 50 && of - matched > 50, "{matched} of {of}: some rows match, some do not");
+    for fault in [
+        Fault::OneHeadOfTheTeacher,
+        Fault::SharesSwapped,
+        Fault::AnyDistance,
+        Fault::MaskedTeacher,
+        Fault::NoCoarserScale,
+        Fault::AcrossScenes,
+        Fault::LocalAgainstLast,
+        Fault::RowNumbersOfTheStudent,
+    ] {
+        let (wrong, _) = reference(&module, &batch, &masks, fault);
+        assert!((wrong - got).abs() > 1e-3 * want, "{fault:?}: {wrong} and {got}");
+    }
+}
