@@ -156,7 +156,7 @@ impl Floors {
         self.heights.iter().copied().rfind(|floor| z >= floor - BELOW).unwrap_or(first)
     }
 
-    /// Metres of `z` above [its floor](Self::below).
+    /// Metres of `z` above [its floor](method@Self::below).
     pub fn height(&self, z: f32) -> f32 {
         (f64::from(z) - self.below(z)) as f32
     }
