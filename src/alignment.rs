@@ -3,20 +3,43 @@
 //! A room that lies on its side loses most labels, and nothing in its file says how it lies. So up
 //! and unit are estimated (as [`inspect`](crate::inspect::inspect) does); where the evidence suffices, a copy is
 //! turned and scaled for the network alone, and where it does not, a [`Remark`] says so. Outputs
-//! belong to rows, so they need no turning back. The floor needs no step of its own: voxels are
-//! counted from the lowest Gaussian, and heights from the ground of the copy.
+//! belong to rows, so they need no turning back. A copy that has to be made is made level as well; for
+//! networks that read nothing of the yaw of a room ([`AlignmentSettings::square`]) its walls are
+//! brought along the axes. Heights are measured from the [floors](Alignment::floors) of the copy.
 
 use crate::inspect::{
     LengthUnit, UnitGuess, guess_unit, is_surely_no_metre, may_be_no_metre, usual_spacing,
 };
 use rayon::prelude::*;
+use scenesplat_scene::edit::{Walls, level};
+use scenesplat_scene::frame::Matrix3;
 use scenesplat_scene::similarity::{matrix_to_quat, quat_product};
-use scenesplat_scene::{Bounds, GaussianScene, UpAxis, UpGuess, guess_up_within, robust_bounds};
+use scenesplat_scene::{
+    Bounds, Floors, GaussianScene, Similarity, UpAxis, UpGuess, guess_up_within, robust_bounds,
+};
 use serde::Serialize;
 use std::borrow::Cow;
 
 /// With fewer Gaussians neither up nor unit is judged.
 const FEWEST_ROWS: usize = 100;
+
+/// Rows by which tilt, yaw, floors and walls are judged.
+const SAMPLE: usize = 200_000;
+
+/// A floor is made level from so many degrees on, and up to so many: less is noise, more no tilt but
+/// a slope.
+const TILT: [f64; 2] = [1.0, 20.0];
+
+/// Level, the floor must hold so much more than before: a scene without one is not turned.
+const SHARPER: f64 = 1.05;
+
+/// Walls are brought along the axes from so many degrees on.
+const LEAST_YAW: f64 = 2.0;
+
+/// Heights of rooms, metres; a closed room outside them is in another unit, and read as one of the
+/// usual height.
+const ROOM_HEIGHTS: [f64; 2] = [1.8, 4.3];
+const USUAL_HEIGHT: f64 = 2.6;
 
 /// What the user knows about a scene.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -25,6 +48,10 @@ pub struct AlignmentSettings {
     pub up: Option<UpAxis>,
     /// What one unit of the scene is, metres; estimated if not given. Finite, above 0.
     pub metres_per_unit: Option<f64>,
+    /// Height of the floor along up, units of the scene (once level); looked for if not given. Finite.
+    pub floor: Option<f64>,
+    /// Whether walls are brought along the axes, for networks that know rooms so.
+    pub square: bool,
     /// Leaves the scene as it is, whatever is known or seen.
     pub as_is: bool,
 }
@@ -40,6 +67,15 @@ pub struct Alignment {
     pub turned_from: UpAxis,
     /// Factor that brings the scene to metres; 1 for none.
     pub scale: f64,
+    /// Degrees by which the floor was out of level, after the turn; 0 if nothing was done about it.
+    pub tilt: f64,
+    /// Degrees by which the walls were off the axes, after that; 0 if nothing was done about it.
+    pub yaw: f64,
+    /// Floors of the scene as the network reads it, metres.
+    pub floors: Floors,
+    /// All turns together.
+    #[serde(skip)]
+    rotation: Matrix3,
     /// What a user must know, the most important first.
     pub remarks: Vec<Remark>,
 }
@@ -52,6 +88,23 @@ pub enum Remark {
     Turned {
         /// What was up.
         from: UpAxis,
+    },
+    /// A level copy is read.
+    Leveled {
+        /// Degrees that the floor was off.
+        tilt: f64,
+    },
+    /// A copy with its walls along the axes is read.
+    Squared {
+        /// Degrees that the walls were off.
+        yaw: f64,
+    },
+    /// A copy is read that is as high as rooms are.
+    ScaledToRoom {
+        /// Metres per unit.
+        by: f64,
+        /// Height of its walls, units.
+        height: f64,
     },
     /// Up is not clear; the scene is read as if it were +z.
     UpUnclear {
@@ -91,23 +144,128 @@ impl Alignment {
             unit: None,
             turned_from: UpAxis::PlusZ,
             scale: 1.0,
+            tilt: 0.0,
+            yaw: 0.0,
+            floors: Floors::given(0.0),
+            rotation: UpAxis::PlusZ.upright(),
             remarks: Vec::new(),
         };
-        if settings.as_is {
-            return alignment;
-        }
-        if settings.up.is_some() || is_judged {
-            alignment.decide_up();
-        }
-        match settings.metres_per_unit {
-            Some(metres) => alignment.set_scale(metres),
-            None if is_judged && may_be_no_metre(&robust) => {
-                alignment.decide_unit(&robust, usual_spacing(&scene.coord));
+        if !settings.as_is {
+            if settings.up.is_some() || is_judged {
+                alignment.decide_up();
             }
-            None => {}
+            match settings.metres_per_unit {
+                Some(metres) => alignment.set_scale(metres),
+                None if is_judged && may_be_no_metre(&robust) => {
+                    alignment.decide_unit(&robust, usual_spacing(&scene.coord));
+                }
+                None => {}
+            }
+        }
+        let mut sample = alignment.sample(scene);
+        alignment.floors = Floors::of_scene(&sample);
+        if !settings.as_is && is_judged {
+            alignment.decide_frame(&mut sample, settings);
+        }
+        if let Some(floor) = settings.floor {
+            alignment.floors = Floors::given(floor * alignment.scale);
         }
         alignment.remarks.sort_by_key(|remark| !remark.is_warning());
         alignment
+    }
+
+    /// The rows by which the rest is judged, turned and scaled as far as is known.
+    fn sample(&self, scene: &GaussianScene) -> GaussianScene {
+        let step = scene.len().div_ceil(SAMPLE).max(1);
+        fn every<T: Copy>(values: &[T], step: usize) -> Vec<T> {
+            values.iter().step_by(step).copied().collect()
+        }
+        let mut sample = GaussianScene {
+            coord: every(&scene.coord, step),
+            log_scale: every(&scene.log_scale, step),
+            quat: every(&scene.quat, step),
+            opacity_logit: every(&scene.opacity_logit, step),
+            sh_dc: every(&scene.sh_dc, step),
+            ..GaussianScene::default()
+        };
+        if !self.is_identity() {
+            let (rotation, scale) = (self.rotation, self.scale);
+            sample.transform(&Similarity { rotation, scale, translation: [0.0; 3] });
+        }
+        sample
+    }
+
+    /// Tilt, yaw and, where nothing else says it, the unit.
+    fn decide_frame(&mut self, sample: &mut GaussianScene, settings: &AlignmentSettings) {
+        // A scene that lies anyhow has no floor to be level.
+        let is_upright = self.up.given || self.up.is_sure();
+        if is_upright {
+            self.decide_tilt(sample);
+        }
+        let may_scale = settings.metres_per_unit.is_none() && self.unit.is_none();
+        if !is_upright || !(settings.square || may_scale) {
+            return;
+        }
+        let walls = Walls::of(sample);
+        if settings.square && walls.is_clear() && walls.yaw.abs() >= LEAST_YAW {
+            self.yaw = walls.yaw;
+            self.turn(&walls.squaring());
+            self.remarks.push(Remark::Squared { yaw: walls.yaw });
+        }
+        if may_scale {
+            self.decide_room(sample, &walls);
+        }
+    }
+
+    fn decide_tilt(&mut self, sample: &mut GaussianScene) {
+        let leveling = level(sample);
+        if !leveling.has_floor() || !(TILT[0]..=TILT[1]).contains(&leveling.tilt) {
+            return;
+        }
+        let mut turned = sample.clone();
+        let rotation = leveling.rotation;
+        turned.transform(&Similarity { rotation, ..Similarity::IDENTITY });
+        let floors = Floors::of_scene(&turned);
+        if floors.has_plane() && floors.score > SHARPER * self.floors.score {
+            self.tilt = leveling.tilt;
+            self.turn(&rotation);
+            self.floors = floors;
+            self.remarks.push(Remark::Leveled { tilt: leveling.tilt });
+            *sample = turned;
+        }
+    }
+
+    /// A room that is closed all around, and as high as none is.
+    fn decide_room(&mut self, sample: &mut GaussianScene, walls: &Walls) {
+        let extent = robust_bounds(&sample.coord).extent()[2];
+        let is_room = |height: f64| (ROOM_HEIGHTS[0]..=ROOM_HEIGHTS[1]).contains(&height);
+        if walls.closed < 4 || !walls.is_clear() || extent <= 0.0 || is_room(extent) {
+            return;
+        }
+        // Floors are looked for in metres, so first as if the extent were that of a room.
+        let scaled = |by: f64, sample: &GaussianScene| {
+            let mut scaled = sample.clone();
+            scaled.transform(&Similarity { scale: by, ..Similarity::IDENTITY });
+            scaled
+        };
+        let guess = USUAL_HEIGHT / extent;
+        let floors = Floors::of_scene(&scaled(guess, sample));
+        let height = walls.top - floors.heights[0] / guess;
+        // Several storeys are higher than a room.
+        if !floors.has_plane() || height <= 0.0 || is_room(height) || self.floors.heights.len() > 1
+        {
+            return;
+        }
+        let by = USUAL_HEIGHT / height;
+        self.scale *= by;
+        self.floors = Floors::of_scene(&scaled(by, sample));
+        self.remarks.push(Remark::ScaledToRoom { by: self.scale, height });
+    }
+
+    fn turn(&mut self, by: &Matrix3) {
+        let old = self.rotation;
+        self.rotation =
+            [0, 1, 2].map(|i| [0, 1, 2].map(|j| (0..3).map(|k| by[i][k] * old[k][j]).sum()));
     }
 
     fn decide_up(&mut self) {
@@ -116,6 +274,7 @@ impl Alignment {
             self.remarks.push(Remark::UpUnclear { likely: axis, confidence });
         } else if axis != UpAxis::PlusZ {
             self.turned_from = axis;
+            self.rotation = axis.upright();
             self.remarks.push(Remark::Turned { from: axis });
         }
     }
@@ -143,7 +302,10 @@ impl Alignment {
 
     /// Whether the network reads the scene itself.
     pub fn is_identity(&self) -> bool {
-        self.turned_from == UpAxis::PlusZ && self.scale == 1.0
+        self.turned_from == UpAxis::PlusZ
+            && self.scale == 1.0
+            && self.tilt == 0.0
+            && self.yaw == 0.0
     }
 
     /// The scene as the network reads it: itself, bit for bit, if nothing is to be done, else a copy
@@ -152,10 +314,10 @@ impl Alignment {
         if self.is_identity() {
             return Cow::Borrowed(scene);
         }
-        let rotation = self.turned_from.upright();
+        let rotation = self.rotation;
         let turn = matrix_to_quat(&rotation);
-        let is_turned = self.turned_from != UpAxis::PlusZ;
-        // A row of the rotation has one ±1 and two zeros: no rounding.
+        let is_turned = rotation != UpAxis::PlusZ.upright();
+        // Without tilt and yaw a row of the rotation has one ±1 and two zeros: no rounding.
         let direction =
             |v: &[f32; 3]| rotation.map(|r| (0..3).map(|a| r[a] * f64::from(v[a])).sum::<f64>());
         let add = self.scale.ln();
@@ -277,8 +439,12 @@ mod tests {
     fn the_user_decides() {
         let room = room();
         let lying = lying(&room, UpAxis::MinusY);
-        let as_is =
-            AlignmentSettings { as_is: true, up: Some(UpAxis::MinusY), metres_per_unit: Some(2.0) };
+        let as_is = AlignmentSettings {
+            as_is: true,
+            up: Some(UpAxis::MinusY),
+            metres_per_unit: Some(2.0),
+            ..Default::default()
+        };
         let alignment = Alignment::of(&lying, &as_is);
         assert!(alignment.is_identity() && alignment.remarks.is_empty(), "{alignment:?}");
         assert_eq!(alignment.up.axis, UpAxis::MinusY);
@@ -307,5 +473,74 @@ mod tests {
         assert!(matches!(alignment.remarks[..], [Remark::UpUnclear { .. }]), "{alignment:?}");
         assert!(Alignment::of(&ball(50), &AlignmentSettings::default()).remarks.is_empty());
         assert!(Alignment::of(&ball(0), &AlignmentSettings::default()).is_identity());
+    }
+
+    fn turned_by(scene: &GaussianScene, angles: [f64; 3], scale: f64) -> GaussianScene {
+        let mut scene = scene.clone();
+        let rotation = scenesplat_scene::edit::EulerAngles(angles).matrix();
+        scene.transform(&Similarity { rotation, scale, translation: [3.0, -1.0, 4.0] });
+        scene
+    }
+
+    #[test]
+    fn a_tilted_room_is_read_level() {
+        let room = room();
+        for angles in [[5.0, 0.0, 0.0], [-3.0, 8.0, 0.0], [0.0, -12.0, 30.0]] {
+            let tilted = turned_by(&room, angles, 1.0);
+            let alignment = Alignment::of(&tilted, &AlignmentSettings::default());
+            assert!(matches!(alignment.remarks[..], [Remark::Leveled { .. }]), "{alignment:?}");
+            let read = alignment.apply(&tilted);
+            let again = Alignment::of(&read, &AlignmentSettings::default());
+            assert!(again.is_identity(), "{angles:?}: {again:?}");
+            // The floor is where it is planted: 4 m up along the vertical.
+            let due = read.coord.iter().zip(&room.coord).filter(|(_, old)| old[2].abs() < 0.02);
+            let heights: Vec<f32> = due.map(|(p, _)| alignment.floors.height(p[2])).collect();
+            let most = heights.iter().map(|h| h.abs()).fold(0.0, f32::max);
+            assert!(heights.len() > 100 && most < 0.06, "{angles:?}: {most}");
+        }
+    }
+
+    #[test]
+    fn walls_come_along_the_axes_where_a_network_wants_it() {
+        let room = room();
+        let turned = turned_by(&room, [0.0, 0.0, 37.0], 1.0);
+        let alignment = Alignment::of(&turned, &AlignmentSettings::default());
+        assert!(alignment.is_identity(), "{alignment:?}");
+        let square = AlignmentSettings { square: true, ..Default::default() };
+        let alignment = Alignment::of(&turned, &square);
+        let [Remark::Squared { yaw }] = alignment.remarks[..] else { panic!("{alignment:?}") };
+        assert!((yaw - 37.0).abs() < 0.5, "{yaw}");
+        let again = Alignment::of(&alignment.apply(&turned), &square);
+        assert!(again.is_identity(), "{again:?}");
+        assert!(Alignment::of(&room, &square).is_identity());
+    }
+
+    #[test]
+    fn a_closed_room_that_is_too_high_or_too_low_is_in_another_unit() {
+        let settings = SyntheticRoomSettings { num_gaussians: Some(40_000), ..Default::default() };
+        let room = generate(&settings).unwrap().scene;
+        for by in [2.0, 0.5, 10.0] {
+            let scene = turned_by(&room, [0.0; 3], by);
+            let alignment = Alignment::of(&scene, &AlignmentSettings::default());
+            let [Remark::ScaledToRoom { by: found, .. }] = alignment.remarks[..] else {
+                panic!("{by}: {alignment:?}")
+            };
+            assert!((found * by - 1.0).abs() < 0.25, "{by}: {alignment:?}");
+            let given = AlignmentSettings { metres_per_unit: Some(1.0), ..Default::default() };
+            assert!(Alignment::of(&scene, &given).is_identity());
+        }
+    }
+
+    #[test]
+    fn the_floor_is_found_or_given() {
+        let room = room();
+        let found = Alignment::of(&room, &AlignmentSettings::default()).floors;
+        assert!(found.has_plane() && found.heights[0].abs() < 0.02, "{found:?}");
+        let mm = AlignmentSettings {
+            floor: Some(500.0),
+            metres_per_unit: Some(0.001),
+            ..Default::default()
+        };
+        assert_eq!(Alignment::of(&room, &mm).floors, Floors::given(0.5));
     }
 }

@@ -10,7 +10,7 @@ use scenesplat_datasets::{
 };
 use scenesplat_models::ops::normalize_rows;
 use scenesplat_models::{Backbone, Forward, Orders, PointCloud};
-use scenesplat_scene::GaussianScene;
+use scenesplat_scene::{Floors, GaussianScene};
 use std::fs::File;
 use std::ops::Range;
 use std::path::PathBuf;
@@ -181,7 +181,7 @@ impl<'a> SceneEncoder<'a> {
             codes: None,
             anchor: Anchor::Box,
             spill_folder: std::env::temp_dir(),
-            alignment: AlignmentSettings::default(),
+            alignment: AlignmentSettings { square: network.is_square(), ..Default::default() },
         }
     }
 
@@ -215,7 +215,7 @@ impl<'a> SceneEncoder<'a> {
         let aligned = alignment.apply(scene);
         // The copy and the scene are both there.
         let beside = if alignment.is_identity() { 0 } else { scene_bytes(scene) };
-        let mut features = self.encode_as_is(&aligned, beside, progress)?;
+        let mut features = self.encode_as_is(&aligned, &alignment.floors, beside, progress)?;
         features.alignment = Some(alignment);
         Ok(features)
     }
@@ -224,6 +224,7 @@ impl<'a> SceneEncoder<'a> {
     fn encode_as_is(
         &self,
         scene: &GaussianScene,
+        floors: &Floors,
         beside: u64,
         progress: &mut ProgressFn<'_>,
     ) -> Result<SceneFeatures, EncodeError> {
@@ -242,6 +243,7 @@ impl<'a> SceneEncoder<'a> {
             Fidelity::Passes(passes) => exact(Some(passes)).build(scene)?,
             Fidelity::Exact => exact(None).build(scene)?,
         };
+        let plan = plan.above(floors.clone());
         if plan.num_inputs() == 0 {
             return Err(EncodeError::Setting("the scene has no Gaussian".to_owned()));
         }

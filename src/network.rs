@@ -8,7 +8,7 @@ pub use choice::{NetworkChoice, config_beside, network_of};
 pub use config::{NetworkConfig, documented_input};
 pub use error::NetworkError;
 
-use scenesplat_datasets::InputFeatures;
+use scenesplat_datasets::{InputFeatures, Orientation};
 use scenesplat_models::convert::{Branch, ConvLayout};
 use scenesplat_models::weights::{SourceOptions, WeightSource, resolve};
 use scenesplat_models::{Backbone, LoadPolicy, LoadReport, ParamStore};
@@ -179,6 +179,11 @@ impl Network {
     /// What it reads of a Gaussian.
     pub fn input(&self) -> &InputFeatures {
         &self.input
+    }
+
+    /// Whether it knows rooms with their walls along the axes, so that others are better read turned.
+    pub fn is_square(&self) -> bool {
+        self.input.orientation == Orientation::Drawn
     }
 
     /// Voxel size that it was trained at, metres.

@@ -6,7 +6,7 @@ use crate::flags::Inference;
 use crate::session::set_threads;
 use crate::setting::VOTE_K;
 use anyhow::{Context, Result};
-use scenesplat::alignment::{Alignment, AlignmentSettings};
+use scenesplat::alignment::Alignment;
 use scenesplat::datasets::plan::center_shift;
 use scenesplat::input::open_input;
 use scenesplat::kernels::grid_sample::{KeyOrder, voxel_groups};
@@ -127,14 +127,8 @@ fn choose(args: &BudgetArgs, job: &Job<'_>) -> Result<Option<Chosen>> {
         );
         return Err(WrongUse(text).into());
     }
-    let alignment = Alignment::of(
-        scene,
-        &AlignmentSettings {
-            up: job.inference.up,
-            metres_per_unit: job.inference.unit,
-            as_is: job.inference.as_is,
-        },
-    );
+    // A turn about the vertical changes the number of voxels next to nothing.
+    let alignment = Alignment::of(scene, &job.inference.alignment(false));
     let coord = center_shift(&alignment.apply(scene).coord);
     let native = embedded::config().map_or(0.02, |config| config.model.grid_size);
     let mut counted: BTreeMap<u64, usize> = BTreeMap::new();

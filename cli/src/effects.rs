@@ -5,12 +5,12 @@ use crate::flags::Inference;
 use crate::receipt::ReceiptReport;
 use crate::session::Session;
 use anyhow::{Context, Result};
+use scenesplat::Alignment;
 use scenesplat::compensation::{Compensation, Consumer, modules, plan_of};
 use scenesplat::datasets::effects::EffectError;
 use scenesplat::datasets::effects::plan::{EffectChoices, EffectPlan, looked_for};
 use scenesplat::scene::GaussianScene;
 use scenesplat::scene::input_file::open_regular_file;
-use scenesplat::{Alignment, AlignmentSettings};
 use std::io::Read;
 use std::path::PathBuf;
 
@@ -96,10 +96,5 @@ impl Session<'_> {
 
 /// What one unit of a scene is for the network.
 fn metres_per_unit(scene: &GaussianScene, inference: &Inference) -> f64 {
-    let settings = AlignmentSettings {
-        up: inference.up,
-        metres_per_unit: inference.unit,
-        as_is: inference.as_is,
-    };
-    Alignment::of(scene, &settings).scale
+    Alignment::of(scene, &inference.alignment(false)).scale
 }

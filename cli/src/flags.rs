@@ -4,13 +4,13 @@ use crate::commands::WrongUse;
 use crate::setting::parse_setting;
 use anyhow::Result;
 use clap::ValueEnum;
-use scenesplat::Setting;
 use scenesplat::inspect::LengthUnit;
 use scenesplat::kernels::Precision;
 use scenesplat::memory::Bytes;
 use scenesplat::models::convert::{Branch, ConvLayout};
 use scenesplat::network::{NetworkChoice, Weights};
 use scenesplat::scene::{Policy, ReadOptions, SpzFrame, UpAxis};
+use scenesplat::{AlignmentSettings, Setting};
 use std::path::PathBuf;
 
 /// Flags that all commands share.
@@ -186,12 +186,27 @@ pub struct Inference {
     /// copy; judged by the scene if not given.
     #[arg(long, value_name = "UNIT|METRES", value_parser = parse_unit)]
     pub unit: Option<f64>,
+    /// Height of the floor along up, in the scene's unit (where the floor is out of level, once it is
+    /// level); for networks that read heights, such as the one inside the program. Looked for if not given.
+    #[arg(long, value_name = "HEIGHT", value_parser = parse_height, allow_hyphen_values = true)]
+    pub floor: Option<f64>,
     /// The network reads the scene as it is: neither turned nor scaled.
     #[arg(long, conflicts_with = "unit")]
     pub as_is: bool,
 }
 
 impl Inference {
+    /// What is known of the scene. `square`: whether the network knows rooms along the axes.
+    pub fn alignment(&self, square: bool) -> AlignmentSettings {
+        AlignmentSettings {
+            up: self.up,
+            metres_per_unit: self.unit,
+            floor: self.floor,
+            square,
+            as_is: self.as_is,
+        }
+    }
+
     /// A flag that was given and only means something to a network.
     pub fn network_flag(&self) -> Option<&'static str> {
         let flags = [
@@ -204,6 +219,7 @@ impl Inference {
             (self.shuffle_orders, "--shuffle-orders"),
             (self.partial_weights, "--partial-weights"),
             (self.unit.is_some(), "--unit"),
+            (self.floor.is_some(), "--floor"),
             (self.as_is, "--as-is"),
         ];
         flags.iter().find(|(given, _)| *given).map(|(_, name)| *name)
@@ -265,6 +281,14 @@ pub fn parse_level(text: &str) -> Result<usize, String> {
 /// Reads the name of an axis.
 pub fn parse_up(text: &str) -> Result<UpAxis, String> {
     text.parse()
+}
+
+/// Reads a height.
+pub fn parse_height(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(height) if height.is_finite() => Ok(height),
+        _ => Err(format!("{text:?}: a height is expected, such as -0.4")),
+    }
 }
 
 /// Reads a unit of length, in metres.

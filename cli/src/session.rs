@@ -8,7 +8,7 @@ use crate::progress::{Progress, interrupted, listen_for_interrupt};
 use crate::receipt::Receipt;
 use crate::terminal::print;
 use anyhow::{Context, Result};
-use scenesplat::alignment::{Alignment, AlignmentSettings, Remark};
+use scenesplat::alignment::{Alignment, Remark};
 use scenesplat::compensation::{Compensation, tiles_section};
 use scenesplat::inference::{EncodeError, Fidelity};
 use scenesplat::input::{open_input, read_features};
@@ -345,15 +345,9 @@ impl<'a> Session<'a> {
             ..SceneEncoder::new(network)
         };
         let encoder = inference.effective.apply_to_encoder(encoder);
-        let alignment = Alignment::of(
-            scene,
-            &AlignmentSettings {
-                up: inference.up,
-                metres_per_unit: inference.unit,
-                as_is: inference.as_is,
-            },
-        );
+        let alignment = Alignment::of(scene, &inference.alignment(network.is_square()));
         self.tell(&alignment, inference.as_is);
+        self.tell_floor(&alignment, network.input().reads_height(), inference.floor)?;
         let receipt = &self.receipt;
         let why = "fast: one Gaussian a voxel; exact: a sampling at half the voxel size, averaged";
         let fidelity = match encoder.fidelity {
@@ -434,6 +428,43 @@ impl<'a> Session<'a> {
         Ok(features)
     }
 
+    /// Notes what heights are measured from, and says it where it is not plain.
+    fn tell_floor(&self, alignment: &Alignment, is_read: bool, given: Option<f64>) -> Result<()> {
+        if !is_read {
+            return match given {
+                Some(_) => {
+                    Err(WrongUse("--floor: this network reads no heights".to_owned()).into())
+                }
+                None => Ok(()),
+            };
+        }
+        let floors = &alignment.floors;
+        let shown: Vec<String> =
+            floors.heights.iter().map(|h| format!("{:.2}", h / alignment.scale)).collect();
+        let heights = shown.join(", ");
+        let percent = |share: f64| format!("{:.0} %", 100.0 * share);
+        let why = match (floors.given, floors.has_plane()) {
+            (true, _) => "as given".to_owned(),
+            (false, true) => format!(
+                "a level surface over {} of the ground plan; {} of what is seen lies below it",
+                percent(floors.cover),
+                percent(floors.below)
+            ),
+            (false, false) => {
+                "no level surface was found; 1 % of what is seen lies below it".to_owned()
+            }
+        };
+        self.receipt.setting("floor", &heights, &format!("height along up: {why}"));
+        let is_plain = floors.has_plane() && floors.heights.len() == 1 && floors.below < 0.02;
+        if !is_plain && !floors.given {
+            let what = if floors.heights.len() == 1 { "the floor is" } else { "the floors are" };
+            self.progress.say(format!(
+                "{what} at {heights} along up: {why} (--floor HEIGHT if it is another)"
+            ));
+        }
+        Ok(())
+    }
+
     /// Says and notes what the network makes of a scene that lies otherwise than it knows.
     pub fn tell(&self, alignment: &Alignment, as_is: bool) {
         let up = &alignment.up;
@@ -461,6 +492,33 @@ impl<'a> Session<'a> {
                     format!(
                         "one unit is {by} m: the network reads a copy in metres; files keep their \
                          unit (--unit UNIT if it is another, --as-is to leave it)"
+                    )
+                }
+                Remark::Leveled { tilt } => {
+                    let why = "degrees that the floor was off; the network read a level copy";
+                    self.receipt.setting("leveled", format!("{tilt:.1}"), why);
+                    format!(
+                        "the floor is {tilt:.1} degrees out of level: the network reads a level \
+                         copy; files keep their frame (--as-is to leave it)"
+                    )
+                }
+                Remark::Squared { yaw } => {
+                    let why =
+                        "degrees that walls were off the axes; the network read a turned copy";
+                    self.receipt.setting("squared", format!("{yaw:.1}"), why);
+                    format!(
+                        "walls are turned by {yaw:.1} degrees: the network reads a copy with its \
+                         walls along the axes; files keep their frame (--as-is to leave it)"
+                    )
+                }
+                Remark::ScaledToRoom { by, height } => {
+                    let why = "metres per unit, by the height of the walls; the network read a \
+                               copy in metres";
+                    self.receipt.setting("unit", format!("{by:.4}"), why);
+                    format!(
+                        "the walls are {height:.2} units high, and no room is: the network reads a \
+                         copy with {by:.3} m per unit; files keep their unit (--unit m if these \
+                         are metres)"
                     )
                 }
                 Remark::UpUnclear { likely, confidence } => format!(

@@ -2,7 +2,8 @@
 
 use crate::{DataError, Sample};
 use rayon::prelude::*;
-use scenesplat_scene::GaussianScene;
+use scenesplat_scene::quaternion::drawn_axes;
+use scenesplat_scene::{FloorRow, Floors, GaussianScene};
 use serde::{Deserialize, Serialize};
 
 /// One group of input channels, after activation.
@@ -19,8 +20,8 @@ pub enum InputChannel {
     Scale,
     /// Unit surface normal. 3 channels
     Normal,
-    /// Metres above the ground, which one centre in a hundred of the whole scene lies below; the
-    /// scene's z axis must point up. 1 channel. Not part of the original.
+    /// Metres above the floor, which is looked for in the whole scene ([`Floors`]); the scene's z axis
+    /// must point up. 1 channel. Not part of the original.
     Height,
 }
 
@@ -46,7 +47,20 @@ impl InputChannel {
     }
 }
 
-/// Which channels the network reads, in order, and how scales are limited.
+/// How the orientation of a splat is written: 24 pairs of sizes and quaternion are the same ellipsoid,
+/// its axes permuted and turned round.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Orientation {
+    /// As the scene has it. What the original reads.
+    #[default]
+    AsStored,
+    /// One of the 24, drawn, whichever the scene has: see [`drawn_axes`]. Inference also brings the walls
+    /// of a room along the axes for such a network.
+    Drawn,
+}
+
+/// Which channels the network reads, in order, how orientations are written and how scales are limited.
 ///
 /// The default is the input of the language networks: colour, opacity, quat, scale (11 channels)
 /// with scales clipped as in their training.
@@ -59,6 +73,8 @@ pub struct InputFeatures {
     /// are.
     #[serde(with = "scale_clip")]
     pub scale_clip: Option<[f32; 2]>,
+    /// How orientations are written, in the channels `quat` and `scale`.
+    pub orientation: Orientation,
 }
 
 /// `None` is a word in files: an entry that is left out means the default.
@@ -99,7 +115,11 @@ mod scale_clip {
 impl Default for InputFeatures {
     fn default() -> Self {
         use InputChannel::{Color, Opacity, Quat, Scale};
-        Self { channels: vec![Color, Opacity, Quat, Scale], scale_clip: Some([0.0, 1.5]) }
+        Self {
+            channels: vec![Color, Opacity, Quat, Scale],
+            scale_clip: Some([0.0, 1.5]),
+            orientation: Orientation::AsStored,
+        }
     }
 }
 
@@ -122,6 +142,19 @@ impl InputFeatures {
     /// `NormalizeColor`, `Collect` and the scene loaders of SceneSplat be9d5e1. Differs: its
     /// inference script does not clip scales although training did; `scale_clip: None` does that.
     pub fn rows(&self, scene: &GaussianScene, rows: &[u32]) -> Result<Vec<f32>, DataError> {
+        self.rows_above(scene, rows, None)
+    }
+
+    /// As [`rows`](Self::rows), above floors that are known.
+    ///
+    /// # Errors
+    /// As [`rows`](Self::rows).
+    pub fn rows_above(
+        &self,
+        scene: &GaussianScene,
+        rows: &[u32],
+        floors: Option<&Floors>,
+    ) -> Result<Vec<f32>, DataError> {
         scene.check_rows()?;
         if let Some(&row) = rows.iter().find(|&&r| r as usize >= scene.len()) {
             return Err(DataError::RowOutOfRange { row: row as usize, rows: scene.len() });
@@ -136,12 +169,14 @@ impl InputFeatures {
             return Ok(feat);
         }
         // Of the whole scene, so that a tile of it gets the heights of the scene.
-        let ground = self.ground(&scene.coord);
+        let reads = self.reads_height();
+        let found = (reads && floors.is_none()).then(|| Floors::of_scene(scene));
+        let floors = floors.filter(|_| reads).or(found.as_ref());
         feat.par_chunks_exact_mut(width).zip(rows).with_min_len(4096).for_each(|(out, &row)| {
             let mut at = 0;
             for &channel in &self.channels {
                 let end = at + channel.width();
-                self.write(channel, scene, row as usize, ground, &mut out[at..end]);
+                self.write(channel, scene, row as usize, floors, &mut out[at..end]);
                 at = end;
             }
         });
@@ -171,7 +206,14 @@ impl InputFeatures {
             return Ok(feat);
         }
         let [low, high] = self.scale_clip.unwrap_or([f32::NEG_INFINITY, f32::INFINITY]);
-        let ground = self.ground(&sample.coord);
+        let floors = self.reads_height().then(|| {
+            Floors::of(sample.len(), |row| FloorRow {
+                coord: sample.coord[row],
+                opacity: sample.opacity[row],
+                scale: sample.scale[row],
+                quat: sample.quat[row],
+            })
+        });
         feat.par_chunks_exact_mut(width).enumerate().with_min_len(4096).for_each(|(row, out)| {
             let mut at = 0;
             for &channel in &self.channels {
@@ -182,10 +224,16 @@ impl InputFeatures {
                         out.copy_from_slice(&sample.color[row].map(|c| c / 127.5 - 1.0));
                     }
                     InputChannel::Opacity => out[0] = sample.opacity[row],
-                    InputChannel::Height => out[0] = sample.coord[row][2] - ground,
-                    InputChannel::Quat => out.copy_from_slice(&sample.quat[row]),
+                    InputChannel::Height => out[0] = height(floors.as_ref(), sample.coord[row][2]),
+                    InputChannel::Quat => {
+                        out.copy_from_slice(
+                            &self.axes(sample.scale[row], sample.quat[row], sample.coord[row]).1,
+                        );
+                    }
                     InputChannel::Scale => {
-                        out.copy_from_slice(&sample.scale[row].map(|s| s.clamp(low, high)));
+                        let scale =
+                            self.axes(sample.scale[row], sample.quat[row], sample.coord[row]).0;
+                        out.copy_from_slice(&scale.map(|s| s.clamp(low, high)));
                     }
                     InputChannel::Normal => {
                         if let Some(normal) = &sample.normal {
@@ -216,18 +264,17 @@ impl InputFeatures {
         }
     }
 
-    /// Height of the ground; 0 if no channel asks for it or there is no centre.
-    fn ground(&self, coord: &[[f32; 3]]) -> f32 {
-        if !self.channels.contains(&InputChannel::Height) {
-            return 0.0;
+    /// Whether a channel asks for floors.
+    pub fn reads_height(&self) -> bool {
+        self.channels.contains(&InputChannel::Height)
+    }
+
+    /// Sizes and quaternion as they are read.
+    fn axes(&self, scale: [f32; 3], quat: [f32; 4], coord: [f32; 3]) -> ([f32; 3], [f32; 4]) {
+        match self.orientation {
+            Orientation::AsStored => (scale, quat),
+            Orientation::Drawn => drawn_axes(scale, quat, coord),
         }
-        let mut z: Vec<f32> = coord.iter().map(|c| c[2]).filter(|z| z.is_finite()).collect();
-        if z.is_empty() {
-            return 0.0;
-        }
-        // Not the lowest: floaters lie anywhere.
-        let rank = z.len() / 100;
-        *z.select_nth_unstable_by(rank, f32::total_cmp).1
     }
 
     fn write(
@@ -235,7 +282,7 @@ impl InputFeatures {
         channel: InputChannel,
         scene: &GaussianScene,
         row: usize,
-        ground: f32,
+        floors: Option<&Floors>,
         out: &mut [f32],
     ) {
         match channel {
@@ -247,10 +294,14 @@ impl InputFeatures {
                 }
             }
             InputChannel::Opacity => out[0] = scene.opacity(row),
-            InputChannel::Height => out[0] = scene.coord[row][2] - ground,
-            InputChannel::Quat => out.copy_from_slice(&scene.quat[row]),
+            InputChannel::Height => out[0] = height(floors, scene.coord[row][2]),
+            InputChannel::Quat => {
+                out.copy_from_slice(
+                    &self.axes(scene.scale(row), scene.quat[row], scene.coord[row]).1,
+                );
+            }
             InputChannel::Scale => {
-                let scale = scene.scale(row);
+                let scale = self.axes(scene.scale(row), scene.quat[row], scene.coord[row]).0;
                 let [low, high] = self.scale_clip.unwrap_or([f32::NEG_INFINITY, f32::INFINITY]);
                 out.copy_from_slice(&scale.map(|s| s.clamp(low, high)));
             }
@@ -270,6 +321,10 @@ impl InputFeatures {
         });
         DataError::NotFinite { row, field: channel.map_or("feature", |c| c.field()), value }
     }
+}
+
+fn height(floors: Option<&Floors>, z: f32) -> f32 {
+    floors.map_or(z, |floors| floors.height(z))
 }
 
 #[cfg(test)]
@@ -306,7 +361,7 @@ mod tests {
         let sample = Sample::from_scene("a", scene.clone());
         for scale_clip in [Some([0.0, 1.5]), Some([0.02, 0.5]), None] {
             let channels = vec![Normal, Scale, Color, Quat, Opacity];
-            let features = InputFeatures { channels, scale_clip };
+            let features = InputFeatures { channels, scale_clip, ..InputFeatures::default() };
             let bits = |rows: Vec<f32>| rows.into_iter().map(f32::to_bits).collect::<Vec<_>>();
             let expected = bits(features.rows(&scene, &[0, 1]).unwrap());
             assert_eq!(bits(features.sample_rows(&sample).unwrap()), expected);
@@ -319,12 +374,13 @@ mod tests {
         let error = InputFeatures::default().sample_rows(&broken).unwrap_err();
         assert!(matches!(error, DataError::NotFinite { row: 1, field: "color", .. }), "{error}");
         broken.normal = None;
-        let features = InputFeatures { channels: vec![Normal], scale_clip: None };
+        let channels = vec![Normal];
+        let features = InputFeatures { channels, ..InputFeatures::default() };
         assert!(matches!(features.sample_rows(&broken), Err(DataError::NoNormals)));
     }
 
     #[test]
-    fn height_is_above_the_ground_of_the_whole_scene() {
+    fn height_is_above_the_floor_of_the_whole_scene() {
         // 100 centres on the floor at z = 2, one floater far below, one lamp 1.5 m above.
         let mut scene = GaussianScene {
             coord: (0..100).map(|i| [i as f32, 0.0, 2.0]).collect(),
@@ -342,6 +398,8 @@ mod tests {
         assert_eq!(features.rows(&scene, &[101, 0, 100]).unwrap(), [1.5, 0.0, -42.0]);
         let sample = Sample::from_scene("a", scene.clone());
         assert_eq!(features.sample_rows(&sample).unwrap()[100..], [-42.0, 1.5]);
+        let given = Floors::given(1.0);
+        assert_eq!(features.rows_above(&scene, &[101, 0], Some(&given)).unwrap(), [2.5, 1.0]);
         scene.coord[7][2] = f32::NAN;
         let error = features.rows(&scene, &[6, 7]).unwrap_err();
         assert!(matches!(error, DataError::NotFinite { row: 7, field: "coord z", .. }), "{error}");

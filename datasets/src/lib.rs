@@ -39,7 +39,7 @@ pub use effects::{Effect, EffectSet, Simulated, simulate};
 pub use error::DataError;
 pub use from_points::{PointSettings, SurfacePoints, estimate_normals, gaussians_from_points};
 pub use full_scene::FullScene;
-pub use input_features::{InputChannel, InputFeatures};
+pub use input_features::{InputChannel, InputFeatures, Orientation};
 pub use left_out::{LeftOut, RepairedScene};
 pub use loader::{BatchLoader, BrokenScenes, LoaderSettings, SceneLoader, SkippedScene};
 pub use masking::{MaskShape, MaskWeight, Masked, Masking};

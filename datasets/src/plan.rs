@@ -11,7 +11,7 @@ use crate::error::check_length;
 use crate::rng::{below, sample_rng};
 use crate::{DataError, InputFeatures};
 use scenesplat_kernels::grid_sample::{GridSampleError, KeyOrder, VoxelGroups, voxel_groups};
-use scenesplat_scene::GaussianScene;
+use scenesplat_scene::{Floors, GaussianScene};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 
@@ -125,6 +125,8 @@ impl Default for ExactPlan {
 pub struct InferencePlan<'a> {
     scene: &'a GaussianScene,
     features: InputFeatures,
+    /// What heights are measured from; looked for if not known.
+    floors: Option<Floors>,
     grid_coord: Vec<[i32; 3]>,
     /// Groups of slots, for plans with more than one pass.
     fragments: Option<VoxelGroups>,
@@ -148,7 +150,8 @@ impl FastPlan {
         self.anchor.place(&mut groups);
         let VoxelGroups { grid_coord, inverse, .. } = groups;
         let features = self.features.clone();
-        Ok(InferencePlan { scene, features, grid_coord, fragments: None, sampled, inverse })
+        let (fragments, floors) = (None, None);
+        Ok(InferencePlan { scene, features, floors, grid_coord, fragments, sampled, inverse })
     }
 }
 
@@ -189,6 +192,7 @@ impl ExactPlan {
         let all = InferencePlan {
             scene,
             features: self.features.clone(),
+            floors: None,
             grid_coord: fragments.grid_coord.clone(),
             fragments: Some(fragments),
             sampled,
@@ -237,6 +241,11 @@ impl InferencePlan<'_> {
         })
     }
 
+    /// The plan with known floors, for networks that read heights.
+    pub fn above(self, floors: Floors) -> Self {
+        Self { floors: Some(floors), ..self }
+    }
+
     /// Number of passes; 0 for an empty scene.
     pub fn num_inputs(&self) -> usize {
         match &self.fragments {
@@ -277,7 +286,7 @@ impl InferencePlan<'_> {
             None => (0..self.sampled.len() as u32).collect(),
         };
         let rows: Vec<u32> = slots.iter().map(|&s| self.sampled[s as usize]).collect();
-        let feat = self.features.rows(self.scene, &rows)?;
+        let feat = self.features.rows_above(self.scene, &rows, self.floors.as_ref())?;
         let channels = self.features.width();
         Ok(NetworkInput { rows, slots, grid_coord: self.grid_coord.clone(), feat, channels })
     }

@@ -6,6 +6,7 @@ use crate::material::ColorName;
 use crate::model::Surface;
 use crate::place::{Footprint, Placed};
 use crate::recipe::{self, RoomKind};
+use crate::scan::Scan;
 use crate::shape;
 use crate::splats::{self, Look, Owner, Rows, rounded_ln};
 use rayon::prelude::*;
@@ -24,6 +25,21 @@ const LAYOUT: u64 = 0;
 const LOOK: u64 = 1;
 const FLOATERS: u64 = 2;
 const FIRST_OBJECT: u64 = 3;
+/// What a scan varies; rooms with so many objects there are not.
+const SCAN: u64 = u64::MAX;
+
+/// How the Gaussians of a room came about.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Capture {
+    /// Furniture has more Gaussians than walls, small things most: density and size tell the class.
+    #[default]
+    Made,
+    /// As scans differ from each other, and nothing of it tells the class: the density of each object,
+    /// and of the room, from an eighth to twice what is asked for; sizes and opacities from faint to
+    /// swollen; rough surfaces; more floaters and larger holes; what lies below the floor.
+    Scan,
+}
 
 /// Which room.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -34,7 +50,8 @@ pub struct SyntheticRoomSettings {
     /// Number of the room among those of a seed.
     pub room: u64,
     /// Gaussians per square metre of floor or wall, above 0; furniture gets up to twice, small
-    /// things up to nine times as many. 500 fills most voxels of 4 cm, 2 500 those of 2 cm.
+    /// things up to nine times as many (unless [`capture`](Self::capture) says otherwise). 500 fills most
+    /// voxels of 4 cm, 2 500 those of 2 cm.
     pub gaussians_per_m2: f32,
     /// Exact number of Gaussians, whatever the density.
     pub num_gaussians: Option<usize>,
@@ -42,6 +59,8 @@ pub struct SyntheticRoomSettings {
     pub kind: Option<RoomKind>,
     /// Share of rooms that look as converted points instead of captures, 0..=1.
     pub points_share: f32,
+    /// How the Gaussians came about.
+    pub capture: Capture,
 }
 
 impl Default for SyntheticRoomSettings {
@@ -53,6 +72,7 @@ impl Default for SyntheticRoomSettings {
             num_gaussians: None,
             kind: None,
             points_share: 0.3,
+            capture: Capture::Made,
         }
     }
 }
@@ -113,26 +133,49 @@ pub fn generate(settings: &SyntheticRoomSettings) -> Result<SyntheticRoom, RoomE
     let size = [layout.size[0], layout.size[1], layout.height];
     let mut rng = sample_rng(seed, room, LOOK);
     let is_points = unit(&mut rng) < f64::from(settings.points_share);
-    let look = Look::new(is_points, size, &mut rng);
+    let mut look = Look::new(is_points, size, &mut rng);
+    let mut density = f64::from(settings.gaussians_per_m2);
+    let scan = match settings.capture {
+        Capture::Made => None,
+        Capture::Scan => {
+            let mut rng = sample_rng(seed, room, SCAN);
+            let scan = Scan::new(size, layout.objects.len(), &mut rng);
+            scan.change(&mut look);
+            density *= scan.density;
+            Some((scan, rng))
+        }
+    };
 
     let is_seen = |surface: &Surface| is_points || !surface.hidden;
-    let weight = |s: &Surface| if is_seen(s) { s.shape.area() * s.density } else { 0.0 };
-    let weights: Vec<f64> =
-        layout.objects.iter().flat_map(|o| o.model.surfaces.iter().map(weight)).collect();
+    let weight = |index: usize, s: &Surface| match &scan {
+        _ if !is_seen(s) => 0.0,
+        None => s.shape.area() * s.density,
+        Some((scan, _)) => s.shape.area() * scan.objects[index].density,
+    };
+    let weights: Vec<f64> = (layout.objects.iter().enumerate())
+        .flat_map(|(index, o)| o.model.surfaces.iter().map(move |s| (index, s)))
+        .map(|(index, s)| weight(index, s))
+        .collect();
     let total: f64 = weights.iter().sum();
-    let density = f64::from(settings.gaussians_per_m2);
     let n = settings.num_gaussians.unwrap_or((total * density) as usize);
     if n > MAX_GAUSSIANS {
         return Err(too_many("gaussians_per_m2", density.to_string()));
     }
     let num_floaters = (n as f64 * look.floaters) as usize;
-    let counts = shares(&weights, total, n - num_floaters);
+    let num_below = scan.as_ref().map_or(0, |(scan, _)| (n as f64 * scan.below) as usize);
+    let counts = shares(&weights, total, n - num_floaters - num_below);
 
-    let mut rows = scatter_all(&layout.objects, &counts, &look, [seed, room]);
+    let sizes = |index: usize| scan.as_ref().map_or(0.0, |(scan, _)| scan.objects[index].ln_size);
+    let mut rows = scatter_all(&layout.objects, &counts, &look, &sizes, [seed, room]);
     let spacing = rounded_ln((total / n.max(1) as f64).sqrt().clamp(1e-4, 0.2));
     let mut rng = sample_rng(seed, room, FLOATERS);
     for _ in 0..num_floaters {
         rows.push_floater(size, spacing, &mut rng);
+    }
+    if let Some((scan, mut rng)) = scan {
+        for _ in 0..num_below {
+            rows.push_below(size, scan.deep, spacing, &mut rng);
+        }
     }
     Ok(SyntheticRoom {
         scene: rows.into_scene(),
@@ -144,7 +187,13 @@ pub fn generate(settings: &SyntheticRoomSettings) -> Result<SyntheticRoom, RoomE
 }
 
 /// Gaussians on all surfaces, `counts` of them, in the order of the objects.
-fn scatter_all(objects: &[Placed], counts: &[usize], look: &Look, [seed, room]: [u64; 2]) -> Rows {
+fn scatter_all(
+    objects: &[Placed],
+    counts: &[usize],
+    look: &Look,
+    ln_size: &(dyn Fn(usize) -> f64 + Sync),
+    [seed, room]: [u64; 2],
+) -> Rows {
     let shadows: Vec<Footprint> = objects.iter().flat_map(casts_shadow).copied().collect();
     let mut counts_left = counts;
     let tasks: Vec<(&Placed, &[usize])> = (objects.iter())
@@ -164,6 +213,7 @@ fn scatter_all(objects: &[Placed], counts: &[usize], look: &Look, [seed, room]: 
                 segment: object.model.class.index() as i32,
                 instance: index as i32,
                 shadows: if is_floor { &shadows } else { &[] },
+                ln_size: ln_size(index),
             };
             let mut rows = Rows::with_capacity(counts.iter().sum());
             for (surface, &count) in object.model.surfaces.iter().zip(counts) {

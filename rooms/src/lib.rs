@@ -28,6 +28,9 @@
 //! A share of the rooms looks as points of a mesh do after `gaussians_from_points` of
 //! `scenesplat-datasets`: round discs a tenth as thick, one opacity, no noise, undersides and backs
 //! present.
+//!
+//! In those rooms density and size of the Gaussians tell the class, and networks read it. Rooms of
+//! [`Capture::Scan`] have no such leak, and vary as scans do.
 
 pub mod classes;
 mod dice;
@@ -38,6 +41,7 @@ mod material;
 mod model;
 mod place;
 mod recipe;
+mod scan;
 mod shape;
 mod shell;
 mod splats;
@@ -47,7 +51,8 @@ pub mod vocabulary;
 pub use classes::{CLASSES, ClassId, Group, SyntheticClass};
 pub use error::RoomError;
 pub use generate::{
-    MAX_GAUSSIANS, MAX_STRAY, SyntheticObject, SyntheticRoom, SyntheticRoomSettings, generate,
+    Capture, MAX_GAUSSIANS, MAX_STRAY, SyntheticObject, SyntheticRoom, SyntheticRoomSettings,
+    generate,
 };
 pub use material::ColorName;
 pub use recipe::RoomKind;

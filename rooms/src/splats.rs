@@ -39,6 +39,8 @@ pub(crate) struct Look {
     pub(crate) floaters: f64,
     /// Balls in which the capture saw little.
     pub(crate) holes: Vec<(V3, f64)>,
+    /// Whether any of the 24 pairs of sizes and quaternion may stand for an ellipsoid.
+    pub(crate) is_spelled_anyhow: bool,
 }
 
 impl Look {
@@ -68,6 +70,7 @@ impl Look {
                     (centre, between(rng, 0.15, 0.7))
                 })
                 .collect(),
+            is_spelled_anyhow: false,
         }
     }
 
@@ -102,6 +105,8 @@ pub(crate) struct Owner<'a> {
     pub(crate) instance: i32,
     /// What stands on it and takes its light: only for floors.
     pub(crate) shadows: &'a [Footprint],
+    /// Logarithm of what its Gaussians are larger by than their density says.
+    pub(crate) ln_size: f64,
 }
 
 struct Splat {
@@ -162,7 +167,7 @@ impl Rows {
         rng: &mut SampleRng,
     ) {
         let spacing = (surface.shape.area() / count.max(1) as f64).sqrt().max(1e-4);
-        let ln_spacing = rounded_ln(spacing);
+        let ln_spacing = rounded_ln(spacing) + owner.ln_size;
         for _ in 0..count {
             let mut point = surface.shape.sample(rng);
             let mut coord = owner.pose.point(point.coord);
@@ -199,6 +204,23 @@ impl Rows {
             quat: quat_of([u, v, normal]),
             normal,
             opacity_logit: -2.5 + 1.2 * noise(rng),
+            color: std::array::from_fn(|_| grey + 25.0 * noise(rng)),
+        };
+        self.push(&splat, -1, -1);
+    }
+
+    /// What a scan leaves below a floor: mirror images in polished stone, and what a camera did not see.
+    pub(crate) fn push_below(&mut self, size: V3, deep: f64, ln_spacing: f64, rng: &mut SampleRng) {
+        let normal = direction(rng);
+        let [u, v] = basis(normal);
+        let grey = between(rng, 40.0, 220.0);
+        let down = unit(rng);
+        let splat = Splat {
+            coord: [size[0] * unit(rng), size[1] * unit(rng), -deep * down * down],
+            log_scale: std::array::from_fn(|_| ln_spacing - 0.2 + 0.6 * noise(rng)),
+            quat: quat_of([u, v, normal]),
+            normal,
+            opacity_logit: -0.5 + 1.8 * noise(rng),
             color: std::array::from_fn(|_| grey + 25.0 * noise(rng)),
         };
         self.push(&splat, -1, -1);
@@ -282,6 +304,10 @@ fn trained(
     // Which axis is the short one is chance in a trained scene.
     let shift = super::dice::whole(rng, 0, 2) as usize;
     let turned = |i: usize| (i + shift) % 3;
+    let (axes, scales) = match look.is_spelled_anyhow {
+        true => respelled(axes, scales, rng),
+        false => (axes, scales),
+    };
     Splat {
         coord: add_times(coord, normal, off.clamp(-MAX_STRAY, MAX_STRAY)),
         log_scale: std::array::from_fn(|i| scales[turned(i)]),
@@ -292,6 +318,22 @@ fn trained(
             let common = look.grit[0] * noise(rng);
             std::array::from_fn(|i| color[i] + common + look.grit[1] * noise(rng))
         },
+    }
+}
+
+/// The same ellipsoid, two of its axes exchanged or turned round; with the shift by one or two, each of 24
+/// ways is as likely.
+fn respelled([a, b, c]: [V3; 3], [s, t, u]: V3, rng: &mut SampleRng) -> ([V3; 3], V3) {
+    let minus = |v| times(v, -1.0);
+    match super::dice::whole(rng, 0, 7) {
+        0 => ([a, b, c], [s, t, u]),
+        1 => ([minus(a), minus(b), c], [s, t, u]),
+        2 => ([minus(a), b, minus(c)], [s, t, u]),
+        3 => ([a, minus(b), minus(c)], [s, t, u]),
+        4 => ([b, minus(a), c], [t, s, u]),
+        5 => ([minus(b), a, c], [t, s, u]),
+        6 => ([b, a, minus(c)], [t, s, u]),
+        _ => ([minus(b), minus(a), minus(c)], [t, s, u]),
     }
 }
 

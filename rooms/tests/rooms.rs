@@ -2,8 +2,8 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use scenesplat_rooms::{
-    CLASSES, ClassId, MAX_STRAY, RoomError, RoomKind, SyntheticRoom, SyntheticRoomSettings,
-    generate,
+    CLASSES, Capture, ClassId, MAX_STRAY, RoomError, RoomKind, SyntheticRoom,
+    SyntheticRoomSettings, generate,
 };
 use std::collections::BTreeMap;
 
@@ -193,4 +193,103 @@ fn settings_are_read_strictly() {
     let some = read(r#"{"seed": 3, "kind": "kitchen"}"#).unwrap();
     assert_eq!((some.seed, some.kind), (3, Some(RoomKind::Kitchen)));
     assert!(read(r#"{"sead": 3}"#).is_err());
+}
+
+fn scanned(room: u64) -> SyntheticRoom {
+    generate(&SyntheticRoomSettings { room, capture: Capture::Scan, ..Default::default() }).unwrap()
+}
+
+#[test]
+fn scans_have_the_same_bits_on_any_machine_and_thread() {
+    let few = |room| {
+        let settings = settings(room, 3000);
+        generate(&SyntheticRoomSettings { capture: Capture::Scan, ..settings }).unwrap()
+    };
+    let pool = |threads| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    let [one, four] = [1, 4].map(|threads| pool(threads).install(|| few(0)));
+    assert_eq!(one, four);
+    assert_eq!(one.objects, make(0, 3000).objects, "a scan is of the same room");
+    assert_ne!(bits(&one), bits(&make(0, 3000)));
+    let found = [0, 1].map(|room| bits(&few(room)));
+    assert_eq!(found, SAME_SCANS, "{found:#x?}");
+}
+
+const SAME_SCANS: [u64; 2] = [0x88a4_70d7_2849_0036, 0xbede_dc05_0ba2_8c7f];
+
+/// Of each class, the mean over rooms of ln(density of its objects / density of the room), and of ln(size
+/// of its Gaussians / size in the room).
+fn leaks(make: fn(u64) -> SyntheticRoom) -> [f64; 2] {
+    let mut of_class: BTreeMap<usize, Vec<[f64; 2]>> = BTreeMap::new();
+    for room in 0..40 {
+        let room = make(room);
+        let segment = room.scene.segment.as_ref().unwrap();
+        let largest = |row: usize| {
+            let s = room.scene.log_scale[row];
+            f64::from(s[0].max(s[1]).max(s[2]))
+        };
+        let median = |mut values: Vec<f64>| {
+            values.sort_by(f64::total_cmp);
+            values[values.len() / 2]
+        };
+        let usual = median((0..room.scene.len()).map(largest).collect());
+        // Cells of 8 cm that a class has, and Gaussians in them.
+        let mut cells: BTreeMap<(i32, [i32; 3]), usize> = BTreeMap::new();
+        for (row, p) in room.scene.coord.iter().enumerate() {
+            *cells.entry((segment[row], p.map(|c| (c / 0.08) as i32))).or_default() += 1;
+        }
+        let mean = cells.values().sum::<usize>() as f64 / cells.len() as f64;
+        for class in 0..CLASSES.len() {
+            let counts: Vec<usize> = (cells.iter())
+                .filter(|((c, _), _)| usize::try_from(*c) == Ok(class))
+                .map(|(_, n)| *n)
+                .collect();
+            let sizes: Vec<f64> = (0..room.scene.len())
+                .filter(|&r| usize::try_from(segment[r]) == Ok(class))
+                .map(largest)
+                .collect();
+            if counts.len() > 30 && sizes.len() > 100 {
+                let density = counts.iter().sum::<usize>() as f64 / counts.len() as f64 / mean;
+                of_class.entry(class).or_default().push([density.ln(), median(sizes) - usual]);
+            }
+        }
+    }
+    let mut spread = [0.0; 2];
+    let classes: Vec<_> = of_class.values().filter(|rooms| rooms.len() >= 10).collect();
+    assert!(classes.len() >= 10, "{}", classes.len());
+    for rooms in &classes {
+        for (k, spread) in spread.iter_mut().enumerate() {
+            let mean = rooms.iter().map(|r| r[k]).sum::<f64>() / rooms.len() as f64;
+            *spread += mean * mean / classes.len() as f64;
+        }
+    }
+    spread.map(f64::sqrt)
+}
+
+#[test]
+fn neither_density_nor_size_tells_a_class_in_a_scan() {
+    let (made, scan) = (leaks(|room| make(room, 40_000)), leaks(scanned));
+    println!("spread of classes in density and size: made {made:?}, scans {scan:?}");
+    // As made, they do.
+    assert!(made[0] > 0.4 && made[1] > 0.2, "{made:?}");
+    assert!(scan[0] < 0.5 * made[0] && scan[1] < 0.1, "{scan:?}, {made:?}");
+}
+
+#[test]
+fn scans_differ_in_density_and_reach_below_the_floor() {
+    let rooms: Vec<SyntheticRoom> = (0..24).map(scanned).collect();
+    let ratio = |room: usize| {
+        let due = generate(&SyntheticRoomSettings { room: room as u64, ..Default::default() });
+        rooms[room].scene.len() as f64 / due.unwrap().scene.len() as f64
+    };
+    let mut ratios: Vec<f64> = (0..rooms.len()).map(ratio).collect();
+    ratios.sort_by(f64::total_cmp);
+    assert!(ratios[0] < 0.2 && ratios[ratios.len() - 1] > 0.8, "{ratios:?}");
+    let below =
+        |room: &&SyntheticRoom| room.scene.coord.iter().filter(|p| p[2] < -0.05).count() > 0;
+    assert!((6..=18).contains(&rooms.iter().filter(below).count()));
+    for room in &rooms {
+        let segment = room.scene.segment.as_ref().unwrap();
+        let stray = |(p, s): (&[f32; 3], &i32)| p[2] < -2.0 * MAX_STRAY && *s != -1;
+        assert!(!room.scene.coord.iter().zip(segment).any(stray), "labels below the floor");
+    }
 }

@@ -14,6 +14,7 @@ pub mod class_map;
 mod class_names;
 pub mod edit;
 pub mod error;
+pub mod floor;
 pub mod folder_lock;
 pub mod formats;
 pub mod frame;
@@ -41,6 +42,7 @@ pub use bounds::{Bounds, raw_bounds, robust_bounds};
 pub use camera::{Camera, Distortion};
 pub use class_map::ClassMap;
 pub use error::SceneError;
+pub use floor::{FloorRow, Floors};
 pub use folder_lock::FolderLock;
 pub use formats::cameras::{CameraKind, CameraSet, SparsePoints, open_cameras};
 pub use formats::{

@@ -1,5 +1,8 @@
 //! Turns as unit quaternions `w, x, y, z`.
 
+use crate::similarity::matrix_to_quat;
+use crate::vector::{cross, dot, rotation};
+
 /// The unit quaternion `w, x, y, z` that turns +z to a unit vector by the shortest way.
 pub fn quat_from_z_to([x, y, z]: [f64; 3]) -> [f64; 4] {
     let w = 1.0 + z;
@@ -9,4 +12,151 @@ pub fn quat_from_z_to([x, y, z]: [f64; 3]) -> [f64; 4] {
     }
     let norm = (w * w + x * x + y * y).sqrt();
     [w / norm, -y / norm, x / norm, 0.0]
+}
+
+/// Which way the first of the ways to write an ellipsoid looks: any direction, far from the axes.
+const SIDE: [f64; 3] = [0.5, 0.4, 0.77];
+
+/// One of the 24 ways to write an ellipsoid as sizes and quaternion `w, x, y, z` (`w ≥ 0`), drawn by where
+/// it is and how large, and thus the same whichever of the 24 is given.
+///
+/// Scenes spell ellipsoids by the habit of what made them, near the identity or not; a network that
+/// was trained on all spellings reads this one as it has learned to. A fixed choice, such as normals
+/// that all look up, would be another habit.
+///
+/// A quaternion without length, and sizes that are not numbers, come back as they are. Axes of equal
+/// length keep their order, so that spellings of a disc or a ball stay several.
+///
+/// # Shapes
+/// - `scale`: standard deviations along the principal axes, any unit, or their logarithms
+/// - `coord`: the centre
+pub fn drawn_axes(scale: [f32; 3], quat: [f32; 4], coord: [f32; 3]) -> ([f32; 3], [f32; 4]) {
+    let q = quat.map(f64::from);
+    let squared = q.iter().map(|v| v * v).sum::<f64>();
+    if !(squared.is_finite() && squared > 0.0) || scale.iter().any(|s| s.is_nan()) {
+        return (scale, quat);
+    }
+    let norm = squared.sqrt();
+    let columns = transposed(rotation(q.map(|v| v / norm)));
+    // One of the 24 first, the same for all: sizes ascending, the first two axes to one side.
+    let mut order = [0, 1, 2];
+    order.sort_by(|&a, &b| scale[a].total_cmp(&scale[b]));
+    let to_side = |v: [f64; 3]| if dot(v, SIDE) < 0.0 { v.map(|c| -c) } else { v };
+    let [first, second] = [0, 1].map(|k| to_side(columns[order[k]]));
+    let axes = [first, second, cross(first, second)];
+    let sizes = order.map(|k| scale[k]);
+    // Which of them: by bits that no spelling changes.
+    let bits = sizes.into_iter().chain(coord).fold(0x9e37_79b9_7f4a_7c15_u64, |hash, v| {
+        let mixed = (hash ^ u64::from(v.to_bits())).wrapping_mul(0xd134_2543_de82_ef95);
+        mixed ^ (mixed >> 29)
+    });
+    let draw = (bits >> 33) % 24;
+    let (shift, way) = ((draw % 3) as usize, draw / 3);
+    let (is_swapped, signs) = (way >= 4, way % 4);
+    let mut picked = [shift, (shift + 1) % 3, (shift + 2) % 3];
+    if is_swapped {
+        picked.swap(0, 1);
+    }
+    // Two axes turned round, or none; an exchange is made a rotation by turning round the third as well.
+    let sign = |k: usize| {
+        let is_turned = match signs {
+            0 => false,
+            1 => k != 2,
+            2 => k != 1,
+            _ => k != 0,
+        };
+        if is_turned != (is_swapped && k == 2) { -1.0 } else { 1.0 }
+    };
+    let turned = [0, 1, 2].map(|k| axes[picked[k]].map(|c| sign(k) * c));
+    let quat = matrix_to_quat(&transposed(turned));
+    let positive = if quat[0] < 0.0 { -1.0 } else { 1.0 };
+    (picked.map(|k| sizes[k]), quat.map(|v| (positive * v) as f32))
+}
+
+fn transposed(m: [[f64; 3]; 3]) -> [[f64; 3]; 3] {
+    [0, 1, 2].map(|i| [0, 1, 2].map(|j| m[j][i]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::similarity::quat_product;
+
+    /// All 24 ways to write an ellipsoid.
+    fn spellings(scale: [f32; 3], quat: [f32; 4]) -> Vec<([f32; 3], [f32; 4])> {
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        let mut all = vec![(scale, quat)];
+        // Quarter turns about x and z reach all.
+        let turns = [([half, half, 0.0, 0.0], [0, 2, 1]), ([half, 0.0, 0.0, half], [1, 0, 2])];
+        let mut next = 0;
+        while next < all.len() {
+            let (scale, quat) = all[next];
+            for (turn, order) in turns {
+                let turned = quat_product(quat.map(f64::from), turn.map(|v| v as f32));
+                let new = (order.map(|i| scale[i]), turned);
+                let same = |old: &([f32; 3], [f32; 4])| {
+                    let near: f32 = (0..4).map(|i| old.1[i] * new.1[i]).sum();
+                    near.abs() > 0.999
+                };
+                if !all.iter().any(same) {
+                    all.push(new);
+                }
+            }
+            next += 1;
+        }
+        all
+    }
+
+    /// R·diag(s²)·Rᵀ
+    fn covariance(scale: [f32; 3], quat: [f32; 4]) -> [[f64; 3]; 3] {
+        let m = rotation(quat.map(f64::from));
+        let s = scale.map(|s| f64::from(s * s));
+        [0, 1, 2].map(|i| [0, 1, 2].map(|j| (0..3).map(|k| m[i][k] * s[k] * m[j][k]).sum()))
+    }
+
+    #[test]
+    fn all_spellings_of_an_ellipsoid_become_one() {
+        let quats = [[0.9, 0.1, -0.3, 0.2], [0.1, 0.7, 0.5, -0.4], [-0.3, 0.2, 0.8, 0.4]];
+        for (i, quat) in quats.into_iter().enumerate() {
+            let quat = quat_product([1.0, 0.0, 0.0, 0.0], quat);
+            let (scale, coord) = ([0.3, 0.02, 0.1], [1.0, i as f32, -0.4]);
+            let all = spellings(scale, quat);
+            assert_eq!(all.len(), 24);
+            let (due_scale, due) = drawn_axes(scale, quat, coord);
+            assert!(due[0] >= 0.0);
+            for (scale, quat) in all {
+                let (found_scale, found) = drawn_axes(scale, quat, coord);
+                assert_eq!(found_scale, due_scale);
+                assert!((0..4).all(|i| (found[i] - due[i]).abs() < 1e-5), "{found:?} {due:?}");
+                let (a, b) = (covariance(scale, quat), covariance(found_scale, found));
+                assert!((0..9).all(|i| (a[i / 3][i % 3] - b[i / 3][i % 3]).abs() < 1e-6));
+            }
+        }
+    }
+
+    #[test]
+    fn each_spelling_is_drawn_about_as_often() {
+        let (scale, quat) =
+            ([0.3, 0.02, 0.1], quat_product([1.0, 0.0, 0.0, 0.0], [0.9, 0.1, -0.3, 0.2]));
+        let mut counts = [0u32; 24];
+        let all = spellings(scale, quat);
+        for i in 0..2400u16 {
+            let (_, found) = drawn_axes(scale, quat, [0.01 * f32::from(i), 1.0, 2.0]);
+            let same = |s: &([f32; 3], [f32; 4])| {
+                (0..4).map(|k| s.1[k] * found[k]).sum::<f32>().abs() > 0.999
+            };
+            counts[all.iter().position(same).expect("one of the 24")] += 1;
+        }
+        assert!(counts.iter().all(|n| (60..=140).contains(n)), "{counts:?}");
+    }
+
+    #[test]
+    fn what_is_no_ellipsoid_comes_back() {
+        for (scale, quat) in [([1.0; 3], [0.0; 4]), ([1.0; 3], [f32::INFINITY, 0.0, 0.0, 0.0])] {
+            assert_eq!(drawn_axes(scale, quat, [0.0; 3]), (scale, quat));
+        }
+        let (scale, quat) = drawn_axes([f32::NAN, 1.0, 1.0], [1.0, 0.0, 0.0, 0.0], [0.0; 3]);
+        assert!(scale[0].is_nan() && quat == [1.0, 0.0, 0.0, 0.0]);
+        assert!(drawn_axes([1.0; 3], [f32::NAN; 4], [0.0; 3]).1[0].is_nan());
+    }
 }

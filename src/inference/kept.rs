@@ -32,7 +32,8 @@ impl SceneEncoder<'_> {
         let part = scene.select_rows(kept).map_err(scenesplat_datasets::DataError::from)?;
         let aligned = alignment.apply(&part);
         let copy = if alignment.is_identity() { 0 } else { scene_bytes(&part) };
-        let mut features = self.encode_as_is(&aligned, scene_bytes(scene) + copy, progress)?;
+        let beside = scene_bytes(scene) + copy;
+        let mut features = self.encode_as_is(&aligned, &alignment.floors, beside, progress)?;
         features.alignment = Some(alignment);
         features.spread(&scene.coord, kept)
     }

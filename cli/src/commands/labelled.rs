@@ -201,6 +201,7 @@ pub fn frame(session: &Session<'_>, opened: &OpenedScene, inference: &Inference)
             up: inference.up,
             metres_per_unit: inference.unit,
             as_is: inference.as_is,
+            ..AlignmentSettings::default()
         },
     );
     (session.up(scene, inference), alignment.scale)

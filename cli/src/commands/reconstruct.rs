@@ -85,7 +85,12 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     receipt.setting("masking", format!("{:?}", run.masking()), "as at that step");
     let options = ReadOptions { sh_rest: false, ..args.source.options() };
     let scene = session.open_with(&args.scene, &options)?.loaded.scene;
-    let settings = AlignmentSettings { up: args.up, metres_per_unit: args.unit, as_is: args.as_is };
+    let settings = AlignmentSettings {
+        up: args.up,
+        metres_per_unit: args.unit,
+        as_is: args.as_is,
+        ..AlignmentSettings::default()
+    };
     let alignment = Alignment::of(&scene, &settings);
     session.tell(&alignment, args.as_is);
     let scene = alignment.apply(&scene);

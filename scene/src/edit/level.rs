@@ -66,12 +66,12 @@ impl Leveling {
 }
 
 /// A flat Gaussian.
-struct Flat {
-    coord: [f64; 3],
+pub(super) struct Flat {
+    pub(super) coord: [f64; 3],
     /// Unit, with z ≥ 0.
-    normal: [f64; 3],
+    pub(super) normal: [f64; 3],
     /// Product of the two longer axes times opacity.
-    surface: f64,
+    pub(super) surface: f64,
 }
 
 /// How to make the floor of a scene level, whose up is +z within 25 degrees.
@@ -106,7 +106,7 @@ pub fn level(scene: &GaussianScene) -> Leveling {
     found
 }
 
-fn flats(scene: &GaussianScene, bounds: &Bounds) -> Vec<Flat> {
+pub(super) fn flats(scene: &GaussianScene, bounds: &Bounds) -> Vec<Flat> {
     let step = scene.len().div_ceil(SAMPLE).max(1);
     (0..scene.len())
         .step_by(step)

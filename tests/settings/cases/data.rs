@@ -76,6 +76,13 @@ pub const CASES: &[Case] = &[
         Weights,
     ),
     row(
+        "train[*].source(synthetic).room.capture",
+        "language",
+        "/train/0/source/room/capture",
+        "scan",
+        Weights,
+    ),
+    row(
         "train[*].source(generic).type",
         "folders",
         "/train/1/source/type",

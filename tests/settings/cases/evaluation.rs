@@ -106,6 +106,13 @@ pub const CASES: &[Case] = &[
         Measured,
     ),
     row(
+        "evaluate[*].source(synthetic).room.capture",
+        "language",
+        "/evaluate/0/source/room/capture",
+        "scan",
+        Measured,
+    ),
+    row(
         "evaluate[*].source(generic).type",
         "folders",
         "/evaluate/1/source/type",

@@ -17,6 +17,7 @@ pub const CASES: &[Case] = &[
         Weights,
     ),
     row("input.scale_clip", "language", "/input/scale_clip", "[0.0, 0.01]", Weights),
+    row("input.orientation", "language", "/input/orientation", "drawn", Weights),
     row("mix", "language", "/mix", "main_first", Weights).with(&[("/train/1/weight", "2")]),
     row("targets", "table", "/targets", "features", Weights),
     // Class texts.

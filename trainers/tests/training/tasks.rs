@@ -283,7 +283,8 @@ fn as_many_neighbours_vote_as_it_says() {
     // Nearest first. Votes of one: 0; of two: a tie, which the smaller class wins; of three: 1; of four: a
     // tie again.
     let data: Arc<dyn Dataset> = Arc::new(OnALine(vec![0, 1, 1, 0]));
-    let input = InputFeatures { channels: vec![InputChannel::Color], scale_clip: None };
+    let channels = vec![InputChannel::Color];
+    let input = InputFeatures { channels, scale_clip: None, ..InputFeatures::default() };
     let module = Own { params: ParamStore::trainable(1), model: Box::new(Echo) };
     let axes = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
     let names = ["a", "b", "c"].map(str::to_owned).to_vec();

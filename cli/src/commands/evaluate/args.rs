@@ -22,7 +22,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Clone, clap::Args)]
 pub struct Args {
     /// Scenes with labels: .ply files, folders of .npy files, or synthetic:COUNT:SEED for rooms that
-    /// are made on the spot.
+    /// are made on the spot, scanned:COUNT:SEED for rooms in which density and size tell no class.
     #[arg(required = true, value_name = "SCENE|synthetic:COUNT:SEED")]
     pub scenes: Vec<String>,
     /// Choice of classes.

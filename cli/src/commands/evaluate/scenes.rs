@@ -7,7 +7,7 @@ use anyhow::Result;
 use scenesplat::datasets::{DataSource, SourceScene, SyntheticRooms};
 use scenesplat::evaluation::classes_of_rooms;
 use scenesplat::outputs::OpenedScene;
-use scenesplat::rooms::SyntheticRoomSettings;
+use scenesplat::rooms::{Capture, SyntheticRoomSettings};
 use scenesplat::scene::{LoadedScene, SceneFormat};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -24,7 +24,9 @@ pub enum Input {
 pub fn inputs(scenes: &[String]) -> Result<Vec<Input>> {
     let mut all = Vec::new();
     for scene in scenes {
-        let Some(rest) = scene.strip_prefix("synthetic:") else {
+        let made = scene.strip_prefix("synthetic:").map(|rest| (rest, Capture::Made));
+        let scan = scene.strip_prefix("scanned:").map(|rest| (rest, Capture::Scan));
+        let Some((rest, capture)) = made.or(scan) else {
             all.push(Input::File(scene.into()));
             continue;
         };
@@ -35,10 +37,13 @@ pub fn inputs(scenes: &[String]) -> Result<Vec<Input>> {
             ))
         });
         let Some((count, seed)) = numbers else {
-            let text = format!("{scene:?}: write synthetic:COUNT:SEED, such as synthetic:20:7");
+            let text = format!(
+                "{scene:?}: write synthetic:COUNT:SEED, such as synthetic:20:7, or scanned:COUNT:SEED"
+            );
             return Err(WrongUse(text).into());
         };
-        let rooms = Arc::new(SyntheticRooms::new(count, SyntheticRoomSettings::default(), seed)?);
+        let settings = SyntheticRoomSettings { capture, ..SyntheticRoomSettings::default() };
+        let rooms = Arc::new(SyntheticRooms::new(count, settings, seed)?);
         all.extend((0..count).map(|index| Input::Room { rooms: Arc::clone(&rooms), index }));
     }
     Ok(all)
