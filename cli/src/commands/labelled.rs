@@ -98,7 +98,12 @@ impl LabelArgs {
         }
     }
 
-    fn own_labels(&self, session: &Session<'_>, path: &std::path::Path, sh_rest: bool) -> Result<Labelled> {
+    fn own_labels(
+        &self,
+        session: &Session<'_>,
+        path: &std::path::Path,
+        sh_rest: bool,
+    ) -> Result<Labelled> {
         if let Some(flag) = self.inference.network_flag() {
             let text = format!("{flag} is about a network, which --label-names leaves out");
             return Err(WrongUse(text).into());
