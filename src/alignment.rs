@@ -3,8 +3,8 @@
 //! A room that lies on its side loses most labels, and nothing in its file says how it lies. So up
 //! and unit are estimated (as [`inspect`](crate::inspect::inspect) does); where the evidence suffices, a copy is
 //! turned and scaled for the network alone, and where it does not, a [`Remark`] says so. Outputs
-//! belong to rows, so they need no turning back. A copy that has to be made is made level as well; for
-//! networks that read nothing of the yaw of a room ([`AlignmentSettings::square`]) its walls are
+//! belong to rows, so they need no turning back. A floor out of level is made level; for
+//! networks that know rooms along the axes ([`AlignmentSettings::square`]) its walls are
 //! brought along the axes. Heights are measured from the [floors](Alignment::floors) of the copy.
 
 use crate::inspect::{

@@ -121,6 +121,11 @@ impl<'t> ComparableTexts<'t> {
         }
     }
 
+    /// One after the other, as wide as the features. `[classes, width]`
+    pub(crate) fn values(&self) -> &[f32] {
+        &self.values
+    }
+
     pub(crate) fn row(&self, class: usize) -> Option<&[f32]> {
         self.values.chunks_exact(self.dim).nth(class)
     }

@@ -1,5 +1,7 @@
 //! Pages that `view` writes: what is in the file. `.ci/page` opens the same files in a browser.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
+
 use scenesplat::objects::relations::{Relation, distance};
 use scenesplat::objects::{Catalogue, ObjectInput, ObjectSettings, find_objects};
 use scenesplat::page::{PageError, PageInput, PageSettings, write_page};

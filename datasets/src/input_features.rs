@@ -6,6 +6,9 @@ use scenesplat_scene::quaternion::drawn_axes;
 use scenesplat_scene::{FloorRow, Floors, GaussianScene};
 use serde::{Deserialize, Serialize};
 
+/// With a larger share of a sample's rows below it, a level surface is no floor.
+const CROPPED: f64 = 0.2;
+
 /// One group of input channels, after activation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -207,12 +210,14 @@ impl InputFeatures {
         }
         let [low, high] = self.scale_clip.unwrap_or([f32::NEG_INFINITY, f32::INFINITY]);
         let floors = self.reads_height().then(|| {
-            Floors::of(sample.len(), |row| FloorRow {
+            let floors = Floors::of(sample.len(), |row| FloorRow {
                 coord: sample.coord[row],
                 opacity: sample.opacity[row],
                 scale: sample.scale[row],
                 quat: sample.quat[row],
-            })
+            });
+            // A crop that the floor is not in has other level surfaces, a ceiling at worst.
+            if floors.below > CROPPED { Floors::lowest(&sample.coord) } else { floors }
         });
         feat.par_chunks_exact_mut(width).enumerate().with_min_len(4096).for_each(|(row, out)| {
             let mut at = 0;
@@ -359,9 +364,11 @@ mod tests {
         let mut scene = scene();
         scene.normal = Some(vec![[0.0, 0.6, 0.8], [1.0, 0.0, 0.0]]);
         let sample = Sample::from_scene("a", scene.clone());
-        for scale_clip in [Some([0.0, 1.5]), Some([0.02, 0.5]), None] {
+        let clips = [Some([0.0, 1.5]), Some([0.02, 0.5]), None];
+        let spellings = [Orientation::AsStored, Orientation::Drawn];
+        for (scale_clip, orientation) in clips.into_iter().flat_map(|c| spellings.map(|s| (c, s))) {
             let channels = vec![Normal, Scale, Color, Quat, Opacity];
-            let features = InputFeatures { channels, scale_clip, ..InputFeatures::default() };
+            let features = InputFeatures { channels, orientation, scale_clip };
             let bits = |rows: Vec<f32>| rows.into_iter().map(f32::to_bits).collect::<Vec<_>>();
             let expected = bits(features.rows(&scene, &[0, 1]).unwrap());
             assert_eq!(bits(features.sample_rows(&sample).unwrap()), expected);
@@ -404,6 +411,27 @@ mod tests {
         let error = features.rows(&scene, &[6, 7]).unwrap_err();
         assert!(matches!(error, DataError::NotFinite { row: 7, field: "coord z", .. }), "{error}");
         assert!(features.rows(&GaussianScene::default(), &[]).unwrap().is_empty());
+    }
+
+    #[test]
+    fn a_crop_without_floor_is_no_storey() {
+        // A ceiling and what hangs below it: most rows lie below the only level surface.
+        let mut scene = GaussianScene::default();
+        for i in 0..900 {
+            scene.coord.push([0.1 * (i % 30) as f32, 0.1 * (i / 30) as f32, 2.5]);
+        }
+        for i in 0..1100 {
+            scene.coord.push([1.0, 1.0, 1.0 + 0.001 * i as f32]);
+        }
+        let rows = scene.coord.len();
+        scene.log_scale = vec![[-3.0, -3.0, -7.0]; rows];
+        scene.quat = vec![[1.0, 0.0, 0.0, 0.0]; rows];
+        scene.opacity_logit = vec![3.0; rows];
+        scene.sh_dc = vec![[0.0; 3]; rows];
+        let features =
+            InputFeatures { channels: vec![InputChannel::Height], ..InputFeatures::default() };
+        let found = features.sample_rows(&Sample::from_scene("a", scene)).unwrap();
+        assert!((found[0] - 1.48).abs() < 0.02, "{} m above the lowest rows", found[0]);
     }
 
     #[test]

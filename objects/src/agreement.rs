@@ -36,6 +36,7 @@ impl Agreement {
     ///
     /// `instances`, `labels`: truth of each Gaussian, −1 = none. `[N]`; shorter ones end early.
     pub fn of(found: &Catalogue, instances: &[i32], labels: &[i32], min_count: usize) -> Self {
+        let instances = &instances[..instances.len().min(labels.len())];
         let mut sizes: BTreeMap<i32, (usize, i32)> = BTreeMap::new();
         for (&id, &label) in instances.iter().zip(labels).filter(|(id, _)| **id >= 0) {
             sizes.entry(id).or_insert((0, label)).0 += 1;

@@ -143,7 +143,8 @@ pub fn find_objects(input: &ObjectInput<'_>, settings: &ObjectSettings) -> Resul
     for (id, object) in (1..).zip(&mut objects) {
         object.id = id;
     }
-    let in_objects: usize = objects.iter().map(|o| o.count).sum();
+    let is_labelled = |row: &&u32| input.labels[**row as usize] >= 0;
+    let in_objects: usize = objects.iter().map(|o| o.rows.iter().filter(is_labelled).count()).sum();
     let left_over = labelled.saturating_sub(in_objects);
     Ok(Catalogue { objects, floor, left_over, gaussians: input.scene.len() })
 }
@@ -179,7 +180,7 @@ fn of_class(
     };
     let name = input.names[label].to_lowercase();
     let pairs = PAIRED.contains(&name.as_str());
-    let found = fragments::join(found, coord, gap, pairs);
+    let found = fragments::join(found, coord, gap, settings.min_count, pairs);
     let mut out = Vec::new();
     for piece in found {
         if let Some(lines) = walls::split(&piece, coord, stands(input, &piece)) {

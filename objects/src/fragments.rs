@@ -20,11 +20,13 @@ const HIGH: f64 = 0.8;
 /// Joins the pieces of one class that are fragments of one object. Those that come out larger than
 /// both by far are left apart.
 ///
+/// `min_count`: Gaussians of an object at least; smaller pieces join one, and not each other.
 /// `pairs`: whether thin hanging pieces at one height in one plane are one object (curtains).
 pub(crate) fn join(
     pieces: Vec<Vec<u32>>,
     coord: &[[f32; 3]],
     gap: f64,
+    min_count: usize,
     pairs: bool,
 ) -> Vec<Vec<u32>> {
     let boxes: Vec<UprightBox> =
@@ -35,6 +37,8 @@ pub(crate) fn join(
     // The largest first: fragments go to the largest thing near.
     let mut order: Vec<usize> = (0..pieces.len()).collect();
     order.sort_by_key(|&i| (usize::MAX - pieces[i].len(), i));
+    // What is no object by itself takes nothing in: specks are many, and all pairs of them too many.
+    let large = order.partition_point(|&i| pieces[i].len() >= min_count);
     let mut joined = Joined::new(pieces.len());
     for (place, &small) in order.iter().enumerate() {
         let (own, count) = (&boxes[small], pieces[small].len() as f64);
@@ -47,7 +51,8 @@ pub(crate) fn join(
                 || (pairs && is_pair(own, other));
             fits.then(|| plan.hypot(height))
         };
-        let near = order[..place].iter().filter_map(|big| distance(big).map(|d| (d, *big)));
+        let near =
+            order[..place.min(large)].iter().filter_map(|big| distance(big).map(|d| (d, *big)));
         // Of equally near ones the first, which is larger.
         let nearest = near.reduce(|best, next| if next.0 < best.0 { next } else { best });
         if let Some((_, big)) = nearest {
@@ -58,15 +63,17 @@ pub(crate) fn join(
 }
 
 fn gathered(pieces: Vec<Vec<u32>>, joined: &mut Joined) -> Vec<Vec<u32>> {
-    let mut out: Vec<(u32, Vec<u32>)> = Vec::new();
+    let mut place: Vec<Option<usize>> = vec![None; pieces.len()];
+    let mut out: Vec<Vec<u32>> = Vec::new();
     for (i, rows) in (0u32..).zip(pieces) {
-        let root = joined.root(i);
-        match out.iter_mut().find(|(r, _)| *r == root) {
-            Some((_, all)) => all.extend(rows),
-            None => out.push((root, rows)),
+        match &mut place[joined.root(i) as usize] {
+            Some(at) => out[*at].extend(rows),
+            none => {
+                *none = Some(out.len());
+                out.push(rows);
+            }
         }
     }
-    let mut out: Vec<Vec<u32>> = out.into_iter().map(|(_, rows)| rows).collect();
     out.iter_mut().for_each(|rows| rows.sort_unstable());
     out
 }
@@ -83,9 +90,10 @@ pub(crate) fn join_sides(pieces: Vec<Vec<u32>>, coord: &[[f32; 3]]) -> Vec<Vec<u
         return pieces;
     }
     let mut joined = Joined::new(pieces.len());
-    for (i, a) in boxes.iter().enumerate() {
-        for (j, b) in boxes.iter().enumerate().skip(i + 1) {
-            if are_sides(a, b) {
+    let walls: Vec<usize> = (0..boxes.len()).filter(|&i| is_wall(&boxes[i])).collect();
+    for (at, &i) in walls.iter().enumerate() {
+        for &j in &walls[at + 1..] {
+            if are_sides(&boxes[i], &boxes[j]) {
                 joined.join(i as u32, j as u32);
             }
         }
@@ -93,9 +101,12 @@ pub(crate) fn join_sides(pieces: Vec<Vec<u32>>, coord: &[[f32; 3]]) -> Vec<Vec<u
     gathered(pieces, &mut joined)
 }
 
+fn is_wall(b: &UprightBox) -> bool {
+    b.size[1] <= THIN && b.size[0] >= WALL_LONG && b.size[2] >= HIGH
+}
+
 fn are_sides(a: &UprightBox, b: &UprightBox) -> bool {
-    let wall = |b: &UprightBox| b.size[1] <= THIN && b.size[0] >= WALL_LONG && b.size[2] >= HIGH;
-    if !wall(a) || !wall(b) || a.plan_gap(b) > WALL {
+    if a.plan_gap(b) > WALL {
         return false;
     }
     let (s, c) = a.yaw.sin_cos();
@@ -181,7 +192,7 @@ mod tests {
         let foot = block(&mut coord, [0.0; 3], [0.2, 0.2, 0.02], [6, 6, 2]);
         let shade = block(&mut coord, [-0.05, -0.05, 0.3], [0.3, 0.3, 0.2], [8, 8, 4]);
         let other = block(&mut coord, [1.0, 0.0, 0.0], [0.2, 0.2, 0.5], [6, 6, 6]);
-        let found = join(vec![foot, shade, other], &coord, 0.1, false);
+        let found = join(vec![foot, shade, other], &coord, 0.1, 1, false);
         assert_eq!(found.iter().map(Vec::len).collect::<Vec<_>>(), [72 + 256, 216]);
     }
 
@@ -191,8 +202,8 @@ mod tests {
         let left = block(&mut coord, [0.0; 3], [0.5, 0.08, 2.0], [10, 2, 20]);
         let right = block(&mut coord, [1.7, 0.0, 0.0], [0.5, 0.08, 2.0], [10, 2, 20]);
         let pieces = vec![left, right];
-        assert_eq!(join(pieces.clone(), &coord, 0.1, true).len(), 1);
-        assert_eq!(join(pieces, &coord, 0.1, false).len(), 2);
+        assert_eq!(join(pieces.clone(), &coord, 0.1, 1, true).len(), 1);
+        assert_eq!(join(pieces, &coord, 0.1, 1, false).len(), 2);
     }
 
     #[test]
@@ -201,7 +212,7 @@ mod tests {
         let one = block(&mut coord, [0.0; 3], [1.0; 3], [6, 6, 6]);
         let two = block(&mut coord, [2.0, 0.0, 0.0], [1.0; 3], [6, 6, 6]);
         let bit = block(&mut coord, [1.85, 0.5, 0.5], [0.05; 3], [2, 2, 2]);
-        let found = join(vec![one, two, bit], &coord, 0.1, false);
+        let found = join(vec![one, two, bit], &coord, 0.1, 1, false);
         assert_eq!(found.iter().map(Vec::len).collect::<Vec<_>>(), [216, 224]);
     }
 }

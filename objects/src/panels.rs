@@ -2,6 +2,8 @@
 
 use crate::upright_box::UprightBox;
 
+/// No row of boxes is longer or higher, metres; strays far out lie in one cell and are one piece.
+const FARTHEST: f64 = 1000.0;
 /// Width of the bins along the piece, metres.
 const BIN: f64 = 0.02;
 /// A Gaussian faces along the piece within this cosine.
@@ -26,6 +28,9 @@ pub(crate) fn split(
 ) -> Option<Vec<Vec<u32>>> {
     let around = UprightBox::around(coord, rows)?;
     let [long, deep, high] = around.size;
+    if !(long <= FARTHEST && high <= FARTHEST) {
+        return None;
+    }
     if long < 2.0 * APART || deep < 0.25 || high < 0.3 || long < 1.3 * deep {
         return None;
     }

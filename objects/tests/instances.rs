@@ -1,5 +1,7 @@
 //! Objects of synthetic rooms against their true instances.
 
+#![allow(clippy::unwrap_used, reason = "a test may fail loudly")]
+
 use scenesplat_objects::{
     Agreement, Catalogue, ObjectInput, ObjectSettings, UprightBox, find_objects,
 };
@@ -101,7 +103,7 @@ fn neither_the_order_of_rows_nor_threads_change_what_is_found() {
     assert_eq!(found, single.unwrap());
     let n = room.scene.len();
     let back: Vec<usize> = (0..n).rev().collect();
-    let turned = SyntheticRoom { scene: room.scene.select_rows(&back).unwrap(), ..room.clone() };
+    let turned = SyntheticRoom { scene: room.scene.select_rows(&back).unwrap(), ..room };
     let other = find_objects(&input(&turned, &names), &ObjectSettings::default()).unwrap();
     let classes =
         |c: &Catalogue| c.objects.iter().map(|o| (o.class.clone(), o.count)).collect::<Vec<_>>();
@@ -130,7 +132,7 @@ fn places_are_in_the_frame_and_unit_of_the_scene() {
     let room = generate(&SyntheticRoomSettings::with_count(30_000, 7)).unwrap();
     let plain = find_objects(&input(&room, &names), &ObjectSettings::default()).unwrap();
     // Lying on its side, in centimetres: up is -y.
-    let mut lying = room.clone();
+    let mut lying = room;
     lying.scene.coord.iter_mut().for_each(|c| *c = [c[0], -c[2], c[1]].map(|v| v * 100.0));
     let ln = 100f32.ln();
     lying.scene.log_scale.iter_mut().for_each(|s| *s = s.map(|v| v + ln));

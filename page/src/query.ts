@@ -168,7 +168,8 @@ function nothing(data: SceneData, text: string, how: string): Found {
 export function selection(found: Found, threshold: number, onlyWins: boolean): Uint8Array {
   const out = new Uint8Array(found.heat.length);
   for (let i = 0; i < out.length; i++) {
-    out[i] = found.heat[i] >= threshold && (!onlyWins || found.wins[i] === 1) ? 1 : 0;
+    // A heat of 0 is no answer, whatever the threshold.
+    out[i] = found.heat[i] > 0 && found.heat[i] >= threshold && (!onlyWins || found.wins[i] === 1) ? 1 : 0;
   }
   return out;
 }

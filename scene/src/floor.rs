@@ -108,6 +108,16 @@ impl Floors {
         Self { heights: vec![height], cover: 1.0, score: 0.0, below: 0.0, given: true }
     }
 
+    /// The height that one of the finite rows in a hundred lies below, for rows that hold no floor; 0 without rows.
+    pub fn lowest(coord: &[[f32; 3]]) -> Self {
+        let mut z: Vec<f32> = coord.iter().map(|c| c[2]).filter(|z| z.is_finite()).collect();
+        let height = match z.len() {
+            0 => 0.0,
+            n => *z.select_nth_unstable_by((n as f64 * GROUND_SHARE) as usize, f32::total_cmp).1,
+        };
+        Self { cover: 0.0, given: false, ..Self::given(f64::from(height)) }
+    }
+
     /// The floors of a scene.
     pub fn of_scene(scene: &GaussianScene) -> Self {
         Self::of(scene.len(), |row| FloorRow {

@@ -106,7 +106,7 @@ pub(super) fn pack_codes(
 /// The classes, and each of them in each color where a vocabulary knows colors.
 fn asked_for(texts: &TextTable, input: &PageInput<'_>) -> Result<TextTable, PageError> {
     let mut table = texts.clone();
-    if let Some(vocabulary) = input.vocabulary {
+    if let Some(vocabulary) = input.vocabulary.filter(|v| v.dim() == table.dim) {
         for class in ClassId::ALL {
             for color in ColorName::ALL {
                 table.names.push(format!("{} {}", color.word(), class.about().name));

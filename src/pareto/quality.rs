@@ -3,6 +3,7 @@
 
 use super::ParetoError;
 use crate::inference::SceneFeatures;
+use crate::labels::ComparableTexts;
 use scenesplat_scene::TextTable;
 
 /// Cosines are divided by this before a softmax makes probabilities of them. It is the same for all
@@ -70,6 +71,8 @@ pub fn add_scene(
 ) -> Result<Hits, ParetoError> {
     let width = features.width();
     let classes = text.map_or(width, TextTable::len);
+    // Codes are compared with the texts along their axes.
+    let text = text.map(|text| ComparableTexts::new(features, text)).transpose()?;
     let by_slot = members(features);
     let mut best: Vec<(f32, Option<usize>)> = vec![(f32::NEG_INFINITY, None); classes];
     for start in (0..features.num_slots()).step_by(BLOCK) {
@@ -78,9 +81,9 @@ pub fn add_scene(
         for (slot, row) in (start..end).zip(rows.chunks_exact(width)) {
             let gaussians = &by_slot.rows[by_slot.starts[slot]..by_slot.starts[slot + 1]];
             let Some(&first) = gaussians.first() else { continue };
-            let scores: Vec<f32> = match text {
+            let scores: Vec<f32> = match &text {
                 Some(text) => text
-                    .values
+                    .values()
                     .chunks_exact(width)
                     .map(|t| t.iter().zip(row).map(|(a, b)| a * b).sum())
                     .collect(),
@@ -140,6 +143,8 @@ pub(crate) fn sureness(
     labels: &[i32],
 ) -> Result<Sureness, ParetoError> {
     let width = features.width();
+    // Codes are compared with the texts along their axes.
+    let texts = ComparableTexts::new(features, text)?;
     let by_slot = members(features);
     let zeros = vec![0.0; labels.len()];
     let mut out = Sureness {
@@ -155,7 +160,7 @@ pub(crate) fn sureness(
         let rows = features.slot_rows(start..end)?;
         for (slot, row) in (start..end).zip(rows.chunks_exact(width)) {
             let dot = |t: &[f32]| t.iter().zip(row).map(|(a, b)| a * b).sum();
-            let scores: Vec<f32> = text.values.chunks_exact(width).map(dot).collect();
+            let scores: Vec<f32> = texts.values().chunks_exact(width).map(dot).collect();
             let all = softmax(&scores);
             let soft = softmax_at(&scores, 2.0 * TEMPERATURE);
             let (mut own, mut top, mut second) = (0, 0.0f32, 0.0f32);
@@ -249,5 +254,17 @@ mod tests {
         // The best chair is a wall; no lamp is there to be asked for.
         assert_eq!(hits(&[0, 1, 0]), Hits { hits: 1, asked: 2 });
         assert_eq!(hits(&[-1, -1, -1]), Hits { hits: 0, asked: 0 });
+        // Two numbers hold all of these rows: as codes they answer the same, as surely.
+        let error = calibration.error().unwrap();
+        let codes = features.into_codes(2).unwrap();
+        let mut calibration = Calibration::default();
+        let mut hits = |truth: &[i32]| {
+            add_scene(&mut calibration, &codes, Some(&text), &[0, 1, 1], truth).unwrap()
+        };
+        assert_eq!(hits(&[0, 1, 1]), Hits { hits: 2, asked: 2 });
+        assert_eq!(hits(&[0, 1, 0]), Hits { hits: 1, asked: 2 });
+        assert!((calibration.error().unwrap() - error).abs() < 1e-6);
+        let sure = sureness(&codes, &text, &[0, 1, 1]).unwrap();
+        assert_eq!(sure.agrees, [1.0, 1.0, 1.0]);
     }
 }

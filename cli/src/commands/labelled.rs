@@ -125,7 +125,7 @@ impl LabelArgs {
         })?;
         session.receipt.setting("labels", "scene", "labels that the scene carries");
         let scores = scene.segment_score.clone();
-        let (up, metres_per_unit) = frame(session, &opened, &self.inference);
+        let (up, metres_per_unit) = frame(&opened, &self.inference);
         Ok(Labelled {
             opened,
             labels,
@@ -181,7 +181,7 @@ impl LabelArgs {
         session.note_withheld(found.withhold(about.withheld()), "labels");
         session.check_stop()?;
         let is_vocabulary = text.is_some() && (own || args.classes.vocabulary()?.is_some());
-        let (up, metres_per_unit) = frame(session, &opened, &args.inference);
+        let (up, metres_per_unit) = frame(&opened, &args.inference);
         let remark = source.remark();
         Ok(Labelled {
             labels: found.labels,
@@ -198,7 +198,7 @@ impl LabelArgs {
 }
 
 /// Which way is up and what a unit is, as a network would read the scene.
-pub fn frame(session: &Session<'_>, opened: &OpenedScene, inference: &Inference) -> (UpAxis, f64) {
+pub fn frame(opened: &OpenedScene, inference: &Inference) -> (UpAxis, f64) {
     let scene = &opened.loaded.scene;
     let alignment = Alignment::of(
         scene,
@@ -209,7 +209,7 @@ pub fn frame(session: &Session<'_>, opened: &OpenedScene, inference: &Inference)
             ..AlignmentSettings::default()
         },
     );
-    (session.up(scene, inference), alignment.scale)
+    (inference.up.unwrap_or(alignment.turned_from), alignment.scale)
 }
 
 impl Labelled {

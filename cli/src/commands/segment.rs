@@ -164,7 +164,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     }
     if args.instances {
         let text = text.map(|text| (features, text));
-        let (up, metres_per_unit) = frame(&session, &opened, &args.inference);
+        let (up, metres_per_unit) = frame(&opened, &args.inference);
         let is_vocabulary = false;
         let labelled = Labelled {
             opened,

@@ -69,7 +69,11 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         false => Some(labelled.objects(&session, &labels.settings(), labels.pieces)?),
     };
     session.check_stop()?;
-    let vocabulary = if labelled.is_vocabulary { Some(embedded::vocabulary()?) } else { None };
+    // Of the width of the texts, which --text vocabulary:D sets.
+    let vocabulary = match labelled.is_vocabulary {
+        true => Some(labels.classes.vocabulary()?.map_or_else(embedded::vocabulary, Ok)?),
+        false => None,
+    };
     let remarks = remarks(args, &labelled);
     let _stage = session.receipt.stage("page");
     let input = PageInput {
@@ -127,7 +131,7 @@ fn plain(labels: &LabelArgs, session: &Session<'_>) -> Result<Labelled> {
         .into());
     }
     let opened = session.open_with(&labels.scene, &labels.inference.source.options())?;
-    let (up, metres_per_unit) = super::labelled::frame(session, &opened, &labels.inference);
+    let (up, metres_per_unit) = super::labelled::frame(&opened, &labels.inference);
     Ok(Labelled {
         opened,
         labels: Vec::new(),

@@ -7,7 +7,7 @@ use super::report::Figures;
 use crate::compensation::{Compensation, plan_of};
 use crate::labels::{Classes, label_with_vote};
 use crate::pareto::quality::{Calibration, sureness};
-use crate::{Alignment, AlignmentSettings, SceneEncoder};
+use crate::{Alignment, SceneEncoder};
 use scenesplat_datasets::effects::plan::EffectChoices;
 use scenesplat_metrics::{ConfusionMatrix, Metric, ZeroShotOptions};
 use scenesplat_scene::GaussianScene;
@@ -34,11 +34,10 @@ impl Score {
         let began = Instant::now();
         let mut plan = plan_of(scene, 1.0, LABELS, &choices(scene))?;
         let about = Compensation::of(&mut plan, scene);
-        let alignment = Alignment::of(scene, &AlignmentSettings::default());
+        let encoder = SceneEncoder::new(&bench.network);
+        let alignment = Alignment::of(scene, &encoder.alignment);
         let kept = about.kept(scene.len());
-        let features =
-            SceneEncoder::new(&bench.network)
-                .encode_kept(scene, alignment, &kept, &mut |_| Ok(()))?;
+        let features = encoder.encode_kept(scene, alignment, &kept, &mut |_| Ok(()))?;
         let (classes, options) = (Classes::Texts(&bench.texts), ZeroShotOptions::default());
         let mut found = label_with_vote(&features, classes, &options, &scene.coord, VOTE_K)?;
         found.withhold(about.withheld());

@@ -46,6 +46,10 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
             check_width(network.model().out_channels(), query.width())
         },
     )?;
+    // A misspelt rival would go on to compete; before the network runs, which may take minutes.
+    if !args.classes.without.is_empty() {
+        args.classes.options(&LabelSet::new(query.rivals.names.clone())?)?;
+    }
     let scene = &opened.loaded.scene;
     if let (FeatureSource::Codes, Some(code)) = (&source, &scene.lang_code) {
         if args.classes.text.is_none() && args.embedding.is_none() {
@@ -59,10 +63,6 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let about = session.compensation(&wish, scene, &args.inference, consumer)?;
     let features = session.features(&opened, &source, &args.inference, &about)?;
 
-    // A misspelt rival would go on to compete.
-    if !args.classes.without.is_empty() {
-        args.classes.options(&LabelSet::new(query.rivals.names.clone())?)?;
-    }
     session.receipt.setting("vote_k", vote_k, "neighbours that vote on the selection");
     let mut found = {
         let _stage = session.receipt.stage("query");
