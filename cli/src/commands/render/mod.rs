@@ -5,6 +5,7 @@ mod cameras;
 mod effects;
 mod free;
 mod parse;
+pub(super) use cameras::picture_name;
 pub(super) use parse::parse_size;
 
 use super::WrongUse;
