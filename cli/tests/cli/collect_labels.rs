@@ -267,3 +267,55 @@ fn what_does_not_fit_is_refused_by_name() {
     std::fs::write(&cameras, broken).unwrap();
     refused(&collect(dir.path(), "out", &[]), 1, &["cameras.json"]);
 }
+
+#[test]
+fn without_photos_the_scene_is_rendered_from_planned_views() {
+    let dir = world();
+    let more = ["--render", "5", "--size", "80x60", "--up", "+z"];
+    let output = collect(dir.path(), "out", &more);
+    done(&output);
+    assert!(stderr(&output).contains("5 views inside the scene show"), "{}", stderr(&output));
+    let first = bits(dir.path(), "out");
+    let output = collect(dir.path(), "out", &[&more[..], &["--threads", "1"]].concat());
+    done(&output);
+    assert!(stderr(&output).contains("5 pictures were done before"), "{}", stderr(&output));
+    assert_eq!(bits(dir.path(), "out"), first);
+    // Fewer views: what is left in frames of others labels nothing.
+    done(&collect(dir.path(), "out", &["--render", "2", "--size", "80x60", "--up", "+z"]));
+    done(&collect(dir.path(), "two", &["--render", "2", "--size", "80x60", "--up", "+z"]));
+    assert_eq!(bits(dir.path(), "out"), bits(dir.path(), "two"));
+    let photos = dir.path().join("photos");
+    let output = collect(dir.path(), "x", &["--render", "2", "--images", photos.to_str().unwrap()]);
+    refused(&output, 2, &["--render", "--images"]);
+    refused(&collect(dir.path(), "x", &["--render", "0"]), 2, &["--render", "0"]);
+}
+
+#[test]
+fn of_many_photos_those_are_taken_that_show_most() {
+    let dir = world();
+    // A blurred copy beside each photo, of the same camera: none of them is needed.
+    let cameras = dir.path().join("cameras.json");
+    let mut all = scenesplat::scene::open_cameras(&cameras).unwrap().cameras;
+    for i in 0..COUNT {
+        let sharp = read_picture(&dir.path().join(format!("photos/{i:03}.png"))).unwrap().to_rgb8();
+        let blurred = scenesplat::scene::picture::RgbPicture::from_fn(80, 60, |x, y| {
+            let at = |dx: u32| sharp.get((x + dx).min(79), y).unwrap();
+            [0, 1, 2].map(|c| ((0..6).map(|dx| u32::from(at(dx)[c])).sum::<u32>() / 6) as u8)
+        });
+        let name = format!("{i:03}b.png");
+        std::fs::write(dir.path().join("photos").join(&name), blurred.encode_png().unwrap())
+            .unwrap();
+        let twin = all.iter().find(|c| c.name.starts_with(&format!("{i:03}"))).unwrap().clone();
+        all.push(Camera { name, ..twin });
+    }
+    all.sort_by(|a, b| a.name.cmp(&b.name));
+    write_cameras_json(&all, &cameras).unwrap();
+    let output = collect(dir.path(), "out", &["--max-frames", "6"]);
+    done(&output);
+    assert!(stderr(&output).contains("6 of 12 pictures"), "{}", stderr(&output));
+    let out = dir.path().join("out");
+    for i in 0..COUNT {
+        assert!(out.join(format!("frames/{i:03}.json")).exists(), "{i}");
+        assert!(!out.join(format!("frames/{i:03}b.json")).exists(), "{i}");
+    }
+}

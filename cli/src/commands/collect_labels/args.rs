@@ -4,13 +4,14 @@ use crate::commands::WrongUse;
 use crate::commands::lift_labels::{
     self, DepthArg, FrameWeightsArg, RobustArg, RobustRuleArg, RuleArg,
 };
+use crate::commands::render::{parse_fov, parse_size};
 use crate::flags::{Shared, SourceArgs, parse_up};
 use anyhow::Result;
 use clap::ValueEnum;
 use clap::builder::TypedValueParser;
 use scenesplat::datasets::effects::plan::EffectChoices;
 use scenesplat::memory::Bytes;
-use scenesplat::scene::UpAxis;
+use scenesplat::scene::{ReadOptions, UpAxis};
 use std::path::{Path, PathBuf};
 
 /// Makes language labels from posed pictures: cuts each into segments, describes these by three crops, and lifts the
@@ -26,6 +27,20 @@ pub struct Args {
     /// Folder with the photos of these cameras, .png or .jpg.
     #[arg(long, value_name = "DIR", requires = "cameras")]
     pub images: Option<PathBuf>,
+    /// Instead of photos: so many pictures of the scene itself, from cameras that are planned to show most of it.
+    #[arg(long, value_name = "N", conflicts_with_all = ["cameras", "images"],
+          value_parser = clap::value_parser!(u16).range(1..=10_000))]
+    pub render: Option<u16>,
+    /// Size of these pictures.
+    #[arg(long, value_name = "WxH", default_value = "640x480", value_parser = parse_size)]
+    pub size: [u32; 2],
+    /// Angle of view of these pictures across the shorter side, degrees.
+    #[arg(long, value_name = "DEGREES", default_value_t = 75.0, value_parser = parse_fov)]
+    pub fov: f64,
+    /// Takes at most so many photos: those that show most of the scene that the others do not, sharp ones first.
+    #[arg(long, value_name = "N", requires = "images",
+          value_parser = clap::value_parser!(u32).range(1..))]
+    pub max_frames: Option<u32>,
     /// What cuts pictures into segments: superpixels over colour, depth and normals (no weights), sam2, or a folder
     /// of id maps, FRAME.png, grey, 8 or 16 bits.
     #[arg(
@@ -116,8 +131,8 @@ pub(super) const FRAMES: &str = "frames";
 impl Args {
     /// Refuses what does not go together.
     pub(super) fn check(&self) -> Result<()> {
-        if self.cameras.is_none() {
-            let text = "pictures are missing: give --cameras FILE with --images DIR";
+        if self.cameras.is_none() && self.render.is_none() {
+            let text = "pictures are missing: give --cameras FILE with --images DIR, or --render N";
             return Err(WrongUse(text.to_owned()).into());
         }
         if self.no_segment.is_some() && !matches!(self.segments, SegmentsArg::Folder(_)) {
@@ -125,6 +140,11 @@ impl Args {
             return Err(WrongUse(text.to_owned()).into());
         }
         self.lifting(Path::new("cameras"))?.check()
+    }
+
+    /// What to read of the scene: what depends on the direction of view is needed for pictures alone.
+    pub(super) fn read_options(&self) -> ReadOptions {
+        ReadOptions { sh_rest: self.render.is_some(), ..self.source.options() }
     }
 
     /// The part of the command that lifts, as `lift-labels` has it; `cameras`: their file, for messages.

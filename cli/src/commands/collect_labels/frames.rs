@@ -22,8 +22,8 @@ pub(super) struct Frame {
     pub(super) name: String,
     /// As its file says it.
     pub(super) camera: Camera,
-    /// The photo.
-    pub(super) photo: PathBuf,
+    /// Its photo; `None`: the scene itself is rendered.
+    pub(super) photo: Option<PathBuf>,
 }
 
 /// The cameras of a file that have photos.
@@ -52,7 +52,7 @@ pub(super) fn of_photos(session: &Session<'_>, args: &Args) -> Result<Vec<Frame>
             name = format!("{name}_{index:05}");
             taken.insert(name.clone());
         }
-        frames.push(Frame { name, camera, photo });
+        frames.push(Frame { name, camera, photo: Some(photo) });
     }
     anyhow::ensure!(
         !frames.is_empty(),
@@ -94,8 +94,8 @@ pub(super) struct Remarks {
 
 impl Remarks {
     /// The photo of a frame, and its camera at that size.
-    pub(super) fn read(&mut self, frame: &Frame) -> Result<(RgbPicture, Camera)> {
-        let (photo, camera, remarks) = fit_photo(&frame.photo, &frame.camera)?;
+    pub(super) fn read(&mut self, frame: &Frame, path: &Path) -> Result<(RgbPicture, Camera)> {
+        let (photo, camera, remarks) = fit_photo(path, &frame.camera)?;
         for remark in remarks {
             match remark {
                 PhotoRemark::Turned(_) => self.turned.push(frame.name.clone()),

@@ -2,6 +2,7 @@
 
 mod args;
 mod cache;
+mod choice;
 mod frames;
 mod sources;
 mod work;
@@ -29,14 +30,24 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     if let SegmentsArg::Folder(folder) = &args.segments {
         session.outputs.reads(folder)?;
     }
-    let frames = frames::of_photos(&session, args)?;
+    let photos = match args.render {
+        None => frames::of_photos(&session, args)?,
+        Some(_) => Vec::new(),
+    };
     session.make_out(&FILES)?;
-    let opened = session.open_with(&args.scene, &args.source.options())?;
+    let opened = session.open_with(&args.scene, &args.read_options())?;
     if let Some(cameras) = args.cameras.as_ref().filter(|path| path.is_file()) {
         session.receipt.fingerprint("cameras", cameras)?;
     }
     let gaussians = Gaussians::from_scene(&opened.loaded.scene)?;
     args.record(&session, &sources);
+    let frames = match (args.render, args.max_frames) {
+        (Some(count), _) => {
+            choice::planned(&session, args, &opened.loaded.scene, &gaussians, count)?
+        }
+        (None, Some(most)) => choice::chosen(&session, photos, &gaussians, most)?,
+        (None, None) => photos,
+    };
     let work = Work { session: &session, args, sources: &sources, gaussians: &gaussians };
     let cameras = work.run(&frames)?;
     {

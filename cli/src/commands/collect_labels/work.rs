@@ -8,12 +8,14 @@ use crate::receipt::sha256_of;
 use crate::session::Session;
 use anyhow::{Context, Result};
 use scenesplat::collection::{DescribeSettings, PosedPicture, Segmenter, describe};
-use scenesplat::preview::solid_depth;
+use scenesplat::preview::{rendered_picture, solid_depth};
 use scenesplat::rasterizer::{
     DepthRequest, Gaussians, RasterSettings, RenderRequest, View, render,
 };
 use scenesplat::scene::Camera;
+use scenesplat::scene::picture::RgbPicture;
 use serde_json::json;
+use std::path::Path;
 
 /// Everything that 2D work needs.
 pub(super) struct Work<'a> {
@@ -60,9 +62,10 @@ impl Work<'_> {
     /// Hash of all that segments and features of a frame depend on.
     fn key(&self, frame: &Frame) -> Result<String> {
         let _stage = self.session.receipt.stage("cache");
-        let scene = match self.sources.segmenter.wants_depth() {
-            true => self.session.receipt.sha256_of_role("input"),
-            false => None,
+        let is_read = self.sources.segmenter.wants_depth() || frame.photo.is_none();
+        let scene = is_read.then(|| self.session.receipt.sha256_of_role("input")).flatten();
+        let hash = |path: Option<&Path>| -> Result<Option<String>> {
+            Ok(path.map(sha256_of).transpose()?.map(|(hash, _)| hash))
         };
         let mask = self.sources.mask(&frame.name).filter(|path| path.exists());
         let text = json!({
@@ -71,10 +74,10 @@ impl Work<'_> {
             "encoder": self.sources.encoder.name(),
             "original": self.is_original(),
             "camera": frame.camera,
-            "photo": sha256_of(&frame.photo)?.0,
-            "mask": mask.map(|path| sha256_of(&path)).transpose()?.map(|(hash, _)| hash),
+            "photo": hash(frame.photo.as_deref())?,
+            "mask": hash(mask.as_deref())?,
             "scene": scene,
-            "source": scene.as_ref().map(|_| format!("{:?}", self.args.source.options())),
+            "source": scene.as_ref().map(|_| format!("{:?}", self.args.read_options())),
         });
         Ok(sha256(text.to_string().as_bytes()))
     }
@@ -93,7 +96,10 @@ impl Work<'_> {
     ) -> Result<(FrameRecord, Camera)> {
         let receipt = &self.session.receipt;
         let stage = receipt.stage("pictures");
-        let (picture, camera) = remarks.read(frame)?;
+        let (picture, camera) = match &frame.photo {
+            Some(path) => remarks.read(frame, path)?,
+            None => (self.drawn(&frame.camera)?, frame.camera.clone()),
+        };
         let view = View::from_camera(&camera)?;
         let depth = self.sources.segmenter.wants_depth().then(|| self.depth(&view)).transpose()?;
         drop(stage);
@@ -120,6 +126,13 @@ impl Work<'_> {
             single_segment: described.single_segment,
         };
         Ok((cache.keep(&frame.name, key, &made)?, camera))
+    }
+
+    /// The scene as a camera sees it.
+    fn drawn(&self, camera: &Camera) -> Result<RgbPicture> {
+        let (view, settings) = (View::from_camera(camera)?, RasterSettings::default());
+        let rendered = render(self.gaussians, &view, &settings, &RenderRequest::rgb())?;
+        rendered_picture(&rendered).context("colours were asked for")
     }
 
     /// The scene's own depth, 0 where it is thin.
