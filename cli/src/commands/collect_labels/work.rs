@@ -7,7 +7,7 @@ use super::sources::Sources;
 use crate::receipt::sha256_of;
 use crate::session::Session;
 use anyhow::{Context, Result};
-use scenesplat::collection::{DescribeSettings, PosedPicture, Segmenter, describe};
+use scenesplat::collection::{DescribeSettings, PosedPicture, describe};
 use scenesplat::preview::{rendered_picture, solid_depth};
 use scenesplat::rasterizer::{
     DepthRequest, Gaussians, RasterSettings, RenderRequest, View, render,
