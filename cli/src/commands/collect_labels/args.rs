@@ -4,6 +4,7 @@ use crate::commands::WrongUse;
 use crate::commands::lift_labels::{
     self, DepthArg, FrameWeightsArg, RobustArg, RobustRuleArg, RuleArg,
 };
+use crate::commands::many::Many;
 use crate::commands::render::{parse_fov, parse_size};
 use crate::flags::{Shared, SourceArgs, parse_up};
 use anyhow::Result;
@@ -152,6 +153,7 @@ impl Args {
         let effect: EffectChoices = "glass=auto".parse()?;
         Ok(lift_labels::Args {
             scene: self.scene.clone(),
+            many: Many { manifest: None, shard: None, again: false },
             cameras: cameras.to_owned(),
             segments: self.shared.out.join(FRAMES),
             photos: None,
