@@ -16,11 +16,15 @@
 #![allow(clippy::neg_cmp_op_on_partial_ord, reason = "guards are written so that NaN fails them")]
 
 pub mod adam;
+pub mod capture_folder;
 pub mod checkpoint;
+pub mod cost;
+pub mod curation;
 pub mod depth_loss;
 pub mod error;
 pub mod exposure;
 pub mod frame;
+pub mod fused_points;
 pub mod image_loss;
 pub mod initial;
 pub mod model;
@@ -35,10 +39,13 @@ pub mod strategy;
 mod window;
 
 pub use adam::{Adam, AdamSettings, Moments, Rates, Regularisers};
+pub use capture_folder::{Capture, CaptureFolder};
 pub use checkpoint::newest_checkpoint;
+pub use cost::StepCost;
 pub use error::OptimiseError;
 pub use exposure::Exposure;
 pub use frame::{Colors, TrainingFrame};
+pub use fused_points::fused_points;
 pub use image_loss::{ImageComparison, ImageLoss, ImageWeights, SsimPadding};
 pub use model::{Model, Stored};
 pub use optimiser::{Optimiser, StepReport};

@@ -14,6 +14,7 @@ mod inspect;
 mod labelled;
 mod lift_labels;
 mod objects;
+mod optimise;
 mod pareto;
 mod probe;
 mod query;
@@ -64,6 +65,8 @@ enum Command {
     Render(render::Args),
     /// Does to a scene what a bad capture would have done.
     Simulate(simulate::Args),
+    /// Makes a scene from posed pictures.
+    Optimise(Box<optimise::Args>),
     /// Measures how much pictures differ.
     Compare(compare::Args),
     /// Writes a scene in another format, whole or in part.
@@ -126,6 +129,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Evaluate(args) => evaluate::run(args, &line),
         Command::Render(args) => render::run(args, &line),
         Command::Simulate(args) => simulate::run(args, &line),
+        Command::Optimise(args) => optimise::run(args, &line),
         Command::Compare(args) => compare::run(args),
         Command::Convert(args) => convert::run(args),
         Command::Train(args) => train::run(args),
