@@ -6,6 +6,7 @@ mod classes;
 mod codes;
 mod compare;
 mod convert;
+mod curate;
 mod demo;
 mod doctor;
 mod evaluate;
@@ -67,6 +68,8 @@ enum Command {
     Simulate(simulate::Args),
     /// Makes a scene from posed pictures.
     Optimise(Box<optimise::Args>),
+    /// Says which frames and which scenes are worth keeping, and why.
+    Curate(Box<curate::Args>),
     /// Measures how much pictures differ.
     Compare(compare::Args),
     /// Writes a scene in another format, whole or in part.
@@ -130,6 +133,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Render(args) => render::run(args, &line),
         Command::Simulate(args) => simulate::run(args, &line),
         Command::Optimise(args) => optimise::run(args, &line),
+        Command::Curate(args) => curate::run(args, &line),
         Command::Compare(args) => compare::run(args),
         Command::Convert(args) => convert::run(args),
         Command::Train(args) => train::run(args),

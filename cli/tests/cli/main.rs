@@ -18,6 +18,7 @@ mod inspect;
 mod lift_labels;
 mod networks;
 mod objects;
+mod optimise;
 mod outputs;
 mod pareto;
 mod probe;
