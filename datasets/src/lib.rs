@@ -25,6 +25,7 @@ pub mod mix3d;
 pub mod plan;
 pub mod rng;
 pub mod sample;
+pub mod shard;
 pub mod source;
 pub mod sources;
 pub mod teacher;
@@ -49,6 +50,7 @@ pub use plan::{
 };
 pub use rng::{SampleRng, sample_rng};
 pub use sample::{Sample, Transform};
+pub use shard::{Shard, ShardError};
 pub use source::{DataSource, SourceScene};
 pub use sources::{Benchmark, SceneFolders, SourceConfig, Split, SyntheticRooms};
 pub use teacher::{SceneTeacher, TeacherRows, TeacherView};
