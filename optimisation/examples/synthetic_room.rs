@@ -3,11 +3,12 @@
 //! ```sh
 //! cargo run --release -p scenesplat-optimisation --example synthetic_room -- OUT \
 //!     [size=320x240] [steps=2000] [seed=1] [frames=120] [gaussians=150000] [initial=60000] [cap=100000] \
-//!     [depth=1] [scale=0.02] [opacity=0] [threads=0] [until=0]
+//!     [depth=1] [scale=0.02] [opacity=0] [threads=0] [until=0] [scene=FILE cameras=FILE]
 //! ```
 //!
 //! Writes `room.ply`, `cameras.json`, `images/`, `depth/`, `result.ply`, pictures of truth, result and error, and
 //! prints a line of JSON with the figures. `until` stops after that many steps and goes on from the checkpoint.
+//! With `scene` a scene of a file is drawn from its own cameras instead of a room.
 
 use rayon::prelude::*;
 use scenesplat_optimisation::cost::set_cap;
@@ -21,7 +22,7 @@ use scenesplat_rooms::{SyntheticRoom, SyntheticRoomSettings, generate};
 use scenesplat_scene::formats::cameras::write_cameras_json;
 use scenesplat_scene::formats::inria_ply::write_inria_ply;
 use scenesplat_scene::picture::{Channels, Picture, RgbPicture, Samples};
-use scenesplat_scene::{Camera, Distortion};
+use scenesplat_scene::{Camera, Distortion, GaussianScene, ReadOptions, open_cameras, open_scene};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -75,6 +76,28 @@ fn camera(room: &SyntheticRoom, i: usize, n: usize, [width, height]: [u32; 2]) -
     }
 }
 
+/// A scene of a file, and the cameras it came with, for pictures of that height.
+fn real(
+    path: &Path,
+    words: &Words,
+    [_, height]: [u32; 2],
+) -> Result<(GaussianScene, Vec<Camera>), Failed> {
+    let options = ReadOptions { sh_rest: true, ..ReadOptions::default() };
+    let scene = open_scene(path, &options)?.scene;
+    let list = words.0.get("cameras").ok_or("scene=FILE needs cameras=FILE")?;
+    let mut cameras = open_cameras(list.as_ref())?.cameras;
+    for (i, camera) in cameras.iter_mut().enumerate() {
+        let by = f64::from(height) / f64::from(camera.height);
+        let width = (f64::from(camera.width) * by).round();
+        let across = width / f64::from(camera.width);
+        (camera.fx, camera.cx) = (camera.fx * across, camera.cx * across);
+        (camera.fy, camera.cy) = (camera.fy * by, camera.cy * by);
+        (camera.width, camera.height) = (width as u32, height);
+        camera.name = format!("frame_{i:04}");
+    }
+    Ok((scene, cameras))
+}
+
 /// The frame that a camera takes: 8 bits of colour, millimetres of depth.
 fn shoot(room: &Gaussians, camera: &Camera) -> Result<TrainingFrame, Failed> {
     let view = View::from_camera(camera)?;
@@ -83,12 +106,12 @@ fn shoot(room: &Gaussians, camera: &Camera) -> Result<TrainingFrame, Failed> {
     let raster = RasterSettings { near: 0.05, ..RasterSettings::default() };
     let drawn = render(room, &view, &raster, &request)?;
     let byte = |v: &f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
-    let rgb = drawn.rgb.unwrap_or_default().iter().map(byte).collect();
+    let rgb: Vec<u8> = drawn.rgb.unwrap_or_default().iter().map(byte).collect();
     // What less than half of the light met has no depth.
     let millimetres =
         |(z, t): (&f32, &f32)| if *t < 0.5 { (z * 1000.0).round() / 1000.0 } else { 0.0 };
     let depth = drawn.depth_expected.unwrap_or_default();
-    let depth = depth.iter().zip(&drawn.transmittance).map(millimetres).collect();
+    let depth: Vec<f32> = depth.iter().zip(&drawn.transmittance).map(millimetres).collect();
     Ok(TrainingFrame {
         name: camera.name.clone(),
         view,
@@ -104,7 +127,8 @@ fn write_frame(out: &Path, frame: &TrainingFrame) -> Result<(), Failed> {
     let pixels = rgb.as_chunks::<3>().0.to_vec();
     let picture = RgbPicture::from_pixels(width, height, pixels).ok_or("a picture has pixels")?;
     std::fs::write(out.join(format!("images/{}.png", frame.name)), picture.encode_png()?)?;
-    let steps = |d: &Vec<f32>| d.iter().map(|z| (z * 1000.0).round() as u16).collect();
+    let steps =
+        |d: &Vec<f32>| -> Vec<u16> { d.iter().map(|z| (z * 1000.0).round() as u16).collect() };
     let steps = Samples::Sixteen(frame.depth.as_ref().map(steps).unwrap_or_default());
     let depth = Picture::new(width, height, Channels::Gray, steps).ok_or("a depth has pixels")?;
     std::fs::write(out.join(format!("depth/{}.png", frame.name)), depth.encode_png()?)?;
@@ -137,21 +161,27 @@ fn mean_of(optimiser: &Optimiser, frames: &[TrainingFrame]) -> Result<MeanScore,
 fn run(out: &Path, words: &Words) -> Result<(), Failed> {
     let size = words.0.get("size").map_or("320x240", String::as_str);
     let (w, h) = size.split_once('x').ok_or("size=WxH")?;
-    let size = [w.parse()?, h.parse()?];
+    let size: [u32; 2] = [w.parse::<u32>()?, h.parse::<u32>()?];
     let seed = words.number("seed", 1.0)? as u64;
     let n = words.number("frames", 120.0)? as usize;
-    let room = generate(&SyntheticRoomSettings {
-        seed,
-        num_gaussians: Some(words.number("gaussians", 150_000.0)? as usize),
-        points_share: 0.0,
-        ..SyntheticRoomSettings::default()
-    })?;
     for folder in ["images", "depth"] {
         std::fs::create_dir_all(out.join(folder))?;
     }
-    write_inria_ply(&room.scene, &[], &out.join("room.ply"))?;
-    let drawn = Gaussians::from_scene(&room.scene)?;
-    let cameras: Vec<Camera> = (0..n).map(|i| camera(&room, i, n, size)).collect();
+    let (scene, cameras) = match words.0.get("scene") {
+        Some(path) => real(path.as_ref(), words, size)?,
+        None => {
+            let room = generate(&SyntheticRoomSettings {
+                seed,
+                num_gaussians: Some(words.number("gaussians", 150_000.0)? as usize),
+                points_share: 0.0,
+                ..SyntheticRoomSettings::default()
+            })?;
+            let cameras = (0..n).map(|i| camera(&room, i, n, size)).collect();
+            (room.scene, cameras)
+        }
+    };
+    write_inria_ply(&scene, &[], &out.join("room.ply"))?;
+    let drawn = Gaussians::from_scene(&scene)?;
     write_cameras_json(&cameras, &out.join("cameras.json"))?;
     let shot: Result<Vec<_>, Failed> = cameras.par_iter().map(|c| shoot(&drawn, c)).collect();
     let (mut train, mut test) = (Vec::new(), Vec::new());
