@@ -151,10 +151,8 @@ fn compared(rgb: &[f32], frame: &TrainingFrame) -> RgbPicture {
 fn mean_of(optimiser: &Optimiser, frames: &[TrainingFrame]) -> Result<MeanScore, OptimiseError> {
     let settings = optimiser.settings();
     let degree = settings.sh_degree_at(optimiser.steps_done().saturating_sub(1));
-    let scores: Result<Vec<_>, _> = frames
-        .iter()
-        .map(|frame| Ok(score_frame(optimiser.model(), frame, settings, degree)?.0))
-        .collect();
+    let score = |frame| Ok(score_frame(optimiser.model(), frame, settings, degree)?.0);
+    let scores: Result<Vec<_>, OptimiseError> = frames.iter().map(score).collect();
     Ok(MeanScore::of(&scores?))
 }
 
