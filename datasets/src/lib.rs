@@ -42,7 +42,7 @@ pub use from_points::{PointSettings, SurfacePoints, estimate_normals, gaussians_
 pub use full_scene::FullScene;
 pub use input_features::{InputChannel, InputFeatures, Orientation};
 pub use left_out::{LeftOut, RepairedScene};
-pub use loader::{BatchLoader, BrokenScenes, LoaderSettings, SceneLoader, SkippedScene};
+pub use loader::{BatchLoader, BatchPart, BrokenScenes, LoaderSettings, SceneLoader, SkippedScene};
 pub use masking::{MaskShape, MaskWeight, Masked, Masking};
 pub use mix3d::mix_pairs;
 pub use plan::{

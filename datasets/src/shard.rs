@@ -214,7 +214,8 @@ mod tests {
 
     #[test]
     fn half_a_scheduler_is_refused_by_name() {
-        let cases: [(&[(&'static str, &str)], &str); 6] = [
+        type Case<'c> = (&'c [(&'static str, &'c str)], &'c str);
+        let cases: [Case<'_>; 6] = [
             (&[("RANK", "1")], "WORLD_SIZE is missing"),
             (&[("RANK", "2"), ("WORLD_SIZE", "2")], "RANK=2: is not below"),
             (&[("RANK", "x"), ("WORLD_SIZE", "2")], "RANK=x: a whole number"),

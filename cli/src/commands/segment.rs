@@ -120,7 +120,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
             scene,
             &label_colors(labels),
             &legend(labels, names),
-            &format!("{name}: labels{}", remark),
+            &format!("{name}: labels{remark}"),
             session.up(scene, &args.inference),
             &path,
         )?;

@@ -332,7 +332,8 @@ fn schedulers_say_the_part_and_wrong_use_is_told() {
         "{}",
         said(&output)
     );
-    let refusals: [(&[(&str, &str)], &[&str], &str); 6] = [
+    type Case<'c> = (&'c [(&'c str, &'c str)], &'c [&'c str], &'c str);
+    let refusals: [Case<'_>; 6] = [
         (&[("RANK", "0")], &[], "WORLD_SIZE is missing"),
         (&[], &["--shard", "2/2"], "0/2 to 1/2"),
         (&[], &["--shard", "half"], "write i/n"),

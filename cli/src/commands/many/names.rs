@@ -21,7 +21,8 @@ pub fn names(scenes: &[String]) -> Result<Vec<String>> {
         folders.iter().map(|&f| f.to_owned()).chain([name]).collect::<Vec<_>>().join("__")
     };
     let in_full = |parts: &[&str]| parts[common..].join("__");
-    let ways: [&dyn Fn(&[&str]) -> String; 3] = [&own, &with_folders, &in_full];
+    type Way<'w> = &'w dyn Fn(&[&str]) -> String;
+    let ways: [Way<'_>; 3] = [&own, &with_folders, &in_full];
     for way in ways {
         let names: Vec<String> = parts.iter().map(|parts| usable(&way(parts))).collect();
         if clash(&names).is_none() {
