@@ -20,6 +20,7 @@ mod lift_labels;
 mod many;
 mod networks;
 mod objects;
+mod optimise;
 mod outputs;
 mod pareto;
 mod probe;
