@@ -2,8 +2,9 @@
 
 use super::header::PlyPropertyKind;
 use super::layout::Cell;
-use super::{PlyFile, memory};
+use super::PlyFile;
 use crate::SceneError;
+use crate::input_file::reserve;
 
 /// Rows of an element with lists.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -62,9 +63,10 @@ impl PlyFile {
         let bytes = self.bytes();
         let mut at = self.layouts[index].start;
         let mut out = PlyLists::default();
-        out.offsets = memory::zeroed::<usize>(about.count + 1, self.path())?;
+        reserve(&mut out.offsets, about.count + 1, self.path())?;
+        out.offsets.push(0);
         out.columns = vec![Vec::with_capacity(about.count); columns.len()];
-        for row in 0..about.count {
+        for _ in 0..about.count {
             for property in &about.properties {
                 match property.kind {
                     PlyPropertyKind::Scalar(ty) => {
@@ -90,7 +92,7 @@ impl PlyFile {
                     }
                 }
             }
-            out.offsets[row + 1] = out.values.len();
+            out.offsets.push(out.values.len());
         }
         Ok(out)
     }
