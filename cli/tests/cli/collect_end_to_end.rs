@@ -13,7 +13,7 @@ use scenesplat::scene::formats::cameras::write_cameras_json;
 use scenesplat::scene::formats::npy_folder::write_npy_folder;
 use scenesplat::scene::gaussian_scene::u8_to_dc;
 use scenesplat::scene::picture::{Channels, Picture, Samples};
-use scenesplat::scene::{GaussianScene, TextTable, UpAxis};
+use scenesplat::scene::{TextTable, UpAxis};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Instant;
@@ -223,7 +223,9 @@ fn labels_of_pictures_score_and_teach() {
         std::fs::copy(from, to).unwrap();
     };
     std::fs::read_dir(dir.join("scene")).unwrap().flatten().for_each(|e| copy(&e.path()));
-    ["lang_feat.npy", "valid_feat_mask.npy"].map(|f| copy(&Path::new(&masks).join(f)));
+    for file in ["lang_feat.npy", "valid_feat_mask.npy"] {
+        copy(&Path::new(&masks).join(file));
+    }
     let experiment = EXPERIMENT
         .replace("EPOCHS", &size.epochs.to_string())
         .replace("WIDTH", &ColourStatistics::WIDTH.to_string());
