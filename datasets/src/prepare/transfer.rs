@@ -244,7 +244,8 @@ mod tests {
         let coord = vec![[0.5, 0.4, 0.0], [9.0, 0.0, 0.0]];
         let table = LabelTable::of_names("segment", vec!["lamp".to_owned(), "sofa".to_owned()]);
         let settings = PrepareSettings { max_distance: None, margin: None, points: false };
-        let (found, report) = prepare(&scene(coord), &scan(), std::slice::from_ref(&table), &settings).unwrap();
+        let (found, report) =
+            prepare(&scene(coord), &scan(), std::slice::from_ref(&table), &settings).unwrap();
         // Of equally near ones the first.
         assert_eq!(found.segments[0].gaussians, [1, 0]);
         assert_eq!(

@@ -1,8 +1,8 @@
 //! Elements with a list in each row: the faces of meshes.
 
+use super::PlyFile;
 use super::header::PlyPropertyKind;
 use super::layout::Cell;
-use super::PlyFile;
 use crate::SceneError;
 use crate::input_file::reserve;
 
