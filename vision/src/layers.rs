@@ -1,7 +1,7 @@
 //! Layers of frozen weights on rows of values.
 
 use rayon::prelude::*;
-use scenesplat_kernels::activation::gelu_in_place;
+use scenesplat_kernels::activation::{exp_in_place, gelu_in_place};
 use scenesplat_kernels::gemm::{Epilogue, PackedMatrix, gemm, mlp};
 use scenesplat_kernels::layer_norm;
 
@@ -87,4 +87,50 @@ pub(crate) fn gelu(values: &mut [f32]) {
 pub(crate) fn add(a: &mut [f32], b: &[f32]) {
     debug_assert_eq!(a.len(), b.len());
     a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
+}
+
+/// The approximate GELU of every value: `x · σ(2√(2/π) · (x + 0.044715 x³))`, which is
+/// `x/2 · (1 + tanh(√(2/π) · (x + 0.044715 x³)))`.
+pub(crate) fn gelu_tanh(values: &mut [f32]) {
+    const BLOCK: usize = 1 << 12;
+    // 2√(2/π)
+    const FACTOR: f32 = 1.595_769_1;
+    values.par_chunks_mut(BLOCK).for_each_init(
+        || vec![0f32; BLOCK],
+        |powers, values| {
+            let powers = &mut powers[..values.len()];
+            for (power, x) in powers.iter_mut().zip(&*values) {
+                *power = -FACTOR * (x + 0.044_715 * x * x * x);
+            }
+            exp_in_place(powers);
+            for (x, power) in values.iter_mut().zip(&*powers) {
+                *x /= 1.0 + power;
+            }
+        },
+    );
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_approximate_gelu_is_the_definitions_in_f64() {
+        let x: Vec<f32> = (-4000..=4000).map(|i| i as f32 / 300.0).collect();
+        let mut y = x.clone();
+        gelu_tanh(&mut y);
+        for (x, y) in x.iter().zip(&y) {
+            let v = f64::from(*x);
+            let inner = (2.0 / std::f64::consts::PI).sqrt() * (v + 0.044_715 * v.powi(3));
+            let want = 0.5 * v * (1.0 + inner.tanh());
+            assert!((f64::from(*y) - want).abs() < 2e-6 * v.abs().max(1.0), "{x}: {y} {want}");
+        }
+        let mut far = [1e30f32, -1e10, 0.0];
+        gelu_tanh(&mut far);
+        assert_eq!(far, [1e30, 0.0, 0.0]);
+        let mut two = [1.0f32];
+        gelu_tanh(&mut two);
+        // Not the exact one, 0.841345.
+        assert!((two[0] - 0.841_192).abs() < 1e-6);
+    }
 }

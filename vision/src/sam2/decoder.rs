@@ -1,6 +1,6 @@
 //! From prompt tokens and a picture's rows to masks.
 
-use super::attention::Attention;
+use crate::cross_attention::Attention;
 use super::config::Sam2Config;
 use super::prompt::PromptEncoder;
 use crate::VisionError;

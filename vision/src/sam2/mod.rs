@@ -3,7 +3,6 @@
 //! What only videos need (memory, object pointers) is not read. Weights are those of the authors, `.pt` as they
 //! published them or the same names in a `.safetensors` file.
 
-mod attention;
 mod config;
 mod decoder;
 mod neck;

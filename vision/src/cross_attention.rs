@@ -11,8 +11,8 @@ use crate::weights::Weights;
 use scenesplat_kernels::activation::exp_in_place;
 use scenesplat_kernels::gemm::{Epilogue, PackedMatrix, gemm, gemm_tn};
 
-/// Attention of the two-way transformer: four projections.
-pub(super) struct Attention {
+/// Attention with four projections.
+pub(crate) struct Attention {
     heads: usize,
     /// Channels of tokens and rows.
     width: usize,
@@ -43,15 +43,33 @@ impl Attention {
     ) -> Result<Self, VisionError> {
         let mut layer = |part: &str, cin: usize, cout: usize| {
             let weight = weights.take(&format!("{prefix}.{part}.weight"), &[cout, cin])?;
-            let bias = weights.take(&format!("{prefix}.{part}.bias"), &[cout])?;
-            Ok::<_, VisionError>((weights.pack(&weight, cin, cout, bias), weight))
+            Ok::<_, VisionError>((weight, weights.take(&format!("{prefix}.{part}.bias"), &[cout])?))
         };
-        let (q, plain_q) = layer("q_proj", width, inner)?;
-        let (k, plain_k) = layer("k_proj", width, inner)?;
-        let (v, plain_v) = layer("v_proj", width, inner)?;
-        let (out, plain_out) = layer("out_proj", inner, width)?;
+        let parts = [
+            layer("q_proj", width, inner)?,
+            layer("k_proj", width, inner)?,
+            layer("v_proj", width, inner)?,
+            layer("out_proj", inner, width)?,
+        ];
+        Ok(Self::of(parts, width, inner, heads))
+    }
+
+    /// Of weights and biases for queries, keys, values (`[inner, width]`) and output (`[width, inner]`).
+    pub fn of(
+        parts: [(Vec<f32>, Vec<f32>); 4],
+        width: usize,
+        inner: usize,
+        heads: usize,
+    ) -> Self {
+        let pack = |(weight, bias): &(Vec<f32>, Vec<f32>), cin: usize| Linear {
+            weight: PackedMatrix::from_strided(weight, cin, bias.len(), 1, cin),
+            bias: bias.clone(),
+        };
+        let [q, k, v, out] = &parts;
+        let (q, k, v, out) = (pack(q, width), pack(k, width), pack(v, width), pack(out, inner));
+        let [plain_q, plain_k, plain_v, plain_out] = parts.map(|(weight, _)| weight);
         let plain = Plain { q: plain_q, k: plain_k, v: plain_v, out: plain_out };
-        Ok(Self { heads, width, inner, q, k, v, out, plain })
+        Self { heads, width, inner, q, k, v, out, plain }
     }
 
     fn dim(&self) -> usize {
