@@ -1,7 +1,9 @@
 """Checksums of pictures that Pillow resized, for `vision/tests/resize.rs`.
 
-    venv/bin/pip install pillow==13.0.0
+    venv/bin/pip install pillow==11.3.0
     venv/bin/python pillow_resize.py > ../../vision/tests/data/pillow_resize.csv
+
+From 13 on Pillow resizes heights first where they shrink much more than widths; networks and labels are older.
 
 A line: filter, width and height before, width and height after, FNV-1a (64 bits) of the bytes.
 """

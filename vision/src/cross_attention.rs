@@ -55,12 +55,7 @@ impl Attention {
     }
 
     /// Of weights and biases for queries, keys, values (`[inner, width]`) and output (`[width, inner]`).
-    pub fn of(
-        parts: [(Vec<f32>, Vec<f32>); 4],
-        width: usize,
-        inner: usize,
-        heads: usize,
-    ) -> Self {
+    pub fn of(parts: [(Vec<f32>, Vec<f32>); 4], width: usize, inner: usize, heads: usize) -> Self {
         let pack = |(weight, bias): &(Vec<f32>, Vec<f32>), cin: usize| Linear {
             weight: PackedMatrix::from_strided(weight, cin, bias.len(), 1, cin),
             bias: bias.clone(),

@@ -48,7 +48,11 @@ impl VisionError {
         Self::Input { what, problem: problem.into() }
     }
 
-    pub(crate) fn config(field: &'static str, value: impl ToString, help: &'static str) -> Self {
+    pub(crate) fn config(
+        field: &'static str,
+        value: impl std::fmt::Display,
+        help: &'static str,
+    ) -> Self {
         Self::Config { field, value: value.to_string(), help }
     }
 }

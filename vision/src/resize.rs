@@ -112,7 +112,8 @@ fn check(width: u32, height: u32) -> Result<(), VisionError> {
 /// If either size has no pixels, or more than [`MAX_PIXELS`].
 ///
 /// # Source
-/// `Resample.c` of Pillow 13.0 (`ImagingResampleInner` for 8 bits per channel).
+/// `Resample.c` of Pillow 11.3. From 13 on Pillow resizes columns first where heights shrink much more than widths, which
+/// changes roundings; networks and labels are older.
 pub fn resize(
     picture: &RgbPicture,
     width: u32,

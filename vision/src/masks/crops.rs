@@ -33,7 +33,12 @@ pub(super) fn crops(width: u32, height: u32, settings: &MaskSettings) -> Vec<Cro
 }
 
 /// Points in a crop of this size, pixels: the middles of a grid's cells, row by row.
-pub(super) fn points(layer: usize, width: u32, height: u32, settings: &MaskSettings) -> Vec<[f32; 2]> {
+pub(super) fn points(
+    layer: usize,
+    width: u32,
+    height: u32,
+    settings: &MaskSettings,
+) -> Vec<[f32; 2]> {
     let fewer = settings.point_downscale.saturating_pow(layer as u32);
     let side = (settings.points_per_side / fewer).max(1);
     let at = |i: usize, length: u32| ((i as f64 + 0.5) / side as f64 * f64::from(length)) as f32;
@@ -67,10 +72,17 @@ mod tests {
 
     #[test]
     fn points_by_hand() {
-        let settings = MaskSettings { points_per_side: 4, point_downscale: 2, ..Default::default() };
+        let settings =
+            MaskSettings { points_per_side: 4, point_downscale: 2, ..Default::default() };
         let all = points(0, 80, 40, &settings);
-        assert_eq!((all.len(), all[0], all[1], all[4]), (16, [10.0, 5.0], [30.0, 5.0], [10.0, 15.0]));
-        assert_eq!(points(1, 80, 40, &settings), [[20.0, 10.0], [60.0, 10.0], [20.0, 30.0], [60.0, 30.0]]);
+        assert_eq!(
+            (all.len(), all[0], all[1], all[4]),
+            (16, [10.0, 5.0], [30.0, 5.0], [10.0, 15.0])
+        );
+        assert_eq!(
+            points(1, 80, 40, &settings),
+            [[20.0, 10.0], [60.0, 10.0], [20.0, 30.0], [60.0, 30.0]]
+        );
         assert_eq!(points(5, 8, 4, &settings), [[4.0, 2.0]]);
     }
 }

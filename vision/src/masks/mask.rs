@@ -63,7 +63,8 @@ impl Mask {
                 words.extend(here);
             }
         }
-        Self { width, height, bounds, area, first_word: first, words_per_row: per_row, words }.tight()
+        Self { width, height, bounds, area, first_word: first, words_per_row: per_row, words }
+            .tight()
     }
 
     /// Only the words between the bounds.
@@ -206,7 +207,7 @@ mod tests {
     #[test]
     fn rows_may_begin_anywhere() {
         for left in [0, 1, 63, 64, 70, 100] {
-            let rows = (0..3).map(|y| vec![if y == 1 { 0 } else { u64::MAX }, 0b11]);
+            let rows = (0..3).map(|y| if y == 1 { vec![0, 0] } else { vec![u64::MAX, 0b11] });
             let m = Mask::from_rows(200, 9, left, 4, 66, rows);
             assert_eq!(m.bounds(), Some([left, 4, left + 65, 6]));
             assert_eq!(m.area(), 132);

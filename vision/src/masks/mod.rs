@@ -235,12 +235,7 @@ impl<'a, N: ClickNetwork> AutomaticMasks<'a, N> {
                 predicted_iou,
                 stability: up.stability,
                 point: [point[0] + place.left as f32, point[1] + place.top as f32],
-                crop: [
-                    place.left,
-                    place.top,
-                    place.left + place.width,
-                    place.top + place.height,
-                ],
+                crop: [place.left, place.top, place.left + place.width, place.top + place.height],
             });
         }
         (found, counts)

@@ -81,9 +81,8 @@ pub fn keep_masks(proposals: &[MaskProposal], limits: &MaskNms) -> Vec<usize> {
             }
             // The smaller goes, whichever has the better score.
             let product = both / a * (both / b);
-            let goes = |inside: f64, of: f64| {
-                inside >= INSIDE && of < LESS_THAN && product < limits.inner
-            };
+            let goes =
+                |inside: f64, of: f64| inside >= INSIDE && of < LESS_THAN && product < limits.inner;
             if goes(both / b, both / a) {
                 stays[worse] = false;
             }

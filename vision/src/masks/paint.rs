@@ -48,8 +48,7 @@ pub fn paint_objects(proposals: &[MaskProposal], width: u32, height: u32) -> IdM
         proposals.iter().any(|large| {
             large.mask.area() > small.mask.area()
                 && score(large) > score(small)
-                && large.mask.intersection(&small.mask) as f64
-                    > COVERED * small.mask.area() as f64
+                && large.mask.intersection(&small.mask) as f64 > COVERED * small.mask.area() as f64
         })
     };
     let mut order: Vec<usize> = (0..proposals.len()).filter(|i| !part(&proposals[*i])).collect();

@@ -56,10 +56,12 @@ mod tests {
 
     #[test]
     fn holes_and_sprinkles_by_hand() {
-        let mut logits = picture(&["#####..", "#...#..", "#.#.#.#", "#...#..", "#####..", "......#", ".....#."]);
+        let mut logits =
+            picture(&["#####..", "#...#..", "#.#.#.#", "#...#..", "#####..", "......#", ".....#."]);
         clean(&mut logits, 7, 1);
         // The sprinkle inside and the lonely one go; the two that touch at a corner stay.
-        let want = picture(&["#####..", "#...#..", "#...#..", "#...#..", "#####..", "......#", ".....#."]);
+        let want =
+            picture(&["#####..", "#...#..", "#...#..", "#...#..", "#####..", "......#", ".....#."]);
         let signs = |v: &[f32]| v.iter().map(|v| *v > 0.0).collect::<Vec<_>>();
         assert_eq!(signs(&logits), signs(&want));
         assert_eq!((logits[2 * 7 + 2], logits[2 * 7 + 6]), (-10.0, -10.0));

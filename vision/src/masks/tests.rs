@@ -5,6 +5,7 @@ use super::*;
 /// A network that answers with the true object under the click: its color in the picture.
 ///
 /// Its logits are the share of each cell that the object covers, between −`sure` and `sure`.
+#[derive(Debug)]
 struct Truth {
     side: usize,
     sure: f32,
@@ -23,7 +24,11 @@ impl ClickNetwork for Truth {
         self.side
     }
 
-    fn click(&self, p: &RgbPicture, points: &[[f32; 2]]) -> Result<Vec<MaskPrediction>, VisionError> {
+    fn click(
+        &self,
+        p: &RgbPicture,
+        points: &[[f32; 2]],
+    ) -> Result<Vec<MaskPrediction>, VisionError> {
         let answer = |at: &[f32; 2]| {
             let color = p.get(at[0] as u32, at[1] as u32).unwrap();
             let mut logits = vec![-self.sure; MASKS * self.side * self.side];
@@ -48,14 +53,13 @@ impl ClickNetwork for Truth {
 }
 
 fn truth() -> Truth {
-    Truth { side: 128, sure: 8.0, iou: [0.0, 0.9, 0.91, 0.95] }
+    Truth { side: 128, sure: 30.0, iou: [0.0, 0.9, 0.91, 0.95] }
 }
 
 /// A background, disks, a bar, and a ring around a disk.
 fn planted(x: u32, y: u32) -> u8 {
-    let disk = |cx: i64, cy: i64, r: i64| {
-        (i64::from(x) - cx).pow(2) + (i64::from(y) - cy).pow(2) < r * r
-    };
+    let disk =
+        |cx: i64, cy: i64, r: i64| (i64::from(x) - cx).pow(2) + (i64::from(y) - cy).pow(2) < r * r;
     match () {
         () if disk(80, 90, 30) => 2,
         () if disk(80, 90, 60) => 1,
@@ -77,8 +81,10 @@ fn planted_objects_are_found() {
     for settings in [MaskSettings::original(), MaskSettings::scenesplat()] {
         let settings = MaskSettings { points_per_side: 12, ..settings };
         let network = truth();
-        let (found, counts) =
-            AutomaticMasks::new(&network, settings.clone()).unwrap().generate_counted(&picture()).unwrap();
+        let (found, counts) = AutomaticMasks::new(&network, settings.clone())
+            .unwrap()
+            .generate_counted(&picture())
+            .unwrap();
         for object in 0..6 {
             let object = Mask::from_fn(SIZE[0], SIZE[1], |x, y| planted(x, y) == object);
             let best = found.iter().map(|p| p.mask.iou(&object)).fold(0.0, f64::max);
@@ -119,7 +125,10 @@ fn each_filter_alone() {
     let network = truth();
     let (_, counts) = run(&network, open.clone());
     let all = 3 * 64;
-    assert_eq!((counts.answered, counts.expected, counts.stable, counts.whole), (all, all, all, all));
+    assert_eq!(
+        (counts.answered, counts.expected, counts.stable, counts.whole),
+        (all, all, all, all)
+    );
     assert_eq!((counts.single, counts.kept), (all, all), "boxes that are equal are not above 1");
 
     // Predicted IoU: strictly above.
@@ -156,7 +165,11 @@ fn each_filter_alone() {
     for p in found.iter().filter(inner) {
         let b = p.mask.bounds().unwrap();
         for (i, whole) in [0, 0, SIZE[0], SIZE[1]].into_iter().enumerate() {
-            assert!(b[i].abs_diff(p.crop[i]) > 20 || b[i].abs_diff(whole) <= 20, "{b:?} {:?}", p.crop);
+            assert!(
+                b[i].abs_diff(p.crop[i]) > 20 || b[i].abs_diff(whole) <= 20,
+                "{b:?} {:?}",
+                p.crop
+            );
         }
     }
     let (fewer, counts) = run(&network, MaskSettings { crop_nms: 0.7, ..cropped });
@@ -166,9 +179,9 @@ fn each_filter_alone() {
     let whole = fewer.iter().position(|p| p.crop == [0, 0, SIZE[0], SIZE[1]]).unwrap();
     assert!(fewer[whole..].iter().all(|p| !inner(&p)));
 
-    // Small regions: a disk of 30 pixels across 450 is 8 cells of 128, about 60 in all.
+    // Small regions: a disk of 16 pixels is 4.6 by 6.8 of the network's, about 97 in all.
     let speck = RgbPicture::from_fn(450, 300, |x, y| {
-        let inside = (i64::from(x) - 200).pow(2) + (i64::from(y) - 150).pow(2) < 100;
+        let inside = (i64::from(x) - 200).pow(2) + (i64::from(y) - 150).pow(2) < 256;
         [if inside { 200 } else { 0 }, 0, 0]
     });
     let count = |min_region| {
@@ -199,7 +212,9 @@ fn bad_settings_and_pictures_are_refused_by_name() {
     let message = |settings| AutomaticMasks::new(&network, settings).unwrap_err().to_string();
     let open = MaskSettings::original;
     assert!(message(MaskSettings { pred_iou: f32::NAN, ..open() }).contains("pred_iou is NaN"));
-    assert!(message(MaskSettings { points_per_side: 0, ..open() }).contains("points_per_side is 0"));
+    assert!(
+        message(MaskSettings { points_per_side: 0, ..open() }).contains("points_per_side is 0")
+    );
     assert!(message(MaskSettings { crop_layers: 9, ..open() }).contains("crop_layers is 9"));
     assert!(message(MaskSettings { box_nms: 1.5, ..open() }).contains("box_nms is 1.5"));
     let empty = RgbPicture::filled(0, 4, [0; 3]);

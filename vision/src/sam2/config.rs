@@ -93,9 +93,12 @@ impl Sam2Config {
     /// # Errors
     /// If they do not; the message names the field.
     pub fn check(&self) -> Result<(), VisionError> {
-        let bad = VisionError::config;
         if !self.image_size.is_multiple_of(32) || !(32..=4096).contains(&self.image_size) {
-            return Err(bad("image_size", self.image_size, "a multiple of 32 up to 4096"));
+            return Err(VisionError::config(
+                "image_size",
+                self.image_size,
+                "a multiple of 32 up to 4096",
+            ));
         }
         for (field, value, most) in [
             ("embed_dim", self.embed_dim, 1024),
@@ -107,38 +110,66 @@ impl Sam2Config {
             ("iou_hidden", self.iou_hidden, 1 << 12),
         ] {
             if value == 0 || value > most {
-                return Err(bad(field, value, "too small or larger than any known network"));
+                return Err(VisionError::config(
+                    field,
+                    value,
+                    "too small or larger than any known network",
+                ));
             }
         }
         if !self.embed_dim.is_multiple_of(self.num_heads) {
-            return Err(bad("embed_dim", self.embed_dim, "a multiple of num_heads"));
+            return Err(VisionError::config(
+                "embed_dim",
+                self.embed_dim,
+                "a multiple of num_heads",
+            ));
         }
         if !self.d_model.is_multiple_of(8) || !(self.d_model / 2).is_multiple_of(self.decoder_heads)
         {
-            return Err(bad("d_model", self.d_model, "a multiple of 8 and of twice decoder_heads"));
+            return Err(VisionError::config(
+                "d_model",
+                self.d_model,
+                "a multiple of 8 and of twice decoder_heads",
+            ));
         }
         if self.stages.contains(&0) || self.stages.iter().sum::<usize>() > 1000 {
-            return Err(bad("stages", format!("{:?}", self.stages), "1 to 1000 blocks in all"));
+            return Err(VisionError::config(
+                "stages",
+                format!("{:?}", self.stages),
+                "1 to 1000 blocks in all",
+            ));
         }
         let side = self.side();
         let even = self.window_spec[..3].iter().all(|w| w.is_multiple_of(2));
         if !even || self.window_spec.iter().any(|w| *w == 0 || *w > side) {
             let value = format!("{:?}", self.window_spec);
-            return Err(bad("window_spec", value, "even sides of windows inside the picture"));
+            return Err(VisionError::config(
+                "window_spec",
+                value,
+                "even sides of windows inside the picture",
+            ));
         }
         if !side.is_multiple_of(self.window_spec[0]) {
             let help = "its first side must divide a quarter of image_size";
-            return Err(bad("window_spec", format!("{:?}", self.window_spec), help));
+            return Err(VisionError::config(
+                "window_spec",
+                format!("{:?}", self.window_spec),
+                help,
+            ));
         }
         if self.window_pos_embed_bkg_spatial_size.iter().any(|s| *s == 0 || *s > 256) {
             let value = format!("{:?}", self.window_pos_embed_bkg_spatial_size);
-            return Err(bad("window_pos_embed_bkg_spatial_size", value, "1 to 256 each"));
+            return Err(VisionError::config(
+                "window_pos_embed_bkg_spatial_size",
+                value,
+                "1 to 256 each",
+            ));
         }
         let first = |stage: usize| self.stages[..stage].iter().sum::<usize>();
         for block in &self.global_att_blocks {
             if (1..4).any(|stage| first(stage) == *block) || *block >= first(4) {
                 let help = "blocks that exist and begin no stage";
-                return Err(bad("global_att_blocks", block, help));
+                return Err(VisionError::config("global_att_blocks", block, help));
             }
         }
         Ok(())

@@ -1,9 +1,9 @@
 //! From prompt tokens and a picture's rows to masks.
 
-use crate::cross_attention::Attention;
 use super::config::Sam2Config;
 use super::prompt::PromptEncoder;
 use crate::VisionError;
+use crate::cross_attention::Attention;
 use crate::layers::{Linear, Norm, ReluMlp, add, gelu};
 use crate::weights::Weights;
 use scenesplat_kernels::gemm::{Epilogue, PackedMatrix, gemm};
@@ -196,14 +196,16 @@ impl TwoWay {
             *tokens = self.among.among(tokens, tokens, tokens);
         } else {
             let placed = sum(tokens, places);
-            add(tokens, &self.among.among(&placed, &placed, tokens));
+            let seen = self.among.among(&placed, &placed, tokens);
+            add(tokens, &seen);
         }
         *tokens = norm1.forward(tokens);
         let placed_rows = sum(rows, grid);
         let seen = self.to_rows.tokens_to_rows(&sum(tokens, places), &placed_rows, rows);
         add(tokens, &seen);
         *tokens = norm2.forward(tokens);
-        add(tokens, &self.mlp.forward(tokens));
+        let next = self.mlp.forward(tokens);
+        add(tokens, &next);
         *tokens = norm3.forward(tokens);
         let placed = sum(tokens, places);
         norm4.forward(&self.to_tokens.rows_to_tokens(&placed_rows, rows, &placed, tokens))

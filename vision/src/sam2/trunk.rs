@@ -261,9 +261,9 @@ mod tests {
                 assert!((sum - 1.0).abs() < 1e-12);
             }
         }
-        // Inside, where no edge is repeated, a line stays one.
-        let line = |taps: [(usize, f64); 4]| taps.iter().map(|(s, w)| *s as f64 * w).sum::<f64>();
-        let at = cubic(7, 256)[128];
-        assert!((line(at) - (128.5 * 7.0 / 256.0 - 0.5)).abs() < 1e-12);
+        // Half way between two tokens, by hand: a/8 and (a + 2)/8 − (a + 3)/4 + 1 of each side.
+        assert_eq!(cubic(2, 1)[0].map(|t| t.1), [-0.09375, 0.59375, 0.59375, -0.09375]);
+        // On a token, that token alone.
+        assert_eq!(cubic(4, 12)[4], [(0, 0.0), (1, 1.0), (2, 0.0), (3, 0.0)]);
     }
 }

@@ -102,14 +102,18 @@ impl Config {
             }
             if t.hidden_act != "gelu_pytorch_tanh" {
                 let act = &t.hidden_act;
-                return bad(format!("{tower}.hidden_act is {act:?}, only \"gelu_pytorch_tanh\" is known"));
+                return bad(format!(
+                    "{tower}.hidden_act is {act:?}, only \"gelu_pytorch_tanh\" is known"
+                ));
             }
             if !(t.layer_norm_eps >= 0.0 && t.layer_norm_eps < 1.0) {
                 return bad(format!("{tower}.layer_norm_eps is {}", t.layer_norm_eps));
             }
         }
         let vision = &config.vision_config;
-        if vision.num_channels != 3 || !vision.vision_use_head || vision.image_size < vision.patch_size
+        if vision.num_channels != 3
+            || !vision.vision_use_head
+            || vision.image_size < vision.patch_size
         {
             return bad(format!(
                 "vision_config has num_channels {}, vision_use_head {}, image_size {}: three channels, a head and at \
@@ -168,12 +172,16 @@ impl Preprocessor {
             return Ok(Self::default());
         }
         let found: Self = json(&path)?;
-        let bad = |problem: String| Err(VisionError::Model { path: path.clone(), problem, help: HELP });
+        let bad =
+            |problem: String| Err(VisionError::Model { path: path.clone(), problem, help: HELP });
         if !(found.do_resize && found.do_rescale && found.do_normalize) {
             return bad("leaves out one of resizing, rescaling and normalizing".to_owned());
         }
         if !matches!(found.resample, BILINEAR | BICUBIC) {
-            return bad(format!("resample is {}, 2 (bilinear) and 3 (bicubic) are known", found.resample));
+            return bad(format!(
+                "resample is {}, 2 (bilinear) and 3 (bicubic) are known",
+                found.resample
+            ));
         }
         if (found.rescale_factor * 255.0 - 1.0).abs() > 1e-6 {
             return bad(format!("rescale_factor is {}, 1/255 is known", found.rescale_factor));

@@ -198,8 +198,7 @@ impl SiglipImageEncoder {
     /// Planes of pictures → rows.
     pub(super) fn forward(&self, pictures: &[Vec<f32>]) -> Vec<f32> {
         let width = self.width();
-        let patches: Vec<f32> =
-            pictures.iter().flat_map(|planes| self.patches(planes)).collect();
+        let patches: Vec<f32> = pictures.iter().flat_map(|planes| self.patches(planes)).collect();
         let mut x = self.patch.forward(&patches);
         drop(patches);
         x.chunks_exact_mut(self.position.len()).for_each(|x| add(x, &self.position));

@@ -10,7 +10,8 @@ mod tower;
 pub use image::{Resizing, SiglipImageEncoder};
 pub use text::SiglipTextEncoder;
 
-const HELP: &str = "give the folder of a SigLIP or SigLIP 2 model of fixed resolution, with its weights whole";
+const HELP: &str =
+    "give the folder of a SigLIP or SigLIP 2 model of fixed resolution, with its weights whole";
 
 /// Whether a tensor belongs to texts alone.
 fn is_text(name: &str) -> bool {

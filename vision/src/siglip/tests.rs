@@ -103,7 +103,9 @@ fn both_towers_at_the_numbers_of_transformers() {
 
 fn pictures() -> Vec<RgbPicture> {
     let picture = |i: u32| {
-        RgbPicture::from_fn(20 + 7 * i, 50 - 3 * i, |x, y| [(x * 9 + i) as u8, (y * 5) as u8, (x ^ y) as u8])
+        RgbPicture::from_fn(20 + 7 * i, 50 - 3 * i, |x, y| {
+            [(x * 9 + i) as u8, (y * 5) as u8, (x ^ y) as u8]
+        })
     };
     (0..11).map(picture).collect()
 }

@@ -70,7 +70,9 @@ impl Tokens {
         let last = tokenizer.get_vocab(true).into_values().max().unwrap_or(0);
         if last as usize >= tower.vocab_size {
             let rows = tower.vocab_size;
-            return Err(bad(format!("has a piece number {last}, config.json names {rows} of them")));
+            return Err(bad(format!(
+                "has a piece number {last}, config.json names {rows} of them"
+            )));
         }
         // Neither the end (1) nor any number of config.json: the vector is read at a padded position, so this changes
         // every text.
