@@ -46,7 +46,7 @@ impl Default for EvaluationSettings {
 }
 
 /// The numbers of an evaluation.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct EvaluationReport {
     /// The truth of the Gaussians through the same chain: the ceiling of what any labels can reach.
     pub oracle: TesterReport,
@@ -58,6 +58,32 @@ pub struct EvaluationReport {
     pub given: Option<TesterReport>,
     /// How many labels of what has a class were withheld.
     pub withheld: u64,
+}
+
+impl EvaluationReport {
+    /// The evaluation of all scenes that several evaluations are of, each scene in one of them: what one
+    /// run over all of them would have said. `None` without one, or if they are of other classes, or only
+    /// some of them scored labels.
+    pub fn sum<'r>(reports: impl IntoIterator<Item = &'r Self>) -> Option<Self> {
+        let reports: Vec<&Self> = reports.into_iter().collect();
+        let all = |row: fn(&Self) -> Option<&TesterReport>| {
+            let rows: Option<Vec<&TesterReport>> =
+                reports.iter().map(|report| row(report)).collect();
+            TesterReport::sum(rows?)
+        };
+        let withheld = reports.iter().try_fold(0_u64, |sum, r| sum.checked_add(r.withheld))?;
+        let any_labels = reports.iter().any(|report| report.model.is_some());
+        let model = if any_labels { Some(all(|report| report.model.as_ref())?) } else { None };
+        // Where nothing was withheld, all that was scored was given.
+        let given = all(|report| report.given.as_ref().or(report.model.as_ref()));
+        Some(Self {
+            oracle: all(|report| Some(&report.oracle))?,
+            random: all(|report| Some(&report.random))?,
+            model,
+            given: given.filter(|_| withheld > 0),
+            withheld,
+        })
+    }
 }
 
 /// Whose labels count where something is done about the effects of a capture.
@@ -366,6 +392,46 @@ mod tests {
         assert!(matches!(error, EvaluationError::Oracle(_)), "{error}");
         let error = evaluation.check(&truth, Some(3)).unwrap_err();
         assert!(matches!(error, EvaluationError::Fault { row: 3 }), "{error}");
+    }
+
+    #[test]
+    fn evaluations_of_parts_add_up_to_that_of_all() {
+        let text = own_directions(names(&["wall", "chair"])).unwrap();
+        let settings = EvaluationSettings { excluded: vec![0], ..settings(0) };
+        let scenes = [vec![0, 1, 1, -5], vec![1, 1, 1, 1], vec![0, 0, 1, 0]]
+            .map(|labels| GaussianScene { segment: Some(labels), ..scene() });
+        let labels = [vec![0, 0, 1, 1], vec![1, 0, 1, -1], vec![1, 0, 1, 0]];
+        let withheld = [&[false, true, false, true][..], &[], &[true, false, false, false]];
+        let of = |which: &[usize]| {
+            let mut evaluation = Evaluation::new(&text, settings.clone()).unwrap();
+            for &i in which {
+                let truth = evaluation.truth(&scenes[i], None).unwrap();
+                let checked = evaluation.check(&truth, None).unwrap();
+                evaluation.add_truth(&truth, &checked).unwrap();
+                let about = Restraint { voters: None, withheld: withheld[i] };
+                evaluation.add_some_labels(&truth, labels[i].clone(), about).unwrap();
+            }
+            evaluation.report()
+        };
+        let all = of(&[0, 1, 2]);
+        assert!(all.given.is_some() && all.withheld == 2, "{all:?}");
+        let parts = [of(&[0]), of(&[1]), of(&[2])];
+        // As they come back from files.
+        let parts = parts.map(|part| {
+            let text = serde_json::to_string(&part).unwrap();
+            serde_json::from_str::<EvaluationReport>(&text).unwrap()
+        });
+        assert_eq!(EvaluationReport::sum(&parts).unwrap(), all);
+        assert_eq!(EvaluationReport::sum([&parts[2], &of(&[0, 1])]).unwrap(), all);
+        assert_eq!(EvaluationReport::sum(&[]), None);
+        let without = EvaluationReport { model: None, ..parts[0].clone() };
+        assert_eq!(EvaluationReport::sum([&without, &parts[1]]), None, "half of the labels");
+        let mut other = parts[0].clone();
+        other.oracle.classes[0].excluded = false;
+        assert_eq!(EvaluationReport::sum([&other, &parts[1]]), None, "other classes left out");
+        let mut hostile = parts[0].clone();
+        hostile.random.classes[1].union = u64::MAX;
+        assert_eq!(EvaluationReport::sum([&hostile, &parts[1]]), None, "too many rows");
     }
 
     #[test]

@@ -71,6 +71,13 @@ pub struct SourceArgs {
     pub lod: usize,
 }
 
+impl Shared {
+    /// Of a command that writes into a folder and has no other of these flags.
+    pub fn into_folder(out: &std::path::Path, quiet: bool) -> Self {
+        Self { threads: None, device: Device::Cpu, out: out.to_owned(), receipt: None, quiet }
+    }
+}
+
 impl NetworkArgs {
     /// The weights, given or by default.
     ///

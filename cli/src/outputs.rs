@@ -123,18 +123,7 @@ impl Outputs {
     /// # Errors
     /// If the command would also write it.
     pub fn reads(&self, path: &Path) -> Result<()> {
-        let mut inputs = vec![path.to_owned()];
-        // What is read beside it.
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        if name.ends_with("meta.json") || name.ends_with(".gltf") {
-            inputs.push(parent(path).to_owned());
-        }
-        if [".safetensors", ".pth", ".pt"].iter().any(|ending| name.ends_with(ending)) {
-            inputs.push(parent(path).join("config.json"));
-        }
-        let mut labels = path.as_os_str().to_owned();
-        labels.push(".labels.safetensors");
-        inputs.push(labels.into());
+        let inputs = std::iter::once(path.to_owned()).chain(read_beside(path));
         for path in inputs {
             let input = Input { place: Place::of(&path), path };
             for claim in self.claims.borrow().iter() {
@@ -359,6 +348,23 @@ impl Outputs {
         }
         Ok(())
     }
+}
+
+/// What is read beside a file, if it is there: the parts of scenes of several files, the configuration of
+/// weights, labels of a scene.
+pub fn read_beside(path: &Path) -> Vec<PathBuf> {
+    let mut inputs = Vec::new();
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    if name.ends_with("meta.json") || name.ends_with(".gltf") {
+        inputs.push(parent(path).to_owned());
+    }
+    if [".safetensors", ".pth", ".pt"].iter().any(|ending| name.ends_with(ending)) {
+        inputs.push(parent(path).join("config.json"));
+    }
+    let mut labels = path.as_os_str().to_owned();
+    labels.push(".labels.safetensors");
+    inputs.push(labels.into());
+    inputs
 }
 
 /// Removes a receipt that may be there.

@@ -95,6 +95,9 @@ pub struct ReceiptReport {
     pub warnings: Vec<String>,
     /// Weights and inputs.
     pub files: Vec<FileFingerprint>,
+    /// The files that were written, the receipt aside.
+    #[serde(default)]
+    pub written: Vec<WrittenFile>,
     /// Where it ran.
     pub machine: Machine,
     /// What was expected of a setting that was chosen by a budget, and what became of it.
@@ -128,6 +131,15 @@ pub struct SettingUsed {
     pub value: String,
     /// Where the value came from or what it does.
     pub why: String,
+}
+
+/// A file that was written.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct WrittenFile {
+    /// Where: from the output folder on, if it is in there.
+    pub path: String,
+    /// Size, bytes.
+    pub bytes: u64,
 }
 
 /// What a file or folder contained.
@@ -212,6 +224,11 @@ impl Receipt {
     /// Notes a warning or a repair.
     pub fn warning(&self, text: impl Into<String>) {
         self.report.borrow_mut().warnings.push(text.into());
+    }
+
+    /// Notes the files that were written.
+    pub fn written(&self, files: Vec<WrittenFile>) {
+        self.report.borrow_mut().written = files;
     }
 
     /// Notes the number type of the computation and the instruction set of the kernels.

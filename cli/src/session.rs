@@ -5,7 +5,7 @@ use crate::commands::WrongUse;
 use crate::flags::{Inference, NetworkArgs, Shared};
 use crate::outputs::Outputs;
 use crate::progress::{Progress, interrupted, listen_for_interrupt};
-use crate::receipt::Receipt;
+use crate::receipt::{Receipt, WrittenFile};
 use crate::terminal::print;
 use anyhow::{Context, Result};
 use scenesplat::alignment::{Alignment, Remark};
@@ -557,6 +557,13 @@ impl<'a> Session<'a> {
     /// Puts everything in place, the receipt last, and prints it.
     pub fn finish(&self) -> Result<()> {
         self.check_stop()?;
+        let written = self.written.borrow();
+        let file = |(path, bytes): &(PathBuf, u64)| {
+            let path = path.strip_prefix(&self.shared.out).unwrap_or(path);
+            let parts: Vec<_> = path.iter().map(|part| part.to_string_lossy()).collect();
+            WrittenFile { path: parts.join("/"), bytes: *bytes }
+        };
+        self.receipt.written(written.iter().map(file).collect());
         let report = self.receipt.finish();
         let text = report.to_json()?;
         self.outputs.commit(Some((&text, self.shared.receipt.as_deref())))?;

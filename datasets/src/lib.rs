@@ -25,6 +25,7 @@ pub mod mix3d;
 pub mod plan;
 pub mod rng;
 pub mod sample;
+pub mod shard;
 pub mod source;
 pub mod sources;
 pub mod teacher;
@@ -41,7 +42,7 @@ pub use from_points::{PointSettings, SurfacePoints, estimate_normals, gaussians_
 pub use full_scene::FullScene;
 pub use input_features::{InputChannel, InputFeatures, Orientation};
 pub use left_out::{LeftOut, RepairedScene};
-pub use loader::{BatchLoader, BrokenScenes, LoaderSettings, SceneLoader, SkippedScene};
+pub use loader::{BatchLoader, BatchPart, BrokenScenes, LoaderSettings, SceneLoader, SkippedScene};
 pub use masking::{MaskShape, MaskWeight, Masked, Masking};
 pub use mix3d::mix_pairs;
 pub use plan::{
@@ -49,6 +50,7 @@ pub use plan::{
 };
 pub use rng::{SampleRng, sample_rng};
 pub use sample::{Sample, Transform};
+pub use shard::{Shard, ShardError};
 pub use source::{DataSource, SourceScene};
 pub use sources::{Benchmark, SceneFolders, SourceConfig, Split, SyntheticRooms};
 pub use teacher::{SceneTeacher, TeacherRows, TeacherView};

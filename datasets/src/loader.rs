@@ -29,9 +29,44 @@ pub trait BatchLoader<B> {
         skip: usize,
     ) -> Box<dyn Iterator<Item = Result<B, DataError>> + '_>;
 
+    /// As [`epoch`](Self::epoch), only the batches that `part` holds. As it stands the others are made and dropped; a
+    /// loader that can does not make them.
+    fn epoch_part<'s>(
+        &'s mut self,
+        epoch: u64,
+        skip: usize,
+        part: BatchPart,
+    ) -> Box<dyn Iterator<Item = Result<B, DataError>> + 's>
+    where
+        B: 's,
+    {
+        let batches = self.epoch(epoch, skip).enumerate();
+        Box::new(batches.filter_map(move |(at, batch)| {
+            (part.holds(skip + at) || batch.is_err()).then_some(batch)
+        }))
+    }
+
     /// What was left out or repaired in the scenes read so far, and what they lack.
     fn left_out(&self) -> LeftOut {
         LeftOut::default()
+    }
+}
+
+/// Of each group of batches, those from one place on: what one of several processes trains on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct BatchPart {
+    /// Batches of a group, at least 1.
+    pub group: usize,
+    /// The first that is held.
+    pub first: usize,
+    /// How many are held.
+    pub count: usize,
+}
+
+impl BatchPart {
+    /// Whether it holds the batch at that place of an epoch.
+    pub fn holds(self, place: usize) -> bool {
+        (self.first..self.first + self.count).contains(&(place % self.group))
     }
 }
 
@@ -218,9 +253,19 @@ impl SceneLoader {
 
     /// As [`BatchLoader::epoch`], without borrowing the loader.
     pub fn batches(&self, epoch: u64, skip: usize) -> SceneBatches {
-        let plan = self.plan(epoch);
-        let first = skip.min(plan.len());
-        SceneBatches::start(&self.assembly, &self.settings, &self.skipped, epoch, plan, first)
+        self.some_batches(epoch, skip, |_| true)
+    }
+
+    fn some_batches(
+        &self,
+        epoch: u64,
+        skip: usize,
+        wanted: impl Fn(usize) -> bool,
+    ) -> SceneBatches {
+        let plan = self.plan(epoch).into_iter().enumerate();
+        // What a batch holds depends on its place in the epoch, whoever asks for it.
+        let plan = plan.skip(skip).filter(|(place, _)| wanted(*place)).collect();
+        SceneBatches::start(&self.assembly, &self.settings, &self.skipped, epoch, plan)
     }
 
     /// The scenes of each batch of an epoch.
@@ -253,6 +298,18 @@ impl BatchLoader<TrainBatch> for SceneLoader {
         skip: usize,
     ) -> Box<dyn Iterator<Item = Result<TrainBatch, DataError>> + '_> {
         Box::new(self.batches(epoch, skip))
+    }
+
+    fn epoch_part<'s>(
+        &'s mut self,
+        epoch: u64,
+        skip: usize,
+        part: BatchPart,
+    ) -> Box<dyn Iterator<Item = Result<TrainBatch, DataError>> + 's>
+    where
+        TrainBatch: 's,
+    {
+        Box::new(self.some_batches(epoch, skip, |place| part.holds(place)))
     }
 
     fn left_out(&self) -> LeftOut {

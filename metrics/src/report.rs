@@ -5,7 +5,7 @@ use crate::{ConfusionMatrix, Measurement};
 const TESTER_EPS: f64 = 1e-10;
 
 /// Counts and scores of one class, tester's definition.
-#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct TesterClass {
     /// Rows of this class that were predicted as it.
     pub intersection: u64,
@@ -40,7 +40,7 @@ pub struct TesterClass {
 /// # Source
 /// `ZeroShotSemSegTester`, SceneSplat be9d5e1. Differs: an empty mean
 /// is `None` where numpy gives NaN, and `all_accuracy` has no 1e-10.
-#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct TesterReport {
     /// One entry per class.
     pub classes: Vec<TesterClass>,
@@ -89,8 +89,10 @@ impl TesterReport {
 
     pub(crate) fn from_classes(classes: Vec<TesterClass>) -> Self {
         let foreground = || classes.iter().filter(|c| !c.excluded);
-        let hit: u64 = classes.iter().map(|c| c.intersection).sum();
-        let all: u64 = classes.iter().map(|c| c.target).sum();
+        let sum =
+            |count: fn(&TesterClass) -> u64| classes.iter().map(count).fold(0, u64::saturating_add);
+        let hit = sum(|c| c.intersection);
+        let all = sum(|c| c.target);
         Self {
             mean_iou: mean(classes.iter().filter_map(|c| c.iou)),
             mean_accuracy: mean(classes.iter().filter_map(|c| c.accuracy)),
@@ -99,6 +101,29 @@ impl TesterReport {
             foreground_mean_accuracy: mean(foreground().filter_map(|c| c.accuracy)),
             classes,
         }
+    }
+
+    /// The report on all rows that several reports are about: counts add up, and the scores are those of
+    /// the sums, so it is what one run over everything would have said. `None` without a report, or if
+    /// they are of other classes, leave out others, or count more than 2⁶⁴ rows.
+    pub fn sum<'r>(reports: impl IntoIterator<Item = &'r Self>) -> Option<Self> {
+        let mut reports = reports.into_iter();
+        let mut classes = reports.next()?.classes.clone();
+        for report in reports {
+            if report.classes.len() != classes.len() {
+                return None;
+            }
+            for (sum, class) in classes.iter_mut().zip(&report.classes) {
+                if sum.excluded != class.excluded {
+                    return None;
+                }
+                sum.intersection = sum.intersection.checked_add(class.intersection)?;
+                sum.union = sum.union.checked_add(class.union)?;
+                sum.target = sum.target.checked_add(class.target)?;
+            }
+        }
+        let scored = |c: &TesterClass| Self::class(c.intersection, c.union, c.target, c.excluded);
+        Some(Self::from_classes(classes.iter().map(scored).collect()))
     }
 
     /// The defined ones of `mIoU`, `mAcc`, `allAcc`, `f-mIoU`, `f-mAcc`, in this order.

@@ -14,6 +14,25 @@ pub enum TrainError {
         #[source]
         source: candle_core::Error,
     },
+    /// The processes of a training could not go on together.
+    #[error(transparent)]
+    Collective(#[from] crate::collective::CollectiveError),
+    /// The batches of a step cannot be shared evenly.
+    #[error(
+        "accumulate = {accumulate}: {ranks} ranks share the batches of a step, so it has to be a multiple of {ranks}"
+    )]
+    Ranks {
+        /// Batches of a step.
+        accumulate: u64,
+        /// Processes.
+        ranks: u64,
+    },
+    /// A batch norm that is in no store of the module.
+    #[error(
+        "a batch norm has statistics that are in no store of the module; with several ranks all have to be in \
+         `TrainingModule::params` or `stores`"
+    )]
+    UnknownStatistics,
     /// Features that collapsed, and stayed so.
     #[error(
         "step {step}: the features have collapsed at {looks} looks in a row (health.stop_after): {alarms}"

@@ -43,6 +43,7 @@
 mod average;
 pub mod callbacks;
 pub mod checkpoint;
+pub mod collective;
 mod config;
 mod error;
 pub mod evaluators;
@@ -59,6 +60,7 @@ pub mod tasks;
 mod trainer;
 
 pub use average::Average;
+pub use collective::{Alone, Collective, CollectiveError, ThreadRank};
 pub use config::{CheckpointConfig, HealthConfig, TrainerConfig};
 pub use error::TrainError;
 pub use event::{Callback, End, Evaluator, Event, Flow, Progress};

@@ -1,11 +1,13 @@
 //! `scenesplat features`
 
 use super::WrongUse;
+use super::many::Many;
 use crate::budget::{BudgetArgs, Chosen, Job, within_budget};
 use crate::effects::EffectArgs;
 use crate::flags::{Inference, Shared};
 use crate::session::Session;
 use anyhow::Result;
+use clap::ArgAction;
 use scenesplat::compensation::Consumer;
 use scenesplat::outputs::{
     FeatureType, ResultColumns, write_colored_ply, write_features_npy, write_features_safetensors,
@@ -20,8 +22,12 @@ use std::path::PathBuf;
 /// features.npy is [N, K], and feature_axes.npy, [K, D], leads back: features · axes.
 #[derive(Debug, Clone, clap::Args)]
 pub struct Args {
-    /// The scene, in any format.
+    /// The scene, in any format; several get a folder in --out each.
+    #[arg(num_args = 1.., action = ArgAction::Append, required = false, required_unless_present = "manifest")]
     pub scene: PathBuf,
+    /// Which of many scenes.
+    #[command(flatten)]
+    pub many: Many,
     /// Number type of the features.
     #[arg(long, value_enum, default_value_t = Dtype::F32)]
     pub dtype: Dtype,

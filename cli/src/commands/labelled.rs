@@ -1,12 +1,11 @@
-//! A scene with labels: of a network, of features, or its own. What `objects` and `view` begin with.
+//! A scene with labels: of a network, of features, or its own. What `segment`, `objects` and `view` begin with.
 
 use super::WrongUse;
 use super::classes::Classes;
-use crate::effects::EffectArgs;
+use crate::effects::{EffectArgs, Wish};
 use crate::flags::Inference;
 use crate::session::{FeatureSource, Session};
 use anyhow::{Context, Result};
-use scenesplat::SceneFeatures;
 use scenesplat::alignment::{Alignment, AlignmentSettings};
 use scenesplat::compensation::Consumer;
 use scenesplat::labels::{self, label_with_vote};
@@ -14,7 +13,8 @@ use scenesplat::objects::{Catalogue, ObjectInput, ObjectSettings, find_objects};
 use scenesplat::outputs::OpenedScene;
 use scenesplat::scene::label_set::read_names;
 use scenesplat::scene::{LabelSet, TextTable, UpAxis};
-use std::path::PathBuf;
+use scenesplat::{Network, SceneFeatures};
+use std::path::{Path, PathBuf};
 
 /// Where labels come from, and what is an object.
 #[derive(Debug, Clone, clap::Args)]
@@ -64,12 +64,24 @@ pub struct Labelled {
     pub features: Option<(SceneFeatures, TextTable)>,
     /// Whether the classes are those of the network inside the program.
     pub is_vocabulary: bool,
+    /// Whether that network labelled it.
+    pub is_own: bool,
     /// What to add to a title where the result means nothing.
     pub remark: &'static str,
-    /// Which way is up.
-    pub up: UpAxis,
-    /// What one unit is, metres.
-    pub metres_per_unit: f64,
+}
+
+/// What labels a scene.
+pub struct Labelling<'a> {
+    /// The scene's file.
+    pub scene: &'a Path,
+    /// Choice of classes.
+    pub classes: &'a Classes,
+    /// Features made before instead of a network.
+    pub features: Option<&'a Path>,
+    /// Flags of the network.
+    pub inference: &'a Inference,
+    /// Neighbours that vote on each label.
+    pub vote_k: usize,
 }
 
 impl LabelArgs {
@@ -94,16 +106,21 @@ impl LabelArgs {
     pub fn label(&self, session: &Session<'_>, vote_k: usize, sh_rest: bool) -> Result<Labelled> {
         match &self.label_names {
             Some(path) => self.own_labels(session, path, sh_rest),
-            None => self.network_labels(session, vote_k),
+            None => {
+                let wish = self.effects.wish(session, self.features.is_none(), true)?;
+                let labelling = Labelling {
+                    scene: &self.scene,
+                    classes: &self.classes,
+                    features: self.features.as_deref(),
+                    inference: &self.inference,
+                    vote_k,
+                };
+                labelling.run(session, &wish)
+            }
         }
     }
 
-    fn own_labels(
-        &self,
-        session: &Session<'_>,
-        path: &std::path::Path,
-        sh_rest: bool,
-    ) -> Result<Labelled> {
+    fn own_labels(&self, session: &Session<'_>, path: &Path, sh_rest: bool) -> Result<Labelled> {
         if let Some(flag) = self.inference.network_flag() {
             let text = format!("{flag} is about a network, which --label-names leaves out");
             return Err(WrongUse(text).into());
@@ -125,7 +142,6 @@ impl LabelArgs {
         })?;
         session.receipt.setting("labels", "scene", "labels that the scene carries");
         let scores = scene.segment_score.clone();
-        let (up, metres_per_unit) = frame(&opened, &self.inference);
         Ok(Labelled {
             opened,
             labels,
@@ -133,68 +149,86 @@ impl LabelArgs {
             names,
             features: None,
             is_vocabulary: false,
+            is_own: false,
             remark: "",
-            up,
-            metres_per_unit,
         })
     }
+}
 
-    fn network_labels(&self, session: &Session<'_>, vote_k: usize) -> Result<Labelled> {
-        let args = self;
-        let wish = args.effects.wish(session, args.features.is_none(), true)?;
-        let table = match &args.classes.text {
-            Some(_) => Some(args.classes.text_table(false)?),
+impl Labelling<'_> {
+    /// Reads the scene and labels it by a network, or by features made before.
+    pub fn run(&self, session: &Session<'_>, wish: &Wish) -> Result<Labelled> {
+        // A bad table is better found before the scene is read.
+        let table = match &self.classes.text {
+            Some(_) => Some(self.classes.text_table(false)?),
             None => None,
         };
-        let embedded = args.inference.network.is_embedded();
-        let (opened, source) = session.open_with_source(
-            &args.scene,
-            &args.inference,
-            args.features.as_deref(),
-            |network| {
+        let embedded = self.inference.network.is_embedded();
+        let (opened, source) =
+            session.open_with_source(self.scene, self.inference, self.features, |network| {
                 let needed = !network.is_classifier() && table.is_none();
-                if needed { args.classes.text_table(embedded).map(drop) } else { Ok(()) }
-            },
-        )?;
-        let own = embedded && matches!(source, FeatureSource::Network(_));
+                if needed { self.classes.text_table(embedded).map(drop) } else { Ok(()) }
+            })?;
+        let is_own = embedded && matches!(source, FeatureSource::Network(_));
         let (labels_of, text) = if let Some(network) = source.classifier() {
-            (super::segment::own_classes(&args.classes, network)?, None)
+            (own_classes(self.classes, network)?, None)
         } else {
-            let text = table.map_or_else(|| args.classes.text_table(own), Ok)?;
+            let text = table.map_or_else(|| self.classes.text_table(is_own), Ok)?;
             (LabelSet::new(text.names.clone())?, Some(text))
         };
-        let options = args.classes.options(&labels_of)?;
-        args.classes.record(session)?;
+        let options = self.classes.options(&labels_of)?;
+        self.classes.record(session)?;
         let scene = &opened.loaded.scene;
         let consumer = Consumer { network: source.is_network(), labels: true };
-        let about = session.compensation(&wish, scene, &args.inference, consumer)?;
-        let features = session.features(&opened, &source, &args.inference, &about)?;
+        let about = session.compensation(wish, scene, self.inference, consumer)?;
+        let features = session.features(&opened, &source, self.inference, &about)?;
         let classes = match &text {
             Some(text) => labels::Classes::Texts(text),
             None => labels::Classes::Probabilities(labels_of.len()),
         };
         let mut found = {
             let _stage = session.receipt.stage("labels");
-            session.receipt.setting("vote_k", vote_k, "neighbours that vote on each label");
-            label_with_vote(&features, classes, &options, &scene.coord, vote_k)?
+            session.receipt.setting("vote_k", self.vote_k, "neighbours that vote on each label");
+            label_with_vote(&features, classes, &options, &scene.coord, self.vote_k)?
         };
+        if found.num_withheld + found.num_unusable > 0 {
+            session.progress.say(format!(
+                "{} voxels unknown by the thresholds, {} without a usable feature",
+                found.num_withheld, found.num_unusable
+            ));
+        }
         session.note_withheld(found.withhold(about.withheld()), "labels");
         session.check_stop()?;
-        let is_vocabulary = text.is_some() && (own || args.classes.vocabulary()?.is_some());
-        let (up, metres_per_unit) = frame(&opened, &args.inference);
-        let remark = source.remark();
+        let is_vocabulary = text.is_some() && (is_own || self.classes.vocabulary()?.is_some());
         Ok(Labelled {
             labels: found.labels,
             scores: Some(found.scores),
             names: labels_of.names,
             features: text.map(|text| (features, text)),
             is_vocabulary,
-            remark,
-            up,
-            metres_per_unit,
+            is_own,
+            remark: source.remark(),
             opened,
         })
     }
+}
+
+/// The classes of a segmentation network, by number where they have no names.
+fn own_classes(classes: &Classes, network: &Network) -> Result<LabelSet> {
+    if classes.text.is_some() {
+        let text = "--text is for language networks; name the classes with --text-names";
+        return Err(WrongUse(text.to_owned()).into());
+    }
+    let count = network.model().out_channels();
+    let names = match &classes.text_names {
+        Some(path) => read_names(path)?,
+        None => (0..count).map(|i| format!("class {i}")).collect(),
+    };
+    if names.len() != count {
+        let text = format!("--text-names: {} names for {count} classes", names.len());
+        return Err(WrongUse(text).into());
+    }
+    Ok(LabelSet::new(names)?)
 }
 
 /// Which way is up and what a unit is, as a network would read the scene.
@@ -213,12 +247,13 @@ pub fn frame(opened: &OpenedScene, inference: &Inference) -> (UpAxis, f64) {
 }
 
 impl Labelled {
-    /// The objects; `pieces`: even where the scene carries instances.
+    /// The objects; `pieces`: even where the scene carries instances; up and unit: [`frame`].
     pub fn objects(
         &self,
         session: &Session<'_>,
         settings: &ObjectSettings,
         pieces: bool,
+        (up, metres_per_unit): (UpAxis, f64),
     ) -> Result<Catalogue> {
         let _stage = session.receipt.stage("objects");
         let scene = &self.opened.loaded.scene;
@@ -244,8 +279,8 @@ impl Labelled {
             instances,
             features: features.map(|f| (f.width(), &add as _)),
             names: &self.names,
-            up: self.up,
-            metres_per_unit: self.metres_per_unit,
+            up,
+            metres_per_unit,
         };
         find_objects(&input, settings).context("no objects can be looked for")
     }

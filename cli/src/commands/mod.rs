@@ -1,4 +1,4 @@
-//! The commands of the program. Exit codes: 0 done, 1 failed, 2 wrong use.
+//! The commands of the program. Exit codes: 0 done, 1 failed, 2 wrong use, 3 some of many scenes failed.
 
 mod bench;
 mod chunk;
@@ -13,6 +13,8 @@ mod features;
 mod inspect;
 mod labelled;
 mod lift_labels;
+mod many;
+mod merge;
 mod objects;
 mod pareto;
 mod probe;
@@ -26,7 +28,7 @@ mod train;
 mod view;
 mod weights;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::ffi::OsString;
 use std::process::ExitCode;
 
@@ -60,6 +62,8 @@ enum Command {
     LiftLabels(lift_labels::Args),
     /// Measures labels against the truth that scenes carry.
     Evaluate(evaluate::Args),
+    /// Joins the parts of a command over many scenes, if none is missing.
+    Merge(merge::Args),
     /// Draws a scene as its cameras, or cameras around it, see it.
     Render(render::Args),
     /// Does to a scene what a bad capture would have done.
@@ -100,7 +104,14 @@ pub(crate) struct WrongUse(pub String);
 pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
     let args: Vec<OsString> = args.into_iter().collect();
     let line = args.iter().skip(1).map(|a| a.to_string_lossy()).collect::<Vec<_>>().join(" ");
-    let cli = match Cli::try_parse_from(&args) {
+    let mut command = Cli::command();
+    let matches = command.try_get_matches_from_mut(&args);
+    let asked = matches.as_ref().ok().map(|matches| many::asked(matches));
+    if let Some(Ok(Some(many))) = asked {
+        return end(many.run(&command).and_then(|()| crate::terminal::check_output()));
+    }
+    let parsed = matches.and_then(|matches| Cli::from_arg_matches(&matches));
+    let cli = match parsed.map_err(|error| error.format(&mut command)) {
         Ok(cli) => cli,
         Err(e) => {
             // Help and version are no errors.
@@ -124,6 +135,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Text(args) => text::run(args),
         Command::LiftLabels(args) => lift_labels::run(args, &line),
         Command::Evaluate(args) => evaluate::run(args, &line),
+        Command::Merge(args) => merge::run(args, &line),
         Command::Render(args) => render::run(args, &line),
         Command::Simulate(args) => simulate::run(args, &line),
         Command::Compare(args) => compare::run(args),
@@ -148,7 +160,12 @@ fn end(done: anyhow::Result<()>) -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(e) => {
             crate::terminal::print_error(&e);
-            ExitCode::from(if e.downcast_ref::<WrongUse>().is_some() { 2 } else { 1 })
+            let code = match () {
+                () if e.downcast_ref::<WrongUse>().is_some() => 2,
+                () if e.downcast_ref::<many::SomeFailed>().is_some() => 3,
+                () => 1,
+            };
+            ExitCode::from(code)
         }
     }
 }

@@ -1,7 +1,7 @@
 //! `scenesplat objects`
 
 use super::WrongUse;
-use super::labelled::{LabelArgs, Labelled};
+use super::labelled::{LabelArgs, Labelled, frame};
 use crate::flags::Shared;
 use crate::session::Session;
 use crate::terminal::{print, write_text};
@@ -63,7 +63,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let more: &[&str] = if edits { &["edited.ply"] } else { &[] };
     session.make_out(&[&OBJECT_FILES[..], &["objects.md", "objects.png"], more].concat())?;
     let labelled = labels.label(&session, *vote_k, edits || folder.is_some())?;
-    let found = labelled.objects(&session, &labels.settings(), labels.pieces)?;
+    let frame = frame(&labelled.opened, &labels.inference);
+    let found = labelled.objects(&session, &labels.settings(), labels.pieces, frame)?;
     session.check_stop()?;
     print(&table::markdown(&found));
     print(&summary(&found));
@@ -77,7 +78,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     {
         let _stage = session.receipt.stage("picture");
         let path = session.out("objects.png")?;
-        let picture = object_picture(&labelled.opened.loaded.scene, &found, labelled.up)?;
+        let picture = object_picture(&labelled.opened.loaded.scene, &found, frame.0)?;
         let bytes = write_png(&path, &picture)?;
         session.wrote(&path, bytes);
     }

@@ -1,7 +1,7 @@
 //! `scenesplat view`
 
 use super::WrongUse;
-use super::labelled::{LabelArgs, Labelled};
+use super::labelled::{LabelArgs, Labelled, frame};
 use crate::session::Session;
 use crate::terminal::print;
 use anyhow::Result;
@@ -64,9 +64,10 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     } else {
         labels.label(&session, *vote_k, false)?
     };
+    let frame = frame(&labelled.opened, &labels.inference);
     let found = match args.plain {
         true => None,
-        false => Some(labelled.objects(&session, &labels.settings(), labels.pieces)?),
+        false => Some(labelled.objects(&session, &labels.settings(), labels.pieces, frame)?),
     };
     session.check_stop()?;
     // Of the width of the texts, which --text vocabulary:D sets.
@@ -85,8 +86,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         catalogue: found.as_ref(),
         features: labelled.features.as_ref().map(|(features, text)| (features, text)),
         vocabulary: vocabulary.as_ref(),
-        up: labelled.up,
-        metres_per_unit: labelled.metres_per_unit,
+        up: frame.0,
+        metres_per_unit: frame.1,
         remarks: &remarks,
     };
     let waiting = session.outputs.file_path(&args.out)?;
@@ -131,7 +132,6 @@ fn plain(labels: &LabelArgs, session: &Session<'_>) -> Result<Labelled> {
         .into());
     }
     let opened = session.open_with(&labels.scene, &labels.inference.source.options())?;
-    let (up, metres_per_unit) = super::labelled::frame(&opened, &labels.inference);
     Ok(Labelled {
         opened,
         labels: Vec::new(),
@@ -139,9 +139,8 @@ fn plain(labels: &LabelArgs, session: &Session<'_>) -> Result<Labelled> {
         names: Vec::new(),
         features: None,
         is_vocabulary: false,
+        is_own: false,
         remark: "",
-        up,
-        metres_per_unit,
     })
 }
 
@@ -152,7 +151,7 @@ fn remarks(args: &Args, labelled: &Labelled) -> Vec<String> {
         out.push("Seeded weights: labels, scores and answers mean nothing.".to_owned());
     }
     if !args.plain {
-        let from = match (&args.labels.label_names, labelled.is_vocabulary) {
+        let from = match (&args.labels.label_names, labelled.is_own) {
             (Some(_), _) => "Labels: those that the scene carries.",
             (None, true) => {
                 "Labels: a small network trained on synthetic rooms; it knows a closed set of classes (assets/embedded/README.md)."

@@ -16,6 +16,7 @@ mod hostile;
 mod inputs;
 mod inspect;
 mod lift_labels;
+mod many;
 mod networks;
 mod objects;
 mod outputs;

@@ -16,8 +16,9 @@ pub struct SceneBatches {
     assembly: Arc<Assembly>,
     skipped: Skipped,
     epoch: u64,
-    plan: Arc<Vec<Vec<usize>>>,
-    /// The next batch to hand over.
+    /// Places in the epoch, and scenes.
+    plan: Arc<Vec<(usize, Vec<usize>)>>,
+    /// The next batch of these to hand over.
     next: usize,
     workers: Option<Workers>,
     prefetch: usize,
@@ -30,15 +31,14 @@ impl SceneBatches {
         settings: &LoaderSettings,
         skipped: &Skipped,
         epoch: u64,
-        plan: Vec<Vec<usize>>,
-        first: usize,
+        plan: Vec<(usize, Vec<usize>)>,
     ) -> Self {
         Self {
             assembly: Arc::clone(assembly),
             skipped: Arc::clone(skipped),
             epoch,
             plan: Arc::new(plan),
-            next: first,
+            next: 0,
             workers: None,
             prefetch: settings.prefetch,
             num_workers: settings.workers.min(settings.prefetch),
@@ -47,7 +47,8 @@ impl SceneBatches {
 
     fn make(&mut self, number: usize) -> Result<Assembled, DataError> {
         if self.num_workers == 0 {
-            let made = self.assembly.assemble(self.epoch, number, &self.plan[number], || false);
+            let (place, scenes) = &self.plan[number];
+            let made = self.assembly.assemble(self.epoch, *place, scenes, || false);
             return made.unwrap_or_else(|| Err(ended()));
         }
         // Threads start with the first batch, so an iterator that nobody asks costs nothing.
@@ -130,7 +131,7 @@ impl Workers {
         count: usize,
         assembly: &Arc<Assembly>,
         epoch: u64,
-        plan: &Arc<Vec<Vec<usize>>>,
+        plan: &Arc<Vec<(usize, Vec<usize>)>>,
     ) -> Result<Self, DataError> {
         let (orders, inbox) = channel();
         let (outbox, made) = channel();
@@ -186,7 +187,7 @@ impl Drop for Workers {
 fn work(
     assembly: &Assembly,
     epoch: u64,
-    plan: &[Vec<usize>],
+    plan: &[(usize, Vec<usize>)],
     inbox: &Mutex<Receiver<usize>>,
     outbox: &Sender<Made>,
     stop: &AtomicBool,
@@ -195,7 +196,8 @@ fn work(
     let next = || inbox.lock().unwrap_or_else(PoisonError::into_inner).recv().ok();
     let run = || {
         while let Some(number) = next().filter(|_| !stopped()) {
-            let Some(made) = assembly.assemble(epoch, number, &plan[number], stopped) else {
+            let (place, scenes) = &plan[number];
+            let Some(made) = assembly.assemble(epoch, *place, scenes, stopped) else {
                 return;
             };
             if outbox.send((number, made)).is_err() {

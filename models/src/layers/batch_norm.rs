@@ -4,6 +4,7 @@ use super::vector;
 use crate::{Forward, Mode, ops};
 use candle_core::{DType, Result, Tensor, Var, bail};
 use candle_nn::{Init, VarBuilder};
+use std::cell::RefCell;
 
 /// Normalisation of each channel over all rows (the remembered variance is unbiased).
 #[derive(Debug, Clone)]
@@ -117,9 +118,14 @@ impl BatchNorm {
                     Mode::Train if x.dim(0)? > 1 => {
                         let now = ops::batch_statistics(x)?;
                         let n = x.dim(0)? as f64;
-                        remember(mean, &now.mean, 1.0, momentum)?;
-                        remember(var, &now.var, n / (n - 1.0), momentum)?;
-                        batches.set(&(batches.as_tensor().detach() + 1.0)?)?;
+                        StatisticsUpdate {
+                            buffers: [mean.clone(), var.clone(), batches.clone()],
+                            mean: now.mean.clone(),
+                            var: now.var.clone(),
+                            unbias: n / (n - 1.0),
+                            momentum,
+                        }
+                        .apply_or_record()?;
                         now
                     }
                     _ => ops::BatchStatistics {
@@ -152,6 +158,84 @@ impl BatchNorm {
     /// As [`forward`](Self::forward).
     pub fn forward_relu(&self, x: &Tensor, mode: Mode) -> Result<Tensor> {
         self.forward(x, mode)?.relu()
+    }
+}
+
+/// What one batch does to the remembered statistics of one batch norm.
+#[derive(Debug, Clone)]
+pub struct StatisticsUpdate {
+    /// Mean, variance, number of batches.
+    buffers: [Var; 3],
+    /// Mean of the batch. `[C]`
+    pub mean: Vec<f64>,
+    /// Biased variance of the batch. `[C]`
+    pub var: Vec<f64>,
+    /// `n / (n − 1)` of its rows.
+    pub unbias: f64,
+    /// Part of the new statistics in the remembered ones.
+    pub momentum: f64,
+}
+
+thread_local! {
+    /// Updates that wait, where they are recorded.
+    static RECORDED: RefCell<Option<Vec<StatisticsUpdate>>> = const { RefCell::new(None) };
+}
+
+/// Runs `work`; remembered statistics stay as they are meanwhile, and what this thread's forward passes would have
+/// done to them is given in their order. [`StatisticsUpdate::apply`] makes up for it, to the bit: so batches that
+/// several processes look at can be remembered in one order.
+pub fn record_statistics<R>(work: impl FnOnce() -> R) -> (R, Vec<StatisticsUpdate>) {
+    /// Puts back what was recorded around it, also after a panic.
+    struct Around(Option<Vec<StatisticsUpdate>>);
+    impl Drop for Around {
+        fn drop(&mut self) {
+            RECORDED.set(self.0.take());
+        }
+    }
+    let around = Around(RECORDED.replace(Some(Vec::new())));
+    let done = work();
+    let found = RECORDED.take().unwrap_or_default();
+    drop(around);
+    (done, found)
+}
+
+impl StatisticsUpdate {
+    /// That of a batch norm with these buffers: `running_mean`, `running_var`, `num_batches_tracked`.
+    pub fn new(
+        buffers: [Var; 3],
+        mean: Vec<f64>,
+        var: Vec<f64>,
+        unbias: f64,
+        momentum: f64,
+    ) -> Self {
+        Self { buffers, mean, var, unbias, momentum }
+    }
+
+    /// The buffer `running_mean`, by which the batch norm is known.
+    pub fn running_mean(&self) -> &Var {
+        &self.buffers[0]
+    }
+
+    /// Moves the remembered statistics.
+    ///
+    /// # Errors
+    /// If the lengths do not fit.
+    pub fn apply(&self) -> Result<()> {
+        let [mean, var, batches] = &self.buffers;
+        remember(mean, &self.mean, 1.0, self.momentum)?;
+        remember(var, &self.var, self.unbias, self.momentum)?;
+        batches.set(&(batches.as_tensor().detach() + 1.0)?)
+    }
+
+    fn apply_or_record(self) -> Result<()> {
+        let kept = RECORDED.with_borrow_mut(|list| match list {
+            Some(list) => {
+                list.push(self);
+                None
+            }
+            None => Some(self),
+        });
+        kept.map_or(Ok(()), |update| update.apply())
     }
 }
 

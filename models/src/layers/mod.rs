@@ -10,7 +10,7 @@ mod mlp;
 mod residual_conv;
 mod sparse_conv;
 
-pub use batch_norm::{BatchNorm, BatchNormConstants};
+pub use batch_norm::{BatchNorm, BatchNormConstants, StatisticsUpdate, record_statistics};
 pub use drop_path::DropPath;
 pub use layer_norm::LayerNorm;
 pub use linear::Linear;

@@ -2,17 +2,19 @@
 
 mod report;
 mod resume;
+mod share;
 mod step;
 
 use crate::average::Average;
 use crate::checkpoint::CheckpointState;
+use crate::collective::{Alone, Collective};
 use crate::event::{Callback, End, Evaluator, Event, Flow, Progress};
 use crate::freeze::Freeze;
 use crate::module::TrainingModule;
 use crate::optim::{Optimizer, Schedule};
 use crate::{Identity, Tally, TrainError, TrainerConfig};
 use candle_core::Var;
-use scenesplat_datasets::{BatchLoader, LeftOut};
+use scenesplat_datasets::{BatchLoader, BatchPart, LeftOut};
 use scenesplat_models::{ParamStore, Recompute};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -41,6 +43,12 @@ pub struct Trainer {
     /// What was said of the data, by the name of who reads them.
     said: BTreeMap<String, LeftOut>,
     resumed: Option<CheckpointState>,
+    collective: Box<dyn Collective>,
+    /// Whether a rank was asked to stop, as all know.
+    agreed_stop: bool,
+    /// Since the last line of the log: time that putting gradients together took, and their bytes.
+    together_seconds: f64,
+    together_bytes: u64,
 }
 
 /// What every step of a run shares.
@@ -82,6 +90,10 @@ impl Trainer {
             evaluation_due: false,
             said: BTreeMap::new(),
             resumed: None,
+            collective: Box::new(Alone),
+            agreed_stop: false,
+            together_seconds: 0.0,
+            together_bytes: 0,
         })
     }
 
@@ -97,6 +109,35 @@ impl Trainer {
     pub fn with_stop(mut self, stop: Arc<AtomicBool>) -> Self {
         self.stop = Some(stop);
         self
+    }
+
+    /// Trains as one of several ranks, on each of which the same is called. Each takes an equal part of the batches of
+    /// a step (`accumulate`); so the number of ranks changes no result, to the bit where the part is a power of two.
+    /// Rank 0 evaluates, and writes checkpoints; callbacks are called on every rank that has some, and if one asks to
+    /// stop, it has to do so on all.
+    #[must_use]
+    pub fn with_collective(mut self, collective: Box<dyn Collective>) -> Self {
+        self.collective = collective;
+        self
+    }
+
+    /// Whether there is one process only.
+    fn is_alone(&self) -> bool {
+        self.collective.size() == 1
+    }
+
+    /// The batches of a step that this rank takes.
+    fn part(&self) -> BatchPart {
+        let group = self.config.accumulate as usize;
+        let count = group / self.collective.size();
+        BatchPart { group, first: count * self.collective.rank(), count }
+    }
+
+    fn asked_to_stop(&self) -> bool {
+        match self.is_alone() {
+            true => self.stop.as_ref().is_some_and(|s| s.load(Ordering::SeqCst)),
+            false => self.agreed_stop,
+        }
     }
 
     /// Adds what a checkpoint shall remember of the run besides the trainer's own settings (model,
@@ -126,6 +167,10 @@ impl Trainer {
         let steps_per_epoch = batches as u64 / self.config.accumulate;
         if steps_per_epoch == 0 {
             return Err(TrainError::ShortEpoch { epoch: 0, expected: self.config.accumulate });
+        }
+        let ranks = self.collective.size() as u64;
+        if !self.config.accumulate.is_multiple_of(ranks) {
+            return Err(TrainError::Ranks { accumulate: self.config.accumulate, ranks });
         }
         self.check_batches(batches)?;
         self.check_names(evaluators)?;
@@ -158,14 +203,17 @@ impl Trainer {
             at.epoch = at.step / steps_per_epoch;
             let skip = at.step % steps_per_epoch * self.config.accumulate;
             let last = steps_per_epoch * self.config.accumulate;
-            let mut stream = data.epoch(at.epoch, skip as usize);
+            let mut stream = match self.is_alone() {
+                true => data.epoch(at.epoch, skip as usize),
+                false => data.epoch_part(at.epoch, skip as usize, self.part()),
+            };
             let mut place = skip;
             while place < last && flow == Flow::Continue {
                 let began = Instant::now();
                 let report = self.step(&mut run, &mut *stream, &mut place, at)?;
                 at.step += 1;
                 flow = self.report(module, &report, at, began.elapsed().as_secs_f64())?;
-                if self.stop.as_ref().is_some_and(|s| s.load(Ordering::SeqCst)) {
+                if self.asked_to_stop() {
                     flow = Flow::Stop;
                 }
                 let every = self.config.checkpoint.every_steps;

@@ -3,6 +3,7 @@
 use super::step::StepReport;
 use super::{Run, Trainer};
 use crate::TrainError;
+use crate::collective::CollectiveError;
 use crate::event::{Evaluator, Event, Flow, Progress};
 use crate::module::TrainingModule;
 use scenesplat_datasets::LeftOut;
@@ -47,10 +48,15 @@ impl Trainer {
             measurements.push(entry("grad_norm", report.grad_norm));
             measurements.push(entry("counted_rows", report.tally.counted_rows as f64));
             measurements.push(entry("seconds_per_step", seconds));
+            if !self.is_alone() {
+                let seconds = std::mem::take(&mut self.together_seconds);
+                measurements.push(entry("together_seconds", seconds));
+                let bytes = std::mem::take(&mut self.together_bytes);
+                measurements.push(entry("together_bytes", bytes as f64));
+            }
         }
-        let every = self.config.health.every_steps;
         let mut alarms = Vec::new();
-        if every > 0 && (at.step.is_multiple_of(every) || last) {
+        if self.looks_at_features(at.step, at.total_steps) {
             let health = crate::health::look(
                 &self.config.health,
                 report.features.as_ref(),
@@ -75,6 +81,40 @@ impl Trainer {
         Ok(flow)
     }
 
+    /// Whether it is time, after so many steps.
+    pub(super) fn looks_at_features(&self, step: u64, total_steps: u64) -> bool {
+        let every = self.config.health.every_steps;
+        every > 0 && (step.is_multiple_of(every) || step == total_steps)
+    }
+
+    /// What an evaluator found: by rank 0, who tells the others.
+    fn found<M: TrainingModule>(
+        &self,
+        run: &Run<'_, M>,
+        evaluator: &mut dyn Evaluator<M>,
+        at: Progress,
+    ) -> Result<Vec<Measurement>, TrainError> {
+        let mut bytes = Vec::new();
+        if self.collective.rank() == 0 {
+            let found = match &self.average {
+                Some(average) => average.during(&run.params, || evaluator.run(run.module, at))?,
+                None => evaluator.run(run.module, at)?,
+            };
+            if self.is_alone() {
+                return Ok(found);
+            }
+            let told: Vec<_> = found.iter().map(|m| (&m.name, m.value.to_bits())).collect();
+            bytes = serde_json::to_vec(&told).unwrap_or_default();
+        }
+        let bytes = self.collective.broadcast(0, &bytes)?;
+        let told: Vec<(String, u64)> = serde_json::from_slice(&bytes).map_err(|error| {
+            let problem = format!("tells no measurements: {error}");
+            CollectiveError::Disagreement { rank: 0, problem }
+        })?;
+        let found = told.into_iter();
+        Ok(found.map(|(name, value)| Measurement::new(name, f64::from_bits(value))).collect())
+    }
+
     /// Runs the evaluators if it is their time: their measurements (`None` if it is not), and whether
     /// someone asks to stop.
     pub(super) fn evaluate<M: TrainingModule>(
@@ -90,10 +130,7 @@ impl Trainer {
         }
         let (mut all, mut flow) = (Vec::new(), Flow::Continue);
         for evaluator in evaluators {
-            let mut found = match &self.average {
-                Some(average) => average.during(&run.params, || evaluator.run(run.module, at))?,
-                None => evaluator.run(run.module, at)?,
-            };
+            let mut found = self.found(run, &mut **evaluator, at)?;
             let listed = evaluator.measurements();
             for measurement in &mut found {
                 if !listed.contains(&measurement.name) {

@@ -130,6 +130,9 @@ impl Trainer {
         at: Progress,
         best: Option<f64>,
     ) -> Result<(), TrainError> {
+        if self.collective.rank() != 0 {
+            return Ok(());
+        }
         let Some(root) = self.config.checkpoint.dir.clone() else { return Ok(()) };
         let dir = self.save_checkpoint(&root, run.module, run.batches_per_epoch, at)?;
         if let (Some(value), Some(name)) = (best, dir.file_name().and_then(|n| n.to_str())) {

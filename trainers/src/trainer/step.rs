@@ -1,6 +1,8 @@
 //! One optimizer step.
 
+use super::share::Share;
 use super::{Run, Trainer};
+use crate::collective::InPairs;
 use crate::event::Progress;
 use crate::gradients::{add_gradients, check_gradients};
 use crate::module::{AfterStep, StepContext, TrainingModule};
@@ -12,6 +14,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use scenesplat_datasets::DataError;
 use scenesplat_models::Forward;
+use scenesplat_models::layers::record_statistics;
 use std::collections::BTreeMap;
 
 /// Scenes of an epoch that a message can name.
@@ -33,6 +36,24 @@ pub(super) struct StepReport {
 pub(super) struct TermMean {
     sum: f64,
     batches: u64,
+}
+
+impl StepReport {
+    /// Adds what one of the step's batches gave, in their order.
+    fn add(&mut self, share: Share, weight: f64) {
+        self.tally.batches += 1;
+        let Some(value) = share.loss else {
+            self.tally.empty_batches += 1;
+            return;
+        };
+        self.loss += value * weight;
+        for (name, value) in share.terms {
+            self.terms.entry(name).or_default().add(value);
+        }
+        self.tally.rows += share.rows;
+        self.tally.counted_rows += share.counted_rows;
+        self.features = share.features.or_else(|| self.features.take());
+    }
 }
 
 impl TermMean {
@@ -73,10 +94,10 @@ impl Trainer {
         Ok(report)
     }
 
-    /// The mean gradient of the next `accumulate` batches, which are put into `batches`. An empty one
+    /// The mean gradient of the next `accumulate` batches; those of this rank are put into `batches`. An empty one
     /// counts as a gradient of zeros.
     fn gradients<M: TrainingModule>(
-        &self,
+        &mut self,
         run: &mut Run<'_, M>,
         stream: &mut dyn Iterator<Item = Result<M::Batch, DataError>>,
         place: &mut u64,
@@ -84,26 +105,46 @@ impl Trainer {
         batches: &mut Vec<M::Batch>,
         report: &mut StepReport,
     ) -> Result<GradStore, TrainError> {
-        let mut grads = GradStore::default();
-        for _ in 0..self.config.accumulate {
+        let part = self.part();
+        let first = *place + part.first as u64;
+        let add = |mut sum: GradStore, mut new: GradStore| {
+            add_gradients(&mut sum, &mut new, &run.params).map(|()| sum)
+        };
+        let (mut grads, mut shares) = (InPairs::new(), Vec::with_capacity(part.count));
+        for place in first..first + part.count as u64 {
             let Some(batch) = stream.next().transpose()? else {
-                return Err(TrainError::ShortEpoch { epoch: at.epoch, expected: *place + 1 });
+                return Err(TrainError::ShortEpoch { epoch: at.epoch, expected: place + 1 });
             };
             batches.push(batch);
             let batch = &batches[batches.len() - 1];
-            report.tally.batches += 1;
             if run.module.is_empty(batch) {
-                report.tally.empty_batches += 1;
-                *place += 1;
+                shares.push(Share::default());
                 continue;
             }
-            let mut new = self.micro_step(run, batch, *place, at, report)?;
+            let (mut new, share) = if self.is_alone() {
+                self.micro_step(run, batch, place, at)?
+            } else {
+                // The batches of all ranks are remembered in one order.
+                let (done, updates) = record_statistics(|| self.micro_step(run, batch, place, at));
+                let (new, share) = done?;
+                (new, share.with_statistics(run.module, updates)?)
+            };
             if !run.checked {
                 check_gradients(&run.params, &new, &self.config.idle)?;
                 run.checked = true;
             }
-            add_gradients(&mut grads, &mut new, &run.params)?;
-            *place += 1;
+            // Only those of parameters, and none that points into the graph.
+            let mut own = GradStore::default();
+            add_gradients(&mut own, &mut new, &run.params)?;
+            grads.push(own, add)?;
+            shares.push(share);
+        }
+        let grads = grads.finish(add)?.unwrap_or_default();
+        *place += self.config.accumulate;
+        let (grads, shares) = self.together(run, grads, shares, at)?;
+        let weight = 1.0 / self.config.accumulate as f64;
+        for share in shares {
+            report.add(share, weight);
         }
         Ok(grads)
     }
@@ -136,8 +177,7 @@ impl Trainer {
         batch: &M::Batch,
         place: u64,
         at: Progress,
-        report: &mut StepReport,
-    ) -> Result<GradStore, TrainError> {
+    ) -> Result<(GradStore, Share), TrainError> {
         let tensor = |source| TrainError::Forward { source };
         let mut rng = ChaCha8Rng::seed_from_u64(self.config.seed);
         rng.set_stream(at.epoch << 32 | place);
@@ -161,13 +201,14 @@ impl Trainer {
         if let Some(recompute) = &run.recompute {
             recompute.drain_into(&mut grads).map_err(tensor)?;
         }
-        report.loss += value * share;
-        for (name, value) in out.terms {
-            report.terms.entry(name).or_default().add(value);
-        }
-        report.tally.rows += out.rows as u64;
-        report.tally.counted_rows += out.counted_rows as u64;
-        report.features = out.features;
-        Ok(grads)
+        let share = Share {
+            loss: Some(value),
+            terms: out.terms,
+            rows: out.rows as u64,
+            counted_rows: out.counted_rows as u64,
+            features: out.features,
+            statistics: Vec::new(),
+        };
+        Ok((grads, share))
     }
 }

@@ -2,6 +2,7 @@
 
 use crate::commands::WrongUse;
 use crate::commands::classes::Classes;
+use crate::commands::many::Many;
 use crate::effects::{EffectArgs, Wish};
 use crate::flags::{Inference, Shared};
 use crate::outputs::Outputs;
@@ -23,8 +24,11 @@ use std::path::{Path, PathBuf};
 pub struct Args {
     /// Scenes with labels: .ply files, folders of .npy files, or synthetic:COUNT:SEED for rooms that
     /// are made on the spot, scanned:COUNT:SEED for rooms in which density and size tell no class.
-    #[arg(required = true, value_name = "SCENE|synthetic:COUNT:SEED")]
+    #[arg(required_unless_present = "manifest", value_name = "SCENE|synthetic:COUNT:SEED")]
     pub scenes: Vec<String>,
+    /// Which of many scenes; with one of these flags each is evaluated by itself, for `scenesplat merge`.
+    #[command(flatten)]
+    pub many: Many,
     /// Choice of classes.
     #[command(flatten)]
     pub classes: Classes,

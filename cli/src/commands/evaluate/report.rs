@@ -61,6 +61,7 @@ pub fn tell(report: &EvaluationReport, names: &[String], meaningless: bool) -> V
     json["random_labels"] = figures(&report.random, names);
     json["features"] = json!(if report.model.is_some() { "features" } else { "oracle" });
     json["classes"] = json!(names);
+    json["counts"] = json!(report);
     json["meaningless"] = json!(meaningless);
     json
 }

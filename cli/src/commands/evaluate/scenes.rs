@@ -4,6 +4,7 @@ use crate::commands::WrongUse;
 use crate::flags::Inference;
 use crate::session::Session;
 use anyhow::Result;
+use scenesplat::datasets::sources::MAX_ROOMS;
 use scenesplat::datasets::{DataSource, SourceScene, SyntheticRooms};
 use scenesplat::evaluation::classes_of_rooms;
 use scenesplat::outputs::OpenedScene;
@@ -30,23 +31,38 @@ pub fn inputs(scenes: &[String]) -> Result<Vec<Input>> {
             all.push(Input::File(scene.into()));
             continue;
         };
-        let numbers = rest.split_once(':').and_then(|(count, seed)| {
-            Some((
-                count.parse::<usize>().ok().filter(|c| (1..=1_000_000).contains(c))?,
-                seed.parse().ok()?,
-            ))
-        });
-        let Some((count, seed)) = numbers else {
+        let Some((count, seed, room)) = numbers(rest) else {
             let text = format!(
-                "{scene:?}: write synthetic:COUNT:SEED, such as synthetic:20:7, or scanned:COUNT:SEED"
+                "{scene:?}: write synthetic:COUNT:SEED, such as synthetic:20:7, or scanned:COUNT:SEED; a \
+                 third number is where the count begins, 0 if left out"
             );
             return Err(WrongUse(text).into());
         };
-        let settings = SyntheticRoomSettings { capture, ..SyntheticRoomSettings::default() };
+        let settings = SyntheticRoomSettings { capture, room, ..SyntheticRoomSettings::default() };
         let rooms = Arc::new(SyntheticRooms::new(count, settings, seed)?);
         all.extend((0..count).map(|index| Input::Room { rooms: Arc::clone(&rooms), index }));
     }
     Ok(all)
+}
+
+/// How many rooms, of which seed, from which number on.
+fn numbers(text: &str) -> Option<(usize, u64, u64)> {
+    let mut parts = text.split(':');
+    let count = parts.next()?.parse::<usize>().ok().filter(|c| (1..=MAX_ROOMS).contains(c))?;
+    let seed = parts.next()?.parse().ok()?;
+    let first = parts.next().map_or(Some(0), |first| first.parse().ok())?;
+    parts.next().is_none().then_some((count, seed, first))
+}
+
+/// Each of the scenes by itself, as an argument: rooms that are made on the spot one by one.
+pub fn one_by_one(scene: &str) -> Vec<String> {
+    for kind in ["synthetic:", "scanned:"] {
+        if let Some((count, seed, first)) = scene.strip_prefix(kind).and_then(numbers) {
+            let name = |i| format!("{kind}1:{seed}:{}", first.wrapping_add(i as u64));
+            return (0..count).map(name).collect();
+        }
+    }
+    vec![scene.to_owned()]
 }
 
 impl Input {

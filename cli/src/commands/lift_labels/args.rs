@@ -2,9 +2,10 @@
 
 use super::collect::Guard;
 use super::depth::DepthArg;
+use crate::commands::many::Many;
 use crate::flags::{Shared, SourceArgs, parse_level, parse_up};
-use clap::ValueEnum;
 use clap::builder::TypedValueParser;
+use clap::{ArgAction, ValueEnum};
 use scenesplat::datasets::effects::plan::EffectChoices;
 use scenesplat::memory::Bytes;
 use scenesplat::rasterizer::lifting::{Aggregate, DepthTolerance, FinaliseSettings, LiftSettings};
@@ -16,8 +17,12 @@ use std::path::PathBuf;
 /// coverage.npy, preview.png (coloured by the features) and a receipt.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// The scene, in any format.
+    /// The scene, in any format; several get a folder in --out each.
+    #[arg(num_args = 1.., action = ArgAction::Append, required = false, required_unless_present = "manifest")]
     pub scene: PathBuf,
+    /// Which of many scenes.
+    #[command(flatten)]
+    pub many: Many,
     /// cameras.json, transforms.json or a COLMAP folder; pinhole cameras in the frame of the scene.
     #[arg(long, value_name = "PATH")]
     pub cameras: PathBuf,

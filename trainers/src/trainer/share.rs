@@ -1,0 +1,299 @@
+//! What one batch of a step gives, and how the ranks put theirs together.
+
+use super::{Run, Trainer};
+use crate::TrainError;
+use crate::collective::CollectiveError;
+use crate::event::Progress;
+use crate::module::TrainingModule;
+use candle_core::backprop::GradStore;
+use candle_core::{DType, Device, Tensor, Var};
+use scenesplat_models::ParamStore;
+use scenesplat_models::layers::StatisticsUpdate;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::sync::atomic::Ordering;
+use std::time::Instant;
+
+/// Values that are sent at a time, 16 MiB of them: what is copied meanwhile stays small.
+const BUCKET: usize = 4 << 20;
+
+/// What one batch gives besides its gradient. Nothing if it is empty.
+#[derive(Debug, Default)]
+pub(super) struct Share {
+    pub(super) loss: Option<f64>,
+    pub(super) terms: Vec<(String, f64)>,
+    pub(super) rows: u64,
+    pub(super) counted_rows: u64,
+    pub(super) features: Option<Tensor>,
+    /// What the batch does to remembered statistics, where that waits for the other ranks.
+    pub(super) statistics: Vec<Statistics>,
+}
+
+/// What a batch does to the statistics of the batch norm of that name. Bits of numbers: they may be no finite ones.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct Statistics {
+    name: String,
+    mean: Vec<u64>,
+    var: Vec<u64>,
+    unbias: u64,
+    momentum: u64,
+}
+
+/// A share on its way.
+#[derive(Serialize, Deserialize)]
+struct Sent {
+    loss: Option<u64>,
+    terms: Vec<(String, u64)>,
+    rows: u64,
+    counted_rows: u64,
+    has_features: bool,
+    statistics: Vec<Statistics>,
+}
+
+/// What a rank tells the others of a step.
+#[derive(Serialize, Deserialize)]
+struct Told {
+    step: u64,
+    stop: bool,
+    /// Which of the parameters have a gradient.
+    has_gradient: Vec<bool>,
+    shares: Vec<Sent>,
+}
+
+fn bits(values: &[f64]) -> Vec<u64> {
+    values.iter().map(|v| v.to_bits()).collect()
+}
+
+fn values(bits: &[u64]) -> Vec<f64> {
+    bits.iter().map(|b| f64::from_bits(*b)).collect()
+}
+
+/// The stores of a module, each with what stands before its names.
+fn stores<M: TrainingModule>(module: &M) -> Vec<(String, &ParamStore)> {
+    let further = module.stores().into_iter().map(|(name, store)| (format!("{name}/"), store));
+    std::iter::once((String::new(), module.params())).chain(further).collect()
+}
+
+/// All buffers of a module by name.
+fn buffers<M: TrainingModule>(module: &M) -> BTreeMap<String, Var> {
+    let of = |(prefix, store): (String, &ParamStore)| {
+        let named = move |(name, var): (String, Var)| (format!("{prefix}{name}"), var);
+        store.buffers().into_iter().map(named).collect::<Vec<_>>()
+    };
+    stores(module).into_iter().flat_map(of).collect()
+}
+
+const MEAN: &str = "running_mean";
+
+impl Share {
+    /// With what a batch does to remembered statistics.
+    pub(super) fn with_statistics<M: TrainingModule>(
+        self,
+        module: &M,
+        updates: Vec<StatisticsUpdate>,
+    ) -> Result<Self, TrainError> {
+        if updates.is_empty() {
+            return Ok(self);
+        }
+        let buffers = buffers(module);
+        let names: std::collections::HashMap<_, &String> =
+            buffers.iter().map(|(name, var)| (var.id(), name)).collect();
+        let statistics = updates.into_iter().map(|update| {
+            let name = names.get(&update.running_mean().id()).and_then(|n| n.strip_suffix(MEAN));
+            let name = name.ok_or_else(|| TrainError::UnknownStatistics)?.to_owned();
+            Ok(Statistics {
+                name,
+                mean: bits(&update.mean),
+                var: bits(&update.var),
+                unbias: update.unbias.to_bits(),
+                momentum: update.momentum.to_bits(),
+            })
+        });
+        Ok(Self { statistics: statistics.collect::<Result<_, TrainError>>()?, ..self })
+    }
+
+    fn sent(&self) -> Sent {
+        Sent {
+            loss: self.loss.map(f64::to_bits),
+            terms: self.terms.iter().map(|(n, v)| (n.clone(), v.to_bits())).collect(),
+            rows: self.rows,
+            counted_rows: self.counted_rows,
+            has_features: self.features.is_some(),
+            statistics: self.statistics.clone(),
+        }
+    }
+}
+
+impl Sent {
+    fn share(self) -> Share {
+        Share {
+            loss: self.loss.map(f64::from_bits),
+            terms: self.terms.into_iter().map(|(n, v)| (n, f64::from_bits(v))).collect(),
+            rows: self.rows,
+            counted_rows: self.counted_rows,
+            features: None,
+            statistics: self.statistics,
+        }
+    }
+}
+
+impl Trainer {
+    /// The sum of all ranks' gradients, and the shares of all batches in their order; remembered statistics have moved
+    /// then. Alone, what was given.
+    pub(super) fn together<M: TrainingModule>(
+        &mut self,
+        run: &Run<'_, M>,
+        mut grads: GradStore,
+        mut shares: Vec<Share>,
+        at: Progress,
+    ) -> Result<(GradStore, Vec<Share>), TrainError> {
+        if self.is_alone() {
+            return Ok((grads, shares));
+        }
+        let began = Instant::now();
+        let told = Told {
+            step: at.step,
+            stop: self.stop.as_ref().is_some_and(|stop| stop.load(Ordering::SeqCst)),
+            has_gradient: run.params.values().map(|var| grads.get(var).is_some()).collect(),
+            shares: shares.iter().map(Share::sent).collect(),
+        };
+        let all = self.tell(&told)?;
+        self.agreed_stop = all.iter().any(|told| told.stop);
+        let any = |i: usize| all.iter().any(|told| told.has_gradient[i]);
+        let trained: Vec<(&String, &Var)> = run.params.iter().collect();
+        let trained: Vec<_> = (0..trained.len()).filter(|i| any(*i)).map(|i| trained[i]).collect();
+        self.sum(&trained, &mut grads)?;
+        let features = self.last_features(&all, &mut shares, at)?;
+        let mut shares: Vec<Share> =
+            all.into_iter().flat_map(|told| told.shares).map(Sent::share).collect();
+        let buffers = buffers(run.module);
+        for statistics in shares.iter().flat_map(|share| &share.statistics) {
+            move_statistics(&buffers, statistics)?;
+        }
+        if let Some(last) = shares.iter_mut().rev().find(|share| share.loss.is_some()) {
+            last.features = features;
+        }
+        self.together_seconds += began.elapsed().as_secs_f64();
+        Ok((grads, shares))
+    }
+
+    /// What each rank tells of its step.
+    fn tell(&self, told: &Told) -> Result<Vec<Told>, TrainError> {
+        let mine = serde_json::to_vec(told).map_err(|_| TrainError::UnknownStatistics)?;
+        let all = self.collective.all_gather(&mine)?;
+        let read = |(rank, bytes): (usize, &Vec<u8>)| {
+            let disagree = |problem| CollectiveError::Disagreement { rank, problem };
+            let other: Told = serde_json::from_slice(bytes)
+                .map_err(|error| disagree(format!("tells no step: {error}")))?;
+            if other.step != told.step || other.has_gradient.len() != told.has_gradient.len() {
+                let problem = format!(
+                    "is at step {} with {} parameters, this rank at step {} with {}",
+                    other.step,
+                    other.has_gradient.len(),
+                    told.step,
+                    told.has_gradient.len()
+                );
+                return Err(disagree(problem).into());
+            }
+            Ok(other)
+        };
+        all.iter().enumerate().map(read).collect()
+    }
+
+    /// Replaces gradients by their sums over the ranks, bucket by bucket.
+    fn sum(
+        &mut self,
+        trained: &[(&String, &Var)],
+        grads: &mut GradStore,
+    ) -> Result<(), TrainError> {
+        let mut rest = trained;
+        while !rest.is_empty() {
+            let (mut count, mut len) = (0, 0);
+            while count < rest.len() && (count == 0 || len < BUCKET) {
+                len += rest[count].1.elem_count();
+                count += 1;
+            }
+            let (bucket, after) = rest.split_at(count);
+            rest = after;
+            let mut sums = Vec::with_capacity(len);
+            for (name, var) in bucket {
+                if var.dtype() != DType::F32 {
+                    let (name, dtype) = ((*name).clone(), var.dtype());
+                    return Err(TrainError::DType { name, dtype });
+                }
+                match grads.get(var) {
+                    Some(grad) => sums.extend(
+                        grad.flatten_all()
+                            .and_then(|g| g.to_vec1::<f32>())
+                            .map_err(TrainError::tensor(name))?,
+                    ),
+                    None => sums.resize(sums.len() + var.elem_count(), 0.0),
+                }
+            }
+            self.together_bytes += 4 * len as u64;
+            self.collective.all_reduce(&mut sums)?;
+            let mut from = 0;
+            for (name, var) in bucket {
+                let to = from + var.elem_count();
+                let grad = Tensor::from_slice(&sums[from..to], var.shape(), var.device());
+                grads.insert(var, grad.map_err(TrainError::tensor(name))?);
+                from = to;
+            }
+        }
+        Ok(())
+    }
+
+    /// The output rows of the last batch that has some, where they are looked at after this step.
+    fn last_features(
+        &self,
+        all: &[Told],
+        shares: &mut [Share],
+        at: Progress,
+    ) -> Result<Option<Tensor>, TrainError> {
+        let holder = all.iter().rposition(|told| told.shares.iter().any(|s| s.has_features));
+        let due = self.looks_at_features(at.step + 1, at.total_steps);
+        let Some(holder) = holder.filter(|_| due) else { return Ok(None) };
+        let tensor = |source| TrainError::Forward { source };
+        let mine = shares.iter_mut().rev().find_map(|share| share.features.take());
+        let mut bytes = Vec::new();
+        if let (Some(rows), true) = (&mine, self.collective.rank() == holder) {
+            let (count, width) = rows.dims2().map_err(tensor)?;
+            bytes.extend([count, width].map(|n| n as u64).iter().flat_map(|n| n.to_le_bytes()));
+            let rows = rows.to_dtype(DType::F32).and_then(|r| r.flatten_all());
+            let values = rows.and_then(|r| r.to_vec1::<f32>()).map_err(tensor)?;
+            bytes.extend(values.iter().flat_map(|v| v.to_le_bytes()));
+        }
+        let bytes = self.collective.broadcast(holder, &bytes)?;
+        let problem = || CollectiveError::Disagreement {
+            rank: holder,
+            problem: "sent no rows of features".to_owned(),
+        };
+        let (head, rest) = bytes.split_at_checked(16).ok_or_else(problem)?;
+        let (sizes, _) = head.as_chunks::<8>();
+        let [count, width] = [0, 1].map(|i| u64::from_le_bytes(sizes[i]) as usize);
+        let (values, _) = rest.as_chunks::<4>();
+        let values: Vec<f32> = values.iter().map(|v| f32::from_le_bytes(*v)).collect();
+        if values.len() != count.saturating_mul(width) {
+            return Err(problem().into());
+        }
+        Tensor::from_vec(values, (count, width), &Device::Cpu).map(Some).map_err(tensor)
+    }
+}
+
+fn move_statistics(
+    buffers: &BTreeMap<String, Var>,
+    statistics: &Statistics,
+) -> Result<(), TrainError> {
+    let buffer = |name: &str| {
+        let found = buffers.get(&format!("{}{name}", statistics.name));
+        found.cloned().ok_or(TrainError::UnknownStatistics)
+    };
+    let update = StatisticsUpdate::new(
+        [buffer(MEAN)?, buffer("running_var")?, buffer("num_batches_tracked")?],
+        values(&statistics.mean),
+        values(&statistics.var),
+        f64::from_bits(statistics.unbias),
+        f64::from_bits(statistics.momentum),
+    );
+    update.apply().map_err(|source| TrainError::Forward { source })
+}
