@@ -8,7 +8,7 @@ mod regions;
 mod settings;
 #[cfg(test)]
 mod tests;
-mod upscale;
+pub(crate) mod upscale;
 
 pub use mask::Mask;
 pub use nms::{MaskNms, keep_masks};

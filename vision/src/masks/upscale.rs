@@ -4,7 +4,7 @@ use super::mask::Mask;
 
 /// Where a mask lies: the size of the picture, and left, top, width and height of the crop that was looked at.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Place {
+pub(crate) struct Place {
     pub picture: [u32; 2],
     pub left: u32,
     pub top: u32,
@@ -13,7 +13,7 @@ pub(super) struct Place {
 }
 
 /// A mask and how much it depends on where it is cut.
-pub(super) struct Upscaled {
+pub(crate) struct Upscaled {
     pub mask: Mask,
     /// Pixels above `offset` over pixels above `−offset`; NaN where there are none.
     pub stability: f32,
@@ -34,7 +34,7 @@ fn sources(from: usize, to: usize) -> Vec<(usize, usize, f32)> {
 /// time: the whole picture's logits are never in memory.
 ///
 /// `logits`: `[side, side]`
-pub(super) fn upscale(logits: &[f32], side: usize, place: Place, offset: f32) -> Upscaled {
+pub(crate) fn upscale(logits: &[f32], side: usize, place: Place, offset: f32) -> Upscaled {
     let across = sources(side, place.width as usize);
     let down = sources(side, place.height as usize);
     let (mut sure, mut possible) = (0u64, 0u64);

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::layers::Norm;
+use crate::masks::upscale::{Place, upscale};
 use safetensors::SafeTensors;
 use scenesplat_kernels::reference::{gelu, layer_norm};
 use std::collections::BTreeMap;
@@ -136,6 +137,13 @@ fn golden_sam2_mini() {
         let masks = network.decoder.masks(&picture, &tokens);
         let want = &array("out.masks_all4")[prompt * 4 * side * side..][..4 * side * side];
         close("masks", &masks.logits, want, F32);
+        for (mask, want) in array("out.stability_at_upsampled")[prompt * 4..][..4].iter().enumerate() {
+            let place = Place { picture: [135, 119], left: 0, top: 0, width: 135, height: 119 };
+            let logits = &masks.logits[mask * side * side..(mask + 1) * side * side];
+            let got = upscale(logits, side, place, 0.2).stability;
+            // Of 16,000 pixels a few lie where roundings decide.
+            assert!((got - want).abs() < 1e-3 || got.is_nan() && want.is_nan(), "{got} {want}");
+        }
         close("iou", &masks.iou, &array("out.iou_all4")[prompt * 4..][..4], F32);
         let score = [masks.object_score];
         close("object score", &score, &array("out.object_score_logits")[prompt..=prompt], F32);
