@@ -2,7 +2,7 @@
 //!
 //! The crates behind this facade: [`scene`] (scenes and their files), [`kernels`] (algorithms on
 //! slices), [`datasets`] (from scenes to network input), [`models`] (networks and weights),
-//! [`metrics`] (labels, votes, evaluation, pictures), [`rasterizer`] (pictures of scenes), [`trainers`]
+//! [`metrics`] (labels, votes, evaluation, pictures), [`rasterizer`] (pictures of scenes), [`optimisation`] (scenes from pictures), [`trainers`]
 //! (optimizers and schedules), [`rooms`] (synthetic rooms), [`objects`] (instances and boxes), [`sentences`] (phrases as vectors). This crate adds
 //! what joins them: [`Network`] (a configuration with its weights), [`SceneEncoder`] (a scene in,
 //! features out), [`labels`], [`query`], [`phrases`], [`evaluation`], [`experiment`], [`page`] (a scene to look at in a browser) and what the commands write.
@@ -64,6 +64,7 @@ pub use scenesplat_losses as losses;
 pub use scenesplat_metrics as metrics;
 pub use scenesplat_models as models;
 pub use scenesplat_objects as objects;
+pub use scenesplat_optimisation as optimisation;
 pub use scenesplat_rasterizer as rasterizer;
 pub use scenesplat_rooms as rooms;
 pub use scenesplat_scene as scene;

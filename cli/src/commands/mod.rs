@@ -6,6 +6,7 @@ mod classes;
 mod codes;
 mod compare;
 mod convert;
+mod curate;
 mod demo;
 mod doctor;
 mod evaluate;
@@ -16,6 +17,7 @@ mod lift_labels;
 mod many;
 mod merge;
 mod objects;
+mod optimise;
 mod pareto;
 mod probe;
 mod query;
@@ -68,6 +70,10 @@ enum Command {
     Render(render::Args),
     /// Does to a scene what a bad capture would have done.
     Simulate(simulate::Args),
+    /// Makes a scene from posed pictures.
+    Optimise(Box<optimise::Args>),
+    /// Says which frames and which scenes are worth keeping, and why.
+    Curate(Box<curate::Args>),
     /// Measures how much pictures differ.
     Compare(compare::Args),
     /// Writes a scene in another format, whole or in part.
@@ -138,6 +144,8 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Merge(args) => merge::run(args, &line),
         Command::Render(args) => render::run(args, &line),
         Command::Simulate(args) => simulate::run(args, &line),
+        Command::Optimise(args) => optimise::run(args, &line),
+        Command::Curate(args) => curate::run(args, &line),
         Command::Compare(args) => compare::run(args),
         Command::Convert(args) => convert::run(args),
         Command::Train(args) => train::run(args),

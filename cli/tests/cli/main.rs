@@ -19,6 +19,7 @@ mod lift_labels;
 mod many;
 mod networks;
 mod objects;
+mod optimise;
 mod outputs;
 mod pareto;
 mod probe;

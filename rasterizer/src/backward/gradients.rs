@@ -82,6 +82,9 @@ pub struct Gradients {
     pub sh: Vec<f32>,
     /// `[N, dim]`; empty without features.
     pub features: Vec<f32>,
+    /// Of the centres on the picture, per pixel: what tells a strategy where a scene lacks Gaussians.
+    /// Empty unless somebody makes room for it; needs the geometry of the mask. `[N, 2]`
+    pub screen: Vec<[f32; 2]>,
 }
 
 impl Gradients {
@@ -95,6 +98,7 @@ impl Gradients {
             opacities: vec![0.0; n],
             sh: vec![0.0; gaussians.sh.len()],
             features: vec![0.0; n * dim],
+            screen: Vec::new(),
         }
     }
 
@@ -106,6 +110,9 @@ impl Gradients {
         expect("gradients of the opacities", n, self.opacities.len())?;
         expect("gradients of the sh", gaussians.sh.len(), self.sh.len())?;
         expect("gradients of the features", n * dim, self.features.len())?;
+        if !self.screen.is_empty() {
+            expect("gradients on the screen", n, self.screen.len())?;
+        }
         Ok(())
     }
 }

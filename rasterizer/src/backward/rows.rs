@@ -178,24 +178,31 @@ impl<'a> Pass<'a> {
             .zip(cut(&mut out.scales, index, 1))
             .zip(cut(&mut out.opacities, index, 1))
             .zip(cut(&mut out.sh, index, width))
+            .zip(screens(&mut out.screen, index))
             .enumerate()
             .collect::<Vec<_>>();
         let lens = lens(self.view, self.settings);
         let eye = self.view.centre();
-        parts.into_par_iter().for_each(|(i, ((((means, quats), scales), opacities), sh))| {
-            let begin = i * CHUNK;
-            let end = (begin + CHUNK).min(index.len());
-            let first = index[begin] as usize;
-            for row in begin..end {
-                let at = index[row] as usize - first;
-                let harmonics = &mut sh[at * width..(at + 1) * width];
-                let moved = self.color(index[row] as usize, eye, &rows[row], harmonics);
-                if self.mask.geometry() {
-                    let to = (&mut means[at], &mut quats[at], &mut scales[at], &mut opacities[at]);
-                    self.geometry(&lens, row, &rows[row], moved, to);
+        parts.into_par_iter().for_each(
+            |(i, (((((means, quats), scales), opacities), sh), screen))| {
+                let begin = i * CHUNK;
+                let end = (begin + CHUNK).min(index.len());
+                let first = index[begin] as usize;
+                for row in begin..end {
+                    let at = index[row] as usize - first;
+                    let harmonics = &mut sh[at * width..(at + 1) * width];
+                    let moved = self.color(index[row] as usize, eye, &rows[row], harmonics);
+                    if self.mask.geometry() {
+                        let to =
+                            (&mut means[at], &mut quats[at], &mut scales[at], &mut opacities[at]);
+                        let moved = self.geometry(&lens, row, &rows[row], moved, to);
+                        if let Some(screen) = screen.get_mut(at) {
+                            (0..2).for_each(|k| screen[k] += moved[k]);
+                        }
+                    }
                 }
-            }
-        });
+            },
+        );
     }
 
     /// Adds the gradients of one Gaussian's harmonics, and gives back what its centre gets from
@@ -216,7 +223,8 @@ impl<'a> Pass<'a> {
         harmonics::pull_back(degree, coefficients, to, row.color, wanted, sh)
     }
 
-    /// Adds the gradients of one Gaussian's geometry; `moved` goes to the centre too.
+    /// Adds the gradients of one Gaussian's geometry; `moved` goes to the centre too. Gives the one of
+    /// the centre on the picture.
     #[allow(clippy::needless_pass_by_value, reason = "a tuple of references")]
     #[inline]
     fn geometry(
@@ -226,7 +234,7 @@ impl<'a> Pass<'a> {
         sums: &Sums,
         moved: [f32; 3],
         to: (&mut [f32; 3], &mut [f32; 4], &mut [f32; 3], &mut f32),
-    ) {
+    ) -> [f32; 2] {
         let (p, isotropic) = (&self.trace.projected, self.settings.isotropic);
         let i = p.index[row] as usize;
         let [m0, m1, m2, m3, m4, m5] = sums.moments;
@@ -260,12 +268,21 @@ impl<'a> Pass<'a> {
         if self.mask.opacities && self.gaussians.opacities[i] <= 1.0 {
             *to.3 += found.opacity;
         }
+        gradient.mean2d
     }
 
     /// Where the records of each visible Gaussian are.
     pub(crate) fn pairs(&self) -> Result<PairsOfRow, BackwardError> {
         Ok(PairsOfRow::new(&self.trace.lists, self.trace.projected.len())?)
     }
+}
+
+/// Parts of the gradients on the picture as [`cut`] makes them, empty where nobody wants any.
+fn screens<'a>(screen: &'a mut [[f32; 2]], index: &[u32]) -> Vec<&'a mut [[f32; 2]]> {
+    if screen.is_empty() {
+        return index.chunks(CHUNK).map(|_| &mut [][..]).collect();
+    }
+    cut(screen, index, 1)
 }
 
 /// The constants of the projection.

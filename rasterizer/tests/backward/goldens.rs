@@ -251,3 +251,35 @@ fn into_adds() {
         assert_eq!(a + a, *b);
     }
 }
+
+/// Gradients of centres on the picture, camera by camera; without room for them nothing else changes.
+#[test]
+fn centres_on_the_picture() {
+    let Some(scene) = Golden::open("scene") else { return };
+    let Some(want) = Golden::open("render_classic_sh3") else { return };
+    let (gaussians, views) = (scene.gaussians(), scene.views([64, 96]));
+    let settings = RasterSettings::gsplat_1_6();
+    for (i, view) in views.iter().enumerate() {
+        let part = |name: &str| scene.part(name, i).iter().map(|v| *v as f32).collect::<Vec<f32>>();
+        let (rgb, alpha, depth) = (part("v_rgb"), part("v_alpha"), part("v_depth"));
+        let upstream = Upstream {
+            rgb: Some(&rgb),
+            alpha: Some(&alpha),
+            depth_accumulated: Some(&depth),
+            ..Upstream::default()
+        };
+        let traced = trace(&gaussians, view, &settings, TraceRequest::rgb_depth()).unwrap();
+        let run = |room: usize| {
+            let zeros = Gradients::zeros(&gaussians, 0);
+            let mut out = Gradients { screen: vec![[0.0; 2]; room], ..zeros };
+            let all = GradMask::all();
+            backward_into(&gaussians, view, &settings, &traced, &upstream, all, &mut out)
+                .map(|()| out)
+        };
+        let with = run(gaussians.len()).unwrap();
+        let name = format!("camera {i}");
+        compare(&name, with.screen.as_flattened(), want.part("v_means2d", i), GRADIENT);
+        assert_eq!(Gradients { screen: Vec::new(), ..with }, run(0).unwrap());
+        assert!(run(3).is_err(), "room for three of them");
+    }
+}

@@ -137,7 +137,9 @@ fn golden_sam2_mini() {
         let masks = network.decoder.masks(&picture, &tokens);
         let want = &array("out.masks_all4")[prompt * 4 * side * side..][..4 * side * side];
         close("masks", &masks.logits, want, F32);
-        for (mask, want) in array("out.stability_at_upsampled")[prompt * 4..][..4].iter().enumerate() {
+        for (mask, want) in
+            array("out.stability_at_upsampled")[prompt * 4..][..4].iter().enumerate()
+        {
             let place = Place { picture: [135, 119], left: 0, top: 0, width: 135, height: 119 };
             let logits = &masks.logits[mask * side * side..(mask + 1) * side * side];
             let got = upscale(logits, side, place, 0.2).stability;

@@ -6,10 +6,11 @@ use clap::ValueEnum;
 use scenesplat::datasets::effects::EffectSet;
 use scenesplat::rasterizer::RasterSettings;
 use scenesplat::scene::UpAxis;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Draws a scene: one PNG for each camera of a file, or for cameras around the scene. With --depth
-/// also depth/NAME.png (16 bits) and depth_color/NAME.png.
+/// also depth/NAME.png (16 bits) and depth_color/NAME.png. cameras.json has the cameras of the pictures, as
+/// optimise and lift-labels read them.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The scene, in any format.
@@ -105,6 +106,19 @@ pub enum PlanArg {
     Auto,
     /// Everything.
     Full,
+}
+
+impl Args {
+    /// Whether the cameras that are read are those of the output folder, which stay as they are.
+    pub(super) fn keeps_cameras(&self) -> bool {
+        let same = |a: &Path, b: &Path| match (a.canonicalize(), b.canonicalize()) {
+            (Ok(a), Ok(b)) => a == b,
+            _ => false,
+        };
+        let out = &self.shared.out;
+        let is_there = |given: &PathBuf| same(given, out) || same(given, &out.join("cameras.json"));
+        self.cameras.as_ref().is_some_and(is_there)
+    }
 }
 
 impl PresetArg {

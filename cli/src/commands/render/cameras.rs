@@ -5,6 +5,7 @@ use crate::commands::WrongUse;
 use anyhow::Result;
 use scenesplat::preview::Ceiling;
 use scenesplat::rasterizer::View;
+use scenesplat::scene::formats::cameras::write_cameras_json;
 use scenesplat::scene::{Camera, open_cameras};
 use std::collections::HashSet;
 use std::path::Path;
@@ -55,6 +56,13 @@ pub(super) fn read(path: &Path, args: &Args) -> Result<Shots> {
         })
         .collect();
     Ok(Shots { list, near: None, ceiling: None, notes: set.notes })
+}
+
+/// Writes the cameras of the pictures, by the names of these.
+pub(super) fn write(shots: &[Shot], path: &Path) -> Result<()> {
+    let named = |shot: &Shot| Camera { name: shot.name.clone(), ..shot.camera.clone() };
+    let cameras: Vec<Camera> = shots.iter().map(named).collect();
+    Ok(write_cameras_json(&cameras, path)?)
 }
 
 /// A camera by the name of its picture, with or without folder and ending, or by its number.

@@ -48,6 +48,9 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     if !args.effect.split_for_pictures().1.is_empty() {
         names.push("effects.json".to_owned());
     }
+    if !args.keeps_cameras() {
+        names.push("cameras.json".to_owned());
+    }
     session.make_out(&names.iter().map(String::as_str).collect::<Vec<_>>())?;
     for note in &shots.notes {
         session.progress.say(note);
@@ -69,6 +72,11 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     }
     session.progress.finish();
     drop(_stage);
+    if !args.keeps_cameras() {
+        let path = session.out("cameras.json")?;
+        cameras::write(&shots.list, &path)?;
+        session.wrote(&path, std::fs::metadata(&path)?.len());
+    }
     effects.tell(&session)?;
     if let Some(first) = empty.first() {
         let text = format!(

@@ -1,0 +1,197 @@
+//! The flags of `optimise`.
+
+use crate::flags::{Shared, parse_positive};
+use clap::ValueEnum;
+use scenesplat::memory::Bytes;
+use scenesplat::optimisation::cost::set_cap;
+use scenesplat::optimisation::{DepthKind, DepthTerm, OptimiseSettings, SsimPadding, StepOrder};
+use std::path::PathBuf;
+
+/// Makes a scene of Gaussians from posed pictures: writes scene.ply, optimise.json, progress.jsonl, pictures
+/// of truth, result and error in test/, and while it runs previews/ and checkpoints/.
+///
+/// Ctrl-C saves and stops; --resume goes on, with the bits that an uninterrupted run has.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// cameras.json, transforms.json or a COLMAP folder; pinhole cameras.
+    #[arg(long, value_name = "PATH")]
+    pub cameras: PathBuf,
+    /// Folder of the pictures, NAME.png or NAME.jpg, called as their cameras.
+    #[arg(long, value_name = "DIR")]
+    pub images: PathBuf,
+    /// Folder of depths along the camera's axis, NAME.png of 16 bits or NAME.npy, [H, W]; 0 = unknown.
+    #[arg(long, value_name = "DIR")]
+    pub depth: Option<PathBuf>,
+    /// Steps per unit of the scene in 16-bit pictures of depth: 1000 for millimetres.
+    #[arg(long, value_name = "STEPS", default_value_t = 1000.0, value_parser = parse_positive)]
+    pub depth_scale: f64,
+    /// Folder of masks, NAME.png: black pixels do not count. A picture's own transparency is a mask, too.
+    #[arg(long, value_name = "DIR")]
+    pub masks: Option<PathBuf>,
+    /// A scene or point cloud to begin with. [default: points of the COLMAP model, else the depths, else
+    /// random points]
+    #[arg(long, value_name = "PATH")]
+    pub points: Option<PathBuf>,
+    /// Most Gaussians to begin with, where they come from depths or are random.
+    #[arg(long, value_name = "N", default_value_t = 100_000,
+          value_parser = clap::value_parser!(u32).range(1..))]
+    pub initial: u32,
+    /// Whose settings.
+    #[arg(long, value_enum, default_value_t = PresetArg::Scenesplat)]
+    pub preset: PresetArg,
+    /// Steps, a picture each; the preset's schedules shrink or grow with them.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    pub steps: Option<u64>,
+    /// Most Gaussians.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub cap: Option<u32>,
+    /// Most time (20min, 2h): size of the pictures, steps and cap are chosen by the speed of first steps, and
+    /// the run ends when the time has.
+    #[arg(long, value_name = "TIME", value_parser = crate::duration::parse_duration)]
+    pub budget: Option<crate::duration::Seconds>,
+    /// Weight of the depth loss; 0 is none.
+    #[arg(long, value_name = "LAMBDA", value_parser = parse_weight)]
+    pub depth_weight: Option<f32>,
+    /// Which depth is compared: Σ w z (accumulated) or Σ w z / Σ w (expected).
+    #[arg(long, value_enum)]
+    pub depth_kind: Option<DepthKindArg>,
+    /// Weight of the mean opacity.
+    #[arg(long, value_name = "LAMBDA", value_parser = parse_weight)]
+    pub opacity_reg: Option<f32>,
+    /// Weight of the mean standard deviation.
+    #[arg(long, value_name = "LAMBDA", value_parser = parse_weight)]
+    pub scale_reg: Option<f32>,
+    /// How SSIM treats borders.
+    #[arg(long, value_enum)]
+    pub ssim_border: Option<BorderArg>,
+    /// Highest band of the harmonics.
+    #[arg(long, value_name = "0..3", value_parser = clap::value_parser!(u8).range(0..=3))]
+    pub sh_degree: Option<u8>,
+    /// First steps with pictures of half the size.
+    #[arg(long, value_name = "N")]
+    pub half_steps: Option<u64>,
+    /// Whether opacities make up for the low-pass: then `render --antialiased` draws the result.
+    #[arg(long, value_name = "BOOL")]
+    pub antialiased: Option<bool>,
+    /// Learns a gain and an offset per channel of each picture: for automatic exposure.
+    #[arg(long)]
+    pub exposure: bool,
+    /// Strategy before Adam (gsplat-1.3) or after it (gsplat-1.6).
+    #[arg(long, value_enum)]
+    pub order: Option<OrderArg>,
+    /// Every N-th frame is kept for the test, from the first; 0 tests on frames that were learned from.
+    #[arg(long, value_name = "N", default_value_t = 8)]
+    pub test_every: usize,
+    /// Seed of all that is random.
+    #[arg(long, value_name = "N", default_value_t = 42)]
+    pub seed: u64,
+    /// Steps between previews, 0 for none. [default: a tenth of the steps]
+    #[arg(long, value_name = "N")]
+    pub preview_every: Option<u64>,
+    /// Steps between checkpoints, 0 for none but that of Ctrl-C.
+    #[arg(long, value_name = "N", default_value_t = 1000)]
+    pub checkpoint_every: u64,
+    /// Goes on with the newest checkpoint in --out.
+    #[arg(long)]
+    pub resume: bool,
+    /// Most memory that is planned for (8GB); the cap is lowered to keep it.
+    #[arg(long, value_name = "SIZE")]
+    pub max_memory: Option<Bytes>,
+    /// Also writes the figures as JSON here.
+    #[arg(long, value_name = "FILE.json")]
+    pub json: Option<PathBuf>,
+    /// Flags of all commands.
+    #[command(flatten)]
+    pub shared: Shared,
+}
+
+/// Whose settings.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum PresetArg {
+    /// Those that the data set's authors published: MCMC, depth, antialiased.
+    Scenesplat,
+    /// MCMC of gsplat 1.6.
+    GsplatMcmc,
+    /// The default strategy of gsplat 1.6.
+    GsplatDefault,
+}
+
+/// Which depth.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum DepthKindArg {
+    /// Σ w z.
+    Accumulated,
+    /// Σ w z / Σ w.
+    Expected,
+}
+
+/// Which border.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum BorderArg {
+    /// Windows inside the picture alone.
+    Valid,
+    /// Mirrored.
+    Reflect,
+    /// Black.
+    Zero,
+}
+
+/// Which order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum OrderArg {
+    /// Strategy, then Adam.
+    #[value(name = "gsplat-1.3")]
+    Gsplat13,
+    /// Adam, then strategy.
+    #[value(name = "gsplat-1.6")]
+    Gsplat16,
+}
+
+fn parse_weight(text: &str) -> Result<f32, String> {
+    let value = text.parse().ok().filter(|v: &f32| v.is_finite() && *v >= 0.0);
+    value.ok_or_else(|| format!("{text:?}: a weight is a number of at least 0"))
+}
+
+impl Args {
+    /// The preset with what the flags change.
+    pub(super) fn settings(&self) -> OptimiseSettings {
+        let mut s = match self.preset {
+            PresetArg::Scenesplat => OptimiseSettings::scenesplat(),
+            PresetArg::GsplatMcmc => OptimiseSettings::gsplat_mcmc(),
+            PresetArg::GsplatDefault => OptimiseSettings::gsplat_default(),
+        };
+        if let Some(steps) = self.steps {
+            s = s.with_steps(steps);
+        }
+        if let Some(cap) = self.cap {
+            set_cap(&mut s, cap as usize);
+        }
+        let reference = OptimiseSettings::scenesplat().depth;
+        if let Some(weight) = self.depth_weight {
+            s.depth = s.depth.or(reference).map(|term| DepthTerm { weight, ..term });
+        }
+        if let (Some(kind), Some(term)) = (self.depth_kind, &mut s.depth) {
+            term.kind = match kind {
+                DepthKindArg::Accumulated => DepthKind::Accumulated,
+                DepthKindArg::Expected => DepthKind::Expected,
+            };
+        }
+        s.opacity_reg = self.opacity_reg.unwrap_or(s.opacity_reg);
+        s.scale_reg = self.scale_reg.unwrap_or(s.scale_reg);
+        s.initial.sh_degree = self.sh_degree.unwrap_or(s.initial.sh_degree);
+        s.half_steps = self.half_steps.unwrap_or(s.half_steps);
+        s.antialiased = self.antialiased.unwrap_or(s.antialiased);
+        s.exposure = self.exposure;
+        s.seed = self.seed;
+        s.ssim_border = self.ssim_border.map_or(s.ssim_border, |border| match border {
+            BorderArg::Valid => SsimPadding::Valid,
+            BorderArg::Reflect => SsimPadding::Reflect,
+            BorderArg::Zero => SsimPadding::Zero,
+        });
+        s.order = self.order.map_or(s.order, |order| match order {
+            OrderArg::Gsplat13 => StepOrder::Gsplat13,
+            OrderArg::Gsplat16 => StepOrder::Gsplat16,
+        });
+        s
+    }
+}

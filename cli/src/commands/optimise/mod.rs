@@ -1,0 +1,93 @@
+//! `scenesplat optimise`
+
+mod args;
+mod budget;
+mod frames;
+mod pictures;
+mod report;
+mod run;
+
+use super::WrongUse;
+use crate::session::Session;
+use crate::terminal::print;
+use anyhow::Result;
+pub use args::Args;
+use run::checkpoints;
+use scenesplat::optimisation::{OptimiseSettings, Optimiser, newest_checkpoint};
+use scenesplat::scene::formats::inria_ply::write_inria_ply;
+use std::time::Instant;
+
+/// Runs the command.
+pub fn run(args: &Args, line: &str) -> Result<()> {
+    let began = Instant::now();
+    let session = Session::start(&args.shared, line)?;
+    let settings = args.settings();
+    settings.check().map_err(|e| WrongUse(e.to_string()))?;
+    let depths = args.depth.as_deref();
+    let inputs = [Some(args.cameras.as_path()), Some(&args.images), depths];
+    session.outputs.reads_any(inputs)?;
+    session.outputs.reads_any([args.masks.as_deref(), args.points.as_deref()])?;
+    session.outputs.claim_any("--json", args.json.as_ref())?;
+    session.make_out(&["scene.ply", "optimise.json", "progress.jsonl"])?;
+    let newest = newest_checkpoint(&checkpoints(&args.shared.out))?;
+    if newest.is_some() && !args.resume {
+        let text = format!(
+            "--out {}: holds checkpoints of a run; give --resume to go on with it, or another --out",
+            args.shared.out.display()
+        );
+        return Err(WrongUse(text).into());
+    }
+    let frames = args.frames(&session)?;
+    let mut optimiser = match newest {
+        Some(place) => {
+            // A budget chose its settings by the clock; they are in the checkpoint.
+            let asked = args.budget.is_none().then(|| args.bounded(&session, settings, &frames));
+            let optimiser = Optimiser::resume(&place, &frames.train, asked.transpose()?)?;
+            let step = optimiser.steps_done();
+            session
+                .progress
+                .say(format!("going on at step {step} of {}", optimiser.settings().steps));
+            optimiser
+        }
+        None => {
+            if args.resume {
+                session.progress.say("nothing to go on with: beginning anew");
+            }
+            let settings = args.bounded(&session, settings, &frames)?;
+            let model = args.start(&session, &frames, &settings)?;
+            args.begin(&session, model, &frames, settings, began)?
+        }
+    };
+    note(&session, optimiser.settings())?;
+    let ran = args.steps(&session, &mut optimiser, &frames, began)?;
+    if let Some(place) = &ran.stopped {
+        let total = optimiser.settings().steps;
+        print(&format!("checkpoint: {}", place.display()));
+        print(&format!("stopped at step {} of {total}: --resume goes on", optimiser.steps_done()));
+        return Ok(());
+    }
+    if ran.out_of_time {
+        let (done, total) = (optimiser.steps_done(), optimiser.settings().steps);
+        let text =
+            format!("the time is over at step {done} of {total}: the scene is as it is there");
+        session.progress.say(&text);
+        session.receipt.warning(text);
+    }
+    let kept = args.finish(&session, &optimiser, &frames, &ran)?;
+    let path = session.out("scene.ply")?;
+    write_inria_ply(&kept, &[], &path)?;
+    session.wrote(&path, std::fs::metadata(&path)?.len());
+    session.receipt.add_rows_out(kept.len());
+    if optimiser.settings().antialiased {
+        let text = "the scene was made with antialiasing: draw it with render --antialiased";
+        session.progress.say(text);
+    }
+    session.finish()
+}
+
+/// Notes the settings.
+fn note(session: &Session<'_>, settings: &OptimiseSettings) -> Result<()> {
+    let text = serde_json::to_string(settings)?;
+    session.receipt.setting("settings", text, "all that decides what optimisation does");
+    Ok(())
+}

@@ -1,0 +1,183 @@
+//! The loop of `optimise`: steps, progress, previews, checkpoints, the end of the time.
+
+use super::Args;
+use super::frames::Frames;
+use super::pictures::{compared, write_now};
+use crate::progress::interrupted;
+use crate::session::Session;
+use anyhow::Result;
+use scenesplat::optimisation::{MeanScore, Optimiser, score_frame};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// Steps that a line of progress is the mean of.
+const WINDOW: u64 = 100;
+/// Checkpoints that are kept.
+const KEEP: usize = 2;
+/// Frames that a point of the curve is measured at.
+const CURVE_FRAMES: usize = 4;
+
+/// A point of the curve.
+#[derive(Debug, Clone, Serialize)]
+pub(super) struct CurvePoint {
+    pub(super) step: u64,
+    /// Of steps alone, this run.
+    pub(super) seconds: f64,
+    /// Of up to four test frames, dB.
+    pub(super) psnr: Option<f64>,
+    pub(super) depth_l1: Option<f64>,
+    pub(super) gaussians: usize,
+}
+
+/// What came of the loop.
+pub(super) struct Ran {
+    pub(super) curve: Vec<CurvePoint>,
+    pub(super) lines: String,
+    /// Seconds of the steps alone.
+    pub(super) seconds: f64,
+    pub(super) steps: u64,
+    /// Somebody asked to stop; the checkpoint is there.
+    pub(super) stopped: Option<PathBuf>,
+    pub(super) out_of_time: bool,
+}
+
+/// Sums over a window of steps.
+#[derive(Default)]
+struct Window {
+    loss: f64,
+    mse: f64,
+    depth: f64,
+    steps: u64,
+    relocated: usize,
+    added: usize,
+    removed: usize,
+    not_finite: usize,
+}
+
+impl Args {
+    /// Steps until the end, the end of the time, or Ctrl-C.
+    pub(super) fn steps(
+        &self,
+        session: &Session<'_>,
+        optimiser: &mut Optimiser,
+        frames: &Frames,
+        began: Instant,
+    ) -> Result<Ran> {
+        let _stage = session.receipt.stage("steps");
+        let total = optimiser.settings().steps;
+        let out = &self.shared.out;
+        let every = self.preview_every.unwrap_or((total / 10).max(1));
+        let deadline = self.budget.map(|b| began + Duration::from_secs_f64(b.0));
+        let mut ran = Ran {
+            curve: Vec::new(),
+            lines: String::new(),
+            seconds: 0.0,
+            steps: 0,
+            stopped: None,
+            out_of_time: false,
+        };
+        let mut window = Window::default();
+        while optimiser.steps_done() < total {
+            let start = Instant::now();
+            if deadline.is_some_and(|deadline| start > deadline) {
+                ran.out_of_time = true;
+                break;
+            }
+            let report = optimiser.step(&frames.train)?;
+            ran.seconds += start.elapsed().as_secs_f64();
+            ran.steps += 1;
+            let done = optimiser.steps_done();
+            window.add(&report);
+            if done.is_multiple_of(WINDOW) || done == total {
+                let line =
+                    window.line(done, optimiser.model().len(), ran.seconds / ran.steps as f64);
+                ran.lines += &(line.to_string() + "\n");
+                let text = format!(
+                    "step {done}: {:.2} dB, {} Gaussians",
+                    line["psnr"].as_f64().unwrap_or(f64::NAN),
+                    optimiser.model().len()
+                );
+                session.progress.advance(&text, done as f64 / total as f64);
+                window = Window::default();
+            }
+            if every > 0 && (done.is_multiple_of(every) || done == total) {
+                let point = self.look(optimiser, frames, ran.seconds)?;
+                if let Some(psnr) = point.psnr {
+                    session.progress.say(format!(
+                        "step {done}: test {psnr:.2} dB, {} Gaussians, {:.1} s",
+                        point.gaussians, point.seconds
+                    ));
+                }
+                ran.curve.push(point);
+                let picture = compared(optimiser, frames.shown())?.1;
+                write_now(&out.join(format!("previews/step-{done:09}.png")), &picture)?;
+            }
+            let stop = interrupted();
+            let due = self.checkpoint_every > 0 && done.is_multiple_of(self.checkpoint_every);
+            if stop || (due && done < total) {
+                let place = optimiser.save(&checkpoints(out), &frames.train, KEEP)?;
+                if stop {
+                    ran.stopped = Some(place);
+                    break;
+                }
+            }
+        }
+        session.progress.finish();
+        Ok(ran)
+    }
+
+    /// A point of the curve.
+    fn look(&self, optimiser: &Optimiser, frames: &Frames, seconds: f64) -> Result<CurvePoint> {
+        let settings = optimiser.settings();
+        let degree = settings.sh_degree_at(optimiser.steps_done().saturating_sub(1));
+        let of = if frames.test.is_empty() { &frames.train } else { &frames.test };
+        let stride = of.len().div_ceil(CURVE_FRAMES).max(1);
+        let mut scores = Vec::new();
+        for frame in of.iter().step_by(stride) {
+            scores.push(score_frame(optimiser.model(), frame, settings, degree)?.0);
+        }
+        let mean = MeanScore::of(&scores);
+        Ok(CurvePoint {
+            step: optimiser.steps_done(),
+            seconds,
+            psnr: mean.psnr,
+            depth_l1: mean.depth_l1,
+            gaussians: optimiser.model().len(),
+        })
+    }
+}
+
+/// Where checkpoints are.
+pub(super) fn checkpoints(out: &Path) -> PathBuf {
+    out.join("checkpoints")
+}
+
+impl Window {
+    fn add(&mut self, report: &scenesplat::optimisation::StepReport) {
+        self.loss += report.image.loss;
+        self.mse += report.image.mse;
+        self.depth += report.depth.mean;
+        self.steps += 1;
+        self.relocated += report.refined.relocated;
+        self.added += report.refined.added;
+        self.removed += report.refined.removed;
+        self.not_finite += report.refined.not_finite;
+    }
+
+    fn line(&self, step: u64, gaussians: usize, seconds_per_step: f64) -> serde_json::Value {
+        let mean = |sum: f64| sum / self.steps.max(1) as f64;
+        serde_json::json!({
+            "step": step,
+            "loss": mean(self.loss),
+            "psnr": -10.0 * mean(self.mse).log10(),
+            "depth": mean(self.depth),
+            "gaussians": gaussians,
+            "relocated": self.relocated,
+            "added": self.added,
+            "removed": self.removed,
+            "not_finite": self.not_finite,
+            "seconds_per_step": seconds_per_step,
+        })
+    }
+}

@@ -1,0 +1,119 @@
+//! What a run costs in time and memory, and which run a time allows.
+
+use crate::frame::TrainingFrame;
+use crate::settings::{OptimiseSettings, Strategy};
+
+/// Time of a step, measured at two sizes of pictures.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StepCost {
+    /// Gaussians it was measured with.
+    pub gaussians: usize,
+    /// Seconds of a step at full size.
+    pub full: f64,
+    /// Seconds of a step at half of width and height.
+    pub half: f64,
+}
+
+/// Part of the pixels that half a size has.
+const QUARTER: f64 = 0.25;
+/// Steps below which a scene is not worth the name; a smaller one is drawn instead.
+const ENOUGH: u64 = 5000;
+/// Part of the time that is planned with: steps become slower while Gaussians become larger.
+const PLANNED: f64 = 0.85;
+
+impl StepCost {
+    /// Seconds of a step: a part grows with pixels, one with Gaussians.
+    pub fn of(&self, half: bool, gaussians: usize) -> f64 {
+        let pixels = ((self.full - self.half) / (1.0 - QUARTER)).clamp(0.0, self.full);
+        let rest = self.full - pixels;
+        let share = gaussians as f64 / self.gaussians.max(1) as f64;
+        let pixels = if half { QUARTER * pixels } else { pixels };
+        pixels + rest * share
+    }
+
+    /// The settings that fit into `seconds`: the preset's numbers if they do, else fewer Gaussians, then
+    /// pictures of half the size, then fewer steps. Gives them with the reason.
+    pub fn fit(&self, settings: OptimiseSettings, seconds: f64) -> (OptimiseSettings, String) {
+        let cap = cap_of(&settings).unwrap_or(self.gaussians);
+        let caps = [cap, 500_000, 200_000, 100_000, 50_000].map(|c| c.min(cap).max(self.gaussians));
+        let mut tried = Vec::new();
+        for half in [false, true] {
+            for cap in caps {
+                // Between what it begins with and the cap.
+                let mean = (self.gaussians + 3 * cap) / 4;
+                let steps = (PLANNED * seconds / self.of(half, mean)) as u64;
+                tried.push((half, cap, steps.clamp(1, settings.steps)));
+            }
+        }
+        let enough = ENOUGH.min(settings.steps);
+        let chosen = tried.iter().find(|t| t.2 >= enough).or(tried.last()).copied();
+        let (half, cap, steps) = chosen.unwrap_or((true, cap, 1));
+        let mut out = settings.with_steps(steps);
+        set_cap(&mut out, cap);
+        if half {
+            out.half_steps = steps;
+        }
+        let text = format!(
+            "{steps} steps of at most {cap} Gaussians at {} size: {:.3} s a step expected \
+             (measured with {} Gaussians: {:.3} s, {:.3} s at half size)",
+            if half { "half" } else { "full" },
+            self.of(half, (self.gaussians + 3 * cap) / 4),
+            self.gaussians,
+            self.full,
+            self.half
+        );
+        (out, text)
+    }
+}
+
+/// The most Gaussians that settings allow; `None` if the number never changes.
+pub fn cap_of(settings: &OptimiseSettings) -> Option<usize> {
+    match &settings.strategy {
+        Strategy::Mcmc(s) => Some(s.cap),
+        Strategy::Default(s) => Some(s.cap),
+        Strategy::Fixed => None,
+    }
+}
+
+/// Sets the most Gaussians, where there is such a number.
+pub fn set_cap(settings: &mut OptimiseSettings, cap: usize) {
+    match &mut settings.strategy {
+        Strategy::Mcmc(s) => s.cap = cap,
+        Strategy::Default(s) => s.cap = cap,
+        Strategy::Fixed => {}
+    }
+}
+
+/// Bytes of a run, about: frames, and for each Gaussian parameters, two moments, a derivative, what is
+/// drawn and its places in the lists of tiles; twice that while rows are added.
+pub fn memory_of(settings: &OptimiseSettings, gaussians: usize, frames: &[TrainingFrame]) -> u64 {
+    let harmonics = 3 * (u64::from(settings.initial.sh_degree) + 1).pow(2);
+    let values = 11 + harmonics;
+    let each = 4 * (4 * values + 4) + 88 + 10 * 60;
+    let pixels = frames.iter().map(|f| f.view.pixels()).max().unwrap_or(0) as u64;
+    let pictures: u64 = frames.iter().map(|f| f.bytes() as u64).sum();
+    pictures + 120 * pixels + 2 * each * gaussians as u64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_run_fits_its_time() {
+        let cost = StepCost { gaussians: 100_000, full: 0.4, half: 0.1 };
+        // All of it grows with pixels.
+        assert!((cost.of(true, 1_000_000) - 0.1).abs() < 1e-12);
+        let cost = StepCost { gaussians: 100_000, full: 0.4, half: 0.25 };
+        // 0.2 s of pixels, 0.2 s of Gaussians.
+        assert!((cost.of(false, 200_000) - 0.6).abs() < 1e-12);
+        let preset = OptimiseSettings::scenesplat();
+        let (day, _) = cost.fit(preset, 1e6);
+        assert_eq!((day.steps, cap_of(&day), day.half_steps), (30_000, Some(1_500_000), 0));
+        let (hour, text) = cost.fit(preset, 3600.0);
+        assert!(hour.steps >= 5000 && cap_of(&hour) < Some(1_500_000), "{text}");
+        let (minute, text) = cost.fit(preset, 60.0);
+        assert!(minute.half_steps == minute.steps && minute.steps < 5000, "{text}");
+        minute.check().unwrap();
+    }
+}

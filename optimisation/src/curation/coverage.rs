@@ -1,0 +1,81 @@
+//! How well the cameras saw the surfaces.
+
+use crate::frame::TrainingFrame;
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// Side of a voxel of surface, units of the scene.
+const VOXEL: f64 = 0.05;
+/// Views that a voxel should have …
+const VIEWS: u16 = 3;
+/// … with at least this angle between two of them, degrees.
+const SPREAD: f64 = 15.0;
+/// Pixels between two that are looked at, along rows and columns.
+const STRIDE: usize = 8;
+
+/// Coverage of the measured surfaces.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct Coverage {
+    /// Voxels of 5 cm that a depth lies in.
+    pub voxels: usize,
+    /// Part of them seen by at least 3 views, two of them 15° apart. 0 to 1
+    pub well_seen: f64,
+    /// Part of them seen by fewer than 3 views: holes. 0 to 1
+    pub holes: f64,
+}
+
+/// A voxel's views.
+struct Seen {
+    views: u16,
+    last: usize,
+    first: [f64; 3],
+    apart: bool,
+}
+
+/// Measures coverage from depths; `None` if there is none.
+pub fn coverage(frames: &[TrainingFrame]) -> Option<Coverage> {
+    let mut voxels: BTreeMap<[i32; 3], Seen> = BTreeMap::new();
+    let wide = SPREAD.to_radians().cos();
+    for (number, frame) in frames.iter().enumerate() {
+        let Some(depth) = &frame.depth else { continue };
+        let (v, eye) = (&frame.view, frame.view.centre().map(f64::from));
+        for y in (STRIDE / 2..v.height as usize).step_by(STRIDE) {
+            for x in (STRIDE / 2..v.width as usize).step_by(STRIDE) {
+                let z = f64::from(depth[y * v.width as usize + x]);
+                if !(z > 0.01 && z.is_finite()) {
+                    continue;
+                }
+                let camera = [
+                    (x as f64 + 0.5 - f64::from(v.cx)) / f64::from(v.fx) * z,
+                    (y as f64 + 0.5 - f64::from(v.cy)) / f64::from(v.fy) * z,
+                    z,
+                ];
+                let m = v.world_to_camera.map(|row| row.map(f64::from));
+                let away: [f64; 3] =
+                    std::array::from_fn(|k| (0..3).map(|r| m[r][k] * camera[r]).sum());
+                let cell = [0, 1, 2].map(|k| ((eye[k] + away[k]) / VOXEL).floor() as i32);
+                let length = away.iter().map(|v| v * v).sum::<f64>().sqrt();
+                let ray = away.map(|v| v / length);
+                let seen = voxels.entry(cell).or_insert(Seen {
+                    views: 0,
+                    last: usize::MAX,
+                    first: ray,
+                    apart: false,
+                });
+                if seen.last != number {
+                    seen.last = number;
+                    seen.views = seen.views.saturating_add(1);
+                    let cos: f64 = (0..3).map(|k| seen.first[k] * ray[k]).sum();
+                    seen.apart |= cos <= wide;
+                }
+            }
+        }
+    }
+    if voxels.is_empty() {
+        return None;
+    }
+    let n = voxels.len();
+    let well = voxels.values().filter(|s| s.views >= VIEWS && s.apart).count();
+    let few = voxels.values().filter(|s| s.views < VIEWS).count();
+    Some(Coverage { voxels: n, well_seen: well as f64 / n as f64, holes: few as f64 / n as f64 })
+}

@@ -1,0 +1,77 @@
+//! Gaussians that float in front of what was measured.
+
+use crate::frame::TrainingFrame;
+use crate::{Model, OptimiseError};
+use scenesplat_rasterizer::{RasterSettings, RenderRequest, render};
+use serde::Serialize;
+
+/// A Gaussian floats if it is nearer than the measurement by this, units of the scene …
+const NEARER: f32 = 0.1;
+/// … and by this share of it …
+const SHARE: f32 = 0.05;
+/// … in at least this many frames.
+const FRAMES: u16 = 2;
+
+/// Floaters of a scene.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct Floaters {
+    /// Gaussians that float.
+    pub count: usize,
+    /// Part of all blending weight that they have, 0 to 1.
+    pub mass: f64,
+    /// Frames with depth that were looked at.
+    pub frames: usize,
+}
+
+/// Looks for floaters at frames with depth; `None` if there is none.
+///
+/// A Gaussian is at the pixel of its centre; it is in front if it is there nearer than the measured depth
+/// by more than 0.1 and 5 %. What is hidden at no pixel has no weight, so it does not count in the mass.
+///
+/// # Errors
+/// What the rasterizer refuses.
+pub fn floaters(
+    model: &Model,
+    frames: &[TrainingFrame],
+    raster: &RasterSettings,
+) -> Result<Option<Floaters>, OptimiseError> {
+    let n = model.len();
+    let (mut in_front, mut mass) = (vec![0u16; n], vec![0.0f64; n]);
+    let mut looked = 0;
+    for frame in frames {
+        let Some(depth) = &frame.depth else { continue };
+        looked += 1;
+        let request = RenderRequest { contributions: true, ..RenderRequest::default() };
+        let drawn = render(model.gaussians(), &frame.view, raster, &request)?;
+        let sums = drawn.contributions.map(|c| c.sum).unwrap_or_default();
+        let v = &frame.view;
+        for i in 0..n {
+            let weight = sums.get(i).copied().unwrap_or(0.0);
+            if !(weight > 0.0) {
+                continue;
+            }
+            mass[i] += f64::from(weight);
+            let [x, y, z] = v.to_camera(model.gaussians().means[i]);
+            let (px, py) = (v.fx * x / z + v.cx, v.fy * y / z + v.cy);
+            if !(z > 0.0 && px >= 0.0 && py >= 0.0 && px < v.width as f32 && py < v.height as f32) {
+                continue;
+            }
+            let measured = depth[py as usize * v.width as usize + px as usize];
+            if measured > 0.01
+                && measured.is_finite()
+                && z < measured - NEARER.max(SHARE * measured)
+            {
+                in_front[i] += 1;
+            }
+        }
+    }
+    if looked == 0 {
+        return Ok(None);
+    }
+    let floats = |i: &usize| in_front[*i] >= FRAMES.min(looked as u16);
+    let total: f64 = mass.iter().sum();
+    let floating: f64 = (0..n).filter(floats).map(|i| mass[i]).sum();
+    let count = (0..n).filter(floats).count();
+    let mass = if total > 0.0 { floating / total } else { 0.0 };
+    Ok(Some(Floaters { count, mass, frames: looked }))
+}

@@ -1,0 +1,88 @@
+//! A gain and an offset per picture and channel: what a camera's automatic exposure did.
+
+use crate::{AdamSettings, Moments};
+
+/// Values of a picture: three gains, three offsets.
+const VALUES: usize = 6;
+/// Pull towards gain 1 and offset 0: without it the scene could become darker and all gains larger.
+const PULL: f32 = 0.01;
+
+/// Exposures of all frames, learned beside the scene.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Exposure {
+    /// `[F, 6]` flattened.
+    pub(crate) values: Vec<f32>,
+    /// Of each frame.
+    pub(crate) moments: Vec<Moments>,
+    /// Steps of each frame.
+    pub(crate) steps: Vec<u64>,
+}
+
+impl Exposure {
+    /// Gain 1 and offset 0.
+    pub(crate) fn new(frames: usize) -> Self {
+        Self {
+            values: [1.0, 1.0, 1.0, 0.0, 0.0, 0.0].repeat(frames),
+            moments: vec![Moments::zeros(VALUES); frames],
+            steps: vec![0; frames],
+        }
+    }
+
+    /// Gains and offsets of a frame.
+    pub fn of(&self, frame: usize) -> [f32; VALUES] {
+        std::array::from_fn(|k| self.values[frame * VALUES + k])
+    }
+
+    /// `gain · rgb + offset`.
+    pub(crate) fn apply(&self, frame: usize, rgb: &[f32], out: &mut Vec<f32>) {
+        let [r, g, b, x, y, z] = self.of(frame);
+        out.clear();
+        let pixels = rgb.as_chunks::<3>().0;
+        out.extend(pixels.iter().flat_map(|p| [r * p[0] + x, g * p[1] + y, b * p[2] + z]));
+    }
+
+    /// Learns from the derivative with respect to the picture that [`apply`](Self::apply) made, and turns it
+    /// into that of `rgb`.
+    pub(crate) fn learn(&mut self, frame: usize, rgb: &[f32], slope: &mut [f32], rate: f64) {
+        let before = self.of(frame);
+        let mut sums = [0.0f64; VALUES];
+        for (p, s) in rgb.as_chunks::<3>().0.iter().zip(slope.as_chunks_mut::<3>().0) {
+            for c in 0..3 {
+                sums[c] += f64::from(s[c]) * f64::from(p[c]);
+                sums[3 + c] += f64::from(s[c]);
+                s[c] *= before[c];
+            }
+        }
+        let rest = [1.0, 1.0, 1.0, 0.0, 0.0, 0.0];
+        let mut slopes: [f32; VALUES] =
+            std::array::from_fn(|k| sums[k] as f32 + PULL * (before[k] - rest[k]));
+        self.steps[frame] += 1;
+        let values = &mut self.values[frame * VALUES..(frame + 1) * VALUES];
+        let t = self.steps[frame];
+        self.moments[frame].step(values, &mut slopes, &AdamSettings::default(), t, rate);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A picture that was taken with another gain and offset: they are found.
+    #[test]
+    fn finds_what_the_camera_did() {
+        let rgb: Vec<f32> = (0..300).map(|i| 0.5 + 0.5 * (i as f32).sin()).collect();
+        let seen: Vec<f32> = rgb.iter().map(|v| 0.8 * v + 0.05).collect();
+        let mut exposure = Exposure::new(2);
+        let mut out = Vec::new();
+        for _ in 0..3000 {
+            exposure.apply(1, &rgb, &mut out);
+            let mut slope: Vec<f32> =
+                out.iter().zip(&seen).map(|(a, b)| 2.0 * (a - b) / 100.0).collect();
+            exposure.learn(1, &rgb, &mut slope, 1e-3);
+        }
+        let found = exposure.of(1);
+        assert!(found[..3].iter().all(|g| (g - 0.8).abs() < 0.03), "{found:?}");
+        assert!(found[3..].iter().all(|o| (o - 0.05).abs() < 0.02), "{found:?}");
+        assert_eq!(exposure.of(0), [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]);
+    }
+}

@@ -1,0 +1,205 @@
+//! A picture to learn from.
+
+use crate::error::{OptimiseError, expect, within};
+use scenesplat_rasterizer::View;
+
+/// Red, green and blue, row by row. `[H, W, 3]`
+#[derive(Debug, Clone, PartialEq)]
+pub enum Colors {
+    /// 0 to 255: a quarter of the memory.
+    Bytes(Vec<u8>),
+    /// 0 to 1.
+    Floats(Vec<f32>),
+}
+
+impl Colors {
+    /// Number of values.
+    pub fn len(&self) -> usize {
+        match self {
+            Self::Bytes(values) => values.len(),
+            Self::Floats(values) => values.len(),
+        }
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// A value, 0 to 1.
+    pub fn at(&self, i: usize) -> f32 {
+        match self {
+            Self::Bytes(values) => f32::from(values[i]) / 255.0,
+            Self::Floats(values) => values[i],
+        }
+    }
+
+    /// All values, 0 to 1, into memory that is used again.
+    pub fn put(&self, out: &mut Vec<f32>) {
+        out.clear();
+        match self {
+            Self::Bytes(values) => out.extend(values.iter().map(|v| f32::from(*v) / 255.0)),
+            Self::Floats(values) => out.extend_from_slice(values),
+        }
+    }
+
+    /// Every value is finite.
+    fn is_finite(&self) -> bool {
+        match self {
+            Self::Bytes(_) => true,
+            Self::Floats(values) => values.iter().all(|v| v.is_finite()),
+        }
+    }
+}
+
+/// A posed picture, with depth and mask where there are any.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TrainingFrame {
+    /// For messages, and to tell whether a checkpoint is of the same frames.
+    pub name: String,
+    /// Where it was taken from; its size is that of the arrays.
+    pub view: View,
+    /// What was seen.
+    pub rgb: Colors,
+    /// Along the camera's z axis, units of the scene; 0, negative and NaN where nothing was measured. `[H, W]`
+    pub depth: Option<Vec<f32>>,
+    /// 0 where a pixel does not count. `[H, W]`
+    pub mask: Option<Vec<u8>>,
+}
+
+impl TrainingFrame {
+    /// Checks the view and that arrays have its size.
+    ///
+    /// # Errors
+    /// Names the frame and what does not fit.
+    pub fn check(&self) -> Result<(), OptimiseError> {
+        let pixels = self.view.pixels();
+        let sizes = || {
+            self.view.check()?;
+            expect("picture", 3 * pixels, self.rgb.len())?;
+            expect("depth", pixels, self.depth.as_ref().map_or(pixels, Vec::len))?;
+            expect("mask", pixels, self.mask.as_ref().map_or(pixels, Vec::len))?;
+            within("a value of the picture", f64::NAN, self.rgb.is_finite(), "finite")
+        };
+        sizes().map_err(|error| OptimiseError::Frame {
+            frame: self.name.clone(),
+            problem: error.to_string(),
+            help: "picture, depth and mask have to have the size that its camera says",
+        })
+    }
+
+    /// Its bytes in memory, as far as they grow with the picture.
+    pub fn bytes(&self) -> usize {
+        let colors = match &self.rgb {
+            Colors::Bytes(values) => values.len(),
+            Colors::Floats(values) => 4 * values.len(),
+        };
+        colors
+            + self.depth.as_ref().map_or(0, |d| 4 * d.len())
+            + self.mask.as_ref().map_or(0, Vec::len)
+    }
+
+    /// The frame at half the size: means of four pixels, of depths those that were measured, masked
+    /// where any of the four is. A last odd row or column is left out.
+    pub fn halved(&self) -> Self {
+        let (width, height) = (self.view.width as usize / 2, self.view.height as usize / 2);
+        let from = self.view.width as usize;
+        let four = |x: usize, y: usize| {
+            let at = 2 * y * from + 2 * x;
+            [at, at + 1, at + from, at + from + 1]
+        };
+        let all = || (0..height).flat_map(move |y| (0..width).map(move |x| (x, y)));
+        let places = || all().flat_map(|(x, y)| [0, 1, 2].map(|c| four(x, y).map(|i| 3 * i + c)));
+        let rgb = match &self.rgb {
+            Colors::Bytes(v) => {
+                let mean = |at: [usize; 4]| at.iter().map(|i| u32::from(v[*i])).sum::<u32>();
+                Colors::Bytes(places().map(|at| ((mean(at) + 2) / 4) as u8).collect())
+            }
+            Colors::Floats(v) => {
+                let mean = |at: [usize; 4]| at.iter().map(|i| v[*i]).sum::<f32>() / 4.0;
+                Colors::Floats(places().map(mean).collect())
+            }
+        };
+        let depth = |of: &Vec<f32>| {
+            let mean = |(x, y): (usize, usize)| {
+                let known = four(x, y).map(|i| of[i]);
+                let (mut sum, mut count) = (0.0, 0.0);
+                for z in known.into_iter().filter(|z| *z > 0.0 && z.is_finite()) {
+                    (sum, count) = (sum + z, count + 1.0);
+                }
+                if count > 0.0 { sum / count } else { 0.0 }
+            };
+            all().map(mean).collect()
+        };
+        let mask = |of: &Vec<u8>| {
+            let least = |(x, y): (usize, usize)| four(x, y).map(|i| of[i]).into_iter().min();
+            all().map(|at| least(at).unwrap_or(0)).collect()
+        };
+        let v = &self.view;
+        let view = View {
+            fx: v.fx / 2.0,
+            fy: v.fy / 2.0,
+            cx: v.cx / 2.0,
+            cy: v.cy / 2.0,
+            width: width as u32,
+            height: height as u32,
+            ..*v
+        };
+        Self {
+            name: self.name.clone(),
+            view,
+            rgb,
+            depth: self.depth.as_ref().map(depth),
+            mask: self.mask.as_ref().map(mask),
+        }
+    }
+}
+
+/// 1.1 times the largest distance of a camera from the mean of all; 1 if all are at one place.
+pub fn scale_of_cameras(frames: &[TrainingFrame]) -> f64 {
+    let centres: Vec<[f64; 3]> = frames.iter().map(|f| f.view.centre().map(f64::from)).collect();
+    let n = centres.len().max(1) as f64;
+    let mean = [0, 1, 2].map(|k| centres.iter().map(|c| c[k]).sum::<f64>() / n);
+    let distance = |c: &[f64; 3]| (0..3).map(|k| (c[k] - mean[k]).powi(2)).sum::<f64>().sqrt();
+    let most = 1.1 * centres.iter().map(distance).fold(0.0, f64::max);
+    if most > 1e-6 { most } else { 1.0 }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    pub(crate) fn view(width: u32, height: u32) -> View {
+        View {
+            world_to_camera: [[1., 0., 0., 0.], [0., 1., 0., 0.], [0., 0., 1., 2.]],
+            fx: width as f32,
+            fy: width as f32,
+            cx: width as f32 / 2.0,
+            cy: height as f32 / 2.0,
+            width,
+            height,
+        }
+    }
+
+    #[test]
+    fn halves_by_hand() {
+        let frame = TrainingFrame {
+            name: "a".to_owned(),
+            view: view(3, 2),
+            rgb: Colors::Bytes((0..18).collect()),
+            depth: Some(vec![1.0, f32::NAN, 9.0, 0.0, 2.0, 9.0]),
+            mask: Some(vec![1, 1, 1, 1, 0, 1]),
+        };
+        frame.check().unwrap();
+        let half = frame.halved();
+        half.check().unwrap();
+        // Pixels 0, 1, 3, 4: reds 0, 3, 9, 12.
+        assert_eq!(half.rgb, Colors::Bytes(vec![6, 7, 8]));
+        assert_eq!(half.depth, Some(vec![1.5]));
+        assert_eq!(half.mask, Some(vec![0]));
+        assert_eq!((half.view.width, half.view.height, half.view.cx), (1, 1, 0.75));
+        let bad = TrainingFrame { rgb: Colors::Bytes(vec![0; 17]), ..frame };
+        let error = bad.check().unwrap_err().to_string();
+        assert!(error.contains("\"a\"") && error.contains("18") && error.contains("17"), "{error}");
+    }
+}

@@ -1,0 +1,231 @@
+//! The Gaussians that are optimised: what is stored, and what is drawn, side by side.
+
+use crate::error::OptimiseError;
+use scenesplat_rasterizer::Gaussians;
+use scenesplat_scene::GaussianScene;
+
+/// Gaussians with their stored and their activated values.
+///
+/// Centres, quaternions and harmonics are stored as they are drawn, so they exist once, in
+/// [`gaussians`](Self::gaussians); scales and opacities are stored as logarithm and logit.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Model {
+    pub(crate) gaussians: Gaussians,
+    pub(crate) log_scales: Vec<[f32; 3]>,
+    pub(crate) logits: Vec<f32>,
+}
+
+/// `1 / (1 + e^−x)`.
+pub(crate) fn sigmoid(x: f32) -> f32 {
+    1.0 / (1.0 + (-x).exp())
+}
+
+/// The inverse of [`sigmoid`], of a number between 0 and 1.
+pub(crate) fn logit(p: f32) -> f32 {
+    let p = f64::from(p);
+    (p / (1.0 - p)).ln() as f32
+}
+
+/// One Gaussian as it is stored.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Stored {
+    /// Centre, units of the world.
+    pub mean: [f32; 3],
+    /// Natural logarithms of the standard deviations.
+    pub log_scale: [f32; 3],
+    /// `w, x, y, z`, any norm.
+    pub quat: [f32; 4],
+    /// Opacity before the sigmoid.
+    pub logit: f32,
+}
+
+impl Model {
+    /// No Gaussian, harmonics of that degree, 0 to 3.
+    pub fn new(sh_degree: u8) -> Self {
+        Self { gaussians: Gaussians { sh_degree, ..Gaussians::default() }, ..Self::default() }
+    }
+
+    /// From a scene; harmonics are cut, or filled with 0, to `sh_degree`.
+    ///
+    /// # Errors
+    /// If arrays differ in length or a degree is above 3.
+    pub fn from_scene(scene: &GaussianScene, sh_degree: u8) -> Result<Self, OptimiseError> {
+        let drawn = Gaussians::from_scene(scene)?;
+        let mut model = Self::new(sh_degree);
+        let (from, to) = (3 * drawn.sh_len(), 3 * model.gaussians.sh_len());
+        let both = from.min(to);
+        let mut sh = vec![0.0; to * drawn.len()];
+        for (to, from) in sh.chunks_exact_mut(to).zip(drawn.sh.chunks_exact(from)) {
+            to[..both].copy_from_slice(&from[..both]);
+        }
+        model.gaussians = Gaussians { sh, sh_degree, ..drawn };
+        model.gaussians.check()?;
+        model.log_scales.clone_from(&scene.log_scale);
+        model.logits.clone_from(&scene.opacity_logit);
+        model.activate();
+        Ok(model)
+    }
+
+    /// Puts all arrays together; harmonics are `[N, K, 3]`.
+    ///
+    /// # Errors
+    /// If arrays differ in length or the degree is above 3.
+    pub fn from_arrays(
+        rows: &[Stored],
+        sh: Vec<f32>,
+        sh_degree: u8,
+    ) -> Result<Self, OptimiseError> {
+        let mut model = Self::new(sh_degree);
+        for row in rows {
+            model.push(row, &[]);
+        }
+        model.gaussians.sh = sh;
+        model.gaussians.check()?;
+        Ok(model)
+    }
+
+    /// Activated values.
+    pub fn gaussians(&self) -> &Gaussians {
+        &self.gaussians
+    }
+
+    /// Natural logarithms of the standard deviations. `[N, 3]`
+    pub fn log_scales(&self) -> &[[f32; 3]] {
+        &self.log_scales
+    }
+
+    /// Opacities before the sigmoid. `[N]`
+    pub fn logits(&self) -> &[f32] {
+        &self.logits
+    }
+
+    /// Number of Gaussians.
+    pub fn len(&self) -> usize {
+        self.logits.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.logits.is_empty()
+    }
+
+    /// One Gaussian as it is stored.
+    pub fn row(&self, i: usize) -> Stored {
+        Stored {
+            mean: self.gaussians.means[i],
+            log_scale: self.log_scales[i],
+            quat: self.gaussians.quats[i],
+            logit: self.logits[i],
+        }
+    }
+
+    /// Values of the harmonics of one Gaussian: `3 (degree + 1)²`.
+    pub(crate) fn sh_stride(&self) -> usize {
+        3 * self.gaussians.sh_len()
+    }
+
+    pub(crate) fn push(&mut self, row: &Stored, sh: &[f32]) {
+        let g = &mut self.gaussians;
+        g.means.push(row.mean);
+        g.quats.push(row.quat);
+        g.scales.push(row.log_scale.map(f32::exp));
+        g.opacities.push(sigmoid(row.logit));
+        g.sh.extend_from_slice(sh);
+        self.log_scales.push(row.log_scale);
+        self.logits.push(row.logit);
+    }
+
+    /// Appends a copy of a row.
+    pub(crate) fn push_copy(&mut self, i: usize) {
+        let (row, width) = (self.row(i), self.sh_stride());
+        self.push(&row, &[]);
+        self.gaussians.sh.extend_from_within(i * width..(i + 1) * width);
+    }
+
+    /// Puts a copy of row `from` at row `to`.
+    pub(crate) fn copy_row(&mut self, from: usize, to: usize) {
+        let width = self.sh_stride();
+        let g = &mut self.gaussians;
+        g.means[to] = g.means[from];
+        g.quats[to] = g.quats[from];
+        g.scales[to] = g.scales[from];
+        g.opacities[to] = g.opacities[from];
+        g.sh.copy_within(from * width..(from + 1) * width, to * width);
+        self.log_scales[to] = self.log_scales[from];
+        self.logits[to] = self.logits[from];
+    }
+
+    /// Sets opacity and scales of a row, all from activated values.
+    pub(crate) fn set_shape(&mut self, i: usize, opacity: f32, scale: [f32; 3]) {
+        self.logits[i] = logit(opacity);
+        self.log_scales[i] = scale.map(f32::ln);
+        self.gaussians.opacities[i] = sigmoid(self.logits[i]);
+        self.gaussians.scales[i] = self.log_scales[i].map(f32::exp);
+    }
+
+    /// Keeps some rows, in their order.
+    pub(crate) fn retain(&mut self, keep: &[bool]) {
+        let width = self.sh_stride();
+        let g = &mut self.gaussians;
+        retain_rows(&mut g.means, keep, 1);
+        retain_rows(&mut g.quats, keep, 1);
+        retain_rows(&mut g.scales, keep, 1);
+        retain_rows(&mut g.opacities, keep, 1);
+        retain_rows(&mut g.sh, keep, width);
+        retain_rows(&mut self.log_scales, keep, 1);
+        retain_rows(&mut self.logits, keep, 1);
+    }
+
+    /// Whether every stored value of a row is finite.
+    pub(crate) fn is_finite(&self, i: usize) -> bool {
+        let (row, width) = (self.row(i), self.sh_stride());
+        let all = |v: &[f32]| v.iter().all(|v| v.is_finite());
+        all(&row.mean)
+            && all(&row.log_scale)
+            && all(&row.quat)
+            && row.logit.is_finite()
+            && all(&self.gaussians.sh[i * width..(i + 1) * width])
+    }
+
+    /// Computes the activated values anew.
+    pub(crate) fn activate(&mut self) {
+        let g = &mut self.gaussians;
+        g.scales = self.log_scales.iter().map(|s| s.map(f32::exp)).collect();
+        g.opacities = self.logits.iter().map(|l| sigmoid(*l)).collect();
+    }
+
+    /// As a scene: quaternions of norm 1 with `w ≥ 0`.
+    pub fn to_scene(&self) -> GaussianScene {
+        let g = &self.gaussians;
+        let width = self.sh_stride();
+        let quat = |q: &[f32; 4]| {
+            let norm = q.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
+            // Without a direction it is not drawn either.
+            let factor = if norm > 0.0 { 1.0 / norm } else { 1.0 };
+            let factor = if q[0] < 0.0 { -factor } else { factor };
+            q.map(|v| (f64::from(v) * factor) as f32)
+        };
+        GaussianScene {
+            coord: g.means.clone(),
+            log_scale: self.log_scales.clone(),
+            quat: g.quats.iter().map(quat).collect(),
+            opacity_logit: self.logits.clone(),
+            sh_dc: g.sh.chunks_exact(width).map(|r| [r[0], r[1], r[2]]).collect(),
+            sh_rest: g.sh.chunks_exact(width).flat_map(|r| r[3..].iter().copied()).collect(),
+            sh_degree: g.sh_degree,
+            ..GaussianScene::default()
+        }
+    }
+}
+
+/// Keeps some rows of `width` values.
+pub(crate) fn retain_rows<T: Copy>(values: &mut Vec<T>, keep: &[bool], width: usize) {
+    let mut to = 0;
+    for (i, keep) in keep.iter().enumerate() {
+        if *keep {
+            values.copy_within(i * width..(i + 1) * width, to * width);
+            to += 1;
+        }
+    }
+    values.truncate(to * width);
+}

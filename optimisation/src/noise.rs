@@ -1,0 +1,58 @@
+//! The noise of MCMC: centres of nearly transparent Gaussians move along their own shape.
+
+use crate::Model;
+use crate::random::{Counter, Purpose};
+use rayon::prelude::*;
+use scenesplat_scene::vector::rotation;
+
+/// Opacity at which the gate is half open, and how steep it is.
+const GATE: [f32; 2] = [0.005, 100.0];
+/// A gate that is open less than this moves nothing: with the largest rate there is (80 times the scene's
+/// scale) a Gaussian of a metre by less than a micrometre.
+const CLOSED: f32 = 1e-9;
+/// Gaussians of one task.
+const CHUNK: usize = 4096;
+
+/// `Σ ξ · sigmoid(−100 (o − 0.005)) · strength`, `Σ = R S² Rᵀ`: how far a centre moves.
+pub fn displacement(
+    quat: [f32; 4],
+    scale: [f32; 3],
+    opacity: f32,
+    xi: [f32; 3],
+    strength: f32,
+) -> [f32; 3] {
+    let gate = 1.0 / (1.0 + (GATE[1] * (opacity - GATE[0])).exp());
+    let norm = quat.iter().map(|v| v * v).sum::<f32>().sqrt();
+    if !(norm > 0.0) {
+        return [0.0; 3];
+    }
+    let r = rotation(quat.map(|v| v / norm));
+    let along = |k: usize| {
+        let dot = r[0][k] * xi[0] + r[1][k] * xi[1] + r[2][k] * xi[2];
+        dot * scale[k] * scale[k]
+    };
+    let along = [along(0), along(1), along(2)];
+    let factor = gate * strength;
+    r.map(|row| factor * (row[0] * along[0] + row[1] * along[1] + row[2] * along[2]))
+}
+
+/// Moves all centres; `strength` is the learning rate of the centres times 5e5.
+pub(crate) fn add_noise(model: &mut Model, strength: f32, seed: u64, step: u64) {
+    let counter = Counter::new(seed, Purpose::Noise, step);
+    // The logistic function of more than this is closed.
+    let open = GATE[0] + (1.0 / CLOSED).ln() / GATE[1];
+    let g = &mut model.gaussians;
+    let (quats, scales, opacities) = (&g.quats, &g.scales, &g.opacities);
+    g.means.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, means)| {
+        for (k, mean) in means.iter_mut().enumerate() {
+            let i = chunk * CHUNK + k;
+            if !(opacities[i] < open) {
+                continue;
+            }
+            let by = displacement(quats[i], scales[i], opacities[i], counter.normals(i), strength);
+            for (v, by) in mean.iter_mut().zip(by) {
+                *v += by;
+            }
+        }
+    });
+}

@@ -1,0 +1,391 @@
+//! The step: draw, compare, pull back, update, refine.
+
+use crate::depth_loss::{DepthLoss, DepthScratch, depth_loss};
+use crate::error::{OptimiseError, within};
+use crate::exposure::Exposure;
+use crate::frame::{TrainingFrame, scale_of_cameras};
+use crate::image_loss::{ImageComparison, ImageLoss};
+use crate::random::{Counter, Purpose};
+use crate::settings::{DepthKind, OptimiseSettings, SceneScale, StepOrder, Strategy};
+use crate::strategy::{DoublingState, Refined};
+use crate::{Adam, AdamSettings, Model};
+use scenesplat_rasterizer::backward::{
+    GradMask, Gradients, Trace, TraceRequest, Upstream, backward_into, trace,
+};
+
+/// What a step did.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct StepReport {
+    /// Number of the step, from 0.
+    pub step: u64,
+    /// Number of the frame.
+    pub frame: usize,
+    /// L1, SSIM and their sum.
+    pub image: ImageLoss,
+    /// Depth; no pixel counts where there is no such loss.
+    pub depth: DepthLoss,
+    /// Gaussians after it.
+    pub gaussians: usize,
+    /// Gaussians in the picture.
+    pub visible: usize,
+    /// What the strategy did.
+    pub refined: Refined,
+}
+
+impl StepReport {
+    /// Of the picture as it was drawn, before the update; dB.
+    pub fn psnr(&self) -> f64 {
+        -10.0 * self.image.mse.log10()
+    }
+}
+
+/// A scene in the making.
+///
+/// A step depends on settings, frames, its number and the state before it, and on nothing else.
+#[derive(Debug)]
+pub struct Optimiser {
+    pub(crate) settings: OptimiseSettings,
+    pub(crate) scene_scale: f64,
+    pub(crate) model: Model,
+    pub(crate) adam: Adam,
+    pub(crate) doubling: DoublingState,
+    pub(crate) exposure: Exposure,
+    pub(crate) step: u64,
+    gradients: Gradients,
+    order: FrameOrder,
+    buffers: Buffers,
+}
+
+/// Memory that steps use again.
+#[derive(Debug, Default)]
+struct Buffers {
+    /// One for each size of pictures.
+    comparisons: Vec<ImageComparison>,
+    truth: Vec<f32>,
+    exposed: Vec<f32>,
+    slope: Vec<f32>,
+    depth_slope: Vec<f32>,
+    depth: DepthScratch,
+}
+
+impl Optimiser {
+    /// Begins with a model.
+    ///
+    /// # Errors
+    /// If there is no frame or no Gaussian, or a setting or a frame is out of range.
+    pub fn new(
+        model: Model,
+        frames: &[TrainingFrame],
+        settings: OptimiseSettings,
+    ) -> Result<Self, OptimiseError> {
+        settings.check()?;
+        if frames.is_empty() {
+            let problem = "there are 0".to_owned();
+            let help = "give cameras whose pictures are there";
+            return Err(OptimiseError::NoFrames { problem, help });
+        }
+        frames.iter().try_for_each(TrainingFrame::check)?;
+        if model.is_empty() {
+            let problem = "the model has 0 Gaussians".to_owned();
+            let help = "give points, depth, or ask for random ones";
+            return Err(OptimiseError::NoPoints { problem, help });
+        }
+        model.gaussians().check()?;
+        let degree = model.gaussians().sh_degree;
+        let good = degree == settings.initial.sh_degree;
+        within("degree of the model's harmonics", degree.into(), good, "that of the settings")?;
+        let scene_scale = match settings.scene_scale {
+            SceneScale::Fixed(scale) => scale,
+            SceneScale::FromCameras => scale_of_cameras(frames),
+        };
+        let adam = Adam::new(&model, AdamSettings::default());
+        let mut this = Self {
+            settings,
+            scene_scale,
+            adam,
+            gradients: Gradients::default(),
+            doubling: DoublingState::default(),
+            exposure: Exposure::new(if settings.exposure { frames.len() } else { 0 }),
+            order: FrameOrder::default(),
+            buffers: Buffers::default(),
+            step: 0,
+            model,
+        };
+        this.fit_gradients();
+        Ok(this)
+    }
+
+    /// The Gaussians as they are.
+    pub fn model(&self) -> &Model {
+        &self.model
+    }
+
+    /// What it does.
+    pub fn settings(&self) -> &OptimiseSettings {
+        &self.settings
+    }
+
+    /// How large the scene is taken to be.
+    pub fn scene_scale(&self) -> f64 {
+        self.scene_scale
+    }
+
+    /// Steps so far.
+    pub fn steps_done(&self) -> u64 {
+        self.step
+    }
+
+    /// Exposures of the frames; empty unless they are learned.
+    pub fn exposure(&self) -> &Exposure {
+        &self.exposure
+    }
+
+    /// `λ · mean(opacity) + λ · mean(scale)`: what the loss has beside the pictures.
+    pub fn regularisation(&self) -> f64 {
+        let mean = |v: &[f32]| v.iter().map(|v| f64::from(*v)).sum::<f64>() / v.len().max(1) as f64;
+        let g = self.model.gaussians();
+        f64::from(self.settings.opacity_reg) * mean(&g.opacities)
+            + f64::from(self.settings.scale_reg) * mean(g.scales.as_flattened())
+    }
+
+    /// The frame of the next step: every epoch another order, each frame once.
+    pub fn next_frame(&mut self, frames: usize) -> usize {
+        self.order.at(self.settings.seed, self.step, frames)
+    }
+
+    /// One step with the frame whose turn it is.
+    ///
+    /// # Errors
+    /// As [`step_with`](Self::step_with).
+    pub fn step(&mut self, frames: &[TrainingFrame]) -> Result<StepReport, OptimiseError> {
+        let number = self.next_frame(frames.len());
+        self.step_with(&frames[number], number)
+    }
+
+    /// One step with a frame and its number.
+    ///
+    /// # Errors
+    /// If the loss is not finite, or the rasterizer refuses what it is given. The state is then that of
+    /// the step before.
+    pub fn step_with(
+        &mut self,
+        frame: &TrainingFrame,
+        number: usize,
+    ) -> Result<StepReport, OptimiseError> {
+        let half = (self.step < self.settings.half_steps).then(|| frame.halved());
+        let used = half.as_ref().filter(|half| {
+            let least = self.settings.ssim_border.least_side() as u32;
+            half.view.width.min(half.view.height) >= least.max(1)
+        });
+        let frame = used.unwrap_or(frame);
+        let mut report = self.pull(frame, number)?;
+        report.refined = self.update(report.visible_screen(frame))?;
+        report.gaussians = self.model.len();
+        self.step += 1;
+        Ok(report.done())
+    }
+
+    /// Draws, compares, and adds the derivatives to `gradients`.
+    fn pull(&mut self, frame: &TrainingFrame, number: usize) -> Result<Pulled, OptimiseError> {
+        let settings = &self.settings;
+        let mut raster = settings.raster();
+        if settings.random_background {
+            let units = Counter::new(settings.seed, Purpose::Background, self.step).units(0);
+            raster.background = Some([units[0] as f32, units[1] as f32, units[2] as f32]);
+        }
+        let term = settings.depth.filter(|d| d.weight > 0.0);
+        let measured = term.and_then(|term| Some((term, frame.depth.as_ref()?)));
+        let request = TraceRequest {
+            rgb: true,
+            depth: measured.is_some(),
+            sh_degree: Some(settings.sh_degree_at(self.step)),
+        };
+        let traced = trace(&self.model.gaussians, &frame.view, &raster, request)?;
+        let rgb = traced.picture.rgb.as_deref().unwrap_or_default();
+        let b = &mut self.buffers;
+        frame.rgb.put(&mut b.truth);
+        b.slope.resize(rgb.len(), 0.0);
+        let size = [frame.view.width as usize, frame.view.height as usize];
+        let at = match b.comparisons.iter().position(|c| c.size() == size) {
+            Some(at) => at,
+            None => {
+                b.comparisons.push(ImageComparison::new(size[0], size[1], settings.image())?);
+                b.comparisons.len() - 1
+            }
+        };
+        let mask = frame.mask.as_deref();
+        if settings.exposure {
+            self.exposure.apply(number, rgb, &mut b.exposed);
+        }
+        let pred = if settings.exposure { &b.exposed[..] } else { rgb };
+        let image = b.comparisons[at].compare(pred, &b.truth, mask, &mut b.slope)?;
+        let mut depth = DepthLoss::default();
+        let mut upstream = Upstream::default();
+        if let Some((term, measured)) = measured {
+            let drawn = match term.kind {
+                DepthKind::Accumulated => traced.picture.depth_accumulated.as_deref(),
+                DepthKind::Expected => traced.picture.depth_expected.as_deref(),
+            };
+            let (drawn, slope) = (drawn.unwrap_or_default(), &mut b.depth_slope);
+            slope.resize(drawn.len(), 0.0);
+            let (scratch, rule) = (&mut b.depth, term.outliers);
+            depth = depth_loss(drawn, measured, mask, rule, term.weight, scratch, slope)?;
+            match term.kind {
+                DepthKind::Accumulated => upstream.depth_accumulated = Some(&b.depth_slope),
+                DepthKind::Expected => upstream.depth_expected = Some(&b.depth_slope),
+            }
+        }
+        if !image.loss.is_finite() || !depth.mean.is_finite() {
+            let value = if image.loss.is_finite() { depth.mean } else { image.loss };
+            let (step, frame) = (self.step, frame.name.clone());
+            return Err(OptimiseError::NotFinite { step, frame, value });
+        }
+        if settings.exposure {
+            self.exposure.learn(number, rgb, &mut b.slope, settings.rates.exposure);
+        }
+        upstream.rgb = Some(&b.slope);
+        let (model, all) = (&self.model.gaussians, GradMask::all());
+        let gradients = &mut self.gradients;
+        backward_into(model, &frame.view, &raster, &traced, &upstream, all, gradients)?;
+        let visible = traced.projected.len();
+        let report = StepReport {
+            step: self.step,
+            frame: number,
+            image,
+            depth,
+            visible,
+            ..StepReport::default()
+        };
+        Ok(Pulled { report, refined: Refined::default(), gaussians: 0, trace: traced })
+    }
+
+    /// Adam and the strategy, in their order.
+    fn update(&mut self, (trace, size): (&Trace, [u32; 2])) -> Result<Refined, OptimiseError> {
+        let rates = self.settings.rates_at(self.step, self.scene_scale);
+        if matches!(self.settings.strategy, Strategy::Default(_)) {
+            self.doubling.add(&self.gradients.screen, &trace.projected.index, size);
+        }
+        let refined = match self.settings.order {
+            StepOrder::Gsplat13 => {
+                let refined = self.refine(rates.means);
+                if !refined.is_any() {
+                    self.adam_step(&rates);
+                }
+                refined
+            }
+            StepOrder::Gsplat16 => {
+                self.adam_step(&rates);
+                let next = self.settings.means_rate(self.step + 1, self.scene_scale);
+                self.refine(next)
+            }
+        };
+        if refined.is_any() {
+            self.fit_gradients();
+        } else {
+            self.gradients.screen.fill([0.0; 2]);
+        }
+        Ok(refined)
+    }
+
+    fn adam_step(&mut self, rates: &crate::Rates) {
+        let degree = self.settings.sh_degree_at(self.step);
+        let regularisers = self.settings.regularisers();
+        self.adam.step(&mut self.model, &mut self.gradients, rates, regularisers, degree);
+    }
+
+    fn refine(&mut self, means_rate: f64) -> Refined {
+        let (seed, step) = (self.settings.seed, self.step);
+        let both = (&mut self.model, &mut self.adam);
+        match &self.settings.strategy {
+            Strategy::Mcmc(mcmc) => {
+                let refined = mcmc.refine(both.0, both.1, seed, step);
+                mcmc.shake(&mut self.model, means_rate, seed, step);
+                refined
+            }
+            Strategy::Default(settings) => {
+                settings.refine(&mut self.doubling, both, self.scene_scale, seed, step)
+            }
+            Strategy::Fixed => Refined::default(),
+        }
+    }
+
+    /// Makes the gradients zeros of the model's size.
+    pub(crate) fn fit_gradients(&mut self) {
+        let (n, g) = (self.model.len(), &mut self.gradients);
+        let screen = if matches!(self.settings.strategy, Strategy::Default(_)) { n } else { 0 };
+        zeros(&mut g.means, n);
+        zeros(&mut g.quats, n);
+        zeros(&mut g.scales, n);
+        zeros(&mut g.opacities, n);
+        zeros(&mut g.sh, n * self.model.sh_stride());
+        zeros(&mut g.screen, screen);
+    }
+}
+
+fn zeros<T: Copy + Default>(values: &mut Vec<T>, len: usize) {
+    values.clear();
+    values.resize(len, T::default());
+}
+
+/// A step whose derivatives are known.
+struct Pulled {
+    report: StepReport,
+    refined: Refined,
+    gaussians: usize,
+    trace: Trace,
+}
+
+impl Pulled {
+    fn visible_screen(&self, frame: &TrainingFrame) -> (&Trace, [u32; 2]) {
+        (&self.trace, [frame.view.width, frame.view.height])
+    }
+
+    fn done(self) -> StepReport {
+        StepReport { refined: self.refined, gaussians: self.gaussians, ..self.report }
+    }
+}
+
+/// Which frame comes when.
+#[derive(Debug, Default)]
+struct FrameOrder {
+    epoch: Option<u64>,
+    order: Vec<usize>,
+}
+
+impl FrameOrder {
+    fn at(&mut self, seed: u64, step: u64, frames: usize) -> usize {
+        let (epoch, place) = (step / frames as u64, (step % frames as u64) as usize);
+        if self.epoch != Some(epoch) || self.order.len() != frames {
+            self.epoch = Some(epoch);
+            self.order.clear();
+            self.order.extend(0..frames);
+            let counter = Counter::new(seed, Purpose::Order, epoch);
+            for last in (1..frames).rev() {
+                let [word, ..] = counter.words(last);
+                let other = (u64::from(word) * (last as u64 + 1)) >> 32;
+                self.order.swap(last, other as usize);
+            }
+        }
+        self.order[place]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_epoch_has_every_frame_once() {
+        let mut order = FrameOrder::default();
+        let mut epochs = Vec::new();
+        for epoch in 0..3u64 {
+            let mut seen: Vec<usize> = (0..10).map(|i| order.at(5, 10 * epoch + i, 10)).collect();
+            epochs.push(seen.clone());
+            seen.sort_unstable();
+            assert_eq!(seen, (0..10).collect::<Vec<_>>());
+        }
+        assert_ne!(epochs[0], epochs[1]);
+        // The same without what came before: a resume.
+        assert_eq!(FrameOrder::default().at(5, 23, 10), epochs[2][3]);
+    }
+}
