@@ -27,10 +27,11 @@ use scenesplat_trainers::tasks::{
     Distillation, LanguagePretraining, SemanticSegmentation, TargetSource, TaskModule,
 };
 use scenesplat_trainers::{
-    AdamW, Evaluator, Identity, Optimizer, Progress, Schedule, Trainer, TrainerConfig,
-    TrainingModule, WithWeightDecay, group_by_keyword,
+    AdamW, Alone, Collective, Evaluator, Identity, Optimizer, Progress, Schedule, Trainer,
+    TrainerConfig, TrainingModule, WithWeightDecay, group_by_keyword,
 };
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -80,8 +81,26 @@ pub struct RunReport {
 /// If the experiment does not fit together, data cannot be read, training fails, or another run is
 /// writing to the same folder.
 pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunReport> {
-    let lock = || FolderLock::acquire(&options.out);
-    let early = options.out.is_dir().then(lock).transpose()?;
+    train_together(config, options, Rc::new(Alone))
+}
+
+/// As [`train`], as one of several ranks, on each of which the same is called: each takes an equal part of the batches
+/// of a step, and rank 0 alone writes. The folder has to be one that all of them read.
+///
+/// # Errors
+/// As [`train`]; also if the batches of a step (`trainer.accumulate`) cannot be shared evenly, or another rank is gone.
+pub fn train_together(
+    config: &ExperimentConfig,
+    options: &RunOptions,
+    collective: Rc<dyn Collective>,
+) -> Result<RunReport> {
+    let leads = collective.rank() == 0;
+    // Rank 0 holds it for all.
+    let lock = || leads.then(|| FolderLock::acquire(&options.out)).transpose();
+    let early = match options.out.is_dir() {
+        true => lock()?,
+        false => None,
+    };
     let checkpoints = options.out.join("checkpoints");
     let newest = newest_checkpoint(&checkpoints)?;
     match (options.resume, &newest) {
@@ -99,7 +118,7 @@ pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunRepor
     check_texts(config, text.as_ref())?;
     std::fs::create_dir_all(&options.out).map_err(ExperimentError::io(&options.out))?;
     // Held until the end, also against a run that found no folder a moment ago.
-    let _lock = early.map_or_else(lock, Ok)?;
+    let _lock = early.map_or_else(lock, |lock| Ok(Some(lock)))?;
     let (params, mut remarks) = parameters(config)?;
     let loss_texts = match &text {
         Some(t) => Some(TextColumns::new(&t.table.values, t.table.dim)?),
@@ -121,6 +140,7 @@ pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunRepor
         },
         classes: text.as_ref().map(|t| t.table.names.clone()),
         teacher: teacher.as_ref().map(|t| Arc::clone(&t.record)),
+        collective,
     };
     let mut loader = data::loader(config, teacher.as_ref())?;
     let network = || config.network()?.model.build(params.builder()).map_err(ExperimentError::from);
@@ -158,8 +178,11 @@ pub fn train(config: &ExperimentConfig, options: &RunOptions) -> Result<RunRepor
             run.fit(&module, &mut *loader, &mut segmentation(config, text.as_ref())?)?
         }
     };
-    let log = read_json_lines(&options.out.join("metrics.jsonl"))?;
     let curves = options.out.join("curves.png");
+    let log = match leads {
+        true => read_json_lines(&options.out.join("metrics.jsonl"))?,
+        false => Vec::new(),
+    };
     if !log.is_empty() {
         let title = options.out.file_name().map_or("run".into(), |n| n.to_string_lossy());
         write_curves(&log, &title, &curves)?;
@@ -259,6 +282,7 @@ struct Run<'a> {
     losses: Vec<String>,
     classes: Option<Vec<String>>,
     teacher: Option<Arc<TeacherRecord>>,
+    collective: Rc<dyn Collective>,
 }
 
 /// The exported model, with what is to be said about it.
@@ -279,11 +303,16 @@ impl Run<'_> {
             optimizer(&self.config.optimizer, module.params())?,
             schedule(self.config)?,
         )?
-        .with_callback(JsonLines::new(&out.join("metrics.jsonl")))
-        .with_callback(TensorBoard::new(&out.join("tensorboard")))
+        .with_collective(Rc::clone(&self.collective))
         .with_identity(self.identity.clone())
         .with_stop(self.options.stop.clone());
-        if !self.options.quiet {
+        let leads = self.collective.rank() == 0;
+        if leads {
+            trainer = trainer
+                .with_callback(JsonLines::new(&out.join("metrics.jsonl")))
+                .with_callback(TensorBoard::new(&out.join("tensorboard")));
+        }
+        if leads && !self.options.quiet {
             trainer = trainer.with_callback(Console::new());
         }
         if let Some(e) = &self.config.early_stopping {
@@ -297,6 +326,10 @@ impl Run<'_> {
             Some(dir) => trainer.load_checkpoint(dir, module).at(|| dir.display().to_string())?,
             None => Progress::default(),
         };
+        if !leads {
+            let progress = trainer.fit(module, loader, evaluators, start)?;
+            return Ok((progress, (out.join("model"), Vec::new())));
+        }
         // Not before: a run that is refused leaves the record of the first one.
         let record = self.record(&trainer.identity()?.hash(), start);
         write(&out.join("config.toml"), &toml::to_string_pretty(self.config)?)?;

@@ -17,6 +17,7 @@ use candle_core::Var;
 use scenesplat_datasets::{BatchLoader, BatchPart, LeftOut};
 use scenesplat_models::{ParamStore, Recompute};
 use std::collections::{BTreeMap, BTreeSet};
+use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
@@ -43,7 +44,7 @@ pub struct Trainer {
     /// What was said of the data, by the name of who reads them.
     said: BTreeMap<String, LeftOut>,
     resumed: Option<CheckpointState>,
-    collective: Box<dyn Collective>,
+    collective: Rc<dyn Collective>,
     /// Whether a rank was asked to stop, as all know.
     agreed_stop: bool,
     /// Since the last line of the log: time that putting gradients together took, and their bytes.
@@ -90,7 +91,7 @@ impl Trainer {
             evaluation_due: false,
             said: BTreeMap::new(),
             resumed: None,
-            collective: Box::new(Alone),
+            collective: Rc::new(Alone),
             agreed_stop: false,
             together_seconds: 0.0,
             together_bytes: 0,
@@ -116,7 +117,7 @@ impl Trainer {
     /// Rank 0 evaluates, and writes checkpoints; callbacks are called on every rank that has some, and if one asks to
     /// stop, it has to do so on all.
     #[must_use]
-    pub fn with_collective(mut self, collective: Box<dyn Collective>) -> Self {
+    pub fn with_collective(mut self, collective: Rc<dyn Collective>) -> Self {
         self.collective = collective;
         self
     }

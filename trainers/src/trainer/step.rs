@@ -107,8 +107,12 @@ impl Trainer {
     ) -> Result<GradStore, TrainError> {
         let part = self.part();
         let first = *place + part.first as u64;
-        let add = |mut sum: GradStore, mut new: GradStore| {
-            add_gradients(&mut sum, &mut new, &run.params).map(|()| sum)
+        // An empty batch has its place among them: which are added first shall not depend on who has it.
+        let add = |sum: Option<GradStore>, new: Option<GradStore>| match (sum, new) {
+            (Some(mut sum), Some(mut new)) => {
+                add_gradients(&mut sum, &mut new, &run.params).map(|()| Some(sum))
+            }
+            (sum, new) => Ok(sum.or(new)),
         };
         let (mut grads, mut shares) = (InPairs::new(), Vec::with_capacity(part.count));
         for place in first..first + part.count as u64 {
@@ -119,6 +123,7 @@ impl Trainer {
             let batch = &batches[batches.len() - 1];
             if run.module.is_empty(batch) {
                 shares.push(Share::default());
+                grads.push(None, add)?;
                 continue;
             }
             let (mut new, share) = if self.is_alone() {
@@ -136,10 +141,10 @@ impl Trainer {
             // Only those of parameters, and none that points into the graph.
             let mut own = GradStore::default();
             add_gradients(&mut own, &mut new, &run.params)?;
-            grads.push(own, add)?;
+            grads.push(Some(own), add)?;
             shares.push(share);
         }
-        let grads = grads.finish(add)?.unwrap_or_default();
+        let grads = grads.finish(add)?.flatten().unwrap_or_default();
         *place += self.config.accumulate;
         let (grads, shares) = self.together(run, grads, shares, at)?;
         let weight = 1.0 / self.config.accumulate as f64;

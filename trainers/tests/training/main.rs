@@ -15,6 +15,7 @@ mod nothing;
 mod optimizer;
 mod own_task;
 mod pipeline;
+mod ranks;
 mod resume;
 mod schedules;
 mod self_distillation;

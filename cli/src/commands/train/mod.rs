@@ -1,19 +1,23 @@
 //! `scenesplat train`
 
+mod ranks;
+
 use crate::progress::{interrupted, listen_for_interrupt};
 use crate::session::set_threads;
 use crate::terminal::print;
 use anyhow::{Result, anyhow};
-use scenesplat::experiment::{ExperimentConfig, ExperimentError, RunOptions, train};
+use scenesplat::experiment::{ExperimentConfig, ExperimentError, RunOptions, train_together};
 use scenesplat::trainers::checkpoint::newest_checkpoint;
 use std::path::PathBuf;
+use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 /// Trains a network as a file says; can be interrupted and resumed.
 ///
-/// Ctrl-C saves and stops; `--resume` goes on, with the bits that an uninterrupted run has.
+/// Ctrl-C saves and stops; `--resume` goes on, with the bits that an uninterrupted run has. Built with the feature mpi
+/// and started by mpirun or srun, the ranks share the batches of each step (docs/training.md).
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The experiment: data, network, losses, optimizer (see configs/).
@@ -60,7 +64,11 @@ pub fn run(args: &Args) -> Result<()> {
     listen_for_interrupt()?;
     let stop = Arc::new(AtomicBool::new(false));
     watch(Arc::clone(&stop));
-    let report = train(
+    let ranks = ranks::start()?;
+    if ranks.size() > 1 && ranks.rank() == 0 {
+        print(&format!("{} ranks share the batches of each step", ranks.size()));
+    }
+    let done = train_together(
         &config,
         &RunOptions {
             out,
@@ -69,6 +77,7 @@ pub fn run(args: &Args) -> Result<()> {
             stop,
             commit: option_env!("SCENESPLAT_COMMIT").map(str::to_owned),
         },
+        Rc::clone(&ranks),
     )
     .map_err(|error| match error {
         ExperimentError::HoldsRun { path } => anyhow!(
@@ -76,7 +85,11 @@ pub fn run(args: &Args) -> Result<()> {
             path.display()
         ),
         other => other.into(),
-    })?;
+    });
+    let report = ranks::all_end(&*ranks, done)?;
+    if ranks.rank() != 0 {
+        return Ok(());
+    }
     for remark in &report.remarks {
         print(remark);
     }
