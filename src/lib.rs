@@ -2,7 +2,7 @@
 //!
 //! The crates behind this facade: [`scene`] (scenes and their files), [`kernels`] (algorithms on
 //! slices), [`datasets`] (from scenes to network input), [`models`] (networks and weights),
-//! [`metrics`] (labels, votes, evaluation, pictures), [`rasterizer`] (pictures of scenes), [`optimisation`] (scenes from pictures), [`trainers`]
+//! [`metrics`] (labels, votes, evaluation, pictures), [`rasterizer`] (pictures of scenes), [`optimisation`] (scenes from pictures), [`collection`] (features of the segments of pictures), [`trainers`]
 //! (optimizers and schedules), [`rooms`] (synthetic rooms), [`objects`] (instances and boxes), [`sentences`] (phrases as vectors). This crate adds
 //! what joins them: [`Network`] (a configuration with its weights), [`SceneEncoder`] (a scene in,
 //! features out), [`labels`], [`query`], [`phrases`], [`evaluation`], [`experiment`], [`page`] (a scene to look at in a browser) and what the commands write.
@@ -58,6 +58,7 @@ pub use alignment::{Alignment, AlignmentSettings};
 pub use inference::{EncodeError, SceneEncoder, SceneFeatures};
 pub use network::{Network, NetworkConfig, NetworkOutput, WeightOptions, Weights};
 pub use object_picture::object_picture;
+pub use scenesplat_collection as collection;
 pub use scenesplat_datasets as datasets;
 pub use scenesplat_kernels as kernels;
 pub use scenesplat_losses as losses;

@@ -265,6 +265,12 @@ impl Receipt {
         Ok(())
     }
 
+    /// The hash of the last file of a role that was noted.
+    pub fn sha256_of_role(&self, role: &str) -> Option<String> {
+        let report = self.report.borrow();
+        report.files.iter().rev().find(|file| file.role == role).map(|file| file.sha256.clone())
+    }
+
     /// Notes what was decided about a scene of so many Gaussians.
     pub fn plan(&self, gaussians: usize, section: PlanSection) {
         self.with_plan(gaussians, |plan| plan.put(section));

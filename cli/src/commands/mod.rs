@@ -4,6 +4,7 @@ mod bench;
 mod chunk;
 mod classes;
 mod codes;
+mod collect_labels;
 mod compare;
 mod convert;
 mod curate;
@@ -60,6 +61,8 @@ enum Command {
     View(view::Args),
     /// Says what phrases mean to the network inside the program, and writes text embeddings of them.
     Text(text::Args),
+    /// Makes language labels of Gaussians from posed pictures: segments, their features, lifting.
+    CollectLabels(collect_labels::Args),
     /// Lifts labels of pictures onto the Gaussians.
     LiftLabels(lift_labels::Args),
     /// Measures labels against the truth that scenes carry.
@@ -139,6 +142,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Objects(args) => objects::run(args, &line),
         Command::View(args) => view::run(args, &line),
         Command::Text(args) => text::run(args),
+        Command::CollectLabels(args) => collect_labels::run(args, &line),
         Command::LiftLabels(args) => lift_labels::run(args, &line),
         Command::Evaluate(args) => evaluate::run(args, &line),
         Command::Merge(args) => merge::run(args, &line),

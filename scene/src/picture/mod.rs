@@ -4,9 +4,11 @@
 //! memory is reserved: by [`MAX_PIXELS`], and for PNG by what its bytes can unpack to.
 
 mod jpeg;
+mod orientation;
 mod png;
 mod rgb;
 
+pub use orientation::orientation;
 pub use rgb::RgbPicture;
 
 use crate::SceneError;

@@ -124,7 +124,7 @@ pub enum FrameWeightsArg {
 
 impl FrameWeightsArg {
     /// What was measured to be worth it (docs/lifting.md).
-    const DEFAULT: Self = Self::Auto;
+    pub const DEFAULT: Self = Self::Auto;
 }
 
 /// When to guard.

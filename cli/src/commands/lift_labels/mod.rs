@@ -13,49 +13,85 @@ mod write;
 use super::WrongUse;
 use crate::session::Session;
 use anyhow::Result;
-pub use args::Args;
+pub use args::{Args, FrameWeightsArg, RobustArg, RobustRuleArg, RuleArg};
 use clap::ValueEnum;
 use collect::Guard;
+pub use depth::DepthArg;
 use pictures::Pictures;
+use scenesplat::datasets::effects::plan::EffectPlan;
 use scenesplat::memory::Bytes;
 use scenesplat::outputs::OpenedScene;
 use scenesplat::rasterizer::Gaussians;
 use scenesplat::rasterizer::lifting::LiftSettings;
+use scenesplat::rasterizer::segments::{CameraMatches, SegmentFolder};
+use scenesplat::scene::Camera;
+pub use write::FILES;
 
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start(&args.shared, line)?;
     // Whatever can be wrong with flags and names is found before anything expensive.
-    args.finalise(&Guard::default()).check().map_err(|e| WrongUse(e.to_string()))?;
-    args.check_memory()?;
-    args.check_effects()?;
+    args.check()?;
     for path in [&args.scene, &args.cameras, &args.segments] {
         session.outputs.reads(path)?;
     }
     let before = args.plan_before(&session)?;
     let (cameras, folder, matches) = args.pictures(&session)?;
-    let views = pictures::views(&cameras, &matches, &args.cameras)?;
-    session.make_out(if args.level.len() == 1 { &write::FILES } else { &[] })?;
+    pictures::views(&cameras, &matches, &args.cameras)?;
+    session.make_out(if args.level.len() == 1 { &FILES } else { &[] })?;
     let opened = args.open(&session)?;
     let gaussians = Gaussians::from_scene(&opened.loaded.scene)?;
     args.record(&session)?;
-    let pictures = Pictures::new(&folder, pictures::paired(&views, &matches), &args.depth);
-    let settings = args.settings(args.decide_depth(&session, &gaussians, &pictures)?);
-    let with_frames = cameras.iter().zip(&matches.frames).filter(|(_, frame)| frame.is_some());
-    let with_frames: Vec<_> = with_frames.map(|(camera, _)| camera).collect();
-    let weights = args.weigh(&session, &gaussians, &pictures, &with_frames)?;
-    let glass = args.decide_glass(&session, &opened.loaded.scene, before.as_ref())?;
-    let mut lifter = args.lift(&session, &gaussians, &pictures, &weights, &settings, &glass)?;
-    args.note_glass(&session, &lifter, glass);
-    for (number, &level) in args.level.iter().enumerate() {
-        let guard = args.decide(&session, &mut lifter, number, level)?;
-        args.write(&session, &opened, &mut lifter, number, level, guard)?;
-    }
-    session.progress.say(session.receipt.plan_text(plan::LIFTING));
+    let labels = PictureLabels { cameras, folder, matches };
+    args.lift_onto(&session, &opened, &gaussians, &labels, before.as_ref())?;
     session.finish()
 }
 
+/// Pictures whose segments have features.
+pub(super) struct PictureLabels {
+    /// All of a file, in its order.
+    pub(super) cameras: Vec<Camera>,
+    /// Their maps and features.
+    pub(super) folder: SegmentFolder,
+    /// Which frame belongs to which camera.
+    pub(super) matches: CameraMatches,
+}
+
 impl Args {
+    /// Refuses settings that could not be kept.
+    pub(super) fn check(&self) -> Result<()> {
+        self.finalise(&Guard::default()).check().map_err(|e| WrongUse(e.to_string()))?;
+        self.check_memory()?;
+        self.check_effects()
+    }
+
+    /// Lifts labels onto the Gaussians of a scene, writes the files, and says what was decided.
+    pub(super) fn lift_onto(
+        &self,
+        session: &Session<'_>,
+        opened: &OpenedScene,
+        gaussians: &Gaussians,
+        labels: &PictureLabels,
+        before: Option<&EffectPlan>,
+    ) -> Result<()> {
+        let PictureLabels { cameras, folder, matches } = labels;
+        let views = pictures::views(cameras, matches, &self.cameras)?;
+        let pictures = Pictures::new(folder, pictures::paired(&views, matches), &self.depth);
+        let settings = self.settings(self.decide_depth(session, gaussians, &pictures)?);
+        let with_frames = cameras.iter().zip(&matches.frames).filter(|(_, frame)| frame.is_some());
+        let with_frames: Vec<_> = with_frames.map(|(camera, _)| camera).collect();
+        let weights = self.weigh(session, gaussians, &pictures, &with_frames)?;
+        let glass = self.decide_glass(session, &opened.loaded.scene, before)?;
+        let mut lifter = self.lift(session, gaussians, &pictures, &weights, &settings, &glass)?;
+        self.note_glass(session, &lifter, glass);
+        for (number, &level) in self.level.iter().enumerate() {
+            let guard = self.decide(session, &mut lifter, number, level)?;
+            self.write(session, opened, &mut lifter, number, level, guard)?;
+        }
+        session.progress.say(session.receipt.plan_text(plan::LIFTING));
+        Ok(())
+    }
+
     /// Refuses a limit that could not be kept.
     fn check_memory(&self) -> Result<()> {
         // Trying depth agreement takes two lists of weights.

@@ -10,7 +10,7 @@ use scenesplat::scene::formats::npy_writer::{NpyElement, NpyRowWriter, write_npy
 use std::path::{Path, PathBuf};
 
 /// The files of one granularity, with the picture of them.
-pub(super) const FILES: [&str; 6] = [
+pub const FILES: [&str; 6] = [
     "lang_feat.npy",
     "valid_feat_mask.npy",
     "confidence.npy",

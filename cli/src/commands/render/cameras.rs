@@ -99,7 +99,7 @@ fn without_ending(file: &str) -> &str {
 }
 
 /// The name of a picture without folder and ending, fit for a file name.
-fn picture_name(name: &str, index: usize) -> String {
+pub fn picture_name(name: &str, index: usize) -> String {
     let file = name.rsplit(['/', '\\']).next().unwrap_or(name);
     let fit = |c: char| if c.is_control() || ":*?\"<>|".contains(c) { '_' } else { c };
     let name: String = without_ending(file).chars().map(fit).collect();

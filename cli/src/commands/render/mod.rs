@@ -5,7 +5,8 @@ mod cameras;
 mod effects;
 mod free;
 mod parse;
-pub(super) use parse::parse_size;
+pub(super) use cameras::picture_name;
+pub(super) use parse::{parse_fov, parse_size};
 
 use super::WrongUse;
 use crate::session::Session;

@@ -1,0 +1,180 @@
+//! The flags of `collect-labels`.
+
+use crate::commands::WrongUse;
+use crate::commands::lift_labels::{
+    self, DepthArg, FrameWeightsArg, RobustArg, RobustRuleArg, RuleArg,
+};
+use crate::commands::many::Many;
+use crate::commands::render::{parse_fov, parse_size};
+use crate::flags::{Shared, SourceArgs, parse_up};
+use anyhow::Result;
+use clap::ValueEnum;
+use clap::builder::TypedValueParser;
+use scenesplat::datasets::effects::plan::EffectChoices;
+use scenesplat::memory::Bytes;
+use scenesplat::scene::{ReadOptions, UpAxis};
+use std::path::{Path, PathBuf};
+
+/// Makes language labels from posed pictures: cuts each into segments, describes these by three crops, and lifts the
+/// features onto the Gaussians. Writes what `lift-labels` writes (lang_feat.npy, valid_feat_mask.npy,
+/// confidence.npy, …), and the segments of each picture into frames, from where a run that was stopped goes on.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The scene, in any format.
+    pub scene: PathBuf,
+    /// cameras.json, transforms.json or a COLMAP folder; pinhole cameras in the frame of the scene.
+    #[arg(long, value_name = "PATH", requires = "images")]
+    pub cameras: Option<PathBuf>,
+    /// Folder with the photos of these cameras, .png or .jpg.
+    #[arg(long, value_name = "DIR", requires = "cameras")]
+    pub images: Option<PathBuf>,
+    /// Instead of photos: so many pictures of the scene itself, from cameras that are planned to show most of it.
+    #[arg(long, value_name = "N", conflicts_with_all = ["cameras", "images"],
+          value_parser = clap::value_parser!(u16).range(1..=10_000))]
+    pub render: Option<u16>,
+    /// Size of these pictures.
+    #[arg(long, value_name = "WxH", default_value = "640x480", value_parser = parse_size)]
+    pub size: [u32; 2],
+    /// Angle of view of these pictures across the shorter side, degrees.
+    #[arg(long, value_name = "DEGREES", default_value_t = 75.0, value_parser = parse_fov)]
+    pub fov: f64,
+    /// Takes at most so many photos: those that show most of the scene that the others do not, sharp ones first.
+    #[arg(long, value_name = "N", requires = "images",
+          value_parser = clap::value_parser!(u32).range(1..))]
+    pub max_frames: Option<u32>,
+    /// What cuts pictures into segments: superpixels over colour, depth and normals (no weights), sam2, or a folder
+    /// of id maps, FRAME.png, grey, 8 or 16 bits.
+    #[arg(
+        long,
+        value_name = "sam2|superpixels|FOLDER",
+        default_value = "superpixels",
+        value_parser = clap::builder::PathBufValueParser::new().map(SegmentsArg::from)
+    )]
+    pub segments: SegmentsArg,
+    /// What describes segments.
+    #[arg(long, value_enum, default_value_t = FeaturesArg::Colour)]
+    pub features: FeaturesArg,
+    /// original: the whole frame goes to the encoder with red and blue exchanged, and a frame of a single segment
+    /// gives it the frame's feature, as in the authors' own collection.
+    #[arg(long, value_enum)]
+    pub compat: Option<CompatArg>,
+    /// Value of pixels in id maps that belong to no segment; by default the largest, 255 or 65535.
+    #[arg(long, value_name = "VALUE")]
+    pub no_segment: Option<u16>,
+    /// Which pixels label a Gaussian.
+    #[arg(long, value_enum, default_value_t = RuleArg::AlphaWeighted)]
+    pub rule: RuleArg,
+    /// Guards against wrong labels: always, never, or if the pictures contradict each other.
+    #[arg(long, value_enum, default_value_t = RobustArg::Auto)]
+    pub robust: RobustArg,
+    /// Leaves out pixels whose depth is not the Gaussian's; as in lift-labels.
+    #[arg(
+        long,
+        value_name = "auto|off|render|DIR",
+        default_value = "auto",
+        value_parser = clap::builder::PathBufValueParser::new().map(DepthArg::from)
+    )]
+    pub depth: DepthArg,
+    /// Memory for weights that wait (8GB, 512MB; at least 49.2 kB); more wait in a file in the output folder.
+    #[arg(long, value_name = "SIZE")]
+    pub max_memory: Option<Bytes>,
+    /// Which way is up; judged by the scene if not given.
+    #[arg(long, value_name = "AXIS", value_parser = parse_up, allow_hyphen_values = true)]
+    pub up: Option<UpAxis>,
+    /// How to read the scene.
+    #[command(flatten)]
+    pub source: SourceArgs,
+    /// Flags of all commands.
+    #[command(flatten)]
+    pub shared: Shared,
+}
+
+/// Where segments come from.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum SegmentsArg {
+    /// A network.
+    Sam2,
+    /// Clusters of pixels.
+    Superpixels,
+    /// Files.
+    Folder(PathBuf),
+}
+
+impl From<PathBuf> for SegmentsArg {
+    fn from(path: PathBuf) -> Self {
+        match path.to_str() {
+            Some("sam2") => Self::Sam2,
+            Some("superpixels") => Self::Superpixels,
+            _ => Self::Folder(path),
+        }
+    }
+}
+
+/// What describes segments.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum FeaturesArg {
+    /// The image tower of SigLIP2.
+    Siglip2,
+    /// Histograms of colours.
+    Colour,
+}
+
+/// What to be compatible with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum CompatArg {
+    /// The authors' own collection, with what is odd about it.
+    Original,
+}
+
+/// The folder of the output folder in which segments and features of pictures are.
+pub(super) const FRAMES: &str = "frames";
+
+impl Args {
+    /// Refuses what does not go together.
+    pub(super) fn check(&self) -> Result<()> {
+        if self.cameras.is_none() && self.render.is_none() {
+            let text = "pictures are missing: give --cameras FILE with --images DIR, or --render N";
+            return Err(WrongUse(text.to_owned()).into());
+        }
+        if self.no_segment.is_some() && !matches!(self.segments, SegmentsArg::Folder(_)) {
+            let text = "--no-segment is about id maps: give their folder as --segments";
+            return Err(WrongUse(text.to_owned()).into());
+        }
+        self.lifting(Path::new("cameras"))?.check()
+    }
+
+    /// What to read of the scene: what depends on the direction of view is needed for pictures alone.
+    pub(super) fn read_options(&self) -> ReadOptions {
+        ReadOptions { sh_rest: self.render.is_some(), ..self.source.options() }
+    }
+
+    /// The part of the command that lifts, as `lift-labels` has it; `cameras`: their file, for messages.
+    pub(super) fn lifting(&self, cameras: &Path) -> Result<lift_labels::Args> {
+        let effect: EffectChoices = "glass=auto".parse()?;
+        Ok(lift_labels::Args {
+            scene: self.scene.clone(),
+            many: Many { manifest: None, shard: None, again: false },
+            cameras: cameras.to_owned(),
+            segments: self.shared.out.join(FRAMES),
+            photos: None,
+            frame_weights: FrameWeightsArg::DEFAULT,
+            rule: self.rule,
+            level: vec![0],
+            robust: self.robust,
+            robust_rule: RobustRuleArg::Median,
+            view_exponent: 1.0,
+            coverage: 0.0,
+            labelled_share: 0.0,
+            erode: 0,
+            depth: self.depth.clone(),
+            effect,
+            effect_before: None,
+            unnormalised: false,
+            no_segment: None,
+            max_memory: self.max_memory,
+            up: self.up,
+            source: self.source.clone(),
+            shared: self.shared.clone(),
+        })
+    }
+}

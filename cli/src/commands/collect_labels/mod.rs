@@ -1,0 +1,78 @@
+//! `scenesplat collect-labels`
+
+mod args;
+mod cache;
+mod choice;
+mod frames;
+mod sources;
+mod work;
+
+use crate::session::Session;
+use anyhow::Result;
+pub use args::Args;
+use args::{FRAMES, SegmentsArg};
+use clap::ValueEnum;
+use scenesplat::rasterizer::Gaussians;
+use scenesplat::rasterizer::segments::{SegmentFolder, SegmentOptions};
+use sources::Sources;
+use work::Work;
+
+use super::lift_labels::{FILES, PictureLabels};
+
+/// Runs the command.
+pub fn run(args: &Args, line: &str) -> Result<()> {
+    let session = Session::start(&args.shared, line)?;
+    // Whatever can be wrong with flags and names is found before anything expensive.
+    args.check()?;
+    let sources = Sources::of(args)?;
+    session.outputs.reads(&args.scene)?;
+    session.outputs.reads_any([args.cameras.as_deref(), args.images.as_deref()])?;
+    if let SegmentsArg::Folder(folder) = &args.segments {
+        session.outputs.reads(folder)?;
+    }
+    let photos = match args.render {
+        None => frames::of_photos(&session, args)?,
+        Some(_) => Vec::new(),
+    };
+    session.make_out(&FILES)?;
+    let opened = session.open_with(&args.scene, &args.read_options())?;
+    if let Some(cameras) = args.cameras.as_ref().filter(|path| path.is_file()) {
+        session.receipt.fingerprint("cameras", cameras)?;
+    }
+    let gaussians = Gaussians::from_scene(&opened.loaded.scene)?;
+    args.record(&session, &sources);
+    let frames = match (args.render, args.max_frames) {
+        (Some(count), _) => {
+            choice::planned(&session, args, &opened.loaded.scene, &gaussians, count)?
+        }
+        (None, Some(most)) => choice::chosen(&session, photos, &gaussians, most)?,
+        (None, None) => photos,
+    };
+    let work = Work { session: &session, args, sources: &sources, gaussians: &gaussians };
+    let cameras = work.run(&frames)?;
+    {
+        let _stage = session.receipt.stage("lifting");
+        let folder = SegmentFolder::open(&args.shared.out.join(FRAMES), SegmentOptions::default())?;
+        let names: Vec<&str> = cameras.iter().map(|camera| camera.name.as_str()).collect();
+        let matches = folder.match_cameras(&names)?;
+        let labels = PictureLabels { cameras, folder, matches };
+        let lifting = args.lifting(args.cameras.as_deref().unwrap_or(&args.scene))?;
+        lifting.lift_onto(&session, &opened, &gaussians, &labels, None)?;
+    }
+    session.finish()
+}
+
+impl Args {
+    /// Notes in the receipt what changes the result.
+    fn record(&self, session: &Session<'_>, sources: &Sources) {
+        let receipt = &session.receipt;
+        let rule = self.rule.to_possible_value().map_or(String::new(), |v| v.get_name().to_owned());
+        receipt.setting("rule", rule, "which pixels label a Gaussian");
+        receipt.setting("segmenter", sources.segmenter.name(), "what cuts pictures into segments");
+        receipt.setting("encoder", sources.encoder.name(), "what describes segments");
+        if self.compat.is_some() {
+            let why = "red and blue of whole frames are exchanged; a single segment gets the frame's feature";
+            receipt.setting("compat", "original", why);
+        }
+    }
+}

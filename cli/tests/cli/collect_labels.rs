@@ -1,0 +1,321 @@
+//! `collect-labels`: what is written, that a stopped run goes on to the same bits, what is refused.
+
+use crate::{done, scenesplat, stderr};
+use scenesplat::preview::LookAt;
+use scenesplat::rooms::{SyntheticRoomSettings, generate};
+use scenesplat::scene::formats::cameras::write_cameras_json;
+use scenesplat::scene::formats::inria_ply::write_inria_ply;
+use scenesplat::scene::formats::npy::NpyFile;
+use scenesplat::scene::picture::{Channels, Picture, Samples, read_picture};
+use scenesplat::scene::{Camera, UpAxis};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+
+const SIZE: [u32; 2] = [80, 60];
+const COUNT: usize = 6;
+
+/// A room, cameras in its middle, and their photos.
+fn world() -> TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    let settings = SyntheticRoomSettings {
+        num_gaussians: Some(6000),
+        points_share: 0.0,
+        ..SyntheticRoomSettings::default()
+    };
+    let room = generate(&settings).unwrap();
+    write_inria_ply(&room.scene, &[], &at("room.ply")).unwrap();
+    let eye = [0.5, 0.5, 0.6].map(f64::from);
+    let eye = [0, 1, 2].map(|k| eye[k] * f64::from(room.size[k]));
+    let camera = |i: usize| {
+        let turn = std::f64::consts::TAU * i as f64 / COUNT as f64;
+        let target = [eye[0] + turn.cos(), eye[1] + turn.sin(), eye[2] - 0.3];
+        LookAt { eye, target, fov: 60.0 }
+            .camera(&format!("{i:03}.png"), UpAxis::PlusZ, SIZE)
+            .unwrap()
+    };
+    let cameras: Vec<Camera> = (0..COUNT).map(camera).collect();
+    write_cameras_json(&cameras, &at("cameras.json")).unwrap();
+    let path = |name: &str| at(name).to_str().unwrap().to_owned();
+    let (scene, file, photos) = (path("room.ply"), path("cameras.json"), path("photos"));
+    done(&scenesplat(&["render", &scene, "--cameras", &file, "--out", &photos]));
+    dir
+}
+
+fn words(dir: &Path, out: &str, more: &[&str]) -> Vec<String> {
+    let at = |name: &str| dir.join(name).to_str().unwrap().to_owned();
+    let mut words = vec!["collect-labels".to_owned(), at("room.ply")];
+    if !more.contains(&"--cameras") && !more.contains(&"--render") {
+        words.extend(["--cameras".to_owned(), at("cameras.json")]);
+    }
+    if !more.contains(&"--images") && !more.contains(&"--render") {
+        words.extend(["--images".to_owned(), at("photos")]);
+    }
+    words.extend(["--out".to_owned(), at(out)]);
+    words.extend(more.iter().map(|word| (*word).to_owned()));
+    words
+}
+
+fn collect(dir: &Path, out: &str, more: &[&str]) -> Output {
+    let words = words(dir, out, more);
+    scenesplat(&words.iter().map(String::as_str).collect::<Vec<_>>())
+}
+
+const FILES: [&str; 5] =
+    ["lang_feat.npy", "valid_feat_mask.npy", "confidence.npy", "views.npy", "coverage.npy"];
+
+fn bits(dir: &Path, out: &str) -> Vec<Vec<u8>> {
+    FILES.map(|name| std::fs::read(dir.join(out).join(name)).unwrap()).to_vec()
+}
+
+fn refused(output: &Output, code: i32, parts: &[&str]) {
+    let text = stderr(output);
+    assert_eq!(output.status.code(), Some(code), "{text}");
+    assert!(parts.iter().all(|part| text.contains(part)), "{parts:?}: {text}");
+    assert!(!text.contains("panicked"), "{text}");
+}
+
+#[test]
+fn photos_become_features_and_what_is_done_is_not_done_again() {
+    let dir = world();
+    let output = collect(dir.path(), "out", &[]);
+    done(&output);
+    let out = dir.path().join("out");
+    let file = NpyFile::open(&out.join("lang_feat.npy")).unwrap();
+    assert_eq!(file.shape(), [6000, 487]);
+    let mask = NpyFile::open(&out.join("valid_feat_mask.npy")).unwrap().read_f32().unwrap();
+    let labelled = mask.iter().filter(|v| **v == 1.0).count();
+    assert!(labelled > 2000, "{labelled}");
+    for (row, valid) in file.read_f32().unwrap().chunks_exact(487).zip(&mask) {
+        let norm = row.iter().map(|v| v * v).sum::<f32>().sqrt();
+        assert!((norm - valid).abs() < 2e-3, "{norm}");
+    }
+    let receipt = std::fs::read_to_string(out.join("receipt.json")).unwrap();
+    for stage in ["\"segments\"", "\"features\"", "\"lifting\"", "\"lifting/features\""] {
+        assert!(receipt.contains(&format!("\"name\": {stage}")), "{stage}: {receipt}");
+    }
+    // The frames are a folder of segments as lift-labels reads them.
+    let map = NpyFile::open(&out.join("frames/000_s.npy")).unwrap();
+    assert_eq!(map.shape(), [1, 60, 80]);
+
+    let first = bits(dir.path(), "out");
+    let output = collect(dir.path(), "out", &["--threads", "1"]);
+    done(&output);
+    assert!(stderr(&output).contains("6 pictures were done before"), "{}", stderr(&output));
+    assert_eq!(bits(dir.path(), "out"), first);
+    // From nothing, on one thread: the same bits.
+    done(&collect(dir.path(), "other", &["--threads", "1"]));
+    assert_eq!(bits(dir.path(), "other"), first);
+
+    // Other settings, another photo, a damaged file: made anew, and said.
+    let output = collect(dir.path(), "out", &["--compat", "original"]);
+    done(&output);
+    assert!(
+        stderr(&output).contains("6 pictures in frames were made from other"),
+        "{}",
+        stderr(&output)
+    );
+    assert_ne!(bits(dir.path(), "out"), first);
+    done(&collect(dir.path(), "out", &[]));
+    std::fs::write(out.join("frames/002_f.npy"), b"damaged").unwrap();
+    let photo = dir.path().join("photos/004.png");
+    let brighter = read_picture(&photo).unwrap().to_rgb8();
+    let brighter = scenesplat::scene::picture::RgbPicture::from_fn(80, 60, |x, y| {
+        brighter.get(x, y).unwrap().map(|v| v.saturating_add(9))
+    });
+    std::fs::write(&photo, brighter.encode_png().unwrap()).unwrap();
+    let output = collect(dir.path(), "out", &[]);
+    done(&output);
+    let text = stderr(&output);
+    assert!(text.contains("4 pictures were done before"), "{text}");
+    assert!(text.contains("2 pictures in frames were made from other"), "{text}");
+}
+
+/// Starts, and kills the process as soon as `enough` of the frames folder is there.
+fn killed(dir: &Path, out: &str, enough: impl Fn(&Path) -> bool) {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_scenesplat"))
+        .args(words(dir, out, &["--threads", "1"]))
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let began = Instant::now();
+    let folder = dir.join(out);
+    while !enough(&folder) && began.elapsed() < Duration::from_secs(120) {
+        if child.try_wait().unwrap().is_some() {
+            break;
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    let _ = child.kill();
+    child.wait().unwrap();
+}
+
+fn count(out: &Path, ending: &str) -> usize {
+    let entries =
+        std::fs::read_dir(out.join("frames")).map(|list| list.flatten().collect::<Vec<_>>());
+    let names =
+        entries.unwrap_or_default().into_iter().map(|e| e.file_name().into_string().unwrap());
+    names.filter(|name| name.ends_with(ending)).count()
+}
+
+#[test]
+fn a_run_that_was_killed_anywhere_goes_on_to_the_same_bits() {
+    let dir = world();
+    done(&collect(dir.path(), "whole", &[]));
+    let whole = bits(dir.path(), "whole");
+    // While the first frames are made, in the middle of one, and while labels are lifted.
+    killed(dir.path(), "a", |out| count(out, ".json") >= 1);
+    killed(dir.path(), "b", |out| {
+        count(out, "_s.npy") > count(out, ".json") + 1 || count(out, "_s.npy") >= 4
+    });
+    killed(dir.path(), "c", |out| count(out, ".json") == COUNT);
+    for out in ["a", "b", "c"] {
+        assert!(
+            !dir.path().join(out).join("lang_feat.npy").exists(),
+            "{out} was not killed in time"
+        );
+        let output = collect(dir.path(), out, &[]);
+        done(&output);
+        assert!(
+            !stderr(&output).contains("; 0 pictures were done before"),
+            "{out}: {}",
+            stderr(&output)
+        );
+        assert_eq!(bits(dir.path(), out), whole, "{out}");
+    }
+}
+
+/// Grey maps of the left and the right half.
+fn masks(dir: &Path, name: &str, samples: impl Fn(Vec<u16>) -> Samples) -> PathBuf {
+    let folder = dir.join(name);
+    std::fs::create_dir(&folder).unwrap();
+    for i in 0..COUNT {
+        let ids = (0..80 * 60).map(|at| if at % 80 < 40 { 7 } else { 200 }).collect();
+        let map = Picture::new(80, 60, Channels::Gray, samples(ids)).unwrap();
+        std::fs::write(folder.join(format!("{i:03}.png")), map.encode_png().unwrap()).unwrap();
+    }
+    folder
+}
+
+#[test]
+fn masks_of_8_and_16_bits_are_the_same_segments() {
+    let dir = world();
+    let eight =
+        masks(dir.path(), "eight", |ids| Samples::Eight(ids.iter().map(|v| *v as u8).collect()));
+    let sixteen = masks(dir.path(), "sixteen", Samples::Sixteen);
+    done(&collect(dir.path(), "a", &["--segments", eight.to_str().unwrap()]));
+    done(&collect(dir.path(), "b", &["--segments", sixteen.to_str().unwrap()]));
+    assert_eq!(bits(dir.path(), "a"), bits(dir.path(), "b"));
+    let receipt = std::fs::read_to_string(dir.path().join("a/receipt.json")).unwrap();
+    assert!(receipt.contains("picture_segments") && receipt.contains("\"12\""), "{receipt}");
+    // One of the two is none: each picture has a single segment, and that is said.
+    done(&collect(
+        dir.path(),
+        "c",
+        &["--segments", eight.to_str().unwrap(), "--no-segment", "200"],
+    ));
+    let receipt = std::fs::read_to_string(dir.path().join("c/receipt.json")).unwrap();
+    assert!(receipt.contains("6 pictures have a single segment"), "{receipt}");
+    std::fs::remove_file(eight.join("003.png")).unwrap();
+    let output = collect(dir.path(), "d", &["--segments", eight.to_str().unwrap()]);
+    refused(&output, 1, &["frame 003", "003.png", "is missing"]);
+    let empty = dir.path().join("empty");
+    std::fs::create_dir(&empty).unwrap();
+    let output = collect(dir.path(), "d", &["--segments", empty.to_str().unwrap()]);
+    refused(&output, 1, &["empty", "holds no .png"]);
+}
+
+#[test]
+fn what_does_not_fit_is_refused_by_name() {
+    let dir = world();
+    for (more, parts) in [
+        (&["--segments", "sam2"][..], &["--segments sam2", "superpixels"][..]),
+        (&["--features", "siglip2"], &["--features siglip2", "colour"]),
+        (&["--no-segment", "3"], &["--no-segment", "id maps"]),
+        (&["--max-memory", "1kB"], &["at least 49.2 kB"]),
+    ] {
+        refused(&collect(dir.path(), "out", more), 2, parts);
+    }
+    let scene = dir.path().join("room.ply");
+    refused(
+        &scenesplat(&["collect-labels", scene.to_str().unwrap()]),
+        2,
+        &["--cameras", "--images"],
+    );
+    // A photo that is cut, one that is missing, and a pose that is none.
+    let photos = dir.path().join("photos");
+    let cut = scenesplat::scene::picture::RgbPicture::filled(80, 50, [9; 3]);
+    std::fs::write(photos.join("001.png"), cut.encode_png().unwrap()).unwrap();
+    refused(&collect(dir.path(), "out", &[]), 1, &["001.png", "is 80×50", "is 80×60"]);
+    std::fs::remove_file(photos.join("001.png")).unwrap();
+    let output = collect(dir.path(), "out", &[]);
+    done(&output);
+    assert!(
+        stderr(&output).contains("1 of 6 cameras have no photo (001.png"),
+        "{}",
+        stderr(&output)
+    );
+    let cameras = dir.path().join("cameras.json");
+    let text = std::fs::read_to_string(&cameras).unwrap();
+    let at = text.find("\"position\"").unwrap();
+    let open = at + text[at..].find('[').unwrap() + 1;
+    let end = open + text[open..].find([',', ']']).unwrap();
+    let broken = format!("{}1e999{}", &text[..open], &text[end..]);
+    std::fs::write(&cameras, broken).unwrap();
+    refused(&collect(dir.path(), "out", &[]), 1, &["cameras.json"]);
+}
+
+#[test]
+fn without_photos_the_scene_is_rendered_from_planned_views() {
+    let dir = world();
+    let more = ["--render", "5", "--size", "80x60", "--up", "+z"];
+    let output = collect(dir.path(), "out", &more);
+    done(&output);
+    assert!(stderr(&output).contains("5 views inside the scene show"), "{}", stderr(&output));
+    let first = bits(dir.path(), "out");
+    let output = collect(dir.path(), "out", &[&more[..], &["--threads", "1"]].concat());
+    done(&output);
+    assert!(stderr(&output).contains("5 pictures were done before"), "{}", stderr(&output));
+    assert_eq!(bits(dir.path(), "out"), first);
+    // Fewer views: what is left in frames of others labels nothing.
+    done(&collect(dir.path(), "out", &["--render", "2", "--size", "80x60", "--up", "+z"]));
+    done(&collect(dir.path(), "two", &["--render", "2", "--size", "80x60", "--up", "+z"]));
+    assert_eq!(bits(dir.path(), "out"), bits(dir.path(), "two"));
+    let photos = dir.path().join("photos");
+    let output = collect(dir.path(), "x", &["--render", "2", "--images", photos.to_str().unwrap()]);
+    refused(&output, 2, &["--render", "--images"]);
+    refused(&collect(dir.path(), "x", &["--render", "0"]), 2, &["--render", "0"]);
+}
+
+#[test]
+fn of_many_photos_those_are_taken_that_show_most() {
+    let dir = world();
+    // A blurred copy beside each photo, of the same camera: none of them is needed.
+    let cameras = dir.path().join("cameras.json");
+    let mut all = scenesplat::scene::open_cameras(&cameras).unwrap().cameras;
+    for i in 0..COUNT {
+        let sharp = read_picture(&dir.path().join(format!("photos/{i:03}.png"))).unwrap().to_rgb8();
+        let blurred = scenesplat::scene::picture::RgbPicture::from_fn(80, 60, |x, y| {
+            let at = |dx: u32| sharp.get((x + dx).min(79), y).unwrap();
+            [0, 1, 2].map(|c| ((0..6).map(|dx| u32::from(at(dx)[c])).sum::<u32>() / 6) as u8)
+        });
+        let name = format!("{i:03}b.png");
+        std::fs::write(dir.path().join("photos").join(&name), blurred.encode_png().unwrap())
+            .unwrap();
+        let twin = all.iter().find(|c| c.name.starts_with(&format!("{i:03}"))).unwrap().clone();
+        all.push(Camera { name, ..twin });
+    }
+    all.sort_by(|a, b| a.name.cmp(&b.name));
+    write_cameras_json(&all, &cameras).unwrap();
+    let output = collect(dir.path(), "out", &["--max-frames", "6"]);
+    done(&output);
+    assert!(stderr(&output).contains("6 of 12 pictures"), "{}", stderr(&output));
+    let out = dir.path().join("out");
+    for i in 0..COUNT {
+        assert!(out.join(format!("frames/{i:03}.json")).exists(), "{i}");
+        assert!(!out.join(format!("frames/{i:03}b.json")).exists(), "{i}");
+    }
+}

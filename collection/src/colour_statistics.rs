@@ -1,0 +1,145 @@
+//! Pictures by their colours: for tests, and for whoever has no weights.
+
+use crate::lab::lab;
+use crate::{CollectError, PictureEncoder};
+use rayon::prelude::*;
+use scenesplat_scene::picture::RgbPicture;
+
+/// Cells along lightness, and along each of the two other axes.
+const CELLS: [usize; 3] = [6, 9, 9];
+/// Lowest value and width of a cell along each axis of L*a*b*.
+const LOW: [f32; 3] = [8.0, -72.0, -72.0];
+const STEP: [f32; 3] = [16.0, 18.0, 18.0];
+/// Share of the first column, which all pictures have in common, in the squared length of a row.
+const COMMON: f32 = 0.75;
+
+/// A soft histogram over L*a*b* (6 × 9 × 9 cells, square roots, so that a cosine says how much two histograms
+/// overlap), after one column that all pictures share.
+///
+/// Pixels that are exactly black are padding or another segment, and do not count unless there is nothing else. The
+/// common column makes two pictures with nothing in common have the cosine 0.75, as networks' features have large
+/// cosines, too: the dynamic weights of crops are made for such.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct ColourStatistics;
+
+impl ColourStatistics {
+    /// Values of a row.
+    pub const WIDTH: usize = 1 + CELLS[0] * CELLS[1] * CELLS[2];
+
+    /// The row of a surface of one colour: what a name that means a colour is compared with.
+    pub fn of_colour(color: [u8; 3]) -> Vec<f32> {
+        row(&RgbPicture::filled(1, 1, color))
+    }
+}
+
+impl PictureEncoder for ColourStatistics {
+    fn name(&self) -> String {
+        "colour".to_owned()
+    }
+
+    fn width(&self) -> usize {
+        Self::WIDTH
+    }
+
+    fn encode(&self, pictures: &[RgbPicture]) -> Result<Vec<f32>, CollectError> {
+        if let Some(at) = pictures.iter().position(|p| p.pixels().is_empty()) {
+            return Err(CollectError::argument("picture", format!("number {at} has no pixels")));
+        }
+        let rows: Vec<Vec<f32>> = pictures.par_iter().map(row).collect();
+        Ok(rows.concat())
+    }
+}
+
+/// Unit row of a picture with pixels.
+fn row(picture: &RgbPicture) -> Vec<f32> {
+    let mut pixels: Vec<[u8; 3]> =
+        picture.pixels().iter().filter(|p| **p != [0; 3]).copied().collect();
+    if pixels.is_empty() {
+        pixels.push([0; 3]);
+    }
+    // Equal colours are looked at once: crops of renders and posters have few.
+    pixels.sort_unstable();
+    let mut cells = vec![0.0f64; ColourStatistics::WIDTH - 1];
+    for run in pixels.chunk_by(|a, b| a == b) {
+        add(&mut cells, lab(&run[..1])[0], run.len() as f64);
+    }
+    let count = pixels.len() as f64;
+    let mut out = Vec::with_capacity(ColourStatistics::WIDTH);
+    out.push(COMMON.sqrt());
+    let scale = f64::from(1.0 - COMMON) / count;
+    out.extend(cells.iter().map(|v| (v * scale).sqrt() as f32));
+    out
+}
+
+/// Shares a colour among the eight cells whose middles are around it.
+fn add(cells: &mut [f64], color: [f32; 3], weight: f64) {
+    let place = |k: usize| {
+        let at = ((color[k] - LOW[k]) / STEP[k]).clamp(0.0, (CELLS[k] - 1) as f32);
+        let low = (at as usize).min(CELLS[k] - 2);
+        (low, f64::from(at - low as f32))
+    };
+    let axes = [place(0), place(1), place(2)];
+    for corner in 0..8 {
+        let mut share = weight;
+        let mut index = 0;
+        for (k, &(low, part)) in axes.iter().enumerate() {
+            let up = corner >> k & 1;
+            share *= if up == 1 { part } else { 1.0 - part };
+            index = index * CELLS[k] + low + up;
+        }
+        cells[index] += share;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "a test may fail loudly")]
+    use super::*;
+
+    fn cosine(a: &[f32], b: &[f32]) -> f64 {
+        a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
+    }
+
+    #[test]
+    fn rows_are_unit_and_say_which_colours_there_are() {
+        let halves =
+            |a: [u8; 3], b: [u8; 3]| RgbPicture::from_fn(8, 4, |x, _| if x < 4 { a } else { b });
+        let (red, blue, green) = ([220, 30, 30], [30, 30, 220], [30, 200, 30]);
+        let pictures = [halves(red, red), halves(red, blue), halves(green, green)];
+        let rows = ColourStatistics.encode(&pictures).unwrap();
+        let rows: Vec<&[f32]> = rows.chunks_exact(ColourStatistics::WIDTH).collect();
+        for row in &rows {
+            assert!((cosine(row, row) - 1.0).abs() < 1e-6);
+        }
+        assert!((cosine(rows[0], rows[2]) - 0.75).abs() < 1e-6, "nothing in common");
+        // Half in common: √½ of the quarter that is no constant.
+        let half = 0.75 + 0.25 * 0.5f64.sqrt();
+        assert!((cosine(rows[0], rows[1]) - half).abs() < 1e-6);
+        assert_eq!(rows[0], ColourStatistics::of_colour(red));
+    }
+
+    #[test]
+    fn black_is_padding_unless_there_is_nothing_else() {
+        let padded =
+            RgbPicture::from_fn(9, 9, |x, y| if x < 3 && y > 1 { [90, 120, 40] } else { [0; 3] });
+        let rows = ColourStatistics.encode(&[padded]).unwrap();
+        assert_eq!(rows, ColourStatistics::of_colour([90, 120, 40]));
+        let black = ColourStatistics.encode(&[RgbPicture::filled(2, 2, [0; 3])]).unwrap();
+        assert!((cosine(&black, &black) - 1.0).abs() < 1e-6);
+        assert!(ColourStatistics.encode(&[RgbPicture::filled(0, 4, [1; 3])]).is_err());
+    }
+
+    #[test]
+    fn every_colour_falls_into_the_cells() {
+        let mut rng = 1u32;
+        for _ in 0..2000 {
+            rng = rng.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            let row = ColourStatistics::of_colour([
+                (rng >> 8) as u8,
+                (rng >> 16) as u8,
+                (rng >> 24) as u8,
+            ]);
+            assert!((cosine(&row, &row) - 1.0).abs() < 1e-5);
+        }
+    }
+}

@@ -1,0 +1,141 @@
+//! Segments from files: a picture of ids for each frame.
+
+use crate::{CollectError, PosedPicture, Segmented, Segmenter};
+use scenesplat_rasterizer::lifting::{NO_SEGMENT, SegmentMap};
+use scenesplat_scene::picture::{Channels, Samples, read_png};
+use std::path::{Path, PathBuf};
+
+/// A folder of `<frame>.png`: grey, 8 or 16 bits, each value an id; the largest (255 or 65535), or another that is
+/// given, is no segment. Ids need not begin at 0 nor follow each other.
+///
+/// A map that is smaller or larger than its picture by one factor is used by nearest pixel.
+#[derive(Debug, Clone)]
+pub struct MaskFolder {
+    path: PathBuf,
+    no_segment: Option<u16>,
+}
+
+impl MaskFolder {
+    /// Looks whether there are such files.
+    ///
+    /// # Errors
+    /// If the folder cannot be read or has no `.png`.
+    pub fn open(path: &Path, no_segment: Option<u16>) -> Result<Self, CollectError> {
+        let help = "a folder of id maps is expected: <frame>.png, grey, 8 or 16 bits";
+        let entries =
+            std::fs::read_dir(path).map_err(|e| CollectError::file(path, e.to_string(), help))?;
+        let is_map =
+            |name: &std::ffi::OsStr| Path::new(name).extension().is_some_and(|e| e == "png");
+        if !entries.flatten().any(|entry| is_map(&entry.file_name())) {
+            return Err(CollectError::file(path, "holds no .png", help));
+        }
+        Ok(Self { path: path.to_owned(), no_segment })
+    }
+
+    /// Where the map of a frame is.
+    pub fn file(&self, frame: &str) -> PathBuf {
+        self.path.join(format!("{frame}.png"))
+    }
+}
+
+impl Segmenter for MaskFolder {
+    fn name(&self) -> String {
+        let none = self.no_segment.map_or(String::new(), |v| format!(" without {v}"));
+        format!("masks{none}")
+    }
+
+    fn segment(&self, picture: &PosedPicture<'_>) -> Result<Segmented, CollectError> {
+        picture.check()?;
+        let path = self.file(picture.name);
+        if !path.exists() {
+            let help =
+                "every frame needs its map; leave the frame out, or make one without segments";
+            return Err(CollectError::file(&path, "is missing", help));
+        }
+        let file = read_png(&path)?;
+        let (width, height, channels) = (file.width(), file.height(), file.channels());
+        if channels != Channels::Gray {
+            let help = "a grey PNG of 8 or 16 bits is expected, each value an id";
+            return Err(CollectError::file(&path, format!("holds {channels:?} pixels"), help));
+        }
+        let (values, largest): (Vec<u16>, u16) = match file.into_samples() {
+            Samples::Eight(v) => (v.into_iter().map(u16::from).collect(), u16::from(u8::MAX)),
+            Samples::Sixteen(v) => (v, u16::MAX),
+        };
+        let none = self.no_segment.unwrap_or(largest);
+        // 65535 is an id where another value means none; dense ids never are 65535.
+        let some = |&v: &u16| (v != none).then_some(u32::from(v));
+        let mut ids: Vec<Option<u32>> = values.iter().map(some).collect();
+        let mut known: Vec<u32> = ids.iter().flatten().copied().collect();
+        known.sort_unstable();
+        known.dedup();
+        let (to_width, to_height) = (picture.view.width, picture.view.height);
+        if (width, height) != (to_width, to_height) {
+            // Through a map of places, which knows what fits.
+            let dense = Segmented::dense(width, height, &ids, known.len())?.map;
+            let resized = dense.resized(to_width, to_height).ok_or_else(|| {
+                let problem = format!("is {width}×{height}, its picture {to_width}×{to_height}");
+                let help = "maps have the size of their pictures, or are scaled as a whole";
+                CollectError::file(&path, problem, help)
+            })?;
+            ids = from_map(&resized);
+        }
+        Segmented::dense(to_width, to_height, &ids, known.len())
+    }
+}
+
+fn from_map(map: &SegmentMap) -> Vec<Option<u32>> {
+    map.ids().iter().map(|&id| (id != NO_SEGMENT).then_some(u32::from(id))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "a test may fail loudly")]
+    use super::*;
+    use crate::segmenter::tests::view;
+    use scenesplat_scene::picture::{Picture, RgbPicture};
+
+    fn write(path: &Path, width: u32, height: u32, channels: Channels, samples: Samples) {
+        let picture = Picture::new(width, height, channels, samples).unwrap();
+        std::fs::write(path, picture.encode_png().unwrap()).unwrap();
+    }
+
+    #[test]
+    fn ids_of_8_and_16_bits_become_dense() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        let ids = vec![7, 7, 255, 3, 3, 3];
+        write(&at("a.png"), 3, 2, Channels::Gray, Samples::Eight(ids));
+        let ids = vec![700, 700, 255, 65535, 3, 3];
+        write(&at("b.png"), 3, 2, Channels::Gray, Samples::Sixteen(ids));
+        let rgb = vec![0; 18];
+        write(&at("c.png"), 3, 2, Channels::Rgb, Samples::Eight(rgb));
+        let view = view(3, 2);
+        let picture = RgbPicture::filled(3, 2, [5; 3]);
+        let of = |name| PosedPicture { name, picture: &picture, view: &view, depth: None };
+        let folder = MaskFolder::open(dir.path(), None).unwrap();
+        let none = NO_SEGMENT;
+        assert_eq!(folder.segment(&of("a")).unwrap().map.ids(), [1, 1, none, 0, 0, 0]);
+        assert_eq!(folder.segment(&of("b")).unwrap().map.ids(), [2, 2, 1, none, 0, 0]);
+        let other = MaskFolder::open(dir.path(), Some(3)).unwrap();
+        assert_eq!(other.segment(&of("a")).unwrap().map.ids(), [0, 0, 1, none, none, none]);
+        assert_ne!(other.name(), folder.name());
+        for (frame, part) in [("c", "Rgb"), ("d", "is missing")] {
+            let error = folder.segment(&of(frame)).unwrap_err().to_string();
+            assert!(error.contains(&format!("{frame}.png")) && error.contains(part), "{error}");
+        }
+        // Twice as large is used, of another shape is not.
+        let large = crate::segmenter::tests::view(6, 4);
+        let picture = RgbPicture::filled(6, 4, [5; 3]);
+        let of = |name| PosedPicture { name, picture: &picture, view: &large, depth: None };
+        let found = folder.segment(&of("a")).unwrap().map;
+        assert_eq!(found.ids()[..6], [1, 1, 1, 1, none, none]);
+        let wide = crate::segmenter::tests::view(9, 2);
+        let picture = RgbPicture::filled(9, 2, [5; 3]);
+        let of = |name| PosedPicture { name, picture: &picture, view: &wide, depth: None };
+        let error = folder.segment(&of("a")).unwrap_err().to_string();
+        assert!(error.contains("is 3×2, its picture 9×2"), "{error}");
+        let empty = tempfile::tempdir().unwrap();
+        assert!(MaskFolder::open(empty.path(), None).is_err());
+    }
+}

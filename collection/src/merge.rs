@@ -1,0 +1,205 @@
+//! Clusters that become segments: connected, and joined where neighbours are alike.
+
+use crate::superpixels::{COLOUR, NORMAL, PLANE, Pixels};
+use crate::surface::{dot, sub};
+use std::collections::BTreeMap;
+
+/// What is joined.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Similarity {
+    /// How different neighbours may be, in units of the clusters' distance.
+    pub(crate) limit: f32,
+    /// Pixels below which a segment joins a neighbour in any case.
+    pub(crate) smallest: u32,
+}
+
+/// Two neighbours and how different they are.
+#[derive(Debug, Clone, Copy)]
+struct Edge {
+    difference: f32,
+    a: u32,
+    b: u32,
+}
+
+/// The segment of each pixel, numbered from 0 in the order of first pixels.
+pub(crate) fn merge(pixels: &Pixels, clusters: &[u32], similarity: Similarity) -> Vec<u32> {
+    let parts = connected(pixels, clusters);
+    let count = parts.iter().max().map_or(0, |&id| id as usize + 1);
+    let mut edges = edges(pixels, &parts, count);
+    // Equal differences by number: the same segments on any machine.
+    edges.sort_by(|x, y| x.difference.total_cmp(&y.difference).then((x.a, x.b).cmp(&(y.a, y.b))));
+    let mut sets = Sets::new(count);
+    for &part in &parts {
+        sets.pixels[part as usize] += 1;
+    }
+    for edge in &edges {
+        let (a, b) = (sets.root(edge.a), sets.root(edge.b));
+        // Large segments have to be more alike than what is in them is already.
+        let bound = |sets: &Sets, s: u32| {
+            let members = sets.members[s as usize] as f32;
+            (sets.inner[s as usize] + similarity.limit / members).max(similarity.limit / 2.0)
+        };
+        if a != b
+            && edge.difference <= bound(&sets, a).min(bound(&sets, b))
+            && similarity.limit > 0.0
+        {
+            sets.join(a, b, edge.difference);
+        }
+    }
+    // What is too small joins its most similar neighbour, again until all are large enough.
+    for edge in &edges {
+        let (a, b) = (sets.root(edge.a), sets.root(edge.b));
+        let least = sets.pixels[a as usize].min(sets.pixels[b as usize]);
+        if a != b && least < similarity.smallest {
+            sets.join(a, b, edge.difference);
+        }
+    }
+    let mut number = vec![u32::MAX; count];
+    let mut next = 0;
+    parts
+        .iter()
+        .map(|&part| {
+            let root = sets.root(part) as usize;
+            if number[root] == u32::MAX {
+                number[root] = next;
+                next += 1;
+            }
+            number[root]
+        })
+        .collect()
+}
+
+/// Connected parts of clusters (four neighbours), numbered in the order of first pixels.
+fn connected(pixels: &Pixels, clusters: &[u32]) -> Vec<u32> {
+    let (width, height) = (pixels.width, pixels.height);
+    let mut parts = vec![u32::MAX; clusters.len()];
+    let (mut next, mut waiting) = (0, Vec::new());
+    for first in 0..clusters.len() {
+        if parts[first] != u32::MAX {
+            continue;
+        }
+        parts[first] = next;
+        waiting.push(first);
+        while let Some(at) = waiting.pop() {
+            let (x, y) = (at % width, at / width);
+            let around = [
+                (x > 0).then(|| at - 1),
+                (x + 1 < width).then_some(at + 1),
+                (y > 0).then(|| at - width),
+                (y + 1 < height).then_some(at + width),
+            ];
+            for other in around.into_iter().flatten() {
+                if parts[other] == u32::MAX && clusters[other] == clusters[first] {
+                    parts[other] = next;
+                    waiting.push(other);
+                }
+            }
+        }
+        next += 1;
+    }
+    parts
+}
+
+/// Neighbours with their differences: of mean colours, and of surfaces along their border.
+fn edges(pixels: &Pixels, parts: &[u32], count: usize) -> Vec<Edge> {
+    let mut colour = vec![([0.0f64; 3], 0.0f64); count];
+    for (&part, lab) in parts.iter().zip(&pixels.lab) {
+        let (sum, number) = &mut colour[part as usize];
+        (0..3).for_each(|k| sum[k] += f64::from(lab[k]));
+        *number += 1.0;
+    }
+    let mean = |part: u32| {
+        let (sum, number) = colour[part as usize];
+        sum.map(|v| (v / number) as f32)
+    };
+    let mut borders: BTreeMap<(u32, u32), (f64, u32)> = BTreeMap::new();
+    let mut meet = |p: usize, q: usize| {
+        let (a, b) = (parts[p].min(parts[q]), parts[p].max(parts[q]));
+        if a != b {
+            let (sum, number) = borders.entry((a, b)).or_default();
+            *sum += f64::from(crease(pixels, p, q));
+            *number += 1;
+        }
+    };
+    for at in 0..parts.len() {
+        if at % pixels.width + 1 < pixels.width {
+            meet(at, at + 1);
+        }
+        if at + pixels.width < parts.len() {
+            meet(at, at + pixels.width);
+        }
+    }
+    let edge = |((a, b), (sum, number)): ((u32, u32), (f64, u32))| {
+        let apart = sub(mean(a), mean(b));
+        let surface = (sum / f64::from(number)) as f32;
+        Edge { difference: (dot(apart, apart) / (COLOUR * COLOUR) + surface).sqrt(), a, b }
+    };
+    borders.into_iter().map(edge).collect()
+}
+
+/// How much a surface bends and steps between two pixels, squared.
+fn crease(pixels: &Pixels, p: usize, q: usize) -> f32 {
+    let (points, normals) = (&pixels.surface.points, &pixels.surface.normals);
+    match (points[p][2] > 0.0, points[q][2] > 0.0) {
+        (false, false) => return 0.0,
+        (true, true) => {}
+        _ => return 1.0,
+    }
+    let between = sub(points[q], points[p]);
+    let depth = points[p][2].min(points[q][2]);
+    let off = dot(normals[p], between).abs().min(dot(normals[q], between).abs()) / depth;
+    // Normals are means over 5 × 5 pixels: seen from two pixels to either side, a crease is whole.
+    let turned = sub(beyond(pixels, p, q), beyond(pixels, q, p));
+    (off / PLANE).powi(2).min(25.0) + dot(turned, turned) / (NORMAL * NORMAL)
+}
+
+/// The normal three pixels from `q` behind `p`, or the nearest to that in the picture.
+fn beyond(pixels: &Pixels, p: usize, q: usize) -> [f32; 3] {
+    let (width, height) = (pixels.width as isize, pixels.height as isize);
+    let place = |at: usize| (at as isize % width, at as isize / width);
+    let ((px, py), (qx, qy)) = (place(p), place(q));
+    let x = (px + 3 * (px - qx)).clamp(0, width - 1);
+    let y = (py + 3 * (py - qy)).clamp(0, height - 1);
+    let far = (y * width + x) as usize;
+    let near = pixels.surface.points[p][2];
+    // Behind an edge there is another surface.
+    let same = (pixels.surface.points[far][2] - near).abs() <= 0.05 * near;
+    pixels.surface.normals[if same { far } else { p }]
+}
+
+/// Sets of parts that became one.
+struct Sets {
+    parent: Vec<u32>,
+    /// Largest difference inside.
+    inner: Vec<f32>,
+    members: Vec<u32>,
+    pixels: Vec<u32>,
+}
+
+impl Sets {
+    fn new(count: usize) -> Self {
+        Self {
+            parent: (0..count as u32).collect(),
+            inner: vec![0.0; count],
+            members: vec![1; count],
+            pixels: vec![0; count],
+        }
+    }
+
+    fn root(&mut self, mut of: u32) -> u32 {
+        while self.parent[of as usize] != of {
+            let up = self.parent[of as usize];
+            self.parent[of as usize] = self.parent[up as usize];
+            of = up;
+        }
+        of
+    }
+
+    fn join(&mut self, a: u32, b: u32, difference: f32) {
+        let (to, from) = (a.min(b) as usize, a.max(b) as usize);
+        self.parent[from] = to as u32;
+        self.inner[to] = self.inner[to].max(self.inner[from]).max(difference);
+        self.members[to] += self.members[from];
+        self.pixels[to] += self.pixels[from];
+    }
+}

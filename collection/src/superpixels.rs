@@ -1,0 +1,316 @@
+//! Segments without weights: pixels that lie together and look alike.
+
+use crate::lab::lab;
+use crate::merge::{Similarity, merge};
+use crate::surface::{Surface, dot, sub};
+use crate::{CollectError, PosedPicture, Segmented, Segmenter};
+use rayon::prelude::*;
+
+/// How far apart things are that differ by 1, in the distance of the clusters: colour in L*a*b*, normals as vectors,
+/// distance from the plane as a part of the depth.
+pub(crate) const COLOUR: f32 = 10.0;
+pub(crate) const NORMAL: f32 = 0.4;
+pub(crate) const PLANE: f32 = 0.02;
+/// Rounds of clustering; centres hardly move after them.
+const ROUNDS: usize = 6;
+
+/// How a picture is cut into superpixels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SuperpixelSettings {
+    /// Side of a superpixel before merging, pixels, 4 to 256.
+    pub side: u32,
+    /// How much a pixel's place counts beside its looks, above 0, at most 10: large ones are square.
+    pub compactness: f32,
+    /// How different neighbours may be that become one segment, 0 (none do) to 10, in units of the clusters'
+    /// distance: 10 of L*a*b*, 0.4 of normals.
+    pub merge: f32,
+    /// Segments of fewer pixels join the neighbour that is most alike.
+    pub smallest: u32,
+}
+
+impl Default for SuperpixelSettings {
+    /// For pictures of about 640 × 480: superpixels of 12 × 12, joined to surfaces of one colour.
+    fn default() -> Self {
+        Self { side: 12, compactness: 0.6, merge: 0.5, smallest: 40 }
+    }
+}
+
+impl SuperpixelSettings {
+    /// Checks that every number is in its range.
+    ///
+    /// # Errors
+    /// Names the first that is not.
+    pub fn check(&self) -> Result<(), CollectError> {
+        let bad = |field, value: f32, range: &str| {
+            Err(CollectError::argument(field, format!("is {value}; it has to be {range}")))
+        };
+        if !(4..=256).contains(&self.side) {
+            return bad("side of superpixels", self.side as f32, "from 4 to 256");
+        }
+        if !(self.compactness > 0.0 && self.compactness <= 10.0) {
+            return bad("compactness", self.compactness, "above 0 and at most 10");
+        }
+        if !(0.0..=10.0).contains(&self.merge) {
+            return bad("merge", self.merge, "from 0 to 10");
+        }
+        Ok(())
+    }
+}
+
+/// Clusters of pixels by colour, normal, plane and place, as SLIC has them, joined where neighbours are alike.
+///
+/// Depth is the scene's own; without it colour and place decide.
+///
+/// # Source
+/// Achanta et al., SLIC Superpixels (2012), with each pixel looking at the nine centres around it as in gSLICr; the
+/// joining is Felzenszwalb and Huttenlocher (2004) on superpixels in place of pixels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Superpixels {
+    settings: SuperpixelSettings,
+}
+
+impl Superpixels {
+    /// With these settings.
+    ///
+    /// # Errors
+    /// If one is out of range.
+    pub fn new(settings: SuperpixelSettings) -> Result<Self, CollectError> {
+        settings.check()?;
+        Ok(Self { settings })
+    }
+}
+
+impl Segmenter for Superpixels {
+    fn name(&self) -> String {
+        let SuperpixelSettings { side, compactness, merge, smallest } = self.settings;
+        format!(
+            "superpixels 1 side {side} compactness {compactness} merge {merge} smallest {smallest}"
+        )
+    }
+
+    fn wants_depth(&self) -> bool {
+        true
+    }
+
+    fn segment(&self, picture: &PosedPicture<'_>) -> Result<Segmented, CollectError> {
+        picture.check()?;
+        let (width, height) = (picture.view.width as usize, picture.view.height as usize);
+        let surface = picture.depth.map_or_else(
+            || Surface::unknown(width * height),
+            |depth| Surface::of(depth, picture.view),
+        );
+        let pixels = Pixels { width, height, lab: lab(picture.picture.pixels()), surface };
+        let clusters = cluster(&pixels, &self.settings);
+        let similarity =
+            Similarity { limit: self.settings.merge, smallest: self.settings.smallest };
+        let ids = merge(&pixels, &clusters, similarity);
+        let found = ids.iter().max().map_or(0, |&id| id as usize + 1);
+        let ids: Vec<Option<u32>> = ids.into_iter().map(Some).collect();
+        Segmented::dense(width as u32, height as u32, &ids, found)
+    }
+}
+
+/// What is known of each pixel.
+pub(crate) struct Pixels {
+    pub(crate) width: usize,
+    pub(crate) height: usize,
+    pub(crate) lab: Vec<[f32; 3]>,
+    pub(crate) surface: Surface,
+}
+
+/// Means of a cluster.
+#[derive(Debug, Clone, Copy, Default)]
+struct Centre {
+    x: f32,
+    y: f32,
+    lab: [f32; 3],
+    /// z is 0 where no pixel has a depth.
+    point: [f32; 3],
+    normal: [f32; 3],
+}
+
+/// The cluster of each pixel.
+fn cluster(pixels: &Pixels, settings: &SuperpixelSettings) -> Vec<u32> {
+    let (width, height) = (pixels.width, pixels.height);
+    let side = settings.side as usize;
+    let (columns, rows) = (width.div_ceil(side), height.div_ceil(side));
+    let home = |at: usize| (at / width * rows / height) * columns + at % width * columns / width;
+    let mut ids: Vec<u32> = (0..width * height).map(|at| home(at) as u32).collect();
+    let mut centres = means(pixels, &ids, columns * rows, &[]);
+    let place = settings.compactness / side as f32;
+    for _ in 0..ROUNDS {
+        ids.par_iter_mut().enumerate().for_each(|(at, id)| {
+            let (row, column) = (home(at) / columns, home(at) % columns);
+            let mut best = (f32::INFINITY, *id);
+            for r in row.saturating_sub(1)..(row + 2).min(rows) {
+                for c in column.saturating_sub(1)..(column + 2).min(columns) {
+                    let centre = &centres[r * columns + c];
+                    let distance = distance(pixels, at, centre, place);
+                    if distance < best.0 {
+                        best = (distance, (r * columns + c) as u32);
+                    }
+                }
+            }
+            *id = best.1;
+        });
+        centres = means(pixels, &ids, columns * rows, &centres);
+    }
+    ids
+}
+
+/// Squared distance of a pixel to a cluster; `place`: weight of a pixel of distance.
+fn distance(pixels: &Pixels, at: usize, centre: &Centre, place: f32) -> f32 {
+    let square = |v: f32| v * v;
+    let (x, y) = ((at % pixels.width) as f32, (at / pixels.width) as f32);
+    let apart = (square(x - centre.x) + square(y - centre.y)) * square(place);
+    let colour = sub(pixels.lab[at], centre.lab);
+    let mut sum = apart + dot(colour, colour) / square(COLOUR);
+    let (point, normal) = (pixels.surface.points[at], pixels.surface.normals[at]);
+    if point[2] > 0.0 && centre.point[2] > 0.0 {
+        let off = dot(centre.normal, sub(point, centre.point)) / point[2].min(centre.point[2]);
+        let turned = sub(normal, centre.normal);
+        // Far from its plane is far enough.
+        sum += square(off / PLANE).min(25.0) + dot(turned, turned) / square(NORMAL);
+    } else if point[2] > 0.0 || centre.point[2] > 0.0 {
+        sum += 1.0;
+    }
+    sum
+}
+
+/// Means of all clusters; one without pixels keeps its old values.
+fn means(pixels: &Pixels, ids: &[u32], count: usize, before: &[Centre]) -> Vec<Centre> {
+    #[derive(Clone, Copy, Default)]
+    struct Sums {
+        pixels: f64,
+        place: [f64; 2],
+        lab: [f64; 3],
+        known: f64,
+        point: [f64; 3],
+        normal: [f64; 3],
+    }
+    let mut sums = vec![Sums::default(); count];
+    let add = |to: &mut [f64; 3], v: [f32; 3]| (0..3).for_each(|k| to[k] += f64::from(v[k]));
+    for (at, &id) in ids.iter().enumerate() {
+        let sum = &mut sums[id as usize];
+        sum.pixels += 1.0;
+        sum.place[0] += (at % pixels.width) as f64;
+        sum.place[1] += (at / pixels.width) as f64;
+        add(&mut sum.lab, pixels.lab[at]);
+        if pixels.surface.points[at][2] > 0.0 {
+            sum.known += 1.0;
+            add(&mut sum.point, pixels.surface.points[at]);
+            add(&mut sum.normal, pixels.surface.normals[at]);
+        }
+    }
+    let centre = |(i, s): (usize, &Sums)| {
+        if s.pixels == 0.0 {
+            return before.get(i).copied().unwrap_or_default();
+        }
+        let length = s.normal.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let unit = |v: f64| if length > 0.0 { (v / length) as f32 } else { 0.0 };
+        // Where most pixels have no depth, the cluster has none.
+        let known = s.known > 0.5 * s.pixels;
+        Centre {
+            x: (s.place[0] / s.pixels) as f32,
+            y: (s.place[1] / s.pixels) as f32,
+            lab: s.lab.map(|v| (v / s.pixels) as f32),
+            point: s.point.map(|v| if known { (v / s.known) as f32 } else { 0.0 }),
+            normal: s.normal.map(|v| if known { unit(v) } else { 0.0 }),
+        }
+    };
+    sums.iter().enumerate().map(centre).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "a test may fail loudly")]
+    use super::*;
+    use crate::segmenter::tests::view;
+    use scenesplat_rasterizer::lifting::SegmentMap;
+    use scenesplat_scene::picture::RgbPicture;
+
+    fn segment(picture: &RgbPicture, depth: Option<&[f32]>) -> SegmentMap {
+        let view = view(picture.width(), picture.height());
+        let posed = PosedPicture { name: "a", picture, view: &view, depth };
+        let found =
+            Superpixels::new(SuperpixelSettings::default()).unwrap().segment(&posed).unwrap();
+        assert_eq!(found.left_out, 0);
+        found.map
+    }
+
+    /// Share of the pixels that are in a segment whose most frequent truth is theirs.
+    fn purity(map: &SegmentMap, truth: impl Fn(u32, u32) -> usize) -> f64 {
+        let mut counts = vec![[0u32; 8]; map.num_ids()];
+        for (at, &id) in map.ids().iter().enumerate() {
+            let (x, y) = (at as u32 % map.width(), at as u32 / map.width());
+            counts[usize::from(id)][truth(x, y)] += 1;
+        }
+        let right: u32 = counts.iter().map(|c| c.iter().max().unwrap()).sum();
+        f64::from(right) / map.ids().len() as f64
+    }
+
+    #[test]
+    fn colours_are_told_apart_and_one_surface_is_one_segment() {
+        let truth = |x: u32, y: u32| usize::from(x * 2 > y + 60) + 2 * usize::from(y > 50);
+        let colors = [[200, 60, 50], [60, 160, 70], [50, 70, 190], [200, 190, 60]];
+        let picture = RgbPicture::from_fn(120, 90, |x, y| colors[truth(x, y)]);
+        let map = segment(&picture, None);
+        assert!(purity(&map, truth) > 0.99, "{}", purity(&map, truth));
+        assert!((4..=8).contains(&map.num_ids()), "{}", map.num_ids());
+    }
+
+    #[test]
+    fn depth_tells_apart_what_colour_does_not() {
+        // A box before a wall, and the floor: all of one grey.
+        let picture = RgbPicture::filled(120, 90, [128; 3]);
+        let inside = |x: u32, y: u32| (40..80).contains(&x) && (20..60).contains(&y);
+        let truth = |x: u32, y: u32| if inside(x, y) { 1 } else { usize::from(y >= 70) * 2 };
+        let depth: Vec<f32> = (0..120 * 90)
+            .map(|at| {
+                let (x, y) = (at % 120, at / 120);
+                // A floor that meets the wall of depth 4 at row 70.
+                let down = (y as f32 + 0.5 - 45.0) / 120.0;
+                match truth(x, y) {
+                    1 => 2.5,
+                    2 => 4.0 * (25.0 / 120.0) / down,
+                    _ => 4.0,
+                }
+            })
+            .collect();
+        let map = segment(&picture, Some(&depth));
+        assert!(purity(&map, truth) > 0.97, "{}", purity(&map, truth));
+        assert!((3..=12).contains(&map.num_ids()), "{}", map.num_ids());
+        assert_eq!(segment(&picture, None).num_ids(), 1);
+    }
+
+    #[test]
+    fn threads_change_nothing_and_odd_sizes_work() {
+        let mut rng = 7u32;
+        for (width, height) in [(1, 1), (3, 70), (70, 3), (64, 48)] {
+            let noise: Vec<[u8; 3]> = (0..width * height)
+                .map(|_| {
+                    rng = rng.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                    [(rng >> 8) as u8, (rng >> 16) as u8, (rng >> 24) as u8]
+                })
+                .collect();
+            let picture = RgbPicture::from_pixels(width, height, noise).unwrap();
+            let depth = vec![f32::NAN; (width * height) as usize];
+            let all = segment(&picture, Some(&depth));
+            let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+            assert_eq!(one.install(|| segment(&picture, Some(&depth))), all);
+        }
+    }
+
+    #[test]
+    fn settings_out_of_range_are_named() {
+        let good = SuperpixelSettings::default();
+        for (bad, part) in [
+            (SuperpixelSettings { side: 3, ..good }, "side"),
+            (SuperpixelSettings { compactness: f32::NAN, ..good }, "compactness"),
+            (SuperpixelSettings { merge: -1.0, ..good }, "merge"),
+        ] {
+            let error = Superpixels::new(bad).unwrap_err().to_string();
+            assert!(error.contains(part), "{error}");
+        }
+    }
+}
