@@ -71,6 +71,7 @@ pub use scenesplat_rooms as rooms;
 pub use scenesplat_scene as scene;
 pub use scenesplat_text as sentences;
 pub use scenesplat_trainers as trainers;
+pub use scenesplat_vision as vision;
 pub use setting::{Setting, SettingError};
 
 /// The types that nearly every program needs.

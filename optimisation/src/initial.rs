@@ -85,6 +85,9 @@ pub fn from_points(
     Model::from_arrays(&rows, sh, settings.sh_degree)
 }
 
+/// Positions and colours of points.
+pub type Cloud = (Vec<[f32; 3]>, Vec<[f32; 3]>);
+
 /// Points uniform in a box, with random colours, for captures that come without any.
 ///
 /// # Errors
@@ -93,7 +96,7 @@ pub fn random_points(
     count: usize,
     [low, high]: [[f32; 3]; 2],
     seed: u64,
-) -> Result<(Vec<[f32; 3]>, Vec<[f32; 3]>), OptimiseError> {
+) -> Result<Cloud, OptimiseError> {
     for k in 0..3 {
         let good = low[k].is_finite() && high[k].is_finite() && low[k] < high[k];
         let range = "finite and above the lower one";

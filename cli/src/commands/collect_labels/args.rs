@@ -8,8 +8,8 @@ use crate::commands::many::Many;
 use crate::commands::render::{parse_fov, parse_size};
 use crate::flags::{Shared, SourceArgs, parse_up};
 use anyhow::Result;
-use clap::ValueEnum;
 use clap::builder::TypedValueParser;
+use clap::{ArgAction, ValueEnum};
 use scenesplat::datasets::effects::plan::EffectChoices;
 use scenesplat::memory::Bytes;
 use scenesplat::scene::{ReadOptions, UpAxis};
@@ -20,8 +20,12 @@ use std::path::{Path, PathBuf};
 /// confidence.npy, …), and the segments of each picture into frames, from where a run that was stopped goes on.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// The scene, in any format.
+    /// The scene, in any format; several get a folder in --out each.
+    #[arg(num_args = 1.., action = ArgAction::Append, required = false, required_unless_present = "manifest")]
     pub scene: PathBuf,
+    /// Which of many scenes.
+    #[command(flatten)]
+    pub many: Many,
     /// cameras.json, transforms.json or a COLMAP folder; pinhole cameras in the frame of the scene.
     #[arg(long, value_name = "PATH", requires = "images")]
     pub cameras: Option<PathBuf>,

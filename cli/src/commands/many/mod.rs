@@ -1,4 +1,4 @@
-//! Commands over many scenes: `features`, `segment`, `evaluate` and `lift-labels` with several scenes, a
+//! Commands over many scenes: `features`, `segment`, `evaluate`, `lift-labels` and `collect-labels` with several scenes, a
 //! manifest, or a part of them. Each scene is the same command on that scene alone, in a process of its own
 //! and with a folder of its own in `--out`.
 
@@ -71,10 +71,11 @@ pub struct SomeFailed {
 
 /// The commands that take many scenes, the name of their scenes, and whether several of them without a
 /// flag of [`Many`] are the command's own business.
-const COMMANDS: [(&str, &str, bool); 4] = [
+const COMMANDS: [(&str, &str, bool); 5] = [
     ("features", "scene", false),
     ("segment", "scene", false),
     ("lift-labels", "scene", false),
+    ("collect-labels", "scene", false),
     ("evaluate", "scenes", true),
 ];
 

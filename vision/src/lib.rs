@@ -1,0 +1,22 @@
+//! Image networks on a plain CPU, with weights from local files.
+//!
+//! | what | module |
+//! |---|---|
+//! | pictures in another size, equal to Pillow's to the bit | [`resize`] |
+//! | masks of a click or a box | [`sam2`] |
+//! | masks of everything in a picture | [`masks`] |
+//! | vectors of pictures and texts | [`siglip`] |
+
+mod cross_attention;
+mod error;
+mod layers;
+pub mod masks;
+pub mod resize;
+pub mod sam2;
+pub mod siglip;
+mod weights;
+
+pub use error::VisionError;
+pub use masks::{AutomaticMasks, IdMap, MaskProposal, MaskSettings, paint};
+pub use sam2::{Sam2, Sam2Config};
+pub use siglip::{SiglipImageEncoder, SiglipTextEncoder};

@@ -1,0 +1,118 @@
+//! What the automatic mask generator is asked for.
+
+use crate::VisionError;
+use serde::{Deserialize, Serialize};
+
+/// Which of a point's three masks are kept.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Level {
+    /// Part, larger part and whole.
+    All,
+    /// The whole alone: objects.
+    Whole,
+}
+
+/// Settings of [`AutomaticMasks`](super::AutomaticMasks).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MaskSettings {
+    /// Points on each side of the grid over the picture.
+    pub points_per_side: usize,
+    /// Points that are answered at once; changes memory, not results.
+    pub points_per_batch: usize,
+    /// Masks with a predicted IoU above this are kept.
+    pub pred_iou: f32,
+    /// Masks at least this stable are kept: pixels above `stability_offset` over those above its opposite.
+    pub stability: f32,
+    /// Where stability cuts, logits.
+    pub stability_offset: f32,
+    /// Boxes of one crop that overlap more than this are one object (IoU).
+    pub box_nms: f32,
+    /// Layers of crops besides the picture: layer i cuts it into 2ⁱ × 2ⁱ.
+    pub crop_layers: usize,
+    /// Boxes of different crops that overlap more than this are one object (IoU).
+    pub crop_nms: f32,
+    /// How far the crops of the first layer overlap, of the picture's shorter side.
+    pub crop_overlap: f64,
+    /// The grid of each further layer has this many times fewer points on a side.
+    pub point_downscale: usize,
+    /// Holes and sprinkles of at most so many pixels of the network's masks are filled and removed; 0 leaves them.
+    pub min_region: usize,
+    /// Which masks of a point.
+    pub level: Level,
+}
+
+impl Default for MaskSettings {
+    fn default() -> Self {
+        Self::original()
+    }
+}
+
+impl MaskSettings {
+    /// The defaults of SAM 2's own generator.
+    pub fn original() -> Self {
+        Self {
+            points_per_side: 32,
+            points_per_batch: 64,
+            pred_iou: 0.8,
+            stability: 0.95,
+            stability_offset: 1.0,
+            box_nms: 0.7,
+            crop_layers: 0,
+            crop_nms: 0.7,
+            crop_overlap: 512.0 / 1500.0,
+            point_downscale: 1,
+            min_region: 0,
+            level: Level::All,
+        }
+    }
+
+    /// Those of SceneSplat's labels (from the authors' later public code): objects, with a layer of crops.
+    pub fn scenesplat() -> Self {
+        Self {
+            pred_iou: 0.7,
+            stability: 0.85,
+            crop_layers: 1,
+            min_region: 100,
+            level: Level::Whole,
+            ..Self::original()
+        }
+    }
+
+    /// Checks the settings.
+    ///
+    /// # Errors
+    /// If one is out of its range; the message names it.
+    pub fn check(&self) -> Result<(), VisionError> {
+        let shares = [
+            ("pred_iou", f64::from(self.pred_iou)),
+            ("stability", f64::from(self.stability)),
+            ("box_nms", f64::from(self.box_nms)),
+            ("crop_nms", f64::from(self.crop_nms)),
+            ("crop_overlap", self.crop_overlap),
+        ];
+        for (field, value) in shares {
+            if !(0.0..=1.0).contains(&value) {
+                return Err(VisionError::config(field, value, "0 to 1 is possible"));
+            }
+        }
+        if !(self.stability_offset >= 0.0 && self.stability_offset.is_finite()) {
+            let help = "a number from 0 on";
+            return Err(VisionError::config("stability_offset", self.stability_offset, help));
+        }
+        for (field, value, most) in [
+            ("points_per_side", self.points_per_side, 1024),
+            ("points_per_batch", self.points_per_batch, 1 << 16),
+            ("point_downscale", self.point_downscale, 1024),
+        ] {
+            if value == 0 || value > most {
+                return Err(VisionError::config(field, value, "1 to 1024 is possible"));
+            }
+        }
+        if self.crop_layers > 4 {
+            return Err(VisionError::config("crop_layers", self.crop_layers, "at most 4"));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,204 @@
+//! Sizes of SAM 2 networks.
+
+use crate::VisionError;
+use serde::{Deserialize, Serialize};
+
+/// The sizes of a SAM 2 network in image mode; the same for 2.0 and 2.1.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Sam2Config {
+    /// Side of the square that pictures are squashed to, pixels; a multiple of 32.
+    pub image_size: usize,
+    /// Channels of the first stage; doubled at each further one.
+    pub embed_dim: usize,
+    /// Heads of the first stage; doubled at each further one.
+    pub num_heads: usize,
+    /// Blocks of each stage.
+    pub stages: [usize; 4],
+    /// Blocks that see the whole picture.
+    pub global_att_blocks: Vec<usize>,
+    /// Side of the windows of each stage, tokens.
+    pub window_spec: [usize; 4],
+    /// Height and width of the coarse position embedding.
+    pub window_pos_embed_bkg_spatial_size: [usize; 2],
+    /// Channels of the decoder.
+    pub d_model: usize,
+    /// Layers of the two-way transformer.
+    pub decoder_depth: usize,
+    /// Its heads.
+    pub decoder_heads: usize,
+    /// Hidden channels of its perceptrons.
+    pub decoder_mlp: usize,
+    /// Hidden channels of the head that predicts a mask's IoU.
+    pub iou_hidden: usize,
+}
+
+impl Sam2Config {
+    fn of(
+        embed_dim: usize,
+        num_heads: usize,
+        stages: [usize; 4],
+        global: [usize; 3],
+        window_spec: [usize; 4],
+        background: usize,
+    ) -> Self {
+        Self {
+            image_size: 1024,
+            embed_dim,
+            num_heads,
+            stages,
+            global_att_blocks: global.to_vec(),
+            window_spec,
+            window_pos_embed_bkg_spatial_size: [background; 2],
+            d_model: 256,
+            decoder_depth: 2,
+            decoder_heads: 8,
+            decoder_mlp: 2048,
+            iou_hidden: 256,
+        }
+    }
+
+    /// `sam2_hiera_tiny`, `sam2.1_hiera_tiny`
+    pub fn tiny() -> Self {
+        Self::of(96, 1, [1, 2, 7, 2], [5, 7, 9], [8, 4, 14, 7], 7)
+    }
+
+    /// `sam2_hiera_small`, `sam2.1_hiera_small`
+    pub fn small() -> Self {
+        Self::of(96, 1, [1, 2, 11, 2], [7, 10, 13], [8, 4, 14, 7], 7)
+    }
+
+    /// `sam2_hiera_base_plus`, `sam2.1_hiera_base_plus`
+    pub fn base_plus() -> Self {
+        Self::of(112, 2, [2, 3, 16, 3], [12, 16, 20], [8, 4, 14, 7], 14)
+    }
+
+    /// `sam2_hiera_large`, `sam2.1_hiera_large`: what SceneSplat's labels were made with.
+    pub fn large() -> Self {
+        Self::of(144, 2, [2, 6, 36, 4], [23, 33, 43], [8, 4, 16, 8], 7)
+    }
+
+    /// Side of the first stage, tokens.
+    pub(crate) fn side(&self) -> usize {
+        self.image_size / 4
+    }
+
+    /// Side of the picture's rows in the decoder, tokens.
+    pub(crate) fn decoder_side(&self) -> usize {
+        self.image_size / 16
+    }
+
+    /// Checks that the sizes make a network.
+    ///
+    /// # Errors
+    /// If they do not; the message names the field.
+    pub fn check(&self) -> Result<(), VisionError> {
+        if !self.image_size.is_multiple_of(32) || !(32..=4096).contains(&self.image_size) {
+            return Err(VisionError::config(
+                "image_size",
+                self.image_size,
+                "a multiple of 32 up to 4096",
+            ));
+        }
+        for (field, value, most) in [
+            ("embed_dim", self.embed_dim, 1024),
+            ("num_heads", self.num_heads, 64),
+            ("d_model", self.d_model, 2048),
+            ("decoder_depth", self.decoder_depth, 16),
+            ("decoder_heads", self.decoder_heads, 64),
+            ("decoder_mlp", self.decoder_mlp, 1 << 15),
+            ("iou_hidden", self.iou_hidden, 1 << 12),
+        ] {
+            if value == 0 || value > most {
+                return Err(VisionError::config(
+                    field,
+                    value,
+                    "too small or larger than any known network",
+                ));
+            }
+        }
+        if !self.embed_dim.is_multiple_of(self.num_heads) {
+            return Err(VisionError::config(
+                "embed_dim",
+                self.embed_dim,
+                "a multiple of num_heads",
+            ));
+        }
+        if !self.d_model.is_multiple_of(8) || !(self.d_model / 2).is_multiple_of(self.decoder_heads)
+        {
+            return Err(VisionError::config(
+                "d_model",
+                self.d_model,
+                "a multiple of 8 and of twice decoder_heads",
+            ));
+        }
+        if self.stages.contains(&0) || self.stages.iter().sum::<usize>() > 1000 {
+            return Err(VisionError::config(
+                "stages",
+                format!("{:?}", self.stages),
+                "1 to 1000 blocks in all",
+            ));
+        }
+        let side = self.side();
+        let even = self.window_spec[..3].iter().all(|w| w.is_multiple_of(2));
+        if !even || self.window_spec.iter().any(|w| *w == 0 || *w > side) {
+            let value = format!("{:?}", self.window_spec);
+            return Err(VisionError::config(
+                "window_spec",
+                value,
+                "even sides of windows inside the picture",
+            ));
+        }
+        if !side.is_multiple_of(self.window_spec[0]) {
+            let help = "its first side must divide a quarter of image_size";
+            return Err(VisionError::config(
+                "window_spec",
+                format!("{:?}", self.window_spec),
+                help,
+            ));
+        }
+        if self.window_pos_embed_bkg_spatial_size.iter().any(|s| *s == 0 || *s > 256) {
+            let value = format!("{:?}", self.window_pos_embed_bkg_spatial_size);
+            return Err(VisionError::config(
+                "window_pos_embed_bkg_spatial_size",
+                value,
+                "1 to 256 each",
+            ));
+        }
+        let first = |stage: usize| self.stages[..stage].iter().sum::<usize>();
+        for block in &self.global_att_blocks {
+            if (1..4).any(|stage| first(stage) == *block) || *block >= first(4) {
+                let help = "blocks that exist and begin no stage";
+                return Err(VisionError::config("global_att_blocks", block, help));
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_authors_sizes_are_networks() {
+        for config in
+            [Sam2Config::tiny(), Sam2Config::small(), Sam2Config::base_plus(), Sam2Config::large()]
+        {
+            config.check().unwrap();
+        }
+    }
+
+    #[test]
+    fn what_is_no_network_is_refused_by_name() {
+        let mut config = Sam2Config::large();
+        config.image_size = 1000;
+        assert!(config.check().unwrap_err().to_string().contains("image_size is 1000"));
+        let mut config = Sam2Config::large();
+        config.global_att_blocks = vec![44];
+        assert!(config.check().unwrap_err().to_string().contains("global_att_blocks is 44"));
+        let mut config = Sam2Config::large();
+        config.window_spec = [8, 3, 16, 8];
+        assert!(config.check().unwrap_err().to_string().contains("window_spec"));
+    }
+}
