@@ -179,7 +179,7 @@ mod tests {
         assert_eq!(found.get(0, 5), Some([50, 30, 0]));
         write(&path, &photo, None);
         let (found, at, remarks) = fit_photo(&path, &camera(12, 8)).unwrap();
-        assert_eq!((found, remarks), (photo.clone(), vec![PhotoRemark::CameraScaled]));
+        assert_eq!((found, remarks), (photo, vec![PhotoRemark::CameraScaled]));
         assert_eq!((at.width, at.fx, at.cx, at.cy), (6, 50.0, 3.0, 2.0));
         let error = fit_photo(&path, &camera(4, 6)).unwrap_err().to_string();
         assert!(

@@ -55,7 +55,7 @@ impl Surface {
             let (Some(across), Some(down)) = (across, down) else { return [0.0; 3] };
             let n = cross(down, across);
             let length = dot(n, n).sqrt();
-            if !(length > 0.0) {
+            if length.is_nan() || length <= 0.0 {
                 return [0.0; 3];
             }
             let towards = if dot(n, points[at]) > 0.0 { -1.0 } else { 1.0 };

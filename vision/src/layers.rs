@@ -94,7 +94,7 @@ pub(crate) fn add(a: &mut [f32], b: &[f32]) {
 pub(crate) fn gelu_tanh(values: &mut [f32]) {
     const BLOCK: usize = 1 << 12;
     // 2√(2/π)
-    const FACTOR: f32 = 1.595_769_1;
+    const FACTOR: f32 = 1.595_769;
     values.par_chunks_mut(BLOCK).for_each_init(
         || vec![0f32; BLOCK],
         |powers, values| {

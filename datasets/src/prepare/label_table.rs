@@ -140,7 +140,7 @@ impl LabelTables<'_> {
                     .collect();
                 Ok(vec![
                     LabelTable::of_map("segment", names(MATTERPORT21), coarse.collect()),
-                    LabelTable::of_map("segment_nyu_160", fine.classes.clone(), fine_map),
+                    LabelTable::of_map("segment_nyu_160", fine.classes, fine_map),
                 ])
             }
             ScanLayout::Points => Ok(vec![LabelTable::of_numbers("segment", Vec::new())]),

@@ -107,6 +107,7 @@ fn planted_objects_are_found() {
     }
 }
 
+#[allow(clippy::needless_pass_by_value, reason = "settings are written where they are used")]
 fn run(network: &Truth, settings: MaskSettings) -> (Vec<MaskProposal>, MaskCounts) {
     let settings = MaskSettings { points_per_side: 8, ..settings };
     AutomaticMasks::new(network, settings).unwrap().generate_counted(&picture()).unwrap()
@@ -131,7 +132,7 @@ fn each_filter_alone() {
     assert_eq!((counts.single, counts.kept), (all, all), "boxes that are equal are not above 1");
 
     // Predicted IoU: strictly above.
-    let (found, counts) = run(&network, MaskSettings { pred_iou: 0.91, ..open.clone() });
+    let (found, counts) = run(&network, MaskSettings { pred_iou: 0.91, ..open });
     assert_eq!((counts.expected, found.len()), (64, 64));
     assert!(found.iter().all(|p| p.predicted_iou == 0.95));
     let nan = Truth { iou: [f32::NAN; MASKS], ..truth() };
@@ -139,24 +140,24 @@ fn each_filter_alone() {
 
     // Stability: a soft edge falls below, a hard one does not.
     let soft = Truth { sure: 1.2, ..truth() };
-    let strict = MaskSettings { stability: 0.9, ..open.clone() };
+    let strict = MaskSettings { stability: 0.9, ..open };
     assert_eq!(run(&network, strict.clone()).1.stable, all);
     let (soft_found, soft_counts) = run(&soft, strict);
     assert!(soft_counts.stable < all, "{soft_counts:?}");
     assert!(soft_found.iter().all(|p| p.stability >= 0.9));
 
     // Boxes of one crop.
-    let (found, counts) = run(&network, MaskSettings { box_nms: 0.7, ..open.clone() });
+    let (found, counts) = run(&network, MaskSettings { box_nms: 0.7, ..open });
     assert_eq!((counts.whole, counts.single), (all, found.len()));
     assert!(found.len() < 12, "{}", found.len());
     assert!(found.iter().all(|p| p.predicted_iou == 0.95), "the surest stay");
 
     // Only whole objects.
-    let (_, counts) = run(&network, MaskSettings { level: Level::Whole, ..open.clone() });
+    let (_, counts) = run(&network, MaskSettings { level: Level::Whole, ..open });
     assert_eq!(counts.answered, 64);
 
     // Edges of crops, and boxes among crops.
-    let cropped = MaskSettings { crop_layers: 1, box_nms: 0.7, ..open.clone() };
+    let cropped = MaskSettings { crop_layers: 1, box_nms: 0.7, ..open };
     let (found, counts) = run(&network, cropped.clone());
     assert_eq!(counts.answered, 5 * all);
     assert!(counts.whole < counts.stable, "{counts:?}");
@@ -184,7 +185,7 @@ fn each_filter_alone() {
         [if inside { 200 } else { 0 }, 0, 0]
     });
     let count = |min_region| {
-        let settings = MaskSettings { points_per_side: 16, min_region, ..open.clone() };
+        let settings = MaskSettings { points_per_side: 16, min_region, ..open };
         let found = AutomaticMasks::new(&network, settings).unwrap().generate(&speck).unwrap();
         let small = found.iter().filter(|p| p.mask.area() < 1000).count();
         let holes = found.iter().filter(|p| p.mask.area() > 1000 && !p.mask.contains(200, 150));
@@ -200,7 +201,7 @@ fn batches_and_threads_change_nothing() {
     let network = truth();
     let settings = MaskSettings { points_per_batch: 64, ..MaskSettings::scenesplat() };
     let all = run(&network, settings.clone());
-    assert_eq!(all, run(&network, MaskSettings { points_per_batch: 7, ..settings.clone() }));
+    assert_eq!(all, run(&network, MaskSettings { points_per_batch: 7, ..settings }));
     let pool = rayon::ThreadPoolBuilder::new().num_threads(5).build().unwrap();
     assert_eq!(all, pool.install(|| run(&network, settings)));
 }

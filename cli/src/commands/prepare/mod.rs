@@ -15,6 +15,7 @@ pub struct Args {
 }
 
 #[derive(Debug, Subcommand)]
+#[allow(clippy::large_enum_variant, reason = "one a run")]
 enum Part {
     /// A scene of Gaussians and the labelled scan of it: a folder of .npy files with labels, instances, normals and
     /// the labelled points.

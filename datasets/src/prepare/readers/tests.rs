@@ -220,7 +220,7 @@ fn arkitscenes() {
     mini.json(
         annotation,
         &json!({"skipped": false, "data": [
-        item("table", [0.5, 0.5, 0.0], [1.1, 1.1, 1.0], straight.clone()),
+        item("table", [0.5, 0.5, 0.0], [1.1, 1.1, 1.0], straight),
         // Long along (1, 1): reaches (1, 1), thin across.
         item("stool", [0.75, 0.75, 0.0], [0.8, 0.1, 0.5], turned)]}),
     );
