@@ -23,6 +23,7 @@ pub mod loader;
 pub mod masking;
 pub mod mix3d;
 pub mod plan;
+pub mod prepare;
 pub mod rng;
 pub mod sample;
 pub mod shard;

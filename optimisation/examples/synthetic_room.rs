@@ -3,12 +3,12 @@
 //! ```sh
 //! cargo run --release -p scenesplat-optimisation --example synthetic_room -- OUT \
 //!     [size=320x240] [steps=2000] [seed=1] [frames=120] [gaussians=150000] [initial=60000] [cap=100000] \
-//!     [depth=1] [scale=0.02] [opacity=0] [threads=0] [until=0] [scene=FILE cameras=FILE]
+//!     [depth=1] [scale=0.02] [opacity=0] [threads=0] [until=0] [scene=FILE [cameras=FILE]]
 //! ```
 //!
 //! Writes `room.ply`, `cameras.json`, `images/`, `depth/`, `result.ply`, pictures of truth, result and error, and
 //! prints a line of JSON with the figures. `until` stops after that many steps and goes on from the checkpoint.
-//! With `scene` a scene of a file is drawn from its own cameras instead of a room.
+//! With `scene` a scene of a file is drawn instead of a room, from its own cameras or from all around.
 
 use rayon::prelude::*;
 use scenesplat_optimisation::cost::set_cap;
@@ -22,7 +22,9 @@ use scenesplat_rooms::{SyntheticRoom, SyntheticRoomSettings, generate};
 use scenesplat_scene::formats::cameras::write_cameras_json;
 use scenesplat_scene::formats::inria_ply::write_inria_ply;
 use scenesplat_scene::picture::{Channels, Picture, RgbPicture, Samples};
-use scenesplat_scene::{Camera, Distortion, GaussianScene, ReadOptions, open_cameras, open_scene};
+use scenesplat_scene::{
+    Camera, Distortion, GaussianScene, ReadOptions, open_cameras, open_scene, robust_bounds,
+};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -84,7 +86,11 @@ fn real(
 ) -> Result<(GaussianScene, Vec<Camera>), Failed> {
     let options = ReadOptions { sh_rest: true, ..ReadOptions::default() };
     let scene = open_scene(path, &options)?.scene;
-    let list = words.0.get("cameras").ok_or("scene=FILE needs cameras=FILE")?;
+    let Some(list) = words.0.get("cameras") else {
+        let n = words.number("frames", 120.0)? as usize;
+        let cameras = (0..n).map(|i| around(&scene, i, n, height)).collect();
+        return Ok((scene, cameras));
+    };
     let mut cameras = open_cameras(list.as_ref())?.cameras;
     for (i, camera) in cameras.iter_mut().enumerate() {
         let by = f64::from(height) / f64::from(camera.height);
@@ -96,6 +102,39 @@ fn real(
         camera.name = format!("frame_{i:04}");
     }
     Ok((scene, cameras))
+}
+
+/// A camera of many that are spread evenly around a scene, square pictures.
+fn around(scene: &GaussianScene, i: usize, n: usize, size: u32) -> Camera {
+    let bounds = robust_bounds(&scene.coord);
+    let radius = 0.5 * bounds.extent().iter().map(|e| e * e).sum::<f64>().sqrt();
+    let middle = [0, 1, 2].map(|k| 0.5 * (bounds.low[k] + bounds.high[k]));
+    // A spiral from pole to pole; neighbours in number are the golden angle apart.
+    let z = 0.9 * (1.0 - (2 * i + 1) as f64 / n as f64);
+    let (turn, across) = (2.399_963 * i as f64, (1.0 - z * z).sqrt());
+    let forward = [-across * turn.cos(), -across * turn.sin(), -z];
+    let length = (forward[0].powi(2) + forward[1].powi(2)).sqrt();
+    let right = [forward[1] / length, -forward[0] / length, 0.0];
+    let down = [
+        forward[1] * right[2] - forward[2] * right[1],
+        forward[2] * right[0] - forward[0] * right[2],
+        forward[0] * right[1] - forward[1] * right[0],
+    ];
+    let rotation = [right, down, forward];
+    let at = [0, 1, 2].map(|k| middle[k] - 2.2 * radius * forward[k]);
+    let half = f64::from(size) / 2.0;
+    Camera {
+        name: format!("frame_{i:04}"),
+        width: size,
+        height: size,
+        fx: 2.0 * half,
+        fy: 2.0 * half,
+        cx: half,
+        cy: half,
+        distortion: Distortion::None,
+        rotation,
+        translation: rotation.map(|r| -(r[0] * at[0] + r[1] * at[1] + r[2] * at[2])),
+    }
 }
 
 /// The frame that a camera takes: 8 bits of colour, millimetres of depth.

@@ -20,6 +20,7 @@ mod merge;
 mod objects;
 mod optimise;
 mod pareto;
+mod prepare;
 mod probe;
 mod query;
 mod reconstruct;
@@ -89,6 +90,8 @@ enum Command {
     Reconstruct(reconstruct::Args),
     /// Turns language features of scenes into codes of a trained autoencoder, or back.
     Codes(codes::Args),
+    /// Makes what training reads of a benchmark's own files.
+    Prepare(prepare::Args),
     /// Cuts scenes into overlapping squares for training.
     Chunk(chunk::Args),
     /// Says what is in a checkpoint and which network it fits.
@@ -156,6 +159,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Probe(args) => probe::run(args),
         Command::Reconstruct(args) => reconstruct::run(args, &line),
         Command::Codes(args) => codes::run(args, &line),
+        Command::Prepare(args) => prepare::run(args, &line),
         Command::Chunk(args) => chunk::run(args),
         Command::Weights(args) => weights::run(args, &line),
         Command::Bench(args) => bench::run(args),

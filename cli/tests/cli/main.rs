@@ -23,6 +23,7 @@ mod objects;
 mod optimise;
 mod outputs;
 mod pareto;
+mod prepare;
 mod probe;
 mod reconstruct;
 mod render;

@@ -5,7 +5,7 @@
 //! the scenes; [`SourceConfig`] is both in a configuration file.
 
 mod benchmark;
-mod class_lists;
+pub(crate) mod class_lists;
 mod config;
 mod scene_folders;
 mod synthetic_rooms;

@@ -204,6 +204,22 @@ impl PthFile {
             |name: &str, e| candle_core::Error::Msg(format!("{}: {name}: {e}", printable(path)));
         let Value::Dict(top) = pickle.root() else {
             let root = pickle.root_ref();
+            if let Value::Tuple(items) = pickle.root() {
+                // A table with something beside it, by their places.
+                for (place, item) in items.iter().enumerate() {
+                    let name = place.to_string();
+                    match tensor_info(&pickle, *item, &folder) {
+                        Some(info) => {
+                            let info = info.map_err(|e| malformed(&name, e))?;
+                            tensors.insert(name, info);
+                        }
+                        None => skipped.push(name),
+                    }
+                }
+                if !tensors.is_empty() {
+                    return Ok(Self { archive: Mutex::new(archive), tensors, skipped });
+                }
+            }
             let Some(info) = tensor_info(&pickle, root, &folder) else {
                 bail!(
                     "{}: holds neither a dictionary nor a tensor; a whole pickled module cannot be \

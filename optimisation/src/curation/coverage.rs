@@ -79,3 +79,38 @@ pub fn coverage(frames: &[TrainingFrame]) -> Option<Coverage> {
     let few = voxels.values().filter(|s| s.views < VIEWS).count();
     Some(Coverage { voxels: n, well_seen: well as f64 / n as f64, holes: few as f64 / n as f64 })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Colors;
+    use crate::frame::tests::view;
+
+    /// A wall at z = 1, seen from (x, 0, −2).
+    fn frame(x: f32, depth: Option<f32>) -> TrainingFrame {
+        let mut view = view(64, 48);
+        view.world_to_camera[0][3] = -x;
+        let pixels = view.pixels();
+        TrainingFrame {
+            name: String::new(),
+            view,
+            rgb: Colors::Bytes(vec![0; 3 * pixels]),
+            depth: depth.map(|z| vec![z; pixels]),
+            mask: None,
+        }
+    }
+
+    #[test]
+    fn views_and_their_angles_count() {
+        assert_eq!(coverage(&[frame(0.0, None)]), None);
+        let one = coverage(&[frame(0.0, Some(3.0))]).unwrap();
+        assert_eq!((one.holes, one.well_seen), (1.0, 0.0));
+        // The same three times: enough views, no angle.
+        let same = coverage(&[0; 3].map(|_| frame(0.0, Some(3.0)))).unwrap();
+        assert_eq!((same.holes, same.well_seen), (0.0, 0.0));
+        // 0.75 apart at distance 3, whole steps of 8 pixels at 64 per unit: 14° each, 28° in all.
+        let steps = [-0.75, 0.0, 0.75].map(|x| frame(x, Some(3.0)));
+        let apart = coverage(&steps).unwrap();
+        assert!(apart.well_seen > 0.1 && apart.holes < 0.9, "{apart:?}");
+    }
+}

@@ -75,3 +75,43 @@ pub fn floaters(
     let mass = if total > 0.0 { floating / total } else { 0.0 };
     Ok(Some(Floaters { count, mass, frames: looked }))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::tests::view;
+    use crate::{Colors, Stored};
+
+    /// One Gaussian on the measured wall, one half way to it, one within the tolerance.
+    #[test]
+    fn what_is_in_front_floats() {
+        let row = |mean: [f32; 3]| Stored {
+            mean,
+            log_scale: [-2.5; 3],
+            quat: [1.0, 0.0, 0.0, 0.0],
+            logit: 0.0,
+        };
+        let rows = [row([0.3, 0.0, 1.0]), row([-0.3, 0.0, 0.0]), row([0.0, 0.3, 0.9])];
+        let model = Model::from_arrays(&rows, vec![0.0; 9], 0).unwrap();
+        let frame = |depth: Option<f32>| {
+            let view = view(64, 48);
+            let pixels = view.pixels();
+            TrainingFrame {
+                name: String::new(),
+                view,
+                rgb: Colors::Bytes(vec![0; 3 * pixels]),
+                depth: depth.map(|z| vec![z; pixels]),
+                mask: None,
+            }
+        };
+        let raster = RasterSettings::default();
+        let find = |frames: &[TrainingFrame]| floaters(&model, frames, &raster).unwrap();
+        assert_eq!(find(&[frame(None)]), None);
+        let found = find(&[frame(Some(3.0)), frame(None), frame(Some(3.0))]).unwrap();
+        assert_eq!((found.count, found.frames), (1, 2));
+        // It is nearer, so larger than a third.
+        assert!(found.mass > 0.33 && found.mass < 0.8, "{found:?}");
+        // Nothing was measured there.
+        assert_eq!(find(&[frame(Some(0.0))]).unwrap().count, 0);
+    }
+}

@@ -2,18 +2,20 @@
 //!
 //! Knows nothing of Gaussians: [`super::inria_ply`], [`super::compressed_ply`] and
 //! [`super::labelled_ply`] give the columns their meaning. Reads `ascii`, `binary_little_endian`
-//! and `binary_big_endian` files with elements and properties in any order. Not for meshes: list
-//! properties are walked over so that other elements can be found, never returned.
+//! and `binary_big_endian` files with elements and properties in any order. Lists, the
+//! faces of meshes, are read by [`PlyFile::lists`]; columns come from elements without them.
 
 mod ascii;
 mod gather;
 mod header;
 mod layout;
+mod lists;
 mod raw_rows;
 mod writer;
 
 pub(crate) use gather::Gather;
 pub use header::{PlyElement, PlyEncoding, PlyProperty, PlyPropertyKind, PlyType};
+pub use lists::PlyLists;
 pub(crate) use raw_rows::ByteRows;
 pub(crate) use writer::{ColumnSource, NewElement, write_new_ply};
 pub use writer::{ColumnValues, PlyColumn, free_column_name, write_ply_with_columns};

@@ -1,0 +1,32 @@
+//! `scenesplat prepare`
+
+mod chunks;
+mod scan;
+mod splits;
+
+use anyhow::Result;
+use clap::Subcommand;
+
+/// Makes what training reads of a benchmark's own files.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(subcommand)]
+    part: Part,
+}
+
+#[derive(Debug, Subcommand)]
+enum Part {
+    /// A scene of Gaussians and the labelled scan of it: a folder of .npy files with labels, instances, normals and
+    /// the labelled points.
+    Scan(scan::Args),
+    /// Brings the labelled points of scenes (pc_*.npy) to the chunks that were cut of them.
+    Chunks(chunks::Args),
+}
+
+/// Runs the command.
+pub fn run(args: &Args, line: &str) -> Result<()> {
+    match &args.part {
+        Part::Scan(args) => scan::run(args, line),
+        Part::Chunks(args) => chunks::run(args),
+    }
+}

@@ -1,0 +1,139 @@
+//! The box around a scan.
+
+/// The smallest upright box around points: of all boxes with two sides along z the one with the smallest ground plan.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct UprightBox {
+    /// Unit directions of the ground plan's sides, x and y.
+    pub axes: [[f64; 2]; 2],
+    /// Smallest coordinates along both, and z.
+    pub low: [f64; 3],
+    /// Largest coordinates along both, and z.
+    pub high: [f64; 3],
+}
+
+impl UprightBox {
+    /// Around finite points; `None` without any.
+    pub fn around(points: &[[f32; 3]]) -> Option<Self> {
+        let hull = hull(points);
+        let (&first, _) = hull.split_first()?;
+        let z = |pick: fn(f64, f64) -> f64, start: f64| {
+            points.iter().map(|p| f64::from(p[2])).fold(start, pick)
+        };
+        let (bottom, top) = (z(f64::min, f64::INFINITY), z(f64::max, f64::NEG_INFINITY));
+        let mut best: Option<(f64, Self)> = None;
+        for i in 0..hull.len() {
+            let next = hull.get(i + 1).copied().unwrap_or(first);
+            let side = [next[0] - hull[i][0], next[1] - hull[i][1]];
+            let length = side[0].hypot(side[1]);
+            // A side of the smallest rectangle lies along a side of the hull.
+            let u = if length > 0.0 { side.map(|v| v / length) } else { [1.0, 0.0] };
+            let axes = [u, [-u[1], u[0]]];
+            let mut found = Self {
+                axes,
+                low: [f64::INFINITY, f64::INFINITY, bottom],
+                high: [f64::NEG_INFINITY, f64::NEG_INFINITY, top],
+            };
+            for p in &hull {
+                for (k, axis) in axes.iter().enumerate() {
+                    let along = p[0] * axis[0] + p[1] * axis[1];
+                    found.low[k] = found.low[k].min(along);
+                    found.high[k] = found.high[k].max(along);
+                }
+            }
+            let area = (found.high[0] - found.low[0]) * (found.high[1] - found.low[1]);
+            if best.as_ref().is_none_or(|(smallest, _)| area < *smallest) {
+                best = Some((area, found));
+            }
+        }
+        best.map(|(_, found)| found)
+    }
+
+    /// The box with `margin` added to each side's length, half of it at either end.
+    #[must_use]
+    pub fn grown(&self, margin: f64) -> Self {
+        let half = margin / 2.0;
+        Self { axes: self.axes, low: self.low.map(|v| v - half), high: self.high.map(|v| v + half) }
+    }
+
+    /// Whether a point is inside or on the border.
+    pub fn contains(&self, point: [f32; 3]) -> bool {
+        let [x, y, z] = point.map(f64::from);
+        let along = |k: usize| self.axes[k][0] * x + self.axes[k][1] * y;
+        let at = [along(0), along(1), z];
+        (0..3).all(|k| at[k] >= self.low[k] && at[k] <= self.high[k])
+    }
+}
+
+/// The convex hull of the ground plan, against the clock (Andrew's monotone chain).
+fn hull(points: &[[f32; 3]]) -> Vec<[f64; 2]> {
+    let mut plan: Vec<[f64; 2]> =
+        points.iter().map(|p| [f64::from(p[0]), f64::from(p[1])]).collect();
+    plan.sort_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
+    plan.dedup();
+    if plan.len() < 3 {
+        return plan;
+    }
+    let turn = |a: [f64; 2], b: [f64; 2], c: [f64; 2]| {
+        (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+    };
+    let chain = |points: &mut dyn Iterator<Item = [f64; 2]>| {
+        let mut out: Vec<[f64; 2]> = Vec::new();
+        for p in points {
+            while out.len() >= 2 && turn(out[out.len() - 2], out[out.len() - 1], p) <= 0.0 {
+                out.pop();
+            }
+            out.push(p);
+        }
+        out.pop();
+        out
+    };
+    let mut lower = chain(&mut plan.iter().copied());
+    lower.extend(chain(&mut plan.iter().rev().copied()));
+    lower
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "a test may fail loudly")]
+    use super::*;
+
+    #[test]
+    fn a_turned_room_has_a_box_of_its_own_size() {
+        let turn = 0.4f64;
+        let (sin, cos) = turn.sin_cos();
+        let mut points = Vec::new();
+        for i in 0..=8 {
+            for j in 0..=6 {
+                for z in [0.0f32, 2.5] {
+                    let (x, y) = (f64::from(i) * 0.5, f64::from(j) * 0.5);
+                    points.push([(cos * x - sin * y) as f32, (sin * x + cos * y) as f32, z]);
+                }
+            }
+        }
+        let found = UprightBox::around(&points).unwrap();
+        let size: Vec<f64> = (0..3).map(|k| found.high[k] - found.low[k]).collect();
+        let mut plan = [size[0], size[1]];
+        plan.sort_by(f64::total_cmp);
+        assert!((plan[0] - 3.0).abs() < 1e-5 && (plan[1] - 4.0).abs() < 1e-5, "{size:?}");
+        assert_eq!(size[2], 2.5);
+        let at =
+            |x: f64, y: f64, z: f32| [(cos * x - sin * y) as f32, (sin * x + cos * y) as f32, z];
+        let grown = found.grown(0.5);
+        assert!(grown.contains(at(-0.24, 1.0, 1.0)) && !grown.contains(at(-0.26, 1.0, 1.0)));
+        assert!(grown.contains(at(2.0, 3.24, 2.74)) && !grown.contains(at(2.0, 1.0, 2.76)));
+        assert!(!found.contains(at(-0.01, 1.0, 1.0)));
+    }
+
+    #[test]
+    fn few_points_have_a_box_too() {
+        assert_eq!(UprightBox::around(&[]), None);
+        let one = UprightBox::around(&[[1.0, 2.0, 3.0]]).unwrap();
+        assert!(
+            one.grown(0.1).contains([1.04, 2.0, 2.96])
+                && !one.grown(0.1).contains([1.06, 2.0, 3.0])
+        );
+        let line =
+            UprightBox::around(&[[0.0, 0.0, 0.0], [3.0, 4.0, 0.0], [1.5, 2.0, 0.0]]).unwrap();
+        assert!(((line.high[0] - line.low[0]) - 5.0).abs() < 1e-9, "{line:?}");
+    }
+}

@@ -1,0 +1,143 @@
+//! Labelled points of scenes to the chunks that were cut of them.
+
+use super::{bad_file, tree};
+use crate::DataError;
+use scenesplat_scene::formats::npy::NpyFile;
+use scenesplat_scene::formats::npy_writer::write_npy;
+use std::path::Path;
+
+/// Which points belong to a chunk.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ChunkTransfer {
+    /// Points around each Gaussian that may belong, at least 1.
+    pub neighbours: usize,
+    /// How far they may be, metres, above 0.
+    pub max_distance: f64,
+}
+
+impl Default for ChunkTransfer {
+    /// The original's: 16 within 0.25 m.
+    fn default() -> Self {
+        Self { neighbours: 16, max_distance: 0.25 }
+    }
+}
+
+/// What a chunk got.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct ChunkTransferReport {
+    /// Points of the scene.
+    pub points: usize,
+    /// Points of the chunk.
+    pub kept: usize,
+    /// Files written.
+    pub files: Vec<String>,
+}
+
+/// Writes `pc_*.npy` into a chunk's folder: of the scene's labelled points those that are among the nearest of any of
+/// the chunk's Gaussians, in the scene's order. Files of the chunk that are there are replaced, each as a whole.
+///
+/// # Errors
+/// If the scene has no `pc_coord.npy`, a file of it has another number of rows, or nothing can be written.
+pub fn transfer_to_chunks(
+    scene: &Path,
+    chunk: &Path,
+    settings: &ChunkTransfer,
+) -> Result<ChunkTransferReport, DataError> {
+    let points = NpyFile::open(&scene.join("pc_coord.npy"))?;
+    let coord = rows3(&points)?;
+    let gaussians = rows3(&NpyFile::open(&chunk.join("coord.npy"))?)?;
+    let tree = tree(&coord)?;
+    let limit = settings.max_distance * settings.max_distance;
+    let near: Vec<Vec<u32>> = tree.map_nearest(
+        &gaussians,
+        settings.neighbours,
+        || (),
+        |(), _, near| near.iter().filter(|n| n.distance_squared <= limit).map(|n| n.row).collect(),
+    );
+    let mut is_kept = vec![false; coord.len()];
+    near.iter().flatten().for_each(|&row| is_kept[row as usize] = true);
+    let kept: Vec<usize> = (0..coord.len()).filter(|&row| is_kept[row]).collect();
+    let mut report =
+        ChunkTransferReport { points: coord.len(), kept: kept.len(), files: Vec::new() };
+    for name in point_files(scene)? {
+        let file = NpyFile::open(&scene.join(&name))?;
+        let shape = file.shape().to_vec();
+        if shape.first() != Some(&coord.len()) {
+            let problem = format!("is {shape:?}, pc_coord.npy has {} rows", coord.len());
+            return Err(bad_file(file.path(), problem, "both have to be of one scene"));
+        }
+        let width: usize = shape[1..].iter().product();
+        let mut to = shape.clone();
+        to[0] = kept.len();
+        let path = chunk.join(&name);
+        if file.ty().is_float() {
+            write_npy(&path, &to, &chosen(&file.read_f32()?, width, &kept))?;
+        } else {
+            let values: Vec<i32> =
+                file.read_i64()?.into_iter().map(|v| i32::try_from(v).unwrap_or(-1)).collect();
+            write_npy(&path, &to, &chosen(&values, width, &kept))?;
+        }
+        report.files.push(name);
+    }
+    Ok(report)
+}
+
+fn rows3(file: &NpyFile) -> Result<Vec<[f32; 3]>, DataError> {
+    if file.shape().len() != 2 || file.shape()[1] != 3 {
+        let problem = format!("is {:?}", file.shape());
+        return Err(bad_file(file.path(), problem, "positions are [rows, 3]"));
+    }
+    Ok(file.read_f32()?.as_chunks::<3>().0.to_vec())
+}
+
+/// Names of the files with points, sorted.
+fn point_files(scene: &Path) -> Result<Vec<String>, DataError> {
+    let failed = |e: std::io::Error| bad_file(scene, format!("cannot be listed: {e}"), "");
+    let mut names = Vec::new();
+    for entry in std::fs::read_dir(scene).map_err(failed)? {
+        let name = entry.map_err(failed)?.file_name().to_string_lossy().into_owned();
+        if name.starts_with("pc_") && name.ends_with(".npy") {
+            names.push(name);
+        }
+    }
+    names.sort();
+    Ok(names)
+}
+
+fn chosen<T: Copy>(values: &[T], width: usize, rows: &[usize]) -> Vec<T> {
+    rows.iter().flat_map(|&row| values[row * width..(row + 1) * width].iter().copied()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "a test may fail loudly")]
+    use super::*;
+
+    #[test]
+    fn a_chunk_gets_the_points_around_its_gaussians() {
+        let dir = tempfile::tempdir().unwrap();
+        let (scene, chunk) = (dir.path().join("a"), dir.path().join("a_0"));
+        std::fs::create_dir(&scene).unwrap();
+        std::fs::create_dir(&chunk).unwrap();
+        let coord: Vec<[f32; 3]> = (0..10).map(|i| [0.1 * i as f32, 0.0, 0.0]).collect();
+        write_npy(&scene.join("pc_coord.npy"), &[10, 3], coord.as_flattened()).unwrap();
+        let labels: Vec<i32> = (0..10).collect();
+        write_npy(&scene.join("pc_segment20.npy"), &[10], &labels).unwrap();
+        let pairs: Vec<i64> = (0..20).collect();
+        write_npy(&scene.join("pc_instance.npy"), &[10, 2], &pairs).unwrap();
+        write_npy(&chunk.join("coord.npy"), &[2, 3], &[0.31f32, 0.0, 0.0, 5.0, 0.0, 0.0]).unwrap();
+        let settings = ChunkTransfer::default();
+        let report = transfer_to_chunks(&scene, &chunk, &settings).unwrap();
+        // Within 0.25 of 0.31: 0.1 to 0.5; nothing is near 5.
+        assert_eq!((report.points, report.kept, report.files.len()), (10, 5, 3));
+        let read = |name: &str| NpyFile::open(&chunk.join(name)).unwrap();
+        assert_eq!(read("pc_segment20.npy").read_i64().unwrap(), [1, 2, 3, 4, 5]);
+        assert_eq!(read("pc_instance.npy").read_i64().unwrap(), [2, 3, 4, 5, 6, 7, 8, 9, 10, 11]);
+        assert_eq!(read("pc_coord.npy").shape(), [5, 3]);
+        let few = ChunkTransfer { neighbours: 2, ..settings };
+        assert_eq!(transfer_to_chunks(&scene, &chunk, &few).unwrap().kept, 2);
+        write_npy(&scene.join("pc_segment20.npy"), &[9], &labels[..9]).unwrap();
+        let error = transfer_to_chunks(&scene, &chunk, &settings).unwrap_err().to_string();
+        assert!(error.contains("pc_segment20.npy") && error.contains("10 rows"), "{error}");
+    }
+}

@@ -1,0 +1,265 @@
+//! What the names of a benchmark's annotators mean: rows of a list of classes.
+
+use super::{ScanLayout, bad_file};
+use crate::DataError;
+use crate::sources::class_lists::{
+    MATTERPORT21, MATTERPORT160, SCANNET20, SCANNET200, SCANNETPP100, names,
+};
+use crate::sources::{MATTERPORT21_NYU40_IDS, SCANNET20_NYU40_IDS, SCANNET200_IDS};
+use scenesplat_scene::SceneError;
+use scenesplat_scene::input_file::read_text_file;
+use scenesplat_scene::label_set::read_names;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// What each name means, and the file that the numbers go to.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LabelTable {
+    /// Stem of the file: `segment20`.
+    pub stem: String,
+    /// The classes, if they have names.
+    pub classes: Vec<String>,
+    /// Class of each name, by the name in lower case.
+    map: BTreeMap<String, i32>,
+    /// Whether names are the numbers themselves.
+    numbers: bool,
+}
+
+/// The tables of a layout.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct LabelTables<'a> {
+    /// The benchmark's own table of names: ScanNet's `scannetv2-labels.combined.tsv`, Matterport3D's
+    /// `category_mapping.tsv`, ScanNet++'s `map_benchmark.csv`.
+    pub table: Option<&'a Path>,
+    /// Names of classes, one a line, where the layout has no list of its own, or another one is wanted.
+    pub classes: Option<&'a Path>,
+}
+
+impl LabelTable {
+    /// The class of a name; −1 if it is none.
+    pub fn class_of(&self, name: &str) -> i32 {
+        if self.numbers {
+            return name.parse().unwrap_or(-1);
+        }
+        self.map.get(&key(name)).copied().unwrap_or(-1)
+    }
+
+    /// Names as they are in a list of classes.
+    pub fn of_names(stem: &str, classes: Vec<String>) -> Self {
+        let mut map = BTreeMap::new();
+        for (class, name) in (0..).zip(&classes) {
+            map.entry(key(name)).or_insert(class);
+        }
+        Self { stem: stem.to_owned(), classes, map, numbers: false }
+    }
+
+    /// Names that are the numbers of classes.
+    pub fn of_numbers(stem: &str, classes: Vec<String>) -> Self {
+        Self { stem: stem.to_owned(), classes, map: BTreeMap::new(), numbers: true }
+    }
+
+    fn of_map(stem: &str, classes: Vec<String>, map: BTreeMap<String, i32>) -> Self {
+        Self { stem: stem.to_owned(), classes, map, numbers: false }
+    }
+}
+
+/// Names are compared without case and outer spaces.
+fn key(name: &str) -> String {
+    name.trim().to_lowercase()
+}
+
+impl LabelTables<'_> {
+    /// The tables of a layout, one for each file of labels.
+    ///
+    /// # Errors
+    /// If a table that the layout needs is not given or lacks a column, or names of classes are needed.
+    pub fn of(&self, layout: ScanLayout) -> Result<Vec<LabelTable>, DataError> {
+        if let Some(path) = self.classes {
+            let own = read_names(path)?;
+            return Ok(vec![match layout {
+                ScanLayout::Points => LabelTable::of_numbers("segment", own),
+                _ => LabelTable::of_names("segment", own),
+            }]);
+        }
+        let need = |help: &str| -> DataError {
+            let problem = format!("no table of names for the layout {}", layout.name());
+            SceneError::Classes { problem, help: help.to_owned() }.into()
+        };
+        match layout {
+            ScanLayout::Scannet => {
+                let path = self
+                    .table
+                    .ok_or_else(|| need("give ScanNet's own, scannetv2-labels.combined.tsv"))?;
+                let table = Table::read(path, '\t')?;
+                let index = |list: &[i32], id: i32| list.iter().position(|v| *v == id);
+                let nyu = table.numbers("raw_category", "nyu40id")?;
+                let raw = table.numbers("raw_category", "id")?;
+                let of = |numbers: BTreeMap<String, i32>, list: &[i32]| -> BTreeMap<String, i32> {
+                    let class = |(name, id)| Some((name, index(list, id)? as i32));
+                    numbers.into_iter().filter_map(class).collect()
+                };
+                Ok(vec![
+                    LabelTable::of_map(
+                        "segment20",
+                        names(SCANNET20),
+                        of(nyu, &SCANNET20_NYU40_IDS),
+                    ),
+                    LabelTable::of_map("segment200", names(SCANNET200), of(raw, &SCANNET200_IDS)),
+                ])
+            }
+            ScanLayout::ScannetPp => {
+                let classes = names(SCANNETPP100);
+                let mut table = LabelTable::of_names("segment", classes);
+                if let Some(path) = self.table {
+                    // Renamed classes: what a name is counted as.
+                    let renamed = Table::read(path, ',')?.pairs("class", "semantic_map_to")?;
+                    for (from, to) in renamed {
+                        if let Some(&class) = table.map.get(&key(&to)) {
+                            table.map.insert(from, class);
+                        }
+                    }
+                }
+                Ok(vec![table])
+            }
+            ScanLayout::Matterport3d => {
+                let path = self.table.ok_or_else(|| {
+                    need("give Matterport3D's own, metadata/category_mapping.tsv")
+                })?;
+                let table = Table::read(path, '\t')?;
+                let class = |id: i32| {
+                    MATTERPORT21_NYU40_IDS.iter().position(|v| *v == id).map(|at| at as i32)
+                };
+                let nyu = table.numbers("raw_category", "nyu40id")?;
+                let coarse = nyu.into_iter().filter_map(|(name, id)| Some((name, class(id)?)));
+                let fine = LabelTable::of_names("segment_nyu_160", names(MATTERPORT160));
+                let named = table.pairs("raw_category", "nyuClass")?;
+                let fine_map = named
+                    .into_iter()
+                    .map(|(name, class)| (name, fine.class_of(&class)))
+                    .filter(|(_, class)| *class >= 0)
+                    .collect();
+                Ok(vec![
+                    LabelTable::of_map("segment", names(MATTERPORT21), coarse.collect()),
+                    LabelTable::of_map("segment_nyu_160", fine.classes.clone(), fine_map),
+                ])
+            }
+            ScanLayout::Points => Ok(vec![LabelTable::of_numbers("segment", Vec::new())]),
+            ScanLayout::Replica | ScanLayout::ThreeRScan | ScanLayout::Arkitscenes => Err(need(
+                "give the names of classes, one a line, in the order that their numbers shall have",
+            )),
+        }
+    }
+}
+
+/// A table with a header, as text.
+struct Table<'a> {
+    path: &'a Path,
+    header: Vec<String>,
+    rows: Vec<Vec<String>>,
+}
+
+impl<'a> Table<'a> {
+    fn read(path: &'a Path, separator: char) -> Result<Self, DataError> {
+        let text = read_text_file(path)?;
+        let cells = |line: &str| -> Vec<String> { split(line, separator) };
+        let mut lines = text.trim_start_matches('\u{feff}').lines();
+        let header = cells(lines.next().unwrap_or_default());
+        let rows = lines.filter(|line| !line.trim().is_empty()).map(cells).collect();
+        Ok(Self { path, header, rows })
+    }
+
+    fn column(&self, name: &str) -> Result<usize, DataError> {
+        self.header.iter().position(|h| h == name).ok_or_else(|| {
+            let problem = format!("has no column {name}; it has: {}", self.header.join(", "));
+            bad_file(self.path, problem, "is it the table that the layout asks for?")
+        })
+    }
+
+    /// Two columns, the first in lower case; of repeated names the first row counts.
+    fn pairs(&self, from: &str, to: &str) -> Result<BTreeMap<String, String>, DataError> {
+        let (from, to) = (self.column(from)?, self.column(to)?);
+        let mut out = BTreeMap::new();
+        for row in &self.rows {
+            if let (Some(name), Some(value)) = (row.get(from), row.get(to)) {
+                out.entry(key(name)).or_insert_with(|| value.clone());
+            }
+        }
+        Ok(out)
+    }
+
+    /// As [`pairs`](Self::pairs), the second column as whole numbers; rows without one are left out.
+    fn numbers(&self, from: &str, to: &str) -> Result<BTreeMap<String, i32>, DataError> {
+        let pairs = self.pairs(from, to)?;
+        Ok(pairs.into_iter().filter_map(|(k, v)| Some((k, v.trim().parse().ok()?))).collect())
+    }
+}
+
+/// Cells of a line; those in quotes may hold the separator.
+fn split(line: &str, separator: char) -> Vec<String> {
+    let (mut out, mut cell, mut quoted) = (Vec::new(), String::new(), false);
+    for c in line.trim_end_matches('\r').chars() {
+        match c {
+            '"' => quoted = !quoted,
+            c if c == separator && !quoted => out.push(std::mem::take(&mut cell).trim().to_owned()),
+            c => cell.push(c),
+        }
+    }
+    out.push(cell.trim().to_owned());
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "a test may fail loudly")]
+    use super::*;
+
+    #[test]
+    fn names_of_the_benchmarks_mean_their_classes() {
+        let dir = tempfile::tempdir().unwrap();
+        let tsv = dir.path().join("labels.tsv");
+        let text = "id\traw_category\tcategory\tcount\tnyu40id\n1\twall\twall\t1\t1\n2\tchair\tchair\t2\t5\n\
+                    1191\tmattress\tmattress\t3\t4\n12\todd\todd\t4\t40\n9\tchair\tother\t5\t6\n";
+        std::fs::write(&tsv, text).unwrap();
+        let tables = LabelTables { table: Some(&tsv), classes: None };
+        let found = tables.of(ScanLayout::Scannet).unwrap();
+        let classes =
+            |i: usize| ["wall", "Chair", "mattress", "odd", "?"].map(|n| found[i].class_of(n));
+        // The first row of a name counts; 40 and 12 are in neither list.
+        assert_eq!((found[0].stem.as_str(), classes(0)), ("segment20", [0, 4, 3, -1, -1]));
+        assert_eq!((found[1].stem.as_str(), classes(1)), ("segment200", [0, 1, 199, -1, -1]));
+        assert_eq!((found[0].classes.len(), found[1].classes.len()), (20, 200));
+        let error = tables.of(ScanLayout::Matterport3d).unwrap_err().to_string();
+        assert!(error.contains("no column nyuClass"), "{error}");
+        let none = LabelTables::default();
+        for layout in [ScanLayout::Scannet, ScanLayout::Matterport3d, ScanLayout::Replica] {
+            assert!(none.of(layout).is_err(), "{layout:?}");
+        }
+        let names = dir.path().join("names.txt");
+        std::fs::write(&names, "sofa\nlamp\n").unwrap();
+        let own = LabelTables { table: None, classes: Some(&names) };
+        assert_eq!(own.of(ScanLayout::Replica).unwrap()[0].class_of(" Lamp "), 1);
+        assert_eq!(none.of(ScanLayout::Points).unwrap()[0].class_of("7"), 7);
+    }
+
+    #[test]
+    fn the_tables_of_the_others() {
+        let dir = tempfile::tempdir().unwrap();
+        let tsv = dir.path().join("category_mapping.tsv");
+        let text = "index\traw_category\tnyu40id\tnyuClass\n1\tdoor frame\t8\tdoor\n2\tceiling\t22\tceiling\n3\tx\t0\t\n";
+        std::fs::write(&tsv, text).unwrap();
+        let tables = LabelTables { table: Some(&tsv), classes: None };
+        let found = tables.of(ScanLayout::Matterport3d).unwrap();
+        let of = |i: usize| ["door frame", "ceiling", "x"].map(|n| found[i].class_of(n));
+        assert_eq!((of(0), of(1)), ([7, 20, -1], [1, 2, -1]));
+        let csv = dir.path().join("map_benchmark.csv");
+        std::fs::write(
+            &csv,
+            "class,count,semantic_map_to\n\"table, small\",3,table\noffice chair,9,nothing\n",
+        )
+        .unwrap();
+        let tables = LabelTables { table: Some(&csv), classes: None };
+        let found = tables.of(ScanLayout::ScannetPp).unwrap().remove(0);
+        assert_eq!(found.class_of("table, small"), found.class_of("table"));
+        assert!(found.class_of("table") >= 0 && found.class_of("no such thing") == -1);
+    }
+}

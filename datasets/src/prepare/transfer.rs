@@ -1,0 +1,259 @@
+//! Labels of a scan onto the Gaussians of its scene.
+
+use super::{LabelTable, ScanPoints, UprightBox, tree};
+use crate::DataError;
+use crate::error::check_length;
+use scenesplat_scene::formats::npy_folder::write_npy_folder;
+use scenesplat_scene::formats::npy_writer::write_npy;
+use scenesplat_scene::{GaussianScene, LabelledPoints, SceneError, WholeFolder};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// How labels get onto Gaussians.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PrepareSettings {
+    /// A Gaussian whose nearest point is farther than this has no label, metres; `None`: it takes the label however
+    /// far, as the original does.
+    pub max_distance: Option<f64>,
+    /// Gaussians outside of the upright box around the scan, each side longer by this, are dropped, metres; `None`
+    /// keeps all.
+    pub margin: Option<f64>,
+    /// Whether the labelled points themselves are written (`pc_*`), to evaluate on.
+    pub points: bool,
+}
+
+impl Default for PrepareSettings {
+    /// Labels from within 0.25 m; the box with 0.5 m; points.
+    fn default() -> Self {
+        Self { max_distance: Some(0.25), margin: Some(0.5), points: true }
+    }
+}
+
+/// Class numbers of one file of labels.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SegmentColumn {
+    /// Stem of the file.
+    pub stem: String,
+    /// Of the Gaussians that are kept. `[N]`
+    pub gaussians: Vec<i32>,
+    /// Of the points of the scan. `[M]`
+    pub points: Vec<i32>,
+}
+
+/// A scene ready for training.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PreparedScene {
+    /// The Gaussians that are kept, with instance and normal of their nearest points, and the points.
+    pub scene: GaussianScene,
+    /// Rows of the scene before. `[N]`
+    pub kept: Vec<usize>,
+    /// The files of labels.
+    pub segments: Vec<SegmentColumn>,
+}
+
+/// What came of it.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct PrepareReport {
+    /// Gaussians before.
+    pub gaussians: usize,
+    /// Gaussians outside of the box.
+    pub outside: usize,
+    /// Gaussians that are kept and farther from any point than the limit.
+    pub too_far: usize,
+    /// Gaussians with a label, of each file.
+    pub labelled: Vec<(String, usize)>,
+    /// Names that are no class in any of the tables, with their numbers of points, the most frequent first.
+    pub unknown: Vec<(String, usize)>,
+}
+
+/// Gives each Gaussian the labels of the nearest point of a scan; of equally near ones of the first.
+///
+/// # Errors
+/// If arrays have different lengths, positions are not finite, or no Gaussian is inside the box.
+pub fn prepare(
+    scene: &GaussianScene,
+    scan: &ScanPoints,
+    tables: &[LabelTable],
+    settings: &PrepareSettings,
+) -> Result<(PreparedScene, PrepareReport), DataError> {
+    check_length("raw labels", scan.coord.len(), scan.raw.len())?;
+    check_length("instances", scan.coord.len(), scan.instance.len())?;
+    let mut report = PrepareReport { gaussians: scene.len(), ..PrepareReport::default() };
+    let kept = inside(scene, scan, settings)?;
+    report.outside = scene.len() - kept.len();
+    let mut out = scene.select_rows(&kept)?;
+    let tree = tree(&scan.coord)?;
+    let limit = settings.max_distance.map_or(f64::INFINITY, |d| d * d);
+    let nearest: Vec<Option<u32>> = tree.map_nearest(
+        &out.coord,
+        1,
+        || (),
+        |(), _, near| near.first().filter(|n| n.distance_squared <= limit).map(|n| n.row),
+    );
+    report.too_far = nearest.iter().filter(|n| n.is_none()).count();
+    let of = |values: &[i32]| -> Vec<i32> {
+        nearest.iter().map(|n| n.map_or(-1, |row| values[row as usize])).collect()
+    };
+    let mut segments = Vec::with_capacity(tables.len());
+    let mut known = vec![false; scan.names.len()];
+    for table in tables {
+        let classes: Vec<i32> = scan.names.iter().map(|name| table.class_of(name)).collect();
+        for (known, class) in known.iter_mut().zip(&classes) {
+            *known |= *class >= 0;
+        }
+        let class = |raw: &i32| usize::try_from(*raw).map_or(-1, |raw| classes[raw]);
+        let points: Vec<i32> = scan.raw.iter().map(class).collect();
+        let gaussians = of(&points);
+        let labelled = gaussians.iter().filter(|v| **v >= 0).count();
+        report.labelled.push((table.stem.clone(), labelled));
+        segments.push(SegmentColumn { stem: table.stem.clone(), gaussians, points });
+    }
+    report.unknown = unknown(scan, &known);
+    out.segment = None;
+    out.instance = Some(of(&scan.instance));
+    if let Some(normal) = &scan.normal {
+        let of = |n: &Option<u32>| n.map_or([0.0; 3], |row| normal[row as usize]);
+        out.normal = Some(nearest.iter().map(of).collect());
+    }
+    out.labelled_points = settings.points.then(|| LabelledPoints {
+        coord: scan.coord.clone(),
+        segment: None,
+        instance: Some(scan.instance.clone()),
+    });
+    Ok((PreparedScene { scene: out, kept, segments }, report))
+}
+
+/// Rows inside the box of the scan.
+fn inside(
+    scene: &GaussianScene,
+    scan: &ScanPoints,
+    settings: &PrepareSettings,
+) -> Result<Vec<usize>, DataError> {
+    let Some(margin) = settings.margin else { return Ok((0..scene.len()).collect()) };
+    let around = UprightBox::around(&scan.coord).map(|b| b.grown(margin));
+    let is_inside = |row: &usize| around.is_some_and(|b| b.contains(scene.coord[*row]));
+    let kept: Vec<usize> = (0..scene.len()).filter(is_inside).collect();
+    if kept.is_empty() {
+        return Err(SceneError::Classes {
+            problem: format!(
+                "none of the {} Gaussians is inside the box around the scan",
+                scene.len()
+            ),
+            help: "both have to be in one frame and in metres".to_owned(),
+        }
+        .into());
+    }
+    Ok(kept)
+}
+
+fn unknown(scan: &ScanPoints, known: &[bool]) -> Vec<(String, usize)> {
+    let mut counts: BTreeMap<usize, usize> = BTreeMap::new();
+    for raw in scan.raw.iter().filter_map(|raw| usize::try_from(*raw).ok()) {
+        if !known[raw] {
+            *counts.entry(raw).or_default() += 1;
+        }
+    }
+    let mut out: Vec<(String, usize)> =
+        counts.into_iter().map(|(raw, count)| (scan.names[raw].clone(), count)).collect();
+    out.sort_by(|a, b| b.1.cmp(&a.1).then(a.0.cmp(&b.0)));
+    out
+}
+
+impl PreparedScene {
+    /// Writes the folder that training reads; it appears as a whole, in the place of one that is there.
+    ///
+    /// # Errors
+    /// If it cannot be written; then everything is as it was.
+    pub fn write(&self, folder: &Path) -> Result<(), DataError> {
+        let whole = WholeFolder::create(folder).map_err(SceneError::from)?;
+        let waiting = whole.waiting();
+        write_npy_folder(&self.scene, waiting, false)?;
+        for column in &self.segments {
+            let rows = &column.gaussians;
+            write_npy(&waiting.join(format!("{}.npy", column.stem)), &[rows.len()], rows)?;
+            if self.scene.labelled_points.is_some() {
+                let rows = &column.points;
+                write_npy(&waiting.join(format!("pc_{}.npy", column.stem)), &[rows.len()], rows)?;
+            }
+        }
+        whole.commit().map_err(SceneError::from)?;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "a test may fail loudly")]
+    use super::*;
+    use scenesplat_scene::formats::npy::NpyFile;
+
+    fn scene(coord: Vec<[f32; 3]>) -> GaussianScene {
+        let n = coord.len();
+        GaussianScene {
+            log_scale: vec![[-3.0; 3]; n],
+            quat: vec![[1.0, 0.0, 0.0, 0.0]; n],
+            opacity_logit: vec![1.0; n],
+            sh_dc: vec![[0.1; 3]; n],
+            coord,
+            ..GaussianScene::default()
+        }
+    }
+
+    fn scan() -> ScanPoints {
+        ScanPoints {
+            coord: vec![[0.0; 3], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 1.0]],
+            normal: Some(vec![[0.0, 0.0, 1.0]; 4]),
+            raw: vec![0, 1, 2, -1],
+            names: ["sofa", "lamp", "odd"].map(str::to_owned).to_vec(),
+            instance: vec![5, 6, 7, -1],
+        }
+    }
+
+    #[test]
+    fn gaussians_take_what_is_nearest_and_near_enough() {
+        let coord = vec![
+            [0.1, 0.0, 0.0],
+            [0.9, 0.1, 0.0],
+            [0.5, 0.5, 0.5],
+            [9.0, 0.0, 0.0],
+            [0.0, 1.1, 1.0],
+            [1.0, 1.05, 0.0],
+        ];
+        let table = LabelTable::of_names("segment", vec!["lamp".to_owned(), "sofa".to_owned()]);
+        let settings = PrepareSettings::default();
+        let (found, report) = prepare(&scene(coord), &scan(), &[table], &settings).unwrap();
+        assert_eq!(found.kept, [0, 1, 2, 4, 5]);
+        assert_eq!(found.segments[0].gaussians, [1, 0, -1, -1, -1]);
+        assert_eq!(found.segments[0].points, [1, 0, -1, -1]);
+        assert_eq!(found.scene.instance, Some(vec![5, 6, -1, -1, 7]));
+        assert_eq!(found.scene.normal.as_ref().unwrap()[2], [0.0; 3]);
+        assert_eq!((report.gaussians, report.outside, report.too_far), (6, 1, 1));
+        assert_eq!(report.labelled, [("segment".to_owned(), 2)]);
+        assert_eq!(report.unknown, [("odd".to_owned(), 1)]);
+        let dir = tempfile::tempdir().unwrap();
+        let folder = dir.path().join("train/a");
+        found.write(&folder).unwrap();
+        let shape = |name: &str| NpyFile::open(&folder.join(name)).unwrap().shape().to_vec();
+        assert_eq!((shape("coord.npy"), shape("segment.npy")), (vec![5, 3], vec![5]));
+        assert_eq!((shape("pc_coord.npy"), shape("pc_segment.npy")), (vec![4, 3], vec![4]));
+        assert_eq!((shape("pc_instance.npy"), shape("normal.npy")), (vec![4], vec![5, 3]));
+    }
+
+    #[test]
+    fn without_limits_it_is_what_the_original_does() {
+        let coord = vec![[0.5, 0.4, 0.0], [9.0, 0.0, 0.0]];
+        let table = LabelTable::of_names("segment", vec!["lamp".to_owned(), "sofa".to_owned()]);
+        let settings = PrepareSettings { max_distance: None, margin: None, points: false };
+        let (found, report) =
+            prepare(&scene(coord), &scan(), std::slice::from_ref(&table), &settings).unwrap();
+        // Of equally near ones the first.
+        assert_eq!(found.segments[0].gaussians, [1, 0]);
+        assert_eq!(
+            (report.outside, report.too_far, found.scene.labelled_points.is_some()),
+            (0, 0, false)
+        );
+        let far = scene(vec![[90.0, 0.0, 0.0]]);
+        let error = prepare(&far, &scan(), &[table], &PrepareSettings::default()).unwrap_err();
+        assert!(error.to_string().contains("none of the 1 Gaussians"), "{error}");
+    }
+}
