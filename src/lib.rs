@@ -45,6 +45,7 @@ pub mod outputs;
 pub mod page;
 pub mod pareto;
 pub mod phrases;
+pub mod picture_networks;
 pub mod preview;
 pub mod principal;
 pub mod probe;

@@ -247,7 +247,10 @@ mod tests {
         let map = SegmentMap::new(4, 2, ids).unwrap();
         let encoder = Means(Mutex::default());
         let ours = describe(&picture, &map, &encoder, DescribeSettings::default()).unwrap();
-        assert!(ours.single_segment && ours.features[0] > 0.9, "{ours:?}");
+        // By hand: r = 1, φ = √½, and the logistic function of it, 0.6698, for the frame.
+        let want = [0.861_58, 0.0, 0.507_62];
+        let near = (0..3).all(|k| (ours.features[k] - want[k]).abs() < 1e-4);
+        assert!(ours.single_segment && near, "{ours:?}");
         let original = DescribeSettings { original: true };
         let theirs = describe(&picture, &map, &encoder, original).unwrap();
         let half = std::f32::consts::FRAC_1_SQRT_2;

@@ -14,6 +14,8 @@ const STRAY: f64 = 0.01;
 /// Places along each level axis that are tried, and heights as parts of the scene's.
 const PLACES: usize = 9;
 const HEIGHTS: [f64; 4] = [0.35, 0.5, 0.65, 0.8];
+/// Views from inside that show less than this part of a scene may be outdone by views from around it.
+const INSIDE: f64 = 0.5;
 /// Space that a camera needs around it, as a part of the shortest side of the scene.
 const CLEARANCE: f64 = 0.06;
 /// Directions that are tried at a place: around, and down, level and up (radians).
@@ -48,7 +50,7 @@ pub struct ViewPlan {
     pub tried: usize,
     /// Of these, views that looked at nothing, or from inside or too near to something.
     pub refused: usize,
-    /// Whether the cameras are around the scene, because there is no free place inside.
+    /// Whether the cameras are around the scene: no free place is inside, or less is seen from there.
     pub outside: bool,
 }
 
@@ -68,8 +70,14 @@ pub fn plan_views(
     let planner = Planner::of(gaussians, *settings)?;
     let inside = planner.free_places();
     let mut plan = planner.pick(&planner.around_places(&inside), false)?;
-    if plan.cameras.is_empty() {
-        plan = planner.pick(&planner.orbits(), true)?;
+    if plan.cameras.is_empty() || plan.seen < INSIDE {
+        // A thing alone has no inside: places in its box see little of it.
+        let tried = plan.tried;
+        let around = planner.pick(&planner.orbits(), true)?;
+        if plan.cameras.is_empty() || around.seen > plan.seen {
+            plan = around;
+        }
+        plan.tried += tried;
     }
     if plan.cameras.is_empty() {
         let problem = format!("none of {} views of the scene shows anything", plan.tried);

@@ -234,11 +234,27 @@ fn what_does_not_fit_is_refused_by_name() {
     for (more, parts) in [
         (&["--segments", "sam2"][..], &["--segments sam2", "superpixels"][..]),
         (&["--features", "siglip2"], &["--features siglip2", "colour"]),
+        (&["--sam2-weights", "a.pt"], &["--sam2-weights is for --segments sam2"]),
+        (&["--sam2-masks", "original"], &["--sam2-masks is for --segments sam2"]),
+        (&["--siglip2-weights", "a"], &["--siglip2-weights is for --features siglip2"]),
+        (&["--picture-precision", "bf16"], &["--picture-precision is for"]),
         (&["--no-segment", "3"], &["--no-segment", "id maps"]),
         (&["--max-memory", "1kB"], &["at least 49.2 kB"]),
     ] {
         refused(&collect(dir.path(), "out", more), 2, parts);
     }
+    // Weights that are cut, and those of another network.
+    let weights = dir.path().join("sam2.safetensors");
+    std::fs::write(&weights, [9, 0, 0, 0, 0, 0]).unwrap();
+    let sam2 = ["--segments", "sam2", "--sam2-weights", weights.to_str().unwrap()];
+    refused(&collect(dir.path(), "out", &sam2), 1, &["sam2.safetensors"]);
+    let tensor =
+        candle_core::Tensor::zeros((2, 3), candle_core::DType::F32, &candle_core::Device::Cpu);
+    let tensors = std::collections::HashMap::from([("a", tensor.unwrap())]);
+    candle_core::safetensors::save(&tensors, &weights).unwrap();
+    refused(&collect(dir.path(), "out", &sam2), 1, &["sam2.safetensors", "none of SAM 2 tiny"]);
+    let siglip2 = ["--features", "siglip2", "--siglip2-weights", dir.path().to_str().unwrap()];
+    refused(&collect(dir.path(), "out", &siglip2), 1, &["config.json"]);
     let scene = dir.path().join("room.ply");
     refused(
         &scenesplat(&["collect-labels", scene.to_str().unwrap()]),

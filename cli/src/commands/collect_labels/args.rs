@@ -55,9 +55,22 @@ pub struct Args {
         value_parser = clap::builder::PathBufValueParser::new().map(SegmentsArg::from)
     )]
     pub segments: SegmentsArg,
+    /// Weights of SAM 2 or 2.1, tiny to large, as the authors publish them (.pt) or .safetensors; for --segments sam2.
+    #[arg(long, value_name = "FILE")]
+    pub sam2_weights: Option<PathBuf>,
+    /// scenesplat: whole objects, with a layer of crops, as the labels of the paper; original: the defaults of SAM 2's
+    /// own generator; for --segments sam2. [default: scenesplat]
+    #[arg(long, value_enum)]
+    pub sam2_masks: Option<Sam2MasksArg>,
     /// What describes segments.
     #[arg(long, value_enum, default_value_t = FeaturesArg::Colour)]
     pub features: FeaturesArg,
+    /// Folder of SigLIP 2 as the Hugging Face hub lays it out (config.json, weights); for --features siglip2.
+    #[arg(long, value_name = "DIR")]
+    pub siglip2_weights: Option<PathBuf>,
+    /// Form of the numbers in the products of both networks; bf16 is faster on CPUs that have such products.
+    #[arg(long, value_enum)]
+    pub picture_precision: Option<PicturePrecision>,
     /// original: the whole frame goes to the encoder with red and blue exchanged, and a frame of a single segment
     /// gives it the frame's feature, as in the authors' own collection.
     #[arg(long, value_enum)]
@@ -123,6 +136,24 @@ pub enum FeaturesArg {
     Colour,
 }
 
+/// Settings of the mask generator.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Sam2MasksArg {
+    /// Whole objects, with a layer of crops.
+    Scenesplat,
+    /// The defaults of SAM 2's generator.
+    Original,
+}
+
+/// Numbers that the products of picture networks multiply.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum PicturePrecision {
+    /// 4 bytes a value.
+    F32,
+    /// 2 bytes a value.
+    Bf16,
+}
+
 /// What to be compatible with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum CompatArg {
@@ -139,6 +170,23 @@ impl Args {
         if self.cameras.is_none() && self.render.is_none() {
             let text = "pictures are missing: give --cameras FILE with --images DIR, or --render N";
             return Err(WrongUse(text.to_owned()).into());
+        }
+        let sam2 = self.segments == SegmentsArg::Sam2;
+        let siglip2 = self.features == FeaturesArg::Siglip2;
+        let idle = [
+            (self.sam2_weights.is_some() && !sam2, "--sam2-weights is for --segments sam2"),
+            (self.sam2_masks.is_some() && !sam2, "--sam2-masks is for --segments sam2"),
+            (
+                self.siglip2_weights.is_some() && !siglip2,
+                "--siglip2-weights is for --features siglip2",
+            ),
+            (
+                self.picture_precision.is_some() && !sam2 && !siglip2,
+                "--picture-precision is for --segments sam2 and --features siglip2",
+            ),
+        ];
+        if let Some((_, text)) = idle.iter().find(|(idle, _)| *idle) {
+            return Err(WrongUse((*text).to_owned()).into());
         }
         if self.no_segment.is_some() && !matches!(self.segments, SegmentsArg::Folder(_)) {
             let text = "--no-segment is about id maps: give their folder as --segments";

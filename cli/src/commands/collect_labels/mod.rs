@@ -24,7 +24,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start(&args.shared, line)?;
     // Whatever can be wrong with flags and names is found before anything expensive.
     args.check()?;
-    let sources = Sources::of(args)?;
+    let sources = Sources::of(&session, args)?;
     session.outputs.reads(&args.scene)?;
     session.outputs.reads_any([args.cameras.as_deref(), args.images.as_deref()])?;
     if let SegmentsArg::Folder(folder) = &args.segments {

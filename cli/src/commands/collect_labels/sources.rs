@@ -1,11 +1,16 @@
 //! What cuts pictures, and what describes segments.
 
-use super::args::{Args, FeaturesArg, SegmentsArg};
+use super::args::{Args, FeaturesArg, PicturePrecision, Sam2MasksArg, SegmentsArg};
 use crate::commands::WrongUse;
+use crate::receipt::sha256_of;
+use crate::session::Session;
 use anyhow::Result;
 use scenesplat::collection::{
     ColourStatistics, MaskFolder, PictureEncoder, Segmenter, SuperpixelSettings, Superpixels,
 };
+use scenesplat::kernels::Precision;
+use scenesplat::picture_networks::{Sam2Segments, SiglipCrops};
+use scenesplat::vision::{MaskSettings, Sam2, SiglipImageEncoder};
 use std::path::PathBuf;
 
 /// Both, and where masks are, if they come from files.
@@ -17,17 +22,25 @@ pub(super) struct Sources {
 
 impl Sources {
     /// What the flags ask for.
-    pub(super) fn of(args: &Args) -> Result<Self> {
-        let absent = |flag: &str, name: &str, others: &str| {
-            WrongUse(format!(
-                "{flag} {name}: this program was built without that network; {others}"
-            ))
+    pub(super) fn of(session: &Session<'_>, args: &Args) -> Result<Self> {
+        let precision = match args.picture_precision {
+            Some(PicturePrecision::Bf16) => Precision::Bf16,
+            Some(PicturePrecision::F32) | None => Precision::F32,
         };
         let mut masks = None;
         let segmenter: Box<dyn Segmenter> = match &args.segments {
             SegmentsArg::Sam2 => {
-                let others = "give superpixels, or a folder of id maps that it has made elsewhere";
-                return Err(absent("--segments", "sam2", others).into());
+                let flag = "--segments sam2 needs --sam2-weights, the file of a SAM 2 or 2.1 checkpoint; superpixels need \
+                            no weights";
+                let path = args.sam2_weights.as_ref().ok_or_else(|| WrongUse(flag.to_owned()))?;
+                session.outputs.reads(path)?;
+                session.receipt.fingerprint("sam2", path)?;
+                let settings = match args.sam2_masks {
+                    Some(Sam2MasksArg::Original) => MaskSettings::original(),
+                    Some(Sam2MasksArg::Scenesplat) | None => MaskSettings::scenesplat(),
+                };
+                let weights = format!("{} {precision}", sha256_of(path)?.0);
+                Box::new(Sam2Segments::new(Sam2::open(path, precision)?, settings, &weights)?)
             }
             SegmentsArg::Superpixels => Box::new(Superpixels::new(SuperpixelSettings::default())?),
             SegmentsArg::Folder(path) => {
@@ -38,9 +51,14 @@ impl Sources {
         };
         let encoder: Box<dyn PictureEncoder> = match args.features {
             FeaturesArg::Siglip2 => {
-                let others =
-                    "give colour, or lift features that it has made elsewhere by lift-labels";
-                return Err(absent("--features", "siglip2", others).into());
+                let flag = "--features siglip2 needs --siglip2-weights, the folder of a SigLIP 2 checkpoint; colour \
+                            needs no weights";
+                let path =
+                    args.siglip2_weights.as_ref().ok_or_else(|| WrongUse(flag.to_owned()))?;
+                session.outputs.reads(path)?;
+                session.receipt.fingerprint("siglip2", path)?;
+                let weights = format!("{} {precision}", sha256_of(path)?.0);
+                Box::new(SiglipCrops::new(SiglipImageEncoder::load(path, precision)?, &weights))
             }
             FeaturesArg::Colour => Box::new(ColourStatistics),
         };

@@ -1,0 +1,150 @@
+//! The networks of [`vision`](crate::vision) where labels are collected: SAM 2 cuts pictures, SigLIP 2 describes segments.
+
+use scenesplat_collection::{CollectError, PictureEncoder, PosedPicture, Segmented, Segmenter};
+use scenesplat_scene::picture::RgbPicture;
+use scenesplat_vision::masks::paint_objects;
+use scenesplat_vision::{
+    AutomaticMasks, MaskSettings, Sam2, SiglipImageEncoder, VisionError, paint,
+};
+
+/// SAM 2's automatic masks, painted over each other as SceneSplat's labels were: by `MaskSettings::scenesplat`, which asks
+/// for whole objects, largest first; otherwise in the order of the generator.
+#[derive(Debug)]
+pub struct Sam2Segments {
+    network: Sam2,
+    settings: MaskSettings,
+    name: String,
+}
+
+impl Sam2Segments {
+    /// With these settings; `weights` says which weights they are, such as their checksum: what was computed by others
+    /// is not taken up.
+    ///
+    /// # Errors
+    /// If a setting is out of its range.
+    pub fn new(network: Sam2, settings: MaskSettings, weights: &str) -> Result<Self, VisionError> {
+        settings.check()?;
+        let name = format!("sam2 {weights} {settings:?}");
+        Ok(Self { network, settings, name })
+    }
+}
+
+fn failed<'a>(name: &'a str, frame: &'a str) -> impl FnOnce(VisionError) -> CollectError + 'a {
+    move |source| CollectError::Model { name: format!("{name}{frame}"), source: Box::new(source) }
+}
+
+impl Segmenter for Sam2Segments {
+    fn name(&self) -> String {
+        self.name.clone()
+    }
+
+    fn segment(&self, picture: &PosedPicture<'_>) -> Result<Segmented, CollectError> {
+        picture.check()?;
+        let frame = format!(", frame {:?}", picture.name);
+        let masks = AutomaticMasks::new(&self.network, self.settings.clone());
+        let masks = masks.and_then(|masks| masks.generate(picture.picture));
+        let masks = masks.map_err(failed("SAM 2", &frame))?;
+        let (width, height) = (picture.picture.width(), picture.picture.height());
+        let whole = self.settings == MaskSettings::scenesplat();
+        let painted = if whole { paint_objects } else { paint }(&masks, width, height);
+        let ids: Vec<Option<u32>> = painted.ids.iter().map(|&id| u32::try_from(id).ok()).collect();
+        Segmented::dense(width, height, &ids, masks.len())
+    }
+}
+
+/// SigLIP 2's picture tower: one unit row a picture.
+#[derive(Debug)]
+pub struct SiglipCrops {
+    encoder: SiglipImageEncoder,
+    name: String,
+}
+
+impl SiglipCrops {
+    /// `weights` says which weights they are, such as their checksum.
+    pub fn new(encoder: SiglipImageEncoder, weights: &str) -> Self {
+        Self { encoder, name: format!("siglip2 {weights}") }
+    }
+}
+
+impl PictureEncoder for SiglipCrops {
+    fn name(&self) -> String {
+        self.name.clone()
+    }
+
+    fn width(&self) -> usize {
+        self.encoder.width()
+    }
+
+    fn encode(&self, pictures: &[RgbPicture]) -> Result<Vec<f32>, CollectError> {
+        self.encoder.encode(pictures).map_err(failed("SigLIP 2", ""))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use scenesplat_kernels::Precision;
+    use scenesplat_rasterizer::View;
+    use scenesplat_rasterizer::lifting::NO_SEGMENT;
+    use scenesplat_vision::Sam2Config;
+    use scenesplat_vision::masks::Level;
+
+    fn small() -> Sam2 {
+        let config = Sam2Config {
+            image_size: 128,
+            embed_dim: 16,
+            num_heads: 1,
+            stages: [1, 2, 3, 1],
+            global_att_blocks: vec![4],
+            window_spec: [8, 4, 4, 2],
+            window_pos_embed_bkg_spatial_size: [7, 7],
+            d_model: 32,
+            decoder_depth: 2,
+            decoder_heads: 4,
+            decoder_mlp: 64,
+            iou_hidden: 32,
+        };
+        Sam2::seeded(config, 3, Precision::F32).unwrap()
+    }
+
+    /// Everything that the network proposes, whatever it thinks of it.
+    fn all() -> MaskSettings {
+        MaskSettings {
+            points_per_side: 3,
+            pred_iou: -1e9,
+            stability: 0.0,
+            box_nms: 1.0,
+            level: Level::All,
+            ..MaskSettings::original()
+        }
+    }
+
+    #[test]
+    fn masks_become_segments_as_they_are_painted() {
+        let picture =
+            RgbPicture::from_fn(40, 30, |x, y| [(x * 6) as u8, (y * 8) as u8, (x * y % 251) as u8]);
+        let world_to_camera = [[1., 0., 0., 0.], [0., 1., 0., 0.], [0., 0., 1., 0.]];
+        let (width, height) = (40, 30);
+        let view = View { world_to_camera, fx: 30., fy: 30., cx: 20., cy: 15., width, height };
+        let posed = PosedPicture { name: "0", picture: &picture, view: &view, depth: None };
+        let network = small();
+        let masks = AutomaticMasks::new(&network, all()).unwrap().generate(&picture).unwrap();
+        let segments = Sam2Segments::new(small(), all(), "3").unwrap();
+        let found = segments.segment(&posed).unwrap();
+        // By hand: the last mask that holds a pixel is on top.
+        let mut shown = std::collections::BTreeSet::new();
+        for y in 0..30 {
+            for x in 0..40 {
+                let top = masks.iter().rposition(|mask| mask.mask.contains(x, y));
+                assert_eq!(found.map.at(x, y) == NO_SEGMENT, top.is_none(), "{x} {y}");
+                shown.extend(top);
+            }
+        }
+        assert_eq!(found.left_out, masks.len() - shown.len());
+        assert!(!shown.is_empty());
+        // What was kept under this name is of these settings and weights alone.
+        let other = Sam2Segments::new(small(), MaskSettings::original(), "3").unwrap();
+        assert_ne!(segments.name(), other.name());
+        assert_ne!(segments.name(), Sam2Segments::new(small(), all(), "4").unwrap().name());
+    }
+}
