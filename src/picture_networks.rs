@@ -107,11 +107,11 @@ mod tests {
         Sam2::seeded(config, 3, Precision::F32).unwrap()
     }
 
-    /// Everything that the network proposes, whatever it thinks of it.
+    /// Nearly everything that the network proposes.
     fn all() -> MaskSettings {
         MaskSettings {
             points_per_side: 3,
-            pred_iou: -1e9,
+            pred_iou: 0.0,
             stability: 0.0,
             box_nms: 1.0,
             level: Level::All,

@@ -604,7 +604,8 @@ mod tests {
                 "settings",
                 "stages",
                 "wall_seconds",
-                "warnings"
+                "warnings",
+                "written"
             ]
         );
         let table = report.to_string();
