@@ -47,11 +47,10 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     }
     let meaningless = source.as_ref().is_some_and(FeatureSource::has_random_weights);
     let mut json = report::tell(&evaluation.report(), &text.names, meaningless);
-    json["seconds"] = serde_json::json!(began.elapsed().as_secs_f64());
     json["scenes"] = serde_json::json!(inputs.len());
     json["excluded"] = serde_json::json!(excluded);
     json["vote_k"] = serde_json::json!(vote_k);
-    report::write(&session, &json, args.json.as_deref())?;
+    report::write(&session, json, began, args.json.as_deref())?;
     session.finish()
 }
 

@@ -7,6 +7,7 @@ use scenesplat::evaluation::EvaluationReport;
 use scenesplat::metrics::{OracleReport, TesterReport};
 use serde_json::{Value, json};
 use std::path::Path;
+use std::time::Instant;
 
 /// Says what the oracle found in a scene.
 pub fn tell_oracle(session: &Session<'_>, names: &[String], report: &OracleReport, path: &Path) {
@@ -66,14 +67,23 @@ pub fn tell(report: &EvaluationReport, names: &[String], meaningless: bool) -> V
     json
 }
 
-/// Writes the figures into the output folder, and where --json says.
-pub fn write(session: &Session<'_>, json: &Value, elsewhere: Option<&Path>) -> Result<()> {
-    let text = serde_json::to_string_pretty(json)?;
+/// Writes the figures into the output folder, the same bytes each time, and where --json says, there with the time since
+/// `began`.
+pub fn write(
+    session: &Session<'_>,
+    mut json: Value,
+    began: Instant,
+    elsewhere: Option<&Path>,
+) -> Result<()> {
+    let text = serde_json::to_string_pretty(&json)?;
     let path = session.out("evaluation.json")?;
     let bytes = write_text(&path, &text)?;
     session.wrote(&path, bytes);
     match elsewhere {
-        Some(path) => session.write_file(path, &text),
+        Some(path) => {
+            json["seconds"] = json!(began.elapsed().as_secs_f64());
+            session.write_file(path, &serde_json::to_string_pretty(&json)?)
+        }
         None => Ok(()),
     }
 }
