@@ -105,7 +105,7 @@ fn values_are_sound_and_labels_exact() {
             };
             let object = &room.objects[owner];
             assert_eq!(object.instance, instance[row]);
-            assert_eq!(object.class.index() as i32, segment[row]);
+            assert_eq!(object.class.unwrap().index() as i32, segment[row]);
             for axis in 0..3 {
                 let at = scene.coord[row][axis];
                 let inside =
@@ -117,7 +117,8 @@ fn values_are_sound_and_labels_exact() {
         assert!(!room.is_points || num_floaters == 0);
         for object in &room.objects {
             let [low, high] = object.bounds;
-            let is_shell = matches!(object.class, ClassId::Wall | ClassId::Window | ClassId::Door);
+            let class = object.class.unwrap();
+            let is_shell = matches!(class, ClassId::Wall | ClassId::Window | ClassId::Door);
             let beyond = if is_shell { 0.25 } else { 0.02 };
             for axis in 0..3 {
                 let inside = -beyond..=room.size[axis] + beyond;
@@ -139,7 +140,7 @@ fn every_class_is_in_a_tenth_of_the_rooms() {
     let mut fewest = usize::MAX;
     for index in 0..ROOMS {
         let room = make(index, 0);
-        let mut classes: Vec<_> = room.objects.iter().map(|o| o.class.index()).collect();
+        let mut classes: Vec<_> = room.objects.iter().map(|o| o.class.unwrap().index()).collect();
         classes.sort_unstable();
         classes.dedup();
         fewest = fewest.min(classes.len());
