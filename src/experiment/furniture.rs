@@ -27,10 +27,14 @@ pub(super) fn attribute(
             all.add(catalogue.attribution(&rooms.room.furniture_split));
         }
     }
-    if let Some(start) = &config.init_from
-        && let Ok(text) = std::fs::read_to_string(start.join(ATTRIBUTION))
-    {
-        all.add(Attribution::parse(&text));
+    if let Some(start) = config.init_from.as_deref() {
+        // A model folder, or a file in one.
+        let beside = if start.is_dir() { start } else { start.parent().unwrap_or(start) };
+        let list = beside.join(ATTRIBUTION);
+        if list.is_file() {
+            let text = std::fs::read_to_string(&list).map_err(ExperimentError::io(&list))?;
+            all.add(Attribution::parse(&text));
+        }
     }
     if all.is_empty() {
         return Ok(None);
