@@ -332,11 +332,8 @@ fn of_a_walk_there_is_what_can_be_seen_from_the_floor() {
 
 #[test]
 fn walks_have_the_same_bits_for_any_number_of_threads() {
-    let few = SyntheticRoomSettings {
-        seen_share: 1.0,
-        capture: Capture::Scan,
-        ..settings(2, 20_000)
-    };
+    let few =
+        SyntheticRoomSettings { seen_share: 1.0, capture: Capture::Scan, ..settings(2, 20_000) };
     let pool = |threads| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
     let [one, four] = [1, 4].map(|threads| pool(threads).install(|| generate(&few).unwrap()));
     assert_eq!(one, four);

@@ -155,8 +155,12 @@ mod tests {
     fn panes_are_where_windows_are() {
         let room = rooms().find(|room| windows(room) > 0).unwrap();
         let out = damage(&room, "glass=5", 1);
-        let boxes: Vec<_> =
-            room.objects.iter().filter(|o| o.class == Some(ClassId::Window)).map(|o| o.bounds).collect();
+        let boxes: Vec<_> = room
+            .objects
+            .iter()
+            .filter(|o| o.class == Some(ClassId::Window))
+            .map(|o| o.bounds)
+            .collect();
         let near = |p: [f32; 3]| {
             boxes
                 .iter()
