@@ -3,6 +3,7 @@
 //! ```sh
 //! cargo run --release -p scenesplat-rooms --example furniture -- /usr/share/sweethome3d/furniture
 //! cargo run --release -p scenesplat-rooms --example furniture -- FOLDER --attribution train > ATTRIBUTION.md
+//! cargo run --release -p scenesplat-rooms --example furniture -- FOLDER --time
 //! ```
 
 use scenesplat_rooms::catalogue::Meaning;
@@ -12,13 +13,15 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 /// Rooms whose making is timed, cold and warm.
-const ROOMS: u64 = 200;
+const ROOMS: u64 = 60;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut args = std::env::args().skip(1);
     let path = PathBuf::from(args.next().ok_or("which catalogue? a .sh3f file or a folder")?);
     let catalogue = Catalogue::shared(&path)?;
-    if args.next().as_deref() == Some("--attribution") {
+    let word = args.next();
+    let only_time = word.as_deref() == Some("--time");
+    if word.as_deref() == Some("--attribution") {
         let split: FurnitureSplit = args.next().as_deref().unwrap_or("all").parse()?;
         catalogue.check(&split)?;
         print!("{}", catalogue.attribution(&split));
@@ -44,24 +47,22 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         classes.iter().map(|(name, [all, held])| format!("{name} {all} ({held} held out)"));
     println!("classes: {}", of_class.collect::<Vec<_>>().join(", "));
 
-    let began = Instant::now();
-    let refused = catalogue.examine();
-    println!(
-        "all models decoded in {:.1} s; refused: {}",
-        began.elapsed().as_secs_f64(),
-        refused.len()
-    );
-    for bad in &refused {
-        println!("  {}: {}: {}", bad.library, bad.id, bad.problem);
+    if !only_time {
+        examine(&catalogue);
     }
-
-    for (what, furniture) in [("parametric", None), ("furnished", Some(path.clone()))] {
+    let kinds = [
+        ("parametric", None, 0.0),
+        ("parametric, walked", None, 1.0),
+        ("furnished", Some(path), 0.0),
+    ];
+    for (what, furniture, seen_share) in kinds {
         for pass in ["first", "again"] {
             let began = Instant::now();
             let mut gaussians = 0;
             for room in 0..ROOMS {
                 let furniture = furniture.clone();
-                let settings = SyntheticRoomSettings { room, furniture, ..Default::default() };
+                let settings =
+                    SyntheticRoomSettings { room, furniture, seen_share, ..Default::default() };
                 gaussians += generate(&settings)?.scene.len();
             }
             let ms = began.elapsed().as_secs_f64() * 1e3 / ROOMS as f64;
@@ -72,4 +73,18 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
     }
     Ok(())
+}
+
+/// Decodes all models, and says which cannot be used.
+fn examine(catalogue: &Catalogue) {
+    let began = Instant::now();
+    let refused = catalogue.examine();
+    println!(
+        "all models decoded in {:.1} s; refused: {}",
+        began.elapsed().as_secs_f64(),
+        refused.len()
+    );
+    for bad in &refused {
+        println!("  {}: {}: {}", bad.library, bad.id, bad.problem);
+    }
 }

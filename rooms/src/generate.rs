@@ -378,7 +378,7 @@ fn casts_shadow(object: &Placed) -> impl Iterator<Item = &Footprint> {
 fn describe((index, object): (usize, &Placed)) -> SyntheticObject {
     let model = &object.model;
     let boxes = model.surfaces.iter().map(|s| s.shape.bounds());
-    let boxes = boxes.chain(model.piece.iter().map(OfPiece::bounds));
+    let boxes = boxes.chain(model.piece.iter().map(|of| of.bounds()));
     let corners = boxes.flat_map(|[low, high]| {
         (0..8).map(move |corner| {
             object

@@ -69,7 +69,7 @@ pub(crate) struct Model {
     pub(crate) color: ColorName,
     pub(crate) surfaces: Vec<Surface>,
     /// A piece of a catalogue, mostly instead of surfaces.
-    pub(crate) piece: Option<OfPiece>,
+    pub(crate) piece: Option<Box<OfPiece>>,
     /// Where nothing else may be; the box around all surfaces if none is set.
     pub(crate) solids: Vec<Block>,
     pub(crate) supports: Vec<Support>,
@@ -201,7 +201,7 @@ impl Model {
 
     /// The box around all surfaces.
     pub(crate) fn bounds(&self) -> Block {
-        let pieces = self.piece.iter().map(OfPiece::bounds);
+        let pieces = self.piece.iter().map(|of| of.bounds());
         let all = self.surfaces.iter().map(|s| s.shape.bounds()).chain(pieces).reduce(join);
         let [low, high] = all.unwrap_or([[0.0; 3]; 2]);
         Block { low, high }

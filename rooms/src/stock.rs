@@ -176,7 +176,7 @@ fn model(entry: &Entry, piece: Arc<crate::catalogue::Piece>, at: V3, density: f6
     }
     model.supports = supports(model.class, &piece.support, at[2]);
     let name = entry.name.as_str().into();
-    model.piece = Some(OfPiece { piece, name, at, density, elevation: entry.elevation });
+    model.piece = Some(Box::new(OfPiece { piece, name, at, density, elevation: entry.elevation }));
     model
 }
 
