@@ -198,16 +198,16 @@ pub fn is_there() -> bool {
     there
 }
 
-/// The compiled function of a kernel.
+/// The compiled function of a kernel, of the crate or of [`crate::faults`].
 fn entry(kernel: &KernelEntry) -> Entry {
-    static LIBRARIES: OnceLock<Vec<(&'static str, OnceLock<libloading::Library>)>> =
-        OnceLock::new();
-    let all =
-        LIBRARIES.get_or_init(|| modules().iter().map(|m| (m.name, OnceLock::new())).collect());
-    let (at, (_, library)) =
-        all.iter().enumerate().find(|(_, (name, _))| *name == kernel.module).unwrap();
+    type Slot = (&'static KernelModule, OnceLock<libloading::Library>);
+    static LIBRARIES: OnceLock<Vec<Slot>> = OnceLock::new();
+    let all = LIBRARIES.get_or_init(|| {
+        modules().iter().chain([&crate::faults::FAULTS]).map(|m| (m, OnceLock::new())).collect()
+    });
+    let (module, library) = all.iter().find(|(m, _)| m.name == kernel.module).unwrap();
     let library = library.get_or_init(|| {
-        let path = compiled(&modules()[at]);
+        let path = compiled(module);
         // SAFETY: a library of plain functions, just compiled from the texts.
         unsafe { libloading::Library::new(&path) }.unwrap()
     });

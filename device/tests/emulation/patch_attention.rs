@@ -163,7 +163,7 @@ fn bf16_is_within_its_rounding() {
     ] {
         let case = Case::of(scenes, patch, count, dim);
         let (n, c) = (case.rows(), count * dim);
-        let words: Vec<u16> = random(n * 3 * c, 7).iter().map(|v| round(*v * 3.0) as u16).collect();
+        let words: Vec<u16> = random(n * 3 * c, 7).iter().map(|v| round(*v) as u16).collect();
         let qkv: Vec<f32> = words.iter().map(|w| f32::from_bits(u32::from(*w) << 16)).collect();
         let mut want = vec![0.0; n * c];
         let (patches, order) = (case.patches(), case.order());
@@ -178,8 +178,8 @@ fn bf16_is_within_its_rounding() {
             let words = l.download_values::<u16>(&out, n * c)?;
             Ok(words.iter().map(|w| f32::from_bits(u32::from(*w) << 16)).collect())
         });
-        // Weights are rounded relative to another score, and so are the results, which the CPU has in f32.
-        assert_near(&got, &want, 2e-2, &format!("as in bf16 on the CPU: {}", case.what()));
-        assert_near(&got, &exact, 2e-2, &format!("as in f32: {}", case.what()));
+        // Results are rounded too, which the CPU has in f32.
+        assert_near(&got, &want, 1e-2, &format!("as in bf16 on the CPU: {}", case.what()));
+        assert_near(&got, &exact, 1e-2, &format!("as in f32: {}", case.what()));
     }
 }
