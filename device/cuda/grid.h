@@ -49,8 +49,9 @@ DEVICE i32 warp_xor(i32 v, u32 mask) { return __shfl_xor_sync(0xffffffffu, v, ma
 /// A bit for each lane of the warp whose value is true.
 DEVICE u32 warp_votes(bool v) { return __ballot_sync(0xffffffffu, v); }
 
-/// Adds to a number in shared memory and returns what was there.
+/// Adds to a whole number and returns what was there.
 DEVICE u32 add_atomically(u32& at, u32 v) { return atomicAdd(&at, v); }
+DEVICE u64 add_atomically(u64& at, u64 v) { return atomicAdd(&at, v); }
 DEVICE u32 minimum_atomically(u32& at, u32 v) { return atomicMin(&at, v); }
 /// Puts `v` where `expected` is, and returns what was there.
 DEVICE u64 exchange_atomically(u64& at, u64 expected, u64 v) { return atomicCAS(&at, expected, v); }

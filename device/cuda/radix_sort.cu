@@ -22,7 +22,7 @@ KERNEL(256) sort_count(In<u64> codes, Out<u32> counts, u32 n, u32 shift) {
     u64 first = (u64)block_index() * SORT_THREADS * SORT_ROUNDS;
     for (u32 round = 0; round < SORT_ROUNDS; round++) {
         u64 i = first + round * SORT_THREADS + t;
-        if (i < n) add_atomically(count[digit_of(codes[i], shift)], 1);
+        if (i < n) add_atomically(count[digit_of(codes[i], shift)], 1u);
     }
     BARRIER();
     counts[(u64)t * grid_blocks() + block_index()] = count[t];

@@ -369,6 +369,7 @@ DEVICE u32 warp_votes(bool v) {
 }
 
 DEVICE u32 add_atomically(u32& at, u32 v) { u32 old = at; at = old + v; return old; }
+DEVICE u64 add_atomically(u64& at, u64 v) { u64 old = at; at = old + v; return old; }
 DEVICE u32 minimum_atomically(u32& at, u32 v) { u32 old = at; at = v < old ? v : old; return old; }
 DEVICE u64 exchange_atomically(u64& at, u64 expected, u64 v) {
     u64 old = at;

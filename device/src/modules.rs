@@ -46,6 +46,7 @@ modules! {
     "point_rope", point_rope, "point_rope.cu";
     "classify", classify, "classify.cu";
     "neighbors", neighbors, "neighbors.cu";
+    "rasterize", rasterize, "rasterize.cu";
     "patch_attention_16", patch_attention::width_16, "patch_attention.cu", "WIDE 16";
     "patch_attention_24", patch_attention::width_24, "patch_attention.cu", "WIDE 24";
     "patch_attention_32", patch_attention::width_32, "patch_attention.cu", "WIDE 32";

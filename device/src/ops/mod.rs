@@ -16,6 +16,7 @@ pub mod neighbors;
 pub mod patch_attention;
 pub mod point_rope;
 pub mod radix_sort;
+pub mod rasterize;
 pub mod rows;
 pub mod scan;
 pub mod segment;

@@ -7,6 +7,7 @@ mod grid_sample;
 mod labels;
 mod norms;
 mod patch_attention;
+mod rasterize;
 mod rows;
 mod segment;
 mod serialization;
