@@ -85,12 +85,14 @@ pub struct VoxelGroups<B> {
 }
 
 /// Smallest cell and largest shifted index per axis.
+type CellBounds = ([f64; 3], [u32; 3]);
+
 fn cell_bounds<L: Launcher>(
     l: &L,
     coord: &L::Buffer,
     n: u32,
     grid_size: f64,
-) -> Result<([f64; 3], [u32; 3]), GridSampleError<L::Error>> {
+) -> Result<CellBounds, GridSampleError<L::Error>> {
     if n == 0 {
         return Ok(([0.0; 3], [0; 3]));
     }
@@ -202,7 +204,7 @@ pub fn voxel_groups<L: Launcher>(
         ],
     )?;
     Ok(match key_order {
-        KeyOrder::Fnv => by_hash(l, found, n)?,
+        KeyOrder::Fnv => by_hash(l, &found, n)?,
         KeyOrder::Ravel | KeyOrder::Morton => found,
     })
 }
@@ -210,7 +212,7 @@ pub fn voxel_groups<L: Launcher>(
 /// The same voxels in the order of their hash; those of one hash stay in the order of x, y, z.
 fn by_hash<L: Launcher>(
     l: &L,
-    groups: VoxelGroups<L::Buffer>,
+    groups: &VoxelGroups<L::Buffer>,
     n: u32,
 ) -> Result<VoxelGroups<L::Buffer>, L::Error> {
     let voxels = groups.num_voxels;
@@ -237,7 +239,7 @@ fn by_hash<L: Launcher>(
         offsets: l.upload_values(&end)?,
         inverse: l.alloc_values::<u32>(n as usize)?,
         grid_coord: l.alloc_values::<[i32; 3]>(voxels as usize)?,
-        ..groups
+        ..*groups
     };
     l.run(
         &MOVE_CELLS,
