@@ -1,6 +1,6 @@
 //! Every text compiles for the processors we mean, by the compiler that users have.
 #![cfg(feature = "cuda")]
-#![allow(clippy::unwrap_used, missing_docs)]
+#![allow(clippy::unwrap_used, clippy::panic, missing_docs)]
 
 use scenesplat_device::modules;
 use scenesplat_device::nvrtc::{Architecture, Cache, NvrtcError, compile, compile_anew, version};
