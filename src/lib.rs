@@ -43,6 +43,7 @@ pub mod network;
 mod object_picture;
 pub mod outputs;
 pub mod page;
+mod page_kit;
 pub mod pareto;
 pub mod phrases;
 pub mod picture_networks;

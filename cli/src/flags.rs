@@ -216,6 +216,16 @@ impl Inference {
 
     /// A flag that was given and only means something to a network.
     pub fn network_flag(&self) -> Option<&'static str> {
+        self.network_flags().next()
+    }
+
+    /// As [`network_flag`](Self::network_flag) for a command that has places and sizes of things without a
+    /// network, too: unit and floor are for these as well.
+    pub fn only_network_flag(&self) -> Option<&'static str> {
+        self.network_flags().find(|flag| !["--unit", "--floor", "--as-is"].contains(flag))
+    }
+
+    fn network_flags(&self) -> impl Iterator<Item = &'static str> {
         let flags = [
             (self.network_part().is_some(), "--setting"),
             (self.exact, "--exact"),
@@ -229,7 +239,7 @@ impl Inference {
             (self.floor.is_some(), "--floor"),
             (self.as_is, "--as-is"),
         ];
-        flags.iter().find(|(given, _)| *given).map(|(_, name)| *name)
+        flags.into_iter().filter(|(given, _)| *given).map(|(_, name)| name)
     }
 }
 

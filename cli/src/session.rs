@@ -557,6 +557,16 @@ impl<'a> Session<'a> {
     /// Puts everything in place, the receipt last, and prints it.
     pub fn finish(&self) -> Result<()> {
         self.check_stop()?;
+        self.put_in_place()
+    }
+
+    /// For a command that goes on until it is stopped: being stopped is its end. Writes a receipt if the user asked
+    /// for one.
+    pub fn finish_stopped(&self) -> Result<()> {
+        if self.shared.receipt.is_some() { self.put_in_place() } else { Ok(()) }
+    }
+
+    fn put_in_place(&self) -> Result<()> {
         let written = self.written.borrow();
         let file = |(path, bytes): &(PathBuf, u64)| {
             let path = path.strip_prefix(&self.shared.out).unwrap_or(path);

@@ -2,7 +2,7 @@
 
 use super::compression;
 use super::config::{ExperimentConfig, OptimizerConfig, ScheduleConfig, TargetChoice, Task};
-use super::curves::write_curves;
+use super::curves::{write_curves, write_curves_page};
 use super::data;
 use super::error::{ExperimentError, Place};
 use super::export::{export_model, export_self_supervised};
@@ -59,7 +59,7 @@ pub struct RunReport {
     pub progress: Progress,
     /// The network, as `--weights` takes it.
     pub model: PathBuf,
-    /// The curves.
+    /// The curves as a picture; beside it a page of the same name.
     pub curves: PathBuf,
     /// Things to know: what was loaded, scenes that were repaired or left out.
     pub remarks: Vec<String>,
@@ -74,7 +74,7 @@ pub struct RunReport {
 /// | `metrics.jsonl` | everything that was measured, one value a line |
 /// | `tensorboard/` | the same for TensorBoard |
 /// | `checkpoints/` | the last ones and the best one |
-/// | `curves.png` | the same as a picture |
+/// | `curves.png`, `curves.html` | the same as a picture, and as a page that tells values |
 /// | `model/` | the best network (the last, if none is marked), as `--weights` takes it |
 ///
 /// # Errors
@@ -186,6 +186,7 @@ pub fn train_together(
     if !log.is_empty() {
         let title = options.out.file_name().map_or("run".into(), |n| n.to_string_lossy());
         write_curves(&log, &title, &curves)?;
+        write_curves_page(&log, &title, &curves.with_extension("html"))?;
     }
     remarks.extend(exported.1);
     remarks.extend(teacher.and_then(|teacher| teacher.record.remark()));

@@ -95,7 +95,7 @@ pub fn run(args: &Args) -> Result<()> {
     }
     let at = report.progress;
     print(&format!("weights: {}", report.model.display()));
-    print(&format!("curves: {}", report.curves.display()));
+    print(&format!("curves: {}, and curves.html beside it", report.curves.display()));
     if at.step < at.total_steps {
         print(&format!("stopped at step {} of {}: --resume goes on", at.step, at.total_steps));
     }
