@@ -184,8 +184,11 @@ mod tests {
 
     #[test]
     fn grids_hold_their_points() {
-        let cube = Grid::of([0.0; 3], [8.0; 3], 32);
-        assert_eq!((cube.side, cube.cells, cube.bits()), (4.0, [3; 3], 5));
+        // Eight cells, four points in each.
+        let cube = Grid::of([0.0; 3], [6.5; 3], 32);
+        assert!((cube.side - 3.25).abs() < 1e-9, "{cube:?}");
+        let five_bits = Grid { cells: [3; 3], ..cube };
+        assert_eq!((five_bits.bits(), Grid { cells: [1; 3], ..cube }.bits()), (5, 0));
         // A plane has cells along two axes.
         let plane = Grid::of([0.0; 3], [10.0, 10.0, 0.0], 400);
         assert_eq!((plane.side, plane.cells), (1.0, [11, 11, 1]));
