@@ -170,7 +170,6 @@ impl Args {
             self.out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         crate::flags::Shared {
             threads: self.threads,
-            device: crate::flags::Device::Cpu,
             out: folder.to_owned(),
             receipt: self.receipt.clone(),
             quiet: self.quiet,
