@@ -27,6 +27,7 @@
 pub mod alignment;
 pub mod capture;
 pub mod compensation;
+pub mod device;
 pub mod doctor;
 pub mod embedded;
 pub mod evaluation;

@@ -11,6 +11,7 @@ use super::measured::with_measured_effects;
 use super::record::{RunRecord, write};
 use super::self_supervision;
 use super::teacher::{Teacher, TeacherRecord};
+use candle_core::Device;
 use scenesplat_datasets::{BatchLoader, TrainBatch};
 use scenesplat_losses::{Objective, TextColumns, build_objective};
 use scenesplat_models::weights::{SourceOptions, WeightSource, resolve};
@@ -48,6 +49,8 @@ pub struct RunOptions {
     pub quiet: bool,
     /// Once set, the run saves and stops.
     pub stop: Arc<AtomicBool>,
+    /// Where the network is trained.
+    pub device: Device,
     /// Commit that the program was built from, for the record; `None` if it is not known.
     pub commit: Option<String>,
 }
@@ -119,7 +122,7 @@ pub fn train_together(
     std::fs::create_dir_all(&options.out).map_err(ExperimentError::io(&options.out))?;
     // Held until the end, also against a run that found no folder a moment ago.
     let _lock = early.map_or_else(lock, |lock| Ok(Some(lock)))?;
-    let (params, mut remarks) = parameters(config)?;
+    let (params, mut remarks) = parameters(config, &options.device)?;
     let loss_texts = match &text {
         Some(t) => Some(TextColumns::new(&t.table.values, t.table.dim)?),
         None => None,
@@ -194,13 +197,13 @@ pub fn train_together(
 }
 
 /// First values of the parameters, and what was said about them.
-fn parameters(config: &ExperimentConfig) -> Result<(ParamStore, Vec<String>)> {
+fn parameters(config: &ExperimentConfig, device: &Device) -> Result<(ParamStore, Vec<String>)> {
     let Some(path) = &config.init_from else {
-        return Ok((ParamStore::trainable(config.model_seed), Vec::new()));
+        return Ok((ParamStore::trainable(config.model_seed).on(device), Vec::new()));
     };
     let files = resolve(path).at(|| path.display().to_string())?.files;
     let source = WeightSource::files(files, SourceOptions::default())?;
-    let params = ParamStore::trainable_from(source, config.model_seed);
+    let params = ParamStore::trainable_from(source, config.model_seed).on(device);
     // A trial build asks for every name, so that the report is complete before training begins.
     config.model.build(params.builder())?;
     let report = params.report();

@@ -263,7 +263,6 @@ impl Args {
         let folder = out.filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         crate::flags::Shared {
             threads: self.threads,
-            device: crate::flags::Device::Cpu,
             out: folder.to_owned(),
             receipt: self.receipt.clone(),
             quiet: self.quiet,
