@@ -239,7 +239,9 @@ fn hypersim_copy(mini: &Mini) -> PathBuf {
             let target = to.join(entry.file_name());
             match entry.path().is_dir() {
                 true => copy(&entry.path(), &target),
-                false => drop(std::fs::copy(entry.path(), target).unwrap()),
+                false => {
+                    std::fs::copy(entry.path(), target).unwrap();
+                }
             }
         }
     }
