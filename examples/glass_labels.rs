@@ -122,7 +122,7 @@ impl World {
             near.scene = merge(vec![near.scene, other])?.0;
             let y = [0.15, 0.85].map(|s| s * width.min(far.size[1]));
             let mut window = near.objects.first().context("an object")?.clone();
-            window.class = ClassId::Window;
+            window.class = Some(ClassId::Window);
             window.bounds = [[x - 0.06, y[0], 0.3], [x + 0.06, y[1], 0.85 * height]];
             near.objects = vec![window];
             let glass = simulate_in_room(&near, &effect, room)?.simulated;

@@ -88,7 +88,7 @@ fn plain<'a>(room: &'a SyntheticRoom, title: &'a str) -> PageInput<'a> {
 fn features(room: &SyntheticRoom, words: &Vocabulary) -> SceneFeatures {
     let ids = room.scene.instance.as_deref().unwrap();
     let row = |&id: &i32| match usize::try_from(id).ok().and_then(|id| room.objects.get(id)) {
-        Some(object) => words.object_target(object.class, object.color),
+        Some(object) => words.object_target(object.class.unwrap(), object.color),
         None => vec![0.0; words.dim()],
     };
     SceneFeatures::from_rows(ids.iter().flat_map(row).collect(), words.dim()).unwrap()

@@ -60,7 +60,7 @@ fn objects_of_twenty_rooms_with_true_labels() {
         found += agreed.found;
         truth += agreed.truth;
         for m in &agreed.matches {
-            missed[room.objects[m.truth as usize].class.index()][0] += 1;
+            missed[room.objects[m.truth as usize].class.unwrap().index()][0] += 1;
             // The box of the true rows is what could be found at best.
             let ids = room.scene.instance.as_deref().unwrap();
             let rows: Vec<u32> =
@@ -72,7 +72,7 @@ fn objects_of_twenty_rooms_with_true_labels() {
             sizes.push((0..3).map(|a| (want.size[a] - got.size[a]).abs()).fold(0.0, f64::max));
         }
         for &id in &agreed.missed {
-            missed[room.objects[id as usize].class.index()][1] += 1;
+            missed[room.objects[id as usize].class.unwrap().index()][1] += 1;
         }
         for &at in &agreed.wrong {
             let o = &catalogue.objects[at];

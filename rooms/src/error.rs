@@ -14,4 +14,7 @@ pub enum RoomError {
         /// What is allowed.
         expected: &'static str,
     },
+    /// The catalogue of furniture cannot be used.
+    #[error("furniture: {0}")]
+    Furniture(#[from] crate::catalogue::CatalogueError),
 }

@@ -1,18 +1,25 @@
 //! A room from its settings: layout, surfaces, and the Gaussians scattered on them.
 
+use crate::catalogue::{Catalogue, FurnitureSplit};
 use crate::classes::ClassId;
 use crate::error::RoomError;
+use crate::jitter::jitter;
 use crate::material::ColorName;
-use crate::model::Surface;
+use crate::model::{OfPiece, Surface};
 use crate::place::{Footprint, Placed};
 use crate::recipe::{self, RoomKind};
 use crate::scan::Scan;
+use crate::seen::seen;
 use crate::shape;
 use crate::splats::{self, Look, Owner, Rows, rounded_ln};
+use crate::stock::Stock;
+use crate::walk::walk;
 use rayon::prelude::*;
 use scenesplat_kernels::random::{sample_rng, unit};
 use scenesplat_scene::GaussianScene;
 use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+use std::sync::Arc;
 
 /// Most Gaussians of a room.
 pub const MAX_GAUSSIANS: usize = 20_000_000;
@@ -25,8 +32,10 @@ const LAYOUT: u64 = 0;
 const LOOK: u64 = 1;
 const FLOATERS: u64 = 2;
 const FIRST_OBJECT: u64 = 3;
-/// What a scan varies; rooms with so many objects there are not.
+/// What a scan varies, and which pieces of a catalogue there are; rooms with so many objects there are not.
 const SCAN: u64 = u64::MAX;
+const FURNITURE: u64 = u64::MAX - 1;
+const WALK: u64 = u64::MAX - 2;
 
 /// How the Gaussians of a room came about.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -61,6 +70,39 @@ pub struct SyntheticRoomSettings {
     pub points_share: f32,
     /// How the Gaussians came about.
     pub capture: Capture,
+    /// Share of the rooms of which there is only what somebody saw who walked through with a camera, 0..=1: two
+    /// to seven stops, some looks from each. Gaussians that hardly added to any picture are gone, and the
+    /// others jittered so that the pictures stay what they were. Such a room has fewer Gaussians than asked for.
+    #[serde(skip_serializing_if = "is_none_seen")]
+    pub seen_share: f64,
+    /// A catalogue of real furniture: a `.sh3f` archive, a folder of them, or a folder of OBJ models; see
+    /// [`Catalogue`]. Without it all furniture is built from parameters.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub furniture: Option<PathBuf>,
+    /// Share of the objects that are taken from the catalogue where it has one of the class, 0..=1.
+    #[serde(skip_serializing_if = "is_usual_share")]
+    pub furniture_share: f64,
+    /// Which part of the catalogue: `all`, `train`, `held_out`, `without:LIBRARY`, `only:LIBRARY`.
+    #[serde(skip_serializing_if = "is_all")]
+    pub furniture_split: FurnitureSplit,
+}
+
+/// The share of catalogue furniture if none is given.
+const USUAL_SHARE: f64 = 0.8;
+
+// Settings without a catalogue are written as they were before there were any.
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde gives references")]
+fn is_usual_share(share: &f64) -> bool {
+    share.to_bits() == USUAL_SHARE.to_bits()
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde gives references")]
+fn is_none_seen(share: &f64) -> bool {
+    *share == 0.0
+}
+
+fn is_all(split: &FurnitureSplit) -> bool {
+    *split == FurnitureSplit::All
 }
 
 impl Default for SyntheticRoomSettings {
@@ -73,6 +115,10 @@ impl Default for SyntheticRoomSettings {
             kind: None,
             points_share: 0.3,
             capture: Capture::Made,
+            seen_share: 0.0,
+            furniture: None,
+            furniture_share: USUAL_SHARE,
+            furniture_split: FurnitureSplit::All,
         }
     }
 }
@@ -80,8 +126,10 @@ impl Default for SyntheticRoomSettings {
 /// An object of a room.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SyntheticObject {
-    /// What it is.
-    pub class: ClassId,
+    /// What it is; none of a thing of a catalogue that is of no class: it has a name alone.
+    pub class: Option<ClassId>,
+    /// What it is called: as its class, or as in the catalogue that it is from.
+    pub name: String,
     /// Its value in `instance`: its index in [`SyntheticRoom::objects`].
     pub instance: i32,
     /// What the colour of its main part is called, before light falls on it.
@@ -95,7 +143,7 @@ pub struct SyntheticObject {
 #[derive(Debug, Clone, PartialEq)]
 pub struct SyntheticRoom {
     /// The Gaussians, with normals, `segment` (row of [`CLASSES`](crate::CLASSES)) and `instance`; +z is up, the
-    /// floor at z = 0, metres. Only floaters have the labels −1.
+    /// floor at z = 0, metres. Only floaters have the labels −1, and things without a class the class −1.
     pub scene: GaussianScene,
     /// Extent of the room, metres; the corner at the origin.
     pub size: [f32; 3],
@@ -103,6 +151,8 @@ pub struct SyntheticRoom {
     pub kind: RoomKind,
     /// Whether its Gaussians look as converted points.
     pub is_points: bool,
+    /// Whether there is only what somebody saw who walked through it, see [`SyntheticRoomSettings::seen_share`].
+    pub is_walked: bool,
     /// All objects, parts of the building included; some may have no Gaussian.
     pub objects: Vec<SyntheticObject>,
 }
@@ -116,20 +166,21 @@ pub struct SyntheticRoom {
 /// let settings = SyntheticRoomSettings { num_gaussians: Some(2000), ..Default::default() };
 /// let room = generate(&settings)?;
 /// assert_eq!(room.scene.len(), 2000);
-/// let names: Vec<_> = room.objects.iter().map(|o| (o.color.word(), o.class.about().name)).collect();
-/// assert!(names.iter().any(|&(_, class)| class == "floor"), "{names:?}");
+/// let names: Vec<_> = room.objects.iter().map(|o| (o.color.word(), o.name.as_str())).collect();
+/// assert!(names.iter().any(|&(_, name)| name == "floor"), "{names:?}");
 /// # Ok::<(), scenesplat_rooms::RoomError>(())
 /// ```
 ///
 /// # Errors
-/// If a setting is out of range, or more than [`MAX_GAUSSIANS`] would be made.
+/// If a setting is out of range, more than [`MAX_GAUSSIANS`] would be made, or the catalogue of furniture
+/// cannot be read or has nothing in the part asked for.
 pub fn generate(settings: &SyntheticRoomSettings) -> Result<SyntheticRoom, RoomError> {
     settings.check()?;
     let (seed, room) = (settings.seed, settings.room);
     let mut rng = sample_rng(seed, room, LAYOUT);
     let kind = RoomKind::random(&mut rng);
     let kind = settings.kind.unwrap_or(kind);
-    let layout = recipe::furnish(kind, &mut rng);
+    let layout = recipe::furnish(kind, &mut settings.stock()?, &mut rng);
     let size = [layout.size[0], layout.size[1], layout.height];
     let mut rng = sample_rng(seed, room, LOOK);
     let is_points = unit(&mut rng) < f64::from(settings.points_share);
@@ -152,10 +203,15 @@ pub fn generate(settings: &SyntheticRoomSettings) -> Result<SyntheticRoom, RoomE
         None => s.shape.area() * s.density,
         Some((scan, _)) => s.shape.area() * scan.objects[index].density,
     };
-    let weights: Vec<f64> = (layout.objects.iter().enumerate())
-        .flat_map(|(index, o)| o.model.surfaces.iter().map(move |s| (index, s)))
-        .map(|(index, s)| weight(index, s))
-        .collect();
+    let of_piece = |index: usize, of: &OfPiece| {
+        let density = scan.as_ref().map_or(of.density, |(scan, _)| scan.objects[index].density);
+        of.piece.area(is_points) * density
+    };
+    let mut weights: Vec<f64> = Vec::new();
+    for (index, object) in layout.objects.iter().enumerate() {
+        weights.extend(object.model.surfaces.iter().map(|surface| weight(index, surface)));
+        weights.extend(object.model.piece.iter().map(|of| of_piece(index, of)));
+    }
     let total: f64 = weights.iter().sum();
     let n = settings.num_gaussians.unwrap_or((total * density) as usize);
     if n > MAX_GAUSSIANS {
@@ -177,8 +233,19 @@ pub fn generate(settings: &SyntheticRoomSettings) -> Result<SyntheticRoom, RoomE
             rows.push_below(size, scan.deep, spacing, &mut rng);
         }
     }
+    let mut scene = rows.into_scene();
+    let mut rng = sample_rng(seed, room, WALK);
+    let is_walked = unit(&mut rng) < settings.seen_share;
+    if is_walked {
+        let cameras = walk(&layout, &mut rng);
+        if !cameras.is_empty() {
+            scene = scene.select_rows(&seen(&scene, &cameras)).expect("rows are of the scene");
+        }
+        jitter(&mut scene, &mut rng);
+    }
     Ok(SyntheticRoom {
-        scene: rows.into_scene(),
+        scene,
+        is_walked,
         size: size.map(|v| v as f32),
         kind,
         is_points,
@@ -198,7 +265,9 @@ fn scatter_all(
     let mut counts_left = counts;
     let tasks: Vec<(&Placed, &[usize])> = (objects.iter())
         .map(|object| {
-            let (own, rest) = counts_left.split_at(object.model.surfaces.len());
+            let model = &object.model;
+            let parts = model.surfaces.len() + usize::from(model.piece.is_some());
+            let (own, rest) = counts_left.split_at(parts);
             counts_left = rest;
             (object, own)
         })
@@ -207,10 +276,10 @@ fn scatter_all(
         .map(|(index, &(object, counts))| {
             // Numbers of its own for each object: threads cannot change who draws which.
             let mut rng = sample_rng(seed, room, FIRST_OBJECT + index as u64);
-            let is_floor = object.model.class == ClassId::Floor && look.ambient < 1.0;
+            let is_floor = object.model.is(ClassId::Floor) && look.ambient < 1.0;
             let owner = Owner {
                 pose: &object.pose,
-                segment: object.model.class.index() as i32,
+                segment: object.model.class.map_or(-1, |class| class.index() as i32),
                 instance: index as i32,
                 shadows: if is_floor { &shadows } else { &[] },
                 ln_size: ln_size(index),
@@ -218,6 +287,10 @@ fn scatter_all(
             let mut rows = Rows::with_capacity(counts.iter().sum());
             for (surface, &count) in object.model.surfaces.iter().zip(counts) {
                 rows.scatter(surface, count, &owner, look, &mut rng);
+            }
+            // The last count, if it has a piece.
+            if let (Some(of), Some(&count)) = (&object.model.piece, counts.last()) {
+                rows.scatter_piece(of, count, &owner, look, &mut rng);
             }
             rows
         })
@@ -236,6 +309,23 @@ impl SyntheticRoomSettings {
         Self { seed, num_gaussians: Some(num_gaussians), ..Self::default() }
     }
 
+    /// What the room may be furnished with.
+    fn stock(&self) -> Result<Stock, RoomError> {
+        let rng = sample_rng(self.seed, self.room, FURNITURE);
+        Ok(Stock::new(self.catalogue()?, &self.furniture_split, self.furniture_share, rng))
+    }
+
+    /// The catalogue that the settings name, if they do; opened once, whoever asks.
+    ///
+    /// # Errors
+    /// If it cannot be read, or has nothing in the part asked for.
+    pub fn catalogue(&self) -> Result<Option<Arc<Catalogue>>, RoomError> {
+        let Some(path) = &self.furniture else { return Ok(None) };
+        let catalogue = Catalogue::shared(path)?;
+        catalogue.check(&self.furniture_split)?;
+        Ok(Some(catalogue))
+    }
+
     fn check(&self) -> Result<(), RoomError> {
         let fail =
             |setting, value: String, expected| Err(RoomError::Setting { setting, value, expected });
@@ -246,6 +336,16 @@ impl SyntheticRoomSettings {
         }
         if !(0.0..=1.0).contains(&self.points_share) {
             return fail("points_share", self.points_share.to_string(), "a number in 0..=1");
+        }
+        if !(0.0..=1.0).contains(&self.seen_share) {
+            return fail("seen_share", self.seen_share.to_string(), "a number in 0..=1");
+        }
+        if !(0.0..=1.0).contains(&self.furniture_share) {
+            return fail("furniture_share", self.furniture_share.to_string(), "a number in 0..=1");
+        }
+        if self.furniture.is_none() && self.furniture_split != FurnitureSplit::All {
+            let expected = "none of it without `furniture`, the path of a catalogue";
+            return fail("furniture_split", self.furniture_split.to_string(), expected);
         }
         match self.num_gaussians {
             Some(n) if n > MAX_GAUSSIANS => Err(too_many("num_gaussians", n.to_string())),
@@ -278,8 +378,10 @@ fn casts_shadow(object: &Placed) -> impl Iterator<Item = &Footprint> {
 }
 
 fn describe((index, object): (usize, &Placed)) -> SyntheticObject {
-    let corners = object.model.surfaces.iter().flat_map(|s| {
-        let [low, high] = s.shape.bounds();
+    let model = &object.model;
+    let boxes = model.surfaces.iter().map(|s| s.shape.bounds());
+    let boxes = boxes.chain(model.piece.iter().map(OfPiece::bounds));
+    let corners = boxes.flat_map(|[low, high]| {
         (0..8).map(move |corner| {
             object
                 .pose
@@ -288,9 +390,13 @@ fn describe((index, object): (usize, &Placed)) -> SyntheticObject {
     });
     let bounds = corners.map(|c| [c, c]).reduce(shape::join).unwrap_or([[0.0; 3]; 2]);
     SyntheticObject {
-        class: object.model.class,
+        class: model.class,
+        name: match (&model.piece, model.class) {
+            (Some(of), _) => of.name.to_string(),
+            (None, class) => class.map_or_else(String::new, |class| class.about().name.to_owned()),
+        },
         instance: index as i32,
-        color: object.model.color,
+        color: model.color,
         bounds: bounds.map(|corner| corner.map(|v| v as f32)),
     }
 }

@@ -32,22 +32,28 @@
 //! In those rooms density and size of the Gaussians tell the class, and networks read it. Rooms of
 //! [`Capture::Scan`] have no such leak, and vary as scans do.
 
+pub mod catalogue;
 pub mod classes;
 mod dice;
 mod error;
 mod furniture;
 mod generate;
+mod jitter;
 mod material;
 mod model;
 mod place;
 mod recipe;
 mod scan;
+mod seen;
 mod shape;
 mod shell;
 mod splats;
+mod stock;
 mod vector;
 pub mod vocabulary;
+mod walk;
 
+pub use catalogue::{Catalogue, CatalogueError, FurnitureSplit};
 pub use classes::{CLASSES, ClassId, Group, SyntheticClass};
 pub use error::RoomError;
 pub use generate::{

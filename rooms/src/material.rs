@@ -71,9 +71,27 @@ impl ColorName {
         }
     }
 
+    /// The name whose middle colour is the nearest, sRGB 0..=255.
+    pub(crate) fn nearest(color: V3) -> Self {
+        let far = |name: Self| {
+            let (from, to) = name.range();
+            let middle = mix(from, to, 0.5);
+            (0..3).map(|i| (middle[i] - color[i]) * (middle[i] - color[i])).sum::<f64>()
+        };
+        let first = (Self::White, far(Self::White));
+        let all = Self::ALL.into_iter().map(|name| (name, far(name)));
+        all.fold(first, |best, next| if next.1 < best.1 { next } else { best }).0
+    }
+
     /// A colour of this name, sRGB 0..=255.
     pub(crate) fn sample(self, rng: &mut SampleRng) -> V3 {
-        let (from, to) = match self {
+        let (from, to) = self.range();
+        mix(from, to, between(rng, 0.0, 1.0)).map(|c| c + between(rng, -5.0, 5.0))
+    }
+
+    /// Darkest and lightest colour of this name.
+    fn range(self) -> (V3, V3) {
+        match self {
             Self::White => ([222.0, 220.0, 214.0], [250.0, 250.0, 248.0]),
             Self::Black => ([18.0, 18.0, 20.0], [48.0, 46.0, 46.0]),
             Self::Grey => ([88.0, 88.0, 90.0], [172.0, 172.0, 176.0]),
@@ -86,8 +104,7 @@ impl ColorName {
             Self::Blue => ([22.0, 48.0, 106.0], [92.0, 144.0, 204.0]),
             Self::Purple => ([76.0, 36.0, 108.0], [148.0, 104.0, 178.0]),
             Self::Pink => ([218.0, 130.0, 150.0], [242.0, 186.0, 198.0]),
-        };
-        mix(from, to, between(rng, 0.0, 1.0)).map(|c| c + between(rng, -5.0, 5.0))
+        }
     }
 }
 

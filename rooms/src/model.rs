@@ -1,10 +1,12 @@
 //! An object in its own frame: x to the right, +y to the front, z up from where it stands.
 
+use crate::catalogue::Piece;
 use crate::classes::ClassId;
 use crate::material::{ColorName, Material};
 use crate::shape::{Shape, join};
 use crate::vector::{V3, Z, add, add_times, basis, cross, sub, times, unit_or};
 use scenesplat_kernels::random::SampleRng;
+use std::sync::Arc;
 
 /// Draws an object.
 pub(crate) type Build = fn(&mut SampleRng) -> Model;
@@ -38,12 +40,36 @@ pub(crate) struct Support {
     pub(crate) clearance: f64,
 }
 
+/// A piece of a catalogue that an object is made of.
+#[derive(Debug, Clone)]
+pub(crate) struct OfPiece {
+    pub(crate) piece: Arc<Piece>,
+    /// What its name is.
+    pub(crate) name: Arc<str>,
+    /// Height above the floor that its library gives it, metres.
+    pub(crate) elevation: f64,
+    /// Where its origin is in the frame of the object.
+    pub(crate) at: V3,
+    /// Gaussians per area, relative to a plain wall.
+    pub(crate) density: f64,
+}
+
+impl OfPiece {
+    pub(crate) fn bounds(&self) -> [V3; 2] {
+        let Block { low, high } = self.piece.bounds;
+        [add(low, self.at), add(high, self.at)]
+    }
+}
+
 /// An object made of surfaces.
 #[derive(Debug, Clone)]
 pub(crate) struct Model {
-    pub(crate) class: ClassId,
+    /// None of a thing that has a name alone.
+    pub(crate) class: Option<ClassId>,
     pub(crate) color: ColorName,
     pub(crate) surfaces: Vec<Surface>,
+    /// A piece of a catalogue, mostly instead of surfaces.
+    pub(crate) piece: Option<OfPiece>,
     /// Where nothing else may be; the box around all surfaces if none is set.
     pub(crate) solids: Vec<Block>,
     pub(crate) supports: Vec<Support>,
@@ -54,9 +80,10 @@ pub(crate) struct Model {
 impl Model {
     pub(crate) fn new(class: ClassId, color: ColorName, density: f64) -> Self {
         Self {
-            class,
+            class: Some(class),
             color,
             surfaces: Vec::new(),
+            piece: None,
             solids: Vec::new(),
             supports: Vec::new(),
             density,
@@ -174,9 +201,15 @@ impl Model {
 
     /// The box around all surfaces.
     pub(crate) fn bounds(&self) -> Block {
-        let all = self.surfaces.iter().map(|s| s.shape.bounds()).reduce(join);
+        let pieces = self.piece.iter().map(OfPiece::bounds);
+        let all = self.surfaces.iter().map(|s| s.shape.bounds()).chain(pieces).reduce(join);
         let [low, high] = all.unwrap_or([[0.0; 3]; 2]);
         Block { low, high }
+    }
+
+    /// The object's class, if it is this one.
+    pub(crate) fn is(&self, class: ClassId) -> bool {
+        self.class == Some(class)
     }
 
     /// The solids, or the box around all surfaces.

@@ -159,6 +159,12 @@ impl Layout {
             })
     }
 
+    /// Whether somebody can stand there: before a door, too.
+    pub(crate) fn can_stand(&self, footprint: &Footprint) -> bool {
+        self.contains(footprint)
+            && !self.objects.iter().any(|o| o.footprints.iter().any(|b| b.overlaps(footprint)))
+    }
+
     fn contains(&self, footprint: &Footprint) -> bool {
         let inside = |v: f64, most: f64| (-1e-9..=most + 1e-9).contains(&v);
         footprint.corners().iter().all(|c| inside(c[0], self.size[0]) && inside(c[1], self.size[1]))

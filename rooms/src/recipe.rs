@@ -6,12 +6,14 @@ mod extras;
 mod kitchen;
 mod living;
 mod office;
+mod things;
 
 use crate::dice::{between, chance, weighted, whole};
 use crate::furniture;
-use crate::model::Build;
+use crate::model::{Build, Model};
 use crate::place::{Layout, STRAIGHT, around};
 use crate::shell::{Plan, build};
+use crate::stock::{Place, Stock};
 use scenesplat_kernels::random::SampleRng;
 use serde::{Deserialize, Serialize};
 
@@ -59,7 +61,7 @@ impl RoomKind {
 }
 
 /// Builds and furnishes a room.
-pub(crate) fn furnish(kind: RoomKind, rng: &mut SampleRng) -> Layout {
+pub(crate) fn furnish(kind: RoomKind, stock: &mut Stock, rng: &mut SampleRng) -> Layout {
     let [short, long] = kind.sides();
     let size = [between(rng, short, long), between(rng, short, long)];
     let is_l = kind != RoomKind::Bathroom && size[0].min(size[1]) > 3.3 && chance(rng, 0.3);
@@ -71,8 +73,8 @@ pub(crate) fn furnish(kind: RoomKind, rng: &mut SampleRng) -> Layout {
         is_wet: kind == RoomKind::Bathroom,
         has_ceiling: chance(rng, 0.7),
     };
-    let mut layout = build(&plan, rng);
-    let mut room = Room { layout: &mut layout, rng };
+    let mut layout = build(&plan, stock, rng);
+    let mut room = Room { layout: &mut layout, stock, rng };
     match kind {
         RoomKind::Living => room.living(),
         RoomKind::Bedroom => room.bedroom(),
@@ -83,11 +85,13 @@ pub(crate) fn furnish(kind: RoomKind, rng: &mut SampleRng) -> Layout {
     }
     room.extras(kind);
     room.clutter();
+    room.things(kind);
     layout
 }
 
 struct Room<'a> {
     layout: &'a mut Layout,
+    stock: &'a mut Stock,
     rng: &'a mut SampleRng,
 }
 
@@ -96,25 +100,31 @@ impl Room<'_> {
         chance(self.rng, probability)
     }
 
-    fn at_wall(&mut self, build: Build) -> Option<usize> {
+    /// Builds a model, or takes a piece of a catalogue instead.
+    fn make(&mut self, build: Build, place: Place) -> Model {
         let model = build(self.rng);
+        self.stock.instead(model, place)
+    }
+
+    fn at_wall(&mut self, build: Build) -> Option<usize> {
+        let model = self.make(build, Place::Floor);
         self.layout.against_wall(model, [0.0, 0.0], self.rng)
     }
 
     /// On a wall, its middle between these heights.
     fn hang(&mut self, build: Build, z: [f64; 2]) -> Option<usize> {
-        let model = build(self.rng);
+        let model = self.make(build, Place::Wall);
         self.layout.against_wall(model, z, self.rng)
     }
 
     fn on_floor(&mut self, build: Build) -> Option<usize> {
-        let model = build(self.rng);
+        let model = self.make(build, Place::Floor);
         self.layout.on_floor(model, self.rng)
     }
 
     /// Something on the wall above an object that stands at it.
     fn above(&mut self, parent: usize, build: Build, gap: f64) -> Option<usize> {
-        let model = build(self.rng);
+        let model = self.make(build, Place::Wall);
         let block = around(&model);
         let object = &self.layout.objects[parent];
         let bounds = object.model.bounds();
@@ -158,7 +168,7 @@ mod tests {
         for index in 0..120 {
             let mut rng = sample_rng(11, index, 0);
             let kind = RoomKind::random(&mut rng);
-            let layout = furnish(kind, &mut rng);
+            let layout = furnish(kind, &mut Stock::none(), &mut rng);
             num_objects += layout.objects.len();
             for (i, a) in layout.objects.iter().enumerate() {
                 for b in &layout.objects[..i] {
@@ -168,7 +178,8 @@ mod tests {
                     assert!(!overlap, "{kind:?} {index}: {a:?} in {b:?}");
                 }
                 let is_flat = a.footprints.is_empty();
-                assert_eq!(is_flat, a.model.class.about().groups == [crate::Group::Structure]);
+                let class = a.model.class.expect("without a catalogue all have one");
+                assert_eq!(is_flat, class.about().groups == [crate::Group::Structure]);
             }
         }
         assert!(num_objects > 120 * 18, "{num_objects}");

@@ -241,7 +241,7 @@ impl Shape {
 }
 
 /// As the distance from an edge where there is no edge, metres.
-const FAR: f64 = 1.0;
+pub(crate) const FAR: f64 = 1.0;
 
 fn fold(values: [f64; 4], with: fn(f64, f64) -> f64) -> f64 {
     values.into_iter().fold(values[0], with)

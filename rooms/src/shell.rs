@@ -2,11 +2,12 @@
 
 use crate::classes::ClassId;
 use crate::dice::{between, chance, pick, whole};
-use crate::furniture::openings::{curtain, door, radiator, tiles, window};
+use crate::furniture::openings::{curtain, door, outside, radiator, tiles, window};
 use crate::material::{ColorName, Material, Texture, wood};
 use crate::model::{Block, Model};
 use crate::place::{Footprint, Layout, Pose, STRAIGHT, Wall};
 use crate::shape::Shape;
+use crate::stock::{Opening, Place, Stock};
 use scenesplat_kernels::random::SampleRng;
 
 /// What decides the shell of a room.
@@ -22,7 +23,7 @@ pub(crate) struct Plan {
 }
 
 /// An empty room with openings and what hangs in them.
-pub(crate) fn build(plan: &Plan, rng: &mut SampleRng) -> Layout {
+pub(crate) fn build(plan: &Plan, stock: &mut Stock, rng: &mut SampleRng) -> Layout {
     let mut layout = Layout {
         size: plan.size,
         height: plan.height,
@@ -31,9 +32,9 @@ pub(crate) fn build(plan: &Plan, rng: &mut SampleRng) -> Layout {
         notch: notch(plan),
         kept_free: Vec::new(),
     };
-    add_door(&mut layout, rng);
+    add_door(&mut layout, stock, rng);
     for _ in 0..whole(rng, 1, 3) {
-        add_window(&mut layout, plan.is_wet, rng);
+        add_window(&mut layout, plan.is_wet, stock, rng);
     }
     let (name, paint) = wall_paint(plan.is_wet, rng);
     let skirting = (!plan.is_wet && chance(rng, 0.7)).then(|| between(rng, 0.05, 0.12));
@@ -102,10 +103,15 @@ fn stretch(layout: &Layout, wide: f64, rng: &mut SampleRng) -> Option<(usize, f6
     None
 }
 
-fn add_door(layout: &mut Layout, rng: &mut SampleRng) {
+fn add_door(layout: &mut Layout, stock: &mut Stock, rng: &mut SampleRng) {
     let size = [between(rng, 0.78, 1.02), between(rng, 1.98, 2.12_f64.min(layout.height - 0.05))];
+    let found = stock.opening(ClassId::Door, layout.height - 0.05);
+    let size = found.as_ref().map_or(size, |found| found.size);
     let Some((index, at)) = stretch(layout, size[0], rng) else { return };
-    let model = door(size, rng);
+    let model = match found {
+        Some(found) => found.model,
+        None => door(size, rng),
+    };
     let wall = &mut layout.walls[index];
     wall.openings.push([at - size[0] / 2.0, at + size[0] / 2.0, 0.0, size[1]]);
     let pose = wall.pose(at, 0.0, 0.0);
@@ -115,7 +121,7 @@ fn add_door(layout: &mut Layout, rng: &mut SampleRng) {
     layout.put_flat(model, pose);
 }
 
-fn add_window(layout: &mut Layout, is_wet: bool, rng: &mut SampleRng) {
+fn add_window(layout: &mut Layout, is_wet: bool, stock: &mut Stock, rng: &mut SampleRng) {
     let french = !is_wet && chance(rng, 0.2);
     let wide = if is_wet { between(rng, 0.5, 0.9) } else { between(rng, 0.8, 2.3) };
     let (sill, top) = if french {
@@ -124,9 +130,18 @@ fn add_window(layout: &mut Layout, is_wet: bool, rng: &mut SampleRng) {
         let sill = if is_wet { between(rng, 1.1, 1.5) } else { between(rng, 0.55, 1.05) };
         (sill, (sill + between(rng, 0.7, 1.6)).min(layout.height - 0.15))
     };
+    let found = stock.opening(ClassId::Window, layout.height - 0.1);
+    let (wide, sill, top) = match &found {
+        Some(Opening { size: [wide, high], sill, .. }) => (*wide, *sill, sill + high),
+        None => (wide, sill, top),
+    };
+    let french = french || sill < 0.3;
     let Some((index, at)) = stretch(layout, wide, rng) else { return };
     let recess = if chance(rng, 0.7) { between(rng, 0.03, 0.2) } else { 0.0 };
-    let model = window([wide, top - sill], recess, rng);
+    let model = match found {
+        Some(found) => glazed(found, rng),
+        None => window([wide, top - sill], recess, rng),
+    };
     let wall = &mut layout.walls[index];
     let wall_length = wall.length;
     wall.openings.push([at - wide / 2.0, at + wide / 2.0, sill, top]);
@@ -139,7 +154,7 @@ fn add_window(layout: &mut Layout, is_wet: bool, rng: &mut SampleRng) {
         let low = if french || chance(rng, 0.7) { 0.0 } else { sill - 0.2 };
         let rod = (top + between(rng, 0.06, 0.2)).min(layout.height - 0.06) - low;
         if half > wide / 2.0 - 0.05 {
-            let cloth = curtain(half, rod, rng);
+            let cloth = stock.instead(curtain(half, rod, rng), Place::Floor);
             let off = between(rng, 0.08, 0.11);
             // Its own place, not a gap before the window, so it may be tried only once.
             let _ = layout.try_put(cloth, standing.then([0.0, off, low], STRAIGHT));
@@ -147,12 +162,25 @@ fn add_window(layout: &mut Layout, is_wet: bool, rng: &mut SampleRng) {
     }
     if sill > 0.55 && chance(rng, 0.4) {
         let heater = radiator((wide * between(rng, 0.6, 0.95)).max(0.5), rng);
+        let heater = stock.instead(heater, Place::Floor);
         let off = 0.04 - heater.bounds().low[1];
         let _ = layout.try_put(heater, standing.then([0.0, off, 0.0], STRAIGHT));
     }
     let half = wide / 2.0;
     let block = Block { low: [-half, 0.0, sill.max(0.05)], high: [half, 0.06, top] };
     layout.kept_free.push(Footprint::of(&block, &standing));
+}
+
+/// A window of a catalogue, and what is seen through its panes.
+fn glazed(found: Opening, rng: &mut SampleRng) -> Model {
+    let Opening { mut model, size: [wide, high], .. } = found;
+    let view = outside(rng);
+    let (w, h, rim) = (wide * 0.46, high * 0.92, high * 0.04);
+    // Behind all of it.
+    let y = model.piece.as_ref().map_or(0.0, |piece| piece.bounds()[0][1] + 0.01);
+    model.density = 0.7;
+    model.add(Shape::flat([w, y, rim], [-2.0 * w, 0.0, 0.0], [0.0, 0.0, h]), view);
+    model
 }
 
 fn wall_paint(is_wet: bool, rng: &mut SampleRng) -> (ColorName, Material) {

@@ -1,9 +1,10 @@
 //! From surfaces to Gaussians that look as captures do.
 
 use crate::dice::{between, chance, noise};
-use crate::model::Surface;
+use crate::model::{OfPiece, Surface};
 use crate::place::{Footprint, Pose};
-use crate::vector::{V3, add_times, basis, cross, dot, times, unit_or};
+use crate::shape::SurfacePoint;
+use crate::vector::{V3, add, add_times, basis, cross, dot, times, unit_or};
 use scenesplat_kernels::random::{SampleRng, direction, unit};
 use scenesplat_scene::GaussianScene;
 use scenesplat_scene::gaussian_scene::u8_to_dc;
@@ -166,21 +167,54 @@ impl Rows {
         look: &Look,
         rng: &mut SampleRng,
     ) {
-        let spacing = (surface.shape.area() / count.max(1) as f64).sqrt().max(1e-4);
+        let draw = |rng: &mut SampleRng| {
+            let point = surface.shape.sample(rng);
+            let color = surface.material.color_at(point.st);
+            (point, color)
+        };
+        self.scatter_by(surface.shape.area(), count, owner, look, draw, rng);
+    }
+
+    /// As [`scatter`](Self::scatter), over a piece of a catalogue: nothing but its shape and colours tells it
+    /// from other surfaces.
+    pub(crate) fn scatter_piece(
+        &mut self,
+        of: &OfPiece,
+        count: usize,
+        owner: &Owner<'_>,
+        look: &Look,
+        rng: &mut SampleRng,
+    ) {
+        let draw = |rng: &mut SampleRng| {
+            let (point, color) = of.piece.sample(look.is_points, rng);
+            (SurfacePoint { coord: add(point.coord, of.at), ..point }, color)
+        };
+        self.scatter_by(of.piece.area(look.is_points), count, owner, look, draw, rng);
+    }
+
+    fn scatter_by(
+        &mut self,
+        area: f64,
+        count: usize,
+        owner: &Owner<'_>,
+        look: &Look,
+        draw: impl Fn(&mut SampleRng) -> (SurfacePoint, V3),
+        rng: &mut SampleRng,
+    ) {
+        let spacing = (area / count.max(1) as f64).sqrt().max(1e-4);
         let ln_spacing = rounded_ln(spacing) + owner.ln_size;
         for _ in 0..count {
-            let mut point = surface.shape.sample(rng);
+            let (mut point, mut color) = draw(rng);
             let mut coord = owner.pose.point(point.coord);
             // What fell into a hole is drawn again, so that the number of Gaussians stays.
             for _ in 0..3 {
                 if !look.is_in_hole(coord) || chance(rng, 0.15) {
                     break;
                 }
-                point = surface.shape.sample(rng);
+                (point, color) = draw(rng);
                 coord = owner.pose.point(point.coord);
             }
             let normal = owner.pose.vector(point.normal);
-            let mut color = surface.material.color_at(point.st);
             let light = look.shade(normal) * contact(coord, owner.shadows);
             color = std::array::from_fn(|i| color[i] * light * look.gain[i]);
             let splat = if look.is_points {
@@ -340,6 +374,17 @@ fn respelled([a, b, c]: [V3; 3], [s, t, u]: V3, rng: &mut SampleRng) -> ([V3; 3]
 /// The natural logarithm in steps of 1/1024: libraries disagree about its last bit.
 pub(crate) fn rounded_ln(value: f64) -> f64 {
     (value.ln() * 1024.0).round() / 1024.0
+}
+
+/// The opacity of a Gaussian in steps of 1/65536, and its sizes in steps of 1/16777216 m: libraries disagree
+/// about the last bit of exponentials, and choices hang on these.
+pub(crate) fn opacity(scene: &GaussianScene, row: usize) -> f64 {
+    (f64::from(scene.opacity(row)) * 65536.0).round() / 65536.0
+}
+
+/// See [`opacity`].
+pub(crate) fn sizes(scene: &GaussianScene, row: usize) -> V3 {
+    scene.scale(row).map(|s| (f64::from(s) * 16_777_216.0).round().max(1.0) / 16_777_216.0)
 }
 
 /// The unit quaternion `w, x, y, z` whose matrix has these columns, which are a rotation.

@@ -257,21 +257,21 @@ impl Vocabulary {
 
     /// Targets of a room's Gaussians: class, groups and colour of the object that each is part of.
     pub fn targets(&self, room: &SyntheticRoom) -> Targets {
-        self.targets_by(room, |o| (o.class, Some(o.color)))
+        self.targets_by(room, |o| Some((o.class?, Some(o.color))))
     }
 
     /// As [`targets`](Self::targets), without colours: one row per class that is there.
     pub fn class_targets(&self, room: &SyntheticRoom) -> Targets {
-        self.targets_by(room, |o| (o.class, None))
+        self.targets_by(room, |o| Some((o.class?, None)))
     }
 
     fn targets_by(
         &self,
         room: &SyntheticRoom,
-        key: impl Fn(&SyntheticObject) -> (ClassId, Option<ColorName>),
+        key: impl Fn(&SyntheticObject) -> Option<(ClassId, Option<ColorName>)>,
     ) -> Targets {
         let keys: Vec<_> = room.objects.iter().map(key).collect();
-        let mut rows = keys.clone();
+        let mut rows: Vec<_> = keys.iter().copied().flatten().collect();
         rows.sort_unstable();
         rows.dedup();
         let table = rows.iter().flat_map(|&(class, color)| match color {
@@ -279,9 +279,11 @@ impl Vocabulary {
             None => self.class_target(class),
         });
         let table = table.collect();
-        // Every key is among the rows, so the search always finds it.
-        let row_of_object: Vec<u32> =
-            keys.iter().map(|k| rows.binary_search(k).map_or(NO_TARGET, |r| r as u32)).collect();
+        // Every key is among the rows; objects without a class have none.
+        let row = |key: &(ClassId, Option<ColorName>)| rows.binary_search(key).ok();
+        let row_of_object: Vec<u32> = (keys.iter())
+            .map(|key| key.as_ref().and_then(row).map_or(NO_TARGET, |row| row as u32))
+            .collect();
         let instance = room.scene.instance.as_deref().unwrap_or(&[]);
         let row = |&i: &i32| {
             usize::try_from(i).ok().and_then(|i| row_of_object.get(i).copied()).unwrap_or(NO_TARGET)

@@ -105,7 +105,7 @@ fn values_are_sound_and_labels_exact() {
             };
             let object = &room.objects[owner];
             assert_eq!(object.instance, instance[row]);
-            assert_eq!(object.class.index() as i32, segment[row]);
+            assert_eq!(object.class.unwrap().index() as i32, segment[row]);
             for axis in 0..3 {
                 let at = scene.coord[row][axis];
                 let inside =
@@ -117,7 +117,8 @@ fn values_are_sound_and_labels_exact() {
         assert!(!room.is_points || num_floaters == 0);
         for object in &room.objects {
             let [low, high] = object.bounds;
-            let is_shell = matches!(object.class, ClassId::Wall | ClassId::Window | ClassId::Door);
+            let class = object.class.unwrap();
+            let is_shell = matches!(class, ClassId::Wall | ClassId::Window | ClassId::Door);
             let beyond = if is_shell { 0.25 } else { 0.02 };
             for axis in 0..3 {
                 let inside = -beyond..=room.size[axis] + beyond;
@@ -139,7 +140,7 @@ fn every_class_is_in_a_tenth_of_the_rooms() {
     let mut fewest = usize::MAX;
     for index in 0..ROOMS {
         let room = make(index, 0);
-        let mut classes: Vec<_> = room.objects.iter().map(|o| o.class.index()).collect();
+        let mut classes: Vec<_> = room.objects.iter().map(|o| o.class.unwrap().index()).collect();
         classes.sort_unstable();
         classes.dedup();
         fewest = fewest.min(classes.len());
@@ -292,4 +293,55 @@ fn scans_differ_in_density_and_reach_below_the_floor() {
         let stray = |(p, s): (&[f32; 3], &i32)| p[2] < -2.0 * MAX_STRAY && *s != -1;
         assert!(!room.scene.coord.iter().zip(segment).any(stray), "labels below the floor");
     }
+}
+
+fn walked(room: u64) -> (SyntheticRoom, SyntheticRoom) {
+    let made = SyntheticRoomSettings { room, points_share: 0.0, ..Default::default() };
+    let walked = SyntheticRoomSettings { seen_share: 1.0, ..made.clone() };
+    (generate(&made).unwrap(), generate(&walked).unwrap())
+}
+
+#[test]
+fn of_a_walk_there_is_what_can_be_seen_from_the_floor() {
+    let (mut kept, mut made) = (0, 0);
+    let (mut under, mut all_under) = (0, 0);
+    for number in 0..8 {
+        let (before, after) = walked(number);
+        assert!(after.is_walked && !before.is_walked);
+        assert_eq!(before.objects, after.objects, "the same room");
+        after.scene.check_rows().unwrap();
+        assert!(after.scene.len() < before.scene.len());
+        (made, kept) = (made + before.scene.len(), kept + after.scene.len());
+        // What looks down within half a metre of the floor is seen by nobody who stands.
+        let count = |room: &SyntheticRoom| {
+            let normal = room.scene.normal.as_ref().unwrap();
+            let segment = room.scene.segment.as_ref().unwrap();
+            let is_under = |row: &usize| {
+                let [_, _, z] = room.scene.coord[*row];
+                normal[*row][2] < -0.9 && (0.02..0.5).contains(&z) && segment[*row] >= 0
+            };
+            (0..room.scene.len()).filter(is_under).count()
+        };
+        (all_under, under) = (all_under + count(&before), under + count(&after));
+    }
+    let [share, share_under] = [kept as f64 / made as f64, under as f64 / all_under as f64];
+    println!("kept {share:.2} of all, {share_under:.2} of {all_under} undersides");
+    assert!((0.4..0.9).contains(&share), "{share}");
+    assert!(all_under > 300 && share_under < 0.5 * share, "{share_under} of {all_under}");
+}
+
+#[test]
+fn walks_have_the_same_bits_for_any_number_of_threads() {
+    let few =
+        SyntheticRoomSettings { seen_share: 1.0, capture: Capture::Scan, ..settings(2, 20_000) };
+    let pool = |threads| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    let [one, four] = [1, 4].map(|threads| pool(threads).install(|| generate(&few).unwrap()));
+    assert_eq!(one, four);
+    let half = (0..40).filter(|&room| {
+        let few = SyntheticRoomSettings { seen_share: 0.5, ..settings(room, 500) };
+        generate(&few).unwrap().is_walked
+    });
+    assert!((10..=30).contains(&half.count()));
+    let bad = SyntheticRoomSettings { seen_share: 1.1, ..settings(0, 10) };
+    assert!(generate(&bad).unwrap_err().to_string().contains("seen_share"));
 }

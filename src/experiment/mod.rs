@@ -6,6 +6,7 @@ pub mod curves;
 pub mod data;
 mod error;
 pub mod export;
+pub mod furniture;
 pub mod identity;
 mod measured;
 mod record;

@@ -6,6 +6,7 @@ use super::curves::{write_curves, write_curves_page};
 use super::data;
 use super::error::{ExperimentError, Place};
 use super::export::{export_model, export_self_supervised};
+use super::furniture;
 use super::identity::identity;
 use super::measured::with_measured_effects;
 use super::record::{RunRecord, write};
@@ -342,13 +343,14 @@ impl Run<'_> {
         let progress = trainer.fit(module, loader, evaluators, start)?;
         let model = out.join("model");
         let network = self.config.network()?;
-        let remarks = match self_supervision::exported(self.config) {
+        let mut remarks = match self_supervision::exported(self.config) {
             None if self.config.task == Task::Autoencoder => {
                 compression::export(self.config, self.checkpoints, &model)?
             }
             None => export_model(self.checkpoints, &network, &model)?,
             Some(which) => export_self_supervised(self.checkpoints, &network, which, &model)?,
         };
+        remarks.extend(furniture::attribute(self.config, &model)?);
         Ok((progress, (model, remarks)))
     }
 }

@@ -54,7 +54,7 @@ pub fn simulate_in_room(
     let windows: Vec<[[f32; 3]; 2]> = room
         .objects
         .iter()
-        .filter(|object| object.class == ClassId::Window)
+        .filter(|object| object.class == Some(ClassId::Window))
         .map(|object| object.bounds)
         .collect();
     let speed = between(&mut rng(seed, Effect::Blur, u64::MAX), SPEED);
@@ -115,7 +115,7 @@ mod tests {
     }
 
     fn windows(room: &SyntheticRoom) -> usize {
-        room.objects.iter().filter(|object| object.class == ClassId::Window).count()
+        room.objects.iter().filter(|object| object.class == Some(ClassId::Window)).count()
     }
 
     fn damage(room: &SyntheticRoom, text: &str, seed: u64) -> RoomDamage {
@@ -130,7 +130,7 @@ mod tests {
         let (mut with, mut without) = (0, 0);
         // Every room of the generator has a window: half of them are bricked up.
         let bricked_up = rooms().take(12).map(|mut room| {
-            room.objects.retain(|object| object.class != ClassId::Window);
+            room.objects.retain(|object| object.class != Some(ClassId::Window));
             room
         });
         for room in rooms().skip(12).chain(bricked_up) {
@@ -155,8 +155,12 @@ mod tests {
     fn panes_are_where_windows_are() {
         let room = rooms().find(|room| windows(room) > 0).unwrap();
         let out = damage(&room, "glass=5", 1);
-        let boxes: Vec<_> =
-            room.objects.iter().filter(|o| o.class == ClassId::Window).map(|o| o.bounds).collect();
+        let boxes: Vec<_> = room
+            .objects
+            .iter()
+            .filter(|o| o.class == Some(ClassId::Window))
+            .map(|o| o.bounds)
+            .collect();
         let near = |p: [f32; 3]| {
             boxes
                 .iter()

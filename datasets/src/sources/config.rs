@@ -283,6 +283,9 @@ impl SourceConfig {
 
     /// Makes relative paths start at `base`, the folder of the configuration file, say.
     pub fn place(&mut self, base: &Path) {
+        if let Self::Synthetic(rooms) = self {
+            rooms.room.furniture.iter_mut().for_each(|path| *path = base.join(&*path));
+        }
         let Some(folder) = self.folder_mut() else { return };
         // Joining keeps absolute paths.
         folder.class_names.iter_mut().for_each(|path| *path = base.join(&*path));

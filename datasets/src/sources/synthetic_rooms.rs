@@ -30,7 +30,8 @@ impl SyntheticRooms {
     /// the numbering starts; room `i` depends on the seed and `i` only, not on `count`.
     ///
     /// # Errors
-    /// If there are more than [`MAX_ROOMS`] rooms, whose names alone would fill the memory.
+    /// If there are more than [`MAX_ROOMS`] rooms, whose names alone would fill the memory, or the catalogue
+    /// of furniture cannot be read.
     pub fn new(
         count: usize,
         mut settings: SyntheticRoomSettings,
@@ -41,6 +42,8 @@ impl SyntheticRooms {
         }
         let ids = (0..count).map(|i| format!("room-{i:06}")).collect();
         settings.seed = seed;
+        // Now rather than at the first room.
+        settings.catalogue()?;
         Ok(Self { ids, settings, vocabulary: None, effects: EffectRanges::default() })
     }
 

@@ -28,7 +28,7 @@ pub(crate) fn tiles(rng: &mut SampleRng) -> Material {
 }
 
 /// What is seen through the panes: sky above, something green or grey below, or only light.
-fn outside(rng: &mut SampleRng) -> Material {
+pub(crate) fn outside(rng: &mut SampleRng) -> Material {
     match whole(rng, 0, 2) {
         0 => Material::new([206.0, 222.0, 240.0], Texture::Sheen(1.2), rng).with_second([250.0; 3]),
         1 => Material::new([120.0, 150.0, 110.0], Texture::Sheen(0.35), rng)

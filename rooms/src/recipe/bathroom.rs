@@ -4,6 +4,7 @@ use super::Room;
 use crate::dice::between;
 use crate::furniture::{bathroom, decoration, openings, seating, small, storage};
 use crate::model::Build;
+use crate::stock::Place;
 
 impl Room<'_> {
     pub(super) fn bathroom(&mut self) {
@@ -30,6 +31,7 @@ impl Room<'_> {
         }
         if self.likely(0.5) {
             let heater = openings::radiator(between(self.rng, 0.5, 0.9), self.rng);
+            let heater = self.stock.instead(heater, Place::Floor);
             self.layout.against_wall(heater, [0.0, 0.0], self.rng);
         }
         if self.likely(0.7) {
@@ -37,6 +39,7 @@ impl Room<'_> {
                 [between(self.rng, 0.3, 0.5), between(self.rng, 0.22, 0.35)],
                 self.rng,
             );
+            let rug = self.stock.instead(rug, Place::Floor);
             self.layout.on_floor(rug, self.rng);
         }
     }

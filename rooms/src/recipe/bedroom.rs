@@ -5,6 +5,7 @@ use crate::dice::{between, chance};
 use crate::furniture::{bedroom, decoration, lighting, seating, small, storage};
 use crate::model::Build;
 use crate::place::{STRAIGHT, around};
+use crate::stock::Place;
 
 impl Room<'_> {
     pub(super) fn bedroom(&mut self) {
@@ -52,13 +53,16 @@ impl Room<'_> {
     /// Nightstands at the head, with a lamp or a clock.
     pub(super) fn beside_bed(&mut self, bed: usize) {
         let bounds = self.layout.objects[bed].model.bounds();
-        let first = bedroom::nightstand(self.rng);
+        let first = self.make(bedroom::nightstand, Place::Floor);
         for side in [-1.0, 1.0] {
             if !self.likely(0.85) {
                 continue;
             }
-            let stand =
-                if self.likely(0.8) { first.clone() } else { bedroom::nightstand(self.rng) };
+            let stand = if self.likely(0.8) {
+                first.clone()
+            } else {
+                self.make(bedroom::nightstand, Place::Floor)
+            };
             let block = around(&stand);
             let gap = between(self.rng, 0.03, 0.1);
             let x = side * (bounds.high[0] + block.high[0] + gap);
@@ -66,11 +70,11 @@ impl Room<'_> {
             let places = [([x, y], STRAIGHT), ([x, y + 0.08], STRAIGHT)];
             let Some(stand) = self.layout.near(bed, stand, &places) else { continue };
             if self.likely(0.6) {
-                let lamp = lighting::table_lamp(self.rng);
+                let lamp = self.make(lighting::table_lamp, Place::Top);
                 self.layout.on_top(stand, 0, lamp, None, self.rng);
             }
             if self.likely(0.4) {
-                let clock = small::standing_clock(self.rng);
+                let clock = self.make(small::standing_clock, Place::Top);
                 self.layout.on_top(stand, 0, clock, Some(STRAIGHT), self.rng);
             }
         }

@@ -6,6 +6,7 @@ use crate::dice::{between, chance, pick, small_turn, whole};
 use crate::furniture::{bedroom, decoration, electronics, lighting, openings, seating, small};
 use crate::model::Build;
 use crate::place::{Pose, STRAIGHT};
+use crate::stock::Place;
 
 impl Room<'_> {
     /// What may be in any room: things on walls and ceiling, plants, boxes.
@@ -27,11 +28,13 @@ impl Room<'_> {
         }
         if self.likely(0.2) {
             let heater = openings::radiator(between(self.rng, 0.6, 1.3), self.rng);
+            let heater = self.stock.instead(heater, Place::Floor);
             self.layout.against_wall(heater, [0.0, 0.0], self.rng);
         }
         if !is_wet && self.likely(0.25) {
             let half = [between(self.rng, 0.5, 1.2), between(self.rng, 0.4, 0.8)];
             let rug = decoration::rug(half, self.rng);
+            let rug = self.stock.instead(rug, Place::Floor);
             self.layout.on_floor(rug, self.rng);
         }
         for (build, probability) in [
@@ -55,6 +58,7 @@ impl Room<'_> {
 
     pub(super) fn ceiling_lamp(&mut self) {
         let lamp = lighting::ceiling_lamp(self.layout.height - 2.0, self.rng);
+        let lamp = self.stock.instead(lamp, Place::Ceiling);
         self.layout.search(lamp, self.rng, |layout, _, rng| {
             let [x, y] = layout.size.map(|s| s * between(rng, 0.25, 0.75));
             let turn = if chance(rng, 0.5) { STRAIGHT } else { [0.0, 1.0] };
@@ -65,7 +69,7 @@ impl Room<'_> {
     /// Small things on whatever has room for them.
     pub(super) fn clutter(&mut self) {
         for parent in 0..self.layout.objects.len() {
-            let class = self.layout.objects[parent].model.class;
+            let Some(class) = self.layout.objects[parent].model.class else { continue };
             let (count, things): (u32, &[Build]) = match class {
                 ClassId::Table => (
                     4,
@@ -104,8 +108,9 @@ impl Room<'_> {
                     break;
                 }
                 let support = whole(self.rng, 0, supports as u32 - 1) as usize;
-                let thing = pick(self.rng, things)(self.rng);
-                let turn = matches!(thing.class, ClassId::Laptop | ClassId::Clock)
+                let build = pick(self.rng, things);
+                let thing = self.make(build, Place::Top);
+                let turn = (thing.is(ClassId::Laptop) || thing.is(ClassId::Clock))
                     .then(|| small_turn(self.rng, 0.3));
                 self.layout.on_top(parent, support, thing, turn, self.rng);
             }

@@ -5,6 +5,7 @@ use crate::dice::{between, pick};
 use crate::furniture::{decoration, kitchen, seating, small, storage};
 use crate::model::Build;
 use crate::place::STRAIGHT;
+use crate::stock::Place;
 
 impl Room<'_> {
     pub(super) fn kitchen(&mut self) {
@@ -77,7 +78,19 @@ impl Room<'_> {
             } else {
                 kitchen::base_unit(style, wide, slot == sink_at, self.rng)
             };
-            let pose = wall.pose(at + wide / 2.0, style.deep / 2.0 + 0.01, 0.0);
+            // A basin needs a unit with a hole.
+            let unit = if slot == sink_at { unit } else { self.stock.instead(unit, Place::Floor) };
+            let (wide, deep) = match &unit.piece {
+                None => (wide, style.deep),
+                Some(piece) => {
+                    let [low, high] = piece.bounds();
+                    (high[0] - low[0], high[1] - low[1])
+                }
+            };
+            if at + wide > wall.length - 0.02 {
+                break;
+            }
+            let pose = wall.pose(at + wide / 2.0, deep / 2.0 + 0.01, 0.0);
             let Ok(base) = self.layout.try_put(unit, pose) else {
                 // Past a door or a window; before the first unit the run just starts later.
                 at += 0.25;
@@ -89,7 +102,7 @@ impl Room<'_> {
                 let sink = kitchen::kitchen_sink(self.rng);
                 let _ = self.layout.try_put(sink, pose.then([0.0, 0.0, style.high], STRAIGHT));
             }
-            self.over_unit(base, slot == stove_at, wide, style);
+            self.over_unit(base, slot == stove_at, [wide, deep], style);
             at += wide + 0.008;
             slot += 1;
         }
@@ -100,19 +113,23 @@ impl Room<'_> {
         &mut self,
         base: usize,
         is_stove: bool,
-        wide: f64,
+        [wide, deep]: [f64; 2],
         style: &kitchen::Style,
     ) {
         let pose = self.layout.objects[base].pose;
-        let back = -style.deep / 2.0;
+        let back = -deep / 2.0;
         if is_stove {
             let z = between(self.rng, 1.5, 1.65);
             let hood = kitchen::range_hood((self.layout.height - z).max(0.2), self.rng);
-            let pose = pose.then([0.0, back + 0.25, z], STRAIGHT);
+            let hood = self.stock.instead(hood, Place::Wall);
+            let off = hood.piece.as_ref().map_or(0.25, |piece| -piece.bounds()[0][1]);
+            let pose = pose.then([0.0, back + off, z], STRAIGHT);
             let _ = self.layout.try_put(hood, pose);
         } else if self.likely(0.6) {
             let unit = kitchen::wall_unit(style, wide, self.rng);
-            let pose = pose.then([0.0, back + 0.17, 1.45], STRAIGHT);
+            let unit = self.stock.instead(unit, Place::Wall);
+            let off = unit.piece.as_ref().map_or(0.17, |piece| -piece.bounds()[0][1]);
+            let pose = pose.then([0.0, back + off, 1.45], STRAIGHT);
             let _ = self.layout.try_put(unit, pose);
         }
     }

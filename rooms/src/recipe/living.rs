@@ -5,6 +5,7 @@ use crate::dice::{between, small_turn, whole};
 use crate::furniture::{bedroom, decoration, electronics, lighting, seating, storage, tables};
 use crate::model::{Build, Model};
 use crate::place::{BACKWARDS, STRAIGHT, around};
+use crate::stock::Place;
 
 impl Room<'_> {
     pub(super) fn living(&mut self) {
@@ -38,7 +39,7 @@ impl Room<'_> {
     pub(super) fn before_sofa(&mut self, sofa: usize) {
         let block = around(&self.layout.objects[sofa].model);
         if self.likely(0.85) {
-            let table = tables::coffee_table(self.rng);
+            let table = self.make(tables::coffee_table, Place::Floor);
             let deep = table.bounds().high[1];
             let off = block.high[1] + deep + between(self.rng, 0.25, 0.5);
             let side = between(self.rng, -0.25, 0.25);
@@ -49,7 +50,7 @@ impl Room<'_> {
             self.rug_at(sofa, [0.0, block.high[1] + 0.5]);
         }
         if self.likely(0.4) {
-            let lamp = lighting::floor_lamp(self.rng);
+            let lamp = self.make(lighting::floor_lamp, Place::Floor);
             let (left, right) = (block.low[0] - 0.3, block.high[0] + 0.3);
             self.layout.near(sofa, lamp, &[([left, -0.1], STRAIGHT), ([right, -0.1], BACKWARDS)]);
         }
@@ -58,13 +59,14 @@ impl Room<'_> {
     pub(super) fn rug_at(&mut self, parent: usize, at: [f64; 2]) {
         let half = [between(self.rng, 0.6, 1.4), between(self.rng, 0.45, 0.95)];
         let rug = decoration::rug(half, self.rng);
+        let rug = self.stock.instead(rug, Place::Floor);
         let nudged = [at[0], at[1] + 0.3];
         self.layout.near(parent, rug, &[(at, STRAIGHT), (nudged, STRAIGHT)]);
     }
 
     pub(super) fn pillows(&mut self, parent: usize, support: usize) {
         for _ in 0..whole(self.rng, 1, 4) {
-            let pillow = bedroom::pillow(self.rng);
+            let pillow = self.make(bedroom::pillow, Place::Top);
             let turn = small_turn(self.rng, 0.2);
             self.layout.on_top(parent, support, pillow, Some(turn), self.rng);
         }
@@ -77,9 +79,11 @@ impl Room<'_> {
         let size = (wide * between(self.rng, 0.5, 0.85)).clamp(0.7, 1.45);
         if self.likely(0.6) {
             let tv = electronics::standing_tv(size, self.rng);
+            let tv = self.stock.instead(tv, Place::Top);
             self.layout.on_top_at(stand, 0, [0.0, -0.02], STRAIGHT, tv);
         } else {
             let tv = electronics::wall_tv(size, self.rng);
+            let tv = self.stock.instead(tv, Place::Wall);
             let (pose, back) = {
                 let object = &self.layout.objects[stand];
                 (object.pose, object.model.bounds().low[1])
@@ -92,7 +96,7 @@ impl Room<'_> {
 
     /// A table with chairs or stools around it.
     pub(super) fn dining(&mut self) {
-        let table = tables::table(self.rng);
+        let table = self.make(tables::table, Place::Floor);
         let placed = if self.likely(0.7) {
             self.layout.in_middle(table, self.rng)
         } else {
@@ -108,8 +112,8 @@ impl Room<'_> {
     pub(super) fn chairs_around(&mut self, table: usize) {
         let bounds = self.layout.objects[table].model.bounds();
         let [x, y, _] = bounds.high;
-        let first = seating::chair(self.rng);
-        let stool = seating::stool(self.rng);
+        let first = self.make(seating::chair, Place::Floor);
+        let stool = self.make(seating::stool, Place::Floor);
         let use_stools = self.likely(0.2);
         let per_side = if x > 0.8 { 2 } else { 1 };
         for side in [1.0, -1.0] {
@@ -120,7 +124,7 @@ impl Room<'_> {
                 let at = if per_side == 2 { (f64::from(i) - 0.5) * x * 0.95 } else { 0.0 };
                 // Mostly a set of equal chairs, sometimes a stray one.
                 let seat = match (use_stools, self.likely(0.1)) {
-                    (_, true) => seating::chair(self.rng),
+                    (_, true) => self.make(seating::chair, Place::Floor),
                     (true, _) => stool.clone(),
                     _ => first.clone(),
                 };

@@ -5,6 +5,7 @@ use crate::dice::{between, small_turn, whole};
 use crate::furniture::{decoration, electronics, lighting, seating, small, storage, tables};
 use crate::model::Build;
 use crate::place::STRAIGHT;
+use crate::stock::Place;
 
 impl Room<'_> {
     /// A desk with a computer and a chair.
@@ -13,7 +14,7 @@ impl Room<'_> {
         let [x, y, _] = self.layout.objects[desk].model.bounds().high;
         let screens = if self.likely(0.35) && x > 0.65 { 2 } else { 1 };
         if self.likely(0.85) {
-            let twin = electronics::monitor(self.rng);
+            let twin = self.make(electronics::monitor, Place::Top);
             for i in 0..screens {
                 let at = if screens == 2 {
                     (f64::from(i) - 0.5) * x * 1.05
@@ -23,32 +24,32 @@ impl Room<'_> {
                 let turn = small_turn(self.rng, 0.15);
                 self.layout.on_top_at(desk, 0, [at, -y * 0.4], turn, twin.clone());
             }
-            let keyboard = electronics::keyboard(self.rng);
+            let keyboard = self.make(electronics::keyboard, Place::Top);
             let turn = small_turn(self.rng, 0.1);
             let at = between(self.rng, -0.08, 0.08);
             // Keys look towards the chair, which is at the front of the desk.
             self.layout.on_top_at(desk, 0, [at, y * 0.55], turn, keyboard);
         }
         if self.likely(0.5) {
-            let laptop = electronics::laptop(self.rng);
+            let laptop = self.make(electronics::laptop, Place::Top);
             let turn = small_turn(self.rng, 0.3);
             self.layout.on_top(desk, 0, laptop, Some(turn), self.rng);
         }
         if self.likely(0.4) {
-            let mug = small::mug(self.rng);
+            let mug = self.make(small::mug, Place::Top);
             self.layout.on_top(desk, 0, mug, None, self.rng);
         }
         if self.likely(0.35) {
-            let lamp = lighting::table_lamp(self.rng);
+            let lamp = self.make(lighting::table_lamp, Place::Top);
             self.layout.on_top(desk, 0, lamp, None, self.rng);
         }
         if self.likely(0.9) {
-            let chair = seating::chair(self.rng);
+            let chair = self.make(seating::chair, Place::Floor);
             let at = between(self.rng, -0.1, 0.1);
             self.pull_up(desk, chair, [at, y], 1.0);
         }
         if self.likely(0.5) {
-            let bin = small::trash_can(self.rng);
+            let bin = self.make(small::trash_can, Place::Floor);
             let at = x + 0.25;
             self.layout.near(desk, bin, &[([at, 0.0], STRAIGHT), ([-at, 0.0], STRAIGHT)]);
         }

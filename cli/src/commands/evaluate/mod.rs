@@ -10,7 +10,7 @@ use crate::session::{FeatureSource, Session};
 use anyhow::{Result, anyhow};
 pub use args::Args;
 pub use report::tell as tell_report;
-pub use scenes::one_by_one;
+pub use scenes::{KINDS, one_by_one};
 use scenesplat::compensation::Consumer;
 use scenesplat::evaluation::{Evaluation, EvaluationError, Restraint};
 use scenesplat::outputs::OpenedScene;

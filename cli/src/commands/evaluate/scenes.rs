@@ -8,7 +8,7 @@ use scenesplat::datasets::sources::MAX_ROOMS;
 use scenesplat::datasets::{DataSource, SourceScene, SyntheticRooms};
 use scenesplat::evaluation::classes_of_rooms;
 use scenesplat::outputs::OpenedScene;
-use scenesplat::rooms::{Capture, SyntheticRoomSettings};
+use scenesplat::rooms::{Capture, FurnitureSplit, SyntheticRoomSettings};
 use scenesplat::scene::{LoadedScene, SceneFormat};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -25,24 +25,60 @@ pub enum Input {
 pub fn inputs(scenes: &[String]) -> Result<Vec<Input>> {
     let mut all = Vec::new();
     for scene in scenes {
-        let made = scene.strip_prefix("synthetic:").map(|rest| (rest, Capture::Made));
-        let scan = scene.strip_prefix("scanned:").map(|rest| (rest, Capture::Scan));
-        let Some((rest, capture)) = made.or(scan) else {
+        let Some(kind) = KINDS.into_iter().find(|kind| scene.starts_with(kind)) else {
             all.push(Input::File(scene.into()));
             continue;
         };
-        let Some((count, seed, room)) = numbers(rest) else {
+        let (numbers_of, split) = match kind {
+            "furnished:" => split_of(&scene[kind.len()..])?,
+            _ => (scene[kind.len()..].to_owned(), None),
+        };
+        let Some((count, seed, room)) = numbers(&numbers_of) else {
             let text = format!(
-                "{scene:?}: write synthetic:COUNT:SEED, such as synthetic:20:7, or scanned:COUNT:SEED; a \
-                 third number is where the count begins, 0 if left out"
+                "{scene:?}: write synthetic:COUNT:SEED, such as synthetic:20:7, scanned:COUNT:SEED, or \
+                 furnished:COUNT:SEED; a third number is where the count begins, 0 if left out; after \
+                 furnished:COUNT:SEED may come @held_out, @train, @without:LIBRARY or @only:LIBRARY"
             );
             return Err(WrongUse(text).into());
         };
-        let settings = SyntheticRoomSettings { capture, room, ..SyntheticRoomSettings::default() };
+        let capture = if kind == "scanned:" { Capture::Scan } else { Capture::Made };
+        let mut settings =
+            SyntheticRoomSettings { capture, room, ..SyntheticRoomSettings::default() };
+        if let Some(split) = split {
+            settings.furniture = Some(catalogue()?);
+            // What is asked for is the catalogue.
+            settings.furniture_share = 1.0;
+            settings.furniture_split = split;
+        }
         let rooms = Arc::new(SyntheticRooms::new(count, settings, seed)?);
         all.extend((0..count).map(|index| Input::Room { rooms: Arc::clone(&rooms), index }));
     }
     Ok(all)
+}
+
+/// The beginnings of what means rooms that are made on the spot.
+pub const KINDS: [&str; 3] = ["synthetic:", "scanned:", "furnished:"];
+
+/// Names the catalogue of furniture for `furnished:`.
+const FURNITURE: &str = "SCENESPLAT_FURNITURE";
+
+/// What comes before an `@`, and the part of the catalogue after it; all of it if there is none.
+fn split_of(text: &str) -> Result<(String, Option<FurnitureSplit>)> {
+    let Some((numbers, split)) = text.split_once('@') else {
+        return Ok((text.to_owned(), Some(FurnitureSplit::All)));
+    };
+    Ok((numbers.to_owned(), Some(split.parse().map_err(WrongUse)?)))
+}
+
+fn catalogue() -> Result<PathBuf> {
+    let path = std::env::var_os(FURNITURE).filter(|path| !path.is_empty());
+    path.map(PathBuf::from).ok_or_else(|| {
+        let text = format!(
+            "furnished: needs a catalogue of furniture: set {FURNITURE} to a folder of .sh3f archives, such as \
+             that of Debian's package sweethome3d-furniture (docs/data.md says how)"
+        );
+        WrongUse(text).into()
+    })
 }
 
 /// How many rooms, of which seed, from which number on.
@@ -56,9 +92,12 @@ fn numbers(text: &str) -> Option<(usize, u64, u64)> {
 
 /// Each of the scenes by itself, as an argument: rooms that are made on the spot one by one.
 pub fn one_by_one(scene: &str) -> Vec<String> {
-    for kind in ["synthetic:", "scanned:"] {
-        if let Some((count, seed, first)) = scene.strip_prefix(kind).and_then(numbers) {
-            let name = |i| format!("{kind}1:{seed}:{}", first.wrapping_add(i as u64));
+    for kind in KINDS {
+        let Some(rest) = scene.strip_prefix(kind) else { continue };
+        let (rest, split) = rest.split_once('@').map_or((rest, None), |(a, b)| (a, Some(b)));
+        let split = split.map_or_else(String::new, |split| format!("@{split}"));
+        if let Some((count, seed, first)) = numbers(rest) {
+            let name = |i| format!("{kind}1:{seed}:{}{split}", first.wrapping_add(i as u64));
             return (0..count).map(name).collect();
         }
     }

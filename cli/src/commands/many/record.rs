@@ -1,6 +1,7 @@
 //! What was done with a scene, and of what: by this a scene is known to be done.
 
 use super::words::Flags;
+use crate::commands::evaluate::KINDS;
 use crate::outputs::read_beside;
 use crate::receipt::{ReceiptReport, StageTime, sha256_of};
 use anyhow::{Context, Result};
@@ -150,7 +151,7 @@ impl Job {
 
 fn inputs(scene: &str) -> Result<Vec<Input>> {
     let path = Path::new(scene);
-    if !path.exists() && (scene.starts_with("synthetic:") || scene.starts_with("scanned:")) {
+    if !path.exists() && KINDS.into_iter().any(|kind| scene.starts_with(kind)) {
         // A room that is made: its name says all.
         let sha256 = hex(&Sha256::digest(scene.as_bytes()));
         return Ok(vec![Input { bytes: 0, sha256 }]);

@@ -1,0 +1,76 @@
+//! A walk with a camera through a room: where somebody can stand, and where they look.
+
+use crate::dice::{between, chance, whole};
+use crate::model::Block;
+use crate::place::{Footprint, Layout, Pose, STRAIGHT};
+use crate::vector::{V3, Z, cross, sub, unit_or};
+use scenesplat_kernels::random::{SampleRng, cos_sin};
+
+/// Half the width of somebody with a camera, metres.
+const HALF: f64 = 0.18;
+
+/// Places tried for each stop.
+const TRIES: u32 = 60;
+
+/// A camera: unit axes, right-handed with `right × down = forward`.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Camera {
+    pub(crate) eye: V3,
+    pub(crate) right: V3,
+    pub(crate) down: V3,
+    pub(crate) forward: V3,
+}
+
+impl Camera {
+    fn looking(eye: V3, to: V3) -> Self {
+        let forward = unit_or(sub(to, eye), [1.0, 0.0, 0.0]);
+        let right = unit_or(cross(forward, Z), [0.0, -1.0, 0.0]);
+        Self { eye, right, down: cross(forward, right), forward }
+    }
+}
+
+/// Two to seven stops on the free floor, at one height that varies a little; some looks around from each, half
+/// of them at an object. Nothing where nobody can stand.
+pub(crate) fn walk(layout: &Layout, rng: &mut SampleRng) -> Vec<Camera> {
+    let height = (layout.height * between(rng, 0.45, 0.72)).min(1.85);
+    let [low, high] = [between(rng, -0.7, -0.3), between(rng, -0.1, 0.5)];
+    let stops = whole(rng, 2, 7);
+    let mut cameras = Vec::new();
+    for _ in 0..stops {
+        let Some([x, y]) = free_place(layout, rng) else { continue };
+        for _ in 0..whole(rng, 3, 7) {
+            let eye = [x, y, height + between(rng, -0.15, 0.15)];
+            let aim = if chance(rng, 0.5) { object(layout, rng) } else { None };
+            let to = aim.unwrap_or_else(|| {
+                let [c, s] = cos_sin(rng);
+                [x + c, y + s, eye[2] + between(rng, low, high)]
+            });
+            cameras.push(Camera::looking(eye, to));
+        }
+    }
+    cameras
+}
+
+fn free_place(layout: &Layout, rng: &mut SampleRng) -> Option<[f64; 2]> {
+    for _ in 0..TRIES {
+        let [x, y] = layout.size.map(|side| between(rng, 0.2, (side - 0.2).max(0.21)));
+        let block = Block { low: [-HALF, -HALF, 0.1], high: [HALF, HALF, 1.7] };
+        let footprint = Footprint::of(&block, &Pose { origin: [x, y, 0.0], turn: STRAIGHT });
+        if layout.can_stand(&footprint) {
+            return Some([x, y]);
+        }
+    }
+    None
+}
+
+/// The middle of something that stands or hangs in the room.
+fn object(layout: &Layout, rng: &mut SampleRng) -> Option<V3> {
+    let some: Vec<&crate::place::Placed> =
+        layout.objects.iter().filter(|object| !object.footprints.is_empty()).collect();
+    if some.is_empty() {
+        return None;
+    }
+    let object = some[whole(rng, 0, some.len() as u32 - 1) as usize];
+    let Block { low, high } = object.model.bounds();
+    Some(object.pose.point(std::array::from_fn(|i| (low[i] + high[i]) / 2.0)))
+}
