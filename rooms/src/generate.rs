@@ -91,12 +91,10 @@ pub struct SyntheticRoomSettings {
 const USUAL_SHARE: f64 = 0.8;
 
 // Settings without a catalogue are written as they were before there were any.
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde gives references")]
 fn is_usual_share(share: &f64) -> bool {
     share.to_bits() == USUAL_SHARE.to_bits()
 }
 
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde gives references")]
 fn is_none_seen(share: &f64) -> bool {
     *share == 0.0
 }

@@ -31,6 +31,10 @@
 //!
 //! In those rooms density and size of the Gaussians tell the class, and networks read it. Rooms of
 //! [`Capture::Scan`] have no such leak, and vary as scans do.
+//!
+//! # Furniture
+//! Objects are built from parameters; with a [`Catalogue`] most are models of real furniture in their real sizes
+//! instead, and things without a class are added. Gaussians are made of both by one function.
 
 pub mod catalogue;
 pub mod classes;
