@@ -70,8 +70,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 instances: None,
                 features: with_features.then_some((features.width(), &add as _)),
                 names: &text.names,
-                up: UpAxis::PlusZ,
+                upright: UpAxis::PlusZ.upright(),
                 metres_per_unit: 1.0,
+                floor: None,
             };
             let found = find_objects(&input, &settings)?;
             let agreed = Agreement::of(&found, ids, truth, settings.min_count);

@@ -300,6 +300,12 @@ impl Alignment {
         }
     }
 
+    /// All turns together: what brings +z up, the floor level and the walls along the axes, as far as
+    /// something was done about them.
+    pub fn rotation(&self) -> Matrix3 {
+        self.rotation
+    }
+
     /// Whether the network reads the scene itself.
     pub fn is_identity(&self) -> bool {
         self.turned_from == UpAxis::PlusZ

@@ -27,6 +27,7 @@
 pub mod alignment;
 pub mod capture;
 pub mod compensation;
+pub mod device;
 pub mod doctor;
 pub mod embedded;
 pub mod evaluation;
@@ -43,6 +44,7 @@ pub mod network;
 mod object_picture;
 pub mod outputs;
 pub mod page;
+mod page_kit;
 pub mod pareto;
 pub mod phrases;
 pub mod picture_networks;

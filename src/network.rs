@@ -8,7 +8,9 @@ pub use choice::{NetworkChoice, config_beside, network_of};
 pub use config::{NetworkConfig, documented_input};
 pub use error::NetworkError;
 
+use candle_core::Device;
 use scenesplat_datasets::{InputFeatures, Orientation};
+use scenesplat_kernels::Precision;
 use scenesplat_models::convert::{Branch, ConvLayout};
 use scenesplat_models::weights::{SourceOptions, WeightSource, resolve};
 use scenesplat_models::{Backbone, LoadPolicy, LoadReport, ParamStore};
@@ -103,7 +105,24 @@ impl Network {
         weights: &Weights,
         options: WeightOptions,
     ) -> Result<Self, NetworkError> {
+        Self::load_on(config, weights, options, &Device::Cpu)
+    }
+
+    /// As [`load`](Self::load), with the weights on a device, which computes then.
+    ///
+    /// # Errors
+    /// As [`load`](Self::load), or if the device does not compute in the configuration's precision.
+    pub fn load_on(
+        config: NetworkConfig,
+        weights: &Weights,
+        options: WeightOptions,
+        device: &Device,
+    ) -> Result<Self, NetworkError> {
         config.check()?;
+        let precision = config.model.backbone.get().compute().precision;
+        if !device.is_cpu() && !matches!(precision, Precision::F32 | Precision::Bf16) {
+            return Err(NetworkError::Precision { precision });
+        }
         let (source, files) = match weights {
             Weights::Seeded(seed) => (WeightSource::hashed(*seed, ""), Vec::new()),
             Weights::Embedded => (WeightSource::tensors(crate::embedded::tensors()?), Vec::new()),
@@ -117,7 +136,7 @@ impl Network {
                 (WeightSource::files(folder.files, options.source())?, files)
             }
         };
-        let store = ParamStore::frozen(source);
+        let store = ParamStore::frozen(source).on(device);
         let model = config.model.build(store.builder())?;
         let report = store.report();
         match weights {

@@ -2,16 +2,19 @@
 
 use crate::preview::text;
 use crate::preview::{Orbit, SceneRows, UNLABELLED_COLOR, class_color, picture_of};
-use scenesplat_objects::Catalogue;
+use scenesplat_objects::{Catalogue, is_kind};
 use scenesplat_rasterizer::{Gaussians, RasterError, RasterSettings, RenderRequest, View, render};
 use scenesplat_scene::picture::RgbPicture;
 use scenesplat_scene::{Camera, GaussianScene, UpAxis};
 
 /// The view, pixels, and the list beside it.
 const VIEW: [u32; 2] = [1080, 860];
-const LIST: u32 = 300;
-/// Height of a line of the list, pixels.
+const LIST: u32 = 260;
+/// Most columns of the list.
+const COLUMNS: usize = 3;
+/// Height of a line of the list, pixels, and lines of a column.
 const LINE: u32 = 20;
+const LINES: usize = ((VIEW[1] - 16) / LINE) as usize;
 /// Larger standard deviations than this part of the scene are haze before the camera.
 const HAZE: f64 = 0.5;
 const EDGES: [(usize, usize); 12] = [
@@ -53,7 +56,12 @@ pub fn object_picture(
         .collect();
     let shapes = SceneRows::of(scene);
     let orbit = Orbit::around(&shapes.rows(scene, &colors), up, 1, VIEW);
-    let mut picture = RgbPicture::filled(VIEW[0] + LIST, VIEW[1], crate::preview::BACKGROUND);
+    let listed: Vec<usize> = (0..catalogue.objects.len())
+        .filter(|&i| !is_building(&catalogue.objects[i].class))
+        .collect();
+    let columns = listed.len().div_ceil(LINES).clamp(1, COLUMNS) as u32;
+    let mut picture =
+        RgbPicture::filled(VIEW[0] + columns * LIST, VIEW[1], crate::preview::BACKGROUND);
     let Some(camera) = orbit.cameras.first() else { return Ok(picture) };
     let size = (0..3).map(|a| camera.centre()[a].powi(2)).sum::<f64>().sqrt().max(1.0);
     let kept: Vec<usize> = (0..scene.len())
@@ -88,7 +96,7 @@ pub fn object_picture(
     }
     let mut labels = Vec::new();
     for (i, object) in catalogue.objects.iter().enumerate() {
-        if BUILDING.iter().any(|name| object.class.eq_ignore_ascii_case(name)) {
+        if is_building(&object.class) {
             continue;
         }
         let color = class_color(i);
@@ -98,7 +106,7 @@ pub fn object_picture(
     for (at, number, color) in labels {
         badge(&mut picture, at, &number, color);
     }
-    list(&mut picture, catalogue);
+    list(&mut picture, catalogue, &listed);
     Ok(picture)
 }
 
@@ -132,23 +140,26 @@ fn badge(picture: &mut RgbPicture, [x, y]: [f64; 2], number: &str, color: [u8; 3
     text::draw(picture, left + 3, top + 3, 1, color.map(|v| v.max(90)), number, wide);
 }
 
-/// The objects that are no part of the building, as many as fit.
-fn list(picture: &mut RgbPicture, catalogue: &Catalogue) {
-    let is_building = |class: &str| BUILDING.iter().any(|name| class.eq_ignore_ascii_case(name));
-    let all: Vec<(usize, &scenesplat_objects::Object)> =
-        catalogue.objects.iter().enumerate().filter(|(_, o)| !is_building(&o.class)).collect();
-    let fits = ((VIEW[1] - 16) / LINE) as usize;
-    let left = VIEW[0] + 12;
-    for (line, (i, object)) in (0u32..).zip(all.iter().take(fits)) {
-        let top = 12 + line * LINE;
-        let last = line as usize + 1 == fits && all.len() > fits;
-        let name = if last {
-            format!("and {} more", all.len() - fits + 1)
-        } else {
-            format!("{:>3} {}", object.id, object.class.chars().take(40).collect::<String>())
-        };
-        crate::preview::fill(picture, [left, top], [12, 12], class_color(*i));
+fn is_building(class: &str) -> bool {
+    BUILDING.iter().any(|kind| is_kind(class, kind))
+}
+
+/// Those objects, as many as fit into the columns.
+fn list(picture: &mut RgbPicture, catalogue: &Catalogue, listed: &[usize]) {
+    let fits = LINES * COLUMNS;
+    for (place, &i) in listed.iter().enumerate().take(fits) {
+        let left = VIEW[0] + 12 + (place / LINES) as u32 * LIST;
+        let top = 12 + (place % LINES) as u32 * LINE;
         let ink = crate::preview::INK;
+        if place + 1 == fits && listed.len() > fits {
+            let more = format!("and {} more", listed.len() - fits + 1);
+            text::draw(picture, left + 18, top + 2, 1, ink, &more, LIST - 36);
+            break;
+        }
+        let object = &catalogue.objects[i];
+        let name =
+            format!("{:>3} {}", object.id, object.class.chars().take(40).collect::<String>());
+        crate::preview::fill(picture, [left, top], [12, 12], class_color(i));
         text::draw(picture, left + 18, top + 2, 1, ink, &name, LIST - 36);
     }
 }

@@ -99,7 +99,14 @@ fn start(
 ) -> Result<Vec<String>, String> {
     let config = read(folder, text)?;
     let stop = Arc::new(AtomicBool::new(stop));
-    let options = RunOptions { out: folder.join(name), resume, quiet: true, stop, commit: None };
+    let options = RunOptions {
+        out: folder.join(name),
+        resume,
+        quiet: true,
+        stop,
+        device: candle_core::Device::Cpu,
+        commit: None,
+    };
     let report = train(&config, &options).map_err(|e| format!("{:#}", anyhow::Error::from(e)))?;
     Ok(report.remarks)
 }

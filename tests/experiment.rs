@@ -201,7 +201,14 @@ fn read(folder: &Path, text: &str) -> ExperimentConfig {
 
 fn run(config: &ExperimentConfig, out: &Path, resume: bool) -> Result<(), String> {
     let (out, stop) = (out.to_owned(), Default::default());
-    let options = RunOptions { out, resume, quiet: true, stop, commit: None };
+    let options = RunOptions {
+        out,
+        resume,
+        quiet: true,
+        stop,
+        device: candle_core::Device::Cpu,
+        commit: None,
+    };
     train(config, &options).map(|_| ()).map_err(|e| format!("{:#}", anyhow::Error::from(e)))
 }
 

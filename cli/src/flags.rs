@@ -7,6 +7,7 @@ use clap::ValueEnum;
 use scenesplat::inspect::LengthUnit;
 use scenesplat::kernels::Precision;
 use scenesplat::memory::Bytes;
+use scenesplat::models::DeviceChoice;
 use scenesplat::models::convert::{Branch, ConvLayout};
 use scenesplat::network::{NetworkChoice, Weights};
 use scenesplat::scene::{Policy, ReadOptions, SpzFrame, UpAxis};
@@ -19,9 +20,6 @@ pub struct Shared {
     /// Threads; all cores by default. Results do not depend on it.
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
-    /// Where to compute: there is nothing but the processor as yet.
-    #[arg(long, value_enum, default_value_t = Device::Cpu)]
-    pub device: Device,
     /// Folder for the results.
     #[arg(long, value_name = "DIR", default_value = "scenesplat-out")]
     pub out: PathBuf,
@@ -46,13 +44,6 @@ pub struct NetworkArgs {
     pub weights: Option<Weights>,
 }
 
-/// Where to compute.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Device {
-    /// The processor.
-    Cpu,
-}
-
 /// Flags of commands that read a scene.
 #[derive(Debug, Clone, clap::Args)]
 pub struct SourceArgs {
@@ -74,7 +65,7 @@ pub struct SourceArgs {
 impl Shared {
     /// Of a command that writes into a folder and has no other of these flags.
     pub fn into_folder(out: &std::path::Path, quiet: bool) -> Self {
-        Self { threads: None, device: Device::Cpu, out: out.to_owned(), receipt: None, quiet }
+        Self { threads: None, out: out.to_owned(), receipt: None, quiet }
     }
 }
 
@@ -141,6 +132,10 @@ pub struct Inference {
     /// Which network.
     #[command(flatten)]
     pub network: NetworkArgs,
+    /// Where the network computes: cpu; cuda:0 or metal:0 (or another number), if the program was built for it
+    /// (docs/devices.md); auto, which is the first of these that there is, else cpu.
+    #[arg(long, value_name = "DEVICE", default_value_t = DeviceChoice::Cpu)]
+    pub device: DeviceChoice,
     /// Seed of everything random (nothing is, unless asked for).
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub seed: u64,
@@ -216,8 +211,19 @@ impl Inference {
 
     /// A flag that was given and only means something to a network.
     pub fn network_flag(&self) -> Option<&'static str> {
+        self.network_flags().next()
+    }
+
+    /// As [`network_flag`](Self::network_flag) for a command that has places and sizes of things without a
+    /// network, too: unit and floor are for these as well.
+    pub fn only_network_flag(&self) -> Option<&'static str> {
+        self.network_flags().find(|flag| !["--unit", "--floor", "--as-is"].contains(flag))
+    }
+
+    fn network_flags(&self) -> impl Iterator<Item = &'static str> {
         let flags = [
             (self.network_part().is_some(), "--setting"),
+            (self.device != DeviceChoice::Cpu, "--device"),
             (self.exact, "--exact"),
             (self.precision.is_some(), "--precision"),
             (self.grid_size.is_some(), "--grid-size"),
@@ -229,7 +235,7 @@ impl Inference {
             (self.floor.is_some(), "--floor"),
             (self.as_is, "--as-is"),
         ];
-        flags.iter().find(|(given, _)| *given).map(|(_, name)| *name)
+        flags.into_iter().filter(|(given, _)| *given).map(|(_, name)| name)
     }
 }
 

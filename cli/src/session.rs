@@ -14,7 +14,7 @@ use scenesplat::inference::{EncodeError, Fidelity};
 use scenesplat::input::{open_input, read_features};
 use scenesplat::kernels::simd::Isa;
 use scenesplat::memory::Bytes;
-use scenesplat::models::{Compute, LoadPolicy};
+use scenesplat::models::{Compute, DeviceChoice, LoadPolicy, OpenDevice};
 use scenesplat::network::{NetworkChoice, WeightOptions, Weights, network_of};
 use scenesplat::outputs::OpenedScene;
 use scenesplat::scene::formats::npy_writer::{NpyElement, write_npy};
@@ -185,7 +185,8 @@ impl<'a> Session<'a> {
         let config = network_of(weights, inference.network.config.as_ref(), options)?;
         let config = inference.effective.apply_to_network(config.with_compute(compute));
         let config = config.map_err(|error| WrongUse(format!("--setting: {error}")))?;
-        let network = Network::load(config, weights, options)?;
+        let device = self.device(inference.device)?;
+        let network = Network::load_on(config, weights, options, &device.device)?;
         for (path, sha256) in network.files() {
             self.progress.say(format!("weights {} sha256 {sha256}", printable(path)));
             let bytes = std::fs::metadata(path).map_or(0, |m| m.len());
@@ -216,6 +217,25 @@ impl<'a> Session<'a> {
         }
         drop(stage);
         Ok(network)
+    }
+
+    /// Makes the device ready that --device names, and says which it is.
+    fn device(&self, choice: DeviceChoice) -> Result<OpenDevice> {
+        let opened = choice.open().context("--device")?;
+        if choice != DeviceChoice::Cpu {
+            let name = match choice {
+                DeviceChoice::Auto => opened.name.clone(),
+                choice => format!("{choice} ({})", opened.name),
+            };
+            self.progress.say(format!("device: {name}"));
+            self.receipt.setting("device", &name, "where the network computes");
+        }
+        if let Some(why) = &opened.fell_back {
+            let text = format!("--device auto: computing on the cpu: {why}");
+            self.progress.say(format!("*** {text} ***"));
+            self.receipt.warning(text);
+        }
+        Ok(opened)
     }
 
     /// Reads a scene as a network's flags say; a labelled point cloud is turned into Gaussians.
@@ -557,6 +577,16 @@ impl<'a> Session<'a> {
     /// Puts everything in place, the receipt last, and prints it.
     pub fn finish(&self) -> Result<()> {
         self.check_stop()?;
+        self.put_in_place()
+    }
+
+    /// For a command that goes on until it is stopped: being stopped is its end. Writes a receipt if the user asked
+    /// for one.
+    pub fn finish_stopped(&self) -> Result<()> {
+        if self.shared.receipt.is_some() { self.put_in_place() } else { Ok(()) }
+    }
+
+    fn put_in_place(&self) -> Result<()> {
         let written = self.written.borrow();
         let file = |(path, bytes): &(PathBuf, u64)| {
             let path = path.strip_prefix(&self.shared.out).unwrap_or(path);
@@ -564,6 +594,9 @@ impl<'a> Session<'a> {
             WrittenFile { path: parts.join("/"), bytes: *bytes }
         };
         self.receipt.written(written.iter().map(file).collect());
+        for fallback in scenesplat::kernels::fallbacks::take() {
+            self.receipt.warning(scenesplat::device::on_the_cpu(&fallback));
+        }
         let report = self.receipt.finish();
         let text = report.to_json()?;
         self.outputs.commit(Some((&text, self.shared.receipt.as_deref())))?;

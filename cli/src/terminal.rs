@@ -46,6 +46,14 @@ pub fn check_output() -> Result<()> {
 pub fn print_error(error: &anyhow::Error) {
     let text = without_waiting_names(&format!("{error:#}"));
     let _ = writeln!(std::io::stderr(), "error: {}", printable_text(&text));
+    let missing = scenesplat::models::missing_kernels();
+    if !missing.is_empty() {
+        let names = missing.join(", ");
+        let _ = writeln!(
+            std::io::stderr(),
+            "an operation asked for CUDA kernels that this program has not: {names} (docs/devices.md); compute on cpu"
+        );
+    }
 }
 
 /// Paths as users know them: without the folders, `.new.<16 digits>.part`, in which files wait.

@@ -1,6 +1,6 @@
 //! Pictures by their colours: for tests, and for whoever has no weights.
 
-use crate::lab::lab;
+use crate::lab::lab_of;
 use crate::{CollectError, PictureEncoder};
 use rayon::prelude::*;
 use scenesplat_scene::picture::RgbPicture;
@@ -52,23 +52,51 @@ impl PictureEncoder for ColourStatistics {
 
 /// Unit row of a picture with pixels.
 fn row(picture: &RgbPicture) -> Vec<f32> {
-    let mut pixels: Vec<[u8; 3]> =
-        picture.pixels().iter().filter(|p| **p != [0; 3]).copied().collect();
-    if pixels.is_empty() {
-        pixels.push([0; 3]);
-    }
+    let keys = picture.pixels().iter().filter(|p| **p != [0; 3]).map(|p| key(*p)).collect();
+    let keys = sorted(keys);
+    // Where all is black, black is what there is to see.
+    let keys = if keys.is_empty() { vec![0] } else { keys };
     // Equal colours are looked at once: crops of renders and posters have few.
-    pixels.sort_unstable();
     let mut cells = vec![0.0f64; ColourStatistics::WIDTH - 1];
-    for run in pixels.chunk_by(|a, b| a == b) {
-        add(&mut cells, lab(&run[..1])[0], run.len() as f64);
+    for run in keys.chunk_by(|a, b| a == b) {
+        let [_, r, g, b] = run[0].to_be_bytes();
+        add(&mut cells, lab_of([r, g, b]), run.len() as f64);
     }
-    let count = pixels.len() as f64;
+    let count = keys.len() as f64;
     let mut out = Vec::with_capacity(ColourStatistics::WIDTH);
     out.push(COMMON.sqrt());
     let scale = f64::from(1.0 - COMMON) / count;
     out.extend(cells.iter().map(|v| (v * scale).sqrt() as f32));
     out
+}
+
+fn key([r, g, b]: [u8; 3]) -> u32 {
+    u32::from_be_bytes([0, r, g, b])
+}
+
+/// Colours in ascending order, by counting: two passes over the pixels, 12 bits each.
+fn sorted(mut keys: Vec<u32>) -> Vec<u32> {
+    const BINS: usize = 1 << 12;
+    if keys.len() < BINS {
+        keys.sort_unstable();
+        return keys;
+    }
+    let mut other = vec![0; keys.len()];
+    for shift in [0, 12] {
+        let bin = |key: u32| (key >> shift) as usize % BINS;
+        let mut next = [0usize; BINS];
+        keys.iter().for_each(|&key| next[bin(key)] += 1);
+        let mut before = 0;
+        for place in &mut next {
+            before += std::mem::replace(place, before);
+        }
+        for &key in &keys {
+            other[next[bin(key)]] = key;
+            next[bin(key)] += 1;
+        }
+        std::mem::swap(&mut keys, &mut other);
+    }
+    keys
 }
 
 /// Shares a colour among the eight cells whose middles are around it.
@@ -127,6 +155,43 @@ mod tests {
         let black = ColourStatistics.encode(&[RgbPicture::filled(2, 2, [0; 3])]).unwrap();
         assert!((cosine(&black, &black) - 1.0).abs() < 1e-6);
         assert!(ColourStatistics.encode(&[RgbPicture::filled(0, 4, [1; 3])]).is_err());
+    }
+
+    #[test]
+    fn counting_sorts_as_comparing_does() {
+        let mut rng = 5u32;
+        for count in [0, 1, 4095, 4096, 30_000] {
+            let keys: Vec<u32> = (0..count)
+                .map(|_| {
+                    rng = rng.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                    rng >> 8
+                })
+                .collect();
+            let mut want = keys.clone();
+            want.sort_unstable();
+            assert_eq!(sorted(keys), want, "{count}");
+        }
+    }
+
+    #[test]
+    fn a_row_is_the_histogram_of_all_pixels() {
+        // More pixels than bins, many colours twice, some black.
+        let picture = RgbPicture::from_fn(120, 90, |x, y| match (x * y) % 7 {
+            0 => [0; 3],
+            k => [(x / 2 * 4) as u8, (y / 3 * 8) as u8, (k * 30) as u8],
+        });
+        let found = ColourStatistics.encode(std::slice::from_ref(&picture)).unwrap();
+        // Pixel by pixel, without an order.
+        let mut cells = vec![0.0f64; ColourStatistics::WIDTH - 1];
+        let mut count = 0.0;
+        for pixel in picture.pixels().iter().filter(|p| **p != [0; 3]) {
+            add(&mut cells, crate::lab::lab(&[*pixel])[0], 1.0);
+            count += 1.0;
+        }
+        for (got, cell) in found[1..].iter().zip(&cells) {
+            let want = (0.25 * cell / count).sqrt();
+            assert!((f64::from(*got) - want).abs() < 1e-6, "{got} {want}");
+        }
     }
 
     #[test]

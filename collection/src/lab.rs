@@ -1,19 +1,27 @@
 //! Colours in which distances are about those that people see.
 
 use rayon::prelude::*;
+use std::sync::LazyLock;
 
 /// D65, as sRGB has it.
 const WHITE: [f32; 3] = [0.950_47, 1.0, 1.088_83];
 
+/// Light of each value of an 8-bit channel, 0 to 1.
+static LINEAR: LazyLock<[f32; 256]> = LazyLock::new(|| {
+    std::array::from_fn(|v| {
+        let v = v as f32 / 255.0;
+        if v <= 0.040_45 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
+    })
+});
+
 /// sRGB of 8 bits → CIE L*a*b* (D65): L 0 to 100, a and b about −110 to 110.
 pub(crate) fn lab(pixels: &[[u8; 3]]) -> Vec<[f32; 3]> {
-    let linear: Vec<f32> = (0..256)
-        .map(|v| {
-            let v = v as f32 / 255.0;
-            if v <= 0.040_45 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
-        })
-        .collect();
-    pixels.par_iter().map(|p| of_linear(p.map(|v| linear[usize::from(v)]))).collect()
+    pixels.par_iter().map(|p| lab_of(*p)).collect()
+}
+
+/// [`lab`] of one colour.
+pub(crate) fn lab_of(color: [u8; 3]) -> [f32; 3] {
+    of_linear(color.map(|v| LINEAR[usize::from(v)]))
 }
 
 fn of_linear([r, g, b]: [f32; 3]) -> [f32; 3] {

@@ -18,6 +18,7 @@
 //! | [`eigenvectors`] | the directions along which rows differ most |
 //! | [`unit_rows`] | whether rows have unit length |
 //! | [`simd`] | instruction sets, and code compiled for each |
+//! | [`fallbacks`] | what was computed here for a device that has no kernel for it |
 //!
 //! Threads come from rayon's current pool. Row numbers are `u32` (a batch holds up to 2³² − 2
 //! rows), element offsets `usize`.
@@ -26,6 +27,7 @@ pub mod activation;
 pub mod batch_norm;
 pub mod eigenvectors;
 pub mod error;
+pub mod fallbacks;
 pub mod gemm;
 pub mod grid_sample;
 pub mod kernel_map;

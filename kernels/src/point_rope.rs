@@ -79,6 +79,11 @@ impl Rotations {
         self.pairs.is_empty()
     }
 
+    /// Cosine and sine of each pair of channels, axis after axis. `[N, D/2]`
+    pub fn pairs(&self) -> &[[f32; 2]] {
+        &self.pairs
+    }
+
     /// Turns queries and keys in place and leaves values alone; every row and head for itself.
     ///
     /// # Shapes

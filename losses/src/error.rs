@@ -26,7 +26,7 @@ pub enum LossError {
         got: String,
     },
     /// A type that cannot be computed with.
-    #[error("{loss}: {field}: expected f32, f64, bf16 or f16 on the CPU, got {got}")]
+    #[error("{loss}: {field}: expected f32, f64, bf16 or f16, got {got}")]
     Type {
         /// Which loss.
         loss: &'static str,

@@ -1,6 +1,13 @@
 //! A loss as one candle operation: the value is computed before, the gradient when it is asked for.
+//!
+//! Both on the CPU. A loss of rows on another device reads copies of them, and puts value and gradient there;
+//! each pass is counted in [`scenesplat_kernels::fallbacks`] by the loss's name.
 
-use candle_core::{CpuStorage, CustomOp1, DType, Layout, Result, Shape, Tensor};
+use candle_core::backend::{BackendDevice, BackendStorage};
+use candle_core::{
+    CpuStorage, CudaStorage, CustomOp1, DType, Layout, MetalStorage, Result, Shape, Tensor,
+};
+use scenesplat_kernels::fallbacks::{Pass, count};
 
 /// The gradient of a loss, from what its forward pass kept.
 pub(crate) trait Backward: Send + Sync + 'static {
@@ -15,18 +22,42 @@ struct Known<B> {
     backward: B,
 }
 
+impl<B: Backward> Known<B> {
+    fn storage(&self, dtype: DType) -> CpuStorage {
+        match dtype {
+            DType::F64 => CpuStorage::F64(vec![self.value]),
+            _ => CpuStorage::F32(vec![self.value as f32]),
+        }
+    }
+
+    /// The value, on the device of `pred`; it was computed here.
+    fn elsewhere<S: BackendStorage>(&self, pred: &S) -> Result<(S, Shape)>
+    where
+        S::Device: BackendDevice<Storage = S>,
+    {
+        count(self.backward.name(), Pass::Forward);
+        let value = self.storage(pred.dtype());
+        Ok((pred.device().storage_from_cpu_storage_owned(value)?, Shape::from(())))
+    }
+}
+
 impl<B: Backward> CustomOp1 for Known<B> {
     fn name(&self) -> &'static str {
         self.backward.name()
     }
     fn cpu_fwd(&self, pred: &CpuStorage, _: &Layout) -> Result<(CpuStorage, Shape)> {
-        let value = match pred {
-            CpuStorage::F64(_) => CpuStorage::F64(vec![self.value]),
-            _ => CpuStorage::F32(vec![self.value as f32]),
-        };
-        Ok((value, Shape::from(())))
+        Ok((self.storage(pred.dtype()), Shape::from(())))
+    }
+    fn cuda_fwd(&self, pred: &CudaStorage, _: &Layout) -> Result<(CudaStorage, Shape)> {
+        self.elsewhere(pred)
+    }
+    fn metal_fwd(&self, pred: &MetalStorage, _: &Layout) -> Result<(MetalStorage, Shape)> {
+        self.elsewhere(pred)
     }
     fn bwd(&self, pred: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
+        if !pred.device().is_cpu() {
+            count(self.backward.name(), Pass::Backward);
+        }
         let factor = grad.to_dtype(DType::F64)?.to_scalar::<f64>()?;
         self.backward.gradient(pred, factor).map(Some)
     }

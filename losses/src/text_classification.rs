@@ -52,7 +52,7 @@ impl Loss for TextClassification {
             let got = format!("[{rows}, {width}]");
             return Err(LossError::Shape { loss: NAME, field: "pred", expected, got }.into());
         }
-        let texts = self.texts.columns().to_dtype(dtype)?;
+        let texts = self.texts.columns().to_dtype(dtype)?.to_device(input.pred.device())?;
         let logits = (input.pred.to_dtype(dtype)?.matmul(&texts)? * (1.0 / self.temperature))?;
         let Some(entropy) = cross_entropy(&logits, label, self.label_smoothing, None)? else {
             return Ok(None);

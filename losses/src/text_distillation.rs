@@ -51,7 +51,7 @@ impl TextDistillation {
             let got = format!("[{n}, {width}]");
             return Err(LossError::Shape { loss: NAME, field, expected, got }.into());
         }
-        let texts = self.texts.columns().to_dtype(dtype)?;
+        let texts = self.texts.columns().to_dtype(dtype)?.to_device(rows.device())?;
         rows.to_dtype(dtype)?.matmul(&texts)? * (1.0 / self.temperature)
     }
 }

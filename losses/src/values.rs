@@ -169,7 +169,7 @@ impl Matrix<'_> {
     }
 }
 
-/// Lends the values of a matrix, made contiguous if needed.
+/// Lends the values of a matrix, made contiguous if needed, and copied here if they are on another device.
 pub(crate) fn read_matrix<R>(
     loss: &'static str,
     field: &'static str,
@@ -184,7 +184,7 @@ pub(crate) fn read_matrix<R>(
         let (expected, got) = ("fewer than 2³² rows".to_owned(), rows.to_string());
         return Err(LossError::Shape { loss, field, expected, got }.into());
     }
-    let tensor = tensor.contiguous()?;
+    let tensor = tensor.to_device(&Device::Cpu)?.contiguous()?;
     let (storage, layout) = tensor.storage_and_layout();
     let wrong = || {
         let got = format!("{:?} on {:?}", tensor.dtype(), tensor.device().location());
@@ -209,15 +209,15 @@ pub(crate) fn rows_per_task(columns: usize) -> usize {
 }
 
 /// A tensor like `like` (`[N, D]`), whose rows `fill` writes: it gets the number of the first row
-/// and zeroed rows.
+/// and zeroed rows. The tensor is where `like` is.
 pub(crate) fn make_rows<T: Real>(
     like: &Tensor,
     fill: impl Fn(usize, &mut [T]) + Sync,
 ) -> Result<Tensor> {
     let (rows, columns) = like.dims2()?;
     match like.dtype() {
-        DType::BF16 => make_half::<T, bf16>((rows, columns), fill),
-        DType::F16 => make_half::<T, f16>((rows, columns), fill),
+        DType::BF16 => make_half::<T, bf16>((rows, columns), like.device(), fill),
+        DType::F16 => make_half::<T, f16>((rows, columns), like.device(), fill),
         _ => {
             let mut out = vec![T::default(); rows * columns];
             let task = rows_per_task(columns);
@@ -225,13 +225,14 @@ pub(crate) fn make_rows<T: Real>(
                 let tasks = out.par_chunks_mut(task * columns).enumerate();
                 tasks.for_each(|(i, out)| fill(i * task, out));
             }
-            Tensor::from_vec(out, (rows, columns), &Device::Cpu)
+            Tensor::from_vec(out, (rows, columns), like.device())
         }
     }
 }
 
 fn make_half<T: Real, H: Half>(
     (rows, columns): (usize, usize),
+    device: &Device,
     fill: impl Fn(usize, &mut [T]) + Sync,
 ) -> Result<Tensor> {
     let mut out = vec![H::default(); rows * columns];
@@ -244,14 +245,14 @@ fn make_half<T: Real, H: Half>(
             T::store_half(wide, out);
         });
     }
-    Tensor::from_vec(out, (rows, columns), &Device::Cpu)
+    Tensor::from_vec(out, (rows, columns), device)
 }
 
 /// The first row, below the length of both, that counts and has a value in the tensor that is not
 /// finite; for messages of callers that know which scene a row came from.
 ///
 /// # Errors
-/// If the tensor is not a matrix of floats on the CPU.
+/// If the tensor is not a matrix of floats.
 pub fn first_not_finite(tensor: &Tensor, valid: Option<&[bool]>) -> Result<Option<usize>> {
     read_matrix("first_not_finite", "tensor", tensor, |matrix| {
         let rows = valid.map_or(matrix.rows, |v| v.len().min(matrix.rows));

@@ -17,6 +17,7 @@ pub mod autoencoder;
 mod backbone;
 mod compute;
 pub mod convert;
+mod device;
 mod head;
 pub mod layers;
 mod levels;
@@ -43,6 +44,7 @@ pub use backbone::{
     Backbone, BackboneCost, Calibrated, Forward, FrozenStatistics, Mode, Observer, Orders,
 };
 pub use compute::Compute;
+pub use device::{DeviceChoice, DeviceError, OpenDevice, missing_kernels};
 pub use head::{Head, LanguageModel, SemanticSegmenter};
 pub use levels::{Level, LevelOptions, Levels, scene_means};
 pub use litept::{LitePt, LitePtConfig, LitePtSize};

@@ -217,8 +217,8 @@ impl Neighborhood {
         powers / sums
     }
 
-    /// Weights `1 / distance` of the edges, 1 in sum for each query. `[E, 1]`
-    pub fn inverse_distances(&self) -> Result<Tensor> {
+    /// Weights `1 / distance` of the edges, 1 in sum for each query, on a device. `[E, 1]`
+    pub fn inverse_distances(&self, device: &Device) -> Result<Tensor> {
         // The smallest distance that counts: a source in the very place takes all.
         const NEAR: f64 = 1e-8;
         let rows = self.relative.to_vec2::<f32>()?;
@@ -231,7 +231,7 @@ impl Neighborhood {
             out.extend(own.iter().map(|w| (w / sum) as f32));
         }
         let edges = out.len();
-        Tensor::from_vec(out, (edges, 1), &Device::Cpu)
+        Tensor::from_vec(out, (edges, 1), device)
     }
 }
 

@@ -37,6 +37,7 @@ const MAX_INVENTED: usize = 1 << 27;
 #[derive(Clone)]
 pub struct ParamStore {
     inner: Arc<Mutex<Inner>>,
+    device: Device,
 }
 
 struct Inner {
@@ -185,16 +186,29 @@ impl ParamStore {
             values: 0,
             invented: 0,
         };
-        Self { inner: Arc::new(Mutex::new(inner)) }
+        Self { inner: Arc::new(Mutex::new(inner)), device: Device::Cpu }
+    }
+
+    /// The store with its values on a device; for modules that are yet to be built.
+    ///
+    /// On another device than the CPU frozen weights stay tensors: they are not packed, nothing is folded into
+    /// another layer, and a precision without gradient is refused.
+    pub fn on(self, device: &Device) -> Self {
+        Self { inner: self.inner, device: device.clone() }
+    }
+
+    /// Where the values are.
+    pub fn device(&self) -> &Device {
+        &self.device
     }
 
     fn lock(&self) -> MutexGuard<'_, Inner> {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// What modules are built with (f32, CPU).
+    /// What modules are built with (f32).
     pub fn builder(&self) -> VarBuilder<'static> {
-        VarBuilder::from_backend(Box::new(self.clone()), DType::F32, Device::Cpu)
+        VarBuilder::from_backend(Box::new(self.clone()), DType::F32, self.device.clone())
     }
 
     /// Trainable variables (no batch statistics) by name.
@@ -278,7 +292,8 @@ impl ParamStore {
         if let Some(name) = stored.keys().next() {
             return Err(place(format!("has {name}, which the network has not")));
         }
-        inner.variables.values().zip(&values).try_for_each(|(var, value)| var.set(value))
+        let both = inner.variables.values().zip(&values);
+        both.into_iter().try_for_each(|(var, value)| var.set(&value.to_device(var.device())?))
     }
 
     /// Writes all variables, parameters and buffers, to a safetensors file, under their names.
@@ -372,8 +387,9 @@ impl SimpleBackend for ParamStore {
         };
         let value = match value {
             Some(value) => value,
-            None => initial(&shape, name, init, dtype, device, inner.seed)?,
+            None => initial(&shape, name, init, dtype, inner.seed)?,
         };
+        let value = value.to_device(device)?;
         if !inner.trainable {
             return Ok(value);
         }
@@ -393,14 +409,7 @@ impl SimpleBackend for ParamStore {
     }
 }
 
-fn initial(
-    shape: &Shape,
-    name: &str,
-    init: Init,
-    dtype: DType,
-    device: &Device,
-    seed: u64,
-) -> Result<Tensor> {
+fn initial(shape: &Shape, name: &str, init: Init, dtype: DType, seed: u64) -> Result<Tensor> {
     let n = shape.elem_count();
     let mut rng = ChaCha8Rng::seed_from_u64(seed ^ crate::weights::name_hash(name));
     let values: Vec<f32> = match init {
@@ -423,7 +432,7 @@ fn initial(
             .collect(),
         Init::Kaiming { .. } => bail!("{name}: give explicit bounds instead of Kaiming hints"),
     };
-    Tensor::from_vec(values, shape.clone(), device)?.to_dtype(dtype)
+    Tensor::from_vec(values, shape.clone(), &Device::Cpu)?.to_dtype(dtype)
 }
 
 #[cfg(test)]

@@ -10,7 +10,7 @@ use std::sync::Arc;
 pub struct PointCloud {
     /// Voxel of each row, 0..2²¹, one row per voxel. `[N, 3]`
     pub grid_coord: Arc<[[i32; 3]]>,
-    /// Input features. `[N, C]` f32
+    /// Input features, on the CPU or where the network is, which brings them there. `[N, C]` f32
     pub feat: Tensor,
     /// Rows of scene `i` are `offsets[i]..offsets[i + 1]`. `[B + 1]`
     pub offsets: Arc<[usize]>,

@@ -19,7 +19,7 @@ use crate::layers::{BatchNorm, BatchNormConstants, Linear};
 use crate::neighborhood::{Neighborhood, Scale};
 use crate::stages::{DEEPEST, LARGEST, check_lengths, check_sizes, edge};
 use crate::{Architecture, Backbone, BackboneCost, Compute, Forward, Mode, PointCloud, ops};
-use candle_core::{Result, Tensor, bail};
+use candle_core::{Device, Result, Tensor, bail};
 use candle_nn::VarBuilder;
 use scenesplat_kernels::segment::{Groups, Reduce};
 use serde::{Deserialize, Serialize};
@@ -225,7 +225,7 @@ impl VectorAttention {
 
     /// `[N, C] → [N, C]`
     fn forward(&self, x: &Tensor, near: &Neighborhood, mode: Mode) -> Result<Tensor> {
-        let position = self.position.0.forward(&near.relative, mode)?;
+        let position = self.position.0.forward(&near.relative.to_device(x.device())?, mode)?;
         let position = self.position.1.forward(&position)?;
         let query = near.of_queries(&self.query.forward(x)?)?;
         let relation = ((near.of_sources(&self.key.forward(x)?)? - query)? + &position)?;
@@ -284,7 +284,7 @@ impl TransitionDown {
         }
         let (coarse, _) = scale.pool_to_voxels(self.stride);
         let near = Neighborhood::new(&coarse, scale, self.neighbors)?;
-        let rows = Tensor::cat(&[&near.relative, &near.of_sources(x)?], 1)?;
+        let rows = Tensor::cat(&[&near.relative.to_device(x.device())?, &near.of_sources(x)?], 1)?;
         let rows = near.reduce(&self.joined.forward(&rows, mode)?, Reduce::Max)?;
         Ok((rows, Some(coarse)))
     }
@@ -313,6 +313,8 @@ pub struct PointTransformerV1 {
     /// Fine to coarse.
     stages: Vec<Stage>,
     out: LinearNormRelu,
+    /// Where the parameters are; input is brought there.
+    device: Device,
 }
 
 impl PointTransformerV1 {
@@ -355,7 +357,7 @@ impl PointTransformerV1 {
         }
         let width = Architecture::out_channels(config);
         let out = joined(width, width, true, vb.pp("out"))?;
-        Ok(Self { config: config.clone(), stages, out })
+        Ok(Self { config: config.clone(), stages, out, device: vb.device().clone() })
     }
 }
 
@@ -389,7 +391,7 @@ impl Backbone for PointTransformerV1 {
         }
         let mode = cx.mode;
         let (finest, sorted) = Scale::new(points)?;
-        let mut x = sorted.rows(&points.feat)?;
+        let mut x = sorted.rows(&points.feat)?.to_device(&self.device)?;
         let mut scales = vec![finest];
         let mut skips = Vec::new();
         for (i, stage) in self.stages.iter().enumerate() {
@@ -412,7 +414,7 @@ impl Backbone for PointTransformerV1 {
                 TransitionUp::Finer { own: layer, below } => {
                     let near = Neighborhood::new(&scales[i], &scales[i + 1], INTERPOLATED)?;
                     let rows = near.of_sources(&below.forward(&x, mode)?)?;
-                    let rows = rows.broadcast_mul(&near.inverse_distances()?)?;
+                    let rows = rows.broadcast_mul(&near.inverse_distances(rows.device())?)?;
                     (layer.forward(own, mode)? + near.reduce(&rows, Reduce::Sum)?)?
                 }
             };

@@ -17,7 +17,7 @@ use crate::layers::{BatchNorm, BatchNormConstants, DropPath, Linear};
 use crate::neighborhood::{Neighborhood, Scale};
 use crate::stages::{DEEPEST, LARGEST, check_lengths, check_sizes, edge, linspace, split};
 use crate::{Architecture, Backbone, BackboneCost, Compute, Forward, Mode, PointCloud, ops};
-use candle_core::{Result, Tensor, bail};
+use candle_core::{Device, Result, Tensor, bail};
 use candle_nn::VarBuilder;
 use scenesplat_kernels::segment::{Groups, Reduce};
 use serde::{Deserialize, Serialize};
@@ -347,10 +347,11 @@ impl GroupedVectorAttention {
     fn forward(&self, x: &Tensor, near: &Neighborhood, mode: Mode) -> Result<Tensor> {
         let query = near.of_queries(&self.query.forward(x, mode)?)?;
         let mut relation = (near.of_sources(&self.key.forward(x, mode)?)? - query)?;
+        let relative = near.relative.to_device(x.device())?;
         if let Some(multiplier) = &self.multiplier {
-            relation = (relation * multiplier.forward(&near.relative, mode)?)?;
+            relation = (relation * multiplier.forward(&relative, mode)?)?;
         }
-        let position = self.position.forward(&near.relative, mode)?;
+        let position = self.position.forward(&relative, mode)?;
         let logits = self.weight.forward(&(relation + &position)?, mode)?;
         let weight = near.softmax(&logits)?;
         let value = (near.of_sources(&self.value.forward(x)?)? + position)?;
@@ -460,6 +461,8 @@ pub struct PointTransformerV2 {
     /// Fine to coarse; run in reverse.
     decoder: Vec<DecoderStage>,
     out: LinearNormRelu,
+    /// Where the parameters are; input is brought there.
+    device: Device,
 }
 
 impl PointTransformerV2 {
@@ -501,7 +504,8 @@ impl PointTransformerV2 {
         }
         let width = Architecture::out_channels(config);
         let out = joined(width, width, true, vb.pp("out"))?;
-        Ok(Self { config: config.clone(), embedding, finest, encoder, decoder, out })
+        let (config, device) = (config.clone(), vb.device().clone());
+        Ok(Self { config, embedding, finest, encoder, decoder, out, device })
     }
 }
 
@@ -515,7 +519,8 @@ impl Backbone for PointTransformerV2 {
             bail!("recompute: point_transformer_v2 keeps what it computes; switch it off");
         }
         let (mut scale, sorted) = Scale::new(points)?;
-        let x = self.embedding.forward(&sorted.rows(&points.feat)?, cx.mode)?;
+        let feat = sorted.rows(&points.feat)?.to_device(&self.device)?;
+        let x = self.embedding.forward(&feat, cx.mode)?;
         let mut x = self.finest.forward(x, &mut scale, cx)?;
         let mut above: Vec<(Tensor, Scale, Arc<Groups>)> = Vec::new();
         for stage in &self.encoder {

@@ -7,8 +7,11 @@
 //! candle gives a custom operation the gradients of its *inputs* to answer for. Those of the
 //! parameters inside the block come out beside: [`Recompute`] collects them until the trainer asks.
 
+use candle_core::backend::BackendStorage;
+use candle_core::backprop::GradStore;
 use candle_core::{
-    CpuStorage, CustomOp1, CustomOp2, Layout, Result, Shape, Tensor, Var, backprop::GradStore, bail,
+    CpuStorage, CudaStorage, CustomOp1, CustomOp2, Layout, MetalStorage, Result, Shape, Storage,
+    Tensor, Var, bail,
 };
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -56,7 +59,7 @@ impl Recompute {
     /// `run(inputs)`, whose inside is not kept for the backward pass.
     ///
     /// `run` must give the same result each time it is called with the same inputs. It takes one or
-    /// two f32 inputs on the CPU.
+    /// two f32 inputs.
     pub(crate) fn apply(
         &self,
         inputs: &[&Tensor],
@@ -88,11 +91,34 @@ struct Recomputed {
 }
 
 impl Recomputed {
-    fn take_output(&self) -> Result<(CpuStorage, Shape)> {
+    fn take_output(&self) -> Result<Tensor> {
         let output = self.output.lock().unwrap_or_else(PoisonError::into_inner).take();
         let Some(output) = output else { bail!("recompute: the forward pass ran twice") };
+        output.contiguous()
+    }
+
+    fn on_cpu(&self) -> Result<(CpuStorage, Shape)> {
+        let output = self.take_output()?;
         let values = crate::ops::read("recompute", &output, |values| Ok(values.to_vec()))?;
         Ok((CpuStorage::F32(values), output.shape().clone()))
+    }
+
+    fn on_cuda(&self) -> Result<(CudaStorage, Shape)> {
+        let output = self.take_output()?.force_contiguous()?;
+        let (storage, layout) = output.storage_and_layout();
+        let Storage::Cuda(storage) = &*storage else {
+            bail!("recompute: the output is not on CUDA")
+        };
+        Ok((storage.try_clone(layout)?, output.shape().clone()))
+    }
+
+    fn on_metal(&self) -> Result<(MetalStorage, Shape)> {
+        let output = self.take_output()?.force_contiguous()?;
+        let (storage, layout) = output.storage_and_layout();
+        let Storage::Metal(storage) = &*storage else {
+            bail!("recompute: the output is not on Metal")
+        };
+        Ok((storage.try_clone(layout)?, output.shape().clone()))
     }
 
     /// Gradients of the inputs; those of parameters are put aside.
@@ -118,7 +144,13 @@ impl CustomOp1 for Recomputed {
         "recompute"
     }
     fn cpu_fwd(&self, _: &CpuStorage, _: &Layout) -> Result<(CpuStorage, Shape)> {
-        self.take_output()
+        self.on_cpu()
+    }
+    fn cuda_fwd(&self, _: &CudaStorage, _: &Layout) -> Result<(CudaStorage, Shape)> {
+        self.on_cuda()
+    }
+    fn metal_fwd(&self, _: &MetalStorage, _: &Layout) -> Result<(MetalStorage, Shape)> {
+        self.on_metal()
     }
     fn bwd(&self, x: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
         Ok(self.gradients(&[x], grad)?.pop().flatten())
@@ -136,7 +168,25 @@ impl CustomOp2 for Recomputed {
         _: &CpuStorage,
         _: &Layout,
     ) -> Result<(CpuStorage, Shape)> {
-        self.take_output()
+        self.on_cpu()
+    }
+    fn cuda_fwd(
+        &self,
+        _: &CudaStorage,
+        _: &Layout,
+        _: &CudaStorage,
+        _: &Layout,
+    ) -> Result<(CudaStorage, Shape)> {
+        self.on_cuda()
+    }
+    fn metal_fwd(
+        &self,
+        _: &MetalStorage,
+        _: &Layout,
+        _: &MetalStorage,
+        _: &Layout,
+    ) -> Result<(MetalStorage, Shape)> {
+        self.on_metal()
     }
     fn bwd(
         &self,

@@ -5,7 +5,7 @@ use crate::error::Result;
 use crate::fragments;
 use crate::input::ObjectInput;
 use crate::settings::ObjectSettings;
-use crate::surroundings::{Floor, Walls};
+use crate::surroundings::{Floor, Walls, is_kind};
 use crate::upright_box::UprightBox;
 use crate::{panels, walls};
 use rayon::prelude::*;
@@ -64,6 +64,10 @@ pub struct Catalogue {
     pub floor: Floor,
     /// Labelled Gaussians in pieces too small to be objects.
     pub left_over: usize,
+    /// Instances that the scene carries and that are no objects, for they have too few Gaussians.
+    pub small_instances: usize,
+    /// Instances that the scene carries and that are no objects, for none of their Gaussians has a class.
+    pub nameless_instances: usize,
     /// Gaussians of the scene.
     pub gaussians: usize,
 }
@@ -89,14 +93,20 @@ pub fn find_objects(input: &ObjectInput<'_>, settings: &ObjectSettings) -> Resul
             rows.push(row);
         }
     }
-    let class = |name: &str| {
-        let own = input.names.iter().position(|n| n.eq_ignore_ascii_case(name));
-        own.map_or(&[][..], |l| by_class[l].as_slice())
+    let of_kind = |kind: &str| -> Vec<u32> {
+        let own = input.names.iter().zip(&by_class).filter(|(name, _)| is_kind(name, kind));
+        own.flat_map(|(_, rows)| rows.iter().copied()).collect()
     };
-    let floor = Floor::find(&coord, class(&settings.floor));
-    let walls = Walls::new(&coord, class(&settings.wall))?;
+    let floor =
+        input.floor.map_or_else(|| Floor::find(&coord, &of_kind(&settings.floor)), Floor::given);
+    let walls = Walls::new(&coord, &of_kind(&settings.wall))?;
+    let mut nameless_instances = 0;
     let groups: Vec<(usize, Vec<u32>)> = match input.instances {
-        Some(instances) => known(instances, input.labels, &coord),
+        Some(instances) => {
+            let (named, nameless) = known(instances, input.labels, &coord);
+            nameless_instances = nameless;
+            named
+        }
         None => {
             let found: Result<Vec<Vec<Vec<u32>>>> = by_class
                 .par_iter()
@@ -114,7 +124,7 @@ pub fn find_objects(input: &ObjectInput<'_>, settings: &ObjectSettings) -> Resul
         let score = |s: &[f32]| {
             rows.iter().map(|&r| f64::from(s[r as usize])).sum::<f64>() / rows.len() as f64
         };
-        let is_wall = name.eq_ignore_ascii_case(&settings.wall);
+        let is_wall = is_kind(name, &settings.wall);
         Some(Object {
             id: 0,
             class: name.clone(),
@@ -130,8 +140,13 @@ pub fn find_objects(input: &ObjectInput<'_>, settings: &ObjectSettings) -> Resul
             rows: rows.clone(),
         })
     };
+    let is_small = |rows: &[u32]| rows.len() < settings.min_count;
+    let small_instances = match input.instances {
+        Some(_) => groups.iter().filter(|(_, rows)| is_small(rows)).count(),
+        None => 0,
+    };
     let kept: Vec<(usize, Vec<u32>)> =
-        groups.into_iter().filter(|(_, rows)| rows.len() >= settings.min_count).collect();
+        groups.into_iter().filter(|(_, rows)| !is_small(rows)).collect();
     let mut objects: Vec<Object> = kept.par_iter().filter_map(describe).collect();
     // Numbers by place: the same scene with its rows in another order has the same ones.
     objects.sort_by(|a, b| {
@@ -146,7 +161,14 @@ pub fn find_objects(input: &ObjectInput<'_>, settings: &ObjectSettings) -> Resul
     let is_labelled = |row: &&u32| input.labels[**row as usize] >= 0;
     let in_objects: usize = objects.iter().map(|o| o.rows.iter().filter(is_labelled).count()).sum();
     let left_over = labelled.saturating_sub(in_objects);
-    Ok(Catalogue { objects, floor, left_over, gaussians: input.scene.len() })
+    Ok(Catalogue {
+        objects,
+        floor,
+        left_over,
+        small_instances,
+        nameless_instances,
+        gaussians: input.scene.len(),
+    })
 }
 
 /// The objects of one class.
@@ -218,9 +240,9 @@ fn spacing(coord: &[[f32; 3]], rows: &[u32]) -> Result<f64> {
     Ok(*far.select_nth_unstable_by(middle, f64::total_cmp).1 / 1.09)
 }
 
-/// The rows of each instance, with the class that most of them have, the first of equal ones;
-/// instances without any class are none.
-fn known(instances: &[i32], labels: &[i32], coord: &[[f32; 3]]) -> Vec<(usize, Vec<u32>)> {
+/// The rows of each instance, with the class that most of them have, the first of equal ones; and how
+/// many instances are without any class.
+fn known(instances: &[i32], labels: &[i32], coord: &[[f32; 3]]) -> (Vec<(usize, Vec<u32>)>, usize) {
     let mut rows: Vec<(i32, u32)> = (0u32..)
         .zip(instances)
         .filter(|(row, id)| **id >= 0 && coord[*row as usize].iter().all(|v| v.is_finite()))
@@ -235,9 +257,14 @@ fn known(instances: &[i32], labels: &[i32], coord: &[[f32; 3]]) -> Vec<(usize, V
         let most = runs.fold(&[][..], |most, run| if run.len() > most.len() { run } else { most });
         most.first().and_then(|l| usize::try_from(*l).ok())
     };
-    rows.chunk_by(|a, b| a.0 == b.0)
-        .filter_map(|run| Some((class_of(run)?, run.iter().map(|(_, row)| *row).collect())))
-        .collect()
+    let (mut named, mut nameless) = (Vec::new(), 0);
+    for run in rows.chunk_by(|a, b| a.0 == b.0) {
+        match class_of(run) {
+            Some(class) => named.push((class, run.iter().map(|(_, row)| *row).collect())),
+            None => nameless += 1,
+        }
+    }
+    (named, nameless)
 }
 
 impl Catalogue {

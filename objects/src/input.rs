@@ -1,7 +1,8 @@
 //! What objects are looked for in.
 
 use crate::error::{ObjectError, Result};
-use scenesplat_scene::{GaussianScene, UpAxis};
+use scenesplat_scene::GaussianScene;
+use scenesplat_scene::frame::Matrix3;
 
 /// Adds the feature of a Gaussian (first argument) to a row of sums.
 pub type AddFeature<'a> = &'a (dyn Fn(usize, &mut [f32]) + Sync);
@@ -21,10 +22,12 @@ pub struct ObjectInput<'a> {
     pub features: Option<(usize, AddFeature<'a>)>,
     /// Names of the classes.
     pub names: &'a [String],
-    /// Which way is up.
-    pub up: UpAxis,
+    /// The rotation that brings +z up: its rows are the axes of the upright frame.
+    pub upright: Matrix3,
     /// What one unit of the scene is, metres.
     pub metres_per_unit: f64,
+    /// Height of the floor along up, metres, where it is known; else it is looked for.
+    pub floor: Option<f64>,
 }
 
 impl ObjectInput<'_> {
@@ -52,12 +55,26 @@ impl ObjectInput<'_> {
                 expected: "a finite number above 0",
             });
         }
+        if !is_rotation(&self.upright) {
+            return Err(ObjectError::Setting {
+                setting: "upright",
+                value: format!("{:?}", self.upright),
+                expected: "a rotation: three axes of length 1, at right angles",
+            });
+        }
+        if let Some(floor) = self.floor.filter(|f| !f.is_finite()) {
+            return Err(ObjectError::Setting {
+                setting: "floor",
+                value: floor.to_string(),
+                expected: "a finite height, metres",
+            });
+        }
         Ok(())
     }
 
     /// Positions in metres with +z up.
     pub(crate) fn upright(&self) -> Vec<[f32; 3]> {
-        let turn = self.up.upright();
+        let turn = self.upright;
         let place = |c: &[f32; 3]| {
             let c = c.map(|v| f64::from(v) * self.metres_per_unit);
             turn.map(|row| (row[0] * c[0] + row[1] * c[1] + row[2] * c[2]) as f32)
@@ -67,7 +84,7 @@ impl ObjectInput<'_> {
 
     /// A place of the upright frame, metres, in the frame and unit of the scene.
     pub(crate) fn to_scene(self, p: [f64; 3]) -> [f64; 3] {
-        let turn = self.up.upright();
+        let turn = self.upright;
         [0, 1, 2].map(|a| {
             let v = turn[0][a] * p[0] + turn[1][a] * p[1] + turn[2][a] * p[2];
             // Adding 0 makes no −0 of a product with 0.
@@ -88,7 +105,17 @@ impl ObjectInput<'_> {
         }
         let m = scenesplat_scene::vector::rotation(*self.scene.quat.get(row)?);
         let n = [m[0][shortest], m[1][shortest], m[2][shortest]];
-        let turn = self.up.upright().map(|r| r.map(|v| v as f32));
+        let turn = self.upright.map(|r| r.map(|v| v as f32));
         Some(turn.map(|r| scenesplat_scene::vector::dot(r, n)))
     }
+}
+
+fn is_rotation(m: &Matrix3) -> bool {
+    let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    let [x, y, z] = *m;
+    let third = [x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]];
+    let near = |a: f64, b: f64| (a - b).abs() < 1e-6;
+    m.iter().all(|row| near(dot(*row, *row), 1.0))
+        && near(dot(x, y), 0.0)
+        && near(dot(third, z), 1.0)
 }

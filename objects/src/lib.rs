@@ -22,8 +22,9 @@
 //!     instances: None,
 //!     features: None,
 //!     names: &names,
-//!     up: UpAxis::PlusZ,
+//!     upright: UpAxis::PlusZ.upright(),
 //!     metres_per_unit: 1.0,
+//!     floor: None,
 //! };
 //! let found = find_objects(&input, &ObjectSettings::default())?;
 //! assert!(found.objects.iter().filter(|o| o.class == "wall").count() >= 4);
@@ -49,5 +50,5 @@ pub use catalogue::{Catalogue, Object, find_objects};
 pub use error::ObjectError;
 pub use input::{AddFeature, ObjectInput};
 pub use settings::ObjectSettings;
-pub use surroundings::Floor;
+pub use surroundings::{Floor, is_kind};
 pub use upright_box::UprightBox;

@@ -167,8 +167,10 @@ mod tests {
                 object("trash can", [0.3, 0.0, 0.2], [0.3, 0.3, 0.4]),
                 object("sofa", [3.0, 2.0, 0.4], [2.0, 0.9, 0.8]),
             ],
-            floor: Floor { height: 0.0, is_labelled: true },
+            floor: Floor { height: 0.0, is_labelled: true, is_given: false },
             left_over: 0,
+            small_instances: 0,
+            nameless_instances: 0,
             gaussians: 0,
         }
     }

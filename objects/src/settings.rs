@@ -16,9 +16,9 @@ pub struct ObjectSettings {
     pub min_similarity: f32,
     /// Whether pieces are split along walls and panels, and fragments joined.
     pub reshape: bool,
-    /// Name of the class that distances to walls are measured from.
+    /// Name of the classes that distances to walls are measured from; see [`is_kind`](crate::is_kind).
     pub wall: String,
-    /// Name of the class that heights are measured from.
+    /// Name of the classes that heights are measured from, likewise.
     pub floor: String,
 }
 

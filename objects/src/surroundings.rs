@@ -8,6 +8,19 @@ use serde::Serialize;
 const WALL_ROWS: usize = 40_000;
 const OBJECT_ROWS: usize = 400;
 
+/// Whether a class is of a kind: of that name, or its last word is it. `HouseWall`, `house_wall` and `brick wall` are
+/// walls, a wall cabinet is none.
+pub fn is_kind(class: &str, kind: &str) -> bool {
+    let letters: Vec<char> = class.trim().chars().collect();
+    let begins_word = |i: usize| {
+        let after_case = letters[i].is_uppercase() && letters[i - 1].is_lowercase();
+        after_case || !letters[i - 1].is_alphanumeric()
+    };
+    let start = (1..letters.len()).rev().find(|&i| begins_word(i)).unwrap_or(0);
+    let last: String = letters[start..].iter().collect();
+    class.eq_ignore_ascii_case(kind) || last.eq_ignore_ascii_case(kind)
+}
+
 /// Where the floor is.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Floor {
@@ -15,9 +28,16 @@ pub struct Floor {
     pub height: f64,
     /// Whether Gaussians labelled as floor say so, rather than the lowest ones.
     pub is_labelled: bool,
+    /// Whether it was known before.
+    pub is_given: bool,
 }
 
 impl Floor {
+    /// A floor of known height, metres.
+    pub(crate) fn given(height: f64) -> Self {
+        Self { height, is_labelled: false, is_given: true }
+    }
+
     /// The middle of what is labelled floor, or of the lowest percent of all. `coord`: upright.
     pub(crate) fn find(coord: &[[f32; 3]], labelled: &[u32]) -> Self {
         let middle = |mut heights: Vec<f32>, share: f64| {
@@ -29,10 +49,10 @@ impl Floor {
         };
         if labelled.is_empty() {
             let all = coord.iter().map(|c| c[2]).filter(|z| z.is_finite()).collect();
-            return Self { height: middle(all, 0.01), is_labelled: false };
+            return Self { height: middle(all, 0.01), is_labelled: false, is_given: false };
         }
         let own = labelled.iter().map(|&r| coord[r as usize][2]).collect();
-        Self { height: middle(own, 0.5), is_labelled: true }
+        Self { height: middle(own, 0.5), is_labelled: true, is_given: false }
     }
 }
 
@@ -57,5 +77,23 @@ impl Walls {
         let of =
             |&row: &u32| tree.nearest(coord[row as usize], 1).first().map(|n| n.distance_squared);
         rows.iter().step_by(step).filter_map(of).reduce(f64::min).map(f64::sqrt)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_word_says_the_kind() {
+        for name in
+            ["wall", "Wall", "HouseWall", "house_wall", "brick wall", "interior-wall", " wall "]
+        {
+            assert!(is_kind(name, "wall"), "{name}");
+        }
+        for name in ["wall cabinet", "drywall", "WallLamp", "walls", "", "w", "wall_"] {
+            assert!(!is_kind(name, "wall"), "{name}");
+        }
+        assert!(is_kind("raised floor", "raised floor"));
     }
 }

@@ -4,7 +4,7 @@ use crate::catalogue::{Catalogue, Object};
 use serde_json::{Value, json};
 use std::fmt::Write;
 
-/// A catalogue as JSON: `gaussians`, `left_over`, `floor`, and `objects` with id, class, score, count,
+/// A catalogue as JSON: `gaussians`, `left_over`, `small_instances`, `nameless_instances`, `floor`, and `objects` with id, class, score, count,
 /// box (center, size, yaw, corners), volume, position, above_floor and wall_distance.
 ///
 /// `position`, `center` and `corners` are in the frame and unit of the scene, all else in metres,
@@ -15,7 +15,13 @@ pub fn json(catalogue: &Catalogue) -> Value {
         "version": 1,
         "gaussians": catalogue.gaussians,
         "left_over": catalogue.left_over,
-        "floor": { "height": catalogue.floor.height, "labelled": catalogue.floor.is_labelled },
+        "small_instances": catalogue.small_instances,
+        "nameless_instances": catalogue.nameless_instances,
+        "floor": {
+            "height": catalogue.floor.height,
+            "labelled": catalogue.floor.is_labelled,
+            "given": catalogue.floor.is_given,
+        },
         "objects": objects,
     })
 }
@@ -149,8 +155,15 @@ mod tests {
             wall_distance: None,
             rows: (0..40).collect(),
         };
-        let floor = Floor { height: 0.0, is_labelled: true };
-        Catalogue { objects: vec![object], floor, left_over: 3, gaussians: 50 }
+        let floor = Floor { height: 0.0, is_labelled: true, is_given: false };
+        Catalogue {
+            objects: vec![object],
+            floor,
+            left_over: 3,
+            small_instances: 0,
+            nameless_instances: 0,
+            gaussians: 50,
+        }
     }
 
     #[test]

@@ -6,7 +6,8 @@ use scenesplat_objects::{
     Agreement, Catalogue, ObjectInput, ObjectSettings, UprightBox, find_objects,
 };
 use scenesplat_rooms::{CLASSES, SyntheticRoom, SyntheticRoomSettings, generate};
-use scenesplat_scene::UpAxis;
+use scenesplat_scene::frame::Matrix3;
+use scenesplat_scene::{Similarity, UpAxis};
 
 const ROOMS: u64 = 20;
 const SEED: u64 = 2026;
@@ -23,8 +24,9 @@ fn input<'a>(room: &'a SyntheticRoom, names: &'a [String]) -> ObjectInput<'a> {
         instances: None,
         features: None,
         names,
-        up: UpAxis::PlusZ,
+        upright: UpAxis::PlusZ.upright(),
         metres_per_unit: 1.0,
+        floor: None,
     }
 }
 
@@ -124,6 +126,14 @@ fn known_instances_are_the_objects() {
     let agreed = agreement(&room, &found);
     assert_eq!((agreed.precision(), agreed.recall()), (1.0, 1.0));
     assert!(agreed.matches.iter().all(|m| m.iou == 1.0));
+    // The object of each Gaussian is a place in the list.
+    let places = found.instances();
+    for (row, place) in places.iter().enumerate() {
+        let own = usize::try_from(*place).ok().map(|at| &found.objects[at]);
+        assert_eq!(own.is_some_and(|o| o.rows.binary_search(&(row as u32)).is_ok()), own.is_some());
+    }
+    let all: usize = found.objects.iter().map(|o| o.count).sum();
+    assert_eq!(places.iter().filter(|p| **p >= 0).count(), all);
 }
 
 #[test]
@@ -136,7 +146,11 @@ fn places_are_in_the_frame_and_unit_of_the_scene() {
     lying.scene.coord.iter_mut().for_each(|c| *c = [c[0], -c[2], c[1]].map(|v| v * 100.0));
     let ln = 100f32.ln();
     lying.scene.log_scale.iter_mut().for_each(|s| *s = s.map(|v| v + ln));
-    let input = ObjectInput { up: UpAxis::MinusY, metres_per_unit: 0.01, ..input(&lying, &names) };
+    let input = ObjectInput {
+        upright: UpAxis::MinusY.upright(),
+        metres_per_unit: 0.01,
+        ..input(&lying, &names)
+    };
     let found = find_objects(&input, &ObjectSettings::default()).unwrap();
     let of = |c: &Catalogue| c.objects.iter().find(|o| o.class == "floor").unwrap().clone();
     let (a, b) = (of(&plain), of(&found));
@@ -146,6 +160,80 @@ fn places_are_in_the_frame_and_unit_of_the_scene() {
         assert!((got - want).abs() < 5.0, "{:?} {want:?}", b.position);
     }
     assert!(found.floor.height.abs() < 0.02 && found.floor.is_labelled);
+}
+
+/// A rotation about x, then about z, degrees.
+fn turn(x: f64, z: f64) -> Matrix3 {
+    let ((sx, cx), (sz, cz)) = (x.to_radians().sin_cos(), z.to_radians().sin_cos());
+    [[cz, -sz * cx, sz * sx], [sz, cz * cx, -cz * sx], [0.0, sx, cx]]
+}
+
+#[test]
+fn boxes_of_a_room_out_of_level_are_upright_in_it() {
+    let names = names();
+    let room = generate(&SyntheticRoomSettings::with_count(30_000, 8)).unwrap();
+    let plain = find_objects(&input(&room, &names), &ObjectSettings::default()).unwrap();
+    let rotation = turn(11.0, 25.0);
+    let mut tilted = room;
+    tilted.scene.transform(&Similarity { rotation, ..Similarity::IDENTITY });
+    let back = [0, 1, 2].map(|i| [0, 1, 2].map(|j| rotation[j][i]));
+    let input = ObjectInput { upright: back, ..input(&tilted, &names) };
+    let found = find_objects(&input, &ObjectSettings::default()).unwrap();
+    assert_eq!(found.objects.len(), plain.objects.len());
+    assert!((found.floor.height - plain.floor.height).abs() < 0.01, "{:?}", found.floor);
+    for (a, b) in plain.objects.iter().zip(&found.objects) {
+        assert_eq!((a.label, a.count), (b.label, b.count));
+        assert!((a.volume - b.volume).abs() < 0.02 * a.volume + 1e-3, "{} {}", a.volume, b.volume);
+        assert!((a.above_floor - b.above_floor).abs() < 0.01);
+        // The box lies in the scene, not in the upright frame.
+        let want = rotation.map(|r| r.iter().zip(a.position).map(|(r, p)| r * p).sum::<f64>());
+        let off = want.iter().zip(b.position).map(|(w, p)| (w - p).powi(2)).sum::<f64>().sqrt();
+        assert!(off < 0.02, "{}: {want:?} {:?}", a.class, b.position);
+    }
+    for bad in
+        [[[0.0; 3]; 3], [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]], [[f64::NAN; 3]; 3]]
+    {
+        let input = ObjectInput { upright: bad, ..input };
+        let error = find_objects(&input, &ObjectSettings::default()).unwrap_err().to_string();
+        assert!(error.contains("upright") && error.contains("a rotation"), "{error}");
+    }
+}
+
+#[test]
+fn a_floor_that_is_known_is_where_heights_begin() {
+    let names = names();
+    let room = generate(&SyntheticRoomSettings::with_count(20_000, 8)).unwrap();
+    let plain = find_objects(&input(&room, &names), &ObjectSettings::default()).unwrap();
+    let given = ObjectInput { floor: Some(-0.5), ..input(&room, &names) };
+    let found = find_objects(&given, &ObjectSettings::default()).unwrap();
+    assert!(found.floor.is_given && !found.floor.is_labelled && plain.floor.is_labelled);
+    for (a, b) in plain.objects.iter().zip(&found.objects) {
+        assert!((b.above_floor - a.above_floor - plain.floor.height - 0.5).abs() < 1e-9);
+    }
+    let nowhere = ObjectInput { floor: Some(f64::INFINITY), ..given };
+    assert!(find_objects(&nowhere, &ObjectSettings::default()).is_err());
+}
+
+#[test]
+fn instances_that_are_no_objects_are_counted() {
+    let names = names();
+    let room = generate(&SyntheticRoomSettings::with_count(30_000, 6)).unwrap();
+    let ids = room.scene.instance.clone().unwrap();
+    let mut labels = room.scene.segment.clone().unwrap();
+    // One instance loses its class.
+    let lost = room.objects.iter().position(|o| CLASSES[o.class.index()].name == "floor").unwrap();
+    labels.iter_mut().zip(&ids).filter(|(_, id)| **id == lost as i32).for_each(|(l, _)| *l = -1);
+    let sizes = |id: usize| ids.iter().filter(|i| **i == id as i32).count();
+    let least = 400;
+    let small =
+        (0..room.objects.len()).filter(|&i| i != lost && (1..least).contains(&sizes(i))).count();
+    assert!(small > 0);
+    let input = ObjectInput { labels: &labels, instances: Some(&ids), ..input(&room, &names) };
+    let settings = ObjectSettings { min_count: least, ..Default::default() };
+    let found = find_objects(&input, &settings).unwrap();
+    assert_eq!((found.small_instances, found.nameless_instances), (small, 1));
+    let all = (0..room.objects.len()).filter(|&i| sizes(i) > 0).count();
+    assert_eq!(found.objects.len(), all - small - 1);
 }
 
 #[test]

@@ -106,6 +106,11 @@ impl CaptureFolder<'_> {
 
     fn frame(&self, camera: &Camera, path: &Path) -> Result<TrainingFrame, OptimiseError> {
         let picture = read_picture(path)?;
+        let sixteen = matches!(picture.samples(), Samples::Sixteen(_));
+        if sixteen && matches!(picture.channels(), Channels::Gray | Channels::GrayAlpha) {
+            let problem = "is a grey picture of 16 bits, which is how depth is stored".to_owned();
+            return Err(bad(path, problem, "give the folder of colour pictures as --images"));
+        }
         let size = [picture.width(), picture.height()];
         let view = View::from_camera(&scaled(camera, size, path)?)?;
         let alpha = picture.is_transparent().then(|| alpha_mask(&picture)).flatten();

@@ -19,6 +19,9 @@ pub struct FrameScore {
     pub name: String,
     /// dB, of the render cut to 0..=1; `None` if it is infinite.
     pub psnr: Option<f64>,
+    /// The same after the gain and offset of each channel that fit best, of scenes whose exposure was learned: the
+    /// camera's exposure of this picture is not the scene's. `None` otherwise.
+    pub psnr_corrected: Option<f64>,
     /// With the border of the settings.
     pub ssim: Option<f64>,
     /// Mean `|Σ w z − measured|`, units of the scene, over all measured pixels.
@@ -36,6 +39,8 @@ pub struct MeanScore {
     pub frames: usize,
     /// dB.
     pub psnr: Option<f64>,
+    /// dB.
+    pub psnr_corrected: Option<f64>,
     /// −1 to 1.
     pub ssim: Option<f64>,
     /// Units of the scene.
@@ -56,6 +61,7 @@ impl MeanScore {
         Self {
             frames: scores.len(),
             psnr: mean(|s| s.psnr),
+            psnr_corrected: mean(|s| s.psnr_corrected),
             ssim: mean(|s| s.ssim),
             depth_l1: mean(|s| s.depth_l1),
             depth_l1_expected: mean(|s| s.depth_l1_expected),
@@ -107,6 +113,12 @@ pub fn score_frame(
     let views =
         (ImageView::new(&pred, width, height, 3)?, ImageView::new(&truth, width, height, 3)?);
     let db = psnr(views.0, views.1)?;
+    let corrected = if settings.exposure {
+        let fitted = exposed(&pred, &truth, frame.mask.as_deref());
+        Some(psnr(ImageView::new(&fitted, width, height, 3)?, views.1)?)
+    } else {
+        None
+    };
     let padding: SsimPadding = settings.ssim_border;
     let fits = width.min(height) >= padding.least_side();
     let ssim = if fits { Some(ssim(views.0, views.1, padding)?) } else { None };
@@ -126,10 +138,60 @@ pub fn score_frame(
     let score = FrameScore {
         name: frame.name.clone(),
         psnr: db.is_finite().then_some(db),
+        psnr_corrected: corrected.filter(|db| db.is_finite()),
         ssim,
         depth_l1: depth(&picture.depth_accumulated),
         depth_l1_expected: depth(&picture.depth_expected),
         holes: holes as f64 / picture.transmittance.len().max(1) as f64,
     };
     Ok((score, picture))
+}
+
+/// `gain · pred + offset`, cut to 0..=1, with the gain and offset of each channel that come nearest to the truth
+/// where the mask is on. A channel without contrast gets an offset alone.
+fn exposed(pred: &[f32], truth: &[f32], mask: Option<&[u8]>) -> Vec<f32> {
+    let mut out = pred.to_vec();
+    for c in 0..3 {
+        let counted = || {
+            let on = |i: &usize| mask.is_none_or(|mask| mask[*i] != 0);
+            let at = |i: usize| (f64::from(pred[3 * i + c]), f64::from(truth[3 * i + c]));
+            (0..pred.len() / 3).filter(on).map(at)
+        };
+        let n = counted().count().max(1) as f64;
+        let (x, y) = counted().fold((0.0, 0.0), |(x, y), (p, t)| (x + p / n, y + t / n));
+        let (var, cov) = counted().fold((0.0, 0.0), |(var, cov), (p, t)| {
+            (var + (p - x).powi(2) / n, cov + (p - x) * (t - y) / n)
+        });
+        let gain = if var > 1e-12 { cov / var } else { 1.0 };
+        for value in out.iter_mut().skip(c).step_by(3) {
+            *value = (gain * (f64::from(*value) - x) + y).clamp(0.0, 1.0) as f32;
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gain_and_offset_are_fitted_per_channel() {
+        let pred: Vec<f32> = (0..30).map(|i| 0.02 * i as f32).collect();
+        let (gain, offset) = ([0.5, 1.2, 1.0], [0.1, 0.0, 0.0]);
+        let seen = |i: usize| gain[i % 3] * pred[i] + offset[i % 3];
+        let mut truth: Vec<f32> = (0..30).map(seen).collect();
+        // What is masked has no say.
+        truth[3..6].fill(1.0);
+        let mut mask = [1u8; 10];
+        mask[1] = 0;
+        let fitted = exposed(&pred, &truth, Some(&mask));
+        for i in (0..30).filter(|i| !(3..6).contains(i)) {
+            assert!((fitted[i] - truth[i]).abs() < 1e-5, "{i}: {} {}", fitted[i], truth[i]);
+        }
+        // No contrast: the mean moves, nothing divides by zero.
+        let flat = exposed(&[0.5; 6], &[0.2, 0.4, 0.6, 0.2, 0.4, 0.6], None);
+        assert!(
+            flat.iter().zip([0.2f32, 0.4, 0.6, 0.2, 0.4, 0.6]).all(|(a, b)| (a - b).abs() < 1e-6)
+        );
+    }
 }

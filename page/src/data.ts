@@ -1,4 +1,7 @@
-// What the page carries: blocks of base64 text, each deflated, and what they mean.
+// What the page shows: blocks of numbers, and what they mean. They stand in the file as base64 text, each deflated, or
+// come in chunks from the program that serves the page.
+
+import { Codes } from "./codes";
 
 /** What `about` says; all lengths in the unit of the scene unless they say metres. */
 export interface About {
@@ -24,6 +27,8 @@ export interface About {
   hasScores: boolean;
   phrases: number;
   remarks: string[];
+  /** Bytes of each chunk of each block, where they are served; else null. */
+  chunks: Record<string, number[]> | null;
 }
 
 export interface ClassEntry {
@@ -49,10 +54,12 @@ export interface SceneData {
   about: About;
   /** [N, 3], frame and unit of the scene. */
   position: Float32Array;
-  /** Standard deviations [N, 3], unit of the scene. */
-  scale: Float32Array;
-  /** x, y, z, w [N, 4]. */
-  rotation: Float32Array;
+  /** Places of the standard deviations among `scales`, [3, N]. */
+  scale: Uint8Array;
+  /** Standard deviations, unit of the scene [256]. */
+  scales: Float32Array;
+  /** w, x, y, z of any length [4, N]. */
+  rotation: Int8Array;
   /** Red, green, blue, opacity [N, 4]. */
   color: Uint8Array;
   /** Class + 1 [N], 0 = none. */
@@ -61,14 +68,12 @@ export interface SceneData {
   score: Uint8Array;
   /** Object + 1 [N], 0 = none. */
   object: Uint16Array;
+  /** Gaussians of each object + 1, of none at 0 [objects + 1]. */
+  objectSizes: Uint32Array;
   /** Row of the code of each Gaussian [N]; 2^32 − 1 = none. */
   slot: Uint32Array;
-  /** [slots, width] */
-  codes: Int8Array;
-  /** Best score of any class of each slot [slots]. */
-  best: Float32Array;
-  /** Offset and one weight a code number [texts, 1 + width]. */
-  texts: Float32Array;
+  /** Language codes of the slots, and how they are compared with texts; null without. */
+  codes: Codes | null;
   /** Rows of the scene's file, where some were left out; else empty. */
   rows: Uint32Array;
   phrases: string[];
@@ -76,22 +81,74 @@ export interface SceneData {
   near: Uint8Array;
 }
 
-async function bytes(name: string): Promise<Uint8Array> {
-  const element = document.getElementById(`block-${name}`);
-  const text = element?.textContent ?? "";
-  // Text and bytes need not be there twice.
-  element?.remove();
-  if (text === "") return new Uint8Array(0);
-  const binary = atob(text);
-  const packed = new Uint8Array(binary.length);
-  for (let i = 0; i < packed.length; i++) packed[i] = binary.charCodeAt(i);
-  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
-  return new Uint8Array(await new Response(stream).arrayBuffer());
+/** How much has come, 0..=1. */
+export type Arrived = (share: number) => void;
+
+/** Where blocks come from. */
+class Blocks {
+  private done = 0;
+  private total: number;
+
+  constructor(private chunks: Record<string, number[]> | null, private arrived: Arrived) {
+    const sizes = chunks === null
+      ? Array.from(document.querySelectorAll('script[id^="block-"]'), (e) => e.textContent?.length ?? 0)
+      : Object.values(chunks).flat();
+    this.total = Math.max(1, sizes.reduce((sum, size) => sum + size, 0));
+  }
+
+  async bytes(name: string): Promise<Uint8Array> {
+    if (this.chunks === null) return this.unpacked(name);
+    const sizes = Object.hasOwn(this.chunks, name) ? this.chunks[name] : [];
+    const out = new Uint8Array(sizes.reduce((sum, size) => sum + size, 0));
+    let at = 0;
+    for (const [i, size] of sizes.entries()) {
+      out.set(await chunk(name, i, size), at);
+      at += size;
+      this.add(size);
+    }
+    return out;
+  }
+
+  private async unpacked(name: string): Promise<Uint8Array> {
+    const element = document.getElementById(`block-${name}`);
+    const text = element?.textContent ?? "";
+    // Text and bytes need not be there twice.
+    element?.remove();
+    if (text === "") return new Uint8Array(0);
+    const binary = atob(text);
+    const packed = new Uint8Array(binary.length);
+    for (let i = 0; i < packed.length; i++) packed[i] = binary.charCodeAt(i);
+    const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+    const out = new Uint8Array(await new Response(stream).arrayBuffer());
+    this.add(text.length);
+    return out;
+  }
+
+  private add(size: number): void {
+    this.done += size;
+    this.arrived(Math.min(1, this.done / this.total));
+  }
+}
+
+/** A chunk of a block from the program that serves the page. */
+async function chunk(name: string, i: number, size: number): Promise<Uint8Array> {
+  let response: Response;
+  try {
+    response = await fetch(`chunk/${name}/${i}`, { cache: "no-store", credentials: "omit", redirect: "error" });
+  } catch {
+    throw new Error("the program that serves this page does not answer; is it still running?");
+  }
+  if (!response.ok) throw new Error(`the program that serves this page says ${response.status}`);
+  const bytes = new Uint8Array(await response.arrayBuffer());
+  if (bytes.length !== size) throw new Error(`a part of ${name} is cut: ${bytes.length} of ${size} bytes`);
+  return bytes;
 }
 
 /** Planes of bytes, the lowest first, as numbers. */
-function planes(from: Uint8Array, count: number, bytesEach: number): Uint32Array {
-  const out = new Uint32Array(count);
+function planes<T extends Uint32Array | Uint16Array>(from: Uint8Array, out: T, bytesEach: number): T {
+  const count = out.length;
+  // What is not there is 0.
+  if (from.length === 0) return out;
   for (let b = 0; b < bytesEach; b++) {
     const plane = from.subarray(b * count, (b + 1) * count);
     const factor = 2 ** (8 * b);
@@ -105,75 +162,63 @@ function floats(from: Uint8Array): Float32Array {
 }
 
 export async function readAbout(): Promise<About> {
-  return JSON.parse(new TextDecoder().decode(await bytes("about"))) as About;
+  const bytes = await new Blocks(null, () => undefined).bytes("about");
+  return JSON.parse(new TextDecoder().decode(bytes)) as About;
 }
 
-export async function readScene(about: About): Promise<SceneData> {
+export async function readScene(about: About, arrived: Arrived): Promise<SceneData> {
   const n = about.count;
-  const placed = planes(await bytes("position"), 3 * n, 3);
+  const blocks = new Blocks(about.chunks, arrived);
+  const placed = await blocks.bytes("position");
   const position = new Float32Array(3 * n);
   for (let axis = 0; axis < 3; axis++) {
+    const [low, middle, high] = [0, 1, 2].map((b) => placed.subarray((3 * b + axis) * n, (3 * b + axis + 1) * n));
     for (let i = 0; i < n; i++) {
-      position[3 * i + axis] = about.origin[axis] + about.step * placed[axis * n + i];
+      position[3 * i + axis] = about.origin[axis] + about.step * (low[i] + 256 * middle[i] + 65_536 * high[i]);
     }
   }
-  const [low, high] = about.scaleRange;
-  const logs = await bytes("scale");
-  const scales = new Float32Array(256);
-  for (let v = 0; v < 256; v++) scales[v] = Math.exp(low + ((high - low) * v) / 255);
-  const scale = new Float32Array(3 * n);
-  for (let axis = 0; axis < 3; axis++) {
-    for (let i = 0; i < n; i++) scale[3 * i + axis] = scales[logs[axis * n + i]];
-  }
-  const turns = new Int8Array((await bytes("rotation")).buffer);
-  const rotation = new Float32Array(4 * n);
-  for (let i = 0; i < n; i++) {
-    const w = turns[i], x = turns[n + i], y = turns[2 * n + i], z = turns[3 * n + i];
-    const length = Math.hypot(w, x, y, z) || 1;
-    rotation[4 * i] = x / length;
-    rotation[4 * i + 1] = y / length;
-    rotation[4 * i + 2] = z / length;
-    rotation[4 * i + 3] = length === 1 && w === 0 && x === 0 && y === 0 && z === 0 ? 1 : w / length;
-  }
-  const paint = await bytes("color");
+  const [least, most] = about.scaleRange;
+  const scales = Float32Array.from({ length: 256 }, (_, v) => Math.exp(least + ((most - least) * v) / 255));
+  const scale = await blocks.bytes("scale");
+  const rotation = new Int8Array((await blocks.bytes("rotation")).buffer);
+  const paint = await blocks.bytes("color");
   const color = new Uint8Array(4 * n);
   for (let c = 0; c < 4; c++) for (let i = 0; i < n; i++) color[4 * i + c] = paint[c * n + i];
-  const width = about.codes?.width ?? 0;
-  const slots = about.codes?.slots ?? 0;
-  const texts = floats(await bytes("texts"));
-  const codes = new Int8Array((await bytes("codes")).buffer);
+  const object = planes(await blocks.bytes("object"), new Uint16Array(n), 2);
+  const objectSizes = new Uint32Array(about.objects.length + 1);
+  for (let i = 0; i < n; i++) objectSizes[object[i]]++;
+  const texts = floats(await blocks.bytes("texts"));
+  const packed = new Int8Array((await blocks.bytes("codes")).buffer);
   return {
     about,
     position,
     scale,
+    scales,
     rotation,
     color,
-    label: Uint16Array.from(planes(await bytes("label"), n, 2)),
-    score: await bytes("score"),
-    object: Uint16Array.from(planes(await bytes("object"), n, 2)),
-    slot: slots > 0 ? planes(await bytes("slot"), n, 4) : new Uint32Array(0),
-    codes,
-    best: bestScores(codes, slots, width, texts, about.classes.length),
-    texts,
-    rows: about.count < about.total ? planes(await bytes("rows"), n, 4) : new Uint32Array(0),
-    phrases: about.phrases > 0 ? new TextDecoder().decode(await bytes("phrases")).split("\n") : [],
-    near: await bytes("near"),
+    label: planes(await blocks.bytes("label"), new Uint16Array(n), 2),
+    score: await blocks.bytes("score"),
+    object,
+    objectSizes,
+    slot: planes(await blocks.bytes("slot"), new Uint32Array(about.codes === null ? 0 : n), 4),
+    codes: about.codes === null ? null
+      : new Codes(packed, about.codes.slots, about.codes.width, texts, about.classes.length),
+    rows: planes(await blocks.bytes("rows"), new Uint32Array(about.count < about.total ? n : 0), 4),
+    phrases: about.phrases > 0 ? new TextDecoder().decode(await blocks.bytes("phrases")).split("\n") : [],
+    near: await blocks.bytes("near"),
   };
 }
 
-/** The best score of any class in each slot; texts begin with the classes. */
-function bestScores(
-  codes: Int8Array, slots: number, width: number, texts: Float32Array, classes: number,
-): Float32Array {
-  const best = new Float32Array(slots).fill(-1);
-  const known = Math.min(classes, texts.length / (width + 1));
-  for (let c = 0; c < known; c++) {
-    const row = texts.subarray(c * (width + 1), (c + 1) * (width + 1));
-    for (let s = 0, at = 0; s < slots; s++) {
-      let sum = row[0];
-      for (let j = 1; j <= width; j++) sum += row[j] * codes[at++];
-      if (sum > best[s]) best[s] = sum;
-    }
-  }
-  return best;
+/** Standard deviations of a Gaussian. */
+export function scaleOf(data: SceneData, row: number): [number, number, number] {
+  const { scale, scales, about: { count: n } } = data;
+  return [scales[scale[row]], scales[scale[n + row]], scales[scale[2 * n + row]]];
+}
+
+/** w, x, y, z of a Gaussian, of length 1. */
+export function rotationOf(data: SceneData, row: number): [number, number, number, number] {
+  const { rotation: r, about: { count: n } } = data;
+  const w = r[row], x = r[n + row], y = r[2 * n + row], z = r[3 * n + row];
+  const length = Math.hypot(w, x, y, z);
+  return length > 0 ? [w / length, x / length, y / length, z / length] : [1, 0, 0, 0];
 }

@@ -1,6 +1,6 @@
 // The selection as files.
 
-import type { SceneData } from "./data";
+import { rotationOf, scaleOf, type SceneData } from "./data";
 
 function sourceRow(data: SceneData, i: number): number {
   return data.rows.length > 0 ? data.rows[i] : i;
@@ -48,14 +48,13 @@ export function ply(data: SceneData, selected: Uint8Array): Uint8Array {
   let at = 0;
   for (let i = 0; i < selected.length; i++) {
     if (selected[i] === 0) continue;
-    const r = data.rotation.subarray(4 * i, 4 * i + 4);
     const alpha = Math.min(Math.max(data.color[4 * i + 3] / 255, 0.001), 0.999);
     const values = [
       ...data.position.subarray(3 * i, 3 * i + 3),
       ...[0, 1, 2].map((c) => (data.color[4 * i + c] / 255 - 0.5) / C0),
       Math.log(alpha / (1 - alpha)),
-      ...Array.from(data.scale.subarray(3 * i, 3 * i + 3), Math.log),
-      r[3], r[0], r[1], r[2],
+      ...scaleOf(data, i).map(Math.log),
+      ...rotationOf(data, i),
     ];
     values.forEach((v, k) => view.setFloat32(at + 4 * k, v, true));
     const rest = at + 4 * floats.length;

@@ -2,7 +2,7 @@
 
 import { MODES, paint, viridis, type Mode } from "./colors";
 import { readAbout, readScene, type About, type SceneData } from "./data";
-import { byId, css, element, short, thousands } from "./dom";
+import { byId, css, element, short, thousands } from "./kit/dom";
 import { csv, ply, save } from "./exporting";
 import { readHash, writeHash } from "./hash";
 import { PhraseBook } from "./phrases";
@@ -35,12 +35,22 @@ class Page {
     this.stage = await Stage.open(this.data, canvas, (row) => this.describe(row));
     this.modes();
     this.controls();
+    this.restore();
+    // An address that is put into the open page.
+    addEventListener("hashchange", () => this.restore());
+    setInterval(() => this.share(), 500);
+  }
+
+  /** The view that the address says. */
+  private restore(): void {
     const before = readHash(location.hash);
+    this.clearQuery();
     this.mode = before.mode !== null && this.available(before.mode) ? before.mode
       : this.available("labels") ? "labels" : "colors";
+    this.hidden.clear();
     // One looks into a room from above; its switch in the legend shows the ceiling again.
     if (location.hash === "") {
-      this.data.about.classes.forEach((c, i) => c.name.toLowerCase() === "ceiling" && this.hidden.add(i + 1));
+      this.data.about.classes.forEach((c, i) => /ceiling\s*$/i.test(c.name.slice(-60)) && this.hidden.add(i + 1));
     }
     before.hidden.forEach((h) => h <= this.data.about.classes.length && this.hidden.add(h));
     this.legend();
@@ -50,8 +60,7 @@ class Page {
       byId<HTMLInputElement>("query").value = before.query;
       this.ask(before.query, before.threshold);
     }
-    if (before.camera !== null) this.stage.navigator.restore(before.camera);
-    setInterval(() => this.share(), 500);
+    if (before.camera !== null) this.stage?.navigator.restore(before.camera);
   }
 
   /** For scripts and tests. */
@@ -237,8 +246,7 @@ class Page {
       return;
     }
     const { found } = this;
-    const count = this.selected.reduce((sum, s) => sum + s, 0);
-    const objects = foundObjects(this.data, this.selected);
+    const { count, objects } = foundObjects(this.data, this.selected);
     const what = objects.length === 1 ? "1 object" : `${objects.length} objects`;
     byId("summary").textContent = found.isUnknown && count === 0
       ? `“${short(found.text)}”: nothing found`
@@ -284,6 +292,7 @@ class Page {
       });
       return element("li", {}, [box, swatch, label, element("span", { text: thousands(count), className: "count" }), only]);
     });
+    if (order.length > rows.length) rows.push(element("li", { text: `and ${thousands(order.length - rows.length)} more`, className: "more" }));
     const none = this.data.about.count - classes.reduce((sum, c) => sum + c.count, 0);
     if (none > 0 && classes.length > 0) {
       const swatch = element("span", { className: "swatch" });
@@ -314,6 +323,7 @@ class Page {
       });
       return element("li", {}, [go]);
     });
+    if (places.length > rows.length) rows.push(element("li", { text: `and ${thousands(places.length - rows.length)} more`, className: "more" }));
     byId("object-list").replaceChildren(...rows);
   }
 
@@ -342,17 +352,11 @@ class Page {
 
   /** The class after the best one, by the codes. */
   private runnerUp(row: number): [number, number] | null {
-    const { codes, texts, slot, about } = this.data;
-    const width = about.codes?.width ?? 0;
-    if (width === 0 || !(slot[row] < (about.codes?.slots ?? 0))) return null;
-    const own = codes.subarray(slot[row] * width, (slot[row] + 1) * width);
-    const all: [number, number][] = about.classes.map((_, c) => {
-      const text = texts.subarray(c * (width + 1), (c + 1) * (width + 1));
-      return [c, own.reduce((sum, v, j) => sum + v * text[j + 1], text[0])];
-    });
-    const others = all.filter(([c]) => c !== data_label(this.data, row));
+    const { codes, slot, about, label } = this.data;
+    if (codes === null || !(slot[row] < codes.rows)) return null;
+    const others = about.classes.map((_, c): [number, number] => [c, codes.score(slot[row], c)]);
     others.sort((a, b) => b[1] - a[1]);
-    return others[0] ?? null;
+    return others.find(([c]) => c !== label[row] - 1) ?? null;
   }
 
   private share(): void {
@@ -365,10 +369,6 @@ class Page {
       camera: this.stage.navigator.state(),
     });
   }
-}
-
-function data_label(data: SceneData, row: number): number {
-  return data.label[row] - 1;
 }
 
 function counts(about: About): void {
@@ -404,7 +404,10 @@ async function start(): Promise<void> {
     Object.assign(window, { scenesplat: { ready: false, webgl: false } });
     return;
   }
-  const data = await readScene(about);
+  const data = await readScene(about, (share) => {
+    byId<HTMLProgressElement>("arrived").value = share;
+    byId("loading-text").textContent = `opening the scene … ${Math.floor(100 * share)} %`;
+  });
   const page = new Page(data);
   await page.start();
   byId("loading").hidden = true;

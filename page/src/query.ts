@@ -1,5 +1,6 @@
 // Scores of a text, and what they select.
 
+import type { Codes } from "./codes";
 import type { SceneData } from "./data";
 import { PhraseBook } from "./phrases";
 
@@ -32,36 +33,15 @@ export function answer(data: SceneData, book: PhraseBook, text: string): Found {
   if (versus.length === 2) return difference(data, book, text, versus);
   const meaning = book.meaning(text);
   if (meaning.isUnknown) return nothing(data, text, meaning.how);
-  if (data.codes.length > 0 && meaning.text >= 0) {
-    return byCodes(data, text, meaning.how, scores(data, meaning.text));
-  }
-  if (data.codes.length > 0 && meaning.members.length > 0) {
-    const best = scores(data, meaning.members[0]);
-    for (const member of meaning.members.slice(1)) {
-      scores(data, member).forEach((v, s) => { if (v > best[s]) best[s] = v; });
-    }
-    return byCodes(data, text, meaning.how, best);
+  const asked = meaning.text >= 0 ? [meaning.text] : meaning.members;
+  if (data.codes !== null && asked.length > 0) {
+    return byCodes(data, data.codes, text, meaning.how, data.codes.scores(asked));
   }
   if (meaning.members.length > 0) return byLabels(data, text, meaning.how, meaning.members);
   return nothing(data, text, "this page has no language codes, only classes");
 }
 
-/** Score of a text in each slot. */
-function scores(data: SceneData, text: number): Float32Array {
-  const width = data.about.codes?.width ?? 0;
-  const row = data.texts.subarray(text * (width + 1), (text + 1) * (width + 1));
-  const slots = data.about.codes?.slots ?? 0;
-  const out = new Float32Array(slots);
-  const { codes } = data;
-  for (let s = 0, at = 0; s < slots; s++) {
-    let sum = row[0];
-    for (let j = 1; j <= width; j++) sum += row[j] * codes[at++];
-    out[s] = sum;
-  }
-  return out;
-}
-
-function byCodes(data: SceneData, text: string, how: string, own: Float32Array): Found {
+function byCodes(data: SceneData, codes: Codes, text: string, how: string, own: Float32Array): Found {
   const n = data.about.count;
   let low = Infinity, high = -Infinity;
   for (const v of own) {
@@ -77,7 +57,7 @@ function byCodes(data: SceneData, text: string, how: string, own: Float32Array):
   for (let s = 0; s < slots; s++) {
     const heat = (own[s] - low) * scale;
     slotHeat[s] = heat;
-    if (own[s] >= data.best[s] - SLACK) {
+    if (own[s] >= codes.best[s] - SLACK) {
       slotWins[s] = 1;
       winners[slotHeat[s]]++;
       won++;
@@ -114,10 +94,10 @@ function byLabels(data: SceneData, text: string, how: string, labels: number[]):
 
 function difference(data: SceneData, book: PhraseBook, text: string, sides: string[]): Found {
   const [a, b] = sides.map((side) => book.meaning(side));
-  if (a.isUnknown || b.isUnknown || a.text < 0 || b.text < 0 || data.codes.length === 0) {
+  if (a.isUnknown || b.isUnknown || a.text < 0 || b.text < 0 || data.codes === null) {
     return nothing(data, text, a.how || b.how || "two texts with language codes are compared");
   }
-  const [x, y] = [scores(data, a.text), scores(data, b.text)];
+  const x = data.codes.scores([a.text]).slice(), y = data.codes.scores([b.text]);
   const most = x.reduce((m, v, s) => Math.max(m, Math.abs(v - y[s])), 1e-6);
   const n = data.about.count;
   const heat = new Uint8Array(n).fill(127), wins = new Uint8Array(n);
@@ -181,18 +161,16 @@ export interface FoundObject {
   share: number;
 }
 
-/** Objects of which a third is selected, those with most of it first. */
-export function foundObjects(data: SceneData, selected: Uint8Array): FoundObject[] {
+/** How much is selected, and the objects of which a third is, those with most of it first. */
+export function foundObjects(data: SceneData, selected: Uint8Array): { count: number; objects: FoundObject[] } {
+  const { object, objectSizes } = data;
   const counts = new Uint32Array(data.about.objects.length + 1);
-  const totals = new Uint32Array(counts.length);
-  for (let i = 0; i < selected.length; i++) {
-    totals[data.object[i]]++;
-    counts[data.object[i]] += selected[i];
+  for (let i = 0; i < selected.length; i++) counts[object[i]] += selected[i];
+  const objects: FoundObject[] = [];
+  for (let i = 1; i < counts.length; i++) {
+    const share = objectSizes[i] > 0 ? counts[i] / objectSizes[i] : 0;
+    if (share >= 0.33) objects.push({ object: i - 1, count: counts[i], share });
   }
-  const out: FoundObject[] = [];
-  data.about.objects.forEach((_, i) => {
-    const share = totals[i + 1] > 0 ? counts[i + 1] / totals[i + 1] : 0;
-    if (share >= 0.33) out.push({ object: i, count: counts[i + 1], share });
-  });
-  return out.sort((a, b) => b.share - a.share || b.count - a.count);
+  objects.sort((a, b) => b.share - a.share || b.count - a.count);
+  return { count: counts.reduce((sum, c) => sum + c, 0), objects };
 }

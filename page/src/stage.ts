@@ -5,7 +5,7 @@ import {
   Matrix4, PerspectiveCamera, Quaternion, Ray, Scene, Vector3, WebGLRenderer,
 } from "three";
 import { PackedSplats, RgbaArray, SparkRenderer, SplatMesh } from "@sparkjsdev/spark";
-import type { SceneData } from "./data";
+import { rotationOf, scaleOf, type SceneData } from "./data";
 import { Navigator } from "./camera";
 
 const EDGES = [0, 1, 1, 2, 2, 3, 3, 0, 4, 5, 5, 6, 6, 7, 7, 4, 0, 4, 1, 5, 2, 6, 3, 7];
@@ -39,8 +39,9 @@ export class Stage {
     this.navigator = new Navigator(this.camera, canvas, (x, y) => onClick(this.pick(x, y)));
     this.navigator.onChange = () => this.wake();
     this.toWorld = worldOf(data);
-    this.paint = new Uint8Array(4 * Math.ceil(Math.max(n, 1) / 2048) * 2048);
-    this.rgba = new RgbaArray({ array: this.paint, count: n, capacity: this.paint.length / 4 });
+    const capacity = textureRows(n);
+    this.paint = new Uint8Array(4 * capacity);
+    this.rgba = new RgbaArray({ array: this.paint, count: n, capacity });
     new ResizeObserver(() => this.resize()).observe(canvas);
   }
 
@@ -55,8 +56,9 @@ export class Stage {
     const middle = middleOf(data);
     for (let i = 0; i < n; i++) {
       center.fromArray(data.position, 3 * i).sub(middle);
-      scales.fromArray(data.scale, 3 * i);
-      turn.fromArray(data.rotation, 4 * i);
+      scales.fromArray(scaleOf(data, i));
+      const [w, x, y, z] = rotationOf(data, i);
+      turn.set(x, y, z, w);
       color.setRGB(data.color[4 * i] / 255, data.color[4 * i + 1] / 255, data.color[4 * i + 2] / 255);
       splats.setSplat(i, center, scales, turn, data.color[4 * i + 3] / 255, color);
     }
@@ -122,9 +124,9 @@ export class Stage {
     const ray = new Ray(from, to).applyMatrix4(this.toWorld.clone().invert());
     ray.direction.normalize();
     const { origin: o, direction: d } = ray;
-    const { position, scale } = this.data;
+    const { position, scale, scales, about: { count: n } } = this.data;
     const hits: [number, number, number][] = [];
-    for (let i = 0, at = 0; i < this.data.about.count; i++, at += 3) {
+    for (let i = 0, at = 0; i < n; i++, at += 3) {
       const opacity = this.paint[4 * i + 3];
       if (opacity < 12) continue;
       const px = position[at] - o.x, py = position[at + 1] - o.y, pz = position[at + 2] - o.z;
@@ -132,7 +134,7 @@ export class Stage {
       if (t <= 0) continue;
       const off = px * px + py * py + pz * pz - t * t;
       // A ball as large as the middle axis: exact enough for a finger.
-      const a = scale[at], b = scale[at + 1], c = scale[at + 2];
+      const a = scales[scale[i]], b = scales[scale[n + i]], c = scales[scale[2 * n + i]];
       const s = Math.max(Math.min(a, b), Math.min(Math.max(a, b), c));
       const spread = s * s + 1e-6 * t * t;
       if (off > 9 * spread) continue;
@@ -194,6 +196,13 @@ export class Stage {
     this.navigator.speed = Math.max(reach / 4, 0.3);
     this.navigator.setHome(middle, (reach * 1.25) / Math.max(aspect, 0.45), 0.9, -0.75);
   }
+}
+
+/** Places of the texture that colors of so many Gaussians go to: whole lines of 2048, from 2048 lines on whole layers. */
+function textureRows(count: number): number {
+  const line = 2048, layer = line * line;
+  const whole = count > layer ? layer : line;
+  return Math.ceil(Math.max(count, 1) / whole) * whole;
 }
 
 function worldOf(data: SceneData): Matrix4 {

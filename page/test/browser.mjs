@@ -8,7 +8,7 @@ export function chromium() {
   return PLACES.find((path) => path && existsSync(path)) ?? null;
 }
 
-export async function launch(executablePath, webgl = true) {
+export async function launch(executablePath, webgl = true, more = []) {
   const graphics = webgl
     ? ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
     : ["--disable-gpu", "--disable-3d-apis"];
@@ -16,18 +16,19 @@ export async function launch(executablePath, webgl = true) {
     executablePath,
     headless: true,
     protocolTimeout: 300_000,
-    args: ["--no-sandbox", "--disable-dev-shm-usage", ...graphics],
+    args: ["--no-sandbox", "--disable-dev-shm-usage", ...graphics, ...more],
   });
 }
 
-/** Opens a page from disk; everything it does that it must not is in `bad`. */
-export async function open(browser, url, { width = 960, height = 640, mobile = false } = {}) {
+/** Opens a page; everything it does that it must not is in `bad`. `served`: its chunks may be asked for. */
+export async function open(browser, url, { width = 960, height = 640, mobile = false, served = false } = {}) {
   const page = await browser.newPage();
   await page.setViewport({ width, height, isMobile: mobile, hasTouch: mobile });
   const bad = [];
   page.on("request", (request) => {
     const to = request.url();
-    const own = to === url || to.split("#")[0] === url.split("#")[0] || /^(blob|data):/.test(to);
+    const own = to.split("#")[0] === url.split("#")[0] || /^(blob|data):/.test(to)
+      || (served && to.startsWith(`${url.split("#")[0]}chunk/`));
     if (!own) bad.push(`request: ${to.slice(0, 200)}`);
   });
   page.on("console", (message) => {
@@ -49,6 +50,13 @@ export async function open(browser, url, { width = 960, height = 640, mobile = f
 
 export async function ready(page, timeout = 120_000) {
   await page.waitForFunction(() => globalThis.scenesplat?.ready === true, { timeout, polling: 50 });
+}
+
+/** Sorted values' 50th and 95th percentile. */
+export function percentiles(values) {
+  const sorted = [...values].sort((a, b) => a - b);
+  const at = (q) => Math.round(10 * sorted[Math.min(sorted.length - 1, Math.ceil(q * sorted.length) - 1)]) / 10;
+  return { p50: at(0.5), p95: at(0.95) };
 }
 
 /** Waits until nothing new was drawn for a while. */
@@ -87,4 +95,14 @@ export async function pixels(page, places) {
     });
     return { drawn: drawn / (data.length / 4), at };
   }, places);
+}
+
+/** Waits until so much of the canvas is drawn; gives how much is. */
+export async function seen(page, share, timeout = 240_000) {
+  const until = performance.now() + timeout;
+  for (;;) {
+    const { drawn } = await pixels(page, []);
+    if (drawn > share || performance.now() > until) return drawn;
+    await new Promise((resolve) => setTimeout(resolve, 100));
+  }
 }

@@ -1,11 +1,15 @@
 // Looks at pages as a browser shows them: node test/run.mjs FOLDER [SCREENSHOTS].
 //
-// FOLDER holds what `cargo test --workspace --test page` wrote: room.html, hostile.html, plain.html, room.json.
+// FOLDER holds what `cargo test --workspace --test page -- --include-ignored` wrote. SCENESPLAT_PROGRAM names the
+// program whose `view --serve` is tried as well.
 import assert from "node:assert/strict";
 import { mkdirSync, readFileSync } from "node:fs";
 import { resolve } from "node:path";
 import { pathToFileURL } from "node:url";
-import { chromium, launch, open, pixels, ready, settled } from "./browser.mjs";
+import { chromium, launch, open, percentiles, pixels, ready, seen, settled } from "./browser.mjs";
+import { large } from "./large.mjs";
+import { reports } from "./reports.mjs";
+import { served } from "./served.mjs";
 
 const folder = resolve(process.argv[2] ?? "pages");
 const shots = process.argv[3] ? resolve(process.argv[3]) : null;
@@ -28,10 +32,11 @@ try {
   {
     const { page, bad, began } = await open(browser, url("room.html"));
     await ready(page);
+    times.loaded_ms = Math.round(performance.now() - began);
+    const drawn = await seen(page, 0.15);
     times.first_picture_ms = Math.round(performance.now() - began);
+    assert.ok(drawn > 0.15, `the picture is blank: ${drawn}`);
     await settled(page);
-    const seen = await pixels(page, []);
-    assert.ok(seen.drawn > 0.15, `the picture is blank: ${seen.drawn}`);
     assert.match(await text(page, "count"), /Gaussians/);
     await shot(page, "labels");
 
@@ -114,12 +119,12 @@ try {
     assert.ok(reached.has("query") && reached.has("name"), [...reached].join(" "));
 
     // Queries are fast; the address brings the same view back.
-    times.query_p95_ms = await page.evaluate(() => {
+    times.query_ms = percentiles(await page.evaluate(() => {
       const { ask, queryTimes } = globalThis.scenesplat;
       queryTimes.length = 0;
       for (let i = 0; i < 40; i++) ask(["chair", "table", "red chair", "floor", "something to sit on"][i % 5]);
-      return Math.round([...queryTimes].sort((a, b) => a - b)[37] * 10) / 10;
-    });
+      return [...queryTimes];
+    }));
     await page.evaluate(() => { document.getElementById("query").value = "table"; globalThis.scenesplat.ask("table"); });
     await page.waitForFunction(() => /query=table/.test(location.hash), { timeout: 10_000 });
     const summary = await text(page, "summary");
@@ -179,8 +184,15 @@ try {
     assert.deepEqual(bad, []);
     await page.close();
   }
+  await reports(browser, url, shot);
+  times.large = await large(browser, folder, url, shot);
 } finally {
   await browser.close();
+}
+if (process.env.SCENESPLAT_PROGRAM) {
+  await served((more) => launch(executable, true, more), process.env.SCENESPLAT_PROGRAM, folder, shot);
+} else {
+  console.error("*** NOT RUN: view --serve in a browser; name the program in SCENESPLAT_PROGRAM ***");
 }
 const blind = await launch(executable, false);
 try {

@@ -178,6 +178,7 @@ fn config(trial: &Trial<'_>, text: &str) -> Result<PathBuf, Failure> {
 
 fn start(path: &Path, out: &Path, resume: bool) -> Result<RunReport, Failure> {
     let options = RunOptions {
+        device: candle_core::Device::Cpu,
         out: out.to_owned(),
         resume,
         quiet: true,

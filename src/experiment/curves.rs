@@ -1,21 +1,33 @@
-//! Curves of a run as a picture: one panel for each thing that was measured.
+//! Curves of a run as a picture and as a page: one panel for each thing that was measured.
 
 use super::ExperimentError;
-use crate::preview::{text, write_png};
-use scenesplat_scene::picture::RgbPicture;
+use crate::page_kit::drawing::{Anchor, Color, Drawing};
+use crate::page_kit::scale::Scale;
+use crate::page_kit::{Block, Document, REPORT_STYLE, Rights};
+use crate::preview::write_png;
+use scenesplat_scene::AtomicFile;
 use scenesplat_trainers::callbacks::LoggedValue;
+use serde::Serialize;
+use serde_json::json;
 use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Size of a panel, pixels.
 const PANEL: [u32; 2] = [520, 320];
+/// Height of the title, pixels.
+const TITLE: u32 = 36;
 /// Space around the plot inside a panel: left, top, right, bottom.
-const MARGIN: [u32; 4] = [78, 34, 18, 32];
-const BACKGROUND: [u8; 3] = [250, 250, 248];
-const FRAME: [u8; 3] = [198, 200, 204];
-const INK: [u8; 3] = [52, 56, 64];
-const RAW: [u8; 3] = [176, 200, 232];
-const SMOOTH: [u8; 3] = [24, 92, 180];
+const MARGIN: [f64; 4] = [78.0, 34.0, 18.0, 32.0];
+const FRAME: Color = [198, 200, 204];
+const INK: Color = [52, 56, 64];
+const RAW: Color = [176, 200, 232];
+const SMOOTH: Color = [24, 92, 180];
+/// Parts of a long curve, of which the page has two points each.
+const PARTS: usize = 1000;
+
+const BODY: &str = include_str!("../../page/src/reports/curves.html");
+/// The bundle; made by `npm run build` in the folder `page`.
+const SCRIPT: &str = include_str!("../../page/dist/curves.js");
 
 /// One curve.
 #[derive(Debug, Clone, PartialEq)]
@@ -33,20 +45,106 @@ struct Curve {
 /// # Errors
 /// If there is nothing to draw or the picture cannot be written.
 pub fn write_curves(log: &[LoggedValue], title: &str, path: &Path) -> Result<(), ExperimentError> {
+    let curves = of_log(log, path)?;
+    let columns = (curves.len() as u32).min(3);
+    let rows = (curves.len() as u32).div_ceil(columns);
+    let mut d = Drawing::new(columns * PANEL[0], rows * PANEL[1] + TITLE);
+    let title = first_letters(title, columns * PANEL[0] - 28, 2);
+    d.text([14.0, 10.0], 2, INK, Anchor::Start, &title);
+    for (i, curve) in (0..).zip(&curves) {
+        let corner = [i % columns * PANEL[0], i / columns * PANEL[1] + TITLE];
+        panel(&mut d, corner.map(f64::from), curve);
+    }
+    write_png(path, &d.to_picture())?;
+    Ok(())
+}
+
+/// Writes the same curves as a page that tells the values below the pointer; it loads nothing. Of long curves it has
+/// the least and the largest value of each of a thousand parts, and says so.
+///
+/// # Errors
+/// If there is nothing to draw or the page cannot be written.
+pub fn write_curves_page(
+    log: &[LoggedValue],
+    title: &str,
+    path: &Path,
+) -> Result<(), ExperimentError> {
+    let curves: Vec<DrawnCurve> = of_log(log, path)?.iter().map(DrawnCurve::of).collect();
+    let data = json!({ "title": title, "curves": curves });
+    let document = Document {
+        title,
+        class: "",
+        style: REPORT_STYLE,
+        body: BODY,
+        blocks: &[Block::json("data", &data)?],
+        script: SCRIPT,
+        rights: Rights::None,
+    };
+    AtomicFile::write(path, document.html().as_bytes())?;
+    Ok(())
+}
+
+fn of_log(log: &[LoggedValue], path: &Path) -> Result<Vec<Curve>, ExperimentError> {
     let curves = curves(log);
     if curves.is_empty() {
         return Err(ExperimentError::EmptyLog { path: path.to_owned() });
     }
-    let columns = (curves.len() as u32).min(3);
-    let rows = (curves.len() as u32).div_ceil(columns);
-    let mut picture = RgbPicture::filled(columns * PANEL[0], rows * PANEL[1] + 36, BACKGROUND);
-    text::draw(&mut picture, 14, 10, 2, INK, title, columns * PANEL[0] - 28);
-    for (i, curve) in (0..).zip(&curves) {
-        let corner = [i % columns * PANEL[0], i / columns * PANEL[1] + 36];
-        panel(&mut picture, corner, curve);
+    Ok(curves)
+}
+
+/// What the page has of a curve.
+#[derive(Serialize)]
+struct DrawnCurve {
+    name: String,
+    points: Vec<[f64; 2]>,
+    /// At the same steps; empty for a curve that is not noisy.
+    smooth: Vec<[f64; 2]>,
+    logged: usize,
+    bad: usize,
+    last: f64,
+}
+
+impl DrawnCurve {
+    fn of(curve: &Curve) -> Self {
+        let Curve { name, points, bad } = curve;
+        let kept = thinned(points);
+        let take = |from: &[[f64; 2]]| kept.iter().map(|&i| from[i]).collect();
+        let smooth = if is_noisy(points) { take(&smoothed(points)) } else { Vec::new() };
+        Self {
+            name: name.clone(),
+            points: take(points),
+            smooth,
+            logged: points.len() + bad,
+            bad: *bad,
+            last: points.last().map_or(0.0, |p| p[1]),
+        }
     }
-    write_png(path, &picture)?;
-    Ok(())
+}
+
+/// Places of all points, or of the lowest and highest of each of `PARTS` parts, and of the ends.
+fn thinned(points: &[[f64; 2]]) -> Vec<usize> {
+    if points.len() <= 2 * PARTS {
+        return (0..points.len()).collect();
+    }
+    let mut kept = vec![0, points.len() - 1];
+    for part in 0..PARTS {
+        let range = part * points.len() / PARTS..(part + 1) * points.len() / PARTS;
+        let by_value = |a: &usize, b: &usize| points[*a][1].total_cmp(&points[*b][1]);
+        kept.extend(range.clone().min_by(by_value));
+        kept.extend(range.max_by(by_value));
+    }
+    kept.sort_unstable();
+    kept.dedup();
+    kept
+}
+
+/// What fits into so many pixels.
+fn first_letters(text: &str, pixels: u32, size: u32) -> String {
+    text.chars().take((pixels / (8 * size)) as usize).collect()
+}
+
+fn is_noisy(points: &[[f64; 2]]) -> bool {
+    points.len() > 60
 }
 
 fn curves(log: &[LoggedValue]) -> Vec<Curve> {
@@ -74,59 +172,41 @@ fn curves(log: &[LoggedValue]) -> Vec<Curve> {
     by_name.into_values().filter(|c| !c.points.is_empty()).collect()
 }
 
-fn panel(picture: &mut RgbPicture, corner: [u32; 2], curve: &Curve) {
+fn panel(d: &mut Drawing, corner: [f64; 2], curve: &Curve) {
     let [left, top, right, bottom] = MARGIN;
-    let (x0, y0) = (corner[0] + left, corner[1] + top);
-    let (width, height) = (PANEL[0] - left - right, PANEL[1] - top - bottom);
+    let plot = [corner[0] + left, corner[1] + top];
+    let end = [corner[0] + f64::from(PANEL[0]) - right, corner[1] + f64::from(PANEL[1]) - bottom];
     let last = curve.points.last().map_or(f64::NAN, |p| p[1]);
     let bad = if curve.bad > 0 { format!(", {} not finite", curve.bad) } else { String::new() };
-    let heading = format!("{}  (last {}{bad})", curve.name, short(last));
-    text::draw(picture, x0, corner[1] + 14, 1, INK, &heading, width);
+    let tail = format!("  (last {}{bad})", short(last));
+    let room = ((end[0] - plot[0]) as u32).saturating_sub(8 * tail.chars().count() as u32);
+    let heading = first_letters(&curve.name, room, 1) + &tail;
+    d.text([plot[0], corner[1] + 14.0], 1, INK, Anchor::Start, &heading);
 
-    let steps = range(curve.points.iter().map(|p| p[0]));
-    let values = range(curve.points.iter().map(|p| p[1]));
-    let ticks_x = ticks(steps);
-    let ticks_y = ticks(values);
-    let place = |p: [f64; 2]| {
-        let x = f64::from(x0) + (p[0] - steps[0]) / (steps[1] - steps[0]) * f64::from(width);
-        let y = f64::from(y0 + height)
-            - (p[1] - values[0]) / (values[1] - values[0]) * f64::from(height);
-        [x, y]
+    let of = |axis: usize| curve.points.iter().map(|p| p[axis]).collect::<Vec<_>>();
+    let x = Scale::over(&of(0), false, [plot[0], end[0]]);
+    let y = Scale::over(&of(1), false, [end[1], plot[1]]);
+    for tick in y.ticks() {
+        d.line([plot[0], y.at(tick)], [end[0], y.at(tick)], 1.0, FRAME);
+        d.text([plot[0] - 6.0, y.at(tick) - 4.0], 1, INK, Anchor::End, &short(tick));
+    }
+    for tick in x.ticks() {
+        d.line([x.at(tick), plot[1]], [x.at(tick), end[1]], 1.0, FRAME);
+        d.text([x.at(tick), end[1] + 8.0], 1, INK, Anchor::Middle, &short(tick));
+    }
+    let mut draw = |points: &[[f64; 2]], color, width| {
+        for pair in points.windows(2) {
+            let at = |p: [f64; 2]| [x.at(p[0]), y.at(p[1])];
+            d.line(at(pair[0]), at(pair[1]), width, color);
+        }
     };
-    for tick in ticks_y {
-        let [_, y] = place([steps[0], tick]);
-        line(picture, [f64::from(x0), y], [f64::from(x0 + width), y], FRAME, 1);
-        let label = short(tick);
-        let at = x0.saturating_sub(text::width(&label, 1) + 6);
-        text::draw(picture, at, (y as u32).saturating_sub(4), 1, INK, &label, left);
-    }
-    for tick in ticks_x {
-        let [x, _] = place([tick, values[0]]);
-        line(picture, [x, f64::from(y0)], [x, f64::from(y0 + height)], FRAME, 1);
-        let label = short(tick);
-        let at = (x as u32).saturating_sub(text::width(&label, 1) / 2);
-        text::draw(picture, at, y0 + height + 8, 1, INK, &label, left);
-    }
-    let noisy = curve.points.len() > 60;
-    let (color, thick) = if noisy { (RAW, 1) } else { (SMOOTH, 2) };
-    draw_curve(picture, &curve.points, place, color, thick);
-    if noisy {
-        draw_curve(picture, &smoothed(&curve.points), place, SMOOTH, 2);
+    if is_noisy(&curve.points) {
+        draw(&curve.points, RAW, 1.0);
+        draw(&smoothed(&curve.points), SMOOTH, 2.0);
     } else if let [only] = curve.points.as_slice() {
-        let at = place(*only);
-        line(picture, [at[0] - 2.0, at[1]], [at[0] + 2.0, at[1]], SMOOTH, 4);
-    }
-}
-
-fn draw_curve(
-    picture: &mut RgbPicture,
-    points: &[[f64; 2]],
-    place: impl Fn([f64; 2]) -> [f64; 2],
-    color: [u8; 3],
-    thick: i64,
-) {
-    for pair in points.windows(2) {
-        line(picture, place(pair[0]), place(pair[1]), color, thick);
+        d.disc([x.at(only[0]), y.at(only[1])], 3.0, SMOOTH, SMOOTH);
+    } else {
+        draw(&curve.points, SMOOTH, 2.0);
     }
 }
 
@@ -138,24 +218,6 @@ fn smoothed(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
         near.iter().map(|p| p[1]).sum::<f64>() / near.len() as f64
     };
     (0..points.len()).map(|i| [points[i][0], mean(i)]).collect()
-}
-
-/// Least and largest value, apart from each other even if they are equal.
-fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
-    let (low, high) =
-        values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
-    let room = if high > low { 0.0 } else { (low.abs() * 0.1).max(1e-6) };
-    [low - room, high + room]
-}
-
-/// Three to seven round numbers inside a range.
-fn ticks([low, high]: [f64; 2]) -> Vec<f64> {
-    let rough = (high - low) / 5.0;
-    let power = 10f64.powf(rough.log10().floor());
-    let step =
-        [1.0, 2.0, 5.0, 10.0].into_iter().find(|s| s * power >= rough).unwrap_or(10.0) * power;
-    let first = (low / step).ceil() as i64;
-    (first..).map(|i| i as f64 * step).take_while(|v| *v <= high).take(12).collect()
 }
 
 /// A number in few characters.
@@ -179,21 +241,6 @@ fn short(value: f64) -> String {
     }
 }
 
-fn line(picture: &mut RgbPicture, from: [f64; 2], to: [f64; 2], color: [u8; 3], thick: i64) {
-    let length = (to[0] - from[0]).abs().max((to[1] - from[1]).abs()).ceil().max(1.0);
-    for i in 0..=length as u32 {
-        let part = f64::from(i) / length;
-        let [x, y] = [0, 1].map(|a| (from[a] + (to[a] - from[a]) * part).round() as i64);
-        for dx in 0..thick {
-            for dy in 0..thick {
-                if let (Ok(x), Ok(y)) = (u32::try_from(x + dx), u32::try_from(y + dy)) {
-                    picture.set(x, y, color);
-                }
-            }
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -206,16 +253,6 @@ mod tests {
             value,
         };
         (0..).zip(values).map(value).collect()
-    }
-
-    #[test]
-    fn ticks_are_round_and_inside() {
-        assert_eq!(ticks([0.0, 1.0]), [0.0, 0.2, 0.4, 0.6000000000000001, 0.8, 1.0]);
-        assert_eq!(ticks([3.0, 14.0]), [5.0, 10.0]);
-        for range in [[1e-9, 2e-9], [-5.0, 5e8], [0.1, 0.1000001]] {
-            let found = ticks(range);
-            assert!((1..=7).contains(&found.len()), "{range:?} {found:?}");
-        }
     }
 
     #[test]
@@ -232,16 +269,40 @@ mod tests {
         let path = dir.path().join("curves.png");
         write_curves(&log, "a run", &path).unwrap();
         let picture = scenesplat_scene::picture::read_picture(&path).unwrap().to_rgb8();
-        assert_eq!((picture.width(), picture.height()), (2 * PANEL[0], PANEL[1] + 36));
+        assert_eq!((picture.width(), picture.height()), (2 * PANEL[0], PANEL[1] + TITLE));
         assert!(picture.pixels().contains(&SMOOTH));
         assert!(write_curves(&log[4..4], "", &path).is_err());
     }
 
     #[test]
-    fn equal_values_have_a_range() {
-        for v in [0.0, 5.0, -1e20] {
-            let [low, high] = range([v, v].into_iter());
-            assert!(low < v && v < high);
-        }
+    fn the_page_has_what_the_picture_has_and_says_what_it_leaves_out() {
+        let noisy: Vec<f64> = (0..5000).map(|i| f64::from(i % 7) + 0.001 * f64::from(i)).collect();
+        let mut log = logged("train/</script><script>attacked", &noisy);
+        log.extend(logged("eval/mIoU", &[0.25, f64::INFINITY]));
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("curves.html");
+        write_curves_page(&log, "<b>run</b>", &path).unwrap();
+        let page = std::fs::read_to_string(&path).unwrap();
+        crate::page_kit::is_closed(&page, 2);
+        assert!(page.contains("<title>&lt;b&gt;run"));
+        let begin = page.find("id=\"data\">").unwrap() + 10;
+        let end = begin + page[begin..].find("</script>").unwrap();
+        let data: serde_json::Value = serde_json::from_str(&page[begin..end]).unwrap();
+        let [long, short] = [0, 1].map(|i| &data["curves"][i]);
+        let points = long["points"].as_array().unwrap();
+        assert!(points.len() <= 2 * PARTS + 2 && points.len() > PARTS, "{}", points.len());
+        assert_eq!((long["logged"].as_u64(), long["bad"].as_u64()), (Some(5000), Some(0)));
+        assert_eq!(long["smooth"].as_array().unwrap().len(), points.len());
+        // The ends and the extremes are there.
+        assert_eq!(
+            (points[0][0].as_f64(), points[points.len() - 1][0].as_f64()),
+            (Some(0.0), Some(4999.0))
+        );
+        let most = points.iter().filter_map(|p| p[1].as_f64()).fold(0.0, f64::max);
+        assert_eq!(most, noisy.iter().copied().fold(0.0, f64::max));
+        assert_eq!(short["points"], json!([[0.0, 0.25]]));
+        assert_eq!((short["bad"].as_u64(), short["last"].as_f64()), (Some(1), Some(0.25)));
+        assert_eq!(short["smooth"], json!([]));
+        assert!(write_curves_page(&[], "", &path).is_err());
     }
 }

@@ -153,6 +153,7 @@ source = { type = "synthetic", count = 2, seed = 9, room = { num_gaussians = 150
         std::fs::write(&file, text).unwrap();
         let experiment = ExperimentConfig::read(&file).unwrap();
         let options = RunOptions {
+            device: candle_core::Device::Cpu,
             commit: None,
             out: out.join("run"),
             resume: false,
@@ -192,7 +193,14 @@ source = { type = "synthetic", count = 2, seed = 9, room = { num_gaussians = 150
         let experiment = ExperimentConfig::read(&file).unwrap();
         let stop = Arc::default();
         let out_run = out.join("run");
-        let options = RunOptions { commit: None, out: out_run, resume: false, quiet: true, stop };
+        let options = RunOptions {
+            commit: None,
+            out: out_run,
+            resume: false,
+            quiet: true,
+            stop,
+            device: candle_core::Device::Cpu,
+        };
         let report = train(&experiment, &options).unwrap();
         let log = read_json_lines(&out.join("run/metrics.jsonl")).unwrap();
         let losses: Vec<f64> =

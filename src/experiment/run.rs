@@ -2,7 +2,7 @@
 
 use super::compression;
 use super::config::{ExperimentConfig, OptimizerConfig, ScheduleConfig, TargetChoice, Task};
-use super::curves::write_curves;
+use super::curves::{write_curves, write_curves_page};
 use super::data;
 use super::error::{ExperimentError, Place};
 use super::export::{export_model, export_self_supervised};
@@ -12,6 +12,7 @@ use super::measured::with_measured_effects;
 use super::record::{RunRecord, write};
 use super::self_supervision;
 use super::teacher::{Teacher, TeacherRecord};
+use candle_core::Device;
 use scenesplat_datasets::{BatchLoader, TrainBatch};
 use scenesplat_losses::{Objective, TextColumns, build_objective};
 use scenesplat_models::weights::{SourceOptions, WeightSource, resolve};
@@ -49,6 +50,8 @@ pub struct RunOptions {
     pub quiet: bool,
     /// Once set, the run saves and stops.
     pub stop: Arc<AtomicBool>,
+    /// Where the network is trained.
+    pub device: Device,
     /// Commit that the program was built from, for the record; `None` if it is not known.
     pub commit: Option<String>,
 }
@@ -60,7 +63,7 @@ pub struct RunReport {
     pub progress: Progress,
     /// The network, as `--weights` takes it.
     pub model: PathBuf,
-    /// The curves.
+    /// The curves as a picture; beside it a page of the same name.
     pub curves: PathBuf,
     /// Things to know: what was loaded, scenes that were repaired or left out.
     pub remarks: Vec<String>,
@@ -75,7 +78,7 @@ pub struct RunReport {
 /// | `metrics.jsonl` | everything that was measured, one value a line |
 /// | `tensorboard/` | the same for TensorBoard |
 /// | `checkpoints/` | the last ones and the best one |
-/// | `curves.png` | the same as a picture |
+/// | `curves.png`, `curves.html` | the same as a picture, and as a page that tells values |
 /// | `model/` | the best network (the last, if none is marked), as `--weights` takes it |
 ///
 /// # Errors
@@ -120,7 +123,7 @@ pub fn train_together(
     std::fs::create_dir_all(&options.out).map_err(ExperimentError::io(&options.out))?;
     // Held until the end, also against a run that found no folder a moment ago.
     let _lock = early.map_or_else(lock, |lock| Ok(Some(lock)))?;
-    let (params, mut remarks) = parameters(config)?;
+    let (params, mut remarks) = parameters(config, &options.device)?;
     let loss_texts = match &text {
         Some(t) => Some(TextColumns::new(&t.table.values, t.table.dim)?),
         None => None,
@@ -187,6 +190,7 @@ pub fn train_together(
     if !log.is_empty() {
         let title = options.out.file_name().map_or("run".into(), |n| n.to_string_lossy());
         write_curves(&log, &title, &curves)?;
+        write_curves_page(&log, &title, &curves.with_extension("html"))?;
     }
     remarks.extend(exported.1);
     remarks.extend(teacher.and_then(|teacher| teacher.record.remark()));
@@ -194,13 +198,13 @@ pub fn train_together(
 }
 
 /// First values of the parameters, and what was said about them.
-fn parameters(config: &ExperimentConfig) -> Result<(ParamStore, Vec<String>)> {
+fn parameters(config: &ExperimentConfig, device: &Device) -> Result<(ParamStore, Vec<String>)> {
     let Some(path) = &config.init_from else {
-        return Ok((ParamStore::trainable(config.model_seed), Vec::new()));
+        return Ok((ParamStore::trainable(config.model_seed).on(device), Vec::new()));
     };
     let files = resolve(path).at(|| path.display().to_string())?.files;
     let source = WeightSource::files(files, SourceOptions::default())?;
-    let params = ParamStore::trainable_from(source, config.model_seed);
+    let params = ParamStore::trainable_from(source, config.model_seed).on(device);
     // A trial build asks for every name, so that the report is complete before training begins.
     config.model.build(params.builder())?;
     let report = params.report();

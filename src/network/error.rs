@@ -29,6 +29,14 @@ pub enum NetworkError {
         /// What it is.
         value: f64,
     },
+    /// A precision that only the processor computes in.
+    #[error(
+        "precision {precision}: only the cpu computes in it; on another device f32 and bf16 are possible"
+    )]
+    Precision {
+        /// Which.
+        precision: scenesplat_kernels::Precision,
+    },
     /// A network that reads nothing.
     #[error("input.channels: at least one channel is needed")]
     NoChannels,

@@ -1,10 +1,10 @@
 //! The picture of a front: time against quality, and quality against training time.
 
-use super::drawing::{Anchor, Color, Drawing};
 use super::point::Point;
-use super::scale::Scale;
 use super::summary::{Summary, place};
 use super::training::TrainingCurve;
+use crate::page_kit::drawing::{Anchor, Color, Drawing};
+use crate::page_kit::scale::Scale;
 
 const INK: Color = [40, 44, 52];
 const SOFT: Color = [120, 126, 136];
@@ -163,7 +163,7 @@ fn shared_parts(summary: &Summary) -> Vec<&str> {
     first.setting.split(',').filter(|part| rest.iter().all(|p| has(p, part))).collect()
 }
 
-pub(crate) fn training_chart(curves: &[TrainingCurve]) -> Drawing {
+fn training_chart(curves: &[TrainingCurve]) -> Drawing {
     let mut d = Drawing::new(SIZE[0], 620);
     let plot = [PLOT[0], 70.0, PLOT[2], 540.0];
     d.text(

@@ -10,7 +10,6 @@ mod bootstrap;
 mod budget;
 mod chart;
 mod cost;
-pub(crate) mod drawing;
 mod error;
 mod findings;
 mod front;
@@ -20,7 +19,6 @@ mod page;
 mod point;
 pub(crate) mod quality;
 mod record;
-pub(crate) mod scale;
 mod search;
 mod summary;
 mod training;
@@ -58,9 +56,7 @@ pub fn write_report(
     let paths = ["front.json", "pareto.svg", "pareto.png", "pareto.html"].map(|n| folder.join(n));
     AtomicFile::write(&paths[0], json.as_bytes())?;
     let [svg, png] = chart::chart(summary).write(&paths[1], &paths[2])?;
-    let curves = &summary.training;
-    let training = (!curves.is_empty()).then(|| chart::training_chart(curves).to_svg());
-    let page = page(summary, records, training)?;
+    let page = page(summary, records)?;
     AtomicFile::write(&paths[3], page.as_bytes())?;
     let sizes = [json.len() as u64, svg, png, page.len() as u64];
     Ok(paths.into_iter().zip(sizes).collect())

@@ -4,12 +4,13 @@ use super::ParetoError;
 use super::point::{Point, points};
 use super::record::{Kind, Record, Stage};
 use super::summary::Summary;
+use crate::page_kit::{Block, Document, REPORT_STYLE, Rights};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-const PAGE: &str = include_str!("page.html");
-/// Where the data go.
-const DATA: &str = "@DATA@";
+const BODY: &str = include_str!("../../page/src/reports/pareto.html");
+/// The bundle; made by `npm run build` in the folder `page`.
+const SCRIPT: &str = include_str!("../../page/dist/pareto.js");
 
 /// What the page's script reads.
 #[derive(Serialize)]
@@ -18,7 +19,6 @@ struct Data<'a> {
     machine: String,
     views: Vec<View>,
     findings: Vec<String>,
-    training: Option<String>,
 }
 
 /// The points over some sets of scenes.
@@ -37,15 +37,11 @@ struct PointWithStages {
     stages: Vec<Stage>,
 }
 
-/// The page. `training`: a picture of the training curves as SVG.
+/// The page.
 ///
 /// # Errors
 /// If the data cannot be written as JSON.
-pub fn page(
-    summary: &Summary,
-    records: &[Record],
-    training: Option<String>,
-) -> Result<String, ParetoError> {
+pub fn page(summary: &Summary, records: &[Record]) -> Result<String, ParetoError> {
     let view = |name: &str, sets: &[String]| {
         let row = |kind| points(records, kind, sets).into_iter().next();
         let all = points(records, Kind::Setting, sets).into_iter();
@@ -67,10 +63,17 @@ pub fn page(
     }
     let findings = summary.findings.iter().map(ToString::to_string).collect();
     let machine = summary.machine.to_string();
-    let data = Data { summary, machine, views, findings, training };
-    // Inside a script element only `<` could end it.
-    let json = serde_json::to_string(&data)?.replace('<', "\\u003c");
-    Ok(PAGE.replacen(DATA, &json, 1))
+    let data = Data { summary, machine, views, findings };
+    let document = Document {
+        title: "What accuracy costs",
+        class: "",
+        style: REPORT_STYLE,
+        body: BODY,
+        blocks: &[Block::json("data", &data)?],
+        script: SCRIPT,
+        rights: Rights::None,
+    };
+    Ok(document.html())
 }
 
 /// Mean seconds of each stage over the sets.
@@ -102,12 +105,8 @@ mod tests {
             Record { scenes: "</script>".to_owned(), ..record("k=1", 2.0, 0.4) },
         ];
         let summary = Summary::of(&records, Around::default()).unwrap();
-        let page = page(&summary, &records, Some("<svg></svg>".to_owned())).unwrap();
-        assert!(!page.contains(DATA));
-        assert_eq!(page.matches("</script>").count(), 2);
-        for outside in ["src=\"", "href=\"http", "@import", "url(", "fetch(", "XMLHttp"] {
-            assert!(!page.contains(outside), "{outside}");
-        }
+        let page = page(&summary, &records).unwrap();
+        crate::page_kit::is_closed(&page, 2);
         let begin = page.find("id=\"data\">").unwrap() + 10;
         let end = begin + page[begin..].find("</script>").unwrap();
         let data: serde_json::Value = serde_json::from_str(&page[begin..end]).unwrap();

@@ -1,8 +1,8 @@
 //! The curves as a picture: one panel for each figure, one line for each effect.
 
 use super::report::{SeverityPoint, SeverityReport};
-use crate::pareto::drawing::{Anchor, Color, Drawing};
-use crate::pareto::scale::Scale;
+use crate::page_kit::drawing::{Anchor, Color, Drawing};
+use crate::page_kit::scale::Scale;
 
 const INK: Color = [40, 44, 52];
 const SOFT: Color = [120, 126, 136];

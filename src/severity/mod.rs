@@ -99,6 +99,9 @@ pub enum SeverityError {
     /// No calibration, or no picture.
     #[error(transparent)]
     Pareto(Box<ParetoError>),
+    /// A picture that cannot be written.
+    #[error(transparent)]
+    Picture(#[from] crate::preview::PreviewError),
     /// A report that cannot be written.
     #[error(transparent)]
     Io(#[from] std::io::Error),

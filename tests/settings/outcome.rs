@@ -40,7 +40,14 @@ fn try_run(config: &Value, out: &Path) -> Result<(), String> {
         serde_json::from_value(config.clone()).map_err(|e| e.to_string())?;
     config.check().map_err(|e| with_causes(&e))?;
     let (out, stop) = (out.to_owned(), Default::default());
-    let options = RunOptions { out, resume: false, quiet: true, stop, commit: None };
+    let options = RunOptions {
+        out,
+        resume: false,
+        quiet: true,
+        stop,
+        device: candle_core::Device::Cpu,
+        commit: None,
+    };
     train(&config, &options).map(|_| ()).map_err(|e| with_causes(&e))
 }
 

@@ -6,11 +6,14 @@
 //! | masks of a click or a box | [`sam2`] |
 //! | masks of everything in a picture | [`masks`] |
 //! | vectors of pictures and texts | [`siglip`] |
+//! | either from an ONNX file (feature `onnx`) | `onnx` |
 
 mod cross_attention;
 mod error;
 mod layers;
 pub mod masks;
+#[cfg(feature = "onnx")]
+pub mod onnx;
 pub mod resize;
 pub mod sam2;
 pub mod siglip;

@@ -11,6 +11,7 @@ use scenesplat::compensation::Consumer;
 use scenesplat::labels::{self, label_with_vote};
 use scenesplat::objects::{Catalogue, ObjectInput, ObjectSettings, find_objects};
 use scenesplat::outputs::OpenedScene;
+use scenesplat::scene::frame::Matrix3;
 use scenesplat::scene::label_set::read_names;
 use scenesplat::scene::{LabelSet, TextTable, UpAxis};
 use scenesplat::{Network, SceneFeatures};
@@ -121,7 +122,7 @@ impl LabelArgs {
     }
 
     fn own_labels(&self, session: &Session<'_>, path: &Path, sh_rest: bool) -> Result<Labelled> {
-        if let Some(flag) = self.inference.network_flag() {
+        if let Some(flag) = self.inference.only_network_flag() {
             let text = format!("{flag} is about a network, which --label-names leaves out");
             return Err(WrongUse(text).into());
         }
@@ -231,29 +232,50 @@ fn own_classes(classes: &Classes, network: &Network) -> Result<LabelSet> {
     Ok(LabelSet::new(names)?)
 }
 
+/// How a scene lies, for the boxes of its objects.
+#[derive(Debug, Clone, Copy)]
+pub struct Frame {
+    /// The axis that is next to up.
+    pub up: UpAxis,
+    /// The rotation that brings +z up and the floor level.
+    pub upright: Matrix3,
+    /// What one unit of the scene is, metres.
+    pub metres_per_unit: f64,
+    /// Height of the floor along up, metres, if --floor says it.
+    pub floor: Option<f64>,
+}
+
 /// Which way is up and what a unit is, as a network would read the scene.
-pub fn frame(opened: &OpenedScene, inference: &Inference) -> (UpAxis, f64) {
+pub fn frame(opened: &OpenedScene, inference: &Inference) -> Frame {
     let scene = &opened.loaded.scene;
     let alignment = Alignment::of(
         scene,
         &AlignmentSettings {
             up: inference.up,
             metres_per_unit: inference.unit,
+            floor: inference.floor,
             as_is: inference.as_is,
             ..AlignmentSettings::default()
         },
     );
-    (inference.up.unwrap_or(alignment.turned_from), alignment.scale)
+    // A network that reads the scene as it is changes nothing about which way is up.
+    let given = inference.up.filter(|_| inference.as_is);
+    Frame {
+        up: inference.up.unwrap_or(alignment.turned_from),
+        upright: given.map_or_else(|| alignment.rotation(), UpAxis::upright),
+        metres_per_unit: alignment.scale,
+        floor: inference.floor.map(|floor| floor * alignment.scale),
+    }
 }
 
 impl Labelled {
-    /// The objects; `pieces`: even where the scene carries instances; up and unit: [`frame`].
+    /// The objects; `pieces`: even where the scene carries instances.
     pub fn objects(
         &self,
         session: &Session<'_>,
         settings: &ObjectSettings,
         pieces: bool,
-        (up, metres_per_unit): (UpAxis, f64),
+        frame: Frame,
     ) -> Result<Catalogue> {
         let _stage = session.receipt.stage("objects");
         let scene = &self.opened.loaded.scene;
@@ -279,8 +301,9 @@ impl Labelled {
             instances,
             features: features.map(|f| (f.width(), &add as _)),
             names: &self.names,
-            up,
-            metres_per_unit,
+            upright: frame.upright,
+            metres_per_unit: frame.metres_per_unit,
+            floor: frame.floor,
         };
         find_objects(&input, settings).context("no objects can be looked for")
     }

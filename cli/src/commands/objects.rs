@@ -8,7 +8,7 @@ use crate::terminal::{print, write_text};
 use anyhow::{Context, Result};
 use scenesplat::object_picture;
 use scenesplat::objects::relations::Question;
-use scenesplat::objects::{Catalogue, Object, table};
+use scenesplat::objects::{Catalogue, Floor, Object, table};
 use scenesplat::preview::write_png;
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
 use scenesplat::scene::label_set::find_name;
@@ -78,7 +78,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     {
         let _stage = session.receipt.stage("picture");
         let path = session.out("objects.png")?;
-        let picture = object_picture(&labelled.opened.loaded.scene, &found, frame.0)?;
+        let picture = object_picture(&labelled.opened.loaded.scene, &found, frame.up)?;
         let bytes = write_png(&path, &picture)?;
         session.wrote(&path, bytes);
     }
@@ -108,13 +108,32 @@ pub fn summary(found: &Catalogue) -> String {
             format!("{objects} {name}")
         })
         .collect();
-    let floor = if found.floor.is_labelled { "the floor" } else { "the lowest Gaussians" };
+    let floor = match found.floor {
+        Floor { is_given: true, .. } => "the floor that was given",
+        Floor { is_labelled: true, .. } => "the floor",
+        _ => "the lowest Gaussians",
+    };
     format!(
-        "{} objects: {}; {} labelled Gaussians in no object; heights are over {floor}",
+        "{} objects: {}; {} labelled Gaussians in no object{}; heights are over {floor}",
         found.objects.len(),
         if each.is_empty() { "none".to_owned() } else { each.join(", ") },
-        found.left_over
+        found.left_over,
+        left_out(found)
     )
+}
+
+/// Which instances of the scene are no objects; nothing if all are.
+pub fn left_out(found: &Catalogue) -> String {
+    let mut text = String::new();
+    for (count, why) in [
+        (found.small_instances, "too few Gaussians (--min-count)"),
+        (found.nameless_instances, "no class"),
+    ] {
+        if count > 0 {
+            text += &format!("; {count} instances of the scene are none, having {why}");
+        }
+    }
+    text
 }
 
 /// Writes `OBJECT_FILES` into the output folder.

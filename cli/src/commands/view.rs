@@ -2,16 +2,23 @@
 
 use super::WrongUse;
 use super::labelled::{LabelArgs, Labelled, frame};
+use super::objects::left_out;
+use crate::progress::interrupted;
 use crate::session::Session;
-use crate::terminal::print;
+use crate::terminal::{check_output, print};
 use anyhow::Result;
 use scenesplat::embedded;
 use scenesplat::memory::Bytes;
-use scenesplat::page::{PageInput, PageSettings, write_page};
+use scenesplat::objects::Catalogue;
+use scenesplat::page::{
+    PageInput, PageReport, PageServer, PageSettings, Refusal, ServeEvent, ServedPage, write_page,
+};
+use scenesplat::scene::printable_text;
 use std::path::{Path, PathBuf};
 
 /// Writes one HTML file to look at a scene and to query it: it opens from disk in any browser with WebGL 2, without a
-/// server, and loads nothing from anywhere.
+/// server, and loads nothing from anywhere. With --serve there is no file: the page is given in chunks to a browser on
+/// this machine, for scenes too large for a file, until Ctrl-C.
 ///
 /// Labels, objects and language codes are those of segment and objects, or with --label-names the scene's own labels;
 /// typed phrases are answered in the page (docs/view.md).
@@ -20,9 +27,16 @@ pub struct Args {
     /// Where labels come from.
     #[command(flatten)]
     pub labels: LabelArgs,
-    /// The page.
-    #[arg(long, value_name = "FILE.html", default_value = "scene.html")]
-    pub out: PathBuf,
+    /// The page. [default: scene.html]
+    #[arg(long, value_name = "FILE.html", conflicts_with = "serve")]
+    pub out: Option<PathBuf>,
+    /// Writes no file: gives the page to a browser on this machine, at an address on 127.0.0.1 that is printed and
+    /// that nobody else knows, until Ctrl-C.
+    #[arg(long)]
+    pub serve: bool,
+    /// The port for --serve; 0 for any free one.
+    #[arg(long, value_name = "N", default_value_t = 0, requires = "serve")]
+    pub port: u16,
     /// Shows the Gaussians alone: no labels, no network.
     #[arg(long, conflicts_with_all = ["label_names", "features"])]
     pub plain: bool,
@@ -43,8 +57,11 @@ pub struct Args {
     pub quiet: bool,
 }
 
+const DEFAULT_OUT: &str = "scene.html";
 /// From this size on browsers take long to open a page.
 const LARGE: u64 = 150 << 20;
+/// Requests without an answer that are told one by one.
+const MOST_TOLD: usize = 10;
 
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
@@ -53,12 +70,17 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start_with(&shared, &labels.inference.network, line)?;
     session.note_setting(&labels.inference);
     labels.claim_inputs(&session)?;
-    session.outputs.claim("--out", &args.out)?;
+    let out = args.out.as_deref().unwrap_or(Path::new(DEFAULT_OUT));
+    if !args.serve {
+        session.outputs.claim("--out", out)?;
+    }
     let name = labels.scene.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let settings = PageSettings { codes: usize::from(args.codes), max_splats: args.max_splats };
     if settings.max_splats == Some(0) {
         return Err(WrongUse("--max-splats: give a number above 0".to_owned()).into());
     }
+    // A port that is taken is better known before the work than after.
+    let server = if args.serve { Some(PageServer::bind(args.port)?) } else { None };
     let labelled = if args.plain {
         plain(labels, &session)?
     } else {
@@ -75,8 +97,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         true => Some(labels.classes.vocabulary()?.map_or_else(embedded::vocabulary, Ok)?),
         false => None,
     };
-    let remarks = remarks(args, &labelled);
-    let _stage = session.receipt.stage("page");
+    let remarks = remarks(args, &labelled, found.as_ref());
+    let stage = session.receipt.stage("page");
     let input = PageInput {
         title: &name,
         scene: &labelled.opened.loaded.scene,
@@ -86,14 +108,37 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         catalogue: found.as_ref(),
         features: labelled.features.as_ref().map(|(features, text)| (features, text)),
         vocabulary: vocabulary.as_ref(),
-        up: frame.0,
-        metres_per_unit: frame.1,
+        upright: frame.upright,
+        metres_per_unit: frame.metres_per_unit,
         remarks: &remarks,
     };
-    let waiting = session.outputs.file_path(&args.out)?;
-    let report = write_page(&waiting, &input, &settings)?;
-    session.wrote(&waiting, report.bytes);
-    session.receipt.add_rows_out(report.gaussians);
+    let Some(server) = server else {
+        let waiting = session.outputs.file_path(out)?;
+        let report = write_page(&waiting, &input, &settings)?;
+        session.wrote(&waiting, report.bytes);
+        session.receipt.add_rows_out(report.gaussians);
+        print(&format!("{}: {}; opens from disk", out.display(), summary(&report, args)));
+        if report.bytes > LARGE {
+            let text = "the page is large for a browser: --max-splats N or fewer --codes make it smaller, \
+                        --serve shows it without a file";
+            session.progress.say(text);
+            session.receipt.warning(text);
+        }
+        drop(stage);
+        return session.finish_quietly();
+    };
+    let page = ServedPage::new(&input, &settings)?;
+    // The page has all it needs; a large scene need not stay twice.
+    drop((remarks, found, labelled));
+    session.receipt.add_rows_out(page.report().gaussians);
+    print(&format!("{}: {}", printable_text(&name), summary(page.report(), args)));
+    drop(stage);
+    session.check_stop()?;
+    serve(&session, &server, &page)
+}
+
+/// What the page holds, in a line.
+fn summary(report: &PageReport, args: &Args) -> String {
     let codes = report.code_cosine.map_or(String::new(), |c| {
         format!(", {} code numbers a Gaussian (mean cosine {c:.4})", args.codes)
     });
@@ -101,28 +146,73 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         0 => String::new(),
         n => format!(", {n} Gaussians left out"),
     };
-    print(&format!(
-        "{}: {} Gaussians, {}{codes}{left_out}; positions to {:.1e} units; opens from disk",
-        args.out.display(),
+    let relations = match report.relations_left_out {
+        0 => String::new(),
+        n => format!(", {n} of {} relations left out", report.relations),
+    };
+    format!(
+        "{} Gaussians, {}{codes}{left_out}{relations}; positions to {:.1e} units",
         report.gaussians,
         Bytes(report.bytes),
         report.position_step / 2.0
-    ));
-    if report.bytes > LARGE {
-        let text =
-            "the page is large for a browser: --max-splats N or fewer --codes make it smaller";
-        session.progress.say(text);
-        session.receipt.warning(text);
-    }
+    )
+}
+
+/// Gives the page to browsers until Ctrl-C, which is the end of it and no error.
+fn serve(session: &Session<'_>, server: &PageServer, page: &ServedPage) -> Result<()> {
+    let _stage = session.receipt.stage("serve");
+    // The address is the result, whatever --quiet says.
+    print(&format!("open {} in a browser on this machine; Ctrl-C ends", server.url()));
+    check_output()?;
+    let mut told = 0;
+    let mut refused = 0;
+    let mut event = |event: ServeEvent| match event {
+        ServeEvent::Opened => {
+            told = 0;
+            session.progress.say("a browser opened the page");
+        }
+        ServeEvent::Sent { sent, total } => {
+            let tenths = (10 * sent).checked_div(total).unwrap_or(10);
+            if tenths > told {
+                told = tenths;
+                let part = format!("sent {} of {}", Bytes(sent.min(total)), Bytes(total));
+                session.progress.say(match sent >= total {
+                    true => format!("{part}: the page needs this program no longer"),
+                    false => part,
+                });
+            }
+        }
+        ServeEvent::Refused(Refusal { status, why }) => {
+            refused += 1;
+            if refused <= MOST_TOLD {
+                session.progress.say(format!("a request got nothing ({status}): {why}"));
+            }
+            if refused == MOST_TOLD {
+                session
+                    .progress
+                    .say("of further such requests only the number is said, at the end");
+            }
+        }
+        _ => {}
+    };
+    let served = server.run(page, &interrupted, &mut event)?;
+    let text = format!(
+        "opened {} times, {} sent, {} requests got nothing",
+        served.pages,
+        Bytes(served.bytes),
+        served.refused
+    );
+    session.receipt.setting("served", &text, "until it was stopped");
+    print(&text);
     drop(_stage);
-    session.finish_quietly()
+    session.finish_stopped()
 }
 
 /// The Gaussians without labels.
 fn plain(labels: &LabelArgs, session: &Session<'_>) -> Result<Labelled> {
-    if let Some(flag) =
-        labels.inference.network_flag().filter(|f| !["--unit", "--as-is"].contains(f))
-    {
+    // Without labels no height is measured.
+    let floor = labels.inference.floor.map(|_| "--floor");
+    if let Some(flag) = labels.inference.only_network_flag().or(floor) {
         return Err(WrongUse(format!("{flag} is about a network, which --plain leaves out")).into());
     }
     if labels.inference.network.weights.is_some() || labels.inference.network.config.is_some() {
@@ -145,7 +235,7 @@ fn plain(labels: &LabelArgs, session: &Session<'_>) -> Result<Labelled> {
 }
 
 /// What a reader of the page has to know.
-fn remarks(args: &Args, labelled: &Labelled) -> Vec<String> {
+fn remarks(args: &Args, labelled: &Labelled, found: Option<&Catalogue>) -> Vec<String> {
     let mut out = Vec::new();
     if !labelled.remark.is_empty() {
         out.push("Seeded weights: labels, scores and answers mean nothing.".to_owned());
@@ -160,17 +250,19 @@ fn remarks(args: &Args, labelled: &Labelled) -> Vec<String> {
         };
         out.push(from.to_owned());
     }
+    if let Some(text) = found.map(left_out).filter(|text| !text.is_empty()) {
+        out.push(format!("Objects{text}."));
+    }
     out.push("Colors are those of the zeroth harmonic, seen from every side alike.".to_owned());
     out
 }
 
 impl Args {
     fn shared(&self) -> crate::flags::Shared {
-        let folder =
-            self.out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let out = self.out.as_deref().and_then(Path::parent);
+        let folder = out.filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         crate::flags::Shared {
             threads: self.threads,
-            device: crate::flags::Device::Cpu,
             out: folder.to_owned(),
             receipt: self.receipt.clone(),
             quiet: self.quiet,

@@ -190,7 +190,7 @@ fn wrong_values_are_wrong_use() {
         (vec!["inspect", &scene, "--threads", "0"], "--threads 0: 1 to "),
         (vec!["chunk", &scene, "--out", &to, "--threads", "2000"], "--threads 2000"),
         (vec!["convert", &scene, &to, "--threads", "2000"], "--threads 2000"),
-        (vec!["inspect", &scene, "--device", "cuda"], "cpu"),
+        (vec!["segment", &scene, "--device", "gpu"], "cuda:0"),
     ] {
         refused(&args, 2, &[words]);
     }

@@ -4,7 +4,7 @@ use crate::{asset, class_names, done, scenesplat, stderr, tiny};
 use scenesplat::rooms::{CLASSES, SyntheticRoomSettings, generate};
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
 use scenesplat::scene::formats::npy::NpyFile;
-use scenesplat::scene::{GaussianScene, ReadOptions, open_scene};
+use scenesplat::scene::{GaussianScene, ReadOptions, Similarity, open_scene};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -83,6 +83,117 @@ fn objects_are_listed_drawn_exported_and_taken_out() {
     ] {
         let output = run(more);
         assert!(!output.status.success(), "{more:?}");
+        assert!(stderr(&output).contains(part), "{more:?}: {}", stderr(&output));
+    }
+}
+
+#[test]
+fn boxes_are_level_in_a_room_that_is_not_and_heights_begin_at_a_given_floor() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, names, mut scene) = room(folder.path());
+    let (s, c) = 7f64.to_radians().sin_cos();
+    let rotation = [[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]];
+    scene.transform(&Similarity { rotation, ..Similarity::IDENTITY });
+    let tilted = folder.path().join("tilted.ply");
+    write_inria_ply(&scene, &[], &tilted).unwrap();
+    let run = |path: &Path, name: &str, more: &[&str]| {
+        let out = folder.path().join(name);
+        let words = ["objects", path.to_str().unwrap(), "--label-names", names.to_str().unwrap()];
+        let output = scenesplat(&[&words[..], &["--out", out.to_str().unwrap()], more].concat());
+        done(&output);
+        (json(&out.join("objects.json")), String::from_utf8_lossy(&output.stdout).into_owned())
+    };
+    let (level, said) = run(&path, "level", &[]);
+    // What has fewer than 20 Gaussians is no object, and said.
+    let count = level["small_instances"].as_u64().unwrap();
+    assert_eq!(
+        said.contains("instances of the scene are none, having too few"),
+        count > 0,
+        "{said}"
+    );
+    let (other, _) = run(&tilted, "tilted", &[]);
+    let (a, b) = (level["objects"].as_array().unwrap(), other["objects"].as_array().unwrap());
+    assert_eq!(a.len(), b.len());
+    // 7 degrees of tilt would make a floor of 4 m half a metre thick.
+    for (a, b) in a.iter().zip(b) {
+        let height = |o: &Value| o["box"]["size"][2].as_f64().unwrap();
+        assert!((height(a) - height(b)).abs() < 0.06, "{a} {b}");
+    }
+    let (given, said) = run(&path, "given", &["--floor", "-1", "--unit", "cm"]);
+    assert!(said.contains("heights are over the floor that was given"), "{said}");
+    assert_eq!(
+        (given["floor"]["height"].as_f64(), given["floor"]["given"].as_bool()),
+        (Some(-0.01), Some(true))
+    );
+    let size = |v: &Value| v["objects"][0]["box"]["size"][0].as_f64().unwrap();
+    assert!(
+        (size(&given) * 100.0 - size(&level)).abs() < 0.02,
+        "{} {}",
+        size(&given),
+        size(&level)
+    );
+}
+
+/// A browser that asks, and Ctrl-C: `view --serve` says where, gives the page to who knows the address, and ends well.
+#[cfg(unix)]
+#[test]
+fn a_served_page_ends_with_an_interrupt() {
+    use std::io::{BufRead, Read, Write};
+    use std::process::{Command, Stdio};
+    let folder = tempfile::tempdir().unwrap();
+    let (path, names, _) = room(folder.path());
+    let receipt = folder.path().join("receipt.json");
+    let before = std::fs::read_dir(folder.path()).unwrap().count();
+    let mut child = Command::new(env!("CARGO_BIN_EXE_scenesplat"))
+        .args(["view", path.to_str().unwrap(), "--label-names", names.to_str().unwrap(), "--serve"])
+        .args(["--receipt", receipt.to_str().unwrap()])
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = std::io::BufReader::new(child.stdout.take().unwrap()).lines();
+    let line =
+        lines.by_ref().find(|l| l.as_ref().unwrap().starts_with("open http")).unwrap().unwrap();
+    let url = line.split(' ').nth(1).unwrap();
+    let (host, path) = url.strip_prefix("http://").unwrap().split_once('/').unwrap();
+    assert!(host.starts_with("127.0.0.1:"), "{url}");
+    let ask = |path: &str, host_header: &str| {
+        let mut stream = std::net::TcpStream::connect(host).unwrap();
+        write!(stream, "GET /{path} HTTP/1.1\r\nHost: {host_header}\r\n\r\n").unwrap();
+        let mut answer = Vec::new();
+        stream.read_to_end(&mut answer).unwrap();
+        String::from_utf8_lossy(&answer).into_owned()
+    };
+    assert!(ask(path, host).contains("<!doctype html>"));
+    assert!(ask("", host).starts_with("HTTP/1.1 404"));
+    assert!(ask(path, "attacker.example").starts_with("HTTP/1.1 403"));
+    let kill = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(kill.success());
+    let output = child.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(0), "{said}");
+    assert!(
+        said.contains("a browser opened the page") && said.contains("got nothing (403)"),
+        "{said}"
+    );
+    let last = lines.map(Result::unwrap).find(|l| l.starts_with("opened 1 times")).unwrap();
+    assert!(last.contains("2 requests got nothing"), "{last}");
+    assert!(json(&receipt).to_string().contains("opened 1 times"));
+    assert_eq!(
+        std::fs::read_dir(folder.path()).unwrap().count(),
+        before + 1,
+        "no file but the receipt"
+    );
+    for (more, part) in [
+        (&["--serve", "--out", "x.html"][..], "cannot be used with"),
+        (&["--port", "80"], "--serve"),
+        (&["--plain", "--floor", "1"], "--plain leaves out"),
+        (&["--plain", "--unit", "m", "--precision", "bf16"], "--plain leaves out"),
+    ] {
+        let path = folder.path().join("room.ply");
+        let output = scenesplat(&[&["view", path.to_str().unwrap()], more].concat());
+        assert_eq!(output.status.code(), Some(2), "{more:?}: {}", stderr(&output));
         assert!(stderr(&output).contains(part), "{more:?}: {}", stderr(&output));
     }
 }

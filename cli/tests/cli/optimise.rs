@@ -5,7 +5,7 @@ use scenesplat::rooms::{SyntheticRoomSettings, generate};
 use scenesplat::scene::formats::cameras::write_cameras_json;
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
 use scenesplat::scene::formats::npy_writer::write_npy;
-use scenesplat::scene::picture::RgbPicture;
+use scenesplat::scene::picture::{Channels, Picture, RgbPicture, Samples};
 use scenesplat::scene::{Camera, Distortion, ReadOptions, open_cameras, open_scene};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -124,6 +124,37 @@ fn pictures_become_a_scene() {
     assert!(table.contains("| room | 8 |") && table.contains("0 of 1"), "{table}");
 }
 
+/// Exposure is learned where the pictures show that it drifts, and what was decided is in the receipt.
+#[test]
+fn drifting_exposure_is_learned() {
+    let capture = Capture::new();
+    let shots = ["render", "room.ply", "--inside", "16", "--depth", "--size", "64x48"];
+    done(&capture.run(&[&shots[..], &["--effect", "light=5"]].concat(), "drift"));
+    done(&capture.run(&shots, "steady"));
+    let run = |shots: &str, more: &[&str]| {
+        let (cameras, depth) = (format!("{shots}/cameras.json"), format!("{shots}/depth"));
+        let out = format!("of-{shots}-{}", more.join(""));
+        let words = ["optimise", "--cameras", &cameras, "--images", shots, "--depth", &depth];
+        let small = ["--initial", "300", "--cap", "300", "--steps", "4", "--test-every", "5"];
+        let receipt = ["--receipt", "receipt.json"];
+        done(&capture.run(&[&words[..], &small, &receipt, more].concat(), &out));
+        let plan = json(&capture.path("receipt.json"))["effect_plan"]["sections"][0].clone();
+        assert_eq!(plan["name"], "optimisation", "{plan}");
+        let figures = json(&capture.path(&out).join("optimise.json"));
+        let decision = plan["decisions"][0].clone();
+        assert_eq!(figures["settings"]["exposure"], decision["on"]);
+        assert_eq!(figures["test_psnr_corrected"].is_null(), decision["on"] == false, "{figures}");
+        decision
+    };
+    let drift = run("drift", &[]);
+    assert!(drift["effect"] == "light" && drift["on"] == true, "{drift}");
+    assert!(drift["measure"].as_f64().unwrap() > 2.0, "{drift}");
+    let steady = run("steady", &[]);
+    assert!(steady["on"] == false && steady["measure"].as_f64().unwrap() < 0.75, "{steady}");
+    assert_eq!(run("steady", &["--exposure"])["on"], true);
+    assert_eq!(run("drift", &["--exposure", "off"])["on"], false);
+}
+
 /// A camera at the origin that looks along +z, and its grey picture with a white square.
 fn shot(folder: &Path, name: &str, [width, height]: [u32; 2], x: f64, color: u8) -> Camera {
     let picture = RgbPicture::from_fn(width, height, |x, y| {
@@ -230,6 +261,16 @@ fn hostile_captures() {
     done(&run(&["--depth", nan.to_str().unwrap()], "with_nan"));
     done(&run(&["--points", at.join("behind.ply").to_str().unwrap()], "with_behind"));
     // Refusals name the file and say what to do.
+    let picture = Picture::new(40, 30, Channels::Gray, Samples::Sixteen(vec![900; 1200])).unwrap();
+    let colors = std::fs::read(at.join("d1.png")).unwrap();
+    std::fs::write(at.join("d1.png"), picture.encode_png().unwrap()).unwrap();
+    let output = run(&[], "depth_as_pictures");
+    let text = stderr(&output);
+    assert!(
+        output.status.code() == Some(1) && text.contains("d1.png") && text.contains("--images"),
+        "{text}"
+    );
+    std::fs::write(at.join("d1.png"), colors).unwrap();
     write_npy(&nan.join("d0.npy"), &[40, 30], &values).unwrap();
     let output = run(&["--depth", nan.to_str().unwrap()], "wrong_depth");
     let text = stderr(&output);

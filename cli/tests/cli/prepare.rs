@@ -134,7 +134,7 @@ fn limits_are_choices_and_what_does_not_fit_is_refused() {
         assert_eq!(output.status.code(), Some(code), "{text}");
         assert!(parts.iter().all(|part| text.contains(part)), "{parts:?}: {text}");
     };
-    refused(&["--layout", "hypersim"], 2, &["HDF5", "points"]);
+    refused(&["--layout", "hypersim"], 1, &["metadata_scene.csv"]);
     refused(&["--layout", "nuscenes"], 2, &["no layout", "scannetpp"]);
     refused(&["--layout", "replica"], 1, &["replica", "names of classes"]);
     refused(&["--layout", "scannet"], 1, &["scannetv2-labels.combined.tsv"]);

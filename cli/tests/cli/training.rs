@@ -54,7 +54,14 @@ fn a_run_leaves_what_it_promises_and_its_weights_work() {
     let output = train(&config, &out, &[]);
     done(&output);
     assert!(stderr(&output).contains("step 8/8"), "{}", stderr(&output));
-    for name in ["config.toml", "run.json", "metrics.jsonl", "curves.png", "model/config.json"] {
+    for name in [
+        "config.toml",
+        "run.json",
+        "metrics.jsonl",
+        "curves.png",
+        "curves.html",
+        "model/config.json",
+    ] {
         assert!(out.join(name).is_file(), "{name}");
     }
     let log = String::from_utf8(bytes(&out.join("metrics.jsonl"))).unwrap();

@@ -3,7 +3,7 @@
 use super::{ScanLayout, bad_file};
 use crate::DataError;
 use crate::sources::class_lists::{
-    MATTERPORT21, MATTERPORT160, SCANNET20, SCANNET200, SCANNETPP100, names,
+    MATTERPORT21, MATTERPORT160, NYU40, SCANNET20, SCANNET200, SCANNETPP100, names,
 };
 use crate::sources::{MATTERPORT21_NYU40_IDS, SCANNET20_NYU40_IDS, SCANNET200_IDS};
 use scenesplat_scene::SceneError;
@@ -142,6 +142,13 @@ impl LabelTables<'_> {
                     LabelTable::of_map("segment", names(MATTERPORT21), coarse.collect()),
                     LabelTable::of_map("segment_nyu_160", fine.classes, fine_map),
                 ])
+            }
+            ScanLayout::Hypersim => {
+                let nyu40 = names(NYU40);
+                let scannet = (0..).zip(SCANNET20_NYU40_IDS);
+                let coarse = scannet.map(|(class, id)| (key(&nyu40[id as usize - 1]), class));
+                let coarse = LabelTable::of_map("segment20", names(SCANNET20), coarse.collect());
+                Ok(vec![LabelTable::of_names("segment", nyu40), coarse])
             }
             ScanLayout::Points => Ok(vec![LabelTable::of_numbers("segment", Vec::new())]),
             ScanLayout::Replica | ScanLayout::ThreeRScan | ScanLayout::Arkitscenes => Err(need(

@@ -7,6 +7,7 @@ pub(crate) const SCANNETPP100: &str = include_str!("../../../configs/label_maps/
 pub(crate) const MATTERPORT21: &str = include_str!("../../../configs/label_maps/matterport21.txt");
 pub(crate) const MATTERPORT160: &str =
     include_str!("../../../configs/label_maps/matterport160.txt");
+pub(crate) const NYU40: &str = include_str!("../../../configs/label_maps/nyu40.txt");
 pub(crate) const HOLICITY: &str = include_str!("../../../configs/label_maps/holicity.txt");
 pub(crate) const KITTI360: &str = include_str!("../../../configs/label_maps/kitti360.txt");
 

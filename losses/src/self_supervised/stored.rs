@@ -2,7 +2,7 @@
 
 use crate::error::LossError;
 use crate::scalar_op::{Backward, scalar_loss};
-use candle_core::{DType, Device, Result, Tensor};
+use candle_core::{DType, Result, Tensor};
 
 /// Largest number of f16, at which gradients saturate.
 const LARGEST_F16: f64 = 65_504.0;
@@ -20,7 +20,7 @@ impl Backward for Stored {
         let largest = if pred.dtype() == DType::F16 { LARGEST_F16 } else { f64::INFINITY };
         let scaled = |g: &f64| (factor * g).clamp(-largest, largest);
         let values: Vec<f64> = self.gradient.iter().map(scaled).collect();
-        Tensor::from_vec(values, pred.shape(), &Device::Cpu)?.to_dtype(pred.dtype())
+        Tensor::from_vec(values, pred.shape(), pred.device())?.to_dtype(pred.dtype())
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::distributions::check_temperature;
 use crate::error::LossError;
-use candle_core::{DType, Device, Result, Tensor};
+use candle_core::{DType, Result, Tensor};
 
 const CENTERING: &str = "centering";
 const SINKHORN: &str = "sinkhorn_knopp";
@@ -153,12 +153,13 @@ fn normalize_rows(logs: &mut [f64], width: usize) {
 
 fn store(values: Vec<f64>, shape: (usize, usize), like: &Tensor) -> Result<Tensor> {
     let dtype = if like.dtype() == DType::F64 { DType::F64 } else { DType::F32 };
-    Tensor::from_vec(values, shape, &Device::Cpu)?.to_dtype(dtype)
+    Tensor::from_vec(values, shape, like.device())?.to_dtype(dtype)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use candle_core::Device;
 
     fn table(values: &[f64], width: usize) -> Tensor {
         Tensor::from_vec(values.to_vec(), (values.len() / width, width), &Device::Cpu).unwrap()

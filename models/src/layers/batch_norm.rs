@@ -31,8 +31,22 @@ impl BatchNormConstants {
 
 #[derive(Debug, Clone)]
 enum Form {
-    Trainable { weight: Tensor, bias: Tensor, mean: Var, var: Var, batches: Var },
-    Frozen { scale: Vec<f32>, shift: Vec<f32> },
+    Trainable {
+        weight: Tensor,
+        bias: Tensor,
+        mean: Var,
+        var: Var,
+        batches: Var,
+    },
+    Frozen {
+        scale: Vec<f32>,
+        shift: Vec<f32>,
+    },
+    /// Frozen, on another device than the CPU. `[1, C]`
+    Elsewhere {
+        scale: Tensor,
+        shift: Tensor,
+    },
 }
 
 impl BatchNorm {
@@ -77,7 +91,13 @@ impl BatchNorm {
             var.iter().map(|v| 1.0 / (f64::from(*v) + constants.eps).sqrt()).collect();
         let mean: Vec<f64> = vector(&mean)?.into_iter().map(f64::from).collect();
         let (scale, shift) = ops::scale_shift(&vector(&weight)?, &vector(&bias)?, &mean, &inverse);
-        Ok(Self { form: Form::Frozen { scale, shift }, constants })
+        let form = if weight.device().is_cpu() {
+            Form::Frozen { scale, shift }
+        } else {
+            let row = |values: Vec<f32>| Tensor::from_vec(values, (1, channels), weight.device());
+            Form::Elsewhere { scale: row(scale)?, shift: row(shift)? }
+        };
+        Ok(Self { form, constants })
     }
 
     /// The mode of a forward pass, evaluation if the statistics are frozen.
@@ -92,7 +112,7 @@ impl BatchNorm {
     pub(crate) fn scale_shift(&self) -> Option<(&[f32], &[f32])> {
         match &self.form {
             Form::Frozen { scale, shift } => Some((scale, shift)),
-            Form::Trainable { .. } => None,
+            Form::Trainable { .. } | Form::Elsewhere { .. } => None,
         }
     }
 
@@ -108,7 +128,12 @@ impl BatchNorm {
             (Form::Frozen { scale, shift }, Mode::Eval) => {
                 ops::scale_shift_frozen(x, scale, shift, false)
             }
-            (Form::Frozen { .. }, Mode::Train) => ops::frozen_cannot_train(),
+            (Form::Elsewhere { scale, shift }, Mode::Eval) => {
+                x.broadcast_mul(scale)?.broadcast_add(shift)
+            }
+            (Form::Frozen { .. } | Form::Elsewhere { .. }, Mode::Train) => {
+                ops::frozen_cannot_train()
+            }
             (Form::Trainable { weight, bias, mean, var, batches }, mode) => {
                 let to_f64 = |v: &Var| -> Result<Vec<f64>> {
                     Ok(vector(v.as_tensor())?.into_iter().map(f64::from).collect())

@@ -1,6 +1,6 @@
 //! Layer normalisation with a gradient.
 
-use super::{add, vector};
+use super::{add, stays_tensor, vector};
 use crate::ops;
 use candle_core::{Result, Tensor};
 use candle_nn::{Init, VarBuilder};
@@ -13,7 +13,7 @@ const EPS: f32 = 1e-5;
 
 #[derive(Debug, Clone)]
 enum Form {
-    Trainable { weight: Tensor, bias: Tensor },
+    Tensors { weight: Tensor, bias: Tensor },
     Frozen { weight: Vec<f32>, bias: Vec<f32> },
 }
 
@@ -25,8 +25,8 @@ impl LayerNorm {
     pub fn new(channels: usize, vb: VarBuilder<'_>) -> Result<Self> {
         let weight = vb.get_with_hints(channels, "weight", Init::Const(1.0))?;
         let bias = vb.get_with_hints(channels, "bias", Init::Const(0.0))?;
-        Ok(Self(if weight.is_variable() {
-            Form::Trainable { weight, bias }
+        Ok(Self(if stays_tensor(&weight) {
+            Form::Tensors { weight, bias }
         } else {
             Form::Frozen { weight: vector(&weight)?, bias: vector(&bias)? }
         }))
@@ -46,7 +46,7 @@ impl LayerNorm {
     /// If the input does not fit.
     pub fn forward_residual(&self, x: &Tensor, residual: Option<&Tensor>) -> Result<Tensor> {
         match &self.0 {
-            Form::Trainable { weight, bias } => {
+            Form::Tensors { weight, bias } => {
                 add(&ops::layer_norm(x, weight, bias, EPS)?, residual)
             }
             Form::Frozen { weight, bias } => ops::layer_norm_frozen(x, weight, bias, EPS, residual),

@@ -1,6 +1,6 @@
 //! Linear layer.
 
-use super::{add, vector};
+use super::{add, stays_tensor, vector};
 use crate::{Compute, ops};
 use candle_core::{Result, Tensor};
 use candle_nn::{Init, VarBuilder};
@@ -13,7 +13,7 @@ pub struct Linear(Form);
 
 #[derive(Debug, Clone)]
 enum Form {
-    Trainable { weight: Tensor, bias: Option<Tensor>, precision: Precision },
+    Tensors { weight: Tensor, bias: Option<Tensor>, precision: Precision },
     Frozen { weight: PackedMatrix, bias: Option<Vec<f32>> },
 }
 
@@ -45,9 +45,9 @@ impl Linear {
     /// The layer with these parameters.
     pub(crate) fn of(compute: Compute, weight: Tensor, bias: Option<Tensor>) -> Result<Self> {
         let (cout, cin) = weight.dims2()?;
-        if weight.is_variable() {
+        if stays_tensor(&weight) {
             ops::refuse_training("linear", compute.precision)?;
-            return Ok(Self(Form::Trainable { weight, bias, precision: compute.precision }));
+            return Ok(Self(Form::Tensors { weight, bias, precision: compute.precision }));
         }
         let bias = bias.as_ref().map(vector).transpose()?;
         ops::read("linear", &weight, |w| Ok(Self::frozen(compute, w, cin, cout, bias)))
@@ -79,7 +79,7 @@ impl Linear {
     /// If the input does not fit.
     pub fn forward_residual(&self, x: &Tensor, residual: Option<&Tensor>) -> Result<Tensor> {
         match &self.0 {
-            Form::Trainable { weight, bias, precision } => {
+            Form::Tensors { weight, bias, precision } => {
                 add(&ops::linear_with(*precision, x, weight, bias.as_ref())?, residual)
             }
             Form::Frozen { weight, bias } => {
@@ -94,7 +94,7 @@ impl Linear {
     /// If the input does not fit.
     pub fn forward_unit(&self, x: &Tensor) -> Result<Tensor> {
         match &self.0 {
-            Form::Trainable { .. } => ops::l2_normalize(&self.forward(x)?),
+            Form::Tensors { .. } => ops::l2_normalize(&self.forward(x)?),
             Form::Frozen { weight, bias } => ops::linear_unit_frozen(x, weight, bias.as_deref()),
         }
     }
@@ -105,7 +105,7 @@ impl Linear {
     /// If the input does not fit.
     pub fn forward_gelu(&self, x: &Tensor, residual: Option<&Tensor>) -> Result<Tensor> {
         match &self.0 {
-            Form::Trainable { .. } => add(&ops::gelu(&self.forward(x)?)?, residual),
+            Form::Tensors { .. } => add(&ops::gelu(&self.forward(x)?)?, residual),
             Form::Frozen { weight, bias } => {
                 ops::linear_frozen(x, weight, bias.as_deref(), true, residual)
             }

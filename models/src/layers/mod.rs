@@ -21,6 +21,11 @@ pub use sparse_conv::SparseConv;
 
 use candle_core::{Result, Tensor};
 
+/// Whether a layer keeps its parameters as tensors: they are trained, or on a device, where nothing is packed.
+pub(crate) fn stays_tensor(parameter: &Tensor) -> bool {
+    parameter.is_variable() || !parameter.device().is_cpu()
+}
+
 /// The values of a parameter vector.
 pub(crate) fn vector(t: &Tensor) -> Result<Vec<f32>> {
     t.to_vec1::<f32>()

@@ -1,7 +1,7 @@
 //! Submanifold convolution layer.
 
 use super::low_rank_conv::PlainConv;
-use super::{Linear, vector};
+use super::{Linear, stays_tensor, vector};
 use crate::{Compute, ops};
 use candle_core::{Result, Tensor, bail};
 use candle_nn::{Init, VarBuilder};
@@ -20,7 +20,7 @@ pub struct SparseConv {
 
 #[derive(Debug, Clone)]
 enum Form {
-    Trainable { weight: Tensor, bias: Option<Tensor>, precision: Precision },
+    Tensors { weight: Tensor, bias: Option<Tensor>, precision: Precision },
     Frozen { weight: PackedConv, bias: Option<Vec<f32>> },
 }
 
@@ -58,9 +58,9 @@ impl SparseConv {
     /// The layer with these parameters.
     fn of(compute: Compute, weight: Tensor, bias: Option<Tensor>) -> Result<Self> {
         let (cout, kernel_size, _, _, cin) = weight.dims5()?;
-        if weight.is_variable() {
+        if stays_tensor(&weight) {
             ops::refuse_training("sparse_conv", compute.precision)?;
-            let form = Form::Trainable { weight, bias, precision: compute.precision };
+            let form = Form::Tensors { weight, bias, precision: compute.precision };
             return Ok(Self { kernel_size, form });
         }
         let bias = bias.as_ref().map(vector).transpose()?;
@@ -93,7 +93,7 @@ impl SparseConv {
         linear: VarBuilder<'_>,
     ) -> Result<(Self, Option<Linear>)> {
         let (inner, outer) = pair(channels, kernel_size, &conv, &linear)?;
-        if inner.0.is_variable() || !compute.fold {
+        if stays_tensor(&inner.0) || !compute.fold {
             let conv = Self::of(compute, inner.0, inner.1)?;
             return Ok((conv, Some(Linear::of(compute, outer.0, outer.1)?)));
         }
@@ -117,6 +117,11 @@ impl SparseConv {
         if inner.0.is_variable() {
             bail!("sparse_conv: a convolution of low rank cannot be trained");
         }
+        if !inner.0.device().is_cpu() {
+            bail!(
+                "sparse_conv: a convolution of low rank runs on the CPU only; leave out the rank"
+            );
+        }
         let shape = [channels, channels, kernel_size.pow(3)];
         if !compute.fold {
             let (weight, bias) = (inner.0.flatten_all()?.to_vec1()?, inner.1);
@@ -139,7 +144,7 @@ impl SparseConv {
     /// If the input does not fit the map.
     pub fn forward(&self, x: &Tensor, map: Arc<KernelMap>) -> Result<Tensor> {
         match &self.form {
-            Form::Trainable { weight, bias, precision } => {
+            Form::Tensors { weight, bias, precision } => {
                 ops::sparse_conv_with(*precision, x, weight, bias.as_ref(), map)
             }
             Form::Frozen { weight, bias } => {

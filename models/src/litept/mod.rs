@@ -31,7 +31,7 @@ pub use scale::Scale;
 use crate::point_transformer_v3::{Embedding, SerializedUnpooling};
 use crate::row_order::{OrderShuffle, morton_rows};
 use crate::{Architecture, Backbone, BackboneCost, Compute, Forward, PointCloud};
-use candle_core::{Result, Tensor, bail};
+use candle_core::{Device, Result, Tensor, bail};
 use candle_nn::VarBuilder;
 use scenesplat_kernels::segment::Groups;
 use scenesplat_kernels::serialization::Curve;
@@ -46,6 +46,8 @@ pub struct LitePt {
     encoder: Vec<EncoderStage>,
     /// Fine to coarse; run in reverse.
     decoder: Vec<DecoderStage>,
+    /// Where the parameters are; input is brought there.
+    device: Device,
 }
 
 #[derive(Debug)]
@@ -101,7 +103,8 @@ impl LitePt {
             )?;
             decoder.push(DecoderStage { up, blocks: blocks(shapes, &vb)? });
         }
-        Ok(Self { config: config.clone(), curves: config.curves()?, embedding, encoder, decoder })
+        let (config, curves, device) = (config.clone(), config.curves()?, vb.device().clone());
+        Ok(Self { config, curves, embedding, encoder, decoder, device })
     }
 
     /// The configuration it was built from.
@@ -146,6 +149,7 @@ impl Backbone for LitePt {
             Some(sorted) => sorted.enter(&points.feat)?,
             None => points.feat.clone(),
         };
+        let feat = feat.to_device(&self.device)?;
         let mut x = self.embedding.forward(&feat, scale.cloud(), cx)?;
         drop(feat);
         cx.observe("embedding", &x)?;

@@ -1,7 +1,10 @@
 //! Batch normalisation.
 
-use super::{cpu_slice, make, make_unwritten, read, refuse_gradient};
-use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
+use super::{
+    Pass, cpu_slice, forward_on_device, here, launched, launches, make, make_unwritten, read,
+    refuse_gradient,
+};
+use candle_core::{CpuStorage, CudaStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use scenesplat_kernels::batch_norm::{apply, backward, statistics};
 use std::sync::Arc;
 
@@ -25,6 +28,12 @@ pub fn batch_statistics(x: &Tensor) -> Result<BatchStatistics> {
     if n < 2 {
         bail!("batch_norm: training needs at least 2 rows, got {n}; use larger scenes or batches");
     }
+    #[cfg(feature = "cuda")]
+    if x.device().is_cuda() {
+        let (mean, var) = crate::device::launcher::batch_statistics(x)?;
+        return Ok(BatchStatistics { mean, var, from_batch: true });
+    }
+    here("batch_statistics", Pass::Forward, x);
     let s = read("batch_norm", x, |x| Ok(statistics(x, c)))?;
     Ok(BatchStatistics { mean: s.mean, var: s.var, from_batch: true })
 }
@@ -32,6 +41,16 @@ pub fn batch_statistics(x: &Tensor) -> Result<BatchStatistics> {
 struct BatchNorm {
     statistics: Arc<BatchStatistics>,
     inverse: Vec<f64>,
+}
+
+impl BatchNorm {
+    fn check(&self, l: &Layout, channels: usize) -> Result<()> {
+        let (_, c) = l.shape().dims2()?;
+        if c != channels || c != self.inverse.len() {
+            bail!("batch_norm: input {:?} does not fit {channels} channels", l.shape());
+        }
+        Ok(())
+    }
 }
 
 impl CustomOp3 for BatchNorm {
@@ -50,15 +69,38 @@ impl CustomOp3 for BatchNorm {
         let x = cpu_slice("batch_norm", s1, l1)?;
         let weight = cpu_slice("batch_norm", s2, l2)?;
         let bias = cpu_slice("batch_norm", s3, l3)?;
-        let (_, c) = l1.shape().dims2()?;
-        if c != weight.len() || c != self.inverse.len() {
-            bail!("batch_norm: input {:?} does not fit {} channels", l1.shape(), weight.len());
-        }
+        self.check(l1, weight.len())?;
         let (scale, shift) = scale_shift(weight, bias, &self.statistics.mean, &self.inverse);
         let mut out = vec![0f32; x.len()];
         apply(x, &scale, &shift, false, &mut out);
         Ok((CpuStorage::F32(out), l1.shape().clone()))
     }
+    fn cuda_fwd(
+        &self,
+        s1: &CudaStorage,
+        l1: &Layout,
+        s2: &CudaStorage,
+        l2: &Layout,
+        s3: &CudaStorage,
+        l3: &Layout,
+    ) -> Result<(CudaStorage, Shape)> {
+        #[cfg(feature = "cuda")]
+        {
+            use candle_core::backend::BackendStorage;
+            let (weight, bias) = (s2.to_cpu_storage()?, s3.to_cpu_storage()?);
+            let weight = cpu_slice("batch_norm", &weight, l2)?;
+            let bias = cpu_slice("batch_norm", &bias, l3)?;
+            self.check(l1, weight.len())?;
+            let (mean, inverse) = (&self.statistics.mean, &self.inverse);
+            let pass = launches::BatchNorm { weight, bias, mean, inverse };
+            crate::device::launcher::on_storages([(s1, l1)], &pass)
+        }
+        #[cfg(not(feature = "cuda"))]
+        super::device::through_host("batch_norm", [(s1, l1), (s2, l2), (s3, l3)], |[a, b, c]| {
+            self.cpu_fwd(a.0, a.1, b.0, b.1, c.0, c.1)
+        })
+    }
+    forward_on_device!(@CustomOp3 metal_fwd MetalStorage);
     fn bwd(
         &self,
         x: &Tensor,
@@ -67,20 +109,28 @@ impl CustomOp3 for BatchNorm {
         _: &Tensor,
         grad: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
+        let (mean, inverse) = (&self.statistics.mean, &self.inverse);
+        let from_batch = self.statistics.from_batch;
+        let pass = launches::BatchNormBackward { mean, inverse, from_batch };
+        if let Some(made) = launched([x, weight, grad], &pass)? {
+            let [dx, dw, db] = [0, 1, 2].map(|i| Some(made[i].clone()));
+            return Ok((dx, dw, db));
+        }
+        let device = here("batch_norm", Pass::Backward, x);
         let shape = x.shape().clone();
         let s = &self.statistics;
         let mut parameters = (Vec::new(), Vec::new());
         let dx = read("batch_norm", x, |x| {
             read("batch_norm", grad, |g| {
                 read("batch_norm", weight, |w| {
-                    make(shape, |dx| {
+                    make(device, shape, |dx| {
                         parameters = backward(x, g, w, &s.mean, &self.inverse, s.from_batch, dx);
                     })
                 })
             })
         })?;
         let c = weight.elem_count();
-        let vector = |v: Vec<f32>| Tensor::from_vec(v, c, x.device());
+        let vector = |v: Vec<f32>| Tensor::from_vec(v, c, device);
         Ok((Some(dx), Some(vector(parameters.0)?), Some(vector(parameters.1)?)))
     }
 }
@@ -104,7 +154,7 @@ pub fn scale_shift(
 /// `x`: `[N, C]` · `weight`, `bias`: `[C]` · returns `[N, C]`
 ///
 /// # Errors
-/// If shapes do not fit or a tensor is not f32 on the CPU.
+/// If shapes do not fit or a tensor is not f32.
 pub fn batch_norm(
     x: &Tensor,
     weight: &Tensor,
@@ -136,9 +186,9 @@ pub(crate) fn scale_shift_frozen(
     if c != scale.len() {
         bail!("batch_norm: input {:?} does not fit {} channels", x.shape(), scale.len());
     }
-    let shape = x.shape().clone();
+    let (shape, device) = (x.shape().clone(), here("batch_norm", Pass::Forward, x));
     read("batch_norm", x, |x| {
         // SAFETY: the kernel writes all of it and reads none before.
-        unsafe { make_unwritten(shape, |out| apply(x, scale, shift, gelu, out)) }
+        unsafe { make_unwritten(device, shape, |out| apply(x, scale, shift, gelu, out)) }
     })
 }

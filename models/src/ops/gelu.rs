@@ -1,6 +1,6 @@
 //! The exact GELU.
 
-use super::{cpu_slice, make, read};
+use super::{Pass, cpu_slice, forward_on_device, here, launched, launches, make, read};
 use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
 use scenesplat_kernels::activation::{gelu_backward, gelu_forward};
 
@@ -16,17 +16,22 @@ impl CustomOp1 for Gelu {
         gelu_forward(x, &mut out);
         Ok((CpuStorage::F32(out), l.shape().clone()))
     }
+    forward_on_device!(CustomOp1, |_op, _layouts| Some(launches::Gelu));
     fn bwd(&self, x: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
-        let shape = x.shape().clone();
-        read("gelu", x, |x| read("gelu", grad, |g| make(shape, |out| gelu_backward(x, g, out))))
-            .map(Some)
+        if let Some(mut made) = launched([x, grad], &launches::GeluBackward)? {
+            return Ok(made.pop());
+        }
+        let (shape, device) = (x.shape().clone(), here("gelu", Pass::Backward, x));
+        let gelu_backward =
+            |x: &[f32], g: &[f32]| make(device, shape, |out| gelu_backward(x, g, out));
+        read("gelu", x, |x| read("gelu", grad, |g| gelu_backward(x, g))).map(Some)
     }
 }
 
 /// `x · Φ(x)` with the exact normal distribution, any shape.
 ///
 /// # Errors
-/// If the tensor is not f32 on the CPU.
+/// If the tensor is not f32.
 pub fn gelu(x: &Tensor) -> Result<Tensor> {
     x.contiguous()?.apply_op1(Gelu)
 }

@@ -1,6 +1,9 @@
 //! Layer normalisation.
 
-use super::{check_residual, cpu_slice, make, make_unwritten, read, refuse_gradient, unwritten};
+use super::{
+    Pass, check_residual, cpu_slice, forward_on_device, here, launched, launches, make,
+    make_unwritten, read, refuse_gradient, unwritten,
+};
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use scenesplat_kernels::layer_norm::{backward, forward};
 
@@ -30,6 +33,10 @@ impl CustomOp3 for LayerNorm {
         forward(x, None, weight, bias, self.eps, &mut out);
         Ok((CpuStorage::F32(out), l1.shape().clone()))
     }
+    forward_on_device!(CustomOp3, |op, layouts| {
+        check(layouts[0].shape(), layouts[1].shape().elem_count())?;
+        Some(launches::LayerNorm { eps: op.eps })
+    });
     fn bwd(
         &self,
         x: &Tensor,
@@ -38,17 +45,22 @@ impl CustomOp3 for LayerNorm {
         _: &Tensor,
         grad: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
-        let shape = x.shape().clone();
+        let pass = launches::LayerNormBackward { eps: self.eps };
+        if let Some(made) = launched([x, weight, grad], &pass)? {
+            let of = |i: usize| made[1].get(i).and_then(|t| t.contiguous());
+            return Ok((Some(made[0].clone()), Some(of(0)?), Some(of(1)?)));
+        }
+        let (shape, device) = (x.shape().clone(), here("layer_norm", Pass::Backward, x));
         let mut parameters = (Vec::new(), Vec::new());
         let dx = read("layer_norm", x, |x| {
             read("layer_norm", grad, |g| {
                 read("layer_norm", weight, |w| {
-                    make(shape, |dx| parameters = backward(x, g, w, self.eps, dx))
+                    make(device, shape, |dx| parameters = backward(x, g, w, self.eps, dx))
                 })
             })
         })?;
         let c = weight.elem_count();
-        let vector = |v: Vec<f32>| Tensor::from_vec(v, c, x.device());
+        let vector = |v: Vec<f32>| Tensor::from_vec(v, c, device);
         Ok((Some(dx), Some(vector(parameters.0)?), Some(vector(parameters.1)?)))
     }
 }
@@ -67,7 +79,7 @@ fn check(shape: &Shape, channels: usize) -> Result<()> {
 /// `x`: `[N, C]` · `weight`, `bias`: `[C]` · returns `[N, C]`
 ///
 /// # Errors
-/// If shapes do not fit or a tensor is not f32 on the CPU.
+/// If shapes do not fit or a tensor is not f32.
 pub fn layer_norm(x: &Tensor, weight: &Tensor, bias: &Tensor, eps: f32) -> Result<Tensor> {
     x.contiguous()?.apply_op3(weight, bias, LayerNorm { eps })
 }
@@ -88,10 +100,10 @@ pub fn layer_norm_frozen(
     if let Some(r) = residual {
         check_residual("layer_norm", r, [x.dim(0)?, weight.len()])?;
     }
-    let shape = x.shape().clone();
+    let (shape, device) = (x.shape().clone(), here("layer_norm", Pass::Forward, x));
     let run = |x: &[f32], residual: Option<&[f32]>| {
         // SAFETY: the kernel writes all of it and reads none before.
-        unsafe { make_unwritten(shape, |out| forward(x, residual, weight, bias, eps, out)) }
+        unsafe { make_unwritten(device, shape, |out| forward(x, residual, weight, bias, eps, out)) }
     };
     read("layer_norm", x, |x| match residual {
         Some(r) => read("layer_norm", r, |r| run(x, Some(r))),

@@ -1,10 +1,10 @@
 //! Linear layers.
 
 use super::{
-    check_residual, cpu_slice, make, make_unwritten, read, refuse_gradient, refuse_training,
-    unwritten,
+    Pass, check_residual, cpu_slice, forward_on_device, here, make, make_unwritten, read,
+    refuse_gradient, refuse_training, unwritten,
 };
-use candle_core::{CpuStorage, CustomOp2, CustomOp3, Layout, Result, Shape, Tensor, bail};
+use candle_core::{CpuStorage, CustomOp2, CustomOp3, DType, Layout, Result, Shape, Tensor, bail};
 use scenesplat_kernels::Precision;
 use scenesplat_kernels::gemm::{Epilogue, PackedMatrix, gemm, gemm_tn_with, gemm_unit_rows, mlp};
 use scenesplat_kernels::sparse_conv::backward_bias;
@@ -39,18 +39,22 @@ fn backward(
 ) -> Result<(Tensor, Tensor, Tensor)> {
     let (m, k) = x.dims2()?;
     let n = w.dim(0)?;
+    let device = here("linear", Pass::Backward, x);
     let dx = read("linear", grad, |g| {
         read("linear", w, |w| {
-            make((m, k), |out| {
+            make(device, (m, k), |out| {
                 let packed = PackedMatrix::from_strided_with(precision, w, n, k, k, 1);
                 gemm(g, &packed, Epilogue::default(), out);
             })
         })
     })?;
     let dw = read("linear", grad, |g| {
-        read("linear", x, |x| make((n, k), |out| gemm_tn_with(precision, g, n, x, k, None, out)))
+        read("linear", x, |x| {
+            make(device, (n, k), |out| gemm_tn_with(precision, g, n, x, k, None, out))
+        })
     })?;
-    let db = read("linear", grad, |g| make(n, |out| out.copy_from_slice(&backward_bias(g, n))))?;
+    let db =
+        read("linear", grad, |g| make(device, n, |out| out.copy_from_slice(&backward_bias(g, n))))?;
     Ok((dx, dw, db))
 }
 
@@ -69,6 +73,7 @@ impl CustomOp3 for Linear {
     ) -> Result<(CpuStorage, Shape)> {
         forward(self.0, (s1, l1), (s2, l2), Some(cpu_slice("linear", s3, l3)?))
     }
+    forward_on_device!(CustomOp3);
     fn bwd(
         &self,
         x: &Tensor,
@@ -95,6 +100,7 @@ impl CustomOp2 for Linear {
     ) -> Result<(CpuStorage, Shape)> {
         forward(self.0, (s1, l1), (s2, l2), None)
     }
+    forward_on_device!(CustomOp2);
     fn bwd(
         &self,
         x: &Tensor,
@@ -113,7 +119,7 @@ impl CustomOp2 for Linear {
 /// `x`: `[N, in]` · `weight`: `[out, in]` · `bias`: `[out]` · returns `[N, out]`
 ///
 /// # Errors
-/// If shapes do not fit or a tensor is not f32 on the CPU.
+/// If shapes do not fit or a tensor is not f32.
 pub fn linear(x: &Tensor, weight: &Tensor, bias: Option<&Tensor>) -> Result<Tensor> {
     linear_with(Precision::F32, x, weight, bias)
 }
@@ -129,10 +135,32 @@ pub fn linear_with(
     bias: Option<&Tensor>,
 ) -> Result<Tensor> {
     refuse_training("linear", precision)?;
+    if !x.device().is_cpu() {
+        return by_matmul(precision, x, weight, bias);
+    }
     let x = x.contiguous()?;
     match bias {
         Some(bias) => x.apply_op3(weight, bias, Linear(precision)),
         None => x.apply_op2(weight, Linear(precision)),
+    }
+}
+
+/// As [`linear_with`] by candle's own product, which is the device's library's, and its gradients.
+fn by_matmul(
+    precision: Precision,
+    x: &Tensor,
+    weight: &Tensor,
+    bias: Option<&Tensor>,
+) -> Result<Tensor> {
+    let ((m, k), (n, k2)) = (x.dims2()?, weight.dims2()?);
+    if k != k2 {
+        bail!("linear: input [{m}, {k}] does not fit weight [{n}, {k2}]");
+    }
+    let dtype = if precision == Precision::Bf16 { DType::BF16 } else { DType::F32 };
+    let product = x.to_dtype(dtype)?.matmul(&weight.to_dtype(dtype)?.t()?)?.to_dtype(DType::F32)?;
+    match bias {
+        Some(bias) => product.broadcast_add(bias),
+        None => Ok(product),
     }
 }
 
@@ -155,11 +183,12 @@ pub fn linear_frozen(
     if k != weight.k() {
         bail!("linear: input [{m}, {k}] does not fit weight [{}, {}]", weight.n(), weight.k());
     }
+    let device = here("linear", Pass::Forward, x);
     read("linear", x, |x| {
         let run = |residual: Option<&[f32]>| {
             let fill = |out: &mut [f32]| gemm(x, weight, Epilogue { bias, gelu, residual }, out);
             // SAFETY: the kernel writes all of it and reads none before.
-            unsafe { make_unwritten((m, weight.n()), fill) }
+            unsafe { make_unwritten(device, (m, weight.n()), fill) }
         };
         match residual {
             Some(r) => read("linear", r, |r| run(Some(r))),
@@ -183,9 +212,12 @@ pub fn linear_unit_frozen(
     if k != weight.k() {
         bail!("linear: input [{m}, {k}] does not fit weight [{}, {}]", weight.n(), weight.k());
     }
+    let device = here("linear", Pass::Forward, x);
     read("linear", x, |x| {
         // SAFETY: the kernel writes all of it and reads none before.
-        unsafe { make_unwritten((m, weight.n()), |out| gemm_unit_rows(x, weight, bias, out)) }
+        unsafe {
+            make_unwritten(device, (m, weight.n()), |out| gemm_unit_rows(x, weight, bias, out))
+        }
     })
 }
 
@@ -206,11 +238,12 @@ pub fn mlp_frozen(
     if k != first.0.k() {
         bail!("mlp: input [{m}, {k}] does not fit weight [{}, {}]", first.0.n(), first.0.k());
     }
+    let device = here("mlp", Pass::Forward, x);
     read("mlp", x, |x| {
         read("mlp", residual, |residual| {
             let epilogue = Epilogue { bias: Some(second.1), gelu: false, residual: Some(residual) };
             // SAFETY: the kernel writes all of it and reads none before.
-            unsafe { make_unwritten((m, n), |out| mlp(x, first, second.0, epilogue, out)) }
+            unsafe { make_unwritten(device, (m, n), |out| mlp(x, first, second.0, epilogue, out)) }
         })
     })
 }

@@ -1,11 +1,13 @@
 //! Operations of the networks and of the rasterizer: candle glue over `scenesplat-kernels` and
-//! `scenesplat-rasterizer`.
+//! `scenesplat-rasterizer`, on tensors of any device; `device` says what happens on another than the CPU.
 //!
 //! The differentiable ones are candle custom operations; index tables live inside the operation.
 //! The others, used with frozen weights, refuse an input that wants a gradient.
 
 mod batch_norm;
+pub(crate) mod device;
 mod gelu;
+pub(crate) mod launches;
 mod layer_norm;
 mod linear;
 mod normalize;
@@ -28,9 +30,12 @@ pub use permute_rows::permute_rows;
 pub use point_rope::point_rope;
 pub use rasterize::{DepthChannel, GaussianTensors, rasterize};
 pub use residual::add_scaled_rows;
+pub(crate) use scenesplat_kernels::fallbacks::Pass;
 pub use scenesplat_kernels::normalize::normalize_rows;
 pub use segment_reduce::{expand_groups, segment_reduce};
 pub use sparse_conv::{sparse_conv, sparse_conv_frozen, sparse_conv_with};
+
+pub(crate) use device::{forward_on_device, here, launched};
 
 use candle_core::{CpuStorage, Device, Layout, Result, Shape, Storage, Tensor, bail};
 use scenesplat_kernels::Precision;
@@ -55,22 +60,27 @@ fn storage_dtype(storage: &CpuStorage) -> candle_core::DType {
     storage.dtype()
 }
 
-/// Lends the values of a tensor, made contiguous if needed.
+/// Lends the values of a tensor, made contiguous if needed, and copied here if they are on another device: who
+/// computes with them says so first ([`device::here`]).
 pub(crate) fn read<R>(op: &str, t: &Tensor, f: impl FnOnce(&[f32]) -> Result<R>) -> Result<R> {
-    let t = t.contiguous()?;
+    let t = t.to_device(&Device::Cpu)?.contiguous()?;
     let (storage, layout) = t.storage_and_layout();
     match &*storage {
         Storage::Cpu(storage) => f(cpu_slice(op, storage, layout)?),
-        _ => bail!("{op}: this build runs on the CPU only"),
+        _ => bail!("{op}: the values could not be copied to the CPU"),
     }
 }
 
-/// Makes a tensor of `len` values that `f` fills.
-pub(crate) fn make(shape: impl Into<Shape>, f: impl FnOnce(&mut [f32])) -> Result<Tensor> {
+/// Makes a tensor of values that `f` fills, on a device.
+pub(crate) fn make(
+    device: &Device,
+    shape: impl Into<Shape>,
+    f: impl FnOnce(&mut [f32]),
+) -> Result<Tensor> {
     let shape = shape.into();
     let mut out = vec![0f32; shape.elem_count()];
     f(&mut out);
-    Tensor::from_vec(out, shape, &Device::Cpu)
+    Tensor::from_vec(out, shape, device)
 }
 
 /// As [`make`], of values that nobody cleared.
@@ -78,6 +88,7 @@ pub(crate) fn make(shape: impl Into<Shape>, f: impl FnOnce(&mut [f32])) -> Resul
 /// # Safety
 /// As [`unwritten`].
 pub(crate) unsafe fn make_unwritten(
+    device: &Device,
     shape: impl Into<Shape>,
     f: impl FnOnce(&mut [f32]),
 ) -> Result<Tensor> {
@@ -85,7 +96,7 @@ pub(crate) unsafe fn make_unwritten(
     // SAFETY: passed on.
     let mut out = unsafe { unwritten(shape.elem_count()) };
     f(&mut out);
-    Tensor::from_vec(out, shape, &Device::Cpu)
+    Tensor::from_vec(out, shape, device)
 }
 
 /// Room for values that a kernel writes. Clearing it first is done by one thread alone, and takes as long as

@@ -1,6 +1,6 @@
 //! Unit-length rows.
 
-use super::{cpu_slice, make, read};
+use super::{Pass, cpu_slice, forward_on_device, here, make, read};
 use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
 use scenesplat_kernels::normalize::{norm, normalize_rows};
 
@@ -30,12 +30,13 @@ impl CustomOp1 for L2Normalize {
         }
         Ok((CpuStorage::F32(out), l.shape().clone()))
     }
+    forward_on_device!(CustomOp1);
     fn bwd(&self, x: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
         let (_, c) = x.dims2()?;
-        let shape = x.shape().clone();
+        let (shape, device) = (x.shape().clone(), here("l2_normalize", Pass::Backward, x));
         read("l2_normalize", x, |x| {
             read("l2_normalize", grad, |g| {
-                make(shape, |out| {
+                make(device, shape, |out| {
                     for ((x, g), out) in
                         x.chunks_exact(c).zip(g.chunks_exact(c)).zip(out.chunks_exact_mut(c))
                     {
@@ -65,9 +66,9 @@ impl CustomOp1 for L2Normalize {
 /// `x`: `[N, C]` f32 · returns `[N, C]`
 ///
 /// # Errors
-/// If the tensor is not a matrix of f32 on the CPU.
+/// If the tensor is not a matrix of f32.
 pub fn l2_normalize(x: &Tensor) -> Result<Tensor> {
-    x.contiguous()?.apply_op1(L2Normalize { floor: EPS })
+    l2_normalize_above(x, EPS)
 }
 
 /// `x / max(‖x‖, floor)` for each row; `floor` is 1e-12 at least. On the calling thread: for few rows.
@@ -76,7 +77,14 @@ pub fn l2_normalize(x: &Tensor) -> Result<Tensor> {
 /// `x`: `[N, C]` f32 · returns `[N, C]`
 ///
 /// # Errors
-/// If the tensor is not a matrix of f32 on the CPU.
+/// If the tensor is not a matrix of f32.
 pub fn l2_normalize_above(x: &Tensor, floor: f64) -> Result<Tensor> {
-    x.contiguous()?.apply_op1(L2Normalize { floor: floor.max(EPS) })
+    let floor = floor.max(EPS);
+    if !x.device().is_cpu() {
+        x.dims2()?;
+        // By candle's operations. The floor goes under the root: at zero its gradient is infinite.
+        let squares = x.sqr()?.sum_keepdim(1)?.maximum(floor * floor)?;
+        return x.broadcast_div(&squares.sqrt()?);
+    }
+    x.contiguous()?.apply_op1(L2Normalize { floor })
 }

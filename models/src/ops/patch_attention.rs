@@ -1,6 +1,6 @@
 //! Attention inside patches of a serialized order.
 
-use super::{cpu_slice, make, read};
+use super::{Pass, cpu_slice, forward_on_device, here, launched, launches, make, read};
 use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor, bail};
 use scenesplat_kernels::Precision;
 use scenesplat_kernels::patch_attention::{Heads, backward, forward_with};
@@ -14,31 +14,53 @@ struct PatchAttention {
     order: Arc<Vec<u32>>,
 }
 
+impl PatchAttention {
+    fn check(&self, l: &Layout) -> Result<(usize, usize)> {
+        let (n, c3) = l.shape().dims2()?;
+        let c = self.heads.channels();
+        if c3 != 3 * c || n != self.order.len() || n != self.patches.num_positions() {
+            bail!(
+                "patch_attention: expected [{}, {}] in patches of {} positions, got {:?}",
+                self.order.len(),
+                3 * c,
+                self.patches.num_positions(),
+                l.shape()
+            );
+        }
+        Ok((n, c))
+    }
+
+    fn launches(&self) -> launches::PatchAttention<'_> {
+        launches::PatchAttention { heads: self.heads, patches: &self.patches, order: &self.order }
+    }
+}
+
 impl CustomOp1 for PatchAttention {
     fn name(&self) -> &'static str {
         "patch_attention"
     }
     fn cpu_fwd(&self, s: &CpuStorage, l: &Layout) -> Result<(CpuStorage, Shape)> {
-        let (n, c3) = l.shape().dims2()?;
-        let c = self.heads.channels();
-        if c3 != 3 * c || n != self.order.len() {
-            bail!(
-                "patch_attention: expected [{}, {}], got {:?}",
-                self.order.len(),
-                3 * c,
-                l.shape()
-            );
-        }
+        let (n, c) = self.check(l)?;
         let qkv = cpu_slice("patch_attention", s, l)?;
         let mut out = vec![0f32; n * c];
         forward_with(self.precision, qkv, self.heads, &self.patches, &self.order, &mut out);
         Ok((CpuStorage::F32(out), (n, c).into()))
     }
+    forward_on_device!(CustomOp1, |op, layouts| {
+        op.check(layouts[0])?;
+        launches::PatchAttention::fits(op.heads).then(|| op.launches())
+    });
     fn bwd(&self, qkv: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
-        let shape = qkv.shape().clone();
+        if launches::PatchAttention::fits(self.heads) {
+            let pass = launches::PatchAttentionBackward(self.launches());
+            if let Some(mut made) = launched([qkv, grad], &pass)? {
+                return Ok(made.pop());
+            }
+        }
+        let (shape, device) = (qkv.shape().clone(), here("patch_attention", Pass::Backward, qkv));
         read("patch_attention", qkv, |qkv| {
             read("patch_attention", grad, |grad| {
-                make(shape, |out| {
+                make(device, shape, |out| {
                     backward(qkv, self.heads, &self.patches, &self.order, grad, out);
                 })
             })
@@ -55,7 +77,7 @@ impl CustomOp1 for PatchAttention {
 /// position of the sequence · returns `[N, C]`
 ///
 /// # Errors
-/// If shapes do not fit or the tensor is not f32 on the CPU.
+/// If shapes do not fit or the tensor is not f32.
 pub fn patch_attention(
     precision: Precision,
     qkv: &Tensor,

@@ -1,6 +1,6 @@
 //! A permutation of rows whose backward is the gather by the inverse.
 
-use super::{cpu_slice, make, read};
+use super::{Pass, cpu_slice, forward_on_device, here, launched, launches, make, read};
 use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor, bail};
 use scenesplat_kernels::permute::gather_rows;
 use std::sync::Arc;
@@ -10,23 +10,40 @@ struct PermuteRows {
     inverse: Arc<Vec<u32>>,
 }
 
+impl PermuteRows {
+    fn check(&self, l: &Layout) -> Result<(usize, usize)> {
+        let (n, c) = l.shape().dims2()?;
+        if n != self.order.len() {
+            bail!("permute_rows: expected {} rows, got {:?}", self.order.len(), l.shape());
+        }
+        Ok((n, c))
+    }
+}
+
 impl CustomOp1 for PermuteRows {
     fn name(&self) -> &'static str {
         "permute_rows"
     }
     fn cpu_fwd(&self, s: &CpuStorage, l: &Layout) -> Result<(CpuStorage, Shape)> {
-        let (n, c) = l.shape().dims2()?;
-        if n != self.order.len() {
-            bail!("permute_rows: expected {} rows, got {:?}", self.order.len(), l.shape());
-        }
+        let (n, c) = self.check(l)?;
         let mut out = vec![0f32; n * c];
         gather_rows(cpu_slice("permute_rows", s, l)?, c, &self.order, &mut out);
         Ok((CpuStorage::F32(out), l.shape().clone()))
     }
+    forward_on_device!(CustomOp1, |op, layouts| {
+        op.check(layouts[0])?;
+        Some(launches::Gather { rows: &op.order })
+    });
     fn bwd(&self, x: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
         let (n, c) = x.dims2()?;
-        read("permute_rows", grad, |g| make((n, c), |out| gather_rows(g, c, &self.inverse, out)))
-            .map(Some)
+        if let Some(mut made) = launched([grad], &launches::Gather { rows: &self.inverse })? {
+            return Ok(made.pop());
+        }
+        let device = here("permute_rows", Pass::Backward, x);
+        read("permute_rows", grad, |g| {
+            make(device, (n, c), |out| gather_rows(g, c, &self.inverse, out))
+        })
+        .map(Some)
     }
 }
 
@@ -36,7 +53,7 @@ impl CustomOp1 for PermuteRows {
 /// `x`: `[N, C]` · `order`, `inverse`: `[N]` · returns `[N, C]`
 ///
 /// # Errors
-/// If shapes do not fit or the tensor is not f32 on the CPU.
+/// If shapes do not fit or the tensor is not f32.
 pub fn permute_rows(x: &Tensor, order: Arc<Vec<u32>>, inverse: Arc<Vec<u32>>) -> Result<Tensor> {
     x.contiguous()?.apply_op1(PermuteRows { order, inverse })
 }

@@ -1,6 +1,6 @@
 //! Rotary embedding of voxel coordinates.
 
-use super::{cpu_slice, read};
+use super::{Pass, cpu_slice, forward_on_device, here, launched, launches, read};
 use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor, bail};
 use scenesplat_kernels::patch_attention::Heads;
 use scenesplat_kernels::point_rope::{Rotations, Turn};
@@ -12,6 +12,25 @@ struct PointRope {
 }
 
 impl PointRope {
+    fn check(&self, l: &Layout) -> Result<()> {
+        let shape = l.shape();
+        let (n, c3) = shape.dims2()?;
+        let (rows, c) = (self.rotations.len(), self.heads.channels());
+        if (n, c3) != (rows, 3 * c) || self.heads.dim != self.rotations.dim() {
+            bail!(
+                "point_rope: expected [{rows}, {}] of heads of {}, got {shape:?} of {}",
+                3 * c,
+                self.rotations.dim(),
+                self.heads.dim
+            );
+        }
+        Ok(())
+    }
+
+    fn launches(&self, back: bool) -> launches::PointRope<'_> {
+        launches::PointRope { rotations: &self.rotations, heads: self.heads, back }
+    }
+
     fn turned(&self, values: &[f32], turn: Turn) -> Vec<f32> {
         let mut out = values.to_vec();
         self.rotations.apply(&mut out, self.heads, turn);
@@ -24,23 +43,21 @@ impl CustomOp1 for PointRope {
         "point_rope"
     }
     fn cpu_fwd(&self, s: &CpuStorage, l: &Layout) -> Result<(CpuStorage, Shape)> {
-        let shape = l.shape().clone();
-        let (n, c3) = shape.dims2()?;
-        let (rows, c) = (self.rotations.len(), self.heads.channels());
-        if (n, c3) != (rows, 3 * c) || self.heads.dim != self.rotations.dim() {
-            bail!(
-                "point_rope: expected [{rows}, {}] of heads of {}, got {shape:?} of {}",
-                3 * c,
-                self.rotations.dim(),
-                self.heads.dim
-            );
-        }
+        self.check(l)?;
         let out = self.turned(cpu_slice("point_rope", s, l)?, Turn::Forward);
-        Ok((CpuStorage::F32(out), shape))
+        Ok((CpuStorage::F32(out), l.shape().clone()))
     }
+    forward_on_device!(CustomOp1, |op, layouts| {
+        op.check(layouts[0])?;
+        Some(op.launches(false))
+    });
     fn bwd(&self, qkv: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
+        if let Some(mut made) = launched([grad], &self.launches(true))? {
+            return Ok(made.pop());
+        }
+        let device = here("point_rope", Pass::Backward, qkv);
         let dqkv = read("point_rope", grad, |grad| Ok(self.turned(grad, Turn::Back)))?;
-        Tensor::from_vec(dqkv, qkv.shape(), qkv.device()).map(Some)
+        Tensor::from_vec(dqkv, qkv.shape(), device).map(Some)
     }
 }
 
@@ -51,7 +68,7 @@ impl CustomOp1 for PointRope {
 /// `qkv`: `[N, 3·C]`, the channels being q, k, v, each `[heads, dim]` · returns `[N, 3·C]`
 ///
 /// # Errors
-/// If shapes do not fit or the tensor is not f32 on the CPU.
+/// If shapes do not fit or the tensor is not f32.
 pub fn point_rope(qkv: &Tensor, heads: Heads, rotations: Arc<Rotations>) -> Result<Tensor> {
     qkv.contiguous()?.apply_op1(PointRope { rotations, heads })
 }

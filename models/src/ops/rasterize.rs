@@ -1,6 +1,6 @@
 //! Pictures of Gaussians, trainable.
 
-use super::cpu_slice;
+use super::{Pass, cpu_slice, forward_on_device, here};
 use candle_core::{CpuStorage, CustomOp2, Error, Layout, Result, Shape, Tensor, bail};
 use rayon::prelude::*;
 use scenesplat_rasterizer::backward::{GradMask, Trace, TraceRequest, Upstream, backward, trace};
@@ -78,8 +78,8 @@ pub fn rasterize(
             let dtype = tensor.dtype();
             bail!("rasterize: {name}: expected f32, got {dtype:?}; cast with to_dtype first");
         }
-        if !tensor.device().is_cpu() {
-            bail!("rasterize: {name}: this build runs on the CPU only; move it with to_device");
+        if !tensor.device().same_device(means.device()) {
+            bail!("rasterize: {name}: not on the device of means; move it with to_device");
         }
     }
     let mask = GradMask {
@@ -209,6 +209,7 @@ impl CustomOp2 for Rasterize {
         }
         Ok((CpuStorage::F32(out), shape.into()))
     }
+    forward_on_device!(CustomOp2);
     fn bwd(
         &self,
         geometry: &Tensor,
@@ -217,7 +218,7 @@ impl CustomOp2 for Rasterize {
         grad: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>)> {
         let (of_geometry, of_sh) = super::read("rasterize", grad, |grad| self.gradients(grad))?;
-        let device = geometry.device();
+        let device = here("rasterize", Pass::Backward, geometry);
         let of_geometry = Tensor::from_vec(of_geometry, geometry.shape(), device)?;
         Ok((Some(of_geometry), Some(Tensor::from_vec(of_sh, sh.shape(), device)?)))
     }

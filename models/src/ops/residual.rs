@@ -1,6 +1,6 @@
 //! Residual connections.
 
-use super::{cpu_slice, make, read};
+use super::{Pass, cpu_slice, forward_on_device, here, make, read};
 use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor, bail};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -58,6 +58,7 @@ impl CustomOp2 for AddScaledRows {
         }
         Ok((CpuStorage::F32(out), l1.shape().clone()))
     }
+    forward_on_device!(CustomOp2);
     fn bwd(
         &self,
         x: &Tensor,
@@ -69,8 +70,9 @@ impl CustomOp2 for AddScaledRows {
             return Ok((Some(grad.clone()), Some(grad.clone())));
         }
         let (n, c) = x.dims2()?;
+        let device = here("add_scaled_rows", Pass::Backward, x);
         let dx = read("add_scaled_rows", grad, |g| {
-            make((n, c), |out| {
+            make(device, (n, c), |out| {
                 if c > 0 {
                     self.scaled(g, c, out, None);
                 }
@@ -86,12 +88,23 @@ impl CustomOp2 for AddScaledRows {
 /// `x`, `residual`: `[N, C]` · `factors`: `[N]` · returns `[N, C]`
 ///
 /// # Errors
-/// If shapes differ or a tensor is not f32 on the CPU.
+/// If shapes differ or a tensor is not f32.
 pub fn add_scaled_rows(
     x: &Tensor,
     factors: Option<Arc<Vec<f32>>>,
     residual: &Tensor,
 ) -> Result<Tensor> {
+    if !x.device().is_cpu() {
+        let n = x.dims2()?.0;
+        if x.shape() != residual.shape() || factors.as_ref().is_some_and(|f| f.len() != n) {
+            bail!("add_scaled_rows: {:?} and {:?} differ", x.shape(), residual.shape());
+        }
+        // By candle's operations.
+        return match factors {
+            Some(f) => x.broadcast_mul(&Tensor::from_slice(&f, (n, 1), x.device())?)? + residual,
+            None => x + residual,
+        };
+    }
     x.contiguous()?.apply_op2(&residual.contiguous()?, AddScaledRows { factors })
 }
 

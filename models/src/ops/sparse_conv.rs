@@ -1,6 +1,9 @@
 //! Submanifold convolution.
 
-use super::{cpu_slice, make, make_unwritten, read, refuse_gradient, refuse_training, unwritten};
+use super::{
+    Pass, cpu_slice, forward_on_device, here, launched, launches, make, make_unwritten, read,
+    refuse_gradient, refuse_training, unwritten,
+};
 use candle_core::{CpuStorage, CustomOp2, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use scenesplat_kernels::Precision;
 use scenesplat_kernels::kernel_map::KernelMap;
@@ -15,21 +18,27 @@ struct SparseConv {
 }
 
 impl SparseConv {
+    /// Rows, channels of the input and of the output.
+    fn check(&self, x: &Layout, w: &Layout) -> Result<(usize, usize, usize)> {
+        let (n, cin) = x.shape().dims2()?;
+        let k = self.map.kernel_size();
+        let (cout, w_in) = match *w.shape().dims() {
+            [cout, k1, k2, k3, cin] if [k1, k2, k3] == [k; 3] => (cout, cin),
+            ref other => bail!("sparse_conv: expected [out, {k}, {k}, {k}, in], got {other:?}"),
+        };
+        if cin != w_in || n != self.map.rows() {
+            bail!("sparse_conv: expected [{}, {w_in}], got {:?}", self.map.rows(), x.shape());
+        }
+        Ok((n, cin, cout))
+    }
+
     fn run(
         &self,
         x: (&CpuStorage, &Layout),
         w: (&CpuStorage, &Layout),
         bias: Option<&[f32]>,
     ) -> Result<(CpuStorage, Shape)> {
-        let (n, cin) = x.1.shape().dims2()?;
-        let k = self.map.kernel_size();
-        let (cout, w_in) = match *w.1.shape().dims() {
-            [cout, k1, k2, k3, cin] if [k1, k2, k3] == [k; 3] => (cout, cin),
-            ref other => bail!("sparse_conv: expected [out, {k}, {k}, {k}, in], got {other:?}"),
-        };
-        if cin != w_in || n != self.map.rows() {
-            bail!("sparse_conv: expected [{}, {w_in}], got {:?}", self.map.rows(), x.1.shape());
-        }
+        let (n, cin, cout) = self.check(x.1, w.1)?;
         let values = cpu_slice("sparse_conv", w.0, w.1)?;
         let weight = PackedConv::with_precision(self.precision, values, cin, cout, self.map.taps());
         // SAFETY: the kernel writes all of it and reads none before.
@@ -38,22 +47,41 @@ impl SparseConv {
         Ok((CpuStorage::F32(out), (n, cout).into()))
     }
 
-    fn gradients(&self, x: &Tensor, w: &Tensor, grad: &Tensor) -> Result<(Tensor, Tensor)> {
+    /// Of the input, the weight and, if there is one, the bias.
+    fn gradients(
+        &self,
+        x: &Tensor,
+        w: &Tensor,
+        has_bias: bool,
+        grad: &Tensor,
+    ) -> Result<(Tensor, Tensor, Option<Tensor>)> {
         let (n, cin) = x.dims2()?;
         let cout = w.dim(0)?;
+        let pass = launches::SparseConvBackward(launches::SparseConv { map: &self.map, cout });
+        if let Some(made) = launched([x, w, grad], &pass)? {
+            return Ok((made[0].clone(), made[1].clone(), Some(made[2].clone())));
+        }
+        let device = here("sparse_conv", Pass::Backward, x);
         let dx = read("sparse_conv", grad, |g| {
             read("sparse_conv", w, |w| {
-                make((n, cin), |dx| backward_input(self.precision, &self.map, g, w, cin, cout, dx))
+                make(device, (n, cin), |dx| {
+                    backward_input(self.precision, &self.map, g, w, cin, cout, dx)
+                })
             })
         })?;
         let dw = read("sparse_conv", grad, |g| {
             read("sparse_conv", x, |x| {
-                make(w.shape().clone(), |dw| {
+                make(device, w.shape().clone(), |dw| {
                     backward_weight(self.precision, &self.map, x, g, cin, cout, dw);
                 })
             })
         })?;
-        Ok((dx, dw))
+        let bias = || {
+            read("sparse_conv", grad, |g| {
+                make(device, cout, |out| out.copy_from_slice(&backward_bias(g, cout)))
+            })
+        };
+        Ok((dx, dw, has_bias.then(bias).transpose()?))
     }
 }
 
@@ -72,6 +100,10 @@ impl CustomOp3 for SparseConv {
     ) -> Result<(CpuStorage, Shape)> {
         self.run((s1, l1), (s2, l2), Some(cpu_slice("sparse_conv", s3, l3)?))
     }
+    forward_on_device!(CustomOp3, |op, layouts| {
+        let (_, _, cout) = op.check(layouts[0], layouts[1])?;
+        Some(launches::SparseConv { map: &op.map, cout })
+    });
     fn bwd(
         &self,
         x: &Tensor,
@@ -80,12 +112,8 @@ impl CustomOp3 for SparseConv {
         _: &Tensor,
         grad: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
-        let (dx, dw) = self.gradients(x, w, grad)?;
-        let cout = w.dim(0)?;
-        let db = read("sparse_conv", grad, |g| {
-            make(cout, |out| out.copy_from_slice(&backward_bias(g, cout)))
-        })?;
-        Ok((Some(dx), Some(dw), Some(db)))
+        let (dx, dw, db) = self.gradients(x, w, true, grad)?;
+        Ok((Some(dx), Some(dw), db))
     }
 }
 
@@ -102,6 +130,10 @@ impl CustomOp2 for SparseConv {
     ) -> Result<(CpuStorage, Shape)> {
         self.run((s1, l1), (s2, l2), None)
     }
+    forward_on_device!(CustomOp2, |op, layouts| {
+        let (_, _, cout) = op.check(layouts[0], layouts[1])?;
+        Some(launches::SparseConv { map: &op.map, cout })
+    });
     fn bwd(
         &self,
         x: &Tensor,
@@ -109,7 +141,7 @@ impl CustomOp2 for SparseConv {
         _: &Tensor,
         grad: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>)> {
-        let (dx, dw) = self.gradients(x, w, grad)?;
+        let (dx, dw, _) = self.gradients(x, w, false, grad)?;
         Ok((Some(dx), Some(dw)))
     }
 }
@@ -120,7 +152,7 @@ impl CustomOp2 for SparseConv {
 /// `x`: `[N, in]` · `weight`: `[out, k, k, k, in]` · `bias`: `[out]` · returns `[N, out]`
 ///
 /// # Errors
-/// If shapes do not fit the map or a tensor is not f32 on the CPU.
+/// If shapes do not fit the map or a tensor is not f32.
 pub fn sparse_conv(
     x: &Tensor,
     weight: &Tensor,
@@ -164,8 +196,11 @@ pub fn sparse_conv_frozen(
     if cin != weight.cin() || n != map.rows() {
         bail!("sparse_conv: expected [{}, {}], got {:?}", map.rows(), weight.cin(), x.shape());
     }
+    let device = here("sparse_conv", Pass::Forward, x);
     read("sparse_conv", x, |x| {
         // SAFETY: the kernel writes all of it and reads none before.
-        unsafe { make_unwritten((n, weight.cout()), |out| forward(map, x, weight, bias, out)) }
+        unsafe {
+            make_unwritten(device, (n, weight.cout()), |out| forward(map, x, weight, bias, out))
+        }
     })
 }

@@ -101,9 +101,10 @@ impl Between {
                 base.shape()
             );
         }
+        let device = ops::here("last_stage", ops::Pass::Forward, x);
         ops::read("last stage", x, |x| {
             ops::read("last stage", base, |base| {
-                ops::make((self.cells.len(), c), |out| self.blend(x, base, c, out))
+                ops::make(device, (self.cells.len(), c), |out| self.blend(x, base, c, out))
             })
         })
     }

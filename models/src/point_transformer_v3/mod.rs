@@ -31,7 +31,7 @@ use crate::{
     Architecture, Backbone, BackboneCost, Calibrated, Compute, Forward, LastStage, Level,
     LevelOptions, Levels, Mode, PointCloud, Shortcuts, ops,
 };
-use candle_core::{Result, Tensor, bail};
+use candle_core::{Device, Result, Tensor, bail};
 use candle_nn::{Init, VarBuilder};
 use coarse::Between;
 use rand::SeedableRng;
@@ -53,6 +53,8 @@ pub struct PointTransformerV3 {
     decoder: Vec<DecoderStage>,
     /// Whether the last stage waits for an example of its input.
     waits: bool,
+    /// Where the parameters are; input is brought there.
+    device: Device,
 }
 
 /// Called before each block of the last stage with its name, the block, what its convolution reads,
@@ -182,7 +184,8 @@ impl PointTransformerV3 {
         }
         let (config, encoder) = (config.clone(), Arc::new(encoder));
         let waits = config.shortcuts.rank.is_some();
-        Ok(Self { config, curves, embedding, mask_token, encoder, decoder, waits })
+        let device = vb.device().clone();
+        Ok(Self { config, curves, embedding, mask_token, encoder, decoder, waits, device })
     }
 
     /// The configuration it was built from.
@@ -243,6 +246,7 @@ impl PointTransformerV3 {
             Some(sorted) => sorted.enter(&points.feat)?,
             None => points.feat.clone(),
         };
+        let feat = feat.to_device(&self.device)?;
         let mut x = self.embedding.forward(&feat, &cloud, cx)?;
         drop(feat);
         cx.observe("embedding", &x)?;
@@ -405,6 +409,7 @@ impl Backbone for PointTransformerV3 {
             encoder: Arc::clone(&self.encoder),
             decoder,
             waits: false,
+            device: self.device.clone(),
         };
         Ok(Some(Calibrated { backbone: Box::new(network), kept }))
     }

@@ -117,7 +117,8 @@ impl TrainingModule for AutoencoderTask {
         let (features, valid) = (batch.lang_feat.as_ref(), batch.valid_feat.as_deref());
         let target = self.features(features, valid, &batch.ids.join(", "))?;
         let rows = target.dim(0)?;
-        let zero = Tensor::zeros((), candle_core::DType::F32, &Device::Cpu)?;
+        let device = self.params.device();
+        let zero = Tensor::zeros((), candle_core::DType::F32, device)?;
         if rows == 0 {
             let terms = Vec::new();
             return Ok(StepOutput {
@@ -128,7 +129,7 @@ impl TrainingModule for AutoencoderTask {
                 features: None,
             });
         }
-        let codes = self.network.encode(&target, cx.forward.mode)?;
+        let codes = self.network.encode(&target.to_device(device)?, cx.forward.mode)?;
         let back = self.network.decode(&codes)?;
         let (mut loss, mut terms) = (zero, Vec::new());
         for (name, weight, value) in [

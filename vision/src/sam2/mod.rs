@@ -26,8 +26,8 @@ use scenesplat_scene::picture::RgbPicture;
 use std::path::Path;
 use trunk::Trunk;
 
-const MEAN: [f32; 3] = [0.485, 0.456, 0.406];
-const STD: [f32; 3] = [0.229, 0.224, 0.225];
+pub(crate) const MEAN: [f32; 3] = [0.485, 0.456, 0.406];
+pub(crate) const STD: [f32; 3] = [0.229, 0.224, 0.225];
 const HELP: &str = "give the weights of SAM 2 or 2.1 as the authors publish them, such as sam2.1_hiera_large.pt, or the \
                     same names as .safetensors";
 

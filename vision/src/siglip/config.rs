@@ -128,7 +128,7 @@ impl Config {
 /// `preprocessor_config.json`: how pictures are brought to the network's size.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(default)]
-pub(super) struct Preprocessor {
+pub(crate) struct Preprocessor {
     do_resize: bool,
     do_rescale: bool,
     do_normalize: bool,
@@ -198,6 +198,27 @@ impl Preprocessor {
             ));
         }
         Ok(found)
+    }
+
+    /// What is beside a network of another kind, and the side of its pictures: `fixed` where that is not 0, else what the file
+    /// says, else `otherwise`.
+    #[cfg(feature = "onnx")]
+    pub fn beside(
+        folder: &Path,
+        fixed: usize,
+        otherwise: usize,
+    ) -> Result<(Self, usize), VisionError> {
+        let path = folder.join("preprocessor_config.json");
+        let side = match fixed {
+            0 if path.exists() => json::<Self>(&path)?.size.map_or(otherwise, |size| size.height),
+            0 => otherwise,
+            fixed => fixed,
+        };
+        if !(16..=4096).contains(&side) {
+            let problem = format!("size is {side}, 16 to 4096 are possible");
+            return Err(VisionError::Model { path, problem, help: HELP });
+        }
+        Ok((Self::read(folder, side)?, side))
     }
 
     pub fn filter(&self) -> Filter {

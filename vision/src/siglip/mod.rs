@@ -7,6 +7,8 @@ mod tests;
 mod text;
 mod tower;
 
+#[cfg(feature = "onnx")]
+pub(crate) use config::Preprocessor;
 pub use image::{Resizing, SiglipImageEncoder};
 pub use text::SiglipTextEncoder;
 

@@ -37,7 +37,10 @@ pub(super) fn run(args: &Args, length: Seconds, progress: &Progress) -> Result<(
     }
     if !report.passed {
         let wrong: u64 = report.kinds.iter().map(|kind| kind.problems).sum();
-        bail!("{wrong} of {} rounds went wrong, or memory grew", report.rounds);
+        if wrong == 0 {
+            bail!("memory grew, see above; all {} rounds went well", report.rounds);
+        }
+        bail!("{wrong} of {} rounds went wrong", report.rounds);
     }
     if report.stopped {
         return Err(Stopped.into());

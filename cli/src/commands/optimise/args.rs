@@ -73,9 +73,10 @@ pub struct Args {
     /// Whether opacities make up for the low-pass: then `render --antialiased` draws the result.
     #[arg(long, value_name = "BOOL")]
     pub antialiased: Option<bool>,
-    /// Learns a gain and an offset per channel of each picture: for automatic exposure.
-    #[arg(long)]
-    pub exposure: bool,
+    /// Learns a gain and an offset per channel of each picture, against automatic exposure: `auto` where pictures
+    /// with depth show that it drifts, `on` always.
+    #[arg(long, value_enum, num_args = 0..=1, default_value = "auto", default_missing_value = "on")]
+    pub exposure: ExposureArg,
     /// Strategy before Adam (gsplat-1.3) or after it (gsplat-1.6).
     #[arg(long, value_enum)]
     pub order: Option<OrderArg>,
@@ -136,6 +137,17 @@ pub enum BorderArg {
     Zero,
 }
 
+/// Whether exposure is learned.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ExposureArg {
+    /// Where the pictures show that it drifts.
+    Auto,
+    /// Always.
+    On,
+    /// Never.
+    Off,
+}
+
 /// Which order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum OrderArg {
@@ -181,7 +193,7 @@ impl Args {
         s.initial.sh_degree = self.sh_degree.unwrap_or(s.initial.sh_degree);
         s.half_steps = self.half_steps.unwrap_or(s.half_steps);
         s.antialiased = self.antialiased.unwrap_or(s.antialiased);
-        s.exposure = self.exposure;
+        s.exposure = self.exposure == ExposureArg::On;
         s.seed = self.seed;
         s.ssim_border = self.ssim_border.map_or(s.ssim_border, |border| match border {
             BorderArg::Valid => SsimPadding::Valid,

@@ -2,6 +2,7 @@
 
 mod args;
 mod budget;
+mod exposure;
 mod frames;
 mod pictures;
 mod report;
@@ -21,7 +22,7 @@ use std::time::Instant;
 pub fn run(args: &Args, line: &str) -> Result<()> {
     let began = Instant::now();
     let session = Session::start(&args.shared, line)?;
-    let settings = args.settings();
+    let mut settings = args.settings();
     settings.check().map_err(|e| WrongUse(e.to_string()))?;
     let depths = args.depth.as_deref();
     let inputs = [Some(args.cameras.as_path()), Some(&args.images), depths];
@@ -38,6 +39,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         return Err(WrongUse(text).into());
     }
     let frames = args.frames(&session)?;
+    settings.exposure = args.decide_exposure(&session, &frames);
     let mut optimiser = match newest {
         Some(place) => {
             // A budget chose its settings by the clock; they are in the checkpoint.

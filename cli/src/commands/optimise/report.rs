@@ -57,6 +57,7 @@ impl Args {
         let (scene, faint) = kept(&model.to_scene())?;
         let figures = json!({
             "test_psnr": mean.psnr,
+            "test_psnr_corrected": mean.psnr_corrected,
             "test_ssim": mean.ssim,
             "depth_l1": mean.depth_l1.or(learned.depth_l1),
             "depth_l1_expected": mean.depth_l1_expected.or(learned.depth_l1_expected),
@@ -66,6 +67,7 @@ impl Args {
             "gaussians": scene.len(),
             "faint": faint,
             "train_psnr": learned.psnr,
+            "train_psnr_corrected": learned.psnr_corrected,
             "train_ssim": learned.ssim,
             "ssim_border": optimiser.settings().ssim_border.name(),
             "holes": mean.holes,
@@ -97,6 +99,9 @@ impl Args {
             mean.frames,
             number(learned.psnr, " dB"),
         ));
+        if let Some(db) = mean.psnr_corrected.or(learned.psnr_corrected) {
+            print(&format!("{db:.3} dB with the exposure of each picture fitted"));
+        }
         print(&format!(
             "{} Gaussians ({faint} too faint to be written), {} steps, {per_step:.3} s a step",
             scene.len(),

@@ -23,7 +23,8 @@ pub struct Args {
     /// The scan: its folder; of matterport3d a regionN.ply; of points a .ply.
     #[arg(long, value_name = "PATH")]
     pub scan: PathBuf,
-    /// How its files are laid out: scannet, scannetpp, matterport3d, replica, 3rscan, arkitscenes, or points.
+    /// How its files are laid out: scannet, scannetpp, matterport3d, replica, 3rscan, arkitscenes, hypersim, or
+    /// points.
     #[arg(long, value_name = "LAYOUT", value_parser = parse_layout)]
     pub layout: ScanLayout,
     /// The benchmark's table of names: scannetv2-labels.combined.tsv, category_mapping.tsv, map_benchmark.csv.
@@ -63,11 +64,6 @@ pub struct Args {
 }
 
 fn parse_layout(text: &str) -> Result<ScanLayout, String> {
-    if text == "hypersim" {
-        let help = "its labels are pictures in HDF5, which are not read here; write their points as a .ply whose \
-                    vertices have a number called segment, and give --layout points";
-        return Err(help.to_owned());
-    }
     ScanLayout::ALL.into_iter().find(|layout| layout.name() == text).ok_or_else(|| {
         let names: Vec<&str> = ScanLayout::ALL.iter().map(|layout| layout.name()).collect();
         format!("{text:?} is no layout; there are: {}", names.join(", "))

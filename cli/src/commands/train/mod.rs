@@ -5,8 +5,9 @@ mod ranks;
 use crate::progress::{interrupted, listen_for_interrupt};
 use crate::session::set_threads;
 use crate::terminal::print;
-use anyhow::{Result, anyhow};
+use anyhow::{Context, Result, anyhow};
 use scenesplat::experiment::{ExperimentConfig, ExperimentError, RunOptions, train_together};
+use scenesplat::models::DeviceChoice;
 use scenesplat::trainers::checkpoint::newest_checkpoint;
 use std::path::PathBuf;
 use std::rc::Rc;
@@ -38,6 +39,10 @@ pub struct Args {
     /// Threads; all cores by default. Results do not depend on it.
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
+    /// Where the network is trained: cpu; cuda:0 or metal:0 (or another number), if the program was built for it
+    /// (docs/devices.md); auto, which is the first of these that there is, else cpu.
+    #[arg(long, value_name = "DEVICE", default_value_t = DeviceChoice::Cpu)]
+    pub device: DeviceChoice,
     /// Reads the experiment, prints it with everything that it extends, and trains nothing.
     #[arg(long)]
     pub check: bool,
@@ -57,6 +62,12 @@ pub fn run(args: &Args) -> Result<()> {
         return Ok(());
     }
     set_threads(args.threads)?;
+    let device = args.device.open().context("--device")?;
+    if let Some(why) = &device.fell_back {
+        print(&format!("--device auto: training on the cpu: {why}"));
+    } else if args.device != DeviceChoice::Cpu {
+        print(&format!("device: {} ({})", args.device, device.name));
+    }
     let name = args.config.file_stem().unwrap_or_default();
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from("runs").join(name));
     let there = || newest_checkpoint(&out.join("checkpoints"));
@@ -64,7 +75,7 @@ pub fn run(args: &Args) -> Result<()> {
     listen_for_interrupt()?;
     let stop = Arc::new(AtomicBool::new(false));
     watch(Arc::clone(&stop));
-    let ranks = ranks::start()?;
+    let ranks = ranks::start(&device.device)?;
     if ranks.size() > 1 && ranks.rank() == 0 {
         print(&format!("{} ranks share the batches of each step", ranks.size()));
     }
@@ -75,6 +86,7 @@ pub fn run(args: &Args) -> Result<()> {
             resume,
             quiet: args.quiet,
             stop,
+            device: device.device,
             commit: option_env!("SCENESPLAT_COMMIT").map(str::to_owned),
         },
         Rc::clone(&ranks),
@@ -93,9 +105,12 @@ pub fn run(args: &Args) -> Result<()> {
     for remark in &report.remarks {
         print(remark);
     }
+    for fallback in scenesplat::kernels::fallbacks::take() {
+        print(&scenesplat::device::on_the_cpu(&fallback));
+    }
     let at = report.progress;
     print(&format!("weights: {}", report.model.display()));
-    print(&format!("curves: {}", report.curves.display()));
+    print(&format!("curves: {}, and curves.html beside it", report.curves.display()));
     if at.step < at.total_steps {
         print(&format!("stopped at step {} of {}: --resume goes on", at.step, at.total_steps));
     }

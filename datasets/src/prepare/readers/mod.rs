@@ -1,6 +1,7 @@
 //! Layouts of benchmarks, one a file.
 
 mod arkitscenes;
+mod hypersim;
 mod matterport3d;
 mod points;
 mod replica;
@@ -29,19 +30,24 @@ pub enum ScanLayout {
     ThreeRScan,
     /// A folder `<id>` with `<id>_3dod_mesh.ply` and `<id>_3dod_annotation.json`: boxes.
     Arkitscenes,
+    /// A folder with `_detail/metadata_scene.csv` and, in `images`, `scene_cam_XX_geometry_hdf5` of
+    /// `frame.IIII.{position,semantic,semantic_instance}.hdf5`, `normal_world` too where it is there: pixels, of which
+    /// each cube of 2 cm becomes one point.
+    Hypersim,
     /// A PLY file whose vertices have a number `segment` or `label`, and perhaps `instance`.
     Points,
 }
 
 impl ScanLayout {
     /// All of them.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Scannet,
         Self::ScannetPp,
         Self::Matterport3d,
         Self::Replica,
         Self::ThreeRScan,
         Self::Arkitscenes,
+        Self::Hypersim,
         Self::Points,
     ];
 
@@ -54,6 +60,7 @@ impl ScanLayout {
             Self::Replica => "replica",
             Self::ThreeRScan => "3rscan",
             Self::Arkitscenes => "arkitscenes",
+            Self::Hypersim => "hypersim",
             Self::Points => "points",
         }
     }
@@ -71,6 +78,7 @@ pub fn read_scan(path: &Path, layout: ScanLayout) -> Result<ScanPoints, DataErro
         ScanLayout::Replica => replica::read(path),
         ScanLayout::ThreeRScan => three_r_scan::read(path),
         ScanLayout::Arkitscenes => arkitscenes::read(path),
+        ScanLayout::Hypersim => hypersim::read(path),
         ScanLayout::Points => points::read(path),
     }
 }

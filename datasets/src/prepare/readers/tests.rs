@@ -231,6 +231,76 @@ fn arkitscenes() {
     refused(&folder, ScanLayout::Arkitscenes, &["data[0] has no normalizedAxes"]);
 }
 
+/// A copy of the miniature that the HDF5 library wrote (`benches/pytorch/hypersim_miniature.py`).
+fn hypersim_copy(mini: &Mini) -> PathBuf {
+    fn copy(from: &Path, to: &Path) {
+        std::fs::create_dir_all(to).unwrap();
+        for entry in std::fs::read_dir(from).unwrap().flatten() {
+            let target = to.join(entry.file_name());
+            match entry.path().is_dir() {
+                true => copy(&entry.path(), &target),
+                false => {
+                    std::fs::copy(entry.path(), target).unwrap();
+                }
+            }
+        }
+    }
+    let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/hypersim/ai_000_001");
+    let to = mini.at("ai_000_001");
+    copy(&from, &to);
+    to
+}
+
+#[test]
+fn hypersim() {
+    let mini = Mini::new();
+    let folder = hypersim_copy(&mini);
+    let scan = read_scan(&folder, ScanLayout::Hypersim).unwrap();
+    // 24 pixels of which one shows nothing; the three pictures fall into the same cubes.
+    assert_eq!(scan.coord.len(), 23);
+    assert_eq!(named(&scan)[..6], ["floor", "floor", "floor", "floor", "table", "floor"]);
+    assert_eq!(scan.instance[..6], [1, 1, 1, 1, 4, 1]);
+    // The pixel without a label, in the last row.
+    assert_eq!((named(&scan)[17], scan.instance[17]), ("-", -1));
+    assert_eq!(scan.names, ["floor", "table"]);
+    // Half metres; the mean of two pictures 5 mm apart, of the table of three.
+    let near = |p: [f32; 3], q: [f64; 3]| (0..3).all(|k| (f64::from(p[k]) - q[k]).abs() < 1e-6);
+    assert!(near(scan.coord[0], [0.5125, 0.01, 0.01]), "{:?}", scan.coord[0]);
+    assert!(near(scan.coord[4], [2.51 + 0.0025 / 3.0, 0.01, 0.01]), "{:?}", scan.coord[4]);
+    assert_eq!(scan.normal.as_ref().unwrap()[4], [0.0, 0.0, 1.0]);
+
+    // What a partial download and damaged files say.
+    let of = |frame: &str| folder.join(format!("images/scene_cam_00_geometry_hdf5/{frame}.hdf5"));
+    let layout = ScanLayout::Hypersim;
+    std::fs::remove_file(of("frame.0003.normal_world")).unwrap();
+    assert_eq!(read_scan(&folder, layout).unwrap().normal, None);
+    let whole = std::fs::read(of("frame.0003.semantic")).unwrap();
+    std::fs::remove_file(of("frame.0003.semantic")).unwrap();
+    refused(&folder, layout, &["frame.0003.semantic.hdf5"]);
+    for bytes in [&whole[..whole.len() / 2], b"no HDF5", b""] {
+        std::fs::write(of("frame.0003.semantic"), bytes).unwrap();
+        refused(&folder, layout, &["frame.0003.semantic.hdf5", "HDF5", "fetch it again"]);
+    }
+    // A picture where a map is expected, and maps of another size.
+    std::fs::copy(of("frame.0003.position"), of("frame.0003.semantic")).unwrap();
+    refused(&folder, layout, &["frame.0003.semantic.hdf5", "[4, 6, 3]", "[4, 6]"]);
+    let mut other = hdf5_pure::FileBuilder::new();
+    other.create_dataset("dataset").with_data(&[2i16; 10]).with_shape(&[2, 5]);
+    other.write(of("frame.0003.semantic")).unwrap();
+    refused(&folder, layout, &["frame.0003.semantic.hdf5", "[2, 5]", "[4, 6]"]);
+    std::fs::write(of("frame.0003.semantic"), &whole).unwrap();
+    let csv = folder.join("_detail/metadata_scene.csv");
+    for (text, part) in [("a,b\n", "no row"), ("meters_per_asset_unit,nan\n", "\"nan\"")] {
+        std::fs::write(&csv, text).unwrap();
+        refused(&folder, layout, &["metadata_scene.csv", "meters_per_asset_unit", part]);
+    }
+    std::fs::write(&csv, "meters_per_asset_unit,1e30\n").unwrap();
+    refused(&folder, layout, &["position.hdf5", "meters_per_asset_unit"]);
+    std::fs::remove_dir_all(folder.join("images")).unwrap();
+    std::fs::write(&csv, "meters_per_asset_unit,0.01\n").unwrap();
+    refused(&folder, layout, &["images"]);
+}
+
 #[test]
 fn points_and_damaged_meshes() {
     let mini = Mini::new();

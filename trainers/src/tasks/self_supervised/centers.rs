@@ -2,7 +2,7 @@
 
 use super::config::Balance;
 use crate::TrainError;
-use candle_core::{Device, Result, Tensor};
+use candle_core::{Result, Tensor};
 use scenesplat_losses::self_supervised::{Centering, sinkhorn_knopp};
 use scenesplat_models::ParamStore;
 use std::collections::BTreeMap;
@@ -89,7 +89,7 @@ impl Centers {
                 let new = old.iter().zip(&sum).map(|(old, sum)| {
                     (m * f64::from(*old) + (1.0 - m) * sum / count as f64) as f32
                 });
-                Tensor::from_vec(new.collect::<Vec<f32>>(), sum.len(), &Device::Cpu)
+                Tensor::from_vec(new.collect::<Vec<f32>>(), sum.len(), center.device())
             };
             moved(center.as_tensor())
                 .and_then(|value| center.set(&value))
@@ -114,6 +114,7 @@ fn evenness(targets: &Tensor) -> Result<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use candle_core::Device;
 
     #[test]
     fn centers_move_after_the_step_by_its_mean() {

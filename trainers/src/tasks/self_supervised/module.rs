@@ -67,15 +67,16 @@ impl SelfSupervised {
         };
         let student = model.build(params.builder())?;
         let compute = backbone.compute;
-        let untrained_heads =
-            (config.compat == Compat::Original).then(|| ParamStore::trainable(seed));
+        let untrained_heads = (config.compat == Compat::Original)
+            .then(|| ParamStore::trainable(seed).on(params.device()));
         let heads_in = untrained_heads.as_ref().unwrap_or(&params);
         let build = |store: &ParamStore| -> Result<Vec<Head>> {
             config.terms.iter().map(|term| Head::new(term, &widths, compute, store)).collect()
         };
         let student_heads = build(heads_in)?;
         let teacher =
-            config.has_teacher().then(|| Teacher::new(model, config.compat, seed)).transpose()?;
+            config.has_teacher().then(|| Teacher::new(model, config.compat, seed, params.device()));
+        let teacher = teacher.transpose()?;
         let teacher_heads = match (&teacher, config.compat) {
             (None, _) | (_, Compat::Original) => student_heads.clone(),
             (Some(teacher), Compat::None) => {
@@ -179,14 +180,18 @@ impl SelfSupervised {
         }
         let outputs = self.terms.outputs(views, masks, &student, &teacher, cx)?;
         let features = student.first().map(Seen::features).transpose()?;
-        sum(outputs, views, features)
+        sum(outputs, views, features, self.params.device())
     }
 }
 
 /// The sum of the terms, and what is logged of them.
-fn sum(outputs: Vec<TermOutput>, views: &[View], features: Option<Tensor>) -> Result<StepOutput> {
-    let (mut loss, mut terms) =
-        (Tensor::zeros((), candle_core::DType::F32, &Device::Cpu)?, Vec::new());
+fn sum(
+    outputs: Vec<TermOutput>,
+    views: &[View],
+    features: Option<Tensor>,
+    device: &Device,
+) -> Result<StepOutput> {
+    let (mut loss, mut terms) = (Tensor::zeros((), candle_core::DType::F32, device)?, Vec::new());
     let mut counted_rows = 0;
     for TermOutput { name, weight, value, notes, rows } in outputs {
         terms.extend(notes.into_iter().map(|(note, value)| (format!("{name}/{note}"), value)));

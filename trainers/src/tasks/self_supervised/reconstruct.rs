@@ -5,7 +5,7 @@ use super::heads::{Head, Widths};
 use super::module::{checked_backbone, voxel_rows};
 use super::terms::LEAST_SIZE;
 use crate::tasks::point_cloud;
-use candle_core::{Device, Result, Tensor, bail};
+use candle_core::{Result, Tensor, bail};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use scenesplat_datasets::{InputChannel, InputFeatures, TrainBatch};
@@ -81,7 +81,8 @@ impl Reconstructor {
         let options = LevelOptions { mask: Some(hidden), decoder: true };
         let mut forward = Forward::eval(&mut rng);
         let levels = self.network.forward_levels(&point_cloud(batch)?, options, &mut forward)?;
-        let rows = voxel_rows(&levels)?.index_select(&Tensor::new(chosen, &Device::Cpu)?, 0)?;
+        let rows = voxel_rows(&levels)?;
+        let rows = rows.index_select(&Tensor::new(chosen, rows.device())?, 0)?;
         let mut values: Vec<f32> = self.head.attributes(&rows)?.flatten_all()?.to_vec1()?;
         let width = self.input.width();
         if let Some(at) = values.iter().position(|v| !v.is_finite()) {
@@ -112,6 +113,7 @@ fn size_of_log(log: f32) -> f32 {
 mod tests {
     use super::super::{IbotTerm, MaskedGaussiansTerm};
     use super::*;
+    use candle_core::Device;
     use scenesplat_models::PointTransformerV3Config;
 
     fn batch(places: i32) -> TrainBatch {

@@ -2,7 +2,7 @@
 
 use super::config::Compat;
 use crate::{TrainError, ema_update};
-use candle_core::Result;
+use candle_core::{Device, Result};
 use scenesplat_models::{Backbone, BackboneConfig, ModelConfig, ParamStore};
 
 /// Sets the teacher's seed apart from its student's, where it does not begin as a copy.
@@ -22,7 +22,7 @@ impl Teacher {
     ///
     /// # Errors
     /// If the architecture does not give its scales.
-    pub fn new(model: &ModelConfig, compat: Compat, seed: u64) -> Result<Self> {
+    pub fn new(model: &ModelConfig, compat: Compat, seed: u64, device: &Device) -> Result<Self> {
         let mut model = model.clone();
         let BackboneConfig::PointTransformerV3(backbone) = &mut model.backbone else {
             candle_core::bail!(
@@ -34,7 +34,7 @@ impl Teacher {
         if compat == Compat::None {
             backbone.drop_path = 0.0;
         }
-        let store = ParamStore::trainable(seed ^ OTHER_SEED);
+        let store = ParamStore::trainable(seed ^ OTHER_SEED).on(device);
         let network = model.build(store.builder())?;
         Ok(Self { store, network })
     }

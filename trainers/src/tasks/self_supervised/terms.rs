@@ -179,7 +179,8 @@ impl Terms {
             if rows.dim(0)? == 0 {
                 continue;
             }
-            pred.push(step.student[*view].rows()?.index_select(rows, 0)?);
+            let seen = step.student[*view].rows()?;
+            pred.push(seen.index_select(&rows.to_device(seen.device())?, 0)?);
             let batch = &step.views[*view].batch;
             let feat =
                 Tensor::from_slice(&batch.feat, (batch.len(), batch.channels), &Device::Cpu)?;
@@ -319,13 +320,13 @@ impl Terms {
                 }
                 counted += rows.len();
                 let weights = vec![1.0 / rows.len() as f64; rows.len()];
-                let student = student.index_select(&Tensor::new(rows, &Device::Cpu)?, 0)?;
+                let student = student.index_select(&Tensor::new(rows, student.device())?, 0)?;
                 let slot = &mut of_teacher[with][usize::from(is_local)];
                 let teacher = match slot {
                     Some(known) => known,
                     None => slot.insert(logits(other, &step.teacher[with], is_local)?.detach()),
                 };
-                let teacher = teacher.index_select(&Tensor::new(partners, &Device::Cpu)?, 0)?;
+                let teacher = teacher.index_select(&Tensor::new(partners, teacher.device())?, 0)?;
                 let prototypes = &term.prototypes;
                 let name =
                     format!("self_distillation.{}", if is_local { "local" } else { "masked" });
@@ -396,8 +397,10 @@ fn masked_pairs(
         if weights.is_empty() {
             continue;
         }
-        student.push(step.student[view].rows()?.index_select(&rows, 0)?);
-        teacher.push(step.teacher[view].rows()?.index_select(&rows, 0)?);
+        for (seen, picked) in [(step.student, &mut student), (step.teacher, &mut teacher)] {
+            let of_view = seen[view].rows()?;
+            picked.push(of_view.index_select(&rows.to_device(of_view.device())?, 0)?);
+        }
         all.extend(weights);
     }
     if all.is_empty() {
@@ -460,7 +463,8 @@ fn alignment(term: &LanguageAlignmentTerm, head: &Head, step: &Step<'_>) -> Resu
     }
     let count = rows.len();
     let rows = Tensor::new(rows, &Device::Cpu)?;
-    let pred = head.attributes(&Tensor::cat(&pred, 0)?.index_select(&rows, 0)?)?;
+    let pred = Tensor::cat(&pred, 0)?;
+    let pred = head.attributes(&pred.index_select(&rows.to_device(pred.device())?, 0)?)?;
     let target = Tensor::cat(&target, 0)?.index_select(&rows, 0)?;
     let (cos, square) = (
         cosine(&pred, &target, None, Reduction::Mean)?,

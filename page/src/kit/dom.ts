@@ -1,5 +1,7 @@
 // Elements without markup in text: everything that comes from a file is text.
 
+const SVG = "http://www.w3.org/2000/svg";
+
 export function element<K extends keyof HTMLElementTagNameMap>(
   tag: K, options: { text?: string; className?: string; title?: string } = {}, children: Node[] = [],
 ): HTMLElementTagNameMap[K] {
@@ -11,10 +13,25 @@ export function element<K extends keyof HTMLElementTagNameMap>(
   return out;
 }
 
-export function byId<T extends HTMLElement>(id: string): T {
+/** An element of a drawing. */
+export function shape<K extends keyof SVGElementTagNameMap>(
+  tag: K, attributes: Record<string, string | number>, text?: string,
+): SVGElementTagNameMap[K] {
+  const out = document.createElementNS(SVG, tag);
+  for (const [name, value] of Object.entries(attributes)) out.setAttribute(name, String(value));
+  if (text !== undefined) out.textContent = text;
+  return out;
+}
+
+export function byId<T extends Element = HTMLElement>(id: string): T {
   const found = document.getElementById(id);
   if (found === null) throw new Error(`the page lacks #${id}`);
-  return found as T;
+  return found as unknown as T;
+}
+
+/** The data that a report carries. */
+export function dataOf<T>(id: string): T {
+  return JSON.parse(byId(id).textContent ?? "") as T;
 }
 
 /** A name that fits a line: the first 60 letters. */
@@ -29,4 +46,11 @@ export function thousands(n: number): string {
 
 export function css([r, g, b]: number[]): string {
   return `rgb(${Math.round(r)}, ${Math.round(g)}, ${Math.round(b)})`;
+}
+
+/** Rows of a table; a cell is a text, or a node. */
+export function rows(head: string[], body: { cells: (string | Node)[]; className?: string }[]): HTMLElement[] {
+  const line = (tag: "th" | "td", cells: (string | Node)[], className?: string) => element("tr", { className },
+    cells.map((c) => (typeof c === "string" ? element(tag, { text: c }) : element(tag, {}, [c]))));
+  return [line("th", head), ...body.map((r) => line("td", r.cells, r.className))];
 }

@@ -1,7 +1,7 @@
 //! A few shapes, and the two forms that they are written in: SVG and PNG.
 
-use super::ParetoError;
-use crate::preview::{text, write_png};
+use super::escaped;
+use crate::preview::{PreviewError, text, write_png};
 use scenesplat_scene::picture::RgbPicture;
 use std::fmt::Write;
 use std::path::Path;
@@ -142,7 +142,7 @@ impl Drawing {
                         "<text x=\"{x:.1}\" y=\"{base:.1}\" font-size=\"{font}\" fill=\"{}\" \
                          text-anchor=\"{anchor}\">{}</text>",
                         hex(*color),
-                        escape(text)
+                        escaped(text)
                     )
                 }
             };
@@ -192,7 +192,7 @@ impl Drawing {
     }
 
     /// Writes both forms. Gives their sizes in bytes.
-    pub(crate) fn write(&self, svg: &Path, png: &Path) -> Result<[u64; 2], ParetoError> {
+    pub(crate) fn write(&self, svg: &Path, png: &Path) -> Result<[u64; 2], PreviewError> {
         let text = self.to_svg();
         scenesplat_scene::AtomicFile::write(svg, text.as_bytes())?;
         Ok([text.len() as u64, write_png(png, &self.to_picture())?])
@@ -239,11 +239,6 @@ fn segment_distance(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
 
 fn hex([r, g, b]: Color) -> String {
     format!("#{r:02x}{g:02x}{b:02x}")
-}
-
-/// Text of SVG and HTML.
-pub(crate) fn escape(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
 #[cfg(test)]

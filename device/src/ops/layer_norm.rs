@@ -1,0 +1,123 @@
+//! Layer normalisation over the channels of each row.
+
+use super::columns::{PART_ROWS, add_parts};
+use super::kernels;
+use crate::launch::{
+    Arg,
+    Items::{PerThread, PerWarp},
+    Launcher,
+};
+
+kernels! { "layer_norm":
+    /// Rows normalised.
+    LAYER_NORM = layer_norm, 256, PerWarp;
+    /// Gradient of the rows.
+    LAYER_NORM_BACKWARD = layer_norm_backward, 256, PerWarp;
+    /// Parts of the gradients of weight and bias.
+    LAYER_NORM_PARAMETERS = layer_norm_parameters, 256, PerThread;
+}
+
+/// `out = LayerNorm(x) [+ residual]`; a row whose variance overflows f32 is normalised in f64, one with NaN or
+/// ±∞ is NaN.
+///
+/// # Shapes
+/// `x`, `residual`, `out`: `[N, C]` · `weight`, `bias`: `[C]`
+///
+/// # Errors
+/// Those of the launcher.
+#[allow(clippy::too_many_arguments)]
+pub fn forward<L: Launcher>(
+    l: &L,
+    x: &L::Buffer,
+    residual: Option<&L::Buffer>,
+    weight: &L::Buffer,
+    bias: &L::Buffer,
+    n: u32,
+    channels: u32,
+    eps: f32,
+    out: &mut L::Buffer,
+) -> Result<(), L::Error> {
+    let count = u64::from(n) * u64::from(channels);
+    if count == 0 {
+        return Ok(());
+    }
+    for (what, buffer) in [("input", x), ("residual", residual.unwrap_or(x)), ("output", out)] {
+        l.expect::<f32>(what, buffer, count);
+    }
+    l.expect::<f32>("weight", weight, channels.into());
+    l.expect::<f32>("bias", bias, channels.into());
+    l.run(
+        &LAYER_NORM,
+        n.into(),
+        &mut [
+            Arg::In(x),
+            Arg::In(residual.unwrap_or(x)),
+            Arg::In(weight),
+            Arg::In(bias),
+            Arg::Out(out),
+            Arg::U32(n),
+            Arg::U32(channels),
+            Arg::F32(eps),
+            Arg::U32(residual.is_some().into()),
+        ],
+    )
+}
+
+/// Gradients of [`forward`] without residual: of `x`, and of weight and bias together, `[2, C]`.
+///
+/// # Shapes
+/// `x`, `grad`, `dx`: `[N, C]` · `weight`: `[C]` · returns `[2, C]`
+///
+/// # Errors
+/// Those of the launcher.
+#[allow(clippy::too_many_arguments)]
+pub fn backward<L: Launcher>(
+    l: &L,
+    x: &L::Buffer,
+    grad: &L::Buffer,
+    weight: &L::Buffer,
+    n: u32,
+    channels: u32,
+    eps: f32,
+    dx: &mut L::Buffer,
+) -> Result<L::Buffer, L::Error> {
+    let count = u64::from(n) * u64::from(channels);
+    for (what, buffer) in [("input", x), ("gradient", grad), ("gradient of the input", dx)] {
+        l.expect::<f32>(what, buffer, count);
+    }
+    l.expect::<f32>("weight", weight, channels.into());
+    let mut parameters = l.alloc_values::<f32>(2 * channels as usize)?;
+    let mut statistics = l.alloc_values::<[f32; 2]>(n as usize)?;
+    if channels > 0 {
+        l.run(
+            &LAYER_NORM_BACKWARD,
+            n.into(),
+            &mut [
+                Arg::In(x),
+                Arg::In(grad),
+                Arg::In(weight),
+                Arg::Out(dx),
+                Arg::Out(&mut statistics),
+                Arg::U32(n),
+                Arg::U32(channels),
+                Arg::F32(eps),
+            ],
+        )?;
+    }
+    let parts = n.div_ceil(PART_ROWS);
+    let mut sums = l.alloc_values::<[f64; 2]>(parts as usize * channels as usize)?;
+    l.run(
+        &LAYER_NORM_PARAMETERS,
+        u64::from(parts) * u64::from(channels),
+        &mut [
+            Arg::In(x),
+            Arg::In(grad),
+            Arg::In(&statistics),
+            Arg::Out(&mut sums),
+            Arg::U32(n),
+            Arg::U32(channels),
+        ],
+    )?;
+    add_parts(l, &sums, parts, 2 * channels, &mut parameters)?;
+    Ok(parameters)
+}

@@ -1,0 +1,260 @@
+//! The emulated grid: kernels compiled for this processor, started from Rust.
+
+use scenesplat_device::{
+    Arg, KernelEntry, KernelModule, LaunchPlan, Launcher, TooManyItems, modules,
+};
+use std::collections::hash_map::DefaultHasher;
+use std::ffi::c_void;
+use std::hash::{Hash, Hasher};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::{Mutex, OnceLock};
+
+/// What stands in for the grid; `grid.h` includes it.
+const GRID: &str = include_str!("../../emulation/emulated_grid.h");
+/// Bytes before and after an array that no kernel may change.
+const MARGIN: usize = 32;
+const MARGIN_BYTE: u8 = 0xa5;
+
+/// A grid that runs blocks and threads in order (seed 0) or shuffled.
+pub struct Emulator {
+    seed: u64,
+}
+
+/// An array with margins.
+pub struct Buffer {
+    memory: Vec<u64>,
+    bytes: usize,
+}
+
+#[derive(Debug, thiserror::Error)]
+pub enum EmulatorError {
+    #[error("{0}")]
+    Kernel(String),
+    #[error(transparent)]
+    TooManyItems(#[from] TooManyItems),
+}
+
+/// As `grid::Launch`.
+#[repr(C)]
+struct Launch {
+    blocks: u32,
+    threads: u32,
+    seed: u64,
+    message: *mut u8,
+    message_bytes: u64,
+}
+
+/// As `grid::Array`.
+#[repr(C)]
+struct Array {
+    values: *mut c_void,
+    bytes: u64,
+}
+
+type Entry = unsafe extern "C" fn(*const Launch, *const *const c_void, u64) -> i32;
+
+impl Emulator {
+    pub fn new(seed: u64) -> Self {
+        Self { seed }
+    }
+}
+
+impl Buffer {
+    fn new(bytes: usize, byte: u8) -> Self {
+        let words = bytes.div_ceil(8) + 2 * MARGIN / 8;
+        let mut memory = vec![u64::from_ne_bytes([MARGIN_BYTE; 8]); words];
+        bytemuck::cast_slice_mut::<u64, u8>(&mut memory)[MARGIN..MARGIN + bytes].fill(byte);
+        Self { memory, bytes }
+    }
+
+    fn values(&self) -> &[u8] {
+        &bytemuck::cast_slice::<u64, u8>(&self.memory)[MARGIN..MARGIN + self.bytes]
+    }
+
+    fn values_mut(&mut self) -> &mut [u8] {
+        &mut bytemuck::cast_slice_mut::<u64, u8>(&mut self.memory)[MARGIN..MARGIN + self.bytes]
+    }
+
+    fn margins_are_whole(&self) -> bool {
+        let all = bytemuck::cast_slice::<u64, u8>(&self.memory);
+        all[..MARGIN].iter().chain(&all[MARGIN + self.bytes..]).all(|&b| b == MARGIN_BYTE)
+    }
+}
+
+impl Launcher for Emulator {
+    type Buffer = Buffer;
+    type Error = EmulatorError;
+
+    /// Filled with NaN, and row numbers that are out of range.
+    fn alloc(&self, bytes: usize) -> Result<Buffer, EmulatorError> {
+        Ok(Buffer::new(bytes, 0xff))
+    }
+
+    fn bytes(&self, buffer: &Buffer) -> usize {
+        buffer.bytes
+    }
+
+    fn fill(&self, buffer: &mut Buffer, byte: u8) -> Result<(), EmulatorError> {
+        buffer.values_mut().fill(byte);
+        Ok(())
+    }
+
+    fn upload(&self, bytes: &[u8]) -> Result<Buffer, EmulatorError> {
+        let mut buffer = Buffer::new(bytes.len(), 0);
+        buffer.values_mut().copy_from_slice(bytes);
+        Ok(buffer)
+    }
+
+    fn download(&self, buffer: &Buffer, to: &mut [u8]) -> Result<(), EmulatorError> {
+        to.copy_from_slice(&buffer.values()[..to.len()]);
+        Ok(())
+    }
+
+    fn launch(
+        &self,
+        kernel: &'static KernelEntry,
+        plan: LaunchPlan,
+        args: &mut [Arg<'_, Buffer>],
+    ) -> Result<(), EmulatorError> {
+        let entry = entry(kernel);
+        let mut arrays = Vec::with_capacity(args.len());
+        let mut scalars = [0u64; 64];
+        for (arg, scalar) in args.iter_mut().zip(&mut scalars) {
+            let array = |values: *const u8, bytes: usize| Array {
+                values: values.cast_mut().cast(),
+                bytes: bytes as u64,
+            };
+            match arg {
+                Arg::In(b) => arrays.push(array(b.values().as_ptr(), b.bytes)),
+                Arg::Out(b) => {
+                    let bytes = b.bytes;
+                    arrays.push(array(b.values_mut().as_mut_ptr(), bytes));
+                }
+                Arg::U32(v) => *scalar = u64::from(*v),
+                Arg::I32(v) => *scalar = u64::from(v.cast_unsigned()),
+                Arg::U64(v) => *scalar = *v,
+                Arg::F32(v) => *scalar = u64::from(v.to_bits()),
+                Arg::F64(v) => *scalar = v.to_bits(),
+            }
+        }
+        let mut next = arrays.iter();
+        let pointers: Vec<*const c_void> = args
+            .iter()
+            .zip(&scalars)
+            .map(|(arg, scalar)| match arg {
+                Arg::In(_) | Arg::Out(_) => std::ptr::from_ref(next.next().unwrap()).cast(),
+                _ => std::ptr::from_ref(scalar).cast(),
+            })
+            .collect();
+        let mut message = [0u8; 512];
+        let launch = Launch {
+            blocks: plan.blocks,
+            threads: plan.threads,
+            seed: self.seed,
+            message: message.as_mut_ptr(),
+            message_bytes: message.len() as u64,
+        };
+        // SAFETY: the symbol has this signature (`ENTRY` in the text); arrays and scalars outlive the call.
+        let status = unsafe { entry(&launch, pointers.as_ptr(), pointers.len() as u64) };
+        if status != 0 {
+            let end = message.iter().position(|&b| b == 0).unwrap_or(0);
+            return Err(EmulatorError::Kernel(String::from_utf8_lossy(&message[..end]).into()));
+        }
+        let whole = |arg: &Arg<'_, Buffer>| match arg {
+            Arg::In(b) => b.margins_are_whole(),
+            Arg::Out(b) => b.margins_are_whole(),
+            _ => true,
+        };
+        match args.iter().position(|arg| !whole(arg)) {
+            Some(i) => {
+                Err(EmulatorError::Kernel(format!("{}: wrote beside argument {i}", kernel.name)))
+            }
+            None => Ok(()),
+        }
+    }
+}
+
+/// The compiler: `CXX`, or what is usually there.
+fn compiler() -> Option<&'static str> {
+    static FOUND: OnceLock<Option<String>> = OnceLock::new();
+    let works = |name: &String| {
+        Command::new(name).arg("--version").output().is_ok_and(|o| o.status.success())
+    };
+    FOUND
+        .get_or_init(|| {
+            let named = std::env::var("CXX").ok();
+            named.into_iter().chain(["c++", "g++", "clang++"].map(String::from)).find(works)
+        })
+        .as_deref()
+}
+
+/// Whether the kernels can be run here; says loudly if not.
+pub fn is_there() -> bool {
+    let there = compiler().is_some() && cfg!(unix);
+    if !there {
+        println!("skipped: no C++ compiler here (c++, g++, clang++ or CXX): no kernel was run");
+    }
+    there
+}
+
+/// The compiled function of a kernel, of the crate or of [`crate::faults`].
+fn entry(kernel: &KernelEntry) -> Entry {
+    type Slot = (&'static KernelModule, OnceLock<libloading::Library>);
+    static LIBRARIES: OnceLock<Vec<Slot>> = OnceLock::new();
+    let all = LIBRARIES.get_or_init(|| {
+        modules().iter().chain([&crate::faults::FAULTS]).map(|m| (m, OnceLock::new())).collect()
+    });
+    let (module, library) = all.iter().find(|(m, _)| m.name == kernel.module).unwrap();
+    let library = library.get_or_init(|| {
+        let path = compiled(module);
+        // SAFETY: a library of plain functions, just compiled from the texts.
+        unsafe { libloading::Library::new(&path) }.unwrap()
+    });
+    let name = format!("emulate_{}\0", kernel.name);
+    // SAFETY: `ENTRY` gives it this signature; libraries stay loaded until the process ends.
+    *unsafe { library.get::<Entry>(name.as_bytes()) }.unwrap()
+}
+
+/// Compiles a text, unless that was done before with the same words.
+fn compiled(module: &KernelModule) -> PathBuf {
+    // A few compilers at a time would need more memory than they save time.
+    static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+    let _turn = ONE_AT_A_TIME.lock().unwrap();
+    let compiler = compiler().unwrap();
+    let mut hash = DefaultHasher::new();
+    (module.source, GRID, compiler, 2).hash(&mut hash);
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("emulation");
+    std::fs::create_dir_all(&folder).unwrap();
+    let library = folder.join(format!("{}-{:016x}.so", module.name, hash.finish()));
+    if library.exists() {
+        return library;
+    }
+    let work = tempfile::tempdir_in(&folder).unwrap();
+    std::fs::write(work.path().join("emulated_grid.h"), GRID).unwrap();
+    let text = work.path().join(format!("{}.cpp", module.name));
+    std::fs::write(&text, module.source).unwrap();
+    let made = work.path().join("made.so");
+    let run = |native: &[&str]| {
+        Command::new(compiler)
+            .args(["-std=c++17", "-O2", "-fPIC", "-shared", "-ffp-contract=off"])
+            .args(["-Wall", "-Wextra", "-Werror", "-Wno-unused-function", "-Wno-unknown-pragmas"])
+            .args(native)
+            .arg("-I")
+            .arg(work.path())
+            .arg("-o")
+            .arg(&made)
+            .arg(&text)
+            .output()
+            .unwrap()
+    };
+    // With the processor's own fused products; without them each is a call of the mathematical library.
+    let mut output = run(&["-march=native"]);
+    if !output.status.success() {
+        output = run(&[]);
+    }
+    let messages = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{}:\n{messages}", module.name);
+    std::fs::rename(&made, &library).unwrap();
+    library
+}

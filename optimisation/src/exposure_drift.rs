@@ -1,0 +1,251 @@
+//! Whether pictures were taken with changing exposure or white balance, told before there is a scene.
+//!
+//! Points on the measured surface are looked up in all pictures that see them. A picture's gain is what
+//! its colours of these points have in common against the other pictures' colours of the same points.
+
+use crate::frame::TrainingFrame;
+use rayon::prelude::*;
+use scenesplat_scene::linear_light::linear;
+
+/// Points that are looked up; more say nothing more about a gain.
+const POINTS: usize = 4000;
+/// How far a point may lie from what a picture measured there, a share of the distance.
+const DEPTH_SHARE: f32 = 0.03;
+/// From here on a value is taken for clipped.
+const CLIPPED: f32 = 250.0 / 255.0;
+/// Linear light that is neither clipped nor mostly noise.
+const LIGHT: [f64; 2] = [0.004, 0.9];
+/// Points that a picture has to share with others to be judged.
+const FEWEST_POINTS: usize = 50;
+/// Pictures below which a spread means nothing.
+const FEWEST_FRAMES: usize = 6;
+/// Rounds of medians over points and over pictures; the gains of connected pictures have settled by then.
+const ROUNDS: usize = 8;
+/// Standard deviation of the logarithm of the exposure that is called 1, and of red against blue: as the
+/// probe of finished scenes counts them.
+const EXPOSURE_UNIT: f64 = 0.10;
+const BALANCE_UNIT: f64 = 0.02;
+
+/// What the pictures say about the camera's automatic exposure.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ExposureDrift {
+    /// Natural logarithms of red, green and blue in linear light against the median picture; `None` where a
+    /// picture shares too few points with others.
+    pub log_gains: Vec<Option<[f64; 3]>>,
+    /// Standard deviation over the pictures of the mean of the three, nat, by the median distance.
+    pub exposure: f64,
+    /// The same of half of red less blue.
+    pub balance: f64,
+}
+
+impl ExposureDrift {
+    /// Below this [`severity`](Self::severity) exposure is taken for constant.
+    pub const THRESHOLD: f64 = 0.75;
+
+    /// How strong the drift is: the larger of exposure in tenths and balance in fiftieths, 0 and more.
+    pub fn severity(&self) -> f64 {
+        (self.exposure / EXPOSURE_UNIT).max(self.balance / BALANCE_UNIT)
+    }
+
+    /// Whether it is worth learning a gain for each picture.
+    pub fn is_present(&self) -> bool {
+        self.severity() >= Self::THRESHOLD
+    }
+}
+
+/// The drift of pictures with depths, at points of their surface (world, units of the scene).
+///
+/// `None` where that cannot be told: fewer than six pictures have depth and share 50 points with others.
+pub fn exposure_drift(frames: &[TrainingFrame], points: &[[f32; 3]]) -> Option<ExposureDrift> {
+    let stride = points.len().div_ceil(POINTS).max(1);
+    let points: Vec<[f32; 3]> = points.iter().step_by(stride).copied().collect();
+    // [frames][points]: logarithms of linear light, where a picture shows the point.
+    let seen: Vec<Vec<Option<[f64; 3]>>> = frames
+        .par_iter()
+        .map(|frame| points.iter().map(|point| color_of(frame, *point)).collect())
+        .collect();
+    let shared: Vec<bool> =
+        (0..points.len()).map(|p| seen.iter().filter(|f| f[p].is_some()).count() >= 2).collect();
+    let count = |frame: &Vec<Option<[f64; 3]>>| {
+        frame.iter().zip(&shared).filter(|(color, shared)| color.is_some() && **shared).count()
+    };
+    let judged: Vec<bool> = seen.iter().map(|frame| count(frame) >= FEWEST_POINTS).collect();
+    if judged.iter().filter(|judged| **judged).count() < FEWEST_FRAMES {
+        return None;
+    }
+    let channels: [Vec<f64>; 3] =
+        std::array::from_fn(|c| gains_of_channel(&seen, &shared, &judged, c));
+    let log_gains: Vec<Option<[f64; 3]>> =
+        (0..frames.len()).map(|f| judged[f].then(|| [0, 1, 2].map(|c| channels[c][f]))).collect();
+    let known = || log_gains.iter().flatten();
+    let exposure = deviation(known().map(|g| (g[0] + g[1] + g[2]) / 3.0).collect());
+    let balance = deviation(known().map(|g| 0.5 * (g[0] - g[2])).collect());
+    Some(ExposureDrift { log_gains, exposure, balance })
+}
+
+/// Gains of one channel: medians over points of what a picture has more than the points' own colour, which is
+/// the median over pictures of what they show less their gain, in turn. Their median is 0.
+fn gains_of_channel(
+    seen: &[Vec<Option<[f64; 3]>>],
+    shared: &[bool],
+    judged: &[bool],
+    channel: usize,
+) -> Vec<f64> {
+    let mut gains = vec![0.0; seen.len()];
+    let mut own = vec![0.0; shared.len()];
+    let frames = || (0..seen.len()).filter(|f| judged[*f]);
+    for _ in 0..ROUNDS {
+        for (p, own) in own.iter_mut().enumerate().filter(|(p, _)| shared[*p]) {
+            let colors = frames().filter_map(|f| Some(seen[f][p]?[channel] - gains[f])).collect();
+            *own = median(colors).unwrap_or(0.0);
+        }
+        for f in frames() {
+            let points = seen[f].iter().enumerate().filter(|(p, _)| shared[*p]);
+            let more = points.filter_map(|(p, color)| Some((*color)?[channel] - own[p])).collect();
+            gains[f] = median(more).unwrap_or(0.0);
+        }
+        let middle = median(frames().map(|f| gains[f]).collect()).unwrap_or(0.0);
+        frames().for_each(|f| gains[f] -= middle);
+    }
+    gains
+}
+
+/// Logarithms of the mean linear colour of the 3 × 3 pixels around where a picture shows a point; `None` if it
+/// does not, or they are masked, clipped or dark.
+fn color_of(frame: &TrainingFrame, point: [f32; 3]) -> Option<[f64; 3]> {
+    let (view, depth) = (&frame.view, frame.depth.as_ref()?);
+    let [x, y, z] = view.to_camera(point);
+    let (width, height) = (view.width as usize, view.height as usize);
+    if z.is_nan() || z <= 0.0 || width < 3 || height < 3 {
+        return None;
+    }
+    let (u, v) = (x / z * view.fx + view.cx, y / z * view.fy + view.cy);
+    // NaN fails both comparisons.
+    let inside = u >= 1.0 && v >= 1.0 && u < (width - 1) as f32 && v < (height - 1) as f32;
+    if !inside {
+        return None;
+    }
+    let (column, row) = (u as usize, v as usize);
+    let surface = depth[row * width + column];
+    let visible = (surface - z).abs() <= DEPTH_SHARE * z;
+    if !visible {
+        return None;
+    }
+    let mut sum = [0.0; 3];
+    for at in
+        (row - 1..=row + 1).flat_map(|r| (column - 1..=column + 1).map(move |c| r * width + c))
+    {
+        if frame.mask.as_ref().is_some_and(|mask| mask[at] == 0) {
+            return None;
+        }
+        let color = [0, 1, 2].map(|c| frame.rgb.at(3 * at + c));
+        if color.iter().any(|v| *v >= CLIPPED) {
+            return None;
+        }
+        (0..3).for_each(|c| sum[c] += linear(f64::from(color[c])) / 9.0);
+    }
+    sum.iter().all(|v| (LIGHT[0]..LIGHT[1]).contains(v)).then(|| sum.map(f64::ln))
+}
+
+/// The median of finite values, of an even number the upper of the two in the middle.
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    let middle = values.len() / 2;
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+/// The standard deviation of normally distributed values by the median of their distances from their median.
+fn deviation(values: Vec<f64>) -> f64 {
+    let Some(middle) = median(values.clone()) else { return 0.0 };
+    1.4826 * median(values.iter().map(|v| (v - middle).abs()).collect()).unwrap_or(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Colors;
+    use crate::frame::tests::view;
+
+    /// Linear light as a value of a picture, 0 to 1.
+    fn shown(light: f64) -> f32 {
+        scenesplat_scene::linear_light::display(light) as f32
+    }
+
+    /// Cameras side by side before a wall at z = 1 with a pattern, each with a gain of its own.
+    fn frames(gains: &[[f64; 3]]) -> Vec<TrainingFrame> {
+        let (width, height) = (64u32, 48u32);
+        let frame = |(i, gain): (usize, &[f64; 3])| {
+            let mut view = view(width, height);
+            view.world_to_camera[0][3] = 0.05 * i as f32;
+            let mut rgb = Vec::new();
+            for y in 0..height {
+                for x in 0..width {
+                    let world = (x as f32 + 0.5 - view.cx) / view.fx * 3.0 - 0.05 * i as f32;
+                    let row = (y as f32 + 0.5 - view.cy) / view.fy * 3.0;
+                    let light = 0.2 + 0.05 * f64::from((3.0 * world).sin() + (2.0 * row).cos());
+                    rgb.extend(gain.map(|g| shown(light * g)));
+                }
+            }
+            TrainingFrame {
+                name: i.to_string(),
+                view,
+                rgb: Colors::Floats(rgb),
+                depth: Some(vec![3.0; (width * height) as usize]),
+                mask: None,
+            }
+        };
+        gains.iter().enumerate().map(frame).collect()
+    }
+
+    fn wall() -> Vec<[f32; 3]> {
+        (0..900)
+            .map(|i| [(i % 30) as f32 / 20.0 - 0.75, (i / 30) as f32 / 25.0 - 0.6, 1.0])
+            .collect()
+    }
+
+    #[test]
+    fn equal_exposures_are_constant() {
+        let drift = exposure_drift(&frames(&[[1.0; 3]; 8]), &wall()).unwrap();
+        assert!(drift.severity() < 0.05 && !drift.is_present(), "{drift:?}");
+    }
+
+    #[test]
+    fn gains_are_those_of_the_camera() {
+        let made: Vec<[f64; 3]> = (0..9)
+            .map(|i| {
+                let (g, tint) = (0.7 + 0.075 * f64::from(i), 1.0 + 0.02 * f64::from(i % 3));
+                [g * tint, g, g / tint]
+            })
+            .collect();
+        let drift = exposure_drift(&frames(&made), &wall()).unwrap();
+        let middle = made[4];
+        for (got, made) in drift.log_gains.iter().zip(&made) {
+            let got = got.unwrap();
+            for c in 0..3 {
+                // The median of each channel is a picture of its own; tints move it by less than 0.05.
+                assert!((got[c] - (made[c] / middle[c]).ln()).abs() < 0.05, "{got:?} {made:?}");
+            }
+        }
+        assert!(drift.is_present() && drift.exposure > 0.15, "{drift:?}");
+        assert!((0.005..0.04).contains(&drift.balance), "{drift:?}");
+    }
+
+    #[test]
+    fn what_cannot_be_told_is_not_guessed() {
+        let mut frames = frames(&[[1.0; 3]; 8]);
+        assert!(exposure_drift(&frames[..5], &wall()).is_none());
+        assert!(exposure_drift(&frames, &[]).is_none());
+        assert!(exposure_drift(&frames, &[[f32::NAN; 3]; 400]).is_none());
+        frames.iter_mut().for_each(|f| f.depth = None);
+        assert!(exposure_drift(&frames, &wall()).is_none());
+    }
+
+    #[test]
+    fn hidden_points_do_not_count() {
+        let mut frames = frames(&[[1.0; 3]; 8]);
+        // One picture has something else before the wall, twice as bright.
+        frames[3].depth = Some(vec![1.0; 64 * 48]);
+        frames[3].rgb = Colors::Floats(vec![0.8; 3 * 64 * 48]);
+        let drift = exposure_drift(&frames, &wall()).unwrap();
+        assert!(drift.log_gains[3].is_none() && !drift.is_present(), "{drift:?}");
+    }
+}

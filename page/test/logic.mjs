@@ -1,0 +1,179 @@
+// What the page answers, against what is worked out by hand, without a browser: node test/logic.mjs.
+import assert from "node:assert/strict";
+import { build } from "esbuild";
+import { webAssembly } from "../wat.mjs";
+
+const here = new URL("..", import.meta.url).pathname;
+
+/** The modules of the page, with some of their text replaced: [file, from, to]. */
+export async function modules(replaced = []) {
+  const plant = {
+    name: "plant",
+    setup(b) {
+      for (const [file, from, to] of replaced) {
+        b.onLoad({ filter: new RegExp(`/src/${file.replace(/[.]/g, "\\.")}$`) }, async ({ path }) => {
+          const { readFile } = await import("node:fs/promises");
+          const text = await readFile(path, "utf8");
+          if (text.split(from).length !== 2) throw new Error(`${file}: ${JSON.stringify(from)} is not there once`);
+          return { contents: text.replace(from, () => to), loader: "ts" };
+        });
+      }
+    },
+  };
+  const out = await build({
+    stdin: {
+      contents: ["codes", "query", "phrases", "exporting", "hash", "colors", "data", "kit/numbers"]
+        .map((name) => `export * from "./src/${name}";`).join("\n"),
+      resolveDir: here,
+      loader: "ts",
+    },
+    bundle: true, format: "esm", target: "es2022", write: false, logLevel: "silent", plugins: [plant, webAssembly],
+  });
+  const text = Buffer.from(out.outputFiles[0].contents).toString("base64");
+  return import(`data:text/javascript;base64,${text}`);
+}
+
+const near = (a, b, by) => assert.ok(Math.abs(a - b) <= by, `${a} is not ${b}`);
+
+/** Codes of 3 numbers: rows lie along a class each; the last has none. */
+function scene({ Codes }) {
+  const rows = [[127, 0, 0], [100, 78, 0], [0, 127, 0], [0, 90, 90], [0, 0, 127]];
+  // Offset and weights: the dot product with the direction of each class. "red chair" leans to the third number.
+  const texts = Float32Array.from([
+    0, 1 / 127, 0, 0, // chair
+    0, 0, 1 / 127, 0, // desk
+    0, 0, 0, 1 / 127, // lamp
+    0.05, 0.8 / 127, 0, 0.5 / 127, // red chair
+  ]);
+  const classes = ["chair", "desk", "lamp"].map((name, i) => ({ name, color: [40 * i, 200, 90], count: 2 }));
+  const corners = Array.from({ length: 8 }, () => [0, 0, 0]);
+  const object = (id, label) => ({ id, label, count: 2, corners, size: [1, 1, 1], position: [0, 0, 0] });
+  const n = 6;
+  return {
+    about: {
+      count: n, total: 9, classes, objects: [object(1, 0), object(2, 1), object(3, 2)],
+      relations: [[2, "on", 1], [0, "near", 1], [1, "under", 2]], texts: ["chair", "desk", "lamp", "red chair"], colorWords: ["red"],
+      groups: [{ name: "furniture", members: [0, 1] }], codes: { width: 3, slots: 5 }, hasScores: true, phrases: 2,
+      metresPerUnit: 1, title: "t", remarks: [], chunks: null,
+    },
+    codes: new Codes(Int8Array.from(rows.flat()), 5, 3, texts, 3),
+    label: Uint16Array.from([1, 1, 2, 2, 3, 0]),
+    score: Uint8Array.from([255, 128, 255, 90, 51, 0]),
+    object: Uint16Array.from([1, 1, 2, 2, 3, 0]),
+    objectSizes: Uint32Array.from([1, 2, 2, 1]),
+    slot: Uint32Array.from([0, 1, 2, 3, 4, 0xffffffff]),
+    rows: Uint32Array.from([0, 2, 3, 5, 6, 8]),
+    position: Float32Array.from({ length: 3 * n }, (_, i) => i / 4),
+    // Planes: all x, then all y, then all z.
+    scale: Uint8Array.from([...Array(n).fill(1), ...Array(n).fill(2), ...Array(n).fill(3)]),
+    scales: Float32Array.from({ length: 256 }, (_, i) => i / 100),
+    rotation: Int8Array.from([...Array(n).fill(127), ...Array(n).fill(0), ...Array(n).fill(0), ...Array(n).fill(-127)]),
+    color: Uint8Array.from({ length: 4 * n }, (_, i) => (i % 4 === 3 ? 128 : 10 * i)),
+    phrases: ["seat", "work table"],
+    near: Uint8Array.from([1, 250, 0, 0, 0, 0, 0, 0, 2, 200, 0, 0, 0, 0, 0, 0]),
+  };
+}
+
+export async function check(m) {
+  // Codes: by WebAssembly, in plain code, and by hand; widths that fill no eight.
+  for (const width of [1, 3, 8, 24, 31]) {
+    const rows = 37, texts = 5;
+    const packed = Int8Array.from({ length: rows * width }, (_, i) => ((i * 37 + 11) % 255) - 127);
+    const weights = Float32Array.from({ length: texts * (width + 1) }, (_, i) => Math.sin(i) / (127 * width));
+    const hand = (row, text) => {
+      let sum = weights[text * (width + 1)];
+      for (let j = 0; j < width; j++) sum += weights[text * (width + 1) + 1 + j] * packed[row * width + j];
+      return sum;
+    };
+    const fast = new m.Codes(packed, rows, width, weights, 4), plain = new m.Codes(packed, rows, width, weights, 4, true);
+    const all = [0, 1, 2, 3, 4, ...Array.from({ length: 300 }, () => 4)];
+    for (const asked of [[0], [4], [1, 3, 2], [4, 3, 2, 1, 0], all]) {
+      const [a, b] = [fast.scores(asked).slice(), plain.scores(asked)];
+      for (let row = 0; row < rows; row++) {
+        const want = Math.max(...asked.map((text) => hand(row, text)));
+        near(a[row], want, 1e-4);
+        near(b[row], want, 1e-4);
+      }
+    }
+    for (let row = 0; row < rows; row++) {
+      // The best of the classes; the fifth text is none.
+      const want = Math.max(...[0, 1, 2, 3].map((text) => hand(row, text)));
+      near(fast.best[row], want, 1e-4);
+      near(plain.best[row], want, 1e-4);
+      near(fast.score(row, 4), hand(row, 4), 1e-6);
+    }
+  }
+
+  const data = scene(m), book = new m.PhraseBook(data);
+  const ask = (text) => m.answer(data, book, text);
+  const chosen = (found, wins = true, threshold = found.threshold) => Array.from(m.selection(found, threshold, wins));
+  // The winner of each, not the second: rows 0 and 1 are chairs.
+  assert.deepEqual(chosen(ask("chairs")), [1, 1, 0, 0, 0, 0]);
+  // Row 3 is as much a desk as a lamp.
+  assert.deepEqual(chosen(ask("desk")), [0, 0, 1, 1, 0, 0]);
+  assert.deepEqual(chosen(ask("lamp")), [0, 0, 0, 1, 1, 0]);
+  assert.deepEqual(chosen(ask("furniture")), [1, 1, 1, 1, 0, 0]);
+  // Without the other classes, by the threshold alone: what is as warm as it counts, what is colder does not.
+  const chair = ask("chair");
+  assert.deepEqual([chair.heat[0], chair.heat[2]], [255, 0]);
+  near(chair.heat[1], (255 * 100) / 127, 1);
+  assert.deepEqual(chosen(chair, false, 1), [1, 1, 0, 0, 0, 0]);
+  assert.deepEqual(chosen(chair, false, chair.heat[1]), [1, 1, 0, 0, 0, 0]);
+  assert.deepEqual(chosen(chair, false, chair.heat[1] + 1), [1, 0, 0, 0, 0, 0]);
+  near(chair.range[1], 1, 1e-3);
+  // A color before a class, a phrase, a typing error, nonsense.
+  near(ask("red chair").range[1], 0.85, 1e-3);
+  assert.match(ask("a seat").how, /taken as “chair” \(0\.98\)/);
+  assert.match(ask("work table").how, /taken as “desk”/);
+  assert.match(ask("chiar").how, /“chiar” taken as “chair”/);
+  assert.deepEqual([ask("xqzzt").isUnknown, chosen(ask("xqzzt"))], [true, [0, 0, 0, 0, 0, 0]]);
+  // Relations go one way.
+  assert.deepEqual(ask("the lamp on the desk").objects, [2]);
+  assert.deepEqual(ask("desk on the lamp").objects, []);
+  assert.deepEqual(ask("desk under a lamp").objects, [1]);
+  assert.deepEqual(chosen(ask("lamp on desk")), [0, 0, 0, 0, 1, 0]);
+  // Which of two: warmer than the middle.
+  const versus = ask("chair vs lamp");
+  assert.ok(versus.heat[0] > 200 && versus.heat[4] < 50 && versus.heat[5] === 127, Array.from(versus.heat).join());
+  const some = m.foundObjects(data, Uint8Array.from([1, 0, 1, 1, 0, 1]));
+  assert.deepEqual([some.count, some.objects.map((o) => [o.object, o.count])], [4, [[1, 2], [0, 1]]]);
+  // Without codes by the labels.
+  const labelled = { ...data, codes: null };
+  assert.deepEqual(chosen(m.answer(labelled, new m.PhraseBook(labelled), "desk")), [0, 0, 1, 1, 0, 0]);
+
+  // Colors: a class in its own, what is hidden not at all, what is selected by its heat.
+  const out = new Uint8Array(24);
+  m.paint(data, { mode: "labels", hidden: new Set([2]), found: null, selected: null }, out);
+  assert.deepEqual([out[3], out[11], out[15]], [128, 0, 0]);
+  assert.ok(out[1] > out[0] && out[1] > out[2]);
+  m.paint(data, { mode: "labels", hidden: new Set(), found: chair, selected: m.selection(chair, 1, true) }, out);
+  assert.ok(out[0] > 150 && out[2] < 60, "the hottest is yellow");
+  assert.ok(Math.abs(out[20] - out[21]) < 3, "what is not selected is grey");
+
+  // Files: rows of the scene's file, formulas that are none, values as they were.
+  assert.deepEqual(["=1+1", "-x", "a,b", 'say "x"', "\tx"].map(m.field), ["'=1+1", "'-x", '"a,b"', '"say ""x"""', "'\tx"]);
+  const lines = m.csv(data, Uint8Array.from([0, 1, 0, 0, 0, 1])).split("\n");
+  assert.deepEqual(lines, ["row,x,y,z,class,score,object", "2,0.75000,1.00000,1.25000,chair,0.502,1", "8,3.75000,4.00000,4.25000,,0.000,", ""]);
+  const ply = m.ply(data, Uint8Array.from([0, 0, 0, 0, 1, 0]));
+  const text = Buffer.from(ply).toString("latin1");
+  const view = new DataView(ply.buffer, text.indexOf("end_header\n") + 11);
+  assert.match(text, /element vertex 1\n/);
+  assert.deepEqual([0, 1, 2].map((i) => view.getFloat32(4 * i, true)), [3, 3.25, 3.5]);
+  [0.01, 0.02, 0.03].forEach((s, i) => near(view.getFloat32(4 * (7 + i), true), Math.log(s), 1e-5));
+  [Math.SQRT1_2, 0, 0, -Math.SQRT1_2].forEach((q, i) => near(view.getFloat32(4 * (10 + i), true), q, 1e-6));
+  assert.deepEqual([14, 15, 16].map((i) => view.getInt32(4 * i, true)), [2, 2, 6]);
+
+  // Addresses: nothing of them is believed that is out of range.
+  const back = m.readHash("#mode=objects&query=red+chair&threshold=77&hide=2,0,-1,99999,x&camera=1,2,3,4,5,6");
+  assert.deepEqual(back, { mode: "objects", query: "red chair", threshold: 77, hidden: [2, 0], camera: [1, 2, 3, 4, 5, 6] });
+  assert.deepEqual(m.readHash("#mode=x&threshold=256&camera=1,2,NaN,4,5,6"), { mode: null, query: "", threshold: null, hidden: [], camera: null });
+  // Round numbers.
+  assert.deepEqual(m.ticks(0, 1, false, 5).map((v) => Math.round(10 * v)), [0, 2, 4, 6, 8, 10]);
+  assert.deepEqual(m.ticks(0.4, 30, true), [0.5, 1, 2, 5, 10, 20]);
+  assert.deepEqual([m.seconds(0.0004), m.seconds(0.02), m.seconds(90), m.seconds(300), m.bytes(5e6)], ["400 µs", "20 ms", "90 s", "5 min", "5 MB"]);
+}
+
+if (process.argv[1] === new URL(import.meta.url).pathname) {
+  await check(await modules());
+  console.log("answers of the page: as by hand");
+}

@@ -1,0 +1,39 @@
+// Would the tests of the page notice? Plants known bugs in its sources, one at a time, and expects `logic.mjs` to fail:
+// node test/mutations.mjs. (.ci/mutations does the same for what is written in Rust.)
+import { check, modules } from "./logic.mjs";
+
+const BUGS = [
+  ["the runner-up answers", "query.ts", "own[s] >= codes.best[s] - SLACK", "own[s] < codes.best[s] - SLACK"],
+  ["the threshold is turned round", "query.ts", "found.heat[i] >= threshold", "found.heat[i] <= threshold"],
+  ["the threshold leaves out what is as warm", "query.ts", "found.heat[i] >= threshold", "found.heat[i] > threshold"],
+  ["a relation goes both ways", "query.ts", "what.members.includes(objects[a].label) && to.members.includes(objects[b].label)",
+    "what.members.includes(objects[b].label) && to.members.includes(objects[a].label)"],
+  ["objects are counted from one", "query.ts", "found.has(data.object[i] - 1)", "found.has(data.object[i])"],
+  ["a group is its first class", "codes.ts", "this.into(this.out, texts);", "this.into(this.out, texts.slice(0, 1));"],
+  ["a text before the last many is forgotten", "codes.ts", "if (v > out[s]) out[s] = v;", ""],
+  ["offsets of several texts are those of the next", "codes.ts", "four / 2 + (i & 3)", "four / 2 + ((i + 1) & 3)"],
+  ["codes of a width that fills no eight shift", "codes.ts", "row * this.stride);", "row * width);"],
+  ["the offset of a text is forgotten", "codes.ts", "let sum = weights[0];\n        for", "let sum = 0;\n        for"],
+  ["formulas are formulas", "exporting.ts", "/^[=+\\-@\\t\\r]/.test(text)", "/^[=+@\\t\\r]/.test(text)"],
+  ["the real part of a rotation comes last", "exporting.ts", "...rotationOf(data, i),",
+    "...[1, 2, 3, 0].map((k) => rotationOf(data, i)[k]),"],
+  ["rows are those of the page", "exporting.ts", "data.rows.length > 0 ? data.rows[i] : i", "i"],
+  ["hidden classes stay", "colors.ts", "shown.hidden.forEach((h) => (opaque[h] = 0));", ""],
+  ["a camera that is none is believed", "hash.ts", "camera.length === 6 && camera.every(Number.isFinite)", "camera.length === 6"],
+];
+
+await check(await modules());
+let survived = 0;
+for (const [what, file, from, to] of BUGS) {
+  let caught = null;
+  const planted = await modules([[file, from, to]]);
+  try {
+    await check(planted);
+  } catch (error) {
+    caught = String(error.message).split("\n")[0].slice(0, 80);
+  }
+  if (caught === null) survived++;
+  console.log(`${caught === null ? "SURVIVED" : "caught"}: ${what}${caught === null ? "" : ` (${caught})`}`);
+}
+console.log(`${BUGS.length} planted, ${BUGS.length - survived} caught`);
+process.exit(survived > 0 ? 1 : 0);
