@@ -78,8 +78,9 @@ pub fn exposure_drift(frames: &[TrainingFrame], points: &[[f32; 3]]) -> Option<E
     let log_gains: Vec<Option<[f64; 3]>> =
         (0..frames.len()).map(|f| judged[f].then(|| [0, 1, 2].map(|c| channels[c][f]))).collect();
     let known = || log_gains.iter().flatten();
-    let exposure = deviation(known().map(|g| (g[0] + g[1] + g[2]) / 3.0).collect());
-    let balance = deviation(known().map(|g| 0.5 * (g[0] - g[2])).collect());
+    let exposures: Vec<f64> = known().map(|g| (g[0] + g[1] + g[2]) / 3.0).collect();
+    let balances: Vec<f64> = known().map(|g| 0.5 * (g[0] - g[2])).collect();
+    let (exposure, balance) = (deviation(&exposures), deviation(&balances));
     Some(ExposureDrift { log_gains, exposure, balance })
 }
 
@@ -154,8 +155,8 @@ fn median(mut values: Vec<f64>) -> Option<f64> {
 }
 
 /// The standard deviation of normally distributed values by the median of their distances from their median.
-fn deviation(values: Vec<f64>) -> f64 {
-    let Some(middle) = median(values.clone()) else { return 0.0 };
+fn deviation(values: &[f64]) -> f64 {
+    let Some(middle) = median(values.to_vec()) else { return 0.0 };
     1.4826 * median(values.iter().map(|v| (v - middle).abs()).collect()).unwrap_or(0.0)
 }
 

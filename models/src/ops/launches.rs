@@ -2,7 +2,7 @@
 //!
 //! Index tables lie on the host and go to the device with each pass.
 
-#![cfg_attr(not(any(feature = "cuda", test)), allow(dead_code, reason = "nothing launches them"))]
+#![cfg_attr(not(feature = "cuda"), allow(dead_code, reason = "nothing launches them"))]
 
 use super::batch_norm::scale_shift;
 use candle_core::Shape;

@@ -65,7 +65,7 @@ impl SparseConv {
         let dx = read("sparse_conv", grad, |g| {
             read("sparse_conv", w, |w| {
                 make(device, (n, cin), |dx| {
-                    backward_input(self.precision, &self.map, g, w, cin, cout, dx)
+                    backward_input(self.precision, &self.map, g, w, cin, cout, dx);
                 })
             })
         })?;
