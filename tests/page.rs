@@ -250,7 +250,7 @@ fn a_page_of_one_and_a_half_million_gaussians() {
     let catalogue = find_objects(&known, &ObjectSettings::default()).unwrap();
     let (width, ids) = (words.dim(), room.scene.instance.as_deref().unwrap());
     let targets: Vec<Vec<f32>> =
-        room.objects.iter().map(|o| words.object_target(o.class, o.color)).collect();
+        room.objects.iter().map(|o| words.object_target(o.class.unwrap(), o.color)).collect();
     let mut rows = Vec::with_capacity(ids.len() * width);
     for (i, &id) in (0u64..).zip(ids) {
         let target = usize::try_from(id).ok().and_then(|id| targets.get(id));
@@ -276,7 +276,8 @@ fn a_page_of_one_and_a_half_million_gaussians() {
     println!("{report:?}");
     assert_eq!((report.gaussians, report.left_out), (1_500_000, 0));
     assert!(report.bytes <= 90_000_000, "{} bytes", report.bytes);
-    let chairs = room.objects.iter().filter(|o| CLASSES[o.class.index()].name == "chair").count();
+    let chairs =
+        room.objects.iter().filter(|o| CLASSES[o.class.unwrap().index()].name == "chair").count();
     let about = serde_json::json!({ "bytes": report.bytes, "chairs": chairs });
     std::fs::write(folder.join("large.json"), about.to_string()).unwrap();
 }

@@ -224,7 +224,7 @@ impl<'a> Session<'a> {
         let opened = choice.open().context("--device")?;
         if choice != DeviceChoice::Cpu {
             let name = match choice {
-                DeviceChoice::Auto => opened.name.clone(),
+                DeviceChoice::Auto => opened.name.as_str().to_owned(),
                 choice => format!("{choice} ({})", opened.name),
             };
             self.progress.say(format!("device: {name}"));

@@ -221,7 +221,11 @@ fn instances_that_are_no_objects_are_counted() {
     let ids = room.scene.instance.clone().unwrap();
     let mut labels = room.scene.segment.clone().unwrap();
     // One instance loses its class.
-    let lost = room.objects.iter().position(|o| CLASSES[o.class.index()].name == "floor").unwrap();
+    let lost = room
+        .objects
+        .iter()
+        .position(|o| CLASSES[o.class.unwrap().index()].name == "floor")
+        .unwrap();
     labels.iter_mut().zip(&ids).filter(|(_, id)| **id == lost as i32).for_each(|(l, _)| *l = -1);
     let sizes = |id: usize| ids.iter().filter(|i| **i == id as i32).count();
     let least = 400;

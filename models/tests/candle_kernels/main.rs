@@ -1,5 +1,8 @@
 //! The kernels behind candle's CUDA tensors, compiled for the CPU and started as candle starts them, against candle's
 //! CPU tensors. What they are compiled to for a device is not executed here.
+#![allow(clippy::unwrap_used, clippy::panic, missing_docs)]
+// Each call starts a kernel with arrays of the lengths that it is told, which outlive it.
+#![allow(clippy::undocumented_unsafe_blocks, clippy::semicolon_if_nothing_returned)]
 
 use candle_core::{D, DType, Device, Result, Tensor, WithDType};
 use half::{bf16, f16};
@@ -102,7 +105,7 @@ fn values<T: WithDType>(count: usize, salt: usize) -> Vec<T> {
     let value = |i: usize| {
         let size = 1.0 + ((i * 7 + salt * 3) % 11) as f64;
         let size = if T::DTYPE.is_float() { size * 0.25 } else { size };
-        T::from_f64(if signed && (i + salt) % 3 == 0 { -size } else { size })
+        T::from_f64(if signed && (i + salt).is_multiple_of(3) { -size } else { size })
     };
     (0..count).map(value).collect()
 }

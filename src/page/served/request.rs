@@ -152,7 +152,7 @@ mod tests {
         assert_eq!(page, Request { target: Target::Page, head_only: false });
         let own = "Origin: http://127.0.0.1:4711\r\nSec-Fetch-Site: same-origin\r\n";
         let text =
-            format!("HEAD /{TOKEN}/chunk/color/12 HTTP/1.1\r\nhOsT: LOCALHOST:4711\r\n{}\r\n", own);
+            format!("HEAD /{TOKEN}/chunk/color/12 HTTP/1.1\r\nhOsT: LOCALHOST:4711\r\n{own}\r\n");
         let chunk = ask(&text).unwrap();
         assert_eq!(chunk.target, Target::Chunk("color".to_owned(), 12));
         assert!(chunk.head_only);
