@@ -2,15 +2,11 @@
 
 #[cfg(feature = "mpi")]
 mod message_passing;
-#[cfg(feature = "nccl")]
-mod nccl;
 mod pairs;
 mod threads;
 
 #[cfg(feature = "mpi")]
 pub use message_passing::MessagePassing;
-#[cfg(feature = "nccl")]
-pub use nccl::Nccl;
 pub(crate) use pairs::{InPairs, add_in_pairs};
 pub use threads::ThreadRank;
 

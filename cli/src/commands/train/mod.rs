@@ -75,7 +75,7 @@ pub fn run(args: &Args) -> Result<()> {
     listen_for_interrupt()?;
     let stop = Arc::new(AtomicBool::new(false));
     watch(Arc::clone(&stop));
-    let ranks = ranks::start(&device.device)?;
+    let ranks = ranks::start()?;
     if ranks.size() > 1 && ranks.rank() == 0 {
         print(&format!("{} ranks share the batches of each step", ranks.size()));
     }

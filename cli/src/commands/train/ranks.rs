@@ -1,7 +1,6 @@
 //! The other processes of a training, if a launcher has started several.
 
 use anyhow::Result;
-use candle_core::Device;
 use scenesplat::trainers::Collective;
 use std::rc::Rc;
 
@@ -18,24 +17,13 @@ fn launched() -> Option<(&'static str, usize)> {
 /// # Errors
 /// If there are several, and this program cannot talk to them.
 #[cfg(feature = "mpi")]
-pub fn start(device: &Device) -> Result<Rc<dyn Collective>> {
+pub fn start() -> Result<Rc<dyn Collective>> {
     use anyhow::Context;
     use scenesplat::trainers::collective::MessagePassing;
     if launched().is_none() {
         return Ok(Rc::new(scenesplat::trainers::Alone));
     }
     let ranks = MessagePassing::start().context("MPI does not start in this process")?;
-    #[cfg(feature = "nccl")]
-    if !device.is_cpu() && ranks.size() > 1 {
-        if ranks.rank() == 0 {
-            crate::terminal::print(
-                "*** sums of gradients by NCCL: compiled, but never run by those who wrote it ***",
-            );
-        }
-        return Ok(Rc::new(scenesplat::trainers::collective::Nccl::start(ranks, device)?));
-    }
-    #[cfg(not(feature = "nccl"))]
-    let _ = device;
     Ok(Rc::new(ranks))
 }
 
@@ -44,7 +32,7 @@ pub fn start(device: &Device) -> Result<Rc<dyn Collective>> {
 /// # Errors
 /// If there are several, and this program cannot talk to them.
 #[cfg(not(feature = "mpi"))]
-pub fn start(_: &Device) -> Result<Rc<dyn Collective>> {
+pub fn start() -> Result<Rc<dyn Collective>> {
     use crate::commands::WrongUse;
     match launched() {
         Some((name, size @ 2..)) => {
