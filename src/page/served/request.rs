@@ -113,6 +113,11 @@ impl Address {
         match rest.as_slice() {
             [""] => Some(Target::Page),
             ["chunk", name, number] => {
+                // Blocks have plain names, so nothing that stands for something else gets further.
+                let plain = |b: u8| b.is_ascii_alphanumeric() || b == b'_' || b == b'-';
+                if name.is_empty() || !name.bytes().all(plain) {
+                    return None;
+                }
                 let number: usize =
                     number.parse().ok().filter(|n: &usize| n.to_string() == *number)?;
                 Some(Target::Chunk((*name).to_owned(), number))
