@@ -281,7 +281,7 @@ fn binary<T: WithDType>() {
     let (a, b) = if T::DTYPE.is_float() || T::DTYPE == DType::I64 {
         (a, b)
     } else {
-        (a.iter().map(|v| T::from_f64(v.to_f64() + 20.0)).collect(), b)
+        (a.iter().map(|v| T::from_f64(v.to_f64() + 11.0)).collect(), b)
     };
     for (root, of) in arithmetic {
         let name = format!("{root}_{}", T::DTYPE.as_str());
