@@ -375,7 +375,7 @@ fn by_number<T: WithDType, I: WithDType>() {
     // A number outside is noticed, and "none" is not.
     let outside = symbol::<unsafe extern "C" fn() -> bool>("was_outside");
     assert!(!unsafe { outside() });
-    let mut wrong = ids.clone();
+    let mut wrong = ids;
     wrong[2] = I::from_f64(5.0);
     select(&wrong);
     assert!(unsafe { outside() }, "{}", name("is"));
