@@ -412,6 +412,19 @@ pub fn text(name: &str) -> &'static str {
     ALL.iter().find(|(base, _)| *base == name).unwrap().1
 }
 
+/// Names of models that most rooms have a use for.
+const FURNITURE: [&str; 9] = [
+    "Armchair",
+    "Bed",
+    "Bedside table",
+    "Bar table",
+    "Bar stool",
+    "Bath",
+    "Bamboo",
+    "Chair",
+    "Desk",
+];
+
 /// What the bases read.
 pub struct Data(tempfile::TempDir);
 
@@ -466,6 +479,7 @@ impl Data {
         let mut turned = texts.values;
         turned.rotate_left(64);
         write_texts(&turned, &path.join("turned.safetensors"));
+        write_furniture(&path.join("furniture"));
         Self(folder)
     }
 
@@ -492,6 +506,31 @@ fn write_texts(values: &[f32], path: &Path) {
     let table = Tensor::from_slice(values, (values.len() / 64, 64), &Device::Cpu).unwrap();
     let tensors = std::collections::HashMap::from([("text_embeddings", table)]);
     candle_core::safetensors::save(&tensors, path).unwrap();
+}
+
+/// A catalogue of boxes in many colours, ten of each of some usual names.
+fn write_furniture(folder: &Path) {
+    let models = folder.join("m");
+    std::fs::create_dir_all(&models).unwrap();
+    let mut properties = String::from("license=Free for all\n");
+    for (kind, name) in FURNITURE.iter().enumerate() {
+        for number in 0..10 {
+            let (n, color) = (kind * 10 + number + 1, number as f32 / 9.0);
+            let faces = "f 1 4 3 2\nf 1 2 6 5\nf 5 6 7 8\nf 2 3 7 6\nf 1 5 8 4\nf 4 8 7 3\n";
+            let corners =
+                "v 0 0 0\nv 2 0 0\nv 2 4 0\nv 0 4 0\nv 0 0 3\nv 2 0 3\nv 2 4 3\nv 0 4 3\n";
+            let model = format!("mtllib {n}.mtl\n{corners}usemtl paint\n{faces}");
+            std::fs::write(models.join(format!("{n}.obj")), model).unwrap();
+            let paint = format!("newmtl paint\nKd {color} {} 0.5\n", 1.0 - color);
+            std::fs::write(models.join(format!("{n}.mtl")), paint).unwrap();
+            properties += &format!(
+                "id#{n}=made#{name}{n}\nname#{n}={name}\nmodel#{n}=/m/{n}.obj\nwidth#{n}=60\ndepth#{n}={}\n\
+                 height#{n}=80\ncreator#{n}=A | B\n",
+                50 + number
+            );
+        }
+    }
+    std::fs::write(folder.join("PluginFurnitureCatalog.properties"), properties).unwrap();
 }
 
 /// A small room with labels, features and labelled points.

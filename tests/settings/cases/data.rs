@@ -83,6 +83,36 @@ pub const CASES: &[Case] = &[
         Weights,
     ),
     row(
+        "train[*].source(synthetic).room.seen_share",
+        "language",
+        "/train/0/source/room/seen_share",
+        "1.0",
+        Weights,
+    ),
+    row(
+        "train[*].source(synthetic).room.furniture",
+        "language",
+        "/train/0/source/room/furniture",
+        "DATA/furniture",
+        Weights,
+    ),
+    row(
+        "train[*].source(synthetic).room.furniture_share",
+        "language",
+        "/train/0/source/room/furniture_share",
+        "0.0",
+        Weights,
+    )
+    .with(&[("/train/0/source/room/furniture", "DATA/furniture")]),
+    row(
+        "train[*].source(synthetic).room.furniture_split",
+        "language",
+        "/train/0/source/room/furniture_split",
+        "held_out",
+        Weights,
+    )
+    .with(&[("/train/0/source/room/furniture", "DATA/furniture")]),
+    row(
         "train[*].source(generic).type",
         "folders",
         "/train/1/source/type",

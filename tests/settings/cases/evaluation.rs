@@ -113,6 +113,36 @@ pub const CASES: &[Case] = &[
         Measured,
     ),
     row(
+        "evaluate[*].source(synthetic).room.seen_share",
+        "language",
+        "/evaluate/0/source/room/seen_share",
+        "1.0",
+        Measured,
+    ),
+    row(
+        "evaluate[*].source(synthetic).room.furniture",
+        "language",
+        "/evaluate/0/source/room/furniture",
+        "DATA/furniture",
+        Measured,
+    ),
+    row(
+        "evaluate[*].source(synthetic).room.furniture_share",
+        "language",
+        "/evaluate/0/source/room/furniture_share",
+        "0.0",
+        Measured,
+    )
+    .with(&[("/evaluate/0/source/room/furniture", "DATA/furniture")]),
+    row(
+        "evaluate[*].source(synthetic).room.furniture_split",
+        "language",
+        "/evaluate/0/source/room/furniture_split",
+        "held_out",
+        Measured,
+    )
+    .with(&[("/evaluate/0/source/room/furniture", "DATA/furniture")]),
+    row(
         "evaluate[*].source(generic).type",
         "folders",
         "/evaluate/1/source/type",
