@@ -9,6 +9,29 @@ type Best = (
   codes: number, rows: number, groups: number, weights: number, fours: number, factor: number, out: number,
 ) => void;
 
+type Range = (scores: number, rows: number, out: number) => void;
+type Grade = (
+  scores: number, best: number, rows: number, low: number, scale: number, slack: number, heat: number, wins: number,
+) => void;
+
+interface Program {
+  score: Score;
+  best: Best;
+  range: Range;
+  grade: Grade;
+  /** Where codes, weights, scores, best scores, heat and wins begin. */
+  at: number[];
+}
+
+/** Scores in their range. */
+export interface Graded {
+  range: [number, number];
+  /** (score − low) · 255 / (high − low), rounded down. [rows] */
+  heat: Uint8Array;
+  /** 1 where the score is the best of any class, or nearly. [rows] */
+  wins: Uint8Array;
+}
+
 const PAGE = 65_536;
 /** Largest weight of a text as a whole number. */
 const MOST = 32_767;
@@ -26,7 +49,7 @@ export class Codes {
   private out: Float32Array;
   private weights: Int16Array;
   private offsets: Int32Array;
-  private program: { score: Score; best: Best; at: number[] } | null = null;
+  private program: Program | null = null;
 
   /**
    * `packed`: rows of `width` numbers; `texts`: an offset and `width` weights for each text, the classes first.
@@ -38,9 +61,10 @@ export class Codes {
   ) {
     const groups = Math.max(1, Math.ceil(width / 8));
     this.stride = 8 * groups;
-    const size = [rows * this.stride, (TEXTS / 4) * (16 + 8 * this.stride), 4 * rows, 4 * rows];
+    const size = [rows * this.stride, (TEXTS / 4) * (16 + 8 * this.stride), 4 * rows, 4 * rows, rows, rows];
     const at = size.map((_, i) => size.slice(0, i).reduce((sum, s) => sum + 16 * Math.ceil(s / 16), 0));
-    const total = at[3] + size[3];
+    // Rows are graded in fours.
+    const total = at[5] + size[5] + 16;
     const memory = plain ? null : memoryOf(total);
     const buffer = memory === null ? new ArrayBuffer(total) : memory.buffer;
     this.values = new Int8Array(buffer, at[0], size[0]);
@@ -48,13 +72,17 @@ export class Codes {
     this.offsets = new Int32Array(buffer, at[1], size[1] / 4);
     this.out = new Float32Array(buffer, at[2], rows);
     this.best = new Float32Array(buffer, at[3], rows);
-    for (let row = 0; row < rows; row++) {
-      this.values.set(packed.subarray(row * width, (row + 1) * width), row * this.stride);
+    if (this.stride === width) this.values.set(packed.subarray(0, rows * width));
+    else {
+      for (let row = 0; row < rows; row++) {
+        this.values.set(packed.subarray(row * width, (row + 1) * width), row * this.stride);
+      }
     }
     if (memory !== null) {
       const module = new WebAssembly.Module(scoreProgram as BufferSource);
       const made = new WebAssembly.Instance(module, { page: { memory } });
-      this.program = { score: made.exports.score as Score, best: made.exports.best as Best, at };
+      const { score, best, range, grade } = made.exports;
+      this.program = { score: score as Score, best: best as Best, range: range as Range, grade: grade as Grade, at };
     }
     const known = Math.min(classes, Math.floor(texts.length / (width + 1)));
     if (known === 0) this.best.fill(-1);
@@ -65,6 +93,39 @@ export class Codes {
   scores(texts: number[]): Float32Array {
     this.into(this.out, texts);
     return this.out;
+  }
+
+  /** Where the scores with a text, or the best with any of several, lie in their range; they win if they are less
+   * than `slack` below the best of any class. */
+  graded(texts: number[], slack: number): Graded {
+    const { out, best, rows, program: p } = this;
+    this.into(out, texts);
+    let low = Infinity, high = -Infinity;
+    if (p !== null) {
+      // The weights have done their work.
+      p.range(p.at[2], rows, p.at[1]);
+      [low, high] = new Float32Array(out.buffer, p.at[1], 2);
+    } else {
+      for (let row = 0; row < rows; row++) {
+        if (out[row] < low) low = out[row];
+        if (out[row] > high) high = out[row];
+      }
+    }
+    if (rows === 0) low = high = 0;
+    if (!(high > low)) high = low + 1e-6;
+    // In single precision as there, so that both say the same; a little more, so that the highest is 255.
+    const scale = Math.fround(255.0001 / (high - low)), less = Math.fround(slack);
+    if (p !== null) {
+      p.grade(p.at[2], p.at[3], rows, low, scale, less, p.at[4], p.at[5]);
+      const copy = (at: number) => new Uint8Array(out.buffer, at, rows).slice();
+      return { range: [low, high], heat: copy(p.at[4]), wins: copy(p.at[5]) };
+    }
+    const heat = new Uint8Array(rows), wins = new Uint8Array(rows);
+    for (let row = 0; row < rows; row++) {
+      heat[row] = Math.fround(Math.fround(out[row] - low) * scale);
+      wins[row] = out[row] >= Math.fround(best[row] - less) ? 1 : 0;
+    }
+    return { range: [low, high], heat, wins };
   }
 
   /** Score of one row with a text. */

@@ -81,17 +81,19 @@ function paintHeat(data: SceneData, heat: Uint8Array, selected: Uint8Array, opaq
     const v = Math.round(26 + 0.3 * light);
     return v | (v << 8) | ((v + 4) << 16);
   });
-  const ramp = new Float32Array(3 * 256);
-  for (let v = 0; v < 256; v++) ramp.set(viridis(v / 255), 3 * v);
-  const shades = Float32Array.from({ length: 256 }, (_, light) => 0.7 + (0.3 * light) / 255);
-  for (let i = 0; i < n; i++) {
-    const c = from[i], light = lightOf(c), alpha = c & opaque[label[i]];
-    if (selected[i] === 0) {
-      to[i] = grey[light] | alpha;
-      continue;
+  // Grey first, then each heat under each light.
+  const table = new Uint32Array(256 * 257);
+  table.set(grey);
+  for (let v = 0; v < 256; v++) {
+    const [r, g, b] = viridis(v / 255);
+    for (let light = 0; light < 256; light++) {
+      const shade = 0.7 + (0.3 * light) / 255;
+      table[256 * (v + 1) + light] = (r * shade) | ((g * shade) << 8) | ((b * shade) << 16);
     }
-    const v = 3 * heat[i], shade = shades[light];
-    to[i] = (ramp[v] * shade) | ((ramp[v + 1] * shade) << 8) | ((ramp[v + 2] * shade) << 16) | alpha;
+  }
+  for (let i = 0; i < n; i++) {
+    const c = from[i], row = selected[i] === 0 ? 0 : heat[i] + 1;
+    to[i] = table[256 * row + lightOf(c)] | (c & opaque[label[i]]);
   }
 }
 

@@ -72,6 +72,8 @@ export interface SceneData {
   objectSizes: Uint32Array;
   /** Row of the code of each Gaussian [N]; 2^32 − 1 = none. */
   slot: Uint32Array;
+  /** Whether row `i` of the codes is that of Gaussian `i`, for all. */
+  ownSlots: boolean;
   /** Language codes of the slots, and how they are compared with texts; null without. */
   codes: Codes | null;
   /** Rows of the scene's file, where some were left out; else empty. */
@@ -189,6 +191,7 @@ export async function readScene(about: About, arrived: Arrived): Promise<SceneDa
   for (let i = 0; i < n; i++) objectSizes[object[i]]++;
   const texts = floats(await blocks.bytes("texts"));
   const packed = new Int8Array((await blocks.bytes("codes")).buffer);
+  const slot = planes(await blocks.bytes("slot"), new Uint32Array(about.codes === null ? 0 : n), 4);
   return {
     about,
     position,
@@ -200,7 +203,8 @@ export async function readScene(about: About, arrived: Arrived): Promise<SceneDa
     score: await blocks.bytes("score"),
     object,
     objectSizes,
-    slot: planes(await blocks.bytes("slot"), new Uint32Array(about.codes === null ? 0 : n), 4),
+    slot,
+    ownSlots: about.codes?.slots === n && slot.every((s, i) => s === i),
     codes: about.codes === null ? null
       : new Codes(packed, about.codes.slots, about.codes.width, texts, about.classes.length),
     rows: planes(await blocks.bytes("rows"), new Uint32Array(about.count < about.total ? n : 0), 4),

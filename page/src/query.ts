@@ -35,49 +35,37 @@ export function answer(data: SceneData, book: PhraseBook, text: string): Found {
   if (meaning.isUnknown) return nothing(data, text, meaning.how);
   const asked = meaning.text >= 0 ? [meaning.text] : meaning.members;
   if (data.codes !== null && asked.length > 0) {
-    return byCodes(data, data.codes, text, meaning.how, data.codes.scores(asked));
+    return byCodes(data, data.codes, text, meaning.how, asked);
   }
   if (meaning.members.length > 0) return byLabels(data, text, meaning.how, meaning.members);
   return nothing(data, text, "this page has no language codes, only classes");
 }
 
-function byCodes(data: SceneData, codes: Codes, text: string, how: string, own: Float32Array): Found {
-  const n = data.about.count;
-  let low = Infinity, high = -Infinity;
-  for (const v of own) {
-    if (v < low) low = v;
-    if (v > high) high = v;
-  }
-  if (!(high > low)) high = low + 1e-6;
-  const scale = 255 / (high - low);
-  const slots = own.length;
-  const slotHeat = new Uint8Array(slots), slotWins = new Uint8Array(slots);
-  const winners = new Uint32Array(256);
-  let won = 0;
-  for (let s = 0; s < slots; s++) {
-    const heat = (own[s] - low) * scale;
-    slotHeat[s] = heat;
-    if (own[s] >= codes.best[s] - SLACK) {
-      slotWins[s] = 1;
-      winners[slotHeat[s]]++;
-      won++;
-    }
-  }
+function byCodes(data: SceneData, codes: Codes, text: string, how: string, asked: number[]): Found {
+  const { range, heat, wins } = codes.graded(asked, SLACK);
+  const counts = new Uint32Array(512);
+  for (let s = 0; s < heat.length; s++) counts[(wins[s] << 8) | heat[s]]++;
+  const winners = counts.subarray(256);
+  const won = winners.reduce((sum, c) => sum + c, 0);
   // All but the weakest twentieth of what wins.
   let threshold = 0;
   for (let sum = 0; threshold < 255; threshold++) {
     sum += winners[threshold];
     if (sum > won * 0.05) break;
   }
-  const heat = new Uint8Array(n), wins = new Uint8Array(n);
+  const found = { text, how, isUnknown: false, range, threshold, objects: null };
+  if (data.ownSlots) return { ...found, heat, wins };
+  return { ...found, heat: spread(data, heat), wins: spread(data, wins) };
+}
+
+/** What each Gaussian has of its slot; 0 without one. */
+function spread(data: SceneData, ofSlots: Uint8Array): Uint8Array {
+  const { slot, about: { count: n } } = data;
+  const out = new Uint8Array(n);
   for (let i = 0; i < n; i++) {
-    const s = data.slot[i];
-    if (s < slots) {
-      heat[i] = slotHeat[s];
-      wins[i] = slotWins[s];
-    }
+    if (slot[i] < ofSlots.length) out[i] = ofSlots[slot[i]];
   }
-  return { text, how, isUnknown: false, heat, range: [low, high], wins, threshold, objects: null };
+  return out;
 }
 
 function byLabels(data: SceneData, text: string, how: string, labels: number[]): Found {
@@ -98,11 +86,12 @@ function difference(data: SceneData, book: PhraseBook, text: string, sides: stri
     return nothing(data, text, a.how || b.how || "two texts with language codes are compared");
   }
   const x = data.codes.scores([a.text]).slice(), y = data.codes.scores([b.text]);
-  const most = x.reduce((m, v, s) => Math.max(m, Math.abs(v - y[s])), 1e-6);
-  const n = data.about.count;
+  let most = 1e-6;
+  for (let s = 0; s < x.length; s++) most = Math.max(most, Math.abs(x[s] - y[s]));
+  const { slot, about: { count: n } } = data;
   const heat = new Uint8Array(n).fill(127), wins = new Uint8Array(n);
   for (let i = 0; i < n; i++) {
-    const s = data.slot[i];
+    const s = slot[i];
     if (s >= x.length) continue;
     const d = (x[s] - y[s]) / most;
     heat[i] = 127.5 + 127.5 * d;
@@ -146,11 +135,11 @@ function nothing(data: SceneData, text: string, how: string): Found {
 
 /** What a threshold selects. */
 export function selection(found: Found, threshold: number, onlyWins: boolean): Uint8Array {
-  const out = new Uint8Array(found.heat.length);
-  for (let i = 0; i < out.length; i++) {
-    // A heat of 0 is no answer, whatever the threshold.
-    out[i] = found.heat[i] > 0 && found.heat[i] >= threshold && (!onlyWins || found.wins[i] === 1) ? 1 : 0;
-  }
+  const { heat, wins } = found;
+  const out = new Uint8Array(heat.length), wanted = onlyWins ? 1 : 0;
+  // A heat of 0 is no answer, whatever the threshold.
+  const least = Math.max(1, threshold);
+  for (let i = 0; i < out.length; i++) out[i] = heat[i] >= least && wins[i] >= wanted ? 1 : 0;
   return out;
 }
 

@@ -1,4 +1,4 @@
-;; Scores of language codes with one text, and the best with any of several.
+;; Scores of language codes with one text, the best with any of several, and where scores lie in their range.
 ;;
 ;; Codes are bytes, rows of 8 * groups of them; weights are 16-bit, in the same order. 1.5 million rows of 24 take
 ;; JavaScript more than a tenth of a second for one text, which is what a query may take altogether.
@@ -92,4 +92,71 @@
           (f32.mul (local.get $factor) (f32.convert_i32_s (i32x4.extract_lane 0 (local.get $most)))))
         (local.set $out (i32.add (local.get $out) (i32.const 4)))
         (local.set $codes (i32.add (local.get $codes) (i32.shl (local.get $groups) (i32.const 3))))
-        (br_if $row (local.tee $rows (i32.sub (local.get $rows) (i32.const 1))))))))
+        (br_if $row (local.tee $rows (i32.sub (local.get $rows) (i32.const 1)))))))
+
+  ;; The lowest and the highest of some scores, at out.
+  (func (export "range") (param $scores i32) (param $rows i32) (param $out i32)
+    (local $low v128) (local $high v128) (local $four v128) (local $least f32) (local $most f32) (local $value f32)
+    (local.set $low (v128.const f32x4 inf inf inf inf))
+    (local.set $high (v128.const f32x4 -inf -inf -inf -inf))
+    (block $done
+      (loop $fours
+        (br_if $done (i32.lt_u (local.get $rows) (i32.const 4)))
+        (local.set $four (v128.load (local.get $scores)))
+        (local.set $low (f32x4.pmin (local.get $low) (local.get $four)))
+        (local.set $high (f32x4.pmax (local.get $high) (local.get $four)))
+        (local.set $scores (i32.add (local.get $scores) (i32.const 16)))
+        (local.set $rows (i32.sub (local.get $rows) (i32.const 4)))
+        (br $fours)))
+    (local.set $least
+      (f32.min
+        (f32.min (f32x4.extract_lane 0 (local.get $low)) (f32x4.extract_lane 1 (local.get $low)))
+        (f32.min (f32x4.extract_lane 2 (local.get $low)) (f32x4.extract_lane 3 (local.get $low)))))
+    (local.set $most
+      (f32.max
+        (f32.max (f32x4.extract_lane 0 (local.get $high)) (f32x4.extract_lane 1 (local.get $high)))
+        (f32.max (f32x4.extract_lane 2 (local.get $high)) (f32x4.extract_lane 3 (local.get $high)))))
+    (block $end
+      (loop $ones
+        (br_if $end (i32.eqz (local.get $rows)))
+        (local.set $value (f32.load (local.get $scores)))
+        (local.set $least (f32.min (local.get $least) (local.get $value)))
+        (local.set $most (f32.max (local.get $most) (local.get $value)))
+        (local.set $scores (i32.add (local.get $scores) (i32.const 4)))
+        (local.set $rows (i32.sub (local.get $rows) (i32.const 1)))
+        (br $ones)))
+    (f32.store (local.get $out) (local.get $least))
+    (f32.store offset=4 (local.get $out) (local.get $most)))
+
+  ;; heat[row] = (scores - low) * scale as a byte; wins[row] = 1 where the score is the best less slack, or more.
+  ;; Rows come in fours; what is written behind the last is nobody's.
+  (func (export "grade")
+    (param $scores i32) (param $best i32) (param $rows i32) (param $low f32) (param $scale f32) (param $slack f32)
+    (param $heat i32) (param $wins i32)
+    (local $four v128)
+    (block $done
+      (loop $fours
+        (br_if $done (i32.le_s (local.get $rows) (i32.const 0)))
+        (local.set $four (v128.load (local.get $scores)))
+        (i32.store (local.get $heat)
+          (i32x4.extract_lane 0
+            (i8x16.shuffle 0 4 8 12 0 4 8 12 0 4 8 12 0 4 8 12
+              (local.tee $four
+                (i32x4.trunc_sat_f32x4_u
+                  (f32x4.mul
+                    (f32x4.sub (local.get $four) (f32x4.splat (local.get $low)))
+                    (f32x4.splat (local.get $scale)))))
+              (local.get $four))))
+        (local.set $four
+          (v128.and (v128.const i32x4 1 1 1 1)
+            (f32x4.ge (v128.load (local.get $scores))
+              (f32x4.sub (v128.load (local.get $best)) (f32x4.splat (local.get $slack))))))
+        (i32.store (local.get $wins)
+          (i32x4.extract_lane 0
+            (i8x16.shuffle 0 4 8 12 0 4 8 12 0 4 8 12 0 4 8 12 (local.get $four) (local.get $four))))
+        (local.set $scores (i32.add (local.get $scores) (i32.const 16)))
+        (local.set $best (i32.add (local.get $best) (i32.const 16)))
+        (local.set $heat (i32.add (local.get $heat) (i32.const 4)))
+        (local.set $wins (i32.add (local.get $wins) (i32.const 4)))
+        (local.set $rows (i32.sub (local.get $rows) (i32.const 4)))
+        (br $fours)))))

@@ -62,6 +62,7 @@ function scene({ Codes }) {
     object: Uint16Array.from([1, 1, 2, 2, 3, 0]),
     objectSizes: Uint32Array.from([1, 2, 2, 1]),
     slot: Uint32Array.from([0, 1, 2, 3, 4, 0xffffffff]),
+    ownSlots: false,
     rows: Uint32Array.from([0, 2, 3, 5, 6, 8]),
     position: Float32Array.from({ length: 3 * n }, (_, i) => i / 4),
     // Planes: all x, then all y, then all z.
@@ -94,6 +95,20 @@ export async function check(m) {
         near(a[row], want, 1e-4);
         near(b[row], want, 1e-4);
       }
+      // Where they lie in their range, and who wins; with no rows left over behind fours, and some.
+      const [x, y] = [fast, plain].map((codes) => codes.graded(asked, 0.02));
+      const scores = Array.from({ length: rows }, (_, row) => Math.max(...asked.map((text) => hand(row, text))));
+      const [low, high] = [Math.min(...scores), Math.max(...scores)];
+      for (const graded of [x, y]) {
+        near(graded.range[0], low, 1e-4);
+        near(graded.range[1], high, 1e-4);
+        scores.forEach((score, row) => {
+          near(graded.heat[row], (255 * (score - low)) / (high - low), 1.5);
+          const lead = score - Math.max(...[0, 1, 2, 3].map((text) => hand(row, text))) + 0.02;
+          if (Math.abs(lead) > 1e-3) assert.equal(graded.wins[row], lead > 0 ? 1 : 0, `${width} ${asked} ${row} ${lead}`);
+        });
+        assert.equal(Math.max(...graded.heat), 255);
+      }
     }
     for (let row = 0; row < rows; row++) {
       // The best of the classes; the fifth text is none.
@@ -102,6 +117,18 @@ export async function check(m) {
       near(plain.best[row], want, 1e-4);
       near(fast.score(row, 4), hand(row, 4), 1e-6);
     }
+  }
+
+  // One row, none, and rows of the same score.
+  for (const plain of [false, true]) {
+    const texts = Float32Array.from([0.25, 0.5]);
+    const of = (values) => new m.Codes(Int8Array.from(values), values.length, 1, texts, 1, plain).graded([0], 0.02);
+    assert.deepEqual([...of([]).heat], []);
+    assert.deepEqual([of([3]).heat[0], of([3]).wins[0]], [0, 1]);
+    assert.deepEqual([...of([7, 7, 7, 7, 7]).heat], [0, 0, 0, 0, 0]);
+    near(of([7, 7, 7, 7, 7]).range[0], 3.75, 1e-3);
+    assert.deepEqual([...of([5, 5, 5, 5, 6]).heat], [0, 0, 0, 0, 255]);
+    assert.deepEqual([...of([6, 5, 5, 5, 5]).heat], [255, 0, 0, 0, 0]);
   }
 
   const data = scene(m), book = new m.PhraseBook(data);

@@ -3,9 +3,13 @@
 import { check, modules } from "./logic.mjs";
 
 const BUGS = [
-  ["the runner-up answers", "query.ts", "own[s] >= codes.best[s] - SLACK", "own[s] < codes.best[s] - SLACK"],
-  ["the threshold is turned round", "query.ts", "found.heat[i] >= threshold", "found.heat[i] <= threshold"],
-  ["the threshold leaves out what is as warm", "query.ts", "found.heat[i] >= threshold", "found.heat[i] > threshold"],
+  ["the runner-up answers", "codes.ts", "p.grade(p.at[2], p.at[3],", "p.grade(p.at[3], p.at[2],"],
+  ["the runner-up answers in plain code", "codes.ts", "out[row] >= Math.fround", "out[row] < Math.fround"],
+  ["the last rows are not graded", "codes.ts", "p.at[3], rows, low", "p.at[3], rows & ~3, low"],
+  ["the lowest of the last rows is forgotten", "codes.ts", "p.range(p.at[2], rows,", "p.range(p.at[2], rows & ~3,"],
+  ["every Gaussian has the code of its number", "query.ts", "if (data.ownSlots)", "if (!data.ownSlots)"],
+  ["the threshold is turned round", "query.ts", "heat[i] >= least &&", "heat[i] <= least &&"],
+  ["the threshold leaves out what is as warm", "query.ts", "heat[i] >= least &&", "heat[i] > least &&"],
   ["a relation goes both ways", "query.ts", "what.members.includes(objects[a].label) && to.members.includes(objects[b].label)",
     "what.members.includes(objects[b].label) && to.members.includes(objects[a].label)"],
   ["objects are counted from one", "query.ts", "found.has(data.object[i] - 1)", "found.has(data.object[i])"],
