@@ -1,30 +1,37 @@
-//! The networks of [`vision`](crate::vision) where labels are collected: SAM 2 cuts pictures, SigLIP 2 describes segments.
+//! The networks of [`vision`](crate::vision) where labels are collected: SAM 2 cuts pictures, SigLIP 2 describes segments; with the
+//! feature `onnx`, networks in ONNX files do either.
 
 use scenesplat_collection::{CollectError, PictureEncoder, PosedPicture, Segmented, Segmenter};
 use scenesplat_scene::picture::RgbPicture;
-use scenesplat_vision::masks::paint_objects;
+use scenesplat_vision::masks::{ClickNetwork, paint_objects};
+#[cfg(feature = "onnx")]
+use scenesplat_vision::onnx::OnnxEncoder;
 use scenesplat_vision::{
     AutomaticMasks, MaskSettings, Sam2, SiglipImageEncoder, VisionError, paint,
 };
 
-/// SAM 2's automatic masks, painted over each other as SceneSplat's labels were: by `MaskSettings::scenesplat`, which asks
-/// for whole objects, largest first; otherwise in the order of the generator.
+/// The automatic masks of a network that answers clicks, such as SAM 2, painted over each other as SceneSplat's labels were:
+/// by `MaskSettings::scenesplat`, which asks for whole objects, largest first; otherwise in the order of the generator.
 #[derive(Debug)]
-pub struct Sam2Segments {
-    network: Sam2,
+pub struct MaskSegments<N = Sam2> {
+    network: N,
     settings: MaskSettings,
     name: String,
 }
 
-impl Sam2Segments {
-    /// With these settings; `weights` says which weights they are, such as their checksum: what was computed by others
-    /// is not taken up.
+impl<N: ClickNetwork> MaskSegments<N> {
+    /// With these settings; `network_name` says what network it is and with which weights, such as their checksum: what was
+    /// computed by others is not taken up.
     ///
     /// # Errors
     /// If a setting is out of its range.
-    pub fn new(network: Sam2, settings: MaskSettings, weights: &str) -> Result<Self, VisionError> {
+    pub fn new(
+        network: N,
+        settings: MaskSettings,
+        network_name: &str,
+    ) -> Result<Self, VisionError> {
         settings.check()?;
-        let name = format!("sam2 {weights} {settings:?}");
+        let name = format!("{network_name} {settings:?}");
         Ok(Self { network, settings, name })
     }
 }
@@ -33,7 +40,7 @@ fn failed<'a>(name: &'a str, frame: &'a str) -> impl FnOnce(VisionError) -> Coll
     move |source| CollectError::Model { name: format!("{name}{frame}"), source: Box::new(source) }
 }
 
-impl Segmenter for Sam2Segments {
+impl<N: ClickNetwork + Send> Segmenter for MaskSegments<N> {
     fn name(&self) -> String {
         self.name.clone()
     }
@@ -43,7 +50,7 @@ impl Segmenter for Sam2Segments {
         let frame = format!(", frame {:?}", picture.name);
         let masks = AutomaticMasks::new(&self.network, self.settings.clone());
         let masks = masks.and_then(|masks| masks.generate(picture.picture));
-        let masks = masks.map_err(failed("SAM 2", &frame))?;
+        let masks = masks.map_err(failed("the mask generator", &frame))?;
         let (width, height) = (picture.picture.width(), picture.picture.height());
         let whole = self.settings == MaskSettings::scenesplat();
         let painted = if whole { paint_objects } else { paint }(&masks, width, height);
@@ -77,6 +84,37 @@ impl PictureEncoder for SiglipCrops {
 
     fn encode(&self, pictures: &[RgbPicture]) -> Result<Vec<f32>, CollectError> {
         self.encoder.encode(pictures).map_err(failed("SigLIP 2", ""))
+    }
+}
+
+/// A picture encoder in an ONNX file: one unit row a picture.
+#[cfg(feature = "onnx")]
+#[derive(Debug)]
+pub struct OnnxCrops {
+    encoder: OnnxEncoder,
+    name: String,
+}
+
+#[cfg(feature = "onnx")]
+impl OnnxCrops {
+    /// `network_name` says which file it is and which library runs it, such as its checksum and build.
+    pub fn new(encoder: OnnxEncoder, network_name: &str) -> Self {
+        Self { encoder, name: network_name.to_owned() }
+    }
+}
+
+#[cfg(feature = "onnx")]
+impl PictureEncoder for OnnxCrops {
+    fn name(&self) -> String {
+        self.name.clone()
+    }
+
+    fn width(&self) -> usize {
+        self.encoder.width()
+    }
+
+    fn encode(&self, pictures: &[RgbPicture]) -> Result<Vec<f32>, CollectError> {
+        self.encoder.encode(pictures).map_err(failed("the ONNX encoder", ""))
     }
 }
 
@@ -129,7 +167,7 @@ mod tests {
         let posed = PosedPicture { name: "0", picture: &picture, view: &view, depth: None };
         let network = small();
         let masks = AutomaticMasks::new(&network, all()).unwrap().generate(&picture).unwrap();
-        let segments = Sam2Segments::new(small(), all(), "3").unwrap();
+        let segments = MaskSegments::new(small(), all(), "sam2 3").unwrap();
         let found = segments.segment(&posed).unwrap();
         // By hand: the last mask that holds a pixel is on top.
         let mut shown = std::collections::BTreeSet::new();
@@ -143,8 +181,8 @@ mod tests {
         assert_eq!(found.left_out, masks.len() - shown.len());
         assert!(!shown.is_empty());
         // What was kept under this name is of these settings and weights alone.
-        let other = Sam2Segments::new(small(), MaskSettings::original(), "3").unwrap();
+        let other = MaskSegments::new(small(), MaskSettings::original(), "sam2 3").unwrap();
         assert_ne!(segments.name(), other.name());
-        assert_ne!(segments.name(), Sam2Segments::new(small(), all(), "4").unwrap().name());
+        assert_ne!(segments.name(), MaskSegments::new(small(), all(), "sam2 4").unwrap().name());
     }
 }

@@ -335,3 +335,191 @@ fn of_many_photos_those_are_taken_that_show_most() {
         assert!(!out.join(format!("frames/{i:03}b.json")).exists(), "{i}");
     }
 }
+
+/// A PNG file with an Exif mark to turn it by.
+fn with_exif(png: &[u8], mark: u8) -> Vec<u8> {
+    let mut block = b"eXIfMM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0".to_vec();
+    block.extend([mark, 0, 0]);
+    let mut crc = u32::MAX;
+    for byte in &block {
+        crc ^= u32::from(*byte);
+        for _ in 0..8 {
+            crc = if crc & 1 == 1 { 0xedb8_8320 ^ (crc >> 1) } else { crc >> 1 };
+        }
+    }
+    let mut out = png[..33].to_vec();
+    out.extend((block.len() as u32 - 4).to_be_bytes());
+    out.extend(block);
+    out.extend((!crc).to_be_bytes());
+    out.extend(&png[33..]);
+    out
+}
+
+#[test]
+fn turned_photos_and_those_of_16_bits_are_the_same_labels() {
+    let dir = world();
+    done(&collect(dir.path(), "plain", &[]));
+    let plain = bits(dir.path(), "plain");
+    for i in 0..COUNT {
+        let path = dir.path().join(format!("photos/{i:03}.png"));
+        let photo = read_picture(&path).unwrap().to_rgb8();
+        let png = if i % 2 == 0 {
+            // Lying on its side: the mark says that a quarter turn clockwise puts it right.
+            let stored = scenesplat::scene::picture::RgbPicture::from_fn(60, 80, |x, y| {
+                photo.get(79 - y, x).unwrap()
+            });
+            with_exif(&stored.encode_png().unwrap(), 6)
+        } else {
+            let samples = photo.pixels().iter().flatten().map(|v| u16::from(*v) * 257).collect();
+            let deep = Picture::new(80, 60, Channels::Rgb, Samples::Sixteen(samples)).unwrap();
+            deep.encode_png().unwrap()
+        };
+        std::fs::write(&path, png).unwrap();
+    }
+    let output = collect(dir.path(), "other", &[]);
+    done(&output);
+    let text = stderr(&output);
+    assert!(text.contains("3 photos") && text.contains("turned by their Exif mark"), "{text}");
+    assert_eq!(bits(dir.path(), "other"), plain);
+}
+
+#[test]
+fn poses_that_are_none_and_ids_without_a_feature_are_refused() {
+    let dir = world();
+    done(&collect(dir.path(), "out", &[]));
+    // A feature table that lost a row: the id that needs it is named.
+    let frames = dir.path().join("out/frames");
+    let table = NpyFile::open(&frames.join("003_f.npy")).unwrap();
+    let &[rows, width] = table.shape() else { panic!("{:?}", table.shape()) };
+    let short = table.read_f32().unwrap()[..(rows - 1) * width].to_vec();
+    scenesplat::scene::formats::npy_writer::write_npy(
+        &frames.join("003_f.npy"),
+        &[rows - 1, width],
+        &short,
+    )
+    .unwrap();
+    let at = |name: &str| dir.path().join(name).to_str().unwrap().to_owned();
+    let (scene, cameras, folder, out) =
+        (at("room.ply"), at("cameras.json"), at("out/frames"), at("lifted"));
+    let words =
+        ["lift-labels", &scene, "--cameras", &cameras, "--segments", &folder, "--out", &out];
+    refused(&scenesplat(&words), 1, &["003_", &format!("{}", rows - 1)]);
+    assert!(!dir.path().join("lifted/lang_feat.npy").exists());
+
+    // Python writes NaN where JSON has none; a quaternion or matrix of NaN is as bad.
+    let text = std::fs::read_to_string(dir.path().join("cameras.json")).unwrap();
+    let at = text.find("\"rotation\"").unwrap();
+    let open = at + text[at..].find("[[").or_else(|| text[at..].find('[')).unwrap();
+    let first = open + text[open..].find(|c: char| c.is_ascii_digit() || c == '-').unwrap();
+    let end = first + text[first..].find([',', ']', '\n']).unwrap();
+    std::fs::write(
+        dir.path().join("cameras.json"),
+        format!("{}NaN{}", &text[..first], &text[end..]),
+    )
+    .unwrap();
+    refused(&collect(dir.path(), "nan", &[]), 1, &["cameras.json"]);
+    let colmap = dir.path().join("colmap");
+    std::fs::create_dir(&colmap).unwrap();
+    std::fs::write(colmap.join("cameras.txt"), "1 PINHOLE 80 60 70 70 40 30\n").unwrap();
+    std::fs::write(colmap.join("images.txt"), "1 nan 0 0 0 0 0 0 1 000.png\n\n").unwrap();
+    std::fs::write(colmap.join("points3D.txt"), "").unwrap();
+    let path = colmap.to_str().unwrap();
+    refused(&collect(dir.path(), "nan", &["--cameras", path]), 1, &["images.txt"]);
+}
+
+#[test]
+fn weights_that_are_cut_short_are_named() {
+    let dir = world();
+    let device = candle_core::Device::Cpu;
+    let tensor = candle_core::Tensor::zeros((40, 30), candle_core::DType::F32, &device).unwrap();
+    let tensors = std::collections::HashMap::from([("a", tensor)]);
+    let whole = dir.path().join("whole.safetensors");
+    candle_core::safetensors::save(&tensors, &whole).unwrap();
+    let bytes = std::fs::read(&whole).unwrap();
+    for (name, part) in [("cut.safetensors", bytes.len() / 2), ("cut.pt", 40), ("none.pt", 0)] {
+        let path = dir.path().join(name);
+        // The head of a zip archive without its end, as a download that stopped leaves it.
+        let start: &[u8] = if name.ends_with(".pt") { b"PK\x03\x04" } else { b"" };
+        std::fs::write(&path, [start, &bytes[..part]].concat()).unwrap();
+        let flags = ["--segments", "sam2", "--sam2-weights", path.to_str().unwrap()];
+        refused(&collect(dir.path(), "out", &flags), 1, &[name]);
+    }
+    let folder = dir.path().join("siglip2");
+    std::fs::create_dir(&folder).unwrap();
+    std::fs::write(folder.join("config.json"), r#"{"model_type": "siglip"}"#).unwrap();
+    std::fs::write(folder.join("model.safetensors"), &bytes[..bytes.len() - 9]).unwrap();
+    let flags = ["--features", "siglip2", "--siglip2-weights", folder.to_str().unwrap()];
+    refused(&collect(dir.path(), "out", &flags), 1, &["model.safetensors"]);
+    assert!(!dir.path().join("out/lang_feat.npy").exists());
+}
+
+#[test]
+fn onnx_files_are_asked_for_by_their_flags() {
+    let dir = world();
+    for (more, parts) in [
+        (&["--onnx-segments", "a"][..], &["--onnx-segments is for --segments onnx"][..]),
+        (&["--onnx-features", "a"], &["--onnx-features is for --features onnx"]),
+        (&["--onnx-runtime", "a"], &["--onnx-runtime is for --segments onnx and --features onnx"]),
+    ] {
+        refused(&collect(dir.path(), "out", more), 2, parts);
+    }
+    for (more, flag) in
+        [(["--segments", "onnx"], "--onnx-segments"), (["--features", "onnx"], "--onnx-features")]
+    {
+        let parts = match cfg!(feature = "onnx") {
+            true => vec![more[0], flag],
+            // How to build it.
+            false => vec![more[0], "--features onnx", "cargo build", "scenesplat-cli"],
+        };
+        refused(&collect(dir.path(), "out", &more), 2, &parts);
+    }
+}
+
+#[cfg(feature = "onnx")]
+#[test]
+fn onnx_files_segment_and_describe() {
+    let Ok(library) = std::env::var("SCENESPLAT_ONNXRUNTIME") else {
+        println!("NOT RUN: SCENESPLAT_ONNXRUNTIME does not name the library of ONNX Runtime");
+        return;
+    };
+    let dir = world();
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../vision/tests/data/onnx");
+    let features = data.join("features.onnx");
+    let (data, features) = (data.to_str().unwrap(), features.to_str().unwrap());
+    let onnx = |library: &str, out: &str| {
+        let more = [
+            "--segments",
+            "onnx",
+            "--onnx-segments",
+            data,
+            "--sam2-masks",
+            "original",
+            "--features",
+            "onnx",
+            "--onnx-features",
+            features,
+            "--onnx-runtime",
+            library,
+        ];
+        collect(dir.path(), out, &more)
+    };
+    let output = onnx(&library, "out");
+    done(&output);
+    let out = dir.path().join("out");
+    assert_eq!(NpyFile::open(&out.join("lang_feat.npy")).unwrap().shape(), [6000, 5]);
+    let mask = NpyFile::open(&out.join("valid_feat_mask.npy")).unwrap().read_f32().unwrap();
+    assert!(mask.iter().filter(|v| **v == 1.0).count() > 2000);
+    let receipt = std::fs::read_to_string(out.join("receipt.json")).unwrap();
+    assert!(receipt.contains("onnx_runtime") && receipt.contains("ORT Build Info"), "{receipt}");
+    let first = bits(dir.path(), "out");
+    let output = onnx(&library, "out");
+    done(&output);
+    assert!(stderr(&output).contains("6 pictures were done before"), "{}", stderr(&output));
+    assert_eq!(bits(dir.path(), "out"), first);
+    // A library that is not there, and a file that is none.
+    let missing = onnx(&format!("{library}.missing"), "none");
+    refused(&missing, 1, &["--onnx-runtime", ".missing", "is no file", "libonnxruntime.so"]);
+    let text = dir.path().join("cameras.json");
+    let wrong = onnx(text.to_str().unwrap(), "none");
+    refused(&wrong, 1, &["--onnx-runtime", "cameras.json", "could not be loaded"]);
+}

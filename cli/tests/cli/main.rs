@@ -6,6 +6,7 @@ mod bench;
 mod budget;
 mod chunk;
 mod codes;
+mod collect_end_to_end;
 mod collect_labels;
 mod commands;
 mod compare;

@@ -46,11 +46,11 @@ pub struct Args {
     #[arg(long, value_name = "N", requires = "images",
           value_parser = clap::value_parser!(u32).range(1..))]
     pub max_frames: Option<u32>,
-    /// What cuts pictures into segments: superpixels over colour, depth and normals (no weights), sam2, or a folder
+    /// What cuts pictures into segments: superpixels over colour, depth and normals (no weights), sam2, onnx, or a folder
     /// of id maps, FRAME.png, grey, 8 or 16 bits.
     #[arg(
         long,
-        value_name = "sam2|superpixels|FOLDER",
+        value_name = "sam2|superpixels|onnx|FOLDER",
         default_value = "superpixels",
         value_parser = clap::builder::PathBufValueParser::new().map(SegmentsArg::from)
     )]
@@ -59,9 +59,18 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     pub sam2_weights: Option<PathBuf>,
     /// scenesplat: whole objects, with a layer of crops, as the labels of the paper; original: the defaults of SAM 2's
-    /// own generator; for --segments sam2. [default: scenesplat]
+    /// own generator; for --segments sam2 and onnx. [default: scenesplat]
     #[arg(long, value_enum)]
     pub sam2_masks: Option<Sam2MasksArg>,
+    /// Folder of SAM 2 as encoder.onnx and decoder.onnx; for --segments onnx.
+    #[arg(long, value_name = "DIR")]
+    pub onnx_segments: Option<PathBuf>,
+    /// ONNX file of a picture encoder; for --features onnx.
+    #[arg(long, value_name = "FILE")]
+    pub onnx_features: Option<PathBuf>,
+    /// The library of ONNX Runtime, libonnxruntime.so; where the system finds one by this name it need not be given.
+    #[arg(long, value_name = "FILE")]
+    pub onnx_runtime: Option<PathBuf>,
     /// What describes segments.
     #[arg(long, value_enum, default_value_t = FeaturesArg::Colour)]
     pub features: FeaturesArg,
@@ -111,6 +120,8 @@ pub struct Args {
 pub enum SegmentsArg {
     /// A network.
     Sam2,
+    /// A network in ONNX files.
+    Onnx,
     /// Clusters of pixels.
     Superpixels,
     /// Files.
@@ -121,6 +132,7 @@ impl From<PathBuf> for SegmentsArg {
     fn from(path: PathBuf) -> Self {
         match path.to_str() {
             Some("sam2") => Self::Sam2,
+            Some("onnx") => Self::Onnx,
             Some("superpixels") => Self::Superpixels,
             _ => Self::Folder(path),
         }
@@ -134,6 +146,8 @@ pub enum FeaturesArg {
     Siglip2,
     /// Histograms of colours.
     Colour,
+    /// A picture encoder in an ONNX file.
+    Onnx,
 }
 
 /// Settings of the mask generator.
@@ -173,9 +187,19 @@ impl Args {
         }
         let sam2 = self.segments == SegmentsArg::Sam2;
         let siglip2 = self.features == FeaturesArg::Siglip2;
+        let onnx = (self.segments == SegmentsArg::Onnx, self.features == FeaturesArg::Onnx);
         let idle = [
             (self.sam2_weights.is_some() && !sam2, "--sam2-weights is for --segments sam2"),
-            (self.sam2_masks.is_some() && !sam2, "--sam2-masks is for --segments sam2"),
+            (
+                self.sam2_masks.is_some() && !sam2 && !onnx.0,
+                "--sam2-masks is for --segments sam2 and onnx",
+            ),
+            (self.onnx_segments.is_some() && !onnx.0, "--onnx-segments is for --segments onnx"),
+            (self.onnx_features.is_some() && !onnx.1, "--onnx-features is for --features onnx"),
+            (
+                self.onnx_runtime.is_some() && !onnx.0 && !onnx.1,
+                "--onnx-runtime is for --segments onnx and --features onnx",
+            ),
             (
                 self.siglip2_weights.is_some() && !siglip2,
                 "--siglip2-weights is for --features siglip2",

@@ -4,6 +4,7 @@ mod args;
 mod cache;
 mod choice;
 mod frames;
+mod onnx;
 mod sources;
 mod work;
 

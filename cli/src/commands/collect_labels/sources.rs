@@ -1,6 +1,7 @@
 //! What cuts pictures, and what describes segments.
 
 use super::args::{Args, FeaturesArg, PicturePrecision, Sam2MasksArg, SegmentsArg};
+use super::onnx;
 use crate::commands::WrongUse;
 use crate::receipt::sha256_of;
 use crate::session::Session;
@@ -9,9 +10,17 @@ use scenesplat::collection::{
     ColourStatistics, MaskFolder, PictureEncoder, Segmenter, SuperpixelSettings, Superpixels,
 };
 use scenesplat::kernels::Precision;
-use scenesplat::picture_networks::{Sam2Segments, SiglipCrops};
+use scenesplat::picture_networks::{MaskSegments, SiglipCrops};
 use scenesplat::vision::{MaskSettings, Sam2, SiglipImageEncoder};
 use std::path::PathBuf;
+
+/// Settings of the mask generator.
+pub(super) fn mask_settings(args: &Args) -> MaskSettings {
+    match args.sam2_masks {
+        Some(Sam2MasksArg::Original) => MaskSettings::original(),
+        Some(Sam2MasksArg::Scenesplat) | None => MaskSettings::scenesplat(),
+    }
+}
 
 /// Both, and where masks are, if they come from files.
 pub(super) struct Sources {
@@ -35,13 +44,11 @@ impl Sources {
                 let path = args.sam2_weights.as_ref().ok_or_else(|| WrongUse(flag.to_owned()))?;
                 session.outputs.reads(path)?;
                 session.receipt.fingerprint("sam2", path)?;
-                let settings = match args.sam2_masks {
-                    Some(Sam2MasksArg::Original) => MaskSettings::original(),
-                    Some(Sam2MasksArg::Scenesplat) | None => MaskSettings::scenesplat(),
-                };
-                let weights = format!("{} {precision}", sha256_of(path)?.0);
-                Box::new(Sam2Segments::new(Sam2::open(path, precision)?, settings, &weights)?)
+                let name = format!("sam2 {} {precision}", sha256_of(path)?.0);
+                let network = Sam2::open(path, precision)?;
+                Box::new(MaskSegments::new(network, mask_settings(args), &name)?)
             }
+            SegmentsArg::Onnx => onnx::segments(session, args)?,
             SegmentsArg::Superpixels => Box::new(Superpixels::new(SuperpixelSettings::default())?),
             SegmentsArg::Folder(path) => {
                 let folder = MaskFolder::open(path, args.no_segment)?;
@@ -61,6 +68,7 @@ impl Sources {
                 Box::new(SiglipCrops::new(SiglipImageEncoder::load(path, precision)?, &weights))
             }
             FeaturesArg::Colour => Box::new(ColourStatistics),
+            FeaturesArg::Onnx => onnx::features(session, args)?,
         };
         Ok(Self { segmenter, encoder, masks })
     }

@@ -66,15 +66,18 @@ pub(super) fn open_colmap(folder: &Path) -> Result<CameraSet, SceneError> {
     read(cameras.bytes(), images.bytes(), points, folder)
 }
 
-/// Gives each picture its lens.
+/// Gives each picture its lens; `ending` is that of the model's files.
 fn join(
     lenses: Vec<Lens>,
     pictures: Vec<Picture>,
     points: Option<SparsePoints>,
     kind: CameraKind,
     folder: &Path,
+    ending: &str,
 ) -> Result<CameraSet, SceneError> {
-    let bad = |problem: String| SceneError::format(folder, problem, MEND);
+    let file = |stem: &str| folder.join(format!("{stem}.{ending}"));
+    let bad = |problem: String| SceneError::format(&file("cameras"), problem, MEND);
+    let bad_image = |problem: String| SceneError::format(&file("images"), problem, MEND);
     let mut by_id = BTreeMap::new();
     for lens in lenses {
         let id = lens.id;
@@ -86,7 +89,7 @@ fn join(
     for picture in pictures {
         let name = picture.name;
         let Some(lens) = by_id.get(&picture.lens) else {
-            return Err(bad(format!(
+            return Err(bad_image(format!(
                 "image {name:?} is of camera {}, which is missing",
                 picture.lens
             )));
@@ -98,11 +101,15 @@ fn join(
         let (width, height) = (size(lens.width)?, size(lens.height)?);
         // Only lenses that a picture was taken with must be understood.
         let (fx, fy, cx, cy, distortion) = intrinsics(lens).map_err(|problem| {
-            SceneError::format(folder, problem, "undistort the pictures with COLMAP first")
+            SceneError::format(
+                &file("cameras"),
+                problem,
+                "undistort the pictures with COLMAP first",
+            )
         })?;
         let norm = picture.quat.iter().map(|v| v * v).sum::<f64>().sqrt();
         if !(norm > 0.0 && norm.is_finite()) {
-            return Err(bad(format!("image {name:?} has the rotation {:?}", picture.quat)));
+            return Err(bad_image(format!("image {name:?} has the rotation {:?}", picture.quat)));
         }
         let rotation = rotation(picture.quat.map(|v| v / norm));
         let translation = picture.translation;

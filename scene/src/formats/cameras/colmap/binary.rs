@@ -27,7 +27,7 @@ pub fn read_colmap_binary(
     let lenses = read_cameras(Bytes::new(cameras, folder, "cameras.bin"))?;
     let pictures = read_images(Bytes::new(images, folder, "images.bin"))?;
     let points = points.map(|points| read_points(Bytes::new(points, folder, "points3D.bin")));
-    join(lenses, pictures, points.transpose()?, CameraKind::ColmapBinary, folder)
+    join(lenses, pictures, points.transpose()?, CameraKind::ColmapBinary, folder, "bin")
 }
 
 /// A file and how far it was read.

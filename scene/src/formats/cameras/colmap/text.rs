@@ -23,7 +23,7 @@ pub fn read_colmap_text(
     let lenses = read_cameras(Lines::new(cameras, folder, "cameras.txt")?)?;
     let pictures = read_images(Lines::new(images, folder, "images.txt")?)?;
     let points = points.map(|points| read_points(Lines::new(points, folder, "points3D.txt")?));
-    join(lenses, pictures, points.transpose()?, CameraKind::ColmapText, folder)
+    join(lenses, pictures, points.transpose()?, CameraKind::ColmapText, folder, "txt")
 }
 
 /// A file and how far it was read.
