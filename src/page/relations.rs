@@ -98,7 +98,14 @@ mod tests {
         let mut objects: Vec<Object> =
             (0..700).map(|i| object([1.5 * f64::from(i), 0.0, 0.5], [1.0; 3])).collect();
         objects.push(object([1.5 * 699.0, 0.0, 1.2], [0.2, 0.2, 0.4]));
+        // A lamp at the end of a long table: small things reach as far as what they are on.
+        objects.push(object([300.0, 20.0, 0.5], [8.0, 1.0, 1.0]));
+        objects.push(object([296.4, 20.0, 1.2], [0.2, 0.2, 0.4]));
         let related = Related::of(&objects);
+        assert!(
+            related.pairs.contains(&(702, "on", 701)),
+            "the table's middle is far from its end"
+        );
         assert!(related.pairs.contains(&(700, "on", 699)), "the last is known");
         assert!(related.pairs.contains(&(698, "near", 699)));
         assert_eq!(related.left_out, 0);
