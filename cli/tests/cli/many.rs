@@ -137,6 +137,10 @@ fn a_broken_scene_stops_no_other_and_is_told() {
             && stderr(&refused).contains(&reason)
     );
     assert!(!out.join("merged.json").exists());
+    // As broken as before it is tried again: what failed is not done.
+    let again = many("features", &scenes, &out, &["--quiet"]);
+    assert_eq!(again.status.code(), Some(3), "{}", stderr(&again));
+    assert!(said(&again).contains("0 done now, 2 done before, 1 failed"), "{}", said(&again));
     // Mended, the one scene is done and nothing else.
     std::fs::write(scenes.join("b.ply"), &good).unwrap();
     let before = std::fs::metadata(out.join("a/features.npy")).unwrap().modified().unwrap();
