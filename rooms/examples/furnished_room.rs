@@ -1,5 +1,5 @@
 //! Writes a room as PLY, and says what is in it:
-//! `cargo run --release -p scenesplat-rooms --example furnished_room -- CATALOGUE 7 room.ply [held_out] [scan] [walk]`
+//! `cargo run --release -p scenesplat-rooms --example furnished_room -- CATALOGUE 7 room.ply [held_out] [scan|model] [walk] [flat]`
 
 use scenesplat_rooms::{Capture, FurnitureSplit, SyntheticRoomSettings, generate};
 use scenesplat_scene::formats::inria_ply::write_inria_ply;
@@ -19,6 +19,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     for word in rest {
         match word.as_str() {
             "scan" => settings.capture = Capture::Scan,
+            "model" => settings.capture = Capture::Model,
+            "flat" => settings.flat_share = 1.0,
             "walk" => settings.seen_share = 1.0,
             split => settings.furniture_split = split.parse::<FurnitureSplit>()?,
         }

@@ -3,17 +3,17 @@
 use crate::catalogue::{Catalogue, FurnitureSplit};
 use crate::classes::ClassId;
 use crate::error::RoomError;
+use crate::flat::Flat;
 use crate::jitter::jitter;
 use crate::material::ColorName;
 use crate::model::{OfPiece, Surface};
 use crate::place::{Footprint, Placed};
 use crate::recipe::{self, RoomKind};
-use crate::scan::Scan;
+use crate::scan::{Scan, ScannedObject};
 use crate::seen::seen;
 use crate::shape;
 use crate::splats::{self, Look, Owner, Rows, rounded_ln};
 use crate::stock::Stock;
-use crate::walk::walk;
 use rayon::prelude::*;
 use scenesplat_kernels::random::{sample_rng, unit};
 use scenesplat_scene::GaussianScene;
@@ -36,6 +36,8 @@ const FIRST_OBJECT: u64 = 3;
 const SCAN: u64 = u64::MAX;
 const FURNITURE: u64 = u64::MAX - 1;
 const WALK: u64 = u64::MAX - 2;
+/// Whether it is a flat, and which.
+const FLAT: u64 = u64::MAX - 3;
 
 /// How the Gaussians of a room came about.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -48,6 +50,9 @@ pub enum Capture {
     /// and of the room, from an eighth to twice what is asked for; sizes and opacities from faint to
     /// swollen; rough surfaces; more floaters and larger holes; what lies below the floor.
     Scan,
+    /// As points of the models of a simulator: the density of each object, and of the room, its own, so that
+    /// nothing of it tells the class; hardly any light; most things of one colour.
+    Model,
 }
 
 /// Which room.
@@ -66,14 +71,19 @@ pub struct SyntheticRoomSettings {
     pub num_gaussians: Option<usize>,
     /// Kind of the room; drawn if absent.
     pub kind: Option<RoomKind>,
-    /// Share of rooms that look as converted points instead of captures, 0..=1.
+    /// Share of rooms that look as converted points instead of captures, 0..=1; all of them if
+    /// [`capture`](Self::capture) is [`Capture::Model`].
     pub points_share: f32,
+    /// Share of the scenes that are flats instead of rooms, 0..=1: two to six rooms at a corridor, with the
+    /// walls between them, doors or openings. Their number of Gaussians grows with their number of rooms.
+    #[serde(skip_serializing_if = "is_none_of_them")]
+    pub flat_share: f64,
     /// How the Gaussians came about.
     pub capture: Capture,
     /// Share of the rooms of which there is only what somebody saw who walked through with a camera, 0..=1: two
     /// to seven stops, some looks from each. Gaussians that hardly added to any picture are gone, and the
     /// others jittered so that the pictures stay what they were. Such a room has fewer Gaussians than asked for.
-    #[serde(skip_serializing_if = "is_none_seen")]
+    #[serde(skip_serializing_if = "is_none_of_them")]
     pub seen_share: f64,
     /// A catalogue of real furniture: a `.sh3f` archive, a folder of them, or a folder of OBJ models; see
     /// [`Catalogue`]. Without it all furniture is built from parameters.
@@ -95,7 +105,7 @@ fn is_usual_share(share: &f64) -> bool {
     share.to_bits() == USUAL_SHARE.to_bits()
 }
 
-fn is_none_seen(share: &f64) -> bool {
+fn is_none_of_them(share: &f64) -> bool {
     *share == 0.0
 }
 
@@ -112,6 +122,7 @@ impl Default for SyntheticRoomSettings {
             num_gaussians: None,
             kind: None,
             points_share: 0.3,
+            flat_share: 0.0,
             capture: Capture::Made,
             seen_share: 0.0,
             furniture: None,
@@ -145,8 +156,10 @@ pub struct SyntheticRoom {
     pub scene: GaussianScene,
     /// Extent of the room, metres; the corner at the origin.
     pub size: [f32; 3],
-    /// What kind it is.
+    /// What kind it is; of a flat, its first room.
     pub kind: RoomKind,
+    /// How many rooms: 1, or those of a flat; a corridor is none.
+    pub num_rooms: usize,
     /// Whether its Gaussians look as converted points.
     pub is_points: bool,
     /// Whether there is only what somebody saw who walked through it, see [`SyntheticRoomSettings::seen_share`].
@@ -178,22 +191,34 @@ pub fn generate(settings: &SyntheticRoomSettings) -> Result<SyntheticRoom, RoomE
     let mut rng = sample_rng(seed, room, LAYOUT);
     let kind = RoomKind::random(&mut rng);
     let kind = settings.kind.unwrap_or(kind);
-    let layout = recipe::furnish(kind, &mut settings.stock()?, &mut rng);
-    let size = [layout.size[0], layout.size[1], layout.height];
+    let stock = &mut settings.stock()?;
+    let mut of_flat = sample_rng(seed, room, FLAT);
+    let flat = if unit(&mut of_flat) < settings.flat_share {
+        Flat::furnish(kind, stock, &mut of_flat)
+    } else {
+        Flat::of_one_room(recipe::furnish(kind, stock, &mut rng))
+    };
+    let mut of_walk = sample_rng(seed, room, WALK);
+    let is_walked = unit(&mut of_walk) < settings.seen_share;
+    let cameras = if is_walked { flat.walk(&mut of_walk) } else { Vec::new() };
+    let num_rooms = flat.num_rooms;
+    let (size, objects) = flat.into_objects();
     let mut rng = sample_rng(seed, room, LOOK);
-    let is_points = unit(&mut rng) < f64::from(settings.points_share);
+    let is_points =
+        unit(&mut rng) < f64::from(settings.points_share) || settings.capture == Capture::Model;
     let mut look = Look::new(is_points, size, &mut rng);
     let mut density = f64::from(settings.gaussians_per_m2);
+    let mut rng = sample_rng(seed, room, SCAN);
     let scan = match settings.capture {
         Capture::Made => None,
-        Capture::Scan => {
-            let mut rng = sample_rng(seed, room, SCAN);
-            let scan = Scan::new(size, layout.objects.len(), &mut rng);
-            scan.change(&mut look);
-            density *= scan.density;
-            Some((scan, rng))
-        }
+        Capture::Scan => Some(Scan::new(size, objects.len(), &mut rng)),
+        Capture::Model => Some(Scan::of_models(objects.len(), &mut rng)),
     };
+    let scan = scan.map(|scan| {
+        scan.change(&mut look);
+        density *= scan.density;
+        (scan, rng)
+    });
 
     let is_seen = |surface: &Surface| is_points || !surface.hidden;
     let weight = |index: usize, s: &Surface| match &scan {
@@ -206,7 +231,7 @@ pub fn generate(settings: &SyntheticRoomSettings) -> Result<SyntheticRoom, RoomE
         of.piece.area(is_points) * density
     };
     let mut weights: Vec<f64> = Vec::new();
-    for (index, object) in layout.objects.iter().enumerate() {
+    for (index, object) in objects.iter().enumerate() {
         weights.extend(object.model.surfaces.iter().map(|surface| weight(index, surface)));
         weights.extend(object.model.piece.iter().map(|of| of_piece(index, of)));
     }
@@ -219,8 +244,8 @@ pub fn generate(settings: &SyntheticRoomSettings) -> Result<SyntheticRoom, RoomE
     let num_below = scan.as_ref().map_or(0, |(scan, _)| (n as f64 * scan.below) as usize);
     let counts = shares(&weights, total, n - num_floaters - num_below);
 
-    let sizes = |index: usize| scan.as_ref().map_or(0.0, |(scan, _)| scan.objects[index].ln_size);
-    let mut rows = scatter_all(&layout.objects, &counts, &look, &sizes, [seed, room]);
+    let scanned = scan.as_ref().map(|(scan, _)| &scan.objects[..]);
+    let mut rows = scatter_all(&objects, &counts, &look, scanned, [seed, room]);
     let spacing = rounded_ln((total / n.max(1) as f64).sqrt().clamp(1e-4, 0.2));
     let mut rng = sample_rng(seed, room, FLOATERS);
     for _ in 0..num_floaters {
@@ -232,22 +257,20 @@ pub fn generate(settings: &SyntheticRoomSettings) -> Result<SyntheticRoom, RoomE
         }
     }
     let mut scene = rows.into_scene();
-    let mut rng = sample_rng(seed, room, WALK);
-    let is_walked = unit(&mut rng) < settings.seen_share;
     if is_walked {
-        let cameras = walk(&layout, &mut rng);
         if !cameras.is_empty() {
             scene = scene.select_rows(&seen(&scene, &cameras)).expect("rows are of the scene");
         }
-        jitter(&mut scene, &mut rng);
+        jitter(&mut scene, &mut of_walk);
     }
     Ok(SyntheticRoom {
         scene,
         is_walked,
         size: size.map(|v| v as f32),
         kind,
+        num_rooms,
         is_points,
-        objects: layout.objects.iter().enumerate().map(describe).collect(),
+        objects: objects.iter().enumerate().map(describe).collect(),
     })
 }
 
@@ -256,7 +279,7 @@ fn scatter_all(
     objects: &[Placed],
     counts: &[usize],
     look: &Look,
-    ln_size: &(dyn Fn(usize) -> f64 + Sync),
+    scanned: Option<&[ScannedObject]>,
     [seed, room]: [u64; 2],
 ) -> Rows {
     let shadows: Vec<Footprint> = objects.iter().flat_map(casts_shadow).copied().collect();
@@ -280,7 +303,8 @@ fn scatter_all(
                 segment: object.model.class.map_or(-1, |class| class.index() as i32),
                 instance: index as i32,
                 shadows: if is_floor { &shadows } else { &[] },
-                ln_size: ln_size(index),
+                ln_size: scanned.map_or(0.0, |scanned| scanned[index].ln_size),
+                is_plain: scanned.is_some_and(|scanned| scanned[index].is_plain),
             };
             let mut rows = Rows::with_capacity(counts.iter().sum());
             for (surface, &count) in object.model.surfaces.iter().zip(counts) {
@@ -334,6 +358,9 @@ impl SyntheticRoomSettings {
         }
         if !(0.0..=1.0).contains(&self.points_share) {
             return fail("points_share", self.points_share.to_string(), "a number in 0..=1");
+        }
+        if !(0.0..=1.0).contains(&self.flat_share) {
+            return fail("flat_share", self.flat_share.to_string(), "a number in 0..=1");
         }
         if !(0.0..=1.0).contains(&self.seen_share) {
             return fail("seen_share", self.seen_share.to_string(), "a number in 0..=1");

@@ -116,6 +116,8 @@ pub(crate) struct Wall {
     pub(crate) length: f64,
     /// `[from, to, low, high]` of each hole, metres.
     pub(crate) openings: Vec<[f64; 4]>,
+    /// How far behind its face its back is, metres; none where another room is behind it.
+    pub(crate) back: Option<f64>,
 }
 
 impl Wall {
@@ -381,7 +383,13 @@ mod tests {
 
     #[test]
     fn things_on_a_wall_look_inwards() {
-        let wall = Wall { start: [4.0, 0.0], along: [0.0, 1.0], length: 3.0, openings: vec![] };
+        let wall = Wall {
+            start: [4.0, 0.0],
+            along: [0.0, 1.0],
+            length: 3.0,
+            openings: vec![],
+            back: None,
+        };
         let pose = wall.pose(1.0, 0.2, 0.5);
         assert!((pose.origin[0] - 3.8).abs() < 1e-12 && pose.origin[1] == 1.0);
         assert_eq!(pose.vector([0.0, 1.0, 0.0]), [-1.0, 0.0, 0.0]);

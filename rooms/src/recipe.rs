@@ -12,7 +12,7 @@ use crate::dice::{between, chance, weighted, whole};
 use crate::furniture;
 use crate::model::{Build, Model};
 use crate::place::{Layout, STRAIGHT, around};
-use crate::shell::{Plan, build};
+use crate::shell::{Plan, USUAL_BACK, build};
 use crate::stock::{Place, Stock};
 use scenesplat_kernels::random::SampleRng;
 use serde::{Deserialize, Serialize};
@@ -60,19 +60,65 @@ impl RoomKind {
     }
 }
 
+/// What the rooms of a flat have in common, and which sides of this one have others behind them.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct InFlat {
+    pub(crate) height: f64,
+    pub(crate) has_ceiling: bool,
+    pub(crate) back: f64,
+    pub(crate) inner: [bool; 4],
+}
+
 /// Builds and furnishes a room.
 pub(crate) fn furnish(kind: RoomKind, stock: &mut Stock, rng: &mut SampleRng) -> Layout {
+    furnish_in(kind, None, stock, rng)
+}
+
+/// A corridor, and what stands in one: doors as [`corridor`](crate::shell::corridor) has them.
+pub(crate) fn furnish_corridor(
+    size: [f64; 2],
+    flat: &InFlat,
+    doors: [&[[f64; 4]]; 2],
+    stock: &mut Stock,
+    rng: &mut SampleRng,
+) -> Layout {
+    let InFlat { height, has_ceiling, back, inner } = *flat;
+    let plan =
+        Plan { size, height, notch: None, is_wet: false, has_ceiling, inner: Some(inner), back };
+    let mut layout = crate::shell::corridor(&plan, doors, stock, rng);
+    let mut room = Room { layout: &mut layout, stock, rng };
+    for build in [furniture::storage::cabinet as Build, furniture::storage::wardrobe] {
+        if room.likely(0.3) {
+            room.at_wall(build);
+        }
+    }
+    room.extras(RoomKind::Living);
+    layout
+}
+
+/// A room by itself, or one of a flat.
+pub(crate) fn furnish_in(
+    kind: RoomKind,
+    flat: Option<&InFlat>,
+    stock: &mut Stock,
+    rng: &mut SampleRng,
+) -> Layout {
     let [short, long] = kind.sides();
     let size = [between(rng, short, long), between(rng, short, long)];
     let is_l = kind != RoomKind::Bathroom && size[0].min(size[1]) > 3.3 && chance(rng, 0.3);
     let notch = is_l.then(|| size.map(|s| s * between(rng, 0.25, 0.45)));
-    let plan = Plan {
+    let mut plan = Plan {
         size,
         height: between(rng, 2.25, 3.2),
         notch,
         is_wet: kind == RoomKind::Bathroom,
         has_ceiling: chance(rng, 0.7),
+        inner: None,
+        back: USUAL_BACK,
     };
+    if let Some(&InFlat { height, has_ceiling, back, inner }) = flat {
+        plan = Plan { height, has_ceiling, back, inner: Some(inner), ..plan };
+    }
     let mut layout = build(&plan, stock, rng);
     let mut room = Room { layout: &mut layout, stock, rng };
     match kind {

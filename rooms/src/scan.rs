@@ -21,6 +21,14 @@ pub(crate) struct Scan {
     tilt: f64,
     floaters: f64,
     holes: Vec<(V3, f64)>,
+    light: Option<Light>,
+}
+
+/// Light of a simulator: none but that around, and what it is multiplied by.
+#[derive(Debug, Clone, Copy)]
+struct Light {
+    ambient: f64,
+    gain: f64,
 }
 
 /// What a scan varies of an object.
@@ -30,6 +38,8 @@ pub(crate) struct ScannedObject {
     pub(crate) density: f64,
     /// Logarithm of what they are larger by.
     pub(crate) ln_size: f64,
+    /// Whether it is of one colour, whatever its texture.
+    pub(crate) is_plain: bool,
 }
 
 /// A factor between two others, evenly in its logarithm; in steps, as libraries disagree about the last
@@ -65,6 +75,37 @@ impl Scan {
                 .map(|_| ScannedObject {
                     density: factor(rng, 0.5, 1.8),
                     ln_size: 0.15 * noise(rng),
+                    is_plain: false,
+                })
+                .collect(),
+            light: None,
+        }
+    }
+
+    /// As points of the models of a simulator differ: a density of each object, whatever it is, hardly any
+    /// light, and most things of one colour.
+    pub(crate) fn of_models(num_objects: usize, rng: &mut SampleRng) -> Self {
+        let plain = between(rng, 0.3, 1.0);
+        Self {
+            density: factor(rng, 0.4, 3.0),
+            below: 0.0,
+            deep: 0.0,
+            shrink: factor(rng, 0.4, 1.1),
+            opacity: [0.0; 2],
+            rough: 0.0,
+            strays: 0.0,
+            tilt: 0.0,
+            floaters: 0.0,
+            holes: Vec::new(),
+            light: Some(Light {
+                ambient: if chance(rng, 0.8) { 1.0 } else { between(rng, 0.6, 0.92) },
+                gain: between(rng, 0.85, 1.05),
+            }),
+            objects: (0..num_objects)
+                .map(|_| ScannedObject {
+                    density: factor(rng, 0.35, 2.8),
+                    ln_size: 0.0,
+                    is_plain: chance(rng, plain),
                 })
                 .collect(),
         }
@@ -73,6 +114,11 @@ impl Scan {
     /// The look of the room, as this scan has it.
     pub(crate) fn change(&self, look: &mut Look) {
         look.shrink = self.shrink;
+        if let Some(Light { ambient, gain }) = self.light {
+            look.ambient = ambient;
+            look.gain = [gain; 3];
+            return;
+        }
         look.opacity = self.opacity;
         look.rough = self.rough;
         look.strays = self.strays;

@@ -20,22 +20,87 @@ pub(crate) struct Plan {
     pub(crate) notch: Option<[f64; 2]>,
     pub(crate) is_wet: bool,
     pub(crate) has_ceiling: bool,
+    /// Which sides have another room behind them, in a flat; none in a room by itself.
+    pub(crate) inner: Option<[bool; 4]>,
+    /// How far behind their faces the backs of outer walls are, metres.
+    pub(crate) back: f64,
+}
+
+/// The back of a wall of a room by itself.
+pub(crate) const USUAL_BACK: f64 = 0.12;
+
+/// Sides of a plan: the walls at least y, largest x, largest y, least x.
+pub(crate) const BOTTOM: usize = 0;
+pub(crate) const TOP: usize = 2;
+
+impl Plan {
+    /// Which side a wall is on; the two walls of a missing corner are on those that they stand before.
+    fn side(&self, wall: usize) -> usize {
+        if self.notch.is_none() { wall } else { [0, 1, 2, 1, 2, 3][wall] }
+    }
+
+    /// Doors of a flat lead to its corridor, which is at the bottom.
+    fn may_have_door(&self, wall: usize) -> bool {
+        self.inner.is_none() || wall == BOTTOM
+    }
+
+    fn may_have_window(&self, wall: usize) -> bool {
+        self.inner.is_none_or(|inner| !inner[self.side(wall)])
+    }
 }
 
 /// An empty room with openings and what hangs in them.
 pub(crate) fn build(plan: &Plan, stock: &mut Stock, rng: &mut SampleRng) -> Layout {
-    let mut layout = Layout {
+    let mut layout = empty(plan);
+    if plan.inner.is_some() && chance(rng, 0.25) {
+        add_passage(&mut layout, plan, rng);
+    } else {
+        add_door(&mut layout, plan, stock, rng);
+    }
+    for _ in 0..whole(rng, 1, 3) {
+        add_window(&mut layout, plan, stock, rng);
+    }
+    finish(&mut layout, plan, rng);
+    layout
+}
+
+/// The corridor of a flat: holes where the rooms at its bottom and its top have their doors, a door at an end.
+pub(crate) fn corridor(
+    plan: &Plan,
+    doors: [&[[f64; 4]]; 2],
+    stock: &mut Stock,
+    rng: &mut SampleRng,
+) -> Layout {
+    let mut layout = empty(plan);
+    for (side, holes) in [BOTTOM, TOP].into_iter().zip(doors) {
+        let wall = &mut layout.walls[side];
+        wall.openings.extend(holes);
+        for &[from, to, low, high] in holes {
+            let pose = wall.pose((from + to) / 2.0, 0.0, 0.0);
+            let half = (to - from) / 2.0;
+            let block = Block { low: [-half, 0.0, low + 0.05], high: [half, 0.6, high] };
+            layout.kept_free.push(Footprint::of(&block, &pose));
+        }
+    }
+    let entrance = if chance(rng, 0.5) { BOTTOM + 1 } else { TOP + 1 };
+    put_door(&mut layout, |wall| wall == entrance, stock, rng);
+    finish(&mut layout, plan, rng);
+    layout
+}
+
+fn empty(plan: &Plan) -> Layout {
+    Layout {
         size: plan.size,
         height: plan.height,
         walls: walls(plan),
         objects: Vec::new(),
         notch: notch(plan),
         kept_free: Vec::new(),
-    };
-    add_door(&mut layout, stock, rng);
-    for _ in 0..whole(rng, 1, 3) {
-        add_window(&mut layout, plan.is_wet, stock, rng);
     }
+}
+
+/// Walls around what opens in them, floor and ceiling.
+fn finish(layout: &mut Layout, plan: &Plan, rng: &mut SampleRng) {
     let (name, paint) = wall_paint(plan.is_wet, rng);
     let skirting = (!plan.is_wet && chance(rng, 0.7)).then(|| between(rng, 0.05, 0.12));
     let skirting_paint = if chance(rng, 0.6) { Material::plain([236.0; 3]) } else { wood(rng).1 };
@@ -48,8 +113,7 @@ pub(crate) fn build(plan: &Plan, stock: &mut Stock, rng: &mut SampleRng) -> Layo
         }
         layout.put_flat(model, wall.pose(0.0, 0.0, 0.0));
     }
-    level_faces(&mut layout, plan, rng);
-    layout
+    level_faces(layout, plan, rng);
 }
 
 impl Layout {
@@ -74,7 +138,14 @@ fn walls(plan: &Plan) -> Vec<Wall> {
             let (a, b) = (corners[i], corners[(i + 1) % corners.len()]);
             let (dx, dy): (f64, f64) = (b[0] - a[0], b[1] - a[1]);
             let length = dx.abs() + dy.abs();
-            Wall { start: a, along: [dx / length, dy / length], length, openings: Vec::new() }
+            let is_inner = plan.inner.is_some_and(|inner| inner[plan.side(i)]);
+            Wall {
+                start: a,
+                along: [dx / length, dy / length],
+                length,
+                openings: Vec::new(),
+                back: (!is_inner).then_some(plan.back),
+            }
         })
         .collect()
 }
@@ -85,10 +156,18 @@ fn notch(plan: &Plan) -> Option<Footprint> {
     Some(Footprint::of(&block, &Pose { origin: [0.0; 3], turn: STRAIGHT }))
 }
 
-/// A free stretch of a wall, `wide` metres and a margin; index of the wall and middle.
-fn stretch(layout: &Layout, wide: f64, rng: &mut SampleRng) -> Option<(usize, f64)> {
+/// A free stretch of a wall that may have it, `wide` metres and a margin; index of the wall and middle.
+fn stretch(
+    layout: &Layout,
+    wide: f64,
+    may: impl Fn(usize) -> bool,
+    rng: &mut SampleRng,
+) -> Option<(usize, f64)> {
     for _ in 0..20 {
         let index = whole(rng, 0, layout.walls.len() as u32 - 1) as usize;
+        if !may(index) {
+            continue;
+        }
         let wall = &layout.walls[index];
         let reach = wide / 2.0 + 0.12;
         if wall.length < 2.0 * reach {
@@ -103,11 +182,31 @@ fn stretch(layout: &Layout, wide: f64, rng: &mut SampleRng) -> Option<(usize, f6
     None
 }
 
-fn add_door(layout: &mut Layout, stock: &mut Stock, rng: &mut SampleRng) {
+fn add_door(layout: &mut Layout, plan: &Plan, stock: &mut Stock, rng: &mut SampleRng) {
+    put_door(layout, |wall| plan.may_have_door(wall), stock, rng);
+}
+
+/// A wide opening instead of a door.
+fn add_passage(layout: &mut Layout, plan: &Plan, rng: &mut SampleRng) {
+    let (wide, high) = (between(rng, 0.9, 2.4), between(rng, 2.0, (plan.height - 0.05).max(2.01)));
+    let place = stretch(layout, wide, |wall| plan.may_have_door(wall), rng);
+    let Some((index, at)) = place else { return };
+    let (wall, half) = (&mut layout.walls[index], wide / 2.0);
+    wall.openings.push([at - half, at + half, 0.0, high]);
+    let block = Block { low: [-half, 0.0, 0.05], high: [half, 0.75, high] };
+    layout.kept_free.push(Footprint::of(&block, &wall.pose(at, 0.0, 0.0)));
+}
+
+fn put_door(
+    layout: &mut Layout,
+    may: impl Fn(usize) -> bool,
+    stock: &mut Stock,
+    rng: &mut SampleRng,
+) {
     let size = [between(rng, 0.78, 1.02), between(rng, 1.98, 2.12_f64.min(layout.height - 0.05))];
     let found = stock.opening(ClassId::Door, layout.height - 0.05);
     let size = found.as_ref().map_or(size, |found| found.size);
-    let Some((index, at)) = stretch(layout, size[0], rng) else { return };
+    let Some((index, at)) = stretch(layout, size[0], may, rng) else { return };
     let model = match found {
         Some(found) => found.model,
         None => door(size, rng),
@@ -121,7 +220,8 @@ fn add_door(layout: &mut Layout, stock: &mut Stock, rng: &mut SampleRng) {
     layout.put_flat(model, pose);
 }
 
-fn add_window(layout: &mut Layout, is_wet: bool, stock: &mut Stock, rng: &mut SampleRng) {
+fn add_window(layout: &mut Layout, plan: &Plan, stock: &mut Stock, rng: &mut SampleRng) {
+    let is_wet = plan.is_wet;
     let french = !is_wet && chance(rng, 0.2);
     let wide = if is_wet { between(rng, 0.5, 0.9) } else { between(rng, 0.8, 2.3) };
     let (sill, top) = if french {
@@ -136,7 +236,8 @@ fn add_window(layout: &mut Layout, is_wet: bool, stock: &mut Stock, rng: &mut Sa
         None => (wide, sill, top),
     };
     let french = french || sill < 0.3;
-    let Some((index, at)) = stretch(layout, wide, rng) else { return };
+    let place = stretch(layout, wide, |wall| plan.may_have_window(wall), rng);
+    let Some((index, at)) = place else { return };
     let recess = if chance(rng, 0.7) { between(rng, 0.03, 0.2) } else { 0.0 };
     let model = match found {
         Some(found) => glazed(found, rng),
@@ -214,7 +315,9 @@ fn wall_model(wall: &Wall, height: f64, (name, paint): (ColorName, Material)) ->
         // Looks into the room: left × up.
         let (u, v) = ([from - to, 0.0, 0.0], [0.0, 0.0, high - low]);
         model.add(Shape::flat([to, 0.0, low], u, v), paint);
-        model.add_hidden(Shape::flat([from, -0.12, low], times_minus(u), v), paint);
+        if let Some(back) = wall.back {
+            model.add_hidden(Shape::flat([from, -back, low], times_minus(u), v), paint);
+        }
     };
     let mut end = 0.0;
     for &[from, to, low, high] in &openings {

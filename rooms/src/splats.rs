@@ -108,6 +108,8 @@ pub(crate) struct Owner<'a> {
     pub(crate) shadows: &'a [Footprint],
     /// Logarithm of what its Gaussians are larger by than their density says.
     pub(crate) ln_size: f64,
+    /// Whether its surfaces are of one colour each.
+    pub(crate) is_plain: bool,
 }
 
 struct Splat {
@@ -169,7 +171,8 @@ impl Rows {
     ) {
         let draw = |rng: &mut SampleRng| {
             let point = surface.shape.sample(rng);
-            let color = surface.material.color_at(point.st);
+            let material = &surface.material;
+            let color = if owner.is_plain { material.base } else { material.color_at(point.st) };
             (point, color)
         };
         self.scatter_by(surface.shape.area(), count, owner, look, draw, rng);

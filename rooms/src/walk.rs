@@ -22,6 +22,16 @@ pub(crate) struct Camera {
 }
 
 impl Camera {
+    /// The same, in the frame that `base` is in.
+    pub(crate) fn moved(&self, base: &Pose) -> Self {
+        Self {
+            eye: base.point(self.eye),
+            right: base.vector(self.right),
+            down: base.vector(self.down),
+            forward: base.vector(self.forward),
+        }
+    }
+
     fn looking(eye: V3, to: V3) -> Self {
         let forward = unit_or(sub(to, eye), [1.0, 0.0, 0.0]);
         let right = unit_or(cross(forward, Z), [0.0, -1.0, 0.0]);

@@ -345,3 +345,143 @@ fn walks_have_the_same_bits_for_any_number_of_threads() {
     let bad = SyntheticRoomSettings { seen_share: 1.1, ..settings(0, 10) };
     assert!(generate(&bad).unwrap_err().to_string().contains("seen_share"));
 }
+
+fn flat(room: u64) -> SyntheticRoom {
+    generate(&SyntheticRoomSettings { room, flat_share: 1.0, ..Default::default() }).unwrap()
+}
+
+#[test]
+fn a_flat_is_rooms_that_do_not_stand_in_each_other() {
+    let mut counts = BTreeMap::new();
+    for number in 0..16 {
+        let flat = flat(number);
+        *counts.entry(flat.num_rooms).or_insert(0) += 1;
+        flat.scene.check_rows().unwrap();
+        let of = |class| flat.objects.iter().filter(move |o| o.class == Some(class));
+        // Each room has a floor, and so has the corridor.
+        let floors: Vec<_> = of(ClassId::Floor).map(|o| o.bounds).collect();
+        assert_eq!(floors.len(), flat.num_rooms + 1);
+        for (i, a) in floors.iter().enumerate() {
+            for b in &floors[..i] {
+                let shared = |axis: usize| a[1][axis].min(b[1][axis]) - a[0][axis].max(b[0][axis]);
+                let apart = -shared(0).min(shared(1));
+                assert!(apart > 0.07, "flat {number}: floors {a:?} and {b:?}");
+            }
+        }
+        for object in &flat.objects {
+            let [low, high] = object.bounds;
+            for axis in 0..3 {
+                // Outer walls and windows have a thickness; only backs and sills lie outside.
+                let out = (-low[axis]).max(high[axis] - flat.size[axis]);
+                assert!(out < 0.7, "flat {number}: {object:?} of {:?}", flat.size);
+            }
+            // What stands or hangs in a room is above its floor, whole.
+            let middle = [0, 1].map(|i| (low[i] + high[i]) / 2.0);
+            let is_in = |f: &[[f32; 3]; 2]| {
+                (0..2).all(|i| f[0][i] - 0.05 < middle[i] && middle[i] < f[1][i] + 0.05)
+            };
+            let is_building = object.class.is_some_and(|class| {
+                class.about().groups.contains(&scenesplat_rooms::Group::Structure)
+            });
+            assert!(is_building || floors.iter().any(is_in), "flat {number}: {object:?}");
+        }
+    }
+    assert!(counts.len() >= 4 && counts.keys().all(|n| (2..=6).contains(n)), "{counts:?}");
+    let rooms = (0..40).filter(|&room| {
+        let some = SyntheticRoomSettings { flat_share: 0.5, ..settings(room, 500) };
+        generate(&some).unwrap().num_rooms == 1
+    });
+    assert!((10..=30).contains(&rooms.count()));
+}
+
+#[test]
+fn a_corridor_is_open_where_rooms_have_their_doors() {
+    let (mut doors, mut walls_between) = (0, 0);
+    for number in 0..12 {
+        let flat = flat(number);
+        let (segment, instance) =
+            (flat.scene.segment.as_ref().unwrap(), flat.scene.instance.as_ref().unwrap());
+        // The corridor comes first: its walls are those before its floor.
+        let floor = flat.objects.iter().position(|o| o.class == Some(ClassId::Floor)).unwrap();
+        let corridor = flat.objects[floor].bounds;
+        for door in flat.objects.iter().filter(|o| o.class == Some(ClassId::Door)) {
+            let [low, high] = door.bounds;
+            let beside = |y: f32| low[1] < y + 0.35 && y - 0.35 < high[1];
+            let (is_bottom, is_top) = (beside(corridor[0][1]), beside(corridor[1][1]));
+            if high[0] - low[0] < 0.5 || !(is_bottom || is_top) {
+                // The entrance, at an end.
+                continue;
+            }
+            doors += 1;
+            for (row, p) in flat.scene.coord.iter().enumerate() {
+                let is_of_corridor = usize::try_from(instance[row]).is_ok_and(|i| i < floor);
+                let is_before = (low[0] + 0.05..high[0] - 0.05).contains(&p[0])
+                    && (low[2] + 0.05..high[2] - 0.05).contains(&p[2])
+                    && (low[1] - 0.5..high[1] + 0.5).contains(&p[1]);
+                let is_wall = segment[row] == ClassId::Wall.index() as i32;
+                assert!(!(is_of_corridor && is_wall && is_before), "flat {number}: {p:?} {door:?}");
+            }
+        }
+        walls_between += flat.objects.iter().filter(|o| o.class == Some(ClassId::Wall)).count();
+    }
+    assert!(doors > 20 && walls_between > 150, "{doors} doors, {walls_between} walls");
+}
+
+#[test]
+fn flats_and_models_have_the_same_bits_on_any_machine_and_thread() {
+    let pool = |threads| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    let found = [(Capture::Made, 0.0), (Capture::Scan, 1.0), (Capture::Model, 0.0)].map(
+        |(capture, seen_share)| {
+            let few =
+                SyntheticRoomSettings { capture, seen_share, flat_share: 1.0, ..settings(1, 9000) };
+            let [one, four] = [1, 4].map(|t| pool(t).install(|| generate(&few).unwrap()));
+            assert_eq!(one, four);
+            bits(&one)
+        },
+    );
+    assert_eq!(found, SAME_FLATS, "{found:#x?}");
+    let bad = SyntheticRoomSettings { flat_share: f64::NAN, ..settings(0, 10) };
+    assert!(generate(&bad).unwrap_err().to_string().contains("flat_share"));
+}
+
+const SAME_FLATS: [u64; 3] = [0x7c44_2ddf_f07a_aae6, 0x67d2_5541_351a_26c3, 0xf48a_6391_85f8_b71f];
+
+fn modelled(room: u64) -> SyntheticRoom {
+    let settings = SyntheticRoomSettings { room, capture: Capture::Model, ..Default::default() };
+    generate(&settings).unwrap()
+}
+
+#[test]
+fn points_of_models_are_plain_and_tell_no_class_by_their_density() {
+    let (made, model) = (leaks(|room| make(room, 40_000)), leaks(modelled));
+    println!("spread of classes in density and size: made {made:?}, models {model:?}");
+    assert!(model[0] < 0.5 * made[0] && model[1] < 0.5 * made[1], "{model:?}, {made:?}");
+    // Walls of one colour: hardly any as made, most of these.
+    let plain = |make: &dyn Fn(u64) -> SyntheticRoom| {
+        let (mut of_one, mut all) = (0, 0);
+        for number in 0..12 {
+            let room = make(number);
+            assert!(room.scene.opacity_logit.iter().all(|o| o.is_finite()));
+            for wall in room.objects.iter().filter(|o| o.class == Some(ClassId::Wall)) {
+                let mut colors: Vec<_> = (room.scene.instance.as_ref().unwrap().iter())
+                    .zip(&room.scene.sh_dc)
+                    .filter(|(i, _)| **i == wall.instance)
+                    .map(|(_, c)| c.map(f32::to_bits))
+                    .collect();
+                colors.sort_unstable();
+                colors.dedup();
+                all += 1;
+                // With a skirting of another colour.
+                of_one += usize::from(colors.len() <= 3);
+            }
+        }
+        f64::from(of_one as u32) / f64::from(all as u32)
+    };
+    let points = |room| {
+        generate(&SyntheticRoomSettings { points_share: 1.0, ..settings(room, 9000) }).unwrap()
+    };
+    let (before, after) = (plain(&points), plain(&modelled));
+    println!("walls of one colour: points {before:.2}, models {after:.2}");
+    assert!(before < 0.3 && after > 0.4, "{before} {after}");
+    assert!((0..12).all(|room| modelled(room).is_points));
+}

@@ -90,6 +90,13 @@ pub const CASES: &[Case] = &[
         Weights,
     ),
     row(
+        "train[*].source(synthetic).room.flat_share",
+        "language",
+        "/train/0/source/room/flat_share",
+        "1.0",
+        Weights,
+    ),
+    row(
         "train[*].source(synthetic).room.furniture",
         "language",
         "/train/0/source/room/furniture",

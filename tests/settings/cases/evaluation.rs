@@ -120,6 +120,13 @@ pub const CASES: &[Case] = &[
         Measured,
     ),
     row(
+        "evaluate[*].source(synthetic).room.flat_share",
+        "language",
+        "/evaluate/0/source/room/flat_share",
+        "1.0",
+        Measured,
+    ),
+    row(
         "evaluate[*].source(synthetic).room.furniture",
         "language",
         "/evaluate/0/source/room/furniture",
