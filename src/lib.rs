@@ -32,6 +32,7 @@ pub mod doctor;
 pub mod embedded;
 pub mod evaluation;
 pub mod experiment;
+pub mod familiarity;
 pub mod feature_codes;
 pub mod inference;
 pub mod input;

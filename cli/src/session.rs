@@ -10,6 +10,7 @@ use crate::terminal::print;
 use anyhow::{Context, Result};
 use scenesplat::alignment::{Alignment, Remark};
 use scenesplat::compensation::{Compensation, tiles_section};
+use scenesplat::familiarity::Familiarity;
 use scenesplat::inference::{EncodeError, Fidelity};
 use scenesplat::input::{open_input, read_features};
 use scenesplat::kernels::simd::Isa;
@@ -56,6 +57,17 @@ impl FeatureSource {
     pub fn remark(&self) -> &'static str {
         if self.has_random_weights() { " (seeded weights: no meaning)" } else { "" }
     }
+}
+
+/// How strange a scene is to the network inside the program.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Strangeness {
+    /// Not at all: as rooms are.
+    None,
+    /// More than any room it was checked on.
+    Some,
+    /// Far more.
+    Clear,
 }
 
 /// A running command.
@@ -343,6 +355,39 @@ impl<'a> Session<'a> {
                 SceneFeatures::from_codes(scene).context("the scene carries no language codes")
             }
         }
+    }
+
+    /// How strange the scene is to the network inside the program, whose features these are; says so if it is, and
+    /// what follows from it, by `what`. Labels of a strange scene mean little: the network has a class for everything.
+    pub fn strangeness(
+        &self,
+        features: &SceneFeatures,
+        what: impl Fn(Strangeness) -> &'static str,
+    ) -> Result<Strangeness> {
+        let _stage = self.receipt.stage("familiarity");
+        let familiar = Familiarity::embedded()?;
+        let Some(found) = familiar.strangeness(features)? else { return Ok(Strangeness::None) };
+        let [least, most] = familiar.rooms();
+        let (limit, clear) = (familiar.limit(), familiar.clear_limit());
+        let how = match found {
+            found if found > clear => Strangeness::Clear,
+            found if found > limit => Strangeness::Some,
+            _ => Strangeness::None,
+        };
+        let why = format!(
+            "rooms have {least:.1} to {most:.1}, strange is above {limit:.1}, clearly so above {clear:.1}"
+        );
+        self.receipt.setting("strangeness", format!("{found:.2}"), &why);
+        if how > Strangeness::None {
+            let text = format!(
+                "this looks like nothing that the network inside the program was trained on (strangeness \
+                 {found:.1}; {why}): {}",
+                what(how)
+            );
+            self.progress.say(&text);
+            self.receipt.warning(text);
+        }
+        Ok(how)
     }
 
     /// Runs the network over a scene, without what it shall not read.

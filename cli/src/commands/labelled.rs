@@ -4,7 +4,7 @@ use super::WrongUse;
 use super::classes::Classes;
 use crate::effects::{EffectArgs, Wish};
 use crate::flags::Inference;
-use crate::session::{FeatureSource, Session};
+use crate::session::{FeatureSource, Session, Strangeness};
 use anyhow::{Context, Result};
 use scenesplat::alignment::{Alignment, AlignmentSettings};
 use scenesplat::compensation::Consumer;
@@ -43,12 +43,35 @@ pub struct LabelArgs {
     /// Features made before instead of a network: .npy, [N, D], one row per Gaussian.
     #[arg(long, value_name = "FILE.npy")]
     pub features: Option<PathBuf>,
+    /// What becomes of strange scenes.
+    #[command(flatten)]
+    pub strange: StrangeArgs,
     /// What is done about effects of the capture.
     #[command(flatten)]
     pub effects: EffectArgs,
     /// Flags of the network.
     #[command(flatten)]
     pub inference: Inference,
+}
+
+/// What becomes of a scene that is strange to the network inside the program.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::Args)]
+pub struct StrangeArgs {
+    /// What becomes of a scene that looks like nothing the network inside the program was trained on (a garden, a
+    /// bicycle): it is labelled all the same, or stays unknown. [default: auto]
+    #[arg(long, value_name = "WHAT")]
+    pub strange: Option<Strange>,
+}
+
+/// Labels all the same, or none.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum Strange {
+    /// No label where it is clearly strange, a warning where it is strange.
+    Auto,
+    /// The nearest class of each Gaussian, and a warning.
+    Label,
+    /// No label where it is strange.
+    Unknown,
 }
 
 /// A scene with labels.
@@ -79,6 +102,8 @@ pub struct Labelling<'a> {
     pub classes: &'a Classes,
     /// Features made before instead of a network.
     pub features: Option<&'a Path>,
+    /// What becomes of a strange scene.
+    pub strange: StrangeArgs,
     /// Flags of the network.
     pub inference: &'a Inference,
     /// Neighbours that vote on each label.
@@ -113,6 +138,7 @@ impl LabelArgs {
                     scene: &self.scene,
                     classes: &self.classes,
                     features: self.features.as_deref(),
+                    strange: self.strange,
                     inference: &self.inference,
                     vote_k,
                 };
@@ -122,6 +148,10 @@ impl LabelArgs {
     }
 
     fn own_labels(&self, session: &Session<'_>, path: &Path, sh_rest: bool) -> Result<Labelled> {
+        if self.strange.strange.is_some() {
+            let text = "--strange is about a network, which --label-names leaves out";
+            return Err(WrongUse(text.to_owned()).into());
+        }
         if let Some(flag) = self.inference.only_network_flag() {
             let text = format!("{flag} is about a network, which --label-names leaves out");
             return Err(WrongUse(text).into());
@@ -171,6 +201,10 @@ impl Labelling<'_> {
                 if needed { self.classes.text_table(embedded).map(drop) } else { Ok(()) }
             })?;
         let is_own = embedded && matches!(source, FeatureSource::Network(_));
+        if self.strange.strange.is_some() && !is_own {
+            let text = "--strange is about the network inside the program, which is not used here";
+            return Err(WrongUse(text.to_owned()).into());
+        }
         let (labels_of, text) = if let Some(network) = source.classifier() {
             (own_classes(self.classes, network)?, None)
         } else {
@@ -199,6 +233,26 @@ impl Labelling<'_> {
             ));
         }
         session.note_withheld(found.withhold(about.withheld()), "labels");
+        let least = match self.strange.strange.unwrap_or(Strange::Auto) {
+            Strange::Auto => Some(Strangeness::Clear),
+            Strange::Unknown => Some(Strangeness::Some),
+            Strange::Label => None,
+        };
+        let is_left_out = |how: Strangeness| least.is_some_and(|least| how >= least);
+        let how = match is_own {
+            false => Strangeness::None,
+            true => session.strangeness(&features, |how| match is_left_out(how) {
+                true => "all labels are left out; --strange label keeps them, as guesses",
+                false => "its labels are guesses; --strange unknown leaves them out",
+            })?,
+        };
+        if is_left_out(how) {
+            let all = vec![true; found.labels.len()];
+            let taken = found.withhold(&all);
+            let text = format!("{taken} labels are left out: the scene is strange");
+            session.receipt.setting("strange", "unknown", &text);
+            session.progress.say(text);
+        }
         session.check_stop()?;
         let is_vocabulary = text.is_some() && (is_own || self.classes.vocabulary()?.is_some());
         Ok(Labelled {

@@ -1,7 +1,7 @@
 //! `scenesplat segment`
 
 use super::classes::Classes;
-use super::labelled::{Labelled, Labelling, frame};
+use super::labelled::{Labelled, Labelling, StrangeArgs, frame};
 use super::many::Many;
 use super::objects::{OBJECT_FILES, summary, write_objects};
 use crate::budget::{BudgetArgs, Chosen, Job, within_budget};
@@ -40,6 +40,9 @@ pub struct Args {
     /// Also writes instances.npy, objects.json and objects.csv: the objects that the labels make, with boxes.
     #[arg(long)]
     pub instances: bool,
+    /// What becomes of strange scenes.
+    #[command(flatten)]
+    pub strange: StrangeArgs,
     /// What the setting is chosen by.
     #[command(flatten)]
     pub budget: BudgetArgs,
@@ -92,6 +95,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         scene: &args.scene,
         classes: &args.classes,
         features: args.features.as_deref(),
+        strange: args.strange,
         inference: &args.inference,
         vote_k: *vote_k,
     };

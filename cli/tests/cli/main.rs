@@ -30,6 +30,7 @@ mod reconstruct;
 mod render;
 mod settings;
 mod simulate;
+mod strange;
 mod text;
 mod training;
 mod upright;

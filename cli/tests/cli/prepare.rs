@@ -78,6 +78,13 @@ fn a_scan_becomes_a_folder_and_its_points_go_to_chunks() {
     assert_eq!(ints("segment20.npy"), [4, 4, -1, -1]);
     assert_eq!(ints("segment200.npy"), [1, 1, -1, -1]);
     assert_eq!(ints("instance.npy"), [0, 0, 1, -1]);
+    // The receipt counts what was written.
+    let receipt = std::fs::read_to_string(dir.path().join("out/receipt.json")).unwrap();
+    let receipt: serde_json::Value = serde_json::from_str(&receipt).unwrap();
+    let files = std::fs::read_dir(&folder).unwrap().map(|f| f.unwrap().metadata().unwrap());
+    let bytes: u64 = files.filter(|m| m.is_file()).map(|m| m.len()).sum();
+    assert_eq!(receipt["bytes_written"].as_u64(), Some(bytes));
+    assert!(receipt["written"].to_string().contains("segment200.npy"), "{}", receipt["written"]);
     assert_eq!(ints("pc_segment20.npy"), [4, 4, -1, -1]);
     assert_eq!(ints("valid_feat_mask.npy"), [1, 1, 0, 0]);
     assert_eq!(NpyFile::open(&folder.join("lang_feat.npy")).unwrap().shape(), [4, 2]);

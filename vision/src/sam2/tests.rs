@@ -190,6 +190,30 @@ fn points_are_told_in_pixels_of_the_picture() {
 }
 
 #[test]
+fn a_click_in_the_middle_of_a_cell_is_where_the_cell_is() {
+    let network = Sam2::seeded(mini(), 3, Precision::F32).unwrap();
+    let (size, side) = (network.config.image_size as f32, 4);
+    let width = network.config.d_model;
+    let grid = network.prompt.grid(side);
+    let cell = size / side as f32;
+    let token = |x: usize, y: usize| {
+        let middle = [x, y].map(|i| (i as f32 + 0.5) * cell);
+        // A pixel's number is its lower edge: its middle is half a pixel further.
+        network.prompt.tokens(&[PromptPoint::inside(middle.map(|v| v - 0.5))])
+    };
+    let off = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| a - b).collect::<Vec<f32>>();
+    // Without what tells that it is a click, which all clicks share.
+    for (a, b) in [([0, 0], [3, 1]), ([2, 3], [1, 0])] {
+        let row = |[x, y]: [usize; 2]| &grid[(y * side + x) * width..][..width];
+        let (first, second) = (token(a[0], a[1]), token(b[0], b[1]));
+        let (got, want) = (off(&first[..width], &second[..width]), off(row(a), row(b)));
+        for (got, want) in got.iter().zip(&want) {
+            assert!((got - want).abs() < 1e-4, "{got} {want}");
+        }
+    }
+}
+
+#[test]
 fn bad_weights_are_refused_by_name() {
     let Some(golden) = golden() else { return };
     let message = |change: &dyn Fn(&mut Arrays)| {

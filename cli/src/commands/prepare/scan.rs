@@ -110,6 +110,7 @@ pub(super) fn run(args: &Args, line: &str) -> Result<()> {
     tell(&session, &report, scan.coord.len());
     let stage = session.receipt.stage("write");
     prepared.write(&folder)?;
+    note_files(&session, &folder)?;
     drop(stage);
     session.receipt.add_rows_out(prepared.scene.len());
     session.receipt.setting("layout", args.layout.name(), "of the scan");
@@ -159,6 +160,21 @@ impl Args {
             (scene.lang_feat, scene.valid_feat_mask) = (None, None);
         }
     }
+}
+
+/// The files of a scene's folder, in the receipt.
+fn note_files(session: &Session<'_>, folder: &Path) -> Result<()> {
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(folder).with_context(|| folder.display().to_string())? {
+        let entry = entry?;
+        let about = entry.metadata()?;
+        if about.is_file() {
+            files.push((entry.path(), about.len()));
+        }
+    }
+    files.sort();
+    files.iter().for_each(|(path, bytes)| session.wrote(path, *bytes));
+    Ok(())
 }
 
 /// Puts features beside the rows that are left of a file of `rows`.

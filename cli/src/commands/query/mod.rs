@@ -62,6 +62,9 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let consumer = Consumer { network: source.is_network(), labels: true };
     let about = session.compensation(&wish, scene, &args.inference, consumer)?;
     let features = session.features(&opened, &source, &args.inference, &about)?;
+    if source.is_network() && args.inference.network.is_embedded() {
+        session.strangeness(&features, |_| "what is found is a guess")?;
+    }
 
     session.receipt.setting("vote_k", vote_k, "neighbours that vote on the selection");
     let mut found = {
