@@ -213,15 +213,14 @@ impl Familiarity {
     }
 
     /// How strange a scene is: the median distance of its rows (of some 8,000 spread evenly, if it has more). `None` if
-    /// no row has a direction.
+    /// no row has a direction, or the features are of another width: codes, or those of another network.
     ///
     /// # Errors
     /// If features went to a file and cannot be read.
-    ///
-    /// # Panics
-    /// If the features are of another width (a bug of the caller).
     pub fn strangeness(&self, features: &SceneFeatures) -> Result<Option<f32>, EncodeError> {
-        assert_eq!(features.width(), self.width, "features of another network");
+        if features.width() != self.width {
+            return Ok(None);
+        }
         let slots = features.num_slots();
         let step = slots.div_ceil(MOST_ROWS).max(1);
         let mut distances = Vec::with_capacity(slots / step + 1);
@@ -339,6 +338,8 @@ mod tests {
         assert_eq!(found.strangeness(&features).unwrap(), Some(want));
         let none = SceneFeatures::from_rows(vec![0.0; 6], 3).unwrap();
         assert_eq!(found.strangeness(&none).unwrap(), None);
+        let wider = SceneFeatures::from_rows(vec![1.0; 8], 4).unwrap();
+        assert_eq!(found.strangeness(&wider).unwrap(), None);
         assert_eq!(found.distance_of_any(&some[9..]), None);
     }
 

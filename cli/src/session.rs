@@ -357,16 +357,20 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// How strange the scene is to the network inside the program, whose features these are; says so if it is, and
-    /// what follows from it, by `what`. Labels of a strange scene mean little: the network has a class for everything.
+    /// How strange the scene is to the network inside the program, whose features these are; `None` if they do not tell.
+    /// Says so if it is, and what follows from it, by `what`. Labels of a strange scene mean little: the network has a class for everything.
     pub fn strangeness(
         &self,
         features: &SceneFeatures,
         what: impl Fn(Strangeness) -> &'static str,
-    ) -> Result<Strangeness> {
+    ) -> Result<Option<Strangeness>> {
         let _stage = self.receipt.stage("familiarity");
         let familiar = Familiarity::embedded()?;
-        let Some(found) = familiar.strangeness(features)? else { return Ok(Strangeness::None) };
+        let Some(found) = familiar.strangeness(features)? else {
+            let why = "codes, or features without direction, do not tell how strange a scene is";
+            self.receipt.setting("strangeness", "not judged", why);
+            return Ok(None);
+        };
         let [least, most] = familiar.rooms();
         let (limit, clear) = (familiar.limit(), familiar.clear_limit());
         let how = match found {
@@ -387,7 +391,7 @@ impl<'a> Session<'a> {
             self.progress.say(&text);
             self.receipt.warning(text);
         }
-        Ok(how)
+        Ok(Some(how))
     }
 
     /// Runs the network over a scene, without what it shall not read.

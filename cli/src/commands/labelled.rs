@@ -189,21 +189,28 @@ impl LabelArgs {
 impl Labelling<'_> {
     /// Reads the scene and labels it by a network, or by features made before.
     pub fn run(&self, session: &Session<'_>, wish: &Wish) -> Result<Labelled> {
+        let embedded = self.inference.network.is_embedded();
+        let not_own = || {
+            let text = "--strange is about the network inside the program, which is not used here";
+            anyhow::Error::from(WrongUse(text.to_owned()))
+        };
+        let asked = self.strange.strange;
+        if asked.is_some() && !(embedded && self.features.is_none()) {
+            return Err(not_own());
+        }
         // A bad table is better found before the scene is read.
         let table = match &self.classes.text {
             Some(_) => Some(self.classes.text_table(false)?),
             None => None,
         };
-        let embedded = self.inference.network.is_embedded();
         let (opened, source) =
             session.open_with_source(self.scene, self.inference, self.features, |network| {
                 let needed = !network.is_classifier() && table.is_none();
                 if needed { self.classes.text_table(embedded).map(drop) } else { Ok(()) }
             })?;
         let is_own = embedded && matches!(source, FeatureSource::Network(_));
-        if self.strange.strange.is_some() && !is_own {
-            let text = "--strange is about the network inside the program, which is not used here";
-            return Err(WrongUse(text.to_owned()).into());
+        if asked.is_some() && !is_own {
+            return Err(not_own());
         }
         let (labels_of, text) = if let Some(network) = source.classifier() {
             (own_classes(self.classes, network)?, None)
@@ -233,20 +240,24 @@ impl Labelling<'_> {
             ));
         }
         session.note_withheld(found.withhold(about.withheld()), "labels");
-        let least = match self.strange.strange.unwrap_or(Strange::Auto) {
+        let least = match asked.unwrap_or(Strange::Auto) {
             Strange::Auto => Some(Strangeness::Clear),
             Strange::Unknown => Some(Strangeness::Some),
             Strange::Label => None,
         };
         let is_left_out = |how: Strangeness| least.is_some_and(|least| how >= least);
         let how = match is_own {
-            false => Strangeness::None,
+            false => None,
             true => session.strangeness(&features, |how| match is_left_out(how) {
                 true => "all labels are left out; --strange label keeps them, as guesses",
                 false => "its labels are guesses; --strange unknown leaves them out",
             })?,
         };
-        if is_left_out(how) {
+        if how.is_none() && asked == Some(Strange::Unknown) {
+            let text = "--strange unknown: these features do not tell how strange the scene is; leave it out, or the codes";
+            return Err(WrongUse(text.to_owned()).into());
+        }
+        if how.is_some_and(is_left_out) {
             let all = vec![true; found.labels.len()];
             let taken = found.withhold(&all);
             let text = format!("{taken} labels are left out: the scene is strange");

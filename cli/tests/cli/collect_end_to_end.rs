@@ -40,8 +40,7 @@ fn size() -> Size {
     }
 }
 
-/// Colours that lie far apart in L*a*b*-like terms: of a grid each time the one farthest from those before, and from
-/// the darkest: crops are black outside of a segment, and a class of that colour would be found in all of them.
+/// Colours that lie far apart in L*a*b*-like terms: of a grid each time the one farthest from those before.
 fn palette(count: usize) -> Vec<[u8; 3]> {
     let steps = [50u8, 115, 180, 245];
     let all: Vec<[u8; 3]> =
@@ -50,13 +49,13 @@ fn palette(count: usize) -> Vec<[u8; 3]> {
     let alike =
         |a: usize, b: usize| -> f32 { rows[a].iter().zip(&rows[b]).map(|(a, b)| a * b).sum() };
     let mut chosen = vec![0];
-    while chosen.len() <= count {
+    while chosen.len() < count {
         let most = |i: usize| chosen.iter().map(|&c| alike(i, c)).fold(0.0, f32::max);
         let left = (0..all.len()).filter(|i| !chosen.contains(i));
         let next = left.min_by(|a, b| most(*a).total_cmp(&most(*b))).unwrap();
         chosen.push(next);
     }
-    chosen.into_iter().skip(1).map(|i| all[i]).collect()
+    chosen.into_iter().map(|i| all[i]).collect()
 }
 
 /// The Gaussian with the largest weight of each pixel of a tile.

@@ -89,7 +89,17 @@ fn other_networks_have_no_strangeness() {
     let dir = tempfile::tempdir().unwrap();
     let scene = dir.path().join("room.ply");
     write_inria_ply(&room(), &[], &scene).unwrap();
-    let output = tiny("segment", &scene, &dir.path().join("out"), &["--strange", "unknown"]);
+    let out = dir.path().join("out");
+    let output = tiny("segment", &scene, &out, &["--strange", "unknown"]);
     assert_eq!(output.status.code(), Some(2));
     assert!(stderr(&output).contains("network inside the program"), "{}", stderr(&output));
+    // Codes do not tell: said, and refused if it is asked for.
+    let (scene, out) = (scene.to_str().unwrap(), out.to_str().unwrap());
+    let codes = ["segment", scene, "--out", out, "--setting", "codes=16"];
+    done(&scenesplat(&codes));
+    let receipt = std::fs::read_to_string(Path::new(out).join("receipt.json")).unwrap();
+    assert!(receipt.contains("not judged"), "{receipt}");
+    let output = scenesplat(&[&codes[..], &["--strange", "unknown"]].concat());
+    assert_eq!(output.status.code(), Some(2));
+    assert!(stderr(&output).contains("do not tell"), "{}", stderr(&output));
 }
