@@ -104,6 +104,11 @@ mod tests {
         assert_eq!(crops.alone.get(0, 0), Some([0; 3]));
         assert_eq!(crops.alone.get(1, 4), Some([0, 4, 9]));
         assert_eq!(crops.alone.get(4, 2), Some([0; 3]));
+        let thin = SegmentMap::new(6, 5, (0..30).map(|i| u16::from(i % 6 > 1)).collect()).unwrap();
+        let crops = crops_of(&picture, &thin, 0).unwrap();
+        // 2 wide, 5 high: one column before, two behind.
+        let row = [0, 1, 2, 3, 4].map(|x| crops.alone.get(x, 2).unwrap());
+        assert_eq!(row, [[0; 3], [0, 2, 9], [1, 2, 9], [0; 3], [0; 3]]);
         let small = SegmentMap::new(1, 1, vec![0]).unwrap();
         assert_eq!(crops_of(&picture, &small, 0), None);
     }

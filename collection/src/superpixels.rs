@@ -284,6 +284,29 @@ mod tests {
     }
 
     #[test]
+    fn what_is_too_small_joins_its_most_similar_neighbour() {
+        // Two halves, and in the left one three pixels that are most like the right one.
+        let spot = |at: usize| [25, 26, 33].contains(&at);
+        let lab: Vec<[f32; 3]> = (0..64)
+            .map(|at| match (spot(at), at % 8 < 4) {
+                (true, _) => [60.0, 30.0, 0.0],
+                (false, left) => [60.0, if left { 0.0 } else { 40.0 }, 0.0],
+            })
+            .collect();
+        let clusters: Vec<u32> =
+            (0..64).map(|at| if spot(at) { 2 } else { u32::from(at % 8 >= 4) }).collect();
+        let pixels = Pixels { width: 8, height: 8, lab, surface: Surface::unknown(64) };
+        let count = |smallest| {
+            let ids = merge(&pixels, &clusters, Similarity { limit: 0.0, smallest });
+            (ids.iter().max().unwrap() + 1, ids[25] == ids[0])
+        };
+        // They touch the left half alone.
+        assert_eq!((count(3), count(4)), ((3, false), (2, true)));
+        // Halves of 29 and 32 pixels join only if both are asked to be larger.
+        assert_eq!((count(32).0, count(40).0), (2, 1));
+    }
+
+    #[test]
     fn threads_change_nothing_and_odd_sizes_work() {
         let mut rng = 7u32;
         for (width, height) in [(1, 1), (3, 70), (70, 3), (64, 48)] {

@@ -230,3 +230,23 @@ fn a_picture_of_one_pixel_is_one_object_or_none() {
     let found = AutomaticMasks::new(&network, settings).unwrap().generate(&one).unwrap();
     assert!(found.iter().all(|p| p.mask.area() == 1));
 }
+
+#[test]
+fn masks_are_cut_off_by_crops_and_not_by_the_picture() {
+    // The first of four crops of a picture of 616 × 456.
+    let place = Place { picture: [616, 456], left: 0, top: 0, width: 386, height: 306 };
+    for (bounds, is_cut) in [
+        // Left, top, right, bottom: inside; at the picture's own edges; at the crop's right; at its bottom.
+        ([40, 50, 200, 200], false),
+        ([0, 5, 200, 200], false),
+        ([40, 50, 380, 200], true),
+        ([0, 50, 100, 290], true),
+        // Twenty pixels count, twenty-one do not.
+        ([40, 50, 366, 200], true),
+        ([40, 50, 365, 200], false),
+    ] {
+        assert_eq!(super::is_cut_off(bounds, place), is_cut, "{bounds:?}");
+    }
+    let whole = Place { picture: [616, 456], left: 0, top: 0, width: 616, height: 456 };
+    assert!(!super::is_cut_off([0, 0, 615, 455], whole));
+}
