@@ -5,12 +5,13 @@
 //! centres of features of rooms, measured in the spread that features have around their centres (the Mahalanobis
 //! distance to the nearest of several means with one covariance). One figure for a scene: the median over its rows.
 
-use crate::embedded;
 use crate::inference::{EncodeError, SceneFeatures};
 use crate::network::NetworkError;
 use rayon::prelude::*;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use scenesplat_kernels::normalize::normalize_rows;
 use scenesplat_kernels::random::{sample_rng, unit};
+use scenesplat_scene::quantile::quantile;
 use std::collections::HashMap;
 
 const EMBEDDED: &[u8] = include_bytes!("../assets/embedded/familiarity.safetensors");
@@ -19,8 +20,6 @@ const EMBEDDED: &[u8] = include_bytes!("../assets/embedded/familiarity.safetenso
 const ROUNDS: usize = 20;
 /// Added to each variance, so that directions in which features hardly vary do not decide.
 const LEAST_VARIANCE: f64 = 1e-4;
-/// Rows that a distance is taken of at a time.
-const BLOCK: usize = 4096;
 /// How far above the strangest room a scene is strange, and clearly so.
 const STRANGE: f32 = 1.25;
 const CLEARLY_STRANGE: f32 = 1.45;
@@ -45,19 +44,12 @@ impl Familiarity {
     /// That of the network inside the program.
     ///
     /// # Errors
-    /// If the program was built with a broken file, or with one of other weights.
+    /// If the program was built with a broken file.
     pub fn embedded() -> Result<Self, NetworkError> {
-        let bad = |problem: String| {
+        Self::from_safetensors(EMBEDDED).map_err(|problem| {
             let problem = format!("assets/embedded/familiarity.safetensors: {problem}");
             NetworkError::from(candle_core::Error::Msg(problem))
-        };
-        let found = Self::from_safetensors(EMBEDDED).map_err(bad)?;
-        match found.weights == embedded::sha256() {
-            true => Ok(found),
-            false => {
-                Err(bad("is of other weights; make_embedded_assets makes it again".to_owned()))
-            }
-        }
+        })
     }
 
     fn from_safetensors(bytes: &[u8]) -> Result<Self, String> {
@@ -221,30 +213,19 @@ impl Familiarity {
         if features.width() != self.width {
             return Ok(None);
         }
-        let slots = features.num_slots();
-        let step = slots.div_ceil(MOST_ROWS).max(1);
-        let mut distances = Vec::with_capacity(slots / step + 1);
-        for start in (0..slots).step_by(BLOCK) {
-            let rows = features.slot_rows(start..(start + BLOCK).min(slots))?;
-            let rows: Vec<(usize, &[f32])> = (start..)
-                .zip(rows.chunks_exact(self.width))
-                .filter(|(i, _)| i % step == 0)
-                .collect();
-            let found = rows.par_iter().map(|(_, row)| self.distance_of_any(row));
-            distances.extend(found.collect::<Vec<_>>().into_iter().flatten());
+        let step = features.num_slots().div_ceil(MOST_ROWS).max(1);
+        let mut rows = Vec::new();
+        for slot in (0..features.num_slots()).step_by(step) {
+            rows.extend(features.slot_rows(slot..slot + 1)?);
         }
-        distances.sort_unstable_by(f32::total_cmp);
-        Ok(distances.get(distances.len() / 2).copied())
-    }
-
-    /// Of a row of any length; none of a row without direction.
-    fn distance_of_any(&self, row: &[f32]) -> Option<f32> {
-        let norm = row.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
-        if !(norm > 0.0 && norm.is_finite()) {
-            return None;
-        }
-        let row: Vec<f32> = row.iter().map(|v| (f64::from(*v) / norm) as f32).collect();
-        Some(self.distance(&row))
+        normalize_rows(&mut rows, self.width);
+        let distances = rows.par_chunks_exact(self.width).map(|row| {
+            // A row of zeros is one still.
+            let has_direction = row.iter().any(|v| *v != 0.0);
+            has_direction.then(|| self.distance(row)).filter(|d| d.is_finite())
+        });
+        let mut distances: Vec<f32> = distances.collect::<Vec<_>>().into_iter().flatten().collect();
+        Ok(quantile(&mut distances, 0.5))
     }
 }
 
@@ -329,18 +310,17 @@ mod tests {
         close(found.distance(&[0.2, 1.0, 0.0]), 0.2 / wide);
         close(found.distance(&[1.0, 0.0, 0.2]), 0.2 / narrow);
         assert!(found.distance(&[0.0, -1.0, 0.0]) > 6.0);
-        // Of a hundred rows at once the median, whatever their length; rows without direction have no say.
-        let mut some: Vec<f32> = [[2.0, 0.4, 0.0], [3.0, 0.6, 0.0], [0.0; 3]].concat();
-        some.extend([f32::NAN, 0.0, 0.0]);
+        // Of a scene the median, whatever the length of rows; those without direction have no say.
+        let some = [[2.0, 0.4, 0.0], [3.0, 0.6, 0.0], [0.0; 3], [f32::NAN, 0.0, 0.0]].concat();
         let norm = 1.04_f32.sqrt();
         let want = found.distance(&[1.0 / norm, 0.2 / norm, 0.0]);
-        let features = SceneFeatures::from_rows(some[..9].to_vec(), 3).unwrap();
-        assert_eq!(found.strangeness(&features).unwrap(), Some(want));
+        let features = SceneFeatures::from_rows(some, 3).unwrap();
+        let got = found.strangeness(&features).unwrap().unwrap();
+        assert!((got - want).abs() < 1e-5 * want, "{got} {want}");
         let none = SceneFeatures::from_rows(vec![0.0; 6], 3).unwrap();
         assert_eq!(found.strangeness(&none).unwrap(), None);
         let wider = SceneFeatures::from_rows(vec![1.0; 8], 4).unwrap();
         assert_eq!(found.strangeness(&wider).unwrap(), None);
-        assert_eq!(found.distance_of_any(&some[9..]), None);
     }
 
     #[test]
@@ -369,10 +349,13 @@ mod tests {
 
     #[test]
     fn rooms_are_familiar_to_the_network_inside_the_program_and_a_heap_is_strange() {
+        use crate::embedded;
         use crate::inference::SceneEncoder;
         use crate::{Network, WeightOptions, Weights};
         use scenesplat_rooms::{SyntheticRoomSettings, generate};
         let familiar = Familiarity::embedded().unwrap();
+        // make_embedded_assets makes both.
+        assert_eq!(familiar.weights, embedded::sha256(), "fitted to other weights");
         let network = Network::load(
             embedded::config().unwrap(),
             &Weights::Embedded,

@@ -191,10 +191,17 @@ fn add_passage(layout: &mut Layout, plan: &Plan, rng: &mut SampleRng) {
     let (wide, high) = (between(rng, 0.9, 2.4), between(rng, 2.0, (plan.height - 0.05).max(2.01)));
     let place = stretch(layout, wide, |wall| plan.may_have_door(wall), rng);
     let Some((index, at)) = place else { return };
+    open_wall(layout, index, at, [wide, high]);
+}
+
+/// A hole in a wall to go through, before which nothing stands; the frame of what is in it.
+fn open_wall(layout: &mut Layout, index: usize, at: f64, [wide, high]: [f64; 2]) -> Pose {
     let (wall, half) = (&mut layout.walls[index], wide / 2.0);
     wall.openings.push([at - half, at + half, 0.0, high]);
+    let pose = wall.pose(at, 0.0, 0.0);
     let block = Block { low: [-half, 0.0, 0.05], high: [half, 0.75, high] };
-    layout.kept_free.push(Footprint::of(&block, &wall.pose(at, 0.0, 0.0)));
+    layout.kept_free.push(Footprint::of(&block, &pose));
+    pose
 }
 
 fn put_door(
@@ -211,12 +218,7 @@ fn put_door(
         Some(found) => found.model,
         None => door(size, rng),
     };
-    let wall = &mut layout.walls[index];
-    wall.openings.push([at - size[0] / 2.0, at + size[0] / 2.0, 0.0, size[1]]);
-    let pose = wall.pose(at, 0.0, 0.0);
-    let half = size[0] / 2.0;
-    let block = Block { low: [-half, 0.0, 0.05], high: [half, 0.75, size[1]] };
-    layout.kept_free.push(Footprint::of(&block, &pose));
+    let pose = open_wall(layout, index, at, size);
     layout.put_flat(model, pose);
 }
 

@@ -4,6 +4,7 @@ use rayon::prelude::*;
 use scenesplat_kernels::activation::{exp_in_place, gelu_in_place};
 use scenesplat_kernels::gemm::{Epilogue, PackedMatrix, gemm, mlp};
 use scenesplat_kernels::layer_norm;
+use scenesplat_kernels::normalize::normalize_rows;
 
 /// `y = x · Wᵀ + b`
 #[derive(Debug)]
@@ -110,9 +111,32 @@ pub(crate) fn gelu_tanh(values: &mut [f32]) {
     );
 }
 
+/// Brings rows to unit length; the number of the first that has no direction, if one has none: zeros, or numbers that
+/// are not finite. `rows`: `[N, width]`
+pub(crate) fn to_directions(rows: &mut [f32], width: usize) -> Result<(), usize> {
+    let has_none =
+        |row: &[f32]| row.iter().all(|v| *v == 0.0) || row.iter().any(|v| !v.is_finite());
+    if let Some(row) = rows.chunks_exact(width).position(has_none) {
+        return Err(row);
+    }
+    normalize_rows(rows, width);
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn rows_without_direction_are_found() {
+        let mut rows = vec![3.0, 4.0, 0.0, 1e-20, -2e30, 0.0];
+        assert_eq!(to_directions(&mut rows, 2), Ok(()));
+        assert_eq!(rows, [0.6, 0.8, 0.0, 1e-8, -1.0, 0.0]);
+        for none in [0.0, -0.0, f32::NAN, f32::INFINITY] {
+            let mut rows = vec![1.0, 0.0, none, 0.0];
+            assert_eq!(to_directions(&mut rows, 2), Err(1), "{none}");
+        }
+    }
 
     #[test]
     fn the_approximate_gelu_is_the_definitions_in_f64() {

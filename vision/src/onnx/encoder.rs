@@ -3,9 +3,9 @@
 use super::OnnxRuntime;
 use super::model::{Array, Model, Port};
 use crate::VisionError;
+use crate::layers::to_directions;
 use crate::resize::{resize, standardize};
 use crate::siglip::Preprocessor;
-use scenesplat_kernels::normalize::{norm, normalize_rows};
 use scenesplat_scene::picture::RgbPicture;
 use std::path::Path;
 
@@ -99,14 +99,10 @@ impl OnnxEncoder {
         for pictures in pictures.chunks(lot) {
             rows.extend(self.run(pictures)?);
         }
-        for (index, row) in rows.chunks_exact(self.width).enumerate() {
-            if !(norm(row) > 0.0 && norm(row).is_finite()) {
-                let problem =
-                    format!("number {index} has no vector: the network gives it no direction");
-                return Err(VisionError::input("picture", problem));
-            }
-        }
-        normalize_rows(&mut rows, self.width);
+        to_directions(&mut rows, self.width).map_err(|index| {
+            let problem = "has no vector: the network gives it no direction";
+            VisionError::input("picture", format!("number {index} {problem}"))
+        })?;
         Ok(rows)
     }
 

@@ -5,12 +5,11 @@ use super::tower::{Layers, Mlp};
 use super::{HELP, is_text};
 use crate::VisionError;
 use crate::cross_attention::Attention;
-use crate::layers::{Linear, Norm, add};
+use crate::layers::{Linear, Norm, add, to_directions};
 use crate::resize::{resize, resize_planes, standardize};
 use crate::weights::Weights;
 use rayon::prelude::*;
 use scenesplat_kernels::Precision;
-use scenesplat_kernels::normalize::{norm, normalize_rows};
 use scenesplat_scene::picture::RgbPicture;
 use std::path::Path;
 
@@ -149,14 +148,10 @@ impl SiglipImageEncoder {
     /// If a picture has no pixels, or the weights give it no direction; the message counts from 0.
     pub fn encode(&self, pictures: &[RgbPicture]) -> Result<Vec<f32>, VisionError> {
         let mut rows = self.encode_unscaled(pictures)?;
-        let width = self.width();
-        for (index, row) in rows.chunks_exact(width).enumerate() {
-            if !(norm(row) > 0.0 && norm(row).is_finite()) {
-                let problem = "has no vector: the weights of the encoder give it no direction";
-                return Err(VisionError::input("picture", format!("number {index} {problem}")));
-            }
-        }
-        normalize_rows(&mut rows, width);
+        to_directions(&mut rows, self.width()).map_err(|index| {
+            let problem = "has no vector: the weights of the encoder give it no direction";
+            VisionError::input("picture", format!("number {index} {problem}"))
+        })?;
         Ok(rows)
     }
 

@@ -4,10 +4,9 @@ use super::config::{Config, Tower};
 use super::tower::Layers;
 use super::{HELP, is_vision};
 use crate::VisionError;
-use crate::layers::{Linear, Norm, add};
+use crate::layers::{Linear, Norm, add, to_directions};
 use crate::weights::Weights;
 use scenesplat_kernels::Precision;
-use scenesplat_kernels::normalize::{norm, normalize_rows};
 use scenesplat_scene::input_file::{MAX_TEXT_BYTES, read_file};
 use std::path::Path;
 use tokenizers::{Tokenizer, TruncationParams};
@@ -163,14 +162,13 @@ impl SiglipTextEncoder {
         let ids: Vec<Vec<u32>> =
             texts.iter().map(|text| self.tokens.of(text.as_ref())).collect::<Result<_, _>>()?;
         let mut rows: Vec<f32> = ids.chunks(AT_ONCE).flat_map(|ids| self.forward(ids)).collect();
-        for (row, text) in rows.chunks_exact(self.width()).zip(texts) {
-            if !(norm(row) > 0.0 && norm(row).is_finite()) {
-                let text = text.as_ref();
-                let problem = "has no vector: the weights of the encoder give it no direction";
-                return Err(VisionError::input("text", format!("{text:?} {problem}")));
-            }
-        }
-        normalize_rows(&mut rows, self.width());
+        to_directions(&mut rows, self.width()).map_err(|index| {
+            let (text, problem) = (
+                texts[index].as_ref(),
+                "has no vector: the weights of the encoder give it no direction",
+            );
+            VisionError::input("text", format!("{text:?} {problem}"))
+        })?;
         Ok(rows)
     }
 
