@@ -18,7 +18,7 @@ use network::{NetworkTeacher, Reader};
 use scenesplat_datasets::{SceneTeacher, TeacherView};
 use scenesplat_models::Compute;
 use sha2::{Digest, Sha256};
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use stored::StoredTeacher;
 
 type Result<T, E = ExperimentError> = std::result::Result<T, E>;
@@ -79,7 +79,7 @@ impl Teacher {
         check_width(network.model().out_channels(), experiment)?;
         let content = content(&of_weights, &weights, &network)?;
         let identity = format!("{content}, {precision:?}");
-        let reader = Arc::new(Reader { network, identity, busy: Mutex::new(()) });
+        let reader = Arc::new(Reader::new(network, identity));
         let record = Arc::new(TeacherRecord::new(Some(content.clone())));
         let cache = match &config.cache {
             Some(cache) => {

@@ -7,6 +7,7 @@ use candle_core::{Device, Tensor};
 use half::f16;
 use half::slice::HalfFloatSliceExt;
 use rand_chacha::ChaCha8Rng;
+use rayon::{ThreadPool, ThreadPoolBuilder};
 use scenesplat_datasets::transforms::CenterShift;
 use scenesplat_datasets::{
     DataError, Sample, SceneTeacher, TeacherRows, TeacherView, Transform, sample_rng,
@@ -20,10 +21,13 @@ use std::sync::{Arc, Mutex, PoisonError};
 /// A network that reads one scene at a time with all cores, whoever asks: several at once would need as
 /// much more memory.
 pub(super) struct Reader {
-    pub network: Network,
+    network: Network,
     /// Everything that its rows depend on, besides the scene.
-    pub identity: String,
-    pub busy: Mutex<()>,
+    identity: String,
+    /// How many threads read a scene.
+    threads: usize,
+    /// They, once a scene was read.
+    workers: Mutex<Option<ThreadPool>>,
 }
 
 /// A network that says what the rows of another shall be; frozen, in evaluation mode.
@@ -63,13 +67,25 @@ impl SceneTeacher for NetworkTeacher {
 }
 
 impl Reader {
+    /// With as many threads as work for the thread that calls.
+    pub(super) fn new(network: Network, identity: String) -> Self {
+        let threads = rayon::current_num_threads();
+        Self { network, identity, threads, workers: Mutex::new(None) }
+    }
+
     /// Unit rows, one for each voxel of the network's own size.
     fn rows(&self, shown: Sample) -> Result<TeacherRows, DataError> {
-        let _one = self.busy.lock().unwrap_or_else(PoisonError::into_inner);
-        // A thread that makes batches has a pool of itself alone, and would read the scene on one core; a new
-        // one has those of all.
-        let joined = std::thread::scope(|scope| scope.spawn(|| self.compute(shown)).join());
-        joined.unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+        let mut workers = self.workers.lock().unwrap_or_else(PoisonError::into_inner);
+        // A thread that makes batches has a pool of itself alone, and would read the scene on one core. The pool that all
+        // share is no way out: the thread that trains may be all of it, and waits for this batch.
+        let workers = match &mut *workers {
+            Some(workers) => workers,
+            none => {
+                let pool = ThreadPoolBuilder::new().num_threads(self.threads).build();
+                none.insert(pool.map_err(DataError::teacher)?)
+            }
+        };
+        workers.install(|| self.compute(shown))
     }
 
     fn compute(&self, mut shown: Sample) -> Result<TeacherRows, DataError> {

@@ -1,11 +1,20 @@
 //! The cells that a plane is covered with.
 
+use super::planes::FAINT;
+use super::table::quantile_of;
+
 /// Of eight directions, in so many the surface goes on around what is missing from it.
 const AROUND: usize = 6;
 /// A pane has so many cells with something faint in them, …
 const FEWEST_FAINT: usize = 3;
 /// … and this share of its cells: few of a pane's Gaussians are left.
 const LEAST_FAINT: f64 = 0.3;
+/// A cell is one of a wall from the mean opacity [`FAINT`] on, or from this on where the sum is less than …
+const LESS_FAINT: f64 = 0.75;
+/// … this part of …
+const THIN: f64 = 0.2;
+/// … what this share of the cells that hold something has at most.
+const OF_WALL: f64 = 0.75;
 
 /// Square cells of a rectangle.
 pub(super) struct Cells {
@@ -54,11 +63,21 @@ impl Cells {
         steps.iter().filter(|step| hits(step)).count() >= AROUND
     }
 
-    /// The cells of panes: those without anything solid amid solid ones, where enough of them, taken together with
-    /// their neighbours, hold something faint. A hole has nothing in it.
-    pub(super) fn panes(&self, is_solid: &[bool], is_faint: &[bool]) -> Vec<bool> {
+    /// The cells of panes, by how many Gaussians there are in each and the sum of their opacities over the median one:
+    /// those that are empty or faint amid solid ones, where enough of them, taken together with their neighbours,
+    /// hold something. A hole has nothing in it.
+    pub(super) fn panes(&self, here: &[(u32, f64)]) -> Vec<bool> {
+        // The mean: the edge of a shelf before it makes no wall of a pane, and the clearest of a wall no pane. Where all of a
+        // scene is clear a pane is not much clearer, but there is less of it.
+        let sums = here.iter().map(|(_, sum)| *sum).filter(|sum| *sum > 0.0);
+        let usual = quantile_of(sums, OF_WALL).unwrap_or(0.0);
+        let is_solid = |&(n, sum): &(u32, f64)| {
+            let mean = sum / f64::from(n);
+            n > 0 && mean >= FAINT && !(mean < LESS_FAINT && sum < THIN * usual)
+        };
+        let is_solid: Vec<bool> = here.iter().map(is_solid).collect();
         let is_open: Vec<bool> =
-            (0..self.len()).map(|c| !is_solid[c] && self.is_amid(is_solid, c)).collect();
+            (0..self.len()).map(|c| !is_solid[c] && self.is_amid(&is_solid, c)).collect();
         let (mut is_pane, mut is_seen) = (vec![false; self.len()], vec![false; self.len()]);
         for start in 0..self.len() {
             if !is_open[start] || is_seen[start] {
@@ -80,8 +99,10 @@ impl Cells {
                     }
                 }
             }
-            let faint = together.iter().filter(|&&c| is_faint[c]).count();
-            if faint >= FEWEST_FAINT && faint as f64 >= LEAST_FAINT * together.len() as f64 {
+            let with_faint = together.iter().filter(|&&c| here[c].0 > 0).count();
+            if with_faint >= FEWEST_FAINT
+                && with_faint as f64 >= LEAST_FAINT * together.len() as f64
+            {
                 together.iter().for_each(|&c| is_pane[c] = true);
             }
         }
@@ -103,17 +124,19 @@ mod tests {
         };
         let of_pane = |c: usize| within(c, 1..5, 1..5);
         let solid = |c: usize| !of_pane(c) && !within(c, 7..10, 6..9) && !within(c, 11..12, 0..12);
-        let is_solid: Vec<bool> = (0..144).map(solid).collect();
-        let mut is_faint = vec![false; 144];
-        [13, 15, 26, 28, 40, 52, 7 * 12 + 7, 11 * 12 + 3, 11 * 12 + 4, 11 * 12 + 5]
-            .iter()
-            .for_each(|&c| is_faint[c] = true);
-        let found = cells.panes(&is_solid, &is_faint);
+        let mut here: Vec<(u32, f64)> =
+            (0..144).map(|c| if solid(c) { (2, 2.1) } else { (0, 0.0) }).collect();
+        let faint = [13, 15, 26, 28, 40, 52, 7 * 12 + 7, 11 * 12 + 3, 11 * 12 + 4, 11 * 12 + 5];
+        faint.iter().for_each(|&c| here[c] = (3, 0.9));
+        // Something solid among what is faint, and something faint of a wall.
+        here[26] = (4, 1.9);
+        here[6 * 12 + 6] = (4, 3.3);
+        let found = cells.panes(&here);
         assert_eq!(found, (0..144).map(of_pane).collect::<Vec<_>>());
         // With two of them gone it is a hole, too.
-        is_faint[13] = false;
-        is_faint[15] = false;
-        assert!(cells.panes(&is_solid, &is_faint).iter().all(|is| !is));
+        here[13] = (0, 0.0);
+        here[15] = (0, 0.0);
+        assert!(cells.panes(&here).iter().all(|is| !is));
         assert_eq!(cells.middle(13), [0.75, 0.75]);
         assert_eq!(cells.of([0.75, 0.75]), Some(13));
         assert_eq!(

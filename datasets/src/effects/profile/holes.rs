@@ -6,13 +6,16 @@
 //! height leave gaps between them, nothing is said.
 
 use super::cells::Cells;
-use super::planes::{ACROSS, Large, Shell, THICK};
+use super::planes::{ACROSS, Large, Shell, THICK, Wall};
 use super::table::quantile_of;
 use super::{Figure, Measured, Outcome};
 use scenesplat_scene::vector::dot;
 
 /// Gaps are looked for in planes with at most this share of the Gaussians behind them.
 const BEHIND: f64 = 0.03;
+/// They hold this share of the flat patches: smaller ones are fronts of furniture before a wall, between which there
+/// is nothing.
+const LEAST_SHARE: f64 = 0.04;
 /// Gaussians that a cell should hold.
 const PER_CELL: f64 = 10.0;
 /// Cells along a side at most; cells are larger where that is not enough.
@@ -55,7 +58,8 @@ impl Gaps {
 pub(super) fn measure(shell: &Shell, metres: f64) -> Outcome {
     shell.is_room()?;
     let square = metres * metres;
-    let bounding = || shell.walls.iter().filter(|w| w.share_behind <= BEHIND).map(|w| &w.gaps);
+    let is_bounding = |w: &&Wall| w.share_behind <= BEHIND && w.share >= LEAST_SHARE;
+    let bounding = || shell.walls.iter().filter(is_bounding).map(|w| &w.gaps);
     let areas: Vec<[f64; 2]> = bounding().map(|gaps| gaps.areas).collect();
     let (gaps, all) = areas.iter().fold((0.0, 0.0), |(g, a), v| (g + v[0], a + v[1]));
     if all <= 0.0 {
@@ -77,11 +81,11 @@ pub(super) fn measure(shell: &Shell, metres: f64) -> Outcome {
 }
 
 impl Large {
-    /// The gaps and panes of this surface, among Gaussians of which some are faint.
-    pub(super) fn gaps(&self, rows: &[[f64; 3]], is_faint: &[bool], diagonal: f64) -> Gaps {
+    /// The gaps and panes of this surface, among Gaussians whose opacities are given over the median one.
+    pub(super) fn gaps(&self, rows: &[[f64; 3]], opacity: &[f64], diagonal: f64) -> Gaps {
         let flat = |row: [f64; 3]| [dot(self.axes[0], row), dot(self.axes[1], row)];
         let off = |row: [f64; 3]| (dot(self.axes[2], row) - self.offset).abs() / diagonal;
-        let near = || rows.iter().zip(is_faint).filter(|(row, _)| off(**row) <= THICK);
+        let near = || rows.iter().zip(opacity).filter(|(row, _)| off(**row) <= THICK);
         let on: Vec<[f64; 2]> = near().map(|(row, _)| flat(*row)).collect();
         let side = |a: usize, share| quantile_of(on.iter().map(|p| p[a]), share).unwrap_or(0.0);
         let low = [side(0, 0.002), side(1, 0.002)];
@@ -90,18 +94,25 @@ impl Large {
         let edge = (PER_CELL / self.density).sqrt().max(widest / MOST_CELLS as f64);
         let count = extent.map(|e| ((e / edge) as usize + 1).min(MOST_CELLS + 1));
         let grid = Cells { low, edge, count };
-        let [mut is_full, mut has_solid, mut has_faint] =
-            std::array::from_fn(|_| vec![false; grid.len()]);
-        for (row, faint) in near() {
-            let Some(cell) = grid.of(flat(*row)) else { continue };
-            is_full[cell] = true;
-            // What stands right before a pane is none of it.
-            if off(*row) <= ACROSS {
-                has_solid[cell] |= !faint;
-                has_faint[cell] |= faint;
+        let mut is_full = vec![false; grid.len()];
+        near().filter_map(|(row, _)| grid.of(flat(*row))).for_each(|cell| is_full[cell] = true);
+        // A pane may be in either side of a wall.
+        let sides = std::iter::once(&self.offset).chain(&self.sides);
+        let panes_of = |&offset: &f64| {
+            let mut here = vec![(0, 0.0); grid.len()];
+            for (row, opacity) in near() {
+                // What stands right before a pane is none of it.
+                if (dot(self.axes[2], *row) - offset).abs() > ACROSS * diagonal {
+                    continue;
+                }
+                let Some(cell) = grid.of(flat(*row)) else { continue };
+                here[cell] = (here[cell].0 + 1, here[cell].1 + opacity);
             }
-        }
-        let is_pane = grid.panes(&has_solid, &has_faint);
+            grid.panes(&here)
+        };
+        // The first of the largest.
+        let size = |panes: &Vec<bool>| panes.iter().filter(|is| **is).count();
+        let is_pane = sides.map(panes_of).rev().max_by_key(size).unwrap_or_default();
         let is_gap = |cell: usize| !is_full[cell] && !is_pane[cell] && grid.is_amid(&is_full, cell);
         let place = |cell: usize| -> [f64; 3] {
             let [u, v] = grid.middle(cell);

@@ -10,7 +10,7 @@ use scenesplat_scene::vector::{cross, dot};
 const CANDIDATES: usize = 192;
 /// Planes that are looked at, and the least share of the flat patches that one holds.
 const MOST_PLANES: usize = 12;
-const LEAST_SHARE: f64 = 0.04;
+const LEAST_SHARE: f64 = 0.02;
 /// A plane with more of the Gaussians behind it bounds nothing.
 const BEHIND: f64 = 0.1;
 /// A room is a scene whose bounding planes have this share of the area of its box, or more. Rooms without
@@ -40,6 +40,8 @@ pub(super) struct Wall {
     pub(super) behind: Vec<usize>,
     /// The share of all that those behind it are that are not faint.
     pub(super) share_behind: f64,
+    /// The share of the flat patches that lies in it.
+    pub(super) share: f64,
     /// Where nothing is though it goes on around.
     pub(super) gaps: Gaps,
 }
@@ -49,13 +51,18 @@ impl Shell {
         let diagonal = table.bounds.diagonal();
         let places: Vec<[f64; 3]> =
             table.rows.iter().map(|&row| table.scene.coord[row as usize].map(f64::from)).collect();
-        let is_faint = faint(table);
+        let opacity = opacities(table);
         let wall = |plane: &Large| {
             let behind = plane.beyond(&places, diagonal);
             // What a pane reflects stands behind it, faint: it is no other room.
-            let solid = behind.iter().filter(|&&i| !is_faint[i]).count();
+            let solid = behind.iter().filter(|&&i| opacity[i] >= FAINT).count();
             let share_behind = solid as f64 / places.len() as f64;
-            Wall { behind, share_behind, gaps: plane.gaps(&places, &is_faint, diagonal) }
+            Wall {
+                behind,
+                share_behind,
+                share: plane.share,
+                gaps: plane.gaps(&places, &opacity, diagonal),
+            }
         };
         let planes: Vec<Wall> = planes(table).par_iter().map(wall).collect();
         let (walls, others): (Vec<Wall>, Vec<Wall>) =
@@ -78,11 +85,11 @@ impl Shell {
     }
 }
 
-/// Which of the rows that are looked at are much less opaque than usual.
-fn faint(table: &Table<'_>) -> Vec<bool> {
+/// Opacities of the rows that are looked at, over the median one; all 1 if that is 0.
+fn opacities(table: &Table<'_>) -> Vec<f64> {
     let opacity = |&row: &u32| f64::from(table.scene.opacity(row as usize));
-    let usual = quantile_of(table.rows.iter().map(opacity), 0.5).unwrap_or(0.0);
-    table.rows.iter().map(|row| opacity(row) < FAINT * usual).collect()
+    let usual = quantile_of(table.rows.iter().map(opacity), 0.5).filter(|usual| *usual > 0.0);
+    table.rows.iter().map(|row| usual.map_or(1.0, |usual| opacity(row) / usual)).collect()
 }
 
 /// A large flat surface.
@@ -91,8 +98,12 @@ pub(super) struct Large {
     pub(super) axes: [[f64; 3]; 3],
     /// Where it is along its normal.
     pub(super) offset: f64,
+    /// Where its other sides are, if it has some: walls are a hand thick.
+    pub(super) sides: Vec<f64>,
     /// Gaussians that are looked at, for each unit of area.
     pub(super) density: f64,
+    /// The share of the flat patches that lies in it.
+    pub(super) share: f64,
 }
 
 /// The planes that hold most flat patches, the largest first; each patch counts for one.
@@ -129,15 +140,21 @@ fn planes(table: &Table<'_>) -> Vec<Large> {
         let middle = |values: Vec<f64>| quantile_of(values.into_iter(), 0.5).unwrap_or(0.0);
         let offset = middle(rows.iter().map(|&i| dot(axes[2], places[i])).collect());
         let fourth = middle(rows.iter().map(|&i| f64::from(flat[i].0.fourth)).collect());
-        let again = found.iter().any(|other: &Large| {
+        let again = found.iter_mut().find_map(|other: &mut Large| {
             let sign = dot(other.axes[2], axes[2]);
-            sign.abs() > SAME_NORMAL
-                && (sign.signum() * other.offset - offset).abs() < THICK * diagonal
+            let side = sign.signum() * offset;
+            let same = sign.abs() > SAME_NORMAL && (other.offset - side).abs() < THICK * diagonal;
+            same.then_some((other, side))
         });
-        if fourth > 0.0 && !again {
+        match again {
+            Some((other, side)) => other.sides.push(side),
             // Four others lie within that distance.
-            let density = 4.0 / (std::f64::consts::PI * fourth * fourth);
-            found.push(Large { axes, offset, density });
+            None if fourth > 0.0 => {
+                let density = 4.0 / (std::f64::consts::PI * fourth * fourth);
+                let share = rows.len() as f64 / flat.len() as f64;
+                found.push(Large { axes, offset, sides: Vec::new(), density, share });
+            }
+            None => {}
         }
     }
     found
