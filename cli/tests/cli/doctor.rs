@@ -128,6 +128,27 @@ fn a_short_soak_is_told_as_json_and_a_round_runs_again() {
     );
 }
 
+/// The thread that trains is one of those that compute: as a mere caller it would sleep and be woken around every operation,
+/// a thousand times a step.
+#[cfg(target_os = "linux")]
+#[test]
+fn the_calling_thread_works_itself() {
+    let child = std::process::Command::new(env!("CARGO_BIN_EXE_scenesplat"))
+        .args(["doctor", "--training", "--steps", "3", "--seeds", "1", "--threads", "1"])
+        .args(["--recipe", "self-distillation"])
+        .stdout(std::process::Stdio::null())
+        .stderr(std::process::Stdio::null())
+        .spawn()
+        .unwrap();
+    let (mut status, mut usage) = (0, std::mem::MaybeUninit::<libc::rusage>::zeroed());
+    // SAFETY: the process is a child that nobody else waits for, and both places are there to be written.
+    let waited = unsafe { libc::wait4(child.id() as i32, &mut status, 0, usage.as_mut_ptr()) };
+    assert_eq!((waited, status), (child.id() as i32, 0));
+    // SAFETY: zeros are a value, and `wait4` wrote it.
+    let switches = unsafe { usage.assume_init() }.ru_nvcsw;
+    assert!(switches < 1000, "{switches} times asleep in twelve steps");
+}
+
 #[test]
 fn a_short_grid_of_trainings_is_told_as_json() {
     let folder = tempfile::tempdir().unwrap();

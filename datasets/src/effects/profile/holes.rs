@@ -6,16 +6,13 @@
 //! height leave gaps between them, nothing is said.
 
 use super::cells::Cells;
-use super::planes::{ACROSS, Large, Shell, THICK, Wall};
+use super::planes::{ACROSS, BOUNDING_SHARE, Large, Shell, THICK, Wall};
 use super::table::quantile_of;
 use super::{Figure, Measured, Outcome};
 use scenesplat_scene::vector::dot;
 
 /// Gaps are looked for in planes with at most this share of the Gaussians behind them.
 const BEHIND: f64 = 0.03;
-/// They hold this share of the flat patches: smaller ones are fronts of furniture before a wall, between which there
-/// is nothing.
-const LEAST_SHARE: f64 = 0.04;
 /// Gaussians that a cell should hold.
 const PER_CELL: f64 = 10.0;
 /// Cells along a side at most; cells are larger where that is not enough.
@@ -58,7 +55,7 @@ impl Gaps {
 pub(super) fn measure(shell: &Shell, metres: f64) -> Outcome {
     shell.is_room()?;
     let square = metres * metres;
-    let is_bounding = |w: &&Wall| w.share_behind <= BEHIND && w.share >= LEAST_SHARE;
+    let is_bounding = |w: &&Wall| w.share_behind <= BEHIND && w.share >= BOUNDING_SHARE;
     let bounding = || shell.walls.iter().filter(is_bounding).map(|w| &w.gaps);
     let areas: Vec<[f64; 2]> = bounding().map(|gaps| gaps.areas).collect();
     let (gaps, all) = areas.iter().fold((0.0, 0.0), |(g, a), v| (g + v[0], a + v[1]));

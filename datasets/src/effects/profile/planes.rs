@@ -8,9 +8,12 @@ use scenesplat_scene::vector::{cross, dot};
 
 /// Patches whose planes are tried.
 const CANDIDATES: usize = 192;
-/// Planes that are looked at, and the least share of the flat patches that one holds.
+/// Planes that are looked at, and the least share of the flat patches that one holds: with panes in them, walls have few.
 const MOST_PLANES: usize = 12;
 const LEAST_SHARE: f64 = 0.02;
+/// Of planes with less, nothing is said but that they have panes: fronts of furniture before a wall have gaps between them, and
+/// curved things have many that are as small.
+pub(super) const BOUNDING_SHARE: f64 = 0.04;
 /// A plane with more of the Gaussians behind it bounds nothing.
 const BEHIND: f64 = 0.1;
 /// A room is a scene whose bounding planes have this share of the area of its box, or more. Rooms without
@@ -70,7 +73,8 @@ impl Shell {
         let pane = |wall: Wall| (wall.gaps.pane_share(), wall.gaps.pane_regions().collect());
         let partitions = others.into_iter().map(pane).collect();
         let [x, y, z] = table.bounds.extent();
-        let area: f64 = walls.iter().map(|wall| wall.gaps.areas[1]).sum();
+        let large = walls.iter().filter(|wall| wall.share >= BOUNDING_SHARE);
+        let area: f64 = large.map(|wall| wall.gaps.areas[1]).sum();
         Self { share_of_box: area / (2.0 * (x * y + y * z + z * x)), walls, partitions }
     }
 
