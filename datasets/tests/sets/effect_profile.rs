@@ -3,7 +3,7 @@
 use scenesplat_datasets::effects::profile::{EffectProfile, profile};
 use scenesplat_datasets::effects::{Effect, simulate};
 use scenesplat_rooms::{SyntheticRoomSettings, generate};
-use scenesplat_scene::GaussianScene;
+use scenesplat_scene::{GaussianScene, ReadOptions, open_scene};
 
 fn room(count: usize, seed: u64) -> GaussianScene {
     generate(&SyntheticRoomSettings::with_count(count, seed)).expect("a room").scene
@@ -143,5 +143,24 @@ fn the_text_and_json_name_every_effect() {
         assert!(one["present"].is_boolean() && one["severity"].is_number(), "{json}");
         assert_eq!(one["evidence"][0]["value"], one["measure"]["value"]);
         assert!(seen.to_string().contains(effect.name()));
+    }
+}
+
+/// A thing with many small planes is no room, and nothing that only rooms can have is found in it.
+#[test]
+fn a_thing_is_no_room() {
+    let root = std::env::var_os("SCENESPLAT_SHARED").map_or_else(
+        || std::path::PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared"),
+        std::path::PathBuf::from,
+    );
+    let path = root.join("real/objects/hamburger.ply");
+    if !path.is_file() {
+        println!("skipped: real/objects is not in the shared data (set SCENESPLAT_SHARED)");
+        return;
+    }
+    let loaded = open_scene(&path, &ReadOptions::default()).unwrap();
+    let seen = profile(&loaded.scene, 1.0);
+    for effect in [Effect::Holes, Effect::Floaters, Effect::Glass, Effect::Light] {
+        assert!(seen.of(effect).measure.is_none(), "{}", seen.of(effect).text);
     }
 }

@@ -129,3 +129,64 @@ impl Large {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Places every 5 cm of a wall of 4 × 3 m at x = `x`, with opacities; of the part of 1.5 × 1.2 m in it one in `keep`,
+    /// of another opacity.
+    fn wall(x: f64, opacity: f64, keep: usize, of_pane: f64) -> Vec<([f64; 3], f64)> {
+        let mut rows = Vec::new();
+        for i in 0..80 {
+            for j in 0..60 {
+                let in_pane = (20..50).contains(&i) && (20..44).contains(&j);
+                if !in_pane || (7 * i + j) % keep == 0 {
+                    let place = [x, 0.05 * f64::from(i as u32), 0.05 * f64::from(j as u32)];
+                    rows.push((place, if in_pane { of_pane } else { opacity }));
+                }
+            }
+        }
+        rows
+    }
+
+    fn pane_share(rows: &[([f64; 3], f64)], sides: &[f64]) -> f64 {
+        let axes = [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]];
+        let (offset, sides) = (sides[0], sides[1..].to_vec());
+        let plane = Large { axes, offset, sides, density: 400.0, share: 0.1 };
+        let (places, opacity): (Vec<[f64; 3]>, Vec<f64>) = rows.iter().copied().unzip();
+        plane.gaps(&places, &opacity, 6.0).pane_share()
+    }
+
+    /// 1.5 × 1.2 of 4 × 3 m.
+    const SHARE: f64 = 0.15;
+
+    #[test]
+    fn panes_are_found_in_either_side_of_a_wall() {
+        let mut rows = wall(0.0, 1.0, 2, 0.3);
+        rows.extend(wall(-0.12, 1.0, 1, 1.0));
+        let found = pane_share(&rows, &[-0.12, 0.0]);
+        assert!((found - SHARE).abs() < 0.03, "{found}");
+        assert_eq!(pane_share(&rows, &[-0.12]), 0.0);
+        assert_eq!(pane_share(&wall(0.0, 1.0, 1, 1.0), &[0.0]), 0.0);
+    }
+
+    #[test]
+    fn panes_of_clear_scenes_are_thin_as_well() {
+        // A little clearer and much less of it; no less of it, or no clearer, is a thin spot.
+        // Cells at its edge hold some of the wall.
+        let found = pane_share(&wall(0.0, 1.0, 8, 0.7), &[0.0]);
+        assert!((0.6 * SHARE..SHARE).contains(&found), "{found}");
+        assert_eq!(pane_share(&wall(0.0, 1.0, 1, 0.7), &[0.0]), 0.0);
+        assert_eq!(pane_share(&wall(0.0, 1.0, 8, 1.0), &[0.0]), 0.0);
+    }
+
+    #[test]
+    fn what_touches_a_pane_makes_no_wall_of_it() {
+        let mut rows = wall(0.0, 1.0, 1, 0.3);
+        // The edge of a shelf across it.
+        rows.extend((20..50).map(|i| ([0.03, 0.05 * f64::from(i), 1.52], 1.2)));
+        let found = pane_share(&rows, &[0.0]);
+        assert!((found - SHARE).abs() < 0.03, "{found}");
+    }
+}
