@@ -27,7 +27,7 @@ impl Scale {
 pub(super) fn scale(effect: Effect) -> Scale {
     let (threshold, line) = match effect {
         Effect::Holes => (0.0125, [0.001, 0.0125]),
-        Effect::Floaters => (0.005, [0.0022, 0.0022]),
+        Effect::Floaters => (0.005, [0.0018, 0.002]),
         Effect::Surface => (0.0079, [0.002, 0.0036]),
         Effect::Blur => (0.64, [0.0065, 0.0135]),
         Effect::Glass => (0.075, [0.0, 0.108]),
