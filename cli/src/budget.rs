@@ -3,8 +3,8 @@
 use crate::bench::speeds;
 use crate::commands::WrongUse;
 use crate::flags::Inference;
-use crate::session::set_threads;
 use crate::setting::VOTE_K;
+use crate::threads::set_threads;
 use anyhow::{Context, Result};
 use scenesplat::alignment::Alignment;
 use scenesplat::datasets::plan::center_shift;

@@ -14,6 +14,7 @@ mod session;
 mod setting;
 mod signals;
 mod terminal;
+mod threads;
 
 /// Keeps pages between the large short-lived buffers of a network.
 #[global_allocator]

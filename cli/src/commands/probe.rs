@@ -3,8 +3,8 @@
 use super::WrongUse;
 use crate::flags::SourceArgs;
 use crate::progress::{Progress, interrupted, listen_for_interrupt};
-use crate::session::set_threads;
 use crate::terminal::{print, write_text};
+use crate::threads::set_threads;
 use anyhow::{Context, Result};
 use scenesplat::datasets::{DataError, DataSource, SourceScene, SyntheticRooms};
 use scenesplat::input::open_input;

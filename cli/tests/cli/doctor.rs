@@ -132,6 +132,7 @@ fn a_short_soak_is_told_as_json_and_a_round_runs_again() {
 /// a thousand times a step.
 #[cfg(target_os = "linux")]
 #[test]
+#[expect(clippy::zombie_processes, reason = "`wait4` waits, and tells what was used")]
 fn the_calling_thread_works_itself() {
     let child = std::process::Command::new(env!("CARGO_BIN_EXE_scenesplat"))
         .args(["doctor", "--training", "--steps", "3", "--seeds", "1", "--threads", "1"])

@@ -149,15 +149,7 @@ fn the_text_and_json_name_every_effect() {
 /// A thing with many small planes is no room, and nothing that only rooms can have is found in it.
 #[test]
 fn a_thing_is_no_room() {
-    let root = std::env::var_os("SCENESPLAT_SHARED").map_or_else(
-        || std::path::PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared"),
-        std::path::PathBuf::from,
-    );
-    let path = root.join("real/objects/hamburger.ply");
-    if !path.is_file() {
-        println!("skipped: real/objects is not in the shared data (set SCENESPLAT_SHARED)");
-        return;
-    }
+    let Some(path) = crate::shared("real/objects/hamburger.ply") else { return };
     let loaded = open_scene(&path, &ReadOptions::default()).unwrap();
     let seen = profile(&loaded.scene, 1.0);
     for effect in [Effect::Holes, Effect::Floaters, Effect::Glass, Effect::Light] {

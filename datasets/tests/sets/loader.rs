@@ -244,15 +244,7 @@ fn settings_that_cannot_be_are_named() {
 
 #[test]
 fn real_scenes_become_batches() {
-    let root = std::env::var_os("SCENESPLAT_SHARED").map_or_else(
-        || std::path::PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared"),
-        std::path::PathBuf::from,
-    );
-    let objects = root.join("real/objects");
-    if !objects.is_dir() {
-        println!("skipped: real/objects is not in the shared data (set SCENESPLAT_SHARED)");
-        return;
-    }
+    let Some(objects) = crate::shared("real/objects") else { return };
     let config = serde_json::json!({"type": "generic", "root": objects});
     let config: SourceConfig = serde_json::from_value(config).unwrap();
     let transforms = build_transforms(&language_pretraining(0.02)).unwrap();

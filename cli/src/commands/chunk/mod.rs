@@ -5,7 +5,7 @@ mod totals;
 
 use super::WrongUse;
 use crate::progress::{Progress, interrupted, listen_for_interrupt};
-use crate::session::set_threads;
+use crate::threads::set_threads;
 use anyhow::Result;
 use names::chunk_names;
 use scenesplat::datasets::DataError;

@@ -5,8 +5,8 @@ mod checks;
 mod read;
 
 use crate::progress::{Progress, interrupted, listen_for_interrupt};
-use crate::session::set_threads;
 use crate::terminal::{print, write_text};
+use crate::threads::set_threads;
 use anyhow::Result;
 pub use args::Args;
 use checks::{check_paths, target_format};

@@ -1,7 +1,7 @@
 //! `scenesplat prepare chunks`
 
 use crate::progress::Progress;
-use crate::session::set_threads;
+use crate::threads::set_threads;
 use anyhow::{Context, Result};
 use scenesplat::datasets::prepare::{ChunkTransfer, transfer_to_chunks};
 use scenesplat::scene::WholeFolder;

@@ -4,8 +4,8 @@ mod build;
 
 use super::WrongUse;
 use crate::outputs::Outputs;
-use crate::session::set_threads;
 use crate::terminal::print;
+use crate::threads::set_threads;
 use anyhow::Result;
 use scenesplat::phrases::{Encoded, PhraseError, PhraseReader, Reading, TextEncoder};
 use scenesplat::scene::TextTable;

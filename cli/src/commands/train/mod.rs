@@ -3,8 +3,8 @@
 mod ranks;
 
 use crate::progress::{interrupted, listen_for_interrupt};
-use crate::session::set_threads;
 use crate::terminal::print;
+use crate::threads::set_threads;
 use anyhow::{Context, Result, anyhow};
 use scenesplat::experiment::{ExperimentConfig, ExperimentError, RunOptions, train_together};
 use scenesplat::models::DeviceChoice;

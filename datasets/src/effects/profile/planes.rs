@@ -11,8 +11,8 @@ const CANDIDATES: usize = 192;
 /// Planes that are looked at, and the least share of the flat patches that one holds: with panes in them, walls have few.
 const MOST_PLANES: usize = 12;
 const LEAST_SHARE: f64 = 0.02;
-/// Of planes with less, nothing is said but that they have panes: fronts of furniture before a wall have gaps between them, and
-/// curved things have many that are as small.
+/// Planes with less are looked at for panes, and for what these reflected, alone: fronts of furniture before a wall have gaps between
+/// them, and curved things have many planes as small.
 pub(super) const BOUNDING_SHARE: f64 = 0.04;
 /// A plane with more of the Gaussians behind it bounds nothing.
 const BEHIND: f64 = 0.1;
@@ -92,8 +92,12 @@ impl Shell {
 /// Opacities of the rows that are looked at, over the median one; all 1 if that is 0.
 fn opacities(table: &Table<'_>) -> Vec<f64> {
     let opacity = |&row: &u32| f64::from(table.scene.opacity(row as usize));
-    let usual = quantile_of(table.rows.iter().map(opacity), 0.5).filter(|usual| *usual > 0.0);
-    table.rows.iter().map(|row| usual.map_or(1.0, |usual| opacity(row) / usual)).collect()
+    let mut all: Vec<f64> = table.rows.iter().map(opacity).collect();
+    match quantile_of(all.iter().copied(), 0.5) {
+        Some(usual) if usual > 0.0 => all.iter_mut().for_each(|opacity| *opacity /= usual),
+        _ => all.fill(1.0),
+    }
+    all
 }
 
 /// A large flat surface.
