@@ -7,22 +7,17 @@
 //! leave none. What really stands behind a wall (the other part of a room with a corner) is as opaque as the rest.
 
 use super::planes::Shell;
-use super::table::{Table, quantile_of};
 use super::{Figure, Measured, Outcome};
 
 /// What is behind counts so many times what is in the plane.
 const BEHIND: f64 = 4.0;
 
-pub(super) fn measure(table: &Table<'_>, shell: &Shell) -> Outcome {
+pub(super) fn measure(shell: &Shell) -> Outcome {
     shell.is_room()?;
-    let opacity = |i: usize| f64::from(table.scene.opacity(table.rows[i] as usize));
-    let all = table.rows.len();
-    let Some(usual) = quantile_of((0..all).map(opacity), 0.5) else {
-        return Err("there are no Gaussians");
-    };
+    let all = shell.opacity.len();
     let mut best = [0.0f64; 2];
     for wall in &shell.walls {
-        let faint = wall.behind.iter().filter(|&&i| opacity(i) < usual).count() as f64;
+        let faint = wall.behind.iter().filter(|&&i| shell.opacity[i] < 1.0).count() as f64;
         // Of what is no fainter than the scene, as much is below its median as above.
         let more = (2.0 * faint - wall.behind.len() as f64) / all as f64;
         let pane = wall.gaps.pane_share();

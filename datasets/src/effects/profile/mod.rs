@@ -97,7 +97,7 @@ pub fn profile_of(scene: &GaussianScene, metres_per_unit: f64, wanted: &[Effect]
             Effect::Floaters => floaters::measure(table, &shell),
             Effect::Surface => surface::measure(table, metres_per_unit),
             Effect::Blur => blur::measure(table, metres_per_unit),
-            Effect::Glass => glass::measure(table, &shell),
+            Effect::Glass => glass::measure(&shell),
             Effect::Light => light::measure(table, &shell),
             Effect::Noise => noise::measure(table),
         }

@@ -35,6 +35,8 @@ pub(super) struct Shell {
     pub(super) partitions: Vec<(f64, Vec<[f32; 4]>)>,
     /// Their area over that of the robust box.
     pub(super) share_of_box: f64,
+    /// Opacities of the rows that are looked at, over the median one; all 1 if that is 0.
+    pub(super) opacity: Vec<f64>,
 }
 
 /// A plane that bounds the scene.
@@ -75,7 +77,7 @@ impl Shell {
         let [x, y, z] = table.bounds.extent();
         let large = walls.iter().filter(|wall| wall.share >= BOUNDING_SHARE);
         let area: f64 = large.map(|wall| wall.gaps.areas[1]).sum();
-        Self { share_of_box: area / (2.0 * (x * y + y * z + z * x)), walls, partitions }
+        Self { share_of_box: area / (2.0 * (x * y + y * z + z * x)), walls, partitions, opacity }
     }
 
     /// Whether the scene is a room, which all that is known of these effects was learned on.
