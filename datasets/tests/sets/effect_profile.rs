@@ -156,3 +156,10 @@ fn a_thing_is_no_room() {
         assert!(seen.of(effect).measure.is_none(), "{}", seen.of(effect).text);
     }
 }
+
+/// Curtains and shelves before a wall are planes, with gaps between them that are no holes.
+#[test]
+fn fronts_of_furniture_are_no_walls() {
+    let seen = profile(&room(120_000, 7007), 1.0);
+    assert!(!seen.of(Effect::Holes).present, "{}", seen.of(Effect::Holes).text);
+}

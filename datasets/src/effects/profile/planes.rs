@@ -198,3 +198,24 @@ impl Large {
         if b.len() < a.len() { b } else { a }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use scenesplat_rooms::{SyntheticRoomSettings, generate};
+
+    /// Walls of this room are 12 cm thick.
+    #[test]
+    fn both_sides_of_a_wall_are_one_plane() {
+        let room = generate(&SyntheticRoomSettings::with_count(60_000, 7006)).unwrap().scene;
+        let found = planes(&Table::of(&room, 100).unwrap());
+        let thick = |p: &&Large| p.sides.iter().any(|s| ((s - p.offset).abs() - 0.12).abs() < 0.03);
+        assert!(found.iter().filter(thick).count() >= 2, "{:?}", sides(&found));
+        // Of a floor there is one side.
+        assert!(found.iter().filter(|p| p.axes[2][2].abs() > 0.9).all(|p| !thick(&p)));
+    }
+
+    fn sides(planes: &[Large]) -> Vec<([f64; 3], f64, &[f64])> {
+        planes.iter().map(|p| (p.axes[2], p.offset, p.sides.as_slice())).collect()
+    }
+}
