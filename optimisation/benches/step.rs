@@ -1,7 +1,12 @@
-//! Parts of a training step at 640 × 480 on the Gaussians of a synthetic surface, on one and two threads.
+//! Parts of a training step at 640 × 480 on the Gaussians of a synthetic surface, on one and two threads, each
+//! beside its floor: the same bytes read and written with nothing computed, or as many vector instructions
+//! as the part cannot do without, at the rate of multiply–adds that never leave the registers. Both in the
+//! same run, as machines differ and are shared.
 #![allow(missing_docs, reason = "criterion's macros make undocumented items")]
 
 use criterion::{Criterion, criterion_group, criterion_main};
+use rayon::prelude::*;
+use scenesplat_kernels::simd::compiled;
 use scenesplat_optimisation::depth_loss::{DepthOutliers, DepthScratch, depth_loss};
 use scenesplat_optimisation::initial::{InitialSettings, from_points};
 use scenesplat_optimisation::{
@@ -9,9 +14,13 @@ use scenesplat_optimisation::{
     SsimPadding, TrainingFrame,
 };
 use scenesplat_rasterizer::backward::{
-    GradMask, Gradients, TraceRequest, Upstream, backward_into, trace,
+    GradMask, Gradients, Trace, TraceRequest, Upstream, Workspace, trace,
 };
-use scenesplat_rasterizer::{View, colors, project, tile_lists};
+use scenesplat_rasterizer::{
+    Projected, RasterSettings, Span, TILE, TileLists, TileVisitor, View, blend, colors, project,
+    tile_lists,
+};
+use std::hint::black_box;
 use std::time::Duration;
 
 /// As the program: the system's allocator would add page faults to every picture.
@@ -52,6 +61,103 @@ fn frame() -> TrainingFrame {
     TrainingFrame { name: "wall".into(), view, rgb: Colors::Bytes(rgb), depth, mask: None }
 }
 
+/// What a part cannot do without.
+#[derive(Clone, Copy)]
+enum Floor {
+    /// Bytes read or written; what is read and written counts twice.
+    Bytes(usize),
+    /// Instructions on eight values.
+    Instructions(usize),
+}
+
+/// Independent sums: enough to hide the latency of a multiply–add on two units.
+const SUMS: usize = 12;
+
+impl Floor {
+    /// Does that much, on all threads of the pool.
+    fn run(self, memory: &mut [u64]) {
+        let threads = rayon::current_num_threads();
+        match self {
+            Self::Bytes(bytes) => {
+                let len = (bytes / 16).min(memory.len());
+                memory[..len].par_chunks_mut(1 << 14).for_each(|part| {
+                    for v in part {
+                        *v = v.wrapping_add(1);
+                    }
+                });
+            }
+            Self::Instructions(count) => {
+                let rounds = count / SUMS / threads;
+                black_box(rayon::broadcast(|_| {
+                    compiled(
+                        #[inline(always)]
+                        || {
+                            let factor = black_box(0.5f32);
+                            let mut sums = [[factor; 8]; SUMS];
+                            for _ in 0..rounds {
+                                for sum in sums.as_flattened_mut() {
+                                    *sum = sum.mul_add(factor, factor);
+                                }
+                            }
+                            sums.as_flattened().iter().sum::<f32>()
+                        },
+                    )
+                }));
+            }
+        }
+    }
+}
+
+/// Counts groups of eight pixels that a Gaussian is looked at in.
+struct Groups(usize);
+
+impl TileVisitor for Groups {
+    type Output = usize;
+    #[inline(always)]
+    fn span(&mut self, _: u32, _: u32, span: Span<'_>) {
+        self.0 += span.weights.len() / 8;
+    }
+    fn finish(self, _: &[f32; TILE * TILE], _: &[u32; TILE * TILE]) -> usize {
+        self.0
+    }
+}
+
+/// Of each part, from counts of what is drawn.
+struct Floors {
+    project: Floor,
+    colors: Floor,
+    tiles: Floor,
+    blend: Floor,
+    ssim: Floor,
+    backward: Floor,
+    adam: Floor,
+}
+
+impl Floors {
+    fn of(projected: &Projected, lists: &TileLists, view: &View, raster: &RasterSettings) -> Self {
+        let groups: usize = blend(projected, lists, view, raster, |_| Groups(0)).into_iter().sum();
+        let (visible, pairs) = (projected.len(), lists.entries.len());
+        println!("{visible} visible, {pairs} places in lists, {groups} groups of 8 pixels");
+        Self {
+            // Centre, quaternion, scale, opacity in; 56 bytes of what is visible out.
+            project: Floor::Bytes(44 * ROWS + 56 * visible),
+            // Sixteen coefficients of three channels and the centre in, a colour out.
+            colors: Floor::Bytes((4 * 48 + 12 + 12) * visible),
+            // Three passes over keys of 8 bytes; of each Gaussian 36 bytes in; each hit out, in, and out.
+            tiles: Floor::Bytes((12 + 3 * 16 + 36) * visible + (8 + 8 + 5) * pairs),
+            // Exponent 3, power of two 13, limits, tests and selections 14, four channels 4.
+            blend: Floor::Instructions(34 * groups),
+            // Eleven taps of two means and three products down (7 each), five maps across; back three
+            // maps both ways; quotients and L1 about 36. Of eight values each.
+            ssim: Floor::Instructions((77 + 55 + 66 + 36) * 3 * view.pixels() / 8),
+            // As blending 24, then light 5, channels 8, what is behind 6, six moments 7.
+            backward: Floor::Instructions(50 * groups),
+            // Value, derivative and two moments, each in and out.
+            adam: Floor::Bytes(59 * 32 * ROWS),
+        }
+    }
+}
+
 fn parts(c: &mut Criterion) {
     let (model, frame) = (model(), frame());
     let settings = OptimiseSettings { sh_every: 0, ..OptimiseSettings::scenesplat() };
@@ -63,22 +169,41 @@ fn parts(c: &mut Criterion) {
     let rgb = traced.picture.rgb.clone().unwrap_or_default();
     let drawn = traced.picture.depth_accumulated.clone().unwrap_or_default();
     let measured = frame.depth.clone().unwrap_or_default();
+    let projected = project(g, view, &raster).expect("a wall");
+    let floors = Floors::of(&projected, &tile_lists(&projected, view, &raster), view, &raster);
+    let mut memory = vec![1u64; 1 << 24];
     let mut group = c.benchmark_group("optimise_100k_640x480");
     for threads in [1, 2] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
         let name = |part: &str| format!("{part}/{threads}_threads");
+        for (part, floor) in [
+            ("project", floors.project),
+            ("colors_sh3", floors.colors),
+            ("sort_and_tiles", floors.tiles),
+            ("blend", floors.blend),
+            ("l1_ssim", floors.ssim),
+            ("backward", floors.backward),
+            ("adam_59", floors.adam),
+        ] {
+            group.bench_function(name(&format!("floor_of_{part}")), |b| {
+                b.iter(|| pool.install(|| floor.run(&mut memory)));
+            });
+        }
         group.bench_function(name("project"), |b| {
             b.iter(|| pool.install(|| project(g, view, &raster)));
         });
-        let projected = project(g, view, &raster).expect("a wall");
         group.bench_function(name("colors_sh3"), |b| {
             b.iter(|| pool.install(|| colors(g, view, &projected, 3)));
         });
         group.bench_function(name("sort_and_tiles"), |b| {
             b.iter(|| pool.install(|| tile_lists(&projected, view, &raster)));
         });
+        let (mut workspace, mut again) = (Workspace::new(), Trace::default());
         group.bench_function(name("trace_rgb_depth"), |b| {
-            b.iter(|| pool.install(|| trace(g, view, &raster, request)));
+            b.iter(|| {
+                let out = &mut again;
+                pool.install(|| workspace.trace(g, view, &raster, request, out))
+            });
         });
         for padding in [SsimPadding::Reflect, SsimPadding::Valid] {
             let weights = scenesplat_optimisation::ImageWeights { ssim: 0.2, padding };
@@ -106,7 +231,8 @@ fn parts(c: &mut Criterion) {
         group.bench_function(name("backward"), |b| {
             b.iter(|| {
                 let out = &mut gradients;
-                pool.install(|| backward_into(g, view, &raster, &traced, &upstream, all, out))
+                let upstream = &upstream;
+                pool.install(|| workspace.backward(g, view, &raster, &traced, upstream, all, out))
             });
         });
         let (mut other, mut gradients) = (model.clone(), Gradients::zeros(g, 0));

@@ -12,6 +12,13 @@ pub enum Colors {
     Floats(Vec<f32>),
 }
 
+impl Default for Colors {
+    /// No value.
+    fn default() -> Self {
+        Self::Bytes(Vec::new())
+    }
+}
+
 impl Colors {
     /// Number of values.
     pub fn len(&self) -> usize {
@@ -102,41 +109,62 @@ impl TrainingFrame {
     /// The frame at half the size: means of four pixels, of depths those that were measured, masked
     /// where any of the four is. A last odd row or column is left out.
     pub fn halved(&self) -> Self {
+        let (name, rgb) = (String::new(), Colors::default());
+        let mut out = Self { name, view: self.view, rgb, depth: None, mask: None };
+        self.halve_into(&mut out);
+        out
+    }
+
+    /// [`halved`](Self::halved) into a frame whose memory is used again, whatever it was.
+    pub fn halve_into(&self, out: &mut Self) {
         let (width, height) = (self.view.width as usize / 2, self.view.height as usize / 2);
         let from = self.view.width as usize;
-        let four = |x: usize, y: usize| {
+        let four = move |x: usize, y: usize| {
             let at = 2 * y * from + 2 * x;
             [at, at + 1, at + from, at + from + 1]
         };
         let all = || (0..height).flat_map(move |y| (0..width).map(move |x| (x, y)));
         let places = || all().flat_map(|(x, y)| [0, 1, 2].map(|c| four(x, y).map(|i| 3 * i + c)));
-        let rgb = match &self.rgb {
+        match &self.rgb {
             Colors::Bytes(v) => {
-                let mean = |at: [usize; 4]| at.iter().map(|i| u32::from(v[*i])).sum::<u32>();
-                Colors::Bytes(places().map(|at| ((mean(at) + 2) / 4) as u8).collect())
+                let sum = |at: [usize; 4]| at.iter().map(|i| u32::from(v[*i])).sum::<u32>();
+                let mean = |at| ((sum(at) + 2) / 4) as u8;
+                let mut to = match std::mem::take(&mut out.rgb) {
+                    Colors::Bytes(to) => to,
+                    Colors::Floats(_) => Vec::new(),
+                };
+                to.clear();
+                to.extend(places().map(mean));
+                out.rgb = Colors::Bytes(to);
             }
             Colors::Floats(v) => {
                 let mean = |at: [usize; 4]| at.iter().map(|i| v[*i]).sum::<f32>() / 4.0;
-                Colors::Floats(places().map(mean).collect())
+                let mut to = match std::mem::take(&mut out.rgb) {
+                    Colors::Floats(to) => to,
+                    Colors::Bytes(_) => Vec::new(),
+                };
+                to.clear();
+                to.extend(places().map(mean));
+                out.rgb = Colors::Floats(to);
             }
+        }
+        let mean_of_known = |values: [f32; 4]| {
+            let (mut sum, mut count) = (0.0, 0.0);
+            for z in values.into_iter().filter(|z| *z > 0.0 && z.is_finite()) {
+                (sum, count) = (sum + z, count + 1.0);
+            }
+            if count > 0.0 { sum / count } else { 0.0 }
         };
-        let depth = |of: &Vec<f32>| {
-            let mean = |(x, y): (usize, usize)| {
-                let known = four(x, y).map(|i| of[i]);
-                let (mut sum, mut count) = (0.0, 0.0);
-                for z in known.into_iter().filter(|z| *z > 0.0 && z.is_finite()) {
-                    (sum, count) = (sum + z, count + 1.0);
-                }
-                if count > 0.0 { sum / count } else { 0.0 }
-            };
-            all().map(mean).collect()
-        };
-        let mask = |of: &Vec<u8>| {
-            let least = |(x, y): (usize, usize)| four(x, y).map(|i| of[i]).into_iter().min();
-            all().map(|at| least(at).unwrap_or(0)).collect()
-        };
+        let depth = self.depth.as_deref();
+        let depth =
+            depth.map(|of| all().map(move |(x, y)| mean_of_known(four(x, y).map(|i| of[i]))));
+        refill(&mut out.depth, depth);
+        let mask = self.mask.as_deref();
+        let least = |values: [u8; 4]| values.into_iter().min().unwrap_or(0);
+        let mask = mask.map(|of| all().map(move |(x, y)| least(four(x, y).map(|i| of[i]))));
+        refill(&mut out.mask, mask);
         let v = &self.view;
-        let view = View {
+        out.view = View {
             fx: v.fx / 2.0,
             fy: v.fy / 2.0,
             cx: v.cx / 2.0,
@@ -145,13 +173,19 @@ impl TrainingFrame {
             height: height as u32,
             ..*v
         };
-        Self {
-            name: self.name.clone(),
-            view,
-            rgb,
-            depth: self.depth.as_ref().map(depth),
-            mask: self.mask.as_ref().map(mask),
+        out.name.clone_from(&self.name);
+    }
+}
+
+/// Gives an array other values, or takes it away.
+fn refill<T>(to: &mut Option<Vec<T>>, values: Option<impl Iterator<Item = T>>) {
+    match values {
+        Some(values) => {
+            let to = to.get_or_insert_default();
+            to.clear();
+            to.extend(values);
         }
+        None => *to = None,
     }
 }
 
@@ -193,6 +227,18 @@ pub(crate) mod tests {
         frame.check().unwrap();
         let half = frame.halved();
         half.check().unwrap();
+        // Into what a frame of another size and kind has left.
+        let mut used = TrainingFrame {
+            name: "b".to_owned(),
+            view: view(4, 4),
+            rgb: Colors::Floats(vec![0.5; 48]),
+            depth: Some(vec![1.0; 16]),
+            mask: None,
+        };
+        let floats = used.halved();
+        assert_eq!((floats.rgb.clone(), floats.mask), (Colors::Floats(vec![0.5; 12]), None));
+        frame.halve_into(&mut used);
+        assert_eq!(used, half);
         // Pixels 0, 1, 3, 4: reds 0, 3, 9, 12.
         assert_eq!(half.rgb, Colors::Bytes(vec![6, 7, 8]));
         assert_eq!(half.depth, Some(vec![1.5]));

@@ -41,8 +41,8 @@ pub fn fused_points(frames: &[TrainingFrame], most: usize) -> (Vec<[f32; 3]>, Ve
     (kept(&points), kept(&colors))
 }
 
-/// The point that pixel `i` shows at depth `z`.
-fn lifted(frame: &TrainingFrame, i: usize, z: f32) -> [f32; 3] {
+/// The point of the world that pixel `i` of a frame shows at depth `z`.
+pub fn lifted(frame: &TrainingFrame, i: usize, z: f32) -> [f32; 3] {
     let v = &frame.view;
     let (x, y) = ((i as u32 % v.width) as f32 + 0.5, (i as u32 / v.width) as f32 + 0.5);
     let camera = [(x - v.cx) / v.fx * z, (y - v.cy) / v.fy * z, z];

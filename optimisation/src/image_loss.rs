@@ -52,8 +52,13 @@ pub struct ImageComparison {
     sums: Vec<[f64; 4]>,
     /// Pictures with what is masked set to 0, if there is a mask.
     masked: [Vec<f32>; 2],
+    /// Of each band of rows.
+    rows: Vec<Rows>,
     isa: Isa,
 }
+
+/// Most bands of rows, each a task with memory of its own; more than threads, so that none waits long.
+const BANDS: usize = 64;
 
 impl ImageComparison {
     /// For pictures of that size.
@@ -80,6 +85,7 @@ impl ImageComparison {
             slopes: [0, 1, 2].map(|_| vec![0.0; len]),
             sums: vec![[0.0; 4]; height],
             masked: [Vec::new(), Vec::new()],
+            rows: (0..height.min(BANDS)).map(|_| Rows::new(3 * width)).collect(),
             isa: Isa::current(),
         })
     }
@@ -146,33 +152,41 @@ impl ImageComparison {
         let ssim_slope = -self.weights.ssim / windows as f32;
         let (down, across, isa) = (&self.down, &self.across, self.isa);
         let [mean, square, product] = &mut self.slopes;
-        mean.par_chunks_mut(stride)
-            .zip(square.par_chunks_mut(stride))
-            .zip(product.par_chunks_mut(stride))
-            .zip(self.sums.par_iter_mut())
+        let band = self.height.div_ceil(self.rows.len().max(1)).max(1);
+        mean.par_chunks_mut(band * stride)
+            .zip(square.par_chunks_mut(band * stride))
+            .zip(product.par_chunks_mut(band * stride))
+            .zip(self.sums.par_chunks_mut(band))
+            .zip(&mut self.rows)
             .enumerate()
-            .for_each_init(Rows::default, |rows, (y, (((mean, square), product), sums))| {
-                rows.resize(stride);
-                let slopes = [mean, square, product];
-                let work = Forward { pred, truth, stride, down, across };
-                let ssim = compiled_for(
-                    isa,
-                    #[inline(always)]
-                    |ran| {
-                        if ran >= Isa::Avx2 {
-                            work.row::<true>(y, rows, slopes, ssim_slope)
-                        } else {
-                            work.row::<false>(y, rows, slopes, ssim_slope)
-                        }
-                    },
-                );
-                sums[0] = ssim;
+            .for_each(|(i, ((((mean, square), product), sums), rows))| {
+                let mean = mean.chunks_exact_mut(stride);
+                let square = square.chunks_exact_mut(stride);
+                let product = product.chunks_exact_mut(stride);
+                let lines = mean.zip(square).zip(product).zip(sums);
+                for (k, (((mean, square), product), sums)) in lines.enumerate() {
+                    let (y, slopes) = (i * band + k, [mean, square, product]);
+                    let work = Forward { pred, truth, stride, down, across };
+                    let ssim = compiled_for(
+                        isa,
+                        #[inline(always)]
+                        |ran| {
+                            if ran >= Isa::Avx2 {
+                                work.row::<true>(y, rows, slopes, ssim_slope)
+                            } else {
+                                work.row::<false>(y, rows, slopes, ssim_slope)
+                            }
+                        },
+                    );
+                    sums[0] = ssim;
+                }
             });
         let slopes = [&self.slopes[0][..], &self.slopes[1], &self.slopes[2]];
-        gradient.par_chunks_mut(stride).zip(self.sums.par_iter_mut()).enumerate().for_each_init(
-            Rows::default,
-            |rows, (y, (out, sums))| {
-                rows.resize(stride);
+        let bands = gradient.par_chunks_mut(band * stride).zip(self.sums.par_chunks_mut(band));
+        bands.zip(&mut self.rows).enumerate().for_each(|(i, ((out, sums), rows))| {
+            let lines = out.chunks_exact_mut(stride).zip(sums).enumerate();
+            for (k, (out, sums)) in lines {
+                let y = i * band + k;
                 let at = y * stride..(y + 1) * stride;
                 let mask = mask.map(|m| &m[y * stride / 3..(y + 1) * stride / 3]);
                 let work = Backward { slopes, stride, down, across };
@@ -189,8 +203,8 @@ impl ImageComparison {
                     },
                 );
                 add_l1(pair, mask, l1_slope, out, sums);
-            },
-        );
+            }
+        });
         let sum = |k: usize| self.sums.iter().map(|s| s[k]).sum::<f64>();
         let values = (3 * counted.max(1)) as f64;
         let (l1, mse, ssim) = (sum(1) / values, sum(2) / values, sum(0) / windows as f64);
@@ -240,17 +254,16 @@ fn add_l1(
 }
 
 /// Rows at hand.
-#[derive(Default)]
+#[derive(Debug)]
 struct Rows {
     down: [Vec<f32>; 5],
     across: [Vec<f32>; 5],
 }
 
 impl Rows {
-    fn resize(&mut self, stride: usize) {
-        for row in self.down.iter_mut().chain(&mut self.across) {
-            row.resize(stride, 0.0);
-        }
+    fn new(stride: usize) -> Self {
+        let row = || vec![0.0; stride];
+        Self { down: [(); 5].map(|()| row()), across: [(); 5].map(|()| row()) }
     }
 }
 

@@ -47,7 +47,7 @@ pub use error::OptimiseError;
 pub use exposure::Exposure;
 pub use exposure_drift::{ExposureDrift, exposure_drift};
 pub use frame::{Colors, TrainingFrame};
-pub use fused_points::fused_points;
+pub use fused_points::{fused_points, lifted};
 pub use image_loss::{ImageComparison, ImageLoss, ImageWeights, SsimPadding};
 pub use model::{Model, Stored};
 pub use optimiser::{Optimiser, StepReport};

@@ -10,7 +10,7 @@ use crate::settings::{DepthKind, OptimiseSettings, SceneScale, StepOrder, Strate
 use crate::strategy::{DoublingState, Refined};
 use crate::{Adam, AdamSettings, Model};
 use scenesplat_rasterizer::backward::{
-    GradMask, Gradients, Trace, TraceRequest, Upstream, backward_into, trace,
+    GradMask, Gradients, Trace, TraceRequest, Upstream, Workspace,
 };
 
 /// What a step did.
@@ -54,6 +54,11 @@ pub struct Optimiser {
     gradients: Gradients,
     order: FrameOrder,
     buffers: Buffers,
+    /// The picture of the last step, and memory of drawing and pulling back.
+    trace: Trace,
+    workspace: Workspace,
+    /// A frame at half the size.
+    half: Option<TrainingFrame>,
 }
 
 /// Memory that steps use again.
@@ -108,6 +113,9 @@ impl Optimiser {
             exposure: Exposure::new(if settings.exposure { frames.len() } else { 0 }),
             order: FrameOrder::default(),
             buffers: Buffers::default(),
+            trace: Trace::default(),
+            workspace: Workspace::new(),
+            half: None,
             step: 0,
             model,
         };
@@ -172,21 +180,33 @@ impl Optimiser {
         frame: &TrainingFrame,
         number: usize,
     ) -> Result<StepReport, OptimiseError> {
-        let half = (self.step < self.settings.half_steps).then(|| frame.halved());
-        let used = half.as_ref().filter(|half| {
-            let least = self.settings.ssim_border.least_side() as u32;
-            half.view.width.min(half.view.height) >= least.max(1)
-        });
-        let frame = used.unwrap_or(frame);
-        let mut report = self.pull(frame, number)?;
-        report.refined = self.update(report.visible_screen(frame))?;
-        report.gaussians = self.model.len();
+        let least = self.settings.ssim_border.least_side() as u32;
+        let large = (frame.view.width / 2).min(frame.view.height / 2) >= least.max(1);
+        if self.step < self.settings.half_steps && large {
+            let mut half = self.half.take().unwrap_or_else(|| frame.halved());
+            frame.halve_into(&mut half);
+            let report = self.step_at(&half, number);
+            self.half = Some(half);
+            return report;
+        }
+        self.half = None;
+        self.step_at(frame, number)
+    }
+
+    /// One step with a frame of the size that is drawn.
+    fn step_at(
+        &mut self,
+        frame: &TrainingFrame,
+        number: usize,
+    ) -> Result<StepReport, OptimiseError> {
+        let report = self.pull(frame, number)?;
+        let refined = self.update([frame.view.width, frame.view.height])?;
         self.step += 1;
-        Ok(report.done())
+        Ok(StepReport { refined, gaussians: self.model.len(), ..report })
     }
 
     /// Draws, compares, and adds the derivatives to `gradients`.
-    fn pull(&mut self, frame: &TrainingFrame, number: usize) -> Result<Pulled, OptimiseError> {
+    fn pull(&mut self, frame: &TrainingFrame, number: usize) -> Result<StepReport, OptimiseError> {
         let settings = &self.settings;
         let mut raster = settings.raster();
         if settings.random_background {
@@ -200,7 +220,8 @@ impl Optimiser {
             depth: measured.is_some(),
             sh_degree: Some(settings.sh_degree_at(self.step)),
         };
-        let traced = trace(&self.model.gaussians, &frame.view, &raster, request)?;
+        let (workspace, traced) = (&mut self.workspace, &mut self.trace);
+        workspace.trace(&self.model.gaussians, &frame.view, &raster, request, traced)?;
         let rgb = traced.picture.rgb.as_deref().unwrap_or_default();
         let b = &mut self.buffers;
         frame.rgb.put(&mut b.truth);
@@ -246,24 +267,22 @@ impl Optimiser {
         upstream.rgb = Some(&b.slope);
         let (model, all) = (&self.model.gaussians, GradMask::all());
         let gradients = &mut self.gradients;
-        backward_into(model, &frame.view, &raster, &traced, &upstream, all, gradients)?;
-        let visible = traced.projected.len();
-        let report = StepReport {
+        workspace.backward(model, &frame.view, &raster, traced, &upstream, all, gradients)?;
+        Ok(StepReport {
             step: self.step,
             frame: number,
             image,
             depth,
-            visible,
+            visible: traced.projected.len(),
             ..StepReport::default()
-        };
-        Ok(Pulled { report, refined: Refined::default(), gaussians: 0, trace: traced })
+        })
     }
 
     /// Adam and the strategy, in their order.
-    fn update(&mut self, (trace, size): (&Trace, [u32; 2])) -> Result<Refined, OptimiseError> {
+    fn update(&mut self, size: [u32; 2]) -> Result<Refined, OptimiseError> {
         let rates = self.settings.rates_at(self.step, self.scene_scale);
         if matches!(self.settings.strategy, Strategy::Default(_)) {
-            self.doubling.add(&self.gradients.screen, &trace.projected.index, size);
+            self.doubling.add(&self.gradients.screen, &self.trace.projected.index, size);
         }
         let refined = match self.settings.order {
             StepOrder::Gsplat13 => {
@@ -325,24 +344,6 @@ impl Optimiser {
 fn zeros<T: Copy + Default>(values: &mut Vec<T>, len: usize) {
     values.clear();
     values.resize(len, T::default());
-}
-
-/// A step whose derivatives are known.
-struct Pulled {
-    report: StepReport,
-    refined: Refined,
-    gaussians: usize,
-    trace: Trace,
-}
-
-impl Pulled {
-    fn visible_screen(&self, frame: &TrainingFrame) -> (&Trace, [u32; 2]) {
-        (&self.trace, [frame.view.width, frame.view.height])
-    }
-
-    fn done(self) -> StepReport {
-        StepReport { refined: self.refined, gaussians: self.gaussians, ..self.report }
-    }
 }
 
 /// Which frame comes when.

@@ -102,6 +102,18 @@ pub fn blend<V: TileVisitor>(
     settings: &RasterSettings,
     make: impl Fn(TileRect) -> V + Sync,
 ) -> Vec<V::Output> {
+    blend_in(projected, lists, view, settings, &mut Vec::new(), make)
+}
+
+/// [`blend`] with memory that is used again.
+pub(crate) fn blend_in<V: TileVisitor>(
+    projected: &Projected,
+    lists: &TileLists,
+    view: &View,
+    settings: &RasterSettings,
+    splats: &mut Vec<Splat<0>>,
+    make: impl Fn(TileRect) -> V + Sync,
+) -> Vec<V::Output> {
     let (columns, rows) = view.tiles();
     assert!(
         (lists.columns, lists.rows) == (columns, rows)
@@ -109,8 +121,8 @@ pub fn blend<V: TileVisitor>(
             && lists.entries.len() == lists.reach.len(),
         "lists of other tiles than the view's {columns} × {rows}"
     );
-    let splats = Splat::all(projected, |_| []);
-    let scene = Blend { splats: &splats, lists, settings };
+    Splat::put_all(projected, |_| [], splats);
+    let scene = Blend { splats, lists, settings };
     let tile = |tile: usize| {
         let rect = rect(tile, lists, view);
         blend_tile(&scene, rect, make(rect))

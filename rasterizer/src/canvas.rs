@@ -6,23 +6,22 @@ use std::marker::PhantomData;
 /// A borrowed picture of `channels` values per pixel, handed out in tiles.
 ///
 /// Tiles do not overlap, and each is written by the one visitor that was made for it.
-#[derive(Clone, Copy)]
-pub(crate) struct Canvas<'a> {
-    start: *mut f32,
+pub(crate) struct Canvas<'a, T = f32> {
+    start: *mut T,
     width: usize,
     height: usize,
     channels: usize,
-    picture: PhantomData<&'a mut [f32]>,
+    picture: PhantomData<&'a mut [T]>,
 }
 
-// SAFETY: it is a `&mut [f32]` of which every thread writes another part, see `Canvas::tile`.
-unsafe impl Send for Canvas<'_> {}
+// SAFETY: it is a `&mut [T]` of which every thread writes another part, see `Canvas::tile`.
+unsafe impl<T: Send> Send for Canvas<'_, T> {}
 // SAFETY: as above; nothing is read through it.
-unsafe impl Sync for Canvas<'_> {}
+unsafe impl<T: Send> Sync for Canvas<'_, T> {}
 
-impl<'a> Canvas<'a> {
+impl<'a, T> Canvas<'a, T> {
     /// A picture of `width · height · channels` values, all of which the caller gives away.
-    pub(crate) fn new(picture: &'a mut [f32], width: u32, channels: usize) -> Self {
+    pub(crate) fn new(picture: &'a mut [T], width: u32, channels: usize) -> Self {
         let width = width as usize;
         let height = picture.len().checked_div(width * channels).unwrap_or(0);
         assert_eq!(picture.len(), width * height * channels, "a picture has whole rows");
@@ -33,30 +32,34 @@ impl<'a> Canvas<'a> {
     ///
     /// # Safety
     /// No two live parts of one picture may be of the same tile.
-    pub(crate) unsafe fn tile(self, rect: TileRect) -> CanvasTile<'a> {
+    pub(crate) unsafe fn tile(&self, rect: TileRect) -> CanvasTile<'a, T> {
         let (x0, y0) = (rect.x0 as usize, rect.y0 as usize);
         let (width, height) = (rect.width as usize, rect.height as usize);
         assert!(width <= TILE && height <= TILE);
         assert!(x0.is_multiple_of(TILE) && y0.is_multiple_of(TILE), "tiles are on the grid");
         assert!(x0 + width <= self.width && y0 + height <= self.height, "tiles are inside");
-        CanvasTile { canvas: self, rect }
+        let Self { start, width: across, height: down, channels, picture } = *self;
+        CanvasTile {
+            canvas: Canvas { start, width: across, height: down, channels, picture },
+            rect,
+        }
     }
 }
 
 /// One tile of a [`Canvas`].
-pub(crate) struct CanvasTile<'a> {
-    canvas: Canvas<'a>,
+pub(crate) struct CanvasTile<'a, T = f32> {
+    canvas: Canvas<'a, T>,
     rect: TileRect,
 }
 
-impl CanvasTile<'_> {
+impl<T> CanvasTile<'_, T> {
     /// Where the tile is.
     pub(crate) fn rect(&self) -> TileRect {
         self.rect
     }
 
     /// The values of row `r` of the tile, channels last; `r` below the tile's height.
-    pub(crate) fn row(&mut self, r: usize) -> &mut [f32] {
+    pub(crate) fn row(&mut self, r: usize) -> &mut [T] {
         assert!(r < self.rect.height as usize);
         let c = &self.canvas;
         let first = (self.rect.y0 as usize + r) * c.width + self.rect.x0 as usize;

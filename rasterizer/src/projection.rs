@@ -68,19 +68,22 @@ impl Projected {
         self.index.is_empty()
     }
 
-    fn with_capacity(rows: usize) -> Self {
-        Self {
-            index: Vec::with_capacity(rows),
-            mean2d: Vec::with_capacity(rows),
-            depth: Vec::with_capacity(rows),
-            conic: Vec::with_capacity(rows),
-            opacity: Vec::with_capacity(rows),
-            compensation: Vec::with_capacity(rows),
-            variance: Vec::with_capacity(rows),
-            level: Vec::with_capacity(rows),
-            half_extent: Vec::with_capacity(rows),
-            culled: CullCounts::default(),
+    /// None, with room for that many.
+    fn clear(&mut self, rows: usize) {
+        fn empty<T>(values: &mut Vec<T>, rows: usize) {
+            values.clear();
+            values.reserve(rows);
         }
+        empty(&mut self.index, rows);
+        empty(&mut self.mean2d, rows);
+        empty(&mut self.depth, rows);
+        empty(&mut self.conic, rows);
+        empty(&mut self.opacity, rows);
+        empty(&mut self.compensation, rows);
+        empty(&mut self.variance, rows);
+        empty(&mut self.level, rows);
+        empty(&mut self.half_extent, rows);
+        self.culled = CullCounts::default();
     }
 
     /// Tiles in the boxes of all: no fewer than their lists will have entries.
@@ -120,7 +123,7 @@ impl Projected {
     }
 
     /// All parts, one after the other.
-    fn joined(parts: &[Self]) -> Self {
+    fn join(&mut self, parts: &[Self]) {
         let mut culled = CullCounts::default();
         for part in parts {
             let o = part.culled;
@@ -132,18 +135,16 @@ impl Projected {
             culled.outside += o.outside;
             culled.color += o.color;
         }
-        Self {
-            index: join(parts, |p| &p.index),
-            mean2d: join(parts, |p| &p.mean2d),
-            depth: join(parts, |p| &p.depth),
-            conic: join(parts, |p| &p.conic),
-            opacity: join(parts, |p| &p.opacity),
-            compensation: join(parts, |p| &p.compensation),
-            variance: join(parts, |p| &p.variance),
-            level: join(parts, |p| &p.level),
-            half_extent: join(parts, |p| &p.half_extent),
-            culled,
-        }
+        self.culled = culled;
+        join(parts, |p| &p.index, &mut self.index);
+        join(parts, |p| &p.mean2d, &mut self.mean2d);
+        join(parts, |p| &p.depth, &mut self.depth);
+        join(parts, |p| &p.conic, &mut self.conic);
+        join(parts, |p| &p.opacity, &mut self.opacity);
+        join(parts, |p| &p.compensation, &mut self.compensation);
+        join(parts, |p| &p.variance, &mut self.variance);
+        join(parts, |p| &p.level, &mut self.level);
+        join(parts, |p| &p.half_extent, &mut self.half_extent);
     }
 }
 
@@ -151,8 +152,9 @@ impl Projected {
 fn join<T: Copy + Default + Send + Sync>(
     parts: &[Projected],
     column: impl Fn(&Projected) -> &Vec<T>,
-) -> Vec<T> {
-    let mut out = vec![T::default(); parts.iter().map(Projected::len).sum()];
+    out: &mut Vec<T>,
+) {
+    out.resize(parts.iter().map(Projected::len).sum(), T::default());
     let mut rest = &mut out[..];
     let mut copies = Vec::with_capacity(parts.len());
     for part in parts {
@@ -162,7 +164,6 @@ fn join<T: Copy + Default + Send + Sync>(
         rest = tail;
     }
     copies.into_par_iter().with_min_len(4).for_each(|(to, from)| to.copy_from_slice(from));
-    out
 }
 
 fn retain<T>(values: &mut Vec<T>, keep: &[bool]) {
@@ -188,25 +189,39 @@ pub fn project(
     view: &View,
     settings: &RasterSettings,
 ) -> Result<Projected, RasterError> {
+    let mut out = Projected::default();
+    project_into(gaussians, view, settings, &mut Vec::new(), &mut out)?;
+    Ok(out)
+}
+
+/// [`project`] with memory that is used again.
+pub(crate) fn project_into(
+    gaussians: &Gaussians,
+    view: &View,
+    settings: &RasterSettings,
+    parts: &mut Vec<Projected>,
+    out: &mut Projected,
+) -> Result<(), RasterError> {
     gaussians.check()?;
     view.check()?;
     settings.check()?;
     let lens = Lens::new(view, settings);
     let isa = settings.isa();
-    let chunk = |c: usize| {
+    parts.resize_with(gaussians.len().div_ceil(CHUNK), Projected::default);
+    parts.par_iter_mut().enumerate().for_each(|(c, part)| {
         let rows = c * CHUNK..((c + 1) * CHUNK).min(gaussians.len());
+        part.clear(rows.len());
         compiled_for(
             isa,
             #[inline(always)]
-            |_| project_rows(&lens, gaussians, rows),
-        )
-    };
-    let chunks: Vec<Projected> =
-        (0..gaussians.len().div_ceil(CHUNK)).into_par_iter().map(chunk).collect();
-    let boxes = chunks.par_iter().map(|chunk| chunk.boxes(view)).sum::<usize>();
+            |_| project_rows(&lens, gaussians, rows, part),
+        );
+    });
+    let boxes = parts.par_iter().map(|chunk| chunk.boxes(view)).sum::<usize>();
     if boxes > MAX_PAIRS {
         let what = "Gaussians in tiles";
         return Err(RasterError::TooMany { what, count: boxes, limit: MAX_PAIRS });
     }
-    Ok(Projected::joined(&chunks))
+    out.join(parts);
+    Ok(())
 }

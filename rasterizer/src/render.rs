@@ -3,10 +3,10 @@
 use crate::canvas::Canvas;
 use crate::gaussians::expect;
 use crate::projection::CullCounts;
-use crate::visitors::{Color, Depth, Features, Nothing, Transmittance, Weights};
+use crate::visitors::{Color, Depth, Features, Last, Nothing, Transmittance, Weights};
 use crate::{
-    Gaussians, Projected, RasterError, RasterSettings, TILE, TileLists, TileRect, TileVisitor,
-    View, blend, project, tile_lists,
+    Gaussians, Projected, RasterError, RasterSettings, TileLists, TileRect, TileVisitor, View,
+    blend, project, tile_lists,
 };
 use std::array::from_fn;
 
@@ -258,14 +258,15 @@ impl Scene<'_> {
             sums: Canvas::new(&mut sums, width, 1),
             medians: Canvas::new(&mut medians, width, 1),
             transmittance: Canvas::new(&mut transmittance, width, 1),
+            last: Canvas::new(&mut last, width, 1),
         };
         let background = self.settings.background;
         let contributions = match colors {
-            Some(colors) => self.with_depth(request, &canvases, n, &mut last, |rect| {
+            Some(colors) => self.with_depth(request, &canvases, n, |rect| {
                 // SAFETY: `blend` makes one visitor per tile.
                 Color::new(colors, background, unsafe { canvases.rgb.tile(rect) })
             }),
-            None => self.with_depth(request, &canvases, n, &mut last, |_| Nothing),
+            None => self.with_depth(request, &canvases, n, |_| Nothing),
         };
         let expected = expected.then(|| {
             let pairs = sums.iter().zip(&transmittance);
@@ -290,7 +291,6 @@ impl Scene<'_> {
         request: &RenderRequest,
         canvases: &Canvases<'_>,
         n: usize,
-        last: &mut [u32],
         color: impl Fn(TileRect) -> C + Sync,
     ) -> Option<Contributions> {
         let (depth, isa) = (&self.projected.depth, self.settings.isa());
@@ -300,13 +300,11 @@ impl Scene<'_> {
         let medians = |rect| Depth::<true>::new(depth, unsafe { canvases.medians.tile(rect) }, isa);
         let mean = request.depth.accumulated || request.depth.expected;
         match (mean, request.depth.median) {
-            (false, false) => self.with_weights(request, canvases, n, last, color),
-            (true, false) => self.with_weights(request, canvases, n, last, |r| (color(r), sums(r))),
-            (false, true) => {
-                self.with_weights(request, canvases, n, last, |r| (color(r), medians(r)))
-            }
+            (false, false) => self.with_weights(request, canvases, n, color),
+            (true, false) => self.with_weights(request, canvases, n, |r| (color(r), sums(r))),
+            (false, true) => self.with_weights(request, canvases, n, |r| (color(r), medians(r))),
             (true, true) => {
-                self.with_weights(request, canvases, n, last, |r| (color(r), (sums(r), medians(r))))
+                self.with_weights(request, canvases, n, |r| (color(r), (sums(r), medians(r))))
             }
         }
     }
@@ -316,14 +314,13 @@ impl Scene<'_> {
         request: &RenderRequest,
         canvases: &Canvases<'_>,
         n: usize,
-        last: &mut [u32],
         visitor: impl Fn(TileRect) -> V + Sync,
     ) -> Option<Contributions> {
         if !request.contributions {
-            self.with_last(request, canvases, last, visitor);
+            self.with_last(request, canvases, visitor);
             return None;
         }
-        let outputs = self.with_last(request, canvases, last, |rect| {
+        let outputs = self.with_last(request, canvases, |rect| {
             let tile = rect.tile;
             let len = self.lists.offsets[tile + 1] - self.lists.offsets[tile];
             (visitor(rect), Weights::new(len))
@@ -335,38 +332,23 @@ impl Scene<'_> {
         self,
         request: &RenderRequest,
         canvases: &Canvases<'_>,
-        last: &mut [u32],
         visitor: impl Fn(TileRect) -> V + Sync,
     ) -> Vec<V::Output> {
         // SAFETY: `blend` makes one visitor per tile.
         let light = |rect| unsafe { canvases.transmittance.tile(rect) };
         let Self { projected, lists, view, settings } = self;
         if !request.last {
-            let make = |rect| (visitor(rect), Transmittance::<false>::new(light(rect)));
+            let make = |rect| (visitor(rect), Transmittance::new(light(rect)));
             let outputs = blend(projected, lists, view, settings, make);
-            return outputs.into_iter().map(|(out, _)| out).collect();
+            return outputs.into_iter().map(|(out, ())| out).collect();
         }
-        let make = |rect| (visitor(rect), Transmittance::<true>::new(light(rect)));
+        let make = |rect| {
+            // SAFETY: as above.
+            let last = unsafe { canvases.last.tile(rect) };
+            (visitor(rect), (Transmittance::new(light(rect)), Last::new(last)))
+        };
         let outputs = blend(projected, lists, view, settings, make);
-        let mut left = Vec::with_capacity(outputs.len());
-        for (tile, (output, tile_last)) in outputs.into_iter().enumerate() {
-            self.place(tile, &tile_last, last);
-            left.push(output);
-        }
-        left
-    }
-
-    /// Copies the `last` of one tile into the picture.
-    fn place(self, tile: usize, from: &[u32], to: &mut [u32]) {
-        let width = self.view.width as usize;
-        let (x0, y0) = (tile % self.lists.columns * TILE, tile / self.lists.columns * TILE);
-        let across = TILE.min(width - x0);
-        for (r, row) in from.chunks_exact(TILE).enumerate() {
-            let at = (y0 + r) * width + x0;
-            if y0 + r < self.view.height as usize {
-                to[at..at + across].copy_from_slice(&row[..across]);
-            }
-        }
+        outputs.into_iter().map(|(out, _)| out).collect()
     }
 
     /// Sums weights of the tiles, in their order, per Gaussian.
@@ -391,4 +373,5 @@ struct Canvases<'a> {
     sums: Canvas<'a>,
     medians: Canvas<'a>,
     transmittance: Canvas<'a>,
+    last: Canvas<'a, u32>,
 }

@@ -21,12 +21,25 @@ pub fn colors(
     projected: &Projected,
     degree: u8,
 ) -> Vec<[f32; 3]> {
+    let mut out = Vec::new();
+    colors_into(gaussians, view, projected, degree, &mut out);
+    out
+}
+
+/// [`colors`] into memory that is used again.
+pub(crate) fn colors_into(
+    gaussians: &Gaussians,
+    view: &View,
+    projected: &Projected,
+    degree: u8,
+    out: &mut Vec<[f32; 3]>,
+) {
     let degree = degree.min(gaussians.sh_degree);
     match degree {
-        0 => at_degree::<1>(gaussians, view, projected),
-        1 => at_degree::<4>(gaussians, view, projected),
-        2 => at_degree::<9>(gaussians, view, projected),
-        _ => at_degree::<16>(gaussians, view, projected),
+        0 => at_degree::<1>(gaussians, view, projected, out),
+        1 => at_degree::<4>(gaussians, view, projected, out),
+        2 => at_degree::<9>(gaussians, view, projected, out),
+        _ => at_degree::<16>(gaussians, view, projected, out),
     }
 }
 
@@ -35,7 +48,8 @@ fn at_degree<const K: usize>(
     gaussians: &Gaussians,
     view: &View,
     projected: &Projected,
-) -> Vec<[f32; 3]> {
+    out: &mut Vec<[f32; 3]>,
+) {
     let centre = view.centre();
     let stride = 3 * gaussians.sh_len();
     let color = |&index: &u32| {
@@ -52,7 +66,7 @@ fn at_degree<const K: usize>(
         // Not `max`, which would turn NaN and −∞ into 0 and hide them.
         sum.map(|v| if v < 0.0 && v.is_finite() { 0.0 } else { v })
     };
-    projected.index.par_iter().with_min_len(CHUNK).map(color).collect()
+    projected.index.par_iter().with_min_len(CHUNK).map(color).collect_into_vec(out);
 }
 
 /// The first `K` real spherical harmonics of a direction, any length; 0 beyond the first for a

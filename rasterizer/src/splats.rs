@@ -19,7 +19,7 @@ const ROOM: usize = 64;
 /// The exponent of α is a sum of two squares, `½ a (dx + b/a dy)² + ½ dy²/Σᵧᵧ`, which is the conic's
 /// form without its cancellation: a needle has `a dx²` and `c dy²` far larger than their sum with
 /// `2 b dx dy`.
-#[derive(Clone, Copy)]
+#[derive(Debug, Clone, Copy)]
 #[repr(C, align(32))]
 pub(crate) struct Splat<const C: usize> {
     /// Centre. px, first of the picture, then from the centre of a tile's first pixel
@@ -45,6 +45,17 @@ impl<const C: usize> Splat<C> {
         projected: &Projected,
         values: impl Fn(usize) -> [f32; C] + Sync,
     ) -> Vec<Self> {
+        let mut out = Vec::new();
+        Self::put_all(projected, values, &mut out);
+        out
+    }
+
+    /// [`all`](Self::all) into memory that is used again.
+    pub(crate) fn put_all(
+        projected: &Projected,
+        values: impl Fn(usize) -> [f32; C] + Sync,
+        out: &mut Vec<Self>,
+    ) {
         let one = |row: usize| {
             let [a, b, _] = projected.conic[row];
             let variance = projected.variance[row][1];
@@ -62,7 +73,7 @@ impl<const C: usize> Splat<C> {
                 values: values(row),
             }
         };
-        (0..projected.len()).into_par_iter().with_min_len(4096).map(one).collect()
+        (0..projected.len()).into_par_iter().with_min_len(4096).map(one).collect_into_vec(out);
     }
 
     /// With the centre as seen from a tile.

@@ -1,6 +1,6 @@
 //! Which Gaussians each tile of 16×16 pixels draws, front to back.
 
-use crate::depth_order::{Shared, depth_order};
+use crate::depth_order::{OrderMemory, Shared, depth_order};
 use crate::splats::prefetch;
 use crate::{ExtentRule, Projected, RasterSettings, TILE, View};
 use rayon::prelude::*;
@@ -56,50 +56,68 @@ impl TileLists {
 /// If the picture is larger than [`View::check`] allows, or `projected` is not what
 /// [`project`](crate::project) made (its arrays differ in length).
 pub fn tile_lists(projected: &Projected, view: &View, settings: &RasterSettings) -> TileLists {
+    let mut out = TileLists::default();
+    tile_lists_into(projected, view, settings, &mut TileMemory::default(), &mut out);
+    out
+}
+
+/// Memory of [`tile_lists_into`].
+#[derive(Debug, Default)]
+pub(crate) struct TileMemory {
+    order: OrderMemory,
+    hits: Vec<Hits>,
+}
+
+/// [`tile_lists`] with memory that is used again.
+pub(crate) fn tile_lists_into(
+    projected: &Projected,
+    view: &View,
+    settings: &RasterSettings,
+    memory: &mut TileMemory,
+    out: &mut TileLists,
+) {
     let (columns, rows) = view.tiles();
     // Places in the lists are counted by tile and then written through a pointer: a number that did
     // not fit would count for one tile and write for another.
     let tiles = columns.checked_mul(rows);
     assert!(tiles.is_some_and(|tiles| tiles <= MAX_TILES), "a picture of {columns} × {rows} tiles");
-    let order = depth_order(&projected.depth);
+    let order = depth_order(&projected.depth, &mut memory.order);
     let chunk = order.len().div_ceil(MAX_CHUNKS).max(MIN_CHUNK);
     let isa = settings.isa();
-    let hits: Vec<Hits> = order
-        .par_chunks(chunk)
-        .map(|order| {
-            compiled_for(
-                isa,
-                #[inline(always)]
-                |_| hits(projected, order, view, settings.extent),
-            )
-        })
-        .collect();
-    let mut starts: Vec<Vec<u32>> = Vec::with_capacity(hits.len());
-    let mut lists = Vec::with_capacity(hits.len());
-    for hits in hits {
-        starts.push(hits.counts);
-        lists.push(hits.list);
+    let tasks = order.len().div_ceil(chunk);
+    if memory.hits.len() < tasks {
+        memory.hits.resize_with(tasks, Hits::default);
     }
-    let mut offsets = Vec::with_capacity(columns * rows + 1);
+    let parts = &mut memory.hits[..tasks];
+    order.par_chunks(chunk).zip(&mut *parts).for_each(|(order, part)| {
+        compiled_for(
+            isa,
+            #[inline(always)]
+            |_| hits(projected, order, view, settings.extent, part),
+        );
+    });
+    (out.columns, out.rows) = (columns, rows);
+    out.offsets.clear();
     let mut total = 0;
     for tile in 0..columns * rows {
-        offsets.push(total);
+        out.offsets.push(total);
         let mut inside = 0;
-        for counts in &mut starts {
-            inside += std::mem::replace(&mut counts[tile], inside);
+        for part in &mut *parts {
+            inside += std::mem::replace(&mut part.counts[tile], inside);
         }
         total += inside as usize;
     }
-    offsets.push(total);
-    let mut out =
-        TileLists { columns, rows, offsets, entries: vec![0; total], reach: vec![0; total] };
+    out.offsets.push(total);
+    out.entries.resize(total, 0);
+    out.reach.resize(total, 0);
+    let offsets = &out.offsets;
     let entries = Shared(out.entries.as_mut_ptr());
     let reach = Shared(out.reach.as_mut_ptr());
-    lists.par_iter().zip(&mut starts).for_each(|(list, starts)| {
+    parts.par_iter_mut().for_each(|Hits { list, counts: starts }| {
         let (entries, reach) = (&entries, &reach);
         for hit in list {
             let tile = (hit.place >> 8) as usize;
-            let at = out.offsets[tile] + starts[tile] as usize;
+            let at = offsets[tile] + starts[tile] as usize;
             starts[tile] += 1;
             // SAFETY: places are below the total, since the counts made the offsets, and no two
             // hits have the same.
@@ -109,10 +127,10 @@ pub fn tile_lists(projected: &Projected, view: &View, settings: &RasterSettings)
             }
         }
     });
-    out
 }
 
 /// A Gaussian in a tile.
+#[derive(Debug)]
 struct Hit {
     row: u32,
     /// Tile, below [`MAX_TILES`], above the lowest 8 bits; reach in them.
@@ -120,16 +138,19 @@ struct Hit {
 }
 
 /// Hits of some Gaussians, in their order, and how many each tile has.
+#[derive(Debug, Default)]
 struct Hits {
     list: Vec<Hit>,
     counts: Vec<u32>,
 }
 
 #[inline(always)]
-fn hits(projected: &Projected, order: &[u32], view: &View, rule: ExtentRule) -> Hits {
+fn hits(projected: &Projected, order: &[u32], view: &View, rule: ExtentRule, out: &mut Hits) {
     let (columns, rows) = view.tiles();
-    let mut out =
-        Hits { list: Vec::with_capacity(4 * order.len()), counts: vec![0; columns * rows] };
+    out.list.clear();
+    out.list.reserve(4 * order.len());
+    out.counts.clear();
+    out.counts.resize(columns * rows, 0);
     for (at, &row) in order.iter().enumerate() {
         if let Some(&ahead) = order.get(at + AHEAD) {
             let ahead = ahead as usize;
@@ -144,7 +165,6 @@ fn hits(projected: &Projected, order: &[u32], view: &View, rule: ExtentRule) -> 
             out.counts[tile] += 1;
         });
     }
-    out
 }
 
 /// Calls `found(tile, reach)` for each tile that the Gaussian can reach.

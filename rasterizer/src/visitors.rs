@@ -174,37 +174,60 @@ impl<const MEDIAN: bool> TileVisitor for Depth<'_, MEDIAN> {
     }
 
     fn finish(mut self, _: &[f32; PIXELS], _: &[u32; PIXELS]) {
-        for r in 0..self.target.rect().height as usize {
-            let out = self.target.row(r);
-            out.copy_from_slice(&self.values.0[r * TILE..r * TILE + out.len()]);
-        }
+        put(&mut self.target, &self.values.0);
     }
 }
 
-/// Writes the transmittance, and gives back the last list positions if asked to.
-pub(crate) struct Transmittance<'a, const LAST: bool> {
+/// Writes the transmittance.
+pub(crate) struct Transmittance<'a> {
     target: CanvasTile<'a>,
 }
 
-impl<'a, const LAST: bool> Transmittance<'a, LAST> {
+impl<'a> Transmittance<'a> {
     pub(crate) fn new(target: CanvasTile<'a>) -> Self {
         Self { target }
     }
 }
 
-impl<const LAST: bool> TileVisitor for Transmittance<'_, LAST> {
-    type Output = Vec<u32>;
-    const LAST: bool = LAST;
+impl TileVisitor for Transmittance<'_> {
+    type Output = ();
 
     #[inline(always)]
     fn span(&mut self, _: u32, _: u32, _: Span<'_>) {}
 
-    fn finish(mut self, transmittance: &[f32; PIXELS], last: &[u32; PIXELS]) -> Vec<u32> {
-        for r in 0..self.target.rect().height as usize {
-            let out = self.target.row(r);
-            out.copy_from_slice(&transmittance[r * TILE..r * TILE + out.len()]);
-        }
-        if LAST { last.to_vec() } else { Vec::new() }
+    fn finish(mut self, transmittance: &[f32; PIXELS], _: &[u32; PIXELS]) {
+        put(&mut self.target, transmittance);
+    }
+}
+
+/// Writes the last list positions.
+pub(crate) struct Last<'a> {
+    target: CanvasTile<'a, u32>,
+}
+
+impl<'a> Last<'a> {
+    pub(crate) fn new(target: CanvasTile<'a, u32>) -> Self {
+        Self { target }
+    }
+}
+
+impl TileVisitor for Last<'_> {
+    type Output = ();
+    const LAST: bool = true;
+
+    #[inline(always)]
+    fn span(&mut self, _: u32, _: u32, _: Span<'_>) {}
+
+    fn finish(mut self, _: &[f32; PIXELS], last: &[u32; PIXELS]) {
+        put(&mut self.target, last);
+    }
+}
+
+/// Copies the pixels of a tile that are in the picture.
+fn put<T: Copy>(to: &mut CanvasTile<'_, T>, values: &[T; PIXELS]) {
+    for r in 0..to.rect().height as usize {
+        let out = to.row(r);
+        out.copy_from_slice(&values[r * TILE..r * TILE + out.len()]);
     }
 }
 

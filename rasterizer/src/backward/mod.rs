@@ -19,10 +19,12 @@ mod reduce;
 mod rows;
 mod trace;
 mod upstream;
+mod workspace;
 
 pub use gradients::{GradMask, Gradients};
 pub use trace::{Trace, TraceRequest, trace};
 pub use upstream::{BackwardError, FeatureGradient, Upstream};
+pub use workspace::Workspace;
 
 use crate::{Gaussians, RasterSettings, View};
 
@@ -49,8 +51,8 @@ pub fn backward(
     Ok(out)
 }
 
-/// [`backward`], added to what `out` holds: for the sum over several views, and to use memory
-/// again.
+/// [`backward`], added to what `out` holds: for the sum over several views. [`Workspace::backward`] uses
+/// its own memory again, too.
 ///
 /// # Errors
 /// As [`backward`]; and if `out` is of other sizes. `out` is then as it was.
@@ -63,13 +65,5 @@ pub fn backward_into(
     mask: GradMask,
     out: &mut Gradients,
 ) -> Result<(), BackwardError> {
-    trace.check(gaussians, view)?;
-    upstream.check(trace, gaussians)?;
-    out.check(gaussians, upstream.feature_dim())?;
-    let pass = rows::Pass { gaussians, view, settings, trace, upstream, mask };
-    let pairs = pass.pairs()?;
-    let mut rows = pass.pixels(&pairs);
-    pass.features(&pairs, &mut rows, &mut out.features);
-    pass.parameters(&rows, out);
-    Ok(())
+    Workspace::new().backward(gaussians, view, settings, trace, upstream, mask, out)
 }

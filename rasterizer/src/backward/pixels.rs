@@ -43,8 +43,8 @@ pub(crate) struct Pixels<const C: usize> {
     pub last: [f32; PIXELS],
 }
 
-/// Walks over a tile. `out` has a record per entry, zeros at the start: the six sums (if `K` has
-/// room for them), then the gradient of each channel.
+/// Walks over a tile. Writes a record per entry: the six sums (if `K` has room for them), then the
+/// gradient of each channel.
 pub(crate) fn walk<const C: usize, const K: usize>(
     tile: &Tile<'_, C>,
     pixels: &mut Pixels<C>,
@@ -93,8 +93,11 @@ unsafe fn walk_with<V: Lanes8, const C: usize, const K: usize>(
     out: &mut [[f32; K]],
 ) {
     let (row_last, end) = row_last(&pixels.last);
+    let end = end.min(out.len());
+    // Behind the last Gaussian of every pixel.
+    out[end..].fill([0.0; K]);
     let mut groups = Groups::new();
-    for entry in (0..end.min(out.len())).rev() {
+    for entry in (0..end).rev() {
         if entry >= AHEAD {
             prefetch(&tile.splats[tile.entries[entry - AHEAD] as usize]);
         }
@@ -117,6 +120,8 @@ unsafe fn walk_with<V: Lanes8, const C: usize, const K: usize>(
         if any {
             // SAFETY: as above.
             unsafe { sums.store(&mut out[entry]) };
+        } else {
+            out[entry] = [0.0; K];
         }
     }
 }

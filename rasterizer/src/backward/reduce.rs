@@ -7,34 +7,40 @@ use rayon::prelude::*;
 pub(crate) const CHUNK: usize = 2048;
 
 /// For each visible Gaussian where its records are, in the order of the tiles.
+#[derive(Debug, Default)]
 pub(crate) struct PairsOfRow {
     /// One more than rows.
     offsets: Vec<u32>,
     pairs: Vec<u32>,
+    /// Places that are next, while it is filled.
+    next: Vec<u32>,
 }
 
 impl PairsOfRow {
-    pub(crate) fn new(lists: &TileLists, rows: usize) -> Result<Self, RasterError> {
+    /// Finds the records of `rows` Gaussians.
+    pub(crate) fn fill(&mut self, lists: &TileLists, rows: usize) -> Result<(), RasterError> {
         let limit = u32::MAX as usize - 1;
         let count = lists.entries.len();
         if count > limit {
             return Err(RasterError::TooMany { what: "Gaussians in lists of tiles", count, limit });
         }
-        let mut offsets = vec![0u32; rows + 1];
+        let Self { offsets, pairs, next } = self;
+        offsets.clear();
+        offsets.resize(rows + 1, 0);
         for &row in &lists.entries {
             offsets[row as usize + 1] += 1;
         }
         for row in 0..rows {
             offsets[row + 1] += offsets[row];
         }
-        let mut next = offsets.clone();
-        let mut pairs = vec![0u32; count];
+        next.clone_from(offsets);
+        pairs.resize(count, 0);
         for (pair, &row) in lists.entries.iter().enumerate() {
             let at = &mut next[row as usize];
             pairs[*at as usize] = pair as u32;
             *at += 1;
         }
-        Ok(Self { offsets, pairs })
+        Ok(())
     }
 
     /// Records of a row.
@@ -116,8 +122,12 @@ mod tests {
             entries: vec![2, 0, 2, 0, 1, 2],
             reach: vec![0; 6],
         };
-        let pairs = PairsOfRow::new(&lists, 4).ok();
-        let pairs = pairs.as_ref().map(|p| [0, 1, 2, 3].map(|row| p.of(row).to_vec()));
-        assert_eq!(pairs, Some([vec![1, 3], vec![4], vec![0, 2, 5], vec![]]));
+        let mut pairs = PairsOfRow::default();
+        // The second time with what the first has left.
+        for _ in 0..2 {
+            assert!(pairs.fill(&lists, 4).is_ok());
+            let found = [0, 1, 2, 3].map(|row| pairs.of(row).to_vec());
+            assert_eq!(found, [vec![1, 3], vec![4], vec![0, 2, 5], vec![]]);
+        }
     }
 }

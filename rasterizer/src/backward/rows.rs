@@ -3,7 +3,8 @@
 use super::pixels::{MOMENTS, PIXELS, Pixels, Tile, walk};
 use super::projection::{self, Lens, RowGradient, Shape};
 use super::reduce::{CHUNK, PairsOfRow, cut};
-use super::{BackwardError, GradMask, Gradients, Trace, Upstream, harmonics};
+use super::workspace::PixelMemory;
+use super::{GradMask, Gradients, Trace, Upstream, harmonics};
 use crate::blend::TILES_PER_TASK;
 use crate::projection::tangent_limits;
 use crate::splats::Splat;
@@ -32,33 +33,41 @@ pub(crate) struct Sums {
 
 impl<'a> Pass<'a> {
     /// Walks over all tiles. One row per visible Gaussian.
-    pub(crate) fn pixels(&self, pairs: &PairsOfRow) -> Vec<Sums> {
+    pub(crate) fn pixels(
+        &self,
+        pairs: &PairsOfRow,
+        memory: &mut PixelMemory,
+        rows: &mut Vec<Sums>,
+    ) {
         let colors = &self.trace.colors;
         let depths = &self.trace.projected.depth;
         let geometry = self.mask.geometry();
-        let mut rows = vec![Sums::default(); self.trace.projected.len()];
+        rows.clear();
+        rows.resize(self.trace.projected.len(), Sums::default());
+        let PixelMemory { none, depth, color, both, records } = memory;
         let alpha = self.upstream.alpha.is_some();
         match (geometry, self.upstream.rgb.is_some(), self.upstream.depth()) {
             (true, true, true) => {
-                let both = |row: usize| {
+                let values = |row: usize| {
                     let [r, g, b] = colors[row];
                     [r, g, b, depths[row]]
                 };
-                self.walk::<4, 10>(both, pairs, &mut rows);
+                self.walk::<4, 10>(values, pairs, (both, records), rows);
             }
-            (true, true, false) => self.walk::<3, 9>(|row| colors[row], pairs, &mut rows),
+            (true, true, false) => {
+                self.walk::<3, 9>(|row| colors[row], pairs, (color, records), rows);
+            }
             (true, false, true) => {
-                self.walk::<1, 7>(|row| [depths[row]], pairs, &mut rows);
+                self.walk::<1, 7>(|row| [depths[row]], pairs, (depth, records), rows);
             }
             (true, false, false) if alpha => {
-                self.walk::<0, 6>(|_| [], pairs, &mut rows);
+                self.walk::<0, 6>(|_| [], pairs, (none, records), rows);
             }
             (false, true, _) if self.mask.sh => {
-                self.walk::<3, 3>(|row| colors[row], pairs, &mut rows);
+                self.walk::<3, 3>(|row| colors[row], pairs, (color, records), rows);
             }
             _ => {}
         }
-        rows
     }
 
     /// One instantiation: `C` channels, `K` sums per Gaussian.
@@ -66,24 +75,39 @@ impl<'a> Pass<'a> {
         &self,
         values: impl Fn(usize) -> [f32; C] + Sync,
         pairs: &PairsOfRow,
+        (splats, records): (&mut Vec<Splat<C>>, &mut Vec<f32>),
         rows: &mut [Sums],
     ) {
         let lists = &self.trace.lists;
-        let splats = Splat::all(&self.trace.projected, values);
-        let mut records = vec![[0.0f32; K]; lists.entries.len()];
-        let tiles = self.tiles(&mut records);
-        tiles.into_par_iter().with_max_len(TILES_PER_TASK).for_each(|(rect, out)| {
-            let (begin, end) = (lists.offsets[rect.tile], lists.offsets[rect.tile + 1]);
-            let tile = Tile {
-                rect,
-                entries: &lists.entries[begin..end],
-                reach: &lists.reach[begin..end],
-                splats: &splats,
-                settings: self.settings,
-            };
-            walk(&tile, &mut self.start(rect), out);
+        Splat::put_all(&self.trace.projected, values, splats);
+        let splats = &splats[..];
+        // The walk writes every record.
+        records.resize(K * lists.entries.len(), 0.0);
+        let (records, _) = records.as_chunks_mut::<K>();
+        let mut tasks = Vec::with_capacity(lists.len().div_ceil(TILES_PER_TASK));
+        let mut rest = &mut *records;
+        for first in (0..lists.len()).step_by(TILES_PER_TASK) {
+            let end = (first + TILES_PER_TASK).min(lists.len());
+            let len = lists.offsets[end] - lists.offsets[first];
+            let (part, tail) = std::mem::take(&mut rest).split_at_mut(len);
+            tasks.push((first..end, part));
+            rest = tail;
+        }
+        tasks.into_par_iter().with_max_len(1).for_each(|(tiles, mut rest)| {
+            for tile in tiles {
+                let (begin, end) = (lists.offsets[tile], lists.offsets[tile + 1]);
+                let (out, tail) = std::mem::take(&mut rest).split_at_mut(end - begin);
+                rest = tail;
+                if out.is_empty() {
+                    continue;
+                }
+                let rect = self.rect(tile);
+                let (entries, reach) = (&lists.entries[begin..end], &lists.reach[begin..end]);
+                let tile = Tile { rect, entries, reach, splats, settings: self.settings };
+                walk(&tile, &mut self.start(rect), out);
+            }
         });
-        pairs.each(&records, rows, |_, sum, row| {
+        pairs.each(records, rows, |_, sum, row| {
             let first = K - C;
             row.moments[..first].copy_from_slice(&sum[..first]);
             if C >= 3 {
@@ -95,9 +119,18 @@ impl<'a> Pass<'a> {
         });
     }
 
+    /// Where a tile is.
+    fn rect(&self, tile: usize) -> TileRect {
+        let (columns, side) = (self.trace.lists.columns, TILE as u32);
+        let (x0, y0) = ((tile % columns) as u32 * side, (tile / columns) as u32 * side);
+        let width = (self.view.width - x0).min(side);
+        let height = (self.view.height - y0).min(side);
+        TileRect { tile, x0, y0, width, height }
+    }
+
     /// Tiles that have a list, each with its part of the records.
     pub(crate) fn tiles<'r, T>(&self, records: &'r mut [T]) -> Vec<(TileRect, &'r mut [T])> {
-        let (lists, side) = (&self.trace.lists, TILE as u32);
+        let lists = &self.trace.lists;
         let mut rest = records;
         let mut tiles = Vec::with_capacity(lists.len());
         for tile in 0..lists.len() {
@@ -105,11 +138,7 @@ impl<'a> Pass<'a> {
             let (part, tail) = std::mem::take(&mut rest).split_at_mut(len);
             rest = tail;
             if len > 0 {
-                let x0 = (tile % lists.columns) as u32 * side;
-                let y0 = (tile / lists.columns) as u32 * side;
-                let width = (self.view.width - x0).min(side);
-                let height = (self.view.height - y0).min(side);
-                tiles.push((TileRect { tile, x0, y0, width, height }, part));
+                tiles.push((self.rect(tile), part));
             }
         }
         tiles
@@ -162,8 +191,8 @@ impl<'a> Pass<'a> {
     /// List position + 1 of the last Gaussian of each pixel of a tile.
     pub(crate) fn last(&self, rect: TileRect) -> [f32; PIXELS] {
         let mut last = [0.0; PIXELS];
-        for (to, from) in last.iter_mut().zip(&self.trace.last[rect.tile]) {
-            *to = *from as f32;
+        for (to, from) in self.places(rect) {
+            last[to] = self.trace.last[from] as f32;
         }
         last
     }
@@ -269,11 +298,6 @@ impl<'a> Pass<'a> {
             *to.3 += found.opacity;
         }
         gradient.mean2d
-    }
-
-    /// Where the records of each visible Gaussian are.
-    pub(crate) fn pairs(&self) -> Result<PairsOfRow, BackwardError> {
-        Ok(PairsOfRow::new(&self.trace.lists, self.trace.projected.len())?)
     }
 }
 

@@ -1,12 +1,14 @@
 //! A forward pass that remembers what the backward pass needs.
 
-use super::BackwardError;
+use super::{BackwardError, Workspace};
+use crate::blend::blend_in;
 use crate::canvas::Canvas;
 use crate::gaussians::expect;
-use crate::visitors::{Color, Depth, Nothing, Transmittance};
+use crate::splats::Splat;
+use crate::visitors::{Color, Depth, Last, Nothing, Transmittance};
 use crate::{
     Gaussians, Projected, RasterError, RasterSettings, Rendered, TileLists, TileRect, TileVisitor,
-    View, blend, project, tile_lists,
+    View,
 };
 
 /// Which pictures to trace; the transmittance always is one.
@@ -32,8 +34,8 @@ impl TraceRequest {
     }
 }
 
-/// A picture, and how it came about.
-#[derive(Debug, Clone)]
+/// A picture, and how it came about. Empty by default, for [`Workspace::trace`] to fill.
+#[derive(Debug, Clone, Default)]
 pub struct Trace {
     /// The pictures that were asked for.
     pub picture: Rendered,
@@ -47,8 +49,8 @@ pub struct Trace {
     pub sh_degree: u8,
     /// Gaussians in the scene.
     pub(crate) gaussians: usize,
-    /// Per tile, 16 × 16: list position + 1 of the last Gaussian the pixel took.
-    pub(crate) last: Vec<Vec<u32>>,
+    /// List position + 1 of the last Gaussian the pixel took. `[H, W]`
+    pub(crate) last: Vec<u32>,
 }
 
 impl Trace {
@@ -57,6 +59,7 @@ impl Trace {
         gaussians.check()?;
         expect("Gaussians of the trace", gaussians.len(), self.gaussians)?;
         expect("pixels of the trace", view.pixels(), self.picture.transmittance.len())?;
+        expect("last Gaussians of the trace", view.pixels(), self.last.len())?;
         expect("width of the trace", view.width as usize, self.picture.width as usize)?;
         // Positions in a list are compared as f32.
         let (what, limit) = ("Gaussians in the list of one tile", 1 << 24);
@@ -78,77 +81,85 @@ pub fn trace(
     settings: &RasterSettings,
     request: TraceRequest,
 ) -> Result<Trace, RasterError> {
-    if let Some(degree) = request.sh_degree.filter(|&d| d > 3) {
-        return Err(RasterError::Degree { degree });
-    }
-    let mut projected = project(gaussians, view, settings)?;
-    let sh_degree = request.sh_degree.unwrap_or(3).min(gaussians.sh_degree);
-    let mut colors = Vec::new();
-    if request.rgb {
-        colors = crate::colors(gaussians, view, &projected, sh_degree);
-        projected.drop_bad_colors(&mut colors);
-    }
-    let lists = tile_lists(&projected, view, settings);
-    let plane =
-        |on: bool, channels: usize| vec![0.0; if on { view.pixels() * channels } else { 0 }];
-    let (mut rgb, mut sums, mut light) =
-        (plane(request.rgb, 3), plane(request.depth, 1), plane(true, 1));
-    let (rgb_canvas, sums_canvas, light_canvas) = (
-        Canvas::new(&mut rgb, view.width, 3),
-        Canvas::new(&mut sums, view.width, 1),
-        Canvas::new(&mut light, view.width, 1),
-    );
-    let draw = Draw { projected: &projected, lists: &lists, view, settings, light: light_canvas };
-    let background = settings.background;
-    // SAFETY: `blend` makes one visitor per tile, here and below.
-    let rgb_tile = |rect| unsafe { rgb_canvas.tile(rect) };
-    let color = |rect| Color::new(&colors, background, rgb_tile(rect));
-    // SAFETY: as above.
-    let sums_tile = |rect| unsafe { sums_canvas.tile(rect) };
-    let depth = |rect| Depth::<false>::new(&projected.depth, sums_tile(rect), settings.isa());
-    let last = match (request.rgb, request.depth) {
-        (true, true) => draw.with(|rect| (color(rect), depth(rect))),
-        (true, false) => draw.with(color),
-        (false, true) => draw.with(depth),
-        (false, false) => draw.with(|_| Nothing),
-    };
-    let expected = request.depth.then(|| {
-        let pairs = sums.iter().zip(&light);
-        pairs.map(|(sum, t)| sum / (1.0 - t).max(1e-10)).collect()
-    });
-    let picture = Rendered {
-        width: view.width,
-        height: view.height,
-        rgb: request.rgb.then_some(rgb),
-        transmittance: light,
-        depth_accumulated: request.depth.then_some(sums),
-        depth_expected: expected,
-        culled: projected.culled,
-        ..Rendered::default()
-    };
-    Ok(Trace { picture, projected, lists, colors, sh_degree, gaussians: gaussians.len(), last })
+    let mut out = Trace::default();
+    Workspace::new().trace(gaussians, view, settings, request, &mut out)?;
+    Ok(out)
 }
 
-/// What the pixel loop reads, and where the transmittance goes.
+/// Draws what a trace has projected and listed, and remembers it.
+pub(crate) fn draw(
+    trace: &mut Trace,
+    view: &View,
+    settings: &RasterSettings,
+    request: TraceRequest,
+    splats: &mut Vec<Splat<0>>,
+) {
+    let Trace { picture, projected, lists, colors, last, .. } = trace;
+    let pixels = view.pixels();
+    (picture.width, picture.height, picture.culled) = (view.width, view.height, projected.culled);
+    // Every pixel is written below.
+    picture.transmittance.resize(pixels, 0.0);
+    last.resize(pixels, 0);
+    plane(&mut picture.rgb, request.rgb.then_some(3 * pixels));
+    plane(&mut picture.depth_accumulated, request.depth.then_some(pixels));
+    plane(&mut picture.depth_expected, request.depth.then_some(pixels));
+    let (rgb, sums) = (&mut picture.rgb, &mut picture.depth_accumulated);
+    let (rgb, sums) = (rgb.as_deref_mut().unwrap_or(&mut []), sums.as_deref_mut());
+    let rgb = Canvas::new(rgb, view.width, 3);
+    let sums = Canvas::new(sums.unwrap_or(&mut []), view.width, 1);
+    let light = Canvas::new(&mut picture.transmittance, view.width, 1);
+    let last = Canvas::new(last, view.width, 1);
+    let draw = Draw { projected, lists, view, settings, light, last };
+    let background = settings.background;
+    // SAFETY: `blend_in` makes one visitor per tile, here and below.
+    let color = |rect| Color::new(colors, background, unsafe { rgb.tile(rect) });
+    let depth =
+        // SAFETY: as above.
+        |rect| Depth::<false>::new(&projected.depth, unsafe { sums.tile(rect) }, settings.isa());
+    match (request.rgb, request.depth) {
+        (true, true) => draw.with(splats, |rect| (color(rect), depth(rect))),
+        (true, false) => draw.with(splats, color),
+        (false, true) => draw.with(splats, depth),
+        (false, false) => draw.with(splats, |_| Nothing),
+    }
+    let (sums, light) = (picture.depth_accumulated.as_deref(), &picture.transmittance);
+    if let (Some(expected), Some(sums)) = (&mut picture.depth_expected, sums) {
+        for ((to, sum), t) in expected.iter_mut().zip(sums).zip(light) {
+            *to = sum / (1.0 - t).max(1e-10);
+        }
+    }
+}
+
+/// Gives a picture a size, or takes it away; values are left over.
+fn plane(values: &mut Option<Vec<f32>>, len: Option<usize>) {
+    match len {
+        Some(len) => values.get_or_insert_default().resize(len, 0.0),
+        None => *values = None,
+    }
+}
+
+/// What the pixel loop reads, and where transmittance and last positions go.
 struct Draw<'a> {
     projected: &'a Projected,
     lists: &'a TileLists,
     view: &'a View,
     settings: &'a RasterSettings,
     light: Canvas<'a>,
+    last: Canvas<'a, u32>,
 }
 
 impl Draw<'_> {
-    /// Draws with a visitor, and gives back `last` of every tile.
-    fn with<V: TileVisitor<Output: Send>>(
+    /// Draws with a visitor that leaves nothing but pixels.
+    fn with<V: TileVisitor>(
         &self,
+        splats: &mut Vec<Splat<0>>,
         visitor: impl Fn(TileRect) -> V + Sync,
-    ) -> Vec<Vec<u32>> {
+    ) {
         let make = |rect| {
-            // SAFETY: `blend` makes one visitor per tile.
-            (visitor(rect), Transmittance::<true>::new(unsafe { self.light.tile(rect) }))
+            // SAFETY: `blend_in` makes one visitor per tile.
+            let (light, last) = unsafe { (self.light.tile(rect), self.last.tile(rect)) };
+            (visitor(rect), (Transmittance::new(light), Last::new(last)))
         };
-        let outputs = blend(self.projected, self.lists, self.view, self.settings, make);
-        outputs.into_iter().map(|(_, last)| last).collect()
+        blend_in(self.projected, self.lists, self.view, self.settings, splats, make);
     }
 }

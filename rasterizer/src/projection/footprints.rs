@@ -43,8 +43,8 @@ pub(super) fn project_rows(
     lens: &Lens<'_>,
     gaussians: &Gaussians,
     rows: Range<usize>,
-) -> Projected {
-    let mut out = Projected::with_capacity(rows.len());
+    out: &mut Projected,
+) {
     let mut block = Block::default();
     for first in rows.clone().step_by(SIDE) {
         let count = SIDE.min(rows.end - first);
@@ -62,7 +62,7 @@ pub(super) fn project_rows(
         for k in 0..count {
             let culled = &mut out.culled;
             match block.fate[k] {
-                fate::DRAWN => block.push((first + k) as u32, k, &mut out),
+                fate::DRAWN => block.push((first + k) as u32, k, out),
                 fate::NOT_FINITE => culled.not_finite += 1,
                 fate::DEPTH => culled.depth += 1,
                 fate::ZERO_QUAT => culled.zero_quat += 1,
@@ -72,7 +72,6 @@ pub(super) fn project_rows(
             }
         }
     }
-    out
 }
 
 /// Sixteen Gaussians and what is found out about them, value by value.

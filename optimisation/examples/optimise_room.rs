@@ -1,26 +1,38 @@
 //! Pictures of a synthetic room with true depth, a scene made of them, and what it is worth.
 //!
 //! ```sh
-//! cargo run --release -p scenesplat-optimisation --example synthetic_room -- OUT \
-//!     [size=320x240] [steps=2000] [seed=1] [frames=120] [gaussians=150000] [initial=60000] [cap=100000] \
-//!     [depth=1] [scale=0.02] [opacity=0] [threads=0] [until=0] [scene=FILE [cameras=FILE]]
+//! cargo run --release -p scenesplat-optimisation --example optimise_room -- OUT \
+//!     [room=closed] [size=320x240] [steps=2000] [seed=1] [frames=120] [gaussians=1500000] [initial=60000] \
+//!     [cap=100000] [preset=scenesplat] [depth=1] [scale=0.02] [opacity=0] [half=0] [threads=0] [until=0] \
+//!     [scene=FILE [cameras=FILE]]
 //! ```
 //!
-//! Writes `room.ply`, `cameras.json`, `images/`, `depth/`, `result.ply`, pictures of truth, result and error, and
-//! prints a line of JSON with the figures. `until` stops after that many steps and goes on from the checkpoint.
-//! With `scene` a scene of a file is drawn instead of a room, from its own cameras or from all around.
+//! Writes `room.ply`, `cameras.json`, `images/`, `depth/`, `initial.ply`, `result.ply`, pictures of truth, result and error, and
+//! prints a line of JSON with the figures. With `labels=1` also what `evaluate` and `lift-labels` read: `truth/` and
+//! `made/` (both with the labels of the room, of the result those of the nearest point within 5 cm), `classes.txt`,
+//! and `segments/` with maps of the classes and their vectors in the words of the rooms. `until` stops after that many steps and goes on from the checkpoint.
+//!
+//! A room is `closed` (points of its surfaces, so close that light passes nowhere: depth is that of the surface)
+//! or `captured` (what training left of one: gaps, floaters). With `scene` a scene of a file is drawn instead,
+//! from its own cameras or from all around.
 
 use rayon::prelude::*;
+use scenesplat_kernels::neighbors::KdTree;
 use scenesplat_optimisation::cost::set_cap;
-use scenesplat_optimisation::initial::from_points;
+use scenesplat_optimisation::depth_loss::DepthOutliers;
+use scenesplat_optimisation::initial::{from_points, neighbour_log_scales};
 use scenesplat_optimisation::{
-    Colors, DepthTerm, MeanScore, Model, OptimiseError, OptimiseSettings, Optimiser, TrainingFrame,
-    fused_points, score_frame,
+    Colors, DepthKind, DepthTerm, MeanScore, Model, OptimiseError, OptimiseSettings, Optimiser,
+    TrainingFrame, fused_points, lifted, score_frame,
 };
 use scenesplat_rasterizer::{DepthRequest, Gaussians, RasterSettings, RenderRequest, View, render};
-use scenesplat_rooms::{SyntheticRoom, SyntheticRoomSettings, generate};
+use scenesplat_rooms::{
+    CLASSES, ClassId, SyntheticRoom, SyntheticRoomSettings, Vocabulary, generate,
+};
 use scenesplat_scene::formats::cameras::write_cameras_json;
 use scenesplat_scene::formats::inria_ply::write_inria_ply;
+use scenesplat_scene::formats::npy_folder::write_npy_folder;
+use scenesplat_scene::formats::npy_writer::write_npy;
 use scenesplat_scene::picture::{Channels, Picture, RgbPicture, Samples};
 use scenesplat_scene::{
     Camera, Distortion, GaussianScene, ReadOptions, open_cameras, open_scene, robust_bounds,
@@ -31,6 +43,28 @@ use std::time::Instant;
 
 type Failed = Box<dyn std::error::Error + Send + Sync>;
 
+/// Names of the words.
+const WORDS: [&str; 18] = [
+    "room",
+    "size",
+    "steps",
+    "seed",
+    "frames",
+    "gaussians",
+    "initial",
+    "cap",
+    "preset",
+    "depth",
+    "scale",
+    "opacity",
+    "half",
+    "threads",
+    "until",
+    "labels",
+    "scene",
+    "cameras",
+];
+
 /// What the words of the command line say.
 struct Words(BTreeMap<String, String>);
 
@@ -40,6 +74,30 @@ impl Words {
             .get(name)
             .map_or(Ok(default), |v| v.parse().map_err(|e| format!("{name}={v}: {e}").into()))
     }
+}
+
+/// The room that is photographed.
+fn room(words: &Words, seed: u64) -> Result<SyntheticRoom, Failed> {
+    let closed = match words.0.get("room").map_or("closed", String::as_str) {
+        "closed" => true,
+        "captured" => false,
+        other => return Err(format!("room={other}: closed or captured").into()),
+    };
+    let mut room = generate(&SyntheticRoomSettings {
+        seed,
+        num_gaussians: Some(words.number("gaussians", 1_500_000.0)? as usize),
+        points_share: f64::from(u8::from(closed)) as f32,
+        ..SyntheticRoomSettings::default()
+    })?;
+    if closed {
+        // Seven discs over every point of a surface: a thousandth of the light passes.
+        let scales = neighbour_log_scales(&room.scene.coord, 1.3)?;
+        for (to, wide) in room.scene.log_scale.iter_mut().zip(scales) {
+            *to = [wide, wide, wide - std::f32::consts::LN_10];
+        }
+        room.scene.opacity_logit.fill(6.0);
+    }
+    Ok(room)
 }
 
 /// A camera of the room: at a place of a figure of eight, looking across the middle.
@@ -160,6 +218,15 @@ fn shoot(room: &Gaussians, camera: &Camera) -> Result<TrainingFrame, Failed> {
     })
 }
 
+/// Whether a camera stands free: at most a third of its picture is empty, a twentieth nearer than 40 cm.
+fn sees_a_room(frame: &TrainingFrame) -> bool {
+    let depth = frame.depth.as_deref().unwrap_or_default();
+    let share = |is: fn(f32) -> bool| {
+        depth.iter().filter(|z| is(**z)).count() as f64 / depth.len().max(1) as f64
+    };
+    share(|z| z == 0.0) <= 1.0 / 3.0 && share(|z| z > 0.0 && z < 0.4) <= 0.05
+}
+
 fn write_frame(out: &Path, frame: &TrainingFrame) -> Result<(), Failed> {
     let (width, height) = (frame.view.width, frame.view.height);
     let Colors::Bytes(rgb) = &frame.rgb else { return Ok(()) };
@@ -187,6 +254,54 @@ fn compared(rgb: &[f32], frame: &TrainingFrame) -> RgbPicture {
     })
 }
 
+/// Length of the vectors of classes.
+const WORD_DIM: usize = 64;
+/// What is farther than this from every point of the room has no label, metres.
+const NEAR: f64 = 0.05;
+
+/// Labels of the room on its Gaussians, on the result's, and on the pixels of the frames.
+fn write_labels(
+    out: &Path,
+    room: &GaussianScene,
+    result: &GaussianScene,
+    frames: &[TrainingFrame],
+) -> Result<(), Failed> {
+    let segment = room.segment.as_ref().ok_or("labels=1: this scene has no labels")?;
+    let tree = KdTree::new(&room.coord)?;
+    let nearest = |points: &[[f32; 3]]| {
+        tree.map_nearest(
+            points,
+            1,
+            || (),
+            |(), _, near| {
+                let near = near.first().filter(|n| n.distance_squared < NEAR * NEAR);
+                near.map_or(-1, |n| segment[n.row as usize])
+            },
+        )
+    };
+    write_npy_folder(room, &out.join("truth"), true)?;
+    let made = GaussianScene { segment: Some(nearest(&result.coord)), ..result.clone() };
+    write_npy_folder(&made, &out.join("made"), true)?;
+    let names: Vec<&str> = CLASSES.iter().map(|class| class.name).collect();
+    std::fs::write(out.join("classes.txt"), names.join("\n"))?;
+    let words = Vocabulary::new(WORD_DIM)?;
+    let vectors: Vec<f32> =
+        ClassId::ALL.iter().flat_map(|class| words.class_target(*class)).collect();
+    std::fs::create_dir_all(out.join("segments"))?;
+    for frame in frames {
+        let depth = frame.depth.as_deref().unwrap_or_default();
+        // What was not measured lies in the camera, and gets no label below.
+        let points: Vec<_> = depth.iter().enumerate().map(|(i, &z)| lifted(frame, i, z)).collect();
+        let mut labels = nearest(&points);
+        labels.iter_mut().zip(depth).filter(|(_, z)| **z == 0.0).for_each(|(l, _)| *l = -1);
+        let size = [frame.view.height as usize, frame.view.width as usize];
+        let path = |kind: &str| out.join(format!("segments/{}_{kind}.npy", frame.name));
+        write_npy(&path("s"), &size, &labels)?;
+        write_npy(&path("f"), &[ClassId::ALL.len(), WORD_DIM], &vectors)?;
+    }
+    Ok(())
+}
+
 fn mean_of(optimiser: &Optimiser, frames: &[TrainingFrame]) -> Result<MeanScore, OptimiseError> {
     let settings = optimiser.settings();
     let degree = settings.sh_degree_at(optimiser.steps_done().saturating_sub(1));
@@ -204,40 +319,60 @@ fn run(out: &Path, words: &Words) -> Result<(), Failed> {
     for folder in ["images", "depth"] {
         std::fs::create_dir_all(out.join(folder))?;
     }
-    let (scene, cameras) = match words.0.get("scene") {
-        Some(path) => real(path.as_ref(), words, size)?,
+    let shoot_all = |scene: &GaussianScene, cameras: Vec<Camera>| -> Result<Vec<_>, Failed> {
+        let drawn = Gaussians::from_scene(scene)?;
+        cameras.into_par_iter().map(|c| Ok((shoot(&drawn, &c)?, c))).collect()
+    };
+    let (truth, shot) = match words.0.get("scene") {
+        Some(path) => {
+            let (scene, cameras) = real(path.as_ref(), words, size)?;
+            let shot = shoot_all(&scene, cameras)?;
+            (scene, shot)
+        }
         None => {
-            let room = generate(&SyntheticRoomSettings {
-                seed,
-                num_gaussians: Some(words.number("gaussians", 150_000.0)? as usize),
-                points_share: 0.0,
-                ..SyntheticRoomSettings::default()
-            })?;
-            let cameras = (0..n).map(|i| camera(&room, i, n, size)).collect();
-            (room.scene, cameras)
+            let room = room(words, seed)?;
+            // Places in furniture and behind walls are passed by.
+            let more = 2 * n;
+            let cameras = (0..more).map(|i| camera(&room, i, more, size)).collect();
+            let mut free = shoot_all(&room.scene, cameras)?;
+            free.retain(|(frame, _)| sees_a_room(frame));
+            if free.len() < n {
+                return Err(format!("{} of {more} places are free, {n} wanted", free.len()).into());
+            }
+            let shot = (0..n).map(|i| free[i * free.len() / n].clone()).collect();
+            (room.scene, shot)
         }
     };
-    write_inria_ply(&scene, &[], &out.join("room.ply"))?;
-    let drawn = Gaussians::from_scene(&scene)?;
+    write_inria_ply(&truth, &[], &out.join("room.ply"))?;
+    let cameras: Vec<Camera> = shot.iter().map(|(_, camera)| camera.clone()).collect();
     write_cameras_json(&cameras, &out.join("cameras.json"))?;
-    let shot: Result<Vec<_>, Failed> = cameras.par_iter().map(|c| shoot(&drawn, c)).collect();
     let (mut train, mut test) = (Vec::new(), Vec::new());
-    for (i, frame) in shot?.into_iter().enumerate() {
+    for (i, (frame, _)) in shot.into_iter().enumerate() {
         write_frame(out, &frame)?;
         if i % 6 == 0 { &mut test } else { &mut train }.push(frame);
     }
-    let base = OptimiseSettings::scenesplat().with_steps(words.number("steps", 2000.0)? as u64);
-    let weight = words.number("depth", 1.0)? as f32;
+    let preset = match words.0.get("preset").map_or("scenesplat", String::as_str) {
+        "scenesplat" => OptimiseSettings::scenesplat(),
+        "gsplat-mcmc" => OptimiseSettings::gsplat_mcmc(),
+        "gsplat-default" => OptimiseSettings::gsplat_default(),
+        other => return Err(format!("preset={other}: there is none of that name").into()),
+    };
+    let base = preset.with_steps(words.number("steps", 2000.0)? as u64);
+    let weight = base.depth.map_or(0.0, |term| term.weight.into());
+    let weight = words.number("depth", weight)? as f32;
+    let (kind, outliers) = (DepthKind::Accumulated, DepthOutliers::MedianRule);
     let mut settings = OptimiseSettings {
-        depth: base.depth.map(|term| DepthTerm { weight, ..term }),
+        depth: (weight > 0.0).then_some(DepthTerm { weight, kind, outliers }),
         scale_reg: words.number("scale", base.scale_reg.into())? as f32,
         opacity_reg: words.number("opacity", base.opacity_reg.into())? as f32,
+        half_steps: words.number("half", 0.0)? as u64,
         ..base
     };
     set_cap(&mut settings, words.number("cap", 100_000.0)? as usize);
     let (points, colors) = fused_points(&train, words.number("initial", 60_000.0)? as usize);
     let model: Model = from_points(&points, &colors, &settings.initial, settings.seed)?;
     let first = model.len();
+    write_inria_ply(&model.to_scene(), &[], &out.join("initial.ply"))?;
     let mut optimiser = Optimiser::new(model, &train, settings)?;
     let until = words.number("until", 0.0)? as u64;
     let (mut seconds, mut curve, mut to_28) = (0.0, Vec::new(), None);
@@ -264,6 +399,9 @@ fn run(out: &Path, words: &Words) -> Result<(), Failed> {
     }
     let scene = optimiser.model().to_scene();
     write_inria_ply(&scene, &[], &out.join("result.ply"))?;
+    if words.number("labels", 0.0)? > 0.0 {
+        write_labels(out, &truth, &scene, &train)?;
+    }
     let degree = settings.sh_degree_at(settings.steps);
     for frame in test.iter().step_by(7) {
         let (_, drawn) = score_frame(optimiser.model(), frame, &settings, degree)?;
@@ -291,8 +429,14 @@ fn run(out: &Path, words: &Words) -> Result<(), Failed> {
 fn main() -> Result<(), Failed> {
     let mut args = std::env::args().skip(1);
     let out = PathBuf::from(args.next().ok_or("give a folder for the results")?);
-    let word = |w: String| w.split_once('=').map(|(k, v)| (k.to_owned(), v.to_owned()));
-    let words = Words(args.filter_map(word).collect());
+    let word = |w: String| -> Result<(String, String), Failed> {
+        let (name, value) = w.split_once('=').ok_or_else(|| format!("{w}: NAME=VALUE"))?;
+        let known = WORDS.contains(&name);
+        known
+            .then(|| (name.to_owned(), value.to_owned()))
+            .ok_or_else(|| format!("{w}: one of {WORDS:?}").into())
+    };
+    let words = Words(args.map(word).collect::<Result<_, _>>()?);
     match words.number("threads", 0.0)? as usize {
         0 => run(&out, &words),
         threads => {
