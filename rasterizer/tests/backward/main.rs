@@ -9,3 +9,4 @@ mod edges;
 mod goldens;
 mod reference;
 mod small_scene;
+mod workspace;
