@@ -128,7 +128,7 @@ def draw(p, frame):
             alpha = torch.where((sigma >= 0) & (alpha >= CUT), alpha, torch.zeros_like(alpha))
             after = torch.cumprod(1 - alpha, 0)
             before = torch.cat([torch.ones_like(after[:1]), after[:-1]])
-            weight = torch.where(after > 1e-4, alpha * before, torch.zeros_like(alpha)).reshape(len(at), -1)
+            weight = torch.where(after > 1e-4, alpha * before, torch.zeros_like(alpha)).reshape(len(at), w * h)
             values = torch.cat([color[at], z[at][:, None]], 1)
             row.append((weight.T @ values).reshape(h, w, 4))
         rows.append(torch.cat(row, 1))
