@@ -369,7 +369,16 @@ fn run(out: &Path, words: &Words) -> Result<(), Failed> {
         ..base
     };
     set_cap(&mut settings, words.number("cap", 100_000.0)? as usize);
-    let (points, colors) = fused_points(&train, words.number("initial", 60_000.0)? as usize);
+    let most = words.number("initial", 60_000.0)? as usize;
+    let (mut points, mut colors) = fused_points(&train, most);
+    if points.is_empty() {
+        // Nothing takes half of the light: some of its centres, as matched pictures would give.
+        let some = |i: &usize| i.is_multiple_of(truth.len().div_ceil(most.max(1)).max(1));
+        let chosen: Vec<usize> = (0..truth.len()).filter(some).collect();
+        eprintln!("no depth: begins with {} of the scene's centres", chosen.len());
+        points = chosen.iter().map(|i| truth.coord[*i]).collect();
+        colors = vec![[0.5; 3]; points.len()];
+    }
     let model: Model = from_points(&points, &colors, &settings.initial, settings.seed)?;
     let first = model.len();
     write_inria_ply(&model.to_scene(), &[], &out.join("initial.ply"))?;
