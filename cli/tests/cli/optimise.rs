@@ -124,6 +124,40 @@ fn pictures_become_a_scene() {
     assert!(table.contains("| room | 8 |") && table.contains("0 of 1"), "{table}");
 }
 
+/// Flags about a depth loss that is not there are refused; a preset without one says what depths are for.
+#[test]
+fn flags_of_the_depth_loss_have_an_effect_or_are_refused() {
+    let capture = Capture::new();
+    let base = ["optimise", "--cameras", "shots/cameras.json", "--images", "shots", "--steps", "2"];
+    let small = ["--initial", "100", "--cap", "100"];
+    let run = |more: &[&str], out: &str| capture.run(&[&base[..], &small, more].concat(), out);
+    let depth = ["--depth", "shots/depth"];
+    let refused: [(&[&str], &str); 4] = [
+        (&["--depth-weight", "0.5"], "--depth-weight has no effect without --depth"),
+        (&["--depth-kind", "expected"], "--depth-kind has no effect without --depth"),
+        (&["--depth-kind", "expected", "--preset", "gsplat-mcmc"], "without --depth"),
+        (
+            &[&depth[..], &["--depth-kind", "expected", "--preset", "gsplat-mcmc"]].concat(),
+            "without a depth loss: give --depth-weight",
+        ),
+    ];
+    for (i, (more, said)) in refused.into_iter().enumerate() {
+        let output = run(more, &format!("refused{i}"));
+        let text = stderr(&output);
+        assert!(output.status.code() == Some(2) && text.contains(said), "{more:?}: {text}");
+    }
+    let output = run(&[&depth[..], &["--preset", "gsplat-mcmc"]].concat(), "without");
+    done(&output);
+    assert!(stderr(&output).contains("no depth loss: depths give"), "{}", stderr(&output));
+    let kind = ["--preset", "gsplat-mcmc", "--depth-kind", "expected", "--depth-weight", "0.1"];
+    let output = run(&[&depth[..], &kind].concat(), "with");
+    done(&output);
+    assert!(!stderr(&output).contains("no depth loss"), "{}", stderr(&output));
+    let made = json(&capture.path("with/optimise.json"));
+    assert_eq!(made["settings"]["depth"]["kind"], "expected", "{made}");
+    done(&run(&["--depth-weight", "0"], "none"));
+}
+
 /// Exposure is learned where the pictures show that it drifts, and what was decided is in the receipt.
 #[test]
 fn drifting_exposure_is_learned() {

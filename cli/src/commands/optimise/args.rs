@@ -165,6 +165,27 @@ fn parse_weight(text: &str) -> Result<f32, String> {
 }
 
 impl Args {
+    /// A flag about the depth loss where there is none: what to say.
+    pub(super) fn idle_depth_flag(&self, settings: &OptimiseSettings) -> Option<&'static str> {
+        let kind = self.depth_kind.is_some();
+        if self.depth.is_none() && self.depth_weight.is_some_and(|w| w > 0.0) {
+            return Some(
+                "--depth-weight has no effect without --depth: give the folder of the depths",
+            );
+        }
+        if self.depth.is_none() && kind {
+            return Some(
+                "--depth-kind has no effect without --depth: give the folder of the depths",
+            );
+        }
+        if kind && settings.depth.is_none_or(|term| term.weight == 0.0) {
+            return Some(
+                "--depth-kind has no effect without a depth loss: give --depth-weight, such as 1",
+            );
+        }
+        None
+    }
+
     /// The preset with what the flags change.
     pub(super) fn settings(&self) -> OptimiseSettings {
         let mut s = match self.preset {

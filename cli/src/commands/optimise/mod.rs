@@ -24,6 +24,14 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start(&args.shared, line)?;
     let mut settings = args.settings();
     settings.check().map_err(|e| WrongUse(e.to_string()))?;
+    if let Some(text) = args.idle_depth_flag(&settings) {
+        return Err(WrongUse(text.to_owned()).into());
+    }
+    if args.depth.is_some() && settings.depth.is_none_or(|term| term.weight == 0.0) {
+        let text = "no depth loss: depths give the first points, if nothing else does, and the figures \
+                    (--depth-weight 1 turns it on)";
+        session.progress.say(text);
+    }
     let depths = args.depth.as_deref();
     let inputs = [Some(args.cameras.as_path()), Some(&args.images), depths];
     session.outputs.reads_any(inputs)?;
