@@ -34,6 +34,7 @@ use scenesplat_scene::formats::inria_ply::write_inria_ply;
 use scenesplat_scene::formats::npy_folder::write_npy_folder;
 use scenesplat_scene::formats::npy_writer::write_npy;
 use scenesplat_scene::picture::{Channels, Picture, RgbPicture, Samples};
+use scenesplat_scene::vector::{cross, dot};
 use scenesplat_scene::{
     Camera, Distortion, GaussianScene, ReadOptions, open_cameras, open_scene, robust_bounds,
 };
@@ -113,26 +114,31 @@ fn camera(room: &SyntheticRoom, i: usize, n: usize, [width, height]: [u32; 2]) -
     let yaw = 2.0 * t + 0.6 * (5.0 * t).sin();
     let pitch = 0.35 * (4.0 * t).cos() - 0.15;
     let forward = [yaw.cos() * pitch.cos(), yaw.sin() * pitch.cos(), pitch.sin()];
-    let right = [yaw.sin(), -yaw.cos(), 0.0];
-    let down = [
-        forward[1] * right[2] - forward[2] * right[1],
-        forward[2] * right[0] - forward[0] * right[2],
-        forward[0] * right[1] - forward[1] * right[0],
-    ];
-    let rotation = [right, down, forward];
-    let translation = rotation.map(|r| -(r[0] * at[0] + r[1] * at[1] + r[2] * at[2]));
-    let f = 0.55 * f64::from(width);
+    looking(i, [width, height], 0.55 * f64::from(width), at, forward)
+}
+
+/// A camera at a place that looks along `forward` (unit, not straight up), level with the ground.
+fn looking(
+    i: usize,
+    [width, height]: [u32; 2],
+    focal: f64,
+    at: [f64; 3],
+    forward: [f64; 3],
+) -> Camera {
+    let length = (forward[0].powi(2) + forward[1].powi(2)).sqrt();
+    let right = [forward[1] / length, -forward[0] / length, 0.0];
+    let rotation = [right, cross(forward, right), forward];
     Camera {
         name: format!("frame_{i:04}"),
         width,
         height,
-        fx: f,
-        fy: f,
+        fx: focal,
+        fy: focal,
         cx: f64::from(width) / 2.0,
         cy: f64::from(height) / 2.0,
         distortion: Distortion::None,
         rotation,
-        translation,
+        translation: rotation.map(|r| -dot(r, at)),
     }
 }
 
@@ -171,28 +177,8 @@ fn around(scene: &GaussianScene, i: usize, n: usize, size: u32) -> Camera {
     let z = 0.9 * (1.0 - (2 * i + 1) as f64 / n as f64);
     let (turn, across) = (2.399_963 * i as f64, (1.0 - z * z).sqrt());
     let forward = [-across * turn.cos(), -across * turn.sin(), -z];
-    let length = (forward[0].powi(2) + forward[1].powi(2)).sqrt();
-    let right = [forward[1] / length, -forward[0] / length, 0.0];
-    let down = [
-        forward[1] * right[2] - forward[2] * right[1],
-        forward[2] * right[0] - forward[0] * right[2],
-        forward[0] * right[1] - forward[1] * right[0],
-    ];
-    let rotation = [right, down, forward];
     let at = [0, 1, 2].map(|k| middle[k] - 2.2 * radius * forward[k]);
-    let half = f64::from(size) / 2.0;
-    Camera {
-        name: format!("frame_{i:04}"),
-        width: size,
-        height: size,
-        fx: 2.0 * half,
-        fy: 2.0 * half,
-        cx: half,
-        cy: half,
-        distortion: Distortion::None,
-        rotation,
-        translation: rotation.map(|r| -(r[0] * at[0] + r[1] * at[1] + r[2] * at[2])),
-    }
+    looking(i, [size; 2], f64::from(size), at, forward)
 }
 
 /// The frame that a camera takes: 8 bits of colour, millimetres of depth.

@@ -50,6 +50,22 @@ impl Colors {
         }
     }
 
+    /// Its memory, if it is of bytes.
+    fn into_bytes(self) -> Vec<u8> {
+        match self {
+            Self::Bytes(values) => values,
+            Self::Floats(_) => Vec::new(),
+        }
+    }
+
+    /// Its memory, if it is of floats.
+    fn into_floats(self) -> Vec<f32> {
+        match self {
+            Self::Floats(values) => values,
+            Self::Bytes(_) => Vec::new(),
+        }
+    }
+
     /// Every value is finite.
     fn is_finite(&self) -> bool {
         match self {
@@ -125,29 +141,18 @@ impl TrainingFrame {
         };
         let all = || (0..height).flat_map(move |y| (0..width).map(move |x| (x, y)));
         let places = || all().flat_map(|(x, y)| [0, 1, 2].map(|c| four(x, y).map(|i| 3 * i + c)));
-        match &self.rgb {
+        let before = std::mem::take(&mut out.rgb);
+        out.rgb = match &self.rgb {
             Colors::Bytes(v) => {
                 let sum = |at: [usize; 4]| at.iter().map(|i| u32::from(v[*i])).sum::<u32>();
                 let mean = |at| ((sum(at) + 2) / 4) as u8;
-                let mut to = match std::mem::take(&mut out.rgb) {
-                    Colors::Bytes(to) => to,
-                    Colors::Floats(_) => Vec::new(),
-                };
-                to.clear();
-                to.extend(places().map(mean));
-                out.rgb = Colors::Bytes(to);
+                Colors::Bytes(refilled(before.into_bytes(), places().map(mean)))
             }
             Colors::Floats(v) => {
                 let mean = |at: [usize; 4]| at.iter().map(|i| v[*i]).sum::<f32>() / 4.0;
-                let mut to = match std::mem::take(&mut out.rgb) {
-                    Colors::Floats(to) => to,
-                    Colors::Bytes(_) => Vec::new(),
-                };
-                to.clear();
-                to.extend(places().map(mean));
-                out.rgb = Colors::Floats(to);
+                Colors::Floats(refilled(before.into_floats(), places().map(mean)))
             }
-        }
+        };
         let mean_of_known = |values: [f32; 4]| {
             let (mut sum, mut count) = (0.0, 0.0);
             for z in values.into_iter().filter(|z| *z > 0.0 && z.is_finite()) {
@@ -155,14 +160,16 @@ impl TrainingFrame {
             }
             if count > 0.0 { sum / count } else { 0.0 }
         };
-        let depth = self.depth.as_deref();
-        let depth =
-            depth.map(|of| all().map(move |(x, y)| mean_of_known(four(x, y).map(|i| of[i]))));
-        refill(&mut out.depth, depth);
-        let mask = self.mask.as_deref();
-        let least = |values: [u8; 4]| values.into_iter().min().unwrap_or(0);
-        let mask = mask.map(|of| all().map(move |(x, y)| least(four(x, y).map(|i| of[i]))));
-        refill(&mut out.mask, mask);
+        let depth = |of: &[f32]| {
+            let values = all().map(|(x, y)| mean_of_known(four(x, y).map(|i| of[i])));
+            refilled(out.depth.take().unwrap_or_default(), values)
+        };
+        out.depth = self.depth.as_deref().map(depth);
+        let mask = |of: &[u8]| {
+            let least = |(x, y)| four(x, y).map(|i| of[i]).into_iter().min().unwrap_or(0);
+            refilled(out.mask.take().unwrap_or_default(), all().map(least))
+        };
+        out.mask = self.mask.as_deref().map(mask);
         let v = &self.view;
         out.view = View {
             fx: v.fx / 2.0,
@@ -177,16 +184,11 @@ impl TrainingFrame {
     }
 }
 
-/// Gives an array other values, or takes it away.
-fn refill<T>(to: &mut Option<Vec<T>>, values: Option<impl Iterator<Item = T>>) {
-    match values {
-        Some(values) => {
-            let to = to.get_or_insert_default();
-            to.clear();
-            to.extend(values);
-        }
-        None => *to = None,
-    }
+/// An array with other values.
+fn refilled<T>(mut array: Vec<T>, values: impl Iterator<Item = T>) -> Vec<T> {
+    array.clear();
+    array.extend(values);
+    array
 }
 
 /// 1.1 times the largest distance of a camera from the mean of all; 1 if all are at one place.

@@ -152,7 +152,7 @@ impl ImageComparison {
         let ssim_slope = -self.weights.ssim / windows as f32;
         let (down, across, isa) = (&self.down, &self.across, self.isa);
         let [mean, square, product] = &mut self.slopes;
-        let band = self.height.div_ceil(self.rows.len().max(1)).max(1);
+        let band = self.height.div_ceil(self.rows.len());
         mean.par_chunks_mut(band * stride)
             .zip(square.par_chunks_mut(band * stride))
             .zip(product.par_chunks_mut(band * stride))

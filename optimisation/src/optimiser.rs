@@ -183,8 +183,13 @@ impl Optimiser {
         let least = self.settings.ssim_border.least_side() as u32;
         let large = (frame.view.width / 2).min(frame.view.height / 2) >= least.max(1);
         if self.step < self.settings.half_steps && large {
-            let mut half = self.half.take().unwrap_or_else(|| frame.halved());
-            frame.halve_into(&mut half);
+            let half = match self.half.take() {
+                Some(mut half) => {
+                    frame.halve_into(&mut half);
+                    half
+                }
+                None => frame.halved(),
+            };
             let report = self.step_at(&half, number);
             self.half = Some(half);
             return report;
@@ -213,7 +218,7 @@ impl Optimiser {
             let units = Counter::new(settings.seed, Purpose::Background, self.step).units(0);
             raster.background = Some([units[0] as f32, units[1] as f32, units[2] as f32]);
         }
-        let term = settings.depth.filter(|d| d.weight > 0.0);
+        let term = settings.depth_loss();
         let measured = term.and_then(|term| Some((term, frame.depth.as_ref()?)));
         let request = TraceRequest {
             rgb: true,

@@ -236,6 +236,11 @@ impl OptimiseSettings {
         self
     }
 
+    /// The depth loss, if it weighs anything.
+    pub fn depth_loss(&self) -> Option<DepthTerm> {
+        self.depth.filter(|term| term.weight > 0.0)
+    }
+
     /// Checks that every number is in its range.
     ///
     /// # Errors

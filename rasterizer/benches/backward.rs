@@ -9,7 +9,7 @@ use common::{criterion, pool, signs};
 use criterion::{Criterion, criterion_group, criterion_main};
 use scenesplat_rasterizer::RasterSettings;
 use scenesplat_rasterizer::backward::{
-    FeatureGradient, GradMask, Gradients, TraceRequest, Upstream, backward_into, trace,
+    FeatureGradient, GradMask, Gradients, TraceRequest, Upstream, Workspace, trace,
 };
 
 fn render_backward_garden(c: &mut Criterion) {
@@ -29,7 +29,7 @@ fn render_backward_garden(c: &mut Criterion) {
         ("opacities_only", color, opacities),
     ];
     let mut group = c.benchmark_group("render_backward_garden");
-    let mut out = Gradients::zeros(&gaussians, 0);
+    let (mut out, mut workspace) = (Gradients::zeros(&gaussians, 0), Workspace::new());
     for threads in [1, 2] {
         let pool = pool(threads);
         for (name, upstream, mask) in &rows {
@@ -37,7 +37,8 @@ fn render_backward_garden(c: &mut Criterion) {
                 b.iter(|| {
                     let out = &mut out;
                     pool.install(|| {
-                        backward_into(&gaussians, view, settings, &traced, upstream, *mask, out)
+                        workspace
+                            .backward(&gaussians, view, settings, &traced, upstream, *mask, out)
                     })
                 });
             });
@@ -55,7 +56,9 @@ fn render_backward_garden(c: &mut Criterion) {
     group.bench_function("features_32/1_threads", |b| {
         b.iter(|| {
             let out = &mut out;
-            pool.install(|| backward_into(&gaussians, view, settings, &traced, &upstream, all, out))
+            pool.install(|| {
+                workspace.backward(&gaussians, view, settings, &traced, &upstream, all, out)
+            })
         });
     });
     group.finish();

@@ -11,7 +11,7 @@ mod support;
 use common::{SEGMENTS, criterion, pool, signs, voronoi};
 use criterion::{Criterion, criterion_group, criterion_main};
 use scenesplat_rasterizer::backward::{
-    GradMask, Gradients, TraceRequest, Upstream, backward_into, trace,
+    GradMask, Gradients, TraceRequest, Upstream, Workspace, trace,
 };
 use scenesplat_rasterizer::lifting::{
     FinaliseSettings, LabelledPicture, LabelledView, LiftRule, LiftSettings, Lifter, view_weights,
@@ -62,7 +62,7 @@ fn large(c: &mut Criterion) {
     let traced = trace(&gaussians, &view, settings, TraceRequest::rgb()).expect("a picture");
     let gradient = signs(3 * view.pixels());
     let upstream = Upstream { rgb: Some(&gradient), ..Upstream::default() };
-    let mut out = Gradients::zeros(&gaussians, 0);
+    let (mut out, mut workspace) = (Gradients::zeros(&gaussians, 0), Workspace::new());
     let map = [voronoi(view.width, view.height, 0)];
     for threads in [1, 2] {
         let pool = pool(threads);
@@ -74,7 +74,7 @@ fn large(c: &mut Criterion) {
             b.iter(|| {
                 let out = &mut out;
                 pool.install(|| {
-                    backward_into(&gaussians, &view, settings, &traced, &upstream, mask, out)
+                    workspace.backward(&gaussians, &view, settings, &traced, &upstream, mask, out)
                 })
             });
         });

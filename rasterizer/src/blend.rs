@@ -130,7 +130,8 @@ pub(crate) fn blend_in<V: TileVisitor>(
     (0..lists.len()).into_par_iter().with_max_len(TILES_PER_TASK).map(tile).collect()
 }
 
-fn rect(tile: usize, lists: &TileLists, view: &View) -> TileRect {
+/// Where a tile is.
+pub(crate) fn rect(tile: usize, lists: &TileLists, view: &View) -> TileRect {
     let side = TILE as u32;
     let x0 = (tile % lists.columns) as u32 * side;
     let y0 = (tile / lists.columns) as u32 * side;

@@ -6,6 +6,7 @@ use std::marker::PhantomData;
 /// A borrowed picture of `channels` values per pixel, handed out in tiles.
 ///
 /// Tiles do not overlap, and each is written by the one visitor that was made for it.
+#[derive(Clone, Copy)]
 pub(crate) struct Canvas<'a, T = f32> {
     start: *mut T,
     width: usize,
@@ -19,7 +20,7 @@ unsafe impl<T: Send> Send for Canvas<'_, T> {}
 // SAFETY: as above; nothing is read through it.
 unsafe impl<T: Send> Sync for Canvas<'_, T> {}
 
-impl<'a, T> Canvas<'a, T> {
+impl<'a, T: Copy> Canvas<'a, T> {
     /// A picture of `width · height · channels` values, all of which the caller gives away.
     pub(crate) fn new(picture: &'a mut [T], width: u32, channels: usize) -> Self {
         let width = width as usize;
@@ -32,17 +33,13 @@ impl<'a, T> Canvas<'a, T> {
     ///
     /// # Safety
     /// No two live parts of one picture may be of the same tile.
-    pub(crate) unsafe fn tile(&self, rect: TileRect) -> CanvasTile<'a, T> {
+    pub(crate) unsafe fn tile(self, rect: TileRect) -> CanvasTile<'a, T> {
         let (x0, y0) = (rect.x0 as usize, rect.y0 as usize);
         let (width, height) = (rect.width as usize, rect.height as usize);
         assert!(width <= TILE && height <= TILE);
         assert!(x0.is_multiple_of(TILE) && y0.is_multiple_of(TILE), "tiles are on the grid");
         assert!(x0 + width <= self.width && y0 + height <= self.height, "tiles are inside");
-        let Self { start, width: across, height: down, channels, picture } = *self;
-        CanvasTile {
-            canvas: Canvas { start, width: across, height: down, channels, picture },
-            rect,
-        }
+        CanvasTile { canvas: self, rect }
     }
 }
 

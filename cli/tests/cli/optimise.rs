@@ -132,7 +132,8 @@ fn flags_of_the_depth_loss_have_an_effect_or_are_refused() {
     let small = ["--initial", "100", "--cap", "100"];
     let run = |more: &[&str], out: &str| capture.run(&[&base[..], &small, more].concat(), out);
     let depth = ["--depth", "shots/depth"];
-    let refused: [(&[&str], &str); 4] = [
+    let refused: [(&[&str], &str); 5] = [
+        (&["--depth-scale", "5000"], "--depth <DIR>"),
         (&["--depth-weight", "0.5"], "--depth-weight has no effect without --depth"),
         (&["--depth-kind", "expected"], "--depth-kind has no effect without --depth"),
         (&["--depth-kind", "expected", "--preset", "gsplat-mcmc"], "without --depth"),

@@ -47,23 +47,6 @@ pub fn backward(
     mask: GradMask,
 ) -> Result<Gradients, BackwardError> {
     let mut out = Gradients::zeros(gaussians, upstream.feature_dim());
-    backward_into(gaussians, view, settings, trace, upstream, mask, &mut out)?;
+    Workspace::new().backward(gaussians, view, settings, trace, upstream, mask, &mut out)?;
     Ok(out)
-}
-
-/// [`backward`], added to what `out` holds: for the sum over several views. [`Workspace::backward`] uses
-/// its own memory again, too.
-///
-/// # Errors
-/// As [`backward`]; and if `out` is of other sizes. `out` is then as it was.
-pub fn backward_into(
-    gaussians: &Gaussians,
-    view: &View,
-    settings: &RasterSettings,
-    trace: &Trace,
-    upstream: &Upstream<'_>,
-    mask: GradMask,
-    out: &mut Gradients,
-) -> Result<(), BackwardError> {
-    Workspace::new().backward(gaussians, view, settings, trace, upstream, mask, out)
 }

@@ -5,7 +5,7 @@ use super::projection::{self, Lens, RowGradient, Shape};
 use super::reduce::{CHUNK, PairsOfRow, cut};
 use super::workspace::PixelMemory;
 use super::{GradMask, Gradients, Trace, Upstream, harmonics};
-use crate::blend::TILES_PER_TASK;
+use crate::blend::{TILES_PER_TASK, rect};
 use crate::projection::tangent_limits;
 use crate::splats::Splat;
 use crate::{Gaussians, RasterSettings, TILE, TileRect, View};
@@ -101,7 +101,7 @@ impl<'a> Pass<'a> {
                 if out.is_empty() {
                     continue;
                 }
-                let rect = self.rect(tile);
+                let rect = rect(tile, lists, self.view);
                 let (entries, reach) = (&lists.entries[begin..end], &lists.reach[begin..end]);
                 let tile = Tile { rect, entries, reach, splats, settings: self.settings };
                 walk(&tile, &mut self.start(rect), out);
@@ -119,15 +119,6 @@ impl<'a> Pass<'a> {
         });
     }
 
-    /// Where a tile is.
-    fn rect(&self, tile: usize) -> TileRect {
-        let (columns, side) = (self.trace.lists.columns, TILE as u32);
-        let (x0, y0) = ((tile % columns) as u32 * side, (tile / columns) as u32 * side);
-        let width = (self.view.width - x0).min(side);
-        let height = (self.view.height - y0).min(side);
-        TileRect { tile, x0, y0, width, height }
-    }
-
     /// Tiles that have a list, each with its part of the records.
     pub(crate) fn tiles<'r, T>(&self, records: &'r mut [T]) -> Vec<(TileRect, &'r mut [T])> {
         let lists = &self.trace.lists;
@@ -138,7 +129,7 @@ impl<'a> Pass<'a> {
             let (part, tail) = std::mem::take(&mut rest).split_at_mut(len);
             rest = tail;
             if len > 0 {
-                tiles.push((self.rect(tile), part));
+                tiles.push((rect(tile, lists, self.view), part));
             }
         }
         tiles

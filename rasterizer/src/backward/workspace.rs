@@ -10,8 +10,8 @@ use crate::splats::Splat;
 use crate::tiles::{TileMemory, tile_lists_into};
 use crate::{Gaussians, Projected, RasterError, RasterSettings, View};
 
-/// [`trace()`](super::trace()) and [`backward_into`](super::backward_into) without reserving memory: after
-/// the first few views what they need is there, and results are the same bits.
+/// [`trace()`](super::trace()) and [`backward`](super::backward()) without reserving memory: after the first few
+/// views what they need is there, and results are the same bits.
 ///
 /// It holds about 300 bytes per Gaussian and 60 per place in a list of a tile, and gives none back
 /// before it is dropped.
@@ -79,11 +79,11 @@ impl Workspace {
         Ok(())
     }
 
-    /// [`backward_into`](super::backward_into).
+    /// [`backward`](super::backward()), added to what `out` holds: for the sum over several views.
     ///
     /// # Errors
-    /// As [`backward_into`](super::backward_into).
-    #[allow(clippy::too_many_arguments, reason = "those of the function, and the memory")]
+    /// As [`backward`](super::backward()); and if `out` is of other sizes. `out` is then as it was.
+    #[allow(clippy::too_many_arguments, reason = "those of the function, and where to add")]
     pub fn backward(
         &mut self,
         gaussians: &Gaussians,

@@ -3,8 +3,7 @@
 use crate::support::Golden;
 use scenesplat_kernels::simd::Isa;
 use scenesplat_rasterizer::backward::{
-    BackwardError, GradMask, Gradients, Trace, TraceRequest, Upstream, backward, backward_into,
-    trace,
+    BackwardError, GradMask, Gradients, Trace, TraceRequest, Upstream, Workspace, backward, trace,
 };
 use scenesplat_rasterizer::{Gaussians, RasterSettings, View};
 
@@ -74,7 +73,8 @@ fn gradients(
             ..Upstream::default()
         };
         let traced = trace(gaussians, view, &settings, request)?;
-        backward_into(gaussians, view, &settings, &traced, &upstream, mask, &mut out)?;
+        Workspace::new()
+            .backward(gaussians, view, &settings, &traced, &upstream, mask, &mut out)?;
         traces.push(traced);
     }
     Ok((out, traces))
@@ -230,7 +230,7 @@ fn thread_counts_are_bit_equal() {
     assert_eq!(one, run(5));
 }
 
-/// A gradient of the picture that `trace` drew alone: what `backward` gives equals `backward_into`
+/// A gradient of the picture that `trace` drew alone: what `backward` gives equals `Workspace::backward`
 /// on zeros, and a second call adds.
 #[test]
 fn into_adds() {
@@ -243,7 +243,9 @@ fn into_adds() {
     let mask = GradMask::all();
     let once = backward(&gaussians, &view, &settings, &traced, &up, mask).unwrap();
     let mut twice = once.clone();
-    backward_into(&gaussians, &view, &settings, &traced, &up, mask, &mut twice).unwrap();
+    Workspace::new()
+        .backward(&gaussians, &view, &settings, &traced, &up, mask, &mut twice)
+        .unwrap();
     for (a, b) in once.means.iter().zip(&twice.means) {
         assert_eq!(a.map(|v| v + v), *b);
     }
@@ -273,7 +275,8 @@ fn centres_on_the_picture() {
             let zeros = Gradients::zeros(&gaussians, 0);
             let mut out = Gradients { screen: vec![[0.0; 2]; room], ..zeros };
             let all = GradMask::all();
-            backward_into(&gaussians, view, &settings, &traced, &upstream, all, &mut out)
+            Workspace::new()
+                .backward(&gaussians, view, &settings, &traced, &upstream, all, &mut out)
                 .map(|()| out)
         };
         let with = run(gaussians.len()).unwrap();

@@ -23,7 +23,8 @@ pub struct Args {
     #[arg(long, value_name = "DIR")]
     pub depth: Option<PathBuf>,
     /// Steps per unit of the scene in 16-bit pictures of depth: 1000 for millimetres.
-    #[arg(long, value_name = "STEPS", default_value_t = 1000.0, value_parser = parse_positive)]
+    #[arg(long, value_name = "STEPS", default_value_t = 1000.0, value_parser = parse_positive,
+          requires = "depth")]
     pub depth_scale: f64,
     /// Folder of masks, NAME.png: black pixels do not count. A picture's own transparency is a mask, too.
     #[arg(long, value_name = "DIR")]
@@ -166,24 +167,18 @@ fn parse_weight(text: &str) -> Result<f32, String> {
 
 impl Args {
     /// A flag about the depth loss where there is none: what to say.
-    pub(super) fn idle_depth_flag(&self, settings: &OptimiseSettings) -> Option<&'static str> {
-        let kind = self.depth_kind.is_some();
-        if self.depth.is_none() && self.depth_weight.is_some_and(|w| w > 0.0) {
-            return Some(
-                "--depth-weight has no effect without --depth: give the folder of the depths",
-            );
+    pub(super) fn idle_depth_flag(&self, settings: &OptimiseSettings) -> Option<String> {
+        let weight = self.depth_weight.filter(|w| *w > 0.0).map(|_| "--depth-weight");
+        let flag = self.depth_kind.map(|_| "--depth-kind").or(weight)?;
+        if self.depth.is_none() {
+            Some(format!("{flag} has no effect without --depth: give the folder of the depths"))
+        } else if settings.depth_loss().is_none() {
+            Some(format!(
+                "{flag} has no effect without a depth loss: give --depth-weight, such as 1"
+            ))
+        } else {
+            None
         }
-        if self.depth.is_none() && kind {
-            return Some(
-                "--depth-kind has no effect without --depth: give the folder of the depths",
-            );
-        }
-        if kind && settings.depth.is_none_or(|term| term.weight == 0.0) {
-            return Some(
-                "--depth-kind has no effect without a depth loss: give --depth-weight, such as 1",
-            );
-        }
-        None
     }
 
     /// The preset with what the flags change.

@@ -25,9 +25,9 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let mut settings = args.settings();
     settings.check().map_err(|e| WrongUse(e.to_string()))?;
     if let Some(text) = args.idle_depth_flag(&settings) {
-        return Err(WrongUse(text.to_owned()).into());
+        return Err(WrongUse(text).into());
     }
-    if args.depth.is_some() && settings.depth.is_none_or(|term| term.weight == 0.0) {
+    if args.depth.is_some() && settings.depth_loss().is_none() {
         let text = "no depth loss: depths give the first points, if nothing else does, and the figures \
                     (--depth-weight 1 turns it on)";
         session.progress.say(text);
