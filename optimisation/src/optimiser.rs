@@ -379,6 +379,40 @@ impl FrameOrder {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Colors;
+    use crate::frame::tests::view;
+    use crate::initial::from_points;
+
+    /// Steps at half the size are steps with frames that somebody else has halved, each with its own.
+    #[test]
+    fn half_steps_are_steps_of_halved_frames() {
+        let pixels = 48 * 40;
+        let frame = |i: usize| TrainingFrame {
+            name: format!("{i}"),
+            view: view(48, 40),
+            rgb: Colors::Bytes((0..3 * pixels).map(|k| ((i + 1) * k * 37 % 251) as u8).collect()),
+            depth: Some(vec![1.5 + 0.5 * i as f32; pixels]),
+            mask: None,
+        };
+        let frames: Vec<_> = (0..3).map(frame).collect();
+        let halved: Vec<_> = frames.iter().map(TrainingFrame::halved).collect();
+        let points: Vec<[f32; 3]> = (0..200)
+            .map(|i| [0.1 * (i % 20) as f32 - 1.0, 0.2 * (i / 20) as f32 - 1.0, 0.0])
+            .collect();
+        let settings = OptimiseSettings { half_steps: 6, ..OptimiseSettings::scenesplat() };
+        let initial = settings.initial;
+        let model = from_points(&points, &vec![[0.5; 3]; 200], &initial, 1).unwrap();
+        let full = OptimiseSettings { half_steps: 0, ..settings };
+        let mut warm = Optimiser::new(model.clone(), &frames, settings).unwrap();
+        let mut by_hand = Optimiser::new(model.clone(), &halved, full).unwrap();
+        for _ in 0..6 {
+            assert_eq!(warm.step(&frames).unwrap(), by_hand.step(&halved).unwrap());
+        }
+        assert_eq!(warm.model(), by_hand.model());
+        assert_ne!(warm.model(), &model);
+        // Then at full size.
+        assert_ne!(warm.step(&frames).unwrap().image, by_hand.step(&halved).unwrap().image);
+    }
 
     #[test]
     fn every_epoch_has_every_frame_once() {
