@@ -253,11 +253,13 @@ impl Receipt {
         });
     }
 
-    /// Notes what a file or folder contains.
+    /// Notes what a file or folder contains. Its time is a stage of its own: reading a file a second
+    /// time is what a receipt costs.
     ///
     /// # Errors
     /// If it cannot be read.
     pub fn fingerprint(&self, role: &str, path: &Path) -> Result<(), ReceiptError> {
+        let _stage = self.stage("fingerprint");
         let (sha256, bytes) = sha256_of(path)?;
         let path = path.display().to_string();
         let file = FileFingerprint { role: role.to_owned(), path, bytes, sha256 };
@@ -640,8 +642,14 @@ mod tests {
         assert_ne!(sha256_of(folder.path()).unwrap().0, before);
         let receipt = Receipt::new("test");
         assert!(receipt.fingerprint("input", &folder.path().join("none")).is_err());
-        receipt.fingerprint("weights", &folder.path().join("c.npy")).unwrap();
-        assert_eq!(receipt.finish().files[0].sha256, abc);
+        receipt
+            .time("read", || receipt.fingerprint("weights", &folder.path().join("c.npy")))
+            .unwrap();
+        let report = receipt.finish();
+        assert_eq!(report.files[0].sha256, abc);
+        // The one that failed was begun outside of any stage.
+        let runs = |name| report.stages.iter().find(|s| s.name == name).map(|s| s.runs);
+        assert_eq!((runs("fingerprint"), runs("read/fingerprint")), (Some(1), Some(1)));
     }
 
     #[test]

@@ -12,10 +12,11 @@ use crate::labels::{Classes, Labels, label_with_vote};
 use crate::machine::{Machine, peak_memory_bytes};
 use crate::network::Network;
 use crate::outputs::{FeatureType, OpenedScene, write_features_npy};
-use scenesplat_metrics::{ConfusionMatrix, Metric, Scores, VoteRule};
+use scenesplat_metrics::{ConfusionMatrix, Metric, SceneTruth, Scores, VoteRule};
 use scenesplat_scene::formats::npy::NpyFile;
 use scenesplat_scene::formats::npy_writer::write_npy;
 use scenesplat_scene::{ReadOptions, TextTable};
+use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -61,6 +62,9 @@ pub struct Job<'a> {
     pub reference: Option<PathBuf>,
     /// Folder that takes the labels.
     pub keep_labels: Option<PathBuf>,
+    /// Whether the evaluator is checked, and oracle and random labels are scored, too. They are the same for
+    /// all settings, so once for a set is enough: the vote over the truth takes as long as a network.
+    pub bounds: bool,
     /// What all records of a folder share.
     pub conditions: String,
     /// SHA-256 of the weights.
@@ -71,6 +75,15 @@ pub struct Job<'a> {
     pub load_seconds: f64,
     /// Where this runs.
     pub machine: Machine,
+}
+
+/// What a measurement gives.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Measured {
+    /// The setting's record.
+    pub setting: Record,
+    /// Those of the oracle and of random labels, where [`Job::bounds`] asks for them.
+    pub bounds: Option<[Record; 2]>,
 }
 
 /// What one run over one scene gives.
@@ -172,12 +185,10 @@ struct Quality {
 /// Measures a setting: a warm-up on the first scene, then so many runs over all scenes, then one more
 /// run whose labels are scored. All runs have to give the same labels.
 ///
-/// Gives the record of the setting, and those of the oracle and of random labels on these scenes.
-///
 /// # Errors
-/// If a scene cannot be read, labelled or scored, its oracle falls short of its analytic value, a
-/// repeat gives other labels, or the stages leave more than 3 % of the time unexplained.
-pub fn measure(job: &Job<'_>) -> Result<[Record; 3], ParetoError> {
+/// If a scene cannot be read, labelled or scored, its oracle, where it is asked for, falls short of its
+/// analytic value, a repeat gives other labels, or the stages leave more than 3 % of the time unexplained.
+pub fn measure(job: &Job<'_>) -> Result<Measured, ParetoError> {
     let names = job.stage_names();
     let scenes = job.scenes;
     let first = scenes.first().ok_or_else(|| ParetoError::Empty { quality: "scene".to_owned() })?;
@@ -219,9 +230,9 @@ pub fn measure(job: &Job<'_>) -> Result<[Record; 3], ParetoError> {
         score(job, &mut evaluation, &mut quality, index, record).map_err(in_scene(scene))?;
     }
     let bytes_written = bytes / (job.repeats.max(1) * scenes.len()) as u64;
-    let record = finish(job, &names, per_scene, &quality, peak_bytes, bytes_written)?;
-    let [oracle, random] = quality.rows(&record);
-    Ok([record, oracle, random])
+    let setting = finish(job, &names, per_scene, &quality, peak_bytes, bytes_written)?;
+    let bounds = job.bounds.then(|| quality.rows(&setting));
+    Ok(Measured { setting, bounds })
 }
 
 impl Quality {
@@ -240,6 +251,32 @@ impl Quality {
             oracle_seconds: Vec::new(),
             random_seconds: Vec::new(),
         })
+    }
+
+    /// Checks the evaluator on a scene, and adds what the truth and random labels score there.
+    fn add_bounds(
+        &mut self,
+        job: &Job<'_>,
+        evaluation: &mut Evaluation<'_>,
+        truth: &SceneTruth<'_>,
+        scores: &mut Scores,
+    ) -> Result<(), ParetoError> {
+        let began = Instant::now();
+        let checked = evaluation.check(truth, None)?;
+        self.oracle_seconds.push(began.elapsed().as_secs_f64());
+        let classes = job.text.len();
+        let mut answers: Vec<i32> = (0..classes as i32).collect();
+        for &(class, becomes) in &checked.aliases {
+            answers[class] = becomes;
+        }
+        scores.add_oracle(truth, &answers, &VoteRule::of(job.evaluation.vote_k))?;
+        self.oracle.merge(&scores.oracle)?;
+        let began = Instant::now();
+        let drawn =
+            scenesplat_metrics::random_labels(truth.scored().len(), classes, job.evaluation.seed)?;
+        self.random.update((&drawn, truth.scored()))?;
+        self.random_seconds.push(began.elapsed().as_secs_f64());
+        Ok(())
     }
 
     /// The two rows that are no settings.
@@ -293,26 +330,13 @@ fn score(
     }
     let scene = &opened.loaded.scene;
     let truth = evaluation.truth(scene, input.class_of.as_deref())?;
-    let began = Instant::now();
-    let checked = evaluation.check(&truth, None)?;
-    quality.oracle_seconds.push(began.elapsed().as_secs_f64());
-    let classes = job.text.len();
-    let mut answers: Vec<i32> = (0..classes as i32).collect();
-    for &(class, becomes) in &checked.aliases {
-        answers[class] = becomes;
+    let mut scores = Scores::new(job.text.len(), &job.evaluation.excluded)?;
+    if job.bounds {
+        quality.add_bounds(job, evaluation, &truth, &mut scores)?;
     }
-    let k = job.evaluation.vote_k;
-    let mut scores = Scores::new(classes, &job.evaluation.excluded)?;
-    scores.add_oracle(&truth, &answers, &VoteRule::of(k))?;
-    quality.oracle.merge(&scores.oracle)?;
     // Gaussians were voted on already; points get theirs from the Gaussians around them.
-    let rule = VoteRule { points_k: k.max(1), ..VoteRule::of(1) };
+    let rule = VoteRule { points_k: job.evaluation.vote_k.max(1), ..VoteRule::of(1) };
     scores.add_labels(&truth, labels.labels.clone(), &rule)?;
-    let began = Instant::now();
-    let drawn =
-        scenesplat_metrics::random_labels(truth.scored().len(), classes, job.evaluation.seed)?;
-    quality.random.update((&drawn, truth.scored()))?;
-    quality.random_seconds.push(began.elapsed().as_secs_f64());
     let report = scores.model.tester_report();
     record.f_miou = report.foreground_mean_iou;
     let text = (!job.network().is_classifier()).then_some(job.text);

@@ -31,7 +31,7 @@ pub use error::ParetoError;
 pub use findings::{Finding, negative_findings};
 pub use front::{CLASSES, ClassWinner, cheapest_of_class, front, knee};
 pub use grid::{Axis, Grid, GridNetwork, Neutral, Written};
-pub use measure::{Job, LEAST_COVERAGE, SceneInput, labels_path, measure};
+pub use measure::{Job, LEAST_COVERAGE, Measured, SceneInput, labels_path, measure};
 pub use page::page;
 pub use point::{Point, points, sets};
 pub use quality::TEMPERATURE;

@@ -13,7 +13,7 @@ use anyhow::{Context, Result};
 use scenesplat::kernels::simd::Isa;
 use scenesplat::machine::Machine;
 use scenesplat::network::Weights;
-use scenesplat::pareto::{Grid, Kind, Record, Records, Written, seconds_text};
+use scenesplat::pareto::{Grid, Kind, Measured, Record, Records, Written, seconds_text};
 use scenesplat::{Setting, embedded};
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
@@ -112,7 +112,7 @@ impl Campaign<'_> {
         })
     }
 
-    /// Measures a setting on a set.
+    /// Measures a setting on a set; with labels that are kept, oracle and random labels, too.
     pub fn measure(
         &self,
         setting: &Setting,
@@ -120,7 +120,7 @@ impl Campaign<'_> {
         repeats: usize,
         beside: &Beside,
         labels: Labels<'_>,
-    ) -> Result<[Record; 3]> {
+    ) -> Result<Measured> {
         let named = setting.net.as_ref().and_then(|net| self.grid.networks.get(net));
         let given = match named {
             Some(_) => Setting { net: None, ..setting.clone() },
@@ -183,11 +183,11 @@ impl Campaign<'_> {
                 continue;
             }
             let labels = Labels { folder: Some(&folder), keep: is_reference };
-            let [mut record, oracle, random] =
+            let Measured { setting: mut record, bounds } =
                 self.measure(setting, set, self.repeats, &Beside::default(), labels)?;
             if is_reference {
                 record.agreement = Some(1.0);
-                for row in [oracle, random] {
+                for row in bounds.into_iter().flatten() {
                     if records.find(row.kind, &row.setting, None, &set.name).is_none() {
                         records.append(row)?;
                     }
@@ -208,7 +208,7 @@ impl Campaign<'_> {
         folder: &Path,
     ) -> Result<()> {
         let labels = Labels { folder: Some(folder), keep: true };
-        let [record, ..] = self.measure(setting, set, 1, &Beside::default(), labels)?;
+        let record = self.measure(setting, set, 1, &Beside::default(), labels)?.setting;
         if record.prediction_hash != known.prediction_hash {
             let (setting, set) = (&record.setting, &set.name);
             anyhow::bail!(

@@ -89,7 +89,7 @@ fn probe(campaign: &Campaign<'_>, set: &Set, setting: &Setting) -> Result<Price>
     let first = Set { scenes: set.scenes.iter().take(1).cloned().collect(), ..set.clone() };
     let nowhere = Labels { folder: None, keep: false };
     let began = Instant::now();
-    let [record, ..] = campaign.measure(setting, &first, 1, &Beside::default(), nowhere)?;
+    let record = campaign.measure(setting, &first, 1, &Beside::default(), nowhere)?.setting;
     let wall = began.elapsed().as_secs_f64();
     let bytes = |set: &Set| -> u64 {
         let size = |path: &Path| std::fs::metadata(path).map_or(0, |file| file.len());

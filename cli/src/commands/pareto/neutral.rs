@@ -72,7 +72,7 @@ pub fn complete(
             }
             let folder = reference_folder(out, set);
             let labels = Labels { folder: Some(&folder), keep: false };
-            let [mut record, ..] = campaign.measure(reference, set, REPEATS, beside, labels)?;
+            let mut record = campaign.measure(reference, set, REPEATS, beside, labels)?.setting;
             let known = records.find(Kind::Setting, &name, None, &set.name);
             let equal = known.is_some_and(|k| k.prediction_hash == record.prediction_hash);
             judge(&mut record, neutral, equal, beside);

@@ -83,7 +83,7 @@ pub fn run_point(args: &PointArgs) -> Result<()> {
     let mut writes = Vec::new();
     writes.extend(request.labels.then_some(Written::Labels));
     writes.extend(request.features.then_some(Written::Features));
-    let records = measure(&Job {
+    let measured = measure(&Job {
         setting: request.setting.clone(),
         set: request.set.clone(),
         encoder,
@@ -96,13 +96,14 @@ pub fn run_point(args: &PointArgs) -> Result<()> {
         scratch: request.scratch.clone(),
         reference: request.reference.clone(),
         keep_labels: request.keep_labels.clone(),
+        bounds: request.keep_labels.is_some(),
         conditions: request.conditions.clone(),
         weights_hash: request.weights_hash.clone(),
         input_hash: request.input_hash.clone(),
         load_seconds,
         machine: Machine { simd: Isa::current().name().to_owned(), ..Machine::detect() },
     })?;
-    Ok(AtomicFile::write(&request.answer, serde_json::to_string(&records)?.as_bytes())?)
+    Ok(AtomicFile::write(&request.answer, serde_json::to_string(&measured)?.as_bytes())?)
 }
 
 /// The classes: those given, those of a classifier, or the words of the rooms in the network's width.
