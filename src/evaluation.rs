@@ -203,12 +203,32 @@ impl<'a> Evaluation<'a> {
         truth: &SceneTruth<'_>,
         checked: &OracleReport,
     ) -> Result<(), EvaluationError> {
+        self.add_oracle(truth, checked)?;
+        self.add_random(truth)
+    }
+
+    /// Scores the truth that passed its check.
+    ///
+    /// # Errors
+    /// If it cannot be counted.
+    pub fn add_oracle(
+        &mut self,
+        truth: &SceneTruth<'_>,
+        checked: &OracleReport,
+    ) -> Result<(), EvaluationError> {
         // What each class comes out as: itself, except for aliases.
         let mut answers: Vec<i32> = (0..self.text.len() as i32).collect();
         for &(class, becomes) in &checked.aliases {
             answers[class] = becomes;
         }
-        self.scores.add_oracle(truth, &answers, &self.rule)?;
+        Ok(self.scores.add_oracle(truth, &answers, &self.rule)?)
+    }
+
+    /// Scores random labels.
+    ///
+    /// # Errors
+    /// If they cannot be counted.
+    pub fn add_random(&mut self, truth: &SceneTruth<'_>) -> Result<(), EvaluationError> {
         let scored = truth.scored();
         let random = random_labels(scored.len(), self.text.len(), self.settings.seed)?;
         Ok(self.random.update((&random, scored))?)

@@ -12,7 +12,7 @@ use crate::labels::{Classes, Labels, label_with_vote};
 use crate::machine::{Machine, peak_memory_bytes};
 use crate::network::Network;
 use crate::outputs::{FeatureType, OpenedScene, write_features_npy};
-use scenesplat_metrics::{ConfusionMatrix, Metric, SceneTruth, Scores, VoteRule};
+use scenesplat_metrics::{ConfusionMatrix, Metric, SceneTruth, Scores, TesterReport, VoteRule};
 use scenesplat_scene::formats::npy::NpyFile;
 use scenesplat_scene::formats::npy_writer::write_npy;
 use scenesplat_scene::{ReadOptions, TextTable};
@@ -62,8 +62,8 @@ pub struct Job<'a> {
     pub reference: Option<PathBuf>,
     /// Folder that takes the labels.
     pub keep_labels: Option<PathBuf>,
-    /// Whether the evaluator is checked, and oracle and random labels are scored, too. They are the same for
-    /// all settings, so once for a set is enough: the vote over the truth takes as long as a network.
+    /// Whether the evaluator is checked, and oracle and random labels are scored, too. They depend on the
+    /// scenes, the classes and the vote alone, and the vote over the truth takes as long as a network.
     pub bounds: bool,
     /// What all records of a folder share.
     pub conditions: String,
@@ -169,10 +169,9 @@ impl Job<'_> {
 }
 
 /// What scoring adds up over scenes.
+#[derive(Default)]
 struct Quality {
     matrices: Vec<ConfusionMatrix>,
-    oracle: ConfusionMatrix,
-    random: ConfusionMatrix,
     calibration: Calibration,
     hits: Hits,
     agreeing: usize,
@@ -225,64 +224,37 @@ pub fn measure(job: &Job<'_>) -> Result<Measured, ParetoError> {
     // Before anything is scored: what a user's run would take.
     let peak_bytes = peak_memory_bytes().unwrap_or(0);
     let mut evaluation = Evaluation::new(job.text, job.evaluation.clone())?;
-    let mut quality = Quality::new(job)?;
+    let mut quality = Quality::default();
     for (index, (scene, record)) in scenes.iter().zip(&mut per_scene).enumerate() {
         score(job, &mut evaluation, &mut quality, index, record).map_err(in_scene(scene))?;
     }
     let bytes_written = bytes / (job.repeats.max(1) * scenes.len()) as u64;
     let setting = finish(job, &names, per_scene, &quality, peak_bytes, bytes_written)?;
-    let bounds = job.bounds.then(|| quality.rows(&setting));
+    let bounds = job.bounds.then(|| quality.rows(&evaluation, &setting));
     Ok(Measured { setting, bounds })
 }
 
 impl Quality {
-    fn new(job: &Job<'_>) -> Result<Self, ParetoError> {
-        let empty =
-            ConfusionMatrix::new(job.text.len())?.with_excluded(&job.evaluation.excluded)?;
-        Ok(Self {
-            matrices: Vec::new(),
-            oracle: empty.clone(),
-            random: empty,
-            calibration: Calibration::default(),
-            hits: Hits::default(),
-            agreeing: 0,
-            compared: 0,
-            truth: Sha256::new(),
-            oracle_seconds: Vec::new(),
-            random_seconds: Vec::new(),
-        })
-    }
-
     /// Checks the evaluator on a scene, and adds what the truth and random labels score there.
     fn add_bounds(
         &mut self,
-        job: &Job<'_>,
         evaluation: &mut Evaluation<'_>,
         truth: &SceneTruth<'_>,
-        scores: &mut Scores,
     ) -> Result<(), ParetoError> {
         let began = Instant::now();
         let checked = evaluation.check(truth, None)?;
         self.oracle_seconds.push(began.elapsed().as_secs_f64());
-        let classes = job.text.len();
-        let mut answers: Vec<i32> = (0..classes as i32).collect();
-        for &(class, becomes) in &checked.aliases {
-            answers[class] = becomes;
-        }
-        scores.add_oracle(truth, &answers, &VoteRule::of(job.evaluation.vote_k))?;
-        self.oracle.merge(&scores.oracle)?;
+        evaluation.add_oracle(truth, &checked)?;
         let began = Instant::now();
-        let drawn =
-            scenesplat_metrics::random_labels(truth.scored().len(), classes, job.evaluation.seed)?;
-        self.random.update((&drawn, truth.scored()))?;
+        evaluation.add_random(truth)?;
         self.random_seconds.push(began.elapsed().as_secs_f64());
         Ok(())
     }
 
     /// The two rows that are no settings.
-    fn rows(&self, setting: &Record) -> [Record; 2] {
-        let row = |kind, name: &str, matrix: &ConfusionMatrix, seconds: &[f64]| {
-            let report = matrix.tester_report();
+    fn rows(&self, evaluation: &Evaluation<'_>, setting: &Record) -> [Record; 2] {
+        let scored = evaluation.report();
+        let row = |kind, name: &str, report: &TesterReport, seconds: &[f64]| {
             let mut record = Record {
                 kind,
                 setting: name.to_owned(),
@@ -303,13 +275,13 @@ impl Quality {
                 per_scene: Vec::new(),
                 ..setting.clone()
             };
-            figures(&mut record, &report);
+            figures(&mut record, report);
             (record.f_miou_low, record.f_miou_high) = (record.f_miou, record.f_miou);
             record
         };
         [
-            row(Kind::Oracle, "oracle", &self.oracle, &self.oracle_seconds),
-            row(Kind::Random, "random labels", &self.random, &self.random_seconds),
+            row(Kind::Oracle, "oracle", &scored.oracle, &self.oracle_seconds),
+            row(Kind::Random, "random labels", &scored.random, &self.random_seconds),
         ]
     }
 }
@@ -330,10 +302,10 @@ fn score(
     }
     let scene = &opened.loaded.scene;
     let truth = evaluation.truth(scene, input.class_of.as_deref())?;
-    let mut scores = Scores::new(job.text.len(), &job.evaluation.excluded)?;
     if job.bounds {
-        quality.add_bounds(job, evaluation, &truth, &mut scores)?;
+        quality.add_bounds(evaluation, &truth)?;
     }
+    let mut scores = Scores::new(job.text.len(), &job.evaluation.excluded)?;
     // Gaussians were voted on already; points get theirs from the Gaussians around them.
     let rule = VoteRule { points_k: job.evaluation.vote_k.max(1), ..VoteRule::of(1) };
     scores.add_labels(&truth, labels.labels.clone(), &rule)?;
@@ -398,7 +370,8 @@ fn finish(
         let (setting, least) = (job.setting.clone(), LEAST_COVERAGE);
         return Err(ParetoError::Stages { setting, coverage, least });
     }
-    let mut pooled = Quality::new(job)?.oracle;
+    let mut pooled =
+        ConfusionMatrix::new(job.text.len())?.with_excluded(&job.evaluation.excluded)?;
     for matrix in &quality.matrices {
         pooled.merge(matrix)?;
     }
@@ -452,7 +425,7 @@ fn finish(
     Ok(record)
 }
 
-fn figures(record: &mut Record, report: &scenesplat_metrics::TesterReport) {
+fn figures(record: &mut Record, report: &TesterReport) {
     record.f_miou = report.foreground_mean_iou;
     record.miou = report.mean_iou;
     record.f_macc = report.foreground_mean_accuracy;

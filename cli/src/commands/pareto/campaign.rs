@@ -50,6 +50,15 @@ pub struct Beside {
     pub max_memory: Option<String>,
     /// An instruction set.
     pub isa: Option<String>,
+    /// Whether the evaluator is checked, and oracle and random labels are scored.
+    pub bounds: bool,
+}
+
+/// Whether scenes were evaluated with the classes and the vote of a setting, where `measured` was.
+fn is_checked<'a>(mut measured: impl Iterator<Item = &'a str>, setting: &Setting) -> bool {
+    measured.any(|name| {
+        name.parse::<Setting>().is_ok_and(|s| (&s.net, s.k) == (&setting.net, setting.k))
+    })
 }
 
 /// This machine with that many threads.
@@ -112,7 +121,7 @@ impl Campaign<'_> {
         })
     }
 
-    /// Measures a setting on a set; with labels that are kept, oracle and random labels, too.
+    /// Measures a setting on a set.
     pub fn measure(
         &self,
         setting: &Setting,
@@ -150,6 +159,7 @@ impl Campaign<'_> {
             input_hash: set.hash.clone(),
             reference: folder(false).flatten(),
             keep_labels: folder(true).flatten(),
+            bounds: beside.bounds,
             scratch: self.scratch.to_owned(),
             answer: answer.clone(),
         };
@@ -183,8 +193,14 @@ impl Campaign<'_> {
                 continue;
             }
             let labels = Labels { folder: Some(&folder), keep: is_reference };
+            let measured = records.all.iter();
+            let measured = measured
+                .filter(|r| r.kind == Kind::Setting && r.scenes == set.name)
+                .map(|r| r.setting.as_str());
+            let bounds = !is_checked(measured, setting);
+            let beside = Beside { bounds, ..Beside::default() };
             let Measured { setting: mut record, bounds } =
-                self.measure(setting, set, self.repeats, &Beside::default(), labels)?;
+                self.measure(setting, set, self.repeats, &beside, labels)?;
             if is_reference {
                 record.agreement = Some(1.0);
                 for row in bounds.into_iter().flatten() {
@@ -266,4 +282,21 @@ pub fn reference_folder(out: &Path, set: &Set) -> PathBuf {
 /// Whether the labels of all scenes are there.
 fn kept(folder: &Path, record: &Record) -> bool {
     (0..record.per_scene.len()).all(|i| scenesplat::pareto::labels_path(folder, i).is_file())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_network_and_vote_is_checked_once() {
+        let checked = |measured: &[&str], setting: &str| {
+            is_checked(measured.iter().copied(), &setting.parse().unwrap())
+        };
+        assert!(!checked(&[], "k=25"));
+        assert!(checked(&["voxel=0.06,k=25"], "voxel=0.12,precision=bf16,k=25"));
+        assert!(!checked(&["voxel=0.06,k=25"], "voxel=0.06,k=8"));
+        assert!(!checked(&["k=25"], "net=student,k=25"));
+        assert!(checked(&["k=1", "net=student,k=25"], "net=student,passes=2,k=25"));
+    }
 }

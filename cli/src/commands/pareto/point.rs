@@ -96,7 +96,7 @@ pub fn run_point(args: &PointArgs) -> Result<()> {
         scratch: request.scratch.clone(),
         reference: request.reference.clone(),
         keep_labels: request.keep_labels.clone(),
-        bounds: request.keep_labels.is_some(),
+        bounds: request.bounds,
         conditions: request.conditions.clone(),
         weights_hash: request.weights_hash.clone(),
         input_hash: request.input_hash.clone(),

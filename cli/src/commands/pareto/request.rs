@@ -42,6 +42,8 @@ pub struct Request {
     pub reference: Option<PathBuf>,
     /// Folder for the labels.
     pub keep_labels: Option<PathBuf>,
+    /// Whether the evaluator is checked, and oracle and random labels are scored.
+    pub bounds: bool,
     /// Folder for what is written and thrown away.
     pub scratch: PathBuf,
     /// File for the answer.
