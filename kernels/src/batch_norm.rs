@@ -131,6 +131,24 @@ pub fn statistics(x: &[f32], c: usize) -> Statistics {
     Statistics { mean: by_rows(all.sum), var: by_rows(all.squares) }
 }
 
+/// The statistics of all rows together, from the number of rows and the statistics of each part, in this order; and
+/// the number of all rows. Parts without rows add nothing. Nothing if there is no part.
+///
+/// # Panics
+/// If the parts have different numbers of channels (a bug of the caller).
+pub fn merge(parts: &[(f64, Statistics)]) -> Option<(f64, Statistics)> {
+    let c = parts.first()?.1.mean.len();
+    let mut all = Moments::none(c);
+    for (rows, part) in parts.iter().filter(|(rows, _)| *rows > 0.0) {
+        assert_eq!((part.mean.len(), part.var.len()), (c, c), "batch norm: channels of a part");
+        let times = |values: &[f64]| values.iter().map(|v| v * rows).collect();
+        all.add(&Moments { rows: *rows, sum: times(&part.mean), squares: times(&part.var) });
+    }
+    let n = all.rows.max(1.0);
+    let by_rows = |sums: Vec<f64>| sums.into_iter().map(|s| s / n).collect();
+    Some((all.rows, Statistics { mean: by_rows(all.sum), var: by_rows(all.squares) }))
+}
+
 /// `out = x · scale + shift` per channel, then the exact GELU if asked for.
 ///
 /// # Shapes
@@ -189,10 +207,26 @@ pub fn backward(
     if c == 0 {
         return (Vec::new(), Vec::new());
     }
-    let rows = x.len() / c;
-    let arrays = [x.len(), grad.len(), dx.len()] == [elements([rows, c]); 3];
-    assert!(arrays && [mean.len(), inverse.len()] == [c; 2], "batch norm: gradient lengths");
-    let n = rows.max(1) as f64;
+    let sums = gradient_sums(x, grad, mean);
+    let rows = (x.len() / c).max(1) as f64;
+    input_gradient(x, grad, weight, mean, inverse, batch.then_some((&sums, rows)), dx);
+    parameter_gradients(&sums, inverse)
+}
+
+/// Sums of `grad · (x − mean)` over the rows, then of `grad`. `[2C]`
+///
+/// # Shapes
+/// `x`, `grad`: `[N, C]` · `mean`: `[C]`
+///
+/// # Panics
+/// If lengths do not fit (a bug of the caller).
+pub fn gradient_sums(x: &[f32], grad: &[f32], mean: &[f64]) -> Vec<f64> {
+    let c = mean.len();
+    let mut sums = vec![0.0; 2 * c];
+    if c == 0 {
+        return sums;
+    }
+    assert!(x.len() == grad.len() && x.len().is_multiple_of(c), "batch norm: gradient lengths");
     let parts: Vec<Vec<f64>> = x
         .par_chunks(BLOCK * c)
         .zip(grad.par_chunks(BLOCK * c))
@@ -205,18 +239,54 @@ pub fn backward(
             sums
         })
         .collect();
-    let mut sums = vec![0.0; 2 * c];
     for part in parts {
         sums.iter_mut().zip(part).for_each(|(s, p)| *s += p);
     }
-    let (products, db) = sums.split_at(c);
-    let dw: Vec<f64> = products.iter().zip(inverse).map(|(p, i)| p * i).collect();
+    sums
+}
+
+/// The gradients of weight and bias from [`gradient_sums`]. `[C]` each
+pub fn parameter_gradients(sums: &[f64], inverse: &[f64]) -> (Vec<f32>, Vec<f32>) {
+    let (products, db) = sums.split_at(sums.len() / 2);
+    let dw = products.iter().zip(inverse).map(|(p, i)| (p * i) as f32).collect();
+    (dw, db.iter().map(|&d| d as f32).collect())
+}
+
+/// The gradient of the input. `batch`: the sums ([`gradient_sums`]) and the number of all rows that mean and
+/// `inverse` come from; nothing where these are constants.
+///
+/// # Shapes
+/// `x`, `grad`, `dx`: `[N, C]` · `weight`, `mean`, `inverse`: `[C]` · sums: `[2C]`
+///
+/// # Panics
+/// If lengths do not fit (a bug of the caller).
+pub fn input_gradient(
+    x: &[f32],
+    grad: &[f32],
+    weight: &[f32],
+    mean: &[f64],
+    inverse: &[f64],
+    batch: Option<(&[f64], f64)>,
+    dx: &mut [f32],
+) {
+    let c = weight.len();
+    if c == 0 {
+        return;
+    }
+    let arrays = [x.len(), grad.len(), dx.len()] == [elements([x.len() / c, c]); 3];
+    assert!(arrays && [mean.len(), inverse.len()] == [c; 2], "batch norm: gradient lengths");
     // dx = (g − (db + unit · dw) / n) · inverse · weight, with what does not change over the rows
     // taken together.
     let factor: Vec<f64> = inverse.iter().zip(weight).map(|(i, w)| i * f64::from(*w)).collect();
-    let share = |sum: f64| if batch { sum / n } else { 0.0 };
-    let constant: Vec<f64> = db.iter().map(|&d| share(d)).collect();
-    let slope: Vec<f64> = dw.iter().zip(inverse).map(|(d, i)| share(d * i)).collect();
+    let (mut constant, mut slope) = (vec![0.0; c], vec![0.0; c]);
+    if let Some((sums, n)) = batch {
+        let (products, db) = sums.split_at(c);
+        constant.iter_mut().zip(db).for_each(|(s, d)| *s = d / n);
+        for ((s, p), i) in slope.iter_mut().zip(products).zip(inverse) {
+            *s = p * i * i / n;
+        }
+    }
+    let batch = batch.is_some();
     let channels = Channels { mean, factor: &factor, constant: &constant, slope: &slope, batch };
     let piece = (CACHED / c).max(1) * c;
     dx.par_chunks_mut(piece).zip(x.par_chunks(piece)).zip(grad.par_chunks(piece)).for_each(
@@ -225,8 +295,6 @@ pub fn backward(
                 V => input_gradients::<V>(x, grad, channels, dx));
         },
     );
-    let to_f32 = |v: &[f64]| v.iter().map(|&v| v as f32).collect();
-    (to_f32(&dw), to_f32(db))
 }
 
 /// Adds `grad · (x − mean)` to `products` and `grad` to `plain`, four rows at a time.
@@ -307,6 +375,55 @@ mod tests {
         let s = statistics(&x, 1);
         assert!((s.mean[0] - 1_000_000.25).abs() < 1e-6);
         assert!((s.var[0] - 0.125 / 3.0).abs() < 1e-9, "{}", s.var[0]);
+    }
+
+    /// Rows in parts of any size, an empty one among them, come to what all rows come to.
+    #[test]
+    fn parts_of_the_rows_are_merged_to_the_whole() {
+        let (n, c) = (2500, 3);
+        let value = |i: usize| ((i * 7919 % 10_007) as f32 / 10_007.0) + 1e4 * (i / 3000) as f32;
+        let x: Vec<f32> = (0..n * c).map(value).collect();
+        let grad: Vec<f32> = (0..n * c).map(|i| (i * 4957 % 8009) as f32 / 8009.0 - 0.4).collect();
+        let weight = [1.5, -0.5, 1.0];
+        let whole = statistics(&x, c);
+        let cuts = [0, 1, 1, 700, n];
+        let part = |w: &[usize]| (w[0] * c)..(w[1] * c);
+        let parts: Vec<_> =
+            cuts.windows(2).map(|w| ((w[1] - w[0]) as f64, statistics(&x[part(w)], c))).collect();
+        let (rows, merged) = merge(&parts).unwrap();
+        assert_eq!(rows, n as f64);
+        for j in 0..c {
+            assert!((merged.mean[j] - whole.mean[j]).abs() < 1e-12 * whole.mean[j].abs());
+            assert!((merged.var[j] - whole.var[j]).abs() < 1e-11 * whole.var[j]);
+        }
+        assert!(merge(&[]).is_none());
+        let (none, zeros) = merge(&[(0.0, statistics(&[], c))]).unwrap();
+        assert_eq!((none, zeros.mean), (0.0, vec![0.0; c]));
+
+        let inverse: Vec<f64> = whole.var.iter().map(|v| 1.0 / (v + 1e-3).sqrt()).collect();
+        let mut want = vec![0.0; n * c];
+        let (dw, db) = backward(&x, &grad, &weight, &whole.mean, &inverse, true, &mut want);
+        let sums = cuts.windows(2).map(|w| gradient_sums(&x[part(w)], &grad[part(w)], &whole.mean));
+        let sums = sums.fold(vec![0.0; 2 * c], |mut all, part| {
+            all.iter_mut().zip(part).for_each(|(a, p)| *a += p);
+            all
+        });
+        let mut dx = vec![f32::NAN; n * c];
+        for w in cuts.windows(2) {
+            let (x, grad) = (&x[part(w)], &grad[part(w)]);
+            let all = Some((sums.as_slice(), rows));
+            input_gradient(x, grad, &weight, &whole.mean, &inverse, all, &mut dx[part(w)]);
+        }
+        let (dw_of_parts, db_of_parts) = parameter_gradients(&sums, &inverse);
+        let pairs = |a: &[f32], b: &[f32]| {
+            let largest = b.iter().fold(0.0_f32, |largest, b| largest.max(b.abs()));
+            for (a, b) in a.iter().zip(b) {
+                assert!((a - b).abs() <= 1e-6 * largest, "{a} {b} of {largest}");
+            }
+        };
+        pairs(&dx, &want);
+        pairs(&dw_of_parts, &dw);
+        pairs(&db_of_parts, &db);
     }
 
     /// f64 sums over several stretches, scales from tiny to huge, and gradients by differences.

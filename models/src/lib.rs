@@ -28,6 +28,7 @@ mod multiply_adds;
 mod neighborhood;
 pub mod ops;
 pub mod params;
+pub mod peers;
 mod point_cloud;
 pub mod point_transformer_v1;
 pub mod point_transformer_v2;

@@ -72,6 +72,9 @@ pub struct Compared {
     pub regressions: Vec<Regression>,
     /// Settings of before that are of other input or weights, or were not measured now.
     pub missing: Vec<String>,
+    /// Settings of before that were measured under other conditions (reference, classes, files, what was written), and
+    /// under which.
+    pub other_conditions: Vec<String>,
 }
 
 impl Compared {
@@ -92,6 +95,11 @@ pub fn compare(now: &[Record], before: &[Record]) -> Compared {
             out.missing.push(format!("{} on {}", old.setting, old.scenes));
             continue;
         };
+        if new.conditions != old.conditions {
+            let Record { setting, scenes, conditions, .. } = old;
+            out.other_conditions.push(format!("{setting} on {scenes}: {conditions}"));
+            continue;
+        }
         out.common += 1;
         out.same_labels += usize::from(new.prediction_hash == old.prediction_hash);
         out.same_machine &= new.fingerprint == old.fingerprint;
@@ -125,6 +133,18 @@ mod tests {
         assert_eq!((found.common, found.missing.len()), (1, 0));
         let failures = found.failures().count();
         (found.regressions.into_iter().map(|r| r.change).collect(), failures)
+    }
+
+    #[test]
+    fn other_conditions_are_not_compared() {
+        let before = record("k=8", 1.0, 0.6);
+        let now = Record { conditions: "writes [Labels]".to_owned(), ..record("k=8", 9.0, 0.1) };
+        let found = compare(&[now], std::slice::from_ref(&before));
+        assert_eq!((found.common, found.times, found.failures().count()), (0, None, 0));
+        assert!(found.other_conditions[0].contains("k=8"), "{found:?}");
+        assert!(found.missing.is_empty());
+        let same = std::slice::from_ref(&before);
+        assert_eq!(compare(same, same).common, 1);
     }
 
     #[test]

@@ -10,11 +10,12 @@ mod outcome;
 mod steps;
 
 use bases::{Data, read};
-use cases::Effect;
+use cases::{Case, Effect};
 use known::{names_of, settings_of};
 use outcome::{Outcome, run};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// What of an experiment's file is a choice between tables: each must be in some base.
 const CHOICES: [(&str, &str); 8] = [
@@ -104,28 +105,55 @@ fn every_setting_does_what_its_row_says() {
     let first = read(&data, "language", bases::text("language"));
     assert_eq!(run(&data, &first, "first").error, None);
     std::fs::rename(data.path().join("first/model"), data.path().join("init")).unwrap();
+    let mut groups: Vec<(&str, Vec<(usize, &Case)>)> = Vec::new();
+    for (number, case) in cases::all().enumerate() {
+        match groups.iter_mut().find(|(base, _)| *base == case.base) {
+            Some((_, group)) => group.push((number, case)),
+            None => groups.push((case.base, vec![(number, case)])),
+        }
+    }
+    groups.sort_by_key(|(_, group)| std::cmp::Reverse(group.len()));
+    // Runs this small keep one core busy. Those of one base may share files, those of different ones do not.
+    let next = AtomicUsize::new(0);
+    let work = || {
+        let mut wrong = Vec::new();
+        while let Some((_, group)) = groups.get(next.fetch_add(1, Ordering::Relaxed)) {
+            wrong.extend(wrong_rows(&data, group));
+        }
+        wrong
+    };
+    let workers = std::thread::available_parallelism().map_or(1, usize::from);
+    let wrong: Vec<String> = std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..workers).map(|_| scope.spawn(work)).collect();
+        workers.into_iter().flat_map(|worker| worker.join().unwrap()).collect()
+    });
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// What is wrong with rows of one base.
+fn wrong_rows(data: &Data, group: &[(usize, &Case)]) -> Vec<String> {
     let mut bases: BTreeMap<String, Outcome> = BTreeMap::new();
     let mut wrong = Vec::new();
-    for (number, case) in cases::all().enumerate() {
-        let mut config = read(&data, case.base, bases::text(case.base));
+    for &(number, case) in group {
+        let mut config = read(data, case.base, bases::text(case.base));
         for (pointer, value) in case.with {
             set(&mut config, pointer, data.placed(parsed(value)));
         }
-        let key = format!("{} {:?}", case.base, case.with);
-        let before =
-            bases.entry(key).or_insert_with(|| run(&data, &config, &format!("base-{number}")));
+        let before = bases
+            .entry(format!("{:?}", case.with))
+            .or_insert_with(|| run(data, &config, &format!("base-{number}")));
         let mut changed = config.clone();
         set(&mut changed, case.pointer, data.placed(parsed(case.value)));
         if config == changed {
             wrong.push(format!("{}: the base has {} already", case.setting, case.value));
             continue;
         }
-        let after = run(&data, &changed, &format!("case-{number}"));
+        let after = run(data, &changed, &format!("case-{number}"));
         if let Err(problem) = case.effect.check(before, &after) {
             wrong.push(format!("{} = {}: {problem}", case.setting, case.value));
         }
     }
-    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    wrong
 }
 
 impl Effect {

@@ -3,11 +3,13 @@
 #[cfg(feature = "mpi")]
 mod message_passing;
 mod pairs;
+mod step_peers;
 mod threads;
 
 #[cfg(feature = "mpi")]
 pub use message_passing::MessagePassing;
 pub(crate) use pairs::{InPairs, add_in_pairs};
+pub(crate) use step_peers::StepPeers;
 pub use threads::ThreadRank;
 
 use std::fmt;

@@ -15,6 +15,11 @@ pub struct TrainerConfig {
     pub epochs: u64,
     /// Batches whose gradients are averaged for one optimizer step, at least 1.
     pub accumulate: u64,
+    /// Batch norms take the statistics of all batches of a step together, which then are as many as there are processes
+    /// (`accumulate`): each has one of them. Otherwise those of each batch.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    // Runs from before it was there go on.
+    pub sync_batch_norm: bool,
     /// Largest joint norm of the gradients; larger ones are scaled down. Off if absent.
     pub clip_norm: Option<f64>,
     /// Steps between two lines of the log, at least 1.
@@ -47,6 +52,7 @@ impl Default for TrainerConfig {
             seed: 0,
             epochs: 1,
             accumulate: 1,
+            sync_batch_norm: false,
             clip_norm: None,
             log_every: 10,
             eval_every: 1,

@@ -27,6 +27,18 @@ pub enum TrainError {
         /// Processes.
         ranks: u64,
     },
+    /// Statistics over all batches of a step, where they are not all at hand at once.
+    #[error(
+        "sync_batch_norm: statistics of all batches of a step need a process for each of them, and there {} for \
+         accumulate = {accumulate}: start as many, or set accumulate = {ranks}",
+        if *ranks == 1 { "is one".to_owned() } else { format!("are {ranks}") }
+    )]
+    SyncBatchNorm {
+        /// Batches of a step.
+        accumulate: u64,
+        /// Processes.
+        ranks: u64,
+    },
     /// A batch norm that is in no store of the module.
     #[error(
         "a batch norm has statistics that are in no store of the module; with several ranks all have to be in \

@@ -1,6 +1,7 @@
 //! Batch normalisation, alone or with an activation behind it.
 
 use super::vector;
+use crate::peers::Together;
 use crate::{Forward, Mode, ops};
 use candle_core::{DType, Result, Tensor, Var, bail};
 use candle_nn::{Init, VarBuilder};
@@ -119,10 +120,10 @@ impl BatchNorm {
     /// `[N, C] → [N, C]`. In training the statistics come from the batch, and the remembered ones
     /// move towards them. A single row has no variance: it is normalised by the remembered
     /// statistics, which stay as they are (PyTorch raises there, which would end a run at the first
-    /// batch that pools down to one voxel).
+    /// batch that pools down to one voxel). Under [`with_peers`](crate::peers::with_peers) the batch is that of all peers.
     ///
     /// # Errors
-    /// If the input does not fit, or when training with frozen weights.
+    /// If the input does not fit, another process is gone, or when training with frozen weights.
     pub fn forward(&self, x: &Tensor, mode: Mode) -> Result<Tensor> {
         match (&self.form, mode) {
             (Form::Frozen { scale, shift }, Mode::Eval) => {
@@ -139,10 +140,15 @@ impl BatchNorm {
                     Ok(vector(v.as_tensor())?.into_iter().map(f64::from).collect())
                 };
                 let BatchNormConstants { eps, momentum } = self.constants;
-                let statistics = match mode {
-                    Mode::Train if x.dim(0)? > 1 => {
-                        let now = ops::batch_statistics(x)?;
-                        let n = x.dim(0)? as f64;
+                let now = match (mode, Together::here()) {
+                    (Mode::Train, Some(all)) => ops::shared_batch_statistics(x, &all)?,
+                    (Mode::Train, None) if x.dim(0)? > 1 => {
+                        Some((ops::batch_statistics(x)?, x.dim(0)? as f64))
+                    }
+                    _ => None,
+                };
+                let statistics = match now {
+                    Some((now, n)) => {
                         StatisticsUpdate {
                             buffers: [mean.clone(), var.clone(), batches.clone()],
                             mean: now.mean.clone(),
@@ -153,11 +159,7 @@ impl BatchNorm {
                         .apply_or_record()?;
                         now
                     }
-                    _ => ops::BatchStatistics {
-                        mean: to_f64(mean)?,
-                        var: to_f64(var)?,
-                        from_batch: false,
-                    },
+                    None => ops::BatchStatistics::constant(to_f64(mean)?, to_f64(var)?),
                 };
                 ops::batch_norm(x, weight, bias, statistics, eps)
             }

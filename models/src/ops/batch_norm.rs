@@ -4,8 +4,12 @@ use super::{
     Pass, cpu_slice, forward_on_device, here, launched, launches, make, make_unwritten, read,
     refuse_gradient,
 };
+use crate::peers::{self, Together};
 use candle_core::{CpuStorage, CudaStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
-use scenesplat_kernels::batch_norm::{apply, backward, statistics};
+use scenesplat_kernels::batch_norm::{
+    Statistics, apply, backward, gradient_sums, input_gradient, merge, parameter_gradients,
+    statistics,
+};
 use std::sync::Arc;
 
 /// What a batch is normalised with.
@@ -15,8 +19,31 @@ pub struct BatchStatistics {
     pub mean: Vec<f64>,
     /// Biased variance. `[C]`
     pub var: Vec<f64>,
-    /// Whether they come from the batch itself, so that the gradient flows through them.
-    pub from_batch: bool,
+    /// Where they come from.
+    pub source: StatisticsSource,
+}
+
+/// Where statistics come from, and so where the gradient flows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum StatisticsSource {
+    /// Elsewhere: constants, which have no gradient.
+    Constant,
+    /// The rows that are normalised.
+    Batch,
+    /// The rows of all [`Peers`](crate::peers::Peers).
+    Peers {
+        /// How many they are.
+        rows: f64,
+        /// Place of the layer among those of the pass.
+        norm: u64,
+    },
+}
+
+impl BatchStatistics {
+    /// Those that no gradient flows through.
+    pub fn constant(mean: Vec<f64>, var: Vec<f64>) -> Self {
+        Self { mean, var, source: StatisticsSource::Constant }
+    }
 }
 
 /// Mean and biased variance of each channel of `x` (`[N, C]`), in f64.
@@ -31,11 +58,40 @@ pub fn batch_statistics(x: &Tensor) -> Result<BatchStatistics> {
     #[cfg(feature = "cuda")]
     if x.device().is_cuda() {
         let (mean, var) = crate::device::launcher::batch_statistics(x)?;
-        return Ok(BatchStatistics { mean, var, from_batch: true });
+        return Ok(BatchStatistics { mean, var, source: StatisticsSource::Batch });
     }
     here("batch_statistics", Pass::Forward, x);
     let s = read("batch_norm", x, |x| Ok(statistics(x, c)))?;
-    Ok(BatchStatistics { mean: s.mean, var: s.var, from_batch: true })
+    Ok(BatchStatistics { mean: s.mean, var: s.var, source: StatisticsSource::Batch })
+}
+
+/// As [`batch_statistics`], of the rows (`[N, C]`) of all peers together, and how many rows that are; every peer gets the
+/// same bits. Nothing if there are fewer than two rows.
+///
+/// # Errors
+/// If a peer is gone, or goes through other layers.
+pub(crate) fn shared_batch_statistics(
+    x: &Tensor,
+    together: &Together,
+) -> Result<Option<(BatchStatistics, f64)>> {
+    let (n, c) = x.dims2()?;
+    here("batch_statistics", Pass::Forward, x);
+    let mine = read("batch_norm", x, |x| Ok(statistics(x, c)))?;
+    let mine = [&[n as f64][..], &mine.mean, &mine.var].concat();
+    let norm = together.next_norm();
+    let part = |mut said: Vec<f64>| {
+        let var = said.split_off(1 + c);
+        let mean = said.split_off(1);
+        (said[0], Statistics { mean, var })
+    };
+    let said = together.gather(peers::Pass::Forward, norm, mine)?;
+    let parts: Vec<_> = said.into_iter().map(part).collect();
+    let Some((rows, Statistics { mean, var })) = merge(&parts).filter(|(rows, _)| *rows > 1.0)
+    else {
+        return Ok(None);
+    };
+    let source = StatisticsSource::Peers { rows, norm };
+    Ok(Some((BatchStatistics { mean, var, source }, rows)))
 }
 
 struct BatchNorm {
@@ -110,7 +166,11 @@ impl CustomOp3 for BatchNorm {
         grad: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
         let (mean, inverse) = (&self.statistics.mean, &self.inverse);
-        let from_batch = self.statistics.from_batch;
+        let source = self.statistics.source;
+        if let StatisticsSource::Peers { rows, norm } = source {
+            return self.backward_with_peers([x, weight, grad], rows, norm);
+        }
+        let from_batch = source == StatisticsSource::Batch;
         let pass = launches::BatchNormBackward { mean, inverse, from_batch };
         if let Some(made) = launched([x, weight, grad], &pass)? {
             let [dx, dw, db] = [0, 1, 2].map(|i| Some(made[i].clone()));
@@ -118,18 +178,55 @@ impl CustomOp3 for BatchNorm {
         }
         let device = here("batch_norm", Pass::Backward, x);
         let shape = x.shape().clone();
-        let s = &self.statistics;
         let mut parameters = (Vec::new(), Vec::new());
         let dx = read("batch_norm", x, |x| {
             read("batch_norm", grad, |g| {
                 read("batch_norm", weight, |w| {
                     make(device, shape, |dx| {
-                        parameters = backward(x, g, w, &s.mean, &self.inverse, s.from_batch, dx);
+                        parameters = backward(x, g, w, mean, inverse, from_batch, dx);
                     })
                 })
             })
         })?;
         let c = weight.elem_count();
+        let vector = |v: Vec<f32>| Tensor::from_vec(v, c, device);
+        Ok((Some(dx), Some(vector(parameters.0)?), Some(vector(parameters.1)?)))
+    }
+}
+
+impl BatchNorm {
+    /// The gradients, of the input through the statistics of all peers. Those of weight and bias are of this
+    /// process' rows: who trains adds them over the processes like those of other parameters.
+    fn backward_with_peers(
+        &self,
+        [x, weight, grad]: [&Tensor; 3],
+        rows: f64,
+        norm: u64,
+    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
+        let Some(together) = Together::here() else {
+            bail!(
+                "batch_norm: statistics of several processes, and a backward pass outside of with_peers"
+            );
+        };
+        let (mean, inverse) = (&self.statistics.mean, &self.inverse);
+        let device = here("batch_norm", Pass::Backward, x);
+        let (c, shape) = (mean.len(), x.shape().clone());
+        let mut parameters = (Vec::new(), Vec::new());
+        let dx = read("batch_norm", x, |x| {
+            read("batch_norm", grad, |g| {
+                read("batch_norm", weight, |w| {
+                    let mine = gradient_sums(x, g, mean);
+                    parameters = parameter_gradients(&mine, inverse);
+                    let mut sums = vec![0.0; 2 * c];
+                    for said in together.gather(peers::Pass::Backward, norm, mine)? {
+                        sums.iter_mut().zip(said).for_each(|(sum, part)| *sum += part);
+                    }
+                    make(device, shape, |dx| {
+                        input_gradient(x, g, w, mean, inverse, Some((&sums, rows)), dx);
+                    })
+                })
+            })
+        })?;
         let vector = |v: Vec<f32>| Tensor::from_vec(v, c, device);
         Ok((Some(dx), Some(vector(parameters.0)?), Some(vector(parameters.1)?)))
     }

@@ -19,7 +19,10 @@ mod residual;
 mod segment_reduce;
 mod sparse_conv;
 
-pub use batch_norm::{BatchStatistics, batch_norm, batch_statistics, scale_shift};
+pub(crate) use batch_norm::shared_batch_statistics;
+pub use batch_norm::{
+    BatchStatistics, StatisticsSource, batch_norm, batch_statistics, scale_shift,
+};
 pub(crate) use batch_norm::{frozen_cannot_train, scale_shift_frozen};
 pub use gelu::gelu;
 pub use layer_norm::{layer_norm, layer_norm_frozen};

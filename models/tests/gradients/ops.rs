@@ -69,8 +69,7 @@ fn batch_norm() {
         });
         let (mean, spread) = (flat(&var("mean", &[c])), flat(&var("var", &[c])));
         let spread: Vec<f64> = spread.iter().map(|v| 1.2 + v).collect();
-        let statistics =
-            ops::BatchStatistics { mean: mean.clone(), var: spread.clone(), from_batch: false };
+        let statistics = ops::BatchStatistics::constant(mean.clone(), spread.clone());
         let out = ops::batch_norm(&x, &w, &b, statistics, 1e-3).unwrap();
         check(&format!("batch_norm {n}·{c}, given statistics"), F32_EPS, &vars, &out, |v| {
             slow::batch_norm(&v["x"], &v["w"], &v["b"], Some((&mean, &spread)))

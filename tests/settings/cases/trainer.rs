@@ -73,6 +73,14 @@ pub const CASES: &[Case] = &[
     row("trainer.seed", "language", "/trainer/seed", "5", Weights),
     row("trainer.epochs", "language", "/trainer/epochs", "2", Weights),
     row("trainer.accumulate", "language", "/trainer/accumulate", "2", Weights),
+    row(
+        "trainer.sync_batch_norm",
+        "language",
+        "/trainer/sync_batch_norm",
+        "true",
+        Refused("accumulate = 1"),
+    )
+    .with(&[("/trainer/accumulate", "2")]),
     row("trainer.clip_norm", "language", "/trainer/clip_norm", "0.01", Weights),
     row("trainer.ema", "language", "/trainer/ema", "0.05", Weights),
     row("trainer.freeze", "language", "/trainer/freeze", r#"["embedding"]"#, Weights),

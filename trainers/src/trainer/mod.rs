@@ -47,7 +47,7 @@ pub struct Trainer {
     collective: Rc<dyn Collective>,
     /// Whether a rank was asked to stop, as all know.
     agreed_stop: bool,
-    /// Since the last line of the log: time that putting gradients together took, and their bytes.
+    /// Since the last line of the log: time that putting gradients and statistics together took, and their bytes.
     together_seconds: f64,
     together_bytes: u64,
 }
@@ -113,8 +113,8 @@ impl Trainer {
     }
 
     /// Trains as one of several ranks, on each of which the same is called. Each takes an equal part of the batches of
-    /// a step (`accumulate`); so the number of ranks changes no result, to the bit where the part is a power of two.
-    /// Rank 0 evaluates, and writes checkpoints; callbacks are called on every rank that has some, and if one asks to
+    /// a step (`accumulate`); so the number of ranks changes no result, to the bit where the part is a power of two (with
+    /// `sync_batch_norm` there are as many ranks as batches). Rank 0 evaluates, and writes checkpoints; callbacks are called on every rank that has some, and if one asks to
     /// stop, it has to do so on all.
     #[must_use]
     pub fn with_collective(mut self, collective: Rc<dyn Collective>) -> Self {
@@ -172,6 +172,9 @@ impl Trainer {
         let ranks = self.collective.size() as u64;
         if !self.config.accumulate.is_multiple_of(ranks) {
             return Err(TrainError::Ranks { accumulate: self.config.accumulate, ranks });
+        }
+        if self.config.sync_batch_norm && self.config.accumulate != ranks {
+            return Err(TrainError::SyncBatchNorm { accumulate: self.config.accumulate, ranks });
         }
         self.check_batches(batches)?;
         self.check_names(evaluators)?;

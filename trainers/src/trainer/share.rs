@@ -167,7 +167,12 @@ impl Trainer {
         let mut shares: Vec<Share> =
             all.into_iter().flat_map(|told| told.shares).map(Sent::share).collect();
         let buffers = buffers(run.module);
-        for statistics in shares.iter().flat_map(|share| &share.statistics) {
+        // Those of all batches together are one update, which every rank with a batch has.
+        let updates = match self.config.sync_batch_norm {
+            true => shares.iter().find(|share| !share.statistics.is_empty()).into_iter().collect(),
+            false => shares.iter().collect::<Vec<_>>(),
+        };
+        for statistics in updates.into_iter().flat_map(|share| &share.statistics) {
             move_statistics(&buffers, statistics)?;
         }
         if let Some(last) = shares.iter_mut().rev().find(|share| share.loss.is_some()) {

@@ -2,7 +2,7 @@
 
 use super::share::Share;
 use super::{Run, Trainer};
-use crate::collective::InPairs;
+use crate::collective::{InPairs, StepPeers};
 use crate::event::Progress;
 use crate::gradients::{add_gradients, check_gradients};
 use crate::module::{AfterStep, StepContext, TrainingModule};
@@ -14,8 +14,10 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use scenesplat_datasets::DataError;
 use scenesplat_models::Forward;
-use scenesplat_models::layers::record_statistics;
+use scenesplat_models::layers::{StatisticsUpdate, record_statistics};
+use scenesplat_models::peers::{Peers, with_peers};
 use std::collections::BTreeMap;
+use std::rc::Rc;
 
 /// Scenes of an epoch that a message can name.
 const NAMED_SCENES: usize = 64;
@@ -65,6 +67,15 @@ impl TermMean {
     pub(super) fn value(&self) -> f64 {
         self.sum / self.batches as f64
     }
+}
+
+/// A share with what its batch does to remembered statistics.
+fn with_statistics<M: TrainingModule>(
+    module: &M,
+    (done, updates): (Result<(GradStore, Share), TrainError>, Vec<StatisticsUpdate>),
+) -> Result<(GradStore, Share), TrainError> {
+    let (grads, share) = done?;
+    Ok((grads, share.with_statistics(module, updates)?))
 }
 
 impl Trainer {
@@ -121,18 +132,10 @@ impl Trainer {
             };
             batches.push(batch);
             let batch = &batches[batches.len() - 1];
-            if run.module.is_empty(batch) {
+            let Some((mut new, share)) = self.share_of(run, batch, place, at)? else {
                 shares.push(Share::default());
                 grads.push(None, add)?;
                 continue;
-            }
-            let (mut new, share) = if self.is_alone() {
-                self.micro_step(run, batch, place, at)?
-            } else {
-                // The batches of all ranks are remembered in one order.
-                let (done, updates) = record_statistics(|| self.micro_step(run, batch, place, at));
-                let (new, share) = done?;
-                (new, share.with_statistics(run.module, updates)?)
             };
             if !run.checked {
                 check_gradients(&run.params, &new, &self.config.idle)?;
@@ -152,6 +155,33 @@ impl Trainer {
             report.add(share, weight);
         }
         Ok(grads)
+    }
+
+    /// What one batch gives; nothing if it is empty.
+    fn share_of<M: TrainingModule>(
+        &mut self,
+        run: &Run<'_, M>,
+        batch: &M::Batch,
+        place: u64,
+        at: Progress,
+    ) -> Result<Option<(GradStore, Share)>, TrainError> {
+        let is_empty = run.module.is_empty(batch);
+        if self.is_alone() {
+            return (!is_empty).then(|| self.micro_step(run, batch, place, at)).transpose();
+        }
+        // The batches of all ranks are remembered in one order.
+        let work = || record_statistics(|| self.micro_step(run, batch, place, at));
+        if !self.config.sync_batch_norm {
+            return (!is_empty).then(|| with_statistics(run.module, work())).transpose();
+        }
+        let peers = Rc::new(StepPeers::new(Rc::clone(&self.collective)));
+        let shared: Rc<dyn Peers> = Rc::clone(&peers) as _;
+        let done = (!is_empty).then(|| with_peers(shared, work));
+        let done = done.map(|done| with_statistics(run.module, done)).transpose()?;
+        let (bytes, seconds) = peers.finish()?;
+        self.together_bytes += bytes;
+        self.together_seconds += seconds;
+        Ok(done)
     }
 
     /// What follows from the gradients: clipping, the optimizer's step, the average, the module's own.

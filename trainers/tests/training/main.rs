@@ -22,6 +22,7 @@ mod self_distillation;
 mod self_supervised;
 mod self_supervised_golden;
 mod step_inputs;
+mod sync_batch_norm;
 mod tasks;
 mod teacher;
 mod terms;

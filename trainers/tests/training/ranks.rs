@@ -22,7 +22,7 @@ use std::rc::Rc;
 use std::sync::Arc;
 
 /// Runs `work` on so many ranks, and gives what they gave, in their order.
-fn on_ranks<R: Send>(size: usize, work: impl Fn(ThreadRank) -> R + Sync) -> Vec<R> {
+pub fn on_ranks<R: Send>(size: usize, work: impl Fn(ThreadRank) -> R + Sync) -> Vec<R> {
     std::thread::scope(|scope| {
         let ranks = ThreadRank::group(size).into_iter();
         let threads: Vec<_> = ranks.map(|rank| scope.spawn(|| work(rank))).collect();

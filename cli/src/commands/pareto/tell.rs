@@ -91,9 +91,12 @@ fn line(point: &Point, mark: &str) -> String {
 
 /// Says how an earlier run compares; an error if something became worse, or slower on the same machine.
 pub fn compared(found: &Compared, path: &Path) -> Result<()> {
+    for setting in &found.other_conditions {
+        print(&format!("against: not compared, measured under other conditions: {setting}"));
+    }
     let Some([least, most]) = found.times else {
         bail!(
-            "--against {}: none of its settings was measured here with this input",
+            "--against {}: none of its settings was measured here with this input, under the same conditions",
             path.display()
         );
     };

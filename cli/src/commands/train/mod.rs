@@ -77,7 +77,11 @@ pub fn run(args: &Args) -> Result<()> {
     watch(Arc::clone(&stop));
     let ranks = ranks::start()?;
     if ranks.size() > 1 && ranks.rank() == 0 {
-        print(&format!("{} ranks share the batches of each step", ranks.size()));
+        let of = if config.trainer.sync_batch_norm { "all of them" } else { "its own batch" };
+        print(&format!(
+            "{} ranks share the batches of each step; a batch norm takes the statistics of {of}",
+            ranks.size()
+        ));
     }
     let done = train_together(
         &config,
