@@ -568,7 +568,8 @@ pub fn read(data: &Data, name: &str, text: &str) -> Value {
         "litept" => MODEL_LITE,
         _ => MODEL,
     };
-    let path = data.path().join("experiment.toml");
+    // Bases are read by several threads at once.
+    let path = data.path().join(format!("experiment-{name}.toml"));
     std::fs::write(&path, data.named(&text.replace("MODEL", model))).unwrap();
     serde_json::to_value(ExperimentConfig::read(&path).unwrap()).unwrap()
 }
