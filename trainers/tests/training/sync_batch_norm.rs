@@ -13,6 +13,8 @@ use scenesplat_trainers::{
 use std::rc::Rc;
 
 type Rows = Vec<[f32; 4]>;
+/// Parameters, then buffers, by name.
+type Named = Vec<(String, Vec<f32>)>;
 
 /// `y = norm(norm(x·first)·second)·last`: gradients go through a batch norm to parameters before it.
 struct Between {
@@ -38,7 +40,7 @@ impl Between {
         Self { params, products, norms, empty_above, skips: false }
     }
 
-    fn values(&self) -> Vec<(String, Vec<f32>)> {
+    fn values(&self) -> Named {
         let all = self.params.parameters().into_iter().chain(self.params.buffers());
         let flat = |t: &Tensor| {
             let t = t.to_dtype(DType::F32).and_then(|t| t.flatten_all()).unwrap();
@@ -106,7 +108,7 @@ fn train(
     sync_batch_norm: bool,
     empty_above: f32,
     data: &mut dyn BatchLoader<Rows>,
-) -> std::result::Result<Vec<(String, Vec<f32>)>, TrainError> {
+) -> std::result::Result<Named, TrainError> {
     let module = Between::new(empty_above);
     let mut trainer = loop_for(&module, accumulate, sync_batch_norm);
     if let Some(rank) = rank {
@@ -127,12 +129,11 @@ fn ranks_train_as_one_process_does_with_all_rows_in_one_batch() {
         };
         let apart = |found: &[(String, Vec<f32>)], what: fn(&str) -> bool| {
             let pairs = found.iter().zip(&expected).filter(|((name, _), _)| what(name));
-            let of = |((name, a), (other, b)): (&(String, Vec<f32>), &(String, Vec<f32>))| {
+            pairs.fold(0.0_f32, |most, ((name, a), (other, b))| {
                 assert_eq!(name, other);
                 let apart = a.iter().zip(b).map(|(a, b)| (a - b).abs() / (1.0 + b.abs()));
-                apart.fold(0.0, f32::max)
-            };
-            pairs.map(of).fold(0.0, f32::max)
+                apart.fold(most, f32::max)
+            })
         };
         let all = on_all(true);
         for found in &all {
