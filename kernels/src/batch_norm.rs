@@ -56,6 +56,12 @@ impl Moments {
         all
     }
 
+    fn statistics(self) -> Statistics {
+        let n = self.rows.max(1.0);
+        let by_rows = |sums: Vec<f64>| sums.into_iter().map(|s| s / n).collect();
+        Statistics { mean: by_rows(self.sum), var: by_rows(self.squares) }
+    }
+
     fn add(&mut self, other: &Self) {
         if self.rows > 0.0 {
             let weight = self.rows * other.rows / (self.rows + other.rows);
@@ -126,27 +132,25 @@ pub fn statistics(x: &[f32], c: usize) -> Statistics {
     let parts: Vec<Moments> = x.par_chunks(BLOCK * c).map(|x| Moments::of(x, c)).collect();
     let mut all = Moments::none(c);
     parts.iter().for_each(|part| all.add(part));
-    let n = all.rows.max(1.0);
-    let by_rows = |sums: Vec<f64>| sums.into_iter().map(|s| s / n).collect();
-    Statistics { mean: by_rows(all.sum), var: by_rows(all.squares) }
+    all.statistics()
 }
 
-/// The statistics of all rows together, from the number of rows and the statistics of each part, in this order; and
-/// the number of all rows. Parts without rows add nothing. Nothing if there is no part.
+/// The number of all rows and their statistics together, from those of each part, in this order. Parts without rows
+/// add nothing; zeros when there is no row.
+///
+/// # Shapes
+/// Statistics of each part: `[C]`
 ///
 /// # Panics
-/// If the parts have different numbers of channels (a bug of the caller).
-pub fn merge(parts: &[(f64, Statistics)]) -> Option<(f64, Statistics)> {
-    let c = parts.first()?.1.mean.len();
+/// If a part has another number of channels (a bug of the caller).
+pub fn merge(parts: &[(f64, Statistics)], c: usize) -> (f64, Statistics) {
     let mut all = Moments::none(c);
     for (rows, part) in parts.iter().filter(|(rows, _)| *rows > 0.0) {
         assert_eq!((part.mean.len(), part.var.len()), (c, c), "batch norm: channels of a part");
         let times = |values: &[f64]| values.iter().map(|v| v * rows).collect();
         all.add(&Moments { rows: *rows, sum: times(&part.mean), squares: times(&part.var) });
     }
-    let n = all.rows.max(1.0);
-    let by_rows = |sums: Vec<f64>| sums.into_iter().map(|s| s / n).collect();
-    Some((all.rows, Statistics { mean: by_rows(all.sum), var: by_rows(all.squares) }))
+    (all.rows, all.statistics())
 }
 
 /// `out = x · scale + shift` per channel, then the exact GELU if asked for.
@@ -390,14 +394,13 @@ mod tests {
         let part = |w: &[usize]| (w[0] * c)..(w[1] * c);
         let parts: Vec<_> =
             cuts.windows(2).map(|w| ((w[1] - w[0]) as f64, statistics(&x[part(w)], c))).collect();
-        let (rows, merged) = merge(&parts).unwrap();
+        let (rows, merged) = merge(&parts, c);
         assert_eq!(rows, n as f64);
         for j in 0..c {
             assert!((merged.mean[j] - whole.mean[j]).abs() < 1e-12 * whole.mean[j].abs());
             assert!((merged.var[j] - whole.var[j]).abs() < 1e-11 * whole.var[j]);
         }
-        assert!(merge(&[]).is_none());
-        let (none, zeros) = merge(&[(0.0, statistics(&[], c))]).unwrap();
+        let (none, zeros) = merge(&[(0.0, statistics(&[], c))], c);
         assert_eq!((none, zeros.mean), (0.0, vec![0.0; c]));
 
         let inverse: Vec<f64> = whole.var.iter().map(|v| 1.0 / (v + 1e-3).sqrt()).collect();

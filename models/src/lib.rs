@@ -35,6 +35,7 @@ pub mod point_transformer_v2;
 pub mod point_transformer_v3;
 mod recompute;
 mod row_order;
+mod scoped;
 pub mod self_supervised_heads;
 mod shortcuts;
 mod stages;

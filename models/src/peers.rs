@@ -1,5 +1,7 @@
 //! Processes that train together, as batch norms see them: their statistics are those of the rows of all.
 
+use crate::ops::Pass;
+use crate::scoped::with_value;
 use candle_core::{Result, bail};
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
@@ -31,23 +33,8 @@ thread_local! {
 /// all peers, and send their gradients through them. All peers with rows run the same layers in the same order; one that
 /// does not is told.
 pub fn with_peers<R>(peers: Rc<dyn Peers>, work: impl FnOnce() -> R) -> R {
-    /// Puts back what was there, also after a panic.
-    struct Around(Option<Rc<Together>>);
-    impl Drop for Around {
-        fn drop(&mut self) {
-            TOGETHER.set(self.0.take());
-        }
-    }
     let together = Together { peers, norms: Cell::new(0), spoke: RefCell::default() };
-    let _around = Around(TOGETHER.replace(Some(Rc::new(together))));
-    work()
-}
-
-/// What is said of a layer.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Pass {
-    Forward,
-    Backward,
+    with_value(&TOGETHER, Rc::new(together), work).0
 }
 
 impl Together {

@@ -17,8 +17,8 @@ pub struct TrainerConfig {
     pub accumulate: u64,
     /// Batch norms take the statistics of all batches of a step together, which then are as many as there are processes
     /// (`accumulate`): each has one of them. Otherwise those of each batch.
+    // Not written where it is off: runs from before it was there go on.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
-    // Runs from before it was there go on.
     pub sync_batch_norm: bool,
     /// Largest joint norm of the gradients; larger ones are scaled down. Off if absent.
     pub clip_norm: Option<f64>,

@@ -317,6 +317,14 @@ fn an_earlier_run_is_compared_with() {
     done(&output);
     let said = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(said.contains("times are not judged") && said.contains("(2.00 times)"), "{said}");
+    // What was measured under other conditions is named, and neither its time nor its quality counts.
+    planted[1]["conditions"] = "writes [Features]".into();
+    planted[1]["f_miou"] = 0.99.into();
+    let output = put(&planted);
+    done(&output);
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(said.contains("other conditions") && said.contains("writes [Features]"), "{said}");
+    assert!(said.contains("1 settings, 1 with the same labels"), "{said}");
     // A file that is none is refused before anything else.
     let missing = folder.path().join("none.jsonl");
     let output = pareto(&grid, &scenes[..1], &out, &["--against", missing.to_str().unwrap()]);

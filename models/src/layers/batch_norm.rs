@@ -1,7 +1,9 @@
 //! Batch normalisation, alone or with an activation behind it.
 
 use super::vector;
+use crate::ops::StatisticsSource;
 use crate::peers::Together;
+use crate::scoped::with_value;
 use crate::{Forward, Mode, ops};
 use candle_core::{DType, Result, Tensor, Var, bail};
 use candle_nn::{Init, VarBuilder};
@@ -120,7 +122,8 @@ impl BatchNorm {
     /// `[N, C] → [N, C]`. In training the statistics come from the batch, and the remembered ones
     /// move towards them. A single row has no variance: it is normalised by the remembered
     /// statistics, which stay as they are (PyTorch raises there, which would end a run at the first
-    /// batch that pools down to one voxel). Under [`with_peers`](crate::peers::with_peers) the batch is that of all peers.
+    /// batch that pools down to one voxel). Under [`with_peers`](crate::peers::with_peers) the batch is that of
+    /// all peers.
     ///
     /// # Errors
     /// If the input does not fit, another process is gone, or when training with frozen weights.
@@ -142,13 +145,15 @@ impl BatchNorm {
                 let BatchNormConstants { eps, momentum } = self.constants;
                 let now = match (mode, Together::here()) {
                     (Mode::Train, Some(all)) => ops::shared_batch_statistics(x, &all)?,
-                    (Mode::Train, None) if x.dim(0)? > 1 => {
-                        Some((ops::batch_statistics(x)?, x.dim(0)? as f64))
-                    }
+                    (Mode::Train, None) if x.dim(0)? > 1 => Some(ops::batch_statistics(x)?),
                     _ => None,
                 };
                 let statistics = match now {
-                    Some((now, n)) => {
+                    Some(now) => {
+                        let n = match now.source {
+                            StatisticsSource::Peers { rows, .. } => rows,
+                            _ => x.dim(0)? as f64,
+                        };
                         StatisticsUpdate {
                             buffers: [mean.clone(), var.clone(), batches.clone()],
                             mean: now.mean.clone(),
@@ -212,18 +217,8 @@ thread_local! {
 /// done to them is given in their order. [`StatisticsUpdate::apply`] makes up for it, to the bit: so batches that
 /// several processes look at can be remembered in one order.
 pub fn record_statistics<R>(work: impl FnOnce() -> R) -> (R, Vec<StatisticsUpdate>) {
-    /// Puts back what was recorded around it, also after a panic.
-    struct Around(Option<Vec<StatisticsUpdate>>);
-    impl Drop for Around {
-        fn drop(&mut self) {
-            RECORDED.set(self.0.take());
-        }
-    }
-    let around = Around(RECORDED.replace(Some(Vec::new())));
-    let done = work();
-    let found = RECORDED.take().unwrap_or_default();
-    drop(around);
-    (done, found)
+    let (done, found) = with_value(&RECORDED, Vec::new(), work);
+    (done, found.unwrap_or_default())
 }
 
 impl StatisticsUpdate {

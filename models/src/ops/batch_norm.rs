@@ -4,7 +4,7 @@ use super::{
     Pass, cpu_slice, forward_on_device, here, launched, launches, make, make_unwritten, read,
     refuse_gradient,
 };
-use crate::peers::{self, Together};
+use crate::peers::Together;
 use candle_core::{CpuStorage, CudaStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use scenesplat_kernels::batch_norm::{
     Statistics, apply, backward, gradient_sums, input_gradient, merge, parameter_gradients,
@@ -65,15 +65,15 @@ pub fn batch_statistics(x: &Tensor) -> Result<BatchStatistics> {
     Ok(BatchStatistics { mean: s.mean, var: s.var, source: StatisticsSource::Batch })
 }
 
-/// As [`batch_statistics`], of the rows (`[N, C]`) of all peers together, and how many rows that are; every peer gets the
-/// same bits. Nothing if there are fewer than two rows.
+/// As [`batch_statistics`], of the rows (`[N, C]`) of all peers together; every peer gets the same bits. Nothing if there
+/// are fewer than two rows.
 ///
 /// # Errors
 /// If a peer is gone, or goes through other layers.
 pub(crate) fn shared_batch_statistics(
     x: &Tensor,
     together: &Together,
-) -> Result<Option<(BatchStatistics, f64)>> {
+) -> Result<Option<BatchStatistics>> {
     let (n, c) = x.dims2()?;
     here("batch_statistics", Pass::Forward, x);
     let mine = read("batch_norm", x, |x| Ok(statistics(x, c)))?;
@@ -84,14 +84,11 @@ pub(crate) fn shared_batch_statistics(
         let mean = said.split_off(1);
         (said[0], Statistics { mean, var })
     };
-    let said = together.gather(peers::Pass::Forward, norm, mine)?;
+    let said = together.gather(Pass::Forward, norm, mine)?;
     let parts: Vec<_> = said.into_iter().map(part).collect();
-    let Some((rows, Statistics { mean, var })) = merge(&parts).filter(|(rows, _)| *rows > 1.0)
-    else {
-        return Ok(None);
-    };
+    let (rows, Statistics { mean, var }) = merge(&parts, c);
     let source = StatisticsSource::Peers { rows, norm };
-    Ok(Some((BatchStatistics { mean, var, source }, rows)))
+    Ok((rows > 1.0).then_some(BatchStatistics { mean, var, source }))
 }
 
 struct BatchNorm {
@@ -218,7 +215,7 @@ impl BatchNorm {
                     let mine = gradient_sums(x, g, mean);
                     parameters = parameter_gradients(&mine, inverse);
                     let mut sums = vec![0.0; 2 * c];
-                    for said in together.gather(peers::Pass::Backward, norm, mine)? {
+                    for said in together.gather(Pass::Backward, norm, mine)? {
                         sums.iter_mut().zip(said).for_each(|(sum, part)| *sum += part);
                     }
                     make(device, shape, |dx| {

@@ -113,9 +113,9 @@ impl Trainer {
     }
 
     /// Trains as one of several ranks, on each of which the same is called. Each takes an equal part of the batches of
-    /// a step (`accumulate`); so the number of ranks changes no result, to the bit where the part is a power of two (with
-    /// `sync_batch_norm` there are as many ranks as batches). Rank 0 evaluates, and writes checkpoints; callbacks are called on every rank that has some, and if one asks to
-    /// stop, it has to do so on all.
+    /// a step (`accumulate`); so the number of ranks changes no result, to the bit where the part is a power of two
+    /// (with `sync_batch_norm` there are as many ranks as batches). Rank 0 evaluates, and writes checkpoints; callbacks
+    /// are called on every rank that has some, and if one asks to stop, it has to do so on all.
     #[must_use]
     pub fn with_collective(mut self, collective: Rc<dyn Collective>) -> Self {
         self.collective = collective;
