@@ -202,6 +202,7 @@ impl Outputs {
         if self.staged.borrow().is_none() {
             let mut main = StagedFolder::create(&self.folder)?;
             let lock = FolderLock::acquire(&self.folder)?;
+            main.remove_left_over();
             // Withdrawn first and put in place last.
             main.add(RECEIPT);
             let staged = Staged { main, inner: BTreeMap::new(), _lock: lock };

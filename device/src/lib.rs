@@ -3,12 +3,14 @@
 //! The kernels are texts in CUDA (and some in Metal), compiled when they are first used. They compute what
 //! `scenesplat-kernels` computes on a CPU, which is their specification. [`modules()`] lists them; each
 //! function of [`ops`] is an operation as a sequence of launches, over any [`Launcher`]: a graphics
-//! processor (feature `cuda`) or the emulated grid of the tests.
+//! processor (feature `cuda`) or the emulated grid of tests (feature `emulation`).
 //!
 //! No sum uses atomic additions of floating-point numbers: results are the same bits in every run.
 
 #[cfg(feature = "cuda")]
 pub mod cuda;
+#[cfg(feature = "emulation")]
+pub mod emulator;
 pub mod launch;
 mod modules;
 #[cfg(feature = "cuda")]

@@ -46,6 +46,8 @@ pub use backbone::{
     Backbone, BackboneCost, Calibrated, Forward, FrozenStatistics, Mode, Observer, Orders,
 };
 pub use compute::Compute;
+#[cfg(feature = "emulation")]
+pub use device::emulated::{EmulatedDevice, is_emulated, on_emulated_device};
 pub use device::{DeviceChoice, DeviceError, OpenDevice, missing_kernels};
 pub use head::{Head, LanguageModel, SemanticSegmenter};
 pub use levels::{Level, LevelOptions, Levels, scene_means};

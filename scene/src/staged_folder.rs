@@ -46,6 +46,23 @@ impl StagedFolder {
         Ok(this)
     }
 
+    /// Removes what runs that were killed have left: other folders in which files waited. For who holds a
+    /// [`FolderLock`](crate::FolderLock), under which no other run has files waiting here. What cannot be removed stays.
+    pub fn remove_left_over(&self) {
+        let waits = |name: &OsStr| {
+            let digits = name.to_str()?.strip_prefix(".new.")?.strip_suffix(".part")?;
+            (digits.len() == 16 && digits.bytes().all(|b| b.is_ascii_hexdigit())).then_some(())
+        };
+        for entry in fs::read_dir(&self.folder).into_iter().flatten().flatten() {
+            // A link of such a name is somebody else's.
+            let is_folder = entry.file_type().is_ok_and(|kind| kind.is_dir());
+            let other = self.part.as_deref() != Some(&entry.path());
+            if is_folder && other && waits(&entry.file_name()).is_some() {
+                drop(fs::remove_dir_all(entry.path()));
+            }
+        }
+    }
+
     /// Where to write the file of that name, which has no folders in it.
     ///
     /// The first file that is added is the last to be put in place: the one by which readers tell
@@ -210,6 +227,29 @@ mod tests {
         assert_eq!(paths, [dir.path().join("a"), dir.path().join("b")]);
         assert_eq!(names(dir.path()), ["a", "b", "kept"]);
         assert_eq!(fs::read(dir.path().join("a")).unwrap(), b"new");
+    }
+
+    #[test]
+    fn what_a_killed_run_left_can_go_and_nothing_else() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut killed = StagedFolder::create(dir.path()).unwrap();
+        killed.write("half", b"written").unwrap();
+        std::mem::forget(killed);
+        let theirs = [".new.0123.part", ".new.0123456789abcdef", ".old.0123456789abcdef.part"];
+        for name in theirs {
+            fs::create_dir(dir.path().join(name)).unwrap();
+        }
+        let file = ".new.0123456789abcdef.part";
+        fs::write(dir.path().join(file), "a file").unwrap();
+        assert_eq!(names(dir.path()).len(), 5);
+        let mut staged = StagedFolder::create(dir.path()).unwrap();
+        staged.write("a", b"new").unwrap();
+        staged.remove_left_over();
+        staged.commit::<&str>(&[]).unwrap();
+        let mut expected = vec![file, "a"];
+        expected.extend(theirs);
+        expected.sort_unstable();
+        assert_eq!(names(dir.path()), expected);
     }
 
     #[test]

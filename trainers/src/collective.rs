@@ -2,16 +2,26 @@
 
 #[cfg(feature = "mpi")]
 mod message_passing;
+#[cfg(feature = "nccl")]
+mod nccl;
 mod pairs;
 mod step_peers;
+#[cfg_attr(
+    not(feature = "nccl"),
+    allow(dead_code, reason = "tensors stay on devices with NCCL alone")
+)]
+mod tensors;
 mod threads;
 
 #[cfg(feature = "mpi")]
 pub use message_passing::MessagePassing;
+#[cfg(feature = "nccl")]
+pub use nccl::Nccl;
 pub(crate) use pairs::{InPairs, add_in_pairs};
 pub(crate) use step_peers::StepPeers;
 pub use threads::ThreadRank;
 
+use candle_core::Tensor;
 use std::fmt;
 
 /// What goes wrong between processes.
@@ -29,6 +39,12 @@ pub enum CollectiveError {
     Disagreement {
         /// Which.
         rank: usize,
+        /// What is wrong.
+        problem: String,
+    },
+    /// A device that does not send or receive.
+    #[error("between the devices of the ranks: {problem}")]
+    Device {
         /// What is wrong.
         problem: String,
     },
@@ -101,6 +117,21 @@ pub trait Collective: fmt::Debug {
             rest = after;
         }
         Ok(())
+    }
+
+    /// The sum over the ranks of as many f32 values (`[len]`) on each, where tensors go from device to device; with the bits of
+    /// [`all_reduce`](Self::all_reduce). Nothing where they do not, and `all_reduce` is to be called.
+    ///
+    /// # Errors
+    /// If another rank is gone, or a device does not answer.
+    fn all_reduce_tensor(&self, values: &Tensor) -> Result<Option<Tensor>, CollectiveError> {
+        let _ = values;
+        Ok(None)
+    }
+
+    /// What carries gradients from rank to rank.
+    fn carrier(&self) -> &'static str {
+        "the memory of the host"
     }
 
     /// Ends all ranks, where nothing else would.

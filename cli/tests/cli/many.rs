@@ -4,6 +4,8 @@ use crate::{done, scenesplat, stderr};
 use scenesplat::rooms::{SyntheticRoomSettings, generate};
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
 use serde_json::Value;
+use std::collections::BTreeSet;
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -252,6 +254,20 @@ fn a_part_that_was_killed_goes_on_and_two_on_one_part_agree() {
     done(&merge(&parts));
     let read = |out: &Path| std::fs::read(out.join("merged.json")).unwrap();
     assert_eq!(read(&whole), read(&parts));
+    for name in names(&whole) {
+        let left = |out: &Path| names(&out.join(&name));
+        assert_eq!(
+            left(&parts),
+            left(&whole),
+            "{name}: nothing is left of the run that was killed"
+        );
+    }
+}
+
+/// Names in a folder; none of what is a file.
+fn names(folder: &Path) -> BTreeSet<OsString> {
+    let found = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    found.map(|entry| entry.file_name()).collect()
 }
 
 #[test]

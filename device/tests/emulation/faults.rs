@@ -29,7 +29,7 @@ const fn faulty(name: &'static str) -> KernelEntry {
 
 /// What a kernel makes of 128 numbers, in two blocks.
 fn run(name: &str, seed: u64) -> Result<Vec<u32>, EmulatorError> {
-    let l = Emulator::new(seed);
+    let l = Emulator::with_modules(seed, std::slice::from_ref(&FAULTS));
     let kernel = FAULTS.entries.iter().find(|k| k.name == name).unwrap();
     let x = l.upload_values(&(0..128u32).collect::<Vec<_>>())?;
     let mut out = l.alloc_values::<u32>(128)?;

@@ -1,7 +1,6 @@
 //! Every kernel on the emulated grid, against the CPU kernels.
 #![allow(clippy::unwrap_used, missing_docs)]
 
-mod emulator;
 mod faults;
 mod grid_sample;
 mod labels;
@@ -13,9 +12,9 @@ mod segment;
 mod serialization;
 mod sparse_conv;
 
-use emulator::{Emulator, EmulatorError};
 use rand::{Rng, SeedableRng};
 use scenesplat_device::Launcher;
+use scenesplat_device::emulator::{self, Emulator, EmulatorError};
 
 /// Numbers of rows that every kernel is tested with.
 const ROWS: [usize; 7] = [0, 1, 2, 1023, 1024, 1025, 4321];

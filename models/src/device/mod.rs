@@ -6,6 +6,8 @@
 
 #[cfg(feature = "cuda")]
 mod cuda;
+#[cfg(feature = "emulation")]
+pub(crate) mod emulated;
 #[cfg(feature = "cuda")]
 pub(crate) mod launcher;
 
@@ -53,6 +55,16 @@ pub enum DeviceError {
         what: &'static str,
         /// The feature that adds it.
         feature: &'static str,
+    },
+    /// There is no such interface on this system.
+    #[error("{device}: {what} is there on {systems} alone; compute on cpu")]
+    OtherSystem {
+        /// What was asked for.
+        device: DeviceChoice,
+        /// The interface.
+        what: &'static str,
+        /// Where it is.
+        systems: &'static str,
     },
     /// A library was not found.
     #[error("{device}: {library} was not found; {help}, or compute on cpu")]
@@ -153,6 +165,15 @@ pub fn missing_kernels() -> Vec<&'static str> {
     Vec::new()
 }
 
+/// Whether tensors there are not the CPU's: packed weights and the kernels of the CPU are not for them.
+pub(crate) fn off_host(device: &Device) -> bool {
+    #[cfg(feature = "emulation")]
+    if emulated::is_emulated() {
+        return true;
+    }
+    !device.is_cpu()
+}
+
 fn cpu(fell_back: Option<DeviceError>) -> OpenDevice {
     OpenDevice { device: Device::Cpu, name: "cpu".to_owned(), fell_back }
 }
@@ -167,7 +188,7 @@ fn cuda(device: DeviceChoice, _: usize) -> Result<OpenDevice, DeviceError> {
     Err(DeviceError::NotBuilt { device, what: "CUDA", feature: "cuda" })
 }
 
-#[cfg(feature = "metal")]
+#[cfg(all(feature = "metal", target_vendor = "apple"))]
 fn metal(device: DeviceChoice, number: usize) -> Result<OpenDevice, DeviceError> {
     let opened = Device::new_metal(number);
     let problem = |error: candle_core::Error| error.to_string();
@@ -175,9 +196,12 @@ fn metal(device: DeviceChoice, number: usize) -> Result<OpenDevice, DeviceError>
     Ok(OpenDevice { device: opened, name: device.to_string(), fell_back: None })
 }
 
-#[cfg(not(feature = "metal"))]
+#[cfg(not(all(feature = "metal", target_vendor = "apple")))]
 fn metal(device: DeviceChoice, _: usize) -> Result<OpenDevice, DeviceError> {
-    Err(DeviceError::NotBuilt { device, what: "Metal", feature: "metal" })
+    Err(match cfg!(target_vendor = "apple") {
+        true => DeviceError::NotBuilt { device, what: "Metal", feature: "metal" },
+        false => DeviceError::OtherSystem { device, what: "Metal", systems: "Apple's systems" },
+    })
 }
 
 #[cfg(test)]
@@ -212,7 +236,11 @@ mod tests {
             assert!(error.to_string().starts_with("cuda:1: "), "{error}");
             assert!(matches!(error, DeviceError::NotBuilt { feature: "cuda", .. }));
         }
-        if !cfg!(feature = "metal") {
+        if !cfg!(target_vendor = "apple") {
+            let error = DeviceChoice::Metal(0).open().unwrap_err();
+            assert!(matches!(error, DeviceError::OtherSystem { .. }));
+            assert!(error.to_string().contains("Apple"), "{error}");
+        } else if !cfg!(feature = "metal") {
             let error = DeviceChoice::Metal(0).open().unwrap_err();
             assert!(matches!(error, DeviceError::NotBuilt { feature: "metal", .. }));
         }

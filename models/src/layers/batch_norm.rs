@@ -1,6 +1,7 @@
 //! Batch normalisation, alone or with an activation behind it.
 
 use super::vector;
+use crate::device::off_host;
 use crate::ops::StatisticsSource;
 use crate::peers::Together;
 use crate::scoped::with_value;
@@ -94,7 +95,7 @@ impl BatchNorm {
             var.iter().map(|v| 1.0 / (f64::from(*v) + constants.eps).sqrt()).collect();
         let mean: Vec<f64> = vector(&mean)?.into_iter().map(f64::from).collect();
         let (scale, shift) = ops::scale_shift(&vector(&weight)?, &vector(&bias)?, &mean, &inverse);
-        let form = if weight.device().is_cpu() {
+        let form = if !off_host(weight.device()) {
             Form::Frozen { scale, shift }
         } else {
             let row = |values: Vec<f32>| Tensor::from_vec(values, (1, channels), weight.device());

@@ -19,11 +19,12 @@ pub use mlp::Mlp;
 pub use residual_conv::ResidualConv;
 pub use sparse_conv::SparseConv;
 
+use crate::device::off_host;
 use candle_core::{Result, Tensor};
 
 /// Whether a layer keeps its parameters as tensors: they are trained, or on a device, where nothing is packed.
 pub(crate) fn stays_tensor(parameter: &Tensor) -> bool {
-    parameter.is_variable() || !parameter.device().is_cpu()
+    parameter.is_variable() || off_host(parameter.device())
 }
 
 /// The values of a parameter vector.

@@ -2,6 +2,7 @@
 
 use super::low_rank_conv::PlainConv;
 use super::{Linear, stays_tensor, vector};
+use crate::device::off_host;
 use crate::{Compute, ops};
 use candle_core::{Result, Tensor, bail};
 use candle_nn::{Init, VarBuilder};
@@ -117,7 +118,7 @@ impl SparseConv {
         if inner.0.is_variable() {
             bail!("sparse_conv: a convolution of low rank cannot be trained");
         }
-        if !inner.0.device().is_cpu() {
+        if off_host(inner.0.device()) {
             bail!(
                 "sparse_conv: a convolution of low rank runs on the CPU only; leave out the rank"
             );

@@ -1,8 +1,8 @@
 //! Batch normalisation.
 
 use super::{
-    Pass, cpu_slice, forward_on_device, here, launched, launches, make, make_unwritten, read,
-    refuse_gradient,
+    Pass, composed, cpu_slice, emulated, forward_on_device, here, launched, launches, make,
+    make_unwritten, read, refuse_gradient,
 };
 use crate::peers::Together;
 use candle_core::{CpuStorage, CudaStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
@@ -60,6 +60,16 @@ pub fn batch_statistics(x: &Tensor) -> Result<BatchStatistics> {
         let (mean, var) = crate::device::launcher::batch_statistics(x)?;
         return Ok(BatchStatistics { mean, var, source: StatisticsSource::Batch });
     }
+    if composed::here("batch_statistics", x.device()) {
+        let (mean, var) = composed::batch_statistics(x)?;
+        return Ok(BatchStatistics { mean, var, source: StatisticsSource::Batch });
+    }
+    #[cfg(feature = "emulation")]
+    if let Some((mean, var)) =
+        read("batch_norm", x, |values| crate::device::emulated::batch_statistics(values, x.dims()))?
+    {
+        return Ok(BatchStatistics { mean, var, source: StatisticsSource::Batch });
+    }
     here("batch_statistics", Pass::Forward, x);
     let s = read("batch_norm", x, |x| Ok(statistics(x, c)))?;
     Ok(BatchStatistics { mean: s.mean, var: s.var, source: StatisticsSource::Batch })
@@ -104,6 +114,11 @@ impl BatchNorm {
         }
         Ok(())
     }
+
+    fn pass<'a>(&'a self, weight: &'a [f32], bias: &'a [f32]) -> launches::BatchNorm<'a> {
+        let (mean, inverse) = (&self.statistics.mean, &self.inverse);
+        launches::BatchNorm { weight, bias, mean, inverse }
+    }
 }
 
 impl CustomOp3 for BatchNorm {
@@ -123,6 +138,9 @@ impl CustomOp3 for BatchNorm {
         let weight = cpu_slice("batch_norm", s2, l2)?;
         let bias = cpu_slice("batch_norm", s3, l3)?;
         self.check(l1, weight.len())?;
+        if let Some(made) = emulated([(s1, l1)], || Ok(Some(self.pass(weight, bias))))? {
+            return Ok(made);
+        }
         let (scale, shift) = scale_shift(weight, bias, &self.statistics.mean, &self.inverse);
         let mut out = vec![0f32; x.len()];
         apply(x, &scale, &shift, false, &mut out);
@@ -144,9 +162,7 @@ impl CustomOp3 for BatchNorm {
             let weight = cpu_slice("batch_norm", &weight, l2)?;
             let bias = cpu_slice("batch_norm", &bias, l3)?;
             self.check(l1, weight.len())?;
-            let (mean, inverse) = (&self.statistics.mean, &self.inverse);
-            let pass = launches::BatchNorm { weight, bias, mean, inverse };
-            crate::device::launcher::on_storages([(s1, l1)], &pass)
+            crate::device::launcher::on_storages([(s1, l1)], &self.pass(weight, bias))
         }
         #[cfg(not(feature = "cuda"))]
         super::device::through_host("batch_norm", [(s1, l1), (s2, l2), (s3, l3)], |[a, b, c]| {
@@ -257,7 +273,17 @@ pub fn batch_norm(
     eps: f64,
 ) -> Result<Tensor> {
     let inverse = statistics.var.iter().map(|v| 1.0 / (v + eps).sqrt()).collect();
-    x.contiguous()?.apply_op3(weight, bias, BatchNorm { statistics: Arc::new(statistics), inverse })
+    let norm = BatchNorm { statistics: Arc::new(statistics), inverse };
+    let source = norm.statistics.source;
+    let alone = !matches!(source, StatisticsSource::Peers { .. });
+    if alone && composed::here("batch_norm", x.device()) {
+        norm.check(x.layout(), weight.elem_count())?;
+        return match source {
+            StatisticsSource::Batch => composed::batch_norm(x, weight, bias, eps),
+            _ => composed::normalize_by(x, weight, bias, &norm.statistics.mean, &norm.inverse),
+        };
+    }
+    x.contiguous()?.apply_op3(weight, bias, norm)
 }
 
 /// The refusal of a batch norm with frozen statistics to train.

@@ -49,40 +49,65 @@ pub(crate) fn launched<const N: usize>(
     if inputs.iter().all(|t| t.device().is_cuda()) {
         return crate::device::launcher::on_tensors(inputs, pass).map(Some);
     }
+    #[cfg(feature = "emulation")]
+    if crate::device::emulated::is_emulated() {
+        let mut values = Vec::with_capacity(N);
+        for tensor in inputs {
+            values.push(tensor.flatten_all()?.to_vec1::<f32>()?);
+        }
+        let of = |i: usize| (values[i].as_slice(), inputs[i].dims());
+        let made = crate::device::emulated::run(std::array::from_fn(of), pass)?;
+        let tensor = |(values, shape)| Tensor::from_vec(values, shape, &Device::Cpu);
+        return made.map(|made| made.into_iter().map(tensor).collect()).transpose();
+    }
     let _ = (inputs, pass);
     Ok(None)
 }
 
-/// The forward passes of a custom operation on CUDA and Metal. Given `|op, layouts| pass`, an `Option` of
-/// [`Launches`] (shapes are to be checked there), CUDA runs that; else, and on Metal, the pass of the CPU runs on copies,
-/// and is counted.
+/// Runs a forward pass on the emulated grid, if tests ask for that on this thread and there is such a pass.
+///
+/// # Errors
+/// Those of `pass`, which checks shapes, or what a kernel did.
+pub(crate) fn emulated<const N: usize, P: Launches<N>>(
+    inputs: [(&CpuStorage, &Layout); N],
+    pass: impl FnOnce() -> Result<Option<P>>,
+) -> Result<Option<(CpuStorage, Shape)>> {
+    #[cfg(feature = "emulation")]
+    if crate::device::emulated::is_emulated() {
+        let Some(pass) = pass()? else { return Ok(None) };
+        let mut arrays = [(&[][..], &[][..]); N];
+        for (array, (storage, layout)) in arrays.iter_mut().zip(inputs) {
+            *array = (super::cpu_slice("emulated", storage, layout)?, layout.shape().dims());
+        }
+        let made = crate::device::emulated::run(arrays, &pass)?;
+        return Ok(made.and_then(|mut made| made.pop()).map(|(v, s)| (CpuStorage::F32(v), s)));
+    }
+    let _ = (inputs, pass);
+    Ok(None)
+}
+
+/// The forward passes of a custom operation on CUDA and Metal. Given a method that makes an `Option` of [`Launches`] from
+/// the layouts (having checked them), CUDA runs that; else, and on Metal, the pass of the CPU runs on copies, and is counted.
 macro_rules! forward_on_device {
-    ($custom:ident) => {
-        $crate::ops::forward_on_device!(@$custom cuda_fwd CudaStorage);
+    ($custom:ident $(, $pass:ident)?) => {
+        $crate::ops::forward_on_device!(@$custom cuda_fwd CudaStorage $(, $pass)?);
         $crate::ops::forward_on_device!(@$custom metal_fwd MetalStorage);
     };
-    ($custom:ident, |$op:ident, $layouts:ident| $pass:expr) => {
-        $crate::ops::forward_on_device!(@$custom cuda_fwd CudaStorage, |$op, $layouts| $pass);
-        $crate::ops::forward_on_device!(@$custom metal_fwd MetalStorage);
-    };
-    (@CustomOp1 $name:ident $storage:ident $(, |$op:ident, $layouts:ident| $pass:expr)?) => {
+    (@CustomOp1 $name:ident $storage:ident $(, $pass:ident)?) => {
         fn $name(
             &self,
             s: &candle_core::$storage,
             l: &Layout,
         ) -> Result<(candle_core::$storage, Shape)> {
             $(#[cfg(feature = "cuda")]
-            {
-                let ($op, $layouts) = (self, [l]);
-                if let Some(pass) = $pass {
-                    return $crate::device::launcher::on_storages([(s, l)], &pass);
-                }
+            if let Some(pass) = self.$pass([l])? {
+                return $crate::device::launcher::on_storages([(s, l)], &pass);
             })?
             let name = CustomOp1::name(self);
             $crate::ops::device::through_host(name, [(s, l)], |[(s, l)]| self.cpu_fwd(s, l))
         }
     };
-    (@CustomOp2 $name:ident $storage:ident $(, |$op:ident, $layouts:ident| $pass:expr)?) => {
+    (@CustomOp2 $name:ident $storage:ident $(, $pass:ident)?) => {
         fn $name(
             &self,
             s1: &candle_core::$storage,
@@ -91,11 +116,8 @@ macro_rules! forward_on_device {
             l2: &Layout,
         ) -> Result<(candle_core::$storage, Shape)> {
             $(#[cfg(feature = "cuda")]
-            {
-                let ($op, $layouts) = (self, [l1, l2]);
-                if let Some(pass) = $pass {
-                    return $crate::device::launcher::on_storages([(s1, l1), (s2, l2)], &pass);
-                }
+            if let Some(pass) = self.$pass([l1, l2])? {
+                return $crate::device::launcher::on_storages([(s1, l1), (s2, l2)], &pass);
             })?
             let name = CustomOp2::name(self);
             $crate::ops::device::through_host(name, [(s1, l1), (s2, l2)], |[a, b]| {
@@ -103,7 +125,7 @@ macro_rules! forward_on_device {
             })
         }
     };
-    (@CustomOp3 $name:ident $storage:ident $(, |$op:ident, $layouts:ident| $pass:expr)?) => {
+    (@CustomOp3 $name:ident $storage:ident $(, $pass:ident)?) => {
         fn $name(
             &self,
             s1: &candle_core::$storage,
@@ -115,11 +137,8 @@ macro_rules! forward_on_device {
         ) -> Result<(candle_core::$storage, Shape)> {
             let inputs = [(s1, l1), (s2, l2), (s3, l3)];
             $(#[cfg(feature = "cuda")]
-            {
-                let ($op, $layouts) = (self, [l1, l2, l3]);
-                if let Some(pass) = $pass {
-                    return $crate::device::launcher::on_storages(inputs, &pass);
-                }
+            if let Some(pass) = self.$pass([l1, l2, l3])? {
+                return $crate::device::launcher::on_storages(inputs, &pass);
             })?
             let name = CustomOp3::name(self);
             $crate::ops::device::through_host(name, inputs, |[a, b, c]| {

@@ -2,7 +2,10 @@
 //!
 //! Index tables lie on the host and go to the device with each pass.
 
-#![cfg_attr(not(feature = "cuda"), allow(dead_code, reason = "nothing launches them"))]
+#![cfg_attr(
+    not(any(feature = "cuda", feature = "emulation")),
+    allow(dead_code, reason = "nothing launches them")
+)]
 
 use super::batch_norm::scale_shift;
 use candle_core::Shape;
@@ -176,6 +179,39 @@ impl Launches<3> for BatchNormBackward<'_> {
         )?;
         let c = c as usize;
         Ok(vec![(dx, dims.into()), (of.weight, c.into()), (of.bias, c.into())])
+    }
+}
+
+/// Rows with a bias each.
+pub(crate) struct AddBias;
+
+impl Launches<2> for AddBias {
+    fn launch<L: Launcher>(
+        &self,
+        l: &L,
+        [(x, dims), (bias, _)]: [(&L::Buffer, &[usize]); 2],
+    ) -> Result<Arrays<L::Buffer>, L::Error> {
+        let (n, c) = matrix::<L>(dims)?;
+        let ones = l.upload_values(&vec![1_f32; c as usize])?;
+        let mut out = l.alloc_values::<f32>(count(dims))?;
+        device::batch_norm::apply(l, x, &ones, bias, n, c, false, &mut out)?;
+        Ok(vec![(out, dims.into())])
+    }
+}
+
+/// Sums over the rows. `[C]`
+pub(crate) struct ColumnSums;
+
+impl Launches<1> for ColumnSums {
+    fn launch<L: Launcher>(
+        &self,
+        l: &L,
+        [(x, dims)]: [(&L::Buffer, &[usize]); 1],
+    ) -> Result<Arrays<L::Buffer>, L::Error> {
+        let (n, c) = matrix::<L>(dims)?;
+        let mut out = l.alloc_values::<f32>(c as usize)?;
+        device::columns::column_sums(l, x, n, c, &mut out)?;
+        Ok(vec![(out, (c as usize).into())])
     }
 }
 

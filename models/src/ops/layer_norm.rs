@@ -1,14 +1,21 @@
 //! Layer normalisation.
 
 use super::{
-    Pass, check_residual, cpu_slice, forward_on_device, here, launched, launches, make,
-    make_unwritten, read, refuse_gradient, unwritten,
+    Pass, check_residual, composed, cpu_slice, emulated, forward_on_device, here, launched,
+    launches, make, make_unwritten, read, refuse_gradient, unwritten,
 };
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use scenesplat_kernels::layer_norm::{backward, forward};
 
 struct LayerNorm {
     eps: f32,
+}
+
+impl LayerNorm {
+    fn pass(&self, [x, weight, _]: [&Layout; 3]) -> Result<Option<launches::LayerNorm>> {
+        check(x.shape(), weight.shape().elem_count())?;
+        Ok(Some(launches::LayerNorm { eps: self.eps }))
+    }
 }
 
 impl CustomOp3 for LayerNorm {
@@ -24,6 +31,10 @@ impl CustomOp3 for LayerNorm {
         s3: &CpuStorage,
         l3: &Layout,
     ) -> Result<(CpuStorage, Shape)> {
+        let inputs = [(s1, l1), (s2, l2), (s3, l3)];
+        if let Some(made) = emulated(inputs, || self.pass([l1, l2, l3]))? {
+            return Ok(made);
+        }
         let x = cpu_slice("layer_norm", s1, l1)?;
         let weight = cpu_slice("layer_norm", s2, l2)?;
         let bias = cpu_slice("layer_norm", s3, l3)?;
@@ -33,10 +44,7 @@ impl CustomOp3 for LayerNorm {
         forward(x, None, weight, bias, self.eps, &mut out);
         Ok((CpuStorage::F32(out), l1.shape().clone()))
     }
-    forward_on_device!(CustomOp3, |op, layouts| {
-        check(layouts[0].shape(), layouts[1].shape().elem_count())?;
-        Some(launches::LayerNorm { eps: op.eps })
-    });
+    forward_on_device!(CustomOp3, pass);
     fn bwd(
         &self,
         x: &Tensor,
@@ -81,6 +89,10 @@ fn check(shape: &Shape, channels: usize) -> Result<()> {
 /// # Errors
 /// If shapes do not fit or a tensor is not f32.
 pub fn layer_norm(x: &Tensor, weight: &Tensor, bias: &Tensor, eps: f32) -> Result<Tensor> {
+    if composed::here("layer_norm", x.device()) {
+        check(x.shape(), weight.elem_count())?;
+        return composed::layer_norm(x, weight, bias, f64::from(eps));
+    }
     x.contiguous()?.apply_op3(weight, bias, LayerNorm { eps })
 }
 

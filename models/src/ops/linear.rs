@@ -1,9 +1,11 @@
 //! Linear layers.
 
+use super::add_bias::add_bias;
 use super::{
     Pass, check_residual, cpu_slice, forward_on_device, here, make, make_unwritten, read,
     refuse_gradient, refuse_training, unwritten,
 };
+use crate::device::off_host;
 use candle_core::{CpuStorage, CustomOp2, CustomOp3, DType, Layout, Result, Shape, Tensor, bail};
 use scenesplat_kernels::Precision;
 use scenesplat_kernels::gemm::{Epilogue, PackedMatrix, gemm, gemm_tn_with, gemm_unit_rows, mlp};
@@ -135,7 +137,7 @@ pub fn linear_with(
     bias: Option<&Tensor>,
 ) -> Result<Tensor> {
     refuse_training("linear", precision)?;
-    if !x.device().is_cpu() {
+    if off_host(x.device()) {
         return by_matmul(precision, x, weight, bias);
     }
     let x = x.contiguous()?;
@@ -159,7 +161,7 @@ fn by_matmul(
     let dtype = if precision == Precision::Bf16 { DType::BF16 } else { DType::F32 };
     let product = x.to_dtype(dtype)?.matmul(&weight.to_dtype(dtype)?.t()?)?.to_dtype(DType::F32)?;
     match bias {
-        Some(bias) => product.broadcast_add(bias),
+        Some(bias) => add_bias(&product, bias),
         None => Ok(product),
     }
 }

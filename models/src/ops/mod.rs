@@ -4,7 +4,9 @@
 //! The differentiable ones are candle custom operations; index tables live inside the operation.
 //! The others, used with frozen weights, refuse an input that wants a gradient.
 
+mod add_bias;
 mod batch_norm;
+mod composed;
 pub(crate) mod device;
 mod gelu;
 pub(crate) mod launches;
@@ -38,7 +40,7 @@ pub use scenesplat_kernels::normalize::normalize_rows;
 pub use segment_reduce::{expand_groups, segment_reduce};
 pub use sparse_conv::{sparse_conv, sparse_conv_frozen, sparse_conv_with};
 
-pub(crate) use device::{forward_on_device, here, launched};
+pub(crate) use device::{emulated, forward_on_device, here, launched};
 
 use candle_core::{CpuStorage, Device, Layout, Result, Shape, Storage, Tensor, bail};
 use scenesplat_kernels::Precision;

@@ -1,6 +1,7 @@
 //! Unit-length rows.
 
-use super::{Pass, cpu_slice, forward_on_device, here, make, read};
+use super::{Pass, composed, cpu_slice, forward_on_device, here, make, read};
+use crate::device::off_host;
 use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
 use scenesplat_kernels::normalize::{norm, normalize_rows};
 
@@ -80,11 +81,9 @@ pub fn l2_normalize(x: &Tensor) -> Result<Tensor> {
 /// If the tensor is not a matrix of f32.
 pub fn l2_normalize_above(x: &Tensor, floor: f64) -> Result<Tensor> {
     let floor = floor.max(EPS);
-    if !x.device().is_cpu() {
+    if off_host(x.device()) {
         x.dims2()?;
-        // By candle's operations. The floor goes under the root: at zero its gradient is infinite.
-        let squares = x.sqr()?.sum_keepdim(1)?.maximum(floor * floor)?;
-        return x.broadcast_div(&squares.sqrt()?);
+        return composed::unit_rows(x, floor);
     }
     x.contiguous()?.apply_op1(L2Normalize { floor })
 }

@@ -1,6 +1,8 @@
 //! Attention inside patches of a serialized order.
 
-use super::{Pass, cpu_slice, forward_on_device, here, launched, launches, make, read};
+use super::{
+    Pass, composed, cpu_slice, emulated, forward_on_device, here, launched, launches, make, read,
+};
 use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor, bail};
 use scenesplat_kernels::Precision;
 use scenesplat_kernels::patch_attention::{Heads, backward, forward_with};
@@ -30,6 +32,11 @@ impl PatchAttention {
         Ok((n, c))
     }
 
+    fn pass(&self, [qkv]: [&Layout; 1]) -> Result<Option<launches::PatchAttention<'_>>> {
+        self.check(qkv)?;
+        Ok(launches::PatchAttention::fits(self.heads).then(|| self.launches()))
+    }
+
     fn launches(&self) -> launches::PatchAttention<'_> {
         launches::PatchAttention { heads: self.heads, patches: &self.patches, order: &self.order }
     }
@@ -40,16 +47,16 @@ impl CustomOp1 for PatchAttention {
         "patch_attention"
     }
     fn cpu_fwd(&self, s: &CpuStorage, l: &Layout) -> Result<(CpuStorage, Shape)> {
+        if let Some(made) = emulated([(s, l)], || self.pass([l]))? {
+            return Ok(made);
+        }
         let (n, c) = self.check(l)?;
         let qkv = cpu_slice("patch_attention", s, l)?;
         let mut out = vec![0f32; n * c];
         forward_with(self.precision, qkv, self.heads, &self.patches, &self.order, &mut out);
         Ok((CpuStorage::F32(out), (n, c).into()))
     }
-    forward_on_device!(CustomOp1, |op, layouts| {
-        op.check(layouts[0])?;
-        launches::PatchAttention::fits(op.heads).then(|| op.launches())
-    });
+    forward_on_device!(CustomOp1, pass);
     fn bwd(&self, qkv: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
         if launches::PatchAttention::fits(self.heads) {
             let pass = launches::PatchAttentionBackward(self.launches());
@@ -85,5 +92,10 @@ pub fn patch_attention(
     patches: Arc<Patches>,
     order: Arc<Vec<u32>>,
 ) -> Result<Tensor> {
-    qkv.contiguous()?.apply_op1(PatchAttention { precision, heads, patches, order })
+    let attention = PatchAttention { precision, heads, patches, order };
+    if composed::here("patch_attention", qkv.device()) {
+        attention.check(qkv.layout())?;
+        return composed::patch_attention(qkv, heads, &attention.patches, &attention.order);
+    }
+    qkv.contiguous()?.apply_op1(attention)
 }

@@ -1,6 +1,8 @@
 //! A permutation of rows whose backward is the gather by the inverse.
 
-use super::{Pass, cpu_slice, forward_on_device, here, launched, launches, make, read};
+use super::{
+    Pass, composed, cpu_slice, emulated, forward_on_device, here, launched, launches, make, read,
+};
 use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor, bail};
 use scenesplat_kernels::permute::gather_rows;
 use std::sync::Arc;
@@ -18,6 +20,11 @@ impl PermuteRows {
         }
         Ok((n, c))
     }
+
+    fn pass(&self, [x]: [&Layout; 1]) -> Result<Option<launches::Gather<'_>>> {
+        self.check(x)?;
+        Ok(Some(launches::Gather { rows: &self.order }))
+    }
 }
 
 impl CustomOp1 for PermuteRows {
@@ -25,15 +32,15 @@ impl CustomOp1 for PermuteRows {
         "permute_rows"
     }
     fn cpu_fwd(&self, s: &CpuStorage, l: &Layout) -> Result<(CpuStorage, Shape)> {
+        if let Some(made) = emulated([(s, l)], || self.pass([l]))? {
+            return Ok(made);
+        }
         let (n, c) = self.check(l)?;
         let mut out = vec![0f32; n * c];
         gather_rows(cpu_slice("permute_rows", s, l)?, c, &self.order, &mut out);
         Ok((CpuStorage::F32(out), l.shape().clone()))
     }
-    forward_on_device!(CustomOp1, |op, layouts| {
-        op.check(layouts[0])?;
-        Some(launches::Gather { rows: &op.order })
-    });
+    forward_on_device!(CustomOp1, pass);
     fn bwd(&self, x: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
         let (n, c) = x.dims2()?;
         if let Some(mut made) = launched([grad], &launches::Gather { rows: &self.inverse })? {
@@ -55,5 +62,10 @@ impl CustomOp1 for PermuteRows {
 /// # Errors
 /// If shapes do not fit or the tensor is not f32.
 pub fn permute_rows(x: &Tensor, order: Arc<Vec<u32>>, inverse: Arc<Vec<u32>>) -> Result<Tensor> {
-    x.contiguous()?.apply_op1(PermuteRows { order, inverse })
+    let permutation = PermuteRows { order, inverse };
+    if composed::here("permute_rows", x.device()) {
+        permutation.check(x.layout())?;
+        return composed::gather(x, &permutation.order);
+    }
+    x.contiguous()?.apply_op1(permutation)
 }

@@ -1,6 +1,8 @@
 //! Rotary embedding of voxel coordinates.
 
-use super::{Pass, cpu_slice, forward_on_device, here, launched, launches, read};
+use super::{
+    Pass, composed, cpu_slice, emulated, forward_on_device, here, launched, launches, read,
+};
 use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor, bail};
 use scenesplat_kernels::patch_attention::Heads;
 use scenesplat_kernels::point_rope::{Rotations, Turn};
@@ -31,6 +33,11 @@ impl PointRope {
         launches::PointRope { rotations: &self.rotations, heads: self.heads, back }
     }
 
+    fn pass(&self, [qkv]: [&Layout; 1]) -> Result<Option<launches::PointRope<'_>>> {
+        self.check(qkv)?;
+        Ok(Some(self.launches(false)))
+    }
+
     fn turned(&self, values: &[f32], turn: Turn) -> Vec<f32> {
         let mut out = values.to_vec();
         self.rotations.apply(&mut out, self.heads, turn);
@@ -43,14 +50,14 @@ impl CustomOp1 for PointRope {
         "point_rope"
     }
     fn cpu_fwd(&self, s: &CpuStorage, l: &Layout) -> Result<(CpuStorage, Shape)> {
+        if let Some(made) = emulated([(s, l)], || self.pass([l]))? {
+            return Ok(made);
+        }
         self.check(l)?;
         let out = self.turned(cpu_slice("point_rope", s, l)?, Turn::Forward);
         Ok((CpuStorage::F32(out), l.shape().clone()))
     }
-    forward_on_device!(CustomOp1, |op, layouts| {
-        op.check(layouts[0])?;
-        Some(op.launches(false))
-    });
+    forward_on_device!(CustomOp1, pass);
     fn bwd(&self, qkv: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
         if let Some(mut made) = launched([grad], &self.launches(true))? {
             return Ok(made.pop());
@@ -70,5 +77,10 @@ impl CustomOp1 for PointRope {
 /// # Errors
 /// If shapes do not fit or the tensor is not f32.
 pub fn point_rope(qkv: &Tensor, heads: Heads, rotations: Arc<Rotations>) -> Result<Tensor> {
-    qkv.contiguous()?.apply_op1(PointRope { rotations, heads })
+    let rope = PointRope { rotations, heads };
+    if composed::here("point_rope", qkv.device()) {
+        rope.check(qkv.layout())?;
+        return composed::point_rope(qkv, heads, &rope.rotations);
+    }
+    qkv.contiguous()?.apply_op1(rope)
 }

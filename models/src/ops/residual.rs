@@ -1,6 +1,7 @@
 //! Residual connections.
 
 use super::{Pass, cpu_slice, forward_on_device, here, make, read};
+use crate::device::off_host;
 use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor, bail};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -94,7 +95,7 @@ pub fn add_scaled_rows(
     factors: Option<Arc<Vec<f32>>>,
     residual: &Tensor,
 ) -> Result<Tensor> {
-    if !x.device().is_cpu() {
+    if off_host(x.device()) {
         let n = x.dims2()?.0;
         if x.shape() != residual.shape() || factors.as_ref().is_some_and(|f| f.len() != n) {
             bail!("add_scaled_rows: {:?} and {:?} differ", x.shape(), residual.shape());

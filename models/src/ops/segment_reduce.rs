@@ -1,6 +1,8 @@
 //! Pooling of groups of rows, and its counterpart.
 
-use super::{Pass, cpu_slice, forward_on_device, here, launched, launches, make, read};
+use super::{
+    Pass, composed, cpu_slice, emulated, forward_on_device, here, launched, launches, make, read,
+};
 use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor, bail};
 use scenesplat_kernels::permute::gather_rows;
 use scenesplat_kernels::segment::{Groups, Reduce, reduce, reduce_backward};
@@ -19,6 +21,11 @@ impl SegmentReduce {
         }
         Ok(c)
     }
+
+    fn pass(&self, [x]: [&Layout; 1]) -> Result<Option<launches::SegmentReduce<'_>>> {
+        self.check(x)?;
+        Ok(Some(launches::SegmentReduce { groups: &self.groups, how: self.how }))
+    }
 }
 
 impl CustomOp1 for SegmentReduce {
@@ -26,15 +33,15 @@ impl CustomOp1 for SegmentReduce {
         "segment_reduce"
     }
     fn cpu_fwd(&self, s: &CpuStorage, l: &Layout) -> Result<(CpuStorage, Shape)> {
+        if let Some(made) = emulated([(s, l)], || self.pass([l]))? {
+            return Ok(made);
+        }
         let c = self.check(l)?;
         let mut out = vec![0f32; self.groups.len() * c];
         reduce(cpu_slice("segment_reduce", s, l)?, c, &self.groups, self.how, &mut out);
         Ok((CpuStorage::F32(out), (self.groups.len(), c).into()))
     }
-    forward_on_device!(CustomOp1, |op, layouts| {
-        op.check(layouts[0])?;
-        Some(launches::SegmentReduce { groups: &op.groups, how: op.how })
-    });
+    forward_on_device!(CustomOp1, pass);
     fn bwd(&self, x: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
         let (n, c) = x.dims2()?;
         let pass = launches::SegmentReduceBackward { groups: &self.groups, how: self.how };
@@ -56,7 +63,12 @@ impl CustomOp1 for SegmentReduce {
 /// # Errors
 /// If the row count differs from the groups' or the tensor is not f32.
 pub fn segment_reduce(x: &Tensor, groups: Arc<Groups>, how: Reduce) -> Result<Tensor> {
-    x.contiguous()?.apply_op1(SegmentReduce { groups, how })
+    let reduce = SegmentReduce { groups, how };
+    if how != Reduce::Max && composed::here("segment_reduce", x.device()) {
+        reduce.check(x.layout())?;
+        return composed::segment_reduce(x, &reduce.groups, how == Reduce::Mean);
+    }
+    x.contiguous()?.apply_op1(reduce)
 }
 
 struct ExpandGroups {
@@ -71,6 +83,11 @@ impl ExpandGroups {
         }
         Ok(c)
     }
+
+    fn pass(&self, [x]: [&Layout; 1]) -> Result<Option<launches::Gather<'_>>> {
+        self.check(x)?;
+        Ok(Some(launches::Gather { rows: self.groups.inverse() }))
+    }
 }
 
 impl CustomOp1 for ExpandGroups {
@@ -78,16 +95,16 @@ impl CustomOp1 for ExpandGroups {
         "expand_groups"
     }
     fn cpu_fwd(&self, s: &CpuStorage, l: &Layout) -> Result<(CpuStorage, Shape)> {
+        if let Some(made) = emulated([(s, l)], || self.pass([l]))? {
+            return Ok(made);
+        }
         let c = self.check(l)?;
         let n = self.groups.inverse().len();
         let mut out = vec![0f32; n * c];
         gather_rows(cpu_slice("expand_groups", s, l)?, c, self.groups.inverse(), &mut out);
         Ok((CpuStorage::F32(out), (n, c).into()))
     }
-    forward_on_device!(CustomOp1, |op, layouts| {
-        op.check(layouts[0])?;
-        Some(launches::Gather { rows: op.groups.inverse() })
-    });
+    forward_on_device!(CustomOp1, pass);
     fn bwd(&self, x: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
         let (g, c) = x.dims2()?;
         let pass = launches::SegmentReduce { groups: &self.groups, how: Reduce::Sum };
@@ -107,5 +124,10 @@ impl CustomOp1 for ExpandGroups {
 /// # Errors
 /// If the row count differs from the number of groups or the tensor is not f32.
 pub fn expand_groups(x: &Tensor, groups: Arc<Groups>) -> Result<Tensor> {
-    x.contiguous()?.apply_op1(ExpandGroups { groups })
+    let expand = ExpandGroups { groups };
+    if composed::here("expand_groups", x.device()) {
+        expand.check(x.layout())?;
+        return composed::gather(x, expand.groups.inverse());
+    }
+    x.contiguous()?.apply_op1(expand)
 }

@@ -1,8 +1,8 @@
 //! Submanifold convolution.
 
 use super::{
-    Pass, cpu_slice, forward_on_device, here, launched, launches, make, make_unwritten, read,
-    refuse_gradient, refuse_training, unwritten,
+    Pass, composed, cpu_slice, emulated, forward_on_device, here, launched, launches, make,
+    make_unwritten, read, refuse_gradient, refuse_training, unwritten,
 };
 use candle_core::{CpuStorage, CustomOp2, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use scenesplat_kernels::Precision;
@@ -30,6 +30,15 @@ impl SparseConv {
             bail!("sparse_conv: expected [{}, {w_in}], got {:?}", self.map.rows(), x.shape());
         }
         Ok((n, cin, cout))
+    }
+
+    /// Without or with a bias.
+    fn pass<const N: usize>(
+        &self,
+        layouts: [&Layout; N],
+    ) -> Result<Option<launches::SparseConv<'_>>> {
+        let (_, _, cout) = self.check(layouts[0], layouts[1])?;
+        Ok(Some(launches::SparseConv { map: &self.map, cout }))
     }
 
     fn run(
@@ -98,12 +107,13 @@ impl CustomOp3 for SparseConv {
         s3: &CpuStorage,
         l3: &Layout,
     ) -> Result<(CpuStorage, Shape)> {
+        let inputs = [(s1, l1), (s2, l2), (s3, l3)];
+        if let Some(made) = emulated(inputs, || self.pass([l1, l2, l3]))? {
+            return Ok(made);
+        }
         self.run((s1, l1), (s2, l2), Some(cpu_slice("sparse_conv", s3, l3)?))
     }
-    forward_on_device!(CustomOp3, |op, layouts| {
-        let (_, _, cout) = op.check(layouts[0], layouts[1])?;
-        Some(launches::SparseConv { map: &op.map, cout })
-    });
+    forward_on_device!(CustomOp3, pass);
     fn bwd(
         &self,
         x: &Tensor,
@@ -128,12 +138,12 @@ impl CustomOp2 for SparseConv {
         s2: &CpuStorage,
         l2: &Layout,
     ) -> Result<(CpuStorage, Shape)> {
+        if let Some(made) = emulated([(s1, l1), (s2, l2)], || self.pass([l1, l2]))? {
+            return Ok(made);
+        }
         self.run((s1, l1), (s2, l2), None)
     }
-    forward_on_device!(CustomOp2, |op, layouts| {
-        let (_, _, cout) = op.check(layouts[0], layouts[1])?;
-        Some(launches::SparseConv { map: &op.map, cout })
-    });
+    forward_on_device!(CustomOp2, pass);
     fn bwd(
         &self,
         x: &Tensor,
@@ -174,10 +184,15 @@ pub fn sparse_conv_with(
     map: Arc<KernelMap>,
 ) -> Result<Tensor> {
     refuse_training("sparse_conv", precision)?;
+    let conv = SparseConv { precision, map };
+    if composed::here("sparse_conv", x.device()) {
+        conv.check(x.layout(), weight.layout())?;
+        return composed::sparse_conv(x, weight, bias, &conv.map);
+    }
     let x = x.contiguous()?;
     match bias {
-        Some(bias) => x.apply_op3(weight, bias, SparseConv { precision, map }),
-        None => x.apply_op2(weight, SparseConv { precision, map }),
+        Some(bias) => x.apply_op3(weight, bias, conv),
+        None => x.apply_op2(weight, conv),
     }
 }
 

@@ -7,7 +7,7 @@ use scenesplat_models::ops;
 use std::sync::Arc;
 
 #[test]
-fn forward_and_gradients() {
+pub fn forward_and_gradients() {
     for case in ["k3_c6_8", "k5_c11_8", "k3_c32_32", "k3_dense_block", "k5_isolated", "k3_far"] {
         let Some(g) = Golden::open(&format!("c_{case}.safetensors")) else { return };
         let indices = g.ints("in.indices");

@@ -2,10 +2,14 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
+#[path = "../support/emulated.rs"]
+mod support_emulated;
+
 #[path = "../support/mod.rs"]
 mod support;
 
 mod convolution;
+mod emulated;
 mod full_size;
 mod modules;
 mod padding;

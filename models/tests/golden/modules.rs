@@ -58,7 +58,7 @@ fn check(g: &Golden, store: &ParamStore, inputs: &[(&str, &Var)], out: &Tensor) 
 }
 
 #[test]
-fn attention() {
+pub fn attention() {
     for case in ["single", "small_cloud", "exact", "multi", "multi_flash", "multi_noflash"] {
         let case = format!("e_attn_{case}");
         let Some(g) = Golden::open(&format!("{case}.safetensors")) else { return };
@@ -84,7 +84,7 @@ fn attention() {
 }
 
 #[test]
-fn block() {
+pub fn block() {
     for case in ["e_block", "e_block_multi", "e_block_stale_sparse"] {
         let Some(g) = Golden::open(&format!("{case}.safetensors")) else { return };
         let cloud = cloud(&g);
@@ -119,7 +119,7 @@ fn block() {
 }
 
 #[test]
-fn embedding() {
+pub fn embedding() {
     let Some(g) = Golden::open("e_embedding.safetensors") else { return };
     let cloud = cloud(&g);
     let store = store("e_embedding");
@@ -137,7 +137,7 @@ fn embedding() {
 }
 
 #[test]
-fn pooling() {
+pub fn pooling() {
     for case in ["e_pooling_mean", "e_pooling_max", "e_pooling_stride4"] {
         let Some(g) = Golden::open(&format!("{case}.safetensors")) else { return };
         let cloud = cloud(&g);
@@ -174,7 +174,7 @@ fn pooling() {
 }
 
 #[test]
-fn unpooling() {
+pub fn unpooling() {
     let Some(g) = Golden::open("e_unpooling.safetensors") else { return };
     let store = store("e_unpooling");
     let module = SerializedUnpooling::new(

@@ -64,7 +64,7 @@ pub fn observed(
         .collect()
 }
 
-fn run(case: &str, mode: Mode) {
+pub fn run(case: &str, mode: Mode) {
     let Some(inputs) = Golden::open(&format!("{case}.eval.safetensors")) else { return };
     let (prefix, g) = match mode {
         Mode::Eval => ("eval", Golden::open(&format!("{case}.eval.safetensors")).unwrap()),

@@ -13,7 +13,7 @@ use scenesplat_models::{Compute, Mode};
 const ROWS: usize = 14;
 
 #[test]
-fn linear() {
+pub fn linear() {
     for (precision, eps) in [(Precision::F32, F32_EPS), (Precision::Bf16, BF16_EPS)] {
         for bias in [true, false] {
             let store = store();
@@ -39,7 +39,7 @@ fn linear() {
 }
 
 #[test]
-fn layer_norm() {
+pub fn layer_norm() {
     let store = store();
     let layer = LayerNorm::new(6, store.builder()).unwrap();
     let (x, r) = (var("x", &[ROWS, 6]), var("r", &[ROWS, 6]));
@@ -50,7 +50,7 @@ fn layer_norm() {
 }
 
 #[test]
-fn batch_norm() {
+pub fn batch_norm() {
     for mode in [Mode::Train, Mode::Eval] {
         let store = store();
         let layer = BatchNorm::new(6, store.builder()).unwrap();
@@ -66,7 +66,7 @@ fn batch_norm() {
 }
 
 #[test]
-fn what_a_batch_norm_remembers() {
+pub fn what_a_batch_norm_remembers() {
     // Neither 0.5 nor so small that rounding hides it.
     let constants = BatchNormConstants { eps: 1e-3, momentum: 0.2 };
     for rows in [2, ROWS] {
@@ -97,7 +97,7 @@ fn what_a_batch_norm_remembers() {
 }
 
 #[test]
-fn linear_norm() {
+pub fn linear_norm() {
     for mode in [Mode::Train, Mode::Eval] {
         let store = store();
         let vb = store.builder();
@@ -132,7 +132,7 @@ fn linear_norm() {
 }
 
 #[test]
-fn mlp() {
+pub fn mlp() {
     let store = store();
     let layer = Mlp::new(5, 12, store.builder()).unwrap();
     let (x, r) = (var("x", &[ROWS, 5]), var("r", &[ROWS, 5]));
@@ -151,7 +151,7 @@ pub fn drop_factors(rate: f64, rows: usize, rng: &mut ChaCha8Rng) -> Vec<f64> {
 }
 
 #[test]
-fn drop_path() {
+pub fn drop_path() {
     let (x, r) = (var("x", &[ROWS, 3]), var("r", &[ROWS, 3]));
     for (mode, rate) in [(Mode::Train, 0.4), (Mode::Train, 0.0), (Mode::Eval, 0.4)] {
         let rng = || ChaCha8Rng::seed_from_u64(8);
@@ -170,7 +170,7 @@ fn drop_path() {
 }
 
 #[test]
-fn sparse_conv() {
+pub fn sparse_conv() {
     let cloud = cloud();
     for (k, bias) in [(3, true), (3, false), (5, false)] {
         let store = store();

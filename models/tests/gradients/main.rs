@@ -6,7 +6,11 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
+#[path = "../support/emulated.rs"]
+mod support_emulated;
+
 mod check;
+mod emulated;
 mod layers;
 mod modules;
 mod ops;

@@ -41,7 +41,7 @@ fn attention(v: &Values, x: &[f64], cloud: &SerializedCloud, prefix: &str) -> Ve
 }
 
 #[test]
-fn serialized_attention() {
+pub fn serialized_attention() {
     let (cloud, store) = (cloud(), store());
     let module = SerializedAttention::new(
         CHANNELS,
@@ -83,7 +83,7 @@ fn block(v: &Values, cloud: &SerializedCloud, factors: &[Vec<f64>; 2]) -> Vec<f6
 }
 
 #[test]
-fn blocks() {
+pub fn blocks() {
     for (case, mode, drop_path, stale) in [
         ("block", Mode::Eval, 0.3, false),
         ("block, convolution of other rows", Mode::Train, 0.0, true),
@@ -130,7 +130,7 @@ fn remembered(store: &scenesplat_models::ParamStore, norm: &str) -> (Vec<f64>, V
 }
 
 #[test]
-fn embedding() {
+pub fn embedding() {
     for mode in [Mode::Train, Mode::Eval] {
         let (cloud, store) = (cloud(), store());
         let module = Embedding::new(2, 4, Compute::default(), store.builder()).unwrap();
@@ -179,7 +179,7 @@ fn check_normed(
 }
 
 #[test]
-fn pooling() {
+pub fn pooling() {
     for mode in [Mode::Train, Mode::Eval] {
         for (how, stride) in [(Reduce::Mean, 2), (Reduce::Max, 2), (Reduce::Mean, 4)] {
             let (cloud, store) = (cloud(), store());
@@ -205,7 +205,7 @@ fn pooling() {
 }
 
 #[test]
-fn unpooling() {
+pub fn unpooling() {
     for mode in [Mode::Train, Mode::Eval] {
         let (cloud, store) = (cloud(), store());
         let (_, groups) = cloud.pool(1);

@@ -20,7 +20,7 @@ const PRECISIONS: [(Precision, f64); 3] = [
 ];
 
 #[test]
-fn linear() {
+pub fn linear() {
     for (precision, eps) in PRECISIONS {
         for (n, k, m) in [(1, 1, 1), (7, 5, 3), (33, 17, 20)] {
             let (x, w, b) = (var("x", &[n, k]), var("w", &[m, k]), var("b", &[m]));
@@ -38,7 +38,7 @@ fn linear() {
 }
 
 #[test]
-fn gelu() {
+pub fn gelu() {
     // Up to ±5, where it is nearly 0 and nearly x.
     let x = Var::from_tensor(&(var("x", &[40, 3]).as_tensor() * 5.0).unwrap()).unwrap();
     let out = ops::gelu(&x).unwrap();
@@ -46,7 +46,7 @@ fn gelu() {
 }
 
 #[test]
-fn layer_norm() {
+pub fn layer_norm() {
     for (n, c) in [(1, 3), (9, 5), (20, 48)] {
         let (x, w, b) = (var("x", &[n, c]), var("w", &[c]), var("b", &[c]));
         let out = ops::layer_norm(&x, &w, &b, 1e-5).unwrap();
@@ -58,7 +58,7 @@ fn layer_norm() {
 }
 
 #[test]
-fn batch_norm() {
+pub fn batch_norm() {
     for (n, c) in [(3, 1), (9, 5), (40, 24)] {
         let (x, w, b) = (var("x", &[n, c]), var("w", &[c]), var("b", &[c]));
         let vars = [("x", &x), ("w", &w), ("b", &b)];
@@ -78,7 +78,7 @@ fn batch_norm() {
 }
 
 #[test]
-fn l2_normalize() {
+pub fn l2_normalize() {
     for (n, c) in [(6, 1), (5, 7), (4, 96)] {
         let x = var("x", &[n, c]);
         let out = ops::l2_normalize(&x).unwrap();
@@ -95,7 +95,7 @@ fn l2_normalize() {
 }
 
 #[test]
-fn sparse_conv() {
+pub fn sparse_conv() {
     let cloud = cloud();
     for (precision, eps) in PRECISIONS {
         for (k, cin, cout) in [(3, 3, 4), (3, 8, 5), (5, 2, 3)] {
@@ -116,7 +116,7 @@ fn sparse_conv() {
 }
 
 #[test]
-fn patch_attention() {
+pub fn patch_attention() {
     // Scenes smaller than a patch, of one, of several with a filled-up last one.
     let offsets = [0, 3, 11, 30];
     let order: Arc<Vec<u32>> =
@@ -142,7 +142,7 @@ fn patch_attention() {
 }
 
 #[test]
-fn permute_rows() {
+pub fn permute_rows() {
     let order: Vec<u32> = (0..12).map(|i| i * 5 % 12).collect();
     let mut inverse = vec![0; 12];
     order.iter().enumerate().for_each(|(i, r)| inverse[*r as usize] = i as u32);
@@ -152,7 +152,7 @@ fn permute_rows() {
 }
 
 #[test]
-fn add_scaled_rows() {
+pub fn add_scaled_rows() {
     let (x, r) = (var("x", &[9, 4]), var("r", &[9, 4]));
     let factors: Vec<f32> = (0..9).map(|i| [0.0, 1.25, 3.0][i % 3]).collect();
     let wide: Vec<f64> = factors.iter().map(|f| f64::from(*f)).collect();
@@ -167,7 +167,7 @@ fn add_scaled_rows() {
 }
 
 #[test]
-fn segments() {
+pub fn segments() {
     let cloud = cloud();
     let (_, groups) = cloud.pool(1);
     let groups = Arc::new(groups);

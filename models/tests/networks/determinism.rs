@@ -314,7 +314,7 @@ fn assert_sound(case: &str, scene: &Scene) {
 }
 
 #[test]
-fn few_voxels_and_odd_places() {
+pub fn few_voxels_and_odd_places() {
     let last = LAST_CELL;
     let places: [(&str, Cells); 11] = [
         ("one voxel", vec![[3, 1, 4]]),
@@ -335,7 +335,7 @@ fn few_voxels_and_odd_places() {
 }
 
 #[test]
-fn about_as_many_voxels_as_a_patch_holds() {
+pub fn about_as_many_voxels_as_a_patch_holds() {
     for n in [PATCH - 1, PATCH, PATCH + 1, 2 * PATCH - 1, 2 * PATCH, 2 * PATCH + 1] {
         assert_sound(&format!("{n} voxels"), &Scene::random(n, 16));
     }
@@ -344,7 +344,7 @@ fn about_as_many_voxels_as_a_patch_holds() {
 /// Mixed training scenes put two rows into one voxel: each row keeps its own centre, and to the
 /// neighbours the first row of the input stands for the voxel.
 #[test]
-fn rows_that_share_a_voxel() {
+pub fn rows_that_share_a_voxel() {
     let mut scene = Scene::random(200, 17);
     scene.cells[150] = scene.cells[3];
     scene.cells[199] = scene.cells[3];
@@ -355,7 +355,7 @@ fn rows_that_share_a_voxel() {
 }
 
 #[test]
-fn features_of_any_finite_size() {
+pub fn features_of_any_finite_size() {
     let scene = Scene::random(120, 19);
     for value in [0.0, -0.0, 1e-30, f32::MIN_POSITIVE, f32::from_bits(1), 1e4] {
         assert_sound(&format!("all {value:e}"), &scene.clone().filled(value));
@@ -369,7 +369,7 @@ fn features_of_any_finite_size() {
 
 /// NaN, infinity and sums that overflow make rows of their scene NaN, never rows of another.
 #[test]
-fn damaged_values_stay_in_their_scene() {
+pub fn damaged_values_stay_in_their_scene() {
     let (good, mate) = (Scene::random(300, 20), Scene::random(80, 21));
     let (frozen, (_, trainable)) = (frozen(), trainable());
     for model in [&frozen, &trainable] {
@@ -446,7 +446,7 @@ fn what_is_refused() {
 
 /// A batch may be, or pool down to, a single voxel: its batch norms use what they remember.
 #[test]
-fn training_on_a_single_voxel() {
+pub fn training_on_a_single_voxel() {
     let store = ParamStore::trainable_from(WeightSource::hashed(5, ""), 0);
     let shape = PointTransformerV3Config { drop_path: 0.0, ..config() };
     let model = ModelConfig::new(shape).build(store.builder()).unwrap();

@@ -2,7 +2,11 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
+#[path = "../support/emulated.rs"]
+mod support_emulated;
+
 mod determinism;
+mod emulated;
 mod litept;
 mod lpips;
 mod point_networks;

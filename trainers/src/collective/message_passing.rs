@@ -85,6 +85,10 @@ impl Collective for MessagePassing {
         Ok(())
     }
 
+    fn carrier(&self) -> &'static str {
+        "MPI through the memory of the hosts"
+    }
+
     fn abort(&self) {
         self.world.abort(1)
     }

@@ -220,29 +220,36 @@ impl Trainer {
             }
             let (bucket, after) = rest.split_at(count);
             rest = after;
-            let mut sums = Vec::with_capacity(len);
+            let mut parts = Vec::with_capacity(count);
             for (name, var) in bucket {
                 if var.dtype() != DType::F32 {
                     let (name, dtype) = ((*name).clone(), var.dtype());
                     return Err(TrainError::DType { name, dtype });
                 }
-                match grads.get(var) {
-                    Some(grad) => sums.extend(
-                        grad.flatten_all()
-                            .and_then(|g| g.to_vec1::<f32>())
-                            .map_err(TrainError::tensor(name))?,
-                    ),
-                    None => sums.resize(sums.len() + var.elem_count(), 0.0),
-                }
+                let part = match grads.get(var) {
+                    Some(grad) => grad.flatten_all(),
+                    None => Tensor::zeros(var.elem_count(), DType::F32, var.device()),
+                };
+                parts.push(part.map_err(TrainError::tensor(name))?);
             }
             self.together_bytes += 4 * len as u64;
-            self.collective.all_reduce(&mut sums)?;
+            let (first, device) = (bucket[0].0, bucket[0].1.device());
+            let mine = Tensor::cat(&parts, 0).map_err(TrainError::tensor(first))?;
+            let sums = match self.collective.all_reduce_tensor(&mine)? {
+                Some(sums) => sums,
+                None => {
+                    let mut sums = mine.to_vec1::<f32>().map_err(TrainError::tensor(first))?;
+                    self.collective.all_reduce(&mut sums)?;
+                    Tensor::from_vec(sums, len, device).map_err(TrainError::tensor(first))?
+                }
+            };
             let mut from = 0;
             for (name, var) in bucket {
-                let to = from + var.elem_count();
-                let grad = Tensor::from_slice(&sums[from..to], var.shape(), var.device());
+                // A copy of its own: what is left of a gradient must not keep the whole bucket.
+                let grad = sums.narrow(0, from, var.elem_count());
+                let grad = grad.and_then(|g| g.reshape(var.shape())?.force_contiguous());
                 grads.insert(var, grad.map_err(TrainError::tensor(name))?);
-                from = to;
+                from += var.elem_count();
             }
         }
         Ok(())

@@ -75,12 +75,13 @@ pub fn run(args: &Args) -> Result<()> {
     listen_for_interrupt()?;
     let stop = Arc::new(AtomicBool::new(false));
     watch(Arc::clone(&stop));
-    let ranks = ranks::start()?;
+    let ranks = ranks::start(&device.device)?;
     if ranks.size() > 1 && ranks.rank() == 0 {
         let of = if config.trainer.sync_batch_norm { "all of them" } else { "its own batch" };
         print(&format!(
-            "{} ranks share the batches of each step; a batch norm takes the statistics of {of}",
-            ranks.size()
+            "{} ranks share the batches of each step; a batch norm takes the statistics of {of}; gradients go by {}",
+            ranks.size(),
+            ranks.carrier()
         ));
     }
     let done = train_together(

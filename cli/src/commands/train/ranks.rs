@@ -1,6 +1,7 @@
 //! The other processes of a training, if a launcher has started several.
 
 use anyhow::Result;
+use candle_core::Device;
 use scenesplat::trainers::Collective;
 use std::rc::Rc;
 
@@ -12,18 +13,26 @@ fn launched() -> Option<(&'static str, usize)> {
     SIZES.iter().find_map(size)
 }
 
-/// The ranks, this one among them.
+/// The ranks, this one among them. Between CUDA devices gradients go by NCCL, if the program was built with it.
 ///
 /// # Errors
 /// If there are several, and this program cannot talk to them.
 #[cfg(feature = "mpi")]
-pub fn start() -> Result<Rc<dyn Collective>> {
+pub fn start(device: &Device) -> Result<Rc<dyn Collective>> {
     use anyhow::Context;
     use scenesplat::trainers::collective::MessagePassing;
     if launched().is_none() {
         return Ok(Rc::new(scenesplat::trainers::Alone));
     }
     let ranks = MessagePassing::start().context("MPI does not start in this process")?;
+    #[cfg(feature = "nccl")]
+    if device.is_cuda() && ranks.size() > 1 {
+        use scenesplat::trainers::collective::Nccl;
+        let rank = ranks.rank();
+        let ranks = Nccl::start(ranks, device).with_context(|| format!("rank {rank}"))?;
+        return Ok(Rc::new(ranks));
+    }
+    let _ = device;
     Ok(Rc::new(ranks))
 }
 
@@ -32,7 +41,7 @@ pub fn start() -> Result<Rc<dyn Collective>> {
 /// # Errors
 /// If there are several, and this program cannot talk to them.
 #[cfg(not(feature = "mpi"))]
-pub fn start() -> Result<Rc<dyn Collective>> {
+pub fn start(_: &Device) -> Result<Rc<dyn Collective>> {
     use crate::commands::WrongUse;
     match launched() {
         Some((name, size @ 2..)) => {

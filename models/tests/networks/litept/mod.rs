@@ -8,7 +8,7 @@
 )]
 
 mod behaviour;
-mod numerics;
+pub mod numerics;
 mod published;
 mod reference;
 mod scenes;

@@ -1,36 +1,41 @@
-//! The emulated grid: kernels compiled for this processor, started from Rust.
+//! The emulated grid: kernels compiled for this processor, for tests. Slow: it checks every access.
 
-use scenesplat_device::{
-    Arg, KernelEntry, KernelModule, LaunchPlan, Launcher, TooManyItems, modules,
-};
+use crate::{Arg, KernelEntry, KernelModule, LaunchPlan, Launcher, TooManyItems, modules};
+use std::collections::HashMap;
 use std::collections::hash_map::DefaultHasher;
 use std::ffi::c_void;
 use std::hash::{Hash, Hasher};
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::{Mutex, OnceLock};
+use std::sync::{Mutex, OnceLock, PoisonError};
 
 /// What stands in for the grid; `grid.h` includes it.
-const GRID: &str = include_str!("../../emulation/emulated_grid.h");
+const GRID: &str = include_str!("../emulation/emulated_grid.h");
 /// Bytes before and after an array that no kernel may change.
 const MARGIN: usize = 32;
 const MARGIN_BYTE: u8 = 0xa5;
 
-/// A grid that runs blocks and threads in order (seed 0) or shuffled.
+/// A grid that runs blocks and threads one after another, in order or shuffled.
+#[derive(Debug, Clone, Copy)]
 pub struct Emulator {
     seed: u64,
+    more: &'static [KernelModule],
 }
 
 /// An array with margins.
+#[derive(Debug)]
 pub struct Buffer {
     memory: Vec<u64>,
     bytes: usize,
 }
 
+/// Why a launch went wrong.
 #[derive(Debug, thiserror::Error)]
 pub enum EmulatorError {
+    /// What a kernel did, or what the compiler says of its text.
     #[error("{0}")]
     Kernel(String),
+    /// More items than a grid has room for.
     #[error(transparent)]
     TooManyItems(#[from] TooManyItems),
 }
@@ -55,8 +60,14 @@ struct Array {
 type Entry = unsafe extern "C" fn(*const Launch, *const *const c_void, u64) -> i32;
 
 impl Emulator {
+    /// A grid whose blocks and threads run in order (seed 0), or shuffled by the seed.
     pub fn new(seed: u64) -> Self {
-        Self { seed }
+        Self { seed, more: &[] }
+    }
+
+    /// As [`new`](Self::new), with kernels of further texts beside those of [`modules()`].
+    pub fn with_modules(seed: u64, more: &'static [KernelModule]) -> Self {
+        Self { seed, more }
     }
 }
 
@@ -117,7 +128,7 @@ impl Launcher for Emulator {
         plan: LaunchPlan,
         args: &mut [Arg<'_, Buffer>],
     ) -> Result<(), EmulatorError> {
-        let entry = entry(kernel);
+        let entry = self.entry(kernel)?;
         let mut arrays = Vec::with_capacity(args.len());
         let mut scalars = [0u64; 64];
         for (arg, scalar) in args.iter_mut().zip(&mut scalars) {
@@ -143,7 +154,9 @@ impl Launcher for Emulator {
             .iter()
             .zip(&scalars)
             .map(|(arg, scalar)| match arg {
-                Arg::In(_) | Arg::Out(_) => std::ptr::from_ref(next.next().unwrap()).cast(),
+                Arg::In(_) | Arg::Out(_) => {
+                    next.next().map_or(std::ptr::null(), std::ptr::from_ref).cast()
+                }
                 _ => std::ptr::from_ref(scalar).cast(),
             })
             .collect();
@@ -189,7 +202,7 @@ fn compiler() -> Option<&'static str> {
         .as_deref()
 }
 
-/// Whether the kernels can be run here; says loudly if not.
+/// Whether kernels can be run here, as a test asks before it starts; where they cannot, it says so.
 pub fn is_there() -> bool {
     let there = compiler().is_some() && cfg!(unix);
     if !there {
@@ -198,42 +211,60 @@ pub fn is_there() -> bool {
     there
 }
 
-/// The compiled function of a kernel, of the crate or of [`crate::faults`].
-fn entry(kernel: &KernelEntry) -> Entry {
-    type Slot = (&'static KernelModule, OnceLock<libloading::Library>);
-    static LIBRARIES: OnceLock<Vec<Slot>> = OnceLock::new();
-    let all = LIBRARIES.get_or_init(|| {
-        modules().iter().chain([&crate::faults::FAULTS]).map(|m| (m, OnceLock::new())).collect()
-    });
-    let (module, library) = all.iter().find(|(m, _)| m.name == kernel.module).unwrap();
-    let library = library.get_or_init(|| {
-        let path = compiled(module);
-        // SAFETY: a library of plain functions, just compiled from the texts.
-        unsafe { libloading::Library::new(&path) }.unwrap()
-    });
-    let name = format!("emulate_{}\0", kernel.name);
-    // SAFETY: `ENTRY` gives it this signature; libraries stay loaded until the process ends.
-    *unsafe { library.get::<Entry>(name.as_bytes()) }.unwrap()
+impl Emulator {
+    /// The compiled function of a kernel.
+    fn entry(&self, kernel: &KernelEntry) -> Result<Entry, EmulatorError> {
+        // By the text, as two modules may have one name. Compilers one at a time: a few would need more memory than
+        // they save time.
+        static LIBRARIES: Mutex<Option<HashMap<usize, libloading::Library>>> = Mutex::new(None);
+        let Some(module) = modules().iter().chain(self.more).find(|m| m.name == kernel.module)
+        else {
+            return Err(problem(format!("{}: no text {}", kernel.name, kernel.module)));
+        };
+        let mut libraries = LIBRARIES.lock().unwrap_or_else(PoisonError::into_inner);
+        let libraries = libraries.get_or_insert_with(HashMap::new);
+        let key = module.source.as_ptr() as usize;
+        if !libraries.contains_key(&key) {
+            let path = compiled(module)?;
+            // SAFETY: a library of plain functions, just compiled from the texts.
+            let library = unsafe { libloading::Library::new(&path) };
+            libraries
+                .insert(key, library.map_err(|e| problem(format!("{}: {e}", path.display())))?);
+        }
+        let name = format!("emulate_{}\0", kernel.name);
+        // SAFETY: `ENTRY` gives it this signature; libraries stay loaded until the process ends.
+        let entry = unsafe { libraries[&key].get::<Entry>(name.as_bytes()) };
+        Ok(*entry.map_err(|e| problem(format!("{}: {e}", kernel.name)))?)
+    }
+}
+
+fn problem(what: String) -> EmulatorError {
+    EmulatorError::Kernel(what)
+}
+
+/// Beside the running program: tests of several crates share what they compile.
+fn folder() -> Result<PathBuf, std::io::Error> {
+    let program = std::env::current_exe()?;
+    let folder = program.parent().unwrap_or(Path::new(".")).join("emulation");
+    std::fs::create_dir_all(&folder)?;
+    Ok(folder)
 }
 
 /// Compiles a text, unless that was done before with the same words.
-fn compiled(module: &KernelModule) -> PathBuf {
-    // A few compilers at a time would need more memory than they save time.
-    static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
-    let _turn = ONE_AT_A_TIME.lock().unwrap();
-    let compiler = compiler().unwrap();
+fn compiled(module: &KernelModule) -> Result<PathBuf, EmulatorError> {
+    let failed = |e: std::io::Error| problem(format!("{}: {e}", module.name));
+    let compiler = compiler().ok_or_else(|| problem("no C++ compiler here".to_owned()))?;
     let mut hash = DefaultHasher::new();
     (module.source, GRID, compiler, 2).hash(&mut hash);
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("emulation");
-    std::fs::create_dir_all(&folder).unwrap();
+    let folder = folder().map_err(failed)?;
     let library = folder.join(format!("{}-{:016x}.so", module.name, hash.finish()));
     if library.exists() {
-        return library;
+        return Ok(library);
     }
-    let work = tempfile::tempdir_in(&folder).unwrap();
-    std::fs::write(work.path().join("emulated_grid.h"), GRID).unwrap();
+    let work = tempfile::tempdir_in(&folder).map_err(failed)?;
+    std::fs::write(work.path().join("emulated_grid.h"), GRID).map_err(failed)?;
     let text = work.path().join(format!("{}.cpp", module.name));
-    std::fs::write(&text, module.source).unwrap();
+    std::fs::write(&text, module.source).map_err(failed)?;
     let made = work.path().join("made.so");
     let run = |native: &[&str]| {
         Command::new(compiler)
@@ -246,15 +277,17 @@ fn compiled(module: &KernelModule) -> PathBuf {
             .arg(&made)
             .arg(&text)
             .output()
-            .unwrap()
+            .map_err(failed)
     };
     // With the processor's own fused products; without them each is a call of the mathematical library.
-    let mut output = run(&["-march=native"]);
+    let mut output = run(&["-march=native"])?;
     if !output.status.success() {
-        output = run(&[]);
+        output = run(&[])?;
     }
-    let messages = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{}:\n{messages}", module.name);
-    std::fs::rename(&made, &library).unwrap();
-    library
+    if !output.status.success() {
+        let messages = String::from_utf8_lossy(&output.stderr);
+        return Err(problem(format!("{}:\n{messages}", module.name)));
+    }
+    std::fs::rename(&made, &library).map_err(failed)?;
+    Ok(library)
 }
