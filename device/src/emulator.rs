@@ -2,7 +2,7 @@
 
 use crate::{Arg, KernelEntry, KernelModule, LaunchPlan, Launcher, TooManyItems, modules};
 use std::collections::HashMap;
-use std::collections::hash_map::DefaultHasher;
+use std::collections::hash_map::{DefaultHasher, Entry};
 use std::ffi::c_void;
 use std::hash::{Hash, Hasher};
 use std::path::{Path, PathBuf};
@@ -57,7 +57,7 @@ struct Array {
     bytes: u64,
 }
 
-type Entry = unsafe extern "C" fn(*const Launch, *const *const c_void, u64) -> i32;
+type Function = unsafe extern "C" fn(*const Launch, *const *const c_void, u64) -> i32;
 
 impl Emulator {
     /// A grid whose blocks and threads run in order (seed 0), or shuffled by the seed.
@@ -213,7 +213,7 @@ pub fn is_there() -> bool {
 
 impl Emulator {
     /// The compiled function of a kernel.
-    fn entry(&self, kernel: &KernelEntry) -> Result<Entry, EmulatorError> {
+    fn entry(&self, kernel: &KernelEntry) -> Result<Function, EmulatorError> {
         // By the text, as two modules may have one name. Compilers one at a time: a few would need more memory than
         // they save time.
         static LIBRARIES: Mutex<Option<HashMap<usize, libloading::Library>>> = Mutex::new(None);
@@ -223,17 +223,18 @@ impl Emulator {
         };
         let mut libraries = LIBRARIES.lock().unwrap_or_else(PoisonError::into_inner);
         let libraries = libraries.get_or_insert_with(HashMap::new);
-        let key = module.source.as_ptr() as usize;
-        if !libraries.contains_key(&key) {
-            let path = compiled(module)?;
-            // SAFETY: a library of plain functions, just compiled from the texts.
-            let library = unsafe { libloading::Library::new(&path) };
-            libraries
-                .insert(key, library.map_err(|e| problem(format!("{}: {e}", path.display())))?);
-        }
+        let library = match libraries.entry(module.source.as_ptr() as usize) {
+            Entry::Occupied(there) => there.into_mut(),
+            Entry::Vacant(place) => {
+                let path = compiled(module)?;
+                // SAFETY: a library of plain functions, just compiled from the texts.
+                let library = unsafe { libloading::Library::new(&path) };
+                place.insert(library.map_err(|e| problem(format!("{}: {e}", path.display())))?)
+            }
+        };
         let name = format!("emulate_{}\0", kernel.name);
         // SAFETY: `ENTRY` gives it this signature; libraries stay loaded until the process ends.
-        let entry = unsafe { libraries[&key].get::<Entry>(name.as_bytes()) };
+        let entry = unsafe { library.get::<Function>(name.as_bytes()) };
         Ok(*entry.map_err(|e| problem(format!("{}: {e}", kernel.name)))?)
     }
 }

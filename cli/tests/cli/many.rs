@@ -259,7 +259,7 @@ fn a_part_that_was_killed_goes_on_and_two_on_one_part_agree() {
         assert_eq!(
             left(&parts),
             left(&whole),
-            "{name}: nothing is left of the run that was killed"
+            "{name:?}: nothing is left of the run that was killed"
         );
     }
 }

@@ -20,10 +20,12 @@ pub struct Nccl {
     device: CudaDevice,
 }
 
+#[allow(clippy::needless_pass_by_value, reason = "as `map_err` gives it")]
 fn failed(problem: impl fmt::Display) -> CollectiveError {
     CollectiveError::Device { problem: problem.to_string() }
 }
 
+#[allow(clippy::needless_pass_by_value, reason = "as `map_err` gives it")]
 fn refused(error: nccl::result::NcclError) -> CollectiveError {
     failed(format!("NCCL: {error:?} (NCCL_DEBUG=WARN says more)"))
 }

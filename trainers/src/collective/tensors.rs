@@ -16,6 +16,7 @@ pub(crate) trait Exchange {
     fn all_gather(&self, row: &Tensor) -> Result<Tensor, CollectiveError>;
 }
 
+#[allow(clippy::needless_pass_by_value, reason = "as `map_err` gives it")]
 fn failed(error: candle_core::Error) -> CollectiveError {
     CollectiveError::Device { problem: error.to_string() }
 }
