@@ -121,7 +121,7 @@ impl Exchange for Nccl {
     }
 
     fn all_gather(&self, row: &Tensor) -> Result<Tensor, CollectiveError> {
-        let shape = (self.size(), row.elem_count());
+        let shape = (self.ranks.size(), row.elem_count());
         self.exchanged(row, shape, |comm, values, got| comm.all_gather(values, got).map(drop))
     }
 }
