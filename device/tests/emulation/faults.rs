@@ -113,7 +113,7 @@ fn wrong_numbers_of_arguments_are_told() {
     if !is_there() {
         return;
     }
-    let l = Emulator::new(0);
+    let l = Emulator::with_modules(0, std::slice::from_ref(&FAULTS));
     let x = l.upload_values(&[0u32; 64]).unwrap();
     let error = l.run(&ENTRIES[0], 64, &mut [Arg::In(&x)]).unwrap_err().to_string();
     assert!(error.contains("takes 2 arguments, got 1"), "{error}");
