@@ -31,8 +31,9 @@ fn attributes() -> [AttributeColumns; 3] {
         name: name.to_owned(),
         columns,
         is_rotation,
+        is_size: name == "scale",
     };
-    [of("color", 0..3, false), of("quat", 3..7, true), of("scale", 7..9, false)]
+    [of("color", 0..2, false), of("quat", 2..6, true), of("scale", 6..9, false)]
 }
 
 type LossFn = Box<dyn Fn(&Tensor) -> Result<Option<Tensor>>>;
@@ -99,6 +100,7 @@ fn all() -> Vec<(&'static str, Vec<usize>, LossFn)> {
         ),
         ("masked, mean square", rows(), modelling(GaussianDistance::MeanSquare)),
         ("masked, fitted", rows(), modelling(GaussianDistance::Fitted)),
+        ("masked, ellipsoid", rows(), modelling(GaussianDistance::Ellipsoid)),
     ]
 }
 
@@ -186,8 +188,12 @@ fn ibot_by_hand() {
 #[test]
 fn masked_rotations_have_no_sign() {
     let quaternion = [0.5, -0.5, 0.5, 0.5];
-    let attributes =
-        [AttributeColumns { name: "quat".to_owned(), columns: 0..4, is_rotation: true }];
+    let attributes = [AttributeColumns {
+        name: "quat".to_owned(),
+        columns: 0..4,
+        is_rotation: true,
+        is_size: false,
+    }];
     let cost = |p: &[f64], t: &[f64]| {
         let (p, t) = (matrix(p, 4, DType::F64), matrix(t, 4, DType::F64));
         let out = masked_gaussians(&p, &t, None, &attributes, GaussianDistance::Fitted);
@@ -209,17 +215,128 @@ fn masked_rotations_have_no_sign() {
     assert_eq!((number(&loss), alone), (1.0, vec![1.0]));
 }
 
+/// Product of quaternions (w, x, y, z).
+fn times(a: [f64; 4], b: [f64; 4]) -> [f64; 4] {
+    [
+        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+    ]
+}
+
+/// A quaternion from an axis and an angle.
+fn turn(axis: [f64; 3], angle: f64) -> [f64; 4] {
+    let (sin, cos) = (angle / 2.0).sin_cos();
+    [cos, axis[0] * sin, axis[1] * sin, axis[2] * sin]
+}
+
+/// Costs of rotation and sizes by the ellipsoid's distance, and the gradient; rows of quaternion and log-sizes.
+fn ellipsoid(p: &[f64], t: &[f64]) -> (Vec<f64>, Vec<f64>) {
+    let of = |name: &str, columns, is_rotation| AttributeColumns {
+        name: name.to_owned(),
+        columns,
+        is_rotation,
+        is_size: !is_rotation,
+    };
+    let attributes = [of("quat", 0..4, true), of("scale", 4..7, false)];
+    let p = Var::from_tensor(&matrix(p, 7, DType::F64)).unwrap();
+    let t = matrix(t, 7, DType::F64);
+    let out = masked_gaussians(&p, &t, None, &attributes, GaussianDistance::Ellipsoid);
+    let (loss, alone) = out.unwrap().unwrap();
+    let gradient = loss.backward().unwrap().get(&p).unwrap().flatten_all().unwrap();
+    (alone, gradient.to_vec1().unwrap())
+}
+
+#[test]
+fn masked_ellipsoids_have_no_spelling() {
+    let quarter = std::f64::consts::FRAC_PI_2;
+    // First axis longest, third shortest: how predictions are read.
+    let (q, sizes) = (turn([0.48, 0.6, 0.64], 0.9), [-2.0, -3.1, -5.0]);
+    let row = |q: [f64; 4], sizes: [f64; 3]| [q.to_vec(), sizes.to_vec()].concat();
+    let prediction = row(turn([0.0, 0.6, 0.8], 2.3).map(|v| 1.7 * v), [-2.2, -2.9, -4.0]);
+    let want = ellipsoid(&prediction, &row(q, sizes));
+    let mut spellings = 0;
+    // Quarter turns about own axes exchange the sizes of the two others.
+    let turns =
+        [([1.0, 0.0, 0.0], [0, 2, 1]), ([0.0, 1.0, 0.0], [2, 1, 0]), ([0.0, 0.0, 1.0], [1, 0, 2])];
+    let mut all = vec![(q, sizes)];
+    for _ in 0..4 {
+        for (q, s) in all.clone() {
+            for (axis, order) in turns {
+                let other = (times(q, turn(axis, quarter)), order.map(|i| s[i]));
+                let same = |(a, s): &([f64; 4], [f64; 3])| {
+                    let cosine: f64 = a.iter().zip(other.0).map(|(a, b)| a * b).sum();
+                    cosine.abs() > 1.0 - 1e-9 && *s == other.1
+                };
+                if !all.iter().any(same) {
+                    all.push(other);
+                }
+            }
+        }
+    }
+    for (q, s) in all {
+        for sign in [1.0, -1.0] {
+            let (alone, gradient) = ellipsoid(&prediction, &row(q.map(|v| v * sign), s));
+            let near = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-12);
+            assert!(near(&alone, &want.0) && near(&gradient, &want.1), "{q:?} {s:?}");
+        }
+        spellings += 1;
+    }
+    assert_eq!(spellings, 24);
+    let (alone, gradient) = ellipsoid(&row(q.map(|v| -0.3 * v), sizes), &row(q, sizes));
+    assert!(alone.iter().chain(&gradient).all(|v| v.abs() < 1e-12), "{alone:?} {gradient:?}");
+}
+
+#[test]
+fn masked_ellipsoids_count_by_what_can_be_seen_of_them() {
+    let identity = [1.0, 0.0, 0.0, 0.0];
+    let row = |q: [f64; 4], sizes: [f64; 3]| [q.to_vec(), sizes.to_vec()].concat();
+    let cost =
+        |p: [f64; 4], t: [f64; 4], sizes: [f64; 3]| ellipsoid(&row(p, sizes), &row(t, sizes)).0[0];
+    let third = std::f64::consts::FRAC_PI_6;
+    let (about_x, about_z) = (turn([1.0, 0.0, 0.0], third), turn([0.0, 0.0, 1.0], third));
+    let (ball, disc, needle) = ([-3.0; 3], [-3.0, -3.0, -9.0], [-3.0, -9.0, -9.0]);
+    let thin = 1.0 - (-6.0f64).exp();
+    // sin²(30°) = 1/4: a disc's normal, a needle's direction; a turn about either is not seen, nor any of a ball.
+    for (sizes, p, want) in [
+        (ball, about_x, 0.0),
+        (disc, about_x, thin / 4.0),
+        (disc, about_z, 0.0),
+        (needle, about_x, 0.0),
+        (needle, about_z, thin / 4.0),
+    ] {
+        assert!((cost(p, identity, sizes) - want).abs() < 1e-12, "{sizes:?}");
+    }
+    // A target without rotation has sizes only; a prediction of zeros is as far as the identity's opposite can be.
+    assert_eq!(cost(about_x, [0.0; 4], disc), 0.0);
+    let (alone, gradient) = ellipsoid(&[0.0; 7], &row(identity, disc));
+    assert!(alone.iter().chain(&gradient).all(|v| v.is_finite()), "{alone:?} {gradient:?}");
+    // Sizes beyond f32, and infinite anisotropy.
+    let (alone, gradient) = ellipsoid(&row(about_x, ball), &row(identity, [80.0, 0.0, -700.0]));
+    assert!(alone.iter().chain(&gradient).all(|v| v.is_finite()), "{alone:?} {gradient:?}");
+    assert!((alone[0] - 0.25).abs() < 1e-12);
+    // Sizes and rotations are both needed.
+    let attributes = &attributes()[..1];
+    let (p, t) = (matrix(&[0.1, 0.2], 2, DType::F64), matrix(&[0.1, 0.2], 2, DType::F64));
+    let error =
+        masked_gaussians(&p, &t, None, attributes, GaussianDistance::Ellipsoid).unwrap_err();
+    assert!(error.to_string().contains("three sizes"), "{error}");
+}
+
 #[test]
 fn attributes_are_told_alone() {
     let (p, t) = (matrix(&noise(18, 1), 9, DType::F64), matrix(&noise(18, 2), 9, DType::F64));
-    for distance in [GaussianDistance::MeanSquare, GaussianDistance::Fitted] {
+    for distance in
+        [GaussianDistance::MeanSquare, GaussianDistance::Fitted, GaussianDistance::Ellipsoid]
+    {
         let (loss, alone) =
             masked_gaussians(&p, &t, None, &attributes(), distance).unwrap().unwrap();
         let want = match distance {
             GaussianDistance::MeanSquare => {
-                (3.0 * alone[0] + 4.0 * alone[1] + 2.0 * alone[2]) / 9.0
+                (2.0 * alone[0] + 4.0 * alone[1] + 3.0 * alone[2]) / 9.0
             }
-            GaussianDistance::Fitted => alone.iter().sum(),
+            _ => alone.iter().sum(),
         };
         assert!((number(&loss) - want).abs() < 1e-15, "{distance:?}");
     }

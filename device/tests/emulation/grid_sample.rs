@@ -1,4 +1,4 @@
-use crate::emulator::{Buffer, Emulator, EmulatorError, is_there};
+use crate::{Buffer, Grid, GridError, is_there};
 use crate::{ROWS, in_any_order, random};
 use scenesplat_device::Launcher;
 use scenesplat_device::ops::grid_sample::{GridSampleError, KeyOrder, VoxelGroups, voxel_groups};
@@ -14,9 +14,9 @@ fn coordinates(n: usize, size: f32, seed: u64) -> Vec<[f32; 3]> {
     random(3 * n, seed).as_chunks::<3>().0.iter().map(|c| c.map(|v| v * size)).collect()
 }
 
-type Found = Result<VoxelGroups<Buffer>, GridSampleError<EmulatorError>>;
+type Found = Result<VoxelGroups<Buffer>, GridSampleError<GridError>>;
 
-fn run(l: &Emulator, coord: &[[f32; 3]], grid_size: f64, order: KeyOrder) -> Found {
+fn run(l: &Grid, coord: &[[f32; 3]], grid_size: f64, order: KeyOrder) -> Found {
     let coord_on_device = l.upload_values(coord)?;
     voxel_groups(l, &coord_on_device, coord.len() as u32, grid_size, order)
 }
@@ -28,7 +28,7 @@ fn check(coord: &[[f32; 3]], grid_size: f64) {
         let got = in_any_order(|l| {
             let got = run(l, coord, grid_size, order).map_err(|e| match e {
                 GridSampleError::Launch(e) => e,
-                other => EmulatorError::Kernel(other.to_string()),
+                other => panic!("{other}"),
             })?;
             let voxels = got.num_voxels as usize;
             Ok((
@@ -78,9 +78,9 @@ fn what_the_cpu_refuses_is_refused() {
     if !is_there() {
         return;
     }
-    let l = Emulator::new(0);
+    let l = crate::grid(0);
     let error =
-        |coord: &[[f32; 3]], size: f64| run(&l, coord, size, KeyOrder::Morton).err().unwrap();
+        |coord: &[[f32; 3]], size: f64| run(l, coord, size, KeyOrder::Morton).err().unwrap();
     let mut coord = coordinates(5000, 1.0, 3);
     assert!(matches!(error(&coord, 0.0), GridSampleError::GridSize(_)));
     assert!(matches!(error(&coord, f64::NAN), GridSampleError::GridSize(_)));

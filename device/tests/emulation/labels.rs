@@ -1,4 +1,4 @@
-use crate::emulator::is_there;
+use crate::is_there;
 use crate::{ROWS, in_any_order, random};
 use rand::{Rng, SeedableRng};
 use scenesplat_device::Launcher;

@@ -1,4 +1,4 @@
-use crate::emulator::is_there;
+use crate::is_there;
 use crate::{ROWS, assert_near, assert_same, bits_in_any_order, random, values};
 use rand::{Rng, SeedableRng};
 use scenesplat_device::Launcher;

@@ -1,4 +1,4 @@
-use crate::emulator::{Buffer, Emulator, EmulatorError, is_there};
+use crate::{Buffer, Grid, GridError, is_there};
 use crate::{assert_near, bits_in_any_order, random, shuffled, values};
 use scenesplat_device::Launcher;
 use scenesplat_device::ops::patch_attention::{self as attention, Heads, Patch, Patches};
@@ -42,7 +42,7 @@ impl Case {
         Heads { count: self.heads.count as u32, dim: self.heads.dim as u32 }
     }
 
-    fn upload(&self, l: &Emulator) -> Result<Patches<Buffer>, EmulatorError> {
+    fn upload(&self, l: &Grid) -> Result<Patches<Buffer>, GridError> {
         let patches = self.patches();
         let list: Vec<Patch> = patches
             .patches()

@@ -1,4 +1,4 @@
-use crate::emulator::{Buffer, Emulator, EmulatorError, is_there};
+use crate::{Buffer, Grid, GridError, is_there};
 use crate::{assert_near, in_any_order};
 use rand::{Rng, SeedableRng};
 use scenesplat_device::Launcher;
@@ -59,12 +59,12 @@ fn settings_of(s: &cpu::RasterSettings) -> Settings {
 }
 
 fn render(
-    l: &Emulator,
+    l: &Grid,
     gaussians: &cpu::Gaussians,
     view: &cpu::View,
     settings: &cpu::RasterSettings,
     degree: u8,
-) -> Result<Picture<Buffer>, RasterizeError<EmulatorError>> {
+) -> Result<Picture<Buffer>, RasterizeError<GridError>> {
     let means = l.upload_values(&gaussians.means)?;
     let quats = l.upload_values(&gaussians.quats)?;
     let scales = l.upload_values(&gaussians.scales)?;
@@ -99,7 +99,7 @@ fn check(gaussians: &cpu::Gaussians, view: &cpu::View, settings: &cpu::RasterSet
     let (rgb, rest, culled) = in_any_order(|l| {
         let picture = render(l, gaussians, view, settings, degree).map_err(|e| match e {
             RasterizeError::Launch(e) => e,
-            other => EmulatorError::Kernel(other.to_string()),
+            other => panic!("{other}"),
         })?;
         Ok((
             l.download_values::<f32>(&picture.rgb, 3 * pixels)?,
@@ -196,7 +196,7 @@ fn pairs_that_no_memory_holds_are_refused() {
     }
     let view = view(16_384, 16_384);
     let gsplat = cpu::RasterSettings::gsplat_1_6();
-    let error = render(&Emulator::new(0), &wide, &view, &gsplat, 0).err().unwrap();
+    let error = render(crate::grid(0), &wide, &view, &gsplat, 0).err().unwrap();
     assert!(
         matches!(error, RasterizeError::TooManyPairs { pairs } if pairs > MOST_PAIRS),
         "{error}"

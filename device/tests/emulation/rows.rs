@@ -1,4 +1,4 @@
-use crate::emulator::is_there;
+use crate::is_there;
 use crate::{ROWS, assert_same, bits_in_any_order, in_any_order, random, shuffled, values};
 use scenesplat_device::Launcher;
 use scenesplat_device::ops::rows::{self, Width};

@@ -1,4 +1,4 @@
-use crate::emulator::{Emulator, EmulatorError, is_there};
+use crate::{Grid, GridError, is_there};
 use crate::{ROWS, assert_same, bits_in_any_order, random, shuffled, values};
 use rand::{Rng, SeedableRng};
 use scenesplat_device::Launcher;
@@ -25,10 +25,10 @@ fn groups(n: usize, seed: u64) -> cpu::Groups {
 
 /// Calls `run` with the groups on the device.
 fn with_groups<T>(
-    l: &Emulator,
+    l: &Grid,
     groups: &cpu::Groups,
-    run: impl FnOnce(segment::Groups<'_, crate::emulator::Buffer>) -> Result<T, EmulatorError>,
-) -> Result<T, EmulatorError> {
+    run: impl FnOnce(segment::Groups<'_, crate::Buffer>) -> Result<T, GridError>,
+) -> Result<T, GridError> {
     let rows = l.upload_values(groups.rows())?;
     let offsets = l.upload_values(groups.offsets())?;
     let inverse = l.upload_values(groups.inverse())?;

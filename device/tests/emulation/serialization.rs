@@ -1,4 +1,4 @@
-use crate::emulator::is_there;
+use crate::is_there;
 use crate::{ROWS, in_any_order};
 use rand::{Rng, SeedableRng};
 use scenesplat_device::Launcher;
@@ -89,7 +89,7 @@ fn sums_run_over_blocks_of_blocks() {
     // 2048 values a block; more than 2048 blocks have sums of sums.
     for n in [0, 1, 2047, 2048, 2049, 10_000, 2048 * 2048 + 1] {
         let values: Vec<u32> = (0..n).map(|_| rng.random_range(0..4)).collect();
-        let run = |l: &crate::Emulator| {
+        let run = |l: &crate::Grid| {
             let sums = scan::running_sums(l, &l.upload_values(&values)?, n as u64)?;
             Ok((
                 l.download_values::<u32>(&sums.before, n)?,
@@ -97,7 +97,7 @@ fn sums_run_over_blocks_of_blocks() {
             ))
         };
         let (before, total) =
-            if n < 100_000 { in_any_order(run) } else { run(&crate::Emulator::new(1)).unwrap() };
+            if n < 100_000 { in_any_order(run) } else { run(crate::grid(1)).unwrap() };
         let mut sum = 0;
         for (value, before) in values.iter().zip(before) {
             assert_eq!(before, sum);

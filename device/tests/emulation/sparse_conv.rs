@@ -1,4 +1,4 @@
-use crate::emulator::{Buffer, Emulator, EmulatorError, is_there};
+use crate::{Buffer, Grid, GridError, is_there};
 use crate::{assert_near, bits_in_any_order, in_any_order, random, values};
 use rand::{Rng, SeedableRng};
 use scenesplat_device::Launcher;
@@ -22,11 +22,11 @@ fn grid(n: usize, side: i32, unique: bool, seed: u64) -> Vec<[i32; 3]> {
 }
 
 fn map_of(
-    l: &Emulator,
+    l: &Grid,
     grid: &[[i32; 3]],
     offsets: &[usize],
     k: usize,
-) -> Result<KernelMap<Buffer>, EmulatorError> {
+) -> Result<KernelMap<Buffer>, GridError> {
     let offsets: Vec<u32> = offsets.iter().map(|&o| o as u32).collect();
     kernel_map::build(l, &l.upload_values(grid)?, &offsets, k as u32)
 }

@@ -5,6 +5,8 @@
 #[path = "../../../models/tests/support/mod.rs"]
 #[allow(dead_code, reason = "the networks' tests use the rest")]
 mod support;
+#[path = "../../../models/tests/support/device.rs"]
+mod support_device;
 
 mod classes;
 mod features;

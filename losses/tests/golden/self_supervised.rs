@@ -21,6 +21,7 @@ fn attributes() -> [AttributeColumns; 4] {
         name: name.to_owned(),
         columns,
         is_rotation,
+        is_size: name == "scale",
     };
     [
         of("color", 0..3, false),

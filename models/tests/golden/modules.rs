@@ -1,6 +1,7 @@
 //! Group e: attention, block, embedding, pooling, unpooling with their gradients.
 
 use crate::support::Golden;
+use crate::support_device::device;
 use candle_core::backprop::GradStore;
 use candle_core::{Tensor, Var};
 use rand::SeedableRng;
@@ -32,7 +33,7 @@ fn cloud(g: &Golden) -> SerializedCloud {
 
 fn store(case: &str) -> ParamStore {
     let weights = Golden::open(&format!("{case}.weights.safetensors")).unwrap();
-    ParamStore::trainable_from(WeightSource::tensors(weights.weights("")), 0)
+    ParamStore::trainable_from(WeightSource::tensors(weights.weights("")), 0).on(&device())
 }
 
 fn rng() -> ChaCha8Rng {

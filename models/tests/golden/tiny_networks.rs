@@ -1,7 +1,8 @@
 //! Group f: whole small networks: intermediate features, all parameter gradients, batch statistics.
 
 use crate::support::Golden;
-use candle_core::{Device, Tensor, Var};
+use crate::support_device::device;
+use candle_core::{Tensor, Var};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use scenesplat_kernels::serialization::{Curve, argsort, codes, invert};
@@ -54,7 +55,7 @@ pub fn observed(
     cells: &[[i32; 3]],
     offsets: &[usize],
 ) -> BTreeMap<String, Tensor> {
-    let back = Tensor::from_vec(inside(cells, offsets), cells.len(), &Device::Cpu).unwrap();
+    let back = Tensor::from_vec(inside(cells, offsets), cells.len(), &device()).unwrap();
     seen.into_iter()
         .map(|(name, t)| {
             let finest = name == "embedding" || name == "enc.enc0" || name.starts_with("dec.dec0");
@@ -72,7 +73,7 @@ pub fn run(case: &str, mode: Mode) {
     };
     let config = config(&inputs);
     let seed = inputs.number("seed") as u64;
-    let store = ParamStore::trainable_from(WeightSource::hashed(seed, ""), 0);
+    let store = ParamStore::trainable_from(WeightSource::hashed(seed, ""), 0).on(&device());
     let network = PointTransformerV3::new(&config, store.builder()).unwrap();
     if case == "f_tiny" {
         // The stored state dict and the hash formula must say the same.
@@ -132,7 +133,7 @@ pub fn run(case: &str, mode: Mode) {
 
     let weighted = |t: &Tensor, name: &str| {
         let r = unit(name, t.elem_count(), seed);
-        let r = Tensor::from_vec(r, t.dims(), &Device::Cpu).unwrap();
+        let r = Tensor::from_vec(r, t.dims(), &device()).unwrap();
         (t * r).unwrap().sum_all().unwrap()
     };
     let mut sum = weighted(&out, "R");
@@ -185,7 +186,7 @@ pub fn run(case: &str, mode: Mode) {
 
     // The packed network must agree too.
     if mode == Mode::Eval {
-        let store = ParamStore::frozen(WeightSource::hashed(seed, ""));
+        let store = ParamStore::frozen(WeightSource::hashed(seed, "")).on(&device());
         let packed = PointTransformerV3::new(&config, store.builder()).unwrap();
         let points = PointCloud::new(cells, inputs.tensor("in.feat"), offsets).unwrap();
         let mut rng = ChaCha8Rng::seed_from_u64(0);

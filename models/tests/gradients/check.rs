@@ -1,6 +1,7 @@
 //! The comparison, and the clouds that it is done on.
 
-use candle_core::{DType, Device, Tensor, Var};
+use crate::support_device::device;
+use candle_core::{DType, Tensor, Var};
 use scenesplat_kernels::serialization::Curve;
 use scenesplat_kernels::serialized_cloud::{CurveDepth, SerializedCloud};
 use scenesplat_models::ParamStore;
@@ -22,7 +23,7 @@ const STEP: f64 = 1e-5;
 /// Noise with a name, as a variable.
 pub fn var(name: &str, shape: &[usize]) -> Var {
     let values = unit(name, shape.iter().product(), 11);
-    Var::from_tensor(&Tensor::from_vec(values, shape, &Device::Cpu).unwrap()).unwrap()
+    Var::from_tensor(&Tensor::from_vec(values, shape, &device()).unwrap()).unwrap()
 }
 
 pub fn flat(t: &Tensor) -> Vec<f64> {
@@ -31,7 +32,7 @@ pub fn flat(t: &Tensor) -> Vec<f64> {
 
 /// Trainable parameters with hashed values.
 pub fn store() -> ParamStore {
-    ParamStore::trainable_from(WeightSource::hashed(3, ""), 0)
+    ParamStore::trainable_from(WeightSource::hashed(3, ""), 0).on(&device())
 }
 
 /// Checks an output and the gradients of ⟨output, noise⟩ to each variable, element by element.
@@ -46,7 +47,7 @@ pub fn check(
     let want = slow(&values);
     compare(&format!("{case}: output"), eps, &flat(out), &want);
 
-    let noise = Tensor::from_vec(unit("R", want.len(), 5), out.dims(), &Device::Cpu).unwrap();
+    let noise = Tensor::from_vec(unit("R", want.len(), 5), out.dims(), &device()).unwrap();
     let direction = flat(&noise);
     let grads = (out * noise).unwrap().sum_all().unwrap().backward().unwrap();
     let loss =

@@ -2,7 +2,8 @@
 
 use crate::check::{BF16_EPS, F32_EPS, Values, check, cloud, flat, var};
 use crate::slow;
-use candle_core::{Device, Tensor, Var};
+use crate::support_device::device;
+use candle_core::{Tensor, Var};
 use scenesplat_kernels::Precision;
 use scenesplat_kernels::gemm::PackedMatrix;
 use scenesplat_kernels::patch_attention::Heads;
@@ -208,7 +209,7 @@ fn frozen_operations_refuse() {
         assert_eq!(operation(&x.detach()).unwrap().dims(), x.dims());
     }
     // So do residuals that want one.
-    let zeros = Tensor::zeros(x.dims(), x.dtype(), &Device::Cpu).unwrap();
+    let zeros = Tensor::zeros(x.dims(), x.dtype(), &device()).unwrap();
     assert!(ops::linear_frozen(&zeros, &matrix, None, false, Some(&x)).is_err());
     assert!(ops::layer_norm_frozen(&zeros, &[1.0; 4], &bias, 1e-5, Some(&x)).is_err());
     assert!(ops::mlp_frozen(&zeros, (&matrix, &bias), (&matrix, &bias), &x).is_err());

@@ -2,6 +2,8 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
+#[path = "../support/device.rs"]
+mod support_device;
 #[path = "../support/emulated.rs"]
 mod support_emulated;
 

@@ -1,6 +1,7 @@
 //! Reference numbers of the original implementation: finding, reading and comparing them.
 
-use candle_core::{Device, Tensor};
+use crate::support_device::device;
+use candle_core::Tensor;
 use safetensors::{Dtype, SafeTensors};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -112,7 +113,7 @@ impl Golden {
     }
 
     pub fn tensor(&self, name: &str) -> Tensor {
-        Tensor::from_vec(self.floats(name), self.shape(name), &Device::Cpu).unwrap()
+        Tensor::from_vec(self.floats(name), self.shape(name), &device()).unwrap()
     }
 
     pub fn cells(&self, name: &str) -> Vec<[i32; 3]> {
@@ -133,9 +134,9 @@ impl Golden {
                 let tensor = match values {
                     Values::Float(v) => {
                         let v: Vec<f32> = v.iter().map(|v| *v as f32).collect();
-                        Tensor::from_vec(v, shape.as_slice(), &Device::Cpu)
+                        Tensor::from_vec(v, shape.as_slice(), &device())
                     }
-                    Values::Int(v) => Tensor::from_vec(v.clone(), shape.as_slice(), &Device::Cpu),
+                    Values::Int(v) => Tensor::from_vec(v.clone(), shape.as_slice(), &device()),
                 };
                 Some((name.to_owned(), tensor.unwrap()))
             })

@@ -2,12 +2,14 @@
 
 use super::reference::{Reference, Values};
 use super::scenes::{Scene, batch, decoded, flat, frozen, plain, room, trainable};
-use candle_core::{Device, Tensor};
+use crate::support_device::device;
+use crate::support_emulated::elsewhere;
+use candle_core::Tensor;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use scenesplat_kernels::Precision;
 use scenesplat_models::weights::unit;
-use scenesplat_models::{Compute, Forward, LitePtConfig, Mode, Orders, is_emulated};
+use scenesplat_models::{Compute, Forward, LitePtConfig, Mode, Orders};
 use std::collections::BTreeMap;
 
 /// Largest difference of an output in f32, relative to the largest value.
@@ -107,7 +109,7 @@ fn gradients(
     let mut rng = ChaCha8Rng::seed_from_u64(0);
     let mut cx = Forward { mode, ..Forward::eval(&mut rng) };
     let out = network.forward(&batch(scenes), &mut cx).unwrap();
-    let noise = Tensor::from_vec(noise(out.elem_count()), out.dims(), &Device::Cpu).unwrap();
+    let noise = Tensor::from_vec(noise(out.elem_count()), out.dims(), &device()).unwrap();
     let grads = (&out * noise).unwrap().sum_all().unwrap().backward().unwrap();
     let named = store.parameters().into_iter().map(|(name, var)| {
         let grad = grads.get(&var).unwrap_or_else(|| panic!("{name} has no gradient"));
@@ -136,7 +138,7 @@ pub fn gradients_are_differences_of_the_formulas() {
                 Reference { train: mode == Mode::Train, ..reference(&config, &Orders::Listed) };
             let found = error(&out, &slow.forward(&scenes));
             // So do outputs, where sums are not in f64 or products are another library's.
-            let most = if mode == Mode::Train && is_emulated() { 5e-5 } else { F32_EPS };
+            let most = if mode == Mode::Train && elsewhere() { 5e-5 } else { F32_EPS };
             assert!(found < most, "{name}, {mode:?}: output {found:.1e}");
             let direction = noise(out.len());
             let loss = || -> f64 {
@@ -168,7 +170,7 @@ pub fn gradients_are_differences_of_the_formulas() {
                 }
             }
             println!("{name}, {mode:?}: gradients off by {:.1e} ({})", worst.0, worst.1);
-            let most = if mode == Mode::Train && is_emulated() { 1e-3 } else { eps };
+            let most = if mode == Mode::Train && elsewhere() { 1e-3 } else { eps };
             assert!(worst.0 < most, "{name}, {mode:?}: {:.1e} of {}", worst.0, worst.1);
         }
     }

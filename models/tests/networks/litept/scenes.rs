@@ -1,6 +1,7 @@
 //! Small networks that together have every kind of block at every place, and scenes for them.
 
-use candle_core::{Device, Tensor};
+use crate::support_device::device;
+use candle_core::Tensor;
 use scenesplat_models::litept::BlockKind::{Attention, Both, Convolution};
 use scenesplat_models::weights::{WeightSource, unit};
 use scenesplat_models::{Backbone, Compute, LitePt, LitePtConfig, ParamStore, PointCloud};
@@ -75,18 +76,18 @@ pub fn batch(scenes: &[&Scene]) -> PointCloud {
     let feat: Vec<f32> = scenes.iter().flat_map(|s| s.feat.clone()).collect();
     let mut offsets = vec![0];
     scenes.iter().for_each(|s| offsets.push(offsets.last().unwrap() + s.cells.len()));
-    let feat = Tensor::from_vec(feat, (cells.len(), CHANNELS), &Device::Cpu).unwrap();
+    let feat = Tensor::from_vec(feat, (cells.len(), CHANNELS), &device()).unwrap();
     PointCloud::new(cells, feat, offsets).unwrap()
 }
 
 pub fn frozen(config: &LitePtConfig, compute: Compute) -> Box<dyn Backbone> {
-    let store = ParamStore::frozen(WeightSource::hashed(SEED, ""));
+    let store = ParamStore::frozen(WeightSource::hashed(SEED, "")).on(&device());
     let config = LitePtConfig { compute, ..config.clone() };
     Box::new(LitePt::new(&config, store.builder()).unwrap())
 }
 
 pub fn trainable(config: &LitePtConfig) -> (ParamStore, Box<dyn Backbone>) {
-    let store = ParamStore::trainable_from(WeightSource::hashed(SEED, ""), 0);
+    let store = ParamStore::trainable_from(WeightSource::hashed(SEED, ""), 0).on(&device());
     let network = LitePt::new(config, store.builder()).unwrap();
     (store, Box::new(network))
 }

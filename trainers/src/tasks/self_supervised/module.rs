@@ -289,7 +289,9 @@ fn attribute_columns(input: &InputFeatures) -> Vec<AttributeColumns> {
         start = columns.end;
         let name = serde_json::to_value(channel).ok();
         let name = name.as_ref().and_then(|n| n.as_str()).unwrap_or("channel").to_owned();
-        AttributeColumns { name, columns, is_rotation: *channel == InputChannel::Quat }
+        let (is_rotation, is_size) =
+            (*channel == InputChannel::Quat, *channel == InputChannel::Scale);
+        AttributeColumns { name, columns, is_rotation, is_size }
     };
     input.channels.iter().map(column).collect()
 }

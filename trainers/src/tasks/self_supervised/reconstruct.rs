@@ -88,7 +88,7 @@ impl Reconstructor {
         if let Some(at) = values.iter().position(|v| !v.is_finite()) {
             bail!("channel {} of reconstructed row {} is {}", at % width, at / width, values[at]);
         }
-        if self.distance == GaussianDistance::Fitted {
+        if self.distance != GaussianDistance::MeanSquare {
             let mut start = 0;
             for channel in &self.input.channels {
                 let columns = start..start + channel.width();
@@ -145,7 +145,9 @@ mod tests {
     #[test]
     fn hidden_rows_get_what_the_head_gives_sizes_in_metres() {
         let input = InputFeatures::default();
-        for distance in [GaussianDistance::MeanSquare, GaussianDistance::Fitted] {
+        for distance in
+            [GaussianDistance::MeanSquare, GaussianDistance::Fitted, GaussianDistance::Ellipsoid]
+        {
             let params = ParamStore::trainable(1);
             let config = config(vec![term(distance)]);
             let made = Reconstructor::new(&config, &model(), &input, &params, &params).unwrap();
@@ -169,8 +171,8 @@ mod tests {
                 .unwrap();
             let rows = made.rows(&batch, &hidden).unwrap();
             let size = match distance {
-                GaussianDistance::Fitted => (-2.0f64).exp() as f32,
                 GaussianDistance::MeanSquare => -2.0,
+                _ => (-2.0f64).exp() as f32,
             };
             let want: Vec<f32> = [vec![0.25; 8], vec![size; 3]].concat();
             assert_eq!(rows, want.repeat(2), "{distance:?}");

@@ -191,7 +191,7 @@ impl Terms {
         }
         let pred = head.attributes(&Tensor::cat(&pred, 0)?)?;
         let mut target = Tensor::cat(&target, 0)?;
-        if term.distance == GaussianDistance::Fitted {
+        if term.distance != GaussianDistance::MeanSquare {
             target = self.with_log_sizes(&target)?;
         }
         let rows = pred.dim(0)?;
@@ -204,11 +204,11 @@ impl Terms {
         Ok((Some(value), names.zip(alone).collect(), rows))
     }
 
-    /// Sizes as logarithms: what the fitted distance compares.
+    /// Sizes as logarithms: what distances that fit compare.
     fn with_log_sizes(&self, target: &Tensor) -> Result<Tensor> {
         let (n, width) = target.dims2()?;
         let mut values: Vec<f32> = target.flatten_all()?.to_vec1()?;
-        for attribute in self.attributes.iter().filter(|a| a.name == "scale") {
+        for attribute in self.attributes.iter().filter(|a| a.is_size) {
             for row in values.chunks_exact_mut(width) {
                 for v in &mut row[attribute.columns.clone()] {
                     *v = f64::from(*v).max(LEAST_SIZE).ln() as f32;
