@@ -481,8 +481,8 @@ fn what_does_not_fit_is_refused_by_name() {
         let out = masked_gaussians(rows, rows, None, attributes, GaussianDistance::Fitted);
         message(out.map(|l| l.is_some()))
     };
-    assert!(modelling(&rows, &attributes()[..2]).contains("expected [N, 7], got [N, 9]"));
-    assert!(modelling(&rows, &attributes()[1..]).contains("quat = 3..7"));
+    assert!(modelling(&rows, &attributes()[..2]).contains("expected [N, 6], got [N, 9]"));
+    assert!(modelling(&rows, &attributes()[1..]).contains("quat = 2..6"));
     let bad = (rows * f64::NAN).unwrap();
     assert!(modelling(&bad, &attributes()).contains("pred[0, 0] is NaN"));
 }

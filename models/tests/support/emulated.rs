@@ -17,7 +17,7 @@ pub fn elsewhere() -> bool {
 pub fn on_named_device(work: fn()) {
     static OPENED: OnceLock<Device> = OnceLock::new();
     let Ok(name) = std::env::var("SCENESPLAT_TEST_DEVICE") else {
-        println!("skipped: SCENESPLAT_TEST_DEVICE names no device");
+        println!("not run: SCENESPLAT_TEST_DEVICE names no device");
         return;
     };
     let open = || name.parse::<DeviceChoice>().unwrap().open().unwrap().device;
