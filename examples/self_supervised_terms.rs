@@ -101,7 +101,8 @@ fn measure(file: &str, steps: usize, names: &str) -> Result<(), Error> {
     let (before, times) = (peak_memory_bytes(), Arc::new(Mutex::new(Vec::new())));
     let groups = group_by_keyword(&module.params().parameters(), 0.002, 0.02, &[]);
     let optimizer = AdamW::new(groups, AdamWConfig::default())?;
-    let loop_settings = TrainerConfig { epochs: 1, ..TrainerConfig::default() };
+    // The clock hears of steps that are logged.
+    let loop_settings = TrainerConfig { epochs: 1, log_every: 1, ..TrainerConfig::default() };
     Trainer::new(loop_settings, Box::new(optimizer), Box::new(OneCycle::default()))?
         .with_callback(Clock(Arc::clone(&times)))
         .fit(&module, &mut Same(batch, steps + 1), &mut [], Progress::default())?;

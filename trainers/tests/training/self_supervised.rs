@@ -196,6 +196,50 @@ fn every_term_teaches_every_parameter() {
 }
 
 #[test]
+fn masked_sizes_are_compared_as_logarithms_whatever_axis_they_stand_at() {
+    let distance = GaussianDistance::Ellipsoid;
+    let term_of = TermConfig::MaskedGaussians(MaskedGaussiansTerm { weight: 1.0, distance });
+    let module = module(&settings(vec![term_of]), &model(false));
+    // A head that gives its bias.
+    let layers = module.params().parameters();
+    let (weight, bias) =
+        (&layers["heads.masked_gaussians.3.weight"], &layers["heads.masked_gaussians.3.bias"]);
+    weight.set(&weight.zeros_like().unwrap()).unwrap();
+    let guess = [-4.0f64, -4.5, -6.0];
+    let values: Vec<f32> = [0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
+        .into_iter()
+        .chain(guess.map(|v| v as f32))
+        .collect();
+    bias.set(&Tensor::new(values, bias.device()).unwrap()).unwrap();
+
+    let batch = first_batch();
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let forward = Forward::train(&mut rng);
+    let mut cx = StepContext { forward, progress: 0.0, step: 0, total_steps: 10, seed: 9 };
+    let masks = module.masks(&batch.views, &cx).unwrap();
+    let out = module.step_with_masks(&batch.views, &masks, &mut cx).unwrap();
+    let (mut sum, mut count) = (0.0, 0);
+    for (view, masked) in batch.views.iter().zip(&masks) {
+        let Some(masked) = masked else { continue };
+        for (row, _) in masked.hidden.iter().enumerate().filter(|(_, hidden)| **hidden) {
+            // Color, opacity, quaternion, sizes: the last three of eleven.
+            let sizes = &view.batch.feat[row * 11 + 8..row * 11 + 11];
+            let mut logs: Vec<f64> = sizes.iter().map(|v| f64::from(*v).max(1e-4).ln()).collect();
+            logs.sort_by(|a, b| b.total_cmp(a));
+            for (log, guess) in logs.iter().zip(guess) {
+                let d = (guess - log).abs();
+                sum += if d < 0.1 { d * d / 0.2 } else { d - 0.05 };
+                count += 1;
+            }
+        }
+    }
+    assert!(count > 300, "{count} sizes");
+    let got = term(&out, "masked_gaussians/scale").unwrap();
+    let want = sum / f64::from(count);
+    assert!((got - want).abs() < 1e-5 * want, "{got}, not {want}");
+}
+
+#[test]
 fn the_teacher_is_a_copy_that_follows_after_the_step() {
     let module = module(&settings(vec![simdino(), ibot()]), &model(true));
     let teacher = module.teacher().unwrap();
