@@ -23,13 +23,14 @@ type Error = Box<dyn std::error::Error>;
 
 /// Width of the features that language alignment learns.
 const FEATURES: usize = 96;
-const ALL: [&str; 8] = [
+const ALL: [&str; 9] = [
     "masked_gaussians",
     "sim_dino",
     "dino",
     "ibot",
     "ibot_cross_entropy",
     "self_distillation",
+    "sim_dino_rows",
     "language_alignment",
     "masked_gaussians+sim_dino+ibot_cross_entropy",
 ];

@@ -8,7 +8,8 @@ mod support;
 use candle_core::{DType, Device, Result, Tensor, Var};
 use scenesplat_losses::self_supervised::{
     AttributeColumns, Centering, Expansion, GaussianDistance, SimDino, masked_cosine,
-    masked_cross_entropy, masked_gaussians, sim_dino, sinkhorn_knopp, view_cross_entropy,
+    masked_cross_entropy, masked_gaussians, sim_dino, sim_dino_rows, sinkhorn_knopp,
+    view_cross_entropy,
 };
 use support::{BF16_EPS, matrix, noise, number, wide};
 
@@ -53,6 +54,13 @@ fn all() -> Vec<(&'static str, Vec<usize>, LossFn)> {
             Ok(sim_dino(s, &teacher, &settings)?.map(|out| out.loss))
         })
     };
+    let dino_rows = |settings: SimDino, width: usize| -> LossFn {
+        let teacher = matrix(&units(&noise(72, 4), width), width, DType::F64);
+        Box::new(move |s| {
+            let teacher = teacher.to_dtype(s.dtype())?;
+            Ok(sim_dino_rows(s, &teacher, &settings)?.map(|out| out.loss))
+        })
+    };
     let target = matrix(&noise(8 * 9, 3), 9, DType::F64);
     let modelling = |distance: GaussianDistance| -> LossFn {
         let target = target.clone();
@@ -77,6 +85,12 @@ fn all() -> Vec<(&'static str, Vec<usize>, LossFn)> {
             dino(SimDino { expansion: Expansion::Student, coefficient: 1.0, ..SimDino::default() }),
         ),
         ("simdino, any length", views(), dino(SimDino { normalized: false, ..SimDino::default() })),
+        ("simdino rows", rows(), dino_rows(SimDino::default(), 9)),
+        (
+            "simdino rows, more rows than channels",
+            vec![24, 3],
+            dino_rows(SimDino { coefficient: 2.0, normalized: false, ..SimDino::default() }, 3),
+        ),
         (
             "dino",
             views(),
@@ -174,6 +188,61 @@ fn simdino_by_hand() {
     near(out.expansion, 1.915_821_7);
     near(number(&out.loss), -1.890_944_6);
     near(out.global_compression, 0.090_542_7);
+}
+
+#[test]
+fn simdino_rows_by_hand() {
+    // Rows (1, 0), (0, 1), (0, 1); ZᵀZ = diag(1, 2), D/(N ε) = 2 / (3 · 0.5).
+    let student = matrix(&[1.0, 0.0, 0.0, 1.0, 0.0, 1.0], 2, DType::F64);
+    let teacher = matrix(&[0.0, 1.0, 0.0, 1.0, 0.6, 0.8], 2, DType::F64);
+    let settings =
+        SimDino { coefficient: 3.0, epsilon: 0.5, expansion: Expansion::Student, normalized: true };
+    let out = sim_dino_rows(&student, &teacher, &settings).unwrap().unwrap();
+    let scale: f64 = 4.0 / 3.0;
+    let rate = 5.0 / 6.0 * 0.5 * ((1.0 + scale) * (1.0 + 2.0 * scale)).ln();
+    let near = |got: f64, want: f64| assert!((got - want).abs() < 1e-14, "{got} {want}");
+    near(out.compression, 0.6);
+    near(out.expansion, rate);
+    near(number(&out.loss), -1.8 - rate);
+    // Means of student and teacher are kept apart: (½, ½), (0, 1), (0.3, 0.9).
+    let both = SimDino { expansion: Expansion::StudentAndTeacher, ..settings };
+    let out = sim_dino_rows(&student, &teacher, &both).unwrap().unwrap();
+    let (a, b, c) = (0.25 + 0.09, 0.25 + 0.27, 0.25 + 1.0 + 0.81);
+    let determinant: f64 = (1.0 + scale * a) * (1.0 + scale * c) - (scale * b).powi(2);
+    near(out.expansion, 5.0 / 6.0 * 0.5 * determinant.ln());
+    let none = SimDino { expansion: Expansion::None, ..settings };
+    near(number(&sim_dino_rows(&student, &teacher, &none).unwrap().unwrap().loss), -1.8);
+}
+
+#[test]
+fn simdino_rows_of_few_and_equal_rows() {
+    let row = units(&noise(6, 1), 6);
+    // One row: γ · ½ ln(1 + D/ε); a thousand equal ones have the rate of rank one, whatever their length.
+    let gamma = |n: f64| (6.0 + n) / (6.0 * n);
+    for (n, length, normalized) in [
+        (1, 1.0, true),
+        (2, 1.0, true),
+        (1000, 1.0, true),
+        (1000, 1e30, false),
+        (1000, 1e-3, false),
+    ] {
+        let rows: Vec<f64> = row.repeat(n).iter().map(|v| length * v).collect();
+        let same = matrix(&rows, 6, DType::F64);
+        let settings = SimDino { normalized, ..SimDino::default() };
+        let out = sim_dino_rows(&same, &same, &settings).unwrap().unwrap();
+        let want = gamma(n as f64) * 0.5 * 121f64.ln();
+        assert!((out.expansion - want).abs() < 1e-12, "{n} rows: {} {want}", out.expansion);
+        assert!((out.compression - 1.0).abs() < 1e-12);
+    }
+    // A zero row has no direction: it agrees with nothing and takes no volume, and its slope is finite.
+    let rows: Vec<f64> = row.iter().copied().chain([0.0; 6]).collect();
+    let zero = Var::from_tensor(&matrix(&rows, 6, DType::F64)).unwrap();
+    let settings = SimDino { normalized: false, ..SimDino::default() };
+    let out = sim_dino_rows(&zero, &zero, &settings).unwrap().unwrap();
+    assert!((out.compression - 0.5).abs() < 1e-12);
+    assert!((out.expansion - gamma(2.0) * 0.5 * 61f64.ln()).abs() < 1e-12, "{}", out.expansion);
+    let slope = wide(out.loss.backward().unwrap().get(&zero).unwrap());
+    assert!(slope.iter().all(|v| v.is_finite()));
 }
 
 #[test]
@@ -364,6 +433,8 @@ fn nothing_masked_and_no_scene_are_off() {
         );
         assert!(sim_dino(&s, &t, &SimDino::default()).unwrap().is_none());
         assert!(view_cross_entropy(&s, &t, 0.1, true).unwrap().is_none());
+        let rows = Tensor::zeros((0, 6), dtype, &Device::Cpu).unwrap();
+        assert!(sim_dino_rows(&rows, &rows, &SimDino::default()).unwrap().is_none());
     }
 }
 
@@ -466,6 +537,16 @@ fn what_does_not_fit_is_refused_by_name() {
     assert!(dino(&s, &t, SimDino { coefficient: f64::NAN, ..plain }).contains("coefficient"));
     let bad = (s.clone() / 0.0).unwrap();
     assert!(dino(&bad, &t, plain).contains("student[0, 0] is inf"));
+    let rows_of = |s: &Tensor, t: &Tensor, settings: SimDino| {
+        message(sim_dino_rows(s, t, &settings).map(|out| out.is_some()))
+    };
+    let rows = Tensor::ones((2, 4), DType::F32, &Device::Cpu).unwrap();
+    assert!(rows_of(&s, &rows, plain).contains("student: expected [N, D], got [3, 2, 4]"));
+    let fewer = rows.narrow(0, 0, 1).unwrap();
+    assert!(rows_of(&rows, &fewer, plain).contains("sim_dino_rows: teacher"));
+    assert!(rows_of(&rows, &rows, SimDino { epsilon: -1.0, ..plain }).contains("epsilon is -1"));
+    let bad = (rows.clone() / 0.0).unwrap();
+    assert!(rows_of(&bad, &rows, plain).contains("student[0, 0] is inf"));
     // Four equal rows of 10³⁰: no digit of the identity is left.
     let huge = |t: &Tensor| (t.to_dtype(DType::F64).unwrap() * 1e30).unwrap();
     assert!(dino(&huge(&s), &huge(&t), plain).contains("normalized"));

@@ -361,6 +361,12 @@ type = "language_alignment"
 hidden = 8
 out = 64
 masked_only = true
+[[self_supervised.terms]]
+type = "sim_dino_rows"
+hidden = 8
+out = 6
+up_cast = 1
+max_distance = 0.5
 [optimizer]
 lr = 0.01
 groups = []

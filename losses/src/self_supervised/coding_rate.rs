@@ -15,32 +15,46 @@ pub(super) fn half_log_det(
     width: usize,
     scale: f64,
 ) -> Option<(f64, Vec<f64>)> {
-    let at = |i: usize, k: usize| rows[i * width + k];
     let small = n.min(width);
+    if small == 0 {
+        return Some((0.0, vec![0.0; n * width]));
+    }
     let mut factor = vec![0.0; small * small];
-    for i in 0..small {
-        for j in 0..=i {
-            let sum: f64 = if n <= width {
-                (0..width).map(|k| at(i, k) * at(j, k)).sum()
-            } else {
-                (0..n).map(|k| at(k, i) * at(k, j)).sum()
-            };
-            factor[i * small + j] = scale * sum + f64::from(u8::from(i == j));
+    if n <= width {
+        for i in 0..small {
+            for j in 0..=i {
+                let (one, other) = (&rows[i * width..][..width], &rows[j * width..][..width]);
+                factor[i * small + j] = one.iter().zip(other).map(|(a, b)| a * b).sum();
+            }
         }
+    } else {
+        // Row by row: the matrix stays in the cache, many rows are read once.
+        for row in rows.chunks_exact(width) {
+            for (i, a) in row.iter().enumerate() {
+                let line = &mut factor[i * small..][..=i];
+                line.iter_mut().zip(row).for_each(|(sum, b)| *sum += a * b);
+            }
+        }
+    }
+    for i in 0..small {
+        factor[i * small..][..=i].iter_mut().for_each(|v| *v *= scale);
+        factor[i * small + i] += 1.0;
     }
     let value = cholesky(&mut factor, small)?;
     // scale · (I + scale Z Zᵀ)⁻¹ Z, or the same with the inverse on the other side.
     let mut gradient = vec![0.0; n * width];
-    let mut solution = vec![0.0; small];
-    let (lines, stride, step) = if n <= width { (width, 1, width) } else { (n, width, 1) };
-    for line in 0..lines {
-        let place = |i: usize| line * stride + i * step;
-        for (i, x) in solution.iter_mut().enumerate() {
-            *x = scale * rows[place(i)];
+    let inverse = inverse(&factor, small);
+    if n <= width {
+        for (to, line) in gradient.chunks_exact_mut(width).zip(inverse.chunks_exact(small)) {
+            for (weight, row) in line.iter().zip(rows.chunks_exact(width)) {
+                to.iter_mut().zip(row).for_each(|(g, v)| *g += scale * weight * v);
+            }
         }
-        solve(&factor, small, &mut solution);
-        for (i, x) in solution.iter().enumerate() {
-            gradient[place(i)] = *x;
+    } else {
+        for (to, row) in gradient.chunks_exact_mut(width).zip(rows.chunks_exact(width)) {
+            for (v, line) in row.iter().zip(inverse.chunks_exact(small)) {
+                to.iter_mut().zip(line).for_each(|(g, weight)| *g += scale * v * weight);
+            }
         }
     }
     Some((value, gradient))
@@ -66,6 +80,16 @@ fn cholesky(a: &mut [f64], n: usize) -> Option<f64> {
         sum += root.ln();
     }
     Some(sum)
+}
+
+/// `(L Lᵀ)⁻¹`, which is symmetric. `[n, n]`
+fn inverse(factor: &[f64], n: usize) -> Vec<f64> {
+    let mut inverse = vec![0.0; n * n];
+    for (i, line) in inverse.chunks_exact_mut(n).enumerate() {
+        line[i] = 1.0;
+        solve(factor, n, line);
+    }
+    inverse
 }
 
 /// `(L Lᵀ)⁻¹ x`, in place.

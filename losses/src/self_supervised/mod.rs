@@ -3,6 +3,7 @@
 //! | term | compares | function |
 //! |---|---|---|
 //! | SimDINO | a vector for each scene, between views | [`sim_dino`] |
+//! | SimDINO of rows | rows matched between views | [`sim_dino_rows`] |
 //! | iBOT, as the original computes it | rows of masked Gaussians with the teacher's | [`masked_cosine`] |
 //! | iBOT, as it is named | distributions over prototypes, of masked Gaussians | [`masked_cross_entropy`] |
 //! | DINO | distributions over prototypes, between views | [`view_cross_entropy`] |
@@ -23,5 +24,5 @@ mod targets;
 pub use distributions::{masked_cross_entropy, view_cross_entropy};
 pub use masked_cosine::masked_cosine;
 pub use masked_gaussians::{AttributeColumns, GaussianDistance, masked_gaussians};
-pub use sim_dino::{Expansion, SimDino, SimDinoOutput, sim_dino};
+pub use sim_dino::{Expansion, SimDino, SimDinoOutput, SimDinoRowsOutput, sim_dino, sim_dino_rows};
 pub use targets::{Centering, sinkhorn_knopp};

@@ -1,4 +1,4 @@
-//! SimDINO: views of a scene agree, scenes differ.
+//! SimDINO: views of a scene agree, scenes differ; the same of single rows.
 
 use super::coding_rate::half_log_det;
 use super::stored::{Views, check_teacher, stored_loss};
@@ -85,15 +85,7 @@ pub fn sim_dino(
     teacher: &Tensor,
     settings: &SimDino,
 ) -> Result<Option<SimDinoOutput>> {
-    for (setting, value, good, expected) in [
-        ("epsilon", settings.epsilon, settings.epsilon > 0.0, "a finite number above 0"),
-        ("coefficient", settings.coefficient, true, "a finite number"),
-    ] {
-        if !(good && value.is_finite()) {
-            let value = value.to_string();
-            return Err(LossError::Setting { loss: NAME, setting, value, expected }.into());
-        }
-    }
+    check_settings(NAME, settings)?;
     let mut s = Views::read(NAME, "student", student)?;
     let mut t = Views::read(NAME, "teacher", teacher)?;
     check_teacher(NAME, &s, &t)?;
@@ -106,13 +98,87 @@ pub fn sim_dino(
     }
     let mut gradient = vec![0.0; s.values.len()];
     let (compression, global_compression) = compress(&s, &t, -settings.coefficient, &mut gradient);
-    let expansion = expand(&s, &t, settings, &mut gradient)?;
+    let expansion = expand(NAME, &s, &t, settings, &mut gradient)?;
     if let Some(norms) = norms {
         back_through_norms(&s, &norms, &mut gradient);
     }
     let value = -settings.coefficient * compression - expansion;
     let loss = stored_loss(NAME, student, value, gradient)?;
     Ok(Some(SimDinoOutput { loss, compression, expansion, global_compression }))
+}
+
+/// What [`sim_dino_rows`] gives.
+#[derive(Debug, Clone)]
+pub struct SimDinoRowsOutput {
+    /// `−coefficient · compression − expansion`, a scalar with the gradient to the student.
+    pub loss: Tensor,
+    /// Mean cosine between a row of the student and its partner of the teacher.
+    pub compression: f64,
+    /// Coding rate, ≥ 0. Near 0 all rows look alike: collapse.
+    pub expansion: f64,
+}
+
+/// [`sim_dino`] of single rows: partners agree, rows differ; `None` for no rows.
+///
+/// Compression is the mean of `⟨teacherₙ, studentₙ⟩`, expansion `γ · ½ log det(I + D/(N ε) Zᵀ Z)` with
+/// `Z` by [`Expansion`] and `γ = (D + N)/(D N)`. Where all rows of all scenes share one determinant,
+/// what tells places of a scene apart counts as much as what tells scenes apart.
+///
+/// # Shapes
+/// `student`, `teacher`: `[N, D]`, partners at the same row; the teacher gets no gradient
+///
+/// # Errors
+/// As [`sim_dino`].
+///
+/// # Source
+/// The total coding rate over patches as in EMP-SSL (arXiv:2304.03977), with SimDINO's factors.
+pub fn sim_dino_rows(
+    student: &Tensor,
+    teacher: &Tensor,
+    settings: &SimDino,
+) -> Result<Option<SimDinoRowsOutput>> {
+    const NAME: &str = "sim_dino_rows";
+    check_settings(NAME, settings)?;
+    for (field, rows) in [("student", student), ("teacher", teacher)] {
+        if rows.rank() != 2 {
+            let (expected, got) = ("[N, D]".to_owned(), format!("{:?}", rows.dims()));
+            return Err(LossError::Shape { loss: NAME, field, expected, got }.into());
+        }
+    }
+    let mut s = Views::read(NAME, "student", &student.unsqueeze(0)?)?;
+    let mut t = Views::read(NAME, "teacher", &teacher.unsqueeze(0)?)?;
+    check_teacher(NAME, &s, &t)?;
+    if s.scenes == 0 || s.width == 0 {
+        return Ok(None);
+    }
+    let norms = if settings.normalized { None } else { Some(normalize(&mut s)) };
+    if norms.is_some() {
+        normalize(&mut t);
+    }
+    let share = 1.0 / s.scenes as f64;
+    let weight = -settings.coefficient * share;
+    let mut gradient: Vec<f64> = t.values.iter().map(|v| weight * v).collect();
+    let compression = share * s.values.iter().zip(&t.values).map(|(a, b)| a * b).sum::<f64>();
+    let expansion = expand(NAME, &s, &t, settings, &mut gradient)?;
+    if let Some(norms) = norms {
+        back_through_norms(&s, &norms, &mut gradient);
+    }
+    let value = -settings.coefficient * compression - expansion;
+    let loss = stored_loss(NAME, student, value, gradient)?;
+    Ok(Some(SimDinoRowsOutput { loss, compression, expansion }))
+}
+
+fn check_settings(loss: &'static str, settings: &SimDino) -> Result<()> {
+    for (setting, value, good, expected) in [
+        ("epsilon", settings.epsilon, settings.epsilon > 0.0, "a finite number above 0"),
+        ("coefficient", settings.coefficient, true, "a finite number"),
+    ] {
+        if !(good && value.is_finite()) {
+            let value = value.to_string();
+            return Err(LossError::Setting { loss, setting, value, expected }.into());
+        }
+    }
+    Ok(())
 }
 
 /// Brings rows to unit length; gives what they were divided by.
@@ -170,7 +236,13 @@ fn compress(s: &Views, t: &Views, weight: f64, gradient: &mut [f64]) -> (f64, f6
 }
 
 /// The coding rate; adds the gradient of its negative.
-fn expand(s: &Views, t: &Views, settings: &SimDino, gradient: &mut [f64]) -> Result<f64> {
+fn expand(
+    loss: &'static str,
+    s: &Views,
+    t: &Views,
+    settings: &SimDino,
+    gradient: &mut [f64],
+) -> Result<f64> {
     let (b, d) = (s.scenes as f64, s.width as f64);
     let (gamma, scale) = ((d + b) / (d * b), d / (b * settings.epsilon));
     let (share, teacher) = match settings.expansion {
@@ -189,7 +261,7 @@ fn expand(s: &Views, t: &Views, settings: &SimDino, gradient: &mut [f64]) -> Res
             let setting = "normalized";
             let value = format!("{} for rows that are far too long", settings.normalized);
             let expected = "vectors of unit length, or `normalized = false`";
-            return Err(LossError::Setting { loss: NAME, setting, value, expected }.into());
+            return Err(LossError::Setting { loss, setting, value, expected }.into());
         };
         total += value;
         let factor = gamma / t.views as f64 * share;

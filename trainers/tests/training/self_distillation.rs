@@ -11,8 +11,8 @@ use scenesplat_datasets::{
     InputFeatures, LoaderSettings, MaskShape, MaskWeight, Masked, Masking, SceneDataset,
     SceneLoader, SyntheticRooms, TrainBatch, TransformConfig, View, ViewKind, build_transforms,
 };
-use scenesplat_losses::self_supervised::{masked_cross_entropy, sinkhorn_knopp};
-use scenesplat_models::self_supervised_heads::{ProjectionShape, PrototypeHead};
+use scenesplat_losses::self_supervised::{Expansion, masked_cross_entropy, sinkhorn_knopp};
+use scenesplat_models::self_supervised_heads::{ProjectionHead, ProjectionShape, PrototypeHead};
 use scenesplat_models::{
     Backbone, BackboneConfig, Compute, Forward, LevelOptions, Levels, ModelConfig, ParamStore,
     PointCloud, PointTransformerV3Config,
@@ -20,7 +20,8 @@ use scenesplat_models::{
 use scenesplat_rooms::SyntheticRoomSettings;
 use scenesplat_trainers::CosineSchedule;
 use scenesplat_trainers::tasks::self_supervised::{
-    Balance, Prototypes, SelfDistillationTerm, SelfSupervised, SelfSupervisedConfig, TermConfig,
+    Balance, Prototypes, SelfDistillationTerm, SelfSupervised, SelfSupervisedConfig,
+    SimDinoRowsTerm, TermConfig,
 };
 use scenesplat_trainers::{HasBackbone, StepContext, TrainingModule};
 use std::sync::Arc;
@@ -57,7 +58,7 @@ fn model() -> ModelConfig {
     ModelConfig { grid_size: GRID, ..ModelConfig::new(config) }
 }
 
-fn module() -> SelfSupervised {
+fn self_distillation_term() -> TermConfig {
     let prototypes = Prototypes {
         count: PROTOTYPES,
         hidden: HEAD.hidden,
@@ -66,13 +67,34 @@ fn module() -> SelfSupervised {
         teacher_temperature: CosineSchedule::new(TAU_TEACHER, TAU_TEACHER),
         balance: Balance::SinkhornKnopp(3),
     };
-    let term = SelfDistillationTerm {
+    TermConfig::SelfDistillation(SelfDistillationTerm {
         weight: 1.0,
         prototypes,
         up_cast: 1,
         max_distance: MAX_DISTANCE,
         shares: SHARES,
-    };
+    })
+}
+
+/// Fewer rows than most pairs match, so that some are left out.
+const MOST_ROWS: usize = 40;
+
+fn sim_dino_rows_term() -> TermConfig {
+    TermConfig::SimDinoRows(SimDinoRowsTerm {
+        hidden: HEAD.hidden,
+        out: HEAD.out,
+        coefficient: 3.0,
+        epsilon: 0.1,
+        expansion: Expansion::Student,
+        max_rows: MOST_ROWS,
+        up_cast: 1,
+        max_distance: MAX_DISTANCE,
+        shares: SHARES,
+        ..SimDinoRowsTerm::default()
+    })
+}
+
+fn module(term: TermConfig) -> SelfSupervised {
     let masking = Masking {
         shape: MaskShape::Patches(0.5),
         ratio: [0.5; 2],
@@ -81,7 +103,7 @@ fn module() -> SelfSupervised {
     };
     let config = SelfSupervisedConfig {
         masking: Some(masking),
-        terms: vec![TermConfig::SelfDistillation(term)],
+        terms: vec![term],
         ..SelfSupervisedConfig::default()
     };
     let input = InputFeatures::default();
@@ -145,6 +167,10 @@ enum Fault {
     NoCoarserScale,
     /// Rows compared with those of the other scene, too.
     AcrossScenes,
+    /// The first rows of a pair in the place of those evenly along it; of rows of SimDINO alone.
+    FirstRows,
+    /// All rows of a pair; of rows of SimDINO alone.
+    AllRows,
     /// Local views against the last global view.
     LocalAgainstLast,
     /// Rows of the teacher by the numbers that the student's have: passes number rows each by the curve
@@ -230,6 +256,66 @@ fn same_cells(one: &Rows, other: &Rows, fault: Fault) -> Vec<(u32, u32)> {
     rows.map(|row| (row, other.of_gaussian[first(row)])).collect()
 }
 
+fn sinkhorn_cost(
+    [student, teacher]: [&ParamStore; 2],
+    [own, of_teacher]: [&str; 2],
+    rows: &Tensor,
+    with: &Tensor,
+) -> Tensor {
+    let head = |store: &ParamStore, name: &str| {
+        let vb = store.builder().pp("heads").pp("self_distillation").pp(name);
+        PrototypeHead::new(HEAD, PROTOTYPES, Compute::default(), &vb).unwrap()
+    };
+    let logits = head(student, own).forward(rows).unwrap();
+    let targets = head(teacher, of_teacher).forward(with).unwrap();
+    let targets = sinkhorn_knopp(&targets, TAU_TEACHER, 3).unwrap();
+    let count = rows.dim(0).unwrap();
+    let weights = vec![1.0 / count as f64; count];
+    masked_cross_entropy(&logits, &targets, &weights, TAU_STUDENT).unwrap().unwrap()
+}
+
+/// `−3 · mean cosine − (D + N)/(D N) · ½ log det(I + D/(0.1 N) ZᵀZ)`, the determinant by elimination.
+fn coding_rate_cost([student, teacher]: [&ParamStore; 2], rows: &Tensor, with: &Tensor) -> f64 {
+    let vectors = |store: &ParamStore, rows: &Tensor| {
+        let vb = store.builder().pp("heads").pp("sim_dino_rows");
+        let head = ProjectionHead::new(HEAD, Compute::default(), &vb).unwrap();
+        head.forward(rows).unwrap().to_vec2::<f32>().unwrap()
+    };
+    let (z, t) = (vectors(student, rows), vectors(teacher, with));
+    let (n, d) = (z.len() as f64, HEAD.out);
+    let dot = |a: &[f32], b: &[f32]| -> f64 {
+        a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
+    };
+    let cosine = z.iter().zip(&t).map(|(a, b)| dot(a, b)).sum::<f64>() / n;
+    let mut m = vec![vec![0.0; d]; d];
+    for (i, line) in m.iter_mut().enumerate() {
+        for (j, v) in line.iter_mut().enumerate() {
+            let sum: f64 = z.iter().map(|r| f64::from(r[i]) * f64::from(r[j])).sum();
+            *v = d as f64 / (0.1 * n) * sum + f64::from(u8::from(i == j));
+        }
+    }
+    let mut log_det = 0.0;
+    for i in 0..d {
+        let pivot = m[i].clone();
+        log_det += pivot[i].ln();
+        for line in &mut m[i + 1..] {
+            let factor = line[i] / pivot[i];
+            line.iter_mut().zip(&pivot).for_each(|(v, p)| *v -= factor * p);
+        }
+    }
+    -3.0 * cosine - (d as f64 + n) / (d as f64 * n) * 0.5 * log_det
+}
+
+/// At most [`MOST_ROWS`] pairs: of `n` the ones with number `i n / MOST_ROWS`.
+fn thinned(pairs: &[(u32, u32)], fault: Fault) -> Vec<(u32, u32)> {
+    let n = pairs.len();
+    if n <= MOST_ROWS || fault == Fault::AllRows {
+        return pairs.to_vec();
+    }
+    let at = |i: usize| if fault == Fault::FirstRows { i } else { i * n / MOST_ROWS };
+    (0..MOST_ROWS).map(|i| pairs[at(i)]).collect()
+}
+
 /// The term, and how many rows have a partner in the pairs of different views, of how many.
 fn reference(
     module: &SelfSupervised,
@@ -248,10 +334,8 @@ fn reference(
         assert_eq!(own.dims(), token.dims());
     }
     let network = of_teacher.build(teacher_params.builder()).unwrap();
-    let head = |store: &ParamStore, name: &str| {
-        let vb = store.builder().pp("heads").pp("self_distillation").pp(name);
-        PrototypeHead::new(HEAD, PROTOTYPES, Compute::default(), &vb).unwrap()
-    };
+    let is_distillation =
+        module.params().parameters().keys().any(|name| name.starts_with("heads.self_dist"));
     // Both networks shuffle their curve orders by one generator, one view after the other.
     let mut rng = ChaCha8Rng::seed_from_u64(SEED);
     let views = batch.views.iter().zip(masks);
@@ -294,24 +378,30 @@ fn reference(
             found
         };
         assert!(!pairs.is_empty());
+        let pairs = if is_distillation { pairs } else { thinned(&pairs, fault) };
         let (rows, with_rows): (Vec<u32>, Vec<u32>) = pairs.into_iter().unzip();
-        let (count, weight) = (rows.len(), 1.0 / rows.len() as f64);
         let pick = |rows: Vec<u32>, of: &Tensor| {
             of.index_select(&Tensor::new(rows, &Device::Cpu).unwrap(), 0).unwrap()
         };
-        let logits = head(module.params(), own).forward(&pick(rows, &student[view].feat)).unwrap();
-        let teachers = head(teacher_params, teachers);
-        let targets = teachers.forward(&pick(with_rows, &teacher[with].feat)).unwrap();
-        let targets = sinkhorn_knopp(&targets, TAU_TEACHER, 3).unwrap();
-        let cost = masked_cross_entropy(&logits, &targets, &vec![weight; count], TAU_STUDENT);
-        sum += share * f64::from(cost.unwrap().unwrap().to_scalar::<f32>().unwrap());
+        let stores = [module.params(), teacher_params];
+        let rows = pick(rows, &student[view].feat);
+        let with = pick(with_rows, &teacher[with].feat);
+        let cost = if is_distillation {
+            let cost = sinkhorn_cost(stores, [own, teachers], &rows, &with);
+            f64::from(cost.to_scalar::<f32>().unwrap())
+        } else {
+            coding_rate_cost(stores, &rows, &with)
+        };
+        sum += share * cost;
     }
     (sum, matched)
 }
 
-#[test]
-fn self_distillation_is_what_trying_all_rows_gives() {
-    let (module, batch) = (module(), first_batch());
+/// The term of a step, the same by hand, and for each fault what comes of that; with how many rows have
+/// a partner in the pairs of different views, and of how many.
+fn compared(term: TermConfig, faults: &[Fault]) -> (f64, f64, Vec<f64>, [usize; 2]) {
+    let name = term.name();
+    let (module, batch) = (module(term), first_batch());
     let mut rng = ChaCha8Rng::seed_from_u64(SEED);
     let forward = Forward::train(&mut rng);
     let mut cx = StepContext { forward, progress: 0.0, step: 0, total_steps: 10, seed: 9 };
@@ -320,11 +410,15 @@ fn self_distillation_is_what_trying_all_rows_gives() {
     let (global, local) = (ViewKind::Global, ViewKind::Local);
     assert_eq!(kinds, [global, global, local, local]);
     let out = module.step_with_masks(&batch.views, &masks, &mut cx).unwrap();
-    let got = out.terms.iter().find(|(name, _)| name == "self_distillation").unwrap().1;
-    let (want, [matched, of]) = reference(&module, &batch, &masks, Fault::None);
-    assert!((got - want).abs() < 1e-5 * want, "{got}, not {want}");
-    assert!(matched > 50 && of - matched > 50, "{matched} of {of}: some rows match, some do not");
-    for fault in [
+    let got = out.terms.iter().find(|(term, _)| term == name).unwrap().1;
+    let (want, matched) = reference(&module, &batch, &masks, Fault::None);
+    let wrong = faults.iter().map(|fault| reference(&module, &batch, &masks, *fault).0);
+    (got, want, wrong.collect(), matched)
+}
+
+#[test]
+fn self_distillation_is_what_trying_all_rows_gives() {
+    let faults = [
         Fault::OneHeadOfTheTeacher,
         Fault::SharesSwapped,
         Fault::AnyDistance,
@@ -333,8 +427,30 @@ fn self_distillation_is_what_trying_all_rows_gives() {
         Fault::AcrossScenes,
         Fault::LocalAgainstLast,
         Fault::RowNumbersOfTheStudent,
-    ] {
-        let (wrong, _) = reference(&module, &batch, &masks, fault);
+    ];
+    let (got, want, wrong, [matched, of]) = compared(self_distillation_term(), &faults);
+    assert!((got - want).abs() < 1e-5 * want, "{got}, not {want}");
+    assert!(matched > 50 && of - matched > 50, "{matched} of {of}: some rows match, some do not");
+    for (fault, wrong) in faults.iter().zip(wrong) {
         assert!((wrong - got).abs() > 1e-3 * want, "{fault:?}: {wrong} and {got}");
+    }
+}
+
+#[test]
+fn simdino_of_rows_is_what_trying_all_rows_gives() {
+    let faults = [
+        Fault::SharesSwapped,
+        Fault::AnyDistance,
+        Fault::MaskedTeacher,
+        Fault::NoCoarserScale,
+        Fault::LocalAgainstLast,
+        Fault::RowNumbersOfTheStudent,
+        Fault::FirstRows,
+        Fault::AllRows,
+    ];
+    let (got, want, wrong, _) = compared(sim_dino_rows_term(), &faults);
+    assert!((got - want).abs() < 1e-5 * want.abs(), "{got}, not {want}");
+    for (fault, wrong) in faults.iter().zip(wrong) {
+        assert!((wrong - got).abs() > 1e-4 * want.abs(), "{fault:?}: {wrong} and {got}");
     }
 }

@@ -20,7 +20,7 @@ use scenesplat_trainers::checkpoint::newest_checkpoint;
 use scenesplat_trainers::tasks::self_supervised::{
     Balance, Compat, DinoTerm, IbotCrossEntropyTerm, IbotTerm, LanguageAlignmentTerm,
     MaskedGaussiansTerm, Prototypes, SelfDistillationTerm, SelfSupervised, SelfSupervisedConfig,
-    SimDinoTerm, TermConfig,
+    SimDinoRowsTerm, SimDinoTerm, TermConfig,
 };
 use scenesplat_trainers::{
     AdamW, AdamWConfig, AfterStep, CosineSchedule, OneCycle, Progress, StepContext, StepOutput,
@@ -90,6 +90,17 @@ fn distillation() -> TermConfig {
     })
 }
 
+fn simdino_rows() -> TermConfig {
+    TermConfig::SimDinoRows(SimDinoRowsTerm {
+        hidden: 16,
+        out: 8,
+        max_rows: 50,
+        up_cast: 1,
+        max_distance: 0.5,
+        ..SimDinoRowsTerm::default()
+    })
+}
+
 fn masking(ratio: f64) -> Masking {
     let shape = MaskShape::Patches(0.5);
     Masking { shape, ratio: [ratio; 2], scenes: 1.0, weight: MaskWeight::PerGaussian }
@@ -100,7 +111,7 @@ fn settings(terms: Vec<TermConfig>) -> SelfSupervisedConfig {
 }
 
 fn all_terms() -> Vec<TermConfig> {
-    vec![masked_gaussians(), simdino(), dino(), ibot(), ibot_ce(), distillation()]
+    vec![masked_gaussians(), simdino(), dino(), ibot(), ibot_ce(), distillation(), simdino_rows()]
 }
 
 fn module(settings: &SelfSupervisedConfig, model: &ModelConfig) -> SelfSupervised {
@@ -597,6 +608,27 @@ fn all_masked_none_masked() {
 }
 
 #[test]
+fn masks_are_switched_off_by_a_word() {
+    let read = |text: &str| serde_json::from_str::<SelfSupervisedConfig>(text);
+    assert_eq!(read(r#"{ "masking": "none" }"#).unwrap().masking, None);
+    assert_eq!(read("{}").unwrap().masking, Some(Masking::default()));
+    // What a run writes down is read as what it was.
+    for masking in [None, Some(masking(0.3))] {
+        let config = SelfSupervisedConfig { masking, ..settings(vec![simdino()]) };
+        let text = serde_json::to_string(&config).unwrap();
+        assert_eq!(read(&text).unwrap(), config, "{text}");
+    }
+    for (text, says) in [
+        (r#"{ "masking": "nothing" }"#, "\"nothing\", expected a table of shape"),
+        (r#"{ "masking": { "shap": "gaussians" } }"#, "`shap`"),
+        (r#"{ "masking": 3 }"#, "or \"none\""),
+    ] {
+        let error = read(text).unwrap_err().to_string();
+        assert!(error.contains(says), "{text}: {error}");
+    }
+}
+
+#[test]
 fn bf16_is_near_f32() {
     let mut network = model(true);
     let f32 = one_step(&module(&settings(all_terms()), &network), &first_batch(), 0);
@@ -626,6 +658,18 @@ fn terms_and_networks_that_do_not_fit_are_refused() {
     let far = SelfDistillationTerm { up_cast: 2, ..SelfDistillationTerm::default() };
     let far = settings(vec![TermConfig::SelfDistillation(far)]);
     assert!(refused(&far, &model(false)).contains("up_cast"));
+    let few = SimDinoRowsTerm { up_cast: 2, ..SimDinoRowsTerm::default() };
+    let few = settings(vec![TermConfig::SimDinoRows(few)]);
+    assert!(refused(&few, &model(false)).contains("sim_dino_rows.up_cast"));
+    for (term, field) in [
+        (SimDinoRowsTerm { epsilon: 0.0, ..SimDinoRowsTerm::default() }, "epsilon"),
+        (SimDinoRowsTerm { max_rows: 0, ..SimDinoRowsTerm::default() }, "max_rows"),
+        (SimDinoRowsTerm { shares: [0.0; 3], ..SimDinoRowsTerm::default() }, "shares"),
+        (SimDinoRowsTerm { max_distance: f64::NAN, ..SimDinoRowsTerm::default() }, "max_distance"),
+    ] {
+        let bad = settings(vec![TermConfig::SimDinoRows(term)]);
+        assert!(refused(&bad, &model(false)).contains(field), "{field}");
+    }
     // Language features that the scenes do not have.
     let alignment = TermConfig::LanguageAlignment(LanguageAlignmentTerm::default());
     let module = module(&settings(vec![alignment]), &model(true));

@@ -18,8 +18,8 @@ pub struct SelfSupervisedConfig {
     pub export: Export,
     /// Momentum of the teacher: after optimizer step `n` it keeps `momentum(n)` of itself.
     pub momentum: CosineSchedule,
-    /// What the student does not see of global views; all is seen if not given.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    /// What the student does not see of global views; `None` (`"none"` in files): all is seen.
+    #[serde(with = "masking_or_none")]
     pub masking: Option<Masking>,
     /// Edge of masked patches over the run, metres, in the place of the one in `masking`.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -42,6 +42,53 @@ impl Default for SelfSupervisedConfig {
             mask_ratio: None,
             terms: Vec::new(),
         }
+    }
+}
+
+/// `None` is a word in files: an entry that is left out means the default.
+mod masking_or_none {
+    use scenesplat_datasets::Masking;
+    use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
+
+    pub(super) fn serialize<S: Serializer>(
+        masking: &Option<Masking>,
+        serializer: S,
+    ) -> Result<S::Ok, S::Error> {
+        match masking {
+            Some(masking) => masking.serialize(serializer),
+            None => serializer.serialize_str("none"),
+        }
+    }
+
+    struct Visitor;
+
+    impl<'de> de::Visitor<'de> for Visitor {
+        type Value = Option<Masking>;
+
+        fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+            f.write_str("a table of shape, ratio, scenes and weight, or \"none\"")
+        }
+
+        fn visit_str<E: de::Error>(self, word: &str) -> Result<Self::Value, E> {
+            match word {
+                "none" => Ok(None),
+                word => Err(E::invalid_value(de::Unexpected::Str(word), &self)),
+            }
+        }
+
+        fn visit_unit<E: de::Error>(self) -> Result<Self::Value, E> {
+            Ok(None)
+        }
+
+        fn visit_map<A: de::MapAccess<'de>>(self, map: A) -> Result<Self::Value, A::Error> {
+            Masking::deserialize(de::value::MapAccessDeserializer::new(map)).map(Some)
+        }
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(
+        deserializer: D,
+    ) -> Result<Option<Masking>, D::Error> {
+        deserializer.deserialize_any(Visitor)
     }
 }
 
@@ -87,6 +134,9 @@ pub enum TermConfig {
     /// Rows of a coarse scale, matched between views by their places: the teacher's distribution over
     /// prototypes.
     SelfDistillation(SelfDistillationTerm),
+    /// Rows of a coarse scale, matched between views by their places: the teacher's direction, and a coding
+    /// rate over rows.
+    SimDinoRows(SimDinoRowsTerm),
     /// The scenes' language features (codes of an autoencoder, say).
     LanguageAlignment(LanguageAlignmentTerm),
 }
@@ -257,8 +307,97 @@ impl Default for SelfDistillationTerm {
             teacher_temperature: temperature,
             ..Prototypes::default()
         };
-        let shares = [0.25, 0.25, 0.5];
-        Self { weight: 1.0, prototypes, up_cast: 2, max_distance: 0.32, shares }
+        let MatchedRows { up_cast, max_distance, shares } = MatchedRows::default();
+        Self { weight: 1.0, prototypes, up_cast, max_distance, shares }
+    }
+}
+
+impl SelfDistillationTerm {
+    pub(super) fn matching(&self) -> MatchedRows {
+        let Self { up_cast, max_distance, shares, .. } = *self;
+        MatchedRows { up_cast, max_distance, shares }
+    }
+}
+
+/// SimDINO of rows of a coarse scale.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SimDinoRowsTerm {
+    /// What it counts.
+    pub weight: f64,
+    /// Width inside of the head.
+    pub hidden: usize,
+    /// Width of the vectors.
+    pub out: usize,
+    /// Weight of the compression beside the coding rate.
+    pub coefficient: f64,
+    /// Distortion of the coding rate, above 0.
+    pub epsilon: f64,
+    /// Whose vectors are kept apart.
+    pub expansion: Expansion,
+    /// Most rows of a pair of views that are compared, evenly along the curve through them.
+    pub max_rows: usize,
+    /// How many scales above the coarsest one the rows are compared at, with all coarser scales beside
+    /// them.
+    pub up_cast: usize,
+    /// Largest distance of matched rows, by their places before augmentation, metres.
+    pub max_distance: f64,
+    /// Shares of masked views against the teacher's same view, against its other views, and of local
+    /// views against its first view.
+    pub shares: [f64; 3],
+}
+
+impl Default for SimDinoRowsTerm {
+    fn default() -> Self {
+        let MatchedRows { up_cast, max_distance, shares } = MatchedRows::default();
+        Self {
+            weight: 1.0,
+            hidden: 512,
+            out: 128,
+            coefficient: 1.0,
+            epsilon: 0.05,
+            expansion: Expansion::StudentAndTeacher,
+            max_rows: 1024,
+            up_cast,
+            max_distance,
+            shares,
+        }
+    }
+}
+
+impl SimDinoRowsTerm {
+    pub(super) fn matching(&self) -> MatchedRows {
+        let Self { up_cast, max_distance, shares, .. } = *self;
+        MatchedRows { up_cast, max_distance, shares }
+    }
+}
+
+/// Which rows of views are partners, and what pairs of views count.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct MatchedRows {
+    pub up_cast: usize,
+    pub max_distance: f64,
+    pub shares: [f64; 3],
+}
+
+impl Default for MatchedRows {
+    fn default() -> Self {
+        Self { up_cast: 2, max_distance: 0.32, shares: [0.25, 0.25, 0.5] }
+    }
+}
+
+impl MatchedRows {
+    fn check(&self) -> Result<(), TrainError> {
+        let number =
+            |field, value: f64, good: bool, expected| check_setting(field, value, good, expected);
+        let above = |field, value: f64| {
+            number(field, value, value.is_finite() && value > 0.0, "a finite number above 0")
+        };
+        above("max_distance", self.max_distance)?;
+        for share in self.shares {
+            number("shares", share, share.is_finite() && share >= 0.0, "0 or more")?;
+        }
+        above("shares", self.shares.iter().sum())
     }
 }
 
@@ -292,6 +431,7 @@ impl TermConfig {
             Self::Ibot(_) => "ibot",
             Self::IbotCrossEntropy(_) => "ibot_cross_entropy",
             Self::SelfDistillation(_) => "self_distillation",
+            Self::SimDinoRows(_) => "sim_dino_rows",
             Self::LanguageAlignment(_) => "language_alignment",
         }
     }
@@ -305,6 +445,7 @@ impl TermConfig {
             Self::Ibot(term) => term.weight,
             Self::IbotCrossEntropy(term) => term.weight,
             Self::SelfDistillation(term) => term.weight,
+            Self::SimDinoRows(term) => term.weight,
             Self::LanguageAlignment(term) => term.weight,
         }
     }
@@ -316,7 +457,10 @@ impl TermConfig {
 
     /// Whether it reads rows of the finest scale, for which the decoder runs.
     pub fn reads_rows(&self) -> bool {
-        !matches!(self, Self::SimDino(_) | Self::Dino(_) | Self::SelfDistillation(_))
+        !matches!(
+            self,
+            Self::SimDino(_) | Self::Dino(_) | Self::SelfDistillation(_) | Self::SimDinoRows(_)
+        )
     }
 
     /// Whether the teacher's rows of the finest scale are read.
@@ -346,6 +490,9 @@ impl TermConfig {
     fn sizes(&self) -> Vec<(&'static str, usize)> {
         match self {
             Self::SimDino(t) => vec![("hidden", t.hidden), ("out", t.out)],
+            Self::SimDinoRows(t) => {
+                vec![("hidden", t.hidden), ("out", t.out), ("max_rows", t.max_rows)]
+            }
             Self::Ibot(t) => vec![("hidden", t.hidden), ("out", t.out)],
             Self::LanguageAlignment(t) => vec![("hidden", t.hidden), ("out", t.out)],
             _ => self.prototypes().map_or(Vec::new(), |p| {
@@ -382,19 +529,16 @@ impl TermConfig {
             }
         }
         match self {
-            Self::SimDino(term) => {
-                above("epsilon", term.epsilon)?;
-                let c = term.coefficient;
-                number("coefficient", c, c.is_finite(), "a finite number")
+            Self::SimDino(SimDinoTerm { epsilon, coefficient, .. })
+            | Self::SimDinoRows(SimDinoRowsTerm { epsilon, coefficient, .. }) => {
+                above("epsilon", *epsilon)?;
+                number("coefficient", *coefficient, coefficient.is_finite(), "a finite number")?;
             }
-            Self::SelfDistillation(term) => {
-                above("max_distance", term.max_distance)?;
-                for share in term.shares {
-                    number("shares", share, share.is_finite() && share >= 0.0, "0 or more")?;
-                }
-                let sum: f64 = term.shares.iter().sum();
-                above("shares", sum)
-            }
+            _ => {}
+        }
+        match self {
+            Self::SelfDistillation(term) => term.matching().check(),
+            Self::SimDinoRows(term) => term.matching().check(),
             _ => Ok(()),
         }
     }

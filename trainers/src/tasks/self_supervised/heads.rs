@@ -54,6 +54,11 @@ impl Head {
         let logits = |channels, p: &Prototypes, vb| {
             PrototypeHead::new(shape(channels, p.hidden, p.out), p.count, compute, &vb)
         };
+        // Channels of a scale with all coarser ones beside it.
+        let up_cast = |scales: usize| -> Result<usize> {
+            let level = level_of(term.name(), widths.encoder.len(), scales)?;
+            Ok(widths.encoder[level..].iter().sum())
+        };
         Ok(match term {
             TermConfig::MaskedGaussians(_) => {
                 Self::Attributes(ReconstructionHead::new(widths.rows, widths.input, compute, &vb)?)
@@ -77,9 +82,12 @@ impl Head {
             TermConfig::IbotCrossEntropy(t) => {
                 Self::Logits(logits(widths.rows, &t.prototypes, vb)?)
             }
+            TermConfig::SimDinoRows(t) => {
+                let shape = shape(up_cast(t.up_cast)?, t.hidden, t.out);
+                Self::Vectors(ProjectionHead::new(shape, compute, &vb)?)
+            }
             TermConfig::SelfDistillation(t) => {
-                let level = level_of(widths.encoder.len(), t.up_cast)?;
-                let channels = widths.encoder[level..].iter().sum();
+                let channels = up_cast(t.up_cast)?;
                 let head = |on: bool, name| {
                     on.then(|| logits(channels, &t.prototypes, vb.pp(name))).transpose()
                 };
@@ -122,11 +130,11 @@ impl Head {
 ///
 /// # Errors
 /// If there is none.
-pub(super) fn level_of(scales: usize, up_cast: usize) -> Result<usize> {
+pub(super) fn level_of(term: &str, scales: usize, up_cast: usize) -> Result<usize> {
     match scales.checked_sub(up_cast + 1) {
         Some(level) => Ok(level),
         None => bail!(
-            "self_distillation.up_cast: {up_cast} scales above the coarsest of {scales}; at most {} are \
+            "{term}.up_cast: {up_cast} scales above the coarsest of {scales}; at most {} are \
              there",
             scales.saturating_sub(1)
         ),

@@ -3,6 +3,7 @@
 mod centers;
 mod config;
 mod heads;
+mod matched_terms;
 mod matching;
 mod module;
 mod reconstruct;
@@ -11,8 +12,8 @@ mod terms;
 
 pub use config::{
     Balance, Compat, DinoTerm, Export, IbotCrossEntropyTerm, IbotTerm, LanguageAlignmentTerm,
-    MaskedGaussiansTerm, Prototypes, SelfDistillationTerm, SelfSupervisedConfig, SimDinoTerm,
-    TermConfig,
+    MaskedGaussiansTerm, Prototypes, SelfDistillationTerm, SelfSupervisedConfig, SimDinoRowsTerm,
+    SimDinoTerm, TermConfig,
 };
 pub use module::{SelfSupervised, is_head};
 pub use reconstruct::Reconstructor;

@@ -2,11 +2,10 @@
 
 use super::centers::Centers;
 use super::config::{
-    Compat, LanguageAlignmentTerm, MaskedGaussiansTerm, Prototypes, SelfDistillationTerm,
-    SimDinoTerm, TermConfig,
+    Compat, LanguageAlignmentTerm, MaskedGaussiansTerm, Prototypes, SimDinoTerm, TermConfig,
 };
-use super::heads::{Head, level_of};
-use super::matching::{Places, matched, same_cells};
+use super::heads::Head;
+use super::matched_terms;
 use crate::module::StepContext;
 use candle_core::{Device, Result, Tensor, bail};
 use scenesplat_datasets::{Masked, View, ViewKind};
@@ -96,20 +95,20 @@ pub(super) fn center_names(term: &TermConfig) -> Vec<String> {
 }
 
 /// Value, notes and the number of rows that count.
-type Value = (Option<Tensor>, Vec<(String, f64)>, usize);
+pub(super) type Value = (Option<Tensor>, Vec<(String, f64)>, usize);
 
 /// What all terms look at.
-struct Step<'a> {
-    views: &'a [View],
-    masks: &'a [Option<Masked>],
-    student: &'a [Seen],
-    teacher: &'a [Seen],
+pub(super) struct Step<'a> {
+    pub views: &'a [View],
+    pub masks: &'a [Option<Masked>],
+    pub student: &'a [Seen],
+    pub teacher: &'a [Seen],
     step: u64,
     total: u64,
 }
 
 impl Step<'_> {
-    fn temperature(&self, prototypes: &Prototypes) -> f64 {
+    pub fn temperature(&self, prototypes: &Prototypes) -> f64 {
         prototypes.teacher_temperature.value(self.step, self.total)
     }
 
@@ -159,7 +158,10 @@ impl Terms {
             TermConfig::IbotCrossEntropy(t) => {
                 self.ibot_cross_entropy(&t.prototypes, own, other, step)
             }
-            TermConfig::SelfDistillation(t) => self.self_distillation(t, own, other, step),
+            TermConfig::SelfDistillation(t) => {
+                matched_terms::self_distillation(t, own, other, step, &self.centers)
+            }
+            TermConfig::SimDinoRows(t) => matched_terms::sim_dino_rows_term(t, own, other, step),
             TermConfig::LanguageAlignment(t) => alignment(t, own, step),
         }
     }
@@ -265,97 +267,6 @@ impl Terms {
         let value =
             masked_cross_entropy(&student, &targets, &weights, prototypes.student_temperature)?;
         Ok((value, vec![("prototypes_used".to_owned(), even)], weights.len()))
-    }
-
-    fn self_distillation(
-        &self,
-        term: &SelfDistillationTerm,
-        own: &Head,
-        other: &Head,
-        step: &Step<'_>,
-    ) -> Result<Value> {
-        let scales = step.student.first().map_or(0, |seen| seen.levels.encoder().len());
-        let level = level_of(scales, term.up_cast)?;
-        let logits =
-            |head: &Head, seen: &Seen, local| head.of_view(&seen.levels.up_cast(level)?, local);
-        let places = |view: usize, seen: &Seen| Places::new(&step.views[view], &seen.levels, level);
-        let globals = step.teacher.len();
-        let [same, cross, local] = term.shares;
-        // (share of the pair, student's view, teacher's view)
-        let mut pairs = Vec::new();
-        for view in 0..globals {
-            pairs.push((same / globals as f64, view, view));
-            for other in (0..globals).filter(|other| *other != view) {
-                let all = globals * (globals - 1);
-                pairs.push((cross / all as f64, view, other));
-            }
-        }
-        let locals = step.views.len() - globals;
-        pairs.extend((globals..step.views.len()).map(|view| (local / locals as f64, view, 0)));
-        // A pass numbers the rows of its scales by the curve it drew first, so each has places of its own.
-        let all = |seen: &[Seen]| -> Result<Vec<Places>> {
-            seen.iter().enumerate().map(|(i, seen)| places(i, seen)).collect()
-        };
-        let (own_places, places_of_teacher) = (all(step.student)?, all(step.teacher)?);
-        // The teacher's logits of each global view, by the head for masked and that for local views.
-        let mut of_teacher: Vec<[Option<Tensor>; 2]> = vec![[None, None]; globals];
-        let (mut value, mut even, mut counted, mut matches) = (None, Vec::new(), 0, 0);
-        for view in 0..step.views.len() {
-            let is_local = step.views[view].kind == ViewKind::Local;
-            let of_view: Vec<_> =
-                pairs.iter().filter(|p| p.1 == view && p.0 > 0.0).copied().collect();
-            if of_view.is_empty() {
-                continue;
-            }
-            let student = logits(own, &step.student[view], is_local)?;
-            for (share, _, with) in of_view {
-                let (rows, partners) = if view == with {
-                    same_cells(&step.student[view].levels, &step.teacher[with].levels, level)?
-                } else {
-                    matched(&own_places[view], &places_of_teacher[with], term.max_distance)?
-                };
-                matches += usize::from(!rows.is_empty());
-                if rows.is_empty() {
-                    continue;
-                }
-                counted += rows.len();
-                let weights = vec![1.0 / rows.len() as f64; rows.len()];
-                let student = student.index_select(&Tensor::new(rows, student.device())?, 0)?;
-                let slot = &mut of_teacher[with][usize::from(is_local)];
-                let teacher = match slot {
-                    Some(known) => known,
-                    None => slot.insert(logits(other, &step.teacher[with], is_local)?.detach()),
-                };
-                let teacher = teacher.index_select(&Tensor::new(partners, teacher.device())?, 0)?;
-                let prototypes = &term.prototypes;
-                let name =
-                    format!("self_distillation.{}", if is_local { "local" } else { "masked" });
-                let temperature = step.temperature(prototypes);
-                let (targets, evenness) =
-                    self.centers.targets(&name, &teacher, temperature, prototypes.balance)?;
-                even.push(evenness);
-                let cost = masked_cross_entropy(
-                    &student,
-                    &targets,
-                    &weights,
-                    prototypes.student_temperature,
-                )?;
-                if let Some(cost) = cost {
-                    let cost = (cost * share)?;
-                    value = Some(match value {
-                        Some(sum) => (sum + cost)?,
-                        None => cost,
-                    });
-                }
-            }
-        }
-        let mean = even.iter().sum::<f64>() / even.len().max(1) as f64;
-        let notes = vec![
-            ("prototypes_used".to_owned(), mean),
-            ("matched_rows".to_owned(), counted as f64),
-            ("matched_pairs".to_owned(), matches as f64),
-        ];
-        Ok((value, notes, counted))
     }
 }
 
