@@ -39,6 +39,8 @@ const LEAST_YAW: f64 = 2.0;
 /// Heights of rooms, metres; a closed room outside them is in another unit, and read as one of the
 /// usual height.
 const ROOM_HEIGHTS: [f64; 2] = [1.8, 4.3];
+/// The lower one where walls end at one height all around: they were not cut off by the capture.
+const LEAST_WHOLE_HEIGHT: f64 = 2.1;
 const USUAL_HEIGHT: f64 = 2.6;
 
 /// What the user knows about a scene.
@@ -238,7 +240,8 @@ impl Alignment {
     /// A room that is closed all around, and as high as none is.
     fn decide_room(&mut self, sample: &mut GaussianScene, walls: &Walls) {
         let extent = robust_bounds(&sample.coord).extent()[2];
-        let is_room = |height: f64| (ROOM_HEIGHTS[0]..=ROOM_HEIGHTS[1]).contains(&height);
+        let least = if walls.closed_at_top < 4 { ROOM_HEIGHTS[0] } else { LEAST_WHOLE_HEIGHT };
+        let is_room = |height: f64| (least..=ROOM_HEIGHTS[1]).contains(&height);
         if walls.closed < 4 || !walls.is_clear() || extent <= 0.0 || is_room(extent) {
             return;
         }

@@ -159,9 +159,9 @@ fn a_short_grid_of_trainings_is_told_as_json() {
     let output = scenesplat(&args);
     done(&output);
     let said = String::from_utf8_lossy(&output.stdout);
-    assert!(said.contains("20 trainings, 0 failed"), "{said}");
+    assert!(said.contains("24 trainings, 0 failed"), "{said}");
     let report = report(&json);
-    assert_eq!(report["runs"].as_array().unwrap().len(), 20);
+    assert_eq!(report["runs"].as_array().unwrap().len(), 24);
     assert_eq!(report["poison"]["recovered"], true);
     let one = [&args[..], &["--recipe", "gaussian-ssl"]].concat();
     let output = scenesplat(&one);

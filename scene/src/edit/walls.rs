@@ -20,6 +20,9 @@ const NEAR: f64 = 0.06;
 const STRETCHES: usize = 24;
 const COVERED: f64 = 0.6;
 
+/// Part of the height of the walls that is their top.
+const TOP: f64 = 0.15;
+
 /// Fewest plumb rows that say anything.
 const LEAST_ROWS: usize = 200;
 
@@ -36,6 +39,9 @@ pub struct Walls {
     pub rows: usize,
     /// How many of the four sides of the scene, seen along its walls, are closed by walls.
     pub closed: usize,
+    /// How many of them are closed in the highest seventh of the walls, too: four where walls end at one
+    /// height all around. Below a ceiling they do; where a capture stops short of it they seldom do.
+    pub closed_at_top: usize,
     /// Height that 98 of 100 plumb Gaussians lie below, units of the scene.
     pub top: f64,
 }
@@ -58,8 +64,10 @@ impl Walls {
         let share = along.sum::<f64>() / total.max(f64::MIN_POSITIVE);
         let mut heights: Vec<f32> = plumb.iter().map(|f| f.coord[2] as f32).collect();
         let top = quantile(&mut heights, 0.98).map_or(bounds.high[2], f64::from);
-        let closed = closed_sides(&plumb, yaw, &bounds);
-        Self { yaw, share, rows: plumb.len(), closed, top }
+        let closed = closed_sides(&plumb, yaw, &bounds, f64::NEG_INFINITY);
+        let from = top - TOP * (top - bounds.low[2]);
+        let closed_at_top = closed_sides(&plumb, yaw, &bounds, from);
+        Self { yaw, share, rows: plumb.len(), closed, closed_at_top, top }
     }
 
     /// Whether the walls have a direction at all.
@@ -100,7 +108,8 @@ fn mean_yaw(plumb: &[Flat], yaw: f64, cone: f64) -> Option<f64> {
     })
 }
 
-fn closed_sides(plumb: &[Flat], yaw: f64, bounds: &Bounds) -> usize {
+/// Sides that are closed by plumb Gaussians from the height `from` on.
+fn closed_sides(plumb: &[Flat], yaw: f64, bounds: &Bounds, from: f64) -> usize {
     let (s, c) = yaw.to_radians().sin_cos();
     let at = |f: &Flat| [c * f.coord[0] + s * f.coord[1], c * f.coord[1] - s * f.coord[0]];
     let places: Vec<[f64; 2]> = plumb.iter().map(at).collect();
@@ -119,7 +128,9 @@ fn closed_sides(plumb: &[Flat], yaw: f64, bounds: &Bounds) -> usize {
             let [low, high] = spans[across];
             let length = (high - low).max(f64::MIN_POSITIVE);
             let mut covered = [false; STRETCHES];
-            for p in places.iter().filter(|p| (p[a] - side).abs() <= near) {
+            let is_near =
+                |(p, f): &(&[f64; 2], &Flat)| (p[a] - side).abs() <= near && f.coord[2] >= from;
+            for (p, _) in places.iter().zip(plumb).filter(is_near) {
                 let share = (p[across] - low) / length;
                 if (0.0..1.0).contains(&share) {
                     covered[(share * STRETCHES as f64) as usize] = true;
@@ -180,6 +191,18 @@ mod tests {
             scene.transform(&Similarity { rotation, ..Similarity::IDENTITY });
             assert!(Walls::of(&scene).yaw.abs() < 0.3, "{yaw}");
         }
+    }
+
+    #[test]
+    fn walls_that_end_here_and_there_are_not_closed_at_the_top() {
+        let whole = Walls::of(&room());
+        assert_eq!((whole.closed, whole.closed_at_top), (4, 4), "{whole:?}");
+        // Beyond the middle of the room nothing above 1.6 m was captured.
+        let scene = room();
+        let is_seen = |p: &[f32; 3]| p[0] < 2.0 || p[2] < 1.6;
+        let rows: Vec<usize> = (0..scene.len()).filter(|&row| is_seen(&scene.coord[row])).collect();
+        let torn = Walls::of(&scene.select_rows(&rows).unwrap());
+        assert_eq!((torn.closed, torn.closed_at_top), (4, 1), "{torn:?}");
     }
 
     #[test]

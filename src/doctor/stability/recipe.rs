@@ -14,7 +14,7 @@ use scenesplat_losses::self_supervised::GaussianDistance;
 use scenesplat_models::{Compute, ModelConfig, ParamStore, PointTransformerV3Config};
 use scenesplat_trainers::tasks::self_supervised::{
     IbotCrossEntropyTerm, MaskedGaussiansTerm, Prototypes, SelfDistillationTerm, SelfSupervised,
-    SelfSupervisedConfig, SimDinoTerm, TermConfig,
+    SelfSupervisedConfig, SimDinoRowsTerm, SimDinoTerm, TermConfig,
 };
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -29,12 +29,14 @@ pub enum StabilityRecipe {
     GaussianSsl,
     /// Without labels: self-distillation over prototypes, the encoder alone.
     SelfDistillation,
+    /// Without labels: SimDINO of matched rows, the encoder alone.
+    SimDinoRows,
 }
 
 impl StabilityRecipe {
     /// All of them.
-    pub const ALL: [Self; 3] =
-        [Self::LanguagePretraining, Self::GaussianSsl, Self::SelfDistillation];
+    pub const ALL: [Self; 4] =
+        [Self::LanguagePretraining, Self::GaussianSsl, Self::SelfDistillation, Self::SimDinoRows];
 
     /// Its name in tables and on the command line.
     pub fn name(self) -> &'static str {
@@ -42,6 +44,7 @@ impl StabilityRecipe {
             Self::LanguagePretraining => "language",
             Self::GaussianSsl => "gaussian-ssl",
             Self::SelfDistillation => "self-distillation",
+            Self::SimDinoRows => "sim-dino-rows",
         }
     }
 
@@ -50,7 +53,7 @@ impl StabilityRecipe {
         match self {
             Self::LanguagePretraining => super::setup::WIDTH,
             Self::GaussianSsl => DECODER,
-            Self::SelfDistillation => COARSEST,
+            Self::SelfDistillation | Self::SimDinoRows => COARSEST,
         }
     }
 
@@ -58,7 +61,7 @@ impl StabilityRecipe {
     pub(super) fn transforms(self) -> Vec<TransformConfig> {
         match self {
             Self::LanguagePretraining => language_pretraining(GRID),
-            Self::GaussianSsl | Self::SelfDistillation => views(),
+            Self::GaussianSsl | Self::SelfDistillation | Self::SimDinoRows => views(),
         }
     }
 }
@@ -107,25 +110,36 @@ pub(super) fn self_supervised(
 ) -> Result<SelfSupervised, Failure> {
     let prototypes = |given: Prototypes| Prototypes { count: 64, hidden: 32, out: 16, ..given };
     let has_decoder = recipe == StabilityRecipe::GaussianSsl;
-    let terms = if has_decoder {
-        let ibot = IbotCrossEntropyTerm::default();
-        let ibot = IbotCrossEntropyTerm { prototypes: prototypes(ibot.prototypes), ..ibot };
-        vec![
-            TermConfig::MaskedGaussians(MaskedGaussiansTerm {
-                distance: GaussianDistance::Fitted,
-                ..MaskedGaussiansTerm::default()
-            }),
-            TermConfig::SimDino(SimDinoTerm { hidden: 32, out: 16, ..SimDinoTerm::default() }),
-            TermConfig::IbotCrossEntropy(ibot),
-        ]
-    } else {
-        let term = SelfDistillationTerm::default();
-        vec![TermConfig::SelfDistillation(SelfDistillationTerm {
-            prototypes: prototypes(term.prototypes.clone()),
+    let terms = match recipe {
+        StabilityRecipe::SimDinoRows => vec![TermConfig::SimDinoRows(SimDinoRowsTerm {
+            hidden: 32,
+            out: 16,
+            coefficient: 3.0,
             up_cast: 1,
             max_distance: 2.0 * GRID,
-            ..term
-        })]
+            ..SimDinoRowsTerm::default()
+        })],
+        StabilityRecipe::SelfDistillation => {
+            let term = SelfDistillationTerm::default();
+            vec![TermConfig::SelfDistillation(SelfDistillationTerm {
+                prototypes: prototypes(term.prototypes.clone()),
+                up_cast: 1,
+                max_distance: 2.0 * GRID,
+                ..term
+            })]
+        }
+        StabilityRecipe::GaussianSsl | StabilityRecipe::LanguagePretraining => {
+            let ibot = IbotCrossEntropyTerm::default();
+            let ibot = IbotCrossEntropyTerm { prototypes: prototypes(ibot.prototypes), ..ibot };
+            vec![
+                TermConfig::MaskedGaussians(MaskedGaussiansTerm {
+                    distance: GaussianDistance::Fitted,
+                    ..MaskedGaussiansTerm::default()
+                }),
+                TermConfig::SimDino(SimDinoTerm { hidden: 32, out: 16, ..SimDinoTerm::default() }),
+                TermConfig::IbotCrossEntropy(ibot),
+            ]
+        }
     };
     let masking = Masking {
         shape: MaskShape::Patches(3.0 * GRID),

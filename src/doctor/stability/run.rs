@@ -105,7 +105,9 @@ pub(super) fn train(
         StabilityRecipe::LanguagePretraining => {
             train_module(&module(precision, seed)?, setup, steps, go_on)
         }
-        StabilityRecipe::GaussianSsl | StabilityRecipe::SelfDistillation => {
+        StabilityRecipe::GaussianSsl
+        | StabilityRecipe::SelfDistillation
+        | StabilityRecipe::SimDinoRows => {
             train_module(&self_supervised(recipe, precision, seed)?, setup, steps, go_on)
         }
     }
