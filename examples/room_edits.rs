@@ -11,10 +11,11 @@ use scenesplat::rooms::{CLASSES, SyntheticRoomSettings, generate};
 use scenesplat::scene::edit::EulerAngles;
 use scenesplat::scene::{GaussianScene, LabelSet, Similarity, UpAxis};
 use scenesplat::{Network, embedded};
+use std::collections::{BTreeMap, BTreeSet};
 
 type Edit = fn(&GaussianScene) -> GaussianScene;
 
-const EDITS: [(&str, Edit); 35] = [
+const EDITS: [(&str, Edit); 37] = [
     ("as made", GaussianScene::clone),
     ("every 4th Gaussian", |s| every(s, 4)),
     ("every 8th Gaussian", |s| every(s, 8)),
@@ -50,6 +51,8 @@ const EDITS: [(&str, Edit); 35] = [
     ("spelled at random", |s| spelled(s, None)),
     ("spelled near the identity", |s| spelled(s, Some(24))),
     ("sizes of all classes alike", alike),
+    ("densities of all classes alike", |s| evened(s, true)),
+    ("as many left out anywhere", |s| evened(s, false)),
 ];
 
 fn main() -> anyhow::Result<()> {
@@ -71,7 +74,7 @@ fn main() -> anyhow::Result<()> {
             Ok(generate(&settings)?.scene)
         })
         .collect::<anyhow::Result<_>>()?;
-    println!("{:<28} {:>7} {:>7} {:>7}", "%", "present", "f-mIoU", "right");
+    println!("{:<30} {:>7} {:>7} {:>7}", "%", "present", "f-mIoU", "right");
     for (name, edit) in EDITS.iter().filter(|(name, _)| name.contains(&wanted)) {
         let settings = EvaluationSettings { excluded: excluded.clone(), ..Default::default() };
         let scenes = made.iter().map(|room| ((*name).to_owned(), edit(room)));
@@ -82,7 +85,7 @@ fn main() -> anyhow::Result<()> {
         let mean = present.iter().sum::<f64>() / present.len().max(1) as f64;
         let percent = |share: Option<f64>| 100.0 * share.unwrap_or(0.0);
         println!(
-            "{name:<28} {:>7.1} {:>7.1} {:>7.1}",
+            "{name:<30} {:>7.1} {:>7.1} {:>7.1}",
             100.0 * mean,
             percent(model.foreground_mean_iou),
             percent(model.all_accuracy)
@@ -115,7 +118,7 @@ fn every(scene: &GaussianScene, step: usize) -> GaussianScene {
 
 /// The first Gaussian of each voxel.
 fn thinned(scene: &GaussianScene, size: f32) -> GaussianScene {
-    let mut seen = std::collections::BTreeSet::new();
+    let mut seen = BTreeSet::new();
     let cell = |p: [f32; 3]| p.map(|c| (c / size).floor() as i32);
     let kept: Vec<usize> =
         (0..scene.len()).filter(|&r| seen.insert(cell(scene.coord[r]))).collect();
@@ -254,4 +257,28 @@ fn alike(scene: &GaussianScene) -> GaussianScene {
         own.iter().for_each(|&r| scene.log_scale[r].iter_mut().for_each(|s| *s += due - has));
     }
     scene
+}
+
+/// Side of the cells that densities are counted in, metres.
+const CELL: f32 = 0.05;
+
+/// Gaussians of each class left out until a cell that the class touches holds as many as one of the class
+/// that a quarter of the Gaussians are no denser than: what is left is not told by density. Or as many left out
+/// of all classes alike: what there being fewer costs.
+fn evened(scene: &GaussianScene, by_class: bool) -> GaussianScene {
+    let Some(segment) = &scene.segment else { return scene.clone() };
+    let mut cells: BTreeMap<i32, BTreeSet<[i32; 3]>> = BTreeMap::new();
+    let mut counts: BTreeMap<i32, usize> = BTreeMap::new();
+    for (&class, p) in segment.iter().zip(&scene.coord) {
+        cells.entry(class).or_default().insert(p.map(|c| (c / CELL).floor() as i32));
+        *counts.entry(class).or_default() += 1;
+    }
+    let density = |class: &i32| counts[class] as f32 / cells[class].len() as f32;
+    let mut densities: Vec<f32> = segment.iter().map(density).collect();
+    densities.sort_by(f32::total_cmp);
+    let Some(&due) = densities.get(densities.len() / 4) else { return scene.clone() };
+    let share = |class: &i32| (due / density(class)).min(1.0);
+    let mean = segment.iter().map(share).sum::<f32>() / segment.len() as f32;
+    let kept = |&row: &usize| unit(row, 61) < if by_class { share(&segment[row]) } else { mean };
+    rows(scene, &(0..scene.len()).filter(kept).collect::<Vec<_>>())
 }

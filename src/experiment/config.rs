@@ -473,6 +473,6 @@ mod tests {
                 read += 1;
             }
         }
-        assert_eq!(read, 45);
+        assert_eq!(read, 48);
     }
 }

@@ -23,16 +23,20 @@ pub(super) fn check(seed: u64, folder: &Path) -> Result<PoisonCheck, Failure> {
         config.checkpoint.every_steps = 1;
         config
     };
+    let recipe = StabilityRecipe::LanguagePretraining;
     let rooms = |poisoned: Option<usize>| -> Result<Rooms, Failure> {
-        Ok(Rooms::new(StabilityRecipe::LanguagePretraining, Batches::Even, seed, STEPS)?
-            .poisoned_at(poisoned))
+        Ok(Rooms::new(recipe, Batches::Even, seed, STEPS)?.poisoned_at(poisoned))
     };
     let clean = module(Precision::F32, seed)?;
     let plain = TrainerConfig { seed, ..TrainerConfig::default() };
-    trainer(&clean, plain)?.fit(&clean, &mut rooms(None)?, &mut [], Progress::default())?;
+    trainer(recipe, &clean, plain)?.fit(&clean, &mut rooms(None)?, &mut [], Progress::default())?;
     let hurt = module(Precision::F32, seed)?;
-    let ended =
-        trainer(&hurt, config())?.fit(&hurt, &mut rooms(Some(POISONED))?, &mut [], <_>::default());
+    let ended = trainer(recipe, &hurt, config())?.fit(
+        &hurt,
+        &mut rooms(Some(POISONED))?,
+        &mut [],
+        <_>::default(),
+    );
     let message = ended.err().map_or("went on".to_owned(), |error| with_causes(&error));
     let scene = rooms(None)?.name_of(POISONED)?;
     let words = [format!("step {POISONED}"), format!("{scene}: feat 3 of row 0 is NaN")];
@@ -42,7 +46,7 @@ pub(super) fn check(seed: u64, folder: &Path) -> Result<PoisonCheck, Failure> {
         return Err(Failure("the poisoned training left no checkpoint".to_owned()));
     };
     let healed = module(Precision::F32, seed)?;
-    let mut again = trainer(&healed, config())?;
+    let mut again = trainer(recipe, &healed, config())?;
     let at = again.load_checkpoint(&newest, &healed)?;
     ensure!(at.step == POISONED as u64, "the newest checkpoint is of step {}", at.step);
     again.fit(&healed, &mut rooms(None)?, &mut [], at)?;

@@ -16,6 +16,7 @@ use scenesplat_trainers::tasks::self_supervised::{
     IbotCrossEntropyTerm, MaskedGaussiansTerm, Prototypes, SelfDistillationTerm, SelfSupervised,
     SelfSupervisedConfig, SimDinoRowsTerm, SimDinoTerm, TermConfig,
 };
+use scenesplat_trainers::{CosineSchedule, KeywordGroup};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -54,6 +55,16 @@ impl StabilityRecipe {
             Self::LanguagePretraining => super::setup::WIDTH,
             Self::GaussianSsl => DECODER,
             Self::SelfDistillation | Self::SimDinoRows => COARSEST,
+        }
+    }
+
+    /// Learning rate, and that of parameters with a name of their own.
+    pub(super) fn rates(self) -> (f64, Vec<KeywordGroup>) {
+        match self {
+            Self::LanguagePretraining => (0.003, Vec::new()),
+            Self::GaussianSsl | Self::SelfDistillation | Self::SimDinoRows => {
+                (0.004, vec![KeywordGroup { keyword: "block".to_owned(), lr: 0.001 }])
+            }
         }
     }
 
@@ -101,8 +112,8 @@ fn views() -> Vec<TransformConfig> {
     vec![CenterShift::default().into(), Views { groups }.into()]
 }
 
-/// A small network that learns without labels; every setting that is not about size is as
-/// `configs/self_supervised/synthetic_rooms*.toml` have it.
+/// A small network that learns without labels; terms, momentum and rates are those of
+/// `configs/self_supervised/synthetic_rooms*.toml`.
 pub(super) fn self_supervised(
     recipe: StabilityRecipe,
     precision: Precision,
@@ -147,8 +158,14 @@ pub(super) fn self_supervised(
         scenes: 1.0,
         weight: MaskWeight::PerGaussian,
     };
-    let config =
-        SelfSupervisedConfig { masking: Some(masking), terms, ..SelfSupervisedConfig::default() };
+    let from = if recipe == StabilityRecipe::SimDinoRows { 0.9 } else { 0.99 };
+    let momentum = CosineSchedule { from, ..SelfSupervisedConfig::default().momentum };
+    let config = SelfSupervisedConfig {
+        momentum,
+        masking: Some(masking),
+        terms,
+        ..SelfSupervisedConfig::default()
+    };
     let only = |kept: bool, values: Vec<usize>| if kept { values } else { Vec::new() };
     let input = InputFeatures::default();
     let network = PointTransformerV3Config {

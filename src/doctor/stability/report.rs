@@ -103,7 +103,10 @@ impl StabilityRun {
         let least = LEAST_RANK * self.width as f64;
         match self.effective_rank {
             Some(rank) if rank >= least => self.alarms.first().cloned(),
-            rank => Some(format!("the effective rank is {rank:?}, at least {least} is expected")),
+            Some(rank) => {
+                Some(format!("the effective rank is {rank:.2}, at least {least} is expected"))
+            }
+            None => Some(format!("no effective rank, at least {least} is expected")),
         }
     }
 }

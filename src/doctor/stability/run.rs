@@ -84,12 +84,14 @@ impl BatchLoader<TrainBatch> for Asked<'_, '_> {
     }
 }
 
-/// The trainer of all runs.
+/// The trainer of all runs of a recipe.
 pub(super) fn trainer(
+    recipe: StabilityRecipe,
     module: &impl TrainingModule,
     config: TrainerConfig,
 ) -> Result<Trainer, Failure> {
-    let groups = group_by_keyword(&module.params().parameters(), 0.003, 0.05, &[]);
+    let (lr, rules) = recipe.rates();
+    let groups = group_by_keyword(&module.params().parameters(), lr, 0.05, &rules);
     let optimizer = AdamW::new(groups, AdamWConfig::default())?;
     Ok(Trainer::new(config, Box::new(optimizer), Box::new(OneCycle::default()))?)
 }
@@ -147,7 +149,7 @@ fn train_module(
         done: 0,
         stop: Arc::clone(&stop),
     };
-    let ended = trainer(module, config)?
+    let ended = trainer(setup.recipe, module, config)?
         .with_callback(Watch(Arc::clone(&seen)))
         .with_stop(Arc::clone(&stop))
         .fit(module, &mut loader, &mut [], Progress::default());
