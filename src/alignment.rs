@@ -541,6 +541,25 @@ mod tests {
     }
 
     #[test]
+    fn a_low_room_is_in_another_unit_if_its_walls_end_at_one_height() {
+        let settings = SyntheticRoomSettings { num_gaussians: Some(40_000), ..Default::default() };
+        let room = generate(&settings).unwrap().scene;
+        let height = robust_bounds(&room.coord).extent()[2];
+        let whole = turned_by(&room, [0.0; 3], 1.95 / height);
+        let is_scaled = |scene: &GaussianScene| {
+            let alignment = Alignment::of(scene, &AlignmentSettings::default());
+            alignment.remarks.iter().any(|r| matches!(r, Remark::ScaledToRoom { .. }))
+        };
+        assert!(is_scaled(&whole));
+        // On one side of the room the capture stops short of the ceiling: the walls may have been higher.
+        let bounds = robust_bounds(&whole.coord);
+        let middle = (bounds.low[0] + bounds.high[0]) / 2.0;
+        let is_seen = |p: &[f32; 3]| f64::from(p[0]) < middle || p[2] < 1.4;
+        let rows: Vec<usize> = (0..whole.len()).filter(|&r| is_seen(&whole.coord[r])).collect();
+        assert!(!is_scaled(&whole.select_rows(&rows).unwrap()));
+    }
+
+    #[test]
     fn the_floor_is_found_or_given() {
         let room = room();
         let found = Alignment::of(&room, &AlignmentSettings::default()).floors;
