@@ -554,9 +554,12 @@ mod tests {
         // On one side of the room the capture stops short of the ceiling: the walls may have been higher.
         let bounds = robust_bounds(&whole.coord);
         let middle = (bounds.low[0] + bounds.high[0]) / 2.0;
-        let is_seen = |p: &[f32; 3]| f64::from(p[0]) < middle || p[2] < 1.4;
+        let limit = bounds.low[2] + 1.4;
+        let is_seen = |p: &[f32; 3]| f64::from(p[0]) < middle || f64::from(p[2]) < limit;
         let rows: Vec<usize> = (0..whole.len()).filter(|&r| is_seen(&whole.coord[r])).collect();
-        assert!(!is_scaled(&whole.select_rows(&rows).unwrap()));
+        let torn = whole.select_rows(&rows).unwrap();
+        assert_eq!(Walls::of(&torn).closed, 4);
+        assert!(!is_scaled(&torn));
     }
 
     #[test]
