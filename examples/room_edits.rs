@@ -1,16 +1,18 @@
 //! What a network makes of rooms that were changed as scans differ from models: thinner, in another
-//! unit, tilted, noisy …
+//! unit, tilted, noisy …, with labels that agree on surfaces (`--surfaces on`).
 //! `cargo run --release --example room_edits -- 5 777` prints a table over five rooms of seed 777; a third
 //! argument is the folder of a model instead of the network inside the program, a fourth the part of a
 //! name that lines must have.
 
 use anyhow::Context;
-use scenesplat::evaluation::{EvaluationSettings, background, evaluate};
+use scenesplat::evaluation::{Evaluation, EvaluationSettings, background};
+use scenesplat::labels::scene_surfaces;
 use scenesplat::network::{WeightOptions, Weights, network_of};
+use scenesplat::objects::surfaces::SurfaceSettings;
 use scenesplat::rooms::{CLASSES, SyntheticRoomSettings, generate};
 use scenesplat::scene::edit::EulerAngles;
 use scenesplat::scene::{GaussianScene, LabelSet, Similarity, UpAxis};
-use scenesplat::{Network, embedded};
+use scenesplat::{Alignment, AlignmentSettings, Network, SceneEncoder, embedded};
 use std::collections::{BTreeMap, BTreeSet};
 
 type Edit = fn(&GaussianScene) -> GaussianScene;
@@ -74,12 +76,20 @@ fn main() -> anyhow::Result<()> {
             Ok(generate(&settings)?.scene)
         })
         .collect::<anyhow::Result<_>>()?;
+    let encoder = SceneEncoder::new(&network);
     println!("{:<30} {:>7} {:>7} {:>7}", "%", "present", "f-mIoU", "right");
     for (name, edit) in EDITS.iter().filter(|(name, _)| name.contains(&wanted)) {
         let settings = EvaluationSettings { excluded: excluded.clone(), ..Default::default() };
-        let scenes = made.iter().map(|room| ((*name).to_owned(), edit(room)));
-        let report = evaluate(&network, &texts, settings, scenes, None, &mut |_| Ok(()))?;
-        let model = report.model.context("a report")?;
+        let mut evaluation = Evaluation::new(&texts, settings)?;
+        for room in &made {
+            let scene = edit(room);
+            let features = encoder.encode(&scene, &mut |_| Ok(()))?;
+            let metres = Alignment::of(&scene, &AlignmentSettings::default()).scale;
+            let surfaces = scene_surfaces(&scene, metres, &SurfaceSettings::default())?;
+            let labels = evaluation.label_on_surfaces(&features, false, &surfaces)?;
+            evaluation.add_labels(&evaluation.truth(&scene, None)?, labels)?;
+        }
+        let model = evaluation.report().model.context("a report")?;
         let present: Vec<f64> =
             model.classes.iter().filter(|c| c.accuracy.is_some()).filter_map(|c| c.iou).collect();
         let mean = present.iter().sum::<f64>() / present.len().max(1) as f64;

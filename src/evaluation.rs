@@ -7,13 +7,14 @@ pub use classes::{background, classes_of_labels, classes_of_rooms, own_direction
 pub use error::EvaluationError;
 
 use crate::inference::{EncodeError, EncodeProgress, SceneEncoder, SceneFeatures};
-use crate::labels::{Classes, label_gaussians};
+use crate::labels::{Classes, LabelError, label_gaussians};
 use crate::network::Network;
 use crate::text::text_rows;
 use scenesplat_metrics::{
     ConfusionMatrix, Fault, IGNORE, Metric, MetricError, OracleReport, SceneTruth, Scores,
     TesterReport, TextRows, UnknownRule, VoteRule, ZeroShotOptions, random_labels,
 };
+use scenesplat_objects::surfaces::{Surfaces, agree};
 use scenesplat_scene::{GaussianScene, TextTable};
 
 /// How scenes are scored.
@@ -249,6 +250,23 @@ impl<'a> Evaluation<'a> {
             false => Classes::Texts(self.text),
         };
         Ok(label_gaussians(features, classes, &self.settings.options)?.labels)
+    }
+
+    /// As [`label`](Self::label), and then Gaussians take the class of most of their surfaces (none without any). `[N]`
+    ///
+    /// # Errors
+    /// As [`label`](Self::label); also if the surfaces are of other Gaussians.
+    pub fn label_on_surfaces(
+        &self,
+        features: &SceneFeatures,
+        classifier: bool,
+        surfaces: &[Surfaces],
+    ) -> Result<Vec<i32>, EvaluationError> {
+        let mut labels = self.label(features, classifier)?;
+        if !surfaces.is_empty() {
+            agree(&mut labels, self.text.len(), surfaces).map_err(LabelError::Surfaces)?;
+        }
+        Ok(labels)
     }
 
     /// Scores classes of the Gaussians, -1 for none. `[N]`

@@ -6,7 +6,9 @@ use scenesplat_metrics::{
     FeatureFn, FeatureRows, MetricError, TextRows, UnknownRule, ZeroShotOptions, classify,
     keep_withheld, vote,
 };
-use scenesplat_scene::TextTable;
+use scenesplat_objects::ObjectError;
+use scenesplat_objects::surfaces::{SurfaceSettings, Surfaces, agree, surfaces};
+use scenesplat_scene::{GaussianScene, TextTable};
 use std::borrow::Cow;
 
 /// Why a scene could not be labelled.
@@ -27,6 +29,9 @@ pub enum LabelError {
     /// Features that went to a file could not be read.
     #[error(transparent)]
     Features(#[from] EncodeError),
+    /// Surfaces that cannot be found, or are of another scene.
+    #[error(transparent)]
+    Surfaces(#[from] ObjectError),
     /// Texts, votes or settings that cannot be used.
     #[error(transparent)]
     Metric(#[from] MetricError),
@@ -164,7 +169,29 @@ pub fn label_with_vote(
     coord: &[[f32; 3]],
     k: usize,
 ) -> Result<Labels, LabelError> {
+    label_on_surfaces(features, classes, options, coord, k, &[])
+}
+
+/// As [`label_with_vote`], and before the vote, Gaussians take the class of most of their `surfaces` ([`agree`]; none
+/// without any).
+///
+/// # Errors
+/// As [`label_with_vote`]; also if the surfaces are of other Gaussians.
+pub fn label_on_surfaces(
+    features: &SceneFeatures,
+    classes: Classes<'_>,
+    options: &ZeroShotOptions,
+    coord: &[[f32; 3]],
+    k: usize,
+    surfaces: &[Surfaces],
+) -> Result<Labels, LabelError> {
     let mut found = label_gaussians(features, classes, options)?;
+    if !surfaces.is_empty() {
+        agree(&mut found.labels, classes.len(), surfaces)?;
+        if k < 2 {
+            rescore(features, classes, &found.labels, &mut found.scores)?;
+        }
+    }
     if k > 1 {
         let voters = features.voters();
         let mut voted = vote(coord, &found.labels, voters, coord, k, classes.len())?;
@@ -175,6 +202,22 @@ pub fn label_with_vote(
         found.labels = voted;
     }
     Ok(found)
+}
+
+/// The surfaces of a scene whose Gaussians may share a label: by places and colors, opacities do not matter.
+///
+/// # Errors
+/// If a setting is out of range.
+pub fn scene_surfaces(
+    scene: &GaussianScene,
+    metres_per_unit: f64,
+    settings: &SurfaceSettings,
+) -> Result<Vec<Surfaces>, LabelError> {
+    let coord: Vec<[f32; 3]> =
+        (scene.coord.iter()).map(|p| p.map(|v| (f64::from(v) * metres_per_unit) as f32)).collect();
+    let color: Vec<[f32; 3]> =
+        (0..scene.len()).map(|row| scene.color_u8(row).map(|c| f32::from(c) / 255.0)).collect();
+    Ok(surfaces(&coord, &color, settings)?)
 }
 
 /// Labels each distinct row.

@@ -13,6 +13,7 @@ mod receipt;
 mod session;
 mod setting;
 mod signals;
+mod surfaces;
 mod terminal;
 mod threads;
 

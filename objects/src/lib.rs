@@ -40,6 +40,7 @@ mod input;
 mod panels;
 pub mod relations;
 mod settings;
+pub mod surfaces;
 mod surroundings;
 pub mod table;
 mod upright_box;

@@ -3,12 +3,13 @@
 //! ```sh
 //! cargo run --release -p scenesplat-rooms --example furniture -- /usr/share/sweethome3d/furniture
 //! cargo run --release -p scenesplat-rooms --example furniture -- FOLDER --attribution train > ATTRIBUTION.md
+//! cargo run --release -p scenesplat-rooms --example furniture -- FOLDER --names > names.txt
 //! cargo run --release -p scenesplat-rooms --example furniture -- FOLDER --time
 //! ```
 
 use scenesplat_rooms::catalogue::Meaning;
 use scenesplat_rooms::{CLASSES, Catalogue, FurnitureSplit, SyntheticRoomSettings, generate};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -25,6 +26,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let split: FurnitureSplit = args.next().as_deref().unwrap_or("all").parse()?;
         catalogue.check(&split)?;
         print!("{}", catalogue.attribution(&split));
+        return Ok(());
+    }
+    if word.as_deref() == Some("--names") {
+        // For a table of texts: classes, then what models are called.
+        let mut names: Vec<&str> = CLASSES.iter().map(|class| class.name).collect();
+        let drawn = catalogue.entries().iter().filter(|e| e.meaning != Meaning::Outdoors);
+        names.extend(drawn.map(|entry| entry.name.trim()).collect::<BTreeSet<_>>());
+        println!("{}", names.join("\n"));
         return Ok(());
     }
 

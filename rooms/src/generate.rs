@@ -92,6 +92,10 @@ pub struct SyntheticRoomSettings {
     /// Share of the objects that are taken from the catalogue where it has one of the class, 0..=1.
     #[serde(skip_serializing_if = "is_usual_share")]
     pub furniture_share: f64,
+    /// Share of the pieces of the catalogue that differ from their model, 0..=1: in width, depth and height by up
+    /// to a fifth (doors and windows have their holes to fit), in hue, saturation and lightness.
+    #[serde(skip_serializing_if = "is_none_of_them")]
+    pub furniture_variation: f64,
     /// Which part of the catalogue: `all`, `train`, `held_out`, `without:LIBRARY`, `only:LIBRARY`.
     #[serde(skip_serializing_if = "is_all")]
     pub furniture_split: FurnitureSplit,
@@ -127,6 +131,7 @@ impl Default for SyntheticRoomSettings {
             seen_share: 0.0,
             furniture: None,
             furniture_share: USUAL_SHARE,
+            furniture_variation: 0.0,
             furniture_split: FurnitureSplit::All,
         }
     }
@@ -228,7 +233,7 @@ pub fn generate(settings: &SyntheticRoomSettings) -> Result<SyntheticRoom, RoomE
     };
     let of_piece = |index: usize, of: &OfPiece| {
         let density = scan.as_ref().map_or(of.density, |(scan, _)| scan.objects[index].density);
-        of.piece.area(is_points) * density
+        of.area(is_points) * density
     };
     let mut weights: Vec<f64> = Vec::new();
     for (index, object) in objects.iter().enumerate() {
@@ -334,7 +339,8 @@ impl SyntheticRoomSettings {
     /// What the room may be furnished with.
     fn stock(&self) -> Result<Stock, RoomError> {
         let rng = sample_rng(self.seed, self.room, FURNITURE);
-        Ok(Stock::new(self.catalogue()?, &self.furniture_split, self.furniture_share, rng))
+        let shares = [self.furniture_share, self.furniture_variation];
+        Ok(Stock::new(self.catalogue()?, &self.furniture_split, shares, rng))
     }
 
     /// The catalogue that the settings name, if they do; opened once, whoever asks.
@@ -367,6 +373,14 @@ impl SyntheticRoomSettings {
         }
         if !(0.0..=1.0).contains(&self.furniture_share) {
             return fail("furniture_share", self.furniture_share.to_string(), "a number in 0..=1");
+        }
+        let varied = self.furniture_variation;
+        if !(0.0..=1.0).contains(&varied) {
+            return fail("furniture_variation", varied.to_string(), "a number in 0..=1");
+        }
+        if self.furniture.is_none() && varied > 0.0 {
+            let expected = "0 without `furniture`, the path of a catalogue";
+            return fail("furniture_variation", varied.to_string(), expected);
         }
         if self.furniture.is_none() && self.furniture_split != FurnitureSplit::All {
             let expected = "none of it without `furniture`, the path of a catalogue";

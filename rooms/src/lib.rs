@@ -56,6 +56,7 @@ mod shape;
 mod shell;
 mod splats;
 mod stock;
+mod variation;
 mod vector;
 pub mod vocabulary;
 mod walk;

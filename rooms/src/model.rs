@@ -3,7 +3,8 @@
 use crate::catalogue::Piece;
 use crate::classes::ClassId;
 use crate::material::{ColorName, Material};
-use crate::shape::{Shape, join};
+use crate::shape::{Shape, SurfacePoint, join};
+use crate::variation::Variation;
 use crate::vector::{V3, Z, add, add_times, basis, cross, sub, times, unit_or};
 use scenesplat_kernels::random::SampleRng;
 use std::sync::Arc;
@@ -52,12 +53,33 @@ pub(crate) struct OfPiece {
     pub(crate) at: V3,
     /// Gaussians per area, relative to a plain wall.
     pub(crate) density: f64,
+    /// How it differs from the model.
+    pub(crate) variation: Option<Variation>,
 }
 
 impl OfPiece {
     pub(crate) fn bounds(&self) -> [V3; 2] {
-        let Block { low, high } = self.piece.bounds;
+        let own = self.piece.bounds;
+        let Block { low, high } = self.variation.as_ref().map_or(own, |by| by.block(own));
         [add(low, self.at), add(high, self.at)]
+    }
+
+    /// Area with everything inside, or of what is seen from outside, square metres.
+    pub(crate) fn area(&self, with_hidden: bool) -> f64 {
+        match &self.variation {
+            None => self.piece.area(with_hidden),
+            Some(by) => self.piece.area_by(with_hidden, |normal| by.growth(normal)),
+        }
+    }
+
+    /// A random point of the surface in the frame of the object, and its colour.
+    pub(crate) fn sample(&self, with_hidden: bool, rng: &mut SampleRng) -> (SurfacePoint, V3) {
+        let (point, color) = self.piece.sample(with_hidden, rng);
+        let (point, color) = match &self.variation {
+            None => (point, color),
+            Some(by) => (by.point(point), by.color(color)),
+        };
+        (SurfacePoint { coord: add(point.coord, self.at), ..point }, color)
     }
 }
 

@@ -4,7 +4,7 @@ use crate::dice::{between, chance, noise};
 use crate::model::{OfPiece, Surface};
 use crate::place::{Footprint, Pose};
 use crate::shape::SurfacePoint;
-use crate::vector::{V3, add, add_times, basis, cross, dot, times, unit_or};
+use crate::vector::{V3, add_times, basis, cross, dot, times, unit_or};
 use scenesplat_kernels::random::{SampleRng, direction, unit};
 use scenesplat_scene::GaussianScene;
 use scenesplat_scene::gaussian_scene::u8_to_dc;
@@ -188,11 +188,8 @@ impl Rows {
         look: &Look,
         rng: &mut SampleRng,
     ) {
-        let draw = |rng: &mut SampleRng| {
-            let (point, color) = of.piece.sample(look.is_points, rng);
-            (SurfacePoint { coord: add(point.coord, of.at), ..point }, color)
-        };
-        self.scatter_by(of.piece.area(look.is_points), count, owner, look, draw, rng);
+        let draw = |rng: &mut SampleRng| of.sample(look.is_points, rng);
+        self.scatter_by(of.area(look.is_points), count, owner, look, draw, rng);
     }
 
     fn scatter_by(

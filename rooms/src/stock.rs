@@ -3,7 +3,9 @@
 use crate::catalogue::{Catalogue, Entry, FurnitureSplit, Meaning};
 use crate::classes::ClassId;
 use crate::dice::{chance, pick};
+use crate::material::ColorName;
 use crate::model::{Block, Model, OfPiece, Support};
+use crate::variation::Variation;
 use crate::vector::{V3, add};
 use scenesplat_kernels::random::SampleRng;
 use std::sync::Arc;
@@ -40,6 +42,8 @@ struct Shelf {
     /// Indices of its models.
     models: Vec<usize>,
     share: f64,
+    /// Share of the pieces that differ from their models.
+    varied: f64,
     /// Of its own: without a catalogue, rooms are what they were.
     rng: SampleRng,
 }
@@ -67,12 +71,12 @@ impl Stock {
     pub(crate) fn new(
         catalogue: Option<Arc<Catalogue>>,
         split: &FurnitureSplit,
-        share: f64,
+        [share, varied]: [f64; 2],
         rng: SampleRng,
     ) -> Self {
         Self(catalogue.map(|catalogue| {
             let models = catalogue.indices(split).collect();
-            Shelf { catalogue, models, share, rng }
+            Shelf { catalogue, models, share, varied, rng }
         }))
     }
 
@@ -151,32 +155,57 @@ impl Shelf {
             let index = pick(&mut self.rng, &some);
             // What cannot be read is left out; `Catalogue::examine` names it.
             if let Ok(piece) = self.catalogue.piece(index) {
+                let entry = &entries[index];
+                let is_varied = self.varied > 0.0 && chance(&mut self.rng, self.varied);
+                let variation = is_varied.then(|| Variation::draw(entry.is_opening, &mut self.rng));
                 let at = match place {
-                    Place::Floor => [0.0, 0.0, entries[index].elevation],
+                    Place::Floor => [0.0, 0.0, entry.elevation],
                     Place::Top | Place::Wall => [0.0; 3],
-                    Place::Ceiling => [0.0, 0.0, -piece.bounds.high[2]],
+                    Place::Ceiling => {
+                        let own = piece.bounds;
+                        [0.0, 0.0, -variation.as_ref().map_or(own, |by| by.block(own)).high[2]]
+                    }
                 };
-                return Some((index, model(&entries[index], piece, at, density)));
+                return Some((index, model(entry, piece, variation, at, density)));
             }
         }
         None
     }
 }
 
-fn model(entry: &Entry, piece: Arc<crate::catalogue::Piece>, at: V3, density: f64) -> Model {
-    let mut model = Model::new(ClassId::Box, piece.color, density);
+fn model(
+    entry: &Entry,
+    piece: Arc<crate::catalogue::Piece>,
+    variation: Option<Variation>,
+    at: V3,
+    density: f64,
+) -> Model {
+    let by = variation.as_ref();
+    let color = by.map_or(piece.mean_color, |by| by.color(piece.mean_color));
+    let here = |block: Block| {
+        let Block { low, high } = by.map_or(block, |by| by.block(block));
+        Block { low: add(low, at), high: add(high, at) }
+    };
+    let mut model = Model::new(ClassId::Box, ColorName::nearest(color), density);
     model.class = entry.meaning.class();
-    model.solids = (piece.solids.iter())
-        .map(|block| Block { low: add(block.low, at), high: add(block.high, at) })
-        .collect();
+    model.solids = piece.solids.iter().map(|&block| here(block)).collect();
     if model.is(ClassId::Rug) {
         // Furniture stands on it.
-        let [low, high] = [piece.bounds.low, piece.bounds.high];
+        let own = piece.bounds;
+        let Block { low, high } = by.map_or(own, |by| by.block(own));
         model.solids = vec![Block { low, high: [high[0], high[1], high[2].max(0.006)] }];
     }
-    model.supports = supports(model.class, &piece.support, at[2]);
+    let top = piece.support.map(|top| match by {
+        None => top,
+        Some(by) => {
+            let [low, high] = [top.low, top.high].map(|[x, y]| by.place([x, y, top.z]));
+            Support { low: [low[0], low[1]], high: [high[0], high[1]], z: low[2], ..top }
+        }
+    });
+    model.supports = supports(model.class, &top, at[2]);
     let name = entry.name.as_str().into();
-    model.piece = Some(Box::new(OfPiece { piece, name, at, density, elevation: entry.elevation }));
+    let elevation = entry.elevation;
+    model.piece = Some(Box::new(OfPiece { piece, name, at, density, elevation, variation }));
     model
 }
 

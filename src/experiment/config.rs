@@ -456,6 +456,7 @@ mod tests {
             root.join("semantic_segmentation"),
             root.join("distillation"),
             root.join("self_supervised"),
+            root.join("room_ablations"),
         ];
         let mut read = 0;
         for folder in folders {
@@ -473,6 +474,6 @@ mod tests {
                 read += 1;
             }
         }
-        assert_eq!(read, 48);
+        assert_eq!(read, 56);
     }
 }

@@ -5,10 +5,11 @@ use super::classes::Classes;
 use crate::effects::{EffectArgs, Wish};
 use crate::flags::Inference;
 use crate::session::{FeatureSource, Session, Strangeness};
+use crate::surfaces::{SurfaceArgs, SurfaceChoice};
 use anyhow::{Context, Result};
 use scenesplat::alignment::{Alignment, AlignmentSettings};
 use scenesplat::compensation::Consumer;
-use scenesplat::labels::{self, label_with_vote};
+use scenesplat::labels::{self, label_on_surfaces};
 use scenesplat::objects::{Catalogue, ObjectInput, ObjectSettings, find_objects};
 use scenesplat::outputs::OpenedScene;
 use scenesplat::scene::frame::Matrix3;
@@ -43,6 +44,9 @@ pub struct LabelArgs {
     /// Features made before instead of a network: .npy, [N, D], one row per Gaussian.
     #[arg(long, value_name = "FILE.npy")]
     pub features: Option<PathBuf>,
+    /// Whether surfaces have one label.
+    #[command(flatten)]
+    pub surfaces: SurfaceArgs,
     /// What becomes of strange scenes.
     #[command(flatten)]
     pub strange: StrangeArgs,
@@ -102,6 +106,8 @@ pub struct Labelling<'a> {
     pub classes: &'a Classes,
     /// Features made before instead of a network.
     pub features: Option<&'a Path>,
+    /// Whether surfaces have one label.
+    pub surfaces: SurfaceArgs,
     /// What becomes of a strange scene.
     pub strange: StrangeArgs,
     /// Flags of the network.
@@ -138,6 +144,7 @@ impl LabelArgs {
                     scene: &self.scene,
                     classes: &self.classes,
                     features: self.features.as_deref(),
+                    surfaces: self.surfaces,
                     strange: self.strange,
                     inference: &self.inference,
                     vote_k,
@@ -150,6 +157,10 @@ impl LabelArgs {
     fn own_labels(&self, session: &Session<'_>, path: &Path, sh_rest: bool) -> Result<Labelled> {
         if self.strange.strange.is_some() {
             let text = "--strange is about a network, which --label-names leaves out";
+            return Err(WrongUse(text.to_owned()).into());
+        }
+        if self.surfaces.surfaces == SurfaceChoice::On {
+            let text = "--surfaces is about labels of a network, which --label-names leaves out";
             return Err(WrongUse(text.to_owned()).into());
         }
         if let Some(flag) = self.inference.only_network_flag() {
@@ -228,10 +239,11 @@ impl Labelling<'_> {
             Some(text) => labels::Classes::Texts(text),
             None => labels::Classes::Probabilities(labels_of.len()),
         };
+        let surfaces = self.surfaces.find(session, &opened, self.inference)?;
         let mut found = {
             let _stage = session.receipt.stage("labels");
             session.receipt.setting("vote_k", self.vote_k, "neighbours that vote on each label");
-            label_with_vote(&features, classes, &options, &scene.coord, self.vote_k)?
+            label_on_surfaces(&features, classes, &options, &scene.coord, self.vote_k, &surfaces)?
         };
         if found.num_withheld + found.num_unusable > 0 {
             session.progress.say(format!(

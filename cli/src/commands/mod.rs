@@ -13,7 +13,7 @@ mod doctor;
 mod evaluate;
 mod features;
 mod inspect;
-mod labelled;
+pub(crate) mod labelled;
 mod lift_labels;
 mod many;
 mod merge;

@@ -8,6 +8,7 @@ use crate::budget::{BudgetArgs, Chosen, Job, within_budget};
 use crate::effects::EffectArgs;
 use crate::flags::{Inference, Shared};
 use crate::session::Session;
+use crate::surfaces::SurfaceArgs;
 use crate::terminal::{print, write_text};
 use anyhow::Result;
 use clap::ArgAction;
@@ -40,6 +41,9 @@ pub struct Args {
     /// Also writes instances.npy, objects.json and objects.csv: the objects that the labels make, with boxes.
     #[arg(long)]
     pub instances: bool,
+    /// Whether surfaces have one label.
+    #[command(flatten)]
+    pub surfaces: SurfaceArgs,
     /// What becomes of strange scenes.
     #[command(flatten)]
     pub strange: StrangeArgs,
@@ -95,6 +99,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         scene: &args.scene,
         classes: &args.classes,
         features: args.features.as_deref(),
+        surfaces: args.surfaces,
         strange: args.strange,
         inference: &args.inference,
         vote_k: *vote_k,

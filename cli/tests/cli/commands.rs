@@ -348,7 +348,7 @@ fn wrong_use_is_exit_code_2() {
         vec!["query", "x.ply", "qwzxk vbnmp"],
         vec!["query", "x.ply", "volcano"],
         vec!["text"],
-        vec!["text", "chair", "--out", "t.safetensors"],
+        vec!["text", "qwzxk vbnmp", "--out", "t.safetensors"],
         vec!["evaluate", "synthetic:many:1"],
         vec!["segment", "x.ply", "--text", "vocabulary:wide"],
         vec!["query", "x.ply", "chair", "--text", "vocabulary:"],

@@ -120,6 +120,28 @@ fn votes_and_networks_are_parts_too() {
 }
 
 #[test]
+fn labels_agree_on_surfaces_where_it_is_asked_for() {
+    let case = Case::new(20_000);
+    let off = case.own("segment", "labels.npy", &[]);
+    assert_eq!(case.receipt("surfaces").as_deref(), Some("off"));
+    assert_eq!(off, case.own("segment", "labels.npy", &["--surfaces", "off"]));
+    assert_ne!(off, case.own("segment", "labels.npy", &["--surfaces", "on"]));
+    let counts = case.receipt("surfaces").unwrap();
+    assert_eq!(counts.split(' ').count(), 5, "{counts}");
+    let figures = |more: &[&str]| {
+        let out = case.out();
+        let args = [&["evaluate", "synthetic:1:3", "--out", out.to_str().unwrap()][..], more];
+        done(&scenesplat(&args.concat()));
+        let text = std::fs::read(out.join("evaluation.json")).unwrap();
+        let json: serde_json::Value = serde_json::from_slice(&text).unwrap();
+        json["miou"].clone()
+    };
+    let off = figures(&[]);
+    assert_eq!(off, figures(&["--surfaces", "off"]));
+    assert_ne!(off, figures(&["--surfaces", "on"]));
+}
+
+#[test]
 fn the_last_stage_is_shortened() {
     let case = Case::new(3000);
     let plain = case.own("features", "features.npy", &[]);

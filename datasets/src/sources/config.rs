@@ -5,7 +5,7 @@ use crate::effects::EffectRanges;
 use crate::error::bad_setting;
 use crate::{DataError, DataSource, SceneDataset, Transform};
 use scenesplat_rooms::{CLASSES, SyntheticRoomSettings, Vocabulary};
-use scenesplat_scene::{LabelSet, Policy};
+use scenesplat_scene::{LabelSet, Policy, TextTable};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -93,6 +93,10 @@ pub struct SyntheticRoomsConfig {
     /// Width of the built-in vocabulary that gives each Gaussian a language feature; none without.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vocabulary: Option<usize>,
+    /// A table of texts (`scenesplat text --names FILE --out TABLE.safetensors`) that gives each Gaussian the vector of
+    /// what its object is called, in the place of `vocabulary`: its name, or where the table has none, its class.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub texts: Option<PathBuf>,
     /// What a bad capture does to those rooms that call for it, as `holes=0..3,glass=2`; nothing without.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub effects: Option<EffectRanges>,
@@ -114,6 +118,18 @@ impl SyntheticRoomsConfig {
                 return Err(bad_setting("effects", effects, expected));
             }
             rooms = rooms.with_effects(effects);
+        }
+        if let Some(path) = &self.texts {
+            if self.vocabulary.is_some() {
+                let expected = "nothing beside `vocabulary`: a Gaussian has one feature";
+                return Err(bad_setting("texts", path.display(), expected));
+            }
+            return rooms.with_texts(&TextTable::read(path, None)?).map_err(|error| match error {
+                DataError::Setting { value, expected, .. } => {
+                    bad_setting("texts", format!("{} ({value})", path.display()), expected)
+                }
+                other => other,
+            });
         }
         let Some(dim) = self.vocabulary else { return Ok(rooms) };
         let vocabulary = Vocabulary::new(dim)
@@ -284,7 +300,8 @@ impl SourceConfig {
     /// Makes relative paths start at `base`, the folder of the configuration file, say.
     pub fn place(&mut self, base: &Path) {
         if let Self::Synthetic(rooms) = self {
-            rooms.room.furniture.iter_mut().for_each(|path| *path = base.join(&*path));
+            let paths = rooms.room.furniture.iter_mut().chain(&mut rooms.texts);
+            paths.for_each(|path| *path = base.join(&*path));
         }
         let Some(folder) = self.folder_mut() else { return };
         // Joining keeps absolute paths.

@@ -7,8 +7,9 @@ use half::f16;
 use rand_chacha::rand_core::RngCore;
 use scenesplat_kernels::random::sample_rng;
 use scenesplat_rooms::vocabulary::{NO_TARGET, Vocabulary};
-use scenesplat_rooms::{SyntheticRoom, SyntheticRoomSettings, generate};
-use scenesplat_scene::{LanguageFeatures, RepairReport};
+use scenesplat_rooms::{CLASSES, SyntheticObject, SyntheticRoom, SyntheticRoomSettings, generate};
+use scenesplat_scene::{LanguageFeatures, RepairReport, TextTable};
+use std::collections::HashMap;
 use std::sync::Arc;
 
 /// Most rooms of a source.
@@ -16,12 +17,25 @@ pub const MAX_ROOMS: usize = 1_000_000;
 /// The epoch that no training has: random numbers of the damage of rooms.
 const EFFECTS: u64 = u64::MAX;
 
+/// Where the language features of objects come from.
+#[derive(Debug)]
+enum ObjectTargets {
+    /// Class, groups and colour of each.
+    Vocabulary(Arc<Vocabulary>),
+    /// The vectors of what they are called.
+    Texts {
+        dim: usize,
+        /// By the name in small letters.
+        rows: HashMap<String, Vec<f16>>,
+    },
+}
+
 /// Any number of rooms `room-000000`, `room-000001`, …; nothing is kept, `load` generates.
 #[derive(Debug, Clone)]
 pub struct SyntheticRooms {
     ids: Vec<String>,
     settings: SyntheticRoomSettings,
-    vocabulary: Option<Arc<Vocabulary>>,
+    targets: Option<Arc<ObjectTargets>>,
     effects: EffectRanges,
 }
 
@@ -44,14 +58,44 @@ impl SyntheticRooms {
         settings.seed = seed;
         // Now rather than at the first room.
         settings.catalogue()?;
-        Ok(Self { ids, settings, vocabulary: None, effects: EffectRanges::default() })
+        Ok(Self { ids, settings, targets: None, effects: EffectRanges::default() })
     }
 
     /// Gives every Gaussian of an object its feature in the vocabulary: class, groups and colour.
     #[must_use]
     pub fn with_vocabulary(mut self, vocabulary: Arc<Vocabulary>) -> Self {
-        self.vocabulary = Some(vocabulary);
+        self.targets = Some(Arc::new(ObjectTargets::Vocabulary(vocabulary)));
         self
+    }
+
+    /// Gives every Gaussian of an object the text vector of what the object is called: of its name, whatever the
+    /// case, or where the table does not have it, of its class. Things that have neither get none.
+    ///
+    /// # Errors
+    /// If the table lacks one of the classes, or has a name twice with different vectors.
+    pub fn with_texts(mut self, table: &TextTable) -> Result<Self, DataError> {
+        let mut rows: HashMap<String, Vec<f16>> = HashMap::new();
+        for (name, row) in table.names.iter().zip(table.values.chunks_exact(table.dim)) {
+            let row: Vec<f16> = row.iter().map(|&v| f16::from_f32(v)).collect();
+            let key = name.trim().to_lowercase();
+            if rows.get(&key).is_some_and(|other| *other != row) {
+                let value = format!("two vectors for {name:?}");
+                return Err(bad_setting("texts", value, "one vector for each name"));
+            }
+            rows.insert(key, row);
+        }
+        let lacking: Vec<&str> =
+            CLASSES.iter().map(|c| c.name).filter(|&name| !rows.contains_key(name)).collect();
+        if !lacking.is_empty() {
+            let value = format!("no vector for {}", lacking.join(", "));
+            return Err(bad_setting(
+                "texts",
+                value,
+                "a row for the name of each of the 41 classes",
+            ));
+        }
+        self.targets = Some(Arc::new(ObjectTargets::Texts { dim: table.dim, rows }));
+        Ok(self)
     }
 
     /// Damages each room as a bad capture of it would have, by those of the effects that the room calls for
@@ -90,8 +134,10 @@ impl DataSource for SyntheticRooms {
         let unknown = || DataError::UnknownScene { id: id.to_owned(), known: self.ids.len() };
         let index = index.map_err(|_| unknown())?;
         let mut room = self.room(index)?;
-        if let Some(vocabulary) = &self.vocabulary {
-            add_features(&mut room, vocabulary);
+        match self.targets.as_deref() {
+            Some(ObjectTargets::Vocabulary(vocabulary)) => add_features(&mut room, vocabulary),
+            Some(ObjectTargets::Texts { dim, rows }) => add_texts(&mut room, rows, *dim),
+            None => {}
         }
         let scene = if self.effects.is_empty() {
             room.scene
@@ -103,6 +149,27 @@ impl DataSource for SyntheticRooms {
         let report = RepairReport { source_rows: scene.len(), ..RepairReport::default() };
         Ok(SourceScene { scene, report })
     }
+}
+
+/// Writes the text of each Gaussian's object into the scene; floaters and things without a text have none.
+fn add_texts(room: &mut SyntheticRoom, rows: &HashMap<String, Vec<f16>>, dim: usize) {
+    let text_of = |object: &SyntheticObject| {
+        let own = rows.get(&object.name.trim().to_lowercase());
+        own.or_else(|| rows.get(object.class?.about().name)).map(Vec::as_slice)
+    };
+    let texts: Vec<Option<&[f16]>> = room.objects.iter().map(text_of).collect();
+    let instance = room.scene.instance.as_deref().unwrap_or(&[]);
+    let mut values = vec![f16::ZERO; instance.len() * dim];
+    let mut is_valid = vec![false; instance.len()];
+    for (row, &instance) in instance.iter().enumerate() {
+        let object = usize::try_from(instance).ok().and_then(|i| texts.get(i));
+        if let Some(Some(text)) = object {
+            values[row * dim..(row + 1) * dim].copy_from_slice(text);
+            is_valid[row] = true;
+        }
+    }
+    room.scene.valid_feat_mask = Some(is_valid);
+    room.scene.lang_feat = Some(LanguageFeatures { values, dim });
 }
 
 /// Writes each Gaussian's target into the scene; floaters have none.
@@ -124,6 +191,66 @@ fn add_features(room: &mut SyntheticRoom, vocabulary: &Vocabulary) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The k-th class has the k-th unit vector; `more` are further rows.
+    fn texts(more: &[(&str, usize)]) -> TextTable {
+        let dim = 64;
+        let all = CLASSES.iter().enumerate().map(|(k, class)| (class.name, k));
+        let (mut names, mut values) = (Vec::new(), Vec::new());
+        for (name, k) in all.chain(more.iter().copied()) {
+            names.push(name.to_owned());
+            values.extend((0..dim).map(|i| f32::from(u8::from(i == k))));
+        }
+        TextTable { names, dim, values }
+    }
+
+    #[test]
+    fn texts_are_those_of_the_objects_that_gaussians_are_of() {
+        let settings =
+            SyntheticRoomSettings { num_gaussians: Some(4000), ..SyntheticRoomSettings::default() };
+        let rooms = SyntheticRooms::new(1, settings, 5).unwrap();
+        let with = rooms.clone().with_texts(&texts(&[])).unwrap();
+        let scene = with.load("room-000000").unwrap().scene;
+        let (features, valid) = (scene.lang_feat.unwrap(), scene.valid_feat_mask.unwrap());
+        let segment = scene.segment.unwrap();
+        for (row, &class) in segment.iter().enumerate() {
+            let vector = &features.values[row * 64..(row + 1) * 64];
+            let largest = vector.iter().position(|v| v.to_f32() == 1.0);
+            assert_eq!(largest, usize::try_from(class).ok(), "row {row}");
+            assert_eq!(valid[row], class >= 0, "row {row}");
+        }
+
+        let mut short = texts(&[]);
+        short.names[3] = "nothing".to_owned();
+        let error = rooms.clone().with_texts(&short).unwrap_err().to_string();
+        assert!(error.contains(CLASSES[3].name), "{error}");
+        let error = rooms.with_texts(&texts(&[("Wall", 50)])).unwrap_err().to_string();
+        assert!(error.contains("two vectors for \"Wall\""), "{error}");
+    }
+
+    #[test]
+    fn the_name_of_an_object_goes_before_its_class() {
+        let settings =
+            SyntheticRoomSettings { num_gaussians: Some(4000), ..SyntheticRoomSettings::default() };
+        let rooms = SyntheticRooms::new(1, settings, 5).unwrap();
+        let mut room = rooms.room(0).unwrap();
+        let floor = room.objects.iter().position(|o| o.name == "floor").unwrap();
+        let wall = room.objects.iter().position(|o| o.name == "wall").unwrap();
+        room.objects[floor].name = "Old Planks".to_owned();
+        room.objects[wall].class = None;
+        room.objects[wall].name = "no such text".to_owned();
+        let with = rooms.with_texts(&texts(&[("old planks", 60)])).unwrap();
+        let Some(ObjectTargets::Texts { dim, rows }) = with.targets.as_deref() else { panic!() };
+        add_texts(&mut room, rows, *dim);
+        let features = room.scene.lang_feat.unwrap();
+        let valid = room.scene.valid_feat_mask.unwrap();
+        for (row, &instance) in room.scene.instance.unwrap().iter().enumerate() {
+            if instance == floor as i32 {
+                assert_eq!(features.values[row * 64 + 60].to_f32(), 1.0);
+            }
+            assert_eq!(valid[row], instance >= 0 && instance != wall as i32, "row {row}");
+        }
+    }
 
     #[test]
     fn rooms_are_found_by_name_and_do_not_depend_on_their_number() {

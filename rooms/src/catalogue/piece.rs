@@ -5,10 +5,9 @@ use super::mesh;
 use super::package::Package;
 use super::points::{self, Point, mean_color, spread};
 use crate::classes::ClassId;
-use crate::material::ColorName;
 use crate::model::{Block, Support};
 use crate::shape::SurfacePoint;
-use crate::vector::V3;
+use crate::vector::{V3, Z, unit_or};
 use scenesplat_kernels::random::{SampleRng, below, unit};
 use std::collections::BTreeMap;
 
@@ -22,7 +21,8 @@ pub(crate) struct Piece {
     pub(crate) bounds: Block,
     pub(crate) solids: Vec<Block>,
     pub(crate) support: Option<Support>,
-    pub(crate) color: ColorName,
+    /// The mean of what is seen, 0..=255.
+    pub(crate) mean_color: V3,
 }
 
 /// Cells of the ground plan in which it is looked where a model is solid, metres.
@@ -62,7 +62,7 @@ impl Piece {
         Ok(Self {
             solids: if is_open { columns(&points.all, &bounds) } else { vec![bounds] },
             support: entry.top.and_then(|top| shelf(&points.all[..points.num_seen], top)),
-            color: ColorName::nearest(mean_color(&points.all[..points.num_seen])),
+            mean_color: mean_color(&points.all[..points.num_seen]),
             areas: [points.area, points.area * share],
             num_seen: points.num_seen,
             points: points.all,
@@ -73,6 +73,14 @@ impl Piece {
     /// Area with everything inside, or of what is seen from outside, square metres.
     pub(crate) fn area(&self, with_hidden: bool) -> f64 {
         self.areas[usize::from(!with_hidden)]
+    }
+
+    /// As [`area`](Self::area), where surfaces grow by a factor that depends on their unit normal.
+    pub(crate) fn area_by(&self, with_hidden: bool, growth: impl Fn(V3) -> f64) -> f64 {
+        let count = if with_hidden { self.points.len() } else { self.num_seen };
+        let of_point = |point: &Point| growth(unit_or(points::long(point.normal), Z));
+        let mean = self.points[..count].iter().map(of_point).sum::<f64>() / count as f64;
+        self.area(with_hidden) * mean
     }
 
     /// A random point of the surface, and its colour.

@@ -452,6 +452,48 @@ fn without_a_share_rooms_are_what_they_were_but_for_things() {
 }
 
 #[test]
+fn varied_pieces_have_other_sizes_and_their_gaussians_lie_on_them() {
+    let mut maker = Maker::new();
+    maker.model("Chair", "box.obj", [40.0, 50.0, 90.0], "");
+    maker.model("Desk", "box.obj", [140.0, 70.0, 75.0], "dropOnTopElevation#=75");
+    let mut sizes = Vec::new();
+    for number in 0..12 {
+        let plain = maker.settings(number);
+        let varied = SyntheticRoomSettings { furniture_variation: 1.0, ..plain.clone() };
+        let room = generate(&varied).unwrap();
+        let instances = room.scene.instance.as_ref().unwrap();
+        for object in room.objects.iter().filter(|o| o.name == "Chair") {
+            let [low, high] = object.bounds;
+            let [w, d, h]: [f32; 3] = std::array::from_fn(|i| high[i] - low[i]);
+            // Turned as it may be, a chair has its height.
+            assert!((0.9 * 0.79..0.9 * 1.26).contains(&h), "{h}");
+            assert!(w.max(d) < 1.26 * (0.4_f32.hypot(0.5)) && w.min(d) > 0.4 * 0.79, "{w} {d}");
+            sizes.push(h);
+            for (row, _) in instances.iter().enumerate().filter(|(_, i)| **i == object.instance) {
+                let p = room.scene.coord[row];
+                let is_in = |i: usize| {
+                    p[i] > low[i] - crate::MAX_STRAY && p[i] < high[i] + crate::MAX_STRAY
+                };
+                assert!((0..3).all(is_in), "{p:?} {object:?}");
+            }
+        }
+        let of_models = generate(&plain).unwrap();
+        for object in of_models.objects.iter().filter(|o| o.name == "Chair") {
+            assert!((object.bounds[1][2] - object.bounds[0][2] - 0.9).abs() < 1e-4, "{object:?}");
+        }
+    }
+    assert!(sizes.len() > 5, "{}", sizes.len());
+    let (least, most) = sizes.iter().fold((9.0_f32, 0.0_f32), |(a, b), &h| (a.min(h), b.max(h)));
+    assert!(most - least > 0.1, "{sizes:?}");
+    let settings = maker.settings(0);
+    for (furniture, furniture_variation) in [(None, 0.5), (settings.furniture.clone(), 1.5)] {
+        let wrong = SyntheticRoomSettings { furniture, furniture_variation, ..settings.clone() };
+        let error = generate(&wrong).unwrap_err().to_string();
+        assert!(error.contains("furniture_variation"), "{error}");
+    }
+}
+
+#[test]
 fn archives_are_read() {
     let maker = furnished();
     let from_folder = maker.open();

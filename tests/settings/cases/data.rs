@@ -23,6 +23,13 @@ pub const CASES: &[Case] = &[
     )
     .with(&[("/targets", "features")]),
     row(
+        "train[*].source(synthetic).texts",
+        "language",
+        "/train/0/source/texts",
+        "DATA/texts.safetensors",
+        Refused("does not name its classes"),
+    ),
+    row(
         "train[*].source(synthetic).effects",
         "language",
         "/train/0/source/effects",
@@ -108,6 +115,14 @@ pub const CASES: &[Case] = &[
         "language",
         "/train/0/source/room/furniture_share",
         "0.0",
+        Weights,
+    )
+    .with(&[("/train/0/source/room/furniture", "DATA/furniture")]),
+    row(
+        "train[*].source(synthetic).room.furniture_variation",
+        "language",
+        "/train/0/source/room/furniture_variation",
+        "1.0",
         Weights,
     )
     .with(&[("/train/0/source/room/furniture", "DATA/furniture")]),

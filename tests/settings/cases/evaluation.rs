@@ -53,6 +53,13 @@ pub const CASES: &[Case] = &[
         Nothing("only floaters have no feature, and no vote turns on them"),
     ),
     row(
+        "evaluate[*].source(synthetic).texts",
+        "language",
+        "/evaluate/0/source/texts",
+        "DATA/texts.safetensors",
+        Refused("does not name its classes"),
+    ),
+    row(
         "evaluate[*].source(synthetic).effects",
         "language",
         "/evaluate/0/source/effects",
@@ -138,6 +145,14 @@ pub const CASES: &[Case] = &[
         "language",
         "/evaluate/0/source/room/furniture_share",
         "0.0",
+        Measured,
+    )
+    .with(&[("/evaluate/0/source/room/furniture", "DATA/furniture")]),
+    row(
+        "evaluate[*].source(synthetic).room.furniture_variation",
+        "language",
+        "/evaluate/0/source/room/furniture_variation",
+        "1.0",
         Measured,
     )
     .with(&[("/evaluate/0/source/room/furniture", "DATA/furniture")]),

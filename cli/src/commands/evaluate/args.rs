@@ -7,6 +7,7 @@ use crate::effects::{EffectArgs, Wish};
 use crate::flags::{Inference, Shared};
 use crate::outputs::Outputs;
 use crate::session::{FeatureSource, Session};
+use crate::surfaces::SurfaceArgs;
 use anyhow::Result;
 use scenesplat::Network;
 use scenesplat::evaluation::{self, EvaluationSettings, background, own_directions};
@@ -55,6 +56,9 @@ pub struct Args {
     /// Neighbours that vote on each label; 0 or 1 for no vote. [default: 25]
     #[arg(long, value_name = "K")]
     pub vote_k: Option<usize>,
+    /// Whether surfaces have one label.
+    #[command(flatten)]
+    pub surfaces: SurfaceArgs,
     /// Spoils this row of the oracle with the text of another class, to see the refusal.
     #[arg(long, value_name = "ROW")]
     pub break_oracle: Option<usize>,

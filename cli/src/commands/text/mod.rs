@@ -7,14 +7,14 @@ use crate::outputs::Outputs;
 use crate::terminal::print;
 use crate::threads::set_threads;
 use anyhow::Result;
-use scenesplat::phrases::{Encoded, PhraseError, PhraseReader, Reading, TextEncoder};
+use scenesplat::phrases::{Encoded, PhraseError, PhraseReader, PhraseTable, Reading, TextEncoder};
 use scenesplat::scene::TextTable;
 use scenesplat::scene::label_set::read_names;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
 /// Prints what phrases mean to the network inside the program: its nearest classes, how much they are alike, and what
-/// was corrected or not known. With a sentence encoder, also writes text embeddings that --text takes.
+/// was corrected or not known. Also writes their vectors as text embeddings that --text takes.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Phrases, such as "a place to sleep".
@@ -26,7 +26,8 @@ pub struct Args {
     /// phrase table inside the program.
     #[arg(long, value_name = "DIR")]
     pub text_model: Option<PathBuf>,
-    /// Writes the phrases and their vectors as a text table; needs --text-model.
+    /// Writes the phrases and their vectors as a text table: those of the encoder with --text-model, else the 96 numbers
+    /// of the phrase table inside the program.
     #[arg(long, value_name = "FILE.safetensors")]
     pub out: Option<PathBuf>,
     /// Makes the vectors of a phrase table of the phrases; needs --text-model.
@@ -65,8 +66,9 @@ pub fn run(args: &Args) -> Result<()> {
     }
     let encoder = args.text_model.as_deref().map(TextEncoder::open).transpose()?;
     match (&args.phrase_table, &args.out, &encoder) {
-        (Some(_), _, None) | (_, Some(_), None) => {
-            let text = "a table is made with a sentence encoder: give its folder with --text-model";
+        (Some(_), _, None) => {
+            let text = "a phrase table is made with a sentence encoder: give its folder with \
+                        --text-model";
             return Err(WrongUse(text.to_owned()).into());
         }
         (Some(path), _, Some(encoder)) => {
@@ -78,7 +80,12 @@ pub fn run(args: &Args) -> Result<()> {
             build::run(&outputs, encoder, phrases, path)?;
             return outputs.commit(None);
         }
-        (_, Some(path), Some(encoder)) => write_table(&outputs, encoder, &phrases, path)?,
+        (_, Some(path), Some(encoder)) => {
+            write_table(&outputs, encode(encoder, &phrases)?, &phrases, path)?;
+        }
+        (_, Some(path), None) => {
+            write_table(&outputs, look_up(&phrases)?, &phrases, path)?;
+        }
         _ => {}
     }
     let readings = tell(&phrases, encoder.as_ref(), args.out.is_some())?;
@@ -92,13 +99,8 @@ pub fn run(args: &Args) -> Result<()> {
     outputs.commit(None)
 }
 
-/// Writes phrases with their vectors.
-fn write_table(
-    outputs: &Outputs,
-    encoder: &TextEncoder,
-    phrases: &[String],
-    path: &Path,
-) -> Result<()> {
+/// The encoder's vectors of phrases, and their length.
+fn encode(encoder: &TextEncoder, phrases: &[String]) -> Result<(Vec<f32>, usize)> {
     let Encoded { dim, values, truncated } = encoder.encode(phrases)?;
     for cut in truncated {
         let name: String = phrases[cut.phrase].chars().take(40).collect();
@@ -107,6 +109,44 @@ fn write_table(
             cut.read, cut.tokens
         ));
     }
+    Ok((values, dim))
+}
+
+/// The vectors of phrases in the table inside the program, and their length.
+fn look_up(phrases: &[String]) -> Result<(Vec<f32>, usize)> {
+    let table = PhraseTable::embedded()?;
+    let (mut values, mut unknown, mut made_up) = (Vec::new(), Vec::new(), 0);
+    for phrase in phrases {
+        match table.understand(phrase) {
+            Ok(understood) => {
+                made_up += usize::from(!understood.whole);
+                values.extend(understood.row);
+            }
+            Err(_) => unknown.push(format!("{:?}", phrase.chars().take(40).collect::<String>())),
+        }
+    }
+    if !unknown.is_empty() {
+        let text = format!(
+            "no word is known of {} of the phrases: {}; leave them out, or give a sentence encoder \
+             with --text-model",
+            unknown.len(),
+            unknown.join(", ")
+        );
+        return Err(WrongUse(text).into());
+    }
+    if made_up > 0 {
+        print(&format!("{made_up} phrases are not in the phrase table: made up of their words"));
+    }
+    Ok((values, table.dim()))
+}
+
+/// Writes phrases with their vectors.
+fn write_table(
+    outputs: &Outputs,
+    (values, dim): (Vec<f32>, usize),
+    phrases: &[String],
+    path: &Path,
+) -> Result<()> {
     let table = TextTable { names: phrases.to_vec(), dim, values };
     outputs.file(path, &table.to_safetensors()?)?;
     print(&format!("{}: {} phrases, {dim} numbers each", path.display(), phrases.len()));

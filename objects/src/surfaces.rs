@@ -1,0 +1,526 @@
+//! Smooth surfaces of one color, each of which is part of one thing: what labels can agree on.
+//!
+//! A graph of cells, joined from the most alike neighbours on for as long as a join is no worse than what the two
+//! parts have inside (Felzenszwalb & Huttenlocher, *Efficient Graph-Based Image Segmentation*, IJCV 2004). Cells
+//! differ by the angle of their surfaces and by color; nothing is read of labels or features.
+
+use crate::cells::Joined;
+use crate::error::{ObjectError, Result};
+use rayon::prelude::*;
+use scenesplat_kernels::neighbors::KdTree;
+use scenesplat_kernels::symmetric_eigen::symmetric_eigen;
+use serde::Serialize;
+use std::collections::HashMap;
+
+/// The surface of Gaussians without a place: none.
+pub const NO_SURFACE: u32 = u32::MAX;
+
+/// What is taken for one surface; lengths in metres.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SurfaceSettings {
+    /// Size of the cells whose means are compared, 0.001 to 10.
+    pub cell: f64,
+    /// How much a difference in color counts (of the means, all channels from 0 to 1) beside 1 − |cos| of the
+    /// angle between the surfaces, from 0.
+    pub color: f64,
+    /// How large surfaces become: a part of n cells may join another over a difference of this ÷ n more than it has
+    /// inside. Above 0; one set of surfaces for each.
+    pub scales: Vec<f64>,
+    /// Parts of fewer cells join what they touch, the most alike first.
+    pub min_cells: usize,
+}
+
+impl Default for SurfaceSettings {
+    fn default() -> Self {
+        Self { cell: 0.05, color: 1.5, scales: vec![1.0, 3.0, 6.0, 10.0, 20.0], min_cells: 5 }
+    }
+}
+
+impl SurfaceSettings {
+    fn check(&self) -> Result<()> {
+        let fail = |setting, value: f64, expected| {
+            Err(ObjectError::Setting { setting, value: value.to_string(), expected })
+        };
+        if !(1e-3..=10.0).contains(&self.cell) {
+            return fail("cell", self.cell, "0.001 to 10 metres");
+        }
+        if !(self.color >= 0.0 && self.color.is_finite()) {
+            return fail("color", self.color, "a finite number from 0");
+        }
+        if self.scales.is_empty() {
+            return fail("scales", 0.0, "one at least");
+        }
+        if let Some(&scale) = self.scales.iter().find(|s| !(**s > 0.0 && s.is_finite())) {
+            return fail("scales", scale, "finite numbers above 0");
+        }
+        Ok(())
+    }
+}
+
+/// Which surface each Gaussian is part of.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Surfaces {
+    /// Number of its surface, or [`NO_SURFACE`]. `[N]`
+    pub of: Vec<u32>,
+    /// How many there are, numbered in the order of their first Gaussian.
+    pub count: usize,
+}
+
+/// Neighbours that cells are joined with, and that their angle is from.
+const EDGES: usize = 8;
+const PLANE: usize = 12;
+
+/// Cells farther apart than so many sizes do not touch, or are no part of a plane.
+const TOUCH: f64 = 2.5;
+const NEAR: f64 = 2.6;
+
+/// The smooth surfaces of a scene, for each of the scales.
+///
+/// Gaussians whose place or color is not finite have none. The same for any number of threads.
+///
+/// # Shapes
+/// `coord`: `[N, 3]` metres · `color`: `[N, 3]`, 0 to 1
+///
+/// # Errors
+/// If `coord` and `color` differ in number, or a setting is out of range.
+pub fn surfaces(
+    coord: &[[f32; 3]],
+    color: &[[f32; 3]],
+    settings: &SurfaceSettings,
+) -> Result<Vec<Surfaces>> {
+    settings.check()?;
+    if coord.len() != color.len() {
+        return Err(ObjectError::Rows { field: "color", expected: coord.len(), got: color.len() });
+    }
+    let cells = Cells::new(coord, color, settings.cell);
+    let edges = cells.edges(settings)?;
+    let count = cells.color.len();
+    let of_scale = |&scale: &f64| {
+        let part_of_cell = join(count, &edges, scale, settings.min_cells);
+        let mut number: HashMap<u32, u32> = HashMap::new();
+        let of = (cells.of.iter())
+            .map(|&cell| {
+                let Some(&part) = part_of_cell.get(cell as usize) else { return NO_SURFACE };
+                let next = number.len() as u32;
+                *number.entry(part).or_insert(next)
+            })
+            .collect();
+        Surfaces { of, count: number.len() }
+    };
+    Ok(settings.scales.par_iter().map(of_scale).collect())
+}
+
+/// Means of what lies in each cell.
+struct Cells {
+    /// Cell of each Gaussian, or [`NO_SURFACE`]. `[N]`
+    of: Vec<u32>,
+    center: Vec<[f32; 3]>,
+    color: Vec<[f64; 3]>,
+    size: f64,
+}
+
+impl Cells {
+    fn new(coord: &[[f32; 3]], color: &[[f32; 3]], size: f64) -> Self {
+        let is_finite = |p: &[f32; 3], c: &[f32; 3]| p.iter().chain(c).all(|v| v.is_finite());
+        let mut least = [f32::INFINITY; 3];
+        for (p, _) in coord.iter().zip(color).filter(|(p, c)| is_finite(p, c)) {
+            least = std::array::from_fn(|i| least[i].min(p[i]));
+        }
+        // Counted from a corner, so that a shifted scene has the same cells. Far strays would leave the range of
+        // i32; they only meet others as far out.
+        let place = |p: &[f32; 3]| -> [i32; 3] {
+            std::array::from_fn(|i| {
+                ((f64::from(p[i]) - f64::from(least[i])) / size).floor().min(2e9) as i32
+            })
+        };
+        let mut sorted: Vec<([i32; 3], u32)> = (coord.iter().zip(color).enumerate())
+            .filter(|(_, (p, c))| is_finite(p, c))
+            .map(|(row, (p, _))| (place(p), row as u32))
+            .collect();
+        sorted.par_sort_unstable();
+        let mut cells =
+            Self { of: vec![NO_SURFACE; coord.len()], center: Vec::new(), color: Vec::new(), size };
+        for together in sorted.chunk_by(|a, b| a.0 == b.0) {
+            let (mut center, mut mean) = ([0.0; 3], [0.0; 3]);
+            for &(_, row) in together {
+                cells.of[row as usize] = cells.center.len() as u32;
+                for (sum, row) in
+                    [(&mut center, coord[row as usize]), (&mut mean, color[row as usize])]
+                {
+                    sum.iter_mut().zip(row).for_each(|(sum, v)| *sum += f64::from(v));
+                }
+            }
+            let count = together.len() as f64;
+            cells.center.push(center.map(|v: f64| (v / count) as f32));
+            cells.color.push(mean.map(|v: f64| v / count));
+        }
+        cells
+    }
+
+    /// Neighbouring cells and how much they differ, the most alike first.
+    fn edges(&self, settings: &SurfaceSettings) -> Result<Vec<(f32, u32, u32)>> {
+        let tree = KdTree::new(&self.center)?;
+        let within = |near: f64| (near * self.size) * (near * self.size);
+        let (touch, near) = (within(TOUCH), within(NEAR));
+        let about = tree.map_nearest(
+            &self.center,
+            PLANE + 1,
+            || (),
+            |(), _, found| {
+                let close = found.iter().filter(|n| n.distance_squared < near);
+                let normal = normal(close.map(|n| self.center[n.row as usize]));
+                let beside = found.iter().take(EDGES + 1);
+                let beside = beside.filter(|n| n.distance_squared < touch).map(|n| n.row);
+                (normal, beside.collect::<Vec<u32>>())
+            },
+        );
+        let difference = |a: usize, b: usize| {
+            let cos: f64 = (0..3).map(|i| about[a].0[i] * about[b].0[i]).sum();
+            let color: f64 = (0..3).map(|i| (self.color[a][i] - self.color[b][i]).abs()).sum();
+            (1.0 - cos.abs().min(1.0) + settings.color * color) as f32
+        };
+        let mut edges: Vec<(f32, u32, u32)> = (about.par_iter().enumerate())
+            .flat_map_iter(|(a, (_, beside))| {
+                let further = beside.iter().filter(move |&&b| b as usize != a);
+                further.map(move |&b| {
+                    let (low, high) = (b.min(a as u32), b.max(a as u32));
+                    (difference(low as usize, high as usize), low, high)
+                })
+            })
+            .collect();
+        edges.par_sort_unstable_by(|a, b| {
+            a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)).then(a.2.cmp(&b.2))
+        });
+        // Most see each other.
+        edges.dedup();
+        Ok(edges)
+    }
+}
+
+/// The direction in which points spread least; no direction of fewer than three.
+fn normal(points: impl Iterator<Item = [f32; 3]> + Clone) -> [f64; 3] {
+    let (mut count, mut mean) = (0.0, [0.0; 3]);
+    for p in points.clone() {
+        count += 1.0;
+        (0..3).for_each(|i| mean[i] += f64::from(p[i]));
+    }
+    if count < 3.0 {
+        return [0.0; 3];
+    }
+    let mean = mean.map(|v: f64| v / count);
+    let mut spread = [0.0; 9];
+    for p in points {
+        let d: [f64; 3] = std::array::from_fn(|i| f64::from(p[i]) - mean[i]);
+        for i in 0..3 {
+            (0..3).for_each(|j| spread[3 * i + j] += d[i] * d[j]);
+        }
+    }
+    let found = symmetric_eigen(&spread, 3, 3);
+    std::array::from_fn(|i| found.vectors[6 + i])
+}
+
+/// The part of each cell, named by one of its cells. `edges`: the most alike first.
+fn join(count: usize, edges: &[(f32, u32, u32)], scale: f64, min_cells: usize) -> Vec<u32> {
+    let mut parts = Joined::new(count);
+    let mut size = vec![1_u32; count];
+    let mut bound = vec![scale; count];
+    let merge = |parts: &mut Joined, size: &mut [u32], a: u32, b: u32| {
+        parts.join(a, b);
+        size[a.min(b) as usize] += size[a.max(b) as usize];
+        a.min(b) as usize
+    };
+    for &(difference, a, b) in edges {
+        let (a, b) = (parts.root(a), parts.root(b));
+        let difference = f64::from(difference);
+        if a != b && difference <= bound[a as usize].min(bound[b as usize]) {
+            let one = merge(&mut parts, &mut size, a, b);
+            bound[one] = difference + scale / f64::from(size[one]);
+        }
+    }
+    for &(_, a, b) in edges {
+        let (a, b) = (parts.root(a), parts.root(b));
+        let least = size[a as usize].min(size[b as usize]) as usize;
+        if a != b && least < min_cells {
+            merge(&mut parts, &mut size, a, b);
+        }
+    }
+    (0..count as u32).map(|cell| parts.root(cell)).collect()
+}
+
+/// Labels as surfaces of several scales have them: each Gaussian takes the label whose shares of its surfaces (of
+/// those Gaussians that have a label) are the largest together; of equal ones the smallest. Where surfaces of one scale
+/// hold parts of two things, those of another count for more. With one scale, it is the label of most of its surface.
+///
+/// Gaussians without a label (negative) have no say and get none; those of no surface keep theirs. Gives how many
+/// changed.
+///
+/// # Errors
+/// If labels and Gaussians differ in number, or a label is no class.
+pub fn agree(labels: &mut [i32], num_classes: usize, scales: &[Surfaces]) -> Result<usize> {
+    for (row, &label) in labels.iter().enumerate() {
+        if label >= 0 && label as usize >= num_classes {
+            return Err(ObjectError::Label { row, label, names: num_classes });
+        }
+    }
+    let mut shares = Vec::with_capacity(scales.len());
+    for surfaces in scales {
+        if labels.len() != surfaces.of.len() {
+            let (expected, got) = (surfaces.of.len(), labels.len());
+            return Err(ObjectError::Rows { field: "labels", expected, got });
+        }
+        shares.push(Shares::new(labels, surfaces));
+    }
+    // Few Gaussians have surfaces that no other has together.
+    let mut known: HashMap<Vec<u32>, i32> = HashMap::new();
+    let (mut sums, mut changed) = (vec![0.0; num_classes], 0);
+    for (row, label) in labels.iter_mut().enumerate().filter(|(_, label)| **label >= 0) {
+        let own: Vec<u32> = scales.iter().map(|surfaces| surfaces.of[row]).collect();
+        let best = *known.entry(own).or_insert_with_key(|own| {
+            sums.fill(0.0);
+            for (shares, &surface) in shares.iter().zip(own) {
+                shares.of(surface).iter().for_each(|&(label, share)| sums[label as usize] += share);
+            }
+            let best =
+                (0..num_classes).fold(0, |best, c| if sums[c] > sums[best] { c } else { best });
+            if sums.get(best).is_some_and(|sum| *sum > 0.0) { best as i32 } else { -1 }
+        });
+        if best >= 0 && best != *label {
+            *label = best;
+            changed += 1;
+        }
+    }
+    Ok(changed)
+}
+
+/// Of each surface, which share of its labelled Gaussians has which label.
+struct Shares {
+    /// Where those of each surface begin; one more than there are.
+    start: Vec<usize>,
+    shares: Vec<(i32, f64)>,
+}
+
+impl Shares {
+    fn new(labels: &[i32], surfaces: &Surfaces) -> Self {
+        let mut votes: Vec<(u32, i32)> = (surfaces.of.iter().copied().zip(labels.iter().copied()))
+            .filter(|&(surface, label)| label >= 0 && surface != NO_SURFACE)
+            .collect();
+        votes.par_sort_unstable();
+        let (mut start, mut shares) = (vec![0], Vec::new());
+        for of_surface in votes.chunk_by(|a, b| a.0 == b.0) {
+            // Surfaces without any label have no share.
+            start.resize(of_surface[0].0 as usize + 1, shares.len());
+            for same in of_surface.chunk_by(|a, b| a.1 == b.1) {
+                shares.push((same[0].1, same.len() as f64 / of_surface.len() as f64));
+            }
+        }
+        start.resize(surfaces.count + 1, shares.len());
+        Self { start, shares }
+    }
+
+    fn of(&self, surface: u32) -> &[(i32, f64)] {
+        let surface = surface as usize;
+        match (self.start.get(surface), self.start.get(surface.saturating_add(1))) {
+            (Some(&start), Some(&end)) => &self.shares[start..end],
+            _ => &[],
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use scenesplat_kernels::random::{below, sample_rng, unit};
+
+    /// A point every 2.5 cm of a square of 1 m in the plane of axes `u` and `v`, of one color.
+    fn square(at: [f32; 3], u: usize, v: usize, grey: f32) -> Vec<([f32; 3], [f32; 3])> {
+        let mut points = Vec::new();
+        for i in 0..40 {
+            for j in 0..40 {
+                let mut p = at;
+                p[u] += 0.025 * i as f32 + 0.012;
+                p[v] += 0.025 * j as f32 + 0.012;
+                points.push((p, [grey; 3]));
+            }
+        }
+        points
+    }
+
+    fn one_scale(scale: f64) -> SurfaceSettings {
+        SurfaceSettings { scales: vec![scale], ..SurfaceSettings::default() }
+    }
+
+    fn of(points: &[([f32; 3], [f32; 3])], settings: &SurfaceSettings) -> Vec<Surfaces> {
+        let (coord, color): (Vec<_>, Vec<_>) = points.iter().copied().unzip();
+        surfaces(&coord, &color, settings).unwrap()
+    }
+
+    /// The surface of most of some rows, and the share of these that it has.
+    fn most(of: &[u32]) -> (u32, f64) {
+        let mut count: HashMap<u32, usize> = HashMap::new();
+        of.iter().for_each(|surface| *count.entry(*surface).or_default() += 1);
+        let (&surface, &n) = count.iter().max_by_key(|(_, n)| **n).unwrap();
+        (surface, n as f64 / of.len() as f64)
+    }
+
+    #[test]
+    fn floor_and_wall_are_two_surfaces_and_so_are_two_colors() {
+        let mut points = square([0.0; 3], 0, 1, 0.5);
+        points.extend(square([0.0, 1.0, 0.0], 0, 2, 0.5));
+        points.extend(square([0.0, 1.0, 1.0], 0, 2, 0.9));
+        let found = &of(&points, &one_scale(1.0))[0];
+        let parts: Vec<(u32, f64)> = found.of.chunks(1600).map(most).collect();
+        assert!(parts.iter().all(|(_, share)| *share > 0.85), "{parts:?}");
+        assert!(parts[0].0 != parts[1].0 && parts[1].0 != parts[2].0, "{parts:?}");
+        // Without color the wall is one.
+        let grey = SurfaceSettings { color: 0.0, ..one_scale(1.0) };
+        let found = &of(&points, &grey)[0];
+        let parts: Vec<u32> = found.of.chunks(1600).map(|rows| most(rows).0).collect();
+        assert!(parts[0] != parts[1] && parts[1] == parts[2], "{parts:?}");
+    }
+
+    #[test]
+    fn most_of_a_surface_names_it() {
+        let mut points = square([0.0; 3], 0, 1, 0.5);
+        points.extend(square([0.0, 1.0, 0.0], 0, 2, 0.5));
+        let found = of(&points, &one_scale(1.0));
+        // On the floor every third is wrong; of the wall nothing is known, but for a few.
+        let mut labels: Vec<i32> = (0..1600).map(|i| if i % 3 == 0 { 4 } else { 1 }).collect();
+        labels.extend((0..1600).map(|i| if i % 10 == 0 { 2 } else { -1 }));
+        let before = labels.clone();
+        let changed = agree(&mut labels, 5, &found).unwrap();
+        let right = labels[..1600].iter().filter(|label| **label == 1).count();
+        assert!(right > 1500, "{right}");
+        assert_eq!(changed, labels.iter().zip(&before).filter(|(a, b)| a != b).count());
+        assert!(labels[1600..].iter().all(|label| [-1, 1, 2].contains(label)));
+        assert_eq!(labels.iter().filter(|label| **label < 0).count(), 1440, "none is given");
+    }
+
+    #[test]
+    fn shares_of_all_scales_are_added() {
+        let scale = |of: &[u32], count| Surfaces { of: of.to_vec(), count };
+        let small = scale(&[0, 0, 1, 1, 1, NO_SURFACE, 2], 3);
+        let large = scale(&[0, 0, 0, 0, 0, NO_SURFACE, 1], 2);
+        let labels = [3, 0, 0, 0, 2, 2, -1];
+        let agreed = |scales: &[Surfaces]| {
+            let mut own = labels;
+            let changed = agree(&mut own, 4, scales).unwrap();
+            (own, changed)
+        };
+        // Of the first surface one half each: the smaller label.
+        assert_eq!(agreed(std::slice::from_ref(&small)), ([0, 0, 0, 0, 0, 2, -1], 2));
+        assert_eq!(agreed(&[]), (labels, 0));
+        // In the first 3 has 1/2 + 1/5 and 0 1/2 + 3/5.
+        assert_eq!(agreed(&[small.clone(), large]), ([0, 0, 0, 0, 0, 2, -1], 2));
+        let other = scale(&[0, 1, 2, 2, 3, 3, 3], 4);
+        // 3 has 1/2 + 1, 0 has 1/2; the fifth: 2 has 1/3 + 1, 0 has 2/3.
+        assert_eq!(agreed(&[small, other]), ([3, 0, 0, 0, 2, 2, -1], 0));
+    }
+
+    #[test]
+    fn parts_are_those_of_the_definition() {
+        for seed in 0..20 {
+            let mut rng = sample_rng(seed, 0, 0);
+            let count = 60;
+            let mut edges: Vec<(f32, u32, u32)> = (0..150)
+                .map(|_| {
+                    let (a, b) = (below(&mut rng, count), below(&mut rng, count));
+                    (unit(&mut rng) as f32, a.min(b), a.max(b))
+                })
+                .filter(|(_, a, b)| a != b)
+                .collect();
+            edges.sort_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+            let scale = 0.1 + unit(&mut rng);
+            let found = join(count as usize, &edges, scale, 3);
+            let slow = by_definition(count as usize, &edges, scale, 3);
+            for a in 0..count as usize {
+                for b in 0..a {
+                    assert_eq!(found[a] == found[b], slow[a] == slow[b], "{seed}: {a} {b}");
+                }
+            }
+        }
+    }
+
+    /// Each part is looked through for the largest difference by which it was joined.
+    fn by_definition(
+        count: usize,
+        edges: &[(f32, u32, u32)],
+        scale: f64,
+        least: usize,
+    ) -> Vec<usize> {
+        let mut part: Vec<usize> = (0..count).collect();
+        let mut joined: Vec<(usize, f32)> = Vec::new();
+        let size = |part: &[usize], p: usize| part.iter().filter(|q| **q == p).count();
+        let rename = |part: &mut Vec<usize>, from: usize, to: usize| {
+            part.iter_mut().filter(|q| **q == from).for_each(|q| *q = to);
+        };
+        for &(w, a, b) in edges {
+            let (pa, pb) = (part[a as usize], part[b as usize]);
+            let bound = |p: usize| {
+                let inside = joined.iter().filter(|(cell, _)| part[*cell] == p);
+                let worst = inside.map(|(_, w)| f64::from(*w)).fold(0.0, f64::max);
+                worst + scale / size(&part, p) as f64
+            };
+            if pa != pb && f64::from(w) <= bound(pa).min(bound(pb)) {
+                joined.push((a as usize, w));
+                rename(&mut part, pa, pb);
+            }
+        }
+        for &(_, a, b) in edges {
+            let (pa, pb) = (part[a as usize], part[b as usize]);
+            if pa != pb && size(&part, pa).min(size(&part, pb)) < least {
+                rename(&mut part, pa, pb);
+            }
+        }
+        part
+    }
+
+    #[test]
+    fn hard_input_has_a_stated_result() {
+        let settings = SurfaceSettings::default();
+        for found in surfaces(&[], &[], &settings).unwrap() {
+            assert_eq!(found, Surfaces { of: Vec::new(), count: 0 });
+        }
+        let (far, bad) = ([3e38, -3e38, 0.0], [f32::NAN, 0.0, 0.0]);
+        let coord = [[0.0; 3], [0.0; 3], far, bad, [f32::INFINITY, 0.0, 0.0], [1.0; 3]];
+        let mut color = [[0.5; 3]; 6];
+        color[5] = [0.0, f32::NAN, 0.0];
+        for found in surfaces(&coord, &color, &settings).unwrap() {
+            assert_eq!(found.of, [0, 0, 1, NO_SURFACE, NO_SURFACE, NO_SURFACE]);
+            assert_eq!(found.count, 2);
+            let mut labels = [1, 0, 1, 1, -1, 0];
+            agree(&mut labels, 2, &[found]).unwrap();
+            assert_eq!(labels, [0, 0, 1, 1, -1, 0], "what has no surface keeps its label");
+        }
+        let refused = |settings: SurfaceSettings| {
+            surfaces(&coord, &color, &settings).unwrap_err().to_string()
+        };
+        let default = SurfaceSettings::default;
+        assert!(refused(SurfaceSettings { cell: 0.0, ..default() }).starts_with("cell: 0"));
+        assert!(refused(SurfaceSettings { color: -1.0, ..default() }).starts_with("color: -1"));
+        assert!(refused(one_scale(f64::NAN)).starts_with("scales: NaN"));
+        assert!(refused(SurfaceSettings { scales: Vec::new(), ..default() }).contains("one at"));
+        assert!(surfaces(&coord, &color[1..], &settings).is_err());
+        let found = surfaces(&coord, &color, &settings).unwrap();
+        let error = agree(&mut [0, 0, 5, 0, 0, 0], 2, &found).unwrap_err();
+        assert!(error.to_string().contains("labels[2] is 5"), "{error}");
+    }
+
+    #[test]
+    fn neither_threads_nor_a_shift_change_anything() {
+        let mut rng = sample_rng(3, 0, 0);
+        let mut draw = || -> [f32; 3] { std::array::from_fn(|_| unit(&mut rng) as f32) };
+        let points: Vec<_> = (0..4000).map(|_| (draw(), draw())).collect();
+        let alone = |threads: usize, shift: f32| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            // Halves of powers of two: sums are exact.
+            let moved: Vec<_> = (points.iter())
+                .map(|(p, c)| (p.map(|v| (v * 1024.0).round() / 1024.0 + shift), *c))
+                .collect();
+            pool.install(|| of(&moved, &SurfaceSettings { cell: 0.125, ..Default::default() }))
+        };
+        let once = alone(1, 0.0);
+        assert_eq!(once, alone(3, 0.0));
+        assert_eq!(once, alone(2, 4.0));
+        assert!(once[0].count > 10 && once[0].count > once[4].count, "{}", once[0].count);
+    }
+}
