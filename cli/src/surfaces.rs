@@ -9,7 +9,7 @@ use scenesplat::objects::surfaces::{SurfaceSettings, Surfaces};
 use scenesplat::outputs::OpenedScene;
 
 /// Whether surfaces have one label each.
-#[derive(Debug, Clone, Copy, PartialEq, clap::Args)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::Args)]
 pub struct SurfaceArgs {
     /// Whether labels agree on smooth surfaces of one color, before neighbours vote: each Gaussian takes the label of
     /// most of the surfaces that it is on.
