@@ -1,14 +1,13 @@
 //! What a network makes of rooms that were changed as scans differ from models: thinner, in another
-//! unit, tilted, noisy …, with labels that agree on surfaces (`--surfaces on`).
+//! unit, tilted, noisy …, with labels that agree on surfaces, as the program gives them.
 //! `cargo run --release --example room_edits -- 5 777` prints a table over five rooms of seed 777; a third
 //! argument is the folder of a model instead of the network inside the program, a fourth the part of a
 //! name that lines must have.
 
 use anyhow::Context;
 use scenesplat::evaluation::{Evaluation, EvaluationSettings, background};
-use scenesplat::labels::scene_surfaces;
 use scenesplat::network::{WeightOptions, Weights, network_of};
-use scenesplat::objects::surfaces::SurfaceSettings;
+use scenesplat::objects::surfaces::{SurfaceSettings, scene_surfaces};
 use scenesplat::rooms::{CLASSES, SyntheticRoomSettings, generate};
 use scenesplat::scene::edit::EulerAngles;
 use scenesplat::scene::{GaussianScene, LabelSet, Similarity, UpAxis};
@@ -84,8 +83,9 @@ fn main() -> anyhow::Result<()> {
         for room in &made {
             let scene = edit(room);
             let features = encoder.encode(&scene, &mut |_| Ok(()))?;
-            let metres = Alignment::of(&scene, &AlignmentSettings::default()).scale;
-            let surfaces = scene_surfaces(&scene, metres, &SurfaceSettings::default())?;
+            let lies = Alignment::of(&scene, &AlignmentSettings::default());
+            let settings = SurfaceSettings::default();
+            let surfaces = scene_surfaces(&scene, &lies.rotation(), lies.scale, &settings)?;
             let labels = evaluation.label_on_surfaces(&features, false, &surfaces)?;
             evaluation.add_labels(&evaluation.truth(&scene, None)?, labels)?;
         }

@@ -7,8 +7,8 @@ use scenesplat_metrics::{
     keep_withheld, vote,
 };
 use scenesplat_objects::ObjectError;
-use scenesplat_objects::surfaces::{SurfaceSettings, Surfaces, agree, surfaces};
-use scenesplat_scene::{GaussianScene, TextTable};
+use scenesplat_objects::surfaces::{Surfaces, agree};
+use scenesplat_scene::TextTable;
 use std::borrow::Cow;
 
 /// Why a scene could not be labelled.
@@ -202,22 +202,6 @@ pub fn label_on_surfaces(
         found.labels = voted;
     }
     Ok(found)
-}
-
-/// The surfaces of a scene whose Gaussians may share a label: by places and colors, opacities do not matter.
-///
-/// # Errors
-/// If a setting is out of range.
-pub fn scene_surfaces(
-    scene: &GaussianScene,
-    metres_per_unit: f64,
-    settings: &SurfaceSettings,
-) -> Result<Vec<Surfaces>, LabelError> {
-    let coord: Vec<[f32; 3]> =
-        (scene.coord.iter()).map(|p| p.map(|v| (f64::from(v) * metres_per_unit) as f32)).collect();
-    let color: Vec<[f32; 3]> =
-        (0..scene.len()).map(|row| scene.color_u8(row).map(|c| f32::from(c) / 255.0)).collect();
-    Ok(surfaces(&coord, &color, settings)?)
 }
 
 /// Labels each distinct row.

@@ -74,12 +74,7 @@ impl ObjectInput<'_> {
 
     /// Positions in metres with +z up.
     pub(crate) fn upright(&self) -> Vec<[f32; 3]> {
-        let turn = self.upright;
-        let place = |c: &[f32; 3]| {
-            let c = c.map(|v| f64::from(v) * self.metres_per_unit);
-            turn.map(|row| (row[0] * c[0] + row[1] * c[1] + row[2] * c[2]) as f32)
-        };
-        self.scene.coord.iter().map(place).collect()
+        upright(&self.scene.coord, &self.upright, self.metres_per_unit)
     }
 
     /// A place of the upright frame, metres, in the frame and unit of the scene.
@@ -108,6 +103,15 @@ impl ObjectInput<'_> {
         let turn = self.upright.map(|r| r.map(|v| v as f32));
         Some(turn.map(|r| scenesplat_scene::vector::dot(r, n)))
     }
+}
+
+/// Places in metres with +z up.
+pub(crate) fn upright(coord: &[[f32; 3]], turn: &Matrix3, metres_per_unit: f64) -> Vec<[f32; 3]> {
+    let place = |c: &[f32; 3]| {
+        let c = c.map(|v| f64::from(v) * metres_per_unit);
+        turn.map(|row| (row[0] * c[0] + row[1] * c[1] + row[2] * c[2]) as f32)
+    };
+    coord.iter().map(place).collect()
 }
 
 fn is_rotation(m: &Matrix3) -> bool {

@@ -6,9 +6,12 @@
 
 use crate::cells::Joined;
 use crate::error::{ObjectError, Result};
+use crate::input::upright;
 use rayon::prelude::*;
 use scenesplat_kernels::neighbors::KdTree;
 use scenesplat_kernels::symmetric_eigen::symmetric_eigen;
+use scenesplat_scene::GaussianScene;
+use scenesplat_scene::frame::Matrix3;
 use serde::Serialize;
 use std::collections::HashMap;
 
@@ -97,17 +100,37 @@ pub fn surfaces(
     let count = cells.color.len();
     let of_scale = |&scale: &f64| {
         let part_of_cell = join(count, &edges, scale, settings.min_cells);
-        let mut number: HashMap<u32, u32> = HashMap::new();
+        let (mut number, mut count) = (vec![NO_SURFACE; count], 0);
         let of = (cells.of.iter())
             .map(|&cell| {
                 let Some(&part) = part_of_cell.get(cell as usize) else { return NO_SURFACE };
-                let next = number.len() as u32;
-                *number.entry(part).or_insert(next)
+                let own = &mut number[part as usize];
+                if *own == NO_SURFACE {
+                    *own = count;
+                    count += 1;
+                }
+                *own
             })
             .collect();
-        Surfaces { of, count: number.len() }
+        Surfaces { of, count: count as usize }
     };
     Ok(settings.scales.par_iter().map(of_scale).collect())
+}
+
+/// The smooth surfaces of a scene, by places and colors; opacities do not matter. `turn` brings +z up, as its
+/// network reads it: cells lie along the axes, so a scene on its side has other surfaces if it is not turned.
+///
+/// # Errors
+/// As [`surfaces`].
+pub fn scene_surfaces(
+    scene: &GaussianScene,
+    turn: &Matrix3,
+    metres_per_unit: f64,
+    settings: &SurfaceSettings,
+) -> Result<Vec<Surfaces>> {
+    let color = |row| scene.color_u8(row).map(|c| f32::from(c) / 255.0);
+    let color: Vec<[f32; 3]> = (0..scene.len()).map(color).collect();
+    surfaces(&upright(&scene.coord, turn, metres_per_unit), &color, settings)
 }
 
 /// Means of what lies in each cell.
@@ -272,24 +295,34 @@ pub fn agree(labels: &mut [i32], num_classes: usize, scales: &[Surfaces]) -> Res
     }
     // Few Gaussians have surfaces that no other has together.
     let mut known: HashMap<Vec<u32>, i32> = HashMap::new();
-    let (mut sums, mut changed) = (vec![0.0; num_classes], 0);
+    let (mut sums, mut own, mut changed) = (vec![0.0; num_classes], Vec::new(), 0);
     for (row, label) in labels.iter_mut().enumerate().filter(|(_, label)| **label >= 0) {
-        let own: Vec<u32> = scales.iter().map(|surfaces| surfaces.of[row]).collect();
-        let best = *known.entry(own).or_insert_with_key(|own| {
-            sums.fill(0.0);
-            for (shares, &surface) in shares.iter().zip(own) {
-                shares.of(surface).iter().for_each(|&(label, share)| sums[label as usize] += share);
+        own.clear();
+        own.extend(scales.iter().map(|surfaces| surfaces.of[row]));
+        let best = match known.get(&own) {
+            Some(&best) => best,
+            None => {
+                let best = largest(&shares, &own, &mut sums);
+                known.insert(own.clone(), best);
+                best
             }
-            let best =
-                (0..num_classes).fold(0, |best, c| if sums[c] > sums[best] { c } else { best });
-            if sums.get(best).is_some_and(|sum| *sum > 0.0) { best as i32 } else { -1 }
-        });
+        };
         if best >= 0 && best != *label {
             *label = best;
             changed += 1;
         }
     }
     Ok(changed)
+}
+
+/// The label with the largest sum of shares on these surfaces, the smallest of equal ones; −1 if none has any.
+fn largest(shares: &[Shares], surfaces: &[u32], sums: &mut [f64]) -> i32 {
+    sums.fill(0.0);
+    for (shares, &surface) in shares.iter().zip(surfaces) {
+        shares.of(surface).iter().for_each(|&(label, share)| sums[label as usize] += share);
+    }
+    let best = (0..sums.len()).fold(0, |best, c| if sums[c] > sums[best] { c } else { best });
+    if sums.get(best).is_some_and(|sum| *sum > 0.0) { best as i32 } else { -1 }
 }
 
 /// Of each surface, which share of its labelled Gaussians has which label.
@@ -472,6 +505,25 @@ mod tests {
             }
         }
         part
+    }
+
+    #[test]
+    fn a_scene_on_its_side_in_another_unit_has_the_same_surfaces() {
+        let settings = SurfaceSettings::default();
+        let mut rng = sample_rng(4, 0, 0);
+        let mut draw = || -> [f32; 3] { std::array::from_fn(|_| unit(&mut rng) as f32) };
+        let coord: Vec<[f32; 3]> = (0..3000).map(|_| draw()).collect();
+        let sh_dc = (0..3000).map(|_| draw()).collect();
+        let standing = GaussianScene { coord, sh_dc, ..GaussianScene::default() };
+        let mut lying = standing.clone();
+        // +z becomes +x, +x becomes +y, +y becomes +z.
+        lying.coord.iter_mut().for_each(|[x, y, z]| (*x, *y, *z) = (*z * 4.0, *x * 4.0, *y * 4.0));
+        let as_it_is = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        let back = [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]];
+        let due = scene_surfaces(&standing, &as_it_is, 1.0, &settings).unwrap();
+        assert!(due[0].count > 5, "{}", due[0].count);
+        assert_eq!(due, scene_surfaces(&lying, &back, 0.25, &settings).unwrap());
+        assert_ne!(due, scene_surfaces(&lying, &back, 1.0, &settings).unwrap());
     }
 
     #[test]

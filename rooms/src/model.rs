@@ -4,7 +4,7 @@ use crate::catalogue::Piece;
 use crate::classes::ClassId;
 use crate::material::{ColorName, Material};
 use crate::shape::{Shape, SurfacePoint, join};
-use crate::variation::Variation;
+use crate::variation::{Variation, varied};
 use crate::vector::{V3, Z, add, add_times, basis, cross, sub, times, unit_or};
 use scenesplat_kernels::random::SampleRng;
 use std::sync::Arc;
@@ -59,8 +59,7 @@ pub(crate) struct OfPiece {
 
 impl OfPiece {
     pub(crate) fn bounds(&self) -> [V3; 2] {
-        let own = self.piece.bounds;
-        let Block { low, high } = self.variation.as_ref().map_or(own, |by| by.block(own));
+        let Block { low, high } = varied(self.piece.bounds, self.variation.as_ref());
         [add(low, self.at), add(high, self.at)]
     }
 

@@ -5,7 +5,7 @@ use crate::classes::ClassId;
 use crate::dice::{chance, pick};
 use crate::material::ColorName;
 use crate::model::{Block, Model, OfPiece, Support};
-use crate::variation::Variation;
+use crate::variation::{Variation, varied};
 use crate::vector::{V3, add};
 use scenesplat_kernels::random::SampleRng;
 use std::sync::Arc;
@@ -161,10 +161,7 @@ impl Shelf {
                 let at = match place {
                     Place::Floor => [0.0, 0.0, entry.elevation],
                     Place::Top | Place::Wall => [0.0; 3],
-                    Place::Ceiling => {
-                        let own = piece.bounds;
-                        [0.0, 0.0, -variation.as_ref().map_or(own, |by| by.block(own)).high[2]]
-                    }
+                    Place::Ceiling => [0.0, 0.0, -varied(piece.bounds, variation.as_ref()).high[2]],
                 };
                 return Some((index, model(entry, piece, variation, at, density)));
             }
@@ -183,7 +180,7 @@ fn model(
     let by = variation.as_ref();
     let color = by.map_or(piece.mean_color, |by| by.color(piece.mean_color));
     let here = |block: Block| {
-        let Block { low, high } = by.map_or(block, |by| by.block(block));
+        let Block { low, high } = varied(block, by);
         Block { low: add(low, at), high: add(high, at) }
     };
     let mut model = Model::new(ClassId::Box, ColorName::nearest(color), density);
@@ -191,8 +188,7 @@ fn model(
     model.solids = piece.solids.iter().map(|&block| here(block)).collect();
     if model.is(ClassId::Rug) {
         // Furniture stands on it.
-        let own = piece.bounds;
-        let Block { low, high } = by.map_or(own, |by| by.block(own));
+        let Block { low, high } = varied(piece.bounds, by);
         model.solids = vec![Block { low, high: [high[0], high[1], high[2].max(0.006)] }];
     }
     let top = piece.support.map(|top| match by {

@@ -27,6 +27,11 @@ pub(crate) struct Variation {
     color: [V3; 3],
 }
 
+/// A box of a model as it is in the room.
+pub(crate) fn varied(block: Block, by: Option<&Variation>) -> Block {
+    by.map_or(block, |by| by.block(block))
+}
+
 impl Variation {
     /// Another size, unless it is to fit a hole, and other colours.
     pub(crate) fn draw(keeps_size: bool, rng: &mut SampleRng) -> Self {
@@ -41,8 +46,7 @@ impl Variation {
         }
     }
 
-    /// A box of the model, here.
-    pub(crate) fn block(&self, block: Block) -> Block {
+    fn block(&self, block: Block) -> Block {
         Block { low: self.place(block.low), high: self.place(block.high) }
     }
 

@@ -159,7 +159,7 @@ impl LabelArgs {
             let text = "--strange is about a network, which --label-names leaves out";
             return Err(WrongUse(text.to_owned()).into());
         }
-        if self.surfaces.surfaces == SurfaceChoice::On {
+        if self.surfaces.surfaces != SurfaceChoice::Auto {
             let text = "--surfaces is about labels of a network, which --label-names leaves out";
             return Err(WrongUse(text.to_owned()).into());
         }
@@ -239,7 +239,8 @@ impl Labelling<'_> {
             Some(text) => labels::Classes::Texts(text),
             None => labels::Classes::Probabilities(labels_of.len()),
         };
-        let surfaces = self.surfaces.find(session, &opened, self.inference)?;
+        let is_vocabulary = text.is_some() && (is_own || self.classes.vocabulary()?.is_some());
+        let surfaces = self.surfaces.find(session, &opened, self.inference, is_vocabulary)?;
         let mut found = {
             let _stage = session.receipt.stage("labels");
             session.receipt.setting("vote_k", self.vote_k, "neighbours that vote on each label");
@@ -277,7 +278,6 @@ impl Labelling<'_> {
             session.progress.say(text);
         }
         session.check_stop()?;
-        let is_vocabulary = text.is_some() && (is_own || self.classes.vocabulary()?.is_some());
         Ok(Labelled {
             labels: found.labels,
             scores: Some(found.scores),

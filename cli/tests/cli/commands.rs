@@ -110,7 +110,16 @@ fn segment_with_integers_says_so_and_agrees_with_f32() {
         let scores = NpyFile::open(&out.join("scores.npy")).unwrap().read_f32().unwrap();
         (labels, scores, receipt)
     };
-    let (exact, exact_scores, _) = run("f32", &[]);
+    let (exact, exact_scores, receipt) = run("f32", &[]);
+    // A table of texts is no vocabulary: labels agree on surfaces where it is asked for.
+    let surfaces = |receipt: &serde_json::Value| {
+        let settings = receipt["settings"].as_array().unwrap();
+        settings.iter().find(|s| s["name"] == "surfaces").unwrap()["value"].clone()
+    };
+    assert_eq!(surfaces(&receipt), "off");
+    let (agreed, _, receipt) = run("surfaces", &["--surfaces", "on"]);
+    assert_ne!(surfaces(&receipt), "off");
+    assert_ne!(agreed, exact);
     let (labels, scores, receipt) = run("int8", &["--precision", "int8"]);
     assert_eq!(receipt["machine"]["dtype"], "int8", "{receipt}");
     let same = labels.iter().zip(&exact).filter(|(a, b)| a == b).count();

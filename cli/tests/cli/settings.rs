@@ -120,14 +120,16 @@ fn votes_and_networks_are_parts_too() {
 }
 
 #[test]
-fn labels_agree_on_surfaces_where_it_is_asked_for() {
+fn labels_agree_on_surfaces_by_themselves_or_as_asked_for() {
     let case = Case::new(20_000);
-    let off = case.own("segment", "labels.npy", &[]);
-    assert_eq!(case.receipt("surfaces").as_deref(), Some("off"));
-    assert_eq!(off, case.own("segment", "labels.npy", &["--surfaces", "off"]));
-    assert_ne!(off, case.own("segment", "labels.npy", &["--surfaces", "on"]));
+    let auto = case.own("segment", "labels.npy", &[]);
     let counts = case.receipt("surfaces").unwrap();
     assert_eq!(counts.split(' ').count(), 5, "{counts}");
+    assert_eq!(auto, case.own("segment", "labels.npy", &["--surfaces", "on"]));
+    assert_ne!(auto, case.own("segment", "labels.npy", &["--surfaces", "off"]));
+    assert_eq!(case.receipt("surfaces").as_deref(), Some("off"));
+    case.own("objects", "objects.json", &[]);
+    assert_eq!(case.receipt("surfaces"), Some(counts));
     let figures = |more: &[&str]| {
         let out = case.out();
         let args = [&["evaluate", "synthetic:1:3", "--out", out.to_str().unwrap()][..], more];
@@ -136,9 +138,9 @@ fn labels_agree_on_surfaces_where_it_is_asked_for() {
         let json: serde_json::Value = serde_json::from_slice(&text).unwrap();
         json["miou"].clone()
     };
-    let off = figures(&[]);
-    assert_eq!(off, figures(&["--surfaces", "off"]));
-    assert_ne!(off, figures(&["--surfaces", "on"]));
+    let auto = figures(&[]);
+    assert_eq!(auto, figures(&["--surfaces", "on"]));
+    assert_ne!(auto, figures(&["--surfaces", "off"]));
 }
 
 #[test]

@@ -140,6 +140,15 @@ impl Args {
         }
     }
 
+    /// Whether the classes are those of the built-in vocabulary.
+    pub fn has_vocabulary(&self, source: &FeatureSource) -> Result<bool> {
+        let is_own = source.is_network() && self.inference.network.is_embedded();
+        Ok(match &self.classes.text {
+            Some(_) => self.classes.vocabulary()?.is_some(),
+            None => is_own,
+        })
+    }
+
     /// The classes of a segmentation network.
     fn own_classes(&self, network: &Network) -> Result<TextTable> {
         let count = network.model().out_channels();

@@ -82,10 +82,11 @@ fn score(
     let consumer = Consumer { network: source.is_network(), labels: true };
     let about = session.compensation(wish, scene, &args.inference, consumer)?;
     let features = session.features(opened, source, &args.inference, &about)?;
-    let surfaces = args.surfaces.find(session, opened, &args.inference)?;
+    let is_classifier = source.classifier().is_some();
+    let is_vocabulary = !is_classifier && args.has_vocabulary(source)?;
+    let surfaces = args.surfaces.find(session, opened, &args.inference, is_vocabulary)?;
     let labels = {
         let _stage = session.receipt.stage("labels");
-        let is_classifier = source.classifier().is_some();
         evaluation.label_on_surfaces(&features, is_classifier, &surfaces)?
     };
     let _stage = session.receipt.stage("score");
