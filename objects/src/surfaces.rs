@@ -516,14 +516,17 @@ mod tests {
         let sh_dc = (0..3000).map(|_| draw()).collect();
         let standing = GaussianScene { coord, sh_dc, ..GaussianScene::default() };
         let mut lying = standing.clone();
-        // +z becomes +x, +x becomes +y, +y becomes +z.
-        lying.coord.iter_mut().for_each(|[x, y, z]| (*x, *y, *z) = (*z * 4.0, *x * 4.0, *y * 4.0));
+        // +z becomes −y and +y becomes +z: cells would be counted from another corner.
+        for p in &mut lying.coord {
+            *p = [4.0 * p[0], -4.0 * p[2], 4.0 * p[1]];
+        }
         let as_it_is = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-        let back = [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]];
+        let back = [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]];
         let due = scene_surfaces(&standing, &as_it_is, 1.0, &settings).unwrap();
         assert!(due[0].count > 5, "{}", due[0].count);
         assert_eq!(due, scene_surfaces(&lying, &back, 0.25, &settings).unwrap());
         assert_ne!(due, scene_surfaces(&lying, &back, 1.0, &settings).unwrap());
+        assert_ne!(due, scene_surfaces(&lying, &as_it_is, 0.25, &settings).unwrap());
     }
 
     #[test]
