@@ -5,7 +5,9 @@
 //! name that lines must have.
 
 use anyhow::Context;
+use scenesplat::calibration::Calibration;
 use scenesplat::evaluation::{Evaluation, EvaluationSettings, background};
+use scenesplat::labels::Agreement;
 use scenesplat::network::{WeightOptions, Weights, network_of};
 use scenesplat::objects::surfaces::{SurfaceSettings, scene_surfaces};
 use scenesplat::rooms::{CLASSES, SyntheticRoomSettings, generate};
@@ -76,6 +78,10 @@ fn main() -> anyhow::Result<()> {
         })
         .collect::<anyhow::Result<_>>()?;
     let encoder = SceneEncoder::new(&network);
+    let calibration = Calibration::embedded()?;
+    let temperature = matches!(weights, Weights::Embedded).then_some(calibration.temperature);
+    let least_area = calibration.least_area(&texts.names);
+    let agreement = Agreement { temperature, least_area: &least_area, ..Agreement::default() };
     println!("{:<30} {:>7} {:>7} {:>7}", "%", "present", "f-mIoU", "right");
     for (name, edit) in EDITS.iter().filter(|(name, _)| name.contains(&wanted)) {
         let settings = EvaluationSettings { excluded: excluded.clone(), ..Default::default() };
@@ -86,7 +92,8 @@ fn main() -> anyhow::Result<()> {
             let lies = Alignment::of(&scene, &AlignmentSettings::default());
             let settings = SurfaceSettings::default();
             let surfaces = scene_surfaces(&scene, &lies.rotation(), lies.scale, &settings)?;
-            let labels = evaluation.label_on_surfaces(&features, false, &surfaces)?;
+            let agreement = Agreement { surfaces: Some(&surfaces), ..agreement };
+            let labels = evaluation.label_agreeing(&features, false, &agreement)?;
             evaluation.add_labels(&evaluation.truth(&scene, None)?, labels)?;
         }
         let model = evaluation.report().model.context("a report")?;

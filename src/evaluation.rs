@@ -7,14 +7,13 @@ pub use classes::{background, classes_of_labels, classes_of_rooms, own_direction
 pub use error::EvaluationError;
 
 use crate::inference::{EncodeError, EncodeProgress, SceneEncoder, SceneFeatures};
-use crate::labels::{Classes, LabelError, label_gaussians};
+use crate::labels::{Agreement, Classes, label_agreeing};
 use crate::network::Network;
 use crate::text::text_rows;
 use scenesplat_metrics::{
     ConfusionMatrix, Fault, IGNORE, Metric, MetricError, OracleReport, SceneTruth, Scores,
     TesterReport, TextRows, UnknownRule, VoteRule, ZeroShotOptions, random_labels,
 };
-use scenesplat_objects::surfaces::{Surfaces, agree};
 use scenesplat_scene::{GaussianScene, TextTable};
 
 /// How scenes are scored.
@@ -29,6 +28,9 @@ pub struct EvaluationSettings {
     pub vote_k: usize,
     /// Lets only Gaussians vote that have a collected language feature, as the original does.
     pub voters_with_feature: bool,
+    /// Whether what comes without a label stays so in the vote, as it does where [`options`](Self::options)
+    /// withholds labels.
+    pub keeps_unknown: bool,
     /// Seed of the random labels.
     pub seed: u64,
 }
@@ -41,6 +43,7 @@ impl Default for EvaluationSettings {
             options: ZeroShotOptions::default(),
             vote_k: 25,
             voters_with_feature: false,
+            keeps_unknown: false,
             seed: 0,
         }
     }
@@ -122,7 +125,8 @@ impl<'a> Evaluation<'a> {
     pub fn new(text: &'a TextTable, settings: EvaluationSettings) -> Result<Self, EvaluationError> {
         let scores = Scores::new(text.len(), &settings.excluded)?;
         // What a threshold withheld stays unknown; rows without a usable feature may be filled.
-        let keep_withheld = settings.options.unknown != UnknownRule::default();
+        let keep_withheld =
+            settings.keeps_unknown || settings.options.unknown != UnknownRule::default();
         let rule = VoteRule { keep_withheld, ..VoteRule::of(settings.vote_k) };
         let (rows, random, given) =
             (text_rows(text)?, scores.oracle.clone(), scores.oracle.clone());
@@ -245,28 +249,24 @@ impl<'a> Evaluation<'a> {
         features: &SceneFeatures,
         classifier: bool,
     ) -> Result<Vec<i32>, EvaluationError> {
+        self.label_agreeing(features, classifier, &Agreement::default())
+    }
+
+    /// As [`label`](Self::label), and then labels agree ([`label_agreeing`]). `[N]`
+    ///
+    /// # Errors
+    /// As [`label`](Self::label) and [`label_agreeing`].
+    pub fn label_agreeing(
+        &self,
+        features: &SceneFeatures,
+        classifier: bool,
+        agreement: &Agreement<'_>,
+    ) -> Result<Vec<i32>, EvaluationError> {
         let classes = match classifier {
             true => Classes::Probabilities(self.text.len()),
             false => Classes::Texts(self.text),
         };
-        Ok(label_gaussians(features, classes, &self.settings.options)?.labels)
-    }
-
-    /// As [`label`](Self::label), and then Gaussians take the class of most of their surfaces (none without any). `[N]`
-    ///
-    /// # Errors
-    /// As [`label`](Self::label); also if the surfaces are of other Gaussians.
-    pub fn label_on_surfaces(
-        &self,
-        features: &SceneFeatures,
-        classifier: bool,
-        surfaces: &[Surfaces],
-    ) -> Result<Vec<i32>, EvaluationError> {
-        let mut labels = self.label(features, classifier)?;
-        if !surfaces.is_empty() {
-            agree(&mut labels, self.text.len(), surfaces).map_err(LabelError::Surfaces)?;
-        }
-        Ok(labels)
+        Ok(label_agreeing(features, classes, &self.settings.options, agreement)?.labels)
     }
 
     /// Scores classes of the Gaussians, -1 for none. `[N]`

@@ -3,11 +3,11 @@
 use crate::inference::{EncodeError, SceneFeatures};
 use crate::text::text_rows;
 use scenesplat_metrics::{
-    FeatureFn, FeatureRows, MetricError, TextRows, UnknownRule, ZeroShotOptions, classify,
-    keep_withheld, vote,
+    FeatureFn, FeatureRows, MetricError, TextRows, UnknownRule, ZeroShotOptions,
+    class_probabilities, classify, keep_withheld, vote,
 };
 use scenesplat_objects::ObjectError;
-use scenesplat_objects::surfaces::{Surfaces, agree};
+use scenesplat_objects::surfaces::{AgreeSettings, ClassShares, SceneSurfaces, agree};
 use scenesplat_scene::TextTable;
 use std::borrow::Cow;
 
@@ -32,6 +32,12 @@ pub enum LabelError {
     /// Surfaces that cannot be found, or are of another scene.
     #[error(transparent)]
     Surfaces(#[from] ObjectError),
+    /// A probability is asked for, and nothing says what cosines have to be divided by for one.
+    #[error(
+        "a least probability needs a temperature, which only the network inside the program comes with; \
+         give a least cosine (--min-score)"
+    )]
+    NoTemperature,
     /// Texts, votes or settings that cannot be used.
     #[error(transparent)]
     Metric(#[from] MetricError),
@@ -145,13 +151,18 @@ pub fn label_gaussians(
     classes: Classes<'_>,
     options: &ZeroShotOptions,
 ) -> Result<Labels, LabelError> {
-    let distinct = label_distinct(features, classes, options)?;
+    Ok(of_gaussians(features, &label_distinct(features, classes, options)?))
+}
+
+/// Labels of the distinct rows, given to the Gaussians that have them.
+fn of_gaussians(features: &SceneFeatures, distinct: &Labels) -> Labels {
     let of = |slot: &u32| *slot as usize;
-    Ok(Labels {
+    Labels {
         labels: features.inverse().iter().map(|s| distinct.labels[of(s)]).collect(),
         scores: features.inverse().iter().map(|s| distinct.scores[of(s)]).collect(),
-        ..distinct
-    })
+        num_unusable: distinct.num_unusable,
+        num_withheld: distinct.num_withheld,
+    }
 }
 
 /// As [`label_gaussians`], and then each Gaussian takes the class that most of its `k` nearest have
@@ -169,39 +180,146 @@ pub fn label_with_vote(
     coord: &[[f32; 3]],
     k: usize,
 ) -> Result<Labels, LabelError> {
-    label_on_surfaces(features, classes, options, coord, k, &[])
+    let mut found = label_gaussians(features, classes, options)?;
+    let keeps = options.unknown != UnknownRule::default();
+    settle_vote(&mut found, features, classes, coord, k, keeps)?;
+    Ok(found)
 }
 
-/// As [`label_with_vote`], and before the vote, Gaussians take the class of most of their `surfaces` ([`agree`]; none
-/// without any).
+/// What labels agree on, and how sure they have to be. The default: on nothing, and never mind.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Agreement<'a> {
+    /// Surfaces that are of one class each.
+    pub surfaces: Option<&'a SceneSurfaces>,
+    /// What cosines are divided by for the softmax that makes them probabilities; without it, all that speaks for a
+    /// class is that it is the best one. Of no effect on features that are probabilities.
+    pub temperature: Option<f32>,
+    /// Gaussians whose best class is less probable stay without one, 0..=1.
+    pub min_probability: Option<f32>,
+    /// Least surface of a piece of each class, square metres (see [`AgreeSettings::least_area`]); empty: any.
+    pub least_area: &'a [f64],
+}
+
+/// As [`label_gaussians`], and then labels agree on surfaces ([`agree`]). `[N]`
 ///
 /// # Errors
-/// As [`label_with_vote`]; also if the surfaces are of other Gaussians.
-pub fn label_on_surfaces(
+/// As [`label_gaussians`]; also if the surfaces are of other Gaussians, a probability is asked for without a
+/// temperature, or one of the two is out of range.
+pub fn label_agreeing(
     features: &SceneFeatures,
     classes: Classes<'_>,
     options: &ZeroShotOptions,
-    coord: &[[f32; 3]],
-    k: usize,
-    surfaces: &[Surfaces],
+    agreement: &Agreement<'_>,
 ) -> Result<Labels, LabelError> {
-    let mut found = label_gaussians(features, classes, options)?;
-    if !surfaces.is_empty() {
-        agree(&mut found.labels, classes.len(), surfaces)?;
-        if k < 2 {
-            rescore(features, classes, &found.labels, &mut found.scores)?;
+    if agreement.surfaces.is_none() && agreement.min_probability.is_none() {
+        return label_gaussians(features, classes, options);
+    }
+    let mut distinct = label_distinct(features, classes, options)?;
+    let shares = class_shares(features, classes, options, agreement, &distinct.labels)?;
+    if let Some(least) = agreement.min_probability {
+        if !(0.0..=1.0).contains(&least) {
+            let (field, value) = ("min_probability", f64::from(least));
+            return Err(MetricError::Setting { field, value, expected: "a number in 0..=1" }.into());
+        }
+        for (row, label) in distinct.labels.iter_mut().enumerate() {
+            let best = usize::try_from(*label).map_or(1.0, |c| shares[row * classes.len() + c]);
+            if best < least {
+                *label = -1;
+                distinct.num_withheld += 1;
+            }
         }
     }
-    if k > 1 {
-        let voters = features.voters();
-        let mut voted = vote(coord, &found.labels, voters, coord, k, classes.len())?;
-        if options.unknown != UnknownRule::default() {
-            keep_withheld(&found.labels, &mut voted);
-        }
-        rescore(features, classes, &voted, &mut found.scores)?;
-        found.labels = voted;
+    let mut found = of_gaussians(features, &distinct);
+    if let Some(surfaces) = agreement.surfaces {
+        let (row_of, num_classes) = (features.inverse(), classes.len());
+        let shares = ClassShares { row_of, rows: &shares, num_classes };
+        let settings =
+            AgreeSettings { least_area: agreement.least_area, ..AgreeSettings::default() };
+        agree(&mut found.labels, &shares, surfaces, &settings)?;
+        rescore(features, classes, &found.labels, &mut found.scores)?;
     }
     Ok(found)
+}
+
+/// As [`label_with_vote`], and before the vote labels agree as [`label_agreeing`] has it.
+///
+/// # Errors
+/// As [`label_with_vote`] and [`label_agreeing`].
+pub fn label_agreeing_with_vote(
+    features: &SceneFeatures,
+    classes: Classes<'_>,
+    options: &ZeroShotOptions,
+    agreement: &Agreement<'_>,
+    coord: &[[f32; 3]],
+    k: usize,
+) -> Result<Labels, LabelError> {
+    let mut found = label_agreeing(features, classes, options, agreement)?;
+    let keeps = options.unknown != UnknownRule::default() || agreement.min_probability.is_some();
+    settle_vote(&mut found, features, classes, coord, k, keeps)?;
+    Ok(found)
+}
+
+/// Lets neighbours vote, if they are to.
+fn settle_vote(
+    found: &mut Labels,
+    features: &SceneFeatures,
+    classes: Classes<'_>,
+    coord: &[[f32; 3]],
+    k: usize,
+    keeps_withheld: bool,
+) -> Result<(), LabelError> {
+    if k < 2 {
+        return Ok(());
+    }
+    let mut voted = vote(coord, &found.labels, features.voters(), coord, k, classes.len())?;
+    if keeps_withheld {
+        keep_withheld(&found.labels, &mut voted);
+    }
+    rescore(features, classes, &voted, &mut found.scores)?;
+    found.labels = voted;
+    Ok(())
+}
+
+/// How much speaks for each class in each distinct row. `[rows, classes]`
+fn class_shares(
+    features: &SceneFeatures,
+    classes: Classes<'_>,
+    options: &ZeroShotOptions,
+    agreement: &Agreement<'_>,
+    labels: &[i32],
+) -> Result<Vec<f32>, LabelError> {
+    let count = classes.len();
+    match (classes, agreement.temperature) {
+        (Classes::Texts(text), Some(temperature)) => {
+            let text = ComparableTexts::new(features, text)?;
+            let rows = distinct_rows(features)?;
+            Ok(class_probabilities(&rows, text.rows()?, options, temperature)?)
+        }
+        (Classes::Texts(_), None) => {
+            if agreement.min_probability.is_some() {
+                return Err(LabelError::NoTemperature);
+            }
+            let mut shares = vec![0.0; labels.len() * count];
+            for (row, label) in labels.iter().enumerate() {
+                if let Ok(class) = usize::try_from(*label) {
+                    shares[row * count + class] = 1.0;
+                }
+            }
+            Ok(shares)
+        }
+        (Classes::Probabilities(_), _) => {
+            let mut shares = features.slot_rows(0..features.num_slots())?;
+            for row in shares.chunks_exact_mut(count) {
+                for (class, share) in row.iter_mut().enumerate() {
+                    let is_allowed = options.candidates.as_ref().is_none_or(|m| m[class]);
+                    if !is_allowed || !share.is_finite() {
+                        *share = 0.0;
+                    }
+                }
+            }
+            Ok(shares)
+        }
+    }
 }
 
 /// Labels each distinct row.
@@ -293,4 +411,95 @@ fn rescore(
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use scenesplat_objects::surfaces::{SurfaceSettings, surfaces};
+
+    /// Two directions; the rows lie between them, the first for 1, the others for 0, some hardly.
+    fn case() -> (SceneFeatures, TextTable) {
+        let row = |degrees: f32| [degrees.to_radians().cos(), degrees.to_radians().sin()];
+        let rows: Vec<f32> = [47.0, 46.0, 10.0, 44.5, 0.0].into_iter().flat_map(row).collect();
+        let text = TextTable {
+            values: vec![1.0, 0.0, 0.0, 1.0],
+            dim: 2,
+            names: vec!["floor".to_owned(), "mug".to_owned()],
+        };
+        (SceneFeatures::from_rows(rows, 2).unwrap(), text)
+    }
+
+    fn labels(agreement: &Agreement<'_>) -> Result<Labels, LabelError> {
+        let (features, text) = case();
+        label_agreeing(&features, Classes::Texts(&text), &ZeroShotOptions::default(), agreement)
+    }
+
+    #[test]
+    fn least_probabilities_are_those_of_the_softmax() {
+        assert_eq!(labels(&Agreement::default()).unwrap().labels, [1, 1, 0, 0, 0]);
+        // At 0.1 the first has 1 / (1 + exp(−(sin 47° − cos 47°) / 0.1)) = 0.621, the second 0.561, the fourth 0.531.
+        let at = |least| Agreement {
+            temperature: Some(0.1),
+            min_probability: Some(least),
+            ..Agreement::default()
+        };
+        let of = |least| {
+            let found = labels(&at(least)).unwrap();
+            (found.labels, found.num_withheld)
+        };
+        assert_eq!(of(0.5), (vec![1, 1, 0, 0, 0], 0));
+        assert_eq!(of(0.55), (vec![1, 1, 0, -1, 0], 1));
+        assert_eq!(of(0.6), (vec![1, -1, 0, -1, 0], 2));
+        assert_eq!(of(0.63), (vec![-1, -1, 0, -1, 0], 3));
+        let scores = labels(&at(0.63)).unwrap().scores;
+        assert!((scores[0] - 47.0_f32.to_radians().sin()).abs() < 1e-6, "scores stay");
+        assert!(matches!(
+            labels(&Agreement { temperature: None, ..at(0.5) }),
+            Err(LabelError::NoTemperature)
+        ));
+        for bad in [at(1.1), at(f32::NAN), Agreement { temperature: Some(0.0), ..at(0.5) }] {
+            assert!(labels(&bad).is_err(), "{bad:?}");
+        }
+    }
+
+    #[test]
+    fn with_a_temperature_what_is_surer_counts_for_more() {
+        // One surface of all five: two are hardly for 1, one hardly for 0, two surely.
+        let coord: Vec<[f32; 3]> = (0..5).map(|i| [0.001 * i as f32, 0.0, 0.0]).collect();
+        let found = surfaces(&coord, &[[0.5; 3]; 5], &SurfaceSettings::default()).unwrap();
+        let on = Agreement { surfaces: Some(&found), ..Agreement::default() };
+        assert_eq!(labels(&on).unwrap().labels, [0; 5], "three to two");
+        let (features, text) = case();
+        let barred = ZeroShotOptions { candidates: Some(vec![false, true]), ..Default::default() };
+        let of = |agreement| label_agreeing(&features, Classes::Texts(&text), &barred, agreement);
+        let warm = Agreement { temperature: Some(0.05), ..on };
+        assert_eq!(labels(&warm).unwrap().labels, [0; 5], "two are sure");
+        assert_eq!(of(&warm).unwrap().labels, [1; 5], "what may not be predicted has no share");
+        // One surely for 1, two hardly for 0.
+        let rows = vec![0.6, 0.8, 0.714, 0.7, 0.72, 0.694];
+        let features = SceneFeatures::from_rows(rows, 2).unwrap();
+        let three = surfaces(&coord[..3], &[[0.5; 3]; 3], &SurfaceSettings::default()).unwrap();
+        let on = Agreement { surfaces: Some(&three), ..Agreement::default() };
+        let of = |agreement: &Agreement<'_>| {
+            let options = ZeroShotOptions::default();
+            label_agreeing(&features, Classes::Texts(&text), &options, agreement).unwrap().labels
+        };
+        assert_eq!(of(&Agreement::default()), [1, 0, 0]);
+        assert_eq!(of(&on), [0; 3]);
+        assert_eq!(of(&Agreement { temperature: Some(0.05), ..on }), [1; 3]);
+        // What comes as probabilities counts as it is (here: at unit length).
+        let rows = vec![0.4, 0.6, 0.45, 0.55, 0.9, 0.1];
+        let features = SceneFeatures::from_rows(rows, 2).unwrap();
+        let options = ZeroShotOptions::default();
+        let of = |agreement: &Agreement<'_>| {
+            label_agreeing(&features, Classes::Probabilities(2), &options, agreement)
+                .unwrap()
+                .labels
+        };
+        assert_eq!(of(&Agreement::default()), [1, 1, 0]);
+        assert_eq!(of(&on), [0; 3], "2.18 to 1.72");
+        let least = Agreement { min_probability: Some(0.8), ..Agreement::default() };
+        assert_eq!(of(&least), [1, -1, 0]);
+    }
 }

@@ -25,6 +25,7 @@
 //! ```
 
 pub mod alignment;
+pub mod calibration;
 pub mod capture;
 pub mod compensation;
 pub mod device;

@@ -1,20 +1,28 @@
-//! `--surfaces`: labels agree on what is one smooth surface of one color.
+//! `--surfaces` and `--min-probability`: labels agree on what is one smooth surface of one color, and stay out where the
+//! network is not sure.
 
+use crate::commands::WrongUse;
 use crate::commands::labelled::{Frame, frame};
 use crate::flags::Inference;
 use crate::session::Session;
 use anyhow::Result;
-use scenesplat::objects::surfaces::{SurfaceSettings, Surfaces, scene_surfaces};
+use scenesplat::calibration::Calibration;
+use scenesplat::labels::Agreement;
+use scenesplat::objects::surfaces::{SceneSurfaces, SurfaceSettings, scene_surfaces};
 use scenesplat::outputs::OpenedScene;
 
-/// Whether surfaces have one label each.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::Args)]
+/// What labels agree on, and how sure they have to be.
+#[derive(Debug, Clone, Copy, PartialEq, clap::Args)]
 pub struct SurfaceArgs {
-    /// Whether labels agree on smooth surfaces of one color, before neighbours vote: each Gaussian takes the label of
-    /// most of the surfaces that it is on. auto is on where the classes are those of the built-in vocabulary, as they
-    /// are for the network inside the program.
+    /// Whether labels agree on smooth surfaces of one color, before neighbours vote: each Gaussian takes the class for
+    /// which its surfaces speak most, and pieces too small for their class take the label of a neighbour. auto is on
+    /// where the classes are those of the built-in vocabulary, as they are for the network inside the program.
     #[arg(long, value_name = "WHAT", default_value = "auto")]
     pub surfaces: SurfaceChoice,
+    /// Leaves Gaussians unlabelled whose best class is less probable than this, 0 to 1. Of the network inside the
+    /// program with its own classes, whose probabilities are calibrated, or of a classifier.
+    #[arg(long, value_name = "P", value_parser = parse_probability)]
+    pub min_probability: Option<f32>,
 }
 
 /// What is done about surfaces.
@@ -28,32 +36,107 @@ pub enum SurfaceChoice {
     Off,
 }
 
+fn parse_probability(text: &str) -> Result<f32, String> {
+    let value: f32 = text.parse().map_err(|_| format!("{text:?} is no number"))?;
+    if (0.0..=1.0).contains(&value) { Ok(value) } else { Err("expected 0 to 1".to_owned()) }
+}
+
+/// What the classes are.
+#[derive(Debug, Clone, Copy)]
+pub struct Asked<'a> {
+    /// Their names.
+    pub names: &'a [String],
+    /// Whether they are those of the built-in vocabulary.
+    pub is_vocabulary: bool,
+    /// Whether the network inside the program looks for them.
+    pub is_own: bool,
+    /// Whether features are their probabilities.
+    pub is_classifier: bool,
+}
+
+/// What the labels of a scene agree on.
+#[derive(Debug)]
+pub struct Agreeing {
+    surfaces: Option<SceneSurfaces>,
+    temperature: Option<f32>,
+    min_probability: Option<f32>,
+    least_area: Vec<f64>,
+}
+
+impl Agreeing {
+    /// As the library takes it.
+    pub fn agreement(&self) -> Agreement<'_> {
+        Agreement {
+            surfaces: self.surfaces.as_ref(),
+            temperature: self.temperature,
+            min_probability: self.min_probability,
+            least_area: &self.least_area,
+        }
+    }
+}
+
 impl SurfaceArgs {
-    /// The surfaces of a scene, if labels are to agree on them, else none; `is_vocabulary`: whether the
-    /// classes are those of the built-in vocabulary.
+    /// The first flag that was given.
+    pub fn given(self) -> Option<&'static str> {
+        if self.surfaces != SurfaceChoice::Auto {
+            return Some("--surfaces");
+        }
+        self.min_probability.map(|_| "--min-probability")
+    }
+
+    /// What the labels of a scene are to agree on.
     pub fn find(
         self,
         session: &Session<'_>,
         opened: &OpenedScene,
         inference: &Inference,
-        is_vocabulary: bool,
-    ) -> Result<Vec<Surfaces>> {
+        asked: Asked<'_>,
+    ) -> Result<Agreeing> {
+        let Asked { names, is_vocabulary, is_own, is_classifier } = asked;
+        let calibration = if is_vocabulary { Some(Calibration::embedded()?) } else { None };
+        let temperature = calibration.as_ref().filter(|_| is_own).map(|c| c.temperature);
+        if let Some(least) = self.min_probability {
+            if temperature.is_none() && !is_classifier {
+                let text = "--min-probability: only cosines of the network inside the program with its own classes are \
+                            calibrated; give a least cosine (--min-score)";
+                return Err(WrongUse(text.to_owned()).into());
+            }
+            let meaning = "what is less probable stays unknown";
+            session.receipt.setting("min_probability", least, meaning);
+        }
+        if let Some(temperature) = temperature {
+            let meaning = "cosines over it are the logits of probabilities";
+            session.receipt.setting("temperature", temperature, meaning);
+        }
         let is_on = match self.surfaces {
             SurfaceChoice::Auto => is_vocabulary,
             SurfaceChoice::On => true,
             SurfaceChoice::Off => false,
         };
+        let mut agreeing = Agreeing {
+            surfaces: None,
+            temperature,
+            min_probability: self.min_probability,
+            least_area: calibration.map(|c| c.least_area(names)).unwrap_or_default(),
+        };
         if !is_on {
             session.receipt.setting("surfaces", "off", "each Gaussian has a label of its own");
-            return Ok(Vec::new());
+            return Ok(agreeing);
         }
         let _stage = session.receipt.stage("surfaces");
         let Frame { upright, metres_per_unit, .. } = frame(opened, inference);
         let settings = SurfaceSettings::default();
         let found = scene_surfaces(&opened.loaded.scene, &upright, metres_per_unit, &settings)?;
-        let counts: Vec<String> = found.iter().map(|of| of.count.to_string()).collect();
-        let meaning = "smooth pieces of one color, small to large, on which labels agree";
+        let counts: Vec<String> = found.scales.iter().map(|of| of.count.to_string()).collect();
+        let meaning = match agreeing.least_area.is_empty() {
+            true => "smooth pieces of one color, small to large, on which labels agree",
+            false => {
+                "smooth pieces of one color, small to large, on which labels agree; then what is too small for its \
+                 class takes the label of a neighbour"
+            }
+        };
         session.receipt.setting("surfaces", counts.join(" "), meaning);
-        Ok(found)
+        agreeing.surfaces = Some(found);
+        Ok(agreeing)
     }
 }

@@ -48,6 +48,7 @@
 //! # Ok::<(), scenesplat_metrics::MetricError>(())
 //! ```
 
+mod calibration;
 pub mod collapse;
 mod confusion_matrix;
 mod error;
@@ -67,6 +68,7 @@ mod text_rows;
 mod voting;
 mod zero_shot;
 
+pub use calibration::{Calibration, calibration, fit_temperature};
 pub use confusion_matrix::ConfusionMatrix;
 pub use error::MetricError;
 pub use metric::{Measurement, Metric};
@@ -80,7 +82,8 @@ pub use similarity::cosine_scores;
 pub use text_rows::TextRows;
 pub use voting::{keep_withheld, vote};
 pub use zero_shot::{
-    UnknownRule, ZeroShotLabels, ZeroShotOptions, classify, sigmoid_threshold_to_cosine,
+    UnknownRule, ZeroShotLabels, ZeroShotOptions, class_probabilities, classify,
+    sigmoid_threshold_to_cosine,
 };
 
 /// Exact nearest neighbours, re-exported from the kernels.

@@ -171,6 +171,61 @@ pub fn classify(
     Ok(found)
 }
 
+pub(crate) fn check_temperature(temperature: f32) -> Result<(), MetricError> {
+    match temperature > 0.0 && temperature.is_finite() {
+        true => Ok(()),
+        false => Err(MetricError::Setting {
+            field: "temperature",
+            value: temperature.into(),
+            expected: "a finite number above 0",
+        }),
+    }
+}
+
+/// How probable each class is to each feature row: the softmax of the cosines with the class texts, divided by
+/// `temperature`, over the candidates of `options`; 0 for the others, and in all of an unusable row. What
+/// [`classify`] withholds is not looked at. `[N, C]`, row-major
+///
+/// # Shapes
+/// - `features`: `[N, D]`, any norm from 1e-45 to 1e38 · `text`: `[C, D]`
+///
+/// # Errors
+/// As [`classify`]; also if the temperature is no finite number above 0.
+pub fn class_probabilities(
+    features: &dyn FeatureRows,
+    text: TextRows<'_>,
+    options: &ZeroShotOptions,
+    temperature: f32,
+) -> Result<Vec<f32>, MetricError> {
+    check_channels(features, text)?;
+    check_temperature(temperature)?;
+    let classes = text.num_classes();
+    let candidates = options.candidate_classes(classes)?;
+    let mut out = vec![0.0; features.num_rows() * classes];
+    let chunks = out.par_chunks_mut(CHUNK_ROWS * classes).enumerate();
+    let done: Result<(), MetricError> = chunks
+        .map_init(Scratch::default, |scratch, (chunk, out)| {
+            let start = chunk * CHUNK_ROWS;
+            let found = chunk_dots(features, text, start..start + out.len() / classes, scratch)?;
+            let rows = out.chunks_exact_mut(classes).zip(found.dots.chunks_exact(classes));
+            for ((out, dots), norm) in rows.zip(found.norms) {
+                let Some(norm) = *norm else { continue };
+                let largest = best_two(dots, &candidates).first;
+                let rate = 1.0 / (norm * f64::from(temperature));
+                let mut sum = 0.0;
+                for &class in &candidates {
+                    out[class] = (f64::from(dots[class] - largest) * rate).exp() as f32;
+                    sum += out[class];
+                }
+                candidates.iter().for_each(|&class| out[class] /= sum);
+            }
+            Ok(())
+        })
+        .collect();
+    done?;
+    Ok(out)
+}
+
 struct BestTwo {
     class: usize,
     first: f32,

@@ -9,7 +9,7 @@ use crate::material::ColorName;
 use crate::model::{OfPiece, Surface};
 use crate::place::{Footprint, Placed};
 use crate::recipe::{self, RoomKind};
-use crate::scan::{Scan, ScannedObject};
+use crate::scan::{self, Scan, ScannedObject};
 use crate::seen::seen;
 use crate::shape;
 use crate::splats::{self, Look, Owner, Rows, rounded_ln};
@@ -38,6 +38,8 @@ const FURNITURE: u64 = u64::MAX - 1;
 const WALK: u64 = u64::MAX - 2;
 /// Whether it is a flat, and which.
 const FLAT: u64 = u64::MAX - 3;
+/// Whether its objects have densities of their own, and which.
+const DENSITY: u64 = u64::MAX - 4;
 
 /// How the Gaussians of a room came about.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -80,6 +82,10 @@ pub struct SyntheticRoomSettings {
     pub flat_share: f64,
     /// How the Gaussians came about.
     pub capture: Capture,
+    /// Share of the rooms as made whose objects each have a density of their own, whatever they are, 0..=1: what
+    /// there is of a class tells no more how dense it is. Of [`Capture::Made`] alone, the others vary it anyway.
+    #[serde(skip_serializing_if = "is_none_of_them")]
+    pub density_variation: f64,
     /// Share of the rooms of which there is only what somebody saw who walked through with a camera, 0..=1: two
     /// to seven stops, some looks from each. Gaussians that hardly added to any picture are gone, and the
     /// others jittered so that the pictures stay what they were. Such a room has fewer Gaussians than asked for.
@@ -128,6 +134,7 @@ impl Default for SyntheticRoomSettings {
             points_share: 0.3,
             flat_share: 0.0,
             capture: Capture::Made,
+            density_variation: 0.0,
             seen_share: 0.0,
             furniture: None,
             furniture_share: USUAL_SHARE,
@@ -225,16 +232,19 @@ pub fn generate(settings: &SyntheticRoomSettings) -> Result<SyntheticRoom, RoomE
         (scan, rng)
     });
 
+    let mut rng_of_density = sample_rng(seed, room, DENSITY);
+    let own: Option<Vec<f64>> = match &scan {
+        Some((scan, _)) => Some(scan.objects.iter().map(|object| object.density).collect()),
+        None => (unit(&mut rng_of_density) < settings.density_variation)
+            .then(|| scan::densities(objects.len(), &mut rng_of_density)),
+    };
     let is_seen = |surface: &Surface| is_points || !surface.hidden;
-    let weight = |index: usize, s: &Surface| match &scan {
-        _ if !is_seen(s) => 0.0,
-        None => s.shape.area() * s.density,
-        Some((scan, _)) => s.shape.area() * scan.objects[index].density,
+    // Per square metre, of what is asked for.
+    let density_of = |index: usize, usual: f64| own.as_ref().map_or(usual, |own| own[index]);
+    let weight = |index: usize, s: &Surface| {
+        if is_seen(s) { s.shape.area() * density_of(index, s.density) } else { 0.0 }
     };
-    let of_piece = |index: usize, of: &OfPiece| {
-        let density = scan.as_ref().map_or(of.density, |(scan, _)| scan.objects[index].density);
-        of.area(is_points) * density
-    };
+    let of_piece = |index: usize, of: &OfPiece| of.area(is_points) * density_of(index, of.density);
     let mut weights: Vec<f64> = Vec::new();
     for (index, object) in objects.iter().enumerate() {
         weights.extend(object.model.surfaces.iter().map(|surface| weight(index, surface)));
@@ -373,6 +383,15 @@ impl SyntheticRoomSettings {
         }
         if !(0.0..=1.0).contains(&self.furniture_share) {
             return fail("furniture_share", self.furniture_share.to_string(), "a number in 0..=1");
+        }
+        let own = self.density_variation;
+        if !(0.0..=1.0).contains(&own) {
+            return fail("density_variation", own.to_string(), "a number in 0..=1");
+        }
+        if own > 0.0 && self.capture != Capture::Made {
+            let expected =
+                "0 unless `capture` is \"made\": the others give each object its density anyway";
+            return fail("density_variation", own.to_string(), expected);
         }
         let varied = self.furniture_variation;
         if !(0.0..=1.0).contains(&varied) {

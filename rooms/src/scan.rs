@@ -50,6 +50,11 @@ fn factor(rng: &mut SampleRng, low: f64, high: f64) -> f64 {
     (factor * STEPS).round() / STEPS
 }
 
+/// A density of each object, whatever it is: Gaussians per area, about 1 on average.
+pub(crate) fn densities(num_objects: usize, rng: &mut SampleRng) -> Vec<f64> {
+    (0..num_objects).map(|_| factor(rng, 0.35, 2.8)).collect()
+}
+
 impl Scan {
     pub(crate) fn new(size: V3, num_objects: usize, rng: &mut SampleRng) -> Self {
         let is_rough = chance(rng, 0.35);

@@ -276,6 +276,32 @@ fn neither_density_nor_size_tells_a_class_in_a_scan() {
 }
 
 #[test]
+fn densities_of_objects_own_tell_no_class_and_change_nothing_else() {
+    let varied = |room: u64, share: f64, capture: Capture| {
+        let density_variation = share;
+        generate(&SyntheticRoomSettings { density_variation, capture, ..settings(room, 40_000) })
+    };
+    let (made, own) =
+        (leaks(|room| make(room, 40_000)), leaks(|room| varied(room, 1.0, Capture::Made).unwrap()));
+    println!(
+        "spread of classes in density and size: made {made:?}, densities of their own {own:?}"
+    );
+    assert!(own[0] < 0.5 * made[0], "{own:?}, {made:?}");
+    assert!(own[1] > 0.7 * made[1], "sizes stay: {own:?}, {made:?}");
+    let half = (0..40).filter(|&room| {
+        let (before, after) = (make(room, 40_000), varied(room, 0.5, Capture::Made).unwrap());
+        assert_eq!(before.objects, after.objects);
+        before.scene != after.scene
+    });
+    assert!((10..=30).contains(&half.count()));
+    for (share, capture) in [(1.1, Capture::Made), (f64::NAN, Capture::Made), (0.5, Capture::Scan)]
+    {
+        let error = varied(0, share, capture).unwrap_err().to_string();
+        assert!(error.contains("density_variation"), "{error}");
+    }
+}
+
+#[test]
 fn scans_differ_in_density_and_reach_below_the_floor() {
     let rooms: Vec<SyntheticRoom> = (0..24).map(scanned).collect();
     let ratio = |room: usize| {

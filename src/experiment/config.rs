@@ -474,6 +474,6 @@ mod tests {
                 read += 1;
             }
         }
-        assert_eq!(read, 56);
+        assert_eq!(read, 57);
     }
 }

@@ -5,11 +5,11 @@ use super::classes::Classes;
 use crate::effects::{EffectArgs, Wish};
 use crate::flags::Inference;
 use crate::session::{FeatureSource, Session, Strangeness};
-use crate::surfaces::{SurfaceArgs, SurfaceChoice};
+use crate::surfaces::{Asked, SurfaceArgs};
 use anyhow::{Context, Result};
 use scenesplat::alignment::{Alignment, AlignmentSettings};
 use scenesplat::compensation::Consumer;
-use scenesplat::labels::{self, label_on_surfaces};
+use scenesplat::labels::{self, label_agreeing_with_vote};
 use scenesplat::objects::{Catalogue, ObjectInput, ObjectSettings, find_objects};
 use scenesplat::outputs::OpenedScene;
 use scenesplat::scene::frame::Matrix3;
@@ -159,9 +159,10 @@ impl LabelArgs {
             let text = "--strange is about a network, which --label-names leaves out";
             return Err(WrongUse(text.to_owned()).into());
         }
-        if self.surfaces.surfaces != SurfaceChoice::Auto {
-            let text = "--surfaces is about labels of a network, which --label-names leaves out";
-            return Err(WrongUse(text.to_owned()).into());
+        if let Some(flag) = self.surfaces.given() {
+            let text =
+                format!("{flag} is about labels of a network, which --label-names leaves out");
+            return Err(WrongUse(text).into());
         }
         if let Some(flag) = self.inference.only_network_flag() {
             let text = format!("{flag} is about a network, which --label-names leaves out");
@@ -205,8 +206,8 @@ impl Labelling<'_> {
             let text = "--strange is about the network inside the program, which is not used here";
             anyhow::Error::from(WrongUse(text.to_owned()))
         };
-        let asked = self.strange.strange;
-        if asked.is_some() && !(embedded && self.features.is_none()) {
+        let strange = self.strange.strange;
+        if strange.is_some() && !(embedded && self.features.is_none()) {
             return Err(not_own());
         }
         // A bad table is better found before the scene is read.
@@ -220,7 +221,7 @@ impl Labelling<'_> {
                 if needed { self.classes.text_table(embedded).map(drop) } else { Ok(()) }
             })?;
         let is_own = embedded && matches!(source, FeatureSource::Network(_));
-        if asked.is_some() && !is_own {
+        if strange.is_some() && !is_own {
             return Err(not_own());
         }
         let (labels_of, text) = if let Some(network) = source.classifier() {
@@ -240,11 +241,15 @@ impl Labelling<'_> {
             None => labels::Classes::Probabilities(labels_of.len()),
         };
         let is_vocabulary = text.is_some() && (is_own || self.classes.vocabulary()?.is_some());
-        let surfaces = self.surfaces.find(session, &opened, self.inference, is_vocabulary)?;
+        let is_classifier = text.is_none();
+        let asked = Asked { names: &labels_of.names, is_vocabulary, is_own, is_classifier };
+        let agreeing = self.surfaces.find(session, &opened, self.inference, asked)?;
         let mut found = {
             let _stage = session.receipt.stage("labels");
             session.receipt.setting("vote_k", self.vote_k, "neighbours that vote on each label");
-            label_on_surfaces(&features, classes, &options, &scene.coord, self.vote_k, &surfaces)?
+            let agreement = agreeing.agreement();
+            let k = self.vote_k;
+            label_agreeing_with_vote(&features, classes, &options, &agreement, &scene.coord, k)?
         };
         if found.num_withheld + found.num_unusable > 0 {
             session.progress.say(format!(
@@ -253,7 +258,7 @@ impl Labelling<'_> {
             ));
         }
         session.note_withheld(found.withhold(about.withheld()), "labels");
-        let least = match asked.unwrap_or(Strange::Auto) {
+        let least = match strange.unwrap_or(Strange::Auto) {
             Strange::Auto => Some(Strangeness::Clear),
             Strange::Unknown => Some(Strangeness::Some),
             Strange::Label => None,
@@ -266,7 +271,7 @@ impl Labelling<'_> {
                 false => "its labels are guesses; --strange unknown leaves them out",
             })?,
         };
-        if how.is_none() && asked == Some(Strange::Unknown) {
+        if how.is_none() && strange == Some(Strange::Unknown) {
             let text = "--strange unknown: these features do not tell how strange the scene is; leave it out, or the codes";
             return Err(WrongUse(text.to_owned()).into());
         }

@@ -1,5 +1,6 @@
 //! `--setting`: each part reaches the computation, and what cannot be used is refused by name.
 
+use crate::demo_scene::asset;
 use crate::{done, scenesplat, stderr, tiny};
 use scenesplat::rooms::{SyntheticRoomSettings, generate};
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
@@ -141,6 +142,52 @@ fn labels_agree_on_surfaces_by_themselves_or_as_asked_for() {
     let auto = figures(&[]);
     assert_eq!(auto, figures(&["--surfaces", "on"]));
     assert_ne!(auto, figures(&["--surfaces", "off"]));
+}
+
+#[test]
+fn what_is_less_probable_stays_unknown() {
+    let case = Case::new(20_000);
+    let unknown_of = |more: &[&str]| {
+        case.own("segment", "labels.npy", more);
+        let labels = NpyFile::open(&case.out().join("labels.npy")).unwrap().read_i64().unwrap();
+        labels.iter().filter(|label| **label < 0).count()
+    };
+    let unknown = |more: &[&str]| unknown_of(&[&["--surfaces", "off"][..], more].concat());
+    let found = ["0", "0.5", "0.9", "1"].map(|p| unknown(&["--min-probability", p]));
+    assert_eq!(case.receipt("min_probability").as_deref(), Some("1"));
+    let temperature: f32 = case.receipt("temperature").unwrap().parse().unwrap();
+    let stored = scenesplat::calibration::Calibration::embedded().unwrap().temperature;
+    assert_eq!(temperature, stored);
+    assert_eq!((found[0], unknown(&[])), (0, 0));
+    assert!(found[0] < found[1] && found[1] < found[2] && found[2] < found[3], "{found:?}");
+    assert!(found[1] < 10_000 && found[3] > 15_000, "{found:?}");
+    // Withheld labels have no say on surfaces, and get none there.
+    assert_eq!(unknown_of(&["--min-probability", "0.9"]), found[2]);
+    // In evaluations they are wrong.
+    let figures = |more: &[&str]| {
+        let out = case.out();
+        let args = [&["evaluate", "synthetic:1:3", "--out", out.to_str().unwrap()][..], more];
+        done(&scenesplat(&args.concat()));
+        let text = std::fs::read(out.join("evaluation.json")).unwrap();
+        let json: serde_json::Value = serde_json::from_slice(&text).unwrap();
+        json["macc"].as_f64().unwrap()
+    };
+    assert!(figures(&["--min-probability", "0.9"]) < figures(&[]) - 0.05);
+    // Cosines of other networks are not calibrated, and the truth has no probability.
+    let text = asset("classes.safetensors");
+    let half = ["--min-probability", "0.5"];
+    let with_text = [&half[..], &["--text", text.to_str().unwrap()]].concat();
+    let of_another = tiny("segment", &case.scene, &case.out(), &with_text);
+    let of_truth = [&["evaluate", "synthetic:1:3", "--features", "oracle"][..], &half].concat();
+    let scene = case.scene.to_str().unwrap();
+    for (failed, words) in [
+        (of_another, "calibrated; give a least cosine (--min-score)"),
+        (scenesplat(&of_truth), "--min-probability is about labels"),
+        (scenesplat(&["segment", scene, "--min-probability", "1.5"]), "expected 0 to 1"),
+    ] {
+        assert_eq!(failed.status.code(), Some(2));
+        assert!(stderr(&failed).contains(words), "{}", stderr(&failed));
+    }
 }
 
 #[test]

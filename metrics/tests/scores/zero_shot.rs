@@ -6,7 +6,7 @@ use crate::support::{in_all_pools, random_rows, rng, unit_rows};
 use rand::Rng;
 use scenesplat_metrics::{
     FeatureFn, FeatureRows, FeatureSlice, MetricError, TextRows, UnknownRule, ZeroShotLabels,
-    ZeroShotOptions, classify, cosine_scores, reference,
+    ZeroShotOptions, class_probabilities, classify, cosine_scores, reference,
 };
 
 /// Twice the rounding of 16 running sums over at most 50 blocks; measured errors are a tenth.
@@ -126,6 +126,59 @@ fn the_unknown_rule_withholds_by_score_and_by_margin() {
     assert_eq!(label(Some(0.9), Some(0.1)), [0, -1, -1]);
     assert_eq!(label(Some(f32::INFINITY), None), [-1, -1, -1]);
     assert_eq!(label(Some(f32::NEG_INFINITY), Some(f32::NEG_INFINITY)), [0, 0, 2]);
+}
+
+#[test]
+fn probabilities_are_the_softmax_of_cosines_over_a_temperature() {
+    let mut rng = rng(12);
+    let (dim, classes, n) = (24, 7, 700);
+    let units = unit_rows(&random_rows(&mut rng, classes, dim), dim);
+    let text = TextRows::new(&units, dim).unwrap();
+    let mut features = random_rows(&mut rng, n, dim);
+    // Any norm; and three rows without a direction.
+    features[..dim].iter_mut().for_each(|v| *v *= 1e30);
+    features[dim..2 * dim].iter_mut().for_each(|v| *v *= 1e-30);
+    features[2 * dim..3 * dim].fill(0.0);
+    features[3 * dim] = f32::NAN;
+    features[4 * dim] = f32::INFINITY;
+    let rows = FeatureSlice::new(&features, dim).unwrap();
+    for (temperature, mask) in
+        [(0.07, None), (1.5, Some([true, true, false, true, true, true, false]))]
+    {
+        let options =
+            ZeroShotOptions { candidates: mask.map(|m| m.to_vec()), ..Default::default() };
+        let found = class_probabilities(&rows, text, &options, temperature).unwrap();
+        let allowed = |c: usize| mask.is_none_or(|m| m[c]);
+        let mut worst: f64 = 0.0;
+        for (row, (p, f)) in found.chunks(classes).zip(features.chunks(dim)).enumerate() {
+            if (2..5).contains(&row) {
+                assert_eq!(p, [0.0; 7], "{row}");
+                continue;
+            }
+            let norm = f.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
+            let cosine = |c: usize| {
+                let t = &units[c * dim..][..dim];
+                f.iter().zip(t).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>() / norm
+            };
+            let weight = |c: usize| match allowed(c) {
+                true => (cosine(c) / f64::from(temperature)).exp(),
+                false => 0.0,
+            };
+            let sum: f64 = (0..classes).map(weight).sum();
+            for (c, p) in p.iter().enumerate() {
+                worst = worst.max((f64::from(*p) - weight(c) / sum).abs());
+            }
+        }
+        println!("probabilities at {temperature}: off by {worst:.1e} at most");
+        assert!(worst < 2e-6, "{worst}");
+    }
+    for bad in [0.0, -1.0, f32::NAN, f32::INFINITY] {
+        let options = ZeroShotOptions::default();
+        let error = class_probabilities(&rows, text, &options, bad).unwrap_err().to_string();
+        assert!(error.starts_with("temperature is"), "{error}");
+    }
+    let none = FeatureSlice::new(&[], dim).unwrap();
+    assert!(class_probabilities(&none, text, &ZeroShotOptions::default(), 1.0).unwrap().is_empty());
 }
 
 #[test]

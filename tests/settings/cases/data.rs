@@ -97,6 +97,13 @@ pub const CASES: &[Case] = &[
         Weights,
     ),
     row(
+        "train[*].source(synthetic).room.density_variation",
+        "language",
+        "/train/0/source/room/density_variation",
+        "1.0",
+        Weights,
+    ),
+    row(
         "train[*].source(synthetic).room.flat_share",
         "language",
         "/train/0/source/room/flat_share",

@@ -127,6 +127,13 @@ pub const CASES: &[Case] = &[
         Measured,
     ),
     row(
+        "evaluate[*].source(synthetic).room.density_variation",
+        "language",
+        "/evaluate/0/source/room/density_variation",
+        "1.0",
+        Measured,
+    ),
+    row(
         "evaluate[*].source(synthetic).room.flat_share",
         "language",
         "/evaluate/0/source/room/flat_share",

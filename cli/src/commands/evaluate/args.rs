@@ -119,7 +119,13 @@ impl Args {
             return Err(WrongUse(text).into());
         }
         match self.features.as_deref() {
-            Some(ORACLE) => Ok(None),
+            Some(ORACLE) => match self.surfaces.given() {
+                Some(flag) => {
+                    let text = format!("{flag} is about labels; --features oracle has none");
+                    Err(WrongUse(text).into())
+                }
+                None => Ok(None),
+            },
             Some(_) if scenes > 1 => {
                 let text = "--features FILE holds the features of one scene only";
                 Err(WrongUse(text.to_owned()).into())
@@ -179,6 +185,7 @@ impl Args {
             options: self.classes.options(&set)?,
             vote_k,
             voters_with_feature: self.vote_valid_only,
+            keeps_unknown: self.surfaces.min_probability.is_some(),
             seed: self.inference.seed,
         })
     }

@@ -7,6 +7,7 @@ mod scenes;
 use super::WrongUse;
 use crate::effects::Wish;
 use crate::session::{FeatureSource, Session};
+use crate::surfaces::Asked;
 use anyhow::{Result, anyhow};
 pub use args::Args;
 pub use report::tell as tell_report;
@@ -84,10 +85,12 @@ fn score(
     let features = session.features(opened, source, &args.inference, &about)?;
     let is_classifier = source.classifier().is_some();
     let is_vocabulary = !is_classifier && args.has_vocabulary(source)?;
-    let surfaces = args.surfaces.find(session, opened, &args.inference, is_vocabulary)?;
+    let is_own = source.is_network() && args.inference.network.is_embedded();
+    let asked = Asked { names: evaluation.names(), is_vocabulary, is_own, is_classifier };
+    let agreeing = args.surfaces.find(session, opened, &args.inference, asked)?;
     let labels = {
         let _stage = session.receipt.stage("labels");
-        evaluation.label_on_surfaces(&features, is_classifier, &surfaces)?
+        evaluation.label_agreeing(&features, is_classifier, &agreeing.agreement())?
     };
     let _stage = session.receipt.stage("score");
     let withheld = about.withheld_at(truth.places());
