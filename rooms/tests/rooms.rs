@@ -219,7 +219,7 @@ const SAME_SCANS: [u64; 2] = [0x88a4_70d7_2849_0036, 0xbede_dc05_0ba2_8c7f];
 
 /// Of each class, the mean over rooms of ln(density of its objects / density of the room), and of ln(size
 /// of its Gaussians / size in the room).
-fn leaks(make: fn(u64) -> SyntheticRoom) -> [f64; 2] {
+fn leaks(make: impl Fn(u64) -> SyntheticRoom) -> [f64; 2] {
     let mut of_class: BTreeMap<usize, Vec<[f64; 2]>> = BTreeMap::new();
     for room in 0..40 {
         let room = make(room);
