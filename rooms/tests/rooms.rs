@@ -287,7 +287,8 @@ fn densities_of_objects_own_tell_no_class_and_change_nothing_else() {
         "spread of classes in density and size: made {made:?}, densities of their own {own:?}"
     );
     assert!(own[0] < 0.5 * made[0], "{own:?}, {made:?}");
-    assert!(own[1] > 0.7 * made[1], "sizes stay: {own:?}, {made:?}");
+    // Gaussians are as large as they lie apart, so sizes tell less as well, but not nothing.
+    assert!(own[1] < 0.6 * made[1] && own[1] > 0.1 * made[1], "{own:?}, {made:?}");
     let half = (0..40).filter(|&room| {
         let (before, after) = (make(room, 40_000), varied(room, 0.5, Capture::Made).unwrap());
         assert_eq!(before.objects, after.objects);
