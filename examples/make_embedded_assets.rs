@@ -7,7 +7,7 @@ use candle_core::{DType, Device, Tensor};
 use scenesplat::calibration::Calibration;
 use scenesplat::experiment::export::write_model;
 use scenesplat::familiarity::Familiarity;
-use scenesplat::metrics::{FeatureSlice, calibration, cosine_scores, fit_temperature};
+use scenesplat::metrics::{FeatureSlice, cosine_scores, fit_temperature, probability_error};
 use scenesplat::network::config_beside;
 use scenesplat::objects::surfaces::{SurfaceSettings, surfaces};
 use scenesplat::rooms::{CLASSES, Capture, SyntheticRoomSettings, Vocabulary, generate};
@@ -141,24 +141,24 @@ fn calibrate(network: &Network, weights: String, assets: &Path) -> anyhow::Resul
         Ok((scores, truth))
     };
     let kinds = furniture()?;
-    let together = |seed: u64| -> anyhow::Result<(Vec<f32>, Vec<i32>)> {
-        let (mut scores, mut truth) = rows_of(seed, None)?;
-        let (more, of_more) = rows_of(seed, kinds[1].1.as_ref())?;
-        scores.extend(more);
-        truth.extend(of_more);
-        Ok((scores, truth))
+    let together = |rooms: &[(Vec<f32>, Vec<i32>)]| {
+        let (scores, truth): (Vec<_>, Vec<_>) = rooms.iter().cloned().unzip();
+        (scores.concat(), truth.concat())
     };
-    let (scores, truth) = together(SEEDS[0])?;
+    let fitted = [rows_of(SEEDS[0], None)?, rows_of(SEEDS[0], kinds[1].1.as_ref())?];
+    let (scores, truth) = together(&fitted);
     let temperature = fit_temperature(&scores, &truth, texts.len())?.context("no labels")?;
-    let (scores, truth) = together(SEEDS[1])?;
-    let ece = calibration(&scores, &truth, texts.len(), temperature)?.ece;
+    let others: Vec<_> = (kinds.iter())
+        .map(|(_, furniture)| rows_of(SEEDS[1], furniture.as_ref()))
+        .collect::<anyhow::Result<_>>()?;
+    let (scores, truth) = together(&others[..2]);
+    let ece = probability_error(&scores, &truth, texts.len(), temperature)?.ece;
     println!("temperature {temperature:.4}, ECE on other rooms {:.2} %", 100.0 * ece);
-    for (name, furniture) in &kinds {
-        let (scores, truth) = rows_of(SEEDS[1], furniture.as_ref())?;
-        let found = calibration(&scores, &truth, texts.len(), temperature)?;
+    for ((name, _), (scores, truth)) in kinds.iter().zip(&others) {
+        let found = probability_error(scores, truth, texts.len(), temperature)?;
         println!("{name}: NLL {:.3}, ECE {:.2} %", found.nll, 100.0 * found.ece);
         for least in [0.3, 0.4, 0.5, 0.6, 0.8] {
-            let (given, right) = given(&scores, &truth, texts.len(), temperature, least);
+            let (given, right) = given(scores, truth, texts.len(), temperature, least);
             println!(
                 "  at {least} and above: {given:.1} % of the Gaussians, {right:.1} % of them right"
             );

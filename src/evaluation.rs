@@ -7,7 +7,7 @@ pub use classes::{background, classes_of_labels, classes_of_rooms, own_direction
 pub use error::EvaluationError;
 
 use crate::inference::{EncodeError, EncodeProgress, SceneEncoder, SceneFeatures};
-use crate::labels::{Agreement, Classes, label_agreeing};
+use crate::labels::{Agreement, Classes, agreed_labels};
 use crate::network::Network;
 use crate::text::text_rows;
 use scenesplat_metrics::{
@@ -252,10 +252,10 @@ impl<'a> Evaluation<'a> {
         self.label_agreeing(features, classifier, &Agreement::default())
     }
 
-    /// As [`label`](Self::label), and then labels agree ([`label_agreeing`]). `[N]`
+    /// As [`label`](Self::label), and then labels agree ([`label_agreeing`](crate::labels::label_agreeing)). `[N]`
     ///
     /// # Errors
-    /// As [`label`](Self::label) and [`label_agreeing`].
+    /// As [`label`](Self::label) and [`label_agreeing`](crate::labels::label_agreeing).
     pub fn label_agreeing(
         &self,
         features: &SceneFeatures,
@@ -266,7 +266,7 @@ impl<'a> Evaluation<'a> {
             true => Classes::Probabilities(self.text.len()),
             false => Classes::Texts(self.text),
         };
-        Ok(label_agreeing(features, classes, &self.settings.options, agreement)?.labels)
+        Ok(agreed_labels(features, classes, &self.settings.options, agreement)?.labels)
     }
 
     /// Scores classes of the Gaussians, -1 for none. `[N]`

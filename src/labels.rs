@@ -211,6 +211,20 @@ pub fn label_agreeing(
     options: &ZeroShotOptions,
     agreement: &Agreement<'_>,
 ) -> Result<Labels, LabelError> {
+    let mut found = agreed_labels(features, classes, options, agreement)?;
+    if agreement.surfaces.is_some() {
+        rescore(features, classes, &found.labels, &mut found.scores)?;
+    }
+    Ok(found)
+}
+
+/// As [`label_agreeing`], but scores are those of the labels before they agreed.
+pub(crate) fn agreed_labels(
+    features: &SceneFeatures,
+    classes: Classes<'_>,
+    options: &ZeroShotOptions,
+    agreement: &Agreement<'_>,
+) -> Result<Labels, LabelError> {
     if agreement.surfaces.is_none() && agreement.min_probability.is_none() {
         return label_gaussians(features, classes, options);
     }
@@ -236,7 +250,6 @@ pub fn label_agreeing(
         let settings =
             AgreeSettings { least_area: agreement.least_area, ..AgreeSettings::default() };
         agree(&mut found.labels, &shares, surfaces, &settings)?;
-        rescore(features, classes, &found.labels, &mut found.scores)?;
     }
     Ok(found)
 }
@@ -253,7 +266,10 @@ pub fn label_agreeing_with_vote(
     coord: &[[f32; 3]],
     k: usize,
 ) -> Result<Labels, LabelError> {
-    let mut found = label_agreeing(features, classes, options, agreement)?;
+    if k < 2 {
+        return label_agreeing(features, classes, options, agreement);
+    }
+    let mut found = agreed_labels(features, classes, options, agreement)?;
     let keeps = options.unknown != UnknownRule::default() || agreement.min_probability.is_some();
     settle_vote(&mut found, features, classes, coord, k, keeps)?;
     Ok(found)

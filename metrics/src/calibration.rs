@@ -5,15 +5,43 @@ use crate::error::check_rows;
 use crate::zero_shot::check_temperature;
 use serde::Serialize;
 
+/// How sure answers were and how often right, by how sure they were: sums over any number of scenes.
+#[derive(Debug, Clone, Default)]
+pub struct ConfidenceBins {
+    /// Of each bin: answers, sum of their confidence, number that are right.
+    bins: [(f64, f64, f64); BINS],
+}
+
+impl ConfidenceBins {
+    /// Takes one answer in: its probability, 0..=1, and whether it is right.
+    pub fn add(&mut self, confidence: f64, right: bool) {
+        let bin = ((confidence * BINS as f64) as usize).min(BINS - 1);
+        let (count, sum, rights) = &mut self.bins[bin];
+        *count += 1.0;
+        *sum += confidence;
+        *rights += f64::from(u8::from(right));
+    }
+
+    /// Expected calibration error, 0..=1: mean distance of confidence from accuracy over 15 equal bins of confidence,
+    /// each as heavy as it is full. `None` without an answer.
+    ///
+    /// # Source
+    /// Guo et al., "On Calibration of Modern Neural Networks", ICML 2017, equation 3.
+    pub fn error(&self) -> Option<f64> {
+        let total: f64 = self.bins.iter().map(|b| b.0).sum();
+        let gap = |(_, sum, rights): &(f64, f64, f64)| (sum - rights).abs();
+        (total > 0.0).then(|| self.bins.iter().map(gap).sum::<f64>() / total)
+    }
+}
+
 /// How well probabilities of classes fit the truth.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
-pub struct Calibration {
+pub struct ProbabilityError {
     /// Rows with a truth.
     pub rows: usize,
     /// Mean of −ln of the probability of the true class.
     pub nll: f64,
-    /// The expected calibration error of 15 equal bins, 0..=1: the mean distance between how probable the likeliest
-    /// class is and how often it is right (Guo et al., *On Calibration of Modern Neural Networks*, ICML 2017).
+    /// The expected calibration error of the likeliest classes ([`ConfidenceBins::error`]), 0..=1.
     pub ece: f64,
 }
 
@@ -31,12 +59,12 @@ const RANGE: [f64; 2] = [1e-3, 10.0];
 ///
 /// # Errors
 /// If the lengths do not fit, a truth is no class, or the temperature is no finite number above 0.
-pub fn calibration(
+pub fn probability_error(
     scores: &[f32],
     truth: &[i32],
     num_classes: usize,
     temperature: f32,
-) -> Result<Calibration, MetricError> {
+) -> Result<ProbabilityError, MetricError> {
     check_temperature(temperature)?;
     check(scores, truth, num_classes)?;
     Ok(measure(scores, truth, num_classes, f64::from(temperature)))
@@ -46,7 +74,7 @@ pub fn calibration(
 /// section in its logarithm; the likelihood has one maximum in 1 / temperature. None without a row that counts.
 ///
 /// # Errors
-/// As [`calibration`].
+/// As [`probability_error`].
 pub fn fit_temperature(
     scores: &[f32],
     truth: &[i32],
@@ -89,9 +117,14 @@ fn check(scores: &[f32], truth: &[i32], num_classes: usize) -> Result<(), Metric
     }
 }
 
-fn measure(scores: &[f32], truth: &[i32], num_classes: usize, temperature: f64) -> Calibration {
-    let mut out = Calibration::default();
-    let mut bins = [[0.0; 2]; BINS];
+fn measure(
+    scores: &[f32],
+    truth: &[i32],
+    num_classes: usize,
+    temperature: f64,
+) -> ProbabilityError {
+    let mut out = ProbabilityError::default();
+    let mut bins = ConfidenceBins::default();
     for (row, truth) in scores.chunks_exact(num_classes).zip(truth) {
         let Ok(truth) = usize::try_from(*truth) else { continue };
         if !row.iter().all(|score| score.is_finite()) {
@@ -100,18 +133,12 @@ fn measure(scores: &[f32], truth: &[i32], num_classes: usize, temperature: f64) 
         let best = (1..row.len()).fold(0, |best, c| if row[c] > row[best] { c } else { best });
         let over = |c: usize| (f64::from(row[c]) - f64::from(row[best])) / temperature;
         let sum: f64 = (0..row.len()).map(|c| over(c).exp()).sum();
-        let likeliest = 1.0 / sum;
         out.rows += 1;
         out.nll += sum.ln() - over(truth);
-        let bin = &mut bins[((likeliest * BINS as f64) as usize).min(BINS - 1)];
-        bin[0] += likeliest;
-        bin[1] += f64::from(u8::from(best == truth));
+        bins.add(1.0 / sum, best == truth);
     }
-    if out.rows > 0 {
-        let rows = out.rows as f64;
-        out.nll /= rows;
-        out.ece = bins.iter().map(|[sure, right]| (sure - right).abs()).sum::<f64>() / rows;
-    }
+    out.nll /= out.rows.max(1) as f64;
+    out.ece = bins.error().unwrap_or_default();
     out
 }
 
@@ -144,7 +171,7 @@ mod tests {
             let (scores, truth) = drawn(due);
             let found = fit_temperature(&scores, &truth, 3).unwrap().unwrap();
             assert!((f64::from(found) / due - 1.0).abs() < 0.04, "{found} for {due}");
-            let at = |t| calibration(&scores, &truth, 3, t).unwrap();
+            let at = |t| probability_error(&scores, &truth, 3, t).unwrap();
             assert!(at(found).ece < 0.01, "{:?}", at(found));
             for other in [0.7 * found, 1.4 * found] {
                 assert!(at(other).nll > at(found).nll && at(other).ece > 0.02, "{:?}", at(other));
@@ -153,10 +180,24 @@ mod tests {
     }
 
     #[test]
+    fn confidence_is_compared_with_accuracy_bin_by_bin() {
+        let mut bins = ConfidenceBins::default();
+        assert_eq!(bins.error(), None);
+        // Ten with 0.9 confidence of which nine are right: calibrated.
+        (0..10).for_each(|i| bins.add(0.9, i > 0));
+        assert!(bins.error().unwrap() < 1e-12);
+        // Ten more with 0.5 of which none is right: off by a half, half of the weight.
+        (0..10).for_each(|_| bins.add(0.5, false));
+        assert!((bins.error().unwrap() - 0.25).abs() < 1e-12);
+        // Certain is in the last bin, not behind it.
+        bins.add(1.0, true);
+    }
+
+    #[test]
     fn figures_are_those_of_the_definition() {
         // Probabilities 3/4 and 1/4, twice; right once: |0.75 − 0.5|.
         let scores = [3.0_f32.ln(), 0.0, 3.0_f32.ln(), 0.0, 9.0, 1.0, f32::NAN, 0.0];
-        let found = calibration(&scores, &[0, 1, -1, 0], 2, 1.0).unwrap();
+        let found = probability_error(&scores, &[0, 1, -1, 0], 2, 1.0).unwrap();
         assert_eq!(found.rows, 2);
         assert!((found.ece - 0.25).abs() < 1e-6, "{found:?}");
         let due = -(0.75_f64.ln() + 0.25_f64.ln()) / 2.0;
@@ -165,13 +206,13 @@ mod tests {
 
     #[test]
     fn hard_input_has_a_stated_result() {
-        assert_eq!(calibration(&[], &[], 2, 1.0).unwrap(), Calibration::default());
+        assert_eq!(probability_error(&[], &[], 2, 1.0).unwrap(), ProbabilityError::default());
         assert_eq!(fit_temperature(&[1.0, f32::INFINITY], &[0], 2).unwrap(), None);
         assert_eq!(fit_temperature(&[1.0, 0.0], &[-1], 2).unwrap(), None);
         // Always right: as cold as it gets; always wrong: as warm.
         let ends = [0, 1].map(|truth| fit_temperature(&[1.0, 0.0], &[truth], 2).unwrap().unwrap());
         assert!(ends[0] < 0.1 && ends[1] > 9.9, "{ends:?}");
-        let far = calibration(&[3e38, -3e38], &[1], 2, 1e-3).unwrap();
+        let far = probability_error(&[3e38, -3e38], &[1], 2, 1e-3).unwrap();
         assert!(far.nll.is_finite() && far.nll > 1e38 && (far.ece - 1.0).abs() < 1e-12, "{far:?}");
         for (scores, truth, classes, t) in [
             (&[1.0, 0.0][..], &[0][..], 2, 0.0),
@@ -181,7 +222,10 @@ mod tests {
             (&[1.0, 0.0, 0.0], &[0], 2, 1.0),
             (&[], &[], 0, 1.0),
         ] {
-            assert!(calibration(scores, truth, classes, t).is_err(), "{scores:?} {truth:?} {t}");
+            assert!(
+                probability_error(scores, truth, classes, t).is_err(),
+                "{scores:?} {truth:?} {t}"
+            );
         }
     }
 }

@@ -68,7 +68,7 @@ mod text_rows;
 mod voting;
 mod zero_shot;
 
-pub use calibration::{Calibration, calibration, fit_temperature};
+pub use calibration::{ConfidenceBins, ProbabilityError, fit_temperature, probability_error};
 pub use confusion_matrix::ConfusionMatrix;
 pub use error::MetricError;
 pub use metric::{Measurement, Metric};

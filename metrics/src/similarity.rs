@@ -92,10 +92,24 @@ pub fn cosine_scores(
     features: &dyn FeatureRows,
     text: TextRows<'_>,
 ) -> Result<Vec<f32>, MetricError> {
+    rows_by_dots(features, text, |scores, dots, norm| {
+        for (score, &dot) in scores.iter_mut().zip(dots) {
+            *score = cosine(dot, norm);
+        }
+    })
+}
+
+/// A value of each class for each feature row, `[N, C]`, that `fill` writes from the dot products and the norm; 0 in
+/// rows without a direction.
+pub(crate) fn rows_by_dots(
+    features: &dyn FeatureRows,
+    text: TextRows<'_>,
+    fill: impl Fn(&mut [f32], &[f32], f64) + Sync,
+) -> Result<Vec<f32>, MetricError> {
     check_channels(features, text)?;
     let (n, c) = (features.num_rows(), text.num_classes());
-    let mut scores = vec![0.0; n * c];
-    let results: Vec<Result<(), MetricError>> = scores
+    let mut values = vec![0.0; n * c];
+    let results: Vec<Result<(), MetricError>> = values
         .par_chunks_mut(CHUNK_ROWS * c)
         .enumerate()
         .map_init(Scratch::default, |scratch, (chunk, out)| {
@@ -103,16 +117,15 @@ pub fn cosine_scores(
             let found = chunk_dots(features, text, start..start + out.len() / c, scratch)?;
             let rows = out.chunks_exact_mut(c).zip(found.dots.chunks_exact(c));
             for ((out, dots), norm) in rows.zip(found.norms) {
-                let Some(norm) = *norm else { continue };
-                for (score, &dot) in out.iter_mut().zip(dots) {
-                    *score = cosine(dot, norm);
+                if let Some(norm) = *norm {
+                    fill(out, dots, norm);
                 }
             }
             Ok(())
         })
         .collect();
     results.into_iter().collect::<Result<(), _>>()?;
-    Ok(scores)
+    Ok(values)
 }
 
 pub(crate) fn check_channels(

@@ -1,5 +1,5 @@
 use crate::error::check_rows;
-use crate::similarity::{CHUNK_ROWS, Scratch, check_channels, chunk_dots, cosine};
+use crate::similarity::{CHUNK_ROWS, Scratch, check_channels, chunk_dots, cosine, rows_by_dots};
 use crate::{FeatureRows, IGNORE, MetricError, TextRows};
 use rayon::prelude::*;
 
@@ -197,33 +197,18 @@ pub fn class_probabilities(
     options: &ZeroShotOptions,
     temperature: f32,
 ) -> Result<Vec<f32>, MetricError> {
-    check_channels(features, text)?;
     check_temperature(temperature)?;
-    let classes = text.num_classes();
-    let candidates = options.candidate_classes(classes)?;
-    let mut out = vec![0.0; features.num_rows() * classes];
-    let chunks = out.par_chunks_mut(CHUNK_ROWS * classes).enumerate();
-    let done: Result<(), MetricError> = chunks
-        .map_init(Scratch::default, |scratch, (chunk, out)| {
-            let start = chunk * CHUNK_ROWS;
-            let found = chunk_dots(features, text, start..start + out.len() / classes, scratch)?;
-            let rows = out.chunks_exact_mut(classes).zip(found.dots.chunks_exact(classes));
-            for ((out, dots), norm) in rows.zip(found.norms) {
-                let Some(norm) = *norm else { continue };
-                let largest = best_two(dots, &candidates).first;
-                let rate = 1.0 / (norm * f64::from(temperature));
-                let mut sum = 0.0;
-                for &class in &candidates {
-                    out[class] = (f64::from(dots[class] - largest) * rate).exp() as f32;
-                    sum += out[class];
-                }
-                candidates.iter().for_each(|&class| out[class] /= sum);
-            }
-            Ok(())
-        })
-        .collect();
-    done?;
-    Ok(out)
+    let candidates = options.candidate_classes(text.num_classes())?;
+    rows_by_dots(features, text, |out, dots, norm| {
+        let largest = best_two(dots, &candidates).first;
+        let rate = 1.0 / (norm * f64::from(temperature));
+        let mut sum = 0.0;
+        for &class in &candidates {
+            out[class] = (f64::from(dots[class] - largest) * rate).exp() as f32;
+            sum += out[class];
+        }
+        candidates.iter().for_each(|&class| out[class] /= sum);
+    })
 }
 
 struct BestTwo {

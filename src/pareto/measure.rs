@@ -3,7 +3,7 @@
 use super::ParetoError;
 use super::bootstrap::{f_miou_with_bounds, quantile_of};
 use super::grid::Written;
-use super::quality::{Calibration, Hits, add_scene};
+use super::quality::{Hits, add_scene};
 use super::record::{Kind, Record, SceneRecord, Stage};
 use crate::evaluation::{Evaluation, EvaluationSettings};
 use crate::inference::{SceneEncoder, SceneFeatures};
@@ -12,7 +12,9 @@ use crate::labels::{Classes, Labels, label_with_vote};
 use crate::machine::{Machine, peak_memory_bytes};
 use crate::network::Network;
 use crate::outputs::{FeatureType, OpenedScene, write_features_npy};
-use scenesplat_metrics::{ConfusionMatrix, Metric, SceneTruth, Scores, TesterReport, VoteRule};
+use scenesplat_metrics::{
+    ConfidenceBins, ConfusionMatrix, Metric, SceneTruth, Scores, TesterReport, VoteRule,
+};
 use scenesplat_scene::formats::npy::NpyFile;
 use scenesplat_scene::formats::npy_writer::write_npy;
 use scenesplat_scene::{ReadOptions, TextTable};
@@ -172,7 +174,7 @@ impl Job<'_> {
 #[derive(Default)]
 struct Quality {
     matrices: Vec<ConfusionMatrix>,
-    calibration: Calibration,
+    calibration: ConfidenceBins,
     hits: Hits,
     agreeing: usize,
     compared: usize,

@@ -4,22 +4,14 @@
 use super::ParetoError;
 use crate::inference::SceneFeatures;
 use crate::labels::ComparableTexts;
+use scenesplat_metrics::ConfidenceBins;
 use scenesplat_scene::TextTable;
 
 /// Cosines are divided by this before a softmax makes probabilities of them. It is the same for all
 /// settings, so that their calibration errors compare; docs/accuracy_time.md says where it comes from.
 pub const TEMPERATURE: f32 = 0.05;
-/// Bins of the calibration error, equally wide.
-const BINS: usize = 15;
 /// Feature rows looked at together.
 const BLOCK: usize = 2048;
-
-/// Sums over scenes from which the calibration error comes.
-#[derive(Debug, Clone, Default)]
-pub struct Calibration {
-    /// Of each bin: Gaussians, sum of their confidence, number that are right.
-    bins: [(f64, f64, f64); BINS],
-}
 
 /// How many queries hit, of how many.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -28,30 +20,6 @@ pub struct Hits {
     pub hits: usize,
     /// Classes that were asked for: those that the scene has.
     pub asked: usize,
-}
-
-impl Calibration {
-    /// Takes one label in: its probability, and whether it is right.
-    pub(crate) fn add(&mut self, confidence: f64, right: bool) {
-        let bin = ((confidence * BINS as f64) as usize).min(BINS - 1);
-        let (count, sum, rights) = &mut self.bins[bin];
-        *count += 1.0;
-        *sum += confidence;
-        *rights += f64::from(u8::from(right));
-    }
-
-    /// Expected calibration error: mean distance of confidence from accuracy over bins of confidence,
-    /// each as heavy as it is full. `None` where nothing was labelled.
-    ///
-    /// # Source
-    /// Guo et al., "On Calibration of Modern Neural Networks", 2017, equation 3.
-    pub fn error(&self) -> Option<f64> {
-        let total: f64 = self.bins.iter().map(|b| b.0).sum();
-        let gap = |(count, sum, rights): &(f64, f64, f64)| {
-            if *count > 0.0 { (sum - rights).abs() } else { 0.0 }
-        };
-        (total > 0.0).then(|| self.bins.iter().map(gap).sum::<f64>() / total)
-    }
 }
 
 /// Adds a scene: the confidence in each Gaussian's label against its truth, and for each class of the
@@ -63,7 +31,7 @@ impl Calibration {
 /// # Errors
 /// If features cannot be read.
 pub fn add_scene(
-    calibration: &mut Calibration,
+    calibration: &mut ConfidenceBins,
     features: &SceneFeatures,
     text: Option<&TextTable>,
     labels: &[i32],
@@ -227,26 +195,12 @@ mod tests {
     use crate::evaluation::own_directions;
 
     #[test]
-    fn confidence_is_compared_with_accuracy_bin_by_bin() {
-        let mut calibration = Calibration::default();
-        assert_eq!(calibration.error(), None);
-        // Ten with 0.9 confidence of which nine are right: calibrated.
-        (0..10).for_each(|i| calibration.add(0.9, i > 0));
-        assert!(calibration.error().unwrap() < 1e-12);
-        // Ten more with 0.5 of which none is right: off by a half, half of the weight.
-        (0..10).for_each(|_| calibration.add(0.5, false));
-        assert!((calibration.error().unwrap() - 0.25).abs() < 1e-12);
-        // Certain is in the last bin, not behind it.
-        calibration.add(1.0, true);
-    }
-
-    #[test]
     fn a_query_hits_if_its_best_gaussian_is_of_the_class() {
         let names = ["wall", "chair", "lamp"].map(str::to_owned).to_vec();
         let text = own_directions(names).unwrap();
         let rows = vec![1.0, 0.0, 0.0, 0.6, 0.8, 0.0, 0.0, 1.0, 0.0];
         let features = SceneFeatures::from_rows(rows, 3).unwrap();
-        let mut calibration = Calibration::default();
+        let mut calibration = ConfidenceBins::default();
         let mut hits = |truth: &[i32]| {
             add_scene(&mut calibration, &features, Some(&text), &[0, 1, 1], truth).unwrap()
         };
@@ -257,7 +211,7 @@ mod tests {
         // Two numbers hold all of these rows: as codes they answer the same, as surely.
         let error = calibration.error().unwrap();
         let codes = features.into_codes(2).unwrap();
-        let mut calibration = Calibration::default();
+        let mut calibration = ConfidenceBins::default();
         let mut hits = |truth: &[i32]| {
             add_scene(&mut calibration, &codes, Some(&text), &[0, 1, 1], truth).unwrap()
         };

@@ -4,11 +4,11 @@ use super::SeverityError;
 use super::report::SeverityPoint;
 use crate::evaluation::background;
 use crate::labels::{Classes, label_with_vote};
-use crate::pareto::quality::{Calibration, Sureness, sureness};
+use crate::pareto::quality::{Sureness, sureness};
 use crate::{Network, SceneEncoder, WeightOptions, Weights, embedded};
 use scenesplat_datasets::Anchor;
 use scenesplat_datasets::effects::Simulated;
-use scenesplat_metrics::{ConfusionMatrix, Metric, ZeroShotOptions};
+use scenesplat_metrics::{ConfidenceBins, ConfusionMatrix, Metric, ZeroShotOptions};
 use scenesplat_scene::{GaussianScene, LabelSet, TextTable};
 
 /// Neighbours that vote, as in the paper.
@@ -84,7 +84,7 @@ impl Bench {
         rooms: impl Iterator<Item = (&'a GaussianScene, &'a Labelled)>,
     ) -> Result<SeverityPoint, SeverityError> {
         let mut matrix = ConfusionMatrix::new(self.texts.len())?.with_excluded(&self.excluded)?;
-        let mut calibration = Calibration::default();
+        let mut calibration = ConfidenceBins::default();
         let (mut sum, mut unknown, mut count) = (0.0, 0u32, 0u32);
         let mut others = [0.0; SeverityPoint::OTHERS.len()];
         for (scene, Labelled { labels, sure }) in rooms {

@@ -43,6 +43,13 @@ impl Case {
         done(&scenesplat(&args));
         std::fs::read(out.join(file)).unwrap()
     }
+    /// What an evaluation of a made room writes.
+    fn evaluated(&self, more: &[&str]) -> serde_json::Value {
+        let out = self.out();
+        let args = [&["evaluate", "synthetic:1:3", "--out", out.to_str().unwrap()][..], more];
+        done(&scenesplat(&args.concat()));
+        serde_json::from_slice(&std::fs::read(out.join("evaluation.json")).unwrap()).unwrap()
+    }
     fn receipt(&self, name: &str) -> Option<String> {
         let text = std::fs::read(self.out().join("receipt.json")).unwrap();
         let json: serde_json::Value = serde_json::from_slice(&text).unwrap();
@@ -106,13 +113,8 @@ fn votes_and_networks_are_parts_too() {
     let by_name = case.own("features", "features.npy", &seeded);
     assert_eq!(by_name, case.tiny("features.npy", &[]));
     // Evaluation as well, without a receipt of its own votes.
-    let room = "synthetic:1:3";
     let figures = |more: &[&str]| {
-        let out = case.out();
-        let args = [&["evaluate", room, "--out", out.to_str().unwrap()][..], more].concat();
-        done(&scenesplat(&args));
-        let text = std::fs::read(out.join("evaluation.json")).unwrap();
-        let json: serde_json::Value = serde_json::from_slice(&text).unwrap();
+        let json = case.evaluated(more);
         (json["miou"].clone(), json["vote_k"].clone())
     };
     let coarse = figures(&["--setting", "voxel=0.2,k=1"]);
@@ -131,14 +133,7 @@ fn labels_agree_on_surfaces_by_themselves_or_as_asked_for() {
     assert_eq!(case.receipt("surfaces").as_deref(), Some("off"));
     case.own("objects", "objects.json", &[]);
     assert_eq!(case.receipt("surfaces"), Some(counts));
-    let figures = |more: &[&str]| {
-        let out = case.out();
-        let args = [&["evaluate", "synthetic:1:3", "--out", out.to_str().unwrap()][..], more];
-        done(&scenesplat(&args.concat()));
-        let text = std::fs::read(out.join("evaluation.json")).unwrap();
-        let json: serde_json::Value = serde_json::from_slice(&text).unwrap();
-        json["miou"].clone()
-    };
+    let figures = |more: &[&str]| case.evaluated(more)["miou"].clone();
     let auto = figures(&[]);
     assert_eq!(auto, figures(&["--surfaces", "on"]));
     assert_ne!(auto, figures(&["--surfaces", "off"]));
@@ -164,14 +159,7 @@ fn what_is_less_probable_stays_unknown() {
     // Withheld labels have no say on surfaces, and get none there.
     assert_eq!(unknown_of(&["--min-probability", "0.9"]), found[2]);
     // In evaluations they are wrong.
-    let figures = |more: &[&str]| {
-        let out = case.out();
-        let args = [&["evaluate", "synthetic:1:3", "--out", out.to_str().unwrap()][..], more];
-        done(&scenesplat(&args.concat()));
-        let text = std::fs::read(out.join("evaluation.json")).unwrap();
-        let json: serde_json::Value = serde_json::from_slice(&text).unwrap();
-        json["macc"].as_f64().unwrap()
-    };
+    let figures = |more: &[&str]| case.evaluated(more)["macc"].as_f64().unwrap();
     assert!(figures(&["--min-probability", "0.9"]) < figures(&[]) - 0.05);
     // Cosines of other networks are not calibrated, and the truth has no probability.
     let text = asset("classes.safetensors");

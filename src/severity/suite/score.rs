@@ -6,10 +6,10 @@ use super::LABELS;
 use super::report::Figures;
 use crate::compensation::{Compensation, plan_of};
 use crate::labels::{Classes, label_with_vote};
-use crate::pareto::quality::{Calibration, sureness};
+use crate::pareto::quality::sureness;
 use crate::{Alignment, SceneEncoder};
 use scenesplat_datasets::effects::plan::EffectChoices;
-use scenesplat_metrics::{ConfusionMatrix, Metric, ZeroShotOptions};
+use scenesplat_metrics::{ConfidenceBins, ConfusionMatrix, Metric, ZeroShotOptions};
 use scenesplat_scene::GaussianScene;
 use std::time::Instant;
 
@@ -69,7 +69,7 @@ impl Score {
     pub(super) fn figures(&self, mode: &str, bench: &Bench) -> Result<Figures, SeverityError> {
         let mut matrix = ConfusionMatrix::new(bench.texts.len())?.with_excluded(&bench.excluded)?;
         matrix.update((&self.labels, &self.truth))?;
-        let (mut calibration, mut unknown, mut right) = (Calibration::default(), 0usize, 0usize);
+        let (mut calibration, mut unknown, mut right) = (ConfidenceBins::default(), 0usize, 0usize);
         for ((label, truth), confidence) in
             self.labels.iter().zip(&self.truth).zip(&self.confidence)
         {
