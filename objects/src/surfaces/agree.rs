@@ -396,6 +396,22 @@ mod tests {
     }
 
     #[test]
+    fn small_behind_small_gives_way_in_the_next_round() {
+        // 0 0 0 1 2: beside the 2 there is only a 1 that is too small itself, until it has become 0.
+        let labels = [0, 0, 0, 1, 2];
+        let of: Vec<u32> = (0..5).collect();
+        let found = made_of(vec![scale(&of, 5)], (1..5).map(|i| [i - 1, i]).collect());
+        let mut rows = one_hot(&labels, 3);
+        rows[3 * 3..].copy_from_slice(&[0.4, 0.6, 0.0, 0.3, 0.1, 0.6]);
+        let shares = ClassShares { row_of: &of, rows: &rows, num_classes: 3 };
+        let mut now = labels;
+        let least_area = &[0.0, 1.5, 1.5];
+        let settings = AgreeSettings { least_area, ..AgreeSettings::default() };
+        assert_eq!(agree(&mut now, &shares, &found, &settings).unwrap().small, 2);
+        assert_eq!(now, [0; 5]);
+    }
+
+    #[test]
     fn what_does_not_belong_together_is_refused() {
         let (found, labels) = row_of_cells();
         let (row_of, rows) = (vec![0; labels.len()], vec![0.25; 4]);
