@@ -78,9 +78,10 @@ fn main() -> anyhow::Result<()> {
         })
         .collect::<anyhow::Result<_>>()?;
     let encoder = SceneEncoder::new(&network);
-    let calibration = Calibration::embedded()?;
-    let temperature = matches!(weights, Weights::Embedded).then_some(calibration.temperature);
-    let least_area = calibration.least_area(&texts.names);
+    let calibration = Calibration::of(&weights)?;
+    let temperature = calibration.as_ref().map(|own| own.temperature);
+    let sizes = calibration.map_or_else(Calibration::embedded, Ok)?;
+    let least_area = sizes.least_area(&texts.names);
     let agreement = Agreement { temperature, least_area: &least_area, ..Agreement::default() };
     println!("{:<30} {:>7} {:>7} {:>7}", "%", "present", "f-mIoU", "right");
     for (name, edit) in EDITS.iter().filter(|(name, _)| name.contains(&wanted)) {

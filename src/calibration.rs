@@ -1,9 +1,13 @@
-//! What makes the answers of the network inside the program comparable with the world: at which temperature its cosines
+//! What makes the answers of a network comparable with the world: at which temperature its cosines
 //! are probabilities, and how much surface a thing of each class has at least.
 
-use crate::network::NetworkError;
+use crate::network::{NetworkError, Weights};
 use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
+
+/// Its name in the folder of a network.
+const FILE: &str = "calibration.json";
 
 const EMBEDDED: &str = include_str!("../assets/embedded/calibration.json");
 
@@ -34,6 +38,33 @@ impl Calibration {
             .map_err(NetworkError::config("assets/embedded/calibration.json"))
     }
 
+    /// That of these weights: the network inside the program has one, and a folder in which a `calibration.json` lies
+    /// beside `model.safetensors`.
+    ///
+    /// # Errors
+    /// If the file cannot be read, or is of other weights.
+    pub fn of(weights: &Weights) -> Result<Option<Self>, NetworkError> {
+        let folder = match weights {
+            Weights::Embedded => return Self::embedded().map(Some),
+            Weights::File(folder) if folder.join(FILE).is_file() => folder,
+            _ => return Ok(None),
+        };
+        let path = folder.join(FILE);
+        let text = std::fs::read_to_string(&path).map_err(NetworkError::config(&path))?;
+        let found: Self = serde_json::from_str(&text).map_err(NetworkError::config(&path))?;
+        let values = folder.join("model.safetensors");
+        let values = std::fs::read(&values).map_err(NetworkError::config(&values))?;
+        let hash: String = Sha256::digest(values).iter().map(|b| format!("{b:02x}")).collect();
+        if found.weights != hash {
+            let problem = format!(
+                "it is of the weights {}, beside it are {hash}; remove it, or make it again",
+                found.weights
+            );
+            return Err(NetworkError::config(&path)(problem));
+        }
+        Ok(Some(found))
+    }
+
     /// Least surface of a piece of each class, square metres; 0 for names that it does not know. `[names]`
     pub fn least_area(&self, names: &[String]) -> Vec<f64> {
         names
@@ -60,6 +91,26 @@ mod tests {
         let least = own.least_area(&names);
         assert!(least.iter().all(|area| *area > 0.0 && *area < 10.0), "{least:?}");
         assert_eq!(own.least_area(&["throne".to_owned()]), [0.0]);
+    }
+
+    #[test]
+    fn it_lies_beside_weights_and_is_of_no_others() {
+        let folder = tempfile::tempdir().unwrap();
+        let weights = Weights::File(folder.path().to_owned());
+        assert_eq!(Calibration::of(&weights).unwrap(), None);
+        assert_eq!(Calibration::of(&Weights::Seeded(3)).unwrap(), None);
+        let own = Calibration::embedded().unwrap();
+        assert_eq!(Calibration::of(&Weights::Embedded).unwrap(), Some(own));
+        let assets = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/embedded");
+        for name in [FILE, "model.safetensors"] {
+            std::fs::copy(assets.join(name), folder.path().join(name)).unwrap();
+        }
+        assert_eq!(Calibration::of(&weights).unwrap(), Some(Calibration::embedded().unwrap()));
+        std::fs::write(folder.path().join("model.safetensors"), "others").unwrap();
+        let error = Calibration::of(&weights).unwrap_err();
+        let source = std::error::Error::source(&error).map(ToString::to_string);
+        let said = format!("{error} {}", source.unwrap_or_default());
+        assert!(said.contains(FILE) && said.contains("make it again"), "{said}");
     }
 
     /// Things of rooms are as large as it says, or the table is of other classes.

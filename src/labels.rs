@@ -34,7 +34,7 @@ pub enum LabelError {
     Surfaces(#[from] ObjectError),
     /// A probability is asked for, and nothing says what cosines have to be divided by for one.
     #[error(
-        "a least probability needs a temperature, which only the network inside the program comes with; \
+        "a least probability needs a temperature, such as the network inside the program comes with; \
          give a least cosine (--min-score)"
     )]
     NoTemperature,

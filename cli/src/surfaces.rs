@@ -19,8 +19,8 @@ pub struct SurfaceArgs {
     /// where the classes are those of the built-in vocabulary, as they are for the network inside the program.
     #[arg(long, value_name = "WHAT", default_value = "auto")]
     pub surfaces: SurfaceChoice,
-    /// Leaves Gaussians unlabelled whose best class is less probable than this, 0 to 1. Of the network inside the
-    /// program with its own classes, whose probabilities are calibrated, or of a classifier.
+    /// Leaves Gaussians unlabelled whose best class is less probable than this, 0 to 1. Of a network whose
+    /// probabilities are calibrated, such as the one inside the program, with the classes of the vocabulary, or of a classifier.
     #[arg(long, value_name = "P", value_parser = parse_probability)]
     pub min_probability: Option<f32>,
 }
@@ -48,8 +48,8 @@ pub struct Asked<'a> {
     pub names: &'a [String],
     /// Whether they are those of the built-in vocabulary.
     pub is_vocabulary: bool,
-    /// Whether the network inside the program looks for them.
-    pub is_own: bool,
+    /// Whether a network looks for them, not features made before.
+    pub is_network: bool,
     /// Whether features are their probabilities.
     pub is_classifier: bool,
 }
@@ -92,13 +92,21 @@ impl SurfaceArgs {
         inference: &Inference,
         asked: Asked<'_>,
     ) -> Result<Agreeing> {
-        let Asked { names, is_vocabulary, is_own, is_classifier } = asked;
-        let calibration = if is_vocabulary { Some(Calibration::embedded()?) } else { None };
-        let temperature = calibration.as_ref().filter(|_| is_own).map(|c| c.temperature);
+        let Asked { names, is_vocabulary, is_network, is_classifier } = asked;
+        let own = match is_vocabulary && is_network {
+            true => Calibration::of(&inference.network.weights()?)?,
+            false => None,
+        };
+        let temperature = own.as_ref().map(|own| own.temperature);
+        // How large things are does not depend on who looks at them.
+        let sizes = match own {
+            None if is_vocabulary => Some(Calibration::embedded()?),
+            own => own,
+        };
         if let Some(least) = self.min_probability {
             if temperature.is_none() && !is_classifier {
-                let text = "--min-probability: only cosines of the network inside the program with its own classes are \
-                            calibrated; give a least cosine (--min-score)";
+                let text = "--min-probability: cosines of this network with these classes are not calibrated, as those of the \
+                            network inside the program with its own are; give a least cosine (--min-score)";
                 return Err(WrongUse(text.to_owned()).into());
             }
             let meaning = "what is less probable stays unknown";
@@ -117,7 +125,7 @@ impl SurfaceArgs {
             surfaces: None,
             temperature,
             min_probability: self.min_probability,
-            least_area: calibration.map(|c| c.least_area(names)).unwrap_or_default(),
+            least_area: sizes.map(|sizes| sizes.least_area(names)).unwrap_or_default(),
         };
         if !is_on {
             session.receipt.setting("surfaces", "off", "each Gaussian has a label of its own");

@@ -241,8 +241,8 @@ impl Labelling<'_> {
             None => labels::Classes::Probabilities(labels_of.len()),
         };
         let is_vocabulary = text.is_some() && (is_own || self.classes.vocabulary()?.is_some());
-        let is_classifier = text.is_none();
-        let asked = Asked { names: &labels_of.names, is_vocabulary, is_own, is_classifier };
+        let (is_network, is_classifier) = (source.is_network(), text.is_none());
+        let asked = Asked { names: &labels_of.names, is_vocabulary, is_network, is_classifier };
         let agreeing = self.surfaces.find(session, &opened, self.inference, asked)?;
         let mut found = {
             let _stage = session.receipt.stage("labels");

@@ -169,7 +169,7 @@ fn what_is_less_probable_stays_unknown() {
     let of_truth = [&["evaluate", "synthetic:1:3", "--features", "oracle"][..], &half].concat();
     let scene = case.scene.to_str().unwrap();
     for (failed, words) in [
-        (of_another, "calibrated; give a least cosine (--min-score)"),
+        (of_another, "give a least cosine (--min-score)"),
         (scenesplat(&of_truth), "--min-probability is about labels"),
         (scenesplat(&["segment", scene, "--min-probability", "1.5"]), "expected 0 to 1"),
     ] {

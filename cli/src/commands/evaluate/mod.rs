@@ -85,8 +85,8 @@ fn score(
     let features = session.features(opened, source, &args.inference, &about)?;
     let is_classifier = source.classifier().is_some();
     let is_vocabulary = !is_classifier && args.has_vocabulary(source)?;
-    let is_own = source.is_network() && args.inference.network.is_embedded();
-    let asked = Asked { names: evaluation.names(), is_vocabulary, is_own, is_classifier };
+    let is_network = source.is_network();
+    let asked = Asked { names: evaluation.names(), is_vocabulary, is_network, is_classifier };
     let agreeing = args.surfaces.find(session, opened, &args.inference, asked)?;
     let labels = {
         let _stage = session.receipt.stage("labels");
