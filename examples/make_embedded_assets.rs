@@ -87,7 +87,11 @@ fn mean_of(models: &[PathBuf]) -> anyhow::Result<HashMap<String, Tensor>> {
     };
     let mut sums = HashMap::new();
     for (nth, model) in models.iter().enumerate() {
-        for (name, tensor) in read(model)? {
+        let own = read(model)?;
+        if nth > 0 && own.len() != sums.len() {
+            anyhow::bail!("{}: {} names, the first has {}", model.display(), own.len(), sums.len());
+        }
+        for (name, tensor) in own {
             let is_number = tensor.dtype().is_float();
             let value = if is_number { tensor.to_dtype(DType::F64)? } else { tensor };
             let sum = match (sums.remove(&name), nth) {
