@@ -219,7 +219,7 @@ fn narrow_matrices_compute_in_f32() {
     for (k, n, want) in [(63, 64, false), (64, 63, false), (64, 64, true), (768, 20, false)] {
         let packed =
             PackedMatrix::from_strided_with(Precision::Int8, &vec![1.0; k * n], k, n, 1, k);
-        assert_eq!(packed.unit() == Unit::Quads, want, "[{k}, {n}]");
+        assert_eq!(matches!(packed.unit(), Unit::Quads | Unit::QuadTiles), want, "[{k}, {n}]");
         // A byte a value, and two words for each column.
         let bytes = if want { k * n + 8 * n } else { 4 * k * n.next_multiple_of(16) };
         assert_eq!(packed.bytes(), bytes, "[{k}, {n}]");
