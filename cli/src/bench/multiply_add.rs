@@ -38,6 +38,14 @@ pub fn f32_loop() -> Loop {
 
 /// The bf16 loop with f32 sums, where the processor has instructions for it.
 pub fn bf16_loop() -> Option<Loop> {
+    #[cfg(all(target_arch = "x86_64", target_os = "linux"))]
+    if Isa::current() == Isa::Amx {
+        return Some(Loop {
+            flop: tiles::PRODUCTS * 2 * 16 * 16 * 32,
+            // SAFETY: the instruction set was detected, and Linux asked for the tiles.
+            run: |_| unsafe { tiles::bf16() },
+        });
+    }
     #[cfg(target_arch = "x86_64")]
     if Isa::current() >= Isa::Avx512Bf16 {
         return Some(Loop {
@@ -51,6 +59,14 @@ pub fn bf16_loop() -> Option<Loop> {
 
 /// The loop of 8-bit integers with i32 sums, where the processor has instructions for it.
 pub fn int8_loop() -> Option<Loop> {
+    #[cfg(all(target_arch = "x86_64", target_os = "linux"))]
+    if Isa::current() == Isa::Amx && tiles::have_bytes() {
+        return Some(Loop {
+            flop: tiles::PRODUCTS * 2 * 16 * 16 * 64,
+            // SAFETY: as above.
+            run: |_| unsafe { tiles::int8() },
+        });
+    }
     #[cfg(target_arch = "x86_64")]
     {
         let per_lane = (2 * SUMS * STEPS) as u64;
@@ -84,6 +100,76 @@ fn portable(factor: f32) -> f32 {
         }
     }
     sums.iter().flatten().sum()
+}
+
+/// Products of tiles: six sums, all of them of the same two tiles.
+#[cfg(all(target_arch = "x86_64", target_os = "linux"))]
+mod tiles {
+    use std::arch::asm;
+    use std::arch::x86_64::{__cpuid, __cpuid_count};
+
+    /// One takes a tile unit 16 cycles.
+    const ROUNDS: u64 = 60_000;
+    /// Products of one run.
+    pub const PRODUCTS: u64 = 6 * ROUNDS;
+
+    #[repr(C, align(64))]
+    struct Configuration([u8; 64]);
+
+    /// Eight tiles of 16 rows of 64 bytes, as the kernels have them.
+    static FULL: Configuration = {
+        let mut image = [0; 64];
+        image[0] = 1; // palette
+        let mut tile = 0;
+        while tile < 8 {
+            image[16 + 2 * tile] = 64;
+            image[48 + tile] = 16;
+            tile += 1;
+        }
+        Configuration(image)
+    };
+
+    /// Whether tiles multiply bytes; asked where there are tiles.
+    #[allow(unused_unsafe)] // CPUID is safe in newer versions of Rust than the oldest supported one.
+    pub fn have_bytes() -> bool {
+        // SAFETY: every x86-64 CPU has CPUID.
+        unsafe { __cpuid(0).eax >= 7 && __cpuid_count(7, 0).edx & (1 << 25) != 0 }
+    }
+
+    macro_rules! products {
+        ($name:ident, $product:literal) => {
+            /// # Safety
+            /// The processor has tiles, and the system lets this process use them.
+            pub unsafe fn $name() -> f32 {
+                // SAFETY: by the caller's promise; 64 bytes are read, and all that changes is named.
+                unsafe {
+                    asm!(
+                        "ldtilecfg [{configuration}]",
+                        "tilezero tmm6",
+                        "tilezero tmm7",
+                        "2:",
+                        concat!($product, " tmm0, tmm6, tmm7"),
+                        concat!($product, " tmm1, tmm6, tmm7"),
+                        concat!($product, " tmm2, tmm6, tmm7"),
+                        concat!($product, " tmm3, tmm6, tmm7"),
+                        concat!($product, " tmm4, tmm6, tmm7"),
+                        concat!($product, " tmm5, tmm6, tmm7"),
+                        "dec {rounds}",
+                        "jnz 2b",
+                        configuration = in(reg) &FULL,
+                        rounds = inout(reg) ROUNDS => _,
+                        out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _,
+                        out("tmm4") _, out("tmm5") _, out("tmm6") _, out("tmm7") _,
+                        options(nostack)
+                    );
+                }
+                0.0
+            }
+        };
+    }
+
+    products!(bf16, "tdpbf16ps");
+    products!(int8, "tdpbssd");
 }
 
 #[cfg(target_arch = "x86_64")]
