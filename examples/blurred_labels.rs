@@ -3,7 +3,7 @@
 //! 60 pictures of each with motions of several severities, and compares the labels that come back with
 //! all pictures counting alike and with weights by their motion.
 
-#[path = "../rasterizer/tests/lifting/planted.rs"]
+#[path = "../crates/rasterizer/tests/lifting/planted.rs"]
 mod planted;
 
 use anyhow::Result;

@@ -3,7 +3,7 @@
 //! the wall between them, takes 60 pictures from the first one, and compares the labels that come back in one layer
 //! and in two. In a part of the pictures the pane is a segment of its own, in the others what is seen through it.
 
-#[path = "../rasterizer/tests/lifting/planted.rs"]
+#[path = "../crates/rasterizer/tests/lifting/planted.rs"]
 mod planted;
 
 use anyhow::{Context, Result};

@@ -4,7 +4,7 @@
 //! then with some named after other objects, each time with all pixels and with those only whose depth
 //! agrees, and draws truth and results.
 
-#[path = "../rasterizer/tests/lifting/planted.rs"]
+#[path = "../crates/rasterizer/tests/lifting/planted.rs"]
 mod planted;
 
 use anyhow::{Context, Result};

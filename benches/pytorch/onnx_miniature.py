@@ -1,7 +1,7 @@
-"""Tiny ONNX files for the tests of `vision/src/onnx`: a network that answers clicks by colour, and a picture encoder.
+"""Tiny ONNX files for the tests of `crates/vision/src/onnx`: a network that answers clicks by colour, and a picture encoder.
 
     venv/bin/pip install onnx==1.23.2 onnxruntime==1.32.0 numpy==2.4.6
-    venv/bin/python onnx_miniature.py ../../vision/tests/data/onnx
+    venv/bin/python onnx_miniature.py ../../crates/vision/tests/data/onnx
 
 `encoder.onnx`: pictures of 64 x 64 to means of 4 x 4 (`image_embed`) and of 2 x 2 pixels (`high_res_feats_0`).
 `decoder.onnx`: of each click the colour c there, and the logits 40 (t - |colour - c|^2) at 32 x 32 for t of `LIMITS`,

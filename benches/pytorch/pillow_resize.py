@@ -1,7 +1,7 @@
-"""Checksums of pictures that Pillow resized, for `vision/tests/resize.rs`.
+"""Checksums of pictures that Pillow resized, for `crates/vision/tests/resize.rs`.
 
     venv/bin/pip install pillow==11.3.0
-    venv/bin/python pillow_resize.py > ../../vision/tests/data/pillow_resize.csv
+    venv/bin/python pillow_resize.py > ../../crates/vision/tests/data/pillow_resize.csv
 
 From 13 on Pillow resizes heights first where they shrink much more than widths; networks and labels are older.
 

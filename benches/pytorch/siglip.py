@@ -1,7 +1,7 @@
-"""SigLIP of transformers with weights from an integer hash: numbers for `vision/src/siglip/tests.rs`, and its speed.
+"""SigLIP of transformers with weights from an integer hash: numbers for `crates/vision/src/siglip/tests.rs`, and its speed.
 
     venv/bin/pip install torch==2.15.0 transformers==5.23.0 numpy==2.4.6
-    venv/bin/python siglip.py --numbers > ../../vision/tests/data/siglip_mini.json
+    venv/bin/python siglip.py --numbers > ../../crates/vision/tests/data/siglip_mini.json
     venv/bin/python siglip.py --time --threads 2 --runs 3
 """
 

@@ -1,7 +1,7 @@
 //! Whole networks, from voxels and features to the output: serialization and tables included.
 #![allow(missing_docs, reason = "criterion's macros make undocumented items")]
 
-#[path = "../../kernels/benches/support/mod.rs"]
+#[path = "../../crates/kernels/benches/support/mod.rs"]
 mod support;
 
 use candle_core::{Device, Tensor};

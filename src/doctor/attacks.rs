@@ -59,7 +59,7 @@ pub const ATTACKS: &[Attack] = &[
         attempt: "a PNG of 470 kB with 22,000 × 22,000 pixels",
         harm: "took 1.5 GB",
         cases: &["png-bomb", "png-of-4-billion-pixels"],
-        tests: &["scene/tests/formats/pictures.rs::sizes_are_not_believed"],
+        tests: &["crates/scene/tests/formats/pictures.rs::sizes_are_not_believed"],
     },
     Attack {
         attempt: "a feature table of 128 bytes that claims 2²⁴ values a row",
@@ -110,7 +110,9 @@ pub const ATTACKS: &[Attack] = &[
         attempt: "patches, orders and sizes that do not belong together, in safe code",
         harm: "reads and writes out of bounds",
         cases: &["order-that-is-no-permutation", "lengths-that-wrap"],
-        tests: &["kernels/tests/soundness.rs::attention_with_another_sequence_than_its_patches"],
+        tests: &[
+            "crates/kernels/tests/soundness.rs::attention_with_another_sequence_than_its_patches",
+        ],
     },
 ];
 

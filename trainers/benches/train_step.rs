@@ -2,7 +2,7 @@
 //! backward, AdamW; with and without recomputed blocks.
 #![allow(missing_docs, reason = "criterion's macros make undocumented items")]
 
-#[path = "../../kernels/benches/support/mod.rs"]
+#[path = "../../crates/kernels/benches/support/mod.rs"]
 mod support;
 /// The step of `scenesplat bench`.
 #[allow(dead_code, reason = "the program also compares gradients")]

@@ -1,6 +1,6 @@
 //! Any phrase: what the table, an encoder and the program make of it.
 
-#[path = "../../../text/tests/small/mod.rs"]
+#[path = "../../../crates/text/tests/small/mod.rs"]
 mod small;
 
 use crate::{asset, done, scenesplat, stderr, tiny};
