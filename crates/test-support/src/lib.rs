@@ -1,0 +1,16 @@
+//! What the tests of several crates share. No crate of the workspace depends on it outside tests, and it
+//! depends on none of them, so that tests of every crate can use it.
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::missing_panics_doc,
+    reason = "a test that cannot set itself up should stop"
+)]
+
+mod experiment;
+mod golden;
+mod shared;
+
+pub use experiment::{Network, SMALL_SEGMENTATION};
+pub use golden::Golden;
+pub use shared::shared;
