@@ -49,6 +49,8 @@ CONFIGS = {
         "prefix": "backbone.",
     },
 }
+# Where tensors lie, and what products compute in.
+DEVICE, DTYPE = "cpu", torch.float32
 PATCH = 1024
 MLP_RATIO = 4
 BATCH_NORM_EPS = 1e-3
@@ -56,6 +58,15 @@ LAYER_NORM_EPS = 1e-5
 
 
 # ---- Weights from the integer hash. ----
+
+
+def place(tensor):
+    return tensor.to(DEVICE, DTYPE if tensor.is_floating_point() else tensor.dtype)
+
+
+def synchronize():
+    if DEVICE != "cpu":
+        torch.cuda.synchronize()
 
 
 def unit(name, count, seed):
@@ -95,7 +106,7 @@ class HashedWeights:
                 factor *= np.float32(2)
         values *= np.float32(factor)
         values += np.float32(offset)
-        return torch.from_numpy(values).reshape(shape)
+        return place(torch.from_numpy(values).reshape(shape))
 
 
 # ---- Space-filling curves. ----
@@ -379,7 +390,7 @@ def load(scene, config):
     if config["in_channels"] == 14:
         normals = unit("normal", 3 * len(feat), 0).reshape(-1, 3)
         feat = np.concatenate([feat, normals], axis=1)
-    return grid, torch.from_numpy(feat)
+    return grid.to(DEVICE), place(torch.from_numpy(feat))
 
 
 def main():
@@ -390,7 +401,12 @@ def main():
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--seed", type=int, default=20240, help="of the weights")
+    parser.add_argument("--device", default="cpu", help="such as cuda:0")
+    parser.add_argument("--precision", choices=["f32", "bf16"], default="f32")
     args = parser.parse_args()
+    global DEVICE, DTYPE
+    DEVICE, DTYPE = args.device, {"f32": torch.float32, "bf16": torch.bfloat16}[args.precision]
+    torch.set_default_device(DEVICE)
     if bool(args.input) == bool(args.check):
         parser.error("give either --input or --check")
     torch.set_num_threads(args.threads)
@@ -402,12 +418,16 @@ def main():
     print(f"torch {torch.__version__}, {args.threads} threads, {args.config}, {len(grid)} voxels")
     # One run warms up caches and the allocator.
     network(grid, feat)
+    synchronize()
     seconds = []
     for _ in range(args.runs):
         gc.collect()
         start = time.perf_counter()
         network(grid, feat)
+        synchronize()
         seconds.append(time.perf_counter() - start)
+    if DEVICE != "cpu":
+        print(f"peak of the device {torch.cuda.max_memory_allocated() / (1 << 30):.2f} GiB")
     # Linux counts in kibibytes.
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1 << 20)
     print(f"best {min(seconds):.3f} s, median {statistics.median(seconds):.3f} s of {args.runs} runs")
