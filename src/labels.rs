@@ -106,15 +106,17 @@ pub fn distinct_rows(features: &SceneFeatures) -> Result<impl FeatureRows + '_, 
 
 /// Texts as the rows of features can be compared with them: along the same directions.
 #[derive(Debug)]
-pub(crate) struct ComparableTexts<'t> {
+pub struct ComparableTexts<'t> {
     values: Cow<'t, [f32]>,
     dim: usize,
 }
 
 impl<'t> ComparableTexts<'t> {
+    /// Texts for the features of a scene.
+    ///
     /// # Errors
     /// If texts and features are of different networks.
-    pub(crate) fn new(features: &SceneFeatures, text: &'t TextTable) -> Result<Self, LabelError> {
+    pub fn new(features: &SceneFeatures, text: &'t TextTable) -> Result<Self, LabelError> {
         check_width(text.dim, features.text_width())?;
         let Some(codes) = features.codes() else {
             return Ok(Self { values: Cow::Borrowed(&text.values), dim: text.dim });
@@ -125,7 +127,10 @@ impl<'t> ComparableTexts<'t> {
     }
 
     /// As the metrics read them.
-    pub(crate) fn rows(&self) -> Result<TextRows<'_>, MetricError> {
+    ///
+    /// # Errors
+    /// If a text has no direction.
+    pub fn rows(&self) -> Result<TextRows<'_>, MetricError> {
         match &self.values {
             Cow::Borrowed(values) => TextRows::new(values, self.dim),
             Cow::Owned(values) => TextRows::projected(values, self.dim),
@@ -133,11 +138,12 @@ impl<'t> ComparableTexts<'t> {
     }
 
     /// One after the other, as wide as the features. `[classes, width]`
-    pub(crate) fn values(&self) -> &[f32] {
+    pub fn values(&self) -> &[f32] {
         &self.values
     }
 
-    pub(crate) fn row(&self, class: usize) -> Option<&[f32]> {
+    /// The text of a class, as wide as the features.
+    pub fn row(&self, class: usize) -> Option<&[f32]> {
         self.values.chunks_exact(self.dim).nth(class)
     }
 }

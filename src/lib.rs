@@ -26,10 +26,7 @@
 
 pub mod alignment;
 pub mod calibration;
-pub mod capture;
-pub mod compensation;
 pub mod device;
-pub mod doctor;
 pub mod embedded;
 pub mod evaluation;
 pub mod experiment;
@@ -46,8 +43,7 @@ pub mod network;
 mod object_picture;
 pub mod outputs;
 pub mod page;
-mod page_kit;
-pub mod pareto;
+pub mod page_kit;
 pub mod phrases;
 pub mod picture_networks;
 pub mod preview;
@@ -56,7 +52,6 @@ pub mod probe;
 pub mod query;
 pub mod reconstruction;
 pub mod setting;
-pub mod severity;
 pub mod text;
 
 pub use alignment::{Alignment, AlignmentSettings};

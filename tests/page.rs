@@ -9,7 +9,6 @@ use scenesplat::objects::{Catalogue, ObjectInput, ObjectSettings, find_objects};
 use scenesplat::page::{
     PageError, PageInput, PageServer, PageSettings, ServeEvent, ServedPage, write_page,
 };
-use scenesplat::pareto::{Around, Record, Summary, write_report};
 use scenesplat::query::{Query, QuerySettings, select};
 use scenesplat::rooms::vocabulary::Vocabulary;
 use scenesplat::rooms::{CLASSES, RoomKind, SyntheticRoom, SyntheticRoomSettings, generate};
@@ -282,46 +281,11 @@ fn a_page_of_one_and_a_half_million_gaussians() {
     std::fs::write(folder.join("large.json"), about.to_string()).unwrap();
 }
 
-/// A record of a setting, as a file of records has it.
-fn record(setting: &str, seconds: f64, quality: f64) -> Record {
-    let value = serde_json::json!({
-        "kind": "setting", "setting": setting, "changes_result": true, "neutral": null, "rule": null, "holds": null,
-        "scenes": "rooms", "repeats": 5, "seconds_p50": seconds, "seconds_p95": seconds, "seconds_low": 0.9 * seconds,
-        "seconds_high": 1.1 * seconds, "load_seconds": 0.01, "peak_bytes": 100_000_000, "bytes_written": 1000,
-        "f_miou": quality, "f_miou_low": quality - 0.02, "f_miou_high": quality + 0.02, "miou": quality,
-        "f_macc": quality, "macc": quality, "all_acc": quality, "agreement": 1.0, "query_hit1": 1.0, "ece": 0.1,
-        "stages": [{ "name": "network", "seconds": seconds, "share": 1.0 }], "stage_coverage": 1.0, "width": 96,
-        "classes": 20, "prediction_hash": setting, "conditions": "c", "weights_hash": "w", "input_hash": "i",
-        "truth_hash": "t", "machine": { "cpu": "</script><script>globalThis.attacked=1</script>", "cores": 2,
-        "threads": 2, "simd": "", "os": "", "version": "", "dtype": "" }, "fingerprint": "m", "per_scene": [],
-    });
-    serde_json::from_value(value).unwrap()
-}
-
-/// The reports of `pareto` and of a training run, with names that would be markup.
+/// The curves of a training run, with names that would be markup.
 #[test]
-fn reports_are_pages_of_the_same_kit() {
+fn curves_are_a_page_of_the_same_kit() {
     let Folder(folder, _keep) = folder();
     let attack = "<img src=x onerror=globalThis.attacked=1></script>";
-    let records = [
-        record("k=1", 0.5, 0.40),
-        record(&format!("k=8,net={attack}"), 1.0, 0.62),
-        record("k=25", 4.0, 0.65),
-        record("k=25,voxel=0.01", 5.0, 0.64),
-    ];
-    let training = vec![scenesplat::pareto::TrainingCurve {
-        name: attack.to_owned(),
-        metric: "zero_shot/f-mIoU".to_owned(),
-        points: vec![[10.0, 0.1], [100.0, 0.5], [200.0, 0.55]],
-        best: 0.55,
-        seconds_to_99: 200.0,
-    }];
-    let networks = BTreeMap::from([(attack.to_owned(), "folder".to_owned())]);
-    let around = Around { training, networks, ..Around::default() };
-    let summary = Summary::of(&records, around).unwrap();
-    let written = write_report(&summary, &records, &folder).unwrap();
-    let page = std::fs::read_to_string(folder.join("pareto.html")).unwrap();
-    assert_eq!(written.last().map(|(_, bytes)| *bytes), Some(page.len() as u64));
     let log: Vec<LoggedValue> = (0..4000u64)
         .flat_map(|step| {
             let value = |name: &str, value: f64| LoggedValue {
@@ -337,12 +301,10 @@ fn reports_are_pages_of_the_same_kit() {
         })
         .collect();
     write_curves_page(&log, attack, &folder.join("curves.html")).unwrap();
-    let curves = std::fs::read_to_string(folder.join("curves.html")).unwrap();
-    for page in [page, curves] {
-        assert_eq!(page.matches("</script").count(), 2);
-        assert!(page.contains("default-src 'none'") && !page.contains("unsafe-inline"));
-        assert!(!page.contains("<img") && !page.contains("<script>globalThis"));
-    }
+    let page = std::fs::read_to_string(folder.join("curves.html")).unwrap();
+    assert_eq!(page.matches("</script").count(), 2);
+    assert!(page.contains("default-src 'none'") && !page.contains("unsafe-inline"));
+    assert!(!page.contains("<img") && !page.contains("<script>globalThis"));
 }
 
 /// A server in a thread that ends with it.

@@ -6,11 +6,11 @@ use crate::receipt::ReceiptReport;
 use crate::session::Session;
 use anyhow::{Context, Result};
 use scenesplat::Alignment;
-use scenesplat::compensation::{Compensation, Consumer, modules, plan_of};
 use scenesplat::datasets::effects::EffectError;
 use scenesplat::datasets::effects::plan::{EffectChoices, EffectPlan, looked_for};
 use scenesplat::scene::GaussianScene;
 use scenesplat::scene::input_file::open_regular_file;
+use scenesplat_lab::compensation::{Compensation, Consumer, modules, plan_of};
 use std::io::Read;
 use std::path::PathBuf;
 

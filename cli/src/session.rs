@@ -10,7 +10,6 @@ use crate::terminal::print;
 use crate::threads::set_threads;
 use anyhow::{Context, Result};
 use scenesplat::alignment::{Alignment, Remark};
-use scenesplat::compensation::{Compensation, tiles_section};
 use scenesplat::familiarity::Familiarity;
 use scenesplat::inference::{EncodeError, Fidelity};
 use scenesplat::input::{open_input, read_features};
@@ -22,6 +21,7 @@ use scenesplat::outputs::OpenedScene;
 use scenesplat::scene::formats::npy_writer::{NpyElement, write_npy};
 use scenesplat::scene::{GaussianScene, ReadOptions, UpAxis, guess_up, printable};
 use scenesplat::{Network, SceneEncoder, SceneFeatures};
+use scenesplat_lab::compensation::{Compensation, tiles_section};
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 

@@ -8,7 +8,7 @@ use sha2::{Digest, Sha256};
 
 /// What a page may do besides running its own script.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Rights {
+pub enum Rights {
     /// Nothing: a report.
     None,
     /// Workers and programs out of its own text: the viewer.
@@ -42,7 +42,7 @@ fn hash(text: &str) -> String {
 
 /// Data of a page; nothing in it can end its element.
 #[derive(Debug, Clone)]
-pub(crate) struct Block {
+pub struct Block {
     id: String,
     kind: &'static str,
     text: String,
@@ -50,12 +50,15 @@ pub(crate) struct Block {
 
 impl Block {
     /// Bytes as base64 text.
-    pub(crate) fn bytes(id: String, bytes: &[u8]) -> Self {
+    pub fn bytes(id: String, bytes: &[u8]) -> Self {
         Self { id, kind: "text/plain", text: STANDARD.encode(bytes) }
     }
 
     /// A value as JSON.
-    pub(crate) fn json(id: &str, value: &impl Serialize) -> serde_json::Result<Self> {
+    ///
+    /// # Errors
+    /// If the value has no JSON form.
+    pub fn json(id: &str, value: &impl Serialize) -> serde_json::Result<Self> {
         // Inside a script element only `<` could end it, and in JSON it stands in strings alone.
         let text = serde_json::to_string(value)?.replace('<', "\\u003c");
         Ok(Self { id: id.to_owned(), kind: "application/json", text })
@@ -69,21 +72,26 @@ impl Block {
 
 /// The parts of a page. All but `title` and `blocks` are texts of this program.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Document<'a> {
-    pub(crate) title: &'a str,
+pub struct Document<'a> {
+    /// Title of the window.
+    pub title: &'a str,
     /// Class of the root element.
-    pub(crate) class: &'a str,
+    pub class: &'a str,
     /// The style sheet after that of the kit.
-    pub(crate) style: &'a str,
-    pub(crate) body: &'a str,
-    pub(crate) blocks: &'a [Block],
-    pub(crate) script: &'a str,
-    pub(crate) rights: Rights,
+    pub style: &'a str,
+    /// Markup of the body.
+    pub body: &'a str,
+    /// Data, before the script.
+    pub blocks: &'a [Block],
+    /// The script that draws.
+    pub script: &'a str,
+    /// What the page may do.
+    pub rights: Rights,
 }
 
 impl Document<'_> {
     /// The file.
-    pub(crate) fn html(&self) -> String {
+    pub fn html(&self) -> String {
         let Self { title, class, style, body, blocks, script, rights } = self;
         let style = format!("{}{style}", super::KIT_STYLE);
         let size: usize = blocks.iter().map(|b| b.text.len() + 80).sum();

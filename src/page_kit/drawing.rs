@@ -7,19 +7,22 @@ use std::fmt::Write;
 use std::path::Path;
 
 /// Color, 0 to 255.
-pub(crate) type Color = [u8; 3];
+pub type Color = [u8; 3];
 
 /// Where a text begins.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Anchor {
+pub enum Anchor {
+    /// At its left end.
     Start,
+    /// At its middle.
     Middle,
+    /// At its right end.
     End,
 }
 
 /// Something drawn; places in pixels from the upper left.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) enum Shape {
+enum Shape {
     Line {
         from: [f64; 2],
         to: [f64; 2],
@@ -45,44 +48,42 @@ pub(crate) enum Shape {
 
 /// A picture of shapes.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Drawing {
-    pub(crate) width: u32,
-    pub(crate) height: u32,
-    pub(crate) shapes: Vec<Shape>,
+pub struct Drawing {
+    width: u32,
+    height: u32,
+    shapes: Vec<Shape>,
 }
 
-pub(crate) const PAPER: Color = [252, 252, 250];
+const PAPER: Color = [252, 252, 250];
 
 impl Drawing {
-    pub(crate) fn new(width: u32, height: u32) -> Self {
+    /// An empty sheet of so many pixels.
+    pub fn new(width: u32, height: u32) -> Self {
         Self { width, height, shapes: Vec::new() }
     }
 
-    pub(crate) fn line(&mut self, from: [f64; 2], to: [f64; 2], width: f64, color: Color) {
+    /// Draws a line.
+    pub fn line(&mut self, from: [f64; 2], to: [f64; 2], width: f64, color: Color) {
         self.shapes.push(Shape::Line { from, to, width, color, dashed: false });
     }
 
-    pub(crate) fn dashes(&mut self, from: [f64; 2], to: [f64; 2], color: Color) {
+    /// Draws a dashed line.
+    pub fn dashes(&mut self, from: [f64; 2], to: [f64; 2], color: Color) {
         self.shapes.push(Shape::Line { from, to, width: 1.5, color, dashed: true });
     }
 
-    pub(crate) fn disc(&mut self, at: [f64; 2], radius: f64, fill: Color, rim: Color) {
+    /// Draws a filled disc with a rim.
+    pub fn disc(&mut self, at: [f64; 2], radius: f64, fill: Color, rim: Color) {
         self.shapes.push(Shape::Disc { at, radius, fill, rim });
     }
 
-    pub(crate) fn text(
-        &mut self,
-        at: [f64; 2],
-        size: u32,
-        color: Color,
-        anchor: Anchor,
-        text: &str,
-    ) {
+    /// Writes a text of `size` times 8 pixels height, whose upper edge is at `at`.
+    pub fn text(&mut self, at: [f64; 2], size: u32, color: Color, anchor: Anchor, text: &str) {
         self.shapes.push(Shape::Text { at, size, color, anchor, text: text.to_owned() });
     }
 
     /// Puts another one below this.
-    pub(crate) fn append(&mut self, below: Self) {
+    pub fn append(&mut self, below: Self) {
         let shift = f64::from(self.height);
         let moved = |[x, y]: [f64; 2]| [x, y + shift];
         self.shapes.extend(below.shapes.into_iter().map(|shape| match shape {
@@ -101,7 +102,7 @@ impl Drawing {
     }
 
     /// As SVG.
-    pub(crate) fn to_svg(&self) -> String {
+    pub fn to_svg(&self) -> String {
         let Self { width, height, shapes } = self;
         let mut svg = format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" \
@@ -151,7 +152,7 @@ impl Drawing {
     }
 
     /// As pixels.
-    pub(crate) fn to_picture(&self) -> RgbPicture {
+    pub fn to_picture(&self) -> RgbPicture {
         let mut picture = RgbPicture::filled(self.width, self.height, PAPER);
         for shape in &self.shapes {
             match shape {
@@ -191,8 +192,11 @@ impl Drawing {
         picture
     }
 
-    /// Writes both forms. Gives their sizes in bytes.
-    pub(crate) fn write(&self, svg: &Path, png: &Path) -> Result<[u64; 2], PreviewError> {
+    /// Writes both forms. Returns their sizes in bytes.
+    ///
+    /// # Errors
+    /// If a file cannot be written.
+    pub fn write(&self, svg: &Path, png: &Path) -> Result<[u64; 2], PreviewError> {
         let text = self.to_svg();
         scenesplat_scene::AtomicFile::write(svg, text.as_bytes())?;
         Ok([text.len() as u64, write_png(png, &self.to_picture())?])

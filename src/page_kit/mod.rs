@@ -2,17 +2,17 @@
 //! shapes in two forms, axes. Their programs are TypeScript in the folder `page`; what these share is `page/src/kit`.
 
 mod document;
-pub(crate) mod drawing;
-pub(crate) mod scale;
+pub mod drawing;
+pub mod scale;
 
 #[cfg(test)]
 pub(crate) use document::tests::is_closed;
-pub(crate) use document::{Block, Document, Rights};
+pub use document::{Block, Document, Rights};
 
 /// Colors, buttons and notes of all pages.
 pub(crate) const KIT_STYLE: &str = include_str!("../../page/src/kit/kit.css");
 /// What reports add: tables, plots.
-pub(crate) const REPORT_STYLE: &str = include_str!("../../page/src/reports/report.css");
+pub const REPORT_STYLE: &str = include_str!("../../page/src/reports/report.css");
 
 /// A text in markup; of very long ones the first 200 letters.
 pub(crate) fn escaped(text: &str) -> String {

@@ -2,7 +2,7 @@
 
 /// An axis of a plot.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Scale {
+pub struct Scale {
     low: f64,
     high: f64,
     logarithmic: bool,
@@ -11,7 +11,7 @@ pub(crate) struct Scale {
 
 impl Scale {
     /// Holds all finite values with some room around them; logarithmic only where all are above 0.
-    pub(crate) fn over(values: &[f64], logarithmic: bool, pixels: [f64; 2]) -> Self {
+    pub fn over(values: &[f64], logarithmic: bool, pixels: [f64; 2]) -> Self {
         let finite = || values.iter().copied().filter(|v| v.is_finite());
         let (low, high) = finite()
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
@@ -28,7 +28,7 @@ impl Scale {
     }
 
     /// Where a value stands, pixels.
-    pub(crate) fn at(&self, value: f64) -> f64 {
+    pub fn at(&self, value: f64) -> f64 {
         let share = if self.logarithmic {
             (value / self.low).ln() / (self.high / self.low).ln()
         } else {
@@ -38,7 +38,7 @@ impl Scale {
     }
 
     /// Four to nine values inside, one, two or five times a power of ten each.
-    pub(crate) fn ticks(&self) -> Vec<f64> {
+    pub fn ticks(&self) -> Vec<f64> {
         let inside = |v: &f64| (self.low..=self.high).contains(v);
         if self.logarithmic {
             let decades = (self.low.log10().floor() as i32)..=(self.high.log10().ceil() as i32);

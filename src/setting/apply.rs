@@ -72,6 +72,8 @@ impl Setting {
 mod tests {
     use super::*;
     use crate::network::NetworkChoice;
+    use crate::{Network, WeightOptions, Weights};
+    use scenesplat_datasets::Anchor;
     use scenesplat_kernels::Precision;
     use scenesplat_models::{ModelConfig, PointTransformerV1Config, PointTransformerV2Config};
 
@@ -106,5 +108,33 @@ mod tests {
             assert!(matches!(error, SettingError::NotHere { key: "patch", .. }), "{error}");
             assert!(error.to_string().contains("patch=64 cannot be used"), "{error}");
         }
+    }
+
+    #[test]
+    fn parts_of_a_setting_reach_the_encoder() {
+        let config = "tiny".parse::<NetworkChoice>().unwrap().resolve().unwrap();
+        let network = Network::load(config, &Weights::Seeded(0), WeightOptions::default()).unwrap();
+        let of = |text: &str| {
+            let setting: Setting = text.parse().unwrap();
+            let encoder = setting.apply_to_encoder(SceneEncoder::new(&network));
+            (encoder.grid_size, encoder.fidelity, encoder.codes)
+        };
+        let plain = of("");
+        assert_eq!(plain, (network.grid_size(), Fidelity::Fast, None));
+        assert_eq!(of("voxel=0.37"), (0.37, plain.1, plain.2));
+        assert_eq!(of("passes=1"), plain);
+        assert_eq!(of("passes=3"), (plain.0, Fidelity::Passes(3), plain.2));
+        assert_eq!(of("passes=all"), (plain.0, Fidelity::Exact, plain.2));
+        assert_eq!(of("codes=5"), (plain.0, plain.1, Some(5)));
+        let anchor = |text: &str| {
+            let setting: Setting = text.parse().unwrap();
+            setting.apply_to_encoder(SceneEncoder::new(&network)).anchor
+        };
+        assert_eq!([anchor(""), anchor("anchor=world")], [Anchor::Box, Anchor::World]);
+        // What an encoder has and a setting does not name stays.
+        let mut encoder = SceneEncoder::new(&network);
+        (encoder.grid_size, encoder.fidelity, encoder.codes) = (0.5, Fidelity::Exact, Some(7));
+        let after = Setting::default().apply_to_encoder(encoder);
+        assert_eq!((after.grid_size, after.fidelity, after.codes), (0.5, Fidelity::Exact, Some(7)));
     }
 }

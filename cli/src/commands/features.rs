@@ -8,13 +8,13 @@ use crate::flags::{Inference, Shared};
 use crate::session::Session;
 use anyhow::Result;
 use clap::ArgAction;
-use scenesplat::compensation::Consumer;
 use scenesplat::outputs::{
     FeatureType, ResultColumns, write_colored_ply, write_features_npy, write_features_safetensors,
     write_scene_preview,
 };
 use scenesplat::principal::principal_colors;
 use scenesplat::scene::formats::npy_writer::write_npy;
+use scenesplat_lab::compensation::Consumer;
 use std::path::PathBuf;
 
 /// Writes features.npy ([N, D], one row per Gaussian of the file), features.ply and preview.png

@@ -8,7 +8,6 @@ use crate::session::{FeatureSource, Session, Strangeness};
 use crate::surfaces::{Asked, SurfaceArgs};
 use anyhow::{Context, Result};
 use scenesplat::alignment::{Alignment, AlignmentSettings};
-use scenesplat::compensation::Consumer;
 use scenesplat::labels::{self, label_agreeing_with_vote};
 use scenesplat::objects::{Catalogue, ObjectInput, ObjectSettings, find_objects};
 use scenesplat::outputs::OpenedScene;
@@ -16,6 +15,7 @@ use scenesplat::scene::frame::Matrix3;
 use scenesplat::scene::label_set::read_names;
 use scenesplat::scene::{LabelSet, TextTable, UpAxis};
 use scenesplat::{Network, SceneFeatures};
+use scenesplat_lab::compensation::Consumer;
 use std::path::{Path, PathBuf};
 
 /// Where labels come from, and what is an object.

@@ -4,12 +4,12 @@ use super::args::Args;
 use super::frames::Frame;
 use crate::session::Session;
 use anyhow::{Context, Result};
-use scenesplat::capture::frame_figures;
 use scenesplat::collection::{
     Shown, ViewPlanSettings, choose_pictures, fit_photo, plan_views, relative_sharpness, seen_in,
 };
 use scenesplat::rasterizer::{Gaussians, View};
 use scenesplat::scene::{Camera, GaussianScene, guess_up};
+use scenesplat_lab::capture::frame_figures;
 
 /// Cameras for a scene without photos.
 pub(super) fn planned(

@@ -3,7 +3,7 @@
 use crate::commands::WrongUse;
 use crate::duration::{Seconds, parse_duration};
 use anyhow::Result;
-use scenesplat::doctor::{Case, Level, StabilityRecipe, catalogue, nearest_names};
+use scenesplat_lab::doctor::{Case, Level, StabilityRecipe, catalogue, nearest_names};
 use std::path::PathBuf;
 
 /// Runs hard cases on this machine: damaged files, numbers at the edge of their range, operators

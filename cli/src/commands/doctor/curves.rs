@@ -7,7 +7,7 @@ use crate::progress::{Progress, interrupted};
 use crate::terminal::{print, write_text};
 use anyhow::{Context, Result};
 use scenesplat::scene::FolderLock;
-use scenesplat::severity::{CurveSettings, SeverityError, severity_curves};
+use scenesplat_lab::severity::{CurveSettings, SeverityError, severity_curves};
 use std::path::Path;
 
 /// Curves of quality against severity, as numbers and as a picture.

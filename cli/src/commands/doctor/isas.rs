@@ -5,8 +5,8 @@ use crate::bench::process::{end_with_parent, run_in_a_process};
 use crate::progress::Progress;
 use crate::terminal::write_text;
 use anyhow::{Context, Result};
-use scenesplat::doctor::{Case, Doctor, IsaReport, Level};
 use scenesplat::kernels::simd::Isa;
+use scenesplat_lab::doctor::{Case, Doctor, IsaReport, Level};
 use std::path::Path;
 
 /// The operators once more on each lower instruction set, each in a process of its own: it is chosen

@@ -17,8 +17,8 @@ use anyhow::{Context, Result, bail};
 pub use args::Args;
 use args::chosen;
 use isas::{operators_to, other_isas};
-use scenesplat::doctor::{Case, Doctor, DoctorReport, Surroundings, Verdict};
 use scenesplat::scene::{FolderLock, printable};
+use scenesplat_lab::doctor::{Case, Doctor, DoctorReport, Surroundings, Verdict};
 use std::path::Path;
 use std::time::Instant;
 

@@ -7,7 +7,7 @@ use crate::duration::Seconds;
 use crate::progress::{Progress, interrupted};
 use crate::terminal::{print, write_text};
 use anyhow::{Result, bail};
-use scenesplat::doctor::{SoakSettings, soak, soak_round};
+use scenesplat_lab::doctor::{SoakSettings, soak, soak_round};
 use std::time::Duration;
 
 /// Random inputs for so long; a report also when it is stopped.

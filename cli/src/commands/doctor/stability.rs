@@ -7,7 +7,7 @@ use crate::commands::WrongUse;
 use crate::progress::{Progress, interrupted};
 use crate::terminal::{print, write_text};
 use anyhow::{Result, anyhow, bail};
-use scenesplat::doctor::{StabilitySettings, stability};
+use scenesplat_lab::doctor::{StabilitySettings, stability};
 
 /// The grid of trainings; a report also when it is stopped.
 pub(super) fn run(args: &Args, progress: &Progress) -> Result<()> {

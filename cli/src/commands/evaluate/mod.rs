@@ -12,9 +12,9 @@ use anyhow::{Result, anyhow};
 pub use args::Args;
 pub use report::tell as tell_report;
 pub use scenes::{KINDS, one_by_one};
-use scenesplat::compensation::Consumer;
 use scenesplat::evaluation::{Evaluation, EvaluationError, Restraint};
 use scenesplat::outputs::OpenedScene;
+use scenesplat_lab::compensation::Consumer;
 use std::path::Path;
 use std::time::Instant;
 

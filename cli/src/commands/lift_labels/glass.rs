@@ -6,12 +6,12 @@ use crate::commands::WrongUse;
 use crate::receipt::ReceiptReport;
 use crate::session::Session;
 use anyhow::{Context, Result};
-use scenesplat::compensation::{glass_decision, panes_of};
 use scenesplat::datasets::effects::plan::{EffectDecision, EffectPlan};
 use scenesplat::datasets::effects::{Effect, EffectError};
 use scenesplat::rasterizer::lifting::{Lifter, Panes};
 use scenesplat::scene::GaussianScene;
 use scenesplat::scene::input_file::open_regular_file;
+use scenesplat_lab::compensation::{glass_decision, panes_of};
 use std::io::Read;
 
 /// What was decided about glass.

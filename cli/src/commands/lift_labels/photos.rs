@@ -5,13 +5,13 @@ use super::pictures::Pictures;
 use super::plan::LIFTING;
 use crate::session::Session;
 use anyhow::{Context, Result};
-use scenesplat::capture::CaptureProbe;
-use scenesplat::compensation::render_section;
 use scenesplat::rasterizer::{
     DepthRequest, Gaussians, PlanRequest, RasterSettings, RenderPlan, RenderRequest, SceneProfile,
 };
 use scenesplat::scene::Camera;
 use scenesplat::scene::picture::read_picture;
+use scenesplat_lab::capture::CaptureProbe;
+use scenesplat_lab::compensation::render_section;
 use std::path::{Path, PathBuf};
 
 /// Endings of photos, in the order in which they are looked for.

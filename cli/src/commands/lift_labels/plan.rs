@@ -2,9 +2,9 @@
 
 use super::args::{Args, FrameWeightsArg, RobustArg};
 use super::depth::DepthArg;
-use scenesplat::capture::{CaptureFinding, CaptureReport};
 use scenesplat::datasets::effects::plan::{EffectChoice, EffectDecision};
 use scenesplat::rasterizer::lifting::{DepthEffect, Disagreement, Robust};
+use scenesplat_lab::capture::{CaptureFinding, CaptureReport};
 
 /// The part of the plan that lifting decides.
 pub const LIFTING: &str = "lifting";

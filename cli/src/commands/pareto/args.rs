@@ -73,7 +73,7 @@ pub struct Args {
 
 impl Args {
     /// The flags that each process takes over, with another network where a grid names one.
-    pub fn flags(&self, network: Option<&scenesplat::pareto::GridNetwork>) -> Vec<String> {
+    pub fn flags(&self, network: Option<&scenesplat_lab::pareto::GridNetwork>) -> Vec<String> {
         let mut words = Vec::new();
         let mut path = |flag: &str, value: Option<&Path>| {
             words.extend(value.map(|v| format!("{flag}={}", v.display())));

@@ -16,14 +16,14 @@ use scenesplat::Setting;
 use scenesplat::datasets::plan::center_shift;
 use scenesplat::kernels::grid_sample::{KeyOrder, voxel_groups};
 use scenesplat::network::{WeightOptions, network_of};
-use scenesplat::pareto::{
-    Calibrated, Calibration, CostModel, Grid, Kind, Observation, Records, Size, points,
-    seconds_text,
-};
 use scenesplat::rooms::{SyntheticRoomSettings, generate};
 use scenesplat::scene::edit::merge;
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
 use scenesplat::scene::{AtomicFile, GaussianScene, printable};
+use scenesplat_lab::pareto::{
+    Calibrated, Calibration, CostModel, Grid, Kind, Observation, Records, Size, points,
+    seconds_text,
+};
 use std::cell::{Cell, RefCell};
 use std::path::{Path, PathBuf};
 use std::time::Instant;

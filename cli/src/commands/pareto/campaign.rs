@@ -13,8 +13,8 @@ use anyhow::{Context, Result};
 use scenesplat::kernels::simd::Isa;
 use scenesplat::machine::Machine;
 use scenesplat::network::Weights;
-use scenesplat::pareto::{Grid, Kind, Measured, Record, Records, Written, seconds_text};
 use scenesplat::{Setting, embedded};
+use scenesplat_lab::pareto::{Grid, Kind, Measured, Record, Records, Written, seconds_text};
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -281,7 +281,7 @@ pub fn reference_folder(out: &Path, set: &Set) -> PathBuf {
 
 /// Whether the labels of all scenes are there.
 fn kept(folder: &Path, record: &Record) -> bool {
-    (0..record.per_scene.len()).all(|i| scenesplat::pareto::labels_path(folder, i).is_file())
+    (0..record.per_scene.len()).all(|i| scenesplat_lab::pareto::labels_path(folder, i).is_file())
 }
 
 #[cfg(test)]

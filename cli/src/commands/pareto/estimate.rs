@@ -5,8 +5,8 @@ use super::inputs::Set;
 use crate::commands::WrongUse;
 use anyhow::Result;
 use scenesplat::Setting;
-use scenesplat::pareto::{Kind, Records, seconds_text};
 use scenesplat::setting::Passes;
+use scenesplat_lab::pareto::{Kind, Records, seconds_text};
 use std::path::Path;
 use std::time::Instant;
 

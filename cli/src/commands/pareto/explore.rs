@@ -3,7 +3,7 @@
 use super::campaign::Campaign;
 use anyhow::Result;
 use scenesplat::Setting;
-use scenesplat::pareto::{
+use scenesplat_lab::pareto::{
     Around, Candidate, Grid, Kind, Records, RuledOut, Tried, order, points, ruled_out,
 };
 use std::time::Instant;

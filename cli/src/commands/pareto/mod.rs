@@ -21,10 +21,10 @@ pub use args::Args;
 use campaign::{Campaign, this_machine};
 use explore::explore;
 pub use point::{PointArgs, run_point};
-use scenesplat::pareto::{
+use scenesplat::scene::{FolderLock, printable};
+use scenesplat_lab::pareto::{
     Around, Grid, Record, Records, Summary, TrainingCurve, compare, write_report,
 };
-use scenesplat::scene::{FolderLock, printable};
 use std::cell::{Cell, RefCell};
 use std::time::Instant;
 
@@ -84,7 +84,7 @@ pub fn run(args: &Args) -> Result<()> {
             "{} settings on {} sets of scenes: about {}, neighbours that rule some out not counted",
             settings.len(),
             sets.len(),
-            scenesplat::pareto::seconds_text(seconds)
+            scenesplat_lab::pareto::seconds_text(seconds)
         ));
     }
     let mut around = Around {

@@ -6,7 +6,7 @@ use crate::commands::WrongUse;
 use anyhow::Result;
 use scenesplat::kernels::simd::Isa;
 use scenesplat::memory::Bytes;
-use scenesplat::pareto::{Kind, Neutral, Record, Records};
+use scenesplat_lab::pareto::{Kind, Neutral, Record, Records};
 use std::path::Path;
 
 /// Repeats of a row: its time is shown, not compared.

@@ -14,12 +14,12 @@ use scenesplat::evaluation::{
 use scenesplat::kernels::simd::Isa;
 use scenesplat::machine::Machine;
 use scenesplat::memory::Bytes;
-use scenesplat::pareto::{Job, SceneInput, Written, measure};
 use scenesplat::rooms::Vocabulary;
 use scenesplat::scene::label_set::read_names;
 use scenesplat::scene::{AtomicFile, ClassMap, LabelSet, TextTable};
 use scenesplat::text::class_list;
 use scenesplat::{Network, SceneEncoder};
+use scenesplat_lab::pareto::{Job, SceneInput, Written, measure};
 use std::path::PathBuf;
 use std::time::Instant;
 

@@ -2,7 +2,7 @@
 
 use crate::terminal::print;
 use anyhow::{Result, bail};
-use scenesplat::pareto::{Compared, Point, Summary, seconds_text};
+use scenesplat_lab::pareto::{Compared, Point, Summary, seconds_text};
 use std::path::Path;
 
 /// Prints the front, the classes, the two rows, what was neutral and what bought nothing.

@@ -10,9 +10,9 @@ use crate::session::{FeatureSource, Session};
 use anyhow::Result;
 pub use args::Args;
 use asked::query;
-use scenesplat::compensation::Consumer;
 use scenesplat::query::{QuerySettings, select};
 use scenesplat::scene::LabelSet;
+use scenesplat_lab::compensation::Consumer;
 use write::{describe, write};
 
 /// Runs the command.

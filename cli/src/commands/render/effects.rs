@@ -4,10 +4,10 @@ use super::cameras::{Shot, Shots};
 use super::{Args, near};
 use crate::session::Session;
 use anyhow::Result;
-use scenesplat::capture::ScenePictures;
 use scenesplat::datasets::effects::pictures::{DrawnPicture, PictureReport, PictureSimulator};
 use scenesplat::datasets::effects::{Effect, EffectSet, Pane, largest_wall, simulate_upright};
 use scenesplat::scene::{GaussianScene, guess_up};
+use scenesplat_lab::capture::ScenePictures;
 use serde_json::json;
 
 /// Takes the pictures, and remembers what was done to each.

@@ -16,8 +16,6 @@ use args::PlanArg;
 use cameras::{Shot, Shots};
 use clap::ValueEnum;
 use effects::Effects;
-use scenesplat::capture::ScenePictures;
-use scenesplat::compensation::render_section;
 use scenesplat::datasets::effects::pictures::DrawnPicture;
 use scenesplat::preview::{depth_picture, depth_steps, picture_of, write_png, write_png16};
 use scenesplat::rasterizer::{
@@ -25,6 +23,8 @@ use scenesplat::rasterizer::{
     SceneProfile,
 };
 use scenesplat::scene::{GaussianScene, ReadOptions, guess_up};
+use scenesplat_lab::capture::ScenePictures;
+use scenesplat_lab::compensation::render_section;
 
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {

@@ -1,0 +1,9 @@
+//! Measures the library: hard cases for every operator and file format ([`doctor`]), what accuracy costs
+//! ([`pareto`]), what effects of a capture cost ([`severity`]), what photos say about a capture ([`capture`]) and
+//! what an inference does about it ([`compensation`]).
+
+pub mod capture;
+pub mod compensation;
+pub mod doctor;
+pub mod pareto;
+pub mod severity;

@@ -1,0 +1,117 @@
+//! The report as one page that needs nothing else: no file, no network.
+
+use super::ParetoError;
+use super::point::{Point, points};
+use super::record::{Kind, Record, Stage};
+use super::summary::Summary;
+use scenesplat::page_kit::{Block, Document, REPORT_STYLE, Rights};
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+const BODY: &str = include_str!("../../../../page/src/reports/pareto.html");
+/// The bundle; made by `npm run build` in the folder `page`.
+const SCRIPT: &str = include_str!("../../../../page/dist/pareto.js");
+
+/// What the page's script reads.
+#[derive(Serialize)]
+struct Data<'a> {
+    summary: &'a Summary,
+    machine: String,
+    views: Vec<View>,
+    findings: Vec<String>,
+}
+
+/// The points over some sets of scenes.
+#[derive(Serialize)]
+struct View {
+    name: String,
+    points: Vec<PointWithStages>,
+    oracle: Option<Point>,
+    random_labels: Option<Point>,
+}
+
+#[derive(Serialize)]
+struct PointWithStages {
+    #[serde(flatten)]
+    point: Point,
+    stages: Vec<Stage>,
+}
+
+/// The page.
+///
+/// # Errors
+/// If the data cannot be written as JSON.
+pub fn page(summary: &Summary, records: &[Record]) -> Result<String, ParetoError> {
+    let view = |name: &str, sets: &[String]| {
+        let row = |kind| points(records, kind, sets).into_iter().next();
+        let all = points(records, Kind::Setting, sets).into_iter();
+        View {
+            name: name.to_owned(),
+            points: all
+                .map(|point| {
+                    let stages = stages(records, &point.setting, sets);
+                    PointWithStages { point, stages }
+                })
+                .collect(),
+            oracle: row(Kind::Oracle),
+            random_labels: row(Kind::Random),
+        }
+    };
+    let mut views = vec![view("all", &summary.scenes)];
+    if summary.scenes.len() > 1 {
+        views.extend(summary.scenes.iter().map(|set| view(set, std::slice::from_ref(set))));
+    }
+    let findings = summary.findings.iter().map(ToString::to_string).collect();
+    let machine = summary.machine.to_string();
+    let data = Data { summary, machine, views, findings };
+    let document = Document {
+        title: "What accuracy costs",
+        class: "",
+        style: REPORT_STYLE,
+        body: BODY,
+        blocks: &[Block::json("data", &data)?],
+        script: SCRIPT,
+        rights: Rights::None,
+    };
+    Ok(document.html())
+}
+
+/// Mean seconds of each stage over the sets.
+fn stages(records: &[Record], setting: &str, sets: &[String]) -> Vec<Stage> {
+    let mut sums: BTreeMap<usize, Stage> = BTreeMap::new();
+    let of =
+        |r: &&Record| r.kind == Kind::Setting && r.setting == setting && sets.contains(&r.scenes);
+    for record in records.iter().filter(of) {
+        for (i, stage) in record.stages.iter().enumerate() {
+            let sum =
+                sums.entry(i).or_insert(Stage { name: stage.name.clone(), ..Stage::default() });
+            sum.seconds += stage.seconds / sets.len() as f64;
+            sum.share += stage.share / sets.len() as f64;
+        }
+    }
+    sums.into_values().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::record::tests::record;
+    use super::super::summary::Around;
+    use super::*;
+
+    #[test]
+    fn the_page_needs_nothing_else_and_no_name_ends_its_script() {
+        let records = [
+            record("k=1", 1.0, 0.5),
+            Record { scenes: "</script>".to_owned(), ..record("k=1", 2.0, 0.4) },
+        ];
+        let summary = Summary::of(&records, Around::default()).unwrap();
+        let page = page(&summary, &records).unwrap();
+        assert_eq!(page.matches("</script").count(), 2);
+        let begin = page.find("id=\"data\">").unwrap() + 10;
+        let end = begin + page[begin..].find("</script>").unwrap();
+        let data: serde_json::Value = serde_json::from_str(&page[begin..end]).unwrap();
+        let names: Vec<_> = data["views"].as_array().unwrap().iter().map(|v| &v["name"]).collect();
+        assert_eq!(names, ["all", "rooms", "</script>"]);
+        assert_eq!(data["views"][0]["points"][0]["stages"][0]["seconds"], 1.5);
+    }
+}

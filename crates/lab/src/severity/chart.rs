@@ -1,0 +1,85 @@
+//! The curves as a picture: one panel for each figure, one line for each effect.
+
+use super::report::{SeverityPoint, SeverityReport};
+use scenesplat::page_kit::drawing::{Anchor, Color, Drawing};
+use scenesplat::page_kit::scale::Scale;
+
+const INK: Color = [40, 44, 52];
+const SOFT: Color = [120, 126, 136];
+const GRID: Color = [228, 229, 231];
+const CURVES: [Color; 8] = [
+    [20, 98, 190],
+    [226, 106, 20],
+    [34, 140, 80],
+    [160, 70, 170],
+    [190, 60, 60],
+    [90, 100, 110],
+    [180, 150, 20],
+    [20, 160, 170],
+];
+const SIZE: [u32; 2] = [1500, 1060];
+/// Left and top edge of the first panel, and from one panel to the next.
+const FIRST: [f64; 2] = [90.0, 110.0];
+const NEXT: [f64; 2] = [640.0, 470.0];
+const PANEL: [f64; 2] = [540.0, 370.0];
+const LEGEND: f64 = 1300.0;
+
+type Figure = fn(&SeverityPoint) -> f64;
+
+pub(super) fn chart(report: &SeverityReport) -> Drawing {
+    let mut d = Drawing::new(SIZE[0], SIZE[1]);
+    let title = format!(
+        "Labels of {} unseen rooms of {} Gaussians against the severity of each effect",
+        report.rooms, report.gaussians
+    );
+    d.text([FIRST[0], 24.0], 2, INK, Anchor::Start, &title);
+    let figures: [(&str, Figure); 4] = [
+        ("f-mIoU", |p| p.f_miou),
+        ("calibration error (ECE)", |p| p.ece),
+        ("mean confidence", |p| p.confidence),
+        ("unknown (less certain than 95 % of undamaged)", |p| p.unknown),
+    ];
+    for (i, (name, figure)) in figures.into_iter().enumerate() {
+        let left = FIRST[0] + NEXT[0] * (i % 2) as f64;
+        let top = FIRST[1] + NEXT[1] * (i / 2) as f64;
+        panel(&mut d, report, [left, top], name, figure);
+    }
+    for (i, curve) in report.curves.iter().enumerate() {
+        let at = [LEGEND, FIRST[1] + 30.0 * i as f64];
+        let color = CURVES[i % CURVES.len()];
+        d.disc([at[0] + 6.0, at[1] + 8.0], 6.0, color, [255; 3]);
+        d.text([at[0] + 24.0, at[1]], 2, color, Anchor::Start, &curve.effect);
+    }
+    d
+}
+
+fn panel(d: &mut Drawing, report: &SeverityReport, [left, top]: [f64; 2], name: &str, of: Figure) {
+    let [right, bottom] = [left + PANEL[0], top + PANEL[1]];
+    let points = || report.curves.iter().flat_map(|curve| &curve.points);
+    let x = Scale::over(&points().map(|p| p.severity).collect::<Vec<_>>(), false, [left, right]);
+    let y = Scale::over(&points().map(of).collect::<Vec<_>>(), false, [bottom, top]);
+    for tick in x.ticks() {
+        d.line([x.at(tick), top], [x.at(tick), bottom], 1.0, GRID);
+        d.text([x.at(tick), bottom + 10.0], 2, SOFT, Anchor::Middle, &format!("{tick}"));
+    }
+    let ticks = y.ticks();
+    // Steps below one percent need their decimals.
+    let step = ticks.windows(2).map(|pair| pair[1] - pair[0]).fold(1.0, f64::min);
+    let digits = usize::from(step < 0.0099) + usize::from(step < 0.00099);
+    for tick in ticks {
+        d.line([left, y.at(tick)], [right, y.at(tick)], 1.0, GRID);
+        let text = format!("{:.digits$}%", 100.0 * tick);
+        d.text([left - 8.0, y.at(tick) - 8.0], 2, SOFT, Anchor::End, &text);
+    }
+    d.line([left, top], [left, bottom], 1.5, INK);
+    d.line([left, bottom], [right, bottom], 1.5, INK);
+    d.text([left, top - 28.0], 2, INK, Anchor::Start, name);
+    for (i, curve) in report.curves.iter().enumerate() {
+        let color = CURVES[i % CURVES.len()];
+        let at = |p: &SeverityPoint| [x.at(p.severity), y.at(of(p))];
+        for pair in curve.points.windows(2) {
+            d.line(at(&pair[0]), at(&pair[1]), 2.5, color);
+        }
+        curve.points.iter().for_each(|p| d.disc(at(p), 4.0, color, [255; 3]));
+    }
+}
