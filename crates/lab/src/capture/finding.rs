@@ -1,6 +1,6 @@
 //! Evidence for effects, from pictures.
 
-use super::probe::FrameEvidence;
+use super::frame::FrameFigures;
 use scenesplat_datasets::effects::MOST_SEVERE;
 use std::fmt;
 
@@ -66,6 +66,25 @@ impl fmt::Display for CaptureFinding {
     }
 }
 
+/// What is known of one photo.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FrameEvidence {
+    /// Of its camera.
+    pub name: String,
+    /// What it says by itself.
+    pub figures: FrameFigures,
+    /// Its sharpness over that of the scene's own picture from there, over the same of the sharpest fifth of
+    /// the photos: 1 sharp, 0 all blurred. `None` where the scene's picture shows nothing sharp.
+    pub sharpness_share: Option<f64>,
+    /// How much more of one direction's fine detail it lacks than of another's, against the scene's own picture
+    /// from there, natural logarithm: motion blur. 0 = none; `None` where there is too little detail or
+    /// too much noise to tell.
+    pub motion: Option<f64>,
+    /// What its linear red, green and blue have to be divided by to be like the median photo's; `None` where
+    /// too little of it shows the scene.
+    pub gain: Option<[f64; 3]>,
+}
+
 /// What the pictures of a capture say.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CaptureReport {
@@ -111,7 +130,7 @@ mod tests {
         assert_eq!(frame_weight(Some(99.0)), 0.05);
         let frame = |motion| FrameEvidence {
             name: String::new(),
-            figures: crate::capture::FrameFigures::default(),
+            figures: FrameFigures::default(),
             sharpness_share: None,
             motion,
             gain: None,

@@ -9,9 +9,9 @@ mod finding;
 mod frame;
 mod probe;
 
-pub use finding::{CaptureFinding, CaptureReport, Figure, frame_weight};
+pub use finding::{CaptureFinding, CaptureReport, Figure, FrameEvidence, frame_weight};
 pub use frame::{FrameFigures, frame_figures};
-pub use probe::{CaptureError, CaptureProbe, FrameEvidence};
+pub use probe::{CaptureError, CaptureProbe};
 
 use scenesplat::preview::solid_depth;
 use scenesplat_datasets::effects::pictures::{DrawnPicture, HalfSpace, PictureRenderer};

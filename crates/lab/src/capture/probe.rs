@@ -1,7 +1,7 @@
-//! Looks at the photos of a scene.
+//! Measures the photos of a scene.
 
 use super::ScenePictures;
-use super::finding::{CaptureFinding, CaptureReport, Figure};
+use super::finding::{CaptureFinding, CaptureReport, Figure, FrameEvidence};
 use super::frame::{FrameFigures, frame_figures, motion};
 use scenesplat::preview::picture_of;
 use scenesplat_datasets::effects::pictures::PictureRenderer;
@@ -46,7 +46,7 @@ const NOISE_FROM: f64 = 0.5;
 const SATURATED_FROM: f64 = 0.5;
 const UNSEEN_FROM: f64 = 0.33;
 
-/// Why photos cannot be looked at.
+/// Why photos cannot be measured.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CaptureError {
@@ -73,26 +73,7 @@ pub enum CaptureError {
     NoDepth,
 }
 
-/// What is known of one photo.
-#[derive(Debug, Clone, PartialEq)]
-pub struct FrameEvidence {
-    /// Of its camera.
-    pub name: String,
-    /// What it says by itself.
-    pub figures: FrameFigures,
-    /// Its sharpness over that of the scene's own picture from there, over the same of the sharpest fifth of
-    /// the photos: 1 sharp, 0 all blurred. `None` where the scene's picture shows nothing sharp.
-    pub sharpness_share: Option<f64>,
-    /// How much more of one direction's fine detail it lacks than of another's, against the scene's own picture
-    /// from there, natural logarithm: motion blur. 0 = none; `None` where there is too little detail or
-    /// too much noise to tell.
-    pub motion: Option<f64>,
-    /// What its linear red, green and blue have to be divided by to be like the median photo's; `None` where
-    /// too little of it shows the scene.
-    pub gain: Option<[f64; 3]>,
-}
-
-/// Looks at the photos of a scene, one by one.
+/// Measures the photos of a scene, one by one.
 #[derive(Debug)]
 pub struct CaptureProbe<'a> {
     pictures: ScenePictures<'a>,
@@ -123,7 +104,7 @@ impl<'a> CaptureProbe<'a> {
         }
     }
 
-    /// Looks at a photo: one render, and a few passes over the pixels.
+    /// Measures a photo: one render, and a few passes over the pixels.
     ///
     /// # Errors
     /// A photo of another size than its camera's, and what the renderer refuses.

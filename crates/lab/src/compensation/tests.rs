@@ -1,10 +1,10 @@
 //! What is left out changes nothing else, and what is withheld is where it should be.
 
 use super::*;
-use crate::{Network, NetworkConfig, SceneEncoder, SceneFeatures, WeightOptions, Weights};
 use scenesplat::alignment::Alignment;
 use scenesplat::embedded;
 use scenesplat::labels::{Classes, label_with_vote};
+use scenesplat::{Network, NetworkConfig, SceneEncoder, SceneFeatures, WeightOptions, Weights};
 use scenesplat_datasets::effects::plan::{EffectPlan, PlanSection};
 use scenesplat_datasets::effects::simulate;
 use scenesplat_metrics::ZeroShotOptions;

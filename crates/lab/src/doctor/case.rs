@@ -1,4 +1,4 @@
-//! What a hard case is.
+//! Defines a hard case.
 
 use super::measures::{Bounds, Measures};
 use super::trial::{Failure, Trial};
@@ -110,7 +110,14 @@ impl Finding {
     }
 }
 
-/// Makes the input and looks at what becomes of it.
+/// Right, with nothing to measure.
+impl From<()> for Finding {
+    fn from((): ()) -> Self {
+        Self::default()
+    }
+}
+
+/// Makes the input and judges what becomes of it.
 pub(super) type Check = Box<dyn Fn(&Trial<'_>) -> Result<Finding, Failure> + Send + Sync>;
 
 /// One hard case.
@@ -137,11 +144,12 @@ pub struct Case {
 impl Case {
     /// A case of your own: the library's are in [`catalogue`](super::catalogue).
     ///
-    /// It belongs to the quick subset and has a tolerance of 0; change the fields.
-    pub fn new(
+    /// It belongs to the quick subset and has a tolerance of 0; change the fields. A check without anything to
+    /// measure returns `Ok(())`.
+    pub fn new<T: Into<Finding>>(
         name: impl Into<String>,
         level: Level,
-        check: impl Fn(&Trial<'_>) -> Result<Finding, Failure> + Send + Sync + 'static,
+        check: impl Fn(&Trial<'_>) -> Result<T, Failure> + Send + Sync + 'static,
     ) -> Self {
         Self {
             name: name.into(),
@@ -152,8 +160,28 @@ impl Case {
             tolerance: 0.0,
             reason: "",
             quick: true,
-            check: Box::new(check),
+            check: Box::new(move |trial| check(trial).map(Into::into)),
         }
+    }
+
+    /// The largest error that passes, and why.
+    pub(super) fn within(self, tolerance: f64, reason: &'static str) -> Self {
+        Self { tolerance, reason, ..self }
+    }
+
+    /// Why there is nothing to measure.
+    pub(super) fn because(self, reason: &'static str) -> Self {
+        self.within(0.0, reason)
+    }
+
+    /// What is expected.
+    pub(super) fn expects(self, policy: Policy) -> Self {
+        Self { policy, ..self }
+    }
+
+    /// Expects an error.
+    pub(super) fn refused(self) -> Self {
+        self.expects(Policy::Refused)
     }
 
     /// What the measures beside the error may come to.
@@ -168,6 +196,15 @@ impl Case {
     pub fn check(&self, trial: &Trial<'_>) -> Result<Finding, Failure> {
         (self.check)(trial)
     }
+}
+
+/// Cases by area, each with the function that makes them.
+pub(super) fn in_areas(areas: &[(&'static str, fn() -> Vec<Case>)]) -> Vec<Case> {
+    let of = |(area, cases): &(&'static str, fn() -> Vec<Case>)| {
+        let area = *area;
+        cases().into_iter().map(move |case| Case { area, ..case })
+    };
+    areas.iter().flat_map(of).collect()
 }
 
 impl fmt::Debug for Case {

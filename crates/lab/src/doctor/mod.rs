@@ -1,8 +1,8 @@
 //! Hard cases that run on the user's machine and build: one catalogue as data, and what runs it.
 //!
 //! A [`Case`] has a name, a [`Level`] (files, operators, training, scenes), where it comes from, what
-//! is expected ([`Policy`]), a tolerance with its reason, and a function that makes its input and looks
-//! at what the library makes of it. Inputs are made, not stored: the same in every run. Operators are
+//! is expected ([`Policy`]), a tolerance with its reason, and a function that makes its input and judges
+//! what the library makes of it. Inputs are made, not stored: the same in every run. Operators are
 //! compared with references in f64 that stand in this module, written by the formula; each is computed
 //! by one thread and by several, which must give the same bits. Beside the error stand [`Measures`] with
 //! [`Bounds`] of their own: units in the last place, the direction of gradients, errors that lean to a side.
@@ -26,6 +26,7 @@ mod measures;
 mod noise;
 mod operators;
 mod report;
+mod runner;
 mod scenes;
 mod soak;
 mod stability;
@@ -38,10 +39,11 @@ pub use case::{Case, Finding, Level, Policy};
 pub use catalogue::{catalogue, markdown, nearest_names};
 pub use measures::{Bounds, Measures, SignBias};
 pub use report::{DoctorReport, IsaReport, Surroundings};
+pub use runner::Doctor;
 pub use soak::{SoakKind, SoakMemory, SoakProblem, SoakReport, SoakSettings, soak, soak_round};
 pub use stability::{
     GradientCheck, PoisonCheck, StabilityRecipe, StabilityReport, StabilityRun, StabilitySettings,
     stability,
 };
-pub use trial::{Doctor, Failure, Trial};
+pub use trial::{Failure, Trial};
 pub use verdict::Verdict;

@@ -21,6 +21,13 @@ impl Noise {
         (self.next() >> 40) as f32 / 8_388_608.0 - 1.0
     }
 
+    /// Puts a list in no order.
+    pub(super) fn shuffle<T>(&mut self, list: &mut [T]) {
+        for i in (1..list.len()).rev() {
+            list.swap(i, self.below(i + 1));
+        }
+    }
+
     /// 0..n.
     pub(super) fn below(&mut self, n: usize) -> usize {
         (self.next() % n.max(1) as u64) as usize

@@ -1,6 +1,7 @@
 //! Level 3: short trainings on generated rooms.
 
-use super::case::{Case, Finding, Level, Policy};
+use super::case::{Case, Finding, Level, Policy, in_areas};
+use super::inputs::files::{columns, little, with};
 use super::trial::{Failure, Trial, ensure};
 use candle_core::{DType, Device, Tensor};
 use scenesplat::experiment::{ExperimentConfig, ExperimentError, RunOptions, RunReport, train};
@@ -42,67 +43,82 @@ keep = 5
 every_steps = 2
 "#;
 
+/// Forms of a run: name, whether it is quick, what is replaced in the experiment, and by what.
+const FORMS: [(&str, bool, &str, &str); 7] = [
+    ("f32", true, "log_every = 1", "log_every = 1"),
+    ("bf16", true, "[model]", "precision = \"bf16\"\n[model]"),
+    ("split", false, "[model]", "precision = \"split\"\n[model]"),
+    ("accumulated", false, "ema = 0.9", "accumulate = 3"),
+    ("recomputed", false, "ema = 0.9", "recompute = true"),
+    ("uneven-batches", false, "batch_size = 1", "batch_size = 2"),
+    ("huge-rate", false, "[trainer]", "[optimizer]\nlr = 1000.0\n[trainer]\nclip_norm = 1.0"),
+];
+
+/// Settings that a run cannot go on with: name, whether it is quick, word of the refusal, what is replaced, and by what.
+const OTHERS: [(&str, bool, &str, &str, &str); 4] = [
+    ("patch", false, "enc_patch_size", "enc_patch_size = [64, 64]", "enc_patch_size = [32, 64]"),
+    ("loss", false, "losses", "\"lovasz_softmax\"", "\"lovasz_softmax\"\nweight = 0.5"),
+    ("voxels", true, "grid_size", "grid_size = 0.3", "grid_size = 0.4"),
+    ("seed", false, "seed", "seed = 1", "seed = 7"),
+];
+
 pub(super) fn cases() -> Vec<Case> {
-    let case = |name: &str,
-                origin: &'static str,
-                check: fn(&Trial<'_>) -> Result<Finding, Failure>| {
-        Case {
-            area: "training",
-            origin,
-            reason: "every loss and parameter is finite, or the files are the same, byte for byte",
-            ..Case::new(name, Level::Training, check)
-        }
+    in_areas(&[("training", all)])
+}
+
+fn training<T: Into<Finding>>(
+    name: impl Into<String>,
+    origin: &'static str,
+    check: impl Fn(&Trial<'_>) -> Result<T, Failure> + Send + Sync + 'static,
+) -> Case {
+    let reason = "every loss and parameter is finite, or the files are the same, byte for byte";
+    Case { origin, reason, ..Case::new(name, Level::Training, check) }
+}
+
+fn all() -> Vec<Case> {
+    let form = |(name, quick, from, to)| {
+        let origin =
+            "demands 2a, level 3: f32, bf16; even and uneven batches; accumulation, recomputation";
+        let case = training(format!("training-{name}"), origin, move |t| {
+            let path = config(t, &EXPERIMENT.replacen(from, to, 1))?;
+            finite(t, &start(t, &path, false)?)
+        });
+        let reason = "every loss and parameter is finite; nothing else is measured";
+        Case { quick, reason, ..case }
     };
-    let refused =
-        |name: &str, origin: &'static str, check: fn(&Trial<'_>) -> Result<Finding, Failure>| {
-            Case { policy: Policy::Refused, ..case(name, origin, check) }
-        };
-    let mut cases = Vec::new();
-    for (name, from, to) in [
-        ("f32", "log_every = 1", "log_every = 1"),
-        ("bf16", "[model]", "precision = \"bf16\"\n[model]"),
-        ("split", "[model]", "precision = \"split\"\n[model]"),
-        ("accumulated", "ema = 0.9", "accumulate = 3"),
-        ("recomputed", "ema = 0.9", "recompute = true"),
-        ("uneven-batches", "batch_size = 1", "batch_size = 2"),
-        ("huge-rate", "[trainer]", "[optimizer]\nlr = 1000.0\n[trainer]\nclip_norm = 1.0"),
-    ] {
-        cases.push(Case { quick: name == "f32" || name == "bf16", ..case_of_run(name, from, to) });
-    }
+    let mut cases: Vec<Case> = FORMS.map(form).into();
     cases.extend([
-        case(
+        training(
             "training-on-threads",
             "demands 2a, level 3: identical hashes on 1 and many threads",
             |t| {
                 let path = config(t, EXPERIMENT)?;
-                let runs = std::sync::atomic::AtomicUsize::new(0);
                 t.same_on_threads(|| {
-                    let run = runs.fetch_add(1, std::sync::atomic::Ordering::SeqCst);
-                    let out = t.folder().join(format!("run-{run}"));
-                    weights(&start(&path, &out, false)?)
+                    let weights = weights(&start(t, &path, false)?)?;
+                    std::fs::remove_dir_all(t.folder().join("run"))?;
+                    Ok(weights)
                 })?;
-                Ok(Finding::right())
+                Ok(())
             },
         ),
-        case(
+        training(
             "resumed-training",
             "demands 2a, level 3: resume = uninterrupted run, bit for bit",
             |t| {
                 let path = config(t, EXPERIMENT)?;
-                let out = t.folder().join("run");
-                let whole = weights(&start(&path, &out, false)?)?;
-                forget(&out, 4)?;
-                let resumed = weights(&start(&path, &out, true)?)?;
+                let whole = weights(&interrupted(t, &path)?)?;
+                let resumed = weights(&start(t, &path, true)?)?;
                 ensure!(whole == resumed, "another network after going on from step 4");
-                Ok(Finding::right())
+                Ok(())
             },
         ),
-        refused(
+        training(
             "resumed-without-its-average",
             "attack M6: average.safetensors missing: other bits, in silence",
             |t| damaged(t, |average| Ok(std::fs::remove_file(average)?)),
-        ),
-        refused(
+        )
+        .refused(),
+        training(
             "resumed-with-a-nan-in-its-average",
             "attack M6: a NaN is exported, in silence",
             |t| {
@@ -113,62 +129,42 @@ pub(super) fn cases() -> Vec<Case> {
                     Ok(std::fs::write(average, bytes)?)
                 })
             },
-        ),
-        refused("training-on-nothing", "attack M6: trained on 0 Gaussians, and exported", |t| {
+        )
+        .refused(),
+        training("training-on-nothing", "attack M6: trained on 0 Gaussians, and exported", |t| {
             let text = EXPERIMENT.replace("num_gaussians = 400", "num_gaussians = 0");
-            let ended = start(&config(t, &text)?, &t.folder().join("run"), false);
+            let ended = start(t, &config(t, &text)?, false);
             ensure!(ended.is_err(), "a network is trained on nothing");
-            Ok(Finding::right())
-        }),
-        Case {
-            policy: Policy::Repaired,
-            ..case(
-                "training-data-with-bad-values",
-                "attack M9: 300 NaN positions and 600 NaN rotations, not a word",
-                bad_data,
-            )
-        },
+            Ok(())
+        })
+        .refused(),
+        training(
+            "training-data-with-bad-values",
+            "attack M9: 300 NaN positions and 600 NaN rotations, not a word",
+            bad_data,
+        )
+        .expects(Policy::Repaired),
     ]);
-    for (name, word, from, to) in [
-        ("patch", "enc_patch_size", "enc_patch_size = [64, 64]", "enc_patch_size = [32, 64]"),
-        ("loss", "losses", "\"lovasz_softmax\"", "\"lovasz_softmax\"\nweight = 0.5"),
-        ("voxels", "grid_size", "grid_size = 0.3", "grid_size = 0.4"),
-        ("seed", "seed", "seed = 1", "seed = 7"),
-    ] {
-        cases.push(Case {
-            area: "training",
-            origin: "attack M6: a run goes on with other settings, in silence",
-            policy: Policy::Refused,
-            quick: name == "voxels",
-            reason: "an error that names the setting; nothing is measured",
-            ..Case::new(format!("resumed-with-another-{name}"), Level::Training, move |t| {
-                let path = config(t, EXPERIMENT)?;
-                let out = t.folder().join("run");
-                start(&path, &out, false)?;
-                forget(&out, 4)?;
-                let other = config(t, &EXPERIMENT.replace(from, to))?;
-                let ended = start(&other, &out, true);
-                let named = ended.as_ref().is_err_and(|e| e.0.contains(word));
-                ensure!(named, "goes on with {to}, or does not name it: {ended:?}");
-                Ok(Finding::right())
-            })
+    cases.extend(OTHERS.map(|(name, quick, word, from, to)| {
+        let origin = "attack M6: a run goes on with other settings, in silence";
+        let case = training(format!("resumed-with-another-{name}"), origin, move |t| {
+            interrupted(t, &config(t, EXPERIMENT)?)?;
+            let ended = start(t, &config(t, &EXPERIMENT.replace(from, to))?, true);
+            let named = ended.as_ref().is_err_and(|e| e.0.contains(word));
+            ensure!(named, "goes on with {to}, or does not name it: {ended:?}");
+            Ok(())
         });
-    }
+        let reason = "an error that names the setting; nothing is measured";
+        Case { quick, reason, ..case }.refused()
+    }));
     cases
 }
 
-/// A run with one setting changed, whose numbers have to be finite.
-fn case_of_run(name: &str, from: &'static str, to: &'static str) -> Case {
-    Case {
-        area: "training",
-        origin: "demands 2a, level 3: f32, bf16; even and uneven batches; accumulation, recomputation",
-        reason: "every loss and parameter is finite; nothing else is measured",
-        ..Case::new(format!("training-{name}"), Level::Training, move |t| {
-            let path = config(t, &EXPERIMENT.replacen(from, to, 1))?;
-            let report = start(&path, &t.folder().join("run"), false)?;
-            finite(&t.folder().join("run"), &report)
-        })
-    }
+/// Trains, and removes the checkpoints after step 4, as an interruption would.
+fn interrupted(trial: &Trial<'_>, path: &Path) -> Result<RunReport, Failure> {
+    let report = start(trial, path, false)?;
+    forget(&trial.folder().join("run"), 4)?;
+    Ok(report)
 }
 
 /// Writes the experiment.
@@ -176,10 +172,10 @@ fn config(trial: &Trial<'_>, text: &str) -> Result<PathBuf, Failure> {
     trial.file("experiment.toml", text.as_bytes())
 }
 
-fn start(path: &Path, out: &Path, resume: bool) -> Result<RunReport, Failure> {
+fn start(trial: &Trial<'_>, path: &Path, resume: bool) -> Result<RunReport, Failure> {
     let options = RunOptions {
-        device: candle_core::Device::Cpu,
-        out: out.to_owned(),
+        device: Device::Cpu,
+        out: trial.folder().join("run"),
         resume,
         quiet: true,
         stop: Default::default(),
@@ -197,8 +193,8 @@ fn weights(report: &RunReport) -> Result<Vec<u8>, Failure> {
 }
 
 /// That losses were logged, and are finite with all parameters.
-fn finite(out: &Path, report: &RunReport) -> Result<Finding, Failure> {
-    let log = read_json_lines(&out.join("metrics.jsonl"))?;
+fn finite(trial: &Trial<'_>, report: &RunReport) -> Result<(), Failure> {
+    let log = read_json_lines(&trial.folder().join("run/metrics.jsonl"))?;
     let losses: Vec<_> = log.iter().filter(|line| line.name.starts_with("train/")).collect();
     ensure!(!losses.is_empty(), "no loss was logged");
     if let Some(bad) = losses.iter().find(|line| !line.value.is_finite()) {
@@ -213,7 +209,7 @@ fn finite(out: &Path, report: &RunReport) -> Result<Finding, Failure> {
         let values = tensors[name].to_dtype(DType::F64)?.flatten_all()?.to_vec1::<f64>()?;
         ensure!(values.iter().all(|v| v.is_finite()), "parameter {name} is not finite");
     }
-    Ok(Finding::right())
+    Ok(())
 }
 
 /// Removes the checkpoints after a step, as an interruption would.
@@ -234,54 +230,36 @@ fn forget(out: &Path, step: u64) -> Result<(), Failure> {
 }
 
 /// A run whose last checkpoint's average is damaged must not go on from it.
-fn damaged(
-    trial: &Trial<'_>,
-    damage: fn(&Path) -> Result<(), Failure>,
-) -> Result<Finding, Failure> {
+fn damaged(trial: &Trial<'_>, damage: fn(&Path) -> Result<(), Failure>) -> Result<(), Failure> {
     let path = config(trial, EXPERIMENT)?;
-    let out = trial.folder().join("run");
-    start(&path, &out, false)?;
-    forget(&out, 4)?;
-    let average = out.join("checkpoints/step-000000004/average.safetensors");
-    damage(&average)?;
-    let ended = start(&path, &out, true);
-    ensure!(
-        ended.as_ref().is_err_and(|e| e.0.contains("average.safetensors")),
-        "goes on, or does not name the file: {ended:?}"
-    );
-    Ok(Finding::right())
+    interrupted(trial, &path)?;
+    damage(&trial.folder().join("run/checkpoints/step-000000004/average.safetensors"))?;
+    let ended = start(trial, &path, true);
+    let named = ended.as_ref().is_err_and(|e| e.0.contains("average.safetensors"));
+    ensure!(named, "goes on, or does not name the file: {ended:?}");
+    Ok(())
 }
 
 /// Scenes with NaN positions and rotations: the run says how many.
-fn bad_data(trial: &Trial<'_>) -> Result<Finding, Failure> {
+fn bad_data(trial: &Trial<'_>) -> Result<(), Failure> {
     let data = trial.folder().join("data");
     std::fs::create_dir(&data)?;
-    for scene in 0..2 {
-        let mut text = "ply\nformat ascii 1.0\nelement vertex 400\n".to_owned();
-        let columns = [
-            "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1",
-            "scale_2", "rot_0", "rot_1", "rot_2", "rot_3",
-        ];
-        columns.iter().for_each(|name| text += &format!("property float {name}\n"));
-        text += "property int segment\nend_header\n";
-        let mut rng = super::noise::Noise::new(scene);
-        for row in 0..400 {
-            let x = if row % 40 == 7 { "nan".to_owned() } else { rng.float().to_string() };
-            let quat = if row % 40 == 9 { "nan 0 0 0" } else { "1 0 0 0" };
-            let (y, z) = (rng.float(), rng.float());
-            text += &format!("{x} {y} {z} 0.1 0.2 0.3 1 -3 -3 -3 {quat} {}\n", row % 5);
-        }
-        std::fs::write(data.join(format!("s{scene}.ply")), text)?;
+    let mut columns = columns(400);
+    for row in (0..400).step_by(40) {
+        columns = with(with(columns, "x", row + 7, f32::NAN), "rot_0", row + 9, f32::NAN);
+    }
+    for scene in ["a.ply", "b.ply"] {
+        std::fs::write(data.join(scene), little(&columns))?;
     }
     let text = EXPERIMENT.replace(
         "{ type = \"synthetic\", count = 3, seed = 1, room = { num_gaussians = 400 } }",
         "{ type = \"generic\", root = \"data\" }",
     );
-    let report = start(&config(trial, &text)?, &trial.folder().join("run"), false)?;
+    let report = start(trial, &config(trial, &text)?, false)?;
     let log = read_json_lines(&trial.folder().join("run/metrics.jsonl"))?;
     let counted = |name: &str| log.iter().find(|v| v.name == name).map(|v| v.value);
     for (name, want) in [("data/train/repaired_scenes", 2.0), ("data/train/dropped_rows", 20.0)] {
         ensure!(counted(name) == Some(want), "{name} is {:?}, {want} is right", counted(name));
     }
-    finite(&trial.folder().join("run"), &report)
+    finite(trial, &report)
 }

@@ -1,14 +1,10 @@
-//! What a case has at hand while it runs, and what runs it.
+//! What a case has at hand while it runs.
 
-use super::case::{Case, Finding};
-use super::verdict::Verdict;
 use rayon::ThreadPool;
 use scenesplat_scene::formats::npy_writer::write_npy;
 use std::any::Any;
 use std::io;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 /// Why a case did not pass. Any error becomes one.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -37,76 +33,40 @@ macro_rules! ensure {
 }
 pub(super) use ensure;
 
-/// Runs cases.
-pub struct Doctor {
-    folder: PathBuf,
-    keep: bool,
-    one: ThreadPool,
-    many: ThreadPool,
-}
-
-impl Doctor {
-    /// With a folder in which cases write their files; it is made if need be. The files of a case
-    /// are removed when it is done.
-    ///
-    /// # Errors
-    /// If the folder or threads cannot be made.
-    pub fn new(folder: &Path) -> io::Result<Self> {
-        std::fs::create_dir_all(folder)?;
-        let pool = |threads: usize| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-            pool.map_err(io::Error::other)
-        };
-        // Two on a single core too: what depends on the number shows there as well.
-        let many = rayon::current_num_threads().max(2);
-        Ok(Self { folder: folder.to_owned(), keep: false, one: pool(1)?, many: pool(many)? })
-    }
-
-    /// Leaves what the cases made in the folder, also the numbers that went into operators.
-    #[must_use]
-    pub fn keeping(self) -> Self {
-        Self { keep: true, ..self }
-    }
-
-    /// Threads of the larger of the two pools.
-    pub fn threads(&self) -> usize {
-        self.many.current_num_threads()
-    }
-
-    /// Runs a case; what it panics with counts as its failure.
-    pub fn run(&self, case: &Case) -> Verdict {
-        let folder = self.folder.join(&case.name);
-        let began = Instant::now();
-        let trial = Trial { folder: &folder, doctor: self };
-        let made = std::fs::create_dir_all(&folder);
-        let checked = made.map_err(Failure::from).and_then(|()| {
-            catch_unwind(AssertUnwindSafe(|| case.check(&trial)))
-                .unwrap_or_else(|panic| Err(Failure(format!("panicked: {}", panic_text(&*panic)))))
-        });
-        let empty = std::fs::read_dir(&folder).is_ok_and(|mut files| files.next().is_none());
-        if !self.keep || empty {
-            // A rest in a folder for such does no harm.
-            let _ = std::fs::remove_dir_all(&folder);
-        }
-        let seconds = began.elapsed().as_secs_f64();
-        let (finding, failure) = match checked {
-            Ok(finding) => (Some(finding), None),
-            Err(Failure(text)) => (None, Some(text)),
-        };
-        Verdict::new(case, finding, failure, seconds)
-    }
-}
-
 /// What a panic said.
 pub(super) fn panic_text(panic: &(dyn Any + Send)) -> &str {
     let text = panic.downcast_ref::<&str>().copied();
     text.or_else(|| panic.downcast_ref::<String>().map(String::as_str)).unwrap_or("without a word")
 }
 
+/// Pools of one thread and of several.
+pub(super) struct Pools {
+    one: ThreadPool,
+    many: ThreadPool,
+}
+
+impl Pools {
+    pub(super) fn new() -> io::Result<Self> {
+        let pool = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+            pool.map_err(io::Error::other)
+        };
+        // Two on a single core too: what depends on the number shows there as well.
+        let many = rayon::current_num_threads().max(2);
+        Ok(Self { one: pool(1)?, many: pool(many)? })
+    }
+
+    /// Threads of the larger one.
+    pub(super) fn threads(&self) -> usize {
+        self.many.current_num_threads()
+    }
+}
+
 /// A case that runs.
 pub struct Trial<'a> {
-    folder: &'a Path,
-    doctor: &'a Doctor,
+    pub(super) folder: &'a Path,
+    pub(super) keep: bool,
+    pub(super) pools: &'a Pools,
 }
 
 impl Trial<'_> {
@@ -130,7 +90,7 @@ impl Trial<'_> {
     /// # Errors
     /// If they cannot be written.
     pub fn keep(&self, name: &str, values: &[f32]) -> Result<(), Failure> {
-        if self.doctor.keep {
+        if self.keep {
             write_npy(&self.folder.join(format!("{name}.npy")), &[values.len()], values)?;
         }
         Ok(())
@@ -144,18 +104,18 @@ impl Trial<'_> {
     where
         C: Fn() -> Result<Vec<f32>, Failure> + Sync,
     {
-        let one = self.doctor.one.install(&compute)?;
-        let many = self.doctor.many.install(&compute)?;
+        let one = self.pools.one.install(&compute)?;
+        let many = self.pools.many.install(&compute)?;
         ensure!(
             one.len() == many.len(),
             "{} values on one thread, {} on {}",
             one.len(),
             many.len(),
-            self.doctor.threads()
+            self.pools.threads()
         );
         let apart = one.iter().zip(&many).position(|(a, b)| a.to_bits() != b.to_bits());
         if let Some(at) = apart {
-            let (a, b, threads) = (one[at], many[at], self.doctor.threads());
+            let (a, b, threads) = (one[at], many[at], self.pools.threads());
             return Err(Failure(format!(
                 "value {at}: {a:e} on one thread, {b:e} on {threads}: results depend on threads"
             )));
@@ -172,15 +132,9 @@ impl Trial<'_> {
         T: PartialEq + Send,
         C: Fn() -> Result<T, Failure> + Sync,
     {
-        let one = self.doctor.one.install(&compute)?;
-        let many = self.doctor.many.install(&compute)?;
-        ensure!(one == many, "one thread and {} give different results", self.doctor.threads());
+        let one = self.pools.one.install(&compute)?;
+        let many = self.pools.many.install(&compute)?;
+        ensure!(one == many, "one thread and {} give different results", self.pools.threads());
         Ok(one)
     }
-}
-
-/// Compares what a case measured with what it allows.
-pub(super) fn passes(case: &Case, finding: &Finding) -> bool {
-    // A NaN is at most nothing.
-    finding.error <= case.tolerance && case.bounds().broken(&finding.measures).is_none()
 }

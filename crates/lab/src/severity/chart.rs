@@ -1,8 +1,11 @@
 //! The curves as a picture: one panel for each figure, one line for each effect.
 
+use super::SeverityError;
 use super::report::{SeverityPoint, SeverityReport};
 use scenesplat::page_kit::drawing::{Anchor, Color, Drawing};
 use scenesplat::page_kit::scale::Scale;
+use scenesplat_scene::AtomicFile;
+use std::path::{Path, PathBuf};
 
 const INK: Color = [40, 44, 52];
 const SOFT: Color = [120, 126, 136];
@@ -24,9 +27,24 @@ const NEXT: [f64; 2] = [640.0, 470.0];
 const PANEL: [f64; 2] = [540.0, 370.0];
 const LEGEND: f64 = 1300.0;
 
+impl SeverityReport {
+    /// Writes `severity.json`, `severity.svg` and `severity.png`. Gives their paths and sizes.
+    ///
+    /// # Errors
+    /// If one cannot be written.
+    pub fn write(&self, folder: &Path) -> Result<Vec<(PathBuf, u64)>, SeverityError> {
+        std::fs::create_dir_all(folder)?;
+        let paths = ["severity.json", "severity.svg", "severity.png"].map(|n| folder.join(n));
+        let json = serde_json::to_string_pretty(self)? + "\n";
+        AtomicFile::write(&paths[0], json.as_bytes())?;
+        let [svg, png] = chart(self).write(&paths[1], &paths[2])?;
+        Ok(paths.into_iter().zip([json.len() as u64, svg, png]).collect())
+    }
+}
+
 type Figure = fn(&SeverityPoint) -> f64;
 
-pub(super) fn chart(report: &SeverityReport) -> Drawing {
+fn chart(report: &SeverityReport) -> Drawing {
     let mut d = Drawing::new(SIZE[0], SIZE[1]);
     let title = format!(
         "Labels of {} unseen rooms of {} Gaussians against the severity of each effect",

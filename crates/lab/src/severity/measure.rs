@@ -3,16 +3,16 @@
 use super::SeverityError;
 use super::report::SeverityPoint;
 use crate::pareto::quality::{Sureness, sureness};
-use crate::{Network, SceneEncoder, WeightOptions, Weights, embedded};
 use scenesplat::evaluation::background;
 use scenesplat::labels::{Classes, label_with_vote};
+use scenesplat::{Network, SceneEncoder, WeightOptions, Weights, embedded};
 use scenesplat_datasets::Anchor;
 use scenesplat_datasets::effects::Simulated;
 use scenesplat_metrics::{ConfidenceBins, ConfusionMatrix, Metric, ZeroShotOptions};
 use scenesplat_scene::{GaussianScene, LabelSet, TextTable};
 
 /// Neighbours that vote, as in the paper.
-pub(super) const VOTE_K: usize = 25;
+const VOTE_K: usize = 25;
 /// Share of the Gaussians of undamaged rooms that may count as unknown.
 const UNKNOWN_UNDAMAGED: f64 = 0.05;
 /// Side of a damaged corner, metres.
@@ -28,9 +28,9 @@ pub(super) struct Labelled {
 
 /// The network with its classes.
 pub(super) struct Bench {
-    pub(super) network: Network,
-    pub(super) texts: TextTable,
-    pub(super) excluded: Vec<usize>,
+    network: Network,
+    texts: TextTable,
+    excluded: Vec<usize>,
     /// Probability of the likeliest class below which a Gaussian counts as unknown.
     pub(super) threshold: f32,
 }

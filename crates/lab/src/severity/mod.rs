@@ -13,10 +13,8 @@
 mod chart;
 mod measure;
 mod report;
-mod suite;
 
 pub use report::{Check, ConfidenceRow, EffectCurve, SeverityPoint, SeverityReport};
-pub use suite::{Figures, PairRow, SceneRow, SuiteReport, SuiteSettings, Worth, effect_suite};
 
 use crate::pareto::ParetoError;
 use measure::{Bench, Damaged};
@@ -122,10 +120,10 @@ impl From<ParetoError> for SeverityError {
 /// Runs the network inside the program over rooms with each effect at each severity, and once more with
 /// the damage in one corner only.
 ///
-/// `go_on` is told what is under way and the share that is done, and may end it.
+/// `go_on` gets the step under way and the share that is done; returning false cancels.
 ///
 /// # Errors
-/// If a setting is out of its range, it was ended, or something cannot be computed.
+/// If a setting is out of its range, it was canceled, or something cannot be computed.
 pub fn severity_curves(
     settings: &CurveSettings,
     go_on: &mut dyn FnMut(&str, f64) -> bool,
@@ -189,7 +187,7 @@ pub fn severity_curves(
         curve.far_changed_anchored = f64::from(changed_anchored) / f64::from(far.max(1));
         curves.push(curve);
     }
-    Ok(SeverityReport::new(settings, &bench, curves, began.elapsed().as_secs_f64()))
+    Ok(SeverityReport::new(settings, bench.threshold, curves, began.elapsed().as_secs_f64()))
 }
 
 fn check(settings: &CurveSettings) -> Result<(), SeverityError> {

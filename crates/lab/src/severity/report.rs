@@ -1,13 +1,9 @@
 //! The curves as numbers, with what is expected of them.
 
-use super::chart::chart;
-use super::measure::Bench;
-use super::{CurveSettings, SeverityError};
+use super::CurveSettings;
 use scenesplat_metrics::rank_correlation;
-use scenesplat_scene::AtomicFile;
 use serde::{Deserialize, Serialize};
 use std::fmt;
-use std::path::{Path, PathBuf};
 
 /// What quality may fall by from one severity to the next, as a share: 10 points.
 const LARGEST_STEP: f64 = 0.1;
@@ -112,7 +108,7 @@ pub struct SeverityReport {
 impl SeverityReport {
     pub(super) fn new(
         settings: &CurveSettings,
-        bench: &Bench,
+        unknown_below: f32,
         curves: Vec<EffectCurve>,
         seconds: f64,
     ) -> Self {
@@ -121,25 +117,12 @@ impl SeverityReport {
             gaussians: settings.gaussians,
             room_seed: settings.room_seed,
             seed: settings.seed,
-            unknown_below: bench.threshold,
+            unknown_below,
             checks: checks(&curves),
             confidences: confidences(&curves),
             curves,
             seconds,
         }
-    }
-
-    /// Writes `severity.json`, `severity.svg` and `severity.png`. Gives their paths and sizes.
-    ///
-    /// # Errors
-    /// If one cannot be written.
-    pub fn write(&self, folder: &Path) -> Result<Vec<(PathBuf, u64)>, SeverityError> {
-        std::fs::create_dir_all(folder)?;
-        let paths = ["severity.json", "severity.svg", "severity.png"].map(|n| folder.join(n));
-        let json = serde_json::to_string_pretty(self)? + "\n";
-        AtomicFile::write(&paths[0], json.as_bytes())?;
-        let [svg, png] = chart(self).write(&paths[1], &paths[2])?;
-        Ok(paths.into_iter().zip([json.len() as u64, svg, png]).collect())
     }
 }
 

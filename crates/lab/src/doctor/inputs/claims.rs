@@ -1,8 +1,12 @@
 //! Small files that claim to be large ones: nothing is reserved for what they cannot hold.
 
 use super::files::{file_name, open, refused, scene};
-use crate::doctor::case::{Case, Finding, Level, Policy};
+use super::input;
+use crate::doctor::case::Case;
 use crate::doctor::trial::{Failure, Trial, ensure};
+use scenesplat_kernels::gemm::PackedMatrix;
+use scenesplat_kernels::patch_attention::{Heads, forward};
+use scenesplat_kernels::patches;
 use scenesplat_rasterizer::View;
 use scenesplat_rasterizer::segments::{SegmentFolder, SegmentOptions};
 use scenesplat_rooms::{SyntheticRoomSettings, Vocabulary, generate};
@@ -10,109 +14,86 @@ use scenesplat_scene::picture::decode_picture;
 use scenesplat_scene::{
     Policy as ReadPolicy, SceneFormat, WriteOptions, open_cameras, write_scene,
 };
-use std::path::Path;
+use std::panic::catch_unwind;
+use std::path::{Path, PathBuf};
 
 const NEVER: &str = "docs/bad_values.md: what is never believed";
 
 pub(super) fn cases() -> Vec<Case> {
-    let case =
-        |name: &str, origin: &'static str, check: fn(&Trial<'_>) -> Result<Finding, Failure>| {
-            Case {
-                area: "claims",
-                origin,
-                policy: Policy::Refused,
-                reason: "an error that names the file and the claim; nothing is measured",
-                ..Case::new(name, Level::Inputs, check)
-            }
-        };
     let mut cases = vec![
-        case("npy-of-2-to-40-rows", NEVER, |t| npy_rows(t, "(1099511627776, 3)")),
-        case("npy-whose-size-wraps", NEVER, |t| npy_rows(t, "(6148914691236517206, 3)")),
-        case(
+        input("npy-of-2-to-40-rows", NEVER, |t| {
+            npy_rows(t, "(1099511627776, 3)", 72, &["coord.npy"])
+        }),
+        input("npy-whose-size-wraps", NEVER, |t| {
+            npy_rows(t, "(6148914691236517206, 3)", 72, &["coord.npy"])
+        }),
+        input(
             "npy-of-other-rows",
             "mmcv-style scenes: arrays out of step (STYLE 3, SceneSplat)",
-            ragged,
+            |t| npy_rows(t, "(5, 3)", 60, &["5", "6"]),
         ),
-        case("splat-of-31-bytes", NEVER, |t| {
+        input("splat-of-31-bytes", NEVER, |t| {
             let path = t.file("scene.splat", &[7; 31])?;
-            refused(open(&path, ReadPolicy::Repair), &["scene.splat"])?;
-            Ok(Finding::right())
+            refused(open(&path, ReadPolicy::Repair), &["scene.splat"])
         }),
-        case("glb-whose-length-lies", NEVER, glb_length),
-        case("png-bomb", "attack M4: 470 kB that unpack to 22,000 × 22,000 pixels", png_bomb),
-        case("png-of-4-billion-pixels", "attack M4, by its header alone", |t| {
+        input("glb-whose-length-lies", NEVER, glb_length),
+        input("png-bomb", "attack M4: 470 kB that unpack to 22,000 × 22,000 pixels", png_bomb),
+        input("png-of-4-billion-pixels", "attack M4, by its header alone", |t| {
             let bytes = png(65_535, 65_535);
             let path = t.file("picture.png", &bytes)?;
-            refused(decode_picture(&bytes, &path), &["picture.png"])?;
-            Ok(Finding::right())
+            refused(decode_picture(&bytes, &path), &["picture.png"])
         }),
-        case(
+        input(
             "feature-table-without-rows",
             "attack M5: 128 bytes that say each feature has 2^24 values",
             wide_table,
         ),
-        case("camera-of-4-billion-pixels", NEVER, camera_size),
-        case("room-of-a-million-and-one", NEVER, |_| {
-            let settings = SyntheticRoomSettings {
-                num_gaussians: Some(usize::MAX),
-                ..SyntheticRoomSettings::default()
-            };
-            refused(generate(&settings), &["num_gaussians"])?;
-            Ok(Finding::right())
+        input("camera-of-4-billion-pixels", NEVER, camera_size),
+        input("room-of-a-million-and-one", NEVER, |_| {
+            let num_gaussians = Some(usize::MAX);
+            let settings =
+                SyntheticRoomSettings { num_gaussians, ..SyntheticRoomSettings::default() };
+            refused(generate(&settings), &["num_gaussians"])
         }),
-        case("vocabulary-of-2-to-64", "attack L: --text vocabulary:2^64-1", |_| {
+        input("vocabulary-of-2-to-64", "attack L: --text vocabulary:2^64-1", |_| {
             for dim in [0, 31, 1 << 20, usize::MAX] {
                 refused(Vocabulary::new(dim), &[&dim.to_string()])?;
             }
-            Ok(Finding::right())
+            Ok(())
         }),
-        case(
+        input(
             "lengths-that-wrap",
             "soundness of the kernels: a product of sizes may wrap to a small one",
             |_| {
-                let made = std::panic::catch_unwind(|| {
-                    let values = [0.0; 4];
-                    let rows = usize::MAX / 2 + 2;
-                    scenesplat_kernels::gemm::PackedMatrix::from_strided(&values, rows, 2, 1, rows)
-                        .bytes()
-                });
+                let rows = usize::MAX / 2 + 2;
+                let made = catch_unwind(|| PackedMatrix::from_strided(&[0.0; 4], rows, 2, 1, rows));
                 ensure!(made.is_err(), "a matrix of 2^63 rows was made of 4 values");
-                Ok(Finding::right())
+                Ok(())
             },
         ),
-        case(
+        input(
             "order-that-is-no-permutation",
             "attack `unsound_patches`: safe code that made the attention write out of bounds",
             no_permutation,
         ),
     ];
-    for (name, text) in [("2-to-62", "4611686018427387904"), ("a-million", "1000000")] {
-        cases.push(Case {
-            origin: "attack M3: config.json without upper bounds; sums wrap",
-            ..case_of_config(&format!("config-in-channels-{name}"), "in_channels", text)
+    for case in &mut cases {
+        case.reason = "an error that names the file and the claim; nothing is measured";
+    }
+    for (name, field, size) in [
+        ("in-channels-2-to-62", "in_channels", "4611686018427387904"),
+        ("in-channels-a-million", "in_channels", "1000000"),
+        ("mlp-ratio-a-million", "mlp_ratio", "1000000"),
+    ] {
+        let origin = "attack M3: config.json without upper bounds; sums wrap";
+        let case = input(format!("config-{name}"), origin, move |t| {
+            let text = format!("{{\"{field}\": {size}, \"input\": {{\"channels\": [\"color\"]}}}}");
+            let path = t.file("config.json", text.as_bytes())?;
+            refused(scenesplat::NetworkConfig::read(&path), &["config.json", field])
         });
+        cases.push(case.because("an error that names the file and the field; nothing is measured"));
     }
-    cases.push(Case {
-        origin: "attack M3: config.json without upper bounds; sums wrap",
-        ..case_of_config("config-mlp-ratio-a-million", "mlp_ratio", "1000000")
-    });
-    cases
-}
-
-/// A network of a size that none has.
-fn case_of_config(name: &str, field: &'static str, size: &'static str) -> Case {
-    let check = move |trial: &Trial<'_>| {
-        let text = format!("{{\"{field}\": {size}, \"input\": {{\"channels\": [\"color\"]}}}}");
-        let path = trial.file("config.json", text.as_bytes())?;
-        refused(scenesplat::NetworkConfig::read(&path), &["config.json", field])?;
-        Ok(Finding::right())
-    };
-    Case {
-        area: "claims",
-        policy: Policy::Refused,
-        reason: "an error that names the file and the field; nothing is measured",
-        ..Case::new(name, Level::Inputs, check)
-    }
+    cases.into_iter().map(Case::refused).collect()
 }
 
 /// An array file that claims a shape.
@@ -126,39 +107,27 @@ fn npy(descr: &str, shape: &str, data: &[u8]) -> Vec<u8> {
     out
 }
 
-fn folder(trial: &Trial<'_>) -> Result<std::path::PathBuf, Failure> {
-    let path = trial.folder().join(file_name(SceneFormat::NpyFolder));
-    let scene = scene(6, 0, 1);
-    let options = WriteOptions::default();
-    write_scene(&scene, &path, SceneFormat::NpyFolder, &options, &mut |_| true)?;
+/// A scene of six Gaussians as a file.
+fn written(trial: &Trial<'_>, format: SceneFormat) -> Result<PathBuf, Failure> {
+    let path = trial.folder().join(file_name(format));
+    write_scene(&scene(6, 0, 1), &path, format, &WriteOptions::default(), &mut |_| true)?;
     Ok(path)
 }
 
-fn npy_rows(trial: &Trial<'_>, shape: &str) -> Result<Finding, Failure> {
-    let path = folder(trial)?;
-    std::fs::write(path.join("coord.npy"), npy("<f4", shape, &[0; 72]))?;
-    refused(open(&path, ReadPolicy::Repair), &["coord.npy"])?;
-    Ok(Finding::right())
+/// A folder of arrays, one of which claims a shape for so many bytes; `words`: what the refusal says.
+fn npy_rows(trial: &Trial<'_>, shape: &str, bytes: usize, words: &[&str]) -> Result<(), Failure> {
+    let path = written(trial, SceneFormat::NpyFolder)?;
+    std::fs::write(path.join("coord.npy"), npy("<f4", shape, &vec![0; bytes]))?;
+    refused(open(&path, ReadPolicy::Repair), words)
 }
 
-fn ragged(trial: &Trial<'_>) -> Result<Finding, Failure> {
-    let path = folder(trial)?;
-    std::fs::write(path.join("coord.npy"), npy("<f4", "(5, 3)", &[0; 60]))?;
-    refused(open(&path, ReadPolicy::Repair), &["5", "6"])?;
-    Ok(Finding::right())
-}
-
-fn glb_length(trial: &Trial<'_>) -> Result<Finding, Failure> {
-    let path = trial.folder().join("scene.glb");
-    let scene = scene(6, 0, 1);
-    let options = WriteOptions::default();
-    write_scene(&scene, &path, SceneFormat::Glb, &options, &mut |_| true)?;
+fn glb_length(trial: &Trial<'_>) -> Result<(), Failure> {
+    let path = written(trial, SceneFormat::Glb)?;
     let mut bytes = std::fs::read(&path)?;
     // The length of the whole file stands behind the magic word and the version.
     bytes[8..12].copy_from_slice(&u32::MAX.to_le_bytes());
     std::fs::write(&path, &bytes)?;
-    refused(open(&path, ReadPolicy::Repair), &["scene.glb"])?;
-    Ok(Finding::right())
+    refused(open(&path, ReadPolicy::Repair), &["scene.glb"])
 }
 
 /// A PNG file that says this size, with a few bytes of pixels.
@@ -190,7 +159,7 @@ fn crc(bytes: &[u8]) -> u32 {
     })
 }
 
-fn png_bomb(trial: &Trial<'_>) -> Result<Finding, Failure> {
+fn png_bomb(trial: &Trial<'_>) -> Result<(), Failure> {
     // Within the largest size of a picture, so that only its own bytes tell.
     let bytes = png(11_000, 11_000);
     let path = trial.file("picture.png", &bytes)?;
@@ -200,34 +169,31 @@ fn png_bomb(trial: &Trial<'_>) -> Result<Finding, Failure> {
     let path = trial.file("small.png", &small)?;
     let picture = decode_picture(&small, &path)?;
     ensure!((picture.width(), picture.height()) == (1, 1), "the small picture has another size");
-    Ok(Finding::right())
+    Ok(())
 }
 
-fn wide_table(trial: &Trial<'_>) -> Result<Finding, Failure> {
+fn wide_table(trial: &Trial<'_>) -> Result<(), Failure> {
     let ids: Vec<u8> = [-1i32; 12].iter().flat_map(|v| v.to_le_bytes()).collect();
     trial.file("a_s.npy", &npy("<i4", "(1, 3, 4)", &ids))?;
     trial.file("a_f.npy", &npy("<f2", "(0, 16777216)", &[]))?;
     let folder = SegmentFolder::open(trial.folder(), SegmentOptions::default())?;
-    refused(folder.read(0, 4, 3), &["a_f.npy", "16777216"])?;
-    Ok(Finding::right())
+    refused(folder.read(0, 4, 3), &["a_f.npy", "16777216"])
 }
 
-fn camera_size(trial: &Trial<'_>) -> Result<Finding, Failure> {
+fn camera_size(trial: &Trial<'_>) -> Result<(), Failure> {
     let text = r#"[{"id": 0, "img_name": "a", "width": 4294967295, "height": 4294967295,
         "position": [0, 0, 0], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "fx": 50, "fy": 50}]"#;
     let path: &Path = &trial.file("cameras.json", text.as_bytes())?;
     let cameras = open_cameras(path)?.cameras;
-    refused(View::from_camera(&cameras[0]), &["4294967295"])?;
-    Ok(Finding::right())
+    refused(View::from_camera(&cameras[0]), &["4294967295"])
 }
 
-fn no_permutation(_: &Trial<'_>) -> Result<Finding, Failure> {
-    use scenesplat_kernels::patch_attention::{Heads, forward};
+fn no_permutation(_: &Trial<'_>) -> Result<(), Failure> {
     let heads = Heads { count: 1, dim: 16 };
     let rows = 64;
     let attend = |order: Vec<u32>, len: usize| {
-        std::panic::catch_unwind(move || {
-            let patches = scenesplat_kernels::patches::cut(&[0, rows], 16);
+        catch_unwind(move || {
+            let patches = patches::cut(&[0, rows], 16);
             let qkv = vec![0.5; len * 3 * 16];
             let mut out = vec![0.0; rows * 16];
             forward(&qkv, heads, &patches, &order, &mut out);
@@ -246,5 +212,5 @@ fn no_permutation(_: &Trial<'_>) -> Result<Finding, Failure> {
     ] {
         ensure!(attend(order, len).is_err(), "{what} is taken");
     }
-    Ok(Finding::right())
+    Ok(())
 }

@@ -10,16 +10,27 @@ mod quaternions;
 mod round_trips;
 mod voxels;
 
-use super::case::Case;
+use super::case::{Case, Finding, Level, in_areas};
+use super::trial::{Failure, Trial};
 
 pub(super) fn cases() -> Vec<Case> {
-    let mut cases = poison::cases();
-    cases.extend(quaternions::cases());
-    cases.extend(columns::cases());
-    cases.extend(containers::cases());
-    cases.extend(round_trips::cases());
-    cases.extend(voxels::cases());
-    cases.extend(claims::cases());
-    cases.extend(attacks::cases());
-    cases
+    in_areas(&[
+        ("values", poison::cases),
+        ("rotations", quaternions::cases),
+        ("columns", columns::cases),
+        ("containers", containers::cases),
+        ("formats", round_trips::cases),
+        ("shapes", voxels::cases),
+        ("claims", claims::cases),
+        ("attacks", attacks::cases),
+    ])
+}
+
+/// A case of a file or scene that comes in.
+fn input<T: Into<Finding>>(
+    name: impl Into<String>,
+    origin: &'static str,
+    check: impl Fn(&Trial<'_>) -> Result<T, Failure> + Send + Sync + 'static,
+) -> Case {
+    Case { origin, ..Case::new(name, Level::Inputs, check) }
 }

@@ -1,7 +1,8 @@
 //! One bad value in one column of a PLY file: every attribute, every kind of bad value.
 
 use super::files::{BAD, ROWS, check_quats, columns, little, open_legal, open_repaired, with};
-use crate::doctor::case::{Case, Finding, Level, Policy};
+use super::input;
+use crate::doctor::case::{Case, Policy};
 use crate::doctor::trial::{Failure, Trial, ensure};
 use scenesplat_scene::value_policy::Rule;
 use scenesplat_scene::{GaussianScene, LoadedScene};
@@ -18,147 +19,99 @@ enum Fate {
 }
 use Fate::{Kept, LeftOut, Repaired};
 
-/// A column, what a NaN, +∞ and −∞ in it become, and how to find its value in a scene.
+/// A column, what a NaN, +∞ and −∞ in it become, and where its value is in a scene, if it is kept as it is.
 struct Attribute {
     name: &'static str,
     column: &'static str,
-    nan: Fate,
-    infinite: [Fate; 2],
-    /// Whether huge and tiny numbers are values like any other there.
-    extremes: bool,
-    value: fn(&GaussianScene) -> Option<f32>,
+    fates: [Fate; 3],
+    value: Option<fn(&GaussianScene) -> f32>,
 }
 
-const ATTRIBUTES: &[Attribute] = &[
-    Attribute {
-        name: "coord",
-        column: "y",
-        nan: LeftOut(Rule::CoordNotFinite),
-        infinite: [LeftOut(Rule::CoordNotFinite); 2],
-        extremes: true,
-        value: |s| Some(s.coord[BAD][1]),
-    },
-    Attribute {
-        name: "scale",
-        column: "scale_2",
-        nan: LeftOut(Rule::ScaleNan),
-        infinite: [LeftOut(Rule::ScaleInfinite), Kept],
-        extremes: true,
-        value: |s| Some(s.log_scale[BAD][2]),
-    },
-    Attribute {
-        name: "opacity",
-        column: "opacity",
-        nan: LeftOut(Rule::OpacityNan),
-        infinite: [Kept; 2],
-        extremes: true,
-        value: |s| Some(s.opacity_logit[BAD]),
-    },
-    Attribute {
-        name: "quat",
-        column: "rot_1",
-        nan: Repaired(Rule::QuatNotFinite),
-        infinite: [Repaired(Rule::QuatNotFinite); 2],
-        // A huge component is a direction: it is divided by the norm.
-        extremes: false,
-        value: |_| None,
-    },
-    Attribute {
-        name: "color",
-        column: "f_dc_1",
-        nan: Repaired(Rule::ColorNan),
-        infinite: [Repaired(Rule::ColorInfinite); 2],
-        extremes: true,
-        value: |s| Some(s.sh_dc[BAD][1]),
-    },
-    Attribute {
-        name: "sh-rest",
-        column: "f_rest_4",
-        nan: Repaired(Rule::RestNotFinite),
-        infinite: [Repaired(Rule::RestNotFinite); 2],
-        extremes: true,
-        // Column 4 is the second coefficient of green.
-        value: |s| Some(s.sh_rest[9 * BAD + 4]),
-    },
-    Attribute {
-        name: "normal",
-        column: "nz",
-        nan: Repaired(Rule::NormalNotFinite),
-        infinite: [Repaired(Rule::NormalNotFinite); 2],
-        extremes: false,
-        value: |_| None,
-    },
-    Attribute {
-        name: "segment",
-        column: "segment",
-        nan: Repaired(Rule::SegmentInvalid),
-        infinite: [Repaired(Rule::SegmentInvalid); 2],
-        extremes: false,
-        value: |_| None,
-    },
-    Attribute {
-        name: "score",
-        column: "score",
-        nan: Repaired(Rule::ScoreNan),
-        // Any range, says the field.
-        infinite: [Kept; 2],
-        extremes: false,
-        value: |s| s.segment_score.as_ref().map(|s| s[BAD]),
-    },
-    Attribute {
-        name: "instance",
-        column: "instance",
-        nan: Repaired(Rule::InstanceInvalid),
-        infinite: [Repaired(Rule::InstanceInvalid); 2],
-        extremes: false,
-        value: |_| None,
-    },
+const fn attribute(
+    name: &'static str,
+    column: &'static str,
+    fates: [Fate; 3],
+    value: Option<fn(&GaussianScene) -> f32>,
+) -> Attribute {
+    Attribute { name, column, fates, value }
+}
+
+static ATTRIBUTES: [Attribute; 10] = [
+    attribute("coord", "y", [LeftOut(Rule::CoordNotFinite); 3], Some(|s| s.coord[BAD][1])),
+    attribute(
+        "scale",
+        "scale_2",
+        [LeftOut(Rule::ScaleNan), LeftOut(Rule::ScaleInfinite), Kept],
+        Some(|s| s.log_scale[BAD][2]),
+    ),
+    attribute(
+        "opacity",
+        "opacity",
+        [LeftOut(Rule::OpacityNan), Kept, Kept],
+        Some(|s| s.opacity_logit[BAD]),
+    ),
+    // A huge component is a direction: it is divided by the norm.
+    attribute("quat", "rot_1", [Repaired(Rule::QuatNotFinite); 3], None),
+    attribute(
+        "color",
+        "f_dc_1",
+        [Repaired(Rule::ColorNan), Repaired(Rule::ColorInfinite), Repaired(Rule::ColorInfinite)],
+        Some(|s| s.sh_dc[BAD][1]),
+    ),
+    // Column 4 is the second coefficient of green.
+    attribute(
+        "sh-rest",
+        "f_rest_4",
+        [Repaired(Rule::RestNotFinite); 3],
+        Some(|s| s.sh_rest[9 * BAD + 4]),
+    ),
+    attribute("normal", "nz", [Repaired(Rule::NormalNotFinite); 3], None),
+    attribute("segment", "segment", [Repaired(Rule::SegmentInvalid); 3], None),
+    attribute(
+        SCORE,
+        "score",
+        [Repaired(Rule::ScoreNan), Kept, Kept],
+        Some(|s| s.segment_score.as_ref().map_or(f32::NAN, |s| s[BAD])),
+    ),
+    attribute("instance", "instance", [Repaired(Rule::InstanceInvalid); 3], None),
 ];
 
+/// An attribute of any range, says the field, so that no number is extreme.
+const SCORE: &str = "score";
+/// Not numbers, with the place of their fate.
+const BAD_VALUES: [(&str, f32); 3] =
+    [("nan", f32::NAN), ("plus-inf", f32::INFINITY), ("minus-inf", f32::NEG_INFINITY)];
 /// Legal in every attribute whose values are numbers of any size.
 const EXTREMES: [(&str, f32); 4] =
     [("denormal", 1e-42), ("minus-zero", -0.0), ("max", f32::MAX), ("min", f32::MIN)];
 
 pub(super) fn cases() -> Vec<Case> {
     let mut cases = Vec::new();
-    for attribute in ATTRIBUTES {
-        let bad = [
-            ("nan", f32::NAN, attribute.nan),
-            ("plus-inf", f32::INFINITY, attribute.infinite[0]),
-            ("minus-inf", f32::NEG_INFINITY, attribute.infinite[1]),
-        ];
-        for (word, value, fate) in bad {
-            cases.push(Case {
-                origin: "demands 2a, level 1: NaN and ±∞ in every attribute; docs/bad_values.md",
-                ..case(attribute, word, value, fate)
-            });
+    for attribute in &ATTRIBUTES {
+        let mut add = |word: &str, value: f32, fate: Fate, origin| {
+            let name = format!("ply-{}-{word}", attribute.name);
+            let policy = if fate == Kept { Policy::Exact } else { Policy::Repaired };
+            cases.push(
+                input(name, origin, move |t| check(t, attribute, value, fate))
+                    .because("a value is kept bit for bit or replaced as the table says; nothing is rounded")
+                    .expects(policy),
+            );
+        };
+        for ((word, value), fate) in BAD_VALUES.into_iter().zip(attribute.fates) {
+            let origin = "demands 2a, level 1: NaN and ±∞ in every attribute; docs/bad_values.md";
+            add(word, value, fate, origin);
         }
-        for (word, value) in EXTREMES.into_iter().filter(|_| attribute.extremes) {
-            cases.push(Case {
-                origin: "demands 2a, check 5: valid but extreme values are not dropped (as brush tests)",
-                ..case(attribute, word, value, Kept)
-            });
+        let has_extremes = attribute.value.is_some() && attribute.name != SCORE;
+        for (word, value) in EXTREMES.into_iter().filter(|_| has_extremes) {
+            let origin =
+                "demands 2a, check 5: valid but extreme values are not dropped (as brush tests)";
+            add(word, value, Kept, origin);
         }
     }
     cases
 }
 
-fn case(attribute: &'static Attribute, word: &str, value: f32, fate: Fate) -> Case {
-    let check = move |trial: &Trial<'_>| check(trial, attribute, value, fate);
-    Case {
-        area: "values",
-        policy: if fate == Kept { Policy::Exact } else { Policy::Repaired },
-        reason: "a value is kept bit for bit or replaced as the table says; nothing is rounded",
-        ..Case::new(format!("ply-{}-{word}", attribute.name), Level::Inputs, check)
-    }
-}
-
-fn check(
-    trial: &Trial<'_>,
-    attribute: &Attribute,
-    value: f32,
-    fate: Fate,
-) -> Result<Finding, Failure> {
+fn check(trial: &Trial<'_>, attribute: &Attribute, value: f32, fate: Fate) -> Result<(), Failure> {
     let clean = trial.file("clean.ply", &little(&columns(ROWS)))?;
     let clean = open_legal(&clean)?.scene;
     let bytes = little(&with(columns(ROWS), attribute.column, BAD, value));
@@ -170,14 +123,15 @@ fn check(
     let left_out = matches!(fate, LeftOut(_));
     check_rows(&loaded, &clean, left_out)?;
     check_quats(&loaded.scene)?;
-    if let (Kept, Some(kept)) = (fate, (attribute.value)(&loaded.scene)) {
+    if let (Kept, Some(of)) = (fate, attribute.value) {
+        let kept = of(&loaded.scene);
         ensure!(kept.to_bits() == value.to_bits(), "{value:e} became {kept:e}");
     }
     if let Some(rule) = rule {
         let count = loaded.report.count(rule);
         ensure!(count == 1, "{rule:?} counted {count} times");
     }
-    Ok(Finding::right())
+    Ok(())
 }
 
 /// That the other rows are as in the file without the bad value, bit for bit.

@@ -1,7 +1,8 @@
 //! Values at the edge of what is legal, through the library's own writers and readers.
 
 use super::files::{file_name, open, refused, scene, through};
-use crate::doctor::case::{Case, Finding, Level, Policy};
+use super::input;
+use crate::doctor::case::{Case, Finding};
 use crate::doctor::trial::{Failure, Trial, ensure};
 use scenesplat_scene::{
     GaussianScene, Policy as ReadPolicy, SceneFormat, WriteOptions, write_scene,
@@ -41,50 +42,45 @@ const ROWS: usize = 8;
 pub(super) fn cases() -> Vec<Case> {
     let mut cases = Vec::new();
     for container in CONTAINERS {
-        let case = |what: &str, check: fn(&Trial<'_>, &Container) -> Result<Finding, Failure>| {
-            Case {
-                area: "formats",
-                origin: "docs/formats.md: what formats cannot hold; docs/bad_values.md: why these are legal",
-                reason: "both ways are exact there",
-                ..Case::new(format!("{}-{what}", container.name), Level::Inputs, move |t| {
-                    check(t, container)
-                })
-            }
-        };
-        cases.push(Case {
-            origin: "open_questions B 22: half turns; each format stores its quaternion differently",
-            tolerance: container.rotation,
-            reason: "half a step of the format's bits in three components",
-            ..case("half-turns", half_turns)
-        });
-        cases.push(Case {
-            origin: "demands 2a, level 1: opacity logit ±∞ is legal; 8-bit formats are full of it",
-            ..case("alpha-0-and-1", alpha)
-        });
-        cases.push(Case {
-            origin: "demands 2a, level 1: log-scale −∞ is legal: a disc or a line",
-            tolerance: container.flat,
-            reason: "the smallest size the format can hold, or 0",
-            ..case("flat", flat)
-        });
-        cases.push(Case {
-            origin: "demands 2a, level 1: coordinates at a 10⁶ m offset (geo-referenced)",
-            tolerance: container.far,
-            reason: "the step of the format at that distance, relative; an f32 itself has 3e-8",
-            ..case("far-away", far)
-        });
-        cases.push(Case {
-            origin: "demands 2a, level 1: 1 Gaussian; the range of a column is 0 there",
-            tolerance: 1e-4,
-            reason: "of every value, to the coarsest format's step near 0 metres",
-            ..case("one-gaussian", one)
-        });
-        cases.push(Case {
-            origin: "demands 2a, level 1: truncated file",
-            policy: Policy::Refused,
-            reason: "a part of a file is no scene",
-            ..case("cut-short", cut)
-        });
+        let case =
+            |what: &str, origin, check: fn(&Trial<'_>, &Container) -> Result<Finding, Failure>| {
+                let name = format!("{}-{what}", container.name);
+                input(name, origin, move |t| check(t, container))
+                    .because("both ways are exact there")
+            };
+        cases.extend([
+            case(
+                "half-turns",
+                "open_questions B 22: half turns; each format stores its quaternion differently",
+                half_turns,
+            )
+            .within(container.rotation, "half a step of the format's bits in three components"),
+            case(
+                "alpha-0-and-1",
+                "demands 2a, level 1: opacity logit ±∞ is legal; 8-bit formats are full of it",
+                alpha,
+            ),
+            case("flat", "demands 2a, level 1: log-scale −∞ is legal: a disc or a line", flat)
+                .within(container.flat, "the smallest size the format can hold, or 0"),
+            case(
+                "far-away",
+                "demands 2a, level 1: coordinates at a 10⁶ m offset (geo-referenced)",
+                far,
+            )
+            .within(
+                container.far,
+                "the step of the format at that distance, relative; an f32 itself has 3e-8",
+            ),
+            case(
+                "one-gaussian",
+                "demands 2a, level 1: 1 Gaussian; the range of a column is 0 there",
+                one,
+            )
+            .within(1e-4, "of every value, to the coarsest format's step near 0 metres"),
+            case("cut-short", "demands 2a, level 1: truncated file", cut)
+                .because("a part of a file is no scene")
+                .refused(),
+        ]);
     }
     cases
 }

@@ -9,12 +9,8 @@ use scenesplat_kernels::activation::{
 };
 
 pub(super) fn cases() -> Vec<Case> {
-    let case =
-        |name: &str, origin: &'static str, check: fn(&Trial<'_>) -> Result<Finding, Failure>| {
-            Case { origin, ..operator(name, "activations", check) }
-        };
     vec![
-        case("exp", "demands 2a, level 2: log-sum-exp with logits of ±1e4", |t| {
+        operator("exp", "demands 2a, level 2: log-sum-exp with logits of ±1e4", |t| {
             // Below −87.3 there are denormals, which the kernel takes for 0.
             sweep(t, exp_in_place, |x| match x {
                 x if x < -87.3 => Wide::of(0.0, 1e-30),
@@ -24,17 +20,13 @@ pub(super) fn cases() -> Vec<Case> {
                 x => Wide::own(x.exp()),
             })
         }),
-        case("normal-cdf", "the tail of Φ, by which GELU of negative numbers is small", |t| {
+        operator("normal-cdf", "the tail of Φ, by which GELU of negative numbers is small", |t| {
             sweep(t, normal_cdf_in_place, |x| Wide::of(normal_cdf(x), normal_cdf(x).max(1e-30)))
         }),
-        case("gelu", "demands 2a, level 2: GELU; ±∞, NaN, denormals and ±1e4", |t| {
+        operator("gelu", "demands 2a, level 2: GELU; ±∞, NaN, denormals and ±1e4", |t| {
             sweep(
                 t,
-                |x| {
-                    let mut out = vec![0.0; x.len()];
-                    gelu_forward(x, &mut out);
-                    x.copy_from_slice(&out);
-                },
+                |x| gelu_forward(&x.to_vec(), x),
                 |x| {
                     // −∞ · 0 is no number, in PyTorch too.
                     let value = x * normal_cdf(x);
@@ -42,26 +34,20 @@ pub(super) fn cases() -> Vec<Case> {
                 },
             )
         }),
-        case("gelu-gradient", "the slope of GELU, which changes its sign at −0.75", |t| {
-            let density = |x: f64| (-x * x / 2.0).exp() / (2.0 * std::f64::consts::PI).sqrt();
-            sweep(
-                t,
-                |x| {
-                    let mut out = vec![0.0; x.len()];
-                    gelu_backward(x, &vec![1.0; x.len()], &mut out);
-                    x.copy_from_slice(&out);
-                },
-                move |x| {
-                    if x.is_infinite() {
-                        return Wide::own(f64::from(u8::from(x > 0.0)));
-                    }
-                    let (a, b) = (normal_cdf(x), x * density(x));
-                    // Two terms that cancel at −0.75.
-                    Wide::of(a + b, (a + b.abs()).max(1e-30))
-                },
-            )
+        operator("gelu-gradient", "the slope of GELU, which changes its sign at −0.75", |t| {
+            sweep(t, |x| gelu_backward(&x.to_vec(), &vec![1.0; x.len()], x), gelu_slope)
         }),
     ]
+}
+
+fn gelu_slope(x: f64) -> Wide {
+    if x.is_infinite() {
+        return Wide::own(f64::from(u8::from(x > 0.0)));
+    }
+    let density = (-x * x / 2.0).exp() / (2.0 * std::f64::consts::PI).sqrt();
+    let (a, b) = (normal_cdf(x), x * density);
+    // Two terms that cancel at −0.75.
+    Wide::of(a + b, (a + b.abs()).max(1e-30))
 }
 
 /// The range of f32 at steps that are fine where functions bend.

@@ -1,6 +1,8 @@
 //! Softmax attention inside patches.
 
-use super::compare::{BF16, LONG, LONG_REASON, Wide, compare, gradient, operator, wide};
+use super::compare::{
+    BF16, BF16_REASON, LONG, LONG_REASON, Wide, compare, gradient, operator, wide,
+};
 use crate::doctor::case::{Case, Finding};
 use crate::doctor::noise::noise;
 use crate::doctor::trial::{Failure, Trial, ensure};
@@ -71,7 +73,7 @@ fn attend(
     qkv: &[f32],
     offsets: &[usize],
     patch: usize,
-) -> Result<(Vec<f32>, Vec<Wide>), Failure> {
+) -> Result<Finding, Failure> {
     trial.keep("qkv", qkv)?;
     let order = order(qkv.len() / (3 * C));
     let patches = cut(offsets, patch);
@@ -81,11 +83,7 @@ fn attend(
         Ok(out)
     })?;
     let want = reference(qkv, &patches, &order);
-    Ok((got, want))
-}
-
-fn place(i: usize) -> String {
-    format!("row {}, channel {}", i / C, i % C)
+    compare(&got, &want, |i| format!("row {}, channel {}", i / C, i % C))
 }
 
 /// Sets queries (0), keys (1) or values (2) by row and channel.
@@ -97,102 +95,95 @@ fn set(qkv: &mut [f32], which: usize, value: impl Fn(usize, usize) -> f32) {
     }
 }
 
-pub(super) fn cases() -> Vec<Case> {
-    let case = |name: String,
-                origin: &'static str,
-                check: fn(&Trial<'_>, Precision) -> Result<Finding, Failure>,
-                precision| {
-        let exact = !matches!(precision, Precision::Bf16 | Precision::Int8);
-        Case {
-            origin,
-            tolerance: if exact { LONG } else { BF16 },
-            reason: if exact { LONG_REASON } else { "error budget of bf16: 2e-2 relative to f64" },
-            ..operator(name, "attention", move |t| check(t, precision))
-        }
-    };
-    let mut cases = vec![case(
-        "attention-f32-logits-of-1e30".to_owned(),
-        "--soak: a shift that was the start of a score's sum left a rounding error without an exponent",
+/// A name behind that of the precision, an origin, and a check at any precision.
+type Row = (&'static str, &'static str, fn(&Trial<'_>, Precision) -> Result<Finding, Failure>);
+
+const AT_EVERY_PRECISION: &[Row] = &[
+    ("", "demands 2a, level 2: attention at every precision", |t, p| {
+        attend(t, p, &noise(150 * 3 * C, 1, 1.0), &[0, 150], 48)
+    }),
+    (
+        "-patch-borders",
+        "demands 2a, level 1: N < patch, N = k·patch ± 1; batch mates of other sizes",
+        patch_borders,
+    ),
+    (
+        "-equal-keys",
+        "demands 2a, level 2: rows of equal logits, far from 0: the mean of the values",
         |t, p| {
-            // Three blocks of keys, so that the largest score is often not in the first.
-            let mut qkv = noise(150 * 3 * C, 8, 1.0);
-            for row in qkv.chunks_exact_mut(3 * C) {
-                row[..2 * C].iter_mut().for_each(|v| *v *= 1e15);
-            }
-            let (got, want) = attend(t, p, &qkv, &[0, 150], 150)?;
-            compare(&got, &want, place)
+            let mut qkv = noise(64 * 3 * C, 3, 1.0);
+            // Scores of −64·√16 for every pair; exact in bf16.
+            set(&mut qkv, 0, |_, _| 8.0);
+            set(&mut qkv, 1, |_, _| -8.0);
+            attend(t, p, &qkv, &[0, 64], 64)
         },
-        Precision::F32,
-    )];
+    ),
+    (
+        "-logits-of-60000",
+        "demands 2a, level 2: |q·k| up to 6e4·√d; softmax of ±1e4 logits",
+        |t, p| {
+            // Row i's query points at key i mod 16 alone: it wins by 6e4.
+            let mut qkv = noise(16 * 3 * C, 4, 1.0);
+            set(&mut qkv, 0, |row, c| if c % 16 == row { 512.0 } else { 0.0 });
+            set(&mut qkv, 1, |row, c| if c % 16 == row { 468.75 } else { 0.0 });
+            attend(t, p, &qkv, &[0, 16], 16)
+        },
+    ),
+];
+
+pub(super) fn cases() -> Vec<Case> {
+    let mut cases = vec![
+        operator(
+            "attention-f32-logits-of-1e30",
+            "--soak: a shift that was the start of a score's sum left a rounding error without an exponent",
+            huge_logits,
+        )
+        .within(LONG, LONG_REASON),
+    ];
     for precision in Precision::ALL {
-        cases.push(case(
-            format!("attention-{precision}"),
-            "demands 2a, level 2: attention at every precision",
-            |t, p| {
-                let (got, want) = attend(t, p, &noise(150 * 3 * C, 1, 1.0), &[0, 150], 48)?;
-                compare(&got, &want, place)
-            },
-            precision,
-        ));
-        cases.push(case(
-            format!("attention-{precision}-patch-borders"),
-            "demands 2a, level 1: N < patch, N = k·patch ± 1; batch mates of other sizes",
-            |t, p| {
-                let mut found = Finding::right();
-                for offsets in
-                    [&[0, 1][..], &[0, 2], &[0, 15, 16], &[0, 16, 33], &[0, 31, 31, 48, 50]]
-                {
-                    let rows = offsets.last().copied().unwrap_or(0);
-                    let (got, want) = attend(t, p, &noise(rows * 3 * C, 2, 1.0), offsets, 16)?;
-                    found.join(compare(&got, &want, place)?);
-                }
-                Ok(found)
-            },
-            precision,
-        ));
-        cases.push(case(
-            format!("attention-{precision}-equal-keys"),
-            "demands 2a, level 2: rows of equal logits, far from 0: the mean of the values",
-            |t, p| {
-                let mut qkv = noise(64 * 3 * C, 3, 1.0);
-                // Scores of −64·√16 for every pair; exact in bf16.
-                set(&mut qkv, 0, |_, _| 8.0);
-                set(&mut qkv, 1, |_, _| -8.0);
-                let (got, want) = attend(t, p, &qkv, &[0, 64], 64)?;
-                compare(&got, &want, place)
-            },
-            precision,
-        ));
-        cases.push(case(
-            format!("attention-{precision}-logits-of-60000"),
-            "demands 2a, level 2: |q·k| up to 6e4·√d; softmax of ±1e4 logits",
-            |t, p| {
-                // Row i's query points at key i mod 16 alone: it wins by 6e4.
-                let mut qkv = noise(16 * 3 * C, 4, 1.0);
-                set(&mut qkv, 0, |row, c| if c % 16 == row { 512.0 } else { 0.0 });
-                set(&mut qkv, 1, |row, c| if c % 16 == row { 468.75 } else { 0.0 });
-                let (got, want) = attend(t, p, &qkv, &[0, 16], 16)?;
-                compare(&got, &want, place)
-            },
-            precision,
-        ));
+        let (tolerance, reason) = match precision {
+            Precision::Bf16 | Precision::Int8 => (BF16, BF16_REASON),
+            _ => (LONG, LONG_REASON),
+        };
+        cases.extend(AT_EVERY_PRECISION.iter().map(|&(name, origin, check)| {
+            operator(format!("attention-{precision}{name}"), origin, move |t| check(t, precision))
+                .within(tolerance, reason)
+        }));
     }
-    cases.push(Case {
-        origin: "patch_attention: where the definition gives NaN so does this; other patches do not notice",
-        tolerance: 0.0,
-        reason: "patches without a NaN keep their bits",
-        ..operator("attention-nan-in-a-patch", "attention", |_| nan_in_a_patch())
-    });
-    cases.push(Case {
-        origin: "candle #2168, #3011: fused softmax drops gradients in silence",
-        tolerance: LONG,
-        reason: LONG_REASON,
-        ..operator("attention-gradient", "attention", attention_gradient)
-    });
+    cases.push(
+        operator(
+            "attention-nan-in-a-patch",
+            "patch_attention: where the definition gives NaN so does this; other patches do not notice",
+            nan_in_a_patch,
+        )
+        .because("patches without a NaN keep their bits"),
+    );
+    let origin = "candle #2168, #3011: fused softmax drops gradients in silence";
+    cases
+        .push(operator("attention-gradient", origin, attention_gradient).within(LONG, LONG_REASON));
     cases
 }
 
-fn nan_in_a_patch() -> Result<Finding, Failure> {
+fn huge_logits(trial: &Trial<'_>) -> Result<Finding, Failure> {
+    // Three blocks of keys, so that the largest score is often not in the first.
+    let mut qkv = noise(150 * 3 * C, 8, 1.0);
+    for row in qkv.chunks_exact_mut(3 * C) {
+        row[..2 * C].iter_mut().for_each(|v| *v *= 1e15);
+    }
+    attend(trial, Precision::F32, &qkv, &[0, 150], 150)
+}
+
+fn patch_borders(trial: &Trial<'_>, precision: Precision) -> Result<Finding, Failure> {
+    let mut found = Finding::right();
+    for offsets in [&[0, 1][..], &[0, 2], &[0, 15, 16], &[0, 16, 33], &[0, 31, 31, 48, 50]] {
+        let rows = offsets.last().copied().unwrap_or(0);
+        let qkv = noise(rows * 3 * C, 2, 1.0);
+        found.join(attend(trial, precision, &qkv, offsets, 16)?);
+    }
+    Ok(found)
+}
+
+fn nan_in_a_patch(_: &Trial<'_>) -> Result<(), Failure> {
     let clean = noise(96 * 3 * C, 5, 1.0);
     let (order, patches) = (order(96), cut(&[0, 96], 16));
     let run = |qkv: &[f32]| {
@@ -208,15 +199,13 @@ fn nan_in_a_patch() -> Result<Finding, Failure> {
         let at = row as usize * C..(row as usize + 1) * C;
         let same_patch = position / 16 == 20 / 16;
         if same_patch {
-            ensure!(
-                bad[at.start..at.start + 16].iter().all(|v| v.is_nan()),
-                "row {row} hides a NaN"
-            );
+            let first_head = &bad[at.start..at.start + 16];
+            ensure!(first_head.iter().all(|v| v.is_nan()), "row {row} hides a NaN");
         } else {
             ensure!(bad[at.clone()] == clean[at], "row {row} of another patch changed");
         }
     }
-    Ok(Finding::right())
+    Ok(())
 }
 
 fn attention_gradient(trial: &Trial<'_>) -> Result<Finding, Failure> {

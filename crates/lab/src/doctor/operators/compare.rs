@@ -16,8 +16,10 @@ pub(super) const F32_REASON: &str = "error budget of f32: 1e-5 relative to f64";
 /// Why [`LONG`] is.
 pub(super) const LONG_REASON: &str =
     "error budget of attention and long sums in f32: 1e-4 relative to f64";
+/// Why [`BF16`] is.
+pub(super) const BF16_REASON: &str = "error budget of bf16: 2e-2 relative to f64";
 /// Why 0 is.
-pub(super) const EXACT_REASON: &str = "whole numbers and decisions: right or wrong";
+const EXACT_REASON: &str = "whole numbers and decisions: right or wrong";
 
 /// A value in f64, and what an error is measured against: the value itself, or, where terms cancel,
 /// the sum of their magnitudes; an infinite scale allows any number.
@@ -35,6 +37,11 @@ impl Wide {
 
     pub(super) fn of(value: f64, scale: f64) -> Self {
         Self { value, scale: scale.abs() }
+    }
+
+    /// Adds a term to a sum.
+    pub(super) fn add(&mut self, term: f64) {
+        *self = Self::of(self.value + term, self.scale + term.abs());
     }
 
     /// How far a number is off; where it should be infinite or NaN it has to be.
@@ -108,22 +115,42 @@ pub(super) fn gradient(got: &[f64], want: &[f64]) -> Result<Finding, Failure> {
     Ok(Finding { error: apart / size, worst, measures })
 }
 
-/// A case of an operator.
-pub(super) fn operator(
+/// A case of an operator, within the error budget of f32.
+pub(super) fn operator<T: Into<Finding>>(
     name: impl Into<String>,
-    area: &'static str,
-    check: impl Fn(&Trial<'_>) -> Result<Finding, Failure> + Send + Sync + 'static,
+    origin: &'static str,
+    check: impl Fn(&Trial<'_>) -> Result<T, Failure> + Send + Sync + 'static,
 ) -> Case {
-    Case { area, tolerance: F32, reason: F32_REASON, ..Case::new(name, Level::Operators, check) }
+    Case { origin, ..Case::new(name, Level::Operators, check) }.within(F32, F32_REASON)
 }
 
 /// A case of an operator whose result is right or wrong.
-pub(super) fn decision(
+pub(super) fn decision<T: Into<Finding>>(
     name: impl Into<String>,
-    area: &'static str,
-    check: impl Fn(&Trial<'_>) -> Result<Finding, Failure> + Send + Sync + 'static,
+    origin: &'static str,
+    check: impl Fn(&Trial<'_>) -> Result<T, Failure> + Send + Sync + 'static,
 ) -> Case {
-    Case { tolerance: 0.0, reason: EXACT_REASON, ..operator(name, area, check) }
+    operator(name, origin, check).because(EXACT_REASON)
+}
+
+/// Sums of products of `[m, k]` and `[n, k]`, `[m, n]`, measured against the sums of magnitudes.
+pub(super) fn products(a: &[f32], b: &[f32], k: usize) -> Vec<Wide> {
+    let sum = |a: &[f32], b: &[f32]| {
+        let mut sum = Wide::of(0.0, 0.0);
+        a.iter().zip(b).for_each(|(a, b)| sum.add(f64::from(*a) * f64::from(*b)));
+        sum
+    };
+    a.chunks_exact(k).flat_map(|a| b.chunks_exact(k).map(move |b| sum(a, b))).collect()
+}
+
+/// Compares parts of a gradient that lie one after the other, each by itself.
+pub(super) fn gradients(got: &[f32], parts: &[Vec<f64>]) -> Result<Finding, Failure> {
+    let (mut found, mut from) = (Finding::right(), 0);
+    for want in parts {
+        found.join(gradient(&wide(&got[from..from + want.len()]), want)?);
+        from += want.len();
+    }
+    Ok(found)
 }
 
 /// As f64.

@@ -1,7 +1,7 @@
 //! Space-filling curves, sorting, and the orders of voxels.
 
 use super::compare::decision;
-use crate::doctor::case::{Case, Finding};
+use crate::doctor::case::Case;
 use crate::doctor::noise::Noise;
 use crate::doctor::trial::{Failure, Trial, ensure};
 use scenesplat_kernels::serialization::{Curve, MAX_DEPTH, argsort, codes, depth_of, invert};
@@ -10,173 +10,161 @@ use std::collections::BTreeSet;
 
 const CURVES: [Curve; 4] = Curve::ALL;
 
+/// Codes to sort: name, origin, values.
+const LISTS: [(&str, &str, fn() -> Vec<u64>); 6] = [
+    ("noise", "demands 2a, level 2: radix sort", || list(30_000, u64::MAX)),
+    ("ties", "demands 2a, level 2: radix ties", || list(30_000, 16)),
+    ("all-equal", "one bucket holds everything", || vec![u64::MAX; 20_000]),
+    ("outlier", "one far code leaves all others in one bucket", || {
+        let mut all = list(30_000, 1 << 20);
+        all[777] = 1 << 62;
+        all
+    }),
+    ("sorted-already", "in order, and in reverse", || {
+        (0..20_000).chain((0..20_000).rev()).collect()
+    }),
+    ("0-and-1-rows", "demands 2a, level 1: 0 and 1 Gaussians", || vec![42]),
+];
+
 pub(super) fn cases() -> Vec<Case> {
-    let case =
-        |name: &str, origin: &'static str, check: fn(&Trial<'_>) -> Result<Finding, Failure>| {
-            Case { origin, ..decision(name, "curves", check) }
-        };
     let mut cases = vec![
-        case("curves-visit-each-cell-once", "demands 2a, level 2: curve codes and ties", |_| {
-            let cells = cube(3);
-            for curve in CURVES {
-                let found: BTreeSet<u64> = codes(curve, &cells, 3).into_iter().collect();
-                ensure!(
-                    found.len() == 512,
-                    "{}: {} codes for 512 cells",
-                    curve.name(),
-                    found.len()
-                );
-                ensure!(found.last() == Some(&511), "{}: codes have gaps", curve.name());
-            }
-            Ok(Finding::right())
-        }),
-        case(
+        decision(
+            "curves-visit-each-cell-once",
+            "demands 2a, level 2: curve codes and ties",
+            each_cell_once,
+        ),
+        decision(
             "hilbert-steps-are-of-one-cell",
             "a Hilbert curve is continuous; a wrong bit makes jumps",
-            |_| {
-                for depth in 1..=4 {
-                    let mut cells = cube(depth);
-                    cells.sort_by_key(|cell| codes(Curve::Hilbert, &[*cell], depth)[0]);
-                    let step =
-                        |w: &[[i32; 3]]| (0..3).map(|a| (w[0][a] - w[1][a]).abs()).sum::<i32>();
-                    let jump = cells.windows(2).position(|w| step(w) != 1);
-                    ensure!(jump.is_none(), "depth {depth}: a jump after code {jump:?}");
-                }
-                Ok(Finding::right())
-            },
+            hilbert_steps,
         ),
-        case(
+        decision(
             "morton-interleaves-bits",
             "known bug: row order x, y swapped (demands 2a, check 2)",
-            |_| {
-                let mut rng = Noise::new(1);
-                for _ in 0..2000 {
-                    let cell = [(); 3].map(|()| rng.below(1 << MAX_DEPTH) as i32);
-                    let bit = |a: usize, i: u32| u64::from(cell[a] as u32 >> i & 1);
-                    let want: u64 = (0..MAX_DEPTH)
-                        .map(|i| (bit(0, i) << 2 | bit(1, i) << 1 | bit(2, i)) << (3 * i))
-                        .sum();
-                    let got = codes(Curve::Z, &[cell], MAX_DEPTH)[0];
-                    ensure!(got == want, "{cell:?}: {got}, {want} is right");
-                    let turned = codes(Curve::ZTrans, &[[cell[1], cell[0], cell[2]]], MAX_DEPTH)[0];
-                    ensure!(turned == want, "the transposed order of {cell:?} swaps other axes");
-                }
-                Ok(Finding::right())
-            },
+            morton_bits,
         ),
-        case(
+        decision(
             "curves-at-21-bits",
             "demands 2a, level 1: 2^21 − 1 is the last cell; 32-bit shifts wrap",
-            |_| {
-                let last = (1 << MAX_DEPTH) - 1;
-                let cells =
-                    [[last; 3], [last, 0, 0], [0, last, 0], [0, 0, last], [last - 1; 3], [0; 3]];
-                ensure!(depth_of(&cells)? == MAX_DEPTH, "depth {}", depth_of(&cells)?);
-                for curve in CURVES {
-                    let found: BTreeSet<u64> =
-                        codes(curve, &cells, MAX_DEPTH).into_iter().collect();
-                    ensure!(found.len() == cells.len(), "{}: codes fall together", curve.name());
-                    ensure!(
-                        found.iter().all(|c| *c < 1 << 63),
-                        "{}: a code beyond 63 bits",
-                        curve.name()
-                    );
-                }
-                for bad in [[last + 1, 0, 0], [0, -1, 0], [0, 0, i32::MIN], [i32::MAX; 3]] {
-                    ensure!(depth_of(&[[0; 3], bad]).is_err(), "{bad:?} is taken");
-                }
-                Ok(Finding::right())
-            },
+            last_cells,
         ),
-        case("curves-at-depth-0", "open_questions B 31: depth 0 crashes the Hilbert code", |_| {
-            ensure!(depth_of(&[[0; 3]; 4])? == 0, "a single cell has a depth");
-            for curve in CURVES {
-                ensure!(
-                    codes(curve, &[[0; 3]; 4], 0) == [0; 4],
-                    "{}: a code above 0",
-                    curve.name()
-                );
-            }
-            let cloud =
-                SerializedCloud::new(vec![[0; 3]], vec![0, 1], &CURVES, CurveDepth::PerScene)?;
-            let (pooled, groups) = cloud.pool(1);
-            ensure!(pooled.len() == 1 && groups.len() == 1, "one voxel does not stay one");
-            Ok(Finding::right())
-        }),
-        case(
+        decision(
+            "curves-at-depth-0",
+            "open_questions B 31: depth 0 crashes the Hilbert code",
+            depth_0,
+        ),
+        decision(
             "equal-codes-keep-their-order",
             "demands 2a, level 2: radix ties (known bug: reversed)",
-            |t| {
-                let mut cells = vec![[3, 1, 2]; 700];
-                cells.extend(vec![[1, 1, 1]; 700]);
-                let order = t.same_on_threads(|| {
-                    let n = cells.len();
-                    let cloud = SerializedCloud::new(
-                        cells.clone(),
-                        vec![0, n],
-                        &CURVES,
-                        CurveDepth::PerScene,
-                    )?;
-                    Ok((0..4).map(|i| cloud.order(i).order.to_vec()).collect::<Vec<_>>())
-                })?;
-                for order in order {
-                    let half: (Vec<u32>, Vec<u32>) = (order[..700].to_vec(), order[700..].to_vec());
-                    ensure!(
-                        half.0.is_sorted() && half.1.is_sorted(),
-                        "equal codes changed their order"
-                    );
-                }
-                Ok(Finding::right())
-            },
+            ties,
         ),
-        case(
+        decision(
             "pooled-voxels-are-halved",
             "pooling by bits: cells that fall together after a shift",
             pooled,
         ),
-        case(
+        decision(
             "a-scene-keeps-its-depth-in-a-batch",
             "demands 2a, check 4: curve depth of batch mates",
-            |_| {
-                let (near, far) = (cube(2), vec![[1_000_000, 5, 7], [0; 3]]);
-                let n = near.len();
-                let alone =
-                    SerializedCloud::new(near.clone(), vec![0, n], &CURVES, CurveDepth::PerScene)?;
-                let both = SerializedCloud::new(
-                    [near, far].concat(),
-                    vec![0, n, n + 2],
-                    &CURVES,
-                    CurveDepth::PerScene,
-                )?;
-                for i in 0..4 {
-                    ensure!(both.codes(i)[..n] == *alone.codes(i), "codes depend on a batch mate");
-                    ensure!(both.order(i).order[..n] == alone.order(i).order[..], "orders do");
-                }
-                Ok(Finding::right())
-            },
+            batch_depth,
         ),
     ];
-    let lists: [(&str, &str, fn() -> Vec<u64>); 6] = [
-        ("noise", "demands 2a, level 2: radix sort", || list(30_000, u64::MAX)),
-        ("ties", "demands 2a, level 2: radix ties", || list(30_000, 16)),
-        ("all-equal", "one bucket holds everything", || vec![u64::MAX; 20_000]),
-        ("outlier", "one far code leaves all others in one bucket", || {
-            let mut all = list(30_000, 1 << 20);
-            all[777] = 1 << 62;
-            all
-        }),
-        ("sorted-already", "in order, and in reverse", || {
-            (0..20_000).chain((0..20_000).rev()).collect()
-        }),
-        ("0-and-1-rows", "demands 2a, level 1: 0 and 1 Gaussians", || vec![42]),
-    ];
-    for (name, origin, make) in lists {
-        cases.push(Case {
-            origin,
-            ..decision(format!("sort-{name}"), "curves", move |t| sorts(t, &make()))
-        });
-    }
+    cases.extend(LISTS.iter().map(|&(name, origin, make)| {
+        decision(format!("sort-{name}"), origin, move |t| sorts(t, &make()))
+    }));
     cases
+}
+
+fn cloud(cells: &[[i32; 3]], offsets: &[usize]) -> Result<SerializedCloud, Failure> {
+    let depth = CurveDepth::PerScene;
+    Ok(SerializedCloud::new(cells.to_vec(), offsets.to_vec(), &CURVES, depth)?)
+}
+
+fn each_cell_once(_: &Trial<'_>) -> Result<(), Failure> {
+    let cells = cube(3);
+    for curve in CURVES {
+        let found: BTreeSet<u64> = codes(curve, &cells, 3).into_iter().collect();
+        ensure!(found.len() == 512, "{}: {} codes for 512 cells", curve.name(), found.len());
+        ensure!(found.last() == Some(&511), "{}: codes have gaps", curve.name());
+    }
+    Ok(())
+}
+
+fn hilbert_steps(_: &Trial<'_>) -> Result<(), Failure> {
+    for depth in 1..=4 {
+        let mut cells = cube(depth);
+        cells.sort_by_key(|cell| codes(Curve::Hilbert, &[*cell], depth)[0]);
+        let step = |w: &[[i32; 3]]| (0..3).map(|a| (w[0][a] - w[1][a]).abs()).sum::<i32>();
+        let jump = cells.windows(2).position(|w| step(w) != 1);
+        ensure!(jump.is_none(), "depth {depth}: a jump after code {jump:?}");
+    }
+    Ok(())
+}
+
+fn morton_bits(_: &Trial<'_>) -> Result<(), Failure> {
+    let mut rng = Noise::new(1);
+    for _ in 0..2000 {
+        let cell = [(); 3].map(|()| rng.below(1 << MAX_DEPTH) as i32);
+        let bit = |a: usize, i: u32| u64::from(cell[a] as u32 >> i & 1);
+        let at = |i| (bit(0, i) << 2 | bit(1, i) << 1 | bit(2, i)) << (3 * i);
+        let want: u64 = (0..MAX_DEPTH).map(at).sum();
+        let got = codes(Curve::Z, &[cell], MAX_DEPTH)[0];
+        ensure!(got == want, "{cell:?}: {got}, {want} is right");
+        let turned = codes(Curve::ZTrans, &[[cell[1], cell[0], cell[2]]], MAX_DEPTH)[0];
+        ensure!(turned == want, "the transposed order of {cell:?} swaps other axes");
+    }
+    Ok(())
+}
+
+fn last_cells(_: &Trial<'_>) -> Result<(), Failure> {
+    let last = (1 << MAX_DEPTH) - 1;
+    let cells = [[last; 3], [last, 0, 0], [0, last, 0], [0, 0, last], [last - 1; 3], [0; 3]];
+    ensure!(depth_of(&cells)? == MAX_DEPTH, "depth {}", depth_of(&cells)?);
+    for curve in CURVES {
+        let found: BTreeSet<u64> = codes(curve, &cells, MAX_DEPTH).into_iter().collect();
+        ensure!(found.len() == cells.len(), "{}: codes fall together", curve.name());
+        ensure!(found.iter().all(|c| *c < 1 << 63), "{}: a code beyond 63 bits", curve.name());
+    }
+    for bad in [[last + 1, 0, 0], [0, -1, 0], [0, 0, i32::MIN], [i32::MAX; 3]] {
+        ensure!(depth_of(&[[0; 3], bad]).is_err(), "{bad:?} is taken");
+    }
+    Ok(())
+}
+
+fn depth_0(_: &Trial<'_>) -> Result<(), Failure> {
+    ensure!(depth_of(&[[0; 3]; 4])? == 0, "a single cell has a depth");
+    for curve in CURVES {
+        ensure!(codes(curve, &[[0; 3]; 4], 0) == [0; 4], "{}: a code above 0", curve.name());
+    }
+    let (pooled, groups) = cloud(&[[0; 3]], &[0, 1])?.pool(1);
+    ensure!(pooled.len() == 1 && groups.len() == 1, "one voxel does not stay one");
+    Ok(())
+}
+
+fn ties(trial: &Trial<'_>) -> Result<(), Failure> {
+    let mut cells = vec![[3, 1, 2]; 700];
+    cells.extend(vec![[1, 1, 1]; 700]);
+    let orders = trial.same_on_threads(|| {
+        let cloud = cloud(&cells, &[0, cells.len()])?;
+        Ok((0..4).map(|i| cloud.order(i).order.to_vec()).collect::<Vec<_>>())
+    })?;
+    for order in orders {
+        let kept = order[..700].is_sorted() && order[700..].is_sorted();
+        ensure!(kept, "equal codes changed their order");
+    }
+    Ok(())
+}
+
+fn batch_depth(_: &Trial<'_>) -> Result<(), Failure> {
+    let (near, far) = (cube(2), vec![[1_000_000, 5, 7], [0; 3]]);
+    let n = near.len();
+    let alone = cloud(&near, &[0, n])?;
+    let both = cloud(&[near, far].concat(), &[0, n, n + 2])?;
+    for i in 0..4 {
+        ensure!(both.codes(i)[..n] == *alone.codes(i), "codes depend on a batch mate");
+        ensure!(both.order(i).order[..n] == alone.order(i).order[..], "orders do");
+    }
+    Ok(())
 }
 
 /// All cells of a cube of so many bits.
@@ -196,7 +184,7 @@ fn list(n: usize, below: u64) -> Vec<u64> {
     (0..n).map(|_| rng.next() % below).collect()
 }
 
-fn sorts(trial: &Trial<'_>, codes: &[u64]) -> Result<Finding, Failure> {
+fn sorts(trial: &Trial<'_>, codes: &[u64]) -> Result<(), Failure> {
     let order = trial.same_on_threads(|| Ok(argsort(codes)))?;
     let mut want: Vec<u32> = (0..codes.len() as u32).collect();
     // The standard library's sort is stable.
@@ -207,18 +195,16 @@ fn sorts(trial: &Trial<'_>, codes: &[u64]) -> Result<Finding, Failure> {
     let back = (0..codes.len()).all(|row| order[inverse[row] as usize] as usize == row);
     ensure!(back, "the inverse is none");
     ensure!(argsort(&[]).is_empty(), "no row has an order");
-    Ok(Finding::right())
+    Ok(())
 }
 
-fn pooled(trial: &Trial<'_>) -> Result<Finding, Failure> {
+fn pooled(trial: &Trial<'_>) -> Result<(), Failure> {
     let mut rng = Noise::new(3);
     let cells: BTreeSet<[i32; 3]> =
         (0..3000).map(|_| [(); 3].map(|()| rng.below(40) as i32)).collect();
     let cells: Vec<[i32; 3]> = cells.into_iter().collect();
-    let n = cells.len();
     let (coarse, inverse) = trial.same_on_threads(|| {
-        let cloud = SerializedCloud::new(cells.clone(), vec![0, n], &CURVES, CurveDepth::PerScene)?;
-        let (coarse, groups) = cloud.pool(1);
+        let (coarse, groups) = cloud(&cells, &[0, cells.len()])?.pool(1);
         Ok((coarse.grid_coord().to_vec(), groups.inverse().to_vec()))
     })?;
     for (row, cell) in cells.iter().enumerate() {
@@ -227,5 +213,5 @@ fn pooled(trial: &Trial<'_>) -> Result<Finding, Failure> {
     }
     let distinct: BTreeSet<[i32; 3]> = coarse.iter().copied().collect();
     ensure!(distinct.len() == coarse.len(), "a coarse voxel is there twice");
-    Ok(Finding::right())
+    Ok(())
 }

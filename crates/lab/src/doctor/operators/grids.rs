@@ -1,111 +1,119 @@
 //! Which Gaussians share a voxel: floors, borders and orders.
 
-use super::compare::{EXACT_REASON, decision};
-use crate::doctor::case::{Case, Finding};
+use super::compare::decision;
+use crate::doctor::case::Case;
 use crate::doctor::noise::{Noise, points};
 use crate::doctor::trial::{Failure, Trial, ensure};
 use scenesplat_kernels::grid_sample::{KeyOrder, VoxelGroups, voxel_groups};
 use std::collections::BTreeMap;
 
+/// Points to put into voxels: name, origin, points, size of a voxel.
+type Points = (&'static str, &'static str, fn() -> Vec<[f32; 3]>, f64);
+
+const POINTS: [Points; 5] = [
+    ("of-noise", "demands 2a, level 2: voxel floor", || points(4000, 1, 3.0), 0.04),
+    (
+        "below-zero",
+        "floor, not truncation: −0.01 and 0.01 are two voxels",
+        || points(3000, 2, 0.05),
+        0.02,
+    ),
+    (
+        "on-their-borders",
+        "demands 2a, level 2: the band test: strict inside, free at the border",
+        || {
+            // Multiples of the voxel size, and their neighbours among the f32.
+            let around = |x: f32| [x, x.next_up(), x.next_down()].map(|x| [x, -x, 0.5 * x]);
+            (-60..60).flat_map(|i| around(i as f32 * 0.02)).collect()
+        },
+        0.02,
+    ),
+    (
+        "at-1e6",
+        "demands 2a, level 1: coordinates at a 10⁶ m offset",
+        || points(2000, 3, 30.0).into_iter().map(|p| p.map(|v| v + 1e6)).collect(),
+        0.5,
+    ),
+    (
+        "beyond-2-to-16",
+        "demands 2a, level 1: grid index of 2^16 and more wraps in 16-bit keys",
+        || {
+            let far = points(500, 5, 1.0).into_iter().map(|p| p.map(|v| v + 20_000.0));
+            points(500, 4, 1.0).into_iter().chain(far).collect()
+        },
+        0.02,
+    ),
+];
+
 pub(super) fn cases() -> Vec<Case> {
-    let case =
-        |name: &str, origin: &'static str, check: fn(&Trial<'_>) -> Result<Finding, Failure>| {
-            Case { origin, reason: EXACT_REASON, ..decision(name, "voxels", check) }
-        };
-    vec![
-        case("voxels-of-noise", "demands 2a, level 2: voxel floor", |t| {
-            band(t, &points(4000, 1, 3.0), 0.04)
-        }),
-        case("voxels-below-zero", "floor, not truncation: −0.01 and 0.01 are two voxels", |t| {
-            band(t, &points(3000, 2, 0.05), 0.02)
-        }),
-        case(
-            "voxels-on-their-borders",
-            "demands 2a, level 2: the band test: strict inside, free at the border",
-            |t| {
-                // Multiples of the voxel size, and their neighbours among the f32.
-                let mut coord = Vec::new();
-                for i in -60..60 {
-                    let x = i as f32 * 0.02;
-                    for x in [x, x.next_up(), x.next_down()] {
-                        coord.push([x, -x, 0.5 * x]);
-                    }
-                }
-                band(t, &coord, 0.02)
-            },
-        ),
-        case("voxels-at-1e6", "demands 2a, level 1: coordinates at a 10⁶ m offset", |t| {
-            let coord: Vec<[f32; 3]> =
-                points(2000, 3, 30.0).into_iter().map(|p| p.map(|v| v + 1e6)).collect();
-            band(t, &coord, 0.5)
-        }),
-        case(
-            "voxels-beyond-2-to-16",
-            "demands 2a, level 1: grid index of 2^16 and more wraps in 16-bit keys",
-            |t| {
-                let mut coord = points(500, 4, 1.0);
-                coord.extend(points(500, 5, 1.0).into_iter().map(|p| p.map(|v| v + 20_000.0)));
-                band(t, &coord, 0.02)
-            },
-        ),
-        case("voxels-of-no-row", "demands 2a, level 1: 0 Gaussians", |_| {
+    let mut cases: Vec<Case> = POINTS
+        .iter()
+        .map(|&(name, origin, make, size)| {
+            decision(format!("voxels-{name}"), origin, move |t| band(t, &make(), size))
+        })
+        .collect();
+    cases.extend([
+        decision("voxels-of-no-row", "demands 2a, level 1: 0 Gaussians", |_| {
             let groups = voxel_groups(&[], 0.02, KeyOrder::Morton)?;
             ensure!(groups.num_voxels() == 0 && groups.largest_count() == 0, "{groups:?}");
-            Ok(Finding::right())
+            Ok(())
         }),
-        case(
+        decision(
             "voxel-sizes-that-are-none",
             "settings from files: 0, negative, NaN, infinite",
             |_| {
                 for size in [0.0, -0.02, f64::NAN, f64::INFINITY] {
-                    ensure!(
-                        voxel_groups(&[[0.0; 3]], size, KeyOrder::Morton).is_err(),
-                        "{size} is taken for a voxel size"
-                    );
+                    let groups = voxel_groups(&[[0.0; 3]], size, KeyOrder::Morton);
+                    ensure!(groups.is_err(), "{size} is taken for a voxel size");
                 }
-                Ok(Finding::right())
+                Ok(())
             },
         ),
-        case(
+        decision(
             "voxel-orders-hold-the-same",
             "the original's hash order, its row-major order and ours",
             orders,
         ),
-        case(
+        decision(
             "fragments-hold-every-row",
             "open_questions B 9: chunks in hash order; the test rule of Pointcept",
-            |_| {
-                let groups = voxel_groups(&points(900, 6, 0.1), 0.05, KeyOrder::Fnv)?;
-                let mut seen = vec![false; 900];
-                for fragment in 0..groups.largest_count() {
-                    let rows = groups.fragment_rows(fragment);
-                    ensure!(rows.len() == groups.num_voxels(), "a fragment has one row a voxel");
-                    rows.iter().for_each(|row| seen[*row as usize] = true);
-                }
-                ensure!(seen.iter().all(|seen| *seen), "a row is in no fragment");
-                Ok(Finding::right())
-            },
+            fragments,
         ),
-        case(
+        decision(
             "nearest-to-the-centre-with-ties",
             "equally near rows: the smaller one, on every machine",
-            |t| {
-                let mut coord = vec![[0.004, 0.01, 0.01], [0.016, 0.01, 0.01]];
-                coord.extend(vec![[0.012, 0.01, 0.01]; 5]);
-                coord.push([0.03, 0.0, 0.0]);
-                let rows = t.same_on_threads(|| {
-                    Ok(voxel_groups(&coord, 0.02, KeyOrder::Morton)?.nearest_to_centre(&coord)?)
-                })?;
-                ensure!(rows == [2, 7], "rows {rows:?}, 2 and 7 are right");
-                Ok(Finding::right())
-            },
+            nearest_with_ties,
         ),
-        case(
+        decision(
             "grid-rows-shuffled",
             "which voxel a row is in does not depend on the order of rows",
             shuffled,
         ),
-    ]
+    ]);
+    cases
+}
+
+fn fragments(_: &Trial<'_>) -> Result<(), Failure> {
+    let groups = voxel_groups(&points(900, 6, 0.1), 0.05, KeyOrder::Fnv)?;
+    let mut seen = vec![false; 900];
+    for fragment in 0..groups.largest_count() {
+        let rows = groups.fragment_rows(fragment);
+        ensure!(rows.len() == groups.num_voxels(), "a fragment has one row a voxel");
+        rows.iter().for_each(|row| seen[*row as usize] = true);
+    }
+    ensure!(seen.iter().all(|seen| *seen), "a row is in no fragment");
+    Ok(())
+}
+
+fn nearest_with_ties(trial: &Trial<'_>) -> Result<(), Failure> {
+    let mut coord = vec![[0.004, 0.01, 0.01], [0.016, 0.01, 0.01]];
+    coord.extend(vec![[0.012, 0.01, 0.01]; 5]);
+    coord.push([0.03, 0.0, 0.0]);
+    let rows = trial.same_on_threads(|| {
+        Ok(voxel_groups(&coord, 0.02, KeyOrder::Morton)?.nearest_to_centre(&coord)?)
+    })?;
+    ensure!(rows == [2, 7], "rows {rows:?}, 2 and 7 are right");
+    Ok(())
 }
 
 /// Rows whose coordinate is farther than this from every border, in voxels, have one right cell; an
@@ -113,7 +121,7 @@ pub(super) fn cases() -> Vec<Case> {
 const BAND: f64 = 1e-9;
 
 /// The band test: cells are exact inside; at a border one cell to either side is as good.
-fn band(trial: &Trial<'_>, coord: &[[f32; 3]], size: f64) -> Result<Finding, Failure> {
+fn band(trial: &Trial<'_>, coord: &[[f32; 3]], size: f64) -> Result<(), Failure> {
     trial.keep("coord", coord.as_flattened())?;
     let groups: VoxelGroups =
         trial.same_on_threads(|| Ok(voxel_groups(coord, size, KeyOrder::Morton)?))?;
@@ -140,7 +148,7 @@ fn band(trial: &Trial<'_>, coord: &[[f32; 3]], size: f64) -> Result<Finding, Fai
         let first = *cells.entry(p.map(f32::to_bits)).or_insert(voxel);
         ensure!(first == voxel, "row {row} is apart from a row at the same place");
     }
-    Ok(Finding::right())
+    Ok(())
 }
 
 /// That the lists are what they say.
@@ -162,7 +170,7 @@ fn check_lists(groups: &VoxelGroups, rows: usize) -> Result<(), Failure> {
     Ok(())
 }
 
-fn orders(_: &Trial<'_>) -> Result<Finding, Failure> {
+fn orders(_: &Trial<'_>) -> Result<(), Failure> {
     let coord = points(3000, 7, 0.6);
     let sets = [KeyOrder::Fnv, KeyOrder::Ravel, KeyOrder::Morton]
         .map(|order| voxel_groups(&coord, 0.05, order));
@@ -177,16 +185,14 @@ fn orders(_: &Trial<'_>) -> Result<Finding, Failure> {
         all.push(voxels);
     }
     ensure!(all[0] == all[1] && all[1] == all[2], "orders hold different voxels");
-    Ok(Finding::right())
+    Ok(())
 }
 
-fn shuffled(_: &Trial<'_>) -> Result<Finding, Failure> {
+fn shuffled(_: &Trial<'_>) -> Result<(), Failure> {
     let coord = points(2000, 8, 0.5);
     let mut rng = Noise::new(9);
     let mut order: Vec<usize> = (0..coord.len()).collect();
-    for i in (1..order.len()).rev() {
-        order.swap(i, rng.below(i + 1));
-    }
+    rng.shuffle(&mut order);
     let other: Vec<[f32; 3]> = order.iter().map(|&row| coord[row]).collect();
     let a = voxel_groups(&coord, 0.03, KeyOrder::Morton)?;
     let b = voxel_groups(&other, 0.03, KeyOrder::Morton)?;
@@ -194,5 +200,5 @@ fn shuffled(_: &Trial<'_>) -> Result<Finding, Failure> {
     for (new, &old) in order.iter().enumerate() {
         ensure!(b.inverse[new] == a.inverse[old], "row {old} is in another voxel");
     }
-    Ok(Finding::right())
+    Ok(())
 }

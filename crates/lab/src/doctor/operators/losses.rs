@@ -1,6 +1,6 @@
 //! Losses with their gradients: the formula in f64, and differences of it.
 
-use super::compare::{BF16, F32, Wide, compare, gradient, operator};
+use super::compare::{BF16, BF16_REASON, F32, F32_REASON, LONG, Wide, compare, gradient, operator};
 use crate::doctor::case::{Case, Finding};
 use crate::doctor::noise::noise;
 use crate::doctor::trial::{Failure, ensure};
@@ -209,30 +209,29 @@ pub(super) fn sound(
 pub(super) fn cases() -> Vec<Case> {
     let mut cases = Vec::new();
     for formula in FORMULAS {
-        for (dtype, tolerance, reason) in [
-            (DType::F32, F32, "error budget of f32: 1e-5 relative to f64"),
-            (DType::BF16, BF16, "error budget of bf16: 2e-2 relative to f64"),
-        ] {
-            cases.push(Case {
-                origin: "demands 2a, level 2: every loss against f64",
-                tolerance,
-                reason,
-                ..operator(
-                    format!("loss-{}-{}", formula.name, dtype.as_str()),
-                    "losses",
+        for (dtype, tolerance, of_slope, reason) in
+            [(DType::F32, F32, LONG, F32_REASON), (DType::BF16, BF16, BF16, BF16_REASON)]
+        {
+            let name = format!("{}-{}", formula.name, dtype.as_str());
+            cases.push(
+                operator(
+                    format!("loss-{name}"),
+                    "demands 2a, level 2: every loss against f64",
                     move |_| value(formula, dtype),
                 )
-            });
-            cases.push(Case {
-                origin: "demands 2a, level 2: gradients against finite differences",
-                tolerance: if dtype == DType::F32 { 1e-4 } else { BF16 },
-                reason: "central differences of the formula in f64 have 1e-8; sums in f32 1e-4, bf16 2e-2",
-                ..operator(
-                    format!("gradient-{}-{}", formula.name, dtype.as_str()),
-                    "losses",
+                .within(tolerance, reason),
+            );
+            cases.push(
+                operator(
+                    format!("gradient-{name}"),
+                    "demands 2a, level 2: gradients against finite differences",
                     move |_| slope(formula, dtype),
                 )
-            });
+                .within(
+                    of_slope,
+                    "central differences of the formula in f64 have 1e-8; sums in f32 1e-4, bf16 2e-2",
+                ),
+            );
         }
     }
     cases

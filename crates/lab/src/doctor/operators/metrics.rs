@@ -1,7 +1,7 @@
 //! Labels by cosine, and what is counted of them.
 
 use super::compare::{F32, Wide, compare, decision, operator};
-use crate::doctor::case::{Case, Finding, Policy};
+use crate::doctor::case::{Case, Finding};
 use crate::doctor::noise::{Noise, noise};
 use crate::doctor::trial::{Failure, Trial, ensure};
 use scenesplat_metrics::{
@@ -15,44 +15,27 @@ const D: usize = 45;
 const C: usize = 7;
 
 pub(super) fn cases() -> Vec<Case> {
-    let case =
-        |name: &str, origin: &'static str, check: fn(&Trial<'_>) -> Result<Finding, Failure>| {
-            Case { origin, ..decision(name, "metrics", check) }
-        };
     vec![
-        Case {
-            origin: "demands 2a, level 2: cosines; rows of any norm from 1e-40 to 1e38",
-            tolerance: F32,
-            reason: "error budget of f32: 1e-5 of a cosine of 1",
-            ..operator("cosine-scores", "metrics", scores)
-        },
-        case("labels-with-a-margin", "demands 2a, level 2: argmax by the band test", argmax),
-        case("labels-with-ties", "equal cosines: the smaller class, on every machine", |_| {
-            let texts = [vec![1.0, 0.0], vec![0.0, 1.0], vec![1.0, 0.0]].concat();
+        operator(
+            "cosine-scores",
+            "demands 2a, level 2: cosines; rows of any norm from 1e-40 to 1e38",
+            scores,
+        )
+        .within(F32, "error budget of f32: 1e-5 of a cosine of 1"),
+        decision("labels-with-a-margin", "demands 2a, level 2: argmax by the band test", argmax),
+        decision("labels-with-ties", "equal cosines: the smaller class, on every machine", |_| {
+            let texts = [1.0, 0.0, 0.0, 1.0, 1.0, 0.0];
             let found =
                 labels(&[3.0, 3.0, 1.0, 0.0, 0.0, 2.0], &texts, 2, &ZeroShotOptions::default())?;
             ensure!(found == [0, 0, 1], "{found:?}, [0, 0, 1] is right");
-            Ok(Finding::right())
+            Ok(())
         }),
-        case(
+        decision(
             "rows-without-a-direction",
             "the original gives class 0 for zeros and any class for NaN",
-            |_| {
-                let features =
-                    [0.0, 0.0, f32::NAN, 1.0, f32::INFINITY, 1.0, 1e-42, 0.0, 3e38, 3e38];
-                let texts = [1.0, 0.0, 0.0, 1.0];
-                let found = classify(
-                    &FeatureSlice::new(&features, 2)?,
-                    TextRows::new(&texts, 2)?,
-                    &ZeroShotOptions::default(),
-                )?;
-                ensure!(found.labels == [-1, -1, -1, 0, 0], "labels {:?}", found.labels);
-                ensure!(found.num_unusable == 3, "{} rows are unusable", found.num_unusable);
-                ensure!(found.scores.iter().all(|s| s.is_finite()), "a score is not finite");
-                Ok(Finding::right())
-            },
+            no_direction,
         ),
-        case(
+        decision(
             "unknown-threshold-can-fire",
             "open_questions B 4: a threshold on the sigmoid of a cosine never fires",
             |_| {
@@ -63,94 +46,105 @@ pub(super) fn cases() -> Vec<Case> {
                 let features = [0.9, 0.435_889_9, 0.35, 0.936_749_9];
                 let found = labels(&features, &[1.0, 0.0], 2, &options)?;
                 ensure!(found == [0, -1], "{found:?}, [0, -1] is right");
-                Ok(Finding::right())
+                Ok(())
             },
         ),
-        case(
+        decision(
             "candidates-compete-alone",
             "open_questions B 3: an exclusion list of lists excludes nothing",
             |_| {
-                let texts = [1.0, 0.0, 0.0, 1.0];
-                let options = ZeroShotOptions {
-                    candidates: Some(vec![false, true]),
-                    ..ZeroShotOptions::default()
+                let among = |candidates: [bool; 2]| {
+                    let candidates = Some(candidates.to_vec());
+                    let options = ZeroShotOptions { candidates, ..ZeroShotOptions::default() };
+                    labels(&[1.0, 0.1], &[1.0, 0.0, 0.0, 1.0], 2, &options)
                 };
-                let found = labels(&[1.0, 0.1], &texts, 2, &options)?;
+                let found = among([false, true])?;
                 ensure!(found == [1], "{found:?}");
-                let nobody = ZeroShotOptions {
-                    candidates: Some(vec![false; 2]),
-                    ..ZeroShotOptions::default()
-                };
-                ensure!(labels(&[1.0, 0.1], &texts, 2, &nobody).is_err(), "nobody competes");
-                Ok(Finding::right())
+                ensure!(among([false; 2]).is_err(), "nobody competes");
+                Ok(())
             },
         ),
-        Case {
-            policy: Policy::Refused,
-            ..case(
-                "texts-that-are-not-normalised",
-                "demands 2a, check 2: unnormalised text (known bug)",
-                |_| {
-                    for bad in [[2.0, 0.0], [0.0, 0.0], [f32::NAN, 0.0], [0.99, 0.0]] {
-                        let rows = [1.0, 0.0, bad[0], bad[1]];
-                        ensure!(TextRows::new(&rows, 2).is_err(), "{bad:?} is taken for a text");
-                    }
-                    Ok(Finding::right())
-                },
-            )
-        },
-        case(
+        decision(
+            "texts-that-are-not-normalised",
+            "demands 2a, check 2: unnormalised text (known bug)",
+            |_| {
+                for bad in [[2.0, 0.0], [0.0, 0.0], [f32::NAN, 0.0], [0.99, 0.0]] {
+                    let rows = [1.0, 0.0, bad[0], bad[1]];
+                    ensure!(TextRows::new(&rows, 2).is_err(), "{bad:?} is taken for a text");
+                }
+                Ok(())
+            },
+        )
+        .refused(),
+        decision(
             "confusion-by-hand",
             "open_questions B 7: evaluator and tester define means otherwise",
             confusion,
         ),
-        case("confusion-of-nothing", "absent classes: a mean over no class is no number", |_| {
-            let empty = ConfusionMatrix::new(C)?;
-            let report = empty.tester_report();
-            let means = [report.mean_iou, report.mean_accuracy, report.all_accuracy];
-            ensure!(means == [None; 3], "{means:?}");
-            ensure!(report.measurements().is_empty(), "a number of nothing is reported");
-            let mut ignored = ConfusionMatrix::new(C)?;
-            ignored.update((&[0, 1, -1], &[-1, -1, -1]))?;
-            ensure!(ignored.num_labelled() == 0, "rows without a truth are counted");
-            ensure!(ignored.evaluator_report().mean_iou.is_none(), "and have a mean");
-            Ok(Finding::right())
-        }),
-        Case {
-            policy: Policy::Refused,
-            ..case(
-                "labels-beyond-the-classes",
-                "demands 2a, check 2: ignore_index = K (known bug)",
-                |_| {
-                    for (predicted, truth) in [(7, 0), (0, 7), (-2, 0), (0, -2), (i32::MAX, 0)] {
-                        let mut matrix = ConfusionMatrix::new(C)?;
-                        let taken = matrix.update((&[predicted], &[truth])).is_ok();
-                        ensure!(!taken, "predicted {predicted}, true {truth} is taken");
-                    }
-                    let mut matrix = ConfusionMatrix::new(C)?;
-                    ensure!(matrix.update((&[0, 1], &[0])).is_err(), "2 predictions for 1 row");
-                    Ok(Finding::right())
-                },
-            )
-        },
-        case("confusion-in-parts", "open_questions B 11: the last scene decides", |_| {
-            let mut rng = Noise::new(5);
-            let mut list =
-                |n: usize| -> Vec<i32> { (0..n).map(|_| rng.below(C + 1) as i32 - 1).collect() };
-            let (predicted, truth) = (list(3000), list(3000));
-            let mut whole = ConfusionMatrix::new(C)?;
-            whole.update((&predicted, &truth))?;
-            let mut parts = ConfusionMatrix::new(C)?;
-            for (p, t) in predicted.chunks(700).zip(truth.chunks(700)) {
-                let mut part = ConfusionMatrix::new(C)?;
-                part.update((p, t))?;
-                parts.merge(&part)?;
-            }
-            ensure!(whole.counts() == parts.counts(), "parts count otherwise");
-            ensure!(whole.unassigned() == parts.unassigned(), "parts withhold otherwise");
-            Ok(Finding::right())
-        }),
+        decision(
+            "confusion-of-nothing",
+            "absent classes: a mean over no class is no number",
+            confusion_of_nothing,
+        ),
+        decision(
+            "labels-beyond-the-classes",
+            "demands 2a, check 2: ignore_index = K (known bug)",
+            |_| {
+                for (predicted, truth) in [(7, 0), (0, 7), (-2, 0), (0, -2), (i32::MAX, 0)] {
+                    let taken = ConfusionMatrix::new(C)?.update((&[predicted], &[truth])).is_ok();
+                    ensure!(!taken, "predicted {predicted}, true {truth} is taken");
+                }
+                let uneven = ConfusionMatrix::new(C)?.update((&[0, 1], &[0]));
+                ensure!(uneven.is_err(), "2 predictions for 1 row");
+                Ok(())
+            },
+        )
+        .refused(),
+        decision(
+            "confusion-in-parts",
+            "open_questions B 11: the last scene decides",
+            confusion_in_parts,
+        ),
     ]
+}
+
+fn no_direction(_: &Trial<'_>) -> Result<(), Failure> {
+    let features = [0.0, 0.0, f32::NAN, 1.0, f32::INFINITY, 1.0, 1e-42, 0.0, 3e38, 3e38];
+    let (features, texts) = (FeatureSlice::new(&features, 2)?, [1.0, 0.0, 0.0, 1.0]);
+    let found = classify(&features, TextRows::new(&texts, 2)?, &ZeroShotOptions::default())?;
+    ensure!(found.labels == [-1, -1, -1, 0, 0], "labels {:?}", found.labels);
+    ensure!(found.num_unusable == 3, "{} rows are unusable", found.num_unusable);
+    ensure!(found.scores.iter().all(|s| s.is_finite()), "a score is not finite");
+    Ok(())
+}
+
+fn confusion_of_nothing(_: &Trial<'_>) -> Result<(), Failure> {
+    let report = ConfusionMatrix::new(C)?.tester_report();
+    let means = [report.mean_iou, report.mean_accuracy, report.all_accuracy];
+    ensure!(means == [None; 3], "{means:?}");
+    ensure!(report.measurements().is_empty(), "a number of nothing is reported");
+    let mut ignored = ConfusionMatrix::new(C)?;
+    ignored.update((&[0, 1, -1], &[-1, -1, -1]))?;
+    ensure!(ignored.num_labelled() == 0, "rows without a truth are counted");
+    ensure!(ignored.evaluator_report().mean_iou.is_none(), "and have a mean");
+    Ok(())
+}
+
+fn confusion_in_parts(_: &Trial<'_>) -> Result<(), Failure> {
+    let mut rng = Noise::new(5);
+    let mut list = |n: usize| -> Vec<i32> { (0..n).map(|_| rng.below(C + 1) as i32 - 1).collect() };
+    let (predicted, truth) = (list(3000), list(3000));
+    let mut whole = ConfusionMatrix::new(C)?;
+    whole.update((&predicted, &truth))?;
+    let mut parts = ConfusionMatrix::new(C)?;
+    for (p, t) in predicted.chunks(700).zip(truth.chunks(700)) {
+        let mut part = ConfusionMatrix::new(C)?;
+        part.update((p, t))?;
+        parts.merge(&part)?;
+    }
+    ensure!(whole.counts() == parts.counts(), "parts count otherwise");
+    ensure!(whole.unassigned() == parts.unassigned(), "parts withhold otherwise");
+    Ok(())
 }
 
 fn labels(
@@ -202,7 +196,7 @@ fn scores(trial: &Trial<'_>) -> Result<Finding, Failure> {
     compare(&got, &want, |i| format!("row {}, class {}", i / C, i % C))
 }
 
-fn argmax(trial: &Trial<'_>) -> Result<Finding, Failure> {
+fn argmax(trial: &Trial<'_>) -> Result<(), Failure> {
     let (texts, features) = (texts(), features());
     let found =
         trial.same_on_threads(|| labels(&features, &texts, D, &ZeroShotOptions::default()))?;
@@ -219,10 +213,10 @@ fn argmax(trial: &Trial<'_>) -> Result<Finding, Failure> {
         flips += usize::from(!right);
     }
     ensure!(flips <= doubtful, "{flips} flips, {doubtful} ties");
-    Ok(Finding::right())
+    Ok(())
 }
 
-fn confusion(_: &Trial<'_>) -> Result<Finding, Failure> {
+fn confusion(_: &Trial<'_>) -> Result<(), Failure> {
     let mut matrix = ConfusionMatrix::new(4)?.with_excluded(&[0])?;
     // Class 3 is predicted once and never true; one row of class 1 is withheld.
     matrix.update((&[0, 0, 1, -1, 3, 2, 1], &[0, 0, 1, 1, 2, 2, -1]))?;
@@ -237,5 +231,5 @@ fn confusion(_: &Trial<'_>) -> Result<Finding, Failure> {
     // Only classes of the truth, and withholding is free.
     ensure!(near(training.mean_iou, 2.0 / 3.0), "mIoU in training {:?}", training.mean_iou);
     ensure!(near(training.global_accuracy, 0.8), "accuracy {:?}", training.global_accuracy);
-    Ok(Finding::right())
+    Ok(())
 }

@@ -1,7 +1,5 @@
 //! Level 2: operators, losses and metrics against f64.
 
-#![allow(clippy::type_complexity, reason = "tables of names, origins and functions")]
-
 mod activations;
 mod attention;
 mod compare;
@@ -17,21 +15,24 @@ mod pictures;
 mod products;
 mod sparse;
 
-use super::case::Case;
+use super::case::{Case, in_areas};
 
 pub(super) fn cases() -> Vec<Case> {
-    let mut cases = products::cases();
-    cases.extend(attention::cases());
-    cases.extend(norms::cases());
-    cases.extend(activations::cases());
-    cases.extend(sparse::cases());
-    cases.extend(grids::cases());
-    cases.extend(curves::cases());
-    cases.extend(neighbours::cases());
-    cases.extend(losses::cases());
-    cases.extend(hard_losses::cases());
-    cases.extend(metrics::cases());
-    cases.extend(pictures::cases());
-    cases.extend(optimizers::cases());
-    cases
+    let areas: [(&str, fn() -> Vec<Case>); 14] = [
+        ("products", products::cases),
+        ("attention", attention::cases),
+        ("norms", norms::cases),
+        ("activations", activations::cases),
+        ("convolution", sparse::convolutions),
+        ("segments", sparse::segments),
+        ("voxels", grids::cases),
+        ("curves", curves::cases),
+        ("neighbours", neighbours::cases),
+        ("losses", losses::cases),
+        ("losses", hard_losses::cases),
+        ("metrics", metrics::cases),
+        ("pictures", pictures::cases),
+        ("optimizers", optimizers::cases),
+    ];
+    in_areas(&areas)
 }

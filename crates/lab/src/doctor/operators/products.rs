@@ -1,6 +1,8 @@
 //! Matrix products in every precision.
 
-use super::compare::{BF16, F32, F32_REASON, LONG, LONG_REASON, Wide, compare, operator};
+use super::compare::{
+    BF16, BF16_REASON, F32, F32_REASON, LONG, LONG_REASON, Wide, compare, operator, products,
+};
 use crate::doctor::case::{Case, Finding};
 use crate::doctor::noise::{Noise, noise};
 use crate::doctor::trial::{Failure, Trial, ensure};
@@ -29,21 +31,6 @@ impl Factors {
         out
     }
 
-    /// Sums in f64, measured against the sums of magnitudes.
-    fn reference(&self) -> Vec<Wide> {
-        let mut out = Vec::with_capacity(self.m * self.n);
-        for i in 0..self.m {
-            for j in 0..self.n {
-                let terms = (0..self.k)
-                    .map(|p| f64::from(self.a[i * self.k + p]) * f64::from(self.w[j * self.k + p]));
-                let (mut value, mut scale) = (0.0, 0.0);
-                terms.for_each(|t| (value, scale) = (value + t, scale + t.abs()));
-                out.push(Wide::of(value, scale));
-            }
-        }
-        out
-    }
-
     fn check(&self, trial: &Trial<'_>, precision: Precision) -> Result<Finding, Failure> {
         trial.keep(&format!("a_{}x{}", self.m, self.k), &self.a)?;
         trial.keep(&format!("w_{}x{}", self.n, self.k), &self.w)?;
@@ -51,7 +38,7 @@ impl Factors {
         let at = |i: usize| {
             format!("row {}, column {} of {}×{}×{}", i / self.n, i % self.n, self.m, self.k, self.n)
         };
-        compare(&got, &self.reference(), at)
+        compare(&got, &products(&self.a, &self.w, self.k), at)
     }
 }
 
@@ -95,66 +82,57 @@ pub(super) fn cases() -> Vec<Case> {
             Precision::F32Split => {
                 (LONG, "two bf16 parts of an f32: at most 2^-15 of the terms' magnitudes")
             }
-            Precision::Bf16 => (BF16, "error budget of bf16: 2e-2 relative to f64"),
+            Precision::Bf16 => (BF16, BF16_REASON),
             Precision::Int8 => (BF16, "8-bit integers with a scale a row: the budget of bf16"),
         };
         for &(name, origin, inputs) in INPUTS {
-            let check = move |trial: &Trial<'_>| {
+            let case = operator(format!("product-{precision}-{name}"), origin, move |trial| {
                 let mut found = Finding::right();
                 for factors in inputs() {
                     found.join(factors.check(trial, precision)?);
                 }
                 Ok(found)
-            };
-            let name = format!("product-{precision}-{name}");
-            let case = Case { origin, tolerance, reason, ..operator(name, "products", check) };
+            });
             // The step of a row is a 127th of its largest value: what stands beside 40 has 3 steps.
-            cases.push(if precision == Precision::Int8 && case.name.ends_with("outlier") {
-                let reason = "a row's step is a 127th of its outlier: the cost of it, stated in Precision::Int8";
-                Case { tolerance: 1e-1, reason, ..case }
-            } else {
-                case
+            let coarse = precision == Precision::Int8 && name == "outlier";
+            cases.push(match coarse {
+                true => case.within(
+                    1e-1,
+                    "a row's step is a 127th of its outlier: the cost of it, stated in Precision::Int8",
+                ),
+                false => case.within(tolerance, reason),
             });
         }
-        cases.push(Case {
-            origin: "a NaN of one Gaussian spreads over its batch (SceneSplat, mixed batches)",
-            tolerance: 0.0,
-            reason: "rows without a NaN keep their bits",
-            ..operator(format!("product-{precision}-nan-in-a-row"), "products", move |_| {
-                nan_in_a_row(precision)
-            })
-        });
+        let origin = "a NaN of one Gaussian spreads over its batch (SceneSplat, mixed batches)";
+        let name = format!("product-{precision}-nan-in-a-row");
+        cases.push(
+            operator(name, origin, move |_| nan_in_a_row(precision))
+                .because("rows without a NaN keep their bits"),
+        );
     }
-    cases.push(Case {
-        origin: "demands 2a, level 2: sums over many terms",
-        tolerance: LONG,
-        reason: LONG_REASON,
-        ..operator("product-f32-of-20000-terms", "products", |t| {
+    cases.push(
+        operator("product-f32-of-20000-terms", "demands 2a, level 2: sums over many terms", |t| {
             Factors::of(3, 20_000, 17, 1.0).check(t, Precision::F32)
         })
-    });
+        .within(LONG, LONG_REASON),
+    );
     for precision in [Precision::F32, Precision::F32Split, Precision::Bf16] {
-        cases.push(Case {
-            origin: "gradients of weights: a sum over all rows of a batch",
-            tolerance: if precision == Precision::Bf16 { BF16 } else { LONG },
-            reason: "error budget of long sums; of bf16 2e-2",
-            ..operator(format!("weight-gradient-{precision}"), "products", move |t| {
-                transposed(t, precision)
-            })
-        });
+        let tolerance = if precision == Precision::Bf16 { BF16 } else { LONG };
+        let origin = "gradients of weights: a sum over all rows of a batch";
+        let name = format!("weight-gradient-{precision}");
+        cases.push(
+            operator(name, origin, move |t| transposed(t, precision))
+                .within(tolerance, "error budget of long sums; of bf16 2e-2"),
+        );
     }
-    cases.push(Case {
-        origin: "fused layers: bias, GELU and residual in one pass",
-        ..operator("mlp-fused", "products", fused)
-    });
-    cases.push(Case {
-        origin: "demands 2a, level 2: normalise(0) behind a product",
-        ..operator("unit-rows-of-a-product", "products", unit_rows)
-    });
+    let origin = "fused layers: bias, GELU and residual in one pass";
+    cases.push(operator("mlp-fused", origin, fused));
+    let origin = "demands 2a, level 2: normalise(0) behind a product";
+    cases.push(operator("unit-rows-of-a-product", origin, unit_rows));
     cases
 }
 
-fn nan_in_a_row(precision: Precision) -> Result<Finding, Failure> {
+fn nan_in_a_row(precision: Precision) -> Result<(), Failure> {
     let clean = Factors::of(7, 128, 96, 1.0);
     let mut bad = Factors::of(7, 128, 96, 1.0);
     bad.a[3 * 128 + 50] = f32::NAN;
@@ -168,7 +146,7 @@ fn nan_in_a_row(precision: Precision) -> Result<Finding, Failure> {
             ensure!(bad[at.clone()] == clean[at], "row {row} changed with another row");
         }
     }
-    Ok(Finding::right())
+    Ok(())
 }
 
 fn transposed(trial: &Trial<'_>, precision: Precision) -> Result<Finding, Failure> {
@@ -183,9 +161,7 @@ fn transposed(trial: &Trial<'_>, precision: Precision) -> Result<Finding, Failur
     for row in 0..rows {
         for i in 0..m {
             for j in 0..n {
-                let term = f64::from(a[row * m + i]) * f64::from(b[row * n + j]);
-                let sum = &mut want[i * n + j];
-                *sum = Wide::of(sum.value + term, sum.scale + term.abs());
+                want[i * n + j].add(f64::from(a[row * m + i]) * f64::from(b[row * n + j]));
             }
         }
     }
@@ -225,21 +201,19 @@ fn fused(trial: &Trial<'_>) -> Result<Finding, Failure> {
         mlp(&a, (&p1, &b1), &p2, epilogue, &mut out);
         Ok(out)
     })?;
+    let biased = |(i, sum): (usize, &Wide)| {
+        let x = sum.value + f64::from(b1[i % h]);
+        x * normal_cdf(x)
+    };
+    let hidden: Vec<f64> = products(&a, &w1, k).iter().enumerate().map(biased).collect();
     let mut want = Vec::new();
-    for i in 0..m {
-        let hidden: Vec<f64> = (0..h)
-            .map(|j| {
-                let x =
-                    (0..k).map(|p| f64::from(a[i * k + p]) * f64::from(w1[j * k + p])).sum::<f64>()
-                        + f64::from(b1[j]);
-                x * normal_cdf(x)
-            })
-            .collect();
-        for j in 0..n {
-            let terms: Vec<f64> = (0..h).map(|p| hidden[p] * f64::from(w2[j * h + p])).collect();
-            let rest = [f64::from(b2[j]), f64::from(residual[i * n + j])];
-            let all = || terms.iter().chain(&rest);
-            want.push(Wide::of(all().sum(), all().map(|t| t.abs()).sum()));
+    for (hidden, residual) in hidden.chunks_exact(h).zip(residual.chunks_exact(n)) {
+        for (j, w) in w2.chunks_exact(h).enumerate() {
+            let mut sum = Wide::of(0.0, 0.0);
+            hidden.iter().zip(w).for_each(|(x, w)| sum.add(x * f64::from(*w)));
+            sum.add(f64::from(b2[j]));
+            sum.add(f64::from(residual[j]));
+            want.push(sum);
         }
     }
     compare(&got, &want, |i| format!("row {}, column {}", i / n, i % n))
@@ -260,14 +234,11 @@ fn unit_rows(trial: &Trial<'_>) -> Result<Finding, Failure> {
         gemm_unit_rows(&a, &packed, None, &mut out);
         Ok(out)
     })?;
-    let mut want = Vec::new();
-    for i in 0..m {
-        let row: Vec<f64> = (0..n)
-            .map(|j| (0..k).map(|p| f64::from(a[i * k + p]) * f64::from(w[j * k + p])).sum())
-            .collect();
-        let norm = row.iter().map(|v| v * v).sum::<f64>().sqrt();
+    let mut want = products(&a, &w, k);
+    for row in want.chunks_exact_mut(n) {
+        let norm = row.iter().map(|v| v.value * v.value).sum::<f64>().sqrt();
         // Norms below 1e-12 count as that: a zero row stays zero.
-        want.extend(row.iter().map(|v| Wide::of(v / norm.max(1e-12), 1.0)));
+        row.iter_mut().for_each(|v| *v = Wide::of(v.value / norm.max(1e-12), 1.0));
     }
     compare(&got, &want, |i| format!("row {}, column {}", i / n, i % n))
 }

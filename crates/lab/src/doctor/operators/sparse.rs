@@ -1,8 +1,6 @@
 //! Submanifold convolution, groups of rows, turned queries.
 
-use super::compare::{
-    BF16, EXACT_REASON, F32, F32_REASON, LONG, Wide, compare, decision, gradient, operator, wide,
-};
+use super::compare::{BF16, LONG, Wide, compare, decision, gradients, operator};
 use crate::doctor::case::{Case, Finding};
 use crate::doctor::noise::{Noise, noise};
 use crate::doctor::trial::{Failure, Trial, ensure};
@@ -31,10 +29,7 @@ impl Voxels {
             taken.insert([(); 3].map(|()| rng.below(9) as i32));
         }
         let mut cells: Vec<[i32; 3]> = taken.into_iter().collect();
-        // In no order.
-        for i in (1..cells.len()).rev() {
-            cells.swap(i, rng.below(i + 1));
-        }
+        rng.shuffle(&mut cells);
         cells
     }
 
@@ -84,70 +79,63 @@ const SCENES: &[(&str, &str, fn() -> Voxels)] = &[
 const CIN: usize = 64;
 const COUT: usize = 70;
 
-pub(super) fn cases() -> Vec<Case> {
-    let mut cases = Vec::new();
-    for &(name, origin, voxels) in SCENES {
-        cases.push(Case {
-            origin,
-            ..operator(format!("convolution-{name}"), "convolution", move |t| {
-                let mut found = convolve(t, &voxels(), 3, Precision::F32)?;
-                found.join(convolve(t, &voxels(), 5, Precision::F32)?);
-                Ok(found)
-            })
-        });
-    }
-    for (precision, tolerance) in
-        [(Precision::F32Split, LONG), (Precision::Bf16, BF16), (Precision::Int8, BF16)]
-    {
-        cases.push(Case {
-            origin: "demands 2a, level 2: every precision; spconv casts features to f16",
-            tolerance,
-            reason: "error budgets of the precisions, against the sum of magnitudes",
-            ..operator(format!("convolution-{precision}"), "convolution", move |t| {
-                convolve(t, &Voxels::one(Voxels::random(300, 6)), 3, precision)
-            })
-        });
-    }
-    cases.push(Case {
-        origin: "open_questions B 29: duplicate voxels make spconv's result race-dependent",
-        ..decision("convolution-duplicate-voxels", "convolution", duplicates)
-    });
-    cases.push(Case {
-        origin: "gradients of a convolution: pairs with input and output exchanged",
-        tolerance: LONG,
-        reason: "error budget of long sums in f32: 1e-4 relative to f64",
-        ..operator("convolution-gradient", "convolution", conv_gradient)
-    });
-    let groups: [(&str, Reduce, &str); 3] = [
-        (
-            "mean",
-            Reduce::Mean,
-            "open_questions B 19: pooling is a mean in one network, a maximum in the other",
-        ),
-        ("max", Reduce::Max, "demands 2a, level 2: NaN counts as larger than anything"),
-        ("sum", Reduce::Sum, "demands 2a, level 2"),
-    ];
-    for (name, how, origin) in groups {
-        cases.push(Case {
-            origin,
-            tolerance: F32,
-            reason: F32_REASON,
-            ..operator(format!("segment-{name}"), "segments", move |t| segments(t, how))
-        });
-    }
-    cases.push(Case {
-        origin: "gradient of a maximum: to the first of equal members, once",
-        reason: EXACT_REASON,
-        ..decision("segment-max-gradient-of-ties", "segments", |_| {
-            let groups = Groups::new(vec![0, 1, 2, 3], vec![0, 3, 4])?;
-            let x = [1.0, 5.0, 5.0, -2.0];
-            let mut dx = vec![0.0; 4];
-            reduce_backward(&x, 1, &groups, Reduce::Max, &[3.0, 7.0], &mut dx);
-            ensure!(dx == [0.0, 3.0, 0.0, 7.0], "gradient {dx:?}");
-            Ok(Finding::right())
+pub(super) fn convolutions() -> Vec<Case> {
+    let dense = SCENES.iter().map(|&(name, origin, voxels)| {
+        operator(format!("convolution-{name}"), origin, move |t| {
+            let mut found = convolve(t, &voxels(), 3, Precision::F32)?;
+            found.join(convolve(t, &voxels(), 5, Precision::F32)?);
+            Ok(found)
         })
     });
-    cases
+    let precisions =
+        [(Precision::F32Split, LONG), (Precision::Bf16, BF16), (Precision::Int8, BF16)];
+    let precisions = precisions.map(|(precision, tolerance)| {
+        let origin = "demands 2a, level 2: every precision; spconv casts features to f16";
+        operator(format!("convolution-{precision}"), origin, move |t| {
+            convolve(t, &Voxels::one(Voxels::random(300, 6)), 3, precision)
+        })
+        .within(tolerance, "error budgets of the precisions, against the sum of magnitudes")
+    });
+    let others = [
+        decision(
+            "convolution-duplicate-voxels",
+            "open_questions B 29: duplicate voxels make spconv's result race-dependent",
+            duplicates,
+        ),
+        operator(
+            "convolution-gradient",
+            "gradients of a convolution: pairs with input and output exchanged",
+            conv_gradient,
+        )
+        .within(LONG, "error budget of long sums in f32: 1e-4 relative to f64"),
+    ];
+    dense.chain(precisions).chain(others).collect()
+}
+
+pub(super) fn segments() -> Vec<Case> {
+    vec![
+        operator(
+            "segment-mean",
+            "open_questions B 19: pooling is a mean in one network, a maximum in the other",
+            |t| reduced(t, Reduce::Mean),
+        ),
+        operator("segment-max", "demands 2a, level 2: NaN counts as larger than anything", |t| {
+            reduced(t, Reduce::Max)
+        }),
+        operator("segment-sum", "demands 2a, level 2", |t| reduced(t, Reduce::Sum)),
+        decision(
+            "segment-max-gradient-of-ties",
+            "gradient of a maximum: to the first of equal members, once",
+            |_| {
+                let groups = Groups::new(vec![0, 1, 2, 3], vec![0, 3, 4])?;
+                let mut dx = vec![0.0; 4];
+                let x = [1.0, 5.0, 5.0, -2.0];
+                reduce_backward(&x, 1, &groups, Reduce::Max, &[3.0, 7.0], &mut dx);
+                ensure!(dx == [0.0, 3.0, 0.0, 7.0], "gradient {dx:?}");
+                Ok(())
+            },
+        ),
+    ]
 }
 
 fn map(voxels: &Voxels, kernel: usize) -> Result<KernelMap, Failure> {
@@ -176,18 +164,13 @@ fn convolve(
         let x = &x[input * CIN..(input + 1) * CIN];
         for (c, sum) in want[out * COUT..(out + 1) * COUT].iter_mut().enumerate() {
             let w = &weight[(c * taps + tap) * CIN..][..CIN];
-            let (mut value, mut scale) = (sum.value, sum.scale);
-            for (x, w) in x.iter().zip(w) {
-                let term = f64::from(*x) * f64::from(*w);
-                (value, scale) = (value + term, scale + term.abs());
-            }
-            *sum = Wide::of(value, scale);
+            x.iter().zip(w).for_each(|(x, w)| sum.add(f64::from(*x) * f64::from(*w)));
         }
     }
     compare(&got, &want, |i| format!("voxel {}, channel {}", i / COUT, i % COUT))
 }
 
-fn duplicates(trial: &Trial<'_>) -> Result<Finding, Failure> {
+fn duplicates(trial: &Trial<'_>) -> Result<(), Failure> {
     let mut cells = Voxels::random(200, 10);
     cells.extend_from_within(..60);
     let voxels = Voxels::one(cells);
@@ -202,7 +185,7 @@ fn duplicates(trial: &Trial<'_>) -> Result<Finding, Failure> {
             ensure!(*i < 200 || i == o, "row {i}, a copy, is an input of row {o}");
         }
     }
-    Ok(Finding::right())
+    Ok(())
 }
 
 fn conv_gradient(trial: &Trial<'_>) -> Result<Finding, Failure> {
@@ -230,19 +213,15 @@ fn conv_gradient(trial: &Trial<'_>) -> Result<Finding, Failure> {
             }
         }
     }
-    let mut found = gradient(&wide(&got[..n * cin]), &dx)?;
-    found.join(gradient(&wide(&got[n * cin..]), &dw)?);
-    Ok(found)
+    gradients(&got, &[dx, dw])
 }
 
 /// Groups of 1, of 2 and of many rows, in no order.
-fn segments(trial: &Trial<'_>, how: Reduce) -> Result<Finding, Failure> {
+fn reduced(trial: &Trial<'_>, how: Reduce) -> Result<Finding, Failure> {
     let (n, c) = (5000, 19);
     let mut rng = Noise::new(15);
     let mut rows: Vec<u32> = (0..n as u32).collect();
-    for i in (1..n).rev() {
-        rows.swap(i, rng.below(i + 1));
-    }
+    rng.shuffle(&mut rows);
     let mut offsets = vec![0, 1, 3, 2000];
     while offsets.last().is_some_and(|last| *last < n as u32) {
         let last = offsets.last().copied().unwrap_or(0);

@@ -1,6 +1,5 @@
 //! What a training learns.
 
-use super::setup::GRID;
 use crate::doctor::trial::Failure;
 use scenesplat_datasets::transforms::{
     CenterShift, ColorJitter, CropOrigin, GridSample, RandomFlip, RandomRotate, ViewCrop,
@@ -52,7 +51,7 @@ impl StabilityRecipe {
     /// Width of the rows that collapse is looked for in.
     pub(super) fn width(self) -> usize {
         match self {
-            Self::LanguagePretraining => super::setup::WIDTH,
+            Self::LanguagePretraining => WIDTH,
             Self::GaussianSsl => DECODER,
             Self::SelfDistillation | Self::SimDinoRows => COARSEST,
         }
@@ -83,6 +82,10 @@ impl fmt::Display for StabilityRecipe {
     }
 }
 
+/// Size of a voxel, metres.
+const GRID: f64 = 0.2;
+/// Channels of the features of language pretraining.
+pub(super) const WIDTH: usize = 64;
 /// Channels of the decoder.
 const DECODER: usize = 16;
 /// Channels of the coarsest scale.

@@ -1,6 +1,6 @@
 //! What is trained, and on what.
 
-use super::recipe::StabilityRecipe;
+use super::recipe::{StabilityRecipe, WIDTH};
 use crate::doctor::trial::Failure;
 use scenesplat_datasets::{
     BatchLoader, DataError, Dataset, InputFeatures, SceneDataset, SyntheticRooms, TrainBatch,
@@ -13,12 +13,8 @@ use scenesplat_rooms::{SyntheticRoomSettings, Vocabulary};
 use scenesplat_trainers::tasks::{LanguagePretraining, TargetSource, TaskModule};
 use std::sync::Arc;
 
-/// Channels of the features.
-pub(super) const WIDTH: usize = 64;
 /// Batches whose gradients an accumulated step averages.
 pub(super) const ACCUMULATED: u64 = 4;
-/// Size of a voxel, metres.
-pub(super) const GRID: f64 = 0.2;
 /// Rooms that take turns.
 const ROOMS: usize = 16;
 
@@ -139,7 +135,7 @@ impl Rooms {
         Ok(Self { scenes: [scenes(a)?, scenes(b)?], per_epoch, poisoned: None })
     }
 
-    /// With a value that is not finite in a batch.
+    /// A batch contains a non-finite value.
     pub(super) fn poisoned_at(self, number: Option<usize>) -> Self {
         Self { poisoned: number, ..self }
     }
