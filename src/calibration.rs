@@ -11,7 +11,7 @@ const FILE: &str = "calibration.json";
 
 const EMBEDDED: &str = include_str!("../assets/embedded/calibration.json");
 
-/// Measured on rooms that the network was not trained on, by `crates/lab/examples/make_embedded_assets.rs`.
+/// Measured on rooms that the network was not trained on, by `crates/lab/examples/lab/embedded_assets.rs`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Calibration {

@@ -354,7 +354,7 @@ mod tests {
         use crate::{Network, WeightOptions, Weights};
         use scenesplat_rooms::{SyntheticRoomSettings, generate};
         let familiar = Familiarity::embedded().unwrap();
-        // make_embedded_assets makes both.
+        // One program makes both (crates/lab/examples/lab/embedded_assets.rs).
         assert_eq!(familiar.weights, embedded::sha256(), "fitted to other weights");
         let network = Network::load(
             embedded::config().unwrap(),

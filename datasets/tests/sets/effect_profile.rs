@@ -99,7 +99,7 @@ fn lengths_are_metres_whatever_the_unit() {
 }
 
 /// Rooms of seeds that no threshold was fitted on: few, so that this is quick; the example
-/// `effect_thresholds` counts on many. Glass is found too seldom to count on.
+/// `effect-thresholds` counts on many. Glass is found too seldom to count on.
 #[test]
 fn effects_are_found_where_they_are_and_nowhere_else() {
     let effects: Vec<Effect> = Effect::ALL.into_iter().filter(|e| *e != Effect::Glass).collect();

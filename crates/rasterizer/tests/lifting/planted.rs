@@ -1,6 +1,6 @@
 //! Labels whose truth is known: a synthetic room, seen with the true objects as segments.
 //!
-//! Used by the tests of this crate and by the example `planted_labels` of the program.
+//! Used by the tests of this crate and by the measurements of `scenesplat-lab`.
 #![allow(dead_code, reason = "each program uses a part")]
 
 use rand::{Rng, SeedableRng};

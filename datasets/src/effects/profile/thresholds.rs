@@ -1,6 +1,6 @@
 //! From a measure to a decision and a severity. The numbers were fitted on synthetic rooms of the seeds 0 to 39, the
 //! thresholds also on 2001 to 2005, 3000 to 3031, 5000 to 5031, 7000 to 7031 and 9100 to 9131, and tested on others, by the
-//! example `effect_thresholds` (docs/effects.md).
+//! measurement `effect-thresholds` (docs/effects.md).
 
 use super::super::{Effect, MOST_SEVERE};
 

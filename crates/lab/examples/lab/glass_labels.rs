@@ -1,13 +1,10 @@
-//! What it is worth to lift labels in two layers where pictures look through glass:
-//! `cargo run --release -p scenesplat-lab --example glass_labels -- 60000 0 3` puts two rooms next to each other, makes a pane of most of
-//! the wall between them, takes 60 pictures from the first one, and compares the labels that come back in one layer
+//! What it is worth to lift labels in two layers where pictures look through glass: puts two rooms next to each
+//! other, makes a pane of most of the wall between them, takes 60 pictures from the first one, and compares the labels that come back in one layer
 //! and in two. In a part of the pictures the pane is a segment of its own, in the others what is seen through it.
 
-#[path = "../../rasterizer/tests/lifting/planted.rs"]
-mod planted;
-
+use crate::Arguments;
+use crate::planted::{DIM, Planted, Size, heaviest};
 use anyhow::{Context, Result};
-use planted::{DIM, Planted, Size, heaviest};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scenesplat::datasets::effects::profile::profile;
@@ -39,11 +36,8 @@ struct World {
     found: String,
 }
 
-fn main() -> Result<()> {
-    let mut args = std::env::args().skip(1);
-    let gaussians = args.next().map_or(Ok(60_000), |n| n.parse())?;
-    let first: u64 = args.next().map_or(Ok(0), |n| n.parse())?;
-    let count: u64 = args.next().map_or(Ok(3), |n| n.parse())?;
+pub fn run(mut args: Arguments) -> Result<()> {
+    let (gaussians, first, count): (_, u64, u64) = (args.or(60_000)?, args.or(0)?, args.or(3)?);
     for room in first..first + count {
         for (two, severity) in [(true, 2.0), (true, 3.0), (true, 4.0), (false, 2.0), (false, 4.0)] {
             let world = World::new(gaussians, room, severity, two)?;

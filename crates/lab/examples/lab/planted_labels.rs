@@ -1,31 +1,26 @@
-//! Lifts labels whose truth is known, and shows what wrong ones do:
-//! `cargo run --release -p scenesplat-lab --example planted_labels -- out` takes pictures of a synthetic room with 60
+//! Lifts labels whose truth is known, and shows what wrong ones do: takes pictures of a synthetic room with 60
 //! cameras, cuts them by the true objects, lifts these segments back onto the Gaussians, first as they are,
 //! then with some named after other objects, each time with all pixels and with those only whose depth
 //! agrees, and draws truth and results.
 
-#[path = "../../rasterizer/tests/lifting/planted.rs"]
-mod planted;
-
-use anyhow::{Context, Result};
-use planted::{Planted, Recovered, Size};
+use crate::Arguments;
+use crate::planted::{Planted, Recovered, Size};
+use anyhow::Result;
 use scenesplat::outputs::{label_colors, write_scene_preview};
 use scenesplat::scene::UpAxis;
 use scenesplat_rasterizer::lifting::{
     DepthProbe, DepthTolerance, FinaliseSettings, LiftSettings, Robust,
 };
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// Part of the segments of each picture that have the name of another object.
 const WRONG: f64 = 0.2;
 
-fn main() -> Result<()> {
-    let mut args = std::env::args().skip(1);
-    let out = args.next().context("which folder for the pictures?")?;
-    let gaussians = args.next().map_or(Ok(200_000), |n| n.parse())?;
-    let room = args.next().map_or(Ok(0), |n| n.parse())?;
-    let out = Path::new(&out);
+pub fn run(mut args: Arguments) -> Result<()> {
+    let out: PathBuf = args.needed("which folder for the pictures?")?;
+    let (gaussians, room) = (args.or(200_000)?, args.or(0)?);
+    let out = out.as_path();
     std::fs::create_dir_all(out)?;
     let size = Size { gaussians, views: 60, picture: [640, 480], room };
     let planted = Planted::new(size);

@@ -1,21 +1,15 @@
-//! What it is worth to weigh blurred pictures less when labels are lifted:
-//! `cargo run --release -p scenesplat-lab --example blurred_labels -- 100000 0 3` plants labels in rooms 0 to 2, takes
+//! What it is worth to weigh blurred pictures less when labels are lifted: plants labels in rooms, takes
 //! 60 pictures of each with motions of several severities, and compares the labels that come back with
 //! all pictures counting alike and with weights by their motion.
 
-#[path = "../../rasterizer/tests/lifting/planted.rs"]
-mod planted;
-
+use crate::Arguments;
+use crate::planted::{Planted, Size};
 use anyhow::Result;
-use planted::{Planted, Size};
 use scenesplat_lab::capture::frame_weight;
 use scenesplat_rasterizer::lifting::{DepthTolerance, FinaliseSettings, LiftSettings};
 
-fn main() -> Result<()> {
-    let mut args = std::env::args().skip(1);
-    let gaussians = args.next().map_or(Ok(100_000), |n| n.parse())?;
-    let first: u64 = args.next().map_or(Ok(0), |n| n.parse())?;
-    let count: u64 = args.next().map_or(Ok(3), |n| n.parse())?;
+pub fn run(mut args: Arguments) -> Result<()> {
+    let (gaussians, first, count): (_, u64, u64) = (args.or(100_000)?, args.or(0)?, args.or(3)?);
     let settings =
         LiftSettings { depth: Some(DepthTolerance::RENDERED), ..LiftSettings::default() };
     for room in first..first + count {

@@ -1,12 +1,12 @@
 //! What a step of self-supervised training takes with each term alone: seconds and peak memory.
 //!
-//!     cargo run --release -p scenesplat-lab --example self_supervised_terms [-- FILE.toml [STEPS [TERM+TERM…]…]]
-//!
 //! Network, scenes and views are those of the file (configs/self_supervised/synthetic_rooms.toml, its first
 //! batch, again and again), terms have their defaults but for 512 prototypes; where a term does not read the
 //! decoder, there is none. The median of STEPS (5) after a first one; gradients and AdamW are a part of a step.
 //! Each line is a process of its own, whose peak is what the system counts (Linux). Nothing else should run.
 
+use crate::Arguments;
+use anyhow::{Context, Result, ensure};
 use scenesplat::datasets::{BatchLoader, DataError, SourceConfig, TrainBatch};
 use scenesplat::experiment::{ExperimentConfig, data};
 use scenesplat::machine::peak_memory_bytes;
@@ -18,8 +18,6 @@ use scenesplat::trainers::{
 };
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
-
-type Error = Box<dyn std::error::Error>;
 
 /// Width of the features that language alignment learns.
 const FEATURES: usize = 96;
@@ -61,7 +59,7 @@ impl Callback for Clock {
     }
 }
 
-fn term(name: &str) -> Result<TermConfig, Error> {
+fn term(name: &str) -> Result<TermConfig> {
     let mut term = serde_json::json!({ "type": name });
     match name {
         "dino" | "ibot_cross_entropy" | "self_distillation" => {
@@ -70,11 +68,11 @@ fn term(name: &str) -> Result<TermConfig, Error> {
         "language_alignment" => term["out"] = FEATURES.into(),
         _ => {}
     }
-    Ok(serde_json::from_value(term).map_err(|e| format!("{name}: {e}"))?)
+    serde_json::from_value(term).with_context(|| name.to_owned())
 }
 
 /// Trains with these terms, and prints a line.
-fn measure(file: &str, steps: usize, names: &str) -> Result<(), Error> {
+fn measure(file: &str, steps: usize, names: &str) -> Result<()> {
     let mut config = ExperimentConfig::read(file.as_ref())?;
     for entry in &mut config.train {
         if let (SourceConfig::Synthetic(rooms), true) =
@@ -92,12 +90,12 @@ fn measure(file: &str, steps: usize, names: &str) -> Result<(), Error> {
         (network.dec_num_head, network.dec_patch_size) = (Vec::new(), Vec::new());
     }
     let mut settings =
-        config.self_supervised.clone().ok_or("task = \"self_supervised\" is needed")?;
+        config.self_supervised.clone().context("task = \"self_supervised\" is needed")?;
     settings.terms = terms;
     let network = config.network()?;
     let params = ParamStore::trainable(1);
     let module = SelfSupervised::new(&settings, &network.model, &network.input, params, 1)?;
-    let batch = data::loader(&config, None)?.epoch(0, 0).next().ok_or("no batch")??;
+    let batch = data::loader(&config, None)?.epoch(0, 0).next().context("no batch")??;
     let rows: usize = batch.views.iter().map(|view| view.batch.len()).sum();
     let (before, times) = (peak_memory_bytes(), Arc::new(Mutex::new(Vec::new())));
     let groups = group_by_keyword(&module.params().parameters(), 0.002, 0.02, &[]);
@@ -116,15 +114,16 @@ fn measure(file: &str, steps: usize, names: &str) -> Result<(), Error> {
     println!(
         "{names:46} {:>9} {rows:>7} {:>9.3} {:>9} {:>9}",
         module.params().parameters().values().map(|p| p.elem_count()).sum::<usize>(),
-        seconds.get(seconds.len() / 2).ok_or("one step or more is needed")?,
+        seconds.get(seconds.len() / 2).context("one step or more is needed")?,
         mib(before),
         mib(peak_memory_bytes())
     );
     Ok(())
 }
 
-fn main() -> Result<(), Error> {
-    let mut args: Vec<String> = std::env::args().skip(1).collect();
+/// Measures in a process of its own for each sum of terms, which is this program with `--one`.
+pub fn run(args: Arguments) -> Result<()> {
+    let mut args: Vec<String> = args.0.collect();
     if args.first().is_some_and(|arg| arg == "--one") {
         return measure(&args[1], args[2].parse()?, &args[3]);
     }
@@ -139,11 +138,9 @@ fn main() -> Result<(), Error> {
     );
     for names in all {
         let child = std::process::Command::new(std::env::current_exe()?)
-            .args(["--one", &args[0], &args[1], names])
+            .args(["self-supervised-terms", "--one", &args[0], &args[1], names])
             .status()?;
-        if !child.success() {
-            return Err(format!("{names}: {child}").into());
-        }
+        ensure!(child.success(), "{names}: {child}");
     }
     Ok(())
 }

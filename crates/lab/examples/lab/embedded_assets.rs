@@ -1,7 +1,8 @@
 //! Makes the files of the network inside the program from trained runs (of several: from the mean of their weights), and fits where the features of rooms lie, at
-//! which temperature cosines are probabilities, and how much surface things have:
-//! `SCENESPLAT_FURNITURE=DIR cargo run --release -p scenesplat-lab --example make_embedded_assets -- runs/embedded_flats/model runs/embedded_varied/model`
+//! which temperature cosines are probabilities, and how much surface things have. The catalogue of furniture is
+//! that of `SCENESPLAT_FURNITURE`.
 
+use crate::Arguments;
 use anyhow::Context;
 use candle_core::{DType, Device, Tensor};
 use scenesplat::calibration::Calibration;
@@ -30,8 +31,8 @@ const MEASURED: u64 = 16;
 /// Share of the things of a class that have less surface than the table says.
 const SMALLEST: f64 = 0.05;
 
-fn main() -> anyhow::Result<()> {
-    let models: Vec<PathBuf> = std::env::args().skip(1).map(PathBuf::from).collect();
+pub fn run(args: Arguments) -> anyhow::Result<()> {
+    let models: Vec<PathBuf> = args.0.map(PathBuf::from).collect();
     let first = models.first().context("the folder of a model")?;
     let assets = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/embedded");
     if models.len() > 1 || first.canonicalize()? != assets.canonicalize()? {

@@ -1,8 +1,8 @@
-//! How well effects are found in pictures: `cargo run --release -p scenesplat-lab --example picture_effects -- 200 8` takes
-//! pictures of eight synthetic rooms (numbers 200 to 207) with and without each effect at severities 1 to 5,
+//! How well effects are found in pictures: takes pictures of synthetic rooms with and without each effect at severities 1 to 5,
 //! shows them to the detectors together with a reconstruction that is not perfect, and prints what they
 //! say, their recall, false alarms and rank correlation with the truth.
 
+use crate::Arguments;
 use anyhow::{Context, Result};
 use scenesplat::datasets::effects::pictures::PictureSimulator;
 use scenesplat::datasets::effects::{EffectSet, simulate};
@@ -25,10 +25,8 @@ const SIZE: [u32; 2] = [480, 360];
 /// detector.
 type Row = (usize, f64, [(f64, f64); 3]);
 
-fn main() -> Result<()> {
-    let mut args = std::env::args().skip(1);
-    let first: u64 = args.next().map_or(Ok(200), |n| n.parse())?;
-    let count: u64 = args.next().map_or(Ok(8), |n| n.parse())?;
+pub fn run(mut args: Arguments) -> Result<()> {
+    let (first, count): (u64, u64) = (args.or(200)?, args.or(8)?);
     let mut found: Vec<Row> = Vec::new();
     for room in first..first + count {
         let settings =

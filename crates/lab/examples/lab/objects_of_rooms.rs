@@ -1,6 +1,8 @@
-//! How well objects agree with the true instances of rooms that nothing was trained on: with true labels, and with
-//! those of the network inside the program. `cargo run --release -p scenesplat-lab --example objects_of_rooms -- 20 2026`
+//! How well objects agree with the true instances of rooms that nothing was trained on: with true labels, and
+//! with those of the network inside the program.
 
+use crate::Arguments;
+use anyhow::{Context, Result};
 use scenesplat::embedded;
 use scenesplat::labels::{Classes, label_with_vote};
 use scenesplat::metrics::ZeroShotOptions;
@@ -40,10 +42,8 @@ impl Sums {
     }
 }
 
-fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let mut words = std::env::args().skip(1);
-    let rooms: u64 = words.next().map_or(Ok(20), |w| w.parse())?;
-    let seed: u64 = words.next().map_or(Ok(2026), |w| w.parse())?;
+pub fn run(mut args: Arguments) -> Result<()> {
+    let (rooms, seed): (u64, u64) = (args.or(20)?, args.or(2026)?);
     let network = Network::load(embedded::config()?, &Weights::Embedded, WeightOptions::default())?;
     let text = embedded::vocabulary()?.class_table();
     let settings = ObjectSettings::default();
@@ -51,8 +51,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     for room in 0..rooms {
         let room = generate(&SyntheticRoomSettings { seed, room, ..Default::default() })?;
         let scene = &room.scene;
-        let truth = scene.segment.as_deref().ok_or("a room has labels")?;
-        let ids = scene.instance.as_deref().ok_or("a room has instances")?;
+        let truth = scene.segment.as_deref().context("a room has labels")?;
+        let ids = scene.instance.as_deref().context("a room has instances")?;
         let features = SceneEncoder::new(&network).encode(scene, &mut |_| Ok(()))?;
         let options = ZeroShotOptions::default();
         let own = label_with_vote(&features, Classes::Texts(&text), &options, &scene.coord, 25)?;

@@ -1,9 +1,7 @@
 //! What a network makes of rooms that were changed as scans differ from models: thinner, in another
 //! unit, tilted, noisy …, with labels that agree on surfaces, as the program gives them.
-//! `cargo run --release -p scenesplat-lab --example room_edits -- 5 777` prints a table over five rooms of seed 777; a third
-//! argument is the folder of a model instead of the network inside the program, a fourth the part of a
-//! name that lines must have.
 
+use crate::Arguments;
 use anyhow::Context;
 use scenesplat::calibration::Calibration;
 use scenesplat::evaluation::{Evaluation, EvaluationSettings, background};
@@ -58,15 +56,14 @@ const EDITS: [(&str, Edit); 37] = [
     ("as many left out anywhere", |s| evened(s, false)),
 ];
 
-fn main() -> anyhow::Result<()> {
-    let mut args = std::env::args().skip(1);
-    let rooms: u64 = args.next().context("how many rooms?")?.parse()?;
-    let seed: u64 = args.next().context("which seed?")?.parse()?;
-    let weights = match args.next() {
+pub fn run(mut args: Arguments) -> anyhow::Result<()> {
+    let rooms: u64 = args.needed("how many rooms?")?;
+    let seed: u64 = args.needed("which seed?")?;
+    let weights = match args.word() {
         Some(folder) if folder != "embedded" => Weights::File(folder.into()),
         _ => Weights::Embedded,
     };
-    let wanted = args.next().unwrap_or_default();
+    let wanted = args.word().unwrap_or_default();
     let config = network_of(&weights, None, WeightOptions::default())?;
     let network = Network::load(config, &weights, WeightOptions::default())?;
     let texts = embedded::vocabulary()?.class_table();

@@ -1,14 +1,13 @@
 //! How well effects are found by the Gaussians of a scene alone: on synthetic rooms with each effect at each
 //! severity, a table of recall, false alarms and rank correlation, which detector fires on which effect, and ROC
 //! curves.
-//!
-//! `cargo run --release -p scenesplat-lab --example effect_thresholds -- OUT 3000 60` looks at 60 rooms from
-//! seed 3000 on (thresholds were fitted on 40 from seed 0 on) and writes `effects.csv`, `effects.md` and
-//! `effects-roc.svg`. A fourth argument such as `holes,glass` damages rooms by these effects alone.
 
+use crate::Arguments;
+use anyhow::Result;
 use scenesplat::datasets::effects::profile::{EffectProfile, profile};
 use scenesplat::datasets::effects::{Effect, EffectSet, MOST_SEVERE, simulate};
 use scenesplat::metrics::rank_correlation;
+use scenesplat::page_kit::drawing::{Anchor, Color, Drawing};
 use scenesplat::rooms::{SyntheticRoomSettings, generate};
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -36,12 +35,11 @@ impl Look {
     }
 }
 
-fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let mut args = std::env::args().skip(1);
-    let out = PathBuf::from(args.next().ok_or("which folder?")?);
-    let first: u64 = args.next().ok_or("which seed comes first?")?.parse()?;
-    let rooms: u64 = args.next().ok_or("how many rooms?")?.parse()?;
-    let damages: Vec<Effect> = match args.next() {
+pub fn run(mut args: Arguments) -> Result<()> {
+    let out: PathBuf = args.needed("which folder?")?;
+    let first: u64 = args.needed("which seed comes first?")?;
+    let rooms: u64 = args.needed("how many rooms?")?;
+    let damages: Vec<Effect> = match args.word() {
         Some(names) => names.split(',').map(Effect::named).collect::<Result<_, _>>()?,
         None => Effect::ALL.to_vec(),
     };
@@ -169,54 +167,42 @@ fn area(curve: &[[f64; 2]]) -> f64 {
     curve.windows(2).map(|w| (w[1][0] - w[0][0]) * 0.5 * (w[0][1] + w[1][1])).sum()
 }
 
-const COLORS: [&str; 7] =
-    ["#1b6ca8", "#d1495b", "#66a182", "#edae49", "#6a4c93", "#444444", "#00798c"];
+const COLORS: [Color; 7] = [
+    [27, 108, 168],
+    [209, 73, 91],
+    [102, 161, 130],
+    [237, 174, 73],
+    [106, 76, 147],
+    [68, 68, 68],
+    [0, 121, 140],
+];
 
 /// The curves as a picture, with a dot where the thresholds are.
 fn roc_svg(looks: &[Look]) -> String {
     let clean: Vec<&Look> = looks.iter().filter(|look| look.done.is_none()).collect();
-    let x = |v: f64| 60.0 + 400.0 * v;
-    let y = |v: f64| 430.0 - 400.0 * v;
-    let mut svg = String::from(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"640\" height=\"480\" font-family=\"sans-serif\" \
-         font-size=\"13\"><rect width=\"640\" height=\"480\" fill=\"white\"/>\n",
-    );
-    for tick in 0..=5 {
-        let v = f64::from(tick) / 5.0;
-        let _ = writeln!(
-            svg,
-            "<path d=\"M{0:.0} {1:.0}V{2:.0}M{3:.0} {4:.0}H{5:.0}\" stroke=\"#ddd\"/><text x=\"{0:.0}\" y=\"447\" \
-             text-anchor=\"middle\">{v}</text><text x=\"52\" y=\"{6:.0}\" text-anchor=\"end\">{v}</text>",
-            x(v),
-            y(0.0),
-            y(1.0),
-            x(0.0),
-            y(v),
-            x(1.0),
-            y(v) + 4.0
-        );
+    let place = |[x, y]: [f64; 2]| [60.0 + 400.0 * x, 430.0 - 400.0 * y];
+    let (grid, ink) = ([221; 3], [0; 3]);
+    let mut drawing = Drawing::new(640, 480);
+    for tick in (0..=5).map(|tick| f64::from(tick) / 5.0) {
+        let text = tick.to_string();
+        drawing.line(place([tick, 0.0]), place([tick, 1.0]), 1.0, grid);
+        drawing.line(place([0.0, tick]), place([1.0, tick]), 1.0, grid);
+        drawing.text([60.0 + 400.0 * tick, 436.0], 1, ink, Anchor::Middle, &text);
+        drawing.text([52.0, 426.0 - 400.0 * tick], 1, ink, Anchor::End, &text);
     }
-    svg += "<text x=\"260\" y=\"470\" text-anchor=\"middle\">false alarms on clean rooms</text>\
-            <text x=\"18\" y=\"230\" text-anchor=\"middle\" transform=\"rotate(-90 18 230)\">found at severity 2 \
-            to 5</text>\n";
-    for (i, effect) in Effect::ALL.into_iter().enumerate() {
+    let names = "false alarms on clean rooms (across), found at severity 2 to 5 (up)";
+    drawing.text([60.0, 460.0], 1, ink, Anchor::Start, names);
+    drawing.text([480.0, 36.0], 1, ink, Anchor::Start, "area under curve");
+    for (i, (effect, color)) in Effect::ALL.into_iter().zip(COLORS).enumerate() {
         let curve = roc(looks, effect);
-        let points: Vec<String> =
-            curve.iter().map(|p| format!("{:.1},{:.1}", x(p[0]), y(p[1]))).collect();
+        for pair in curve.windows(2) {
+            drawing.line(place(pair[0]), place(pair[1]), 2.0, color);
+        }
         let damaged: Vec<&Look> = looks.iter().filter(|look| look.has(effect)).collect();
-        let (color, row) = (COLORS[i % COLORS.len()], 60.0 + 24.0 * i as f64);
-        let _ = writeln!(
-            svg,
-            "<polyline points=\"{}\" fill=\"none\" stroke=\"{color}\" stroke-width=\"2\"/><circle cx=\"{:.1}\" \
-             cy=\"{:.1}\" r=\"4\" fill=\"{color}\"/><text x=\"480\" y=\"{row:.0}\" fill=\"{color}\">{} \
-             {:.2}</text>",
-            points.join(" "),
-            x(share(&clean, effect)),
-            y(share(&damaged, effect)),
-            effect.name(),
-            area(&curve)
-        );
+        let at = place([share(&clean, effect), share(&damaged, effect)]);
+        drawing.disc(at, 4.0, color, color);
+        let text = format!("{} {:.2}", effect.name(), area(&curve));
+        drawing.text([480.0, 60.0 + 24.0 * i as f64], 1, color, Anchor::Start, &text);
     }
-    svg += "<text x=\"480\" y=\"36\">area under curve</text></svg>\n";
-    svg
+    drawing.to_svg()
 }
