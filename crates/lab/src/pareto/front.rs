@@ -68,28 +68,27 @@ pub fn cheapest_of_class(points: &[[f64; 2]], reference: f64, share: f64) -> Opt
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
 
     #[test]
-    fn a_front_holds_what_no_other_beats() {
-        let points = [
-            [1.0, 0.5],
-            [2.0, 0.4],
-            [2.0, 0.7],
-            [2.0, 0.7],
-            [3.0, 0.7],
-            [4.0, 0.9],
-            [f64::NAN, 1.0],
-        ];
-        let kept = front(&points);
-        assert_eq!(kept, [true, false, true, false, false, true, false]);
-        // Whatever was kept is beaten by nothing that was kept.
-        let on: Vec<[f64; 2]> =
-            points.iter().zip(&kept).filter(|(_, k)| **k).map(|(p, _)| *p).collect();
-        for (i, a) in on.iter().enumerate() {
-            for (j, b) in on.iter().enumerate() {
-                assert!(i == j || !(a[0] <= b[0] && a[1] >= b[1]), "{a:?} beats {b:?}");
+    fn a_front_is_what_no_other_point_beats() {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        for _ in 0..200 {
+            // Few values, so that points share a cost, a worth, or both.
+            let points: Vec<[f64; 2]> = (0..rng.random_range(1..12))
+                .map(|_| [(); 2].map(|()| f64::from(rng.random_range(0..5))))
+                .collect();
+            let no_worse = |a: [f64; 2], b: [f64; 2]| a[0] <= b[0] && a[1] >= b[1];
+            for (i, kept) in front(&points).into_iter().enumerate() {
+                let beaten = points.iter().enumerate().any(|(j, other)| {
+                    // Of equal points the first stays.
+                    no_worse(*other, points[i]) && (*other != points[i] || j < i)
+                });
+                assert_eq!(kept, !beaten, "{points:?}: {i}");
             }
         }
+        assert_eq!(front(&[[1.0, 0.5], [f64::NAN, 1.0]]), [true, false]);
         assert_eq!(front(&[]), Vec::<bool>::new());
     }
 

@@ -96,17 +96,55 @@ fn stages(records: &[Record], setting: &str, sets: &[String]) -> Vec<Stage> {
 mod tests {
     use super::super::record::tests::record;
     use super::super::summary::Around;
+    use super::super::training::TrainingCurve;
+    use super::super::write_report;
     use super::*;
+    use scenesplat::machine::Machine;
+
+    /// The report with names that would be markup. `.ci/page` opens it in a browser from the folder `SCENESPLAT_PAGES`.
+    #[test]
+    fn the_report_is_a_page_in_which_no_name_is_markup() {
+        let temporary = tempfile::tempdir().unwrap();
+        let named = std::env::var_os("SCENESPLAT_PAGES").map(std::path::PathBuf::from);
+        let folder = named.unwrap_or_else(|| temporary.path().to_owned());
+        std::fs::create_dir_all(&folder).unwrap();
+        let attack = "<img src=x onerror=globalThis.attacked=1></script>";
+        let machine = |cpu: &str| Machine { cpu: cpu.to_owned(), ..Machine::default() };
+        let records = [
+            Record {
+                machine: machine("</script><script>globalThis.attacked=1</script>"),
+                ..record("k=1", 0.5, 0.40)
+            },
+            record(&format!("k=8,net={attack}"), 1.0, 0.62),
+            record("k=25", 4.0, 0.65),
+            record("k=25,voxel=0.01", 5.0, 0.64),
+        ];
+        let training = vec![TrainingCurve {
+            name: attack.to_owned(),
+            metric: "zero_shot/f-mIoU".to_owned(),
+            points: vec![[10.0, 0.1], [100.0, 0.5], [200.0, 0.55]],
+            best: 0.55,
+            seconds_to_99: 200.0,
+        }];
+        let networks = BTreeMap::from([(attack.to_owned(), "folder".to_owned())]);
+        let around = Around { training, networks, ..Around::default() };
+        let summary = Summary::of(&records, around).unwrap();
+        let written = write_report(&summary, &records, &folder).unwrap();
+        let page = std::fs::read_to_string(folder.join("pareto.html")).unwrap();
+        assert_eq!(written.last().map(|(_, bytes)| *bytes), Some(page.len() as u64));
+        assert_eq!(page.matches("</script").count(), 2);
+        assert!(page.contains("default-src 'none'") && !page.contains("unsafe-inline"));
+        assert!(!page.contains("<img") && !page.contains("<script>globalThis"));
+    }
 
     #[test]
-    fn the_page_needs_nothing_else_and_no_name_ends_its_script() {
+    fn a_page_has_a_view_of_each_set_and_of_all() {
         let records = [
             record("k=1", 1.0, 0.5),
             Record { scenes: "</script>".to_owned(), ..record("k=1", 2.0, 0.4) },
         ];
         let summary = Summary::of(&records, Around::default()).unwrap();
         let page = page(&summary, &records).unwrap();
-        assert_eq!(page.matches("</script").count(), 2);
         let begin = page.find("id=\"data\">").unwrap() + 10;
         let end = begin + page[begin..].find("</script>").unwrap();
         let data: serde_json::Value = serde_json::from_str(&page[begin..end]).unwrap();

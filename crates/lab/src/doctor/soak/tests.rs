@@ -9,7 +9,7 @@ fn settings(seconds: f64, seed: u64) -> SoakSettings {
 fn a_short_soak_finds_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let shares = RefCell::new(Vec::new());
-    let report = soak(settings(4.0, 1), folder.path(), &mut |share, _, _| {
+    let report = soak(settings(1.0, 1), folder.path(), &mut |share, _, _| {
         shares.borrow_mut().push(share);
         true
     })
