@@ -72,7 +72,10 @@ impl SceneFeatures {
     /// These features as codes of so many numbers. A code is as long as the part of its feature that the
     /// axes hold, so that its product with a text is the feature's as far as the axes reach: brought to
     /// unit length, the rows that they hold least of would come first for every rare text.
-    pub(crate) fn into_codes(self, codes: usize) -> Result<Self, EncodeError> {
+    ///
+    /// # Errors
+    /// If the features have fewer numbers, or cannot be read.
+    pub fn into_codes(self, codes: usize) -> Result<Self, EncodeError> {
         let found = FeatureCodes::find(&self, codes)?;
         let slots = self.num_slots();
         let packed = PackedMatrix::from_strided(&found.axes, found.width, codes, 1, found.width);

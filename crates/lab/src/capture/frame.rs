@@ -46,7 +46,7 @@ pub struct FrameFigures {
     pub black: f64,
 }
 
-/// Looks at a picture.
+/// Measures a picture.
 ///
 /// # Errors
 /// If it has no pixels.

@@ -1,8 +1,8 @@
 //! Pictures of a scene as a capture would have taken them, and what pictures say about a capture.
 //!
 //! [`ScenePictures`] draws for the effects of
-//! [`effects::pictures`](scenesplat::datasets::effects::pictures). [`CaptureProbe`] looks at photos of a scene
-//! and at the scene itself, and finds motion blur, drifting exposure and white balance, noise, clipped light
+//! [`effects::pictures`](scenesplat::datasets::effects::pictures). [`CaptureProbe`] compares photos of a scene
+//! with renders of the scene, and finds motion blur, drifting exposure and white balance, noise, clipped light
 //! and parts that were hardly seen.
 
 mod finding;
@@ -32,7 +32,7 @@ pub struct ScenePictures<'a> {
 }
 
 impl<'a> ScenePictures<'a> {
-    /// Pictures of what the plan was asked for: colour, and depth if it has the expected one.
+    /// Pictures of what the plan was asked for: color, and depth if it has the expected one.
     pub fn new(prepared: &'a Prepared) -> Self {
         let request = RenderRequest { rgb: true, ..prepared.plan().request.render };
         Self { prepared, request, part: RefCell::default(), visible: Cell::new(0) }

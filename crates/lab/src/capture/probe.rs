@@ -14,10 +14,10 @@ use scenesplat_scene::picture::RgbPicture;
 
 /// Gaussians that are looked for in each photo.
 const POINTS: usize = 4000;
-/// Distance of the pixels whose colours are compared, and how many of them are needed.
+/// Distance of the pixels whose colors are compared, and how many of them are needed.
 const PIXEL_STEP: usize = 4;
 const FEWEST_PIXELS: usize = 100;
-/// Opacity from which on a Gaussian shows its own colour.
+/// Opacity from which on a Gaussian shows its own color.
 const SOLID: f32 = 0.5;
 /// How far a Gaussian may be from the depth of its pixel, as a share.
 const DEPTH_SHARE: f64 = 0.03;
@@ -69,7 +69,7 @@ pub enum CaptureError {
         size: [u32; 2],
     },
     /// The plan has no depth.
-    #[error("the plan has no expected depth: ask for it together with colour")]
+    #[error("the plan has no expected depth: ask for it together with color")]
     NoDepth,
 }
 
@@ -85,7 +85,7 @@ pub struct CaptureProbe<'a> {
 }
 
 impl<'a> CaptureProbe<'a> {
-    /// For a scene whose plan has colour and expected depth.
+    /// For a scene whose plan has color and expected depth.
     pub fn new(prepared: &'a Prepared) -> Self {
         let gaussians = prepared.gaussians();
         let there = |i: &usize| {
@@ -190,7 +190,7 @@ fn against_the_median(gains: &[Option<[f64; 3]>]) -> Vec<Option<[f64; 3]>> {
     gains.iter().map(|gain| gain.map(less)).collect()
 }
 
-/// Logarithms of the mean linear colour of 3 × 3 pixels; `None` where one is clipped or too dark.
+/// Logarithms of the mean linear color of 3 × 3 pixels; `None` where one is clipped or too dark.
 fn color_around(photo: &RgbPicture, x: usize, y: usize) -> Option<[f64; 3]> {
     let mut sum = [0.0; 3];
     for row in y - 1..=y + 1 {

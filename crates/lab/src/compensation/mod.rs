@@ -71,7 +71,7 @@ pub fn modules(consumer: Consumer) -> Vec<EffectModule> {
 /// Looks for what a consumer could do something about, and decides.
 ///
 /// # Errors
-/// If the user wants something done about an effect that nothing acts on.
+/// If something is asked for about an effect that nothing acts on.
 pub fn plan_of(
     scene: &GaussianScene,
     metres_per_unit: f64,

@@ -17,7 +17,7 @@ use std::collections::{BTreeMap, VecDeque};
 const NEXT: f64 = 2.1;
 /// A mirror image is so many radii of the balls from where it would be, at most: walls are thick.
 const MIRRORED: f64 = 1.5;
-/// Mirror images that are looked at on either side.
+/// Mirror images that are searched on either side.
 const MOST_PLACES: usize = 4096;
 
 /// What lifting can do about glass.
@@ -33,7 +33,7 @@ pub const TWO_LAYERS: EffectModule = EffectModule {
 /// its threshold.
 ///
 /// # Errors
-/// If the user wants something done about another effect.
+/// If something is asked for about another effect.
 pub fn glass_decision(
     scene: &GaussianScene,
     choices: &EffectChoices,

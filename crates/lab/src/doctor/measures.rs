@@ -11,7 +11,7 @@ const SIGN_Z: f64 = 5.0;
 /// The larger share of signs that is always allowed: errors of one row have a factor in common, so
 /// that they are fewer than they seem.
 const SIGN_SHARE: f64 = 0.65;
-/// Errors below so many units in the last place have no direction to speak of.
+/// Errors below so many units in the last place are too small to have a direction.
 const SIGN_FLOOR: f64 = 2.0;
 /// One in so many numbers has to have such an error, or it is the rounding of what a few have in common.
 const SIGN_COMMON: usize = 10;
@@ -161,7 +161,7 @@ impl Bounds {
 /// The unit in the last place of f32 at a magnitude; that of the least normal number below it.
 pub(super) fn last_place(magnitude: f64) -> f64 {
     let magnitude = magnitude.max(f64::from(f32::MIN_POSITIVE));
-    // The exponent of an f64, which has none of its own below that of an f32.
+    // The exponent of an f64: a normal f32 is a normal f64, too.
     let exponent = ((magnitude.to_bits() >> 52) & 0x7ff) as i32 - 1023;
     f64::from(exponent - BITS).exp2()
 }

@@ -87,7 +87,7 @@ pub enum BudgetError {
         setting: String,
         /// Its price, seconds.
         needed: f64,
-        /// Which of the settings were looked at.
+        /// Which of the settings were considered.
         of_quality: String,
     },
     /// No setting is as good.

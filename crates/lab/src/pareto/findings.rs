@@ -4,7 +4,7 @@ use super::point::Point;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Time that a choice has to cost before it is worth a word: less is lost in the noise of a machine.
+/// Smallest time difference that is reported, as a ratio: less is lost in the noise of a machine.
 const LEAST_COST: f64 = 1.10;
 /// Quality that counts as nothing: a tenth of a point.
 const NOTHING: f64 = 0.001;
@@ -108,7 +108,7 @@ mod tests {
             point("voxel=0.04,k=25", 0.9, 0.599),
         ];
         let found = negative_findings(&points);
-        // Both cases of k are the same finding: the one of the better setting is told. The voxels pay.
+        // Both cases of k are the same finding: the one of the better setting is reported. The voxels pay.
         assert_eq!(found.len(), 1, "{found:?}");
         let text = found[0].to_string();
         assert!(text.contains("k=25 takes 1.50 times as long as k=8"), "{text}");

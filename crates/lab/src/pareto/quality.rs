@@ -10,7 +10,7 @@ use scenesplat_scene::TextTable;
 /// Cosines are divided by this before a softmax makes probabilities of them. It is the same for all
 /// settings, so that their calibration errors compare; docs/accuracy_time.md says where it comes from.
 pub const TEMPERATURE: f32 = 0.05;
-/// Feature rows looked at together.
+/// Feature rows read together.
 const BLOCK: usize = 2048;
 
 /// How many queries hit, of how many.

@@ -152,12 +152,12 @@ pub struct Records {
     file: File,
     /// What is there.
     pub all: Vec<Record>,
-    /// Whether an interrupted line was taken off the end.
+    /// Whether an interrupted line was removed from the end.
     pub mended: bool,
 }
 
 impl Records {
-    /// Opens or makes the file. A last line that an interruption cut is taken off.
+    /// Opens or makes the file. A last line that an interruption cut is removed.
     ///
     /// # Errors
     /// If it cannot be read or written, or another line is no record.
@@ -167,7 +167,8 @@ impl Records {
         let file = file.map_err(ParetoError::io(path, "cannot write"))?;
         let mended = whole < length;
         if mended {
-            file.set_len(whole as u64).map_err(ParetoError::io(path, "cannot mend"))?;
+            file.set_len(whole as u64)
+                .map_err(ParetoError::io(path, "cannot remove its unfinished last line"))?;
         }
         Ok(Self { path: path.to_owned(), file, all, mended })
     }

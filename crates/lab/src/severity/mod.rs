@@ -1,5 +1,5 @@
-//! How labels fare as a scene is damaged more and more: quality, calibration and what is left unknown
-//! against the severity of each effect, on rooms that no training saw.
+//! Quality, calibration and unknown share of labels against the severity of each effect, on rooms that no training
+//! saw.
 //!
 //! ```no_run
 //! use scenesplat_lab::severity::{CurveSettings, severity_curves};
@@ -70,7 +70,7 @@ pub enum SeverityError {
         /// What it may be.
         expected: &'static str,
     },
-    /// Somebody asked to stop.
+    /// It was canceled.
     #[error("stopped")]
     Stopped,
     /// A severity that is none.
@@ -106,7 +106,7 @@ pub enum SeverityError {
     /// A file of the report that cannot be written.
     #[error(transparent)]
     Write(#[from] scenesplat_scene::WriteError),
-    /// A report that cannot be told.
+    /// A report that cannot be written as JSON.
     #[error(transparent)]
     Json(#[from] serde_json::Error),
 }

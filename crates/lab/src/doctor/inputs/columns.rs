@@ -9,7 +9,7 @@ use scenesplat_scene::{LoadedScene, Policy as ReadPolicy};
 
 /// What is said about a file without some columns.
 enum Fate {
-    /// A default, under this rule; the function looks at it.
+    /// A default, under this rule; the function checks it.
     Default(Rule, fn(&LoadedScene) -> bool),
     /// Nothing to repair.
     Fine(fn(&LoadedScene) -> bool),

@@ -13,7 +13,7 @@ const WARM_ROUNDS: u64 = 50;
 /// ... and the share of the time.
 const WARM_SHARE: f64 = 0.05;
 
-/// Resident memory in the course of a soak, bytes; `None` where the system does not tell.
+/// Resident memory during a soak, bytes; `None` if the system does not report it.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct SoakMemory {
     /// After the first rounds of each kind, when everything that is kept has been loaded.

@@ -45,8 +45,8 @@ struct Kind {
     run: fn(&mut Bath, &mut Noise) -> Result<Outcome, Failure>,
 }
 
-/// Runs rounds until the time is over, or `go_on` (which is told the share of the time that has passed,
-/// the rounds and the problems so far) says no.
+/// Runs rounds until the time is over. `go_on` gets the share of the time that has passed, and the rounds and problems
+/// so far; returning false cancels.
 ///
 /// `folder`: where rounds write their files; nothing is left there. A panic is a problem of its round;
 /// its text reaches the panic hook all the same.

@@ -39,8 +39,8 @@ impl Default for StabilitySettings {
     }
 }
 
-/// Runs all trainings and checks. `go_on` is told what is under way and the share that is done before
-/// each step, and may end it; what is not finished is then left out of the report, which says so.
+/// Runs all trainings and checks. `go_on` gets the step under way and the share that is done before each step;
+/// returning false cancels, and what is not finished is left out of the report, which says so.
 ///
 /// `folder`: for the checkpoints of the poisoned run; nothing is left there.
 ///

@@ -20,7 +20,7 @@ const STEPS_PER_EPOCH: u64 = 20;
 /// Looks at the features in the course of a training.
 const LOOKS: u64 = 8;
 
-/// What a training told of itself.
+/// What a training reported.
 #[derive(Default)]
 struct Seen {
     losses: Vec<f64>,
