@@ -153,7 +153,7 @@ pub struct Records {
     /// What is there.
     pub all: Vec<Record>,
     /// Whether an interrupted line was removed from the end.
-    pub mended: bool,
+    pub repaired: bool,
 }
 
 impl Records {
@@ -165,12 +165,12 @@ impl Records {
         let (all, whole, length) = if path.exists() { read(path)? } else { (Vec::new(), 0, 0) };
         let file = OpenOptions::new().create(true).append(true).open(path);
         let file = file.map_err(ParetoError::io(path, "cannot write"))?;
-        let mended = whole < length;
-        if mended {
+        let repaired = whole < length;
+        if repaired {
             file.set_len(whole as u64)
                 .map_err(ParetoError::io(path, "cannot remove its unfinished last line"))?;
         }
-        Ok(Self { path: path.to_owned(), file, all, mended })
+        Ok(Self { path: path.to_owned(), file, all, repaired })
     }
 
     /// Reads the file, and changes nothing.
@@ -330,7 +330,7 @@ pub(crate) mod tests {
         let whole = std::fs::read(&path).unwrap();
         std::fs::write(&path, &whole[..whole.len() - 20]).unwrap();
         let mut records = Records::open(&path).unwrap();
-        assert!(records.mended && records.all == [record("k=1", 1.0, 0.5)]);
+        assert!(records.repaired && records.all == [record("k=1", 1.0, 0.5)]);
         records.append(record("k=8", 2.0, 0.6)).unwrap();
         assert_eq!(std::fs::read(&path).unwrap(), whole);
         assert!(records.find(Kind::Setting, "k=8", None, "rooms").is_some());
