@@ -4,25 +4,17 @@
 //!
 //! | name | arguments, with what is taken where they are left out |
 //! |---|---|
-//! | `blurred-labels` | Gaussians (100000), first room (0), rooms (3) |
 //! | `effect-thresholds` | folder, first seed, rooms, effects (all) |
 //! | `embedded-assets` | folders of models, whose mean is taken; `SCENESPLAT_FURNITURE` |
-//! | `glass-labels` | Gaussians (60000), first room (0), rooms (3) |
 //! | `objects-of-rooms` | rooms (20), seed (2026) |
 //! | `picture-effects` | first room (200), rooms (8) |
-//! | `planted-labels` | folder, Gaussians (200000), room (0) |
 //! | `room-edits` | rooms, seed, folder of a model (embedded), part of the names of lines (all) |
 //! | `self-supervised-terms` | experiment, steps (5), sums of terms (all) |
 
-mod blurred_labels;
 mod effect_thresholds;
 mod embedded_assets;
-mod glass_labels;
 mod objects_of_rooms;
 mod picture_effects;
-#[path = "../../../rasterizer/tests/lifting/planted.rs"]
-mod planted;
-mod planted_labels;
 mod room_edits;
 mod self_supervised_terms;
 
@@ -57,13 +49,10 @@ fn main() -> Result<()> {
     let mut args = Arguments(std::env::args().skip(1));
     let name = args.word().context("which measurement? See the head of this program.")?;
     match name.as_str() {
-        "blurred-labels" => blurred_labels::run(args),
         "effect-thresholds" => effect_thresholds::run(args),
         "embedded-assets" => embedded_assets::run(args),
-        "glass-labels" => glass_labels::run(args),
         "objects-of-rooms" => objects_of_rooms::run(args),
         "picture-effects" => picture_effects::run(args),
-        "planted-labels" => planted_labels::run(args),
         "room-edits" => room_edits::run(args),
         "self-supervised-terms" => self_supervised_terms::run(args),
         _ => bail!("there is no measurement {name:?}"),

@@ -1,6 +1,4 @@
 //! Labels whose truth is known: a synthetic room, seen with the true objects as segments.
-//!
-//! Used by the tests of this crate and by the measurements of `scenesplat-lab`.
 #![allow(dead_code, reason = "each program uses a part")]
 
 use rand::{Rng, SeedableRng};
