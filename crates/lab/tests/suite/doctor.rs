@@ -2,8 +2,8 @@
 //! is seen.
 
 use scenesplat_lab::doctor::{
-    ATTACKS, Attack, Case, Doctor, DoctorReport, Finding, Level, Policy, Surroundings, Verdict,
-    catalogue, markdown, nearest_names,
+    ATTACKS, Attack, Case, Doctor, DoctorReport, Failure, Finding, IsaReport, Level, Policy,
+    Surroundings, Verdict, catalogue, markdown, nearest_names,
 };
 use std::collections::BTreeSet;
 
@@ -161,7 +161,7 @@ fn reports_count_and_name() {
     let good = || Case::new("good", Level::Inputs, |_| Ok(Finding::right()));
     let bad = || {
         Case::new("bad", Level::Scenes, |_| {
-            Err(scenesplat_lab::doctor::Failure("a roof without a house".to_owned()))
+            Err::<(), _>(Failure("a roof without a house".to_owned()))
         })
     };
     let report = |cases: Vec<Case>| {
@@ -177,10 +177,8 @@ fn reports_count_and_name() {
     // Failing elsewhere is failing.
     let mut renamed = bad();
     renamed.name = "good".to_owned();
-    let elsewhere = scenesplat_lab::doctor::IsaReport {
-        isa: "portable".to_owned(),
-        verdicts: run(std::iter::once(renamed)),
-    };
+    let elsewhere =
+        IsaReport { isa: "portable".to_owned(), verdicts: run(std::iter::once(renamed)) };
     let own = run(std::iter::once(good()));
     let report = DoctorReport::new(Surroundings::detect(2), own, vec![elsewhere], 1.0);
     assert_eq!((report.cases, report.passed, report.failed), (1, 0, 1));
