@@ -16,7 +16,6 @@ use scenesplat::scene::UpAxis;
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
 use scenesplat::trainers::callbacks::LoggedValue;
 use scenesplat::{SceneFeatures, embedded};
-use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpStream};
 use std::path::PathBuf;

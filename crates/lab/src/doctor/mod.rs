@@ -18,6 +18,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+#![allow(clippy::type_complexity, reason = "tables of names, origins and functions")]
+
 mod attacks;
 mod case;
 mod catalogue;

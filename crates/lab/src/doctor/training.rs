@@ -4,7 +4,7 @@ use super::case::{Case, Finding, Level, Policy, in_areas};
 use super::inputs::files::{columns, little, with};
 use super::trial::{Failure, Trial, ensure};
 use candle_core::{DType, Device, Tensor};
-use scenesplat::experiment::{ExperimentConfig, ExperimentError, RunOptions, RunReport, train};
+use scenesplat::experiment::{ExperimentConfig, RunOptions, RunReport, train};
 use scenesplat_trainers::callbacks::read_json_lines;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -181,10 +181,7 @@ fn start(trial: &Trial<'_>, path: &Path, resume: bool) -> Result<RunReport, Fail
         stop: Default::default(),
         commit: None,
     };
-    let run = || -> Result<RunReport, ExperimentError> {
-        train(&ExperimentConfig::read(path)?, &options)
-    };
-    Ok(run()?)
+    Ok(train(&ExperimentConfig::read(path)?, &options)?)
 }
 
 /// The bytes of the exported network.
