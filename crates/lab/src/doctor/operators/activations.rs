@@ -35,7 +35,11 @@ pub(super) fn cases() -> Vec<Case> {
             )
         }),
         operator("gelu-gradient", "the slope of GELU, which changes its sign at −0.75", |t| {
-            sweep(t, |x| in_place(x, |x, out| gelu_backward(x, &vec![1.0; x.len()], out)), gelu_slope)
+            sweep(
+                t,
+                |x| in_place(x, |x, out| gelu_backward(x, &vec![1.0; x.len()], out)),
+                gelu_slope,
+            )
         }),
     ]
 }
