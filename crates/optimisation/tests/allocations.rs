@@ -1,4 +1,5 @@
-//! Steps reserve no memory that grows with the scene or its pictures.
+//! Steps reserve no memory that grows with the scene or its pictures. A program of its own, because it counts what
+//! the global allocator is asked for.
 #![allow(clippy::unwrap_used, reason = "a test that cannot set itself up should stop")]
 
 use scenesplat_optimisation::initial::{InitialSettings, from_points};

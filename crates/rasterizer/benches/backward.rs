@@ -2,10 +2,8 @@
 #![allow(missing_docs, reason = "criterion's macros make undocumented items")]
 
 mod common;
-#[path = "../tests/support/mod.rs"]
-mod support;
 
-use common::{criterion, pool, signs};
+use common::{criterion, garden, pool, signs};
 use criterion::{Criterion, criterion_group, criterion_main};
 use scenesplat_rasterizer::RasterSettings;
 use scenesplat_rasterizer::backward::{
@@ -13,7 +11,7 @@ use scenesplat_rasterizer::backward::{
 };
 
 fn render_backward_garden(c: &mut Criterion) {
-    let Some((gaussians, views)) = support::garden() else { return };
+    let Some((gaussians, views)) = garden() else { return };
     let (view, settings) = (&views[0], &RasterSettings::default());
     let traced = trace(&gaussians, view, settings, TraceRequest::rgb_depth()).expect("a garden");
     let pixels = view.pixels();

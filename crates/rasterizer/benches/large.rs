@@ -5,8 +5,6 @@
 #![allow(missing_docs, reason = "criterion's macros make undocumented items")]
 
 mod common;
-#[path = "../tests/support/mod.rs"]
-mod support;
 
 use common::{SEGMENTS, criterion, pool, signs, voronoi};
 use criterion::{Criterion, criterion_group, criterion_main};
@@ -18,6 +16,7 @@ use scenesplat_rasterizer::lifting::{
 };
 use scenesplat_rasterizer::{Gaussians, RasterSettings, RenderRequest, View, render};
 use scenesplat_scene::formats::{ReadOptions, open_scene};
+use scenesplat_test_support::shared;
 use std::hint::black_box;
 
 const DIM: usize = 768;
@@ -26,7 +25,7 @@ const COPIES: usize = 3;
 
 /// The scene three times, and a camera in front of it.
 fn playbots() -> Option<(Gaussians, View)> {
-    let path = support::shared("real/objects/playbot_sog2_lod/0_0")?;
+    let path = shared("real/objects/playbot_sog2_lod/0_0")?;
     let scene = open_scene(&path, &ReadOptions::default()).expect("a scene").scene;
     let one = Gaussians::from_scene(&scene).expect("activated values");
     let mut all = Gaussians { sh_degree: one.sh_degree, ..Gaussians::default() };

@@ -2,10 +2,8 @@
 #![allow(missing_docs, reason = "criterion's macros make undocumented items")]
 
 mod common;
-#[path = "../tests/support/mod.rs"]
-mod support;
 
-use common::{SEGMENTS, criterion, pool, voronoi};
+use common::{SEGMENTS, criterion, garden, pool, voronoi};
 use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -18,7 +16,7 @@ use std::hint::black_box;
 
 const DIM: usize = 768;
 fn lift_garden(c: &mut Criterion) {
-    let Some((gaussians, views)) = support::garden() else { return };
+    let Some((gaussians, views)) = garden() else { return };
     let (view, settings) = (&views[0], &RasterSettings::default());
     let maps: Vec<SegmentMap> = (0..4).map(|l| voronoi(view.width, view.height, l)).collect();
     let mut rng = ChaCha8Rng::seed_from_u64(1);

@@ -2,15 +2,13 @@
 #![allow(missing_docs, reason = "criterion's macros make undocumented items")]
 
 mod common;
-#[path = "../tests/support/mod.rs"]
-mod support;
 
-use common::{criterion, pool};
+use common::{criterion, garden, pool};
 use criterion::{Criterion, criterion_group, criterion_main};
 use scenesplat_rasterizer::{RasterSettings, RenderRequest, SceneProfile, render};
 
 fn plan_garden(c: &mut Criterion) {
-    let Some((gaussians, views)) = support::garden() else { return };
+    let Some((gaussians, views)) = garden() else { return };
     let mut plain = gaussians.clone();
     for row in plain.sh.chunks_mut(48) {
         row[3..].fill(0.0);

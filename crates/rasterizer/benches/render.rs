@@ -2,10 +2,8 @@
 #![allow(missing_docs, reason = "criterion's macros make undocumented items")]
 
 mod common;
-#[path = "../tests/support/mod.rs"]
-mod support;
 
-use common::{criterion, pool};
+use common::{criterion, garden, pool};
 use criterion::{Criterion, criterion_group, criterion_main};
 use scenesplat_rasterizer::{
     DepthRequest, RasterSettings, RenderRequest, Span, TILE, TileVisitor, blend, colors, project,
@@ -28,7 +26,7 @@ impl TileVisitor for Nothing {
 }
 
 fn render_garden(c: &mut Criterion) {
-    let Some((gaussians, views)) = support::garden() else { return };
+    let Some((gaussians, views)) = garden() else { return };
     let (view, settings) = (&views[0], &RasterSettings::default());
     let mut group = c.benchmark_group("render_garden");
     let depth = DepthRequest { accumulated: true, ..DepthRequest::default() };

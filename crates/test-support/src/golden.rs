@@ -126,6 +126,18 @@ impl Golden {
         self.f32s(name).as_chunks().0.to_vec()
     }
 
+    /// Values as f64 of the part that belongs to the first index `i`.
+    pub fn part(&self, name: &str, i: usize) -> Vec<f64> {
+        let values = self.f64s(name);
+        let len = values.len() / self.shape(name)[0];
+        values[i * len..(i + 1) * len].to_vec()
+    }
+
+    /// The same as f32.
+    pub fn part_f32(&self, name: &str, i: usize) -> Vec<f32> {
+        self.part(name, i).into_iter().map(|v| v as f32).collect()
+    }
+
     /// Integers, as another type of integers.
     pub fn ints<T: TryFrom<i64>>(&self, name: &str) -> Vec<T> {
         let Values::Int(values) = &self.get(name).1 else {
@@ -173,6 +185,21 @@ impl Golden {
         }
         used
     }
+}
+
+/// Largest error, relative to the largest value; NaN if an error is.
+pub fn relative_error(got: &[f32], want: &[f64]) -> f64 {
+    assert_eq!(got.len(), want.len());
+    let most = want.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+    let worst = got.iter().zip(want).map(|(g, w)| (f64::from(*g) - w).abs());
+    worst.fold(0.0, |m: f64, e| if e.is_nan() { e } else { m.max(e) }) / most
+}
+
+/// Fails if an error, relative to the largest value, is above the limit.
+pub fn compare_relative(name: &str, got: &[f32], want: &[f64], limit: f64) {
+    let error = relative_error(got, want);
+    println!("{name}: {error:.2e}");
+    assert!(error <= limit, "{name}: {error:e} of the largest value, more than {limit:e}");
 }
 
 fn manifest(group: &str) -> Value {

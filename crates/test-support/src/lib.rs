@@ -12,5 +12,5 @@ mod golden;
 mod shared;
 
 pub use experiment::{Network, SMALL_SEGMENTATION};
-pub use golden::Golden;
+pub use golden::{Golden, compare_relative, relative_error};
 pub use shared::shared;

@@ -111,7 +111,7 @@ pub const ATTACKS: &[Attack] = &[
         harm: "reads and writes out of bounds",
         cases: &["order-that-is-no-permutation", "lengths-that-wrap"],
         tests: &[
-            "crates/kernels/tests/soundness.rs::attention_with_another_sequence_than_its_patches",
+            "crates/kernels/tests/suite/soundness.rs::attention_with_another_sequence_than_its_patches",
         ],
     },
 ];

@@ -1,9 +1,0 @@
-//! Against reference numbers, and against f64 by hand.
-#![allow(clippy::unwrap_used, reason = "a test that cannot set itself up should stop")]
-
-mod adam;
-mod losses;
-mod pieces;
-#[path = "../support/mod.rs"]
-mod support;
-mod training;
