@@ -1,7 +1,7 @@
 //! Clusters that become segments: connected, and joined where neighbours are alike.
 
-use crate::superpixels::{COLOUR, NORMAL, PLANE, Pixels};
-use crate::surface::{dot, sub};
+use crate::surface::{COLOR, NORMAL, PLANE, Pixels};
+use glam::{DVec3, Vec3};
 use std::collections::BTreeMap;
 
 /// What is joined.
@@ -34,7 +34,7 @@ pub(crate) fn merge(pixels: &Pixels, clusters: &[u32], similarity: Similarity) -
     }
     for edge in &edges {
         let (a, b) = (sets.root(edge.a), sets.root(edge.b));
-        // Large segments have to be more alike than what is in them is already.
+        // Large segments have to be more alike than their parts are already.
         let bound = |sets: &Sets, s: u32| {
             let members = sets.members[s as usize] as f32;
             (sets.inner[s as usize] + similarity.limit / members).max(similarity.limit / 2.0)
@@ -46,7 +46,7 @@ pub(crate) fn merge(pixels: &Pixels, clusters: &[u32], similarity: Similarity) -
             sets.join(a, b, edge.difference);
         }
     }
-    // What is too small joins its most similar neighbour, again until all are large enough.
+    // A segment that is too small joins its most similar neighbour, again until all are large enough.
     for edge in &edges {
         let (a, b) = (sets.root(edge.a), sets.root(edge.b));
         let least = sets.pixels[a as usize].min(sets.pixels[b as usize]);
@@ -100,17 +100,17 @@ fn connected(pixels: &Pixels, clusters: &[u32]) -> Vec<u32> {
     parts
 }
 
-/// Neighbours with their differences: of mean colours, and of surfaces along their border.
+/// Neighbours with their differences: of mean colors, and of surfaces along their border.
 fn edges(pixels: &Pixels, parts: &[u32], count: usize) -> Vec<Edge> {
-    let mut colour = vec![([0.0f64; 3], 0.0f64); count];
+    let mut color = vec![(DVec3::ZERO, 0.0f64); count];
     for (&part, lab) in parts.iter().zip(&pixels.lab) {
-        let (sum, number) = &mut colour[part as usize];
-        (0..3).for_each(|k| sum[k] += f64::from(lab[k]));
+        let (sum, number) = &mut color[part as usize];
+        *sum += lab.as_dvec3();
         *number += 1.0;
     }
     let mean = |part: u32| {
-        let (sum, number) = colour[part as usize];
-        sum.map(|v| (v / number) as f32)
+        let (sum, number) = color[part as usize];
+        (sum / number).as_vec3()
     };
     let mut borders: BTreeMap<(u32, u32), (f64, u32)> = BTreeMap::new();
     let mut meet = |p: usize, q: usize| {
@@ -130,9 +130,9 @@ fn edges(pixels: &Pixels, parts: &[u32], count: usize) -> Vec<Edge> {
         }
     }
     let edge = |((a, b), (sum, number)): ((u32, u32), (f64, u32))| {
-        let apart = sub(mean(a), mean(b));
+        let apart = mean(a).distance_squared(mean(b)) / (COLOR * COLOR);
         let surface = (sum / f64::from(number)) as f32;
-        Edge { difference: (dot(apart, apart) / (COLOUR * COLOUR) + surface).sqrt(), a, b }
+        Edge { difference: (apart + surface).sqrt(), a, b }
     };
     borders.into_iter().map(edge).collect()
 }
@@ -140,30 +140,30 @@ fn edges(pixels: &Pixels, parts: &[u32], count: usize) -> Vec<Edge> {
 /// How much a surface bends and steps between two pixels, squared.
 fn crease(pixels: &Pixels, p: usize, q: usize) -> f32 {
     let (points, normals) = (&pixels.surface.points, &pixels.surface.normals);
-    match (points[p][2] > 0.0, points[q][2] > 0.0) {
+    match (points[p].z > 0.0, points[q].z > 0.0) {
         (false, false) => return 0.0,
         (true, true) => {}
         _ => return 1.0,
     }
-    let between = sub(points[q], points[p]);
-    let depth = points[p][2].min(points[q][2]);
-    let off = dot(normals[p], between).abs().min(dot(normals[q], between).abs()) / depth;
+    let between = points[q] - points[p];
+    let depth = points[p].z.min(points[q].z);
+    let off = normals[p].dot(between).abs().min(normals[q].dot(between).abs()) / depth;
     // Normals are means over 5 × 5 pixels: seen from two pixels to either side, a crease is whole.
-    let turned = sub(beyond(pixels, p, q), beyond(pixels, q, p));
-    (off / PLANE).powi(2).min(25.0) + dot(turned, turned) / (NORMAL * NORMAL)
+    let turned = beyond(pixels, p, q).distance_squared(beyond(pixels, q, p));
+    (off / PLANE).powi(2).min(25.0) + turned / (NORMAL * NORMAL)
 }
 
 /// The normal three pixels from `q` behind `p`, or the nearest to that in the picture.
-fn beyond(pixels: &Pixels, p: usize, q: usize) -> [f32; 3] {
+fn beyond(pixels: &Pixels, p: usize, q: usize) -> Vec3 {
     let (width, height) = (pixels.width as isize, pixels.height as isize);
     let place = |at: usize| (at as isize % width, at as isize / width);
     let ((px, py), (qx, qy)) = (place(p), place(q));
     let x = (px + 3 * (px - qx)).clamp(0, width - 1);
     let y = (py + 3 * (py - qy)).clamp(0, height - 1);
     let far = (y * width + x) as usize;
-    let near = pixels.surface.points[p][2];
+    let near = pixels.surface.points[p].z;
     // Behind an edge there is another surface.
-    let same = (pixels.surface.points[far][2] - near).abs() <= 0.05 * near;
+    let same = (pixels.surface.points[far].z - near).abs() <= 0.05 * near;
     pixels.surface.normals[if same { far } else { p }]
 }
 

@@ -2,16 +2,12 @@
 
 use crate::lab::lab;
 use crate::merge::{Similarity, merge};
-use crate::surface::{Surface, dot, sub};
+use crate::surface::{COLOR, NORMAL, PLANE, Pixels, Surface};
 use crate::{CollectError, PosedPicture, Segmented, Segmenter};
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-/// How far apart things are that differ by 1, in the distance of the clusters: colour in L*a*b*, normals as vectors,
-/// distance from the plane as a part of the depth.
-pub(crate) const COLOUR: f32 = 10.0;
-pub(crate) const NORMAL: f32 = 0.4;
-pub(crate) const PLANE: f32 = 0.02;
-/// Rounds of clustering; centres hardly move after them.
+/// Rounds of clustering; centers hardly move after them.
 const ROUNDS: usize = 6;
 
 /// How a picture is cut into superpixels.
@@ -29,7 +25,7 @@ pub struct SuperpixelSettings {
 }
 
 impl Default for SuperpixelSettings {
-    /// For pictures of about 640 × 480: superpixels of 12 × 12, joined to surfaces of one colour.
+    /// For pictures of about 640 × 480: superpixels of 12 × 12, joined to surfaces of one color.
     fn default() -> Self {
         Self { side: 12, compactness: 0.6, merge: 0.5, smallest: 40 }
     }
@@ -62,7 +58,7 @@ impl SuperpixelSettings {
 /// Depth is the scene's own; without it colour and place decide.
 ///
 /// # Source
-/// Achanta et al., SLIC Superpixels (2012), with each pixel looking at the nine centres around it as in gSLICr; the
+/// Achanta et al., SLIC Superpixels (2012), with each pixel looking at the nine centers around it as in gSLICr; the
 /// joining is Felzenszwalb and Huttenlocher (2004) on superpixels in place of pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Superpixels {
@@ -99,7 +95,8 @@ impl Segmenter for Superpixels {
             || Surface::unknown(width * height),
             |depth| Surface::of(depth, picture.view),
         );
-        let pixels = Pixels { width, height, lab: lab(picture.picture.pixels()), surface };
+        let lab = lab(picture.picture.pixels()).into_iter().map(Vec3::from).collect();
+        let pixels = Pixels { width, height, lab, surface };
         let clusters = cluster(&pixels, &self.settings);
         let similarity =
             Similarity { limit: self.settings.merge, smallest: self.settings.smallest };
@@ -110,23 +107,15 @@ impl Segmenter for Superpixels {
     }
 }
 
-/// What is known of each pixel.
-pub(crate) struct Pixels {
-    pub(crate) width: usize,
-    pub(crate) height: usize,
-    pub(crate) lab: Vec<[f32; 3]>,
-    pub(crate) surface: Surface,
-}
-
 /// Means of a cluster.
 #[derive(Debug, Clone, Copy, Default)]
-struct Centre {
+struct Center {
     x: f32,
     y: f32,
-    lab: [f32; 3],
+    lab: Vec3,
     /// z is 0 where no pixel has a depth.
-    point: [f32; 3],
-    normal: [f32; 3],
+    point: Vec3,
+    normal: Vec3,
 }
 
 /// The cluster of each pixel.
@@ -136,7 +125,7 @@ fn cluster(pixels: &Pixels, settings: &SuperpixelSettings) -> Vec<u32> {
     let (columns, rows) = (width.div_ceil(side), height.div_ceil(side));
     let home = |at: usize| (at / width * rows / height) * columns + at % width * columns / width;
     let mut ids: Vec<u32> = (0..width * height).map(|at| home(at) as u32).collect();
-    let mut centres = means(pixels, &ids, columns * rows, &[]);
+    let mut centers = means(pixels, &ids, columns * rows, &[]);
     let place = settings.compactness / side as f32;
     for _ in 0..ROUNDS {
         ids.par_iter_mut().enumerate().for_each(|(at, id)| {
@@ -144,8 +133,8 @@ fn cluster(pixels: &Pixels, settings: &SuperpixelSettings) -> Vec<u32> {
             let mut best = (f32::INFINITY, *id);
             for r in row.saturating_sub(1)..(row + 2).min(rows) {
                 for c in column.saturating_sub(1)..(column + 2).min(columns) {
-                    let centre = &centres[r * columns + c];
-                    let distance = distance(pixels, at, centre, place);
+                    let center = &centers[r * columns + c];
+                    let distance = distance(pixels, at, center, place);
                     if distance < best.0 {
                         best = (distance, (r * columns + c) as u32);
                     }
@@ -153,72 +142,70 @@ fn cluster(pixels: &Pixels, settings: &SuperpixelSettings) -> Vec<u32> {
             }
             *id = best.1;
         });
-        centres = means(pixels, &ids, columns * rows, &centres);
+        centers = means(pixels, &ids, columns * rows, &centers);
     }
     ids
 }
 
 /// Squared distance of a pixel to a cluster; `place`: weight of a pixel of distance.
-fn distance(pixels: &Pixels, at: usize, centre: &Centre, place: f32) -> f32 {
+fn distance(pixels: &Pixels, at: usize, center: &Center, place: f32) -> f32 {
     let square = |v: f32| v * v;
     let (x, y) = ((at % pixels.width) as f32, (at / pixels.width) as f32);
-    let apart = (square(x - centre.x) + square(y - centre.y)) * square(place);
-    let colour = sub(pixels.lab[at], centre.lab);
-    let mut sum = apart + dot(colour, colour) / square(COLOUR);
+    let apart = (square(x - center.x) + square(y - center.y)) * square(place);
+    let mut sum = apart + pixels.lab[at].distance_squared(center.lab) / square(COLOR);
     let (point, normal) = (pixels.surface.points[at], pixels.surface.normals[at]);
-    if point[2] > 0.0 && centre.point[2] > 0.0 {
-        let off = dot(centre.normal, sub(point, centre.point)) / point[2].min(centre.point[2]);
-        let turned = sub(normal, centre.normal);
+    if point.z > 0.0 && center.point.z > 0.0 {
+        let off = center.normal.dot(point - center.point) / point.z.min(center.point.z);
+        let turned = normal.distance_squared(center.normal);
         // Far from its plane is far enough.
-        sum += square(off / PLANE).min(25.0) + dot(turned, turned) / square(NORMAL);
-    } else if point[2] > 0.0 || centre.point[2] > 0.0 {
+        sum += square(off / PLANE).min(25.0) + turned / square(NORMAL);
+    } else if point.z > 0.0 || center.point.z > 0.0 {
         sum += 1.0;
     }
     sum
 }
 
 /// Means of all clusters; one without pixels keeps its old values.
-fn means(pixels: &Pixels, ids: &[u32], count: usize, before: &[Centre]) -> Vec<Centre> {
+fn means(pixels: &Pixels, ids: &[u32], count: usize, before: &[Center]) -> Vec<Center> {
     #[derive(Clone, Copy, Default)]
     struct Sums {
         pixels: f64,
         place: [f64; 2],
-        lab: [f64; 3],
+        lab: DVec3,
         known: f64,
-        point: [f64; 3],
-        normal: [f64; 3],
+        point: DVec3,
+        normal: DVec3,
     }
     let mut sums = vec![Sums::default(); count];
-    let add = |to: &mut [f64; 3], v: [f32; 3]| (0..3).for_each(|k| to[k] += f64::from(v[k]));
     for (at, &id) in ids.iter().enumerate() {
         let sum = &mut sums[id as usize];
         sum.pixels += 1.0;
         sum.place[0] += (at % pixels.width) as f64;
         sum.place[1] += (at / pixels.width) as f64;
-        add(&mut sum.lab, pixels.lab[at]);
-        if pixels.surface.points[at][2] > 0.0 {
+        sum.lab += pixels.lab[at].as_dvec3();
+        if pixels.surface.points[at].z > 0.0 {
             sum.known += 1.0;
-            add(&mut sum.point, pixels.surface.points[at]);
-            add(&mut sum.normal, pixels.surface.normals[at]);
+            sum.point += pixels.surface.points[at].as_dvec3();
+            sum.normal += pixels.surface.normals[at].as_dvec3();
         }
     }
-    let centre = |(i, s): (usize, &Sums)| {
+    let center = |(i, s): (usize, &Sums)| {
         if s.pixels == 0.0 {
             return before.get(i).copied().unwrap_or_default();
         }
-        let length = s.normal.iter().map(|v| v * v).sum::<f64>().sqrt();
-        let unit = |v: f64| if length > 0.0 { (v / length) as f32 } else { 0.0 };
+        let length = s.normal.length();
         // Where most pixels have no depth, the cluster has none.
         let known = s.known > 0.5 * s.pixels;
-        Centre {
+        let of = |is: bool, sum: DVec3, by: f64| if is { (sum / by).as_vec3() } else { Vec3::ZERO };
+        Center {
             x: (s.place[0] / s.pixels) as f32,
             y: (s.place[1] / s.pixels) as f32,
-            lab: s.lab.map(|v| (v / s.pixels) as f32),
-            point: s.point.map(|v| if known { (v / s.known) as f32 } else { 0.0 }),
-            normal: s.normal.map(|v| if known { unit(v) } else { 0.0 }),
+            lab: (s.lab / s.pixels).as_vec3(),
+            point: of(known, s.point, s.known),
+            normal: of(known && length > 0.0, s.normal, length),
         }
     };
-    sums.iter().enumerate().map(centre).collect()
+    sums.iter().enumerate().map(center).collect()
 }
 
 #[cfg(test)]
@@ -250,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn colours_are_told_apart_and_one_surface_is_one_segment() {
+    fn colors_are_told_apart_and_one_surface_is_one_segment() {
         let truth = |x: u32, y: u32| usize::from(x * 2 > y + 60) + 2 * usize::from(y > 50);
         let colors = [[200, 60, 50], [60, 160, 70], [50, 70, 190], [200, 190, 60]];
         let picture = RgbPicture::from_fn(120, 90, |x, y| colors[truth(x, y)]);
@@ -260,8 +247,8 @@ mod tests {
     }
 
     #[test]
-    fn depth_tells_apart_what_colour_does_not() {
-        // A box before a wall, and the floor: all of one grey.
+    fn depth_tells_apart_what_color_does_not() {
+        // A box before a wall, and the floor: all of one gray.
         let picture = RgbPicture::filled(120, 90, [128; 3]);
         let inside = |x: u32, y: u32| (40..80).contains(&x) && (20..60).contains(&y);
         let truth = |x: u32, y: u32| if inside(x, y) { 1 } else { usize::from(y >= 70) * 2 };
@@ -284,13 +271,13 @@ mod tests {
     }
 
     #[test]
-    fn what_is_too_small_joins_its_most_similar_neighbour() {
+    fn a_small_segment_joins_its_most_similar_neighbour() {
         // Two halves, and in the left one three pixels that are most like the right one.
         let spot = |at: usize| [25, 26, 33].contains(&at);
-        let lab: Vec<[f32; 3]> = (0..64)
+        let lab = (0..64)
             .map(|at| match (spot(at), at % 8 < 4) {
-                (true, _) => [60.0, 30.0, 0.0],
-                (false, left) => [60.0, if left { 0.0 } else { 40.0 }, 0.0],
+                (true, _) => Vec3::new(60.0, 30.0, 0.0),
+                (false, left) => Vec3::new(60.0, if left { 0.0 } else { 40.0 }, 0.0),
             })
             .collect();
         let clusters: Vec<u32> =

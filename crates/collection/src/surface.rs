@@ -1,18 +1,33 @@
 //! Points and normals of what a picture with depth shows.
 
+use glam::Vec3;
 use rayon::prelude::*;
 use scenesplat_rasterizer::View;
 
 /// Depths that differ by more than this part are not of one surface.
 const SAME_SURFACE: f32 = 0.05;
 
+/// What is known of each pixel.
+pub(crate) struct Pixels {
+    pub(crate) width: usize,
+    pub(crate) height: usize,
+    pub(crate) lab: Vec<Vec3>,
+    pub(crate) surface: Surface,
+}
+
+/// How far apart things are that differ by 1, in the distance of the clusters: color in L*a*b*, normals as vectors,
+/// distance from the plane as a part of the depth.
+pub(crate) const COLOR: f32 = 10.0;
+pub(crate) const NORMAL: f32 = 0.4;
+pub(crate) const PLANE: f32 = 0.02;
+
 /// Where pixels are and which way they face, in the camera's axes.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Surface {
     /// `[H, W]`; z is 0 where depth is not known.
-    pub(crate) points: Vec<[f32; 3]>,
+    pub(crate) points: Vec<Vec3>,
     /// Unit, towards the camera; 0 where it is not known. `[H, W]`
-    pub(crate) normals: Vec<[f32; 3]>,
+    pub(crate) normals: Vec<Vec3>,
 }
 
 impl Surface {
@@ -22,15 +37,15 @@ impl Surface {
         let point = |at: usize| {
             let z = depth[at];
             if !(z.is_finite() && z > 0.0) {
-                return [0.0; 3];
+                return Vec3::ZERO;
             }
             let x = ((at % width) as f32 + 0.5 - view.cx) / view.fx;
             let y = ((at / width) as f32 + 0.5 - view.cy) / view.fy;
-            [x * z, y * z, z]
+            Vec3::new(x * z, y * z, z)
         };
-        let points: Vec<[f32; 3]> = (0..depth.len()).map(point).collect();
+        let points: Vec<Vec3> = (0..depth.len()).map(point).collect();
         let near = |a: usize, b: usize| {
-            let (a, b) = (points[a][2], points[b][2]);
+            let (a, b) = (points[a].z, points[b].z);
             a > 0.0 && b > 0.0 && (a - b).abs() <= SAME_SURFACE * a.min(b)
         };
         // From a neighbour on the same surface to the other one; where there is but one, from here.
@@ -38,12 +53,12 @@ impl Surface {
             let before = before.filter(|&b| near(at, b));
             let behind = behind.filter(|&b| near(at, b));
             let (from, to) = (before.unwrap_or(at), behind.unwrap_or(at));
-            (from != to).then(|| sub(points[to], points[from]))
+            (from != to).then(|| points[to] - points[from])
         };
         let normal = |at: usize| {
             let (x, y) = (at % width, at / width);
-            if points[at][2] == 0.0 {
-                return [0.0; 3];
+            if points[at].z == 0.0 {
+                return Vec3::ZERO;
             }
             let across =
                 along(at, x.checked_sub(1).map(|_| at - 1), (x + 1 < width).then_some(at + 1));
@@ -52,59 +67,42 @@ impl Surface {
                 y.checked_sub(1).map(|_| at - width),
                 (y + 1 < height).then_some(at + width),
             );
-            let (Some(across), Some(down)) = (across, down) else { return [0.0; 3] };
-            let n = cross(down, across);
-            let length = dot(n, n).sqrt();
+            let (Some(across), Some(down)) = (across, down) else { return Vec3::ZERO };
+            let n = down.cross(across);
+            let length = n.length();
             if length.is_nan() || length <= 0.0 {
-                return [0.0; 3];
+                return Vec3::ZERO;
             }
-            let towards = if dot(n, points[at]) > 0.0 { -1.0 } else { 1.0 };
-            n.map(|v| towards * v / length)
+            let towards = if n.dot(points[at]) > 0.0 { -1.0 } else { 1.0 };
+            towards * n / length
         };
-        let normals: Vec<[f32; 3]> = (0..points.len()).map(normal).collect();
+        let normals: Vec<Vec3> = (0..points.len()).map(normal).collect();
         Self { normals: smoothed(&normals, &points, width, height), points }
     }
 
     /// Nothing known, for pictures without depth.
     pub(crate) fn unknown(pixels: usize) -> Self {
-        Self { points: vec![[0.0; 3]; pixels], normals: vec![[0.0; 3]; pixels] }
+        Self { points: vec![Vec3::ZERO; pixels], normals: vec![Vec3::ZERO; pixels] }
     }
 }
 
 /// Mean of the 5 × 5 normals around that are on the same surface: rendered depth has steps.
-fn smoothed(
-    normals: &[[f32; 3]],
-    points: &[[f32; 3]],
-    width: usize,
-    height: usize,
-) -> Vec<[f32; 3]> {
+fn smoothed(normals: &[Vec3], points: &[Vec3], width: usize, height: usize) -> Vec<Vec3> {
     let mean = |at: usize| {
-        let (x, y, z) = (at % width, at / width, points[at][2]);
-        let mut sum = [0.0f32; 3];
+        let (x, y, z) = (at % width, at / width, points[at].z);
+        let mut sum = Vec3::ZERO;
         for v in y.saturating_sub(2)..(y + 3).min(height) {
             for u in x.saturating_sub(2)..(x + 3).min(width) {
                 let other = v * width + u;
-                if (points[other][2] - z).abs() <= SAME_SURFACE * z {
-                    sum = [0, 1, 2].map(|k| sum[k] + normals[other][k]);
+                if (points[other].z - z).abs() <= SAME_SURFACE * z {
+                    sum += normals[other];
                 }
             }
         }
-        let length = dot(sum, sum).sqrt();
-        if length > 1e-6 && z > 0.0 { sum.map(|v| v / length) } else { [0.0; 3] }
+        let length = sum.length();
+        if length > 1e-6 && z > 0.0 { sum / length } else { Vec3::ZERO }
     };
     (0..normals.len()).into_par_iter().map(mean).collect()
-}
-
-pub(crate) fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-pub(crate) fn sub(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
-}
-
-fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 #[cfg(test)]
@@ -116,23 +114,21 @@ mod tests {
     fn a_slanted_plane_has_its_normal_everywhere() {
         let view = view(32, 24);
         // n · p = −2 with n towards the camera.
-        let n = [0.3f32, -0.2, -1.0];
-        let length = dot(n, n).sqrt();
-        let n = n.map(|v| v / length);
+        let n = Vec3::new(0.3, -0.2, -1.0).normalize();
         let ray = |at: usize| {
             let x = ((at % 32) as f32 + 0.5 - view.cx) / view.fx;
             let y = ((at / 32) as f32 + 0.5 - view.cy) / view.fy;
-            [x, y, 1.0]
+            Vec3::new(x, y, 1.0)
         };
-        let mut depth: Vec<f32> = (0..32 * 24).map(|at| -2.0 / dot(n, ray(at))).collect();
+        let mut depth: Vec<f32> = (0..32 * 24).map(|at| -2.0 / n.dot(ray(at))).collect();
         depth[5] = 0.0;
         depth[9] = f32::NAN;
         let surface = Surface::of(&depth, &view);
         for (at, found) in surface.normals.iter().enumerate() {
             if [5, 9].contains(&at) {
-                assert_eq!((*found, surface.points[at]), ([0.0; 3], [0.0; 3]));
+                assert_eq!((*found, surface.points[at]), (Vec3::ZERO, Vec3::ZERO));
             } else {
-                assert!(dot(*found, n) > 0.9999, "{at}: {found:?}");
+                assert!(found.dot(n) > 0.9999, "{at}: {found:?}");
             }
         }
     }

@@ -140,13 +140,7 @@ impl CaptureFolder<'_> {
         if !path.is_file() {
             return Ok(None);
         }
-        let picture = read_picture(&path)?;
-        let got = [picture.width(), picture.height()];
-        if got != size {
-            let problem =
-                format!("is {} × {}, its picture {} × {}", got[0], got[1], size[0], size[1]);
-            return Err(bad(&path, problem, "depth has to have the size of the picture"));
-        }
+        let picture = read_sized(&path, size, "depth has to have the size of the picture")?;
         match (picture.channels(), picture.into_samples()) {
             (Channels::Gray, Samples::Sixteen(values)) => {
                 let unit = 1.0 / self.depth_scale;
@@ -158,6 +152,17 @@ impl CaptureFolder<'_> {
             }
         }
     }
+}
+
+/// Depth or a mask, of the size of its picture.
+fn read_sized(path: &Path, size: [u32; 2], help: &'static str) -> Result<Picture, OptimiseError> {
+    let picture = read_picture(path)?;
+    let got = [picture.width(), picture.height()];
+    if got != size {
+        let problem = format!("is {} × {}, its picture {} × {}", got[0], got[1], size[0], size[1]);
+        return Err(bad(path, problem, help));
+    }
+    Ok(picture)
 }
 
 /// The camera of a picture of that size.
@@ -198,11 +203,6 @@ fn alpha_mask(picture: &Picture) -> Option<Vec<u8>> {
 }
 
 fn mask_of(path: &Path, size: [u32; 2]) -> Result<Vec<u8>, OptimiseError> {
-    let picture = read_picture(path)?;
-    let got = [picture.width(), picture.height()];
-    if got != size {
-        let problem = format!("is {} × {}, its picture {} × {}", got[0], got[1], size[0], size[1]);
-        return Err(bad(path, problem, "masks have to have the size of the picture"));
-    }
+    let picture = read_sized(path, size, "masks have to have the size of the picture")?;
     Ok(picture.to_rgb8().pixels().iter().map(|p| u8::from(*p != [0; 3])).collect())
 }

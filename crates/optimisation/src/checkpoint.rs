@@ -1,4 +1,4 @@
-//! A run that can be gone on with: everything a step depends on, in a folder that appears whole.
+//! Checkpoints: everything that a step depends on, in a folder that appears whole.
 
 use crate::frame::{Colors, TrainingFrame};
 use crate::model::Stored;
@@ -9,10 +9,10 @@ use scenesplat_scene::WholeFolder;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// What the numbers of the arrays are not.
+/// Everything but the arrays.
 #[derive(Debug, Serialize, Deserialize)]
 struct State {
-    /// Of this file.
+    /// Version of this file.
     version: u32,
     step: u64,
     adam_steps: u64,
@@ -22,7 +22,7 @@ struct State {
     exposure_steps: Vec<u64>,
 }
 
-/// What tells whether a frame is the one that was learned from.
+/// Identifies a frame.
 #[derive(Debug, Serialize, Deserialize, PartialEq)]
 struct FrameMark {
     name: String,
@@ -35,6 +35,8 @@ struct FrameMark {
 const VERSION: u32 = 1;
 const STATE: &str = "state.json";
 const ARRAYS: &str = "arrays.safetensors";
+/// Parameters that Adam has moments of.
+const GROUPS: [&str; 5] = ["means", "quats", "scales", "opacities", "sh"];
 
 /// FNV-1a, eight bytes at a time.
 struct Hash(u64);
@@ -74,7 +76,9 @@ fn bad(path: &Path, problem: impl Into<String>, help: &'static str) -> OptimiseE
     OptimiseError::Checkpoint { path: path.to_owned(), problem: problem.into(), help }
 }
 
-const DAMAGED: &str = "take an older checkpoint, or begin anew";
+fn damaged(path: &Path, problem: impl ToString) -> OptimiseError {
+    bad(path, problem.to_string(), "take an older checkpoint, or begin anew")
+}
 
 /// The folder of a step in `root`.
 fn folder_of(root: &Path, step: u64) -> PathBuf {
@@ -136,7 +140,11 @@ impl Optimiser {
         for old in steps.into_iter().skip(keep.saturating_sub(1)) {
             let path = folder_of(root, old);
             let failed = |e: std::io::Error| {
-                bad(&path, format!("cannot be removed: {e}"), "remove it, or mend its permissions")
+                bad(
+                    &path,
+                    format!("cannot be removed: {e}"),
+                    "remove it, or change its permissions",
+                )
             };
             std::fs::remove_dir_all(&path).map_err(failed)?;
         }
@@ -158,14 +166,8 @@ impl Optimiser {
             ("exposure".into(), vec![self.exposure.steps.len(), 6], &self.exposure.values),
         ];
         let a = &self.adam;
-        let groups = [
-            ("means", &a.means),
-            ("quats", &a.quats),
-            ("scales", &a.scales),
-            ("opacities", &a.opacities),
-            ("sh", &a.sh),
-        ];
-        for (name, moments) in groups {
+        let groups = [&a.means, &a.quats, &a.scales, &a.opacities, &a.sh];
+        for (name, moments) in GROUPS.iter().zip(groups) {
             list.push((format!("adam.{name}.first"), vec![moments.first.len()], &moments.first));
             list.push((format!("adam.{name}.second"), vec![moments.second.len()], &moments.second));
         }
@@ -185,7 +187,7 @@ impl Optimiser {
         safetensors::serialize(views, None).map_err(failed)
     }
 
-    /// Goes on from a checkpoint, with the same frames and the settings it was made with.
+    /// Resumes from a checkpoint, with the same frames and the settings it was made with.
     ///
     /// # Errors
     /// If it is damaged, of other frames, or if `settings` are others than those it was made with (only
@@ -195,61 +197,25 @@ impl Optimiser {
         frames: &[TrainingFrame],
         settings: Option<OptimiseSettings>,
     ) -> Result<Self, OptimiseError> {
-        let path = checkpoint.join(STATE);
-        let damaged = |problem: String| bad(&path, problem, DAMAGED);
-        let text = std::fs::read(&path).map_err(|e| damaged(e.to_string()))?;
-        let state: State = serde_json::from_slice(&text).map_err(|e| damaged(e.to_string()))?;
-        if state.version != VERSION {
-            let problem = format!("is of version {}, this program reads {VERSION}", state.version);
-            return Err(bad(&path, problem, "go on with the program that wrote it"));
-        }
-        if settings.is_some_and(|settings| settings != state.settings) {
-            let problem = "was made with other settings";
-            return Err(bad(&path, problem, "give the flags of the first run, or another --out"));
-        }
-        let marks: Vec<FrameMark> = frames.iter().map(FrameMark::of).collect();
-        if let Some(other) = marks.iter().zip(&state.frames).find(|(a, b)| a != b) {
-            let problem =
-                format!("is of other frames: {:?} is not {:?}", other.0.name, other.1.name);
-            return Err(bad(
-                &path,
-                problem,
-                "give the cameras, pictures and depths of the first run",
-            ));
-        }
-        if marks.len() != state.frames.len() {
-            let problem = format!("is of {} frames, not of {}", state.frames.len(), marks.len());
-            return Err(bad(
-                &path,
-                problem,
-                "give the cameras, pictures and depths of the first run",
-            ));
-        }
+        let state = State::read(&checkpoint.join(STATE), frames, settings)?;
         let path = checkpoint.join(ARRAYS);
-        let bytes = std::fs::read(&path).map_err(|e| bad(&path, e.to_string(), DAMAGED))?;
-        let file =
-            SafeTensors::deserialize(&bytes).map_err(|e| bad(&path, e.to_string(), DAMAGED))?;
+        let bytes = std::fs::read(&path).map_err(|e| damaged(&path, e))?;
+        let file = SafeTensors::deserialize(&bytes).map_err(|e| damaged(&path, e))?;
         let arrays = Arrays { path: &path, file };
         let mut this = Self::new(arrays.model(&state.settings)?, frames, state.settings)?;
         this.scene_scale = state.scene_scale;
         this.step = state.step;
         let a = &mut this.adam;
         a.steps = state.adam_steps;
-        let groups = [
-            ("means", &mut a.means),
-            ("quats", &mut a.quats),
-            ("scales", &mut a.scales),
-            ("opacities", &mut a.opacities),
-            ("sh", &mut a.sh),
-        ];
-        for (name, moments) in groups {
+        let groups = [&mut a.means, &mut a.quats, &mut a.scales, &mut a.opacities, &mut a.sh];
+        for (name, moments) in GROUPS.iter().zip(groups) {
             *moments = arrays.moments(&format!("adam.{name}"), moments.first.len())?;
         }
         this.doubling.sum = arrays.read("doubling.sum", None)?;
         this.doubling.count = arrays.read("doubling.count", Some(this.doubling.sum.len()))?;
         let exposures = this.exposure.steps.len();
         if state.exposure_steps.len() != exposures {
-            return Err(bad(&path, "has exposures of other frames", DAMAGED));
+            return Err(damaged(&path, "has exposures of other frames"));
         }
         this.exposure.steps = state.exposure_steps;
         this.exposure.values = arrays.read("exposure", Some(6 * exposures))?;
@@ -257,6 +223,37 @@ impl Optimiser {
             this.exposure.moments[i] = arrays.moments(&format!("exposure.{i}"), 6)?;
         }
         Ok(this)
+    }
+}
+
+impl State {
+    /// Reads the state of a run of these frames.
+    fn read(
+        path: &Path,
+        frames: &[TrainingFrame],
+        settings: Option<OptimiseSettings>,
+    ) -> Result<Self, OptimiseError> {
+        let text = std::fs::read(path).map_err(|e| damaged(path, e))?;
+        let state: Self = serde_json::from_slice(&text).map_err(|e| damaged(path, e))?;
+        if state.version != VERSION {
+            let problem = format!("is of version {}, this program reads {VERSION}", state.version);
+            return Err(bad(path, problem, "resume with the program that wrote it"));
+        }
+        if settings.is_some_and(|settings| settings != state.settings) {
+            let problem = "was made with other settings";
+            return Err(bad(path, problem, "give the flags of the first run, or another --out"));
+        }
+        let other = |problem| {
+            Err(bad(path, problem, "give the cameras, pictures and depths of the first run"))
+        };
+        let marks: Vec<FrameMark> = frames.iter().map(FrameMark::of).collect();
+        if let Some((a, b)) = marks.iter().zip(&state.frames).find(|(a, b)| a != b) {
+            return other(format!("is of other frames: {:?} is not {:?}", a.name, b.name));
+        }
+        if marks.len() != state.frames.len() {
+            return other(format!("is of {} frames, not of {}", state.frames.len(), marks.len()));
+        }
+        Ok(state)
     }
 }
 
@@ -268,15 +265,15 @@ struct Arrays<'a> {
 
 impl Arrays<'_> {
     fn read(&self, name: &str, len: Option<usize>) -> Result<Vec<f32>, OptimiseError> {
-        let view = self.file.tensor(name).map_err(|e| bad(self.path, e.to_string(), DAMAGED))?;
+        let view = self.file.tensor(name).map_err(|e| damaged(self.path, e))?;
         if view.dtype() != Dtype::F32 {
-            return Err(bad(self.path, format!("{name} is {:?}, not F32", view.dtype()), DAMAGED));
+            return Err(damaged(self.path, format!("{name} is {:?}, not F32", view.dtype())));
         }
         let words = view.data().as_chunks::<4>().0;
         let values: Vec<f32> = words.iter().map(|w| f32::from_le_bytes(*w)).collect();
         if let Some(len) = len.filter(|len| *len != values.len()) {
             let problem = format!("{name} has {} values, not {len}", values.len());
-            return Err(bad(self.path, problem, DAMAGED));
+            return Err(damaged(self.path, problem));
         }
         Ok(values)
     }

@@ -1,6 +1,7 @@
 //! A picture to learn from.
 
 use crate::error::{OptimiseError, expect, within};
+use glam::DVec3;
 use scenesplat_rasterizer::View;
 
 /// Red, green and blue, row by row. `[H, W, 3]`
@@ -193,11 +194,10 @@ fn refilled<T>(mut array: Vec<T>, values: impl Iterator<Item = T>) -> Vec<T> {
 
 /// 1.1 times the largest distance of a camera from the mean of all; 1 if all are at one place.
 pub fn scale_of_cameras(frames: &[TrainingFrame]) -> f64 {
-    let centres: Vec<[f64; 3]> = frames.iter().map(|f| f.view.centre().map(f64::from)).collect();
-    let n = centres.len().max(1) as f64;
-    let mean = [0, 1, 2].map(|k| centres.iter().map(|c| c[k]).sum::<f64>() / n);
-    let distance = |c: &[f64; 3]| (0..3).map(|k| (c[k] - mean[k]).powi(2)).sum::<f64>().sqrt();
-    let most = 1.1 * centres.iter().map(distance).fold(0.0, f64::max);
+    let center = |f: &TrainingFrame| DVec3::from(f.view.centre().map(f64::from));
+    let centers: Vec<DVec3> = frames.iter().map(center).collect();
+    let mean = centers.iter().sum::<DVec3>() / centers.len().max(1) as f64;
+    let most = 1.1 * centers.iter().map(|c| c.distance(mean)).fold(0.0, f64::max);
     if most > 1e-6 { most } else { 1.0 }
 }
 
@@ -214,6 +214,18 @@ pub(crate) mod tests {
             cy: height as f32 / 2.0,
             width,
             height,
+        }
+    }
+
+    /// A black frame of that view, maybe with one depth everywhere.
+    pub(crate) fn frame(view: View, depth: Option<f32>) -> TrainingFrame {
+        let pixels = view.pixels();
+        TrainingFrame {
+            name: String::new(),
+            view,
+            rgb: Colors::Bytes(vec![0; 3 * pixels]),
+            depth: depth.map(|z| vec![z; pixels]),
+            mask: None,
         }
     }
 

@@ -1,12 +1,12 @@
 //! L1 and SSIM of a rendered picture, with their gradient, in two passes over the rows.
 //!
-//! The metrics crate has the same numbers in f64 for single pictures; a training step wants them in
+//! The metrics crate has the same numbers in f64 for single pictures; a training step needs them in
 //! the time of a few renders and without reserving memory. The window is separable: a row of the
 //! result reads eleven rows, down first, then across, so nothing but three maps of derivatives has
 //! the size of the picture.
 
 use crate::error::{OptimiseError, expect};
-use crate::window::{Across, Axis, TAPS};
+use crate::window::{Across, Axis, TAPS, fma};
 use rayon::prelude::*;
 use scenesplat_kernels::simd::{Isa, compiled_for};
 pub use scenesplat_metrics::image::SsimPadding;
@@ -145,14 +145,23 @@ impl ImageComparison {
         counted: usize,
         gradient: &mut [f32],
     ) -> ImageLoss {
-        let stride = 3 * self.width;
         let windows = self.down.results() * self.across.results() * 3;
-        // With a mask nothing is left of, the loss is that of equal pictures.
+        // With a mask that leaves out every pixel, the loss is that of equal pictures.
         let l1_slope = (1.0 - self.weights.ssim) / (3 * counted.max(1)) as f32;
-        let ssim_slope = -self.weights.ssim / windows as f32;
+        self.first_pass([pred, truth], -self.weights.ssim / windows as f32);
+        self.second_pass([pred, truth], mask, l1_slope, gradient);
+        let sum = |k: usize| self.sums.iter().map(|s| s[k]).sum::<f64>();
+        let values = (3 * counted.max(1)) as f64;
+        let (l1, mse, ssim) = (sum(1) / values, sum(2) / values, sum(0) / windows as f64);
+        let weight = f64::from(self.weights.ssim);
+        ImageLoss { loss: (1.0 - weight) * l1 + weight * (1.0 - ssim), l1, ssim, mse }
+    }
+
+    /// From the pictures to SSIM and the slopes.
+    fn first_pass(&mut self, [pred, truth]: [&[f32]; 2], ssim_slope: f32) {
+        let (stride, band) = (3 * self.width, self.height.div_ceil(self.rows.len()));
         let (down, across, isa) = (&self.down, &self.across, self.isa);
         let [mean, square, product] = &mut self.slopes;
-        let band = self.height.div_ceil(self.rows.len());
         mean.par_chunks_mut(band * stride)
             .zip(square.par_chunks_mut(band * stride))
             .zip(product.par_chunks_mut(band * stride))
@@ -181,6 +190,18 @@ impl ImageComparison {
                     sums[0] = ssim;
                 }
             });
+    }
+
+    /// From the slopes to the gradient, and L1.
+    fn second_pass(
+        &mut self,
+        [pred, truth]: [&[f32]; 2],
+        mask: Option<&[u8]>,
+        l1_slope: f32,
+        gradient: &mut [f32],
+    ) {
+        let (stride, band) = (3 * self.width, self.height.div_ceil(self.rows.len()));
+        let (down, across, isa) = (&self.down, &self.across, self.isa);
         let slopes = [&self.slopes[0][..], &self.slopes[1], &self.slopes[2]];
         let bands = gradient.par_chunks_mut(band * stride).zip(self.sums.par_chunks_mut(band));
         bands.zip(&mut self.rows).enumerate().for_each(|(i, ((out, sums), rows))| {
@@ -205,11 +226,6 @@ impl ImageComparison {
                 add_l1(pair, mask, l1_slope, out, sums);
             }
         });
-        let sum = |k: usize| self.sums.iter().map(|s| s[k]).sum::<f64>();
-        let values = (3 * counted.max(1)) as f64;
-        let (l1, mse, ssim) = (sum(1) / values, sum(2) / values, sum(0) / windows as f64);
-        let weight = f64::from(self.weights.ssim);
-        ImageLoss { loss: (1.0 - weight) * l1 + weight * (1.0 - ssim), l1, ssim, mse }
     }
 }
 
@@ -265,12 +281,6 @@ impl Rows {
         let row = || vec![0.0; stride];
         Self { down: [(); 5].map(|()| row()), across: [(); 5].map(|()| row()) }
     }
-}
-
-/// `a · b + c`, fused where that is an instruction.
-#[inline(always)]
-pub(crate) fn fma<const FUSED: bool>(a: f32, b: f32, c: f32) -> f32 {
-    if FUSED { a.mul_add(b, c) } else { a * b + c }
 }
 
 /// From the pictures to the slopes.

@@ -231,20 +231,14 @@ impl Optimiser {
         let b = &mut self.buffers;
         frame.rgb.put(&mut b.truth);
         b.slope.resize(rgb.len(), 0.0);
-        let size = [frame.view.width as usize, frame.view.height as usize];
-        let at = match b.comparisons.iter().position(|c| c.size() == size) {
-            Some(at) => at,
-            None => {
-                b.comparisons.push(ImageComparison::new(size[0], size[1], settings.image())?);
-                b.comparisons.len() - 1
-            }
-        };
         let mask = frame.mask.as_deref();
         if settings.exposure {
             self.exposure.apply(number, rgb, &mut b.exposed);
         }
         let pred = if settings.exposure { &b.exposed[..] } else { rgb };
-        let image = b.comparisons[at].compare(pred, &b.truth, mask, &mut b.slope)?;
+        let size = [frame.view.width as usize, frame.view.height as usize];
+        let comparison = comparison(&mut b.comparisons, size, settings.image())?;
+        let image = comparison.compare(pred, &b.truth, mask, &mut b.slope)?;
         let mut depth = DepthLoss::default();
         let mut upstream = Upstream::default();
         if let Some((term, measured)) = measured {
@@ -261,8 +255,7 @@ impl Optimiser {
                 DepthKind::Expected => upstream.depth_expected = Some(&b.depth_slope),
             }
         }
-        if !image.loss.is_finite() || !depth.mean.is_finite() {
-            let value = if image.loss.is_finite() { depth.mean } else { image.loss };
+        if let Some(value) = [image.loss, depth.mean].into_iter().find(|v| !v.is_finite()) {
             let (step, frame) = (self.step, frame.name.clone());
             return Err(OptimiseError::NotFinite { step, frame, value });
         }
@@ -344,6 +337,19 @@ impl Optimiser {
         zeros(&mut g.sh, n * self.model.sh_stride());
         zeros(&mut g.screen, screen);
     }
+}
+
+/// The comparison of pictures of that size.
+fn comparison(
+    all: &mut Vec<ImageComparison>,
+    size: [usize; 2],
+    weights: ImageWeights,
+) -> Result<&mut ImageComparison, OptimiseError> {
+    let at = all.iter().position(|c| c.size() == size).unwrap_or(all.len());
+    if at == all.len() {
+        all.push(ImageComparison::new(size[0], size[1], weights)?);
+    }
+    Ok(&mut all[at])
 }
 
 fn zeros<T: Copy + Default>(values: &mut Vec<T>, len: usize) {

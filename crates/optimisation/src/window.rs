@@ -1,6 +1,6 @@
 //! The window of SSIM along one axis, and back, for each treatment of the border.
 
-use crate::image_loss::{SsimPadding, fma};
+use scenesplat_metrics::image::SsimPadding;
 use std::ops::Range;
 
 /// Values of the window.
@@ -8,6 +8,12 @@ pub(crate) const TAPS: usize = 11;
 const RADIUS: usize = TAPS / 2;
 /// Channels of a pixel: neighbours along a row are so far apart.
 const STEP: usize = 3;
+
+/// `a · b + c`, fused where that is an instruction.
+#[inline(always)]
+pub(crate) fn fma<const FUSED: bool>(a: f32, b: f32, c: f32) -> f32 {
+    if FUSED { a.mul_add(b, c) } else { a * b + c }
+}
 
 /// The window: `e^(−x²/2σ²)`, σ = 1.5 pixels, sum 1.
 fn window() -> [f32; TAPS] {

@@ -1,4 +1,4 @@
-//! What is in a scene that a renderer could leave out: one parallel look at its values.
+//! What is in a scene that a renderer could leave out: found in one parallel pass over its values.
 
 use crate::Gaussians;
 use rayon::prelude::*;
@@ -8,10 +8,10 @@ use serde::{Deserialize, Serialize};
 /// Opacity below which a Gaussian is never drawn, with every preset.
 pub const FAINT: f32 = 1.0 / 255.0;
 
-/// A colour change up to half a step of a byte is none.
+/// A color change up to half a step of a byte is none.
 pub const HARMONICS_LIMIT: f32 = 1.0 / 512.0;
 
-/// Rows that one task looks at; fixed, as what is found does not depend on the number of threads.
+/// Rows of one task; fixed, so that the result does not depend on the number of threads.
 const BLOCK: usize = 8192;
 /// Rows of the probe that may settle which bands are needed.
 const PROBE: usize = 4096;
@@ -24,22 +24,22 @@ const BASIS_MAX: [f32; 15] = [
     0.590_044, 0.556_299, 0.629_390, 0.746_353, 0.629_390, 0.556_299, 0.590_044, // band 3
 ];
 
-/// How much the higher bands of the harmonics can change a colour.
+/// How much the higher bands of the harmonics can change a color.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct HarmonicsProfile {
     /// Degree that is stored.
     pub degree: u8,
-    /// `tail[L]`: no colour channel of a drawable Gaussian changes by more if the bands above `L`
+    /// `tail[L]`: no color channel of a drawable Gaussian changes by more if the bands above `L`
     /// are left out; infinite where a coefficient is not finite. A lower bound of it where
     /// `rows < ` all of them.
     pub tail: [f32; 4],
-    /// Rows looked at: all, or fewer if they already need every band.
+    /// Rows read: all, or fewer if they already need every band.
     pub rows: usize,
     /// A row for which the last entry of `tail` above 0 was reached.
     pub witness: Option<u32>,
 }
 
-/// What one look at all Gaussians finds.
+/// What is in a scene.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SceneProfile {
     /// Number of Gaussians.
@@ -74,7 +74,7 @@ pub struct SceneProfile {
 }
 
 impl SceneProfile {
-    /// Looks at every Gaussian once.
+    /// Reads every Gaussian once.
     ///
     /// The harmonics are most of the bytes of a scene. A probe of up to 4096 evenly spread rows comes
     /// first; as soon as one of them needs every band, the others need not be read.
@@ -84,12 +84,13 @@ impl SceneProfile {
     pub fn scan(gaussians: &Gaussians) -> Result<Self, crate::RasterError> {
         gaussians.check()?;
         let n = gaussians.len();
-        let blocks: Vec<Found> = (0..n.div_ceil(BLOCK))
+        let blocks: Vec<Self> = (0..n.div_ceil(BLOCK))
             .into_par_iter()
-            .map(|b| Found::of(gaussians, b * BLOCK..((b + 1) * BLOCK).min(n)))
+            .map(|b| Self::of(gaussians, b * BLOCK..((b + 1) * BLOCK).min(n)))
             .collect();
-        let found = blocks.iter().fold(Found::default(), |all, block| all.join(block));
-        Ok(found.into_profile(n, scan_harmonics(gaussians)))
+        let found = blocks.iter().fold(Self::none(), Self::join);
+        let drawable = n - found.not_finite - found.faint;
+        Ok(Self { gaussians: n, drawable, harmonics: scan_harmonics(gaussians), ..found })
     }
 
     /// Whether all drawable Gaussians are spheres to within `tolerance` of their radius.
@@ -98,27 +99,14 @@ impl SceneProfile {
     }
 }
 
-/// Numbers of a block of rows; joined in order, although no order changes them.
-#[derive(Clone, Copy)]
-struct Found {
-    not_finite: usize,
-    faint: usize,
-    no_direction: usize,
-    unrotated: usize,
-    quat_off_unit: f32,
-    anisotropy: f32,
-    scale_min: f32,
-    scale_max: f32,
-    scale_histogram: [usize; 32],
-    opacity_max: f32,
-    opacity_histogram: [usize; 10],
-}
-
-impl Default for Found {
-    fn default() -> Self {
+impl SceneProfile {
+    /// Of no Gaussian.
+    fn none() -> Self {
         Self {
+            gaussians: 0,
             not_finite: 0,
             faint: 0,
+            drawable: 0,
             no_direction: 0,
             unrotated: 0,
             quat_off_unit: 0.0,
@@ -128,13 +116,13 @@ impl Default for Found {
             scale_histogram: [0; 32],
             opacity_max: 0.0,
             opacity_histogram: [0; 10],
+            harmonics: HarmonicsProfile { degree: 0, tail: [0.0; 4], rows: 0, witness: None },
         }
     }
-}
 
-impl Found {
+    /// Of a block of rows, without their number and harmonics.
     fn of(gaussians: &Gaussians, rows: std::ops::Range<usize>) -> Self {
-        let mut found = Self::default();
+        let mut found = Self::none();
         let (means, quats) = (&gaussians.means[rows.clone()], &gaussians.quats[rows.clone()]);
         let (scales, opacities) = (&gaussians.scales[rows.clone()], &gaussians.opacities[rows]);
         compiled(
@@ -144,6 +132,7 @@ impl Found {
         found
     }
 
+    /// Adds another block; no order changes the result.
     fn join(mut self, other: &Self) -> Self {
         self.not_finite += other.not_finite;
         self.faint += other.faint;
@@ -162,28 +151,9 @@ impl Found {
         }
         self
     }
-
-    fn into_profile(self, gaussians: usize, harmonics: HarmonicsProfile) -> SceneProfile {
-        SceneProfile {
-            gaussians,
-            not_finite: self.not_finite,
-            faint: self.faint,
-            drawable: gaussians - self.not_finite - self.faint,
-            no_direction: self.no_direction,
-            unrotated: self.unrotated,
-            quat_off_unit: self.quat_off_unit,
-            anisotropy: self.anisotropy,
-            scale_min: self.scale_min,
-            scale_max: self.scale_max,
-            scale_histogram: self.scale_histogram,
-            opacity_max: self.opacity_max,
-            opacity_histogram: self.opacity_histogram,
-            harmonics,
-        }
-    }
 }
 
-/// Rows looked at side by side.
+/// Rows side by side.
 const LANES: usize = 16;
 /// Bits of a row's kind.
 const COUNTS: u32 = 1;
@@ -244,16 +214,16 @@ impl SixteenRows {
     }
 }
 
-/// Looks at some rows.
+/// Adds rows.
 #[inline(always)]
 fn add_rows(
-    found: &mut Found,
+    found: &mut SceneProfile,
     means: &[[f32; 3]],
     quats: &[[f32; 4]],
     scales: &[[f32; 3]],
     opacities: &[f32],
 ) {
-    let mut most = Extremes::default();
+    let mut most = Extremes::none();
     let blocks = means.chunks(LANES).zip(quats.chunks(LANES)).zip(scales.chunks(LANES));
     for (((means, quats), scales), opacities) in blocks.zip(opacities.chunks(LANES)) {
         let n = opacities.len();
@@ -294,7 +264,7 @@ fn add_rows(
     }
 }
 
-/// The extremes of [`Found`], side by side.
+/// The extremes of a profile, side by side.
 struct Extremes {
     quat_off_unit: [f32; LANES],
     anisotropy: [f32; LANES],
@@ -303,14 +273,13 @@ struct Extremes {
     opacity_max: [f32; LANES],
 }
 
-impl Default for Extremes {
-    fn default() -> Self {
-        let none = [0.0; LANES];
-        let scale_min = [f32::INFINITY; LANES];
+impl Extremes {
+    fn none() -> Self {
+        let [none, least] = [0.0, f32::INFINITY].map(|v| [v; LANES]);
         Self {
             quat_off_unit: none,
             anisotropy: none,
-            scale_min,
+            scale_min: least,
             scale_max: none,
             opacity_max: none,
         }
@@ -352,31 +321,29 @@ fn scan_harmonics(gaussians: &Gaussians) -> HarmonicsProfile {
     }
     let step = n.div_ceil(PROBE).max(1);
     let mut probe = Tails::default();
-    for (looked_at, i) in (0..n).step_by(step).enumerate() {
+    for (done, i) in (0..n).step_by(step).enumerate() {
         if gaussians.opacities[i] >= FAINT {
             probe.add(i as u32, tails(gaussians, i));
         }
         // The last band by itself counts: nothing can be left out, whatever the others say.
         if probe.tail[usize::from(degree) - 1] >= HARMONICS_LIMIT {
-            return profile(probe, looked_at + 1);
+            return profile(probe, done + 1);
         }
     }
     let blocks: Vec<Tails> = (0..n.div_ceil(BLOCK))
         .into_par_iter()
         .map(|b| {
+            let rows = b * BLOCK..((b + 1) * BLOCK).min(n);
+            let seen = rows.filter(|&i| gaussians.opacities[i] >= FAINT);
             let mut found = Tails::default();
-            for i in b * BLOCK..((b + 1) * BLOCK).min(n) {
-                if gaussians.opacities[i] >= FAINT {
-                    found.add(i as u32, tails(gaussians, i));
-                }
-            }
+            seen.for_each(|i| found.add(i as u32, tails(gaussians, i)));
             found
         })
         .collect();
     profile(blocks.iter().fold(Tails::default(), |all, b| all.join(b)), n)
 }
 
-/// How much a colour channel of a Gaussian can change by leaving out the bands above 0, 1, 2, 3.
+/// How much a color channel of a Gaussian can change by leaving out the bands above 0, 1, 2, 3.
 fn tails(gaussians: &Gaussians, i: usize) -> [f32; 4] {
     let width = 3 * gaussians.sh_len();
     let higher = &gaussians.sh[i * width + 3..(i + 1) * width];

@@ -1,6 +1,7 @@
 //! How well the cameras saw the surfaces.
 
 use crate::frame::TrainingFrame;
+use glam::{DMat3, DVec3};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -10,7 +11,7 @@ const VOXEL: f64 = 0.05;
 const VIEWS: u16 = 3;
 /// … with at least this angle between two of them, degrees.
 const SPREAD: f64 = 15.0;
-/// Pixels between two that are looked at, along rows and columns.
+/// Step from a pixel to the next that counts, along rows and columns.
 const STRIDE: usize = 8;
 
 /// Coverage of the measured surfaces.
@@ -28,7 +29,7 @@ pub struct Coverage {
 struct Seen {
     views: u16,
     last: usize,
-    first: [f64; 3],
+    first: DVec3,
     apart: bool,
 }
 
@@ -38,24 +39,24 @@ pub fn coverage(frames: &[TrainingFrame]) -> Option<Coverage> {
     let wide = SPREAD.to_radians().cos();
     for (number, frame) in frames.iter().enumerate() {
         let Some(depth) = &frame.depth else { continue };
-        let (v, eye) = (&frame.view, frame.view.centre().map(f64::from));
+        let (v, eye) = (&frame.view, DVec3::from(frame.view.centre().map(f64::from)));
+        // The rows of the rotation are the columns of its inverse.
+        let to_world = v.world_to_camera.map(|[x, y, z, _]| [x, y, z].map(f64::from));
+        let to_world = DMat3::from_cols_array_2d(&to_world);
         for y in (STRIDE / 2..v.height as usize).step_by(STRIDE) {
             for x in (STRIDE / 2..v.width as usize).step_by(STRIDE) {
                 let z = f64::from(depth[y * v.width as usize + x]);
                 if !(z > 0.01 && z.is_finite()) {
                     continue;
                 }
-                let camera = [
+                let camera = DVec3::new(
                     (x as f64 + 0.5 - f64::from(v.cx)) / f64::from(v.fx) * z,
                     (y as f64 + 0.5 - f64::from(v.cy)) / f64::from(v.fy) * z,
                     z,
-                ];
-                let m = v.world_to_camera.map(|row| row.map(f64::from));
-                let away: [f64; 3] =
-                    std::array::from_fn(|k| (0..3).map(|r| m[r][k] * camera[r]).sum());
-                let cell = [0, 1, 2].map(|k| ((eye[k] + away[k]) / VOXEL).floor() as i32);
-                let length = away.iter().map(|v| v * v).sum::<f64>().sqrt();
-                let ray = away.map(|v| v / length);
+                );
+                let away = to_world * camera;
+                let cell = ((eye + away) / VOXEL).floor().to_array().map(|v| v as i32);
+                let ray = away / away.length();
                 let seen = voxels.entry(cell).or_insert(Seen {
                     views: 0,
                     last: usize::MAX,
@@ -65,8 +66,7 @@ pub fn coverage(frames: &[TrainingFrame]) -> Option<Coverage> {
                 if seen.last != number {
                     seen.last = number;
                     seen.views = seen.views.saturating_add(1);
-                    let cos: f64 = (0..3).map(|k| seen.first[k] * ray[k]).sum();
-                    seen.apart |= cos <= wide;
+                    seen.apart |= seen.first.dot(ray) <= wide;
                 }
             }
         }
@@ -83,21 +83,13 @@ pub fn coverage(frames: &[TrainingFrame]) -> Option<Coverage> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Colors;
-    use crate::frame::tests::view;
+    use crate::frame::tests::{self, view};
 
     /// A wall at z = 1, seen from (x, 0, −2).
     fn frame(x: f32, depth: Option<f32>) -> TrainingFrame {
         let mut view = view(64, 48);
         view.world_to_camera[0][3] = -x;
-        let pixels = view.pixels();
-        TrainingFrame {
-            name: String::new(),
-            view,
-            rgb: Colors::Bytes(vec![0; 3 * pixels]),
-            depth: depth.map(|z| vec![z; pixels]),
-            mask: None,
-        }
+        tests::frame(view, depth)
     }
 
     #[test]

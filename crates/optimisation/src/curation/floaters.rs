@@ -19,11 +19,11 @@ pub struct Floaters {
     pub count: usize,
     /// Part of all blending weight that they have, 0 to 1.
     pub mass: f64,
-    /// Frames with depth that were looked at.
+    /// Frames with depth.
     pub frames: usize,
 }
 
-/// Looks for floaters at frames with depth; `None` if there is none.
+/// Counts floaters in frames with depth; `None` if there is none.
 ///
 /// A Gaussian is at the pixel of its centre; it is in front if it is there nearer than the measured depth
 /// by more than 0.1 and 5 %. What is hidden at no pixel has no weight, so it does not count in the mass.
@@ -79,8 +79,8 @@ pub fn floaters(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::frame::tests::view;
-    use crate::{Colors, Stored};
+    use crate::Stored;
+    use crate::frame::tests::{frame, view};
 
     /// One Gaussian on the measured wall, one half way to it, one within the tolerance.
     #[test]
@@ -93,17 +93,7 @@ mod tests {
         };
         let rows = [row([0.3, 0.0, 1.0]), row([-0.3, 0.0, 0.0]), row([0.0, 0.3, 0.9])];
         let model = Model::from_arrays(&rows, vec![0.0; 9], 0).unwrap();
-        let frame = |depth: Option<f32>| {
-            let view = view(64, 48);
-            let pixels = view.pixels();
-            TrainingFrame {
-                name: String::new(),
-                view,
-                rgb: Colors::Bytes(vec![0; 3 * pixels]),
-                depth: depth.map(|z| vec![z; pixels]),
-                mask: None,
-            }
-        };
+        let frame = |depth| frame(view(64, 48), depth);
         let raster = RasterSettings::default();
         let find = |frames: &[TrainingFrame]| floaters(&model, frames, &raster).unwrap();
         assert_eq!(find(&[frame(None)]), None);

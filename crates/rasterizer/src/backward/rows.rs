@@ -3,7 +3,6 @@
 use super::pixels::{MOMENTS, PIXELS, Pixels, Tile, walk};
 use super::projection::{self, Lens, RowGradient, Shape};
 use super::reduce::{CHUNK, PairsOfRow, cut};
-use super::workspace::PixelMemory;
 use super::{GradMask, Gradients, Trace, Upstream, harmonics};
 use crate::blend::{TILES_PER_TASK, rect};
 use crate::projection::tangent_limits;
@@ -29,6 +28,18 @@ pub(crate) struct Sums {
     pub moments: [f32; MOMENTS],
     pub color: [f32; 3],
     pub depth: f32,
+}
+
+/// What walking over the tiles needs.
+#[derive(Debug, Default)]
+pub(crate) struct PixelMemory {
+    /// By the channels of the pass.
+    none: Vec<Splat<0>>,
+    depth: Vec<Splat<1>>,
+    color: Vec<Splat<3>>,
+    both: Vec<Splat<4>>,
+    /// Records of all (tile, Gaussian) pairs, one after the other.
+    records: Vec<f32>,
 }
 
 impl<'a> Pass<'a> {

@@ -1,7 +1,7 @@
 //! Memory of traces and backward passes, used again: what a step of optimisation is run with.
 
 use super::reduce::PairsOfRow;
-use super::rows::{Pass, Sums};
+use super::rows::{Pass, PixelMemory, Sums};
 use super::trace::draw;
 use super::{BackwardError, GradMask, Gradients, Trace, TraceRequest, Upstream};
 use crate::projection::project_into;
@@ -29,18 +29,6 @@ pub(crate) struct BackwardMemory {
     pub(crate) pairs: PairsOfRow,
     pub(crate) rows: Vec<Sums>,
     pub(crate) pixels: PixelMemory,
-}
-
-/// What walking over the tiles needs.
-#[derive(Debug, Default)]
-pub(crate) struct PixelMemory {
-    /// By the channels of the pass.
-    pub(crate) none: Vec<Splat<0>>,
-    pub(crate) depth: Vec<Splat<1>>,
-    pub(crate) color: Vec<Splat<3>>,
-    pub(crate) both: Vec<Splat<4>>,
-    /// Records of all (tile, Gaussian) pairs, one after the other.
-    pub(crate) records: Vec<f32>,
 }
 
 impl Workspace {

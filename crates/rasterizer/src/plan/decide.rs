@@ -46,12 +46,7 @@ pub(super) fn full(
     request: PlanRequest,
 ) -> RenderPlan {
     let sh_degree = wanted(profile, &request);
-    let forced = |effect, verdict: &str| Decision {
-        effect,
-        verdict: verdict.to_owned(),
-        evidence: "forced".to_owned(),
-        bound: Bound::Exact,
-    };
+    let forced = |effect, verdict: &str| Decision::exact(effect, verdict, "forced");
     let decisions = vec![
         forced("harmonics", &format!("degree {sh_degree}")),
         forced("rotations", "on"),
@@ -74,6 +69,29 @@ pub(super) fn full(
     }
 }
 
+impl Decision {
+    /// One that does not change the picture.
+    fn exact(
+        effect: &'static str,
+        verdict: impl Into<String>,
+        evidence: impl Into<String>,
+    ) -> Self {
+        Self { effect, verdict: verdict.into(), evidence: evidence.into(), bound: Bound::Exact }
+    }
+
+    /// Computes what the request names.
+    fn asked(effect: &'static str, kinds: &[(&str, bool)]) -> Self {
+        let asked: Vec<&str> = kinds.iter().filter(|k| k.1).map(|k| k.0).collect();
+        match asked.is_empty() {
+            true => Self::exact(effect, "off", "none asked for"),
+            false => Self::exact(effect, asked.join(", "), "asked for"),
+        }
+    }
+}
+
+/// Why nothing is decided by evidence that holds for another cut.
+const OTHER_CUT: &str = "the alpha cut is below the one of the evidence";
+
 /// The highest band that is both stored and asked for.
 fn wanted(profile: &SceneProfile, request: &PlanRequest) -> u8 {
     request.render.sh_degree.unwrap_or(3).min(profile.harmonics.degree)
@@ -91,45 +109,44 @@ fn harmonics(
 ) -> (u8, Decision) {
     let wanted = wanted(profile, request);
     let stored = profile.harmonics.degree;
-    let tail = &profile.harmonics.tail;
-    let said = |degree: u8, evidence: String, bound| {
-        let verdict = if request.render.rgb {
-            format!("degree {degree} of {stored}")
-        } else {
-            "off".to_owned()
-        };
-        (degree, Decision { effect: "harmonics", verdict, evidence, bound })
+    let verdict = |degree: u8| match request.render.rgb {
+        true => format!("degree {degree} of {stored}"),
+        false => "off".to_owned(),
     };
+    let all = |evidence: &str| (wanted, Decision::exact("harmonics", verdict(wanted), evidence));
     if !request.render.rgb {
-        return said(wanted, "no colour asked for".to_owned(), Bound::Exact);
+        return all("no color asked for");
     }
     if request.gradients.sh {
-        return said(wanted, "bands that are 0 have gradients".to_owned(), Bound::Exact);
+        return all("bands that are 0 have gradients");
     }
     if !cut_holds(settings) {
-        let evidence = "the alpha cut is below the one of the evidence".to_owned();
-        return said(wanted, evidence, Bound::Exact);
+        return all(OTHER_CUT);
     }
-    let lost = |l: u8| tail[usize::from(l)];
+    let lost = |l: u8| profile.harmonics.tail[usize::from(l)];
     let least = (0..=wanted).find(|&l| lost(l) < HARMONICS_LIMIT || l == wanted).unwrap_or(wanted);
     if least == wanted {
-        let evidence = match (wanted < stored, profile.harmonics.witness) {
-            (true, _) => "as asked".to_owned(),
+        return match (wanted < stored, profile.harmonics.witness) {
+            (true, _) => all("as asked"),
             (false, Some(row)) if wanted > 0 => {
-                let most = tail[usize::from(wanted) - 1];
-                format!("band {wanted} changes Gaussian {row} by up to {most:.3}")
+                let most = lost(wanted - 1);
+                all(&format!("band {wanted} changes Gaussian {row} by up to {most:.3}"))
             }
-            _ => "no higher band stored".to_owned(),
+            _ => all("no higher band stored"),
         };
-        return said(wanted, evidence, Bound::Exact);
     }
     let change = lost(least);
-    let evidence = if change == 0.0 {
-        format!("bands above {least} are 0 in all {} drawable Gaussians", profile.drawable)
-    } else {
-        format!("bands above {least} change no colour by more than {change:.5}, limit 1/512")
+    let count = profile.drawable;
+    let (evidence, bound) = match change {
+        0.0 => {
+            (format!("bands above {least} are 0 in all {count} drawable Gaussians"), Bound::Exact)
+        }
+        _ => (
+            format!("bands above {least} change no color by more than {change:.5}, limit 1/512"),
+            Bound::Color(change),
+        ),
     };
-    said(least, evidence, if change == 0.0 { Bound::Exact } else { Bound::Color(change) })
+    (least, Decision { bound, ..Decision::exact("harmonics", verdict(least), evidence) })
 }
 
 fn rotations(
@@ -137,34 +154,33 @@ fn rotations(
     settings: &RasterSettings,
     request: &PlanRequest,
 ) -> (bool, Decision) {
-    let said = |isotropic: bool, evidence: String, bound| {
-        let verdict = if isotropic { "off" } else { "on" }.to_owned();
-        (isotropic, Decision { effect: "rotations", verdict, evidence, bound })
+    let on = |evidence: &str| (false, Decision::exact("rotations", "on", evidence));
+    let off = |evidence: &str, bound| {
+        (true, Decision { bound, ..Decision::exact("rotations", "off", evidence) })
     };
-    let on = |evidence: String| said(false, evidence, Bound::Exact);
     if settings.isotropic {
-        return said(true, "the caller's promise".to_owned(), Bound::Rounding);
+        return off("the caller's promise", Bound::Rounding);
     }
     if profile.drawable == 0 {
-        return on("no drawable Gaussian".to_owned());
+        return on("no drawable Gaussian");
     }
     if !profile.is_isotropic(ISOTROPY_LIMIT) {
         let ratio = profile.anisotropy + 1.0;
-        return on(format!("scales of a Gaussian differ up to {ratio:.3} times"));
+        return on(&format!("scales of a Gaussian differ up to {ratio:.3} times"));
     }
     if request.gradients.scales || request.gradients.quats {
-        return on("spheres, but gradients of scales or quaternions are asked for".to_owned());
+        return on("spheres, but gradients of scales or quaternions are asked for");
     }
     if !cut_holds(settings) {
-        return on("the alpha cut is below the one of the evidence".to_owned());
+        return on(OTHER_CUT);
     }
     if profile.no_direction > 0 {
         let lost = profile.no_direction;
-        return on(format!("spheres, but {lost} have no quaternion and must not be drawn"));
+        return on(&format!("spheres, but {lost} have no quaternion and must not be drawn"));
     }
     if !settings.normalize_quats && profile.quat_off_unit > ISOTROPY_LIMIT {
-        let off = profile.quat_off_unit;
-        return on(format!("spheres, but quaternions are not normalised and off by {off:.1e}"));
+        let error = profile.quat_off_unit;
+        return on(&format!("spheres, but quaternions are not normalized and off by {error:.1e}"));
     }
     let (excess, count) = (profile.anisotropy, profile.drawable);
     let evidence = match excess {
@@ -176,7 +192,7 @@ fn rotations(
         0.0 => Bound::Rounding,
         change => Bound::Color(change),
     };
-    said(true, evidence, bound)
+    off(&evidence, bound)
 }
 
 fn faint(
@@ -185,8 +201,8 @@ fn faint(
     request: &PlanRequest,
 ) -> (bool, Decision) {
     let said = |drop: bool, evidence: String| {
-        let verdict = if drop { "taken out" } else { "skipped one by one" }.to_owned();
-        (drop, Decision { effect: "faint Gaussians", verdict, evidence, bound: Bound::Exact })
+        let verdict = if drop { "taken out" } else { "skipped one by one" };
+        (drop, Decision::exact("faint Gaussians", verdict, evidence))
     };
     let count = profile.faint;
     let share = count as f64 / profile.gaussians.max(1) as f64;
@@ -203,16 +219,14 @@ fn faint(
 }
 
 fn background(settings: &RasterSettings, request: &PlanRequest) -> (Option<[f32; 3]>, Decision) {
-    let said = |background, verdict: &str, evidence: &str| {
-        let (verdict, evidence) = (verdict.to_owned(), evidence.to_owned());
-        (background, Decision { effect: "background", verdict, evidence, bound: Bound::Exact })
-    };
+    let off = |evidence| (None, Decision::exact("background", "off", evidence));
     match settings.background {
-        None => said(None, "off", "none asked for"),
-        Some(_) if !request.render.rgb => said(None, "off", "no colour asked for"),
-        Some([r, g, b]) if r == 0.0 && g == 0.0 && b == 0.0 => said(None, "off", "black"),
+        None => off("none asked for"),
+        Some(_) if !request.render.rgb => off("no color asked for"),
+        Some([r, g, b]) if r == 0.0 && g == 0.0 && b == 0.0 => off("black"),
         Some([r, g, b]) => {
-            said(settings.background, "added", &format!("{r:.3}, {g:.3}, {b:.3} asked for"))
+            let evidence = format!("{r:.3}, {g:.3}, {b:.3} asked for");
+            (settings.background, Decision::exact("background", "added", evidence))
         }
     }
 }
@@ -222,20 +236,13 @@ fn antialiasing(settings: &RasterSettings) -> Decision {
         true => ("on", "asked for: the scene was trained with it"),
         false => ("off", "not asked for: a scene looks as it was trained"),
     };
-    let (verdict, evidence) = (verdict.to_owned(), evidence.to_owned());
-    Decision { effect: "antialiasing", verdict, evidence, bound: Bound::Exact }
+    Decision::exact("antialiasing", verdict, evidence)
 }
 
 fn depth(request: &PlanRequest) -> Decision {
     let d = request.render.depth;
     let kinds = [("accumulated", d.accumulated), ("expected", d.expected), ("median", d.median)];
-    let asked: Vec<&str> = kinds.iter().filter(|k| k.1).map(|k| k.0).collect();
-    let (verdict, evidence) = if asked.is_empty() {
-        ("off".to_owned(), "none asked for")
-    } else {
-        (asked.join(", "), "asked for")
-    };
-    Decision { effect: "depth", verdict, evidence: evidence.to_owned(), bound: Bound::Exact }
+    Decision::asked("depth", &kinds)
 }
 
 fn gradients(request: &PlanRequest) -> Decision {
@@ -247,11 +254,5 @@ fn gradients(request: &PlanRequest) -> Decision {
         ("opacities", g.opacities),
         ("sh", g.sh),
     ];
-    let asked: Vec<&str> = groups.iter().filter(|k| k.1).map(|k| k.0).collect();
-    let (verdict, evidence) = if asked.is_empty() {
-        ("off".to_owned(), "none asked for")
-    } else {
-        (asked.join(", "), "asked for")
-    };
-    Decision { effect: "gradients", verdict, evidence: evidence.to_owned(), bound: Bound::Exact }
+    Decision::asked("gradients", &groups)
 }
