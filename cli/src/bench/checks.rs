@@ -173,7 +173,7 @@ pub(super) fn attention(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use scenesplat::kernels::reference;
+    use scenesplat_test_support::reference;
 
     fn values(n: usize, seed: u64) -> Vec<f32> {
         super::super::room::values(n, seed)

@@ -184,7 +184,7 @@ pub fn gelu_backward(x: &[f32], grad: &[f32], out: &mut [f32]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reference;
+    use scenesplat_test_support::reference;
 
     fn grid(low: f64, high: f64) -> Vec<f32> {
         (0..100_003).map(|i| (low + (high - low) * f64::from(i) / 100_002.0) as f32).collect()

@@ -432,7 +432,7 @@ mod tests {
     /// f64 sums over several stretches, scales from tiny to huge, and gradients by differences.
     #[test]
     fn output_and_gradients_agree_with_f64() {
-        use crate::reference;
+        use scenesplat_test_support::reference;
         let (n, c) = (2500, 3);
         let noise = |i: usize| ((i * 7919 % 10_007) as f32 / 10_007.0) - 0.5;
         let (weight, bias) = ([1.5, -0.5, 1.0], [0.25, 0.0, -1.0]);

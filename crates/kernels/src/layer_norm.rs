@@ -248,13 +248,8 @@ impl Row {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reference;
-    use rand::{Rng, SeedableRng};
-
-    fn random(len: usize, seed: u64) -> Vec<f32> {
-        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
-        (0..len).map(|_| rng.random_range(-1.0..1.0)).collect()
-    }
+    use crate::testing::random;
+    use scenesplat_test_support::reference;
 
     #[test]
     fn agrees_with_f64_at_hard_scales() {

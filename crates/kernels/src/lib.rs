@@ -49,6 +49,8 @@ mod shape;
 pub mod simd;
 pub mod sparse_conv;
 pub mod symmetric_eigen;
+#[cfg(test)]
+mod testing;
 pub mod unit_rows;
 
 pub use error::{KernelError, check_offsets};

@@ -141,13 +141,8 @@ fn turn_head(head: &mut [f32], pairs: &[[f32; 2]], dim: usize, turn: Turn) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reference;
-    use rand::{Rng, SeedableRng};
-
-    fn values(len: usize) -> Vec<f32> {
-        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(9);
-        (0..len).map(|_| rng.random_range(-1.0..1.0f32)).collect()
-    }
+    use crate::testing::random;
+    use scenesplat_test_support::reference;
 
     fn voxels(n: usize) -> Vec<[i32; 3]> {
         let n = n as i32;
@@ -158,7 +153,7 @@ mod tests {
         let places: Vec<[i32; 3]> =
             voxels(n).into_iter().map(|p| [p[0] + far, p[1], p[2] - far]).collect();
         let c = heads.channels();
-        let qkv = values(n * 3 * c);
+        let qkv = random(n * 3 * c, 9);
         let rotations = Rotations::new(&places, heads.dim, base);
         assert_eq!((rotations.len(), rotations.dim()), (n, heads.dim));
         let mut turned = qkv.clone();
@@ -195,7 +190,7 @@ mod tests {
     fn products_see_differences_of_places_only() {
         let heads = Heads { count: 1, dim: 18 };
         let places = [[3, 7, 1], [5, 2, 900]];
-        let qkv = values(2 * 3 * 18);
+        let qkv = random(2 * 3 * 18, 9);
         let product = |by: i32| {
             let places = places.map(|p| p.map(|v| v + by));
             let mut turned = qkv.clone();
@@ -220,7 +215,7 @@ mod tests {
     fn one_bad_row_spoils_no_other() {
         let heads = Heads { count: 2, dim: 18 };
         let places = voxels(3);
-        let mut qkv = values(3 * 3 * 36);
+        let mut qkv = random(3 * 3 * 36, 9);
         let rotations = Rotations::new(&places, 18, 100.0);
         let mut want = qkv.clone();
         rotations.apply(&mut want, heads, Turn::Forward);

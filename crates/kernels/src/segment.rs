@@ -330,7 +330,8 @@ mod tests {
         inverse.iter().for_each(|&g| offsets[g as usize + 1] += 1);
         (0..used.len()).for_each(|g| offsets[g + 1] += offsets[g]);
         let x: Vec<f32> = (0..n * c).map(|i| (i * 31 % 1009) as f32 - 500.0).collect();
-        let want = [false, true].map(|m| crate::reference::pool(&x, c, &inverse, used.len(), m));
+        let want = [false, true]
+            .map(|m| scenesplat_test_support::reference::pool(&x, c, &inverse, used.len(), m));
         let all = Groups::new(rows, offsets).unwrap();
         assert_eq!(all.inverse, inverse);
         for (how, want) in [(Reduce::Mean, &want[0]), (Reduce::Max, &want[1])] {

@@ -320,13 +320,9 @@ pub fn backward_bias(grad: &[f32], c: usize) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reference;
+    use crate::testing::{max_error, on_threads, random, rounded};
     use rand::{Rng, SeedableRng};
-
-    fn random(len: usize, seed: u64) -> Vec<f32> {
-        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
-        (0..len).map(|_| rng.random_range(-1.0..1.0)).collect()
-    }
+    use scenesplat_test_support::reference;
 
     fn grid(n: usize, side: i32, unique: bool) -> Vec<[i32; 3]> {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(4);
@@ -340,41 +336,29 @@ mod tests {
         out
     }
 
+    /// f32 against the dense sum, bf16 against that of rounded operands.
     #[test]
     fn agrees_with_the_dense_sum() {
-        for (n, k, cin, cout) in [(0, 3, 4, 4), (1, 3, 11, 5), (300, 3, 7, 20), (200, 5, 11, 32)] {
-            let grid = grid(n, 9, true);
-            let offsets = [0, n / 3, n];
-            let map = KernelMap::build(&grid, &offsets, k).unwrap();
-            let (x, w, b) =
-                (random(n * cin, 1), random(cout * k * k * k * cin, 2), random(cout, 3));
-            let mut out = vec![f32::NAN; n * cout];
-            forward(&map, &x, &PackedConv::new(&w, cin, cout, map.taps()), Some(&b), &mut out);
-            let want = reference::submanifold_conv(&grid, &offsets, &x, cin, &w, Some(&b), k);
-            for (g, w) in out.iter().zip(&want) {
-                assert!((f64::from(*g) - w).abs() < 2e-5, "{g} {w}");
-            }
-        }
-    }
-
-    #[test]
-    fn bf16_is_the_sum_over_rounded_operands() {
-        use crate::gemm::bf16::{round, widen};
-        for (n, k, cin, cout) in [(1, 3, 11, 5), (300, 3, 7, 20), (200, 5, 11, 32), (90, 3, 64, 64)]
+        for (n, k, cin, cout) in
+            [(0, 3, 4, 4), (1, 3, 11, 5), (300, 3, 7, 20), (200, 5, 11, 32), (90, 3, 64, 64)]
         {
             let grid = grid(n, 9, true);
             let offsets = [0, n / 3, n];
             let map = KernelMap::build(&grid, &offsets, k).unwrap();
             let (x, w, b) =
                 (random(n * cin, 1), random(cout * k * k * k * cin, 2), random(cout, 3));
-            let weight = PackedConv::with_precision(Precision::Bf16, &w, cin, cout, map.taps());
-            let mut out = vec![f32::NAN; n * cout];
-            forward(&map, &x, &weight, Some(&b), &mut out);
-            let rounded = |v: &[f32]| v.iter().map(|x| widen(round(*x))).collect::<Vec<_>>();
-            let (x, w) = (rounded(&x), rounded(&w));
-            let want = reference::submanifold_conv(&grid, &offsets, &x, cin, &w, Some(&b), k);
-            for (g, w) in out.iter().zip(&want) {
-                assert!((f64::from(*g) - w).abs() < 4e-5, "{g} {w}");
+            for (precision, x_used, w_used, bound) in [
+                (Precision::F32, x.clone(), w.clone(), 2e-5),
+                (Precision::Bf16, rounded(&x), rounded(&w), 4e-5),
+            ] {
+                let weight = PackedConv::with_precision(precision, &w, cin, cout, map.taps());
+                let mut out = vec![f32::NAN; n * cout];
+                forward(&map, &x, &weight, Some(&b), &mut out);
+                let bias = Some(&b[..]);
+                let want =
+                    reference::submanifold_conv(&grid, &offsets, &x_used, cin, &w_used, bias, k);
+                let error = max_error(&out, &want);
+                assert!(error < bound, "{precision} {n} {k} {cin} {cout}: {error}");
             }
         }
     }
@@ -412,8 +396,7 @@ mod tests {
             forward(&alone, &x[..first * cin], &weight, Some(&b), &mut single);
             assert_eq!(single, out[..first * cout]);
             for threads in [1, 3] {
-                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-                assert_eq!(pool.install(|| run(&x)), out);
+                assert_eq!(on_threads(threads, || run(&x)), out);
             }
             if n > 100 {
                 // NaN and ∞ spread to the row's neighbours, as NaN, and no further.

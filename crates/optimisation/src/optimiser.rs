@@ -4,7 +4,7 @@ use crate::depth_loss::{DepthLoss, DepthScratch, depth_loss};
 use crate::error::{OptimiseError, within};
 use crate::exposure::Exposure;
 use crate::frame::{TrainingFrame, scale_of_cameras};
-use crate::image_loss::{ImageComparison, ImageLoss};
+use crate::image_loss::{ImageComparison, ImageLoss, ImageWeights};
 use crate::random::{Counter, Purpose};
 use crate::settings::{DepthKind, OptimiseSettings, SceneScale, StepOrder, Strategy};
 use crate::strategy::{DoublingState, Refined};

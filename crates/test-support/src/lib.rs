@@ -9,6 +9,7 @@
 
 mod experiment;
 mod golden;
+pub mod reference;
 mod shared;
 
 pub use experiment::{Network, SMALL_SEGMENTATION};

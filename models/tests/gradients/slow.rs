@@ -2,9 +2,9 @@
 
 use scenesplat_kernels::patch_attention::Heads;
 use scenesplat_kernels::patches::Patches;
-use scenesplat_kernels::reference;
 use scenesplat_kernels::segment::{Groups, Reduce};
 use scenesplat_kernels::serialized_cloud::SerializedCloud;
+use scenesplat_test_support::reference;
 
 /// `x · Wᵀ + b`; `w`: `[m, k]`
 pub fn linear(x: &[f64], k: usize, w: &[f64], b: Option<&[f64]>) -> Vec<f64> {

@@ -1,35 +1,29 @@
 use super::packed::Unit;
 use super::*;
 use crate::Precision;
-use crate::reference;
 use crate::simd::Isa;
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use crate::testing::{max_error, on_threads, random, rounded};
+use scenesplat_test_support::reference;
 
-pub(crate) fn random(len: usize, seed: u64) -> Vec<f32> {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    (0..len).map(|_| rng.random_range(-1.0..1.0)).collect()
-}
-
-fn max_error(got: &[f32], want: &[f64]) -> f64 {
-    got.iter().zip(want).map(|(g, w)| (f64::from(*g) - w).abs()).fold(0.0, f64::max)
-}
+/// Rows, k, columns.
+pub(crate) const SHAPES: [(usize, usize, usize); 10] = [
+    (1, 1, 1),
+    (2, 2, 3),
+    (5, 11, 3),
+    (6, 16, 16),
+    (7, 33, 20),
+    (31, 64, 48),
+    (193, 400, 50),
+    (13, 768, 130),
+    (40, 801, 64),
+    (200, 1600, 192),
+];
 
 #[test]
 fn agrees_with_f64_for_odd_shapes() {
-    for (m, k, n) in [
-        (1, 1, 1),
-        (5, 11, 3),
-        (6, 16, 16),
-        (7, 33, 20),
-        (193, 400, 50),
-        (13, 768, 130),
-        (40, 800, 64),
-    ] {
-        let a = random(m * k, 1);
-        let w = random(n * k, 2);
-        let bias = random(n, 3);
-        let residual = random(m * n, 4);
+    for (m, k, n) in SHAPES {
+        let (a, w) = (random(m * k, 1), random(n * k, 2));
+        let (bias, residual) = (random(n, 3), random(m * n, 4));
         let packed = PackedMatrix::from_strided(&w, k, n, 1, k);
         let mut out = vec![f32::NAN; m * n];
         let epilogue = Epilogue { bias: Some(&bias), gelu: false, residual: Some(&residual) };
@@ -69,26 +63,6 @@ fn rows_of_unit_length_are_those_of_the_plain_product() {
         let mut got = vec![f32::NAN; m * n];
         gemm_unit_rows(&a, &packed, Some(&bias), &mut got);
         assert_eq!(got, want, "{m}x{k}x{n}");
-    }
-}
-
-#[test]
-fn a_row_does_not_depend_on_its_neighbours_or_threads() {
-    let (m, k, n) = (500, 500, 96);
-    let a = random(m * k, 5);
-    let packed = PackedMatrix::from_strided(&random(k * n, 6), k, n, n, 1);
-    let mut all = vec![0.0; m * n];
-    gemm(&a, &packed, Epilogue::default(), &mut all);
-    for row in [0, 1, 191, 192, 333, 499] {
-        let mut one = vec![0.0; n];
-        gemm(&a[row * k..(row + 1) * k], &packed, Epilogue::default(), &mut one);
-        assert_eq!(one, all[row * n..(row + 1) * n], "row {row}");
-    }
-    for threads in [1, 3] {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        let mut again = vec![0.0; m * n];
-        pool.install(|| gemm(&a, &packed, Epilogue::default(), &mut again));
-        assert_eq!(all, again);
     }
 }
 
@@ -152,30 +126,11 @@ fn mlp_agrees_with_f64() {
     assert!(max_error(&out, &want) < 2e-5, "{}", max_error(&out, &want));
 }
 
-/// The f64 product of operands rounded to bf16.
-fn rounded_product(a: &[f32], w: &[f32], m: usize, k: usize, n: usize) -> Vec<f64> {
-    let round = |v: &[f32]| v.iter().map(|x| bf16::widen(bf16::round(*x))).collect::<Vec<_>>();
-    reference::matmul_nt(&round(a), &round(w), m, k, n)
-}
-
-const SHAPES: [(usize, usize, usize); 10] = [
-    (1, 1, 1),
-    (2, 2, 3),
-    (5, 11, 3),
-    (6, 16, 16),
-    (7, 33, 20),
-    (31, 64, 48),
-    (193, 400, 50),
-    (13, 768, 130),
-    (40, 801, 64),
-    (200, 1600, 192),
-];
-
 #[test]
 fn bf16_is_the_product_of_rounded_operands() {
     for (m, k, n) in SHAPES {
         let (a, w, bias) = (random(m * k, 1), random(n * k, 2), random(n, 3));
-        let want = rounded_product(&a, &w, m, k, n);
+        let want = reference::matmul_nt(&rounded(&a), &rounded(&w), m, k, n);
         let check = |packed: &PackedMatrix| {
             let mut out = vec![f32::NAN; m * n];
             let epilogue = Epilogue { bias: Some(&bias), ..Epilogue::default() };
@@ -255,23 +210,26 @@ fn bf16_of_hard_values() {
 }
 
 #[test]
-fn any_precision_is_independent_of_threads_and_neighbours() {
+fn any_precision_is_independent_of_threads_and_neighbors() {
     let (m, k, n) = (500, 500, 96);
     let (a, w) = (random(m * k, 5), random(k * n, 6));
-    for precision in Precision::ALL {
-        let packed = PackedMatrix::from_strided_with(precision, &w, k, n, n, 1);
-        let mut all = vec![0.0; m * n];
-        gemm(&a, &packed, Epilogue::default(), &mut all);
+    let mut packed = vec![PackedMatrix::for_unit(Unit::Quads, &w, k, n, n, 1)];
+    packed.extend(
+        Precision::ALL.map(|precision| PackedMatrix::from_strided_with(precision, &w, k, n, n, 1)),
+    );
+    for packed in packed {
+        let run = |a: &[f32]| {
+            let mut out = vec![f32::NAN; a.len() / k * n];
+            gemm(a, &packed, Epilogue::default(), &mut out);
+            out
+        };
+        let all = run(&a);
         for row in [0, 1, 191, 192, 333, 499] {
-            let mut one = vec![0.0; n];
-            gemm(&a[row * k..(row + 1) * k], &packed, Epilogue::default(), &mut one);
-            assert_eq!(one, all[row * n..(row + 1) * n], "{precision} row {row}");
+            let one = run(&a[row * k..(row + 1) * k]);
+            assert_eq!(one, all[row * n..(row + 1) * n], "{:?} row {row}", packed.unit());
         }
         for threads in [1, 3] {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            let mut again = vec![0.0; m * n];
-            pool.install(|| gemm(&a, &packed, Epilogue::default(), &mut again));
-            assert_eq!(all, again);
+            assert_eq!(on_threads(threads, || run(&a)), all, "{:?}", packed.unit());
         }
     }
 }
@@ -282,13 +240,6 @@ fn weight_gradients_in_bf16() {
     let (a, b) = (random(rows * m, 1), random(rows * n, 2));
     let mut out = vec![0.0; m * n];
     gemm_tn_with(Precision::Bf16, &a, m, &b, n, None, &mut out);
-    let round = |v: &[f32]| v.iter().map(|x| bf16::widen(bf16::round(*x))).collect::<Vec<_>>();
-    let (a, b) = (round(&a), round(&b));
-    for i in 0..m {
-        for j in 0..n {
-            let want: f64 =
-                (0..rows).map(|r| f64::from(a[r * m + i]) * f64::from(b[r * n + j])).sum();
-            assert!((f64::from(out[i * n + j]) - want).abs() < 2e-3, "{} {want}", out[i * n + j]);
-        }
-    }
+    let want = reference::matmul_tn(&rounded(&a), &rounded(&b), rows, m, n);
+    assert!(max_error(&out, &want) < 2e-3, "{}", max_error(&out, &want));
 }

@@ -1,11 +1,10 @@
 use super::*;
 use crate::patches::cut;
-use crate::reference;
-use rand::{Rng, SeedableRng};
+use crate::testing;
+use scenesplat_test_support::reference;
 
 fn random(len: usize, seed: u64, scale: f32) -> Vec<f32> {
-    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
-    (0..len).map(|_| rng.random_range(-1.0..1.0f32) * scale).collect()
+    testing::random(len, seed).into_iter().map(|v| v * scale).collect()
 }
 
 fn setup(counts: &[usize], k: usize) -> (Patches, Vec<u32>) {
@@ -297,8 +296,7 @@ fn threads_change_no_bit() {
     let qkv = random(order.len() * 180, 8, 3.0);
     let grad = random(order.len() * 60, 9, 1.0);
     let all = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| {
+        testing::on_threads(threads, || {
             let mut dqkv = vec![0.0; qkv.len()];
             backward(&qkv, heads, &patches, &order, &grad, &mut dqkv);
             let f32 = run(Precision::F32, &qkv, heads, &patches, &order);

@@ -4,7 +4,7 @@ use super::*;
 use crate::layers::Norm;
 use crate::masks::upscale::{Place, upscale};
 use safetensors::SafeTensors;
-use scenesplat_kernels::reference::{gelu, layer_norm};
+use scenesplat_test_support::reference::{gelu, layer_norm};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 

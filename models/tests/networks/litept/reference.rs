@@ -2,9 +2,10 @@
 //! ascend by scene and cell. Nothing of it is shared with the network but the bit-by-bit curve
 //! codes.
 
-use scenesplat_kernels::reference::{gelu, hilbert_code, morton_code};
+use scenesplat_kernels::reference::{hilbert_code, morton_code};
 use scenesplat_models::LitePtConfig;
 use scenesplat_models::weights::hashed_parameter;
+use scenesplat_test_support::reference::gelu;
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 

@@ -1,21 +1,8 @@
 //! The tiles against plain loops.
 
 use super::*;
-use crate::gemm::tests::random;
-
-/// Nearest bf16, ties to even, as its 16 bits.
-fn to_bf16(x: f32) -> u32 {
-    let bits = x.to_bits();
-    if x.is_nan() { bits >> 16 | 0x40 } else { (bits + 0x7fff + (bits >> 16 & 1)) >> 16 }
-}
-
-fn from_bf16(bits: u32) -> f32 {
-    f32::from_bits(bits << 16)
-}
-
-fn rounded(x: f32) -> f32 {
-    from_bf16(to_bf16(x))
-}
+use crate::gemm::bf16;
+use crate::testing::{random, rounded};
 
 fn tiles_or_say_so(test: &str) -> bool {
     let there = available();
@@ -23,6 +10,10 @@ fn tiles_or_say_so(test: &str) -> bool {
         println!("{test}: not run, no AMX on this CPU or from this system");
     }
     there
+}
+
+fn pair(low: f32, high: f32) -> u32 {
+    bf16::round(low) | bf16::round(high) << 16
 }
 
 /// Row-major `[rows, k]` values as pairs; a gap after each row and the rows up to a whole tile
@@ -33,7 +24,7 @@ fn pack_a(a: &[f32], rows: usize, k: usize) -> (Vec<u32>, usize) {
     for i in 0..rows {
         for p in 0..k / 2 {
             let at = i * k + 2 * p;
-            pairs[i * stride + p] = to_bf16(a[at]) | to_bf16(a[at + 1]) << 16;
+            pairs[i * stride + p] = pair(a[at], a[at + 1]);
         }
     }
     (pairs, stride)
@@ -41,10 +32,9 @@ fn pack_a(a: &[f32], rows: usize, k: usize) -> (Vec<u32>, usize) {
 
 /// Row-major `[k, width]` values as pairs.
 fn pack_b(b: &[f32], width: usize) -> Vec<u32> {
-    let pair = |rows: &[f32]| -> Vec<u32> {
-        (0..width).map(|j| to_bf16(rows[j]) | to_bf16(rows[width + j]) << 16).collect()
-    };
-    b.chunks_exact(2 * width).flat_map(pair).collect()
+    let pairs =
+        |rows: &[f32]| -> Vec<u32> { (0..width).map(|j| pair(rows[j], rows[width + j])).collect() };
+    b.chunks_exact(2 * width).flat_map(pairs).collect()
 }
 
 #[derive(Clone, Copy, PartialEq, Debug)]
@@ -105,8 +95,7 @@ fn product(
 
 /// `Σ a·b` and `Σ |a·b|` over the bf16-rounded operands, in f64.
 fn reference((a, b): (&[f32], &[f32]), (rows, k, width): (usize, usize, usize)) -> Vec<(f64, f64)> {
-    let a: Vec<f64> = a.iter().map(|&x| rounded(x).into()).collect();
-    let b: Vec<f64> = b.iter().map(|&x| rounded(x).into()).collect();
+    let [a, b] = [a, b].map(|v| rounded(v).into_iter().map(f64::from).collect::<Vec<_>>());
     let mut out = vec![(0.0, 0.0); rows * width];
     for i in 0..rows {
         for p in 0..k {
@@ -324,12 +313,6 @@ fn model(a: &[f32], b: &[f32]) -> f32 {
     sum
 }
 
-/// The nearest bf16 and the nearest one to what is left.
-fn split(x: f32) -> (f32, f32) {
-    let high = rounded(x);
-    (high, rounded(x - high))
-}
-
 /// f32 products from three bf16 ones, `[A_hi, A_hi, A_lo] · [B_hi; B_lo; B_hi]`: the error as a
 /// share of the sum of the products' sizes.
 ///
@@ -337,7 +320,9 @@ fn split(x: f32) -> (f32, f32) {
 /// low · low and each number's rest: 2⁻¹⁶ + 2 · 2⁻¹⁷ = 2⁻¹⁵ at worst, in one product or if all
 /// err alike; in sums of many of a size it averages out.
 fn split_error(a: &[f32], b: &[f32]) -> f64 {
-    let halves = |x: &[f32]| -> (Vec<f32>, Vec<f32>) { x.iter().map(|&x| split(x)).unzip() };
+    let halves = |x: &[f32]| -> (Vec<f32>, Vec<f32>) {
+        x.iter().map(|&x| bf16::split(x)).map(|(h, l)| (bf16::widen(h), bf16::widen(l))).unzip()
+    };
     let ((ah, al), (bh, bl)) = (halves(a), halves(b));
     let got = model(&[&ah[..], &ah, &al].concat(), &[&bh[..], &bl, &bh].concat());
     let terms = a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b));
