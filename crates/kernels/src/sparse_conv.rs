@@ -6,8 +6,8 @@
 
 use crate::Precision;
 use crate::gemm::{
-    LeftRows, PackedMatrix, PreparedRows, RowPointers, RowPointersMut, SharedMut,
-    add_outer_products, column_groups, gemm_tn_with, multiply_prepared, multiply_rows,
+    LeftRows, PackedMatrix, PreparedRows, Product, RowPointers, SharedMut, add_outer_products,
+    column_groups, gemm_tn_with, multiply_prepared, multiply_rows,
 };
 use crate::kernel_map::{CHUNK, KernelMap};
 use crate::shape::elements;
@@ -41,14 +41,9 @@ impl PackedConv {
         cout: usize,
         taps: usize,
     ) -> Self {
-        assert_eq!(weight.len(), elements([cout, taps, cin]), "convolution weight length");
-        let taps = (0..taps)
-            .into_par_iter()
-            .map(|t| {
-                let from = &weight[(t * cin).min(weight.len())..];
-                PackedMatrix::from_strided_with(precision, from, cin, cout, 1, taps * cin)
-            })
-            .collect();
+        let taps = pack_taps(weight, [cout, taps, cin], |of_tap| {
+            PackedMatrix::from_strided_with(precision, of_tap, cin, cout, 1, taps * cin)
+        });
         Self { taps, cin, cout }
     }
 
@@ -60,14 +55,9 @@ impl PackedConv {
         cout: usize,
         taps: usize,
     ) -> Self {
-        assert_eq!(weight.len(), elements([cout, taps, cin]), "convolution weight length");
-        let taps = (0..taps)
-            .into_par_iter()
-            .map(|t| {
-                let from = &weight[(t * cin).min(weight.len())..];
-                PackedMatrix::from_strided_with(precision, from, cout, cin, taps * cin, 1)
-            })
-            .collect();
+        let taps = pack_taps(weight, [cout, taps, cin], |of_tap| {
+            PackedMatrix::from_strided_with(precision, of_tap, cout, cin, taps * cin, 1)
+        });
         Self { taps, cin: cout, cout: cin }
     }
 
@@ -85,6 +75,17 @@ impl PackedConv {
     pub fn bytes(&self) -> usize {
         self.taps.iter().map(PackedMatrix::bytes).sum()
     }
+}
+
+/// A matrix of each tap, whose weights begin where `pack` gets them.
+fn pack_taps(
+    weight: &[f32],
+    [cout, taps, cin]: [usize; 3],
+    pack: impl Fn(&[f32]) -> PackedMatrix + Sync,
+) -> Vec<PackedMatrix> {
+    assert_eq!(weight.len(), elements([cout, taps, cin]), "convolution weight length");
+    let of_tap = |t: usize| pack(&weight[(t * cin).min(weight.len())..]);
+    (0..taps).into_par_iter().map(of_tap).collect()
 }
 
 /// Convolves `x` into `out`.
@@ -151,31 +152,23 @@ fn run(
             // pairs are added one at a time.
             let step = if one_by_one { 1 } else { input.len().max(1) };
             for (input, output) in input.chunks(step).zip(output.chunks(step)) {
-                let (rows, columns) = (input.len(), columns.clone());
+                let (rows, columns, ids) = (input.len(), columns.clone(), Some(input));
                 // SAFETY: row numbers come from the map and are below `rows`; output rows of
                 // different chunks are distinct, columns of different groups too.
                 unsafe {
-                    let base = target.at(0);
-                    let to = RowPointersMut::Scattered { base, stride: cout, ids: output };
-                    match &prepared {
+                    let c = RowPointers { base: target.at(0), stride: cout, ids: Some(output) };
+                    let product = Product { rows, b: matrix, columns, c, accumulate: true };
+                    let left = match &prepared {
                         PreparedRows::Unchanged => {
-                            let base = x.as_ptr();
-                            let from = RowPointers::Gathered { base, stride: cin, ids: input };
-                            multiply_rows(rows, from, matrix, columns, to, true);
+                            multiply_rows(RowPointers::of(x, cin, ids), product);
+                            continue;
                         }
-                        PreparedRows::Rounded(x) => {
-                            let base = x.as_ptr();
-                            let from = RowPointers::Gathered { base, stride: cin, ids: input };
-                            let from = LeftRows::Single(from);
-                            multiply_prepared(rows, from, matrix, columns, to, true);
-                        }
+                        PreparedRows::Rounded(x) => LeftRows::Single(RowPointers::of(x, cin, ids)),
                         PreparedRows::Words { values, stride } => {
-                            let base = values.as_ptr();
-                            let from = RowPointers::Gathered { base, stride: *stride, ids: input };
-                            let from = LeftRows::Words(from);
-                            multiply_prepared(rows, from, matrix, columns, to, true);
+                            LeftRows::Words(RowPointers::of(values, *stride, ids))
                         }
-                    }
+                    };
+                    multiply_prepared(left, product);
                 }
             }
         }

@@ -21,8 +21,9 @@ mod transposed;
 
 pub use packed::PackedMatrix;
 pub(crate) use packed::repack_with;
-pub(crate) use rows::multiply_prepared;
-pub(crate) use rows::{LeftRows, PreparedRows, RowPointers, RowPointersMut, multiply_rows};
+pub(crate) use rows::{
+    LeftRows, PreparedRows, Product, RowPointers, multiply_prepared, multiply_rows,
+};
 pub(crate) use transposed::add_outer_products;
 pub use transposed::{gemm_tn, gemm_tn_with};
 
@@ -58,12 +59,7 @@ pub fn gemm(a: &[f32], b: &PackedMatrix, epilogue: Epilogue<'_>, out: &mut [f32]
     if n == 0 || out.is_empty() {
         return;
     }
-    let m = out.len() / n;
-    assert!(
-        a.len() == elements([m, k]) && out.len() == m * n,
-        "gemm: lengths do not fit [{m}, {k}]·[{k}, {n}]"
-    );
-    check_epilogue(epilogue, n, out.len());
+    let m = checked_rows(a, b, epilogue, out);
     if k == 0 {
         out.fill(0.0);
         finish(out, n, Epilogue { ..epilogue });
@@ -80,14 +76,9 @@ pub fn gemm(a: &[f32], b: &PackedMatrix, epilogue: Epilogue<'_>, out: &mut [f32]
         // SAFETY: the tasks' rectangles of `out` are disjoint and inside it.
         unsafe {
             let to = target.at(first * n);
-            multiply_rows(
-                rows,
-                RowPointers::Contiguous { base: from.as_ptr(), stride: k },
-                b,
-                columns.clone(),
-                RowPointersMut::Contiguous { base: to, stride: n },
-                false,
-            );
+            let c = RowPointers { base: to, stride: n, ids: None };
+            let product = Product { rows, b, columns: columns.clone(), c, accumulate: false };
+            multiply_rows(RowPointers::of(from, k, None), product);
             let columns = columns.start..columns.end.min(n);
             if columns == (0..n) {
                 let residual = epilogue.residual.map(|r| &r[first * n..(first + rows) * n]);
@@ -104,6 +95,18 @@ pub fn gemm(a: &[f32], b: &PackedMatrix, epilogue: Epilogue<'_>, out: &mut [f32]
             }
         }
     });
+}
+
+/// Rows of a product whose lengths fit.
+fn checked_rows(a: &[f32], b: &PackedMatrix, epilogue: Epilogue<'_>, out: &[f32]) -> usize {
+    let (k, n) = (b.k(), b.n());
+    let m = out.len() / n;
+    assert!(
+        a.len() == elements([m, k]) && out.len() == m * n,
+        "gemm: lengths do not fit [{m}, {k}]·[{k}, {n}]"
+    );
+    check_epilogue(epilogue, n, out.len());
+    m
 }
 
 fn check_epilogue(epilogue: Epilogue<'_>, n: usize, len: usize) {
@@ -195,13 +198,8 @@ pub fn gemm_unit_rows(a: &[f32], b: &PackedMatrix, bias: Option<&[f32]>, out: &m
     if n == 0 || out.is_empty() {
         return;
     }
-    let m = out.len() / n;
-    assert!(
-        a.len() == elements([m, k]) && out.len() == m * n,
-        "gemm: lengths do not fit [{m}, {k}]·[{k}, {n}]"
-    );
     let epilogue = Epilogue { bias, ..Epilogue::default() };
-    check_epilogue(epilogue, n, out.len());
+    checked_rows(a, b, epilogue, out);
     // Whole rows, few enough for the second-level cache where they are wide.
     const ROWS: usize = ROW_BLOCK / 2;
     out.par_chunks_mut(ROWS * n).enumerate().for_each(|(block, out)| {
@@ -233,14 +231,14 @@ fn finish(out: &mut [f32], n: usize, epilogue: Epilogue<'_>) {
 /// One thread's share: contiguous rows.
 fn gemm_block(a: &[f32], b: &PackedMatrix, out: &mut [f32]) {
     let rows = out.len() / b.n();
-    let a_rows = RowPointers::Contiguous { base: a.as_ptr(), stride: b.k() };
-    let out_rows = RowPointersMut::Contiguous { base: out.as_mut_ptr(), stride: b.n() };
     if b.k() == 0 {
         out.fill(0.0);
         return;
     }
+    let c = RowPointers { base: out.as_mut_ptr(), stride: b.n(), ids: None };
+    let product = Product { rows, b, columns: 0..b.padded_n(), c, accumulate: false };
     // SAFETY: `a` has `rows · k` and `out` `rows · n` values; `out` is borrowed mutably.
-    unsafe { multiply_rows(rows, a_rows, b, 0..b.padded_n(), out_rows, false) }
+    unsafe { multiply_rows(RowPointers::of(a, b.k(), None), product) }
 }
 
 #[cfg(test)]

@@ -12,54 +12,48 @@ use std::ops::Range;
 /// Bytes of packed weights that should stay in the second-level cache.
 const CACHED_PANEL_BYTES: usize = 512 * 1024;
 
-/// Where left-hand rows are.
+/// Where rows are: row `i` starts at `base + i·stride`, or at `base + ids[i]·stride`.
+///
+/// Left-hand rows are read only. The ids of result rows are distinct.
 #[derive(Clone, Copy)]
-pub(crate) enum RowPointers<'a, T = f32> {
-    /// Row `i` starts at `base + i·stride`.
-    Contiguous { base: *const T, stride: usize },
-    /// Row `i` starts at `base + ids[i]·stride`.
-    Gathered { base: *const T, stride: usize, ids: &'a [u32] },
+pub(crate) struct RowPointers<'a, T = f32> {
+    pub(crate) base: *mut T,
+    pub(crate) stride: usize,
+    pub(crate) ids: Option<&'a [u32]>,
 }
 
-/// Where the result rows go.
-#[derive(Clone, Copy)]
-pub(crate) enum RowPointersMut<'a> {
-    /// Row `i` starts at `base + i·stride`.
-    Contiguous { base: *mut f32, stride: usize },
-    /// Row `i` starts at `base + ids[i]·stride`; the ids are distinct.
-    Scattered { base: *mut f32, stride: usize, ids: &'a [u32] },
-}
+impl<'a, T> RowPointers<'a, T> {
+    /// Left-hand rows.
+    pub(crate) fn of(values: &'a [T], stride: usize, ids: Option<&'a [u32]>) -> Self {
+        Self { base: values.as_ptr().cast_mut(), stride, ids }
+    }
 
-impl<T> RowPointers<'_, T> {
     #[inline(always)]
-    pub(crate) unsafe fn row(&self, i: usize) -> *const T {
+    pub(crate) unsafe fn row(&self, i: usize) -> *mut T {
+        let row = self.ids.map_or(i, |ids| ids[i] as usize);
         // SAFETY: the creator promises that every row is inside the allocation.
-        unsafe {
-            match *self {
-                Self::Contiguous { base, stride } => base.add(i * stride),
-                Self::Gathered { base, stride, ids } => base.add(ids[i] as usize * stride),
-            }
-        }
+        unsafe { self.base.add(row * self.stride) }
     }
 }
 
-impl RowPointersMut<'_> {
-    #[inline(always)]
-    pub(crate) unsafe fn row(&self, i: usize) -> *mut f32 {
-        // SAFETY: the creator promises that every row is inside the allocation.
-        unsafe {
-            match *self {
-                Self::Contiguous { base, stride } => base.add(i * stride),
-                Self::Scattered { base, stride, ids } => base.add(ids[i] as usize * stride),
-            }
-        }
-    }
+/// `c[rows] (+)= a[rows] · b` for a range of columns of whole panels.
+///
+/// `columns` starts at a multiple of [`PANEL`] and ends at one or at the padded width. All rows of `a` (`b.k`
+/// values) and `c` (`b.n` values) must be inside their allocations, and no other thread may touch the rows of
+/// `c` meanwhile.
+#[derive(Clone)]
+pub(crate) struct Product<'a> {
+    pub(crate) rows: usize,
+    pub(crate) b: &'a PackedMatrix,
+    pub(crate) columns: Range<usize>,
+    pub(crate) c: RowPointers<'a>,
+    pub(crate) accumulate: bool,
 }
 
 /// Left-hand rows in the form that a packed matrix multiplies.
 #[derive(Clone, Copy)]
 pub(crate) enum LeftRows<'a> {
-    /// f32, rounded already where the unit wants that.
+    /// f32, rounded already where the unit needs that.
     Single(RowPointers<'a, f32>),
     /// Pairs of bf16 or four integers each, [`PackedMatrix::steps`] of them, and what follows them.
     Words(RowPointers<'a, u32>),
@@ -107,23 +101,15 @@ thread_local! {
     static ROUNDED: RefCell<(Vec<f32>, Vec<u32>)> = const { RefCell::new((Vec::new(), Vec::new())) };
 }
 
-/// `c[rows] (+)= a[rows] · b` on the calling thread, for a range of columns of whole panels.
+/// Computes a product on the calling thread.
 ///
 /// # Safety
-/// `columns` starts at a multiple of [`PANEL`] and ends at one or at the padded width.
-/// All rows of `a` (`b.k` values) and `c` (`b.n` values) must be inside their allocations, and no
-/// other thread may touch the rows of `c` meanwhile.
-pub(crate) unsafe fn multiply_rows(
-    rows: usize,
-    a: RowPointers<'_>,
-    b: &PackedMatrix,
-    columns: Range<usize>,
-    c: RowPointersMut<'_>,
-    accumulate: bool,
-) {
+/// As [`Product`] says.
+pub(crate) unsafe fn multiply_rows(a: RowPointers<'_>, product: Product<'_>) {
+    let (b, rows) = (product.b, product.rows);
     if b.unit == Unit::Vector {
         // SAFETY: passed on.
-        return unsafe { multiply_prepared(rows, LeftRows::Single(a), b, columns, c, accumulate) };
+        return unsafe { multiply_prepared(LeftRows::Single(a), product) };
     }
     ROUNDED.with_borrow_mut(|(values, words)| {
         let (k, stride) = (b.k(), b.row_words());
@@ -136,7 +122,7 @@ pub(crate) unsafe fn multiply_rows(
                 for i in 0..count {
                     bf16::round_values(row(i), &mut values[i * k..(i + 1) * k]);
                 }
-                LeftRows::Single(RowPointers::Contiguous { base: values.as_ptr(), stride: k })
+                LeftRows::Single(RowPointers::of(values, k, None))
             } else {
                 // Tiles read sixteen rows at a time.
                 let padded = count.next_multiple_of(16) * stride;
@@ -144,19 +130,18 @@ pub(crate) unsafe fn multiply_rows(
                 for i in 0..count {
                     b.unit.prepare_words(row(i), &mut words[i * stride..(i + 1) * stride]);
                 }
-                LeftRows::Words(RowPointers::Contiguous { base: words.as_ptr(), stride })
+                LeftRows::Words(RowPointers::of(words, stride, None))
             };
+            let RowPointers { base, stride, ids } = product.c;
             // SAFETY: rows of `c` as promised, from `first` on.
             unsafe {
-                let c = match c {
-                    RowPointersMut::Contiguous { base, stride } => {
-                        RowPointersMut::Contiguous { base: base.add(first * stride), stride }
-                    }
-                    RowPointersMut::Scattered { base, stride, ids } => {
-                        RowPointersMut::Scattered { base, stride, ids: &ids[first..first + count] }
+                let c = match ids {
+                    None => RowPointers { base: base.add(first * stride), stride, ids },
+                    Some(ids) => {
+                        RowPointers { base, stride, ids: Some(&ids[first..first + count]) }
                     }
                 };
-                multiply_prepared(count, left, b, columns.clone(), c, accumulate);
+                multiply_prepared(left, Product { rows: count, c, ..product.clone() });
             }
         }
     });
@@ -166,43 +151,36 @@ pub(crate) unsafe fn multiply_rows(
 ///
 /// # Safety
 /// As [`multiply_rows`]; the form is that of `b`, rows have `b.row_words()` values.
-pub(crate) unsafe fn multiply_prepared(
-    rows: usize,
-    a: LeftRows<'_>,
-    b: &PackedMatrix,
-    columns: Range<usize>,
-    c: RowPointersMut<'_>,
-    accumulate: bool,
-) {
+pub(crate) unsafe fn multiply_prepared(a: LeftRows<'_>, product: Product<'_>) {
+    let b = product.b;
     match (a, &b.values) {
         (LeftRows::Single(a), Values::Single(values)) => {
             // SAFETY: passed on.
-            dispatch!((rows: usize, a: RowPointers<'_>, b: &PackedMatrix, values: &[f32],
-                columns: Range<usize>, c: RowPointersMut<'_>, accumulate: bool),
-                V => multiply_with::<Singles<V>>(rows, a, b, values, columns, c, accumulate, |_, _| ()));
+            dispatch!((a: RowPointers<'_>, values: &[f32], product: Product<'_>),
+                V => multiply_with::<Singles<V>>(a, values, product, |_, _| ()));
         }
         #[cfg(all(target_arch = "x86_64", target_os = "linux"))]
-        (LeftRows::Words(RowPointers::Contiguous { base, .. }), Values::Pairs(values))
+        (LeftRows::Words(RowPointers { base, ids: None, .. }), Values::Pairs(values))
             if matches!(b.unit, Unit::Tiles | Unit::SplitTiles) =>
         {
             // SAFETY: passed on; pairs are packed for tiles only where there are some.
-            unsafe { multiply_tiles(rows, base, b, values, columns, c, accumulate) }
+            unsafe { multiply_tiles(base, values, product) }
         }
         #[cfg(target_arch = "x86_64")]
         (LeftRows::Words(a), Values::Pairs(values)) => {
             // SAFETY: passed on; pairs are packed only where the instruction set was detected.
-            unsafe { multiply_pairs(rows, a, b, values, columns, c, accumulate) }
+            unsafe { multiply_pairs(a, values, product) }
         }
         #[cfg(all(target_arch = "x86_64", target_os = "linux"))]
-        (LeftRows::Words(RowPointers::Contiguous { base, .. }), Values::Quads(quads))
+        (LeftRows::Words(RowPointers { base, ids: None, .. }), Values::Quads(quads))
             if b.unit == Unit::QuadTiles =>
         {
             // SAFETY: passed on; integers are packed for tiles only where there are some.
-            unsafe { multiply_quad_tiles(rows, base, b, quads, columns, c, accumulate) }
+            unsafe { multiply_quad_tiles(base, quads, product) }
         }
         (LeftRows::Words(a), Values::Quads(quads)) => {
             // SAFETY: passed on; the version is one that the CPU has.
-            unsafe { multiply_quads(Dots::current(), rows, a, b, quads, columns, c, accumulate) }
+            unsafe { multiply_quads(Dots::current(), a, quads, product) }
         }
         // A bug of this crate; a result left as it was would pass for one.
         _ => unreachable!("left-hand rows in another form than the matrix"),
@@ -216,16 +194,9 @@ const TILE_PAIRS: usize = 192;
 
 /// Products on tiles; `a` points to rows side by side, up to the next multiple of 16 readable.
 #[cfg(all(target_arch = "x86_64", target_os = "linux"))]
-unsafe fn multiply_tiles(
-    rows: usize,
-    a: *const u32,
-    b: &PackedMatrix,
-    values: &[u32],
-    columns: Range<usize>,
-    c: RowPointersMut<'_>,
-    accumulate: bool,
-) {
+unsafe fn multiply_tiles(a: *const u32, values: &[u32], product: Product<'_>) {
     use super::amx::{self, Operands::Pairs};
+    let Product { rows, b, columns, c, accumulate } = product;
     assert!(rows <= ROW_BLOCK, "more rows than a block has");
     let (steps, n) = (b.steps(), b.n());
     // SAFETY: pairs are packed for tiles only where there are some.
@@ -272,16 +243,9 @@ unsafe fn multiply_tiles(
 /// Products of integers on tiles; `a` as for [`multiply_tiles`].
 #[cfg(all(target_arch = "x86_64", target_os = "linux"))]
 #[target_feature(enable = "avx512f,avx2,fma")]
-unsafe fn multiply_quad_tiles(
-    rows: usize,
-    a: *const u32,
-    b: &PackedMatrix,
-    quads: &Quads,
-    columns: Range<usize>,
-    c: RowPointersMut<'_>,
-    accumulate: bool,
-) {
+unsafe fn multiply_quad_tiles(a: *const u32, quads: &Quads, product: Product<'_>) {
     use super::amx::{self, Operands::Bytes};
+    let Product { rows, b, columns, c, accumulate } = product;
     assert!(rows <= ROW_BLOCK, "more rows than a block has");
     let (steps, stride, n) = (b.steps(), b.row_words(), b.n());
     // SAFETY: integers are packed for tiles only where there are some.
@@ -325,55 +289,30 @@ unsafe fn multiply_quad_tiles(
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,avx512bf16,avx2,fma")]
-unsafe fn multiply_pairs(
-    rows: usize,
-    a: RowPointers<'_, u32>,
-    b: &PackedMatrix,
-    values: &[u32],
-    columns: Range<usize>,
-    c: RowPointersMut<'_>,
-    accumulate: bool,
-) {
+unsafe fn multiply_pairs(a: RowPointers<'_, u32>, values: &[u32], product: Product<'_>) {
     // SAFETY: passed on.
-    unsafe {
-        multiply_with::<micro::Bf16Pairs>(rows, a, b, values, columns, c, accumulate, |_, _| ());
-    }
+    unsafe { multiply_with::<micro::Bf16Pairs>(a, values, product, |_, _| ()) }
 }
 
 /// Products of integers, in one of the versions.
 ///
 /// # Safety
 /// As [`multiply_prepared`]; the version is there.
-#[expect(clippy::too_many_arguments, reason = "those of the other products, and the version")]
 pub(super) unsafe fn multiply_quads(
     dots: Dots,
-    rows: usize,
     a: RowPointers<'_, u32>,
-    b: &PackedMatrix,
     quads: &Quads,
-    columns: Range<usize>,
-    c: RowPointersMut<'_>,
-    accumulate: bool,
+    product: Product<'_>,
 ) {
     /// The product with the instructions of one version.
     macro_rules! version {
         ($name:ident, $dots:ty $(, $features:literal)?) => {
             $(#[target_feature(enable = $features)])?
-            unsafe fn $name(
-                rows: usize,
-                a: RowPointers<'_, u32>,
-                b: &PackedMatrix,
-                quads: &Quads,
-                columns: Range<usize>,
-                c: RowPointersMut<'_>,
-                accumulate: bool,
-            ) {
+            unsafe fn $name(a: RowPointers<'_, u32>, quads: &Quads, product: Product<'_>) {
                 // SAFETY: passed on; steps and columns are those of the matrix.
                 unsafe {
                     let scales = |step, column| quads.columns(step, column);
-                    multiply_with::<$dots>(
-                        rows, a, b, &quads.words, columns, c, accumulate, scales,
-                    );
+                    multiply_with::<$dots>(a, &quads.words, product, scales);
                 }
             }
         };
@@ -389,12 +328,12 @@ pub(super) unsafe fn multiply_quads(
     unsafe {
         match dots {
             #[cfg(target_arch = "x86_64")]
-            Dots::Avx512Vnni => avx512_vnni(rows, a, b, quads, columns, c, accumulate),
+            Dots::Avx512Vnni => avx512_vnni(a, quads, product),
             #[cfg(target_arch = "x86_64")]
-            Dots::AvxVnni => avx_vnni(rows, a, b, quads, columns, c, accumulate),
+            Dots::AvxVnni => avx_vnni(a, quads, product),
             #[cfg(target_arch = "x86_64")]
-            Dots::Avx2 => avx2(rows, a, b, quads, columns, c, accumulate),
-            _ => plain(rows, a, b, quads, columns, c, accumulate),
+            Dots::Avx2 => avx2(a, quads, product),
+            _ => plain(a, quads, product),
         }
     }
 }
@@ -416,17 +355,13 @@ unsafe fn prefetch<T>(row: *const T, len: usize) {
 
 /// `of_columns` gives what belongs to the columns from one on, for the steps from one on.
 #[inline(always)]
-#[expect(clippy::too_many_arguments, reason = "both sides, their sizes and the result")]
 unsafe fn multiply_with<P: TileProducts>(
-    rows: usize,
     a: RowPointers<'_, P::Element>,
-    b: &PackedMatrix,
     values: &[P::Element],
-    columns: Range<usize>,
-    c: RowPointersMut<'_>,
-    accumulate: bool,
+    product: Product<'_>,
     of_columns: impl Fn(usize, usize) -> P::Columns,
 ) {
+    let Product { rows, b, columns, c, accumulate } = product;
     let (k, n, padded_n) = (b.steps(), b.n(), columns.end);
     let k_step = K_BLOCK.min(k);
     let panels_cached = (CACHED_PANEL_BYTES / (k_step * PANEL * 4)).max(1) * PANEL;
@@ -448,11 +383,11 @@ unsafe fn multiply_with<P: TileProducts>(
                     unsafe {
                         let from = a.row(row + i);
                         of_rows[i] = P::row(from, k);
-                        a_rows[i] = from.add(k0);
+                        a_rows[i] = from.add(k0).cast_const();
                         c_rows[i] = c.row(row + i);
                     }
                 }
-                if let RowPointers::Gathered { .. } = a {
+                if a.ids.is_some() {
                     // Rows that are found by number come from anywhere, where no prefetcher of the
                     // CPU expects them; those of the next tile arrive while this one is computed.
                     for i in (row + height..rows).take(TILE_ROWS) {

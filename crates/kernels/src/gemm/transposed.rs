@@ -1,6 +1,6 @@
 //! `aᵀ · b`: the product behind weight gradients, summed over many rows.
 
-use super::{K_BLOCK, PackedMatrix, RowPointers, RowPointersMut, multiply_rows, repack_with};
+use super::{K_BLOCK, PackedMatrix, Product, RowPointers, multiply_rows, repack_with};
 use crate::Precision;
 use crate::shape::elements;
 use crate::simd::{Vector, dispatch};
@@ -65,10 +65,11 @@ pub fn gemm_tn_with(
             a.len() / m
         }
     };
+    let sides = Sides { a, m, b, n, pairs };
     let segments = rows.div_ceil(SEGMENT);
     if segments <= 1 {
         out.par_chunks_mut(OUT_BLOCK * n).enumerate().for_each(|(block, out)| {
-            accumulate_segment(precision, a, m, b, n, pairs, 0..rows, block * OUT_BLOCK, out);
+            sides.accumulate(precision, 0..rows, block * OUT_BLOCK, out);
         });
         return;
     }
@@ -82,8 +83,7 @@ pub fn gemm_tn_with(
             let range = start..(start + SEGMENT).min(rows);
             part.fill(0.0);
             part.par_chunks_mut(OUT_BLOCK * n).enumerate().for_each(|(block, part)| {
-                let (range, first) = (range.clone(), block * OUT_BLOCK);
-                accumulate_segment(precision, a, m, b, n, pairs, range, first, part);
+                sides.accumulate(precision, range.clone(), block * OUT_BLOCK, part);
             });
         });
         for part in partial[..count * m * n].chunks_exact(m * n) {
@@ -94,26 +94,14 @@ pub fn gemm_tn_with(
     }
 }
 
-/// `out += a[range][:, first..]ᵀ · b[range]`; `out` must start zeroed.
-#[expect(clippy::too_many_arguments, reason = "one call site, plain numbers")]
-fn accumulate_segment(
-    precision: Precision,
-    a: &[f32],
+/// Both sides of a product, as [`gemm_tn`] has them.
+#[derive(Clone, Copy)]
+struct Sides<'a> {
+    a: &'a [f32],
     m: usize,
-    b: &[f32],
+    b: &'a [f32],
     n: usize,
-    pairs: Option<(&[u32], &[u32])>,
-    range: Range<usize>,
-    first: usize,
-    out: &mut [f32],
-) {
-    if precision == Precision::F32 && n.is_multiple_of(16) {
-        // SAFETY: row numbers and `range` were checked against `a` and `b` by the caller; `out` has
-        // rows of `n` values, one for each channel from `first` on.
-        unsafe { add_outer_products((a, m), (b, n), pairs, range, first, out) }
-    } else {
-        accumulate_packed(precision, a, m, b, n, pairs, range, first, out);
-    }
+    pairs: Option<(&'a [u32], &'a [u32])>,
 }
 
 /// `out[i][j] += Σ_p a[p][first + i] · b[p][j]` in f32 over a range of rows or pairs of rows.
@@ -245,54 +233,58 @@ unsafe fn outer_tile<V: Vector, const MR: usize, const NV: usize>(
     }
 }
 
-/// [`accumulate_segment`] in any precision and shape: `a` is turned, `b` packed, block by block.
-#[expect(clippy::too_many_arguments, reason = "one call site, plain numbers")]
-fn accumulate_packed(
-    precision: Precision,
-    a: &[f32],
-    m: usize,
-    b: &[f32],
-    n: usize,
-    pairs: Option<(&[u32], &[u32])>,
-    range: Range<usize>,
-    first: usize,
-    out: &mut [f32],
-) {
-    let width = out.len() / n;
-    let mut columns = vec![0f32; width * K_BLOCK];
-    let mut packed = PackedMatrix::empty();
-    let mut gathered = vec![0f32; if pairs.is_some() { K_BLOCK * n } else { 0 }];
-    let mut start = range.start;
-    while start < range.end {
-        let len = K_BLOCK.min(range.end - start);
-        for r in 0..len {
-            let row = pairs.map_or(start + r, |(ra, _)| ra[start + r] as usize);
-            let from = &a[row * m + first..row * m + first + width];
-            for (i, v) in from.iter().enumerate() {
-                columns[i * len + r] = *v;
-            }
+impl Sides<'_> {
+    /// `out += a[range][:, first..]ᵀ · b[range]`; `out` must start zeroed.
+    fn accumulate(&self, precision: Precision, range: Range<usize>, first: usize, out: &mut [f32]) {
+        let &Self { a, m, b, n, pairs } = self;
+        if precision == Precision::F32 && n.is_multiple_of(16) {
+            // SAFETY: row numbers and `range` were checked against `a` and `b` by the caller; `out` has
+            // rows of `n` values, one for each channel from `first` on.
+            unsafe { add_outer_products((a, m), (b, n), pairs, range, first, out) }
+        } else {
+            self.accumulate_packed(precision, range, first, out);
         }
-        let source = match pairs {
-            None => &b[start * n..(start + len) * n],
-            Some((_, rb)) => {
-                for (to, &row) in gathered.chunks_exact_mut(n).zip(&rb[start..start + len]) {
-                    to.copy_from_slice(&b[row as usize * n..(row as usize + 1) * n]);
+    }
+
+    /// The same in any precision and shape: `a` is turned, `b` packed, block by block.
+    fn accumulate_packed(
+        &self,
+        precision: Precision,
+        range: Range<usize>,
+        first: usize,
+        out: &mut [f32],
+    ) {
+        let &Self { a, m, b, n, pairs } = self;
+        let width = out.len() / n;
+        let mut columns = vec![0f32; width * K_BLOCK];
+        let mut packed = PackedMatrix::empty();
+        let mut gathered = vec![0f32; if pairs.is_some() { K_BLOCK * n } else { 0 }];
+        let mut start = range.start;
+        while start < range.end {
+            let len = K_BLOCK.min(range.end - start);
+            for r in 0..len {
+                let row = pairs.map_or(start + r, |(ra, _)| ra[start + r] as usize);
+                let from = &a[row * m + first..row * m + first + width];
+                for (i, v) in from.iter().enumerate() {
+                    columns[i * len + r] = *v;
                 }
-                &gathered[..len * n]
             }
-        };
-        repack_with(&mut packed, precision, source, len, n, n, 1);
-        // SAFETY: `columns` holds `width` rows of `len`, `out` `width` rows of `n`, both ours.
-        unsafe {
-            multiply_rows(
-                width,
-                RowPointers::Contiguous { base: columns.as_ptr(), stride: len },
-                &packed,
-                0..packed.padded_n(),
-                RowPointersMut::Contiguous { base: out.as_mut_ptr(), stride: n },
-                true,
-            );
+            let source = match pairs {
+                None => &b[start * n..(start + len) * n],
+                Some((_, rb)) => {
+                    for (to, &row) in gathered.chunks_exact_mut(n).zip(&rb[start..start + len]) {
+                        to.copy_from_slice(&b[row as usize * n..(row as usize + 1) * n]);
+                    }
+                    &gathered[..len * n]
+                }
+            };
+            repack_with(&mut packed, precision, source, len, n, n, 1);
+            let c = RowPointers { base: out.as_mut_ptr(), stride: n, ids: None };
+            let (b, all) = (&packed, 0..packed.padded_n());
+            let product = Product { rows: width, b, columns: all, c, accumulate: true };
+            // SAFETY: `columns` holds `width` rows of `len`, `out` `width` rows of `n`, both ours.
+            unsafe { multiply_rows(RowPointers::of(&columns, len, None), product) };
+            start += len;
         }
-        start += len;
     }
 }

@@ -1,7 +1,7 @@
 use super::super::packed::{Unit, Values};
 use super::super::rows::multiply_quads;
 use super::super::tests::SHAPES;
-use super::super::{Epilogue, PackedMatrix, RowPointers, RowPointersMut, gemm};
+use super::super::{Epilogue, PackedMatrix, Product, RowPointers, gemm};
 use super::*;
 use crate::Precision;
 use crate::testing::random;
@@ -105,12 +105,12 @@ fn all_versions_have_the_same_bits() {
         for accumulate in [false, true] {
             let results = there.iter().map(|&dots| {
                 let mut out = random(m * n, 5);
-                let from = RowPointers::Contiguous { base: rows.as_ptr(), stride };
-                let to = RowPointersMut::Contiguous { base: out.as_mut_ptr(), stride: n };
+                let from = RowPointers::of(&rows, stride, None);
+                let c = RowPointers { base: out.as_mut_ptr(), stride: n, ids: None };
+                let columns = 0..b.padded_n();
+                let product = Product { rows: m, b: &b, columns, c, accumulate };
                 // SAFETY: rows and results of these sizes; the version is there.
-                unsafe {
-                    multiply_quads(dots, m, from, &b, quads, 0..b.padded_n(), to, accumulate);
-                };
+                unsafe { multiply_quads(dots, from, quads, product) };
                 out.into_iter().map(f32::to_bits).collect::<Vec<_>>()
             });
             let results: Vec<_> = results.collect();
