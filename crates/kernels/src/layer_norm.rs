@@ -248,7 +248,7 @@ impl Row {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::random;
+    use crate::tests::random;
     use scenesplat_test_support::reference;
 
     #[test]

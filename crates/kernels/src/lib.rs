@@ -50,7 +50,7 @@ pub mod simd;
 pub mod sparse_conv;
 pub mod symmetric_eigen;
 #[cfg(test)]
-mod testing;
+mod tests;
 pub mod unit_rows;
 
 pub use error::{KernelError, check_offsets};

@@ -141,7 +141,7 @@ fn turn_head(head: &mut [f32], pairs: &[[f32; 2]], dim: usize, turn: Turn) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::random;
+    use crate::tests::random;
     use scenesplat_test_support::reference;
 
     fn voxels(n: usize) -> Vec<[i32; 3]> {

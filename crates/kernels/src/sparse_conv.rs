@@ -313,7 +313,7 @@ pub fn backward_bias(grad: &[f32], c: usize) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{max_error, on_threads, random, rounded};
+    use crate::tests::{max_error, on_threads, random, rounded};
     use rand::{Rng, SeedableRng};
     use scenesplat_test_support::reference;
 

@@ -281,8 +281,7 @@ mod tests {
     #[test]
     fn threads_change_no_bit() {
         let matrix = symmetric(150, 9, 1.0);
-        let run =
-            |threads| crate::testing::on_threads(threads, || symmetric_eigen(&matrix, 150, 60));
+        let run = |threads| crate::tests::on_threads(threads, || symmetric_eigen(&matrix, 150, 60));
         assert_eq!(run(1), run(3));
     }
 }

@@ -271,26 +271,27 @@ mod x86 {
         )*};
     }
 
+    macro_rules! intrinsics {
+        ($($name:ident($($arg:ident: $t:ty),*) -> $out:ty = $e:expr;)*) => {$(
+            #[inline(always)]
+            unsafe fn $name($($arg: $t),*) -> $out {
+                // SAFETY: as above, and the caller vouches for the values behind pointers.
+                unsafe { $e }
+            }
+        )*};
+    }
+
     impl Lanes for __m256 {
         const COUNT: usize = LANES;
         type Mask = __m256;
-        #[inline(always)]
-        unsafe fn splat(x: f32) -> Self {
-            // SAFETY: the trait's contract, here and below.
-            unsafe { _mm256_set1_ps(x) }
-        }
-        #[inline(always)]
-        unsafe fn load(p: *const f32) -> Self {
-            const { assert!(LANES == 8) };
-            // SAFETY: as above, and the caller vouches for eight values.
-            unsafe { _mm256_loadu_ps(p) }
-        }
-        #[inline(always)]
-        unsafe fn store(self, p: *mut f32) {
-            // SAFETY: as above.
-            unsafe { _mm256_storeu_ps(p, self) }
+        intrinsics! {
+            splat(x: f32) -> Self = _mm256_set1_ps(x);
+            load(p: *const f32) -> Self = _mm256_loadu_ps(p);
+            both(a: Self::Mask, b: Self::Mask) -> Self::Mask = _mm256_and_ps(a, b);
+            bits(mask: Self::Mask) -> u32 = _mm256_movemask_ps(mask) as u32;
         }
         methods! {
+            store(self, p: *mut f32) -> () = _mm256_storeu_ps(p, self);
             add(self, o: Self) -> Self = _mm256_add_ps(self, o);
             sub(self, o: Self) -> Self = _mm256_sub_ps(self, o);
             mul(self, o: Self) -> Self = _mm256_mul_ps(self, o);
@@ -320,16 +321,6 @@ mod x86 {
                 let power = _mm256_slli_epi32::<23>(_mm256_cvtps_epi32(n));
                 _mm256_castsi256_ps(_mm256_add_epi32(_mm256_castps_si256(poly), power))
             }
-        }
-        #[inline(always)]
-        unsafe fn both(a: Self::Mask, b: Self::Mask) -> Self::Mask {
-            // SAFETY: as above.
-            unsafe { _mm256_and_ps(a, b) }
-        }
-        #[inline(always)]
-        unsafe fn bits(mask: Self::Mask) -> u32 {
-            // SAFETY: as above.
-            unsafe { _mm256_movemask_ps(mask) as u32 }
         }
     }
 
@@ -368,22 +359,12 @@ mod x86 {
     impl Lanes for __m512 {
         const COUNT: usize = 16;
         type Mask = __mmask16;
-        #[inline(always)]
-        unsafe fn splat(x: f32) -> Self {
-            // SAFETY: as above.
-            unsafe { _mm512_set1_ps(x) }
-        }
-        #[inline(always)]
-        unsafe fn load(p: *const f32) -> Self {
-            // SAFETY: as above, and the caller vouches for sixteen values.
-            unsafe { _mm512_loadu_ps(p) }
-        }
-        #[inline(always)]
-        unsafe fn store(self, p: *mut f32) {
-            // SAFETY: as above.
-            unsafe { _mm512_storeu_ps(p, self) }
+        intrinsics! {
+            splat(x: f32) -> Self = _mm512_set1_ps(x);
+            load(p: *const f32) -> Self = _mm512_loadu_ps(p);
         }
         methods! {
+            store(self, p: *mut f32) -> () = _mm512_storeu_ps(p, self);
             add(self, o: Self) -> Self = _mm512_add_ps(self, o);
             sub(self, o: Self) -> Self = _mm512_sub_ps(self, o);
             mul(self, o: Self) -> Self = _mm512_mul_ps(self, o);

@@ -2,7 +2,7 @@ use super::packed::Unit;
 use super::*;
 use crate::Precision;
 use crate::simd::Isa;
-use crate::testing::{max_error, on_threads, random, rounded};
+use crate::tests::{max_error, on_threads, random, rounded};
 use scenesplat_test_support::reference;
 
 /// Rows, k, columns.

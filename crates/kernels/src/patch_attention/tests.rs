@@ -1,6 +1,6 @@
 use super::*;
 use crate::patches::cut;
-use crate::testing;
+use crate::tests as testing;
 use scenesplat_test_support::reference;
 
 fn random(len: usize, seed: u64, scale: f32) -> Vec<f32> {

@@ -404,7 +404,7 @@ mod tests {
         // Few distinct codes, so stability shows.
         let codes: Vec<u64> =
             (0..6 * ROWS_PER_PART).map(|_| rng.random_range(0..5000u64) << 40).collect();
-        let run = |threads| crate::testing::on_threads(threads, || argsort(&codes));
+        let run = |threads| crate::tests::on_threads(threads, || argsort(&codes));
         let one = run(1);
         assert!([2, 3, 5].into_iter().all(|threads| run(threads) == one));
     }

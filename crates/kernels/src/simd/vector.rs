@@ -135,16 +135,17 @@ pub(crate) mod x86 {
         ($($name:ident($($arg:ident: $t:ty),*) -> $out:ty = $e:expr;)*) => {$(
             #[inline(always)]
             unsafe fn $name($($arg: $t),*) -> $out {
-                // SAFETY: the trait's contract: the instruction set is there, pointers are valid.
+                // SAFETY: the trait's contract: the instruction set is there, pointers are valid. Lanes beyond a
+                // mask touch no memory.
                 unsafe { $e }
             }
         )*};
     }
 
     macro_rules! methods {
-        ($($name:ident($me:ident $(, $arg:ident)*) = $e:expr;)*) => {$(
+        ($($name:ident($me:ident $(, $arg:ident: $t:ty)*) -> $out:ty = $e:expr;)*) => {$(
             #[inline(always)]
-            unsafe fn $name($me $(, $arg: Self)*) -> Self {
+            unsafe fn $name($me $(, $arg: $t)*) -> $out {
                 // SAFETY: as above.
                 unsafe { $e }
             }
@@ -173,33 +174,21 @@ pub(crate) mod x86 {
             zero() -> Self = _mm512_setzero_ps();
             splat(x: f32) -> Self = _mm512_set1_ps(x);
             load(p: *const f32) -> Self = _mm512_loadu_ps(p);
+            load_first(p: *const f32, n: usize) -> Self = _mm512_maskz_loadu_ps(first(n), p);
         }
         methods! {
-            add(self, b) = _mm512_add_ps(self, b);
-            sub(self, b) = _mm512_sub_ps(self, b);
-            mul(self, b) = _mm512_mul_ps(self, b);
-            div(self, b) = _mm512_div_ps(self, b);
-            max(self, b) = _mm512_max_ps(self, b);
-            min(self, b) = _mm512_min_ps(self, b);
-            fma(self, b, c) = _mm512_fmadd_ps(self, b, c);
-            scale_by_power(self, n) = _mm512_scalef_ps(self, n);
-            round(self) = _mm512_roundscale_ps::<0x08>(self);
-            select_gt(self, bound, yes, no) = _mm512_mask_blend_ps(_mm512_cmp_ps_mask::<_CMP_GT_OQ>(self, bound), no, yes);
-        }
-        #[inline(always)]
-        unsafe fn store(self, p: *mut f32) {
-            // SAFETY: as above.
-            unsafe { _mm512_storeu_ps(p, self) }
-        }
-        #[inline(always)]
-        unsafe fn load_first(p: *const f32, n: usize) -> Self {
-            // SAFETY: as above; lanes beyond the mask touch no memory.
-            unsafe { _mm512_maskz_loadu_ps(first(n), p) }
-        }
-        #[inline(always)]
-        unsafe fn store_first(self, p: *mut f32, n: usize) {
-            // SAFETY: as above.
-            unsafe { _mm512_mask_storeu_ps(p, first(n), self) }
+            store(self, p: *mut f32) -> () = _mm512_storeu_ps(p, self);
+            store_first(self, p: *mut f32, n: usize) -> () = _mm512_mask_storeu_ps(p, first(n), self);
+            add(self, b: Self) -> Self = _mm512_add_ps(self, b);
+            sub(self, b: Self) -> Self = _mm512_sub_ps(self, b);
+            mul(self, b: Self) -> Self = _mm512_mul_ps(self, b);
+            div(self, b: Self) -> Self = _mm512_div_ps(self, b);
+            max(self, b: Self) -> Self = _mm512_max_ps(self, b);
+            min(self, b: Self) -> Self = _mm512_min_ps(self, b);
+            fma(self, b: Self, c: Self) -> Self = _mm512_fmadd_ps(self, b, c);
+            scale_by_power(self, n: Self) -> Self = _mm512_scalef_ps(self, n);
+            round(self) -> Self = _mm512_roundscale_ps::<0x08>(self);
+            select_gt(self, bound: Self, yes: Self, no: Self) -> Self = _mm512_mask_blend_ps(_mm512_cmp_ps_mask::<_CMP_GT_OQ>(self, bound), no, yes);
         }
     }
 
@@ -209,39 +198,27 @@ pub(crate) mod x86 {
             zero() -> Self = _mm256_setzero_ps();
             splat(x: f32) -> Self = _mm256_set1_ps(x);
             load(p: *const f32) -> Self = _mm256_loadu_ps(p);
+            load_first(p: *const f32, n: usize) -> Self = _mm256_maskload_ps(p, first_of_8(n));
         }
         methods! {
-            add(self, b) = _mm256_add_ps(self, b);
-            sub(self, b) = _mm256_sub_ps(self, b);
-            mul(self, b) = _mm256_mul_ps(self, b);
-            div(self, b) = _mm256_div_ps(self, b);
-            max(self, b) = _mm256_max_ps(self, b);
-            min(self, b) = _mm256_min_ps(self, b);
-            fma(self, b, c) = _mm256_fmadd_ps(self, b, c);
-            scale_by_power(self, n) = _mm256_mul_ps(
+            store(self, p: *mut f32) -> () = _mm256_storeu_ps(p, self);
+            store_first(self, p: *mut f32, n: usize) -> () = _mm256_maskstore_ps(p, first_of_8(n), self);
+            add(self, b: Self) -> Self = _mm256_add_ps(self, b);
+            sub(self, b: Self) -> Self = _mm256_sub_ps(self, b);
+            mul(self, b: Self) -> Self = _mm256_mul_ps(self, b);
+            div(self, b: Self) -> Self = _mm256_div_ps(self, b);
+            max(self, b: Self) -> Self = _mm256_max_ps(self, b);
+            min(self, b: Self) -> Self = _mm256_min_ps(self, b);
+            fma(self, b: Self, c: Self) -> Self = _mm256_fmadd_ps(self, b, c);
+            scale_by_power(self, n: Self) -> Self = _mm256_mul_ps(
                 self,
                 _mm256_castsi256_ps(_mm256_slli_epi32::<23>(_mm256_add_epi32(
                     _mm256_cvtps_epi32(n),
                     _mm256_set1_epi32(127),
                 ))),
             );
-            round(self) = _mm256_round_ps::<0x08>(self);
-            select_gt(self, bound, yes, no) = _mm256_blendv_ps(no, yes, _mm256_cmp_ps::<_CMP_GT_OQ>(self, bound));
-        }
-        #[inline(always)]
-        unsafe fn store(self, p: *mut f32) {
-            // SAFETY: as above.
-            unsafe { _mm256_storeu_ps(p, self) }
-        }
-        #[inline(always)]
-        unsafe fn load_first(p: *const f32, n: usize) -> Self {
-            // SAFETY: as above; lanes beyond the mask touch no memory.
-            unsafe { _mm256_maskload_ps(p, first_of_8(n)) }
-        }
-        #[inline(always)]
-        unsafe fn store_first(self, p: *mut f32, n: usize) {
-            // SAFETY: as above.
-            unsafe { _mm256_maskstore_ps(p, first_of_8(n), self) }
+            round(self) -> Self = _mm256_round_ps::<0x08>(self);
+            select_gt(self, bound: Self, yes: Self, no: Self) -> Self = _mm256_blendv_ps(no, yes, _mm256_cmp_ps::<_CMP_GT_OQ>(self, bound));
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::gemm::bf16;
-use crate::testing::{random, rounded};
+use crate::tests::{random, rounded};
 
 fn tiles_or_say_so(test: &str) -> bool {
     let there = available();

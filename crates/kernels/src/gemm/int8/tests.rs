@@ -4,7 +4,7 @@ use super::super::tests::SHAPES;
 use super::super::{Epilogue, PackedMatrix, Product, RowPointers, gemm};
 use super::*;
 use crate::Precision;
-use crate::testing::random;
+use crate::tests::random;
 use scenesplat_test_support::reference;
 
 /// Also fewer rows than one, fewer channels than [`LEAST_CHANNELS`], more than a block of k, and all remainders.
