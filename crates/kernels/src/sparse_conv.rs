@@ -6,8 +6,8 @@
 
 use crate::Precision;
 use crate::gemm::{
-    LeftRows, PackedMatrix, PreparedRows, Product, RowPointers, SharedMut, add_outer_products,
-    column_groups, gemm_tn_with, multiply_prepared, multiply_rows,
+    PackedMatrix, PreparedRows, Product, RowPointers, SharedMut, add_outer_products, column_groups,
+    gemm_tn_with,
 };
 use crate::kernel_map::{CHUNK, KernelMap};
 use crate::shape::elements;
@@ -152,23 +152,13 @@ fn run(
             // pairs are added one at a time.
             let step = if one_by_one { 1 } else { input.len().max(1) };
             for (input, output) in input.chunks(step).zip(output.chunks(step)) {
-                let (rows, columns, ids) = (input.len(), columns.clone(), Some(input));
+                let (rows, columns) = (input.len(), columns.clone());
                 // SAFETY: row numbers come from the map and are below `rows`; output rows of
                 // different chunks are distinct, columns of different groups too.
                 unsafe {
                     let c = RowPointers { base: target.at(0), stride: cout, ids: Some(output) };
                     let product = Product { rows, b: matrix, columns, c, accumulate: true };
-                    let left = match &prepared {
-                        PreparedRows::Unchanged => {
-                            multiply_rows(RowPointers::of(x, cin, ids), product);
-                            continue;
-                        }
-                        PreparedRows::Rounded(x) => LeftRows::Single(RowPointers::of(x, cin, ids)),
-                        PreparedRows::Words { values, stride } => {
-                            LeftRows::Words(RowPointers::of(values, *stride, ids))
-                        }
-                    };
-                    multiply_prepared(left, product);
+                    prepared.multiply((x, cin), input, product);
                 }
             }
         }

@@ -45,26 +45,8 @@ use std::time::Instant;
 type Failed = Box<dyn std::error::Error + Send + Sync>;
 
 /// Names of the words.
-const WORDS: [&str; 18] = [
-    "room",
-    "size",
-    "steps",
-    "seed",
-    "frames",
-    "gaussians",
-    "initial",
-    "cap",
-    "preset",
-    "depth",
-    "scale",
-    "opacity",
-    "half",
-    "threads",
-    "until",
-    "labels",
-    "scene",
-    "cameras",
-];
+const WORDS: &str = "room size steps seed frames gaussians initial cap preset depth scale opacity half threads until \
+                     labels scene cameras";
 
 /// What the words of the command line say.
 struct Words(BTreeMap<String, String>);
@@ -296,47 +278,36 @@ fn mean_of(optimiser: &Optimiser, frames: &[TrainingFrame]) -> Result<MeanScore,
     Ok(MeanScore::of(&scores?))
 }
 
-fn run(out: &Path, words: &Words) -> Result<(), Failed> {
-    let size = words.0.get("size").map_or("320x240", String::as_str);
-    let (w, h) = size.split_once('x').ok_or("size=WxH")?;
-    let size: [u32; 2] = [w.parse::<u32>()?, h.parse::<u32>()?];
-    let seed = words.number("seed", 1.0)? as u64;
-    let n = words.number("frames", 120.0)? as usize;
-    for folder in ["images", "depth"] {
-        std::fs::create_dir_all(out.join(folder))?;
-    }
+/// The scene that is photographed, and what its cameras take.
+fn photographed(
+    words: &Words,
+    seed: u64,
+    size: [u32; 2],
+) -> Result<(GaussianScene, Vec<(TrainingFrame, Camera)>), Failed> {
     let shoot_all = |scene: &GaussianScene, cameras: Vec<Camera>| -> Result<Vec<_>, Failed> {
         let drawn = Gaussians::from_scene(scene)?;
         cameras.into_par_iter().map(|c| Ok((shoot(&drawn, &c)?, c))).collect()
     };
-    let (truth, shot) = match words.0.get("scene") {
-        Some(path) => {
-            let (scene, cameras) = real(path.as_ref(), words, size)?;
-            let shot = shoot_all(&scene, cameras)?;
-            (scene, shot)
-        }
-        None => {
-            let room = room(words, seed)?;
-            // Places in furniture and behind walls are passed by.
-            let more = 2 * n;
-            let cameras = (0..more).map(|i| camera(&room, i, more, size)).collect();
-            let mut free = shoot_all(&room.scene, cameras)?;
-            free.retain(|(frame, _)| sees_a_room(frame));
-            if free.len() < n {
-                return Err(format!("{} of {more} places are free, {n} wanted", free.len()).into());
-            }
-            let shot = (0..n).map(|i| free[i * free.len() / n].clone()).collect();
-            (room.scene, shot)
-        }
-    };
-    write_inria_ply(&truth, &[], &out.join("room.ply"))?;
-    let cameras: Vec<Camera> = shot.iter().map(|(_, camera)| camera.clone()).collect();
-    write_cameras_json(&cameras, &out.join("cameras.json"))?;
-    let (mut train, mut test) = (Vec::new(), Vec::new());
-    for (i, (frame, _)) in shot.into_iter().enumerate() {
-        write_frame(out, &frame)?;
-        if i % 6 == 0 { &mut test } else { &mut train }.push(frame);
+    if let Some(path) = words.0.get("scene") {
+        let (scene, cameras) = real(path.as_ref(), words, size)?;
+        let shot = shoot_all(&scene, cameras)?;
+        return Ok((scene, shot));
     }
+    let n = words.number("frames", 120.0)? as usize;
+    let room = room(words, seed)?;
+    // Places in furniture and behind walls are passed by.
+    let more = 2 * n;
+    let cameras = (0..more).map(|i| camera(&room, i, more, size)).collect();
+    let mut free = shoot_all(&room.scene, cameras)?;
+    free.retain(|(frame, _)| sees_a_room(frame));
+    if free.len() < n {
+        return Err(format!("{} of {more} places are free, {n} are needed", free.len()).into());
+    }
+    let shot = (0..n).map(|i| free[i * free.len() / n].clone()).collect();
+    Ok((room.scene, shot))
+}
+
+fn settings(words: &Words) -> Result<OptimiseSettings, Failed> {
     let preset = match words.0.get("preset").map_or("scenesplat", String::as_str) {
         "scenesplat" => OptimiseSettings::scenesplat(),
         "gsplat-mcmc" => OptimiseSettings::gsplat_mcmc(),
@@ -355,43 +326,96 @@ fn run(out: &Path, words: &Words) -> Result<(), Failed> {
         ..base
     };
     set_cap(&mut settings, words.number("cap", 100_000.0)? as usize);
+    Ok(settings)
+}
+
+/// What the steps begin with.
+fn first_model(
+    words: &Words,
+    truth: &GaussianScene,
+    train: &[TrainingFrame],
+    settings: &OptimiseSettings,
+) -> Result<Model, Failed> {
     let most = words.number("initial", 60_000.0)? as usize;
-    let (mut points, mut colors) = fused_points(&train, most);
+    let (mut points, mut colors) = fused_points(train, most);
     if points.is_empty() {
-        // Nothing takes half of the light: some of its centres, as matched pictures would give.
+        // Nothing takes half of the light: some of its centers, as matched pictures would give.
         let some = |i: &usize| i.is_multiple_of(truth.len().div_ceil(most.max(1)).max(1));
-        let chosen: Vec<usize> = (0..truth.len()).filter(some).collect();
-        eprintln!("no depth: begins with {} of the scene's centres", chosen.len());
-        points = chosen.iter().map(|i| truth.coord[*i]).collect();
+        points = (0..truth.len()).filter(some).map(|i| truth.coord[i]).collect();
+        eprintln!("no depth: begins with {} of the scene's centers", points.len());
         colors = vec![[0.5; 3]; points.len()];
     }
-    let model: Model = from_points(&points, &colors, &settings.initial, settings.seed)?;
-    let first = model.len();
-    write_inria_ply(&model.to_scene(), &[], &out.join("initial.ply"))?;
-    let mut optimiser = Optimiser::new(model, &train, settings)?;
-    let until = words.number("until", 0.0)? as u64;
-    let (mut seconds, mut curve, mut to_28) = (0.0, Vec::new(), None);
+    Ok(from_points(&points, &colors, &settings.initial, settings.seed)?)
+}
+
+/// Seconds of all steps, those until 28 dB, and the course of the PSNR.
+struct Course {
+    seconds: f64,
+    to_28: Option<f64>,
+    curve: Vec<serde_json::Value>,
+}
+
+fn learn(
+    optimiser: &mut Optimiser,
+    [train, test]: [&[TrainingFrame]; 2],
+    checkpoint: (u64, PathBuf),
+) -> Result<Course, Failed> {
+    let settings = *optimiser.settings();
+    let mut course = Course { seconds: 0.0, to_28: None, curve: Vec::new() };
     let every = (settings.steps / 8).max(1);
     while optimiser.steps_done() < settings.steps {
         let start = Instant::now();
-        optimiser.step(&train)?;
-        seconds += start.elapsed().as_secs_f64();
-        let done = optimiser.steps_done();
-        if done == until {
-            let place = optimiser.save(&out.join("checkpoints"), &train, 1)?;
-            optimiser = Optimiser::resume(&place, &train, Some(settings))?;
+        optimiser.step(train)?;
+        course.seconds += start.elapsed().as_secs_f64();
+        let (done, seconds) = (optimiser.steps_done(), course.seconds);
+        if done == checkpoint.0 {
+            let place = optimiser.save(&checkpoint.1, train, 1)?;
+            *optimiser = Optimiser::resume(&place, train, Some(settings))?;
         }
         if done % every == 0 || done == settings.steps {
-            let mean = mean_of(&optimiser, &test[..test.len().min(5)])?;
-            let psnr = mean.psnr.unwrap_or(f64::NAN);
-            eprintln!(
-                "step {done}: {psnr:.2} dB, {} Gaussians, {seconds:.1} s",
-                optimiser.model().len()
-            );
-            to_28 = to_28.or((psnr >= 28.0).then_some(seconds));
-            curve.push(serde_json::json!([seconds, done, psnr]));
+            let mean = mean_of(optimiser, &test[..test.len().min(5)])?;
+            let (psnr, count) = (mean.psnr.unwrap_or(f64::NAN), optimiser.model().len());
+            eprintln!("step {done}: {psnr:.2} dB, {count} Gaussians, {seconds:.1} s");
+            course.to_28 = course.to_28.or((psnr >= 28.0).then_some(seconds));
+            course.curve.push(serde_json::json!([seconds, done, psnr]));
         }
     }
+    Ok(course)
+}
+
+/// FNV-1a of all parameters: equal for any number of threads, and after a resume.
+fn hash(model: &Model) -> u64 {
+    let g = model.gaussians();
+    let all = g.means.as_flattened().iter().chain(model.logits()).chain(&g.sh);
+    let start = 0xcbf2_9ce4_8422_2325u64;
+    let mix = |h: u64, b: u8| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3);
+    all.flat_map(|v| v.to_le_bytes()).fold(start, mix)
+}
+
+fn run(out: &Path, words: &Words) -> Result<(), Failed> {
+    let size = words.0.get("size").map_or("320x240", String::as_str);
+    let (w, h) = size.split_once('x').ok_or("size=WxH")?;
+    let size: [u32; 2] = [w.parse::<u32>()?, h.parse::<u32>()?];
+    let seed = words.number("seed", 1.0)? as u64;
+    for folder in ["images", "depth"] {
+        std::fs::create_dir_all(out.join(folder))?;
+    }
+    let (truth, shot) = photographed(words, seed, size)?;
+    write_inria_ply(&truth, &[], &out.join("room.ply"))?;
+    let cameras: Vec<Camera> = shot.iter().map(|(_, camera)| camera.clone()).collect();
+    write_cameras_json(&cameras, &out.join("cameras.json"))?;
+    let (mut train, mut test) = (Vec::new(), Vec::new());
+    for (i, (frame, _)) in shot.into_iter().enumerate() {
+        write_frame(out, &frame)?;
+        if i % 6 == 0 { &mut test } else { &mut train }.push(frame);
+    }
+    let settings = settings(words)?;
+    let model = first_model(words, &truth, &train, &settings)?;
+    let first = model.len();
+    write_inria_ply(&model.to_scene(), &[], &out.join("initial.ply"))?;
+    let mut optimiser = Optimiser::new(model, &train, settings)?;
+    let checkpoint = (words.number("until", 0.0)? as u64, out.join("checkpoints"));
+    let Course { seconds, to_28, curve } = learn(&mut optimiser, [&train, &test], checkpoint)?;
     let scene = optimiser.model().to_scene();
     write_inria_ply(&scene, &[], &out.join("result.ply"))?;
     if words.number("labels", 0.0)? > 0.0 {
@@ -403,19 +427,14 @@ fn run(out: &Path, words: &Words) -> Result<(), Failed> {
         let picture = compared(&drawn.rgb.unwrap_or_default(), frame);
         std::fs::write(out.join(format!("compared_{}.png", frame.name)), picture.encode_png()?)?;
     }
-    let g = optimiser.model().gaussians();
-    // FNV-1a of all parameters: equal for any number of threads, and after a resume.
-    let all = g.means.as_flattened().iter().chain(optimiser.model().logits()).chain(&g.sh);
-    let hash = all
-        .flat_map(|v| v.to_le_bytes())
-        .fold(0xcbf2_9ce4_8422_2325u64, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3));
     let figures = serde_json::json!({
         "room": seed, "size": size, "first": first, "gaussians": optimiser.model().len(),
         "steps": settings.steps, "seconds_per_step": seconds / settings.steps as f64,
         "seconds_to_28_db": to_28, "test": mean_of(&optimiser, &test)?,
         "train": mean_of(&optimiser, &train[..train.len().min(20)])?,
-        "curve": curve, "hash": format!("{hash:016x}"),
-        "depth_weight": weight, "scale_reg": settings.scale_reg, "opacity_reg": settings.opacity_reg,
+        "curve": curve, "hash": format!("{:016x}", hash(optimiser.model())),
+        "depth_weight": settings.depth.map_or(0.0, |term| term.weight),
+        "scale_reg": settings.scale_reg, "opacity_reg": settings.opacity_reg,
     });
     println!("{figures}");
     Ok(())
@@ -426,10 +445,10 @@ fn main() -> Result<(), Failed> {
     let out = PathBuf::from(args.next().ok_or("give a folder for the results")?);
     let word = |w: String| -> Result<(String, String), Failed> {
         let (name, value) = w.split_once('=').ok_or_else(|| format!("{w}: NAME=VALUE"))?;
-        let known = WORDS.contains(&name);
+        let known = WORDS.split(' ').any(|word| word == name);
         known
             .then(|| (name.to_owned(), value.to_owned()))
-            .ok_or_else(|| format!("{w}: one of {WORDS:?}").into())
+            .ok_or_else(|| format!("{w}: one of {WORDS}").into())
     };
     let words = Words(args.map(word).collect::<Result<_, _>>()?);
     match words.number("threads", 0.0)? as usize {

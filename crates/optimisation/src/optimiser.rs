@@ -6,9 +6,10 @@ use crate::exposure::Exposure;
 use crate::frame::{TrainingFrame, scale_of_cameras};
 use crate::image_loss::{ImageComparison, ImageLoss, ImageWeights};
 use crate::random::{Counter, Purpose};
-use crate::settings::{DepthKind, OptimiseSettings, SceneScale, StepOrder, Strategy};
+use crate::settings::{DepthKind, DepthTerm, OptimiseSettings, SceneScale, StepOrder, Strategy};
 use crate::strategy::{DoublingState, Refined};
 use crate::{Adam, AdamSettings, Model};
+use scenesplat_rasterizer::Rendered;
 use scenesplat_rasterizer::backward::{
     GradMask, Gradients, Trace, TraceRequest, Upstream, Workspace,
 };
@@ -239,22 +240,10 @@ impl Optimiser {
         let size = [frame.view.width as usize, frame.view.height as usize];
         let comparison = comparison(&mut b.comparisons, size, settings.image())?;
         let image = comparison.compare(pred, &b.truth, mask, &mut b.slope)?;
-        let mut depth = DepthLoss::default();
-        let mut upstream = Upstream::default();
-        if let Some((term, measured)) = measured {
-            let drawn = match term.kind {
-                DepthKind::Accumulated => traced.picture.depth_accumulated.as_deref(),
-                DepthKind::Expected => traced.picture.depth_expected.as_deref(),
-            };
-            let (drawn, slope) = (drawn.unwrap_or_default(), &mut b.depth_slope);
-            slope.resize(drawn.len(), 0.0);
-            let (scratch, rule) = (&mut b.depth, term.outliers);
-            depth = depth_loss(drawn, measured, mask, rule, term.weight, scratch, slope)?;
-            match term.kind {
-                DepthKind::Accumulated => upstream.depth_accumulated = Some(&b.depth_slope),
-                DepthKind::Expected => upstream.depth_expected = Some(&b.depth_slope),
-            }
-        }
+        let depth = match measured {
+            Some((term, measured)) => compare_depth(term, &traced.picture, measured, mask, b)?,
+            None => DepthLoss::default(),
+        };
         if let Some(value) = [image.loss, depth.mean].into_iter().find(|v| !v.is_finite()) {
             let (step, frame) = (self.step, frame.name.clone());
             return Err(OptimiseError::NotFinite { step, frame, value });
@@ -262,7 +251,13 @@ impl Optimiser {
         if settings.exposure {
             self.exposure.learn(number, rgb, &mut b.slope, settings.rates.exposure);
         }
-        upstream.rgb = Some(&b.slope);
+        let of = |kind| measured.filter(|m| m.0.kind == kind).map(|_| &b.depth_slope[..]);
+        let upstream = Upstream {
+            rgb: Some(&b.slope),
+            depth_accumulated: of(DepthKind::Accumulated),
+            depth_expected: of(DepthKind::Expected),
+            ..Upstream::default()
+        };
         let (model, all) = (&self.model.gaussians, GradMask::all());
         let gradients = &mut self.gradients;
         workspace.backward(model, &frame.view, &raster, traced, &upstream, all, gradients)?;
@@ -337,6 +332,23 @@ impl Optimiser {
         zeros(&mut g.sh, n * self.model.sh_stride());
         zeros(&mut g.screen, screen);
     }
+}
+
+/// Compares drawn with measured depth; the derivative goes to the buffers.
+fn compare_depth(
+    term: DepthTerm,
+    picture: &Rendered,
+    measured: &[f32],
+    mask: Option<&[u8]>,
+    b: &mut Buffers,
+) -> Result<DepthLoss, OptimiseError> {
+    let drawn = match term.kind {
+        DepthKind::Accumulated => picture.depth_accumulated.as_deref(),
+        DepthKind::Expected => picture.depth_expected.as_deref(),
+    };
+    let (drawn, slope) = (drawn.unwrap_or_default(), &mut b.depth_slope);
+    slope.resize(drawn.len(), 0.0);
+    depth_loss(drawn, measured, mask, term.outliers, term.weight, &mut b.depth, slope)
 }
 
 /// The comparison of pictures of that size.

@@ -4,17 +4,46 @@
 mod common;
 
 use common::{SEGMENTS, criterion, garden, pool, voronoi};
-use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
+use criterion::measurement::WallTime;
+use criterion::{BatchSize, BenchmarkGroup, Criterion, criterion_group, criterion_main};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scenesplat_rasterizer::lifting::{
     DepthTolerance, FinaliseSettings, LabelledPicture, LabelledView, LiftRule, LiftSettings,
     Lifter, SegmentMap, view_weights,
 };
-use scenesplat_rasterizer::{RasterSettings, RenderRequest, render};
+use scenesplat_rasterizer::{Gaussians, RasterSettings, RenderRequest, View, render};
 use std::hint::black_box;
 
 const DIM: usize = 768;
+
+/// Features of all views, on the threads of the pool that this runs on.
+fn lift_features(
+    group: &mut BenchmarkGroup<'_, WallTime>,
+    gaussians: &Gaussians,
+    views: &[View],
+    (levels, features): (&[SegmentMap], &[f32]),
+) {
+    let threads = rayon::current_num_threads();
+    let mut lifter = Lifter::new(gaussians, 1, DIM, LiftSettings::default()).expect("a lifter");
+    for view in views {
+        let picture = LabelledPicture { view, levels, features, depth: None };
+        lifter.add(&picture).expect("weights");
+    }
+    println!("{} weights of {} pictures", lifter.num_weights(), views.len());
+    for (name, finalise) in
+        [("mean", FinaliseSettings::default()), ("robust", FinaliseSettings::robust())]
+    {
+        group.bench_function(format!("features_{name}_3_views/{threads}_threads"), |b| {
+            let take = |block| {
+                black_box(block);
+                Ok(())
+            };
+            b.iter(|| lifter.features(0, &finalise, take).expect("features"));
+        });
+    }
+}
+
 fn lift_garden(c: &mut Criterion) {
     let Some((gaussians, views)) = garden() else { return };
     let (view, settings) = (&views[0], &RasterSettings::default());
@@ -54,30 +83,7 @@ fn lift_garden(c: &mut Criterion) {
             let add = |mut lifter: Lifter<'_>| lifter.add(&picture).expect("weights");
             pool.install(|| b.iter_batched(empty, add, BatchSize::LargeInput));
         });
-        let mut lifter =
-            Lifter::new(&gaussians, 1, DIM, LiftSettings::default()).expect("a lifter");
-        for view in &views {
-            let levels = &maps[..1];
-            let picture = LabelledPicture { view, levels, features: &features, depth: None };
-            pool.install(|| lifter.add(&picture)).expect("weights");
-        }
-        println!("{} weights of {} pictures", lifter.num_weights(), views.len());
-        for (name, finalise) in
-            [("mean", FinaliseSettings::default()), ("robust", FinaliseSettings::robust())]
-        {
-            group.bench_function(format!("features_{name}_3_views/{threads}_threads"), |b| {
-                pool.install(|| {
-                    b.iter(|| {
-                        lifter
-                            .features(0, &finalise, |block| {
-                                black_box(block);
-                                Ok(())
-                            })
-                            .expect("features");
-                    });
-                });
-            });
-        }
+        pool.install(|| lift_features(&mut group, &gaussians, &views, (&maps[..1], &features)));
     }
     group.finish();
 }

@@ -21,9 +21,7 @@ mod transposed;
 
 pub use packed::PackedMatrix;
 pub(crate) use packed::repack_with;
-pub(crate) use rows::{
-    LeftRows, PreparedRows, Product, RowPointers, multiply_prepared, multiply_rows,
-};
+pub(crate) use rows::{PreparedRows, Product, RowPointers, multiply_rows};
 pub(crate) use transposed::add_outer_products;
 pub use transposed::{gemm_tn, gemm_tn_with};
 

@@ -52,7 +52,7 @@ pub(crate) struct Product<'a> {
 
 /// Left-hand rows in the form that a packed matrix multiplies.
 #[derive(Clone, Copy)]
-pub(crate) enum LeftRows<'a> {
+enum LeftRows<'a> {
     /// f32, rounded already where the unit needs that.
     Single(RowPointers<'a, f32>),
     /// Pairs of bf16 or four integers each, [`PackedMatrix::steps`] of them, and what follows them.
@@ -92,6 +92,30 @@ impl PreparedRows {
                 rows.for_each(|(to, from)| b.unit.prepare_words(from, to));
                 Self::Words { values, stride }
             }
+        }
+    }
+
+    /// Multiplies the rows `ids` of `x` (`[rows, k]`), which these were made of.
+    ///
+    /// # Safety
+    /// As [`multiply_rows`].
+    pub(crate) unsafe fn multiply(
+        &self,
+        (x, k): (&[f32], usize),
+        ids: &[u32],
+        product: Product<'_>,
+    ) {
+        let ids = Some(ids);
+        // SAFETY: passed on.
+        unsafe {
+            let left = match self {
+                Self::Unchanged => return multiply_rows(RowPointers::of(x, k, ids), product),
+                Self::Rounded(x) => LeftRows::Single(RowPointers::of(x, k, ids)),
+                Self::Words { values, stride } => {
+                    LeftRows::Words(RowPointers::of(values, *stride, ids))
+                }
+            };
+            multiply_prepared(left, product);
         }
     }
 }
@@ -151,7 +175,7 @@ pub(crate) unsafe fn multiply_rows(a: RowPointers<'_>, product: Product<'_>) {
 ///
 /// # Safety
 /// As [`multiply_rows`]; the form is that of `b`, rows have `b.row_words()` values.
-pub(crate) unsafe fn multiply_prepared(a: LeftRows<'_>, product: Product<'_>) {
+unsafe fn multiply_prepared(a: LeftRows<'_>, product: Product<'_>) {
     let b = product.b;
     match (a, &b.values) {
         (LeftRows::Single(a), Values::Single(values)) => {

@@ -59,31 +59,32 @@ fn regularisers() {
     compare("scale", &got, &golden.f64s("grad_scale_reg"), 2e-3);
 }
 
-/// Adam in f64 by hand, of all groups with derivatives of activated values, over many steps and with rows
-/// that get no gradient.
-#[test]
-fn all_groups_against_f64() {
-    let n = 37;
-    let wave = |i: usize, a: f64| ((i as f64 + 1.0) * a).sin();
+fn wave(i: usize, a: f64) -> f64 {
+    ((i as f64 + 1.0) * a).sin()
+}
+
+/// Rows of all sorts and their harmonics.
+fn waves(n: usize) -> (Vec<Stored>, Vec<f32>) {
     let row = |i: usize| Stored {
         mean: [0, 1, 2].map(|k| wave(3 * i + k, 0.7) as f32),
         log_scale: [0, 1, 2].map(|k| wave(3 * i + k, 1.3) as f32 - 3.0),
         quat: [0, 1, 2, 3].map(|k| wave(4 * i + k, 2.1) as f32),
         logit: wave(i, 0.3) as f32,
     };
-    let rows: Vec<Stored> = (0..n).map(row).collect();
-    let sh: Vec<f32> = (0..n * 48).map(|i| wave(i, 0.9) as f32).collect();
+    ((0..n).map(row).collect(), (0..n * 48).map(|i| wave(i, 0.9) as f32).collect())
+}
+
+/// Adam in f64 by hand, of all groups with derivatives of activated values, over many steps and with rows
+/// that get no gradient.
+#[test]
+fn all_groups_against_f64() {
+    let n = 37;
+    let (rows, sh) = waves(n);
     let mut model = Model::from_arrays(&rows, sh.clone(), 3).unwrap();
     let mut adam = Adam::new(&model, AdamSettings::default());
     let mut gradients = Gradients::zeros(model.gaussians(), 0);
-    let rates = Rates {
-        means: 1e-3,
-        scales: 5e-3,
-        quats: 1e-3,
-        opacities: 5e-2,
-        sh0: 2.5e-3,
-        sh_rest: 1e-4,
-    };
+    let [means, quats, scales] = [1e-3, 1e-3, 5e-3];
+    let rates = Rates { means, scales, quats, opacities: 5e-2, sh0: 2.5e-3, sh_rest: 1e-4 };
     let regularisers = Regularisers { opacity: 0.01, scale: 0.02 };
     let flat = |rows: &[Stored], of: &dyn Fn(&Stored) -> Vec<f32>| -> Vec<f64> {
         rows.iter().flat_map(of).map(f64::from).collect()
@@ -129,11 +130,7 @@ fn all_groups_against_f64() {
     compare("logits", model.logits(), &groups[3].values, 2e-5);
     compare("harmonics", &g.sh, &groups[4].values, 3e-6);
     for (i, scale) in g.scales.iter().enumerate() {
-        assert_eq!(
-            *scale,
-            model.log_scales()[i].map(f32::exp),
-            "the drawn value is the stored one's"
-        );
+        assert_eq!(*scale, model.log_scales()[i].map(f32::exp), "drawn is what is stored");
     }
 }
 
