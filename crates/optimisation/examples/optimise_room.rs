@@ -358,7 +358,7 @@ struct Course {
 fn learn(
     optimiser: &mut Optimiser,
     [train, test]: [&[TrainingFrame]; 2],
-    checkpoint: (u64, PathBuf),
+    (until, folder): (u64, &Path),
 ) -> Result<Course, Failed> {
     let settings = *optimiser.settings();
     let mut course = Course { seconds: 0.0, to_28: None, curve: Vec::new() };
@@ -368,8 +368,8 @@ fn learn(
         optimiser.step(train)?;
         course.seconds += start.elapsed().as_secs_f64();
         let (done, seconds) = (optimiser.steps_done(), course.seconds);
-        if done == checkpoint.0 {
-            let place = optimiser.save(&checkpoint.1, train, 1)?;
+        if done == until {
+            let place = optimiser.save(folder, train, 1)?;
             *optimiser = Optimiser::resume(&place, train, Some(settings))?;
         }
         if done % every == 0 || done == settings.steps {
@@ -414,8 +414,9 @@ fn run(out: &Path, words: &Words) -> Result<(), Failed> {
     let first = model.len();
     write_inria_ply(&model.to_scene(), &[], &out.join("initial.ply"))?;
     let mut optimiser = Optimiser::new(model, &train, settings)?;
-    let checkpoint = (words.number("until", 0.0)? as u64, out.join("checkpoints"));
-    let Course { seconds, to_28, curve } = learn(&mut optimiser, [&train, &test], checkpoint)?;
+    let (until, folder) = (words.number("until", 0.0)? as u64, out.join("checkpoints"));
+    let Course { seconds, to_28, curve } =
+        learn(&mut optimiser, [&train, &test], (until, &folder))?;
     let scene = optimiser.model().to_scene();
     write_inria_ply(&scene, &[], &out.join("result.ply"))?;
     if words.number("labels", 0.0)? > 0.0 {

@@ -76,7 +76,7 @@ fn bad(path: &Path, problem: impl Into<String>, help: &'static str) -> OptimiseE
     OptimiseError::Checkpoint { path: path.to_owned(), problem: problem.into(), help }
 }
 
-fn damaged(path: &Path, problem: impl ToString) -> OptimiseError {
+fn damaged(path: &Path, problem: &(impl ToString + ?Sized)) -> OptimiseError {
     bad(path, problem.to_string(), "take an older checkpoint, or begin anew")
 }
 
@@ -199,8 +199,8 @@ impl Optimiser {
     ) -> Result<Self, OptimiseError> {
         let state = State::read(&checkpoint.join(STATE), frames, settings)?;
         let path = checkpoint.join(ARRAYS);
-        let bytes = std::fs::read(&path).map_err(|e| damaged(&path, e))?;
-        let file = SafeTensors::deserialize(&bytes).map_err(|e| damaged(&path, e))?;
+        let bytes = std::fs::read(&path).map_err(|e| damaged(&path, &e))?;
+        let file = SafeTensors::deserialize(&bytes).map_err(|e| damaged(&path, &e))?;
         let arrays = Arrays { path: &path, file };
         let mut this = Self::new(arrays.model(&state.settings)?, frames, state.settings)?;
         this.scene_scale = state.scene_scale;
@@ -233,8 +233,8 @@ impl State {
         frames: &[TrainingFrame],
         settings: Option<OptimiseSettings>,
     ) -> Result<Self, OptimiseError> {
-        let text = std::fs::read(path).map_err(|e| damaged(path, e))?;
-        let state: Self = serde_json::from_slice(&text).map_err(|e| damaged(path, e))?;
+        let text = std::fs::read(path).map_err(|e| damaged(path, &e))?;
+        let state: Self = serde_json::from_slice(&text).map_err(|e| damaged(path, &e))?;
         if state.version != VERSION {
             let problem = format!("is of version {}, this program reads {VERSION}", state.version);
             return Err(bad(path, problem, "resume with the program that wrote it"));
@@ -265,15 +265,15 @@ struct Arrays<'a> {
 
 impl Arrays<'_> {
     fn read(&self, name: &str, len: Option<usize>) -> Result<Vec<f32>, OptimiseError> {
-        let view = self.file.tensor(name).map_err(|e| damaged(self.path, e))?;
+        let view = self.file.tensor(name).map_err(|e| damaged(self.path, &e))?;
         if view.dtype() != Dtype::F32 {
-            return Err(damaged(self.path, format!("{name} is {:?}, not F32", view.dtype())));
+            return Err(damaged(self.path, &format!("{name} is {:?}, not F32", view.dtype())));
         }
         let words = view.data().as_chunks::<4>().0;
         let values: Vec<f32> = words.iter().map(|w| f32::from_le_bytes(*w)).collect();
         if let Some(len) = len.filter(|len| *len != values.len()) {
             let problem = format!("{name} has {} values, not {len}", values.len());
-            return Err(damaged(self.path, problem));
+            return Err(damaged(self.path, &problem));
         }
         Ok(values)
     }

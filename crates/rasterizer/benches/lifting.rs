@@ -8,6 +8,7 @@ use criterion::measurement::WallTime;
 use criterion::{BatchSize, BenchmarkGroup, Criterion, criterion_group, criterion_main};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use rayon::ThreadPool;
 use scenesplat_rasterizer::lifting::{
     DepthTolerance, FinaliseSettings, LabelledPicture, LabelledView, LiftRule, LiftSettings,
     Lifter, SegmentMap, view_weights,
@@ -17,18 +18,19 @@ use std::hint::black_box;
 
 const DIM: usize = 768;
 
-/// Features of all views, on the threads of the pool that this runs on.
+/// Features of all views.
 fn lift_features(
     group: &mut BenchmarkGroup<'_, WallTime>,
+    pool: &ThreadPool,
     gaussians: &Gaussians,
     views: &[View],
     (levels, features): (&[SegmentMap], &[f32]),
 ) {
-    let threads = rayon::current_num_threads();
+    let threads = pool.current_num_threads();
     let mut lifter = Lifter::new(gaussians, 1, DIM, LiftSettings::default()).expect("a lifter");
     for view in views {
         let picture = LabelledPicture { view, levels, features, depth: None };
-        lifter.add(&picture).expect("weights");
+        pool.install(|| lifter.add(&picture)).expect("weights");
     }
     println!("{} weights of {} pictures", lifter.num_weights(), views.len());
     for (name, finalise) in
@@ -39,7 +41,7 @@ fn lift_features(
                 black_box(block);
                 Ok(())
             };
-            b.iter(|| lifter.features(0, &finalise, take).expect("features"));
+            pool.install(|| b.iter(|| lifter.features(0, &finalise, take).expect("features")));
         });
     }
 }
@@ -83,7 +85,7 @@ fn lift_garden(c: &mut Criterion) {
             let add = |mut lifter: Lifter<'_>| lifter.add(&picture).expect("weights");
             pool.install(|| b.iter_batched(empty, add, BatchSize::LargeInput));
         });
-        pool.install(|| lift_features(&mut group, &gaussians, &views, (&maps[..1], &features)));
+        lift_features(&mut group, &pool, &gaussians, &views, (&maps[..1], &features));
     }
     group.finish();
 }

@@ -23,7 +23,7 @@ const Y0: f32 = 0.282_094_79;
 /// The recipe of the garden in the golden files of this project, whose opacities are uniform in
 /// 0.15..0.98 instead.
 pub fn around_points(points: &[[f32; 3]], colors: &[[f32; 3]], seed: u64) -> Gaussians {
-    let tree = KdTree::new(points).unwrap();
+    let tree = KdTree::new(points).expect("finite points");
     let size = tree.map_nearest(
         points,
         4,
