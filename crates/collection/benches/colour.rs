@@ -1,4 +1,4 @@
-//! What colour statistics of crops take: one of few colours, as renders have, and one of many, as photos have.
+//! What color statistics of crops take: one of few colors, as renders have, and one of many, as photos have.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use scenesplat_collection::{ColourStatistics, PictureEncoder};

@@ -1,4 +1,4 @@
-//! Pictures by their colours: for tests, and for whoever has no weights.
+//! Pictures by their colors: for tests, and for whoever has no weights.
 
 use crate::lab::lab_of;
 use crate::{CollectError, PictureEncoder};
@@ -26,7 +26,7 @@ impl ColourStatistics {
     /// Values of a row.
     pub const WIDTH: usize = 1 + CELLS[0] * CELLS[1] * CELLS[2];
 
-    /// The row of a surface of one colour: what a name that means a colour is compared with.
+    /// The row of a surface of one color: what a name that means a color is compared with.
     pub fn of_colour(color: [u8; 3]) -> Vec<f32> {
         row(&RgbPicture::filled(1, 1, color))
     }
@@ -56,7 +56,7 @@ fn row(picture: &RgbPicture) -> Vec<f32> {
     let keys = sorted(keys);
     // Where all is black, black is what there is to see.
     let keys = if keys.is_empty() { vec![0] } else { keys };
-    // Equal colours are looked at once: crops of renders and posters have few.
+    // Equal colors are looked at once: crops of renders and posters have few.
     let mut cells = vec![0.0f64; ColourStatistics::WIDTH - 1];
     for run in keys.chunk_by(|a, b| a == b) {
         let [_, r, g, b] = run[0].to_be_bytes();
@@ -74,7 +74,7 @@ fn key([r, g, b]: [u8; 3]) -> u32 {
     u32::from_be_bytes([0, r, g, b])
 }
 
-/// Colours in ascending order, by counting: two passes over the pixels, 12 bits each.
+/// Colors in ascending order, by counting: two passes over the pixels, 12 bits each.
 fn sorted(mut keys: Vec<u32>) -> Vec<u32> {
     const BINS: usize = 1 << 12;
     if keys.len() < BINS {
@@ -99,7 +99,7 @@ fn sorted(mut keys: Vec<u32>) -> Vec<u32> {
     keys
 }
 
-/// Shares a colour among the eight cells whose middles are around it.
+/// Shares a color among the eight cells whose middles are around it.
 fn add(cells: &mut [f64], color: [f32; 3], weight: f64) {
     let place = |k: usize| {
         let at = ((color[k] - LOW[k]) / STEP[k]).clamp(0.0, (CELLS[k] - 1) as f32);
@@ -175,7 +175,7 @@ mod tests {
 
     #[test]
     fn a_row_is_the_histogram_of_all_pixels() {
-        // More pixels than bins, many colours twice, some black.
+        // More pixels than bins, many colors twice, some black.
         let picture = RgbPicture::from_fn(120, 90, |x, y| match (x * y) % 7 {
             0 => [0; 3],
             k => [(x / 2 * 4) as u8, (y / 3 * 8) as u8, (k * 30) as u8],

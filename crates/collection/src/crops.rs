@@ -60,7 +60,7 @@ pub(crate) fn crops_in(picture: &RgbPicture, map: &SegmentMap, id: u16, place: B
 ///
 /// # Source
 /// The public label collection of SceneSplat's authors: tight boxes without margin, black outside of the mask, padded
-/// to a centred square. They are resized by the encoder.
+/// to a centerd square. They are resized by the encoder.
 pub fn crops_of(picture: &RgbPicture, map: &SegmentMap, id: u16) -> Option<Crops> {
     if (picture.width(), picture.height()) != (map.width(), map.height()) {
         return None;
@@ -76,7 +76,7 @@ mod tests {
 
     #[test]
     fn boxes_are_tight_and_squares_are_centred() {
-        // Column, row and 9 as the colour.
+        // Column, row and 9 as the color.
         let picture = RgbPicture::from_fn(6, 5, |x, y| [x as u8, y as u8, 9]);
         let mut ids = vec![NO_SEGMENT; 30];
         // An L of id 1: (1, 1), (1, 2), (2, 2), (3, 2), (4, 2).

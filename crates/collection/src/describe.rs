@@ -161,7 +161,7 @@ mod tests {
     use scenesplat_rasterizer::lifting::NO_SEGMENT;
     use std::sync::Mutex;
 
-    /// Mean colour, and how many pictures came at once.
+    /// Mean color, and how many pictures came at once.
     struct Means(Mutex<Vec<usize>>);
 
     impl PictureEncoder for Means {

@@ -1,4 +1,4 @@
-//! Colours in which distances are about those that people see.
+//! Colors in which distances are about those that people see.
 
 use rayon::prelude::*;
 use std::sync::LazyLock;
@@ -19,7 +19,7 @@ pub(crate) fn lab(pixels: &[[u8; 3]]) -> Vec<[f32; 3]> {
     pixels.par_iter().map(|p| lab_of(*p)).collect()
 }
 
-/// [`lab`] of one colour.
+/// [`lab`] of one color.
 pub(crate) fn lab_of(color: [u8; 3]) -> [f32; 3] {
     of_linear(color.map(|v| LINEAR[usize::from(v)]))
 }

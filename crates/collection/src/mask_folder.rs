@@ -5,7 +5,7 @@ use scenesplat_rasterizer::lifting::{NO_SEGMENT, SegmentMap};
 use scenesplat_scene::picture::{Channels, Samples, read_png};
 use std::path::{Path, PathBuf};
 
-/// A folder of `<frame>.png`: grey, 8 or 16 bits, each value an id; the largest (255 or 65535), or another that is
+/// A folder of `<frame>.png`: gray, 8 or 16 bits, each value an id; the largest (255 or 65535), or another that is
 /// given, is no segment. Ids need not begin at 0 nor follow each other.
 ///
 /// A map that is smaller or larger than its picture by one factor is used by nearest pixel.

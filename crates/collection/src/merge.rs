@@ -1,4 +1,4 @@
-//! Clusters that become segments: connected, and joined where neighbours are alike.
+//! Clusters that become segments: connected, and joined where neighbors are alike.
 
 use crate::surface::{COLOR, NORMAL, PLANE, Pixels};
 use glam::{DVec3, Vec3};
@@ -7,13 +7,13 @@ use std::collections::BTreeMap;
 /// What is joined.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Similarity {
-    /// How different neighbours may be, in units of the clusters' distance.
+    /// How different neighbors may be, in units of the clusters' distance.
     pub(crate) limit: f32,
-    /// Pixels below which a segment joins a neighbour in any case.
+    /// Pixels below which a segment joins a neighbor in any case.
     pub(crate) smallest: u32,
 }
 
-/// Two neighbours and how different they are.
+/// Two neighbors and how different they are.
 #[derive(Debug, Clone, Copy)]
 struct Edge {
     difference: f32,
@@ -46,7 +46,7 @@ pub(crate) fn merge(pixels: &Pixels, clusters: &[u32], similarity: Similarity) -
             sets.join(a, b, edge.difference);
         }
     }
-    // A segment that is too small joins its most similar neighbour, again until all are large enough.
+    // A segment that is too small joins its most similar neighbor, again until all are large enough.
     for edge in &edges {
         let (a, b) = (sets.root(edge.a), sets.root(edge.b));
         let least = sets.pixels[a as usize].min(sets.pixels[b as usize]);
@@ -69,7 +69,7 @@ pub(crate) fn merge(pixels: &Pixels, clusters: &[u32], similarity: Similarity) -
         .collect()
 }
 
-/// Connected parts of clusters (four neighbours), numbered in the order of first pixels.
+/// Connected parts of clusters (four neighbors), numbered in the order of first pixels.
 fn connected(pixels: &Pixels, clusters: &[u32]) -> Vec<u32> {
     let (width, height) = (pixels.width, pixels.height);
     let mut parts = vec![u32::MAX; clusters.len()];
@@ -100,7 +100,7 @@ fn connected(pixels: &Pixels, clusters: &[u32]) -> Vec<u32> {
     parts
 }
 
-/// Neighbours with their differences: of mean colors, and of surfaces along their border.
+/// Neighbors with their differences: of mean colors, and of surfaces along their border.
 fn edges(pixels: &Pixels, parts: &[u32], count: usize) -> Vec<Edge> {
     let mut color = vec![(DVec3::ZERO, 0.0f64); count];
     for (&part, lab) in parts.iter().zip(&pixels.lab) {

@@ -17,10 +17,10 @@ pub struct SuperpixelSettings {
     pub side: u32,
     /// How much a pixel's place counts beside its looks, above 0, at most 10: large ones are square.
     pub compactness: f32,
-    /// How different neighbours may be that become one segment, 0 (none do) to 10, in units of the clusters'
+    /// How different neighbors may be that become one segment, 0 (none do) to 10, in units of the clusters'
     /// distance: 10 of L*a*b*, 0.4 of normals.
     pub merge: f32,
-    /// Segments of fewer pixels join the neighbour that is most alike.
+    /// Segments of fewer pixels join the neighbor that is most alike.
     pub smallest: u32,
 }
 
@@ -53,9 +53,9 @@ impl SuperpixelSettings {
     }
 }
 
-/// Clusters of pixels by colour, normal, plane and place, as SLIC has them, joined where neighbours are alike.
+/// Clusters of pixels by color, normal, plane and place, as SLIC has them, joined where neighbors are alike.
 ///
-/// Depth is the scene's own; without it colour and place decide.
+/// Depth is the scene's own; without it color and place decide.
 ///
 /// # Source
 /// Achanta et al., SLIC Superpixels (2012), with each pixel looking at the nine centers around it as in gSLICr; the

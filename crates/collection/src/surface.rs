@@ -48,7 +48,7 @@ impl Surface {
             let (a, b) = (points[a].z, points[b].z);
             a > 0.0 && b > 0.0 && (a - b).abs() <= SAME_SURFACE * a.min(b)
         };
-        // From a neighbour on the same surface to the other one; where there is but one, from here.
+        // From a neighbor on the same surface to the other one; where there is but one, from here.
         let along = |at: usize, before: Option<usize>, behind: Option<usize>| {
             let before = before.filter(|&b| near(at, b));
             let behind = behind.filter(|&b| near(at, b));

@@ -1,4 +1,4 @@
-//! Nearest neighbours between the two halves of a room's points.
+//! Nearest neighbors between the two halves of a room's points.
 #![allow(missing_docs, reason = "criterion's macros make undocumented items")]
 
 mod support;

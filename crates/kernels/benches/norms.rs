@@ -1,4 +1,4 @@
-//! Normalisation, group reductions and row copies: everything whose limit is memory, not arithmetic.
+//! Normalization, group reductions and row copies: everything whose limit is memory, not arithmetic.
 //!
 //! Floors at 40 GB/s, counting every input once and every output once, of 100 000 rows of 64 (25.6 MB)
 //! and of 768 (307 MB) channels:

@@ -1,4 +1,4 @@
-//! Batch normalisation over the rows of each channel.
+//! Batch normalization over the rows of each channel.
 //!
 //! Statistics are summed in f64 over fixed stretches of rows, so they depend neither on the number
 //! of threads nor on cancellation. Each array is read from memory once; the gradients need a second

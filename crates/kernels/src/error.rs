@@ -39,7 +39,7 @@ pub enum KernelError {
         /// What is wrong.
         problem: String,
     },
-    /// A kernel size that has no centre.
+    /// A kernel size that has no center.
     #[error("kernel size {0}: a submanifold convolution needs 1, 3, 5 or 7")]
     KernelSize(usize),
     /// A point that cannot be put on the grid.
@@ -49,7 +49,7 @@ pub enum KernelError {
         row: usize,
         /// 0, 1, 2 for x, y, z.
         axis: usize,
-        /// The coordinate, metres.
+        /// The coordinate, meters.
         value: f64,
         /// What the user can do.
         help: &'static str,

@@ -1,7 +1,7 @@
-//! Layer normalisation over the channels of each row.
+//! Layer normalization over the channels of each row.
 //!
 //! `y = (x − mean) / √(var + ε) · weight + bias`, biased variance, two passes over the cached row.
-//! A row whose variance overflows f32 is normalised in f64 instead; a row with NaN or ±∞ is NaN.
+//! A row whose variance overflows f32 is normalized in f64 instead; a row with NaN or ±∞ is NaN.
 
 use crate::simd::{Vector, dispatch};
 use rayon::prelude::*;
@@ -212,7 +212,7 @@ struct Row {
     inverse: f32,
     /// Mean of `grad · weight`.
     mean_g: f32,
-    /// Mean of `grad · weight` times the normalised value.
+    /// Mean of `grad · weight` times the normalized value.
     mean_gx: f32,
 }
 

@@ -13,7 +13,7 @@
 //! | [`point_rope`] | queries and keys that turn with their voxel |
 //! | [`kernel_map`], [`sparse_conv`] | submanifold convolution |
 //! | [`gemm`] | matrix products with fused endings, in the [`Precision`] asked for |
-//! | [`layer_norm`], [`batch_norm`], [`normalize`], [`activation`] | normalisation, rows of unit length, GELU |
+//! | [`layer_norm`], [`batch_norm`], [`normalize`], [`activation`] | normalization, rows of unit length, GELU |
 //! | [`segment`], [`permute`] | groups of rows, row copies |
 //! | [`eigenvectors`] | the directions along which rows differ most |
 //! | [`unit_rows`] | whether rows have unit length |

@@ -1,7 +1,7 @@
 //! The points nearest to a point: exact, and unique where distances tie.
 //!
 //! [`KdTree`] serves any distribution: 10⁵ points in one place, points on a plane, one point
-//! kilometres away. It is for fixed points in three dimensions; there is no insertion, no other
+//! kilometers away. It is for fixed points in three dimensions; there is no insertion, no other
 //! metric and no approximate search.
 
 use rayon::prelude::*;
@@ -51,7 +51,7 @@ pub enum NeighborError {
     NotFinite {
         /// Row of the point.
         row: usize,
-        /// The coordinate found, metres.
+        /// The coordinate found, meters.
         value: [f32; 3],
     },
     /// More rows than a 32-bit row number can tell apart; one number is kept free.
@@ -69,10 +69,10 @@ pub fn distance_squared(a: [f32; 3], b: [f32; 3]) -> f64 {
     d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
 }
 
-/// Exact nearest neighbours among fixed points, with an answer that is unique.
+/// Exact nearest neighbors among fixed points, with an answer that is unique.
 ///
 /// Among points at the same distance the smaller row comes first, also at the border between the
-/// k-th neighbour and the next one. That makes votes reproducible on real scenes, where points
+/// k-th neighbor and the next one. That makes votes reproducible on real scenes, where points
 /// repeat and lie on grids.
 ///
 /// Every split halves the points, by (coordinate, row), so the depth is logarithmic for any input;
@@ -120,7 +120,7 @@ impl KdTree {
     /// A tree of all points.
     ///
     /// # Shapes
-    /// `coord`: `[N, 3]` metres, finite
+    /// `coord`: `[N, 3]` meters, finite
     ///
     /// # Errors
     /// If a coordinate is not finite, or there are 2³² − 1 or more points.
@@ -172,7 +172,7 @@ impl KdTree {
     /// The `k` nearest points, nearest first, equally near ones by row; all points if there are
     /// fewer.
     ///
-    /// A query that is not finite has no neighbours. For many queries [`Self::map_nearest`] is
+    /// A query that is not finite has no neighbors. For many queries [`Self::map_nearest`] is
     /// several times faster.
     pub fn nearest(&self, query: [f32; 3], k: usize) -> Vec<Neighbor> {
         let mut found = BinaryHeap::new();
@@ -182,11 +182,11 @@ impl KdTree {
 
     /// `answer(scratch, i, neighbours)` for every query `i`, in the order of the queries.
     ///
-    /// The neighbours are those of [`Self::nearest`]. Queries are visited in parallel, those that
+    /// The neighbors are those of [`Self::nearest`]. Queries are visited in parallel, those that
     /// are close together by the same task, each task with a scratch value made by `init`.
     ///
     /// # Shapes
-    /// `query`: `[M, 3]` metres · returns `[M]`
+    /// `query`: `[M, 3]` meters · returns `[M]`
     ///
     /// # Panics
     /// If there are 2³² or more queries.
@@ -343,12 +343,12 @@ const SLACK: f64 = 1.0 + 1e-12;
 /// Searches for queries that lie close together: the points around all of them are collected once,
 /// then each query compares itself with that short list.
 ///
-/// With `r` the distance of the k-th neighbour of the group's centre `c`, a query `q` has at least
+/// With `r` the distance of the k-th neighbor of the group's center `c`, a query `q` has at least
 /// k points within `r + |q − c|`, so nothing outside that radius can be among its k nearest.
 #[derive(Default)]
 struct Batch {
     heap: BinaryHeap<Neighbor>,
-    /// Centre of the last group and the distance of its k-th neighbour.
+    /// Center of the last group and the distance of its k-th neighbor.
     last: Option<([f32; 3], f64)>,
     /// The list, as columns.
     columns: [Vec<f64>; 3],

@@ -38,7 +38,7 @@ pub fn below(rng: &mut SampleRng, bound: u32) -> u32 {
     ((u64::from(rng.next_u32()) * u64::from(bound)) >> 32) as u32
 }
 
-/// A direction, uniform on the sphere: a point of the ball, by rejection, normalised.
+/// A direction, uniform on the sphere: a point of the ball, by rejection, normalized.
 pub fn direction(rng: &mut SampleRng) -> [f64; 3] {
     loop {
         let v: [f64; 3] = std::array::from_fn(|_| 2.0 * unit(rng) - 1.0);

@@ -354,7 +354,7 @@ mod tests {
             let offsets = [0, n / 3, n];
             let map = KernelMap::build(&grid, &offsets, 3).unwrap();
             let (mut x, w, b) = (random(n * cin, 1), random(cout * 27 * cin, 2), random(cout, 3));
-            // Neighbours of very different size: each row has its own scale.
+            // Neighbors of very different size: each row has its own scale.
             x.iter_mut().enumerate().for_each(|(i, v)| *v *= 4f32.powi((i / cin % 3) as i32));
             let weight = PackedConv::with_precision(Precision::Int8, &w, cin, cout, map.taps());
             let run = |x: &[f32]| {
@@ -382,7 +382,7 @@ mod tests {
                 assert_eq!(on_threads(threads, || run(&x)), out);
             }
             if n > 100 {
-                // NaN and ∞ spread to the row's neighbours, as NaN, and no further.
+                // NaN and ∞ spread to the row's neighbors, as NaN, and no further.
                 let mut x = x.clone();
                 (x[3], x[(n - 1) * cin + 5]) = (f32::NAN, f32::INFINITY);
                 let mut bad = vec![false; n];

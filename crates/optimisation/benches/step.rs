@@ -139,9 +139,9 @@ impl Floors {
         let (visible, pairs) = (projected.len(), lists.entries.len());
         println!("{visible} visible, {pairs} places in lists, {groups} groups of 8 pixels");
         Self {
-            // Centre, quaternion, scale, opacity in; 56 bytes of what is visible out.
+            // Center, quaternion, scale, opacity in; 56 bytes of what is visible out.
             project: Floor::Bytes(44 * ROWS + 56 * visible),
-            // Sixteen coefficients of three channels and the centre in, a colour out.
+            // Sixteen coefficients of three channels and the center in, a color out.
             colors: Floor::Bytes((4 * 48 + 12 + 12) * visible),
             // Three passes over keys of 8 bytes; of each Gaussian 36 bytes in; each hit out, in, and out.
             tiles: Floor::Bytes((12 + 3 * 16 + 36) * visible + (8 + 8 + 5) * pairs),

@@ -155,7 +155,7 @@ fn around(scene: &GaussianScene, i: usize, n: usize, size: u32) -> Camera {
     let bounds = robust_bounds(&scene.coord);
     let radius = 0.5 * bounds.extent().iter().map(|e| e * e).sum::<f64>().sqrt();
     let middle = [0, 1, 2].map(|k| 0.5 * (bounds.low[k] + bounds.high[k]));
-    // A spiral from pole to pole; neighbours in number are the golden angle apart.
+    // A spiral from pole to pole; neighbors in number are the golden angle apart.
     let z = 0.9 * (1.0 - (2 * i + 1) as f64 / n as f64);
     let (turn, across) = (2.399_963 * i as f64, (1.0 - z * z).sqrt());
     let forward = [-across * turn.cos(), -across * turn.sin(), -z];
@@ -163,7 +163,7 @@ fn around(scene: &GaussianScene, i: usize, n: usize, size: u32) -> Camera {
     looking(i, [size; 2], f64::from(size), at, forward)
 }
 
-/// The frame that a camera takes: 8 bits of colour, millimetres of depth.
+/// The frame that a camera takes: 8 bits of color, millimeters of depth.
 fn shoot(room: &Gaussians, camera: &Camera) -> Result<TrainingFrame, Failed> {
     let view = View::from_camera(camera)?;
     let depth = DepthRequest { expected: true, ..DepthRequest::default() };
@@ -224,7 +224,7 @@ fn compared(rgb: &[f32], frame: &TrainingFrame) -> RgbPicture {
 
 /// Length of the vectors of classes.
 const WORD_DIM: usize = 64;
-/// What is farther than this from every point of the room has no label, metres.
+/// What is farther than this from every point of the room has no label, meters.
 const NEAR: f64 = 0.05;
 
 /// Labels of the room on its Gaussians, on the result's, and on the pixels of the frames.

@@ -1,5 +1,5 @@
 //! Adam for each group of parameters, in one pass over memory: the derivative is turned into that of
-//! the stored value, regularised, used, and set to 0 for the next step while it is in a register; the
+//! the stored value, regularized, used, and set to 0 for the next step while it is in a register; the
 //! activated value is written on the way out.
 
 use crate::Model;
@@ -30,7 +30,7 @@ impl Default for AdamSettings {
 /// Learning rates of the groups.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rates {
-    /// Of the centres, already scaled to the scene and scheduled.
+    /// Of the centers, already scaled to the scene and scheduled.
     pub means: f64,
     /// Of the logarithms of the scales.
     pub scales: f64,

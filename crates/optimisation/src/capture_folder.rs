@@ -18,7 +18,7 @@ pub struct CaptureFolder<'a> {
     pub depth: Option<&'a Path>,
     /// Masks, NAME.png: black does not count.
     pub masks: Option<&'a Path>,
-    /// Steps per unit of the scene in 16-bit depths: 1000 for millimetres.
+    /// Steps per unit of the scene in 16-bit depths: 1000 for millimeters.
     pub depth_scale: f64,
 }
 

@@ -5,11 +5,11 @@
 
 use crate::error::{OptimiseError, expect};
 
-/// Measured depths up to this are no measurement, metres.
+/// Measured depths up to this are no measurement, meters.
 const NOTHING: f32 = 0.01;
 /// Errors above this many medians are outliers.
 const MEDIANS: f32 = 10.0;
-/// Largest error that counts where the median is not above 0, metres.
+/// Largest error that counts where the median is not above 0, meters.
 const LARGEST: f32 = 2.0;
 
 /// Which pixels of a measured depth count, beside those that hold a measurement.

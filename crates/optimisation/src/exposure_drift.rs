@@ -1,7 +1,7 @@
 //! Whether pictures were taken with changing exposure or white balance, told before there is a scene.
 //!
 //! Points on the measured surface are looked up in all pictures that see them. A picture's gain is what
-//! its colours of these points have in common against the other pictures' colours of the same points.
+//! its colors of these points have in common against the other pictures' colors of the same points.
 
 use crate::frame::TrainingFrame;
 use rayon::prelude::*;
@@ -84,7 +84,7 @@ pub fn exposure_drift(frames: &[TrainingFrame], points: &[[f32; 3]]) -> Option<E
     Some(ExposureDrift { log_gains, exposure, balance })
 }
 
-/// Gains of one channel: medians over points of what a picture has more than the points' own colour, which is
+/// Gains of one channel: medians over points of what a picture has more than the points' own color, which is
 /// the median over pictures of what they show less their gain, in turn. Their median is 0.
 fn gains_of_channel(
     seen: &[Vec<Option<[f64; 3]>>],
@@ -111,7 +111,7 @@ fn gains_of_channel(
     gains
 }
 
-/// Logarithms of the mean linear colour of the 3 × 3 pixels around where a picture shows a point; `None` if it
+/// Logarithms of the mean linear color of the 3 × 3 pixels around where a picture shows a point; `None` if it
 /// does not, or they are masked, clipped or dark.
 fn color_of(frame: &TrainingFrame, point: [f32; 3]) -> Option<[f64; 3]> {
     let (view, depth) = (&frame.view, frame.depth.as_ref()?);

@@ -8,7 +8,7 @@ const CANDIDATES: usize = 6;
 /// Factor by which cells grow until few enough are taken.
 const COARSER: f64 = 1.2;
 
-/// At most `most` points on what the depths show, spread evenly in space, with their colours in 0 to 1.
+/// At most `most` points on what the depths show, spread evenly in space, with their colors in 0 to 1.
 ///
 /// Pixels at equal distances over all frames are lifted into the world; of those in one cell the first
 /// stays, and cells grow until there are few enough.

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use scenesplat_kernels::simd::{Isa, compiled_for};
 pub use scenesplat_metrics::image::SsimPadding;
 
-/// Stabilise the two quotients where means and variances vanish: `(0.01)²`, `(0.03)²`.
+/// Stabilize the two quotients where means and variances vanish: `(0.01)²`, `(0.03)²`.
 const C1: f32 = 1e-4;
 const C2: f32 = 9e-4;
 

@@ -7,7 +7,7 @@ use crate::random::{Counter, Purpose};
 use scenesplat_kernels::neighbors::KdTree;
 use scenesplat_scene::gaussian_scene::SH_C0;
 
-/// Least squared distance to neighbours, of points that coincide.
+/// Least squared distance to neighbors, of points that coincide.
 const LEAST_SQUARE: f64 = 1e-7;
 
 /// How first Gaussians are made of points.
@@ -16,7 +16,7 @@ const LEAST_SQUARE: f64 = 1e-7;
 pub struct InitialSettings {
     /// Opacity of all, between 0 and 1.
     pub opacity: f32,
-    /// Standard deviation over the root mean square distance of the three nearest neighbours.
+    /// Standard deviation over the root mean square distance of the three nearest neighbors.
     pub scale: f32,
     /// Degree of the harmonics, 0 to 3; those above the first are 0.
     pub sh_degree: u8,
@@ -26,8 +26,8 @@ pub struct InitialSettings {
 
 /// `ln(scale · √(mean of the squared distances to the three nearest others))`. `[N]`
 ///
-/// A point that coincides with its neighbours counts as √1e-7 away from them, and so does a point
-/// without neighbours.
+/// A point that coincides with its neighbors counts as √1e-7 away from them, and so does a point
+/// without neighbors.
 ///
 /// # Errors
 /// If a coordinate is not finite.
@@ -43,7 +43,7 @@ pub fn neighbour_log_scales(points: &[[f32; 3]], scale: f32) -> Result<Vec<f32>,
     Ok(tree.map_nearest(points, 4, || (), log_scale))
 }
 
-/// Gaussians at points, with their colours in 0 to 1.
+/// Gaussians at points, with their colors in 0 to 1.
 ///
 /// # Shapes
 /// `points`, `colors`: `[N, 3]`, units of the world
@@ -85,10 +85,10 @@ pub fn from_points(
     Model::from_arrays(&rows, sh, settings.sh_degree)
 }
 
-/// Positions and colours of points.
+/// Positions and colors of points.
 pub type Cloud = (Vec<[f32; 3]>, Vec<[f32; 3]>);
 
-/// Points uniform in a box, with random colours, for captures that come without any.
+/// Points uniform in a box, with random colors, for captures that come without any.
 ///
 /// # Errors
 /// If the box is empty or not finite.

@@ -6,7 +6,7 @@ use scenesplat_scene::GaussianScene;
 
 /// Gaussians with their stored and their activated values.
 ///
-/// Centres, quaternions and harmonics are stored as they are drawn, so they exist once, in
+/// Centers, quaternions and harmonics are stored as they are drawn, so they exist once, in
 /// [`gaussians`](Self::gaussians); scales and opacities are stored as logarithm and logit.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Model {
@@ -29,7 +29,7 @@ pub(crate) fn logit(p: f32) -> f32 {
 /// One Gaussian as it is stored.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stored {
-    /// Centre, units of the world.
+    /// Center, units of the world.
     pub mean: [f32; 3],
     /// Natural logarithms of the standard deviations.
     pub log_scale: [f32; 3],

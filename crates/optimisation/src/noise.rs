@@ -1,4 +1,4 @@
-//! The noise of MCMC: centres of nearly transparent Gaussians move along their own shape.
+//! The noise of MCMC: centers of nearly transparent Gaussians move along their own shape.
 
 use crate::Model;
 use crate::random::{Counter, Purpose};
@@ -8,12 +8,12 @@ use scenesplat_scene::vector::rotation;
 /// Opacity at which the gate is half open, and how steep it is.
 const GATE: [f32; 2] = [0.005, 100.0];
 /// A gate that is open less than this moves nothing: with the largest rate there is (80 times the scene's
-/// scale) a Gaussian of a metre by less than a micrometre.
+/// scale) a Gaussian of a meter by less than a micrometer.
 const CLOSED: f32 = 1e-9;
 /// Gaussians of one task.
 const CHUNK: usize = 4096;
 
-/// `Σ ξ · sigmoid(−100 (o − 0.005)) · strength`, `Σ = R S² Rᵀ`: how far a centre moves.
+/// `Σ ξ · sigmoid(−100 (o − 0.005)) · strength`, `Σ = R S² Rᵀ`: how far a center moves.
 pub fn displacement(
     quat: [f32; 4],
     scale: [f32; 3],
@@ -36,7 +36,7 @@ pub fn displacement(
     r.map(|row| factor * (row[0] * along[0] + row[1] * along[1] + row[2] * along[2]))
 }
 
-/// Moves all centres; `strength` is the learning rate of the centres times 5e5.
+/// Moves all centers; `strength` is the learning rate of the centers times 5e5.
 pub(crate) fn add_noise(model: &mut Model, strength: f32, seed: u64, step: u64) {
     let counter = Counter::new(seed, Purpose::Noise, step);
     // The logistic function of more than this is closed.

@@ -34,11 +34,11 @@ pub enum Strategy {
     Fixed,
 }
 
-/// How large the scene is, in its units: learning rates of centres grow with it.
+/// How large the scene is, in its units: learning rates of centers grow with it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SceneScale {
-    /// This; 1 for rooms in metres.
+    /// This; 1 for rooms in meters.
     Fixed(f64),
     /// 1.1 times the largest distance of a camera from the mean of all.
     FromCameras,
@@ -70,9 +70,9 @@ pub struct DepthTerm {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BaseRates {
-    /// Of the centres, times the scale of the scene.
+    /// Of the centers, times the scale of the scene.
     pub means: f64,
-    /// Factor that the rate of the centres has at the end.
+    /// Factor that the rate of the centers has at the end.
     pub means_end: f64,
     /// Of the logarithms of the scales.
     pub scales: f64,
@@ -140,7 +140,7 @@ pub struct OptimiseSettings {
     pub far: f32,
     /// Whether opacities make up for the low-pass; then renders of the result have to, too.
     pub antialiased: bool,
-    /// Whether another colour is behind everything at each step, instead of black.
+    /// Whether another color is behind everything at each step, instead of black.
     pub random_background: bool,
     /// First steps that use pictures of half the size.
     pub half_steps: u64,
@@ -298,12 +298,12 @@ impl OptimiseSettings {
         ImageWeights { ssim: self.ssim, padding: self.ssim_border }
     }
 
-    /// The regularisers.
+    /// The regularizers.
     pub fn regularisers(&self) -> Regularisers {
         Regularisers { opacity: self.opacity_reg, scale: self.scale_reg }
     }
 
-    /// The rate of the centres at a step, for a scene of that scale: it falls by the same factor each
+    /// The rate of the centers at a step, for a scene of that scale: it falls by the same factor each
     /// step, to `means_end` after the last.
     pub fn means_rate(&self, step: u64, scene_scale: f64) -> f64 {
         let decay = self.rates.means_end.powf(step as f64 / self.steps as f64);

@@ -6,7 +6,7 @@ use std::ops::Range;
 /// Values of the window.
 pub(crate) const TAPS: usize = 11;
 const RADIUS: usize = TAPS / 2;
-/// Channels of a pixel: neighbours along a row are so far apart.
+/// Channels of a pixel: neighbors along a row are so far apart.
 const STEP: usize = 3;
 
 /// `a · b + c`, fused where that is an instruction.

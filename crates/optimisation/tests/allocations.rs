@@ -107,7 +107,7 @@ fn most_of_a_step(side: usize, size: u32, half_steps: u64) -> usize {
 }
 
 /// The scene stays as it is, so that no list grows. What is left are the places of tasks: a few dozen bytes
-/// per 2,048 Gaussians and per four tiles. One picture here has 786,432 bytes of colour.
+/// per 2,048 Gaussians and per four tiles. One picture here has 786,432 bytes of color.
 #[test]
 fn steps_use_their_memory_again() {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();

@@ -13,7 +13,7 @@ const MAX_ROWS: usize = u32::MAX as usize - 1;
 /// opacity) are left out of the picture and counted in [`CullCounts`](crate::CullCounts).
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Gaussians {
-    /// Centres in the world, its units. `[N, 3]`
+    /// Centers in the world, its units. `[N, 3]`
     pub means: Vec<[f32; 3]>,
     /// Orientation `w, x, y, z`, any norm above 1e-6. `[N, 4]`
     pub quats: Vec<[f32; 4]>,
@@ -28,11 +28,11 @@ pub struct Gaussians {
 }
 
 impl Gaussians {
-    /// Activates a scene: `exp` of the scales, the sigmoid of the opacities, the DC colour in
+    /// Activates a scene: `exp` of the scales, the sigmoid of the opacities, the DC color in
     /// front of the higher bands.
     ///
     /// Rows whose harmonics are not finite get opacity 0: they would otherwise hide what is behind
-    /// them in passes without colour.
+    /// them in passes without color.
     ///
     /// # Errors
     /// Harmonics of degree 4 ([`RasterError::Degree`]), arrays of different length.

@@ -44,7 +44,7 @@ pub struct HarmonicsProfile {
 pub struct SceneProfile {
     /// Number of Gaussians.
     pub gaussians: usize,
-    /// Centre, quaternion, scale or opacity is NaN or infinite: never drawn.
+    /// Center, quaternion, scale or opacity is NaN or infinite: never drawn.
     pub not_finite: usize,
     /// Opacity below [`FAINT`]: never drawn.
     pub faint: usize,

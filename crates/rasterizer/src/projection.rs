@@ -16,7 +16,7 @@ const MAX_PAIRS: usize = 1 << 29;
 /// Gaussians that were not drawn, by the first reason that applied.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct CullCounts {
-    /// A centre, a quaternion or a scale that is not finite.
+    /// A center, a quaternion or a scale that is not finite.
     pub not_finite: usize,
     /// A quaternion without a direction.
     pub zero_quat: usize,
@@ -28,7 +28,7 @@ pub struct CullCounts {
     pub opacity: usize,
     /// Beside the picture.
     pub outside: usize,
-    /// A colour that is not finite. Only passes with colour look.
+    /// A color that is not finite. Only passes with color look.
     pub color: usize,
 }
 
@@ -37,7 +37,7 @@ pub struct CullCounts {
 pub struct Projected {
     /// Row in [`Gaussians`], ascending.
     pub index: Vec<u32>,
-    /// Centre, pixels.
+    /// Center, pixels.
     pub mean2d: Vec<[f32; 2]>,
     /// Along the camera's z axis, units of the world.
     pub depth: Vec<f32>,
@@ -51,7 +51,7 @@ pub struct Projected {
     pub variance: Vec<[f32; 2]>,
     /// `2σ` at which α falls below the cut.
     pub level: Vec<f32>,
-    /// From the centre to where α falls below the cut, pixels along x and y.
+    /// From the center to where α falls below the cut, pixels along x and y.
     pub half_extent: Vec<[f32; 2]>,
     /// What is not here, and why.
     pub culled: CullCounts,
@@ -101,7 +101,7 @@ impl Projected {
         tiles(0, columns).zip(tiles(1, rows)).map(|(x, y)| x * y).sum()
     }
 
-    /// Takes out the rows whose colour is not finite, and counts them.
+    /// Takes out the rows whose color is not finite, and counts them.
     pub(crate) fn drop_bad_colors(&mut self, colors: &mut Vec<[f32; 3]>) {
         let good = |c: &[f32; 3]| c.iter().all(|v| v.is_finite());
         if colors.par_iter().with_min_len(CHUNK).all(good) {

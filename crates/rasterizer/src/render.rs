@@ -28,7 +28,7 @@ pub struct DepthRequest {
 /// What to render. What is not asked for is not computed.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct RenderRequest {
-    /// Colour.
+    /// Color.
     pub rgb: bool,
     /// Depths.
     pub depth: DepthRequest,
@@ -41,7 +41,7 @@ pub struct RenderRequest {
 }
 
 impl RenderRequest {
-    /// Colour only.
+    /// Color only.
     pub fn rgb() -> Self {
         Self { rgb: true, ..Self::default() }
     }
@@ -86,7 +86,7 @@ pub struct Rendered {
     pub width: u32,
     /// Pixels.
     pub height: u32,
-    /// Colour with the background, at least 0 and without upper limit. `[H, W, 3]`
+    /// Color with the background, at least 0 and without upper limit. `[H, W, 3]`
     pub rgb: Option<Vec<f32>>,
     /// What is left of the light behind everything, in 0..=1. `[H, W]`
     pub transmittance: Vec<f32>,

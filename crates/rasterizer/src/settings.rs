@@ -25,7 +25,7 @@ pub enum ExtentRule {
 pub struct RasterSettings {
     /// Nearest depth drawn, units of the world, above 0.
     pub near: f32,
-    /// Whether a centre exactly at `near` is not drawn.
+    /// Whether a center exactly at `near` is not drawn.
     pub near_excluded: bool,
     /// Farthest depth drawn.
     pub far: f32,
@@ -41,7 +41,7 @@ pub struct RasterSettings {
     pub stop_excluded: bool,
     /// Which tiles a Gaussian is drawn in.
     pub extent: ExtentRule,
-    /// Whether quaternions are normalised; without it a longer one makes a larger Gaussian.
+    /// Whether quaternions are normalized; without it a longer one makes a larger Gaussian.
     pub normalize_quats: bool,
     /// Whether the tangents in the Jacobian are limited about the middle of the picture instead of
     /// about the principal point.
@@ -50,7 +50,7 @@ pub struct RasterSettings {
     pub antialiased: bool,
     /// Least value of that factor.
     pub antialias_floor: f32,
-    /// Colour behind everything; `None` is black, and nothing is added.
+    /// Color behind everything; `None` is black, and nothing is added.
     pub background: Option<[f32; 3]>,
     /// The caller's promise that the three scales of every Gaussian are equal: quaternions are not
     /// read (a zero quaternion then hides nothing) and the first scale counts.

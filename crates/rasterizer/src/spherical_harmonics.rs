@@ -1,4 +1,4 @@
-//! Colours of Gaussians as a camera sees them.
+//! Colors of Gaussians as a camera sees them.
 
 use crate::{Gaussians, Projected, View};
 use rayon::prelude::*;
@@ -6,12 +6,12 @@ use rayon::prelude::*;
 /// Gaussians per task.
 const CHUNK: usize = 4096;
 
-/// Colour of each visible Gaussian: `max(0, ½ + Σ Bₖ(d) cₖ)`, `d` the unit vector from the camera to
-/// the centre. `[visible, 3]`
+/// Color of each visible Gaussian: `max(0, ½ + Σ Bₖ(d) cₖ)`, `d` the unit vector from the camera to
+/// the center. `[visible, 3]`
 ///
 /// Bands above `degree` are left out, bands that the Gaussians lack are not there to add. A
-/// Gaussian exactly at the camera's centre has no direction and takes its DC colour. Coefficients
-/// that are not finite make a colour that is not.
+/// Gaussian exactly at the camera's center has no direction and takes its DC color. Coefficients
+/// that are not finite make a color that is not.
 ///
 /// # Source
 /// `spherical_harmonics` of gsplat 1.6.0 (90d7b4b).

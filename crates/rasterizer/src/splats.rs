@@ -22,7 +22,7 @@ const ROOM: usize = 64;
 #[derive(Debug, Clone, Copy)]
 #[repr(C, align(32))]
 pub(crate) struct Splat<const C: usize> {
-    /// Centre. px, first of the picture, then from the centre of a tile's first pixel
+    /// Center. px, first of the picture, then from the center of a tile's first pixel
     pub u: f32,
     pub v: f32,
     /// `b/a`: how far the middle of a row of the ellipse moves per row. px
@@ -31,7 +31,7 @@ pub(crate) struct Splat<const C: usize> {
     pub across: f32,
     down: f32,
     log_opacity: f32,
-    /// Square of half the width of the ellipse at the centre, and what a row at distance 1 has less.
+    /// Square of half the width of the ellipse at the center, and what a row at distance 1 has less.
     /// px²
     wide: f32,
     narrow: f32,
@@ -76,7 +76,7 @@ impl<const C: usize> Splat<C> {
         (0..projected.len()).into_par_iter().with_min_len(4096).map(one).collect_into_vec(out);
     }
 
-    /// With the centre as seen from a tile.
+    /// With the center as seen from a tile.
     #[inline(always)]
     pub(crate) fn seen_from(mut self, rect: TileRect) -> Self {
         self.u -= rect.x0 as f32 + 0.5;
@@ -96,7 +96,7 @@ pub(crate) struct Groups {
     first: [u8; ROOM],
     len: usize,
     next: usize,
-    /// Distance along y from each row to the centre. px
+    /// Distance along y from each row to the center. px
     pub dy: [f32; ROWS],
     /// Column of the middle of the ellipse in each row. px
     pub middle: [f32; ROWS],

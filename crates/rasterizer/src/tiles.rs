@@ -48,7 +48,7 @@ impl TileLists {
 /// Lists per tile the Gaussians that can reach one of its pixels.
 ///
 /// The lists are exact up to rounding margins: a Gaussian is listed where its ellipse `α ≥ cut` meets the
-/// rectangle of the tile's pixel centres. With [`ExtentRule::Circle`], where its square meets the
+/// rectangle of the tile's pixel centers. With [`ExtentRule::Circle`], where its square meets the
 /// tile, and then all rows are in reach, as in the programs with that rule: pixels outside the
 /// square count if they are above the cut.
 ///
@@ -212,7 +212,7 @@ fn each_tile(
     }
 }
 
-/// Tiles, of `count`, that what is at most `extent` from a centre meets.
+/// Tiles, of `count`, that what is at most `extent` from a center meets.
 #[inline(always)]
 fn whole_tiles(centre: f32, extent: f32, count: usize) -> std::ops::Range<usize> {
     let side = TILE as f32;
@@ -222,7 +222,7 @@ fn whole_tiles(centre: f32, extent: f32, count: usize) -> std::ops::Range<usize>
     first.min(count)..end.min(count)
 }
 
-/// First and last pixel whose centre is between two coordinates, with a margin for rounding.
+/// First and last pixel whose center is between two coordinates, with a margin for rounding.
 #[inline(always)]
 fn centres(low: f32, high: f32, size: u32) -> Option<[u32; 2]> {
     let margin = 1e-3 + 1e-6 * (low.abs() + high.abs()).min(1e6);
@@ -232,7 +232,7 @@ fn centres(low: f32, high: f32, size: u32) -> Option<[u32; 2]> {
     (first <= last).then_some([first as u32, last as u32])
 }
 
-/// What the outline `q = level` needs, coordinates from the centre.
+/// What the outline `q = level` needs, coordinates from the center.
 struct Ellipse {
     /// Of the line through the points with the outermost x: `y = slope · x` is the middle at `x`.
     slope: f32,

@@ -12,7 +12,7 @@ pub const MAX_PIXELS: u64 = 1 << 28;
 
 /// A pinhole camera with its pose and picture size.
 ///
-/// Conventions are those of [`Camera`]: x right, y down, z forward; the centre of the first pixel
+/// Conventions are those of [`Camera`]: x right, y down, z forward; the center of the first pixel
 /// is (0.5, 0.5).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct View {

@@ -1,4 +1,4 @@
-//! What the pixel loop can make: colour, depth, features, weights. Visitors combine as pairs.
+//! What the pixel loop can make: color, depth, features, weights. Visitors combine as pairs.
 
 use crate::blend::prefetch;
 use crate::canvas::CanvasTile;
@@ -55,7 +55,7 @@ impl<A: TileVisitor, B: TileVisitor> TileVisitor for (A, B) {
     }
 }
 
-/// Colour, `Σ w c` and what is left of the background.
+/// Color, `Σ w c` and what is left of the background.
 pub(crate) struct Color<'a> {
     colors: &'a [[f32; 3]],
     background: Option<[f32; 3]>,

@@ -43,7 +43,7 @@ pub fn features(n: usize) -> Vec<f32> {
     }
 }
 
-/// A million points on the surfaces of a room, metres.
+/// A million points on the surfaces of a room, meters.
 pub fn points() -> Vec<[f32; 3]> {
     match shared("room_points_1m_f32.npy") {
         Some(found) => triples(&found, f32::from_le_bytes),

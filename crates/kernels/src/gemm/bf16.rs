@@ -1,6 +1,6 @@
 //! Rounding of f32 rows to bf16.
 //!
-//! Two neighbours along k share one `u32`, the even one in the low half: the order in which both
+//! Two neighbors along k share one `u32`, the even one in the low half: the order in which both
 //! AVX512-BF16 and AMX read them, and also that of a plain row of bf16 values in memory.
 
 use crate::simd::dispatch;

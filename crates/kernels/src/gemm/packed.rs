@@ -300,7 +300,7 @@ fn pack<T: Copy, U: Copy>(
     }
 }
 
-/// Packs pairs of neighbours along k, panel by panel. `packed` starts zeroed.
+/// Packs pairs of neighbors along k, panel by panel. `packed` starts zeroed.
 fn pack_pairs(
     packed: &mut [u32],
     unit: Unit,

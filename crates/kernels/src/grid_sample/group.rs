@@ -16,7 +16,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 /// of its axis. Rows of one cell form one voxel. No rows give no voxels.
 ///
 /// # Shapes
-/// - `coord`: `[N, 3]` metres, finite
+/// - `coord`: `[N, 3]` meters, finite
 ///
 /// # Errors
 /// If `grid_size` is not a positive number, a coordinate is not finite, an axis spans more than

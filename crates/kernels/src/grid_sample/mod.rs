@@ -1,8 +1,8 @@
 //! Which rows share a voxel, and which row stands for each voxel.
 //!
 //! [`voxel_groups`] finds the groups; the methods of [`VoxelGroups`] pick rows from them: the train
-//! rule, the test rule (fragments), the row nearest to the voxel centre, and the rule that thins
-//! labelled points. Nothing here draws random numbers: the caller passes the draws.
+//! rule, the test rule (fragments), the row nearest to the voxel center, and the rule that thins
+//! labeled points. Nothing here draws random numbers: the caller passes the draws.
 
 mod bounds;
 mod group;
@@ -24,12 +24,12 @@ const CHUNK: usize = 1 << 14;
 /// The order in which voxels are listed: ascending unsigned key of the cell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum KeyOrder {
-    /// The original system's default: a 64-bit hash, so neighbours in the list are far apart in
+    /// The original system's default: a 64-bit hash, so neighbors in the list are far apart in
     /// space. For comparison with its results.
     Fnv,
     /// The original system's alternative: `(x · ny + y) · nz + z`. For comparison with its results.
     Ravel,
-    /// Along a z-order curve: neighbours in the list are near in space, so later gathers hit cache.
+    /// Along a z-order curve: neighbors in the list are near in space, so later gathers hit cache.
     #[default]
     Morton,
 }
@@ -41,7 +41,7 @@ pub enum GridSampleError {
     /// The voxel size is not a positive number.
     #[error("voxel size must be finite and above 0, got {grid_size}")]
     GridSize {
-        /// The size given, metres.
+        /// The size given, meters.
         grid_size: f64,
     },
     /// A coordinate is NaN or infinite.
@@ -66,11 +66,11 @@ pub enum GridSampleError {
         row: usize,
         /// `x`, `y` or `z`.
         axis: char,
-        /// The coordinate of that row, metres.
+        /// The coordinate of that row, meters.
         value: f32,
         /// Extent of the axis in voxels.
         cells: f64,
-        /// Voxel size, metres.
+        /// Voxel size, meters.
         grid_size: f64,
     },
     /// More rows than a 32-bit row number can name.
@@ -106,7 +106,7 @@ pub struct VoxelGroups {
     pub grid_coord: Vec<[i32; 3]>,
     /// The shift: smallest cell per axis, a whole number.
     pub min_cell: [f64; 3],
-    /// Voxel size, metres.
+    /// Voxel size, meters.
     pub grid_size: f64,
 }
 
@@ -133,7 +133,7 @@ impl VoxelGroups {
 
     /// The train rule: element `draws[v] % count[v]` of each voxel. `[V]`
     ///
-    /// The original draws uniformly below [`Self::largest_count`], which favours the first
+    /// The original draws uniformly below [`Self::largest_count`], which favors the first
     /// elements of a voxel slightly.
     ///
     /// # Errors
@@ -150,7 +150,7 @@ impl VoxelGroups {
         self.pick(|_, rows| rows[fragment % rows.len()])
     }
 
-    /// The row nearest to the centre of each voxel; the smallest of equals. `[V]`
+    /// The row nearest to the center of each voxel; the smallest of equals. `[V]`
     ///
     /// # Errors
     /// If `coord` is not the array that was grouped (by its length).
@@ -172,7 +172,7 @@ impl VoxelGroups {
         }))
     }
 
-    /// The rule that thins labelled points: the first labelled row of each voxel, else its first
+    /// The rule that thins labeled points: the first labeled row of each voxel, else its first
     /// row. `[V]`
     ///
     /// # Errors
@@ -184,12 +184,7 @@ impl VoxelGroups {
         }))
     }
 
-    /// Lower corner of the cell with index 0, metres.
-    pub fn min_coord(&self) -> [f64; 3] {
-        self.min_cell.map(|c| c * self.grid_size)
-    }
-
-    /// Where a coordinate lies relative to the centre of a voxel, in voxels: `-0.5..0.5` inside.
+    /// Where a coordinate lies relative to the center of a voxel, in voxels: `-0.5..0.5` inside.
     pub fn displacement(&self, coord: [f32; 3], voxel: usize) -> [f64; 3] {
         std::array::from_fn(|a| {
             f64::from(coord[a]) / self.grid_size

@@ -38,7 +38,7 @@ struct Block {
 }
 
 /// Numbers of blocks inside a scene: row-major, with a margin of one block on all sides so that no
-/// neighbour's number is that of another block.
+/// neighbor's number is that of another block.
 #[derive(Clone, Copy)]
 struct Numbering {
     y: u64,
@@ -210,7 +210,7 @@ impl Blocks {
         input: &mut [u32],
         output: &mut [u32],
     ) {
-        // A row is its own centre, also where another row stands for its voxel.
+        // A row is its own center, also where another row stands for its voxel.
         let centre = if self.has_duplicates() { kernel.taps / 2 } else { usize::MAX };
         let mut next: Vec<usize> = starts.iter().map(|s| s - starts[0]).collect();
         for (i, (&cell, found)) in cells.iter().zip(found.chunks_exact(kernel.words)).enumerate() {

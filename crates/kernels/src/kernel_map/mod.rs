@@ -5,7 +5,7 @@
 //!
 //! Two rows may share a voxel of one scene (mixed scenes in training). The original leaves the
 //! outcome to chance; here the first such row stands for the voxel, and every row keeps itself as
-//! its own centre.
+//! its own center.
 
 use crate::error::{KernelError, check_offsets};
 use blocks::Blocks;

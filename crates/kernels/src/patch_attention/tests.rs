@@ -151,7 +151,7 @@ fn huge_and_equal_logits() {
                 let (qkv, heads) = chosen_logits(dim, steps, factor);
                 let out = run(precision, &qkv, heads, &patches, &order);
                 let want = slow(&qkv, heads, &patches, &order);
-                // Rounded to bf16, neighbouring steps of a ramp become equal: any mean of values.
+                // Rounded to bf16, neighboring steps of a ramp become equal: any mean of values.
                 let ramp = steps[0].abs() == 1.0 && steps[1].abs() < 1.0;
                 let eps = match precision {
                     Precision::Bf16 if ramp => 2.0,

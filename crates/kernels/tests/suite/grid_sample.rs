@@ -54,11 +54,6 @@ fn check_golden(case: &str, grid_size: f64, key_order: KeyOrder, differs_in_f32:
     let keys: Vec<i64> = cells.iter().map(key).collect();
     assert_eq!(keys, golden.ints::<i64>("hash_key"));
 
-    let min_coord = groups.min_coord();
-    for (ours, theirs) in min_coord.iter().zip(golden.f32s("min_coord")) {
-        assert_eq!(*ours as f32, theirs);
-    }
-
     let first = groups.first_rows();
     assert_eq!(wide(&first), golden.ints::<i64>("train.idx_first"));
     let drawn = groups.drawn_rows(&golden.ints("train.random_draws")).unwrap();

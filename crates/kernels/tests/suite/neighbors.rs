@@ -1,4 +1,4 @@
-//! Nearest neighbours against sorting all distances and against another tree.
+//! Nearest neighbors against sorting all distances and against another tree.
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rand::{Rng, SeedableRng};

@@ -25,7 +25,7 @@ pub struct Floaters {
 
 /// Counts floaters in frames with depth; `None` if there is none.
 ///
-/// A Gaussian is at the pixel of its centre; it is in front if it is there nearer than the measured depth
+/// A Gaussian is at the pixel of its center; it is in front if it is there nearer than the measured depth
 /// by more than 0.1 and 5 %. What is hidden at no pixel has no weight, so it does not count in the mass.
 ///
 /// # Errors

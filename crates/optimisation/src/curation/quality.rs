@@ -27,7 +27,7 @@ pub struct Gates {
 impl Default for Gates {
     /// 400 frames is the paper's; it names no other limit. 25 dB, 0.08, 50,000 and 0.1 % of floaters are
     /// where our experiments put them; 5 % of holes and 30 % of thinly seen surface are guesses that no
-    /// labelled data has tested.
+    /// labeled data has tested.
     fn default() -> Self {
         Self {
             frames: 400,

@@ -1,4 +1,4 @@
-//! The strategy of the original trainer: Gaussians whose centre the picture pulls at are doubled, small
+//! The strategy of the original trainer: Gaussians whose center the picture pulls at are doubled, small
 //! ones as they are, large ones as two halves; transparent and huge ones are removed.
 
 use super::{Refined, not_finite, remove};
@@ -18,7 +18,7 @@ const HALVED: f32 = 1.6;
 pub struct DefaultSettings {
     /// Opacity below which a Gaussian is removed.
     pub prune_opacity: f32,
-    /// Mean length of the gradient of the centre, half pictures, above which it is doubled.
+    /// Mean length of the gradient of the center, half pictures, above which it is doubled.
     pub grow_gradient: f32,
     /// Largest standard deviation over the scale of the scene up to which it is doubled as it is.
     pub grow_scale: f32,
@@ -53,7 +53,7 @@ impl Default for DefaultSettings {
     }
 }
 
-/// Gradients of centres on pictures, since the last refinement. `[N]` each
+/// Gradients of centers on pictures, since the last refinement. `[N]` each
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct DoublingState {
     pub(crate) sum: Vec<f32>,

@@ -1,4 +1,4 @@
-//! Optimisation as sampling: the dead are moved to the living, the number grows to a cap, centres are
+//! Optimisation as sampling: the dead are moved to the living, the number grows to a cap, centers are
 //! shaken.
 
 use super::{Refined, not_finite, runs};
@@ -19,7 +19,7 @@ const GROWTH: f64 = 1.05;
 pub struct McmcSettings {
     /// Most Gaussians.
     pub cap: usize,
-    /// Strength of the noise over the learning rate of the centres.
+    /// Strength of the noise over the learning rate of the centers.
     pub noise: f64,
     /// Gaussians move at steps above this …
     pub refine_start: u64,
@@ -127,7 +127,7 @@ impl McmcSettings {
         model.set_shape(row, opacity, scale);
     }
 
-    /// Shakes all centres; `rate` is that of the centres.
+    /// Shakes all centers; `rate` is that of the centers.
     pub(crate) fn shake(&self, model: &mut Model, rate: f64, seed: u64, step: u64) {
         if self.noise > 0.0 {
             add_noise(model, (rate * self.noise) as f32, seed, step);

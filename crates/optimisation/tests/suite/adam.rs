@@ -1,4 +1,4 @@
-//! Adam, its schedules, regularisers.
+//! Adam, its schedules, regularizers.
 
 use crate::support::{golden, number};
 use scenesplat_optimisation::{Adam, AdamSettings, Model, Moments, Rates, Regularisers, Stored};
@@ -20,7 +20,7 @@ fn six_steps() {
     }
 }
 
-/// Regularisers alone: one step of Adam of a gradient g is `−lr · sign(g)`, so the moments tell.
+/// Regularizers alone: one step of Adam of a gradient g is `−lr · sign(g)`, so the moments tell.
 #[test]
 fn regularisers() {
     let Some(golden) = golden() else { return };

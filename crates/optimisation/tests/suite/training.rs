@@ -50,7 +50,7 @@ fn settings() -> OptimiseSettings {
     OptimiseSettings {
         strategy: Strategy::Fixed,
         order: StepOrder::Gsplat16,
-        // 2.4e-4 for the centres.
+        // 2.4e-4 for the centers.
         scene_scale: SceneScale::Fixed(1.5),
         rates: BaseRates::default(),
         sh_every: 0,

@@ -1,4 +1,4 @@
-//! Gaussians made up around coloured points.
+//! Gaussians made up around colored points.
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -10,14 +10,14 @@ use scenesplat_rasterizer::Gaussians;
 const SCALE_SPREAD: f32 = 0.35;
 /// Standard deviation of the harmonics above the first.
 const SH_SPREAD: f32 = 0.06;
-/// The DC coefficient of a colour is `(rgb − ½) / Y₀`.
+/// The DC coefficient of a color is `(rgb − ½) / Y₀`.
 const Y0: f32 = 0.282_094_79;
 
-/// One Gaussian of degree 3 per coloured point: its size is 0.8 times the root mean square distance to
+/// One Gaussian of degree 3 per colored point: its size is 0.8 times the root mean square distance to
 /// its three nearest other points, times `e^(0.35 n)` along each axis; its orientation is uniform; its
 /// opacity is uniform in 0..1; harmonics above the first are `0.06 n`, `n` standard normal.
 ///
-/// Colours are in 0..=1. The same seed gives the same Gaussians. A point without others has size 1.
+/// Colors are in 0..=1. The same seed gives the same Gaussians. A point without others has size 1.
 ///
 /// # Source
 /// The recipe of the garden in the golden files of this project, whose opacities are uniform in

@@ -8,7 +8,7 @@ use crate::gaussians::expect;
 /// the weights of the pixels are computed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct GradMask {
-    /// Of the centres.
+    /// Of the centers.
     pub means: bool,
     /// Of the quaternions.
     pub quats: bool,
@@ -18,8 +18,8 @@ pub struct GradMask {
     pub opacities: bool,
     /// Of the harmonics.
     pub sh: bool,
-    /// Whether the centres also get what flows through the direction that a colour is seen from.
-    /// gsplat 1.6 has it on; it was 4 % of the gradient of the centres on synthetic scenes.
+    /// Whether the centers also get what flows through the direction that a color is seen from.
+    /// gsplat 1.6 has it on; it was 4 % of the gradient of the centers on synthetic scenes.
     pub sh_direction: bool,
 }
 
@@ -54,7 +54,7 @@ impl GradMask {
         }
     }
 
-    /// Colour only: geometry frozen.
+    /// Color only: geometry frozen.
     pub fn sh_only() -> Self {
         Self { sh: true, ..Self::none() }
     }
@@ -72,7 +72,7 @@ impl GradMask {
 pub struct Gradients {
     /// `[N, 3]`
     pub means: Vec<[f32; 3]>,
-    /// Of quaternions as given, `wxyz`: orthogonal to them if the settings normalise. `[N, 4]`
+    /// Of quaternions as given, `wxyz`: orthogonal to them if the settings normalize. `[N, 4]`
     pub quats: Vec<[f32; 4]>,
     /// `[N, 3]`
     pub scales: Vec<[f32; 3]>,
@@ -82,7 +82,7 @@ pub struct Gradients {
     pub sh: Vec<f32>,
     /// `[N, dim]`; empty without features.
     pub features: Vec<f32>,
-    /// Of the centres on the picture, per pixel: what tells a strategy where a scene lacks Gaussians.
+    /// Of the centers on the picture, per pixel: what tells a strategy where a scene lacks Gaussians.
     /// Empty unless somebody makes room for it; needs the geometry of the mask. `[N, 2]`
     pub screen: Vec<[f32; 2]>,
 }

@@ -1,9 +1,9 @@
-//! From the gradient of a Gaussian's colour to those of its harmonics and of the direction that it
+//! From the gradient of a Gaussian's color to those of its harmonics and of the direction that it
 //! is seen from.
 
 use crate::spherical_harmonics::basis;
 
-// Normalisation constants, as gsplat rounds them (1.6.0, 90d7b4b).
+// Normalization constants, as gsplat rounds them (1.6.0, 90d7b4b).
 const P: f32 = 0.488_602_52;
 const Q: f32 = 0.546_274_2;
 const R: f32 = -1.092_548_5;
@@ -41,7 +41,7 @@ fn slope<const K: usize>([x, y, z]: [f32; 3], t: &[f32; K]) -> [f32; 3] {
     g
 }
 
-/// Which of the gradients of a colour are wanted.
+/// Which of the gradients of a color are wanted.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Wanted {
     pub harmonics: bool,

@@ -21,7 +21,7 @@ pub(crate) const PIXELS: usize = TILE * TILE;
 /// Number of the sums named above.
 pub(crate) const MOMENTS: usize = 6;
 
-/// What a tile reads. `C` channels: colour, depth, both or none.
+/// What a tile reads. `C` channels: color, depth, both or none.
 pub(crate) struct Tile<'a, const C: usize> {
     pub rect: TileRect,
     pub entries: &'a [u32],
@@ -179,7 +179,7 @@ impl<V: Lanes8, const C: usize> Sums<V, C> {
 /// What one Gaussian is at eight pixels.
 #[derive(Clone, Copy)]
 pub(crate) struct Alphas<V: Lanes8> {
-    /// From the pixel to the Gaussian's centre along x. px
+    /// From the pixel to the Gaussian's center along x. px
     pub dx: V,
     /// `o e^(−σ)`.
     pub full: V,

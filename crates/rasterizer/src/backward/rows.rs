@@ -236,8 +236,8 @@ impl<'a> Pass<'a> {
         );
     }
 
-    /// Adds the gradients of one Gaussian's harmonics, and gives back what its centre gets from
-    /// its colour.
+    /// Adds the gradients of one Gaussian's harmonics, and gives back what its center gets from
+    /// its color.
     #[inline]
     fn color(&self, i: usize, eye: [f32; 3], row: &Sums, sh: &mut [f32]) -> [f32; 3] {
         let wanted = harmonics::Wanted {
@@ -254,8 +254,8 @@ impl<'a> Pass<'a> {
         harmonics::pull_back(degree, coefficients, to, row.color, wanted, sh)
     }
 
-    /// Adds the gradients of one Gaussian's geometry; `moved` goes to the centre too. Gives the one of
-    /// the centre on the picture.
+    /// Adds the gradients of one Gaussian's geometry; `moved` goes to the center too. Gives the one of
+    /// the center on the picture.
     #[allow(clippy::needless_pass_by_value, reason = "a tuple of references")]
     #[inline]
     fn geometry(

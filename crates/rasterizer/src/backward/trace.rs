@@ -14,7 +14,7 @@ use crate::{
 /// Which pictures to trace; the transmittance always is one.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct TraceRequest {
-    /// Colour.
+    /// Color.
     pub rgb: bool,
     /// Accumulated and expected depth.
     pub depth: bool,
@@ -23,12 +23,12 @@ pub struct TraceRequest {
 }
 
 impl TraceRequest {
-    /// Colour only.
+    /// Color only.
     pub fn rgb() -> Self {
         Self { rgb: true, ..Self::default() }
     }
 
-    /// Colour and depth.
+    /// Color and depth.
     pub fn rgb_depth() -> Self {
         Self { rgb: true, depth: true, sh_degree: None }
     }
@@ -43,9 +43,9 @@ pub struct Trace {
     pub projected: Projected,
     /// Who is drawn where.
     pub lists: TileLists,
-    /// Their colours; empty if colour was not asked for. `[visible, 3]`
+    /// Their colors; empty if color was not asked for. `[visible, 3]`
     pub colors: Vec<[f32; 3]>,
-    /// Degree of the harmonics that the colours are made of.
+    /// Degree of the harmonics that the colors are made of.
     pub sh_degree: u8,
     /// Gaussians in the scene.
     pub(crate) gaussians: usize,

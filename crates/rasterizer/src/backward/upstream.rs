@@ -56,7 +56,7 @@ pub struct FeatureGradient<'a> {
 /// Gradient of a loss with respect to each picture; what is `None` is 0.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Upstream<'a> {
-    /// Of the colour. `[H, W, 3]`
+    /// Of the color. `[H, W, 3]`
     pub rgb: Option<&'a [f32]>,
     /// Of `1 − transmittance`. `[H, W]`
     pub alpha: Option<&'a [f32]>,

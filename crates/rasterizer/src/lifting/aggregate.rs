@@ -80,7 +80,7 @@ impl Workspace {
         (scaled(&self.sum, 1.0 / total, out)).sqrt().min(1.0)
     }
 
-    /// The feature by a rule into `out`, not normalised; of labels that vary by no more than `guard_above`, the mean.
+    /// The feature by a rule into `out`, not normalized; of labels that vary by no more than `guard_above`, the mean.
     ///
     /// `labels`: weights above 0, at least one.
     pub(super) fn aggregate(

@@ -11,7 +11,7 @@ use crate::Gaussians;
 /// How wrong labels have to be to be left out. In eight synthetic rooms it was 0.13 to 0.48, with no, a
 /// fifth or two fifths of the segments wrong.
 const MISLEADING: f64 = 0.1;
-/// Least part of the labelled weight that has to agree: where most does not, the depth says little
+/// Least part of the labeled weight that has to agree: where most does not, the depth says little
 /// (fog, fur, glass).
 const LEAST_KEPT: f64 = 0.5;
 
@@ -26,7 +26,7 @@ pub struct DepthProbe<'a> {
     /// All pixels as its first granularity, those that agree as its second.
     lifter: Lifter<'a>,
     tolerance: DepthTolerance,
-    /// Labelled weight of either.
+    /// Labeled weight of either.
     labelled: [f64; 2],
 }
 
@@ -40,7 +40,7 @@ pub struct DepthEffect {
     pub misleading: Option<f64>,
     /// Gaussians that this was seen on.
     pub gaussians: u64,
-    /// Part of the labelled weight that agrees, in `0..=1`.
+    /// Part of the labeled weight that agrees, in `0..=1`.
     pub kept: f64,
 }
 

@@ -18,7 +18,7 @@ pub struct FinaliseSettings {
     /// γ: a picture that saw a Gaussian with weight `W` counts `W^γ`. 1 counts pixels, so close
     /// pictures weigh most; 0 gives every picture one vote. In `0..=1`.
     pub view_exponent: f32,
-    /// Least sum of labelled weights, pixels, ≥ 0; Gaussians with less get no feature.
+    /// Least sum of labeled weights, pixels, ≥ 0; Gaussians with less get no feature.
     pub min_coverage: f32,
     /// Least part of the weight that lies in segments, in `0..=1`.
     pub min_labelled_share: f32,
@@ -88,7 +88,7 @@ pub struct BlockFeatures {
     pub guarded: Vec<bool>,
     /// Pictures that saw the Gaussian in a segment. `[B]`
     pub views: Vec<u32>,
-    /// Sum of the labelled weights over all pictures, pixels. `[B]`
+    /// Sum of the labeled weights over all pictures, pixels. `[B]`
     pub coverage: Vec<f32>,
 }
 
@@ -101,7 +101,7 @@ const ROWS_PER_TASK: usize = 64;
 ///
 /// # Shapes
 /// - `block`: B Gaussians; `segment` counts over all pictures of `tables`
-/// - `totals`: `[B]`, all weight of each Gaussian, labelled or not, pixels
+/// - `totals`: `[B]`, all weight of each Gaussian, labeled or not, pixels
 ///
 /// # Panics
 /// If `totals` has another number of rows, or a segment is not in the tables.

@@ -124,7 +124,7 @@ pub struct PictureReport {
     pub weight: f64,
     /// Part of it that lies in segments, per granularity, pixels.
     pub labelled: Vec<f64>,
-    /// Segments that labelled something.
+    /// Segments that labeled something.
     pub segments: usize,
     /// Segments whose feature is 0.
     pub without_feature: usize,
@@ -168,9 +168,8 @@ pub struct Lifter<'a> {
     /// One per granularity.
     spools: Vec<WeightSpool>,
     block_rows: usize,
-    /// All weight of each Gaussian, labelled or not.
+    /// All weight of each Gaussian, labeled or not.
     totals: Vec<f64>,
-    weighted: usize,
     panes: Option<Panes>,
     /// Pictures that show one.
     through_panes: usize,
@@ -218,7 +217,6 @@ impl<'a> Lifter<'a> {
             spools: std::iter::repeat_with(spool).take(levels).collect(),
             block_rows,
             totals: vec![0.0; gaussians.len()],
-            weighted: 0,
             panes: None,
             through_panes: 0,
             settings,
@@ -249,11 +247,6 @@ impl<'a> Lifter<'a> {
     /// Segments of the pictures so far.
     pub fn tables(&self) -> &SegmentTables {
         &self.tables
-    }
-
-    /// Pictures that counted for less than others.
-    pub fn num_weighted(&self) -> usize {
-        self.weighted
     }
 
     /// Weights that wait, of all granularities.
@@ -306,7 +299,6 @@ impl<'a> Lifter<'a> {
             }
         };
         if weight < 1.0 {
-            self.weighted += 1;
             weights.scale(weight);
         }
         self.take(&weights, picture.features)
@@ -526,7 +518,7 @@ mod tests {
     }
 
     /// Two pictures of a dot that name it differently, with these weights.
-    fn lifted(weights: [Option<f32>; 2]) -> (BlockFeatures, usize) {
+    fn lifted(weights: [Option<f32>; 2]) -> BlockFeatures {
         let (gaussians, view) = (dot(), view());
         let levels = [SegmentMap::new(32, 32, vec![0; 32 * 32]).unwrap()];
         let mut lifter = Lifter::new(&gaussians, 1, 2, LiftSettings::default()).unwrap();
@@ -539,21 +531,19 @@ mod tests {
             };
         }
         let settings = FinaliseSettings { normalise: false, ..FinaliseSettings::default() };
-        (lifter.collect(0, &settings).unwrap(), lifter.num_weighted())
+        lifter.collect(0, &settings).unwrap()
     }
 
     #[test]
     fn pictures_count_as_much_as_they_weigh_and_one_is_no_weight_at_all() {
-        let (plain, count) = lifted([None, None]);
-        assert_eq!(count, 0);
-        assert_eq!(lifted([Some(1.0), Some(1.0)]), (plain.clone(), 0));
+        let plain = lifted([None, None]);
+        assert_eq!(lifted([Some(1.0), Some(1.0)]), plain);
         // By hand: three quarters to one quarter.
-        let (uneven, count) = lifted([None, Some(1.0 / 3.0)]);
-        assert_eq!(count, 1);
+        let uneven = lifted([None, Some(1.0 / 3.0)]);
         let near = |got: f32, want: f32| (got - want).abs() < 1e-6;
         assert!(near(uneven.features[0], 0.75) && near(uneven.features[1], 0.25), "{uneven:?}");
         // What all weigh alike changes no feature, and coverage by as much.
-        let (half, _) = lifted([Some(0.5), Some(0.5)]);
+        let half = lifted([Some(0.5), Some(0.5)]);
         assert_eq!(half.features, plain.features);
         assert!(near(half.coverage[0], 0.5 * plain.coverage[0]) && half.views == plain.views);
     }

@@ -26,7 +26,7 @@ pub struct Panes {
     pub is_sheet: Vec<bool>,
     /// Whether a Gaussian may be a mirror image: its confidence is divided by four. `[N]`
     pub is_doubtful: Vec<bool>,
-    /// Each pane as balls (centre, radius) that cover it, in units of the world.
+    /// Each pane as balls (center, radius) that cover it, in units of the world.
     pub balls: Vec<Vec<[f32; 4]>>,
 }
 

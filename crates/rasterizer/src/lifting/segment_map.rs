@@ -60,7 +60,7 @@ impl SegmentMap {
         largest.map_or(0, |&id| usize::from(id) + 1)
     }
 
-    /// The map at another size: each pixel takes the id of the pixel its centre falls into.
+    /// The map at another size: each pixel takes the id of the pixel its center falls into.
     ///
     /// For pictures that were made smaller or larger as a whole before they were cut into segments:
     /// `None` unless both sides were scaled by the same factor, to within a pixel of rounding.

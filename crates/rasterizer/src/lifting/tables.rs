@@ -36,11 +36,6 @@ impl SegmentTables {
         self.len() == 0
     }
 
-    /// Pictures.
-    pub fn num_views(&self) -> usize {
-        self.starts.len() - 1
-    }
-
     /// Global segments of a picture.
     pub fn segments_of(&self, view: usize) -> Range<u32> {
         self.starts[view]..self.starts[view + 1]

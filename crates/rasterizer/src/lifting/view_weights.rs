@@ -21,10 +21,10 @@ pub enum LiftRule {
     /// All that show it, each with its blending weight `α T`.
     #[default]
     AlphaWeighted,
-    /// The one pixel up to one pixel left of and above its centre, with the weight there, and the
-    /// segment of the pixel its centre is in: half a pixel apart, as in Occam's LGS (70d2e69) and
+    /// The one pixel up to one pixel left of and above its center, with the weight there, and the
+    /// segment of the pixel its center is in: half a pixel apart, as in Occam's LGS (70d2e69) and
     /// the fork of gsplat 1.4 it uses (5791713). Its constants are
-    /// [`RasterSettings::gsplat_1_4`]. A Gaussian whose centre is hidden or outside the picture gets
+    /// [`RasterSettings::gsplat_1_4`]. A Gaussian whose center is hidden or outside the picture gets
     /// no label from it.
     CentrePixel,
 }
@@ -358,7 +358,7 @@ impl Pass<'_> {
         let pixels = CentrePixels::new(projected, picture.view);
         let make = |rect| CentrePixel::new(&pixels, rect);
         let tiles = blend(projected, lists, picture.view, settings, make);
-        // A centre is in one tile: no Gaussian is there twice.
+        // A center is in one tile: no Gaussian is there twice.
         let mut found: Vec<(u32, f32)> = tiles.concat();
         found.sort_unstable_by_key(|&(row, _)| row);
         let count = picture.levels.len();

@@ -71,7 +71,7 @@ pub enum PlanError {
 /// For which values a backward pass will follow.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct NeededGradients {
-    /// Centres.
+    /// Centers.
     pub means: bool,
     /// Quaternions.
     pub quats: bool,
@@ -144,7 +144,7 @@ pub enum Bound {
     Exact,
     /// Only by the rounding of f32, as another order of the same sums would.
     Rounding,
-    /// A colour channel by at most this.
+    /// A color channel by at most this.
     Color(f32),
 }
 
@@ -230,7 +230,7 @@ impl RenderPlan {
         make(&self.profile, self.given, request)
     }
 
-    /// The sum of all bounds: a colour channel of [`full`](Self::full) differs by at most this,
+    /// The sum of all bounds: a color channel of [`full`](Self::full) differs by at most this,
     /// rounding aside.
     pub fn bound(&self) -> f32 {
         let bound = |d: &Decision| if let Bound::Color(c) = d.bound { c } else { 0.0 };

@@ -147,7 +147,7 @@ impl<'a> Lens<'a> {
         Self { view, settings, tangents, size, reach }
     }
 
-    /// Centres in the picture, and who is out of it whatever its orientation: a bound that costs a
+    /// Centers in the picture, and who is out of it whatever its orientation: a bound that costs a
     /// fraction of the footprint, for the many that are far outside.
     #[inline(always)]
     fn place(&self, block: &mut Block) {
@@ -254,7 +254,7 @@ impl<'a> Lens<'a> {
         }
     }
 
-    /// How far from its centre a Gaussian is above the cut, and whether that is in the picture.
+    /// How far from its center a Gaussian is above the cut, and whether that is in the picture.
     #[inline(always)]
     fn extend(&self, block: &mut Block) {
         let settings = self.settings;

@@ -1,4 +1,4 @@
-//! Maps of segment ids as grey PNG.
+//! Maps of segment ids as gray PNG.
 
 use crate::lifting::{LiftError, NO_SEGMENT, SegmentMap};
 use scenesplat_scene::picture::{Channels, Samples, read_png};

@@ -300,60 +300,6 @@ fn subnormal_numbers_count_as_zero() {
     assert!(one_product(least / 2.0, f32::INFINITY, 0.0).is_nan());
 }
 
-/// One element as the instruction adds it up.
-fn model(a: &[f32], b: &[f32]) -> f32 {
-    let mut sum = 0f32;
-    for (a, b) in a.chunks(32).zip(b.chunks(32)) {
-        let mut chains = [0f32; 2];
-        for (p, (a, b)) in a.iter().zip(b).enumerate() {
-            chains[p % 2] = a.mul_add(*b, chains[p % 2]);
-        }
-        sum += chains[0] + chains[1];
-    }
-    sum
-}
-
-/// f32 products from three bf16 ones, `[A_hi, A_hi, A_lo] · [B_hi; B_lo; B_hi]`: the error as a
-/// share of the sum of the products' sizes.
-///
-/// A low half is at most 2⁻⁸ of its number, and both together are wrong by 2⁻¹⁷. What lacks is
-/// low · low and each number's rest: 2⁻¹⁶ + 2 · 2⁻¹⁷ = 2⁻¹⁵ at worst, in one product or if all
-/// err alike; in sums of many of a size it averages out.
-fn split_error(a: &[f32], b: &[f32]) -> f64 {
-    let halves = |x: &[f32]| -> (Vec<f32>, Vec<f32>) {
-        x.iter().map(|&x| bf16::split(x)).map(|(h, l)| (bf16::widen(h), bf16::widen(l))).unzip()
-    };
-    let ((ah, al), (bh, bl)) = (halves(a), halves(b));
-    let got = model(&[&ah[..], &ah, &al].concat(), &[&bh[..], &bl, &bh].concat());
-    let terms = a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b));
-    let size: f64 = terms.clone().map(f64::abs).sum();
-    (f64::from(got) - terms.sum::<f64>()).abs() / size
-}
-
-#[test]
-fn three_products_of_halves_keep_15_bits() {
-    const WORST: f64 = 1.0 / 32768.0;
-    let k = 768;
-    let scaled = |seed: u64, exponent: f32| -> Vec<f32> {
-        let scale = random(k, seed + 1000);
-        random(k, seed).iter().zip(scale).map(|(x, s)| x * (exponent * s).exp2()).collect()
-    };
-    // Up to 2^±50 each: products from 1e-30 to 1e30 side by side, where one decides alone.
-    for (exponent, allowed) in [(0.0, 2e-6), (8.0, 2e-5), (50.0, WORST + tolerance(3 * k))] {
-        let errors = (0..200)
-            .map(|seed| split_error(&scaled(seed, exponent), &scaled(seed + 500, exponent)));
-        let worst = errors.fold(0.0, f64::max);
-        println!("numbers scaled by 2^±{exponent}: {worst:.2e}");
-        assert!(worst <= allowed, "2^±{exponent}: {worst:e}");
-    }
-    // Both halves round down as far as they can.
-    let least = 1.0 + 1.0 / 256.0 - 1.0 / 131_072.0 - 1.0 / 8_388_608.0;
-    let error = split_error(&[least], &[least]);
-    assert!((0.98 * WORST..WORST).contains(&error), "{error:e}");
-    // What rounds to infinity becomes NaN (its rest is −∞, and ∞ meets the other's rest of 0).
-    assert!(split_error(&[f32::MAX], &[1.0]).is_nan());
-}
-
 #[test]
 fn products_of_bytes_are_exact() {
     if !tiles_or_say_so("products of bytes") || !has_bytes() {

@@ -26,7 +26,7 @@ use crate::simd::compiled;
 
 /// Columns and rows of a matrix below which 8 bits do not pay: such layers compute in f32.
 ///
-/// Rows are quantised for every product and sums brought to scale; for fewer than 64 channels that
+/// Rows are quantized for every product and sums brought to scale; for fewer than 64 channels that
 /// takes as long as the products.
 pub(crate) const LEAST_CHANNELS: usize = 64;
 
@@ -81,7 +81,7 @@ pub(crate) fn quantize(from: &[f32], to: &mut [u32]) -> f32 {
 /// A right-hand side in 8 bits.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Quads {
-    /// Four neighbours along k to a word, in panels as of pairs.
+    /// Four neighbors along k to a word, in panels as of pairs.
     pub words: Vec<u32>,
     /// `[padded n]`
     pub scales: Vec<f32>,

@@ -10,7 +10,7 @@ fn view() -> View {
     pinhole([19, 17], 20.0, 3.0)
 }
 
-/// `n` Gaussians in a row, the first at the centre of the picture.
+/// `n` Gaussians in a row, the first at the center of the picture.
 fn row(n: usize) -> Gaussians {
     Gaussians {
         means: (0..n).map(|i| [0.1 * i as f32, 0.0, 0.2 * i as f32]).collect(),

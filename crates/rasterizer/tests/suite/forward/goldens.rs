@@ -65,7 +65,7 @@ fn check_pictures(
 }
 
 /// The median depth jumps where the transmittance passes ½ within float noise: such pixels may hold the
-/// depth of a neighbour in the list.
+/// depth of a neighbor in the list.
 fn check_median(expected: &[f64], boundary: &[f64], got: &[f32]) {
     assert_eq!(got.len(), expected.len());
     let off = |i: usize| {

@@ -197,7 +197,7 @@ fn scenes_are_activated() {
     };
     let gaussians = Gaussians::from_scene(&scene).unwrap();
     assert_eq!(gaussians.scales[0], [1.0, 0.0, std::f32::consts::E]);
-    // The second has no colour, and hides nothing.
+    // The second has no color, and hides nothing.
     assert_eq!(gaussians.opacities, [0.5, 0.0]);
     assert_eq!(gaussians.sh[..6], [1.0, 2.0, 3.0, 0.5, 0.5, 0.5]);
     let high = GaussianScene { sh_degree: 4, ..scene };

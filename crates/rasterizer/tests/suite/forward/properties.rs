@@ -60,7 +60,7 @@ fn instruction_sets_agree_with_every_preset() {
 #[test]
 fn a_square_of_three_sigma_picks_whole_tiles() {
     let camera = View { fx: 100.0, fy: 100.0, cx: 0.0, cy: 0.0, ..view(32, 32) };
-    // What the pixel of row y above column 3 has lost, of a Gaussian with its centre in row v.
+    // What the pixel of row y above column 3 has lost, of a Gaussian with its center in row v.
     let lost = |settings: RasterSettings, v: f32, y: usize| {
         let scene = one([0.32, 0.1 * v, 10.0], 0.3912, 1.0);
         let out = render(&scene, &camera, &settings, &RenderRequest::default()).unwrap();
@@ -103,7 +103,7 @@ fn more_picture_around_changes_nothing_inside() {
     let mut scene = random(200, 14);
     let settings = RasterSettings::default();
     let mut small = view(21, 19);
-    // Limits of the tangents depend on the size: keep all centres inside them.
+    // Limits of the tangents depend on the size: keep all centers inside them.
     for mean in &mut scene.means {
         mean[2] = mean[2].max(1.5);
     }
@@ -199,7 +199,7 @@ fn presets_differ_where_they_say() {
     assert!(alpha(&opaque, RasterSettings::gsplat_1_5()) > 0.99);
     assert!(alpha(&near, RasterSettings::gsplat_1_6()) > 0.4);
     assert_eq!(alpha(&near, RasterSettings::inria()), 0.0);
-    // Without normalisation this quaternion stretches two axes by 1 − 2 · 2² = −7.
+    // Without normalization this quaternion stretches two axes by 1 − 2 · 2² = −7.
     let mut long = one([0.0, 0.0, 2.0], 0.05, 0.5);
     long.quats[0] = [0.0, 2.0, 0.0, 0.0];
     let sum = |settings| {

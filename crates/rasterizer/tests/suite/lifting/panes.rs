@@ -16,7 +16,7 @@ const FEATURES: [f32; 9] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
 /// Where the pane shows in the pictures.
 const PANE: [Range<u32>; 2] = [22..42, 14..34];
 
-/// A wall 4 before the camera, a faint pane of one metre 2 before it, and maybe a board 1 before it.
+/// A wall 4 before the camera, a faint pane of one meter 2 before it, and maybe a board 1 before it.
 fn world(board: bool) -> (Gaussians, Panes, Range<usize>) {
     let mut means = Vec::new();
     for i in 0..900 {

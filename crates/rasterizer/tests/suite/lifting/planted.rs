@@ -12,6 +12,7 @@ use scenesplat_rasterizer::{
 };
 use scenesplat_rooms::{SyntheticRoomSettings, generate};
 use scenesplat_scene::GaussianScene;
+use scenesplat_scene::vector::cross;
 
 /// Width of the objects' features.
 pub const DIM: usize = 64;
@@ -105,7 +106,6 @@ impl Planted {
         weigh: impl Fn(f64) -> f32,
     ) -> Result<Lifter<'_>, LiftError> {
         let mut rng = ChaCha8Rng::seed_from_u64(78);
-        let count = self.num_objects();
         let mut lifter = Lifter::new(&self.gaussians, 1, DIM, settings)?;
         for view in &self.views {
             let sd = (0.2 * severity).to_radians();
@@ -122,18 +122,9 @@ impl Planted {
                 });
             }
             orthonormal(&mut began.world_to_camera);
-            let map = if severity > 0.0 {
-                object_map(&self.gaussians, &self.object, &began)
-            } else {
-                object_map(&self.gaussians, &self.object, view)
-            };
-            let mut features = self.features.clone();
-            for (own, row) in features.chunks_exact_mut(DIM).enumerate() {
-                if rng.random_bool((0.02 * pixels).min(0.5)) {
-                    let other = (own + rng.random_range(1..count)) % count;
-                    row.copy_from_slice(&self.features[other * DIM..(other + 1) * DIM]);
-                }
-            }
+            let shown = if severity > 0.0 { &began } else { view };
+            let map = object_map(&self.gaussians, &self.object, shown);
+            let features = self.renamed((0.02 * pixels).min(0.5), &mut rng);
             let levels = std::slice::from_ref(&map);
             let picture = LabelledPicture { view, levels, features: &features, depth: None };
             lifter.add_weighted(&picture, weigh(pixels))?;
@@ -158,19 +149,24 @@ impl Planted {
         mut sink: impl FnMut(usize, &LabelledPicture<'_>) -> Result<(), LiftError>,
     ) -> Result<(), LiftError> {
         let mut rng = ChaCha8Rng::seed_from_u64(77);
-        let count = self.num_objects();
         for (number, (view, map)) in self.views.iter().zip(&self.maps).enumerate() {
-            let mut features = self.features.clone();
-            for (own, row) in features.chunks_exact_mut(DIM).enumerate() {
-                if rng.random_bool(wrong) {
-                    let other = (own + rng.random_range(1..count)) % count;
-                    row.copy_from_slice(&self.features[other * DIM..(other + 1) * DIM]);
-                }
-            }
+            let features = self.renamed(wrong, &mut rng);
             let levels = std::slice::from_ref(map);
             sink(number, &LabelledPicture { view, levels, features: &features, depth: None })?;
         }
         Ok(())
+    }
+
+    /// The objects' features, each with this probability replaced by another object's.
+    fn renamed(&self, wrong: f64, rng: &mut ChaCha8Rng) -> Vec<f32> {
+        let (mut features, count) = (self.features.clone(), self.num_objects());
+        for (own, row) in features.chunks_exact_mut(DIM).enumerate() {
+            if rng.random_bool(wrong) {
+                let other = (own + rng.random_range(1..count)) % count;
+                row.copy_from_slice(&self.features[other * DIM..(other + 1) * DIM]);
+            }
+        }
+        features
     }
 
     /// Makes features and compares them with the truth.
@@ -254,11 +250,7 @@ fn cameras(size: [f32; 3], count: usize, picture: [u32; 2]) -> Vec<View> {
         let pitch = [-0.5f32, -0.1, 0.35][i % 3];
         let forward = [yaw.cos() * pitch.cos(), yaw.sin() * pitch.cos(), pitch.sin()];
         let right = [yaw.sin(), -yaw.cos(), 0.0];
-        let down = [
-            forward[1] * right[2] - forward[2] * right[1],
-            forward[2] * right[0] - forward[0] * right[2],
-            forward[0] * right[1] - forward[1] * right[0],
-        ];
+        let down = cross(forward, right);
         let row = |axis: [f32; 3]| [axis[0], axis[1], axis[2], -dot(&axis, &place)];
         let [width, height] = picture;
         View {

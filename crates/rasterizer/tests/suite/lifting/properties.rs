@@ -107,7 +107,7 @@ fn several_granularities_at_once_are_each_by_itself() {
             }
         }
         assert!(all.levels[3].is_empty() && !all.levels[1].is_empty());
-        // Of one segment everywhere, the labelled weight is all of it.
+        // Of one segment everywhere, the labeled weight is all of it.
         assert_eq!(all.levels[2].len(), all.totals.len());
         let pairs = all.levels[2].iter().zip(&all.totals);
         assert!(pairs.clone().all(|(w, t)| w.gaussian == t.0 && w.segment == 3));

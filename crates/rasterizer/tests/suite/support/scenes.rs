@@ -64,7 +64,7 @@ pub fn random(rows: usize, seed: u64) -> Gaussians {
     scene
 }
 
-/// One Gaussian, grey of the given DC coefficient.
+/// One Gaussian, gray of the given DC coefficient.
 pub fn one(mean: [f32; 3], scale: f32, opacity: f32) -> Gaussians {
     Gaussians {
         means: vec![mean],
