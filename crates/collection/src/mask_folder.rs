@@ -2,7 +2,7 @@
 
 use crate::{CollectError, PosedPicture, Segmented, Segmenter};
 use scenesplat_rasterizer::lifting::{NO_SEGMENT, SegmentMap};
-use scenesplat_scene::picture::{Channels, Samples, read_png};
+use scenesplat_rasterizer::segments::read_ids;
 use std::path::{Path, PathBuf};
 
 /// A folder of `<frame>.png`: gray, 8 or 16 bits, each value an id; the largest (255 or 65535), or another that is
@@ -21,7 +21,7 @@ impl MaskFolder {
     /// # Errors
     /// If the folder cannot be read or has no `.png`.
     pub fn open(path: &Path, no_segment: Option<u16>) -> Result<Self, CollectError> {
-        let help = "a folder of id maps is expected: <frame>.png, grey, 8 or 16 bits";
+        let help = "a folder of id maps is expected: <frame>.png, gray, 8 or 16 bits";
         let entries =
             std::fs::read_dir(path).map_err(|e| CollectError::file(path, e.to_string(), help))?;
         let is_map =
@@ -52,16 +52,7 @@ impl Segmenter for MaskFolder {
                 "every frame needs its map; leave the frame out, or make one without segments";
             return Err(CollectError::file(&path, "is missing", help));
         }
-        let file = read_png(&path)?;
-        let (width, height, channels) = (file.width(), file.height(), file.channels());
-        if channels != Channels::Gray {
-            let help = "a grey PNG of 8 or 16 bits is expected, each value an id";
-            return Err(CollectError::file(&path, format!("holds {channels:?} pixels"), help));
-        }
-        let (values, largest): (Vec<u16>, u16) = match file.into_samples() {
-            Samples::Eight(v) => (v.into_iter().map(u16::from).collect(), u16::from(u8::MAX)),
-            Samples::Sixteen(v) => (v, u16::MAX),
-        };
+        let (width, height, values, largest) = read_ids(&path)?;
         let none = self.no_segment.unwrap_or(largest);
         // 65535 is an id where another value means none; dense ids never are 65535.
         let some = |&v: &u16| (v != none).then_some(u32::from(v));
@@ -93,7 +84,7 @@ mod tests {
     #![allow(clippy::unwrap_used, reason = "a test may fail loudly")]
     use super::*;
     use crate::segmenter::tests::view;
-    use scenesplat_scene::picture::{Picture, RgbPicture};
+    use scenesplat_scene::picture::{Channels, Picture, RgbPicture, Samples};
 
     fn write(path: &Path, width: u32, height: u32, channels: Channels, samples: Samples) {
         let picture = Picture::new(width, height, channels, samples).unwrap();

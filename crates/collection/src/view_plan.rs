@@ -2,6 +2,7 @@
 
 use crate::choice::{Shown, choose_pictures};
 use crate::{CollectError, seen_in};
+use glam::{DMat3, DVec3};
 use scenesplat_kernels::neighbors::KdTree;
 use scenesplat_rasterizer::{Gaussians, View};
 use scenesplat_scene::quantile::quantile;
@@ -26,7 +27,7 @@ const OPEN: f64 = 0.4;
 /// Part of a view that may be nearer than the clearance.
 const TOO_NEAR: f64 = 0.1;
 
-/// What cameras are wanted.
+/// Which cameras to plan.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ViewPlanSettings {
     /// Number of cameras, at least 1; fewer come out where more would show nothing.
@@ -107,16 +108,16 @@ struct Planner<'a> {
     settings: ViewPlanSettings,
     /// Of the Gaussians that are in the way, upright.
     tree: KdTree,
-    low: [f64; 3],
-    high: [f64; 3],
-    /// Rows: upright axes in the scene's.
-    upright: [[f64; 3]; 3],
+    low: DVec3,
+    high: DVec3,
+    /// From the scene's axes to upright ones.
+    upright: DMat3,
 }
 
 /// A camera to be: upright place, azimuth and pitch in radians.
 #[derive(Debug, Clone, Copy)]
 struct Candidate {
-    eye: [f64; 3],
+    eye: DVec3,
     azimuth: f64,
     pitch: f64,
     /// Number of its place.
@@ -125,11 +126,8 @@ struct Candidate {
 
 impl<'a> Planner<'a> {
     fn of(gaussians: &'a Gaussians, settings: ViewPlanSettings) -> Result<Self, CollectError> {
-        let upright = settings.up.upright();
-        let turn = |p: &[f32; 3]| -> [f32; 3] {
-            let p = p.map(f64::from);
-            upright.map(|r| (r[0] * p[0] + r[1] * p[1] + r[2] * p[2]) as f32)
-        };
+        let upright = DMat3::from_cols_array_2d(&settings.up.upright()).transpose();
+        let turn = |p: &[f32; 3]| (upright * DVec3::from(p.map(f64::from))).as_vec3().to_array();
         let is_finite = |p: &[f32; 3]| p.iter().all(|v| v.is_finite());
         let rows = gaussians.means.iter().zip(&gaussians.opacities);
         let solid: Vec<[f32; 3]> =
@@ -147,19 +145,17 @@ impl<'a> Planner<'a> {
         }
         let tree =
             KdTree::new(&solid).map_err(|e| CollectError::argument("scene", e.to_string()))?;
-        Ok(Self { gaussians, settings, tree, low, high, upright })
+        Ok(Self { gaussians, settings, tree, low: low.into(), high: high.into(), upright })
     }
 
     fn clearance(&self) -> f64 {
-        let side = |a: usize| self.high[a] - self.low[a];
-        let shortest = side(0).min(side(1)).min(side(2));
+        let sides = self.high - self.low;
         // Of something flat the longest side says more.
-        let longest = side(0).max(side(1)).max(side(2));
-        CLEARANCE * shortest.max(0.1 * longest)
+        CLEARANCE * sides.min_element().max(0.1 * sides.max_element())
     }
 
     /// Free places in the box, at first the one with the most space, then each time the one farthest from the others.
-    fn free_places(&self) -> Vec<[f64; 3]> {
+    fn free_places(&self) -> Vec<DVec3> {
         let mut free = Vec::new();
         for part in HEIGHTS {
             for i in 0..PLACES * PLACES {
@@ -168,8 +164,8 @@ impl<'a> Planner<'a> {
                     self.low[a] + share * (self.high[a] - self.low[a])
                 };
                 let z = self.low[2] + part * (self.high[2] - self.low[2]);
-                let place = [at(i % PLACES, 0), at(i / PLACES, 1), z];
-                let nearest = self.tree.nearest(place.map(|v| v as f32), 1);
+                let place = DVec3::new(at(i % PLACES, 0), at(i / PLACES, 1), z);
+                let nearest = self.tree.nearest(place.as_vec3().to_array(), 1);
                 let space = nearest.first().map_or(0.0, |n| n.distance_squared.sqrt());
                 if space >= self.clearance() {
                     free.push((place, space));
@@ -177,14 +173,16 @@ impl<'a> Planner<'a> {
             }
         }
         let wanted = self.settings.count.div_ceil(2).clamp(8, 24);
-        let mut chosen: Vec<[f64; 3]> = Vec::new();
-        let apart = |a: [f64; 3], b: [f64; 3]| (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>();
+        let mut chosen: Vec<DVec3> = Vec::new();
         while chosen.len() < wanted {
-            let score = |(place, space): &([f64; 3], f64)| match chosen.is_empty() {
+            let score = |(place, space): &(DVec3, f64)| match chosen.is_empty() {
                 true => *space,
-                false => chosen.iter().map(|c| apart(*c, *place)).fold(f64::INFINITY, f64::min),
+                false => {
+                    let apart = chosen.iter().map(|c| c.distance_squared(*place));
+                    apart.fold(f64::INFINITY, f64::min)
+                }
             };
-            let mut best: Option<([f64; 3], f64)> = None;
+            let mut best: Option<(DVec3, f64)> = None;
             for candidate in &free {
                 let score = score(candidate);
                 if score > best.map_or(0.0, |(_, s)| s) {
@@ -197,7 +195,7 @@ impl<'a> Planner<'a> {
         chosen
     }
 
-    fn around_places(&self, places: &[[f64; 3]]) -> Vec<Candidate> {
+    fn around_places(&self, places: &[DVec3]) -> Vec<Candidate> {
         let mut out = Vec::new();
         for (place, &eye) in places.iter().enumerate() {
             for turn in 0..AROUND {
@@ -214,16 +212,15 @@ impl<'a> Planner<'a> {
 
     /// Cameras around the box that look at its middle.
     fn orbits(&self) -> Vec<Candidate> {
-        let middle = [0, 1, 2].map(|a| (self.low[a] + self.high[a]) / 2.0);
-        let half = (0..3).map(|a| (self.high[a] - self.low[a]).powi(2)).sum::<f64>().sqrt() / 2.0;
+        let middle = (self.low + self.high) / 2.0;
+        let half = (self.high - self.low).length() / 2.0;
         let mut out = Vec::new();
         for (ring, pitch) in [-0.25f64, -0.7, 0.2].into_iter().enumerate() {
             for (row, distance) in [2.2, 1.4].into_iter().enumerate() {
                 for turn in 0..16 {
                     let step = turn as f64 + (ring + row) as f64 / 3.0;
                     let azimuth = std::f64::consts::TAU * step / 16.0;
-                    let ahead = direction(azimuth, pitch);
-                    let eye = [0, 1, 2].map(|a| middle[a] - distance * half * ahead[a]);
+                    let eye = middle - distance * half * direction(azimuth, pitch);
                     let place = out.len();
                     out.push(Candidate { eye, azimuth, pitch, place });
                 }
@@ -233,18 +230,11 @@ impl<'a> Planner<'a> {
     }
 
     fn camera(&self, candidate: &Candidate, name: String, [width, height]: [u32; 2]) -> Camera {
-        let back = |v: [f64; 3]| -> [f64; 3] {
-            [0, 1, 2].map(|a| (0..3).map(|i| self.upright[i][a] * v[i]).sum())
-        };
         let forward = direction(candidate.azimuth, candidate.pitch);
-        let right = [candidate.azimuth.sin(), -candidate.azimuth.cos(), 0.0];
-        let down = [
-            forward[1] * right[2] - forward[2] * right[1],
-            forward[2] * right[0] - forward[0] * right[2],
-            forward[0] * right[1] - forward[1] * right[0],
-        ];
-        let rotation = [back(right), back(down), back(forward)];
-        let eye = back(candidate.eye);
+        let right = DVec3::new(candidate.azimuth.sin(), -candidate.azimuth.cos(), 0.0);
+        let back = self.upright.transpose();
+        let axes = [right, forward.cross(right), forward].map(|axis| back * axis);
+        let eye = back * candidate.eye;
         let focal =
             f64::from(width.min(height)) / (2.0 * (self.settings.fov / 2.0).to_radians().tan());
         Camera {
@@ -256,8 +246,8 @@ impl<'a> Planner<'a> {
             cx: f64::from(width) / 2.0,
             cy: f64::from(height) / 2.0,
             distortion: Distortion::None,
-            rotation,
-            translation: rotation.map(|r| -(r[0] * eye[0] + r[1] * eye[1] + r[2] * eye[2])),
+            rotation: axes.map(|axis| axis.to_array()),
+            translation: axes.map(|axis| -axis.dot(eye)),
         }
     }
 
@@ -306,8 +296,8 @@ impl<'a> Planner<'a> {
 }
 
 /// Unit vector of an azimuth and a pitch, z up.
-fn direction(azimuth: f64, pitch: f64) -> [f64; 3] {
-    [azimuth.cos() * pitch.cos(), azimuth.sin() * pitch.cos(), pitch.sin()]
+fn direction(azimuth: f64, pitch: f64) -> DVec3 {
+    DVec3::new(azimuth.cos() * pitch.cos(), azimuth.sin() * pitch.cos(), pitch.sin())
 }
 
 #[cfg(test)]

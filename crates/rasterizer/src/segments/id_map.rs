@@ -4,22 +4,32 @@ use crate::lifting::{LiftError, NO_SEGMENT, SegmentMap};
 use scenesplat_scene::picture::{Channels, Samples, read_png};
 use std::path::Path;
 
+/// Reads a gray PNG of 8 or 16 bits, each value an id. Gives width, height, the values, and the largest that there can be.
+///
+/// # Errors
+/// If it cannot be read, or has other channels.
+pub fn read_ids(path: &Path) -> Result<(u32, u32, Vec<u16>, u16), LiftError> {
+    let picture = read_png(path)?;
+    let (width, height, channels) = (picture.width(), picture.height(), picture.channels());
+    if channels != Channels::Gray {
+        let help = "a gray PNG of 8 or 16 bits is expected, each value an id";
+        return Err(LiftError::file(path, format!("holds {channels:?} pixels"), help));
+    }
+    Ok(match picture.into_samples() {
+        Samples::Eight(map) => {
+            (width, height, map.into_iter().map(u16::from).collect(), u8::MAX.into())
+        }
+        Samples::Sixteen(map) => (width, height, map, u16::MAX),
+    })
+}
+
 /// Reads ids below `segments`; `none` is the value of pixels without one, by default the largest.
 pub(super) fn read_id_png(
     path: &Path,
     segments: usize,
     none: Option<u16>,
 ) -> Result<SegmentMap, LiftError> {
-    let picture = read_png(path)?;
-    let (width, height, channels) = (picture.width(), picture.height(), picture.channels());
-    if channels != Channels::Gray {
-        let help = "a grey PNG of 8 or 16 bits is expected";
-        return Err(LiftError::file(path, format!("holds {channels:?} pixels"), help));
-    }
-    let (values, default): (Vec<u16>, u16) = match picture.into_samples() {
-        Samples::Eight(map) => (map.into_iter().map(u16::from).collect(), u16::from(u8::MAX)),
-        Samples::Sixteen(map) => (map, u16::MAX),
-    };
+    let (width, height, values, default) = read_ids(path)?;
     let none = none.unwrap_or(default);
     let outside = |id: u16| id != none && usize::from(id) >= segments;
     if let Some(at) = values.iter().position(|&id| outside(id)) {

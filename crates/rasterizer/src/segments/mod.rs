@@ -17,3 +17,4 @@ mod id_map;
 mod langsplat;
 
 pub use folder::{CameraMatches, FrameSegments, SegmentFolder, SegmentLayout, SegmentOptions};
+pub use id_map::read_ids;
