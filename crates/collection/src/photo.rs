@@ -1,6 +1,7 @@
 //! A photo made to fit its camera.
 
 use crate::CollectError;
+use scenesplat_rasterizer::lifting::is_scaled;
 use scenesplat_scene::Camera;
 use scenesplat_scene::input_file::read_file;
 use scenesplat_scene::picture::{RgbPicture, decode_picture, orientation};
@@ -9,7 +10,7 @@ use std::path::Path;
 /// Largest file of a photo that is read: 1 GiB.
 const MAX_BYTES: u64 = 1 << 30;
 
-/// What was done to a photo or its camera, or could not be told.
+/// What was done to a photo or its camera, or was left undone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PhotoRemark {
     /// The photo was turned by its Exif mark: only so it fits its camera.
@@ -73,16 +74,7 @@ fn scaled(camera: &Camera, [width, height]: [u32; 2]) -> Option<Camera> {
     }
     let (x, y) =
         (f64::from(width) / f64::from(camera.width), f64::from(height) / f64::from(camera.height));
-    // A side of the smaller picture, scaled as the other side was, was rounded to whole pixels.
-    let (small, large) = if x <= 1.0 {
-        ([width, height], [camera.width, camera.height])
-    } else {
-        ([camera.width, camera.height], [width, height])
-    };
-    let [small, large] = [small, large].map(|side| side.map(f64::from));
-    let off = |a: usize, b: usize| (large[a] * small[b] / large[b] - small[a]).abs();
-    let fits = off(0, 1).min(off(1, 0)) < 1.0;
-    fits.then(|| Camera {
+    is_scaled([camera.width, camera.height], [width, height]).then(|| Camera {
         width,
         height,
         fx: camera.fx * x,

@@ -71,12 +71,7 @@ impl SegmentMap {
         if [width, height, self.width, self.height].contains(&0) {
             return None;
         }
-        // A side of the smaller picture, scaled as the other side was, was rounded to whole pixels.
-        let (from, to) = ([self.width, self.height], [width, height]);
-        let (small, large) = if to[0] <= from[0] { (to, from) } else { (from, to) };
-        let [small, large] = [small, large].map(|side| side.map(f64::from));
-        let off = |a: usize, b: usize| (large[a] * small[b] / large[b] - small[a]).abs();
-        if off(0, 1).min(off(1, 0)) >= 1.0 {
+        if !is_scaled([self.width, self.height], [width, height]) {
             return None;
         }
         let place = |i: u32, from: u32, to: u32| {
@@ -131,6 +126,16 @@ impl SegmentMap {
         }
         Self { width: self.width, height: self.height, ids }
     }
+}
+
+/// Whether two sizes are those of one picture at two scales: both sides by one factor, to within a pixel of
+/// rounding. Sides are not 0.
+pub fn is_scaled(from: [u32; 2], to: [u32; 2]) -> bool {
+    // A side of the smaller picture, scaled as the other side, was rounded to whole pixels.
+    let (small, large) = if to[0] <= from[0] { (to, from) } else { (from, to) };
+    let [small, large] = [small, large].map(|side| side.map(f64::from));
+    let off = |a: usize, b: usize| (large[a] * small[b] / large[b] - small[a]).abs();
+    off(0, 1).min(off(1, 0)) < 1.0
 }
 
 #[cfg(test)]
