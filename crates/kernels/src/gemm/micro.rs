@@ -24,10 +24,10 @@ pub(crate) trait Products {
     unsafe fn multiply_add(a: Self::Factor, b: Self::Factor, sum: Self::Sum) -> Self::Sum;
 }
 
-/// One f32 a step.
-pub(crate) struct Singles<V>(PhantomData<V>);
+/// One f32 a step, of the kind `K`: as it is, or rounded before.
+pub(crate) struct Singles<V, K = ()>(PhantomData<(V, K)>);
 
-impl<V: Vector> Products for Singles<V> {
+impl<V: Vector, K> Products for Singles<V, K> {
     type Element = f32;
     type Factor = V;
     type Sum = V;

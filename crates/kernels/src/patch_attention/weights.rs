@@ -3,7 +3,6 @@
 use super::softmax::SoftmaxVector;
 use crate::gemm::bf16;
 use crate::gemm::micro::{Products, Singles};
-use std::marker::PhantomData;
 
 /// Products whose operands attention can make from f32.
 ///
@@ -45,28 +44,10 @@ impl<V: SoftmaxVector> Weights for Singles<V> {
 }
 
 /// f32 arithmetic on operands rounded to bf16, for CPUs that cannot multiply bf16.
-pub(super) struct Rounded<V>(PhantomData<V>);
+pub(super) type Rounded<V> = Singles<V, ToBf16>;
 
-impl<V: SoftmaxVector> Products for Rounded<V> {
-    type Element = f32;
-    type Factor = V;
-    type Sum = V;
-    #[inline(always)]
-    unsafe fn load(p: *const f32) -> V {
-        // SAFETY: the trait's contract.
-        unsafe { V::load(p) }
-    }
-    #[inline(always)]
-    unsafe fn splat(x: f32) -> V {
-        // SAFETY: as above.
-        unsafe { V::splat(x) }
-    }
-    #[inline(always)]
-    unsafe fn multiply_add(a: V, b: V, sum: V) -> V {
-        // SAFETY: as above.
-        unsafe { a.fma(b, sum) }
-    }
-}
+/// The kind of operands that were rounded to bf16.
+pub(super) struct ToBf16;
 
 impl<V: SoftmaxVector> Weights for Rounded<V> {
     const TERMS: usize = 1;
