@@ -56,7 +56,7 @@ fn row(picture: &RgbPicture) -> Vec<f32> {
     let keys = sorted(keys);
     // Where all is black, black is what there is to see.
     let keys = if keys.is_empty() { vec![0] } else { keys };
-    // Equal colors are looked at once: crops of renders and posters have few.
+    // Equal colors are counted once: crops of renders and posters have few.
     let mut cells = vec![0.0f64; ColourStatistics::WIDTH - 1];
     for run in keys.chunk_by(|a, b| a == b) {
         let [_, r, g, b] = run[0].to_be_bytes();

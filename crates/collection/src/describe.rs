@@ -193,7 +193,7 @@ mod tests {
     }
 
     fn phi(f: [f64; 3], l: [f64; 3], m: [f64; 3]) -> f64 {
-        // With w = 0 what is left is the local feature.
+        // With w = 0 the result is the local feature.
         let local = by_hand(f, l, m, 0.0);
         let norm = f.iter().map(|v| v * v).sum::<f64>().sqrt();
         (0..3).map(|k| local[k] * f[k] / norm).sum()

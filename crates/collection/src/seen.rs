@@ -5,7 +5,7 @@ use scenesplat_rasterizer::{DepthRequest, Gaussians, RasterSettings, RenderReque
 
 /// Longer side of the small picture.
 const SIDE: u32 = 96;
-/// Gaussians that are looked at, about.
+/// Gaussians of the sample, about.
 const SAMPLE: usize = 40_000;
 /// Weight, in pixels of the small picture, from which on a Gaussian is seen.
 const LEAST_WEIGHT: f32 = 0.02;
@@ -13,9 +13,9 @@ const LEAST_WEIGHT: f32 = 0.02;
 /// What a camera shows.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Seen {
-    /// Numbers of the Gaussians it shows, among those that are looked at (every so-many-th of the scene).
+    /// Numbers of the Gaussians it shows, in a sample of every so-many-th of the scene.
     pub rows: Vec<u32>,
-    /// Gaussians that are looked at.
+    /// Gaussians of the sample.
     pub sampled: usize,
     /// Part of the light that passes everything, 0 to 1.
     pub open: f32,

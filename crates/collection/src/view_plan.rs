@@ -49,7 +49,7 @@ pub struct ViewPlan {
     pub seen: f64,
     /// Views that were tried.
     pub tried: usize,
-    /// Of these, views that looked at nothing, or from inside or too near to something.
+    /// Of these, views that show nothing, or are inside or too near to something.
     pub refused: usize,
     /// Whether the cameras are around the scene: no free place is inside, or less is seen from there.
     pub outside: bool,
@@ -210,7 +210,7 @@ impl<'a> Planner<'a> {
         out
     }
 
-    /// Cameras around the box that look at its middle.
+    /// Cameras around the box, directed at its middle.
     fn orbits(&self) -> Vec<Candidate> {
         let middle = (self.low + self.high) / 2.0;
         let half = (self.high - self.low).length() / 2.0;

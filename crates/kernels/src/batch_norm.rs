@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 /// Rows of one partial sum.
 const BLOCK: usize = 1024;
-/// Values that stay in a core's second-level cache between two looks at them.
+/// Values that fit into a core's second-level cache between two passes over them.
 const CACHED: usize = 1 << 15;
 
 /// Mean and variance of each channel.
@@ -35,7 +35,7 @@ impl Moments {
         Self { rows: 0.0, sum: vec![0.0; c], squares: vec![0.0; c] }
     }
 
-    /// Of a stretch of rows, piece by piece: the second look at a piece, with its mean, finds it in
+    /// Of a stretch of rows, piece by piece: the second pass over a piece, with its mean, finds it in
     /// the cache. Differences from a mean nearby, not from zero, keep variances from cancelling.
     fn of(x: &[f32], c: usize) -> Self {
         let mut all = Self::none(c);

@@ -112,7 +112,7 @@ struct Node {
     min_row: u32,
     start: u32,
     end: u32,
-    /// Index of the right child; 0 marks a leaf, as the root is nobody's child.
+    /// Index of the right child; 0 marks a leaf, as the root is no child.
     right: u32,
 }
 

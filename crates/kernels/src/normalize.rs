@@ -31,7 +31,7 @@ fn norm_of(row: &[f32]) -> f64 {
     sums.iter().sum::<f64>().sqrt().max(EPS)
 }
 
-/// Divides each row of `values` (`[N, c]`) by its norm; a zero row stays zero. On the calling
+/// Divides each row of `values` (`[N, c]`) by its norm; a row of zeros is left as it is. On the calling
 /// thread.
 pub fn normalize_block(values: &mut [f32], c: usize) {
     if c == 0 {

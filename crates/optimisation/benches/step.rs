@@ -108,7 +108,7 @@ impl Floor {
     }
 }
 
-/// Counts groups of eight pixels that a Gaussian is looked at in.
+/// Counts groups of eight pixels that are computed for a Gaussian.
 struct Groups(usize);
 
 impl TileVisitor for Groups {

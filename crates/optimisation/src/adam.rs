@@ -90,7 +90,7 @@ impl Update {
         let first = self.keep[0] * *m + self.take[0] * g;
         let second = self.keep[1] * *v + self.take[1] * (g * g);
         // Numbers this small take a hundred times as long and change a value by less than 1e-19 of the
-        // rate: a Gaussian that nobody sees gets there in a thousand steps.
+        // rate: a Gaussian that is not seen gets there in a thousand steps.
         *m = if first.abs() < f32::MIN_POSITIVE { 0.0 } else { first };
         *v = if second < f32::MIN_POSITIVE { 0.0 } else { second };
         *p -= rate * (*m / (v.sqrt() * self.root + self.eps));

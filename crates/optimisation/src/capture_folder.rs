@@ -108,8 +108,8 @@ impl CaptureFolder<'_> {
         let picture = read_picture(path)?;
         let sixteen = matches!(picture.samples(), Samples::Sixteen(_));
         if sixteen && matches!(picture.channels(), Channels::Gray | Channels::GrayAlpha) {
-            let problem = "is a grey picture of 16 bits, which is how depth is stored".to_owned();
-            return Err(bad(path, problem, "give the folder of colour pictures as --images"));
+            let problem = "is a gray picture of 16 bits, which is how depth is stored".to_owned();
+            return Err(bad(path, problem, "give the folder of color pictures as --images"));
         }
         let size = [picture.width(), picture.height()];
         let view = View::from_camera(&scaled(camera, size, path)?)?;
@@ -147,8 +147,8 @@ impl CaptureFolder<'_> {
                 Ok(Some(values.iter().map(|v| (f64::from(*v) * unit) as f32).collect()))
             }
             (channels, _) => {
-                let problem = format!("is no 16-bit grey picture ({channels:?})");
-                Err(bad(&path, problem, "write depth as 16-bit grey PNG, or as .npy"))
+                let problem = format!("is no 16-bit gray picture ({channels:?})");
+                Err(bad(&path, problem, "write depth as 16-bit gray PNG, or as .npy"))
             }
         }
     }

@@ -75,7 +75,7 @@ pub enum OptimiseError {
     /// A loss that is not a number.
     #[error(
         "step {step}, frame {frame:?}: the loss is {value}; the checkpoint before it is whole; lower \
-         the learning rates or look at that frame"
+         the learning rates or check that frame"
     )]
     NotFinite {
         /// Which step.
@@ -95,7 +95,7 @@ pub enum OptimiseError {
         /// What to do.
         help: &'static str,
     },
-    /// A step that somebody asked to stop at.
+    /// A step at which the run was asked to stop.
     #[error("stopped")]
     Stopped,
     /// What the rasterizer refuses.

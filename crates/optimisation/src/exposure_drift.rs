@@ -55,7 +55,7 @@ impl ExposureDrift {
 
 /// The drift of pictures with depths, at points of their surface (world, units of the scene).
 ///
-/// `None` where that cannot be told: fewer than six pictures have depth and share 50 points with others.
+/// `None` where that is unknown: fewer than six pictures have depth and share 50 points with others.
 pub fn exposure_drift(frames: &[TrainingFrame], points: &[[f32; 3]]) -> Option<ExposureDrift> {
     let stride = points.len().div_ceil(POINTS).max(1);
     let points: Vec<[f32; 3]> = points.iter().step_by(stride).copied().collect();

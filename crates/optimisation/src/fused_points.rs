@@ -1,9 +1,9 @@
-//! Points from measured depths: what the first Gaussians are made of where nobody gives a cloud.
+//! Points from measured depths: what the first Gaussians are made of where there is no cloud.
 
 use crate::frame::TrainingFrame;
 use std::collections::HashSet;
 
-/// Pixels looked at for each point wanted.
+/// Pixels tried for each point of the result.
 const CANDIDATES: usize = 6;
 /// Factor by which cells grow until few enough are taken.
 const COARSER: f64 = 1.2;

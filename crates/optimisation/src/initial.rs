@@ -56,7 +56,7 @@ pub fn from_points(
     settings: &InitialSettings,
     seed: u64,
 ) -> Result<Model, OptimiseError> {
-    expect("colours of the points", points.len(), colors.len())?;
+    expect("colors of the points", points.len(), colors.len())?;
     let inside = settings.opacity > 0.0 && settings.opacity < 1.0;
     within("initial opacity", settings.opacity.into(), inside, "between 0 and 1")?;
     let positive = settings.scale > 0.0 && settings.scale.is_finite();

@@ -401,7 +401,7 @@ mod tests {
     use crate::frame::tests::view;
     use crate::initial::from_points;
 
-    /// Steps at half the size are steps with frames that somebody else has halved, each with its own.
+    /// Steps at half the size are steps with frames that were halved before.
     #[test]
     fn half_steps_are_steps_of_halved_frames() {
         let pixels = 48 * 40;

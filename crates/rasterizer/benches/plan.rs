@@ -1,4 +1,4 @@
-//! What the look at a scene costs beside a picture of it.
+//! What a scan of a scene costs beside a picture of it.
 #![allow(missing_docs, reason = "criterion's macros make undocumented items")]
 
 mod common;
@@ -21,7 +21,7 @@ fn plan_garden(c: &mut Criterion) {
         b.iter(|| pool.install(run));
     });
     group.bench_function("scan", |b| b.iter(|| pool.install(|| SceneProfile::scan(&gaussians))));
-    // Bands that are all 0 have to be looked at to the end.
+    // Bands that are all 0 have to be read to the end.
     group.bench_function("scan_absent_bands", |b| {
         b.iter(|| pool.install(|| SceneProfile::scan(&plain)));
     });

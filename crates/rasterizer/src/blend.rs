@@ -21,7 +21,7 @@ pub(crate) const TILES_PER_TASK: usize = 4;
 /// List positions between asking for a Gaussian and reading it: tens of rows of arithmetic, more
 /// than memory takes.
 const AHEAD: usize = 12;
-/// List positions between looks at which rows still have pixels to draw.
+/// List positions between checks of which rows still have pixels to draw.
 const LOOK: usize = 16;
 
 /// Where a tile is.
@@ -60,7 +60,7 @@ pub struct Span<'a> {
 /// What is made of the weights of one tile. The pixel loop is compiled for each implementor, so
 /// what a visitor does not read is not computed; mark the methods `#[inline(always)]`.
 pub trait TileVisitor: Send {
-    /// What is left of the tile when it is done.
+    /// The result of a tile.
     type Output: Send;
     /// Whether [`finish`](Self::finish) needs `last`; it is all 0 otherwise.
     const LAST: bool = false;
@@ -86,7 +86,7 @@ pub trait TileVisitor: Send {
     #[inline(always)]
     fn leave(&mut self, _entry: u32, _row: u32) {}
 
-    /// The tile is done. `transmittance` is what is left per pixel, 16 per row; `last` the list
+    /// The tile is done. `transmittance` is the light that passes each pixel, 16 per row; `last` the list
     /// position + 1 of the last Gaussian the pixel took, 0 for none.
     fn finish(self, transmittance: &[f32; TILE * TILE], last: &[u32; TILE * TILE]) -> Self::Output;
 }
@@ -265,7 +265,7 @@ unsafe fn run<L: Lanes, V: TileVisitor>(
                 alpha.store(alphas.0.as_mut_ptr());
                 before.store(earlier.0.as_mut_ptr());
                 if V::LAST {
-                    // The number's bits: blending does not look at them.
+                    // The number's bits: a selection copies them as they are.
                     let (place, last) =
                         (f32::from_bits(entry as u32 + 1), last.0.as_mut_ptr().add(at));
                     L::splat(place).or_else(take, L::load(last)).store(last);

@@ -17,7 +17,7 @@ pub struct Gaussians {
     pub means: Vec<[f32; 3]>,
     /// Orientation `w, x, y, z`, any norm above 1e-6. `[N, 4]`
     pub quats: Vec<[f32; 4]>,
-    /// Standard deviations along the axes, units of the world, ≥ 0 (the sign is not looked at). `[N, 3]`
+    /// Standard deviations along the axes, units of the world, ≥ 0 (the sign does not matter). `[N, 3]`
     pub scales: Vec<[f32; 3]>,
     /// In `0..=1`; more counts as 1. `[N]`
     pub opacities: Vec<f32>,

@@ -8,7 +8,7 @@
 //! ```
 //!
 //! [`render()`] runs them all. The pixel loop exists once, in [`mod@blend`], and is compiled anew for each
-//! [`TileVisitor`]: color, depth, features, weights. What nobody asks for is
+//! [`TileVisitor`]: color, depth, features, weights. What is not asked for is
 //! not in the loop.
 //!
 //! Results do not depend on the number of threads; they may differ in the last bits between

@@ -347,7 +347,7 @@ fn scan_harmonics(gaussians: &Gaussians) -> HarmonicsProfile {
 fn tails(gaussians: &Gaussians, i: usize) -> [f32; 4] {
     let width = 3 * gaussians.sh_len();
     let higher = &gaussians.sh[i * width + 3..(i + 1) * width];
-    // Bands that a file has and nobody trained are all 0, of either sign.
+    // Bands that a file has and that were not trained are all 0, of either sign.
     if higher.iter().fold(0, |any, c| any | c.to_bits() << 1) == 0 {
         return [0.0; 4];
     }

@@ -61,7 +61,7 @@ pub struct Contributions {
 /// Work that one render did.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct WorkCounters {
-    /// Gaussians looked at.
+    /// Gaussians of the scene.
     pub gaussians: usize,
     /// Gaussians in the picture.
     pub visible: usize,
@@ -88,7 +88,7 @@ pub struct Rendered {
     pub height: u32,
     /// Color with the background, at least 0 and without upper limit. `[H, W, 3]`
     pub rgb: Option<Vec<f32>>,
-    /// What is left of the light behind everything, in 0..=1. `[H, W]`
+    /// Light that passes all Gaussians, in 0..=1. `[H, W]`
     pub transmittance: Vec<f32>,
     /// `Σ w z`. `[H, W]`
     pub depth_accumulated: Option<Vec<f32>>,
@@ -140,8 +140,8 @@ impl Rendered {
 ///     height: 9,
 /// };
 /// let out = render(&dot, &view, &RasterSettings::default(), &RenderRequest::rgb())?;
-/// let rgb = out.rgb.expect("colour was asked for");
-/// // Half of the light is taken in the middle, by a grey of one half.
+/// let rgb = out.rgb.expect("color was asked for");
+/// // Half of the light is taken in the middle, by a gray of one half.
 /// assert!((rgb[3 * (4 * 9 + 4)] - 0.25).abs() < 1e-6);
 /// # Ok::<(), scenesplat_rasterizer::RasterError>(())
 /// ```

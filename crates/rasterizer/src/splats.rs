@@ -1,4 +1,4 @@
-//! What the pixel loops read of a Gaussian, and which pixels of a tile they have to look at.
+//! What the pixel loops read of a Gaussian, and which pixels of a tile it can reach.
 
 use crate::lanes::LANES;
 use crate::{Projected, TILE, TileRect};
@@ -162,7 +162,7 @@ impl Groups {
             let begin = (middle - half - margin).ceil().max(0.0).min(TILE as f32);
             let end = (middle + half + margin).floor().min(TILE as f32 - 1.0).max(-1.0);
             let across = end - begin + 1.0;
-            // One group that stays in the row, or both of the row.
+            // One group inside the row, or both of the row.
             let one = across <= LANES as f32;
             let x = if one { begin.min((TILE - LANES) as f32) } else { 0.0 };
             let some = if one { 1.0f32 } else { 2.0 };

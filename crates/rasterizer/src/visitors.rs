@@ -55,7 +55,7 @@ impl<A: TileVisitor, B: TileVisitor> TileVisitor for (A, B) {
     }
 }
 
-/// Color, `Σ w c` and what is left of the background.
+/// Color, `Σ w c` and the share of the background.
 pub(crate) struct Color<'a> {
     colors: &'a [[f32; 3]],
     background: Option<[f32; 3]>,

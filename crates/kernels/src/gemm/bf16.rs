@@ -8,7 +8,7 @@ use crate::simd::dispatch;
 /// Largest finite bf16.
 const MOST: u32 = 0x7f7f;
 
-/// The bf16 nearest to `x`, ties to even; overflow gives ∞, NaN stays NaN.
+/// The bf16 nearest to `x`, ties to even; overflow gives ∞, NaN gives NaN.
 #[inline(always)]
 pub(crate) fn round(x: f32) -> u32 {
     let bits = x.to_bits();
@@ -23,7 +23,7 @@ pub(crate) fn widen(bits: u32) -> f32 {
 }
 
 /// `x` as the sum of two bf16 numbers: the nearest one and the nearest to what it leaves. Where the
-/// nearest one is ∞ both are cut off instead, so that their sum stays finite. ±∞ and NaN leave 0.
+/// nearest one is ∞ both are cut off instead, so that their sum is finite. ±∞ and NaN leave 0.
 #[inline(always)]
 pub(crate) fn split(x: f32) -> (u32, u32) {
     let near = round(x);

@@ -4,7 +4,7 @@
 //! f32, pairs of bf16, three times the pairs for the two parts of each f32, or 8-bit integers. The left-hand side
 //! and the result are rows of f32 found through pointers, so gathering input rows and scattering
 //! output rows costs nothing extra and no gathered copy is written to memory; where the product
-//! reads bf16 or integers, rows are rounded block by block into a buffer that stays in the cache.
+//! reads bf16 or integers, rows are rounded block by block into a buffer that fits into the cache.
 //!
 //! Sums are f32, with fused multiply–adds where the CPU has them. Every output element is summed in
 //! one fixed order that depends only on `k`: results are bit-identical for any number of threads

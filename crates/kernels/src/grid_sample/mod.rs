@@ -161,7 +161,7 @@ impl VoxelGroups {
             x * x + y * y + z * z
         };
         Ok(self.pick(|v, rows| {
-            // Strictly smaller replaces, so the first of equals stays.
+            // Strictly smaller replaces, so the first of equals is kept.
             rows[1..]
                 .iter()
                 .fold((rows[0], distance(rows[0], v)), |best, &row| {

@@ -1,4 +1,4 @@
-//! The window of a kernel: which cells of which blocks its taps look at.
+//! The window of a kernel: which cells of which blocks its taps read.
 
 use crate::simd::Isa;
 

@@ -89,7 +89,7 @@ pub struct SceneQuality {
     pub well_seen: Option<f64>,
     /// Of the scene's file.
     pub bytes: Option<u64>,
-    /// Of labels, where somebody measured it. 0 to 1
+    /// Of labels, where it was measured. 0 to 1
     pub miou: Option<f64>,
     /// Whether it passes all gates that could be measured.
     pub keep: bool,

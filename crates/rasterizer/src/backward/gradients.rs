@@ -83,7 +83,7 @@ pub struct Gradients {
     /// `[N, dim]`; empty without features.
     pub features: Vec<f32>,
     /// Of the centers on the picture, per pixel: what tells a strategy where a scene lacks Gaussians.
-    /// Empty unless somebody makes room for it; needs the geometry of the mask. `[N, 2]`
+    /// Empty unless the caller makes room for it; needs the geometry of the mask. `[N, 2]`
     pub screen: Vec<[f32; 2]>,
 }
 

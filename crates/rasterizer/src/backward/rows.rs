@@ -303,7 +303,7 @@ impl<'a> Pass<'a> {
     }
 }
 
-/// Parts of the gradients on the picture as [`cut`] makes them, empty where nobody wants any.
+/// Parts of the gradients on the picture as [`cut`] makes them, empty where there is no room for them.
 fn screens<'a>(screen: &'a mut [[f32; 2]], index: &[u32]) -> Vec<&'a mut [[f32; 2]]> {
     if screen.is_empty() {
         return index.chunks(CHUNK).map(|_| &mut [][..]).collect();

@@ -18,7 +18,7 @@ pub enum BackwardError {
     /// A gradient that would reach every Gaussian of its pixel.
     #[error(
         "upstream gradient of {picture} at pixel ({x}, {y}), channel {channel}: {value} is not \
-         finite; look at the loss of that pixel, or mask it"
+         finite; check the loss of that pixel, or mask it"
     )]
     NotFinite {
         /// Which picture.

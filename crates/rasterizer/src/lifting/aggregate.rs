@@ -33,7 +33,7 @@ impl Aggregate {
 
 /// Distances below this count as this: a label at the median itself would otherwise weigh infinitely.
 const NEAREST: f32 = 1e-3;
-/// A move of the median below which it stays, squared.
+/// A move of the median below which it has converged, squared.
 const STILL: f32 = 1e-8;
 
 /// How a feature came about.

@@ -36,7 +36,7 @@ pub struct DepthEffect {
     /// How much farther labels of pictures whose depth disagrees are from the consensus of those whose
     /// depth agrees than one of these is from the rest; 0: no farther, 1: as far as labels drawn by
     /// lot. Wrong names, which fall on both alike, hardly change it. `None` if nothing would be left
-    /// out, or nothing can be told from what is there.
+    /// out, or there is too little to say.
     pub misleading: Option<f64>,
     /// Gaussians that this was seen on.
     pub gaussians: u64,
@@ -49,7 +49,7 @@ impl DepthEffect {
     pub const MISLEADING: f64 = MISLEADING;
 
     /// Whether depth agreement is worth a second pass over the pixels: what it leaves out is
-    /// misleading by 0.1 or more, and at least half of the weight stays.
+    /// misleading by 0.1 or more, and at least half of the weight is kept.
     pub fn helps(&self) -> bool {
         self.misleading.is_some_and(|m| m >= MISLEADING) && self.kept >= LEAST_KEPT
     }
@@ -75,7 +75,7 @@ impl<'a> DepthProbe<'a> {
         Ok(Self { lifter, tolerance, labelled: [0.0; 2] })
     }
 
-    /// Adds a picture; of its granularities the first is looked at, and the depth is that of the scene.
+    /// Adds a picture; of its granularities the first counts, and the depth is that of the scene.
     ///
     /// # Errors
     /// As [`Lifter::add`].

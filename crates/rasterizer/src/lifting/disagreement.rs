@@ -48,7 +48,7 @@ impl Disagreement {
         }
     }
 
-    /// Gaussians that two pictures or more saw, of those looked at.
+    /// Gaussians of the sample that two pictures or more saw.
     pub fn gaussians(&self) -> u64 {
         self.variances.len() as u64
     }

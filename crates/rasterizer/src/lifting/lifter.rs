@@ -425,7 +425,7 @@ impl<'a> Lifter<'a> {
         Ok(measured)
     }
 
-    /// Of how many Gaussians one is looked at where all would be too many.
+    /// Step of a sample of the Gaussians where all would be too many.
     pub(super) fn sampling_step(&self) -> usize {
         self.gaussians.len().div_ceil(SAMPLED_GAUSSIANS)
     }

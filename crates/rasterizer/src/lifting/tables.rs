@@ -53,7 +53,7 @@ impl SegmentTables {
     }
 
     /// Adds a picture's segments and gives the global number of the first. `rows`: `[S, D]`, divided
-    /// by their norms; a row of zeros stays 0.
+    /// by their norms; a row of zeros is left as it is.
     ///
     /// # Errors
     /// If `rows` is no whole number of rows, a value is not finite, there are 2³² segments or more,

@@ -8,7 +8,7 @@ pub(super) type Label = (u32, f32);
 
 /// Values summed side by side: four registers of 16.
 const STRIPE: usize = 64;
-/// Rows summed in f32 before their sum is added in f64: the error of a sum stays that of 64 terms,
+/// Rows summed in f32 before their sum is added in f64: the error of a sum is that of 64 terms,
 /// however many there are.
 const RUN: usize = 64;
 

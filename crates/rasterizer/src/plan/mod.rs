@@ -1,6 +1,6 @@
 //! Which parts of rendering a scene and a request call for.
 //!
-//! [`SceneProfile::scan`] looks at the scene once. [`RenderPlan::auto`] leaves out what the scene
+//! [`SceneProfile::scan`] reads the scene once. [`RenderPlan::auto`] leaves out what the scene
 //! does not have or the request does not ask for; every [`Decision`] carries its evidence and a
 //! bound of the change it makes to the picture. [`RenderPlan::full`] leaves out nothing.
 //!
@@ -246,7 +246,7 @@ impl RenderPlan {
         let have = |what, asked: bool, has: bool| {
             if asked && !has { Err(PlanError::NotPlanned { what }) } else { Ok(()) }
         };
-        have("colour", request.rgb, planned.rgb)?;
+        have("color", request.rgb, planned.rgb)?;
         let (a, b) = (request.depth, planned.depth);
         have("accumulated depth", a.accumulated, b.accumulated)?;
         have("expected depth", a.expected, b.expected)?;

@@ -8,7 +8,7 @@ impl Display for Bound {
         match self {
             Self::Exact => f.write_str("exact"),
             Self::Rounding => f.write_str("exact but for rounding"),
-            Self::Color(most) => write!(f, "changes a colour by at most {most:.1e}"),
+            Self::Color(most) => write!(f, "changes a color by at most {most:.1e}"),
         }
     }
 }
