@@ -170,6 +170,7 @@ pub struct Lifter<'a> {
     block_rows: usize,
     /// All weight of each Gaussian, labeled or not.
     totals: Vec<f64>,
+    weighted: usize,
     panes: Option<Panes>,
     /// Pictures that show one.
     through_panes: usize,
@@ -217,6 +218,7 @@ impl<'a> Lifter<'a> {
             spools: std::iter::repeat_with(spool).take(levels).collect(),
             block_rows,
             totals: vec![0.0; gaussians.len()],
+            weighted: 0,
             panes: None,
             through_panes: 0,
             settings,
@@ -247,6 +249,11 @@ impl<'a> Lifter<'a> {
     /// Segments of the pictures so far.
     pub fn tables(&self) -> &SegmentTables {
         &self.tables
+    }
+
+    /// Pictures that counted for less than others.
+    pub fn num_weighted(&self) -> usize {
+        self.weighted
     }
 
     /// Weights that wait, of all granularities.
@@ -299,6 +306,7 @@ impl<'a> Lifter<'a> {
             }
         };
         if weight < 1.0 {
+            self.weighted += 1;
             weights.scale(weight);
         }
         self.take(&weights, picture.features)
