@@ -30,6 +30,18 @@ fn input<'a>(room: &'a SyntheticRoom, names: &'a [String]) -> ObjectInput<'a> {
     }
 }
 
+fn room_of(gaussians: usize, seed: u64) -> SyntheticRoom {
+    generate(&SyntheticRoomSettings::with_count(gaussians, seed)).unwrap()
+}
+
+fn find(input: &ObjectInput<'_>) -> Catalogue {
+    find_objects(input, &ObjectSettings::default()).unwrap()
+}
+
+fn refused(input: &ObjectInput<'_>) -> String {
+    find_objects(input, &ObjectSettings::default()).unwrap_err().to_string()
+}
+
 fn agreement(room: &SyntheticRoom, found: &Catalogue) -> Agreement {
     let scene = &room.scene;
     let (ids, labels) = (scene.instance.as_deref().unwrap(), scene.segment.as_deref().unwrap());
@@ -41,26 +53,15 @@ fn objects_of_twenty_rooms_with_true_labels() {
     let names = names();
     let (mut matches, mut found, mut truth) = (0, 0, 0);
     let (mut centers, mut sizes) = (Vec::new(), Vec::new());
-    let mut missed = vec![[0usize; 3]; names.len()];
     for room in 0..ROOMS {
         let settings = SyntheticRoomSettings { seed: SEED, room, ..Default::default() };
         let room = generate(&settings).unwrap();
-        let catalogue = find_objects(&input(&room, &names), &ObjectSettings::default()).unwrap();
+        let catalogue = find(&input(&room, &names));
         let agreed = agreement(&room, &catalogue);
-        println!(
-            "{:?}: precision {:.3}, recall {:.3}, {} of {} found as {}",
-            room.kind,
-            agreed.precision(),
-            agreed.recall(),
-            agreed.matches.len(),
-            agreed.truth,
-            agreed.found
-        );
         matches += agreed.matches.len();
         found += agreed.found;
         truth += agreed.truth;
         for m in &agreed.matches {
-            missed[room.objects[m.truth as usize].class.unwrap().index()][0] += 1;
             // The box of the true rows is what could be found at best.
             let ids = room.scene.instance.as_deref().unwrap();
             let rows: Vec<u32> =
@@ -71,26 +72,13 @@ fn objects_of_twenty_rooms_with_true_labels() {
             centers.push(d.sqrt());
             sizes.push((0..3).map(|a| (want.size[a] - got.size[a]).abs()).fold(0.0, f64::max));
         }
-        for &id in &agreed.missed {
-            missed[room.objects[id as usize].class.unwrap().index()][1] += 1;
-        }
-        for &at in &agreed.wrong {
-            let o = &catalogue.objects[at];
-            println!("  wrong: {} {:?} {:?}, {} rows", o.class, o.position, o.bounds.size, o.count);
-            missed[catalogue.objects[at].label][2] += 1;
-        }
-    }
-    for (name, [hit, miss, wrong]) in names.iter().zip(&missed).filter(|(_, m)| m[1] + m[2] > 0) {
-        println!("{name}: {hit} found, {miss} missed, {wrong} wrong");
+        println!("{:?}: missed {:?}, wrong {:?}", room.kind, agreed.missed, agreed.wrong);
     }
     for errors in [&mut centers, &mut sizes] {
         errors.sort_by(f64::total_cmp);
     }
     let at = |v: &[f64], q: f64| v[((v.len() - 1) as f64 * q) as usize];
-    println!("center error, m: middle {:.4}, 90 % {:.4}", at(&centers, 0.5), at(&centers, 0.9));
-    println!("size error, m: middle {:.4}, 90 % {:.4}", at(&sizes, 0.5), at(&sizes, 0.9));
     let (precision, recall) = (matches as f64 / found as f64, matches as f64 / truth as f64);
-    println!("precision {precision:.4}, recall {recall:.4} of {truth} objects");
     assert!(precision >= 0.9 && recall >= 0.9, "precision {precision:.4}, recall {recall:.4}");
     assert!(at(&centers, 0.9) < 0.05 && at(&sizes, 0.9) < 0.1);
 }
@@ -98,31 +86,26 @@ fn objects_of_twenty_rooms_with_true_labels() {
 #[test]
 fn neither_the_order_of_rows_nor_threads_change_what_is_found() {
     let names = names();
-    let room = generate(&SyntheticRoomSettings::with_count(30_000, 5)).unwrap();
-    let found = find_objects(&input(&room, &names), &ObjectSettings::default()).unwrap();
-    let single =
-        rayon_like_single(|| find_objects(&input(&room, &names), &ObjectSettings::default()));
-    assert_eq!(found, single.unwrap());
+    let room = room_of(30_000, 5);
+    let found = find(&input(&room, &names));
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    assert_eq!(found, pool.install(|| find(&input(&room, &names))));
     let n = room.scene.len();
     let back: Vec<usize> = (0..n).rev().collect();
     let turned = SyntheticRoom { scene: room.scene.select_rows(&back).unwrap(), ..room };
-    let other = find_objects(&input(&turned, &names), &ObjectSettings::default()).unwrap();
+    let other = find(&input(&turned, &names));
     let classes =
         |c: &Catalogue| c.objects.iter().map(|o| (o.class.clone(), o.count)).collect::<Vec<_>>();
     assert_eq!(classes(&found), classes(&other));
 }
 
-fn rayon_like_single<T: Send>(f: impl FnOnce() -> T + Send) -> T {
-    rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap().install(f)
-}
-
 #[test]
 fn known_instances_are_the_objects() {
     let names = names();
-    let room = generate(&SyntheticRoomSettings::with_count(30_000, 6)).unwrap();
+    let room = room_of(30_000, 6);
     let ids = room.scene.instance.as_deref();
     let input = ObjectInput { instances: ids, ..input(&room, &names) };
-    let found = find_objects(&input, &ObjectSettings::default()).unwrap();
+    let found = find(&input);
     let agreed = agreement(&room, &found);
     assert_eq!((agreed.precision(), agreed.recall()), (1.0, 1.0));
     assert!(agreed.matches.iter().all(|m| m.iou == 1.0));
@@ -139,8 +122,8 @@ fn known_instances_are_the_objects() {
 #[test]
 fn places_are_in_the_frame_and_unit_of_the_scene() {
     let names = names();
-    let room = generate(&SyntheticRoomSettings::with_count(30_000, 7)).unwrap();
-    let plain = find_objects(&input(&room, &names), &ObjectSettings::default()).unwrap();
+    let room = room_of(30_000, 7);
+    let plain = find(&input(&room, &names));
     // Lying on its side, in centimetres: up is -y.
     let mut lying = room;
     lying.scene.coord.iter_mut().for_each(|c| *c = [c[0], -c[2], c[1]].map(|v| v * 100.0));
@@ -151,7 +134,7 @@ fn places_are_in_the_frame_and_unit_of_the_scene() {
         metres_per_unit: 0.01,
         ..input(&lying, &names)
     };
-    let found = find_objects(&input, &ObjectSettings::default()).unwrap();
+    let found = find(&input);
     let of = |c: &Catalogue| c.objects.iter().find(|o| o.class == "floor").unwrap().clone();
     let (a, b) = (of(&plain), of(&found));
     assert!((a.volume - b.volume).abs() < 0.02 * a.bounds.size[0] * a.bounds.size[1]);
@@ -171,14 +154,14 @@ fn turn(x: f64, z: f64) -> Matrix3 {
 #[test]
 fn boxes_of_a_room_out_of_level_are_upright_in_it() {
     let names = names();
-    let room = generate(&SyntheticRoomSettings::with_count(30_000, 8)).unwrap();
-    let plain = find_objects(&input(&room, &names), &ObjectSettings::default()).unwrap();
+    let room = room_of(30_000, 8);
+    let plain = find(&input(&room, &names));
     let rotation = turn(11.0, 25.0);
     let mut tilted = room;
     tilted.scene.transform(&Similarity { rotation, ..Similarity::IDENTITY });
     let back = [0, 1, 2].map(|i| [0, 1, 2].map(|j| rotation[j][i]));
     let input = ObjectInput { upright: back, ..input(&tilted, &names) };
-    let found = find_objects(&input, &ObjectSettings::default()).unwrap();
+    let found = find(&input);
     assert_eq!(found.objects.len(), plain.objects.len());
     assert!((found.floor.height - plain.floor.height).abs() < 0.01, "{:?}", found.floor);
     for (a, b) in plain.objects.iter().zip(&found.objects) {
@@ -194,7 +177,7 @@ fn boxes_of_a_room_out_of_level_are_upright_in_it() {
         [[[0.0; 3]; 3], [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]], [[f64::NAN; 3]; 3]]
     {
         let input = ObjectInput { upright: bad, ..input };
-        let error = find_objects(&input, &ObjectSettings::default()).unwrap_err().to_string();
+        let error = refused(&input);
         assert!(error.contains("upright") && error.contains("a rotation"), "{error}");
     }
 }
@@ -202,30 +185,27 @@ fn boxes_of_a_room_out_of_level_are_upright_in_it() {
 #[test]
 fn a_floor_that_is_known_is_where_heights_begin() {
     let names = names();
-    let room = generate(&SyntheticRoomSettings::with_count(20_000, 8)).unwrap();
-    let plain = find_objects(&input(&room, &names), &ObjectSettings::default()).unwrap();
+    let room = room_of(20_000, 8);
+    let plain = find(&input(&room, &names));
     let given = ObjectInput { floor: Some(-0.5), ..input(&room, &names) };
-    let found = find_objects(&given, &ObjectSettings::default()).unwrap();
+    let found = find(&given);
     assert!(found.floor.is_given && !found.floor.is_labelled && plain.floor.is_labelled);
     for (a, b) in plain.objects.iter().zip(&found.objects) {
         assert!((b.above_floor - a.above_floor - plain.floor.height - 0.5).abs() < 1e-9);
     }
     let nowhere = ObjectInput { floor: Some(f64::INFINITY), ..given };
-    assert!(find_objects(&nowhere, &ObjectSettings::default()).is_err());
+    assert!(refused(&nowhere).contains("floor"));
 }
 
 #[test]
 fn instances_that_are_no_objects_are_counted() {
     let names = names();
-    let room = generate(&SyntheticRoomSettings::with_count(30_000, 6)).unwrap();
+    let room = room_of(30_000, 6);
     let ids = room.scene.instance.clone().unwrap();
     let mut labels = room.scene.segment.clone().unwrap();
     // One instance loses its class.
-    let lost = room
-        .objects
-        .iter()
-        .position(|o| CLASSES[o.class.unwrap().index()].name == "floor")
-        .unwrap();
+    let class = |at: usize| CLASSES[room.objects[at].class.unwrap().index()].name;
+    let lost = (0..room.objects.len()).find(|&at| class(at) == "floor").unwrap();
     labels.iter_mut().zip(&ids).filter(|(_, id)| **id == lost as i32).for_each(|(l, _)| *l = -1);
     let sizes = |id: usize| ids.iter().filter(|i| **i == id as i32).count();
     let least = 400;
@@ -243,25 +223,20 @@ fn instances_that_are_no_objects_are_counted() {
 #[test]
 fn what_does_not_fit_is_refused_and_nothing_is_no_error() {
     let names = names();
-    let room = generate(&SyntheticRoomSettings::with_count(500, 1)).unwrap();
+    let room = room_of(500, 1);
     let short = ObjectInput { labels: &[0; 3], ..input(&room, &names) };
-    let error = find_objects(&short, &ObjectSettings::default()).unwrap_err();
-    assert_eq!(error.to_string(), "labels: expected 500 rows, one a Gaussian, got 3");
+    let error = refused(&short);
+    assert_eq!(error, "labels: expected 500 rows, one a Gaussian, got 3");
     let few = ObjectInput { names: &names[..1], ..input(&room, &names) };
-    let error = find_objects(&few, &ObjectSettings::default()).unwrap_err().to_string();
+    let error = refused(&few);
     assert!(error.contains("there are 1 names"), "{error}");
     let gap = ObjectSettings { gap: Some(f64::NAN), ..Default::default() };
     assert!(find_objects(&input(&room, &names), &gap).is_err());
     let none = vec![-1; 500];
     let unlabelled = ObjectInput { labels: &none, ..input(&room, &names) };
-    assert!(find_objects(&unlabelled, &ObjectSettings::default()).unwrap().objects.is_empty());
+    assert!(find(&unlabelled).objects.is_empty());
     // Rows without a place are in no object.
     let mut broken = room.clone();
     broken.scene.coord.iter_mut().for_each(|c| c[1] = f32::NAN);
-    assert!(
-        find_objects(&input(&broken, &names), &ObjectSettings::default())
-            .unwrap()
-            .objects
-            .is_empty()
-    );
+    assert!(find(&input(&broken, &names)).objects.is_empty());
 }
