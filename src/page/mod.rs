@@ -111,7 +111,7 @@ pub fn write_page(
     let io = |source| PageError::Io { path: path.to_owned(), source };
     {
         let part = AtomicFile::create(path)?;
-        let mut file = part.file()?;
+        let mut file = part.file();
         file.write_all(page.as_bytes()).map_err(io)?;
         part.commit()?;
     }
