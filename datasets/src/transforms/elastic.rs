@@ -3,8 +3,7 @@
 mod deform;
 mod field;
 
-use super::{check_positive, check_probability};
-use crate::error::{bad_setting, check_finite};
+use crate::error::{check_finite, check_positive, check_probability, require};
 use crate::rng::happens;
 use crate::{DataError, Sample, SampleRng, Transform};
 use deform::{Matrix, deform_gaussian, deform_normal};
@@ -45,20 +44,17 @@ impl Default for ElasticDistortion {
 /// Rows of one parallel task.
 const ROWS_PER_TASK: usize = 4096;
 
-impl ElasticDistortion {
-    pub(super) fn check(&self) -> Result<(), DataError> {
+impl Transform for ElasticDistortion {
+    fn check(&self) -> Result<(), DataError> {
         for &[granularity, magnitude] in &self.fields {
             check_positive("elastic_distortion.granularity", granularity)?;
-            if !(magnitude.is_finite() && magnitude >= 0.0) {
-                let setting = "elastic_distortion.magnitude";
-                return Err(bad_setting(setting, magnitude, "a finite number of 0 or more"));
-            }
+            let ok = magnitude.is_finite() && magnitude >= 0.0;
+            let expected = "a finite number of 0 or more";
+            require(ok, "elastic_distortion.magnitude", magnitude, expected)?;
         }
         check_probability("elastic_distortion.probability", self.probability)
     }
-}
 
-impl Transform for ElasticDistortion {
     fn apply(&self, sample: &mut Sample, rng: &mut SampleRng) -> Result<(), DataError> {
         self.check()?;
         if !happens(rng, self.probability) {
@@ -112,12 +108,8 @@ fn deform(sample: &mut Sample, gradients: &[Matrix]) {
     gaussians.with_min_len(ROWS_PER_TASK).for_each(|((quat, scale), gradient)| {
         (*quat, *scale) = deform_gaussian(gradient, *quat, *scale);
     });
-    if let Some(normals) = &mut sample.normal {
-        normals
-            .iter_mut()
-            .zip(gradients)
-            .for_each(|(n, gradient)| *n = deform_normal(gradient, *n));
-    }
+    let normals = sample.normal.iter_mut().flatten();
+    normals.zip(gradients).for_each(|(n, gradient)| *n = deform_normal(gradient, *n));
 }
 
 #[cfg(test)]

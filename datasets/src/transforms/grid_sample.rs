@@ -1,7 +1,6 @@
 //! [`GridSample`]
 
-use super::check_positive;
-use crate::error::check_finite;
+use crate::error::{check_finite, check_length, check_positive};
 use crate::rng::below;
 use crate::{DataError, FullScene, Sample, SampleRng, Transform};
 use scenesplat_kernels::grid_sample::{KeyOrder, voxel_groups};
@@ -60,13 +59,11 @@ impl Default for GridSample {
     }
 }
 
-impl GridSample {
-    pub(super) fn check(&self) -> Result<(), DataError> {
+impl Transform for GridSample {
+    fn check(&self) -> Result<(), DataError> {
         check_positive("grid_sample.grid_size", self.grid_size)
     }
-}
 
-impl Transform for GridSample {
     fn apply(&self, sample: &mut Sample, rng: &mut SampleRng) -> Result<(), DataError> {
         self.check()?;
         check_finite("coord", &sample.coord)?;
@@ -119,7 +116,7 @@ impl GridSample {
             *values = rows.iter().map(|&row| values[row as usize]).collect();
         };
         if let Some(labels) = &points.instance {
-            crate::error::check_length("pc_instance", points.coord.len(), labels.len())?;
+            check_length("pc_instance", points.coord.len(), labels.len())?;
         }
         points.segment.as_mut().map(pick);
         points.instance.as_mut().map(pick);

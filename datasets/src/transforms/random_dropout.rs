@@ -1,7 +1,6 @@
 //! [`RandomDropout`]
 
-use super::check_probability;
-use crate::error::bad_setting;
+use crate::error::{check_probability, require};
 use crate::rng::{below, happens};
 use crate::{DataError, Sample, SampleRng, Transform};
 use serde::{Deserialize, Serialize};
@@ -26,17 +25,13 @@ impl Default for RandomDropout {
     }
 }
 
-impl RandomDropout {
-    pub(super) fn check(&self) -> Result<(), DataError> {
-        check_probability("random_dropout.probability", self.probability)?;
-        if (0.0..1.0).contains(&self.ratio) {
-            return Ok(());
-        }
-        Err(bad_setting("random_dropout.ratio", self.ratio, "at least 0 and below 1"))
-    }
-}
-
 impl Transform for RandomDropout {
+    fn check(&self) -> Result<(), DataError> {
+        check_probability("random_dropout.probability", self.probability)?;
+        let ok = (0.0..1.0).contains(&self.ratio);
+        require(ok, "random_dropout.ratio", self.ratio, "at least 0 and below 1")
+    }
+
     fn apply(&self, sample: &mut Sample, rng: &mut SampleRng) -> Result<(), DataError> {
         self.check()?;
         if !happens(rng, self.probability) || sample.is_empty() {

@@ -1,6 +1,6 @@
 //! [`RandomJitter`]
 
-use super::check_positive;
+use crate::error::check_positive;
 use crate::rng::normals;
 use crate::{DataError, Sample, SampleRng, Transform};
 use serde::{Deserialize, Serialize};
@@ -25,14 +25,12 @@ impl Default for RandomJitter {
     }
 }
 
-impl RandomJitter {
-    pub(super) fn check(&self) -> Result<(), DataError> {
+impl Transform for RandomJitter {
+    fn check(&self) -> Result<(), DataError> {
         check_positive("random_jitter.sigma", self.sigma)?;
         check_positive("random_jitter.clip", self.clip)
     }
-}
 
-impl Transform for RandomJitter {
     fn apply(&self, sample: &mut Sample, rng: &mut SampleRng) -> Result<(), DataError> {
         self.check()?;
         let values = sample.coord.as_flattened_mut();

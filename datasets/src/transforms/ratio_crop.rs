@@ -1,7 +1,7 @@
 //! [`RatioCrop`]
 
 use super::sphere_crop::nearest_rows;
-use crate::error::bad_setting;
+use crate::error::{check_shares, require};
 use crate::rng::{below, between};
 use crate::{DataError, Sample, SampleRng, Transform};
 use serde::{Deserialize, Serialize};
@@ -29,14 +29,6 @@ impl Default for RatioCrop {
 }
 
 impl RatioCrop {
-    pub(super) fn check(&self) -> Result<(), DataError> {
-        check_ratio("ratio_crop.ratio", self.ratio)?;
-        if self.point_max > 0 {
-            return Ok(());
-        }
-        Err(bad_setting("ratio_crop.point_max", 0, "a number of 1 or more"))
-    }
-
     /// The rows around `center`, ascending.
     pub(super) fn rows(&self, sample: &Sample, center: [f32; 3], rng: &mut SampleRng) -> Vec<u32> {
         let most = sample.len().min(self.point_max);
@@ -45,14 +37,12 @@ impl RatioCrop {
     }
 }
 
-pub(super) fn check_ratio(setting: &'static str, [low, high]: [f64; 2]) -> Result<(), DataError> {
-    if 0.0 <= low && low <= high && high <= 1.0 {
-        return Ok(());
-    }
-    Err(bad_setting(setting, format!("[{low}, {high}]"), "two shares in 0..=1, the lower first"))
-}
-
 impl Transform for RatioCrop {
+    fn check(&self) -> Result<(), DataError> {
+        check_shares("ratio_crop.ratio", self.ratio)?;
+        require(self.point_max > 0, "ratio_crop.point_max", 0, "a number of 1 or more")
+    }
+
     fn apply(&self, sample: &mut Sample, rng: &mut SampleRng) -> Result<(), DataError> {
         self.check()?;
         if sample.is_empty() {
