@@ -9,6 +9,7 @@
 
 use crate::error::{check_finite, check_length, require};
 use crate::rng::{below, sample_rng};
+use crate::sample::bounds;
 use crate::{DataError, InputFeatures};
 use scenesplat_kernels::grid_sample::{GridSampleError, KeyOrder, VoxelGroups, voxel_groups};
 use scenesplat_scene::{Floors, GaussianScene};
@@ -389,14 +390,6 @@ const COARSEST: f64 = 64.0;
 pub fn center_shift(coord: &[[f32; 3]]) -> Vec<[f32; 3]> {
     let shift = box_shift(coord);
     coord.iter().map(|c| std::array::from_fn(|a| c[a] - shift[a])).collect()
-}
-
-/// Lowest and highest coordinate of each axis; `None` without a point.
-pub(crate) fn bounds(coord: &[[f32; 3]]) -> Option<[[f32; 3]; 2]> {
-    let first = *coord.first()?;
-    Some(coord.iter().fold([first, first], |[low, high], c| {
-        [std::array::from_fn(|a| low[a].min(c[a])), std::array::from_fn(|a| high[a].max(c[a]))]
-    }))
 }
 
 /// The middle of the bounding box along x and y, its floor along z; 0 without a point.

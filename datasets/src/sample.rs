@@ -171,8 +171,16 @@ impl Sample {
 
     /// Lowest and highest coordinate of each axis; `None` without Gaussians.
     pub(crate) fn bounds(&self) -> Option<[[f32; 3]; 2]> {
-        crate::plan::bounds(&self.coord)
+        bounds(&self.coord)
     }
+}
+
+/// Lowest and highest coordinate of each axis; `None` without a point.
+pub(crate) fn bounds(coord: &[[f32; 3]]) -> Option<[[f32; 3]; 2]> {
+    let first = *coord.first()?;
+    Some(coord.iter().fold([first, first], |[low, high], c| {
+        [std::array::from_fn(|a| low[a].min(c[a])), std::array::from_fn(|a| high[a].max(c[a]))]
+    }))
 }
 
 /// Keeps rows of language features, which are nearly all of a sample's memory: in place if the rows

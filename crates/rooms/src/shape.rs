@@ -102,19 +102,9 @@ impl Shape {
         Self::Patch { corners, bulge, wave: None }
     }
 
-    /// A tube from one point to another.
-    pub(crate) fn tube(from: V3, to: V3, radius: f64) -> Self {
-        Self::cone(from, to, radius, radius)
-    }
-
     /// A cone from one point to another.
     pub(crate) fn cone(from: V3, to: V3, bottom: f64, top: f64) -> Self {
         Self::Frustum { base: from, axis: sub(to, from), bottom, top, toward: Z, arc: -1.0 }
-    }
-
-    /// A level disc, looking up.
-    pub(crate) fn level_disc(centre: V3, radius: f64) -> Self {
-        Self::Disc { centre, u: [radius, 0.0, 0.0], v: [0.0, radius, 0.0], hole: 0.0 }
     }
 
     /// The same shape elsewhere.
@@ -434,7 +424,7 @@ mod tests {
                 wave: Some(Wave { amplitude: 0.03, count: 4.0, phase: 0.3 }),
             },
             Shape::cone([0.1, 0.2, 0.3], [0.3, 0.1, 0.9], 0.2, 0.05),
-            Shape::tube([0.1, 0.2, 0.3], [0.9, 0.2, 0.3], 0.02),
+            Shape::cone([0.1, 0.2, 0.3], [0.9, 0.2, 0.3], 0.02, 0.02),
             Shape::Frustum {
                 base: [0.0; 3],
                 axis: [0.0, 0.0, 0.5],
@@ -486,7 +476,7 @@ mod tests {
     fn areas_of_plain_shapes() {
         let flat = Shape::flat([0.0; 3], [2.0, 0.0, 0.0], [0.0, 3.0, 0.0]);
         assert_eq!(flat.area(), 6.0);
-        let tube = Shape::tube([0.0; 3], [0.0, 0.0, 2.0], 0.5);
+        let tube = Shape::cone([0.0; 3], [0.0, 0.0, 2.0], 0.5, 0.5);
         assert!((tube.area() - 2.0 * PI).abs() < 1e-12);
         let ball = Shape::Ellipsoid {
             centre: [0.0; 3],
@@ -504,7 +494,7 @@ mod tests {
         let mut rng = sample_rng(3, 1, 5);
         let shapes = [
             Shape::flat([0.0; 3], [0.0; 3], [0.0; 3]),
-            Shape::tube([0.0; 3], [0.0; 3], 0.0),
+            Shape::cone([0.0; 3], [0.0; 3], 0.0, 0.0),
             Shape::Foliage { centre: [0.0; 3], radius: 0.0 },
             Shape::Leaf { base: [0.0; 3], along: [0.0; 3], side: [0.0; 3], droop: 0.0 },
         ];

@@ -2,8 +2,8 @@
 
 use super::ChunkSettings;
 use crate::error::{check_finite, check_length};
-use crate::plan::bounds;
 use crate::rng::{Purpose, below, purpose_rng};
+use crate::sample::bounds;
 use crate::{DataError, SampleRng};
 use scenesplat_kernels::grid_sample::{KeyOrder, voxel_groups};
 use std::collections::BTreeMap;
