@@ -234,3 +234,30 @@ pub(crate) fn check_finite(field: &'static str, rows: &[[f32; 3]]) -> Result<(),
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_out_of_range_are_refused_and_shown() {
+        let nan = f64::NAN;
+        for bad in [-0.1, 1.1, nan, f64::INFINITY] {
+            assert!(check_probability("share", bad).is_err(), "{bad}");
+        }
+        for bad in [0.0, -1.0, nan, f64::INFINITY] {
+            assert!(check_positive("size", bad).is_err(), "{bad}");
+        }
+        for bad in [[1.1, 0.9], [nan, 1.0], [0.0, nan], [0.0, f64::INFINITY]] {
+            assert!(check_range("range", bad).is_err(), "{bad:?}");
+        }
+        for bad in [[0.5, 0.1], [-0.1, 0.5], [0.5, 1.1], [nan, 1.0], [0.0, nan]] {
+            assert!(check_shares("ratio", bad).is_err(), "{bad:?}");
+        }
+        let good = [[0.0, 0.0], [0.0, 1.0]];
+        assert!(good.iter().all(|g| check_shares("", *g).is_ok() && check_range("", *g).is_ok()));
+        assert!(check_probability("", 0.0).is_ok() && check_probability("", 1.0).is_ok());
+        let error = check_range("range", [2.0, 1.0]).unwrap_err().to_string();
+        assert!(error.starts_with("range: [2, 1] is not allowed"), "{error}");
+    }
+}

@@ -439,12 +439,8 @@ mod tests {
         let mut rng = sample_rng(3, 0, 0);
         let coord: Vec<[f32; 3]> =
             (0..40_000).map(|_| direction(&mut rng).map(|v| v as f32)).collect();
-        let on = |threads| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| estimate_normals(&coord, 16).unwrap())
-        };
-        let normals = on(1);
-        assert_eq!(normals, on(3));
+        let of = || estimate_normals(&coord, 16).unwrap();
+        let normals = crate::transforms::testing::on_threads([1, 3], of);
         // A sphere's normal is its radius.
         for (n, c) in normals.iter().zip(&coord).step_by(97) {
             let dot: f32 = n.iter().zip(c).map(|(a, b)| a * b).sum();

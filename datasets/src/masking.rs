@@ -246,7 +246,6 @@ mod tests {
         let good = Masking::default();
         assert!(check(Masking { shape: MaskShape::Patches(0.0), ..good }).contains("patches"));
         assert!(check(Masking { ratio: [0.5, 0.1], ..good }).contains("ratio"));
-        assert!(check(Masking { ratio: [0.5, f64::NAN], ..good }).contains("ratio"));
         assert!(check(Masking { scenes: 1.5, ..good }).contains("scenes"));
         assert!(good.choose(&[[0.0; 3]], &[0, 2], 0, 0).is_err());
         assert!(good.choose(&[], &[], 0, 0).is_err());

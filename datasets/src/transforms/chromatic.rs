@@ -161,7 +161,6 @@ mod tests {
             assert!(color.iter().all(|c| c[2] == 100.0), "a constant channel stays");
         }
         assert_eq!(applied(&always, &gray(&[70.0]), 1).color, gray(&[70.0]).color);
-        assert!(applied(&always, &at(&[]), 1).is_empty());
     }
 
     #[test]
@@ -190,6 +189,5 @@ mod tests {
         assert!(color.iter().flatten().all(|c| (0.0..=255.0).contains(c)));
         let bad = gray(&[f32::NAN, 1.0]);
         assert!(applied(&always, &bad, 5).color[0][0].is_nan());
-        assert!(ChromaticJitter { probability: 2.0, std: 0.1 }.check().is_err());
     }
 }

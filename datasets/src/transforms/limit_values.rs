@@ -76,7 +76,5 @@ mod tests {
         assert!(limited.opacity[1].is_nan());
         let room = room(100);
         assert_eq!(applied(&LimitValues::default(), &room, 0), room);
-        assert!(LimitValues { divide: 0.0, ..<_>::default() }.check().is_err());
-        assert!(LimitValues { scale: Some([1.0, 0.0]), ..<_>::default() }.check().is_err());
     }
 }

@@ -109,6 +109,18 @@ pub(crate) mod testing {
         sample
     }
 
+    /// What is made with pools of so many threads, which is the same in all.
+    pub fn on_threads<T: PartialEq + Send>(
+        counts: impl IntoIterator<Item = usize>,
+        make: impl Fn() -> T + Sync,
+    ) -> T {
+        let pool = |n| rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap();
+        let mut made = counts.into_iter().map(|n| pool(n).install(&make));
+        let first = made.next().unwrap();
+        assert!(made.all(|other| other == first));
+        first
+    }
+
     /// Covariance of a Gaussian, in f64.
     pub fn covariance(quat: [f32; 4], scale: [f32; 3]) -> [[f64; 3]; 3] {
         let r = super::quaternion::matrix(quat.map(f64::from));

@@ -123,13 +123,11 @@ mod tests {
     }
 
     #[test]
-    fn ties_small_scenes_and_bad_settings() {
+    fn ties_and_small_scenes() {
         let crop = SphereCrop { point_max: 2, center: CropCenter::Middle, exact: false };
         let mut same = at(&[[1.0; 3]; 5]);
         same.segment = Some((0..5).collect());
         assert_eq!(applied(&crop, &same, 0).segment.unwrap(), [0, 1]);
         assert_eq!(applied(&crop, &at(&[[1.0; 3]; 2]), 0).len(), 2);
-        assert!(applied(&crop, &at(&[]), 0).is_empty());
-        assert!(SphereCrop { point_max: 0, ..<_>::default() }.check().is_err());
     }
 }
