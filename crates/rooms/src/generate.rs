@@ -200,16 +200,7 @@ pub struct SyntheticRoom {
 pub fn generate(settings: &SyntheticRoomSettings) -> Result<SyntheticRoom, RoomError> {
     settings.check()?;
     let (seed, room) = (settings.seed, settings.room);
-    let mut rng = sample_rng(seed, room, LAYOUT);
-    let kind = RoomKind::random(&mut rng);
-    let kind = settings.kind.unwrap_or(kind);
-    let stock = &mut settings.stock()?;
-    let mut of_flat = sample_rng(seed, room, FLAT);
-    let flat = if unit(&mut of_flat) < settings.flat_share {
-        Flat::furnish(kind, stock, &mut of_flat)
-    } else {
-        Flat::of_one_room(recipe::furnish(kind, stock, &mut rng))
-    };
+    let (kind, flat) = furnished(settings)?;
     let mut of_walk = sample_rng(seed, room, WALK);
     let is_walked = unit(&mut of_walk) < settings.seen_share;
     let cameras = if is_walked { flat.walk(&mut of_walk) } else { Vec::new() };
@@ -220,21 +211,20 @@ pub fn generate(settings: &SyntheticRoomSettings) -> Result<SyntheticRoom, RoomE
         unit(&mut rng) < f64::from(settings.points_share) || settings.capture == Capture::Model;
     let mut look = Look::new(is_points, size, &mut rng);
     let mut density = f64::from(settings.gaussians_per_m2);
-    let mut rng = sample_rng(seed, room, SCAN);
+    let mut of_scan = sample_rng(seed, room, SCAN);
     let scan = match settings.capture {
         Capture::Made => None,
-        Capture::Scan => Some(Scan::new(size, objects.len(), &mut rng)),
-        Capture::Model => Some(Scan::of_models(objects.len(), &mut rng)),
+        Capture::Scan => Some(Scan::new(size, objects.len(), &mut of_scan)),
+        Capture::Model => Some(Scan::of_models(objects.len(), &mut of_scan)),
     };
-    let scan = scan.map(|scan| {
+    if let Some(scan) = &scan {
         scan.change(&mut look);
         density *= scan.density;
-        (scan, rng)
-    });
+    }
 
     let mut rng = sample_rng(seed, room, DENSITY);
     let own: Option<Vec<f64>> = match &scan {
-        Some((scan, _)) => Some(scan.objects.iter().map(|object| object.density).collect()),
+        Some(scan) => Some(scan.objects.iter().map(|object| object.density).collect()),
         None => (unit(&mut rng) < settings.density_variation)
             .then(|| scan::densities(objects.len(), &mut rng)),
     };
@@ -245,16 +235,16 @@ pub fn generate(settings: &SyntheticRoomSettings) -> Result<SyntheticRoom, RoomE
         return Err(too_many("gaussians_per_m2", density.to_string()));
     }
     let num_floaters = (n as f64 * look.floaters) as usize;
-    let num_below = scan.as_ref().map_or(0, |(scan, _)| (n as f64 * scan.below) as usize);
+    let num_below = scan.as_ref().map_or(0, |scan| (n as f64 * scan.below) as usize);
     let counts = shares(&weights, total, n - num_floaters - num_below);
 
-    let scanned = scan.as_ref().map(|(scan, _)| &scan.objects[..]);
+    let scanned = scan.as_ref().map(|scan| &scan.objects[..]);
     let mut rows = scatter_all(&objects, &counts, &look, scanned, [seed, room]);
     let spacing = rounded_ln((total / n.max(1) as f64).sqrt().clamp(1e-4, 0.2));
     let mut rng = sample_rng(seed, room, FLOATERS);
     rows.extend((0..num_floaters).map(|_| splats::floater(size, spacing, &mut rng)));
-    if let Some((scan, mut rng)) = scan {
-        let below = |_| splats::below_floor(size, scan.deep, spacing, &mut rng);
+    if let Some(scan) = &scan {
+        let below = |_| splats::below_floor(size, scan.deep, spacing, &mut of_scan);
         rows.extend((0..num_below).map(below));
     }
     let mut scene = splats::scene(&rows);
@@ -273,6 +263,22 @@ pub fn generate(settings: &SyntheticRoomSettings) -> Result<SyntheticRoom, RoomE
         is_points,
         objects: objects.iter().enumerate().map(describe).collect(),
     })
+}
+
+/// What kind of room it is, and what stands in it and in the others of its flat.
+fn furnished(settings: &SyntheticRoomSettings) -> Result<(RoomKind, Flat), RoomError> {
+    let (seed, room) = (settings.seed, settings.room);
+    let mut rng = sample_rng(seed, room, LAYOUT);
+    let kind = RoomKind::random(&mut rng);
+    let kind = settings.kind.unwrap_or(kind);
+    let stock = &mut settings.stock()?;
+    let mut of_flat = sample_rng(seed, room, FLAT);
+    let is_flat = unit(&mut of_flat) < settings.flat_share;
+    let flat = match is_flat {
+        true => Flat::furnish(kind, stock, &mut of_flat),
+        false => Flat::of_one_room(recipe::furnish(kind, stock, &mut rng)),
+    };
+    Ok((kind, flat))
 }
 
 /// Of each surface and piece, in the order of the objects, its area times its density; `own` has the density

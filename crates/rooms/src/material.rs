@@ -177,13 +177,7 @@ impl Material {
                 mix(self.base, self.second, 0.55 * fibre + 0.35 * fine)
             }
             Texture::Boards(width, length) => {
-                let row = (t / width).floor();
-                let shifted = s / length + scramble(row as i64, 7, self.salt);
-                let tone = scramble(row as i64, shifted.floor() as i64, self.salt);
-                let fibre = noise(s / 0.4, t / 0.02, 2);
-                let joint = t / width - row < 0.012 / width || shifted - shifted.floor() < 0.01;
-                mix(self.base, self.second, 0.6 * tone + 0.3 * fibre)
-                    .map(|c| c * if joint { 0.75 } else { 1.0 })
+                self.board([s, t], [width, length], noise(s / 0.4, t / 0.02, 2))
             }
             Texture::Tiles(size) => {
                 let (x, y) = (s / size, t / size);
@@ -213,20 +207,31 @@ impl Material {
                 let gap = |v: f64| v / size - (v / size).floor() < 0.22;
                 if gap(s) || gap(t) { self.second } else { self.base }
             }
-            Texture::Screen(size) => {
-                let (column, row) = ((s / size).floor() as i64, (t / size).floor() as i64);
-                let lit = scramble(column, row, self.salt);
-                if lit < 0.45 {
-                    return self.base;
-                }
-                let is_line = (8.0 * t / size).floor().rem_euclid(2.0) < 1.0;
-                mix(self.base, self.second, if is_line { lit } else { 0.4 * lit })
-            }
+            Texture::Screen(size) => self.screen(s / size, t / size, 8.0 * t / size),
             Texture::Sheen(size) => {
                 let a = noise((s + t) / size, (s - t) / (3.0 * size), 0);
                 mix(self.base, self.second, a)
             }
         }
+    }
+
+    fn board(&self, [s, t]: [f64; 2], [width, length]: [f64; 2], fibre: f64) -> V3 {
+        let row = (t / width).floor();
+        let shifted = s / length + scramble(row as i64, 7, self.salt);
+        let tone = scramble(row as i64, shifted.floor() as i64, self.salt);
+        let joint = t / width - row < 0.012 / width || shifted - shifted.floor() < 0.01;
+        mix(self.base, self.second, 0.6 * tone + 0.3 * fibre)
+            .map(|c| c * if joint { 0.75 } else { 1.0 })
+    }
+
+    /// A window of a screen, lit or not, with lines in it.
+    fn screen(&self, column: f64, row: f64, line: f64) -> V3 {
+        let lit = scramble(column.floor() as i64, row.floor() as i64, self.salt);
+        if lit < 0.45 {
+            return self.base;
+        }
+        let is_line = line.floor().rem_euclid(2.0) < 1.0;
+        mix(self.base, self.second, if is_line { lit } else { 0.4 * lit })
     }
 }
 

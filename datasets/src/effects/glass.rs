@@ -87,15 +87,12 @@ pub(super) fn on_pane(
     out.source = kept.iter().map(|&row| out.source[row]).collect();
     out.source.extend(std::iter::repeat_n(None, ghosts.len()));
     out.scene = scene;
+    let ([w, h], alpha, added) = (pane.half.map(|half| 2.0 * half), pane.alpha, ghosts.len());
     let text = format!(
-        "a pane of {:.2} by {:.2} m: {removed} Gaussians removed, {stayed} of opacity {:.2}, {} \
-         reflections added behind it",
-        2.0 * pane.half[0],
-        2.0 * pane.half[1],
-        pane.alpha,
-        ghosts.len()
+        "a pane of {w:.2} by {h:.2} m: {removed} Gaussians removed, {stayed} of opacity {alpha:.2}, \
+         {added} reflections added behind it"
     );
-    Ok((sheet.len() + ghosts.len(), text))
+    Ok((sheet.len() + added, text))
 }
 
 /// As [`glass`], on several panes, one after the other.

@@ -50,65 +50,77 @@ fn grown(tall: f64, pot_size: f64, density: f64, rng: &mut SampleRng) -> Model {
     let [earth, r] = pot(&mut model, pot_size, rng);
     let crown = tall - earth;
     match whole(rng, 0, 3) {
-        0 => {
-            // A stem with a crown of small leaves.
-            let bark = Material::plain([96.0, 74.0, 50.0]);
-            let split = earth + crown * between(rng, 0.2, 0.5);
-            let (stem, fork) = (0.01 + 0.012 * tall, [0.0, 0.0, split + 0.1 * crown]);
-            model.rod([0.0, 0.0, earth], fork, stem, bark);
-            let size = crown * between(rng, 0.2, 0.3);
-            for _ in 0..whole(rng, 4, 8) {
-                let [c, s] = cos_sin(rng);
-                let reach = size * between(rng, 0.1, 0.9);
-                let z = between(rng, split + size * 0.5, tall - size * 0.5);
-                let centre = [reach * c, reach * s, z];
-                let green = green.shaded(between(rng, 0.85, 1.15));
-                model.add(Shape::Foliage { centre, radius: size }, green);
-            }
-        }
+        0 => stem_and_crown(&mut model, earth, tall, green, rng),
         1 => {
-            // Upright blades.
             for _ in 0..whole(rng, 9, 16) {
-                let [c, s] = cos_sin(rng);
-                let base = [0.5 * r * c, 0.5 * r * s, earth - 0.01];
-                let out = crown * between(rng, 0.02, 0.22);
-                let along = [out * c, out * s, crown * between(rng, 0.6, 1.0)];
-                let side = times([-s, c, 0.0], crown * between(rng, 0.025, 0.05));
-                let green = green.shaded(between(rng, 0.85, 1.2));
-                model.add(Shape::Leaf { base, along, side, droop: 0.0 }, green);
+                blade(&mut model, [earth, crown, r], green, rng);
             }
         }
         2 => {
-            // Hanging fronds from the middle.
             for _ in 0..whole(rng, 14, 24) {
-                let [c, s] = cos_sin(rng);
-                let out = crown * between(rng, 0.35, 0.6);
-                let along = [out * c, out * s, crown * between(rng, 0.5, 1.1)];
-                let side = times([-s, c, 0.0], crown * between(rng, 0.04, 0.08));
-                let droop = crown * between(rng, 0.2, 0.7);
-                let base = [0.0, 0.0, earth];
-                let green = green.shaded(between(rng, 0.8, 1.2));
-                model.add(Shape::Leaf { base, along, side, droop }, green);
+                frond(&mut model, [earth, crown], green, rng);
             }
         }
         _ => {
-            // Stalks with one large leaf each.
             for _ in 0..whole(rng, 7, 13) {
-                let [c, s] = cos_sin(rng);
-                let reach = crown * between(rng, 0.05, 0.3);
-                let base = [0.0, 0.0, earth];
-                let node: V3 = [reach * c, reach * s, earth + crown * between(rng, 0.35, 0.85)];
-                model.beam(base, node, 0.008, green.shaded(0.8));
-                let size = crown * between(rng, 0.22, 0.36);
-                let along = [size * c, size * s, size * between(rng, -0.1, 0.5)];
-                let side = times([-s, c, 0.0], size * between(rng, 0.25, 0.4));
-                let droop = size * between(rng, 0.0, 0.5);
-                let green = green.shaded(between(rng, 0.85, 1.2));
-                model.add(Shape::Leaf { base: node, along, side, droop }, green);
+                stalk(&mut model, [earth, crown], green, rng);
             }
         }
     }
     model
+}
+
+/// A stem with a crown of small leaves.
+fn stem_and_crown(m: &mut Model, earth: f64, tall: f64, green: Material, rng: &mut SampleRng) {
+    let crown = tall - earth;
+    let bark = Material::plain([96.0, 74.0, 50.0]);
+    let split = earth + crown * between(rng, 0.2, 0.5);
+    m.rod([0.0, 0.0, earth], [0.0, 0.0, split + 0.1 * crown], 0.01 + 0.012 * tall, bark);
+    let radius = crown * between(rng, 0.2, 0.3);
+    for _ in 0..whole(rng, 4, 8) {
+        let [c, s] = cos_sin(rng);
+        let reach = radius * between(rng, 0.1, 0.9);
+        let z = between(rng, split + radius * 0.5, tall - radius * 0.5);
+        let centre = [reach * c, reach * s, z];
+        let green = green.shaded(between(rng, 0.85, 1.15));
+        m.add(Shape::Foliage { centre, radius }, green);
+    }
+}
+
+/// An upright blade.
+fn blade(m: &mut Model, [earth, crown, r]: V3, green: Material, rng: &mut SampleRng) {
+    let [c, s] = cos_sin(rng);
+    let base = [0.5 * r * c, 0.5 * r * s, earth - 0.01];
+    let out = crown * between(rng, 0.02, 0.22);
+    let along = [out * c, out * s, crown * between(rng, 0.6, 1.0)];
+    let side = times([-s, c, 0.0], crown * between(rng, 0.025, 0.05));
+    let green = green.shaded(between(rng, 0.85, 1.2));
+    m.add(Shape::Leaf { base, along, side, droop: 0.0 }, green);
+}
+
+/// A hanging frond from the middle.
+fn frond(m: &mut Model, [earth, crown]: [f64; 2], green: Material, rng: &mut SampleRng) {
+    let [c, s] = cos_sin(rng);
+    let out = crown * between(rng, 0.35, 0.6);
+    let along = [out * c, out * s, crown * between(rng, 0.5, 1.1)];
+    let side = times([-s, c, 0.0], crown * between(rng, 0.04, 0.08));
+    let droop = crown * between(rng, 0.2, 0.7);
+    let green = green.shaded(between(rng, 0.8, 1.2));
+    m.add(Shape::Leaf { base: [0.0, 0.0, earth], along, side, droop }, green);
+}
+
+/// A stalk with one large leaf.
+fn stalk(m: &mut Model, [earth, crown]: [f64; 2], green: Material, rng: &mut SampleRng) {
+    let [c, s] = cos_sin(rng);
+    let reach = crown * between(rng, 0.05, 0.3);
+    let base: V3 = [reach * c, reach * s, earth + crown * between(rng, 0.35, 0.85)];
+    m.beam([0.0, 0.0, earth], base, 0.008, green.shaded(0.8));
+    let size = crown * between(rng, 0.22, 0.36);
+    let along = [size * c, size * s, size * between(rng, -0.1, 0.5)];
+    let side = times([-s, c, 0.0], size * between(rng, 0.25, 0.4));
+    let droop = size * between(rng, 0.0, 0.5);
+    let green = green.shaded(between(rng, 0.85, 1.2));
+    m.add(Shape::Leaf { base, along, side, droop }, green);
 }
 
 /// A flat thing on a wall with a frame around it; its back is at −y, its middle at z = 0.
