@@ -1,171 +1,12 @@
-//! Losses of self-supervision: gradients against central differences in f64, values against formulas,
-//! and input that nobody hopes for.
+//! Losses of self-supervision: values by hand, and hard input.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
-
-mod support;
-
+use crate::support::{attribute, attributes, cube, matrix, noise, number, units, wide};
 use candle_core::{DType, Device, Result, Tensor, Var};
 use scenesplat_losses::self_supervised::{
     AttributeColumns, Centering, Expansion, GaussianDistance, SimDino, masked_cosine,
     masked_cross_entropy, masked_gaussians, sim_dino, sim_dino_rows, sinkhorn_knopp,
     view_cross_entropy,
 };
-use support::{BF16_EPS, matrix, noise, number, wide};
-
-const STEP: f64 = 1e-6;
-
-fn cube(values: &[f64], views: usize, scenes: usize, dtype: DType) -> Tensor {
-    matrix(values, 1, dtype).reshape((views, scenes, values.len() / views / scenes)).unwrap()
-}
-
-fn units(values: &[f64], width: usize) -> Vec<f64> {
-    let unit = |row: &[f64]| {
-        let norm = row.iter().map(|v| v * v).sum::<f64>().sqrt();
-        row.iter().map(|v| v / norm).collect::<Vec<_>>()
-    };
-    values.chunks_exact(width).flat_map(unit).collect()
-}
-
-fn attributes() -> [AttributeColumns; 3] {
-    let of = |name: &str, columns, is_rotation| AttributeColumns {
-        name: name.to_owned(),
-        columns,
-        is_rotation,
-        is_size: name == "scale",
-    };
-    [of("color", 0..2, false), of("quat", 2..6, true), of("scale", 6..9, false)]
-}
-
-type LossFn = Box<dyn Fn(&Tensor) -> Result<Option<Tensor>>>;
-
-/// Every loss with predictions that fit it: `[3, 4, 6]` for views, else `[8, 9]`.
-fn all() -> Vec<(&'static str, Vec<usize>, LossFn)> {
-    let teacher = || cube(&units(&noise(2 * 4 * 6, 2), 6), 2, 4, DType::F64);
-    let probabilities = |rows: usize| {
-        let values: Vec<f64> = noise(rows * 9, 5).iter().map(|v| v.abs() / 4.0).collect();
-        matrix(&values, 9, DType::F64)
-    };
-    let weights = vec![0.5, 0.5, 0.25, 0.0, 0.25, 0.125, 0.3, 0.1];
-    let dino = |settings: SimDino| -> LossFn {
-        let teacher = teacher();
-        Box::new(move |s| {
-            let teacher = teacher.to_dtype(s.dtype())?;
-            Ok(sim_dino(s, &teacher, &settings)?.map(|out| out.loss))
-        })
-    };
-    let dino_rows = |settings: SimDino, width: usize| -> LossFn {
-        let teacher = matrix(&units(&noise(72, 4), width), width, DType::F64);
-        Box::new(move |s| {
-            let teacher = teacher.to_dtype(s.dtype())?;
-            Ok(sim_dino_rows(s, &teacher, &settings)?.map(|out| out.loss))
-        })
-    };
-    let target = matrix(&noise(8 * 9, 3), 9, DType::F64);
-    let modelling = |distance: GaussianDistance| -> LossFn {
-        let target = target.clone();
-        let counts = vec![true, true, false, true, true, true, true, false];
-        Box::new(move |p| {
-            let target = target.to_dtype(p.dtype())?;
-            let out = masked_gaussians(p, &target, Some(&counts), &attributes(), distance)?;
-            Ok(out.map(|(loss, _)| loss))
-        })
-    };
-    let rows = || vec![8, 9];
-    let views = || vec![3, 4, 6];
-    let probability_views =
-        cube(&noise(2 * 4 * 6, 6).iter().map(|v| v.abs()).collect::<Vec<_>>(), 2, 4, DType::F64);
-    let (cosine_target, cosine_weights) = (target.clone(), weights.clone());
-    let soft_target = probabilities(8);
-    vec![
-        ("simdino", views(), dino(SimDino::default())),
-        (
-            "simdino, student",
-            views(),
-            dino(SimDino { expansion: Expansion::Student, coefficient: 1.0, ..SimDino::default() }),
-        ),
-        ("simdino, any length", views(), dino(SimDino { normalized: false, ..SimDino::default() })),
-        ("simdino rows", rows(), dino_rows(SimDino::default(), 9)),
-        (
-            "simdino rows, more rows than channels",
-            vec![24, 3],
-            dino_rows(SimDino { coefficient: 2.0, normalized: false, ..SimDino::default() }, 3),
-        ),
-        (
-            "dino",
-            views(),
-            Box::new(move |s| {
-                view_cross_entropy(s, &probability_views.to_dtype(s.dtype())?, 0.3, false)
-            }),
-        ),
-        (
-            "ibot cosine",
-            rows(),
-            Box::new(move |p| {
-                masked_cosine(p, &cosine_target.to_dtype(p.dtype())?, &cosine_weights)
-            }),
-        ),
-        (
-            "ibot cross entropy",
-            rows(),
-            Box::new(move |p| {
-                masked_cross_entropy(p, &soft_target.to_dtype(p.dtype())?, &weights, 0.2)
-            }),
-        ),
-        ("masked, mean square", rows(), modelling(GaussianDistance::MeanSquare)),
-        ("masked, fitted", rows(), modelling(GaussianDistance::Fitted)),
-        ("masked, ellipsoid", rows(), modelling(GaussianDistance::Ellipsoid)),
-    ]
-}
-
-fn run(f: &LossFn, values: &[f64], shape: &[usize], dtype: DType) -> (f64, Vec<f64>) {
-    let tensor = Tensor::from_vec(values.to_vec(), shape, &Device::Cpu).unwrap();
-    let var = Var::from_tensor(&tensor.to_dtype(dtype).unwrap()).unwrap();
-    let loss = f(&var).unwrap().unwrap();
-    let gradient = loss.backward().unwrap().get(&var).unwrap().clone();
-    assert_eq!((gradient.dtype(), gradient.dims()), (dtype, shape));
-    (number(&loss), wide(&gradient))
-}
-
-#[test]
-fn gradients_of_masked_and_view_losses_are_central_differences() {
-    for (name, shape, f) in all() {
-        let size: usize = shape.iter().product();
-        let values = noise(size, 1);
-        let (_, gradient) = run(&f, &values, &shape, DType::F64);
-        let largest = gradient.iter().fold(0.0, |m: f64, g| m.max(g.abs()));
-        assert!(largest > 1e-3, "{name}: no gradient");
-        for at in 0..size {
-            let moved = |step: f64| {
-                let mut values = values.clone();
-                values[at] += step;
-                run(&f, &values, &shape, DType::F64).0
-            };
-            let want = (moved(STEP) - moved(-STEP)) / (2.0 * STEP);
-            let error = (gradient[at] - want).abs();
-            assert!(error < 1e-8 + 1e-7 * largest, "{name}[{at}]: {} {want}", gradient[at]);
-        }
-    }
-}
-
-#[test]
-fn lower_types_are_near_f64() {
-    for (name, shape, f) in all() {
-        let values = noise(shape.iter().product(), 1);
-        let (want, slope) = run(&f, &values, &shape, DType::F64);
-        let largest = slope.iter().fold(0.0, |m: f64, g| m.max(g.abs()));
-        for (dtype, eps) in [(DType::F32, 1e-5), (DType::BF16, BF16_EPS), (DType::F16, 4e-3)] {
-            let (got, gradient) = run(&f, &values, &shape, dtype);
-            assert!(
-                (got - want).abs() < eps * want.abs().max(1.0),
-                "{name} {dtype:?}: {got} {want}"
-            );
-            for (g, w) in gradient.iter().zip(&slope) {
-                assert!((g - w).abs() < 3.0 * eps * largest, "{name} {dtype:?}: {g} {w}");
-            }
-        }
-    }
-}
 
 /// The example of one number each, by the formulas in numpy.
 #[test]
@@ -257,12 +98,7 @@ fn ibot_by_hand() {
 #[test]
 fn masked_rotations_have_no_sign() {
     let quaternion = [0.5, -0.5, 0.5, 0.5];
-    let attributes = [AttributeColumns {
-        name: "quat".to_owned(),
-        columns: 0..4,
-        is_rotation: true,
-        is_size: false,
-    }];
+    let attributes = [attribute("quat", 0..4)];
     let cost = |p: &[f64], t: &[f64]| {
         let (p, t) = (matrix(p, 4, DType::F64), matrix(t, 4, DType::F64));
         let out = masked_gaussians(&p, &t, None, &attributes, GaussianDistance::Fitted);
@@ -302,13 +138,7 @@ fn turn(axis: [f64; 3], angle: f64) -> [f64; 4] {
 
 /// Costs of rotation and sizes by the ellipsoid's distance, and the gradient; rows of quaternion and log-sizes.
 fn ellipsoid(p: &[f64], t: &[f64]) -> (Vec<f64>, Vec<f64>) {
-    let of = |name: &str, columns, is_rotation| AttributeColumns {
-        name: name.to_owned(),
-        columns,
-        is_rotation,
-        is_size: !is_rotation,
-    };
-    let attributes = [of("quat", 0..4, true), of("scale", 4..7, false)];
+    let attributes = [attribute("quat", 0..4), attribute("scale", 4..7)];
     let p = Var::from_tensor(&matrix(p, 7, DType::F64)).unwrap();
     let t = matrix(t, 7, DType::F64);
     let out = masked_gaussians(&p, &t, None, &attributes, GaussianDistance::Ellipsoid);
@@ -394,7 +224,7 @@ fn masked_ellipsoids_count_by_what_can_be_seen_of_them() {
 }
 
 #[test]
-fn attributes_are_told_alone() {
+fn attributes_have_a_value_each() {
     let (p, t) = (matrix(&noise(18, 1), 9, DType::F64), matrix(&noise(18, 2), 9, DType::F64));
     for distance in
         [GaussianDistance::MeanSquare, GaussianDistance::Fitted, GaussianDistance::Ellipsoid]
@@ -521,49 +351,50 @@ fn temperatures_near_0() {
 
 #[test]
 fn what_does_not_fit_is_refused_by_name() {
-    let views = |rows: usize, scenes: usize, width: usize| {
-        Tensor::ones((rows, scenes, width), DType::F32, &Device::Cpu).unwrap()
-    };
-    let (s, t) = (views(3, 2, 4), views(2, 2, 4));
+    let ones = |shape: &[usize]| Tensor::ones(shape, DType::F32, &Device::Cpu).unwrap();
+    let views = |views, scenes, width| ones(&[views, scenes, width]);
     let message = |result: Result<bool>| result.unwrap_err().to_string();
-    let dino = |s: &Tensor, t: &Tensor, settings: SimDino| {
-        message(sim_dino(s, t, &settings).map(|out| out.is_some()))
-    };
-    let plain = SimDino::default();
-    assert!(dino(&s, &views(2, 3, 4), plain).contains("teacher: expected [1..=3, 2, 4]"));
-    assert!(dino(&s, &views(4, 2, 4), plain).contains("teacher"));
-    assert!(dino(&s, &views(0, 2, 4), plain).contains("teacher"));
-    assert!(dino(&s, &t, SimDino { epsilon: 0.0, ..plain }).contains("epsilon is 0"));
-    assert!(dino(&s, &t, SimDino { coefficient: f64::NAN, ..plain }).contains("coefficient"));
-    let bad = (s.clone() / 0.0).unwrap();
-    assert!(dino(&bad, &t, plain).contains("student[0, 0] is inf"));
-    let rows_of = |s: &Tensor, t: &Tensor, settings: SimDino| {
-        message(sim_dino_rows(s, t, &settings).map(|out| out.is_some()))
-    };
-    let rows = Tensor::ones((2, 4), DType::F32, &Device::Cpu).unwrap();
-    assert!(rows_of(&s, &rows, plain).contains("student: expected [N, D], got [3, 2, 4]"));
-    let fewer = rows.narrow(0, 0, 1).unwrap();
-    assert!(rows_of(&rows, &fewer, plain).contains("sim_dino_rows: teacher"));
-    assert!(rows_of(&rows, &rows, SimDino { epsilon: -1.0, ..plain }).contains("epsilon is -1"));
-    let bad = (rows.clone() / 0.0).unwrap();
-    assert!(rows_of(&bad, &rows, plain).contains("student[0, 0] is inf"));
+    let infinite = |t: &Tensor| (t.clone() / 0.0).unwrap();
     // Four equal rows of 10³⁰: no digit of the identity is left.
     let huge = |t: &Tensor| (t.to_dtype(DType::F64).unwrap() * 1e30).unwrap();
-    assert!(dino(&huge(&s), &huge(&t), plain).contains("normalized"));
+    let (s, t, rows) = (views(3, 2, 4), views(2, 2, 4), ones(&[2, 4]));
+    let plain = SimDino::default();
+    for (s, t, settings, says) in [
+        (&s, &views(2, 3, 4), plain, "teacher: expected [1..=3, 2, 4]"),
+        (&s, &views(4, 2, 4), plain, "teacher"),
+        (&s, &views(0, 2, 4), plain, "teacher"),
+        (&s, &t, SimDino { epsilon: 0.0, ..plain }, "epsilon is 0"),
+        (&s, &t, SimDino { coefficient: f64::NAN, ..plain }, "coefficient"),
+        (&infinite(&s), &t, plain, "student[0, 0] is inf"),
+        (&huge(&s), &huge(&t), plain, "normalized"),
+    ] {
+        let found = message(sim_dino(s, t, &settings).map(|out| out.is_some()));
+        assert!(found.contains(says), "{found}");
+    }
+    for (s, t, settings, says) in [
+        (&s, &rows, plain, "student: expected [N, D], got [3, 2, 4]"),
+        (&rows, &rows.narrow(0, 0, 1).unwrap(), plain, "sim_dino_rows: teacher"),
+        (&rows, &rows, SimDino { epsilon: -1.0, ..plain }, "epsilon is -1"),
+        (&infinite(&rows), &rows, plain, "student[0, 0] is inf"),
+    ] {
+        let found = message(sim_dino_rows(s, t, &settings).map(|out| out.is_some()));
+        assert!(found.contains(says), "{found}");
+    }
     let entropy = message(view_cross_entropy(&s, &t, -1.0, true).map(|l| l.is_some()));
     assert!(entropy.contains("temperature is -1"), "{entropy}");
 
-    let rows = Tensor::ones((2, 9), DType::F32, &Device::Cpu).unwrap();
-    let cosine = message(masked_cosine(&rows, &rows, &[1.0]).map(|l| l.is_some()));
-    assert!(cosine.contains("weights"), "{cosine}");
-    let cosine = message(masked_cosine(&rows, &rows, &[1.0, f64::NAN]).map(|l| l.is_some()));
-    assert!(cosine.contains("weights[1, 0] is NaN"), "{cosine}");
-    let modelling = |rows: &Tensor, attributes: &[AttributeColumns]| {
+    let rows = ones(&[2, 9]);
+    for (weights, says) in [(&[1.0][..], "weights"), (&[1.0, f64::NAN], "weights[1, 0] is NaN")] {
+        let cosine = message(masked_cosine(&rows, &rows, weights).map(|l| l.is_some()));
+        assert!(cosine.contains(says), "{cosine}");
+    }
+    let all = attributes();
+    let refused = |rows: &Tensor, attributes: &[AttributeColumns], says: &str| {
         let out = masked_gaussians(rows, rows, None, attributes, GaussianDistance::Fitted);
-        message(out.map(|l| l.is_some()))
+        let found = message(out.map(|l| l.is_some()));
+        assert!(found.contains(says), "{found}");
     };
-    assert!(modelling(&rows, &attributes()[..2]).contains("expected [N, 6], got [N, 9]"));
-    assert!(modelling(&rows, &attributes()[1..]).contains("quat = 2..6"));
-    let bad = (rows * f64::NAN).unwrap();
-    assert!(modelling(&bad, &attributes()).contains("pred[0, 0] is NaN"));
+    refused(&rows, &all[..2], "expected [N, 6], got [N, 9]");
+    refused(&rows, &all[1..], "quat = 2..6");
+    refused(&(&rows * f64::NAN).unwrap(), &all, "pred[0, 0] is NaN");
 }

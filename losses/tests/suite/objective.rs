@@ -1,16 +1,12 @@
 //! Objectives, schedules, sources of classes, configuration files, and equal bits.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
-
-mod support;
-
+use crate::support::{evaluate, input, matrix, noise, number, units, wide};
 use candle_core::{DType, Result, Tensor, Var};
 use scenesplat_losses::{
     AggregatedContrastive, ClassSource, CosineLoss, CrossEntropy, IGNORE, L2Loss, Loss, LossConfig,
     LossInput, LovaszSoftmax, Objective, TermSchedule, TextColumns, argmax_labels, build_objective,
     pseudo_labels,
 };
-use support::{evaluate, input, matrix, noise, number, wide};
 
 #[test]
 fn the_total_is_the_weighted_sum_of_the_terms() {
@@ -77,7 +73,7 @@ fn a_failing_term_is_named() {
     }
     let infinite = Objective::new().with(f64::INFINITY, LovaszSoftmax);
     assert!(infinite.forward(&input(&pred, None, None, None)).is_err());
-    // A loss of one's own is used as ours are, in f64 too.
+    // A loss of the caller is used as those of the crate are, in f64 too.
     let own = Objective::new().with(3.0, Broken(|p| p.sum_all().map(Some)));
     let wide = pred.to_dtype(DType::F64).unwrap();
     let output = own.forward(&input(&wide, None, None, None)).unwrap();
@@ -93,10 +89,15 @@ fn schedules() {
     assert!(TermSchedule::Always.is_on(0.0) && !TermSchedule::Skip.is_on(1.0));
 }
 
+/// Three texts, the axes.
+fn axes() -> TextColumns {
+    TextColumns::new(&[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], 3).unwrap()
+}
+
 #[test]
 fn where_classes_come_from() {
     // Targets near three texts, one zero row, one row without a target.
-    let texts = TextColumns::new(&[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], 3).unwrap();
+    let texts = axes();
     assert_eq!((texts.len(), texts.is_empty()), (3, false));
     let rows = [[0.0, 0.1, 0.2], [0.9, 0.1, 0.0], [0.0; 3], [0.0, 9.0, 1.0], [2.0, 2.0, 0.0]];
     let target = matrix(rows.as_flattened(), 3, DType::BF16);
@@ -126,8 +127,11 @@ fn where_classes_come_from() {
     many[3 * 8999 + 2] = f64::NAN;
     let message = pseudo_labels(&matrix(&many, 3, DType::F32), &texts, None).unwrap_err();
     assert!(message.to_string().contains("target[8999, 2] is NaN"), "{message}");
+}
 
-    // The loss takes them, and says which it took.
+#[test]
+fn the_loss_takes_its_classes_and_says_which() {
+    let texts = axes();
     let loss = |classes| AggregatedContrastive {
         classes,
         min_points: 2,
@@ -160,12 +164,7 @@ fn where_classes_come_from() {
 }
 
 fn with_threads<R: Send>(n: usize, f: impl FnOnce() -> R + Send) -> R {
-    let pool = candle_threads(n);
-    pool.install(f)
-}
-
-fn candle_threads(n: usize) -> rayon::ThreadPool {
-    rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap()
+    rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap().install(f)
 }
 
 /// Values and gradients of all losses on more rows than a task takes, bit for bit.
@@ -175,11 +174,7 @@ fn any_number_of_threads() {
     const WIDTH: usize = 67;
     let label: Vec<i32> = (0..ROWS).map(|i| (i * i % 71) as i32 - 4).map(|l| l.max(-1)).collect();
     let valid: Vec<bool> = (0..ROWS).map(|i| i % 5 != 3).collect();
-    let mut texts: Vec<f32> = noise(20 * WIDTH, 8).iter().map(|v| *v as f32).collect();
-    for row in texts.chunks_exact_mut(WIDTH) {
-        let norm = row.iter().map(|v| v * v).sum::<f32>().sqrt();
-        row.iter_mut().for_each(|v| *v /= norm);
-    }
+    let texts: Vec<f32> = units(&noise(20 * WIDTH, 8), WIDTH).iter().map(|v| *v as f32).collect();
     let texts = TextColumns::new(&texts, WIDTH).unwrap();
     let contrastive = |classes| AggregatedContrastive {
         classes,

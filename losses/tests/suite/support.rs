@@ -1,7 +1,7 @@
 //! Values, gradients and slow references for the tests.
-#![allow(dead_code, reason = "each test binary uses a part")]
 
 use candle_core::{DType, Device, Result, Tensor, Var};
+use scenesplat_losses::self_supervised::AttributeColumns;
 use scenesplat_losses::{ClassHalves, IGNORE, LossInput};
 
 /// Rounding to bf16, 2⁻⁹, adds up over the rows of a small mean to less than this.
@@ -25,6 +25,30 @@ pub fn matrix(values: &[f64], columns: usize, dtype: DType) -> Tensor {
     let rows = values.len() / columns;
     let wide = Tensor::from_vec(values.to_vec(), (rows, columns), &Device::Cpu).unwrap();
     wide.to_dtype(dtype).unwrap()
+}
+
+/// `[views, scenes, D]`
+pub fn cube(values: &[f64], views: usize, scenes: usize, dtype: DType) -> Tensor {
+    matrix(values, 1, dtype).reshape((views, scenes, values.len() / views / scenes)).unwrap()
+}
+
+/// Rows at unit length.
+pub fn units(values: &[f64], width: usize) -> Vec<f64> {
+    let unit = |row: &[f64]| {
+        let norm = row.iter().map(|v| v * v).sum::<f64>().sqrt();
+        row.iter().map(|v| v / norm).collect::<Vec<_>>()
+    };
+    values.chunks_exact(width).flat_map(unit).collect()
+}
+
+pub fn attribute(name: &str, columns: std::ops::Range<usize>) -> AttributeColumns {
+    let name = name.to_owned();
+    AttributeColumns { is_rotation: name == "quat", is_size: name == "scale", name, columns }
+}
+
+/// Attributes of rows of nine columns.
+pub fn attributes() -> [AttributeColumns; 3] {
+    [attribute("color", 0..2), attribute("quat", 2..6), attribute("scale", 6..9)]
 }
 
 pub fn wide(t: &Tensor) -> Vec<f64> {
@@ -69,34 +93,49 @@ pub mod reference {
         a.iter().zip(b).map(|(a, b)| a * b).sum()
     }
 
-    pub fn cosine(p: &[f64], t: &[f64], d: usize, valid: &[bool]) -> f64 {
+    /// Mean of a cost of valid rows.
+    fn mean(
+        p: &[f64],
+        t: &[f64],
+        d: usize,
+        valid: &[bool],
+        cost: impl Fn(&[f64], &[f64]) -> f64,
+    ) -> f64 {
         let rows = p.chunks_exact(d).zip(t.chunks_exact(d)).zip(valid).filter(|(_, v)| **v);
-        let costs: Vec<f64> = rows
-            .map(|((p, t), _)| {
-                let norm = |v: &[f64]| dot(v, v).sqrt().max(1e-8);
-                1.0 - dot(p, t) / norm(p) / norm(t)
-            })
-            .collect();
+        let costs: Vec<f64> = rows.map(|((p, t), _)| cost(p, t)).collect();
         costs.iter().sum::<f64>() / costs.len() as f64
+    }
+
+    pub fn cosine(p: &[f64], t: &[f64], d: usize, valid: &[bool]) -> f64 {
+        let norm = |v: &[f64]| dot(v, v).sqrt().max(1e-8);
+        mean(p, t, d, valid, |p, t| 1.0 - dot(p, t) / norm(p) / norm(t))
     }
 
     pub fn l2(p: &[f64], t: &[f64], d: usize, valid: &[bool]) -> f64 {
-        let rows = p.chunks_exact(d).zip(t.chunks_exact(d)).zip(valid).filter(|(_, v)| **v);
-        let costs: Vec<f64> = rows
-            .map(|((p, t), _)| p.iter().zip(t).map(|(p, t)| (p - t) * (p - t)).sum::<f64>())
-            .collect();
-        costs.iter().sum::<f64>() / costs.len() as f64
+        let square = |(p, t): (&f64, &f64)| (p - t) * (p - t);
+        mean(p, t, d, valid, |p, t| p.iter().zip(t).map(square).sum())
     }
 
     pub fn smooth_l1(p: &[f64], t: &[f64], d: usize, valid: &[bool], beta: f64) -> f64 {
-        let rows = p.chunks_exact(d).zip(t.chunks_exact(d)).zip(valid).filter(|(_, v)| **v);
-        let cost = |p: f64, t: f64| match (p - t).abs() {
+        let cost = |(p, t): (&f64, &f64)| match (p - t).abs() {
             near if near < beta => near * near / (2.0 * beta),
             far => far - beta / 2.0,
         };
-        let costs: Vec<f64> =
-            rows.map(|((p, t), _)| p.iter().zip(t).map(|(p, t)| cost(*p, *t)).sum()).collect();
-        costs.iter().sum::<f64>() / costs.len() as f64
+        mean(p, t, d, valid, |p, t| p.iter().zip(t).map(cost).sum())
+    }
+
+    /// Products of rows with texts, by a temperature.
+    pub fn logits(rows: &[f64], texts: &[f64], d: usize, temperature: f64) -> Vec<f64> {
+        let of_row = |row| texts.chunks_exact(d).map(move |text| dot(row, text) / temperature);
+        rows.chunks_exact(d).flat_map(of_row).collect()
+    }
+
+    /// Mean Kullback–Leibler divergence of softmaxes of logits `p` from those of `q`.
+    pub fn divergence(p: &[f64], q: &[f64], classes: usize, valid: &[bool]) -> f64 {
+        mean(p, q, classes, valid, |p, q| {
+            let pairs = log_softmax(p).into_iter().zip(log_softmax(q));
+            pairs.map(|(p, q)| q.exp() * (q - p)).sum()
+        })
     }
 
     fn log_softmax(z: &[f64]) -> Vec<f64> {
