@@ -1,7 +1,5 @@
 //! Counts and reports: numbers by hand, merging, relabelling, nothing to count.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
-
 use crate::support::{close, random_labels, rng};
 use rand::seq::SliceRandom;
 use scenesplat_metrics::{ConfusionMatrix, Measurement, Metric, MetricError};

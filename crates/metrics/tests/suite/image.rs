@@ -1,29 +1,21 @@
 //! Image metrics against the goldens, against slow versions, and on hard input.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
-
-use crate::support::{Golden, close, in_all_pools, rng, shared};
+use crate::reference;
+use crate::support::{all_close, close, in_all_pools, rng};
 use rand::Rng;
 use scenesplat_metrics::image::depth::{
     DepthRange, SamplePosition, depth_l1, depth_l1_with_gradient, sparse_disparity_l1,
 };
 use scenesplat_metrics::image::{
-    ImageError, ImageView, SsimPadding, l1, l1_with_gradient, mean_squared_error, psnr, reference,
-    ssim, ssim_map, ssim_with_gradient,
+    ImageError, ImageView, SsimPadding, l1, l1_with_gradient, mean_squared_error, psnr, ssim,
+    ssim_map, ssim_with_gradient,
 };
-use serde_json::Value;
+use scenesplat_test_support::Golden;
 
 /// The goldens' values are f64; their images f32.
 const VALUE_ATOL: f64 = 2e-8;
 /// Gradients are stored as f32; theirs were computed in f32 by autograd.
 const GRADIENT_RTOL: f64 = 2e-5;
-
-fn goldens() -> Option<(Value, Golden)> {
-    let path = shared()?.join("goldens/raster/manifest.json");
-    let manifest: Value = serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap();
-    let scalars = manifest["optimise"]["scalars"].clone();
-    Some((scalars, Golden::read("goldens/raster/optimise.safetensors")?))
-}
 
 /// `[3, H, W]` to `[H, W, 3]`.
 fn interleave(planes: &[f32]) -> Vec<f32> {
@@ -41,9 +33,9 @@ fn same_gradient(got: &[f32], expected: &[f32], what: &str) {
 
 #[test]
 fn the_goldens_images() {
-    let Some((scalars, golden)) = goldens() else { return };
-    let scalar = |name: &str| scalars["image"][name].as_f64().unwrap();
-    let [pred, truth] = ["img_pred", "img_gt"].map(|n| interleave(&golden.f32(n)));
+    let Some(golden) = Golden::raster("optimise") else { return };
+    let scalar = |name: &str| golden.entry()["scalars"]["image"][name].as_f64().unwrap();
+    let [pred, truth] = ["img_pred", "img_gt"].map(|n| interleave(&golden.f32s(n)));
     let [pred, truth] = [&pred, &truth].map(|v| ImageView::new(v, 96, 64, 3).unwrap());
     close(mean_squared_error(pred, truth).unwrap(), scalar("mse"), VALUE_ATOL, "mse");
     close(psnr(pred, truth).unwrap(), scalar("psnr"), 1e-6, "psnr");
@@ -56,40 +48,41 @@ fn the_goldens_images() {
         close(ssim(pred, truth, padding).unwrap(), scalar(name), VALUE_ATOL, name);
     }
     let map = ssim_map(pred, truth, SsimPadding::Zero).unwrap();
-    crate::support::all_close(&map, &interleave(&golden.f32("ssim_map_zero")), 2e-6, "ssim map");
+    all_close(&map, &interleave(&golden.f32s("ssim_map_zero")), 2e-6, "ssim map");
 
     let (l1_value, l1_slope) = l1_with_gradient(pred, truth).unwrap();
     for (padding, name) in [(SsimPadding::Valid, "valid"), (SsimPadding::Zero, "zero")] {
         let (value, slope) = ssim_with_gradient(pred, truth, padding).unwrap();
-        let expected = interleave(&golden.f32(&format!("grad_ssim_{name}")));
+        let expected = interleave(&golden.f32s(&format!("grad_ssim_{name}")));
         same_gradient(&slope, &expected, &format!("gradient of ssim, {name}"));
         // The training loss: 0.8 L1 + 0.2 (1 − SSIM).
         let loss = 0.8 * l1_value + 0.2 * (1.0 - value);
         close(loss, scalar(&format!("loss_{name}")), VALUE_ATOL, "loss");
         let slope: Vec<f32> = l1_slope.iter().zip(&slope).map(|(l, s)| 0.8 * l - 0.2 * s).collect();
-        let expected = interleave(&golden.f32(&format!("grad_loss_{name}")));
+        let expected = interleave(&golden.f32s(&format!("grad_loss_{name}")));
         same_gradient(&slope, &expected, &format!("gradient of the loss, {name}"));
     }
 }
 
 #[test]
 fn the_goldens_depths() {
-    let Some((scalars, golden)) = goldens() else { return };
-    let (pred, truth) = (golden.f32("depth_map"), golden.f32("depth_dense_gt"));
+    let Some(golden) = Golden::raster("optimise") else { return };
+    let scalars = &golden.entry()["scalars"]["depth"];
+    let (pred, truth) = (golden.f32s("depth_map"), golden.f32s("depth_dense_gt"));
     let (error, slope) =
         depth_l1_with_gradient(&pred, &truth, None, DepthRange::default()).unwrap().unwrap();
-    assert_eq!(scalars["depth"]["dense_valid"], error.count);
-    close(error.mean, scalars["depth"]["dense_metric_l1"].as_f64().unwrap(), 1e-7, "dense");
-    same_gradient(&slope, &golden.f32("grad_depth_dense"), "dense gradient");
+    assert_eq!(scalars["dense_valid"], error.count);
+    close(error.mean, scalars["dense_metric_l1"].as_f64().unwrap(), 1e-7, "dense");
+    same_gradient(&slope, &golden.f32s("grad_depth_dense"), "dense gradient");
 
-    let (points, z) = (golden.f32("depth_pts"), golden.f32("depth_pts_gt"));
+    let (points, z) = (golden.f32s("depth_pts"), golden.f32s("depth_pts_gt"));
     let points = points.as_chunks::<2>().0;
-    let scale = scalars["depth"]["scene_scale"].as_f64().unwrap();
+    let scale = scalars["scene_scale"].as_f64().unwrap();
     let as_gsplat =
         sparse_disparity_l1(&pred, 96, points, &z, scale, SamplePosition::Gsplat).unwrap();
-    let expected = scalars["depth"]["sparse_disparity_l1"].as_f64().unwrap();
+    let expected = scalars["sparse_disparity_l1"].as_f64().unwrap();
     close(as_gsplat.0, expected, 1e-7, "sparse");
-    same_gradient(&as_gsplat.1, &golden.f32("grad_depth_sparse"), "sparse gradient");
+    same_gradient(&as_gsplat.1, &golden.f32s("grad_depth_sparse"), "sparse gradient");
     // The same points half a pixel on, read at pixel centres.
     let shifted: Vec<[f32; 2]> = points.iter().map(|p| p.map(|v| v + 0.5)).collect();
     let exact =
@@ -187,7 +180,7 @@ fn identical_flat_and_opposite_images() {
 }
 
 #[test]
-fn what_cannot_be_measured_is_said() {
+fn wrong_input_is_refused_by_name() {
     assert!(matches!(ImageView::new(&[], 0, 4, 3), Err(ImageError::Empty { .. })));
     assert!(matches!(ImageView::new(&[0.0; 5], 2, 2, 1), Err(ImageError::Shape { len: 5, .. })));
     let error = ImageView::new(&[0.0; 4], usize::MAX, usize::MAX, 2).unwrap_err();

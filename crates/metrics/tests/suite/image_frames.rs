@@ -1,21 +1,16 @@
 //! Sharpness and the choice of frames.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
-
-use crate::support::{Golden, close, in_all_pools, rng, shared};
+use crate::support::{close, in_all_pools, rng};
 use rand::Rng;
 use scenesplat_metrics::image::frame_filter::{CapturedFrame, FrameFilter, FrameVerdict};
 use scenesplat_metrics::image::sharpness::{GrayImage, shrink_to_width, variance_of_laplacian};
-use serde_json::Value;
+use scenesplat_test_support::Golden;
 
 #[test]
 fn sharpness_of_the_goldens() {
-    let Some(dir) = shared() else { return };
-    let manifest = std::fs::read(dir.join("goldens/raster/manifest.json")).unwrap();
-    let manifest: Value = serde_json::from_slice(&manifest).unwrap();
-    let golden = Golden::read("goldens/raster/optimise.safetensors").unwrap();
-    let frames = golden.bytes("blur_gray_u8");
-    let expected = &manifest["optimise"]["scalars"]["blur_variance_of_laplacian"];
+    let Some(golden) = Golden::raster("optimise") else { return };
+    let frames = golden.ints::<u8>("blur_gray_u8");
+    let expected = &golden.entry()["scalars"]["blur_variance_of_laplacian"];
     for (i, frame) in frames.chunks(72 * 108).enumerate() {
         let image = GrayImage::new(frame.to_vec(), 108).unwrap();
         let got = in_all_pools(|| variance_of_laplacian(&image).to_bits());

@@ -1,13 +1,13 @@
-//! Metrics of labels, votes and pictures; one program, for linking takes longer than compiling.
+//! Tests of the public interface: reference numbers, labels, votes and images.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
-#[path = "../support/mod.rs"]
-mod support;
-
 mod confusion;
+mod golden;
 mod image;
 mod image_frames;
 mod oracle;
+mod reference;
+mod support;
 mod votes;
 mod zero_shot;

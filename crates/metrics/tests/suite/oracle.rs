@@ -1,10 +1,10 @@
 //! The guard passes on truth and fails on every single spoiled row.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
-
-use crate::support::{Golden, gridded_room, in_all_pools, random_rows, rng, unit_rows};
+use crate::support::{
+    self, gridded_room, in_all_pools, published_texts, random_rows, rng, unit_rows,
+};
 use scenesplat_metrics::{
-    Fault, MetricError, OracleCheck, OracleFailure, OracleStage, OracleVote, TextRows, UnknownRule,
+    Fault, MetricError, OracleCheck, OracleStage, OracleVote, TextRows, UnknownRule,
     ZeroShotOptions, random_labels,
 };
 
@@ -12,18 +12,15 @@ fn text_rows(seed: u64, num_classes: usize) -> Vec<f32> {
     unit_rows(&random_rows(&mut rng(seed), num_classes, 64), 64)
 }
 
-fn failure(error: MetricError) -> OracleFailure {
-    match error {
-        MetricError::Oracle(failure) => *failure,
-        other => panic!("{other}"),
-    }
+fn vote_of(coord: &[[f32; 3]], k: usize) -> OracleVote<'_> {
+    OracleVote { coord, valid: None, query: None, k, keep_unknown: false }
 }
 
 #[test]
 fn truth_scores_one_and_each_spoiled_row_is_caught() {
     let units = text_rows(1, 7);
     let text = TextRows::new(&units, 64).unwrap();
-    let labels = crate::support::random_labels(&mut rng(2), 150, 7);
+    let labels = support::random_labels(&mut rng(2), 150, 7);
     let names: Vec<String> = (0..7).map(|c| format!("thing {c}")).collect();
     let check = OracleCheck::new(&labels, text).with_class_names(&names);
     let report = check.run().unwrap();
@@ -33,7 +30,8 @@ fn truth_scores_one_and_each_spoiled_row_is_caught() {
     assert_eq!((report.num_rows, report.num_scored), (150, 150));
     for (row, label) in labels.iter().enumerate() {
         let class = (label + 3).rem_euclid(7) as usize;
-        let found = failure(check.clone().with_fault(Fault { row, class }).run().unwrap_err());
+        let error = check.clone().with_fault(Fault { row, class }).run().unwrap_err();
+        let MetricError::Oracle(found) = error else { panic!("{error}") };
         assert_eq!((found.stage, found.num_wrong, found.first), (OracleStage::Classify, 1, row));
         assert_eq!(found.got, format!("class {class} (thing {class})"));
         assert!(found.to_string().starts_with("1 of 150 rows classified wrongly, the first at"));
@@ -47,19 +45,13 @@ fn votes_and_counts_are_predicted_exactly() {
         let units = text_rows(seed, 6);
         let text = TextRows::new(&units, 64).unwrap();
         let coord = gridded_room(rng, 400);
-        let labels = crate::support::random_labels(rng, 400, 6);
+        let labels = support::random_labels(rng, 400, 6);
         let query = gridded_room(rng, 90);
-        let query_labels = crate::support::random_labels(rng, 90, 6);
+        let query_labels = support::random_labels(rng, 90, 6);
         let valid: Vec<bool> = (0..400).map(|i| i % 5 != 0).collect();
         for k in [1, 25, 500] {
             for query in [None, Some((&query[..], &query_labels[..]))] {
-                let vote = OracleVote {
-                    coord: &coord,
-                    valid: Some(&valid),
-                    query,
-                    k,
-                    keep_unknown: false,
-                };
+                let vote = OracleVote { valid: Some(&valid), query, ..vote_of(&coord, k) };
                 let check = OracleCheck::new(&labels, text).with_vote(vote).with_excluded(&[0, 1]);
                 let report = in_all_pools(|| check.run().unwrap());
                 assert_eq!(report.num_scored, query.map_or(400, |q| q.0.len()));
@@ -72,9 +64,7 @@ fn votes_and_counts_are_predicted_exactly() {
 #[test]
 fn real_text_tables_pass() {
     for name in ["scannet20", "scannet200", "matterport21", "matterport-nyu160", "holicity"] {
-        let path = format!("real/text_embeddings/{name}_text_embeddings_siglip2.safetensors");
-        let Some(file) = Golden::read(&path) else { return };
-        let units = unit_rows(&file.f32("text_embeddings"), 768);
+        let Some(units) = published_texts(name) else { return };
         let text = TextRows::new(&units, 768).unwrap();
         let labels = random_labels(3000, text.num_classes(), 4).unwrap();
         let report = OracleCheck::new(&labels, text).run().unwrap();
@@ -138,9 +128,7 @@ fn small_and_malformed_inputs() {
         let report = OracleCheck::new(labels, text).run().unwrap();
         assert_eq!(report.metrics.all_accuracy, labels.contains(&2).then_some(1.0));
         let coord = vec![[0.0; 3]; labels.len()];
-        let vote =
-            OracleVote { coord: &coord, valid: None, query: None, k: 25, keep_unknown: false };
-        OracleCheck::new(labels, text).with_vote(vote).run().unwrap();
+        OracleCheck::new(labels, text).with_vote(vote_of(&coord, 25)).run().unwrap();
     }
     let error = |check: OracleCheck<'_>| check.run().unwrap_err().to_string();
     let check = OracleCheck::new(&[0, 1], text);
@@ -149,7 +137,7 @@ fn small_and_malformed_inputs() {
         "labels[1] is 3, expected -1 or a class below 3"
     );
     let coord = [[0.0; 3]; 3];
-    let vote = OracleVote { coord: &coord, valid: None, query: None, k: 1, keep_unknown: false };
+    let vote = vote_of(&coord, 1);
     assert_eq!(error(check.clone().with_vote(vote)), "coord: expected 2 rows, got 3");
     assert!(error(check.clone().with_fault(Fault { row: 0, class: 3 })).contains("class 3"));
     assert!(error(check.clone().with_fault(Fault { row: 2, class: 0 })).contains("fault"));
@@ -163,6 +151,5 @@ fn a_hundred_thousand_coincident_points_stay_quick() {
     let text = TextRows::new(&units, 64).unwrap();
     let labels = random_labels(100_000, 5, 9).unwrap();
     let coord = vec![[0.25; 3]; 100_000];
-    let vote = OracleVote { coord: &coord, valid: None, query: None, k: 25, keep_unknown: false };
-    OracleCheck::new(&labels, text).with_vote(vote).run().unwrap();
+    OracleCheck::new(&labels, text).with_vote(vote_of(&coord, 25)).run().unwrap();
 }

@@ -1,10 +1,9 @@
 //! Neighbour votes against the obvious version, on inputs that tie, repeat and degenerate.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
-
+use crate::reference;
 use crate::support::{gridded_room, in_all_pools, random_labels, rng};
 use rand::Rng;
-use scenesplat_metrics::{KdTree, MetricError, SceneTruth, VoteRule, reference, vote};
+use scenesplat_metrics::{KdTree, MetricError, SceneTruth, VoteRule, vote};
 
 #[test]
 fn equals_sorting_all_distances() {
