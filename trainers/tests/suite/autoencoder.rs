@@ -1,37 +1,27 @@
 //! An autoencoder of language features: it learns, compares each row with itself, and says what is kept.
 
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::SeedableRng;
-use scenesplat_datasets::transforms::{build_transforms, validation};
-use scenesplat_datasets::{
-    InputFeatures, LoaderSettings, SceneDataset, SceneLoader, SyntheticRooms, TrainBatch,
-};
-use scenesplat_models::{Forward, ParamStore};
-use scenesplat_rooms::SyntheticRoomSettings;
+use crate::support::{dataset, fit, in_step, rooms, trainer_by};
+use scenesplat_datasets::transforms::validation;
+use scenesplat_datasets::{SceneDataset, SceneLoader, TrainBatch};
+use scenesplat_models::ParamStore;
 use scenesplat_rooms::vocabulary::Vocabulary;
 use scenesplat_trainers::tasks::autoencoder::{
     AutoencoderConfig, AutoencoderEvaluator, AutoencoderTask,
 };
 use scenesplat_trainers::{
-    AdamW, AdamWConfig, Evaluator, OneCycle, Progress, StepContext, StepOutput, Trainer,
-    TrainerConfig, TrainingModule, group_by_keyword,
+    Evaluator, OneCycle, Progress, StepOutput, TrainerConfig, TrainingModule,
 };
 use std::sync::Arc;
 
 const WIDTH: usize = 64;
 
 fn data(seed: u64) -> Arc<SceneDataset> {
-    let room = SyntheticRoomSettings { num_gaussians: Some(1500), ..Default::default() };
     let vocabulary = Arc::new(Vocabulary::new(WIDTH).unwrap());
-    let rooms = SyntheticRooms::new(3, room, seed).unwrap().with_vocabulary(vocabulary);
-    let steps = build_transforms(&validation(0.2)).unwrap();
-    Arc::new(SceneDataset::new(Arc::new(rooms), steps, 0, 1).unwrap())
+    dataset(rooms(3, 1500, seed).with_vocabulary(vocabulary), &validation(0.2), 0)
 }
 
 fn loader() -> SceneLoader {
-    let settings =
-        LoaderSettings { batch_size: 1, workers: 0, mix_probability: 0.0, ..Default::default() };
-    SceneLoader::new(data(1), InputFeatures::default(), settings).unwrap()
+    crate::support::loader(data(1), 1, 0)
 }
 
 fn task() -> AutoencoderTask {
@@ -40,10 +30,7 @@ fn task() -> AutoencoderTask {
 }
 
 fn step(task: &AutoencoderTask, batch: &TrainBatch) -> candle_core::Result<StepOutput> {
-    let mut rng = ChaCha8Rng::seed_from_u64(1);
-    let forward = Forward::train(&mut rng);
-    let mut cx = StepContext { forward, progress: 0.0, step: 0, total_steps: 10, seed: 9 };
-    task.training_step(batch, &mut cx)
+    in_step(|cx| task.training_step(batch, cx))
 }
 
 fn measured(task: &AutoencoderTask) -> Vec<(String, f64)> {
@@ -59,12 +46,8 @@ fn measured(task: &AutoencoderTask) -> Vec<(String, f64)> {
 fn it_learns_and_says_what_is_kept() {
     let task = task();
     let before = measured(&task);
-    let groups = group_by_keyword(&task.params().parameters(), 0.01, 0.0, &[]);
-    let optimizer = AdamW::new(groups, AdamWConfig::default()).unwrap();
     let config = TrainerConfig { epochs: 100, ..TrainerConfig::default() };
-    let mut trainer =
-        Trainer::new(config, Box::new(optimizer), Box::new(OneCycle::default())).unwrap();
-    trainer.fit(&task, &mut loader(), &mut [], Progress::default()).unwrap();
+    fit(trainer_by(&task, config, 0.01, 0.0, OneCycle::default()), &task, loader()).unwrap();
     let after = measured(&task);
     for ((name, before), (_, after)) in before.iter().zip(&after) {
         let better = if name.starts_with("agreement") { after > before } else { after < before };

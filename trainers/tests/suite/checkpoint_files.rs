@@ -1,29 +1,15 @@
 //! Where checkpoints are written, and what of others they leave alone.
 
-use crate::line::{Line, StopAt, config, numbers, trainer};
+use crate::support::{Line, config, fit, names_in, numbers, stop_at, trainer};
 use scenesplat_trainers::checkpoint::{newest_checkpoint, read_state};
 use scenesplat_trainers::{Progress, TrainError};
 use std::fs;
 use std::path::Path;
 
-fn names(folder: &Path) -> Vec<String> {
-    let mut names: Vec<String> = fs::read_dir(folder)
-        .unwrap()
-        .map(|e| e.unwrap().file_name().into_string().unwrap())
-        .collect();
-    names.sort();
-    names
-}
-
 /// A run that writes a checkpoint at step 3.
 fn run(dir: &Path) -> Result<Progress, TrainError> {
     let module = Line::new();
-    trainer(&module, config(Some(dir))).with_callback(StopAt(3)).fit(
-        &module,
-        &mut numbers(),
-        &mut [],
-        Progress::default(),
-    )
+    fit(trainer(&module, config(Some(dir))).with_callback(stop_at(3)), &module, numbers())
 }
 
 #[test]
@@ -36,9 +22,9 @@ fn nothing_is_removed_that_the_run_did_not_write() {
         fs::write(dir.path().join(name).join("precious"), "precious").unwrap();
     }
     run(dir.path()).unwrap();
-    assert_eq!(names(dir.path()), [own[1], "step-000000003", own[0]]);
+    assert_eq!(names_in(dir.path(), ""), [own[1], "step-000000003", own[0]]);
     for name in own {
-        assert_eq!(names(&dir.path().join(name)), ["precious"]);
+        assert_eq!(names_in(&dir.path().join(name), ""), ["precious"]);
     }
 }
 
@@ -57,9 +43,9 @@ fn links_lead_no_checkpoint_out_of_its_folder() {
                 assert!(error.to_string().contains("no folder"), "{error}");
             }
         }
-        assert_eq!(names(elsewhere.path()), ["params.safetensors"]);
+        assert_eq!(names_in(elsewhere.path(), ""), ["params.safetensors"]);
         assert!(dir.path().join(name).is_symlink(), "{name}");
-        assert!(!names(dir.path()).iter().any(|n| n.ends_with(".part")), "nothing is left");
+        assert!(names_in(dir.path(), ".").is_empty(), "nothing is left");
     }
 }
 
@@ -69,11 +55,11 @@ fn what_a_killed_run_left_is_removed_by_the_next_one() {
     let left = dir.path().join(".step-000000007.0123456789abcdef.part");
     fs::create_dir(&left).unwrap();
     fs::write(left.join("params.safetensors"), "half").unwrap();
-    run(dir.path()).unwrap();
-    assert_eq!(names(dir.path()), ["step-000000003"]);
-    // The same step once more, over the first.
-    run(dir.path()).unwrap();
+    // The same step twice, the second time over the first.
+    for _ in 0..2 {
+        run(dir.path()).unwrap();
+        assert_eq!(names_in(dir.path(), ""), ["step-000000003"]);
+    }
     let newest = newest_checkpoint(dir.path()).unwrap().unwrap();
     assert_eq!(read_state(&newest).unwrap().progress.step, 3);
-    assert_eq!(names(dir.path()), ["step-000000003"]);
 }

@@ -1,6 +1,7 @@
 //! Distillation by hand: the loss from the teacher's rows, the weights of its terms, who counts, and the
 //! numbers of an evaluation of two networks.
 
+use crate::support::{PerVoxel, in_step};
 use candle_core::{Device, Result, Tensor};
 use half::f16;
 use scenesplat_datasets::{
@@ -8,29 +9,12 @@ use scenesplat_datasets::{
 };
 use scenesplat_losses::{CosineLoss, L2Loss, Objective, Reduction, SmoothL1Loss};
 use scenesplat_metrics::Measurement;
-use scenesplat_models::layers::Linear;
 use scenesplat_models::{Backbone, Forward, ParamStore, PointCloud};
 use scenesplat_scene::{LanguageFeatures, TextTable};
 use scenesplat_trainers::evaluators::{DistillationEvaluator, ZeroShotEvaluator};
 use scenesplat_trainers::tasks::{Distillation, TaskModule};
-use scenesplat_trainers::{Evaluator, Progress, StepContext, StepOutput, TrainingModule};
+use scenesplat_trainers::{Evaluator, Progress, StepOutput, TrainingModule};
 use std::sync::Arc;
-
-/// A linear layer on each voxel.
-struct PerVoxel(Linear);
-impl PerVoxel {
-    fn new(params: &ParamStore) -> Self {
-        Self(Linear::new(11, 2, true, params.builder()).unwrap())
-    }
-}
-impl Backbone for PerVoxel {
-    fn forward(&self, points: &PointCloud, _: &mut Forward<'_>) -> Result<Tensor> {
-        self.0.forward(&points.feat)
-    }
-    fn out_channels(&self) -> usize {
-        2
-    }
-}
 
 fn features(rows: &[[f32; 2]]) -> LanguageFeatures {
     LanguageFeatures { values: rows.iter().flatten().map(|v| f16::from_f32(*v)).collect(), dim: 2 }
@@ -55,19 +39,13 @@ fn batch() -> TrainBatch {
 const TAUGHT: [Option<[f64; 2]>; 5] =
     [Some([0.6, 0.8]), Some([0.0, -1.0]), None, None, Some([-1.0, 0.0])];
 
-fn step(
-    module: &impl TrainingModule<Batch = TrainBatch>,
-    batch: &TrainBatch,
-) -> Result<StepOutput> {
-    let mut rng = scenesplat_datasets::sample_rng(0, 0, 0);
-    let forward = Forward::train(&mut rng);
-    let mut cx = StepContext { forward, progress: 0.25, step: 5, total_steps: 20, seed: 3 };
-    module.training_step(batch, &mut cx)
+fn step(module: &TaskModule, batch: &TrainBatch) -> Result<StepOutput> {
+    in_step(|cx| module.training_step(batch, cx))
 }
 
 fn student(weights: [f64; 3]) -> TaskModule {
     let params = ParamStore::trainable(1);
-    let model = PerVoxel::new(&params);
+    let model = PerVoxel::new(&params, 2);
     let smooth = SmoothL1Loss { beta: 0.3, reduction: Reduction::Mean };
     let objective = Objective::new()
         .with(weights[0], CosineLoss::default())

@@ -1,16 +1,14 @@
-//! The loop, its tasks and what it keeps; one program, for linking takes longer than compiling.
+//! The loop, its tasks, its optimizer and what it keeps.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
-#[path = "../support/line.rs"]
-mod line;
-#[path = "../support/mod.rs"]
 mod support;
 
 mod autoencoder;
 mod checkpoint_files;
 mod distillation;
 mod fit;
+mod golden;
 mod nothing;
 mod optimizer;
 mod own_task;

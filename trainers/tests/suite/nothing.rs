@@ -1,14 +1,14 @@
 //! Data that teach nothing, and data that were left out.
 
-use crate::line::{Line, Numbers, Rows, StopAt, config, numbers, trainer};
+use crate::support::{
+    Line, Numbers, Rows, Watch, config, fit, logged, numbers, resume, stop_at, trainer,
+};
 use candle_core::Result;
 use scenesplat_datasets::{BatchLoader, DataError, LeftOut, RepairedScene, SkippedScene};
 use scenesplat_models::ParamStore;
-use scenesplat_trainers::callbacks::{JsonLines, read_json_lines};
-use scenesplat_trainers::checkpoint::newest_checkpoint;
+use scenesplat_trainers::callbacks::JsonLines;
 use scenesplat_trainers::{
-    AdamW, AdamWConfig, Callback, Event, Flow, OneCycle, Progress, StepContext, StepOutput,
-    TrainError, Trainer, TrainerConfig, TrainingModule, group_by_keyword,
+    Event, Flow, Progress, StepContext, StepOutput, TrainError, TrainerConfig, TrainingModule,
 };
 use std::sync::{Arc, Mutex};
 
@@ -38,28 +38,21 @@ impl TrainingModule for Sparse {
     }
 }
 
-fn fit(counts: fn(u64) -> bool, empty: bool) -> std::result::Result<Progress, TrainError> {
-    let module = Sparse { line: Line::new(), counts, empty };
-    let groups = group_by_keyword(&module.line.params.parameters(), 0.05, 0.01, &[]);
-    let optimizer = AdamW::new(groups, AdamWConfig::default()).unwrap();
-    Trainer::new(config(None), Box::new(optimizer), Box::new(OneCycle::default())).unwrap().fit(
-        &module,
-        &mut numbers(),
-        &mut [],
-        Progress::default(),
-    )
+fn sparse(counts: fn(u64) -> bool) -> Sparse {
+    Sparse { line: Line::new(), counts, empty: false }
 }
 
 #[test]
 fn an_epoch_in_which_no_row_counts_ends_the_run() {
+    let run = |module: Sparse| fit(trainer(&module, config(None)), &module, numbers());
     // One batch of each epoch of seven is enough.
-    fit(|step| step % 7 == 3, false).unwrap();
-    let error = fit(|step| !(7..=13).contains(&step), false).unwrap_err();
+    run(sparse(|step| step % 7 == 3)).unwrap();
+    let error = run(sparse(|step| !(7..=13).contains(&step))).unwrap_err();
     let TrainError::NothingCounted { epoch, tally, scenes } = &error else { panic!("{error}") };
     assert_eq!((*epoch, tally.batches, tally.rows, tally.counted_rows), (1, 7, 35, 0));
     assert_eq!(*scenes, ["kitchen"]);
     assert!(error.to_string().contains("kitchen"), "{error}");
-    let error = fit(|_| true, true).unwrap_err();
+    let error = run(Sparse { empty: true, ..sparse(|_| true) }).unwrap_err();
     let TrainError::NothingCounted { epoch, tally, .. } = error else { panic!("{error}") };
     assert_eq!((epoch, tally.empty_batches, tally.rows), (0, 7, 0));
 }
@@ -67,22 +60,10 @@ fn an_epoch_in_which_no_row_counts_ends_the_run() {
 #[test]
 fn a_resumed_epoch_remembers_its_first_part() {
     let dir = tempfile::tempdir().unwrap();
-    let counts: fn(u64) -> bool = |step| step % 7 == 1;
-    let with = |module: &Sparse| {
-        let groups = group_by_keyword(&module.line.params.parameters(), 0.05, 0.01, &[]);
-        let optimizer = AdamW::new(groups, AdamWConfig::default()).unwrap();
-        let settings = config(Some(dir.path()));
-        Trainer::new(settings, Box::new(optimizer), Box::new(OneCycle::default())).unwrap()
-    };
-    let module = Sparse { line: Line::new(), counts, empty: false };
-    with(&module)
-        .with_callback(StopAt(10))
-        .fit(&module, &mut numbers(), &mut [], Progress::default())
-        .unwrap();
-    let mut second = with(&module);
-    let newest = newest_checkpoint(dir.path()).unwrap().unwrap();
-    let start = second.load_checkpoint(&newest, &module).unwrap();
-    second.fit(&module, &mut numbers(), &mut [], start).unwrap();
+    let module = sparse(|step| step % 7 == 1);
+    let with = || trainer(&module, config(Some(dir.path())));
+    fit(with().with_callback(stop_at(10)), &module, numbers()).unwrap();
+    resume(with(), dir.path(), &module, numbers());
 }
 
 #[test]
@@ -91,21 +72,16 @@ fn settings_that_train_nothing_are_refused() {
     let error = none.check().unwrap_err().to_string();
     assert!(error.contains("epochs is 0"), "{error}");
     let module = Line::new();
-    let fit = |settings: TrainerConfig| {
-        trainer(&module, settings)
-            .fit(&module, &mut numbers(), &mut [], Progress::default())
-            .unwrap_err()
-            .to_string()
-    };
-    let part = |part: &str| vec![part.to_owned()];
-    let error = fit(TrainerConfig { freeze: part("wieght"), ..config(None) });
-    assert!(error.contains("freeze") && error.contains("\"wieght\""), "{error}");
-    assert!(error.contains("bias, weight"), "{error}");
-    let error = fit(TrainerConfig { idle: part("haed"), ..config(None) });
-    assert!(error.contains("idle") && error.contains("\"haed\""), "{error}");
-    let all = vec!["weight".to_owned(), "bias".to_owned()];
-    let error = fit(TrainerConfig { freeze: all, ..config(None) });
-    assert!(error.contains("no parameter to train"), "{error}");
+    let named = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>();
+    for (freeze, idle, says) in [
+        (&["wieght"][..], &[][..], &["freeze", "\"wieght\"", "bias, weight"][..]),
+        (&[], &["haed"], &["idle", "\"haed\""]),
+        (&["weight", "bias"], &[], &["no parameter to train"]),
+    ] {
+        let settings = TrainerConfig { freeze: named(freeze), idle: named(idle), ..config(None) };
+        let error = fit(trainer(&module, settings), &module, numbers()).unwrap_err().to_string();
+        assert!(says.iter().all(|says| error.contains(says)), "{error}");
+    }
 }
 
 /// A loader that says what it left out.
@@ -139,56 +115,44 @@ fn left_out(skipped: usize, dropped_rows: usize) -> LeftOut {
     all
 }
 
-/// Keeps what is said of the data.
-#[derive(Clone, Default)]
-struct Said(Arc<Mutex<Vec<(u64, String, LeftOut)>>>);
-impl Callback for Said {
-    fn on_event(
-        &mut self,
-        event: &Event<'_>,
-        at: Progress,
-    ) -> std::result::Result<Flow, TrainError> {
-        if let Event::Data { name, left_out } = event {
-            self.0.lock().unwrap().push((at.step, (*name).to_owned(), (*left_out).clone()));
-        }
-        Ok(Flow::Continue)
-    }
-}
-
 #[test]
 fn what_was_left_out_is_said_once_and_logged() {
     let dir = tempfile::tempdir().unwrap();
     let log = dir.path().join("metrics.jsonl");
-    let (module, said) = (Line::new(), Said::default());
-    let mut data = Lossy(numbers(), left_out(1, 40));
-    trainer(&module, config(None))
-        .with_callback(said.clone())
-        .with_callback(JsonLines::new(&log))
-        .fit(&module, &mut data, &mut [], Progress::default())
-        .unwrap();
-    let said = said.0.lock().unwrap();
-    assert_eq!(*said, [(7, "train".to_owned(), left_out(1, 40))]);
-    let logged = read_json_lines(&log).unwrap();
-    let value = |name: &str| logged.iter().find(|v| v.name == name).map(|v| v.value);
-    assert_eq!(value("data/train/skipped_scenes"), Some(1.0));
-    assert_eq!(value("data/train/dropped_rows"), Some(40.0));
-    assert_eq!(value("data/train/scenes_without_labels"), Some(1.0));
-    assert_eq!(value("train/counted_rows"), Some(5.0));
+    let (module, said) = (Line::new(), Arc::new(Mutex::new(Vec::new())));
+    let noted = Arc::clone(&said);
+    let trainer = trainer(&module, config(None))
+        .with_callback(Watch(move |event: &Event<'_>, at: Progress| {
+            if let Event::Data { name, left_out } = event {
+                noted.lock().unwrap().push((at.step, (*name).to_owned(), (*left_out).clone()));
+            }
+            Flow::Continue
+        }))
+        .with_callback(JsonLines::new(&log));
+    fit(trainer, &module, Lossy(numbers(), left_out(1, 40))).unwrap();
+    assert_eq!(*said.lock().unwrap(), [(7, "train".to_owned(), left_out(1, 40))]);
+    for (name, value) in [
+        ("data/train/skipped_scenes", 1.0),
+        ("data/train/dropped_rows", 40.0),
+        ("data/train/scenes_without_labels", 1.0),
+        ("train/counted_rows", 5.0),
+    ] {
+        assert_eq!(logged(&log, name)[0].1, value, "{name}");
+    }
 }
 
 #[test]
 fn more_than_the_stated_share_ends_the_run() {
-    let fit = |left_out: LeftOut, max_left_out: f64| {
+    let run = |left_out: LeftOut, max_left_out: f64| {
         let module = Line::new();
-        trainer(&module, TrainerConfig { max_left_out, ..config(None) })
-            .fit(&module, &mut Lossy(numbers(), left_out), &mut [], Progress::default())
-            .map_err(|e| e.to_string())
+        let trainer = trainer(&module, TrainerConfig { max_left_out, ..config(None) });
+        fit(trainer, &module, Lossy(numbers(), left_out)).map_err(|e| e.to_string())
     };
-    fit(left_out(2, 100), 0.1).unwrap();
-    let error = fit(left_out(3, 0), 0.1).unwrap_err();
+    run(left_out(2, 100), 0.1).unwrap();
+    let error = run(left_out(3, 0), 0.1).unwrap_err();
     assert!(error.contains("3 of 20 scenes") && error.contains("scene-0"), "{error}");
-    let error = fit(left_out(0, 101), 0.1).unwrap_err();
+    let error = run(left_out(0, 101), 0.1).unwrap_err();
     assert!(error.contains("101 of 1000 rows") && error.contains("hall"), "{error}");
-    fit(left_out(3, 101), 1.0).unwrap();
-    assert!(fit(left_out(1, 0), 0.0).is_err());
+    run(left_out(3, 101), 1.0).unwrap();
+    assert!(run(left_out(1, 0), 0.0).is_err());
 }

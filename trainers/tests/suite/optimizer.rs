@@ -31,6 +31,11 @@ fn adamw(params: &Params, lr: f64, weight_decay: f64) -> AdamW {
     AdamW::new(groups, AdamWConfig::default()).unwrap()
 }
 
+/// A step without a schedule.
+fn step(optimizer: &mut AdamW, grads: &GradStore) -> Result<(), TrainError> {
+    optimizer.step(grads, &StepHyperparameters::default())
+}
+
 /// A gradient that differs from element to element and step to step.
 fn wave(var: &Var, step: usize) -> GradStore {
     let n = var.elem_count();
@@ -44,9 +49,7 @@ fn wave(var: &Var, step: usize) -> GradStore {
 fn the_first_step_goes_by_the_sign() {
     let weight = var(&[1.0, 1.0, 1.0]);
     let mut optimizer = adamw(&params([("w", weight.clone())]), 0.1, 0.0);
-    optimizer
-        .step(&grads([(&weight, &[5.0, -1e-3, 0.0])]), &StepHyperparameters::default())
-        .unwrap();
+    step(&mut optimizer, &grads([(&weight, &[5.0, -1e-3, 0.0])])).unwrap();
     for (got, expected) in values(&weight).iter().zip([0.9, 1.1, 1.0]) {
         assert!((got - expected).abs() < 2e-6, "{got} {expected}");
     }
@@ -57,7 +60,7 @@ fn a_zero_gradient_decays_and_a_missing_one_does_nothing() {
     let (zero, missing) = (var(&[2.0]), var(&[2.0]));
     let both = params([("missing", missing.clone()), ("zero", zero.clone())]);
     let mut optimizer = adamw(&both, 0.1, 0.5);
-    optimizer.step(&grads([(&zero, &[0.0])]), &StepHyperparameters::default()).unwrap();
+    step(&mut optimizer, &grads([(&zero, &[0.0])])).unwrap();
     assert_eq!(values(&zero), [f64::from(2.0_f32 * 0.95)]);
     assert_eq!(values(&missing), [2.0]);
     let state = optimizer.state().unwrap();
@@ -94,7 +97,7 @@ fn a_gradient_that_is_not_finite_is_named_and_changes_nothing() {
     for value in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
         let mut store = grads([(&good, &[1.0, 1.0]), (&bad, &[0.0, value, 0.0])]);
         let errors = [
-            optimizer.step(&store, &StepHyperparameters::default()).unwrap_err(),
+            step(&mut optimizer, &store).unwrap_err(),
             clip_grad_norm(&both, &mut store, 1.0).unwrap_err(),
             grad_norm(&both, &store).unwrap_err(),
         ];
@@ -113,8 +116,7 @@ fn huge_gradients_are_clipped_or_refused() {
     let named = params([("w", weight.clone())]);
     let mut optimizer = adamw(&named, 0.1, 0.0);
     let huge = [f32::MAX, -f32::MAX, 0.0, f32::MAX];
-    let error =
-        optimizer.step(&grads([(&weight, &huge)]), &StepHyperparameters::default()).unwrap_err();
+    let error = step(&mut optimizer, &grads([(&weight, &huge)])).unwrap_err();
     assert!(matches!(error, TrainError::GradientTooLarge { .. }), "{error}");
     let mut store = grads([(&weight, &huge)]);
     let norm = clip_grad_norm(&named, &mut store, 2.0).unwrap();
@@ -124,7 +126,7 @@ fn huge_gradients_are_clipped_or_refused() {
     for (got, sign) in clipped.iter().zip([1.0, -1.0, 0.0, 1.0]) {
         assert!((got - sign * expected).abs() < 1e-6, "{clipped:?}");
     }
-    optimizer.step(&store, &StepHyperparameters::default()).unwrap();
+    step(&mut optimizer, &store).unwrap();
     assert!(values(&weight).iter().all(|v| v.is_finite()));
 }
 
@@ -155,7 +157,7 @@ fn a_hundred_million_steps_later() {
     let mut state = optimizer.state().unwrap();
     state.insert("w.step".to_owned(), Tensor::new(100_000_000_i64, &Device::Cpu).unwrap());
     optimizer.load_state(&state).unwrap();
-    optimizer.step(&grads([(&weight, &[1.0, -1.0])]), &StepHyperparameters::default()).unwrap();
+    step(&mut optimizer, &grads([(&weight, &[1.0, -1.0])])).unwrap();
     // No bias correction is left: m = 0.1 g, v = 0.001 g².
     let expected = 1.0 - 0.1 * 0.1 / 0.001_f64.sqrt();
     assert!((values(&weight)[0] - expected).abs() < 1e-6);
@@ -218,7 +220,7 @@ fn slices_and_tensor_operations_agree() {
         store.insert(&fast, flipped);
         store.insert(&slow, grad.to_dtype(DType::F64).unwrap());
         for optimizer in &mut optimizers {
-            optimizer.step(&store, &StepHyperparameters::default()).unwrap();
+            step(optimizer, &store).unwrap();
         }
     }
     for (a, b) in values(&fast).iter().zip(values(&slow)) {
@@ -238,7 +240,7 @@ fn thread_count_does_not_matter() {
             for i in 0..3 {
                 let mut store = wave(&weight, i);
                 norms.push(clip_grad_norm(&named, &mut store, 1.0).unwrap());
-                optimizer.step(&store, &StepHyperparameters::default()).unwrap();
+                step(&mut optimizer, &store).unwrap();
             }
             (values(&weight), norms)
         })
@@ -251,7 +253,7 @@ fn thread_count_does_not_matter() {
 fn states_that_do_not_fit_are_refused() {
     let weight = var(&[1.0, 2.0]);
     let mut optimizer = adamw(&params([("w", weight.clone())]), 0.1, 0.0);
-    optimizer.step(&grads([(&weight, &[1.0, 1.0])]), &StepHyperparameters::default()).unwrap();
+    step(&mut optimizer, &grads([(&weight, &[1.0, 1.0])])).unwrap();
     let good = optimizer.state().unwrap();
     let mut refuse = |change: &dyn Fn(&mut BTreeMap<String, Tensor>), message: &str| {
         let mut state = good.clone();
@@ -299,34 +301,24 @@ fn malformed_inputs_are_named() {
 
     let mut optimizer = adamw(&params([("w", weight.clone())]), 0.1, 0.0);
     let store = grads([(&weight, &[1.0, 1.0])]);
+    let controls =
+        |lr_scale, beta1, weight_decay| StepHyperparameters { lr_scale, beta1, weight_decay };
     for (controls, message) in [
-        (
-            StepHyperparameters { lr_scale: -1.0, ..StepHyperparameters::default() },
-            "lr_scale is -1, expected at least 0",
-        ),
-        (
-            StepHyperparameters { beta1: Some(1.0), ..StepHyperparameters::default() },
-            "beta1 is 1, expected in 0..1",
-        ),
-        (
-            StepHyperparameters {
-                weight_decay: Some(f64::INFINITY),
-                ..StepHyperparameters::default()
-            },
-            "weight_decay is inf, expected at least 0",
-        ),
+        (controls(-1.0, None, None), "lr_scale is -1, expected at least 0"),
+        (controls(1.0, Some(1.0), None), "beta1 is 1, expected in 0..1"),
+        (controls(1.0, None, Some(f64::INFINITY)), "weight_decay is inf, expected at least 0"),
     ] {
         assert_eq!(optimizer.step(&store, &controls).unwrap_err().to_string(), message);
     }
     let store = grads([(&weight, &[1.0])]);
     assert_eq!(
-        optimizer.step(&store, &StepHyperparameters::default()).unwrap_err().to_string(),
+        step(&mut optimizer, &store).unwrap_err().to_string(),
         "gradient of w: expected F32 [2], got F32 [1]"
     );
     assert_eq!(values(&weight), [1.0, 2.0]);
     // No parameters at all is fine.
     let mut empty = AdamW::new(vec![], plain).unwrap();
-    empty.step(&store, &StepHyperparameters::default()).unwrap();
+    step(&mut empty, &store).unwrap();
     assert!(empty.state().unwrap().is_empty());
 }
 

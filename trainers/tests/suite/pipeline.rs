@@ -1,10 +1,13 @@
 //! A network from scenes to checkpoints: the same bits whatever the workers, threads and
 //! interruptions, and finite numbers for as long as it runs.
 
+use crate::support::{
+    Watch, causes, dataset, fit, resume, rooms, state, stop_at, texts, trainer_by,
+};
 use scenesplat_datasets::transforms::{language_pretraining, validation};
 use scenesplat_datasets::{
     DataError, Dataset, InputFeatures, LoaderSettings, Sample, SampleRng, SceneDataset,
-    SceneLoader, SyntheticRooms, Transform, build_transforms,
+    SceneLoader, Transform, build_transforms,
 };
 use scenesplat_kernels::Precision;
 use scenesplat_losses::{
@@ -12,16 +15,13 @@ use scenesplat_losses::{
 };
 use scenesplat_metrics::Measurement;
 use scenesplat_models::{Compute, ModelConfig, ParamStore, PointTransformerV3Config};
-use scenesplat_rooms::{CLASSES, SyntheticRoomSettings};
-use scenesplat_scene::TextTable;
-use scenesplat_trainers::checkpoint::newest_checkpoint;
+use scenesplat_rooms::CLASSES;
 use scenesplat_trainers::evaluators::{SegmentationEvaluator, ZeroShotEvaluator};
 use scenesplat_trainers::tasks::{
     LanguagePretraining, SemanticSegmentation, TargetSource, TaskModule,
 };
 use scenesplat_trainers::{
-    AdamW, AdamWConfig, Callback, Evaluator, Event, Flow, OneCycle, Progress, TrainError, Trainer,
-    TrainerConfig, TrainingModule, group_by_keyword,
+    DataModule, Event, Flow, OneCycle, Progress, Trainer, TrainerConfig, TrainingModule,
 };
 use std::path::Path;
 use std::sync::{Arc, Mutex};
@@ -43,24 +43,8 @@ fn network(precision: Precision) -> ModelConfig {
     .with_projection(WIDTH)
 }
 
-/// Directions of the classes: nothing but apart from each other.
-fn texts() -> TextTable {
-    let values = (0..CLASSES.len() * WIDTH).map(|i| ((i * i) as f32 * 0.7).sin()).collect();
-    let names = CLASSES.iter().map(|c| c.name.to_owned()).collect();
-    TextTable::from_rows(names, values, WIDTH).unwrap()
-}
-
-fn rooms(gaussians: usize) -> Arc<SyntheticRooms> {
-    let settings = SyntheticRoomSettings {
-        num_gaussians: Some(gaussians),
-        ..SyntheticRoomSettings::default()
-    };
-    Arc::new(SyntheticRooms::new(6, settings, 3).unwrap())
-}
-
-fn training_data(gaussians: usize) -> Arc<dyn Dataset> {
-    let steps = build_transforms(&language_pretraining(0.1)).unwrap();
-    Arc::new(SceneDataset::new(rooms(gaussians), steps, 1, 1).unwrap())
+fn training_data() -> Arc<dyn Dataset> {
+    dataset(rooms(6, 900, 3), &language_pretraining(0.1), 1)
 }
 
 fn loader(data: Arc<dyn Dataset>, workers: usize) -> SceneLoader {
@@ -73,14 +57,12 @@ fn language(precision: Precision, seed: u64) -> TaskModule {
     let model = network(precision).build(params.builder()).unwrap();
     let contrastive = AggregatedContrastive { min_points: 20, ..AggregatedContrastive::default() };
     let objective = Objective::new().with(1.0, CosineLoss::default()).with(0.02, contrastive);
-    let targets = TargetSource::class_text(&texts()).unwrap();
+    let targets = TargetSource::class_text(&texts(WIDTH)).unwrap();
     TaskModule::new(params, model, objective, LanguagePretraining { targets })
 }
 
-fn trainer<M: TrainingModule>(module: &M, config: TrainerConfig) -> Trainer {
-    let groups = group_by_keyword(&module.params().parameters(), 0.003, 0.05, &[]);
-    let optimizer = AdamW::new(groups, AdamWConfig::default()).unwrap();
-    Trainer::new(config, Box::new(optimizer), Box::new(OneCycle::default())).unwrap()
+fn trainer(module: &TaskModule, config: TrainerConfig) -> Trainer {
+    trainer_by(module, config, 0.003, 0.05, OneCycle::default())
 }
 
 fn config(dir: Option<&Path>) -> TrainerConfig {
@@ -90,67 +72,43 @@ fn config(dir: Option<&Path>) -> TrainerConfig {
     config
 }
 
-/// Everything that training changes.
-fn state<M: TrainingModule>(module: &M) -> Vec<(String, Vec<f32>)> {
-    let (parameters, buffers) = (module.params().parameters(), module.params().buffers());
-    let values = |v: &candle_core::Var| {
-        v.to_dtype(candle_core::DType::F32).unwrap().flatten_all().unwrap().to_vec1().unwrap()
-    };
-    parameters.iter().chain(&buffers).map(|(n, v)| (n.clone(), values(v))).collect()
-}
-
-struct StopAt(u64);
-impl Callback for StopAt {
-    fn on_event(&mut self, event: &Event<'_>, at: Progress) -> Result<Flow, TrainError> {
-        let stop = matches!(event, Event::Step { .. }) && at.step >= self.0;
-        Ok(if stop { Flow::Stop } else { Flow::Continue })
-    }
-}
-
 #[test]
 fn neither_workers_threads_nor_interruptions_change_a_bit() {
-    let data = training_data(900);
+    let data = training_data();
     let whole = |workers: usize, threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
             let module = language(Precision::F32, 1);
-            trainer(&module, config(None))
-                .fit(&module, &mut loader(data.clone(), workers), &mut [], Progress::default())
-                .unwrap();
-            state(&module)
+            fit(trainer(&module, config(None)), &module, loader(data.clone(), workers)).unwrap();
+            state(module.params())
         })
     };
     let expected = whole(0, 2);
-    assert_ne!(expected, state(&language(Precision::F32, 1)), "it learned something");
+    assert_ne!(expected, state(language(Precision::F32, 1).params()), "it learned something");
     assert_eq!(expected, whole(1, 1));
     assert_eq!(expected, whole(3, 2));
     for (stop, workers) in [(1, 0), (5, 1), (7, 3)] {
         let dir = tempfile::tempdir().unwrap();
         let module = language(Precision::F32, 1);
         let settings = || TrainerConfig { log_every: 1, ..config(Some(dir.path())) };
-        let mut first = trainer(&module, settings()).with_callback(StopAt(stop));
-        let mut batches = loader(data.clone(), workers);
-        let at = first.fit(&module, &mut batches, &mut [], Progress::default()).unwrap();
+        let first = trainer(&module, settings()).with_callback(stop_at(stop));
+        let at = fit(first, &module, loader(data.clone(), workers)).unwrap();
         assert_eq!(at.step, stop);
         let module = language(Precision::F32, 2);
-        let mut second = trainer(&module, settings());
-        let newest = newest_checkpoint(dir.path()).unwrap().unwrap();
-        let start = second.load_checkpoint(&newest, &module).unwrap();
-        second.fit(&module, &mut loader(data.clone(), workers), &mut [], start).unwrap();
-        assert_eq!(expected, state(&module), "interrupted at {stop}, {workers} workers");
+        let second = trainer(&module, settings());
+        resume(second, dir.path(), &module, loader(data.clone(), workers));
+        assert_eq!(expected, state(module.params()), "interrupted at {stop}, {workers} workers");
     }
 }
 
 #[test]
 fn recomputed_blocks_train_alike() {
-    let data = training_data(900);
+    let data = training_data();
     let run = |recompute| {
         let module = language(Precision::F32, 1);
         let settings = TrainerConfig { recompute, epochs: 1, ..config(None) };
-        trainer(&module, settings)
-            .fit(&module, &mut loader(data.clone(), 0), &mut [], Progress::default())
-            .unwrap();
-        state(&module)
+        fit(trainer(&module, settings), &module, loader(data.clone(), 0)).unwrap();
+        state(module.params())
     };
     for ((name, plain), (_, recomputed)) in run(false).iter().zip(&run(true)) {
         for (a, b) in plain.iter().zip(recomputed) {
@@ -175,75 +133,66 @@ impl Transform for Poison {
 fn a_poisoned_scene_is_named() {
     let mut steps = build_transforms(&validation(0.1)).unwrap();
     steps.push(Arc::new(Poison("room-000004")));
-    let data = Arc::new(SceneDataset::new(rooms(900), steps, 1, 1).unwrap());
+    let data = SceneDataset::new(Arc::new(rooms(6, 900, 3)), steps, 1, 1).unwrap();
     let module = language(Precision::F32, 1);
-    let error = trainer(&module, config(None))
-        .fit(&module, &mut loader(data, 1), &mut [], Progress::default())
-        .unwrap_err();
-    let mut text = error.to_string();
-    let mut source = std::error::Error::source(&error);
-    while let Some(cause) = source {
-        text.push_str(&format!(": {cause}"));
-        source = cause.source();
-    }
+    let trainer = trainer(&module, config(None));
+    let text = causes(&fit(trainer, &module, loader(Arc::new(data), 1)).unwrap_err());
     assert!(text.contains("room-000004"), "{text}");
 }
 
-/// Records every logged value.
-#[derive(Clone, Default)]
-struct Record(Arc<Mutex<Vec<(u64, Measurement)>>>);
-impl Callback for Record {
-    fn on_event(&mut self, event: &Event<'_>, at: Progress) -> Result<Flow, TrainError> {
+/// Every logged value with its step.
+type Record = Arc<Mutex<Vec<(u64, Measurement)>>>;
+
+fn recorded(trainer: Trainer) -> (Trainer, Record) {
+    let record = Record::default();
+    let noted = Arc::clone(&record);
+    let watch = Watch(move |event: &Event<'_>, at: Progress| {
         if let Event::Step { measurements } | Event::Eval { measurements, .. } = event {
-            self.0.lock().unwrap().extend(measurements.iter().map(|m| (at.step, m.clone())));
+            noted.lock().unwrap().extend(measurements.iter().map(|m| (at.step, m.clone())));
         }
-        Ok(Flow::Continue)
-    }
+        Flow::Continue
+    });
+    (trainer.with_callback(watch), record)
+}
+
+/// Trains for 40 epochs: the loss falls below a share of its first values, and the accuracy rises.
+fn check_learning(
+    module: &TaskModule,
+    mut data: DataModule<'_, TaskModule>,
+    name: &str,
+    loss_falls: f64,
+) {
+    let settings = TrainerConfig { epochs: 40, eval_every: 20, log_every: 1, ..config(None) };
+    let (mut trainer, record) = recorded(trainer(module, settings));
+    trainer.fit(module, &mut data, Progress::default()).unwrap();
+    let values = record.lock().unwrap();
+    let series = |name: &str| -> Vec<f64> {
+        values.iter().filter(|(_, m)| m.name == name).map(|(_, m)| m.value).collect()
+    };
+    let loss = series("train/loss");
+    let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
+    let (first, last) = (mean(&loss[..10]), mean(&loss[loss.len() - 10..]));
+    assert!(last < first * loss_falls, "{name}: loss {first} to {last}");
+    let accuracy = series(&format!("{name}/allAcc"));
+    assert!(accuracy[1] > accuracy[0] && accuracy[1] > 0.3, "{name}: {accuracy:?}");
 }
 
 #[test]
 fn both_tasks_learn_their_rooms() {
-    let labels = build_transforms(&validation(0.1)).unwrap();
-    let seen: Arc<dyn Dataset> = Arc::new(SceneDataset::new(rooms(900), labels, 1, 1).unwrap());
-    let settings = TrainerConfig { epochs: 40, eval_every: 20, log_every: 1, ..config(None) };
-    let check = |record: &Record, name: &str, loss_falls: f64| {
-        let values = record.0.lock().unwrap();
-        let series = |name: &str| -> Vec<f64> {
-            values.iter().filter(|(_, m)| m.name == name).map(|(_, m)| m.value).collect()
-        };
-        let loss = series("train/loss");
-        let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
-        let (first, last) = (mean(&loss[..10]), mean(&loss[loss.len() - 10..]));
-        assert!(last < first * loss_falls, "{name}: loss {first} to {last}");
-        let accuracy = series(&format!("{name}/allAcc"));
-        assert!(accuracy[1] > accuracy[0] && accuracy[1] > 0.3, "{name}: {accuracy:?}");
-    };
-    {
-        let (module, record) = (language(Precision::F32, 1), Record::default());
-        let input = InputFeatures::default();
-        let evaluator =
-            ZeroShotEvaluator::new("zero_shot", seen.clone(), input, texts(), vec![0, 1, 2]);
-        let mut evaluators: Vec<Box<dyn Evaluator<TaskModule>>> = vec![Box::new(evaluator)];
-        trainer(&module, settings.clone())
-            .with_callback(record.clone())
-            .fit(&module, &mut loader(training_data(900), 1), &mut evaluators, Progress::default())
-            .unwrap();
-        check(&record, "zero_shot", 0.8);
-    }
+    let (seen, input) = (dataset(rooms(6, 900, 3), &validation(0.1), 1), InputFeatures::default());
+    let data = || DataModule::new(loader(training_data(), 1));
+    let texts = texts(WIDTH);
+    let zero_shot =
+        ZeroShotEvaluator::new("zero_shot", seen.clone(), input.clone(), texts, vec![0, 1, 2]);
+    let module = language(Precision::F32, 1);
+    check_learning(&module, data().with_evaluator(zero_shot), "zero_shot", 0.8);
     let params = ParamStore::trainable(4);
     let shape = network(Precision::F32).with_classes(CLASSES.len());
     let model = shape.build(params.builder()).unwrap();
     let objective = Objective::new().with(1.0, CrossEntropy::default()).with(1.0, LovaszSoftmax);
-    let (module, record) =
-        (TaskModule::new(params, model, objective, SemanticSegmentation), Record::default());
-    let evaluator =
-        SegmentationEvaluator::new("segmentation", seen, InputFeatures::default(), Vec::new());
-    let mut evaluators: Vec<Box<dyn Evaluator<TaskModule>>> = vec![Box::new(evaluator)];
-    trainer(&module, settings)
-        .with_callback(record.clone())
-        .fit(&module, &mut loader(training_data(900), 1), &mut evaluators, Progress::default())
-        .unwrap();
-    check(&record, "segmentation", 0.9);
+    let module = TaskModule::new(params, model, objective, SemanticSegmentation);
+    let segmentation = SegmentationEvaluator::new("segmentation", seen, input, Vec::new());
+    check_learning(&module, data().with_evaluator(segmentation), "segmentation", 0.9);
 }
 
 /// Keeps a different, sometimes tiny, part of each scene.
@@ -271,19 +220,21 @@ fn every_step_is_finite_and_none_is_left_out() {
                 if uneven {
                     changes.push(Arc::new(Uneven));
                 }
-                let data = SceneDataset::new(rooms(400), changes, seed, 1).unwrap();
-                let (module, record) = (language(precision, seed), Record::default());
+                let rooms = Arc::new(rooms(6, 400, 3));
+                let data = SceneDataset::new(rooms, changes, seed, 1).unwrap();
+                let module = language(precision, seed);
                 let settings =
                     TrainerConfig { seed, epochs: steps.div_ceil(3), log_every: 1, ..config(None) };
-                let at = trainer(&module, settings)
-                    .with_callback(record.clone())
-                    .fit(&module, &mut loader(Arc::new(data), 0), &mut [], Progress::default())
+                let (trainer, record) = recorded(trainer(&module, settings));
+                let at = fit(trainer, &module, loader(Arc::new(data), 0))
                     .unwrap_or_else(|e| panic!("{precision} uneven {uneven} seed {seed}: {e:?}"));
-                let values = record.0.lock().unwrap();
+                let values = record.lock().unwrap();
                 let losses: Vec<_> = values.iter().filter(|v| v.1.name == "train/loss").collect();
                 assert_eq!((at.step, losses.len() as u64), (at.total_steps, at.total_steps));
                 assert!(values.iter().all(|(_, m)| m.value.is_finite()));
-                assert!(state(&module).iter().all(|(_, v)| v.iter().all(|x| x.is_finite())));
+                assert!(
+                    state(module.params()).iter().all(|(_, v)| v.iter().all(|x| x.is_finite()))
+                );
             }
         }
     }

@@ -1,21 +1,21 @@
 //! Several ranks: what each takes, and that their number changes nothing.
 
-use crate::line::{Line, Numbers, StopAt, config, numbers, trainer, values};
-use candle_core::{DType, Device, Result, Tensor, Var};
-use scenesplat_datasets::transforms::{TransformConfig, build_transforms};
-use scenesplat_datasets::{
-    BatchLoader, BatchPart, InputFeatures, LoaderSettings, SceneDataset, SceneLoader,
-    SyntheticRooms,
+use crate::support::{
+    Line, Numbers, Rows, Score, causes, config, dataset, fit, in_step, load, numbers, rooms, state,
+    stop_at, trainer,
 };
-use scenesplat_metrics::Measurement;
+use candle_core::{Device, Result, Tensor};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{RngCore, SeedableRng};
+use scenesplat_datasets::transforms::language_pretraining;
+use scenesplat_datasets::{BatchLoader, BatchPart, InputFeatures, LoaderSettings, SceneLoader};
 use scenesplat_models::layers::BatchNorm;
 use scenesplat_models::{Mode, ParamStore};
-use scenesplat_rooms::SyntheticRoomSettings;
 use scenesplat_trainers::callbacks::{JsonLines, read_json_lines};
 use scenesplat_trainers::checkpoint::newest_checkpoint;
 use scenesplat_trainers::{
-    AdamW, AdamWConfig, Collective, Evaluator, OneCycle, Progress, StepContext, StepOutput,
-    ThreadRank, TrainError, Trainer, TrainerConfig, TrainingModule, group_by_keyword,
+    Collective, DataModule, Progress, StepContext, StepOutput, ThreadRank, TrainerConfig,
+    TrainingModule,
 };
 use std::path::Path;
 use std::rc::Rc;
@@ -49,22 +49,17 @@ impl Normed {
 
     /// Bits of parameters and buffers.
     fn bits(&self) -> Vec<(String, Vec<u32>)> {
-        let all = self.params.parameters().into_iter().chain(self.params.buffers());
-        let bits = |var: &Var| {
-            let flat = var.to_dtype(DType::F32).unwrap().flatten_all().unwrap();
-            flat.to_vec1::<f32>().unwrap().into_iter().map(f32::to_bits).collect()
-        };
-        all.map(|(name, var)| (name, bits(&var))).collect()
+        let bits = |values: Vec<f32>| values.into_iter().map(f32::to_bits).collect();
+        state(&self.params).into_iter().map(|(name, values)| (name, bits(values))).collect()
     }
 }
 
 impl TrainingModule for Normed {
-    type Batch = Vec<[f32; 4]>;
+    type Batch = Rows;
     fn params(&self) -> &ParamStore {
         &self.params
     }
     fn training_step(&self, batch: &Self::Batch, cx: &mut StepContext<'_>) -> Result<StepOutput> {
-        use rand_chacha::rand_core::RngCore;
         let noise = f64::from(cx.forward.rng.next_u32()) / f64::from(u32::MAX);
         let x = Tensor::from_vec(batch.concat(), (batch.len(), 4), &Device::Cpu)?;
         let y = self.norm.forward(&x, Mode::Train)?.matmul(&self.weight)?;
@@ -80,23 +75,12 @@ impl TrainingModule for Normed {
     }
 }
 
-struct SumOfWeights;
-
-impl Evaluator<Normed> for SumOfWeights {
-    fn name(&self) -> &'static str {
-        "sum"
-    }
-    fn measurements(&self) -> Vec<String> {
-        vec!["w".to_owned()]
-    }
-    fn run(
-        &mut self,
-        module: &Normed,
-        _at: Progress,
-    ) -> std::result::Result<Vec<Measurement>, TrainError> {
-        let sum = module.weight.sum_all().unwrap().to_scalar::<f32>().unwrap();
-        Ok(vec![Measurement::new("w".to_owned(), f64::from(sum))])
-    }
+/// The batches, and the sum of the weights.
+fn evaluated() -> DataModule<'static, Normed> {
+    let sum = |module: &Normed, _: Progress| {
+        f64::from(module.weight.sum_all().unwrap().to_scalar::<f32>().unwrap())
+    };
+    DataModule::new(Numbers { batches: 25, ..four() }).with_evaluator(Score("sum", sum))
 }
 
 fn settings(accumulate: u64, dir: Option<&Path>) -> TrainerConfig {
@@ -107,18 +91,8 @@ fn settings(accumulate: u64, dir: Option<&Path>) -> TrainerConfig {
     settings
 }
 
-fn data() -> Numbers {
-    Numbers { batches: 25, rows: 6, poison: None }
-}
-
 fn four() -> Numbers {
     Numbers { batches: 4, rows: 6, poison: None }
-}
-
-fn loop_for(module: &Normed, settings: TrainerConfig) -> Trainer {
-    let groups = group_by_keyword(&module.params.parameters(), 0.05, 0.01, &[]);
-    let optimizer = AdamW::new(groups, AdamWConfig::default()).unwrap();
-    Trainer::new(settings, Box::new(optimizer), Box::new(OneCycle::default())).unwrap()
 }
 
 type Log = Vec<(u64, String, u64)>;
@@ -138,15 +112,14 @@ fn log(path: &Path) -> Log {
 fn train(rank: Option<ThreadRank>, accumulate: u64, dir: &Path) -> Vec<(String, Vec<u32>)> {
     let module = Normed::new();
     let leads = rank.as_ref().is_none_or(|rank| rank.rank() == 0);
-    let mut trainer = loop_for(&module, settings(accumulate, leads.then_some(dir)));
+    let mut trainer = trainer(&module, settings(accumulate, leads.then_some(dir)));
     if leads {
         trainer = trainer.with_callback(JsonLines::new(&dir.join("metrics.jsonl")));
     }
     if let Some(rank) = rank {
         trainer = trainer.with_collective(Rc::new(rank));
     }
-    let mut evaluators: Vec<Box<dyn Evaluator<Normed>>> = vec![Box::new(SumOfWeights)];
-    let at = trainer.fit(&module, &mut data(), &mut evaluators, Progress::default()).unwrap();
+    let at = trainer.fit(&module, &mut evaluated(), Progress::default()).unwrap();
     assert_eq!(at.step, at.total_steps);
     module.bits()
 }
@@ -158,7 +131,7 @@ fn the_number_of_ranks_changes_no_bit_of_weights_statistics_and_logs() {
         let expected = train(None, accumulate, alone.path());
         assert!(expected.iter().any(|(name, _)| name == "norm.running_var"));
         let told = log(&alone.path().join("metrics.jsonl"));
-        assert!(told.iter().any(|(_, name, _)| name == "sum/w"));
+        assert!(told.iter().any(|(_, name, _)| name == "sum/value"));
         assert!(told.iter().any(|(_, name, _)| name.contains("effective_rank")), "{told:?}");
         for &size in sizes {
             let dir = tempfile::tempdir().unwrap();
@@ -180,15 +153,14 @@ fn gradients_and_statistics_are_those_of_the_batches_by_hand() {
         let (module, leads) = (Normed::new(), rank.rank() == 0);
         let settings =
             TrainerConfig { accumulate: 4, epochs: 1, log_every: 1, ..Default::default() };
-        let mut trainer = loop_for(&module, settings).with_collective(Rc::new(rank));
+        let mut trainer = trainer(&module, settings).with_collective(Rc::new(rank));
         if leads {
             trainer = trainer.with_callback(JsonLines::new(&dir.path().join("metrics.jsonl")));
         }
-        let mut data = four();
-        trainer.fit(&module, &mut data, &mut [], Progress::default()).unwrap();
+        fit(trainer, &module, four()).unwrap();
         let (mut mean, mut var) = ([0.0_f64; 4], [1.0_f64; 4]);
-        for batch in four().epoch(0, 0) {
-            let batch = batch.unwrap();
+        for place in 0..4 {
+            let batch = four().batch(0, place);
             for c in 0..4 {
                 let n = batch.len() as f64;
                 let m = batch.iter().map(|r| f64::from(r[c])).sum::<f64>() / n;
@@ -207,13 +179,12 @@ fn gradients_and_statistics_are_those_of_the_batches_by_hand() {
     // The mean gradient of the four batches, each by itself at the first weights.
     let module = Normed::new();
     let mut sums: std::collections::BTreeMap<String, Vec<f64>> = Default::default();
-    for (place, batch) in four().epoch(0, 0).enumerate() {
-        use rand_chacha::rand_core::SeedableRng;
-        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(0);
-        rng.set_stream(place as u64);
-        let forward = scenesplat_models::Forward::train(&mut rng);
-        let mut cx = StepContext { forward, progress: 0.0, step: 0, total_steps: 1, seed: 0 };
-        let out = module.training_step(&batch.unwrap(), &mut cx).unwrap();
+    for place in 0..4 {
+        let out = in_step(|cx| {
+            *cx.forward.rng = ChaCha8Rng::seed_from_u64(0);
+            cx.forward.rng.set_stream(place as u64);
+            module.training_step(&four().batch(0, place), cx).unwrap()
+        });
         let grads = out.loss.backward().unwrap();
         for (name, var) in module.params.parameters() {
             let grad = grads.get(&var).unwrap().flatten_all().unwrap().to_vec1::<f32>().unwrap();
@@ -239,16 +210,15 @@ fn a_run_goes_on_with_another_number_of_ranks() {
             let module = Normed::new();
             let leads = rank.rank() == 0;
             let mut trainer =
-                loop_for(&module, settings(4, Some(parts.path()))).with_collective(Rc::new(rank));
+                trainer(&module, settings(4, Some(parts.path()))).with_collective(Rc::new(rank));
             if let Some(step) = until {
-                trainer = trainer.with_callback(StopAt(step));
+                trainer = trainer.with_callback(stop_at(step));
             }
             let start = match newest_checkpoint(parts.path()).unwrap() {
-                Some(dir) => trainer.load_checkpoint(&dir, &module).unwrap(),
+                Some(_) => load(&mut trainer, parts.path(), &module),
                 None => Progress::default(),
             };
-            let mut evaluators: Vec<Box<dyn Evaluator<Normed>>> = vec![Box::new(SumOfWeights)];
-            let at = trainer.fit(&module, &mut data(), &mut evaluators, start).unwrap();
+            let at = trainer.fit(&module, &mut evaluated(), start).unwrap();
             (leads, at.step, module.bits())
         })
     };
@@ -272,8 +242,7 @@ fn one_rank_that_is_asked_to_stop_stops_all_and_one_that_fails_is_named() {
         if rank.rank() == 2 {
             trainer = trainer.with_stop(Arc::clone(&stop));
         }
-        let mut trainer = trainer.with_collective(Rc::new(rank));
-        trainer.fit(&module, &mut numbers(), &mut [], Progress::default()).unwrap().step
+        fit(trainer.with_collective(Rc::new(rank)), &module, numbers()).unwrap().step
     });
     assert_eq!(steps, [1, 1, 1]);
     let dir = tempfile::tempdir().unwrap();
@@ -281,12 +250,10 @@ fn one_rank_that_is_asked_to_stop_stops_all_and_one_that_fails_is_named() {
         let module = Line::new();
         let mut settings = TrainerConfig { accumulate: 2, ..config(Some(dir.path())) };
         settings.checkpoint.every_steps = 1;
-        let mut trainer = trainer(&module, settings).with_collective(Rc::new(rank));
+        let trainer = trainer(&module, settings).with_collective(Rc::new(rank));
         // The batch at place 5 is of rank 1.
-        let mut data = Numbers { poison: Some((0, 5)), ..numbers() };
-        let error = trainer.fit(&module, &mut data, &mut [], Progress::default()).unwrap_err();
-        let source = std::error::Error::source(&error).map(ToString::to_string);
-        format!("{error}: {}", source.unwrap_or_default())
+        let data = Numbers { poison: Some((0, 5)), ..numbers() };
+        causes(&fit(trainer, &module, data).unwrap_err())
     });
     assert!(errors[0].contains("rank 1 is gone"), "{errors:?}");
     assert!(errors[1].contains("step 2"), "{errors:?}");
@@ -299,10 +266,10 @@ fn batches_that_cannot_be_shared_evenly_are_refused() {
     let errors = on_ranks(2, |rank| {
         let module = Line::new();
         let settings = TrainerConfig { accumulate: 3, ..config(None) };
-        let mut trainer = trainer(&module, settings).with_collective(Rc::new(rank));
-        let before = values(&module);
-        let error = trainer.fit(&module, &mut numbers(), &mut [], Progress::default()).unwrap_err();
-        assert_eq!(before, values(&module));
+        let trainer = trainer(&module, settings).with_collective(Rc::new(rank));
+        let before = module.values();
+        let error = fit(trainer, &module, numbers()).unwrap_err();
+        assert_eq!(before, module.values());
         error.to_string()
     });
     assert!(
@@ -313,12 +280,7 @@ fn batches_that_cannot_be_shared_evenly_are_refused() {
 
 #[test]
 fn a_loader_makes_only_the_batches_of_its_part_and_the_same() {
-    let room = SyntheticRoomSettings { num_gaussians: Some(300), ..Default::default() };
-    let rooms = Arc::new(SyntheticRooms::new(14, room, 4).unwrap());
-    let transforms: Vec<TransformConfig> =
-        scenesplat_datasets::transforms::language_pretraining(0.05);
-    let transforms = build_transforms(&transforms).unwrap();
-    let dataset = Arc::new(SceneDataset::new(rooms, transforms, 7, 1).unwrap());
+    let dataset = dataset(rooms(14, 300, 4), &language_pretraining(0.05), 7);
     for workers in [0, 2] {
         let settings = LoaderSettings { workers, prefetch: 3, ..LoaderSettings::default() };
         let mut loader =

@@ -1,15 +1,12 @@
 //! Self-distillation against a reference written by hand: rows of a scale, their places, the nearest row of
 //! the other view by trying all, and the shares of the pairs; with a fault in the reference it differs.
 
+use crate::support::{dataset, in_step, loader, rooms, views};
 use candle_core::{Device, Tensor};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use scenesplat_datasets::transforms::{
-    CenterShift, CropOrigin, GridSample, RandomRotate, ViewCrop, ViewGroup, Views,
-};
 use scenesplat_datasets::{
-    InputFeatures, LoaderSettings, MaskShape, MaskWeight, Masked, Masking, SceneDataset,
-    SceneLoader, SyntheticRooms, TrainBatch, TransformConfig, View, ViewKind, build_transforms,
+    InputFeatures, MaskShape, MaskWeight, Masked, Masking, TrainBatch, View, ViewKind,
 };
 use scenesplat_losses::self_supervised::{Expansion, masked_cross_entropy, sinkhorn_knopp};
 use scenesplat_models::self_supervised_heads::{ProjectionHead, ProjectionShape, PrototypeHead};
@@ -17,14 +14,11 @@ use scenesplat_models::{
     Backbone, BackboneConfig, Compute, Forward, LevelOptions, Levels, ModelConfig, ParamStore,
     PointCloud, PointTransformerV3Config,
 };
-use scenesplat_rooms::SyntheticRoomSettings;
-use scenesplat_trainers::CosineSchedule;
 use scenesplat_trainers::tasks::self_supervised::{
     Balance, Prototypes, SelfDistillationTerm, SelfSupervised, SelfSupervisedConfig,
     SimDinoRowsTerm, TermConfig,
 };
-use scenesplat_trainers::{HasBackbone, StepContext, TrainingModule};
-use std::sync::Arc;
+use scenesplat_trainers::{CosineSchedule, HasBackbone, TrainingModule};
 
 const GRID: f64 = 0.25;
 /// Scales are 0.25, 0.5 and 1 m; rows are compared at the middle one.
@@ -126,29 +120,8 @@ fn module(term: TermConfig) -> SelfSupervised {
 }
 
 fn first_batch() -> TrainBatch {
-    let each = || -> Vec<TransformConfig> {
-        let turn = RandomRotate { probability: 1.0, ..RandomRotate::default() };
-        let grid = GridSample { grid_size: GRID, ..GridSample::default() };
-        vec![turn.into(), grid.into(), CenterShift { apply_z: false }.into()]
-    };
-    let group = |kind, ratio, center| ViewGroup {
-        kind,
-        shared: vec![],
-        crop: Some(ViewCrop { ratio, point_max: 1500, center }),
-        views: vec![each(), each()],
-    };
-    let groups = vec![
-        group(ViewKind::Global, [0.6, 1.0], CropOrigin::Major),
-        group(ViewKind::Local, [0.2, 0.4], CropOrigin::Uncovered),
-    ];
-    let steps: Vec<TransformConfig> = vec![CenterShift::default().into(), Views { groups }.into()];
-    let room = SyntheticRoomSettings { num_gaussians: Some(1500), ..Default::default() };
-    let source = Arc::new(SyntheticRooms::new(2, room, 1).unwrap());
-    let data = SceneDataset::new(source, build_transforms(&steps).unwrap(), 7, 1).unwrap();
-    let settings =
-        LoaderSettings { batch_size: 2, workers: 0, mix_probability: 0.0, ..Default::default() };
-    let loader = SceneLoader::new(Arc::new(data), InputFeatures::default(), settings).unwrap();
-    loader.batches(0, 0).next().unwrap().unwrap()
+    let data = dataset(rooms(2, 1500, 1), &views(0.6), 7);
+    loader(data, 2, 0).batches(0, 0).next().unwrap().unwrap()
 }
 
 /// What the reference does otherwise, to see that the comparison would notice.
@@ -261,7 +234,7 @@ fn sinkhorn_cost(
     [own, of_teacher]: [&str; 2],
     rows: &Tensor,
     with: &Tensor,
-) -> Tensor {
+) -> f64 {
     let head = |store: &ParamStore, name: &str| {
         let vb = store.builder().pp("heads").pp("self_distillation").pp(name);
         PrototypeHead::new(HEAD, PROTOTYPES, Compute::default(), &vb).unwrap()
@@ -271,7 +244,8 @@ fn sinkhorn_cost(
     let targets = sinkhorn_knopp(&targets, TAU_TEACHER, 3).unwrap();
     let count = rows.dim(0).unwrap();
     let weights = vec![1.0 / count as f64; count];
-    masked_cross_entropy(&logits, &targets, &weights, TAU_STUDENT).unwrap().unwrap()
+    let cost = masked_cross_entropy(&logits, &targets, &weights, TAU_STUDENT).unwrap().unwrap();
+    f64::from(cost.to_scalar::<f32>().unwrap())
 }
 
 /// `−3 · mean cosine − (D + N)/(D N) · ½ log det(I + D/(0.1 N) ZᵀZ)`, the determinant by elimination.
@@ -316,13 +290,13 @@ fn thinned(pairs: &[(u32, u32)], fault: Fault) -> Vec<(u32, u32)> {
     (0..MOST_ROWS).map(|i| pairs[at(i)]).collect()
 }
 
-/// The term, and how many rows have a partner in the pairs of different views, of how many.
-fn reference(
+/// Rows of all views by the student, and of the global ones by the teacher.
+fn rows_of_both(
     module: &SelfSupervised,
     batch: &TrainBatch,
     masks: &[Option<Masked>],
     fault: Fault,
-) -> (f64, [usize; 2]) {
+) -> [Vec<Rows>; 2] {
     let teacher_params = module.teacher().unwrap();
     let mut of_teacher = model();
     if let BackboneConfig::PointTransformerV3(config) = &mut of_teacher.backbone {
@@ -334,20 +308,32 @@ fn reference(
         assert_eq!(own.dims(), token.dims());
     }
     let network = of_teacher.build(teacher_params.builder()).unwrap();
-    let is_distillation =
-        module.params().parameters().keys().any(|name| name.starts_with("heads.self_dist"));
     // Both networks shuffle their curve orders by one generator, one view after the other.
     let mut rng = ChaCha8Rng::seed_from_u64(SEED);
     let views = batch.views.iter().zip(masks);
-    let student: Vec<Rows> = views
+    let student = views
         .map(|(view, mask)| look(module.backbone(), view, mask.as_ref(), &mut rng, fault))
         .collect();
-    let teacher: Vec<Rows> = (0..2)
+    let teacher = (0..2)
         .map(|i| {
             let mask = masks[i].as_ref().filter(|_| fault == Fault::MaskedTeacher);
             look(network.as_ref(), &batch.views[i], mask, &mut rng, fault)
         })
         .collect();
+    [student, teacher]
+}
+
+/// The term, and how many rows have a partner in the pairs of different views, of how many.
+fn reference(
+    module: &SelfSupervised,
+    batch: &TrainBatch,
+    masks: &[Option<Masked>],
+    fault: Fault,
+) -> (f64, [usize; 2]) {
+    let is_distillation =
+        module.params().parameters().keys().any(|name| name.starts_with("heads.self_dist"));
+    let stores = [module.params(), module.teacher().unwrap()];
+    let [student, teacher] = rows_of_both(module, batch, masks, fault);
     let [mut same, mut other, local] = SHARES;
     if fault == Fault::SharesSwapped {
         (same, other) = (other, same);
@@ -383,16 +369,13 @@ fn reference(
         let pick = |rows: Vec<u32>, of: &Tensor| {
             of.index_select(&Tensor::new(rows, &Device::Cpu).unwrap(), 0).unwrap()
         };
-        let stores = [module.params(), teacher_params];
         let rows = pick(rows, &student[view].feat);
         let with = pick(with_rows, &teacher[with].feat);
-        let cost = if is_distillation {
-            let cost = sinkhorn_cost(stores, [own, teachers], &rows, &with);
-            f64::from(cost.to_scalar::<f32>().unwrap())
-        } else {
-            coding_rate_cost(stores, &rows, &with)
-        };
-        sum += share * cost;
+        sum += share
+            * match is_distillation {
+                true => sinkhorn_cost(stores, [own, teachers], &rows, &with),
+                false => coding_rate_cost(stores, &rows, &with),
+            };
     }
     (sum, matched)
 }
@@ -402,14 +385,14 @@ fn reference(
 fn compared(term: TermConfig, faults: &[Fault]) -> (f64, f64, Vec<f64>, [usize; 2]) {
     let name = term.name();
     let (module, batch) = (module(term), first_batch());
-    let mut rng = ChaCha8Rng::seed_from_u64(SEED);
-    let forward = Forward::train(&mut rng);
-    let mut cx = StepContext { forward, progress: 0.0, step: 0, total_steps: 10, seed: 9 };
-    let masks = module.masks(&batch.views, &cx).unwrap();
+    let (masks, out) = in_step(|cx| {
+        let masks = module.masks(&batch.views, cx).unwrap();
+        let out = module.step_with_masks(&batch.views, &masks, cx).unwrap();
+        (masks, out)
+    });
     let kinds: Vec<ViewKind> = batch.views.iter().map(|view| view.kind).collect();
     let (global, local) = (ViewKind::Global, ViewKind::Local);
     assert_eq!(kinds, [global, global, local, local]);
-    let out = module.step_with_masks(&batch.views, &masks, &mut cx).unwrap();
     let got = out.terms.iter().find(|(term, _)| term == name).unwrap().1;
     let (want, matched) = reference(&module, &batch, &masks, Fault::None);
     let wrong = faults.iter().map(|fault| reference(&module, &batch, &masks, *fault).0);

@@ -1,21 +1,21 @@
 //! Self-supervised training: teacher, heads, masks, centers and schedules do what they say, against loops
 //! written by hand; interrupted it ends with the same bits; hard input has a stated result.
 
-use crate::line::StopAt;
-use candle_core::Tensor;
+use crate::support::{
+    Batches, batch_of, dataset, everything, fit, flat, in_step, loader as load_batches, resume,
+    rooms, state, stop_at, trainer_by, views,
+};
+use candle_core::{Device, Tensor};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use scenesplat_datasets::transforms::{
-    CenterShift, CropOrigin, GridSample, RandomRotate, ViewCrop, ViewGroup, Views,
-};
 use scenesplat_datasets::{
-    BatchLoader, DataError, InputFeatures, LoaderSettings, MaskShape, MaskWeight, Masked, Masking,
-    Sample, SceneDataset, SceneLoader, SyntheticRooms, TrainBatch, TransformConfig, ViewKind,
-    build_transforms, collate_samples, sample_rng,
+    InputFeatures, MaskShape, MaskWeight, Masked, Masking, SceneLoader, TrainBatch, View, ViewKind,
 };
 use scenesplat_losses::self_supervised::GaussianDistance;
-use scenesplat_models::{Compute, Forward, ModelConfig, ParamStore, PointTransformerV3Config};
-use scenesplat_rooms::SyntheticRoomSettings;
+use scenesplat_models::{
+    BackboneConfig, Compute, Forward, LevelOptions, ModelConfig, ParamStore, PointCloud,
+    PointTransformerV3Config,
+};
 use scenesplat_trainers::checkpoint::newest_checkpoint;
 use scenesplat_trainers::tasks::self_supervised::{
     Balance, Compat, DinoTerm, IbotCrossEntropyTerm, IbotTerm, LanguageAlignmentTerm,
@@ -23,14 +23,12 @@ use scenesplat_trainers::tasks::self_supervised::{
     SimDinoRowsTerm, SimDinoTerm, TermConfig,
 };
 use scenesplat_trainers::{
-    AdamW, AdamWConfig, AfterStep, CosineSchedule, OneCycle, Progress, StepContext, StepOutput,
-    TrainError, Trainer, TrainerConfig, TrainingModule, WithWeightDecay, group_by_keyword,
+    AfterStep, CosineSchedule, HasBackbone, OneCycle, StepContext, StepOutput, TrainError, Trainer,
+    TrainerConfig, TrainingModule, WithWeightDecay,
 };
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::sync::Arc;
-
-const GRID: f64 = 0.25;
+use std::sync::OnceLock;
 
 fn model(decoder: bool) -> ModelConfig {
     let mut config = PointTransformerV3Config {
@@ -52,15 +50,23 @@ fn model(decoder: bool) -> ModelConfig {
         (config.dec_depths, config.dec_channels) = (vec![], vec![]);
         (config.dec_num_head, config.dec_patch_size) = (vec![], vec![]);
     }
-    ModelConfig { grid_size: GRID, ..ModelConfig::new(config) }
+    ModelConfig { grid_size: 0.25, ..ModelConfig::new(config) }
+}
+
+/// An encoder alone, without mask token and drop path.
+fn unmasked() -> ModelConfig {
+    let mut network = model(false);
+    if let BackboneConfig::PointTransformerV3(config) = &mut network.backbone {
+        (config.mask_token, config.drop_path) = (false, 0.0);
+    }
+    network
 }
 
 fn prototypes(balance: Balance) -> Prototypes {
     Prototypes { count: 12, hidden: 16, out: 8, balance, ..Prototypes::default() }
 }
 
-fn masked_gaussians() -> TermConfig {
-    let distance = GaussianDistance::Fitted;
+fn masked_gaussians(distance: GaussianDistance) -> TermConfig {
     TermConfig::MaskedGaussians(MaskedGaussiansTerm { weight: 1.0, distance })
 }
 
@@ -111,7 +117,15 @@ fn settings(terms: Vec<TermConfig>) -> SelfSupervisedConfig {
 }
 
 fn all_terms() -> Vec<TermConfig> {
-    vec![masked_gaussians(), simdino(), dino(), ibot(), ibot_ce(), distillation(), simdino_rows()]
+    vec![
+        masked_gaussians(GaussianDistance::Fitted),
+        simdino(),
+        dino(),
+        ibot(),
+        ibot_ce(),
+        distillation(),
+        simdino_rows(),
+    ]
 }
 
 fn module(settings: &SelfSupervisedConfig, model: &ModelConfig) -> SelfSupervised {
@@ -119,70 +133,56 @@ fn module(settings: &SelfSupervisedConfig, model: &ModelConfig) -> SelfSupervise
     SelfSupervised::new(settings, model, &input, ParamStore::trainable(3), 3).unwrap()
 }
 
-fn steps() -> Vec<TransformConfig> {
-    let each = || -> Vec<TransformConfig> {
-        let turn = RandomRotate { probability: 1.0, ..RandomRotate::default() };
-        let grid = GridSample { grid_size: GRID, ..GridSample::default() };
-        vec![turn.into(), grid.into(), CenterShift { apply_z: false }.into()]
-    };
-    let group = |kind, ratio, center| ViewGroup {
-        kind,
-        shared: vec![],
-        crop: Some(ViewCrop { ratio, point_max: 1500, center }),
-        views: vec![each(), each()],
-    };
-    let groups = vec![
-        group(ViewKind::Global, [0.5, 1.0], CropOrigin::Major),
-        group(ViewKind::Local, [0.2, 0.4], CropOrigin::Uncovered),
-    ];
-    vec![CenterShift::default().into(), Views { groups }.into()]
-}
-
 fn loader(workers: usize) -> SceneLoader {
-    let room = SyntheticRoomSettings { num_gaussians: Some(1200), ..Default::default() };
-    let source = Arc::new(SyntheticRooms::new(6, room, 1).unwrap());
-    let data = SceneDataset::new(source, build_transforms(&steps()).unwrap(), 7, 1).unwrap();
-    let settings =
-        LoaderSettings { batch_size: 2, workers, mix_probability: 0.0, ..Default::default() };
-    SceneLoader::new(Arc::new(data), InputFeatures::default(), settings).unwrap()
+    load_batches(dataset(rooms(6, 1200, 1), &views(0.5), 7), 2, workers)
 }
 
-fn first_batch() -> TrainBatch {
-    loader(0).batches(0, 0).next().unwrap().unwrap()
+fn first_batch() -> &'static TrainBatch {
+    static BATCH: OnceLock<TrainBatch> = OnceLock::new();
+    BATCH.get_or_init(|| loader(0).batches(0, 0).next().unwrap().unwrap())
 }
 
 fn trainer(module: &SelfSupervised, epochs: u64, dir: Option<&Path>) -> Trainer {
-    let groups = group_by_keyword(&module.params().parameters(), 0.003, 0.001, &[]);
-    let optimizer = AdamW::new(groups, AdamWConfig::default()).unwrap();
     let schedule =
         WithWeightDecay { rate: OneCycle::default(), decay: CosineSchedule::weight_decay() };
     let mut config = TrainerConfig { seed: 5, epochs, log_every: 1, ..Default::default() };
     config.checkpoint.dir = dir.map(Path::to_owned);
-    Trainer::new(config, Box::new(optimizer), Box::new(schedule)).unwrap()
+    trainer_by(module, config, 0.003, 0.001, schedule)
+}
+
+/// Takes the first step.
+fn train_one_step(module: &SelfSupervised, epochs: u64) {
+    let trainer = trainer(module, epochs, None).with_callback(stop_at(1));
+    assert_eq!(fit(trainer, module, loader(0)).unwrap().step, 1);
 }
 
 fn values(store: &ParamStore) -> BTreeMap<String, Vec<f32>> {
-    let read = |t: &Tensor| {
-        t.to_dtype(candle_core::DType::F32).unwrap().flatten_all().unwrap().to_vec1().unwrap()
-    };
-    let all = store.parameters().into_iter().chain(store.buffers());
-    all.map(|(name, var)| (name, read(var.as_tensor()))).collect()
+    state(store).into_iter().collect()
 }
 
-/// Everything that a module keeps.
-fn everything(module: &SelfSupervised) -> Vec<(String, Vec<f32>)> {
-    let own = values(module.params()).into_iter();
-    let more = module.stores().into_iter().flat_map(|(store, params)| {
-        values(params).into_iter().map(move |(name, v)| (format!("{store}/{name}"), v))
-    });
-    own.chain(more).collect()
+fn one_step(module: &SelfSupervised, batch: &TrainBatch) -> StepOutput {
+    in_step(|cx| module.training_step(batch, cx).unwrap())
 }
 
-fn one_step(module: &SelfSupervised, batch: &TrainBatch, step: u64) -> StepOutput {
-    let mut rng = ChaCha8Rng::seed_from_u64(1);
-    let forward = Forward::train(&mut rng);
-    let mut cx = StepContext { forward, progress: 0.0, step, total_steps: 10, seed: 9 };
-    module.training_step(batch, &mut cx).unwrap()
+/// A step with its masks.
+fn masked_step(module: &SelfSupervised, views: &[View]) -> (Vec<Option<Masked>>, StepOutput) {
+    in_step(|cx: &mut StepContext<'_>| {
+        let masks = module.masks(views, cx).unwrap();
+        let out = module.step_with_masks(views, &masks, cx).unwrap();
+        (masks, out)
+    })
+}
+
+/// Input rows of the masked Gaussians of all views.
+fn masked_rows<'a>(
+    views: &'a [View],
+    masks: &'a [Option<Masked>],
+) -> impl Iterator<Item = &'a [f32]> {
+    views.iter().zip(masks).flat_map(|(view, masked)| {
+        let hidden = masked.iter().flat_map(|masked| &masked.hidden);
+        let rows = view.batch.feat.chunks_exact(11).zip(hidden);
+        rows.filter(|(_, hidden)| **hidden).map(|(row, _)| row)
+    })
 }
 
 fn term(out: &StepOutput, name: &str) -> Option<f64> {
@@ -194,23 +194,20 @@ fn every_term_teaches_every_parameter() {
     // The trainer refuses a parameter without gradient before the first update.
     for (terms, decoder) in [
         (all_terms(), true),
-        (vec![masked_gaussians()], true),
-        (vec![masked_gaussians(), simdino(), ibot()], true),
-        (vec![ibot_ce(), masked_gaussians()], false),
+        (vec![masked_gaussians(GaussianDistance::Fitted)], true),
+        (vec![masked_gaussians(GaussianDistance::Fitted), simdino(), ibot()], true),
+        (vec![ibot_ce(), masked_gaussians(GaussianDistance::Fitted)], false),
         (vec![distillation()], false),
         (vec![simdino(), distillation(), dino()], false),
     ] {
-        let module = module(&settings(terms), &model(decoder));
-        let mut trainer = trainer(&module, 1, None).with_callback(StopAt(1));
-        trainer.fit(&module, &mut loader(0), &mut [], Progress::default()).unwrap();
+        train_one_step(&module(&settings(terms), &model(decoder)), 1);
     }
 }
 
 #[test]
 fn masked_sizes_are_compared_as_logarithms_whatever_axis_they_stand_at() {
-    let distance = GaussianDistance::Ellipsoid;
-    let term_of = TermConfig::MaskedGaussians(MaskedGaussiansTerm { weight: 1.0, distance });
-    let module = module(&settings(vec![term_of]), &model(false));
+    let terms = vec![masked_gaussians(GaussianDistance::Ellipsoid)];
+    let module = module(&settings(terms), &model(false));
     // A head that gives its bias.
     let layers = module.params().parameters();
     let (weight, bias) =
@@ -223,25 +220,17 @@ fn masked_sizes_are_compared_as_logarithms_whatever_axis_they_stand_at() {
         .collect();
     bias.set(&Tensor::new(values, bias.device()).unwrap()).unwrap();
 
-    let batch = first_batch();
-    let mut rng = ChaCha8Rng::seed_from_u64(1);
-    let forward = Forward::train(&mut rng);
-    let mut cx = StepContext { forward, progress: 0.0, step: 0, total_steps: 10, seed: 9 };
-    let masks = module.masks(&batch.views, &cx).unwrap();
-    let out = module.step_with_masks(&batch.views, &masks, &mut cx).unwrap();
+    let views = &first_batch().views;
+    let (masks, out) = masked_step(&module, views);
     let (mut sum, mut count) = (0.0, 0);
-    for (view, masked) in batch.views.iter().zip(&masks) {
-        let Some(masked) = masked else { continue };
-        for (row, _) in masked.hidden.iter().enumerate().filter(|(_, hidden)| **hidden) {
-            // Color, opacity, quaternion, sizes: the last three of eleven.
-            let sizes = &view.batch.feat[row * 11 + 8..row * 11 + 11];
-            let mut logs: Vec<f64> = sizes.iter().map(|v| f64::from(*v).max(1e-4).ln()).collect();
-            logs.sort_by(|a, b| b.total_cmp(a));
-            for (log, guess) in logs.iter().zip(guess) {
-                let d = (guess - log).abs();
-                sum += if d < 0.1 { d * d / 0.2 } else { d - 0.05 };
-                count += 1;
-            }
+    for row in masked_rows(views, &masks) {
+        // Color, opacity, quaternion, sizes: the last three of eleven.
+        let mut logs: Vec<f64> = row[8..].iter().map(|v| f64::from(*v).max(1e-4).ln()).collect();
+        logs.sort_by(|a, b| b.total_cmp(a));
+        for (log, guess) in logs.iter().zip(guess) {
+            let d = (guess - log).abs();
+            sum += if d < 0.1 { d * d / 0.2 } else { d - 0.05 };
+            count += 1;
         }
     }
     assert!(count > 300, "{count} sizes");
@@ -260,10 +249,7 @@ fn the_teacher_is_a_copy_that_follows_after_the_step() {
     }
     assert!(!before.contains_key("mask_token"));
     assert!(before.keys().any(|name| name.starts_with("heads.sim_dino.")));
-    let total = 9;
-    let mut trainer = trainer(&module, 3, None).with_callback(StopAt(1));
-    let at = trainer.fit(&module, &mut loader(0), &mut [], Progress::default()).unwrap();
-    assert_eq!((at.step, at.total_steps), (1, total));
+    train_one_step(&module, 3);
     // m(0) of 0.9 → 1, and the student as the optimizer left it.
     let (after, now) = (values(teacher), values(module.params()));
     let mut moved = 0;
@@ -283,17 +269,9 @@ fn the_teacher_is_a_copy_that_follows_after_the_step() {
 
 #[test]
 fn momentum_goes_by_the_step() {
-    let config = SelfSupervisedConfig {
-        momentum: CosineSchedule::new(0.5, 1.0),
-        ..settings(vec![simdino()])
-    };
-    let mut config = config;
-    config.masking = None;
-    let mut network = model(false);
-    if let scenesplat_models::BackboneConfig::PointTransformerV3(c) = &mut network.backbone {
-        c.mask_token = false;
-    }
-    let module = module(&config, &network);
+    let momentum = CosineSchedule::new(0.5, 1.0);
+    let config = SelfSupervisedConfig { momentum, masking: None, ..settings(vec![simdino()]) };
+    let module = module(&config, &unmasked());
     let name = "heads.sim_dino.mlp.0.weight";
     let student = module.params().parameters()[name].clone();
     student.set(&(student.as_detached_tensor() + 1.0).unwrap()).unwrap();
@@ -315,10 +293,8 @@ fn momentum_goes_by_the_step() {
 #[test]
 fn heads_are_trained_but_not_those_of_the_original() {
     for compat in [Compat::None, Compat::Original] {
-        let config = SelfSupervisedConfig {
-            compat,
-            ..settings(vec![masked_gaussians(), simdino(), ibot()])
-        };
+        let terms = vec![masked_gaussians(GaussianDistance::Fitted), simdino(), ibot()];
+        let config = SelfSupervisedConfig { compat, ..settings(terms) };
         let module = module(&config, &model(true));
         let heads = |m: &SelfSupervised| {
             let all = everything(m).into_iter();
@@ -327,28 +303,25 @@ fn heads_are_trained_but_not_those_of_the_original() {
         };
         let before = heads(&module);
         assert!(!before.is_empty());
-        let mut trainer = trainer(&module, 1, None).with_callback(StopAt(1));
-        trainer.fit(&module, &mut loader(0), &mut [], Progress::default()).unwrap();
+        train_one_step(&module, 1);
         let same = before == heads(&module);
         assert_eq!(same, compat == Compat::Original);
         let of_teacher = module.teacher().unwrap().parameters();
         let has_heads = of_teacher.keys().any(|name| name.starts_with("heads."));
         assert_eq!(has_heads, compat == Compat::None);
     }
-    // The original's teacher begins elsewhere.
     let config =
         SelfSupervisedConfig { compat: Compat::Original, ..settings(vec![simdino(), ibot()]) };
     let module = module(&config, &model(true));
-    let (own, other) = (values(module.params()), values(module.teacher().unwrap()));
     let name = "enc.enc0.block0.attn.qkv.weight";
-    assert_ne!(own[name], other[name]);
+    let (own, other) = (values(module.params()), values(module.teacher().unwrap()));
+    assert_ne!(own[name], other[name], "the original's teacher begins elsewhere");
 }
 
 #[test]
 fn masked_rows_are_what_the_reconstruction_is_measured_at() {
     // By hand: the head's output of the masked rows, against their inputs, mean over all channels.
-    let distance = GaussianDistance::MeanSquare;
-    let terms = vec![TermConfig::MaskedGaussians(MaskedGaussiansTerm { weight: 1.0, distance })];
+    let terms = vec![masked_gaussians(GaussianDistance::MeanSquare)];
     let module = module(&settings(terms), &model(true));
     for (name, var) in module.params().parameters() {
         if name.starts_with("heads.masked_gaussians.3.") {
@@ -356,20 +329,16 @@ fn masked_rows_are_what_the_reconstruction_is_measured_at() {
             var.set(&var.zeros_like().unwrap()).unwrap();
         }
     }
-    let batch = first_batch();
-    let mut rng = ChaCha8Rng::seed_from_u64(1);
-    let forward = Forward::train(&mut rng);
-    let mut cx = StepContext { forward, progress: 0.0, step: 0, total_steps: 10, seed: 9 };
-    let masks = module.masks(&batch.views, &cx).unwrap();
-    let (mut sum, mut count) = (0.0, 0);
-    for (view, masked) in batch.views.iter().zip(&masks) {
+    let views = &first_batch().views;
+    let (masks, out) = masked_step(&module, views);
+    let rows: Vec<&[f32]> = masked_rows(views, &masks).collect();
+    let squares = rows.iter().flat_map(|row| *row).map(|v| f64::from(*v).powi(2)).sum::<f64>();
+    let want = squares / (rows.len() * 11) as f64;
+    let got = term(&out, "masked_gaussians").unwrap();
+    assert!((got - want).abs() < 1e-5 * want, "{got}, not {want}");
+    for (view, masked) in views.iter().zip(&masks) {
         assert_eq!(masked.is_some(), view.kind == ViewKind::Global);
         let Some(masked) = masked else { continue };
-        let rows = view.batch.feat.chunks_exact(11).zip(&masked.hidden).filter(|(_, h)| **h);
-        for (row, _) in rows {
-            sum += row.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>();
-            count += 11;
-        }
         // 0.5 m patches of augmented places: whole cells are hidden.
         let cell = |i: usize| view.batch.coord[i].map(|v| (f64::from(v) / 0.5).floor() as i64);
         let scene = |i: usize| view.batch.offsets.iter().filter(|o| **o <= i).count();
@@ -378,42 +347,37 @@ fn masked_rows_are_what_the_reconstruction_is_measured_at() {
             assert_eq!(*of_cell.entry((scene(i), cell(i))).or_insert(*hidden), *hidden);
         }
     }
-    let out = module.step_with_masks(&batch.views, &masks, &mut cx).unwrap();
-    let want = sum / f64::from(count);
-    let got = term(&out, "masked_gaussians").unwrap();
-    assert!((got - want).abs() < 1e-5 * want, "{got}, not {want}");
     // Both global views have masks of their own, and each step others.
     let hidden = |m: &Option<Masked>| m.as_ref().unwrap().hidden.clone();
     let share = |h: &[bool]| h.iter().filter(|h| **h).count() as f64 / h.len() as f64;
     assert!((0.1..0.8).contains(&share(&hidden(&masks[0]))));
-    cx.step = 1;
-    assert_ne!(hidden(&masks[0]), hidden(&module.masks(&batch.views, &cx).unwrap()[0]));
+    let next = in_step(|cx| {
+        cx.step = 1;
+        module.masks(views, cx).unwrap()
+    });
+    assert_ne!(hidden(&masks[0]), hidden(&next[0]));
 }
 
 #[test]
 fn what_is_masked_is_not_seen() {
     // The mask token stands for what is hidden: other inputs there change nothing that the student makes.
     let module = module(&settings(vec![ibot()]), &model(true));
-    let batch = first_batch();
-    let rng = || ChaCha8Rng::seed_from_u64(1);
-    let backbone = scenesplat_trainers::HasBackbone::backbone(&module);
-    let view = &batch.views[0].batch;
+    let backbone = module.backbone();
+    let view = &first_batch().views[0].batch;
     let points = |other: bool, hidden: &[bool]| {
         let mut feat = view.feat.clone();
         for (row, _) in feat.chunks_exact_mut(11).zip(hidden).filter(|(_, h)| other && **h) {
             row.fill(0.75);
         }
-        let feat = Tensor::from_vec(feat, (view.len(), 11), &candle_core::Device::Cpu).unwrap();
-        scenesplat_models::PointCloud::new(view.grid_coord.clone(), feat, view.offsets.clone())
-            .unwrap()
+        let feat = Tensor::from_vec(feat, (view.len(), 11), &Device::Cpu).unwrap();
+        PointCloud::new(view.grid_coord.clone(), feat, view.offsets.clone()).unwrap()
     };
     let rows = |other: bool, hidden: &[bool], with: bool| {
-        let options =
-            scenesplat_models::LevelOptions { mask: with.then_some(hidden), decoder: true };
-        let mut rng = rng();
+        let options = LevelOptions { mask: with.then_some(hidden), decoder: true };
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
         let mut cx = Forward::eval(&mut rng);
         let levels = backbone.forward_levels(&points(other, hidden), options, &mut cx).unwrap();
-        levels.decoder().unwrap().flatten_all().unwrap().to_vec1::<f32>().unwrap()
+        flat(levels.decoder().unwrap())
     };
     // All hidden: the stem's convolution reads neighbours, which are what a mask leaves to be read.
     let all = vec![true; view.len()];
@@ -425,25 +389,21 @@ fn what_is_masked_is_not_seen() {
 fn simdino_compares_other_views_of_the_same_scene() {
     // By hand from the vectors of both networks, which are one network at the start but for drop path
     // and what is masked: without both, compression is the mean cosine between different views.
-    let mut network = model(false);
-    if let scenesplat_models::BackboneConfig::PointTransformerV3(c) = &mut network.backbone {
-        (c.mask_token, c.drop_path) = (false, 0.0);
-    }
     let config = SelfSupervisedConfig { masking: None, ..settings(vec![simdino()]) };
-    let module = module(&config, &network);
+    let module = module(&config, &unmasked());
     let batch = first_batch();
     let mut same = batch.clone();
     // Every view is the first one: all cosines are 1.
     let first = same.views[0].clone();
     for view in &mut same.views {
         let kind = view.kind;
-        *view = scenesplat_datasets::View { kind, ..first.clone() };
+        *view = View { kind, ..first.clone() };
     }
     // Curve orders are shuffled from pass to pass, so equal views differ a little.
-    let out = one_step(&module, &same, 0);
+    let out = one_step(&module, &same);
     let alike = term(&out, "sim_dino/compression").unwrap();
     assert!(alike > 0.999, "{alike}");
-    let out = one_step(&module, &batch, 0);
+    let out = one_step(&module, batch);
     let other = term(&out, "sim_dino/compression").unwrap();
     assert!(other < alike, "{other}");
     // −0.1 · compression − coding rate.
@@ -458,8 +418,8 @@ fn weights_scale_their_terms() {
         TermConfig::SimDino(SimDinoTerm { weight, hidden: 16, out: 8, ..SimDinoTerm::default() })
     };
     let loss = |weight| {
-        let terms = vec![masked_gaussians(), heavier(weight), ibot()];
-        let out = one_step(&module(&settings(terms), &model(true)), &first_batch(), 0);
+        let terms = vec![masked_gaussians(GaussianDistance::Fitted), heavier(weight), ibot()];
+        let out = one_step(&module(&settings(terms), &model(true)), first_batch());
         let sum = term(&out, "masked_gaussians").unwrap()
             + weight * term(&out, "sim_dino").unwrap()
             + term(&out, "ibot").unwrap();
@@ -479,49 +439,22 @@ fn interrupted_anywhere_it_ends_with_the_same_bits() {
     };
     let build = || module(&config, &model(true));
     let whole = build();
-    trainer(&whole, 2, None).fit(&whole, &mut loader(0), &mut [], Progress::default()).unwrap();
+    fit(trainer(&whole, 2, None), &whole, loader(0)).unwrap();
     let want = everything(&whole);
     assert!(want.iter().any(|(name, v)| name == "centers/dino" && v.iter().any(|v| *v != 0.0)));
     for (stop, workers) in [(1, 1), (3, 3), (4, 0)] {
         let dir = tempfile::tempdir().unwrap();
         let part = build();
-        trainer(&part, 2, Some(dir.path()))
-            .with_callback(StopAt(stop))
-            .fit(&part, &mut loader(workers), &mut [], Progress::default())
-            .unwrap();
-        let rest = build();
-        let mut last = trainer(&rest, 2, Some(dir.path()));
+        let first = trainer(&part, 2, Some(dir.path())).with_callback(stop_at(stop));
+        assert_eq!(fit(first, &part, loader(workers)).unwrap().step, stop);
         let newest = newest_checkpoint(dir.path()).unwrap().unwrap();
         for file in ["teacher.safetensors", "centers.safetensors"] {
             assert!(newest.join(file).is_file(), "{file}");
         }
-        let start = last.load_checkpoint(&newest, &rest).unwrap();
-        assert_eq!(start.step, stop);
-        last.fit(&rest, &mut loader(workers), &mut [], start).unwrap();
+        let rest = build();
+        resume(trainer(&rest, 2, Some(dir.path())), dir.path(), &rest, loader(workers));
         assert!(want == everything(&rest), "stopped at {stop}, {workers} workers");
     }
-}
-
-/// A batch of scenes of Gaussians at these places.
-fn batch_of(scenes: &[Vec<[f32; 3]>]) -> TrainBatch {
-    let samples = (0_u64..).zip(scenes).map(|(i, coord)| {
-        let n = coord.len();
-        let mut sample = Sample {
-            id: format!("scene-{i}"),
-            coord: coord.clone(),
-            color: vec![[10.0, 120.0, 200.0]; n],
-            opacity: vec![0.5; n],
-            scale: vec![[0.1, 0.2, 0.3]; n],
-            quat: vec![[1.0, 0.0, 0.0, 0.0]; n],
-            ..Sample::default()
-        };
-        let mut rng = sample_rng(1, 0, i);
-        for step in build_transforms(&steps()).unwrap() {
-            step.apply(&mut sample, &mut rng).unwrap();
-        }
-        sample
-    });
-    collate_samples(samples.collect(), &InputFeatures::default()).unwrap()
 }
 
 #[test]
@@ -537,51 +470,32 @@ fn hard_batches_have_finite_losses_and_gradients() {
         ("one scene", vec![line(50)]),
         ("a scene without rows beside one", vec![vec![], line(20)]),
     ] {
-        let out = one_step(&module, &batch_of(&scenes), 0);
+        let out = one_step(&module, &batch_of(&scenes, &views(0.5)));
         let loss = out.loss.to_scalar::<f32>().unwrap();
         assert!(loss.is_finite(), "{what}: {loss}");
         assert!(out.counted_rows > 0, "{what}");
         let grads = out.loss.backward().unwrap();
         for (name, var) in module.params().parameters() {
             let Some(grad) = grads.get(&var) else { continue };
-            let finite = grad.flatten_all().unwrap().to_vec1::<f32>().unwrap();
-            assert!(finite.iter().all(|v| v.is_finite()), "{what}: {name}");
+            assert!(flat(grad).iter().all(|v| v.is_finite()), "{what}: {name}");
         }
     }
-    let nothing = batch_of(&[vec![]]);
+    let nothing = batch_of(&[vec![]], &views(0.5));
     assert!(module.is_empty(&nothing), "no rows: the batch is passed over");
-    let beside = batch_of(&[vec![], line(20)]);
+    let beside = batch_of(&[vec![], line(20)], &views(0.5));
     assert!(beside.views.iter().all(|view| view.batch.ids == ["scene-1"]), "left out of all views");
-}
-
-/// Batches with a value that is not finite in a view.
-struct Poisoned(SceneLoader);
-
-impl BatchLoader<TrainBatch> for Poisoned {
-    fn batches_per_epoch(&self) -> usize {
-        self.0.batches_per_epoch()
-    }
-    fn epoch(
-        &mut self,
-        epoch: u64,
-        skip: usize,
-    ) -> Box<dyn Iterator<Item = Result<TrainBatch, DataError>> + '_> {
-        Box::new(self.0.epoch(epoch, skip).map(|batch| {
-            batch.map(|mut batch| {
-                batch.views[1].batch.feat[5 * 11 + 3] = f32::NAN;
-                batch
-            })
-        }))
-    }
 }
 
 #[test]
 fn a_value_that_is_not_finite_is_named() {
     let module = module(&settings(all_terms()), &model(true));
     let before = everything(&module);
-    let error = trainer(&module, 1, None)
-        .fit(&module, &mut Poisoned(loader(0)), &mut [], Progress::default())
-        .unwrap_err();
+    let poisoned = |_, _| {
+        let mut batch = first_batch().clone();
+        batch.views[1].batch.feat[5 * 11 + 3] = f32::NAN;
+        batch
+    };
+    let error = fit(trainer(&module, 1, None), &module, Batches(3, poisoned)).unwrap_err();
     let TrainError::Step { scenes, suspects, .. } = &error else { panic!("{error}") };
     assert_eq!(scenes.len(), 2);
     let named = suspects.join("; ");
@@ -596,11 +510,11 @@ fn a_value_that_is_not_finite_is_named() {
 fn all_masked_none_masked() {
     let config =
         |ratio| SelfSupervisedConfig { masking: Some(masking(ratio)), ..settings(all_terms()) };
-    let all = one_step(&module(&config(1.0), &model(true)), &first_batch(), 0);
+    let all = one_step(&module(&config(1.0), &model(true)), first_batch());
     assert!(term(&all, "ibot").is_some() && term(&all, "masked_gaussians").is_some());
     assert!(all.loss.to_scalar::<f32>().unwrap().is_finite());
     // Nothing masked: terms of masked Gaussians are off, the others are not.
-    let none = one_step(&module(&config(0.0), &model(true)), &first_batch(), 0);
+    let none = one_step(&module(&config(0.0), &model(true)), first_batch());
     for name in ["ibot", "ibot_cross_entropy", "masked_gaussians"] {
         assert_eq!(term(&none, name), None, "{name}");
     }
@@ -631,10 +545,10 @@ fn masks_are_switched_off_by_a_word() {
 #[test]
 fn bf16_is_near_f32() {
     let mut network = model(true);
-    let f32 = one_step(&module(&settings(all_terms()), &network), &first_batch(), 0);
+    let f32 = one_step(&module(&settings(all_terms()), &network), first_batch());
     let precision = "bf16".parse().unwrap();
     network.backbone.get_mut().set_compute(Compute { precision, ..Compute::default() });
-    let bf16 = one_step(&module(&settings(all_terms()), &network), &first_batch(), 0);
+    let bf16 = one_step(&module(&settings(all_terms()), &network), first_batch());
     for (name, value) in f32.terms.iter().filter(|(name, _)| !name.contains('/')) {
         let other = term(&bf16, name).unwrap();
         assert!((value - other).abs() < 0.05 * value.abs().max(0.2), "{name}: {value} {other}");
@@ -648,7 +562,7 @@ fn terms_and_networks_that_do_not_fit_are_refused() {
         let built = SelfSupervised::new(settings, model, &input, ParamStore::trainable(3), 3);
         built.err().unwrap().to_string()
     };
-    let good = settings(vec![masked_gaussians()]);
+    let good = settings(vec![masked_gaussians(GaussianDistance::Fitted)]);
     assert!(refused(&settings(vec![]), &model(true)).contains("terms"));
     assert!(refused(&settings(vec![ibot(), ibot()]), &model(true)).contains("twice"));
     let no_mask = SelfSupervisedConfig { masking: None, ..good.clone() };
@@ -673,9 +587,6 @@ fn terms_and_networks_that_do_not_fit_are_refused() {
     // Language features that the scenes do not have.
     let alignment = TermConfig::LanguageAlignment(LanguageAlignmentTerm::default());
     let module = module(&settings(vec![alignment]), &model(true));
-    let mut rng = ChaCha8Rng::seed_from_u64(1);
-    let forward = Forward::train(&mut rng);
-    let mut cx = StepContext { forward, progress: 0.0, step: 0, total_steps: 10, seed: 9 };
-    let error = module.training_step(&first_batch(), &mut cx).err().unwrap().to_string();
+    let error = in_step(|cx| module.training_step(first_batch(), cx).err().unwrap().to_string());
     assert!(error.contains("lang_feat"), "{error}");
 }

@@ -1,22 +1,21 @@
 //! What a step is given, and what is said of it: random numbers, recomputation, frozen statistics,
 //! logged values, looks at the features. Each against numbers written down here.
 
-use crate::line::{Line, Rows, StopAt, config, numbers, trainer};
-use candle_core::{Device, Result, Tensor};
+use crate::support::{
+    Batches, Line, PerVoxel, Rows, Watch, config, fit, flat, names_in, numbers, trainer, trainer_by,
+};
+use candle_core::{DType, Device, Result, Tensor};
 use rand_chacha::rand_core::RngCore;
-use scenesplat_datasets::{BatchLoader, TrainBatch};
+use scenesplat_datasets::TrainBatch;
 use scenesplat_losses::{Loss, LossInput, Objective};
 use scenesplat_metrics::Measurement;
-use scenesplat_models::layers::{BatchNorm, Linear};
-use scenesplat_models::{Backbone, Forward, ParamStore, PointCloud};
-use scenesplat_trainers::checkpoint::newest_checkpoint;
+use scenesplat_models::ParamStore;
+use scenesplat_models::layers::BatchNorm;
 use scenesplat_trainers::tasks::{SemanticSegmentation, TaskModule};
 use scenesplat_trainers::{
-    AdamW, AdamWConfig, Callback, Event, Flow, OneCycle, Progress, StepContext, StepOutput,
-    TrainError, Trainer, TrainerConfig, TrainingModule, group_by_keyword,
+    Event, Flow, OneCycle, Progress, StepContext, StepOutput, TrainerConfig, TrainingModule,
 };
 use std::collections::BTreeSet;
-use std::path::Path;
 use std::sync::{Arc, Mutex};
 
 /// What one batch was given: the first random number, and whether inner values shall be computed again.
@@ -53,12 +52,8 @@ impl Watched {
     }
 
     fn buffer(&self, name: &str) -> Vec<f32> {
-        self.line.params.buffers()[name].flatten_all().unwrap().to_vec1().unwrap()
+        flat(&self.line.params.buffers()[name])
     }
-}
-
-fn flat(tensor: &Tensor) -> Vec<f32> {
-    tensor.flatten_all().unwrap().to_vec1().unwrap()
 }
 
 impl TrainingModule for Watched {
@@ -79,44 +74,31 @@ impl TrainingModule for Watched {
         let loss = (out - x.sum_keepdim(1)?)?.sqr()?.mean_all()?;
         self.losses.lock().unwrap().push(f64::from(loss.to_scalar::<f32>()?));
         let rows = batch.len();
-        let features = Some(Tensor::ones((8, 3), candle_core::DType::F32, &Device::Cpu)?);
+        let features = Some(Tensor::ones((8, 3), DType::F32, &Device::Cpu)?);
         Ok(StepOutput { loss, rows, counted_rows: rows, terms: Vec::new(), features })
     }
 }
 
-/// Writes down all measurements of steps, and alarms.
-#[derive(Clone, Default)]
-struct Log(Arc<Mutex<Vec<(u64, Measurement)>>>, Arc<Mutex<Vec<(u64, String)>>>);
-impl Callback for Log {
-    fn on_event(
-        &mut self,
-        event: &Event<'_>,
-        at: Progress,
-    ) -> std::result::Result<Flow, TrainError> {
-        match event {
-            Event::Step { measurements } => {
-                let all = measurements.iter().map(|m| (at.step, m.clone()));
-                self.0.lock().unwrap().extend(all);
-            }
-            Event::Alarm { message } => {
-                self.1.lock().unwrap().push((at.step, (*message).to_owned()));
-            }
-            _ => {}
-        }
-        Ok(Flow::Continue)
-    }
-}
+/// Measurements of steps, and steps with an alarm.
+type Log = Arc<Mutex<(Vec<(u64, Measurement)>, Vec<u64>)>>;
 
-fn fit(settings: TrainerConfig) -> (Watched, Log) {
-    let module = Watched::new();
-    let groups = group_by_keyword(&module.line.params.parameters(), 0.01, 0.0, &[]);
-    let optimizer = Box::new(AdamW::new(groups, AdamWConfig::default()).unwrap());
-    let log = Log::default();
-    Trainer::new(settings, optimizer, Box::new(OneCycle::default()))
-        .unwrap()
-        .with_callback(log.clone())
-        .fit(&module, &mut numbers(), &mut [], Progress::default())
-        .unwrap();
+fn run(settings: TrainerConfig) -> (Watched, Log) {
+    let (module, log) = (Watched::new(), Log::default());
+    let noted = Arc::clone(&log);
+    let trainer = trainer_by(&module, settings, 0.01, 0.0, OneCycle::default()).with_callback(
+        Watch(move |event: &Event<'_>, at: Progress| {
+            let (steps, alarms) = &mut *noted.lock().unwrap();
+            match event {
+                Event::Step { measurements } => {
+                    steps.extend(measurements.iter().map(|m| (at.step, m.clone())));
+                }
+                Event::Alarm { .. } => alarms.push(at.step),
+                _ => {}
+            }
+            Flow::Continue
+        }),
+    );
+    fit(trainer, &module, numbers()).unwrap();
     (module, log)
 }
 
@@ -127,7 +109,7 @@ fn settings() -> TrainerConfig {
 #[test]
 fn every_batch_has_random_numbers_of_its_own_and_of_the_seed() {
     let drawn = |seed| {
-        let (module, _) = fit(TrainerConfig { seed, ..settings() });
+        let (module, _) = run(TrainerConfig { seed, ..settings() });
         let given = module.given.lock().unwrap();
         given.iter().map(|(first, _)| *first).collect::<Vec<_>>()
     };
@@ -142,7 +124,7 @@ fn every_batch_has_random_numbers_of_its_own_and_of_the_seed() {
 #[test]
 fn recomputation_is_asked_for_if_it_is_set() {
     for recompute in [false, true] {
-        let (module, _) = fit(TrainerConfig { recompute, ..settings() });
+        let (module, _) = run(TrainerConfig { recompute, ..settings() });
         let given = module.given.lock().unwrap();
         assert!(given.iter().all(|(_, asked)| *asked == recompute));
     }
@@ -150,9 +132,9 @@ fn recomputation_is_asked_for_if_it_is_set() {
 
 #[test]
 fn frozen_statistics_stay_whoever_moves_them() {
-    let (module, _) = fit(settings());
+    let (module, _) = run(settings());
     assert_eq!(module.buffer("own.running_mean"), [21.0], "one a batch");
-    let (module, _) = fit(TrainerConfig { freeze: vec!["own".to_owned()], ..settings() });
+    let (module, _) = run(TrainerConfig { freeze: vec!["own".to_owned()], ..settings() });
     assert_eq!(module.buffer("own.running_mean"), [0.0]);
 }
 
@@ -186,7 +168,7 @@ fn a_frozen_batch_norm_normalises_by_what_it_remembers() {
         (vec!["norm".to_owned()], &by_hand),
     ] {
         let what = format!("{freeze:?}");
-        let (module, _) = fit(TrainerConfig { freeze, ..settings() });
+        let (module, _) = run(TrainerConfig { freeze, ..settings() });
         let normed = module.normed.lock().unwrap();
         // The first step: its scale and shift are still 1 and 0.
         let (x, y) = &normed[0];
@@ -199,11 +181,11 @@ fn a_frozen_batch_norm_normalises_by_what_it_remembers() {
 #[test]
 fn the_logged_loss_is_the_mean_of_the_batches_of_a_step() {
     for accumulate in [1, 3] {
-        let (module, log) = fit(TrainerConfig { accumulate, ..settings() });
+        let (module, log) = run(TrainerConfig { accumulate, ..settings() });
         let losses = module.losses.lock().unwrap();
-        let log = log.0.lock().unwrap();
+        let log = log.lock().unwrap();
         let logged: Vec<f64> =
-            log.iter().filter(|(_, m)| m.name == "train/loss").map(|(_, m)| m.value).collect();
+            log.0.iter().filter(|(_, m)| m.name == "train/loss").map(|(_, m)| m.value).collect();
         assert_eq!(logged.len(), losses.len() / accumulate as usize);
         for (step, got) in losses.chunks(accumulate as usize).zip(&logged) {
             let mean = step.iter().sum::<f64>() / step.len() as f64;
@@ -220,17 +202,14 @@ fn features_are_looked_at_as_often_as_it_says() {
         settings.health.min_effective_rank = min_effective_rank;
         // Rows that are all alike.
         settings.health.max_centred_cosine = 2.0;
-        let (_, log) = fit(settings);
-        let steps = |list: Vec<u64>| list.into_iter().collect::<BTreeSet<_>>();
-        let seen = log.0.lock().unwrap();
-        let seen = seen.iter().filter(|(_, m)| m.name.starts_with("health/"));
-        let seen = steps(seen.map(|(step, _)| *step).collect());
-        let alarms = log.1.lock().unwrap();
-        (seen, steps(alarms.iter().map(|(step, _)| *step).collect()))
+        let (_, log) = run(settings);
+        let (steps, alarms) = &*log.lock().unwrap();
+        let seen = steps.iter().filter(|(_, m)| m.name.starts_with("health/"));
+        let seen: BTreeSet<u64> = seen.map(|(step, _)| *step).collect();
+        (seen, alarms.iter().copied().collect::<BTreeSet<u64>>())
     };
     // Of 21 steps; and after the last.
-    assert_eq!(looks(8, 0.0).0, [8, 16, 21].into());
-    assert_eq!(looks(8, 0.0).1, [].into());
+    assert_eq!(looks(8, 0.0), ([8, 16, 21].into(), [].into()));
     assert_eq!(looks(0, 0.0).0, [].into());
 }
 
@@ -247,41 +226,17 @@ impl Loss for Seeds {
     }
 }
 
-/// A linear layer on each voxel.
-struct PerVoxel(Linear);
-impl Backbone for PerVoxel {
-    fn forward(&self, points: &PointCloud, _: &mut Forward<'_>) -> Result<Tensor> {
-        self.0.forward(&points.feat)
-    }
-    fn out_channels(&self) -> usize {
-        3
-    }
-}
-
-/// Two batches of four voxels.
-struct Voxels;
-impl BatchLoader<TrainBatch> for Voxels {
-    fn batches_per_epoch(&self) -> usize {
-        2
-    }
-    fn epoch(
-        &mut self,
-        _: u64,
-        skip: usize,
-    ) -> Box<
-        dyn Iterator<Item = std::result::Result<TrainBatch, scenesplat_datasets::DataError>> + '_,
-    > {
-        let batch = || TrainBatch {
-            coord: vec![[0.0; 3]; 4],
-            feat: (0..44).map(|i| i as f32 / 44.0).collect(),
-            channels: 11,
-            grid_coord: (0..4).map(|i| [i, 0, 0]).collect(),
-            offsets: vec![0, 4],
-            segment: Some(vec![0, 1, 2, -1]),
-            ids: vec!["voxels".to_owned()],
-            ..TrainBatch::default()
-        };
-        Box::new((skip..2).map(move |_| Ok(batch())))
+/// A batch of four voxels.
+fn voxels(_: u64, _: usize) -> TrainBatch {
+    TrainBatch {
+        coord: vec![[0.0; 3]; 4],
+        feat: (0..44).map(|i| i as f32 / 44.0).collect(),
+        channels: 11,
+        grid_coord: (0..4).map(|i| [i, 0, 0]).collect(),
+        offsets: vec![0, 4],
+        segment: Some(vec![0, 1, 2, -1]),
+        ids: vec!["voxels".to_owned()],
+        ..TrainBatch::default()
     }
 }
 
@@ -289,17 +244,12 @@ impl BatchLoader<TrainBatch> for Voxels {
 fn losses_that_draw_get_another_seed_each_batch() {
     let drawn = |seed| {
         let params = ParamStore::trainable(1);
-        let model = PerVoxel(Linear::new(11, 3, true, params.builder()).unwrap());
+        let model = PerVoxel::new(&params, 3);
         let loss = Seeds::default();
         let objective = Objective::new().with(1.0, loss.clone());
         let module = TaskModule::new(params, model, objective, SemanticSegmentation);
-        let groups = group_by_keyword(&module.params().parameters(), 0.01, 0.0, &[]);
-        let optimizer = Box::new(AdamW::new(groups, AdamWConfig::default()).unwrap());
-        let settings = TrainerConfig { seed, ..settings() };
-        Trainer::new(settings, optimizer, Box::new(OneCycle::default()))
-            .unwrap()
-            .fit(&module, &mut Voxels, &mut [], Progress::default())
-            .unwrap();
+        let trainer = trainer(&module, TrainerConfig { seed, ..settings() });
+        fit(trainer, &module, Batches(2, voxels)).unwrap();
         loss.0.lock().unwrap().clone()
     };
     let first = drawn(1);
@@ -315,15 +265,8 @@ fn as_many_checkpoints_stay_as_it_says() {
         settings.checkpoint.keep = keep;
         settings.checkpoint.every_steps = every_steps;
         let module = Line::new();
-        trainer(&module, settings)
-            .fit(&module, &mut numbers(), &mut [], Progress::default())
-            .unwrap();
-        let entries = std::fs::read_dir(dir.path()).unwrap();
-        let mut names: Vec<String> =
-            entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
-        names.retain(|name| name.starts_with("step-"));
-        names.sort();
-        names
+        fit(trainer(&module, settings), &module, numbers()).unwrap();
+        names_in(dir.path(), "step-")
     };
     // Four epochs of seven steps.
     let steps = |list: &[u64]| list.iter().map(|s| format!("step-{s:09}")).collect::<Vec<_>>();
@@ -331,47 +274,4 @@ fn as_many_checkpoints_stay_as_it_says() {
     assert_eq!(kept(3, 0), steps(&[14, 21, 28]));
     assert_eq!(kept(9, 0), steps(&[7, 14, 21, 28]));
     assert_eq!(kept(9, 10), steps(&[10, 20, 28]));
-}
-
-#[test]
-fn what_was_the_best_is_known_after_an_interruption() {
-    use scenesplat_trainers::Evaluator;
-    use scenesplat_trainers::checkpoint::best_checkpoint;
-    /// Falls: 1, ½, ⅓, …
-    struct Falling;
-    impl Evaluator<Line> for Falling {
-        fn name(&self) -> &str {
-            "score"
-        }
-        fn measurements(&self) -> Vec<String> {
-            vec!["value".to_owned()]
-        }
-        fn run(
-            &mut self,
-            _: &Line,
-            at: Progress,
-        ) -> std::result::Result<Vec<Measurement>, TrainError> {
-            Ok(vec![Measurement::new("value", 7.0 / at.step as f64)])
-        }
-    }
-    let dir = tempfile::tempdir().unwrap();
-    let with = |module: &Line, dir: &Path| {
-        let mut settings = config(Some(dir));
-        settings.checkpoint.best = Some("score/value".into());
-        trainer(module, settings)
-    };
-    let mut evaluators: Vec<Box<dyn Evaluator<Line>>> = vec![Box::new(Falling)];
-    let module = Line::new();
-    with(&module, dir.path())
-        .with_callback(StopAt(10))
-        .fit(&module, &mut numbers(), &mut evaluators, Progress::default())
-        .unwrap();
-    let module = Line::new();
-    let mut second = with(&module, dir.path());
-    let newest = newest_checkpoint(dir.path()).unwrap().unwrap();
-    let start = second.load_checkpoint(&newest, &module).unwrap();
-    second.fit(&module, &mut numbers(), &mut evaluators, start).unwrap();
-    let best = best_checkpoint(dir.path()).unwrap().unwrap();
-    assert_eq!((best.checkpoint.as_str(), best.value), ("step-000000007", 1.0));
-    assert!(dir.path().join(&best.checkpoint).is_dir(), "the best one stays");
 }

@@ -1,25 +1,26 @@
 //! Tasks and evaluators: what losses are told, which rows count, the mode of evaluation, and a task
 //! and a metric of one's own.
 
+use crate::support::{
+    PerVoxel, dataset, fit, in_step, loader, rooms as synthetic, state, texts, trainer_by,
+};
 use candle_core::{Result, Tensor};
 use scenesplat_datasets::transforms::validation;
 use scenesplat_datasets::{
-    DataError, Dataset, InputChannel, InputFeatures, LoaderSettings, Sample, SceneDataset,
-    SceneLoader, SyntheticRooms, TrainBatch, build_transforms, collate_samples,
+    DataError, Dataset, InputChannel, InputFeatures, Sample, TrainBatch, collate_samples,
 };
-use scenesplat_losses::{Loss, LossInput, Objective};
+use scenesplat_losses::{CosineLoss, CrossEntropy, Loss, LossInput, Objective};
 use scenesplat_metrics::{Measurement, Metric, MetricError};
-use scenesplat_models::layers::Linear;
 use scenesplat_models::{Backbone, Forward, Mode, ModelConfig, ParamStore, PointCloud};
-use scenesplat_rooms::{CLASSES, SyntheticRoomSettings};
-use scenesplat_scene::{LabelledPoints, TextTable};
+use scenesplat_rooms::CLASSES;
+use scenesplat_scene::{LabelledPoints, LanguageFeatures, TextTable};
 use scenesplat_trainers::evaluators::{SegmentationEvaluator, ZeroShotEvaluator};
 use scenesplat_trainers::tasks::{
-    LanguagePretraining, SemanticSegmentation, TargetSource, TaskModule, point_cloud,
+    LanguagePretraining, SemanticSegmentation, TargetSource, TaskModule, TrainingTask, point_cloud,
 };
 use scenesplat_trainers::{
-    AdamW, AdamWConfig, Evaluator, HasBackbone, OneCycle, Progress, StepContext, StepOutput,
-    Trainer, TrainerConfig, TrainingModule, group_by_keyword,
+    Evaluator, HasBackbone, OneCycle, Progress, StepContext, StepOutput, TrainerConfig,
+    TrainingModule,
 };
 use std::sync::{Arc, Mutex};
 
@@ -46,29 +47,8 @@ impl Loss for Spy {
     }
 }
 
-/// A linear layer on each voxel, which writes down the modes it was run in.
-struct PerVoxel(Linear, usize, Arc<Mutex<Vec<Mode>>>);
-impl PerVoxel {
-    fn new(params: &ParamStore, width: usize) -> Self {
-        Self(Linear::new(11, width, true, params.builder()).unwrap(), width, Arc::default())
-    }
-}
-impl Backbone for PerVoxel {
-    fn forward(&self, points: &PointCloud, cx: &mut Forward<'_>) -> Result<Tensor> {
-        self.2.lock().unwrap().push(cx.mode);
-        self.0.forward(&points.feat)
-    }
-    fn out_channels(&self) -> usize {
-        self.1
-    }
-}
-
 fn rooms(count: usize) -> Arc<dyn Dataset> {
-    let settings =
-        SyntheticRoomSettings { num_gaussians: Some(600), ..SyntheticRoomSettings::default() };
-    let steps = build_transforms(&validation(0.3)).unwrap();
-    let source = Arc::new(SyntheticRooms::new(count, settings, 3).unwrap());
-    Arc::new(SceneDataset::new(source, steps, 1, 1).unwrap())
+    dataset(synthetic(count, 600, 3), &validation(0.3), 1)
 }
 
 /// A batch whose first rows have no label.
@@ -79,19 +59,24 @@ fn batch() -> TrainBatch {
     batch
 }
 
-fn step(module: &impl TrainingModule<Batch = TrainBatch>, batch: &TrainBatch) -> StepOutput {
-    let mut rng = scenesplat_datasets::sample_rng(0, 0, 0);
-    let forward = Forward::train(&mut rng);
-    let mut cx = StepContext { forward, progress: 0.25, step: 5, total_steps: 20, seed: 3 };
-    module.training_step(batch, &mut cx).unwrap()
+fn step(module: &TaskModule, batch: &TrainBatch) -> StepOutput {
+    in_step(|cx| {
+        cx.progress = 0.25;
+        module.training_step(batch, cx).unwrap()
+    })
 }
 
 const WIDTH: usize = 6;
 
-fn texts() -> TextTable {
-    let values = (0..CLASSES.len() * WIDTH).map(|i| ((i * i) as f32 * 0.7).sin()).collect();
-    let names = CLASSES.iter().map(|c| c.name.to_owned()).collect();
-    TextTable::from_rows(names, values, WIDTH).unwrap()
+/// A linear layer on each voxel and one loss.
+fn linear(
+    width: usize,
+    loss: impl Loss + 'static,
+    task: impl TrainingTask + 'static,
+) -> TaskModule {
+    let params = ParamStore::trainable(1);
+    let model = PerVoxel::new(&params, width);
+    TaskModule::new(params, model, Objective::new().with(1.0, loss), task)
 }
 
 #[test]
@@ -100,7 +85,7 @@ fn losses_get_the_rows_that_count_and_their_weights() {
     let model = PerVoxel::new(&params, WIDTH);
     let (a, b) = (Spy::new("a", 1.0), Spy::new("b", -0.5));
     let objective = Objective::new().with(0.25, a.clone()).with(2.0, b);
-    let targets = TargetSource::class_text(&texts()).unwrap();
+    let targets = TargetSource::class_text(&texts(WIDTH)).unwrap();
     let module = TaskModule::new(params, model, objective, LanguagePretraining { targets });
     let batch = batch();
     let out = step(&module, &batch);
@@ -117,7 +102,7 @@ fn losses_get_the_rows_that_count_and_their_weights() {
     let (label, valid, target, progress) = &told[0];
     assert_eq!(label.as_ref().unwrap(), labels);
     assert_eq!(*progress, 0.25);
-    let table = texts();
+    let table = texts(WIDTH);
     for (row, &label) in labels.iter().enumerate() {
         assert_eq!(valid.as_ref().unwrap()[row], label >= 0);
         if let Ok(class) = usize::try_from(label) {
@@ -129,10 +114,7 @@ fn losses_get_the_rows_that_count_and_their_weights() {
 
 #[test]
 fn rows_without_label_or_feature_do_not_count() {
-    let params = ParamStore::trainable(1);
-    let model = PerVoxel::new(&params, CLASSES.len());
-    let objective = Objective::new().with(1.0, scenesplat_losses::CrossEntropy::default());
-    let module = TaskModule::new(params, model, objective, SemanticSegmentation);
+    let module = linear(CLASSES.len(), CrossEntropy::default(), SemanticSegmentation);
     let mut batch = batch();
     let before = step(&module, &batch);
     let labels = batch.segment.as_mut().unwrap();
@@ -142,18 +124,11 @@ fn rows_without_label_or_feature_do_not_count() {
     let none = step(&module, &batch);
     assert_eq!((none.rows, none.counted_rows, none.terms.len()), (batch.len(), 0, 0));
     // Features: those that the mask says are there.
-    let params = ParamStore::trainable(1);
-    let model = PerVoxel::new(&params, WIDTH);
-    let objective = Objective::new().with(1.0, scenesplat_losses::CosineLoss::default());
-    let module = TaskModule::new(
-        params,
-        model,
-        objective,
-        LanguagePretraining { targets: TargetSource::Features },
-    );
+    let task = LanguagePretraining { targets: TargetSource::Features };
+    let module = linear(WIDTH, CosineLoss::default(), task);
     let one = half::f16::from_f32(1.0);
     let rows = batch.len();
-    let feat = scenesplat_scene::LanguageFeatures { values: vec![one; rows * WIDTH], dim: WIDTH };
+    let feat = LanguageFeatures { values: vec![one; rows * WIDTH], dim: WIDTH };
     batch.lang_feat = Some(feat);
     batch.valid_feat = Some((0..rows).map(|row| row % 3 == 0).collect());
     assert_eq!(step(&module, &batch).counted_rows, rows.div_ceil(3));
@@ -230,7 +205,7 @@ fn a_task_and_a_metric_of_ones_own_are_evaluated_in_evaluation_mode() {
     let params = ParamStore::trainable(1);
     let model = PerVoxel::new(&params, WIDTH);
     let module = Own { params, model: Box::new(model) };
-    let mut zero_shot = ZeroShotEvaluator::new("own", rooms(1), input, texts(), Vec::new())
+    let mut zero_shot = ZeroShotEvaluator::new("own", rooms(1), input, texts(WIDTH), Vec::new())
         .with_metric(Right::default());
     let found = zero_shot.run(&module, Progress::default()).unwrap();
     assert!(found.iter().any(|m| m.name == "right"));
@@ -308,14 +283,13 @@ fn evaluation_moves_no_statistic_and_freezing_holds_them() {
     let module = || {
         let params = ParamStore::trainable(1);
         let network = ModelConfig::tiny().with_classes(classes).build(params.builder()).unwrap();
-        let objective = Objective::new().with(1.0, scenesplat_losses::CrossEntropy::default());
+        let objective = Objective::new().with(1.0, CrossEntropy::default());
         TaskModule::new(params, network, objective, SemanticSegmentation)
     };
     let buffers = |module: &TaskModule| -> Vec<(String, Vec<f32>)> {
-        let value = |v: &candle_core::Var| {
-            v.to_dtype(candle_core::DType::F32).unwrap().flatten_all().unwrap().to_vec1().unwrap()
-        };
-        module.params().buffers().iter().map(|(n, v)| (n.clone(), value(v))).collect()
+        let names = module.params().buffers();
+        let all = state(module.params()).into_iter();
+        all.filter(|(name, _)| names.contains_key(name)).collect()
     };
     let evaluated = module();
     let before = buffers(&evaluated);
@@ -325,16 +299,10 @@ fn evaluation_moves_no_statistic_and_freezing_holds_them() {
     assert_eq!(before, buffers(&evaluated));
     let train = |freeze: &[&str]| {
         let module = module();
-        let groups = group_by_keyword(&module.params().parameters(), 0.003, 0.05, &[]);
-        let optimizer = Box::new(AdamW::new(groups, AdamWConfig::default()).unwrap());
         let freeze = freeze.iter().map(|part| (*part).to_owned()).collect();
         let config = TrainerConfig { freeze, ..TrainerConfig::default() };
-        let settings = LoaderSettings { workers: 0, ..LoaderSettings::default() };
-        let mut loader = SceneLoader::new(rooms(2), InputFeatures::default(), settings).unwrap();
-        Trainer::new(config, optimizer, Box::new(OneCycle::default()))
-            .unwrap()
-            .fit(&module, &mut loader, &mut [], Progress::default())
-            .unwrap();
+        let trainer = trainer_by(&module, config, 0.003, 0.05, OneCycle::default());
+        fit(trainer, &module, loader(rooms(2), 1, 0)).unwrap();
         buffers(&module)
     };
     let moved = |after: &[(String, Vec<f32>)]| -> Vec<String> {

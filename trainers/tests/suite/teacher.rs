@@ -1,16 +1,14 @@
 //! Self-distillation in small: a teacher that follows its student, with schedules of its momentum,
 //! its temperature and the weight decay. Interrupted anywhere, it ends with the same bits.
 
-use crate::line::{Numbers, Rows, StopAt, config, numbers};
-use candle_core::{Device, Result, Tensor, Var};
+use crate::support::{Rows, config, everything, fit, load, numbers, resume, stop_at, trainer_by};
+use candle_core::{Device, Result, Tensor};
 use scenesplat_models::ParamStore;
 use scenesplat_trainers::checkpoint::newest_checkpoint;
 use scenesplat_trainers::{
-    AdamW, AdamWConfig, AfterStep, CosineSchedule, OneCycle, Progress, StepContext, StepOutput,
-    TrainError, Trainer, TrainerConfig, TrainingModule, WithWeightDecay, ema_update,
-    group_by_keyword,
+    AfterStep, CosineSchedule, DataModule, OneCycle, Progress, StepContext, StepOutput, TrainError,
+    Trainer, TrainerConfig, TrainingModule, WithWeightDecay, ema_update,
 };
-use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Mutex;
 
@@ -39,15 +37,6 @@ impl Pair {
         let centre =
             teacher.builder().get_with_hints(PROTOTYPES, "centre.running_mean", zero).unwrap();
         Self { student, teacher, weights, centre, momenta: Mutex::default() }
-    }
-
-    fn values(&self) -> Vec<(String, Vec<f32>)> {
-        let of = |store: &ParamStore| -> BTreeMap<String, Var> {
-            store.parameters().into_iter().chain(store.buffers()).collect()
-        };
-        let values = |v: &Var| v.flatten_all().unwrap().to_vec1().unwrap();
-        let both = of(&self.student).into_iter().chain(of(&self.teacher));
-        both.map(|(name, var)| (name, values(&var))).collect()
     }
 }
 
@@ -84,64 +73,52 @@ impl TrainingModule for Pair {
     }
 }
 
-fn trainer(module: &Pair, dir: Option<&Path>) -> Trainer {
-    let groups = group_by_keyword(&module.student.parameters(), 0.05, 0.001, &[]);
-    let optimizer = AdamW::new(groups, AdamWConfig::default()).unwrap();
-    let schedule =
-        WithWeightDecay { rate: OneCycle::default(), decay: CosineSchedule::weight_decay() };
-    let settings = TrainerConfig { ema: Some(0.9), ..config(dir) };
-    Trainer::new(settings, Box::new(optimizer), Box::new(schedule)).unwrap()
+fn trainer(module: &Pair, dir: Option<&Path>, decay: CosineSchedule) -> Trainer {
+    let schedule = WithWeightDecay { rate: OneCycle::default(), decay };
+    trainer_by(module, TrainerConfig { ema: Some(0.9), ..config(dir) }, 0.05, 0.001, schedule)
 }
 
-fn data() -> Numbers {
-    numbers()
+fn plain(module: &Pair, dir: Option<&Path>) -> Trainer {
+    trainer(module, dir, CosineSchedule::weight_decay())
 }
 
 #[test]
 fn the_teacher_follows_after_each_step_by_its_schedule() {
     let module = Pair::new();
-    let at =
-        trainer(&module, None).fit(&module, &mut data(), &mut [], Progress::default()).unwrap();
+    let at = fit(plain(&module, None), &module, numbers()).unwrap();
     let momenta = module.momenta.lock().unwrap();
     assert_eq!(momenta.len() as u64, at.total_steps);
-    let expected: Vec<f64> = (0..at.total_steps)
-        .map(|n| {
-            // 1 + ½ (0.9 − 1)(1 + cos(π n/T)), by hand.
-            let part = n as f64 / at.total_steps as f64;
-            1.0 - 0.05 * (1.0 + (std::f64::consts::PI * part).cos())
-        })
-        .collect();
-    for (got, want) in momenta.iter().zip(&expected) {
+    for (n, got) in momenta.iter().enumerate() {
+        // 1 + ½ (0.9 − 1)(1 + cos(π n/T)), by hand.
+        let part = n as f64 / at.total_steps as f64;
+        let want = 1.0 - 0.05 * (1.0 + (std::f64::consts::PI * part).cos());
         assert!((got - want).abs() < 1e-12, "{got} {want}");
     }
-    assert_ne!(module.values(), Pair::new().values());
+    assert_ne!(everything(&module), everything(&Pair::new()));
 }
 
 #[test]
 fn interrupted_anywhere_it_ends_with_the_same_bits() {
     let whole = Pair::new();
-    trainer(&whole, None).fit(&whole, &mut data(), &mut [], Progress::default()).unwrap();
+    fit(plain(&whole, None), &whole, numbers()).unwrap();
     for stops in [vec![1], vec![7], vec![27], vec![2, 5, 11], vec![13, 14, 15]] {
         let dir = tempfile::tempdir().unwrap();
         let mut start = Progress::default();
         for &stop in &stops {
             // Each time another process: nothing but the files is left.
             let module = Pair::new();
-            let mut part = trainer(&module, Some(dir.path())).with_callback(StopAt(stop));
+            let mut part = plain(&module, Some(dir.path())).with_callback(stop_at(stop));
             if start.step > 0 {
-                let newest = newest_checkpoint(dir.path()).unwrap().unwrap();
-                start = part.load_checkpoint(&newest, &module).unwrap();
+                start = load(&mut part, dir.path(), &module);
             }
-            start = part.fit(&module, &mut data(), &mut [], start).unwrap();
+            start = part.fit(&module, &mut DataModule::new(numbers()), start).unwrap();
             assert_eq!(start.step, stop);
         }
-        let module = Pair::new();
-        let mut last = trainer(&module, Some(dir.path()));
         let newest = newest_checkpoint(dir.path()).unwrap().unwrap();
         assert!(newest.join("teacher.safetensors").is_file());
-        let start = last.load_checkpoint(&newest, &module).unwrap();
-        last.fit(&module, &mut data(), &mut [], start).unwrap();
-        assert_eq!(whole.values(), module.values(), "stopped at {stops:?}");
+        let module = Pair::new();
+        resume(plain(&module, Some(dir.path())), dir.path(), &module, numbers());
+        assert_eq!(everything(&whole), everything(&module), "stopped at {stops:?}");
     }
 }
 
@@ -149,20 +126,13 @@ fn interrupted_anywhere_it_ends_with_the_same_bits() {
 fn a_checkpoint_without_its_teacher_or_with_other_schedules_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let module = Pair::new();
-    trainer(&module, Some(dir.path()))
-        .with_callback(StopAt(3))
-        .fit(&module, &mut data(), &mut [], Progress::default())
-        .unwrap();
+    let first = plain(&module, Some(dir.path())).with_callback(stop_at(3));
+    fit(first, &module, numbers()).unwrap();
     let newest = newest_checkpoint(dir.path()).unwrap().unwrap();
-    let groups = group_by_keyword(&module.student.parameters(), 0.05, 0.001, &[]);
-    let optimizer = AdamW::new(groups, AdamWConfig::default()).unwrap();
-    let decay = CosineSchedule::new(0.04, 0.2);
-    let schedule = WithWeightDecay { rate: OneCycle::default(), decay };
-    let settings = TrainerConfig { ema: Some(0.9), ..config(Some(dir.path())) };
-    let mut other = Trainer::new(settings, Box::new(optimizer), Box::new(schedule)).unwrap();
+    let mut other = trainer(&module, Some(dir.path()), CosineSchedule::new(0.04, 0.2));
     let error = other.load_checkpoint(&newest, &module).unwrap_err().to_string();
     assert!(error.contains("schedule.weight_decay.to was 0.4 and is 0.2"), "{error}");
     std::fs::remove_file(newest.join("teacher.safetensors")).unwrap();
-    let error = trainer(&module, None).load_checkpoint(&newest, &module).unwrap_err().to_string();
+    let error = plain(&module, None).load_checkpoint(&newest, &module).unwrap_err().to_string();
     assert!(error.contains("teacher.safetensors is missing"), "{error}");
 }

@@ -1,10 +1,10 @@
 //! What is logged of a loss's terms, which need not be on in every batch.
 
-use crate::line::{Line, Rows, config, numbers, trainer};
+use crate::support::{Line, Rows, config, fit, logged, numbers, trainer};
 use candle_core::Result;
 use scenesplat_models::ParamStore;
-use scenesplat_trainers::callbacks::{JsonLines, read_json_lines};
-use scenesplat_trainers::{Progress, StepContext, StepOutput, TrainerConfig, TrainingModule};
+use scenesplat_trainers::callbacks::JsonLines;
+use scenesplat_trainers::{StepContext, StepOutput, TrainerConfig, TrainingModule};
 use std::sync::atomic::{AtomicU32, Ordering};
 
 /// A [`Line`] with a term that is on in every third batch, from the first.
@@ -35,16 +35,10 @@ fn a_term_is_the_mean_of_the_batches_where_it_was_on() {
     let log = dir.path().join("metrics.jsonl");
     let module = Sometimes { line: Line::new(), batches: AtomicU32::new(0) };
     let settings = TrainerConfig { accumulate: 2, epochs: 2, ..config(None) };
-    trainer(&module.line, settings)
-        .with_callback(JsonLines::new(&log))
-        .fit(&module, &mut numbers(), &mut [], Progress::default())
-        .unwrap();
-    let log = read_json_lines(&log).unwrap();
-    let values = |name: &str| -> Vec<(u64, f64)> {
-        log.iter().filter(|v| v.name == name).map(|v| (v.step, v.value)).collect()
-    };
+    let trainer = trainer(&module, settings).with_callback(JsonLines::new(&log));
+    fit(trainer, &module, numbers()).unwrap();
     // Batches 0 and 1 are the first step, and so on.
     let always: Vec<_> = (1..=6).map(|step| (step, 2.0 * step as f64 - 1.5)).collect();
-    assert_eq!(values("train/always"), always);
-    assert_eq!(values("train/third"), [(1, 100.0), (2, 103.0), (4, 106.0), (5, 109.0)]);
+    assert_eq!(logged(&log, "train/always"), always);
+    assert_eq!(logged(&log, "train/third"), [(1, 100.0), (2, 103.0), (4, 106.0), (5, 109.0)]);
 }

@@ -1,15 +1,14 @@
 //! The loop against one written by hand in f64, which calls nothing of the trainer: gradients,
 //! accumulation, clipping, rates, momentum, decay, moving average.
 
-use crate::line::{Line, Numbers, Rows, numbers};
+use crate::support::{Line, Numbers, Rows, Score, Watch, fit, flat, numbers, trainer_by};
 use candle_core::Result;
-use scenesplat_datasets::BatchLoader;
 use scenesplat_metrics::Measurement;
 use scenesplat_models::ParamStore;
 use scenesplat_trainers::callbacks::EarlyStopping;
 use scenesplat_trainers::checkpoint::best_checkpoint;
 use scenesplat_trainers::{
-    AdamW, AdamWConfig, AfterStep, Callback, CosineSchedule, Criterion, Evaluator, Event, Flow,
+    AdamW, AdamWConfig, AfterStep, CosineSchedule, Criterion, DataModule, Evaluator, Event, Flow,
     KeywordGroup, OneCycle, Progress, StepContext, StepOutput, TrainError, Trainer, TrainerConfig,
     TrainingModule, WithWeightDecay, group_by_keyword,
 };
@@ -41,9 +40,7 @@ impl Traced {
     /// Weights 0..4, bias 4.
     fn values(&self) -> [f64; 5] {
         let params = self.line.params.parameters();
-        let of =
-            |name: &str| -> Vec<f32> { params[name].flatten_all().unwrap().to_vec1().unwrap() };
-        let all: Vec<f32> = of("weight").into_iter().chain(of("bias")).collect();
+        let all = [flat(&params["weight"]), flat(&params["bias"])].concat();
         std::array::from_fn(|i| f64::from(all[i]))
     }
 }
@@ -105,13 +102,13 @@ fn anneal(a: f64, b: f64, part: f64) -> f64 {
 }
 
 /// Parameters after each step, and their average at the end.
-fn by_hand(s: &Settings, start: [f64; 5], data: &mut Numbers) -> (Vec<[f64; 5]>, [f64; 5]) {
+fn by_hand(s: &Settings, start: [f64; 5], data: Numbers) -> (Vec<[f64; 5]>, [f64; 5]) {
     let steps_per_epoch = 7 / s.accumulate;
     let total = s.epochs * steps_per_epoch;
     let (mut p, mut m, mut v, mut average) = (start, [0.0; 5], [0.0; 5], start);
     let (mut after, mut came, mut t) = (Vec::new(), 0, 0);
     for epoch in 0..s.epochs {
-        let batches: Vec<Rows> = data.epoch(epoch, 0).map(|b| b.unwrap()).collect();
+        let batches: Vec<Rows> = (0..7).map(|place| data.batch(epoch, place)).collect();
         for k in 0..steps_per_epoch {
             let n = epoch * steps_per_epoch + k;
             let (mut g, mut some) = ([0.0; 5], false);
@@ -197,8 +194,8 @@ fn assert_close(got: &[f64; 5], want: &[f64; 5], what: &str) {
 
 fn check(s: &Settings, what: &str) {
     let (module, mut trainer) = by_trainer(s);
-    let (after, average) = by_hand(s, module.values(), &mut numbers());
-    let at = trainer.fit(&module, &mut numbers(), &mut [], Progress::default()).unwrap();
+    let (after, average) = by_hand(s, module.values(), numbers());
+    let at = trainer.fit(&module, &mut DataModule::new(numbers()), Progress::default()).unwrap();
     let got = module.after.lock().unwrap().clone();
     assert_eq!((at.step as usize, got.len()), (after.len(), after.len()), "{what}");
     for (n, (got, want)) in got.iter().zip(&after).enumerate() {
@@ -222,7 +219,7 @@ fn every_step_is_the_one_computed_by_hand() {
 fn the_reference_itself_can_tell() {
     // Each of these is a slip that a loop could make; by hand it must be another number.
     let start = Traced::new().values();
-    let (after, average) = by_hand(&settings(), start, &mut numbers());
+    let (after, average) = by_hand(&settings(), start, numbers());
     for (what, other) in [
         ("accumulation", Settings { accumulate: 1, ..settings() }),
         ("clipping", Settings { clip: None, ..settings() }),
@@ -230,18 +227,18 @@ fn the_reference_itself_can_tell() {
         ("decay", Settings { decay: 0.0, ..settings() }),
         ("warm-up", Settings { warmup: 0.4, ..settings() }),
     ] {
-        let changed = by_hand(&other, start, &mut numbers()).0;
+        let changed = by_hand(&other, start, numbers()).0;
         let apart = (0..5).any(|i| (changed[2][i] - after[2][i]).abs() > 1e-3);
         assert!(apart, "{what}");
     }
-    let other = by_hand(&Settings { ema: 0.3, ..settings() }, start, &mut numbers()).1;
+    let other = by_hand(&Settings { ema: 0.3, ..settings() }, start, numbers()).1;
     assert!((0..5).any(|i| (other[i] - average[i]).abs() > 1e-3));
 }
 
 #[test]
 fn batches_are_told_step_progress_and_a_seed_of_their_own() {
-    let (module, mut trainer) = by_trainer(&settings());
-    trainer.fit(&module, &mut numbers(), &mut [], Progress::default()).unwrap();
+    let (module, trainer) = by_trainer(&settings());
+    fit(trainer, &module, numbers()).unwrap();
     let told = module.told.lock().unwrap();
     // 4 epochs of 3 steps of 2 batches; the seventh batch of each epoch is left over.
     assert_eq!(told.len(), 24);
@@ -251,25 +248,6 @@ fn batches_are_told_step_progress_and_a_seed_of_their_own() {
     }
     let seeds: std::collections::BTreeSet<u64> = told.iter().map(|t| t.3).collect();
     assert_eq!(seeds.len(), 24);
-}
-
-/// Gives the numbers of a list, one an evaluation.
-struct Listed(&'static str, Vec<f64>, Arc<Mutex<Vec<u64>>>);
-impl Evaluator<Traced> for Listed {
-    fn name(&self) -> &str {
-        self.0
-    }
-    fn measurements(&self) -> Vec<String> {
-        vec!["value".to_owned()]
-    }
-    fn run(
-        &mut self,
-        _: &Traced,
-        at: Progress,
-    ) -> std::result::Result<Vec<Measurement>, TrainError> {
-        self.2.lock().unwrap().push(at.step);
-        Ok(vec![Measurement::new("value", self.1.remove(0))])
-    }
 }
 
 /// Best step and value, the steps of evaluations, and the last step.
@@ -282,26 +260,25 @@ fn judged(
     every: u64,
 ) -> (u64, f64, Vec<u64>, u64) {
     let dir = tempfile::tempdir().unwrap();
-    let (module, _) = by_trainer(&settings());
-    let groups = group_by_keyword(&module.line.params.parameters(), 0.01, 0.0, &[]);
-    let optimizer = Box::new(AdamW::new(groups, AdamWConfig::default()).unwrap());
+    let module = Traced::new();
     let mut config = TrainerConfig { epochs: 6, eval_every: every, ..TrainerConfig::default() };
     config.checkpoint.dir = Some(dir.path().to_owned());
     config.checkpoint.best = Some(best.clone());
     config.checkpoint.smaller_is_better = smaller;
-    let evaluated = Arc::new(Mutex::new(Vec::new()));
-    let mut evaluators: Vec<Box<dyn Evaluator<Traced>>> = vec![
-        Box::new(Listed("a", a.to_vec(), evaluated.clone())),
-        Box::new(Listed("b", b.to_vec(), Arc::default())),
-    ];
-    let mut trainer = Trainer::new(config, optimizer, Box::new(OneCycle::default()))
-        .unwrap()
+    let (mut evaluated, mut a, mut b) = (Vec::new(), a.iter(), b.iter());
+    let mut next_of_a = |_: &Traced, at: Progress| {
+        evaluated.push(at.step);
+        *a.next().unwrap()
+    };
+    let mut data = DataModule::new(numbers())
+        .with_evaluator(Score("a", &mut next_of_a))
+        .with_evaluator(Score("b", |_: &Traced, _: Progress| *b.next().unwrap()));
+    let mut trainer = trainer_by(&module, config, 0.01, 0.0, OneCycle::default())
         .with_callback(EarlyStopping::new(best, patience, smaller));
-    let end =
-        trainer.fit(&module, &mut numbers(), &mut evaluators, Progress::default()).unwrap().step;
+    let end = trainer.fit(&module, &mut data, Progress::default()).unwrap().step;
+    drop(data);
     let best = best_checkpoint(dir.path()).unwrap().unwrap();
     let step = best.checkpoint.trim_start_matches("step-").parse().unwrap();
-    let evaluated = evaluated.lock().unwrap().clone();
     (step, best.value, evaluated, end)
 }
 
@@ -329,17 +306,13 @@ fn the_best_state_and_the_end_follow_from_the_measurements() {
 #[test]
 fn unknown_measurements_are_refused_before_the_first_step() {
     let run = |best: &str, stopping: &str| {
-        let (module, _) = by_trainer(&settings());
-        let groups = group_by_keyword(&module.line.params.parameters(), 0.01, 0.0, &[]);
-        let optimizer = Box::new(AdamW::new(groups, AdamWConfig::default()).unwrap());
+        let module = Traced::new();
         let mut config = TrainerConfig::default();
         config.checkpoint.best = Some(best.into());
-        let mut evaluators: Vec<Box<dyn Evaluator<Traced>>> =
-            vec![Box::new(Listed("a", vec![0.0; 9], Arc::default()))];
-        let error = Trainer::new(config, optimizer, Box::new(OneCycle::default()))
-            .unwrap()
+        let zero = Score("a", |_: &Traced, _: Progress| 0.0);
+        let error = trainer_by(&module, config, 0.01, 0.0, OneCycle::default())
             .with_callback(EarlyStopping::new(stopping, 1, false))
-            .fit(&module, &mut numbers(), &mut evaluators, Progress::default())
+            .fit(&module, &mut DataModule::new(numbers()).with_evaluator(zero), Progress::default())
             .err();
         assert!(error.is_none() || module.told.lock().unwrap().is_empty(), "no step was taken");
         error.map(|e| e.to_string())
@@ -372,46 +345,31 @@ impl Evaluator<Traced> for Liar {
 
 #[test]
 fn evaluators_keep_to_their_names() {
-    let (module, mut trainer) = by_trainer(&settings());
-    let mut evaluators: Vec<Box<dyn Evaluator<Traced>>> = vec![Box::new(Liar)];
-    let error =
-        trainer.fit(&module, &mut numbers(), &mut evaluators, Progress::default()).unwrap_err();
-    assert!(matches!(error, TrainError::UnlistedMeasurement { .. }), "{error}");
-    let mut evaluators: Vec<Box<dyn Evaluator<Traced>>> = vec![Box::new(Liar), Box::new(Liar)];
-    let (module, mut trainer) = by_trainer(&settings());
-    let error =
-        trainer.fit(&module, &mut numbers(), &mut evaluators, Progress::default()).unwrap_err();
-    assert!(matches!(error, TrainError::DuplicateName { .. }), "{error}");
-}
-
-/// Counts events.
-#[derive(Clone, Default)]
-struct Count(Arc<Mutex<Vec<(u64, u64)>>>);
-impl Callback for Count {
-    fn on_event(
-        &mut self,
-        event: &Event<'_>,
-        at: Progress,
-    ) -> std::result::Result<Flow, TrainError> {
-        if let Event::Step { .. } = event {
-            self.0.lock().unwrap().push((at.step, at.epoch));
-        }
-        Ok(Flow::Continue)
-    }
+    let error = |data: DataModule<'_, Traced>| {
+        let (module, mut trainer) = by_trainer(&settings());
+        trainer.fit(&module, &mut { data }, Progress::default()).unwrap_err()
+    };
+    let one = || DataModule::new(numbers()).with_evaluator(Liar);
+    let unlisted = error(one());
+    assert!(matches!(unlisted, TrainError::UnlistedMeasurement { .. }), "{unlisted}");
+    let twice = error(one().with_evaluator(Liar));
+    assert!(matches!(twice, TrainError::DuplicateName { .. }), "{twice}");
 }
 
 #[test]
 fn steps_and_epochs_are_counted_as_promised() {
-    let (module, _) = by_trainer(&settings());
-    let groups = group_by_keyword(&module.line.params.parameters(), 0.01, 0.0, &[]);
-    let optimizer = Box::new(AdamW::new(groups, AdamWConfig::default()).unwrap());
+    let (module, counted) = (Traced::new(), Arc::new(Mutex::new(Vec::new())));
     let config = TrainerConfig { epochs: 2, log_every: 5, ..TrainerConfig::default() };
-    let count = Count::default();
-    Trainer::new(config, optimizer, Box::new(OneCycle::default()))
-        .unwrap()
-        .with_callback(count.clone())
-        .fit(&module, &mut numbers(), &mut [], Progress::default())
-        .unwrap();
+    let noted = Arc::clone(&counted);
+    let trainer = trainer_by(&module, config, 0.01, 0.0, OneCycle::default()).with_callback(Watch(
+        move |event: &Event<'_>, at: Progress| {
+            if let Event::Step { .. } = event {
+                noted.lock().unwrap().push((at.step, at.epoch));
+            }
+            Flow::Continue
+        },
+    ));
+    fit(trainer, &module, numbers()).unwrap();
     // Each fifth step, and the last.
-    assert_eq!(*count.0.lock().unwrap(), [(5, 0), (10, 1), (14, 1)]);
+    assert_eq!(*counted.lock().unwrap(), [(5, 0), (10, 1), (14, 1)]);
 }

@@ -1,14 +1,10 @@
 //! A model small enough to check by hand, and data for it.
-#![allow(dead_code, reason = "each test file uses a part")]
 
 use candle_core::{Device, Result, Tensor};
+use rand_chacha::rand_core::RngCore;
 use scenesplat_datasets::{BatchLoader, DataError};
 use scenesplat_models::ParamStore;
-use scenesplat_trainers::{
-    AdamW, AdamWConfig, Callback, Event, Flow, OneCycle, Progress, StepContext, StepOutput,
-    TrainError, Trainer, TrainerConfig, TrainingModule, group_by_keyword,
-};
-use std::path::Path;
+use scenesplat_trainers::{StepContext, StepOutput, TrainingModule};
 
 /// `y = x·w + noise`, whose noise comes from the step's generator.
 pub struct Line {
@@ -28,6 +24,11 @@ impl Line {
         let bias = vb.get_with_hints(1, "bias", init).unwrap();
         Self { params, weight, bias, use_bias: true, noise: 0.01 }
     }
+
+    /// The bias, then the weights.
+    pub fn values(&self) -> Vec<f32> {
+        self.params.parameters().values().flat_map(|v| super::flat(v)).collect()
+    }
 }
 
 pub type Rows = Vec<[f32; 4]>;
@@ -38,7 +39,6 @@ impl TrainingModule for Line {
         &self.params
     }
     fn training_step(&self, batch: &Rows, cx: &mut StepContext<'_>) -> Result<StepOutput> {
-        use rand_chacha::rand_core::RngCore;
         let noise = f64::from(cx.forward.rng.next_u32()) / f64::from(u32::MAX) * self.noise;
         let x = Tensor::from_vec(batch.concat(), (batch.len(), 4), &Device::Cpu)?;
         let target = (x.sum_keepdim(1)? * 0.5)?.affine(1.0, noise)?;
@@ -61,10 +61,27 @@ impl TrainingModule for Line {
 }
 
 /// Batches that depend on epoch and place alone.
+#[derive(Clone, Copy)]
 pub struct Numbers {
     pub batches: usize,
     pub rows: usize,
     pub poison: Option<(u64, usize)>,
+}
+
+impl Numbers {
+    pub fn batch(&self, epoch: u64, place: usize) -> Rows {
+        let row = |r: usize| {
+            std::array::from_fn(|c| {
+                let phase = epoch as f32 * 31.0 + (place * 17 + r * 5 + c * 3) as f32;
+                2.0 * ((phase * 12.9898).sin() * 43758.547).fract()
+            })
+        };
+        let mut rows: Rows = (0..self.rows).map(row).collect();
+        if self.poison == Some((epoch, place)) {
+            rows[0][2] = f32::NAN;
+        }
+        rows
+    }
 }
 
 impl BatchLoader<Rows> for Numbers {
@@ -76,56 +93,11 @@ impl BatchLoader<Rows> for Numbers {
         epoch: u64,
         skip: usize,
     ) -> Box<dyn Iterator<Item = std::result::Result<Rows, DataError>> + '_> {
-        Box::new((skip..self.batches).map(move |batch| {
-            let row = |r: usize| {
-                std::array::from_fn(|c| {
-                    let phase = epoch as f32 * 31.0 + (batch * 17 + r * 5 + c * 3) as f32;
-                    2.0 * ((phase * 12.9898).sin() * 43758.547).fract()
-                })
-            };
-            let mut rows: Rows = (0..self.rows).map(row).collect();
-            if self.poison == Some((epoch, batch)) {
-                rows[0][2] = f32::NAN;
-            }
-            Ok(rows)
-        }))
+        Box::new((skip..self.batches).map(move |place| Ok(self.batch(epoch, place))))
     }
 }
 
+/// Seven batches of five rows.
 pub fn numbers() -> Numbers {
     Numbers { batches: 7, rows: 5, poison: None }
-}
-
-pub fn trainer(module: &Line, config: TrainerConfig) -> Trainer {
-    let groups = group_by_keyword(&module.params.parameters(), 0.05, 0.01, &[]);
-    let optimizer = AdamW::new(groups, AdamWConfig::default()).unwrap();
-    Trainer::new(config, Box::new(optimizer), Box::new(OneCycle::default())).unwrap()
-}
-
-pub fn config(dir: Option<&Path>) -> TrainerConfig {
-    let mut config = TrainerConfig { seed: 5, epochs: 4, log_every: 1, ..Default::default() };
-    config.checkpoint.dir = dir.map(Path::to_owned);
-    config
-}
-
-pub fn values(module: &Line) -> Vec<f32> {
-    module
-        .params
-        .parameters()
-        .values()
-        .flat_map(|v| v.flatten_all().unwrap().to_vec1().unwrap())
-        .collect()
-}
-
-/// Asks to stop after a number of steps.
-pub struct StopAt(pub u64);
-impl Callback for StopAt {
-    fn on_event(
-        &mut self,
-        event: &Event<'_>,
-        at: Progress,
-    ) -> std::result::Result<Flow, TrainError> {
-        let stop = matches!(event, Event::Step { .. }) && at.step >= self.0;
-        Ok(if stop { Flow::Stop } else { Flow::Continue })
-    }
 }
