@@ -13,7 +13,7 @@ use super::record::{RunRecord, write};
 use super::self_supervision;
 use super::teacher::{Teacher, TeacherRecord};
 use candle_core::Device;
-use scenesplat_datasets::{BatchLoader, TrainBatch};
+use scenesplat_datasets::TrainBatch;
 use scenesplat_losses::{Objective, TextColumns, build_objective};
 use scenesplat_models::weights::{SourceOptions, WeightSource, resolve};
 use scenesplat_models::{LoadPolicy, ParamStore};
@@ -29,8 +29,8 @@ use scenesplat_trainers::tasks::{
     Distillation, LanguagePretraining, SemanticSegmentation, TargetSource, TaskModule,
 };
 use scenesplat_trainers::{
-    AdamW, Alone, Collective, Evaluator, Identity, Optimizer, Progress, Schedule, Trainer,
-    TrainerConfig, TrainingModule, WithWeightDecay, group_by_keyword,
+    AdamW, Alone, Collective, DataModule, Evaluator, Identity, Optimizer, Progress, Schedule,
+    Trainer, TrainerConfig, TrainingModule, WithWeightDecay, group_by_keyword,
 };
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
@@ -146,7 +146,7 @@ pub fn train_together(
         teacher: teacher.as_ref().map(|t| Arc::clone(&t.record)),
         collective,
     };
-    let mut loader = data::loader(config, teacher.as_ref())?;
+    let train = data::loader(config, teacher.as_ref())?;
     let network = || config.network()?.model.build(params.builder()).map_err(ExperimentError::from);
     let (progress, exported) = match config.task {
         Task::LanguagePretraining => {
@@ -158,28 +158,29 @@ pub fn train_together(
             let network = network()?;
             let module = TaskModule::new(params, network, objective, task);
             let evaluators = zero_shot(config, text.as_ref(), None)?.into_iter();
-            run.fit(&module, &mut *loader, &mut boxed(evaluators))?
+            run.fit(&module, DataModule { train, evaluators: boxed(evaluators) })?
         }
         Task::Distillation => {
             let network = network()?;
             let module = TaskModule::new(params, network, objective, Distillation);
             let evaluators = zero_shot(config, text.as_ref(), teacher.as_ref())?.into_iter();
             let evaluators = evaluators.map(DistillationEvaluator::new);
-            run.fit(&module, &mut *loader, &mut boxed(evaluators))?
+            run.fit(&module, DataModule { train, evaluators: boxed(evaluators) })?
         }
         Task::Autoencoder => {
             let module = compression::module(config, params)?;
-            let mut evaluators = compression::evaluators(config, text.as_ref())?;
-            run.fit(&module, &mut *loader, &mut evaluators)?
+            let evaluators = compression::evaluators(config, text.as_ref())?;
+            run.fit(&module, DataModule { train, evaluators })?
         }
         Task::SelfSupervised => {
             let module = self_supervision::module(config, params)?;
-            run.fit(&module, &mut *loader, &mut [])?
+            run.fit(&module, DataModule { train, evaluators: Vec::new() })?
         }
         Task::SemanticSegmentation => {
             let network = network()?;
             let module = TaskModule::new(params, network, objective, SemanticSegmentation);
-            run.fit(&module, &mut *loader, &mut segmentation(config, text.as_ref())?)?
+            let evaluators = segmentation(config, text.as_ref())?;
+            run.fit(&module, DataModule { train, evaluators })?
         }
     };
     let curves = options.out.join("curves.png");
@@ -297,8 +298,7 @@ impl Run<'_> {
     fn fit<M: TrainingModule<Batch = TrainBatch>>(
         &self,
         module: &M,
-        loader: &mut dyn BatchLoader<TrainBatch>,
-        evaluators: &mut [Box<dyn Evaluator<M>>],
+        mut data: DataModule<'_, M>,
     ) -> Result<(Progress, Exported)> {
         let mut settings: TrainerConfig = self.config.trainer.clone();
         settings.checkpoint.dir = Some(self.checkpoints.to_owned());
@@ -332,7 +332,7 @@ impl Run<'_> {
             None => Progress::default(),
         };
         if !leads {
-            let progress = trainer.fit(module, loader, evaluators, start)?;
+            let progress = trainer.fit(module, &mut data, start)?;
             return Ok((progress, (out.join("model"), Vec::new())));
         }
         // Not before: a run that is refused leaves the record of the first one.
@@ -340,7 +340,7 @@ impl Run<'_> {
         write(&out.join("config.toml"), &toml::to_string_pretty(self.config)?)?;
         record.write()?;
         let mut trainer = trainer.with_callback(record);
-        let progress = trainer.fit(module, loader, evaluators, start)?;
+        let progress = trainer.fit(module, &mut data, start)?;
         let model = out.join("model");
         let network = self.config.network()?;
         let mut remarks = match self_supervision::exported(self.config) {

@@ -14,8 +14,8 @@ use scenesplat_models::{
 };
 use scenesplat_trainers::tasks::{SemanticSegmentation, TaskModule, point_cloud};
 use scenesplat_trainers::{
-    AdamW, AdamWConfig, HasBackbone, HealthConfig, OneCycle, Progress, Trainer, TrainerConfig,
-    TrainingModule, group_by_keyword,
+    AdamW, AdamWConfig, DataModule, HasBackbone, HealthConfig, OneCycle, Progress, Trainer,
+    TrainerConfig, TrainingModule, group_by_keyword,
 };
 use std::path::Path;
 
@@ -143,7 +143,7 @@ pub(super) fn train(
         return Err(ProbeError::NoLabels);
     }
     let order = (0..settings.steps as usize).map(|step| step % batches.len()).collect();
-    let mut loader = Scenes { batches, order };
+    let loader = Scenes { batches, order };
     let objective = Objective::new().with(1.0, CrossEntropy::default());
     let module = TaskModule::new(params, network, objective, SemanticSegmentation);
     let frozen = vec!["embedding.".to_owned(), "enc.enc".to_owned()];
@@ -166,7 +166,7 @@ pub(super) fn train(
     let mut trainer =
         Trainer::new(trainer_config, Box::new(optimizer), Box::new(OneCycle::default()))?
             .with_callback(last.clone());
-    trainer.fit(&module, &mut loader, &mut [], Progress::default())?;
+    trainer.fit(&module, &mut DataModule::new(loader), Progress::default())?;
     let width = FINEST;
     let loss = *last.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
     Ok(DecoderProbe { module, width, loss })
