@@ -1,5 +1,6 @@
 //! Experiments that together have every kind of table, and the scenes that they read.
 
+use crate::runs;
 use candle_core::{Device, Tensor};
 use scenesplat::NetworkConfig;
 use scenesplat::experiment::ExperimentConfig;
@@ -8,6 +9,7 @@ use scenesplat::rooms::{CLASSES, SyntheticRoomSettings, generate};
 use scenesplat::scene::formats::npy_folder::write_npy_folder;
 use scenesplat::scene::formats::npy_writer::write_npy;
 use scenesplat::scene::{GaussianScene, LabelledPoints, LanguageFeatures};
+use scenesplat_test_support::Network;
 use serde_json::Value;
 use std::path::Path;
 
@@ -17,18 +19,7 @@ task = "language_pretraining"
 targets = "class_text"
 model_seed = 3
 text = { type = "vocabulary", dim = 64, exclude = ["wall"] }
-[model]
-grid_size = 0.3
-stride = [2]
-enc_depths = [1, 1]
-enc_channels = [8, 16]
-enc_num_head = [1, 2]
-enc_patch_size = [16, 16]
-dec_depths = [1]
-dec_channels = [16]
-dec_num_head = [2]
-dec_patch_size = [16]
-drop_path = 0.3
+MODEL
 projection = 64
 [[train]]
 source = { type = "synthetic", count = 4, seed = 1, room = { num_gaussians = 500 } }
@@ -190,19 +181,6 @@ log_every = 1
 name = "unseen"
 source = { type = "synthetic", count = 1, seed = 9, room = { num_gaussians = 500 } }
 "#;
-
-const MODEL: &str = r#"[model]
-grid_size = 0.3
-stride = [2]
-enc_depths = [1, 1]
-enc_channels = [8, 16]
-enc_num_head = [1, 2]
-enc_patch_size = [16, 16]
-dec_depths = [1]
-dec_channels = [16]
-dec_num_head = [2]
-dec_patch_size = [16]
-drop_path = 0.1"#;
 
 const MODEL_V1: &str = r#"[model]
 architecture = "point_transformer_v1"
@@ -413,9 +391,17 @@ pub const ALL: [(&str, &str); 12] = [
     ("codes", CODES),
 ];
 
-/// The text of a base.
-pub fn text(name: &str) -> &'static str {
-    ALL.iter().find(|(base, _)| *base == name).unwrap().1
+/// A base as its file says it.
+pub fn text(name: &str) -> String {
+    let (_, text) = ALL.iter().find(|(base, _)| *base == name).unwrap();
+    let network = Network { patch: 16, head: "drop_path = 0.3", ..Network::default() };
+    let model = match name {
+        "v1" => MODEL_V1.to_owned(),
+        "v2" => MODEL_V2.to_owned(),
+        "litept" => MODEL_LITE.to_owned(),
+        _ => format!("[model]\n{network}"),
+    };
+    text.replace("MODEL", &model)
 }
 
 /// Names of models that most rooms have a use for.
@@ -506,6 +492,11 @@ impl Data {
     fn named(&self, text: &str) -> String {
         text.replace("DATA", self.path().to_str().unwrap())
     }
+
+    /// The experiment that a text says, with its paths in this folder.
+    pub fn experiment(&self, text: &str) -> Result<ExperimentConfig, String> {
+        runs::read(self.path(), &self.named(text))
+    }
 }
 
 fn write_texts(values: &[f32], path: &Path) {
@@ -514,7 +505,7 @@ fn write_texts(values: &[f32], path: &Path) {
     candle_core::safetensors::save(&tensors, path).unwrap();
 }
 
-/// A catalogue of boxes in many colours, ten of each of some usual names.
+/// A catalog of boxes in many colors, ten of each of some usual names.
 fn write_furniture(folder: &Path) {
     let models = folder.join("m");
     std::fs::create_dir_all(&models).unwrap();
@@ -567,15 +558,6 @@ fn other_labels(seed: u64) -> GaussianScene {
 }
 
 /// A base as the program reads it, all settings in place.
-pub fn read(data: &Data, name: &str, text: &str) -> Value {
-    let model = match name {
-        "v1" => MODEL_V1,
-        "v2" => MODEL_V2,
-        "litept" => MODEL_LITE,
-        _ => MODEL,
-    };
-    // Bases are read by several threads at once.
-    let path = data.path().join(format!("experiment-{name}.toml"));
-    std::fs::write(&path, data.named(&text.replace("MODEL", model))).unwrap();
-    serde_json::to_value(ExperimentConfig::read(&path).unwrap()).unwrap()
+pub fn read(data: &Data, name: &str) -> Value {
+    serde_json::to_value(data.experiment(&text(name)).unwrap()).unwrap()
 }

@@ -1,7 +1,4 @@
-//! Pages that `view` writes: what is in the file. `.ci/page` opens the same files in a browser.
-
-#![recursion_limit = "256"]
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
+//! Pages that `view` writes: the contents of the file. `.ci/page` opens the same files in a browser.
 
 use scenesplat::experiment::curves::write_curves_page;
 use scenesplat::objects::relations::{Relation, distance};
