@@ -29,7 +29,7 @@ pub use png::{write_png, write_png16};
 pub use rendered::{depth_steps, picture_of, rendered_picture, solid_depth};
 pub use rows::{PreviewRows, SceneRows, SplatShapes};
 
-pub(crate) use legend::{fill, thousands};
+pub(crate) use legend::{blend, fill, thousands};
 
 use discs::{Canvas, Disc};
 use framing::{Framing, Upright};

@@ -81,7 +81,7 @@ pub(super) fn opacity(scene: &GaussianScene) -> Distribution {
         (0..scene.len()).into_par_iter().map(|row| scene.opacity(row)).collect();
     let histogram = Histogram::count("opacity", &values, [0, 1000], OPACITY_BINS);
     sort(&mut values);
-    Distribution { quantiles: Quantiles::of_sorted(&values), histogram }
+    Distribution { quantiles: Quantiles::of_sorted(&values, |v| v), histogram }
 }
 
 /// Largest and smallest standard deviation, and their ratio.
@@ -105,7 +105,7 @@ pub(super) fn scales(scene: &GaussianScene) -> (Distribution, Distribution, Dist
         let histogram = Histogram::count(of, values, range, bins);
         sort(values);
         // From logarithms of base 10; f64 holds them all.
-        let quantiles = Quantiles::of_sorted(values).map(Quantiles::power_of_ten);
+        let quantiles = Quantiles::of_sorted(values, |v| 10f64.powf(v));
         Distribution { quantiles, histogram }
     };
     (

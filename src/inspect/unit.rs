@@ -29,22 +29,12 @@ impl LengthUnit {
 
     /// Its length, metres.
     pub fn metres(self) -> f64 {
-        match self {
-            Self::Metre => 1.0,
-            Self::Centimetre => 0.01,
-            Self::Millimetre => 0.001,
-            Self::Kilometre => 1000.0,
-        }
+        [1.0, 0.01, 0.001, 1000.0][self as usize]
     }
 
     /// Its symbol.
     pub fn symbol(self) -> &'static str {
-        match self {
-            Self::Metre => "m",
-            Self::Centimetre => "cm",
-            Self::Millimetre => "mm",
-            Self::Kilometre => "km",
-        }
+        ["m", "cm", "mm", "km"][self as usize]
     }
 }
 

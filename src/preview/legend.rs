@@ -89,6 +89,16 @@ pub(crate) fn fill(
     }
 }
 
+/// Mixes a share of a color into a pixel, if it is inside.
+pub(crate) fn blend(picture: &mut RgbPicture, [x, y]: [u32; 2], color: [u8; 3], share: f64) {
+    if let Some(below) = picture.get(x, y) {
+        let mix = |i: usize| {
+            (f64::from(below[i]) * (1.0 - share) + f64::from(color[i]) * share).round() as u8
+        };
+        picture.set(x, y, [mix(0), mix(1), mix(2)]);
+    }
+}
+
 /// A whole number with a space between thousands.
 pub(crate) fn thousands(value: u64) -> String {
     let digits = value.to_string();

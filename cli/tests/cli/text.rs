@@ -1,8 +1,5 @@
 //! Any phrase: what the table, an encoder and the program make of it.
 
-#[path = "../../../crates/text/tests/small/mod.rs"]
-mod small;
-
 use crate::{asset, done, scenesplat, stderr, tiny};
 use scenesplat::embedded;
 use scenesplat::phrases::{AskError, Bridge, PhraseReader, PhraseTable, TextEncoder, Verdict};
@@ -10,7 +7,7 @@ use scenesplat::query::Query;
 use scenesplat::rooms::Vocabulary;
 use scenesplat::scene::TextTable;
 use scenesplat::text::read_text_table;
-use small::SmallEncoder;
+use scenesplat_test_support::SmallEncoder;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 

@@ -10,7 +10,9 @@
 mod experiment;
 mod golden;
 mod shared;
+mod small_encoder;
 
 pub use experiment::{Network, SMALL_SEGMENTATION};
 pub use golden::Golden;
 pub use shared::shared;
+pub use small_encoder::SmallEncoder;

@@ -1,8 +1,8 @@
 //! The encoder: a small one made here against a slow reference, and the published one where its weights are.
 
-use crate::small::SmallEncoder;
 use rand::Rng;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+use scenesplat_test_support::SmallEncoder;
 use scenesplat_text::{PhraseTable, TextEncoder};
 use std::path::{Path, PathBuf};
 

@@ -2,4 +2,3 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
 mod encoder;
-mod small;

@@ -1,9 +1,7 @@
 //! Phrases for networks with a text table of another model.
 
-use super::dot;
-use crate::query::Query;
+use crate::{Bridge, PhraseError, Query, TextEncoder, dot};
 use scenesplat_scene::TextTable;
-use scenesplat_text::{Bridge, PhraseError, TextEncoder};
 
 /// Known names that are told.
 const TOLD: usize = 5;

@@ -21,6 +21,7 @@ pub struct SmallEncoder {
 }
 
 impl SmallEncoder {
+    /// With weights of a fixed seed.
     pub fn new(heads: usize) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(7);
         let mut weights = BTreeMap::new();
