@@ -1,8 +1,8 @@
 //! A network configuration with its weights.
 
 mod choice;
-mod config;
-mod error;
+pub(crate) mod config;
+pub(crate) mod error;
 
 pub use choice::{NetworkChoice, config_beside, network_of};
 pub use config::{NetworkConfig, documented_input};

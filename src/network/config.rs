@@ -1,6 +1,6 @@
 //! Everything that a network is, as a file says it.
 
-use super::NetworkError;
+use super::error::NetworkError;
 use candle_core::Result;
 use scenesplat_datasets::{InputChannel, InputFeatures};
 use scenesplat_models::weights::Shapes;

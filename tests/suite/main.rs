@@ -3,6 +3,8 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
 mod distillation;
+mod measured;
+mod models;
 mod page;
 mod runs;
 mod settings;

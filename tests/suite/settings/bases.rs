@@ -19,6 +19,15 @@ task = "language_pretraining"
 targets = "class_text"
 model_seed = 3
 text = { type = "vocabulary", dim = 64, exclude = ["wall"] }
+loader = { workers = 0, mix_probability = 0.5 }
+losses = [
+    { type = "cosine", weight = 0.5 },
+    { type = "l2", weight = 0.1 },
+    { type = "aggregated_contrastive", weight = 0.5, min_points = 4 },
+    { type = "text_classification" },
+]
+schedule = { type = "one_cycle", warmup = 0.7 }
+early_stopping = { measurement = "unseen/mIoU", patience = 9 }
 MODEL
 projection = 64
 [[train]]
@@ -27,41 +36,16 @@ transforms = "language_pretraining"
 [[train]]
 source = { type = "generic", root = "DATA/halls" }
 transforms = [{ type = "center_shift" }, { type = "grid_sample", grid_size = 0.3 }]
-[loader]
-workers = 0
-mix_probability = 0.5
-[[losses]]
-type = "cosine"
-weight = 0.5
-[[losses]]
-type = "l2"
-weight = 0.1
-[[losses]]
-type = "aggregated_contrastive"
-weight = 0.5
-min_points = 4
-[[losses]]
-type = "text_classification"
 [optimizer]
 lr = 0.01
 groups = [{ keyword = "block", lr = 0.001 }]
-[optimizer.weight_decay_schedule]
-warmup = 0.5
-warmup_from = 0.04
-from = 0.1
-to = 0.4
-[schedule]
-type = "one_cycle"
-warmup = 0.7
+weight_decay_schedule = { warmup = 0.5, warmup_from = 0.04, from = 0.1, to = 0.4 }
 [trainer]
 log_every = 1
 max_left_out = 1.0
 [[evaluate]]
 name = "unseen"
 source = { type = "synthetic", count = 1, seed = 9, room = { num_gaussians = 500 } }
-[early_stopping]
-measurement = "unseen/mIoU"
-patience = 9
 "#;
 
 /// Class texts in a file; targets in the scenes.
@@ -69,20 +53,15 @@ const TABLE: &str = r#"
 task = "language_pretraining"
 targets = "class_text"
 text = { type = "table", path = "DATA/texts.safetensors", names = "DATA/names.txt" }
+loader = { workers = 0 }
+losses = [{ type = "cosine" }]
+optimizer = { lr = 0.02, groups = [] }
+trainer = { epochs = 12 }
 MODEL
 projection = 64
 [[train]]
 source = { type = "synthetic", count = 2, seed = 1, vocabulary = 64, room = { num_gaussians = 500 } }
 transforms = "validation"
-[loader]
-workers = 0
-[[losses]]
-type = "cosine"
-[optimizer]
-lr = 0.02
-groups = []
-[trainer]
-epochs = 12
 [[evaluate]]
 name = "unseen"
 source = { type = "synthetic", count = 1, seed = 9, vocabulary = 64, room = { num_gaussians = 500 } }
@@ -102,17 +81,14 @@ const CLASSES_OF_ROOMS: &str = r#"
 task = "language_pretraining"
 targets = "class_text"
 text = { type = "synthetic_classes", path = "DATA/texts.safetensors", names = "DATA/scannet.txt" }
+loader = { workers = 0 }
+losses = [{ type = "cosine" }]
+optimizer = { groups = [] }
 MODEL
 projection = 64
 [[train]]
 source = { type = "synthetic", count = 2, seed = 1, room = { num_gaussians = 500 } }
 transforms = "validation"
-[loader]
-workers = 0
-[[losses]]
-type = "cosine"
-[optimizer]
-groups = []
 [[evaluate]]
 name = "unseen"
 source = { type = "synthetic", count = 1, seed = 9, room = { num_gaussians = 500 } }
@@ -121,28 +97,19 @@ source = { type = "synthetic", count = 1, seed = 9, room = { num_gaussians = 500
 /// Folders of scenes, as a benchmark and as one's own, with features of their own.
 const FOLDERS: &str = r#"
 task = "language_pretraining"
+text = { type = "vocabulary", dim = 64 }
+loader = { workers = 0, batch_size = 1, shuffle = false, mix_probability = 0.0 }
+losses = [{ type = "cosine" }]
+optimizer = { groups = [] }
+trainer = { max_left_out = 1.0 }
 MODEL
 projection = 64
-[text]
-type = "vocabulary"
-dim = 64
 [[train]]
 source = { type = "replica", root = "DATA/replica", class_names = "DATA/names.txt" }
 transforms = "validation"
 [[train]]
 source = { type = "generic", root = "DATA/halls" }
 transforms = "validation"
-[loader]
-workers = 0
-batch_size = 1
-shuffle = false
-mix_probability = 0.0
-[[losses]]
-type = "cosine"
-[optimizer]
-groups = []
-[trainer]
-max_left_out = 1.0
 [[evaluate]]
 name = "replica"
 source = { type = "replica", root = "DATA/replica", split = "validation", class_names = "DATA/names.txt" }
@@ -154,29 +121,16 @@ source = { type = "generic", root = "DATA/halls" }
 /// The other task.
 const SEGMENTATION: &str = r#"
 task = "semantic_segmentation"
+loader = { workers = 0 }
+losses = [{ type = "cross_entropy" }, { type = "lovasz_softmax" }]
+optimizer = { lr = 0.01, groups = [] }
+schedule = { type = "cosine", warmup = 0.5, warmup_from = 0.1, from = 1.0, to = 0.1 }
+trainer = { epochs = 2, log_every = 1 }
 MODEL
 num_classes = 41
 [[train]]
 source = { type = "synthetic", count = 4, seed = 1, room = { num_gaussians = 500 } }
 transforms = "semantic_segmentation"
-[loader]
-workers = 0
-[[losses]]
-type = "cross_entropy"
-[[losses]]
-type = "lovasz_softmax"
-[optimizer]
-lr = 0.01
-groups = []
-[schedule]
-type = "cosine"
-warmup = 0.5
-warmup_from = 0.1
-from = 1.0
-to = 0.1
-[trainer]
-epochs = 2
-log_every = 1
 [[evaluate]]
 name = "unseen"
 source = { type = "synthetic", count = 1, seed = 9, room = { num_gaussians = 500 } }
@@ -229,68 +183,55 @@ num_classes = 41"#;
 /// A short run of a network of points.
 const POINTS: &str = r#"
 task = "semantic_segmentation"
+loader = { workers = 0, mix_probability = 0.0 }
+losses = [{ type = "cross_entropy" }]
+optimizer = { groups = [] }
 MODEL
 [[train]]
 source = { type = "synthetic", count = 2, seed = 1, room = { num_gaussians = 400 } }
 transforms = "validation"
-[loader]
-workers = 0
-mix_probability = 0.0
-[[losses]]
-type = "cross_entropy"
-[optimizer]
-groups = []
 "#;
 
 /// A student of a network.
 const STUDENT: &str = r#"
 task = "distillation"
+text = { type = "vocabulary", dim = 64 }
+loader = { workers = 0 }
+losses = [{ type = "smooth_l1", beta = 0.1 }, { type = "text_distillation", temperature = 0.2 }]
+optimizer = { groups = [] }
+MODEL
+projection = 64
 [teacher]
 type = "network"
 weights = "seeded:3"
 config = "tiny"
 view = "scene"
 cache = { folder = "DATA/rows", max_gb = 1e-9 }
-MODEL
-projection = 64
-[text]
-type = "vocabulary"
-dim = 64
 [[train]]
 source = { type = "synthetic", count = 2, seed = 1, room = { num_gaussians = 500 } }
 transforms = "language_pretraining"
-[loader]
-workers = 0
-[[losses]]
-type = "smooth_l1"
-beta = 0.1
-[[losses]]
-type = "text_distillation"
-temperature = 0.2
-[optimizer]
-groups = []
 "#;
 
 /// A student of stored features.
 const STORED: &str = r#"
 task = "distillation"
 teacher = { type = "features", folder = "DATA/features" }
+loader = { workers = 0 }
+losses = [{ type = "cosine" }]
+optimizer = { groups = [] }
 MODEL
 projection = 64
 [[train]]
 source = { type = "generic", root = "DATA/halls" }
 transforms = "validation"
-[loader]
-workers = 0
-[[losses]]
-type = "cosine"
-[optimizer]
-groups = []
 "#;
 
 /// Views of scenes, with every term.
 const VIEWS: &str = r#"
 task = "self_supervised"
+loader = { workers = 0, mix_probability = 0.0 }
+optimizer = { lr = 0.01, groups = [] }
+trainer = { epochs = 3, log_every = 1 }
 MODEL
 mask_token = true
 [[train]]
@@ -304,72 +245,38 @@ transforms = [{ type = "center_shift" }, { type = "views", groups = [
         [{ type = "random_rotate", probability = 1.0 }, { type = "grid_sample", grid_size = 0.3 }],
     ] },
 ] }]
-[loader]
-workers = 0
-mix_probability = 0.0
 [self_supervised]
 masking = { shape = { patches = 0.6 }, ratio = [0.2, 0.5], scenes = 1.0, weight = "per_patch" }
 momentum = { warmup = 0.4, warmup_from = 0.6, from = 0.9, to = 1.0 }
 mask_size = { warmup = 0.4, warmup_from = 0.4, from = 0.6, to = 0.8 }
 mask_ratio = { warmup = 0.4, warmup_from = 0.3, from = 0.5, to = 0.6 }
-[[self_supervised.terms]]
-type = "masked_gaussians"
-distance = "fitted"
-[[self_supervised.terms]]
-type = "sim_dino"
-hidden = 8
-out = 6
-[[self_supervised.terms]]
-type = "dino"
-prototypes = { count = 6, hidden = 8, out = 4, student_temperature = 0.2, teacher_temperature = { warmup = 0.4, warmup_from = 0.1, from = 0.2, to = 0.3 }, balance = { centering = 0.9 } }
-[[self_supervised.terms]]
-type = "ibot"
-hidden = 8
-out = 6
-[[self_supervised.terms]]
-type = "ibot_cross_entropy"
-prototypes = { count = 6, hidden = 8, out = 4, student_temperature = 0.2, teacher_temperature = { warmup = 0.4, warmup_from = 0.1, from = 0.2, to = 0.3 }, balance = { centering = 0.9 } }
-[[self_supervised.terms]]
-type = "self_distillation"
-up_cast = 1
-max_distance = 0.5
-prototypes = { count = 6, hidden = 8, out = 4, student_temperature = 0.2, teacher_temperature = { warmup = 0.4, warmup_from = 0.1, from = 0.2, to = 0.3 }, balance = { sinkhorn_knopp = 3 } }
-[[self_supervised.terms]]
-type = "language_alignment"
-hidden = 8
-out = 64
-masked_only = true
-[[self_supervised.terms]]
-type = "sim_dino_rows"
-hidden = 8
-out = 6
-up_cast = 1
-max_distance = 0.5
-[optimizer]
-lr = 0.01
-groups = []
-[trainer]
-epochs = 3
-log_every = 1
+terms = [
+    { type = "masked_gaussians", distance = "fitted" },
+    { type = "sim_dino", hidden = 8, out = 6 },
+    { type = "dino", PROTOTYPES balance = { centering = 0.9 } } },
+    { type = "ibot", hidden = 8, out = 6 },
+    { type = "ibot_cross_entropy", PROTOTYPES balance = { centering = 0.9 } } },
+    { type = "self_distillation", up_cast = 1, max_distance = 0.5, PROTOTYPES balance = { sinkhorn_knopp = 3 } } },
+    { type = "language_alignment", hidden = 8, out = 64, masked_only = true },
+    { type = "sim_dino_rows", hidden = 8, out = 6, up_cast = 1, max_distance = 0.5 },
+]
 "#;
+
+/// Of a head with prototypes, but for how they are balanced.
+const PROTOTYPES: &str = "prototypes = { count = 6, hidden = 8, out = 4, student_temperature = 0.2, \
+    teacher_temperature = { warmup = 0.4, warmup_from = 0.1, from = 0.2, to = 0.3 },";
 
 /// An autoencoder of language features.
 const CODES: &str = r#"
 task = "autoencoder"
 text = { type = "vocabulary", dim = 64 }
-[model]
-grid_size = 0.3
-[autoencoder]
-widths = [64, 16, 8]
+model = { grid_size = 0.3 }
+autoencoder = { widths = [64, 16, 8] }
+loader = { workers = 0, mix_probability = 0.0 }
+optimizer = { lr = 0.01, groups = [] }
 [[train]]
 source = { type = "synthetic", count = 4, seed = 1, vocabulary = 64, room = { num_gaussians = 500 } }
 transforms = "validation"
-[loader]
-workers = 0
-mix_probability = 0.0
-[optimizer]
-lr = 0.01
-groups = []
 [[evaluate]]
 name = "unseen"
 source = { type = "synthetic", count = 1, seed = 9, vocabulary = 64, room = { num_gaussians = 500 } }
@@ -401,7 +308,7 @@ pub fn text(name: &str) -> String {
         "litept" => MODEL_LITE.to_owned(),
         _ => format!("[model]\n{network}"),
     };
-    text.replace("MODEL", &model)
+    text.replace("MODEL", &model).replace("PROTOTYPES", PROTOTYPES)
 }
 
 /// Names of models that most rooms have a use for.
