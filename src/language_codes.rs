@@ -53,7 +53,7 @@ pub enum CodeError {
     /// Nothing to learn the axes from.
     #[error("no row has a language feature that is finite and not 0")]
     NoFeatures,
-    /// The caller said so.
+    /// The caller cancelled.
     #[error("stopped; nothing was written")]
     Stopped,
 }
@@ -62,8 +62,8 @@ pub enum CodeError {
 ///
 /// A principal component analysis of a seeded sample; sums in a fixed order, so the result is the
 /// same for any number of threads. `valid` marks the rows that have a feature, `None` = those that
-/// are not 0; one with a value that is not finite counts as having none. `progress` gets the part
-/// done and gives `false` to stop.
+/// are not 0; one with a value that is not finite counts as having none. `progress` gets the fraction
+/// done; returning `false` cancels.
 ///
 /// # Errors
 /// If `k` is 0, above 256 or wider than the features, those are wider than 4096, no row has a feature, or `progress` stops it.

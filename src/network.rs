@@ -235,8 +235,8 @@ impl Network {
         self.output == NetworkOutput::Logits
     }
 
-    /// Bytes of the packed weights; 0 for a network [from a backbone](Self::from_backbone), which
-    /// does not tell.
+    /// Bytes of the packed weights; 0 for a network [from a backbone](Self::from_backbone), for
+    /// which it is not known.
     pub fn weight_bytes(&self) -> usize {
         self.report.parameters * size_of::<f32>()
     }

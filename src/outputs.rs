@@ -1,4 +1,4 @@
-//! What the commands write: features, labels, coloured scenes, previews.
+//! What the commands write: features, labels, colored scenes, previews.
 
 use crate::inference::{EncodeError, SceneFeatures};
 use crate::preview::{
@@ -33,7 +33,7 @@ pub enum OutputError {
     /// Features that went to a file could not be read.
     #[error(transparent)]
     Features(#[from] EncodeError),
-    /// A file that could not be written or looked at.
+    /// A file that could not be written or measured.
     #[error("{}", path.display())]
     Io {
         /// Which file.
@@ -194,7 +194,7 @@ fn file_size(path: &Path) -> Result<u64> {
     Ok(std::fs::metadata(path).map_err(io)?.len())
 }
 
-/// Columns to add to a coloured scene, one value per Gaussian.
+/// Columns to add to a colored scene, one value per Gaussian.
 #[derive(Debug, Default)]
 pub struct ResultColumns<'a> {
     /// Class, −1 = none.
@@ -203,9 +203,9 @@ pub struct ResultColumns<'a> {
     pub score: Option<&'a [f32]>,
 }
 
-/// Writes the scene with new colours and result columns.
+/// Writes the scene with new colors and result columns.
 ///
-/// A PLY source keeps every element, property and value; only the colours `f_dc_*` are replaced and
+/// A PLY source keeps every element, property and value; only the colors `f_dc_*` are replaced and
 /// the view-dependent `f_rest_*` set to 0, and their old values move to `source_f_dc_*` and
 /// `source_f_rest_*`. Any other source becomes a standard splat PLY; where rows were left out, its
 /// column `source_row` names the rows of the source.
@@ -318,7 +318,7 @@ fn write_recolored(
     Ok(write_ply_with_columns(&source, &recolored, &append, path)?)
 }
 
-/// Colours of labels; grey where there is none.
+/// Colors of labels; grey where there is none.
 pub fn label_colors(labels: &[i32]) -> Vec<[u8; 3]> {
     labels.iter().map(|&l| usize::try_from(l).map_or(UNLABELLED_COLOR, class_color)).collect()
 }
@@ -347,7 +347,7 @@ pub fn legend(labels: &[i32], names: &[String]) -> Vec<LegendEntry> {
     out
 }
 
-/// Draws a scene in the given colours.
+/// Draws a scene in the given colors.
 ///
 /// # Errors
 /// If the picture cannot be drawn or written.

@@ -1,6 +1,6 @@
 //! A PNG that shows a scene at a glance: a perspective view, a view from above, and a legend.
 //!
-//! Scenes are drawn by the renderer, shaded by depth so that things of one colour stand apart; points
+//! Scenes are drawn by the renderer, shaded by depth so that things of one color stand apart; points
 //! without shapes, and the sheets of `inspect`, as discs with a depth buffer. Neither is for judging
 //! image quality: `scenesplat render` is.
 

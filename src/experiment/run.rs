@@ -79,7 +79,7 @@ pub struct RunReport {
 /// | `metrics.jsonl` | everything that was measured, one value a line |
 /// | `tensorboard/` | the same for TensorBoard |
 /// | `checkpoints/` | the last ones and the best one |
-/// | `curves.png`, `curves.html` | the same as a picture, and as a page that tells values |
+/// | `curves.png`, `curves.html` | the same as a picture, and as a page that shows values |
 /// | `model/` | the best network (the last, if none is marked), as `--weights` takes it |
 ///
 /// # Errors
@@ -169,7 +169,7 @@ fn draw_curves(out: &Path, curves: &Path) -> Result<()> {
     Ok(())
 }
 
-/// First values of the parameters, and what was said about them.
+/// First values of the parameters, with remarks.
 fn parameters(config: &ExperimentConfig, device: &Device) -> Result<(ParamStore, Vec<String>)> {
     let Some(path) = &config.init_from else {
         return Ok((ParamStore::trainable(config.model_seed).on(device), Vec::new()));
@@ -262,7 +262,7 @@ struct Run<'a> {
     collective: Rc<dyn Collective>,
 }
 
-/// The exported model, with what is to be said about it.
+/// The exported model, with remarks.
 type Exported = (PathBuf, Vec<String>);
 
 impl Run<'_> {

@@ -262,7 +262,7 @@ pub(super) fn check_duplicates(findings: &mut Findings<'_>, found: &Duplicates, 
         let severity = if is_many { Severity::Warning } else { Severity::Note };
         findings.add(severity, "duplicates", whole, format!(
                 "{} of the rows repeat an earlier one in position, scale, rotation, opacity and \
-                 colour",
+                 color",
                 percent(whole.count, rows)
             )).help(if is_many {
                 "remove the copies; a snapshot in the middle of training has them where Gaussians \

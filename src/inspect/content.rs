@@ -22,13 +22,13 @@ pub struct Distribution {
 pub struct ShBand {
     /// 1 for the first band beyond the DC term.
     pub band: u8,
-    /// Rows with a coefficient that could change a colour by half a byte.
+    /// Rows with a coefficient that could change a color by half a byte.
     pub rows: usize,
     /// Largest absolute coefficient.
     pub largest: f64,
 }
 
-/// Smallest coefficient that counts as used: half a step of a colour byte, as basis functions
+/// Smallest coefficient that counts as used: half a step of a color byte, as basis functions
 /// reach about 1.
 const SH_USED: f32 = 0.5 / 255.0;
 

@@ -4,7 +4,7 @@ use rayon::prelude::*;
 use scenesplat_scene::quantile::rank;
 use serde::Serialize;
 
-/// Rows that one task looks at.
+/// Rows of one task.
 const ROWS_PER_TASK: usize = 1 << 14;
 
 /// Values at fixed shares of the sorted rows. Nearest rank, so each is a value that occurs.
@@ -30,7 +30,7 @@ pub struct Quantiles {
     pub max: f64,
 }
 
-/// Counts in bins of equal width. Values that are no number are in none of them.
+/// Counts in bins of equal width. NaN values are not counted.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Histogram {
     /// What the values are, with their unit.

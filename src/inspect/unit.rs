@@ -57,7 +57,7 @@ const COARSE: f64 = 1.0;
 /// From here on a room is better explained by centimetres; terrain is as large, so it stays a remark.
 const ROOM_IN_CM: f64 = 150.0;
 
-/// Gaussians whose spacing is measured where the whole scene is not looked at.
+/// Gaussians whose spacing is measured where a sample is enough.
 const SAMPLE: usize = 50_000;
 
 /// Smaller than five voxels of 2 cm.

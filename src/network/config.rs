@@ -22,7 +22,7 @@ pub struct NetworkConfig {
     pub input: InputFeatures,
 }
 
-/// What networks of so many inputs read where their file does not say: colour, opacity, quat and
+/// What networks of so many inputs read where their file does not say: color, opacity, quat and
 /// scale (11), those and the height above the ground (12), or those and the normal (14). `None` for
 /// other numbers.
 pub fn documented_input(in_channels: usize) -> Option<InputFeatures> {

@@ -1,4 +1,4 @@
-//! What stands beside the views: the classes with their colours, and a bar of a known length.
+//! What stands beside the views: the classes with their colors, and a bar of a known length.
 
 use super::discs::Lens;
 use super::{FAINT_INK, INK, MARGIN, text};
@@ -9,7 +9,7 @@ use scenesplat_scene::picture::RgbPicture;
 pub struct LegendEntry {
     /// Its name.
     pub name: String,
-    /// Its colour in the picture.
+    /// Its color in the picture.
     pub color: [u8; 3],
     /// Number of its Gaussians; the legend is sorted by it.
     pub count: u64,

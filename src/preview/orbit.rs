@@ -1,4 +1,4 @@
-//! Cameras around a scene that has none of its own.
+//! Cameras around a scene without cameras.
 
 use super::framing::{Framing, Upright};
 use super::rows::{PreviewRows, visible_discs};

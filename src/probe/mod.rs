@@ -87,7 +87,7 @@ pub struct ProbeReport {
     pub raw_inputs: ProbeResult,
 }
 
-/// Probes the network of a model folder. `say` hears what is being done, and says whether to go on.
+/// Probes the network of a model folder. `say` gets each step in words; returning `false` cancels.
 ///
 /// # Errors
 /// If the folder is no model whose network gives its scales, or scenes cannot be read or hold no labels.

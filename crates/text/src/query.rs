@@ -28,7 +28,7 @@ impl Query {
         Self::of_vector(text, vector, Some(table)).map(Some)
     }
 
-    /// A vector of one's own; the rows of `rivals` but one of the same name are its rivals.
+    /// Any vector; the rows of `rivals` but one of the same name are its rivals.
     ///
     /// # Errors
     /// If the vector has no direction, or its width is not that of the rivals.

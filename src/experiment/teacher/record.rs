@@ -1,4 +1,4 @@
-//! What a teacher did, for the record of the run.
+//! Counts of a teacher, for the record of the run.
 
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
