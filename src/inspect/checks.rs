@@ -243,7 +243,7 @@ pub(super) fn check_isolated(
     let count = near.isolated.count;
     let is_many = count as f64 > ISOLATED_SHARE * scene.len() as f64;
     let severity = if is_many { Severity::Warning } else { Severity::Note };
-    findings.add(severity, "floaters", Counted { count: count, first: near.isolated.first }, format!(
+    findings.add(severity, "floaters", Counted { count, first: near.isolated.first }, format!(
                 "{} of the Gaussians are isolated: the 4th neighbour is up to {} m away, usually {} m",
                 percent(count, scene.len()),
                 short(metres),
