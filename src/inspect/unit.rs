@@ -1,6 +1,6 @@
 //! What one unit of the coordinates is.
 
-use super::neighbourhood::NEIGHBOUR;
+use super::neighbourhood::{NEIGHBOUR, to_fourth};
 use scenesplat_kernels::neighbors::KdTree;
 use scenesplat_scene::Bounds;
 use scenesplat_scene::quantile::quantile;
@@ -86,13 +86,7 @@ pub(crate) fn usual_spacing(coord: &[[f32; 3]]) -> Option<f64> {
     let tree = KdTree::new(coord).ok().filter(|_| coord.len() > NEIGHBOUR)?;
     let step = coord.len().div_ceil(SAMPLE);
     let query: Vec<[f32; 3]> = coord.iter().step_by(step).copied().collect();
-    let mut distance: Vec<f32> = tree.map_nearest(
-        &query,
-        NEIGHBOUR + 1,
-        || (),
-        |(), _, near| near.last().map_or(0.0, |n| n.distance_squared.sqrt() as f32),
-    );
-    quantile(&mut distance, 0.5).map(f64::from)
+    quantile(&mut to_fourth(&tree, &query), 0.5).map(f64::from)
 }
 
 /// Judges by the largest side of the robust box and the usual distance of neighbours, metres if the

@@ -6,7 +6,7 @@ use scenesplat_datasets::{InputChannel, InputFeatures};
 use scenesplat_models::weights::Shapes;
 use scenesplat_models::{Compute, ModelConfig, UniqueKeys};
 use serde::de::Error;
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde::{Deserialize, Deserializer, Serialize};
 use std::path::Path;
 
 /// What a network reads of a Gaussian, and what it makes of that: `config.json` of a model folder.
@@ -14,9 +14,10 @@ use std::path::Path;
 /// The file has the fields of [`ModelConfig`], and `input` with those of [`InputFeatures`]. Without
 /// `input`, as in folders of the original, networks with 11, 12 or 14 inputs get
 /// [`documented_input`]; others are refused.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct NetworkConfig {
     /// Backbone, head and voxel size.
+    #[serde(flatten)]
     pub model: ModelConfig,
     /// Input channels in their order, with all their settings.
     pub input: InputFeatures,
@@ -121,18 +122,6 @@ impl NetworkConfig {
             );
         }
         Ok(())
-    }
-}
-
-impl Serialize for NetworkConfig {
-    fn serialize<S: Serializer>(&self, serializer: S) -> std::result::Result<S::Ok, S::Error> {
-        #[derive(Serialize)]
-        struct Table<'a> {
-            #[serde(flatten)]
-            model: &'a ModelConfig,
-            input: &'a InputFeatures,
-        }
-        Table { model: &self.model, input: &self.input }.serialize(serializer)
     }
 }
 
