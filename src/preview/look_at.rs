@@ -58,7 +58,7 @@ pub(super) fn pinhole(
         cx: f64::from(width) / 2.0,
         cy: f64::from(height) / 2.0,
         distortion: Distortion::None,
-        rotation: rotation.map(DVec3::to_array),
+        rotation: rotation.map(Into::into),
         translation: rotation.map(|axis| -axis.dot(eye)),
     }
 }
