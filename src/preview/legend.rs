@@ -62,11 +62,8 @@ pub(super) fn draw_legend(picture: &mut RgbPicture, left: u32, top: u32, legend:
         let count = thousands(entry.count);
         let count_left = right - text::width(&count, 1);
         text::draw(picture, count_left, y + 4, 1, FAINT_INK, &count, LEGEND_WIDTH);
-        // Long names are set in small letters before they are cut.
         let space = count_left.saturating_sub(left + 32);
-        let size = if text::width(&entry.name, 2) <= space { 2 } else { 1 };
-        let drop = if size == 2 { 0 } else { 4 };
-        text::draw(picture, left + 24, y + drop, size, INK, &entry.name, space);
+        text::draw(picture, left + 24, y + 4, 1, INK, &entry.name, space);
         y += 22;
     }
     if sorted.len() > lines {
