@@ -1,7 +1,8 @@
-//! What a run comes to.
+//! The result of a run.
 
-use crate::bases::Data;
-use scenesplat::experiment::{ExperimentConfig, RunOptions, train};
+use super::bases::Data;
+use crate::runs::{run, with_causes};
+use scenesplat::experiment::ExperimentConfig;
 use serde_json::Value;
 use std::path::Path;
 
@@ -12,13 +13,13 @@ pub struct Outcome {
     pub error: Option<String>,
     /// The exported parameters.
     pub weights: Vec<u8>,
-    /// What evaluations found: step, name, bits.
+    /// Values from evaluations: step, name, bits.
     pub measured: Vec<(u64, String, u64)>,
     /// Everything else that was logged.
     pub logged: Vec<(u64, String, u64)>,
     /// Checkpoints, and which is the best.
     pub files: Vec<String>,
-    /// What the record says of data, alarms and the teacher.
+    /// The record of data, alarms and the teacher.
     pub record: String,
 }
 
@@ -26,36 +27,17 @@ fn text(path: &Path) -> String {
     std::fs::read_to_string(path).unwrap_or_default()
 }
 
-/// Runs an experiment.
-pub fn run(data: &Data, config: &Value, name: &str) -> Outcome {
+/// Runs an experiment, or resumes it.
+pub fn outcome(data: &Data, config: &Value, name: &str, resume: bool) -> Outcome {
     let out = data.path().join(name);
-    match try_run(config, &out) {
-        Ok(()) => read(&out),
+    let config = serde_json::from_value::<ExperimentConfig>(config.clone());
+    let done = config.map_err(|e| e.to_string()).and_then(|config| {
+        config.check().map_err(|e| with_causes(&e))?;
+        run(&config, &out, resume)
+    });
+    match done {
+        Ok(_) => read(&out),
         Err(error) => Outcome { error: Some(error), ..Outcome::default() },
-    }
-}
-
-fn try_run(config: &Value, out: &Path) -> Result<(), String> {
-    let config: ExperimentConfig =
-        serde_json::from_value(config.clone()).map_err(|e| e.to_string())?;
-    config.check().map_err(|e| with_causes(&e))?;
-    let (out, stop) = (out.to_owned(), Default::default());
-    let options = RunOptions {
-        out,
-        resume: false,
-        quiet: true,
-        stop,
-        device: candle_core::Device::Cpu,
-        commit: None,
-    };
-    train(&config, &options).map(|_| ()).map_err(|e| with_causes(&e))
-}
-
-/// An error with everything behind it.
-fn with_causes(error: &dyn std::error::Error) -> String {
-    match error.source() {
-        Some(source) => format!("{error}: {}", with_causes(source)),
-        None => error.to_string(),
     }
 }
 

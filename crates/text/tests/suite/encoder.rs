@@ -1,13 +1,9 @@
 //! The encoder: a small one made here against a slow reference, and the published one where its weights are.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
-
-mod small;
-
 use rand::Rng;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+use scenesplat_test_support::SmallEncoder;
 use scenesplat_text::{PhraseTable, TextEncoder};
-use small::SmallEncoder;
 use std::path::{Path, PathBuf};
 
 /// Sums of a few hundred products in f32 and f64.
@@ -144,31 +140,24 @@ fn foreign_and_damaged_files_are_refused_by_name() {
             &["git-lfs"],
         );
     }
-    let config = |from: &'static str, to: &'static str| {
-        move |f: &Path| {
+    for (from, to, parts) in [
+        ("\"gelu\"", "\"relu\"", &["config.json", "hidden_act", "relu"][..]),
+        ("\"bert\"", "\"roberta\"", &["model_type", "roberta"]),
+        ("attention_heads\":3", "attention_heads\":5", &["5", "multiple"]),
+        ("\"hidden_size\":12", "\"hidden_size\":24", &["word_embeddings", "12", "24"]),
+        ("hidden_layers\":2", "hidden_layers\":3", &["no tensor encoder.layer.2."]),
+        ("hidden_layers\":2", "hidden_layers\":1", &["has a tensor encoder.layer.1."]),
+        ("hidden_layers\":2", "hidden_layers\":0", &["num_hidden_layers is 0"]),
+        ("\"vocab_size\":", "\"vocab_size\":9999999999, \"old\":", &["vocab_size"]),
+    ] {
+        let config = |f: &Path| {
             let path = f.join("config.json");
             let text = std::fs::read_to_string(&path).unwrap();
             assert!(text.contains(from), "{text}");
             std::fs::write(path, text.replace(from, to)).unwrap();
-        }
-    };
-    refused(&config("\"gelu\"", "\"relu\""), &["config.json", "hidden_act", "relu"]);
-    refused(&config("\"bert\"", "\"roberta\""), &["model_type", "roberta"]);
-    refused(&config("\"num_attention_heads\":3", "\"num_attention_heads\":5"), &["5", "multiple"]);
-    refused(&config("\"hidden_size\":12", "\"hidden_size\":24"), &["word_embeddings", "12", "24"]);
-    refused(
-        &config("\"num_hidden_layers\":2", "\"num_hidden_layers\":3"),
-        &["no tensor encoder.layer.2."],
-    );
-    refused(
-        &config("\"num_hidden_layers\":2", "\"num_hidden_layers\":1"),
-        &["has a tensor encoder.layer.1."],
-    );
-    refused(
-        &config("\"num_hidden_layers\":2", "\"num_hidden_layers\":0"),
-        &["num_hidden_layers is 0"],
-    );
-    refused(&config("\"vocab_size\":", "\"vocab_size\":9999999999, \"old\":"), &["vocab_size"]);
+        };
+        refused(&config, parts);
+    }
     // Flattened archives: the file of the pooling took the name of the other.
     let flattened = |f: &Path| {
         std::fs::rename(f.join("1_Pooling/config.json"), f.join("config.json")).unwrap();

@@ -1,6 +1,6 @@
 //! The same for the steps of transforms, on a scene.
 
-use crate::known;
+use super::known;
 use scenesplat::datasets::transforms::TransformConfig;
 use scenesplat::datasets::{Sample, sample_rng};
 use scenesplat::rooms::{SyntheticRoomSettings, generate};

@@ -1,5 +1,6 @@
 //! Experiments that together have every kind of table, and the scenes that they read.
 
+use crate::runs;
 use candle_core::{Device, Tensor};
 use scenesplat::NetworkConfig;
 use scenesplat::experiment::ExperimentConfig;
@@ -8,6 +9,7 @@ use scenesplat::rooms::{CLASSES, SyntheticRoomSettings, generate};
 use scenesplat::scene::formats::npy_folder::write_npy_folder;
 use scenesplat::scene::formats::npy_writer::write_npy;
 use scenesplat::scene::{GaussianScene, LabelledPoints, LanguageFeatures};
+use scenesplat_test_support::Network;
 use serde_json::Value;
 use std::path::Path;
 
@@ -17,18 +19,16 @@ task = "language_pretraining"
 targets = "class_text"
 model_seed = 3
 text = { type = "vocabulary", dim = 64, exclude = ["wall"] }
-[model]
-grid_size = 0.3
-stride = [2]
-enc_depths = [1, 1]
-enc_channels = [8, 16]
-enc_num_head = [1, 2]
-enc_patch_size = [16, 16]
-dec_depths = [1]
-dec_channels = [16]
-dec_num_head = [2]
-dec_patch_size = [16]
-drop_path = 0.3
+loader = { workers = 0, mix_probability = 0.5 }
+losses = [
+    { type = "cosine", weight = 0.5 },
+    { type = "l2", weight = 0.1 },
+    { type = "aggregated_contrastive", weight = 0.5, min_points = 4 },
+    { type = "text_classification" },
+]
+schedule = { type = "one_cycle", warmup = 0.7 }
+early_stopping = { measurement = "unseen/mIoU", patience = 9 }
+MODEL
 projection = 64
 [[train]]
 source = { type = "synthetic", count = 4, seed = 1, room = { num_gaussians = 500 } }
@@ -36,41 +36,16 @@ transforms = "language_pretraining"
 [[train]]
 source = { type = "generic", root = "DATA/halls" }
 transforms = [{ type = "center_shift" }, { type = "grid_sample", grid_size = 0.3 }]
-[loader]
-workers = 0
-mix_probability = 0.5
-[[losses]]
-type = "cosine"
-weight = 0.5
-[[losses]]
-type = "l2"
-weight = 0.1
-[[losses]]
-type = "aggregated_contrastive"
-weight = 0.5
-min_points = 4
-[[losses]]
-type = "text_classification"
 [optimizer]
 lr = 0.01
 groups = [{ keyword = "block", lr = 0.001 }]
-[optimizer.weight_decay_schedule]
-warmup = 0.5
-warmup_from = 0.04
-from = 0.1
-to = 0.4
-[schedule]
-type = "one_cycle"
-warmup = 0.7
+weight_decay_schedule = { warmup = 0.5, warmup_from = 0.04, from = 0.1, to = 0.4 }
 [trainer]
 log_every = 1
 max_left_out = 1.0
 [[evaluate]]
 name = "unseen"
 source = { type = "synthetic", count = 1, seed = 9, room = { num_gaussians = 500 } }
-[early_stopping]
-measurement = "unseen/mIoU"
-patience = 9
 "#;
 
 /// Class texts in a file; targets in the scenes.
@@ -78,20 +53,15 @@ const TABLE: &str = r#"
 task = "language_pretraining"
 targets = "class_text"
 text = { type = "table", path = "DATA/texts.safetensors", names = "DATA/names.txt" }
+loader = { workers = 0 }
+losses = [{ type = "cosine" }]
+optimizer = { lr = 0.02, groups = [] }
+trainer = { epochs = 12 }
 MODEL
 projection = 64
 [[train]]
 source = { type = "synthetic", count = 2, seed = 1, vocabulary = 64, room = { num_gaussians = 500 } }
 transforms = "validation"
-[loader]
-workers = 0
-[[losses]]
-type = "cosine"
-[optimizer]
-lr = 0.02
-groups = []
-[trainer]
-epochs = 12
 [[evaluate]]
 name = "unseen"
 source = { type = "synthetic", count = 1, seed = 9, vocabulary = 64, room = { num_gaussians = 500 } }
@@ -111,17 +81,14 @@ const CLASSES_OF_ROOMS: &str = r#"
 task = "language_pretraining"
 targets = "class_text"
 text = { type = "synthetic_classes", path = "DATA/texts.safetensors", names = "DATA/scannet.txt" }
+loader = { workers = 0 }
+losses = [{ type = "cosine" }]
+optimizer = { groups = [] }
 MODEL
 projection = 64
 [[train]]
 source = { type = "synthetic", count = 2, seed = 1, room = { num_gaussians = 500 } }
 transforms = "validation"
-[loader]
-workers = 0
-[[losses]]
-type = "cosine"
-[optimizer]
-groups = []
 [[evaluate]]
 name = "unseen"
 source = { type = "synthetic", count = 1, seed = 9, room = { num_gaussians = 500 } }
@@ -130,28 +97,19 @@ source = { type = "synthetic", count = 1, seed = 9, room = { num_gaussians = 500
 /// Folders of scenes, as a benchmark and as one's own, with features of their own.
 const FOLDERS: &str = r#"
 task = "language_pretraining"
+text = { type = "vocabulary", dim = 64 }
+loader = { workers = 0, batch_size = 1, shuffle = false, mix_probability = 0.0 }
+losses = [{ type = "cosine" }]
+optimizer = { groups = [] }
+trainer = { max_left_out = 1.0 }
 MODEL
 projection = 64
-[text]
-type = "vocabulary"
-dim = 64
 [[train]]
 source = { type = "replica", root = "DATA/replica", class_names = "DATA/names.txt" }
 transforms = "validation"
 [[train]]
 source = { type = "generic", root = "DATA/halls" }
 transforms = "validation"
-[loader]
-workers = 0
-batch_size = 1
-shuffle = false
-mix_probability = 0.0
-[[losses]]
-type = "cosine"
-[optimizer]
-groups = []
-[trainer]
-max_left_out = 1.0
 [[evaluate]]
 name = "replica"
 source = { type = "replica", root = "DATA/replica", split = "validation", class_names = "DATA/names.txt" }
@@ -163,46 +121,20 @@ source = { type = "generic", root = "DATA/halls" }
 /// The other task.
 const SEGMENTATION: &str = r#"
 task = "semantic_segmentation"
+loader = { workers = 0 }
+losses = [{ type = "cross_entropy" }, { type = "lovasz_softmax" }]
+optimizer = { lr = 0.01, groups = [] }
+schedule = { type = "cosine", warmup = 0.5, warmup_from = 0.1, from = 1.0, to = 0.1 }
+trainer = { epochs = 2, log_every = 1 }
 MODEL
 num_classes = 41
 [[train]]
 source = { type = "synthetic", count = 4, seed = 1, room = { num_gaussians = 500 } }
 transforms = "semantic_segmentation"
-[loader]
-workers = 0
-[[losses]]
-type = "cross_entropy"
-[[losses]]
-type = "lovasz_softmax"
-[optimizer]
-lr = 0.01
-groups = []
-[schedule]
-type = "cosine"
-warmup = 0.5
-warmup_from = 0.1
-from = 1.0
-to = 0.1
-[trainer]
-epochs = 2
-log_every = 1
 [[evaluate]]
 name = "unseen"
 source = { type = "synthetic", count = 1, seed = 9, room = { num_gaussians = 500 } }
 "#;
-
-const MODEL: &str = r#"[model]
-grid_size = 0.3
-stride = [2]
-enc_depths = [1, 1]
-enc_channels = [8, 16]
-enc_num_head = [1, 2]
-enc_patch_size = [16, 16]
-dec_depths = [1]
-dec_channels = [16]
-dec_num_head = [2]
-dec_patch_size = [16]
-drop_path = 0.1"#;
 
 const MODEL_V1: &str = r#"[model]
 architecture = "point_transformer_v1"
@@ -251,68 +183,55 @@ num_classes = 41"#;
 /// A short run of a network of points.
 const POINTS: &str = r#"
 task = "semantic_segmentation"
+loader = { workers = 0, mix_probability = 0.0 }
+losses = [{ type = "cross_entropy" }]
+optimizer = { groups = [] }
 MODEL
 [[train]]
 source = { type = "synthetic", count = 2, seed = 1, room = { num_gaussians = 400 } }
 transforms = "validation"
-[loader]
-workers = 0
-mix_probability = 0.0
-[[losses]]
-type = "cross_entropy"
-[optimizer]
-groups = []
 "#;
 
 /// A student of a network.
 const STUDENT: &str = r#"
 task = "distillation"
+text = { type = "vocabulary", dim = 64 }
+loader = { workers = 0 }
+losses = [{ type = "smooth_l1", beta = 0.1 }, { type = "text_distillation", temperature = 0.2 }]
+optimizer = { groups = [] }
+MODEL
+projection = 64
 [teacher]
 type = "network"
 weights = "seeded:3"
 config = "tiny"
 view = "scene"
 cache = { folder = "DATA/rows", max_gb = 1e-9 }
-MODEL
-projection = 64
-[text]
-type = "vocabulary"
-dim = 64
 [[train]]
 source = { type = "synthetic", count = 2, seed = 1, room = { num_gaussians = 500 } }
 transforms = "language_pretraining"
-[loader]
-workers = 0
-[[losses]]
-type = "smooth_l1"
-beta = 0.1
-[[losses]]
-type = "text_distillation"
-temperature = 0.2
-[optimizer]
-groups = []
 "#;
 
 /// A student of stored features.
 const STORED: &str = r#"
 task = "distillation"
 teacher = { type = "features", folder = "DATA/features" }
+loader = { workers = 0 }
+losses = [{ type = "cosine" }]
+optimizer = { groups = [] }
 MODEL
 projection = 64
 [[train]]
 source = { type = "generic", root = "DATA/halls" }
 transforms = "validation"
-[loader]
-workers = 0
-[[losses]]
-type = "cosine"
-[optimizer]
-groups = []
 "#;
 
 /// Views of scenes, with every term.
 const VIEWS: &str = r#"
 task = "self_supervised"
+loader = { workers = 0, mix_probability = 0.0 }
+optimizer = { lr = 0.01, groups = [] }
+trainer = { epochs = 3, log_every = 1 }
 MODEL
 mask_token = true
 [[train]]
@@ -326,72 +245,38 @@ transforms = [{ type = "center_shift" }, { type = "views", groups = [
         [{ type = "random_rotate", probability = 1.0 }, { type = "grid_sample", grid_size = 0.3 }],
     ] },
 ] }]
-[loader]
-workers = 0
-mix_probability = 0.0
 [self_supervised]
 masking = { shape = { patches = 0.6 }, ratio = [0.2, 0.5], scenes = 1.0, weight = "per_patch" }
 momentum = { warmup = 0.4, warmup_from = 0.6, from = 0.9, to = 1.0 }
 mask_size = { warmup = 0.4, warmup_from = 0.4, from = 0.6, to = 0.8 }
 mask_ratio = { warmup = 0.4, warmup_from = 0.3, from = 0.5, to = 0.6 }
-[[self_supervised.terms]]
-type = "masked_gaussians"
-distance = "fitted"
-[[self_supervised.terms]]
-type = "sim_dino"
-hidden = 8
-out = 6
-[[self_supervised.terms]]
-type = "dino"
-prototypes = { count = 6, hidden = 8, out = 4, student_temperature = 0.2, teacher_temperature = { warmup = 0.4, warmup_from = 0.1, from = 0.2, to = 0.3 }, balance = { centering = 0.9 } }
-[[self_supervised.terms]]
-type = "ibot"
-hidden = 8
-out = 6
-[[self_supervised.terms]]
-type = "ibot_cross_entropy"
-prototypes = { count = 6, hidden = 8, out = 4, student_temperature = 0.2, teacher_temperature = { warmup = 0.4, warmup_from = 0.1, from = 0.2, to = 0.3 }, balance = { centering = 0.9 } }
-[[self_supervised.terms]]
-type = "self_distillation"
-up_cast = 1
-max_distance = 0.5
-prototypes = { count = 6, hidden = 8, out = 4, student_temperature = 0.2, teacher_temperature = { warmup = 0.4, warmup_from = 0.1, from = 0.2, to = 0.3 }, balance = { sinkhorn_knopp = 3 } }
-[[self_supervised.terms]]
-type = "language_alignment"
-hidden = 8
-out = 64
-masked_only = true
-[[self_supervised.terms]]
-type = "sim_dino_rows"
-hidden = 8
-out = 6
-up_cast = 1
-max_distance = 0.5
-[optimizer]
-lr = 0.01
-groups = []
-[trainer]
-epochs = 3
-log_every = 1
+terms = [
+    { type = "masked_gaussians", distance = "fitted" },
+    { type = "sim_dino", hidden = 8, out = 6 },
+    { type = "dino", PROTOTYPES balance = { centering = 0.9 } } },
+    { type = "ibot", hidden = 8, out = 6 },
+    { type = "ibot_cross_entropy", PROTOTYPES balance = { centering = 0.9 } } },
+    { type = "self_distillation", up_cast = 1, max_distance = 0.5, PROTOTYPES balance = { sinkhorn_knopp = 3 } } },
+    { type = "language_alignment", hidden = 8, out = 64, masked_only = true },
+    { type = "sim_dino_rows", hidden = 8, out = 6, up_cast = 1, max_distance = 0.5 },
+]
 "#;
+
+/// Of a head with prototypes, but for how they are balanced.
+const PROTOTYPES: &str = "prototypes = { count = 6, hidden = 8, out = 4, student_temperature = 0.2, \
+    teacher_temperature = { warmup = 0.4, warmup_from = 0.1, from = 0.2, to = 0.3 },";
 
 /// An autoencoder of language features.
 const CODES: &str = r#"
 task = "autoencoder"
 text = { type = "vocabulary", dim = 64 }
-[model]
-grid_size = 0.3
-[autoencoder]
-widths = [64, 16, 8]
+model = { grid_size = 0.3 }
+autoencoder = { widths = [64, 16, 8] }
+loader = { workers = 0, mix_probability = 0.0 }
+optimizer = { lr = 0.01, groups = [] }
 [[train]]
 source = { type = "synthetic", count = 4, seed = 1, vocabulary = 64, room = { num_gaussians = 500 } }
 transforms = "validation"
-[loader]
-workers = 0
-mix_probability = 0.0
-[optimizer]
-lr = 0.01
-groups = []
 [[evaluate]]
 name = "unseen"
 source = { type = "synthetic", count = 1, seed = 9, vocabulary = 64, room = { num_gaussians = 500 } }
@@ -413,9 +298,17 @@ pub const ALL: [(&str, &str); 12] = [
     ("codes", CODES),
 ];
 
-/// The text of a base.
-pub fn text(name: &str) -> &'static str {
-    ALL.iter().find(|(base, _)| *base == name).unwrap().1
+/// A base as its file says it.
+pub fn text(name: &str) -> String {
+    let (_, text) = ALL.iter().find(|(base, _)| *base == name).unwrap();
+    let network = Network { patch: 16, head: "drop_path = 0.3", ..Network::default() };
+    let model = match name {
+        "v1" => MODEL_V1.to_owned(),
+        "v2" => MODEL_V2.to_owned(),
+        "litept" => MODEL_LITE.to_owned(),
+        _ => format!("[model]\n{network}"),
+    };
+    text.replace("MODEL", &model).replace("PROTOTYPES", PROTOTYPES)
 }
 
 /// Names of models that most rooms have a use for.
@@ -506,6 +399,11 @@ impl Data {
     fn named(&self, text: &str) -> String {
         text.replace("DATA", self.path().to_str().unwrap())
     }
+
+    /// The experiment that a text says, with its paths in this folder.
+    pub fn experiment(&self, text: &str) -> Result<ExperimentConfig, String> {
+        runs::read(self.path(), &self.named(text))
+    }
 }
 
 fn write_texts(values: &[f32], path: &Path) {
@@ -514,7 +412,7 @@ fn write_texts(values: &[f32], path: &Path) {
     candle_core::safetensors::save(&tensors, path).unwrap();
 }
 
-/// A catalogue of boxes in many colours, ten of each of some usual names.
+/// A catalog of boxes in many colors, ten of each of some usual names.
 fn write_furniture(folder: &Path) {
     let models = folder.join("m");
     std::fs::create_dir_all(&models).unwrap();
@@ -567,15 +465,6 @@ fn other_labels(seed: u64) -> GaussianScene {
 }
 
 /// A base as the program reads it, all settings in place.
-pub fn read(data: &Data, name: &str, text: &str) -> Value {
-    let model = match name {
-        "v1" => MODEL_V1,
-        "v2" => MODEL_V2,
-        "litept" => MODEL_LITE,
-        _ => MODEL,
-    };
-    // Bases are read by several threads at once.
-    let path = data.path().join(format!("experiment-{name}.toml"));
-    std::fs::write(&path, data.named(&text.replace("MODEL", model))).unwrap();
-    serde_json::to_value(ExperimentConfig::read(&path).unwrap()).unwrap()
+pub fn read(data: &Data, name: &str) -> Value {
+    serde_json::to_value(data.experiment(&text(name)).unwrap()).unwrap()
 }

@@ -1,7 +1,4 @@
-//! Pages that `view` writes: what is in the file. `.ci/page` opens the same files in a browser.
-
-#![recursion_limit = "256"]
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
+//! Pages that `view` writes: the contents of the file. `.ci/page` opens the same files in a browser.
 
 use scenesplat::experiment::curves::write_curves_page;
 use scenesplat::objects::relations::{Relation, distance};
@@ -51,8 +48,8 @@ fn names() -> Vec<String> {
     CLASSES.iter().map(|c| c.name.to_owned()).collect()
 }
 
-fn objects(room: &SyntheticRoom, labels: &[i32], names: &[String]) -> Catalogue {
-    let input = ObjectInput {
+fn known<'a>(room: &'a SyntheticRoom, labels: &'a [i32], names: &'a [String]) -> ObjectInput<'a> {
+    ObjectInput {
         scene: &room.scene,
         labels,
         scores: None,
@@ -62,8 +59,11 @@ fn objects(room: &SyntheticRoom, labels: &[i32], names: &[String]) -> Catalogue 
         upright: UpAxis::PlusZ.upright(),
         metres_per_unit: 1.0,
         floor: None,
-    };
-    find_objects(&input, &ObjectSettings::default()).unwrap()
+    }
+}
+
+fn objects(room: &SyntheticRoom, labels: &[i32], names: &[String]) -> Catalogue {
+    find_objects(&known(room, labels, names), &ObjectSettings::default()).unwrap()
 }
 
 fn plain<'a>(room: &'a SyntheticRoom, title: &'a str) -> PageInput<'a> {
@@ -234,17 +234,8 @@ fn a_page_of_one_and_a_half_million_gaussians() {
     let (room, names, words) = (room(1_500_000), names(), embedded::vocabulary().unwrap());
     let labels = room.scene.segment.as_deref().unwrap();
     let scores: Vec<f32> = (0..labels.len() as u64).map(|i| 0.5 + 0.5 * noise(i)).collect();
-    let known = ObjectInput {
-        scene: &room.scene,
-        labels,
-        scores: Some(&scores),
-        instances: room.scene.instance.as_deref(),
-        features: None,
-        names: &names,
-        upright: UpAxis::PlusZ.upright(),
-        metres_per_unit: 1.0,
-        floor: None,
-    };
+    let instances = room.scene.instance.as_deref();
+    let known = ObjectInput { scores: Some(&scores), instances, ..known(&room, labels, &names) };
     let catalogue = find_objects(&known, &ObjectSettings::default()).unwrap();
     let (width, ids) = (words.dim(), room.scene.instance.as_deref().unwrap());
     let targets: Vec<Vec<f32>> =
@@ -444,20 +435,12 @@ fn hostile_requests_get_nothing_and_end() {
     let host = format!("Host: 127.0.0.1:{port}\r\n");
     let page = format!("GET /{token}/ HTTP/1.1\r\n");
     for (request, want) in [
-        // A name that was made to point here, other sites, other origins.
+        // One of each kind; the unit tests of requests have many more.
         (format!("{page}Host: attacker.example:{port}\r\n\r\n"), 403),
-        (format!("{page}{host}Origin: http://attacker.example\r\n\r\n"), 403),
         (format!("{page}{host}Sec-Fetch-Site: cross-site\r\n\r\n"), 403),
-        (format!("{page}\r\n"), 403),
-        // Paths, tokens, methods, bodies, noise.
         (format!("GET /{token}/../../../etc/passwd HTTP/1.1\r\n{host}\r\n"), 404),
-        (format!("GET /{token}/chunk/..%2f..%2fetc%2fpasswd/0 HTTP/1.1\r\n{host}\r\n"), 404),
-        (format!("GET / HTTP/1.1\r\n{host}\r\n"), 404),
-        (format!("GET /{}/ HTTP/1.1\r\n{host}\r\n", "0".repeat(32)), 404),
         (format!("POST /{token}/ HTTP/1.1\r\n{host}Content-Length: 4\r\n\r\nabcd"), 405),
-        (format!("{page}{host}Transfer-Encoding: chunked\r\n\r\n0\r\n\r\n"), 400),
         ("\u{16}\u{3}\u{1}\u{2} no request\r\n\r\n".to_owned(), 400),
-        (format!("{page}{}", "X: y\r\n".repeat(20_000)), 431),
         (format!("{page}X: {}", "y".repeat(1 << 20)), 431),
     ] {
         let short: String = request.chars().take(120).collect();
@@ -486,7 +469,7 @@ fn hostile_requests_get_nothing_and_end() {
     let began = Instant::now();
     let (served, events) = running.end();
     assert!(began.elapsed() < Duration::from_secs(3), "{:?}", began.elapsed());
-    assert_eq!(served.refused, 13, "{events:?}");
+    assert_eq!(served.refused, 6, "{events:?}");
     assert!(idle.iter().all(|s| s.shutdown(Shutdown::Both).is_ok() || s.peer_addr().is_err()));
     assert!(TcpStream::connect(("127.0.0.1", port)).is_err());
 }

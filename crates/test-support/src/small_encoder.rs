@@ -1,5 +1,4 @@
 //! A sentence encoder of a few words, written as published ones are, and a slow reference in f64.
-#![allow(dead_code, reason = "each test file uses a part")]
 
 use rand::Rng;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
@@ -22,6 +21,7 @@ pub struct SmallEncoder {
 }
 
 impl SmallEncoder {
+    /// With weights of a fixed seed.
     pub fn new(heads: usize) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(7);
         let mut weights = BTreeMap::new();

@@ -1,11 +1,9 @@
 //! Phrases for networks with a text table of another model.
 
-use super::dot;
-use crate::query::Query;
+use crate::{Bridge, PhraseError, Query, TextEncoder, dot};
 use scenesplat_scene::TextTable;
-use scenesplat_text::{Bridge, PhraseError, TextEncoder};
 
-/// Known names that are told.
+/// Known names listed in a message.
 const TOLD: usize = 5;
 
 /// Cosine, about the middle of the table, that a guess has to the right vector: the median over 291 labels of SigLIP2,
@@ -19,8 +17,7 @@ pub struct Guess {
     pub query: Query,
     /// The names of the table that are nearest to the guess, with their cosine about the middle of the table.
     pub nearest: Vec<(String, f32)>,
-    /// Names that the guess cannot be told from, and that are no rivals therefore: at least as near to it as the right
-    /// vector usually is.
+    /// Names at least as near to the guess as the right vector usually is: they are not rivals.
     pub same: Vec<String>,
 }
 

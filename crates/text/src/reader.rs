@@ -5,15 +5,9 @@
 //! believe it. That is a judgement about words: whether a scene has such a thing is another question.
 //! `docs/text.md` has the figures.
 
-mod guess;
-
-use crate::query::Query;
-pub use guess::{Guess, USUAL_COSINE, guess};
+use crate::{PhraseError, PhraseTable, Query, TextEncoder, dot};
 use scenesplat_rooms::vocabulary::VocabularyError;
 use scenesplat_rooms::{ClassId, ColorName, Vocabulary};
-pub use scenesplat_text::{
-    Bridge, Encoded, PhraseError, PhraseTable, TextEncoder, Truncated, Understood,
-};
 use std::fmt;
 
 /// From this similarity on, and with [`LEAD`], the nearest class is what was meant. Measured, see `docs/text.md`.
@@ -301,8 +295,4 @@ impl<'a> PhraseReader<'a> {
         let remark = reading.remark.clone();
         Ok(Asked { query, taken_for: Some(known), reading: Some(reading), remark })
     }
-}
-
-fn dot(a: &[f32], b: &[f32]) -> f32 {
-    a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>() as f32
 }

@@ -38,9 +38,31 @@ pub fn names_of(config: &Value, pointer: &str) -> Vec<String> {
     if let Some(names) = offered(&error) {
         return names;
     }
-    // Architectures are told in words.
+    // The names of architectures are in a sentence.
     let (_, names) = error.split_once("known are ").unwrap_or_else(|| panic!("{error}"));
     names.split(", ").map(str::to_owned).collect()
+}
+
+/// What kind of table it is.
+fn kind(table: &Value) -> Option<&str> {
+    ["type", "architecture"].iter().find_map(|field| table.get(*field)).and_then(Value::as_str)
+}
+
+/// The name that [`settings_of`] gives to the setting at `pointer`.
+pub fn name_of(config: &Value, pointer: &str) -> String {
+    let (mut name, mut at) = (String::new(), String::new());
+    for part in pointer.split('/').skip(1) {
+        if let Some(kind) = config.pointer(&at).and_then(kind) {
+            name += &format!("({kind})");
+        }
+        match part.parse::<usize>() {
+            Ok(_) => name += "[*]",
+            Err(_) if name.is_empty() => name += part,
+            Err(_) => name += &format!(".{part}"),
+        }
+        at += &format!("/{part}");
+    }
+    name
 }
 
 /// All settings of an experiment, as `train[*].source(generic).root`.
@@ -51,9 +73,9 @@ pub fn settings_of(config: &Value) -> BTreeSet<String> {
 }
 
 fn walk(config: &Value, pointer: &str, name: &str, found: &mut BTreeSet<String>) {
-    let table = config.pointer(pointer).unwrap().as_object().unwrap();
-    let kind = ["type", "architecture"].iter().find_map(|field| table.get(*field));
-    let name = match kind.and_then(Value::as_str) {
+    let value = config.pointer(pointer).unwrap();
+    let table = value.as_object().unwrap();
+    let name = match kind(value) {
         Some(kind) => format!("{name}({kind})"),
         None => name.to_owned(),
     };
