@@ -147,48 +147,8 @@ pub fn train_together(
         teacher: teacher.as_ref().map(|t| Arc::clone(&t.record)),
         collective,
     };
-<<<<<<< HEAD
-    let train = data::loader(config, teacher.as_ref())?;
-    let network = || config.network()?.model.build(params.builder()).map_err(ExperimentError::from);
-    let (progress, exported) = match config.task {
-        Task::LanguagePretraining => {
-            let targets = match (config.targets, &text) {
-                (TargetChoice::ClassText, Some(t)) => TargetSource::class_text(&t.table)?,
-                _ => TargetSource::Features,
-            };
-            let task = LanguagePretraining { targets };
-            let network = network()?;
-            let module = TaskModule::new(params, network, objective, task);
-            let evaluators = zero_shot(config, text.as_ref(), None)?.into_iter();
-            run.fit(&module, DataModule { train, evaluators: boxed(evaluators) })?
-        }
-        Task::Distillation => {
-            let network = network()?;
-            let module = TaskModule::new(params, network, objective, Distillation);
-            let evaluators = zero_shot(config, text.as_ref(), teacher.as_ref())?.into_iter();
-            let evaluators = evaluators.map(DistillationEvaluator::new);
-            run.fit(&module, DataModule { train, evaluators: boxed(evaluators) })?
-        }
-        Task::Autoencoder => {
-            let module = compression::module(config, params)?;
-            let evaluators = compression::evaluators(config, text.as_ref())?;
-            run.fit(&module, DataModule { train, evaluators })?
-        }
-        Task::SelfSupervised => {
-            let module = self_supervision::module(config, params)?;
-            run.fit(&module, DataModule { train, evaluators: Vec::new() })?
-        }
-        Task::SemanticSegmentation => {
-            let network = network()?;
-            let module = TaskModule::new(params, network, objective, SemanticSegmentation);
-            let evaluators = segmentation(config, text.as_ref())?;
-            run.fit(&module, DataModule { train, evaluators })?
-        }
-    };
-=======
     let objects = (text.as_ref(), teacher.as_ref());
     let (progress, (model, more)) = run.fit_task(params, objective, objects)?;
->>>>>>> facade
     let curves = options.out.join("curves.png");
     if leads {
         draw_curves(&options.out, &curves)?;
@@ -314,7 +274,7 @@ impl Run<'_> {
         (text, teacher): (Option<&data::ClassTexts>, Option<&Teacher>),
     ) -> Result<(Progress, Exported)> {
         let config = self.config;
-        let loader = &mut *data::loader(config, teacher)?;
+        let train = data::loader(config, teacher)?;
         let network =
             || config.network()?.model.build(params.builder()).map_err(ExperimentError::from);
         match config.task {
@@ -326,18 +286,19 @@ impl Run<'_> {
                 let (network, task) = (network()?, LanguagePretraining { targets });
                 let module = TaskModule::new(params, network, objective, task);
                 let evaluators = zero_shot(config, text, None)?.into_iter();
-                self.fit(&module, loader, &mut boxed(evaluators))
+                self.fit(&module, DataModule { train, evaluators: boxed(evaluators) })
             }
             Task::Distillation => {
                 let network = network()?;
                 let module = TaskModule::new(params, network, objective, Distillation);
                 let evaluators = zero_shot(config, text, teacher)?.into_iter();
                 let evaluators = evaluators.map(DistillationEvaluator::new);
-                self.fit(&module, loader, &mut boxed(evaluators))
+                self.fit(&module, DataModule { train, evaluators: boxed(evaluators) })
             }
             Task::Autoencoder => {
                 let module = compression::module(config, params)?;
-                self.fit(&module, loader, &mut compression::evaluators(config, text)?)
+                let evaluators = compression::evaluators(config, text)?;
+                self.fit(&module, DataModule { train, evaluators })
             }
             Task::SelfSupervised => {
                 let none =
@@ -346,12 +307,13 @@ impl Run<'_> {
                 let NetworkConfig { model, input } = config.network()?;
                 let seed = config.model_seed;
                 let module = SelfSupervised::new(settings, &model, &input, params, seed)?;
-                self.fit(&module, loader, &mut [])
+                self.fit(&module, DataModule { train, evaluators: Vec::new() })
             }
             Task::SemanticSegmentation => {
                 let network = network()?;
                 let module = TaskModule::new(params, network, objective, SemanticSegmentation);
-                self.fit(&module, loader, &mut boxed(segmentation(config, text)?.into_iter()))
+                let evaluators = segmentation(config, text)?;
+                self.fit(&module, DataModule { train, evaluators })
             }
         }
     }

@@ -107,16 +107,6 @@ pub fn write_page(
     let Pack { about, mut parts, report } = Pack::of(input, settings)?;
     parts.push(("about", about.to_string().into_bytes()));
     let (page, blocks) = html::assemble(input.title, &parts, Rights::Viewer);
-<<<<<<< HEAD
-    let io = |source| PageError::Io { path: path.to_owned(), source };
-    {
-        let part = AtomicFile::create(path)?;
-        let mut file = part.file();
-        file.write_all(page.as_bytes()).map_err(io)?;
-        part.commit()?;
-    }
-=======
     AtomicFile::write(path, page.as_bytes())?;
->>>>>>> facade
     Ok(PageReport { bytes: page.len() as u64, blocks, ..report })
 }

@@ -1,13 +1,6 @@
 //! Any phrase: what the table, an encoder and the program make of it.
 
-<<<<<<< HEAD:cli/tests/suite/text.rs
-#[path = "../../../crates/text/tests/small/mod.rs"]
-mod small;
-
 use crate::support::*;
-=======
-use crate::{asset, done, scenesplat, stderr, tiny};
->>>>>>> facade:cli/tests/cli/text.rs
 use scenesplat::embedded;
 use scenesplat::phrases::{AskError, Bridge, PhraseReader, PhraseTable, TextEncoder, Verdict};
 use scenesplat::query::Query;
