@@ -9,7 +9,7 @@ use scenesplat::prelude::*;
 use scenesplat::trainers::checkpoint::newest_checkpoint;
 use scenesplat::trainers::tasks::{SemanticSegmentation, TaskModule};
 use scenesplat::trainers::{
-    AdamW, AdamWConfig, Callback, Event, Flow, OneCycle, Progress, TrainError, Trainer,
+    AdamW, AdamWConfig, Callback, DataModule, Event, Flow, OneCycle, Progress, TrainError, Trainer,
     TrainerConfig, group_by_keyword,
 };
 use scenesplat::{datasets, rooms};
@@ -33,7 +33,7 @@ fn main() -> anyhow::Result<()> {
         let steps = datasets::build_transforms(&semantic_segmentation(0.1))?;
         let scenes = Arc::new(SceneDataset::new(source, steps, 0, 1)?);
         let settings = LoaderSettings::default();
-        let mut loader = SceneLoader::new(scenes, InputFeatures::default(), settings)?;
+        let loader = SceneLoader::new(scenes, InputFeatures::default(), settings)?;
         let params = ParamStore::trainable(0);
         let network = ModelConfig::tiny().with_classes(rooms::CLASSES.len());
         let network = network.build(params.builder())?;
@@ -49,7 +49,7 @@ fn main() -> anyhow::Result<()> {
             Some(checkpoint) => trainer.load_checkpoint(&checkpoint, &module)?,
             None => Progress::default(),
         };
-        Ok(trainer.fit(&module, &mut loader, &mut [], start)?)
+        Ok(trainer.fit(&module, &mut DataModule::new(loader), start)?)
     };
     println!("stopped at step {}", part(5)?.step);
     println!("done at step {}", part(u64::MAX)?.step);

@@ -137,7 +137,7 @@ impl Remark {
 }
 
 impl Alignment {
-    /// Looks at a scene. The same for any number of threads.
+    /// Estimates the alignment of a scene. The same for any number of threads.
     pub fn of(scene: &GaussianScene, settings: &AlignmentSettings) -> Self {
         let robust = robust_bounds(&scene.coord);
         let is_judged = scene.len() >= FEWEST_ROWS;

@@ -2,7 +2,8 @@
 //!
 //! What it is, what it was trained on and what it cannot do stands in `assets/embedded/README.md`.
 
-use crate::network::{NetworkConfig, NetworkError};
+use crate::network::config::NetworkConfig;
+use crate::network::error::NetworkError;
 use candle_core::Tensor;
 use scenesplat_rooms::Vocabulary;
 use std::collections::BTreeMap;

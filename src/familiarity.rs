@@ -1,4 +1,4 @@
-//! How strange a scene is to a network: whether its features lie where those of the rooms lie that it was fitted on.
+//! Out-of-distribution score of a scene: the distance of its features to those of the rooms that it was fitted on.
 //!
 //! A closed-set network answers whatever it is shown: a bicycle is a "sofa", a garden a "bed", and the cosines of such
 //! answers are as high as those of right ones. Where the features lie says more: their distance to the nearest of some
@@ -20,10 +20,10 @@ const EMBEDDED: &[u8] = include_bytes!("../assets/embedded/familiarity.safetenso
 const ROUNDS: usize = 20;
 /// Added to each variance, so that directions in which features hardly vary do not decide.
 const LEAST_VARIANCE: f64 = 1e-4;
-/// How far above the strangest room a scene is strange, and clearly so.
+/// Factors on the largest score of a room: above them a scene is out of distribution, and clearly so.
 const STRANGE: f32 = 1.25;
 const CLEARLY_STRANGE: f32 = 1.45;
-/// Most rows of a scene that are looked at, about: its median needs no more.
+/// Most rows of a scene that are scored, about: its median needs no more.
 const MOST_ROWS: usize = 8192;
 
 /// Where features of a kind of scene lie.
@@ -34,7 +34,7 @@ pub struct Familiarity {
     centres: Vec<f32>,
     /// The inverse of the Cholesky factor of the covariance around the centres, lower triangular. `[width, width]`
     whiten: Vec<f32>,
-    /// Median strangeness of the most familiar and of the strangest room among those that it was checked on.
+    /// Least and largest score of the rooms that it was checked on.
     rooms: [f32; 2],
     /// SHA-256 of the weights that the features are of.
     weights: String,
@@ -80,7 +80,7 @@ impl Familiarity {
     }
 
     /// Fits centres and spread to rows of unit length, in the order given; the same rows and seed give the same
-    /// result. Nothing is strange then: [`with_rooms`](Self::with_rooms) says what is. `rows`: `[n, width]`
+    /// result. No scene is out of distribution before [`with_rooms`](Self::with_rooms). `rows`: `[n, width]`
     ///
     /// # Panics
     /// If there are fewer rows than centres, or none (a bug of the caller).
@@ -133,7 +133,7 @@ impl Familiarity {
         found
     }
 
-    /// With the limits that the strangeness of some rooms gives, which it was not fitted on. `weights`: SHA-256 of the
+    /// With the limits from the scores of rooms that it was not fitted on. `weights`: SHA-256 of the
     /// weights.
     ///
     /// # Panics
@@ -170,17 +170,17 @@ impl Familiarity {
         self.width
     }
 
-    /// Scenes above this are strange: a quarter above the strangest of the rooms.
+    /// Scenes above this are out of distribution: a quarter above the largest score of a room.
     pub fn limit(&self) -> f32 {
         STRANGE * self.rooms[1]
     }
 
-    /// Scenes above this are clearly strange: 45 % above the strangest of the rooms.
+    /// Scenes above this are clearly so: 45 % above the largest score of a room.
     pub fn clear_limit(&self) -> f32 {
         CLEARLY_STRANGE * self.rooms[1]
     }
 
-    /// Strangeness of the most familiar and of the strangest room among those that it was checked on.
+    /// Least and largest score of the rooms that it was checked on.
     pub fn rooms(&self) -> [f32; 2] {
         self.rooms
     }
@@ -204,7 +204,7 @@ impl Familiarity {
         nearest(&self.whitened(row), &self.centres, self.width).1.sqrt()
     }
 
-    /// How strange a scene is: the median distance of its rows (of some 8,000 spread evenly, if it has more). `None` if
+    /// The out-of-distribution score: the median distance of the rows (of some 8,000 spread evenly, if it has more). `None` if
     /// no row has a direction, or the features are of another width: codes, or those of another network.
     ///
     /// # Errors

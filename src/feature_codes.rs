@@ -9,7 +9,6 @@ use scenesplat_scene::SceneError;
 use scenesplat_scene::formats::npy::{NpyFile, NpyType};
 use scenesplat_scene::formats::npy_writer::{NpyRowWriter, write_npy};
 use scenesplat_scene::input_file::read_text_file;
-use scenesplat_trainers::TrainError;
 use scenesplat_trainers::tasks::autoencoder::AutoencoderConfig;
 use serde::Serialize;
 use std::ffi::OsString;
@@ -44,21 +43,13 @@ pub enum FeatureCodeError {
         /// Which.
         path: PathBuf,
     },
-    /// Settings of an autoencoder that are none.
+    /// Settings of an autoencoder that cannot be read or are out of range.
     #[error("{}: {problem}", path.display())]
     Settings {
         /// Which file.
         path: PathBuf,
         /// What is wrong.
         problem: String,
-    },
-    /// Settings out of range.
-    #[error("{}: {source}", path.display())]
-    Range {
-        /// Which file.
-        path: PathBuf,
-        /// What is wrong.
-        source: Box<TrainError>,
     },
     /// A scene without features in a file of their own.
     #[error(
@@ -81,7 +72,7 @@ pub enum FeatureCodeError {
         /// What most likely helps, after a semicolon.
         help: String,
     },
-    /// Someone asked to stop.
+    /// The caller cancelled.
     #[error("interrupted; nothing was written")]
     Stopped,
     /// A file that cannot be copied.
@@ -102,16 +93,16 @@ pub enum FeatureCodeError {
     Model(#[from] candle_core::Error),
 }
 
-/// What became of the features of a scene.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+/// Result of recoding the features of a scene.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct FeatureCodeReport {
     /// Rows of the scene.
     pub rows: usize,
     /// Those of them with a feature (or code).
     pub with_feature: usize,
-    /// Rows that are said to have one and hold NaN or infinity: they have none now.
+    /// Rows marked as having one that hold NaN or infinity; they lose the mark.
     pub not_finite: usize,
-    /// Rows that are said to have one and hold zeros: they have none now.
+    /// Rows marked as having one that hold zeros; they lose the mark.
     pub zero: usize,
     /// Of codes: mean cosine between a feature and what comes back from its code; `None` without rows.
     pub mean_cosine: Option<f64>,
@@ -139,12 +130,10 @@ impl TrainedAutoencoder {
             return Err(FeatureCodeError::NoAutoencoder { path: folder.to_owned() });
         }
         let text = read_text_file(&path)?;
-        let config: AutoencoderConfig = serde_json::from_str(&text).map_err(|e| {
-            FeatureCodeError::Settings { path: path.clone(), problem: e.to_string() }
-        })?;
-        let range =
-            |source| FeatureCodeError::Range { path: path.clone(), source: Box::new(source) };
-        config.check().map_err(range)?;
+        let bad = |problem: String| FeatureCodeError::Settings { path: path.clone(), problem };
+        let config: AutoencoderConfig =
+            serde_json::from_str(&text).map_err(|e| bad(e.to_string()))?;
+        config.check().map_err(|e| bad(e.to_string()))?;
         let weights = resolve(folder)?;
         let mut files: Vec<PathBuf> = weights.files.iter().map(|f| f.path().to_owned()).collect();
         let source = WeightSource::files(weights.files, SourceOptions::default())?;
@@ -197,7 +186,7 @@ impl TrainedAutoencoder {
     /// (f16, rows of unit length) in the other form. Rows without a feature have zeros. Where the scene
     /// has a `valid_feat_mask.npy`, rows lose their mark whose feature is not finite or zero.
     ///
-    /// All other arrays are copied as they are. `progress` gets the part done, and gives `false` to stop.
+    /// All other arrays are copied as they are. `progress` gets the fraction done; returning `false` cancels.
     ///
     /// # Errors
     /// If the scene has no features, they have another width, a file cannot be read or written, or
@@ -215,15 +204,7 @@ impl TrainedAutoencoder {
         }
         let file = NpyFile::open(&path)?;
         let rows = self.check_shape(direction, &file)?;
-        let mut report = FeatureCodeReport {
-            rows,
-            with_feature: 0,
-            not_finite: 0,
-            zero: 0,
-            mean_cosine: None,
-            lowest_cosine: None,
-            left_out: Vec::new(),
-        };
+        let mut report = FeatureCodeReport { rows, ..FeatureCodeReport::default() };
         let mask = read_mask(scene, rows)?;
         for entry in entries(scene)? {
             let (from, name) = (scene.join(&entry), entry.to_string_lossy().into_owned());
@@ -365,7 +346,7 @@ fn read_mask(scene: &Path, rows: usize) -> Result<Option<Vec<bool>>, FeatureCode
     Ok(Some(marks))
 }
 
-/// Names in a folder, sorted; hidden ones are none of the scene's.
+/// Names in a folder, sorted; hidden files are ignored.
 fn entries(folder: &Path) -> Result<Vec<OsString>, FeatureCodeError> {
     let failed = |source| SceneError::Io {
         path: folder.to_owned(),

@@ -1,4 +1,4 @@
-//! A whole scene through the network: passes, tiles, and the way back to every Gaussian.
+//! A whole scene through the network: passes, tiles, and scattering rows to every Gaussian.
 
 use crate::alignment::{Alignment, AlignmentSettings};
 use crate::network::Network;
@@ -147,7 +147,7 @@ pub struct SceneFeatures {
 }
 
 /// What was done to a scene.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
 pub struct EncodeSummary {
     /// Voxels of a pass.
     pub voxels: usize,
@@ -228,27 +228,14 @@ impl<'a> SceneEncoder<'a> {
         beside: u64,
         progress: &mut ProgressFn<'_>,
     ) -> Result<SceneFeatures, EncodeError> {
-        let features = self.network.input().clone();
-        let grid_size = self.grid_size;
-        let exact = |passes| ExactPlan {
-            grid_size,
-            sample_size: grid_size / 2.0,
-            passes,
-            anchor: self.anchor,
-            features: features.clone(),
-            ..ExactPlan::default()
-        };
-        let plan = match self.fidelity {
-            Fidelity::Fast => FastPlan { grid_size, anchor: self.anchor, features }.build(scene)?,
-            Fidelity::Passes(passes) => exact(Some(passes)).build(scene)?,
-            Fidelity::Exact => exact(None).build(scene)?,
-        };
-        let plan = plan.above(floors.clone());
-        if plan.num_inputs() == 0 {
+        let plan = self.plan(scene)?.above(floors.clone());
+        let passes = plan.num_inputs();
+        if passes == 0 {
             return Err(EncodeError::Setting("the scene has no Gaussian".to_owned()));
         }
-        check_inverse_map(scene, &plan, grid_size)?;
-        let width = self.network.model().out_channels();
+        check_inverse_map(scene, &plan, self.grid_size)?;
+        let network = self.network.model();
+        let width = network.out_channels();
         self.check_codes(width)?;
         let budget = self.budget(scene, beside, &plan, width)?;
         let mut slots = if budget.spill {
@@ -256,61 +243,32 @@ impl<'a> SceneEncoder<'a> {
         } else {
             SlotStore::memory(plan.num_slots(), width)
         };
-        let align = self.network.model().alignment();
-        let tile_settings =
-            TileSettings { max_voxels: budget.max_voxels, halo: self.halo, align: align.max(1) };
-        let passes = plan.num_inputs();
-        let calibrated = if self.network.model().needs_example() {
+        let calibrated = if network.needs_example() {
             let (pass, tile, tiles, done) = (1, 1, 1, 0.0);
             progress(EncodeProgress { pass, passes, tile, tiles, done })?;
-            let input = example::example(&plan.input(0)?, align);
-            self.network.model().calibrated(&points(&input)?)?
+            let input = example::example(&plan.input(0)?, network.alignment());
+            network.calibrated(&points(&input)?)?
         } else {
             None
         };
-        let model = calibrated.as_ref().map_or(self.network.model(), |c| &*c.backbone);
+        let model = calibrated.as_ref().map_or(network, |c| &*c.backbone);
         let mut summary = EncodeSummary {
             voxels: plan.num_voxels(),
             passes,
-            tiles: 0,
-            voxels_computed: 0,
             smallest_halo: self.halo,
-            shrunk_halos: 0,
             spilled: budget.spill,
+            ..EncodeSummary::default()
         };
         for pass in 0..passes {
             let input = plan.input(pass)?;
-            let tiling = split_into_tiles(&input, &tile_settings)?;
-            summary.smallest_halo = summary.smallest_halo.min(tiling.smallest_halo);
-            summary.shrunk_halos += tiling.num_shrunk;
-            let tiles = tiling.tiles.len();
-            let work: usize = tiling.tiles.iter().map(|t| t.voxels.len()).sum();
-            let mut computed = 0;
-            for (i, tile) in tiling.tiles.iter().enumerate() {
-                let mut report = |within: f64| {
-                    let here = (computed as f64 + within * tile.voxels.len() as f64) / work as f64;
-                    progress(EncodeProgress {
-                        pass: pass + 1,
-                        passes,
-                        tile: i + 1,
-                        tiles,
-                        done: (pass as f64 + here) / passes as f64,
-                    })
-                };
-                let whole = tiles == 1;
-                let cut;
-                let part = if whole {
-                    &input
-                } else {
-                    cut = tile.input(&input);
-                    &cut
-                };
-                let values = self.forward(model, part, [pass, i], &mut report)?;
-                slots.add(&part.slots, &values, if whole { None } else { Some(&tile.is_core) })?;
-                computed += tile.voxels.len();
-            }
-            summary.tiles += tiles;
-            summary.voxels_computed += computed;
+            self.run_pass(
+                model,
+                &input,
+                (pass, budget.max_voxels),
+                &mut slots,
+                &mut summary,
+                progress,
+            )?;
         }
         if self.network.is_classifier() {
             slots.finish(|row, count| row.iter_mut().for_each(|v| *v /= count as f32))?;
@@ -319,21 +277,61 @@ impl<'a> SceneEncoder<'a> {
         }
         let InferencePlan { sampled, inverse, .. } = plan;
         let calibrated = calibrated.map_or(Vec::new(), |c| c.kept);
-        let (codes, alignment, voters) = (None, None, None);
-        let features = SceneFeatures {
-            slots,
-            inverse,
-            sampled,
-            codes,
-            voters,
-            calibrated,
-            summary,
-            alignment,
-        };
+        let features =
+            SceneFeatures { sampled, calibrated, ..SceneFeatures::new(slots, inverse, summary) };
         match self.codes {
             Some(codes) => features.into_codes(codes),
             None => Ok(features),
         }
+    }
+
+    /// Which Gaussians are read in which pass.
+    fn plan<'s>(&self, scene: &'s GaussianScene) -> Result<InferencePlan<'s>, EncodeError> {
+        let (grid_size, anchor) = (self.grid_size, self.anchor);
+        let features = self.network.input().clone();
+        let passes = match self.fidelity {
+            Fidelity::Fast => return Ok(FastPlan { grid_size, anchor, features }.build(scene)?),
+            Fidelity::Passes(passes) => Some(passes),
+            Fidelity::Exact => None,
+        };
+        let sample_size = grid_size / 2.0;
+        let plan =
+            ExactPlan { grid_size, sample_size, passes, anchor, features, ..ExactPlan::default() };
+        Ok(plan.build(scene)?)
+    }
+
+    /// Runs the network over the tiles of one pass, and adds its rows to their slots.
+    fn run_pass(
+        &self,
+        model: &dyn Backbone,
+        input: &NetworkInput,
+        (pass, max_voxels): (usize, usize),
+        slots: &mut SlotStore,
+        summary: &mut EncodeSummary,
+        progress: &mut ProgressFn<'_>,
+    ) -> Result<(), EncodeError> {
+        let align = self.network.model().alignment().max(1);
+        let tiling = split_into_tiles(input, &TileSettings { max_voxels, halo: self.halo, align })?;
+        summary.smallest_halo = summary.smallest_halo.min(tiling.smallest_halo);
+        summary.shrunk_halos += tiling.num_shrunk;
+        let (passes, tiles) = (summary.passes, tiling.tiles.len());
+        let work: usize = tiling.tiles.iter().map(|t| t.voxels.len()).sum();
+        let mut computed = 0;
+        for (i, tile) in tiling.tiles.iter().enumerate() {
+            let mut report = |within: f64| {
+                let here = (computed as f64 + within * tile.voxels.len() as f64) / work as f64;
+                let done = (pass as f64 + here) / passes as f64;
+                progress(EncodeProgress { pass: pass + 1, passes, tile: i + 1, tiles, done })
+            };
+            let cut = (tiles > 1).then(|| tile.input(input));
+            let part = cut.as_ref().unwrap_or(input);
+            let values = self.forward(model, part, [pass, i], &mut report)?;
+            slots.add(&part.slots, &values, cut.is_some().then_some(tile.is_core.as_slice()))?;
+            computed += tile.voxels.len();
+        }
+        summary.tiles += tiles;
+        summary.voxels_computed += computed;
+        Ok(())
     }
 
     /// That features of this width can be brought down.
@@ -511,21 +509,17 @@ impl SceneFeatures {
         Ok(Self::of_gaussians(SlotStore::rows(values, width), rows))
     }
 
+    fn new(slots: SlotStore, inverse: Vec<u32>, summary: EncodeSummary) -> Self {
+        let (codes, voters, alignment) = (None, None, None);
+        let (sampled, calibrated) = (Vec::new(), Vec::new());
+        Self { slots, inverse, sampled, codes, voters, calibrated, summary, alignment }
+    }
+
     /// One row for each Gaussian; no network was run.
     fn of_gaussians(slots: SlotStore, count: usize) -> Self {
         let rows: Vec<u32> = (0..count as u32).collect();
-        let summary = EncodeSummary {
-            voxels: count,
-            passes: 0,
-            tiles: 0,
-            smallest_halo: 0,
-            shrunk_halos: 0,
-            voxels_computed: 0,
-            spilled: false,
-        };
-        let inverse = rows.clone();
-        let (codes, voters, calibrated) = (None, None, Vec::new());
-        Self { slots, inverse, sampled: rows, codes, voters, calibrated, summary, alignment: None }
+        let summary = EncodeSummary { voxels: count, ..EncodeSummary::default() };
+        Self { sampled: rows.clone(), ..Self::new(slots, rows, summary) }
     }
 
     /// Number of Gaussians.

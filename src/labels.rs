@@ -186,13 +186,10 @@ pub fn label_with_vote(
     coord: &[[f32; 3]],
     k: usize,
 ) -> Result<Labels, LabelError> {
-    let mut found = label_gaussians(features, classes, options)?;
-    let keeps = options.unknown != UnknownRule::default();
-    settle_vote(&mut found, features, classes, coord, k, keeps)?;
-    Ok(found)
+    label_agreeing_with_vote(features, classes, options, &Agreement::default(), coord, k)
 }
 
-/// What labels agree on, and how sure they have to be. The default: on nothing, and never mind.
+/// What labels agree on, and their least probability. The default: nothing, and none.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Agreement<'a> {
     /// Surfaces that are of one class each.
@@ -276,30 +273,13 @@ pub fn label_agreeing_with_vote(
         return label_agreeing(features, classes, options, agreement);
     }
     let mut found = agreed_labels(features, classes, options, agreement)?;
-    let keeps = options.unknown != UnknownRule::default() || agreement.min_probability.is_some();
-    settle_vote(&mut found, features, classes, coord, k, keeps)?;
-    Ok(found)
-}
-
-/// Lets neighbours vote, if they are to.
-fn settle_vote(
-    found: &mut Labels,
-    features: &SceneFeatures,
-    classes: Classes<'_>,
-    coord: &[[f32; 3]],
-    k: usize,
-    keeps_withheld: bool,
-) -> Result<(), LabelError> {
-    if k < 2 {
-        return Ok(());
-    }
     let mut voted = vote(coord, &found.labels, features.voters(), coord, k, classes.len())?;
-    if keeps_withheld {
+    if options.unknown != UnknownRule::default() || agreement.min_probability.is_some() {
         keep_withheld(&found.labels, &mut voted);
     }
     rescore(features, classes, &voted, &mut found.scores)?;
     found.labels = voted;
-    Ok(())
+    Ok(found)
 }
 
 /// How much speaks for each class in each distinct row. `[rows, classes]`

@@ -53,7 +53,7 @@ pub enum CodeError {
     /// Nothing to learn the axes from.
     #[error("no row has a language feature that is finite and not 0")]
     NoFeatures,
-    /// The caller said so.
+    /// The caller cancelled.
     #[error("stopped; nothing was written")]
     Stopped,
 }
@@ -62,8 +62,8 @@ pub enum CodeError {
 ///
 /// A principal component analysis of a seeded sample; sums in a fixed order, so the result is the
 /// same for any number of threads. `valid` marks the rows that have a feature, `None` = those that
-/// are not 0; one with a value that is not finite counts as having none. `progress` gets the part
-/// done and gives `false` to stop.
+/// are not 0; one with a value that is not finite counts as having none. `progress` gets the fraction
+/// done; returning `false` cancels.
 ///
 /// # Errors
 /// If `k` is 0, above 256 or wider than the features, those are wider than 4096, no row has a feature, or `progress` stops it.
@@ -91,64 +91,8 @@ pub fn compress_features(
     if rows.is_empty() {
         return Err(CodeError::NoFeatures);
     }
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut chosen = sample(&mut rng, rows.len(), rows.len().min(SAMPLE)).into_vec();
-    chosen.sort_unstable();
-    let mut table = vec![0f32; chosen.len() * width];
-    for (out, &at) in table.chunks_exact_mut(width).zip(&chosen) {
-        out.iter_mut().zip(row(rows[at])).for_each(|(o, v)| *o = v.to_f32());
-    }
-    let mut mean = vec![0f64; width];
-    for row in table.chunks_exact(width) {
-        mean.iter_mut().zip(row).for_each(|(m, v)| *m += f64::from(*v));
-    }
-    mean.iter_mut().for_each(|m| *m /= chosen.len() as f64);
-    let mean: Vec<f32> = mean.into_iter().map(|m| m as f32).collect();
-    for row in table.chunks_exact_mut(width) {
-        row.iter_mut().zip(&mean).for_each(|(v, m)| *v -= m);
-    }
-    let mut covariance = vec![0f32; width * width];
-    gemm_tn(&table, width, &table, width, None, &mut covariance);
-    let axes = leading_eigenvectors(&covariance, width, k, Iteration::default(), progress)
-        .ok_or(CodeError::Stopped)?;
-    let axes = axes.iter().flatten().map(|v| *v as f32).collect();
-    let mut codebook = LanguageCodebook { mean, axes };
-
-    let has_feature: Vec<bool> = {
-        let mut flags = vec![false; count];
-        rows.iter().for_each(|&i| flags[i] = true);
-        flags
-    };
-    let mut dots = vec![0f32; count * k];
-    dots.par_chunks_mut(BLOCK * k).enumerate().for_each(|(block, out)| {
-        let mut centred = vec![0f32; width];
-        for (i, code) in out.chunks_exact_mut(k).enumerate() {
-            let at = block * BLOCK + i;
-            if !has_feature[at] {
-                continue;
-            }
-            for ((c, v), m) in centred.iter_mut().zip(row(at)).zip(&codebook.mean) {
-                *c = v.to_f32() - m;
-            }
-            for (value, axis) in code.iter_mut().zip(codebook.axes.chunks_exact(width)) {
-                *value = axis.iter().zip(&centred).map(|(a, c)| a * c).sum();
-            }
-        }
-    });
-    // Unit features have codes below 2. Much larger ones would not fit into 16 bits: then the axes
-    // take the factor.
-    let largest = dots.par_iter().map(|v| v.abs()).reduce(|| 0.0, f32::max);
-    let factor = if largest > LARGEST_CODE { largest / LARGEST_CODE } else { 1.0 };
-    codebook.axes.iter_mut().for_each(|v| *v *= factor);
-    let mut values: Vec<f16> = dots.par_iter().map(|v| f16::from_f32(v / factor)).collect();
-    drop(dots);
-    for (code, has) in values.chunks_exact_mut(k).zip(&has_feature) {
-        if *has && code.iter().all(|v| *v == f16::ZERO) {
-            // Zeros would mean that there is no feature.
-            code[0] = f16::from_bits(1);
-        }
-    }
-    let code = LanguageCode { values, codebook };
+    let codebook = find_codebook(features, &rows, k, seed, progress)?;
+    let code = write_codes(features, &rows, k, codebook);
     // Blocks are summed one after the other, whoever computed them.
     let per_block: Vec<(f64, f64)> = rows
         .par_chunks(BLOCK)
@@ -173,6 +117,82 @@ pub fn compress_features(
         valid: rows.len(),
         not_finite,
     })
+}
+
+/// Mean and leading axes of a sample of some rows.
+fn find_codebook(
+    features: &LanguageFeatures,
+    rows: &[usize],
+    k: usize,
+    seed: u64,
+    progress: &mut dyn FnMut(f64) -> bool,
+) -> Result<LanguageCodebook, CodeError> {
+    let width = features.dim;
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut chosen = sample(&mut rng, rows.len(), rows.len().min(SAMPLE)).into_vec();
+    chosen.sort_unstable();
+    let mut table = vec![0f32; chosen.len() * width];
+    for (out, &at) in table.chunks_exact_mut(width).zip(&chosen) {
+        let row = &features.values[rows[at] * width..][..width];
+        out.iter_mut().zip(row).for_each(|(o, v)| *o = v.to_f32());
+    }
+    let mut mean = vec![0f64; width];
+    for row in table.chunks_exact(width) {
+        mean.iter_mut().zip(row).for_each(|(m, v)| *m += f64::from(*v));
+    }
+    mean.iter_mut().for_each(|m| *m /= chosen.len() as f64);
+    let mean: Vec<f32> = mean.into_iter().map(|m| m as f32).collect();
+    for row in table.chunks_exact_mut(width) {
+        row.iter_mut().zip(&mean).for_each(|(v, m)| *v -= m);
+    }
+    let mut covariance = vec![0f32; width * width];
+    gemm_tn(&table, width, &table, width, None, &mut covariance);
+    let axes = leading_eigenvectors(&covariance, width, k, Iteration::default(), progress)
+        .ok_or(CodeError::Stopped)?;
+    let axes = axes.iter().flatten().map(|v| *v as f32).collect();
+    Ok(LanguageCodebook { mean, axes })
+}
+
+/// The codes of some rows; the others have the code 0.
+fn write_codes(
+    features: &LanguageFeatures,
+    rows: &[usize],
+    k: usize,
+    mut codebook: LanguageCodebook,
+) -> LanguageCode {
+    let width = features.dim;
+    let mut has_feature = vec![false; features.values.len() / width];
+    rows.iter().for_each(|&i| has_feature[i] = true);
+    let mut dots = vec![0f32; has_feature.len() * k];
+    dots.par_chunks_mut(BLOCK * k).enumerate().for_each(|(block, out)| {
+        let mut centred = vec![0f32; width];
+        for (i, code) in out.chunks_exact_mut(k).enumerate() {
+            let at = block * BLOCK + i;
+            if !has_feature[at] {
+                continue;
+            }
+            let row = &features.values[at * width..][..width];
+            for ((c, v), m) in centred.iter_mut().zip(row).zip(&codebook.mean) {
+                *c = v.to_f32() - m;
+            }
+            for (value, axis) in code.iter_mut().zip(codebook.axes.chunks_exact(width)) {
+                *value = axis.iter().zip(&centred).map(|(a, c)| a * c).sum();
+            }
+        }
+    });
+    // Unit features have codes below 2. Much larger ones would not fit into 16 bits: then the axes
+    // take the factor.
+    let largest = dots.par_iter().map(|v| v.abs()).reduce(|| 0.0, f32::max);
+    let factor = if largest > LARGEST_CODE { largest / LARGEST_CODE } else { 1.0 };
+    codebook.axes.iter_mut().for_each(|v| *v *= factor);
+    let mut values: Vec<f16> = dots.par_iter().map(|v| f16::from_f32(v / factor)).collect();
+    for (code, has) in values.chunks_exact_mut(k).zip(&has_feature) {
+        if *has && code.iter().all(|v| *v == f16::ZERO) {
+            // Zeros would mean that there is no feature.
+            code[0] = f16::from_bits(1);
+        }
+    }
+    LanguageCode { values, codebook }
 }
 
 /// The cosine of two vectors; 0 if one of them has no length.

@@ -3,9 +3,9 @@
 //! The crates behind this facade: [`scene`] (scenes and their files), [`kernels`] (algorithms on
 //! slices), [`datasets`] (from scenes to network input), [`models`] (networks and weights),
 //! [`metrics`] (labels, votes, evaluation, pictures), [`rasterizer`] (pictures of scenes), [`optimisation`] (scenes from pictures), [`collection`] (features of the segments of pictures), [`trainers`]
-//! (optimizers and schedules), [`rooms`] (synthetic rooms), [`objects`] (instances and boxes), [`sentences`] (phrases as vectors). This crate adds
+//! (optimizers and schedules), [`rooms`] (synthetic rooms), [`objects`] (instances and boxes), [`phrases`] (phrases as vectors and as classes). This crate adds
 //! what joins them: [`Network`] (a configuration with its weights), [`SceneEncoder`] (a scene in,
-//! features out), [`labels`], [`query`], [`phrases`], [`evaluation`], [`experiment`], [`page`] (a scene to look at in a browser) and what the commands write.
+//! features out), [`labels`], [`query`], [`evaluation`], [`experiment`], [`page`] (a scene to look at in a browser) and what the commands write.
 //!
 //! ```
 //! use scenesplat::embedded;
@@ -44,7 +44,6 @@ mod object_picture;
 pub mod outputs;
 pub mod page;
 pub mod page_kit;
-pub mod phrases;
 pub mod picture_networks;
 pub mod preview;
 pub mod principal;
@@ -69,7 +68,7 @@ pub use scenesplat_optimisation as optimisation;
 pub use scenesplat_rasterizer as rasterizer;
 pub use scenesplat_rooms as rooms;
 pub use scenesplat_scene as scene;
-pub use scenesplat_text as sentences;
+pub use scenesplat_text as phrases;
 pub use scenesplat_trainers as trainers;
 pub use scenesplat_vision as vision;
 pub use setting::{Setting, SettingError};

@@ -59,12 +59,12 @@ impl fmt::Display for Machine {
     }
 }
 
-/// Largest resident memory of this process so far, bytes; `None` where the system does not tell.
+/// Largest resident memory of this process so far, bytes; `None` if the system does not report it.
 pub fn peak_memory_bytes() -> Option<u64> {
     status_bytes("VmHWM:")
 }
 
-/// Resident memory of this process now, bytes; `None` where the system does not tell.
+/// Resident memory of this process now, bytes; `None` if the system does not report it.
 pub fn resident_memory_bytes() -> Option<u64> {
     status_bytes("VmRSS:")
 }

@@ -48,8 +48,8 @@ impl fmt::Display for Bytes {
     }
 }
 
-/// Memory that this machine, or the container that the process runs in, has; `None` where the system
-/// does not tell.
+/// Memory that this machine, or the container that the process runs in, has; `None` if the system
+/// does not report it.
 pub fn machine_memory() -> Option<Bytes> {
     let kib = |line: &str| line.strip_prefix("MemTotal:")?.trim().strip_suffix(" kB")?.parse().ok();
     let whole = std::fs::read_to_string("/proc/meminfo")

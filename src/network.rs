@@ -1,8 +1,8 @@
 //! A network configuration with its weights.
 
 mod choice;
-mod config;
-mod error;
+pub(crate) mod config;
+pub(crate) mod error;
 
 pub use choice::{NetworkChoice, config_beside, network_of};
 pub use config::{NetworkConfig, documented_input};
@@ -235,8 +235,8 @@ impl Network {
         self.output == NetworkOutput::Logits
     }
 
-    /// Bytes of the packed weights; 0 for a network [from a backbone](Self::from_backbone), which
-    /// does not tell.
+    /// Bytes of the packed weights; 0 for a network [from a backbone](Self::from_backbone), for
+    /// which it is not known.
     pub fn weight_bytes(&self) -> usize {
         self.report.parameters * size_of::<f32>()
     }

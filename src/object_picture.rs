@@ -1,9 +1,11 @@
 //! A picture of a scene with the numbered boxes of its objects.
 
-use crate::preview::text;
-use crate::preview::{Orbit, SceneRows, UNLABELLED_COLOR, class_color, picture_of};
+use crate::preview::{
+    BACKGROUND, INK, Orbit, SceneRows, UNLABELLED_COLOR, class_color, fill, picture_of, text,
+};
 use scenesplat_objects::{Catalogue, is_kind};
 use scenesplat_rasterizer::{Gaussians, RasterError, RasterSettings, RenderRequest, View, render};
+use scenesplat_scene::gaussian_scene::SH_C0;
 use scenesplat_scene::picture::RgbPicture;
 use scenesplat_scene::{Camera, GaussianScene, UpAxis};
 
@@ -60,46 +62,15 @@ pub fn object_picture(
         .filter(|&i| !is_building(&catalogue.objects[i].class))
         .collect();
     let columns = listed.len().div_ceil(LINES).clamp(1, COLUMNS) as u32;
-    let mut picture =
-        RgbPicture::filled(VIEW[0] + columns * LIST, VIEW[1], crate::preview::BACKGROUND);
+    let mut picture = RgbPicture::filled(VIEW[0] + columns * LIST, VIEW[1], BACKGROUND);
     let Some(camera) = orbit.cameras.first() else { return Ok(picture) };
-    let size = (0..3).map(|a| camera.centre()[a].powi(2)).sum::<f64>().sqrt().max(1.0);
-    let kept: Vec<usize> = (0..scene.len())
-        .filter(|&row| {
-            let c = scene.coord[row];
-            let hidden = orbit.ceiling.as_ref().is_some_and(|ceiling| ceiling.hides(c));
-            let haze = scene.scale(row).iter().any(|&s| f64::from(s) > HAZE * size);
-            c.iter().all(|v| v.is_finite()) && !hidden && !haze
-        })
-        .collect();
-    let drawn = scene.select_rows(&kept).ok();
-    let Some(drawn) = drawn.filter(|s| !s.is_empty()) else { return Ok(picture) };
-    let dc = kept.iter().flat_map(|&r| {
-        colors[r].map(|c| (f32::from(c) / 255.0 - 0.5) / scenesplat_scene::gaussian_scene::SH_C0)
-    });
-    let drawn = GaussianScene { sh_rest: Vec::new(), sh_degree: 0, ..drawn };
-    let mut gaussians = Gaussians::from_scene(&drawn)?;
-    gaussians.sh = dc.collect();
-    gaussians.sh_degree = 0;
-    let mut settings = RasterSettings { far: f32::INFINITY, ..RasterSettings::gsplat_1_6() };
-    if let Some(near) = orbit.near {
-        settings.near = near.max(1e-6) as f32;
-    }
-    let background = crate::preview::BACKGROUND.map(|v| f32::from(v) / 255.0);
-    settings.background = Some(background);
-    let rendered =
-        render(&gaussians, &View::from_camera(camera)?, &settings, &RenderRequest::rgb())?;
-    if let Some(view) = rendered.rgb.and_then(|rgb| picture_of(&rgb, VIEW[0], VIEW[1])) {
-        for (x, y, color) in view.enumerate() {
-            picture.set(x, y, color);
-        }
+    let Some(view) = draw_scene(scene, &colors, &orbit, camera)? else { return Ok(picture) };
+    for (x, y, color) in view.enumerate() {
+        picture.set(x, y, color);
     }
     let mut labels = Vec::new();
-    for (i, object) in catalogue.objects.iter().enumerate() {
-        if is_building(&object.class) {
-            continue;
-        }
-        let color = class_color(i);
+    for &i in &listed {
+        let (object, color) = (&catalogue.objects[i], class_color(i));
         draw_box(&mut picture, camera, &object.corners, color);
         labels.extend(camera.project(object.position).map(|at| (at, object.id.to_string(), color)));
     }
@@ -108,6 +79,38 @@ pub fn object_picture(
     }
     list(&mut picture, catalogue, &listed);
     Ok(picture)
+}
+
+/// The scene without its ceiling and haze; `None` if nothing of it is left.
+fn draw_scene(
+    scene: &GaussianScene,
+    colors: &[[u8; 3]],
+    orbit: &Orbit,
+    camera: &Camera,
+) -> Result<Option<RgbPicture>, RasterError> {
+    let size = (0..3).map(|a| camera.centre()[a].powi(2)).sum::<f64>().sqrt().max(1.0);
+    let is_drawn = |&row: &usize| {
+        let c = scene.coord[row];
+        let hidden = orbit.ceiling.as_ref().is_some_and(|ceiling| ceiling.hides(c));
+        let haze = scene.scale(row).iter().any(|&s| f64::from(s) > HAZE * size);
+        c.iter().all(|v| v.is_finite()) && !hidden && !haze
+    };
+    let kept: Vec<usize> = (0..scene.len()).filter(is_drawn).collect();
+    let drawn = scene.select_rows(&kept).ok();
+    let Some(drawn) = drawn.filter(|s| !s.is_empty()) else { return Ok(None) };
+    let mut gaussians =
+        Gaussians::from_scene(&GaussianScene { sh_rest: Vec::new(), sh_degree: 0, ..drawn })?;
+    let dc = |&row: &usize| colors[row].map(|c| (f32::from(c) / 255.0 - 0.5) / SH_C0);
+    gaussians.sh = kept.iter().flat_map(dc).collect();
+    gaussians.sh_degree = 0;
+    let mut settings = RasterSettings { far: f32::INFINITY, ..RasterSettings::gsplat_1_6() };
+    if let Some(near) = orbit.near {
+        settings.near = near.max(1e-6) as f32;
+    }
+    settings.background = Some(BACKGROUND.map(|v| f32::from(v) / 255.0));
+    let rendered =
+        render(&gaussians, &View::from_camera(camera)?, &settings, &RenderRequest::rgb())?;
+    Ok(rendered.rgb.and_then(|rgb| picture_of(&rgb, VIEW[0], VIEW[1])))
 }
 
 fn draw_box(picture: &mut RgbPicture, camera: &Camera, corners: &[[f64; 3]; 8], color: [u8; 3]) {
@@ -136,7 +139,7 @@ fn badge(picture: &mut RgbPicture, [x, y]: [f64; 2], number: &str, color: [u8; 3
         return;
     }
     let (left, top) = (x as u32 - wide / 2, y as u32 - 7);
-    crate::preview::fill(picture, [left, top], [wide, 14], [16, 17, 20]);
+    fill(picture, [left, top], [wide, 14], [16, 17, 20]);
     text::draw(picture, left + 3, top + 3, 1, color.map(|v| v.max(90)), number, wide);
 }
 
@@ -150,16 +153,15 @@ fn list(picture: &mut RgbPicture, catalogue: &Catalogue, listed: &[usize]) {
     for (place, &i) in listed.iter().enumerate().take(fits) {
         let left = VIEW[0] + 12 + (place / LINES) as u32 * LIST;
         let top = 12 + (place % LINES) as u32 * LINE;
-        let ink = crate::preview::INK;
         if place + 1 == fits && listed.len() > fits {
             let more = format!("and {} more", listed.len() - fits + 1);
-            text::draw(picture, left + 18, top + 2, 1, ink, &more, LIST - 36);
+            text::draw(picture, left + 18, top + 2, 1, INK, &more, LIST - 36);
             break;
         }
         let object = &catalogue.objects[i];
         let name =
             format!("{:>3} {}", object.id, object.class.chars().take(40).collect::<String>());
-        crate::preview::fill(picture, [left, top], [12, 12], class_color(i));
-        text::draw(picture, left + 18, top + 2, 1, ink, &name, LIST - 36);
+        fill(picture, [left, top], [12, 12], class_color(i));
+        text::draw(picture, left + 18, top + 2, 1, INK, &name, LIST - 36);
     }
 }

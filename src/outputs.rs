@@ -1,4 +1,4 @@
-//! What the commands write: features, labels, coloured scenes, previews.
+//! What the commands write: features, labels, colored scenes, previews.
 
 use crate::inference::{EncodeError, SceneFeatures};
 use crate::preview::{
@@ -33,7 +33,7 @@ pub enum OutputError {
     /// Features that went to a file could not be read.
     #[error(transparent)]
     Features(#[from] EncodeError),
-    /// A file that could not be written or looked at.
+    /// A file that could not be written or measured.
     #[error("{}", path.display())]
     Io {
         /// Which file.
@@ -132,7 +132,7 @@ pub fn write_features_safetensors(
     let io = |source| OutputError::Io { path: path.to_owned(), source };
     {
         let part = AtomicFile::create(path)?;
-        let mut file = std::io::BufWriter::new(part.file()?);
+        let mut file = std::io::BufWriter::new(part.file());
         file.write_all(&(header.len() as u64).to_le_bytes()).map_err(io)?;
         file.write_all(header.as_bytes()).map_err(io)?;
         let mut count = 0;
@@ -194,7 +194,7 @@ fn file_size(path: &Path) -> Result<u64> {
     Ok(std::fs::metadata(path).map_err(io)?.len())
 }
 
-/// Columns to add to a coloured scene, one value per Gaussian.
+/// Columns to add to a colored scene, one value per Gaussian.
 #[derive(Debug, Default)]
 pub struct ResultColumns<'a> {
     /// Class, −1 = none.
@@ -203,9 +203,9 @@ pub struct ResultColumns<'a> {
     pub score: Option<&'a [f32]>,
 }
 
-/// Writes the scene with new colours and result columns.
+/// Writes the scene with new colors and result columns.
 ///
-/// A PLY source keeps every element, property and value; only the colours `f_dc_*` are replaced and
+/// A PLY source keeps every element, property and value; only the colors `f_dc_*` are replaced and
 /// the view-dependent `f_rest_*` set to 0, and their old values move to `source_f_dc_*` and
 /// `source_f_rest_*`. Any other source becomes a standard splat PLY; where rows were left out, its
 /// column `source_row` names the rows of the source.
@@ -218,36 +218,59 @@ pub fn write_colored_ply(
     columns: &ResultColumns<'_>,
     path: &Path,
 ) -> Result<u64> {
-    let loaded = &opened.loaded;
-    if opened.converted || loaded.kind != SceneFormat::Ply {
-        let mut scene = GaussianScene {
-            sh_dc: colors.iter().map(|c| c.map(u8_to_dc)).collect(),
-            sh_rest: Vec::new(),
-            sh_degree: 0,
-            ..loaded.scene.clone()
-        };
-        scene.lang_feat = None;
-        scene.valid_feat_mask = None;
-        if columns.score.is_some() {
-            scene.segment_score = None;
-        }
-        let mut extra = Vec::new();
-        let source_row: Vec<i32>;
-        if let Some(kept) = &loaded.kept_rows {
-            source_row = kept.iter().map(|r| *r as i32).collect();
-            extra.push(PlyColumn { name: "source_row", values: ColumnValues::I32(&source_row) });
-        }
-        if let Some(label) = columns.label {
-            extra.push(PlyColumn { name: "label", values: ColumnValues::I32(label) });
-        }
-        if let Some(score) = columns.score {
-            extra.push(PlyColumn { name: "score", values: ColumnValues::F32(score) });
-        }
-        write_inria_ply(&scene, &extra, path)?;
-        return file_size(path);
+    if opened.converted || opened.loaded.kind != SceneFormat::Ply {
+        write_as_splats(&opened.loaded, colors, columns, path)?;
+    } else {
+        write_recolored(&opened.loaded, colors, columns, path)?;
     }
+    file_size(path)
+}
+
+fn f32_column<'a>(name: &'a str, values: &'a [f32]) -> PlyColumn<'a> {
+    PlyColumn { name, values: ColumnValues::F32(values) }
+}
+
+fn i32_column<'a>(name: &'a str, values: &'a [i32]) -> PlyColumn<'a> {
+    PlyColumn { name, values: ColumnValues::I32(values) }
+}
+
+/// A standard splat PLY of the rows that were read.
+fn write_as_splats(
+    loaded: &LoadedScene,
+    colors: &[[u8; 3]],
+    columns: &ResultColumns<'_>,
+    path: &Path,
+) -> Result<()> {
+    let mut scene = GaussianScene {
+        sh_dc: colors.iter().map(|c| c.map(u8_to_dc)).collect(),
+        sh_rest: Vec::new(),
+        sh_degree: 0,
+        ..loaded.scene.clone()
+    };
+    scene.lang_feat = None;
+    scene.valid_feat_mask = None;
+    if columns.score.is_some() {
+        scene.segment_score = None;
+    }
+    let source_row: Option<Vec<i32>> =
+        loaded.kept_rows.as_ref().map(|kept| kept.iter().map(|r| *r as i32).collect());
+    let mut extra = Vec::new();
+    extra.extend(source_row.as_ref().map(|rows| i32_column("source_row", rows)));
+    extra.extend(columns.label.map(|label| i32_column("label", label)));
+    extra.extend(columns.score.map(|score| f32_column("score", score)));
+    Ok(write_inria_ply(&scene, &extra, path)?)
+}
+
+/// The source's elements and properties with new colors.
+fn write_recolored(
+    loaded: &LoadedScene,
+    colors: &[[u8; 3]],
+    columns: &ResultColumns<'_>,
+    path: &Path,
+) -> Result<()> {
     let source = PlyFile::open(&loaded.path)?;
-    let has_dc = source.element("vertex").is_some_and(|e| e.has("f_dc_0"));
+    let has = |name: &str| source.element("vertex").is_some_and(|e| e.has(name));
+    let has_dc = has("f_dc_0");
     let dc_names = ["f_dc_0", "f_dc_1", "f_dc_2"];
     let mut new_dc: [Vec<f32>; 3] = Default::default();
     let mut old_dc: [Vec<f32>; 3] = Default::default();
@@ -257,64 +280,45 @@ pub fn write_colored_ply(
         if has_dc {
             old_dc[axis] = source.column_f32("vertex", dc_names[axis])?;
             if let Some(kept) = &loaded.kept_rows {
-                // Rows left out keep their colour.
-                let mut dc = old_dc[axis].clone();
+                // Rows left out keep their color.
+                new_dc[axis].clone_from(&old_dc[axis]);
                 for (&row, v) in kept.iter().zip(&ours) {
-                    dc[row as usize] = *v;
+                    new_dc[axis][row as usize] = *v;
                 }
-                new_dc[axis] = dc;
             }
         }
     }
     let labels = columns.label.map(|l| loaded.to_source_rows(l, -1)).transpose()?;
     let scores = columns.score.map(|s| loaded.to_source_rows(s, 0.0)).transpose()?;
     let free = |name: &str| free_column_name(&source, name);
-    let old_names = dc_names.map(|n| free(&format!("source_{n}")));
+    let aside = |name: &str| free(&format!("source_{name}"));
     let (label_name, score_name) = (free("label"), free("score"));
-    let recolored: Vec<PlyColumn<'_>> = dc_names
-        .iter()
-        .zip(&new_dc)
-        .map(|(name, values)| PlyColumn { name, values: ColumnValues::F32(values) })
-        .collect();
-    // Higher harmonics would tint the new colours; they become 0, their values move aside.
-    let rest_names: Vec<String> = (0..72)
-        .map(|i| format!("f_rest_{i}"))
-        .filter(|n| has_dc && source.element("vertex").is_some_and(|e| e.has(n)))
-        .collect();
-    let rest_aside: Vec<String> = rest_names.iter().map(|n| free(&format!("source_{n}"))).collect();
+    // Higher harmonics would tint the new colors; they become 0, their values move aside.
+    let rest_names = (0..72).map(|i| format!("f_rest_{i}")).filter(|name| has_dc && has(name));
+    let rest_names: Vec<String> = rest_names.collect();
     let rest: Vec<Vec<f32>> =
         rest_names.iter().map(|n| Ok(source.column_f32("vertex", n)?)).collect::<Result<_>>()?;
     let zeros = if rest.is_empty() { Vec::new() } else { vec![0f32; loaded.source_rows()] };
-    let recolored: Vec<PlyColumn<'_>> = recolored
-        .into_iter()
-        .chain(rest_names.iter().map(|n| PlyColumn { name: n, values: ColumnValues::F32(&zeros) }))
+    let mut recolored: Vec<PlyColumn<'_>> =
+        dc_names.iter().zip(&new_dc).map(|(name, values)| f32_column(name, values)).collect();
+    recolored.extend(rest_names.iter().map(|name| f32_column(name, &zeros)));
+    let old: Vec<(String, &[f32])> = (rest_names.iter().zip(&rest))
+        .map(|(name, values)| (aside(name), values.as_slice()))
+        .chain(dc_names.iter().zip(&old_dc).map(|(name, values)| (aside(name), values.as_slice())))
+        .filter(|_| has_dc)
         .collect();
-    let mut append = Vec::new();
-    for (name, values) in rest_aside.iter().zip(&rest) {
-        append.push(PlyColumn { name, values: ColumnValues::F32(values) });
+    let mut append: Vec<PlyColumn<'_>> =
+        old.iter().map(|(name, values)| f32_column(name, values)).collect();
+    append.extend(labels.as_ref().map(|labels| i32_column(&label_name, labels)));
+    append.extend(scores.as_ref().map(|scores| f32_column(&score_name, scores)));
+    if !has_dc {
+        // A scene colored by bytes, or not at all: the new colors are columns of their own.
+        append.splice(0..0, recolored.drain(..));
     }
-    if has_dc {
-        for (name, values) in old_names.iter().zip(&old_dc) {
-            append.push(PlyColumn { name, values: ColumnValues::F32(values) });
-        }
-    }
-    if let Some(labels) = &labels {
-        append.push(PlyColumn { name: &label_name, values: ColumnValues::I32(labels) });
-    }
-    if let Some(scores) = &scores {
-        append.push(PlyColumn { name: &score_name, values: ColumnValues::F32(scores) });
-    }
-    if has_dc {
-        write_ply_with_columns(&source, &recolored, &append, path)?;
-    } else {
-        // A scene coloured by bytes, or not at all: the new colours are columns of their own.
-        let all: Vec<PlyColumn<'_>> = recolored.into_iter().chain(append).collect();
-        write_ply_with_columns(&source, &[], &all, path)?;
-    }
-    file_size(path)
+    Ok(write_ply_with_columns(&source, &recolored, &append, path)?)
 }
 
-/// Colours of labels; grey where there is none.
+/// Colors of labels; grey where there is none.
 pub fn label_colors(labels: &[i32]) -> Vec<[u8; 3]> {
     labels.iter().map(|&l| usize::try_from(l).map_or(UNLABELLED_COLOR, class_color)).collect()
 }
@@ -343,7 +347,7 @@ pub fn legend(labels: &[i32], names: &[String]) -> Vec<LegendEntry> {
     out
 }
 
-/// Draws a scene in the given colours.
+/// Draws a scene in the given colors.
 ///
 /// # Errors
 /// If the picture cannot be drawn or written.

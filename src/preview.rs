@@ -1,6 +1,6 @@
 //! A PNG that shows a scene at a glance: a perspective view, a view from above, and a legend.
 //!
-//! Scenes are drawn by the renderer, shaded by depth so that things of one colour stand apart; points
+//! Scenes are drawn by the renderer, shaded by depth so that things of one color stand apart; points
 //! without shapes, and the sheets of `inspect`, as discs with a depth buffer. Neither is for judging
 //! image quality: `scenesplat render` is.
 
@@ -29,7 +29,7 @@ pub use png::{write_png, write_png16};
 pub use rendered::{depth_steps, picture_of, rendered_picture, solid_depth};
 pub use rows::{PreviewRows, SceneRows, SplatShapes};
 
-pub(crate) use legend::{fill, thousands};
+pub(crate) use legend::{blend, fill, thousands};
 
 use discs::{Canvas, Disc};
 use framing::{Framing, Upright};

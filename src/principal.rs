@@ -1,4 +1,4 @@
-//! Features as colours: their three strongest directions.
+//! Features as colors: their three strongest directions.
 
 use crate::inference::{EncodeError, SceneFeatures};
 use crate::preview::UNLABELLED_COLOR;
@@ -12,7 +12,7 @@ const SAMPLE: usize = 20_000;
 const ITERATION: Iteration =
     Iteration { rounds: 40, settled: 0.0, negligible: 1e-6, orthogonalizations: 1 };
 
-/// One colour per Gaussian: the features' three principal components as red, green, blue, each
+/// One color per Gaussian: the features' three principal components as red, green, blue, each
 /// stretched over its 2–98 % range.
 ///
 /// # Errors
@@ -76,7 +76,7 @@ impl PrincipalDirections {
 }
 
 /// Coordinates as red, green, blue, each stretched over its 2–98 % range; rows without any take the
-/// colour of what has no label.
+/// color of rows without a label.
 pub fn stretched_colors(projected: &[Option<[f32; 3]>]) -> Vec<[u8; 3]> {
     let ranges: [(f32, f32); 3] = std::array::from_fn(|axis| {
         let mut values: Vec<f32> = projected.iter().flatten().map(|p| p[axis]).collect();

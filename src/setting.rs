@@ -4,8 +4,6 @@
 
 mod apply;
 mod error;
-#[cfg(test)]
-mod measured;
 mod parse;
 
 pub use error::SettingError;

@@ -1,5 +1,6 @@
 //! Samples by number.
 
+use crate::error::require;
 use crate::teacher::Lesson;
 use crate::{
     DataError, DataSource, LeftOut, RepairedScene, Sample, SceneTeacher, TeacherView, Transform,
@@ -8,7 +9,7 @@ use crate::{
 use scenesplat_scene::RepairReport;
 use scenesplat_scene::value_policy::Rule;
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// A fixed number of samples, each of which can be made at any time.
 ///
@@ -62,9 +63,8 @@ impl SceneDataset {
         seed: u64,
         repeat: usize,
     ) -> Result<Self, DataError> {
-        if repeat == 0 || source.scene_ids().len().checked_mul(repeat).is_none() {
-            return Err(crate::error::bad_setting("repeat", repeat, "a number of 1 or more"));
-        }
+        let ok = repeat > 0 && source.scene_ids().len().checked_mul(repeat).is_some();
+        require(ok, "repeat", repeat, "a number of 1 or more")?;
         Ok(Self {
             source,
             transforms,
@@ -91,7 +91,7 @@ impl SceneDataset {
 
     /// The scenes in which something had to be repaired or left out so far, by name, with what.
     pub fn repairs(&self) -> BTreeMap<String, RepairReport> {
-        self.repairs.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        held(&self.repairs).clone()
     }
 
     fn make(&self, epoch: u64, index: usize, id: &str) -> Result<Sample, DataError> {
@@ -100,13 +100,10 @@ impl SceneDataset {
         let labels = [loaded.scene.segment.as_deref(), points];
         let labels = labels.into_iter().flatten().flatten().any(|label| *label >= 0);
         let about = (loaded.report.source_rows, labels, loaded.scene.lang_feat.is_some());
-        let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
-        seen.entry(id.to_owned()).or_insert(about);
-        drop(seen);
+        held(&self.seen).entry(id.to_owned()).or_insert(about);
         // Labels that are read as none are legal values, but they are lost.
         if !loaded.report.is_clean() || loaded.report.count(Rule::SegmentNone) > 0 {
-            let mut repairs = self.repairs.lock().unwrap_or_else(PoisonError::into_inner);
-            repairs.entry(id.to_owned()).or_insert(loaded.report);
+            held(&self.repairs).entry(id.to_owned()).or_insert(loaded.report);
         }
         loaded.scene.check_rows()?;
         let mut sample = Sample::from_scene(id, loaded.scene);
@@ -128,6 +125,11 @@ impl SceneDataset {
     }
 }
 
+/// What a lock holds, whatever happened to those who held it.
+fn held<T>(lock: &Mutex<T>) -> MutexGuard<'_, T> {
+    lock.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 impl Dataset for SceneDataset {
     fn len(&self) -> usize {
         self.source.scene_ids().len() * self.repeat
@@ -147,8 +149,8 @@ impl Dataset for SceneDataset {
     }
 
     fn left_out(&self) -> LeftOut {
-        let seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
-        let repairs = self.repairs.lock().unwrap_or_else(PoisonError::into_inner);
+        let seen = held(&self.seen);
+        let repairs = held(&self.repairs);
         let lacking = |lacks: fn(&(usize, bool, bool)) -> bool| {
             seen.iter().filter(|(_, about)| lacks(about)).map(|(id, _)| id.clone()).collect()
         };

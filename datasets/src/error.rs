@@ -153,6 +153,12 @@ impl DataError {
         Self::Teacher { source: error.into() }
     }
 
+    /// A step lacks the cells of Gaussians.
+    pub(crate) fn no_cells(step: &'static str) -> Self {
+        let help = "end the transforms with a grid sample";
+        Self::Missing { step, missing: "cells", help }
+    }
+
     /// Says of which scene this is, unless it does already.
     pub(crate) fn in_scene(self, id: &str) -> Self {
         match self {
@@ -180,6 +186,38 @@ impl From<SceneError> for DataError {
     }
 }
 
+/// A [`DataError::Setting`] unless the value is all right.
+pub(crate) fn require(
+    ok: bool,
+    setting: &'static str,
+    value: impl std::fmt::Display,
+    expected: &'static str,
+) -> Result<(), DataError> {
+    if ok { Ok(()) } else { Err(bad_setting(setting, value, expected)) }
+}
+
+pub(crate) fn check_probability(setting: &'static str, value: f64) -> Result<(), DataError> {
+    require((0.0..=1.0).contains(&value), setting, value, "a probability in 0..=1")
+}
+
+pub(crate) fn check_positive(setting: &'static str, value: f64) -> Result<(), DataError> {
+    require(value.is_finite() && value > 0.0, setting, value, "a finite number above 0")
+}
+
+/// Two finite numbers in order.
+pub(crate) fn check_range(setting: &'static str, [low, high]: [f64; 2]) -> Result<(), DataError> {
+    let ok = low.is_finite() && high.is_finite() && low <= high;
+    let expected = "two finite numbers, the lower first";
+    require(ok, setting, format_args!("[{low}, {high}]"), expected)
+}
+
+/// Two parts of a whole in order.
+pub(crate) fn check_shares(setting: &'static str, [low, high]: [f64; 2]) -> Result<(), DataError> {
+    let ok = 0.0 <= low && low <= high && high <= 1.0;
+    let expected = "two shares in 0..=1, the lower first";
+    require(ok, setting, format_args!("[{low}, {high}]"), expected)
+}
+
 pub(crate) fn check_length(
     field: &'static str,
     expected: usize,
@@ -195,4 +233,31 @@ pub(crate) fn check_finite(field: &'static str, rows: &[[f32; 3]]) -> Result<(),
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_out_of_range_are_refused_and_shown() {
+        let nan = f64::NAN;
+        for bad in [-0.1, 1.1, nan, f64::INFINITY] {
+            assert!(check_probability("share", bad).is_err(), "{bad}");
+        }
+        for bad in [0.0, -1.0, nan, f64::INFINITY] {
+            assert!(check_positive("size", bad).is_err(), "{bad}");
+        }
+        for bad in [[1.1, 0.9], [nan, 1.0], [0.0, nan], [0.0, f64::INFINITY]] {
+            assert!(check_range("range", bad).is_err(), "{bad:?}");
+        }
+        for bad in [[0.5, 0.1], [-0.1, 0.5], [0.5, 1.1], [nan, 1.0], [0.0, nan]] {
+            assert!(check_shares("ratio", bad).is_err(), "{bad:?}");
+        }
+        let good = [[0.0, 0.0], [0.0, 1.0]];
+        assert!(good.iter().all(|g| check_shares("", *g).is_ok() && check_range("", *g).is_ok()));
+        assert!(check_probability("", 0.0).is_ok() && check_probability("", 1.0).is_ok());
+        let error = check_range("range", [2.0, 1.0]).unwrap_err().to_string();
+        assert!(error.starts_with("range: [2, 1] is not allowed"), "{error}");
+    }
 }

@@ -1,7 +1,7 @@
 //! A labelled point cloud as a scene of Gaussians: every point becomes a small disc.
 
 use crate::DataError;
-use crate::error::check_length;
+use crate::error::{check_length, require};
 use rayon::prelude::*;
 use scenesplat_kernels::grid_sample::GridSampleError;
 use scenesplat_kernels::neighbors::{KdTree, Neighbor, NeighborError};
@@ -23,7 +23,7 @@ const UP: [f64; 3] = [0.0, 0.0, 1.0];
 pub struct SurfacePoints {
     /// Positions, metres. `[N, 3]`
     pub coord: Vec<[f32; 3]>,
-    /// sRGB bytes; mid grey if absent. `[N, 3]`
+    /// sRGB bytes; mid gray if absent. `[N, 3]`
     pub color: Option<Vec<[u8; 3]>>,
     /// Surface normals of any length; estimated where absent, zero or not finite. `[N, 3]`
     pub normal: Option<Vec<[f32; 3]>>,
@@ -80,10 +80,14 @@ pub fn gaussians_from_points(
 ) -> Result<ConvertedPoints, DataError> {
     settings.check()?;
     let n = points.coord.len();
-    check_length("color", n, points.color.as_ref().map_or(n, Vec::len))?;
-    check_length("normal", n, points.normal.as_ref().map_or(n, Vec::len))?;
-    check_length("segment", n, points.segment.as_ref().map_or(n, Vec::len))?;
-    check_length("instance", n, points.instance.as_ref().map_or(n, Vec::len))?;
+    for (field, rows) in [
+        ("color", points.color.as_ref().map(Vec::len)),
+        ("normal", points.normal.as_ref().map(Vec::len)),
+        ("segment", points.segment.as_ref().map(Vec::len)),
+        ("instance", points.instance.as_ref().map(Vec::len)),
+    ] {
+        check_length(field, n, rows.unwrap_or(n))?;
+    }
 
     let given = |row: usize| points.normal.as_ref().and_then(|normal| unit_normal(normal[row]));
     let k = match (0..n).into_par_iter().all(|row| given(row).is_some()) {
@@ -144,19 +148,24 @@ pub fn estimate_normals(coord: &[[f32; 3]], neighbours: usize) -> Result<Vec<[f3
     })
 }
 
+/// Neighbors among points.
+pub(crate) fn tree(coord: &[[f32; 3]]) -> Result<KdTree, DataError> {
+    KdTree::new(coord).map_err(|error| match error {
+        NeighborError::NotFinite { row, value: [x, y, z] } => {
+            let value = [x, y].into_iter().find(|v| !v.is_finite()).unwrap_or(z);
+            DataError::NotFinite { row, field: "coord", value }
+        }
+        NeighborError::TooManyRows { rows } => GridSampleError::TooManyRows { rows }.into(),
+    })
+}
+
 /// `answer(row, its k nearest other points)` for every row; all others if there are fewer.
 fn map_around<T: Default + Send>(
     coord: &[[f32; 3]],
     k: usize,
     answer: impl Fn(usize, &[Neighbor]) -> T + Sync,
 ) -> Result<Vec<T>, DataError> {
-    let tree = KdTree::new(coord).map_err(|error| match error {
-        NeighborError::NotFinite { row, value: [x, y, z] } => {
-            let value = [x, y].into_iter().find(|v| !v.is_finite()).unwrap_or(z);
-            DataError::NotFinite { row, field: "coord", value }
-        }
-        NeighborError::TooManyRows { rows } => GridSampleError::TooManyRows { rows }.into(),
-    })?;
+    let tree = tree(coord)?;
     // Among k + 1 neighbours a point finds itself, unless that many others share its place.
     let answers = tree.map_nearest(coord, k.saturating_add(1), Vec::new, |others, row, found| {
         others.clear();
@@ -183,18 +192,13 @@ struct Disc {
 
 impl PointSettings {
     fn check(&self) -> Result<(), DataError> {
-        let fail = |setting, value: f32, expected| {
-            Err(DataError::Setting { setting, value: value.to_string(), expected })
-        };
-        if !(self.opacity > 0.0 && self.opacity < 1.0) {
-            return fail("opacity", self.opacity, "a number inside 0..1");
-        }
+        let ok = self.opacity > 0.0 && self.opacity < 1.0;
+        require(ok, "opacity", self.opacity, "a number inside 0..1")?;
         for (setting, value) in
             [("spread", self.spread), ("thickness", self.thickness), ("max_scale", self.max_scale)]
         {
-            if !(value.is_finite() && value > 0.0) {
-                return fail(setting, value, "a finite number above 0");
-            }
+            let ok = value.is_finite() && value > 0.0;
+            require(ok, setting, value, "a finite number above 0")?;
         }
         Ok(())
     }
@@ -435,12 +439,8 @@ mod tests {
         let mut rng = sample_rng(3, 0, 0);
         let coord: Vec<[f32; 3]> =
             (0..40_000).map(|_| direction(&mut rng).map(|v| v as f32)).collect();
-        let on = |threads| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| estimate_normals(&coord, 16).unwrap())
-        };
-        let normals = on(1);
-        assert_eq!(normals, on(3));
+        let of = || estimate_normals(&coord, 16).unwrap();
+        let normals = crate::transforms::testing::on_threads([1, 3], of);
         // A sphere's normal is its radius.
         for (n, c) in normals.iter().zip(&coord).step_by(97) {
             let dot: f32 = n.iter().zip(c).map(|(a, b)| a * b).sum();

@@ -1,5 +1,6 @@
 //! What the network reads of a Gaussian.
 
+use crate::error::require;
 use crate::{DataError, Sample};
 use rayon::prelude::*;
 use scenesplat_scene::quaternion::drawn_axes;
@@ -13,7 +14,7 @@ const CROPPED: f64 = 0.2;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum InputChannel {
-    /// Colour byte / 127.5 − 1, in −1..=1. 3 channels
+    /// Color byte / 127.5 − 1, in −1..=1. 3 channels
     Color,
     /// Opacity in 0..=1. 1 channel
     Opacity,
@@ -65,7 +66,7 @@ pub enum Orientation {
 
 /// Which channels the network reads, in order, how orientations are written and how scales are limited.
 ///
-/// The default is the input of the language networks: colour, opacity, quat, scale (11 channels)
+/// The default is the input of the language networks: color, opacity, quat, scale (11 channels)
 /// with scales clipped as in their training.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -126,6 +127,18 @@ impl Default for InputFeatures {
     }
 }
 
+/// A Gaussian that is read: color 0..=255 (or NaN), everything else activated.
+struct Row {
+    /// Which of the scene or sample it is.
+    number: usize,
+    coord: [f32; 3],
+    color: [f32; 3],
+    opacity: f32,
+    scale: [f32; 3],
+    quat: [f32; 4],
+    normal: [f32; 3],
+}
+
 impl InputFeatures {
     /// Number of channels of a row.
     pub fn width(&self) -> usize {
@@ -162,31 +175,26 @@ impl InputFeatures {
         if let Some(&row) = rows.iter().find(|&&r| r as usize >= scene.len()) {
             return Err(DataError::RowOutOfRange { row: row as usize, rows: scene.len() });
         }
-        if self.channels.contains(&InputChannel::Normal) && scene.normal.is_none() {
-            return Err(DataError::NoNormals);
-        }
-        self.check()?;
-        let width = self.width();
-        let mut feat = vec![0.0; rows.len() * width];
-        if width == 0 {
-            return Ok(feat);
-        }
+        self.check(scene.normal.is_some())?;
         // Of the whole scene, so that a tile of it gets the heights of the scene.
         let reads = self.reads_height();
         let found = (reads && floors.is_none()).then(|| Floors::of_scene(scene));
         let floors = floors.filter(|_| reads).or(found.as_ref());
-        feat.par_chunks_exact_mut(width).zip(rows).with_min_len(4096).for_each(|(out, &row)| {
-            let mut at = 0;
-            for &channel in &self.channels {
-                let end = at + channel.width();
-                self.write(channel, scene, row as usize, floors, &mut out[at..end]);
-                at = end;
+        self.filled(rows.len(), floors, |at| {
+            let row = rows[at] as usize;
+            let (bytes, dc) = (scene.color_u8(row), scene.sh_dc[row]);
+            // A byte cannot be NaN; the value must be, to be found.
+            let color = |c: usize| if dc[c].is_nan() { dc[c] } else { f32::from(bytes[c]) };
+            Row {
+                number: row,
+                coord: scene.coord[row],
+                color: std::array::from_fn(color),
+                opacity: scene.opacity(row),
+                scale: scene.scale(row),
+                quat: scene.quat[row],
+                normal: scene.normal.as_ref().map_or([0.0; 3], |normal| normal[row]),
             }
-        });
-        match feat.par_iter().position_first(|v| !v.is_finite()) {
-            None => Ok(feat),
-            Some(at) => Err(self.not_finite(rows[at / width] as usize, at % width, feat[at])),
-        }
+        })
     }
 
     /// Input rows of all Gaussians of a sample; of a scene that no transform has changed, the same
@@ -199,16 +207,7 @@ impl InputFeatures {
     /// As [`rows`](Self::rows).
     pub fn sample_rows(&self, sample: &Sample) -> Result<Vec<f32>, DataError> {
         sample.check()?;
-        if self.channels.contains(&InputChannel::Normal) && sample.normal.is_none() {
-            return Err(DataError::NoNormals);
-        }
-        self.check()?;
-        let width = self.width();
-        let mut feat = vec![0.0; sample.len() * width];
-        if width == 0 {
-            return Ok(feat);
-        }
-        let [low, high] = self.scale_clip.unwrap_or([f32::NEG_INFINITY, f32::INFINITY]);
+        self.check(sample.normal.is_some())?;
         let floors = self.reads_height().then(|| {
             let floors = Floors::of(sample.len(), |row| FloorRow {
                 coord: sample.coord[row],
@@ -219,53 +218,54 @@ impl InputFeatures {
             // A crop that the floor is not in has other level surfaces, a ceiling at worst.
             if floors.below > CROPPED { Floors::lowest(&sample.coord) } else { floors }
         });
-        feat.par_chunks_exact_mut(width).enumerate().with_min_len(4096).for_each(|(row, out)| {
-            let mut at = 0;
+        self.filled(sample.len(), floors.as_ref(), |row| Row {
+            number: row,
+            coord: sample.coord[row],
+            color: sample.color[row],
+            opacity: sample.opacity[row],
+            scale: sample.scale[row],
+            quat: sample.quat[row],
+            normal: sample.normal.as_ref().map_or([0.0; 3], |normal| normal[row]),
+        })
+    }
+
+    /// Checks the limits, and that there are normals if they are read.
+    fn check(&self, normals: bool) -> Result<(), DataError> {
+        if self.channels.contains(&InputChannel::Normal) && !normals {
+            return Err(DataError::NoNormals);
+        }
+        let Some([low, high]) = self.scale_clip else { return Ok(()) };
+        let expected = "a lower and an upper limit in metres";
+        require(low <= high, "scale_clip", format_args!("[{low}, {high}]"), expected)
+    }
+
+    /// The channels of so many rows, all of them finite.
+    fn filled(
+        &self,
+        rows: usize,
+        floors: Option<&Floors>,
+        read: impl Fn(usize) -> Row + Sync,
+    ) -> Result<Vec<f32>, DataError> {
+        let width = self.width();
+        let mut feat = vec![0.0; rows * width];
+        if width == 0 {
+            return Ok(feat);
+        }
+        feat.par_chunks_exact_mut(width).enumerate().with_min_len(4096).for_each(|(at, out)| {
+            let mut row = read(at);
+            if self.orientation == Orientation::Drawn {
+                (row.scale, row.quat) = drawn_axes(row.scale, row.quat, row.coord);
+            }
+            let mut rest = out;
             for &channel in &self.channels {
-                let end = at + channel.width();
-                let out = &mut out[at..end];
-                match channel {
-                    InputChannel::Color => {
-                        out.copy_from_slice(&sample.color[row].map(|c| c / 127.5 - 1.0));
-                    }
-                    InputChannel::Opacity => out[0] = sample.opacity[row],
-                    InputChannel::Height => out[0] = height(floors.as_ref(), sample.coord[row][2]),
-                    InputChannel::Quat => {
-                        out.copy_from_slice(
-                            &self.axes(sample.scale[row], sample.quat[row], sample.coord[row]).1,
-                        );
-                    }
-                    InputChannel::Scale => {
-                        let scale =
-                            self.axes(sample.scale[row], sample.quat[row], sample.coord[row]).0;
-                        out.copy_from_slice(&scale.map(|s| s.clamp(low, high)));
-                    }
-                    InputChannel::Normal => {
-                        if let Some(normal) = &sample.normal {
-                            out.copy_from_slice(&normal[row]);
-                        }
-                    }
-                }
-                at = end;
+                let (part, behind) = rest.split_at_mut(channel.width());
+                self.write(channel, &row, floors, part);
+                rest = behind;
             }
         });
         match feat.par_iter().position_first(|v| !v.is_finite()) {
             None => Ok(feat),
-            Some(at) => Err(self.not_finite(at / width, at % width, feat[at])),
-        }
-    }
-
-    /// Checks the limits.
-    fn check(&self) -> Result<(), DataError> {
-        match self.scale_clip {
-            Some([low, high]) if low.is_nan() || high.is_nan() || low > high => {
-                Err(DataError::Setting {
-                    setting: "scale_clip",
-                    value: format!("[{low}, {high}]"),
-                    expected: "a lower and an upper limit in metres",
-                })
-            }
-            _ => Ok(()),
+            Some(at) => Err(self.not_finite(read(at / width).number, at % width, feat[at])),
         }
     }
 
@@ -274,46 +274,19 @@ impl InputFeatures {
         self.channels.contains(&InputChannel::Height)
     }
 
-    /// Sizes and quaternion as they are read.
-    fn axes(&self, scale: [f32; 3], quat: [f32; 4], coord: [f32; 3]) -> ([f32; 3], [f32; 4]) {
-        match self.orientation {
-            Orientation::AsStored => (scale, quat),
-            Orientation::Drawn => drawn_axes(scale, quat, coord),
-        }
-    }
-
-    fn write(
-        &self,
-        channel: InputChannel,
-        scene: &GaussianScene,
-        row: usize,
-        floors: Option<&Floors>,
-        out: &mut [f32],
-    ) {
+    fn write(&self, channel: InputChannel, row: &Row, floors: Option<&Floors>, out: &mut [f32]) {
         match channel {
-            InputChannel::Color => {
-                let bytes = scene.color_u8(row);
-                for ((o, byte), dc) in out.iter_mut().zip(bytes).zip(scene.sh_dc[row]) {
-                    // A byte cannot be NaN; the value must be, to be found below.
-                    *o = if dc.is_nan() { dc } else { f32::from(byte) / 127.5 - 1.0 };
-                }
-            }
-            InputChannel::Opacity => out[0] = scene.opacity(row),
-            InputChannel::Height => out[0] = height(floors, scene.coord[row][2]),
-            InputChannel::Quat => {
-                out.copy_from_slice(
-                    &self.axes(scene.scale(row), scene.quat[row], scene.coord[row]).1,
-                );
-            }
+            InputChannel::Color => out.copy_from_slice(&row.color.map(|c| c / 127.5 - 1.0)),
+            InputChannel::Opacity => out[0] = row.opacity,
+            InputChannel::Quat => out.copy_from_slice(&row.quat),
             InputChannel::Scale => {
-                let scale = self.axes(scene.scale(row), scene.quat[row], scene.coord[row]).0;
                 let [low, high] = self.scale_clip.unwrap_or([f32::NEG_INFINITY, f32::INFINITY]);
-                out.copy_from_slice(&scale.map(|s| s.clamp(low, high)));
+                out.copy_from_slice(&row.scale.map(|s| s.clamp(low, high)));
             }
-            InputChannel::Normal => {
-                if let Some(normal) = &scene.normal {
-                    out.copy_from_slice(&normal[row]);
-                }
+            InputChannel::Normal => out.copy_from_slice(&row.normal),
+            InputChannel::Height => {
+                let z = row.coord[2];
+                out[0] = floors.map_or(z, |floors| floors.height(z));
             }
         }
     }
@@ -326,10 +299,6 @@ impl InputFeatures {
         });
         DataError::NotFinite { row, field: channel.map_or("feature", |c| c.field()), value }
     }
-}
-
-fn height(floors: Option<&Floors>, z: f32) -> f32 {
-    floors.map_or(z, |floors| floors.height(z))
 }
 
 #[cfg(test)]

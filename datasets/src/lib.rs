@@ -15,6 +15,7 @@ pub mod chunking;
 pub mod dataset;
 pub mod effects;
 pub mod error;
+mod files;
 pub mod from_points;
 pub mod full_scene;
 pub mod input_features;

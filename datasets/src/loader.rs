@@ -5,7 +5,7 @@ mod batches;
 
 pub use batches::SceneBatches;
 
-use crate::error::bad_setting;
+use crate::error::require;
 use crate::mix3d::mixed_len;
 use crate::rng::{Purpose, permutation, purpose_rng};
 use crate::{DataError, Dataset, InputFeatures, LeftOut, TrainBatch};
@@ -142,21 +142,13 @@ impl LoaderSettings {
     /// # Errors
     /// Names the first that is out of range.
     pub fn check(&self) -> Result<(), DataError> {
-        /// More threads than this are a slip of the pen.
-        const MAX_WORKERS: usize = 1024;
-        if self.batch_size == 0 {
-            return Err(bad_setting("batch_size", 0, "a number of 1 or more"));
-        }
-        if self.workers > MAX_WORKERS {
-            return Err(bad_setting("workers", self.workers, "at most 1024"));
-        }
-        if self.workers > 0 && self.prefetch == 0 {
-            return Err(bad_setting("prefetch", 0, "at least 1 when there are workers"));
-        }
-        if !(0.0..=1.0).contains(&self.mix_probability) {
-            return Err(bad_setting("mix_probability", self.mix_probability, "a number in 0..=1"));
-        }
-        Ok(())
+        require(self.batch_size > 0, "batch_size", 0, "a number of 1 or more")?;
+        // More threads than this are a typing error.
+        require(self.workers <= 1024, "workers", self.workers, "at most 1024")?;
+        let ok = self.workers == 0 || self.prefetch > 0;
+        require(ok, "prefetch", 0, "at least 1 when there are workers")?;
+        let ok = (0.0..=1.0).contains(&self.mix_probability);
+        require(ok, "mix_probability", self.mix_probability, "a number in 0..=1")
     }
 }
 
@@ -202,7 +194,6 @@ type Skipped = Arc<Mutex<BTreeMap<String, SkippedScene>>>;
 #[derive(Clone)]
 pub struct SceneLoader {
     assembly: Arc<Assembly>,
-    settings: LoaderSettings,
     skipped: Skipped,
 }
 
@@ -217,28 +208,18 @@ impl SceneLoader {
         settings: LoaderSettings,
     ) -> Result<Self, DataError> {
         settings.check()?;
-        if dataset.is_empty() {
-            return Err(bad_setting("dataset", "0 scenes", "at least one scene"));
-        }
-        if settings.drop_last && dataset.len() < settings.batch_size {
-            let scenes = format!("{} (of {} scenes)", settings.batch_size, dataset.len());
-            let expected = "no more than the scenes of an epoch; or drop_last = false";
-            return Err(bad_setting("batch_size", scenes, expected));
-        }
-        let assembly = Assembly {
-            dataset,
-            features,
-            seed: settings.seed,
-            mix_probability: settings.mix_probability,
-            mix_exact: settings.mix_exact,
-            broken_scenes: settings.broken_scenes,
-        };
-        Ok(Self { assembly: Arc::new(assembly), settings, skipped: Skipped::default() })
+        require(!dataset.is_empty(), "dataset", "0 scenes", "at least one scene")?;
+        let ok = !settings.drop_last || dataset.len() >= settings.batch_size;
+        let scenes = format!("{} (of {} scenes)", settings.batch_size, dataset.len());
+        let expected = "no more than the scenes of an epoch; or drop_last = false";
+        require(ok, "batch_size", scenes, expected)?;
+        let assembly = Arc::new(Assembly { dataset, features, settings });
+        Ok(Self { assembly, skipped: Skipped::default() })
     }
 
     /// The settings.
     pub fn settings(&self) -> &LoaderSettings {
-        &self.settings
+        &self.assembly.settings
     }
 
     /// The scenes that were left out of batches handed over so far, by name.
@@ -248,7 +229,7 @@ impl SceneLoader {
 
     /// Number of samples that a full batch holds if it is mixed.
     pub fn mixed_batch_size(&self) -> usize {
-        mixed_len(self.settings.batch_size)
+        mixed_len(self.settings().batch_size)
     }
 
     /// As [`BatchLoader::epoch`], without borrowing the loader.
@@ -265,25 +246,26 @@ impl SceneLoader {
         let plan = self.plan(epoch).into_iter().enumerate();
         // What a batch holds depends on its place in the epoch, whoever asks for it.
         let plan = plan.skip(skip).filter(|(place, _)| wanted(*place)).collect();
-        SceneBatches::start(&self.assembly, &self.settings, &self.skipped, epoch, plan)
+        SceneBatches::start(&self.assembly, &self.skipped, epoch, plan)
     }
 
     /// The scenes of each batch of an epoch.
     fn plan(&self, epoch: u64) -> Vec<Vec<usize>> {
         let scenes = self.assembly.dataset.len();
-        let order = if self.settings.shuffle {
-            permutation(&mut purpose_rng(Purpose::Order, self.settings.seed, epoch, 0), scenes)
+        let settings = self.settings();
+        let order = if settings.shuffle {
+            permutation(&mut purpose_rng(Purpose::Order, settings.seed, epoch, 0), scenes)
         } else {
             (0..scenes).collect()
         };
         let count = self.batches_per_epoch();
-        order.chunks(self.settings.batch_size).take(count).map(<[usize]>::to_vec).collect()
+        order.chunks(settings.batch_size).take(count).map(<[usize]>::to_vec).collect()
     }
 
     /// Number of batches of every epoch.
     pub fn batches_per_epoch(&self) -> usize {
-        let (scenes, size) = (self.assembly.dataset.len(), self.settings.batch_size);
-        if self.settings.drop_last { scenes / size } else { scenes.div_ceil(size) }
+        let (scenes, size) = (self.assembly.dataset.len(), self.settings().batch_size);
+        if self.settings().drop_last { scenes / size } else { scenes.div_ceil(size) }
     }
 }
 

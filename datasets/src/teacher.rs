@@ -15,7 +15,7 @@
 //! Scenes that are mixed are taught one by one, as collected features are those of one scene each.
 //! A teacher draws no random numbers, so samples are otherwise the same with and without one.
 
-use crate::error::check_length;
+use crate::error::{bad_setting, check_length};
 use crate::transforms::TransformConfig;
 use crate::{DataError, Sample};
 use half::f16;
@@ -106,11 +106,7 @@ pub(crate) struct Lesson {
 pub fn steps_after_look(steps: &[TransformConfig]) -> Result<usize, DataError> {
     use TransformConfig as T;
     let Some(at) = steps.iter().rposition(|step| matches!(step, T::GridSample(_))) else {
-        return Err(DataError::Missing {
-            step: "teacher",
-            missing: "cells",
-            help: "end the transforms with a grid sample",
-        });
+        return Err(DataError::no_cells("teacher"));
     };
     let seen = |step: &T| {
         matches!(
@@ -118,15 +114,15 @@ pub fn steps_after_look(steps: &[TransformConfig]) -> Result<usize, DataError> {
             T::GridSample(_) | T::SphereCrop(_) | T::CenterShift(_) | T::RandomDropout(_)
         )
     };
-    if let Some(step) = steps[at..].iter().find(|step| !seen(step)) {
-        return Err(DataError::Setting {
-            setting: "transforms",
-            value: format!("{step:?} after the last grid sample"),
-            expected: "changes of Gaussians before it, so that the teacher sees them too; \
-                       sphere_crop, center_shift and random_dropout may follow",
-        });
+    match steps[at..].iter().find(|step| !seen(step)) {
+        None => Ok(steps.len() - at),
+        Some(step) => Err(bad_setting(
+            "transforms",
+            format_args!("{step:?} after the last grid sample"),
+            "changes of Gaussians before it, so that the teacher sees them too; sphere_crop, \
+             center_shift and random_dropout may follow",
+        )),
     }
-    Ok(steps.len() - at)
 }
 
 impl Lesson {
@@ -145,10 +141,11 @@ impl Lesson {
     /// Gives the finished sample the rows of the teacher, and the scene behind it too, if it is kept.
     pub(crate) fn give(&self, mut shown: Sample, sample: &mut Sample) -> Result<(), DataError> {
         let Some(origin) = sample.origin_row.take() else {
+            let help = "let transforms choose rows with Sample::select_rows";
             return Err(DataError::Missing {
                 step: "teacher",
                 missing: "numbers of its rows",
-                help: "let transforms choose rows with Sample::select_rows",
+                help,
             });
         };
         if origin.is_empty() {

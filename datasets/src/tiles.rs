@@ -3,6 +3,8 @@
 //! Each voxel is *core* of exactly one tile, and its output counts there; around the core lies a
 //! *halo* of voxels that are read for context only.
 
+use crate::error::require;
+use crate::files::picked;
 use crate::{DataError, NetworkInput};
 
 /// How pieces are cut.
@@ -65,10 +67,7 @@ pub fn split_into_tiles(
     for (setting, value) in
         [("max_voxels", settings.max_voxels), ("align", settings.align as usize)]
     {
-        if value == 0 {
-            let expected = "a number above 0";
-            return Err(DataError::Setting { setting, value: value.to_string(), expected });
-        }
+        require(value > 0, setting, value, "a number above 0")?;
     }
     let mut cutter = Cutter { cells: &input.grid_coord, settings, tiles: Vec::new() };
     if !input.is_empty() {
@@ -84,22 +83,15 @@ pub fn split_into_tiles(
 impl Tile {
     /// The tile as an input of its own, its cells counted from [`Self::origin`].
     pub fn input(&self, whole: &NetworkInput) -> NetworkInput {
-        let pick = |from: &[u32]| self.voxels.iter().map(|&v| from[v as usize]).collect();
-        let width = whole.channels;
-        let mut feat = Vec::with_capacity(self.voxels.len() * width);
-        for &v in &self.voxels {
-            feat.extend_from_slice(&whole.feat[v as usize * width..(v as usize + 1) * width]);
-        }
+        let pick = |from: &[u32]| picked(from, 1, &self.voxels);
+        let cell =
+            |&v: &u32| std::array::from_fn(|a| whole.grid_coord[v as usize][a] - self.origin[a]);
         NetworkInput {
             rows: pick(&whole.rows),
             slots: pick(&whole.slots),
-            grid_coord: self
-                .voxels
-                .iter()
-                .map(|&v| std::array::from_fn(|a| whole.grid_coord[v as usize][a] - self.origin[a]))
-                .collect(),
-            feat,
-            channels: width,
+            grid_coord: self.voxels.iter().map(cell).collect(),
+            feat: picked(&whole.feat, whole.channels, &self.voxels),
+            channels: whole.channels,
         }
     }
 
@@ -118,8 +110,7 @@ impl Bounds {
     fn of(cells: &[[i32; 3]], voxels: &[u32]) -> Self {
         let mut bounds = Self { low: [i32::MAX; 3], high: [i32::MIN; 3] };
         for &v in voxels {
-            let cell = cells[v as usize];
-            for (axis, &at) in cell.iter().enumerate() {
+            for (axis, at) in cells[v as usize].into_iter().enumerate() {
                 bounds.low[axis] = bounds.low[axis].min(at);
                 bounds.high[axis] = bounds.high[axis].max(at);
             }
@@ -136,18 +127,8 @@ impl Bounds {
 
     /// Distance of a cell to the box along its farthest axis; 0 inside.
     fn distance(&self, cell: [i32; 3]) -> u32 {
-        (0..3)
-            .map(|a| {
-                if cell[a] < self.low[a] {
-                    self.low[a].abs_diff(cell[a])
-                } else if cell[a] > self.high[a] {
-                    cell[a].abs_diff(self.high[a])
-                } else {
-                    0
-                }
-            })
-            .max()
-            .unwrap_or(0)
+        let away = |a: usize| cell[a].abs_diff(cell[a].clamp(self.low[a], self.high[a]));
+        away(0).max(away(1)).max(away(2))
     }
 }
 

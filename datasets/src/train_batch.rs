@@ -1,5 +1,6 @@
 //! Several samples as one.
 
+use crate::error::check_length;
 use crate::views::{View, collate_views};
 use crate::{DataError, InputFeatures, Sample};
 use half::f16;
@@ -94,7 +95,7 @@ pub(crate) fn feature_width(samples: &[Sample]) -> Result<Option<usize>, DataErr
     for sample in samples {
         let Some(dim) = sample.lang_feat.as_ref().map(|f| f.dim) else { continue };
         let expected = *width.get_or_insert(dim);
-        crate::error::check_length("width of lang_feat", expected, dim)
+        check_length("width of lang_feat", expected, dim)
             .map_err(|error| error.in_scene(&sample.id))?;
     }
     Ok(width)
@@ -109,11 +110,7 @@ fn append(
     let n = sample.len();
     let feat = features.sample_rows(&sample)?;
     if sample.grid_coord.len() != n {
-        return Err(DataError::Missing {
-            step: "batch",
-            missing: "cells",
-            help: "end the transforms with a grid sample",
-        });
+        return Err(DataError::no_cells("batch"));
     }
     fill_optional_arrays(
         &mut sample,
@@ -142,7 +139,8 @@ fn append(
     Ok(())
 }
 
-fn join<T>(all: &mut Option<Vec<T>>, part: Option<Vec<T>>) {
+/// Adds what a part has to all, if that is there.
+pub(crate) fn join<T>(all: &mut Option<Vec<T>>, part: Option<Vec<T>>) {
     if let (Some(all), Some(mut part)) = (all, part) {
         all.append(&mut part);
     }

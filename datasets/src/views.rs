@@ -55,12 +55,7 @@ pub(crate) fn collate_views(
     features: &InputFeatures,
 ) -> Result<Vec<View>, DataError> {
     let kinds = |sample: &Sample| sample.views.iter().map(|v| v.kind).collect::<Vec<_>>();
-    let Some(first) = samples.first().map(kinds).filter(|kinds| !kinds.is_empty()) else {
-        return match samples.iter().find(|s| !s.views.is_empty()) {
-            None => Ok(Vec::new()),
-            Some(other) => Err(other_views(&other.id)),
-        };
-    };
+    let first = samples.first().map(kinds).unwrap_or_default();
     if let Some(other) = samples.iter().find(|sample| kinds(sample) != first) {
         return Err(other_views(&other.id));
     }
@@ -75,12 +70,9 @@ pub(crate) fn collate_views(
 }
 
 fn other_views(id: &str) -> DataError {
-    let problem = DataError::Missing {
-        step: "batch",
-        missing: "views, or others than the scenes beside it",
-        help: "let all datasets end with the same `views` step",
-    };
-    problem.in_scene(id)
+    let missing = "views, or others than the scenes beside it";
+    let help = "let all datasets end with the same `views` step";
+    DataError::Missing { step: "batch", missing, help }.in_scene(id)
 }
 
 fn join(

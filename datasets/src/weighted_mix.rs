@@ -1,6 +1,6 @@
 //! Several datasets in one training, each batch from one of them.
 
-use crate::error::bad_setting;
+use crate::error::{bad_setting, check_length, require};
 use crate::loader::SceneBatches;
 use crate::{BatchLoader, DataError, LeftOut, SceneLoader, TrainBatch};
 use serde::{Deserialize, Serialize};
@@ -47,21 +47,17 @@ impl WeightedMix {
         weights: Vec<usize>,
         rule: MixRule,
     ) -> Result<Self, DataError> {
-        if loaders.is_empty() {
-            return Err(bad_setting("datasets", 0, "one or more"));
-        }
-        crate::error::check_length("weights", loaders.len(), weights.len())?;
-        if weights.contains(&0) {
-            let expected = "numbers of 1 or more; leave the dataset out";
-            return Err(bad_setting("weights", format!("{weights:?}"), expected));
-        }
+        require(!loaders.is_empty(), "datasets", 0, "one or more")?;
+        check_length("weights", loaders.len(), weights.len())?;
+        let named = format!("{weights:?}");
+        let expected = "numbers of 1 or more; leave the dataset out";
+        require(!weights.contains(&0), "weights", &named, expected)?;
         let batches = loaders.iter().zip(&weights).try_fold(0_usize, |sum, (loader, weight)| {
             sum.checked_add(loader.batches_per_epoch().checked_mul(*weight)?)
         });
         // A plan holds eight bytes a batch.
-        if batches.is_none_or(|n| n > 1 << 32) {
-            return Err(bad_setting("weights", format!("{weights:?}"), "fewer batches an epoch"));
-        }
+        let ok = batches.is_some_and(|n| n <= 1 << 32);
+        require(ok, "weights", named, "fewer batches an epoch")?;
         Ok(Self { loaders, weights, rule })
     }
 

@@ -1,13 +1,13 @@
-//! Losses as they stand in a configuration file.
+//! Losses in a configuration file.
 
 use crate::contrastive::{AggregatedContrastive, ClassSource, TermSchedule, TextColumns};
 use crate::cosine::CosineLoss;
 use crate::cross_entropy::CrossEntropy;
-use crate::error::LossError;
+use crate::error::{LossError, check_positive, check_setting, check_smoothing};
 use crate::l2::L2Loss;
 use crate::loss::Loss;
 use crate::lovasz::LovaszSoftmax;
-use crate::objective::Objective;
+use crate::objective::{OBJECTIVE, Objective, check_weight};
 use crate::rows::Reduction;
 use crate::smooth_l1::SmoothL1Loss;
 use crate::text_classification::TextClassification;
@@ -69,7 +69,7 @@ macro_rules! loss_config {
             /// # Errors
             /// If a setting is out of its range, or there are no texts where some are needed.
             pub fn build(&self, texts: Option<&TextColumns>) -> Result<Box<dyn Loss>, LossError> {
-                in_range("objective", "weight", self.weight(), f64::is_finite, "a finite number")?;
+                check_weight(self.weight())?;
                 match self {
                     $(Self::$name(config) => {
                         let build: fn(&$config, Option<&TextColumns>) -> Built = $build;
@@ -132,8 +132,7 @@ impl Default for SmoothL1Config {
 
 impl SmoothL1Config {
     fn build(&self) -> Result<SmoothL1Loss, LossError> {
-        let positive = |v: f64| v > 0.0 && v.is_finite();
-        in_range("smooth_l1", "beta", self.beta, positive, "a finite number above 0")?;
+        check_positive("smooth_l1", "beta", self.beta)?;
         Ok(SmoothL1Loss { beta: self.beta, reduction: self.reduction })
     }
 }
@@ -236,12 +235,10 @@ impl Default for TextClassificationConfig {
 impl TextClassificationConfig {
     fn build(&self, texts: Option<&TextColumns>) -> Result<TextClassification, LossError> {
         const LOSS: &str = "text_classification";
-        let positive = |v: f64| v > 0.0 && v.is_finite();
-        in_range(LOSS, "temperature", self.temperature, positive, "a finite number above 0")?;
-        let weight = |v: f64| v >= 0.0 && v.is_finite();
-        in_range(LOSS, "lovasz", self.lovasz, weight, "a finite number ≥ 0")?;
-        let share = |v| (0.0..1.0).contains(&v);
-        in_range(LOSS, "label_smoothing", self.label_smoothing, share, "0..1")?;
+        check_positive(LOSS, "temperature", self.temperature)?;
+        let weight = self.lovasz >= 0.0 && self.lovasz.is_finite();
+        check_setting(LOSS, "lovasz", self.lovasz, weight, "a finite number ≥ 0")?;
+        check_smoothing(LOSS, self.label_smoothing, None)?;
         let texts = needed(LOSS, texts)?;
         let Self { temperature, lovasz, label_smoothing, .. } = *self;
         Ok(TextClassification { texts, temperature, lovasz, label_smoothing })
@@ -275,8 +272,7 @@ impl Default for TextDistillationConfig {
 impl TextDistillationConfig {
     fn build(&self, texts: Option<&TextColumns>) -> Result<TextDistillation, LossError> {
         const LOSS: &str = "text_distillation";
-        let positive = |v: f64| v > 0.0 && v.is_finite();
-        in_range(LOSS, "temperature", self.temperature, positive, "a finite number above 0")?;
+        check_positive(LOSS, "temperature", self.temperature)?;
         let Self { temperature, reduction, .. } = *self;
         Ok(TextDistillation { texts: needed(LOSS, texts)?, temperature, reduction })
     }
@@ -285,13 +281,13 @@ impl TextDistillationConfig {
 impl ContrastiveConfig {
     fn build(&self, texts: Option<&TextColumns>) -> Result<AggregatedContrastive, LossError> {
         const LOSS: &str = "aggregated_contrastive";
-        let positive = |v: f64| v > 0.0 && v.is_finite();
-        in_range(LOSS, "temperature", self.temperature, positive, "a finite number above 0")?;
+        check_positive(LOSS, "temperature", self.temperature)?;
         if let TermSchedule::Last(percent) = self.schedule {
-            let percentage = |v| (0.0..=100.0).contains(&v);
-            in_range(LOSS, "schedule.last", percent, percentage, "a percentage, 0..=100")?;
+            let good = (0.0..=100.0).contains(&percent);
+            check_setting(LOSS, "schedule.last", percent, good, "a percentage, 0..=100")?;
         }
-        in_range(LOSS, "min_points", self.min_points as f64, |v| v >= 2.0, "at least 2")?;
+        let min_points = self.min_points;
+        check_setting(LOSS, "min_points", min_points as f64, min_points >= 2, "at least 2")?;
         let classes = match self.classes {
             ClassSourceConfig::Off => ClassSource::Off,
             ClassSourceConfig::Labels => ClassSource::Labels,
@@ -313,13 +309,7 @@ impl ContrastiveConfig {
 
 impl CrossEntropyConfig {
     fn build(&self) -> Result<CrossEntropy, LossError> {
-        const LOSS: &str = "cross_entropy";
-        let share = |v| (0.0..1.0).contains(&v);
-        in_range(LOSS, "label_smoothing", self.label_smoothing, share, "0..1")?;
-        for weight in self.class_weights.iter().flatten() {
-            let good = |v: f64| v.is_finite() && v >= 0.0;
-            in_range(LOSS, "class_weights", *weight, good, "finite numbers ≥ 0")?;
-        }
+        check_smoothing("cross_entropy", self.label_smoothing, self.class_weights.as_deref())?;
         let Self { label_smoothing, class_weights, .. } = self.clone();
         Ok(CrossEntropy { label_smoothing, class_weights })
     }
@@ -333,21 +323,9 @@ pub fn build_objective(
     terms: &[LossConfig],
     texts: Option<&TextColumns>,
 ) -> Result<Objective, LossError> {
-    in_range("objective", "number of terms", terms.len() as f64, |v| v > 0.0, "at least 1")?;
+    let count = terms.len();
+    check_setting(OBJECTIVE, "number of terms", count as f64, count > 0, "at least 1")?;
     terms.iter().try_fold(Objective::new(), |objective, term| {
         Ok(objective.with(term.weight(), term.build(texts)?))
     })
-}
-
-fn in_range(
-    loss: &'static str,
-    setting: &'static str,
-    value: f64,
-    good: impl Fn(f64) -> bool,
-    expected: &'static str,
-) -> Result<(), LossError> {
-    if good(value) {
-        return Ok(());
-    }
-    Err(LossError::Setting { loss, setting, value: value.to_string(), expected })
 }

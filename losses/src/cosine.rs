@@ -1,13 +1,10 @@
 //! Cosine distance to target features.
 
-use crate::error::LossError;
 use crate::loss::{Loss, LossInput};
-use crate::rows::{Reduction, sum_rows};
-use crate::scalar_op::{Backward, scalar_loss};
-use crate::values::{Real, make_rows, read_matrix};
+use crate::rows::{Reduction, RowLoss, valid_rows, weighted_rows};
+use crate::values::Real;
 use crate::vector::{dots, norm};
-use candle_core::{DType, Result, Tensor};
-use scenesplat_kernels::simd::compiled;
+use candle_core::{Result, Tensor};
 
 const NAME: &str = "cosine";
 
@@ -35,8 +32,7 @@ impl Loss for CosineLoss {
         NAME
     }
     fn forward(&self, input: &LossInput<'_>) -> Result<Option<Tensor>> {
-        let target = input.target.ok_or(LossError::Missing { loss: NAME, field: "target" })?;
-        cosine(input.pred, target, input.valid, self.reduction)
+        cosine(input.pred, input.needs_target(NAME)?, input.valid, self.reduction)
     }
     fn off_reason(&self, _: &LossInput<'_>) -> String {
         "no row has a target".to_owned()
@@ -57,38 +53,7 @@ pub fn cosine(
     valid: Option<&[bool]>,
     reduction: Reduction,
 ) -> Result<Option<Tensor>> {
-    match pred.dtype() {
-        DType::F64 => typed::<f64>(pred, target, valid, reduction),
-        _ => typed::<f32>(pred, target, valid, reduction),
-    }
-}
-
-/// What the gradient of a row needs: `(t/‖t‖ − along · p/‖p‖) / ‖p‖`.
-#[derive(Clone, Copy, Default)]
-struct Kept {
-    /// `1/‖p‖`; 0 if the row does not count.
-    inverse: f64,
-    /// `1/‖t‖`
-    target_inverse: f64,
-    /// Their cosine; 0 where the norm of `p` counts as ε, a constant.
-    along: f64,
-    /// What the row counts.
-    weight: f64,
-}
-
-fn typed<T: Real>(
-    pred: &Tensor,
-    target: &Tensor,
-    valid: Option<&[bool]>,
-    reduction: Reduction,
-) -> Result<Option<Tensor>> {
-    let (total, kept, count) = sum_rows(NAME, pred, target, valid, |_, p, t| row::<T>(p, t))?;
-    if count == 0 {
-        return Ok(None);
-    }
-    let factor = reduction.factor(count);
-    let backward = CosineBackward { target: target.detach(), kept, factor };
-    scalar_loss(pred, total * factor, backward).map(Some)
+    valid_rows(CosineDistance { offset: 0.0 }, pred, target, valid, reduction)
 }
 
 /// `−Σ wᵢ cos(pᵢ, tᵢ)`; rows of weight 0 are not read.
@@ -100,84 +65,53 @@ pub(crate) fn weighted_cosines(
     target: &Tensor,
     weights: &[f64],
 ) -> Result<Option<Tensor>> {
-    match pred.dtype() {
-        DType::F64 => weighted::<f64>(pred, target, weights),
-        _ => weighted::<f32>(pred, target, weights),
+    let weights = weights.to_vec();
+    weighted_rows(CosineDistance { offset: 1.0 }, pred, target, weights, Reduction::Sum)
+}
+
+/// `1 − cos(p, t) − offset`
+struct CosineDistance {
+    offset: f64,
+}
+
+/// What the gradient of a row needs: `(t/‖t‖ − along · p/‖p‖) / ‖p‖`.
+#[derive(Clone, Copy, Default)]
+struct Kept {
+    /// `1/‖p‖`
+    inverse: f64,
+    /// `1/‖t‖`
+    target_inverse: f64,
+    /// Their cosine; 0 where the norm of `p` counts as ε, a constant.
+    along: f64,
+}
+
+impl RowLoss for CosineDistance {
+    const NAME: &'static str = NAME;
+    type Kept = Kept;
+
+    #[inline(always)]
+    fn value<T: Real>(&self, p: &[T], t: &[T]) -> (f64, Kept) {
+        let [pp, tt, pt] = dots(p, t);
+        let (p_norm, t_norm) = (pp.sqrt(), tt.sqrt());
+        let (p_norm, t_norm, cosine) = if pp.is_finite() && tt.is_finite() {
+            (p_norm.max(EPS), t_norm.max(EPS), pt / p_norm.max(EPS) / t_norm.max(EPS))
+        } else {
+            // Only f64 gets here with finite values: squares beyond 10³⁰⁸.
+            let (p_norm, t_norm) = (norm(p).max(EPS), norm(t).max(EPS));
+            let products = p.iter().zip(t).map(|(p, t)| (p.wide() / p_norm) * (t.wide() / t_norm));
+            (p_norm, t_norm, products.sum())
+        };
+        let along = if p_norm > EPS { cosine } else { 0.0 };
+        let kept = Kept { inverse: 1.0 / p_norm, target_inverse: 1.0 / t_norm, along };
+        (1.0 - cosine - self.offset, kept)
     }
-}
 
-fn weighted<T: Real>(pred: &Tensor, target: &Tensor, weights: &[f64]) -> Result<Option<Tensor>> {
-    let counts: Vec<bool> = weights.iter().map(|w| *w != 0.0).collect();
-    let (total, kept, count) = sum_rows(NAME, pred, target, Some(&counts), |i, p, t| {
-        let (distance, kept) = row::<T>(p, t);
-        (weights[i] * (distance - 1.0), Kept { weight: weights[i], ..kept })
-    })?;
-    if count == 0 {
-        return Ok(None);
-    }
-    let backward = CosineBackward { target: target.detach(), kept, factor: 1.0 };
-    scalar_loss(pred, total, backward).map(Some)
-}
-
-fn row<T: Real>(p: &[T], t: &[T]) -> (f64, Kept) {
-    let [pp, tt, pt] = compiled(|| dots(p, t));
-    let (p_norm, t_norm) = (pp.sqrt(), tt.sqrt());
-    let (p_norm, t_norm, cosine) = if pp.is_finite() && tt.is_finite() {
-        (p_norm.max(EPS), t_norm.max(EPS), pt / p_norm.max(EPS) / t_norm.max(EPS))
-    } else {
-        // Only f64 gets here with finite values: squares beyond 10³⁰⁸.
-        let (p_norm, t_norm) = (norm(p).max(EPS), norm(t).max(EPS));
-        let products = p.iter().zip(t).map(|(p, t)| (p.wide() / p_norm) * (t.wide() / t_norm));
-        (p_norm, t_norm, products.sum())
-    };
-    let along = if p_norm > EPS { cosine } else { 0.0 };
-    let (inverse, target_inverse) = (1.0 / p_norm, 1.0 / t_norm);
-    (1.0 - cosine, Kept { inverse, target_inverse, along, weight: 1.0 })
-}
-
-struct CosineBackward {
-    target: Tensor,
-    kept: Vec<Kept>,
-    factor: f64,
-}
-
-impl Backward for CosineBackward {
-    fn name(&self) -> &'static str {
-        NAME
-    }
-    fn gradient(&self, pred: &Tensor, factor: f64) -> Result<Tensor> {
-        match pred.dtype() {
-            DType::F64 => self.typed::<f64>(pred, factor),
-            _ => self.typed::<f32>(pred, factor),
+    #[inline(always)]
+    fn gradient<T: Real>(&self, (p, t): (&[T], &[T]), kept: Kept, factor: f64, out: &mut [T]) {
+        let outer = -factor * kept.inverse;
+        let along = kept.along * kept.inverse;
+        for ((out, p), t) in out.iter_mut().zip(p).zip(t) {
+            *out = T::narrow(outer * (t.wide() * kept.target_inverse - p.wide() * along));
         }
-    }
-}
-
-impl CosineBackward {
-    fn typed<T: Real>(&self, pred: &Tensor, factor: f64) -> Result<Tensor> {
-        let factor = factor * self.factor;
-        read_matrix(NAME, "pred", pred, |p| {
-            read_matrix(NAME, "target", &self.target, |t| {
-                make_rows::<T>(pred, |first, out| {
-                    let (mut p_scratch, mut t_scratch) = (Vec::new(), Vec::new());
-                    for (row, out) in (first..).zip(out.chunks_exact_mut(p.columns)) {
-                        let kept = self.kept[row];
-                        if kept.inverse == 0.0 {
-                            continue;
-                        }
-                        let p = p.read::<T>(row..row + 1, &mut p_scratch);
-                        let t = t.read::<T>(row..row + 1, &mut t_scratch);
-                        let outer = -factor * kept.weight * kept.inverse;
-                        let along = kept.along * kept.inverse;
-                        compiled(|| {
-                            for ((out, p), t) in out.iter_mut().zip(p).zip(t) {
-                                let inner = t.wide() * kept.target_inverse - p.wide() * along;
-                                *out = T::narrow(outer * inner);
-                            }
-                        });
-                    }
-                })
-            })
-        })
     }
 }

@@ -1,7 +1,7 @@
 //! Cross-entropy of logits.
 
 use crate::IGNORE;
-use crate::error::{LossError, check_len};
+use crate::error::{LossError, check_len, check_smoothing};
 use crate::loss::{Loss, LossInput};
 use crate::scalar_op::{Backward, scalar_loss};
 use crate::values::{Matrix, Real, make_rows, read_matrix, rows_per_task};
@@ -16,8 +16,7 @@ const NAME: &str = "cross_entropy";
 ///
 /// `Σᵢ lᵢ / Σᵢ w[yᵢ]` over rows whose label `yᵢ` is not [`IGNORE`], where with smoothing s
 /// `lᵢ = (1 − s) w[yᵢ] (−log p[yᵢ]) + s/C Σ_c w[c] (−log p[c])`; `None` when no row is labelled, or
-/// the labels present have no weight. [`LossInput::valid`] is not looked at: it is about target
-/// features.
+/// the labels present have no weight. [`LossInput::valid`] is not read: it is about target features.
 ///
 /// # Source
 /// `CrossEntropyLoss` in `pointcept/models/losses/misc.py`, SceneSplat be9d5e1, which is PyTorch's.
@@ -36,7 +35,7 @@ impl Loss for CrossEntropy {
         NAME
     }
     fn forward(&self, input: &LossInput<'_>) -> Result<Option<Tensor>> {
-        let label = input.label.ok_or(LossError::Missing { loss: NAME, field: "label" })?;
+        let label = input.needs_label(NAME)?;
         cross_entropy(input.pred, label, self.label_smoothing, self.class_weights.as_deref())
     }
     fn off_reason(&self, _: &LossInput<'_>) -> String {
@@ -110,20 +109,11 @@ impl Target {
         smoothing: f64,
         weights: Option<&[f64]>,
     ) -> std::result::Result<Self, LossError> {
-        let wrong = |setting, value: String, expected| {
-            Err(LossError::Setting { loss: NAME, setting, value, expected })
-        };
-        if !(0.0..1.0).contains(&smoothing) {
-            return wrong("label_smoothing", smoothing.to_string(), "0..1");
-        }
-        if let Some(weights) = weights {
-            if weights.len() != classes {
-                let value = format!("{} weights for {classes} classes", weights.len());
-                return wrong("class_weights", value, "one for each class");
-            }
-            if let Some(bad) = weights.iter().find(|w| !(w.is_finite() && **w >= 0.0)) {
-                return wrong("class_weights", bad.to_string(), "finite numbers ≥ 0");
-            }
+        check_smoothing(NAME, smoothing, weights)?;
+        if let Some(given) = weights.map(<[f64]>::len).filter(|given| *given != classes) {
+            let value = format!("{given} weights for {classes} classes");
+            let (setting, expected) = ("class_weights", "one for each class");
+            return Err(LossError::Setting { loss: NAME, setting, value, expected });
         }
         let total = weights.map_or(classes as f64, |w| w.iter().sum());
         Ok(Self { classes, smoothing, weights: weights.map(<[f64]>::to_vec), total })
@@ -225,16 +215,7 @@ impl Backward for CrossEntropyBackward {
     fn name(&self) -> &'static str {
         NAME
     }
-    fn gradient(&self, logits: &Tensor, factor: f64) -> Result<Tensor> {
-        match logits.dtype() {
-            DType::F64 => self.typed::<f64>(logits, factor),
-            _ => self.typed::<f32>(logits, factor),
-        }
-    }
-}
-
-impl CrossEntropyBackward {
-    fn typed<T: Real>(&self, logits: &Tensor, factor: f64) -> Result<Tensor> {
+    fn gradient<T: Real>(&self, logits: &Tensor, factor: f64) -> Result<Tensor> {
         let factor = factor * self.factor;
         read_matrix(NAME, "pred", logits, |logits_matrix| {
             make_rows::<T>(logits, |first, out| {
@@ -251,7 +232,9 @@ impl CrossEntropyBackward {
             })
         })
     }
+}
 
+impl CrossEntropyBackward {
     /// The gradient of a row from its probabilities.
     fn row<T: Real>(&self, p: &[f64], label: usize, factor: f64, out: &mut [T]) {
         let target = &self.target;

@@ -81,6 +81,56 @@ impl From<LossError> for candle_core::Error {
     }
 }
 
+impl LossError {
+    /// A field whose shape is not the expected one.
+    pub(crate) fn shape(
+        loss: &'static str,
+        field: &'static str,
+        expected: impl Into<String>,
+        got: &[usize],
+    ) -> Self {
+        Self::Shape { loss, field, expected: expected.into(), got: format!("{got:?}") }
+    }
+}
+
+/// Checks a setting.
+pub(crate) fn check_setting(
+    loss: &'static str,
+    setting: &'static str,
+    value: f64,
+    good: bool,
+    expected: &'static str,
+) -> Result<(), LossError> {
+    if good {
+        return Ok(());
+    }
+    Err(LossError::Setting { loss, setting, value: value.to_string(), expected })
+}
+
+/// Checks a setting that is finite and above 0.
+pub(crate) fn check_positive(
+    loss: &'static str,
+    setting: &'static str,
+    value: f64,
+) -> Result<(), LossError> {
+    let good = value > 0.0 && value.is_finite();
+    check_setting(loss, setting, value, good, "a finite number above 0")
+}
+
+/// Checks label smoothing and weights of classes.
+pub(crate) fn check_smoothing(
+    loss: &'static str,
+    smoothing: f64,
+    class_weights: Option<&[f64]>,
+) -> Result<(), LossError> {
+    let share = (0.0..1.0).contains(&smoothing);
+    check_setting(loss, "label_smoothing", smoothing, share, "0..1")?;
+    class_weights.into_iter().flatten().try_for_each(|&weight| {
+        let good = weight.is_finite() && weight >= 0.0;
+        check_setting(loss, "class_weights", weight, good, "finite numbers ≥ 0")
+    })
+}
+
 /// Checks that an array of the host has a value for each row.
 pub(crate) fn check_len(
     loss: &'static str,
@@ -91,6 +141,5 @@ pub(crate) fn check_len(
     if rows == got {
         return Ok(());
     }
-    let (expected, got) = (format!("[{rows}]"), format!("[{got}]"));
-    Err(LossError::Shape { loss, field, expected, got })
+    Err(LossError::shape(loss, field, format!("[{rows}]"), &[got]))
 }

@@ -1,13 +1,10 @@
 //! Squared distance to target features.
 
-use crate::error::LossError;
 use crate::loss::{Loss, LossInput};
-use crate::rows::{Reduction, difference_gradient, sum_rows};
-use crate::scalar_op::{Backward, scalar_loss};
+use crate::rows::{Reduction, RowLoss, valid_rows};
 use crate::values::Real;
 use crate::vector::sum_of_differences;
-use candle_core::{DType, Result, Tensor};
-use scenesplat_kernels::simd::compiled;
+use candle_core::{Result, Tensor};
 
 const NAME: &str = "l2";
 
@@ -31,8 +28,7 @@ impl Loss for L2Loss {
         NAME
     }
     fn forward(&self, input: &LossInput<'_>) -> Result<Option<Tensor>> {
-        let target = input.target.ok_or(LossError::Missing { loss: NAME, field: "target" })?;
-        l2(input.pred, target, input.valid, self.reduction)
+        l2(input.pred, input.needs_target(NAME)?, input.valid, self.reduction)
     }
     fn off_reason(&self, _: &LossInput<'_>) -> String {
         "no row has a target".to_owned()
@@ -53,46 +49,25 @@ pub fn l2(
     valid: Option<&[bool]>,
     reduction: Reduction,
 ) -> Result<Option<Tensor>> {
-    match pred.dtype() {
-        DType::F64 => typed::<f64>(pred, target, valid, reduction),
-        _ => typed::<f32>(pred, target, valid, reduction),
-    }
+    valid_rows(SquaredDistance, pred, target, valid, reduction)
 }
 
-fn typed<T: Real>(
-    pred: &Tensor,
-    target: &Tensor,
-    valid: Option<&[bool]>,
-    reduction: Reduction,
-) -> Result<Option<Tensor>> {
-    let row = |_: usize, p: &[T], t: &[T]| (compiled(|| sum_of_differences(p, t, |d| d * d)), ());
-    let (total, _, count) = sum_rows(NAME, pred, target, valid, row)?;
-    if count == 0 {
-        return Ok(None);
-    }
-    let factor = reduction.factor(count);
-    let valid = valid.map(<[bool]>::to_vec);
-    let backward = L2Backward { target: target.detach(), valid, factor };
-    scalar_loss(pred, total * factor, backward).map(Some)
-}
+struct SquaredDistance;
 
-struct L2Backward {
-    target: Tensor,
-    valid: Option<Vec<bool>>,
-    factor: f64,
-}
+impl RowLoss for SquaredDistance {
+    const NAME: &'static str = NAME;
+    type Kept = ();
 
-impl Backward for L2Backward {
-    fn name(&self) -> &'static str {
-        NAME
+    #[inline(always)]
+    fn value<T: Real>(&self, p: &[T], t: &[T]) -> (f64, ()) {
+        (sum_of_differences(p, t, |d| d * d), ())
     }
-    fn gradient(&self, pred: &Tensor, factor: f64) -> Result<Tensor> {
-        let factor = 2.0 * factor * self.factor;
-        let slope = |x: f64| factor * x;
-        let valid = self.valid.as_deref();
-        match pred.dtype() {
-            DType::F64 => difference_gradient::<f64>(NAME, pred, &self.target, valid, slope),
-            _ => difference_gradient::<f32>(NAME, pred, &self.target, valid, slope),
+
+    #[inline(always)]
+    fn gradient<T: Real>(&self, (p, t): (&[T], &[T]), (): (), factor: f64, out: &mut [T]) {
+        let factor = 2.0 * factor;
+        for ((out, p), t) in out.iter_mut().zip(p).zip(t) {
+            *out = T::narrow(factor * (p.wide() - t.wide()));
         }
     }
 }

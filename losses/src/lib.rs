@@ -10,8 +10,8 @@
 //! | [`CrossEntropy`], [`LovaszSoftmax`] | logits with labels | [`cross_entropy`], [`lovasz_softmax`] |
 //! | [`self_supervised`] | views and masked Gaussians with a teacher's | a table of its own |
 //!
-//! Each is a free function with its settings in a struct that implements [`Loss`]; an [`Objective`]
-//! weighs and adds them and gives each term for the log; [`LossConfig`] is how they stand in a file.
+//! Each is a free function with its settings in a struct that implements [`Loss`]. An [`Objective`] is
+//! their weighted sum and gives each term for the log; [`LossConfig`] is their form in a file.
 //!
 //! # Numbers
 //! Predictions and targets may be f32, f64, bf16 or f16. They are read in that type, computed with
@@ -27,7 +27,7 @@
 //! | one class | contrastive exactly 0 |
 //! | equal rows, equal logits | finite, ties in the order of rows |
 //! | huge or tiny finite values | no overflow on the way; a loss beyond f32 is infinite, its gradient is right |
-//! | NaN, ±∞ in a row that counts | an error that names row and channel ([`first_not_finite`] finds it again) |
+//! | NaN, ±∞ in a row that counts | an error that names row and channel |
 //! | NaN, ±∞ in a row that does not count | not read; its gradient is 0 |
 
 mod config;
@@ -68,4 +68,3 @@ pub use rows::Reduction;
 pub use smooth_l1::{SmoothL1Loss, smooth_l1};
 pub use text_classification::TextClassification;
 pub use text_distillation::TextDistillation;
-pub use values::first_not_finite;

@@ -1,11 +1,12 @@
-//! What a loss is to those who call it.
+//! The interface of a loss.
 
+use crate::error::LossError;
 use candle_core::{Result, Tensor};
 
-/// The label of a row that counts nowhere.
+/// The label of a row that no loss counts.
 pub const IGNORE: i32 = -1;
 
-/// What a loss may look at in one step. Fields that a task does not have are `None`.
+/// Input of a loss in one step. Fields that a task does not have are `None`.
 ///
 /// Labels and masks are on the host: they come from there, and tables are built from them.
 #[derive(Debug, Clone, Copy)]
@@ -24,15 +25,30 @@ pub struct LossInput<'a> {
     pub seed: u64,
 }
 
+impl<'a> LossInput<'a> {
+    pub(crate) fn needs_target(
+        &self,
+        loss: &'static str,
+    ) -> std::result::Result<&'a Tensor, LossError> {
+        self.target.ok_or(LossError::Missing { loss, field: "target" })
+    }
+    pub(crate) fn needs_label(
+        &self,
+        loss: &'static str,
+    ) -> std::result::Result<&'a [i32], LossError> {
+        self.label.ok_or(LossError::Missing { loss, field: "label" })
+    }
+}
+
 /// One term of an [`Objective`](crate::Objective).
 ///
-/// A trait, so that a term of yours is used like ours. Weights are not its business: they belong to
-/// the objective, which can then log each term as it is.
+/// Your own terms implement it as the crate's do. Weights belong to the objective, which logs each term
+/// without its weight.
 pub trait Loss: Send + Sync {
     /// Name in logs, `snake_case`.
     fn name(&self) -> &str;
 
-    /// The scalar to minimise, f32 (f64 if `pred` is), with its gradient to `pred`; `None` when the
+    /// The scalar to minimize, f32 (f64 if `pred` is), with its gradient to `pred`; `None` when the
     /// term is off in this step: its schedule says so, or no row counts.
     ///
     /// # Errors
@@ -44,7 +60,7 @@ pub trait Loss: Send + Sync {
         "no row counts".to_owned()
     }
 
-    /// Settings that a record of a run should name, on one line; empty if there are none.
+    /// Settings for the record of a run, on one line; empty if there are none.
     fn settings(&self) -> String {
         String::new()
     }

@@ -21,7 +21,7 @@ const BLOCK: usize = 64;
 /// For each class c among the labels: the errors `e = |1[y = c] − p_c|` of all labelled rows are
 /// sorted descending, and weighted by what each adds to the Jaccard loss; `None` when no row is
 /// labelled. The gradient is exact; where errors are equal it is that of the order of their rows.
-/// [`LossInput::valid`] is not looked at: it is about target features.
+/// [`LossInput::valid`] is not read: it is about target features.
 ///
 /// Takes `N·C` numbers of memory between forward and backward pass, C counting classes present.
 ///
@@ -38,8 +38,7 @@ impl Loss for LovaszSoftmax {
         NAME
     }
     fn forward(&self, input: &LossInput<'_>) -> Result<Option<Tensor>> {
-        let label = input.label.ok_or(LossError::Missing { loss: NAME, field: "label" })?;
-        lovasz_softmax(input.pred, label)
+        lovasz_softmax(input.pred, input.needs_label(NAME)?)
     }
     fn off_reason(&self, _: &LossInput<'_>) -> String {
         "no row has a label".to_owned()
@@ -184,11 +183,11 @@ struct LovaszBackward<T> {
     factor: f64,
 }
 
-impl<T: Real> Backward for LovaszBackward<T> {
+impl<W: Real> Backward for LovaszBackward<W> {
     fn name(&self) -> &'static str {
         NAME
     }
-    fn gradient(&self, logits: &Tensor, factor: f64) -> Result<Tensor> {
+    fn gradient<T: Real>(&self, logits: &Tensor, factor: f64) -> Result<Tensor> {
         let factor = factor * self.factor;
         read_matrix(NAME, "pred", logits, |logits_matrix| {
             make_rows::<T>(logits, |first, out| {

@@ -1,9 +1,16 @@
 //! The weighted sum of losses.
 
-use crate::error::LossError;
+use crate::error::{LossError, check_setting};
 use crate::loss::{Loss, LossInput};
 use crate::scalar_op::{Zero, scalar_loss};
 use candle_core::{DType, Result, Tensor};
+
+pub(crate) const OBJECTIVE: &str = "objective";
+
+/// Checks the weight of a term.
+pub(crate) fn check_weight(weight: f64) -> std::result::Result<(), LossError> {
+    check_setting(OBJECTIVE, "weight", weight, weight.is_finite(), "a finite number")
+}
 
 /// `Σ wᵢ · lossᵢ`, and each term for the log.
 ///
@@ -34,7 +41,7 @@ pub struct Objective {
 pub struct Term {
     /// Of the loss.
     pub name: String,
-    /// What its value was multiplied with in the total.
+    /// Factor of its value in the total.
     pub weight: f64,
     /// The loss as it is, **not** multiplied with the weight; a scalar without gradient, left on
     /// its device: copy it when you log, not in every step.
@@ -50,7 +57,7 @@ pub struct OffTerm {
     pub reason: String,
 }
 
-/// The total, and what it is made of.
+/// The total and its terms.
 #[derive(Debug, Clone)]
 pub struct ObjectiveOutput {
     /// To call `backward` on: a scalar, f32, or f64 if the predictions are.
@@ -84,18 +91,19 @@ impl Objective {
         self.terms.iter().map(line).collect()
     }
 
-    /// Evaluates every term. One whose weight is 0 is not looked at.
+    /// Evaluates every term, except those of weight 0.
     ///
     /// # Errors
     /// If a term fails (its name is in the message), a weight is not finite, or the progress is not
     /// in 0..=1.
     pub fn forward(&self, input: &LossInput<'_>) -> Result<ObjectiveOutput> {
-        check("progress", input.progress, (0.0..=1.0).contains(&input.progress), "0..=1")?;
+        let share = (0.0..=1.0).contains(&input.progress);
+        check_setting(OBJECTIVE, "progress", input.progress, share, "0..=1")?;
         let dtype = if input.pred.dtype() == DType::F64 { DType::F64 } else { DType::F32 };
         let mut total: Option<Tensor> = None;
         let (mut terms, mut off) = (Vec::new(), Vec::new());
         for (weight, loss) in &self.terms {
-            check("weight", *weight, weight.is_finite(), "a finite number")?;
+            check_weight(*weight)?;
             let name = loss.name().to_owned();
             if *weight == 0.0 {
                 // Zero times an infinite loss would be NaN.
@@ -108,8 +116,7 @@ impl Objective {
                 continue;
             };
             if value.rank() != 0 {
-                let (expected, got) = ("a scalar".to_owned(), format!("{:?}", value.shape()));
-                let wrong = LossError::Shape { loss: "objective", field: "term", expected, got };
+                let wrong = LossError::shape(OBJECTIVE, "term", "a scalar", value.dims());
                 return Err(failed(wrong.into()));
             }
             let value = value.to_dtype(dtype)?;
@@ -123,12 +130,4 @@ impl Objective {
         let total = total.map_or_else(|| scalar_loss(input.pred, 0.0, Zero), Ok)?;
         Ok(ObjectiveOutput { total, terms, off })
     }
-}
-
-fn check(setting: &'static str, value: f64, good: bool, expected: &'static str) -> Result<()> {
-    if good {
-        return Ok(());
-    }
-    let value = value.to_string();
-    Err(LossError::Setting { loss: "objective", setting, value, expected }.into())
 }

@@ -1,8 +1,9 @@
 //! What losses that compare rows with target rows share.
 
 use crate::error::{LossError, check_len};
+use crate::scalar_op::{Backward, scalar_loss};
 use crate::values::{Matrix, Real, make_rows, read_matrix, rows_per_task};
-use candle_core::{Result, Tensor};
+use candle_core::{DType, Result, Tensor};
 use rayon::prelude::*;
 use scenesplat_kernels::simd::compiled;
 use serde::{Deserialize, Serialize};
@@ -28,76 +29,119 @@ impl Reduction {
     }
 }
 
-/// Checks that there is a target row for each row of the predictions.
-pub(crate) fn check_target(
-    loss: &'static str,
-    pred: &Tensor,
-    target: &Tensor,
-    valid: Option<&[bool]>,
-) -> Result<()> {
-    if pred.dims() != target.dims() {
-        let (expected, got) = (format!("{:?}", pred.dims()), format!("{:?}", target.dims()));
-        return Err(LossError::Shape { loss, field: "target", expected, got }.into());
-    }
-    if let Some(valid) = valid {
-        check_len(loss, "valid", pred.dim(0)?, valid.len())?;
-    }
-    Ok(())
+/// A loss that adds up a term for each pair of a predicted row and its target row.
+///
+/// Both functions run [compiled](scenesplat_kernels::simd::compiled) for the CPU; they must be inlined.
+pub(crate) trait RowLoss: Send + Sync + 'static {
+    /// Name of the loss in messages.
+    const NAME: &'static str;
+    /// What the gradient of a row needs beside its values.
+    type Kept: Copy + Default + Send + Sync;
+    /// The term of a row.
+    fn value<T: Real>(&self, pred: &[T], target: &[T]) -> (f64, Self::Kept);
+    /// `factor` times the gradient of the term to the predicted row, into `out`.
+    fn gradient<T: Real>(&self, rows: (&[T], &[T]), kept: Self::Kept, factor: f64, out: &mut [T]);
 }
 
-/// Sum over the rows that count of what `row_loss` gives for a row's number, its values and its target; what it keeps of
-/// each row; and the number of rows that count.
-///
-/// A result that is not finite is an error where a value of the row is not finite.
-pub(crate) fn sum_rows<T: Real, K: Copy + Default + Send + Sync>(
-    loss: &'static str,
+/// The reduced sum of a loss over the valid rows; `None` if there is none.
+pub(crate) fn valid_rows<L: RowLoss>(
+    loss: L,
     pred: &Tensor,
     target: &Tensor,
     valid: Option<&[bool]>,
-    row_loss: impl Fn(usize, &[T], &[T]) -> (f64, K) + Sync,
-) -> Result<(f64, Vec<K>, usize)> {
-    check_target(loss, pred, target, valid)?;
-    read_matrix(loss, "pred", pred, |p| {
-        read_matrix(loss, "target", target, |t| {
+    reduction: Reduction,
+) -> Result<Option<Tensor>> {
+    let rows = pred.dims().first().copied().unwrap_or(0);
+    let weights = match valid {
+        None => vec![1.0; rows],
+        Some(valid) => {
+            check_len(L::NAME, "valid", rows, valid.len())?;
+            valid.iter().map(|v| f64::from(u8::from(*v))).collect()
+        }
+    };
+    weighted_rows(loss, pred, target, weights, reduction)
+}
+
+/// The reduced sum of `weightᵢ · termᵢ`; rows of weight 0 are not read and do not count. `None` if no row
+/// counts.
+///
+/// # Shapes
+/// `pred`, `target`: `[N, D]`; the target gets no gradient · `weights`: `[N]`, finite
+pub(crate) fn weighted_rows<L: RowLoss>(
+    loss: L,
+    pred: &Tensor,
+    target: &Tensor,
+    weights: Vec<f64>,
+    reduction: Reduction,
+) -> Result<Option<Tensor>> {
+    check_target(L::NAME, pred, target)?;
+    let (total, kept) = match pred.dtype() {
+        DType::F64 => sum_rows::<f64, L>(&loss, pred, target, &weights),
+        _ => sum_rows::<f32, L>(&loss, pred, target, &weights),
+    }?;
+    let count = weights.iter().filter(|w| **w != 0.0).count();
+    if count == 0 {
+        return Ok(None);
+    }
+    let factor = reduction.factor(count);
+    let backward = RowsBackward { loss, target: target.detach(), weights, kept, factor };
+    scalar_loss(pred, total * factor, backward).map(Some)
+}
+
+/// Checks that the target has the shape of the predictions.
+pub(crate) fn check_target(loss: &'static str, pred: &Tensor, target: &Tensor) -> Result<()> {
+    if pred.dims() == target.dims() {
+        return Ok(());
+    }
+    let expected = format!("{:?}", pred.dims());
+    Err(LossError::shape(loss, "target", expected, target.dims()).into())
+}
+
+/// The weighted sum, and what each row keeps.
+fn sum_rows<T: Real, L: RowLoss>(
+    loss: &L,
+    pred: &Tensor,
+    target: &Tensor,
+    weights: &[f64],
+) -> Result<(f64, Vec<L::Kept>)> {
+    read_matrix(L::NAME, "pred", pred, |p| {
+        read_matrix(L::NAME, "target", target, |t| {
             let task = rows_per_task(p.columns);
-            let mut kept = vec![K::default(); p.rows];
+            let mut kept = vec![L::Kept::default(); p.rows];
             let parts: Vec<_> = kept
                 .par_chunks_mut(task)
                 .enumerate()
                 .map_init(Default::default, |scratch, (i, kept)| {
-                    sum_task(loss, (p, t), valid, i * task, kept, scratch, &row_loss)
+                    sum_task::<T, L>(loss, (p, t), weights, i * task, kept, scratch)
                 })
                 .collect();
             let mut total = 0.0;
             for part in parts {
                 total += part?;
             }
-            let count = valid.map_or(p.rows, |v| v.iter().filter(|v| **v).count());
-            Ok((total, kept, count))
+            Ok((total, kept))
         })
     })
 }
 
-fn sum_task<T: Real, K>(
-    loss: &'static str,
+/// A result that is not finite is an error where a value of the row is not finite.
+fn sum_task<T: Real, L: RowLoss>(
+    loss: &L,
     (p, t): (&Matrix<'_>, &Matrix<'_>),
-    valid: Option<&[bool]>,
+    weights: &[f64],
     first: usize,
-    kept: &mut [K],
+    kept: &mut [L::Kept],
     (p_scratch, t_scratch): &mut (Vec<T>, Vec<T>),
-    row_loss: impl Fn(usize, &[T], &[T]) -> (f64, K),
 ) -> std::result::Result<f64, LossError> {
     let mut total = 0.0;
-    for (row, keep) in (first..).zip(kept) {
-        if valid.is_some_and(|v| !v[row]) {
-            continue;
-        }
+    for (row, keep) in (first..).zip(kept).filter(|(row, _)| weights[*row] != 0.0) {
         let (p_row, t_row) = (p.read(row..row + 1, p_scratch), t.read(row..row + 1, t_scratch));
         let value;
-        (value, *keep) = row_loss(row, p_row, t_row);
+        (value, *keep) = compiled(|| loss.value(p_row, t_row));
+        let value = weights[row] * value;
         if !value.is_finite() {
-            let bad = p.not_finite(loss, "pred", row);
-            if let Some(error) = bad.or_else(|| t.not_finite(loss, "target", row)) {
+            let bad = p.not_finite(L::NAME, "pred", row);
+            if let Some(error) = bad.or_else(|| t.not_finite(L::NAME, "target", row)) {
                 return Err(error);
             }
         }
@@ -106,32 +150,35 @@ fn sum_task<T: Real, K>(
     Ok(total)
 }
 
-/// The gradient of a loss that sums a function of `p − t` over rows that count and their channels:
-/// `slope(p − t)`, zeros in the other rows.
-pub(crate) fn difference_gradient<T: Real>(
-    loss: &'static str,
-    pred: &Tensor,
-    target: &Tensor,
-    valid: Option<&[bool]>,
-    slope: impl Fn(f64) -> f64 + Sync,
-) -> Result<Tensor> {
-    read_matrix(loss, "pred", pred, |p| {
-        read_matrix(loss, "target", target, |t| {
-            make_rows::<T>(pred, |first, out| {
-                let (mut p_scratch, mut t_scratch) = (Vec::new(), Vec::new());
-                for (row, out) in (first..).zip(out.chunks_exact_mut(p.columns)) {
-                    if valid.is_some_and(|v| !v[row]) {
-                        continue;
-                    }
-                    let p = p.read::<T>(row..row + 1, &mut p_scratch);
-                    let t = t.read::<T>(row..row + 1, &mut t_scratch);
-                    compiled(|| {
-                        for ((out, p), t) in out.iter_mut().zip(p).zip(t) {
-                            *out = T::narrow(slope(p.wide() - t.wide()));
+struct RowsBackward<L: RowLoss> {
+    loss: L,
+    target: Tensor,
+    weights: Vec<f64>,
+    kept: Vec<L::Kept>,
+    factor: f64,
+}
+
+impl<L: RowLoss> Backward for RowsBackward<L> {
+    fn name(&self) -> &'static str {
+        L::NAME
+    }
+    fn gradient<T: Real>(&self, pred: &Tensor, factor: f64) -> Result<Tensor> {
+        let factor = factor * self.factor;
+        read_matrix(L::NAME, "pred", pred, |p| {
+            read_matrix(L::NAME, "target", &self.target, |t| {
+                make_rows::<T>(pred, |first, out| {
+                    let (mut p_scratch, mut t_scratch) = (Vec::new(), Vec::new());
+                    for (row, out) in (first..).zip(out.chunks_exact_mut(p.columns)) {
+                        if self.weights[row] == 0.0 {
+                            continue;
                         }
-                    });
-                }
+                        let p = p.read::<T>(row..row + 1, &mut p_scratch);
+                        let t = t.read::<T>(row..row + 1, &mut t_scratch);
+                        let factor = factor * self.weights[row];
+                        compiled(|| self.loss.gradient((p, t), self.kept[row], factor, out));
+                    }
+                })
             })
         })
-    })
+    }
 }

@@ -1,8 +1,9 @@
-//! A loss as one candle operation: the value is computed before, the gradient when it is asked for.
+//! A loss as one candle operation: the value is computed before it, the gradient in the backward pass.
 //!
-//! Both on the CPU. A loss of rows on another device reads copies of them, and puts value and gradient there;
-//! each pass is counted in [`scenesplat_kernels::fallbacks`] by the loss's name.
+//! Both run on the CPU. Rows on another device are copied from it, value and gradient are copied to it; each
+//! pass is counted in [`scenesplat_kernels::fallbacks`] by the loss's name.
 
+use crate::values::Real;
 use candle_core::backend::{BackendDevice, BackendStorage};
 use candle_core::{
     CpuStorage, CudaStorage, CustomOp1, DType, Layout, MetalStorage, Result, Shape, Tensor,
@@ -14,7 +15,8 @@ pub(crate) trait Backward: Send + Sync + 'static {
     /// Name of the operation in messages.
     fn name(&self) -> &'static str;
     /// `factor · ∂loss/∂pred`, in the type and shape of `pred`.
-    fn gradient(&self, pred: &Tensor, factor: f64) -> Result<Tensor>;
+    /// Computed in `T`: f64 for f64, else f32.
+    fn gradient<T: Real>(&self, pred: &Tensor, factor: f64) -> Result<Tensor>;
 }
 
 struct Known<B> {
@@ -59,7 +61,11 @@ impl<B: Backward> CustomOp1 for Known<B> {
             count(self.backward.name(), Pass::Backward);
         }
         let factor = grad.to_dtype(DType::F64)?.to_scalar::<f64>()?;
-        self.backward.gradient(pred, factor).map(Some)
+        match pred.dtype() {
+            DType::F64 => self.backward.gradient::<f64>(pred, factor),
+            _ => self.backward.gradient::<f32>(pred, factor),
+        }
+        .map(Some)
     }
 }
 
@@ -75,7 +81,7 @@ impl Backward for Zero {
     fn name(&self) -> &'static str {
         "zero_loss"
     }
-    fn gradient(&self, pred: &Tensor, _: f64) -> Result<Tensor> {
+    fn gradient<T: Real>(&self, pred: &Tensor, _: f64) -> Result<Tensor> {
         pred.zeros_like()
     }
 }

@@ -1,13 +1,11 @@
 //! Distance to target features that is squared near the target and straight far from it.
 
-use crate::error::LossError;
+use crate::error::check_positive;
 use crate::loss::{Loss, LossInput};
-use crate::rows::{Reduction, difference_gradient, sum_rows};
-use crate::scalar_op::{Backward, scalar_loss};
+use crate::rows::{Reduction, RowLoss, valid_rows};
 use crate::values::Real;
 use crate::vector::sum_of_differences;
-use candle_core::{DType, Result, Tensor};
-use scenesplat_kernels::simd::compiled;
+use candle_core::{Result, Tensor};
 
 const NAME: &str = "smooth_l1";
 
@@ -42,8 +40,7 @@ impl Loss for SmoothL1Loss {
         NAME
     }
     fn forward(&self, input: &LossInput<'_>) -> Result<Option<Tensor>> {
-        let target = input.target.ok_or(LossError::Missing { loss: NAME, field: "target" })?;
-        smooth_l1(input.pred, target, input.valid, self.beta, self.reduction)
+        smooth_l1(input.pred, input.needs_target(NAME)?, input.valid, self.beta, self.reduction)
     }
     fn off_reason(&self, _: &LossInput<'_>) -> String {
         "no row has a target".to_owned()
@@ -68,57 +65,34 @@ pub fn smooth_l1(
     beta: f64,
     reduction: Reduction,
 ) -> Result<Option<Tensor>> {
-    if !(beta.is_finite() && beta > 0.0) {
-        let (value, expected) = (beta.to_string(), "a finite number above 0");
-        return Err(LossError::Setting { loss: NAME, setting: "beta", value, expected }.into());
-    }
-    match pred.dtype() {
-        DType::F64 => typed::<f64>(pred, target, valid, beta, reduction),
-        _ => typed::<f32>(pred, target, valid, beta, reduction),
-    }
+    check_positive(NAME, "beta", beta)?;
+    valid_rows(SmoothDistance { beta }, pred, target, valid, reduction)
 }
 
-fn typed<T: Real>(
-    pred: &Tensor,
-    target: &Tensor,
-    valid: Option<&[bool]>,
+struct SmoothDistance {
     beta: f64,
-    reduction: Reduction,
-) -> Result<Option<Tensor>> {
-    // The short branch is a select: both sides are cheap.
-    let h = |x: f64| {
-        let x = x.abs();
-        if x < beta { 0.5 * x * (x / beta) } else { x - 0.5 * beta }
-    };
-    let row = |_: usize, p: &[T], t: &[T]| (compiled(|| sum_of_differences(p, t, h)), ());
-    let (total, _, count) = sum_rows(NAME, pred, target, valid, row)?;
-    if count == 0 {
-        return Ok(None);
-    }
-    let factor = reduction.factor(count);
-    let valid = valid.map(<[bool]>::to_vec);
-    let backward = SmoothL1Backward { target: target.detach(), valid, beta, factor };
-    scalar_loss(pred, total * factor, backward).map(Some)
 }
 
-struct SmoothL1Backward {
-    target: Tensor,
-    valid: Option<Vec<bool>>,
-    beta: f64,
-    factor: f64,
-}
+impl RowLoss for SmoothDistance {
+    const NAME: &'static str = NAME;
+    type Kept = ();
 
-impl Backward for SmoothL1Backward {
-    fn name(&self) -> &'static str {
-        NAME
+    #[inline(always)]
+    fn value<T: Real>(&self, p: &[T], t: &[T]) -> (f64, ()) {
+        let beta = self.beta;
+        // A select, not a branch: both sides are cheap.
+        let h = |x: f64| {
+            let x = x.abs();
+            if x < beta { 0.5 * x * (x / beta) } else { x - 0.5 * beta }
+        };
+        (sum_of_differences(p, t, h), ())
     }
-    fn gradient(&self, pred: &Tensor, factor: f64) -> Result<Tensor> {
-        let (factor, beta) = (factor * self.factor, self.beta);
-        let slope = |x: f64| factor * (x / beta).clamp(-1.0, 1.0);
-        let valid = self.valid.as_deref();
-        match pred.dtype() {
-            DType::F64 => difference_gradient::<f64>(NAME, pred, &self.target, valid, slope),
-            _ => difference_gradient::<f32>(NAME, pred, &self.target, valid, slope),
+
+    #[inline(always)]
+    fn gradient<T: Real>(&self, (p, t): (&[T], &[T]), (): (), factor: f64, out: &mut [T]) {
+        for ((out, p), t) in out.iter_mut().zip(p).zip(t) {
+            let x = p.wide() - t.wide();
+            *out = T::narrow(factor * (x / self.beta).clamp(-1.0, 1.0));
         }
     }
 }

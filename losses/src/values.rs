@@ -177,8 +177,7 @@ pub(crate) fn read_matrix<R>(
     f: impl FnOnce(&Matrix<'_>) -> Result<R>,
 ) -> Result<R> {
     let &[rows, columns] = tensor.dims() else {
-        let (expected, got) = ("[N, D]".to_owned(), format!("{:?}", tensor.dims()));
-        return Err(LossError::Shape { loss, field, expected, got }.into());
+        return Err(LossError::shape(loss, field, "[N, D]", tensor.dims()).into());
     };
     if rows > u32::MAX as usize {
         let (expected, got) = ("fewer than 2³² rows".to_owned(), rows.to_string());
@@ -246,20 +245,6 @@ fn make_half<T: Real, H: Half>(
         });
     }
     Tensor::from_vec(out, (rows, columns), device)
-}
-
-/// The first row, below the length of both, that counts and has a value in the tensor that is not
-/// finite; for messages of callers that know which scene a row came from.
-///
-/// # Errors
-/// If the tensor is not a matrix of floats.
-pub fn first_not_finite(tensor: &Tensor, valid: Option<&[bool]>) -> Result<Option<usize>> {
-    read_matrix("first_not_finite", "tensor", tensor, |matrix| {
-        let rows = valid.map_or(matrix.rows, |v| v.len().min(matrix.rows));
-        let counts = |row: &usize| valid.is_none_or(|v| v[*row]);
-        let bad = |row: &usize| matrix.not_finite("", "", *row).is_some();
-        Ok((0..rows).into_par_iter().filter(counts).find_first(bad))
-    })
 }
 
 #[cfg(test)]

@@ -1,11 +1,11 @@
 //! Autoencoders of language features from a file.
 
-use super::config::{ExperimentConfig, TargetChoice, Task};
+use super::config::ExperimentConfig;
 use super::data::{self, ClassTexts};
-use super::error::{ExperimentError, Place};
+use super::error::ExperimentError;
 use super::export::exported_checkpoint;
+use scenesplat_models::ParamStore;
 use scenesplat_models::weights::save_tensors;
-use scenesplat_models::{ModelConfig, ParamStore};
 use scenesplat_scene::StagedFolder;
 use scenesplat_trainers::Evaluator;
 use scenesplat_trainers::checkpoint::read_network;
@@ -13,49 +13,6 @@ use scenesplat_trainers::tasks::autoencoder::{AutoencoderEvaluator, AutoencoderT
 use std::path::Path;
 
 type Result<T, E = ExperimentError> = std::result::Result<T, E>;
-
-/// Checks that there is an autoencoder exactly if the task is one, and nothing besides that would have no
-/// effect.
-pub(super) fn check(config: &ExperimentConfig) -> Result<()> {
-    let wrong = |field: &str, problem: &str| Err(ExperimentError::setting(field, problem));
-    let is_task = config.task == Task::Autoencoder;
-    let settings = match (&config.autoencoder, is_task) {
-        (None, false) => return Ok(()),
-        (None, true) => return wrong("autoencoder", "the task needs this table, with its widths"),
-        (Some(_), false) => return wrong("autoencoder", "only task = \"autoencoder\" has it"),
-        (Some(settings), true) => settings,
-    };
-    settings.check().at(|| "autoencoder".to_owned())?;
-    let plain = ModelConfig { grid_size: config.model.grid_size, ..ModelConfig::default() };
-    if config.model != plain {
-        return wrong(
-            "model",
-            "an autoencoder has its own widths; of [model] only grid_size counts",
-        );
-    }
-    if !config.losses.is_empty() {
-        return wrong(
-            "losses",
-            "the terms are autoencoder.l2 and autoencoder.cosine; leave them out",
-        );
-    }
-    if config.targets != TargetChoice::Features {
-        return wrong("targets", "the targets are the features themselves; leave it out");
-    }
-    if config.init_from.is_some() {
-        return wrong("init_from", "an autoencoder begins with its own values; leave it out");
-    }
-    if config.precision != "f32" {
-        return wrong("precision", "an autoencoder is trained in f32; leave it out");
-    }
-    if let Some(i) = config.evaluate.iter().position(|entry| entry.vote_k.is_some()) {
-        return wrong(
-            &format!("evaluate[{i}].vote_k"),
-            "features are compared row by row; leave it out",
-        );
-    }
-    Ok(())
-}
 
 /// The module that is trained.
 pub(super) fn module(config: &ExperimentConfig, params: ParamStore) -> Result<AutoencoderTask> {

@@ -4,9 +4,9 @@ mod file;
 
 use super::error::{ExperimentError, Place};
 use crate::NetworkConfig;
-use scenesplat_datasets::transforms::{self, TransformConfig};
-use scenesplat_datasets::{InputFeatures, LoaderSettings, MixRule};
-use scenesplat_losses::{ClassSourceConfig, LossConfig};
+use scenesplat_datasets::transforms::{self, LimitLabels, TransformConfig};
+use scenesplat_datasets::{InputFeatures, LoaderSettings, MixRule, SourceConfig};
+use scenesplat_losses::LossConfig;
 use scenesplat_models::{Compute, ModelConfig};
 use scenesplat_trainers::tasks::autoencoder::AutoencoderConfig;
 use scenesplat_trainers::tasks::self_supervised::SelfSupervisedConfig;
@@ -16,10 +16,7 @@ use scenesplat_trainers::{
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-use super::compression;
-use super::data::{EvaluationConfig, TrainDataConfig, reads_labels};
-use super::self_supervision;
-use super::teacher::{self, TeacherConfig};
+use super::teacher::TeacherConfig;
 use file::read_table;
 
 type Result<T, E = ExperimentError> = std::result::Result<T, E>;
@@ -95,6 +92,56 @@ pub struct ExperimentConfig {
 
 fn f32_name() -> String {
     "f32".to_owned()
+}
+
+/// Scenes to train on.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrainDataConfig {
+    /// Where they come from.
+    pub source: SourceConfig,
+    /// What is done to each.
+    pub transforms: TransformList,
+    /// How many labels of each are learned from, before all transforms; all if not given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub labels: Option<LimitLabels>,
+    /// How often each comes in an epoch, with other random numbers each time.
+    #[serde(default = "one")]
+    pub repeat: usize,
+    /// Weight among several datasets, see `mix`.
+    #[serde(default = "one")]
+    pub weight: usize,
+    /// Seed of the transforms.
+    #[serde(default)]
+    pub seed: u64,
+}
+
+/// Scenes to evaluate on.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EvaluationConfig {
+    /// Prefix of the measurements.
+    pub name: String,
+    /// Where the scenes come from.
+    pub source: SourceConfig,
+    /// What is done to each.
+    #[serde(default = "validation")]
+    pub transforms: TransformList,
+    /// Neighbours that vote on each label. If not given, as the paper evaluates: 25, but for logits
+    /// where the Gaussians themselves are labelled, which are not voted on (1).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub vote_k: Option<usize>,
+    /// Texts of these scenes' classes, where they are others than those of the experiment.
+    #[serde(default)]
+    pub text: Option<TextConfig>,
+}
+
+fn one() -> usize {
+    1
+}
+
+fn validation() -> TransformList {
+    TransformList::Preset("validation".to_owned())
 }
 
 /// What a network is trained for.
@@ -246,28 +293,28 @@ impl TransformList {
     /// # Errors
     /// If there is no preset of this name.
     pub fn steps(&self, grid_size: f64) -> Result<Vec<TransformConfig>> {
-        Ok(match self {
-            Self::Steps(steps) => steps.clone(),
-            Self::Preset(name) => match name.as_str() {
-                "language_pretraining" => transforms::language_pretraining(grid_size),
-                "semantic_segmentation" => transforms::semantic_segmentation(grid_size),
-                "validation" => transforms::validation(grid_size),
-                "self_supervised" => transforms::self_supervised(grid_size),
-                "self_supervised_joint" => transforms::self_supervised_joint(grid_size),
-                "self_supervised_joint_scannetpp" => {
-                    transforms::self_supervised_joint_scannetpp(grid_size)
-                }
-                "self_distillation" => transforms::self_distillation(grid_size),
-                other => {
-                    let problem = format!(
-                        "{other:?} is no preset; use language_pretraining, semantic_segmentation, \
-                         validation, self_supervised, self_supervised_joint, \
-                         self_supervised_joint_scannetpp, self_distillation, or a list of steps"
-                    );
-                    return Err(ExperimentError::setting("transforms", problem));
-                }
-            },
-        })
+        type Preset = fn(f64) -> Vec<TransformConfig>;
+        const PRESETS: [(&str, Preset); 7] = [
+            ("language_pretraining", transforms::language_pretraining),
+            ("semantic_segmentation", transforms::semantic_segmentation),
+            ("validation", transforms::validation),
+            ("self_supervised", transforms::self_supervised),
+            ("self_supervised_joint", transforms::self_supervised_joint),
+            ("self_supervised_joint_scannetpp", transforms::self_supervised_joint_scannetpp),
+            ("self_distillation", transforms::self_distillation),
+        ];
+        let name = match self {
+            Self::Steps(steps) => return Ok(steps.clone()),
+            Self::Preset(name) => name,
+        };
+        match PRESETS.iter().find(|(preset, _)| preset == name) {
+            Some((_, steps)) => Ok(steps(grid_size)),
+            None => {
+                let names = PRESETS.map(|(preset, _)| preset).join(", ");
+                let problem = format!("{name:?} is no preset; use {names}, or a list of steps");
+                Err(ExperimentError::setting("transforms", problem))
+            }
+        }
     }
 }
 
@@ -292,83 +339,6 @@ impl ExperimentConfig {
         config.check().at(place)?;
         config.place(path.parent().unwrap_or(Path::new("")));
         Ok(config)
-    }
-
-    /// Checks what can be checked without data.
-    ///
-    /// # Errors
-    /// Names the first field that does not fit.
-    pub fn check(&self) -> Result<()> {
-        let wrong = |field: &str, problem: &str| Err(ExperimentError::setting(field, problem));
-        self.model.check().at(|| "model".to_owned())?;
-        self.trainer.check().at(|| "trainer".to_owned())?;
-        self.loader.check().at(|| "loader".to_owned())?;
-        self.precision()?;
-        if self.early_stopping.as_ref().is_some_and(|stopping| stopping.patience == 0) {
-            return wrong("early_stopping.patience", "0, expected 1 or more");
-        }
-        if self.train.is_empty() {
-            return wrong("train", "at least one dataset is needed");
-        }
-        self_supervision::check(self)?;
-        compression::check(self)?;
-        let own_terms = matches!(self.task, Task::SelfSupervised | Task::Autoencoder);
-        if self.losses.is_empty() && !own_terms {
-            return wrong("losses", "at least one term is needed");
-        }
-        let reads = self.input.width();
-        let takes = self.model.in_channels();
-        if reads != takes {
-            let problem =
-                format!("its channels are {reads} together, but model.in_channels is {takes}");
-            return wrong("input", &problem);
-        }
-        teacher::check(self)?;
-        if let Some(i) = self.train.iter().position(|t| t.source.asks_for_labelled_points()) {
-            let field = format!("train[{i}].source.labelled_points");
-            return wrong(&field, "points are scored, not learned from; leave it out");
-        }
-        for (i, entry) in self.train.iter().enumerate() {
-            let Some(labels) = &entry.labels else { continue };
-            labels.check().at(|| format!("train[{i}]"))?;
-            let by_classes = |loss: &LossConfig| match loss {
-                LossConfig::AggregatedContrastive(c) => c.classes == ClassSourceConfig::Labels,
-                _ => false,
-            };
-            if !reads_labels(self) && !self.losses.iter().any(by_classes) {
-                let field = format!("train[{i}].labels");
-                return wrong(&field, "nothing that is trained reads labels; leave it out");
-            }
-        }
-        if let Some(dir) = &self.trainer.checkpoint.dir {
-            let problem = format!(
-                "{}: the checkpoints of a run are in its folder; leave it out",
-                dir.display()
-            );
-            return wrong("trainer.checkpoint.dir", &problem);
-        }
-        let head = self.model.num_classes().is_some();
-        match self.task {
-            Task::LanguagePretraining if head => {
-                wrong("model.num_classes", "language pretraining has no classifier")
-            }
-            Task::LanguagePretraining
-                if self.targets == TargetChoice::ClassText && self.text.is_none() =>
-            {
-                wrong("text", "targets = \"class_text\" needs it")
-            }
-            Task::SemanticSegmentation if self.targets != TargetChoice::Features => {
-                wrong("targets", "segmentation learns labels and has none; leave it out")
-            }
-            Task::SemanticSegmentation if !head => {
-                wrong("model.num_classes", "segmentation needs it")
-            }
-            Task::LanguagePretraining
-            | Task::SemanticSegmentation
-            | Task::Distillation
-            | Task::SelfSupervised
-            | Task::Autoencoder => Ok(()),
-        }
     }
 
     /// Sets the seed of everything that is random: first values, order, augmentation, steps. The

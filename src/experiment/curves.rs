@@ -59,7 +59,7 @@ pub fn write_curves(log: &[LoggedValue], title: &str, path: &Path) -> Result<(),
     Ok(())
 }
 
-/// Writes the same curves as a page that tells the values below the pointer; it loads nothing. Of long curves it has
+/// Writes the same curves as a page that shows the values below the pointer; it loads nothing. Of long curves it has
 /// the least and the largest value of each of a thousand parts, and says so.
 ///
 /// # Errors

@@ -1,6 +1,8 @@
 //! Scenes of an experiment: where they come from and how they become batches.
 
-use super::config::{ExperimentConfig, TargetChoice, Task, TextConfig, TransformList};
+use super::config::{
+    EvaluationConfig, ExperimentConfig, Task, TextConfig, TrainDataConfig, TransformList,
+};
 use super::error::{ExperimentError, Place};
 use super::teacher::Teacher;
 use crate::text::{class_list, read_text_table};
@@ -10,65 +12,13 @@ use scenesplat_datasets::{
     BatchLoader, Dataset, SceneLoader, SceneTeacher, SourceConfig, TeacherView, TrainBatch,
     WeightedMix,
 };
-use scenesplat_losses::LossConfig;
 use scenesplat_rooms::CLASSES;
 use scenesplat_rooms::vocabulary::Vocabulary;
 use scenesplat_scene::label_set::find_name;
 use scenesplat_scene::{LabelSet, TextTable};
-use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 type Result<T, E = ExperimentError> = std::result::Result<T, E>;
-
-/// Scenes to train on.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct TrainDataConfig {
-    /// Where they come from.
-    pub source: SourceConfig,
-    /// What is done to each.
-    pub transforms: TransformList,
-    /// How many labels of each are learned from, before all transforms; all if not given.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub labels: Option<LimitLabels>,
-    /// How often each comes in an epoch, with other random numbers each time.
-    #[serde(default = "one")]
-    pub repeat: usize,
-    /// Weight among several datasets, see `mix`.
-    #[serde(default = "one")]
-    pub weight: usize,
-    /// Seed of the transforms.
-    #[serde(default)]
-    pub seed: u64,
-}
-
-/// Scenes to evaluate on.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct EvaluationConfig {
-    /// Prefix of the measurements.
-    pub name: String,
-    /// Where the scenes come from.
-    pub source: SourceConfig,
-    /// What is done to each.
-    #[serde(default = "validation")]
-    pub transforms: TransformList,
-    /// Neighbours that vote on each label. If not given, as the paper evaluates: 25, but for logits
-    /// where the Gaussians themselves are labelled, which are not voted on (1).
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub vote_k: Option<usize>,
-    /// Texts of these scenes' classes, where they are others than those of the experiment.
-    #[serde(default)]
-    pub text: Option<TextConfig>,
-}
-
-fn one() -> usize {
-    1
-}
-
-fn validation() -> TransformList {
-    TransformList::Preset("validation".to_owned())
-}
 
 /// Batches to train on, with the rows of a teacher, if there is one.
 ///
@@ -185,19 +135,6 @@ impl ClassTexts {
     }
 }
 
-/// Whether training reads labels.
-pub fn reads_labels(config: &ExperimentConfig) -> bool {
-    let asks = |loss: &LossConfig| matches!(loss, LossConfig::TextClassification(_));
-    match config.task {
-        Task::SemanticSegmentation => true,
-        Task::LanguagePretraining => {
-            config.targets == TargetChoice::ClassText || config.losses.iter().any(asks)
-        }
-        Task::Distillation => config.losses.iter().any(asks),
-        Task::SelfSupervised | Task::Autoencoder => false,
-    }
-}
-
 /// Checks that the labels of every source are those of the texts or of the classifier, where they are
 /// used, and that every list of classes can be read.
 ///
@@ -205,7 +142,7 @@ pub fn reads_labels(config: &ExperimentConfig) -> bool {
 /// Names the first source whose classes do not fit.
 pub fn check_classes(config: &ExperimentConfig, text: Option<&ClassTexts>) -> Result<()> {
     let by_text = config.task != Task::SemanticSegmentation;
-    let used_in_training = reads_labels(config);
+    let used_in_training = config.reads_labels();
     let check = |source: &SourceConfig, used: bool, text: Option<&ClassTexts>| -> Result<()> {
         let classes = if used { source.needed_label_set()? } else { source.label_set()? };
         let Some(classes) = classes.filter(|_| used) else { return Ok(()) };
@@ -236,7 +173,7 @@ pub fn check_classes(config: &ExperimentConfig, text: Option<&ClassTexts>) -> Re
 /// its benchmark does.
 ///
 /// # Errors
-/// If a name is none of the classes.
+/// If a name is not a class.
 pub fn excluded(source: &SourceConfig, text: Option<&ClassTexts>) -> Result<Vec<usize>> {
     if let Some((text, names)) = text.and_then(|text| Some((text, text.exclude.as_ref()?))) {
         return Ok(class_list(&LabelSet::new(text.table.names.clone())?, names)?);

@@ -1,4 +1,4 @@
-//! Who made the furniture of the rooms that a network learned from.
+//! Attribution of the furniture models in the training rooms.
 
 use super::{ExperimentConfig, ExperimentError};
 use scenesplat_datasets::sources::SourceConfig;

@@ -1,4 +1,4 @@
-//! What the training scenes show of bad captures, for the steps that imitate it.
+//! Capture effects measured in the training scenes, for the steps that imitate them.
 
 use super::config::{ExperimentConfig, TransformList};
 use super::error::{ExperimentError, Place};

@@ -1,5 +1,6 @@
 //! Experiments from files: `scenesplat train` and what it is made of.
 
+mod check;
 mod compression;
 pub mod config;
 pub mod curves;
@@ -11,7 +12,6 @@ pub mod identity;
 mod measured;
 mod record;
 mod run;
-mod self_supervision;
 pub mod teacher;
 
 pub use config::ExperimentConfig;

@@ -1,4 +1,4 @@
-//! `run.json`: what a run was made of, and what became of its data.
+//! `run.json`: the settings of a run and what happened to its data.
 
 use super::ExperimentError;
 use super::teacher::TeacherRecord;

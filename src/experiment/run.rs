@@ -10,10 +10,10 @@ use super::furniture;
 use super::identity::identity;
 use super::measured::with_measured_effects;
 use super::record::{RunRecord, write};
-use super::self_supervision;
 use super::teacher::{Teacher, TeacherRecord};
+use crate::NetworkConfig;
 use candle_core::Device;
-use scenesplat_datasets::{BatchLoader, TrainBatch};
+use scenesplat_datasets::TrainBatch;
 use scenesplat_losses::{Objective, TextColumns, build_objective};
 use scenesplat_models::weights::{SourceOptions, WeightSource, resolve};
 use scenesplat_models::{LoadPolicy, ParamStore};
@@ -25,12 +25,13 @@ use scenesplat_trainers::checkpoint::newest_checkpoint;
 use scenesplat_trainers::evaluators::{
     DistillationEvaluator, SegmentationEvaluator, ZeroShotEvaluator,
 };
+use scenesplat_trainers::tasks::self_supervised::SelfSupervised;
 use scenesplat_trainers::tasks::{
     Distillation, LanguagePretraining, SemanticSegmentation, TargetSource, TaskModule,
 };
 use scenesplat_trainers::{
-    AdamW, Alone, Collective, Evaluator, Identity, Optimizer, Progress, Schedule, Trainer,
-    TrainerConfig, TrainingModule, WithWeightDecay, group_by_keyword,
+    AdamW, Alone, Collective, DataModule, Evaluator, Identity, Optimizer, Progress, Schedule,
+    Trainer, TrainerConfig, TrainingModule, WithWeightDecay, group_by_keyword,
 };
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
@@ -56,7 +57,7 @@ pub struct RunOptions {
     pub commit: Option<String>,
 }
 
-/// What a run left behind.
+/// Result of a run.
 #[derive(Debug, Clone)]
 pub struct RunReport {
     /// Where it stopped.
@@ -78,7 +79,7 @@ pub struct RunReport {
 /// | `metrics.jsonl` | everything that was measured, one value a line |
 /// | `tensorboard/` | the same for TensorBoard |
 /// | `checkpoints/` | the last ones and the best one |
-/// | `curves.png`, `curves.html` | the same as a picture, and as a page that tells values |
+/// | `curves.png`, `curves.html` | the same as a picture, and as a page that shows values |
 /// | `model/` | the best network (the last, if none is marked), as `--weights` takes it |
 ///
 /// # Errors
@@ -146,58 +147,29 @@ pub fn train_together(
         teacher: teacher.as_ref().map(|t| Arc::clone(&t.record)),
         collective,
     };
-    let mut loader = data::loader(config, teacher.as_ref())?;
-    let network = || config.network()?.model.build(params.builder()).map_err(ExperimentError::from);
-    let (progress, exported) = match config.task {
-        Task::LanguagePretraining => {
-            let targets = match (config.targets, &text) {
-                (TargetChoice::ClassText, Some(t)) => TargetSource::class_text(&t.table)?,
-                _ => TargetSource::Features,
-            };
-            let task = LanguagePretraining { targets };
-            let network = network()?;
-            let module = TaskModule::new(params, network, objective, task);
-            let evaluators = zero_shot(config, text.as_ref(), None)?.into_iter();
-            run.fit(&module, &mut *loader, &mut boxed(evaluators))?
-        }
-        Task::Distillation => {
-            let network = network()?;
-            let module = TaskModule::new(params, network, objective, Distillation);
-            let evaluators = zero_shot(config, text.as_ref(), teacher.as_ref())?.into_iter();
-            let evaluators = evaluators.map(DistillationEvaluator::new);
-            run.fit(&module, &mut *loader, &mut boxed(evaluators))?
-        }
-        Task::Autoencoder => {
-            let module = compression::module(config, params)?;
-            let mut evaluators = compression::evaluators(config, text.as_ref())?;
-            run.fit(&module, &mut *loader, &mut evaluators)?
-        }
-        Task::SelfSupervised => {
-            let module = self_supervision::module(config, params)?;
-            run.fit(&module, &mut *loader, &mut [])?
-        }
-        Task::SemanticSegmentation => {
-            let network = network()?;
-            let module = TaskModule::new(params, network, objective, SemanticSegmentation);
-            run.fit(&module, &mut *loader, &mut segmentation(config, text.as_ref())?)?
-        }
-    };
+    let objects = (text.as_ref(), teacher.as_ref());
+    let (progress, (model, more)) = run.fit_task(params, objective, objects)?;
     let curves = options.out.join("curves.png");
-    let log = match leads {
-        true => read_json_lines(&options.out.join("metrics.jsonl"))?,
-        false => Vec::new(),
-    };
-    if !log.is_empty() {
-        let title = options.out.file_name().map_or("run".into(), |n| n.to_string_lossy());
-        write_curves(&log, &title, &curves)?;
-        write_curves_page(&log, &title, &curves.with_extension("html"))?;
+    if leads {
+        draw_curves(&options.out, &curves)?;
     }
-    remarks.extend(exported.1);
+    remarks.extend(more);
     remarks.extend(teacher.and_then(|teacher| teacher.record.remark()));
-    Ok(RunReport { progress, model: exported.0, curves, remarks })
+    Ok(RunReport { progress, model, curves, remarks })
 }
 
-/// First values of the parameters, and what was said about them.
+/// Draws what was logged into a picture and a page beside it.
+fn draw_curves(out: &Path, curves: &Path) -> Result<()> {
+    let log = read_json_lines(&out.join("metrics.jsonl"))?;
+    if !log.is_empty() {
+        let title = out.file_name().map_or("run".into(), |n| n.to_string_lossy());
+        write_curves(&log, &title, curves)?;
+        write_curves_page(&log, &title, &curves.with_extension("html"))?;
+    }
+    Ok(())
+}
+
+/// First values of the parameters, with remarks.
 fn parameters(config: &ExperimentConfig, device: &Device) -> Result<(ParamStore, Vec<String>)> {
     let Some(path) = &config.init_from else {
         return Ok((ParamStore::trainable(config.model_seed).on(device), Vec::new()));
@@ -261,18 +233,18 @@ fn zero_shot(
 fn segmentation(
     config: &ExperimentConfig,
     text: Option<&data::ClassTexts>,
-) -> Result<Vec<Box<dyn Evaluator<TaskModule>>>> {
-    let mut all: Vec<Box<dyn Evaluator<TaskModule>>> = Vec::new();
+) -> Result<Vec<SegmentationEvaluator>> {
+    let mut all = Vec::new();
     for entry in &config.evaluate {
         let own = entry.text.as_ref().map(data::text_table).transpose()?;
         let data = data::evaluation(entry, config, None)?;
-        let input = config.input.clone();
         let excluded = data::excluded(&entry.source, own.as_ref().or(text))?;
-        let evaluator = SegmentationEvaluator::new(&entry.name, data, input, excluded);
-        all.push(Box::new(match entry.vote_k {
+        let evaluator =
+            SegmentationEvaluator::new(&entry.name, data, config.input.clone(), excluded);
+        all.push(match entry.vote_k {
             Some(k) => evaluator.with_vote(k),
             None => evaluator,
-        }));
+        });
     }
     Ok(all)
 }
@@ -290,15 +262,66 @@ struct Run<'a> {
     collective: Rc<dyn Collective>,
 }
 
-/// The exported model, with what is to be said about it.
+/// The exported model, with remarks.
 type Exported = (PathBuf, Vec<String>);
 
 impl Run<'_> {
+    /// Trains the module of the task.
+    fn fit_task(
+        &self,
+        params: ParamStore,
+        objective: Objective,
+        (text, teacher): (Option<&data::ClassTexts>, Option<&Teacher>),
+    ) -> Result<(Progress, Exported)> {
+        let config = self.config;
+        let train = data::loader(config, teacher)?;
+        let network =
+            || config.network()?.model.build(params.builder()).map_err(ExperimentError::from);
+        match config.task {
+            Task::LanguagePretraining => {
+                let targets = match (config.targets, text) {
+                    (TargetChoice::ClassText, Some(t)) => TargetSource::class_text(&t.table)?,
+                    _ => TargetSource::Features,
+                };
+                let (network, task) = (network()?, LanguagePretraining { targets });
+                let module = TaskModule::new(params, network, objective, task);
+                let evaluators = zero_shot(config, text, None)?.into_iter();
+                self.fit(&module, DataModule { train, evaluators: boxed(evaluators) })
+            }
+            Task::Distillation => {
+                let network = network()?;
+                let module = TaskModule::new(params, network, objective, Distillation);
+                let evaluators = zero_shot(config, text, teacher)?.into_iter();
+                let evaluators = evaluators.map(DistillationEvaluator::new);
+                self.fit(&module, DataModule { train, evaluators: boxed(evaluators) })
+            }
+            Task::Autoencoder => {
+                let module = compression::module(config, params)?;
+                let evaluators = compression::evaluators(config, text)?;
+                self.fit(&module, DataModule { train, evaluators })
+            }
+            Task::SelfSupervised => {
+                let none =
+                    || ExperimentError::setting("self_supervised", "the task needs this table");
+                let settings = config.self_supervised.as_ref().ok_or_else(none)?;
+                let NetworkConfig { model, input } = config.network()?;
+                let seed = config.model_seed;
+                let module = SelfSupervised::new(settings, &model, &input, params, seed)?;
+                self.fit(&module, DataModule { train, evaluators: Vec::new() })
+            }
+            Task::SemanticSegmentation => {
+                let network = network()?;
+                let module = TaskModule::new(params, network, objective, SemanticSegmentation);
+                let evaluators = segmentation(config, text)?;
+                self.fit(&module, DataModule { train, evaluators })
+            }
+        }
+    }
+
     fn fit<M: TrainingModule<Batch = TrainBatch>>(
         &self,
         module: &M,
-        loader: &mut dyn BatchLoader<TrainBatch>,
-        evaluators: &mut [Box<dyn Evaluator<M>>],
+        mut data: DataModule<'_, M>,
     ) -> Result<(Progress, Exported)> {
         let mut settings: TrainerConfig = self.config.trainer.clone();
         settings.checkpoint.dir = Some(self.checkpoints.to_owned());
@@ -332,7 +355,7 @@ impl Run<'_> {
             None => Progress::default(),
         };
         if !leads {
-            let progress = trainer.fit(module, loader, evaluators, start)?;
+            let progress = trainer.fit(module, &mut data, start)?;
             return Ok((progress, (out.join("model"), Vec::new())));
         }
         // Not before: a run that is refused leaves the record of the first one.
@@ -340,10 +363,11 @@ impl Run<'_> {
         write(&out.join("config.toml"), &toml::to_string_pretty(self.config)?)?;
         record.write()?;
         let mut trainer = trainer.with_callback(record);
-        let progress = trainer.fit(module, loader, evaluators, start)?;
+        let progress = trainer.fit(module, &mut data, start)?;
         let model = out.join("model");
         let network = self.config.network()?;
-        let mut remarks = match self_supervision::exported(self.config) {
+        let exported = self.config.self_supervised.as_ref().map(|settings| settings.export);
+        let mut remarks = match exported {
             None if self.config.task == Task::Autoencoder => {
                 compression::export(self.config, self.checkpoints, &model)?
             }
@@ -353,9 +377,7 @@ impl Run<'_> {
         remarks.extend(furniture::attribute(self.config, &model)?);
         Ok((progress, (model, remarks)))
     }
-}
 
-impl Run<'_> {
     /// The record of the run, which begins at `start`.
     fn record(&self, experiment: &str, start: Progress) -> RunRecord {
         let commit = self.options.commit.as_deref().unwrap_or("unknown");

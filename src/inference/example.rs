@@ -1,4 +1,4 @@
-//! A small part of a scene that stands for the whole, for networks that look at one first.
+//! A small part of a scene that stands for the whole, for networks that calibrate on one first.
 
 use scenesplat_datasets::{NetworkInput, Tile};
 use std::collections::BTreeMap;

@@ -3,9 +3,9 @@
 use super::content::{Distribution, TooWide};
 use super::duplicates::Duplicates;
 use super::estimate::Estimate;
-use super::findings::{About, Findings, Severity};
+use super::findings::{Findings, Severity};
 use super::neighbourhood::{FEWEST_ROWS, Neighbourhood, reach};
-use super::statistics::{count_rows, largest};
+use super::statistics::{Counted, count_rows, largest};
 use super::unit::{LengthUnit, UnitGuess, is_surely_no_metre, short};
 use crate::memory::Bytes;
 use scenesplat_scene::{Bounds, GaussianScene, UpAxis, UpGuess};
@@ -50,57 +50,49 @@ pub(super) fn check_positions(
 ) {
     let rows = scene.len();
     if let Some(TooWide { row, message }) = too_wide {
-        findings.add(Severity::Error, "grid_too_wide", About {
-            count: 1,
-            first: Some(*row),
-            example: format!("{:?}", scene.coord[*row]),
-            message: format!("the scene does not fit on the voxel grid: {message}"),
-            help: "remove the outliers, or rescale the scene to metres; the networks refuse it so",
-        });
+        findings
+            .add(
+                Severity::Error,
+                "grid_too_wide",
+                Counted { count: 1, first: Some(*row) },
+                format!("the scene does not fit on the voxel grid: {message}"),
+            )
+            .example(format!("{:?}", scene.coord[*row]))
+            .help("remove the outliers, or rescale the scene to metres; the networks refuse it so");
     }
     if rows < FEWEST_ROWS {
-        findings.add(
-            Severity::Note,
-            "few_rows",
-            About {
-                count: rows,
-                first: None,
-                example: String::new(),
-                message: format!(
+        findings.add(Severity::Note, "few_rows", Counted::of(rows), format!(
                     "fewer than {FEWEST_ROWS} Gaussians: outliers, sizes, isolation, unit and convergence \
                      are not judged"
-                ),
-                help: "",
-            },
-        );
+                ));
     }
     if bounds.largest_extent() == 0.0 && rows > 1 {
-        findings.add(
-            Severity::Warning,
-            "one_place",
-            About {
-                count: rows,
-                first: Some(0),
-                example: format!("{:?}", scene.coord[0]),
-                message: "all Gaussians are in one place".to_owned(),
-                help: "export the scene again; its positions are lost",
-            },
-        );
+        findings
+            .add(
+                Severity::Warning,
+                "one_place",
+                Counted { count: rows, first: Some(0) },
+                "all Gaussians are in one place".to_owned(),
+            )
+            .example(format!("{:?}", scene.coord[0]))
+            .help("export the scene again; its positions are lost");
     }
     let furthest =
         (0..3).map(|a| robust.low[a].abs().max(robust.high[a].abs())).fold(0.0, f64::max);
     let step = (furthest as f32).next_up() - furthest as f32;
     if step > COARSEST_STEP && too_wide.is_none() {
-        findings.add(Severity::Warning, "coarse_coordinates", About {
-            count: rows,
-            first: None,
-            example: format!("coordinates up to {}", short(furthest)),
-            message: format!(
-                "so far from the origin, single precision has rounded positions to {} m",
-                short(f64::from(step))
-            ),
-            help: "subtract the origin of the survey before exporting; rounding cannot be undone",
-        });
+        findings
+            .add(
+                Severity::Warning,
+                "coarse_coordinates",
+                Counted::of(rows),
+                format!(
+                    "so far from the origin, single precision has rounded positions to {} m",
+                    short(f64::from(step))
+                ),
+            )
+            .example(format!("coordinates up to {}", short(furthest)))
+            .help("subtract the origin of the survey before exporting; rounding cannot be undone");
     }
 }
 
@@ -115,20 +107,14 @@ pub(super) fn check_outliers(findings: &mut Findings<'_>, scene: &GaussianScene,
     let far = count_rows(rows, |row| distance(row) > limit);
     let farthest = largest(rows, |row| Some(distance(row)));
     if let (Some(first), Some((_, metres))) = (far.first, farthest) {
-        findings.add(Severity::Warning, "outliers", About {
-            count: far.count,
-            first: far.first,
-            example: format!("{:?}", scene.coord[first]),
-            message: format!(
+        findings.add(Severity::Warning, "outliers", far, format!(
                 "{} of the Gaussians lie more than {OUTLIER_DIAGONALS} diagonals outside the scene, \
                  which is {} m across; the farthest is {} m away",
                 percent(far.count, rows),
                 short(robust.diagonal()),
                 short(metres)
-            ),
-            help: "cut the scene to its box; each outlier costs a voxel and spoils whatever uses \
-                   the full bounds",
-        });
+            )).example(format!("{:?}", scene.coord[first])).help("cut the scene to its box; each outlier costs a voxel and spoils whatever uses \
+                   the full bounds");
     }
 }
 
@@ -147,11 +133,7 @@ pub(super) fn check_up(findings: &mut Findings<'_>, rows: usize, up: &UpGuess) {
         )
     };
     let example = format!("confidence {:.2}", up.confidence);
-    findings.add(
-        Severity::Note,
-        "up",
-        About { count: rows, first: None, example, message, help: "" },
-    );
+    findings.add(Severity::Note, "up", Counted::of(rows), message).example(example);
 }
 
 /// A need beyond the machine.
@@ -162,23 +144,23 @@ pub(super) fn check_memory(
 ) {
     let Some((estimate, there)) = estimate.zip(machine_bytes) else { return };
     if estimate.bytes > there {
-        findings.add(
-            Severity::Warning,
-            "memory",
-            About {
-                count: 0,
-                first: None,
-                example: format!("{} voxels", estimate.voxels),
-                message: format!(
+        findings
+            .add(
+                Severity::Warning,
+                "memory",
+                Counted::of(0),
+                format!(
                     "the {} network needs about {} for the whole scene, this machine has {}",
                     estimate.network,
                     Bytes(estimate.bytes),
                     Bytes(there)
                 ),
-                help: "limit the memory to less than the machine has: the scene then goes through the \
+            )
+            .example(format!("{} voxels", estimate.voxels))
+            .help(
+                "limit the memory to less than the machine has: the scene then goes through the \
                        network in tiles",
-            },
-        );
+            );
     }
 }
 
@@ -207,17 +189,15 @@ pub(super) fn check_unit(
              of it falls into a few voxels; scaling by 1000 makes it metres",
         ),
     };
-    findings.add(
-        severity,
-        "unit",
-        About {
-            count: rows,
-            first: None,
-            example: guess.evidence.clone(),
-            message: format!("one unit seems to be 1 {}, not 1 m", guess.unit.symbol()),
-            help,
-        },
-    );
+    findings
+        .add(
+            severity,
+            "unit",
+            Counted::of(rows),
+            format!("one unit seems to be 1 {}, not 1 m", guess.unit.symbol()),
+        )
+        .example(guess.evidence.clone())
+        .help(help);
 }
 
 pub(super) fn check_sizes(findings: &mut Findings<'_>, scene: &GaussianScene, robust: &Bounds) {
@@ -230,22 +210,16 @@ pub(super) fn check_sizes(findings: &mut Findings<'_>, scene: &GaussianScene, ro
     let giants = count_rows(scene.len(), is_giant);
     let largest = largest(scene.len(), |row| is_giant(row).then(|| reach(scene, row)));
     if let (Some(first), Some((_, metres))) = (giants.first, largest) {
-        findings.add(Severity::Warning, "giant_splats", About {
-            count: giants.count,
-            first: giants.first,
-            example: format!(
-                "reaches {} m, opacity {:.2}",
-                short(reach(scene, first)),
-                scene.opacity(first)
-            ),
-            message: format!(
+        findings.add(Severity::Warning, "giant_splats", giants, format!(
                 "three standard deviations reach over {GIANT_DIAGONALS} diagonals of the scene, \
                  which is {} m across; the largest reaches {} m",
                 short(diagonal),
                 short(metres)
-            ),
-            help: "remove them, or clamp their scale; each tints much of every picture",
-        });
+            )).example(format!(
+                "reaches {} m, opacity {:.2}",
+                short(reach(scene, first)),
+                scene.opacity(first)
+            )).help("remove them, or clamp their scale; each tints much of every picture");
     }
 }
 
@@ -269,26 +243,16 @@ pub(super) fn check_isolated(
     let count = near.isolated.count;
     let is_many = count as f64 > ISOLATED_SHARE * scene.len() as f64;
     let severity = if is_many { Severity::Warning } else { Severity::Note };
-    findings.add(
-        severity,
-        "floaters",
-        About {
-            count,
-            first: near.isolated.first,
-            example: format!("{:?}", scene.coord[first]),
-            message: format!(
+    findings.add(severity, "floaters", Counted { count, first: near.isolated.first }, format!(
                 "{} of the Gaussians are isolated: the 4th neighbour is up to {} m away, usually {} m",
                 percent(count, scene.len()),
                 short(metres),
                 short(near.spacing.unwrap_or(0.0))
-            ),
-            help: if is_many {
+            )).example(format!("{:?}", scene.coord[first])).help(if is_many {
                 "remove floaters; each gets a label of its own and may answer queries"
             } else {
                 ""
-            },
-        },
-    );
+            });
 }
 
 pub(super) fn check_duplicates(findings: &mut Findings<'_>, found: &Duplicates, rows: usize) {
@@ -296,35 +260,24 @@ pub(super) fn check_duplicates(findings: &mut Findings<'_>, found: &Duplicates, 
     if whole.count > 0 {
         let is_many = whole.count as f64 > DUPLICATE_SHARE * rows as f64;
         let severity = if is_many { Severity::Warning } else { Severity::Note };
-        findings.add(severity, "duplicates", About {
-            count: whole.count,
-            first: whole.first,
-            example: String::new(),
-            message: format!(
+        findings.add(severity, "duplicates", whole, format!(
                 "{} of the rows repeat an earlier one in position, scale, rotation, opacity and \
-                 colour",
+                 color",
                 percent(whole.count, rows)
-            ),
-            help: if is_many {
+            )).help(if is_many {
                 "remove the copies; a snapshot in the middle of training has them where Gaussians \
                  were just cloned: train on"
             } else {
                 ""
-            },
-        });
+            });
     }
     let elsewhere = found.position.count - whole.count;
     if elsewhere > 0 {
         findings.add(
             Severity::Note,
             "same_position",
-            About {
-                count: elsewhere,
-                first: found.position.first,
-                example: String::new(),
-                message: "Gaussians stand where another one stands, but differ from it".to_owned(),
-                help: "",
-            },
+            Counted { count: elsewhere, first: found.position.first },
+            "Gaussians stand where another one stands, but differ from it".to_owned(),
         );
     }
 }
@@ -337,34 +290,26 @@ pub(super) fn check_opacity(
     let rows = scene.len();
     let Some(q) = opacity.quantiles else { return };
     if q.p95 < CONVERGED_OPACITY && rows >= FEWEST_ROWS {
-        findings.add(
-            Severity::Warning,
-            "low_opacity",
-            About {
-                count: rows,
-                first: None,
-                example: format!("median {:.3}, 95 % below {:.3}", q.p50, q.p95),
-                message: "nearly everything is transparent: the training has not converged"
-                    .to_owned(),
-                help: "train longer, or check the poses; labels of haze mean little",
-            },
-        );
+        findings
+            .add(
+                Severity::Warning,
+                "low_opacity",
+                Counted::of(rows),
+                "nearly everything is transparent: the training has not converged".to_owned(),
+            )
+            .example(format!("median {:.3}, 95 % below {:.3}", q.p50, q.p95))
+            .help("train longer, or check the poses; labels of haze mean little");
     }
     let invisible = count_rows(rows, |row| scene.opacity(row) < INVISIBLE);
     if invisible.count as f64 > INVISIBLE_SHARE * rows as f64 {
         findings.add(
             Severity::Note,
             "invisible",
-            About {
-                count: invisible.count,
-                first: invisible.first,
-                example: String::new(),
-                message: format!(
-                    "{} of the Gaussians have an opacity below 1/255, which no renderer draws",
-                    percent(invisible.count, rows)
-                ),
-                help: "",
-            },
+            invisible,
+            format!(
+                "{} of the Gaussians have an opacity below 1/255, which no renderer draws",
+                percent(invisible.count, rows)
+            ),
         );
     }
 }
@@ -374,16 +319,11 @@ pub(super) fn check_harmonics(findings: &mut Findings<'_>, scene: &GaussianScene
         findings.add(
             Severity::Note,
             "unused_harmonics",
-            About {
-                count: scene.len(),
-                first: None,
-                example: String::new(),
-                message: format!(
-                    "degree {} is declared, but coefficients beyond degree {used} are all zero",
-                    scene.sh_degree
-                ),
-                help: "",
-            },
+            Counted::of(scene.len()),
+            format!(
+                "degree {} is declared, but coefficients beyond degree {used} are all zero",
+                scene.sh_degree
+            ),
         );
     }
 }

@@ -22,13 +22,13 @@ pub struct Distribution {
 pub struct ShBand {
     /// 1 for the first band beyond the DC term.
     pub band: u8,
-    /// Rows with a coefficient that could change a colour by half a byte.
+    /// Rows with a coefficient that could change a color by half a byte.
     pub rows: usize,
     /// Largest absolute coefficient.
     pub largest: f64,
 }
 
-/// Smallest coefficient that counts as used: half a step of a colour byte, as basis functions
+/// Smallest coefficient that counts as used: half a step of a color byte, as basis functions
 /// reach about 1.
 const SH_USED: f32 = 0.5 / 255.0;
 
@@ -81,7 +81,7 @@ pub(super) fn opacity(scene: &GaussianScene) -> Distribution {
         (0..scene.len()).into_par_iter().map(|row| scene.opacity(row)).collect();
     let histogram = Histogram::count("opacity", &values, [0, 1000], OPACITY_BINS);
     sort(&mut values);
-    Distribution { quantiles: Quantiles::of_sorted(&values), histogram }
+    Distribution { quantiles: Quantiles::of_sorted(&values, |v| v), histogram }
 }
 
 /// Largest and smallest standard deviation, and their ratio.
@@ -105,7 +105,7 @@ pub(super) fn scales(scene: &GaussianScene) -> (Distribution, Distribution, Dist
         let histogram = Histogram::count(of, values, range, bins);
         sort(values);
         // From logarithms of base 10; f64 holds them all.
-        let quantiles = Quantiles::of_sorted(values).map(Quantiles::power_of_ten);
+        let quantiles = Quantiles::of_sorted(values, |v| 10f64.powf(v));
         Distribution { quantiles, histogram }
     };
     (

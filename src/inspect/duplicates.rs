@@ -7,7 +7,7 @@ use scenesplat_scene::GaussianScene;
 /// Rows that stand a second time in the scene.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(super) struct Duplicates {
-    /// Rows equal to an earlier one in position, size, rotation, opacity and colour.
+    /// Rows equal to an earlier one in position, size, rotation, opacity and color.
     pub(super) whole: Counted,
     /// Rows at the very position of an earlier one, those of `whole` included.
     pub(super) position: Counted,
@@ -114,7 +114,7 @@ mod tests {
         }
         s.sh_dc[500][1] = 0.25;
         let found = find_duplicates(&s);
-        // 500 and 800 stand in one place, in different colours.
+        // 500 and 800 stand in one place, in different colors.
         assert_eq!(found.position, Counted { count: 3, first: Some(700) });
         assert_eq!(found.whole, Counted { count: 2, first: Some(700) });
         let same = find_duplicates(&scene(5).select_rows(&[2; 64]).unwrap());

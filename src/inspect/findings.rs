@@ -1,5 +1,6 @@
 //! What is wrong with a scene, in words: names, counts, first rows and help.
 
+use super::statistics::Counted;
 use scenesplat_scene::LoadedScene;
 use scenesplat_scene::value_policy::{self, Action, Rule};
 use serde::Serialize;
@@ -69,21 +70,25 @@ impl<'a> Findings<'a> {
         Self { loaded, all: rules.chain(remarks).collect() }
     }
 
-    /// Adds one; `row` counts the usable Gaussians.
-    pub(super) fn add(&mut self, severity: Severity, name: &str, about: About) {
-        let first_row = about.first.map(|row| match &self.loaded.kept_rows {
-            Some(kept) => kept[row] as usize,
-            None => row,
-        });
+    /// Adds one; `rows` counts the usable Gaussians.
+    pub(super) fn add(
+        &mut self,
+        severity: Severity,
+        name: &str,
+        rows: Counted,
+        message: impl Into<String>,
+    ) -> Added<'_> {
+        let kept = self.loaded.kept_rows.as_ref();
         self.all.push(Finding {
             name: name.to_owned(),
             severity,
-            count: about.count,
-            first_row,
-            example: about.example,
-            message: about.message,
-            help: about.help.to_owned(),
+            count: rows.count,
+            first_row: rows.first.map(|row| kept.map_or(row, |kept| kept[row] as usize)),
+            example: String::new(),
+            message: message.into(),
+            help: String::new(),
         });
+        Added(self.all.last_mut())
     }
 
     /// Findings, the worst first, and notes.
@@ -94,13 +99,18 @@ impl<'a> Findings<'a> {
     }
 }
 
-/// What [`Findings::add`] needs to know.
-pub(super) struct About {
-    pub(super) count: usize,
-    pub(super) first: Option<usize>,
-    pub(super) example: String,
-    pub(super) message: String,
-    pub(super) help: &'static str,
+/// A finding that was just added.
+pub(super) struct Added<'a>(Option<&'a mut Finding>);
+
+impl Added<'_> {
+    pub(super) fn example(mut self, text: String) -> Self {
+        self.0.iter_mut().for_each(|finding| finding.example.clone_from(&text));
+        self
+    }
+
+    pub(super) fn help(mut self, text: &str) {
+        self.0.iter_mut().for_each(|finding| text.clone_into(&mut finding.help));
+    }
 }
 
 /// A rule that applied while the file was read, in the words of the value policy.

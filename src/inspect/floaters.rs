@@ -10,7 +10,7 @@ use std::fmt;
 /// What [`find_floaters`] found.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Floaters {
-    /// Rows that are none, ascending.
+    /// Rows that are not floaters, ascending.
     #[serde(skip)]
     pub kept: Vec<usize>,
     /// Gaussians whose fourth neighbour is 2.5 times farther away than for 90 % of all, and farther

@@ -1,5 +1,4 @@
-//! A look at a scene before anything is spent on it: what is in it, what is wrong with it, and what
-//! it will cost.
+//! Measures a scene before it is processed: its contents, its faults, and the cost of a network.
 //!
 //! [`inspect`] measures and judges; [`sheet`] draws the result; [`Inspection`] prints as a table and
 //! is written as JSON. Every number is finite or null. The thresholds were set on the real scenes
@@ -35,7 +34,7 @@ pub use scenesplat_scene::{Bounds, UpEvidence, UpGuess};
 use scenesplat_scene::{LoadedScene, UpAxis, guess_up_within, raw_bounds, robust_bounds};
 use serde::Serialize;
 
-/// How to look at a scene.
+/// Settings of [`inspect`].
 #[derive(Debug, Clone)]
 pub struct InspectSettings {
     /// Whether the scene was a point cloud that was turned into Gaussians.
@@ -56,7 +55,7 @@ impl Default for InspectSettings {
     }
 }
 
-/// What was seen.
+/// Result of [`inspect`].
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Inspection {
     /// The file or folder.
@@ -84,7 +83,7 @@ pub struct Inspection {
     pub unit: Option<UnitGuess>,
     /// Spherical-harmonic degree that the file declares.
     pub sh_degree: u8,
-    /// Highest degree with a coefficient that could change a colour.
+    /// Highest degree with a coefficient that could change a color.
     pub sh_degree_used: u8,
     /// The higher bands one by one.
     pub sh_bands: Vec<ShBand>,
@@ -114,7 +113,7 @@ pub struct Inspection {
     pub estimate: Option<Estimate>,
 }
 
-/// Looks at a scene.
+/// Measures a scene and lists findings.
 ///
 /// The result is the same for any number of threads, except for the time of the estimate.
 ///

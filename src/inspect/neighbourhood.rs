@@ -32,12 +32,7 @@ impl Distances {
         }
         // Cannot fail for finite coordinates; without a tree nothing is said.
         let tree = KdTree::new(coord).ok()?;
-        let distance: Vec<f32> = tree.map_nearest(
-            coord,
-            NEIGHBOUR + 1,
-            || (),
-            |(), _, near| near.last().map_or(0.0, |n| n.distance_squared.sqrt() as f32),
-        );
+        let distance = to_fourth(&tree, coord);
         drop(tree);
         let isolation = Isolation::of(&distance, |row| reach(scene, row));
         Some(Self { distance, isolation })
@@ -47,6 +42,16 @@ impl Distances {
     pub(super) fn is_isolated(&self, scene: &GaussianScene, row: usize) -> bool {
         self.isolation.is_isolated(self.distance[row], reach(scene, row))
     }
+}
+
+/// Distance of each place, itself a row of the tree, to its fourth neighbor.
+pub(super) fn to_fourth(tree: &KdTree, places: &[[f32; 3]]) -> Vec<f32> {
+    tree.map_nearest(
+        places,
+        NEIGHBOUR + 1,
+        || (),
+        |(), _, near| near.last().map_or(0.0, |n| n.distance_squared.sqrt() as f32),
+    )
 }
 
 /// Measures distances; `zone` is where rows count as part of the scene. Coordinates are finite.

@@ -24,7 +24,7 @@ const CHART_WIDTH: u32 = 372;
 const CHART_HEIGHT: u32 = 236;
 
 /// Height of a line of findings, and the gap between two of them.
-const LINE: u32 = 13;
+const LINE: u32 = 15;
 const BLOCK_GAP: u32 = 5;
 
 /// Left edge of the text block.

@@ -4,7 +4,7 @@ use rayon::prelude::*;
 use scenesplat_scene::quantile::rank;
 use serde::Serialize;
 
-/// Rows that one task looks at.
+/// Rows of one task.
 const ROWS_PER_TASK: usize = 1 << 14;
 
 /// Values at fixed shares of the sorted rows. Nearest rank, so each is a value that occurs.
@@ -30,7 +30,7 @@ pub struct Quantiles {
     pub max: f64,
 }
 
-/// Counts in bins of equal width. Values that are no number are in none of them.
+/// Counts in bins of equal width. NaN values are not counted.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Histogram {
     /// What the values are, with their unit.
@@ -107,28 +107,12 @@ pub(super) fn sort(values: &mut [f32]) {
 }
 
 impl Quantiles {
-    /// The same of the powers of ten of the values.
-    pub(super) fn power_of_ten(self) -> Self {
-        let power = |v: f64| 10f64.powf(v);
-        Self {
-            min: power(self.min),
-            p1: power(self.p1),
-            p5: power(self.p5),
-            p25: power(self.p25),
-            p50: power(self.p50),
-            p75: power(self.p75),
-            p95: power(self.p95),
-            p99: power(self.p99),
-            max: power(self.max),
-        }
-    }
-
-    /// Of sorted values; `None` without any.
-    pub(super) fn of_sorted(sorted: &[f32]) -> Option<Self> {
+    /// Of what sorted values stand for, in the same order; `None` without any.
+    pub(super) fn of_sorted(sorted: &[f32], value: impl Fn(f64) -> f64) -> Option<Self> {
         if sorted.is_empty() {
             return None;
         }
-        let at = |share| f64::from(sorted[rank(sorted.len(), share)]);
+        let at = |share| value(f64::from(sorted[rank(sorted.len(), share)]));
         Some(Self {
             min: at(0.0),
             p1: at(0.01),
@@ -161,6 +145,11 @@ pub(super) struct Counted {
 }
 
 impl Counted {
+    /// So many rows, of which none is named.
+    pub(super) fn of(count: usize) -> Self {
+        Self { count, first: None }
+    }
+
     fn and(self, other: Self) -> Self {
         let first = match (self.first, other.first) {
             (Some(a), Some(b)) => Some(a.min(b)),
@@ -192,10 +181,10 @@ mod tests {
     #[test]
     fn quantiles_are_values_that_occur() {
         let sorted: Vec<f32> = (0..=100).map(|i| i as f32).collect();
-        let q = Quantiles::of_sorted(&sorted).unwrap();
+        let q = Quantiles::of_sorted(&sorted, |v| v).unwrap();
         assert_eq!((q.min, q.p5, q.p50, q.p99, q.max), (0.0, 5.0, 50.0, 99.0, 100.0));
-        assert_eq!(Quantiles::of_sorted(&[]), None);
-        let one = Quantiles::of_sorted(&[7.0]).unwrap();
+        assert_eq!(Quantiles::of_sorted(&[], |v| v), None);
+        let one = Quantiles::of_sorted(&[7.0], |v| v).unwrap();
         assert_eq!((one.min, one.p50, one.max), (7.0, 7.0, 7.0));
     }
 

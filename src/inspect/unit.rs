@@ -1,6 +1,6 @@
 //! What one unit of the coordinates is.
 
-use super::neighbourhood::NEIGHBOUR;
+use super::neighbourhood::{NEIGHBOUR, to_fourth};
 use scenesplat_kernels::neighbors::KdTree;
 use scenesplat_scene::Bounds;
 use scenesplat_scene::quantile::quantile;
@@ -29,22 +29,12 @@ impl LengthUnit {
 
     /// Its length, metres.
     pub fn metres(self) -> f64 {
-        match self {
-            Self::Metre => 1.0,
-            Self::Centimetre => 0.01,
-            Self::Millimetre => 0.001,
-            Self::Kilometre => 1000.0,
-        }
+        [1.0, 0.01, 0.001, 1000.0][self as usize]
     }
 
     /// Its symbol.
     pub fn symbol(self) -> &'static str {
-        match self {
-            Self::Metre => "m",
-            Self::Centimetre => "cm",
-            Self::Millimetre => "mm",
-            Self::Kilometre => "km",
-        }
+        ["m", "cm", "mm", "km"][self as usize]
     }
 }
 
@@ -67,7 +57,7 @@ const COARSE: f64 = 1.0;
 /// From here on a room is better explained by centimetres; terrain is as large, so it stays a remark.
 const ROOM_IN_CM: f64 = 150.0;
 
-/// Gaussians whose spacing is measured where the whole scene is not looked at.
+/// Gaussians whose spacing is measured where a sample is enough.
 const SAMPLE: usize = 50_000;
 
 /// Smaller than five voxels of 2 cm.
@@ -96,13 +86,7 @@ pub(crate) fn usual_spacing(coord: &[[f32; 3]]) -> Option<f64> {
     let tree = KdTree::new(coord).ok().filter(|_| coord.len() > NEIGHBOUR)?;
     let step = coord.len().div_ceil(SAMPLE);
     let query: Vec<[f32; 3]> = coord.iter().step_by(step).copied().collect();
-    let mut distance: Vec<f32> = tree.map_nearest(
-        &query,
-        NEIGHBOUR + 1,
-        || (),
-        |(), _, near| near.last().map_or(0.0, |n| n.distance_squared.sqrt() as f32),
-    );
-    quantile(&mut distance, 0.5).map(f64::from)
+    quantile(&mut to_fourth(&tree, &query), 0.5).map(f64::from)
 }
 
 /// Judges by the largest side of the robust box and the usual distance of neighbours, metres if the

@@ -1,4 +1,4 @@
-//! Which network, by name or file, with or without a look at its weights.
+//! A network by name or file, with or without its weights.
 
 use super::config::NetworkConfig;
 use super::{NetworkError, WeightOptions, Weights};
@@ -56,7 +56,7 @@ impl NetworkChoice {
         })
     }
 
-    /// As [`resolve`](Self::resolve); a network that is told by its name takes the number of inputs
+    /// As [`resolve`](Self::resolve); a network given by its name takes the number of inputs
     /// and classes from weights of these shapes, a LitePT its whole head.
     ///
     /// # Errors

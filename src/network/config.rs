@@ -1,12 +1,12 @@
 //! Everything that a network is, as a file says it.
 
-use super::NetworkError;
+use super::error::NetworkError;
 use candle_core::Result;
 use scenesplat_datasets::{InputChannel, InputFeatures};
 use scenesplat_models::weights::Shapes;
 use scenesplat_models::{Compute, ModelConfig, UniqueKeys};
 use serde::de::Error;
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde::{Deserialize, Deserializer, Serialize};
 use std::path::Path;
 
 /// What a network reads of a Gaussian, and what it makes of that: `config.json` of a model folder.
@@ -14,15 +14,16 @@ use std::path::Path;
 /// The file has the fields of [`ModelConfig`], and `input` with those of [`InputFeatures`]. Without
 /// `input`, as in folders of the original, networks with 11, 12 or 14 inputs get
 /// [`documented_input`]; others are refused.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct NetworkConfig {
     /// Backbone, head and voxel size.
+    #[serde(flatten)]
     pub model: ModelConfig,
     /// Input channels in their order, with all their settings.
     pub input: InputFeatures,
 }
 
-/// What networks of so many inputs read where their file does not say: colour, opacity, quat and
+/// What networks of so many inputs read where their file does not say: color, opacity, quat and
 /// scale (11), those and the height above the ground (12), or those and the normal (14). `None` for
 /// other numbers.
 pub fn documented_input(in_channels: usize) -> Option<InputFeatures> {
@@ -121,18 +122,6 @@ impl NetworkConfig {
             );
         }
         Ok(())
-    }
-}
-
-impl Serialize for NetworkConfig {
-    fn serialize<S: Serializer>(&self, serializer: S) -> std::result::Result<S::Ok, S::Error> {
-        #[derive(Serialize)]
-        struct Table<'a> {
-            #[serde(flatten)]
-            model: &'a ModelConfig,
-            input: &'a InputFeatures,
-        }
-        Table { model: &self.model, input: &self.input }.serialize(serializer)
     }
 }
 

@@ -6,7 +6,7 @@ use crate::labels::ComparableTexts;
 use crate::language_codes::compress_features;
 use half::f16;
 use scenesplat_rooms::{ClassId, ColorName};
-use scenesplat_scene::{LanguageFeatures, TextTable};
+use scenesplat_scene::{LanguageCodebook, LanguageFeatures, TextTable};
 
 /// Rows read at a time.
 const BLOCK: usize = 4096;
@@ -80,27 +80,37 @@ pub(super) fn pack_codes(
     let slots = blocks::planes(slot, 4);
 
     let table = asked_for(texts, input)?;
-    let comparable = ComparableTexts::new(features, &table)?;
-    let mut out = Vec::with_capacity(table.len() * (width + 1) * 4);
-    for text in 0..table.len() {
-        let row = comparable.row(text).unwrap_or_default();
-        let norm = row.iter().map(|v| v * v).sum::<f32>().sqrt().max(f32::MIN_POSITIVE);
-        let norm = if is_coded { 1.0 } else { norm };
-        let dot = |other: &[f32]| row.iter().zip(other).map(|(a, b)| a * b).sum::<f32>() / norm;
-        out.extend(dot(&code.codebook.mean).to_le_bytes());
-        for (axis, step) in code.codebook.axes.chunks_exact(dim).zip(&steps) {
-            out.extend((dot(axis) * step).to_le_bytes());
-        }
-    }
     Ok(PageCodes {
         width,
         count,
         slots,
         values,
-        texts: out,
+        texts: pack_texts(features, &table, &code.codebook, &steps)?,
         names: table.names,
         mean_cosine: done.mean_cosine,
     })
+}
+
+/// For each text the offset and weights by which codes give their cosine, f32.
+fn pack_texts(
+    features: &SceneFeatures,
+    table: &TextTable,
+    codebook: &LanguageCodebook,
+    steps: &[f32],
+) -> Result<Vec<u8>, PageError> {
+    let comparable = ComparableTexts::new(features, table)?;
+    let mut out = Vec::with_capacity(table.len() * (steps.len() + 1) * 4);
+    for text in 0..table.len() {
+        let row = comparable.row(text).unwrap_or_default();
+        let norm = row.iter().map(|v| v * v).sum::<f32>().sqrt().max(f32::MIN_POSITIVE);
+        let norm = if features.codes().is_some() { 1.0 } else { norm };
+        let dot = |other: &[f32]| row.iter().zip(other).map(|(a, b)| a * b).sum::<f32>() / norm;
+        out.extend(dot(&codebook.mean).to_le_bytes());
+        for (axis, step) in codebook.axes.chunks_exact(features.width()).zip(steps) {
+            out.extend((dot(axis) * step).to_le_bytes());
+        }
+    }
+    Ok(out)
 }
 
 /// The classes, and each of them in each color where a vocabulary knows colors.

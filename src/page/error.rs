@@ -66,13 +66,4 @@ pub enum PageError {
         #[source]
         source: std::io::Error,
     },
-    /// The page could not be written.
-    #[error("{}", path.display())]
-    Io {
-        /// Which file.
-        path: std::path::PathBuf,
-        /// Why.
-        #[source]
-        source: std::io::Error,
-    },
 }

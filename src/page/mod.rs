@@ -23,7 +23,6 @@ use scenesplat_rooms::Vocabulary;
 use scenesplat_scene::frame::Matrix3;
 use scenesplat_scene::{AtomicFile, GaussianScene, TextTable};
 pub use served::{PageServer, Refusal, ServeEvent, Served, ServedPage};
-use std::io::Write;
 use std::path::Path;
 
 /// The licences of what the page is made of besides our own code.
@@ -48,7 +47,7 @@ pub struct PageInput<'a> {
     pub catalogue: Option<&'a Catalogue>,
     /// Features, and the texts of `names` that are compared with them.
     pub features: Option<(&'a SceneFeatures, &'a TextTable)>,
-    /// The vocabulary that names and texts are of: colours and groups can be asked for.
+    /// The vocabulary that names and texts are of: colors and groups can be asked for.
     pub vocabulary: Option<&'a Vocabulary>,
     /// The rotation that brings +z up.
     pub upright: Matrix3,
@@ -108,12 +107,6 @@ pub fn write_page(
     let Pack { about, mut parts, report } = Pack::of(input, settings)?;
     parts.push(("about", about.to_string().into_bytes()));
     let (page, blocks) = html::assemble(input.title, &parts, Rights::Viewer);
-    let io = |source| PageError::Io { path: path.to_owned(), source };
-    {
-        let part = AtomicFile::create(path)?;
-        let mut file = part.file()?;
-        file.write_all(page.as_bytes()).map_err(io)?;
-        part.commit()?;
-    }
+    AtomicFile::write(path, page.as_bytes())?;
     Ok(PageReport { bytes: page.len() as u64, blocks, ..report })
 }

@@ -1,7 +1,7 @@
 //! A few shapes, and the two forms that they are written in: SVG and PNG.
 
 use super::escaped;
-use crate::preview::{PreviewError, text, write_png};
+use crate::preview::{PreviewError, blend, text, write_png};
 use scenesplat_scene::picture::RgbPicture;
 use std::fmt::Write;
 use std::path::Path;
@@ -135,7 +135,7 @@ impl Drawing {
                         Anchor::Middle => "middle",
                         Anchor::End => "end",
                     };
-                    // A letter of the monospaced fonts is 0.6 of its size wide, of the bitmap font 8.
+                    // A letter of the monospaced fonts is 0.6 of its size wide, as in pictures.
                     let font = 13.0 * f64::from(*size);
                     let base = y + 8.0 * f64::from(*size);
                     writeln!(
@@ -220,14 +220,8 @@ fn paint(
     for y in range(1, picture.height()) {
         for x in range(0, picture.width()) {
             let share = (0.5 - distance([f64::from(x) + 0.5, f64::from(y) + 0.5])).clamp(0.0, 1.0);
-            if share > 0.0
-                && let Some(below) = picture.get(x, y)
-            {
-                let mix = |i: usize| {
-                    (f64::from(below[i]) * (1.0 - share) + f64::from(color[i]) * share).round()
-                        as u8
-                };
-                picture.set(x, y, [mix(0), mix(1), mix(2)]);
+            if share > 0.0 {
+                blend(picture, [x, y], color, share);
             }
         }
     }

@@ -2,8 +2,8 @@
 
 use scenesplat_scene::picture::RgbPicture;
 
-/// Colours from near to far: six points of a ramp whose lightness rises evenly, so that it can be
-/// read without colour vision (after viridis).
+/// Colors from near to far: six points of a ramp whose lightness rises evenly, so that it can be
+/// read without color vision (after viridis).
 const RAMP: [[f32; 3]; 6] = [
     [253.0, 231.0, 37.0],
     [122.0, 209.0, 81.0],
@@ -16,7 +16,7 @@ const RAMP: [[f32; 3]; 6] = [
 /// Pixels without a depth.
 const NOTHING: [u8; 3] = [0; 3];
 
-/// Colours of depths, near is bright; 0 and what is not finite is black.
+/// Colors of depths, near is bright; 0 and what is not finite is black.
 ///
 /// The ramp spans the depths from the nearest to the farthest 2 %.
 pub fn depth_picture(depth: &[f32], width: u32, height: u32) -> RgbPicture {

@@ -65,7 +65,7 @@ pub(super) struct Canvas {
     side: usize,
     depth: Vec<f32>,
     color: Vec<[u8; 3]>,
-    /// How much of the light of a pixel is of its colour; empty if all of it is.
+    /// How much of the light of a pixel is of its color; empty if all of it is.
     alpha: Vec<f32>,
     /// Extent of what is shown: the unit of depth differences.
     size: f64,
@@ -92,7 +92,7 @@ impl Canvas {
         self.side
     }
 
-    /// Takes a rendered picture of its size: colour times α, α, and depth.
+    /// Takes a rendered picture of its size: color times α, α, and depth.
     pub(super) fn take(&mut self, rgb: &[f32], alpha: Vec<f32>, depth: &[f32], size: f64) {
         self.size = size;
         for (at, (rgb, (&alpha, &depth))) in

@@ -175,7 +175,7 @@ impl Framing {
 
     /// A camera that looks down at the box from the side of low x and y.
     pub(super) fn perspective(&self) -> Lens {
-        // A room is looked into more steeply than an object is looked at.
+        // Rooms are shown more steeply than objects.
         let elevation = if self.is_cut_open { 50.0_f64 } else { 35.0 }.to_radians();
         let azimuth = 60.0_f64.to_radians();
         let forward =

@@ -1,4 +1,4 @@
-//! What stands beside the views: the classes with their colours, and a bar of a known length.
+//! What stands beside the views: the classes with their colors, and a bar of a known length.
 
 use super::discs::Lens;
 use super::{FAINT_INK, INK, MARGIN, text};
@@ -9,7 +9,7 @@ use scenesplat_scene::picture::RgbPicture;
 pub struct LegendEntry {
     /// Its name.
     pub name: String,
-    /// Its colour in the picture.
+    /// Its color in the picture.
     pub color: [u8; 3],
     /// Number of its Gaussians; the legend is sorted by it.
     pub count: u64,
@@ -62,11 +62,8 @@ pub(super) fn draw_legend(picture: &mut RgbPicture, left: u32, top: u32, legend:
         let count = thousands(entry.count);
         let count_left = right - text::width(&count, 1);
         text::draw(picture, count_left, y + 4, 1, FAINT_INK, &count, LEGEND_WIDTH);
-        // Long names are set in small letters before they are cut.
         let space = count_left.saturating_sub(left + 32);
-        let size = if text::width(&entry.name, 2) <= space { 2 } else { 1 };
-        let drop = if size == 2 { 0 } else { 4 };
-        text::draw(picture, left + 24, y + drop, size, INK, &entry.name, space);
+        text::draw(picture, left + 24, y + 4, 1, INK, &entry.name, space);
         y += 22;
     }
     if sorted.len() > lines {
@@ -86,6 +83,16 @@ pub(crate) fn fill(
         for x in left..(left + width).min(picture.width()) {
             picture.set(x, y, color);
         }
+    }
+}
+
+/// Mixes a share of a color into a pixel, if it is inside.
+pub(crate) fn blend(picture: &mut RgbPicture, [x, y]: [u32; 2], color: [u8; 3], share: f64) {
+    if let Some(below) = picture.get(x, y) {
+        let mix = |i: usize| {
+            (f64::from(below[i]) * (1.0 - share) + f64::from(color[i]) * share).round() as u8
+        };
+        picture.set(x, y, [mix(0), mix(1), mix(2)]);
     }
 }
 

@@ -1,6 +1,7 @@
 //! Cameras that stand somewhere and look somewhere.
 
 use super::framing::Upright;
+use glam::DVec3;
 use scenesplat_scene::{Camera, Distortion, UpAxis};
 
 /// Where a camera stands, and what it looks at.
@@ -21,43 +22,45 @@ impl LookAt {
     /// `None` if the target is where the eye is, or a number makes no sense.
     pub fn camera(&self, name: &str, up: UpAxis, [width, height]: [u32; 2]) -> Option<Camera> {
         let upright = Upright::new(up);
-        let to: [f64; 3] = [0, 1, 2].map(|a| self.target[a] - self.eye[a]);
-        let distance = dot(to, to).sqrt();
+        let eye = DVec3::from(self.eye);
+        let to = DVec3::from(self.target) - eye;
+        let distance = to.length();
         let is_angle = self.fov > 0.0 && self.fov < 180.0;
         if !(distance.is_finite() && distance > 0.0 && is_angle && width > 0 && height > 0) {
             return None;
         }
-        let forward = to.map(|v| v / distance);
-        let right = cross(forward, upright.turn_back([0.0, 0.0, 1.0]));
-        let length = dot(right, right).sqrt();
-        let right = if length > 1e-6 {
-            right.map(|v| v / length)
-        } else {
-            upright.turn_back([1.0, 0.0, 0.0])
-        };
-        let rotation = [right, cross(forward, right), forward];
-        let focal = f64::from(width.min(height)) / (2.0 * (self.fov / 2.0).to_radians().tan());
-        Some(Camera {
-            name: name.to_owned(),
-            width,
-            height,
-            fx: focal,
-            fy: focal,
-            cx: f64::from(width) / 2.0,
-            cy: f64::from(height) / 2.0,
-            distortion: Distortion::None,
-            rotation,
-            translation: rotation.map(|axis| -dot(axis, self.eye)),
-        })
+        let forward = to / distance;
+        let right = forward.cross(upright.turn_back([0.0, 0.0, 1.0]).into());
+        let length = right.length();
+        let right =
+            if length > 1e-6 { right / length } else { upright.turn_back([1.0, 0.0, 0.0]).into() };
+        let rotation = [right, forward.cross(right), forward];
+        Some(pinhole(name.to_owned(), [width, height], self.fov / 2.0, eye, rotation))
     }
 }
 
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+/// A camera without distortion. `half_view`: half of the narrower angle of view, degrees; `rotation`: directions of
+/// right, down and forward.
+pub(super) fn pinhole(
+    name: String,
+    [width, height]: [u32; 2],
+    half_view: f64,
+    eye: DVec3,
+    rotation: [DVec3; 3],
+) -> Camera {
+    let focal = f64::from(width.min(height)) / (2.0 * half_view.to_radians().tan());
+    Camera {
+        name,
+        width,
+        height,
+        fx: focal,
+        fy: focal,
+        cx: f64::from(width) / 2.0,
+        cy: f64::from(height) / 2.0,
+        distortion: Distortion::None,
+        rotation: rotation.map(Into::into),
+        translation: rotation.map(|axis| -axis.dot(eye)),
+    }
 }
 
 #[cfg(test)]

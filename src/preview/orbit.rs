@@ -1,8 +1,9 @@
-//! Cameras around a scene that has none of its own.
+//! Cameras around a scene without cameras.
 
 use super::framing::{Framing, Upright};
+use super::look_at::pinhole;
 use super::rows::{PreviewRows, visible_discs};
-use scenesplat_scene::{Camera, Distortion, UpAxis};
+use scenesplat_scene::{Camera, UpAxis};
 
 /// Cameras that look at a scene from around it, and what has to be left out to look into it.
 #[derive(Debug, Clone, PartialEq)]
@@ -35,18 +36,13 @@ const HALF_VIEW: f64 = 20.0;
 const OPEN_SHARE: f64 = 0.3;
 
 impl Orbit {
-    /// `count` cameras of `width × height` pixels around the Gaussians that matter: the faintest
+    /// `count` cameras of `size` pixels around the Gaussians that matter: the faintest
     /// and the outermost 2 % of each axis do not, so that no outlier sets the distance. The first
     /// looks from low x and y, the others follow against the clock as seen from above.
     ///
     /// Objects are looked at from 25° above the horizon; closed rooms from 45°, with the ceiling
     /// and the walls before the camera left out.
-    pub fn around(
-        rows: &PreviewRows<'_>,
-        up: UpAxis,
-        count: usize,
-        [width, height]: [u32; 2],
-    ) -> Self {
+    pub fn around(rows: &PreviewRows<'_>, up: UpAxis, count: usize, size: [u32; 2]) -> Self {
         let upright = Upright::new(up);
         let discs = visible_discs(rows, upright);
         let framing = Framing::of(&discs, true);
@@ -57,7 +53,6 @@ impl Orbit {
         let half_view = HALF_VIEW.to_radians();
         let distance = radius / half_view.sin();
         let elevation = if framing.is_cut_open() { 45.0_f64 } else { 25.0 }.to_radians();
-        let focal = f64::from(width.min(height)) / (2.0 * half_view.tan());
         let camera = |k: usize| {
             let azimuth = (60.0 + 360.0 * k as f64 / count as f64).to_radians();
             let (s, c) = azimuth.sin_cos();
@@ -65,20 +60,8 @@ impl Orbit {
             let right = [s, -c, 0.0];
             let down = [-elevation.sin() * c, -elevation.sin() * s, -elevation.cos()];
             let eye = upright.turn_back([0, 1, 2].map(|a| middle[a] - distance * forward[a]));
-            let rotation = [right, down, forward].map(|axis| upright.turn_back(axis));
-            let translation = rotation.map(|r| -(r[0] * eye[0] + r[1] * eye[1] + r[2] * eye[2]));
-            Camera {
-                name: format!("orbit_{k:03}"),
-                width,
-                height,
-                fx: focal,
-                fy: focal,
-                cx: f64::from(width) / 2.0,
-                cy: f64::from(height) / 2.0,
-                distortion: Distortion::None,
-                rotation,
-                translation,
-            }
+            let rotation = [right, down, forward].map(|axis| upright.turn_back(axis).into());
+            pinhole(format!("orbit_{k:03}"), size, HALF_VIEW, eye.into(), rotation)
         };
         let (_, cut_high) = framing.cut_sides();
         let ceiling =

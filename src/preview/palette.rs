@@ -1,13 +1,13 @@
-//! Colours of classes.
+//! Colors of classes.
 
 use scenesplat_scene::linear_light::display;
 
-/// Colour of rows without a class.
+/// Color of rows without a class.
 pub const UNLABELLED_COLOR: [u8; 3] = [96, 98, 104];
 
-/// Colours of the first classes: more than the 41 of the network inside the program.
+/// Colors of the first classes: more than the 41 of the network inside the program.
 ///
-/// The first five are those that were always used; each further one was chosen as the colour farthest
+/// The first five are those that were always used; each further one was chosen as the color farthest
 /// from all before it, from rows without a class, and from ground and ink of the pictures, in OKLab
 /// (in which equal steps look equal), among those of chroma up to 0.19 and lightness 0.42 to 0.95.
 /// No two are nearer than 0.092; with hues a golden angle apart it was 0.042, and wall and radiator
@@ -24,7 +24,7 @@ const DISTINCT: [[u8; 3]; 48] = [
     [180, 180, 108], [156, 204, 252], [216, 216, 0], [156, 96, 96], [252, 144, 108], [216, 252, 180],
 ];
 
-/// The colour of a class: fixed, and apart from those of other classes, as far as there are no more
+/// The color of a class: fixed, and apart from those of other classes, as far as there are no more
 /// than 48; beyond, hues come close to each other again.
 pub fn class_color(index: usize) -> [u8; 3] {
     DISTINCT.get(index).copied().unwrap_or_else(|| golden_color(index))
@@ -48,7 +48,7 @@ fn golden_color(index: usize) -> [u8; 3] {
     }
 }
 
-/// Linear sRGB of a colour in OKLCH (Ottosson 2020).
+/// Linear sRGB of a color in OKLCH (Ottosson 2020).
 fn oklch_to_rgb(lightness: f64, chroma: f64, hue: f64) -> [f64; 3] {
     let (a, b) = (chroma * hue.cos(), chroma * hue.sin());
     let [l, m, s] = [
@@ -93,7 +93,7 @@ mod tests {
     #[test]
     fn classes_of_rooms_can_be_told_apart() {
         let classes = scenesplat_rooms::CLASSES.len();
-        assert!(classes <= DISTINCT.len(), "{classes} classes need as many distinct colours");
+        assert!(classes <= DISTINCT.len(), "{classes} classes need as many distinct colors");
         let colors: Vec<[u8; 3]> = (0..DISTINCT.len()).map(class_color).collect();
         for a in 0..colors.len() {
             let apart = distance(colors[a], UNLABELLED_COLOR);

@@ -9,7 +9,7 @@ use scenesplat_scene::GaussianScene;
 pub struct PreviewRows<'a> {
     /// Centres, metres. Rows that are not finite are left out. `[N, 3]`
     pub coord: &'a [[f32; 3]],
-    /// Colours: of the scene, or [`class_color`](super::class_color) of its labels. `[N, 3]`
+    /// Colors: of the scene, or [`class_color`](super::class_color) of its labels. `[N, 3]`
     pub color: &'a [[u8; 3]],
     /// Size, metres: the standard deviation, say the middle one of three. `[N]`
     pub radius: &'a [f32],

@@ -7,10 +7,10 @@ use scenesplat_rasterizer::{
     DepthRequest, Gaussians, RasterError, RasterSettings, RenderRequest, View, render,
 };
 
-/// The constant harmonic: a colour is `½ + Y₀ · dc`.
+/// The constant harmonic: a color is `½ + Y₀ · dc`.
 const Y0: f32 = 0.282_094_79;
 
-/// How far a parallel view is looked at from, in sizes of what is shown: its edges are then half a
+/// Distance of a parallel view, in sizes of what is shown: its edges are then half a
 /// percent of that nearer to each other than they should be, at most.
 const FAR: f64 = 200.0;
 
@@ -20,7 +20,7 @@ const LARGEST: f64 = 0.5;
 /// Scenes of fewer Gaussians are drawn whole.
 const FEW: usize = 100;
 
-/// The rows of `kept` with colours of their own.
+/// The rows of `kept` with colors of their own.
 pub(super) fn gather(
     rows: &PreviewRows<'_>,
     shapes: &SplatShapes<'_>,

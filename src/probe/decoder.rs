@@ -14,8 +14,8 @@ use scenesplat_models::{
 };
 use scenesplat_trainers::tasks::{SemanticSegmentation, TaskModule, point_cloud};
 use scenesplat_trainers::{
-    AdamW, AdamWConfig, HasBackbone, HealthConfig, OneCycle, Progress, Trainer, TrainerConfig,
-    TrainingModule, group_by_keyword,
+    AdamW, AdamWConfig, DataModule, HasBackbone, HealthConfig, OneCycle, Progress, Trainer,
+    TrainerConfig, TrainingModule, group_by_keyword,
 };
 use std::path::Path;
 
@@ -95,6 +95,29 @@ fn networks(
     Ok((model(decoder).with_classes(classes), model(encoder)))
 }
 
+/// The scenes with the labels that may be learned from; those without any are left out.
+fn labelled_batches(
+    scenes: &[ProbeScene],
+    settings: &ProbeSettings,
+) -> Result<Vec<TrainBatch>, ProbeError> {
+    let mut batches = Vec::with_capacity(scenes.len());
+    for (stream, scene) in (0..).zip(scenes) {
+        let mut batch = scene.batch.clone();
+        let mut labels = vec![-1; batch.len()];
+        for row in chosen_rows(scene, settings.labels, settings.seed, stream) {
+            labels[row as usize] = scene.labels[row as usize];
+        }
+        if labels.iter().any(|label| *label >= 0) {
+            batch.segment = Some(labels);
+            batches.push(batch);
+        }
+    }
+    if batches.is_empty() {
+        return Err(ProbeError::NoLabels);
+    }
+    Ok(batches)
+}
+
 /// Trains a decoder on scenes; the encoder and its batch statistics stay as they are.
 ///
 /// # Errors
@@ -127,23 +150,9 @@ pub(super) fn train(
             var.set(&value.as_detached_tensor().copy()?)?;
         }
     }
-    let mut batches = Vec::with_capacity(scenes.len());
-    for (stream, scene) in (0..).zip(scenes) {
-        let mut batch = scene.batch.clone();
-        let mut labels = vec![-1; batch.len()];
-        for row in chosen_rows(scene, settings.labels, settings.seed, stream) {
-            labels[row as usize] = scene.labels[row as usize];
-        }
-        if labels.iter().any(|label| *label >= 0) {
-            batch.segment = Some(labels);
-            batches.push(batch);
-        }
-    }
-    if batches.is_empty() {
-        return Err(ProbeError::NoLabels);
-    }
+    let batches = labelled_batches(scenes, settings)?;
     let order = (0..settings.steps as usize).map(|step| step % batches.len()).collect();
-    let mut loader = Scenes { batches, order };
+    let loader = Scenes { batches, order };
     let objective = Objective::new().with(1.0, CrossEntropy::default());
     let module = TaskModule::new(params, network, objective, SemanticSegmentation);
     let frozen = vec!["embedding.".to_owned(), "enc.enc".to_owned()];
@@ -166,7 +175,7 @@ pub(super) fn train(
     let mut trainer =
         Trainer::new(trainer_config, Box::new(optimizer), Box::new(OneCycle::default()))?
             .with_callback(last.clone());
-    trainer.fit(&module, &mut loader, &mut [], Progress::default())?;
+    trainer.fit(&module, &mut DataModule::new(loader), Progress::default())?;
     let width = FINEST;
     let loss = *last.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
     Ok(DecoderProbe { module, width, loss })

@@ -87,7 +87,7 @@ pub struct ProbeReport {
     pub raw_inputs: ProbeResult,
 }
 
-/// Probes the network of a model folder. `say` hears what is being done, and says whether to go on.
+/// Probes the network of a model folder. `say` gets each step in words; returning `false` cancels.
 ///
 /// # Errors
 /// If the folder is no model whose network gives its scales, or scenes cannot be read or hold no labels.
@@ -111,50 +111,43 @@ pub fn probe(
     let (train, test) = scenes.split()?;
     let mut report = None;
     for (name, source) in sources {
-        if !say(&format!("{name}: rows of {} scenes", train.len() + test.len())) {
-            return Err(ProbeError::Stopped);
-        }
+        let mut tell = |text: String| if say(&text) { Ok(()) } else { Err(ProbeError::Stopped) };
+        tell(format!("{name}: rows of {} scenes", train.len() + test.len()))?;
         let began = Instant::now();
         let read = |data: &dyn scenesplat_datasets::Dataset| rows::read(data, &config, source);
         let (train_rows, test_rows) = (read(train.as_ref())?, read(test.as_ref())?);
         let classes = classes_of(train_rows.iter().chain(&test_rows))?;
         let learned = choose(&train_rows, settings.labels, settings.seed)?;
-        if !say(&format!("{name}: {} rows are learned from", learned.labels.len())) {
-            return Err(ProbeError::Stopped);
-        }
+        tell(format!("{name}: {} rows are learned from", learned.labels.len()))?;
         let values = match name {
             "backbone" => Some(EncoderValues::File(model)),
             "random" => Some(EncoderValues::Random),
             _ => None,
         };
-        let (answer, width, loss) = match (settings.kind, values) {
-            (ProbeKind::Decoder, Some(values)) => {
+        let (answer, of_training) = match values.filter(|_| settings.kind == ProbeKind::Decoder) {
+            Some(values) => {
                 let decoder = decoder::train(&config, values, &train_rows, classes, settings)?;
-                let classes_of = |scene: &ProbeScene| decoder.classes(scene);
-                (score(classes_of, &test_rows, classes)?, decoder.width, decoder.loss)
+                let answer = score(|scene| decoder.classes(scene), &test_rows, classes)?;
+                (answer, (decoder.width, decoder.loss))
             }
-            _ => {
+            None => {
                 let classifier = Classifier::train(&learned, classes, settings)?;
-                let classes_of = |scene: &ProbeScene| classifier.classes(&scene.rows);
-                let loss = classifier.loss;
-                (score(classes_of, &test_rows, classes)?, classifier.width(), loss)
+                let answer = score(|scene| classifier.classes(&scene.rows), &test_rows, classes)?;
+                (answer, (classifier.width(), classifier.loss))
             }
         };
-        let objects = if settings.objects {
-            object_result(&train_rows, &test_rows, classes, settings)?
-        } else {
-            None
-        };
-        let result = result(&answer.tester_report(), (width, loss), began, objects);
+        let objects =
+            settings.objects.then(|| object_result(&train_rows, &test_rows, classes, settings));
+        let objects = objects.transpose()?.flatten();
+        let result = result(&answer.tester_report(), of_training, began, objects);
         let report = report.get_or_insert_with(|| {
             let names = |scenes: &[ProbeScene]| scenes.iter().map(|s| s.id.clone()).collect();
-            let labelled = train_rows.iter().map(ProbeScene::num_labelled).sum();
             ProbeReport {
                 settings: settings.clone(),
                 classes,
                 train_scenes: names(&train_rows),
                 test_scenes: names(&test_rows),
-                labelled_rows: labelled,
+                labelled_rows: train_rows.iter().map(ProbeScene::num_labelled).sum(),
                 learned_rows: learned.labels.len(),
                 backbone: result.clone(),
                 random: result.clone(),

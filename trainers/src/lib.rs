@@ -9,8 +9,8 @@
 //! - [`ema_update`] for teacher networks.
 //!
 //! The loop that calls them is [`Trainer::fit`]. It takes a [`TrainingModule`] (a model and how it
-//! learns, see [`tasks`]), a loader of batches, and [`Evaluator`]s; [`callbacks`] watch it;
-//! [`checkpoint`]s let it go on after an interruption with the bits it would have had.
+//! learns, see [`tasks`]) and a [`DataModule`] (a loader of batches, and [`Evaluator`]s); [`callbacks`] watch
+//! it; [`checkpoint`]s let it go on after an interruption with the bits it would have had.
 //!
 //! # Determinism
 //! Parameters are visited in name order and sums over elements are taken in a fixed order, so
@@ -45,6 +45,7 @@ pub mod callbacks;
 pub mod checkpoint;
 pub mod collective;
 mod config;
+mod data_module;
 mod error;
 pub mod evaluators;
 mod event;
@@ -62,6 +63,7 @@ mod trainer;
 pub use average::Average;
 pub use collective::{Alone, Collective, CollectiveError, ThreadRank};
 pub use config::{CheckpointConfig, HealthConfig, TrainerConfig};
+pub use data_module::DataModule;
 pub use error::TrainError;
 pub use event::{Callback, End, Evaluator, Event, Flow, Progress};
 pub use identity::{Change, Identity};

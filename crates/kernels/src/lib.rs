@@ -25,6 +25,7 @@
 
 pub mod activation;
 pub mod batch_norm;
+pub mod bench_room;
 pub mod eigenvectors;
 pub mod error;
 pub mod fallbacks;

@@ -1,7 +1,7 @@
 //! Whether probabilities mean what they say.
 
 use crate::MetricError;
-use crate::error::check_rows;
+use crate::error::{check_rows, check_shape};
 use crate::zero_shot::check_temperature;
 use serde::Serialize;
 
@@ -13,7 +13,7 @@ pub struct ConfidenceBins {
 }
 
 impl ConfidenceBins {
-    /// Takes one answer in: its probability, 0..=1, and whether it is right.
+    /// Adds one answer: its probability, 0..=1, and whether it is right.
     pub fn add(&mut self, confidence: f64, right: bool) {
         let bin = ((confidence * BINS as f64) as usize).min(BINS - 1);
         let (count, sum, rights) = &mut self.bins[bin];
@@ -48,7 +48,7 @@ pub struct ProbabilityError {
 /// Bins of the expected calibration error.
 const BINS: usize = 15;
 
-/// Temperatures that are looked through.
+/// Temperatures that are searched.
 const RANGE: [f64; 2] = [1e-3, 10.0];
 
 /// How well the softmax of scores over a temperature fits the truth. Rows whose truth is negative, or whose scores are
@@ -104,17 +104,12 @@ pub fn fit_temperature(
 }
 
 fn check(scores: &[f32], truth: &[i32], num_classes: usize) -> Result<(), MetricError> {
-    let len = scores.len();
-    if num_classes == 0 || !len.is_multiple_of(num_classes) {
-        return Err(MetricError::RowShape { what: "scores", len, dim: num_classes });
-    }
-    check_rows("truth", truth.len(), len / num_classes)?;
-    match truth.iter().position(|&t| t >= 0 && t as usize >= num_classes) {
-        Some(row) => {
-            Err(MetricError::LabelRange { what: "truth", row, value: truth[row], num_classes })
-        }
-        None => Ok(()),
-    }
+    let rows = check_shape("scores", scores.len(), num_classes)?;
+    check_rows("truth", truth.len(), rows)?;
+    let wrong = truth.iter().position(|&t| t >= 0 && t as usize >= num_classes);
+    let error =
+        |row| MetricError::LabelRange { what: "truth", row, value: truth[row], num_classes };
+    wrong.map_or(Ok(()), |row| Err(error(row)))
 }
 
 fn measure(

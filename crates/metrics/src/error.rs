@@ -164,13 +164,33 @@ pub(crate) fn check_labels(
     }
 }
 
+/// Checks a setting.
+pub(crate) fn check_setting(
+    field: &'static str,
+    value: impl Into<f64>,
+    expected: &'static str,
+    fits: bool,
+) -> Result<(), MetricError> {
+    fits.then_some(()).ok_or_else(|| MetricError::Setting { field, value: value.into(), expected })
+}
+
+/// Checks that `len` values are rows of `dim` channels; returns their number.
+pub(crate) fn check_shape(
+    what: &'static str,
+    len: usize,
+    dim: usize,
+) -> Result<usize, MetricError> {
+    let rows = len.checked_div(dim).filter(|rows| rows * dim == len);
+    rows.ok_or(MetricError::RowShape { what, len, dim })
+}
+
 /// Checks the length of an array that runs parallel to another.
 pub(crate) fn check_rows(
     what: &'static str,
     got: usize,
     expected: usize,
 ) -> Result<(), MetricError> {
-    if got == expected { Ok(()) } else { Err(MetricError::RowCount { what, expected, got }) }
+    (got == expected).then_some(()).ok_or(MetricError::RowCount { what, expected, got })
 }
 
 /// The most classes for which a confusion matrix is still sensible (134 MB of counts).
@@ -178,11 +198,8 @@ pub(crate) const MAX_CLASSES: usize = 4096;
 
 /// Checks a number of classes.
 pub(crate) fn check_num_classes(num_classes: usize) -> Result<(), MetricError> {
-    if (1..=MAX_CLASSES).contains(&num_classes) {
-        Ok(())
-    } else {
-        Err(MetricError::NumClasses { num_classes, max: MAX_CLASSES })
-    }
+    let fits = (1..=MAX_CLASSES).contains(&num_classes);
+    fits.then_some(()).ok_or(MetricError::NumClasses { num_classes, max: MAX_CLASSES })
 }
 
 /// The most rows this crate numbers with 32 bits; one number is kept free.
@@ -190,9 +207,5 @@ pub(crate) const MAX_ROWS: usize = u32::MAX as usize - 1;
 
 /// Checks a number of rows that no array vouches for.
 pub(crate) fn check_num_rows(what: &'static str, rows: usize) -> Result<(), MetricError> {
-    if rows <= MAX_ROWS {
-        Ok(())
-    } else {
-        Err(MetricError::TooManyRows { what, rows, max: MAX_ROWS })
-    }
+    (rows <= MAX_ROWS).then_some(()).ok_or(MetricError::TooManyRows { what, rows, max: MAX_ROWS })
 }

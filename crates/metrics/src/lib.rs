@@ -57,8 +57,6 @@ mod metric;
 mod oracle;
 mod random_labels;
 mod rank_correlation;
-#[doc(hidden)]
-pub mod reference;
 mod report;
 mod rows;
 mod scene_truth;

@@ -1,5 +1,5 @@
 use crate::MetricError;
-use crate::error::check_num_rows;
+use crate::error::{check_num_rows, check_shape};
 use std::error::Error;
 use std::ops::Range;
 
@@ -18,7 +18,7 @@ pub trait FeatureRows: Sync {
     /// The rows `rows` as `[rows.len(), D]`, row-major; may be built in `scratch`.
     ///
     /// # Errors
-    /// If the rows cannot be had.
+    /// If the rows cannot be read.
     fn read<'a>(
         &'a self,
         rows: Range<usize>,
@@ -39,9 +39,7 @@ impl<'a> FeatureSlice<'a> {
     /// # Errors
     /// If `dim` is 0 or does not divide the length.
     pub fn new(data: &'a [f32], dim: usize) -> Result<Self, MetricError> {
-        if dim == 0 || !data.len().is_multiple_of(dim) {
-            return Err(MetricError::RowShape { what: "features", len: data.len(), dim });
-        }
+        check_shape("features", data.len(), dim)?;
         Ok(Self { data, dim })
     }
 }

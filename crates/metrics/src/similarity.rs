@@ -132,11 +132,8 @@ pub(crate) fn check_channels(
     features: &dyn FeatureRows,
     text: TextRows<'_>,
 ) -> Result<(), MetricError> {
-    if features.dim() == text.dim() {
-        Ok(())
-    } else {
-        Err(MetricError::ChannelCount { features: features.dim(), text: text.dim() })
-    }
+    let (features, text) = (features.dim(), text.dim());
+    (features == text).then_some(()).ok_or(MetricError::ChannelCount { features, text })
 }
 
 /// Euclidean norm; `None` for rows without a direction. The square of an f32 fits in an f64.

@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn slabs_find_the_same_neighbours_as_sorting_everything() {
+    fn slabs_and_the_tree_find_the_same_neighbours() {
         let state = &mut 7;
         let coord: Vec<[f32; 3]> = (0..3 * SLAB_SIZE)
             .map(|_| {
@@ -173,7 +173,7 @@ mod tests {
         let query = &coord[..200];
         for k in [1, 25] {
             let got = vote_by_sweep(&coord, &labels, None, query, k).unwrap();
-            assert_eq!(got, crate::reference::vote(&coord, &labels, None, query, k));
+            assert_eq!(got, crate::vote(&coord, &labels, None, query, k, 5).unwrap());
         }
     }
 }

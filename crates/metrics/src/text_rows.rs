@@ -1,9 +1,8 @@
 use crate::MetricError;
-use crate::error::check_num_classes;
+use crate::error::{check_num_classes, check_shape};
 use scenesplat_kernels::unit_rows::{UnitRowError, check_unit_rows};
 
-/// Text embeddings of the class names, one unit row each: a view of rows that someone else holds, such
-/// as the values of a table of texts.
+/// Borrowed text embeddings of the class names, one unit row each.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TextRows<'a> {
     num_classes: usize,
@@ -13,32 +12,28 @@ pub struct TextRows<'a> {
 }
 
 impl<'a> TextRows<'a> {
-    /// A view of `[C, D]` embeddings of unit length, row-major.
+    /// `[C, D]` embeddings of unit length, row-major.
     ///
     /// # Errors
     /// If `rows` is not a multiple of `dim`, `dim` or the number of rows is 0 (or the latter above
     /// 4096), or a row does not have norm 1 within 1e-5.
     pub fn new(rows: &'a [f32], dim: usize) -> Result<Self, MetricError> {
-        let num_classes = check_unit_rows(rows, dim).map_err(|error| match error {
-            UnitRowError::Norm { row: class, norm } => MetricError::TextRow { class, norm },
-            _ => MetricError::RowShape { what: "text embeddings", len: rows.len(), dim },
-        })?;
-        check_num_classes(num_classes)?;
-        Ok(Self { num_classes, dim, rows })
+        let text = Self::of(rows, dim)?;
+        match check_unit_rows(rows, dim) {
+            Err(UnitRowError::Norm { row: class, norm }) => {
+                Err(MetricError::TextRow { class, norm })
+            }
+            _ => Ok(text),
+        }
     }
 
-    /// A view of `[C, D]` embeddings of unit length along fewer directions than they had: rows of
-    /// length 1 or less. A text of which little is left has small products with every feature, as it
-    /// had before with features along those directions; brought back to unit length it would win
-    /// where it never did.
+    /// `[C, D]` embeddings of unit length, projected on fewer directions: rows of length 1 or less. They
+    /// are not scaled back to length 1, so that products with features along those directions do not change.
     ///
     /// # Errors
-    /// As [`new`](Self::new), but shorter rows are none.
+    /// As [`new`](Self::new), but shorter rows are allowed.
     pub fn projected(rows: &'a [f32], dim: usize) -> Result<Self, MetricError> {
-        if dim == 0 || !rows.len().is_multiple_of(dim) {
-            let what = "text embeddings";
-            return Err(MetricError::RowShape { what, len: rows.len(), dim });
-        }
+        let text = Self::of(rows, dim)?;
         for (class, row) in rows.chunks_exact(dim).enumerate() {
             let norm = row.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
             // A NaN is not below anything.
@@ -47,7 +42,11 @@ impl<'a> TextRows<'a> {
                 return Err(MetricError::TextRow { class, norm });
             }
         }
-        let num_classes = rows.len() / dim;
+        Ok(text)
+    }
+
+    fn of(rows: &'a [f32], dim: usize) -> Result<Self, MetricError> {
+        let num_classes = check_shape("text embeddings", rows.len(), dim)?;
         check_num_classes(num_classes)?;
         Ok(Self { num_classes, dim, rows })
     }

@@ -1,11 +1,11 @@
-use crate::error::{check_labels, check_num_classes, check_num_rows, check_rows};
+use crate::error::{check_labels, check_num_classes, check_num_rows, check_rows, check_setting};
 use crate::{IGNORE, KdTree, MetricError};
 
-/// Takes the label away again from rows that had none before a vote among themselves: what was
-/// withheld as unknown stays unknown, and only abstained.
+/// Removes the label from rows that had none before a vote among themselves: a row that was withheld as
+/// unknown abstains and remains unknown.
 ///
 /// # Shapes
-/// - `before`, `after`: `[N]`; a longer one's rest is left alone
+/// - `before`, `after`: `[N]`; the rest of the longer one is kept
 pub fn keep_withheld(before: &[i32], after: &mut [i32]) {
     for (after, &before) in after.iter_mut().zip(before) {
         if before == IGNORE {
@@ -75,9 +75,7 @@ pub(crate) fn check_vote(
         check_rows("valid mask", valid.len(), reference.len())?;
     }
     check_labels("reference labels", labels, num_classes)?;
-    if k == 0 {
-        return Err(MetricError::Setting { field: "k", value: 0.0, expected: "at least 1" });
-    }
+    check_setting("k", 0, "at least 1", k > 0)?;
     check_num_rows("query coord", query.len())?;
     match query.iter().position(|q| !q.iter().all(|v| v.is_finite())) {
         None => Ok(()),

@@ -1,4 +1,4 @@
-use crate::error::check_rows;
+use crate::error::{check_rows, check_setting};
 use crate::similarity::{CHUNK_ROWS, Scratch, check_channels, chunk_dots, cosine, rows_by_dots};
 use crate::{FeatureRows, IGNORE, MetricError, TextRows};
 use rayon::prelude::*;
@@ -25,14 +25,11 @@ pub struct UnknownRule {
 
 impl UnknownRule {
     pub(crate) fn check(&self) -> Result<(), MetricError> {
-        let number = |field, value: Option<f32>| match value {
-            Some(value) if value.is_nan() => {
-                Err(MetricError::Setting { field, value: value.into(), expected: "a number" })
-            }
-            _ => Ok(()),
-        };
-        number("min_cosine", self.min_cosine)?;
-        number("min_margin", self.min_margin)
+        for (field, value) in [("min_cosine", self.min_cosine), ("min_margin", self.min_margin)] {
+            let value = value.unwrap_or_default();
+            check_setting(field, value, "a number", !value.is_nan())?;
+        }
+        Ok(())
     }
 
     fn withholds(&self, score: f32, margin: f32) -> bool {
@@ -44,17 +41,13 @@ impl UnknownRule {
 /// The cosine at which `sigmoid(cosine)` reaches `p`: `ln(p / (1 − p))`.
 ///
 /// Turns a threshold of the original into [`UnknownRule::min_cosine`]. At or below 0 it is −∞
-/// (never withhold), at or above 1 it is +∞ (always); NaN stays NaN and is refused by
-/// [`classify`].
+/// (never withhold), at or above 1 it is +∞ (always); NaN gives NaN, which
+/// [`classify`] refuses.
 pub fn sigmoid_threshold_to_cosine(p: f32) -> f32 {
     let p = f64::from(p);
-    if p <= 0.0 {
-        f32::NEG_INFINITY
-    } else if p >= 1.0 {
-        f32::INFINITY
-    } else {
-        (p / (1.0 - p)).ln() as f32
-    }
+    // Below 0 and above 1 there is no logarithm; at both ends it is infinite.
+    let p = p.clamp(0.0, 1.0);
+    (p / (1.0 - p)).ln() as f32
 }
 
 /// Settings of [`classify`]. The default lets all classes compete and never withholds.
@@ -75,13 +68,7 @@ impl ZeroShotOptions {
         let Some(mask) = &self.candidates else { return Ok((0..num_classes).collect()) };
         check_rows("candidates", mask.len(), num_classes)?;
         let classes: Vec<usize> = (0..num_classes).filter(|&c| mask[c]).collect();
-        if classes.is_empty() {
-            return Err(MetricError::Setting {
-                field: "number of candidates",
-                value: 0.0,
-                expected: "at least 1",
-            });
-        }
+        check_setting("number of candidates", 0, "at least 1", !classes.is_empty())?;
         Ok(classes)
     }
 }
@@ -172,19 +159,13 @@ pub fn classify(
 }
 
 pub(crate) fn check_temperature(temperature: f32) -> Result<(), MetricError> {
-    match temperature > 0.0 && temperature.is_finite() {
-        true => Ok(()),
-        false => Err(MetricError::Setting {
-            field: "temperature",
-            value: temperature.into(),
-            expected: "a finite number above 0",
-        }),
-    }
+    let fits = temperature > 0.0 && temperature.is_finite();
+    check_setting("temperature", temperature, "a finite number above 0", fits)
 }
 
 /// How probable each class is to each feature row: the softmax of the cosines with the class texts, divided by
-/// `temperature`, over the candidates of `options`; 0 for the others, and in all of an unusable row. What
-/// [`classify`] withholds is not looked at. `[N, C]`, row-major
+/// `temperature`, over the candidates of `options`; 0 for the others, and in all of an unusable row. The rule
+/// that withholds labels is not applied. `[N, C]`, row-major
 ///
 /// # Shapes
 /// - `features`: `[N, D]`, any norm from 1e-45 to 1e38 · `text`: `[C, D]`

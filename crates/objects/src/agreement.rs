@@ -2,7 +2,7 @@
 
 use crate::catalogue::Catalogue;
 use serde::Serialize;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// A true object that was found.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -42,7 +42,7 @@ impl Agreement {
             sizes.entry(id).or_insert((0, label)).0 += 1;
         }
         let mut out = Self { found: found.objects.len(), ..Self::default() };
-        let mut matched: BTreeMap<i32, ()> = BTreeMap::new();
+        let mut matched = BTreeSet::new();
         for (place, object) in found.objects.iter().enumerate() {
             let mut common: BTreeMap<i32, usize> = BTreeMap::new();
             for &row in &object.rows {
@@ -57,20 +57,16 @@ impl Agreement {
             match best {
                 Some((&truth, _)) if iou > 0.5 && sizes[&truth].1 == object.label as i32 => {
                     out.matches.push(Match { found: place, truth, iou });
-                    matched.insert(truth, ());
+                    matched.insert(truth);
                 }
                 _ => out.wrong.push(place),
             }
         }
         // What is too small to ask for may be found all the same.
-        let counted =
-            |(id, (n, _)): &(&i32, &(usize, i32))| *n >= min_count || matched.contains_key(id);
-        for (id, _) in sizes.iter().filter(counted) {
-            out.truth += 1;
-            if !matched.contains_key(id) {
-                out.missed.push(*id);
-            }
-        }
+        let is_missed =
+            |(id, (n, _)): &(&i32, &(usize, i32))| *n >= min_count && !matched.contains(id);
+        out.missed = sizes.iter().filter(is_missed).map(|(id, _)| *id).collect();
+        out.truth = matched.len() + out.missed.len();
         out
     }
 

@@ -100,53 +100,26 @@ pub fn find_objects(input: &ObjectInput<'_>, settings: &ObjectSettings) -> Resul
     let floor =
         input.floor.map_or_else(|| Floor::find(&coord, &of_kind(&settings.floor)), Floor::given);
     let walls = Walls::new(&coord, &of_kind(&settings.wall))?;
-    let mut nameless_instances = 0;
-    let groups: Vec<(usize, Vec<u32>)> = match input.instances {
-        Some(instances) => {
-            let (named, nameless) = known(instances, input.labels, &coord);
-            nameless_instances = nameless;
-            named
-        }
+    let (groups, nameless_instances) = match input.instances {
+        Some(instances) => known(instances, input.labels, &coord),
         None => {
-            let found: Result<Vec<Vec<Vec<u32>>>> = by_class
-                .par_iter()
-                .enumerate()
+            let classes = by_class.par_iter().enumerate();
+            let found: Result<Vec<Vec<Vec<u32>>>> = classes
                 .map(|(label, rows)| of_class(input, settings, &coord, label, rows))
                 .collect();
             let found = found?.into_iter().enumerate();
-            found.flat_map(|(label, parts)| parts.into_iter().map(move |p| (label, p))).collect()
+            let found = found.flat_map(|(label, parts)| parts.into_iter().map(move |p| (label, p)));
+            (found.collect(), 0)
         }
     };
     let labelled: usize = by_class.iter().map(Vec::len).sum();
-    let describe = |(label, rows): &(usize, Vec<u32>)| {
-        let bounds = UprightBox::around(&coord, rows)?;
-        let name = &input.names[*label];
-        let score = |s: &[f32]| {
-            rows.iter().map(|&r| f64::from(s[r as usize])).sum::<f64>() / rows.len() as f64
-        };
-        let is_wall = is_kind(name, &settings.wall);
-        Some(Object {
-            id: 0,
-            class: name.clone(),
-            label: *label,
-            score: input.scores.map(score).filter(|s| s.is_finite()),
-            count: rows.len(),
-            bounds,
-            position: input.to_scene(bounds.center),
-            corners: bounds.corners().map(|c| input.to_scene(c)),
-            volume: bounds.volume(),
-            above_floor: bounds.heights()[0] - floor.height,
-            wall_distance: if is_wall { None } else { walls.distance(&coord, rows) },
-            rows: rows.clone(),
-        })
-    };
     let is_small = |rows: &[u32]| rows.len() < settings.min_count;
-    let small_instances = match input.instances {
-        Some(_) => groups.iter().filter(|(_, rows)| is_small(rows)).count(),
-        None => 0,
+    let (small, kept): (Vec<_>, Vec<_>) = groups.into_iter().partition(|(_, rows)| is_small(rows));
+    let small_instances = if input.instances.is_some() { small.len() } else { 0 };
+    let describe = |(label, rows): &(usize, Vec<u32>)| {
+        let walls = (!is_kind(&input.names[*label], &settings.wall)).then_some(&walls);
+        describe(input, &coord, *label, rows, &floor, walls)
     };
-    let kept: Vec<(usize, Vec<u32>)> =
-        groups.into_iter().filter(|(_, rows)| !is_small(rows)).collect();
     let mut objects: Vec<Object> = kept.par_iter().filter_map(describe).collect();
     // Numbers by place: the same scene with its rows in another order has the same ones.
     objects.sort_by(|a, b| {
@@ -160,14 +133,41 @@ pub fn find_objects(input: &ObjectInput<'_>, settings: &ObjectSettings) -> Resul
     }
     let is_labelled = |row: &&u32| input.labels[**row as usize] >= 0;
     let in_objects: usize = objects.iter().map(|o| o.rows.iter().filter(is_labelled).count()).sum();
-    let left_over = labelled.saturating_sub(in_objects);
     Ok(Catalogue {
         objects,
         floor,
-        left_over,
+        left_over: labelled.saturating_sub(in_objects),
         small_instances,
         nameless_instances,
         gaussians: input.scene.len(),
+    })
+}
+
+/// An object without a number; distances are from `walls`.
+fn describe(
+    input: &ObjectInput<'_>,
+    coord: &[[f32; 3]],
+    label: usize,
+    rows: &[u32],
+    floor: &Floor,
+    walls: Option<&Walls>,
+) -> Option<Object> {
+    let bounds = UprightBox::around(coord, rows)?;
+    let score =
+        |s: &[f32]| rows.iter().map(|&r| f64::from(s[r as usize])).sum::<f64>() / rows.len() as f64;
+    Some(Object {
+        id: 0,
+        class: input.names[label].clone(),
+        label,
+        score: input.scores.map(score).filter(|s| s.is_finite()),
+        count: rows.len(),
+        bounds,
+        position: input.to_scene(bounds.center),
+        corners: bounds.corners().map(|c| input.to_scene(c)),
+        volume: bounds.volume(),
+        above_floor: bounds.heights()[0] - floor.height,
+        wall_distance: walls.and_then(|walls| walls.distance(coord, rows)),
+        rows: rows.to_vec(),
     })
 }
 

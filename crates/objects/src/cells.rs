@@ -1,5 +1,6 @@
 //! Pieces of a class that hang together: rows in cells, cells joined to near cells.
 
+use glam::{DVec3, Vec3};
 use std::collections::HashMap;
 
 /// Sets that grow together; the smallest member stands for a set.
@@ -30,7 +31,7 @@ impl Joined {
 struct Cell {
     at: [i32; 3],
     rows: std::ops::Range<usize>,
-    center: [f64; 3],
+    center: DVec3,
 }
 
 /// Pieces of rows in which each cell is within `gap` metres of another. Cells whose mean features have a
@@ -44,30 +45,7 @@ pub(crate) fn pieces(
     similar: &dyn Fn(&[u32]) -> Option<Vec<f32>>,
     min_similarity: f32,
 ) -> Vec<Vec<u32>> {
-    let side = gap / 2.0;
-    // Far strays would leave the range of i32; they only meet others as far out.
-    let cell_of = |row: u32| {
-        coord[row as usize].map(|v| (f64::from(v) / side).floor().clamp(-1e9, 1e9) as i32)
-    };
-    let mut sorted: Vec<([i32; 3], u32)> = rows.iter().map(|&row| (cell_of(row), row)).collect();
-    sorted.sort_unstable();
-    let order: Vec<u32> = sorted.iter().map(|(_, row)| *row).collect();
-    let mut cells: Vec<Cell> = Vec::new();
-    for (i, (at, row)) in sorted.iter().enumerate() {
-        match cells.last_mut().filter(|c| c.at == *at) {
-            Some(cell) => cell.rows.end = i + 1,
-            None => cells.push(Cell { at: *at, rows: i..i + 1, center: [0.0; 3] }),
-        }
-        if let Some(cell) = cells.last_mut() {
-            let c = coord[*row as usize];
-            (0..3).for_each(|a| cell.center[a] += f64::from(c[a]));
-        }
-    }
-    drop(sorted);
-    for cell in &mut cells {
-        let count = cell.rows.len() as f64;
-        cell.center = cell.center.map(|v| v / count);
-    }
+    let (order, cells) = in_cells(rows, coord, gap / 2.0);
     let features: Vec<Option<Vec<f32>>> =
         cells.iter().map(|c| similar(&order[c.rows.clone()])).collect();
     let index: HashMap<[i32; 3], u32> = (0..).zip(&cells).map(|(i, c)| (c.at, i)).collect();
@@ -76,8 +54,7 @@ pub(crate) fn pieces(
         for step in forward_steps() {
             let at = [0, 1, 2].map(|a| cell.at[a].saturating_add(step[a]));
             let Some(&j) = index.get(&at) else { continue };
-            let d = [0, 1, 2].map(|a| cell.center[a] - cells[j as usize].center[a]);
-            if d[0] * d[0] + d[1] * d[1] + d[2] * d[2] > gap * gap {
+            if (cell.center - cells[j as usize].center).length_squared() > gap * gap {
                 continue;
             }
             let agree = match (&features[i as usize], &features[j as usize]) {
@@ -91,20 +68,46 @@ pub(crate) fn pieces(
             }
         }
     }
-    let mut found: Vec<(u32, Vec<u32>)> = Vec::new();
+    let mut found: Vec<Vec<u32>> = Vec::new();
     let mut place: HashMap<u32, usize> = HashMap::new();
     for (i, cell) in (0u32..).zip(&cells) {
-        let root = joined.root(i);
-        let at = *place.entry(root).or_insert_with(|| {
-            found.push((root, Vec::new()));
+        let at = *place.entry(joined.root(i)).or_insert_with(|| {
+            found.push(Vec::new());
             found.len() - 1
         });
-        found[at].1.extend(&order[cell.rows.clone()]);
+        found[at].extend(&order[cell.rows.clone()]);
     }
-    let mut found: Vec<Vec<u32>> = found.into_iter().map(|(_, rows)| rows).collect();
     found.iter_mut().for_each(|rows| rows.sort_unstable());
     found.sort_unstable_by_key(|rows| rows.first().copied());
     found
+}
+
+/// The rows by the cells of this side that they are in, and these cells.
+fn in_cells(rows: &[u32], coord: &[[f32; 3]], side: f64) -> (Vec<u32>, Vec<Cell>) {
+    // Far strays would leave the range of i32; they only meet others as far out.
+    let cell_of = |row: u32| {
+        coord[row as usize].map(|v| (f64::from(v) / side).floor().clamp(-1e9, 1e9) as i32)
+    };
+    let mut sorted: Vec<([i32; 3], u32)> = rows.iter().map(|&row| (cell_of(row), row)).collect();
+    sorted.sort_unstable();
+    let mut start = 0;
+    let cells = sorted.chunk_by(|a, b| a.0 == b.0).map(|together| {
+        let rows = start..start + together.len();
+        start = rows.end;
+        let places = together.iter().map(|(_, row)| Vec3::from(coord[*row as usize]).as_dvec3());
+        let center = places.fold(DVec3::ZERO, |sum, p| sum + p) / together.len() as f64;
+        Cell { at: together[0].0, rows, center }
+    });
+    let cells = cells.collect();
+    (sorted.iter().map(|(_, row)| *row).collect(), cells)
+}
+
+/// Each of some values once, sorted.
+pub(crate) fn distinct<T: Ord>(values: impl Iterator<Item = T>) -> Vec<T> {
+    let mut values: Vec<T> = values.collect();
+    values.sort_unstable();
+    values.dedup();
+    values
 }
 
 /// Half of the steps to cells at most two away; the others are seen from the other side.

@@ -44,3 +44,30 @@ pub enum ObjectError {
 }
 
 pub(crate) type Result<T, E = ObjectError> = std::result::Result<T, E>;
+
+/// That a setting is in its range.
+pub(crate) fn check_setting(
+    is_in_range: bool,
+    setting: &'static str,
+    value: impl ToString,
+    expected: &'static str,
+) -> Result<()> {
+    if is_in_range {
+        return Ok(());
+    }
+    Err(ObjectError::Setting { setting, value: value.to_string(), expected })
+}
+
+/// That an array has one row per Gaussian.
+pub(crate) fn check_rows(field: &'static str, expected: usize, got: usize) -> Result<()> {
+    if expected == got { Ok(()) } else { Err(ObjectError::Rows { field, expected, got }) }
+}
+
+/// That every label has a name.
+pub(crate) fn check_labels(labels: &[i32], names: usize) -> Result<()> {
+    let has_no_name = |label: &i32| usize::try_from(*label).is_ok_and(|label| label >= names);
+    match labels.iter().position(has_no_name) {
+        Some(row) => Err(ObjectError::Label { row, label: labels[row], names }),
+        None => Ok(()),
+    }
+}

@@ -29,11 +29,7 @@ pub(crate) fn join(
     min_count: usize,
     pairs: bool,
 ) -> Vec<Vec<u32>> {
-    let boxes: Vec<UprightBox> =
-        pieces.iter().filter_map(|rows| UprightBox::around(coord, rows)).collect();
-    if boxes.len() != pieces.len() {
-        return pieces;
-    }
+    let Some(boxes) = boxes(&pieces, coord) else { return pieces };
     // The largest first: fragments go to the largest thing near.
     let mut order: Vec<usize> = (0..pieces.len()).collect();
     order.sort_by_key(|&i| (usize::MAX - pieces[i].len(), i));
@@ -62,6 +58,11 @@ pub(crate) fn join(
     gathered(pieces, &mut joined)
 }
 
+/// The box around each piece; `None` if one is empty.
+fn boxes(pieces: &[Vec<u32>], coord: &[[f32; 3]]) -> Option<Vec<UprightBox>> {
+    pieces.iter().map(|rows| UprightBox::around(coord, rows)).collect()
+}
+
 fn gathered(pieces: Vec<Vec<u32>>, joined: &mut Joined) -> Vec<Vec<u32>> {
     let mut place: Vec<Option<usize>> = vec![None; pieces.len()];
     let mut out: Vec<Vec<u32>> = Vec::new();
@@ -84,11 +85,7 @@ const WALL_LONG: f64 = 1.0;
 
 /// Joins the two sides of walls: thin upright pieces, parallel, one before the other.
 pub(crate) fn join_sides(pieces: Vec<Vec<u32>>, coord: &[[f32; 3]]) -> Vec<Vec<u32>> {
-    let boxes: Vec<UprightBox> =
-        pieces.iter().filter_map(|rows| UprightBox::around(coord, rows)).collect();
-    if boxes.len() != pieces.len() {
-        return pieces;
-    }
+    let Some(boxes) = boxes(&pieces, coord) else { return pieces };
     let mut joined = Joined::new(pieces.len());
     let walls: Vec<usize> = (0..boxes.len()).filter(|&i| is_wall(&boxes[i])).collect();
     for (at, &i) in walls.iter().enumerate() {
@@ -109,12 +106,10 @@ fn are_sides(a: &UprightBox, b: &UprightBox) -> bool {
     if a.plan_gap(b) > WALL {
         return false;
     }
-    let (s, c) = a.yaw.sin_cos();
     if (b.yaw - a.yaw).cos().abs() < 0.995 {
         return false;
     }
-    let d = [b.center[0] - a.center[0], b.center[1] - a.center[1]];
-    let (along, across) = ((c * d[0] + s * d[1]).abs(), (c * d[1] - s * d[0]).abs());
+    let [along, across] = a.in_plan(b.plan_center()).map(f64::abs);
     let common = (a.size[0] + b.size[0]) / 2.0 - along;
     across <= WALL + (a.size[1] + b.size[1]) / 2.0
         && common >= 0.7 * a.size[0].min(b.size[0])
@@ -148,13 +143,9 @@ fn is_pair(a: &UprightBox, b: &UprightBox) -> bool {
     if (al - bl).abs() > 0.25 || (ah - bh).abs() > 0.25 {
         return false;
     }
-    let d = [b.center[0] - a.center[0], b.center[1] - a.center[1]];
+    let d = b.plan_center() - a.plan_center();
     // Both lie along the line between them: narrow ones may be wider than long in plan.
-    let off = |x: &UprightBox| {
-        let (s, c) = x.yaw.sin_cos();
-        let length = d[0].hypot(d[1]).max(1e-9);
-        ((c * d[0] + s * d[1]) / length).abs()
-    };
+    let off = |x: &UprightBox| (x.side().dot(d) / d.x.hypot(d.y).max(1e-9)).abs();
     let along = |x: &UprightBox| off(x) > 0.98 || x.size[0] < 0.35;
     along(a) && along(b)
 }

@@ -1,6 +1,7 @@
 //! What objects are looked for in.
 
-use crate::error::{ObjectError, Result};
+use crate::error::{Result, check_labels, check_rows, check_setting};
+use glam::{DMat3, DVec3};
 use scenesplat_scene::GaussianScene;
 use scenesplat_scene::frame::Matrix3;
 
@@ -39,37 +40,16 @@ impl ObjectInput<'_> {
             ("instances", self.instances.map(<[i32]>::len)),
         ];
         for (field, got) in lens {
-            if let Some(got) = got.filter(|&got| got != expected) {
-                return Err(ObjectError::Rows { field, expected, got });
-            }
+            check_rows(field, expected, got.unwrap_or(expected))?;
         }
-        let names = self.names.len();
-        let nameless = |l: &i32| usize::try_from(*l).is_ok_and(|l| l >= names);
-        if let Some(row) = self.labels.iter().position(nameless) {
-            return Err(ObjectError::Label { row, label: self.labels[row], names });
-        }
-        if !(self.metres_per_unit.is_finite() && self.metres_per_unit > 0.0) {
-            return Err(ObjectError::Setting {
-                setting: "metres_per_unit",
-                value: self.metres_per_unit.to_string(),
-                expected: "a finite number above 0",
-            });
-        }
-        if !is_rotation(&self.upright) {
-            return Err(ObjectError::Setting {
-                setting: "upright",
-                value: format!("{:?}", self.upright),
-                expected: "a rotation: three axes of length 1, at right angles",
-            });
-        }
-        if let Some(floor) = self.floor.filter(|f| !f.is_finite()) {
-            return Err(ObjectError::Setting {
-                setting: "floor",
-                value: floor.to_string(),
-                expected: "a finite height, metres",
-            });
-        }
-        Ok(())
+        check_labels(self.labels, self.names.len())?;
+        let (unit, upright) = (self.metres_per_unit, self.upright);
+        let fits = unit.is_finite() && unit > 0.0;
+        check_setting(fits, "metres_per_unit", unit, "a finite number above 0")?;
+        let axes = "a rotation: three axes of length 1, at right angles";
+        check_setting(is_rotation(&upright), "upright", format!("{upright:?}"), axes)?;
+        let floor = self.floor.unwrap_or_default();
+        check_setting(floor.is_finite(), "floor", floor, "a finite height, metres")
     }
 
     /// Positions in metres with +z up.
@@ -79,12 +59,9 @@ impl ObjectInput<'_> {
 
     /// A place of the upright frame, metres, in the frame and unit of the scene.
     pub(crate) fn to_scene(self, p: [f64; 3]) -> [f64; 3] {
-        let turn = self.upright;
-        [0, 1, 2].map(|a| {
-            let v = turn[0][a] * p[0] + turn[1][a] * p[1] + turn[2][a] * p[2];
-            // Adding 0 makes no −0 of a product with 0.
-            v / self.metres_per_unit + 0.0
-        })
+        let place = DMat3::from_cols_array_2d(&self.upright) * DVec3::from(p);
+        // Adding 0 makes no −0 of a product with 0.
+        (place / self.metres_per_unit + 0.0).to_array()
     }
 
     /// Normals of flat Gaussians with +z up: the shortest axis, `None` where a Gaussian is not flat.
@@ -108,18 +85,16 @@ impl ObjectInput<'_> {
 /// Places in metres with +z up.
 pub(crate) fn upright(coord: &[[f32; 3]], turn: &Matrix3, metres_per_unit: f64) -> Vec<[f32; 3]> {
     let place = |c: &[f32; 3]| {
-        let c = c.map(|v| f64::from(v) * metres_per_unit);
-        turn.map(|row| (row[0] * c[0] + row[1] * c[1] + row[2] * c[2]) as f32)
+        let c = DVec3::from(c.map(f64::from)) * metres_per_unit;
+        turn.map(|row| DVec3::from(row).dot(c) as f32)
     };
     coord.iter().map(place).collect()
 }
 
 fn is_rotation(m: &Matrix3) -> bool {
-    let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-    let [x, y, z] = *m;
-    let third = [x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]];
+    let [x, y, z] = m.map(DVec3::from);
     let near = |a: f64, b: f64| (a - b).abs() < 1e-6;
-    m.iter().all(|row| near(dot(*row, *row), 1.0))
-        && near(dot(x, y), 0.0)
-        && near(dot(third, z), 1.0)
+    [x, y, z].iter().all(|row| near(row.length_squared(), 1.0))
+        && near(x.dot(y), 0.0)
+        && near(x.cross(y).dot(z), 1.0)
 }

@@ -1,6 +1,8 @@
 //! Pieces with panels across them, such as a row of cupboards, split between these panels.
 
+use crate::cells::distinct;
 use crate::upright_box::UprightBox;
+use glam::DVec2;
 
 /// No row of boxes is longer or higher, metres; strays far out lie in one cell and are one piece.
 const FARTHEST: f64 = 1000.0;
@@ -34,18 +36,16 @@ pub(crate) fn split(
     if long < 2.0 * APART || deep < 0.25 || high < 0.3 || long < 1.3 * deep {
         return None;
     }
-    let (s, c) = around.yaw.sin_cos();
+    let side = around.side();
     let along = |row: u32| {
-        let p = coord[row as usize];
-        let d = [f64::from(p[0]) - around.center[0], f64::from(p[1]) - around.center[1]];
-        [c * d[0] + s * d[1] + long / 2.0, c * d[1] - s * d[0] + deep / 2.0, f64::from(p[2])]
+        let [x, y, z] = coord[row as usize].map(f64::from);
+        let [t, u] = around.in_plan(DVec2::new(x, y));
+        [t + long / 2.0, u + deep / 2.0, z]
     };
     let bins = (long / BIN).ceil() as usize + 1;
     let mut across: Vec<Vec<[i32; 2]>> = vec![Vec::new(); bins];
-    for &row in rows {
-        if !facing(row, [c as f32, s as f32]).is_some_and(|f| f.abs() > FACING) {
-            continue;
-        }
+    let plan = [side.x as f32, side.y as f32];
+    for &row in rows.iter().filter(|row| facing(**row, plan).is_some_and(|f| f.abs() > FACING)) {
         let [t, u, z] = along(row);
         if t >= 0.0 && t <= long {
             across[(t / BIN) as usize].push([u, z].map(|v| (v / CELL).floor() as i32));
@@ -55,14 +55,35 @@ pub(crate) fn split(
     let full = ((deep / CELL).ceil() * (high / CELL).ceil()).max(1.0);
     let cover: Vec<f64> = (0..bins)
         .map(|i| {
-            let from = i.saturating_sub(1);
-            let mut cells: Vec<[i32; 2]> = across[from..=i].iter().flatten().copied().collect();
-            cells.sort_unstable();
-            cells.dedup();
-            cells.len() as f64 / full
+            let cells = across[i.saturating_sub(1)..=i].iter().flatten().copied();
+            distinct(cells).len() as f64 / full
         })
         .collect();
-    let mut order: Vec<usize> = (0..bins).filter(|&i| cover[i] >= COVER).collect();
+    let cuts = cuts(&cover, long);
+    if cuts.is_empty() {
+        return None;
+    }
+    let mut parts: Vec<Vec<u32>> = vec![Vec::new(); cuts.len() + 1];
+    for &row in rows {
+        parts[cuts.partition_point(|cut| *cut < along(row)[0])].push(row);
+    }
+    let ends: Vec<f64> = std::iter::once(0.0).chain(cuts).chain([long]).collect();
+    let fullness = parts.iter().zip(ends.windows(2)).map(|(part, ends)| {
+        let cell = |&row: &u32| along(row).map(|v| (v / CELL).floor() as i32);
+        distinct(part.iter().map(cell)).len() as f64 / (ends[1] - ends[0])
+    });
+    let (least, most) = fullness.fold((f64::INFINITY, 0.0), |(l, m), f| (f.min(l), f.max(m)));
+    if least < ALIKE * most {
+        return None;
+    }
+    parts.retain(|p| !p.is_empty());
+    parts.sort_unstable_by_key(|p| p.first().copied());
+    (parts.len() > 1).then_some(parts)
+}
+
+/// Where panels are along a piece of this length, the fullest first where two are too near each other.
+fn cuts(cover: &[f64], long: f64) -> Vec<f64> {
+    let mut order: Vec<usize> = (0..cover.len()).filter(|&i| cover[i] >= COVER).collect();
     order.sort_by(|&a, &b| cover[b].total_cmp(&cover[a]).then(a.cmp(&b)));
     let mut cuts: Vec<f64> = Vec::new();
     for at in order.into_iter().map(|i| i as f64 * BIN) {
@@ -71,30 +92,8 @@ pub(crate) fn split(
             cuts.push(at);
         }
     }
-    if cuts.is_empty() {
-        return None;
-    }
     cuts.sort_unstable_by(f64::total_cmp);
-    let mut parts = vec![Vec::new(); cuts.len() + 1];
-    rows.iter().for_each(|&row| {
-        let at = along(row)[0];
-        parts[cuts.partition_point(|cut| *cut < at)].push(row);
-    });
-    let ends: Vec<f64> = std::iter::once(0.0).chain(cuts).chain([long]).collect();
-    let fullness = parts.iter().zip(ends.windows(2)).map(|(part, ends)| {
-        let cell = |&row: &u32| along(row).map(|v| (v / CELL).floor() as i32);
-        let mut cells: Vec<[i32; 3]> = part.iter().map(cell).collect();
-        cells.sort_unstable();
-        cells.dedup();
-        cells.len() as f64 / (ends[1] - ends[0])
-    });
-    let (least, most) = fullness.fold((f64::INFINITY, 0.0), |(l, m), f| (f.min(l), f.max(m)));
-    if least < ALIKE * most {
-        return None;
-    }
-    parts.retain(|p: &Vec<u32>| !p.is_empty());
-    parts.sort_unstable_by_key(|p| p.first().copied());
-    (parts.len() > 1).then_some(parts)
+    cuts
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! What is taken for one object.
 
-use crate::error::{ObjectError, Result};
+use crate::error::{Result, check_setting};
 use serde::Serialize;
 
 /// What is taken for one object; lengths in metres.
@@ -37,17 +37,11 @@ impl Default for ObjectSettings {
 
 impl ObjectSettings {
     pub(crate) fn check(&self) -> Result<()> {
-        let fail =
-            |setting, value, expected| Err(ObjectError::Setting { setting, value, expected });
-        if self.min_count == 0 {
-            return fail("min_count", "0".to_owned(), "a number above 0");
-        }
-        if let Some(gap) = self.gap.filter(|g| !(*g >= 1e-3 && *g <= 10.0)) {
-            return fail("gap", gap.to_string(), "0.001 to 10 metres");
-        }
-        if !(-1.0..=1.0).contains(&self.min_similarity) {
-            return fail("min_similarity", self.min_similarity.to_string(), "a cosine, -1 to 1");
-        }
-        Ok(())
+        let (count, gap, cosine) = (self.min_count, self.gap, self.min_similarity);
+        check_setting(count > 0, "min_count", count, "a number above 0")?;
+        let fits = gap.is_none_or(|gap| (1e-3..=10.0).contains(&gap));
+        check_setting(fits, "gap", gap.unwrap_or_default(), "0.001 to 10 metres")?;
+        let fits = (-1.0..=1.0).contains(&cosine);
+        check_setting(fits, "min_similarity", cosine, "a cosine, -1 to 1")
     }
 }

@@ -10,8 +10,9 @@ mod small;
 pub use agree::{AgreeSettings, Agreed, ClassShares, agree};
 
 use crate::cells::Joined;
-use crate::error::{ObjectError, Result};
+use crate::error::{Result, check_rows, check_setting};
 use crate::input::upright;
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use scenesplat_kernels::neighbors::KdTree;
 use scenesplat_kernels::symmetric_eigen::symmetric_eigen;
@@ -45,20 +46,14 @@ impl Default for SurfaceSettings {
 
 impl SurfaceSettings {
     fn check(&self) -> Result<()> {
-        let fail = |setting, value: f64, expected| {
-            Err(ObjectError::Setting { setting, value: value.to_string(), expected })
-        };
-        if !(1e-3..=10.0).contains(&self.cell) {
-            return fail("cell", self.cell, "0.001 to 10 metres");
-        }
-        if !(self.color >= 0.0 && self.color.is_finite()) {
-            return fail("color", self.color, "a finite number from 0");
-        }
-        if self.scales.is_empty() {
-            return fail("scales", 0.0, "one at least");
-        }
-        if let Some(&scale) = self.scales.iter().find(|s| !(**s > 0.0 && s.is_finite())) {
-            return fail("scales", scale, "finite numbers above 0");
+        let (cell, color) = (self.cell, self.color);
+        check_setting((1e-3..=10.0).contains(&cell), "cell", cell, "0.001 to 10 metres")?;
+        let fits = color >= 0.0 && color.is_finite();
+        check_setting(fits, "color", color, "a finite number from 0")?;
+        check_setting(!self.scales.is_empty(), "scales", 0, "one at least")?;
+        for &scale in &self.scales {
+            let fits = scale > 0.0 && scale.is_finite();
+            check_setting(fits, "scales", scale, "finite numbers above 0")?;
         }
         Ok(())
     }
@@ -94,10 +89,7 @@ impl SceneSurfaces {
     /// # Errors
     /// If things and Gaussians differ in number.
     pub fn areas(&self, thing: &[i32], count: usize) -> Result<Vec<f64>> {
-        let (expected, got) = (self.cell_of.len(), thing.len());
-        if expected != got {
-            return Err(ObjectError::Rows { field: "things", expected, got });
-        }
+        check_rows("things", self.cell_of.len(), thing.len())?;
         let mut held = vec![0_u32; self.area.len()];
         let in_cell = self.cell_of.iter().filter(|cell| **cell != NO_SURFACE);
         in_cell.for_each(|&cell| held[cell as usize] += 1);
@@ -137,9 +129,7 @@ pub fn surfaces(
     settings: &SurfaceSettings,
 ) -> Result<SceneSurfaces> {
     settings.check()?;
-    if coord.len() != color.len() {
-        return Err(ObjectError::Rows { field: "color", expected: coord.len(), got: color.len() });
-    }
+    check_rows("color", coord.len(), color.len())?;
     let cells = Cells::new(coord, color, settings.cell);
     let (edges, area) = cells.edges(settings)?;
     let count = cells.color.len();
@@ -189,7 +179,7 @@ struct Cells {
     /// Cell of each Gaussian, or [`NO_SURFACE`]. `[N]`
     of: Vec<u32>,
     center: Vec<[f32; 3]>,
-    color: Vec<[f64; 3]>,
+    color: Vec<DVec3>,
     size: f64,
 }
 
@@ -215,18 +205,15 @@ impl Cells {
         let mut cells =
             Self { of: vec![NO_SURFACE; coord.len()], center: Vec::new(), color: Vec::new(), size };
         for together in sorted.chunk_by(|a, b| a.0 == b.0) {
-            let (mut center, mut mean) = ([0.0; 3], [0.0; 3]);
+            let (mut center, mut mean) = (DVec3::ZERO, DVec3::ZERO);
             for &(_, row) in together {
                 cells.of[row as usize] = cells.center.len() as u32;
-                for (sum, row) in
-                    [(&mut center, coord[row as usize]), (&mut mean, color[row as usize])]
-                {
-                    sum.iter_mut().zip(row).for_each(|(sum, v)| *sum += f64::from(v));
-                }
+                center += Vec3::from(coord[row as usize]).as_dvec3();
+                mean += Vec3::from(color[row as usize]).as_dvec3();
             }
             let count = together.len() as f64;
-            cells.center.push(center.map(|v: f64| (v / count) as f32));
-            cells.color.push(mean.map(|v: f64| v / count));
+            cells.center.push((center / count).as_vec3().to_array());
+            cells.color.push(mean / count);
         }
         cells
     }
@@ -253,8 +240,8 @@ impl Cells {
             },
         );
         let difference = |a: usize, b: usize| {
-            let cos: f64 = (0..3).map(|i| about[a].0[i] * about[b].0[i]).sum();
-            let color: f64 = (0..3).map(|i| (self.color[a][i] - self.color[b][i]).abs()).sum();
+            let cos = about[a].0.dot(about[b].0);
+            let color = (self.color[a] - self.color[b]).abs().element_sum();
             (1.0 - cos.abs().min(1.0) + settings.color * color) as f32
         };
         let mut edges: Vec<Edge> = (about.par_iter().enumerate())
@@ -277,25 +264,17 @@ impl Cells {
 }
 
 /// The direction in which points spread least; no direction of fewer than three.
-fn normal(points: impl Iterator<Item = [f32; 3]> + Clone) -> [f64; 3] {
-    let (mut count, mut mean) = (0.0, [0.0; 3]);
-    for p in points.clone() {
-        count += 1.0;
-        (0..3).for_each(|i| mean[i] += f64::from(p[i]));
-    }
+fn normal(points: impl Iterator<Item = [f32; 3]> + Clone) -> DVec3 {
+    let points = points.map(|p| Vec3::from(p).as_dvec3());
+    let (count, sum) = points.clone().fold((0.0, DVec3::ZERO), |(n, sum), p| (n + 1.0, sum + p));
     if count < 3.0 {
-        return [0.0; 3];
+        return DVec3::ZERO;
     }
-    let mean = mean.map(|v: f64| v / count);
     let mut spread = [0.0; 9];
-    for p in points {
-        let d: [f64; 3] = std::array::from_fn(|i| f64::from(p[i]) - mean[i]);
-        for i in 0..3 {
-            (0..3).for_each(|j| spread[3 * i + j] += d[i] * d[j]);
-        }
+    for d in points.map(|p| p - sum / count) {
+        (0..9).for_each(|k| spread[k] += d[k / 3] * d[k % 3]);
     }
-    let found = symmetric_eigen(&spread, 3, 3);
-    std::array::from_fn(|i| found.vectors[6 + i])
+    DVec3::from_slice(&symmetric_eigen(&spread, 3, 3).vectors[6..])
 }
 
 /// The part of each cell, named by one of its cells. `edges`: the most alike first.

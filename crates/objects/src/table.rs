@@ -46,29 +46,14 @@ fn object(o: &Object) -> Value {
 }
 
 /// The columns of the CSV table.
-const COLUMNS: [&str; 14] = [
-    "id",
-    "class",
-    "score",
-    "count",
-    "x",
-    "y",
-    "z",
-    "length",
-    "width",
-    "height",
-    "yaw",
-    "volume",
-    "above_floor",
-    "wall_distance",
-];
+const COLUMNS: &str =
+    "id,class,score,count,x,y,z,length,width,height,yaw,volume,above_floor,wall_distance\n";
 
 /// A catalogue as CSV, one object a line; what is not known is empty. A field with a comma, a quote or a
 /// line break stands in quotes; a class that a spreadsheet would take for a formula begins with an
 /// apostrophe.
 pub fn csv(catalogue: &Catalogue) -> String {
-    let mut out = COLUMNS.join(",");
-    out.push('\n');
+    let mut out = COLUMNS.to_owned();
     for o in &catalogue.objects {
         let [x, y, z] = o.position;
         let [length, width, height] = o.bounds.size;
@@ -77,8 +62,7 @@ pub fn csv(catalogue: &Catalogue) -> String {
         let values =
             [x, y, z, length, width, height, o.bounds.yaw, o.volume, o.above_floor].map(Some);
         let cells: Vec<String> = values.into_iter().chain([o.wall_distance]).map(number).collect();
-        out.push_str(&cells.join(","));
-        out.push('\n');
+        out += &(cells.join(",") + "\n");
     }
     out
 }

@@ -1,5 +1,6 @@
 //! The smallest upright box around points.
 
+use glam::DVec2;
 use serde::Serialize;
 
 /// An upright box in metres; +z is up.
@@ -35,8 +36,8 @@ impl UprightBox {
             let [low, high] = span(&along);
             inner.iter_mut().zip(&along).for_each(|(i, a)| *i &= *a >= low && *a <= high);
         }
-        let plan: Vec<[f64; 2]> =
-            points.iter().zip(&inner).filter(|(_, i)| **i).map(|(p, _)| [p[0], p[1]]).collect();
+        let inside = points.iter().zip(&inner).filter(|(_, i)| **i);
+        let plan = inside.map(|(p, _)| DVec2::new(p[0], p[1])).collect();
         let yaw = least_yaw(&hull(plan));
         let (s, c) = yaw.sin_cos();
         let sides = [
@@ -86,11 +87,24 @@ impl UprightBox {
 
     /// Distance of a point from the box in plan, 0 inside.
     pub fn plan_distance(&self, [x, y]: [f64; 2]) -> f64 {
-        let (s, c) = self.yaw.sin_cos();
-        let d = [x - self.center[0], y - self.center[1]];
-        let out = [c * d[0] + s * d[1], c * d[1] - s * d[0]];
-        let out = [0, 1].map(|a| (out[a].abs() - self.size[a] / 2.0).max(0.0));
+        let own = self.in_plan(DVec2::new(x, y));
+        let out = [0, 1].map(|a| (own[a].abs() - self.size[a] / 2.0).max(0.0));
         out[0].hypot(out[1])
+    }
+
+    /// The direction of its first side.
+    pub(crate) fn side(&self) -> DVec2 {
+        DVec2::from_angle(self.yaw)
+    }
+
+    pub(crate) fn plan_center(&self) -> DVec2 {
+        DVec2::new(self.center[0], self.center[1])
+    }
+
+    /// A place in plan from its middle, along its sides.
+    pub(crate) fn in_plan(&self, p: DVec2) -> [f64; 2] {
+        let (side, d) = (self.side(), p - self.plan_center());
+        [side.dot(d), side.perp_dot(d)]
     }
 
     /// Least distance of the two boxes in plan: exact for boxes apart, 0 where they overlap.
@@ -112,21 +126,15 @@ impl UprightBox {
     }
 
     fn overlaps_in_plan(&self, other: &Self) -> bool {
-        let d = [self.center[0] - other.center[0], self.center[1] - other.center[1]];
-        let axes = |b: &Self| {
-            let (s, c) = b.yaw.sin_cos();
-            [[c, s], [-s, c]]
+        let d = self.plan_center() - other.plan_center();
+        let axes = |b: &Self| [b.side(), b.side().perp()];
+        let reach = |axis: DVec2, b: &Self| -> f64 {
+            axes(b).iter().zip(b.size).map(|(own, size)| size / 2.0 * axis.dot(*own).abs()).sum()
         };
-        let reach = |axis: [f64; 2], b: &Self| {
-            let own = axes(b);
-            (0..2)
-                .map(|i| b.size[i] / 2.0 * (axis[0] * own[i][0] + axis[1] * own[i][1]).abs())
-                .sum::<f64>()
-        };
-        axes(self).into_iter().chain(axes(other)).all(|axis| {
-            let between = (axis[0] * d[0] + axis[1] * d[1]).abs();
-            between < reach(axis, self) + reach(axis, other)
-        })
+        axes(self)
+            .into_iter()
+            .chain(axes(other))
+            .all(|axis| axis.dot(d).abs() < reach(axis, self) + reach(axis, other))
     }
 }
 
@@ -142,56 +150,48 @@ fn span(values: &[f64]) -> [f64; 2] {
 }
 
 /// The convex hull, around it; Andrew's monotone chain.
-fn hull(mut points: Vec<[f64; 2]>) -> Vec<[f64; 2]> {
-    points.sort_unstable_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
+fn hull(mut points: Vec<DVec2>) -> Vec<DVec2> {
+    points.sort_unstable_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
     points.dedup();
     if points.len() < 3 {
         return points;
     }
-    let turns = |a: [f64; 2], b: [f64; 2], c: [f64; 2]| {
-        (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-    };
-    let mut chain: Vec<[f64; 2]> = Vec::new();
-    for half in 0..2 {
+    let mut chain: Vec<DVec2> = Vec::new();
+    for _half in 0..2 {
         let start = chain.len();
-        let mut add = |p: [f64; 2]| {
-            while chain.len() >= start + 2
-                && turns(chain[chain.len() - 2], chain[chain.len() - 1], p) <= 0.0
+        for &p in &points {
+            while let [.., a, b] = chain[start..]
+                && (b - a).perp_dot(p - a) <= 0.0
             {
                 chain.pop();
             }
             chain.push(p);
-        };
-        if half == 0 {
-            points.iter().for_each(|&p| add(p));
-        } else {
-            points.iter().rev().for_each(|&p| add(p));
         }
         chain.pop();
+        points.reverse();
     }
     chain
 }
 
 /// The direction of the hull's side that the rectangle of least area lies along; 0 for a point.
-fn least_yaw(hull: &[[f64; 2]]) -> f64 {
+fn least_yaw(hull: &[DVec2]) -> f64 {
     let mut best = (f64::INFINITY, 0.0);
     for (i, a) in hull.iter().enumerate() {
-        let b = hull[(i + 1) % hull.len()];
-        let side = [b[0] - a[0], b[1] - a[1]];
-        let length = side[0].hypot(side[1]);
+        let side = hull[(i + 1) % hull.len()] - a;
+        let length = side.x.hypot(side.y);
         if length < 1e-9 {
             continue;
         }
-        let (c, s) = (side[0] / length, side[1] / length);
-        let extent = |u: [f64; 2]| {
-            let along = hull.iter().map(|p| u[0] * p[0] + u[1] * p[1]);
+        let side = side / length;
+        let extent = |u: DVec2| {
+            let along = hull.iter().map(|p| u.dot(*p));
             let (low, high) =
                 along.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
             high - low
         };
-        let area = extent([c, s]) * extent([-s, c]);
+        let area = extent(side) * extent(side.perp());
         if area < best.0 {
-            best = (area, s.atan2(c));
+            best = (area, side.y.atan2(side.x));
         }
     }
     // Directions of a rectangle are the same a quarter turn on.

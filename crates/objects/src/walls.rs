@@ -1,6 +1,8 @@
 //! Pieces that follow lines in plan, such as the walls of a room, split into these lines.
 
+use crate::cells::distinct;
 use crate::upright_box::UprightBox;
+use glam::DVec2;
 
 /// Side of the cells of the plan, metres.
 const CELL: f64 = 0.1;
@@ -24,16 +26,16 @@ const MOST: usize = 24;
 
 struct Line {
     /// Unit normal and distance from the origin.
-    normal: [f64; 2],
+    normal: DVec2,
     offset: f64,
     /// Extent along it.
     span: [f64; 2],
 }
 
 impl Line {
-    fn distance(&self, p: [f64; 2]) -> f64 {
-        let off = (self.normal[0] * p[0] + self.normal[1] * p[1] - self.offset).abs();
-        let along = self.normal[0] * p[1] - self.normal[1] * p[0];
+    fn distance(&self, p: DVec2) -> f64 {
+        let off = (self.normal.dot(p) - self.offset).abs();
+        let along = self.normal.perp_dot(p);
         let past = (self.span[0] - along).max(along - self.span[1]).max(0.0);
         off.hypot(past)
     }
@@ -49,21 +51,19 @@ pub(crate) fn split(rows: &[u32], coord: &[[f32; 3]], stands: bool) -> Option<Ve
     }
     let plan = |row: &u32| {
         let c = coord[*row as usize];
-        [f64::from(c[0]), f64::from(c[1])]
+        DVec2::new(f64::from(c[0]), f64::from(c[1]))
     };
-    let mut cells: Vec<[i32; 2]> =
-        rows.iter().map(|r| plan(r).map(|v| (v / CELL).floor() as i32)).collect();
-    cells.sort_unstable();
-    cells.dedup();
+    let cells =
+        distinct(rows.iter().map(|row| plan(row).to_array().map(|v| (v / CELL).floor() as i32)));
     let area = around.size[0] * around.size[1];
     let fill = if stands { STANDING_FILL } else { FILL };
     if cells.len() as f64 * CELL * CELL > fill * area {
         return None;
     }
-    let middles: Vec<[f64; 2]> =
-        cells.iter().map(|c| c.map(|v| (f64::from(v) + 0.5) * CELL)).collect();
+    let middle = |cell: &[i32; 2]| DVec2::from(cell.map(|v| (f64::from(v) + 0.5) * CELL));
+    let middles: Vec<DVec2> = cells.iter().map(middle).collect();
     let lines = lines(&middles)?;
-    let nearest = |p: [f64; 2]| {
+    let nearest = |p: DVec2| {
         (0..lines.len())
             .fold(0, |n, i| if lines[i].distance(p) < lines[n].distance(p) { i } else { n })
     };
@@ -75,8 +75,8 @@ pub(crate) fn split(rows: &[u32], coord: &[[f32; 3]], stands: bool) -> Option<Ve
 }
 
 /// Lines that explain most of the points, the strongest first.
-fn lines(points: &[[f64; 2]]) -> Option<Vec<Line>> {
-    let mut left: Vec<[f64; 2]> = points.to_vec();
+fn lines(points: &[DVec2]) -> Option<Vec<Line>> {
+    let mut left = points.to_vec();
     let mut found = Vec::new();
     while found.len() < MOST && !left.is_empty() {
         let Some((line, inside)) = strongest(&left) else { break };
@@ -93,15 +93,11 @@ fn lines(points: &[[f64; 2]]) -> Option<Vec<Line>> {
 }
 
 /// The line with most points near it, and which they are.
-fn strongest(points: &[[f64; 2]]) -> Option<(Line, Vec<bool>)> {
-    let normals = (0..ANGLES).map(|step| {
-        let (s, c) = (step as f64 * std::f64::consts::PI / ANGLES as f64).sin_cos();
-        [c, s]
-    });
-    let mut best: Option<(usize, [f64; 2], f64)> = None;
-    for normal in normals {
-        let mut offsets: Vec<f64> =
-            points.iter().map(|p| normal[0] * p[0] + normal[1] * p[1]).collect();
+fn strongest(points: &[DVec2]) -> Option<(Line, Vec<bool>)> {
+    let mut best: Option<(usize, DVec2, f64)> = None;
+    for step in 0..ANGLES {
+        let normal = DVec2::from_angle(step as f64 * std::f64::consts::PI / ANGLES as f64);
+        let mut offsets: Vec<f64> = points.iter().map(|p| normal.dot(*p)).collect();
         offsets.sort_unstable_by(f64::total_cmp);
         let mut start = 0;
         for end in 0..offsets.len() {
@@ -115,13 +111,9 @@ fn strongest(points: &[[f64; 2]]) -> Option<(Line, Vec<bool>)> {
         }
     }
     let (_, normal, offset) = best?;
-    let off = |p: &[f64; 2]| (normal[0] * p[0] + normal[1] * p[1] - offset).abs();
-    let inside: Vec<bool> = points.iter().map(|p| off(p) <= REACH).collect();
-    let along = points
-        .iter()
-        .zip(&inside)
-        .filter(|(_, i)| **i)
-        .map(|(p, _)| normal[0] * p[1] - normal[1] * p[0]);
+    let is_near = |p: &DVec2| (normal.dot(*p) - offset).abs() <= REACH;
+    let inside: Vec<bool> = points.iter().map(is_near).collect();
+    let along = points.iter().filter(|p| is_near(p)).map(|p| normal.perp_dot(*p));
     let span = along.fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], v| [l.min(v), h.max(v)]);
     Some((Line { normal, offset, span }, inside))
 }

@@ -11,8 +11,8 @@ use crate::place::{Footprint, Placed};
 use crate::recipe::{self, RoomKind};
 use crate::scan::{self, Scan, ScannedObject};
 use crate::seen::seen;
-use crate::shape;
-use crate::splats::{self, Look, Owner, Rows, rounded_ln};
+use crate::shape::Block;
+use crate::splats::{self, Look, Owner, Row, rounded_ln};
 use crate::stock::Stock;
 use rayon::prelude::*;
 use scenesplat_kernels::random::{sample_rng, unit};
@@ -200,16 +200,7 @@ pub struct SyntheticRoom {
 pub fn generate(settings: &SyntheticRoomSettings) -> Result<SyntheticRoom, RoomError> {
     settings.check()?;
     let (seed, room) = (settings.seed, settings.room);
-    let mut rng = sample_rng(seed, room, LAYOUT);
-    let kind = RoomKind::random(&mut rng);
-    let kind = settings.kind.unwrap_or(kind);
-    let stock = &mut settings.stock()?;
-    let mut of_flat = sample_rng(seed, room, FLAT);
-    let flat = if unit(&mut of_flat) < settings.flat_share {
-        Flat::furnish(kind, stock, &mut of_flat)
-    } else {
-        Flat::of_one_room(recipe::furnish(kind, stock, &mut rng))
-    };
+    let (kind, flat) = furnished(settings)?;
     let mut of_walk = sample_rng(seed, room, WALK);
     let is_walked = unit(&mut of_walk) < settings.seen_share;
     let cameras = if is_walked { flat.walk(&mut of_walk) } else { Vec::new() };
@@ -220,58 +211,43 @@ pub fn generate(settings: &SyntheticRoomSettings) -> Result<SyntheticRoom, RoomE
         unit(&mut rng) < f64::from(settings.points_share) || settings.capture == Capture::Model;
     let mut look = Look::new(is_points, size, &mut rng);
     let mut density = f64::from(settings.gaussians_per_m2);
-    let mut rng = sample_rng(seed, room, SCAN);
+    let mut of_scan = sample_rng(seed, room, SCAN);
     let scan = match settings.capture {
         Capture::Made => None,
-        Capture::Scan => Some(Scan::new(size, objects.len(), &mut rng)),
-        Capture::Model => Some(Scan::of_models(objects.len(), &mut rng)),
+        Capture::Scan => Some(Scan::new(size, objects.len(), &mut of_scan)),
+        Capture::Model => Some(Scan::of_models(objects.len(), &mut of_scan)),
     };
-    let scan = scan.map(|scan| {
+    if let Some(scan) = &scan {
         scan.change(&mut look);
         density *= scan.density;
-        (scan, rng)
-    });
-
-    let mut rng_of_density = sample_rng(seed, room, DENSITY);
-    let own: Option<Vec<f64>> = match &scan {
-        Some((scan, _)) => Some(scan.objects.iter().map(|object| object.density).collect()),
-        None => (unit(&mut rng_of_density) < settings.density_variation)
-            .then(|| scan::densities(objects.len(), &mut rng_of_density)),
-    };
-    let is_seen = |surface: &Surface| is_points || !surface.hidden;
-    // Per square metre, of what is asked for.
-    let density_of = |index: usize, usual: f64| own.as_ref().map_or(usual, |own| own[index]);
-    let weight = |index: usize, s: &Surface| {
-        if is_seen(s) { s.shape.area() * density_of(index, s.density) } else { 0.0 }
-    };
-    let of_piece = |index: usize, of: &OfPiece| of.area(is_points) * density_of(index, of.density);
-    let mut weights: Vec<f64> = Vec::new();
-    for (index, object) in objects.iter().enumerate() {
-        weights.extend(object.model.surfaces.iter().map(|surface| weight(index, surface)));
-        weights.extend(object.model.piece.iter().map(|of| of_piece(index, of)));
     }
+
+    let mut rng = sample_rng(seed, room, DENSITY);
+    let own: Option<Vec<f64>> = match &scan {
+        Some(scan) => Some(scan.objects.iter().map(|object| object.density).collect()),
+        None => (unit(&mut rng) < settings.density_variation)
+            .then(|| scan::densities(objects.len(), &mut rng)),
+    };
+    let weights = weights(&objects, is_points, own.as_deref());
     let total: f64 = weights.iter().sum();
     let n = settings.num_gaussians.unwrap_or((total * density) as usize);
     if n > MAX_GAUSSIANS {
         return Err(too_many("gaussians_per_m2", density.to_string()));
     }
     let num_floaters = (n as f64 * look.floaters) as usize;
-    let num_below = scan.as_ref().map_or(0, |(scan, _)| (n as f64 * scan.below) as usize);
+    let num_below = scan.as_ref().map_or(0, |scan| (n as f64 * scan.below) as usize);
     let counts = shares(&weights, total, n - num_floaters - num_below);
 
-    let scanned = scan.as_ref().map(|(scan, _)| &scan.objects[..]);
+    let scanned = scan.as_ref().map(|scan| &scan.objects[..]);
     let mut rows = scatter_all(&objects, &counts, &look, scanned, [seed, room]);
     let spacing = rounded_ln((total / n.max(1) as f64).sqrt().clamp(1e-4, 0.2));
     let mut rng = sample_rng(seed, room, FLOATERS);
-    for _ in 0..num_floaters {
-        rows.push_floater(size, spacing, &mut rng);
+    rows.extend((0..num_floaters).map(|_| splats::floater(size, spacing, &mut rng)));
+    if let Some(scan) = &scan {
+        let below = |_| splats::below_floor(size, scan.deep, spacing, &mut of_scan);
+        rows.extend((0..num_below).map(below));
     }
-    if let Some((scan, mut rng)) = scan {
-        for _ in 0..num_below {
-            rows.push_below(size, scan.deep, spacing, &mut rng);
-        }
-    }
-    let mut scene = rows.into_scene();
+    let mut scene = splats::scene(&rows);
     if is_walked {
         if !cameras.is_empty() {
             scene = scene.select_rows(&seen(&scene, &cameras)).expect("rows are of the scene");
@@ -289,6 +265,38 @@ pub fn generate(settings: &SyntheticRoomSettings) -> Result<SyntheticRoom, RoomE
     })
 }
 
+/// What kind of room it is, and what stands in it and in the others of its flat.
+fn furnished(settings: &SyntheticRoomSettings) -> Result<(RoomKind, Flat), RoomError> {
+    let (seed, room) = (settings.seed, settings.room);
+    let mut rng = sample_rng(seed, room, LAYOUT);
+    let kind = RoomKind::random(&mut rng);
+    let kind = settings.kind.unwrap_or(kind);
+    let stock = &mut settings.stock()?;
+    let mut of_flat = sample_rng(seed, room, FLAT);
+    let is_flat = unit(&mut of_flat) < settings.flat_share;
+    let flat = match is_flat {
+        true => Flat::furnish(kind, stock, &mut of_flat),
+        false => Flat::of_one_room(recipe::furnish(kind, stock, &mut rng)),
+    };
+    Ok((kind, flat))
+}
+
+/// Of each surface and piece, in the order of the objects, its area times its density; `own` has the density
+/// of each object if that goes before the usual one.
+fn weights(objects: &[Placed], is_points: bool, own: Option<&[f64]>) -> Vec<f64> {
+    let mut weights = Vec::new();
+    for (index, object) in objects.iter().enumerate() {
+        let density = |usual: f64| own.map_or(usual, |own| own[index]);
+        let of_surface = |s: &Surface| {
+            if is_points || !s.hidden { s.shape.area() * density(s.density) } else { 0.0 }
+        };
+        weights.extend(object.model.surfaces.iter().map(of_surface));
+        let of_piece = |of: &OfPiece| of.area(is_points) * density(of.density);
+        weights.extend(object.model.piece.as_deref().map(of_piece));
+    }
+    weights
+}
+
 /// Gaussians on all surfaces, `counts` of them, in the order of the objects.
 fn scatter_all(
     objects: &[Placed],
@@ -296,7 +304,7 @@ fn scatter_all(
     look: &Look,
     scanned: Option<&[ScannedObject]>,
     [seed, room]: [u64; 2],
-) -> Rows {
+) -> Vec<Row> {
     let shadows: Vec<Footprint> = objects.iter().flat_map(casts_shadow).copied().collect();
     let mut counts_left = counts;
     let tasks: Vec<(&Placed, &[usize])> = (objects.iter())
@@ -308,7 +316,7 @@ fn scatter_all(
             (object, own)
         })
         .collect();
-    let mut parts: Vec<Rows> = (tasks.par_iter().enumerate())
+    let parts: Vec<Vec<Row>> = (tasks.par_iter().enumerate())
         .map(|(index, &(object, counts))| {
             // Numbers of its own for each object: threads cannot change who draws which.
             let mut rng = sample_rng(seed, room, FIRST_OBJECT + index as u64);
@@ -321,22 +329,18 @@ fn scatter_all(
                 ln_size: scanned.map_or(0.0, |scanned| scanned[index].ln_size),
                 is_plain: scanned.is_some_and(|scanned| scanned[index].is_plain),
             };
-            let mut rows = Rows::with_capacity(counts.iter().sum());
+            let mut rows = Vec::with_capacity(counts.iter().sum());
             for (surface, &count) in object.model.surfaces.iter().zip(counts) {
-                rows.scatter(surface, count, &owner, look, &mut rng);
+                owner.scatter(surface, count, look, &mut rng, &mut rows);
             }
             // The last count, if it has a piece.
             if let (Some(of), Some(&count)) = (&object.model.piece, counts.last()) {
-                rows.scatter_piece(of, count, &owner, look, &mut rng);
+                owner.scatter_piece(of, count, look, &mut rng, &mut rows);
             }
             rows
         })
         .collect();
-    let mut rows = Rows::with_capacity(counts.iter().sum());
-    for part in &mut parts {
-        rows.append(part);
-    }
-    rows
+    parts.concat()
 }
 
 impl SyntheticRoomSettings {
@@ -372,30 +376,25 @@ impl SyntheticRoomSettings {
             let expected = "a finite number above 0";
             return fail("gaussians_per_m2", density.to_string(), expected);
         }
+        let (own, varied) = (self.density_variation, self.furniture_variation);
+        for (setting, share) in [
+            ("flat_share", self.flat_share),
+            ("seen_share", self.seen_share),
+            ("furniture_share", self.furniture_share),
+            ("density_variation", own),
+            ("furniture_variation", varied),
+        ] {
+            if !(0.0..=1.0).contains(&share) {
+                return fail(setting, share.to_string(), "a number in 0..=1");
+            }
+        }
         if !(0.0..=1.0).contains(&self.points_share) {
             return fail("points_share", self.points_share.to_string(), "a number in 0..=1");
-        }
-        if !(0.0..=1.0).contains(&self.flat_share) {
-            return fail("flat_share", self.flat_share.to_string(), "a number in 0..=1");
-        }
-        if !(0.0..=1.0).contains(&self.seen_share) {
-            return fail("seen_share", self.seen_share.to_string(), "a number in 0..=1");
-        }
-        if !(0.0..=1.0).contains(&self.furniture_share) {
-            return fail("furniture_share", self.furniture_share.to_string(), "a number in 0..=1");
-        }
-        let own = self.density_variation;
-        if !(0.0..=1.0).contains(&own) {
-            return fail("density_variation", own.to_string(), "a number in 0..=1");
         }
         if own > 0.0 && self.capture != Capture::Made {
             let expected =
                 "0 unless `capture` is \"made\": the others give each object its density anyway";
             return fail("density_variation", own.to_string(), expected);
-        }
-        let varied = self.furniture_variation;
-        if !(0.0..=1.0).contains(&varied) {
-            return fail("furniture_variation", varied.to_string(), "a number in 0..=1");
         }
         if self.furniture.is_none() && varied > 0.0 {
             let expected = "0 without `furniture`, the path of a catalogue";
@@ -439,14 +438,11 @@ fn describe((index, object): (usize, &Placed)) -> SyntheticObject {
     let model = &object.model;
     let boxes = model.surfaces.iter().map(|s| s.shape.bounds());
     let boxes = boxes.chain(model.piece.iter().map(|of| of.bounds()));
-    let corners = boxes.flat_map(|[low, high]| {
-        (0..8).map(move |corner| {
-            object
-                .pose
-                .point(std::array::from_fn(|i| if corner >> i & 1 == 0 { low[i] } else { high[i] }))
-        })
+    let corners = boxes.flat_map(|Block { low, high }| {
+        let pick = move |corner: i32, i| if corner >> i & 1 == 0 { low[i] } else { high[i] };
+        (0..8).map(move |corner| object.pose.point(std::array::from_fn(|i| pick(corner, i))))
     });
-    let bounds = corners.map(|c| [c, c]).reduce(shape::join).unwrap_or([[0.0; 3]; 2]);
+    let bounds = corners.map(Block::at).reduce(Block::join).unwrap_or(Block::at([0.0; 3]));
     SyntheticObject {
         class: model.class,
         name: match (&model.piece, model.class) {
@@ -455,6 +451,6 @@ fn describe((index, object): (usize, &Placed)) -> SyntheticObject {
         },
         instance: index as i32,
         color: model.color,
-        bounds: bounds.map(|corner| corner.map(|v| v as f32)),
+        bounds: [bounds.low, bounds.high].map(|corner| corner.map(|v| v as f32)),
     }
 }

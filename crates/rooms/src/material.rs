@@ -55,20 +55,7 @@ impl ColorName {
 
     /// The word, in lower case.
     pub fn word(self) -> &'static str {
-        match self {
-            Self::White => "white",
-            Self::Black => "black",
-            Self::Grey => "grey",
-            Self::Brown => "brown",
-            Self::Beige => "beige",
-            Self::Red => "red",
-            Self::Orange => "orange",
-            Self::Yellow => "yellow",
-            Self::Green => "green",
-            Self::Blue => "blue",
-            Self::Purple => "purple",
-            Self::Pink => "pink",
-        }
+        COLORS[self as usize].0
     }
 
     /// The name whose middle colour is the nearest, sRGB 0..=255.
@@ -89,24 +76,28 @@ impl ColorName {
         mix(from, to, between(rng, 0.0, 1.0)).map(|c| c + between(rng, -5.0, 5.0))
     }
 
-    /// Darkest and lightest colour of this name.
+    /// Darkest and lightest color of this name.
     fn range(self) -> (V3, V3) {
-        match self {
-            Self::White => ([222.0, 220.0, 214.0], [250.0, 250.0, 248.0]),
-            Self::Black => ([18.0, 18.0, 20.0], [48.0, 46.0, 46.0]),
-            Self::Grey => ([88.0, 88.0, 90.0], [172.0, 172.0, 176.0]),
-            Self::Brown => ([78.0, 46.0, 24.0], [154.0, 104.0, 64.0]),
-            Self::Beige => ([190.0, 166.0, 128.0], [228.0, 208.0, 176.0]),
-            Self::Red => ([136.0, 18.0, 22.0], [206.0, 54.0, 48.0]),
-            Self::Orange => ([206.0, 98.0, 20.0], [240.0, 144.0, 58.0]),
-            Self::Yellow => ([208.0, 170.0, 26.0], [244.0, 216.0, 96.0]),
-            Self::Green => ([30.0, 84.0, 40.0], [118.0, 164.0, 92.0]),
-            Self::Blue => ([22.0, 48.0, 106.0], [92.0, 144.0, 204.0]),
-            Self::Purple => ([76.0, 36.0, 108.0], [148.0, 104.0, 178.0]),
-            Self::Pink => ([218.0, 130.0, 150.0], [242.0, 186.0, 198.0]),
-        }
+        let (_, from, to) = COLORS[self as usize];
+        (from, to)
     }
 }
+
+/// The word of each name, its darkest and its lightest color, in the order of [`ColorName::ALL`].
+const COLORS: [(&str, V3, V3); 12] = [
+    ("white", [222.0, 220.0, 214.0], [250.0, 250.0, 248.0]),
+    ("black", [18.0, 18.0, 20.0], [48.0, 46.0, 46.0]),
+    ("grey", [88.0, 88.0, 90.0], [172.0, 172.0, 176.0]),
+    ("brown", [78.0, 46.0, 24.0], [154.0, 104.0, 64.0]),
+    ("beige", [190.0, 166.0, 128.0], [228.0, 208.0, 176.0]),
+    ("red", [136.0, 18.0, 22.0], [206.0, 54.0, 48.0]),
+    ("orange", [206.0, 98.0, 20.0], [240.0, 144.0, 58.0]),
+    ("yellow", [208.0, 170.0, 26.0], [244.0, 216.0, 96.0]),
+    ("green", [30.0, 84.0, 40.0], [118.0, 164.0, 92.0]),
+    ("blue", [22.0, 48.0, 106.0], [92.0, 144.0, 204.0]),
+    ("purple", [76.0, 36.0, 108.0], [148.0, 104.0, 178.0]),
+    ("pink", [218.0, 130.0, 150.0], [242.0, 186.0, 198.0]),
+];
 
 /// How colour varies over a surface. Lengths in metres.
 #[derive(Debug, Clone, Copy)]
@@ -170,26 +161,23 @@ impl Material {
     /// Colour at a place of the surface, sRGB; may leave 0..=255 a little.
     pub(crate) fn color_at(&self, [s, t]: [f64; 2]) -> V3 {
         let shade = |by: f64| self.base.map(|c| c + by);
+        let either =
+            |place: f64| if place.rem_euclid(2.0) >= 1.0 { self.second } else { self.base };
+        let noise = |s, t, salt| smooth_noise(s, t, self.salt ^ salt);
         match self.texture {
             Texture::Plain => self.base,
             Texture::Mottled(size) => {
-                let coarse = smooth_noise(s / size, t / size, self.salt);
-                let fine = smooth_noise(3.1 * s / size, 3.1 * t / size, self.salt ^ 1);
+                let coarse = noise(s / size, t / size, 0);
+                let fine = noise(3.1 * s / size, 3.1 * t / size, 1);
                 shade(26.0 * (coarse - 0.5) + 12.0 * (fine - 0.5))
             }
             Texture::Grain(width) => {
-                let fibre = smooth_noise(s / (14.0 * width), t / width, self.salt);
-                let fine = smooth_noise(s / (30.0 * width), 3.3 * t / width, self.salt ^ 1);
+                let fibre = noise(s / (14.0 * width), t / width, 0);
+                let fine = noise(s / (30.0 * width), 3.3 * t / width, 1);
                 mix(self.base, self.second, 0.55 * fibre + 0.35 * fine)
             }
             Texture::Boards(width, length) => {
-                let row = (t / width).floor();
-                let shifted = s / length + scramble(row as i64, 7, self.salt);
-                let tone = scramble(row as i64, shifted.floor() as i64, self.salt);
-                let fibre = smooth_noise(s / 0.4, t / 0.02, self.salt ^ 2);
-                let joint = t / width - row < 0.012 / width || shifted - shifted.floor() < 0.01;
-                mix(self.base, self.second, 0.6 * tone + 0.3 * fibre)
-                    .map(|c| c * if joint { 0.75 } else { 1.0 })
+                self.board([s, t], [width, length], noise(s / 0.4, t / 0.02, 2))
             }
             Texture::Tiles(size) => {
                 let (x, y) = (s / size, t / size);
@@ -200,24 +188,17 @@ impl Material {
                 }
                 shade(14.0 * (scramble(column as i64, row as i64, self.salt) - 0.5))
             }
-            Texture::Checks(size) => {
-                let odd = ((s / size).floor() + (t / size).floor()).rem_euclid(2.0) >= 1.0;
-                if odd { self.second } else { self.base }
-            }
-            Texture::Stripes(width) => {
-                let odd = (s / width).floor().rem_euclid(2.0) >= 1.0;
-                if odd { self.second } else { self.base }
-            }
+            Texture::Checks(size) => either((s / size).floor() + (t / size).floor()),
+            Texture::Stripes(width) => either((s / width).floor()),
             Texture::Books(width) => {
                 // Some books are wider: neighbours share a place.
-                let place =
-                    (s / width + 0.6 * smooth_noise(s / width, 0.0, self.salt)).floor() as i64;
+                let place = (s / width + 0.6 * noise(s / width, 0.0, 0)).floor() as i64;
                 let channel = |k| 30.0 + 200.0 * scramble(place, k, self.salt);
                 [channel(1), channel(2), channel(3)]
             }
             Texture::Painting(size) => {
-                let a = smooth_noise(s / size, t / size, self.salt);
-                let b = smooth_noise(2.3 * s / size, 2.3 * t / size, self.salt ^ 5);
+                let a = noise(s / size, t / size, 0);
+                let b = noise(2.3 * s / size, 2.3 * t / size, 5);
                 let third = [self.second[2], self.base[0], self.base[1]];
                 let ground = if a > 0.52 { self.second } else { self.base };
                 mix(ground, third, if b > 0.6 { 0.8 } else { 0.25 * b })
@@ -226,21 +207,31 @@ impl Material {
                 let gap = |v: f64| v / size - (v / size).floor() < 0.22;
                 if gap(s) || gap(t) { self.second } else { self.base }
             }
-            Texture::Screen(size) => {
-                let (column, row) = ((s / size).floor() as i64, (t / size).floor() as i64);
-                let lit = scramble(column, row, self.salt);
-                let line = (8.0 * t / size).floor().rem_euclid(2.0) < 1.0;
-                match lit {
-                    l if l < 0.45 => self.base,
-                    l if line => mix(self.base, self.second, l),
-                    l => mix(self.base, self.second, 0.4 * l),
-                }
-            }
+            Texture::Screen(size) => self.screen(s / size, t / size, 8.0 * t / size),
             Texture::Sheen(size) => {
-                let a = smooth_noise((s + t) / size, (s - t) / (3.0 * size), self.salt);
+                let a = noise((s + t) / size, (s - t) / (3.0 * size), 0);
                 mix(self.base, self.second, a)
             }
         }
+    }
+
+    fn board(&self, [s, t]: [f64; 2], [width, length]: [f64; 2], fibre: f64) -> V3 {
+        let row = (t / width).floor();
+        let shifted = s / length + scramble(row as i64, 7, self.salt);
+        let tone = scramble(row as i64, shifted.floor() as i64, self.salt);
+        let joint = t / width - row < 0.012 / width || shifted - shifted.floor() < 0.01;
+        mix(self.base, self.second, 0.6 * tone + 0.3 * fibre)
+            .map(|c| c * if joint { 0.75 } else { 1.0 })
+    }
+
+    /// A window of a screen, lit or not, with lines in it.
+    fn screen(&self, column: f64, row: f64, line: f64) -> V3 {
+        let lit = scramble(column.floor() as i64, row.floor() as i64, self.salt);
+        if lit < 0.45 {
+            return self.base;
+        }
+        let is_line = line.floor().rem_euclid(2.0) < 1.0;
+        mix(self.base, self.second, if is_line { lit } else { 0.4 * lit })
     }
 }
 

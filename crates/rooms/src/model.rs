@@ -3,7 +3,7 @@
 use crate::catalogue::Piece;
 use crate::classes::ClassId;
 use crate::material::{ColorName, Material};
-use crate::shape::{Shape, SurfacePoint, join};
+use crate::shape::{Block, Shape, SurfacePoint, Wave};
 use crate::variation::{Variation, varied};
 use crate::vector::{V3, Z, add, add_times, basis, cross, sub, times, unit_or};
 use scenesplat_kernels::random::SampleRng;
@@ -12,11 +12,15 @@ use std::sync::Arc;
 /// Draws an object.
 pub(crate) type Build = fn(&mut SampleRng) -> Model;
 
-/// A box along the axes of the object's frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Block {
-    pub(crate) low: V3,
-    pub(crate) high: V3,
+/// Right and left, or front and back, of what is alike on both sides.
+pub(crate) const SIDES: [f64; 2] = [-1.0, 1.0];
+
+/// The corners of what is alike on all sides.
+pub(crate) const CORNERS: [[f64; 2]; 4] = [[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]];
+
+/// The four strips between two rectangles with half sides `outer` and `inner`, each by its two corners.
+pub(crate) fn strips([x, y]: [f64; 2], [w, h]: [f64; 2]) -> [[[f64; 2]; 2]; 4] {
+    [[[-x, -y], [x, -h]], [[-x, h], [x, y]], [[-x, -h], [-w, h]], [[w, -h], [x, h]]]
 }
 
 /// A piece of surface with what it is made of.
@@ -58,9 +62,8 @@ pub(crate) struct OfPiece {
 }
 
 impl OfPiece {
-    pub(crate) fn bounds(&self) -> [V3; 2] {
-        let Block { low, high } = varied(self.piece.bounds, self.variation.as_ref());
-        [add(low, self.at), add(high, self.at)]
+    pub(crate) fn bounds(&self) -> Block {
+        varied(self.piece.bounds, self.variation.as_ref()).moved(self.at)
     }
 
     /// Area with everything inside, or of what is seen from outside, square metres.
@@ -120,6 +123,47 @@ impl Model {
         self.surfaces.push(Surface { shape, material, density: self.density, hidden: true });
     }
 
+    /// A parallelogram that looks along `u × v`.
+    pub(crate) fn face(&mut self, corner: V3, u: V3, v: V3, material: Material) {
+        self.add(Shape::flat(corner, u, v), material);
+    }
+
+    /// A surface between four corners (at 0 0, 1 0, 0 1, 1 1), flat or in folds.
+    pub(crate) fn patch(&mut self, corners: [V3; 4], wave: Option<Wave>, material: Material) {
+        self.add(Shape::Patch { corners, bulge: 0.0, wave }, material);
+    }
+
+    /// An ellipse with half axes `u` and `v` and a hole of this share of its radius.
+    pub(crate) fn disc(&mut self, centre: V3, u: V3, v: V3, hole: f64, material: Material) {
+        self.add(Shape::Disc { centre, u, v, hole }, material);
+    }
+
+    /// A level disc that looks up.
+    pub(crate) fn level_disc(&mut self, centre: V3, r: f64, material: Material) {
+        self.disc(centre, [r, 0.0, 0.0], [0.0, r, 0.0], 0.0, material);
+    }
+
+    /// A rod bent around the ellipse with half axes `u` and `v`.
+    pub(crate) fn ring(&mut self, centre: V3, u: V3, v: V3, rod: f64, material: Material) {
+        self.add(Shape::Ring { centre, u, v, rod, half: false }, material);
+    }
+
+    /// A rod bent around the half of an ellipse towards `v`.
+    pub(crate) fn arc(&mut self, centre: V3, u: V3, v: V3, rod: f64, material: Material) {
+        self.add(Shape::Ring { centre, u, v, rod, half: true }, material);
+    }
+
+    /// A tube or a cone without ends.
+    pub(crate) fn cone(&mut self, from: V3, to: V3, bottom: f64, top: f64, material: Material) {
+        self.add(Shape::cone(from, to, bottom, top), material);
+    }
+
+    /// A box between two opposite corners, in any order.
+    pub(crate) fn block_between(&mut self, a: V3, b: V3, material: Material) {
+        let Block { low, high } = Block::at(a).join(Block::at(b));
+        self.block(low, high, material);
+    }
+
     /// The faces of a box; the underside is hidden if it stands on something or nearly.
     pub(crate) fn block(&mut self, low: V3, high: V3, material: Material) {
         self.soft_block(low, high, 0.0, material);
@@ -158,13 +202,13 @@ impl Model {
 
     /// A round piece with ends, of two radii.
     pub(crate) fn taper(&mut self, from: V3, to: V3, bottom: f64, top: f64, material: Material) {
-        self.add(Shape::cone(from, to, bottom, top), material);
+        self.cone(from, to, bottom, top, material);
         let w = unit_or(sub(to, from), Z);
         let [u, v] = basis(w);
         for (centre, radius, side) in [(from, bottom, -1.0), (to, top, 1.0)] {
             if radius > 0.012 {
                 let (u, v) = (times(u, radius), times(v, radius * side));
-                self.add(Shape::Disc { centre, u, v, hole: 0.0 }, material);
+                self.disc(centre, u, v, 0.0, material);
             }
         }
     }
@@ -180,15 +224,15 @@ impl Model {
             (add(add(corner, u), v), times(u, -1.0)),
             (add(corner, v), times(v, -1.0)),
         ] {
-            self.add(Shape::flat(corner, across, along), material);
+            self.face(corner, across, along, material);
         }
     }
 
     /// A thin plate seen from both sides: the face that looks along `u × v`, and its back.
     pub(crate) fn plate(&mut self, corner: V3, u: V3, v: V3, thick: f64, material: Material) {
         let back = times(unit_or(cross(u, v), Z), -thick);
-        self.add(Shape::flat(corner, u, v), material);
-        self.add(Shape::flat(add(corner, back), v, u), material);
+        self.face(corner, u, v, material);
+        self.face(add(corner, back), v, u, material);
     }
 
     /// A ball, or an ellipsoid along the axes.
@@ -210,9 +254,9 @@ impl Model {
         self.add(Shape::Ellipsoid { centre, axes, from, to, boxy, inward }, material);
     }
 
-    /// Where nothing else may be.
+    /// Where nothing else may be, between two opposite corners.
     pub(crate) fn solid(&mut self, low: V3, high: V3) {
-        self.solids.push(Block { low, high });
+        self.solids.push(Block::at(low).join(Block::at(high)));
     }
 
     /// A place where things can stand.
@@ -223,9 +267,13 @@ impl Model {
     /// The box around all surfaces.
     pub(crate) fn bounds(&self) -> Block {
         let pieces = self.piece.iter().map(|of| of.bounds());
-        let all = self.surfaces.iter().map(|s| s.shape.bounds()).chain(pieces).reduce(join);
-        let [low, high] = all.unwrap_or([[0.0; 3]; 2]);
-        Block { low, high }
+        let all = self.surfaces.iter().map(|s| s.shape.bounds()).chain(pieces).reduce(Block::join);
+        all.unwrap_or(Block::at([0.0; 3]))
+    }
+
+    /// The box around all surfaces and solids.
+    pub(crate) fn extent(&self) -> Block {
+        self.solids.iter().copied().fold(self.bounds(), Block::join)
     }
 
     /// The object's class, if it is this one.

@@ -1,9 +1,10 @@
 //! Where things stand: boxes that must not overlap, and ways to find a free place.
 
-use crate::dice::{between, chance, weighted, whole};
-use crate::model::{Block, Model};
+use crate::dice::{between, chance, small_turn, weighted, whole};
+use crate::model::Model;
+use crate::shape::Block;
 use crate::vector::V3;
-use scenesplat_kernels::random::SampleRng;
+use scenesplat_kernels::random::{SampleRng, cos_sin};
 
 /// Places tried before an object is left out.
 const TRIES: u32 = 40;
@@ -41,6 +42,8 @@ impl Pose {
 pub(crate) const BACKWARDS: [f64; 2] = [-1.0, 0.0];
 /// No turn.
 pub(crate) const STRAIGHT: [f64; 2] = [1.0, 0.0];
+/// Turns by right angles.
+const QUARTERS: [[f64; 2]; 4] = [STRAIGHT, [0.0, 1.0], BACKWARDS, [0.0, -1.0]];
 
 /// An upright box, turned about z.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -53,10 +56,9 @@ pub(crate) struct Footprint {
 
 impl Footprint {
     pub(crate) fn of(block: &Block, pose: &Pose) -> Self {
-        let middle = std::array::from_fn(|i| (block.low[i] + block.high[i]) / 2.0);
-        let centre = pose.point(middle);
+        let [x, y, _] = pose.point(block.middle());
         Self {
-            centre: [centre[0], centre[1]],
+            centre: [x, y],
             half: [0, 1].map(|i| (block.high[i] - block.low[i]) / 2.0),
             turn: pose.turn,
             z: [block.low[2], block.high[2]].map(|z| z + pose.origin[2]),
@@ -174,11 +176,9 @@ impl Layout {
             && !self.notch.is_some_and(|n| n.overlaps(footprint))
     }
 
-    /// Puts an object there without looking.
-    pub(crate) fn put(&mut self, model: Model, pose: Pose) -> usize {
-        let footprints = model.occupied().iter().map(|b| Footprint::of(b, &pose)).collect();
-        self.objects.push(Placed { model, pose, footprints });
-        self.objects.len() - 1
+    /// Puts a part of the building there: it bounds the room and takes no place in it.
+    pub(crate) fn put_flat(&mut self, model: Model, pose: Pose) {
+        self.objects.push(Placed { model, pose, footprints: Vec::new() });
     }
 
     /// Puts an object there if the place is free; gives it back if not.
@@ -198,7 +198,7 @@ impl Layout {
         rng: &mut SampleRng,
         mut place: impl FnMut(&Self, &Block, &mut SampleRng) -> Option<Pose>,
     ) -> Option<usize> {
-        let block = around(&model);
+        let block = model.extent();
         for _ in 0..TRIES {
             let Some(pose) = place(self, &block, rng) else { continue };
             match self.try_put(model, pose) {
@@ -241,12 +241,8 @@ impl Layout {
     /// Anywhere on the floor, mostly in line with the walls.
     pub(crate) fn on_floor(&mut self, model: Model, rng: &mut SampleRng) -> Option<usize> {
         self.search(model, rng, |layout, _, rng| {
-            let origin = [
-                between(rng, 0.1, layout.size[0] - 0.1),
-                between(rng, 0.1, layout.size[1] - 0.1),
-                0.0,
-            ];
-            Some(Pose { origin, turn: any_turn(rng) })
+            let [x, y] = layout.size.map(|side| between(rng, 0.1, side - 0.1));
+            Some(Pose { origin: [x, y, 0.0], turn: any_turn(rng) })
         })
     }
 
@@ -254,9 +250,8 @@ impl Layout {
     pub(crate) fn in_middle(&mut self, model: Model, rng: &mut SampleRng) -> Option<usize> {
         self.search(model, rng, |layout, _, rng| {
             let [x, y] = layout.size.map(|s| s * between(rng, 0.3, 0.7));
-            let quarter = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]];
-            let turn = quarter[whole(rng, 0, 3) as usize];
-            let by = super::dice::small_turn(rng, 0.1);
+            let turn = QUARTERS[whole(rng, 0, 3) as usize];
+            let by = small_turn(rng, 0.1);
             Some(Pose { origin: [x, y, 0.0], turn }.then([0.0; 3], by))
         })
     }
@@ -297,7 +292,7 @@ impl Layout {
     ) -> Option<usize> {
         let pose = self.objects[parent].pose;
         let support = *self.objects[parent].model.supports.get(support)?;
-        let block = around(&model);
+        let block = model.extent();
         let fits = (0..2).all(|i| {
             at[i] + block.low[i] > support.low[i] - 0.04
                 && at[i] + block.high[i] < support.high[i] + 0.04
@@ -327,25 +322,13 @@ impl Layout {
     }
 }
 
-/// The box around an object's surfaces and solids.
-pub(crate) fn around(model: &Model) -> Block {
-    let mut block = model.bounds();
-    for solid in &model.solids {
-        for i in 0..3 {
-            block.low[i] = block.low[i].min(solid.low[i]);
-            block.high[i] = block.high[i].max(solid.high[i]);
-        }
-    }
-    block
-}
-
 /// Mostly in quarter turns.
 fn any_turn(rng: &mut SampleRng) -> [f64; 2] {
     if chance(rng, 0.3) {
-        return scenesplat_kernels::random::cos_sin(rng);
+        return cos_sin(rng);
     }
-    let quarter = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]][whole(rng, 0, 3) as usize];
-    let [c, s] = super::dice::small_turn(rng, 0.15);
+    let quarter = QUARTERS[whole(rng, 0, 3) as usize];
+    let [c, s] = small_turn(rng, 0.15);
     [quarter[0] * c - quarter[1] * s, quarter[1] * c + quarter[0] * s]
 }
 

@@ -11,7 +11,7 @@ mod things;
 use crate::dice::{between, chance, weighted, whole};
 use crate::furniture;
 use crate::model::{Build, Model};
-use crate::place::{Layout, STRAIGHT, around};
+use crate::place::{Layout, STRAIGHT};
 use crate::shell::{Plan, USUAL_BACK, build};
 use crate::stock::{Place, Stock};
 use scenesplat_kernels::random::SampleRng;
@@ -87,11 +87,7 @@ pub(crate) fn furnish_corridor(
         Plan { size, height, notch: None, is_wet: false, has_ceiling, inner: Some(inner), back };
     let mut layout = crate::shell::corridor(&plan, doors, stock, rng);
     let mut room = Room { layout: &mut layout, stock, rng };
-    for build in [furniture::storage::cabinet as Build, furniture::storage::wardrobe] {
-        if room.likely(0.3) {
-            room.at_wall(build);
-        }
-    }
+    room.some_at_wall(&[(furniture::storage::cabinet, 0.3), (furniture::storage::wardrobe, 0.3)]);
     room.extras(RoomKind::Living);
     layout
 }
@@ -147,14 +143,23 @@ impl Room<'_> {
     }
 
     /// Builds a model, or takes a piece of a catalogue instead.
-    fn make(&mut self, build: Build, place: Place) -> Model {
+    fn make(&mut self, build: impl FnOnce(&mut SampleRng) -> Model, place: Place) -> Model {
         let model = build(self.rng);
         self.stock.instead(model, place)
     }
 
-    fn at_wall(&mut self, build: Build) -> Option<usize> {
+    fn at_wall(&mut self, build: impl FnOnce(&mut SampleRng) -> Model) -> Option<usize> {
         let model = self.make(build, Place::Floor);
         self.layout.against_wall(model, [0.0, 0.0], self.rng)
+    }
+
+    /// Of these, each with its probability.
+    fn some_at_wall(&mut self, some: &[(Build, f64)]) {
+        for &(build, probability) in some {
+            if self.likely(probability) {
+                self.at_wall(build);
+            }
+        }
     }
 
     /// On a wall, its middle between these heights.
@@ -163,7 +168,7 @@ impl Room<'_> {
         self.layout.against_wall(model, z, self.rng)
     }
 
-    fn on_floor(&mut self, build: Build) -> Option<usize> {
+    fn on_floor(&mut self, build: impl FnOnce(&mut SampleRng) -> Model) -> Option<usize> {
         let model = self.make(build, Place::Floor);
         self.layout.on_floor(model, self.rng)
     }
@@ -171,7 +176,7 @@ impl Room<'_> {
     /// Something on the wall above an object that stands at it.
     fn above(&mut self, parent: usize, build: Build, gap: f64) -> Option<usize> {
         let model = self.make(build, Place::Wall);
-        let block = around(&model);
+        let block = model.extent();
         let object = &self.layout.objects[parent];
         let bounds = object.model.bounds();
         let z = bounds.high[2] + gap.max(0.05 - block.low[2]);
@@ -190,16 +195,12 @@ impl Room<'_> {
                 _ => self.kitchen(),
             }
         }
-        for (build, probability) in [
-            (furniture::bathroom::sink as Build, 0.15),
+        self.some_at_wall(&[
+            (furniture::bathroom::sink, 0.15),
             (furniture::bathroom::bathtub, 0.12),
             (furniture::bathroom::toilet, 0.1),
             (furniture::kitchen::refrigerator, 0.25),
-        ] {
-            if self.likely(probability) {
-                self.at_wall(build);
-            }
-        }
+        ]);
     }
 }
 

@@ -1,9 +1,9 @@
 //! How one scan differs from another, and its objects among each other, whatever they are.
 
 use crate::dice::{between, chance, noise, whole};
-use crate::splats::{Look, rounded_ln};
+use crate::splats::{Look, holes_in, rounded_ln};
 use crate::vector::V3;
-use scenesplat_kernels::random::{SampleRng, unit};
+use scenesplat_kernels::random::SampleRng;
 
 /// What a scan varies of a room.
 #[derive(Debug)]
@@ -21,14 +21,8 @@ pub(crate) struct Scan {
     tilt: f64,
     floaters: f64,
     holes: Vec<(V3, f64)>,
-    light: Option<Light>,
-}
-
-/// Light of a simulator: none but that around, and what it is multiplied by.
-#[derive(Debug, Clone, Copy)]
-struct Light {
-    ambient: f64,
-    gain: f64,
+    /// Of a simulator: the light around, there is no other, and its gain.
+    light: Option<[f64; 2]>,
 }
 
 /// What a scan varies of an object.
@@ -70,12 +64,7 @@ impl Scan {
             strays: between(rng, 0.0, 0.12),
             tilt: factor(rng, 0.02, 0.4),
             floaters: factor(rng, 0.0005, 0.02),
-            holes: (0..holes)
-                .map(|_| {
-                    let centre = size.map(|s| s * unit(rng));
-                    (centre, between(rng, 0.15, 1.0))
-                })
-                .collect(),
+            holes: holes_in(size, holes, 1.0, rng),
             objects: (0..num_objects)
                 .map(|_| ScannedObject {
                     density: factor(rng, 0.5, 1.8),
@@ -102,10 +91,10 @@ impl Scan {
             tilt: 0.0,
             floaters: 0.0,
             holes: Vec::new(),
-            light: Some(Light {
-                ambient: if chance(rng, 0.8) { 1.0 } else { between(rng, 0.6, 0.92) },
-                gain: between(rng, 0.85, 1.05),
-            }),
+            light: Some([
+                if chance(rng, 0.8) { 1.0 } else { between(rng, 0.6, 0.92) },
+                between(rng, 0.85, 1.05),
+            ]),
             objects: (0..num_objects)
                 .map(|_| ScannedObject {
                     density: factor(rng, 0.35, 2.8),
@@ -119,7 +108,7 @@ impl Scan {
     /// The look of the room, as this scan has it.
     pub(crate) fn change(&self, look: &mut Look) {
         look.shrink = self.shrink;
-        if let Some(Light { ambient, gain }) = self.light {
+        if let Some([ambient, gain]) = self.light {
             look.ambient = ambient;
             look.gain = [gain; 3];
             return;

@@ -4,6 +4,44 @@ use crate::vector::{V3, Z, add, add_times, basis, cross, dot, length, mix, sub, 
 use scenesplat_kernels::random::{SampleRng, cos_sin, direction, unit};
 use std::f64::consts::PI;
 
+/// A box along the axes of a frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Block {
+    pub(crate) low: V3,
+    pub(crate) high: V3,
+}
+
+impl Block {
+    /// The box of a point alone.
+    pub(crate) fn at(point: V3) -> Self {
+        Self { low: point, high: point }
+    }
+
+    fn around(centre: V3, reach: V3) -> Self {
+        Self { low: sub(centre, reach), high: add(centre, reach) }
+    }
+
+    /// The box around two boxes.
+    pub(crate) fn join(self, other: Self) -> Self {
+        Self {
+            low: std::array::from_fn(|i| self.low[i].min(other.low[i])),
+            high: std::array::from_fn(|i| self.high[i].max(other.high[i])),
+        }
+    }
+
+    pub(crate) fn moved(self, by: V3) -> Self {
+        Self { low: add(self.low, by), high: add(self.high, by) }
+    }
+
+    pub(crate) fn middle(&self) -> V3 {
+        std::array::from_fn(|i| (self.low[i] + self.high[i]) / 2.0)
+    }
+
+    pub(crate) fn size(&self) -> V3 {
+        sub(self.high, self.low)
+    }
+}
+
 /// A point of a surface.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SurfacePoint {
@@ -64,42 +102,23 @@ impl Shape {
         Self::Patch { corners, bulge, wave: None }
     }
 
-    /// A tube from one point to another.
-    pub(crate) fn tube(from: V3, to: V3, radius: f64) -> Self {
-        Self::cone(from, to, radius, radius)
-    }
-
     /// A cone from one point to another.
     pub(crate) fn cone(from: V3, to: V3, bottom: f64, top: f64) -> Self {
         Self::Frustum { base: from, axis: sub(to, from), bottom, top, toward: Z, arc: -1.0 }
     }
 
-    /// A level disc, looking up.
-    pub(crate) fn level_disc(centre: V3, radius: f64) -> Self {
-        Self::Disc { centre, u: [radius, 0.0, 0.0], v: [0.0, radius, 0.0], hole: 0.0 }
-    }
-
     /// The same shape elsewhere.
-    pub(crate) fn moved(self, by: V3) -> Self {
-        match self {
-            Self::Patch { corners, bulge, wave } => {
-                Self::Patch { corners: corners.map(|p| add(p, by)), bulge, wave }
-            }
-            Self::Frustum { base, axis, bottom, top, toward, arc } => {
-                Self::Frustum { base: add(base, by), axis, bottom, top, toward, arc }
-            }
-            Self::Disc { centre, u, v, hole } => Self::Disc { centre: add(centre, by), u, v, hole },
-            Self::Ellipsoid { centre, axes, from, to, boxy, inward } => {
-                Self::Ellipsoid { centre: add(centre, by), axes, from, to, boxy, inward }
-            }
-            Self::Ring { centre, u, v, rod, half } => {
-                Self::Ring { centre: add(centre, by), u, v, rod, half }
-            }
-            Self::Leaf { base, along, side, droop } => {
-                Self::Leaf { base: add(base, by), along, side, droop }
-            }
-            Self::Foliage { centre, radius } => Self::Foliage { centre: add(centre, by), radius },
+    pub(crate) fn moved(mut self, by: V3) -> Self {
+        match &mut self {
+            Self::Patch { corners, .. } => *corners = corners.map(|p| add(p, by)),
+            Self::Frustum { base: p, .. }
+            | Self::Leaf { base: p, .. }
+            | Self::Disc { centre: p, .. }
+            | Self::Ellipsoid { centre: p, .. }
+            | Self::Ring { centre: p, .. }
+            | Self::Foliage { centre: p, .. } => *p = add(*p, by),
         }
+        self
     }
 
     /// Area, square metres; of folded, bent and elliptic pieces nearly.
@@ -135,9 +154,9 @@ impl Shape {
         }
     }
 
-    /// The corners of the box along the axes around the surface.
-    pub(crate) fn bounds(&self) -> [V3; 2] {
-        let around = |centre: V3, reach: V3| [sub(centre, reach), add(centre, reach)];
+    /// The box along the axes around the surface.
+    pub(crate) fn bounds(&self) -> Block {
+        let around = Block::around;
         match *self {
             Self::Patch { corners, bulge, wave } => {
                 let off = bulge.abs() + wave.map_or(0.0, |w| w.amplitude);
@@ -146,16 +165,16 @@ impl Shape {
                 // The normal of a twisted patch differs from place to place.
                 let is_flat = dot(sub(d, a), normal).abs() < 1e-9;
                 let normal = normal.map(|n| if is_flat { n.abs() * off } else { off });
-                let low: V3 = std::array::from_fn(|i| fold(corners.map(|p| p[i]), f64::min));
-                let high: V3 = std::array::from_fn(|i| fold(corners.map(|p| p[i]), f64::max));
-                [sub(low, normal), add(high, normal)]
+                let Block { low, high } =
+                    corners.map(Block::at).into_iter().fold(Block::at(a), Block::join);
+                Block { low: sub(low, normal), high: add(high, normal) }
             }
             Self::Frustum { base, axis, bottom, top, .. } => {
                 let w = unit_or(axis, Z);
                 let ring = |at: V3, radius: f64| {
                     around(at, w.map(|c: f64| radius * (1.0 - c * c).max(0.0).sqrt()))
                 };
-                join(ring(base, bottom), ring(add(base, axis), top))
+                ring(base, bottom).join(ring(add(base, axis), top))
             }
             Self::Disc { centre, u, v, .. } => {
                 around(centre, std::array::from_fn(|i| (u[i] * u[i] + v[i] * v[i]).sqrt()))
@@ -167,7 +186,7 @@ impl Shape {
                 };
                 let ends = [times(c, from), times(c, to)];
                 let reach: V3 = std::array::from_fn(reach);
-                join(around(add(centre, ends[0]), reach), around(add(centre, ends[1]), reach))
+                around(add(centre, ends[0]), reach).join(around(add(centre, ends[1]), reach))
             }
             Self::Ring { centre, u, v, rod, .. } => {
                 let reach = |i: usize| (u[i] * u[i] + v[i] * v[i]).sqrt() + rod;
@@ -177,7 +196,7 @@ impl Shape {
                 let tip = add(base, along);
                 let low = add_times(tip, Z, -droop);
                 let wide = side.map(f64::abs);
-                join(join(around(base, wide), around(tip, wide)), around(low, wide))
+                around(base, wide).join(around(tip, wide)).join(around(low, wide))
             }
             Self::Foliage { centre, radius } => around(centre, [radius; 3]),
         }
@@ -242,15 +261,6 @@ impl Shape {
 
 /// As the distance from an edge where there is no edge, metres.
 pub(crate) const FAR: f64 = 1.0;
-
-fn fold(values: [f64; 4], with: fn(f64, f64) -> f64) -> f64 {
-    values.into_iter().fold(values[0], with)
-}
-
-/// The box around two boxes.
-pub(crate) fn join(a: [V3; 2], b: [V3; 2]) -> [V3; 2] {
-    [std::array::from_fn(|i| a[0][i].min(b[0][i])), std::array::from_fn(|i| a[1][i].max(b[1][i]))]
-}
 
 fn sample_patch(
     [a, b, c, d]: &[V3; 4],
@@ -414,7 +424,7 @@ mod tests {
                 wave: Some(Wave { amplitude: 0.03, count: 4.0, phase: 0.3 }),
             },
             Shape::cone([0.1, 0.2, 0.3], [0.3, 0.1, 0.9], 0.2, 0.05),
-            Shape::tube([0.1, 0.2, 0.3], [0.9, 0.2, 0.3], 0.02),
+            Shape::cone([0.1, 0.2, 0.3], [0.9, 0.2, 0.3], 0.02, 0.02),
             Shape::Frustum {
                 base: [0.0; 3],
                 axis: [0.0, 0.0, 0.5],
@@ -447,7 +457,7 @@ mod tests {
     fn points_are_inside_the_bounds_with_unit_normals_and_tangents() {
         let mut rng = sample_rng(3, 1, 4);
         for shape in some_of_each() {
-            let [low, high] = shape.bounds();
+            let Block { low, high } = shape.bounds();
             assert!(shape.area() > 0.0, "{shape:?}");
             for _ in 0..2000 {
                 let p = shape.sample(&mut rng);
@@ -466,7 +476,7 @@ mod tests {
     fn areas_of_plain_shapes() {
         let flat = Shape::flat([0.0; 3], [2.0, 0.0, 0.0], [0.0, 3.0, 0.0]);
         assert_eq!(flat.area(), 6.0);
-        let tube = Shape::tube([0.0; 3], [0.0, 0.0, 2.0], 0.5);
+        let tube = Shape::cone([0.0; 3], [0.0, 0.0, 2.0], 0.5, 0.5);
         assert!((tube.area() - 2.0 * PI).abs() < 1e-12);
         let ball = Shape::Ellipsoid {
             centre: [0.0; 3],
@@ -484,7 +494,7 @@ mod tests {
         let mut rng = sample_rng(3, 1, 5);
         let shapes = [
             Shape::flat([0.0; 3], [0.0; 3], [0.0; 3]),
-            Shape::tube([0.0; 3], [0.0; 3], 0.0),
+            Shape::cone([0.0; 3], [0.0; 3], 0.0, 0.0),
             Shape::Foliage { centre: [0.0; 3], radius: 0.0 },
             Shape::Leaf { base: [0.0; 3], along: [0.0; 3], side: [0.0; 3], droop: 0.0 },
         ];

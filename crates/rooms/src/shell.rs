@@ -4,10 +4,11 @@ use crate::classes::ClassId;
 use crate::dice::{between, chance, pick, whole};
 use crate::furniture::openings::{curtain, door, outside, radiator, tiles, window};
 use crate::material::{ColorName, Material, Texture, wood};
-use crate::model::{Block, Model};
+use crate::model::Model;
 use crate::place::{Footprint, Layout, Pose, STRAIGHT, Wall};
-use crate::shape::Shape;
+use crate::shape::{Block, Shape};
 use crate::stock::{Opening, Place, Stock};
+use crate::vector::{mix, times};
 use scenesplat_kernels::random::SampleRng;
 
 /// What decides the shell of a room.
@@ -55,7 +56,7 @@ pub(crate) fn build(plan: &Plan, stock: &mut Stock, rng: &mut SampleRng) -> Layo
     if plan.inner.is_some() && chance(rng, 0.25) {
         add_passage(&mut layout, plan, rng);
     } else {
-        add_door(&mut layout, plan, stock, rng);
+        put_door(&mut layout, |wall| plan.may_have_door(wall), stock, rng);
     }
     for _ in 0..whole(rng, 1, 3) {
         add_window(&mut layout, plan, stock, rng);
@@ -116,15 +117,6 @@ fn finish(layout: &mut Layout, plan: &Plan, rng: &mut SampleRng) {
     level_faces(layout, plan, rng);
 }
 
-impl Layout {
-    /// Parts of the building bound the room; they take no place in it.
-    fn put_flat(&mut self, model: Model, pose: Pose) -> usize {
-        let index = self.put(model, pose);
-        self.objects[index].footprints.clear();
-        index
-    }
-}
-
 fn walls(plan: &Plan) -> Vec<Wall> {
     let [l, w] = plan.size;
     let corners = match plan.notch {
@@ -180,10 +172,6 @@ fn stretch(
         }
     }
     None
-}
-
-fn add_door(layout: &mut Layout, plan: &Plan, stock: &mut Stock, rng: &mut SampleRng) {
-    put_door(layout, |wall| plan.may_have_door(wall), stock, rng);
 }
 
 /// A wide opening instead of a door.
@@ -280,9 +268,9 @@ fn glazed(found: Opening, rng: &mut SampleRng) -> Model {
     let view = outside(rng);
     let (w, h, rim) = (wide * 0.46, high * 0.92, high * 0.04);
     // Behind all of it.
-    let y = model.piece.as_ref().map_or(0.0, |piece| piece.bounds()[0][1] + 0.01);
+    let y = model.piece.as_ref().map_or(0.0, |piece| piece.bounds().low[1] + 0.01);
     model.density = 0.7;
-    model.add(Shape::flat([w, y, rim], [-2.0 * w, 0.0, 0.0], [0.0, 0.0, h]), view);
+    model.face([w, y, rim], [-2.0 * w, 0.0, 0.0], [0.0, 0.0, h], view);
     model
 }
 
@@ -294,7 +282,7 @@ fn wall_paint(is_wet: bool, rng: &mut SampleRng) -> (ColorName, Material) {
     let name =
         pick(rng, &[White, White, White, White, Beige, Beige, Grey, Yellow, Green, Blue, Pink]);
     // Paint of walls is pale.
-    let base = super::vector::mix(name.sample(rng), [238.0; 3], between(rng, 0.2, 0.7));
+    let base = mix(name.sample(rng), [238.0; 3], between(rng, 0.2, 0.7));
     let texture = match whole(rng, 0, 9) {
         0 => Texture::Stripes(between(rng, 0.05, 0.2)),
         1 => Texture::Boards(0.1, 9.0),
@@ -316,9 +304,9 @@ fn wall_model(wall: &Wall, height: f64, (name, paint): (ColorName, Material)) ->
         }
         // Looks into the room: left × up.
         let (u, v) = ([from - to, 0.0, 0.0], [0.0, 0.0, high - low]);
-        model.add(Shape::flat([to, 0.0, low], u, v), paint);
+        model.face([to, 0.0, low], u, v, paint);
         if let Some(back) = wall.back {
-            model.add_hidden(Shape::flat([from, -back, low], times_minus(u), v), paint);
+            model.add_hidden(Shape::flat([from, -back, low], times(u, -1.0), v), paint);
         }
     };
     let mut end = 0.0;
@@ -332,10 +320,6 @@ fn wall_model(wall: &Wall, height: f64, (name, paint): (ColorName, Material)) ->
     model
 }
 
-fn times_minus(v: [f64; 3]) -> [f64; 3] {
-    super::vector::times(v, -1.0)
-}
-
 fn skirt(model: &mut Model, wall: &Wall, high: f64, material: Material) {
     let mut doors: Vec<[f64; 2]> =
         wall.openings.iter().filter(|o| o[2] < high).map(|o| [o[0], o[1]]).collect();
@@ -345,9 +329,9 @@ fn skirt(model: &mut Model, wall: &Wall, high: f64, material: Material) {
     for [from, to] in doors {
         if from - end > 0.02 {
             let (u, v) = ([end - from, 0.0, 0.0], [0.0, 0.0, high]);
-            model.add(Shape::flat([from, 0.012, 0.0], u, v), material);
-            let top = Shape::flat([end, 0.0, high], [from - end, 0.0, 0.0], [0.0, 0.012, 0.0]);
-            model.add(top, material);
+            model.face([from, 0.012, 0.0], u, v, material);
+            let across = [from - end, 0.0, 0.0];
+            model.face([end, 0.0, high], across, [0.0, 0.012, 0.0], material);
         }
         end = to;
     }
@@ -367,8 +351,8 @@ fn level_faces(layout: &mut Layout, plan: &Plan, rng: &mut SampleRng) {
     let mut ceiling = Model::new(ClassId::Ceiling, ColorName::White, 0.6);
     for &(low, high) in &parts {
         let (u, v) = ([high[0] - low[0], 0.0, 0.0], [0.0, high[1] - low[1], 0.0]);
-        floor.add(Shape::flat([low[0], low[1], 0.0], u, v), ground);
-        ceiling.add(Shape::flat([low[0], low[1], plan.height], v, u), white);
+        floor.face([low[0], low[1], 0.0], u, v, ground);
+        ceiling.face([low[0], low[1], plan.height], v, u, white);
     }
     let origin = Pose { origin: [0.0; 3], turn: STRAIGHT };
     layout.put_flat(floor, origin);
@@ -382,11 +366,8 @@ fn ground(is_wet: bool, rng: &mut SampleRng) -> (ColorName, Material) {
     if is_wet || chance(rng, 0.2) {
         let name = pick(rng, &[White, Grey, Grey, Beige, Blue]);
         let base = name.sample(rng);
-        let joint = base.map(|c| c * 0.7);
-        return (
-            name,
-            Material::new(base, Texture::Tiles(between(rng, 0.2, 0.6)), rng).with_second(joint),
-        );
+        let tiles = Material::new(base, Texture::Tiles(between(rng, 0.2, 0.6)), rng);
+        return (name, tiles.with_second(base.map(|c| c * 0.7)));
     }
     if chance(rng, 0.3) {
         let name = pick(rng, &[Grey, Beige, Brown, Blue, Red]);

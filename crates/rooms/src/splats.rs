@@ -1,11 +1,11 @@
 //! From surfaces to Gaussians that look as captures do.
 
-use crate::dice::{between, chance, noise};
+use crate::dice::{between, chance, noise, whole};
 use crate::model::{OfPiece, Surface};
 use crate::place::{Footprint, Pose};
 use crate::shape::SurfacePoint;
 use crate::vector::{V3, add_times, basis, cross, dot, times, unit_or};
-use scenesplat_kernels::random::{SampleRng, direction, unit};
+use scenesplat_kernels::random::{SampleRng, cos_sin, direction, unit};
 use scenesplat_scene::GaussianScene;
 use scenesplat_scene::gaussian_scene::u8_to_dc;
 use scenesplat_scene::quaternion::quat_from_z_to;
@@ -47,11 +47,11 @@ pub(crate) struct Look {
 impl Look {
     pub(crate) fn new(is_points: bool, size: V3, rng: &mut SampleRng) -> Self {
         // Four in five rooms as if up to 16 times as dense: half to a quarter of the scale.
-        let shrink = [1.0, 0.8, 0.62, 0.5, 0.37, 0.25][super::dice::whole(rng, 0, 5) as usize];
+        let shrink = [1.0, 0.8, 0.62, 0.5, 0.37, 0.25][whole(rng, 0, 5) as usize];
         let mut up = direction(rng);
         up[2] = up[2].abs() + 0.3;
         let exposure = between(rng, 0.78, 1.12);
-        let holes = if is_points { 0 } else { super::dice::whole(rng, 0, 5) };
+        let holes = if is_points { 0 } else { whole(rng, 0, 5) };
         Self {
             is_points,
             shrink,
@@ -65,12 +65,7 @@ impl Look {
             ambient: if is_points && chance(rng, 0.7) { 1.0 } else { between(rng, 0.6, 0.92) },
             gain: std::array::from_fn(|_| exposure * between(rng, 0.95, 1.05)),
             floaters: if is_points { 0.0 } else { between(rng, 0.0005, 0.006) },
-            holes: (0..holes)
-                .map(|_| {
-                    let centre = size.map(|s| s * unit(rng));
-                    (centre, between(rng, 0.15, 0.7))
-                })
-                .collect(),
+            holes: holes_in(size, holes, 0.7, rng),
             is_spelled_anyhow: false,
         }
     }
@@ -89,13 +84,38 @@ impl Look {
     }
 }
 
-/// Gaussians in the making: arrays of one length.
-#[derive(Debug, Default)]
-pub(crate) struct Rows {
-    pub(crate) scene: GaussianScene,
-    pub(crate) normal: Vec<[f32; 3]>,
-    pub(crate) segment: Vec<i32>,
-    pub(crate) instance: Vec<i32>,
+/// So many balls anywhere in the room, of radii from 0.15 m to `largest`.
+pub(crate) fn holes_in(size: V3, count: u32, largest: f64, rng: &mut SampleRng) -> Vec<(V3, f64)> {
+    let mut hole = || (size.map(|s| s * unit(rng)), between(rng, 0.15, largest));
+    (0..count).map(|_| hole()).collect()
+}
+
+/// A Gaussian as it is stored.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Row {
+    coord: [f32; 3],
+    log_scale: [f32; 3],
+    quat: [f32; 4],
+    opacity_logit: f32,
+    sh_dc: [f32; 3],
+    normal: [f32; 3],
+    segment: i32,
+    instance: i32,
+}
+
+/// The scene of these rows, with all labels.
+pub(crate) fn scene(rows: &[Row]) -> GaussianScene {
+    GaussianScene {
+        coord: rows.iter().map(|row| row.coord).collect(),
+        log_scale: rows.iter().map(|row| row.log_scale).collect(),
+        quat: rows.iter().map(|row| row.quat).collect(),
+        opacity_logit: rows.iter().map(|row| row.opacity_logit).collect(),
+        sh_dc: rows.iter().map(|row| row.sh_dc).collect(),
+        normal: Some(rows.iter().map(|row| row.normal).collect()),
+        segment: Some(rows.iter().map(|row| row.segment).collect()),
+        instance: Some(rows.iter().map(|row| row.instance).collect()),
+        ..GaussianScene::default()
+    }
 }
 
 /// Whom Gaussians belong to and where they stand.
@@ -121,157 +141,125 @@ struct Splat {
     color: V3,
 }
 
-impl Rows {
-    pub(crate) fn with_capacity(n: usize) -> Self {
-        let mut rows = Self::default();
-        rows.reserve(n);
-        rows
-    }
-
-    fn reserve(&mut self, n: usize) {
-        self.scene.coord.reserve(n);
-        self.scene.log_scale.reserve(n);
-        self.scene.quat.reserve(n);
-        self.scene.opacity_logit.reserve(n);
-        self.scene.sh_dc.reserve(n);
-        self.normal.reserve(n);
-        self.segment.reserve(n);
-        self.instance.reserve(n);
-    }
-
-    /// The scene, with all labels.
-    pub(crate) fn into_scene(self) -> GaussianScene {
-        GaussianScene {
-            normal: Some(self.normal),
-            segment: Some(self.segment),
-            instance: Some(self.instance),
-            ..self.scene
+impl Splat {
+    fn row(&self, segment: i32, instance: i32) -> Row {
+        let sign = if self.quat[0] < 0.0 { -1.0 } else { 1.0 };
+        Row {
+            coord: self.coord.map(|v| v as f32),
+            log_scale: self.log_scale.map(|v| v.clamp(-9.2, -0.7) as f32),
+            quat: self.quat.map(|v| (sign * v) as f32),
+            opacity_logit: self.opacity_logit as f32,
+            sh_dc: self.color.map(|c| u8_to_dc(c.clamp(0.0, 255.0) as u8)),
+            normal: self.normal.map(|v| v as f32),
+            segment,
+            instance,
         }
     }
+}
 
-    pub(crate) fn append(&mut self, other: &mut Self) {
-        self.scene.coord.append(&mut other.scene.coord);
-        self.scene.log_scale.append(&mut other.scene.log_scale);
-        self.scene.quat.append(&mut other.scene.quat);
-        self.scene.opacity_logit.append(&mut other.scene.opacity_logit);
-        self.scene.sh_dc.append(&mut other.scene.sh_dc);
-        self.normal.append(&mut other.normal);
-        self.segment.append(&mut other.segment);
-        self.instance.append(&mut other.instance);
-    }
-
-    /// Scatters `count` Gaussians over a surface, as many per area as `spacing` metres say.
+impl Owner<'_> {
+    /// Scatters `count` Gaussians over a surface.
     pub(crate) fn scatter(
-        &mut self,
+        &self,
         surface: &Surface,
         count: usize,
-        owner: &Owner<'_>,
         look: &Look,
         rng: &mut SampleRng,
+        rows: &mut Vec<Row>,
     ) {
         let draw = |rng: &mut SampleRng| {
             let point = surface.shape.sample(rng);
             let material = &surface.material;
-            let color = if owner.is_plain { material.base } else { material.color_at(point.st) };
+            let color = if self.is_plain { material.base } else { material.color_at(point.st) };
             (point, color)
         };
-        self.scatter_by(surface.shape.area(), count, owner, look, draw, rng);
+        rows.extend(self.scattered(surface.shape.area(), count, look, draw, rng));
     }
 
-    /// As [`scatter`](Self::scatter), over a piece of a catalogue: nothing but its shape and colours tells it
+    /// As [`scatter`](Self::scatter), over a piece of a catalogue: nothing but its shape and colors tells it
     /// from other surfaces.
     pub(crate) fn scatter_piece(
-        &mut self,
+        &self,
         of: &OfPiece,
         count: usize,
-        owner: &Owner<'_>,
         look: &Look,
         rng: &mut SampleRng,
+        rows: &mut Vec<Row>,
     ) {
         let draw = |rng: &mut SampleRng| of.sample(look.is_points, rng);
-        self.scatter_by(of.area(look.is_points), count, owner, look, draw, rng);
+        rows.extend(self.scattered(of.area(look.is_points), count, look, draw, rng));
     }
 
-    fn scatter_by(
-        &mut self,
+    fn scattered(
+        &self,
         area: f64,
         count: usize,
-        owner: &Owner<'_>,
         look: &Look,
         draw: impl Fn(&mut SampleRng) -> (SurfacePoint, V3),
         rng: &mut SampleRng,
-    ) {
+    ) -> impl Iterator<Item = Row> {
         let spacing = (area / count.max(1) as f64).sqrt().max(1e-4);
-        let ln_spacing = rounded_ln(spacing) + owner.ln_size;
-        for _ in 0..count {
+        let ln_spacing = rounded_ln(spacing) + self.ln_size;
+        (0..count).map(move |_| {
             let (mut point, mut color) = draw(rng);
-            let mut coord = owner.pose.point(point.coord);
-            // What fell into a hole is drawn again, so that the number of Gaussians stays.
+            let mut coord = self.pose.point(point.coord);
+            // What fell into a hole is drawn again: the number of Gaussians is exact.
             for _ in 0..3 {
                 if !look.is_in_hole(coord) || chance(rng, 0.15) {
                     break;
                 }
                 (point, color) = draw(rng);
-                coord = owner.pose.point(point.coord);
+                coord = self.pose.point(point.coord);
             }
-            let normal = owner.pose.vector(point.normal);
-            let light = look.shade(normal) * contact(coord, owner.shadows);
+            let normal = self.pose.vector(point.normal);
+            let light = look.shade(normal) * contact(coord, self.shadows);
             color = std::array::from_fn(|i| color[i] * light * look.gain[i]);
             let splat = if look.is_points {
                 from_point(coord, normal, color, ln_spacing, look, rng)
             } else {
-                let tangent = owner.pose.vector(point.tangent);
-                let along = Along { tangent, edge: point.edge };
-                trained(coord, normal, &along, color, ln_spacing, look, rng)
+                let along = (self.pose.vector(point.tangent), point.edge);
+                trained(coord, normal, along, color, ln_spacing, look, rng)
             };
-            self.push(&splat, owner.segment, owner.instance);
-        }
+            splat.row(self.segment, self.instance)
+        })
     }
+}
 
-    pub(crate) fn push_floater(&mut self, size: V3, ln_spacing: f64, rng: &mut SampleRng) {
-        let normal = direction(rng);
-        let [u, v] = basis(normal);
-        let grey = between(rng, 60.0, 200.0);
-        let splat = Splat {
-            coord: size.map(|s| s * unit(rng)),
-            log_scale: std::array::from_fn(|_| ln_spacing - 0.2 + 0.6 * noise(rng)),
-            quat: quat_of([u, v, normal]),
-            normal,
-            opacity_logit: -2.5 + 1.2 * noise(rng),
-            color: std::array::from_fn(|_| grey + 25.0 * noise(rng)),
-        };
-        self.push(&splat, -1, -1);
-    }
+/// A Gaussian that is part of no object, anywhere in the room.
+pub(crate) fn floater(size: V3, ln_spacing: f64, rng: &mut SampleRng) -> Row {
+    let place = |rng: &mut SampleRng| size.map(|s| s * unit(rng));
+    unlabelled([60.0, 200.0], [-2.5, 1.2], ln_spacing, place, rng)
+}
 
-    /// What a scan leaves below a floor: mirror images in polished stone, and what a camera did not see.
-    pub(crate) fn push_below(&mut self, size: V3, deep: f64, ln_spacing: f64, rng: &mut SampleRng) {
-        let normal = direction(rng);
-        let [u, v] = basis(normal);
-        let grey = between(rng, 40.0, 220.0);
+/// What a scan has below a floor: mirror images in polished stone, and what no camera saw.
+pub(crate) fn below_floor(size: V3, deep: f64, ln_spacing: f64, rng: &mut SampleRng) -> Row {
+    let place = |rng: &mut SampleRng| {
         let down = unit(rng);
-        let splat = Splat {
-            coord: [size[0] * unit(rng), size[1] * unit(rng), -deep * down * down],
-            log_scale: std::array::from_fn(|_| ln_spacing - 0.2 + 0.6 * noise(rng)),
-            quat: quat_of([u, v, normal]),
-            normal,
-            opacity_logit: -0.5 + 1.8 * noise(rng),
-            color: std::array::from_fn(|_| grey + 25.0 * noise(rng)),
-        };
-        self.push(&splat, -1, -1);
-    }
+        [size[0] * unit(rng), size[1] * unit(rng), -deep * down * down]
+    };
+    unlabelled([40.0, 220.0], [-0.5, 1.8], ln_spacing, place, rng)
+}
 
-    fn push(&mut self, splat: &Splat, segment: i32, instance: i32) {
-        let scene = &mut self.scene;
-        scene.coord.push(splat.coord.map(|v| v as f32));
-        scene.log_scale.push(splat.log_scale.map(|v| v.clamp(-9.2, -0.7) as f32));
-        let sign = if splat.quat[0] < 0.0 { -1.0 } else { 1.0 };
-        scene.quat.push(splat.quat.map(|v| (sign * v) as f32));
-        scene.opacity_logit.push(splat.opacity_logit as f32);
-        scene.sh_dc.push(splat.color.map(|c| u8_to_dc(c.clamp(0.0, 255.0) as u8)));
-        self.normal.push(splat.normal.map(|v| v as f32));
-        self.segment.push(segment);
-        self.instance.push(instance);
-    }
+/// A Gaussian in any direction, of a grey in this range, with this mean and spread of the opacity logit.
+fn unlabelled(
+    grey: [f64; 2],
+    opacity: [f64; 2],
+    ln_spacing: f64,
+    place: impl FnOnce(&mut SampleRng) -> V3,
+    rng: &mut SampleRng,
+) -> Row {
+    let normal = direction(rng);
+    let [u, v] = basis(normal);
+    let grey = between(rng, grey[0], grey[1]);
+    let splat = Splat {
+        coord: place(rng),
+        log_scale: std::array::from_fn(|_| ln_spacing - 0.2 + 0.6 * noise(rng)),
+        quat: quat_of([u, v, normal]),
+        normal,
+        opacity_logit: opacity[0] + opacity[1] * noise(rng),
+        color: std::array::from_fn(|_| grey + 25.0 * noise(rng)),
+    };
+    splat.row(-1, -1)
 }
 
 /// Less light under and beside what stands on a floor.
@@ -298,16 +286,11 @@ fn from_point(
     Splat { coord, log_scale, quat: quat_from_z_to(normal), normal, opacity_logit, color }
 }
 
-struct Along {
-    tangent: V3,
-    edge: f64,
-}
-
-/// As training on pictures leaves them.
+/// As training on pictures leaves them; `along` is the tangent and the distance from the nearest edge.
 fn trained(
     coord: V3,
     normal: V3,
-    along: &Along,
+    (tangent, edge): (V3, f64),
     color: V3,
     ln_spacing: f64,
     look: &Look,
@@ -316,14 +299,13 @@ fn trained(
     let far = chance(rng, look.strays);
     let off = noise(rng) * if far { 0.015 } else { look.rough };
     let normal = unit_or(std::array::from_fn(|i| normal[i] + look.tilt * noise(rng)), normal);
-    let tangent =
-        unit_or(add_times(along.tangent, normal, -dot(along.tangent, normal)), basis(normal)[0]);
+    let tangent = unit_or(add_times(tangent, normal, -dot(tangent, normal)), basis(normal)[0]);
     let other = cross(normal, tangent);
     // Long pieces lie along edges; elsewhere in any direction.
-    let (a, b) = if along.edge < 0.03 && chance(rng, 0.8) {
+    let (a, b) = if edge < 0.03 && chance(rng, 0.8) {
         (tangent, other)
     } else {
-        let [c, s] = scenesplat_kernels::random::cos_sin(rng);
+        let [c, s] = cos_sin(rng);
         let a = add_times(times(tangent, c), other, s);
         (a, cross(normal, a))
     };
@@ -336,7 +318,7 @@ fn trained(
     let axes = [a, b, normal];
     let scales = [largest, middle, smallest];
     // Which axis is the short one is chance in a trained scene.
-    let shift = super::dice::whole(rng, 0, 2) as usize;
+    let shift = whole(rng, 0, 2) as usize;
     let turned = |i: usize| (i + shift) % 3;
     let (axes, scales) = match look.is_spelled_anyhow {
         true => respelled(axes, scales, rng),
@@ -359,7 +341,7 @@ fn trained(
 /// ways is as likely.
 fn respelled([a, b, c]: [V3; 3], [s, t, u]: V3, rng: &mut SampleRng) -> ([V3; 3], V3) {
     let minus = |v| times(v, -1.0);
-    match super::dice::whole(rng, 0, 7) {
+    match whole(rng, 0, 7) {
         0 => ([a, b, c], [s, t, u]),
         1 => ([minus(a), minus(b), c], [s, t, u]),
         2 => ([minus(a), b, minus(c)], [s, t, u]),

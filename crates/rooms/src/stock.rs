@@ -4,9 +4,10 @@ use crate::catalogue::{Catalogue, Entry, FurnitureSplit, Meaning};
 use crate::classes::ClassId;
 use crate::dice::{chance, pick};
 use crate::material::ColorName;
-use crate::model::{Block, Model, OfPiece, Support};
+use crate::model::{Model, OfPiece, Support};
+use crate::shape::Block;
 use crate::variation::{Variation, varied};
-use crate::vector::{V3, add};
+use crate::vector::V3;
 use scenesplat_kernels::random::SampleRng;
 use std::sync::Arc;
 
@@ -179,13 +180,9 @@ fn model(
 ) -> Model {
     let by = variation.as_ref();
     let color = by.map_or(piece.mean_color, |by| by.color(piece.mean_color));
-    let here = |block: Block| {
-        let Block { low, high } = varied(block, by);
-        Block { low: add(low, at), high: add(high, at) }
-    };
     let mut model = Model::new(ClassId::Box, ColorName::nearest(color), density);
     model.class = entry.meaning.class();
-    model.solids = piece.solids.iter().map(|&block| here(block)).collect();
+    model.solids = piece.solids.iter().map(|&block| varied(block, by).moved(at)).collect();
     if model.is(ClassId::Rug) {
         // Furniture stands on it.
         let Block { low, high } = varied(piece.bounds, by);
@@ -219,23 +216,15 @@ fn supports(class: Option<ClassId>, found: &Option<Support>, lift: f64) -> Vec<S
 /// Whether a piece of a catalogue belongs to a place.
 fn is_for(entry: &Entry, place: Place) -> bool {
     // These hang low, where the recipes have models that stand.
-    let stands = matches!(
-        entry.meaning,
-        Meaning::Class(
-            ClassId::Sink
-                | ClassId::Radiator
-                | ClassId::Bathtub
-                | ClassId::Toilet
-                | ClassId::Curtain
-        )
-    );
+    use ClassId::{Bathtub, Curtain, Radiator, Sink, Toilet};
+    let stands =
+        matches!(entry.meaning, Meaning::Class(Sink | Radiator | Bathtub | Toilet | Curtain));
     let top = entry.elevation + entry.size[2];
     let hangs = entry.elevation >= HANGS && !stands;
     let is_light = matches!(entry.meaning, Meaning::Class(ClassId::Lamp) | Meaning::Other);
     let is_under_ceiling = hangs && is_light && top > UNDER_CEILING;
     match place {
-        Place::Floor => !hangs,
-        Place::Top => !hangs,
+        Place::Floor | Place::Top => !hangs,
         Place::Wall => entry.is_opening || (hangs && !is_under_ceiling),
         Place::Ceiling => is_under_ceiling,
     }
@@ -244,21 +233,13 @@ fn is_for(entry: &Entry, place: Place) -> bool {
 /// Whether things of a class differ so much that one is not the other's place: a lamp on a desk, on the
 /// floor, under the ceiling.
 fn is_varied(class: ClassId) -> bool {
-    matches!(
-        class,
-        ClassId::Lamp
-            | ClassId::Plant
-            | ClassId::Box
-            | ClassId::Clock
-            | ClassId::Stove
-            | ClassId::KitchenCabinet
-            | ClassId::Rug
-    )
+    use ClassId::{Box, Clock, KitchenCabinet, Lamp, Plant, Rug, Stove};
+    matches!(class, Lamp | Plant | Box | Clock | Stove | KitchenCabinet | Rug)
 }
 
 /// Whether a piece is about as large as a model.
 fn is_alike(entry: &Entry, model: &Block) -> bool {
-    let [w, d, h]: V3 = std::array::from_fn(|i| model.high[i] - model.low[i]);
+    let [w, d, h] = model.size();
     let long = |w: f64, d: f64| (w * w + d * d).sqrt();
     let ratio = |a: f64, b: f64| a.max(0.01) / b.max(0.01);
     let [tall, wide] =

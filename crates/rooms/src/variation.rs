@@ -2,8 +2,7 @@
 //! height, other colours. A catalogue has five sofas; homes have not.
 
 use crate::dice::between;
-use crate::model::Block;
-use crate::shape::SurfacePoint;
+use crate::shape::{Block, SurfacePoint};
 use crate::vector::{V3, Z, length, unit_or};
 use scenesplat_kernels::random::{SampleRng, unit};
 

@@ -76,6 +76,18 @@ pub struct Targets {
     pub index: Vec<u32>,
 }
 
+/// The concepts of a text, at least one.
+fn concepts_of(text: &str) -> Result<Vec<Concept>, VocabularyError> {
+    let found = parse(text).map_err(|word| {
+        let nearest = nearest(&word);
+        VocabularyError::UnknownWord { word, nearest }
+    })?;
+    if found.is_empty() {
+        return Err(VocabularyError::NoWord { text: text.to_owned() });
+    }
+    Ok(found)
+}
+
 /// Vectors of the known words.
 ///
 /// ```
@@ -122,14 +134,11 @@ impl Vocabulary {
     /// # Errors
     /// If a word is not known or there is none.
     pub fn embed(&self, text: &str) -> Result<Vec<f32>, VocabularyError> {
-        let found = parse(text).map_err(|word| {
-            let nearest = nearest(&word);
-            VocabularyError::UnknownWord { word, nearest }
-        })?;
-        if found.is_empty() {
-            return Err(VocabularyError::NoWord { text: text.to_owned() });
-        }
-        Ok(self.join(&found))
+        Ok(self.join(&concepts_of(text)?))
+    }
+
+    fn empty_table(&self) -> TextTable {
+        TextTable { names: Vec::new(), dim: self.dim, values: Vec::new() }
     }
 
     /// The unit vector of concepts together.
@@ -165,23 +174,15 @@ impl Vocabulary {
     /// # Errors
     /// As [`embed`](Self::embed).
     pub fn rivals(&self, text: &str) -> Result<TextTable, VocabularyError> {
-        // Says what is wrong with the text.
-        self.embed(text)?;
-        let found = parse(text).unwrap_or_default();
+        let (colors, nouns): (Vec<Concept>, Vec<Concept>) =
+            concepts_of(text)?.into_iter().partition(|c| matches!(c, Concept::Color(_)));
         let meant = |class: ClassId| {
-            found.iter().any(|concept| match concept {
-                Concept::Class(c) => *c == class,
+            nouns.iter().any(|concept| match concept {
                 Concept::Group(group) => class.about().groups.contains(group),
-                Concept::Color(_) => false,
+                concept => *concept == Concept::Class(class),
             })
         };
-        let nouns: Vec<Concept> =
-            found.iter().copied().filter(|c| !matches!(c, Concept::Color(_))).collect();
-        let colors: Vec<ColorName> = found
-            .iter()
-            .filter_map(|c| if let Concept::Color(color) = c { Some(*color) } else { None })
-            .collect();
-        let mut table = TextTable { names: Vec::new(), dim: self.dim, values: Vec::new() };
+        let mut table = self.empty_table();
         let mut push = |name: String, row: Vec<f32>| {
             table.names.push(name);
             table.values.extend(row);
@@ -192,10 +193,12 @@ impl Vocabulary {
             }
         }
         if !colors.is_empty() {
-            for other in ColorName::ALL.into_iter().filter(|c| !colors.contains(c)) {
-                let mut concepts = nouns.clone();
-                concepts.push(Concept::Color(other));
-                push(format!("in {}", other.word()), self.join(&concepts));
+            for other in ColorName::ALL {
+                let color = Concept::Color(other);
+                if !colors.contains(&color) {
+                    let row = self.join(&[&nouns[..], &[color]].concat());
+                    push(format!("in {}", other.word()), row);
+                }
             }
         }
         Ok(table)
@@ -207,29 +210,19 @@ impl Vocabulary {
     /// # Errors
     /// As [`embed`](Self::embed).
     pub fn members(&self, text: &str) -> Result<TextTable, VocabularyError> {
-        self.embed(text)?;
-        let found = parse(text).unwrap_or_default();
-        let mut table = TextTable { names: Vec::new(), dim: self.dim, values: Vec::new() };
-        let named = |c: &&Concept| matches!(c, Concept::Class(_));
+        let (colors, nouns): (Vec<Concept>, Vec<Concept>) =
+            concepts_of(text)?.into_iter().partition(|c| matches!(c, Concept::Color(_)));
+        let mut table = self.empty_table();
         // "kitchen chair" means chairs; the group only says which.
-        if found.iter().any(|c| named(&c)) {
+        if nouns.iter().any(|c| matches!(c, Concept::Class(_))) {
             return Ok(table);
         }
-        let colors = || found.iter().copied().filter(|c| matches!(c, Concept::Color(_)));
         for &class in ClassId::ALL {
             let groups = class.about().groups;
-            if !found.iter().any(|c| matches!(c, Concept::Group(g) if groups.contains(g))) {
-                continue;
+            if nouns.iter().any(|c| matches!(c, Concept::Group(g) if groups.contains(g))) {
+                table.names.push(class.about().name.to_owned());
+                table.values.extend(self.join(&[&[Concept::Class(class)], &colors[..]].concat()));
             }
-            table.names.push(class.about().name.to_owned());
-            table.values.extend(match colors().next() {
-                None => self.class_target(class),
-                Some(_) => {
-                    let concepts: Vec<Concept> =
-                        std::iter::once(Concept::Class(class)).chain(colors()).collect();
-                    self.join(&concepts)
-                }
-            });
         }
         Ok(table)
     }
@@ -274,11 +267,11 @@ impl Vocabulary {
         let mut rows: Vec<_> = keys.iter().copied().flatten().collect();
         rows.sort_unstable();
         rows.dedup();
-        let table = rows.iter().flat_map(|&(class, color)| match color {
+        let target = |&(class, color): &(ClassId, Option<ColorName>)| match color {
             Some(color) => self.object_target(class, color),
             None => self.class_target(class),
-        });
-        let table = table.collect();
+        };
+        let table = rows.iter().flat_map(target).collect();
         // Every key is among the rows; objects without a class have none.
         let row = |key: &(ClassId, Option<ColorName>)| rows.binary_search(key).ok();
         let row_of_object: Vec<u32> = (keys.iter())

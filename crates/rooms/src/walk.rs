@@ -1,8 +1,8 @@
 //! A walk with a camera through a room: where somebody can stand, and where they look.
 
 use crate::dice::{between, chance, whole};
-use crate::model::Block;
-use crate::place::{Footprint, Layout, Pose, STRAIGHT};
+use crate::place::{Footprint, Layout, Placed, Pose, STRAIGHT};
+use crate::shape::Block;
 use crate::vector::{V3, Z, cross, sub, unit_or};
 use scenesplat_kernels::random::{SampleRng, cos_sin};
 
@@ -75,12 +75,10 @@ fn free_place(layout: &Layout, rng: &mut SampleRng) -> Option<[f64; 2]> {
 
 /// The middle of something that stands or hangs in the room.
 fn object(layout: &Layout, rng: &mut SampleRng) -> Option<V3> {
-    let some: Vec<&crate::place::Placed> =
-        layout.objects.iter().filter(|object| !object.footprints.is_empty()).collect();
+    let some: Vec<&Placed> = layout.objects.iter().filter(|o| !o.footprints.is_empty()).collect();
     if some.is_empty() {
         return None;
     }
     let object = some[whole(rng, 0, some.len() as u32 - 1) as usize];
-    let Block { low, high } = object.model.bounds();
-    Some(object.pose.point(std::array::from_fn(|i| (low[i] + high[i]) / 2.0)))
+    Some(object.pose.point(object.model.bounds().middle()))
 }

@@ -11,7 +11,9 @@ mod experiment;
 mod golden;
 pub mod reference;
 mod shared;
+mod small_encoder;
 
 pub use experiment::{Network, SMALL_SEGMENTATION};
 pub use golden::{Golden, compare_relative, relative_error};
 pub use shared::shared;
+pub use small_encoder::SmallEncoder;

@@ -3,7 +3,7 @@
 use scenesplat_scene::SceneError;
 use std::path::PathBuf;
 
-/// Why a phrase has no vector. Every variant says where, what and how to mend it.
+/// Why a phrase has no vector. Every variant says where, what, and what helps.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PhraseError {

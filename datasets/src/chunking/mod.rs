@@ -14,7 +14,7 @@ pub use plan::{Chunk, ChunkPlan, plan_chunks};
 pub use write::ChunkReport;
 
 use crate::DataError;
-use crate::error::bad_setting;
+use crate::error::{check_positive, require};
 use serde::{Deserialize, Serialize};
 
 /// How scenes are cut. The default is what the original's chunks are made with.
@@ -61,28 +61,16 @@ impl ChunkSettings {
         /// A Gaussian is in (range / stride)² chunks.
         const MAX_OVERLAP: f64 = 16.0;
         let positive = |v: f64| v.is_finite() && v > 0.0;
-        if let Some(size) = self.grid_size
-            && !positive(size)
-        {
-            return Err(bad_setting("grid_size", size, "a finite number above 0"));
-        }
+        self.grid_size.map_or(Ok(()), |size| check_positive("grid_size", size))?;
         for (range, stride) in self.range.into_iter().zip(self.stride) {
-            if !positive(range) {
-                return Err(bad_setting("range", range, "a finite number of metres above 0"));
-            }
-            if !positive(stride) || stride < range / MAX_OVERLAP {
-                let expected = "a finite number of metres, at least a 16th of the range";
-                return Err(bad_setting("stride", stride, expected));
-            }
-            if stride > range {
-                let expected = "no more than the range, or Gaussians between chunks would be lost";
-                return Err(bad_setting("stride", stride, expected));
-            }
+            require(positive(range), "range", range, "a finite number of metres above 0")?;
+            let expected = "a finite number of metres, at least a 16th of the range";
+            let ok = positive(stride) && stride >= range / MAX_OVERLAP;
+            require(ok, "stride", stride, expected)?;
+            let expected = "no more than the range, or Gaussians between chunks would be lost";
+            require(stride <= range, "stride", stride, expected)?;
         }
-        if self.max_chunks == Some(0) {
-            return Err(bad_setting("max_chunks", 0, "a number of 1 or more"));
-        }
-        Ok(())
+        require(self.max_chunks != Some(0), "max_chunks", 0, "a number of 1 or more")
     }
 
     /// The name of the folder that the chunks of a split come into, such as

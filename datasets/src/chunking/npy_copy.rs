@@ -1,5 +1,6 @@
 //! Copying rows of the arrays of a folder, whatever they hold.
 
+use crate::files::picked;
 use half::f16;
 use scenesplat_scene::SceneError;
 use scenesplat_scene::formats::npy::{NpyFile, NpyType};
@@ -46,13 +47,9 @@ fn write<T: NpyElement>(
 ) -> Result<(), SceneError> {
     let width: usize = shape[1..].iter().product();
     for (rows, path) in parts {
-        let mut picked = Vec::with_capacity(rows.len() * width);
-        for &row in *rows {
-            picked.extend_from_slice(&values[row as usize * width..(row as usize + 1) * width]);
-        }
         let mut shape = shape.to_vec();
         shape[0] = rows.len();
-        write_npy(path, &shape, &picked)?;
+        write_npy(path, &shape, &picked(values, width, rows))?;
     }
     Ok(())
 }

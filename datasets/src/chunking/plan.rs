@@ -3,6 +3,7 @@
 use super::ChunkSettings;
 use crate::error::{check_finite, check_length};
 use crate::rng::{Purpose, below, purpose_rng};
+use crate::sample::bounds;
 use crate::{DataError, SampleRng};
 use scenesplat_kernels::grid_sample::{KeyOrder, voxel_groups};
 use std::collections::BTreeMap;
@@ -60,9 +61,7 @@ pub fn plan_chunks(
     settings.check()?;
     check_finite("coord", coord)?;
     check_length("valid_feat_mask", coord.len(), has_feature.map_or(coord.len(), <[bool]>::len))?;
-    let Some(&first) = coord.first() else { return Ok(ChunkPlan::default()) };
-    let corner: [f32; 3] =
-        coord.iter().fold(first, |low, c| std::array::from_fn(|a| low[a].min(c[a])));
+    let Some([corner, _]) = bounds(coord) else { return Ok(ChunkPlan::default()) };
     let local: Vec<[f32; 3]> =
         coord.iter().map(|c| std::array::from_fn(|a| c[a] - corner[a])).collect();
     let mut rng = purpose_rng(Purpose::Chunking, settings.seed, 0, scene);

@@ -3,6 +3,8 @@
 use super::npy_copy::copy_rows;
 use super::{Chunk, ChunkPlan, ChunkSettings, plan_chunks};
 use crate::DataError;
+use crate::files::{arrays, positions};
+use crate::rng::name_number;
 use half::f16;
 use rayon::prelude::*;
 use scenesplat_scene::formats::npy::NpyFile;
@@ -93,12 +95,6 @@ pub(super) fn write_chunks(
     Ok(report)
 }
 
-/// A number for the random numbers of a scene, from its name (FNV-1a).
-fn name_number(name: &str) -> u64 {
-    name.bytes()
-        .fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(b)).wrapping_mul(0x100_0000_01b3))
-}
-
 fn notes(plan: &ChunkPlan, loaded: &LoadedScene, settings: &ChunkSettings) -> Vec<String> {
     let mut notes = Vec::new();
     if loaded.report.dropped_rows > 0 {
@@ -180,7 +176,8 @@ fn copy_folder(
     };
     let rows: Vec<Vec<u32>> =
         todo.iter().map(|staged| staged.chunk.rows.iter().map(source_row).collect()).collect();
-    let points = labelled_points(source)?;
+    let points = source.join("pc_coord.npy");
+    let points = points.is_file().then(|| positions(&points)).transpose()?;
     let point_rows: Vec<Vec<u32>> = match &points {
         Some(coord) => {
             todo.iter().map(|s| rows_inside(coord, plan.corner, s.chunk, settings)).collect()
@@ -275,40 +272,4 @@ fn rows_inside(
         })
     };
     (0_u32..).zip(coord).filter(|(_, c)| inside(c)).map(|(row, _)| row).collect()
-}
-
-/// Positions of the labelled points in a folder.
-fn labelled_points(source: &Path) -> Result<Option<Vec<[f32; 3]>>, SceneError> {
-    let path = source.join("pc_coord.npy");
-    if !path.is_file() {
-        return Ok(None);
-    }
-    let file = NpyFile::open(&path)?;
-    if !matches!(file.shape(), [_, 3]) {
-        // The reader says it better, but does not look at shapes it has no use for.
-        return Err(SceneError::Format {
-            path,
-            problem: format!("expected shape (M, 3), got {:?}", file.shape()),
-            help: "remove the file or save positions".to_owned(),
-        });
-    }
-    Ok(Some(file.read_f32()?.as_chunks::<3>().0.to_vec()))
-}
-
-/// Stems of the arrays in a folder, sorted.
-fn arrays(folder: &Path) -> Result<Vec<String>, SceneError> {
-    let failed = |source| SceneError::Io {
-        path: folder.to_owned(),
-        action: "cannot list the folder",
-        source,
-    };
-    let mut stems = Vec::new();
-    for entry in fs::read_dir(folder).map_err(failed)? {
-        let name = entry.map_err(failed)?.file_name();
-        if let Some(stem) = name.to_str().and_then(|name| name.strip_suffix(".npy")) {
-            stems.push(stem.to_owned());
-        }
-    }
-    stems.sort();
-    Ok(stems)
 }

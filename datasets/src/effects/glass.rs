@@ -44,12 +44,10 @@ pub(super) fn on_pane(
     let at = |row: usize| out.scene.coord[row].map(f64::from);
     // The pane stands before the wall's Gaussians, by their thickness.
     let in_sheet = |row: usize| {
-        let before = pane.before(at(row));
-        before <= 0.0 && before >= -2.0 * pane.thickness && pane.covers(at(row))
+        (-2.0 * pane.thickness..=0.0).contains(&pane.before(at(row))) && pane.covers(at(row))
     };
     let rows = out.scene.len();
-    let is_sheet: Vec<bool> = (0..rows).map(in_sheet).collect();
-    let sheet: Vec<usize> = (0..rows).filter(|&row| is_sheet[row]).collect();
+    let sheet: Vec<usize> = (0..rows).filter(|&row| in_sheet(row)).collect();
     let is_reflected = |row: usize| {
         let before = pane.before(at(row));
         before > 0.0 && before <= GHOST_METRES && pane.covers(at(row))
@@ -57,17 +55,18 @@ pub(super) fn on_pane(
     let ghosts: Vec<usize> = (0..rows).filter(|&row| is_reflected(row)).collect();
     let share = share_that_stays(&out.scene, &sheet, pane);
     let keys = out.keys();
+    // Of the sheet's: their new opacity if they stay.
     let mut opacities = vec![None; rows];
     for &row in &sheet {
         let mut rng = rng(seed, Effect::Glass, 1 + keys[row]);
         let opacity = pane.alpha * between(&mut rng, SHEET_SPREAD);
-        opacities[row] = happens(&mut rng, share).then_some(opacity);
+        opacities[row] = Some(happens(&mut rng, share).then_some(opacity));
     }
-    let kept: Vec<usize> = (0..rows).filter(|&r| !is_sheet[r] || opacities[r].is_some()).collect();
+    let kept: Vec<usize> = (0..rows).filter(|&row| opacities[row] != Some(None)).collect();
     let picked: Vec<usize> = kept.iter().chain(&ghosts).copied().collect();
     let mut scene = out.scene.select_rows(&picked)?;
     for (row, &from) in kept.iter().enumerate() {
-        if let Some(opacity) = opacities[from] {
+        if let Some(Some(opacity)) = opacities[from] {
             scene.opacity_logit[row] = probability_to_logit(opacity as f32);
             tint(&mut scene, row, pane.tint);
             without_label(&mut scene, row);
@@ -75,11 +74,10 @@ pub(super) fn on_pane(
     }
     mask_added(&mut scene, kept.len());
     let rest = 3 * scene.sh_rest_len();
-    let dim = [schlick(GHOST_COSINE); 3];
     for row in kept.len()..scene.len() {
         mirror(&mut scene, row, pane);
         scene.sh_rest[row * rest..(row + 1) * rest].fill(0.0);
-        tint(&mut scene, row, dim);
+        tint(&mut scene, row, [schlick(GHOST_COSINE); 3]);
         let opacity = GHOST_OPACITY * f64::from(scene.opacity(row));
         scene.opacity_logit[row] = probability_to_logit(opacity as f32);
         without_label(&mut scene, row);
@@ -89,15 +87,12 @@ pub(super) fn on_pane(
     out.source = kept.iter().map(|&row| out.source[row]).collect();
     out.source.extend(std::iter::repeat_n(None, ghosts.len()));
     out.scene = scene;
+    let ([w, h], alpha, added) = (pane.half.map(|half| 2.0 * half), pane.alpha, ghosts.len());
     let text = format!(
-        "a pane of {:.2} by {:.2} m: {removed} Gaussians removed, {stayed} of opacity {:.2}, {} \
-         reflections added behind it",
-        2.0 * pane.half[0],
-        2.0 * pane.half[1],
-        pane.alpha,
-        ghosts.len()
+        "a pane of {w:.2} by {h:.2} m: {removed} Gaussians removed, {stayed} of opacity {alpha:.2}, \
+         {added} reflections added behind it"
     );
-    Ok((sheet.len() + ghosts.len(), text))
+    Ok((sheet.len() + added, text))
 }
 
 /// As [`glass`], on several panes, one after the other.
@@ -130,7 +125,7 @@ fn share_that_stays(scene: &GaussianScene, sheet: &[usize], pane: &Pane) -> f64 
     if covered > 0.0 { (wanted * pane_area / covered).min(1.0) } else { 1.0 }
 }
 
-/// Multiplies the linear light of a Gaussian's colour.
+/// Multiplies the linear light of a Gaussian's color.
 fn tint(scene: &mut GaussianScene, row: usize, by: [f64; 3]) {
     let rest = 3 * scene.sh_rest_len();
     let harmonics = &mut scene.sh_rest[row * rest..(row + 1) * rest];

@@ -46,6 +46,12 @@ pub struct Simulated {
 }
 
 impl Simulated {
+    /// A scene before any effect.
+    fn of(scene: &GaussianScene) -> Self {
+        let source = (0..scene.len()).map(Some).collect();
+        Self { scene: scene.clone(), source, done: Vec::new() }
+    }
+
     /// What the random numbers of each Gaussian belong to: its row in the original scene, or its number
     /// among those that were added, so that no effect depends on what another removed.
     fn keys(&self) -> Vec<u64> {
@@ -85,9 +91,9 @@ fn frame_rng(seed: u64, effect: Effect, frame: u64, part: u64) -> SampleRng {
 /// Applies effects to a scene, in the order of [`Effect::ALL`].
 ///
 /// Labelled points, which are no Gaussians, stay as they are. Values that are not finite stay, too.
-/// Higher spherical harmonics keep their directions; `light` and `noise` scale them with the colour.
+/// Higher spherical harmonics keep their directions; `light` and `noise` scale them with the color.
 ///
-/// `glass` takes for up what the scene looks like ([`guess_up`](scenesplat_scene::guess_up)).
+/// `glass` takes for up what the scene suggests ([`guess_up`](scenesplat_scene::guess_up)).
 ///
 /// # Errors
 /// If the scene's arrays do not match.
@@ -110,11 +116,7 @@ pub fn simulate_upright(
     up: Option<UpAxis>,
 ) -> Result<Simulated, SceneError> {
     scene.check_rows()?;
-    let mut out = Simulated {
-        scene: scene.clone(),
-        source: (0..scene.len()).map(Some).collect(),
-        done: Vec::new(),
-    };
+    let mut out = Simulated::of(scene);
     for (effect, severity) in effects.present() {
         let (changed, text) = apply(&mut out, effect, severity, seed, up, None)?;
         out.done.push(EffectDone { effect, severity, changed, text });

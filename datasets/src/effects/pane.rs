@@ -7,7 +7,7 @@ use scenesplat_scene::UpAxis;
 use scenesplat_scene::bounds::robust_bounds;
 use scenesplat_scene::vector::{cross, dot};
 
-/// Points that the search looks at.
+/// Points that the search reads.
 const SAMPLE: usize = 20_000;
 /// Directions that a plane may face, over half a turn.
 const DIRECTIONS: usize = 180;
@@ -88,15 +88,46 @@ fn ends(mut values: Vec<f64>) -> [f64; 2] {
     [at(FRINGE), at(1.0 - FRINGE)]
 }
 
-/// The upright plane with the most Gaussians; `None` if there is no plane to speak of: less than 3 % of the
-/// Gaussians, or less than a tenth of the scene's diagonal wide or high. Gaussians that are nowhere
+/// The normal and offset of the line of the plan that holds the most points, within a thickness of it.
+fn fullest_line(level: &[[f64; 2]], thickness: f64) -> Option<([f64; 2], f64)> {
+    let mut best = (0, [1.0, 0.0], 0.0);
+    for k in 0..DIRECTIONS {
+        let angle = std::f64::consts::PI * k as f64 / DIRECTIONS as f64;
+        let facing = [angle.cos(), angle.sin()];
+        let places: Vec<f64> = level.iter().map(|p| facing[0] * p[0] + facing[1] * p[1]).collect();
+        let (count, offset) = fullest(&places, thickness);
+        if count > best.0 {
+            best = (count, facing, offset);
+        }
+    }
+    let (_, mut facing, mut offset) = best;
+    // Twice the line of least squares through what is near.
+    for _ in 0..2 {
+        let is_near =
+            |p: &&[f64; 2]| (facing[0] * p[0] + facing[1] * p[1] - offset).abs() <= thickness;
+        let near: Vec<[f64; 2]> = level.iter().filter(is_near).copied().collect();
+        let n = near.len() as f64;
+        if near.is_empty() {
+            return None;
+        }
+        let mean = [0, 1].map(|i| near.iter().map(|p| p[i]).sum::<f64>() / n);
+        let moment = |i: usize, j: usize| {
+            near.iter().map(|p| (p[i] - mean[i]) * (p[j] - mean[j])).sum::<f64>()
+        };
+        // The direction of least variance of a 2 × 2 covariance.
+        let angle = 0.5 * (2.0 * moment(0, 1)).atan2(moment(0, 0) - moment(1, 1));
+        facing = [-angle.sin(), angle.cos()];
+        offset = facing[0] * mean[0] + facing[1] * mean[1];
+    }
+    Some((facing, offset))
+}
+
+/// The upright plane with the most Gaussians; `None` if every plane has less than 3 % of the
+/// Gaussians, or is less than a tenth of the scene's diagonal wide or high. Gaussians that are nowhere
 /// do not count.
 pub fn largest_wall(coord: &[[f32; 3]], up: UpAxis) -> Option<Wall> {
-    let there: Vec<[f64; 3]> = coord
-        .iter()
-        .filter(|p| p.iter().all(|v| v.is_finite()))
-        .map(|p| p.map(f64::from))
-        .collect();
+    let there = coord.iter().filter(|p| p.iter().all(|v| v.is_finite()));
+    let there: Vec<[f64; 3]> = there.map(|p| p.map(f64::from)).collect();
     let bounds = robust_bounds(coord);
     let diagonal = bounds.diagonal();
     if !(diagonal.is_finite() && diagonal > 0.0) {
@@ -114,37 +145,7 @@ pub fn largest_wall(coord: &[[f32; 3]], up: UpAxis) -> Option<Wall> {
     let second = cross(up, first);
     let thickness = THICKNESS * diagonal;
     let level: Vec<[f64; 2]> = points.iter().map(|&p| [dot(p, first), dot(p, second)]).collect();
-    let mut best = (0, [1.0, 0.0], 0.0);
-    for k in 0..DIRECTIONS {
-        let angle = std::f64::consts::PI * k as f64 / DIRECTIONS as f64;
-        let facing = [angle.cos(), angle.sin()];
-        let places: Vec<f64> = level.iter().map(|p| facing[0] * p[0] + facing[1] * p[1]).collect();
-        let (count, offset) = fullest(&places, thickness);
-        if count > best.0 {
-            best = (count, facing, offset);
-        }
-    }
-    let (_, mut facing, mut offset) = best;
-    // Twice the line of least squares through what is near.
-    for _ in 0..2 {
-        let near: Vec<[f64; 2]> = level
-            .iter()
-            .filter(|p| (facing[0] * p[0] + facing[1] * p[1] - offset).abs() <= thickness)
-            .copied()
-            .collect();
-        let n = near.len() as f64;
-        if near.is_empty() {
-            return None;
-        }
-        let mean = [0, 1].map(|i| near.iter().map(|p| p[i]).sum::<f64>() / n);
-        let moment = |i: usize, j: usize| {
-            near.iter().map(|p| (p[i] - mean[i]) * (p[j] - mean[j])).sum::<f64>()
-        };
-        // The direction of least variance of a 2 × 2 covariance.
-        let angle = 0.5 * (2.0 * moment(0, 1)).atan2(moment(0, 0) - moment(1, 1));
-        facing = [-angle.sin(), angle.cos()];
-        offset = facing[0] * mean[0] + facing[1] * mean[1];
-    }
+    let (facing, mut offset) = fullest_line(&level, thickness)?;
     let mut normal: [f64; 3] =
         std::array::from_fn(|i| facing[0] * first[i] + facing[1] * second[i]);
     let middle: [f64; 3] = std::array::from_fn(|i| 0.5 * (bounds.low[i] + bounds.high[i]));

@@ -1,5 +1,6 @@
 //! Effects whose severities are drawn.
 
+use super::set::{is_text, parts, write_parts};
 use super::{Effect, EffectError, EffectSet};
 use crate::rng::{SampleRng, between};
 use serde::{Deserialize, Serialize};
@@ -44,16 +45,11 @@ impl From<EffectSet> for EffectRanges {
 
 impl fmt::Display for EffectRanges {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let parts: Vec<String> = self
-            .high
-            .present()
-            .map(|(effect, high)| match self.low.severity(effect) {
-                low if low == high => format!("{}={high}", effect.name()),
-                low => format!("{}={low}..{high}", effect.name()),
-            })
-            .collect();
-        f.write_str(if parts.is_empty() { "none" } else { "" })?;
-        f.write_str(&parts.join(","))
+        let part = |(effect, high): (Effect, f64)| match self.low.severity(effect) {
+            low if low == high => (effect, high.to_string()),
+            low => (effect, format!("{low}..{high}")),
+        };
+        write_parts(f, "none", self.high.present().map(part))
     }
 }
 
@@ -61,20 +57,14 @@ impl FromStr for EffectRanges {
     type Err = EffectError;
 
     fn from_str(text: &str) -> Result<Self, EffectError> {
-        // Each end is a set of its own, with all of its refusals.
-        let end = |last: bool| -> Result<EffectSet, EffectError> {
-            let parts = text.split(',').map(|part| match part.split_once("..") {
-                Some((_, high)) if last => {
-                    let name = part.split('=').next().unwrap_or_default();
-                    format!("{name}={high}")
-                }
-                Some((low, _)) => low.to_owned(),
-                None => part.to_owned(),
-            });
-            parts.collect::<Vec<_>>().join(",").parse()
-        };
-        let ranges = Self { low: end(false)?, high: end(true)? };
-        for effect in Effect::ALL {
+        let mut ranges = Self::default();
+        if text == "none" {
+            return Ok(ranges);
+        }
+        for (effect, value) in parts(text, |part| EffectError::Form { part })? {
+            let (low, high) = value.split_once("..").unwrap_or((value, value));
+            ranges.low = ranges.low.parsed(effect, low)?;
+            ranges.high = ranges.high.parsed(effect, high)?;
             let [low, high] = ranges.range(effect);
             if low > high {
                 let (name, value) = (effect.name().to_owned(), format!("{low}..{high}"));
@@ -85,19 +75,7 @@ impl FromStr for EffectRanges {
     }
 }
 
-impl TryFrom<String> for EffectRanges {
-    type Error = EffectError;
-
-    fn try_from(text: String) -> Result<Self, EffectError> {
-        text.parse()
-    }
-}
-
-impl From<EffectRanges> for String {
-    fn from(ranges: EffectRanges) -> Self {
-        ranges.to_string()
-    }
-}
+is_text!(EffectRanges);
 
 #[cfg(test)]
 mod tests {

@@ -58,11 +58,7 @@ pub fn simulate_in_room(
         .map(|object| object.bounds)
         .collect();
     let speed = between(&mut rng(seed, Effect::Blur, u64::MAX), SPEED);
-    let mut out = Simulated {
-        scene: room.scene.clone(),
-        source: (0..room.scene.len()).map(Some).collect(),
-        done: Vec::new(),
-    };
+    let mut out = Simulated::of(&room.scene);
     let mut plan = Vec::new();
     for (effect, severity) in effects.present() {
         let of_windows = || format!("{} windows", windows.len());

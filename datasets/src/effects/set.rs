@@ -18,7 +18,7 @@ pub enum Effect {
     Floaters = 1,
     /// Surfaces that were not measured smoothly.
     Surface = 2,
-    /// Pictures taken in motion: Gaussians drawn out and colours mixed.
+    /// Pictures taken in motion: Gaussians drawn out and colors mixed.
     Blur = 3,
     /// Exposure and white balance that drift over the scene.
     Light = 4,
@@ -52,9 +52,7 @@ impl Effect {
             Self::Glass => "glass",
         }
     }
-}
 
-impl Effect {
     /// The effect of that name.
     ///
     /// # Errors
@@ -148,6 +146,12 @@ impl EffectSet {
         Ok(self)
     }
 
+    /// With an effect of the severity that a text gives.
+    pub(super) fn parsed(self, effect: Effect, text: &str) -> Result<Self, EffectError> {
+        let (name, value) = (effect.name().to_owned(), text.to_owned());
+        self.with(effect, text.parse().map_err(|_| EffectError::Severity { name, value })?)
+    }
+
     /// Those that there are, in the order in which they are applied.
     pub fn present(&self) -> impl Iterator<Item = (Effect, f64)> {
         let all = Effect::ALL.map(|effect| (effect, self.severity(effect)));
@@ -162,10 +166,7 @@ impl EffectSet {
 
 impl fmt::Display for EffectSet {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let parts: Vec<String> =
-            self.present().map(|(effect, s)| format!("{}={s}", effect.name())).collect();
-        f.write_str(if parts.is_empty() { "none" } else { "" })?;
-        f.write_str(&parts.join(","))
+        write_parts(f, "none", self.present().map(|(effect, s)| (effect, s.to_string())))
     }
 }
 
@@ -173,42 +174,65 @@ impl FromStr for EffectSet {
     type Err = EffectError;
 
     fn from_str(text: &str) -> Result<Self, EffectError> {
-        let mut set = Self::default();
-        if text == "none" {
-            return Ok(set);
+        let mut parts = match text {
+            "none" => Vec::new(),
+            _ => parts(text, |part| EffectError::Form { part })?,
         }
-        let mut seen = Vec::new();
-        for part in text.split(',') {
-            let (name, value) =
-                part.split_once('=').ok_or_else(|| EffectError::Form { part: part.to_owned() })?;
-            let effect = Effect::named(name)?;
-            if seen.contains(&effect) {
-                return Err(EffectError::Twice { name: name.to_owned() });
+        .into_iter();
+        parts.try_fold(Self::default(), |set, (effect, value)| set.parsed(effect, value))
+    }
+}
+
+/// The parts `NAME=VALUE` of a text, no effect twice; `form` is the error of what is none.
+pub(super) fn parts(
+    text: &str,
+    form: impl Fn(String) -> EffectError,
+) -> Result<Vec<(Effect, &str)>, EffectError> {
+    let mut out: Vec<(Effect, &str)> = Vec::new();
+    for part in text.split(',') {
+        let (name, value) = part.split_once('=').ok_or_else(|| form(part.to_owned()))?;
+        let effect = Effect::named(name)?;
+        if out.iter().any(|(known, _)| *known == effect) {
+            return Err(EffectError::Twice { name: name.to_owned() });
+        }
+        out.push((effect, value));
+    }
+    Ok(out)
+}
+
+/// Writes such parts, or a word if there are none.
+pub(super) fn write_parts(
+    f: &mut fmt::Formatter<'_>,
+    none: &str,
+    parts: impl Iterator<Item = (Effect, String)>,
+) -> fmt::Result {
+    let parts: Vec<String> =
+        parts.map(|(effect, value)| format!("{}={value}", effect.name())).collect();
+    f.write_str(if parts.is_empty() { none } else { "" })?;
+    f.write_str(&parts.join(","))
+}
+
+/// In files these are their texts.
+macro_rules! is_text {
+    ($name:ident) => {
+        impl TryFrom<String> for $name {
+            type Error = EffectError;
+
+            fn try_from(text: String) -> Result<Self, EffectError> {
+                text.parse()
             }
-            seen.push(effect);
-            let severity = value.parse().map_err(|_| EffectError::Severity {
-                name: name.to_owned(),
-                value: value.to_owned(),
-            })?;
-            set = set.with(effect, severity)?;
         }
-        Ok(set)
-    }
-}
 
-impl TryFrom<String> for EffectSet {
-    type Error = EffectError;
-
-    fn try_from(text: String) -> Result<Self, EffectError> {
-        text.parse()
-    }
+        impl From<$name> for String {
+            fn from(value: $name) -> Self {
+                value.to_string()
+            }
+        }
+    };
 }
+pub(super) use is_text;
 
-impl From<EffectSet> for String {
-    fn from(set: EffectSet) -> Self {
-        set.to_string()
-    }
-}
+is_text!(EffectSet);
 
 #[cfg(test)]
 mod tests {

@@ -180,12 +180,7 @@ fn effects_do_not_change_each_others_draws() {
 #[test]
 fn the_number_of_threads_changes_nothing() {
     let all = "holes=3,floaters=3,surface=3,blur=3,light=3,noise=3";
-    let run = |threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| with(all, 6))
-    };
-    let one = run(1);
-    assert!(one == run(2) && one == run(7));
+    crate::transforms::testing::on_threads([1, 2, 7], || with(all, 6));
 }
 
 #[test]

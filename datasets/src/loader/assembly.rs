@@ -1,6 +1,6 @@
 //! Making one batch.
 
-use super::BrokenScenes;
+use super::{BrokenScenes, LoaderSettings};
 use crate::mix3d::mix_pairs;
 use crate::rng::{Purpose, happens, purpose_rng};
 use crate::{DataError, Dataset, InputFeatures, Sample, TrainBatch, collate_samples};
@@ -12,10 +12,7 @@ use std::sync::Arc;
 pub(super) struct Assembly {
     pub dataset: Arc<dyn Dataset>,
     pub features: InputFeatures,
-    pub seed: u64,
-    pub mix_probability: f64,
-    pub mix_exact: bool,
-    pub broken_scenes: BrokenScenes,
+    pub settings: LoaderSettings,
 }
 
 /// A batch, and the scenes that could not be part of it with the reasons.
@@ -39,30 +36,29 @@ impl Assembly {
             if stopped() {
                 return None;
             }
-            match self.sample(epoch, scene) {
+            match self.guarded(&[scene], || self.dataset.get(epoch, scene)) {
                 Ok(sample) => samples.push(sample),
                 // A panic is a bug, not a property of the scene.
                 Err(error @ DataError::Panicked { .. }) => return Some(Err(error)),
-                Err(error) if self.broken_scenes == BrokenScenes::Skip => {
+                Err(error) if self.settings.broken_scenes == BrokenScenes::Skip => {
                     skipped.push((self.dataset.id(scene).to_owned(), reason(&error)));
                 }
                 Err(error) => return Some(Err(error)),
             }
         }
-        let guarded = catch_unwind(AssertUnwindSafe(|| self.join(epoch, number, samples)));
-        let joined = guarded.unwrap_or_else(|panic| {
-            let ids: Vec<&str> = scenes.iter().map(|&scene| self.dataset.id(scene)).collect();
-            Err(DataError::Panicked { id: ids.join(", "), message: message(panic.as_ref()) })
-        });
+        let joined = self.guarded(scenes, || self.join(epoch, number, samples));
         Some(joined.map(|batch| Assembled { batch, skipped }))
     }
 
-    /// A sample that the network can read.
-    fn sample(&self, epoch: u64, scene: usize) -> Result<Sample, DataError> {
-        let guarded = catch_unwind(AssertUnwindSafe(|| self.dataset.get(epoch, scene)));
-        let id = || self.dataset.id(scene).to_owned();
-        guarded.unwrap_or_else(|panic| {
-            Err(DataError::Panicked { id: id(), message: message(panic.as_ref()) })
+    /// What is made of some scenes; a panic is an error that names them.
+    fn guarded<T>(
+        &self,
+        scenes: &[usize],
+        make: impl FnOnce() -> Result<T, DataError>,
+    ) -> Result<T, DataError> {
+        catch_unwind(AssertUnwindSafe(make)).unwrap_or_else(|panic| {
+            let ids: Vec<&str> = scenes.iter().map(|&scene| self.dataset.id(scene)).collect();
+            Err(DataError::Panicked { id: ids.join(", "), message: message(panic.as_ref()) })
         })
     }
 
@@ -72,9 +68,9 @@ impl Assembly {
         number: usize,
         mut samples: Vec<Sample>,
     ) -> Result<TrainBatch, DataError> {
-        let mut rng = purpose_rng(Purpose::Mixing, self.seed, epoch, number as u64);
-        if happens(&mut rng, self.mix_probability) {
-            samples = mix_pairs(samples, self.mix_exact, &mut rng)?;
+        let mut rng = purpose_rng(Purpose::Mixing, self.settings.seed, epoch, number as u64);
+        if happens(&mut rng, self.settings.mix_probability) {
+            samples = mix_pairs(samples, self.settings.mix_exact, &mut rng)?;
         }
         collate_samples(samples, &self.features)
     }

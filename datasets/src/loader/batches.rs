@@ -1,7 +1,8 @@
 //! The iterator over an epoch, and the threads behind it.
 
 use super::assembly::{Assembled, Assembly};
-use super::{LoaderSettings, Skipped, SkippedScene};
+use super::{Skipped, SkippedScene};
+use crate::error::bad_setting;
 use crate::{DataError, TrainBatch};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -28,7 +29,6 @@ pub struct SceneBatches {
 impl SceneBatches {
     pub(super) fn start(
         assembly: &Arc<Assembly>,
-        settings: &LoaderSettings,
         skipped: &Skipped,
         epoch: u64,
         plan: Vec<(usize, Vec<usize>)>,
@@ -40,8 +40,8 @@ impl SceneBatches {
             plan: Arc::new(plan),
             next: 0,
             workers: None,
-            prefetch: settings.prefetch,
-            num_workers: settings.workers.min(settings.prefetch),
+            prefetch: assembly.settings.prefetch,
+            num_workers: assembly.settings.workers.min(assembly.settings.prefetch),
         }
     }
 
@@ -148,7 +148,7 @@ impl Workers {
                 .spawn(move || work(&assembly, epoch, &plan, &inbox, &outbox, &stop));
             let thread = thread.map_err(|error| {
                 let value = format!("{count} ({error})");
-                crate::error::bad_setting("workers", value, "as many as the system can start")
+                bad_setting("workers", value, "as many as the system can start")
             })?;
             workers.threads.push(thread);
         }

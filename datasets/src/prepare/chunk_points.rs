@@ -1,7 +1,8 @@
 //! Labelled points of scenes to the chunks that were cut of them.
 
-use super::{bad_file, tree};
 use crate::DataError;
+use crate::files::{arrays, bad_file, picked, positions};
+use crate::from_points::tree;
 use scenesplat_scene::formats::npy::NpyFile;
 use scenesplat_scene::formats::npy_writer::write_npy;
 use std::path::Path;
@@ -43,9 +44,8 @@ pub fn transfer_to_chunks(
     chunk: &Path,
     settings: &ChunkTransfer,
 ) -> Result<ChunkTransferReport, DataError> {
-    let points = NpyFile::open(&scene.join("pc_coord.npy"))?;
-    let coord = rows3(&points)?;
-    let gaussians = rows3(&NpyFile::open(&chunk.join("coord.npy"))?)?;
+    let coord = positions(&scene.join("pc_coord.npy"))?;
+    let gaussians = positions(&chunk.join("coord.npy"))?;
     let tree = tree(&coord)?;
     let limit = settings.max_distance * settings.max_distance;
     let near: Vec<Vec<u32>> = tree.map_nearest(
@@ -56,10 +56,11 @@ pub fn transfer_to_chunks(
     );
     let mut is_kept = vec![false; coord.len()];
     near.iter().flatten().for_each(|&row| is_kept[row as usize] = true);
-    let kept: Vec<usize> = (0..coord.len()).filter(|&row| is_kept[row]).collect();
+    let kept: Vec<u32> = (0..coord.len() as u32).filter(|&row| is_kept[row as usize]).collect();
     let mut report =
         ChunkTransferReport { points: coord.len(), kept: kept.len(), files: Vec::new() };
-    for name in point_files(scene)? {
+    for stem in arrays(scene)?.into_iter().filter(|stem| stem.starts_with("pc_")) {
+        let name = format!("{stem}.npy");
         let file = NpyFile::open(&scene.join(&name))?;
         let shape = file.shape().to_vec();
         if shape.first() != Some(&coord.len()) {
@@ -71,41 +72,15 @@ pub fn transfer_to_chunks(
         to[0] = kept.len();
         let path = chunk.join(&name);
         if file.ty().is_float() {
-            write_npy(&path, &to, &chosen(&file.read_f32()?, width, &kept))?;
+            write_npy(&path, &to, &picked(&file.read_f32()?, width, &kept))?;
         } else {
             let values: Vec<i32> =
                 file.read_i64()?.into_iter().map(|v| i32::try_from(v).unwrap_or(-1)).collect();
-            write_npy(&path, &to, &chosen(&values, width, &kept))?;
+            write_npy(&path, &to, &picked(&values, width, &kept))?;
         }
         report.files.push(name);
     }
     Ok(report)
-}
-
-fn rows3(file: &NpyFile) -> Result<Vec<[f32; 3]>, DataError> {
-    if file.shape().len() != 2 || file.shape()[1] != 3 {
-        let problem = format!("is {:?}", file.shape());
-        return Err(bad_file(file.path(), problem, "positions are [rows, 3]"));
-    }
-    Ok(file.read_f32()?.as_chunks::<3>().0.to_vec())
-}
-
-/// Names of the files with points, sorted.
-fn point_files(scene: &Path) -> Result<Vec<String>, DataError> {
-    let failed = |e: std::io::Error| bad_file(scene, format!("cannot be listed: {e}"), "");
-    let mut names = Vec::new();
-    for entry in std::fs::read_dir(scene).map_err(failed)? {
-        let name = entry.map_err(failed)?.file_name().to_string_lossy().into_owned();
-        if name.starts_with("pc_") && name.ends_with(".npy") {
-            names.push(name);
-        }
-    }
-    names.sort();
-    Ok(names)
-}
-
-fn chosen<T: Copy>(values: &[T], width: usize, rows: &[usize]) -> Vec<T> {
-    rows.iter().flat_map(|&row| values[row * width..(row + 1) * width].iter().copied()).collect()
 }
 
 #[cfg(test)]

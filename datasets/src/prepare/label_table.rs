@@ -1,7 +1,8 @@
 //! What the names of a benchmark's annotators mean: rows of a list of classes.
 
-use super::{ScanLayout, bad_file};
+use super::ScanLayout;
 use crate::DataError;
+use crate::files::bad_file;
 use crate::sources::class_lists::{
     MATTERPORT21, MATTERPORT160, NYU40, SCANNET20, SCANNET200, SCANNETPP100, names,
 };
@@ -50,12 +51,12 @@ impl LabelTable {
         for (class, name) in (0..).zip(&classes) {
             map.entry(key(name)).or_insert(class);
         }
-        Self { stem: stem.to_owned(), classes, map, numbers: false }
+        Self::of_map(stem, classes, map)
     }
 
     /// Names that are the numbers of classes.
     pub fn of_numbers(stem: &str, classes: Vec<String>) -> Self {
-        Self { stem: stem.to_owned(), classes, map: BTreeMap::new(), numbers: true }
+        Self { numbers: true, ..Self::of_map(stem, classes, BTreeMap::new()) }
     }
 
     fn of_map(stem: &str, classes: Vec<String>, map: BTreeMap<String, i32>) -> Self {
@@ -81,68 +82,10 @@ impl LabelTables<'_> {
                 _ => LabelTable::of_names("segment", own),
             }]);
         }
-        let need = |help: &str| -> DataError {
-            let problem = format!("no table of names for the layout {}", layout.name());
-            SceneError::Classes { problem, help: help.to_owned() }.into()
-        };
         match layout {
-            ScanLayout::Scannet => {
-                let path = self
-                    .table
-                    .ok_or_else(|| need("give ScanNet's own, scannetv2-labels.combined.tsv"))?;
-                let table = Table::read(path, '\t')?;
-                let index = |list: &[i32], id: i32| list.iter().position(|v| *v == id);
-                let nyu = table.numbers("raw_category", "nyu40id")?;
-                let raw = table.numbers("raw_category", "id")?;
-                let of = |numbers: BTreeMap<String, i32>, list: &[i32]| -> BTreeMap<String, i32> {
-                    let class = |(name, id)| Some((name, index(list, id)? as i32));
-                    numbers.into_iter().filter_map(class).collect()
-                };
-                Ok(vec![
-                    LabelTable::of_map(
-                        "segment20",
-                        names(SCANNET20),
-                        of(nyu, &SCANNET20_NYU40_IDS),
-                    ),
-                    LabelTable::of_map("segment200", names(SCANNET200), of(raw, &SCANNET200_IDS)),
-                ])
-            }
-            ScanLayout::ScannetPp => {
-                let classes = names(SCANNETPP100);
-                let mut table = LabelTable::of_names("segment", classes);
-                if let Some(path) = self.table {
-                    // Renamed classes: what a name is counted as.
-                    let renamed = Table::read(path, ',')?.pairs("class", "semantic_map_to")?;
-                    for (from, to) in renamed {
-                        if let Some(&class) = table.map.get(&key(&to)) {
-                            table.map.insert(from, class);
-                        }
-                    }
-                }
-                Ok(vec![table])
-            }
-            ScanLayout::Matterport3d => {
-                let path = self.table.ok_or_else(|| {
-                    need("give Matterport3D's own, metadata/category_mapping.tsv")
-                })?;
-                let table = Table::read(path, '\t')?;
-                let class = |id: i32| {
-                    MATTERPORT21_NYU40_IDS.iter().position(|v| *v == id).map(|at| at as i32)
-                };
-                let nyu = table.numbers("raw_category", "nyu40id")?;
-                let coarse = nyu.into_iter().filter_map(|(name, id)| Some((name, class(id)?)));
-                let fine = LabelTable::of_names("segment_nyu_160", names(MATTERPORT160));
-                let named = table.pairs("raw_category", "nyuClass")?;
-                let fine_map = named
-                    .into_iter()
-                    .map(|(name, class)| (name, fine.class_of(&class)))
-                    .filter(|(_, class)| *class >= 0)
-                    .collect();
-                Ok(vec![
-                    LabelTable::of_map("segment", names(MATTERPORT21), coarse.collect()),
-                    LabelTable::of_map("segment_nyu_160", fine.classes, fine_map),
-                ])
-            }
+            ScanLayout::Scannet => self.scannet(),
+            ScanLayout::ScannetPp => self.scannetpp(),
+            ScanLayout::Matterport3d => self.matterport3d(),
             ScanLayout::Hypersim => {
                 let nyu40 = names(NYU40);
                 let scannet = (0..).zip(SCANNET20_NYU40_IDS);
@@ -151,11 +94,56 @@ impl LabelTables<'_> {
                 Ok(vec![LabelTable::of_names("segment", nyu40), coarse])
             }
             ScanLayout::Points => Ok(vec![LabelTable::of_numbers("segment", Vec::new())]),
-            ScanLayout::Replica | ScanLayout::ThreeRScan | ScanLayout::Arkitscenes => Err(need(
+            ScanLayout::Replica | ScanLayout::ThreeRScan | ScanLayout::Arkitscenes => Err(needed(
+                layout,
                 "give the names of classes, one a line, in the order that their numbers shall have",
             )),
         }
     }
+
+    fn scannet(&self) -> Result<Vec<LabelTable>, DataError> {
+        let help = "give ScanNet's own, scannetv2-labels.combined.tsv";
+        let path = self.table.ok_or_else(|| needed(ScanLayout::Scannet, help))?;
+        let table = Table::read(path, '\t')?;
+        let coarse = table.classes("nyu40id", &SCANNET20_NYU40_IDS)?;
+        let fine = table.classes("id", &SCANNET200_IDS)?;
+        Ok(vec![
+            LabelTable::of_map("segment20", names(SCANNET20), coarse),
+            LabelTable::of_map("segment200", names(SCANNET200), fine),
+        ])
+    }
+
+    fn scannetpp(&self) -> Result<Vec<LabelTable>, DataError> {
+        let mut table = LabelTable::of_names("segment", names(SCANNETPP100));
+        if let Some(path) = self.table {
+            // Renamed classes: what a name is counted as.
+            let renamed = Table::read(path, ',')?.pairs("class", "semantic_map_to")?;
+            for (from, to) in renamed {
+                if let Some(&class) = table.map.get(&key(&to)) {
+                    table.map.insert(from, class);
+                }
+            }
+        }
+        Ok(vec![table])
+    }
+
+    fn matterport3d(&self) -> Result<Vec<LabelTable>, DataError> {
+        let help = "give Matterport3D's own, metadata/category_mapping.tsv";
+        let path = self.table.ok_or_else(|| needed(ScanLayout::Matterport3d, help))?;
+        let table = Table::read(path, '\t')?;
+        let coarse = table.classes("nyu40id", &MATTERPORT21_NYU40_IDS)?;
+        let mut fine = LabelTable::of_names("segment_nyu_160", names(MATTERPORT160));
+        let named = table.pairs("raw_category", "nyuClass")?.into_iter();
+        let named = named.map(|(name, class)| (name, fine.class_of(&class)));
+        fine.map = named.filter(|(_, class)| *class >= 0).collect();
+        Ok(vec![LabelTable::of_map("segment", names(MATTERPORT21), coarse), fine])
+    }
+}
+
+/// A table that a layout needs is not given.
+fn needed(layout: ScanLayout, help: &str) -> DataError {
+    let problem = format!("no table of names for the layout {}", layout.name());
+    SceneError::Classes { problem, help: help.to_owned() }.into()
 }
 
 /// A table with a header, as text.
@@ -194,10 +182,13 @@ impl<'a> Table<'a> {
         Ok(out)
     }
 
-    /// As [`pairs`](Self::pairs), the second column as whole numbers; rows without one are left out.
-    fn numbers(&self, from: &str, to: &str) -> Result<BTreeMap<String, i32>, DataError> {
-        let pairs = self.pairs(from, to)?;
-        Ok(pairs.into_iter().filter_map(|(k, v)| Some((k, v.trim().parse().ok()?))).collect())
+    /// The class of each raw category: where the number in the other column stands in the list.
+    fn classes(&self, column: &str, list: &[i32]) -> Result<BTreeMap<String, i32>, DataError> {
+        let class = |(name, number): (String, String)| {
+            let number: i32 = number.trim().parse().ok()?;
+            Some((name, list.iter().position(|v| *v == number)? as i32))
+        };
+        Ok(self.pairs("raw_category", column)?.into_iter().filter_map(class).collect())
     }
 }
 

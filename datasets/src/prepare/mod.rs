@@ -22,30 +22,3 @@ pub use label_table::{LabelTable, LabelTables};
 pub use readers::{ScanLayout, read_scan};
 pub use scan::{ScanPoints, vertex_normals};
 pub use transfer::{PrepareReport, PrepareSettings, PreparedScene, SegmentColumn, prepare};
-
-use crate::DataError;
-use scenesplat_kernels::grid_sample::GridSampleError;
-use scenesplat_kernels::neighbors::{KdTree, NeighborError};
-use scenesplat_scene::SceneError;
-use std::path::Path;
-
-/// A file that is not as it should be.
-pub(crate) fn bad_file(
-    path: &Path,
-    problem: impl Into<String>,
-    help: impl Into<String>,
-) -> DataError {
-    let (problem, help) = (problem.into(), help.into());
-    SceneError::Format { path: path.to_owned(), problem, help }.into()
-}
-
-/// Neighbours among points.
-fn tree(coord: &[[f32; 3]]) -> Result<KdTree, DataError> {
-    KdTree::new(coord).map_err(|error| match error {
-        NeighborError::NotFinite { row, value: [x, y, z] } => {
-            let value = [x, y].into_iter().find(|v| !v.is_finite()).unwrap_or(z);
-            DataError::NotFinite { row, field: "coord", value }
-        }
-        NeighborError::TooManyRows { rows } => GridSampleError::TooManyRows { rows }.into(),
-    })
-}

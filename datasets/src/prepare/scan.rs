@@ -1,8 +1,10 @@
 //! What a scan says about its points, whatever its files look like.
 
-use super::bad_file;
 use crate::DataError;
+use crate::files::bad_file;
 use scenesplat_scene::formats::ply::{PlyFile, PlyLists};
+use scenesplat_scene::vector::cross;
+use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -84,19 +86,31 @@ pub fn vertex_normals(coord: &[[f32; 3]], faces: &PlyLists) -> Vec<[f32; 3]> {
         for pair in face[1..].windows(2) {
             let (a, b, c) = (at(face[0]), at(pair[0]), at(pair[1]));
             let (u, v) = ([0, 1, 2].map(|k| b[k] - a[k]), [0, 1, 2].map(|k| c[k] - a[k]));
-            let n =
-                [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
-            for &vertex in [face[0], pair[0], pair[1]].iter() {
+            let n = cross(u, v);
+            for vertex in [face[0], pair[0], pair[1]] {
                 let sum = &mut sums[vertex as usize];
                 (0..3).for_each(|k| sum[k] += n[k]);
             }
         }
     }
-    let unit = |n: [f64; 3]| {
-        let length = n.iter().map(|v| v * v).sum::<f64>().sqrt();
-        n.map(|v| if length > 0.0 { (v / length) as f32 } else { 0.0 })
-    };
-    sums.into_iter().map(unit).collect()
+    sums.into_iter().map(unit_or_zero).collect()
+}
+
+/// A direction of length 1; 0 stays 0.
+pub(super) fn unit_or_zero(n: [f64; 3]) -> [f32; 3] {
+    let length = n.iter().map(|v| v * v).sum::<f64>().sqrt();
+    n.map(|v| if length > 0.0 { (v / length) as f32 } else { 0.0 })
+}
+
+/// Normals of the vertices of a mesh; none if it has no faces.
+pub(super) fn normals(
+    file: &PlyFile,
+    coord: &[[f32; 3]],
+) -> Result<Option<Vec<[f32; 3]>>, DataError> {
+    if file.element("face").is_none_or(|faces| faces.count == 0) {
+        return Ok(None);
+    }
+    Ok(Some(vertex_normals(coord, &faces(file, coord.len(), &[])?)))
 }
 
 /// Per-vertex segment numbers and the groups of segments that are objects, as ScanNet has them.
@@ -110,27 +124,18 @@ pub(super) struct Groups {
 impl Groups {
     /// Reads `segIndices` of one file and `segGroups` of another.
     pub(super) fn read(segments: &Path, groups: &Path) -> Result<Self, DataError> {
-        let segments_json = read_json(segments)?;
-        let list = |value: Option<&serde_json::Value>| -> Option<Vec<i64>> {
-            value?.as_array()?.iter().map(serde_json::Value::as_i64).collect()
+        let list = |value: &Value, name: &str| -> Option<Vec<i64>> {
+            value.get(name)?.as_array()?.iter().map(Value::as_i64).collect()
         };
-        let indices = list(segments_json.get("segIndices")).ok_or_else(|| {
+        let indices = list(&read_json(segments)?, "segIndices").ok_or_else(|| {
             bad_file(segments, "has no list segIndices of whole numbers", WRONG_FILE)
         })?;
-        let groups_json = read_json(groups)?;
-        let found = groups_json.get("segGroups").and_then(serde_json::Value::as_array);
-        let found = found.ok_or_else(|| bad_file(groups, "has no list segGroups", WRONG_FILE))?;
-        let mut objects = Vec::with_capacity(found.len());
-        for (number, group) in found.iter().enumerate() {
-            let bad = |what: &str| {
-                bad_file(groups, format!("segGroups[{number}] has no {what}"), WRONG_FILE)
-            };
-            let id = group.get("objectId").or_else(|| group.get("id"));
-            let id = id.and_then(serde_json::Value::as_i64).ok_or_else(|| bad("objectId"))?;
-            let label = group.get("label").and_then(serde_json::Value::as_str);
-            let label = label.ok_or_else(|| bad("label"))?.trim().to_owned();
-            let parts =
-                list(group.get("segments")).ok_or_else(|| bad("list segments of whole numbers"))?;
+        let mut objects = Vec::new();
+        for group in items(groups, &read_json(groups)?, "segGroups")? {
+            let id = group.whole(&["objectId", "id"])?;
+            let label = group.text("label")?.trim().to_owned();
+            let parts = list(group.value, "segments");
+            let parts = parts.ok_or_else(|| group.lacks("list segments of whole numbers"))?;
             objects.push((id, label, parts));
         }
         Ok(Self { segments: indices, objects })
@@ -160,8 +165,44 @@ impl Groups {
 
 pub(super) const WRONG_FILE: &str = "is it the file that the layout asks for?";
 
+/// One of the objects in a list of a JSON file.
+pub(super) struct Item<'a> {
+    path: &'a Path,
+    list: &'a str,
+    number: usize,
+    pub(super) value: &'a Value,
+}
+
+/// The objects in the list of that name.
+pub(super) fn items<'a>(
+    path: &'a Path,
+    json: &'a Value,
+    list: &'a str,
+) -> Result<Vec<Item<'a>>, DataError> {
+    let found = json.get(list).and_then(Value::as_array);
+    let found = found.ok_or_else(|| bad_file(path, format!("has no list {list}"), WRONG_FILE))?;
+    Ok(found.iter().enumerate().map(|(number, value)| Item { path, list, number, value }).collect())
+}
+
+impl<'a> Item<'a> {
+    pub(super) fn lacks(&self, what: &str) -> DataError {
+        let problem = format!("{}[{}] has no {what}", self.list, self.number);
+        bad_file(self.path, problem, WRONG_FILE)
+    }
+
+    pub(super) fn text(&self, key: &str) -> Result<&'a str, DataError> {
+        self.value.get(key).and_then(Value::as_str).ok_or_else(|| self.lacks(key))
+    }
+
+    /// The whole number under the first of the names that is there.
+    pub(super) fn whole(&self, keys: &[&str]) -> Result<i64, DataError> {
+        let found = keys.iter().find_map(|key| self.value.get(key)).and_then(Value::as_i64);
+        found.ok_or_else(|| self.lacks(keys[0]))
+    }
+}
+
 /// A JSON file.
-pub(super) fn read_json(path: &Path) -> Result<serde_json::Value, DataError> {
+pub(super) fn read_json(path: &Path) -> Result<Value, DataError> {
     let bytes = scenesplat_scene::input_file::read_file(path, 1 << 30)?;
     serde_json::from_slice(&bytes).map_err(|e| {
         bad_file(path, format!("is no JSON: {e}"), "the file is damaged, fetch it again")

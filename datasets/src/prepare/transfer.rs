@@ -1,8 +1,9 @@
 //! Labels of a scan onto the Gaussians of its scene.
 
-use super::{LabelTable, ScanPoints, UprightBox, tree};
+use super::{LabelTable, ScanPoints, UprightBox};
 use crate::DataError;
 use crate::error::check_length;
+use crate::from_points::tree;
 use scenesplat_scene::formats::npy_folder::write_npy_folder;
 use scenesplat_scene::formats::npy_writer::write_npy;
 use scenesplat_scene::{GaussianScene, LabelledPoints, SceneError, WholeFolder};
@@ -134,14 +135,10 @@ fn inside(
     let is_inside = |row: &usize| around.is_some_and(|b| b.contains(scene.coord[*row]));
     let kept: Vec<usize> = (0..scene.len()).filter(is_inside).collect();
     if kept.is_empty() {
-        return Err(SceneError::Classes {
-            problem: format!(
-                "none of the {} Gaussians is inside the box around the scan",
-                scene.len()
-            ),
-            help: "both have to be in one frame and in metres".to_owned(),
-        }
-        .into());
+        let count = scene.len();
+        let problem = format!("none of the {count} Gaussians is inside the box around the scan");
+        let help = "both have to be in one frame and in metres".to_owned();
+        return Err(SceneError::Classes { problem, help }.into());
     }
     Ok(kept)
 }
@@ -169,11 +166,13 @@ impl PreparedScene {
         let waiting = whole.waiting();
         write_npy_folder(&self.scene, waiting, false)?;
         for column in &self.segments {
-            let rows = &column.gaussians;
-            write_npy(&waiting.join(format!("{}.npy", column.stem)), &[rows.len()], rows)?;
+            let write = |prefix: &str, rows: &[i32]| {
+                let path = waiting.join(format!("{prefix}{}.npy", column.stem));
+                write_npy(&path, &[rows.len()], rows)
+            };
+            write("", &column.gaussians)?;
             if self.scene.labelled_points.is_some() {
-                let rows = &column.points;
-                write_npy(&waiting.join(format!("pc_{}.npy", column.stem)), &[rows.len()], rows)?;
+                write("pc_", &column.points)?;
             }
         }
         whole.commit().map_err(SceneError::from)?;

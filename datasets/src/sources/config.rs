@@ -2,7 +2,7 @@
 
 use super::{Benchmark, SceneFolders, SceneFoldersOptions, Split, SyntheticRooms};
 use crate::effects::EffectRanges;
-use crate::error::bad_setting;
+use crate::error::{bad_setting, require};
 use crate::{DataError, DataSource, SceneDataset, Transform};
 use scenesplat_rooms::{CLASSES, SyntheticRoomSettings, Vocabulary};
 use scenesplat_scene::{LabelSet, Policy, TextTable};
@@ -75,9 +75,6 @@ impl FolderConfig {
     }
 }
 
-/// The most synthetic rooms: each has a name that is kept.
-const MAX_ROOMS: usize = 1_000_000;
-
 /// Furnished synthetic rooms.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -104,26 +101,17 @@ pub struct SyntheticRoomsConfig {
 
 impl SyntheticRoomsConfig {
     fn build(&self) -> Result<SyntheticRooms, DataError> {
-        if self.count > MAX_ROOMS {
-            return Err(bad_setting("count", self.count, "at most 1,000,000 rooms"));
-        }
-        if self.room.seed != 0 {
-            let expected = "nothing: `seed` of the source is the seed of its rooms";
-            return Err(bad_setting("room.seed", self.room.seed, expected));
-        }
+        let expected = "nothing: `seed` of the source is the seed of its rooms";
+        require(self.room.seed == 0, "room.seed", self.room.seed, expected)?;
         let mut rooms = SyntheticRooms::new(self.count, self.room.clone(), self.seed)?;
         if let Some(effects) = self.effects {
-            if effects.is_empty() {
-                let expected = "effects with a severity above 0, such as holes=0..3, or none of it";
-                return Err(bad_setting("effects", effects, expected));
-            }
+            let expected = "effects with a severity above 0, such as holes=0..3, or none of it";
+            require(!effects.is_empty(), "effects", effects, expected)?;
             rooms = rooms.with_effects(effects);
         }
         if let Some(path) = &self.texts {
-            if self.vocabulary.is_some() {
-                let expected = "nothing beside `vocabulary`: a Gaussian has one feature";
-                return Err(bad_setting("texts", path.display(), expected));
-            }
+            let expected = "nothing beside `vocabulary`: a Gaussian has one feature";
+            require(self.vocabulary.is_none(), "texts", path.display(), expected)?;
             return rooms.with_texts(&TextTable::read(path, None)?).map_err(|error| match error {
                 DataError::Setting { value, expected, .. } => {
                     bad_setting("texts", format!("{} ({value})", path.display()), expected)

@@ -1,5 +1,6 @@
 //! The scenes of several folders.
 
+use crate::files::{bad_file, entries, name_of};
 use crate::{DataError, DataSource, SourceScene};
 use scenesplat_scene::{LabelledPoints, Policy, ReadOptions, SceneError, SceneFormat, open_scene};
 use std::path::{Path, PathBuf};
@@ -72,45 +73,24 @@ impl SceneFolders {
             this.add(&path, &prefix)?;
         }
         if this.ids.is_empty() {
-            return Err(SceneError::Format {
-                path: root.to_owned(),
-                problem: format!("holds no scene {}", in_folders(folders)),
-                help: "a scene is a folder with a coord.npy, or a file such as .ply or .spz"
-                    .to_owned(),
-            }
-            .into());
+            let of = if folders.is_empty() { "" } else { "in " };
+            let problem = format!("holds no scene {of}{}", folders.join(", "));
+            let help = "a scene is a folder with a coord.npy, or a file such as .ply or .spz";
+            return Err(bad_file(root, problem, help));
         }
         Ok(this)
     }
 
     fn add(&mut self, folder: &Path, prefix: &str) -> Result<(), DataError> {
-        let failed = |source| SceneError::Io {
-            path: folder.to_owned(),
-            action: "cannot list the folder of scenes",
-            source,
-        };
-        let mut found = Vec::new();
-        for entry in std::fs::read_dir(folder).map_err(failed)? {
-            let path = entry.map_err(failed)?.path();
-            if !is_scene(&path) {
-                continue;
-            }
+        for path in entries(folder)?.into_iter().filter(|path| is_scene(path)) {
             let Some(name) = path.file_name().and_then(|n| n.to_str()) else {
-                return Err(SceneError::Format {
-                    path,
-                    problem: "has a name that is not Unicode".to_owned(),
-                    help: "rename it".to_owned(),
-                }
-                .into());
+                let problem = "has a name that is not Unicode".to_owned();
+                return Err(SceneError::Format { path, problem, help: "rename it".into() }.into());
             };
             if !name.starts_with('.') && !self.excludes(name) {
-                found.push((name.to_owned(), path));
+                self.ids.push(format!("{prefix}{name}"));
+                self.paths.push(path);
             }
-        }
-        found.sort();
-        for (name, path) in found {
-            self.ids.push(format!("{prefix}{name}"));
-            self.paths.push(path);
         }
         Ok(())
     }
@@ -197,16 +177,8 @@ fn is_scene(path: &Path) -> bool {
     SceneFormat::is_scene_file_name(name)
 }
 
-fn in_folders(folders: &[String]) -> String {
-    if folders.is_empty() { String::new() } else { format!("in {}", folders.join(", ")) }
-}
-
 /// Names of the folders in a folder, sorted; none if it cannot be listed.
 fn subfolders(root: &Path) -> Vec<String> {
-    let entries = std::fs::read_dir(root).into_iter().flatten().flatten();
-    let folders = entries.filter(|entry| entry.path().is_dir());
-    let mut names: Vec<String> =
-        folders.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
-    names.sort();
-    names
+    let entries = entries(root).unwrap_or_default();
+    entries.iter().filter(|path| path.is_dir()).map(|path| name_of(path)).collect()
 }

@@ -1,7 +1,7 @@
 //! Synthetic rooms as a source of scenes.
 
 use crate::effects::{EffectRanges, simulate_in_room};
-use crate::error::bad_setting;
+use crate::error::{bad_setting, require};
 use crate::{DataError, DataSource, SourceScene};
 use half::f16;
 use rand_chacha::rand_core::RngCore;
@@ -20,7 +20,7 @@ const EFFECTS: u64 = u64::MAX;
 /// Where the language features of objects come from.
 #[derive(Debug)]
 enum ObjectTargets {
-    /// Class, groups and colour of each.
+    /// Class, groups and color of each.
     Vocabulary(Arc<Vocabulary>),
     /// The vectors of what they are called.
     Texts {
@@ -51,9 +51,7 @@ impl SyntheticRooms {
         mut settings: SyntheticRoomSettings,
         seed: u64,
     ) -> Result<Self, DataError> {
-        if count > MAX_ROOMS {
-            return Err(bad_setting("count", count, "at most 1000000 rooms"));
-        }
+        require(count <= MAX_ROOMS, "count", count, "at most 1000000 rooms")?;
         let ids = (0..count).map(|i| format!("room-{i:06}")).collect();
         settings.seed = seed;
         // Now rather than at the first room.
@@ -61,7 +59,7 @@ impl SyntheticRooms {
         Ok(Self { ids, settings, targets: None, effects: EffectRanges::default() })
     }
 
-    /// Gives every Gaussian of an object its feature in the vocabulary: class, groups and colour.
+    /// Gives every Gaussian of an object its feature in the vocabulary: class, groups and color.
     #[must_use]
     pub fn with_vocabulary(mut self, vocabulary: Arc<Vocabulary>) -> Self {
         self.targets = Some(Arc::new(ObjectTargets::Vocabulary(vocabulary)));
@@ -86,14 +84,9 @@ impl SyntheticRooms {
         }
         let lacking: Vec<&str> =
             CLASSES.iter().map(|c| c.name).filter(|&name| !rows.contains_key(name)).collect();
-        if !lacking.is_empty() {
-            let value = format!("no vector for {}", lacking.join(", "));
-            return Err(bad_setting(
-                "texts",
-                value,
-                "a row for the name of each of the 41 classes",
-            ));
-        }
+        let value = format!("no vector for {}", lacking.join(", "));
+        let expected = "a row for the name of each of the 41 classes";
+        require(lacking.is_empty(), "texts", value, expected)?;
         self.targets = Some(Arc::new(ObjectTargets::Texts { dim: table.dim, rows }));
         Ok(self)
     }

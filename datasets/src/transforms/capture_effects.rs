@@ -1,8 +1,7 @@
 //! [`CaptureEffects`]
 
-use super::check_probability;
 use crate::effects::{EffectRanges, EffectSet, simulate_upright};
-use crate::error::bad_setting;
+use crate::error::{check_probability, require};
 use crate::rng::happens;
 use crate::{DataError, Sample, SampleRng, Transform};
 use half::f16;
@@ -30,22 +29,17 @@ pub struct CaptureEffects {
     pub probability: f64,
 }
 
-fn always() -> f64 {
+pub(super) fn always() -> f64 {
     1.0
 }
 
-impl CaptureEffects {
-    pub(super) fn check(&self) -> Result<(), DataError> {
-        check_probability("capture_effects.probability", self.probability)?;
-        if self.effects.is_empty() {
-            let expected = "effects with a severity above 0, such as holes=2,floaters=0.5..3";
-            return Err(bad_setting("capture_effects.effects", self.effects, expected));
-        }
-        Ok(())
-    }
-}
-
 impl Transform for CaptureEffects {
+    fn check(&self) -> Result<(), DataError> {
+        check_probability("capture_effects.probability", self.probability)?;
+        let expected = "effects with a severity above 0, such as holes=2,floaters=0.5..3";
+        require(!self.effects.is_empty(), "capture_effects.effects", self.effects, expected)
+    }
+
     fn apply(&self, sample: &mut Sample, rng: &mut SampleRng) -> Result<(), DataError> {
         self.check()?;
         check_place(sample, "capture_effects")?;
@@ -82,7 +76,7 @@ pub(super) fn damage(sample: &mut Sample, effects: &EffectSet, seed: u64) -> Res
     Ok(())
 }
 
-/// What the effects look at. The mask says here whose labels and features stay.
+/// What the effects see. The mask says here whose labels and features stay.
 fn as_scene(sample: &Sample) -> GaussianScene {
     GaussianScene {
         coord: sample.coord.clone(),

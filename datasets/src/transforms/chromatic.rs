@@ -1,12 +1,12 @@
 //! [`ChromaticAutoContrast`], [`ChromaticTranslation`] and [`ChromaticJitter`]
 
-use super::{check_positive, check_probability};
+use crate::error::{check_positive, check_probability};
 use crate::rng::{between, happens, normals, unit};
 use crate::{DataError, Sample, SampleRng, Transform};
 use serde::{Deserialize, Serialize};
 
-/// With `probability`, stretches each colour channel to 0..255 and blends the result with the old
-/// colours: `(1 − b)·c + b·(c − low)·255/(high − low)`, `b` uniform in 0..1.
+/// With `probability`, stretches each color channel to 0..255 and blends the result with the old
+/// colors: `(1 − b)·c + b·(c − low)·255/(high − low)`, `b` uniform in 0..1.
 ///
 /// # Source
 /// `ChromaticAutoContrast` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1. Differs: a
@@ -24,13 +24,11 @@ impl Default for ChromaticAutoContrast {
     }
 }
 
-impl ChromaticAutoContrast {
-    pub(super) fn check(&self) -> Result<(), DataError> {
+impl Transform for ChromaticAutoContrast {
+    fn check(&self) -> Result<(), DataError> {
         check_probability("chromatic_auto_contrast.probability", self.probability)
     }
-}
 
-impl Transform for ChromaticAutoContrast {
     fn apply(&self, sample: &mut Sample, rng: &mut SampleRng) -> Result<(), DataError> {
         self.check()?;
         if !happens(rng, self.probability) {
@@ -55,7 +53,7 @@ impl Transform for ChromaticAutoContrast {
     }
 }
 
-/// With `probability`, adds one uniform offset to each colour channel; the result is clipped to
+/// With `probability`, adds one uniform offset to each color channel; the result is clipped to
 /// 0..=255.
 ///
 /// # Source
@@ -75,14 +73,12 @@ impl Default for ChromaticTranslation {
     }
 }
 
-impl ChromaticTranslation {
-    pub(super) fn check(&self) -> Result<(), DataError> {
+impl Transform for ChromaticTranslation {
+    fn check(&self) -> Result<(), DataError> {
         check_probability("chromatic_translation.probability", self.probability)?;
         check_positive("chromatic_translation.ratio", self.ratio)
     }
-}
 
-impl Transform for ChromaticTranslation {
     fn apply(&self, sample: &mut Sample, rng: &mut SampleRng) -> Result<(), DataError> {
         self.check()?;
         if !happens(rng, self.probability) {
@@ -97,7 +93,7 @@ impl Transform for ChromaticTranslation {
     }
 }
 
-/// With `probability`, adds a normal number to every colour value; the result is clipped to 0..=255.
+/// With `probability`, adds a normal number to every color value; the result is clipped to 0..=255.
 ///
 /// # Source
 /// `ChromaticJitter` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1.
@@ -116,14 +112,12 @@ impl Default for ChromaticJitter {
     }
 }
 
-impl ChromaticJitter {
-    pub(super) fn check(&self) -> Result<(), DataError> {
+impl Transform for ChromaticJitter {
+    fn check(&self) -> Result<(), DataError> {
         check_probability("chromatic_jitter.probability", self.probability)?;
         check_positive("chromatic_jitter.std", self.std)
     }
-}
 
-impl Transform for ChromaticJitter {
     fn apply(&self, sample: &mut Sample, rng: &mut SampleRng) -> Result<(), DataError> {
         self.check()?;
         if !happens(rng, self.probability) {
@@ -138,7 +132,7 @@ impl Transform for ChromaticJitter {
 }
 
 /// Into 0..=255; NaN stays, so that it is found.
-fn clip(value: f64) -> f32 {
+pub(super) fn clip(value: f64) -> f32 {
     value.clamp(0.0, 255.0) as f32
 }
 
@@ -167,7 +161,6 @@ mod tests {
             assert!(color.iter().all(|c| c[2] == 100.0), "a constant channel stays");
         }
         assert_eq!(applied(&always, &gray(&[70.0]), 1).color, gray(&[70.0]).color);
-        assert!(applied(&always, &at(&[]), 1).is_empty());
     }
 
     #[test]
@@ -196,6 +189,5 @@ mod tests {
         assert!(color.iter().flatten().all(|c| (0.0..=255.0).contains(c)));
         let bad = gray(&[f32::NAN, 1.0]);
         assert!(applied(&always, &bad, 5).color[0][0].is_nan());
-        assert!(ChromaticJitter { probability: 2.0, std: 0.1 }.check().is_err());
     }
 }

@@ -1,6 +1,7 @@
 //! [`LimitLabels`]
 
-use crate::error::bad_setting;
+use crate::error::require;
+use crate::rng::name_number;
 use crate::{DataError, Sample, SampleRng, Transform};
 use rand::seq::index::sample;
 use rand_chacha::ChaCha8Rng;
@@ -39,27 +40,25 @@ impl LimitLabels {
     /// If it is out of range.
     pub fn check(&self) -> Result<(), DataError> {
         match self.keep {
-            KeptLabels::Share(share) if !(0.0..=1.0).contains(&share) => {
-                Err(bad_setting("labels.keep.share", share, "a number in 0..=1"))
+            KeptLabels::Share(share) => {
+                let ok = (0.0..=1.0).contains(&share);
+                require(ok, "labels.keep.share", share, "a number in 0..=1")
             }
-            KeptLabels::PerScene(0) => {
-                Err(bad_setting("labels.keep.per_scene", 0, "a number of 1 or more"))
+            KeptLabels::PerScene(count) => {
+                require(count > 0, "labels.keep.per_scene", count, "a number of 1 or more")
             }
-            _ => Ok(()),
         }
     }
 }
 
-/// A number from a name (FNV-1a).
-fn number(name: &str) -> u64 {
-    name.bytes()
-        .fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(b)).wrapping_mul(0x100_0000_01b3))
-}
-
 impl Transform for LimitLabels {
+    fn check(&self) -> Result<(), DataError> {
+        self.check()
+    }
+
     fn apply(&self, sample_of: &mut Sample, _: &mut SampleRng) -> Result<(), DataError> {
         self.check()?;
-        let name = number(&sample_of.id);
+        let name = name_number(&sample_of.id);
         let Some(segment) = &mut sample_of.segment else { return Ok(()) };
         let labelled: Vec<usize> = (0..segment.len()).filter(|&row| segment[row] >= 0).collect();
         let count = match self.keep {

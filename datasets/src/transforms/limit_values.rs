@@ -1,7 +1,6 @@
 //! [`LimitValues`]
 
-use super::check_positive;
-use crate::error::bad_setting;
+use crate::error::{check_positive, require};
 use crate::{DataError, Sample, SampleRng, Transform};
 use serde::{Deserialize, Serialize};
 
@@ -27,24 +26,18 @@ impl Default for LimitValues {
     }
 }
 
-impl LimitValues {
-    pub(super) fn check(&self) -> Result<(), DataError> {
-        check_positive("limit_values.divide", f64::from(self.divide))?;
-        if let Some([low, high]) = self.scale
-            && (low.is_nan() || high.is_nan() || low > high)
-        {
-            let expected = "two numbers, the lower first";
-            return Err(bad_setting("limit_values.scale", format!("[{low}, {high}]"), expected));
-        }
-        if !(0.0..=1.0).contains(&self.opacity_floor) {
-            let floor = self.opacity_floor;
-            return Err(bad_setting("limit_values.opacity_floor", floor, "a number in 0..=1"));
-        }
-        Ok(())
-    }
-}
-
 impl Transform for LimitValues {
+    fn check(&self) -> Result<(), DataError> {
+        check_positive("limit_values.divide", f64::from(self.divide))?;
+        if let Some([low, high]) = self.scale {
+            let value = format!("[{low}, {high}]");
+            require(low <= high, "limit_values.scale", value, "two numbers, the lower first")?;
+        }
+        let floor = self.opacity_floor;
+        let ok = (0.0..=1.0).contains(&floor);
+        require(ok, "limit_values.opacity_floor", floor, "a number in 0..=1")
+    }
+
     fn apply(&self, sample: &mut Sample, _: &mut SampleRng) -> Result<(), DataError> {
         self.check()?;
         if self.divide != 1.0 {
@@ -83,7 +76,5 @@ mod tests {
         assert!(limited.opacity[1].is_nan());
         let room = room(100);
         assert_eq!(applied(&LimitValues::default(), &room, 0), room);
-        assert!(LimitValues { divide: 0.0, ..<_>::default() }.check().is_err());
-        assert!(LimitValues { scale: Some([1.0, 0.0]), ..<_>::default() }.check().is_err());
     }
 }

@@ -1,10 +1,9 @@
 //! [`MeasuredEffects`]
 
-use super::capture_effects::{check_place, damage};
-use super::check_probability;
+use super::capture_effects::{always, check_place, damage};
 use crate::effects::profile::profile_of;
 use crate::effects::{Effect, EffectSet};
-use crate::error::bad_setting;
+use crate::error::{bad_setting, check_probability, require};
 use crate::rng::{below, happens};
 use crate::{DataError, DataSource, Sample, SampleRng, Transform};
 use rand_chacha::rand_core::RngCore;
@@ -30,10 +29,6 @@ pub struct MeasuredEffects {
     pub probability: f64,
 }
 
-fn always() -> f64 {
-    1.0
-}
-
 impl MeasuredEffects {
     /// Looks for the effects in the scenes of a source, in their order; metres.
     ///
@@ -49,22 +44,6 @@ impl MeasuredEffects {
         Ok(())
     }
 
-    pub(super) fn check(&self) -> Result<(), DataError> {
-        check_probability("measured_effects.probability", self.probability)?;
-        if self.most.is_empty() {
-            let expected = "effects with a severity above 0, such as holes=5,blur=3";
-            return Err(bad_setting("measured_effects.most", self.most, expected));
-        }
-        match self.found.as_ref().map(Vec::len) {
-            Some(0) => {
-                let expected =
-                    "what was found in one scene or more, such as [\"none\", \"holes=2\"]";
-                Err(bad_setting("measured_effects.found", "[]", expected))
-            }
-            _ => Ok(()),
-        }
-    }
-
     /// What was found in one of the scenes, no stronger than allowed.
     fn draw(&self, found: &[EffectSet], rng: &mut SampleRng) -> EffectSet {
         let scene = found[below(rng, found.len() as u32) as usize];
@@ -77,6 +56,15 @@ impl MeasuredEffects {
 }
 
 impl Transform for MeasuredEffects {
+    fn check(&self) -> Result<(), DataError> {
+        check_probability("measured_effects.probability", self.probability)?;
+        let expected = "effects with a severity above 0, such as holes=5,blur=3";
+        require(!self.most.is_empty(), "measured_effects.most", self.most, expected)?;
+        let some = self.found.as_ref().is_none_or(|found| !found.is_empty());
+        let expected = "what was found in one scene or more, such as [\"none\", \"holes=2\"]";
+        require(some, "measured_effects.found", "[]", expected)
+    }
+
     fn apply(&self, sample: &mut Sample, rng: &mut SampleRng) -> Result<(), DataError> {
         self.check()?;
         check_place(sample, "measured_effects")?;

@@ -11,13 +11,13 @@
 //! - quaternions keep `w ≥ 0`, as in the data files ([`RandomRotate`], [`RandomFlip`]: the original
 //!   leaves or makes other signs);
 //! - [`ElasticDistortion`] stretches and turns Gaussians and normals by the local gradient of the
-//!   distortion (the original moves centres only);
+//!   distortion (the original moves centers only);
 //! - [`GridSample`] draws evenly among the Gaussians of a cell, whatever the fullest cell holds.
 //!
 //! Positions are kept in f32; the original goes on in f64 after the first rotation, so a Gaussian
 //! that lies on the border of a cell within rounding may be sampled into the other one.
 //!
-//! Colours become −1..1 where a batch is made ([`InputFeatures`](crate::InputFeatures)), so there is
+//! Colors become −1..1 where a batch is made ([`InputFeatures`](crate::InputFeatures)), so there is
 //! no step for that, nor for choosing what is collected.
 
 mod capture_effects;
@@ -67,34 +67,6 @@ pub use view_presets::{
 pub use views::{CropOrigin, ViewCrop, ViewGroup, Views};
 pub use voxel_blur::VoxelBlur;
 
-use crate::DataError;
-use crate::error::bad_setting;
-
-pub(crate) fn check_probability(setting: &'static str, value: f64) -> Result<(), DataError> {
-    if (0.0..=1.0).contains(&value) {
-        Ok(())
-    } else {
-        Err(bad_setting(setting, value, "a probability in 0..=1"))
-    }
-}
-
-pub(crate) fn check_positive(setting: &'static str, value: f64) -> Result<(), DataError> {
-    if value.is_finite() && value > 0.0 {
-        Ok(())
-    } else {
-        Err(bad_setting(setting, value, "a finite number above 0"))
-    }
-}
-
-fn check_range(setting: &'static str, [low, high]: [f64; 2]) -> Result<(), DataError> {
-    if low.is_finite() && high.is_finite() && low <= high {
-        Ok(())
-    } else {
-        let value = format!("[{low}, {high}]");
-        Err(bad_setting(setting, value, "two finite numbers, the lower first"))
-    }
-}
-
 #[cfg(test)]
 pub(crate) mod testing {
     //! Samples for the tests of the steps.
@@ -135,6 +107,18 @@ pub(crate) mod testing {
         step.apply(&mut sample, &mut sample_rng(seed, 0, 0)).unwrap();
         sample.check().unwrap();
         sample
+    }
+
+    /// What is made with pools of so many threads, which is the same in all.
+    pub fn on_threads<T: PartialEq + Send>(
+        counts: impl IntoIterator<Item = usize>,
+        make: impl Fn() -> T + Sync,
+    ) -> T {
+        let pool = |n| rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap();
+        let mut made = counts.into_iter().map(|n| pool(n).install(&make));
+        let first = made.next().unwrap();
+        assert!(made.all(|other| other == first));
+        first
     }
 
     /// Covariance of a Gaussian, in f64.

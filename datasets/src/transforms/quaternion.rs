@@ -34,13 +34,8 @@ pub(crate) fn with_positive_w(quat: [f64; 4]) -> [f64; 4] {
 pub(crate) fn of_matrix(m: [[f64; 3]; 3]) -> [f64; 4] {
     let trace = m[0][0] + m[1][1] + m[2][2];
     let squares = [trace, m[0][0], m[1][1], m[2][2]];
-    let mut best = 0;
-    for i in 1..4 {
-        if squares[i] > squares[best] {
-            best = i;
-        }
-    }
-    let quat = match best {
+    let larger = |best: usize, i: usize| if squares[i] > squares[best] { i } else { best };
+    let quat = match (1..4).fold(0, larger) {
         0 => [1.0 + trace, m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]],
         i => {
             let (i, j, k) = (i - 1, i % 3, (i + 1) % 3);

@@ -1,7 +1,7 @@
 //! [`RandomFlip`]
 
-use super::check_probability;
 use super::quaternion::{unit, with_positive_w};
+use crate::error::check_probability;
 use crate::rng::happens;
 use crate::{DataError, Sample, SampleRng, Transform};
 use serde::{Deserialize, Serialize};
@@ -30,13 +30,11 @@ impl Default for RandomFlip {
     }
 }
 
-impl RandomFlip {
-    pub(super) fn check(&self) -> Result<(), DataError> {
+impl Transform for RandomFlip {
+    fn check(&self) -> Result<(), DataError> {
         check_probability("random_flip.probability", self.probability)
     }
-}
 
-impl Transform for RandomFlip {
     fn apply(&self, sample: &mut Sample, rng: &mut SampleRng) -> Result<(), DataError> {
         self.check()?;
         for axis in 0..2 {
@@ -49,33 +47,23 @@ impl Transform for RandomFlip {
 }
 
 fn mirror(sample: &mut Sample, axis: usize, exact: bool) {
-    let points = sample.labelled_points.iter_mut().flat_map(|points| &mut points.coord);
-    let normals = sample.normal.iter_mut().flatten();
-    for values in sample.coord.iter_mut().chain(normals).chain(points) {
-        values[axis] = -values[axis];
-    }
+    let flip = |values: &mut [f32; 3]| values[axis] = -values[axis];
+    sample.places_mut().for_each(flip);
+    sample.normal.iter_mut().flatten().for_each(flip);
     for quat in &mut sample.quat {
         for other in (0..3).filter(|&other| other != axis) {
             quat[other + 1] = -quat[other + 1];
         }
         let turned = quat.map(f64::from);
-        *quat = if exact {
-            largest_positive(unit(turned)).map(|v| v as f32)
-        } else {
-            with_positive_w(turned).map(|v| v as f32)
-        };
+        let turned = if exact { largest_positive(unit(turned)) } else { with_positive_w(turned) };
+        *quat = turned.map(|v| v as f32);
     }
 }
 
 /// The sign that a conversion from a matrix gives: of equally large ones, x before y, z and w.
 fn largest_positive(quat: [f64; 4]) -> [f64; 4] {
-    let mut largest = 1;
-    for i in [2, 3, 0] {
-        if quat[i].abs() > quat[largest].abs() {
-            largest = i;
-        }
-    }
-    if quat[largest] < 0.0 { quat.map(|v| -v) } else { quat }
+    let larger = |best: usize, i: usize| if quat[i].abs() > quat[best].abs() { i } else { best };
+    if quat[[2, 3, 0].into_iter().fold(1, larger)] < 0.0 { quat.map(|v| -v) } else { quat }
 }
 
 #[cfg(test)]

@@ -1,8 +1,7 @@
 //! [`RandomRotate`] and [`RandomRotateTargetAngle`]
 
 use super::quaternion::{matrix, product, times, unit, with_positive_w};
-use super::{check_probability, check_range};
-use crate::error::bad_setting;
+use crate::error::{check_probability, check_range, require};
 use crate::rng::{below, between, happens};
 use crate::{DataError, Sample, SampleRng, Transform};
 use serde::{Deserialize, Serialize};
@@ -67,15 +66,13 @@ impl Default for RandomRotate {
     }
 }
 
-impl RandomRotate {
-    pub(super) fn check(&self) -> Result<(), DataError> {
+impl Transform for RandomRotate {
+    fn check(&self) -> Result<(), DataError> {
         check_range("random_rotate.angle", self.angle)?;
         check_probability("random_rotate.probability", self.probability)?;
         check_center(self.center)
     }
-}
 
-impl Transform for RandomRotate {
     fn apply(&self, sample: &mut Sample, rng: &mut SampleRng) -> Result<(), DataError> {
         self.check()?;
         if happens(rng, self.probability) {
@@ -117,19 +114,15 @@ impl Default for RandomRotateTargetAngle {
     }
 }
 
-impl RandomRotateTargetAngle {
-    pub(super) fn check(&self) -> Result<(), DataError> {
-        if self.angles.is_empty() || self.angles.iter().any(|a| !a.is_finite()) {
-            let value = format!("{:?}", self.angles);
-            let setting = "random_rotate_target_angle.angles";
-            return Err(bad_setting(setting, value, "one or more finite numbers"));
-        }
+impl Transform for RandomRotateTargetAngle {
+    fn check(&self) -> Result<(), DataError> {
+        let ok = !self.angles.is_empty() && self.angles.iter().all(|a| a.is_finite());
+        let (setting, value) = ("random_rotate_target_angle.angles", format!("{:?}", self.angles));
+        require(ok, setting, value, "one or more finite numbers")?;
         check_probability("random_rotate_target_angle.probability", self.probability)?;
         check_center(self.center)
     }
-}
 
-impl Transform for RandomRotateTargetAngle {
     fn apply(&self, sample: &mut Sample, rng: &mut SampleRng) -> Result<(), DataError> {
         self.check()?;
         if happens(rng, self.probability) {
@@ -141,12 +134,8 @@ impl Transform for RandomRotateTargetAngle {
 }
 
 fn check_center(center: RotationCenter) -> Result<(), DataError> {
-    match center {
-        RotationCenter::Point(p) if p.iter().any(|v| !v.is_finite()) => {
-            Err(bad_setting("center", format!("{p:?}"), "three finite numbers"))
-        }
-        _ => Ok(()),
-    }
+    let RotationCenter::Point(p) = center else { return Ok(()) };
+    require(p.iter().all(|v| v.is_finite()), "center", format!("{p:?}"), "three finite numbers")
 }
 
 /// Turns everything by `angle · π`, in f64.
@@ -163,8 +152,7 @@ fn rotate(sample: &mut Sample, angle: f64, axis: Axis, center: RotationCenter, e
             std::array::from_fn(|a| f64::midpoint(f64::from(low[a]), f64::from(high[a])))
         }
     };
-    let points = sample.labelled_points.iter_mut().flat_map(|points| &mut points.coord);
-    for coord in sample.coord.iter_mut().chain(points) {
+    for coord in sample.places_mut() {
         let moved = times(turn_matrix, std::array::from_fn(|a| f64::from(coord[a]) - center[a]));
         *coord = std::array::from_fn(|a| (moved[a] + center[a]) as f32);
     }
@@ -226,12 +214,13 @@ mod tests {
     }
 
     #[test]
-    fn zero_quaternions_and_few_rows() {
+    fn zero_quaternions_and_centers_nowhere() {
         let mut sample = at(&[[1.0, 0.0, 0.0]]);
         sample.quat = vec![[0.0; 4]];
         let turned = applied(&by(1.0, Axis::Z, RotationCenter::Origin, false), &sample, 0);
         assert!((turned.quat[0][3] - 1.0).abs() < 1e-6, "{:?}", turned.quat);
-        assert!(applied(&RandomRotate::default(), &at(&[]), 0).is_empty());
+        let nowhere = RotationCenter::Point([f32::NAN; 3]);
+        assert!(by(0.0, Axis::X, nowhere, false).check().is_err());
     }
 
     #[test]
@@ -251,12 +240,5 @@ mod tests {
             seen.insert(coord.map(|v| v.round() as i32));
         }
         assert_eq!(seen.len(), 3, "{seen:?}");
-    }
-
-    #[test]
-    fn bad_settings_are_named() {
-        assert!(by(f64::NAN, Axis::X, RotationCenter::Origin, false).check().is_err());
-        assert!(by(0.0, Axis::X, RotationCenter::Point([f32::NAN; 3]), false).check().is_err());
-        assert!(RandomRotateTargetAngle { angles: vec![], ..<_>::default() }.check().is_err());
     }
 }

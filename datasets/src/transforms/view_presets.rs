@@ -1,10 +1,11 @@
 //! Pipelines that end in several views of a scene.
 
+use super::presets::{colors, moves};
 use super::{
-    Axis, CenterShift, ChromaticAutoContrast, ChromaticJitter, ChromaticTranslation, ColorJitter,
-    ColorSolarize, CropOrigin, ElasticDistortion, GridSample, RandomDropout, RandomFlip,
-    RandomGrayscale, RandomJitter, RandomRotate, RandomScale, RatioCrop, RotationCenter,
-    SphereCrop, TransformConfig, ViewCrop, ViewGroup, Views, VoxelBlur,
+    Axis, CenterShift, ChromaticTranslation, ColorJitter, ColorSolarize, CropOrigin,
+    ElasticDistortion, GridSample, RandomDropout, RandomFlip, RandomGrayscale, RandomJitter,
+    RandomRotate, RandomScale, RatioCrop, RotationCenter, SphereCrop, TransformConfig, ViewCrop,
+    ViewGroup, Views, VoxelBlur,
 };
 use crate::views::ViewKind;
 
@@ -34,31 +35,14 @@ fn elastic(fields: Vec<[f64; 2]>) -> TransformConfig {
 
 /// What is done to a scene before its views are cut.
 fn base(grid_size: f64, single: bool, chromatic: bool) -> Steps {
-    let tilt = |axis| RandomRotate {
-        angle: [-1.0 / 64.0, 1.0 / 64.0],
-        axis,
-        center: RotationCenter::BoundingBox,
-        ..RandomRotate::default()
-    };
     let mut steps: Steps = vec![CenterShift { apply_z: true }.into()];
     if single {
-        steps.push(RandomDropout { ratio: 0.2, probability: 0.2 }.into());
+        steps.push(dropout());
     }
-    steps.extend([
-        RandomRotate::default().into(),
-        tilt(Axis::X).into(),
-        tilt(Axis::Y).into(),
-        RandomScale { factor: [0.9, 1.1] }.into(),
-        RandomFlip::default().into(),
-        RandomJitter { sigma: 0.005, clip: 0.02 }.into(),
-        elastic(if single { vec![[0.2, 0.4], [0.8, 1.6]] } else { vec![[0.9, 0.1]] }),
-    ]);
+    steps.extend(moves(0.02));
+    steps.push(elastic(if single { vec![[0.2, 0.4], [0.8, 1.6]] } else { vec![[0.9, 0.1]] }));
     if chromatic {
-        steps.extend([
-            ChromaticAutoContrast { probability: 0.2 }.into(),
-            ChromaticTranslation { probability: 0.95, ratio: 0.05 }.into(),
-            ChromaticJitter { probability: 0.95, std: 0.05 }.into(),
-        ]);
+        steps.extend(colors());
     }
     steps.push(grid(grid_size));
     steps.push(SphereCrop { point_max: SCENE_POINTS, ..SphereCrop::default() }.into());
@@ -84,23 +68,15 @@ fn original_views(
     if bend_local {
         local_region.insert(0, elastic(vec![[0.2, 0.4], [0.8, 1.6]]));
     }
-    let views = Views {
-        groups: vec![
-            ViewGroup {
-                kind: ViewKind::Global,
-                shared: region([0.4, 1.0]),
-                crop: None,
-                views: vec![each(first), each(second)],
-            },
-            ViewGroup {
-                kind: ViewKind::Local,
-                shared: local_region,
-                crop: None,
-                views: vec![each(local); 3],
-            },
-        ],
-    };
-    views.into()
+    let (global, local) = (vec![each(first), each(second)], vec![each(local); 3]);
+    groups([(region([0.4, 1.0]), None, global), (local_region, None, local)])
+}
+
+/// Global views and local ones: what is shared, what is cut, what is done to each.
+fn groups(of: [(Steps, Option<ViewCrop>, Vec<Steps>); 2]) -> TransformConfig {
+    let kinds = [ViewKind::Global, ViewKind::Local].into_iter();
+    let group = |(kind, (shared, crop, views))| ViewGroup { kind, shared, crop, views };
+    Views { groups: kinds.zip(of).map(group).collect() }.into()
 }
 
 fn jitter() -> TransformConfig {
@@ -112,7 +88,7 @@ fn gray() -> TransformConfig {
 }
 
 fn dropout() -> TransformConfig {
-    RandomDropout { ratio: 0.2, probability: 0.2 }.into()
+    RandomDropout::default().into()
 }
 
 /// Self-supervised training on one dataset: two global and three local views, with cells of
@@ -178,7 +154,7 @@ pub fn self_distillation(grid_size: f64) -> Vec<TransformConfig> {
     };
     let each: Steps = vec![
         CenterShift { apply_z: true }.into(),
-        RandomScale { factor: [0.9, 1.1] }.into(),
+        RandomScale::default().into(),
         turn(Axis::Z, 1.0, RotationCenter::Origin).into(),
         turn(Axis::X, 1.0 / 64.0, RotationCenter::BoundingBox).into(),
         turn(Axis::Y, 1.0 / 64.0, RotationCenter::BoundingBox).into(),
@@ -186,26 +162,14 @@ pub fn self_distillation(grid_size: f64) -> Vec<TransformConfig> {
         RandomJitter { sigma: 0.005, clip: 0.02 }.into(),
         elastic(vec![[0.2, 0.4], [0.8, 1.6]]),
         ColorJitter { hue: 0.02, ..ColorJitter::default() }.into(),
-        ChromaticTranslation { probability: 0.95, ratio: 0.05 }.into(),
+        ChromaticTranslation::default().into(),
         grid(grid_size),
         center(),
     ];
     let crop = |ratio, center| Some(ViewCrop { ratio, point_max: 65_536, center });
-    let views = Views {
-        groups: vec![
-            ViewGroup {
-                kind: ViewKind::Global,
-                shared: vec![],
-                crop: crop([0.4, 1.0], CropOrigin::Major),
-                views: vec![each.clone(); 2],
-            },
-            ViewGroup {
-                kind: ViewKind::Local,
-                shared: vec![],
-                crop: crop([0.1, 0.4], CropOrigin::Uncovered),
-                views: vec![each; 4],
-            },
-        ],
-    };
-    vec![CenterShift { apply_z: true }.into(), grid(grid_size), views.into()]
+    let views = groups([
+        (vec![], crop([0.4, 1.0], CropOrigin::Major), vec![each.clone(); 2]),
+        (vec![], crop([0.1, 0.4], CropOrigin::Uncovered), vec![each; 4]),
+    ]);
+    vec![CenterShift { apply_z: true }.into(), grid(grid_size), views]
 }

@@ -1,8 +1,7 @@
 //! [`Views`]
 
-use super::ratio_crop::check_ratio;
 use super::{RatioCrop, TransformConfig, build_transforms};
-use crate::error::bad_setting;
+use crate::error::{check_shares, require};
 use crate::rng::below;
 use crate::views::{ViewKind, ViewSample};
 use crate::{DataError, Sample, SampleRng, Transform};
@@ -74,47 +73,26 @@ impl Views {
         let groups = self.groups.iter();
         groups.flat_map(|group| std::iter::repeat_n(group.kind, group.views.len())).collect()
     }
+}
 
-    pub(super) fn check(&self) -> Result<(), DataError> {
-        let kinds = self.kinds();
-        if kinds.first() != Some(&ViewKind::Global) {
-            let value = format!("{} views", kinds.len());
-            return Err(bad_setting("views.groups", value, "a global view first"));
+impl ViewGroup {
+    fn check(&self) -> Result<(), DataError> {
+        require(!self.views.is_empty(), "views.groups.views", 0, "one list of steps or more")?;
+        if let Some(crop) = &self.crop {
+            check_shares("views.groups.crop.ratio", crop.ratio)?;
+            require(crop.point_max > 0, "views.groups.crop.point_max", 0, "1 or more")?;
         }
-        if kinds.windows(2).any(|k| k == [ViewKind::Local, ViewKind::Global]) {
-            return Err(bad_setting(
-                "views.groups",
-                "a global view after a local one",
-                "global views first",
-            ));
-        }
-        for group in &self.groups {
-            if group.views.is_empty() {
-                return Err(bad_setting("views.groups.views", 0, "one list of steps or more"));
-            }
-            if let Some(crop) = &group.crop {
-                check_ratio("views.groups.crop.ratio", crop.ratio)?;
-                if crop.point_max == 0 {
-                    return Err(bad_setting("views.groups.crop.point_max", 0, "1 or more"));
-                }
-            }
-            build_transforms(&group.shared)?;
-            for steps in &group.views {
-                build_transforms(steps)?;
-                if !steps.iter().any(|step| matches!(step, TransformConfig::GridSample(_))) {
-                    return Err(DataError::Missing {
-                        step: "views",
-                        missing: "cells",
-                        help: "give the steps of each view a grid sample",
-                    });
-                }
-            }
-            let nested = group.shared.iter().chain(group.views.iter().flatten());
-            if nested.clone().any(|step| matches!(step, TransformConfig::Views(_))) {
-                return Err(bad_setting("views.groups", "views of views", "other steps"));
+        build_transforms(&self.shared)?;
+        for steps in &self.views {
+            build_transforms(steps)?;
+            if !steps.iter().any(|step| matches!(step, TransformConfig::GridSample(_))) {
+                let help = "give the steps of each view a grid sample";
+                return Err(DataError::Missing { step: "views", missing: "cells", help });
             }
         }
-        Ok(())
+        let mut steps = self.shared.iter().chain(self.views.iter().flatten());
+        let nested = steps.any(|step| matches!(step, TransformConfig::Views(_)));
+        require(!nested, "views.groups", "views of views", "other steps")
     }
 }
 
@@ -134,23 +112,16 @@ impl ViewCrop {
         }
         let crop = RatioCrop { ratio: self.ratio, point_max: self.point_max };
         let origin = sample.origin_row.as_deref().unwrap_or_default();
-        let has = |set: &[bool], row: usize| set.get(row).copied().unwrap_or(false);
-        let may = |row: &u32| {
-            let at = origin.get(*row as usize).map_or(usize::MAX, |r| *r as usize);
-            match self.center {
-                CropOrigin::Anywhere => true,
-                CropOrigin::Major => has(&taken.major, at),
-                CropOrigin::Uncovered => has(&taken.major, at) && !has(&taken.group, at),
-            }
+        let has = |set: &[bool], row: u32| {
+            let at = origin.get(row as usize).and_then(|&at| set.get(at as usize));
+            at.copied().unwrap_or(false)
         };
+        let in_major = |&row: &u32| self.center == CropOrigin::Anywhere || has(&taken.major, row);
+        let free = |&row: &u32| self.center != CropOrigin::Uncovered || !has(&taken.group, row);
         let all = 0..sample.len() as u32;
-        let mut middle: Vec<u32> = all.clone().filter(may).collect();
+        let mut middle: Vec<u32> = all.clone().filter(in_major).filter(free).collect();
         if middle.is_empty() {
             // All is covered, or this is the major view.
-            let in_major = |row: &u32| {
-                let at = origin.get(*row as usize).map_or(usize::MAX, |r| *r as usize);
-                self.center == CropOrigin::Anywhere || has(&taken.major, at)
-            };
             middle = all.clone().filter(in_major).collect();
         }
         if middle.is_empty() {
@@ -179,6 +150,16 @@ impl Taken {
 }
 
 impl Transform for Views {
+    fn check(&self) -> Result<(), DataError> {
+        let kinds = self.kinds();
+        let ok = kinds.first() == Some(&ViewKind::Global);
+        let value = format!("{} views", kinds.len());
+        require(ok, "views.groups", value, "a global view first")?;
+        let ok = !kinds.windows(2).any(|k| k == [ViewKind::Local, ViewKind::Global]);
+        require(ok, "views.groups", "a global view after a local one", "global views first")?;
+        self.groups.iter().try_for_each(ViewGroup::check)
+    }
+
     fn apply(&self, sample: &mut Sample, rng: &mut SampleRng) -> Result<(), DataError> {
         self.check()?;
         let mut scene = sample.clone();

@@ -1,8 +1,7 @@
 //! [`VoxelBlur`]
 
 use super::quaternion::{unit, with_positive_w};
-use super::{check_positive, check_probability, check_range};
-use crate::error::check_finite;
+use crate::error::{check_finite, check_positive, check_probability, check_range, require};
 use crate::rng::{between, happens};
 use crate::{DataError, Sample, SampleRng, Transform};
 use scenesplat_kernels::grid_sample::{KeyOrder, voxel_groups};
@@ -40,19 +39,6 @@ impl Default for VoxelBlur {
     }
 }
 
-impl VoxelBlur {
-    pub(super) fn check(&self) -> Result<(), DataError> {
-        check_probability("voxel_blur.probability", self.probability)?;
-        check_range("voxel_blur.sigma", self.sigma)?;
-        check_positive("voxel_blur.sigma", self.sigma[0])?;
-        if self.sigma[1] > 4.0 {
-            let expected = "at most 4 voxels: the filter looks at all voxels within twice as much";
-            return Err(crate::error::bad_setting("voxel_blur.sigma", self.sigma[1], expected));
-        }
-        check_positive("voxel_blur.grid_size", self.grid_size)
-    }
-}
-
 /// Color, size, opacity and orientation of a Gaussian.
 type Row = [f64; 11];
 
@@ -68,6 +54,15 @@ fn row_of(sample: &Sample, row: usize) -> Row {
 }
 
 impl Transform for VoxelBlur {
+    fn check(&self) -> Result<(), DataError> {
+        check_probability("voxel_blur.probability", self.probability)?;
+        check_range("voxel_blur.sigma", self.sigma)?;
+        check_positive("voxel_blur.sigma", self.sigma[0])?;
+        let expected = "at most 4 voxels: the filter reads all voxels within twice as much";
+        require(self.sigma[1] <= 4.0, "voxel_blur.sigma", self.sigma[1], expected)?;
+        check_positive("voxel_blur.grid_size", self.grid_size)
+    }
+
     fn apply(&self, sample: &mut Sample, rng: &mut SampleRng) -> Result<(), DataError> {
         self.check()?;
         let (on, sigma) = (happens(rng, self.probability), between(rng, self.sigma));
@@ -151,11 +146,8 @@ mod tests {
     }
 
     #[test]
-    fn hard_inputs() {
+    fn rooms_stay_in_range() {
         let blur = VoxelBlur { probability: 1.0, ..VoxelBlur::default() };
-        for rows in 0..3 {
-            assert_eq!(applied(&blur, &at(&vec![[0.3; 3]; rows]), 1).len(), rows);
-        }
         let sample = room(800);
         let out = applied(&blur, &sample, 2);
         assert!(out.color.iter().flatten().all(|c| (0.0..=255.0).contains(c)));
@@ -165,7 +157,5 @@ mod tests {
         }));
         let never = VoxelBlur { probability: 0.0, ..blur };
         assert_eq!(applied(&never, &sample, 2), sample);
-        assert!(VoxelBlur { sigma: [0.0, 1.0], ..blur }.check().is_err());
-        assert!(VoxelBlur { sigma: [1.0, 9.0], ..blur }.check().is_err());
     }
 }

@@ -1,7 +1,7 @@
 //! The loss between the sums of halves, and its gradient.
 
 use super::{ClassHalves, NAME};
-use crate::error::LossError;
+use crate::error::{LossError, check_positive};
 use crate::rows::Reduction;
 use crate::scalar_op::{Backward, scalar_loss};
 use crate::values::{Matrix, Real, make_rows, read_matrix};
@@ -32,14 +32,11 @@ pub fn aggregated_contrastive(
     temperature: f64,
     reduction: Reduction,
 ) -> Result<Option<Tensor>> {
-    let setting = |setting, value: String, expected| {
-        candle_core::Error::from(LossError::Setting { loss: NAME, setting, value, expected })
-    };
-    if !(temperature > 0.0 && temperature.is_finite()) {
-        return Err(setting("temperature", temperature.to_string(), "a finite number above 0"));
-    }
-    let half_of_row = half_of_row(pred.dims2()?.0, classes)
-        .map_err(|value| setting("rows of a class", value, "existing rows, each once"))?;
+    check_positive(NAME, "temperature", temperature)?;
+    let half_of_row = half_of_row(pred.dims2()?.0, classes).map_err(|value| {
+        let (setting, expected) = ("rows of a class", "existing rows, each once");
+        LossError::Setting { loss: NAME, setting, value, expected }
+    })?;
     if classes.is_empty() {
         return Ok(None);
     }
@@ -175,16 +172,7 @@ impl Backward for SumsBackward {
     fn name(&self) -> &'static str {
         NAME
     }
-    fn gradient(&self, pred: &Tensor, factor: f64) -> Result<Tensor> {
-        match pred.dtype() {
-            DType::F64 => self.typed::<f64>(pred, factor),
-            _ => self.typed::<f32>(pred, factor),
-        }
-    }
-}
-
-impl SumsBackward {
-    fn typed<T: Real>(&self, pred: &Tensor, factor: f64) -> Result<Tensor> {
+    fn gradient<T: Real>(&self, pred: &Tensor, factor: f64) -> Result<Tensor> {
         let scaled = |g: &Vec<f64>| g.iter().map(|v| T::narrow(factor * v)).collect();
         let scaled: Vec<Vec<T>> = self.gradients.iter().map(scaled).collect();
         let columns = pred.dim(1)?;

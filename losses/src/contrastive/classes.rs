@@ -85,9 +85,23 @@ impl TextColumns {
         self.columns.dims()[0]
     }
 
-    /// The rows as columns. `[D, C]` f32
-    pub(crate) fn columns(&self) -> &Tensor {
-        &self.columns
+    /// Products of rows with the texts, divided by a temperature. `[N, D]` to `[N, C]`, f32, or f64 if the
+    /// rows are
+    pub(crate) fn logits(
+        &self,
+        loss: &'static str,
+        field: &'static str,
+        rows: &Tensor,
+        temperature: f64,
+    ) -> Result<Tensor> {
+        let dtype = if rows.dtype() == DType::F64 { DType::F64 } else { DType::F32 };
+        let (n, width) = rows.dims2()?;
+        if width != self.width() {
+            let expected = format!("[N, {}]", self.width());
+            return Err(LossError::shape(loss, field, expected, &[n, width]).into());
+        }
+        let texts = self.columns.to_dtype(dtype)?.to_device(rows.device())?;
+        rows.to_dtype(dtype)?.matmul(&texts)? * (1.0 / temperature)
     }
 
     /// Never: there is no such matrix without a class.
@@ -110,10 +124,9 @@ pub fn pseudo_labels(
     valid: Option<&[bool]>,
 ) -> Result<Vec<i32>> {
     let (rows, dim) = target.dims2()?;
-    if dim != texts.columns.dim(0)? {
-        let (expected, got) =
-            (format!("[N, {}]", texts.columns.dim(0)?), format!("[{rows}, {dim}]"));
-        return Err(LossError::Shape { loss: NAME, field: "target", expected, got }.into());
+    if dim != texts.width() {
+        let expected = format!("[N, {}]", texts.width());
+        return Err(LossError::shape(NAME, "target", expected, &[rows, dim]).into());
     }
     if let Some(valid) = valid {
         check_len(NAME, "valid", rows, valid.len())?;

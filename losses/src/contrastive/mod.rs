@@ -8,7 +8,7 @@ pub use aggregate::aggregated_contrastive;
 pub use classes::{ClassSource, TextColumns, argmax_labels, pseudo_labels};
 pub use halves::{ClassHalves, split_classes};
 
-use crate::error::LossError;
+use crate::error::check_len;
 use crate::loss::{Loss, LossInput};
 use crate::rows::Reduction;
 use candle_core::{Result, Tensor};
@@ -86,17 +86,15 @@ impl Default for AggregatedContrastive {
 impl AggregatedContrastive {
     /// Labels of this step; `None` without a source, or if the task gives none.
     fn labels<'a>(&self, input: &LossInput<'a>) -> Result<Option<Cow<'a, [i32]>>> {
-        let target = || {
-            let missing = LossError::Missing { loss: NAME, field: "target" };
-            input.target.ok_or(candle_core::Error::from(missing))
-        };
         Ok(match &self.classes {
             ClassSource::Off => None,
             ClassSource::Labels => input.label.map(Cow::Borrowed),
             ClassSource::PseudoLabels(texts) => {
-                Some(Cow::Owned(pseudo_labels(target()?, texts, input.valid)?))
+                Some(Cow::Owned(pseudo_labels(input.needs_target(NAME)?, texts, input.valid)?))
             }
-            ClassSource::Argmax => Some(Cow::Owned(argmax_labels(target()?, input.valid)?)),
+            ClassSource::Argmax => {
+                Some(Cow::Owned(argmax_labels(input.needs_target(NAME)?, input.valid)?))
+            }
         })
     }
 }
@@ -112,7 +110,7 @@ impl Loss for AggregatedContrastive {
         }
         let Some(labels) = self.labels(input)? else { return Ok(None) };
         let rows = input.pred.dims2()?.0;
-        crate::error::check_len(NAME, "label", rows, labels.len())?;
+        check_len(NAME, "label", rows, labels.len())?;
         let halves = split_classes(&labels, input.valid, self.min_points, input.seed)?;
         aggregated_contrastive(input.pred, &halves, self.temperature, self.reduction)
     }

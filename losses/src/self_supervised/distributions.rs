@@ -2,12 +2,11 @@
 
 use super::masked_cosine::check_weights;
 use super::stored::{Views, check_teacher, stored_loss};
-use crate::error::LossError;
-use crate::rows::sum_rows;
-use crate::scalar_op::{Backward, scalar_loss};
-use crate::values::{Real, make_rows, read_matrix};
+use crate::error::check_positive;
+use crate::rows::{Reduction, RowLoss, weighted_rows};
+use crate::values::Real;
 use crate::vector::exp_shifted;
-use candle_core::{DType, Result, Tensor};
+use candle_core::{Result, Tensor};
 
 const MASKED: &str = "masked_cross_entropy";
 const VIEWS: &str = "view_cross_entropy";
@@ -31,22 +30,10 @@ pub fn masked_cross_entropy(
     weights: &[f64],
     temperature: f64,
 ) -> Result<Option<Tensor>> {
-    check_temperature(MASKED, temperature)?;
+    check_positive(MASKED, "temperature", temperature)?;
     check_weights(MASKED, student, weights)?;
-    match student.dtype() {
-        DType::F64 => masked::<f64>(student, teacher, weights, temperature),
-        _ => masked::<f32>(student, teacher, weights, temperature),
-    }
-}
-
-/// Checks what logits are divided by.
-pub(super) fn check_temperature(loss: &'static str, value: f64) -> Result<()> {
-    if value > 0.0 && value.is_finite() {
-        return Ok(());
-    }
-    let (setting, value) = ("temperature", value.to_string());
-    let expected = "a finite number above 0";
-    Err(LossError::Setting { loss, setting, value, expected }.into())
+    let loss = MaskedCrossEntropy { temperature };
+    weighted_rows(loss, student, teacher, weights.to_vec(), Reduction::Sum)
 }
 
 /// `softmax(row/τ)` into `out`, and the logarithm of its divisor relative to the largest logit, which
@@ -73,66 +60,28 @@ fn row<T: Real>(student: &[T], teacher: &[T], temperature: f64) -> (f64, f64) {
     (cost, mass)
 }
 
-fn masked<T: Real>(
-    student: &Tensor,
-    teacher: &Tensor,
-    weights: &[f64],
-    temperature: f64,
-) -> Result<Option<Tensor>> {
-    let counts: Vec<bool> = weights.iter().map(|w| *w != 0.0).collect();
-    let (total, mass, count) = sum_rows(MASKED, student, teacher, Some(&counts), |i, s, t| {
-        let (cost, mass) = row::<T>(s, t, temperature);
-        (weights[i] * cost, mass)
-    })?;
-    if count == 0 {
-        return Ok(None);
-    }
-    let (teacher, weights) = (teacher.detach(), weights.to_vec());
-    let backward = MaskedBackward { teacher, weights, mass, temperature };
-    scalar_loss(student, total, backward).map(Some)
-}
-
-struct MaskedBackward {
-    teacher: Tensor,
-    weights: Vec<f64>,
-    mass: Vec<f64>,
+struct MaskedCrossEntropy {
     temperature: f64,
 }
 
-impl Backward for MaskedBackward {
-    fn name(&self) -> &'static str {
-        MASKED
+impl RowLoss for MaskedCrossEntropy {
+    const NAME: &'static str = MASKED;
+    /// The mass of the target.
+    type Kept = f64;
+
+    #[inline(always)]
+    fn value<T: Real>(&self, student: &[T], teacher: &[T]) -> (f64, f64) {
+        row(student, teacher, self.temperature)
     }
-    fn gradient(&self, pred: &Tensor, factor: f64) -> Result<Tensor> {
-        match pred.dtype() {
-            DType::F64 => self.typed::<f64>(pred, factor),
-            _ => self.typed::<f32>(pred, factor),
+
+    #[inline(always)]
+    fn gradient<T: Real>(&self, (s, t): (&[T], &[T]), mass: f64, factor: f64, out: &mut [T]) {
+        let mut p = vec![0.0; s.len()];
+        softmax(s, self.temperature, &mut p);
+        let slope = factor / self.temperature;
+        for ((out, p), t) in out.iter_mut().zip(&p).zip(t) {
+            *out = T::narrow(slope * (p * mass - t.wide()));
         }
-    }
-}
-
-impl MaskedBackward {
-    fn typed<T: Real>(&self, pred: &Tensor, factor: f64) -> Result<Tensor> {
-        read_matrix(MASKED, "student", pred, |s| {
-            read_matrix(MASKED, "teacher", &self.teacher, |t| {
-                make_rows::<T>(pred, |first, out| {
-                    let (mut s_scratch, mut t_scratch) = (Vec::new(), Vec::new());
-                    let mut p = vec![0.0; s.columns];
-                    for (row, out) in (first..).zip(out.chunks_exact_mut(s.columns)) {
-                        if self.weights[row] == 0.0 {
-                            continue;
-                        }
-                        let s = s.read::<T>(row..row + 1, &mut s_scratch);
-                        let t = t.read::<T>(row..row + 1, &mut t_scratch);
-                        softmax(s, self.temperature, &mut p);
-                        let slope = factor * self.weights[row] / self.temperature;
-                        for ((out, p), t) in out.iter_mut().zip(&p).zip(t) {
-                            *out = T::narrow(slope * (p * self.mass[row] - t.wide()));
-                        }
-                    }
-                })
-            })
-        })
     }
 }
 
@@ -156,9 +105,9 @@ pub fn view_cross_entropy(
     temperature: f64,
     same_view: bool,
 ) -> Result<Option<Tensor>> {
-    check_temperature(VIEWS, temperature)?;
-    let s = Views::read(VIEWS, "student", student)?;
-    let t = Views::read(VIEWS, "teacher", teacher)?;
+    check_positive(VIEWS, "temperature", temperature)?;
+    let s = Views::read(VIEWS, "student", student, 3)?;
+    let t = Views::read(VIEWS, "teacher", teacher, 3)?;
     check_teacher(VIEWS, &s, &t)?;
     let pairs = t.views * s.views - if same_view { 0 } else { t.views };
     if s.scenes == 0 || s.width == 0 || pairs == 0 {

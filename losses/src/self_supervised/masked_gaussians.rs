@@ -2,6 +2,7 @@
 
 use super::stored::stored_loss;
 use crate::error::{LossError, check_len};
+use crate::rows::check_target;
 use crate::values::read_matrix;
 use candle_core::{Result, Tensor};
 use serde::{Deserialize, Serialize};
@@ -68,10 +69,7 @@ pub fn masked_gaussians(
     attributes: &[AttributeColumns],
     distance: GaussianDistance,
 ) -> Result<Option<(Tensor, Vec<f64>)>> {
-    if pred.dims() != target.dims() {
-        let (expected, got) = (format!("{:?}", pred.dims()), format!("{:?}", target.dims()));
-        return Err(LossError::Shape { loss: NAME, field: "target", expected, got }.into());
-    }
+    check_target(NAME, pred, target)?;
     let (rows, width) = pred.dims2()?;
     check_attributes(attributes, width)?;
     if let Some(counts) = counts {
@@ -135,8 +133,9 @@ fn check_attributes(attributes: &[AttributeColumns], width: usize) -> Result<()>
     if next == width {
         return Ok(());
     }
-    let (expected, got) = (format!("[N, {next}]"), format!("[N, {width}]"));
-    Err(LossError::Shape { loss: NAME, field: "pred", expected, got }.into())
+    let expected = format!("[N, {next}]");
+    Err(LossError::Shape { loss: NAME, field: "pred", expected, got: format!("[N, {width}]") }
+        .into())
 }
 
 /// Rows that count, as f64.

@@ -24,5 +24,5 @@ mod targets;
 pub use distributions::{masked_cross_entropy, view_cross_entropy};
 pub use masked_cosine::masked_cosine;
 pub use masked_gaussians::{AttributeColumns, GaussianDistance, masked_gaussians};
-pub use sim_dino::{Expansion, SimDino, SimDinoOutput, SimDinoRowsOutput, sim_dino, sim_dino_rows};
+pub use sim_dino::{Expansion, SimDino, SimDinoOutput, sim_dino, sim_dino_rows};
 pub use targets::{Centering, sinkhorn_knopp};

@@ -2,7 +2,7 @@
 
 use super::coding_rate::half_log_det;
 use super::stored::{Views, check_teacher, stored_loss};
-use crate::error::LossError;
+use crate::error::{LossError, check_positive, check_setting};
 use candle_core::{Result, Tensor};
 use serde::{Deserialize, Serialize};
 
@@ -19,7 +19,7 @@ pub enum Expansion {
     StudentAndTeacher,
     /// The student's, `expa_type = 0`.
     Student,
-    /// Nobody's: there is no coding rate, and nothing that keeps scenes apart. For ablations.
+    /// Nobody's: no coding rate keeps scenes apart. For ablations.
     None,
 }
 
@@ -48,17 +48,17 @@ impl Default for SimDino {
     }
 }
 
-/// What [`sim_dino`] gives.
+/// Result of [`sim_dino`] and [`sim_dino_rows`].
 #[derive(Debug, Clone)]
 pub struct SimDinoOutput {
     /// `−coefficient · compression − expansion`, a scalar with the gradient to the student.
     pub loss: Tensor,
-    /// Mean cosine between a teacher's view and another view of the student.
+    /// Mean cosine between a teacher's view and another view of the student, or between partners.
     pub compression: f64,
-    /// Coding rate, ≥ 0. Near 0 all scenes look alike: collapse.
+    /// Coding rate, ≥ 0. Near 0 all scenes (or rows) look alike: collapse.
     pub expansion: f64,
     /// The cosines of [`compression`](Self::compression) between views that the teacher has, added up
-    /// and divided by the number of those.
+    /// and divided by the number of those; of rows the compression itself.
     pub global_compression: f64,
 }
 
@@ -85,37 +85,7 @@ pub fn sim_dino(
     teacher: &Tensor,
     settings: &SimDino,
 ) -> Result<Option<SimDinoOutput>> {
-    check_settings(NAME, settings)?;
-    let mut s = Views::read(NAME, "student", student)?;
-    let mut t = Views::read(NAME, "teacher", teacher)?;
-    check_teacher(NAME, &s, &t)?;
-    if s.scenes == 0 || s.width == 0 {
-        return Ok(None);
-    }
-    let norms = if settings.normalized { None } else { Some(normalize(&mut s)) };
-    if norms.is_some() {
-        normalize(&mut t);
-    }
-    let mut gradient = vec![0.0; s.values.len()];
-    let (compression, global_compression) = compress(&s, &t, -settings.coefficient, &mut gradient);
-    let expansion = expand(NAME, &s, &t, settings, &mut gradient)?;
-    if let Some(norms) = norms {
-        back_through_norms(&s, &norms, &mut gradient);
-    }
-    let value = -settings.coefficient * compression - expansion;
-    let loss = stored_loss(NAME, student, value, gradient)?;
-    Ok(Some(SimDinoOutput { loss, compression, expansion, global_compression }))
-}
-
-/// What [`sim_dino_rows`] gives.
-#[derive(Debug, Clone)]
-pub struct SimDinoRowsOutput {
-    /// `−coefficient · compression − expansion`, a scalar with the gradient to the student.
-    pub loss: Tensor,
-    /// Mean cosine between a row of the student and its partner of the teacher.
-    pub compression: f64,
-    /// Coding rate, ≥ 0. Near 0 all rows look alike: collapse.
-    pub expansion: f64,
+    attract_and_spread(NAME, (student, teacher, 3), settings, compress_views)
 }
 
 /// [`sim_dino`] of single rows: partners agree, rows differ; `None` for no rows.
@@ -136,18 +106,22 @@ pub fn sim_dino_rows(
     student: &Tensor,
     teacher: &Tensor,
     settings: &SimDino,
-) -> Result<Option<SimDinoRowsOutput>> {
-    const NAME: &str = "sim_dino_rows";
-    check_settings(NAME, settings)?;
-    for (field, rows) in [("student", student), ("teacher", teacher)] {
-        if rows.rank() != 2 {
-            let (expected, got) = ("[N, D]".to_owned(), format!("{:?}", rows.dims()));
-            return Err(LossError::Shape { loss: NAME, field, expected, got }.into());
-        }
-    }
-    let mut s = Views::read(NAME, "student", &student.unsqueeze(0)?)?;
-    let mut t = Views::read(NAME, "teacher", &teacher.unsqueeze(0)?)?;
-    check_teacher(NAME, &s, &t)?;
+) -> Result<Option<SimDinoOutput>> {
+    attract_and_spread("sim_dino_rows", (student, teacher, 2), settings, compress_rows)
+}
+
+fn attract_and_spread(
+    loss: &'static str,
+    (student, teacher, rank): (&Tensor, &Tensor, usize),
+    settings: &SimDino,
+    compress: fn(&Views, &Views, f64, &mut [f64]) -> (f64, f64),
+) -> Result<Option<SimDinoOutput>> {
+    check_positive(loss, "epsilon", settings.epsilon)?;
+    let coefficient = settings.coefficient;
+    check_setting(loss, "coefficient", coefficient, coefficient.is_finite(), "a finite number")?;
+    let mut s = Views::read(loss, "student", student, rank)?;
+    let mut t = Views::read(loss, "teacher", teacher, rank)?;
+    check_teacher(loss, &s, &t)?;
     if s.scenes == 0 || s.width == 0 {
         return Ok(None);
     }
@@ -155,30 +129,15 @@ pub fn sim_dino_rows(
     if norms.is_some() {
         normalize(&mut t);
     }
-    let share = 1.0 / s.scenes as f64;
-    let weight = -settings.coefficient * share;
-    let mut gradient: Vec<f64> = t.values.iter().map(|v| weight * v).collect();
-    let compression = share * s.values.iter().zip(&t.values).map(|(a, b)| a * b).sum::<f64>();
-    let expansion = expand(NAME, &s, &t, settings, &mut gradient)?;
+    let mut gradient = vec![0.0; s.values.len()];
+    let (compression, global_compression) = compress(&s, &t, -coefficient, &mut gradient);
+    let expansion = expand(loss, &s, &t, settings, &mut gradient)?;
     if let Some(norms) = norms {
         back_through_norms(&s, &norms, &mut gradient);
     }
-    let value = -settings.coefficient * compression - expansion;
-    let loss = stored_loss(NAME, student, value, gradient)?;
-    Ok(Some(SimDinoRowsOutput { loss, compression, expansion }))
-}
-
-fn check_settings(loss: &'static str, settings: &SimDino) -> Result<()> {
-    for (setting, value, good, expected) in [
-        ("epsilon", settings.epsilon, settings.epsilon > 0.0, "a finite number above 0"),
-        ("coefficient", settings.coefficient, true, "a finite number"),
-    ] {
-        if !(good && value.is_finite()) {
-            let value = value.to_string();
-            return Err(LossError::Setting { loss, setting, value, expected }.into());
-        }
-    }
-    Ok(())
+    let value = -coefficient * compression - expansion;
+    let loss = stored_loss(loss, student, value, gradient)?;
+    Ok(Some(SimDinoOutput { loss, compression, expansion, global_compression }))
 }
 
 /// Brings rows to unit length; gives what they were divided by.
@@ -208,8 +167,17 @@ fn back_through_norms(unit: &Views, norms: &[f64], gradient: &mut [f64]) {
     }
 }
 
+/// The mean cosine of partners, twice; sets `weight` times its gradient.
+fn compress_rows(s: &Views, t: &Views, weight: f64, gradient: &mut [f64]) -> (f64, f64) {
+    let share = 1.0 / s.scenes as f64;
+    let weight = weight * share;
+    gradient.iter_mut().zip(&t.values).for_each(|(g, v)| *g = weight * v);
+    let mean = share * s.values.iter().zip(&t.values).map(|(a, b)| a * b).sum::<f64>();
+    (mean, mean)
+}
+
 /// Both means of cosines; adds `weight` times the gradient of the first.
-fn compress(s: &Views, t: &Views, weight: f64, gradient: &mut [f64]) -> (f64, f64) {
+fn compress_views(s: &Views, t: &Views, weight: f64, gradient: &mut [f64]) -> (f64, f64) {
     let pairs = (t.views * s.views - t.views) as f64;
     if pairs == 0.0 {
         return (0.0, 0.0);

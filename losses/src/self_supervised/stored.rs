@@ -2,6 +2,7 @@
 
 use crate::error::LossError;
 use crate::scalar_op::{Backward, scalar_loss};
+use crate::values::Real;
 use candle_core::{DType, Result, Tensor};
 
 /// Largest number of f16, at which gradients saturate.
@@ -16,7 +17,7 @@ impl Backward for Stored {
     fn name(&self) -> &'static str {
         self.name
     }
-    fn gradient(&self, pred: &Tensor, factor: f64) -> Result<Tensor> {
+    fn gradient<T: Real>(&self, pred: &Tensor, factor: f64) -> Result<Tensor> {
         let largest = if pred.dtype() == DType::F16 { LARGEST_F16 } else { f64::INFINITY };
         let scaled = |g: &f64| (factor * g).clamp(-largest, largest);
         let values: Vec<f64> = self.gradient.iter().map(scaled).collect();
@@ -42,22 +43,44 @@ pub(super) struct Views {
     pub width: usize,
 }
 
+/// All values as f64, checked to be finite; `width` is that of a row in messages.
+pub(super) fn finite_values(
+    loss: &'static str,
+    field: &'static str,
+    tensor: &Tensor,
+    width: usize,
+) -> Result<Vec<f64>> {
+    let values: Vec<f64> = tensor.to_dtype(DType::F64)?.flatten_all()?.to_vec1()?;
+    match values.iter().position(|v| !v.is_finite()) {
+        None => Ok(values),
+        Some(at) => {
+            let (row, column, value) = (at / width, at % width, values[at]);
+            Err(LossError::NotFinite { loss, field, row, column, value }.into())
+        }
+    }
+}
+
 impl Views {
-    /// Reads and checks a tensor.
-    pub fn read(loss: &'static str, field: &'static str, tensor: &Tensor) -> Result<Self> {
-        let &[views, scenes, width] = tensor.dims() else {
-            let (expected, got) = ("[views, B, D]".to_owned(), format!("{:?}", tensor.dims()));
-            return Err(LossError::Shape { loss, field, expected, got }.into());
+    /// Reads and checks vectors of rank 3 `[views, B, D]`, or of rank 2 `[N, D]`: one view.
+    pub fn read(
+        loss: &'static str,
+        field: &'static str,
+        tensor: &Tensor,
+        rank: usize,
+    ) -> Result<Self> {
+        let (views, scenes, width) = match *tensor.dims() {
+            [views, scenes, width] if rank == 3 => (views, scenes, width),
+            [scenes, width] if rank == 2 => (1, scenes, width),
+            _ => {
+                let expected = if rank == 2 { "[N, D]" } else { "[views, B, D]" };
+                return Err(LossError::shape(loss, field, expected, tensor.dims()).into());
+            }
         };
         if !matches!(tensor.dtype(), DType::F32 | DType::F64 | DType::BF16 | DType::F16) {
             let got = format!("{:?}", tensor.dtype());
             return Err(LossError::Type { loss, field, got }.into());
         }
-        let values: Vec<f64> = tensor.to_dtype(DType::F64)?.flatten_all()?.to_vec1()?;
-        if let Some(at) = values.iter().position(|v| !v.is_finite()) {
-            let (row, column, value) = (at / width, at % width, values[at]);
-            return Err(LossError::NotFinite { loss, field, row, column, value }.into());
-        }
+        let values = finite_values(loss, field, tensor, width)?;
         Ok(Self { values, views, scenes, width })
     }
 
@@ -80,6 +103,6 @@ pub(super) fn check_teacher(loss: &'static str, student: &Views, teacher: &Views
         return Ok(());
     }
     let expected = format!("[1..={}, {}, {}]", student.views, student.scenes, student.width);
-    let got = format!("[{}, {}, {}]", teacher.views, teacher.scenes, teacher.width);
-    Err(LossError::Shape { loss, field: "teacher", expected, got }.into())
+    let got = [teacher.views, teacher.scenes, teacher.width];
+    Err(LossError::shape(loss, "teacher", expected, &got).into())
 }

@@ -1,7 +1,7 @@
 //! A teacher's logits as distributions that no prototype can take over.
 
-use super::distributions::check_temperature;
-use crate::error::LossError;
+use super::stored::finite_values;
+use crate::error::{LossError, check_positive};
 use candle_core::{DType, Result, Tensor};
 
 const CENTERING: &str = "centering";
@@ -9,18 +9,9 @@ const SINKHORN: &str = "sinkhorn_knopp";
 
 fn logits(loss: &'static str, tensor: &Tensor) -> Result<(Vec<f64>, usize, usize)> {
     let &[rows, width] = tensor.dims() else {
-        let (expected, got) = ("[N, K]".to_owned(), format!("{:?}", tensor.dims()));
-        return Err(LossError::Shape { loss, field: "logits", expected, got }.into());
+        return Err(LossError::shape(loss, "logits", "[N, K]", tensor.dims()).into());
     };
-    let values: Vec<f64> = tensor.to_dtype(DType::F64)?.flatten_all()?.to_vec1()?;
-    match values.iter().position(|v| !v.is_finite()) {
-        None => Ok((values, rows, width)),
-        Some(at) => {
-            let (field, value) = ("logits", values[at]);
-            let (row, column) = (at / width, at % width);
-            Err(LossError::NotFinite { loss, field, row, column, value }.into())
-        }
-    }
+    Ok((finite_values(loss, "logits", tensor, width)?, rows, width))
 }
 
 /// `ln Σ exp(v)`; −∞ for nothing.
@@ -32,7 +23,7 @@ fn log_sum_exp(values: impl Iterator<Item = f64> + Clone) -> f64 {
     largest + values.map(|v| (v - largest).exp()).sum::<f64>().ln()
 }
 
-/// A running mean of logits, which is taken off before the softmax.
+/// A running mean of logits, subtracted before the softmax.
 ///
 /// # Source
 /// DINO (arXiv:2104.14294), section 3.1.
@@ -58,7 +49,7 @@ impl Centering {
     /// # Errors
     /// If the width differs, a logit is not finite, or `temperature` is not a finite number above 0.
     pub fn targets(&self, logits_of_teacher: &Tensor, temperature: f64) -> Result<Tensor> {
-        check_temperature(CENTERING, temperature)?;
+        check_positive(CENTERING, "temperature", temperature)?;
         let (mut values, rows, width) = self.read(logits_of_teacher)?;
         for row in values.chunks_exact_mut(width.max(1)) {
             row.iter_mut().zip(&self.center).for_each(|(v, c)| *v = (*v - c) / temperature);
@@ -90,8 +81,7 @@ impl Centering {
             return Ok((values, rows, width));
         }
         let expected = format!("[N, {}]", self.center.len());
-        let got = format!("{:?}", tensor.dims());
-        Err(LossError::Shape { loss: CENTERING, field: "logits", expected, got }.into())
+        Err(LossError::shape(CENTERING, "logits", expected, tensor.dims()).into())
     }
 }
 
@@ -114,7 +104,7 @@ pub fn sinkhorn_knopp(
     temperature: f64,
     iterations: usize,
 ) -> Result<Tensor> {
-    check_temperature(SINKHORN, temperature)?;
+    check_positive(SINKHORN, "temperature", temperature)?;
     let (mut values, rows, width) = logits(SINKHORN, logits_of_teacher)?;
     values.iter_mut().for_each(|v| *v /= temperature);
     for _ in 0..iterations {

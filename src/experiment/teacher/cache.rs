@@ -106,7 +106,7 @@ impl Cache {
         };
         match decoded {
             Ok(rows) => {
-                self.record.read();
+                self.record.with(|counts| counts.read += 1);
                 Ok(Some(rows))
             }
             Err(why) => {
@@ -133,7 +133,7 @@ impl Cache {
             });
         }
         match AtomicFile::write(&path, &bytes) {
-            Ok(()) => self.record.kept(),
+            Ok(()) => self.record.with(|counts| counts.kept += 1),
             Err(e) => self.record.not_kept(|| e.to_string()),
         }
     }

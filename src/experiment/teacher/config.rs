@@ -1,6 +1,5 @@
 //! A teacher as a file gives it.
 
-use super::super::config::{ExperimentConfig, TargetChoice, Task};
 use super::super::error::ExperimentError;
 use crate::network::Weights;
 use scenesplat_datasets::TeacherView;
@@ -89,7 +88,7 @@ impl TeacherConfig {
         }
     }
 
-    fn check(&self) -> Result<()> {
+    pub(in super::super) fn check(&self) -> Result<()> {
         let Self::Network(network) = self else { return Ok(()) };
         weights(&network.weights)?;
         precision(&network.precision)?;
@@ -115,34 +114,4 @@ pub(super) fn weights(path: &Path) -> Result<Weights> {
 
 pub(super) fn precision(name: &str) -> Result<scenesplat_kernels::Precision> {
     name.parse().map_err(|e: String| ExperimentError::setting("teacher.precision", e))
-}
-
-/// Checks that an experiment has a teacher exactly if it distils one, and nothing besides that would
-/// have no effect.
-pub(in super::super) fn check(config: &ExperimentConfig) -> Result<()> {
-    let wrong = |field: &str, problem: &str| Err(ExperimentError::setting(field, problem));
-    let distils = config.task == Task::Distillation;
-    match &config.teacher {
-        None if distils => wrong("teacher", "distillation needs one; see docs/training.md"),
-        Some(_) if !distils => wrong("teacher", "only task = \"distillation\" has one"),
-        None => Ok(()),
-        Some(teacher) => {
-            teacher.check()?;
-            if config.model.num_classes().is_some() {
-                return wrong("model.num_classes", "a student has features, no classifier");
-            }
-            if config.targets != TargetChoice::Features {
-                return wrong("targets", "the targets of distillation are the teacher's rows");
-            }
-            let looks =
-                |loss: &scenesplat_losses::LossConfig| loss.has_target() && loss.weight() != 0.0;
-            if !config.losses.iter().any(looks) {
-                return wrong(
-                    "losses",
-                    "none compares with the teacher: add cosine, l2, smooth_l1 or text_distillation",
-                );
-            }
-            Ok(())
-        }
-    }
 }

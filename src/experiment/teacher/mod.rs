@@ -6,7 +6,6 @@ mod network;
 mod record;
 mod stored;
 
-pub(super) use config::check;
 pub use config::{CacheConfig, NetworkTeacherConfig, StoredTeacherConfig, TeacherConfig};
 pub use record::TeacherRecord;
 

@@ -50,7 +50,7 @@ impl SceneTeacher for NetworkTeacher {
             CenterShift::default().apply(&mut shown, &mut sample_rng(0, 0, 0))?;
         }
         let Some(cache) = &self.cache else {
-            self.record.taught();
+            self.record.with(|counts| counts.taught += 1);
             return self.reader.rows(shown);
         };
         let key = Key::new(&self.reader.identity, &shown);
@@ -59,7 +59,7 @@ impl SceneTeacher for NetworkTeacher {
         if let Some(rows) = cache.read(key, (&id, gaussians), width)? {
             return Ok(rows);
         }
-        self.record.taught();
+        self.record.with(|counts| counts.taught += 1);
         let rows = self.reader.rows(shown)?;
         cache.write(key, &rows);
         Ok(rows)

@@ -1,4 +1,4 @@
-//! What a teacher did, for the record of the run.
+//! Counts of a teacher, for the record of the run.
 
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -15,10 +15,13 @@ pub struct TeacherRecord {
 }
 
 #[derive(Debug, Default)]
-struct Counts {
-    taught: u64,
-    read: u64,
-    kept: u64,
+pub(super) struct Counts {
+    /// Scenes whose rows were computed, or read from where they are stored for good.
+    pub(super) taught: u64,
+    /// Scenes whose rows were taken from the cache.
+    pub(super) read: u64,
+    /// Scenes whose rows were put into the cache.
+    pub(super) kept: u64,
     not_kept: u64,
     why_not_kept: Option<String>,
     remade: u64,
@@ -31,23 +34,8 @@ impl TeacherRecord {
         Self { content, counts: Mutex::default() }
     }
 
-    fn with<T>(&self, change: impl FnOnce(&mut Counts) -> T) -> T {
+    pub(super) fn with<T>(&self, change: impl FnOnce(&mut Counts) -> T) -> T {
         change(&mut self.counts.lock().unwrap_or_else(PoisonError::into_inner))
-    }
-
-    /// Rows of a scene were computed, or read from where they were stored for good.
-    pub(super) fn taught(&self) {
-        self.with(|counts| counts.taught += 1);
-    }
-
-    /// Rows of a scene were taken from the cache.
-    pub(super) fn read(&self) {
-        self.with(|counts| counts.read += 1);
-    }
-
-    /// Rows of a scene were put into the cache.
-    pub(super) fn kept(&self) {
-        self.with(|counts| counts.kept += 1);
     }
 
     /// Rows of a scene could not be put into the cache.

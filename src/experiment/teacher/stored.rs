@@ -37,7 +37,7 @@ impl SceneTeacher for StoredTeacher {
             // Whether the scene has features of its own says nothing about these.
             Some(folder) => (read(&feature_file(folder, &shown.id)?, count)?, None),
         };
-        self.record.taught();
+        self.record.with(|counts| counts.taught += 1);
         // A row of zeros is none.
         let there = |i: usize| {
             valid.as_ref().is_none_or(|valid| valid[i])

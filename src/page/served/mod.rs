@@ -136,7 +136,7 @@ impl PageServer {
         format!("http://127.0.0.1:{}/{}/", self.address.port, self.address.token)
     }
 
-    /// Answers until `stop` says so; looks at it several times a second, and leaves no connection behind.
+    /// Answers until `stop` is true, which is asked several times a second; then all connections are closed.
     ///
     /// # Errors
     /// If the system lets no connection through any more.

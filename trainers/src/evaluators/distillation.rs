@@ -1,6 +1,7 @@
-//! A student beside its teacher: zero-shot segmentation of both, and how far they agree.
+//! A student and its teacher: zero-shot segmentation of both, and how far they agree.
 
 use super::own_metric::OwnMetrics;
+use super::scene_evaluator::Labelling;
 use super::zero_shot::ZeroShotEvaluator;
 use crate::TrainError;
 use crate::event::{Evaluator, Progress};
@@ -80,7 +81,7 @@ fn cosine(a: &[f32], b: &[f32]) -> Option<f64> {
     cosine.is_finite().then_some(cosine)
 }
 
-/// What an evaluation of a student found.
+/// Result of an evaluation of a student.
 #[derive(Debug, Clone)]
 pub struct DistillationScores {
     /// The student, and the truth itself.
@@ -112,10 +113,9 @@ impl DistillationScores {
 /// Scores a student as a [`ZeroShotEvaluator`] does, its teacher by the same protocol, and how far
 /// they agree.
 ///
-/// The teacher's rows are those that the data come with: of a
-/// [teacher](scenesplat_datasets::SceneTeacher) that looks at the scenes, each Gaussian with the row of its
-/// own voxel there, so that these are the teacher's numbers and not those of its rows on the student's
-/// voxels. Who votes is decided by the data, not by whom the teacher has a row for.
+/// The teacher's rows come with the data: from a [teacher](scenesplat_datasets::SceneTeacher) of the scenes,
+/// each Gaussian with the row of its own voxel there. So these are the teacher's own numbers, not those of its
+/// rows on the student's voxels. The data decide who votes, whether the teacher has a row for it or not.
 pub struct DistillationEvaluator {
     own: ZeroShotEvaluator,
 }
@@ -132,7 +132,7 @@ impl DistillationEvaluator {
     /// As [`ZeroShotEvaluator::scores`], and if a scene has no rows of a teacher, or rows of another
     /// width.
     pub fn scores(&self, model: &dyn Backbone) -> Result<DistillationScores, TrainError> {
-        self.scores_and_own(model, &mut self.own.own_metrics())
+        self.scores_and_own(model, &mut self.own.own.fresh())
     }
 
     fn scores_and_own(
@@ -141,9 +141,9 @@ impl DistillationEvaluator {
         own: &mut OwnMetrics,
     ) -> Result<DistillationScores, TrainError> {
         let mut agreement = Agreement::default();
-        let protocol = self.own.protocol()?;
-        let mut teacher = Scores::new(protocol.answers.len(), protocol.excluded)?;
         let width = model.out_channels();
+        let protocol = self.own.protocol(width)?;
+        let mut teacher = Scores::new(protocol.answers.len(), protocol.excluded)?;
         let student = self.own.run_with(model, own, |id, full, student| {
             let Some(taught) = &full.teacher else {
                 return Err(TrainError::NoTeacher { scene: id.to_owned() });
@@ -157,7 +157,7 @@ impl DistillationEvaluator {
                 });
             }
             let values: Vec<f32> = taught.rows.values.iter().map(|v| v.to_f32()).collect();
-            let of_rows = self.own.classify(&values, width)?;
+            let of_rows = self.own.labelling.classify(&values, width)?;
             agreement.add(full, &taught.row_of, student, (&values, &of_rows), width);
             let of = |row: &u32| of_rows.get(*row as usize).copied().unwrap_or(-1);
             let labels = taught.row_of.iter().map(of).collect();
@@ -169,19 +169,19 @@ impl DistillationEvaluator {
 
 impl<M: HasBackbone> Evaluator<M> for DistillationEvaluator {
     fn name(&self) -> &str {
-        self.own.title()
+        &self.own.name
     }
 
     fn left_out(&self) -> LeftOut {
-        self.own.data_left_out()
+        self.own.data.left_out()
     }
 
     fn measurements(&self) -> Vec<String> {
-        [DistillationScores::names(), self.own.own_metrics().names()].concat()
+        [DistillationScores::names(), self.own.own.names()].concat()
     }
 
     fn run(&mut self, module: &M, _: Progress) -> Result<Vec<Measurement>, TrainError> {
-        let mut own = self.own.own_metrics();
+        let mut own = self.own.own.fresh();
         let scores = self.scores_and_own(module.backbone(), &mut own)?;
         Ok([scores.measurements(), own.measure()].concat())
     }

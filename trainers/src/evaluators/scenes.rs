@@ -1,9 +1,8 @@
-//! One scene after the other through a network, in evaluation mode, and its labels to the truth.
+//! Scenes one by one through a network, in evaluation mode, and their labels against the truth.
 
 use super::own_metric::OwnMetrics;
 use crate::TrainError;
 use crate::tasks::point_cloud;
-use candle_core::Tensor;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use scenesplat_datasets::{
@@ -27,8 +26,8 @@ pub(super) struct Protocol<'a> {
 }
 
 impl Protocol<'_> {
-    /// Scores every scene, in `own` metrics too: `label` turns the network's rows into classes; it is
-    /// told of which scene they are, and what is scored there. A scene without any row is passed over.
+    /// Scores every scene, in `own` metrics too: `label` turns the network's rows into classes; it also gets
+    /// the name of the scene and what is scored there. A scene without rows is skipped.
     ///
     /// # Errors
     /// If a scene cannot be read or has no labels, no row of all is labelled, or the network fails.
@@ -74,10 +73,8 @@ impl Protocol<'_> {
         scores.add_oracle(&truth, &self.answers, &self.vote)?;
         Ok(Some(()))
     }
-}
 
-impl Protocol<'_> {
-    /// Adds the classes that someone else gives the Gaussians of a scene, `[N]`.
+    /// Adds given classes of the Gaussians of a scene, `[N]`.
     pub(super) fn score_labels(
         &self,
         full: &FullScene,
@@ -101,7 +98,7 @@ impl Protocol<'_> {
     }
 }
 
-/// What the network says of a scene, row-major.
+/// The network's rows of a scene, row-major.
 fn forward(
     sample: Sample,
     features: &InputFeatures,
@@ -111,13 +108,9 @@ fn forward(
     let mut rng = ChaCha8Rng::seed_from_u64(0);
     let mut forward = || {
         let out = model.forward(&point_cloud(&batch)?, &mut Forward::eval(&mut rng))?;
-        values(&out)
+        out.flatten_all()?.to_vec1()
     };
     forward().map_err(|source| TrainError::Forward { source })
-}
-
-fn values(out: &Tensor) -> candle_core::Result<Vec<f32>> {
-    out.flatten_all()?.to_vec1()
 }
 
 /// The rows of a sample as the scene they are, for transforms that keep no other.

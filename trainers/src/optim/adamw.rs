@@ -1,10 +1,8 @@
-use super::{Optimizer, ParamGroup, StepHyperparameters, clip, slices};
+use super::slices::{self, InPlace};
+use super::{Optimizer, ParamGroup, StepHyperparameters, clip};
 use crate::TrainError;
 use crate::error::check_setting;
-use candle_core::{
-    CpuStorage, DType, InplaceOp2, InplaceOp3, Layout, Result as TensorResult, Tensor, Var,
-    backprop::GradStore, bail,
-};
+use candle_core::{DType, Result as TensorResult, Tensor, Var, backprop::GradStore};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
 
@@ -133,9 +131,12 @@ impl Slot {
 
     fn update_moments(&mut self, grad: &Tensor, beta1: f64, beta2: f64) -> TensorResult<()> {
         if self.is_slice() && slices::is_slice(grad) {
-            self.first.inplace_op2(grad, &FirstMoment { weight: (1.0 - beta1) as f32 })?;
+            let weight = (1.0 - beta1) as f32;
+            let first = InPlace("adamw-first-moment", |m, g| m + weight * (g - m));
+            self.first.inplace_op2(grad, &first)?;
             let (beta, weight) = (beta2 as f32, (1.0 - beta2) as f32);
-            return self.second.inplace_op2(grad, &SecondMoment { beta, weight });
+            let second = InPlace("adamw-second-moment", |v, g| beta * v + weight * g * g);
+            return self.second.inplace_op2(grad, &second);
         }
         let towards = (grad - &self.first)?.affine(1.0 - beta1, 0.0)?;
         self.first = (&self.first + towards)?.detach();
@@ -146,7 +147,12 @@ impl Slot {
 
     fn update_parameter(&self, change: &Change) -> TensorResult<()> {
         if self.is_slice() {
-            return self.var.inplace_op3(&self.first, &self.second, change);
+            let [decay, rate, root_scale, eps] =
+                [change.decay, change.rate, change.root_scale, change.eps].map(|v| v as f32);
+            let update = InPlace("adamw-parameter", |p, m, v: f32| {
+                p - (decay * p + rate * (m / (v.sqrt() / root_scale + eps)))
+            });
+            return self.var.inplace_op3(&self.first, &self.second, &update);
         }
         let root = (self.second.sqrt()? / change.root_scale)?;
         let direction = (&self.first / (root + change.eps)?)?;
@@ -284,15 +290,6 @@ pub(super) fn check_like(
     Err(TrainError::Mismatch { what, name: name.to_owned(), expected, got })
 }
 
-struct FirstMoment {
-    weight: f32,
-}
-
-struct SecondMoment {
-    beta: f32,
-    weight: f32,
-}
-
 /// The last line of the update with the first one folded in.
 struct Change {
     /// η · weight decay. Taken off instead of multiplying by 1 − it: that factor, rounded to f32, is off by up
@@ -301,68 +298,4 @@ struct Change {
     rate: f64,
     root_scale: f64,
     eps: f64,
-}
-
-impl InplaceOp2 for FirstMoment {
-    fn name(&self) -> &'static str {
-        "adamw-first-moment"
-    }
-
-    fn cpu_fwd(
-        &self,
-        m: &mut CpuStorage,
-        m_layout: &Layout,
-        g: &CpuStorage,
-        g_layout: &Layout,
-    ) -> TensorResult<()> {
-        let Some(g) = slices::elements(g, g_layout) else { bail!("expected contiguous f32 data") };
-        slices::zip2(slices::elements_mut(m, m_layout)?, g, |m, g| m + self.weight * (g - m));
-        Ok(())
-    }
-}
-
-impl InplaceOp2 for SecondMoment {
-    fn name(&self) -> &'static str {
-        "adamw-second-moment"
-    }
-
-    fn cpu_fwd(
-        &self,
-        v: &mut CpuStorage,
-        v_layout: &Layout,
-        g: &CpuStorage,
-        g_layout: &Layout,
-    ) -> TensorResult<()> {
-        let Some(g) = slices::elements(g, g_layout) else { bail!("expected contiguous f32 data") };
-        let update = |v: f32, g: f32| self.beta * v + self.weight * g * g;
-        slices::zip2(slices::elements_mut(v, v_layout)?, g, update);
-        Ok(())
-    }
-}
-
-impl InplaceOp3 for Change {
-    fn name(&self) -> &'static str {
-        "adamw-parameter"
-    }
-
-    fn cpu_fwd(
-        &self,
-        p: &mut CpuStorage,
-        p_layout: &Layout,
-        m: &CpuStorage,
-        m_layout: &Layout,
-        v: &CpuStorage,
-        v_layout: &Layout,
-    ) -> TensorResult<()> {
-        let (Some(m), Some(v)) = (slices::elements(m, m_layout), slices::elements(v, v_layout))
-        else {
-            bail!("expected contiguous f32 data")
-        };
-        let [decay, rate, root_scale, eps] =
-            [self.decay, self.rate, self.root_scale, self.eps].map(|v| v as f32);
-        slices::zip3(slices::elements_mut(p, p_layout)?, m, v, |p, m, v| {
-            p - (decay * p + rate * (m / (v.sqrt() / root_scale + eps)))
-        });
-        Ok(())
-    }
 }

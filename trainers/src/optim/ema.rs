@@ -1,7 +1,7 @@
-use super::slices;
+use super::slices::{self, InPlace};
 use crate::TrainError;
 use crate::error::check_setting;
-use candle_core::{CpuStorage, InplaceOp2, Layout, Result as TensorResult, Var, bail};
+use candle_core::{Result as TensorResult, Var};
 use std::collections::BTreeMap;
 
 /// Moves each teacher parameter towards the student's: `t ← m·t + (1 − m)·s`.
@@ -41,31 +41,9 @@ pub fn ema_update(
 
 fn update(teacher: &Var, student: &Var, momentum: f64) -> TensorResult<()> {
     if slices::is_slice(teacher) && slices::is_slice(student) {
-        return teacher.inplace_op2(student, &Average { momentum: momentum as f32 });
+        let (keep, take) = (momentum as f32, 1.0 - momentum as f32);
+        return teacher.inplace_op2(student, &InPlace("ema", |t, s| t * keep + s * take));
     }
     let (t, s) = (teacher.as_detached_tensor(), student.as_detached_tensor());
     teacher.set(&(t.affine(momentum, 0.0)? + s.affine(1.0 - momentum, 0.0)?)?)
-}
-
-struct Average {
-    momentum: f32,
-}
-
-impl InplaceOp2 for Average {
-    fn name(&self) -> &'static str {
-        "ema"
-    }
-
-    fn cpu_fwd(
-        &self,
-        t: &mut CpuStorage,
-        t_layout: &Layout,
-        s: &CpuStorage,
-        s_layout: &Layout,
-    ) -> TensorResult<()> {
-        let Some(s) = slices::elements(s, s_layout) else { bail!("expected contiguous f32 data") };
-        let (keep, take) = (self.momentum, 1.0 - self.momentum);
-        slices::zip2(slices::elements_mut(t, t_layout)?, s, |t, s| t * keep + s * take);
-        Ok(())
-    }
 }

@@ -1,6 +1,6 @@
 //! Arithmetic on f32 tensors in main memory without temporary tensors.
 
-use candle_core::{CpuStorage, Layout, Result, Storage, Tensor, bail};
+use candle_core::{CpuStorage, InplaceOp2, InplaceOp3, Layout, Result, Storage, Tensor, bail};
 use rayon::prelude::*;
 
 /// Elements per task. Also the unit in which sums are taken, so it must not depend on the machine.
@@ -14,11 +14,14 @@ pub(super) fn elements<'a>(storage: &'a CpuStorage, layout: &Layout) -> Option<&
     }
 }
 
-/// As [`elements`], to be written, and an error where that is not possible.
-pub(super) fn elements_mut<'a>(
-    storage: &'a mut CpuStorage,
-    layout: &Layout,
-) -> Result<&'a mut [f32]> {
+fn expected<'a>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]> {
+    match elements(storage, layout) {
+        Some(elements) => Ok(elements),
+        None => bail!("expected contiguous f32 data in main memory"),
+    }
+}
+
+fn elements_mut<'a>(storage: &'a mut CpuStorage, layout: &Layout) -> Result<&'a mut [f32]> {
     match (storage, layout.contiguous_offsets()) {
         (CpuStorage::F32(data), Some((start, end))) if end <= data.len() => {
             Ok(&mut data[start..end])
@@ -33,23 +36,50 @@ pub(super) fn is_slice(tensor: &Tensor) -> bool {
     matches!(&*storage, Storage::Cpu(storage) if elements(storage, layout).is_some())
 }
 
-/// `d = f(d, s)` for all elements.
-pub(super) fn zip2(d: &mut [f32], s: &[f32], f: impl Fn(f32, f32) -> f32 + Sync) {
-    d.par_chunks_mut(CHUNK).zip(s.par_chunks(CHUNK)).for_each(|(d, s)| {
-        for (d, &s) in d.iter_mut().zip(s) {
-            *d = f(*d, s);
-        }
-    });
+/// `d ← f(d, s)` or `f(d, s, t)` for all elements, as an operation of this name.
+pub(super) struct InPlace<F>(pub &'static str, pub F);
+
+impl<F: Fn(f32, f32) -> f32 + Sync> InplaceOp2 for InPlace<F> {
+    fn name(&self) -> &'static str {
+        self.0
+    }
+
+    fn cpu_fwd(
+        &self,
+        d: &mut CpuStorage,
+        d_layout: &Layout,
+        s: &CpuStorage,
+        s_layout: &Layout,
+    ) -> Result<()> {
+        let (d, s) = (elements_mut(d, d_layout)?, expected(s, s_layout)?);
+        d.par_chunks_mut(CHUNK).zip(s.par_chunks(CHUNK)).for_each(|(d, s)| {
+            d.iter_mut().zip(s).for_each(|(d, &s)| *d = (self.1)(*d, s));
+        });
+        Ok(())
+    }
 }
 
-/// `d = f(d, s, t)` for all elements.
-pub(super) fn zip3(d: &mut [f32], s: &[f32], t: &[f32], f: impl Fn(f32, f32, f32) -> f32 + Sync) {
-    let sources = s.par_chunks(CHUNK).zip(t.par_chunks(CHUNK));
-    d.par_chunks_mut(CHUNK).zip(sources).for_each(|(d, (s, t))| {
-        for ((d, &s), &t) in d.iter_mut().zip(s).zip(t) {
-            *d = f(*d, s, t);
-        }
-    });
+impl<F: Fn(f32, f32, f32) -> f32 + Sync> InplaceOp3 for InPlace<F> {
+    fn name(&self) -> &'static str {
+        self.0
+    }
+
+    fn cpu_fwd(
+        &self,
+        d: &mut CpuStorage,
+        d_layout: &Layout,
+        s: &CpuStorage,
+        s_layout: &Layout,
+        t: &CpuStorage,
+        t_layout: &Layout,
+    ) -> Result<()> {
+        let (s, t) = (expected(s, s_layout)?, expected(t, t_layout)?);
+        let sources = s.par_chunks(CHUNK).zip(t.par_chunks(CHUNK));
+        elements_mut(d, d_layout)?.par_chunks_mut(CHUNK).zip(sources).for_each(|(d, (s, t))| {
+            d.iter_mut().zip(s).zip(t).for_each(|((d, &s), &t)| *d = (self.1)(*d, s, t));
+        });
+        Ok(())
+    }
 }
 
 /// Sum of squares in f64, in an order that no thread count changes.

@@ -8,13 +8,13 @@ mod step;
 use crate::average::Average;
 use crate::checkpoint::CheckpointState;
 use crate::collective::{Alone, Collective};
-use crate::event::{Callback, End, Evaluator, Event, Flow, Progress};
+use crate::event::{Callback, End, Event, Flow, Progress};
 use crate::freeze::Freeze;
 use crate::module::TrainingModule;
 use crate::optim::{Optimizer, Schedule};
-use crate::{Identity, Tally, TrainError, TrainerConfig};
+use crate::{DataModule, Identity, Tally, TrainError, TrainerConfig};
 use candle_core::Var;
-use scenesplat_datasets::{BatchLoader, BatchPart, LeftOut};
+use scenesplat_datasets::{BatchPart, LeftOut};
 use scenesplat_models::{ParamStore, Recompute};
 use std::collections::{BTreeMap, BTreeSet};
 use std::rc::Rc;
@@ -64,6 +64,9 @@ struct Run<'a, M> {
     /// Names of scenes of the epoch under way, for messages; only a few.
     scenes: BTreeSet<String>,
     batches_per_epoch: usize,
+    steps_per_epoch: u64,
+    /// Step of the last checkpoint.
+    saved: u64,
 }
 
 impl Trainer {
@@ -160,107 +163,127 @@ impl Trainer {
     pub fn fit<M: TrainingModule>(
         &mut self,
         module: &M,
-        data: &mut dyn BatchLoader<M::Batch>,
-        evaluators: &mut [Box<dyn Evaluator<M>>],
+        data: &mut DataModule<'_, M>,
         start: Progress,
     ) -> Result<Progress, TrainError> {
-        let batches = data.batches_per_epoch();
-        let steps_per_epoch = batches as u64 / self.config.accumulate;
-        if steps_per_epoch == 0 {
-            return Err(TrainError::ShortEpoch { epoch: 0, expected: self.config.accumulate });
-        }
-        let ranks = self.collective.size() as u64;
-        if !self.config.accumulate.is_multiple_of(ranks) {
-            return Err(TrainError::Ranks { accumulate: self.config.accumulate, ranks });
-        }
-        if self.config.sync_batch_norm && self.config.accumulate != ranks {
-            return Err(TrainError::SyncBatchNorm { accumulate: self.config.accumulate, ranks });
-        }
-        self.check_batches(batches)?;
-        self.check_names(evaluators)?;
-        let freeze = Freeze::new(&self.config, module.params())?;
-        let params = freeze.trained(module.params());
-        if let (Some(decay), None) = (self.config.ema, &self.average) {
-            self.average = Some(Average::new(&params, decay)?);
-        }
-        let recompute = self.config.recompute.then(|| Recompute::new(params.clone()));
-        let mut run = Run {
-            module,
-            params,
-            freeze,
-            recompute,
-            checked: false,
-            scenes: BTreeSet::new(),
-            batches_per_epoch: batches,
+        let mut run = self.begin(module, data, start)?;
+        let total_steps = self.config.epochs * run.steps_per_epoch;
+        let mut at = Progress { total_steps, ..start };
+        let event = Event::FitStart {
+            parameters: run.params.values().map(|v| v.elem_count()).sum(),
+            steps_per_epoch: run.steps_per_epoch,
+            leftover_batches: run.batches_per_epoch as u64 % self.config.accumulate,
         };
-        let mut at = Progress { total_steps: self.config.epochs * steps_per_epoch, ..start };
-        let parameters = run.params.values().map(|v| v.elem_count()).sum();
-        let leftover_batches = batches as u64 % self.config.accumulate;
-        let event = Event::FitStart { parameters, steps_per_epoch, leftover_batches };
         let mut flow = self.emit(&event, at)?;
-        let mut saved = start.step;
         if self.evaluation_due && flow == Flow::Continue {
             // Stopped at the very end of an epoch, before its evaluation.
-            flow = self.end_epoch(&run, evaluators, at, &mut saved)?;
+            flow = self.end_epoch(&mut run, data, at)?;
         }
         while at.step < at.total_steps && flow == Flow::Continue {
-            at.epoch = at.step / steps_per_epoch;
-            let skip = at.step % steps_per_epoch * self.config.accumulate;
-            let last = steps_per_epoch * self.config.accumulate;
-            let mut stream = match self.is_alone() {
-                true => data.epoch(at.epoch, skip as usize),
-                false => data.epoch_part(at.epoch, skip as usize, self.part()),
-            };
-            let mut place = skip;
-            while place < last && flow == Flow::Continue {
-                let began = Instant::now();
-                let report = self.step(&mut run, &mut *stream, &mut place, at)?;
-                at.step += 1;
-                flow = self.report(module, &report, at, began.elapsed().as_secs_f64())?;
-                if self.asked_to_stop() {
-                    flow = Flow::Stop;
-                }
-                let every = self.config.checkpoint.every_steps;
-                // The one at the end of an epoch follows its evaluation.
-                if every > 0 && at.step.is_multiple_of(every) && place < last {
-                    self.checkpoint(&run, at, None)?;
-                    saved = at.step;
-                }
-            }
-            drop(stream);
-            self.look_at_data("train", data.left_out(), at, &mut flow)?;
-            if place == last {
-                self.check_epoch(&mut run, at)?;
-                self.evaluation_due = true;
-                if flow == Flow::Continue {
-                    flow = self.end_epoch(&run, evaluators, at, &mut saved)?;
-                }
-            }
+            flow = self.epoch(&mut run, data, &mut at)?;
         }
-        if saved != at.step {
-            self.checkpoint(&run, at, None)?;
+        if run.saved != at.step {
+            self.checkpoint(&mut run, at, None)?;
         }
         let end = if at.step == at.total_steps { End::Finished } else { End::Stopped };
         self.emit(&Event::FitEnd { end }, at)?;
         Ok(at)
     }
 
+    /// Checks that settings, module and data fit together.
+    fn begin<'a, M: TrainingModule>(
+        &mut self,
+        module: &'a M,
+        data: &DataModule<'_, M>,
+        start: Progress,
+    ) -> Result<Run<'a, M>, TrainError> {
+        let batches_per_epoch = data.train.batches_per_epoch();
+        let (accumulate, ranks) = (self.config.accumulate, self.collective.size() as u64);
+        let steps_per_epoch = batches_per_epoch as u64 / accumulate;
+        if steps_per_epoch == 0 {
+            return Err(TrainError::ShortEpoch { epoch: 0, expected: accumulate });
+        }
+        if !accumulate.is_multiple_of(ranks) {
+            return Err(TrainError::Ranks { accumulate, ranks });
+        }
+        if self.config.sync_batch_norm && accumulate != ranks {
+            return Err(TrainError::SyncBatchNorm { accumulate, ranks });
+        }
+        self.check_batches(batches_per_epoch)?;
+        self.check_names(&data.evaluators)?;
+        let freeze = Freeze::new(&self.config, module.params())?;
+        let params = freeze.trained(module.params());
+        if let (Some(decay), None) = (self.config.ema, &self.average) {
+            self.average = Some(Average::new(&params, decay)?);
+        }
+        let recompute = self.config.recompute.then(|| Recompute::new(params.clone()));
+        Ok(Run {
+            module,
+            params,
+            freeze,
+            recompute,
+            checked: false,
+            scenes: BTreeSet::new(),
+            batches_per_epoch,
+            steps_per_epoch,
+            saved: start.step,
+        })
+    }
+
+    /// Trains to the end of the epoch under way, or until something asks to stop.
+    fn epoch<M: TrainingModule>(
+        &mut self,
+        run: &mut Run<'_, M>,
+        data: &mut DataModule<'_, M>,
+        at: &mut Progress,
+    ) -> Result<Flow, TrainError> {
+        at.epoch = at.step / run.steps_per_epoch;
+        let mut place = at.step % run.steps_per_epoch * self.config.accumulate;
+        let last = run.steps_per_epoch * self.config.accumulate;
+        let mut stream = match self.is_alone() {
+            true => data.train.epoch(at.epoch, place as usize),
+            false => data.train.epoch_part(at.epoch, place as usize, self.part()),
+        };
+        let mut flow = Flow::Continue;
+        while place < last && flow == Flow::Continue {
+            let began = Instant::now();
+            let report = self.step(run, &mut *stream, &mut place, *at)?;
+            at.step += 1;
+            flow = self.report(run.module, &report, *at, began.elapsed().as_secs_f64())?;
+            if self.asked_to_stop() {
+                flow = Flow::Stop;
+            }
+            let every = self.config.checkpoint.every_steps;
+            // The one at the end of an epoch follows its evaluation.
+            if every > 0 && at.step.is_multiple_of(every) && place < last {
+                self.checkpoint(run, *at, None)?;
+            }
+        }
+        drop(stream);
+        self.check_data("train", data.train.left_out(), *at, &mut flow)?;
+        if place == last {
+            self.check_epoch(run, *at)?;
+            self.evaluation_due = true;
+            if flow == Flow::Continue {
+                flow = self.end_epoch(run, data, *at)?;
+            }
+        }
+        Ok(flow)
+    }
+
     /// Evaluates, and saves if it is time or the state is the best so far.
     fn end_epoch<M: TrainingModule>(
         &mut self,
-        run: &Run<'_, M>,
-        evaluators: &mut [Box<dyn Evaluator<M>>],
+        run: &mut Run<'_, M>,
+        data: &mut DataModule<'_, M>,
         at: Progress,
-        saved: &mut u64,
     ) -> Result<Flow, TrainError> {
-        let (found, mut flow) = self.evaluate(run, evaluators, at)?;
+        let (found, mut flow) = self.evaluate(run, &mut data.evaluators, at)?;
         self.evaluation_due = false;
         let better = self.better(found.as_deref(), at, &mut flow)?;
         let every = self.config.checkpoint.every_steps;
-        let due = every == 0 || at.step.is_multiple_of(every);
-        if better.is_some() || due {
+        if better.is_some() || every == 0 || at.step.is_multiple_of(every) {
             self.checkpoint(run, at, better)?;
-            *saved = at.step;
         }
         Ok(flow)
     }
@@ -272,11 +295,8 @@ impl Trainer {
         if tally.counted_rows > 0 {
             return Ok(());
         }
-        Err(TrainError::NothingCounted {
-            epoch: at.epoch,
-            tally,
-            scenes: scenes.into_iter().collect(),
-        })
+        let scenes = scenes.into_iter().collect();
+        Err(TrainError::NothingCounted { epoch: at.epoch, tally, scenes })
     }
 
     /// Runs `f` with the averaged parameters, if there is an average: for exports.

@@ -1,5 +1,6 @@
 //! Telling callbacks, and asking evaluators.
 
+use super::share::Bits;
 use super::step::StepReport;
 use super::{Run, Trainer};
 use crate::TrainError;
@@ -14,7 +15,7 @@ impl Trainer {
     /// Checks that every measurement that decides something is given by an evaluator.
     pub(super) fn check_names<M: ?Sized>(
         &self,
-        evaluators: &[Box<dyn Evaluator<M>>],
+        evaluators: &[Box<dyn Evaluator<M> + '_>],
     ) -> Result<(), TrainError> {
         let (mut evaluations, mut known) = (BTreeSet::new(), Vec::new());
         for evaluator in evaluators {
@@ -103,16 +104,15 @@ impl Trainer {
             if self.is_alone() {
                 return Ok(found);
             }
-            let told: Vec<_> = found.iter().map(|m| (&m.name, m.value.to_bits())).collect();
+            let told: Vec<_> = found.iter().map(|m| (&m.name, Bits(m.value))).collect();
             bytes = serde_json::to_vec(&told).unwrap_or_default();
         }
         let bytes = self.collective.broadcast(0, &bytes)?;
-        let told: Vec<(String, u64)> = serde_json::from_slice(&bytes).map_err(|error| {
+        let told: Vec<(String, Bits)> = serde_json::from_slice(&bytes).map_err(|error| {
             let problem = format!("tells no measurements: {error}");
             CollectiveError::Disagreement { rank: 0, problem }
         })?;
-        let found = told.into_iter();
-        Ok(found.map(|(name, value)| Measurement::new(name, f64::from_bits(value))).collect())
+        Ok(told.into_iter().map(|(name, Bits(value))| Measurement::new(name, value)).collect())
     }
 
     /// Runs the evaluators if it is their time: their measurements (`None` if it is not), and whether
@@ -120,7 +120,7 @@ impl Trainer {
     pub(super) fn evaluate<M: TrainingModule>(
         &mut self,
         run: &Run<'_, M>,
-        evaluators: &mut [Box<dyn Evaluator<M>>],
+        evaluators: &mut [Box<dyn Evaluator<M> + '_>],
         at: Progress,
     ) -> Result<(Option<Vec<Measurement>>, Flow), TrainError> {
         let every = self.config.eval_every;
@@ -141,7 +141,7 @@ impl Trainer {
             }
             let event = Event::Eval { name: evaluator.name(), measurements: &found };
             flow = flow.and(self.emit(&event, at)?);
-            self.look_at_data(evaluator.name(), evaluator.left_out(), at, &mut flow)?;
+            self.check_data(evaluator.name(), evaluator.left_out(), at, &mut flow)?;
             all.extend(found);
         }
         flow = flow.and(self.emit(&Event::Evaluated { measurements: &all }, at)?);
@@ -149,7 +149,7 @@ impl Trainer {
     }
 
     /// Says what of the data was left out, if it is more than before, and stops if it is too much.
-    pub(super) fn look_at_data(
+    pub(super) fn check_data(
         &mut self,
         name: &str,
         left_out: LeftOut,

@@ -126,10 +126,11 @@ impl Trainer {
 
     pub(super) fn checkpoint<M: TrainingModule>(
         &mut self,
-        run: &Run<'_, M>,
+        run: &mut Run<'_, M>,
         at: Progress,
         best: Option<f64>,
     ) -> Result<(), TrainError> {
+        run.saved = at.step;
         if self.collective.rank() != 0 {
             return Ok(());
         }

@@ -1,4 +1,4 @@
-//! What one batch of a step gives, and how the ranks put theirs together.
+//! The result of one batch of a step, and how the ranks combine theirs.
 
 use super::{Run, Trainer};
 use crate::TrainError;
@@ -17,55 +17,56 @@ use std::time::Instant;
 /// Values that are sent at a time, 16 MiB of them: what is copied meanwhile stays small.
 const BUCKET: usize = 4 << 20;
 
+/// A number that keeps its bits on the way, NaN too.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(from = "u64", into = "u64")]
+pub(super) struct Bits(pub(super) f64);
+
+impl From<u64> for Bits {
+    fn from(bits: u64) -> Self {
+        Self(f64::from_bits(bits))
+    }
+}
+
+impl From<Bits> for u64 {
+    fn from(value: Bits) -> Self {
+        value.0.to_bits()
+    }
+}
+
 /// What one batch gives besides its gradient. Nothing if it is empty.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Serialize, Deserialize)]
 pub(super) struct Share {
-    pub(super) loss: Option<f64>,
-    pub(super) terms: Vec<(String, f64)>,
+    pub(super) loss: Option<Bits>,
+    pub(super) terms: Vec<(String, Bits)>,
     pub(super) rows: u64,
     pub(super) counted_rows: u64,
+    pub(super) has_features: bool,
+    /// They stay on the rank that has them.
+    #[serde(skip)]
     pub(super) features: Option<Tensor>,
-    /// What the batch does to remembered statistics, where that waits for the other ranks.
+    /// The update of the running statistics, where it waits for the other ranks.
     pub(super) statistics: Vec<Statistics>,
 }
 
-/// What a batch does to the statistics of the batch norm of that name. Bits of numbers: they may be no finite ones.
-#[derive(Debug, Clone, Serialize, Deserialize)]
+/// The update by a batch of the statistics of the batch norm of that name.
+#[derive(Debug, Serialize, Deserialize)]
 pub(super) struct Statistics {
     name: String,
-    mean: Vec<u64>,
-    var: Vec<u64>,
-    unbias: u64,
-    momentum: u64,
+    mean: Vec<Bits>,
+    var: Vec<Bits>,
+    unbias: Bits,
+    momentum: Bits,
 }
 
-/// A share on its way.
-#[derive(Serialize, Deserialize)]
-struct Sent {
-    loss: Option<u64>,
-    terms: Vec<(String, u64)>,
-    rows: u64,
-    counted_rows: u64,
-    has_features: bool,
-    statistics: Vec<Statistics>,
-}
-
-/// What a rank tells the others of a step.
+/// What a rank sends the others in a step.
 #[derive(Serialize, Deserialize)]
 struct Told {
     step: u64,
     stop: bool,
     /// Which of the parameters have a gradient.
     has_gradient: Vec<bool>,
-    shares: Vec<Sent>,
-}
-
-fn bits(values: &[f64]) -> Vec<u64> {
-    values.iter().map(|v| v.to_bits()).collect()
-}
-
-fn values(bits: &[u64]) -> Vec<f64> {
-    bits.iter().map(|b| f64::from_bits(*b)).collect()
+    shares: Vec<Share>,
 }
 
 /// The stores of a module, each with what stands before its names.
@@ -86,7 +87,7 @@ fn buffers<M: TrainingModule>(module: &M) -> BTreeMap<String, Var> {
 const MEAN: &str = "running_mean";
 
 impl Share {
-    /// With what a batch does to remembered statistics.
+    /// With the batch's updates of running statistics.
     pub(super) fn with_statistics<M: TrainingModule>(
         self,
         module: &M,
@@ -103,43 +104,19 @@ impl Share {
             let name = name.ok_or_else(|| TrainError::UnknownStatistics)?.to_owned();
             Ok(Statistics {
                 name,
-                mean: bits(&update.mean),
-                var: bits(&update.var),
-                unbias: update.unbias.to_bits(),
-                momentum: update.momentum.to_bits(),
+                mean: update.mean.into_iter().map(Bits).collect(),
+                var: update.var.into_iter().map(Bits).collect(),
+                unbias: Bits(update.unbias),
+                momentum: Bits(update.momentum),
             })
         });
         Ok(Self { statistics: statistics.collect::<Result<_, TrainError>>()?, ..self })
     }
-
-    fn sent(&self) -> Sent {
-        Sent {
-            loss: self.loss.map(f64::to_bits),
-            terms: self.terms.iter().map(|(n, v)| (n.clone(), v.to_bits())).collect(),
-            rows: self.rows,
-            counted_rows: self.counted_rows,
-            has_features: self.features.is_some(),
-            statistics: self.statistics.clone(),
-        }
-    }
-}
-
-impl Sent {
-    fn share(self) -> Share {
-        Share {
-            loss: self.loss.map(f64::from_bits),
-            terms: self.terms.into_iter().map(|(n, v)| (n, f64::from_bits(v))).collect(),
-            rows: self.rows,
-            counted_rows: self.counted_rows,
-            features: None,
-            statistics: self.statistics,
-        }
-    }
 }
 
 impl Trainer {
-    /// The sum of all ranks' gradients, and the shares of all batches in their order; remembered statistics have moved
-    /// then. Alone, what was given.
+    /// The sum of all ranks' gradients, and the shares of all batches in their order; running statistics are
+    /// updated. On one rank, its arguments.
     pub(super) fn together<M: TrainingModule>(
         &mut self,
         run: &Run<'_, M>,
@@ -151,11 +128,12 @@ impl Trainer {
             return Ok((grads, shares));
         }
         let began = Instant::now();
+        let features = shares.iter_mut().rev().find_map(|share| share.features.take());
         let told = Told {
             step: at.step,
             stop: self.stop.as_ref().is_some_and(|stop| stop.load(Ordering::SeqCst)),
             has_gradient: run.params.values().map(|var| grads.get(var).is_some()).collect(),
-            shares: shares.iter().map(Share::sent).collect(),
+            shares,
         };
         let all = self.tell(&told)?;
         self.agreed_stop = all.iter().any(|told| told.stop);
@@ -163,9 +141,8 @@ impl Trainer {
         let trained: Vec<(&String, &Var)> = run.params.iter().collect();
         let trained: Vec<_> = (0..trained.len()).filter(|i| any(*i)).map(|i| trained[i]).collect();
         self.sum(&trained, &mut grads)?;
-        let features = self.last_features(&all, &mut shares, at)?;
-        let mut shares: Vec<Share> =
-            all.into_iter().flat_map(|told| told.shares).map(Sent::share).collect();
+        let features = self.last_features(&all, features.as_ref(), at)?;
+        let mut shares: Vec<Share> = all.into_iter().flat_map(|told| told.shares).collect();
         let buffers = buffers(run.module);
         // Those of all batches together are one update, which every rank with a batch has.
         let updates = match self.config.sync_batch_norm {
@@ -182,7 +159,7 @@ impl Trainer {
         Ok((grads, shares))
     }
 
-    /// What each rank tells of its step.
+    /// What each rank sends of its step.
     fn tell(&self, told: &Told) -> Result<Vec<Told>, TrainError> {
         let mine = serde_json::to_vec(told).map_err(|_| TrainError::UnknownStatistics)?;
         let all = self.collective.all_gather(&mine)?;
@@ -259,16 +236,15 @@ impl Trainer {
     fn last_features(
         &self,
         all: &[Told],
-        shares: &mut [Share],
+        mine: Option<&Tensor>,
         at: Progress,
     ) -> Result<Option<Tensor>, TrainError> {
         let holder = all.iter().rposition(|told| told.shares.iter().any(|s| s.has_features));
         let due = self.looks_at_features(at.step + 1, at.total_steps);
         let Some(holder) = holder.filter(|_| due) else { return Ok(None) };
         let tensor = |source| TrainError::Forward { source };
-        let mine = shares.iter_mut().rev().find_map(|share| share.features.take());
         let mut bytes = Vec::new();
-        if let (Some(rows), true) = (&mine, self.collective.rank() == holder) {
+        if let (Some(rows), true) = (mine, self.collective.rank() == holder) {
             let (count, width) = rows.dims2().map_err(tensor)?;
             bytes.extend([count, width].map(|n| n as u64).iter().flat_map(|n| n.to_le_bytes()));
             let rows = rows.to_dtype(DType::F32).and_then(|r| r.flatten_all());
@@ -300,12 +276,13 @@ fn move_statistics(
         let found = buffers.get(&format!("{}{name}", statistics.name));
         found.cloned().ok_or(TrainError::UnknownStatistics)
     };
+    let values = |bits: &[Bits]| bits.iter().map(|v| v.0).collect();
     let update = StatisticsUpdate::new(
         [buffer(MEAN)?, buffer("running_var")?, buffer("num_batches_tracked")?],
         values(&statistics.mean),
         values(&statistics.var),
-        f64::from_bits(statistics.unbias),
-        f64::from_bits(statistics.momentum),
+        statistics.unbias.0,
+        statistics.momentum.0,
     );
     update.apply().map_err(|source| TrainError::Forward { source })
 }

@@ -1,6 +1,6 @@
 //! One optimizer step.
 
-use super::share::Share;
+use super::share::{Bits, Share};
 use super::{Run, Trainer};
 use crate::collective::{InPairs, StepPeers};
 use crate::event::Progress;
@@ -44,13 +44,15 @@ impl StepReport {
     /// Adds what one of the step's batches gave, in their order.
     fn add(&mut self, share: Share, weight: f64) {
         self.tally.batches += 1;
-        let Some(value) = share.loss else {
+        let Some(Bits(value)) = share.loss else {
             self.tally.empty_batches += 1;
             return;
         };
         self.loss += value * weight;
-        for (name, value) in share.terms {
-            self.terms.entry(name).or_default().add(value);
+        for (name, Bits(value)) in share.terms {
+            let term = self.terms.entry(name).or_default();
+            term.sum += value;
+            term.batches += 1;
         }
         self.tally.rows += share.rows;
         self.tally.counted_rows += share.counted_rows;
@@ -59,11 +61,6 @@ impl StepReport {
 }
 
 impl TermMean {
-    fn add(&mut self, value: f64) {
-        self.sum += value;
-        self.batches += 1;
-    }
-
     pub(super) fn value(&self) -> f64 {
         self.sum / self.batches as f64
     }
@@ -237,10 +234,11 @@ impl Trainer {
             recompute.drain_into(&mut grads).map_err(tensor)?;
         }
         let share = Share {
-            loss: Some(value),
-            terms: out.terms,
+            loss: Some(Bits(value)),
+            terms: out.terms.into_iter().map(|(name, value)| (name, Bits(value))).collect(),
             rows: out.rows as u64,
             counted_rows: out.counted_rows as u64,
+            has_features: out.features.is_some(),
             features: out.features,
             statistics: Vec::new(),
         };

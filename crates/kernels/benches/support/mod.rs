@@ -1,11 +1,8 @@
 //! Inputs of the benchmarks: the shared rooms, or a room made here where there are none.
 #![allow(dead_code, reason = "each benchmark uses a part")]
 
-/// The room of `scenesplat bench`.
-#[path = "../../../../cli/src/bench/room.rs"]
-mod room;
-
 use criterion::Criterion;
+use scenesplat_kernels::bench_room as room;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 

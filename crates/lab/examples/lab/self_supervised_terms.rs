@@ -13,7 +13,7 @@ use scenesplat::machine::peak_memory_bytes;
 use scenesplat::models::{BackboneConfig, ParamStore};
 use scenesplat::trainers::tasks::self_supervised::{SelfSupervised, TermConfig};
 use scenesplat::trainers::{
-    AdamW, AdamWConfig, Callback, Event, Flow, OneCycle, Progress, TrainError, Trainer,
+    AdamW, AdamWConfig, Callback, DataModule, Event, Flow, OneCycle, Progress, TrainError, Trainer,
     TrainerConfig, TrainingModule, group_by_keyword,
 };
 use std::sync::{Arc, Mutex, PoisonError};
@@ -104,7 +104,7 @@ fn measure(file: &str, steps: usize, names: &str) -> Result<()> {
     let loop_settings = TrainerConfig { epochs: 1, log_every: 1, ..TrainerConfig::default() };
     Trainer::new(loop_settings, Box::new(optimizer), Box::new(OneCycle::default()))?
         .with_callback(Clock(Arc::clone(&times)))
-        .fit(&module, &mut Same(batch, steps + 1), &mut [], Progress::default())?;
+        .fit(&module, &mut DataModule::new(Same(batch, steps + 1)), Progress::default())?;
     let times = times.lock().unwrap_or_else(PoisonError::into_inner);
     let mut seconds: Vec<f64> =
         times.windows(2).map(|pair| (pair[1] - pair[0]).as_secs_f64()).collect();

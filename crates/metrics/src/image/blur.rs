@@ -16,7 +16,7 @@ const SIGMA: f64 = 1.5;
 /// Values that a pass handles at a time: a whole number of registers on every instruction set.
 const LANES: usize = 16;
 
-/// The window, normalised to sum 1.
+/// The window, normalized to sum 1.
 pub(super) fn window() -> [f64; TAPS] {
     let raw: [f64; TAPS] = std::array::from_fn(|k| {
         let d = k as f64 - RADIUS as f64;

@@ -1,7 +1,7 @@
 //! Losses and errors of rendered depth: against a depth image, against sparse points.
 
 use super::ImageError;
-use super::view::check_finite;
+use super::view::{check_finite, check_size};
 
 /// Which pixels of a measured depth image count.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -138,10 +138,8 @@ pub fn sparse_disparity_l1(
     scene_scale: f64,
     position: SamplePosition,
 ) -> Result<(f64, Vec<f32>), ImageError> {
-    if width == 0 || !depth.len().is_multiple_of(width) || depth.is_empty() {
-        let (what, height) = ("depth", depth.len() / width.max(1));
-        return Err(ImageError::Shape { what, width, height, channels: 1, len: depth.len() });
-    }
+    let height = depth.len().checked_div(width).unwrap_or(0);
+    check_size("depth", [width, height, 1], depth.len())?;
     if truth.len() != points.len() {
         let (what, expected) = ("depths of points", points.len());
         return Err(ImageError::RowCount { what, expected, got: truth.len() });
@@ -157,7 +155,7 @@ pub fn sparse_disparity_l1(
     let mut gradient = vec![0f64; depth.len()];
     let mut loss = 0.0;
     for (point, &z) in points.iter().zip(truth) {
-        let corners = bilinear(point.map(|v| f64::from(v) - shift), width, depth.len() / width);
+        let corners = bilinear(point.map(|v| f64::from(v) - shift), width, height);
         let sampled: f64 =
             corners.iter().flatten().map(|&(at, share)| share * f64::from(depth[at])).sum();
         let inverse = |d: f64| if d > 0.0 { 1.0 / d } else { 0.0 };

@@ -71,14 +71,13 @@ impl FrameVerdict {
 
 impl std::fmt::Display for FrameVerdict {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let percent = |share: f64| 100.0 * share;
         match self {
             Self::Sharp => write!(f, "kept"),
             Self::KeptForCoverage { share } => {
-                write!(f, "kept for coverage ({:.0} % of the sharpness around it)", percent(*share))
+                write!(f, "kept for coverage ({:.0} % of the sharpness around it)", 100.0 * share)
             }
             Self::Blurred { share } => {
-                write!(f, "blurred ({:.0} % of the sharpness around it)", percent(*share))
+                write!(f, "blurred ({:.0} % of the sharpness around it)", 100.0 * share)
             }
             Self::NoPose => write!(f, "no pose"),
             Self::BadPose => write!(f, "bad pose"),
@@ -161,7 +160,7 @@ impl FrameFilter {
     }
 }
 
-/// The verdicts before sharpness is looked at.
+/// The verdicts by pose and hash alone.
 fn judge_poses(frames: &[CapturedFrame]) -> Vec<FrameVerdict> {
     let mut first_with = HashMap::new();
     let judge = |(i, frame): (usize, &CapturedFrame)| {

@@ -28,13 +28,11 @@ pub mod depth;
 mod difference;
 mod error;
 pub mod frame_filter;
-#[doc(hidden)]
-pub mod reference;
 pub mod sharpness;
 mod ssim;
 mod view;
 
 pub use difference::{l1, l1_with_gradient, mean_squared_error, psnr};
 pub use error::ImageError;
-pub use ssim::{SSIM_WINDOW, SsimPadding, ssim, ssim_map, ssim_with_gradient};
+pub use ssim::{SsimPadding, ssim, ssim_map, ssim_with_gradient};
 pub use view::ImageView;

@@ -5,9 +5,10 @@
 //! in time ([`super::frame_filter`]), not with a fixed number: a blank wall is never sharp.
 
 use super::ImageError;
+use super::view::check_size;
 use rayon::prelude::*;
 
-/// Grey values, a byte each, row by row.
+/// Gray values, a byte each, row by row.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GrayImage {
     values: Vec<u8>,
@@ -15,23 +16,17 @@ pub struct GrayImage {
 }
 
 impl GrayImage {
-    /// Takes grey values, `[H · width]`.
+    /// Takes gray values, `[H · width]`.
     ///
     /// # Errors
     /// If there is no pixel, or the last row is not whole.
     pub fn new(values: Vec<u8>, width: usize) -> Result<Self, ImageError> {
-        let (len, height) = (values.len(), values.len().checked_div(width).unwrap_or(0));
-        let what = "grey image";
-        if len == 0 || width == 0 {
-            return Err(ImageError::Empty { what, width, height, channels: 1 });
-        }
-        if width * height != len {
-            return Err(ImageError::Shape { what, width, height, channels: 1, len });
-        }
+        let height = values.len().checked_div(width).unwrap_or(0);
+        check_size("gray image", [width, height, 1], values.len())?;
         Ok(Self { values, width })
     }
 
-    /// Grey of sRGB bytes, `[H · width, 3]`: `0.299 R + 0.587 G + 0.114 B`, rounded to nearest.
+    /// Gray of sRGB bytes, `[H · width, 3]`: `0.299 R + 0.587 G + 0.114 B`, rounded to nearest.
     ///
     /// # Errors
     /// As [`GrayImage::new`].
@@ -63,7 +58,7 @@ impl GrayImage {
 }
 
 /// The picture at most `width` pixels wide, each pixel the mean of the area it covers, rounded to
-/// nearest; a narrower picture stays as it is.
+/// nearest; a narrower picture is not changed.
 ///
 /// The height follows, rounded to nearest and at least 1.
 ///
@@ -112,7 +107,7 @@ fn shares(from: usize, to: usize) -> Vec<(usize, Vec<f64>)> {
     (0..to).map(share).collect()
 }
 
-/// Variance (of the population) of the Laplacian `[0 1 0; 1 −4 1; 0 1 0]` of grey bytes, the
+/// Variance (of the population) of the Laplacian `[0 1 0; 1 −4 1; 0 1 0]` of gray bytes, the
 /// picture mirrored at its border pixels, which are not repeated.
 ///
 /// Exact: the sums are whole numbers. A picture one pixel wide or high is its own mirror.

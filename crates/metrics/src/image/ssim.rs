@@ -6,10 +6,7 @@ use super::{ImageError, ImageView};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Side of the window of SSIM, pixels.
-pub const SSIM_WINDOW: usize = TAPS;
-
-/// Stabilise the two quotients where means and variances vanish: `(0.01)²`, `(0.03)²`.
+/// Stabilize the two quotients where means and variances vanish: `(0.01)²`, `(0.03)²`.
 const C1: f64 = 1e-4;
 const C2: f64 = 9e-4;
 
@@ -46,7 +43,7 @@ impl SsimPadding {
     /// Smallest width and height of a picture.
     pub fn least_side(self) -> usize {
         match self {
-            Self::Valid => SSIM_WINDOW,
+            Self::Valid => TAPS,
             Self::Reflect => RADIUS + 1,
             Self::Zero => 1,
         }
@@ -69,7 +66,7 @@ impl std::fmt::Display for SsimPadding {
 
 /// Mean structural similarity, −1 to 1, 1 for identical images.
 ///
-/// Window 11 × 11, Gaussian of σ = 1.5 pixels, normalised; per channel, for values that reach 1:
+/// Window 11 × 11, Gaussian of σ = 1.5 pixels, normalized; per channel, for values that reach 1:
 /// `(2μ₁μ₂ + 10⁻⁴)(2σ₁₂ + 9·10⁻⁴) / ((μ₁² + μ₂² + 10⁻⁴)(σ₁² + σ₂² + 9·10⁻⁴))`. Values are not
 /// clamped.
 ///

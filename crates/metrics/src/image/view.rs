@@ -1,4 +1,4 @@
-//! A picture that is looked at and not owned.
+//! A borrowed picture.
 
 use super::ImageError;
 
@@ -12,7 +12,7 @@ pub struct ImageView<'a> {
 }
 
 impl<'a> ImageView<'a> {
-    /// Looks at `values` as a picture.
+    /// Borrows `values` as a picture.
     ///
     /// # Errors
     /// If there is no pixel or no channel, or the sizes do not give the number of values.
@@ -22,15 +22,7 @@ impl<'a> ImageView<'a> {
         height: usize,
         channels: usize,
     ) -> Result<Self, ImageError> {
-        let len = values.len();
-        let what = "image";
-        let product = width.checked_mul(height).and_then(|v| v.checked_mul(channels));
-        if product != Some(len) {
-            return Err(ImageError::Shape { what, width, height, channels, len });
-        }
-        if len == 0 {
-            return Err(ImageError::Empty { what, width, height, channels });
-        }
+        check_size("image", [width, height, channels], values.len())?;
         Ok(Self { values, width, height, channels })
     }
 
@@ -70,6 +62,20 @@ impl<'a> ImageView<'a> {
     }
 }
 
+/// Checks that a picture of this width, height and number of channels has `len` values, and any at all.
+pub(super) fn check_size(
+    what: &'static str,
+    [width, height, channels]: [usize; 3],
+    len: usize,
+) -> Result<(), ImageError> {
+    let product = width.checked_mul(height).and_then(|v| v.checked_mul(channels));
+    if product != Some(len) {
+        return Err(ImageError::Shape { what, width, height, channels, len });
+    }
+    let error = ImageError::Empty { what, width, height, channels };
+    (len > 0).then_some(()).ok_or(error)
+}
+
 /// Checks that every value of an `[H, W, C]` array is finite.
 pub(super) fn check_finite(
     what: &'static str,
@@ -82,14 +88,10 @@ pub(super) fn check_finite(
     if values.chunks(4096).all(is_clean) {
         return Ok(());
     }
-    match values.iter().position(|v| !v.is_finite()) {
-        None => Ok(()),
-        Some(i) => {
-            let (pixel, channel) = (i / channels, i % channels);
-            let (x, y) = (pixel % width, pixel / width);
-            Err(ImageError::NonFinite { what, x, y, channel, value: values[i] })
-        }
-    }
+    let Some(i) = values.iter().position(|v| !v.is_finite()) else { return Ok(()) };
+    let (pixel, channel) = (i / channels, i % channels);
+    let (x, y) = (pixel % width, pixel / width);
+    Err(ImageError::NonFinite { what, x, y, channel, value: values[i] })
 }
 
 /// Checks that two pictures can be compared.

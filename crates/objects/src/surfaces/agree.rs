@@ -2,7 +2,7 @@
 
 use super::small::relabel_small;
 use super::{NO_SURFACE, SceneSurfaces, Surfaces};
-use crate::error::{ObjectError, Result};
+use crate::error::{Result, check_labels, check_rows, check_setting};
 use rayon::prelude::*;
 
 /// How much speaks for each class.
@@ -23,25 +23,12 @@ impl ClassShares<'_> {
     }
 
     fn check(&self, labels: &[i32]) -> Result<()> {
-        let (expected, got) = (labels.len(), self.row_of.len());
-        if expected != got {
-            return Err(ObjectError::Rows { field: "row_of", expected, got });
-        }
-        let rows = match self.num_classes {
-            0 => 0,
-            classes => self.rows.len() / classes,
-        };
+        check_rows("row_of", labels.len(), self.row_of.len())?;
+        let rows = self.rows.len().checked_div(self.num_classes).unwrap_or_default();
         if let Some(row) = self.row_of.iter().find(|row| **row as usize >= rows) {
-            let (value, expected) = (row.to_string(), "a row of the shares");
-            return Err(ObjectError::Setting { setting: "row_of", value, expected });
+            check_setting(false, "row_of", row, "a row of the shares")?;
         }
-        let is_class = |label: i32| label < 0 || (label as usize) < self.num_classes;
-        match labels.iter().position(|label| !is_class(*label)) {
-            Some(row) => {
-                Err(ObjectError::Label { row, label: labels[row], names: self.num_classes })
-            }
-            None => Ok(()),
-        }
+        check_labels(labels, self.num_classes)
     }
 }
 
@@ -72,7 +59,7 @@ pub struct Agreed {
     pub small: usize,
 }
 
-/// Gaussians that are looked at together.
+/// Gaussians by what they are part of.
 struct Groups {
     /// Where those of each begin in `rows`; one more than there are.
     start: Vec<usize>,
@@ -141,14 +128,10 @@ pub fn agree(
     settings: &AgreeSettings<'_>,
 ) -> Result<Agreed> {
     shares.check(labels)?;
-    if !(settings.own >= 0.0 && settings.own.is_finite()) {
-        let (value, expected) = (settings.own.to_string(), "a finite number from 0");
-        return Err(ObjectError::Setting { setting: "own", value, expected });
-    }
-    let mut lengths = surfaces.scales.iter().map(|scale| scale.of.len());
-    let other = lengths.find(|len| *len != labels.len());
-    if let Some(got) = other.or(Some(surfaces.cell_of.len()).filter(|len| *len != labels.len())) {
-        return Err(ObjectError::Rows { field: "surfaces", expected: labels.len(), got });
+    let own = settings.own;
+    check_setting(own >= 0.0 && own.is_finite(), "own", own, "a finite number from 0")?;
+    for len in surfaces.scales.iter().map(|scale| scale.of.len()).chain([surfaces.cell_of.len()]) {
+        check_rows("surfaces", labels.len(), len)?;
     }
     if shares.num_classes == 0 {
         return Ok(Agreed::default());
@@ -199,8 +182,22 @@ pub fn agree(
         return Ok(agreed);
     }
     let before: Vec<i32> = found.iter().map(|(label, _)| *label).collect();
-    let mut after = before.clone();
-    relabel_small(&mut after, &share_of_cell, surfaces, settings);
+    agreed.small = change_small(labels, &before, &cells, &share_of_cell, surfaces, settings);
+    Ok(agreed)
+}
+
+/// Gives pieces too small for their class another label; how many Gaussians took it. `before`: of cells.
+fn change_small(
+    labels: &mut [i32],
+    before: &[i32],
+    cells: &Groups,
+    share_of_cell: &[f32],
+    surfaces: &SceneSurfaces,
+    settings: &AgreeSettings<'_>,
+) -> usize {
+    let mut after = before.to_vec();
+    relabel_small(&mut after, share_of_cell, surfaces, settings);
+    let mut changed = 0;
     for (cell, (&before, &after)) in before.iter().zip(&after).enumerate() {
         if before == after {
             continue;
@@ -209,11 +206,11 @@ pub fn agree(
             let label = &mut labels[row as usize];
             if *label == before {
                 *label = after;
-                agreed.small += 1;
+                changed += 1;
             }
         }
     }
-    Ok(agreed)
+    changed
 }
 
 /// The class with the largest share, the smallest of equal ones; −1 if none has any.
@@ -244,30 +241,47 @@ mod tests {
         labels.iter().flat_map(of).collect::<Vec<f32>>()
     }
 
+    /// So many cells, each of which touches the next one.
+    fn chain(cells: u32) -> SceneSurfaces {
+        let of: Vec<u32> = (0..cells).collect();
+        made_of(vec![scale(&of, of.len())], (1..cells).map(|i| [i - 1, i]).collect())
+    }
+
+    /// The labels after they agreed, each Gaussian with a row of shares of its own.
+    fn agreed(
+        labels: &[i32],
+        rows: &[f32],
+        found: &SceneSurfaces,
+        settings: &AgreeSettings<'_>,
+    ) -> (Vec<i32>, Agreed) {
+        let row_of: Vec<u32> = (0..labels.len() as u32).collect();
+        let shares = ClassShares { row_of: &row_of, rows, num_classes: rows.len() / labels.len() };
+        let mut labels = labels.to_vec();
+        let agreed = agree(&mut labels, &shares, found, settings).unwrap();
+        (labels, agreed)
+    }
+
     #[test]
     fn shares_of_all_scales_are_added() {
         let small = scale(&[0, 0, 1, 1, 1, NO_SURFACE, 2], 3);
         let large = scale(&[0, 0, 0, 0, 0, NO_SURFACE, 1], 2);
         let labels = [3, 0, 0, 0, 2, 2, -1];
-        let row_of: Vec<u32> = (0..7).collect();
         let rows = one_hot(&labels, 4);
-        let shares = ClassShares { row_of: &row_of, rows: &rows, num_classes: 4 };
         let agreed = |scales: &[Surfaces], own: f32| {
-            let mut labels = labels;
             let settings = AgreeSettings { own, ..AgreeSettings::default() };
-            let found = made_of(scales.to_vec(), Vec::new());
-            let changed = agree(&mut labels, &shares, &found, &settings).unwrap().changed;
-            (labels, changed)
+            let (labels, agreed) =
+                agreed(&labels, &rows, &made_of(scales.to_vec(), Vec::new()), &settings);
+            (labels, agreed.changed)
         };
         // Of the first surface one half each: the smaller label.
-        assert_eq!(agreed(std::slice::from_ref(&small), 0.0), ([0, 0, 0, 0, 0, 2, -1], 2));
+        assert_eq!(agreed(std::slice::from_ref(&small), 0.0), (vec![0, 0, 0, 0, 0, 2, -1], 2));
         // Unless the Gaussian itself has a say: 3 has 1/2 + 0.3.
-        assert_eq!(agreed(std::slice::from_ref(&small), 0.3), ([3, 0, 0, 0, 0, 2, -1], 1));
+        assert_eq!(agreed(std::slice::from_ref(&small), 0.3), (vec![3, 0, 0, 0, 0, 2, -1], 1));
         // In the first 3 has 1/2 + 1/5 and 0 1/2 + 3/5.
-        assert_eq!(agreed(&[small.clone(), large], 0.0), ([0, 0, 0, 0, 0, 2, -1], 2));
+        assert_eq!(agreed(&[small.clone(), large], 0.0), (vec![0, 0, 0, 0, 0, 2, -1], 2));
         let other = scale(&[0, 1, 2, 2, 3, 3, 3], 4);
         // 3 has 1/2 + 1, 0 has 1/2; the fifth: 2 has 1/3 + 1, 0 has 2/3.
-        assert_eq!(agreed(&[small, other], 0.0), ([3, 0, 0, 0, 2, 2, -1], 0));
+        assert_eq!(agreed(&[small, other], 0.0), (vec![3, 0, 0, 0, 2, 2, -1], 0));
     }
 
     #[test]
@@ -340,30 +354,21 @@ mod tests {
         assert_eq!(agreed, Agreed { changed, small: 0 });
     }
 
-    /// A row of cells that touch: of the floor (0), with a bed (1) that is none, of two cells, and a large one.
-    fn row_of_cells() -> (SceneSurfaces, Vec<i32>) {
-        let labels = vec![0, 0, 0, 1, 1, 0, 0, 2, 1, 1, 1, 1, -1, 1];
-        let of: Vec<u32> = (0..labels.len() as u32).collect();
-        let touching = (1..labels.len() as u32).map(|i| [i - 1, i]).collect();
-        (made_of(vec![scale(&of, labels.len())], touching), labels)
-    }
+    /// Cells of the floor (0), with a bed (1) that is none, of two cells, and a large one.
+    const ROW: [i32; 14] = [0, 0, 0, 1, 1, 0, 0, 2, 1, 1, 1, 1, -1, 1];
 
     #[test]
     fn pieces_too_small_for_their_class_become_what_is_beside_them() {
-        let (found, labels) = row_of_cells();
-        let row_of: Vec<u32> = (0..labels.len() as u32).collect();
         // For 3 speaks most in the second cell of the small bed, but it is beside nothing of the kind.
-        let mut rows = one_hot(&labels, 4);
+        let mut rows = one_hot(&ROW, 4);
         rows[3 * 4..][..4].copy_from_slice(&[0.3, 0.6, 0.1, 0.0]);
         rows[4 * 4..][..4].copy_from_slice(&[0.0, 0.6, 0.0, 0.4]);
-        let shares = ClassShares { row_of: &row_of, rows: &rows, num_classes: 4 };
         let agreed = |least_area: &[f64], keep: f64| {
-            let mut labels = labels.clone();
             let settings = AgreeSettings { least_area, keep, ..AgreeSettings::default() };
-            let small = agree(&mut labels, &shares, &found, &settings).unwrap().small;
-            (labels, small)
+            let (labels, agreed) = agreed(&ROW, &rows, &chain(14), &settings);
+            (labels, agreed.small)
         };
-        let as_they_are = (labels.clone(), 0);
+        let as_they_are = (ROW.to_vec(), 0);
         assert_eq!(agreed(&[], 0.24), as_they_are);
         assert_eq!(agreed(&[0.0, 2.0], 0.24), as_they_are, "two cells are enough");
         let due = vec![0, 0, 0, 0, 0, 0, 0, 2, 1, 1, 1, 1, -1, 1];
@@ -379,41 +384,26 @@ mod tests {
     }
 
     #[test]
-    fn what_becomes_one_with_others_is_large() {
+    fn small_pieces_grow_with_what_they_become() {
+        let least_area = &[0.0, 1.5, 1.5];
+        let settings = AgreeSettings { least_area, ..AgreeSettings::default() };
         // 1 1 2 1 1: the 2 is too small, and so is each 1 beside it, until it is gone.
         let labels = [0, 0, 0, 0, 1, 1, 2, 1, 1];
-        let of: Vec<u32> = (0..9).collect();
-        let touching = (1..9).map(|i| [i - 1, i]).collect();
-        let found = made_of(vec![scale(&of, 9)], touching);
         let mut rows = one_hot(&labels, 3);
         rows[6 * 3..][..3].copy_from_slice(&[0.1, 0.4, 0.5]);
-        let shares = ClassShares { row_of: &of, rows: &rows, num_classes: 3 };
-        let mut now = labels;
-        let least_area = &[0.0, 1.5, 1.5];
-        let settings = AgreeSettings { least_area, ..AgreeSettings::default() };
-        assert_eq!(agree(&mut now, &shares, &found, &settings).unwrap().small, 1);
-        assert_eq!(now, [0, 0, 0, 0, 1, 1, 1, 1, 1]);
-    }
-
-    #[test]
-    fn small_behind_small_gives_way_in_the_next_round() {
+        let (now, done) = agreed(&labels, &rows, &chain(9), &settings);
+        assert_eq!((now, done.small), (vec![0, 0, 0, 0, 1, 1, 1, 1, 1], 1));
         // 0 0 0 1 2: beside the 2 there is only a 1 that is too small itself, until it has become 0.
         let labels = [0, 0, 0, 1, 2];
-        let of: Vec<u32> = (0..5).collect();
-        let found = made_of(vec![scale(&of, 5)], (1..5).map(|i| [i - 1, i]).collect());
         let mut rows = one_hot(&labels, 3);
         rows[3 * 3..].copy_from_slice(&[0.4, 0.6, 0.0, 0.3, 0.1, 0.6]);
-        let shares = ClassShares { row_of: &of, rows: &rows, num_classes: 3 };
-        let mut now = labels;
-        let least_area = &[0.0, 1.5, 1.5];
-        let settings = AgreeSettings { least_area, ..AgreeSettings::default() };
-        assert_eq!(agree(&mut now, &shares, &found, &settings).unwrap().small, 2);
-        assert_eq!(now, [0; 5]);
+        let (now, done) = agreed(&labels, &rows, &chain(5), &settings);
+        assert_eq!((now, done.small), (vec![0; 5], 2));
     }
 
     #[test]
     fn what_does_not_belong_together_is_refused() {
-        let (found, labels) = row_of_cells();
+        let (found, labels) = (chain(14), ROW);
         let (row_of, rows) = (vec![0; labels.len()], vec![0.25; 4]);
         let shares = ClassShares { row_of: &row_of, rows: &rows, num_classes: 4 };
         let run = |labels: &[i32], shares: &ClassShares<'_>, own: f32| {

@@ -1,7 +1,7 @@
 //! Pieces that are too small for what they are taken for: a bed of a tenth of a square metre is none.
 
 use super::{AgreeSettings, SceneSurfaces};
-use crate::cells::Joined;
+use crate::cells::{Joined, distinct};
 
 /// How often small pieces are looked for: what took the label of a neighbour may have become one with another.
 const ROUNDS: usize = 3;
@@ -19,67 +19,35 @@ pub(super) fn relabel_small(
         usize::try_from(label).ok().and_then(|c| settings.least_area.get(c)).copied().unwrap_or(0.0)
     };
     for _ in 0..ROUNDS {
-        let mut joined = Joined::new(labels.len());
-        for &[a, b] in &surfaces.touching {
-            if labels[a as usize] >= 0 && labels[a as usize] == labels[b as usize] {
-                joined.join(a, b);
-            }
-        }
-        let piece_of: Vec<u32> = (0..labels.len() as u32).map(|cell| joined.root(cell)).collect();
-        let mut area = vec![0.0; labels.len()];
-        for (cell, &piece) in piece_of.iter().enumerate() {
-            area[piece as usize] += f64::from(surfaces.area[cell]);
-        }
-        let is_small = |cell: u32| {
-            let piece = piece_of[cell as usize] as usize;
-            labels[piece] >= 0 && area[piece] < least(labels[piece])
-        };
-        // Labels of large neighbours, of each small piece.
-        let mut beside: Vec<(u32, i32)> = Vec::new();
-        for &[a, b] in &surfaces.touching {
-            let of = |cell: u32| labels[cell as usize];
-            if of(a) == of(b) || of(a) < 0 || of(b) < 0 {
-                continue;
-            }
-            for (small, large) in [(a, b), (b, a)] {
-                if is_small(small) && !is_small(large) {
-                    beside.push((piece_of[small as usize], of(large)));
-                }
-            }
-        }
-        beside.sort_unstable();
-        beside.dedup();
+        let (piece_of, beside) = beside_small(labels, surfaces, least);
         // Sums over pieces with a large neighbour, in the order of their first cell.
-        let mut place = vec![u32::MAX; labels.len()];
-        let mut count = 0;
-        for of_piece in beside.chunk_by(|a, b| a.0 == b.0) {
-            place[of_piece[0].0 as usize] = count;
-            count += 1;
+        let mut place = vec![None; labels.len()];
+        let pieces: Vec<&[(u32, i32)]> = beside.chunk_by(|a, b| a.0 == b.0).collect();
+        for (at, of_piece) in pieces.iter().enumerate() {
+            place[of_piece[0].0 as usize] = Some(at);
         }
-        let mut sums = vec![0.0; count as usize * classes];
-        for (cell, &piece) in piece_of.iter().enumerate() {
-            let at = place[piece as usize];
-            if at != u32::MAX {
-                let sum = &mut sums[at as usize * classes..][..classes];
+        let place_of = |cell: usize| place[piece_of[cell] as usize];
+        let mut sums = vec![0.0; pieces.len() * classes];
+        for cell in 0..labels.len() {
+            if let Some(at) = place_of(cell) {
+                let sum = &mut sums[at * classes..][..classes];
                 let own = &share[cell * classes..][..classes];
                 sum.iter_mut().zip(own).for_each(|(sum, p)| *sum += f64::from(*p));
             }
         }
-        let mut becomes = vec![-1; count as usize];
-        for (at, of_piece) in beside.chunk_by(|a, b| a.0 == b.0).enumerate() {
-            let sum = &sums[at * classes..][..classes];
-            let has = |label: i32| sum[label as usize];
+        let becomes = |(at, of_piece): (usize, &&[(u32, i32)])| {
+            let has = |label: i32| sums[at * classes..][..classes][label as usize];
             // Labels rise: of equal ones the smallest.
             let best = (of_piece.iter().map(|(_, label)| *label))
                 .reduce(|best, label| if has(label) > has(best) { label } else { best });
             let own = has(labels[of_piece[0].0 as usize]);
-            becomes[at] = best.filter(|best| has(*best) >= settings.keep * own).unwrap_or(-1);
-        }
+            best.filter(|best| has(*best) >= settings.keep * own)
+        };
+        let becomes: Vec<Option<i32>> = pieces.iter().enumerate().map(becomes).collect();
         let mut is_done = true;
-        for (cell, &piece) in piece_of.iter().enumerate() {
-            let at = place[piece as usize];
-            if at != u32::MAX && becomes[at as usize] >= 0 {
-                labels[cell] = becomes[at as usize];
+        for (cell, own) in labels.iter_mut().enumerate() {
+            if let Some(label) = place_of(cell).and_then(|at| becomes[at]) {
+                *own = label;
                 is_done = false;
             }
         }
@@ -87,4 +55,35 @@ pub(super) fn relabel_small(
             break;
         }
     }
+}
+
+/// The piece of each cell, and labels of large neighbours of each piece below the `least` area of its label, sorted.
+fn beside_small(
+    labels: &[i32],
+    surfaces: &SceneSurfaces,
+    least: impl Fn(i32) -> f64,
+) -> (Vec<u32>, Vec<(u32, i32)>) {
+    let mut joined = Joined::new(labels.len());
+    for &[a, b] in &surfaces.touching {
+        if labels[a as usize] >= 0 && labels[a as usize] == labels[b as usize] {
+            joined.join(a, b);
+        }
+    }
+    let piece_of: Vec<u32> = (0..labels.len() as u32).map(|cell| joined.root(cell)).collect();
+    let mut area = vec![0.0; labels.len()];
+    for (cell, &piece) in piece_of.iter().enumerate() {
+        area[piece as usize] += f64::from(surfaces.area[cell]);
+    }
+    let is_small = |cell: u32| {
+        let piece = piece_of[cell as usize] as usize;
+        labels[piece] >= 0 && area[piece] < least(labels[piece])
+    };
+    let both_ways = surfaces.touching.iter().flat_map(|&[a, b]| [(a, b), (b, a)]);
+    let beside = both_ways.filter(|&(small, large)| {
+        let [a, b] = [small, large].map(|cell| labels[cell as usize]);
+        a != b && a >= 0 && b >= 0 && is_small(small) && !is_small(large)
+    });
+    let beside =
+        distinct(beside.map(|(small, large)| (piece_of[small as usize], labels[large as usize])));
+    (piece_of, beside)
 }

@@ -3,7 +3,8 @@
 use super::Entry;
 use super::package::{Package, beside};
 use super::texture::Texture;
-use crate::vector::{V3, cross, length, sub, times};
+use crate::shape::Block;
+use crate::vector::{V3, cross, length, sub};
 use scenesplat_scene::picture::{Picture, decode_picture};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -78,8 +79,7 @@ pub(super) fn read(entry: &Entry, package: &Package) -> Result<Mesh, String> {
         .map(|m| m.dissolve.map_or(1.0, f64::from))
         .chain(std::iter::once(1.0))
         .collect();
-    let grey = Paint { color: [180.0; 3], texture: None, is_glass: false };
-    paints.push(grey);
+    paints.push(Paint { color: [180.0; 3], texture: None, is_glass: false });
 
     let count: usize = models.iter().map(|model| model.mesh.indices.len() / 3).sum();
     if count > MAX_TRIANGLES {
@@ -103,20 +103,16 @@ pub(super) fn read(entry: &Entry, package: &Package) -> Result<Mesh, String> {
                 let place = mesh.texcoords.get(start..start + 2)?;
                 Some(std::array::from_fn(|i| f64::from(place[i])))
             };
-            let three = |of: &dyn Fn(usize) -> Option<[f64; 2]>| Some([of(0)?, of(1)?, of(2)?]);
-            let Some(corners) = corner(0).zip(corner(1)).zip(corner(2)) else {
+            let (Some(a), Some(b), Some(c)) = (corner(0), corner(1), corner(2)) else {
                 return Err("a face names a corner that is not there".to_owned());
             };
-            let ((a, b), c) = corners;
             if [a, b, c].iter().flatten().any(|v| !v.is_finite()) {
                 return Err("has corners that are no finite numbers".to_owned());
             }
-            let uv = if has_uv { three(&uv) } else { None };
+            let uv = uv(0).zip(uv(1)).zip(uv(2)).filter(|_| has_uv);
+            let uv = uv.map(|((a, b), c)| [a, b, c]);
             triangles.push(Triangle { corners: [a, b, c], uv, paint: paint as u32 });
         }
-    }
-    if triangles.is_empty() {
-        return Err("has no face".to_owned());
     }
     fit(&mut triangles, entry)?;
     triangles.retain(|triangle| length(triangle.cross()) > 1e-12);
@@ -177,16 +173,11 @@ fn fit(triangles: &mut [Triangle], entry: &Entry) -> Result<(), String> {
             *p = std::array::from_fn(|row| (0..3).map(|i| m[row * 3 + i] * p[i]).sum());
         }
     }
-    let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
-    for p in triangles.iter().flat_map(|triangle| &triangle.corners) {
-        for i in 0..3 {
-            low[i] = low[i].min(p[i]);
-            high[i] = high[i].max(p[i]);
-        }
-    }
+    let corners = triangles.iter().flat_map(|triangle| triangle.corners).map(Block::at);
+    let bounds = corners.reduce(Block::join).ok_or("has no face")?;
     let [width, depth, height] = entry.size;
     let wanted = [width, height, depth];
-    let extent: V3 = std::array::from_fn(|i| high[i] - low[i]);
+    let extent = bounds.size();
     let largest = extent.iter().copied().fold(0.0, f64::max);
     let is_flat = |i: usize| extent[i] <= 1e-6 * largest;
     if (0..3).filter(|&i| is_flat(i)).count() >= 2 || largest <= 0.0 {
@@ -194,8 +185,8 @@ fn fit(triangles: &mut [Triangle], entry: &Entry) -> Result<(), String> {
     }
     // A flat axis has no scale: what lies in it stays in it.
     let scale: V3 = std::array::from_fn(|i| if is_flat(i) { 0.0 } else { wanted[i] / extent[i] });
-    let middle = times(std::array::from_fn(|i| low[i] + high[i]), 0.5);
-    let origin = [middle[0], low[1], middle[2]];
+    let middle = bounds.middle();
+    let origin = [middle[0], bounds.low[1], middle[2]];
     for p in triangles.iter_mut().flat_map(|triangle| &mut triangle.corners) {
         let [x, y, z]: V3 = std::array::from_fn(|i| (p[i] - origin[i]) * scale[i]);
         *p = [-x, z, y];

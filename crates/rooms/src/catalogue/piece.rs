@@ -5,8 +5,8 @@ use super::mesh;
 use super::package::Package;
 use super::points::{self, Point, mean_color, spread};
 use crate::classes::ClassId;
-use crate::model::{Block, Support};
-use crate::shape::SurfacePoint;
+use crate::model::Support;
+use crate::shape::{Block, SurfacePoint};
 use crate::vector::{V3, Z, unit_or};
 use scenesplat_kernels::random::{SampleRng, below, unit};
 use std::collections::BTreeMap;
@@ -44,21 +44,12 @@ impl Piece {
         if points.num_seen == 0 {
             return Err("has no surface that is seen from outside".to_owned());
         }
-        let corners = mesh.triangles.iter().flat_map(|t| t.corners);
-        let [low, high] =
-            corners.map(|c| [c, c]).reduce(crate::shape::join).unwrap_or([[0.0; 3]; 2]);
-        let bounds = Block { low, high };
+        let corners = mesh.triangles.iter().flat_map(|t| t.corners).map(Block::at);
+        let bounds = corners.reduce(Block::join).unwrap_or(Block::at([0.0; 3]));
         let share = points.num_seen as f64 / points.all.len() as f64;
-        let is_open = matches!(
-            entry.meaning.class(),
-            Some(
-                ClassId::Table
-                    | ClassId::Desk
-                    | ClassId::CoffeeTable
-                    | ClassId::Chair
-                    | ClassId::Stool
-            )
-        );
+        use ClassId::{Chair, CoffeeTable, Desk, Stool, Table};
+        let is_open =
+            matches!(entry.meaning.class(), Some(Table | Desk | CoffeeTable | Chair | Stool));
         Ok(Self {
             solids: if is_open { columns(&points.all, &bounds) } else { vec![bounds] },
             support: entry.top.and_then(|top| shelf(&points.all[..points.num_seen], top)),
@@ -113,13 +104,13 @@ fn columns(points: &[Point], bounds: &Block) -> Vec<Block> {
     let mut blocks: Vec<Block> = Vec::new();
     for mut column in cells.into_values() {
         column.sort_by(|a, b| a[2].total_cmp(&b[2]));
-        let mut block = Block { low: column[0], high: column[0] };
+        let mut block = Block::at(column[0]);
         for p in column {
             if p[2] > block.high[2] + GAP {
                 blocks.push(block);
-                block = Block { low: p, high: p };
+                block = Block::at(p);
             }
-            [block.low, block.high] = crate::shape::join([block.low, block.high], [p, p]);
+            block = block.join(Block::at(p));
         }
         blocks.push(block);
     }

@@ -4,8 +4,8 @@ use super::kitchen::{basin, tap};
 use super::storage::door_fronts;
 use crate::classes::ClassId;
 use crate::dice::{between, chance, pick};
-use crate::material::{Material, ceramic, metal, painted, wood};
-use crate::model::Model;
+use crate::material::{ceramic, metal, painted, wood};
+use crate::model::{Model, strips};
 use crate::shape::Shape;
 use scenesplat_kernels::random::SampleRng;
 
@@ -24,26 +24,23 @@ pub(crate) fn toilet(rng: &mut SampleRng) -> Model {
     let rim = [0.0, 0.1, seat];
     let (u, v) = ([rx, 0.0, 0.0], [0.0, ry, 0.0]);
     if chance(rng, 0.5) {
-        model.add(Shape::Disc { centre: [0.0, 0.1, seat + 0.03], u, v, hole: 0.0 }, lid);
-        model.add(Shape::Ring { centre: rim, u, v, rod: 0.02, half: false }, lid);
+        model.disc([0.0, 0.1, seat + 0.03], u, v, 0.0, lid);
+        model.ring(rim, u, v, 0.02, lid);
     } else {
-        model.add(Shape::Disc { centre: [0.0, 0.1, seat + 0.015], u, v, hole: 0.62 }, lid);
-        model.add(Shape::Ring { centre: rim, u, v, rod: 0.015, half: false }, lid);
+        model.disc([0.0, 0.1, seat + 0.015], u, v, 0.62, lid);
+        model.ring(rim, u, v, 0.015, lid);
         // The lid stands up before the tank.
         let up = [0.0, -0.03, ry];
         let at = [0.0, 0.1 - ry - 0.02, seat + ry + 0.02];
-        model.add(Shape::Disc { centre: at, u, v: up, hole: 0.0 }, lid);
+        model.disc(at, u, up, 0.0, lid);
     }
     let back = 0.1 - ry;
     let tank_low = if chance(rng, 0.75) { seat - 0.04 } else { seat + 0.15 };
     let (wide, high) = (between(rng, 0.17, 0.22), tank_low + between(rng, 0.32, 0.42));
     let low_y = back - 0.24;
     model.soft_block([-wide, low_y, tank_low], [wide, back - 0.06, high], 0.01, white);
-    model.block(
-        [-wide - 0.012, low_y - 0.006, high],
-        [wide + 0.012, back - 0.05, high + 0.03],
-        white,
-    );
+    let lid_low = [-wide - 0.012, low_y - 0.006, high];
+    model.block(lid_low, [wide + 0.012, back - 0.05, high + 0.03], white);
     model.centred([0.0, back - 0.15, high + 0.036], [0.05, 0.04, 0.012], metal(rng).1);
     model.block([-rx * 0.6, low_y + 0.02, 0.0], [rx * 0.6, 0.0, tank_low.min(seat)], white);
     centre_front_to_back(model)
@@ -75,7 +72,7 @@ pub(crate) fn bathtub(rng: &mut SampleRng) -> Model {
         model.dome(centre, [x, y, high], [-0.97, 0.0], 0.35, false, white);
         model.dome(centre, [x - 0.05, y - 0.05, deep], [-1.0, 0.0], 0.35, true, white.shaded(0.97));
         let (u, v) = ([x, 0.0, 0.0], [0.0, y, 0.0]);
-        model.add(Shape::Disc { centre, u, v, hole: 0.94 }, white);
+        model.disc(centre, u, v, 0.94, white);
     } else {
         let rim = between(rng, 0.05, 0.09);
         let panel = if chance(rng, 0.6) { white } else { super::openings::tiles(rng) };
@@ -85,23 +82,15 @@ pub(crate) fn bathtub(rng: &mut SampleRng) -> Model {
             ([x, -y, 0.0], [0.0, d, 0.0]),
             ([-x, y, 0.0], [0.0, -d, 0.0]),
         ] {
-            model.add(Shape::flat(corner, u, [0.0, 0.0, high]), panel);
+            model.face(corner, u, [0.0, 0.0, high], panel);
         }
         model.add_hidden(Shape::flat([-x, -y, 0.0], [l, 0.0, 0.0], [0.0, 0.0, high]), panel);
         let (ix, iy) = (x - rim, y - rim);
-        for (low, top) in
-            [([-x, -y], [x, -iy]), ([-x, iy], [x, y]), ([-x, -iy], [-ix, iy]), ([ix, -iy], [x, iy])]
-        {
+        for [low, top] in strips([x, y], [ix, iy]) {
             let [w, h] = [top[0] - low[0], top[1] - low[1]];
-            let shape = Shape::flat([low[0], low[1], high], [w, 0.0, 0.0], [0.0, h, 0.0]);
-            model.add(shape, white);
+            model.face([low[0], low[1], high], [w, 0.0, 0.0], [0.0, h, 0.0], white);
         }
-        let mut inner = Model::new(ClassId::Bathtub, color, 1.5);
-        basin(&mut inner, [ix, iy], deep, 0.85, white);
-        for mut surface in inner.surfaces {
-            surface.shape = surface.shape.moved([0.0, 0.0, high]);
-            model.surfaces.push(surface);
-        }
+        basin(&mut model, [ix, iy, high], deep, 0.85, white);
     }
     tap(&mut model, [x - 0.1, -y + 0.03, high], 0.12, metal(rng).1);
     model.solid([-x, -y, 0.0], [x, y, high + 0.13]);
@@ -120,18 +109,8 @@ pub(crate) fn sink(rng: &mut SampleRng) -> Model {
         model.block([-x, -y, 0.08], [x, y - 0.02, high - 0.12], body);
         door_fronts(&mut model, [-x, x], [0.1, high - 0.13], y - 0.02, 2, body, rng);
         model.block([-x + 0.03, -y, 0.0], [x - 0.03, y - 0.08, 0.08], body.shaded(0.6));
-        let mut inner = Model::new(ClassId::Sink, color, 2.4);
-        basin(&mut inner, [x - 0.05, y - 0.05], 0.1, 0.75, white);
-        for mut surface in inner.surfaces {
-            surface.shape = surface.shape.moved([0.0, 0.0, high]);
-            model.surfaces.push(surface);
-        }
-        for (low, top) in [
-            ([-x, -y], [x, -y + 0.05]),
-            ([-x, y - 0.05], [x, y]),
-            ([-x, -y + 0.05], [-x + 0.05, y - 0.05]),
-            ([x - 0.05, -y + 0.05], [x, y - 0.05]),
-        ] {
+        basin(&mut model, [x - 0.05, y - 0.05, high], 0.1, 0.75, white);
+        for [low, top] in strips([x, y], [x - 0.05, y - 0.05]) {
             model.block([low[0], low[1], high - 0.12], [top[0], top[1], high], white);
         }
     } else {
@@ -139,7 +118,7 @@ pub(crate) fn sink(rng: &mut SampleRng) -> Model {
         model.dome(centre, [x, y, 0.17], [-1.0, 0.0], 0.4, false, white);
         model.dome(centre, [x - 0.05, y - 0.06, 0.12], [-1.0, 0.0], 0.2, true, white.shaded(0.96));
         let (u, v) = ([x, 0.0, 0.0], [0.0, y, 0.0]);
-        model.add(Shape::Disc { centre, u, v, hole: 0.78 }, white);
+        model.disc(centre, u, v, 0.78, white);
         if kind == 1 {
             model.taper([0.0, -y * 0.4, 0.0], [0.0, -y * 0.4, high - 0.12], 0.1, 0.07, white);
         } else {
@@ -148,7 +127,7 @@ pub(crate) fn sink(rng: &mut SampleRng) -> Model {
             model.rod([0.0, -y, high - 0.38], [0.0, -y * 0.3, high - 0.38], 0.02, drain);
         }
     }
-    let steel: Material = metal(rng).1;
+    let steel = metal(rng).1;
     tap(&mut model, [0.0, -y + 0.03, high], between(rng, 0.15, 0.22), steel);
     model.solid([-x, -y, 0.0], [x, y + 0.02, high + 0.23]);
     model

@@ -69,16 +69,16 @@ fn blanket(
     let wave = Wave { amplitude, count: between(rng, 2.0, 6.0), phase: between(rng, 0.0, 1.0) };
     let (l, r) = (-x - 0.03, x + 0.03);
     let corners = [[l, from, top], [r, from, top], [l, end, top], [r, end, top]];
-    model.add(Shape::Patch { corners, bulge: 0.0, wave: Some(wave) }, cover);
+    model.patch(corners, Some(wave), cover);
     let low = (rise - 0.1).max(0.08);
     for side in [l, r] {
         let (a, b) = ([side, from, low], [side, end, low]);
         let (c, d) = ([side, from, top], [side, end, top]);
         let corners = if side > 0.0 { [a, b, c, d] } else { [b, a, d, c] };
-        model.add(Shape::Patch { corners, bulge: 0.0, wave: Some(wave) }, cover);
+        model.patch(corners, Some(wave), cover);
     }
     let corners = [[r, end, low], [l, end, low], [r, end, top], [l, end, top]];
-    model.add(Shape::Patch { corners, bulge: 0.0, wave: Some(wave) }, cover);
+    model.patch(corners, Some(wave), cover);
     // The turned-down edge.
     model.soft_block([l, from - 0.02, seat], [r, from + 0.2, top + 0.012], 0.0, cover.shaded(1.06));
 }
@@ -110,12 +110,8 @@ pub(crate) fn pillow(rng: &mut SampleRng) -> Model {
     let y = if square { x } else { between(rng, 0.18, 0.23) };
     let thick = between(rng, 0.05, 0.08);
     let mut model = Model::new(ClassId::Pillow, color, 2.2);
-    for (side, corner, u, v) in [
-        (1.0, [-x, -y, thick], [2.0 * x, 0.0, 0.0], [0.0, 2.0 * y, 0.0]),
-        (-1.0, [-x, -y, thick], [0.0, 2.0 * y, 0.0], [2.0 * x, 0.0, 0.0]),
-    ] {
-        let shape = Shape::bulging(corner, u, v, thick);
-        if side > 0.0 { model.add(shape, cover) } else { model.add_hidden(shape, cover) }
-    }
+    let (corner, u, v) = ([-x, -y, thick], [2.0 * x, 0.0, 0.0], [0.0, 2.0 * y, 0.0]);
+    model.add(Shape::bulging(corner, u, v, thick), cover);
+    model.add_hidden(Shape::bulging(corner, v, u, thick), cover);
     model
 }

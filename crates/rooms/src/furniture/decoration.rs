@@ -3,7 +3,7 @@
 use crate::classes::ClassId;
 use crate::dice::{between, chance, pick, whole};
 use crate::material::{ColorName, Material, Texture, fabric, metal, painted, wood};
-use crate::model::Model;
+use crate::model::{Model, strips};
 use crate::shape::Shape;
 use crate::vector::{V3, times};
 use scenesplat_kernels::random::{SampleRng, cos_sin};
@@ -28,7 +28,7 @@ fn pot(model: &mut Model, size: f64, rng: &mut SampleRng) -> [f64; 2] {
         model.block([-r, -r, 0.0], [r, r, high], clay);
     }
     let earth = Material::new([70.0, 52.0, 38.0], Texture::Mottled(0.03), rng);
-    model.add(Shape::level_disc([0.0, 0.0, high - 0.01], top.min(r * 1.05)), earth);
+    model.level_disc([0.0, 0.0, high - 0.01], top.min(r * 1.05), earth);
     [high, r]
 }
 
@@ -50,103 +50,96 @@ fn grown(tall: f64, pot_size: f64, density: f64, rng: &mut SampleRng) -> Model {
     let [earth, r] = pot(&mut model, pot_size, rng);
     let crown = tall - earth;
     match whole(rng, 0, 3) {
-        0 => {
-            // A stem with a crown of small leaves.
-            let bark = Material::plain([96.0, 74.0, 50.0]);
-            let split = earth + crown * between(rng, 0.2, 0.5);
-            model.rod(
-                [0.0, 0.0, earth],
-                [0.0, 0.0, split + 0.1 * crown],
-                0.01 + 0.012 * tall,
-                bark,
-            );
-            let size = crown * between(rng, 0.2, 0.3);
-            for _ in 0..whole(rng, 4, 8) {
-                let [c, s] = cos_sin(rng);
-                let reach = size * between(rng, 0.1, 0.9);
-                let z = between(rng, split + size * 0.5, tall - size * 0.5);
-                let green = green.shaded(between(rng, 0.85, 1.15));
-                model
-                    .add(Shape::Foliage { centre: [reach * c, reach * s, z], radius: size }, green);
-            }
-        }
+        0 => stem_and_crown(&mut model, earth, tall, green, rng),
         1 => {
-            // Upright blades.
             for _ in 0..whole(rng, 9, 16) {
-                let [c, s] = cos_sin(rng);
-                let base = [0.5 * r * c, 0.5 * r * s, earth - 0.01];
-                let out = crown * between(rng, 0.02, 0.22);
-                let along = [out * c, out * s, crown * between(rng, 0.6, 1.0)];
-                let side = times([-s, c, 0.0], crown * between(rng, 0.025, 0.05));
-                model.add(
-                    Shape::Leaf { base, along, side, droop: 0.0 },
-                    green.shaded(between(rng, 0.85, 1.2)),
-                );
+                blade(&mut model, [earth, crown, r], green, rng);
             }
         }
         2 => {
-            // Hanging fronds from the middle.
             for _ in 0..whole(rng, 14, 24) {
-                let [c, s] = cos_sin(rng);
-                let out = crown * between(rng, 0.35, 0.6);
-                let along = [out * c, out * s, crown * between(rng, 0.5, 1.1)];
-                let side = times([-s, c, 0.0], crown * between(rng, 0.04, 0.08));
-                let droop = crown * between(rng, 0.2, 0.7);
-                let base = [0.0, 0.0, earth];
-                model.add(
-                    Shape::Leaf { base, along, side, droop },
-                    green.shaded(between(rng, 0.8, 1.2)),
-                );
+                frond(&mut model, [earth, crown], green, rng);
             }
         }
         _ => {
-            // Stalks with one large leaf each.
             for _ in 0..whole(rng, 7, 13) {
-                let [c, s] = cos_sin(rng);
-                let reach = crown * between(rng, 0.05, 0.3);
-                let node: V3 = [reach * c, reach * s, earth + crown * between(rng, 0.35, 0.85)];
-                model.beam([0.0, 0.0, earth], node, 0.008, green.shaded(0.8));
-                let size = crown * between(rng, 0.22, 0.36);
-                let along = [size * c, size * s, size * between(rng, -0.1, 0.5)];
-                let side = times([-s, c, 0.0], size * between(rng, 0.25, 0.4));
-                let droop = size * between(rng, 0.0, 0.5);
-                model.add(
-                    Shape::Leaf { base: node, along, side, droop },
-                    green.shaded(between(rng, 0.85, 1.2)),
-                );
+                stalk(&mut model, [earth, crown], green, rng);
             }
         }
     }
     model
 }
 
+/// A stem with a crown of small leaves.
+fn stem_and_crown(m: &mut Model, earth: f64, tall: f64, green: Material, rng: &mut SampleRng) {
+    let crown = tall - earth;
+    let bark = Material::plain([96.0, 74.0, 50.0]);
+    let split = earth + crown * between(rng, 0.2, 0.5);
+    m.rod([0.0, 0.0, earth], [0.0, 0.0, split + 0.1 * crown], 0.01 + 0.012 * tall, bark);
+    let radius = crown * between(rng, 0.2, 0.3);
+    for _ in 0..whole(rng, 4, 8) {
+        let [c, s] = cos_sin(rng);
+        let reach = radius * between(rng, 0.1, 0.9);
+        let z = between(rng, split + radius * 0.5, tall - radius * 0.5);
+        let centre = [reach * c, reach * s, z];
+        let green = green.shaded(between(rng, 0.85, 1.15));
+        m.add(Shape::Foliage { centre, radius }, green);
+    }
+}
+
+/// An upright blade.
+fn blade(m: &mut Model, [earth, crown, r]: V3, green: Material, rng: &mut SampleRng) {
+    let [c, s] = cos_sin(rng);
+    let base = [0.5 * r * c, 0.5 * r * s, earth - 0.01];
+    let out = crown * between(rng, 0.02, 0.22);
+    let along = [out * c, out * s, crown * between(rng, 0.6, 1.0)];
+    let side = times([-s, c, 0.0], crown * between(rng, 0.025, 0.05));
+    let green = green.shaded(between(rng, 0.85, 1.2));
+    m.add(Shape::Leaf { base, along, side, droop: 0.0 }, green);
+}
+
+/// A hanging frond from the middle.
+fn frond(m: &mut Model, [earth, crown]: [f64; 2], green: Material, rng: &mut SampleRng) {
+    let [c, s] = cos_sin(rng);
+    let out = crown * between(rng, 0.35, 0.6);
+    let along = [out * c, out * s, crown * between(rng, 0.5, 1.1)];
+    let side = times([-s, c, 0.0], crown * between(rng, 0.04, 0.08));
+    let droop = crown * between(rng, 0.2, 0.7);
+    let green = green.shaded(between(rng, 0.8, 1.2));
+    m.add(Shape::Leaf { base: [0.0, 0.0, earth], along, side, droop }, green);
+}
+
+/// A stalk with one large leaf.
+fn stalk(m: &mut Model, [earth, crown]: [f64; 2], green: Material, rng: &mut SampleRng) {
+    let [c, s] = cos_sin(rng);
+    let reach = crown * between(rng, 0.05, 0.3);
+    let base: V3 = [reach * c, reach * s, earth + crown * between(rng, 0.35, 0.85)];
+    m.beam([0.0, 0.0, earth], base, 0.008, green.shaded(0.8));
+    let size = crown * between(rng, 0.22, 0.36);
+    let along = [size * c, size * s, size * between(rng, -0.1, 0.5)];
+    let side = times([-s, c, 0.0], size * between(rng, 0.25, 0.4));
+    let droop = size * between(rng, 0.0, 0.5);
+    let green = green.shaded(between(rng, 0.85, 1.2));
+    m.add(Shape::Leaf { base, along, side, droop }, green);
+}
+
 /// A flat thing on a wall with a frame around it; its back is at −y, its middle at z = 0.
 fn framed(model: &mut Model, [x, z]: [f64; 2], rim: f64, frame: Material, inside: Material) {
-    let thick = 0.025;
+    let (thick, w, h) = (0.025, x - rim, z - rim);
     if rim > 0.0 {
-        for (a, b) in [
-            ([-x, -z], [x, -z + rim]),
-            ([-x, z - rim], [x, z]),
-            ([-x, -z + rim], [-x + rim, z - rim]),
-            ([x - rim, -z + rim], [x, z - rim]),
-        ] {
+        for [a, b] in strips([x, z], [w, h]) {
             model.block([a[0], 0.0, a[1]], [b[0], thick, b[1]], frame);
         }
     }
-    let (w, h) = (x - rim, z - rim);
-    let face = Shape::flat([w, thick * 0.6, -h], [-2.0 * w, 0.0, 0.0], [0.0, 0.0, 2.0 * h]);
-    model.add(face, inside);
+    model.face([w, thick * 0.6, -h], [-2.0 * w, 0.0, 0.0], [0.0, 0.0, 2.0 * h], inside);
     model.add_hidden(Shape::flat([-x, 0.0, -z], [2.0 * x, 0.0, 0.0], [0.0, 0.0, 2.0 * z]), frame);
     model.solid([-x, 0.0, -z], [x, thick + 0.005, z]);
 }
 
 pub(crate) fn picture(rng: &mut SampleRng) -> Model {
-    let name = pick(rng, &ColorName::ALL);
-    let other = pick(rng, &ColorName::ALL);
-    let size = between(rng, 0.08, 0.3);
-    let base = name.sample(rng);
-    let texture = Texture::Painting(size);
-    let second = other.sample(rng);
+    let [name, other] = [0; 2].map(|_| pick(rng, &ColorName::ALL));
+    let texture = Texture::Painting(between(rng, 0.08, 0.3));
+    let [base, second] = [name, other].map(|color| color.sample(rng));
     let paint = Material::new(base, texture, rng).with_second(second);
     let (x, z) = (between(rng, 0.18, 0.6), between(rng, 0.18, 0.45));
     let mut model = Model::new(ClassId::Picture, name, 2.2);
@@ -160,7 +153,7 @@ pub(crate) fn picture(rng: &mut SampleRng) -> Model {
         let b = 0.2 * w[0].min(w[1]);
         for (lo, hi) in [([-w[0], -w[1]], [w[0], -w[1] + b]), ([-w[0], w[1] - b], w)] {
             let u = [lo[0] - hi[0], 0.0, 0.0];
-            model.add(Shape::flat([hi[0], 0.018, lo[1]], u, [0.0, 0.0, hi[1] - lo[1]]), mount);
+            model.face([hi[0], 0.018, lo[1]], u, [0.0, 0.0, hi[1] - lo[1]], mount);
         }
     }
     model
@@ -169,15 +162,18 @@ pub(crate) fn picture(rng: &mut SampleRng) -> Model {
 pub(crate) fn mirror(rng: &mut SampleRng) -> Model {
     let frame = if chance(rng, 0.5) { metal(rng).1 } else { wood(rng).1 };
     let tint = between(rng, 140.0, 195.0);
-    let glass =
-        Material::new([tint, tint + 8.0, tint + 14.0], Texture::Sheen(between(rng, 0.3, 0.9)), rng)
-            .with_second([tint + 50.0, tint + 54.0, tint + 58.0]);
+    let sheen = Texture::Sheen(between(rng, 0.3, 0.9));
+    let glass = Material::new([tint, tint + 8.0, tint + 14.0], sheen, rng).with_second([
+        tint + 50.0,
+        tint + 54.0,
+        tint + 58.0,
+    ]);
     let mut model = Model::new(ClassId::Mirror, ColorName::Grey, 1.7);
     if chance(rng, 0.3) {
         let (x, z) = (between(rng, 0.25, 0.4), between(rng, 0.25, 0.5));
         let (u, v) = ([-x, 0.0, 0.0], [0.0, 0.0, z]);
-        model.add(Shape::Disc { centre: [0.0, 0.02, 0.0], u, v, hole: 0.0 }, glass);
-        model.add(Shape::Ring { centre: [0.0, 0.016, 0.0], u, v, rod: 0.015, half: false }, frame);
+        model.disc([0.0, 0.02, 0.0], u, v, 0.0, glass);
+        model.ring([0.0, 0.016, 0.0], u, v, 0.015, frame);
     } else {
         let (x, z) = (between(rng, 0.22, 0.5), between(rng, 0.3, 0.62));
         framed(&mut model, [x, z], between(rng, 0.01, 0.04), frame, glass);
@@ -199,13 +195,13 @@ pub(crate) fn rug([x, y]: [f64; 2], rng: &mut SampleRng) -> Model {
     let z = between(rng, 0.008, 0.022);
     if chance(rng, 0.2) {
         let r = x.min(y);
-        model.add(Shape::level_disc([0.0, 0.0, z], r), cloth);
+        model.level_disc([0.0, 0.0, z], r, cloth);
         model.solid([-r, -r, 0.0], [r, r, z]);
         return model;
     }
-    model.add(Shape::flat([-x, -y, z], [2.0 * x, 0.0, 0.0], [0.0, 2.0 * y, 0.0]), cloth);
+    model.face([-x, -y, z], [2.0 * x, 0.0, 0.0], [0.0, 2.0 * y, 0.0], cloth);
     if chance(rng, 0.5) {
-        let edge = cloth.shaded(0.7);
+        let edge = Material::plain(cloth.shaded(0.7).base);
         let b = between(rng, 0.04, 0.14);
         for (corner, u, v) in [
             ([-x, -y], [2.0 * x, 0.0], [0.0, b]),
@@ -213,9 +209,8 @@ pub(crate) fn rug([x, y]: [f64; 2], rng: &mut SampleRng) -> Model {
             ([-x, -y], [b, 0.0], [0.0, 2.0 * y]),
             ([x - b, -y], [b, 0.0], [0.0, 2.0 * y]),
         ] {
-            let plain = Material::plain(edge.base);
             let lift = [corner[0], corner[1], z + 0.001];
-            model.add(Shape::flat(lift, [u[0], u[1], 0.0], [v[0], v[1], 0.0]), plain);
+            model.face(lift, [u[0], u[1], 0.0], [v[0], v[1], 0.0], edge);
         }
     }
     model.solid([-x, -y, 0.0], [x, y, z]);

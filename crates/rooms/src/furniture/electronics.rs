@@ -3,8 +3,7 @@
 use crate::classes::ClassId;
 use crate::dice::{between, chance, pick};
 use crate::material::{ColorName, Material, Texture, casing};
-use crate::model::Model;
-use crate::shape::Shape;
+use crate::model::{Model, SIDES};
 use scenesplat_kernels::random::SampleRng;
 
 /// Dark glass, or a lit picture or desktop.
@@ -14,10 +13,9 @@ fn screen(size: f64, rng: &mut SampleRng) -> Material {
         let glow = [glass + 40.0, glass + 44.0, glass + 50.0];
         return Material::new([glass; 3], Texture::Sheen(size), rng).with_second(glow);
     }
-    let base = pick(
-        rng,
-        &[[30.0, 34.0, 44.0], [36.0, 70.0, 120.0], [225.0, 228.0, 232.0], [60.0, 90.0, 70.0]],
-    );
+    let grounds =
+        [[30.0, 34.0, 44.0], [36.0, 70.0, 120.0], [225.0, 228.0, 232.0], [60.0, 90.0, 70.0]];
+    let base = pick(rng, &grounds);
     let second = if base[0] > 200.0 { [70.0, 90.0, 130.0] } else { [220.0, 222.0, 226.0] };
     Material::new(base, Texture::Screen(size * between(rng, 0.12, 0.25)), rng).with_second(second)
 }
@@ -35,9 +33,8 @@ fn panel(
     let glass = screen(2.0 * half, rng);
     let (x, z) = (half - rim, [low + rim * 1.4, high - rim]);
     // Looks to the front: up × left.
-    let shape =
-        Shape::flat([x, front + 0.003, z[0]], [-2.0 * x, 0.0, 0.0], [0.0, 0.0, z[1] - z[0]]);
-    model.add(shape, glass);
+    let corner = [x, front + 0.003, z[0]];
+    model.face(corner, [-2.0 * x, 0.0, 0.0], [0.0, 0.0, z[1] - z[0]], glass);
 }
 
 /// On feet, to stand on furniture.
@@ -47,7 +44,7 @@ pub(crate) fn standing_tv(wide: f64, rng: &mut SampleRng) -> Model {
     let high = wide * between(rng, 0.55, 0.62);
     let low = between(rng, 0.04, 0.09);
     panel(&mut model, wide / 2.0, [low, low + high], 0.03, (body, 0.012, 0.05), rng);
-    for side in [-1.0, 1.0] {
+    for side in SIDES {
         let x = side * wide * between(rng, 0.15, 0.4);
         model.beam([x, 0.0, low], [x, -0.1, 0.01], 0.02, body);
         model.beam([x, 0.0, low], [x, 0.1, 0.01], 0.02, body);
@@ -78,7 +75,7 @@ pub(crate) fn monitor(rng: &mut SampleRng) -> Model {
         model.block([-bx, -0.03 - by, 0.0], [bx, -0.03 + by, 0.012], body);
     } else {
         let (u, v) = ([bx, 0.0, 0.0], [0.0, by, 0.0]);
-        model.add(Shape::Disc { centre: [0.0, -0.03, 0.012], u, v, hole: 0.0 }, body);
+        model.disc([0.0, -0.03, 0.012], u, v, 0.0, body);
     }
     model
 }
@@ -90,7 +87,7 @@ pub(crate) fn keyboard(rng: &mut SampleRng) -> Model {
     let (front, back) = (between(rng, 0.012, 0.02), between(rng, 0.022, 0.04));
     let mut model = Model::new(ClassId::Keyboard, color, 7.0);
     let corners = [[-x, -y, back], [x, -y, back], [-x, y, front], [x, y, front]];
-    model.add(Shape::Patch { corners, bulge: 0.0, wave: None }, keys);
+    model.patch(corners, None, keys);
     let sides = [
         [[x, y, 0.0], [-x, y, 0.0], [x, y, front], [-x, y, front]],
         [[-x, -y, 0.0], [x, -y, 0.0], [-x, -y, back], [x, -y, back]],
@@ -98,7 +95,7 @@ pub(crate) fn keyboard(rng: &mut SampleRng) -> Model {
         [[-x, y, 0.0], [-x, -y, 0.0], [-x, y, front], [-x, -y, back]],
     ];
     for corners in sides {
-        model.add(Shape::Patch { corners, bulge: 0.0, wave: None }, body);
+        model.patch(corners, None, body);
     }
     model
 }
@@ -119,8 +116,7 @@ pub(crate) fn laptop(rng: &mut SampleRng) -> Model {
     model.block([-x, -y, 0.0], [x, y, 0.018], body);
     let keys = keys_on(body, rng);
     let (kx, ky) = (x - 0.02, y * 0.55);
-    let shape = Shape::flat([-kx, -y + 0.015, 0.02], [2.0 * kx, 0.0, 0.0], [0.0, 2.0 * ky, 0.0]);
-    model.add(shape, keys);
+    model.face([-kx, -y + 0.015, 0.02], [2.0 * kx, 0.0, 0.0], [0.0, 2.0 * ky, 0.0], keys);
     let lean = between(rng, 0.03, 0.12);
     let up = [0.0, -lean, 2.0 * y * 0.95];
     let across = [-2.0 * x, 0.0, 0.0];
@@ -128,8 +124,7 @@ pub(crate) fn laptop(rng: &mut SampleRng) -> Model {
     let inset = 0.012;
     let corner = [x - inset, -y + 0.002, 0.015 + 2.0 * inset];
     let glass = screen(2.0 * x, rng);
-    let shape =
-        Shape::flat(corner, [-2.0 * (x - inset), 0.0, 0.0], [0.0, up[1] * 0.86, up[2] * 0.86]);
-    model.add(shape, glass);
+    let across = [-2.0 * (x - inset), 0.0, 0.0];
+    model.face(corner, across, [0.0, up[1] * 0.86, up[2] * 0.86], glass);
     model
 }

@@ -4,9 +4,9 @@ use super::storage::door_fronts;
 use super::tables::{drawer_fronts, worktop};
 use crate::classes::ClassId;
 use crate::dice::{between, chance, pick};
+use crate::material::ColorName::{Black, Green, Grey, Red, White};
 use crate::material::{ColorName, Material, metal, painted, wood};
-use crate::model::Model;
-use crate::shape::Shape;
+use crate::model::{Model, SIDES, strips};
 use scenesplat_kernels::random::SampleRng;
 
 /// What all units of a kitchen share.
@@ -75,20 +75,15 @@ pub(crate) fn base_unit(style: &Style, wide: f64, has_sink: bool, rng: &mut Samp
 pub(crate) fn kitchen_sink(rng: &mut SampleRng) -> Model {
     let (color, steel) = if chance(rng, 0.75) {
         let base = between(rng, 150.0, 195.0);
-        (ColorName::Grey, Material::plain([base, base, base + 3.0]))
+        (Grey, Material::plain([base, base, base + 3.0]))
     } else {
-        (ColorName::White, Material::plain(ColorName::White.sample(rng)))
+        (White, Material::plain(White.sample(rng)))
     };
     let (x, y, deep) = (0.26, 0.2, between(rng, 0.14, 0.2));
     let mut model = Model::new(ClassId::Sink, color, 3.5);
-    basin(&mut model, [x, y], deep, 0.94, steel);
+    basin(&mut model, [x, y, 0.0], deep, 0.94, steel);
     // A rim that lies on the worktop.
-    for (low, high) in [
-        ([-x - 0.02, -y - 0.02], [x + 0.02, -y]),
-        ([-x - 0.02, y], [x + 0.02, y + 0.02]),
-        ([-x - 0.02, -y], [-x, y]),
-        ([x, -y], [x + 0.02, y]),
-    ] {
+    for [low, high] in strips([x + 0.02, y + 0.02], [x, y]) {
         model.block([low[0], low[1], 0.0], [high[0], high[1], 0.008], steel);
     }
     tap(&mut model, [0.0, -y - 0.045, 0.0], between(rng, 0.18, 0.3), metal(rng).1);
@@ -96,28 +91,23 @@ pub(crate) fn kitchen_sink(rng: &mut SampleRng) -> Model {
     model
 }
 
-/// Four walls and a floor that look inwards, open above z = 0.
+/// Four walls and a floor that look inwards, open above `high`.
 pub(super) fn basin(
     model: &mut Model,
-    [x, y]: [f64; 2],
+    [x, y, high]: [f64; 3],
     deep: f64,
     taper: f64,
     material: Material,
 ) {
     let (bx, by) = (x * taper, y * taper);
-    let rim = [[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]];
-    let low = [[-bx, -by, -deep], [bx, -by, -deep], [bx, by, -deep], [-bx, by, -deep]];
+    let ring = |x: f64, y: f64, z: f64| [[-x, -y, z], [x, -y, z], [x, y, z], [-x, y, z]];
+    let (rim, low) = (ring(x, y, high), ring(bx, by, -deep + high));
     for i in 0..4 {
         let j = (i + 1) % 4;
-        let corners = [rim[i], rim[j], low[i], low[j]];
-        // Along the rim times downwards looks outwards for this order; swap to look inwards.
-        let corners = [corners[1], corners[0], corners[3], corners[2]];
-        model.add(Shape::Patch { corners, bulge: 0.0, wave: None }, material);
+        // Along the rim times downwards looks inwards in this order.
+        model.patch([rim[j], rim[i], low[j], low[i]], None, material);
     }
-    model.add(
-        Shape::flat(low[0], [2.0 * bx, 0.0, 0.0], [0.0, 2.0 * by, 0.0]),
-        material.shaded(0.92),
-    );
+    model.face(low[0], [2.0 * bx, 0.0, 0.0], [0.0, 2.0 * by, 0.0], material.shaded(0.92));
 }
 
 /// A bent tap that reaches forwards from `at`.
@@ -126,10 +116,7 @@ pub(super) fn tap(model: &mut Model, at: [f64; 3], high: f64, material: Material
     let neck = [at[0], at[1], at[2] + high - r];
     model.rod(at, neck, 0.014, material);
     let centre = [at[0], at[1] + r, neck[2]];
-    model.add(
-        Shape::Ring { centre, u: [0.0, r, 0.0], v: [0.0, 0.0, r], rod: 0.012, half: true },
-        material,
-    );
+    model.arc(centre, [0.0, r, 0.0], [0.0, 0.0, r], 0.012, material);
     let end = [at[0], at[1] + 2.0 * r, neck[2]];
     model.rod([end[0], end[1], end[2] - 0.03], end, 0.013, material);
 }
@@ -140,64 +127,39 @@ pub(crate) fn wall_unit(style: &Style, wide: f64, rng: &mut SampleRng) -> Model 
     let high = 0.68;
     let mut model = Model::new(ClassId::KitchenCabinet, style.color, 1.4);
     model.block([-x, -y, 0.0], [x, y, high], style.front);
-    let under = Shape::flat([-x, -y, -0.001], [0.0, 2.0 * y, 0.0], [2.0 * x, 0.0, 0.0]);
-    model.add(under, style.front.shaded(0.8));
+    let (deep, across) = ([0.0, 2.0 * y, 0.0], [2.0 * x, 0.0, 0.0]);
+    model.face([-x, -y, -0.001], deep, across, style.front.shaded(0.8));
     let count = (wide / 0.5).round().max(1.0) as u32;
     door_fronts(&mut model, [-x, x], [0.0, high], y, count, style.front, rng);
     model
 }
 
 pub(crate) fn refrigerator(rng: &mut SampleRng) -> Model {
-    let color = pick(
-        rng,
-        &[
-            ColorName::White,
-            ColorName::White,
-            ColorName::Grey,
-            ColorName::Grey,
-            ColorName::Black,
-            ColorName::Red,
-            ColorName::Green,
-        ],
-    );
+    let color = pick(rng, &[White, White, Grey, Grey, Black, Red, Green]);
     let body = Material::plain(color.sample(rng));
     let wide = pick(rng, &[0.55, 0.6, 0.7, 0.9]);
     let (x, y) = (wide / 2.0, between(rng, 0.3, 0.37));
     let high = between(rng, 1.4, 1.98);
     let mut model = Model::new(ClassId::Refrigerator, color, 1.4);
     model.block([-x, -y, 0.03], [x, y - 0.06, high], body);
-    let handle = metal(rng).1;
+    let (handle, front) = (metal(rng).1, body.shaded(1.04));
     let side = if chance(rng, 0.5) { 1.0 } else { -1.0 };
     if wide > 0.8 {
-        for i in [-1.0, 1.0] {
+        for i in SIDES {
             let (a, b) = (i * 0.004, i * x);
-            model.soft_block(
-                [a.min(b), y - 0.05, 0.05],
-                [a.max(b), y, high],
-                0.004,
-                body.shaded(1.04),
-            );
-            model.beam(
-                [i * 0.05, y + 0.03, high * 0.45],
-                [i * 0.05, y + 0.03, high * 0.75],
-                0.025,
-                handle,
-            );
+            let (low, top) = ([a.min(b), y - 0.05, 0.05], [a.max(b), y, high]);
+            model.soft_block(low, top, 0.004, front);
+            let at = |z: f64| [i * 0.05, y + 0.03, z];
+            model.beam(at(high * 0.45), at(high * 0.75), 0.025, handle);
         }
     } else {
         let split = high
             * if chance(rng, 0.5) { between(rng, 0.3, 0.42) } else { between(rng, 0.62, 0.72) };
         for (low, top) in [(0.05, split - 0.006), (split + 0.006, high)] {
-            model.soft_block([-x, y - 0.05, low], [x, y, top], 0.004, body.shaded(1.04));
-            let middle = (low + top) / 2.0;
-            let long = (top - low) * 0.3;
-            let at = side * (x - 0.05);
-            model.beam(
-                [at, y + 0.03, middle - long],
-                [at, y + 0.03, middle + long * 0.5],
-                0.025,
-                handle,
-            );
+            model.soft_block([-x, y - 0.05, low], [x, y, top], 0.004, front);
+            let (middle, long) = ((low + top) / 2.0, (top - low) * 0.3);
+            let at = |z: f64| [side * (x - 0.05), y + 0.03, z];
+            model.beam(at(middle - long), at(middle + long * 0.5), 0.025, handle);
         }
     }
     model.solid([-x - 0.005, -y, 0.0], [x + 0.005, y + 0.05, high + 0.005]);
@@ -205,7 +167,7 @@ pub(crate) fn refrigerator(rng: &mut SampleRng) -> Model {
 }
 
 pub(crate) fn stove(style: &Style, rng: &mut SampleRng) -> Model {
-    let color = pick(rng, &[ColorName::White, ColorName::Grey, ColorName::Black, ColorName::Black]);
+    let color = pick(rng, &[White, Grey, Black, Black]);
     let body = Material::plain(color.sample(rng));
     let dark = Material::plain([26.0, 26.0, 28.0]);
     let (x, y) = (0.3, style.deep / 2.0);
@@ -214,12 +176,8 @@ pub(crate) fn stove(style: &Style, rng: &mut SampleRng) -> Model {
     model.block([-x, -y, 0.03], [x, y - 0.03, high], body);
     model.block([-x + 0.01, y - 0.03, 0.16], [x - 0.01, y, high - 0.16], dark);
     model.block([-x + 0.01, y - 0.03, 0.04], [x - 0.01, y - 0.01, 0.15], body);
-    model.beam(
-        [-x + 0.06, y + 0.035, high - 0.2],
-        [x - 0.06, y + 0.035, high - 0.2],
-        0.02,
-        metal(rng).1,
-    );
+    let at = |x: f64| [x, y + 0.035, high - 0.2];
+    model.beam(at(-x + 0.06), at(x - 0.06), 0.02, metal(rng).1);
     for i in 0..5 {
         let at = [-0.22 + 0.11 * f64::from(i), y - 0.03, high - 0.08];
         model.rod(at, [at[0], at[1] + 0.03, at[2]], 0.02, dark);
@@ -227,13 +185,12 @@ pub(crate) fn stove(style: &Style, rng: &mut SampleRng) -> Model {
     let plate = if chance(rng, 0.5) { dark } else { body };
     model.block([-x + 0.01, -y + 0.02, high], [x - 0.01, y - 0.03, high + 0.012], plate);
     let gas = chance(rng, 0.5);
+    let ring = Material::plain(if gas { [45.0; 3] } else { [120.0, 60.0, 50.0] });
     for (cx, cy) in [(-0.14, -0.12), (0.14, -0.12), (-0.14, 0.12), (0.14, 0.12)] {
         let z = high + if gas { 0.035 } else { 0.016 };
         let r = 0.095;
-        let ring =
-            if gas { Material::plain([45.0; 3]) } else { Material::plain([120.0, 60.0, 50.0]) };
         let (u, v) = ([r, 0.0, 0.0], [0.0, r, 0.0]);
-        model.add(Shape::Ring { centre: [cx, cy, z], u, v, rod: 0.008, half: false }, ring);
+        model.ring([cx, cy, z], u, v, 0.008, ring);
         if gas {
             model.beam([cx - r, cy, z], [cx + r, cy, z], 0.012, ring);
             model.beam([cx, cy - r, z], [cx, cy + r, z], 0.012, ring);
@@ -245,15 +202,12 @@ pub(crate) fn stove(style: &Style, rng: &mut SampleRng) -> Model {
 
 /// Hangs over a stove; its lower edge is at z = 0.
 pub(crate) fn range_hood(reach_up: f64, rng: &mut SampleRng) -> Model {
-    let color = pick(rng, &[ColorName::Grey, ColorName::Grey, ColorName::White, ColorName::Black]);
+    let color = pick(rng, &[Grey, Grey, White, Black]);
     let body = Material::plain(color.sample(rng));
     let mut model = Model::new(ClassId::RangeHood, color, 2.2);
     let (x, y, low) = (0.3, 0.25, between(rng, 0.04, 0.1));
     model.block([-x, -y, 0.0], [x, y, low], body);
-    model.add(
-        Shape::flat([-x, -y, -0.001], [0.0, 2.0 * y, 0.0], [2.0 * x, 0.0, 0.0]),
-        body.shaded(0.6),
-    );
+    model.face([-x, -y, -0.001], [0.0, 2.0 * y, 0.0], [2.0 * x, 0.0, 0.0], body.shaded(0.6));
     let (cx, cy) = (0.14, 0.13);
     let neck = low + between(rng, 0.12, 0.26);
     let ring =
@@ -262,7 +216,7 @@ pub(crate) fn range_hood(reach_up: f64, rng: &mut SampleRng) -> Model {
     for i in 0..4 {
         let j = (i + 1) % 4;
         let corners = [wide[i], wide[j], tight[i], tight[j]];
-        model.add(Shape::Patch { corners, bulge: 0.0, wave: None }, body);
+        model.patch(corners, None, body);
     }
     let top = (neck + between(rng, 0.3, 0.8)).min(reach_up);
     if top > neck + 0.05 {

@@ -4,7 +4,6 @@ use crate::classes::ClassId;
 use crate::dice::{between, chance, pick, whole};
 use crate::material::{ColorName, Material, metal, painted, wood};
 use crate::model::Model;
-use crate::shape::Shape;
 use crate::vector::V3;
 use scenesplat_kernels::random::SampleRng;
 
@@ -22,9 +21,8 @@ fn shade(rng: &mut SampleRng) -> (ColorName, Material) {
 /// A cone or drum seen from outside and inside, its lower rim around `at`.
 fn lamp_shade(model: &mut Model, at: V3, [low, high, tall]: [f64; 3], material: Material) {
     let top = [at[0], at[1], at[2] + tall];
-    model.add(Shape::cone(at, top, low, high), material);
-    let inside = Shape::cone(top, at, high * 0.97, low * 0.97);
-    model.add(inside, material.shaded(1.06));
+    model.cone(at, top, low, high, material);
+    model.cone(top, at, high * 0.97, low * 0.97, material.shaded(1.06));
 }
 
 fn stand(rng: &mut SampleRng) -> Material {
@@ -53,7 +51,7 @@ pub(crate) fn floor_lamp(rng: &mut SampleRng) -> Model {
             model.rod([0.0, 0.0, 0.03], [0.0, 0.0, high - reach], 0.014, rod);
             let (u, v) = ([reach / 2.0, 0.0, 0.0], [0.0, 0.0, reach]);
             let centre = [reach / 2.0, 0.0, high - reach];
-            model.add(Shape::Ring { centre, u, v, rod: 0.014, half: true }, rod);
+            model.arc(centre, u, v, 0.014, rod);
             let at = [reach, 0.0, high - reach - tall * 0.8];
             lamp_shade(&mut model, at, [r * 0.8, r * 0.3, tall * 0.8], cloth);
         }
@@ -83,8 +81,7 @@ pub(crate) fn table_lamp(rng: &mut SampleRng) -> Model {
         model.rod([0.0, 0.0, 0.02], elbow, 0.01, metal);
         model.rod(elbow, head, 0.01, metal);
         let at = [head[0] + 0.05, head[1] + 0.02, head[2] - 0.11];
-        let top = [head[0], head[1], head[2]];
-        model.add(Shape::cone(at, top, 0.08, 0.035), cloth);
+        model.cone(at, head, 0.08, 0.035, cloth);
         return model;
     }
     match whole(rng, 0, 2) {
@@ -129,14 +126,10 @@ pub(crate) fn ceiling_lamp(longest: f64, rng: &mut SampleRng) -> Model {
             let centre = [0.0, 0.0, -drop];
             model.ball(centre, [0.06; 3], 0.0, rod);
             let reach = r * 1.4;
-            for [x, y] in [
-                [1.0, 0.0],
-                [0.5, 0.866],
-                [-0.5, 0.866],
-                [-1.0, 0.0],
-                [-0.5, -0.866],
-                [0.5, -0.866],
-            ] {
+            let (half, sin) = (0.5, 0.866);
+            let right = [[1.0, 0.0], [half, sin], [-half, sin]];
+            let left = [[-1.0, 0.0], [-half, -sin], [half, -sin]];
+            for [x, y] in right.into_iter().chain(left) {
                 let end = [x * reach, y * reach, -drop - 0.05];
                 model.rod(centre, end, 0.012, rod);
                 let up = [end[0], end[1], end[2] + 0.03];

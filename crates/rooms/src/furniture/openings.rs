@@ -4,24 +4,15 @@
 
 use crate::classes::ClassId;
 use crate::dice::{between, chance, pick, whole};
-use crate::material::{ColorName, Material, Texture, fabric, metal, painted, wood};
-use crate::model::Model;
-use crate::shape::{Shape, Wave};
+use crate::material::ColorName::{Beige, Blue, Green, Grey, White};
+use crate::material::{Material, Texture, fabric, metal, painted, wood};
+use crate::model::{Model, SIDES};
+use crate::shape::Wave;
 use scenesplat_kernels::random::SampleRng;
 
 /// Tiles of a wall.
 pub(crate) fn tiles(rng: &mut SampleRng) -> Material {
-    let name = pick(
-        rng,
-        &[
-            ColorName::White,
-            ColorName::White,
-            ColorName::Grey,
-            ColorName::Beige,
-            ColorName::Blue,
-            ColorName::Green,
-        ],
-    );
+    let name = pick(rng, &[White, White, Grey, Beige, Blue, Green]);
     let base = name.sample(rng);
     let joint = if chance(rng, 0.5) { base.map(|c| c * 0.78) } else { [225.0; 3] };
     Material::new(base, Texture::Tiles(between(rng, 0.1, 0.35)), rng).with_second(joint)
@@ -29,19 +20,18 @@ pub(crate) fn tiles(rng: &mut SampleRng) -> Material {
 
 /// What is seen through the panes: sky above, something green or grey below, or only light.
 pub(crate) fn outside(rng: &mut SampleRng) -> Material {
-    match whole(rng, 0, 2) {
-        0 => Material::new([206.0, 222.0, 240.0], Texture::Sheen(1.2), rng).with_second([250.0; 3]),
-        1 => Material::new([120.0, 150.0, 110.0], Texture::Sheen(0.35), rng)
-            .with_second([196.0, 216.0, 240.0]),
-        _ => Material::new([238.0, 240.0, 240.0], Texture::Sheen(0.8), rng)
-            .with_second([212.0, 222.0, 236.0]),
-    }
+    let (base, size, second) = match whole(rng, 0, 2) {
+        0 => ([206.0, 222.0, 240.0], 1.2, [250.0; 3]),
+        1 => ([120.0, 150.0, 110.0], 0.35, [196.0, 216.0, 240.0]),
+        _ => ([238.0, 240.0, 240.0], 0.8, [212.0, 222.0, 236.0]),
+    };
+    Material::new(base, Texture::Sheen(size), rng).with_second(second)
 }
 
 /// Of the given size; `recess` metres behind the wall's face.
 pub(crate) fn window([wide, high]: [f64; 2], recess: f64, rng: &mut SampleRng) -> Model {
     let (color, frame) = if chance(rng, 0.6) {
-        (ColorName::White, Material::plain(ColorName::White.sample(rng)))
+        (White, Material::plain(White.sample(rng)))
     } else if chance(rng, 0.5) {
         wood(rng)
     } else {
@@ -70,7 +60,7 @@ pub(crate) fn window([wide, high]: [f64; 2], recess: f64, rng: &mut SampleRng) -
     // Glass is seen badly: fewer Gaussians.
     model.density = 0.7;
     let (w, h) = (x - rim, high - 2.0 * rim);
-    model.add(Shape::flat([w, y, rim], [-2.0 * w, 0.0, 0.0], [0.0, 0.0, h]), glass);
+    model.face([w, y, rim], [-2.0 * w, 0.0, 0.0], [0.0, 0.0, h], glass);
     model.density = 1.2;
     if recess > 0.03 {
         // The sides of the opening, and a sill.
@@ -79,7 +69,7 @@ pub(crate) fn window([wide, high]: [f64; 2], recess: f64, rng: &mut SampleRng) -
             ([x, 0.0, 0.0], [0.0, y, 0.0], [0.0, 0.0, high]),
             ([-x, 0.0, high], [2.0 * x, 0.0, 0.0], [0.0, y, 0.0]),
         ] {
-            model.add(Shape::flat(corner, u, v), frame);
+            model.face(corner, u, v, frame);
         }
     }
     if chance(rng, 0.6) {
@@ -95,32 +85,30 @@ pub(crate) fn door([wide, high]: [f64; 2], rng: &mut SampleRng) -> Model {
         if chance(rng, 0.5) { leaf.shaded(0.92) } else { Material::plain([232.0, 230.0, 224.0]) };
     let mut model = Model::new(ClassId::Door, color, 1.3);
     let (x, rim) = (wide / 2.0, between(rng, 0.05, 0.09));
-    for (a, b) in
-        [([-x, 0.0], [-x + rim, high]), ([x - rim, 0.0], [x, high]), ([-x, high - rim], [x, high])]
-    {
-        model.block([a[0], -0.03, a[1]], [b[0], 0.025, b[1]], frame);
+    for (left, right, low) in [(-x, -x + rim, 0.0), (x - rim, x, 0.0), (-x, x, high - rim)] {
+        model.block([left, -0.03, low], [right, 0.025, high], frame);
     }
     let (w, top) = (x - rim, high - rim);
     let y = between(rng, -0.04, 0.0);
-    model.add(Shape::flat([w, y, 0.01], [-2.0 * w, 0.0, 0.0], [0.0, 0.0, top]), leaf);
-    let raised = |model: &mut Model, z: [f64; 2], material: Material| {
-        let b = w * 0.72;
-        model.block([-b, y, z[0]], [b, y + 0.015, z[1]], material);
+    model.face([w, y, 0.01], [-2.0 * w, 0.0, 0.0], [0.0, 0.0, top], leaf);
+    let b = w * 0.72;
+    let mut raised = |low: f64, top: f64, material: Material| {
+        model.block([-b, y, low], [b, y + 0.015, top], material);
     };
     match whole(rng, 0, 3) {
         0 => {
-            raised(&mut model, [0.15, top * 0.42], leaf.shaded(0.93));
-            raised(&mut model, [top * 0.5, top - 0.12], leaf.shaded(0.93));
+            raised(0.15, top * 0.42, leaf.shaded(0.93));
+            raised(top * 0.5, top - 0.12, leaf.shaded(0.93));
         }
         1 => {
             let glass = outside(rng);
-            raised(&mut model, [0.15, top * 0.4], leaf.shaded(0.95));
-            raised(&mut model, [top * 0.48, top - 0.12], glass);
+            raised(0.15, top * 0.4, leaf.shaded(0.95));
+            raised(top * 0.48, top - 0.12, glass);
         }
         2 => {
             for i in 0..4 {
                 let z = 0.12 + f64::from(i) * (top - 0.2) / 4.0;
-                raised(&mut model, [z, z + (top - 0.2) / 4.0 - 0.06], leaf.shaded(0.95));
+                raised(z, z + (top - 0.2) / 4.0 - 0.06, leaf.shaded(0.95));
             }
         }
         _ => {}
@@ -150,7 +138,7 @@ pub(crate) fn curtain(half: f64, high: f64, rng: &mut SampleRng) -> Model {
         // Looks into the room: left × up.
         let corners =
             [[b - narrow, 0.0, low], [a + narrow, 0.0, low], [b, 0.0, high], [a, 0.0, high]];
-        model.add(Shape::Patch { corners, bulge: 0.0, wave: Some(wave) }, cloth);
+        model.patch(corners, Some(wave), cloth);
     };
     if chance(rng, 0.8) {
         hang(&mut model, -half, -half + 2.0 * half * share, rng);
@@ -165,17 +153,14 @@ pub(crate) fn curtain(half: f64, high: f64, rng: &mut SampleRng) -> Model {
         let corners =
             [[half, -0.02, low], [-half, -0.02, low], [half, -0.02, high], [-half, -0.02, high]];
         model.density = 0.6;
-        model.add(Shape::Patch { corners, bulge: 0.0, wave: Some(wave) }, net);
+        model.patch(corners, Some(wave), net);
     }
     model
 }
 
 /// On the wall below windows; stands at z = 0 with a gap below.
 pub(crate) fn radiator(wide: f64, rng: &mut SampleRng) -> Model {
-    let color = pick(
-        rng,
-        &[ColorName::White, ColorName::White, ColorName::White, ColorName::Grey, ColorName::Beige],
-    );
+    let color = pick(rng, &[White, White, White, Grey, Beige]);
     let paint = Material::plain(color.sample(rng));
     let mut model = Model::new(ClassId::Radiator, color, 2.2);
     let (x, low) = (wide / 2.0, between(rng, 0.08, 0.16));
@@ -193,19 +178,22 @@ pub(crate) fn radiator(wide: f64, rng: &mut SampleRng) -> Model {
     } else {
         let wave = Wave { amplitude: 0.008, count: wide / 0.07, phase: 0.0 };
         let corners = [[x, deep, low], [-x, deep, low], [x, deep, high], [-x, deep, high]];
-        model.add(Shape::Patch { corners, bulge: 0.0, wave: Some(wave) }, paint);
-        model.add(
-            Shape::flat([-x, -deep, high], [2.0 * x, 0.0, 0.0], [0.0, 2.0 * deep, 0.0]),
+        model.patch(corners, Some(wave), paint);
+        model.face(
+            [-x, -deep, high],
+            [2.0 * x, 0.0, 0.0],
+            [0.0, 2.0 * deep, 0.0],
             paint.shaded(0.85),
         );
-        for side in [-1.0, 1.0] {
+        for side in SIDES {
             let u = [0.0, side * 2.0 * deep, 0.0];
-            model.add(Shape::flat([side * x, -side * deep, low], u, [0.0, 0.0, high - low]), paint);
+            model.face([side * x, -side * deep, low], u, [0.0, 0.0, high - low], paint);
         }
     }
     let pipe = metal(rng).1;
-    for side in [-1.0, 1.0] {
-        model.rod([side * (x - 0.04), 0.0, 0.0], [side * (x - 0.04), 0.0, low + 0.02], 0.012, pipe);
+    for side in SIDES {
+        let at = side * (x - 0.04);
+        model.rod([at, 0.0, 0.0], [at, 0.0, low + 0.02], 0.012, pipe);
     }
     model
 }

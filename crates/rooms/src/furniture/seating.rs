@@ -3,7 +3,7 @@
 use crate::classes::ClassId;
 use crate::dice::{between, chance, pick, whole};
 use crate::material::{Material, Named, fabric, metal, painted, wood};
-use crate::model::Model;
+use crate::model::{CORNERS, Model, SIDES};
 use crate::shape::Shape;
 use crate::vector::V3;
 use scenesplat_kernels::random::SampleRng;
@@ -43,7 +43,7 @@ pub(super) fn legs(
     (width, is_round): (f64, bool),
     material: Material,
 ) {
-    for (sx, sy) in [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)] {
+    for [sx, sy] in CORNERS {
         let foot = [sx * (x + splay), sy * (y + splay), 0.0];
         let head = [sx * x, sy * y, top];
         if is_round {
@@ -66,19 +66,13 @@ fn dining_chair(rng: &mut SampleRng) -> Model {
     let (x, y) = (w / 2.0, d / 2.0);
     let soft = if chance(rng, 0.5) { 0.015 } else { 0.0 };
     model.soft_block([-x, -y, seat - thick], [x, y, seat], soft, body);
-    legs(
-        &mut model,
-        [x - 0.025, y - 0.025],
-        seat - thick,
-        between(rng, 0.0, 0.02),
-        leg,
-        leg_material,
-    );
+    let splay = between(rng, 0.0, 0.02);
+    legs(&mut model, [x - 0.025, y - 0.025], seat - thick, splay, leg, leg_material);
     let lean = between(rng, 0.0, 0.09);
     back_rest(&mut model, [x, y, seat, high], lean, body, leg_material, rng);
     if chance(rng, 0.2) {
         let arm = seat + between(rng, 0.16, 0.24);
-        for side in [-1.0, 1.0] {
+        for side in SIDES {
             let at = |y: f64, z: f64| [side * (x + 0.015), y, z];
             model.beam(at(-y, arm), at(y * 0.7, arm), 0.03, leg_material);
             model.beam(at(y * 0.7, seat - thick), at(y * 0.7, arm), 0.025, leg_material);
@@ -141,7 +135,7 @@ fn side_posts(
     [x, seat, high]: [f64; 3],
     frame: Material,
 ) {
-    for side in [-1.0, 1.0] {
+    for side in SIDES {
         model.beam(at(side * (x - 0.012), seat), at(side * (x - 0.012), high), 0.028, frame);
     }
 }
@@ -166,34 +160,37 @@ fn office_chair(rng: &mut SampleRng) -> Model {
     let from = seat + between(rng, 0.04, 0.15);
     let arc = (1.0 - (x / radius).min(0.95) * (x / radius).min(0.95)).max(0.0).sqrt();
     for (r, material) in [(radius, cover.shaded(0.9)), (radius - 0.03, cover)] {
-        model.add(
-            Shape::Frustum {
-                base: [0.0, radius - y - 0.02, from],
-                axis: [0.0, -between(rng, 0.0, 0.08), high - from],
-                bottom: r,
-                top: r,
-                toward: [0.0, -1.0, 0.0],
-                arc: arc.max(0.3),
-            },
-            material,
-        );
+        let base = [0.0, radius - y - 0.02, from];
+        let axis = [0.0, -between(rng, 0.0, 0.08), high - from];
+        shell(&mut model, [base, axis], [r, r], arc.max(0.3), material);
     }
     model.beam([0.0, -y + 0.05, seat - 0.05], [0.0, -y - 0.02, from + 0.1], 0.05, frame);
     let arms = chance(rng, 0.6);
     let arm = seat + between(rng, 0.17, 0.24);
+    let (wide, top) = if arms { (x + 0.06, arm + 0.02) } else { (x, seat + 0.02) };
     if arms {
-        for side in [-1.0, 1.0] {
+        for side in SIDES {
             let at = |y: f64, z: f64| [side * (x + 0.02), y, z];
             model.beam(at(-0.02, seat - 0.04), at(-0.02, arm), 0.03, frame);
             model.centred(at(0.0, arm), [0.06, 0.24, 0.025], frame);
         }
     }
-    let wide = if arms { x + 0.06 } else { x };
-    let top = if arms { arm + 0.02 } else { seat + 0.02 };
     model.solid([-wide, -y, 0.0], [wide, y, top]);
     model.solid([-x, -y - 0.13, from], [x, -y + 0.12, high]);
     model.solid([-reach, -reach, 0.0], [reach, reach, 0.15]);
     model
+}
+
+/// A piece of a cone at the back: its base and axis, its lower and upper radius.
+fn shell(
+    model: &mut Model,
+    [base, axis]: [V3; 2],
+    [bottom, top]: [f64; 2],
+    arc: f64,
+    material: Material,
+) {
+    let toward = [0.0, -1.0, 0.0];
+    model.add(Shape::Frustum { base, axis, bottom, top, toward, arc }, material);
 }
 
 /// A shell around the sitter on four legs or a foot.
@@ -206,17 +203,8 @@ fn tub_chair(rng: &mut SampleRng) -> Model {
     model.ball([0.0, 0.0, seat - 0.05], [r * 0.92, r * 0.92, 0.07], 0.4, cover);
     let arc = between(rng, -0.1, 0.3);
     for (radius, shade) in [(r, 0.92), (r - 0.035, 1.0)] {
-        model.add(
-            Shape::Frustum {
-                base: [0.0, 0.0, seat - 0.08],
-                axis: [0.0, 0.0, high - seat + 0.08],
-                bottom: radius * 0.9,
-                top: radius,
-                toward: [0.0, -1.0, 0.0],
-                arc,
-            },
-            cover.shaded(shade),
-        );
+        let stands = [[0.0, 0.0, seat - 0.08], [0.0, 0.0, high - seat + 0.08]];
+        shell(&mut model, stands, [radius * 0.9, radius], arc, cover.shaded(shade));
     }
     if chance(rng, 0.6) {
         let leg = (between(rng, 0.025, 0.04), true);
@@ -237,13 +225,8 @@ pub(crate) fn stool(rng: &mut SampleRng) -> Model {
     let thick = between(rng, 0.03, 0.09);
     let is_round = chance(rng, 0.65);
     if is_round {
-        model.taper(
-            [0.0, 0.0, high - thick],
-            [0.0, 0.0, high],
-            r,
-            r * between(rng, 0.9, 1.0),
-            body,
-        );
+        let top = r * between(rng, 0.9, 1.0);
+        model.taper([0.0, 0.0, high - thick], [0.0, 0.0, high], r, top, body);
     } else {
         model.soft_block([-r, -r, high - thick], [r, r, high], 0.01, body);
     }
@@ -253,8 +236,7 @@ pub(crate) fn stool(rng: &mut SampleRng) -> Model {
         legs(&mut model, [r * 0.62, r * 0.62], high - thick, between(rng, 0.0, 0.06), leg, frame);
         if high > 0.55 {
             let (u, v) = ([r * 0.9, 0.0, 0.0], [0.0, r * 0.9, 0.0]);
-            model
-                .add(Shape::Ring { centre: [0.0, 0.0, 0.25], u, v, rod: 0.01, half: false }, frame);
+            model.ring([0.0, 0.0, 0.25], u, v, 0.01, frame);
         }
     } else {
         model.rod([0.0, 0.0, 0.02], [0.0, 0.0, high - thick], 0.035, frame);
@@ -280,17 +262,18 @@ pub(crate) fn sofa(rng: &mut SampleRng) -> Model {
     let cushion_high = between(rng, 0.1, 0.2);
     model.block([-x, -y, rise], [x, y, seat - cushion_high], cover);
     model.soft_block([-x, -y, seat - cushion_high], [x, -y + back, high], soft, cover);
-    for side in [-1.0, 1.0] {
-        let edge = side * (x - arm);
-        let (low, top) = (edge.min(side * x), edge.max(side * x));
+    for side in SIDES {
+        let (inner, outer) = (side * (x - arm), side * x);
         if chance(rng, 0.35) {
             // A rolled arm.
             let r = arm * 0.55;
             let at = |y: f64| [side * (x - arm / 2.0), y, arm_high - r];
             model.rod(at(-y), at(y), r, cover);
-            model.block([low, -y, seat - cushion_high], [top, y, arm_high - r], cover);
+            let low = [inner, -y, seat - cushion_high];
+            model.block_between(low, [outer, y, arm_high - r], cover);
         } else {
-            model.soft_block([low, -y, rise], [top, y, arm_high], soft * 0.6, cover);
+            let (left, right) = (inner.min(outer), inner.max(outer));
+            model.soft_block([left, -y, rise], [right, y, arm_high], soft * 0.6, cover);
         }
     }
     for i in 0..seats {
@@ -308,9 +291,8 @@ pub(crate) fn sofa(rng: &mut SampleRng) -> Model {
     model.support([-x + arm, -y + back + 0.14], [x - arm, y - 0.04], seat + 0.03, high);
     model.solid([-x - soft, -y - soft, 0.0], [x + soft, y + 0.04, seat + 0.025]);
     model.solid([-x - soft, -y - soft, 0.0], [x + soft, -y + back + 0.13, high + soft]);
-    for side in [-1.0, 1.0_f64] {
-        let (a, b) = (side * (x - arm), side * (x + soft));
-        model.solid([a.min(b), -y, 0.0], [a.max(b), y, arm_high + soft]);
+    for side in SIDES {
+        model.solid([side * (x - arm), -y, 0.0], [side * (x + soft), y, arm_high + soft]);
     }
     if seats <= 3 && chance(rng, 0.35) {
         chaise(&mut model, [x, y, seat], [arm, each, rise], cushion_high, cushion, rng);

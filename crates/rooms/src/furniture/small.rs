@@ -3,7 +3,7 @@
 use crate::classes::ClassId;
 use crate::dice::{between, chance, pick, whole};
 use crate::material::{ColorName, Material, Texture, metal, painted, wood};
-use crate::model::Model;
+use crate::model::{Model, SIDES};
 use crate::shape::Shape;
 use scenesplat_kernels::random::SampleRng;
 
@@ -23,15 +23,11 @@ pub(crate) fn book(rng: &mut SampleRng) -> Model {
         let thick = between(rng, 0.018, 0.045);
         let (low, high) = ([dx - x, dy - y, z], [dx + x, dy + y, z + thick]);
         let lid = 0.003;
-        model.block(
-            [low[0] + 0.004, low[1] + 0.004, z + lid],
-            [high[0] - 0.004, high[1] - 0.004, z + thick - lid],
-            pages,
-        );
+        let inside = [low[0] + 0.004, low[1] + 0.004, z + lid];
+        model.block(inside, [high[0] - 0.004, high[1] - 0.004, z + thick - lid], pages);
         model.block([low[0], low[1], z + thick - lid], high, cover);
-        let spine =
-            Shape::flat([low[0], high[1], z], [0.0, low[1] - high[1], 0.0], [0.0, 0.0, thick]);
-        model.add(spine, cover);
+        let back = [0.0, low[1] - high[1], 0.0];
+        model.face([low[0], high[1], z], back, [0.0, 0.0, thick], cover);
         if i == 0 {
             model.add_hidden(Shape::flat(low, [0.0, 2.0 * y, 0.0], [2.0 * x, 0.0, 0.0]), cover);
         }
@@ -75,28 +71,15 @@ fn carton_of([x, y]: [f64; 2], high: f64, rng: &mut SampleRng) -> Model {
     ] {
         model.plate(corner, u, [0.0, 0.0, high], 0.005, card);
     }
-    model.add(
-        Shape::flat([-x, -y, 0.01], [2.0 * x, 0.0, 0.0], [0.0, 2.0 * y, 0.0]),
-        card.shaded(0.8),
-    );
+    model.face([-x, -y, 0.01], [2.0 * x, 0.0, 0.0], [0.0, 2.0 * y, 0.0], card.shaded(0.8));
     // Flaps that stand outwards.
     let reach = y * between(rng, 0.5, 0.9);
     let rise = reach * between(rng, -0.5, 0.6);
-    for side in [-1.0, 1.0] {
-        model.plate(
-            [-side * x, side * y, high],
-            [2.0 * side * x, 0.0, 0.0],
-            [0.0, side * reach, rise],
-            0.004,
-            card,
-        );
-        model.plate(
-            [side * x, side * y, high],
-            [0.0, -2.0 * side * y, 0.0],
-            [side * reach, 0.0, rise],
-            0.004,
-            card,
-        );
+    for side in SIDES {
+        let (along, out) = ([2.0 * side * x, 0.0, 0.0], [0.0, side * reach, rise]);
+        model.plate([-side * x, side * y, high], along, out, 0.004, card);
+        let (along, out) = ([0.0, -2.0 * side * y, 0.0], [side * reach, 0.0, rise]);
+        model.plate([side * x, side * y, high], along, out, 0.004, card);
     }
     model
 }
@@ -106,57 +89,30 @@ pub(crate) fn trash_can(rng: &mut SampleRng) -> Model {
     let r = between(rng, 0.11, 0.18);
     let high = between(rng, 0.26, 0.6);
     let mut model = Model::new(ClassId::TrashCan, color, 3.0);
-    let dark = body.shaded(0.55);
+    let (dark, lid) = (body.shaded(0.55), body.shaded(0.8));
     if chance(rng, 0.7) {
         let top = r * between(rng, 1.0, 1.25);
-        model.add(Shape::cone([0.0; 3], [0.0, 0.0, high], r, top), body);
+        model.cone([0.0; 3], [0.0, 0.0, high], r, top, body);
         match whole(rng, 0, 2) {
             0 => {
                 // Open: the inside and a bag's edge.
-                model.add(
-                    Shape::cone([0.0, 0.0, high], [0.0, 0.0, 0.04], top * 0.97, r * 0.97),
-                    dark,
-                );
-                model.add(
-                    Shape::level_disc(
-                        [0.0, 0.0, 0.05 + 0.4 * high * between(rng, 0.0, 1.0)],
-                        r * 0.9,
-                    ),
-                    dark,
-                );
+                model.cone([0.0, 0.0, high], [0.0, 0.0, 0.04], top * 0.97, r * 0.97, dark);
+                let ground = 0.05 + 0.4 * high * between(rng, 0.0, 1.0);
+                model.level_disc([0.0, 0.0, ground], r * 0.9, dark);
                 let (u, v) = ([top, 0.0, 0.0], [0.0, top, 0.0]);
-                model.add(
-                    Shape::Ring { centre: [0.0, 0.0, high], u, v, rod: 0.012, half: false },
-                    body.shaded(1.1),
-                );
+                model.ring([0.0, 0.0, high], u, v, 0.012, body.shaded(1.1));
             }
-            1 => model.dome(
-                [0.0, 0.0, high],
-                [top, top, 0.09],
-                [0.0, 1.0],
-                0.0,
-                false,
-                body.shaded(0.8),
-            ),
+            1 => model.dome([0.0, 0.0, high], [top, top, 0.09], [0.0, 1.0], 0.0, false, lid),
             _ => {
-                model.taper(
-                    [0.0, 0.0, high],
-                    [0.0, 0.0, high + 0.03],
-                    top * 1.03,
-                    top * 0.95,
-                    body.shaded(0.8),
-                );
+                let upper = [0.0, 0.0, high + 0.03];
+                model.taper([0.0, 0.0, high], upper, top * 1.03, top * 0.95, lid);
                 model.block([-0.04, top * 0.9, 0.0], [0.04, top + 0.05, 0.03], dark);
             }
         }
     } else {
         let y = r * between(rng, 0.75, 1.0);
         model.soft_block([-r, -y, 0.0], [r, y, high], 0.006, body);
-        model.block(
-            [-r - 0.008, -y - 0.008, high],
-            [r + 0.008, y + 0.008, high + 0.03],
-            body.shaded(0.8),
-        );
+        model.block([-r - 0.008, -y - 0.008, high], [r + 0.008, y + 0.008, high + 0.03], lid);
         model.block([-r * 0.6, y, high * 0.72], [r * 0.6, y + 0.006, high * 0.9], dark);
     }
     model
@@ -169,21 +125,13 @@ pub(crate) fn mug(rng: &mut SampleRng) -> Model {
     let mut model = Model::new(ClassId::Mug, name, 9.0);
     let (r, high) = (between(rng, 0.038, 0.052), between(rng, 0.085, 0.125));
     let top = r * between(rng, 0.98, 1.25);
-    model.add(Shape::cone([0.0; 3], [0.0, 0.0, high], r, top), glaze);
-    model.add(
-        Shape::cone([0.0, 0.0, high], [0.0, 0.0, high * 0.2], top * 0.92, r * 0.9),
-        glaze.shaded(0.9),
-    );
-    let drink = Material::plain(pick(
-        rng,
-        &[[58.0, 36.0, 22.0], [150.0, 100.0, 50.0], [235.0, 230.0, 220.0]],
-    ));
-    model.add(Shape::level_disc([0.0, 0.0, high * 0.8], top * 0.9), drink);
+    model.cone([0.0; 3], [0.0, 0.0, high], r, top, glaze);
+    model.cone([0.0, 0.0, high], [0.0, 0.0, high * 0.2], top * 0.92, r * 0.9, glaze.shaded(0.9));
+    let drinks = [[58.0, 36.0, 22.0], [150.0, 100.0, 50.0], [235.0, 230.0, 220.0]];
+    let drink = Material::plain(pick(rng, &drinks));
+    model.level_disc([0.0, 0.0, high * 0.8], top * 0.9, drink);
     let (u, v) = ([0.0, 0.0, high * 0.3], [high * 0.28, 0.0, 0.0]);
-    model.add(
-        Shape::Ring { centre: [r * 0.98, 0.0, high * 0.5], u, v, rod: 0.008, half: true },
-        glaze,
-    );
+    model.arc([r * 0.98, 0.0, high * 0.5], u, v, 0.008, glaze);
     model
 }
 
@@ -201,20 +149,9 @@ fn hands(model: &mut Model, r: f64, front: f64, middle: f64, face: Material, rng
         let end = [long * r * c, front, middle + long * r * s];
         model.beam([0.0, front, middle], end, 0.012, ink);
     }
-    for [c, s] in [
-        [1.0, 0.0],
-        [0.0, 1.0],
-        [-1.0, 0.0],
-        [0.0, -1.0],
-        [0.5, 0.866],
-        [-0.5, 0.866],
-        [0.5, -0.866],
-        [-0.5, -0.866],
-        [0.866, 0.5],
-        [-0.866, 0.5],
-        [0.866, -0.5],
-        [-0.866, -0.5],
-    ] {
+    let quarters = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]];
+    let between = |cos: f64, sin: f64| [[cos, sin], [-cos, sin], [cos, -sin], [-cos, -sin]];
+    for [c, s] in [quarters, between(0.5, 0.866), between(0.866, 0.5)].into_iter().flatten() {
         let at = |k: f64| [k * r * c, front - 0.002, middle + k * r * s];
         model.beam(at(0.84), at(0.95), 0.01, ink);
     }
@@ -227,17 +164,14 @@ pub(crate) fn wall_clock(rng: &mut SampleRng) -> Model {
     let mut model = Model::new(ClassId::Clock, color, 5.0);
     let thick = 0.035;
     if chance(rng, 0.75) {
-        model.add(Shape::tube([0.0; 3], [0.0, thick, 0.0], r), rim);
+        model.cone([0.0; 3], [0.0, thick, 0.0], r, r, rim);
         let (u, v) = ([-r, 0.0, 0.0], [0.0, 0.0, r]);
-        model.add(Shape::Disc { centre: [0.0, thick * 0.7, 0.0], u, v, hole: 0.0 }, face);
-        model.add(Shape::Ring { centre: [0.0, thick, 0.0], u, v, rod: 0.012, half: false }, rim);
+        model.disc([0.0, thick * 0.7, 0.0], u, v, 0.0, face);
+        model.ring([0.0, thick, 0.0], u, v, 0.012, rim);
     } else {
         model.block([-r, 0.0, -r], [r, thick, r], rim);
         let b = r * 0.9;
-        model.add(
-            Shape::flat([b, thick + 0.002, -b], [-2.0 * b, 0.0, 0.0], [0.0, 0.0, 2.0 * b]),
-            face,
-        );
+        model.face([b, thick + 0.002, -b], [-2.0 * b, 0.0, 0.0], [0.0, 0.0, 2.0 * b], face);
     }
     hands(&mut model, r * 0.88, thick + 0.008, 0.0, face, rng);
     model
@@ -251,9 +185,9 @@ pub(crate) fn standing_clock(rng: &mut SampleRng) -> Model {
     let middle = r + 0.025;
     let (u, v) = ([-r, 0.0, 0.0], [0.0, 0.0, r]);
     model.rod([0.0, -0.03, middle], [0.0, 0.02, middle], r, rim);
-    model.add(Shape::Disc { centre: [0.0, 0.022, middle], u, v, hole: 0.0 }, face);
+    model.disc([0.0, 0.022, middle], u, v, 0.0, face);
     hands(&mut model, r * 0.9, 0.026, middle, face, rng);
-    for side in [-1.0, 1.0] {
+    for side in SIDES {
         let foot = [side * r * 0.7, 0.0, 0.0];
         model.rod(foot, [side * r * 0.5, 0.0, middle - r * 0.8], 0.01, rim);
         model.ball([side * r * 0.6, 0.0, middle + r * 0.95], [0.02; 3], 0.0, metal(rng).1);

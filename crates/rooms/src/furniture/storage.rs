@@ -5,8 +5,7 @@ use super::tables::drawer_fronts;
 use crate::classes::ClassId;
 use crate::dice::{between, chance, pick, whole};
 use crate::material::{Material, Texture, metal, painted, wood};
-use crate::model::Model;
-use crate::shape::Shape;
+use crate::model::{Model, SIDES};
 use scenesplat_kernels::random::SampleRng;
 
 /// Doors side by side on the face `y = front`, with gaps and handles; some with raised frames.
@@ -116,18 +115,16 @@ pub(crate) fn bookshelf(rng: &mut SampleRng) -> Model {
     let mut model = Model::new(ClassId::Bookshelf, color, 1.7);
     let has_back = chance(rng, 0.7);
     if has_back {
-        let shape =
-            Shape::flat([-x, -y + 0.005, 0.03], [0.0, 0.0, high - 0.03], [2.0 * x, 0.0, 0.0]);
-        model.add(shape, body.shaded(0.85));
+        let up = [0.0, 0.0, high - 0.03];
+        model.face([-x, -y + 0.005, 0.03], up, [2.0 * x, 0.0, 0.0], body.shaded(0.85));
     }
-    for side in [-1.0, 1.0] {
-        let (a, b) = (side * x, side * (x - thick));
+    for side in SIDES {
         if has_back || chance(rng, 0.5) {
-            model.block([a.min(b), -y, 0.0], [a.max(b), y, high], body);
+            model.block_between([side * x, -y, 0.0], [side * (x - thick), y, high], body);
         } else {
-            for sy in [-1.0, 1.0] {
-                let at = [side * (x - 0.015), sy * (y - 0.015)];
-                model.beam([at[0], at[1], 0.0], [at[0], at[1], high], 0.03, body);
+            for sy in SIDES {
+                let [px, py] = [side * (x - 0.015), sy * (y - 0.015)];
+                model.beam([px, py, 0.0], [px, py, high], 0.03, body);
             }
         }
     }
@@ -149,37 +146,27 @@ fn fill_shelf(model: &mut Model, [x, y, z]: [f64; 3], clear: f64, rng: &mut Samp
     while left < x - 0.08 {
         let wide = between(rng, 0.1, 0.5).min(x - left);
         let right = left + wide;
+        let books =
+            |width: f64, rng: &mut SampleRng| Material::new([150.0; 3], Texture::Books(width), rng);
         match whole(rng, 0, 5) {
             0 | 1 => {}
             2 => {
                 let tall = clear * between(rng, 0.2, 0.45);
-                let books = Material::new([150.0; 3], Texture::Books(0.02), rng);
+                let books = books(0.02, rng);
                 // Lying books: the backs' stripes are level.
                 let (a, b) = (left + 0.01, (left + 0.2).min(right));
                 let front = y - between(rng, 0.01, 0.06);
-                model.add(Shape::flat([b, front, z], [0.0, 0.0, tall], [a - b, 0.0, 0.0]), books);
-                let top = Shape::flat(
-                    [a, -y + 0.02, z + tall],
-                    [b - a, 0.0, 0.0],
-                    [0.0, front + y - 0.02, 0.0],
-                );
-                model.add(top, books.shaded(0.9));
+                model.face([b, front, z], [0.0, 0.0, tall], [a - b, 0.0, 0.0], books);
+                let (across, deep) = ([b - a, 0.0, 0.0], [0.0, front + y - 0.02, 0.0]);
+                model.face([a, -y + 0.02, z + tall], across, deep, books.shaded(0.9));
             }
             _ => {
                 let tall = clear * between(rng, 0.55, 0.9);
-                let books =
-                    Material::new([150.0; 3], Texture::Books(between(rng, 0.02, 0.045)), rng);
+                let books = books(between(rng, 0.02, 0.045), rng);
                 let front = y - between(rng, 0.01, 0.08);
-                model.add(
-                    Shape::flat([right, front, z], [left - right, 0.0, 0.0], [0.0, 0.0, tall]),
-                    books,
-                );
-                let top = Shape::flat(
-                    [left, -y + 0.02, z + tall],
-                    [wide, 0.0, 0.0],
-                    [0.0, front + y - 0.02, 0.0],
-                );
-                model.add(top, books);
+                model.face([right, front, z], [left - right, 0.0, 0.0], [0.0, 0.0, tall], books);
+                let deep = [0.0, front + y - 0.02, 0.0];
+                model.face([left, -y + 0.02, z + tall], [wide, 0.0, 0.0], deep, books);
             }
         }
         left = right + between(rng, 0.0, 0.06);
@@ -195,13 +182,14 @@ pub(crate) fn tv_stand(rng: &mut SampleRng) -> Model {
     let mut model = Model::new(ClassId::TvStand, color, 1.7);
     model.block([-x, -y, high - thick], [x, y, high], body);
     model.block([-x, -y, rise], [x, y, rise + thick], body);
-    for side in [-1.0, 1.0] {
-        let (a, b) = (side * x, side * (x - thick));
-        model.block([a.min(b), -y, rise], [a.max(b), y, high], body);
+    for side in SIDES {
+        model.block_between([side * x, -y, rise], [side * (x - thick), y, high], body);
     }
     let inner = [rise + thick, high - thick];
-    model.add(
-        Shape::flat([-x, -y + 0.01, rise], [0.0, 0.0, high - rise], [2.0 * x, 0.0, 0.0]),
+    model.face(
+        [-x, -y + 0.01, rise],
+        [0.0, 0.0, high - rise],
+        [2.0 * x, 0.0, 0.0],
         body.shaded(0.7),
     );
     let columns = whole(rng, 2, 4);
@@ -214,11 +202,8 @@ pub(crate) fn tv_stand(rng: &mut SampleRng) -> Model {
             1 => door_fronts(&mut model, span, inner, y - 0.01, 1, body, rng),
             _ => {
                 let z = (rise + high) / 2.0;
-                model.block(
-                    [left, -y + 0.02, z],
-                    [left + step, y - 0.02, z + 0.015],
-                    body.shaded(0.9),
-                );
+                let (low, top) = ([left, -y + 0.02, z], [left + step, y - 0.02, z + 0.015]);
+                model.block(low, top, body.shaded(0.9));
             }
         }
     }

@@ -4,17 +4,9 @@ use super::seating::legs;
 use crate::classes::ClassId;
 use crate::dice::{between, chance, pick, whole};
 use crate::material::{Material, Texture, metal, painted, wood};
-use crate::model::Model;
+use crate::model::{CORNERS, Model, SIDES};
 use crate::vector::mix;
 use scenesplat_kernels::random::SampleRng;
-
-/// How a top is carried.
-#[derive(Clone, Copy)]
-struct Under {
-    half: [f64; 2],
-    high: f64,
-    material: Material,
-}
 
 pub(crate) fn table(rng: &mut SampleRng) -> Model {
     let (color, top) = if chance(rng, 0.75) { wood(rng) } else { painted(rng) };
@@ -35,8 +27,7 @@ pub(crate) fn table(rng: &mut SampleRng) -> Model {
     let (w, d) = (between(rng, 0.7, 2.1), between(rng, 0.65, 1.0));
     let half = [w.max(d) / 2.0, d / 2.0];
     board(&mut model, half, high, thick, top);
-    let under = Under { half, high: high - thick, material: frame };
-    carry(&mut model, under, rng);
+    carry(&mut model, half, high - thick, frame, rng);
     model
 }
 
@@ -57,21 +48,15 @@ pub(crate) fn coffee_table(rng: &mut SampleRng) -> Model {
     let half = [between(rng, 0.4, 0.68), between(rng, 0.24, 0.4)];
     board(&mut model, half, high, thick, top);
     if chance(rng, 0.3) {
-        model.block(
-            [-half[0] * 0.95, -half[1] * 0.95, 0.02],
-            [half[0] * 0.95, half[1] * 0.95, high - thick],
-            frame,
-        );
+        let [x, y] = half.map(|side| side * 0.95);
+        model.block([-x, -y, 0.02], [x, y, high - thick], frame);
     } else {
         let leg = (between(rng, 0.03, 0.07), chance(rng, 0.4));
         legs(&mut model, [half[0] - 0.05, half[1] - 0.05], high - thick, 0.0, leg, frame);
         if chance(rng, 0.5) {
             let z = between(rng, 0.08, 0.16);
-            model.block(
-                [-half[0] + 0.05, -half[1] + 0.05, z],
-                [half[0] - 0.05, half[1] - 0.05, z + 0.02],
-                frame,
-            );
+            let [x, y] = half.map(|side| side - 0.05);
+            model.block([-x, -y, z], [x, y, z + 0.02], frame);
         }
     }
     model.solid([-half[0], -half[1], 0.0], [half[0], half[1], high]);
@@ -104,16 +89,15 @@ pub(crate) fn desk(rng: &mut SampleRng) -> Model {
             model.beam(foot, [foot[0], 0.0, under], 0.06, frame);
             model.solid([foot[0] - 0.03, -y, 0.0], [foot[0] + 0.03, y, under]);
         } else if chance(rng, 0.5) {
-            let low = side * (x - 0.03);
-            model.block([low.min(side * x), -y, 0.0], [low.max(side * x), y, under], frame);
-            model.solid([low.min(side * x), -y, 0.0], [low.max(side * x), y, under]);
+            let (inner, outer) = ([side * (x - 0.03), -y, 0.0], [side * x, y, under]);
+            model.block_between(inner, outer, frame);
+            model.solid(inner, outer);
         } else {
-            for sy in [-1.0, 1.0] {
-                let at = [side * (x - 0.03), sy * (y - 0.03)];
-                model.beam([at[0], at[1], 0.0], [at[0], at[1], under], 0.045, frame);
+            for sy in SIDES {
+                let [px, py] = [side * (x - 0.03), sy * (y - 0.03)];
+                model.beam([px, py, 0.0], [px, py, under], 0.045, frame);
             }
-            let a = side * (x - 0.06);
-            model.solid([a.min(side * x), -y, 0.0], [a.max(side * x), y, under]);
+            model.solid([side * (x - 0.06), -y, 0.0], [side * x, y, under]);
         }
     }
     if chance(rng, 0.6) {
@@ -134,17 +118,14 @@ pub(super) fn drawer_fronts(
     rng: &mut SampleRng,
 ) {
     let step = (high - low) / f64::from(count);
-    let handle = Material::plain(mix(
-        pick(rng, &[[60.0; 3], [190.0; 3], [150.0, 120.0, 70.0]]),
-        material.base,
-        0.1,
-    ));
+    let metal = pick(rng, &[[60.0; 3], [190.0; 3], [150.0, 120.0, 70.0]]);
+    let handle = Material::plain(mix(metal, material.base, 0.1));
     let long = chance(rng, 0.6);
     for i in 0..count {
         let z = low + f64::from(i) * step;
-        let (a, b) =
-            ([left + 0.008, front, z + 0.005], [right - 0.008, front + 0.012, z + step - 0.005]);
-        model.block(a, b, material.shaded(1.04));
+        let low = [left + 0.008, front, z + 0.005];
+        let high = [right - 0.008, front + 0.012, z + step - 0.005];
+        model.block(low, high, material.shaded(1.04));
         let centre = [(left + right) / 2.0, front + 0.025, z + step * 0.6];
         let wide = if long { 0.12_f64.min((right - left) * 0.4) } else { 0.03 };
         model.centred(centre, [wide, 0.02, 0.02], handle);
@@ -163,11 +144,11 @@ fn foot(model: &mut Model, r: f64, high: f64, material: Material) {
 }
 
 /// Legs at the corners, side boards, or trestles.
-fn carry(model: &mut Model, Under { half: [x, y], high, material }: Under, rng: &mut SampleRng) {
+fn carry(model: &mut Model, [x, y]: [f64; 2], high: f64, material: Material, rng: &mut SampleRng) {
     let width = between(rng, 0.04, 0.09);
     match whole(rng, 0, 4) {
         0 => {
-            for side in [-1.0, 1.0] {
+            for side in SIDES {
                 let at = |y: f64, z: f64| [side * x * 0.72, y, z];
                 let low = width / 2.0;
                 model.beam(at(-y * 0.8, low), at(y * 0.8, low), width, material);
@@ -178,33 +159,27 @@ fn carry(model: &mut Model, Under { half: [x, y], high, material }: Under, rng: 
             model.beam([-x * 0.72, 0.0, 0.2], [x * 0.72, 0.0, 0.2], width * 0.8, material);
         }
         1 => {
-            for side in [-1.0, 1.0] {
-                let (a, b) = (side * (x - 0.05), side * (x - 0.09));
-                model.block([a.min(b), -y + 0.03, 0.0], [a.max(b), y - 0.03, high], material);
-                model.solid([a.min(b), -y + 0.03, 0.0], [a.max(b), y - 0.03, high]);
+            for side in SIDES {
+                let outer = [side * (x - 0.05), -y + 0.03, 0.0];
+                let inner = [side * (x - 0.09), y - 0.03, high];
+                model.block_between(outer, inner, material);
+                model.solid(outer, inner);
             }
         }
         kind => {
             let is_round = kind == 4;
             let (lx, ly) = (x - width / 2.0 - 0.02, y - width / 2.0 - 0.02);
             legs(model, [lx, ly], high, 0.0, (width, is_round), material);
-            for (sx, sy) in [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)] {
+            for [sx, sy] in CORNERS {
                 let (cx, cy, r) = (sx * lx, sy * ly, width / 2.0);
                 model.solid([cx - r, cy - r, 0.0], [cx + r, cy + r, high]);
             }
             if chance(rng, 0.6) {
                 let low = high - between(rng, 0.05, 0.1);
-                for side in [-1.0, 1.0] {
-                    model.block(
-                        [-lx, side * ly - 0.01, low],
-                        [lx, side * ly + 0.01, high],
-                        material,
-                    );
-                    model.block(
-                        [side * lx - 0.01, -ly, low],
-                        [side * lx + 0.01, ly, high],
-                        material,
-                    );
+                for side in SIDES {
+                    let (x, y) = (side * lx, side * ly);
+                    model.block([-lx, y - 0.01, low], [lx, y + 0.01, high], material);
+                    model.block([x - 0.01, -ly, low], [x + 0.01, ly, high], material);
                 }
             }
         }
@@ -216,7 +191,6 @@ pub(super) fn worktop(rng: &mut SampleRng) -> Material {
     if chance(rng, 0.4) {
         return wood(rng).1;
     }
-    let base =
-        pick(rng, &[[60.0; 3], [40.0, 42.0, 46.0], [205.0, 200.0, 192.0], [150.0, 146.0, 140.0]]);
-    Material::new(base, Texture::Mottled(between(rng, 0.02, 0.15)), rng)
+    let stones = [[60.0; 3], [40.0, 42.0, 46.0], [205.0, 200.0, 192.0], [150.0, 146.0, 140.0]];
+    Material::new(pick(rng, &stones), Texture::Mottled(between(rng, 0.02, 0.15)), rng)
 }

@@ -3,8 +3,6 @@
 use super::Room;
 use crate::dice::between;
 use crate::furniture::{bathroom, decoration, openings, seating, small, storage};
-use crate::model::Build;
-use crate::stock::Place;
 
 impl Room<'_> {
     pub(super) fn bathroom(&mut self) {
@@ -18,29 +16,20 @@ impl Room<'_> {
                 self.at_wall(bathroom::sink);
             }
         }
-        for (build, probability) in [
-            (storage::cabinet as Build, 0.3),
+        self.some_at_wall(&[
+            (storage::cabinet, 0.3),
             (small::trash_can, 0.6),
             (seating::stool, 0.35),
             (decoration::plant, 0.3),
             (small::carton, 0.2),
-        ] {
-            if self.likely(probability) {
-                self.at_wall(build);
-            }
-        }
+        ]);
         if self.likely(0.5) {
-            let heater = openings::radiator(between(self.rng, 0.5, 0.9), self.rng);
-            let heater = self.stock.instead(heater, Place::Floor);
-            self.layout.against_wall(heater, [0.0, 0.0], self.rng);
+            self.at_wall(|rng| openings::radiator(between(rng, 0.5, 0.9), rng));
         }
         if self.likely(0.7) {
-            let rug = decoration::rug(
-                [between(self.rng, 0.3, 0.5), between(self.rng, 0.22, 0.35)],
-                self.rng,
-            );
-            let rug = self.stock.instead(rug, Place::Floor);
-            self.layout.on_floor(rug, self.rng);
+            self.on_floor(|rng| {
+                decoration::rug([between(rng, 0.3, 0.5), between(rng, 0.22, 0.35)], rng)
+            });
         }
     }
 }

@@ -3,8 +3,7 @@
 use super::Room;
 use crate::dice::{between, chance};
 use crate::furniture::{bedroom, decoration, lighting, seating, small, storage};
-use crate::model::Build;
-use crate::place::{STRAIGHT, around};
+use crate::place::STRAIGHT;
 use crate::stock::Place;
 
 impl Room<'_> {
@@ -34,17 +33,13 @@ impl Room<'_> {
         if self.likely(0.4) {
             self.workplace();
         }
-        for (build, probability) in [
-            (seating::chair as Build, 0.4),
+        self.some_at_wall(&[
+            (seating::chair, 0.4),
             (lighting::floor_lamp, 0.3),
             (storage::bookshelf, 0.3),
             (decoration::plant, 0.4),
             (seating::stool, 0.25),
-        ] {
-            if self.likely(probability) {
-                self.at_wall(build);
-            }
-        }
+        ]);
         if self.likely(0.25) {
             self.television();
         }
@@ -63,7 +58,7 @@ impl Room<'_> {
             } else {
                 self.make(bedroom::nightstand, Place::Floor)
             };
-            let block = around(&stand);
+            let block = stand.extent();
             let gap = between(self.rng, 0.03, 0.1);
             let x = side * (bounds.high[0] + block.high[0] + gap);
             let y = bounds.low[1] - block.low[1] + 0.01;

@@ -3,7 +3,11 @@
 use super::{Room, RoomKind};
 use crate::classes::ClassId;
 use crate::dice::{between, chance, pick, small_turn, whole};
-use crate::furniture::{bedroom, decoration, electronics, lighting, openings, seating, small};
+use crate::furniture::decoration::pot_plant;
+use crate::furniture::electronics::laptop;
+use crate::furniture::lighting::table_lamp;
+use crate::furniture::small::{book, mug, small_carton, standing_clock};
+use crate::furniture::{bedroom, decoration, lighting, openings, seating, small};
 use crate::model::Build;
 use crate::place::{Pose, STRAIGHT};
 use crate::stock::Place;
@@ -27,15 +31,12 @@ impl Room<'_> {
             self.ceiling_lamp();
         }
         if self.likely(0.2) {
-            let heater = openings::radiator(between(self.rng, 0.6, 1.3), self.rng);
-            let heater = self.stock.instead(heater, Place::Floor);
-            self.layout.against_wall(heater, [0.0, 0.0], self.rng);
+            self.at_wall(|rng| openings::radiator(between(rng, 0.6, 1.3), rng));
         }
         if !is_wet && self.likely(0.25) {
-            let half = [between(self.rng, 0.5, 1.2), between(self.rng, 0.4, 0.8)];
-            let rug = decoration::rug(half, self.rng);
-            let rug = self.stock.instead(rug, Place::Floor);
-            self.layout.on_floor(rug, self.rng);
+            self.on_floor(|rng| {
+                decoration::rug([between(rng, 0.5, 1.2), between(rng, 0.4, 0.8)], rng)
+            });
         }
         for (build, probability) in [
             (decoration::plant as Build, 0.3),
@@ -57,8 +58,8 @@ impl Room<'_> {
     }
 
     pub(super) fn ceiling_lamp(&mut self) {
-        let lamp = lighting::ceiling_lamp(self.layout.height - 2.0, self.rng);
-        let lamp = self.stock.instead(lamp, Place::Ceiling);
+        let longest = self.layout.height - 2.0;
+        let lamp = self.make(|rng| lighting::ceiling_lamp(longest, rng), Place::Ceiling);
         self.layout.search(lamp, self.rng, |layout, _, rng| {
             let [x, y] = layout.size.map(|s| s * between(rng, 0.25, 0.75));
             let turn = if chance(rng, 0.5) { STRAIGHT } else { [0.0, 1.0] };
@@ -71,35 +72,15 @@ impl Room<'_> {
         for parent in 0..self.layout.objects.len() {
             let Some(class) = self.layout.objects[parent].model.class else { continue };
             let (count, things): (u32, &[Build]) = match class {
-                ClassId::Table => (
-                    4,
-                    &[
-                        small::mug,
-                        small::book,
-                        decoration::pot_plant,
-                        small::small_carton,
-                        electronics::laptop,
-                    ],
-                ),
-                ClassId::CoffeeTable => (3, &[small::mug, small::book, decoration::pot_plant]),
-                ClassId::Desk => {
-                    (3, &[small::book, small::mug, decoration::pot_plant, small::small_carton])
+                ClassId::Table => (4, &[mug, book, pot_plant, small_carton, laptop]),
+                ClassId::CoffeeTable => (3, &[mug, book, pot_plant]),
+                ClassId::Desk => (3, &[book, mug, pot_plant, small_carton]),
+                ClassId::Cabinet | ClassId::Nightstand | ClassId::TvStand => {
+                    (3, &[book, pot_plant, table_lamp, small_carton, standing_clock])
                 }
-                ClassId::Cabinet | ClassId::Nightstand | ClassId::TvStand => (
-                    3,
-                    &[
-                        small::book,
-                        decoration::pot_plant,
-                        lighting::table_lamp,
-                        small::small_carton,
-                        small::standing_clock,
-                    ],
-                ),
-                ClassId::KitchenCabinet => {
-                    (1, &[small::mug, small::small_carton, decoration::pot_plant])
-                }
-                ClassId::Sofa => (1, &[small::book]),
-                ClassId::Bed => (1, &[small::book, electronics::laptop]),
+                ClassId::KitchenCabinet => (1, &[mug, small_carton, pot_plant]),
+                ClassId::Sofa => (1, &[book]),
+                ClassId::Bed => (1, &[book, laptop]),
                 _ => continue,
             };
             let supports = self.layout.objects[parent].model.supports.len();

@@ -3,7 +3,6 @@
 use super::Room;
 use crate::dice::{between, pick};
 use crate::furniture::{decoration, kitchen, seating, small, storage};
-use crate::model::Build;
 use crate::place::STRAIGHT;
 use crate::stock::Place;
 
@@ -16,16 +15,12 @@ impl Room<'_> {
         if self.likely(0.75) {
             self.dining();
         }
-        for (build, probability) in [
-            (small::trash_can as Build, 0.6),
+        self.some_at_wall(&[
+            (small::trash_can, 0.6),
             (seating::stool, 0.4),
             (storage::cabinet, 0.25),
             (decoration::plant, 0.25),
-        ] {
-            if self.likely(probability) {
-                self.at_wall(build);
-            }
-        }
+        ]);
         if self.likely(0.5) {
             self.hang(small::wall_clock, [1.7, 2.0]);
         }
@@ -34,16 +29,12 @@ impl Room<'_> {
     /// Base units in a row along a wall with a sink and a stove, cupboards and a hood above.
     pub(super) fn kitchen_run(&mut self) {
         let style = kitchen::Style::new(self.rng);
-        let order: Vec<usize> = {
-            let mut walls: Vec<usize> = (0..self.layout.walls.len()).collect();
-            walls.sort_by(|&a, &b| {
-                self.layout.walls[b].length.total_cmp(&self.layout.walls[a].length)
-            });
-            if walls.len() > 1 && self.likely(0.5) {
-                walls.swap(0, 1);
-            }
-            walls
-        };
+        let mut order: Vec<usize> = (0..self.layout.walls.len()).collect();
+        let length = |wall: usize| self.layout.walls[wall].length;
+        order.sort_by(|&a, &b| length(b).total_cmp(&length(a)));
+        if order.len() > 1 && self.likely(0.5) {
+            order.swap(0, 1);
+        }
         let run = pick(self.rng, &[5, 6, 7]);
         let (sink_at, stove_at) = if self.likely(0.5) { (1, 3) } else { (3, 1) };
         for wall in order {
@@ -83,8 +74,8 @@ impl Room<'_> {
             let (wide, deep) = match &unit.piece {
                 None => (wide, style.deep),
                 Some(piece) => {
-                    let [low, high] = piece.bounds();
-                    (high[0] - low[0], high[1] - low[1])
+                    let [wide, deep, _] = piece.bounds().size();
+                    (wide, deep)
                 }
             };
             if at + wide > wall.length - 0.02 {
@@ -116,21 +107,17 @@ impl Room<'_> {
         [wide, deep]: [f64; 2],
         style: &kitchen::Style,
     ) {
-        let pose = self.layout.objects[base].pose;
-        let back = -deep / 2.0;
-        if is_stove {
+        let (part, off, z) = if is_stove {
             let z = between(self.rng, 1.5, 1.65);
-            let hood = kitchen::range_hood((self.layout.height - z).max(0.2), self.rng);
-            let hood = self.stock.instead(hood, Place::Wall);
-            let off = hood.piece.as_ref().map_or(0.25, |piece| -piece.bounds()[0][1]);
-            let pose = pose.then([0.0, back + off, z], STRAIGHT);
-            let _ = self.layout.try_put(hood, pose);
+            let reach_up = (self.layout.height - z).max(0.2);
+            (self.make(|rng| kitchen::range_hood(reach_up, rng), Place::Wall), 0.25, z)
         } else if self.likely(0.6) {
-            let unit = kitchen::wall_unit(style, wide, self.rng);
-            let unit = self.stock.instead(unit, Place::Wall);
-            let off = unit.piece.as_ref().map_or(0.17, |piece| -piece.bounds()[0][1]);
-            let pose = pose.then([0.0, back + off, 1.45], STRAIGHT);
-            let _ = self.layout.try_put(unit, pose);
-        }
+            (self.make(|rng| kitchen::wall_unit(style, wide, rng), Place::Wall), 0.17, 1.45)
+        } else {
+            return;
+        };
+        let off = part.piece.as_ref().map_or(off, |piece| -piece.bounds().low[1]);
+        let pose = self.layout.objects[base].pose.then([0.0, -deep / 2.0 + off, z], STRAIGHT);
+        let _ = self.layout.try_put(part, pose);
     }
 }

@@ -3,8 +3,8 @@
 use super::Room;
 use crate::dice::{between, small_turn, whole};
 use crate::furniture::{bedroom, decoration, electronics, lighting, seating, storage, tables};
-use crate::model::{Build, Model};
-use crate::place::{BACKWARDS, STRAIGHT, around};
+use crate::model::Model;
+use crate::place::{BACKWARDS, STRAIGHT};
 use crate::stock::Place;
 
 impl Room<'_> {
@@ -18,18 +18,14 @@ impl Room<'_> {
         if self.likely(0.6) {
             self.dining();
         }
-        for (build, probability) in [
-            (storage::bookshelf as Build, 0.7),
+        self.some_at_wall(&[
+            (storage::bookshelf, 0.7),
             (storage::cabinet, 0.5),
             (decoration::plant, 0.7),
             (lighting::floor_lamp, 0.7),
             (storage::bookshelf, 0.3),
             (seating::chair, 0.3),
-        ] {
-            if self.likely(probability) {
-                self.at_wall(build);
-            }
-        }
+        ]);
         if self.likely(0.3) {
             self.at_wall(seating::sofa);
         }
@@ -37,7 +33,7 @@ impl Room<'_> {
 
     /// A coffee table, a rug under it, a lamp or a stool beside.
     pub(super) fn before_sofa(&mut self, sofa: usize) {
-        let block = around(&self.layout.objects[sofa].model);
+        let block = self.layout.objects[sofa].model.extent();
         if self.likely(0.85) {
             let table = self.make(tables::coffee_table, Place::Floor);
             let deep = table.bounds().high[1];
@@ -58,8 +54,7 @@ impl Room<'_> {
 
     pub(super) fn rug_at(&mut self, parent: usize, at: [f64; 2]) {
         let half = [between(self.rng, 0.6, 1.4), between(self.rng, 0.45, 0.95)];
-        let rug = decoration::rug(half, self.rng);
-        let rug = self.stock.instead(rug, Place::Floor);
+        let rug = self.make(|rng| decoration::rug(half, rng), Place::Floor);
         let nudged = [at[0], at[1] + 0.3];
         self.layout.near(parent, rug, &[(at, STRAIGHT), (nudged, STRAIGHT)]);
     }
@@ -78,18 +73,14 @@ impl Room<'_> {
         let wide = 2.0 * self.layout.objects[stand].model.bounds().high[0];
         let size = (wide * between(self.rng, 0.5, 0.85)).clamp(0.7, 1.45);
         if self.likely(0.6) {
-            let tv = electronics::standing_tv(size, self.rng);
-            let tv = self.stock.instead(tv, Place::Top);
+            let tv = self.make(|rng| electronics::standing_tv(size, rng), Place::Top);
             self.layout.on_top_at(stand, 0, [0.0, -0.02], STRAIGHT, tv);
         } else {
-            let tv = electronics::wall_tv(size, self.rng);
-            let tv = self.stock.instead(tv, Place::Wall);
-            let (pose, back) = {
-                let object = &self.layout.objects[stand];
-                (object.pose, object.model.bounds().low[1])
-            };
+            let tv = self.make(|rng| electronics::wall_tv(size, rng), Place::Wall);
             let z = between(self.rng, 0.75, 1.15);
-            let pose = pose.then([0.0, back + 0.03, z], STRAIGHT);
+            let object = &self.layout.objects[stand];
+            let back = object.model.bounds().low[1];
+            let pose = object.pose.then([0.0, back + 0.03, z], STRAIGHT);
             let _ = self.layout.try_put(tv, pose);
         }
     }

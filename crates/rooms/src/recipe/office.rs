@@ -3,7 +3,6 @@
 use super::Room;
 use crate::dice::{between, small_turn, whole};
 use crate::furniture::{decoration, electronics, lighting, seating, small, storage, tables};
-use crate::model::Build;
 use crate::place::STRAIGHT;
 use crate::stock::Place;
 
@@ -59,18 +58,14 @@ impl Room<'_> {
         for _ in 0..whole(self.rng, 1, 4) {
             self.workplace();
         }
-        for (build, probability) in [
-            (storage::bookshelf as Build, 0.7),
+        self.some_at_wall(&[
+            (storage::bookshelf, 0.7),
             (storage::cabinet, 0.6),
             (decoration::plant, 0.5),
             (small::trash_can, 0.5),
             (lighting::floor_lamp, 0.25),
             (storage::bookshelf, 0.3),
-        ] {
-            if self.likely(probability) {
-                self.at_wall(build);
-            }
-        }
+        ]);
         if self.likely(0.3) {
             self.dining();
         }

@@ -2,6 +2,7 @@
 
 use crate::classes::{ClassId, Group};
 use crate::material::ColorName;
+use std::cmp::Reverse;
 
 /// What a word stands for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -17,121 +18,97 @@ const IGNORED: &[&str] = &[
     "or",
 ];
 
+/// What is meant, and the phrases for it.
+type Words<T> = &'static [(T, &'static [&'static str])];
+
+/// Every phrase of a list, with what it means.
+fn each<T: Copy>(words: Words<T>) -> impl Iterator<Item = (&'static str, T)> {
+    words.iter().flat_map(|&(meant, phrases)| phrases.iter().map(move |&phrase| (phrase, meant)))
+}
+
 /// Other names of classes; those of ScanNet's benchmarks where they mean the same.
-const SYNONYMS: &[(&str, ClassId)] = &[
-    ("armchair", ClassId::Chair),
-    ("office chair", ClassId::Chair),
-    ("dining chair", ClassId::Chair),
-    ("footstool", ClassId::Stool),
-    ("ottoman", ClassId::Stool),
-    ("couch", ClassId::Sofa),
-    ("settee", ClassId::Sofa),
-    ("dining table", ClassId::Table),
-    ("kitchen table", ClassId::Table),
-    ("office desk", ClassId::Desk),
-    ("reading desk", ClassId::Desk),
-    ("writing desk", ClassId::Desk),
-    ("dresser", ClassId::Cabinet),
-    ("sideboard", ClassId::Cabinet),
-    ("chest of drawers", ClassId::Cabinet),
-    ("cupboard", ClassId::Cabinet),
-    ("file cabinet", ClassId::Cabinet),
-    ("bathroom cabinet", ClassId::Cabinet),
-    ("counter", ClassId::KitchenCabinet),
-    ("kitchen counter", ClassId::KitchenCabinet),
-    ("closet", ClassId::Wardrobe),
-    ("armoire", ClassId::Wardrobe),
-    ("bookcase", ClassId::Bookshelf),
-    ("shelf", ClassId::Bookshelf),
-    ("rack", ClassId::Bookshelf),
-    ("night stand", ClassId::Nightstand),
-    ("bedside table", ClassId::Nightstand),
-    ("tv cabinet", ClassId::TvStand),
-    ("television stand", ClassId::TvStand),
-    ("television", ClassId::Tv),
-    ("computer monitor", ClassId::Monitor),
-    ("computer screen", ClassId::Monitor),
-    ("display", ClassId::Monitor),
-    ("notebook computer", ClassId::Laptop),
-    ("light", ClassId::Lamp),
-    ("ceiling light", ClassId::Lamp),
-    ("ceiling lamp", ClassId::Lamp),
-    ("chandelier", ClassId::Lamp),
-    ("floor lamp", ClassId::Lamp),
-    ("table lamp", ClassId::Lamp),
-    ("potted plant", ClassId::Plant),
-    ("house plant", ClassId::Plant),
-    ("painting", ClassId::Picture),
-    ("portrait", ClassId::Picture),
-    ("poster", ClassId::Picture),
-    ("photo", ClassId::Picture),
-    ("drapes", ClassId::Curtain),
-    ("drape", ClassId::Curtain),
-    ("carpet", ClassId::Rug),
-    ("mat", ClassId::Rug),
-    ("cushion", ClassId::Pillow),
-    ("carton", ClassId::Box),
-    ("cardboard box", ClassId::Box),
-    ("crate", ClassId::Box),
-    ("bin", ClassId::TrashCan),
-    ("trash bin", ClassId::TrashCan),
-    ("trash", ClassId::TrashCan),
-    ("garbage bin", ClassId::TrashCan),
-    ("garbage can", ClassId::TrashCan),
-    ("recycling bin", ClassId::TrashCan),
-    ("wastebasket", ClassId::TrashCan),
-    ("cup", ClassId::Mug),
-    ("coffee mug", ClassId::Mug),
-    ("alarm clock", ClassId::Clock),
-    ("heater", ClassId::Radiator),
-    ("basin", ClassId::Sink),
-    ("washbasin", ClassId::Sink),
-    ("tub", ClassId::Bathtub),
-    ("bath", ClassId::Bathtub),
-    ("fridge", ClassId::Refrigerator),
-    ("mini fridge", ClassId::Refrigerator),
-    ("oven", ClassId::Stove),
-    ("cooker", ClassId::Stove),
-    ("extractor hood", ClassId::RangeHood),
-    ("cooker hood", ClassId::RangeHood),
+const SYNONYMS: Words<ClassId> = &[
+    (ClassId::Chair, &["armchair", "office chair", "dining chair"]),
+    (ClassId::Stool, &["footstool", "ottoman"]),
+    (ClassId::Sofa, &["couch", "settee"]),
+    (ClassId::Table, &["dining table", "kitchen table"]),
+    (ClassId::Desk, &["office desk", "reading desk", "writing desk"]),
+    (
+        ClassId::Cabinet,
+        &[
+            "dresser",
+            "sideboard",
+            "chest of drawers",
+            "cupboard",
+            "file cabinet",
+            "bathroom cabinet",
+        ],
+    ),
+    (ClassId::KitchenCabinet, &["counter", "kitchen counter"]),
+    (ClassId::Wardrobe, &["closet", "armoire"]),
+    (ClassId::Bookshelf, &["bookcase", "shelf", "rack"]),
+    (ClassId::Nightstand, &["night stand", "bedside table"]),
+    (ClassId::TvStand, &["tv cabinet", "television stand"]),
+    (ClassId::Tv, &["television"]),
+    (ClassId::Monitor, &["computer monitor", "computer screen", "display"]),
+    (ClassId::Laptop, &["notebook computer"]),
+    (
+        ClassId::Lamp,
+        &["light", "ceiling light", "ceiling lamp", "chandelier", "floor lamp", "table lamp"],
+    ),
+    (ClassId::Plant, &["potted plant", "house plant"]),
+    (ClassId::Picture, &["painting", "portrait", "poster", "photo"]),
+    (ClassId::Curtain, &["drapes", "drape"]),
+    (ClassId::Rug, &["carpet", "mat"]),
+    (ClassId::Pillow, &["cushion"]),
+    (ClassId::Box, &["carton", "cardboard box", "crate"]),
+    (
+        ClassId::TrashCan,
+        &[
+            "bin",
+            "trash bin",
+            "trash",
+            "garbage bin",
+            "garbage can",
+            "recycling bin",
+            "wastebasket",
+        ],
+    ),
+    (ClassId::Mug, &["cup", "coffee mug"]),
+    (ClassId::Clock, &["alarm clock"]),
+    (ClassId::Radiator, &["heater"]),
+    (ClassId::Sink, &["basin", "washbasin"]),
+    (ClassId::Bathtub, &["tub", "bath"]),
+    (ClassId::Refrigerator, &["fridge", "mini fridge"]),
+    (ClassId::Stove, &["oven", "cooker"]),
+    (ClassId::RangeHood, &["extractor hood", "cooker hood"]),
 ];
 
-const GROUP_WORDS: &[(&str, Group)] = &[
-    ("structure", Group::Structure),
-    ("building", Group::Structure),
-    ("furniture", Group::Furniture),
-    ("seat", Group::Seat),
-    ("seating", Group::Seat),
-    ("work surface", Group::Surface),
-    ("surface", Group::Surface),
-    ("storage", Group::Storage),
-    ("electronics", Group::Electronics),
-    ("electronic device", Group::Electronics),
-    ("device", Group::Electronics),
-    ("appliance", Group::Appliance),
-    ("machine", Group::Appliance),
-    ("bathroom", Group::Bathroom),
-    ("sanitary ware", Group::Bathroom),
-    ("kitchen", Group::Kitchen),
-    ("decoration", Group::Decoration),
-    ("decor", Group::Decoration),
-    ("textile", Group::Textile),
-    ("cloth", Group::Textile),
-    ("small object", Group::Object),
-    ("object", Group::Object),
-    ("thing", Group::Object),
+const GROUP_WORDS: Words<Group> = &[
+    (Group::Structure, &["structure", "building"]),
+    (Group::Furniture, &["furniture"]),
+    (Group::Seat, &["seat", "seating"]),
+    (Group::Surface, &["work surface", "surface"]),
+    (Group::Storage, &["storage"]),
+    (Group::Electronics, &["electronics", "electronic device", "device"]),
+    (Group::Appliance, &["appliance", "machine"]),
+    (Group::Bathroom, &["bathroom", "sanitary ware"]),
+    (Group::Kitchen, &["kitchen"]),
+    (Group::Decoration, &["decoration", "decor"]),
+    (Group::Textile, &["textile", "cloth"]),
+    (Group::Object, &["small object", "object", "thing"]),
 ];
 
 /// The word for a group.
 #[cfg(test)]
 pub(super) fn group_word(group: Group) -> &'static str {
-    GROUP_WORDS.iter().find(|w| w.1 == group).map_or("", |w| w.0)
+    each(GROUP_WORDS).find(|w| w.1 == group).map_or("", |w| w.0)
 }
 
 /// Names of the classes, then their synonyms.
 pub(super) fn class_phrases() -> impl Iterator<Item = (&'static str, ClassId)> {
     let names = ClassId::ALL.iter().map(|&c| (c.about().name, c));
-    names.chain(SYNONYMS.iter().copied())
+    names.chain(each(SYNONYMS))
 }
 
 /// The color words of a text, each once, and its other words.
@@ -155,7 +132,7 @@ pub(super) fn split_colors(text: &str) -> (Vec<ColorName>, String) {
 /// Every known phrase with its concept.
 fn phrases() -> impl Iterator<Item = (&'static str, Concept)> {
     let classes = class_phrases().map(|(word, c)| (word, Concept::Class(c)));
-    let groups = GROUP_WORDS.iter().map(|&(word, g)| (word, Concept::Group(g)));
+    let groups = each(GROUP_WORDS).map(|(word, g)| (word, Concept::Group(g)));
     let colors = ColorName::ALL.iter().map(|&c| (c.word(), Concept::Color(c)));
     let gray = std::iter::once(("gray", Concept::Color(ColorName::Grey)));
     classes.chain(groups).chain(colors).chain(gray)
@@ -176,14 +153,9 @@ pub(super) fn parse(text: &str) -> Result<Vec<Concept>, String> {
     while at < words.len() {
         // The longest phrase wins: "kitchen cabinet" is no cabinet in a kitchen.
         let longest = phrases()
-            .filter_map(|(phrase, concept)| {
-                let length = phrase_length(phrase, &words[at..])?;
-                Some((length, concept))
-            })
-            .fold(None, |best: Option<(usize, Concept)>, next| match best {
-                Some(best) if best.0 >= next.0 => Some(best),
-                _ => Some(next),
-            });
+            .filter_map(|(phrase, concept)| Some((phrase_length(phrase, &words[at..])?, concept)))
+            // The first of equals.
+            .min_by_key(|&(length, _)| Reverse(length));
         let Some((length, concept)) = longest else { return Err(words[at].to_owned()) };
         if !found.contains(&concept) {
             found.push(concept);

@@ -9,11 +9,11 @@ impl PhraseTable {
     /// Encodes a list of phrases and keeps the leading principal components.
     ///
     /// The phrases are sorted, and each counts once. Sums are f64 in a fixed order, so the table has the same bits for
-    /// any number of threads on one instruction set. `told` hears how many phrases are encoded.
+    /// any number of threads on one instruction set. `told` gets the number of phrases encoded so far.
     ///
     /// # Errors
     /// If a phrase is not as [`normalized`](super::normalized) gives it or cannot be encoded, or the list is shorter than
-    /// the vectors are to be.
+    /// the vectors.
     pub fn build(
         encoder: &TextEncoder,
         mut phrases: Vec<String>,

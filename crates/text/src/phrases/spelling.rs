@@ -3,7 +3,7 @@
 use super::words::{bases, is_filling};
 use std::collections::BTreeMap;
 
-/// Shorter words, and parts of words, are not looked at: too many are one letter apart.
+/// Shorter words and parts of words are not corrected: too many are one letter apart.
 const SHORTEST: usize = 4;
 /// Words from this length on may have two wrong letters.
 const LONG: usize = 8;

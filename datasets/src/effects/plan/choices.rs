@@ -1,5 +1,6 @@
 //! What a user says about each effect.
 
+use super::super::set::{parts, write_parts};
 use super::super::{Effect, EffectError};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -38,9 +39,7 @@ impl EffectChoices {
     pub fn of(&self, effect: Effect) -> EffectChoice {
         self.0[effect as usize]
     }
-}
 
-impl EffectChoices {
     /// With another choice about an effect.
     #[must_use]
     pub fn with(mut self, effect: Effect, choice: EffectChoice) -> Self {
@@ -57,18 +56,12 @@ impl FromStr for EffectChoices {
         if text == "auto" {
             return Ok(choices);
         }
-        let mut seen = Vec::new();
-        for part in text.split(',') {
-            let choice = || EffectError::Choice { part: part.to_owned() };
-            let (name, value) = part.split_once('=').ok_or_else(choice)?;
-            let effect = Effect::named(name)?;
-            if seen.contains(&effect) {
-                return Err(EffectError::Twice { name: name.to_owned() });
-            }
-            seen.push(effect);
+        for (effect, value) in parts(text, |part| EffectError::Choice { part })? {
             let all = [EffectChoice::Auto, EffectChoice::On, EffectChoice::Off];
-            let found = all.into_iter().find(|c| c.name() == value).ok_or_else(choice)?;
-            choices.0[effect as usize] = found;
+            let found = all.into_iter().find(|c| c.name() == value);
+            let part = || format!("{}={value}", effect.name());
+            choices.0[effect as usize] =
+                found.ok_or_else(|| EffectError::Choice { part: part() })?;
         }
         Ok(choices)
     }
@@ -77,9 +70,6 @@ impl FromStr for EffectChoices {
 impl fmt::Display for EffectChoices {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let named = Effect::ALL.into_iter().filter(|e| self.of(*e) != EffectChoice::Auto);
-        let parts: Vec<String> =
-            named.map(|e| format!("{}={}", e.name(), self.of(e).name())).collect();
-        f.write_str(if parts.is_empty() { "auto" } else { "" })?;
-        f.write_str(&parts.join(","))
+        write_parts(f, "auto", named.map(|e| (e, self.of(e).name().to_owned())))
     }
 }

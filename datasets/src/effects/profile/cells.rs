@@ -1,8 +1,9 @@
 //! The cells that a plane is covered with.
 
-use super::planes::FAINT;
 use super::table::quantile_of;
 
+/// Faint is what has less than this part of the median opacity of a scene.
+pub const FAINT: f64 = 0.6;
 /// Of eight directions, in so many the surface goes on around what is missing from it.
 const AROUND: usize = 6;
 /// A pane has so many cells with something faint in them, …

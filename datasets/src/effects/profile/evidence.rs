@@ -8,7 +8,7 @@ use serde::{Serialize, Serializer};
 use std::fmt;
 
 /// A number that speaks for or against an effect.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Figure {
     /// What it is.
     pub name: &'static str,
@@ -78,34 +78,31 @@ impl EffectEvidence {
     pub(super) fn new(effect: Effect, outcome: Outcome) -> Self {
         let scale = scale(effect);
         let threshold = scale.threshold;
-        let Measured { measure, more, strength, regions } = match outcome {
-            Ok(measured) => measured,
-            Err(why) => {
-                let text = format!("not judged: {why}");
-                return Self {
-                    effect,
-                    present: false,
-                    severity: 0.0,
-                    strength: 0.0,
-                    measure: None,
-                    threshold,
-                    more: Vec::new(),
-                    regions: Vec::new(),
-                    text,
-                };
-            }
+        let mut out = Self {
+            effect,
+            present: false,
+            severity: 0.0,
+            strength: 0.0,
+            measure: None,
+            threshold,
+            more: Vec::new(),
+            regions: Vec::new(),
+            text: String::new(),
         };
-        let strength = scale.severity(strength);
-        let present = measure.value >= threshold && strength >= LEAST_SEVERITY;
-        let severity = if present { strength } else { 0.0 };
-        let off = Figure { value: threshold, ..measure };
-        let text = format!("{} {measure}, off below {off}", words(effect));
-        let measure = Some(measure);
-        Self { effect, present, severity, strength, measure, threshold, more, regions, text }
+        match outcome {
+            Err(why) => out.text = format!("not judged: {why}"),
+            Ok(Measured { measure, more, strength, regions }) => {
+                out.strength = scale.severity(strength);
+                out.present = measure.value >= threshold && out.strength >= LEAST_SEVERITY;
+                out.severity = if out.present { out.strength } else { 0.0 };
+                let off = Figure { value: threshold, ..measure };
+                out.text = format!("{} {measure}, off below {off}", words(effect));
+                (out.measure, out.more, out.regions) = (Some(measure), more, regions);
+            }
+        }
+        out
     }
-}
 
-impl EffectEvidence {
     /// How far the evidence is over what it takes, as a factor: the effect is there from 1 on. `None` where nothing
     /// could be measured.
     pub fn over_threshold(&self) -> Option<f64> {
@@ -146,16 +143,6 @@ impl EffectProfile {
     /// The effects that are there.
     pub fn present(&self) -> impl Iterator<Item = &EffectEvidence> {
         self.effects.iter().filter(|e| e.present)
-    }
-}
-
-impl Serialize for Figure {
-    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
-        let mut out = to.serialize_struct("Figure", 3)?;
-        out.serialize_field("name", self.name)?;
-        out.serialize_field("value", &self.value)?;
-        out.serialize_field("unit", self.unit)?;
-        out.end()
     }
 }
 

@@ -15,6 +15,7 @@ mod blur;
 mod cells;
 mod evidence;
 mod floaters;
+mod gaps;
 mod glass;
 mod holes;
 pub mod isolation;
@@ -25,8 +26,8 @@ mod surface;
 mod table;
 mod thresholds;
 
+pub use cells::FAINT;
 pub use evidence::{EffectEvidence, EffectProfile, Figure};
-pub use planes::FAINT;
 
 use super::Effect;
 use planes::Shell;

@@ -1,7 +1,8 @@
 //! The planes that hold most patches, and which of them bound the scene: walls, floors.
 
 use super::FEWEST_PATCHES;
-use super::holes::Gaps;
+use super::cells::FAINT;
+use super::gaps::{ACROSS, Gaps, Large, THICK};
 use super::table::{Patch, Plane, Table, choice, quantile_of};
 use rayon::prelude::*;
 use scenesplat_scene::vector::{cross, dot};
@@ -19,13 +20,8 @@ const BEHIND: f64 = 0.1;
 /// A room is a scene whose bounding planes have this share of the area of its box, or more. Rooms without
 /// a ceiling have 0.69 and more, objects up to 0.59, a house of several rooms 0.45.
 const ROOM: f64 = 0.62;
-/// Faint is what has less than this part of the median opacity of a scene.
-pub const FAINT: f64 = 0.6;
-/// Normals of one plane agree so well; its patches lie within so many diagonals of it.
+/// Normals of one plane agree so well.
 const SAME_NORMAL: f64 = 0.94;
-pub(super) const ACROSS: f64 = 0.012;
-/// What lies within so many diagonals of a plane belongs to it: windows and doors are set back.
-pub(super) const THICK: f64 = 0.04;
 
 /// The planes that bound a scene.
 #[derive(Default)]
@@ -102,20 +98,6 @@ fn opacities(table: &Table<'_>) -> Vec<f64> {
     all
 }
 
-/// A large flat surface.
-pub(super) struct Large {
-    /// Two directions in it, then the normal; each of length 1.
-    pub(super) axes: [[f64; 3]; 3],
-    /// Where it is along its normal.
-    pub(super) offset: f64,
-    /// Where its other sides are, if it has some: walls are a hand thick.
-    pub(super) sides: Vec<f64>,
-    /// Gaussians that are looked at, for each unit of area.
-    pub(super) density: f64,
-    /// The share of the flat patches that lies in it.
-    pub(super) share: f64,
-}
-
 /// The planes that hold most flat patches, the largest first; each patch counts for one.
 fn planes(table: &Table<'_>) -> Vec<Large> {
     let flat: Vec<(&Patch, Plane)> = table.flat().collect();
@@ -185,18 +167,6 @@ fn mean_axes(of: [[f64; 3]; 3], normals: impl Iterator<Item = [f64; 3]>) -> [[f6
     let along = dot(of[0], normal);
     let first = unit(std::array::from_fn(|a| of[0][a] - along * normal[a]));
     [first, cross(normal, first), normal]
-}
-
-impl Large {
-    /// The places behind it: on the side where there are fewer, the first if there are as many on both.
-    pub(super) fn beyond(&self, places: &[[f64; 3]], diagonal: f64) -> Vec<usize> {
-        let height = |i: usize| dot(self.axes[2], places[i]) - self.offset;
-        let side = |sign: f64| -> Vec<usize> {
-            (0..places.len()).filter(|&i| sign * height(i) > THICK * diagonal).collect()
-        };
-        let [a, b] = [side(1.0), side(-1.0)];
-        if b.len() < a.len() { b } else { a }
-    }
 }
 
 #[cfg(test)]

@@ -1,17 +1,15 @@
 //! ARKitScenes: a mesh and upright boxes around furniture; a vertex has the name of the smallest box it is in.
 
-use super::super::bad_file;
-use super::super::scan::{
-    Names, ScanPoints, WRONG_FILE, faces, read_json, vertex_normals, vertices,
-};
+use super::super::scan::{Names, ScanPoints, items, normals, read_json, vertices};
 use super::id_of;
 use crate::DataError;
 use scenesplat_scene::formats::ply::PlyFile;
+use scenesplat_scene::vector::dot;
 use serde_json::Value;
 use std::path::Path;
 
 struct Box3 {
-    centre: [f64; 3],
+    center: [f64; 3],
     /// Half of the lengths.
     half: [f64; 3],
     /// Unit directions of the sides, one a row.
@@ -21,11 +19,8 @@ struct Box3 {
 
 impl Box3 {
     fn contains(&self, p: [f32; 3]) -> bool {
-        let to = [0, 1, 2].map(|k| f64::from(p[k]) - self.centre[k]);
-        (0..3).all(|i| {
-            let axis = self.axes[i];
-            (axis[0] * to[0] + axis[1] * to[1] + axis[2] * to[2]).abs() <= self.half[i]
-        })
+        let to = [0, 1, 2].map(|k| f64::from(p[k]) - self.center[k]);
+        (0..3).all(|i| dot(self.axes[i], to).abs() <= self.half[i])
     }
 
     fn volume(&self) -> f64 {
@@ -38,27 +33,24 @@ pub(super) fn read(folder: &Path) -> Result<ScanPoints, DataError> {
     let mesh = PlyFile::open(&folder.join(format!("{id}_3dod_mesh.ply")))?;
     let path = folder.join(format!("{id}_3dod_annotation.json"));
     let json = read_json(&path)?;
-    let data = json.get("data").and_then(Value::as_array);
-    let data = data.ok_or_else(|| bad_file(&path, "has no list data", WRONG_FILE))?;
     let mut names = Names::default();
-    let mut boxes = Vec::with_capacity(data.len());
-    for (number, item) in data.iter().enumerate() {
-        let bad = |what: &str| bad_file(&path, format!("data[{number}] has no {what}"), WRONG_FILE);
-        let label = item.get("label").and_then(Value::as_str).ok_or_else(|| bad("label"))?;
-        let aligned =
-            item.pointer("/segments/obbAligned").ok_or_else(|| bad("segments.obbAligned"))?;
+    let mut boxes = Vec::new();
+    for item in items(&path, &json, "data")? {
+        let label = item.text("label")?;
+        let aligned = item.value.pointer("/segments/obbAligned");
+        let aligned = aligned.ok_or_else(|| item.lacks("segments.obbAligned"))?;
         let numbers = |key: &str| -> Option<Vec<f64>> {
             let flat = flat(aligned.get(key)?)?;
             flat.iter().all(|v| v.is_finite()).then_some(flat)
         };
         let three = |key: &str| -> Result<[f64; 3], DataError> {
             let found = numbers(key).and_then(|v| <[f64; 3]>::try_from(v).ok());
-            found.ok_or_else(|| bad(&format!("{key} of three numbers")))
+            found.ok_or_else(|| item.lacks(&format!("{key} of three numbers")))
         };
         let axes = numbers("normalizedAxes").and_then(|v| <[f64; 9]>::try_from(v).ok());
-        let axes = axes.ok_or_else(|| bad("normalizedAxes of nine numbers"))?;
+        let axes = axes.ok_or_else(|| item.lacks("normalizedAxes of nine numbers"))?;
         boxes.push(Box3 {
-            centre: three("centroid")?,
+            center: three("centroid")?,
             half: three("axesLengths")?.map(|v| v / 2.0),
             axes: [0, 1, 2].map(|i| [axes[3 * i], axes[3 * i + 1], axes[3 * i + 2]]),
             name: names.number(label.trim()),
@@ -73,25 +65,15 @@ pub(super) fn read(folder: &Path) -> Result<ScanPoints, DataError> {
     let raw = found.iter().map(|b| b.as_ref().map_or(-1, |(_, b)| b.name)).collect();
     let instance = found.iter().map(|b| b.as_ref().map_or(-1, |(number, _)| *number)).collect();
     drop(found);
-    let normal = match mesh.element("face").is_some_and(|e| e.count > 0) {
-        true => Some(vertex_normals(&coord, &faces(&mesh, coord.len(), &[])?)),
-        false => None,
-    };
+    let normal = normals(&mesh, &coord)?;
     Ok(ScanPoints { coord, normal, raw, names: names.list, instance })
 }
 
 /// Numbers of a list, or of a list of lists.
 fn flat(value: &Value) -> Option<Vec<f64>> {
-    let mut out = Vec::new();
-    for item in value.as_array()? {
-        match item {
-            Value::Array(inner) => {
-                for v in inner {
-                    out.push(v.as_f64()?);
-                }
-            }
-            other => out.push(other.as_f64()?),
-        }
-    }
-    Some(out)
+    let lists = value.as_array()?.iter().map(|item| match item {
+        Value::Array(inner) => inner.as_slice(),
+        other => std::slice::from_ref(other),
+    });
+    lists.flatten().map(Value::as_f64).collect()
 }

@@ -1,8 +1,8 @@
 //! Hypersim: no mesh, but for each pixel of each picture where it is in the world and what it shows, in HDF5.
 
-use super::super::bad_file;
-use super::super::scan::{Names, ScanPoints};
+use super::super::scan::{Names, ScanPoints, unit_or_zero};
 use crate::DataError;
+use crate::files::{bad_file, entries, name_of};
 use crate::sources::class_lists::{NYU40, names};
 use half::f16;
 use hdf5_pure::{Datatype, DatatypeByteOrder};
@@ -62,8 +62,7 @@ pub(super) fn read(folder: &Path) -> Result<ScanPoints, DataError> {
         let name = usize::try_from(label - 1).ok().and_then(|at| classes.get(at));
         out.raw.push(name.map_or(-1, |name| known.number(name)));
         out.instance.push(instance);
-        let length = cell.normal.iter().map(|v| v * v).sum::<f64>().sqrt();
-        normals.push(cell.normal.map(|v| if length > 0.0 { (v / length) as f32 } else { 0.0 }));
+        normals.push(unit_or_zero(cell.normal));
     }
     out.names = known.list;
     out.normal = has_normals.then_some(normals);
@@ -119,15 +118,12 @@ struct PictureFiles {
 fn pictures(images: &Path) -> Result<Vec<PictureFiles>, DataError> {
     let mut found = Vec::new();
     for folder in entries(images)? {
-        let name =
-            folder.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+        let name = name_of(&folder);
         if !(name.starts_with("scene_") && name.ends_with("_geometry_hdf5")) {
             continue;
         }
         for file in entries(&folder)? {
-            let name =
-                file.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-            if let Some(frame) = name.strip_suffix(".position.hdf5") {
+            if let Some(frame) = name_of(&file).strip_suffix(".position.hdf5") {
                 found.push(PictureFiles { folder: folder.clone(), frame: frame.to_owned() });
             }
         }
@@ -139,24 +135,18 @@ fn pictures(images: &Path) -> Result<Vec<PictureFiles>, DataError> {
     Ok(found)
 }
 
-/// What is in a folder, sorted.
-fn entries(folder: &Path) -> Result<Vec<PathBuf>, DataError> {
-    let io = |source| SceneError::Io {
-        path: folder.to_owned(),
-        action: "cannot list the folder",
-        source,
-    };
-    let mut out = Vec::new();
-    for entry in std::fs::read_dir(folder).map_err(io)? {
-        out.push(entry.map_err(io)?.path());
-    }
-    out.sort();
-    Ok(out)
-}
-
 impl PictureFiles {
     fn file(&self, what: &str) -> PathBuf {
         self.folder.join(format!("{}.{what}.hdf5", self.frame))
+    }
+
+    /// An array of the same picture as `position`.
+    fn array(&self, what: &str, shape: &[u64]) -> Result<Array, DataError> {
+        let array = Array::open(&self.file(what))?;
+        if array.shape != shape {
+            return Err(array.bad_shape(&format!("{shape:?}, as position has")));
+        }
+        Ok(array)
     }
 
     /// Hands out the pixels that show something: cube, point (metres), normal, label, instance. Whether there are normals.
@@ -170,25 +160,10 @@ impl PictureFiles {
             return Err(place.bad_shape("[height, width, 3]"));
         };
         let points = place.f32()?;
-        let of_pixels = |what: &str| -> Result<Vec<i32>, DataError> {
-            let array = Array::open(&self.file(what))?;
-            if array.shape != [height, width] {
-                return Err(array.bad_shape(&format!("[{height}, {width}], as position has")));
-            }
-            array.i32()
-        };
-        let (labels, instances) = (of_pixels("semantic")?, of_pixels("semantic_instance")?);
-        let path = self.file("normal_world");
-        let normals = match path.exists() {
-            true => {
-                let array = Array::open(&path)?;
-                if array.shape != [height, width, 3] {
-                    return Err(
-                        array.bad_shape(&format!("[{height}, {width}, 3], as position has"))
-                    );
-                }
-                Some(array.f32()?)
-            }
+        let labels = self.array("semantic", &[height, width])?.i32()?;
+        let instances = self.array("semantic_instance", &[height, width])?.i32()?;
+        let normals = match self.file("normal_world").exists() {
+            true => Some(self.array("normal_world", &place.shape)?.f32()?),
             false => None,
         };
         for (at, (point, (&label, &instance))) in
@@ -205,12 +180,8 @@ impl PictureFiles {
                 return Err(bad_file(&place.path, problem, "is meters_per_asset_unit right?"));
             }
             let normal = normals.as_ref().map_or([0.0; 3], |normals| {
-                let n = &normals[3 * at..3 * at + 3];
-                if n.iter().all(|v| v.is_finite()) {
-                    [0, 1, 2].map(|k| f64::from(n[k]))
-                } else {
-                    [0.0; 3]
-                }
+                let n = [0, 1, 2].map(|k| f64::from(normals[3 * at + k]));
+                if n.iter().all(|v| v.is_finite()) { n } else { [0.0; 3] }
             });
             let label = i16::try_from(label).unwrap_or(-1);
             sink(cube.map(|v| v as i32), point, normal, label, instance);
@@ -228,13 +199,8 @@ struct Array {
 
 impl Array {
     fn open(path: &Path) -> Result<Self, DataError> {
-        let size = std::fs::metadata(path)
-            .map_err(|source| SceneError::Io {
-                path: path.to_owned(),
-                action: "cannot read",
-                source,
-            })?
-            .len();
+        let io = |source| SceneError::Io { path: path.to_owned(), action: "cannot read", source };
+        let size = std::fs::metadata(path).map_err(io)?.len();
         if size > MAX_FILE {
             let problem = format!("has {size} bytes, at most {MAX_FILE} are read");
             return Err(bad_file(path, problem, DAMAGED));
@@ -260,15 +226,9 @@ impl Array {
 
     fn f32(&self) -> Result<Vec<f32>, DataError> {
         // Numbers of 16 bits are not among those that the crate converts.
-        let is_half = matches!(
-            self.data.datatype(),
-            Ok(Datatype::FloatingPoint {
-                size: 2,
-                byte_order: DatatypeByteOrder::LittleEndian,
-                ..
-            })
-        );
-        if !is_half {
+        use {Datatype::FloatingPoint, DatatypeByteOrder::LittleEndian};
+        let ty = self.data.datatype();
+        if !matches!(ty, Ok(FloatingPoint { size: 2, byte_order: LittleEndian, .. })) {
             return self.checked(self.data.read_f32());
         }
         let half = |bytes: Vec<u8>| {

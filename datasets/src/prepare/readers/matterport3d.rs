@@ -1,9 +1,9 @@
 //! Matterport3D: regions of a house; segments by faces, a vertex takes the name that most of its faces have.
 
-use super::super::bad_file;
 use super::super::scan::{Groups, Names, ScanPoints, faces, vertex_normals, vertices};
 use super::majority;
 use crate::DataError;
+use crate::files::bad_file;
 use scenesplat_scene::formats::ply::PlyFile;
 use std::path::Path;
 
@@ -26,8 +26,7 @@ pub(super) fn read(region: &Path) -> Result<ScanPoints, DataError> {
     let objects = annotation.object_of_segment();
     let object =
         |face: usize| objects.get(&annotation.segments[face]).map_or(-1, |&object| object as i64);
-    let corners = |face: usize| faces.row(face).iter().map(|&v| v as usize).collect();
-    let found = majority(coord.len(), (0..faces.len()).map(|f| (corners(f), object(f))));
+    let found = majority(coord.len(), &faces, object);
     let mut names = Names::default();
     let numbers: Vec<i32> =
         annotation.objects.iter().map(|(_, name, _)| names.number(name)).collect();

@@ -11,6 +11,9 @@ mod three_r_scan;
 
 use super::ScanPoints;
 use crate::DataError;
+use crate::files::name_of;
+use scenesplat_scene::formats::ply::PlyLists;
+use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -84,30 +87,23 @@ pub fn read_scan(path: &Path, layout: ScanLayout) -> Result<ScanPoints, DataErro
 }
 
 /// The most frequent value of the faces around each vertex, of equals the smallest; `None` without a face.
-fn majority(vertices: usize, faces: impl Iterator<Item = (Vec<usize>, i64)>) -> Vec<Option<i64>> {
+fn majority(vertices: usize, faces: &PlyLists, value: impl Fn(usize) -> i64) -> Vec<Option<i64>> {
     let mut counts: Vec<BTreeMap<i64, u32>> = vec![BTreeMap::new(); vertices];
-    for (corners, value) in faces {
-        for corner in corners {
-            *counts[corner].entry(value).or_default() += 1;
+    for face in 0..faces.len() {
+        for &corner in faces.row(face) {
+            *counts[corner as usize].entry(value(face)).or_default() += 1;
         }
     }
     let most = |counts: BTreeMap<i64, u32>| {
-        // Of equal counts the first, which is the smallest value.
-        let mut best: Option<(i64, u32)> = None;
-        for (value, count) in counts {
-            if best.is_none_or(|(_, c)| count > c) {
-                best = Some((value, count));
-            }
-        }
-        best.map(|(value, _)| value)
+        let most = counts.into_iter().max_by_key(|&(value, count)| (count, Reverse(value)));
+        most.map(|(value, _)| value)
     };
     counts.into_iter().map(most).collect()
 }
 
 /// The name of a folder, which is that of the scan.
 fn id_of(folder: &Path) -> String {
-    let full = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
-    full.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned())
+    name_of(&folder.canonicalize().unwrap_or_else(|_| folder.to_owned()))
 }
 
 #[cfg(test)]

@@ -1,8 +1,8 @@
 //! A cloud or mesh of one's own: numbers at the vertices.
 
-use super::super::bad_file;
-use super::super::scan::{Names, ScanPoints, faces, vertex_normals, vertices};
+use super::super::scan::{Names, ScanPoints, normals, vertices};
 use crate::DataError;
+use crate::files::bad_file;
 use scenesplat_scene::formats::ply::PlyFile;
 use std::path::Path;
 
@@ -24,9 +24,6 @@ pub(super) fn read(path: &Path) -> Result<ScanPoints, DataError> {
         None => vec![-1; coord.len()],
     };
     let instance = instance.into_iter().map(|v| i32::try_from(v).unwrap_or(-1)).collect();
-    let normal = match file.element("face").is_some_and(|e| e.count > 0) {
-        true => Some(vertex_normals(&coord, &faces(&file, coord.len(), &[])?)),
-        false => None,
-    };
+    let normal = normals(&file, &coord)?;
     Ok(ScanPoints { coord, normal, raw, names: names.list, instance })
 }

@@ -1,43 +1,34 @@
 //! ScanNet: a mesh, its over-segmentation by vertices, groups of segments.
 
-use super::super::bad_file;
-use super::super::scan::{Groups, Names, ScanPoints, faces, vertex_normals, vertices};
+use super::super::scan::{Groups, Names, ScanPoints, normals, vertices};
 use super::id_of;
 use crate::DataError;
+use crate::files::bad_file;
 use scenesplat_scene::formats::ply::PlyFile;
 use std::path::Path;
 
-/// Without annotations (the hidden test set) nothing has a label.
 pub(super) fn read(folder: &Path) -> Result<ScanPoints, DataError> {
     let id = id_of(folder);
     let at = |ending: &str| folder.join(format!("{id}{ending}"));
-    let mesh = PlyFile::open(&at("_vh_clean_2.ply"))?;
-    let (segments, groups) = (at("_vh_clean_2.0.010000.segs.json"), at(".aggregation.json"));
-    match (segments.exists(), groups.exists()) {
-        (false, false) => of_mesh(&mesh, None),
-        _ => of_mesh(&mesh, Some((&segments, &groups))),
-    }
+    let segments = at("_vh_clean_2.0.010000.segs.json");
+    of_mesh(&at("_vh_clean_2.ply"), &segments, &at(".aggregation.json"))
 }
 
-/// Points of a mesh whose vertices are in segments, and segments in objects.
+/// Points of a mesh whose vertices are in segments, and segments in objects. Without either file (the
+/// hidden test set) nothing has a label.
 pub(super) fn of_mesh(
-    mesh: &PlyFile,
-    annotation: Option<(&Path, &Path)>,
+    mesh: &Path,
+    segments: &Path,
+    groups: &Path,
 ) -> Result<ScanPoints, DataError> {
-    let coord = vertices(mesh)?;
-    let normal = match mesh.element("face") {
-        Some(_) => Some(vertex_normals(&coord, &faces(mesh, coord.len(), &[])?)),
-        None => None,
-    };
-    let count = coord.len();
-    let mut out = ScanPoints {
-        coord,
-        normal,
-        raw: vec![-1; count],
-        names: Vec::new(),
-        instance: vec![-1; count],
-    };
-    let Some((segments, groups)) = annotation else { return Ok(out) };
+    let mesh = PlyFile::open(mesh)?;
+    let coord = vertices(&mesh)?;
+    let (count, normal) = (coord.len(), normals(&mesh, &coord)?);
+    let (raw, instance) = (vec![-1; count], vec![-1; count]);
+    let mut out = ScanPoints { coord, normal, raw, names: Vec::new(), instance };
+    if !segments.exists() && !groups.exists() {
+        return Ok(out);
+    }
     let groups = Groups::read(segments, groups)?;
     if groups.segments.len() != count {
         let problem = format!(

@@ -33,20 +33,17 @@ pub(super) fn deform_gaussian(
     });
     orthogonalise(&mut columns);
     let length = columns.map(|c| dot(c, c).sqrt());
+    let size = std::array::from_fn(|k| if scale[k] > 0.0 { length[k] as f32 } else { 0.0 });
     if length.iter().any(|&l| !(l.is_finite() && l > 0.0)) {
-        // The map flattens space to a plane; then there is no turn to speak of.
-        return (
-            quat,
-            std::array::from_fn(|k| if scale[k] > 0.0 { length[k] as f32 } else { 0.0 }),
-        );
+        // The map flattens space to a plane: such a turn is not defined.
+        return (quat, size);
     }
     let mut direction: [[f64; 3]; 3] = std::array::from_fn(|k| columns[k].map(|v| v / length[k]));
     if dot(cross(direction[0], direction[1]), direction[2]) < 0.0 {
         direction[2] = direction[2].map(|v| -v);
     }
     let rotation = std::array::from_fn(|i| std::array::from_fn(|k| direction[k][i]));
-    let quat = with_positive_w(of_matrix(rotation)).map(|v| v as f32);
-    (quat, std::array::from_fn(|k| if scale[k] > 0.0 { length[k] as f32 } else { 0.0 }))
+    (with_positive_w(of_matrix(rotation)).map(|v| v as f32), size)
 }
 
 /// The direction of a surface normal on the moved surface: `det(J) J⁻ᵀ n`, normalised; a normal of

@@ -1,7 +1,7 @@
 //! A smooth random displacement field.
 
 use super::deform::Matrix;
-use crate::error::bad_setting;
+use crate::error::require;
 use crate::rng::normals;
 use crate::{DataError, SampleRng};
 
@@ -28,12 +28,10 @@ impl Field {
         let low = low.map(f64::from);
         let extent: [f64; 3] = std::array::from_fn(|a| f64::from(high[a]) - low[a]);
         let nodes = extent.map(|e| (e / granularity).floor() + 3.0);
-        if nodes.iter().product::<f64>() > MAX_NODES {
-            let value = format!("{granularity} m, for a scene of {extent:?} m,");
-            let expected =
-                "a coarser one, or a smaller scene (cut it into chunks, or remove outliers)";
-            return Err(bad_setting("elastic_distortion.granularity", value, expected));
-        }
+        let value = format!("{granularity} m, for a scene of {extent:?} m,");
+        let expected = "a coarser one, or a smaller scene (cut it into chunks, or remove outliers)";
+        let ok = nodes.iter().product::<f64>() <= MAX_NODES;
+        require(ok, "elastic_distortion.granularity", value, expected)?;
         let size = nodes.map(|n| n as usize);
         let mut values = vec![[0.0; 3]; size.iter().product()];
         let flat = values.as_flattened_mut();

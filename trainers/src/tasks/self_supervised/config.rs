@@ -1,10 +1,10 @@
-//! What a file says of self-supervised training.
+//! Settings of self-supervised training.
 
 use crate::CosineSchedule;
 use crate::TrainError;
 use crate::error::check_setting;
 use scenesplat_datasets::{MaskShape, Masking};
-use scenesplat_losses::self_supervised::{Expansion, GaussianDistance};
+use scenesplat_losses::self_supervised::{Expansion, GaussianDistance, SimDino};
 use serde::{Deserialize, Serialize};
 
 /// Self-supervised training: a sum of terms over views of scenes, with a teacher where a term asks for
@@ -117,35 +117,61 @@ pub enum Export {
     Teacher,
 }
 
-/// One term of the loss.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "type", rename_all = "snake_case")]
-pub enum TermConfig {
-    /// What masked Gaussians look like.
-    MaskedGaussians(MaskedGaussiansTerm),
+/// A row for each term: its name (in files and logs, and that of its head's parameters) and settings, which
+/// have a `weight`.
+macro_rules! term_config {
+    ($($(#[$doc:meta])* $kind:ident($settings:ty) = $name:literal;)*) => {
+        /// One term of the loss.
+        #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+        #[serde(tag = "type", rename_all = "snake_case")]
+        pub enum TermConfig {
+            $($(#[$doc])* $kind($settings),)*
+        }
+
+        impl TermConfig {
+            /// Its name in files and logs, and that of its head's parameters.
+            pub fn name(&self) -> &'static str {
+                match self {
+                    $(Self::$kind(_) => $name,)*
+                }
+            }
+
+            /// Weight in the loss.
+            pub fn weight(&self) -> f64 {
+                match self {
+                    $(Self::$kind(term) => term.weight,)*
+                }
+            }
+        }
+    };
+}
+
+term_config! {
+    /// Attributes of masked Gaussians.
+    MaskedGaussians(MaskedGaussiansTerm) = "masked_gaussians";
     /// Vectors of scenes: alike in all views of one, unlike between scenes.
-    SimDino(SimDinoTerm),
+    SimDino(SimDinoTerm) = "sim_dino";
     /// Vectors of scenes: the teacher's distribution over prototypes.
-    Dino(DinoTerm),
+    Dino(DinoTerm) = "dino";
     /// Masked Gaussians: the direction of the teacher's row.
-    Ibot(IbotTerm),
+    Ibot(IbotTerm) = "ibot";
     /// Masked Gaussians: the teacher's distribution over prototypes.
-    IbotCrossEntropy(IbotCrossEntropyTerm),
+    IbotCrossEntropy(IbotCrossEntropyTerm) = "ibot_cross_entropy";
     /// Rows of a coarse scale, matched between views by their places: the teacher's distribution over
     /// prototypes.
-    SelfDistillation(SelfDistillationTerm),
+    SelfDistillation(SelfDistillationTerm) = "self_distillation";
     /// Rows of a coarse scale, matched between views by their places: the teacher's direction, and a coding
     /// rate over rows.
-    SimDinoRows(SimDinoRowsTerm),
+    SimDinoRows(SimDinoRowsTerm) = "sim_dino_rows";
     /// The scenes' language features (codes of an autoencoder, say).
-    LanguageAlignment(LanguageAlignmentTerm),
+    LanguageAlignment(LanguageAlignmentTerm) = "language_alignment";
 }
 
 /// Masked Gaussian modelling.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct MaskedGaussiansTerm {
-    /// What it counts.
+    /// Weight in the loss.
     pub weight: f64,
     /// How far a reconstruction is from the Gaussian. `fitted` compares logarithms of sizes.
     pub distance: GaussianDistance,
@@ -161,7 +187,7 @@ impl Default for MaskedGaussiansTerm {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SimDinoTerm {
-    /// What it counts.
+    /// Weight in the loss.
     pub weight: f64,
     /// Width inside of the head.
     pub hidden: usize,
@@ -188,6 +214,13 @@ impl Default for SimDinoTerm {
     }
 }
 
+impl SimDinoTerm {
+    pub(super) fn settings(&self) -> SimDino {
+        let Self { coefficient, epsilon, expansion, .. } = *self;
+        SimDino { coefficient, epsilon, expansion, normalized: true }
+    }
+}
+
 /// Distributions over prototypes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -202,7 +235,7 @@ pub struct Prototypes {
     pub student_temperature: f64,
     /// Temperature of the teacher over the run.
     pub teacher_temperature: CosineSchedule,
-    /// What keeps a prototype from taking all.
+    /// What prevents that one prototype takes all rows.
     pub balance: Balance,
 }
 
@@ -219,11 +252,11 @@ impl Default for Prototypes {
     }
 }
 
-/// What keeps a prototype from taking all.
+/// What prevents that one prototype takes all rows.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Balance {
-    /// A running mean of the teacher's logits is taken off; the share of it that stays in a step.
+    /// A running mean of the teacher's logits is subtracted; a step keeps this share of it.
     Centering(f64),
     /// So many iterations of Sinkhorn and Knopp.
     SinkhornKnopp(usize),
@@ -233,7 +266,7 @@ pub enum Balance {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DinoTerm {
-    /// What it counts.
+    /// Weight in the loss.
     pub weight: f64,
     /// The distributions.
     pub prototypes: Prototypes,
@@ -249,7 +282,7 @@ impl Default for DinoTerm {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct IbotTerm {
-    /// What it counts.
+    /// Weight in the loss.
     pub weight: f64,
     /// Width inside of the head.
     pub hidden: usize,
@@ -267,7 +300,7 @@ impl Default for IbotTerm {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct IbotCrossEntropyTerm {
-    /// What it counts.
+    /// Weight in the loss.
     pub weight: f64,
     /// The distributions.
     pub prototypes: Prototypes,
@@ -284,7 +317,7 @@ impl Default for IbotCrossEntropyTerm {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SelfDistillationTerm {
-    /// What it counts.
+    /// Weight in the loss.
     pub weight: f64,
     /// The distributions.
     pub prototypes: Prototypes,
@@ -323,7 +356,7 @@ impl SelfDistillationTerm {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SimDinoRowsTerm {
-    /// What it counts.
+    /// Weight in the loss.
     pub weight: f64,
     /// Width inside of the head.
     pub hidden: usize,
@@ -366,6 +399,11 @@ impl Default for SimDinoRowsTerm {
 }
 
 impl SimDinoRowsTerm {
+    pub(super) fn settings(&self) -> SimDino {
+        let Self { coefficient, epsilon, expansion, .. } = *self;
+        SimDino { coefficient, epsilon, expansion, normalized: true }
+    }
+
     pub(super) fn matching(&self) -> MatchedRows {
         let Self { up_cast, max_distance, shares, .. } = *self;
         MatchedRows { up_cast, max_distance, shares }
@@ -388,14 +426,9 @@ impl Default for MatchedRows {
 
 impl MatchedRows {
     fn check(&self) -> Result<(), TrainError> {
-        let number =
-            |field, value: f64, good: bool, expected| check_setting(field, value, good, expected);
-        let above = |field, value: f64| {
-            number(field, value, value.is_finite() && value > 0.0, "a finite number above 0")
-        };
         above("max_distance", self.max_distance)?;
         for share in self.shares {
-            number("shares", share, share.is_finite() && share >= 0.0, "0 or more")?;
+            check_setting("shares", share, share.is_finite() && share >= 0.0, "0 or more")?;
         }
         above("shares", self.shares.iter().sum())
     }
@@ -405,7 +438,7 @@ impl MatchedRows {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct LanguageAlignmentTerm {
-    /// What it counts.
+    /// Weight in the loss.
     pub weight: f64,
     /// Width of the features: that of the scenes' `lang_feat`.
     pub out: usize,
@@ -422,34 +455,6 @@ impl Default for LanguageAlignmentTerm {
 }
 
 impl TermConfig {
-    /// Its name in files and logs, and that of its head's parameters.
-    pub fn name(&self) -> &'static str {
-        match self {
-            Self::MaskedGaussians(_) => "masked_gaussians",
-            Self::SimDino(_) => "sim_dino",
-            Self::Dino(_) => "dino",
-            Self::Ibot(_) => "ibot",
-            Self::IbotCrossEntropy(_) => "ibot_cross_entropy",
-            Self::SelfDistillation(_) => "self_distillation",
-            Self::SimDinoRows(_) => "sim_dino_rows",
-            Self::LanguageAlignment(_) => "language_alignment",
-        }
-    }
-
-    /// What it counts.
-    pub fn weight(&self) -> f64 {
-        match self {
-            Self::MaskedGaussians(term) => term.weight,
-            Self::SimDino(term) => term.weight,
-            Self::Dino(term) => term.weight,
-            Self::Ibot(term) => term.weight,
-            Self::IbotCrossEntropy(term) => term.weight,
-            Self::SelfDistillation(term) => term.weight,
-            Self::SimDinoRows(term) => term.weight,
-            Self::LanguageAlignment(term) => term.weight,
-        }
-    }
-
     /// Whether it compares with a teacher.
     pub fn has_teacher(&self) -> bool {
         !matches!(self, Self::MaskedGaussians(_) | Self::LanguageAlignment(_))
@@ -487,6 +492,19 @@ impl TermConfig {
         }
     }
 
+    /// Names of the centers that it may have.
+    pub(super) fn center_names(&self) -> Vec<String> {
+        match self {
+            Self::SelfDistillation(t) => {
+                let [same, other, local] = t.shares;
+                let kinds = [("masked", same > 0.0 || other > 0.0), ("local", local > 0.0)];
+                let on = kinds.into_iter().filter(|(_, on)| *on);
+                on.map(|(kind, _)| format!("self_distillation.{kind}")).collect()
+            }
+            term => vec![term.name().to_owned()],
+        }
+    }
+
     fn sizes(&self) -> Vec<(&'static str, usize)> {
         match self {
             Self::SimDino(t) => vec![("hidden", t.hidden), ("out", t.out)],
@@ -506,14 +524,9 @@ impl TermConfig {
     }
 
     fn check(&self) -> Result<(), TrainError> {
-        let number =
-            |field, value: f64, good: bool, expected| check_setting(field, value, good, expected);
-        let above = |field, value: f64| {
-            number(field, value, value.is_finite() && value > 0.0, "a finite number above 0")
-        };
         above("weight", self.weight())?;
         for (field, size) in self.sizes() {
-            number(field, size as f64, (1..=1 << 16).contains(&size), "in 1..=65536")?;
+            check_setting(field, size as f64, (1..=1 << 16).contains(&size), "in 1..=65536")?;
         }
         if let Some(prototypes) = self.prototypes() {
             above("prototypes.student_temperature", prototypes.student_temperature)?;
@@ -525,14 +538,16 @@ impl TermConfig {
                 above("prototypes.teacher_temperature.warmup_from", schedule.warmup_from)?;
             }
             if let Balance::Centering(m) = prototypes.balance {
-                number("prototypes.balance.centering", m, (0.0..=1.0).contains(&m), "in 0..=1")?;
+                let share = (0.0..=1.0).contains(&m);
+                check_setting("prototypes.balance.centering", m, share, "in 0..=1")?;
             }
         }
         match self {
             Self::SimDino(SimDinoTerm { epsilon, coefficient, .. })
             | Self::SimDinoRows(SimDinoRowsTerm { epsilon, coefficient, .. }) => {
                 above("epsilon", *epsilon)?;
-                number("coefficient", *coefficient, coefficient.is_finite(), "a finite number")?;
+                let finite = coefficient.is_finite();
+                check_setting("coefficient", *coefficient, finite, "a finite number")?;
             }
             _ => {}
         }
@@ -542,6 +557,11 @@ impl TermConfig {
             _ => Ok(()),
         }
     }
+}
+
+fn above(field: &'static str, value: f64) -> Result<(), TrainError> {
+    let good = value.is_finite() && value > 0.0;
+    check_setting(field, value, good, "a finite number above 0")
 }
 
 impl SelfSupervisedConfig {
@@ -555,7 +575,7 @@ impl SelfSupervisedConfig {
     /// # Errors
     /// Names the first that does not.
     pub fn check(&self) -> Result<(), TrainError> {
-        let wrong = |setting: &'static str, problem: &'static str| {
+        let wrong = |setting: &'static str, problem: &str| {
             Err(TrainError::SelfSupervised { setting, problem: problem.to_owned() })
         };
         if self.terms.is_empty() {
@@ -564,31 +584,22 @@ impl SelfSupervisedConfig {
         for (i, term) in self.terms.iter().enumerate() {
             term.check()?;
             if self.terms[..i].iter().any(|other| other.name() == term.name()) {
-                return Err(TrainError::SelfSupervised {
-                    setting: "terms",
-                    problem: format!("{} is there twice", term.name()),
-                });
+                return wrong("terms", &format!("{} is there twice", term.name()));
             }
             if term.needs_mask() && self.masking.is_none() {
-                return Err(TrainError::SelfSupervised {
-                    setting: "masking",
-                    problem: format!("{} looks at masked Gaussians; give it", term.name()),
-                });
+                let problem = format!("{} looks at masked Gaussians; give it", term.name());
+                return wrong("masking", &problem);
             }
         }
         self.momentum.check()?;
-        let values = [self.momentum.from, self.momentum.to];
-        for value in values {
+        for value in [self.momentum.from, self.momentum.to] {
             check_setting("momentum", value, (0.0..=1.0).contains(&value), "in 0..=1")?;
         }
         if self.export == Export::Teacher && !self.has_teacher() {
             return wrong("export", "no term has a teacher; export the student");
         }
         if let Some(masking) = &self.masking {
-            masking.check().map_err(|e| TrainError::SelfSupervised {
-                setting: "masking",
-                problem: e.to_string(),
-            })?;
+            masking.check().or_else(|e| wrong("masking", &e.to_string()))?;
         } else if self.mask_size.is_some() || self.mask_ratio.is_some() {
             return wrong("masking", "mask_size and mask_ratio vary it; give it");
         }

@@ -1,11 +1,12 @@
-//! What stands behind student and teacher for each term.
+//! The heads of student and teacher for each term.
 
 use super::config::{Prototypes, TermConfig};
 use candle_core::{Result, Tensor, bail};
+use scenesplat_datasets::InputFeatures;
 use scenesplat_models::self_supervised_heads::{
     ProjectionHead, ProjectionShape, PrototypeHead, ReconstructionHead,
 };
-use scenesplat_models::{Compute, ParamStore};
+use scenesplat_models::{Compute, ModelConfig, ParamStore, PointTransformerV3Config};
 
 /// Where the parameters of heads stand, before the name of their term.
 pub(super) const HEADS: &str = "heads";
@@ -19,6 +20,17 @@ pub(super) struct Widths {
     pub encoder: Vec<usize>,
     /// Input channels: what is reconstructed.
     pub input: usize,
+}
+
+impl Widths {
+    pub fn new(
+        model: &ModelConfig,
+        backbone: &PointTransformerV3Config,
+        input: &InputFeatures,
+    ) -> Self {
+        let encoder = backbone.enc_channels.clone();
+        Self { rows: model.out_channels(), encoder, input: input.width() }
+    }
 }
 
 /// A head; most have one, self-distillation has one for masked and one for local views.

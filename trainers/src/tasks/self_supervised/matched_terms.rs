@@ -4,10 +4,10 @@ use super::centers::Centers;
 use super::config::{MatchedRows, SelfDistillationTerm, SimDinoRowsTerm};
 use super::heads::{Head, level_of};
 use super::matching::{Places, matched, same_cells};
-use super::terms::{Seen, Step, Value};
+use super::step::{Seen, Step, TermOutput};
 use candle_core::{Result, Tensor};
 use scenesplat_datasets::ViewKind;
-use scenesplat_losses::self_supervised::{SimDino, masked_cross_entropy, sim_dino_rows};
+use scenesplat_losses::self_supervised::{masked_cross_entropy, sim_dino_rows};
 
 /// Rows of a student's view and their partners in a view of the teacher.
 struct Pair {
@@ -56,7 +56,7 @@ fn pairs(matching: &MatchedRows, step: &Step<'_>, level: usize) -> Result<Vec<Pa
     Ok(pairs)
 }
 
-/// What is made of the rows of views, each computed when it is asked for first.
+/// A function of the rows of views, computed at the first use of each.
 struct Outputs<'a, F> {
     seen: &'a [Seen],
     of: F,
@@ -85,7 +85,7 @@ pub(super) fn self_distillation(
     other: &Head,
     step: &Step<'_>,
     centers: &Centers,
-) -> Result<Value> {
+) -> Result<TermOutput> {
     let scales = step.student.first().map_or(0, |seen| seen.levels.encoder().len());
     let matching = term.matching();
     let level = level_of("self_distillation", scales, matching.up_cast)?;
@@ -111,12 +111,12 @@ pub(super) fn self_distillation(
         add(&mut sum, cost, share)?;
     }
     let mean = even.iter().sum::<f64>() / even.len().max(1) as f64;
-    let notes = vec![
-        ("prototypes_used".to_owned(), mean),
-        ("matched_rows".to_owned(), counted as f64),
-        ("matched_pairs".to_owned(), even.len() as f64),
+    let notes = [
+        ("prototypes_used", mean),
+        ("matched_rows", counted as f64),
+        ("matched_pairs", even.len() as f64),
     ];
-    Ok((sum, notes, counted))
+    Ok(TermOutput::new(sum, &notes, counted))
 }
 
 /// The teacher's direction, and a coding rate that keeps rows apart.
@@ -125,16 +125,10 @@ pub(super) fn sim_dino_rows_term(
     own: &Head,
     other: &Head,
     step: &Step<'_>,
-) -> Result<Value> {
+) -> Result<TermOutput> {
     let scales = step.student.first().map_or(0, |seen| seen.levels.encoder().len());
     let matching = term.matching();
     let level = level_of("sim_dino_rows", scales, matching.up_cast)?;
-    let settings = SimDino {
-        coefficient: term.coefficient,
-        epsilon: term.epsilon,
-        expansion: term.expansion,
-        normalized: true,
-    };
     let up_cast = |seen: &Seen, _| seen.levels.up_cast(level);
     let mut students = Outputs::new(step.student, up_cast);
     let mut teachers = Outputs::new(step.teacher, up_cast);
@@ -145,21 +139,18 @@ pub(super) fn sim_dino_rows_term(
         counted += rows.len();
         let student = own.forward(&students.rows(view, false, rows)?)?;
         let teacher = other.forward(&teachers.rows(with, false, partners)?)?.detach();
-        if let Some(out) = sim_dino_rows(&student, &teacher, &settings)? {
+        if let Some(out) = sim_dino_rows(&student, &teacher, &term.settings())? {
             seen.push((out.compression, out.expansion));
             add(&mut sum, Some(out.loss), share)?;
         }
     }
     let mean = |of: fn(&(f64, f64)) -> f64| seen.iter().map(of).sum::<f64>() / seen.len() as f64;
-    let mut notes = vec![
-        ("matched_rows".to_owned(), counted as f64),
-        ("matched_pairs".to_owned(), seen.len() as f64),
-    ];
+    let mut notes = vec![("matched_rows", counted as f64), ("matched_pairs", seen.len() as f64)];
     if !seen.is_empty() {
-        notes.push(("compression".to_owned(), mean(|pair| pair.0)));
-        notes.push(("coding_rate".to_owned(), mean(|pair| pair.1)));
+        notes.push(("compression", mean(|pair| pair.0)));
+        notes.push(("coding_rate", mean(|pair| pair.1)));
     }
-    Ok((sum, notes, counted))
+    Ok(TermOutput::new(sum, &notes, counted))
 }
 
 /// At most `most` of `rows`, evenly along their order; rows of a scale stand along a curve through space.

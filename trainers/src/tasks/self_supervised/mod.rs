@@ -7,6 +7,7 @@ mod matched_terms;
 mod matching;
 mod module;
 mod reconstruct;
+mod step;
 mod teacher;
 mod terms;
 

@@ -1,10 +1,11 @@
-//! A student, its heads, its teacher, and how they learn.
+//! Student, heads and teacher, and a step of their training.
 
 use super::centers::Centers;
-use super::config::{Compat, SelfSupervisedConfig};
+use super::config::{Compat, SelfSupervisedConfig, TermConfig};
 use super::heads::{HEADS, Head, Widths};
-use super::teacher::Teacher;
-use super::terms::{Seen, TermOutput, Terms};
+use super::step::{Seen, Step, TermOutput};
+use super::teacher::{Teacher, point_transformer};
+use super::terms::Terms;
 use crate::TrainError;
 use crate::module::{AfterStep, HasBackbone, StepContext, StepOutput, TrainingModule};
 use crate::tasks::{bad_values, point_cloud};
@@ -14,10 +15,8 @@ use scenesplat_datasets::InputChannel;
 use scenesplat_datasets::{InputFeatures, Masked, TrainBatch, View, ViewKind};
 use scenesplat_losses::self_supervised::AttributeColumns;
 use scenesplat_models::{
-    Backbone, BackboneConfig, Forward, LevelOptions, Levels, ModelConfig, ParamStore,
-    PointTransformerV3Config,
+    Backbone, Forward, LevelOptions, Levels, ModelConfig, ParamStore, PointTransformerV3Config,
 };
-use std::collections::BTreeSet;
 
 /// Keeps masks of views apart.
 const VIEW_SEED: u64 = 0xD1B5_4A32_D192_ED03;
@@ -40,7 +39,7 @@ pub struct SelfSupervised {
     terms: Terms,
 }
 
-/// Whether a parameter belongs to a head, which is no part of the model that is left behind.
+/// Whether a parameter belongs to a head, which the exported model does not have.
 pub fn is_head(name: &str) -> bool {
     name.strip_prefix(HEADS).is_some_and(|rest| rest.starts_with('.'))
 }
@@ -60,11 +59,7 @@ impl SelfSupervised {
     ) -> Result<Self> {
         config.check().map_err(candle_core::Error::wrap)?;
         let backbone = checked_backbone(config, model)?;
-        let widths = Widths {
-            rows: model.out_channels(),
-            encoder: backbone.enc_channels.clone(),
-            input: input.width(),
-        };
+        let widths = Widths::new(model, backbone, input);
         let student = model.build(params.builder())?;
         let compute = backbone.compute;
         let untrained_heads = (config.compat == Compat::Original)
@@ -80,12 +75,10 @@ impl SelfSupervised {
         let teacher_heads = match (&teacher, config.compat) {
             (None, _) | (_, Compat::Original) => student_heads.clone(),
             (Some(teacher), Compat::None) => {
-                let with_teacher: BTreeSet<&str> =
-                    config.terms.iter().filter(|t| t.has_teacher()).map(|t| t.name()).collect();
                 let terms = config.terms.iter().zip(&student_heads);
-                let heads = terms.map(|(term, own)| match with_teacher.contains(term.name()) {
+                let heads = terms.map(|(term, own)| match term.has_teacher() {
                     true => Head::new(term, &widths, compute, &teacher.store),
-                    // Never asked.
+                    // Not used.
                     false => Ok(own.clone()),
                 });
                 let heads = heads.collect::<Result<_>>()?;
@@ -95,7 +88,7 @@ impl SelfSupervised {
         };
         let mut centers = Centers::new();
         for term in &config.terms {
-            for name in super::terms::center_names(term) {
+            for name in term.center_names() {
                 if let Some(p) = term.prototypes() {
                     centers.add(&name, p.count, p.balance)?;
                 }
@@ -178,7 +171,9 @@ impl SelfSupervised {
                 teacher.push(seen.detached());
             }
         }
-        let outputs = self.terms.outputs(views, masks, &student, &teacher, cx)?;
+        let (step, total) = (cx.step, cx.total_steps);
+        let step = Step { views, masks, student: &student, teacher: &teacher, step, total };
+        let outputs = self.terms.outputs(&step)?;
         let features = student.first().map(Seen::features).transpose()?;
         sum(outputs, views, features, self.params.device())
     }
@@ -186,18 +181,19 @@ impl SelfSupervised {
 
 /// The sum of the terms, and what is logged of them.
 fn sum(
-    outputs: Vec<TermOutput>,
+    outputs: Vec<(&TermConfig, TermOutput)>,
     views: &[View],
     features: Option<Tensor>,
     device: &Device,
 ) -> Result<StepOutput> {
     let (mut loss, mut terms) = (Tensor::zeros((), candle_core::DType::F32, device)?, Vec::new());
     let mut counted_rows = 0;
-    for TermOutput { name, weight, value, notes, rows } in outputs {
+    for (term, TermOutput { value, notes, rows }) in outputs {
+        let name = term.name();
         terms.extend(notes.into_iter().map(|(note, value)| (format!("{name}/{note}"), value)));
         if let Some(value) = value {
             terms.push((name.to_owned(), f64::from(value.to_scalar::<f32>()?)));
-            loss = (loss + (value * weight)?)?;
+            loss = (loss + (value * term.weight())?)?;
             counted_rows = counted_rows.max(rows);
         }
     }
@@ -253,12 +249,7 @@ pub(super) fn checked_backbone<'a>(
     config: &SelfSupervisedConfig,
     model: &'a ModelConfig,
 ) -> Result<&'a PointTransformerV3Config> {
-    let BackboneConfig::PointTransformerV3(backbone) = &model.backbone else {
-        bail!(
-            "model.architecture: {} does not give the rows of its scales; point_transformer_v3 does",
-            model.backbone.name()
-        );
-    };
+    let backbone = point_transformer(model)?;
     if model.head != (scenesplat_models::Head::Features { projection: None }) {
         bail!(
             "model: self-supervised training has heads of its own; leave out num_classes and projection"

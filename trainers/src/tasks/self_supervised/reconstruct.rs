@@ -1,8 +1,9 @@
-//! What a student makes of the Gaussians that it does not see.
+//! Reconstruction of masked Gaussians by a trained student.
 
 use super::config::{SelfSupervisedConfig, TermConfig};
 use super::heads::{Head, Widths};
 use super::module::{checked_backbone, voxel_rows};
+use super::step::indices;
 use super::terms::LEAST_SIZE;
 use crate::tasks::point_cloud;
 use candle_core::{Result, Tensor, bail};
@@ -48,11 +49,7 @@ impl Reconstructor {
             );
         };
         let backbone = checked_backbone(config, model)?;
-        let widths = Widths {
-            rows: model.out_channels(),
-            encoder: backbone.enc_channels.clone(),
-            input: input.width(),
-        };
+        let widths = Widths::new(model, backbone, input);
         Ok(Self {
             network: model.build(params.builder())?,
             head: Head::new(term, &widths, backbone.compute, heads)?,
@@ -71,8 +68,7 @@ impl Reconstructor {
     /// # Errors
     /// If the batch does not fit the network, or a value is not finite.
     pub fn rows(&self, batch: &TrainBatch, hidden: &[bool]) -> Result<Vec<f32>> {
-        let chosen: Vec<u32> =
-            (0_u32..).zip(hidden).filter(|(_, hidden)| **hidden).map(|(row, _)| row).collect();
+        let chosen = indices(hidden);
         if chosen.is_empty() {
             return Ok(Vec::new());
         }

@@ -3,7 +3,9 @@
 use super::config::Compat;
 use crate::{TrainError, ema_update};
 use candle_core::{Device, Result};
-use scenesplat_models::{Backbone, BackboneConfig, ModelConfig, ParamStore};
+use scenesplat_models::{
+    Backbone, BackboneConfig, ModelConfig, ParamStore, PointTransformerV3Config,
+};
 
 /// Sets the teacher's seed apart from its student's, where it does not begin as a copy.
 const OTHER_SEED: u64 = 0x7EAC_4E12;
@@ -23,17 +25,13 @@ impl Teacher {
     /// # Errors
     /// If the architecture does not give its scales.
     pub fn new(model: &ModelConfig, compat: Compat, seed: u64, device: &Device) -> Result<Self> {
-        let mut model = model.clone();
-        let BackboneConfig::PointTransformerV3(backbone) = &mut model.backbone else {
-            candle_core::bail!(
-                "model.architecture: {} does not give the rows of its scales; point_transformer_v3 does",
-                model.backbone.name()
-            );
-        };
+        let mut backbone = point_transformer(model)?.clone();
         backbone.mask_token = false;
         if compat == Compat::None {
             backbone.drop_path = 0.0;
         }
+        let backbone = BackboneConfig::PointTransformerV3(backbone);
+        let model = ModelConfig { backbone, ..model.clone() };
         let store = ParamStore::trainable(seed ^ OTHER_SEED).on(device);
         let network = model.build(store.builder())?;
         Ok(Self { store, network })
@@ -64,5 +62,16 @@ impl Teacher {
         momentum: f64,
     ) -> std::result::Result<(), TrainError> {
         ema_update(&self.store.parameters(), &student.parameters(), momentum)
+    }
+}
+
+/// The settings of the backbone, which has to give its scales.
+pub(super) fn point_transformer(model: &ModelConfig) -> Result<&PointTransformerV3Config> {
+    match &model.backbone {
+        BackboneConfig::PointTransformerV3(backbone) => Ok(backbone),
+        other => candle_core::bail!(
+            "model.architecture: {} does not give the rows of its scales; point_transformer_v3 does",
+            other.name()
+        ),
     }
 }

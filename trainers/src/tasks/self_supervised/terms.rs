@@ -1,4 +1,4 @@
-//! What each term makes of what student and teacher see.
+//! The terms: each compares features of student and teacher.
 
 use super::centers::Centers;
 use super::config::{
@@ -6,65 +6,17 @@ use super::config::{
 };
 use super::heads::Head;
 use super::matched_terms;
-use crate::module::StepContext;
+use super::step::{Seen, Step, TermOutput, indices};
 use candle_core::{Device, Result, Tensor, bail};
-use scenesplat_datasets::{Masked, View, ViewKind};
+use scenesplat_datasets::ViewKind;
 use scenesplat_losses::self_supervised::{
-    AttributeColumns, GaussianDistance, SimDino, masked_cosine, masked_cross_entropy,
-    masked_gaussians, sim_dino, view_cross_entropy,
+    AttributeColumns, GaussianDistance, masked_cosine, masked_cross_entropy, masked_gaussians,
+    sim_dino, view_cross_entropy,
 };
 use scenesplat_losses::{Reduction, cosine, l2};
-use scenesplat_models::{Levels, scene_means};
 
 /// Sizes below this count as this before their logarithm, metres.
 pub(super) const LEAST_SIZE: f64 = 1e-4;
-
-/// What a network makes of a view.
-pub(super) struct Seen {
-    pub levels: Levels,
-    /// Rows of the finest scale, in the caller's order, if they are read. `[N, C]`
-    pub rows: Option<Tensor>,
-}
-
-impl Seen {
-    /// Without the way back to parameters.
-    pub fn detached(self) -> Self {
-        Self { levels: self.levels.detached(), rows: self.rows.map(|rows| rows.detach()) }
-    }
-
-    /// A vector for each scene: the mean over its coarsest rows. `[B, C]`
-    fn scenes(&self) -> Result<Tensor> {
-        let level = self.levels.coarsest()?;
-        scene_means(&level.feat, &level.offsets)
-    }
-
-    fn rows(&self) -> Result<&Tensor> {
-        match &self.rows {
-            Some(rows) => Ok(rows),
-            None => bail!("the rows of this view were not asked for"),
-        }
-    }
-
-    /// What collapse shows in: rows as they are handed on, detached.
-    pub fn features(&self) -> Result<Tensor> {
-        match &self.rows {
-            Some(rows) => Ok(rows.detach()),
-            None => Ok(self.levels.coarsest()?.feat.detach()),
-        }
-    }
-}
-
-/// What a term gives.
-pub(super) struct TermOutput {
-    pub name: &'static str,
-    pub weight: f64,
-    /// Scalar; `None` if nothing counts.
-    pub value: Option<Tensor>,
-    /// For the log.
-    pub notes: Vec<(String, f64)>,
-    /// Rows (or scenes) that count.
-    pub rows: usize,
-}
 
 /// The terms with their heads.
 pub(super) struct Terms {
@@ -76,80 +28,20 @@ pub(super) struct Terms {
     pub centers: Centers,
 }
 
-/// Names of the centers that a term may have.
-pub(super) fn center_names(term: &TermConfig) -> Vec<String> {
-    match term {
-        TermConfig::SelfDistillation(t) => {
-            let [same, other, local] = t.shares;
-            let mut names = Vec::new();
-            if same > 0.0 || other > 0.0 {
-                names.push("self_distillation.masked".to_owned());
-            }
-            if local > 0.0 {
-                names.push("self_distillation.local".to_owned());
-            }
-            names
-        }
-        term => vec![term.name().to_owned()],
-    }
-}
-
-/// Value, notes and the number of rows that count.
-pub(super) type Value = (Option<Tensor>, Vec<(String, f64)>, usize);
-
-/// What all terms look at.
-pub(super) struct Step<'a> {
-    pub views: &'a [View],
-    pub masks: &'a [Option<Masked>],
-    pub student: &'a [Seen],
-    pub teacher: &'a [Seen],
-    step: u64,
-    total: u64,
-}
-
-impl Step<'_> {
-    pub fn temperature(&self, prototypes: &Prototypes) -> f64 {
-        prototypes.teacher_temperature.value(self.step, self.total)
-    }
-
-    /// Views of the teacher, whose masked rows count: number, rows, weights.
-    fn masked(&self) -> Result<Vec<(usize, Tensor, Vec<f64>)>> {
-        let mut all = Vec::new();
-        for (view, masked) in self.masks.iter().enumerate() {
-            let Some(masked) = masked else { continue };
-            let rows: Vec<u32> = hidden_rows(masked);
-            let weights = rows.iter().map(|&row| masked.weights[row as usize]).collect();
-            all.push((view, Tensor::new(rows, &Device::Cpu)?, weights));
-        }
-        Ok(all)
-    }
-}
-
-fn hidden_rows(masked: &Masked) -> Vec<u32> {
-    (0_u32..).zip(&masked.hidden).filter(|(_, hidden)| **hidden).map(|(row, _)| row).collect()
-}
-
 impl Terms {
-    pub fn outputs(
-        &self,
-        views: &[View],
-        masks: &[Option<Masked>],
-        student: &[Seen],
-        teacher: &[Seen],
-        cx: &StepContext<'_>,
-    ) -> Result<Vec<TermOutput>> {
-        let (step, total) = (cx.step, cx.total_steps);
-        let step = Step { views, masks, student, teacher, step, total };
+    /// The terms with what each gives for a step.
+    pub fn outputs(&self, step: &Step<'_>) -> Result<Vec<(&TermConfig, TermOutput)>> {
         let terms = self.terms.iter().zip(self.student.iter().zip(&self.teacher));
-        terms
-            .map(|(term, (own, other))| {
-                let (value, notes, rows) = self.value(term, own, other, &step)?;
-                Ok(TermOutput { name: term.name(), weight: term.weight(), value, notes, rows })
-            })
-            .collect()
+        terms.map(|(term, (own, other))| Ok((term, self.output(term, own, other, step)?))).collect()
     }
 
-    fn value(&self, term: &TermConfig, own: &Head, other: &Head, step: &Step<'_>) -> Result<Value> {
+    fn output(
+        &self,
+        term: &TermConfig,
+        own: &Head,
+        other: &Head,
+        step: &Step<'_>,
+    ) -> Result<TermOutput> {
         match term {
             TermConfig::MaskedGaussians(t) => self.masked_gaussians(t, own, step),
             TermConfig::SimDino(t) => sim_dino_term(t, own, other, step),
@@ -171,25 +63,22 @@ impl Terms {
         term: &MaskedGaussiansTerm,
         head: &Head,
         step: &Step<'_>,
-    ) -> Result<Value> {
+    ) -> Result<TermOutput> {
         let mut views = step.masked()?;
         if self.compat == Compat::Original {
-            views.truncate(1);
+            let first = step.masks.iter().position(Option::is_some);
+            views.retain(|(view, ..)| Some(*view) == first);
         }
         let (mut pred, mut target) = (Vec::new(), Vec::new());
         for (view, rows, _) in &views {
-            if rows.dim(0)? == 0 {
-                continue;
-            }
-            let seen = step.student[*view].rows()?;
-            pred.push(seen.index_select(&rows.to_device(seen.device())?, 0)?);
+            pred.push(step.student[*view].rows_at(rows)?);
             let batch = &step.views[*view].batch;
-            let feat =
-                Tensor::from_slice(&batch.feat, (batch.len(), batch.channels), &Device::Cpu)?;
+            let shape = (batch.len(), batch.channels);
+            let feat = Tensor::from_slice(&batch.feat, shape, &Device::Cpu)?;
             target.push(feat.index_select(rows, 0)?);
         }
         if pred.is_empty() {
-            return Ok((None, Vec::new(), 0));
+            return Ok(TermOutput::default());
         }
         let pred = head.attributes(&Tensor::cat(&pred, 0)?)?;
         let mut target = Tensor::cat(&target, 0)?;
@@ -200,10 +89,10 @@ impl Terms {
         let Some((value, alone)) =
             masked_gaussians(&pred, &target, None, &self.attributes, term.distance)?
         else {
-            return Ok((None, Vec::new(), 0));
+            return Ok(TermOutput::default());
         };
         let names = self.attributes.iter().map(|a| a.name.clone());
-        Ok((Some(value), names.zip(alone).collect(), rows))
+        Ok(TermOutput { value: Some(value), notes: names.zip(alone).collect(), rows })
     }
 
     /// Sizes as logarithms: what distances that fit compare.
@@ -226,7 +115,7 @@ impl Terms {
         own: &Head,
         other: &Head,
         step: &Step<'_>,
-    ) -> Result<Value> {
+    ) -> Result<TermOutput> {
         let student = stacked(own, step.student)?;
         let teacher = stacked(other, step.teacher)?.detach();
         let (t, b, k) = teacher.dims3()?;
@@ -241,7 +130,7 @@ impl Terms {
         let value = view_cross_entropy(&student, &targets, prototypes.student_temperature, false)?;
         let pairs = (t * step.student.len() - t).max(1) as f64;
         let value = value.map(|value| value / pairs).transpose()?;
-        Ok((value, vec![("prototypes_used".to_owned(), even)], b))
+        Ok(TermOutput::new(value, &[("prototypes_used", even)], b))
     }
 
     fn ibot_cross_entropy(
@@ -250,9 +139,9 @@ impl Terms {
         own: &Head,
         other: &Head,
         step: &Step<'_>,
-    ) -> Result<Value> {
+    ) -> Result<TermOutput> {
         let Some((student, teacher, weights)) = masked_pairs(own, other, step)? else {
-            return Ok((None, Vec::new(), 0));
+            return Ok(TermOutput::default());
         };
         let temperature = step.temperature(prototypes);
         let (targets, even) = self.centers.targets(
@@ -266,7 +155,7 @@ impl Terms {
         let weights: Vec<f64> = weights.iter().map(|w| w / sum).collect();
         let value =
             masked_cross_entropy(&student, &targets, &weights, prototypes.student_temperature)?;
-        Ok((value, vec![("prototypes_used".to_owned(), even)], weights.len()))
+        Ok(TermOutput::new(value, &[("prototypes_used", even)], weights.len()))
     }
 }
 
@@ -276,28 +165,27 @@ fn stacked(head: &Head, seen: &[Seen]) -> Result<Tensor> {
     Tensor::stack(&each.collect::<Result<Vec<_>>>()?, 0)
 }
 
-fn sim_dino_term(term: &SimDinoTerm, own: &Head, other: &Head, step: &Step<'_>) -> Result<Value> {
+fn sim_dino_term(
+    term: &SimDinoTerm,
+    own: &Head,
+    other: &Head,
+    step: &Step<'_>,
+) -> Result<TermOutput> {
     let student = stacked(own, step.student)?;
     let teacher = stacked(other, step.teacher)?.detach();
-    let settings = SimDino {
-        coefficient: term.coefficient,
-        epsilon: term.epsilon,
-        expansion: term.expansion,
-        normalized: true,
-    };
     let scenes = student.dim(1)?;
-    let Some(out) = sim_dino(&student, &teacher, &settings)? else {
-        return Ok((None, Vec::new(), 0));
+    let Some(out) = sim_dino(&student, &teacher, &term.settings())? else {
+        return Ok(TermOutput::default());
     };
-    let notes = vec![
-        ("compression".to_owned(), out.compression),
-        ("global_compression".to_owned(), out.global_compression),
-        ("coding_rate".to_owned(), out.expansion),
+    let notes = [
+        ("compression", out.compression),
+        ("global_compression", out.global_compression),
+        ("coding_rate", out.expansion),
     ];
-    Ok((Some(out.loss), notes, scenes))
+    Ok(TermOutput::new(Some(out.loss), &notes, scenes))
 }
 
-/// What both heads make of the masked rows of all views, with their weights.
+/// Both heads' rows of the masked rows of all views, with their weights.
 fn masked_pairs(
     own: &Head,
     other: &Head,
@@ -305,13 +193,8 @@ fn masked_pairs(
 ) -> Result<Option<(Tensor, Tensor, Vec<f64>)>> {
     let (mut student, mut teacher, mut all) = (Vec::new(), Vec::new(), Vec::new());
     for (view, rows, weights) in step.masked()? {
-        if weights.is_empty() {
-            continue;
-        }
-        for (seen, picked) in [(step.student, &mut student), (step.teacher, &mut teacher)] {
-            let of_view = seen[view].rows()?;
-            picked.push(of_view.index_select(&rows.to_device(of_view.device())?, 0)?);
-        }
+        student.push(step.student[view].rows_at(&rows)?);
+        teacher.push(step.teacher[view].rows_at(&rows)?);
         all.extend(weights);
     }
     if all.is_empty() {
@@ -322,16 +205,16 @@ fn masked_pairs(
     Ok(Some((student, teacher, all)))
 }
 
-fn ibot(own: &Head, other: &Head, step: &Step<'_>) -> Result<Value> {
+fn ibot(own: &Head, other: &Head, step: &Step<'_>) -> Result<TermOutput> {
     let Some((student, teacher, weights)) = masked_pairs(own, other, step)? else {
-        return Ok((None, Vec::new(), 0));
+        return Ok(TermOutput::default());
     };
     let value = masked_cosine(&student, &teacher, &weights)?;
-    Ok((value, Vec::new(), weights.len()))
+    Ok(TermOutput::new(value, &[], weights.len()))
 }
 
 /// `1 − cosine` and the square distance to the scenes' features, over rows that have one.
-fn alignment(term: &LanguageAlignmentTerm, head: &Head, step: &Step<'_>) -> Result<Value> {
+fn alignment(term: &LanguageAlignmentTerm, head: &Head, step: &Step<'_>) -> Result<TermOutput> {
     let (mut pred, mut target) = (Vec::new(), Vec::new());
     for (view, seen) in step.views.iter().zip(step.student) {
         if view.kind != ViewKind::Global {
@@ -350,7 +233,7 @@ fn alignment(term: &LanguageAlignmentTerm, head: &Head, step: &Step<'_>) -> Resu
                 features.dim
             );
         }
-        pred.push(seen.rows()?.clone());
+        pred.push(seen.all_rows()?.clone());
         let values: Vec<f32> = features.values.iter().map(|v| v.to_f32()).collect();
         target.push(Tensor::from_vec(values, (view.batch.len(), features.dim), &Device::Cpu)?);
     }
@@ -367,10 +250,9 @@ fn alignment(term: &LanguageAlignmentTerm, head: &Head, step: &Step<'_>) -> Resu
             })
         })
         .collect();
-    let rows: Vec<u32> =
-        (0_u32..).zip(&counts).filter(|(_, counts)| **counts).map(|(row, _)| row).collect();
+    let rows = indices(&counts);
     if rows.is_empty() {
-        return Ok((None, Vec::new(), 0));
+        return Ok(TermOutput::default());
     }
     let count = rows.len();
     let rows = Tensor::new(rows, &Device::Cpu)?;
@@ -381,8 +263,8 @@ fn alignment(term: &LanguageAlignmentTerm, head: &Head, step: &Step<'_>) -> Resu
         cosine(&pred, &target, None, Reduction::Mean)?,
         l2(&pred, &target, None, Reduction::Mean)?,
     );
-    let (Some(cos), Some(square)) = (cos, square) else { return Ok((None, Vec::new(), 0)) };
+    let (Some(cos), Some(square)) = (cos, square) else { return Ok(TermOutput::default()) };
     let note = |t: &Tensor| t.to_scalar::<f32>().map(f64::from);
-    let notes = vec![("cosine".to_owned(), note(&cos)?), ("l2".to_owned(), note(&square)?)];
-    Ok((Some((cos + square)?), notes, count))
+    let notes = [("cosine", note(&cos)?), ("l2", note(&square)?)];
+    Ok(TermOutput::new(Some((cos + square)?), &notes, count))
 }

@@ -8,8 +8,8 @@ use candle_core::backprop::GradStore;
 use candle_core::{DType, Tensor, Var};
 use scenesplat_kernels::Precision;
 use scenesplat_trainers::{
-    OneCycle, Optimizer, Progress, StepHyperparameters, TrainError, Trainer, TrainerConfig,
-    TrainingModule,
+    DataModule, OneCycle, Optimizer, Progress, StepHyperparameters, TrainError, Trainer,
+    TrainerConfig, TrainingModule,
 };
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -61,12 +61,11 @@ fn record(
     let recorded = Recorded::default();
     let optimizer = Recorder(module.params().parameters(), Arc::clone(&recorded));
     let config = TrainerConfig { seed, accumulate, recompute, ..TrainerConfig::default() };
-    let mut rooms =
+    let rooms =
         Rooms::new(StabilityRecipe::LanguagePretraining, batches, seed, ACCUMULATED as usize)?;
     Trainer::new(config, Box::new(optimizer), Box::new(OneCycle::default()))?.fit(
         &module,
-        &mut rooms,
-        &mut [],
+        &mut DataModule::new(rooms),
         Progress::default(),
     )?;
     let found = std::mem::take(&mut *recorded.lock().unwrap_or_else(PoisonError::into_inner));

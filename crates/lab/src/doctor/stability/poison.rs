@@ -7,7 +7,7 @@ use super::setup::{Batches, Rooms, module};
 use crate::doctor::trial::{Failure, ensure};
 use scenesplat_kernels::Precision;
 use scenesplat_trainers::checkpoint::newest_checkpoint;
-use scenesplat_trainers::{Progress, TrainerConfig, TrainingModule};
+use scenesplat_trainers::{DataModule, Progress, TrainerConfig, TrainingModule};
 use std::path::Path;
 
 /// Steps of the training, and which one is poisoned.
@@ -29,14 +29,11 @@ pub(super) fn check(seed: u64, folder: &Path) -> Result<PoisonCheck, Failure> {
     };
     let clean = module(Precision::F32, seed)?;
     let plain = TrainerConfig { seed, ..TrainerConfig::default() };
-    trainer(recipe, &clean, plain)?.fit(&clean, &mut rooms(None)?, &mut [], Progress::default())?;
+    let data = |poisoned| rooms(poisoned).map(DataModule::new);
+    trainer(recipe, &clean, plain)?.fit(&clean, &mut data(None)?, Progress::default())?;
     let hurt = module(Precision::F32, seed)?;
-    let ended = trainer(recipe, &hurt, config())?.fit(
-        &hurt,
-        &mut rooms(Some(POISONED))?,
-        &mut [],
-        <_>::default(),
-    );
+    let ended =
+        trainer(recipe, &hurt, config())?.fit(&hurt, &mut data(Some(POISONED))?, <_>::default());
     let message = ended.err().map_or("went on".to_owned(), |error| with_causes(&error));
     let scene = rooms(None)?.name_of(POISONED)?;
     let words = [format!("step {POISONED}"), format!("{scene}: feat 3 of row 0 is NaN")];
@@ -49,7 +46,7 @@ pub(super) fn check(seed: u64, folder: &Path) -> Result<PoisonCheck, Failure> {
     let mut again = trainer(recipe, &healed, config())?;
     let at = again.load_checkpoint(&newest, &healed)?;
     ensure!(at.step == POISONED as u64, "the newest checkpoint is of step {}", at.step);
-    again.fit(&healed, &mut rooms(None)?, &mut [], at)?;
+    again.fit(&healed, &mut data(None)?, at)?;
     let recovered = values(&healed)? == values(&clean)?;
     std::fs::remove_dir_all(&folder)?;
     Ok(PoisonCheck { step: POISONED as u64, message, named, recovered })

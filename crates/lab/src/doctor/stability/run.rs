@@ -8,7 +8,7 @@ use candle_core::DType;
 use scenesplat_datasets::{BatchLoader, DataError, TrainBatch};
 use scenesplat_models::ParamStore;
 use scenesplat_trainers::{
-    AdamW, AdamWConfig, Callback, Event, Flow, OneCycle, Progress, TrainError, Trainer,
+    AdamW, AdamWConfig, Callback, DataModule, Event, Flow, OneCycle, Progress, TrainError, Trainer,
     TrainerConfig, TrainingModule, group_by_keyword,
 };
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -137,7 +137,7 @@ fn train_module(
     };
     config.health.every_steps = planned.div_ceil(LOOKS);
     let (seen, stop) = (Arc::new(Mutex::new(Seen::default())), Arc::default());
-    let mut loader = Asked {
+    let loader = Asked {
         rooms: Rooms::new(
             setup.recipe,
             setup.batches,
@@ -152,7 +152,7 @@ fn train_module(
     let ended = trainer(setup.recipe, module, config)?
         .with_callback(Watch(Arc::clone(&seen)))
         .with_stop(Arc::clone(&stop))
-        .fit(module, &mut loader, &mut [], Progress::default());
+        .fit(module, &mut DataModule::new(loader), Progress::default());
     let mut problem = ended.as_ref().err().map(|error| with_causes(error));
     if ended.is_ok_and(|at| at.step < planned) {
         return Ok(None);
