@@ -312,7 +312,7 @@ impl Run<'_> {
             Task::SemanticSegmentation => {
                 let network = network()?;
                 let module = TaskModule::new(params, network, objective, SemanticSegmentation);
-                let evaluators = segmentation(config, text)?;
+                let evaluators = boxed(segmentation(config, text)?.into_iter());
                 self.fit(&module, DataModule { train, evaluators })
             }
         }
