@@ -45,7 +45,7 @@ pub fn run(args: &Args) -> Result<()> {
     std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
     let _lock = FolderLock::acquire(&args.out)?;
     let mut records = Records::open(&args.out.join("records.jsonl"))?;
-    if records.mended {
+    if records.repaired {
         progress
             .say("records.jsonl: the last line was cut by an interruption; it is measured again");
     }
