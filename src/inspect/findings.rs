@@ -103,13 +103,19 @@ impl<'a> Findings<'a> {
 pub(super) struct Added<'a>(Option<&'a mut Finding>);
 
 impl Added<'_> {
-    pub(super) fn example(mut self, text: String) -> Self {
-        self.0.iter_mut().for_each(|finding| finding.example.clone_from(&text));
-        self
+    pub(super) fn example(self, text: impl Into<String>) -> Self {
+        let Self(mut finding) = self;
+        let text = text.into();
+        if let Some(finding) = &mut finding {
+            finding.example = text;
+        }
+        Self(finding)
     }
 
-    pub(super) fn help(mut self, text: &str) {
-        self.0.iter_mut().for_each(|finding| text.clone_into(&mut finding.help));
+    pub(super) fn help(self, text: &str) {
+        if let Some(finding) = self.0 {
+            text.clone_into(&mut finding.help);
+        }
     }
 }
 
