@@ -168,7 +168,7 @@ fn check_fixed_point(case: Case, scene: &GaussianScene, what: &str) {
     let folder = tempfile::tempdir().unwrap();
     let [a, b] = ["1", "2"].map(|name| folder.path().join(name));
     let [first, second] = [&a, &b].map(|folder| folder.join(case.name));
-    [&a, &b].map(|folder| std::fs::create_dir(folder).unwrap());
+    [&a, &b].into_iter().for_each(|folder| std::fs::create_dir(folder).unwrap());
     let report = match write_as(scene, &first, case.format, &case.options()) {
         Ok(report) => report,
         Err(error) => {

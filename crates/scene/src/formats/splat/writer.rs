@@ -118,6 +118,7 @@ fn rotation_code(quat: [f32; 4]) -> [u8; 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::formats::packed_values::log_of_scale;
 
     #[test]
     fn codes_come_back_as_themselves() {
