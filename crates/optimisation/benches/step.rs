@@ -4,7 +4,9 @@
 //! same run, as machines differ and are shared.
 #![allow(missing_docs, reason = "criterion's macros make undocumented items")]
 
-use criterion::{Criterion, criterion_group, criterion_main};
+use criterion::measurement::WallTime;
+use criterion::{BenchmarkGroup, Criterion, criterion_group, criterion_main};
+use rayon::ThreadPool;
 use rayon::prelude::*;
 use scenesplat_kernels::simd::compiled;
 use scenesplat_optimisation::depth_loss::{DepthOutliers, DepthScratch, depth_loss};
@@ -17,8 +19,8 @@ use scenesplat_rasterizer::backward::{
     GradMask, Gradients, Trace, TraceRequest, Upstream, Workspace, trace,
 };
 use scenesplat_rasterizer::{
-    Projected, RasterSettings, Span, TILE, TileLists, TileVisitor, View, blend, colors, project,
-    tile_lists,
+    Gaussians, Projected, RasterSettings, Span, TILE, TileLists, TileVisitor, View, blend, colors,
+    project, tile_lists,
 };
 use std::hint::black_box;
 use std::time::Duration;
@@ -158,6 +160,53 @@ impl Floors {
     }
 }
 
+impl Floors {
+    fn bench(
+        &self,
+        group: &mut BenchmarkGroup<'_, WallTime>,
+        pool: &ThreadPool,
+        memory: &mut [u64],
+    ) {
+        for (part, floor) in [
+            ("project", self.project),
+            ("colors_sh3", self.colors),
+            ("sort_and_tiles", self.tiles),
+            ("blend", self.blend),
+            ("l1_ssim", self.ssim),
+            ("backward", self.backward),
+            ("adam_59", self.adam),
+        ] {
+            let threads = pool.current_num_threads();
+            group.bench_function(format!("floor_of_{part}/{threads}_threads"), |b| {
+                b.iter(|| pool.install(|| floor.run(memory)));
+            });
+        }
+    }
+}
+
+/// The backward pass of color and depth, with gradients like those of L1.
+fn bench_backward(
+    group: &mut BenchmarkGroup<'_, WallTime>,
+    pool: &ThreadPool,
+    (g, view, raster): (&Gaussians, &View, &RasterSettings),
+    (traced, rgb, drawn): (&Trace, &[f32], &[f32]),
+    workspace: &mut Workspace,
+) {
+    let sign = |v: &f32| if *v > 0.3 { 1e-6 } else { -1e-6 };
+    let (up_rgb, up_depth): (Vec<f32>, Vec<f32>) =
+        (rgb.iter().map(sign).collect(), drawn.iter().map(sign).collect());
+    let upstream =
+        Upstream { rgb: Some(&up_rgb), depth_accumulated: Some(&up_depth), ..Upstream::default() };
+    let (mut gradients, all) = (Gradients::zeros(g, 0), GradMask::all());
+    let threads = pool.current_num_threads();
+    group.bench_function(format!("backward/{threads}_threads"), |b| {
+        b.iter(|| {
+            let out = &mut gradients;
+            pool.install(|| workspace.backward(g, view, raster, traced, &upstream, all, out))
+        });
+    });
+}
+
 fn parts(c: &mut Criterion) {
     let (model, frame) = (model(), frame());
     let settings = OptimiseSettings { sh_every: 0, ..OptimiseSettings::scenesplat() };
@@ -176,19 +225,7 @@ fn parts(c: &mut Criterion) {
     for threads in [1, 2] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
         let name = |part: &str| format!("{part}/{threads}_threads");
-        for (part, floor) in [
-            ("project", floors.project),
-            ("colors_sh3", floors.colors),
-            ("sort_and_tiles", floors.tiles),
-            ("blend", floors.blend),
-            ("l1_ssim", floors.ssim),
-            ("backward", floors.backward),
-            ("adam_59", floors.adam),
-        ] {
-            group.bench_function(name(&format!("floor_of_{part}")), |b| {
-                b.iter(|| pool.install(|| floor.run(&mut memory)));
-            });
-        }
+        floors.bench(&mut group, &pool, &mut memory);
         group.bench_function(name("project"), |b| {
             b.iter(|| pool.install(|| project(g, view, &raster)));
         });
@@ -218,23 +255,13 @@ fn parts(c: &mut Criterion) {
             let rule = DepthOutliers::MedianRule;
             b.iter(|| depth_loss(&drawn, &measured, None, rule, 1.0, &mut scratch, &mut slope));
         });
-        let sign = |v: &f32| if *v > 0.3 { 1e-6 } else { -1e-6 };
-        let (up_rgb, up_depth): (Vec<f32>, Vec<f32>) =
-            (rgb.iter().map(sign).collect(), drawn.iter().map(sign).collect());
-        let upstream = Upstream {
-            rgb: Some(&up_rgb),
-            depth_accumulated: Some(&up_depth),
-            ..Upstream::default()
-        };
-        let mut gradients = Gradients::zeros(g, 0);
-        let all = GradMask::all();
-        group.bench_function(name("backward"), |b| {
-            b.iter(|| {
-                let out = &mut gradients;
-                let upstream = &upstream;
-                pool.install(|| workspace.backward(g, view, &raster, &traced, upstream, all, out))
-            });
-        });
+        bench_backward(
+            &mut group,
+            &pool,
+            (g, view, &raster),
+            (&traced, &rgb, &drawn),
+            &mut workspace,
+        );
         let (mut other, mut gradients) = (model.clone(), Gradients::zeros(g, 0));
         let mut adam = Adam::new(&other, AdamSettings::default());
         let rates = settings.rates_at(0, 1.0);

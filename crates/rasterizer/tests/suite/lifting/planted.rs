@@ -1,5 +1,4 @@
 //! Labels whose truth is known: a synthetic room, seen with the true objects as segments.
-#![allow(dead_code, reason = "each program uses a part")]
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -11,7 +10,6 @@ use scenesplat_rasterizer::{
     Gaussians, RasterSettings, Span, TILE, TileRect, TileVisitor, View, blend, project, tile_lists,
 };
 use scenesplat_rooms::{SyntheticRoomSettings, generate};
-use scenesplat_scene::GaussianScene;
 use scenesplat_scene::vector::cross;
 
 /// Width of the objects' features.
@@ -32,7 +30,6 @@ pub struct Size {
 
 /// A room, its objects' features, and pictures of it with the true objects.
 pub struct Planted {
-    pub scene: GaussianScene,
     pub gaussians: Gaussians,
     /// Object of each Gaussian; −1 for what belongs to none.
     pub object: Vec<i32>,
@@ -46,8 +43,6 @@ pub struct Planted {
 /// How well labels came back.
 #[derive(Debug, Clone)]
 pub struct Recovered {
-    /// The object whose feature is nearest; −1 without a feature.
-    pub object: Vec<i32>,
     /// Part of the weight of all Gaussians whose nearest object is their own.
     pub mass: f64,
     /// Part of the Gaussians with coverage ½ or more whose nearest object is their own.
@@ -69,16 +64,11 @@ impl Planted {
         };
         let room = generate(&settings).expect("a room");
         let object = room.scene.instance.clone().expect("objects");
-        Self::of(room.scene, object, room.size, size)
-    }
-
-    /// Labels of a scene that is known: the object of each Gaussian, and the room from whose middle it is seen.
-    pub fn of(scene: GaussianScene, object: Vec<i32>, room: [f32; 3], size: Size) -> Self {
-        let gaussians = Gaussians::from_scene(&scene).expect("activated values");
+        let gaussians = Gaussians::from_scene(&room.scene).expect("activated values");
         let objects = object.iter().max().map_or(0, |&o| o as usize + 1);
-        let views = cameras(room, size.views, size.picture);
+        let views = cameras(room.size, size.views, size.picture);
         let maps = views.iter().map(|view| object_map(&gaussians, &object, view)).collect();
-        Self { gaussians, object, views, maps, features: object_features(objects), scene }
+        Self { gaussians, object, views, maps, features: object_features(objects) }
     }
 
     pub fn num_objects(&self) -> usize {
@@ -89,46 +79,6 @@ impl Planted {
     pub fn lifter(&self, wrong: f64, settings: LiftSettings) -> Result<Lifter<'_>, LiftError> {
         let mut lifter = Lifter::new(&self.gaussians, 1, DIM, settings)?;
         self.pictures(wrong, |_, picture| lifter.add(picture).map(|_| ()))?;
-        Ok(lifter)
-    }
-
-    /// Lifts the maps of blurred pictures: of each the objects are where the camera was when the exposure began,
-    /// and the more it moved, the more segments have wrong names. `weigh` gives each picture's weight by
-    /// the length of its motion in pixels.
-    ///
-    /// Both are our assumption of what a segmenter makes of blurred pictures: 2 % of the segments per
-    /// pixel of motion, at most half of them. The camera turns by angles of 0.2° · `severity` (standard
-    /// deviation) about both axes across its view.
-    pub fn blurred_lifter(
-        &self,
-        severity: f64,
-        settings: LiftSettings,
-        weigh: impl Fn(f64) -> f32,
-    ) -> Result<Lifter<'_>, LiftError> {
-        let mut rng = ChaCha8Rng::seed_from_u64(78);
-        let mut lifter = Lifter::new(&self.gaussians, 1, DIM, settings)?;
-        for view in &self.views {
-            let sd = (0.2 * severity).to_radians();
-            // Twelve uniform numbers are nearly a normal one.
-            let mut normal = || (0..12).map(|_| rng.random_range(0.0..1.0)).sum::<f64>() - 6.0;
-            let [x, y] = [sd * normal(), sd * normal()];
-            let pixels = f64::from(view.fx) * x.hypot(y);
-            let mut began = *view;
-            // Small angles: the camera's axes turned by half of the motion, made orthonormal again.
-            let turn = [[1.0, 0.0, y / 2.0], [0.0, 1.0, -x / 2.0], [-y / 2.0, x / 2.0, 1.0]];
-            for (row, turn) in began.world_to_camera.iter_mut().zip(turn) {
-                *row = std::array::from_fn(|j| {
-                    (0..3).map(|k| turn[k] as f32 * view.world_to_camera[k][j]).sum::<f32>()
-                });
-            }
-            orthonormal(&mut began.world_to_camera);
-            let shown = if severity > 0.0 { &began } else { view };
-            let map = object_map(&self.gaussians, &self.object, shown);
-            let features = self.renamed((0.02 * pixels).min(0.5), &mut rng);
-            let levels = std::slice::from_ref(&map);
-            let picture = LabelledPicture { view, levels, features: &features, depth: None };
-            lifter.add_weighted(&picture, weigh(pixels))?;
-        }
         Ok(lifter)
     }
 
@@ -177,27 +127,24 @@ impl Planted {
     ) -> Result<Recovered, LiftError> {
         let lifted = lifter.collect(0, settings)?;
         let (mut mass, mut own_mass, mut covered, mut own, mut error) = (0.0, 0.0, 0, 0, 0.0);
-        let mut object = vec![-1; self.object.len()];
         for (i, &truth) in self.object.iter().enumerate() {
             let feature = &lifted.features[i * DIM..(i + 1) * DIM];
             let cosine = |o: usize| dot(feature, &self.features[o * DIM..(o + 1) * DIM]);
-            if lifted.valid[i] {
-                let nearest = |a: &usize, b: &usize| cosine(*a).total_cmp(&cosine(*b));
-                object[i] = (0..self.num_objects()).max_by(nearest).map_or(-1, |o| o as i32);
-            }
             let Ok(truth_row) = usize::try_from(truth) else { continue };
+            let nearest = |a: &usize, b: &usize| cosine(*a).total_cmp(&cosine(*b));
+            let found = lifted.valid[i].then(|| (0..self.num_objects()).max_by(nearest)).flatten();
+            let is_own = found == Some(truth_row);
             let weight = f64::from(lifted.coverage[i]);
             mass += weight;
-            own_mass += if object[i] == truth { weight } else { 0.0 };
+            own_mass += if is_own { weight } else { 0.0 };
             if weight >= 0.5 {
                 covered += 1;
-                own += usize::from(object[i] == truth);
+                own += usize::from(is_own);
                 error += 1.0 - f64::from(cosine(truth_row));
             }
         }
         let count = covered.max(1) as f64;
         Ok(Recovered {
-            object,
             mass: own_mass / mass.max(1e-9),
             gaussians: own as f64 / count,
             error: error / count,
@@ -209,18 +156,6 @@ impl Planted {
 
 fn dot(a: &[f32], b: &[f32]) -> f32 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
-}
-
-/// Makes the rotation of a pose orthonormal, row by row; the camera stays about where it is.
-fn orthonormal(pose: &mut [[f32; 4]; 3]) {
-    for i in 0..3 {
-        for j in 0..i {
-            let along: f32 = (0..3).map(|k| pose[i][k] * pose[j][k]).sum();
-            (0..3).for_each(|k| pose[i][k] -= along * pose[j][k]);
-        }
-        let norm = (0..3).map(|k| pose[i][k] * pose[i][k]).sum::<f32>().sqrt();
-        (0..3).for_each(|k| pose[i][k] /= norm);
-    }
 }
 
 /// Directions around a common one, cosines about 0.5: features of different things are never
@@ -277,7 +212,7 @@ fn object_map(gaussians: &Gaussians, object: &[i32], view: &View) -> SegmentMap 
 }
 
 /// Per pixel the Gaussian with the largest weight; `u32::MAX` where there is none.
-pub fn heaviest(gaussians: &Gaussians, view: &View) -> Vec<u32> {
+fn heaviest(gaussians: &Gaussians, view: &View) -> Vec<u32> {
     let settings = RasterSettings::default();
     let projected = project(gaussians, view, &settings).expect("a view");
     let lists = tile_lists(&projected, view, &settings);
