@@ -46,6 +46,7 @@ pub enum ObjectError {
 pub(crate) type Result<T, E = ObjectError> = std::result::Result<T, E>;
 
 /// That a setting is in its range.
+#[expect(clippy::needless_pass_by_value, reason = "numbers and texts are passed alike")]
 pub(crate) fn check_setting(
     is_in_range: bool,
     setting: &'static str,

@@ -107,7 +107,7 @@ mod tests {
         }
     }
 
-    fn step(kind: &str, settings: Value) -> TransformConfig {
+    fn step(kind: &str, settings: &Value) -> TransformConfig {
         let mut step = json!({ "type": kind });
         step.as_object_mut().unwrap().extend(settings.as_object().unwrap().clone());
         serde_json::from_value(step).unwrap()
@@ -147,11 +147,11 @@ mod tests {
             ("ratio_crop", "ratio", json!([0.5, 0.1])),
             ("ratio_crop", "point_max", json!(0)),
         ] {
-            let error = step(kind, json!({ field: bad })).build().unwrap_err().to_string();
+            let error = step(kind, &json!({ field: bad })).build().unwrap_err().to_string();
             assert!(error.contains(&format!("{kind}.{field}: ")), "{error}");
         }
         for (fields, part) in [([[0.0, 1.0]], "granularity"), ([[1.0, -1.0]], "magnitude")] {
-            let error = step("elastic_distortion", json!({ "fields": fields })).build();
+            let error = step("elastic_distortion", &json!({ "fields": fields })).build();
             assert!(error.unwrap_err().to_string().contains(part));
         }
     }
@@ -181,7 +181,7 @@ mod tests {
             ("sphere_crop", json!({ "point_max": 1 })),
             ("ratio_crop", json!({ "ratio": [0.0, 0.1], "point_max": 10 })),
         ] {
-            let step = step(kind, settings).build().unwrap();
+            let step = step(kind, &settings).build().unwrap();
             for rows in 0..3 {
                 let out = applied(step.as_ref(), &at(&vec![[1.0; 3]; rows]), 1);
                 assert!(out.len() <= rows && out.is_empty() == (rows == 0), "{kind} of {rows}");

@@ -18,6 +18,12 @@ use scenesplat_scene::{
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
+/// Reads bytes and returns how much it read; `None` if they are refused.
+pub type Open = Box<dyn Fn(&[u8]) -> Option<usize>>;
+
+/// How much a file holds; `None` if it is refused.
+type Read = fn(&Path) -> Option<usize>;
+
 /// Bytes, and what reads them and gives how much it read.
 pub struct Part {
     /// For messages.
@@ -25,7 +31,7 @@ pub struct Part {
     /// The bytes.
     pub bytes: Vec<u8>,
     /// Reads them; checks that what was read is whole.
-    pub open: Box<dyn Fn(&[u8]) -> Option<usize>>,
+    pub open: Open,
 }
 
 const ROWS: usize = 200;
@@ -33,7 +39,7 @@ const ROWS: usize = 200;
 /// One of each; files that are read from a folder are put into `folder`.
 pub fn all(folder: &Path) -> Vec<Part> {
     let mut all = Vec::new();
-    let mut part = |name: &str, bytes: Vec<u8>, open: Box<dyn Fn(&[u8]) -> Option<usize>>| {
+    let mut part = |name: &str, bytes: Vec<u8>, open: Open| {
         all.push(Part { name: name.to_owned(), bytes, open });
     };
     let scene = labelled(ROWS, 0);
@@ -104,7 +110,7 @@ fn files(folder: &Path, part: Add<'_>) {
         property float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n\
         property ushort label\nend_header\n1 2 3 4 5 6 7\n1 2 3 4 5 6 65535\n";
     let at = folder.join("file");
-    let reads: [(&str, &[u8], fn(&Path) -> Option<usize>); 4] = [
+    let reads: [(&str, &[u8], Read); 4] = [
         ("text table", &table, |at| Some(TextTable::read(at, None).ok()?.len())),
         ("label set", set, |at| Some(LabelSet::read(at).ok()?.len())),
         ("class map", map, |at| ClassMap::read(at).ok().map(|_| 2)),

@@ -147,9 +147,10 @@ fn hard_scenes() -> Vec<(String, GaussianScene)> {
             all.push((format!("{what}, {rows} rows"), scene));
         }
     }
-    for (i, far) in [2047.999, 2047.999_9, 2048.0, 2048.000_1, 1e6, 8_388_607.4, 1e9, -2048.0, 3e38]
-        .into_iter()
-        .enumerate()
+    for (i, far) in
+        [2047.999, 2_047.999_9, 2048.0, 2_048.000_1, 1e6, 8_388_607.4, 1e9, -2048.0, 3e38]
+            .into_iter()
+            .enumerate()
     {
         let mut scene = random_scene(40, 0, 100 + i as u64);
         scene.coord[7][i % 3] = far;

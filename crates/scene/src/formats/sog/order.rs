@@ -50,7 +50,7 @@ mod tests {
     #[test]
     fn bits_are_spread_by_three() {
         for value in [0, 1, 2, 0x8000, 0xffff, 0x1234] {
-            let slow = (0..16).map(|b| u64::from(value >> b & 1) << (3 * b)).sum::<u64>();
+            let slow = (0..16).map(|b| (value >> b & 1) << (3 * b)).sum::<u64>();
             assert_eq!(spread(value), slow, "{value:#x}");
         }
         assert_eq!(morton([1, 2, 4]), 1 | 1 << 4 | 1 << 8);
