@@ -1,14 +1,38 @@
 //! One block: a convolution, attention with an MLP, or both.
 
 use super::attention::{AttentionShape, PointRopeAttention};
-use super::config::BlockKind;
 use super::scale::Scale;
 use crate::layers::{DropPath, LayerNorm, Mlp, ResidualConv};
 use crate::{Compute, Forward, Mode};
 use candle_core::{Result, Tensor};
 use candle_nn::VarBuilder;
 use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
 use std::sync::Arc;
+
+/// What the blocks of a stage are made of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum BlockKind {
+    /// A convolution over 3³ voxels.
+    Convolution,
+    /// Attention and MLP.
+    Attention,
+    /// A convolution, then attention and MLP.
+    Both,
+}
+
+impl BlockKind {
+    /// Whether there is a convolution.
+    pub fn has_convolution(self) -> bool {
+        self != Self::Attention
+    }
+
+    /// Whether there is attention.
+    pub fn has_attention(self) -> bool {
+        self != Self::Convolution
+    }
+}
 
 /// Shape of a block.
 #[derive(Debug, Clone, Copy)]

@@ -23,13 +23,14 @@ mod recognize;
 mod scale;
 
 pub use attention::{AttentionShape, PointRopeAttention};
-pub use block::{Block, BlockShape};
-pub use config::{BlockKind, LitePtConfig, LitePtSize};
+pub use block::{Block, BlockKind, BlockShape};
+pub use config::{LitePtConfig, LitePtSize};
 pub use pooling::GridPooling;
 pub use scale::Scale;
 
 use crate::point_transformer_v3::{Embedding, SerializedUnpooling};
 use crate::row_order::{OrderShuffle, morton_rows};
+use crate::stages::curves;
 use crate::{Architecture, Backbone, BackboneCost, Compute, Forward, PointCloud};
 use candle_core::{Device, Result, Tensor, bail};
 use candle_nn::VarBuilder;
@@ -103,7 +104,8 @@ impl LitePt {
             )?;
             decoder.push(DecoderStage { up, blocks: blocks(shapes, &vb)? });
         }
-        let (config, curves, device) = (config.clone(), config.curves()?, vb.device().clone());
+        let (config, curves, device) =
+            (config.clone(), curves(&config.order)?, vb.device().clone());
         Ok(Self { config, curves, embedding, encoder, decoder, device })
     }
 
@@ -135,13 +137,7 @@ impl Backbone for LitePt {
     /// Permutations of the orders ([`Orders`](crate::Orders)) are those of the scales with
     /// attention, from fine to coarse.
     fn forward(&self, points: &PointCloud, cx: &mut Forward<'_>) -> Result<Tensor> {
-        let (n, channels) = points.feat.dims2()?;
-        if channels != self.config.in_channels {
-            bail!("feat: expected [N, {}], got [{n}, {channels}]", self.config.in_channels);
-        }
-        if n == 0 {
-            bail!("feat: a batch without any voxel has no features");
-        }
+        points.check_width(self.config.in_channels)?;
         let (cells, sorted) = morton_rows(points)?;
         let mut shuffle = OrderShuffle::new(&cx.orders);
         let mut scale = self.scale(0, (cells, points.offsets.to_vec()), &mut shuffle, cx)?;

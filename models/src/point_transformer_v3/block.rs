@@ -1,7 +1,6 @@
 //! One block: positional convolution, attention, MLP, each with a residual.
 
-use super::attention::SerializedAttention;
-use super::config::BatchRule;
+use super::attention::{BatchRule, SerializedAttention};
 use crate::layers::{DropPath, LayerNorm, Mlp, ResidualConv};
 use crate::{Compute, Forward, Mode};
 use candle_core::{Result, Tensor};
@@ -109,16 +108,12 @@ impl Block {
             block.forward(inputs[0].clone(), inputs.get(1).cloned(), &cloud, &mut cx)
         };
         // Draws what the block draws, so that the next block does not draw the same.
-        self.advance(cx, x.dim(0)?);
-        let inputs: Vec<&Tensor> = std::iter::once(&x).chain(&conv_input).collect();
-        recompute.apply(&inputs, move |inputs| run(inputs, &mut rng.clone()))
-    }
-
-    /// Takes as many random numbers as [`forward`](Self::forward) does.
-    fn advance(&self, cx: &mut Forward<'_>, rows: usize) {
         if cx.mode == Mode::Train {
+            let rows = x.dim(0)?;
             (0..2).for_each(|_| self.drop_path.skip(rows, cx.rng));
         }
+        let inputs: Vec<&Tensor> = std::iter::once(&x).chain(&conv_input).collect();
+        recompute.apply(&inputs, move |inputs| run(inputs, &mut rng.clone()))
     }
 
     /// `[N, C] → [N, C]`. The convolution reads `conv_input` where given (the first decoder block
