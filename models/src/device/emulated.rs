@@ -64,11 +64,14 @@ pub(crate) fn note(pass: (&'static str, Pass)) {
     });
 }
 
-/// Launches a pass, if passes are launched on this thread and there is a kernel. Values with shapes.
+/// Values with their shape.
+type Values = (Vec<f32>, Shape);
+
+/// Launches a pass, if passes are launched on this thread and there is a kernel.
 pub(crate) fn run(
     inputs: &[(&[f32], &[usize])],
     pass: &impl Launches,
-) -> Result<Option<Vec<(Vec<f32>, Shape)>>> {
+) -> Result<Option<Vec<Values>>> {
     let Some(EmulatedDevice::Kernels(emulator)) = device() else { return Ok(None) };
     let launch = || -> std::result::Result<_, EmulatorError> {
         let mut buffers: Vec<Buffer> = Vec::with_capacity(inputs.len());

@@ -14,8 +14,9 @@ use scenesplat_kernels::fallbacks::Pass;
 /// An array of f32 without gaps, with its dimensions.
 pub(crate) type Input<'a, L> = (&'a <L as Launcher>::Buffer, &'a [usize]);
 /// Arrays of f32 with their shapes; `None` where there is no kernel for them.
-pub(crate) type Launched<L> =
-    Result<Option<Vec<(<L as Launcher>::Buffer, Shape)>>, <L as Launcher>::Error>;
+pub(crate) type Launched<L> = Uploaded<L, Option<Vec<(<L as Launcher>::Buffer, Shape)>>>;
+/// What asking a device for `T` comes to.
+pub(crate) type Uploaded<L, T> = Result<T, <L as Launcher>::Error>;
 
 /// A pass of an operation. Shapes were checked before.
 pub(crate) trait Launches {

@@ -1,6 +1,8 @@
 //! Trainable layers with gradients (candle's own norms have none) and a packed form for inference.
 
+mod attention_mlp;
 mod batch_norm;
+mod cell_pooling;
 mod drop_path;
 mod layer_norm;
 mod linear;
@@ -11,7 +13,9 @@ mod mlp;
 mod residual_conv;
 mod sparse_conv;
 
+pub(crate) use attention_mlp::{AttentionMlp, recomputed};
 pub use batch_norm::{BatchNorm, BatchNormConstants, StatisticsUpdate, record_statistics};
+pub(crate) use cell_pooling::CellPooling;
 pub use drop_path::DropPath;
 pub use layer_norm::LayerNorm;
 pub use linear::Linear;

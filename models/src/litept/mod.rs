@@ -18,23 +18,22 @@ mod attention;
 mod block;
 mod config;
 mod cost;
-mod pooling;
 mod recognize;
 mod scale;
 
 pub use attention::{AttentionShape, PointRopeAttention};
 pub use block::{Block, BlockKind, BlockShape};
 pub use config::{LitePtConfig, LitePtSize};
-pub use pooling::GridPooling;
 pub use scale::Scale;
 
+use crate::layers::CellPooling;
 use crate::point_transformer_v3::{Embedding, SerializedUnpooling};
 use crate::row_order::{OrderShuffle, morton_rows};
 use crate::stages::curves;
 use crate::{Architecture, Backbone, BackboneCost, Compute, Forward, PointCloud};
 use candle_core::{Device, Result, Tensor, bail};
 use candle_nn::VarBuilder;
-use scenesplat_kernels::segment::Groups;
+use scenesplat_kernels::segment::{Groups, Reduce};
 use scenesplat_kernels::serialization::Curve;
 use std::sync::Arc;
 
@@ -54,7 +53,7 @@ pub struct LitePt {
 #[derive(Debug)]
 struct EncoderStage {
     /// With the bits that it cuts off; none at the finest scale.
-    down: Option<(GridPooling, u32)>,
+    down: Option<(CellPooling, u32)>,
     blocks: Vec<Arc<Block>>,
 }
 
@@ -84,9 +83,9 @@ impl LitePt {
         let mut encoder = Vec::new();
         for (stage, shapes) in config.encoder_blocks().iter().enumerate() {
             let vb = vb.pp(format!("enc.enc{stage}"));
-            let down = || -> Result<(GridPooling, u32)> {
+            let down = || -> Result<(CellPooling, u32)> {
                 let (fine, coarse) = (channels[stage - 1], channels[stage]);
-                let pooling = GridPooling::new(fine, coarse, compute, vb.pp("down"))?;
+                let pooling = CellPooling::new(fine, coarse, Reduce::Max, compute, vb.pp("down"))?;
                 Ok((pooling, config.stride[stage - 1].trailing_zeros()))
             };
             let down = (stage > 0).then(down).transpose()?;

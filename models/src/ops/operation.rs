@@ -157,10 +157,10 @@ impl<O: Operation> Custom<O> {
             arrays.push((cpu_slice(O::NAME, storage, layout)?, layout.dims()));
         }
         #[cfg(feature = "emulation")]
-        if let Some(mut made) = crate::device::emulated::run(&arrays, &Forward(&self.0))? {
-            if let Some((values, shape)) = made.pop() {
-                return Ok((CpuStorage::F32(values), shape));
-            }
+        if let Some(mut made) = crate::device::emulated::run(&arrays, &Forward(&self.0))?
+            && let Some((values, shape)) = made.pop()
+        {
+            return Ok((CpuStorage::F32(values), shape));
         }
         Ok((CpuStorage::F32(self.0.forward(&arrays)?), shape))
     }

@@ -1,7 +1,7 @@
 //! Attention inside patches of a serialized order.
 
 use super::{Array, Operation, apply, composed};
-use crate::device::launches::{Input, Launched, narrow, room};
+use crate::device::launches::{Input, Launched, Uploaded, narrow, room};
 use candle_core::{Result, Shape, Tensor, bail};
 use scenesplat_device::{Launcher, ops::patch_attention as device};
 use scenesplat_kernels::Precision;
@@ -25,7 +25,7 @@ struct Sequence<B> {
 
 impl PatchAttention {
     /// `None` if there is no kernel for heads of this width.
-    fn upload<L: Launcher>(&self, l: &L) -> Result<Option<Sequence<L::Buffer>>, L::Error> {
+    fn upload<L: Launcher>(&self, l: &L) -> Uploaded<L, Option<Sequence<L::Buffer>>> {
         let Heads { count, dim } = self.heads;
         if dim > device::MOST_DIM as usize {
             return Ok(None);

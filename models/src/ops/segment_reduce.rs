@@ -1,7 +1,7 @@
 //! Pooling of groups of rows, and its counterpart.
 
 use super::{Array, Operation, apply, composed, gather_launch};
-use crate::device::launches::{Input, Launched, matrix, narrow, room};
+use crate::device::launches::{Input, Launched, Uploaded, matrix, narrow, room};
 use candle_core::{Result, Shape, Tensor, bail};
 use scenesplat_device::{Launcher, ops::segment as device};
 use scenesplat_kernels::permute::gather_rows;
@@ -14,7 +14,7 @@ struct SegmentReduce {
 }
 
 /// Groups on a device.
-struct Uploaded<B> {
+struct OnDevice<B> {
     rows: B,
     offsets: B,
     inverse: B,
@@ -22,8 +22,8 @@ struct Uploaded<B> {
     num_groups: u32,
 }
 
-impl<B> Uploaded<B> {
-    fn new<L: Launcher<Buffer = B>>(l: &L, groups: &Groups) -> Result<Self, L::Error> {
+impl<B> OnDevice<B> {
+    fn new<L: Launcher<Buffer = B>>(l: &L, groups: &Groups) -> Uploaded<L, Self> {
         Ok(Self {
             rows: l.upload_values(groups.rows())?,
             offsets: l.upload_values(groups.offsets())?,
@@ -54,7 +54,7 @@ fn reduced<L: Launcher>(
     how: Reduce,
 ) -> Launched<L> {
     let (_, c) = matrix::<L>(dims)?;
-    let uploaded = Uploaded::new(l, groups)?;
+    let uploaded = OnDevice::new(l, groups)?;
     let shape = [groups.len(), c as usize];
     let mut out = room(l, &shape)?;
     device::reduce(l, x, c, uploaded.view(), on_device(how), &mut out)?;
@@ -89,7 +89,7 @@ impl Operation for SegmentReduce {
     fn launch_backward<L: Launcher>(&self, l: &L, inputs: &[Input<'_, L>]) -> Launched<L> {
         let ((x, dims), (grad, _)) = (inputs[0], inputs[1]);
         let (_, c) = matrix::<L>(dims)?;
-        let groups = Uploaded::new(l, &self.groups)?;
+        let groups = OnDevice::new(l, &self.groups)?;
         let mut dx = room(l, dims)?;
         device::reduce_backward(l, x, c, groups.view(), on_device(self.how), grad, &mut dx)?;
         Ok(Some(vec![(dx, dims.into())]))

@@ -1,7 +1,7 @@
 //! Submanifold convolution.
 
 use super::{Array, Operation, apply, composed, frozen, refuse_training, unwritten};
-use crate::device::launches::{Input, Launched, matrix, narrow, room};
+use crate::device::launches::{Input, Launched, Uploaded, matrix, narrow, room};
 use candle_core::{Result, Shape, Tensor, bail};
 use scenesplat_device::Launcher;
 use scenesplat_device::ops::sparse_conv::{self as device, Method};
@@ -19,7 +19,7 @@ struct SparseConv {
 }
 
 impl SparseConv {
-    fn upload<L: Launcher>(&self, l: &L) -> Result<kernel_map::KernelMap<L::Buffer>, L::Error> {
+    fn upload<L: Launcher>(&self, l: &L) -> Uploaded<L, kernel_map::KernelMap<L::Buffer>> {
         let (n, taps) = (self.map.rows(), self.map.taps());
         let mut neighbors = vec![u32::MAX; n * taps];
         let (mut starts, mut input, mut output) = (vec![0], Vec::new(), Vec::new());

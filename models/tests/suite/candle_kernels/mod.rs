@@ -98,7 +98,7 @@ fn grid(blocks: u32, threads: u32, meet: bool, one: impl Fn() + Sync) {
 }
 
 /// Starts a kernel that goes over `count` elements, on the grid that candle sizes for them, and compares what it makes of `out`.
-fn check<F: Sync, O: WithDType>(
+fn check<F: Sync + 'static, O: WithDType>(
     name: &str,
     mut out: Vec<O>,
     count: usize,
@@ -112,8 +112,12 @@ fn check<F: Sync, O: WithDType>(
 }
 
 /// As [`check`] of a new array.
-fn made<F: Sync, O: WithDType>(name: &str, expected: Tensor, call: impl Fn(&F, *mut O) + Sync) {
-    let expected = flat::<O>(&expected);
+fn made<F: Sync + 'static, O: WithDType>(
+    name: &str,
+    expected: candle_core::Result<Tensor>,
+    call: impl Fn(&F, *mut O) + Sync,
+) {
+    let expected = flat::<O>(&expected.unwrap());
     check(name, vec![O::zero(); expected.len()], expected.len(), &expected, call);
 }
 
@@ -169,13 +173,13 @@ fn unary<T: WithDType>(name: &str, input: &[T], of: impl Fn(&Tensor) -> Result<T
     let name = format!("{name}_{}", T::DTYPE.as_str());
     let n = input.len();
     // SAFETY: lengths as the text reads and writes them; so in all that follows.
-    made::<Unary<T>, T>(&name, of(&tensor(input, &[n])).unwrap(), |kernel, to| unsafe {
+    made::<Unary<T>, T>(&name, of(&tensor(input, &[n])), |kernel, to| unsafe {
         kernel(n as u64, 1, null(), input.as_ptr(), to)
     });
     let turned = tensor(&input[..60], &[3, 4, 5]).transpose(0, 2).unwrap();
     let shape = info(&[&turned]);
     let name = format!("{name}, turned");
-    made::<Unary<T>, T>(&name, of(&turned).unwrap(), |kernel, to| unsafe {
+    made::<Unary<T>, T>(&name, of(&turned), |kernel, to| unsafe {
         kernel(60, 3, shape.as_ptr(), input.as_ptr(), to)
     });
 }
@@ -210,7 +214,7 @@ fn unary_functions<T: WithDType>() {
         [("upowf", &above, |x| x.powf(1.5)), ("uelu", &all, |x| x.elu(1.5))];
     for (name, input, of) in two {
         let (name, n) = (format!("{name}_{}", T::DTYPE.as_str()), input.len());
-        made::<With<T>, T>(&name, of(&tensor(input, &[n])).unwrap(), |kernel, to| unsafe {
+        made::<With<T>, T>(&name, of(&tensor(input, &[n])), |kernel, to| unsafe {
             kernel(n as u64, 1, null(), half, input.as_ptr(), to);
         });
     }
@@ -240,7 +244,7 @@ fn of_all_types<T: WithDType>() {
     let turned = tensor(&all[..12], &[3, 4]).t().unwrap();
     let shape = info(&[&turned]);
     let (factor, shift) = (T::from_f64(2.0), T::from_f64(3.0));
-    made::<Affine<T>, T>(&name("affine"), turned.affine(2.0, 3.0).unwrap(), |kernel, to| unsafe {
+    made::<Affine<T>, T>(&name("affine"), turned.affine(2.0, 3.0), |kernel, to| unsafe {
         kernel(12, 2, shape.as_ptr(), all.as_ptr(), to, factor, shift)
     });
     // One value everywhere, in a part of a matrix.
@@ -290,7 +294,7 @@ fn binary<T: WithDType>() {
     }
     for (root, of) in arithmetic {
         let name = format!("{root}_{}", T::DTYPE.as_str());
-        let expected = of(&tensor(&a, &[n]), &tensor(&b, &[n])).unwrap();
+        let expected = of(&tensor(&a, &[n]), &tensor(&b, &[n]));
         made::<Binary<T, T>, T>(&name, expected, |kernel, to| unsafe {
             kernel(n as u64, 1, null(), a.as_ptr(), b.as_ptr(), to);
         });
@@ -298,7 +302,7 @@ fn binary<T: WithDType>() {
         let x = tensor(&a[..12], &[3, 4]).t().unwrap();
         let y = tensor(&b[..3], &[3]).broadcast_as((4, 3)).unwrap();
         let (shape, name) = (info(&[&x, &y]), format!("{name}, strided"));
-        made::<Binary<T, T>, T>(&name, of(&x, &y).unwrap(), |kernel, to| unsafe {
+        made::<Binary<T, T>, T>(&name, of(&x, &y), |kernel, to| unsafe {
             kernel(12, 2, shape.as_ptr(), a.as_ptr(), b.as_ptr(), to);
         });
     }
@@ -329,7 +333,7 @@ fn chosen<T: WithDType, C: WithDType>() {
     let condition = tensor(&c, &[3, 4]).t().unwrap();
     let (x, y) = (tensor(&a, &[4, 3]), tensor(&b, &[3, 4]).t().unwrap());
     let shape = info(&[&condition, &x, &y]);
-    made::<Where<T, C>, T>(&name, condition.where_cond(&x, &y).unwrap(), |kernel, to| unsafe {
+    made::<Where<T, C>, T>(&name, condition.where_cond(&x, &y), |kernel, to| unsafe {
         kernel(12, 2, shape.as_ptr(), c.as_ptr(), a.as_ptr(), b.as_ptr(), to);
     });
 }
@@ -392,7 +396,7 @@ fn by_number<T: WithDType, I: WithDType>() {
     let ids: Vec<I> = (0..12).map(|i| I::from_f64(((i * 3 + 1) % 5) as f64)).collect();
     let index = tensor(&ids, &[2, 2, 3]);
     type Gather<T, I> = unsafe extern "C" fn(u64, *const I, *const T, *mut T, u64, u64, u64, u64);
-    made::<Gather<T, I>, T>(&name("gather"), x.gather(&index, 1).unwrap(), |kernel, to| unsafe {
+    made::<Gather<T, I>, T>(&name("gather"), x.gather(&index, 1), |kernel, to| unsafe {
         kernel(12, ids.as_ptr(), source.as_ptr(), to, 2, 5, 2, 3)
     });
 
@@ -468,7 +472,7 @@ fn cast<A: WithDType, B: WithDType>() {
     input.extend(last.map(A::from_f64));
     let turned = tensor(&input[1..], &[3, 20]).t().unwrap();
     let shape = info(&[&turned]);
-    made::<Cast<A, B>, B>(&name, turned.to_dtype(B::DTYPE).unwrap(), |kernel, to| unsafe {
+    made::<Cast<A, B>, B>(&name, turned.to_dtype(B::DTYPE), |kernel, to| unsafe {
         kernel(60, 2, shape.as_ptr(), input[1..].as_ptr(), to)
     });
 }
@@ -489,7 +493,11 @@ fn from_type_to_type() {
 }
 
 /// Casts all of `input`, and compares the bits with those of `want`.
-fn same_bits<A: WithDType, B: WithDType>(input: &[A], want: impl Fn(A) -> B, bits: fn(B) -> u32) {
+fn same_bits<A: WithDType + std::fmt::Debug, B: WithDType + std::fmt::Debug>(
+    input: &[A],
+    want: impl Fn(A) -> B,
+    bits: fn(B) -> u32,
+) {
     let name = format!("cast_{}_{}", A::DTYPE.as_str(), B::DTYPE.as_str());
     let kernel = symbol::<Cast<A, B>>(&name);
     let mut out = vec![B::zero(); input.len()];

@@ -16,15 +16,10 @@ on_devices! {
     add_scaled_rows = ops::add_scaled_rows, "", [kernels tensors device];
     segments = ops::segments, "expand_groups segment_reduce", [kernels tensors device];
     linear_layer = layers::linear, "add_bias gelu", [tensors device];
-    layer_norm_layer = layers::layer_norm, "layer_norm", [tensors device];
-    batch_norm_layer = layers::batch_norm, "batch_norm batch_statistics gelu", [tensors device];
     what_a_batch_norm_remembers = layers::what_a_batch_norm_remembers,
         "batch_norm> batch_statistics>", [kernels tensors device];
     linear_norm_layer = layers::linear_norm, "add_bias batch_norm batch_statistics gelu",
         [tensors device];
-    mlp_layer = layers::mlp, "add_bias gelu", [tensors device];
-    drop_path_layer = layers::drop_path, "", [device];
-    sparse_conv_layer = layers::sparse_conv, "add_bias sparse_conv", [tensors device];
     serialized_attention = modules::serialized_attention, "add_bias patch_attention", [device];
     blocks = modules::blocks, "add_bias gelu layer_norm patch_attention sparse_conv", [device];
     embedding = modules::embedding, "batch_norm batch_statistics gelu sparse_conv", [device];

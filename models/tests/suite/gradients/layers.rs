@@ -1,16 +1,13 @@
-//! Layers, with all their parameters.
+//! Layers that the modules do not cover, with all their parameters.
 
 use super::check::{
-    BF16_EPS, F32_EPS, Statistics, Values, check, check_normed, check_part, cloud, flat, store, var,
+    BF16_EPS, F32_EPS, Statistics, Values, check_normed, check_part, flat, store, var,
 };
 use super::slow;
-use crate::support::rng;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use scenesplat_kernels::Precision;
-use scenesplat_models::layers::{
-    BatchNorm, BatchNormConstants, DropPath, LayerNorm, Linear, LinearNorm, Mlp, SparseConv,
-};
+use scenesplat_models::layers::{BatchNorm, BatchNormConstants, Linear, LinearNorm};
 use scenesplat_models::{Compute, Mode};
 
 const ROWS: usize = 14;
@@ -38,31 +35,6 @@ pub fn linear() {
             let case = format!("{case}, gelu");
             check_part(&case, eps, &store, &[("x", &x)], &out, |v| slow::gelu(&product(v)));
         }
-    }
-}
-
-#[test]
-pub fn layer_norm() {
-    let store = store();
-    let layer = LayerNorm::new(6, store.builder()).unwrap();
-    let (x, r) = (var("x", &[ROWS, 6]), var("r", &[ROWS, 6]));
-    let out = layer.forward_residual(&x, Some(&r)).unwrap();
-    check_part("layer norm", F32_EPS, &store, &[("x", &x), ("r", &r)], &out, |v| {
-        slow::add(&slow::layer_norm(&v["x"], &v["weight"], &v["bias"]), &v["r"])
-    });
-}
-
-#[test]
-pub fn batch_norm() {
-    for mode in [Mode::Train, Mode::Eval] {
-        let store = store();
-        let layer = BatchNorm::new(6, store.builder()).unwrap();
-        let x = var("x", &[ROWS, 6]);
-        let given = Statistics::of(&store, "", mode);
-        let out = layer.forward_gelu(&x, mode).unwrap();
-        check_part(&format!("batch norm {mode:?}"), F32_EPS, &store, &[("x", &x)], &out, |v| {
-            slow::gelu(&slow::batch_norm(&v["x"], &v["weight"], &v["bias"], given.get()))
-        });
     }
 }
 
@@ -114,68 +86,9 @@ pub fn linear_norm() {
     }
 }
 
-#[test]
-pub fn mlp() {
-    let store = store();
-    let layer = Mlp::new(5, 12, store.builder()).unwrap();
-    let (x, r) = (var("x", &[ROWS, 5]), var("r", &[ROWS, 5]));
-    let out = layer.forward_residual(&x, &r).unwrap();
-    check_part("mlp", F32_EPS, &store, &[("x", &x), ("r", &r)], &out, |v| {
-        let hidden = slow::gelu(&slow::linear(&v["x"], 5, &v["fc1.weight"], Some(&v["fc1.bias"])));
-        slow::add(&slow::linear(&hidden, 12, &v["fc2.weight"], Some(&v["fc2.bias"])), &v["r"])
-    });
-}
-
 /// What each row of a branch is multiplied with.
 pub fn drop_factors(rate: f64, rows: usize, rng: &mut ChaCha8Rng) -> Vec<f64> {
     let keep = 1.0 - rate;
     let kept = |()| if rng.random::<f64>() < keep { 1.0 / keep } else { 0.0 };
     (0..rows).map(|_| ()).map(kept).collect()
-}
-
-#[test]
-pub fn drop_path() {
-    let (x, r) = (var("x", &[ROWS, 3]), var("r", &[ROWS, 3]));
-    for (mode, rate) in [(Mode::Train, 0.4), (Mode::Train, 0.0), (Mode::Eval, 0.4)] {
-        let rng = || rng(8);
-        let out = DropPath { rate }.forward_residual(&x, &r, mode, &mut rng()).unwrap();
-        let factors = match mode {
-            Mode::Train => drop_factors(rate, ROWS, &mut rng()),
-            Mode::Eval => vec![1.0; ROWS],
-        };
-        let dropped = factors.iter().filter(|f| **f == 0.0).count();
-        assert_eq!(dropped > 0, mode == Mode::Train && rate > 0.0);
-        let case = format!("drop path {mode:?} {rate}");
-        check(&case, F32_EPS, &[("x", &x), ("r", &r)], &out, |v| {
-            slow::add_scaled(&v["x"], &factors, &v["r"])
-        });
-    }
-}
-
-#[test]
-pub fn sparse_conv() {
-    let cloud = cloud();
-    for (k, bias) in [(3, true), (3, false), (5, false)] {
-        let store = store();
-        let layer = SparseConv::new(2, 3, k, bias, store.builder()).unwrap();
-        let x = var("x", &[cloud.len(), 2]);
-        let out = layer.forward(&x, cloud.kernel_map(k).unwrap()).unwrap();
-        let case = format!("sparse conv {k}, bias {bias}");
-        check_part(&case, F32_EPS, &store, &[("x", &x)], &out, |v| {
-            let bias = v.get("bias").map(Vec::as_slice);
-            slow::conv(&v["x"], 2, &v["weight"], bias, &cloud, k)
-        });
-    }
-    // With the linear layer behind it.
-    let store = store();
-    let vb = store.builder();
-    let (conv, linear) =
-        SparseConv::with_linear(Compute::default(), 3, 3, vb.pp("c"), vb.pp("l")).unwrap();
-    let x = var("x", &[cloud.len(), 3]);
-    let out = conv.forward(&x, cloud.kernel_map(3).unwrap()).unwrap();
-    let out = linear.unwrap().forward(&out).unwrap();
-    check_part("sparse conv and linear", F32_EPS, &store, &[("x", &x)], &out, |v| {
-        let y = slow::conv(&v["x"], 3, &v["c.weight"], Some(&v["c.bias"]), &cloud, 3);
-        slow::linear(&y, 3, &v["l.weight"], Some(&v["l.bias"]))
-    });
 }

@@ -3,7 +3,7 @@
 use super::check::{BF16_EPS, F32_EPS, Values, check, cloud, flat, var};
 use super::slow;
 use crate::support::devices::here;
-use candle_core::{Tensor, Var};
+use candle_core::{DType, Tensor, Var};
 use scenesplat_kernels::Precision;
 use scenesplat_kernels::gemm::PackedMatrix;
 use scenesplat_kernels::patch_attention::Heads;
@@ -165,17 +165,27 @@ pub fn permute_rows() {
 
 #[test]
 pub fn add_scaled_rows() {
-    let (x, r) = (var("x", &[9, 4]), var("r", &[9, 4]));
-    let factors: Vec<f32> = (0..9).map(|i| [0.0, 1.25, 3.0][i % 3]).collect();
+    // Rows of more than one task.
+    let n = 300;
+    let (x, r) = (var("x", &[n, 2]), var("r", &[n, 2]));
+    let factors: Vec<f32> = (0..n).map(|i| [0.0, 1.25, 3.0][i % 3]).collect();
     let wide: Vec<f64> = factors.iter().map(|f| f64::from(*f)).collect();
     for (case, factors, wide) in
-        [("scaled", Some(Arc::new(factors)), wide), ("plain", None, vec![1.0; 9])]
+        [("scaled", Some(Arc::new(factors)), wide), ("plain", None, vec![1.0; n])]
     {
         let out = ops::add_scaled_rows(&x, factors, &r).unwrap();
         check(&format!("add_scaled_rows {case}"), F32_EPS, &[("x", &x), ("r", &r)], &out, |v| {
             slow::add_scaled(&v["x"], &wide, &v["r"])
         });
     }
+}
+
+#[test]
+fn residuals_of_another_shape_are_refused() {
+    let [a, b] = [2, 3].map(|n| Tensor::zeros((n, 2), DType::F32, &here()).unwrap());
+    assert!(ops::add_scaled_rows(&a, None, &b).is_err());
+    let none = Tensor::zeros((0, 3), DType::F32, &here()).unwrap();
+    assert_eq!(ops::add_scaled_rows(&none, None, &none).unwrap().dims(), [0, 3]);
 }
 
 #[test]

@@ -113,9 +113,8 @@ fn any_number_of_threads() {
 /// rounds a row differently for its place.
 #[test]
 fn any_company_in_a_batch() {
-    let scene = random(700, 4);
-    let (one, two) = (random(1, 5), random(2, 6));
-    let (large, far) = (random(5000, 7), scene(vec![[LAST_CELL; 3], [0; 3]], 8));
+    let far = scene(vec![[LAST_CELL; 3], [0; 3]], 8);
+    let (scene, one, two, large) = (random(700, 4), random(1, 5), random(2, 6), random(5000, 7));
     let batches: [&[&Scene]; 9] = [
         &[&scene, &one],
         &[&one, &scene],
@@ -162,15 +161,16 @@ fn wide_layers_in_any_company_with_any_number_of_threads() {
         mlp_ratio: 4,
         ..config()
     };
-    let build = |vb| ModelConfig::new(wide.clone()).build(vb);
-    let models = [("packed", frozen(build)), ("with gradients", trainable(build).1)];
+    let wide = ModelConfig::new(wide);
+    let with_gradients = trainable(|vb| wide.build(vb)).1;
+    let models = [("packed", frozen(|vb| wide.build(vb))), ("with gradients", with_gradients)];
     let (scene, one, mate) = (random(301, 30), random(1, 31), random(1100, 32));
     for (path, model) in models {
-        let model = &*model;
-        let alone = row_bits(&features(model, &[&scene]));
-        let single = row_bits(&features(model, &[&one]));
+        let alone = row_bits(&features(&*model, &[&scene]));
+        let single = row_bits(&features(&*model, &[&one]));
         for threads in [1, 3] {
-            let rows = with_threads(threads, || features(model, &[&one, &mate, &scene]));
+            let batch = [&one, &mate, &scene];
+            let rows = with_threads(threads, || features(&*model, &batch));
             assert!(row_bits(&rows[..1]) == single, "{path}: one voxel, {threads} threads");
             assert!(row_bits(&rows[1101..]) == alone, "{path}: {threads} threads");
         }

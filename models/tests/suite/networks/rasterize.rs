@@ -1,4 +1,4 @@
-//! The rasterizer as an operation: its gradients, and that a picture can be fitted.
+//! The rasterizer as an operation: its gradients.
 
 use crate::support::flat;
 use candle_core::{DType, Device, Tensor, Var};
@@ -63,16 +63,6 @@ impl Stored {
             opacities: (logits.neg().unwrap().exp().unwrap() + 1.0).unwrap().recip().unwrap(),
             sh: self.sh.as_tensor().clone(),
         }
-    }
-
-    fn all(&self) -> [(&'static str, &Var); 5] {
-        [
-            ("means", &self.means),
-            ("quats", &self.quats),
-            ("log_scales", &self.log_scales),
-            ("logits", &self.logits),
-            ("sh", &self.sh),
-        ]
     }
 }
 
@@ -139,61 +129,7 @@ fn gradients_are_the_crate_s() {
     }
 }
 
-/// Plain gradient descent with momentum and Adam's scaling, written out.
-struct Adam {
-    moments: Vec<(Vec<f32>, Vec<f32>)>,
-    step: i32,
-}
-
-impl Adam {
-    fn new(vars: &[(&str, &Var)]) -> Self {
-        let zeros = |v: &Var| vec![0.0; v.elem_count()];
-        Self { moments: vars.iter().map(|(_, v)| (zeros(v), zeros(v))).collect(), step: 0 }
-    }
-
-    fn update(
-        &mut self,
-        vars: &[(&str, &Var)],
-        grads: &candle_core::backprop::GradStore,
-        rate: f32,
-    ) {
-        self.step += 1;
-        let correct = |beta: f32| 1.0 - beta.powi(self.step);
-        for ((_, var), (m, v)) in vars.iter().zip(&mut self.moments) {
-            let (grad, mut values) = (flat(grads.get(var).unwrap()), flat(var));
-            for i in 0..values.len() {
-                m[i] = 0.9 * m[i] + 0.1 * grad[i];
-                v[i] = 0.99 * v[i] + 0.01 * grad[i] * grad[i];
-                let scaled = (m[i] / correct(0.9)) / ((v[i] / correct(0.99)).sqrt() + 1e-8);
-                values[i] -= rate * scaled;
-            }
-            var.set(&Tensor::from_vec(values, var.dims(), &Device::Cpu).unwrap()).unwrap();
-        }
-    }
-}
-
-/// Other Gaussians than those of a picture learn to draw it.
-#[test]
-fn a_picture_is_fitted() {
-    let settings = RasterSettings::default();
-    let target = rasterize(&Stored::new(77).activated(), &view(), &settings, DepthChannel::None);
-    let target = target.unwrap().detach();
-    let stored = Stored::new(5);
-    let vars = stored.all();
-    let mut adam = Adam::new(&vars);
-    let mut losses = Vec::new();
-    for _ in 0..150 {
-        let out = rasterize(&stored.activated(), &view(), &settings, DepthChannel::None).unwrap();
-        let loss = (out - &target).unwrap().sqr().unwrap().mean_all().unwrap();
-        losses.push(loss.to_scalar::<f32>().unwrap());
-        adam.update(&vars, &loss.backward().unwrap(), 0.02);
-    }
-    let (first, last) = (losses[0], losses[losses.len() - 1]);
-    println!("loss {first} → {last}");
-    assert!(last * 10.0 < first, "{losses:?}");
-}
-
-/// Only what wants a gradient gets one.
+/// Only inputs that require a gradient get one.
 #[test]
 fn frozen_groups_stay_out() {
     let stored = Stored::new(3);

@@ -1,11 +1,8 @@
 //! What must not change a result, and what must.
 
 use super::scenes::{CHANNELS, decoded, frozen, plain, room, trainable};
-use crate::support::{
-    Scene, batch, bits, eval, flat, gradients, is_finite, refusal, rng, with_threads,
-};
+use crate::support::{Scene, batch, bits, eval, flat, gradients, is_finite, refusal, rng};
 use candle_core::{DType, Device, Tensor};
-use scenesplat_kernels::Precision;
 use scenesplat_models::{
     Backbone, Compute, Forward, LitePtConfig, ModelConfig, Orders, ParamStore, PointCloud,
 };
@@ -14,30 +11,6 @@ fn finite_bits(network: &dyn Backbone, scenes: &[&Scene]) -> Vec<u32> {
     let out = eval(network, &batch(scenes));
     assert!(is_finite(&out));
     bits(&out)
-}
-
-#[test]
-fn neither_batch_mates_nor_threads_nor_the_order_of_rows_change_a_bit() {
-    let (one, mate) = (room(13, "a"), room(6, "b"));
-    let n = one.cells.len();
-    for config in [plain(), decoded()] {
-        for precision in Precision::ALL {
-            let network = &*frozen(&config, Compute { precision, fold: true });
-            let alone = finite_bits(network, &[&one]);
-            let width = network.out_channels();
-            let beside = finite_bits(network, &[&mate, &one, &mate]);
-            assert!(beside[mate.cells.len() * width..][..n * width] == alone, "{precision}");
-            for threads in [1, 2, 3] {
-                let again = with_threads(threads, || finite_bits(network, &[&one]));
-                assert!(again == alone, "{precision}, {threads} threads");
-            }
-            let order: Vec<usize> = (0..n).map(|i| i * 101 % n).collect();
-            let got = finite_bits(network, &[&one.in_order(&order)]);
-            for (row, &from) in order.iter().enumerate() {
-                assert_eq!(got[row * width..][..width], alone[from * width..][..width]);
-            }
-        }
-    }
 }
 
 #[test]

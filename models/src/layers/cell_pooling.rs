@@ -1,20 +1,21 @@
 //! From one scale to the next coarser one.
 
-use crate::layers::{BatchNorm, Linear};
+use super::{BatchNorm, Linear};
 use crate::{Compute, Forward, ops};
 use candle_core::{Result, Tensor};
 use candle_nn::VarBuilder;
 use scenesplat_kernels::segment::{Groups, Reduce};
 use std::sync::Arc;
 
-/// Linear, maximum of the voxels of a cell, batch norm, GELU.
+/// Linear, reduction of the voxels of a cell, batch norm, GELU.
 #[derive(Debug)]
-pub struct GridPooling {
+pub(crate) struct CellPooling {
     proj: Linear,
     norm: BatchNorm,
+    reduce: Reduce,
 }
 
-impl GridPooling {
+impl CellPooling {
     /// Parameters `proj` and `norm.0`.
     ///
     /// # Errors
@@ -22,13 +23,12 @@ impl GridPooling {
     pub fn new(
         in_channels: usize,
         channels: usize,
+        reduce: Reduce,
         compute: Compute,
         vb: VarBuilder<'_>,
     ) -> Result<Self> {
-        Ok(Self {
-            proj: Linear::with(compute, in_channels, channels, true, vb.pp("proj"))?,
-            norm: BatchNorm::new(channels, vb.pp("norm.0"))?,
-        })
+        let proj = Linear::with(compute, in_channels, channels, true, vb.pp("proj"))?;
+        Ok(Self { proj, norm: BatchNorm::new(channels, vb.pp("norm.0"))?, reduce })
     }
 
     /// `[N, in] → [M, C]`, a row for each group.
@@ -36,7 +36,7 @@ impl GridPooling {
     /// # Errors
     /// If the input does not fit.
     pub fn forward(&self, x: &Tensor, groups: Arc<Groups>, cx: &Forward<'_>) -> Result<Tensor> {
-        let pooled = ops::segment_reduce(&self.proj.forward(x)?, groups, Reduce::Max)?;
+        let pooled = ops::segment_reduce(&self.proj.forward(x)?, groups, self.reduce)?;
         self.norm.forward_gelu(&pooled, self.norm.mode(cx))
     }
 }
