@@ -8,7 +8,6 @@ use scenesplat_kernels::reference::{hilbert_code, morton_code};
 use scenesplat_models::LitePtConfig;
 use scenesplat_models::litept::BlockKind;
 use scenesplat_models::weights::hashed_parameter;
-use scenesplat_test_support::reference::gelu;
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 
