@@ -4,7 +4,7 @@
 use candle_core::{Result, Tensor};
 use scenesplat::datasets::{InputFeatures, sample_rng};
 use scenesplat::models::layers::Linear;
-use scenesplat::models::{Forward, LanguageModel, ParamStore, PointCloud};
+use scenesplat::models::{Forward, Head, ParamStore, PointCloud};
 use scenesplat::prelude::*;
 use scenesplat::rooms::{SyntheticRoomSettings, generate};
 
@@ -27,7 +27,8 @@ fn main() -> anyhow::Result<()> {
     let store = ParamStore::trainable(0);
     let linear = Linear::new(input.width(), 8, true, store.builder())?;
     // Any head of ours stands behind it: here features of 16 numbers at unit length.
-    let model = LanguageModel::new(PerVoxel { linear }, Some(16), store.builder())?;
+    let head = Head::Features { projection: Some(16) };
+    let model = head.build(PerVoxel { linear }, store.builder())?;
 
     // One gradient, as training takes it.
     let feat = Tensor::ones((3, 11), candle_core::DType::F32, &candle_core::Device::Cpu)?;

@@ -1,4 +1,4 @@
-"""Checksums of pictures that Pillow resized, for `crates/vision/tests/resize.rs`.
+"""Checksums of pictures that Pillow resized, for `crates/vision/tests/suite/resize.rs`.
 
     venv/bin/pip install pillow==11.3.0
     venv/bin/python pillow_resize.py > ../../crates/vision/tests/data/pillow_resize.csv

@@ -1,4 +1,4 @@
-//! What a network is to its users.
+//! The interface of a network.
 
 use crate::Compute;
 use crate::point_cloud::PointCloud;
@@ -112,12 +112,11 @@ impl BackboneCost {
     }
 }
 
-/// A network that saw an example of its input.
+/// A network after calibration on an example of its input.
 pub struct Calibrated {
-    /// The network, to be run in place of the one that was asked.
+    /// The network, to run instead of the one that was asked.
     pub backbone: Box<dyn Backbone>,
-    /// Layers that were worked out, with the part of their variance on the example that they keep,
-    /// 0..=1.
+    /// Calibrated layers, with the part of their variance on the example that they keep, 0..=1.
     pub kept: Vec<(String, f64)>,
 }
 
@@ -129,9 +128,9 @@ impl std::fmt::Debug for Calibrated {
 
 /// Maps a batch of voxels to features of the same voxels.
 ///
-/// The first two methods are all that training needs. The others are what
-/// whole scenes need: where tiles may begin, how far the work has come,
-/// how much memory it takes.
+/// Training needs the first two methods alone. The others are for whole scenes: where tiles may begin,
+/// how far the work has come, how much memory it takes. An implementation that wraps another network must
+/// forward them all; `#[deny(clippy::missing_trait_methods)]` on it makes that an error of clippy.
 pub trait Backbone: Send + Sync {
     /// Features of every input row. `[N, out_channels]`
     ///
@@ -168,12 +167,12 @@ pub trait Backbone: Send + Sync {
     fn compute(&self) -> Compute {
         Compute::default()
     }
-    /// Whether it cannot run before it saw an example of its input.
+    /// Whether it cannot run before it is [`calibrated`](Self::calibrated).
     fn needs_example(&self) -> bool {
         false
     }
-    /// The network with all that an example decides; `None` where there is nothing of that kind. The
-    /// same example decides the same.
+    /// The network with all that an example decides; `None` where there is nothing to decide. Equal
+    /// examples give equal networks.
     ///
     /// # Errors
     /// If the example does not fit the network.
@@ -183,6 +182,7 @@ pub trait Backbone: Send + Sync {
     }
 }
 
+#[deny(clippy::missing_trait_methods, reason = "a default would hide the boxed network's answer")]
 impl<B: Backbone + ?Sized> Backbone for Box<B> {
     fn forward(&self, points: &PointCloud, cx: &mut Forward<'_>) -> Result<Tensor> {
         (**self).forward(points, cx)

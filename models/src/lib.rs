@@ -49,7 +49,7 @@ pub use compute::Compute;
 #[cfg(feature = "emulation")]
 pub use device::emulated::{EmulatedDevice, is_emulated, on_emulated_device};
 pub use device::{DeviceChoice, DeviceError, OpenDevice, missing_kernels};
-pub use head::{Head, LanguageModel, SemanticSegmenter};
+pub use head::Head;
 pub use levels::{Level, LevelOptions, Levels, scene_means};
 pub use litept::{LitePt, LitePtConfig, LitePtSize};
 pub use lpips::{Lpips, LpipsNet};

@@ -54,26 +54,30 @@ impl BlockSize {
     }
 }
 
-/// The finest scale of one scene.
-pub(crate) fn finest(voxels: &[[i32; 3]]) -> Result<SerializedCloud> {
+/// Counts the multiply–adds of an encoder and decoder on the voxels of one scene. `blocks` gives those of a scale's blocks.
+pub(crate) fn count(
+    voxels: &[[i32; 3]],
+    in_channels: usize,
+    stride: &[usize],
+    [enc, dec]: [&[usize]; 2],
+    mut blocks: impl FnMut(usize, &SerializedCloud) -> Result<f64>,
+) -> Result<MultiplyAdds> {
     let offsets = vec![0, voxels.len()];
-    SerializedCloud::new(voxels.to_vec(), offsets, &[Curve::Z], CurveDepth::PerScene)
-        .map_err(candle_core::Error::wrap)
-}
-
-/// Layers from a scale of `fine` voxels to `stage` of `coarse` ones and back: pooling, and both branches
-/// of the decoder.
-pub(crate) fn between(
-    enc: &[usize],
-    dec: &[usize],
-    stage: usize,
-    fine: usize,
-    coarse: usize,
-) -> usize {
-    let mut sum = fine * enc[stage - 1] * enc[stage];
-    if let Some(&up) = dec.get(stage - 1) {
-        let below = dec.get(stage).or(enc.last()).copied().unwrap_or(0);
-        sum += coarse * below * up + fine * enc[stage - 1] * up;
+    let finest = SerializedCloud::new(voxels.to_vec(), offsets, &[Curve::Z], CurveDepth::PerScene);
+    let mut cloud = finest.map_err(candle_core::Error::wrap)?;
+    let map = cloud.kernel_map(5).map_err(candle_core::Error::wrap)?;
+    let stem = map.num_pairs() * in_channels * enc[0];
+    let (mut scales, mut work) = (0, blocks(0, &cloud)?);
+    for (stage, stride) in (1..).zip(stride) {
+        let fine = cloud.len();
+        cloud = cloud.pool(stride.trailing_zeros()).0;
+        // Pooling, and both branches of the decoder.
+        scales += fine * enc[stage - 1] * enc[stage];
+        if let Some(&up) = dec.get(stage - 1) {
+            let below = dec.get(stage).or(enc.last()).copied().unwrap_or(0);
+            scales += cloud.len() * below * up + fine * enc[stage - 1] * up;
+        }
+        work += blocks(stage, &cloud)?;
     }
-    sum
+    Ok(MultiplyAdds { stem: stem as u64, rest: scales as u64 + work as u64 })
 }

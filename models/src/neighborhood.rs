@@ -57,15 +57,12 @@ impl Scale {
     /// The finest scale.
     ///
     /// # Errors
-    /// If there is no row, offsets do not fit, or a voxel is out of range.
+    /// If offsets do not fit, or a voxel is out of range.
     pub fn new(points: &PointCloud) -> Result<(Self, Sorted)> {
         let (cells, offsets) = (&points.grid_coord, &points.offsets);
         scenesplat_kernels::check_offsets(offsets, cells.len())
             .map_err(candle_core::Error::wrap)?;
         depth_of(cells).map_err(candle_core::Error::wrap)?;
-        if cells.is_empty() {
-            bail!("feat: a batch without any voxel has no features");
-        }
         let mut order = Vec::with_capacity(cells.len());
         for scene in offsets.windows(2) {
             let keys: Vec<u64> = cells[scene[0]..scene[1]].iter().map(key).collect();

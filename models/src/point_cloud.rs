@@ -1,9 +1,9 @@
-//! A batch of voxelised scenes.
+//! A batch of voxelized scenes.
 
 use candle_core::{Result, Tensor, bail};
 use std::sync::Arc;
 
-/// A batch of voxelised scenes with their input features.
+/// A batch of voxelized scenes with their input features.
 ///
 /// The voxels stay on the host: tables are built from them there.
 #[derive(Debug, Clone)]
@@ -50,5 +50,17 @@ impl PointCloud {
         let grid_coord = grid_coord.into();
         let offsets = vec![0, grid_coord.len()];
         Self::new(grid_coord, feat, offsets)
+    }
+
+    /// Checks the width of the features, and that there are rows.
+    pub(crate) fn check_width(&self, channels: usize) -> Result<()> {
+        let (n, width) = self.feat.dims2()?;
+        if width != channels {
+            bail!("feat: expected [N, {channels}], got [{n}, {width}]");
+        }
+        if n == 0 {
+            bail!("feat: a batch without any voxel has no features");
+        }
+        Ok(())
     }
 }

@@ -15,7 +15,7 @@
 //! any head can stand behind it. The coarsest stage reads the mean of its scene, so tiles of a scene
 //! differ a little from the whole.
 
-use crate::layers::{BatchNorm, BatchNormConstants, Linear};
+use crate::layers::{BatchNorm, Linear, LinearNormRelu, batch_norm};
 use crate::neighborhood::{Neighborhood, Scale};
 use crate::stages::{DEEPEST, LARGEST, check_lengths, check_sizes, edge};
 use crate::{Architecture, Backbone, BackboneCost, Compute, Forward, Mode, PointCloud, ops};
@@ -77,16 +77,13 @@ impl PointTransformerV1Config {
 impl Architecture for PointTransformerV1Config {
     fn check(&self) -> Result<()> {
         let stages = self.enc_depths.len();
-        if stages == 0 {
-            bail!("enc_depths: at least one stage is needed");
-        }
         check_lengths(
             stages,
             &[
-                ("stride", self.stride.len()),
-                ("channels", self.channels.len()),
-                ("neighbors", self.neighbors.len()),
-                ("dec_depths", self.dec_depths.len()),
+                ("stride", self.stride.len(), stages),
+                ("channels", self.channels.len(), stages),
+                ("neighbors", self.neighbors.len(), stages),
+                ("dec_depths", self.dec_depths.len(), stages),
             ],
         )?;
         check_sizes(&[
@@ -170,28 +167,6 @@ impl Architecture for PointTransformerV1Config {
     }
     fn set_compute(&mut self, compute: Compute) {
         self.compute = compute;
-    }
-}
-
-fn batch_norm(channels: usize, vb: VarBuilder<'_>) -> Result<BatchNorm> {
-    BatchNorm::with(BatchNormConstants::PYTORCH, channels, vb)
-}
-
-/// A linear layer with a batch norm and a ReLU behind it.
-#[derive(Debug)]
-struct LinearNormRelu {
-    linear: Linear,
-    norm: BatchNorm,
-}
-
-impl LinearNormRelu {
-    /// Parameters `linear` and `norm`.
-    fn new(compute: Compute, i: usize, o: usize, bias: bool, vb: VarBuilder<'_>) -> Result<Self> {
-        let linear = Linear::with(compute, i, o, bias, vb.pp("linear"))?;
-        Ok(Self { linear, norm: batch_norm(o, vb.pp("norm"))? })
-    }
-    fn forward(&self, x: &Tensor, mode: Mode) -> Result<Tensor> {
-        self.norm.forward_relu(&self.linear.forward(x)?, mode)
     }
 }
 
@@ -382,10 +357,7 @@ fn run(
 
 impl Backbone for PointTransformerV1 {
     fn forward(&self, points: &PointCloud, cx: &mut Forward<'_>) -> Result<Tensor> {
-        let (n, channels) = points.feat.dims2()?;
-        if channels != self.config.in_channels {
-            bail!("feat: expected [N, {}], got [{n}, {channels}]", self.config.in_channels);
-        }
+        points.check_width(self.config.in_channels)?;
         if cx.recompute.is_some() {
             bail!("recompute: point_transformer_v1 keeps what it computes; switch it off");
         }

@@ -13,9 +13,11 @@
 //! single row takes the remembered statistics; attention has no dropout. The hidden layer of the
 //! original's classifier belongs to the backbone (`out`), so that any head can stand behind it.
 
-use crate::layers::{BatchNorm, BatchNormConstants, DropPath, Linear};
+use crate::layers::{BatchNorm, DropPath, Linear, LinearNormRelu, batch_norm};
 use crate::neighborhood::{Neighborhood, Scale};
-use crate::stages::{DEEPEST, LARGEST, check_lengths, check_sizes, edge, linspace, split};
+use crate::stages::{
+    DEEPEST, LARGEST, check_drop_path, check_lengths, check_sizes, drop_rates, edge,
+};
 use crate::{Architecture, Backbone, BackboneCost, Compute, Forward, Mode, PointCloud, ops};
 use candle_core::{Device, Result, Tensor, bail};
 use candle_nn::VarBuilder;
@@ -106,10 +108,8 @@ struct Site {
 impl PointTransformerV2Config {
     /// All sequences of blocks: the finest scale, the encoder's, the decoder's.
     fn sites(&self) -> Vec<Site> {
-        let encoder =
-            split(&self.enc_depths, linspace(self.drop_path, self.enc_depths.iter().sum()));
-        let decoder =
-            split(&self.dec_depths, linspace(self.drop_path, self.dec_depths.iter().sum()));
+        let encoder = drop_rates(&self.enc_depths, self.drop_path);
+        let decoder = drop_rates(&self.dec_depths, self.drop_path);
         let mut sites = vec![Site {
             name: "patch_embed".to_owned(),
             level: 0,
@@ -158,20 +158,17 @@ impl PointTransformerV2Config {
 impl Architecture for PointTransformerV2Config {
     fn check(&self) -> Result<()> {
         let stages = self.enc_depths.len();
-        if stages == 0 {
-            bail!("enc_depths: at least one stage is needed");
-        }
         check_lengths(
             stages,
             &[
-                ("stride", self.stride.len()),
-                ("enc_channels", self.enc_channels.len()),
-                ("enc_groups", self.enc_groups.len()),
-                ("enc_neighbors", self.enc_neighbors.len()),
-                ("dec_depths", self.dec_depths.len()),
-                ("dec_channels", self.dec_channels.len()),
-                ("dec_groups", self.dec_groups.len()),
-                ("dec_neighbors", self.dec_neighbors.len()),
+                ("stride", self.stride.len(), stages),
+                ("enc_channels", self.enc_channels.len(), stages),
+                ("enc_groups", self.enc_groups.len(), stages),
+                ("enc_neighbors", self.enc_neighbors.len(), stages),
+                ("dec_depths", self.dec_depths.len(), stages),
+                ("dec_channels", self.dec_channels.len(), stages),
+                ("dec_groups", self.dec_groups.len(), stages),
+                ("dec_neighbors", self.dec_neighbors.len(), stages),
             ],
         )?;
         check_sizes(&[
@@ -200,10 +197,7 @@ impl Architecture for PointTransformerV2Config {
                 );
             }
         }
-        if !(0.0..1.0).contains(&self.drop_path) {
-            bail!("drop_path: {} is not in 0..1", self.drop_path);
-        }
-        Ok(())
+        check_drop_path(self.drop_path)
     }
     fn build(&self, vb: VarBuilder<'_>) -> Result<Box<dyn Backbone>> {
         Ok(Box::new(PointTransformerV2::new(self, vb)?))
@@ -265,28 +259,6 @@ impl Architecture for PointTransformerV2Config {
     }
     fn set_compute(&mut self, compute: Compute) {
         self.compute = compute;
-    }
-}
-
-/// A linear layer with a batch norm and a ReLU behind it.
-#[derive(Debug)]
-struct LinearNormRelu {
-    linear: Linear,
-    norm: BatchNorm,
-}
-
-fn batch_norm(channels: usize, vb: VarBuilder<'_>) -> Result<BatchNorm> {
-    BatchNorm::with(BatchNormConstants::PYTORCH, channels, vb)
-}
-
-impl LinearNormRelu {
-    /// Parameters `linear` and `norm`.
-    fn new(compute: Compute, i: usize, o: usize, bias: bool, vb: VarBuilder<'_>) -> Result<Self> {
-        let linear = Linear::with(compute, i, o, bias, vb.pp("linear"))?;
-        Ok(Self { linear, norm: batch_norm(o, vb.pp("norm"))? })
-    }
-    fn forward(&self, x: &Tensor, mode: Mode) -> Result<Tensor> {
-        self.norm.forward_relu(&self.linear.forward(x)?, mode)
     }
 }
 
@@ -511,10 +483,7 @@ impl PointTransformerV2 {
 
 impl Backbone for PointTransformerV2 {
     fn forward(&self, points: &PointCloud, cx: &mut Forward<'_>) -> Result<Tensor> {
-        let (n, channels) = points.feat.dims2()?;
-        if channels != self.config.in_channels {
-            bail!("feat: expected [N, {}], got [{n}, {channels}]", self.config.in_channels);
-        }
+        points.check_width(self.config.in_channels)?;
         if cx.recompute.is_some() {
             bail!("recompute: point_transformer_v2 keeps what it computes; switch it off");
         }

@@ -17,7 +17,7 @@ KERNEL(256) rope_rotations(In<i32> cells, In<double> steps, Out<float> pairs, u3
 ENTRY(rope_rotations)
 
 /// Turns queries and keys in place, `back` for gradients. `qkv`: `[N, 3, heads, dim]`
-KERNEL(256) rope_turn(Out<float> qkv, In<float> pairs, u32 n, u32 heads, u32 dim, u32 back) {
+KERNEL(256) rope_turn(In<float> pairs, Out<float> qkv, u32 n, u32 heads, u32 dim, u32 back) {
     u32 half = dim / 2, third = dim / 6;
     u32 each = 2 * heads * half;
     u64 i = global_index();

@@ -40,7 +40,7 @@ KERNEL(256) scan_blocks(In<u32> values, Out<u32> out, Out<u32> totals, u64 n) {
 ENTRY(scan_blocks)
 
 /// Adds what comes before each block.
-KERNEL(256) scan_add(Out<u32> out, In<u32> before, u64 n) {
+KERNEL(256) scan_add(In<u32> before, Out<u32> out, u64 n) {
     u64 first = (u64)block_index() * SCAN_THREADS * SCAN_EACH;
     u32 more = before[block_index()];
     UNROLL

@@ -1,6 +1,6 @@
 //! Launches on a processor of NVIDIA's.
 
-use crate::launch::{Arg, KernelEntry, LaunchPlan, Launcher, TooManyItems};
+use crate::launch::{Arg, KernelEntry, LaunchPlan, Launcher, Scalar, TooManyItems};
 use crate::modules::module_of;
 use crate::nvrtc::{Architecture, Cache, Compiled, NvrtcError, compile};
 use cudarc::driver::{
@@ -155,11 +155,7 @@ impl CudaLauncher {
 /// An argument as the driver reads it.
 enum Value {
     Pointer(sys::CUdeviceptr),
-    U32(u32),
-    U64(u64),
-    I32(i32),
-    F32(f32),
-    F64(f64),
+    Scalar(Scalar),
 }
 
 impl Launcher for CudaLauncher {
@@ -222,22 +218,18 @@ impl Launcher for CudaLauncher {
             .map(|arg| match arg {
                 Arg::In(buffer) => Value::Pointer(self.pointer(buffer)),
                 Arg::Out(buffer) => Value::Pointer(self.pointer_mut(buffer)),
-                Arg::U32(v) => Value::U32(*v),
-                Arg::U64(v) => Value::U64(*v),
-                Arg::I32(v) => Value::I32(*v),
-                Arg::F32(v) => Value::F32(*v),
-                Arg::F64(v) => Value::F64(*v),
+                Arg::Scalar(scalar) => Value::Scalar(*scalar),
             })
             .collect();
         let mut builder = self.stream.launch_builder(&function);
         for value in &values {
             match value {
                 Value::Pointer(v) => builder.arg(v),
-                Value::U32(v) => builder.arg(v),
-                Value::U64(v) => builder.arg(v),
-                Value::I32(v) => builder.arg(v),
-                Value::F32(v) => builder.arg(v),
-                Value::F64(v) => builder.arg(v),
+                Value::Scalar(Scalar::U32(v)) => builder.arg(v),
+                Value::Scalar(Scalar::U64(v)) => builder.arg(v),
+                Value::Scalar(Scalar::I32(v)) => builder.arg(v),
+                Value::Scalar(Scalar::F32(v)) => builder.arg(v),
+                Value::Scalar(Scalar::F64(v)) => builder.arg(v),
             };
         }
         let config = LaunchConfig {

@@ -1,6 +1,6 @@
 //! The emulated grid: kernels compiled for this processor, for tests. Slow: it checks every access.
 
-use crate::{Arg, KernelEntry, KernelModule, LaunchPlan, Launcher, TooManyItems, modules};
+use crate::{Arg, KernelEntry, KernelModule, LaunchPlan, Launcher, Scalar, TooManyItems, modules};
 use std::collections::HashMap;
 use std::collections::hash_map::{DefaultHasher, Entry};
 use std::ffi::c_void;
@@ -142,11 +142,15 @@ impl Launcher for Emulator {
                     let bytes = b.bytes;
                     arrays.push(array(b.values_mut().as_mut_ptr(), bytes));
                 }
-                Arg::U32(v) => *scalar = u64::from(*v),
-                Arg::I32(v) => *scalar = u64::from(v.cast_unsigned()),
-                Arg::U64(v) => *scalar = *v,
-                Arg::F32(v) => *scalar = u64::from(v.to_bits()),
-                Arg::F64(v) => *scalar = v.to_bits(),
+                Arg::Scalar(value) => {
+                    *scalar = match *value {
+                        Scalar::U32(v) => u64::from(v),
+                        Scalar::I32(v) => u64::from(v.cast_unsigned()),
+                        Scalar::U64(v) => v,
+                        Scalar::F32(v) => u64::from(v.to_bits()),
+                        Scalar::F64(v) => v.to_bits(),
+                    }
+                }
             }
         }
         let mut next = arrays.iter();
@@ -157,7 +161,7 @@ impl Launcher for Emulator {
                 Arg::In(_) | Arg::Out(_) => {
                     next.next().map_or(std::ptr::null(), std::ptr::from_ref).cast()
                 }
-                _ => std::ptr::from_ref(scalar).cast(),
+                Arg::Scalar(_) => std::ptr::from_ref(scalar).cast(),
             })
             .collect();
         let mut message = [0u8; 512];
@@ -177,7 +181,7 @@ impl Launcher for Emulator {
         let whole = |arg: &Arg<'_, Buffer>| match arg {
             Arg::In(b) => b.margins_are_whole(),
             Arg::Out(b) => b.margins_are_whole(),
-            _ => true,
+            Arg::Scalar(_) => true,
         };
         match args.iter().position(|arg| !whole(arg)) {
             Some(i) => {

@@ -99,13 +99,9 @@ impl KernelEntry {
     }
 }
 
-/// An argument of a kernel.
-#[derive(Debug)]
-pub enum Arg<'a, B> {
-    /// An array that is read only.
-    In(&'a B),
-    /// An array that is written.
-    Out(&'a mut B),
+/// A number that a kernel gets.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Scalar {
     /// `u32`
     U32(u32),
     /// `u64`
@@ -116,6 +112,17 @@ pub enum Arg<'a, B> {
     F32(f32),
     /// `double`
     F64(f64),
+}
+
+/// An argument of a kernel.
+#[derive(Debug)]
+pub enum Arg<'a, B> {
+    /// An array that is read only.
+    In(&'a B),
+    /// An array that is written.
+    Out(&'a mut B),
+    /// A number.
+    Scalar(Scalar),
 }
 
 /// What kernels run on: a graphics processor, or its emulation in the tests.
@@ -168,7 +175,8 @@ pub trait Launcher {
         args: &mut [Arg<'_, Self::Buffer>],
     ) -> Result<(), Self::Error>;
 
-    /// Starts a kernel for a number of items; for none, nothing.
+    /// Starts a kernel for a number of items; for none, nothing. Its text takes arrays to read, arrays to write and numbers, in
+    /// that order.
     ///
     /// # Errors
     /// As [`Self::launch`], or if the items are too many.
@@ -176,12 +184,15 @@ pub trait Launcher {
         &self,
         kernel: &'static KernelEntry,
         items: u64,
-        args: &mut [Arg<'_, Self::Buffer>],
+        inputs: &[&Self::Buffer],
+        outputs: &mut [&mut Self::Buffer],
+        scalars: &[Scalar],
     ) -> Result<(), Self::Error> {
-        match kernel.plan(items)? {
-            Some(plan) => self.launch(kernel, plan, args),
-            None => Ok(()),
-        }
+        let Some(plan) = kernel.plan(items)? else { return Ok(()) };
+        let mut args: Vec<_> = inputs.iter().map(|buffer| Arg::In(*buffer)).collect();
+        args.extend(outputs.iter_mut().map(|buffer| Arg::Out(*buffer)));
+        args.extend(scalars.iter().map(|scalar| Arg::Scalar(*scalar)));
+        self.launch(kernel, plan, &mut args)
     }
 
     /// An array of `count` values of a type.

@@ -17,5 +17,7 @@ mod modules;
 pub mod nvrtc;
 pub mod ops;
 
-pub use launch::{Arg, Items, KernelEntry, KernelModule, LaunchPlan, Launcher, TooManyItems};
+pub use launch::{
+    Arg, Items, KernelEntry, KernelModule, LaunchPlan, Launcher, Scalar, TooManyItems,
+};
 pub use modules::{module_of, modules};

@@ -17,6 +17,8 @@ pub mod onnx;
 pub mod resize;
 pub mod sam2;
 pub mod siglip;
+#[cfg(test)]
+mod test_files;
 mod weights;
 
 pub use error::VisionError;

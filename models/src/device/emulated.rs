@@ -1,11 +1,12 @@
-//! Tensors of the CPU as those of another device: so tests see what passes launch, what is composed of candle's operations
-//! where there are no kernels, and what layers do away from the CPU.
+//! Tensors of the CPU as those of another device: tests see which passes launch kernels, what is composed of candle's
+//! operations where there are no kernels, and what layers do away from the CPU.
 
-use crate::ops::launches::{self, Launches};
+use super::launches::{self, Launches};
 use crate::scoped::with_value;
 use candle_core::{Error, Result, Shape};
 use scenesplat_device::Launcher;
 use scenesplat_device::emulator::{Buffer, Emulator, EmulatorError};
+use scenesplat_kernels::fallbacks::Pass;
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 
@@ -18,22 +19,22 @@ pub enum EmulatedDevice {
     Tensors,
 }
 
+/// Operations with their passes, and how often each ran.
+type Counts = BTreeMap<(&'static str, Pass), usize>;
+
 struct Emulated {
     device: EmulatedDevice,
-    seen: BTreeMap<&'static str, usize>,
+    seen: Counts,
 }
 
 thread_local! {
     static EMULATED: RefCell<Option<Emulated>> = const { RefCell::new(None) };
 }
 
-/// Runs `work` as on a device: passes for which there are kernels are launched, or operations are composed of candle's;
-/// weights are not packed, and what is candle's operation on any device is that here. Only on this thread. Gives the
-/// passes that were launched too, or the operations that were composed, by name, and how often.
-pub fn on_emulated_device<R>(
-    device: EmulatedDevice,
-    work: impl FnOnce() -> R,
-) -> (R, BTreeMap<&'static str, usize>) {
+/// Runs `work` as on a device, on this thread only: passes with kernels are launched, or operations are composed of candle's,
+/// and weights are not packed. Gives the passes that were launched, or the operations that were composed (as forward passes),
+/// and how often.
+pub fn on_emulated_device<R>(device: EmulatedDevice, work: impl FnOnce() -> R) -> (R, Counts) {
     let emulated = Emulated { device, seen: BTreeMap::new() };
     let (done, left) = with_value(&EMULATED, emulated, work);
     (done, left.map(|e| e.seen).unwrap_or_default())
@@ -44,63 +45,58 @@ pub fn is_emulated() -> bool {
     EMULATED.with_borrow(Option::is_some)
 }
 
-/// The grid, having noted a pass; `None` where there are no kernels.
-fn begin(pass: &'static str) -> Option<Emulator> {
-    EMULATED.with_borrow_mut(|active| match active.as_mut()? {
-        Emulated { device: EmulatedDevice::Kernels(emulator), seen } => {
-            *seen.entry(pass).or_default() += 1;
-            Some(*emulator)
+/// The device of this thread, if it acts as if on one.
+fn device() -> Option<EmulatedDevice> {
+    EMULATED.with_borrow(|active| active.as_ref().map(|e| e.device))
+}
+
+/// Whether operations are composed of candle's.
+pub(crate) fn composes() -> bool {
+    matches!(device(), Some(EmulatedDevice::Tensors))
+}
+
+/// Counts a pass, if this thread acts as if on a device.
+pub(crate) fn note(pass: (&'static str, Pass)) {
+    EMULATED.with_borrow_mut(|active| {
+        if let Some(emulated) = active {
+            *emulated.seen.entry(pass).or_default() += 1;
         }
-        Emulated { device: EmulatedDevice::Tensors, .. } => None,
-    })
+    });
 }
 
-/// Whether an operation is composed of candle's, which is noted.
-pub(crate) fn composes(operation: &'static str) -> bool {
-    EMULATED.with_borrow_mut(|active| match active {
-        Some(Emulated { device: EmulatedDevice::Tensors, seen }) => {
-            *seen.entry(operation).or_default() += 1;
-            true
-        }
-        _ => false,
-    })
-}
+/// Values with their shape.
+type Values = (Vec<f32>, Shape);
 
-/// Name of a type without its module and its parameters.
-fn short(name: &'static str) -> &'static str {
-    let name = name.split(['<', '>']).next().unwrap_or(name);
-    name.rsplit("::").next().unwrap_or(name)
-}
-
-/// An array that a pass makes.
-pub(crate) type Made = (Vec<f32>, Shape);
-
-/// Launches a pass, if passes are launched on this thread.
-pub(crate) fn run<const N: usize, P: Launches<N>>(
-    inputs: [(&[f32], &[usize]); N],
-    pass: &P,
-) -> Result<Option<Vec<Made>>> {
-    let Some(emulator) = begin(short(std::any::type_name::<P>())) else { return Ok(None) };
-    let launch = || -> std::result::Result<Vec<Made>, EmulatorError> {
-        let mut buffers: Vec<Buffer> = Vec::with_capacity(N);
+/// Launches a pass, if passes are launched on this thread and there is a kernel.
+pub(crate) fn run(
+    inputs: &[(&[f32], &[usize])],
+    pass: &impl Launches,
+) -> Result<Option<Vec<Values>>> {
+    let Some(EmulatedDevice::Kernels(emulator)) = device() else { return Ok(None) };
+    let launch = || -> std::result::Result<_, EmulatorError> {
+        let mut buffers: Vec<Buffer> = Vec::with_capacity(inputs.len());
         for (values, _) in inputs {
             buffers.push(emulator.upload_values(values)?);
         }
-        let of = |i: usize| (&buffers[i], inputs[i].1);
-        let made = pass.launch(&emulator, std::array::from_fn(of))?;
-        let values = |(buffer, shape): (Buffer, Shape)| {
-            Ok((emulator.download_values(&buffer, shape.elem_count())?, shape))
-        };
-        made.into_iter().map(values).collect()
+        let inputs: Vec<_> = buffers.iter().zip(inputs).map(|(b, (_, dims))| (b, *dims)).collect();
+        let Some(made) = pass.launch(&emulator, &inputs)? else { return Ok(None) };
+        let mut found = Vec::with_capacity(made.len());
+        for (buffer, shape) in made {
+            found.push((emulator.download_values(&buffer, shape.elem_count())?, shape));
+        }
+        Ok(Some(found))
     };
-    launch().map(Some).map_err(Error::wrap)
+    let made = launch().map_err(Error::wrap)?;
+    if made.is_some() {
+        note(pass.name());
+    }
+    Ok(made)
 }
 
 /// Mean and biased variance of each channel, if passes are launched on this thread.
 pub(crate) fn batch_statistics(x: &[f32], dims: &[usize]) -> Result<Option<(Vec<f64>, Vec<f64>)>> {
-    let Some(emulator) = begin("batch_statistics") else { return Ok(None) };
-    let launch = || -> std::result::Result<_, EmulatorError> {
-        launches::batch_statistics(&emulator, (&emulator.upload_values(x)?, dims))
-    };
-    launch().map(Some).map_err(Error::wrap)
+    let Some(EmulatedDevice::Kernels(emulator)) = device() else { return Ok(None) };
+    note(("batch_statistics", Pass::Forward));
+    let x = emulator.upload_values(x).map_err(Error::wrap)?;
+    launches::batch_statistics(&emulator, (&x, dims)).map(Some).map_err(Error::wrap)
 }

@@ -1,6 +1,6 @@
 //! Kernels on candle's CUDA tensors: their memory and their stream.
 
-use crate::ops::launches::{self, Launches};
+use super::launches::{self, Launches};
 use candle_core::cuda_backend::cudarc::driver::{CudaStream, DevicePtr, SyncOnDrop};
 use candle_core::cuda_backend::{CudaDType, DeviceId};
 use candle_core::op::BackpropOp;
@@ -48,18 +48,21 @@ fn input<'a>(
 }
 
 /// Runs a pass on storages, which are to be f32 and contiguous; all arrays that it makes.
-fn run<const N: usize>(
-    inputs: [(&CudaStorage, &Layout); N],
-    pass: &impl Launches<N>,
-) -> Result<Vec<(CudaStorage, Shape)>> {
+fn run(
+    inputs: &[(&CudaStorage, &Layout)],
+    pass: &impl Launches,
+) -> Result<Option<Vec<(CudaStorage, Shape)>>> {
     let device = inputs[0].0.device.clone();
     let (launcher, stream) = (launcher(&device)?, device.cuda_stream());
-    let mut found = Vec::with_capacity(N);
+    let mut found = Vec::with_capacity(inputs.len());
     for (storage, layout) in inputs {
         found.push(input(storage, layout, &stream)?);
     }
-    let of = |i: usize| (&found[i].0, inputs[i].1.shape().dims());
-    let made = pass.launch(&*launcher, std::array::from_fn(of)).map_err(Error::wrap)?;
+    let arrays = found.iter().zip(inputs).map(|((buffer, _), (_, layout))| (buffer, layout.dims()));
+    let arrays: Vec<_> = arrays.collect();
+    let Some(made) = pass.launch(&*launcher, &arrays).map_err(Error::wrap)? else {
+        return Ok(None);
+    };
     let storage = |(buffer, shape): (CudaBuffer, Shape)| {
         let slice = match buffer {
             CudaBuffer::Owned(slice) => {
@@ -71,16 +74,16 @@ fn run<const N: usize>(
         };
         Ok((f32::wrap_cuda_slice(slice, device.clone()), shape))
     };
-    made.into_iter().map(storage).collect()
+    made.into_iter().map(storage).collect::<Result<_>>().map(Some)
 }
 
 /// A forward pass.
-pub(crate) fn on_storages<const N: usize>(
-    inputs: [(&CudaStorage, &Layout); N],
-    pass: &impl Launches<N>,
-) -> Result<(CudaStorage, Shape)> {
-    let mut made = run(inputs, pass)?;
-    made.pop().ok_or_else(|| inside("a pass made nothing"))
+pub(crate) fn on_storages(
+    inputs: &[(&CudaStorage, &Layout)],
+    pass: &impl Launches,
+) -> Result<Option<(CudaStorage, Shape)>> {
+    let Some(mut made) = run(inputs, pass)? else { return Ok(None) };
+    made.pop().map(Some).ok_or_else(|| inside("a pass made nothing"))
 }
 
 /// Mean and biased variance of each channel.
@@ -93,24 +96,21 @@ pub(crate) fn batch_statistics(x: &Tensor) -> Result<(Vec<f64>, Vec<f64>)> {
     launches::batch_statistics(&*launcher, (&buffer, x.dims())).map_err(Error::wrap)
 }
 
-/// A backward pass; its results are no part of a graph.
-pub(crate) fn on_tensors<const N: usize>(
-    inputs: [&Tensor; N],
-    pass: &impl Launches<N>,
-) -> Result<Vec<Tensor>> {
-    let mut whole = Vec::with_capacity(N);
+/// A backward pass; its results are in no graph.
+pub(crate) fn on_tensors(inputs: &[&Tensor], pass: &impl Launches) -> Result<Option<Vec<Tensor>>> {
+    let mut whole = Vec::with_capacity(inputs.len());
     for tensor in inputs {
         whole.push(tensor.contiguous()?);
     }
     let held: Vec<_> = whole.iter().map(Tensor::storage_and_layout).collect();
-    let mut storages = Vec::with_capacity(N);
+    let mut storages = Vec::with_capacity(held.len());
     for (storage, layout) in &held {
         let Storage::Cuda(storage) = &**storage else { bail!("expected a tensor on CUDA") };
         storages.push((storage, *layout));
     }
-    let made = run(std::array::from_fn(|i| storages[i]), pass)?;
+    let made = run(&storages, pass)?;
     let tensor = |(storage, shape)| {
         Tensor::from_storage(Storage::Cuda(storage), shape, BackpropOp::none(), false)
     };
-    Ok(made.into_iter().map(tensor).collect())
+    Ok(made.map(|made| made.into_iter().map(tensor).collect()))
 }

@@ -10,6 +10,7 @@ mod cuda;
 pub(crate) mod emulated;
 #[cfg(feature = "cuda")]
 pub(crate) mod launcher;
+pub(crate) mod launches;
 
 use candle_core::Device;
 use std::fmt;

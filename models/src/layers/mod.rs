@@ -1,20 +1,26 @@
 //! Trainable layers with gradients (candle's own norms have none) and a packed form for inference.
 
+mod attention_mlp;
 mod batch_norm;
+mod cell_pooling;
 mod drop_path;
 mod layer_norm;
 mod linear;
 mod linear_norm;
+mod linear_norm_relu;
 mod low_rank_conv;
 mod mlp;
 mod residual_conv;
 mod sparse_conv;
 
+pub(crate) use attention_mlp::{AttentionMlp, recomputed};
 pub use batch_norm::{BatchNorm, BatchNormConstants, StatisticsUpdate, record_statistics};
+pub(crate) use cell_pooling::CellPooling;
 pub use drop_path::DropPath;
 pub use layer_norm::LayerNorm;
 pub use linear::Linear;
 pub use linear_norm::LinearNorm;
+pub(crate) use linear_norm_relu::{LinearNormRelu, batch_norm};
 pub use mlp::Mlp;
 pub use residual_conv::ResidualConv;
 pub use sparse_conv::SparseConv;

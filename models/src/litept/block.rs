@@ -1,14 +1,37 @@
 //! One block: a convolution, attention with an MLP, or both.
 
 use super::attention::{AttentionShape, PointRopeAttention};
-use super::config::BlockKind;
 use super::scale::Scale;
-use crate::layers::{DropPath, LayerNorm, Mlp, ResidualConv};
-use crate::{Compute, Forward, Mode};
+use crate::layers::{AttentionMlp, LayerNorm, ResidualConv, recomputed};
+use crate::{Compute, Forward};
 use candle_core::{Result, Tensor};
 use candle_nn::VarBuilder;
-use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
 use std::sync::Arc;
+
+/// What the blocks of a stage are made of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum BlockKind {
+    /// A convolution over 3³ voxels.
+    Convolution,
+    /// Attention and MLP.
+    Attention,
+    /// A convolution, then attention and MLP.
+    Both,
+}
+
+impl BlockKind {
+    /// Whether there is a convolution.
+    pub fn has_convolution(self) -> bool {
+        self != Self::Attention
+    }
+
+    /// Whether there is attention.
+    pub fn has_attention(self) -> bool {
+        self != Self::Convolution
+    }
+}
 
 /// Shape of a block.
 #[derive(Debug, Clone, Copy)]
@@ -31,22 +54,13 @@ pub struct BlockShape {
 #[derive(Debug)]
 pub struct Block {
     entry: Entry,
-    attention: Option<Attention>,
+    attention: Option<AttentionMlp<PointRopeAttention>>,
 }
 
 #[derive(Debug)]
 enum Entry {
     Convolution(Box<ResidualConv>),
     Norm(LayerNorm),
-}
-
-#[derive(Debug)]
-struct Attention {
-    norm1: LayerNorm,
-    attention: PointRopeAttention,
-    norm2: LayerNorm,
-    mlp: Mlp,
-    drop_path: DropPath,
 }
 
 impl Block {
@@ -61,14 +75,9 @@ impl Block {
         } else {
             Entry::Norm(LayerNorm::new(c, vb.pp("norm0.0"))?)
         };
-        let attention = || -> Result<Attention> {
-            Ok(Attention {
-                norm1: LayerNorm::new(c, vb.pp("norm1.0"))?,
-                attention: PointRopeAttention::new(shape.attention, compute, vb.pp("attn"))?,
-                norm2: LayerNorm::new(c, vb.pp("norm2.0"))?,
-                mlp: Mlp::with(compute, c, shape.mlp_ratio * c, vb.pp("mlp.0"))?,
-                drop_path: DropPath { rate: shape.drop_path },
-            })
+        let attention = || {
+            let attention = PointRopeAttention::new(shape.attention, compute, vb.pp("attn"))?;
+            AttentionMlp::new(attention, c, shape.mlp_ratio, shape.drop_path, compute, &vb)
         };
         let attention = shape.kind.has_attention().then(attention).transpose()?;
         Ok(Self { entry, attention })
@@ -89,17 +98,10 @@ impl Block {
             return self.forward(x, scale, cx);
         };
         let (block, scale) = (Arc::clone(self), Arc::clone(scale));
-        let (mode, rng) = (cx.mode, cx.rng.clone());
-        let run = move |inputs: &[Tensor], rng: &mut ChaCha8Rng| {
-            let mut cx = Forward { mode, ..Forward::eval(rng) };
-            block.forward(inputs[0].clone(), &scale, &mut cx)
-        };
-        // Draws what the block draws, so that the next block does not draw the same.
-        if let (Some(part), Mode::Train) = (&self.attention, cx.mode) {
-            let rows = x.dim(0)?;
-            (0..2).for_each(|_| part.drop_path.skip(rows, cx.rng));
-        }
-        recompute.apply(&[&x], move |inputs| run(inputs, &mut rng.clone()))
+        let drop_path = self.attention.as_ref().map(|part| part.drop_path);
+        recomputed(&recompute, &[&x], drop_path, cx, move |inputs, cx| {
+            block.forward(inputs[0].clone(), &scale, cx)
+        })
     }
 
     /// `[N, C] → [N, C]`
@@ -107,21 +109,15 @@ impl Block {
     /// # Errors
     /// If the input does not fit.
     pub fn forward(&self, x: Tensor, scale: &Scale, cx: &mut Forward<'_>) -> Result<Tensor> {
-        // Rows are as large as memory gets: each is given up as soon as nothing reads it.
-        let mut x = x;
-        x = match &self.entry {
+        let x = match &self.entry {
             Entry::Convolution(conv) => conv.forward(&x, None, scale.cloud())?,
             Entry::Norm(norm) => norm.forward(&x)?,
         };
-        let Some(part) = &self.attention else { return Ok(x) };
-        let normed = part.norm1.forward(&x)?;
-        if cx.mode == Mode::Eval || part.drop_path.rate <= 0.0 {
-            x = part.attention.forward(normed, scale, Some(&x))?;
-            return part.mlp.forward_residual(&part.norm2.forward(&x)?, &x);
+        match &self.attention {
+            Some(part) => {
+                part.forward(x, cx, |attention, x, residual| attention.forward(x, scale, residual))
+            }
+            None => Ok(x),
         }
-        let branch = part.attention.forward(normed, scale, None)?;
-        x = part.drop_path.forward_residual(&branch, &x, cx.mode, cx.rng)?;
-        let branch = part.mlp.forward(&part.norm2.forward(&x)?)?;
-        part.drop_path.forward_residual(&branch, &x, cx.mode, cx.rng)
     }
 }

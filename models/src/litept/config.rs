@@ -2,38 +2,17 @@
 
 use super::LitePt;
 use super::attention::AttentionShape;
-use super::block::BlockShape;
-use crate::stages::{DEEPEST, LARGEST, check_lengths, check_sizes, linspace, split};
+use super::block::{BlockKind, BlockShape};
+use crate::stages::{
+    DEEPEST, LARGEST, MAX_MLP_RATIO, check_lengths, check_rates, check_sizes, curves, drop_rates,
+    falling_drop_rates,
+};
 use crate::weights::Shapes;
 use crate::{Architecture, Backbone, BackboneCost, Compute, MultiplyAdds};
 use candle_core::{Result, bail};
 use candle_nn::VarBuilder;
 use scenesplat_kernels::serialization::Curve;
 use serde::{Deserialize, Serialize};
-
-/// What the blocks of a stage are made of.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum BlockKind {
-    /// A convolution over 3³ voxels.
-    Convolution,
-    /// Attention and MLP.
-    Attention,
-    /// A convolution, then attention and MLP.
-    Both,
-}
-
-impl BlockKind {
-    /// Whether there is a convolution.
-    pub fn has_convolution(self) -> bool {
-        self != Self::Attention
-    }
-
-    /// Whether there is attention.
-    pub fn has_attention(self) -> bool {
-        self != Self::Convolution
-    }
-}
 
 /// The published sizes of LitePT.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -204,7 +183,7 @@ impl LitePtConfig {
     /// Shapes of the blocks of each encoder stage.
     pub(super) fn encoder_blocks(&self) -> Vec<Vec<BlockShape>> {
         // Counted over convolution blocks too, which do not use them.
-        let rates = split(&self.enc_depths, linspace(self.drop_path, self.enc_depths.iter().sum()));
+        let rates = drop_rates(&self.enc_depths, self.drop_path);
         let stages = rates.iter().enumerate().map(|(stage, rates)| {
             self.blocks(
                 rates,
@@ -220,9 +199,7 @@ impl LitePtConfig {
     /// Shapes of the blocks of each decoder stage: the first that runs, in the coarsest stage, has
     /// the highest drop rate.
     pub(super) fn decoder_blocks(&self) -> Vec<Vec<BlockShape>> {
-        let mut rates =
-            split(&self.dec_depths, linspace(self.drop_path, self.dec_depths.iter().sum()));
-        rates.iter_mut().for_each(|stage| stage.reverse());
+        let rates = falling_drop_rates(&self.dec_depths, self.drop_path);
         let stages = rates.iter().enumerate().map(|(stage, rates)| {
             self.blocks(
                 rates,
@@ -259,35 +236,12 @@ impl LitePtConfig {
         rates.iter().enumerate().map(block).collect()
     }
 
-    /// The curves.
-    ///
-    /// # Errors
-    /// Names one that is none.
-    pub(super) fn curves(&self) -> Result<Vec<Curve>> {
-        let find = |name: &String| match Curve::from_name(name) {
-            Some(curve) => Ok(curve),
-            None => bail!("order: {name:?} is not one of z, z-trans, hilbert, hilbert-trans"),
-        };
-        self.order.iter().map(find).collect()
-    }
-
-    /// That heads can be turned where they are used.
+    /// Checks the width of heads where there is attention.
     fn check_heads(&self) -> Result<()> {
+        let c = self;
         for (field, depths, kinds, channels, heads) in [
-            (
-                "enc_num_head",
-                &self.enc_depths,
-                &self.enc_blocks,
-                &self.enc_channels,
-                &self.enc_num_head,
-            ),
-            (
-                "dec_num_head",
-                &self.dec_depths,
-                &self.dec_blocks,
-                &self.dec_channels,
-                &self.dec_num_head,
-            ),
+            ("enc_num_head", &c.enc_depths, &c.enc_blocks, &c.enc_channels, &c.enc_num_head),
+            ("dec_num_head", &c.dec_depths, &c.dec_blocks, &c.dec_channels, &c.dec_num_head),
         ] {
             for (i, (&c, &h)) in channels.iter().zip(heads).enumerate() {
                 if depths[i] > 0 && kinds[i].has_attention() && c % (6 * h) != 0 {
@@ -302,41 +256,25 @@ impl LitePtConfig {
     }
 }
 
-/// The most entries in the list of curves; there are four.
-const MAX_ORDERS: usize = 64;
-/// The widest hidden layer of a block, in channels.
-const MAX_MLP_RATIO: usize = 64;
-
 impl Architecture for LitePtConfig {
     fn check(&self) -> Result<()> {
         let stages = self.num_stages();
-        if stages == 0 {
-            bail!("enc_depths: at least one stage is needed");
-        }
+        let above = stages.saturating_sub(1);
         check_lengths(
             stages,
             &[
-                ("enc_channels", self.enc_channels.len()),
-                ("enc_blocks", self.enc_blocks.len()),
-                ("enc_num_head", self.enc_num_head.len()),
-                ("enc_patch_size", self.enc_patch_size.len()),
+                ("enc_channels", self.enc_channels.len(), stages),
+                ("enc_blocks", self.enc_blocks.len(), stages),
+                ("enc_num_head", self.enc_num_head.len(), stages),
+                ("enc_patch_size", self.enc_patch_size.len(), stages),
+                ("stride", self.stride.len(), above),
+                ("dec_depths", self.dec_depths.len(), above),
+                ("dec_channels", self.dec_channels.len(), above),
+                ("dec_blocks", self.dec_blocks.len(), above),
+                ("dec_num_head", self.dec_num_head.len(), above),
+                ("dec_patch_size", self.dec_patch_size.len(), above),
             ],
         )?;
-        for (field, got) in [
-            ("stride", self.stride.len()),
-            ("dec_depths", self.dec_depths.len()),
-            ("dec_channels", self.dec_channels.len()),
-            ("dec_blocks", self.dec_blocks.len()),
-            ("dec_num_head", self.dec_num_head.len()),
-            ("dec_patch_size", self.dec_patch_size.len()),
-        ] {
-            if got != stages - 1 {
-                bail!(
-                    "{field}: expected {} entries for {stages} encoder stages, got {got}",
-                    stages - 1
-                );
-            }
-        }
         check_sizes(&[
             ("in_channels", &[self.in_channels], 1, LARGEST),
             ("mlp_ratio", &[self.mlp_ratio], 1, MAX_MLP_RATIO),
@@ -350,23 +288,12 @@ impl Architecture for LitePtConfig {
             ("enc_depths", &self.enc_depths, 0, DEEPEST),
             ("dec_depths", &self.dec_depths, 0, DEEPEST),
         ])?;
-        if let Some(i) = self.stride.iter().position(|s| !s.is_power_of_two()) {
-            bail!("stride[{i}]: {} is not a power of two", self.stride[i]);
-        }
+        check_rates(&self.stride, self.drop_path)?;
         self.check_heads()?;
         if !(self.rope_base.is_finite() && self.rope_base >= 1.0) {
             bail!("rope_base: {} is not a number of at least 1", self.rope_base);
         }
-        if !(0.0..1.0).contains(&self.drop_path) {
-            bail!("drop_path: {} is not in 0..1", self.drop_path);
-        }
-        if self.order.is_empty() {
-            bail!("order: at least one curve is needed");
-        }
-        if self.order.len() > MAX_ORDERS {
-            bail!("order: {} entries, at most {MAX_ORDERS} are possible", self.order.len());
-        }
-        self.curves().map(|_| ())
+        curves(&self.order).map(|_| ())
     }
     fn build(&self, vb: VarBuilder<'_>) -> Result<Box<dyn Backbone>> {
         Ok(Box::new(LitePt::new(self, vb)?))

@@ -4,7 +4,7 @@
 use super::block::BlockShape;
 use super::config::LitePtConfig;
 use crate::BackboneCost;
-use crate::multiply_adds::{BlockSize, MultiplyAdds, between, finest};
+use crate::multiply_adds::{BlockSize, MultiplyAdds, count};
 use candle_core::Result;
 
 /// Occupied voxels among the 5³ around one, on average.
@@ -83,24 +83,16 @@ impl LitePtConfig {
     ) -> Result<MultiplyAdds> {
         crate::Architecture::check(self)?;
         let folded = frozen && self.compute.fold;
-        let mut cloud = finest(voxels)?;
-        let (enc, dec) = (&self.enc_channels, &self.dec_channels);
-        let map = cloud.kernel_map(5).map_err(candle_core::Error::wrap)?;
-        let stem = map.num_pairs() * self.in_channels * enc[0];
-        let (mut scales, mut works) = (0, 0.0);
         let (encoder, decoder) = (self.encoder_blocks(), self.decoder_blocks());
-        for stage in 0..self.num_stages() {
-            if stage > 0 {
-                let fine = cloud.len();
-                cloud = cloud.pool(self.stride[stage - 1].trailing_zeros()).0;
-                scales += between(enc, dec, stage, fine, cloud.len());
-            }
+        let channels = [self.enc_channels.as_slice(), &self.dec_channels];
+        count(voxels, self.in_channels, &self.stride, channels, |stage, cloud| {
+            let mut work = 0.0;
             for shape in encoder[stage].iter().chain(decoder.get(stage).into_iter().flatten()) {
-                let size = BlockSize::count(&cloud, shape.attention.patch_size)?;
-                works += block_work(shape, folded, &size);
+                let size = BlockSize::count(cloud, shape.attention.patch_size)?;
+                work += block_work(shape, folded, &size);
             }
-        }
-        Ok(MultiplyAdds { stem: stem as u64, rest: scales as u64 + works as u64 })
+            Ok(work)
+        })
     }
 
     /// At the finest scale stand side by side: in the stem its input, its result and the pairs of a

@@ -18,22 +18,22 @@ mod attention;
 mod block;
 mod config;
 mod cost;
-mod pooling;
 mod recognize;
 mod scale;
 
 pub use attention::{AttentionShape, PointRopeAttention};
-pub use block::{Block, BlockShape};
-pub use config::{BlockKind, LitePtConfig, LitePtSize};
-pub use pooling::GridPooling;
+pub use block::{Block, BlockKind, BlockShape};
+pub use config::{LitePtConfig, LitePtSize};
 pub use scale::Scale;
 
+use crate::layers::CellPooling;
 use crate::point_transformer_v3::{Embedding, SerializedUnpooling};
 use crate::row_order::{OrderShuffle, morton_rows};
+use crate::stages::curves;
 use crate::{Architecture, Backbone, BackboneCost, Compute, Forward, PointCloud};
 use candle_core::{Device, Result, Tensor, bail};
 use candle_nn::VarBuilder;
-use scenesplat_kernels::segment::Groups;
+use scenesplat_kernels::segment::{Groups, Reduce};
 use scenesplat_kernels::serialization::Curve;
 use std::sync::Arc;
 
@@ -53,7 +53,7 @@ pub struct LitePt {
 #[derive(Debug)]
 struct EncoderStage {
     /// With the bits that it cuts off; none at the finest scale.
-    down: Option<(GridPooling, u32)>,
+    down: Option<(CellPooling, u32)>,
     blocks: Vec<Arc<Block>>,
 }
 
@@ -83,9 +83,9 @@ impl LitePt {
         let mut encoder = Vec::new();
         for (stage, shapes) in config.encoder_blocks().iter().enumerate() {
             let vb = vb.pp(format!("enc.enc{stage}"));
-            let down = || -> Result<(GridPooling, u32)> {
+            let down = || -> Result<(CellPooling, u32)> {
                 let (fine, coarse) = (channels[stage - 1], channels[stage]);
-                let pooling = GridPooling::new(fine, coarse, compute, vb.pp("down"))?;
+                let pooling = CellPooling::new(fine, coarse, Reduce::Max, compute, vb.pp("down"))?;
                 Ok((pooling, config.stride[stage - 1].trailing_zeros()))
             };
             let down = (stage > 0).then(down).transpose()?;
@@ -103,7 +103,8 @@ impl LitePt {
             )?;
             decoder.push(DecoderStage { up, blocks: blocks(shapes, &vb)? });
         }
-        let (config, curves, device) = (config.clone(), config.curves()?, vb.device().clone());
+        let (config, curves, device) =
+            (config.clone(), curves(&config.order)?, vb.device().clone());
         Ok(Self { config, curves, embedding, encoder, decoder, device })
     }
 
@@ -135,13 +136,7 @@ impl Backbone for LitePt {
     /// Permutations of the orders ([`Orders`](crate::Orders)) are those of the scales with
     /// attention, from fine to coarse.
     fn forward(&self, points: &PointCloud, cx: &mut Forward<'_>) -> Result<Tensor> {
-        let (n, channels) = points.feat.dims2()?;
-        if channels != self.config.in_channels {
-            bail!("feat: expected [N, {}], got [{n}, {channels}]", self.config.in_channels);
-        }
-        if n == 0 {
-            bail!("feat: a batch without any voxel has no features");
-        }
+        points.check_width(self.config.in_channels)?;
         let (cells, sorted) = morton_rows(points)?;
         let mut shuffle = OrderShuffle::new(&cx.orders);
         let mut scale = self.scale(0, (cells, points.offsets.to_vec()), &mut shuffle, cx)?;

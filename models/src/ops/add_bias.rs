@@ -1,65 +1,54 @@
 //! A bias for every row, of layers whose product is the device's library's.
 
-use super::{Pass, composed, cpu_slice, emulated, forward_on_device, here, launched};
-use super::{launches, make, read};
-use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor, bail};
+use super::{Array, Operation, apply, composed, gradients};
+use crate::device::launches::{Input, Launched, matrix, room};
+use candle_core::{Result, Shape, Tensor, bail};
+use scenesplat_device::{Launcher, ops};
 use scenesplat_kernels::sparse_conv::backward_bias;
 
 struct AddBias;
 
-impl AddBias {
-    fn check(x: &Layout, bias: &Layout) -> Result<usize> {
-        let (_, c) = x.shape().dims2()?;
-        if bias.shape().dims() != [c] {
-            bail!("add_bias: rows {:?} do not fit a bias {:?}", x.shape(), bias.shape());
-        }
-        Ok(c)
-    }
+impl Operation for AddBias {
+    const NAME: &'static str = "add_bias";
 
-    fn pass(&self, [x, bias]: [&Layout; 2]) -> Result<Option<launches::AddBias>> {
-        Self::check(x, bias)?;
-        Ok(Some(launches::AddBias))
-    }
-}
-
-impl CustomOp2 for AddBias {
-    fn name(&self) -> &'static str {
-        "add_bias"
-    }
-    fn cpu_fwd(
-        &self,
-        s1: &CpuStorage,
-        l1: &Layout,
-        s2: &CpuStorage,
-        l2: &Layout,
-    ) -> Result<(CpuStorage, Shape)> {
-        if let Some(made) = emulated([(s1, l1), (s2, l2)], || self.pass([l1, l2]))? {
-            return Ok(made);
+    fn shape(&self, inputs: &[&Shape]) -> Result<Shape> {
+        let (_, c) = inputs[0].dims2()?;
+        if inputs[1].dims() != [c] {
+            bail!("add_bias: rows {:?} do not fit a bias {:?}", inputs[0], inputs[1]);
         }
-        let c = Self::check(l1, l2)?;
-        let mut out = cpu_slice("add_bias", s1, l1)?.to_vec();
-        let bias = cpu_slice("add_bias", s2, l2)?;
-        for row in out.chunks_exact_mut(c.max(1)) {
+        Ok(inputs[0].clone())
+    }
+    fn forward(&self, inputs: &[Array<'_>]) -> Result<Vec<f32>> {
+        let (mut out, bias) = (inputs[0].0.to_vec(), inputs[1].0);
+        for row in out.chunks_exact_mut(bias.len().max(1)) {
             row.iter_mut().zip(bias).for_each(|(v, b)| *v += b);
         }
-        Ok((CpuStorage::F32(out), l1.shape().clone()))
+        Ok(out)
     }
-    forward_on_device!(CustomOp2, pass);
-    fn bwd(
-        &self,
-        x: &Tensor,
-        bias: &Tensor,
-        _: &Tensor,
-        grad: &Tensor,
-    ) -> Result<(Option<Tensor>, Option<Tensor>)> {
-        if let Some(mut made) = launched([grad], &launches::ColumnSums)? {
-            return Ok((Some(grad.clone()), made.pop()));
-        }
-        let (c, device) = (bias.elem_count(), here("add_bias", Pass::Backward, x));
-        let sums = read("add_bias", grad, |g| {
-            make(device, c, |out| out.copy_from_slice(&backward_bias(g, c)))
-        })?;
-        Ok((Some(grad.clone()), Some(sums)))
+    fn gradients(&self, inputs: &[&Tensor], grad: &Tensor) -> Result<Vec<Tensor>> {
+        Ok([vec![grad.clone()], gradients(self, &inputs[1..], grad)?].concat())
+    }
+    /// Of the bias alone.
+    fn backward(&self, inputs: &[Array<'_>], grad: &[f32]) -> Result<Vec<Vec<f32>>> {
+        Ok(vec![backward_bias(grad, inputs[0].0.len())])
+    }
+    fn launch<L: Launcher>(&self, l: &L, inputs: &[Input<'_, L>]) -> Launched<L> {
+        let ((x, dims), (bias, _)) = (inputs[0], inputs[1]);
+        let (n, c) = matrix::<L>(dims)?;
+        let ones = l.upload_values(&vec![1_f32; c as usize])?;
+        let mut out = room(l, dims)?;
+        ops::batch_norm::apply(l, x, &ones, bias, n, c, false, &mut out)?;
+        Ok(Some(vec![(out, dims.into())]))
+    }
+    fn launch_backward<L: Launcher>(&self, l: &L, inputs: &[Input<'_, L>]) -> Launched<L> {
+        let ((_, of_bias), (grad, dims)) = (inputs[0], inputs[1]);
+        let (n, c) = matrix::<L>(dims)?;
+        let mut sums = room(l, of_bias)?;
+        ops::columns::column_sums(l, grad, n, c, &mut sums)?;
+        Ok(Some(vec![(sums, of_bias.into())]))
+    }
+    fn composed(&self, inputs: &[&Tensor]) -> Result<Option<Tensor>> {
+        composed::add_bias(inputs[0], inputs[1]).map(Some)
     }
 }
 
@@ -71,9 +60,5 @@ impl CustomOp2 for AddBias {
 /// # Errors
 /// If shapes do not fit or a tensor is not f32.
 pub(super) fn add_bias(x: &Tensor, bias: &Tensor) -> Result<Tensor> {
-    if composed::here("add_bias", x.device()) {
-        AddBias::check(x.layout(), bias.layout())?;
-        return composed::add_bias(x, bias);
-    }
-    x.contiguous()?.apply_op2(bias, AddBias)
+    apply(AddBias, &[x, bias])
 }

@@ -1,18 +1,17 @@
-//! Batch normalisation.
+//! Batch normalization.
 
-use super::{
-    Pass, composed, cpu_slice, emulated, forward_on_device, here, launched, launches, make,
-    make_unwritten, read, refuse_gradient,
-};
+use super::{Array, Operation, Pass, apply, composed, frozen, here, read};
+use crate::device::launches::{Input, Launched, matrix, room};
 use crate::peers::Together;
-use candle_core::{CpuStorage, CudaStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
+use candle_core::{Result, Shape, Tensor, bail};
+use scenesplat_device::{Launcher, ops::batch_norm as device};
 use scenesplat_kernels::batch_norm::{
-    Statistics, apply, backward, gradient_sums, input_gradient, merge, parameter_gradients,
-    statistics,
+    Statistics, apply as apply_scale, backward, gradient_sums, input_gradient, merge,
+    parameter_gradients, statistics,
 };
 use std::sync::Arc;
 
-/// What a batch is normalised with.
+/// What a batch is normalized with.
 #[derive(Debug, Clone)]
 pub struct BatchStatistics {
     /// `[C]`
@@ -28,7 +27,7 @@ pub struct BatchStatistics {
 pub enum StatisticsSource {
     /// Elsewhere: constants, which have no gradient.
     Constant,
-    /// The rows that are normalised.
+    /// The rows that are normalized.
     Batch,
     /// The rows of all [`Peers`](crate::peers::Peers).
     Peers {
@@ -55,24 +54,29 @@ pub fn batch_statistics(x: &Tensor) -> Result<BatchStatistics> {
     if n < 2 {
         bail!("batch_norm: training needs at least 2 rows, got {n}; use larger scenes or batches");
     }
+    let (mean, var) = moments(x, c)?;
+    Ok(BatchStatistics { mean, var, source: StatisticsSource::Batch })
+}
+
+/// Mean and biased variance, where the rows are.
+fn moments(x: &Tensor, c: usize) -> Result<(Vec<f64>, Vec<f64>)> {
     #[cfg(feature = "cuda")]
     if x.device().is_cuda() {
-        let (mean, var) = crate::device::launcher::batch_statistics(x)?;
-        return Ok(BatchStatistics { mean, var, source: StatisticsSource::Batch });
+        return crate::device::launcher::batch_statistics(x);
     }
-    if composed::here("batch_statistics", x.device()) {
-        let (mean, var) = composed::batch_statistics(x)?;
-        return Ok(BatchStatistics { mean, var, source: StatisticsSource::Batch });
+    if composed::applies(x.device()) {
+        composed::note("batch_statistics");
+        return composed::batch_statistics(x);
     }
     #[cfg(feature = "emulation")]
-    if let Some((mean, var)) =
+    if let Some(found) =
         read("batch_norm", x, |values| crate::device::emulated::batch_statistics(values, x.dims()))?
     {
-        return Ok(BatchStatistics { mean, var, source: StatisticsSource::Batch });
+        return Ok(found);
     }
     here("batch_statistics", Pass::Forward, x);
     let s = read("batch_norm", x, |x| Ok(statistics(x, c)))?;
-    Ok(BatchStatistics { mean: s.mean, var: s.var, source: StatisticsSource::Batch })
+    Ok((s.mean, s.var))
 }
 
 /// As [`batch_statistics`], of the rows (`[N, C]`) of all peers together; every peer gets the same bits. Nothing if there
@@ -103,149 +107,94 @@ pub(crate) fn shared_batch_statistics(
 
 struct BatchNorm {
     statistics: Arc<BatchStatistics>,
+    eps: f64,
     inverse: Vec<f64>,
 }
 
-impl BatchNorm {
-    fn check(&self, l: &Layout, channels: usize) -> Result<()> {
-        let (_, c) = l.shape().dims2()?;
+impl Operation for BatchNorm {
+    const NAME: &'static str = "batch_norm";
+
+    fn shape(&self, inputs: &[&Shape]) -> Result<Shape> {
+        let ((_, c), channels) = (inputs[0].dims2()?, inputs[1].elem_count());
         if c != channels || c != self.inverse.len() {
-            bail!("batch_norm: input {:?} does not fit {channels} channels", l.shape());
+            bail!("batch_norm: input {:?} does not fit {channels} channels", inputs[0]);
         }
-        Ok(())
+        Ok(inputs[0].clone())
     }
-
-    fn pass<'a>(&'a self, weight: &'a [f32], bias: &'a [f32]) -> launches::BatchNorm<'a> {
-        let (mean, inverse) = (&self.statistics.mean, &self.inverse);
-        launches::BatchNorm { weight, bias, mean, inverse }
-    }
-}
-
-impl CustomOp3 for BatchNorm {
-    fn name(&self) -> &'static str {
-        "batch_norm"
-    }
-    fn cpu_fwd(
-        &self,
-        s1: &CpuStorage,
-        l1: &Layout,
-        s2: &CpuStorage,
-        l2: &Layout,
-        s3: &CpuStorage,
-        l3: &Layout,
-    ) -> Result<(CpuStorage, Shape)> {
-        let x = cpu_slice("batch_norm", s1, l1)?;
-        let weight = cpu_slice("batch_norm", s2, l2)?;
-        let bias = cpu_slice("batch_norm", s3, l3)?;
-        self.check(l1, weight.len())?;
-        if let Some(made) = emulated([(s1, l1)], || Ok(Some(self.pass(weight, bias))))? {
-            return Ok(made);
-        }
+    fn forward(&self, inputs: &[Array<'_>]) -> Result<Vec<f32>> {
+        let (x, weight, bias) = (inputs[0].0, inputs[1].0, inputs[2].0);
         let (scale, shift) = scale_shift(weight, bias, &self.statistics.mean, &self.inverse);
         let mut out = vec![0f32; x.len()];
-        apply(x, &scale, &shift, false, &mut out);
-        Ok((CpuStorage::F32(out), l1.shape().clone()))
+        apply_scale(x, &scale, &shift, false, &mut out);
+        Ok(out)
     }
-    fn cuda_fwd(
-        &self,
-        s1: &CudaStorage,
-        l1: &Layout,
-        s2: &CudaStorage,
-        l2: &Layout,
-        s3: &CudaStorage,
-        l3: &Layout,
-    ) -> Result<(CudaStorage, Shape)> {
-        #[cfg(feature = "cuda")]
-        {
-            use candle_core::backend::BackendStorage;
-            let (weight, bias) = (s2.to_cpu_storage()?, s3.to_cpu_storage()?);
-            let weight = cpu_slice("batch_norm", &weight, l2)?;
-            let bias = cpu_slice("batch_norm", &bias, l3)?;
-            self.check(l1, weight.len())?;
-            crate::device::launcher::on_storages([(s1, l1)], &self.pass(weight, bias))
-        }
-        #[cfg(not(feature = "cuda"))]
-        super::device::through_host("batch_norm", [(s1, l1), (s2, l2), (s3, l3)], |[a, b, c]| {
-            self.cpu_fwd(a.0, a.1, b.0, b.1, c.0, c.1)
-        })
-    }
-    forward_on_device!(@CustomOp3 metal_fwd MetalStorage);
-    fn bwd(
-        &self,
-        x: &Tensor,
-        weight: &Tensor,
-        _: &Tensor,
-        _: &Tensor,
-        grad: &Tensor,
-    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
+    /// With peers the gradient of the input goes through the statistics of all. Those of weight and bias are of the rows of
+    /// this process: who trains adds them over the processes like those of other parameters.
+    fn backward(&self, inputs: &[Array<'_>], grad: &[f32]) -> Result<Vec<Vec<f32>>> {
+        let ((x, _), (weight, _)) = (inputs[0], inputs[1]);
         let (mean, inverse) = (&self.statistics.mean, &self.inverse);
-        let source = self.statistics.source;
-        if let StatisticsSource::Peers { rows, norm } = source {
-            return self.backward_with_peers([x, weight, grad], rows, norm);
-        }
-        let from_batch = source == StatisticsSource::Batch;
-        let pass = launches::BatchNormBackward { mean, inverse, from_batch };
-        if let Some(made) = launched([x, weight, grad], &pass)? {
-            let [dx, dw, db] = [0, 1, 2].map(|i| Some(made[i].clone()));
-            return Ok((dx, dw, db));
-        }
-        let device = here("batch_norm", Pass::Backward, x);
-        let shape = x.shape().clone();
-        let mut parameters = (Vec::new(), Vec::new());
-        let dx = read("batch_norm", x, |x| {
-            read("batch_norm", grad, |g| {
-                read("batch_norm", weight, |w| {
-                    make(device, shape, |dx| {
-                        parameters = backward(x, g, w, mean, inverse, from_batch, dx);
-                    })
-                })
-            })
-        })?;
-        let c = weight.elem_count();
-        let vector = |v: Vec<f32>| Tensor::from_vec(v, c, device);
-        Ok((Some(dx), Some(vector(parameters.0)?), Some(vector(parameters.1)?)))
-    }
-}
-
-impl BatchNorm {
-    /// The gradients, of the input through the statistics of all peers. Those of weight and bias are of this
-    /// process' rows: who trains adds them over the processes like those of other parameters.
-    fn backward_with_peers(
-        &self,
-        [x, weight, grad]: [&Tensor; 3],
-        rows: f64,
-        norm: u64,
-    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
+        let mut dx = vec![0.0; x.len()];
+        let StatisticsSource::Peers { rows, norm } = self.statistics.source else {
+            let from_batch = self.statistics.source == StatisticsSource::Batch;
+            let (dw, db) = backward(x, grad, weight, mean, inverse, from_batch, &mut dx);
+            return Ok(vec![dx, dw, db]);
+        };
         let Some(together) = Together::here() else {
             bail!(
                 "batch_norm: statistics of several processes, and a backward pass outside of with_peers"
             );
         };
-        let (mean, inverse) = (&self.statistics.mean, &self.inverse);
-        let device = here("batch_norm", Pass::Backward, x);
-        let (c, shape) = (mean.len(), x.shape().clone());
-        let mut parameters = (Vec::new(), Vec::new());
-        let dx = read("batch_norm", x, |x| {
-            read("batch_norm", grad, |g| {
-                read("batch_norm", weight, |w| {
-                    let mine = gradient_sums(x, g, mean);
-                    parameters = parameter_gradients(&mine, inverse);
-                    let mut sums = vec![0.0; 2 * c];
-                    for said in together.gather(Pass::Backward, norm, mine)? {
-                        sums.iter_mut().zip(said).for_each(|(sum, part)| *sum += part);
-                    }
-                    make(device, shape, |dx| {
-                        input_gradient(x, g, w, mean, inverse, Some((&sums, rows)), dx);
-                    })
-                })
-            })
-        })?;
-        let vector = |v: Vec<f32>| Tensor::from_vec(v, c, device);
-        Ok((Some(dx), Some(vector(parameters.0)?), Some(vector(parameters.1)?)))
+        let mine = gradient_sums(x, grad, mean);
+        let (dw, db) = parameter_gradients(&mine, inverse);
+        let mut sums = vec![0.0; 2 * mean.len()];
+        for said in together.gather(Pass::Backward, norm, mine)? {
+            sums.iter_mut().zip(said).for_each(|(sum, part)| *sum += part);
+        }
+        input_gradient(x, grad, weight, mean, inverse, Some((&sums, rows)), &mut dx);
+        Ok(vec![dx, dw, db])
+    }
+    /// Weight and bias go to the host, where scale and shift are f64.
+    fn launch<L: Launcher>(&self, l: &L, inputs: &[Input<'_, L>]) -> Launched<L> {
+        let ((x, dims), (weight, _), (bias, _)) = (inputs[0], inputs[1], inputs[2]);
+        let (n, c) = matrix::<L>(dims)?;
+        let weight = l.download_values::<f32>(weight, c as usize)?;
+        let bias = l.download_values::<f32>(bias, c as usize)?;
+        let (scale, shift) = scale_shift(&weight, &bias, &self.statistics.mean, &self.inverse);
+        let (scale, shift) = (l.upload_values(&scale)?, l.upload_values(&shift)?);
+        let mut out = room(l, dims)?;
+        device::apply(l, x, &scale, &shift, n, c, false, &mut out)?;
+        Ok(Some(vec![(out, dims.into())]))
+    }
+    fn launch_backward<L: Launcher>(&self, l: &L, inputs: &[Input<'_, L>]) -> Launched<L> {
+        let from_batch = match self.statistics.source {
+            StatisticsSource::Peers { .. } => return Ok(None),
+            source => source == StatisticsSource::Batch,
+        };
+        let ((x, dims), (weight, of_weight), (grad, _)) = (inputs[0], inputs[1], inputs[3]);
+        let (n, c) = matrix::<L>(dims)?;
+        let mean = l.upload_values(&self.statistics.mean)?;
+        let inverse = l.upload_values(&self.inverse)?;
+        let mut dx = room(l, dims)?;
+        let found =
+            device::backward(l, x, grad, weight, &mean, &inverse, n, c, from_batch, &mut dx)?;
+        let parameters = [found.weight, found.bias].map(|of| (of, of_weight.into()));
+        Ok(Some([(dx, dims.into())].into_iter().chain(parameters).collect()))
+    }
+    fn composed(&self, inputs: &[&Tensor]) -> Result<Option<Tensor>> {
+        let (x, weight, bias) = (inputs[0], inputs[1], inputs[2]);
+        let mean = &self.statistics.mean;
+        match self.statistics.source {
+            StatisticsSource::Peers { .. } => return Ok(None),
+            StatisticsSource::Batch => composed::batch_norm(x, weight, bias, self.eps),
+            StatisticsSource::Constant => {
+                composed::normalize_by(x, weight, bias, mean, &self.inverse)
+            }
+        }
+        .map(Some)
     }
 }
 
-/// `(scale, shift)` so that `x · scale + shift` is the normalisation; `inverse = 1/√(var + ε)`.
+/// `(scale, shift)` so that `x · scale + shift` is the normalization; `inverse = 1/√(var + ε)`.
 pub fn scale_shift(
     weight: &[f32],
     bias: &[f32],
@@ -273,17 +222,8 @@ pub fn batch_norm(
     eps: f64,
 ) -> Result<Tensor> {
     let inverse = statistics.var.iter().map(|v| 1.0 / (v + eps).sqrt()).collect();
-    let norm = BatchNorm { statistics: Arc::new(statistics), inverse };
-    let source = norm.statistics.source;
-    let alone = !matches!(source, StatisticsSource::Peers { .. });
-    if alone && composed::here("batch_norm", x.device()) {
-        norm.check(x.layout(), weight.elem_count())?;
-        return match source {
-            StatisticsSource::Batch => composed::batch_norm(x, weight, bias, eps),
-            _ => composed::normalize_by(x, weight, bias, &norm.statistics.mean, &norm.inverse),
-        };
-    }
-    x.contiguous()?.apply_op3(weight, bias, norm)
+    let norm = BatchNorm { statistics: Arc::new(statistics), eps, inverse };
+    apply(norm, &[x, weight, bias])
 }
 
 /// The refusal of a batch norm with frozen statistics to train.
@@ -294,21 +234,21 @@ pub(crate) fn frozen_cannot_train() -> Result<Tensor> {
 /// `x · scale + shift` per channel, then the exact GELU if asked for; without gradient.
 ///
 /// # Errors
-/// If shapes do not fit or `x` wants a gradient.
+/// If shapes do not fit or `x` requires a gradient.
 pub(crate) fn scale_shift_frozen(
     x: &Tensor,
     scale: &[f32],
     shift: &[f32],
     gelu: bool,
 ) -> Result<Tensor> {
-    refuse_gradient("batch_norm", x)?;
     let (_, c) = x.dims2()?;
     if c != scale.len() {
         bail!("batch_norm: input {:?} does not fit {} channels", x.shape(), scale.len());
     }
-    let (shape, device) = (x.shape().clone(), here("batch_norm", Pass::Forward, x));
-    read("batch_norm", x, |x| {
-        // SAFETY: the kernel writes all of it and reads none before.
-        unsafe { make_unwritten(device, shape, |out| apply(x, scale, shift, gelu, out)) }
-    })
+    // SAFETY: the kernel writes all of it and reads none before.
+    unsafe {
+        frozen("batch_norm", x, None, x.shape(), |x, _, out| {
+            apply_scale(x, scale, shift, gelu, out);
+        })
+    }
 }

@@ -13,14 +13,20 @@ use scenesplat_kernels::segment::Groups;
 /// Values of attention weights that exist at a time, 256 MB of them.
 const WEIGHTS: usize = 64 << 20;
 
-/// Whether operations on tensors there are composed; an operation says its name, for tests.
-pub(crate) fn here(operation: &'static str, device: &Device) -> bool {
+/// Whether operations on tensors there are composed.
+pub(crate) fn applies(device: &Device) -> bool {
     #[cfg(feature = "emulation")]
-    if crate::device::emulated::composes(operation) {
+    if crate::device::emulated::composes() {
         return true;
     }
-    let _ = operation;
     device.is_metal()
+}
+
+/// Tells tests that an operation is composed.
+pub(crate) fn note(operation: &'static str) {
+    #[cfg(feature = "emulation")]
+    crate::device::emulated::note((operation, scenesplat_kernels::fallbacks::Pass::Forward));
+    _ = operation;
 }
 
 /// Numbers of rows on a device.

@@ -1,41 +1,44 @@
 //! The exact GELU.
 
-use super::{
-    Pass, composed, cpu_slice, emulated, forward_on_device, here, launched, launches, make, read,
-};
-use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
+use super::{Array, Operation, apply};
+use crate::device::launches::{Input, Launched, room};
+use candle_core::{Result, Shape, Tensor};
+use scenesplat_device::{Launcher, ops};
 use scenesplat_kernels::activation::{gelu_backward, gelu_forward};
 
 struct Gelu;
 
-impl Gelu {
-    fn pass(&self, _: [&Layout; 1]) -> Result<Option<launches::Gelu>> {
-        Ok(Some(launches::Gelu))
-    }
-}
+impl Operation for Gelu {
+    const NAME: &'static str = "gelu";
 
-impl CustomOp1 for Gelu {
-    fn name(&self) -> &'static str {
-        "gelu"
+    fn shape(&self, inputs: &[&Shape]) -> Result<Shape> {
+        Ok(inputs[0].clone())
     }
-    fn cpu_fwd(&self, s: &CpuStorage, l: &Layout) -> Result<(CpuStorage, Shape)> {
-        if let Some(made) = emulated([(s, l)], || self.pass([l]))? {
-            return Ok(made);
-        }
-        let x = cpu_slice("gelu", s, l)?;
-        let mut out = vec![0f32; x.len()];
-        gelu_forward(x, &mut out);
-        Ok((CpuStorage::F32(out), l.shape().clone()))
+    fn forward(&self, inputs: &[Array<'_>]) -> Result<Vec<f32>> {
+        let mut out = vec![0.0; inputs[0].0.len()];
+        gelu_forward(inputs[0].0, &mut out);
+        Ok(out)
     }
-    forward_on_device!(CustomOp1, pass);
-    fn bwd(&self, x: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
-        if let Some(mut made) = launched([x, grad], &launches::GeluBackward)? {
-            return Ok(made.pop());
-        }
-        let (shape, device) = (x.shape().clone(), here("gelu", Pass::Backward, x));
-        let gelu_backward =
-            |x: &[f32], g: &[f32]| make(device, shape, |out| gelu_backward(x, g, out));
-        read("gelu", x, |x| read("gelu", grad, |g| gelu_backward(x, g))).map(Some)
+    fn backward(&self, inputs: &[Array<'_>], grad: &[f32]) -> Result<Vec<Vec<f32>>> {
+        let mut dx = vec![0.0; grad.len()];
+        gelu_backward(inputs[0].0, grad, &mut dx);
+        Ok(vec![dx])
+    }
+    fn launch<L: Launcher>(&self, l: &L, inputs: &[Input<'_, L>]) -> Launched<L> {
+        let (x, dims) = inputs[0];
+        let mut out = room(l, dims)?;
+        ops::activation::gelu(l, x, dims.iter().product::<usize>() as u64, &mut out)?;
+        Ok(Some(vec![(out, dims.into())]))
+    }
+    fn launch_backward<L: Launcher>(&self, l: &L, inputs: &[Input<'_, L>]) -> Launched<L> {
+        let (grad, dims) = inputs[1];
+        let mut dx = room(l, dims)?;
+        let count = dims.iter().product::<usize>() as u64;
+        ops::activation::gelu_backward(l, inputs[0].0, grad, count, &mut dx)?;
+        Ok(Some(vec![(dx, dims.into())]))
+    }
+    fn composed(&self, inputs: &[&Tensor]) -> Result<Option<Tensor>> {
+        inputs[0].gelu_erf().map(Some)
     }
 }
 
@@ -44,8 +47,5 @@ impl CustomOp1 for Gelu {
 /// # Errors
 /// If the tensor is not f32.
 pub fn gelu(x: &Tensor) -> Result<Tensor> {
-    if composed::here("gelu", x.device()) {
-        return x.gelu_erf();
-    }
-    x.contiguous()?.apply_op1(Gelu)
+    apply(Gelu, &[x])
 }

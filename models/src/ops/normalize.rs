@@ -1,8 +1,8 @@
 //! Unit-length rows.
 
-use super::{Pass, composed, cpu_slice, forward_on_device, here, make, read};
+use super::{Array, Operation, apply, composed};
 use crate::device::off_host;
-use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
+use candle_core::{Result, Shape, Tensor};
 use scenesplat_kernels::normalize::{norm, normalize_rows};
 
 struct L2Normalize {
@@ -13,14 +13,15 @@ struct L2Normalize {
 /// The floor of the kernel.
 const EPS: f64 = 1e-12;
 
-impl CustomOp1 for L2Normalize {
-    fn name(&self) -> &'static str {
-        "l2_normalize"
+impl Operation for L2Normalize {
+    const NAME: &'static str = "l2_normalize";
+
+    fn shape(&self, inputs: &[&Shape]) -> Result<Shape> {
+        inputs[0].dims2()?;
+        Ok(inputs[0].clone())
     }
-    fn cpu_fwd(&self, s: &CpuStorage, l: &Layout) -> Result<(CpuStorage, Shape)> {
-        let (_, c) = l.shape().dims2()?;
-        let x = cpu_slice("l2_normalize", s, l)?;
-        let mut out = x.to_vec();
+    fn forward(&self, inputs: &[Array<'_>]) -> Result<Vec<f32>> {
+        let (mut out, c) = (inputs[0].0.to_vec(), inputs[0].1[1]);
         if self.floor <= EPS {
             normalize_rows(&mut out, c);
         } else if c > 0 {
@@ -29,35 +30,27 @@ impl CustomOp1 for L2Normalize {
                 row.iter_mut().for_each(|v| *v = (f64::from(*v) * inverse) as f32);
             }
         }
-        Ok((CpuStorage::F32(out), l.shape().clone()))
+        Ok(out)
     }
-    forward_on_device!(CustomOp1);
-    fn bwd(&self, x: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
-        let (_, c) = x.dims2()?;
-        let (shape, device) = (x.shape().clone(), here("l2_normalize", Pass::Backward, x));
-        read("l2_normalize", x, |x| {
-            read("l2_normalize", grad, |g| {
-                make(device, shape, |out| {
-                    for ((x, g), out) in
-                        x.chunks_exact(c).zip(g.chunks_exact(c)).zip(out.chunks_exact_mut(c))
-                    {
-                        let norm = norm(x).max(self.floor);
-                        // Below the floor the divisor is a constant.
-                        let along = if norm > self.floor {
-                            let dot: f64 =
-                                x.iter().zip(g).map(|(x, g)| f64::from(*x) * f64::from(*g)).sum();
-                            dot / norm / norm
-                        } else {
-                            0.0
-                        };
-                        for j in 0..c {
-                            out[j] = ((f64::from(g[j]) - f64::from(x[j]) * along) / norm) as f32;
-                        }
-                    }
-                })
-            })
-        })
-        .map(Some)
+    fn backward(&self, inputs: &[Array<'_>], grad: &[f32]) -> Result<Vec<Vec<f32>>> {
+        let (x, dims) = inputs[0];
+        let c = dims[1];
+        let mut dx = vec![0.0; x.len()];
+        for ((x, g), dx) in x.chunks_exact(c).zip(grad.chunks_exact(c)).zip(dx.chunks_exact_mut(c))
+        {
+            let norm = norm(x).max(self.floor);
+            // Below the floor the divisor is a constant.
+            let along = if norm > self.floor {
+                let dot: f64 = x.iter().zip(g).map(|(x, g)| f64::from(*x) * f64::from(*g)).sum();
+                dot / norm / norm
+            } else {
+                0.0
+            };
+            for j in 0..c {
+                dx[j] = ((f64::from(g[j]) - f64::from(x[j]) * along) / norm) as f32;
+            }
+        }
+        Ok(vec![dx])
     }
 }
 
@@ -85,5 +78,5 @@ pub fn l2_normalize_above(x: &Tensor, floor: f64) -> Result<Tensor> {
         x.dims2()?;
         return composed::unit_rows(x, floor);
     }
-    x.contiguous()?.apply_op1(L2Normalize { floor })
+    apply(L2Normalize { floor }, &[x])
 }

@@ -1,9 +1,9 @@
 //! Attention inside patches of a serialized order.
 
-use super::{
-    Pass, composed, cpu_slice, emulated, forward_on_device, here, launched, launches, make, read,
-};
-use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor, bail};
+use super::{Array, Operation, apply, composed};
+use crate::device::launches::{Input, Launched, Uploaded, narrow, room};
+use candle_core::{Result, Shape, Tensor, bail};
+use scenesplat_device::{Launcher, ops::patch_attention as device};
 use scenesplat_kernels::Precision;
 use scenesplat_kernels::patch_attention::{Heads, backward, forward_with};
 use scenesplat_kernels::patches::Patches;
@@ -16,9 +16,38 @@ struct PatchAttention {
     order: Arc<Vec<u32>>,
 }
 
+/// What a kernel needs beside `qkv`.
+struct Sequence<B> {
+    heads: device::Heads,
+    patches: device::Patches<B>,
+    order: B,
+}
+
 impl PatchAttention {
-    fn check(&self, l: &Layout) -> Result<(usize, usize)> {
-        let (n, c3) = l.shape().dims2()?;
+    /// `None` if there is no kernel for heads of this width.
+    fn upload<L: Launcher>(&self, l: &L) -> Uploaded<L, Option<Sequence<L::Buffer>>> {
+        let Heads { count, dim } = self.heads;
+        if dim > device::MOST_DIM as usize {
+            return Ok(None);
+        }
+        let mut all = Vec::with_capacity(self.patches.patches().len());
+        for patch in self.patches.patches() {
+            let (start, len) = (narrow::<L>(patch.start)?, narrow::<L>(patch.len)?);
+            all.push(device::Patch { start, len, own: narrow::<L>(patch.own)? });
+        }
+        Ok(Some(Sequence {
+            heads: device::Heads { count: narrow::<L>(count)?, dim: narrow::<L>(dim)? },
+            patches: device::Patches::upload(l, &all, self.patches.pad())?,
+            order: l.upload_values(&self.order)?,
+        }))
+    }
+}
+
+impl Operation for PatchAttention {
+    const NAME: &'static str = "patch_attention";
+
+    fn shape(&self, inputs: &[&Shape]) -> Result<Shape> {
+        let (n, c3) = inputs[0].dims2()?;
         let c = self.heads.channels();
         if c3 != 3 * c || n != self.order.len() || n != self.patches.num_positions() {
             bail!(
@@ -26,53 +55,39 @@ impl PatchAttention {
                 self.order.len(),
                 3 * c,
                 self.patches.num_positions(),
-                l.shape()
+                inputs[0]
             );
         }
-        Ok((n, c))
+        Ok((n, c).into())
     }
-
-    fn pass(&self, [qkv]: [&Layout; 1]) -> Result<Option<launches::PatchAttention<'_>>> {
-        self.check(qkv)?;
-        Ok(launches::PatchAttention::fits(self.heads).then(|| self.launches()))
+    fn forward(&self, inputs: &[Array<'_>]) -> Result<Vec<f32>> {
+        let mut out = vec![0.0; inputs[0].0.len() / 3];
+        let (heads, order) = (self.heads, &self.order);
+        forward_with(self.precision, inputs[0].0, heads, &self.patches, order, &mut out);
+        Ok(out)
     }
-
-    fn launches(&self) -> launches::PatchAttention<'_> {
-        launches::PatchAttention { heads: self.heads, patches: &self.patches, order: &self.order }
+    fn backward(&self, inputs: &[Array<'_>], grad: &[f32]) -> Result<Vec<Vec<f32>>> {
+        let mut dqkv = vec![0.0; inputs[0].0.len()];
+        backward(inputs[0].0, self.heads, &self.patches, &self.order, grad, &mut dqkv);
+        Ok(vec![dqkv])
     }
-}
-
-impl CustomOp1 for PatchAttention {
-    fn name(&self) -> &'static str {
-        "patch_attention"
+    fn launch<L: Launcher>(&self, l: &L, inputs: &[Input<'_, L>]) -> Launched<L> {
+        let (qkv, dims) = inputs[0];
+        let Some(Sequence { heads, patches, order }) = self.upload(l)? else { return Ok(None) };
+        let attended = device::forward(l, qkv, heads, &patches, &order)?;
+        Ok(Some(vec![(attended.out, (dims[0], self.heads.channels()).into())]))
     }
-    fn cpu_fwd(&self, s: &CpuStorage, l: &Layout) -> Result<(CpuStorage, Shape)> {
-        if let Some(made) = emulated([(s, l)], || self.pass([l]))? {
-            return Ok(made);
-        }
-        let (n, c) = self.check(l)?;
-        let qkv = cpu_slice("patch_attention", s, l)?;
-        let mut out = vec![0f32; n * c];
-        forward_with(self.precision, qkv, self.heads, &self.patches, &self.order, &mut out);
-        Ok((CpuStorage::F32(out), (n, c).into()))
+    /// What the forward pass knew is computed again.
+    fn launch_backward<L: Launcher>(&self, l: &L, inputs: &[Input<'_, L>]) -> Launched<L> {
+        let ((qkv, dims), (grad, _)) = (inputs[0], inputs[1]);
+        let Some(Sequence { heads, patches, order }) = self.upload(l)? else { return Ok(None) };
+        let attended = device::forward(l, qkv, heads, &patches, &order)?;
+        let mut dqkv = room(l, dims)?;
+        device::backward(l, qkv, heads, &patches, &order, &attended, grad, &mut dqkv)?;
+        Ok(Some(vec![(dqkv, dims.into())]))
     }
-    forward_on_device!(CustomOp1, pass);
-    fn bwd(&self, qkv: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
-        if launches::PatchAttention::fits(self.heads) {
-            let pass = launches::PatchAttentionBackward(self.launches());
-            if let Some(mut made) = launched([qkv, grad], &pass)? {
-                return Ok(made.pop());
-            }
-        }
-        let (shape, device) = (qkv.shape().clone(), here("patch_attention", Pass::Backward, qkv));
-        read("patch_attention", qkv, |qkv| {
-            read("patch_attention", grad, |grad| {
-                make(device, shape, |out| {
-                    backward(qkv, self.heads, &self.patches, &self.order, grad, out);
-                })
-            })
-        })
-        .map(Some)
+    fn composed(&self, inputs: &[&Tensor]) -> Result<Option<Tensor>> {
+        composed::patch_attention(inputs[0], self.heads, &self.patches, &self.order).map(Some)
     }
 }
 
@@ -92,10 +107,5 @@ pub fn patch_attention(
     patches: Arc<Patches>,
     order: Arc<Vec<u32>>,
 ) -> Result<Tensor> {
-    let attention = PatchAttention { precision, heads, patches, order };
-    if composed::here("patch_attention", qkv.device()) {
-        attention.check(qkv.layout())?;
-        return composed::patch_attention(qkv, heads, &attention.patches, &attention.order);
-    }
-    qkv.contiguous()?.apply_op1(attention)
+    apply(PatchAttention { precision, heads, patches, order }, &[qkv])
 }

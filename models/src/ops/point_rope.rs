@@ -1,9 +1,10 @@
 //! Rotary embedding of voxel coordinates.
 
-use super::{
-    Pass, composed, cpu_slice, emulated, forward_on_device, here, launched, launches, read,
-};
-use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor, bail};
+use super::{Array, Operation, apply, composed};
+use crate::device::launches::{Input, Launched, matrix, narrow, room};
+use candle_core::{Result, Shape, Tensor, bail};
+use scenesplat_device::ops::rows::Width;
+use scenesplat_device::{Launcher, ops};
 use scenesplat_kernels::patch_attention::Heads;
 use scenesplat_kernels::point_rope::{Rotations, Turn};
 use std::sync::Arc;
@@ -14,62 +15,58 @@ struct PointRope {
 }
 
 impl PointRope {
-    fn check(&self, l: &Layout) -> Result<()> {
-        let shape = l.shape();
-        let (n, c3) = shape.dims2()?;
-        let (rows, c) = (self.rotations.len(), self.heads.channels());
-        if (n, c3) != (rows, 3 * c) || self.heads.dim != self.rotations.dim() {
-            bail!(
-                "point_rope: expected [{rows}, {}] of heads of {}, got {shape:?} of {}",
-                3 * c,
-                self.rotations.dim(),
-                self.heads.dim
-            );
-        }
-        Ok(())
-    }
-
-    fn launches(&self, back: bool) -> launches::PointRope<'_> {
-        launches::PointRope { rotations: &self.rotations, heads: self.heads, back }
-    }
-
-    fn pass(&self, [qkv]: [&Layout; 1]) -> Result<Option<launches::PointRope<'_>>> {
-        self.check(qkv)?;
-        Ok(Some(self.launches(false)))
-    }
-
     fn turned(&self, values: &[f32], turn: Turn) -> Vec<f32> {
         let mut out = values.to_vec();
         self.rotations.apply(&mut out, self.heads, turn);
         out
     }
-}
 
-impl CustomOp1 for PointRope {
-    fn name(&self) -> &'static str {
-        "point_rope"
-    }
-    fn cpu_fwd(&self, s: &CpuStorage, l: &Layout) -> Result<(CpuStorage, Shape)> {
-        if let Some(made) = emulated([(s, l)], || self.pass([l]))? {
-            return Ok(made);
-        }
-        self.check(l)?;
-        let out = self.turned(cpu_slice("point_rope", s, l)?, Turn::Forward);
-        Ok((CpuStorage::F32(out), l.shape().clone()))
-    }
-    forward_on_device!(CustomOp1, pass);
-    fn bwd(&self, qkv: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
-        if let Some(mut made) = launched([grad], &self.launches(true))? {
-            return Ok(made.pop());
-        }
-        let device = here("point_rope", Pass::Backward, qkv);
-        let dqkv = read("point_rope", grad, |grad| Ok(self.turned(grad, Turn::Back)))?;
-        Tensor::from_vec(dqkv, qkv.shape(), device).map(Some)
+    fn turn<L: Launcher>(&self, l: &L, (x, dims): Input<'_, L>, turn: Turn) -> Launched<L> {
+        let (n, c) = matrix::<L>(dims)?;
+        let pairs = l.upload_values(self.rotations.pairs())?;
+        let mut out = room(l, dims)?;
+        let rows = ops::rows::count_up(l, n)?;
+        ops::rows::gather_rows(l, x, Width::Four, c, &rows, n, &mut out)?;
+        let (heads, dim) = (narrow::<L>(self.heads.count)?, narrow::<L>(self.heads.dim)?);
+        let back = matches!(turn, Turn::Back);
+        ops::point_rope::turn(l, &mut out, &pairs, n, heads, dim, back)?;
+        Ok(Some(vec![(out, dims.into())]))
     }
 }
 
-/// Queries and keys turned by the angles of their voxels, values as they are; f32 in every
-/// precision.
+impl Operation for PointRope {
+    const NAME: &'static str = "point_rope";
+
+    fn shape(&self, inputs: &[&Shape]) -> Result<Shape> {
+        let shape = inputs[0];
+        let (rows, width) = (self.rotations.len(), 3 * self.heads.channels());
+        if shape.dims2()? != (rows, width) || self.heads.dim != self.rotations.dim() {
+            bail!(
+                "point_rope: expected [{rows}, {width}] of heads of {}, got {shape:?} of {}",
+                self.rotations.dim(),
+                self.heads.dim
+            );
+        }
+        Ok(shape.clone())
+    }
+    fn forward(&self, inputs: &[Array<'_>]) -> Result<Vec<f32>> {
+        Ok(self.turned(inputs[0].0, Turn::Forward))
+    }
+    fn backward(&self, _: &[Array<'_>], grad: &[f32]) -> Result<Vec<Vec<f32>>> {
+        Ok(vec![self.turned(grad, Turn::Back)])
+    }
+    fn launch<L: Launcher>(&self, l: &L, inputs: &[Input<'_, L>]) -> Launched<L> {
+        self.turn(l, inputs[0], Turn::Forward)
+    }
+    fn launch_backward<L: Launcher>(&self, l: &L, inputs: &[Input<'_, L>]) -> Launched<L> {
+        self.turn(l, inputs[1], Turn::Back)
+    }
+    fn composed(&self, inputs: &[&Tensor]) -> Result<Option<Tensor>> {
+        composed::point_rope(inputs[0], self.heads, &self.rotations).map(Some)
+    }
+}
+
+/// Queries and keys turned by the angles of their voxels, values as they are; f32 in every precision.
 ///
 /// # Shapes
 /// `qkv`: `[N, 3·C]`, the channels being q, k, v, each `[heads, dim]` · returns `[N, 3·C]`
@@ -77,10 +74,5 @@ impl CustomOp1 for PointRope {
 /// # Errors
 /// If shapes do not fit or the tensor is not f32.
 pub fn point_rope(qkv: &Tensor, heads: Heads, rotations: Arc<Rotations>) -> Result<Tensor> {
-    let rope = PointRope { rotations, heads };
-    if composed::here("point_rope", qkv.device()) {
-        rope.check(qkv.layout())?;
-        return composed::point_rope(qkv, heads, &rope.rotations);
-    }
-    qkv.contiguous()?.apply_op1(rope)
+    apply(PointRope { rotations, heads }, &[qkv])
 }

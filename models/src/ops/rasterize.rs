@@ -1,7 +1,7 @@
 //! Pictures of Gaussians, trainable.
 
-use super::{Pass, cpu_slice, forward_on_device, here};
-use candle_core::{CpuStorage, CustomOp2, Error, Layout, Result, Shape, Tensor, bail};
+use super::{Array, Operation, apply};
+use candle_core::{Error, Result, Shape, Tensor, bail};
 use rayon::prelude::*;
 use scenesplat_rasterizer::backward::{GradMask, Trace, TraceRequest, Upstream, backward, trace};
 use scenesplat_rasterizer::{Gaussians, RasterSettings, View};
@@ -18,7 +18,7 @@ const CHUNK: usize = 4096;
 /// candle knows.
 #[derive(Debug, Clone)]
 pub struct GaussianTensors {
-    /// Centres in the world. `[N, 3]`
+    /// Centers in the world. `[N, 3]`
     pub means: Tensor,
     /// `w, x, y, z`, any norm. `[N, 4]`
     pub quats: Tensor,
@@ -30,7 +30,7 @@ pub struct GaussianTensors {
     pub sh: Tensor,
 }
 
-/// A depth beside colour and alpha.
+/// A depth beside color and alpha.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum DepthChannel {
     /// None.
@@ -45,9 +45,9 @@ pub enum DepthChannel {
 /// Draws a view. `[H, W, C]`: red, green, blue (at least 0, no upper limit, over the background of
 /// the settings), alpha, and depth if asked for.
 ///
-/// Groups of parameters that want no gradient are frozen: what only they need is not computed. The
-/// operation keeps a copy of the Gaussians and what the backward pass needs, as long as the
-/// result's graph lives.
+/// Groups of parameters that require no gradient are frozen: what only they need is not computed. The
+/// operation keeps a copy of the Gaussians and what the backward pass needs as long as the graph of the
+/// result lives.
 ///
 /// # Errors
 /// Tensors of another shape, dtype or device, each named; what
@@ -92,7 +92,7 @@ pub fn rasterize(
     };
     let geometry = Tensor::cat(&[means, quats, scales, &opacities.unsqueeze(1)?], 1)?;
     let op = Rasterize { view: *view, settings: *settings, depth, mask, drawn: Mutex::default() };
-    geometry.contiguous()?.apply_op2(&sh.contiguous()?, op)
+    apply(op, &[&geometry, &sh.contiguous()?])
 }
 
 struct Rasterize {
@@ -100,7 +100,7 @@ struct Rasterize {
     settings: RasterSettings,
     depth: DepthChannel,
     mask: GradMask,
-    /// What the forward pass leaves for the backward pass.
+    /// Kept by the forward pass for the backward pass.
     drawn: Mutex<Option<(Gaussians, Trace)>>,
 }
 
@@ -131,7 +131,7 @@ impl Rasterize {
     }
 
     /// Gradients of `[N, 11]` and `[N, K, 3]` from that of the picture.
-    fn gradients(&self, grad: &[f32]) -> Result<(Vec<f32>, Vec<f32>)> {
+    fn gradients_of_rows(&self, grad: &[f32]) -> Result<(Vec<f32>, Vec<f32>)> {
         let drawn = self.drawn.lock().unwrap_or_else(PoisonError::into_inner);
         let Some((gaussians, trace)) = &*drawn else {
             bail!("rasterize: a backward pass without a forward pass")
@@ -180,46 +180,26 @@ fn gaussians(geometry: &[f32], sh: &[f32], sh_degree: u8) -> Gaussians {
     }
 }
 
-impl CustomOp2 for Rasterize {
-    fn name(&self) -> &'static str {
-        "rasterize"
+impl Operation for Rasterize {
+    const NAME: &'static str = "rasterize";
+
+    fn shape(&self, _: &[&Shape]) -> Result<Shape> {
+        Ok((self.view.height as usize, self.view.width as usize, self.channels()).into())
     }
-    fn cpu_fwd(
-        &self,
-        s1: &CpuStorage,
-        l1: &Layout,
-        s2: &CpuStorage,
-        l2: &Layout,
-    ) -> Result<(CpuStorage, Shape)> {
-        let (geometry, sh) = (cpu_slice("rasterize", s1, l1)?, cpu_slice("rasterize", s2, l2)?);
-        let degree = match l2.shape().dims3()?.1 {
-            1 => 0,
-            4 => 1,
-            9 => 2,
-            _ => 3,
-        };
-        let gaussians = gaussians(geometry, sh, degree);
+    fn forward(&self, inputs: &[Array<'_>]) -> Result<Vec<f32>> {
+        let ((geometry, _), (sh, dims)) = (inputs[0], inputs[1]);
+        let gaussians = gaussians(geometry, sh, dims[1].isqrt() as u8 - 1);
         let depth = self.depth != DepthChannel::None;
         let request = TraceRequest { rgb: true, depth, sh_degree: None };
         let trace = trace(&gaussians, &self.view, &self.settings, request).map_err(failed)?;
         let out = self.picture(&trace);
-        let shape = (self.view.height as usize, self.view.width as usize, self.channels());
         if self.mask != (GradMask { sh_direction: true, ..GradMask::none() }) {
             *self.drawn.lock().unwrap_or_else(PoisonError::into_inner) = Some((gaussians, trace));
         }
-        Ok((CpuStorage::F32(out), shape.into()))
+        Ok(out)
     }
-    forward_on_device!(CustomOp2);
-    fn bwd(
-        &self,
-        geometry: &Tensor,
-        sh: &Tensor,
-        _: &Tensor,
-        grad: &Tensor,
-    ) -> Result<(Option<Tensor>, Option<Tensor>)> {
-        let (of_geometry, of_sh) = super::read("rasterize", grad, |grad| self.gradients(grad))?;
-        let device = here("rasterize", Pass::Backward, geometry);
-        let of_geometry = Tensor::from_vec(of_geometry, geometry.shape(), device)?;
-        Ok((Some(of_geometry), Some(Tensor::from_vec(of_sh, sh.shape(), device)?)))
+    fn backward(&self, _: &[Array<'_>], grad: &[f32]) -> Result<Vec<Vec<f32>>> {
+        let (geometry, sh) = self.gradients_of_rows(grad)?;
+        Ok(vec![geometry, sh])
     }
 }

@@ -1,9 +1,9 @@
 //! Pooling of groups of rows, and its counterpart.
 
-use super::{
-    Pass, composed, cpu_slice, emulated, forward_on_device, here, launched, launches, make, read,
-};
-use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor, bail};
+use super::{Array, Operation, apply, composed, gather_launch};
+use crate::device::launches::{Input, Launched, Uploaded, matrix, narrow, room};
+use candle_core::{Result, Shape, Tensor, bail};
+use scenesplat_device::{Launcher, ops::segment as device};
 use scenesplat_kernels::permute::gather_rows;
 use scenesplat_kernels::segment::{Groups, Reduce, reduce, reduce_backward};
 use std::sync::Arc;
@@ -13,48 +13,92 @@ struct SegmentReduce {
     how: Reduce,
 }
 
-impl SegmentReduce {
-    fn check(&self, l: &Layout) -> Result<usize> {
-        let (n, c) = l.shape().dims2()?;
-        if n != self.groups.rows().len() {
-            bail!("segment_reduce: expected {} rows, got {n}", self.groups.rows().len());
-        }
-        Ok(c)
+/// Groups on a device.
+struct OnDevice<B> {
+    rows: B,
+    offsets: B,
+    inverse: B,
+    num_rows: u32,
+    num_groups: u32,
+}
+
+impl<B> OnDevice<B> {
+    fn new<L: Launcher<Buffer = B>>(l: &L, groups: &Groups) -> Uploaded<L, Self> {
+        Ok(Self {
+            rows: l.upload_values(groups.rows())?,
+            offsets: l.upload_values(groups.offsets())?,
+            inverse: l.upload_values(groups.inverse())?,
+            num_rows: narrow::<L>(groups.rows().len())?,
+            num_groups: narrow::<L>(groups.len())?,
+        })
     }
 
-    fn pass(&self, [x]: [&Layout; 1]) -> Result<Option<launches::SegmentReduce<'_>>> {
-        self.check(x)?;
-        Ok(Some(launches::SegmentReduce { groups: &self.groups, how: self.how }))
+    fn view(&self) -> device::Groups<'_, B> {
+        let Self { rows, offsets, inverse, num_rows, num_groups } = self;
+        device::Groups { rows, offsets, inverse, num_rows: *num_rows, num_groups: *num_groups }
     }
 }
 
-impl CustomOp1 for SegmentReduce {
-    fn name(&self) -> &'static str {
-        "segment_reduce"
+fn on_device(how: Reduce) -> device::Reduce {
+    match how {
+        Reduce::Sum => device::Reduce::Sum,
+        Reduce::Mean => device::Reduce::Mean,
+        Reduce::Max => device::Reduce::Max,
     }
-    fn cpu_fwd(&self, s: &CpuStorage, l: &Layout) -> Result<(CpuStorage, Shape)> {
-        if let Some(made) = emulated([(s, l)], || self.pass([l]))? {
-            return Ok(made);
+}
+
+fn reduced<L: Launcher>(
+    l: &L,
+    (x, dims): Input<'_, L>,
+    groups: &Groups,
+    how: Reduce,
+) -> Launched<L> {
+    let (_, c) = matrix::<L>(dims)?;
+    let uploaded = OnDevice::new(l, groups)?;
+    let shape = [groups.len(), c as usize];
+    let mut out = room(l, &shape)?;
+    device::reduce(l, x, c, uploaded.view(), on_device(how), &mut out)?;
+    Ok(Some(vec![(out, shape.as_slice().into())]))
+}
+
+impl Operation for SegmentReduce {
+    const NAME: &'static str = "segment_reduce";
+
+    fn shape(&self, inputs: &[&Shape]) -> Result<Shape> {
+        let (n, c) = inputs[0].dims2()?;
+        if n != self.groups.rows().len() {
+            bail!("segment_reduce: expected {} rows, got {n}", self.groups.rows().len());
         }
-        let c = self.check(l)?;
-        let mut out = vec![0f32; self.groups.len() * c];
-        reduce(cpu_slice("segment_reduce", s, l)?, c, &self.groups, self.how, &mut out);
-        Ok((CpuStorage::F32(out), (self.groups.len(), c).into()))
+        Ok((self.groups.len(), c).into())
     }
-    forward_on_device!(CustomOp1, pass);
-    fn bwd(&self, x: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
-        let (n, c) = x.dims2()?;
-        let pass = launches::SegmentReduceBackward { groups: &self.groups, how: self.how };
-        if let Some(mut made) = launched([x, grad], &pass)? {
-            return Ok(made.pop());
+    fn forward(&self, inputs: &[Array<'_>]) -> Result<Vec<f32>> {
+        let (x, dims) = inputs[0];
+        let mut out = vec![0.0; self.groups.len() * dims[1]];
+        reduce(x, dims[1], &self.groups, self.how, &mut out);
+        Ok(out)
+    }
+    fn backward(&self, inputs: &[Array<'_>], grad: &[f32]) -> Result<Vec<Vec<f32>>> {
+        let (x, dims) = inputs[0];
+        let mut dx = vec![0.0; x.len()];
+        reduce_backward(x, dims[1], &self.groups, self.how, grad, &mut dx);
+        Ok(vec![dx])
+    }
+    fn launch<L: Launcher>(&self, l: &L, inputs: &[Input<'_, L>]) -> Launched<L> {
+        reduced(l, inputs[0], &self.groups, self.how)
+    }
+    fn launch_backward<L: Launcher>(&self, l: &L, inputs: &[Input<'_, L>]) -> Launched<L> {
+        let ((x, dims), (grad, _)) = (inputs[0], inputs[1]);
+        let (_, c) = matrix::<L>(dims)?;
+        let groups = OnDevice::new(l, &self.groups)?;
+        let mut dx = room(l, dims)?;
+        device::reduce_backward(l, x, c, groups.view(), on_device(self.how), grad, &mut dx)?;
+        Ok(Some(vec![(dx, dims.into())]))
+    }
+    fn composed(&self, inputs: &[&Tensor]) -> Result<Option<Tensor>> {
+        if self.how == Reduce::Max {
+            return Ok(None);
         }
-        let device = here("segment_reduce", Pass::Backward, x);
-        read("segment_reduce", x, |x| {
-            read("segment_reduce", grad, |g| {
-                make(device, (n, c), |dx| reduce_backward(x, c, &self.groups, self.how, g, dx))
-            })
-        })
-        .map(Some)
+        composed::segment_reduce(inputs[0], &self.groups, self.how == Reduce::Mean).map(Some)
     }
 }
 
@@ -63,59 +107,43 @@ impl CustomOp1 for SegmentReduce {
 /// # Errors
 /// If the row count differs from the groups' or the tensor is not f32.
 pub fn segment_reduce(x: &Tensor, groups: Arc<Groups>, how: Reduce) -> Result<Tensor> {
-    let reduce = SegmentReduce { groups, how };
-    if how != Reduce::Max && composed::here("segment_reduce", x.device()) {
-        reduce.check(x.layout())?;
-        return composed::segment_reduce(x, &reduce.groups, how == Reduce::Mean);
-    }
-    x.contiguous()?.apply_op1(reduce)
+    apply(SegmentReduce { groups, how }, &[x])
 }
 
 struct ExpandGroups {
     groups: Arc<Groups>,
 }
 
-impl ExpandGroups {
-    fn check(&self, l: &Layout) -> Result<usize> {
-        let (g, c) = l.shape().dims2()?;
+impl Operation for ExpandGroups {
+    const NAME: &'static str = "expand_groups";
+
+    fn shape(&self, inputs: &[&Shape]) -> Result<Shape> {
+        let (g, c) = inputs[0].dims2()?;
         if g != self.groups.len() {
             bail!("expand_groups: expected {} rows, got {g}", self.groups.len());
         }
-        Ok(c)
+        Ok((self.groups.inverse().len(), c).into())
     }
-
-    fn pass(&self, [x]: [&Layout; 1]) -> Result<Option<launches::Gather<'_>>> {
-        self.check(x)?;
-        Ok(Some(launches::Gather { rows: self.groups.inverse() }))
+    fn forward(&self, inputs: &[Array<'_>]) -> Result<Vec<f32>> {
+        let (x, dims) = inputs[0];
+        let mut out = vec![0.0; self.groups.inverse().len() * dims[1]];
+        gather_rows(x, dims[1], self.groups.inverse(), &mut out);
+        Ok(out)
     }
-}
-
-impl CustomOp1 for ExpandGroups {
-    fn name(&self) -> &'static str {
-        "expand_groups"
+    fn backward(&self, inputs: &[Array<'_>], grad: &[f32]) -> Result<Vec<Vec<f32>>> {
+        let (x, dims) = inputs[0];
+        let mut dx = vec![0.0; x.len()];
+        reduce(grad, dims[1], &self.groups, Reduce::Sum, &mut dx);
+        Ok(vec![dx])
     }
-    fn cpu_fwd(&self, s: &CpuStorage, l: &Layout) -> Result<(CpuStorage, Shape)> {
-        if let Some(made) = emulated([(s, l)], || self.pass([l]))? {
-            return Ok(made);
-        }
-        let c = self.check(l)?;
-        let n = self.groups.inverse().len();
-        let mut out = vec![0f32; n * c];
-        gather_rows(cpu_slice("expand_groups", s, l)?, c, self.groups.inverse(), &mut out);
-        Ok((CpuStorage::F32(out), (n, c).into()))
+    fn launch<L: Launcher>(&self, l: &L, inputs: &[Input<'_, L>]) -> Launched<L> {
+        gather_launch(l, inputs[0], self.groups.inverse())
     }
-    forward_on_device!(CustomOp1, pass);
-    fn bwd(&self, x: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
-        let (g, c) = x.dims2()?;
-        let pass = launches::SegmentReduce { groups: &self.groups, how: Reduce::Sum };
-        if let Some(mut made) = launched([grad], &pass)? {
-            return Ok(made.pop());
-        }
-        let device = here("expand_groups", Pass::Backward, x);
-        read("expand_groups", grad, |grad| {
-            make(device, (g, c), |dx| reduce(grad, c, &self.groups, Reduce::Sum, dx))
-        })
-        .map(Some)
+    fn launch_backward<L: Launcher>(&self, l: &L, inputs: &[Input<'_, L>]) -> Launched<L> {
+        reduced(l, inputs[1], &self.groups, Reduce::Sum)
+    }
+    fn composed(&self, inputs: &[&Tensor]) -> Result<Option<Tensor>> {
+        composed::gather(inputs[0], self.groups.inverse()).map(Some)
     }
 }
 
@@ -124,10 +152,5 @@ impl CustomOp1 for ExpandGroups {
 /// # Errors
 /// If the row count differs from the number of groups or the tensor is not f32.
 pub fn expand_groups(x: &Tensor, groups: Arc<Groups>) -> Result<Tensor> {
-    let expand = ExpandGroups { groups };
-    if composed::here("expand_groups", x.device()) {
-        expand.check(x.layout())?;
-        return composed::gather(x, expand.groups.inverse());
-    }
-    x.contiguous()?.apply_op1(expand)
+    apply(ExpandGroups { groups }, &[x])
 }

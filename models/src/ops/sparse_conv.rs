@@ -1,10 +1,11 @@
 //! Submanifold convolution.
 
-use super::{
-    Pass, composed, cpu_slice, emulated, forward_on_device, here, launched, launches, make,
-    make_unwritten, read, refuse_gradient, refuse_training, unwritten,
-};
-use candle_core::{CpuStorage, CustomOp2, CustomOp3, Layout, Result, Shape, Tensor, bail};
+use super::{Array, Operation, apply, composed, frozen, refuse_training, unwritten};
+use crate::device::launches::{Input, Launched, Uploaded, matrix, narrow, room};
+use candle_core::{Result, Shape, Tensor, bail};
+use scenesplat_device::Launcher;
+use scenesplat_device::ops::sparse_conv::{self as device, Method};
+use scenesplat_device::ops::{columns, kernel_map};
 use scenesplat_kernels::Precision;
 use scenesplat_kernels::kernel_map::KernelMap;
 use scenesplat_kernels::sparse_conv::{
@@ -18,145 +19,97 @@ struct SparseConv {
 }
 
 impl SparseConv {
-    /// Rows, channels of the input and of the output.
-    fn check(&self, x: &Layout, w: &Layout) -> Result<(usize, usize, usize)> {
-        let (n, cin) = x.shape().dims2()?;
+    fn upload<L: Launcher>(&self, l: &L) -> Uploaded<L, kernel_map::KernelMap<L::Buffer>> {
+        let (n, taps) = (self.map.rows(), self.map.taps());
+        let mut neighbors = vec![u32::MAX; n * taps];
+        let (mut starts, mut input, mut output) = (vec![0], Vec::new(), Vec::new());
+        for (tap, row) in (0..taps).zip(neighbors.chunks_exact_mut(n.max(1))) {
+            let (from, to) = self.map.tap_pairs(tap);
+            from.iter().zip(&to).for_each(|(from, to)| row[*to as usize] = *from);
+            input.extend(from);
+            output.extend(to);
+            starts.push(narrow::<L>(input.len())?);
+        }
+        starts.resize(taps + 1, 0);
+        Ok(kernel_map::KernelMap {
+            kernel_size: narrow::<L>(self.map.kernel_size())?,
+            rows: narrow::<L>(n)?,
+            pairs: narrow::<L>(input.len())?,
+            duplicates: self.map.has_duplicates(),
+            neighbors: l.upload_values(&neighbors)?,
+            starts: l.upload_values(&starts)?,
+            input: l.upload_values(&input)?,
+            output: l.upload_values(&output)?,
+        })
+    }
+}
+
+impl Operation for SparseConv {
+    const NAME: &'static str = "sparse_conv";
+
+    fn shape(&self, inputs: &[&Shape]) -> Result<Shape> {
+        let (n, cin) = inputs[0].dims2()?;
         let k = self.map.kernel_size();
-        let (cout, w_in) = match *w.shape().dims() {
+        let (cout, w_in) = match *inputs[1].dims() {
             [cout, k1, k2, k3, cin] if [k1, k2, k3] == [k; 3] => (cout, cin),
             ref other => bail!("sparse_conv: expected [out, {k}, {k}, {k}, in], got {other:?}"),
         };
         if cin != w_in || n != self.map.rows() {
-            bail!("sparse_conv: expected [{}, {w_in}], got {:?}", self.map.rows(), x.shape());
+            bail!("sparse_conv: expected [{}, {w_in}], got {:?}", self.map.rows(), inputs[0]);
         }
-        Ok((n, cin, cout))
+        Ok((n, cout).into())
     }
-
-    /// Without or with a bias.
-    fn pass<const N: usize>(
-        &self,
-        layouts: [&Layout; N],
-    ) -> Result<Option<launches::SparseConv<'_>>> {
-        let (_, _, cout) = self.check(layouts[0], layouts[1])?;
-        Ok(Some(launches::SparseConv { map: &self.map, cout }))
-    }
-
-    fn run(
-        &self,
-        x: (&CpuStorage, &Layout),
-        w: (&CpuStorage, &Layout),
-        bias: Option<&[f32]>,
-    ) -> Result<(CpuStorage, Shape)> {
-        let (n, cin, cout) = self.check(x.1, w.1)?;
-        let values = cpu_slice("sparse_conv", w.0, w.1)?;
-        let weight = PackedConv::with_precision(self.precision, values, cin, cout, self.map.taps());
+    fn forward(&self, inputs: &[Array<'_>]) -> Result<Vec<f32>> {
+        let ((x, dims), (w, of_weight)) = (inputs[0], inputs[1]);
+        let (cin, cout, taps) = (dims[1], of_weight[0], self.map.taps());
+        let weight = PackedConv::with_precision(self.precision, w, cin, cout, taps);
+        let bias = inputs.get(2).map(|(bias, _)| *bias);
         // SAFETY: the kernel writes all of it and reads none before.
-        let mut out = unsafe { unwritten(n * cout) };
-        forward(&self.map, cpu_slice("sparse_conv", x.0, x.1)?, &weight, bias, &mut out);
-        Ok((CpuStorage::F32(out), (n, cout).into()))
+        let mut out = unsafe { unwritten(dims[0] * cout) };
+        forward(&self.map, x, &weight, bias, &mut out);
+        Ok(out)
     }
-
-    /// Of the input, the weight and, if there is one, the bias.
-    fn gradients(
-        &self,
-        x: &Tensor,
-        w: &Tensor,
-        has_bias: bool,
-        grad: &Tensor,
-    ) -> Result<(Tensor, Tensor, Option<Tensor>)> {
-        let (n, cin) = x.dims2()?;
-        let cout = w.dim(0)?;
-        let pass = launches::SparseConvBackward(launches::SparseConv { map: &self.map, cout });
-        if let Some(made) = launched([x, w, grad], &pass)? {
-            return Ok((made[0].clone(), made[1].clone(), Some(made[2].clone())));
+    fn backward(&self, inputs: &[Array<'_>], grad: &[f32]) -> Result<Vec<Vec<f32>>> {
+        let ((x, dims), (w, of_weight)) = (inputs[0], inputs[1]);
+        let (cin, cout) = (dims[1], of_weight[0]);
+        let (mut dx, mut dw) = (vec![0.0; x.len()], vec![0.0; w.len()]);
+        backward_input(self.precision, &self.map, grad, w, cin, cout, &mut dx);
+        backward_weight(self.precision, &self.map, x, grad, cin, cout, &mut dw);
+        let mut found = vec![dx, dw];
+        found.extend((inputs.len() > 2).then(|| backward_bias(grad, cout)));
+        Ok(found)
+    }
+    fn launch<L: Launcher>(&self, l: &L, inputs: &[Input<'_, L>]) -> Launched<L> {
+        let ((x, dims), (weight, of_weight)) = (inputs[0], inputs[1]);
+        let (map, (_, cin)) = (self.upload(l)?, matrix::<L>(dims)?);
+        let (shape, cout) = ([dims[0], of_weight[0]], narrow::<L>(of_weight[0])?);
+        let bias = inputs.get(2).map(|(bias, _)| *bias);
+        let mut out = room(l, &shape)?;
+        device::forward(l, Method::ByWidth, &map, x, weight, bias, cin, cout, &mut out)?;
+        Ok(Some(vec![(out, shape.as_slice().into())]))
+    }
+    fn launch_backward<L: Launcher>(&self, l: &L, inputs: &[Input<'_, L>]) -> Launched<L> {
+        let (grad, _) = inputs[inputs.len() - 1];
+        let ((x, dims), (weight, of_weight)) = (inputs[0], inputs[1]);
+        let (map, (n, cin)) = (self.upload(l)?, matrix::<L>(dims)?);
+        let cout = narrow::<L>(of_weight[0])?;
+        let (mut dx, mut dw) = (room(l, dims)?, room(l, of_weight)?);
+        device::backward_input(l, Method::ByWidth, &map, grad, weight, cin, cout, &mut dx)?;
+        device::backward_weight(l, &map, x, grad, cin, cout, &mut dw)?;
+        let mut found = vec![(dx, dims.into()), (dw, of_weight.into())];
+        if let [_, _, (_, of_bias), _] = inputs {
+            let mut db = room(l, of_bias)?;
+            columns::column_sums(l, grad, n, cout, &mut db)?;
+            found.push((db, (*of_bias).into()));
         }
-        let device = here("sparse_conv", Pass::Backward, x);
-        let dx = read("sparse_conv", grad, |g| {
-            read("sparse_conv", w, |w| {
-                make(device, (n, cin), |dx| {
-                    backward_input(self.precision, &self.map, g, w, cin, cout, dx);
-                })
-            })
-        })?;
-        let dw = read("sparse_conv", grad, |g| {
-            read("sparse_conv", x, |x| {
-                make(device, w.shape().clone(), |dw| {
-                    backward_weight(self.precision, &self.map, x, g, cin, cout, dw);
-                })
-            })
-        })?;
-        let bias = || {
-            read("sparse_conv", grad, |g| {
-                make(device, cout, |out| out.copy_from_slice(&backward_bias(g, cout)))
-            })
-        };
-        Ok((dx, dw, has_bias.then(bias).transpose()?))
+        Ok(Some(found))
+    }
+    fn composed(&self, inputs: &[&Tensor]) -> Result<Option<Tensor>> {
+        composed::sparse_conv(inputs[0], inputs[1], inputs.get(2).copied(), &self.map).map(Some)
     }
 }
 
-impl CustomOp3 for SparseConv {
-    fn name(&self) -> &'static str {
-        "sparse_conv"
-    }
-    fn cpu_fwd(
-        &self,
-        s1: &CpuStorage,
-        l1: &Layout,
-        s2: &CpuStorage,
-        l2: &Layout,
-        s3: &CpuStorage,
-        l3: &Layout,
-    ) -> Result<(CpuStorage, Shape)> {
-        let inputs = [(s1, l1), (s2, l2), (s3, l3)];
-        if let Some(made) = emulated(inputs, || self.pass([l1, l2, l3]))? {
-            return Ok(made);
-        }
-        self.run((s1, l1), (s2, l2), Some(cpu_slice("sparse_conv", s3, l3)?))
-    }
-    forward_on_device!(CustomOp3, pass);
-    fn bwd(
-        &self,
-        x: &Tensor,
-        w: &Tensor,
-        _: &Tensor,
-        _: &Tensor,
-        grad: &Tensor,
-    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
-        let (dx, dw, db) = self.gradients(x, w, true, grad)?;
-        Ok((Some(dx), Some(dw), db))
-    }
-}
-
-impl CustomOp2 for SparseConv {
-    fn name(&self) -> &'static str {
-        "sparse_conv"
-    }
-    fn cpu_fwd(
-        &self,
-        s1: &CpuStorage,
-        l1: &Layout,
-        s2: &CpuStorage,
-        l2: &Layout,
-    ) -> Result<(CpuStorage, Shape)> {
-        if let Some(made) = emulated([(s1, l1), (s2, l2)], || self.pass([l1, l2]))? {
-            return Ok(made);
-        }
-        self.run((s1, l1), (s2, l2), None)
-    }
-    forward_on_device!(CustomOp2, pass);
-    fn bwd(
-        &self,
-        x: &Tensor,
-        w: &Tensor,
-        _: &Tensor,
-        grad: &Tensor,
-    ) -> Result<(Option<Tensor>, Option<Tensor>)> {
-        let (dx, dw, _) = self.gradients(x, w, false, grad)?;
-        Ok((Some(dx), Some(dw)))
-    }
-}
-
-/// `out[p] = bias + Σ_tap W[:, tap, :] · x[p + tap − centre]` over occupied voxels.
+/// `out[p] = bias + Σ_tap W[:, tap, :] · x[p + tap − center]` over occupied voxels.
 ///
 /// # Shapes
 /// `x`: `[N, in]` · `weight`: `[out, k, k, k, in]` · `bias`: `[out]` · returns `[N, out]`
@@ -184,38 +137,25 @@ pub fn sparse_conv_with(
     map: Arc<KernelMap>,
 ) -> Result<Tensor> {
     refuse_training("sparse_conv", precision)?;
-    let conv = SparseConv { precision, map };
-    if composed::here("sparse_conv", x.device()) {
-        conv.check(x.layout(), weight.layout())?;
-        return composed::sparse_conv(x, weight, bias, &conv.map);
-    }
-    let x = x.contiguous()?;
-    match bias {
-        Some(bias) => x.apply_op3(weight, bias, conv),
-        None => x.apply_op2(weight, conv),
-    }
+    let inputs: Vec<&Tensor> = [x, weight].into_iter().chain(bias).collect();
+    apply(SparseConv { precision, map }, &inputs)
 }
 
 /// [`sparse_conv`] with packed weights, without gradient.
 ///
 /// # Errors
-/// If shapes do not fit or `x` wants a gradient.
+/// If shapes do not fit or `x` requires a gradient.
 pub fn sparse_conv_frozen(
     x: &Tensor,
     weight: &PackedConv,
     bias: Option<&[f32]>,
     map: &KernelMap,
 ) -> Result<Tensor> {
-    refuse_gradient("sparse_conv", x)?;
     let (n, cin) = x.dims2()?;
     if cin != weight.cin() || n != map.rows() {
         bail!("sparse_conv: expected [{}, {}], got {:?}", map.rows(), weight.cin(), x.shape());
     }
-    let device = here("sparse_conv", Pass::Forward, x);
-    read("sparse_conv", x, |x| {
-        // SAFETY: the kernel writes all of it and reads none before.
-        unsafe {
-            make_unwritten(device, (n, weight.cout()), |out| forward(map, x, weight, bias, out))
-        }
-    })
+    let shape = (n, weight.cout());
+    // SAFETY: the kernel writes all of it and reads none before.
+    unsafe { frozen("sparse_conv", x, None, shape, |x, _, out| forward(map, x, weight, bias, out)) }
 }

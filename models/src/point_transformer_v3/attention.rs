@@ -1,6 +1,5 @@
 //! Attention of a block.
 
-use super::config::BatchRule;
 use crate::layers::Linear;
 use crate::{Compute, ops};
 use candle_core::{Result, Tensor};
@@ -8,6 +7,20 @@ use candle_nn::VarBuilder;
 use scenesplat_kernels::Precision;
 use scenesplat_kernels::patch_attention::Heads;
 use scenesplat_kernels::serialized_cloud::SerializedCloud;
+use serde::{Deserialize, Serialize};
+
+/// Whether scenes of a batch are kept apart where the original mixes them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum BatchRule {
+    /// Curve depth and patch size of each scene depend on that scene alone.
+    #[default]
+    Isolated,
+    /// Curve depth of the whole batch, as the original with flash attention.
+    SharedDepth,
+    /// Also patches no longer than the smallest scene, as the original without flash attention.
+    SharedDepthAndPatch,
+}
 
 /// Multi-head attention inside patches of one curve order.
 #[derive(Debug)]

@@ -1,12 +1,10 @@
 //! One block: positional convolution, attention, MLP, each with a residual.
 
-use super::attention::SerializedAttention;
-use super::config::BatchRule;
-use crate::layers::{DropPath, LayerNorm, Mlp, ResidualConv};
-use crate::{Compute, Forward, Mode};
+use super::attention::{BatchRule, SerializedAttention};
+use crate::layers::{AttentionMlp, ResidualConv, recomputed};
+use crate::{Compute, Forward};
 use candle_core::{Result, Tensor};
 use candle_nn::VarBuilder;
-use rand_chacha::ChaCha8Rng;
 use scenesplat_kernels::serialized_cloud::SerializedCloud;
 use std::sync::Arc;
 
@@ -31,15 +29,11 @@ pub struct BlockShape {
     pub compute: Compute,
 }
 
-/// `x + LN(Linear(conv(x)))`, then attention and MLP on normalised rows.
+/// `x + LN(Linear(conv(x)))`, then attention and MLP on normalized rows.
 #[derive(Debug, Clone)]
 pub struct Block {
     conv: ResidualConv,
-    norm1: LayerNorm,
-    attention: Arc<SerializedAttention>,
-    norm2: LayerNorm,
-    mlp: Arc<Mlp>,
-    drop_path: DropPath,
+    rest: Arc<AttentionMlp<SerializedAttention>>,
 }
 
 impl Block {
@@ -57,22 +51,20 @@ impl Block {
         rank: Option<usize>,
         vb: VarBuilder<'_>,
     ) -> Result<Self> {
-        let c = shape.channels;
+        let (c, compute) = (shape.channels, shape.compute);
+        let attention = SerializedAttention::new(
+            c,
+            shape.num_heads,
+            shape.patch_size,
+            shape.order,
+            shape.batch_rule,
+            compute,
+            vb.pp("attn"),
+        )?;
+        let (ratio, drop_path) = (shape.mlp_ratio, shape.drop_path);
         Ok(Self {
-            conv: ResidualConv::with_rank(shape.compute, c, rank, vb.pp("cpe"))?,
-            norm1: LayerNorm::new(c, vb.pp("norm1.0"))?,
-            attention: Arc::new(SerializedAttention::new(
-                c,
-                shape.num_heads,
-                shape.patch_size,
-                shape.order,
-                shape.batch_rule,
-                shape.compute,
-                vb.pp("attn"),
-            )?),
-            norm2: LayerNorm::new(c, vb.pp("norm2.0"))?,
-            mlp: Arc::new(Mlp::with(shape.compute, c, shape.mlp_ratio * c, vb.pp("mlp.0"))?),
-            drop_path: DropPath { rate: shape.drop_path },
+            conv: ResidualConv::with_rank(compute, c, rank, vb.pp("cpe"))?,
+            rest: Arc::new(AttentionMlp::new(attention, c, ratio, drop_path, compute, &vb)?),
         })
     }
 
@@ -103,22 +95,10 @@ impl Block {
             return self.forward(x, conv_input, cloud, cx);
         };
         let (block, cloud) = (Arc::clone(self), Arc::clone(cloud));
-        let (mode, rng) = (cx.mode, cx.rng.clone());
-        let run = move |inputs: &[Tensor], rng: &mut ChaCha8Rng| {
-            let mut cx = Forward { mode, ..Forward::eval(rng) };
-            block.forward(inputs[0].clone(), inputs.get(1).cloned(), &cloud, &mut cx)
-        };
-        // Draws what the block draws, so that the next block does not draw the same.
-        self.advance(cx, x.dim(0)?);
         let inputs: Vec<&Tensor> = std::iter::once(&x).chain(&conv_input).collect();
-        recompute.apply(&inputs, move |inputs| run(inputs, &mut rng.clone()))
-    }
-
-    /// Takes as many random numbers as [`forward`](Self::forward) does.
-    fn advance(&self, cx: &mut Forward<'_>, rows: usize) {
-        if cx.mode == Mode::Train {
-            (0..2).for_each(|_| self.drop_path.skip(rows, cx.rng));
-        }
+        recomputed(&recompute, &inputs, Some(self.rest.drop_path), cx, move |inputs, cx| {
+            block.forward(inputs[0].clone(), inputs.get(1).cloned(), &cloud, cx)
+        })
     }
 
     /// `[N, C] → [N, C]`. The convolution reads `conv_input` where given (the first decoder block
@@ -133,16 +113,7 @@ impl Block {
         cloud: &SerializedCloud,
         cx: &mut Forward<'_>,
     ) -> Result<Tensor> {
-        // Rows are as large as memory gets: each is given up as soon as nothing reads it.
-        let mut x = x;
-        x = self.conv.forward(&x, conv_input, cloud)?;
-        if cx.mode == Mode::Eval || self.drop_path.rate <= 0.0 {
-            x = self.attention.forward(self.norm1.forward(&x)?, cloud, Some(&x))?;
-            return self.mlp.forward_residual(&self.norm2.forward(&x)?, &x);
-        }
-        let branch = self.attention.forward(self.norm1.forward(&x)?, cloud, None)?;
-        let x = self.drop_path.forward_residual(&branch, &x, cx.mode, cx.rng)?;
-        let branch = self.mlp.forward(&self.norm2.forward(&x)?)?;
-        self.drop_path.forward_residual(&branch, &x, cx.mode, cx.rng)
+        let x = self.conv.forward(&x, conv_input, cloud)?;
+        self.rest.forward(x, cx, |attention, x, residual| attention.forward(x, cloud, residual))
     }
 }

@@ -1,9 +1,14 @@
 //! Shape of a network.
 
 use super::PointTransformerV3;
+use super::attention::BatchRule;
+use super::block::BlockShape;
 use crate::architecture::NO_LAST_STAGE;
 use crate::params::check_values;
-use crate::stages::{DEEPEST, LARGEST, MOST_STAGES, check_sizes, linspace, split};
+use crate::stages::{
+    DEEPEST, LARGEST, MAX_MLP_RATIO, check_lengths, check_rates, check_sizes, curves, drop_rates,
+    falling_drop_rates,
+};
 use crate::weights::Shapes;
 use crate::{Architecture, Backbone, BackboneCost, Compute, LastStage, MultiplyAdds, Shortcuts};
 use candle_core::{Result, bail};
@@ -12,12 +17,8 @@ use scenesplat_kernels::segment::Reduce;
 use scenesplat_kernels::serialization::Curve;
 use serde::{Deserialize, Serialize};
 
-/// The most entries in the list of curves; there are four.
-const MAX_ORDERS: usize = 64;
 /// The widest input of a voxel.
 const MAX_INPUTS: usize = 1 << 16;
-/// The widest hidden layer of a block, in channels.
-const MAX_MLP_RATIO: usize = 64;
 /// The largest pooling factor: curves have 21 bits an axis.
 const MAX_STRIDE: usize = 1 << 16;
 /// The most points of an attention patch, 64 times the original's.
@@ -40,19 +41,6 @@ impl From<PoolingReduce> for Reduce {
             PoolingReduce::Max => Self::Max,
         }
     }
-}
-
-/// Whether scenes of a batch are kept apart where the original mixes them.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum BatchRule {
-    /// Curve depth and patch size of each scene depend on that scene alone.
-    #[default]
-    Isolated,
-    /// Curve depth of the whole batch, as the original with flash attention.
-    SharedDepth,
-    /// Also patches no longer than the smallest scene, as the original without flash attention.
-    SharedDepthAndPatch,
 }
 
 /// Shape of a Point Transformer V3. Defaults are those of the language network.
@@ -244,68 +232,22 @@ impl PointTransformerV3Config {
     /// # Errors
     /// Names the first field that does not fit.
     pub fn check(&self) -> Result<Vec<Curve>> {
-        self.check_limits()?;
-        if self.shortcuts != Shortcuts::default() && self.last_stage_width().is_none() {
-            bail!("shortcuts: {NO_LAST_STAGE}");
-        }
         let stages = self.num_stages();
-        let lengths = [
-            ("stride", self.stride.len(), stages.saturating_sub(1)),
-            ("enc_channels", self.enc_channels.len(), stages),
-            ("enc_num_head", self.enc_num_head.len(), stages),
-            ("enc_patch_size", self.enc_patch_size.len(), stages),
-        ];
-        let decoder = if self.dec_depths.is_empty() { 0 } else { stages.saturating_sub(1) };
-        let decoder = [
-            ("dec_depths", self.dec_depths.len(), decoder),
-            ("dec_channels", self.dec_channels.len(), decoder),
-            ("dec_num_head", self.dec_num_head.len(), decoder),
-            ("dec_patch_size", self.dec_patch_size.len(), decoder),
-        ];
-        if stages == 0 {
-            bail!("enc_depths: at least one stage is needed");
-        }
-        for (field, got, want) in lengths.into_iter().chain(decoder) {
-            if got != want {
-                bail!("{field}: expected {want} entries for {stages} encoder stages, got {got}");
-            }
-        }
-        for (field, channels, heads) in [
-            ("enc_num_head", &self.enc_channels, &self.enc_num_head),
-            ("dec_num_head", &self.dec_channels, &self.dec_num_head),
-        ] {
-            if let Some(i) = channels.iter().zip(heads).position(|(c, h)| c % h != 0) {
-                bail!("{field}[{i}]: {} heads do not divide {} channels", heads[i], channels[i]);
-            }
-        }
-        if let Some(i) = self.stride.iter().position(|s| !s.is_power_of_two()) {
-            bail!("stride[{i}]: {} is not a power of two", self.stride[i]);
-        }
-        if !(0.0..1.0).contains(&self.drop_path) {
-            bail!("drop_path: {} is not in 0..1", self.drop_path);
-        }
-        if self.order.is_empty() {
-            bail!("order: at least one curve is needed");
-        }
-        self.order
-            .iter()
-            .map(|name| match Curve::from_name(name) {
-                Some(curve) => Ok(curve),
-                None => bail!("order: {name:?} is not one of z, z-trans, hilbert, hilbert-trans"),
-            })
-            .collect()
-    }
-
-    /// That no size is 0 or beyond its limit.
-    fn check_limits(&self) -> Result<()> {
-        for (field, entries, most) in [
-            ("enc_depths", self.enc_depths.len(), MOST_STAGES),
-            ("order", self.order.len(), MAX_ORDERS),
-        ] {
-            if entries > most {
-                bail!("{field}: {entries} entries, at most {most} are possible");
-            }
-        }
+        let above = stages.saturating_sub(1);
+        let decoder = if self.dec_depths.is_empty() { 0 } else { above };
+        check_lengths(
+            stages,
+            &[
+                ("stride", self.stride.len(), above),
+                ("enc_channels", self.enc_channels.len(), stages),
+                ("enc_num_head", self.enc_num_head.len(), stages),
+                ("enc_patch_size", self.enc_patch_size.len(), stages),
+                ("dec_depths", self.dec_depths.len(), decoder),
+                ("dec_channels", self.dec_channels.len(), decoder),
+                ("dec_num_head", self.dec_num_head.len(), decoder),
+                ("dec_patch_size", self.dec_patch_size.len(), decoder),
+            ],
+        )?;
         check_sizes(&[
             ("in_channels", &[self.in_channels], 1, MAX_INPUTS),
             ("mlp_ratio", &[self.mlp_ratio], 1, MAX_MLP_RATIO),
@@ -319,21 +261,56 @@ impl PointTransformerV3Config {
             ("enc_patch_size", &self.enc_patch_size, 1, MAX_PATCH_SIZE),
             ("dec_patch_size", &self.dec_patch_size, 1, MAX_PATCH_SIZE),
         ])?;
-        check_values(self.num_values())
+        check_values(self.num_values())?;
+        if self.shortcuts != Shortcuts::default() && self.last_stage_width().is_none() {
+            bail!("shortcuts: {NO_LAST_STAGE}");
+        }
+        for (field, channels, heads) in [
+            ("enc_num_head", &self.enc_channels, &self.enc_num_head),
+            ("dec_num_head", &self.dec_channels, &self.dec_num_head),
+        ] {
+            if let Some(i) = channels.iter().zip(heads).position(|(c, h)| c % h != 0) {
+                bail!("{field}[{i}]: {} heads do not divide {} channels", heads[i], channels[i]);
+            }
+        }
+        check_rates(&self.stride, self.drop_path)?;
+        curves(&self.order)
     }
 
-    /// Drop rates of the encoder's blocks, stage by stage: rising from 0 to `drop_path`.
-    pub fn enc_drop_rates(&self) -> Vec<Vec<f64>> {
-        split(&self.enc_depths, linspace(self.drop_path, self.enc_depths.iter().sum()))
+    /// Shapes of the blocks of each encoder stage.
+    pub(super) fn encoder_blocks(&self) -> Vec<Vec<BlockShape>> {
+        let rates = drop_rates(&self.enc_depths, self.drop_path);
+        self.blocks(&rates, &self.enc_channels, &self.enc_num_head, &self.enc_patch_size)
     }
 
-    /// Drop rates of the decoder's blocks, stage by stage (fine to coarse): the first block that
-    /// runs, in the coarsest stage, has the highest.
-    pub fn dec_drop_rates(&self) -> Vec<Vec<f64>> {
-        let mut rates =
-            split(&self.dec_depths, linspace(self.drop_path, self.dec_depths.iter().sum()));
-        rates.iter_mut().for_each(|stage| stage.reverse());
-        rates
+    /// Shapes of the blocks of each decoder stage, fine to coarse: the first block that runs, in the
+    /// coarsest stage, has the highest drop rate.
+    pub(super) fn decoder_blocks(&self) -> Vec<Vec<BlockShape>> {
+        let rates = falling_drop_rates(&self.dec_depths, self.drop_path);
+        self.blocks(&rates, &self.dec_channels, &self.dec_num_head, &self.dec_patch_size)
+    }
+
+    fn blocks(
+        &self,
+        rates: &[Vec<f64>],
+        channels: &[usize],
+        heads: &[usize],
+        patches: &[usize],
+    ) -> Vec<Vec<BlockShape>> {
+        let block = |stage: usize, i: usize, drop_path: f64| BlockShape {
+            channels: channels[stage],
+            num_heads: heads[stage],
+            patch_size: patches[stage],
+            mlp_ratio: self.mlp_ratio,
+            drop_path,
+            order: i % self.order.len(),
+            batch_rule: self.batch_rule,
+            compute: self.compute,
+        };
+        let stage = |(stage, rates): (usize, &Vec<f64>)| {
+            rates.iter().enumerate().map(|(i, &rate)| block(stage, i, rate)).collect()
+        };
+        rates.iter().enumerate().map(stage).collect()
     }
 }
 
@@ -403,16 +380,15 @@ mod tests {
     #[test]
     fn drop_rates_of_the_language_network() {
         let config = PointTransformerV3Config::language();
-        let close = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 5e-5);
-        let enc = config.enc_drop_rates();
+        let close = |blocks: &[BlockShape], rates: &[f64]| {
+            blocks.iter().zip(rates).all(|(b, rate)| (b.drop_path - rate).abs() < 5e-5)
+        };
+        let (enc, dec) = (config.encoder_blocks(), config.decoder_blocks());
         assert!(close(&enc[1], &[0.0545, 0.0818]));
         assert!(close(&enc[3], &[0.1636, 0.1909, 0.2182, 0.2455, 0.2727, 0.3]));
-        let dec = config.dec_drop_rates();
-        assert!(
-            close(&dec[2], &[0.30, 0.24])
-                && close(&dec[1], &[0.18, 0.12])
-                && close(&dec[0], &[0.06, 0.0])
-        );
+        for (stage, rates) in dec.iter().zip([[0.06, 0.0], [0.18, 0.12], [0.30, 0.24]]) {
+            assert!(close(stage, &rates));
+        }
     }
 
     #[test]

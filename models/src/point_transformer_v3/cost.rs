@@ -2,7 +2,7 @@
 //! given voxels.
 
 use super::PointTransformerV3Config;
-use crate::multiply_adds::{BlockSize, MultiplyAdds, between, finest};
+use crate::multiply_adds::{BlockSize, MultiplyAdds, count};
 use crate::{LastStage, Shortcuts};
 use candle_core::Result;
 
@@ -82,30 +82,21 @@ impl PointTransformerV3Config {
     ) -> Result<MultiplyAdds> {
         self.check()?;
         let folded = frozen && self.compute.fold;
-        let mut cloud = finest(voxels)?;
-        let (enc, dec) = (&self.enc_channels, &self.dec_channels);
-        let map = cloud.kernel_map(5).map_err(candle_core::Error::wrap)?;
-        let stem = map.num_pairs() * self.in_channels * enc[0];
-        let (mut scales, mut blocks) = (0, 0.0);
-        for stage in 0..self.num_stages() {
-            if stage > 0 {
-                let fine = cloud.len();
-                cloud = cloud.pool(self.stride[stage - 1].trailing_zeros()).0;
-                scales += between(enc, dec, stage, fine, cloud.len());
-            }
+        let (enc, dec) = (self.enc_channels.as_slice(), self.dec_channels.as_slice());
+        count(voxels, self.in_channels, &self.stride, [enc, dec], |stage, cloud| {
             let block = |c: usize, patch_size: usize, rank: Option<usize>| -> Result<f64> {
-                Ok(self.block_work(c, folded, &BlockSize::count(&cloud, patch_size)?, rank))
+                Ok(self.block_work(c, folded, &BlockSize::count(cloud, patch_size)?, rank))
             };
-            blocks += self.enc_depths[stage] as f64
+            let mut work = self.enc_depths[stage] as f64
                 * block(enc[stage], self.enc_patch_size[stage], None)?;
             for (at, &depth) in self.dec_depths.iter().enumerate() {
                 let (scale, rank) = self.shortened(at);
                 if scale == stage {
-                    blocks += depth as f64 * block(dec[at], self.dec_patch_size[at], rank)?;
+                    work += depth as f64 * block(dec[at], self.dec_patch_size[at], rank)?;
                 }
             }
-        }
-        Ok(MultiplyAdds { stem: stem as u64, rest: scales as u64 + blocks as u64 })
+            Ok(work)
+        })
     }
 
     /// On which scale the blocks of a decoder stage run, and the rank of their convolutions.

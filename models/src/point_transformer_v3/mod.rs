@@ -19,9 +19,9 @@ mod pooling;
 mod recognize;
 mod unpooling;
 
-pub use attention::SerializedAttention;
+pub use attention::{BatchRule, SerializedAttention};
 pub use block::{Block, BlockShape};
-pub use config::{BatchRule, PointTransformerV3Config, PoolingReduce};
+pub use config::{PointTransformerV3Config, PoolingReduce};
 pub use embedding::Embedding;
 pub use pooling::SerializedPooling;
 pub use unpooling::{SerializedUnpooling, Unpooled};
@@ -85,7 +85,7 @@ pub struct EncoderDecoderOutput {
     pub decoder: Option<Tensor>,
 }
 
-/// What a pass gives.
+/// Result of a pass.
 struct Pass {
     encoder: Tensor,
     encoder_offsets: Vec<usize>,
@@ -95,6 +95,25 @@ struct Pass {
     sorted: Option<SortedRows>,
 }
 
+/// Rows of a scale that the decoder comes back to, and the groups that were pooled.
+struct Skip {
+    feat: Tensor,
+    cloud: Arc<SerializedCloud>,
+    groups: Arc<Groups>,
+}
+
+/// Blocks under `block0`, `block1` …
+fn blocks(
+    shapes: &[BlockShape],
+    rank: Option<usize>,
+    vb: &VarBuilder<'_>,
+) -> Result<Vec<Arc<Block>>> {
+    let build = |(i, shape): (usize, &BlockShape)| {
+        Block::with_rank(*shape, rank, vb.pp(format!("block{i}"))).map(Arc::new)
+    };
+    shapes.iter().enumerate().map(build).collect()
+}
+
 impl PointTransformerV3 {
     /// Builds the network; parameters have the original's names.
     ///
@@ -102,90 +121,49 @@ impl PointTransformerV3 {
     /// If the configuration does not fit together or parameters exist with another shape.
     pub fn new(config: &PointTransformerV3Config, vb: VarBuilder<'_>) -> Result<Self> {
         let curves = config.check()?;
-        let compute = config.compute;
-        let embedding = Arc::new(Embedding::new(
-            config.in_channels,
-            config.enc_channels[0],
-            compute,
-            vb.pp("embedding"),
-        )?);
-        let mask_token = config
-            .mask_token
-            .then(|| {
-                let init = Init::Randn { mean: 0.0, stdev: 0.02 };
-                vb.get_with_hints((1, config.enc_channels[0]), "mask_token", init)
-            })
-            .transpose()?;
-        let block = |stage: usize, i: usize, decoder: bool, rate: f64| BlockShape {
-            channels: if decoder { config.dec_channels[stage] } else { config.enc_channels[stage] },
-            num_heads: if decoder {
-                config.dec_num_head[stage]
-            } else {
-                config.enc_num_head[stage]
-            },
-            patch_size: if decoder {
-                config.dec_patch_size[stage]
-            } else {
-                config.enc_patch_size[stage]
-            },
-            mlp_ratio: config.mlp_ratio,
-            drop_path: rate,
-            order: i % curves.len(),
-            batch_rule: config.batch_rule,
-            compute,
+        let (channels, compute) = (&config.enc_channels, config.compute);
+        let embedding =
+            Embedding::new(config.in_channels, channels[0], compute, vb.pp("embedding"))?;
+        let token = || {
+            let init = Init::Randn { mean: 0.0, stdev: 0.02 };
+            vb.get_with_hints((1, channels[0]), "mask_token", init)
         };
+        let mask_token = config.mask_token.then(token).transpose()?;
         let mut encoder = Vec::new();
-        for (stage, rates) in config.enc_drop_rates().iter().enumerate() {
+        for (stage, shapes) in config.encoder_blocks().iter().enumerate() {
             let vb = vb.pp(format!("enc.enc{stage}"));
-            let down = (stage > 0)
-                .then(|| {
-                    SerializedPooling::new(
-                        config.enc_channels[stage - 1],
-                        config.enc_channels[stage],
-                        config.stride[stage - 1],
-                        config.pooling.into(),
-                        compute,
-                        vb.pp("down"),
-                    )
-                })
-                .transpose()?;
-            let blocks = rates
-                .iter()
-                .enumerate()
-                .map(|(i, &rate)| {
-                    Block::new(block(stage, i, false, rate), vb.pp(format!("block{i}")))
-                        .map(Arc::new)
-                })
-                .collect::<Result<_>>()?;
-            encoder.push(EncoderStage { down, blocks });
+            let down = || {
+                let (fine, coarse) = (channels[stage - 1], channels[stage]);
+                let (stride, how) = (config.stride[stage - 1], config.pooling.into());
+                SerializedPooling::new(fine, coarse, stride, how, compute, vb.pp("down"))
+            };
+            let down = (stage > 0).then(down).transpose()?;
+            encoder.push(EncoderStage { down, blocks: blocks(shapes, None, &vb)? });
         }
         let mut decoder = Vec::new();
-        for (stage, rates) in config.dec_drop_rates().iter().enumerate() {
+        for (stage, shapes) in config.decoder_blocks().iter().enumerate() {
             let vb = vb.pp(format!("dec.dec{stage}"));
-            let coarse = config.dec_channels.get(stage + 1).or(config.enc_channels.last());
+            let coarse = config.dec_channels.get(stage + 1).or(channels.last());
             let up = SerializedUnpooling::new(
                 coarse.copied().unwrap_or(0),
-                config.enc_channels[stage],
+                channels[stage],
                 config.dec_channels[stage],
                 compute,
                 vb.pp("up"),
             )?;
-            let up = Arc::new(up);
             let rank = config.shortcuts.rank.filter(|_| stage == 0);
-            let blocks = rates
-                .iter()
-                .enumerate()
-                .map(|(i, &rate)| {
-                    let shape = block(stage, i, true, rate);
-                    Block::with_rank(shape, rank, vb.pp(format!("block{i}"))).map(Arc::new)
-                })
-                .collect::<Result<_>>()?;
-            decoder.push(DecoderStage { up, blocks });
+            decoder.push(DecoderStage { up: Arc::new(up), blocks: blocks(shapes, rank, &vb)? });
         }
-        let (config, encoder) = (config.clone(), Arc::new(encoder));
-        let waits = config.shortcuts.rank.is_some();
-        let device = vb.device().clone();
-        Ok(Self { config, curves, embedding, mask_token, encoder, decoder, waits, device })
+        Ok(Self {
+            config: config.clone(),
+            curves,
+            embedding: Arc::new(embedding),
+            mask_token,
+            encoder: Arc::new(encoder),
+            decoder,
+            waits: config.shortcuts.rank.is_some(),
+            device: vb.device().clone(),
+        })
     }
 
     /// The configuration it was built from.
@@ -225,37 +203,9 @@ impl PointTransformerV3 {
         if self.waits && before_block.is_none() {
             bail!("rank: the network needs an example of its input first (Backbone::calibrated)");
         }
-        let (n, channels) = points.feat.dims2()?;
-        if channels != self.config.in_channels {
-            bail!("feat: expected [N, {}], got [{n}, {channels}]", self.config.in_channels);
-        }
-        if n == 0 {
-            bail!("feat: a batch without any voxel has no features");
-        }
-        let (cells, sorted) = morton_rows(points)?;
-        let depth = match self.config.batch_rule {
-            BatchRule::Isolated => CurveDepth::PerScene,
-            BatchRule::SharedDepth | BatchRule::SharedDepthAndPatch => CurveDepth::WholeBatch,
-        };
-        let mut cloud = SerializedCloud::new(cells, points.offsets.to_vec(), &self.curves, depth)
-            .map_err(candle_core::Error::wrap)?;
         let mut shuffle = OrderShuffle::new(&cx.orders);
-        shuffle.apply(&mut cloud, cx)?;
-        let mut cloud = Arc::new(cloud);
-        let feat = match &sorted {
-            Some(sorted) => sorted.enter(&points.feat)?,
-            None => points.feat.clone(),
-        };
-        let feat = feat.to_device(&self.device)?;
-        let mut x = self.embedding.forward(&feat, &cloud, cx)?;
-        drop(feat);
-        cx.observe("embedding", &x)?;
-        if let Some(mask) = options.mask {
-            x = self.replace_masked(&x, mask, sorted.as_ref().map(|sorted| sorted.order()))?;
-        }
-
-        let mut skips: Vec<(Tensor, Arc<SerializedCloud>, Arc<Groups>)> = Vec::new();
-        let mut levels = Vec::new();
+        let (mut x, mut cloud, sorted) = self.stem(points, options.mask, &mut shuffle, cx)?;
+        let (mut skips, mut levels) = (Vec::new(), Vec::new());
         for (i, stage) in self.encoder.iter().enumerate() {
             if let Some(down) = &stage.down {
                 let (pooled, mut coarse, groups) = down.forward(&x, &cloud, cx)?;
@@ -265,7 +215,8 @@ impl PointTransformerV3 {
                     let parents = Some(Arc::clone(&groups));
                     levels.push(Level { feat: x.clone(), offsets, parents });
                 }
-                skips.push((x, std::mem::replace(&mut cloud, Arc::new(coarse)), groups));
+                let fine = std::mem::replace(&mut cloud, Arc::new(coarse));
+                skips.push(Skip { feat: x, cloud: fine, groups });
                 x = pooled;
                 cx.observe(&format!("enc.enc{i}.down"), &x)?;
             }
@@ -275,8 +226,7 @@ impl PointTransformerV3 {
             }
             cx.observe(&format!("enc.enc{i}"), &x)?;
         }
-        let encoder = x.clone();
-        let encoder_offsets = cloud.offsets().to_vec();
+        let (encoder, encoder_offsets) = (x.clone(), cloud.offsets().to_vec());
         if keep {
             let (feat, offsets) = (x.clone(), encoder_offsets.clone());
             levels.push(Level { feat, offsets, parents: None });
@@ -284,48 +234,92 @@ impl PointTransformerV3 {
         if self.decoder.is_empty() || !options.decoder {
             return Ok(Pass { encoder, encoder_offsets, levels, decoder: None, sorted });
         }
-        for (i, stage) in self.decoder.iter().enumerate().rev() {
-            let Some((fine, fine_cloud, groups)) = skips.pop() else {
-                bail!("decoder stage {i} has no encoder stage");
-            };
-            let coarse = i == 0 && self.config.shortcuts.stage == LastStage::Coarse;
-            let mut way_back = None;
-            let Unpooled { sum, skip } = if coarse {
-                let [up, skip] = stage.up.branches(&x, &fine, cx)?;
-                let pooled = ops::segment_reduce(&skip, Arc::clone(&groups), Reduce::Mean)?;
-                let between = Between::new(&fine_cloud, &cloud, &groups)?;
-                way_back = Some((between, skip, pooled.clone(), fine_cloud));
-                Unpooled { sum: (up + &pooled)?, skip: pooled }
-            } else {
-                cloud = fine_cloud;
-                stage.up.forward(&x, &fine, groups, cx)?
-            };
-            cx.observe(&format!("dec.dec{i}.up"), &sum)?;
-            cx.observe(&format!("dec.dec{i}.up.skip"), &skip)?;
-            drop(fine);
-            x = sum;
-            let mut conv_input = Some(skip);
-            for (j, block) in stage.blocks.iter().enumerate() {
-                let name = format!("dec.dec{i}.block{j}");
-                let mut block = Arc::clone(block);
-                if let (0, Some(before)) = (i, before_block.as_deref_mut()) {
-                    block = before(&name, &block, conv_input.as_ref().unwrap_or(&x), &cloud)?;
-                }
-                x = block.forward_shared(x, conv_input.take(), &cloud, cx)?;
-                cx.observe(&name, &x)?;
-            }
-            if let Some((between, skip, pooled, fine_cloud)) = way_back {
-                // What the voxels of a cell have in common comes from the cell and its neighbours,
-                // what tells them apart from their own skip branch.
-                x = between.add_to(&(x - pooled)?, &skip)?;
-                cloud = fine_cloud;
-            }
-            cx.observe(&format!("dec.dec{i}"), &x)?;
+        for i in (0..self.decoder.len()).rev() {
+            let Some(skip) = skips.pop() else { bail!("decoder stage {i} has no encoder stage") };
+            let before = before_block.as_deref_mut().filter(|_| i == 0);
+            (x, cloud) = self.decode(i, x, cloud, skip, before, cx)?;
         }
         if let Some(sorted) = &sorted {
             x = sorted.leave(&x)?;
         }
         Ok(Pass { encoder, encoder_offsets, levels, decoder: Some(x), sorted })
+    }
+
+    /// Rows of the stem and their scale.
+    fn stem(
+        &self,
+        points: &PointCloud,
+        mask: Option<&[bool]>,
+        shuffle: &mut OrderShuffle,
+        cx: &mut Forward<'_>,
+    ) -> Result<(Tensor, Arc<SerializedCloud>, Option<SortedRows>)> {
+        points.check_width(self.config.in_channels)?;
+        let (cells, sorted) = morton_rows(points)?;
+        let depth = match self.config.batch_rule {
+            BatchRule::Isolated => CurveDepth::PerScene,
+            BatchRule::SharedDepth | BatchRule::SharedDepthAndPatch => CurveDepth::WholeBatch,
+        };
+        let mut cloud = SerializedCloud::new(cells, points.offsets.to_vec(), &self.curves, depth)
+            .map_err(candle_core::Error::wrap)?;
+        shuffle.apply(&mut cloud, cx)?;
+        let feat = match &sorted {
+            Some(sorted) => sorted.enter(&points.feat)?,
+            None => points.feat.clone(),
+        };
+        let mut x = self.embedding.forward(&feat.to_device(&self.device)?, &cloud, cx)?;
+        cx.observe("embedding", &x)?;
+        if let Some(mask) = mask {
+            x = self.replace_masked(&x, mask, sorted.as_ref().map(|sorted| sorted.order()))?;
+        }
+        Ok((x, Arc::new(cloud), sorted))
+    }
+
+    /// A decoder stage, from rows of the coarse scale to those of the skipped one.
+    fn decode(
+        &self,
+        i: usize,
+        coarse: Tensor,
+        coarse_cloud: Arc<SerializedCloud>,
+        skip: Skip,
+        mut before_block: Option<&mut BeforeBlock<'_>>,
+        cx: &mut Forward<'_>,
+    ) -> Result<(Tensor, Arc<SerializedCloud>)> {
+        let stage = &self.decoder[i];
+        let Skip { feat: fine, cloud: fine_cloud, groups } = skip;
+        // Of a last stage on the coarse scale: how its rows come back to the fine one.
+        let mut return_to_fine = None;
+        let mut cloud = Arc::clone(&fine_cloud);
+        let Unpooled { sum, skip } = if i == 0 && self.config.shortcuts.stage == LastStage::Coarse {
+            cloud = coarse_cloud;
+            let [up, skip] = stage.up.branches(&coarse, &fine, cx)?;
+            let pooled = ops::segment_reduce(&skip, Arc::clone(&groups), Reduce::Mean)?;
+            let between = Between::new(&fine_cloud, &cloud, &groups)?;
+            return_to_fine = Some((between, skip, pooled.clone()));
+            Unpooled { sum: (up + &pooled)?, skip: pooled }
+        } else {
+            drop(coarse_cloud);
+            stage.up.forward(&coarse, &fine, groups, cx)?
+        };
+        cx.observe(&format!("dec.dec{i}.up"), &sum)?;
+        cx.observe(&format!("dec.dec{i}.up.skip"), &skip)?;
+        drop((coarse, fine));
+        let (mut x, mut conv_input) = (sum, Some(skip));
+        for (j, block) in stage.blocks.iter().enumerate() {
+            let name = format!("dec.dec{i}.block{j}");
+            let mut block = Arc::clone(block);
+            if let Some(before) = before_block.as_deref_mut() {
+                block = before(&name, &block, conv_input.as_ref().unwrap_or(&x), &cloud)?;
+            }
+            x = block.forward_shared(x, conv_input.take(), &cloud, cx)?;
+            cx.observe(&name, &x)?;
+        }
+        if let Some((between, skip, pooled)) = return_to_fine {
+            // What the voxels of a cell have in common comes from the cell and its neighbors,
+            // what tells them apart from their own skip branch.
+            x = between.add_to(&(x - pooled)?, &skip)?;
+        }
+        cx.observe(&format!("dec.dec{i}"), &x)?;
+        Ok((x, fine_cloud))
     }
 
     fn replace_masked(&self, x: &Tensor, mask: &[bool], order: Option<&[u32]>) -> Result<Tensor> {

@@ -1,8 +1,7 @@
-//! From one scale to the next coarser one.
+//! From one scale to the next coarser one, with its orders.
 
-use crate::Forward;
-use crate::layers::{BatchNorm, Linear};
-use crate::{Compute, ops};
+use crate::layers::CellPooling;
+use crate::{Compute, Forward};
 use candle_core::{Result, Tensor};
 use candle_nn::VarBuilder;
 use scenesplat_kernels::segment::{Groups, Reduce};
@@ -12,10 +11,8 @@ use std::sync::Arc;
 /// Linear, reduction of the voxels that fall together, batch norm, GELU.
 #[derive(Debug)]
 pub struct SerializedPooling {
-    proj: Linear,
-    norm: BatchNorm,
+    pooling: CellPooling,
     shift: u32,
-    reduce: Reduce,
 }
 
 impl SerializedPooling {
@@ -31,12 +28,8 @@ impl SerializedPooling {
         compute: Compute,
         vb: VarBuilder<'_>,
     ) -> Result<Self> {
-        Ok(Self {
-            proj: Linear::with(compute, in_channels, channels, true, vb.pp("proj"))?,
-            norm: BatchNorm::new(channels, vb.pp("norm.0"))?,
-            shift: stride.trailing_zeros(),
-            reduce,
-        })
+        let pooling = CellPooling::new(in_channels, channels, reduce, compute, vb)?;
+        Ok(Self { pooling, shift: stride.trailing_zeros() })
     }
 
     /// `[N, in] → [M, C]` with the coarser cloud (orders not shuffled) and which row went where.
@@ -51,7 +44,6 @@ impl SerializedPooling {
     ) -> Result<(Tensor, SerializedCloud, Arc<Groups>)> {
         let (coarse, groups) = cloud.pool(self.shift);
         let groups = Arc::new(groups);
-        let pooled = ops::segment_reduce(&self.proj.forward(x)?, groups.clone(), self.reduce)?;
-        Ok((self.norm.forward_gelu(&pooled, self.norm.mode(cx))?, coarse, groups))
+        Ok((self.pooling.forward(x, groups.clone(), cx)?, coarse, groups))
     }
 }

@@ -2,9 +2,9 @@
 
 use super::kernels;
 use crate::launch::{
-    Arg,
     Items::{PerThread, PerWarp},
     Launcher,
+    Scalar::{U32, U64},
 };
 
 kernels! { "activation":
@@ -28,7 +28,7 @@ pub fn gelu<L: Launcher>(
 ) -> Result<(), L::Error> {
     l.expect::<f32>("input", x, count);
     l.expect::<f32>("output", out, count);
-    l.run(&GELU_FORWARD, count, &mut [Arg::In(x), Arg::Out(out), Arg::U64(count)])
+    l.run(&GELU_FORWARD, count, &[x], &mut [out], &[U64(count)])
 }
 
 /// Gradient of [`gelu`].
@@ -45,7 +45,7 @@ pub fn gelu_backward<L: Launcher>(
     l.expect::<f32>("input", x, count);
     l.expect::<f32>("gradient", grad, count);
     l.expect::<f32>("gradient of the input", dx, count);
-    l.run(&GELU_BACKWARD, count, &mut [Arg::In(x), Arg::In(grad), Arg::Out(dx), Arg::U64(count)])
+    l.run(&GELU_BACKWARD, count, &[x, grad], &mut [dx], &[U64(count)])
 }
 
 /// Divides each row by its norm; a zero row stays zero.
@@ -65,9 +65,5 @@ pub fn normalize_rows<L: Launcher>(
     let count = u64::from(n) * u64::from(channels);
     l.expect::<f32>("input", x, count);
     l.expect::<f32>("output", out, count);
-    l.run(
-        &NORMALIZE_ROWS,
-        n.into(),
-        &mut [Arg::In(x), Arg::Out(out), Arg::U32(n), Arg::U32(channels)],
-    )
+    l.run(&NORMALIZE_ROWS, n.into(), &[x], &mut [out], &[U32(n), U32(channels)])
 }

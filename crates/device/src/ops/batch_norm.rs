@@ -2,7 +2,7 @@
 
 use super::columns::PART_ROWS;
 use super::kernels;
-use crate::launch::{Arg, Items::PerThread, Launcher};
+use crate::launch::{Items::PerThread, Launcher, Scalar::U32};
 
 kernels! { "batch_norm":
     /// Sums and squares of stretches of rows.
@@ -38,13 +38,17 @@ pub fn statistics<L: Launcher>(
     l.run(
         &BATCH_MOMENTS,
         u64::from(parts) * u64::from(channels),
-        &mut [Arg::In(x), Arg::Out(&mut moments), Arg::U32(n), Arg::U32(channels)],
+        &[x],
+        &mut [&mut moments],
+        &[U32(n), U32(channels)],
     )?;
     let mut statistics = l.alloc_values::<[f64; 2]>(channels as usize)?;
     l.run(
         &BATCH_STATISTICS,
         channels.into(),
-        &mut [Arg::In(&moments), Arg::Out(&mut statistics), Arg::U32(n), Arg::U32(channels)],
+        &[&moments],
+        &mut [&mut statistics],
+        &[U32(n), U32(channels)],
     )?;
     Ok(statistics)
 }
@@ -75,15 +79,9 @@ pub fn apply<L: Launcher>(
     l.run(
         &BATCH_APPLY,
         count,
-        &mut [
-            Arg::In(x),
-            Arg::In(scale),
-            Arg::In(shift),
-            Arg::Out(out),
-            Arg::U32(n),
-            Arg::U32(channels),
-            Arg::U32(gelu.into()),
-        ],
+        &[x, scale, shift],
+        &mut [out],
+        &[U32(n), U32(channels), U32(gelu.into())],
     )
 }
 
@@ -129,14 +127,9 @@ pub fn backward<L: Launcher>(
     l.run(
         &BATCH_GRADIENT_PARTS,
         u64::from(parts) * u64::from(channels),
-        &mut [
-            Arg::In(x),
-            Arg::In(grad),
-            Arg::In(mean),
-            Arg::Out(&mut sums),
-            Arg::U32(n),
-            Arg::U32(channels),
-        ],
+        &[x, grad, mean],
+        &mut [&mut sums],
+        &[U32(n), U32(channels)],
     )?;
     let mut gradients = ParameterGradients {
         weight: l.alloc_values::<f32>(channels as usize)?,
@@ -146,31 +139,16 @@ pub fn backward<L: Launcher>(
     l.run(
         &BATCH_PARAMETERS,
         channels.into(),
-        &mut [
-            Arg::In(&sums),
-            Arg::In(weight),
-            Arg::In(inverse),
-            Arg::Out(&mut gradients.weight),
-            Arg::Out(&mut gradients.bias),
-            Arg::Out(&mut channel),
-            Arg::U32(n),
-            Arg::U32(channels),
-            Arg::U32(batch.into()),
-        ],
+        &[&sums, weight, inverse],
+        &mut [&mut gradients.weight, &mut gradients.bias, &mut channel],
+        &[U32(n), U32(channels), U32(batch.into())],
     )?;
     l.run(
         &BATCH_INPUT,
         count,
-        &mut [
-            Arg::In(x),
-            Arg::In(grad),
-            Arg::In(mean),
-            Arg::In(&channel),
-            Arg::Out(dx),
-            Arg::U32(n),
-            Arg::U32(channels),
-            Arg::U32(batch.into()),
-        ],
+        &[x, grad, mean, &channel],
+        &mut [dx],
+        &[U32(n), U32(channels), U32(batch.into())],
     )?;
     Ok(gradients)
 }

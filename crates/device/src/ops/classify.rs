@@ -1,7 +1,11 @@
 //! The class whose text is nearest to a row, by cosine.
 
 use super::kernels;
-use crate::launch::{Arg, Items::PerWarp, Launcher};
+use crate::launch::{
+    Items::PerWarp,
+    Launcher,
+    Scalar::{F32, U32},
+};
 
 kernels! { "classify":
     /// Best class, its cosine and its lead.
@@ -62,18 +66,14 @@ pub fn classify<L: Launcher>(
     l.run(
         &CLASSIFY_ROWS,
         rows.into(),
-        &mut [
-            Arg::In(features),
-            Arg::In(text),
-            Arg::In(candidates),
-            Arg::Out(&mut found.labels),
-            Arg::Out(&mut found.scores),
-            Arg::Out(&mut found.margins),
-            Arg::U32(rows),
-            Arg::U32(dim),
-            Arg::U32(classes),
-            Arg::F32(min_cosine.unwrap_or(f32::NEG_INFINITY)),
-            Arg::F32(min_margin.unwrap_or(f32::NEG_INFINITY)),
+        &[features, text, candidates],
+        &mut [&mut found.labels, &mut found.scores, &mut found.margins],
+        &[
+            U32(rows),
+            U32(dim),
+            U32(classes),
+            F32(min_cosine.unwrap_or(f32::NEG_INFINITY)),
+            F32(min_margin.unwrap_or(f32::NEG_INFINITY)),
         ],
     )?;
     Ok(found)

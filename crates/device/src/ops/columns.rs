@@ -1,7 +1,7 @@
 //! Sums of columns.
 
 use super::kernels;
-use crate::launch::{Arg, Items::PerThread, Launcher};
+use crate::launch::{Items::PerThread, Launcher, Scalar::U32};
 
 kernels! { "columns":
     /// Sums over stretches of rows.
@@ -31,11 +31,7 @@ pub fn column_sums<L: Launcher>(
     let count = u64::from(parts) * u64::from(channels);
     l.expect::<f32>("rows to add up", x, u64::from(n) * u64::from(channels));
     let mut sums = l.alloc_values::<f64>(count as usize)?;
-    l.run(
-        &COLUMN_PARTS,
-        count,
-        &mut [Arg::In(x), Arg::Out(&mut sums), Arg::U32(n), Arg::U32(channels)],
-    )?;
+    l.run(&COLUMN_PARTS, count, &[x], &mut [&mut sums], &[U32(n), U32(channels)])?;
     add_parts(l, &sums, parts, channels, out)
 }
 
@@ -48,9 +44,5 @@ pub(super) fn add_parts<L: Launcher>(
     out: &mut L::Buffer,
 ) -> Result<(), L::Error> {
     l.expect::<f32>("sums of columns", out, channels.into());
-    l.run(
-        &ADD_PARTS,
-        channels.into(),
-        &mut [Arg::In(parts), Arg::Out(out), Arg::U32(count), Arg::U32(channels)],
-    )
+    l.run(&ADD_PARTS, channels.into(), &[parts], &mut [out], &[U32(count), U32(channels)])
 }

@@ -1,7 +1,7 @@
 //! Codes of space-filling curves, and the orders they make.
 
 use super::{kernels, radix_sort, rows};
-use crate::launch::{Arg, Items::PerThread, Launcher};
+use crate::launch::{Items::PerThread, Launcher, Scalar::U32};
 
 kernels! { "curves":
     /// Codes of cells along one of four curves.
@@ -56,17 +56,7 @@ pub fn codes<L: Launcher>(
     assert!(depth <= MAX_DEPTH, "curve codes: {depth} bits");
     l.expect::<[i32; 3]>("cells", cells, n.into());
     l.expect::<u64>("codes", out, n.into());
-    l.run(
-        &CURVE_CODES,
-        n.into(),
-        &mut [
-            Arg::In(cells),
-            Arg::Out(out),
-            Arg::U32(n),
-            Arg::U32(curve.number()),
-            Arg::U32(depth),
-        ],
-    )
+    l.run(&CURVE_CODES, n.into(), &[cells], &mut [out], &[U32(n), U32(curve.number()), U32(depth)])
 }
 
 /// An order along a curve.

@@ -2,9 +2,9 @@
 
 use super::{kernels, radix_sort, rows, scan};
 use crate::launch::{
-    Arg,
     Items::{PerBlock, PerThread},
     Launcher,
+    Scalar::{F64, U32},
 };
 
 kernels! { "grid_sample":
@@ -98,7 +98,7 @@ fn cell_bounds<L: Launcher>(
     }
     let blocks = u64::from(n).div_ceil(COORDINATE_BOUNDS.items_per_block()) as usize;
     let mut bounds = l.alloc_values::<[f32; 7]>(blocks)?;
-    l.run(&COORDINATE_BOUNDS, n.into(), &mut [Arg::In(coord), Arg::Out(&mut bounds), Arg::U32(n)])?;
+    l.run(&COORDINATE_BOUNDS, n.into(), &[coord], &mut [&mut bounds], &[U32(n)])?;
     let bounds = l.download_values::<[f32; 7]>(&bounds, blocks)?;
     if bounds.iter().any(|b| b[6] != 0.0) {
         return Err(GridSampleError::NotFinite);
@@ -152,26 +152,22 @@ pub fn voxel_groups<L: Launcher>(
     l.run(
         &CELL_CODES,
         n.into(),
-        &mut [
-            Arg::In(coord),
-            Arg::Out(&mut codes),
-            Arg::U32(n),
-            Arg::F64(grid_size),
-            Arg::F64(min_cell[0]),
-            Arg::F64(min_cell[1]),
-            Arg::F64(min_cell[2]),
-            Arg::U32(along_curve),
-            Arg::U32(y_bits),
-            Arg::U32(z_bits),
+        &[coord],
+        &mut [&mut codes],
+        &[
+            U32(n),
+            F64(grid_size),
+            F64(min_cell[0]),
+            F64(min_cell[1]),
+            F64(min_cell[2]),
+            U32(along_curve),
+            U32(y_bits),
+            U32(z_bits),
         ],
     )?;
     let sorted = radix_sort::sort(l, codes, n, bits)?;
     let mut begins = l.alloc_values::<u32>(rows)?;
-    l.run(
-        &CELL_BEGINS,
-        n.into(),
-        &mut [Arg::In(&sorted.codes), Arg::Out(&mut begins), Arg::U32(n)],
-    )?;
+    l.run(&CELL_BEGINS, n.into(), &[&sorted.codes], &mut [&mut begins], &[U32(n)])?;
     let sums = scan::running_sums(l, &begins, n.into())?;
     let num_voxels = l.download_values::<u32>(&sums.total, 1)?[0];
     let mut found = VoxelGroups {
@@ -189,19 +185,9 @@ pub fn voxel_groups<L: Launcher>(
     l.run(
         &LIST_CELLS,
         n.into(),
-        &mut [
-            Arg::In(&sorted.codes),
-            Arg::In(&found.order),
-            Arg::In(&begins),
-            Arg::In(&sums.before),
-            Arg::Out(&mut found.offsets),
-            Arg::Out(&mut found.grid_coord),
-            Arg::Out(&mut found.inverse),
-            Arg::U32(n),
-            Arg::U32(along_curve),
-            Arg::U32(y_bits),
-            Arg::U32(z_bits),
-        ],
+        &[&sorted.codes, &found.order, &begins, &sums.before],
+        &mut [&mut found.offsets, &mut found.grid_coord, &mut found.inverse],
+        &[U32(n), U32(along_curve), U32(y_bits), U32(z_bits)],
     )?;
     Ok(match key_order {
         KeyOrder::Fnv => by_hash(l, &found, n)?,
@@ -217,11 +203,7 @@ fn by_hash<L: Launcher>(
 ) -> Result<VoxelGroups<L::Buffer>, L::Error> {
     let voxels = groups.num_voxels;
     let mut hashes = l.alloc_values::<u64>(voxels as usize)?;
-    l.run(
-        &HASH_CELLS,
-        voxels.into(),
-        &mut [Arg::In(&groups.grid_coord), Arg::Out(&mut hashes), Arg::U32(voxels)],
-    )?;
+    l.run(&HASH_CELLS, voxels.into(), &[&groups.grid_coord], &mut [&mut hashes], &[U32(voxels)])?;
     let order = radix_sort::sort(l, hashes, voxels, u64::BITS)?.rows;
     let mut place = l.alloc_values::<u32>(voxels as usize)?;
     rows::invert(l, &order, voxels, &mut place)?;
@@ -229,7 +211,9 @@ fn by_hash<L: Launcher>(
     l.run(
         &MOVED_COUNTS,
         voxels.into(),
-        &mut [Arg::In(&order), Arg::In(&groups.offsets), Arg::Out(&mut counts), Arg::U32(voxels)],
+        &[&order, &groups.offsets],
+        &mut [&mut counts],
+        &[U32(voxels)],
     )?;
     let before = scan::running_sums(l, &counts, voxels.into())?.before;
     let mut end = vec![0u32; voxels as usize + 1];
@@ -244,19 +228,9 @@ fn by_hash<L: Launcher>(
     l.run(
         &MOVE_CELLS,
         n.into(),
-        &mut [
-            Arg::In(&groups.order),
-            Arg::In(&groups.inverse),
-            Arg::In(&place),
-            Arg::In(&groups.offsets),
-            Arg::In(&before),
-            Arg::In(&groups.grid_coord),
-            Arg::Out(&mut moved.order),
-            Arg::Out(&mut moved.inverse),
-            Arg::Out(&mut moved.offsets),
-            Arg::Out(&mut moved.grid_coord),
-            Arg::U32(n),
-        ],
+        &[&groups.order, &groups.inverse, &place, &groups.offsets, &before, &groups.grid_coord],
+        &mut [&mut moved.order, &mut moved.inverse, &mut moved.offsets, &mut moved.grid_coord],
+        &[U32(n)],
     )?;
     Ok(moved)
 }

@@ -1,7 +1,7 @@
 //! Which voxel feeds which in a submanifold convolution.
 
 use super::{kernels, radix_sort, rows, scan};
-use crate::launch::{Arg, Items::PerThread, Launcher};
+use crate::launch::{Items::PerThread, Launcher, Scalar::U32};
 
 kernels! { "kernel_map":
     /// Rows into hash tables.
@@ -52,7 +52,7 @@ fn table_slots(rows: u32) -> u64 {
 }
 
 /// Finds all pairs. Tap `(kx·k + ky)·k + kz` of output voxel p is input voxel `p + (kx, ky, kz) − k/2` of the
-/// same scene. Where two rows share a voxel the first stands for it, and every row is its own centre.
+/// same scene. Where two rows share a voxel the first stands for it, and every row is its own center.
 ///
 /// # Shapes
 /// `cells`: `[N, 3]` of `i32`, 0..2²¹ · `offsets`: `[scenes + 1]` on the host, from 0 to N
@@ -77,100 +77,82 @@ pub fn build<L: Launcher>(
     let places = u64::from(n) * u64::from(taps);
     assert!(places <= u64::from(u32::MAX), "{n} rows and {taps} taps are too many pairs");
 
-    let mut tables = vec![0u64];
-    for scene in offsets.windows(2) {
-        tables.push(tables[tables.len() - 1] + table_slots(scene[1] - scene[0]));
-    }
-    let slots = tables[scenes as usize] as usize;
-    let (offsets, tables) = (l.upload_values(offsets)?, l.upload_values(&tables)?);
-    let mut table_cells = l.alloc_values::<u64>(slots)?;
-    l.fill(&mut table_cells, 0xff)?;
-    let mut table_rows = l.alloc_values::<u32>(slots)?;
-    l.fill(&mut table_rows, 0xff)?;
-    let mut slot_of_row = l.alloc_values::<u32>(n as usize)?;
-    l.run(
-        &TABLE_INSERT,
-        n.into(),
-        &mut [
-            Arg::In(cells),
-            Arg::In(&offsets),
-            Arg::In(&tables),
-            Arg::Out(&mut table_cells),
-            Arg::Out(&mut table_rows),
-            Arg::Out(&mut slot_of_row),
-            Arg::U32(n),
-            Arg::U32(scenes),
-        ],
-    )?;
-    let mut repeats = l.alloc_values::<u32>(n as usize)?;
-    l.run(
-        &TABLE_REPEATS,
-        n.into(),
-        &mut [
-            Arg::In(&offsets),
-            Arg::In(&tables),
-            Arg::In(&table_rows),
-            Arg::In(&slot_of_row),
-            Arg::Out(&mut repeats),
-            Arg::U32(n),
-            Arg::U32(scenes),
-        ],
-    )?;
-    let repeats = scan::running_sums(l, &repeats, n.into())?.total;
-    let duplicates = l.download_values::<u32>(&repeats, 1)?[0] > 0;
-
+    let cells = Cells::new(l, cells, offsets)?;
+    let duplicates = cells.duplicates(l)?;
     let mut neighbors = l.alloc_values::<u32>(places as usize)?;
     let mut found = l.alloc_values::<u32>(places as usize)?;
+    let Cells { cells, offsets, tables, table_cells, table_rows, .. } = &cells;
     l.run(
         &TABLE_NEIGHBORS,
         places,
-        &mut [
-            Arg::In(cells),
-            Arg::In(&offsets),
-            Arg::In(&tables),
-            Arg::In(&table_cells),
-            Arg::In(&table_rows),
-            Arg::Out(&mut neighbors),
-            Arg::Out(&mut found),
-            Arg::U32(n),
-            Arg::U32(scenes),
-            Arg::U32(kernel_size),
-        ],
+        &[cells, offsets, tables, table_cells, table_rows],
+        &mut [&mut neighbors, &mut found],
+        &[U32(n), U32(scenes), U32(kernel_size)],
     )?;
     let sums = scan::running_sums(l, &found, places)?;
     let pairs = l.download_values::<u32>(&sums.total, 1)?[0];
     let mut input = l.alloc_values::<u32>(pairs as usize)?;
     let mut output = l.alloc_values::<u32>(pairs as usize)?;
-    l.run(
-        &LIST_PAIRS,
-        places,
-        &mut [
-            Arg::In(&neighbors),
-            Arg::In(&sums.before),
-            Arg::Out(&mut input),
-            Arg::Out(&mut output),
-            Arg::U32(n),
-            Arg::U32(taps),
-        ],
-    )?;
-    let starts = if n == 0 {
-        l.upload_values(&vec![0u32; taps as usize + 1])?
-    } else {
-        let mut starts = l.alloc_values::<u32>(taps as usize + 1)?;
-        l.run(
-            &PAIR_STARTS,
-            u64::from(taps) + 1,
-            &mut [
-                Arg::In(&sums.before),
-                Arg::In(&sums.total),
-                Arg::Out(&mut starts),
-                Arg::U32(n),
-                Arg::U32(taps),
-            ],
-        )?;
-        starts
-    };
+    let (inputs, numbers) = ([&neighbors, &sums.before], [U32(n), U32(taps)]);
+    l.run(&LIST_PAIRS, places, &inputs, &mut [&mut input, &mut output], &numbers)?;
+    let mut starts = l.upload_values(&vec![0u32; taps as usize + 1])?;
+    if n > 0 {
+        let (items, inputs) = (u64::from(taps) + 1, [&sums.before, &sums.total]);
+        l.run(&PAIR_STARTS, items, &inputs, &mut [&mut starts], &numbers)?;
+    }
     Ok(KernelMap { kernel_size, rows: n, pairs, duplicates, neighbors, starts, input, output })
+}
+
+/// Cells of scenes, with a hash table of each scene.
+struct Cells<'a, B> {
+    cells: &'a B,
+    offsets: B,
+    /// First slot of each scene.
+    tables: B,
+    table_cells: B,
+    table_rows: B,
+    slot_of_row: B,
+    rows: u32,
+    scenes: u32,
+}
+
+impl<'a, B> Cells<'a, B> {
+    fn new<L: Launcher<Buffer = B>>(
+        l: &L,
+        cells: &'a B,
+        offsets: &[u32],
+    ) -> Result<Self, L::Error> {
+        let (rows, scenes) = (offsets[offsets.len() - 1], offsets.len() as u32 - 1);
+        let mut tables = vec![0u64];
+        for scene in offsets.windows(2) {
+            tables.push(tables[tables.len() - 1] + table_slots(scene[1] - scene[0]));
+        }
+        let slots = tables[scenes as usize] as usize;
+        let (offsets, tables) = (l.upload_values(offsets)?, l.upload_values(&tables)?);
+        let mut table_cells = l.alloc_values::<u64>(slots)?;
+        l.fill(&mut table_cells, 0xff)?;
+        let mut table_rows = l.alloc_values::<u32>(slots)?;
+        l.fill(&mut table_rows, 0xff)?;
+        let mut slot_of_row = l.alloc_values::<u32>(rows as usize)?;
+        l.run(
+            &TABLE_INSERT,
+            rows.into(),
+            &[cells, &offsets, &tables],
+            &mut [&mut table_cells, &mut table_rows, &mut slot_of_row],
+            &[U32(rows), U32(scenes)],
+        )?;
+        Ok(Self { cells, offsets, tables, table_cells, table_rows, slot_of_row, rows, scenes })
+    }
+
+    /// Whether two rows share a voxel.
+    fn duplicates<L: Launcher<Buffer = B>>(&self, l: &L) -> Result<bool, L::Error> {
+        let (n, mut repeats) = (self.rows, l.alloc_values::<u32>(self.rows as usize)?);
+        let inputs = [&self.offsets, &self.tables, &self.table_rows, &self.slot_of_row];
+        let numbers = [U32(n), U32(self.scenes)];
+        l.run(&TABLE_REPEATS, n.into(), &inputs, &mut [&mut repeats], &numbers)?;
+        let repeats = scan::running_sums(l, &repeats, n.into())?.total;
+        Ok(l.download_values::<u32>(&repeats, 1)?[0] > 0)
+    }
 }
 
 /// Pairs with input and output exchanged, taps unchanged, for gradients where rows share voxels.
@@ -194,13 +176,9 @@ pub fn exchanged<L: Launcher>(
     l.run(
         &PAIR_KEYS,
         map.pairs.into(),
-        &mut [
-            Arg::In(&map.starts),
-            Arg::In(&map.input),
-            Arg::Out(&mut keys),
-            Arg::U32(map.pairs),
-            Arg::U32(map.taps()),
-        ],
+        &[&map.starts, &map.input],
+        &mut [&mut keys],
+        &[U32(map.pairs), U32(map.taps())],
     )?;
     // Taps are in order already; sorting by them last keeps them so.
     let sorted = radix_sort::sort(l, keys, map.pairs, u32::BITS)?;

@@ -3,9 +3,9 @@
 use super::columns::{PART_ROWS, add_parts};
 use super::kernels;
 use crate::launch::{
-    Arg,
     Items::{PerThread, PerWarp},
     Launcher,
+    Scalar::{F32, U32},
 };
 
 kernels! { "layer_norm":
@@ -49,17 +49,9 @@ pub fn forward<L: Launcher>(
     l.run(
         &LAYER_NORM,
         n.into(),
-        &mut [
-            Arg::In(x),
-            Arg::In(residual.unwrap_or(x)),
-            Arg::In(weight),
-            Arg::In(bias),
-            Arg::Out(out),
-            Arg::U32(n),
-            Arg::U32(channels),
-            Arg::F32(eps),
-            Arg::U32(residual.is_some().into()),
-        ],
+        &[x, residual.unwrap_or(x), weight, bias],
+        &mut [out],
+        &[U32(n), U32(channels), F32(eps), U32(residual.is_some().into())],
     )
 }
 
@@ -92,16 +84,9 @@ pub fn backward<L: Launcher>(
         l.run(
             &LAYER_NORM_BACKWARD,
             n.into(),
-            &mut [
-                Arg::In(x),
-                Arg::In(grad),
-                Arg::In(weight),
-                Arg::Out(dx),
-                Arg::Out(&mut statistics),
-                Arg::U32(n),
-                Arg::U32(channels),
-                Arg::F32(eps),
-            ],
+            &[x, grad, weight],
+            &mut [dx, &mut statistics],
+            &[U32(n), U32(channels), F32(eps)],
         )?;
     }
     let parts = n.div_ceil(PART_ROWS);
@@ -109,14 +94,9 @@ pub fn backward<L: Launcher>(
     l.run(
         &LAYER_NORM_PARAMETERS,
         u64::from(parts) * u64::from(channels),
-        &mut [
-            Arg::In(x),
-            Arg::In(grad),
-            Arg::In(&statistics),
-            Arg::Out(&mut sums),
-            Arg::U32(n),
-            Arg::U32(channels),
-        ],
+        &[x, grad, &statistics],
+        &mut [&mut sums],
+        &[U32(n), U32(channels)],
     )?;
     add_parts(l, &sums, parts, 2 * channels, &mut parameters)?;
     Ok(parameters)

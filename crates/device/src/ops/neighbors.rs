@@ -2,7 +2,11 @@
 
 use super::grid_sample::COORDINATE_BOUNDS;
 use super::{kernels, radix_sort};
-use crate::launch::{Arg, Items::PerThread, Launcher};
+use crate::launch::{
+    Items::PerThread,
+    Launcher,
+    Scalar::{self, F64, I32, U32},
+};
 
 kernels! { "neighbors":
     /// Cell of each point in a coarse grid.
@@ -53,17 +57,10 @@ impl Grid {
         Self { low, side, cells }
     }
 
-    fn args<'a, B>(&self) -> [Arg<'a, B>; 7] {
+    /// After a kernel's own numbers, the grid's.
+    fn scalars(&self, own: &[Scalar]) -> Vec<Scalar> {
         let ([x, y, z], [nx, ny, nz]) = (self.low, self.cells);
-        [
-            Arg::F64(x),
-            Arg::F64(y),
-            Arg::F64(z),
-            Arg::F64(self.side),
-            Arg::I32(nx),
-            Arg::I32(ny),
-            Arg::I32(nz),
-        ]
+        [own, &[x, y, z, self.side].map(F64), &[nx, ny, nz].map(I32)].concat()
     }
 
     /// Bits of a cell's number.
@@ -91,7 +88,9 @@ pub fn sort_points<'a, L: Launcher>(
     l.run(
         &COORDINATE_BOUNDS,
         num_points.into(),
-        &mut [Arg::In(points), Arg::Out(&mut bounds), Arg::U32(num_points)],
+        &[points],
+        &mut [&mut bounds],
+        &[U32(num_points)],
     )?;
     let bounds = l.download_values::<[f32; 7]>(&bounds, blocks)?;
     let fold = |at: usize, start: f32, f: fn(f32, f32) -> f32| {
@@ -101,9 +100,8 @@ pub fn sort_points<'a, L: Launcher>(
     let high = std::array::from_fn(|a| fold(3 + a, f32::NEG_INFINITY, f32::max));
     let grid = Grid::of(low, high, num_points);
     let mut codes = l.alloc_values::<u64>(num_points as usize)?;
-    let mut args = vec![Arg::In(points), Arg::Out(&mut codes), Arg::U32(num_points)];
-    args.extend(grid.args());
-    l.run(&NEIGHBOR_CELLS, num_points.into(), &mut args)?;
+    let scalars = grid.scalars(&[U32(num_points)]);
+    l.run(&NEIGHBOR_CELLS, num_points.into(), &[points], &mut [&mut codes], &scalars)?;
     let sorted = radix_sort::sort(l, codes, num_points, grid.bits())?;
     Ok(Cells { points, num_points, sorted, grid })
 }
@@ -132,18 +130,9 @@ pub fn nearest<L: Launcher>(
     );
     l.expect::<[f32; 3]>("queries", queries, num_queries.into());
     let mut found = l.alloc_values::<u32>(num_queries as usize * k as usize)?;
-    let mut args = vec![
-        Arg::In(cells.points),
-        Arg::In(&cells.sorted.codes),
-        Arg::In(&cells.sorted.rows),
-        Arg::In(queries),
-        Arg::Out(&mut found),
-        Arg::U32(cells.num_points),
-        Arg::U32(num_queries),
-        Arg::U32(k),
-    ];
-    args.extend(cells.grid.args());
-    l.run(&NEAREST_POINTS, num_queries.into(), &mut args)?;
+    let inputs = [cells.points, &cells.sorted.codes, &cells.sorted.rows, queries];
+    let scalars = cells.grid.scalars(&[U32(cells.num_points), U32(num_queries), U32(k)]);
+    l.run(&NEAREST_POINTS, num_queries.into(), &inputs, &mut [&mut found], &scalars)?;
     Ok(found)
 }
 
@@ -167,13 +156,9 @@ pub fn vote<L: Launcher>(
     l.run(
         &VOTE_LABELS,
         num_queries.into(),
-        &mut [
-            Arg::In(neighbors),
-            Arg::In(labels),
-            Arg::Out(&mut winners),
-            Arg::U32(num_queries),
-            Arg::U32(k),
-        ],
+        &[neighbors, labels],
+        &mut [&mut winners],
+        &[U32(num_queries), U32(k)],
     )?;
     Ok(winners)
 }

@@ -2,9 +2,9 @@
 
 use super::kernels;
 use crate::launch::{
-    Arg,
     Items::{PerBlock, PerThread},
     KernelEntry, Launcher,
+    Scalar::{F32, U32},
 };
 
 /// The kernels of one width of heads; their text is compiled once for each.
@@ -223,18 +223,9 @@ pub fn forward<L: Launcher>(
     l.run(
         kernels_of(heads.dim).forward,
         patches.blocks(heads),
-        &mut [
-            Arg::In(qkv),
-            Arg::In(&patches.table),
-            Arg::In(&patches.pad),
-            Arg::In(order),
-            Arg::Out(&mut out),
-            Arg::Out(&mut statistics),
-            Arg::U32(heads.count),
-            Arg::U32(heads.dim),
-            Arg::F32(heads.scale()),
-            Arg::U32(patches.stretches),
-        ],
+        &[qkv, &patches.table, &patches.pad, order],
+        &mut [&mut out, &mut statistics],
+        &[U32(heads.count), U32(heads.dim), F32(heads.scale()), U32(patches.stretches)],
     )?;
     Ok(Attended { out, statistics })
 }
@@ -266,17 +257,9 @@ pub fn forward_bf16<L: Launcher>(
     l.run(
         bf16_kernel_of(heads.dim),
         patches.blocks(heads),
-        &mut [
-            Arg::In(qkv),
-            Arg::In(&patches.table),
-            Arg::In(&patches.pad),
-            Arg::In(order),
-            Arg::Out(out),
-            Arg::U32(heads.count),
-            Arg::U32(heads.dim),
-            Arg::F32(heads.scale()),
-            Arg::U32(patches.stretches),
-        ],
+        &[qkv, &patches.table, &patches.pad, order],
+        &mut [out],
+        &[U32(heads.count), U32(heads.dim), F32(heads.scale()), U32(patches.stretches)],
     )
 }
 
@@ -311,65 +294,31 @@ pub fn backward<L: Launcher>(
     l.run(
         kernels.row_sums,
         rows * u64::from(heads.count),
-        &mut [
-            Arg::In(grad),
-            Arg::In(&attended.out),
-            Arg::Out(&mut row_sums),
-            Arg::U32(patches.positions),
-            Arg::U32(heads.count),
-            Arg::U32(heads.dim),
-        ],
+        &[grad, &attended.out],
+        &mut [&mut row_sums],
+        &[U32(patches.positions), U32(heads.count), U32(heads.dim)],
     )?;
     l.run(
         kernels.queries,
         patches.blocks(heads),
-        &mut [
-            Arg::In(qkv),
-            Arg::In(grad),
-            Arg::In(&attended.statistics),
-            Arg::In(&row_sums),
-            Arg::In(&patches.table),
-            Arg::In(&patches.pad),
-            Arg::In(order),
-            Arg::Out(dqkv),
-            Arg::U32(heads.count),
-            Arg::U32(heads.dim),
-            Arg::F32(heads.scale()),
-            Arg::U32(patches.stretches),
-        ],
+        &[qkv, grad, &attended.statistics, &row_sums, &patches.table, &patches.pad, order],
+        &mut [dqkv],
+        &[U32(heads.count), U32(heads.dim), F32(heads.scale()), U32(patches.stretches)],
     )?;
     let of_borrowed = u64::from(patches.num_borrowed) * 2 * heads.channels();
     let mut borrowed = l.alloc_values::<f32>(of_borrowed as usize)?;
     l.run(
         kernels.keys,
         patches.blocks(heads),
-        &mut [
-            Arg::In(qkv),
-            Arg::In(grad),
-            Arg::In(&attended.statistics),
-            Arg::In(&row_sums),
-            Arg::In(&patches.table),
-            Arg::In(&patches.pad),
-            Arg::In(order),
-            Arg::Out(dqkv),
-            Arg::Out(&mut borrowed),
-            Arg::U32(heads.count),
-            Arg::U32(heads.dim),
-            Arg::F32(heads.scale()),
-            Arg::U32(patches.stretches),
-        ],
+        &[qkv, grad, &attended.statistics, &row_sums, &patches.table, &patches.pad, order],
+        &mut [dqkv, &mut borrowed],
+        &[U32(heads.count), U32(heads.dim), F32(heads.scale()), U32(patches.stretches)],
     )?;
     l.run(
         kernels.add_borrowed,
         of_borrowed,
-        &mut [
-            Arg::In(&borrowed),
-            Arg::In(&patches.borrowed),
-            Arg::In(&patches.pad),
-            Arg::In(order),
-            Arg::Out(dqkv),
-            Arg::U32(patches.num_borrowed),
-            Arg::U32(heads.channels() as u32),
-        ],
+        &[&borrowed, &patches.borrowed, &patches.pad, order],
+        &mut [dqkv],
+        &[U32(patches.num_borrowed), U32(heads.channels() as u32)],
     )
 }

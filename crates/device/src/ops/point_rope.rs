@@ -1,7 +1,7 @@
 //! Rotary embedding of voxel coordinates.
 
 use super::kernels;
-use crate::launch::{Arg, Items::PerThread, Launcher};
+use crate::launch::{Items::PerThread, Launcher, Scalar::U32};
 
 kernels! { "point_rope":
     /// Cosines and sines of every row's angles.
@@ -37,7 +37,9 @@ pub fn rotations<L: Launcher>(
     l.run(
         &ROPE_ROTATIONS,
         u64::from(n) * u64::from(dim / 2),
-        &mut [Arg::In(cells), Arg::In(&steps), Arg::Out(&mut pairs), Arg::U32(n), Arg::U32(dim)],
+        &[cells, &steps],
+        &mut [&mut pairs],
+        &[U32(n), U32(dim)],
     )?;
     Ok(pairs)
 }
@@ -64,13 +66,8 @@ pub fn turn<L: Launcher>(
     l.run(
         &ROPE_TURN,
         rows * width,
-        &mut [
-            Arg::Out(qkv),
-            Arg::In(pairs),
-            Arg::U32(n),
-            Arg::U32(heads),
-            Arg::U32(dim),
-            Arg::U32(back.into()),
-        ],
+        &[pairs],
+        &mut [qkv],
+        &[U32(n), U32(heads), U32(dim), U32(back.into())],
     )
 }

@@ -1,7 +1,7 @@
 //! Stable sorting of 64-bit codes with their rows.
 
 use super::{kernels, rows, scan};
-use crate::launch::{Arg, Items::PerBlock, Launcher};
+use crate::launch::{Items::PerBlock, Launcher, Scalar::U32};
 
 kernels! { "radix_sort":
     /// Digits of each block's stretch.
@@ -63,24 +63,14 @@ pub fn sort_further<L: Launcher>(
     let mut counts = l.alloc_values::<u32>(blocks as usize * (1 << DIGIT_BITS))?;
     let mut shift = first;
     while shift < (first + bits).min(u64::BITS) {
-        l.run(
-            &SORT_COUNT,
-            n.into(),
-            &mut [Arg::In(&from.codes), Arg::Out(&mut counts), Arg::U32(n), Arg::U32(shift)],
-        )?;
+        l.run(&SORT_COUNT, n.into(), &[&from.codes], &mut [&mut counts], &[U32(n), U32(shift)])?;
         let starts = scan::running_sums(l, &counts, blocks << DIGIT_BITS)?.before;
         l.run(
             &SORT_MOVE,
             n.into(),
-            &mut [
-                Arg::In(&from.codes),
-                Arg::In(&from.rows),
-                Arg::In(&starts),
-                Arg::Out(&mut to.codes),
-                Arg::Out(&mut to.rows),
-                Arg::U32(n),
-                Arg::U32(shift),
-            ],
+            &[&from.codes, &from.rows, &starts],
+            &mut [&mut to.codes, &mut to.rows],
+            &[U32(n), U32(shift)],
         )?;
         std::mem::swap(&mut from, &mut to);
         shift += DIGIT_BITS;

@@ -2,13 +2,13 @@
 
 use super::{kernels, radix_sort, scan};
 use crate::launch::{
-    Arg,
     Items::{PerBlock, PerThread},
     Launcher,
+    Scalar::{F32, U32},
 };
 
 kernels! { "rasterize":
-    /// Footprints, colours and the tiles they meet.
+    /// Footprints, colors and the tiles they meet.
     PROJECT_GAUSSIANS = project_gaussians, 128, PerThread;
     /// How many were not drawn, and why.
     COUNT_FATES = count_fates, 256, PerThread;
@@ -41,6 +41,11 @@ pub struct View {
 }
 
 impl View {
+    /// Tiles across and down.
+    fn tiles(&self) -> [u32; 2] {
+        self.size.map(|s| s.div_ceil(TILE))
+    }
+
     /// Where the camera is in the world: `−Rᵀt`.
     fn eye(&self) -> [f32; 3] {
         let m = &self.world_to_camera;
@@ -78,13 +83,13 @@ pub struct Settings {
     /// Standard deviations and least value under the root of the square that a Gaussian is cut off at; `None` for
     /// the ellipse, which loses no pixel.
     pub circle: Option<[f32; 2]>,
-    /// Whether quaternions are normalised.
+    /// Whether quaternions are normalized.
     pub normalize_quats: bool,
     /// Whether tangents are limited about the middle of the picture.
     pub centred_tangents: bool,
     /// Least value of the factor by which opacity makes up for `eps2d`; `None` without.
     pub antialias_floor: Option<f32>,
-    /// Colour behind everything.
+    /// Color behind everything.
     pub background: [f32; 3],
     /// The caller's promise that the three scales of every Gaussian are equal.
     pub isotropic: bool,
@@ -126,14 +131,14 @@ pub struct CullCounts {
     pub overflow: u32,
     /// Opacity below the cut, or NaN.
     pub opacity: u32,
-    /// A colour that is not finite.
+    /// A color that is not finite.
     pub color: u32,
 }
 
 /// A picture on the device, row by row.
 #[derive(Debug)]
 pub struct Picture<B> {
-    /// Colour with the background; not written where no colour was asked for. `[H, W, 3]`
+    /// Color with the background; not written where no color was asked for. `[H, W, 3]`
     pub rgb: B,
     /// What is left of the light. `[H, W]`
     pub transmittance: B,
@@ -194,7 +199,104 @@ fn flags(settings: &Settings) -> u32 {
     bits.iter().enumerate().map(|(i, &on)| u32::from(on) << i).sum()
 }
 
-/// Renders a view. `degree` is the highest band of the harmonics to use; `None` renders no colour.
+/// Gaussians as a view sees them, a row each.
+struct Projected<B> {
+    splats: B,
+    colors: B,
+    boxes: B,
+    /// Tiles that each meets.
+    counts: B,
+    fates: B,
+}
+
+fn project<L: Launcher>(
+    l: &L,
+    gaussians: &Gaussians<'_, L::Buffer>,
+    view: &View,
+    settings: &Settings,
+    degree: Option<u32>,
+) -> Result<Projected<L::Buffer>, L::Error> {
+    let Gaussians { means, quats, scales, opacities, sh, sh_degree, count: n } = *gaussians;
+    let stride = 3 * (sh_degree + 1).pow(2);
+    let used = degree.map_or(0, |d| (d + 1).pow(2));
+    assert!(sh_degree <= 3 && degree.is_none_or(|d| d <= sh_degree), "degree");
+    let rows = u64::from(n);
+    l.expect::<[f32; 3]>("means", means, rows);
+    l.expect::<[f32; 4]>("quats", quats, rows);
+    l.expect::<[f32; 3]>("scales", scales, rows);
+    l.expect::<f32>("opacities", opacities, rows);
+    l.expect::<f32>("harmonics", sh, rows * u64::from(stride));
+    let [columns, tile_rows] = view.tiles();
+    let lens = l.upload_values(&lens(view, settings))?;
+    let mut seen = Projected {
+        splats: l.alloc_values::<[f32; 8]>(n as usize)?,
+        colors: l.alloc_values::<[f32; 3]>(n as usize)?,
+        boxes: l.alloc_values::<[u32; 4]>(n as usize)?,
+        counts: l.alloc_values::<u32>(n as usize)?,
+        fates: l.alloc_values::<u32>(n as usize)?,
+    };
+    let Projected { splats, colors, boxes, counts, fates } = &mut seen;
+    let numbers =
+        [n, flags(settings), stride, used, degree.is_some().into(), columns, tile_rows].map(U32);
+    l.run(
+        &PROJECT_GAUSSIANS,
+        rows,
+        &[means, quats, scales, opacities, sh, &lens],
+        &mut [splats, colors, boxes, counts, fates],
+        &numbers,
+    )?;
+    Ok(seen)
+}
+
+/// How many were drawn and were not, and the pairs of Gaussian and tile.
+fn count<L: Launcher>(
+    l: &L,
+    seen: &Projected<L::Buffer>,
+    n: u32,
+) -> Result<(CullCounts, u32), RasterizeError<L::Error>> {
+    let mut totals = l.upload_values(&[0u64; 9])?;
+    let inputs = [&seen.fates, &seen.counts];
+    l.run(&COUNT_FATES, n.into(), &inputs, &mut [&mut totals], &[U32(n)])?;
+    let [fates @ .., pairs] = l.download_values::<[u64; 9]>(&totals, 1)?[0];
+    if pairs > MOST_PAIRS {
+        return Err(RasterizeError::TooManyPairs { pairs });
+    }
+    let [drawn, not_finite, depth, outside, zero_quat, overflow, opacity, color] =
+        fates.map(|count| count as u32);
+    let culled =
+        CullCounts { drawn, not_finite, depth, outside, zero_quat, overflow, opacity, color };
+    Ok((culled, pairs as u32))
+}
+
+/// First pair of each tile, and the Gaussian of each pair, near ones first.
+fn sort_by_tile<L: Launcher>(
+    l: &L,
+    seen: &Projected<L::Buffer>,
+    n: u32,
+    pairs: u32,
+    [columns, tile_rows]: [u32; 2],
+) -> Result<[L::Buffer; 2], L::Error> {
+    let before = scan::running_sums(l, &seen.counts, n.into())?.before;
+    let mut keys = l.alloc_values::<u64>(pairs as usize)?;
+    let mut of = l.alloc_values::<u32>(pairs as usize)?;
+    l.run(
+        &LIST_TILE_PAIRS,
+        n.into(),
+        &[&seen.splats, &seen.boxes, &seen.counts, &before],
+        &mut [&mut keys, &mut of],
+        &[U32(n), U32(columns)],
+    )?;
+    let tiles = columns * tile_rows;
+    let bits = u32::BITS + (u32::BITS - tiles.saturating_sub(1).leading_zeros());
+    let pairs_of = radix_sort::Sorted { codes: keys, rows: of };
+    let sorted = radix_sort::sort_further(l, pairs_of, pairs, 0, bits)?;
+    let mut starts = l.alloc_values::<u32>(tiles as usize + 1)?;
+    let (items, numbers) = (u64::from(tiles) + 1, [U32(pairs), U32(tiles)]);
+    l.run(&TILE_STARTS, items, &[&sorted.codes], &mut [&mut starts], &numbers)?;
+    Ok([starts, sorted.rows])
+}
+
+/// Renders a view. `degree` is the highest band of the harmonics to use; `None` renders no color.
 ///
 /// # Errors
 /// If Gaussians and tiles make more than [`MOST_PAIRS`], and the launcher's.
@@ -208,96 +310,10 @@ pub fn render<L: Launcher>(
     settings: &Settings,
     degree: Option<u32>,
 ) -> Result<Picture<L::Buffer>, RasterizeError<L::Error>> {
-    let n = gaussians.count;
-    let stride = 3 * (gaussians.sh_degree + 1).pow(2);
-    let used = degree.map_or(0, |d| (d + 1).pow(2));
-    assert!(gaussians.sh_degree <= 3 && degree.is_none_or(|d| d <= gaussians.sh_degree), "degree");
-    let rows = u64::from(n);
-    l.expect::<[f32; 3]>("means", gaussians.means, rows);
-    l.expect::<[f32; 4]>("quats", gaussians.quats, rows);
-    l.expect::<[f32; 3]>("scales", gaussians.scales, rows);
-    l.expect::<f32>("opacities", gaussians.opacities, rows);
-    l.expect::<f32>("harmonics", gaussians.sh, rows * u64::from(stride));
-    let [columns, tile_rows] = view.size.map(|s| s.div_ceil(TILE));
-    let lens = l.upload_values(&lens(view, settings))?;
-    let mut splats = l.alloc_values::<[f32; 8]>(n as usize)?;
-    let mut colors = l.alloc_values::<[f32; 3]>(n as usize)?;
-    let mut boxes = l.alloc_values::<[u32; 4]>(n as usize)?;
-    let mut counts = l.alloc_values::<u32>(n as usize)?;
-    let mut fates = l.alloc_values::<u32>(n as usize)?;
-    l.run(
-        &PROJECT_GAUSSIANS,
-        rows,
-        &mut [
-            Arg::In(gaussians.means),
-            Arg::In(gaussians.quats),
-            Arg::In(gaussians.scales),
-            Arg::In(gaussians.opacities),
-            Arg::In(gaussians.sh),
-            Arg::In(&lens),
-            Arg::Out(&mut splats),
-            Arg::Out(&mut colors),
-            Arg::Out(&mut boxes),
-            Arg::Out(&mut counts),
-            Arg::Out(&mut fates),
-            Arg::U32(n),
-            Arg::U32(flags(settings)),
-            Arg::U32(stride),
-            Arg::U32(used),
-            Arg::U32(degree.is_some().into()),
-            Arg::U32(columns),
-            Arg::U32(tile_rows),
-        ],
-    )?;
-    let mut totals = l.upload_values(&[0u64; 9])?;
-    l.run(
-        &COUNT_FATES,
-        rows,
-        &mut [Arg::In(&fates), Arg::In(&counts), Arg::Out(&mut totals), Arg::U32(n)],
-    )?;
-    let totals = l.download_values::<[u64; 9]>(&totals, 1)?[0];
-    if totals[8] > MOST_PAIRS {
-        return Err(RasterizeError::TooManyPairs { pairs: totals[8] });
-    }
-    let pairs = totals[8] as u32;
-    let culled = CullCounts {
-        drawn: totals[0] as u32,
-        not_finite: totals[1] as u32,
-        depth: totals[2] as u32,
-        outside: totals[3] as u32,
-        zero_quat: totals[4] as u32,
-        overflow: totals[5] as u32,
-        opacity: totals[6] as u32,
-        color: totals[7] as u32,
-    };
-
-    let before = scan::running_sums(l, &counts, rows)?.before;
-    let mut keys = l.alloc_values::<u64>(pairs as usize)?;
-    let mut of = l.alloc_values::<u32>(pairs as usize)?;
-    l.run(
-        &LIST_TILE_PAIRS,
-        rows,
-        &mut [
-            Arg::In(&splats),
-            Arg::In(&boxes),
-            Arg::In(&counts),
-            Arg::In(&before),
-            Arg::Out(&mut keys),
-            Arg::Out(&mut of),
-            Arg::U32(n),
-            Arg::U32(columns),
-        ],
-    )?;
-    let tiles = columns * tile_rows;
-    let bits = u32::BITS + (u32::BITS - tiles.saturating_sub(1).leading_zeros());
-    let pairs_of = radix_sort::Sorted { codes: keys, rows: of };
-    let sorted = radix_sort::sort_further(l, pairs_of, pairs, 0, bits)?;
-    let mut starts = l.alloc_values::<u32>(tiles as usize + 1)?;
-    l.run(
-        &TILE_STARTS,
-        u64::from(tiles) + 1,
-        &mut [Arg::In(&sorted.codes), Arg::Out(&mut starts), Arg::U32(pairs), Arg::U32(tiles)],
-    )?;
+    let seen = project(l, gaussians, view, settings, degree)?;
+    let (culled, pairs) = count(l, &seen, gaussians.count)?;
+    let [columns, tile_rows] = view.tiles();
+    let [starts, of] = sort_by_tile(l, &seen, gaussians.count, pairs, view.tiles())?;
     let [width, height] = view.size;
     let pixels = width as usize * height as usize;
     let mut picture = Picture {
@@ -308,30 +324,18 @@ pub fn render<L: Launcher>(
         culled,
         pairs,
     };
+    let Picture { rgb, transmittance, depth, median_depth, .. } = &mut picture;
     let [red, green, blue] = settings.background;
+    let Settings { alpha_cut, alpha_max, stop_above, .. } = *settings;
+    let sizes = [width, height, columns].map(U32);
+    let light = [alpha_cut, alpha_max, stop_above, red, green, blue].map(F32);
+    let numbers = [&sizes[..], &light, &[U32(degree.is_some().into())]].concat();
     l.run(
         &BLEND_TILES,
-        tiles.into(),
-        &mut [
-            Arg::In(&splats),
-            Arg::In(&colors),
-            Arg::In(&starts),
-            Arg::In(&sorted.rows),
-            Arg::Out(&mut picture.rgb),
-            Arg::Out(&mut picture.transmittance),
-            Arg::Out(&mut picture.depth),
-            Arg::Out(&mut picture.median_depth),
-            Arg::U32(width),
-            Arg::U32(height),
-            Arg::U32(columns),
-            Arg::F32(settings.alpha_cut),
-            Arg::F32(settings.alpha_max),
-            Arg::F32(settings.stop_above),
-            Arg::F32(red),
-            Arg::F32(green),
-            Arg::F32(blue),
-            Arg::U32(degree.is_some().into()),
-        ],
+        u64::from(columns * tile_rows),
+        &[&seen.splats, &seen.colors, &starts, &of],
+        &mut [rgb, transmittance, depth, median_depth],
+        &numbers,
     )?;
     Ok(picture)
 }

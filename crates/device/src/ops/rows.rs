@@ -1,7 +1,7 @@
 //! Copies of rows: gathers, permutations and their inverse.
 
 use super::kernels;
-use crate::launch::{Arg, Items::PerThread, Launcher};
+use crate::launch::{Items::PerThread, Launcher, Scalar::U32};
 
 kernels! { "rows":
     /// Rows of values of 4 bytes.
@@ -51,11 +51,7 @@ pub fn gather_rows<L: Launcher>(
             &GATHER_ROWS_4
         }
     };
-    l.run(
-        kernel,
-        count,
-        &mut [Arg::In(x), Arg::In(rows), Arg::Out(out), Arg::U32(n), Arg::U32(channels)],
-    )
+    l.run(kernel, count, &[x, rows], &mut [out], &[U32(n), U32(channels)])
 }
 
 /// `inverse[order[i]] = i` for a permutation. `order`, `inverse`: `[N]` of `u32`
@@ -70,7 +66,7 @@ pub fn invert<L: Launcher>(
 ) -> Result<(), L::Error> {
     l.expect::<u32>("order", order, n.into());
     l.expect::<u32>("inverse", inverse, n.into());
-    l.run(&INVERT, n.into(), &mut [Arg::In(order), Arg::Out(inverse), Arg::U32(n)])
+    l.run(&INVERT, n.into(), &[order], &mut [inverse], &[U32(n)])
 }
 
 /// The numbers from 0 to N − 1. `[N]` of `u32`
@@ -79,6 +75,6 @@ pub fn invert<L: Launcher>(
 /// Those of the launcher.
 pub fn count_up<L: Launcher>(l: &L, n: u32) -> Result<L::Buffer, L::Error> {
     let mut out = l.alloc_values::<u32>(n as usize)?;
-    l.run(&COUNT_UP, n.into(), &mut [Arg::Out(&mut out), Arg::U32(n)])?;
+    l.run(&COUNT_UP, n.into(), &[], &mut [&mut out], &[U32(n)])?;
     Ok(out)
 }

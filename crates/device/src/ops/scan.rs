@@ -1,7 +1,7 @@
 //! Running sums of whole numbers.
 
 use super::kernels;
-use crate::launch::{Arg, Items::PerBlock, Launcher};
+use crate::launch::{Items::PerBlock, Launcher, Scalar::U64};
 
 kernels! { "scan":
     /// Sums inside blocks.
@@ -38,15 +38,11 @@ pub fn running_sums<L: Launcher>(
         return Ok(RunningSums { before, total: l.upload_values(&[0u32])? });
     }
     let mut totals = l.alloc_values::<u32>(blocks as usize)?;
-    l.run(
-        &SCAN_BLOCKS,
-        n,
-        &mut [Arg::In(values), Arg::Out(&mut before), Arg::Out(&mut totals), Arg::U64(n)],
-    )?;
+    l.run(&SCAN_BLOCKS, n, &[values], &mut [&mut before, &mut totals], &[U64(n)])?;
     if blocks == 1 {
         return Ok(RunningSums { before, total: totals });
     }
     let above = running_sums(l, &totals, blocks)?;
-    l.run(&SCAN_ADD, n, &mut [Arg::Out(&mut before), Arg::In(&above.before), Arg::U64(n)])?;
+    l.run(&SCAN_ADD, n, &[&above.before], &mut [&mut before], &[U64(n)])?;
     Ok(RunningSums { before, total: above.total })
 }

@@ -1,7 +1,7 @@
 //! Reductions over groups of rows.
 
 use super::kernels;
-use crate::launch::{Arg, Items::PerThread, Launcher};
+use crate::launch::{Items::PerThread, Launcher, Scalar::U32};
 
 kernels! { "segment":
     /// One value for each group and channel.
@@ -88,15 +88,9 @@ pub fn reduce<L: Launcher>(
     l.run(
         &REDUCE,
         count,
-        &mut [
-            Arg::In(x),
-            Arg::In(groups.rows),
-            Arg::In(groups.offsets),
-            Arg::Out(out),
-            Arg::U32(groups.num_groups),
-            Arg::U32(channels),
-            Arg::U32(how.number()),
-        ],
+        &[x, groups.rows, groups.offsets],
+        &mut [out],
+        &[U32(groups.num_groups), U32(channels), U32(how.number())],
     )
 }
 
@@ -126,15 +120,9 @@ pub fn reduce_backward<L: Launcher>(
         return l.run(
             &REDUCE_BACKWARD,
             rows,
-            &mut [
-                Arg::In(grad),
-                Arg::In(groups.inverse),
-                Arg::In(groups.offsets),
-                Arg::Out(dx),
-                Arg::U32(n),
-                Arg::U32(channels),
-                Arg::U32(how.number()),
-            ],
+            &[grad, groups.inverse, groups.offsets],
+            &mut [dx],
+            &[U32(n), U32(channels), U32(how.number())],
         );
     }
     l.expect::<f32>("grouped rows", x, rows);
@@ -142,25 +130,15 @@ pub fn reduce_backward<L: Launcher>(
     l.run(
         &LARGEST,
         means,
-        &mut [
-            Arg::In(x),
-            Arg::In(groups.rows),
-            Arg::In(groups.offsets),
-            Arg::Out(&mut largest),
-            Arg::U32(g),
-            Arg::U32(channels),
-        ],
+        &[x, groups.rows, groups.offsets],
+        &mut [&mut largest],
+        &[U32(g), U32(channels)],
     )?;
     l.run(
         &LARGEST_BACKWARD,
         rows,
-        &mut [
-            Arg::In(grad),
-            Arg::In(groups.inverse),
-            Arg::In(&largest),
-            Arg::Out(dx),
-            Arg::U32(n),
-            Arg::U32(channels),
-        ],
+        &[grad, groups.inverse, &largest],
+        &mut [dx],
+        &[U32(n), U32(channels)],
     )
 }

@@ -3,9 +3,9 @@
 use super::kernel_map::{self, KernelMap};
 use super::kernels;
 use crate::launch::{
-    Arg,
     Items::{PerBlock, PerThread},
     Launcher,
+    Scalar::{U32, U64},
 };
 
 kernels! { "sparse_conv":
@@ -110,49 +110,38 @@ fn convolve<L: Launcher>(
         return l.run(
             &CONV_FUSED,
             u64::from(n.div_ceil(TILE)) * u64::from(columns),
-            &mut [
-                Arg::In(x),
-                Arg::In(&map.neighbors),
-                Arg::In(weight),
-                Arg::In(bias),
-                Arg::Out(out),
-                Arg::U32(n),
-                Arg::U32(taps),
-                Arg::U32(cin),
-                Arg::U32(cout),
-                Arg::U64(strides.out),
-                Arg::U64(strides.tap),
-                Arg::U64(strides.input),
-                Arg::U32(strides.mirrored.into()),
-                Arg::U32(has_bias),
+            &[x, &map.neighbors, weight, bias],
+            &mut [out],
+            &[
+                U32(n),
+                U32(taps),
+                U32(cin),
+                U32(cout),
+                U64(strides.out),
+                U64(strides.tap),
+                U64(strides.input),
+                U32(strides.mirrored.into()),
+                U32(has_bias),
             ],
         );
     }
-    l.run(
-        &CONV_BEGIN,
-        rows,
-        &mut [Arg::In(bias), Arg::Out(out), Arg::U32(n), Arg::U32(cout), Arg::U32(has_bias)],
-    )?;
+    l.run(&CONV_BEGIN, rows, &[bias], &mut [out], &[U32(n), U32(cout), U32(has_bias)])?;
     for tap in 0..taps {
         let weight_tap = if strides.mirrored { taps - 1 - tap } else { tap };
         // A tap has as many pairs as there are rows, at most.
         l.run(
             &CONV_TAP,
             u64::from(n.div_ceil(TILE)) * u64::from(columns),
-            &mut [
-                Arg::In(x),
-                Arg::In(&map.starts),
-                Arg::In(&map.input),
-                Arg::In(&map.output),
-                Arg::In(weight),
-                Arg::Out(out),
-                Arg::U32(tap),
-                Arg::U32(weight_tap),
-                Arg::U32(cin),
-                Arg::U32(cout),
-                Arg::U64(strides.out),
-                Arg::U64(strides.tap),
-                Arg::U64(strides.input),
+            &[x, &map.starts, &map.input, &map.output, weight],
+            &mut [out],
+            &[
+                U32(tap),
+                U32(weight_tap),
+                U32(cin),
+                U32(cout),
+                U64(strides.out),
+                U64(strides.tap),
+                U64(strides.input),
             ],
         )?;
     }
@@ -191,18 +180,9 @@ pub fn backward_input<L: Launcher>(
     l.run(
         &CONV_EXCHANGED,
         count,
-        &mut [
-            Arg::In(grad),
-            Arg::In(&pairs.keys),
-            Arg::In(&pairs.output),
-            Arg::In(weight),
-            Arg::Out(dx),
-            Arg::U32(map.rows),
-            Arg::U32(map.pairs),
-            Arg::U32(map.taps()),
-            Arg::U32(cin),
-            Arg::U32(cout),
-        ],
+        &[grad, &pairs.keys, &pairs.output, weight],
+        &mut [dx],
+        &[U32(map.rows), U32(map.pairs), U32(map.taps()), U32(cin), U32(cout)],
     )
 }
 
@@ -233,22 +213,9 @@ pub fn backward_weight<L: Launcher>(
     l.run(
         &CONV_WEIGHT,
         tiles * u64::from(taps) * u64::from(stretches),
-        &mut [
-            Arg::In(x),
-            Arg::In(grad),
-            Arg::In(&map.starts),
-            Arg::In(&map.input),
-            Arg::In(&map.output),
-            Arg::Out(&mut parts),
-            Arg::U32(taps),
-            Arg::U32(cin),
-            Arg::U32(cout),
-            Arg::U32(stretches),
-        ],
+        &[x, grad, &map.starts, &map.input, &map.output],
+        &mut [&mut parts],
+        &[U32(taps), U32(cin), U32(cout), U32(stretches)],
     )?;
-    l.run(
-        &CONV_WEIGHT_SUM,
-        weights,
-        &mut [Arg::In(&parts), Arg::Out(dw), Arg::U64(weights), Arg::U32(stretches)],
-    )
+    l.run(&CONV_WEIGHT_SUM, weights, &[&parts], &mut [dw], &[U64(weights), U32(stretches)])
 }

@@ -1,25 +1,25 @@
-//! Every kernel on a graphics processor, against the CPU kernels: the comparisons of the emulation, which run where
-//! `SCENESPLAT_TEST_DEVICE` is `cuda`.
+//! Every kernel on a graphics processor, against the CPU kernels: the comparisons of the suite, which run where
+//! `SCENESPLAT_TEST_DEVICE` is `cuda`. A program of its own: the suite's modules run on one kind of grid.
 #![cfg(feature = "cuda")]
 #![allow(clippy::unwrap_used, clippy::panic, missing_docs)]
 
-#[path = "../emulation/grid_sample.rs"]
+#[path = "../suite/grid_sample.rs"]
 mod grid_sample;
-#[path = "../emulation/labels.rs"]
+#[path = "../suite/labels.rs"]
 mod labels;
-#[path = "../emulation/norms.rs"]
+#[path = "../suite/norms.rs"]
 mod norms;
-#[path = "../emulation/patch_attention.rs"]
+#[path = "../suite/patch_attention.rs"]
 mod patch_attention;
-#[path = "../emulation/rasterize.rs"]
+#[path = "../suite/rasterize.rs"]
 mod rasterize;
-#[path = "../emulation/rows.rs"]
+#[path = "../suite/rows.rs"]
 mod rows;
-#[path = "../emulation/segment.rs"]
+#[path = "../suite/segment.rs"]
 mod segment;
-#[path = "../emulation/serialization.rs"]
+#[path = "../suite/serialization.rs"]
 mod serialization;
-#[path = "../emulation/sparse_conv.rs"]
+#[path = "../suite/sparse_conv.rs"]
 mod sparse_conv;
 #[path = "../support/mod.rs"]
 mod support;

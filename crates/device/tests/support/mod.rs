@@ -46,3 +46,18 @@ pub fn assert_near(got: &[f32], want: &[f32], bound: f64, what: &str) {
 pub fn values<L: Launcher>(l: &L, buffer: &L::Buffer, len: usize) -> Result<Vec<f32>, L::Error> {
     l.download_values(buffer, len)
 }
+
+/// Makes tests of functions that run kernels; they need a grid.
+macro_rules! on_grid {
+    ($($test:ident)*) => {
+        mod tests {
+            $(#[test]
+            fn $test() {
+                if crate::is_there() {
+                    super::$test();
+                }
+            })*
+        }
+    };
+}
+pub(crate) use on_grid;

@@ -113,16 +113,20 @@ fn run(network: &Truth, settings: MaskSettings) -> (Vec<MaskProposal>, MaskCount
     AutomaticMasks::new(network, settings).unwrap().generate_counted(&picture()).unwrap()
 }
 
-#[test]
-fn each_filter_alone() {
-    let open = MaskSettings {
+/// Settings under which every mask passes.
+fn open() -> MaskSettings {
+    MaskSettings {
         pred_iou: 0.0,
         stability: 0.0,
         box_nms: 1.0,
         crop_nms: 1.0,
         ..MaskSettings::original()
-    };
-    let network = truth();
+    }
+}
+
+#[test]
+fn each_filter_alone() {
+    let (open, network) = (open(), truth());
     let (_, counts) = run(&network, open.clone());
     let all = 3 * 64;
     assert_eq!(
@@ -155,11 +159,14 @@ fn each_filter_alone() {
     // Only whole objects.
     let (_, counts) = run(&network, MaskSettings { level: Level::Whole, ..open });
     assert_eq!(counts.answered, 64);
+}
 
-    // Edges of crops, and boxes among crops.
-    let cropped = MaskSettings { crop_layers: 1, box_nms: 0.7, ..open };
+#[test]
+fn edges_of_crops_and_boxes_among_crops() {
+    let network = truth();
+    let cropped = MaskSettings { crop_layers: 1, box_nms: 0.7, ..open() };
     let (found, counts) = run(&network, cropped.clone());
-    assert_eq!(counts.answered, 5 * all);
+    assert_eq!(counts.answered, 5 * 3 * 64);
     assert!(counts.whole < counts.stable, "{counts:?}");
     let inner = |p: &&MaskProposal| p.crop != [0, 0, SIZE[0], SIZE[1]];
     for p in found.iter().filter(inner) {
@@ -178,14 +185,18 @@ fn each_filter_alone() {
     // Small crops come first; the picture's own masks last.
     let whole = fewer.iter().position(|p| p.crop == [0, 0, SIZE[0], SIZE[1]]).unwrap();
     assert!(fewer[whole..].iter().all(|p| !inner(&p)));
+}
 
-    // Small regions: a disk of 16 pixels is 4.6 by 6.8 of the network's, about 97 in all.
+#[test]
+fn small_regions_are_removed_and_filled() {
+    // A disk of 16 pixels is 4.6 by 6.8 of the network's, about 97 in all.
     let speck = RgbPicture::from_fn(450, 300, |x, y| {
         let inside = (i64::from(x) - 200).pow(2) + (i64::from(y) - 150).pow(2) < 256;
         [if inside { 200 } else { 0 }, 0, 0]
     });
     let count = |min_region| {
-        let settings = MaskSettings { points_per_side: 16, min_region, ..open };
+        let (network, settings) =
+            (truth(), MaskSettings { points_per_side: 16, min_region, ..open() });
         let found = AutomaticMasks::new(&network, settings).unwrap().generate(&speck).unwrap();
         let small = found.iter().filter(|p| p.mask.area() < 1000).count();
         let holes = found.iter().filter(|p| p.mask.area() > 1000 && !p.mask.contains(200, 150));

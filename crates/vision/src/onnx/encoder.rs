@@ -4,7 +4,6 @@ use super::OnnxRuntime;
 use super::model::{Array, Model, Port};
 use crate::VisionError;
 use crate::layers::to_directions;
-use crate::resize::{resize, standardize};
 use crate::siglip::Preprocessor;
 use scenesplat_scene::picture::RgbPicture;
 use std::path::Path;
@@ -109,12 +108,7 @@ impl OnnxEncoder {
     fn run(&self, pictures: &[RgbPicture]) -> Result<Vec<f32>, VisionError> {
         let mut values = Vec::with_capacity(pictures.len() * 3 * self.side * self.side);
         for picture in pictures {
-            let small =
-                resize(picture, self.side as u32, self.side as u32, self.preprocessor.filter())?;
-            let plane = |c: usize| small.pixels().iter().map(move |p| f32::from(p[c]) / 255.0);
-            let mut planes: Vec<f32> = (0..3).flat_map(plane).collect();
-            standardize(&mut planes, self.preprocessor.image_mean, self.preprocessor.image_std);
-            values.extend(planes);
+            values.extend(self.preprocessor.planes(picture, self.side, true)?);
         }
         let side = self.side as i64;
         let input = Array { shape: vec![pictures.len() as i64, 3, side, side], values };

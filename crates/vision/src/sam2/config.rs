@@ -2,6 +2,7 @@
 
 use crate::VisionError;
 use serde::{Deserialize, Serialize};
+use std::fmt::Debug;
 
 /// The sizes of a SAM 2 network in image mode; the same for 2.0 and 2.1.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -93,13 +94,15 @@ impl Sam2Config {
     /// # Errors
     /// If they do not; the message names the field.
     pub fn check(&self) -> Result<(), VisionError> {
-        if !self.image_size.is_multiple_of(32) || !(32..=4096).contains(&self.image_size) {
-            return Err(VisionError::config(
-                "image_size",
-                self.image_size,
-                "a multiple of 32 up to 4096",
-            ));
-        }
+        let require = |holds: bool, field: &'static str, value: &dyn Debug, help: &'static str| {
+            if holds {
+                return Ok(());
+            }
+            Err(VisionError::config(field, format!("{value:?}"), help))
+        };
+        let size = self.image_size;
+        let fits = size.is_multiple_of(32) && (32..=4096).contains(&size);
+        require(fits, "image_size", &size, "a multiple of 32 up to 4096")?;
         for (field, value, most) in [
             ("embed_dim", self.embed_dim, 1024),
             ("num_heads", self.num_heads, 64),
@@ -109,68 +112,30 @@ impl Sam2Config {
             ("decoder_mlp", self.decoder_mlp, 1 << 15),
             ("iou_hidden", self.iou_hidden, 1 << 12),
         ] {
-            if value == 0 || value > most {
-                return Err(VisionError::config(
-                    field,
-                    value,
-                    "too small or larger than any known network",
-                ));
-            }
+            let help = "too small or larger than any known network";
+            require((1..=most).contains(&value), field, &value, help)?;
         }
-        if !self.embed_dim.is_multiple_of(self.num_heads) {
-            return Err(VisionError::config(
-                "embed_dim",
-                self.embed_dim,
-                "a multiple of num_heads",
-            ));
-        }
-        if !self.d_model.is_multiple_of(8) || !(self.d_model / 2).is_multiple_of(self.decoder_heads)
-        {
-            return Err(VisionError::config(
-                "d_model",
-                self.d_model,
-                "a multiple of 8 and of twice decoder_heads",
-            ));
-        }
-        if self.stages.contains(&0) || self.stages.iter().sum::<usize>() > 1000 {
-            return Err(VisionError::config(
-                "stages",
-                format!("{:?}", self.stages),
-                "1 to 1000 blocks in all",
-            ));
-        }
-        let side = self.side();
-        let even = self.window_spec[..3].iter().all(|w| w.is_multiple_of(2));
-        if !even || self.window_spec.iter().any(|w| *w == 0 || *w > side) {
-            let value = format!("{:?}", self.window_spec);
-            return Err(VisionError::config(
-                "window_spec",
-                value,
-                "even sides of windows inside the picture",
-            ));
-        }
-        if !side.is_multiple_of(self.window_spec[0]) {
-            let help = "its first side must divide a quarter of image_size";
-            return Err(VisionError::config(
-                "window_spec",
-                format!("{:?}", self.window_spec),
-                help,
-            ));
-        }
-        if self.window_pos_embed_bkg_spatial_size.iter().any(|s| *s == 0 || *s > 256) {
-            let value = format!("{:?}", self.window_pos_embed_bkg_spatial_size);
-            return Err(VisionError::config(
-                "window_pos_embed_bkg_spatial_size",
-                value,
-                "1 to 256 each",
-            ));
-        }
+        let fits = self.embed_dim.is_multiple_of(self.num_heads);
+        require(fits, "embed_dim", &self.embed_dim, "a multiple of num_heads")?;
+        let width = self.d_model;
+        let fits = width.is_multiple_of(8) && (width / 2).is_multiple_of(self.decoder_heads);
+        require(fits, "d_model", &width, "a multiple of 8 and of twice decoder_heads")?;
+        let fits = !self.stages.contains(&0) && self.stages.iter().sum::<usize>() <= 1000;
+        require(fits, "stages", &self.stages, "1 to 1000 blocks in all")?;
+        let (side, windows) = (self.side(), &self.window_spec);
+        let fits = windows[..3].iter().all(|w| w.is_multiple_of(2))
+            && windows.iter().all(|w| (1..=side).contains(w));
+        require(fits, "window_spec", windows, "even sides of windows inside the picture")?;
+        let help = "its first side must divide a quarter of image_size";
+        require(side.is_multiple_of(windows[0]), "window_spec", windows, help)?;
+        let coarse = &self.window_pos_embed_bkg_spatial_size;
+        let fits = coarse.iter().all(|s| (1..=256).contains(s));
+        require(fits, "window_pos_embed_bkg_spatial_size", coarse, "1 to 256 each")?;
         let first = |stage: usize| self.stages[..stage].iter().sum::<usize>();
         for block in &self.global_att_blocks {
-            if (1..4).any(|stage| first(stage) == *block) || *block >= first(4) {
-                let help = "blocks that exist and begin no stage";
-                return Err(VisionError::config("global_att_blocks", block, help));
-            }
+            let fits = *block < first(4) && (1..4).all(|stage| first(stage) != *block);
+            let help = "blocks that exist and begin no stage";
+            require(fits, "global_att_blocks", block, help)?;
         }
         Ok(())
     }
@@ -191,14 +156,16 @@ mod tests {
 
     #[test]
     fn what_is_no_network_is_refused_by_name() {
-        let mut config = Sam2Config::large();
-        config.image_size = 1000;
-        assert!(config.check().unwrap_err().to_string().contains("image_size is 1000"));
-        let mut config = Sam2Config::large();
-        config.global_att_blocks = vec![44];
-        assert!(config.check().unwrap_err().to_string().contains("global_att_blocks is 44"));
-        let mut config = Sam2Config::large();
-        config.window_spec = [8, 3, 16, 8];
-        assert!(config.check().unwrap_err().to_string().contains("window_spec"));
+        for (change, message) in [
+            ((|c| c.image_size = 1000) as fn(&mut Sam2Config), "image_size is 1000"),
+            (|c| c.global_att_blocks = vec![44], "global_att_blocks is 44"),
+            (|c| c.window_spec = [8, 3, 16, 8], "window_spec is [8, 3, 16, 8]"),
+            (|c| c.stages = [2, 0, 36, 4], "stages is [2, 0, 36, 4]"),
+        ] {
+            let mut config = Sam2Config::large();
+            change(&mut config);
+            let error = config.check().unwrap_err().to_string();
+            assert!(error.contains(message), "{error}");
+        }
     }
 }

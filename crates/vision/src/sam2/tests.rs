@@ -3,24 +3,12 @@
 use super::*;
 use crate::layers::Norm;
 use crate::masks::upscale::{Place, upscale};
-use safetensors::SafeTensors;
+use crate::test_files::{Arrays, save};
+use scenesplat_test_support::Golden;
 use scenesplat_test_support::reference::{gelu, layer_norm};
-use std::collections::BTreeMap;
-use std::path::PathBuf;
 
 /// Sums of up to 512 f32 terms through nine blocks: the numbers of the authors' code differ by as much between machines.
 const F32: f64 = 1e-4;
-
-fn shared(relative: &str) -> Option<PathBuf> {
-    let beside = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared");
-    let root = std::env::var_os("SCENESPLAT_SHARED").map_or(beside, PathBuf::from);
-    let path = root.join(relative);
-    if path.exists() {
-        return Some(path);
-    }
-    println!("skipped: {} is not there", path.display());
-    None
-}
 
 fn mini() -> Sam2Config {
     Sam2Config {
@@ -39,45 +27,23 @@ fn mini() -> Sam2Config {
     }
 }
 
-type Arrays = BTreeMap<String, (Vec<usize>, Vec<f32>)>;
-
 fn golden() -> Option<Arrays> {
-    let bytes = std::fs::read(shared("goldens/raster/sam2_mini.safetensors")?).unwrap();
-    let file = SafeTensors::deserialize(&bytes).unwrap();
-    let array = |(name, view): (String, safetensors::tensor::TensorView<'_>)| {
-        let words = view.data().as_chunks::<4>().0.iter();
-        let values = match view.dtype() {
-            safetensors::Dtype::F32 => words.map(|w| f32::from_le_bytes(*w)).collect(),
-            _ => words.map(|w| i32::from_le_bytes(*w) as f32).collect(),
-        };
-        (name, (view.shape().to_vec(), values))
+    let golden = Golden::open("goldens/raster/sam2_mini.safetensors")?;
+    let array = |name: String| {
+        let array = (golden.shape(&name).to_vec(), golden.f32s(&name));
+        (name, array)
     };
-    Some(file.tensors().into_iter().map(array).collect())
+    Some(golden.names("").into_iter().map(array).collect())
 }
 
 /// The weights of the golden file alone, as a weight file; other layouts are made by `change`.
 fn weight_file(arrays: &Arrays, change: impl Fn(&mut Arrays)) -> tempfile::NamedTempFile {
-    let mut weights: Arrays = arrays
-        .iter()
-        .filter(|(name, _)| !name.starts_with("in.") && !name.starts_with("out."))
-        .map(|(name, array)| (name.clone(), array.clone()))
-        .collect();
+    let mut weights = arrays.clone();
+    weights.retain(|name, _| !name.starts_with("in.") && !name.starts_with("out."));
     weights.insert("no_mem_embed".to_owned(), arrays["in.no_mem_embed"].clone());
     change(&mut weights);
-    let bytes: BTreeMap<&String, Vec<u8>> = weights
-        .iter()
-        .map(|(name, (_, values))| (name, values.iter().flat_map(|v| v.to_le_bytes()).collect()))
-        .collect();
-    let views = weights.iter().map(|(name, (shape, _))| {
-        let view = safetensors::tensor::TensorView::new(
-            safetensors::Dtype::F32,
-            shape.clone(),
-            &bytes[name],
-        );
-        (name.as_str(), view.unwrap())
-    });
     let file = tempfile::Builder::new().suffix(".safetensors").tempfile().unwrap();
-    std::fs::write(file.path(), safetensors::serialize(views, None).unwrap()).unwrap();
+    save(&weights, file.path());
     file
 }
 

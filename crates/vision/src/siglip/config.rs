@@ -1,8 +1,9 @@
 //! What the files beside the weights say.
 
 use crate::VisionError;
-use crate::resize::Filter;
+use crate::resize::{Filter, resize, resize_planes, standardize};
 use scenesplat_scene::input_file::read_text_file;
+use scenesplat_scene::picture::RgbPicture;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use std::path::Path;
@@ -134,8 +135,8 @@ pub(crate) struct Preprocessor {
     do_normalize: bool,
     resample: u32,
     rescale_factor: f64,
-    pub image_mean: [f32; 3],
-    pub image_std: [f32; 3],
+    image_mean: [f32; 3],
+    image_std: [f32; 3],
     size: Option<Size>,
 }
 
@@ -221,8 +222,24 @@ impl Preprocessor {
         Ok((Self::read(folder, side)?, side))
     }
 
-    pub fn filter(&self) -> Filter {
-        if self.resample == BICUBIC { Filter::Bicubic } else { Filter::Bilinear }
+    /// A picture as the network reads it, resized as Pillow does, or not rounded. `[3, side, side]`
+    pub fn planes(
+        &self,
+        picture: &RgbPicture,
+        side: usize,
+        rounded: bool,
+    ) -> Result<Vec<f32>, VisionError> {
+        let (side, bicubic) = (side as u32, self.resample == BICUBIC);
+        let filter = if bicubic { Filter::Bicubic } else { Filter::Bilinear };
+        let mut planes = if rounded {
+            let small = resize(picture, side, side, filter)?;
+            let plane = |c: usize| small.pixels().iter().map(move |p| f32::from(p[c]) / 255.0);
+            (0..3).flat_map(plane).collect()
+        } else {
+            resize_planes(picture, side, side, filter)?
+        };
+        standardize(&mut planes, self.image_mean, self.image_std);
+        Ok(planes)
     }
 }
 

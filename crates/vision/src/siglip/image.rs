@@ -6,7 +6,6 @@ use super::{HELP, is_text};
 use crate::VisionError;
 use crate::cross_attention::Attention;
 use crate::layers::{Linear, Norm, add, to_directions};
-use crate::resize::{resize, resize_planes, standardize};
 use crate::weights::Weights;
 use rayon::prelude::*;
 use scenesplat_kernels::Precision;
@@ -160,10 +159,11 @@ impl SiglipImageEncoder {
     /// # Errors
     /// If a picture has no pixels.
     pub fn encode_unscaled(&self, pictures: &[RgbPicture]) -> Result<Vec<f32>, VisionError> {
+        let (side, rounded) = (self.image_size(), self.resizing == Resizing::Pillow);
         let mut rows = Vec::with_capacity(pictures.len() * self.width());
         for (lot, pictures) in pictures.chunks(AT_ONCE).enumerate() {
             let planes = pictures.par_iter().enumerate().map(|(i, picture)| {
-                self.planes(picture).map_err(|error| {
+                self.preprocessor.planes(picture, side, rounded).map_err(|error| {
                     let number = lot * AT_ONCE + i;
                     VisionError::input("picture", format!("number {number}: {error}"))
                 })
@@ -172,22 +172,6 @@ impl SiglipImageEncoder {
             rows.extend(self.forward(&planes));
         }
         Ok(rows)
-    }
-
-    /// `[3, side, side]`
-    fn planes(&self, picture: &RgbPicture) -> Result<Vec<f32>, VisionError> {
-        let side = self.tower.image_size as u32;
-        let filter = self.preprocessor.filter();
-        let mut planes = match self.resizing {
-            Resizing::Torchvision => resize_planes(picture, side, side, filter)?,
-            Resizing::Pillow => {
-                let small = resize(picture, side, side, filter)?;
-                let plane = |c: usize| small.pixels().iter().map(move |p| f32::from(p[c]) / 255.0);
-                (0..3).flat_map(plane).collect()
-            }
-        };
-        standardize(&mut planes, self.preprocessor.image_mean, self.preprocessor.image_std);
-        Ok(planes)
     }
 
     /// Planes of pictures → rows.

@@ -1,6 +1,7 @@
 //! Against numbers of transformers (`benches/pytorch/siglip.py`), and the traps between a folder and a vector.
 
 use super::*;
+use crate::test_files::{Arrays, save};
 use scenesplat_kernels::Precision;
 use scenesplat_models::weights::{hashed_parameter, unit};
 use scenesplat_scene::picture::RgbPicture;
@@ -47,10 +48,10 @@ fn tokenizer() -> Value {
 }
 
 /// The small model as a folder, all names and shapes those of transformers.
-fn folder(change: impl Fn(&mut BTreeMap<String, (Vec<usize>, Vec<f32>)>)) -> tempfile::TempDir {
+fn folder(change: impl Fn(&mut Arrays)) -> tempfile::TempDir {
     let numbers = numbers();
     let seed = numbers["seed"].as_u64().unwrap();
-    let mut tensors = BTreeMap::new();
+    let mut tensors = Arrays::new();
     for (name, shape) in numbers["shapes"].as_object().unwrap() {
         let shape: Vec<usize> =
             shape.as_array().unwrap().iter().map(|v| v.as_u64().unwrap() as usize).collect();
@@ -59,17 +60,7 @@ fn folder(change: impl Fn(&mut BTreeMap<String, (Vec<usize>, Vec<f32>)>)) -> tem
     }
     change(&mut tensors);
     let folder = tempfile::tempdir().unwrap();
-    let bytes: BTreeMap<&String, Vec<u8>> = tensors
-        .iter()
-        .map(|(name, (_, values))| (name, values.iter().flat_map(|v| v.to_le_bytes()).collect()))
-        .collect();
-    let views = tensors.iter().map(|(name, (shape, _))| {
-        let dtype = safetensors::Dtype::F32;
-        let view = safetensors::tensor::TensorView::new(dtype, shape.clone(), &bytes[name]);
-        (name.as_str(), view.unwrap())
-    });
-    let file = safetensors::serialize(views, None).unwrap();
-    std::fs::write(folder.path().join("model.safetensors"), file).unwrap();
+    save(&tensors, &folder.path().join("model.safetensors"));
     write(&folder, "config.json", &numbers["config"]);
     write(&folder, "tokenizer.json", &tokenizer());
     folder

@@ -1,0 +1,7 @@
+//! LitePT against its formulas in f64: outputs, gradients, names and numbers of parameters.
+
+mod behaviour;
+pub mod numerics;
+mod published;
+mod reference;
+mod scenes;
