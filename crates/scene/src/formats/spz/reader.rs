@@ -20,7 +20,7 @@ use std::path::Path;
 /// Versions 1 to 3 may be a gzip stream, a zstd frame, or not compressed. Alpha 0 and 255 become
 /// the logits ±inf, which is what they say. Numbers are converted from the frame that the file
 /// names, or else from `options.spz_frame`; with [`SpzFrame::Raw`] they are never converted.
-/// Labels that [`write_spz`](super::write_spz) added are read; other extension records are skipped,
+/// Labels that the writer added are read; other extension records are skipped,
 /// and the report says so.
 ///
 /// No more is decompressed than the header calls for, and memory grows with what is really there. A
