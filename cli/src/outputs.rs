@@ -1,7 +1,7 @@
 //! What a command reads and writes: nothing that it reads is replaced, and what it writes appears
 //! together, when all of it is complete.
 
-use crate::error::{WrongUse, refuse};
+use crate::commands::WrongUse;
 use anyhow::{Context, Result, bail};
 use scenesplat::scene::atomic_file::check_replaceable;
 use scenesplat::scene::{AtomicFile, FolderLock, StagedFolder};
@@ -185,7 +185,8 @@ impl Outputs {
             if other.what == claim.what && other.path == claim.path {
                 return Ok(());
             }
-            refuse!("{what} {}: is also {}", path.display(), other.what);
+            let text = format!("{what} {}: is also {}", path.display(), other.what);
+            return Err(WrongUse(text).into());
         }
         claims.push(claim);
         Ok(())

@@ -71,7 +71,8 @@ fn contents_count_where_paths_may_change() {
     run(&data.experiment(&moved).unwrap(), &out, true).unwrap();
     assert!(exported(&out) == weights, "other bits");
     // Other scenes in the same place.
-    std::fs::rename(data.path().join("moved"), data.path().join("halls")).unwrap();
+    std::fs::rename(data.path().join("elsewhere"), data.path().join("halls")).unwrap();
+    std::fs::rename(data.path().join("halls/one"), data.path().join("halls/attic")).unwrap();
     let error = run(&config, &out, true).unwrap_err();
     assert!(error.contains("train[1].source.scenes was"), "{error}");
 }

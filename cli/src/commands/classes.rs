@@ -1,6 +1,6 @@
 //! Flags that choose classes: of `segment`, `query` and `evaluate`.
 
-use crate::error::WrongUse;
+use super::WrongUse;
 use crate::outputs::Outputs;
 use crate::session::Session;
 use anyhow::{Result, anyhow};

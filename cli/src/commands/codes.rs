@@ -1,6 +1,6 @@
 //! `scenesplat codes`
 
-use crate::error::refuse;
+use super::WrongUse;
 use crate::flags::Shared;
 use crate::progress::interrupted;
 use crate::session::Session;
@@ -38,7 +38,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let names = names(&args.scenes)?;
     let all = args.scenes.iter().chain([&args.model]);
     all.clone().try_for_each(|path| session.outputs.reads(path))?;
-    session.outputs.open_folder(&[])?;
+    session.make_out(&[])?;
     let model = TrainedAutoencoder::read(&args.model)?;
     for path in model.files() {
         session.receipt.fingerprint("autoencoder", path)?;
@@ -73,10 +73,12 @@ fn names(scenes: &[PathBuf]) -> Result<Vec<String>> {
         // Also of `..` and of `scene/.`.
         let whole = scene.canonicalize().with_context(|| scene.display().to_string())?;
         let Some(name) = whole.file_name().and_then(|name| name.to_str()) else {
-            refuse!("{}: its name is no text to call a folder by", scene.display());
+            let text = format!("{}: its name is no text to call a folder by", scene.display());
+            return Err(WrongUse(text).into());
         };
         if !seen.insert(name.to_owned()) {
-            refuse!("{name}: two scenes have this name, and so would their folders");
+            let text = format!("{name}: two scenes have this name, and so would their folders");
+            return Err(WrongUse(text).into());
         }
         names.push(name.to_owned());
     }
@@ -94,9 +96,11 @@ fn tell(session: &Session<'_>, name: &str, report: &FeatureCodeReport) {
     print(&text);
     let warn = |count: usize, what: &str| {
         if count > 0 {
-            session.warn(format!(
+            let text = format!(
                 "{name}: {count} rows are marked as features and hold {what}; they have none now"
-            ));
+            );
+            session.progress.say(&text);
+            session.receipt.warning(text);
         }
     };
     warn(report.not_finite, "NaN or infinity");

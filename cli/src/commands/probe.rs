@@ -1,9 +1,10 @@
 //! `scenesplat probe`
 
-use crate::error::refuse;
-use crate::flags::{Running, SourceArgs};
-use crate::progress::{Progress, interrupted};
+use super::WrongUse;
+use crate::flags::SourceArgs;
+use crate::progress::{Progress, interrupted, listen_for_interrupt};
 use crate::terminal::{print, write_text};
+use crate::threads::set_threads;
 use anyhow::{Context, Result};
 use scenesplat::datasets::{DataError, DataSource, SourceScene, SyntheticRooms};
 use scenesplat::input::open_input;
@@ -61,9 +62,12 @@ pub struct Args {
     /// How scenes are read.
     #[command(flatten)]
     pub source: SourceArgs,
-    /// Threads and progress.
-    #[command(flatten)]
-    pub running: Running,
+    /// Threads; all cores by default. Results do not depend on it.
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+    /// Says nothing about the progress.
+    #[arg(long)]
+    pub quiet: bool,
 }
 
 /// What stands on the rows.
@@ -128,7 +132,8 @@ impl Given {
                 Some((count, seed.parse().ok()?))
             });
             let Some((count, seed)) = numbers else {
-                refuse!("{scene:?}: write synthetic:COUNT:SEED, such as synthetic:20:7");
+                let text = format!("{scene:?}: write synthetic:COUNT:SEED, such as synthetic:20:7");
+                return Err(WrongUse(text).into());
             };
             let rooms = SyntheticRooms::new(count, SyntheticRoomSettings::default(), seed)?;
             let rooms = Arc::new(rooms);
@@ -139,7 +144,7 @@ impl Given {
         }
         for (i, id) in ids.iter().enumerate() {
             if ids[..i].contains(id) {
-                refuse!("{id}: is there twice");
+                return Err(WrongUse(format!("{id}: is there twice")).into());
             }
         }
         Ok(Self { ids, places, options })
@@ -170,7 +175,9 @@ impl DataSource for Given {
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
-    let progress = Progress::start(&args.running)?;
+    set_threads(args.threads)?;
+    listen_for_interrupt()?;
+    let progress = Progress::new(args.quiet);
     let config = config_beside(&args.model)?
         .ok_or_else(|| ProbeError::NoModel { path: args.model.clone() })?;
     let given = Arc::new(Given::new(&args.scenes, args.source.options())?);

@@ -3,9 +3,9 @@
 mod names;
 mod totals;
 
-use crate::error::WrongUse;
-use crate::flags::Running;
-use crate::progress::{Progress, interrupted};
+use super::WrongUse;
+use crate::progress::{Progress, interrupted, listen_for_interrupt};
+use crate::threads::set_threads;
 use anyhow::Result;
 use names::chunk_names;
 use scenesplat::datasets::DataError;
@@ -53,15 +53,21 @@ pub struct Args {
     /// where the last chunk ends.
     #[arg(long)]
     pub exact: bool,
-    /// Threads and progress.
-    #[command(flatten)]
-    pub running: Running,
+    /// Threads; all cores by default. The chunks do not depend on it.
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+    /// Shows no progress.
+    #[arg(long)]
+    pub quiet: bool,
 }
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let settings = settings(args)?;
-    let progress = Progress::start(&args.running)?;
+    set_threads(args.threads)?;
+    // A handler is there already when several commands run in one process.
+    let _ = listen_for_interrupt();
+    let progress = Progress::new(args.quiet);
     let folders: Vec<String> = args.split.iter().cloned().collect();
     let scenes = SceneFolders::new(&args.root, &folders, SceneFoldersOptions::default())?;
     let names = chunk_names(&scenes, args.scenes.as_deref())?;

@@ -1,7 +1,7 @@
 //! The frames of a capture.
 
 use super::Args;
-use crate::error::refuse;
+use crate::commands::WrongUse;
 use crate::session::Session;
 use crate::terminal::print;
 use anyhow::{Context, Result};
@@ -26,7 +26,8 @@ impl Args {
     pub(super) fn judge(&self, session: &Session<'_>) -> Result<Judged> {
         let _stage = session.receipt.stage("frames");
         let (Some(cameras), Some(images)) = (&self.cameras, &self.images) else {
-            refuse!("give --cameras and --images, or --scenes for a table");
+            let text = "give --cameras and --images, or --scenes for a table";
+            return Err(WrongUse(text.to_owned()).into());
         };
         let set = open_cameras(cameras)?;
         let folder = CaptureFolder {
@@ -55,7 +56,9 @@ impl Args {
             report.black
         ));
         if report.frames.len() < self.min_frames {
-            session.warn(format!("{} frames, fewer than {}", report.frames.len(), self.min_frames));
+            let text = format!("{} frames, fewer than {}", report.frames.len(), self.min_frames);
+            session.progress.say(&text);
+            session.receipt.warning(text);
         }
         if let Some(c) = seen {
             print(&format!(
@@ -71,11 +74,15 @@ impl Args {
         if cameras.is_empty() {
             session.receipt.warning("no frame is kept: cameras.json is not written");
         } else {
-            session.write("cameras.json", |path| write_cameras_json(&cameras, path))?;
+            let path = session.out("cameras.json")?;
+            write_cameras_json(&cameras, &path)?;
+            session.wrote(&path, std::fs::metadata(&path)?.len());
         }
         let text = json!({ "report": report, "coverage": seen });
         let text = serde_json::to_string_pretty(&text)? + "\n";
-        session.write_text("frames.json", &text)?;
+        let path = session.out("frames.json")?;
+        std::fs::write(&path, &text)?;
+        session.wrote(&path, text.len() as u64);
         Ok(Judged { frames: capture.frames, report, coverage: seen })
     }
 }

@@ -1,8 +1,7 @@
 //! The flags of `doctor`, and the cases that they choose.
 
+use crate::commands::WrongUse;
 use crate::duration::{Seconds, parse_duration};
-use crate::error::refuse;
-use crate::flags::Running;
 use anyhow::Result;
 use scenesplat_lab::doctor::{Case, Level, StabilityRecipe, catalogue, nearest_names};
 use std::path::PathBuf;
@@ -64,9 +63,12 @@ pub struct Args {
     /// Also writes everything as JSON here.
     #[arg(long, value_name = "FILE.json")]
     pub json: Option<PathBuf>,
-    /// Threads and progress.
-    #[command(flatten)]
-    pub running: Running,
+    /// Threads; all cores by default. Results are compared with those of one thread.
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+    /// Shows no progress.
+    #[arg(long)]
+    pub quiet: bool,
     /// The operators alone, as JSON into this file: what the command starts itself with.
     #[arg(long, hide = true, value_name = "FILE.json")]
     pub operators_to: Option<PathBuf>,
@@ -77,12 +79,12 @@ impl Args {
     pub(super) fn check(&self) -> Result<()> {
         let random = self.soak.is_some() || self.round.is_some() || self.curves.is_some();
         if self.seed.is_some() && !random {
-            refuse!(
-                "--seed belongs to --soak, --round and --curves: the cases are the same every time"
-            );
+            let text =
+                "--seed belongs to --soak, --round and --curves: the cases are the same every time";
+            return Err(WrongUse(text.to_owned()).into());
         }
         if self.round.is_some() && self.json.is_some() {
-            refuse!("--json: a --round has no report");
+            return Err(WrongUse("--json: a --round has no report".to_owned()).into());
         }
         Ok(())
     }
@@ -108,7 +110,7 @@ pub(super) fn chosen(args: &Args) -> Result<Vec<Case>> {
         cases.retain(|case| case.name == *name);
         if cases.is_empty() {
             let near = nearest_names(name).join(", ");
-            refuse!("--case {name}: no such case; nearest: {near}");
+            return Err(WrongUse(format!("--case {name}: no such case; nearest: {near}")).into());
         }
         return Ok(cases);
     }

@@ -6,12 +6,13 @@ mod isas;
 mod soak;
 mod stability;
 
+use super::WrongUse;
 use crate::bench::Stopped;
 use crate::bench::process::Scratch;
-use crate::error::WrongUse;
 use crate::outputs::Outputs;
-use crate::progress::{Progress, interrupted};
+use crate::progress::{Progress, interrupted, listen_for_interrupt};
 use crate::terminal::{print, write_text};
+use crate::threads::set_threads;
 use anyhow::{Context, Result, bail};
 pub use args::Args;
 use args::chosen;
@@ -42,7 +43,10 @@ impl Drop for Silence {
 pub fn run(args: &Args) -> Result<()> {
     let began = Instant::now();
     args.check()?;
-    let progress = Progress::start(&args.running)?;
+    set_threads(args.threads)?;
+    // A handler is there already when several commands run in one process.
+    let _ = listen_for_interrupt();
+    let progress = Progress::new(args.quiet);
     if let Some(round) = args.round {
         return soak::again(args, round);
     }

@@ -1,7 +1,7 @@
 //! What `evaluate` prints and writes.
 
 use crate::session::Session;
-use crate::terminal::print;
+use crate::terminal::{print, write_text};
 use anyhow::Result;
 use scenesplat::evaluation::EvaluationReport;
 use scenesplat::metrics::{OracleReport, TesterReport};
@@ -13,11 +13,13 @@ use std::time::Instant;
 pub fn tell_oracle(session: &Session<'_>, names: &[String], report: &OracleReport, path: &Path) {
     for (class, becomes) in &report.aliases {
         let other = usize::try_from(*becomes).ok().and_then(|c| names.get(c));
-        session.warn(format!(
+        let text = format!(
             "class {:?} rightly comes out as {:?} with these texts and options",
             names[*class],
             other.map_or("unknown", |n| n.as_str())
-        ));
+        );
+        session.progress.say(&text);
+        session.receipt.warning(text);
     }
     print(&format!(
         "{}: oracle matches its analytic value on {} labelled Gaussians, {} scored points: mIoU {}, \
@@ -74,7 +76,9 @@ pub fn write(
     elsewhere: Option<&Path>,
 ) -> Result<()> {
     let text = serde_json::to_string_pretty(&json)?;
-    session.write_text("evaluation.json", &text)?;
+    let path = session.out("evaluation.json")?;
+    let bytes = write_text(&path, &text)?;
+    session.wrote(&path, bytes);
     match elsewhere {
         Some(path) => {
             json["seconds"] = json!(began.elapsed().as_secs_f64());

@@ -1,6 +1,7 @@
 //! Features and files of one granularity.
 
-use super::plan::{Guard, LIFTING};
+use super::collect::Guard;
+use super::plan::LIFTING;
 use super::{Args, write};
 use crate::progress::interrupted;
 use crate::session::Session;
@@ -56,10 +57,10 @@ impl Args {
         ));
         session.check_stop()?;
         let _stage = session.receipt.stage("picture");
-        let name = self.input.name();
+        let name = self.scene.file_name().unwrap_or_default().to_string_lossy();
         let title = format!("{name}: lifted labels (principal components as colours)");
         let scene = &opened.loaded.scene;
-        let up = self.lifting.up.unwrap_or_else(|| guess_up(scene).axis);
+        let up = self.up.unwrap_or_else(|| guess_up(scene).axis);
         let path = folder.join("preview.png");
         let bytes = write_scene_preview(scene, &written.colors, &[], &title, up, &path)?;
         session.wrote(&path, bytes);

@@ -62,7 +62,9 @@ impl Args {
             pictures.name(0)
         );
         if missing > 0 {
-            session.warn(format!("{missing} of {} pictures have no photo", pictures.len()));
+            let text = format!("{missing} of {} pictures have no photo", pictures.len());
+            session.progress.say(&text);
+            session.receipt.warning(text);
         }
         let report = probe.report();
         for finding in &report.findings {

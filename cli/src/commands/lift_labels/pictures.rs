@@ -1,6 +1,7 @@
 //! Cameras, their segments and depths, picture by picture.
 
-use super::args::{Args, DepthArg};
+use super::Args;
+use super::depth::DepthArg;
 use crate::session::Session;
 use anyhow::{Context, Result};
 use scenesplat::rasterizer::View;

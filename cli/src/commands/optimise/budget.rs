@@ -38,8 +38,9 @@ impl Args {
         let mut out = settings;
         if most < cap {
             set_cap(&mut out, most.max(least));
-            session
-                .warn(format!("--max-memory {limit}: at most {most} Gaussians instead of {cap}"));
+            let text = format!("--max-memory {limit}: at most {most} Gaussians instead of {cap}");
+            session.progress.say(&text);
+            session.receipt.warning(text);
         }
         Ok(out)
     }

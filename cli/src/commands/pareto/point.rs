@@ -2,8 +2,8 @@
 
 use super::request::Request;
 use crate::bench::process::end_with_parent;
+use crate::commands::WrongUse;
 use crate::commands::classes::Classes;
-use crate::error::{WrongUse, refuse};
 use crate::flags::{Inference, Shared};
 use crate::session::Session;
 use anyhow::{Context, Result};
@@ -116,11 +116,13 @@ fn text_table(classes: &Classes, network: &Network, embedded: bool) -> Result<Te
         };
     }
     let Some(path) = &classes.text_names else {
-        refuse!("--text-names is missing: the names of the network's classes, one a line");
+        let text = "--text-names is missing: the names of the network's classes, one a line";
+        return Err(WrongUse(text.to_owned()).into());
     };
     let names = read_names(path)?;
     if names.len() != width {
-        refuse!("--text-names: {} names for {width} classes", names.len());
+        let text = format!("--text-names: {} names for {width} classes", names.len());
+        return Err(WrongUse(text).into());
     }
     Ok(own_directions(names)?)
 }

@@ -105,8 +105,10 @@ impl Effects {
             "renders": renders,
             "pictures": frames,
         });
+        let path = session.out("effects.json")?;
         let text = serde_json::to_string_pretty(&text)? + "\n";
-        session.write_text("effects.json", &text)?;
+        std::fs::write(&path, &text)?;
+        session.wrote(&path, text.len() as u64);
         Ok(())
     }
 

@@ -43,7 +43,10 @@ pub fn read_compressed_ply(
         return Err(bad(format!("has {} chunks for {} vertices", chunk.count, vertex.count)));
     }
     let mut report = RepairReport::default();
-    file.report_trailing(vertex.count, &mut report);
+    if file.trailing_bytes() > 0 {
+        let example = format!("{} bytes", file.trailing_bytes());
+        report.add(Rule::FileTrailing, 1, vertex.count, &example);
+    }
     let segment = read_segment(file, vertex, options.segment.as_deref(), &mut report)?;
     let instance = read_instance(file, vertex, &mut report)?;
 

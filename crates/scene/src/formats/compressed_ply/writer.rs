@@ -6,12 +6,13 @@ use super::order::{Tick, chunk_order};
 use super::{BOUNDS, CHUNK, CHUNK_ROWS, COLOR_BOUNDS, PACKED, SH, VERTEX};
 use crate::AtomicFile;
 use crate::formats::files::write_all_at;
-use crate::formats::limit_tally::{LimitTally, Limits};
-use crate::formats::packed_values::{ALPHA_ENDS, alpha, nearest_byte, tally_alpha};
-use crate::formats::{WriteOptions, WriteProgress, WriteReport};
-use crate::gaussian_scene::sh_rest_len;
+use crate::formats::limit_tally::LimitTally;
+use crate::formats::packed_values::{ALPHA_ENDS, alpha, check_storable, nearest_byte};
+use crate::formats::semantics::Sidecar;
+use crate::formats::{SceneFormat, WriteOptions, WriteProgress, WriteReport};
 use crate::{GaussianScene, SceneError};
 use rayon::prelude::*;
+use std::path::Path;
 
 /// Logarithms of scales beyond ± this are cut, as in the reference.
 const MAX_LOG_SCALE: f32 = 20.0;
@@ -29,15 +30,27 @@ const VERTEX_BYTES: usize = PACKED.len() * 4;
 /// Chunks packed before they are handed to the file: a few ms of work.
 const CHUNKS_PER_WRITE: usize = 128;
 
-/// What the format cannot hold, as it is reported.
-const LIMITS: [(&str, &str); 4] = [
-    ("log_scale", "beyond ±20 (sizes of e±20 m), cut"),
-    ("opacity_logit", ALPHA_ENDS),
-    ("sh_dc", "beyond ±1e30, cut"),
-    ("sh_rest", "coefficients beyond ±4 are cut"),
-];
+/// What the format could not hold.
+#[derive(Default, Clone, Copy)]
+struct Limits {
+    log_scale: LimitTally,
+    opacity: LimitTally,
+    color: LimitTally,
+    rest: LimitTally,
+}
 
-/// Writes a scene as a compressed PLY file.
+impl Limits {
+    fn merge(self, other: Self) -> Self {
+        Self {
+            log_scale: self.log_scale.merge(other.log_scale),
+            opacity: self.opacity.merge(other.opacity),
+            color: self.color.merge(other.color),
+            rest: self.rest.merge(other.rest),
+        }
+    }
+}
+
+/// Writes a scene as a compressed PLY file, and its labels beside it.
 ///
 /// Rows keep their order if those of a chunk are close together, else they are sorted along a
 /// Morton curve; [`WriteReport::order`] then says how. A file that was written here comes back byte
@@ -50,14 +63,16 @@ const LIMITS: [(&str, &str); 4] = [
 /// # Errors
 /// As [`write_scene`](crate::write_scene), which also looks for an old file; if a position, size,
 /// rotation, opacity or colour is not a number, or there are more than 2³² − 1 rows.
-pub(in crate::formats) fn write_compressed_ply(
+pub fn write_compressed_ply(
     scene: &GaussianScene,
-    file: &AtomicFile,
-    _options: &WriteOptions,
-    report: &mut WriteReport,
+    path: &Path,
+    options: &WriteOptions,
     progress: WriteProgress<'_>,
-) -> Result<(), SceneError> {
-    let (rows, path) = (scene.len(), file.target());
+) -> Result<WriteReport, SceneError> {
+    scene.check_rows()?;
+    check_storable(scene, path)?;
+    let sidecar = Sidecar::prepare(scene, path, options.overwrite)?;
+    let rows = scene.len();
     if u32::try_from(rows).is_err() {
         let problem = format!("would have {rows} rows, more than {}", u32::MAX);
         return Err(SceneError::format(path, problem, "split the scene"));
@@ -66,13 +81,25 @@ pub(in crate::formats) fn write_compressed_ply(
     let rounded =
         |order: Option<&[u32]>, tick: Tick<'_>| rounded_positions(&scene.coord, order, tick);
     let order = chunk_order(&scene.coord, rounded, &mut tick)?;
-    let limits = Packer::new(scene, order.as_deref()).write(file, progress)?;
-    report.limits(LIMITS, limits);
+    let packer = Packer::new(scene, order.as_deref());
+    let file = AtomicFile::create(path)?;
+    let limits = packer.write(&file, progress)?;
+    let labels = sidecar.commit(scene, order.as_deref(), file)?;
+
+    let mut report = WriteReport::new(SceneFormat::CompressedPly, rows);
+    report.wrote(path)?;
+    report.limit("log_scale", "beyond ±20 (sizes of e±20 m), cut", limits.log_scale);
+    report.limit("opacity_logit", ALPHA_ENDS, limits.opacity);
+    report.limit("sh_dc", "beyond ±1e30, cut", limits.color);
+    report.limit("sh_rest", "coefficients beyond ±4 are cut", limits.rest);
     if scene.sh_degree > MAX_DEGREE {
         report.left_out("sh_rest", "degree 4 has no place in this format, degree 3 is kept");
     }
+    if let Some(labels) = labels {
+        report.wrote(&labels)?;
+    }
     report.order = order;
-    Ok(())
+    Ok(report)
 }
 
 /// The row of the scene for a row of the file.
@@ -118,13 +145,13 @@ struct PackedChunk {
     bounds: [u8; CHUNK_BYTES],
     vertices: Vec<u8>,
     rest: Vec<u8>,
-    limits: Limits<4>,
+    limits: Limits,
 }
 
 impl<'a> Packer<'a> {
     fn new(scene: &'a GaussianScene, order: Option<&'a [u32]>) -> Self {
-        let rest = sh_rest_len(scene.sh_degree.min(MAX_DEGREE));
-        Self { scene, order, rest, scene_rest: scene.sh_rest_len() }
+        let side = usize::from(scene.sh_degree.min(MAX_DEGREE)) + 1;
+        Self { scene, order, rest: side * side - 1, scene_rest: scene.sh_rest_len() }
     }
 
     fn header(&self) -> String {
@@ -145,16 +172,12 @@ impl<'a> Packer<'a> {
         text + "end_header\n"
     }
 
-    fn write(
-        &self,
-        file: &AtomicFile,
-        progress: WriteProgress<'_>,
-    ) -> Result<Limits<4>, SceneError> {
+    fn write(&self, file: &AtomicFile, progress: WriteProgress<'_>) -> Result<Limits, SceneError> {
         let rows = self.scene.len();
         let chunks = rows.div_ceil(CHUNK_ROWS);
         let header = self.header();
         let put = |bytes: &[u8], at: usize| {
-            write_all_at(file.file(), bytes, at as u64)
+            write_all_at(file.file()?, bytes, at as u64)
                 .map_err(SceneError::io(file.target(), "cannot write the scene"))
         };
         put(header.as_bytes(), 0)?;
@@ -189,14 +212,14 @@ impl<'a> Packer<'a> {
         let scene = self.scene;
         let rows = chunk * CHUNK_ROWS..scene.len().min((chunk + 1) * CHUNK_ROWS);
         let rows: Vec<usize> = rows.map(|row| scene_row(self.order, row)).collect();
-        let Limits([mut log_scale_cut, mut ends, mut color_cut, mut rest_cut]) = Limits::default();
+        let mut limits = Limits::default();
         let coord: Vec<_> = rows.iter().map(|&row| scene.coord[row]).collect();
         let log_scale: Vec<_> = rows
             .iter()
-            .map(|&row| cut(scene.log_scale[row], MAX_LOG_SCALE, row, &mut log_scale_cut))
+            .map(|&row| cut(scene.log_scale[row], MAX_LOG_SCALE, row, &mut limits.log_scale))
             .collect();
         let sh_dc: Vec<_> =
-            rows.iter().map(|&row| cut(scene.sh_dc[row], MAX_DC, row, &mut color_cut)).collect();
+            rows.iter().map(|&row| cut(scene.sh_dc[row], MAX_DC, row, &mut limits.color)).collect();
         let parts = [(POSITION, coord), (SCALE, log_scale), (COLOR, sh_dc)]
             .map(|(channels, values)| pack_channels(channels, &values));
 
@@ -212,9 +235,11 @@ impl<'a> Packer<'a> {
         for (i, &row) in rows.iter().enumerate() {
             let [position, scale, [r, g, b]] =
                 parts.each_ref().map(|part| part.each_ref().map(|packed| packed.codes[i]));
-            let logit = scene.opacity_logit[row];
-            let byte = nearest_byte(alpha(logit));
-            tally_alpha(row, logit, matches!(byte, 0 | 255), &mut ends);
+            let (logit, alpha) = (scene.opacity_logit[row], alpha(scene.opacity_logit[row]));
+            let byte = nearest_byte(alpha);
+            if logit.is_finite() && matches!(byte, 0 | 255) {
+                limits.opacity.add(row, alpha.min(1.0 - alpha));
+            }
             for word in [
                 join_11_10_11(position),
                 pack_quat(scene.quat[row]),
@@ -223,9 +248,8 @@ impl<'a> Packer<'a> {
             ] {
                 vertices.extend_from_slice(&word.to_le_bytes());
             }
-            self.pack_rest(row, &mut rest, &mut rest_cut);
+            self.pack_rest(row, &mut rest, &mut limits.rest);
         }
-        let limits = Limits([log_scale_cut, ends, color_cut, rest_cut]);
         PackedChunk { bounds, vertices, rest, limits }
     }
 
