@@ -12,7 +12,7 @@ on_devices! {
         "add_bias batch_norm expand_groups gelu layer_norm patch_attention permute_rows point_rope segment_reduce* sparse_conv",
         [tensors device];
     litept_gradients = numerics::gradients_are_differences_of_the_formulas,
-        "add_bias batch_norm batch_statistics> expand_groups gelu layer_norm patch_attention permute_rows> point_rope segment_reduce* sparse_conv",
+        "add_bias batch_norm batch_statistics> expand_groups gelu layer_norm patch_attention permute_rows point_rope segment_reduce* sparse_conv",
         [kernels tensors device];
     few_voxels_and_odd_places = determinism::few_voxels_and_odd_places, FORWARD,
         [tensors device];
