@@ -1,7 +1,7 @@
 //! The room that speeds are measured on, made from a fixed seed: the same on every machine.
 //!
-//! Criterion's benchmarks include this file too, so that `scenesplat bench` and they time the same
-//! work where the shared rooms are not installed.
+//! Criterion's benchmarks use `scenesplat_kernels::bench_room`, which is meant to be the same room; it is
+//! not yet compared bit by bit.
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
