@@ -132,7 +132,7 @@ pub fn write_features_safetensors(
     let io = |source| OutputError::Io { path: path.to_owned(), source };
     {
         let part = AtomicFile::create(path)?;
-        let mut file = std::io::BufWriter::new(part.file()?);
+        let mut file = std::io::BufWriter::new(part.file());
         file.write_all(&(header.len() as u64).to_le_bytes()).map_err(io)?;
         file.write_all(header.as_bytes()).map_err(io)?;
         let mut count = 0;

@@ -1,8 +1,9 @@
 //! `--budget` and `--min-quality`: which setting a command takes, from a front that was measured.
 
 use crate::bench::speeds;
-use crate::commands::WrongUse;
+use crate::error::{WrongUse, refuse};
 use crate::flags::Inference;
+use crate::receipt::{BudgetReport, sha256_of};
 use crate::setting::VOTE_K;
 use crate::threads::set_threads;
 use anyhow::{Context, Result};
@@ -16,7 +17,6 @@ use scenesplat::network::Weights;
 use scenesplat::outputs::OpenedScene;
 use scenesplat::{Setting, embedded};
 use scenesplat_lab::pareto::{Ask, Calibration, Size, seconds_text};
-use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -44,19 +44,6 @@ fn parse_share(text: &str) -> Result<f64, String> {
     }
 }
 
-/// The budget in a receipt.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub struct BudgetReport {
-    /// Seconds asked for; none if quality alone was.
-    pub asked_s: Option<f64>,
-    /// Seconds that the command was expected to take.
-    pub expected_s: f64,
-    /// Seconds that it took, choosing included.
-    pub spent_s: f64,
-    /// The setting that was chosen.
-    pub setting: String,
-}
-
 /// A chosen setting.
 pub struct Chosen {
     /// The setting.
@@ -79,28 +66,29 @@ pub struct Job<'a> {
     pub scene: &'a Path,
     /// The flags of the network.
     pub inference: &'a Inference,
-    /// A flag for the vote, which a chosen setting has its own k for.
+    /// --vote-k.
     pub vote_k: Option<usize>,
     /// Features that replace the network.
     pub features: Option<&'a Path>,
 }
 
-/// The flags of the network with the setting that a budget chooses, if there is one.
+/// The flags of the network with the setting that a budget chooses, if there is one, and how many neighbours vote.
 ///
 /// # Errors
-/// If a flag contradicts the budget, there is no front, or nothing keeps what is asked for.
+/// If a flag contradicts the budget or the setting, there is no front, or nothing keeps what is asked for.
 pub fn within_budget(
     args: &BudgetArgs,
     threads: Option<usize>,
     job: &Job<'_>,
-) -> Result<(Inference, Option<Chosen>)> {
+) -> Result<(Inference, usize, Option<Chosen>)> {
     set_threads(threads)?;
     let chosen = choose(args, job)?;
     let mut inference = job.inference.clone();
     if let Some(chosen) = &chosen {
         inference.setting = Some(chosen.setting.clone());
     }
-    Ok((inference, chosen))
+    let (inference, vote_k) = inference.settled(job.vote_k)?;
+    Ok((inference, vote_k, chosen))
 }
 
 /// Chooses a setting if the flags ask for it.
@@ -120,12 +108,11 @@ fn choose(args: &BudgetArgs, job: &Job<'_>) -> Result<Option<Chosen>> {
         && job.inference.network.weights.is_none()
         && job.command != "features"
     {
-        let text = format!(
+        refuse!(
             "{flag} chooses the setting of a network, and {} carries language codes, which are used \
              without one: leave out {flag}, or give --weights too",
             job.scene.display()
         );
-        return Err(WrongUse(text).into());
     }
     // A turn about the vertical changes the number of voxels next to nothing.
     let alignment = Alignment::of(scene, &job.inference.alignment(false));
@@ -194,8 +181,7 @@ fn check_flags(flag: &str, job: &Job<'_>) -> Result<()> {
     ];
     match flags.into_iter().find(|(given, _)| *given) {
         Some((_, other)) => {
-            let text = format!("{flag} chooses the setting: leave out {other}");
-            Err(WrongUse(text).into())
+            refuse!("{flag} chooses the setting: leave out {other}");
         }
         None => Ok(()),
     }
@@ -205,7 +191,7 @@ fn weights_hash(inference: &Inference) -> Result<String> {
     Ok(match inference.network.weights()? {
         Weights::Embedded => embedded::sha256(),
         Weights::Seeded(seed) => format!("seeded:{seed}"),
-        Weights::File(path) => crate::receipt::sha256_of(&path)?.0,
+        Weights::File(path) => sha256_of(&path)?.0,
     })
 }
 
@@ -231,11 +217,10 @@ fn front_of(
     if weights != embedded::sha256() {
         let mut text = String::new();
         remarks.iter().for_each(|remark| text += &format!("{remark}; "));
-        return Err(WrongUse(format!(
+        refuse!(
             "{flag}: {text}there is no front of these weights for this machine; make it with \
              scenesplat pareto --calibrate and the same --weights"
-        ))
-        .into());
+        );
     }
     let shipped = Calibration::shipped().context("the front that comes with the program")?;
     let slower = shipped.f32_flop_s / speeds().f32_flop_s;

@@ -1,6 +1,6 @@
 //! `--effect` and `--effect-plan`: what a command with a network does about the effects of a capture.
 
-use crate::commands::WrongUse;
+use crate::error::WrongUse;
 use crate::flags::Inference;
 use crate::receipt::ReceiptReport;
 use crate::session::Session;

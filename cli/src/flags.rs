@@ -1,7 +1,6 @@
 //! Flags that commands share.
 
-use crate::commands::WrongUse;
-use crate::setting::parse_setting;
+use crate::error::WrongUse;
 use anyhow::Result;
 use clap::ValueEnum;
 use scenesplat::inspect::LengthUnit;
@@ -14,21 +13,29 @@ use scenesplat::scene::{Policy, ReadOptions, SpzFrame, UpAxis};
 use scenesplat::{AlignmentSettings, Setting};
 use std::path::PathBuf;
 
-/// Flags that all commands share.
-#[derive(Debug, Clone, clap::Args)]
-pub struct Shared {
+/// Threads and progress.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub struct Running {
     /// Threads; all cores by default. Results do not depend on it.
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
+    /// Says nothing about the progress, and prints no receipt; results are still printed.
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+/// Flags of commands that write into a folder.
+#[derive(Debug, Clone, clap::Args)]
+pub struct Shared {
+    /// Threads and progress.
+    #[command(flatten)]
+    pub running: Running,
     /// Folder for the results.
     #[arg(long, value_name = "DIR", default_value = "scenesplat-out")]
     pub out: PathBuf,
     /// Also writes what was done and what it cost as JSON here.
     #[arg(long, value_name = "FILE.json")]
     pub receipt: Option<PathBuf>,
-    /// Says nothing about the progress, and prints no receipt; results are still printed.
-    #[arg(long)]
-    pub quiet: bool,
 }
 
 /// Which network.
@@ -65,7 +72,8 @@ pub struct SourceArgs {
 impl Shared {
     /// Of a command that writes into a folder and has no other of these flags.
     pub fn into_folder(out: &std::path::Path, quiet: bool) -> Self {
-        Self { threads: None, out: out.to_owned(), receipt: None, quiet }
+        let running = Running { quiet, ..Running::default() };
+        Self { running, out: out.to_owned(), receipt: None }
     }
 }
 
@@ -272,6 +280,17 @@ impl From<ConvLayoutArg> for ConvLayout {
             ConvLayoutArg::Spconv2 => Self::OutKernelIn,
             ConvLayoutArg::Spconv1 => Self::KernelInOut,
         }
+    }
+}
+
+/// Reads a setting that names at least one part.
+pub fn parse_setting(text: &str) -> Result<Setting, String> {
+    match text.parse::<Setting>() {
+        Ok(setting) if setting.is_empty() => {
+            Err(format!("no part is named; write KEY=VALUE, of {}", Setting::KEYS.join(", ")))
+        }
+        Ok(setting) => Ok(setting),
+        Err(error) => Err(error.to_string()),
     }
 }
 

@@ -1,7 +1,7 @@
 //! What a command reads and writes: nothing that it reads is replaced, and what it writes appears
 //! together, when all of it is complete.
 
-use crate::commands::WrongUse;
+use crate::error::{WrongUse, refuse};
 use anyhow::{Context, Result, bail};
 use scenesplat::scene::atomic_file::check_replaceable;
 use scenesplat::scene::{AtomicFile, FolderLock, StagedFolder};
@@ -185,8 +185,7 @@ impl Outputs {
             if other.what == claim.what && other.path == claim.path {
                 return Ok(());
             }
-            let text = format!("{what} {}: is also {}", path.display(), other.what);
-            return Err(WrongUse(text).into());
+            refuse!("{what} {}: is also {}", path.display(), other.what);
         }
         claims.push(claim);
         Ok(())

@@ -1,11 +1,14 @@
 //! What a long command shows: a bar on a terminal, plain lines elsewhere; and stopping on Ctrl-C or SIGTERM.
 
+use crate::flags::Running;
+use crate::terminal::{is_terminal, tell_line};
+use crate::threads::set_threads;
+use anyhow::Result;
 use indicatif::{ProgressBar, ProgressStyle};
 use scenesplat::scene::{printable, printable_text};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;
 use std::cell::RefCell;
-use std::io::IsTerminal;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, LazyLock};
 use std::time::{Duration, Instant};
@@ -49,11 +52,22 @@ pub struct Progress {
 const LINE_EVERY: Duration = Duration::from_secs(10);
 
 impl Progress {
+    /// Begins a command: takes its threads, and listens for Ctrl-C.
+    ///
+    /// # Errors
+    /// If there cannot be that many threads.
+    pub fn start(running: &Running) -> Result<Self> {
+        set_threads(running.threads)?;
+        // A handler is there already when several commands run in one process.
+        let _ = listen_for_interrupt();
+        Ok(Self::new(running.quiet))
+    }
+
     /// Shows nothing if `quiet`.
     pub fn new(quiet: bool) -> Self {
         Self {
             quiet,
-            terminal: std::io::stderr().is_terminal(),
+            terminal: is_terminal(),
             bar: RefCell::default(),
             last_line: RefCell::new((Instant::now(), String::new())),
         }
@@ -66,7 +80,7 @@ impl Progress {
         }
         match self.bar.borrow().as_ref() {
             Some(bar) => bar.println(printable_text(text.as_ref())),
-            None => eprint_line(text.as_ref()),
+            None => tell_line(text.as_ref()),
         }
     }
 
@@ -92,7 +106,7 @@ impl Progress {
         let mut last = self.last_line.borrow_mut();
         if last.1 != step || last.0.elapsed() >= LINE_EVERY {
             *last = (Instant::now(), step.to_owned());
-            eprint_line(&format!("{step}: {:.0} %", done * 100.0));
+            tell_line(&format!("{step}: {:.0} %", done * 100.0));
         }
     }
 
@@ -103,10 +117,4 @@ impl Progress {
         }
         self.last_line.borrow_mut().1.clear();
     }
-}
-
-fn eprint_line(text: &str) {
-    use std::io::Write;
-    // A closed standard error is no reason to fail.
-    let _ = writeln!(std::io::stderr(), "{}", printable_text(text));
 }

@@ -4,7 +4,6 @@
 //! A [`Receipt`] records while the command runs; [`Receipt::finish`] gives a [`ReceiptReport`],
 //! which prints as a table and is written as JSON.
 
-use crate::budget::BudgetReport;
 use scenesplat::datasets::effects::plan::{EffectDecision, EffectPlan, PlanSection};
 pub use scenesplat::machine::Machine;
 use scenesplat::machine::peak_memory_bytes;
@@ -107,6 +106,19 @@ pub struct ReceiptReport {
     /// where there are several.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub effect_plan: Option<EffectPlan>,
+}
+
+/// The budget in a receipt.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct BudgetReport {
+    /// Seconds asked for; none if quality alone was.
+    pub asked_s: Option<f64>,
+    /// Seconds that the command was expected to take.
+    pub expected_s: f64,
+    /// Seconds that it took, choosing included.
+    pub spent_s: f64,
+    /// The setting that was chosen.
+    pub setting: String,
 }
 
 /// Time spent in one stage.

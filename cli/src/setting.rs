@@ -1,6 +1,6 @@
 //! `--setting` among the other flags.
 
-use crate::commands::WrongUse;
+use crate::error::{WrongUse, refuse};
 use crate::flags::{Inference, NetworkArgs};
 use anyhow::Result;
 use scenesplat::Setting;
@@ -12,17 +12,6 @@ use std::path::PathBuf;
 
 /// Neighbours that vote, where neither `--vote-k` nor `--setting` says how many.
 pub const VOTE_K: usize = 25;
-
-/// Reads a setting that names at least one part.
-pub fn parse_setting(text: &str) -> Result<Setting, String> {
-    match text.parse::<Setting>() {
-        Ok(setting) if setting.is_empty() => {
-            Err(format!("no part is named; write KEY=VALUE, of {}", Setting::KEYS.join(", ")))
-        }
-        Ok(setting) => Ok(setting),
-        Err(error) => Err(error.to_string()),
-    }
-}
 
 impl Inference {
     /// The flags with the parts of `--setting` among them, and `--vote-k` too.
@@ -78,12 +67,11 @@ impl NetworkArgs {
             let path = PathBuf::from(net);
             if !path.exists() {
                 let names = NetworkChoice::NAMED.map(|(name, _)| name).join(", ");
-                let text = format!(
+                refuse!(
                     "--setting net={net}: there is no such file or folder, and no network of that \
                      name ({}, {names})",
                     embedded::NAME
                 );
-                return Err(WrongUse(text).into());
             }
             Weights::File(path)
         };

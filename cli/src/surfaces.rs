@@ -1,9 +1,9 @@
 //! `--surfaces` and `--min-probability`: labels agree on what is one smooth surface of one color, and stay out where the
 //! network is not sure.
 
-use crate::commands::WrongUse;
-use crate::commands::labelled::{Frame, frame};
+use crate::error::refuse;
 use crate::flags::Inference;
+use crate::frame::{Frame, frame};
 use crate::session::Session;
 use anyhow::Result;
 use scenesplat::calibration::Calibration;
@@ -105,9 +105,10 @@ impl SurfaceArgs {
         };
         if let Some(least) = self.min_probability {
             if temperature.is_none() && !is_classifier {
-                let text = "--min-probability: cosines of this network with these classes are not calibrated, as those of the \
-                            network inside the program with its own are; give a least cosine (--min-score)";
-                return Err(WrongUse(text.to_owned()).into());
+                refuse!(
+                    "--min-probability: cosines of this network with these classes are not calibrated, as those of the \
+                            network inside the program with its own are; give a least cosine (--min-score)"
+                );
             }
             let meaning = "what is less probable stays unknown";
             session.receipt.setting("min_probability", least, meaning);

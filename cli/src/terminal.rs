@@ -1,10 +1,10 @@
 //! What goes to standard output and error, and small text files.
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use scenesplat::scene::{AtomicFile, printable_text};
-use std::io::{ErrorKind, Write};
-use std::path::Path;
-use std::sync::{Mutex, PoisonError};
+use std::cell::{Cell, RefCell};
+use std::io::{Error, ErrorKind, IsTerminal, Write, stderr};
+use std::path::{Path, PathBuf};
 
 /// Writes a text file, which appears when it is complete. Gives its size.
 pub fn write_text(path: &Path, text: &str) -> Result<u64> {
@@ -12,21 +12,89 @@ pub fn write_text(path: &Path, text: &str) -> Result<u64> {
     Ok(text.len() as u64)
 }
 
-/// The first thing that went wrong with standard output.
-static FAILED: Mutex<Option<std::io::Error>> = Mutex::new(None);
+/// What a command printed.
+#[derive(Debug, Default)]
+pub struct Captured {
+    /// To standard output.
+    pub stdout: Vec<u8>,
+    /// To standard error.
+    pub stderr: Vec<u8>,
+}
+
+thread_local! {
+    /// Where text of this thread goes instead of standard output and error.
+    static CAPTURED: RefCell<Option<Captured>> = const { RefCell::new(None) };
+    /// The first thing that went wrong with standard output.
+    static FAILED: Cell<Option<Error>> = const { Cell::new(None) };
+}
+
+/// Gives the result of `work` with what it printed on this thread.
+pub fn captured<T>(work: impl FnOnce() -> T) -> (T, Captured) {
+    let around = CAPTURED.replace(Some(Captured::default()));
+    let result = work();
+    (result, CAPTURED.replace(around).unwrap_or_default())
+}
+
+/// Whether standard error is a terminal that a bar can move on.
+pub fn is_terminal() -> bool {
+    CAPTURED.with_borrow(Option::is_none) && stderr().is_terminal()
+}
+
+/// The program's file, to start it once more.
+///
+/// # Errors
+/// If a command runs inside of another program, or the system does not tell.
+pub fn this_program() -> Result<PathBuf> {
+    if CAPTURED.with_borrow(Option::is_some) {
+        bail!("this command starts the program once more: run it as a process");
+    }
+    std::env::current_exe().context("cannot find this program")
+}
 
 /// Writes text to standard output; [`check_output`] tells whether it got there.
 pub fn print(text: &str) {
-    note(writeln!(std::io::stdout(), "{}", printable_text(text)));
+    let line = format!("{}\n", printable_text(text));
+    note(CAPTURED.with_borrow_mut(|captured| match captured {
+        Some(Captured { stdout, .. }) => stdout.write_all(line.as_bytes()),
+        None => std::io::stdout().write_all(line.as_bytes()),
+    }));
+}
+
+/// Writes bytes to standard error. A closed standard error is no reason to fail.
+pub fn tell(text: &[u8]) {
+    let _ = CAPTURED.with_borrow_mut(|captured| match captured {
+        Some(Captured { stderr, .. }) => stderr.write_all(text),
+        None => stderr().write_all(text),
+    });
+}
+
+/// Writes a line to standard error.
+pub fn tell_line(text: &str) {
+    tell(format!("{}\n", printable_text(text)).as_bytes());
+}
+
+/// Writes clap's help, version or error, in color on a terminal.
+pub fn print_usage(usage: &clap::Error) {
+    let text = usage.render();
+    if CAPTURED.with_borrow(Option::is_none) {
+        let written = usage.print();
+        if !usage.use_stderr() {
+            note(written);
+        }
+    } else if usage.use_stderr() {
+        tell(text.to_string().as_bytes());
+    } else {
+        print(text.to_string().trim_end_matches('\n'));
+    }
 }
 
 /// Notes what became of writing to standard output.
-pub fn note(written: std::io::Result<()>) {
+fn note(written: std::io::Result<()>) {
     if let Err(error) = written
-        // Whoever reads no further, as `head` does, has what it wants.
+        // A reader that stops early, as `head` does, is no error.
         && error.kind() != ErrorKind::BrokenPipe
     {
-        FAILED.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
+        FAILED.set(FAILED.take().or(Some(error)));
     }
 }
 
@@ -36,7 +104,7 @@ pub fn note(written: std::io::Result<()>) {
 /// If it did not, as on a full disk; a pipe that nobody reads any more is no error.
 pub fn check_output() -> Result<()> {
     note(std::io::stdout().flush());
-    match FAILED.lock().unwrap_or_else(PoisonError::into_inner).take() {
+    match FAILED.take() {
         Some(error) => Err(error).context("standard output: the results could not be written"),
         None => Ok(()),
     }
@@ -44,15 +112,13 @@ pub fn check_output() -> Result<()> {
 
 /// Writes an error with all its causes to standard error.
 pub fn print_error(error: &anyhow::Error) {
-    let text = without_waiting_names(&format!("{error:#}"));
-    let _ = writeln!(std::io::stderr(), "error: {}", printable_text(&text));
+    tell_line(&format!("error: {}", without_waiting_names(&format!("{error:#}"))));
     let missing = scenesplat::models::missing_kernels();
     if !missing.is_empty() {
-        let names = missing.join(", ");
-        let _ = writeln!(
-            std::io::stderr(),
-            "an operation asked for CUDA kernels that this program has not: {names} (docs/devices.md); compute on cpu"
-        );
+        tell_line(&format!(
+            "an operation asked for CUDA kernels that this program has not: {} (docs/devices.md); compute on cpu",
+            missing.join(", ")
+        ));
     }
 }
 

@@ -176,7 +176,7 @@ mod tests {
     use scenesplat_test_support::reference;
 
     fn values(n: usize, seed: u64) -> Vec<f32> {
-        super::super::room::values(n, seed)
+        scenesplat::kernels::bench_room::values(n, seed)
     }
 
     #[test]
@@ -190,7 +190,7 @@ mod tests {
         let want = reference::attention_segment(&qkv, heads, c / heads, &[0, 1, 2, 3, 4]);
         assert!(got.iter().zip(&want).all(|(a, b)| (a - b).abs() < 1e-12));
 
-        let grid = super::super::room::voxels(200);
+        let grid = scenesplat::kernels::bench_room::voxels(200);
         let map = KernelMap::build(&grid, &[0, 200], 3).unwrap();
         let (x, weight, bias) = (values(200 * 9, 2), values(5 * 27 * 9, 3), values(5, 4));
         let rows = some_rows(200, 20);

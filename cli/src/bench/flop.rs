@@ -74,7 +74,7 @@ mod tests {
 
     #[test]
     fn litept_takes_a_hundredth_of_the_language_network() {
-        let voxels = super::super::room::voxels(100_000);
+        let voxels = scenesplat::kernels::bench_room::voxels(100_000);
         let lite = ModelConfig::new(LitePtConfig::small()).with_projection(768);
         let gflop = |model: &ModelConfig, frozen: bool| {
             count(model, &voxels, frozen).unwrap().forward() as f64 / 1e9

@@ -13,7 +13,6 @@ mod networks;
 pub mod process;
 mod products;
 mod report;
-mod room;
 mod stopwatch;
 mod tables;
 mod train_step;
@@ -90,16 +89,8 @@ impl RowKind {
     /// Whether there is a choice of precision. The others have one, called f32 after the type of
     /// their coordinates.
     fn has_precisions(&self) -> bool {
-        matches!(
-            self.work,
-            Work::Product(_)
-                | Work::Convolution(_)
-                | Work::Attention { .. }
-                | Work::TrainStep { .. }
-                | Work::Segmentation
-                | Work::LitePtLanguage
-                | Work::Language
-        )
+        let is_product = matches!(self.work, Work::Product(_) | Work::Convolution(_));
+        is_product || matches!(self.work, Work::Attention { .. }) || self.is_compared_with_f32()
     }
 
     /// The precision of a speed of the machine itself, which all floors need.
@@ -109,6 +100,15 @@ impl RowKind {
             Work::PeakBf16 => Some("bf16"),
             Work::PeakInt8 => Some("int8"),
             _ => None,
+        }
+    }
+
+    /// Whether the processor has instructions for it.
+    fn is_there(&self) -> bool {
+        match self.work {
+            Work::PeakBf16 => multiply_add::bf16_loop().is_some(),
+            Work::PeakInt8 => multiply_add::int8_loop().is_some(),
+            _ => true,
         }
     }
 
@@ -235,66 +235,23 @@ pub fn run(
             bail!("{name:?} is no row; the rows are {}", names().collect::<Vec<_>>().join(", "));
         }
     }
-    let wanted = |row: &RowKind| {
-        settings.only.is_empty() || settings.only.iter().any(|name| name == row.name)
-    };
-    let request = |row: &RowKind, precision| Request {
-        name: row.name.to_owned(),
-        precision,
-        threads: settings.threads,
-        quick: settings.quick,
-        patient: !settings.only.is_empty(),
-        rows_file: row
-            .is_compared_with_f32()
-            .then(|| settings.scratch.join(format!("{}.f32", row.name))),
-        one_pass: false,
-    };
-    // The floors of all others need the speeds of the machine, wanted as rows or not.
+    // The floors of all others need the speeds of the machine, asked for as rows or not.
     let mut machine = MachineSpeeds::detect(settings.threads);
     let mut done: Vec<(RowKind, &str, Measured)> = Vec::new();
-    let mut jobs = Vec::new();
     for row in ALL {
-        if let Some(shown) = row.peak_of() {
-            let there = match row.work {
-                Work::PeakBf16 => multiply_add::bf16_loop().is_some(),
-                Work::PeakInt8 => multiply_add::int8_loop().is_some(),
-                _ => true,
-            };
-            if !there {
-                continue;
-            }
-            let measured = measure(&request(&row, Precision::F32))?;
-            machine.note(row.work, &measured);
-            if wanted(&row) {
-                say(Step::Done(&Row::new(&row, shown, settings, &measured, &machine)));
-                done.push((row, shown, measured));
-            }
-            continue;
+        let Some(shown) = row.peak_of().filter(|_| row.is_there()) else { continue };
+        let measured = measure(&settings.request(&row, Precision::F32))?;
+        machine.note(row.work, &measured);
+        if settings.wants(&row) {
+            say(Step::Done(&Row::new(&row, shown, settings, &measured, &machine)));
+            done.push((row, shown, measured));
         }
-        if !wanted(&row) {
-            continue;
-        }
-        // What has no choice is measured whatever precision is asked for.
-        let precisions =
-            if row.has_precisions() { settings.precisions.as_slice() } else { &[Precision::F32] };
-        // Training is left out where it cannot be, unless it was asked for: then it says so.
-        let named = !settings.only.is_empty();
-        let precisions = precisions.iter().filter(|&&p| named || row.is_in(p));
-        jobs.extend(precisions.map(|&precision| (row, precision)));
     }
+    let jobs = settings.jobs();
     let mut failed = Vec::new();
     for (i, (row, precision)) in jobs.iter().enumerate() {
         say(Step::Begins(i + 1, jobs.len(), row.name, *precision));
-        let request = request(row, *precision);
-        let compared = request.rows_file.as_ref().filter(|_| *precision != Precision::F32);
-        let reference = match compared {
-            Some(file) if !file.exists() => {
-                let once = Request { precision: Precision::F32, one_pass: true, ..request.clone() };
-                measure(&once).map(|_| ())
-            }
-            _ => Ok(()),
-        };
-        match reference.and_then(|()| measure(&request)) {
+        match settings.measured(row, *precision, measure) {
             Ok(measured) => {
                 machine.note(row.work, &measured);
                 say(Step::Done(&Row::new(row, precision.name(), settings, &measured, &machine)));
@@ -316,6 +273,58 @@ pub fn run(
     let rows = rows.collect();
     let seconds = began.elapsed().as_secs_f64();
     Ok(Report { machine, quick: settings.quick, seconds, rows, failed })
+}
+
+impl Settings {
+    fn wants(&self, row: &RowKind) -> bool {
+        self.only.is_empty() || self.only.iter().any(|name| name == row.name)
+    }
+
+    fn request(&self, row: &RowKind, precision: Precision) -> Request {
+        let rows_file = self.scratch.join(format!("{}.f32", row.name));
+        Request {
+            name: row.name.to_owned(),
+            precision,
+            threads: self.threads,
+            quick: self.quick,
+            patient: !self.only.is_empty(),
+            rows_file: row.is_compared_with_f32().then_some(rows_file),
+            one_pass: false,
+        }
+    }
+
+    /// The rows beside those of the machine itself, with their precisions.
+    fn jobs(&self) -> Vec<(RowKind, Precision)> {
+        let rows = ALL.into_iter().filter(|row| row.peak_of().is_none() && self.wants(row));
+        rows.flat_map(|row| {
+            // What has no choice is measured whatever precision is asked for.
+            let precisions = match row.has_precisions() {
+                true => self.precisions.as_slice(),
+                false => &[Precision::F32],
+            };
+            // Training is left out where it cannot be, unless it was asked for: then it says so.
+            let named = !self.only.is_empty();
+            let precisions = precisions.iter().filter(move |&&p| named || row.is_in(p));
+            precisions.map(move |&precision| (row, precision))
+        })
+        .collect()
+    }
+
+    /// Measures a row, after the same row in f32 if it is compared with that.
+    fn measured(
+        &self,
+        row: &RowKind,
+        precision: Precision,
+        measure: &mut dyn FnMut(&Request) -> Result<Measured>,
+    ) -> Result<Measured> {
+        let request = self.request(row, precision);
+        let compared = request.rows_file.as_ref().filter(|_| precision != Precision::F32);
+        if compared.is_some_and(|file| !file.exists()) {
+            let once = Request { precision: Precision::F32, one_pass: true, ..request.clone() };
+            measure(&once)?;
+        }
+        measure(&request)
+    }
 }
 
 /// The user asked to stop.
@@ -341,24 +350,6 @@ mod by_name {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use scenesplat::kernels::grid_sample::{KeyOrder, voxel_groups};
-    use scenesplat::kernels::kernel_map::KernelMap;
-
-    #[test]
-    fn the_room_is_as_full_as_a_scan() {
-        for n in [2000, 20_000, 100_000] {
-            let voxels = room::voxels(n);
-            let map = KernelMap::build(&voxels, &[0, n], 3).unwrap();
-            let taps = map.num_pairs() as f64 / n as f64;
-            assert!(!map.has_duplicates() && (13.0..16.0).contains(&taps), "{n}: {taps}");
-            assert!(voxels.iter().flatten().all(|&v| (0..2048).contains(&v)));
-        }
-        assert_eq!(room::voxels(2000), room::voxels(2000));
-        let points = room::points(100_000);
-        let groups = voxel_groups(&points, 0.02, KeyOrder::Morton).unwrap();
-        let share = groups.num_voxels() as f64 / 1e5;
-        assert!((0.48..0.56).contains(&share), "{share}");
-    }
 
     fn settings(only: &[&str], precisions: &[Precision]) -> Settings {
         Settings {

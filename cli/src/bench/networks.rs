@@ -3,12 +3,13 @@
 use super::products::weight_size;
 use super::stopwatch::time;
 use super::train_step::TrainStep;
-use super::{Accuracy, Measured, Request, checks, flop, room};
+use super::{Accuracy, Measured, Request, checks, flop};
 use anyhow::{Context, Result};
 use candle_core::{Device, Tensor};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use scenesplat::kernels::Precision;
+use scenesplat::kernels::bench_room as room;
 use scenesplat::models::weights::WeightSource;
 use scenesplat::models::{
     Compute, Forward, LitePtConfig, ModelConfig, ParamStore, PointCloud, PointTransformerV3Config,

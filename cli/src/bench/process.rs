@@ -1,9 +1,9 @@
 //! Each row of `bench` in a process of its own, so that none is slowed by what another left behind.
 
 use super::{Measured, Request, Stopped, measure};
-use crate::commands::WrongUse;
+use crate::error::WrongUse;
 use crate::progress::interrupted;
-use crate::terminal::print;
+use crate::terminal::{print, this_program};
 use anyhow::{Context, Result, bail};
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -65,8 +65,7 @@ pub fn run_in_a_process(args: &[&str], variables: &[(&str, &str)]) -> Result<Str
     if interrupted() {
         return Err(Stopped.into());
     }
-    let program = std::env::current_exe().context("cannot find this program")?;
-    let child = Command::new(program)
+    let child = Command::new(this_program()?)
         .args(args)
         .envs(variables.iter().copied())
         // Its end tells the process that this one is gone.

@@ -1,10 +1,11 @@
 //! Rows made of matrix products: a product, a convolution, an attention module.
 
 use super::stopwatch::time;
-use super::{Measured, Request, checks, room};
+use super::{Measured, Request, checks};
 use anyhow::Result;
 use candle_core::{Device, Tensor};
 use scenesplat::kernels::Precision;
+use scenesplat::kernels::bench_room as room;
 use scenesplat::kernels::gemm::{Epilogue, PackedMatrix, gemm as product};
 use scenesplat::kernels::kernel_map::KernelMap;
 use scenesplat::kernels::patches::Patches;

@@ -1,8 +1,9 @@
 //! Rows without arithmetic: orders, voxels, pairs, neighbours.
 
 use super::stopwatch::time;
-use super::{Measured, Request, checks, room};
+use super::{Measured, Request, checks};
 use anyhow::{Context, Result};
+use scenesplat::kernels::bench_room as room;
 use scenesplat::kernels::grid_sample::{KeyOrder, voxel_groups};
 use scenesplat::kernels::kernel_map::KernelMap;
 use scenesplat::kernels::neighbors::{KdTree, distance_squared};

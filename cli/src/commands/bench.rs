@@ -1,8 +1,9 @@
 //! `scenesplat bench`
 
-use super::WrongUse;
 use crate::bench::process::{Scratch, measure_here, measure_in_a_process};
 use crate::bench::{Settings, Step, names, run as run_rows};
+use crate::error::refuse;
+use crate::flags::Running;
 use crate::outputs::Outputs;
 use crate::progress::{Progress, listen_for_interrupt};
 use crate::terminal::{print, write_text};
@@ -24,15 +25,12 @@ pub struct Args {
     /// not given.
     #[arg(long, value_name = "NAME")]
     pub precision: Vec<Precision>,
-    /// Threads; all cores by default.
-    #[arg(long, value_name = "N")]
-    pub threads: Option<usize>,
+    /// Threads and progress.
+    #[command(flatten)]
+    pub running: Running,
     /// Small inputs: whether everything works, not how fast.
     #[arg(long)]
     pub quick: bool,
-    /// Shows no progress.
-    #[arg(long)]
-    pub quiet: bool,
     /// One row, in this process: what the command starts itself with.
     #[arg(long, hide = true, value_name = "JSON")]
     pub measure: Option<String>,
@@ -43,19 +41,19 @@ pub fn run(args: &Args) -> Result<()> {
     if let Some(request) = &args.measure {
         return measure_here(request);
     }
-    if args.threads == Some(0) {
-        return Err(WrongUse("--threads 0: at least one thread is needed".to_owned()).into());
+    if args.running.threads == Some(0) {
+        refuse!("--threads 0: at least one thread is needed");
     }
     for name in &args.only {
         if !names().any(|n| n == name) {
             let all = names().collect::<Vec<_>>().join(", ");
-            return Err(WrongUse(format!("--only {name}: no such row; the rows are {all}")).into());
+            refuse!("--only {name}: no such row; the rows are {all}");
         }
     }
     Outputs::new(Path::new("")).claim_any("--json", args.json.as_ref())?;
     // A handler is there already when several commands run in one process.
     let _ = listen_for_interrupt();
-    let progress = Progress::new(args.quiet);
+    let progress = Progress::new(args.running.quiet);
     let scratch = Scratch::new()?;
     let mut precisions = args.precision.clone();
     precisions.sort_unstable();
@@ -66,7 +64,7 @@ pub fn run(args: &Args) -> Result<()> {
     let settings = Settings {
         only: args.only.clone(),
         precisions,
-        threads: args.threads.unwrap_or_else(rayon::current_num_threads),
+        threads: args.running.threads.unwrap_or_else(rayon::current_num_threads),
         quick: args.quick,
         scratch: scratch.path().to_owned(),
     };

@@ -1,6 +1,6 @@
 //! Flags that choose classes: of `segment`, `query` and `evaluate`.
 
-use super::WrongUse;
+use crate::error::WrongUse;
 use crate::outputs::Outputs;
 use crate::session::Session;
 use anyhow::{Result, anyhow};

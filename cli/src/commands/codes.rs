@@ -1,6 +1,6 @@
 //! `scenesplat codes`
 
-use super::WrongUse;
+use crate::error::refuse;
 use crate::flags::Shared;
 use crate::progress::interrupted;
 use crate::session::Session;
@@ -38,7 +38,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let names = names(&args.scenes)?;
     let all = args.scenes.iter().chain([&args.model]);
     all.clone().try_for_each(|path| session.outputs.reads(path))?;
-    session.make_out(&[])?;
+    session.outputs.open_folder(&[])?;
     let model = TrainedAutoencoder::read(&args.model)?;
     for path in model.files() {
         session.receipt.fingerprint("autoencoder", path)?;
@@ -73,12 +73,10 @@ fn names(scenes: &[PathBuf]) -> Result<Vec<String>> {
         // Also of `..` and of `scene/.`.
         let whole = scene.canonicalize().with_context(|| scene.display().to_string())?;
         let Some(name) = whole.file_name().and_then(|name| name.to_str()) else {
-            let text = format!("{}: its name is no text to call a folder by", scene.display());
-            return Err(WrongUse(text).into());
+            refuse!("{}: its name is no text to call a folder by", scene.display());
         };
         if !seen.insert(name.to_owned()) {
-            let text = format!("{name}: two scenes have this name, and so would their folders");
-            return Err(WrongUse(text).into());
+            refuse!("{name}: two scenes have this name, and so would their folders");
         }
         names.push(name.to_owned());
     }
@@ -96,11 +94,9 @@ fn tell(session: &Session<'_>, name: &str, report: &FeatureCodeReport) {
     print(&text);
     let warn = |count: usize, what: &str| {
         if count > 0 {
-            let text = format!(
+            session.warn(format!(
                 "{name}: {count} rows are marked as features and hold {what}; they have none now"
-            );
-            session.progress.say(&text);
-            session.receipt.warning(text);
+            ));
         }
     };
     warn(report.not_finite, "NaN or infinity");

@@ -1,33 +1,27 @@
 //! `scenesplat features`
 
-use super::WrongUse;
-use super::many::Many;
-use crate::budget::{BudgetArgs, Chosen, Job, within_budget};
+use super::many::OneOrMany;
+use crate::budget::{BudgetArgs, Job, within_budget};
 use crate::effects::EffectArgs;
+use crate::error::refuse;
 use crate::flags::{Inference, Shared};
 use crate::session::Session;
 use anyhow::Result;
-use clap::ArgAction;
 use scenesplat::outputs::{
     FeatureType, ResultColumns, write_colored_ply, write_features_npy, write_features_safetensors,
-    write_scene_preview,
 };
 use scenesplat::principal::principal_colors;
 use scenesplat::scene::formats::npy_writer::write_npy;
 use scenesplat_lab::compensation::Consumer;
-use std::path::PathBuf;
 
 /// Writes features.npy ([N, D], one row per Gaussian of the file), features.ply and preview.png
 /// (coloured by the features' three principal components) and a receipt; with the setting codes=K
 /// features.npy is [N, K], and feature_axes.npy, [K, D], leads back: features · axes.
 #[derive(Debug, Clone, clap::Args)]
 pub struct Args {
-    /// The scene, in any format; several get a folder in --out each.
-    #[arg(num_args = 1.., action = ArgAction::Append, required = false, required_unless_present = "manifest")]
-    pub scene: PathBuf,
-    /// Which of many scenes.
+    /// Which scenes.
     #[command(flatten)]
-    pub many: Many,
+    pub input: OneOrMany,
     /// Number type of the features.
     #[arg(long, value_enum, default_value_t = Dtype::F32)]
     pub dtype: Dtype,
@@ -78,88 +72,58 @@ pub enum Format {
 /// Where the directions are written that short features are coordinates along.
 const AXES: &str = "feature_axes.npy";
 
-impl Args {
-    /// The setting that a budget chooses, if there is one, and the flags with it.
-    fn chosen(&self) -> Result<(Self, Option<Chosen>)> {
-        let job = Job {
-            command: "features",
-            scene: &self.scene,
-            inference: &self.inference,
-            vote_k: None,
-            features: None,
-        };
-        let (inference, chosen) = within_budget(&self.budget, self.shared.threads, &job)?;
-        Ok((Self { inference, ..self.clone() }, chosen))
-    }
-
-    /// With the parts of the setting among the flags.
-    fn settled(&self) -> Result<Self> {
-        if self.inference.setting.as_ref().is_some_and(|setting| setting.k.is_some()) {
-            let text = "--setting k: features have no labels that neighbours could vote on";
-            return Err(WrongUse(text.to_owned()).into());
-        }
-        Ok(Self { inference: self.inference.settled(None)?.0, ..self.clone() })
-    }
-}
-
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
-    let (args, chosen) = args.chosen()?;
-    let args = &args.settled()?;
-    let session = Session::start_with(&args.shared, &args.inference.network, line)?;
-    session.note_setting(&args.inference);
-    session.note_budget(chosen);
-    session.outputs.reads(&args.scene)?;
+    if args.inference.setting.as_ref().is_some_and(|setting| setting.k.is_some()) {
+        refuse!("--setting k: features have no labels that neighbours could vote on");
+    }
+    let job = Job {
+        command: "features",
+        scene: &args.input.scene,
+        inference: &args.inference,
+        vote_k: None,
+        features: None,
+    };
+    let (inference, _, chosen) = within_budget(&args.budget, args.shared.running.threads, &job)?;
+    let session = Session::start_network(&args.shared, &inference, chosen, line)?;
+    session.outputs.reads(&args.input.scene)?;
     let wish = args.effects.wish(&session, true, false)?;
     let features_file = match args.format {
         Format::Npy => "features.npy",
         Format::Safetensors => "features.safetensors",
     };
     let mut names = vec![features_file, "features.ply", "preview.png"];
-    names.extend(args.inference.effective.codes.map(|_| AXES));
-    session.make_out(&names)?;
-    let network = session.network(&args.inference)?;
-    let opened = session.open(&args.scene, &args.inference)?;
+    names.extend(inference.effective.codes.map(|_| AXES));
+    session.outputs.open_folder(&names)?;
+    let network = session.network(&inference)?;
+    let opened = session.open(&args.input.scene, &inference)?;
     let scene = &opened.loaded.scene;
     let consumer = Consumer { network: true, labels: false };
-    let about = session.compensation(&wish, scene, &args.inference, consumer)?;
-    let features = session.encode(scene, &network, &args.inference, &about)?;
+    let about = session.compensation(&wish, scene, &inference, consumer)?;
+    let features = session.encode(scene, &network, &inference, &about)?;
     drop(network);
     {
         let _stage = session.receipt.stage("write");
-        let (path, bytes) = match args.format {
-            Format::Npy => {
-                let path = session.out(features_file)?;
-                let bytes = write_features_npy(&opened, &features, args.dtype.into(), &path)?;
-                (path, bytes)
-            }
-            Format::Safetensors => {
-                let path = session.out(features_file)?;
-                let bytes =
-                    write_features_safetensors(&opened, &features, args.dtype.into(), &path)?;
-                (path, bytes)
-            }
-        };
-        session.wrote(&path, bytes);
+        let dtype = args.dtype.into();
+        session.write(features_file, |path| match args.format {
+            Format::Npy => write_features_npy(&opened, &features, dtype, path),
+            Format::Safetensors => write_features_safetensors(&opened, &features, dtype, path),
+        })?;
         if let Some(codes) = features.codes() {
-            let path = session.out(AXES)?;
-            write_npy(&path, &[codes.codes(), codes.width], &codes.axes)?;
-            session.wrote(&path, std::fs::metadata(&path)?.len());
+            let shape = [codes.codes(), codes.width];
+            session.write(AXES, |path| write_npy(path, &shape, &codes.axes))?;
         }
         session.receipt.add_rows_out(opened.loaded.source_rows());
     }
     session.check_stop()?;
-    let _stage = session.receipt.stage("picture");
+    let stage = session.receipt.stage("picture");
     let colors = principal_colors(&features)?;
-    let path = session.out("features.ply")?;
-    let bytes = write_colored_ply(&opened, &colors, &ResultColumns::default(), &path)?;
-    session.wrote(&path, bytes);
-    let name = args.scene.file_name().unwrap_or_default().to_string_lossy();
+    session.write("features.ply", |path| {
+        write_colored_ply(&opened, &colors, &ResultColumns::default(), path)
+    })?;
+    let name = args.input.name();
     let title = format!("{name}: features (principal components as colours)");
-    let up = session.up(&opened.loaded.scene, &args.inference);
-    let path = session.out("preview.png")?;
-    let bytes = write_scene_preview(&opened.loaded.scene, &colors, &[], &title, up, &path)?;
-    session.wrote(&path, bytes);
-    drop(_stage);
+    session.write_preview(scene, &colors, &[], &title, inference.up)?;
+    drop(stage);
     session.finish()
 }

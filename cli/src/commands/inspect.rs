@@ -1,9 +1,8 @@
 //! `scenesplat inspect`
 
-use super::WrongUse;
-use crate::flags::{NetworkArgs, Shared, SourceArgs, parse_up};
+use crate::error::WrongUse;
+use crate::flags::{NetworkArgs, Shared, SourceArgs, parse_setting, parse_up};
 use crate::session::Session;
-use crate::setting::parse_setting;
 use crate::terminal::print;
 use anyhow::{Context, Result, bail};
 use scenesplat::inspect::sheet::{sheet_name, write_sheet};

@@ -1,22 +1,50 @@
 //! A scene with labels: of a network, of features, or its own. What `segment`, `objects` and `view` begin with.
 
-use super::WrongUse;
 use super::classes::Classes;
 use crate::effects::{EffectArgs, Wish};
+use crate::error::{WrongUse, refuse};
 use crate::flags::Inference;
-use crate::session::{FeatureSource, Session, Strangeness};
+use crate::frame::Frame;
+use crate::session::{FeatureSource, Novelty, Session};
+use crate::setting::VOTE_K;
 use crate::surfaces::{Asked, SurfaceArgs};
 use anyhow::{Context, Result};
-use scenesplat::alignment::{Alignment, AlignmentSettings};
 use scenesplat::labels::{self, label_agreeing_with_vote};
 use scenesplat::objects::{Catalogue, ObjectInput, ObjectSettings, find_objects};
 use scenesplat::outputs::OpenedScene;
-use scenesplat::scene::frame::Matrix3;
 use scenesplat::scene::label_set::read_names;
-use scenesplat::scene::{LabelSet, TextTable, UpAxis};
+use scenesplat::scene::{LabelSet, ReadOptions, TextTable};
 use scenesplat::{Network, SceneFeatures};
 use scenesplat_lab::compensation::Consumer;
 use std::path::{Path, PathBuf};
+
+/// How a network, or features made before, label a scene.
+#[derive(Debug, Clone, clap::Args)]
+pub struct Labelling {
+    /// Choice of classes.
+    #[command(flatten)]
+    pub classes: Classes,
+    /// Neighbours that vote on each label; 0 or 1 for no vote. [default: 25]
+    #[arg(long, value_name = "K")]
+    pub vote_k: Option<usize>,
+    /// Features made before instead of a network: .npy, [N, D], one row per Gaussian, such as
+    /// lang_feat.npy of lift-labels or features.npy.
+    #[arg(long, value_name = "FILE.npy")]
+    pub features: Option<PathBuf>,
+    /// Whether surfaces have one label.
+    #[command(flatten)]
+    pub surfaces: SurfaceArgs,
+    /// What becomes of a scene that looks like nothing the network inside the program was trained on (a garden, a
+    /// bicycle): it is labelled all the same, or stays unknown. [default: auto]
+    #[arg(long, value_name = "WHAT")]
+    pub strange: Option<Strange>,
+    /// What is done about effects of the capture.
+    #[command(flatten)]
+    pub effects: EffectArgs,
+    /// Flags of the network.
+    #[command(flatten)]
+    pub inference: Inference,
+}
 
 /// Where labels come from, and what is an object.
 #[derive(Debug, Clone, clap::Args)]
@@ -35,36 +63,9 @@ pub struct LabelArgs {
     /// Gaussians of a class this near to each other, metres, belong together; by default 2.5 spacings of the class.
     #[arg(long, value_name = "M", value_parser = crate::flags::parse_positive)]
     pub gap: Option<f64>,
-    /// Choice of classes.
+    /// What labels it otherwise.
     #[command(flatten)]
-    pub classes: Classes,
-    /// Neighbours that vote on each label; 0 or 1 for no vote. [default: 25]
-    #[arg(long, value_name = "K")]
-    pub vote_k: Option<usize>,
-    /// Features made before instead of a network: .npy, [N, D], one row per Gaussian.
-    #[arg(long, value_name = "FILE.npy")]
-    pub features: Option<PathBuf>,
-    /// Whether surfaces have one label.
-    #[command(flatten)]
-    pub surfaces: SurfaceArgs,
-    /// What becomes of strange scenes.
-    #[command(flatten)]
-    pub strange: StrangeArgs,
-    /// What is done about effects of the capture.
-    #[command(flatten)]
-    pub effects: EffectArgs,
-    /// Flags of the network.
-    #[command(flatten)]
-    pub inference: Inference,
-}
-
-/// What becomes of a scene that is strange to the network inside the program.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::Args)]
-pub struct StrangeArgs {
-    /// What becomes of a scene that looks like nothing the network inside the program was trained on (a garden, a
-    /// bicycle): it is labelled all the same, or stays unknown. [default: auto]
-    #[arg(long, value_name = "WHAT")]
-    pub strange: Option<Strange>,
+    pub labelling: Labelling,
 }
 
 /// Labels all the same, or none.
@@ -98,35 +99,11 @@ pub struct Labelled {
     pub remark: &'static str,
 }
 
-/// What labels a scene.
-pub struct Labelling<'a> {
-    /// The scene's file.
-    pub scene: &'a Path,
-    /// Choice of classes.
-    pub classes: &'a Classes,
-    /// Features made before instead of a network.
-    pub features: Option<&'a Path>,
-    /// Whether surfaces have one label.
-    pub surfaces: SurfaceArgs,
-    /// What becomes of a strange scene.
-    pub strange: StrangeArgs,
-    /// Flags of the network.
-    pub inference: &'a Inference,
-    /// Neighbours that vote on each label.
-    pub vote_k: usize,
-}
-
 impl LabelArgs {
-    /// With the parts of the setting among the flags, and how many neighbours vote.
-    pub fn settled(&self) -> Result<(Self, usize)> {
-        let (inference, k) = self.inference.settled(self.vote_k)?;
-        Ok((Self { inference, ..self.clone() }, k))
-    }
-
     /// Notes what is read.
     pub fn claim_inputs(&self, session: &Session<'_>) -> Result<()> {
         session.outputs.reads_any([Some(self.scene.as_path()), self.label_names.as_deref()])?;
-        self.classes.claim_inputs(&session.outputs)
+        self.labelling.classes.claim_inputs(&session.outputs)
     }
 
     /// What is an object.
@@ -135,46 +112,28 @@ impl LabelArgs {
     }
 
     /// Reads the scene and labels it.
-    pub fn label(&self, session: &Session<'_>, vote_k: usize, sh_rest: bool) -> Result<Labelled> {
+    pub fn label(&self, session: &Session<'_>, sh_rest: bool) -> Result<Labelled> {
         match &self.label_names {
             Some(path) => self.own_labels(session, path, sh_rest),
             None => {
-                let wish = self.effects.wish(session, self.features.is_none(), true)?;
-                let labelling = Labelling {
-                    scene: &self.scene,
-                    classes: &self.classes,
-                    features: self.features.as_deref(),
-                    surfaces: self.surfaces,
-                    strange: self.strange,
-                    inference: &self.inference,
-                    vote_k,
-                };
-                labelling.run(session, &wish)
+                let wish = self.labelling.wish(session)?;
+                self.labelling.run(session, &self.scene, &wish)
             }
         }
     }
 
     fn own_labels(&self, session: &Session<'_>, path: &Path, sh_rest: bool) -> Result<Labelled> {
-        if self.strange.strange.is_some() {
-            let text = "--strange is about a network, which --label-names leaves out";
-            return Err(WrongUse(text.to_owned()).into());
+        let Labelling { classes, surfaces, strange, inference, .. } = &self.labelling;
+        let flag = strange.map(|_| "--strange").or(surfaces.given());
+        if let Some(flag) = flag.or(inference.only_network_flag()) {
+            refuse!("{flag} is about a network, which --label-names leaves out");
         }
-        if let Some(flag) = self.surfaces.given() {
-            let text =
-                format!("{flag} is about labels of a network, which --label-names leaves out");
-            return Err(WrongUse(text).into());
-        }
-        if let Some(flag) = self.inference.only_network_flag() {
-            let text = format!("{flag} is about a network, which --label-names leaves out");
-            return Err(WrongUse(text).into());
-        }
-        if self.inference.network.weights.is_some() || self.classes.text.is_some() {
-            let text = "--label-names takes the scene's own labels: leave out --weights and --text";
-            return Err(WrongUse(text.to_owned()).into());
+        if inference.network.weights.is_some() || classes.text.is_some() {
+            refuse!("--label-names takes the scene's own labels: leave out --weights and --text");
         }
         let names = read_names(path)?;
         session.receipt.fingerprint("label_names", path)?;
-        let options = scenesplat::scene::ReadOptions { sh_rest, ..self.inference.source.options() };
+        let options = ReadOptions { sh_rest, ..inference.source.options() };
         let opened = session.open_with(&self.scene, &options)?;
         let scene = &opened.loaded.scene;
         let labels = scene.segment.clone().ok_or_else(|| {
@@ -198,57 +157,45 @@ impl LabelArgs {
     }
 }
 
-impl Labelling<'_> {
-    /// Reads the scene and labels it by a network, or by features made before.
-    pub fn run(&self, session: &Session<'_>, wish: &Wish) -> Result<Labelled> {
-        let embedded = self.inference.network.is_embedded();
-        let not_own = || {
-            let text = "--strange is about the network inside the program, which is not used here";
-            anyhow::Error::from(WrongUse(text.to_owned()))
+impl Labelling {
+    /// With the parts of the setting among the flags.
+    pub fn settled(&self) -> Result<Self> {
+        let (inference, vote_k) = self.inference.settled(self.vote_k)?;
+        Ok(Self { inference, vote_k: Some(vote_k), ..self.clone() })
+    }
+
+    /// What is to be done about the effects of the capture.
+    pub fn wish(&self, session: &Session<'_>) -> Result<Wish> {
+        self.effects.wish(session, self.features.is_none(), true)
+    }
+
+    /// Reads a scene and labels it, by settled flags.
+    pub fn run(&self, session: &Session<'_>, scene: &Path, wish: &Wish) -> Result<Labelled> {
+        let (opened, source, text) = self.open(session, scene)?;
+        let is_own = source.is_network() && self.inference.network.is_embedded();
+        let names = match source.classifier() {
+            Some(network) => own_classes(&self.classes, network)?,
+            None => LabelSet::new(text.iter().flat_map(|text| &text.names).cloned().collect())?,
         };
-        let strange = self.strange.strange;
-        if strange.is_some() && !(embedded && self.features.is_none()) {
-            return Err(not_own());
-        }
-        // A bad table is better found before the scene is read.
-        let table = match &self.classes.text {
-            Some(_) => Some(self.classes.text_table(false)?),
-            None => None,
-        };
-        let (opened, source) =
-            session.open_with_source(self.scene, self.inference, self.features, |network| {
-                let needed = !network.is_classifier() && table.is_none();
-                if needed { self.classes.text_table(embedded).map(drop) } else { Ok(()) }
-            })?;
-        let is_own = embedded && matches!(source, FeatureSource::Network(_));
-        if strange.is_some() && !is_own {
-            return Err(not_own());
-        }
-        let (labels_of, text) = if let Some(network) = source.classifier() {
-            (own_classes(self.classes, network)?, None)
-        } else {
-            let text = table.map_or_else(|| self.classes.text_table(is_own), Ok)?;
-            (LabelSet::new(text.names.clone())?, Some(text))
-        };
-        let options = self.classes.options(&labels_of)?;
+        let options = self.classes.options(&names)?;
         self.classes.record(session)?;
         let scene = &opened.loaded.scene;
         let consumer = Consumer { network: source.is_network(), labels: true };
-        let about = session.compensation(wish, scene, self.inference, consumer)?;
-        let features = session.features(&opened, &source, self.inference, &about)?;
+        let about = session.compensation(wish, scene, &self.inference, consumer)?;
+        let features = session.features(&opened, &source, &self.inference, &about)?;
         let classes = match &text {
             Some(text) => labels::Classes::Texts(text),
-            None => labels::Classes::Probabilities(labels_of.len()),
+            None => labels::Classes::Probabilities(names.len()),
         };
         let is_vocabulary = text.is_some() && (is_own || self.classes.vocabulary()?.is_some());
         let (is_network, is_classifier) = (source.is_network(), text.is_none());
-        let asked = Asked { names: &labels_of.names, is_vocabulary, is_network, is_classifier };
-        let agreeing = self.surfaces.find(session, &opened, self.inference, asked)?;
+        let asked = Asked { names: &names.names, is_vocabulary, is_network, is_classifier };
+        let agreeing = self.surfaces.find(session, &opened, &self.inference, asked)?;
         let mut found = {
             let _stage = session.receipt.stage("labels");
-            session.receipt.setting("vote_k", self.vote_k, "neighbours that vote on each label");
+            let k = self.vote_k.unwrap_or(VOTE_K);
+            session.receipt.setting("vote_k", k, "neighbours that vote on each label");
             let agreement = agreeing.agreement();
-            let k = self.vote_k;
             label_agreeing_with_vote(&features, classes, &options, &agreement, &scene.coord, k)?
         };
         if found.num_withheld + found.num_unusable > 0 {
@@ -258,26 +205,8 @@ impl Labelling<'_> {
             ));
         }
         session.note_withheld(found.withhold(about.withheld()), "labels");
-        let least = match strange.unwrap_or(Strange::Auto) {
-            Strange::Auto => Some(Strangeness::Clear),
-            Strange::Unknown => Some(Strangeness::Some),
-            Strange::Label => None,
-        };
-        let is_left_out = |how: Strangeness| least.is_some_and(|least| how >= least);
-        let how = match is_own {
-            false => None,
-            true => session.strangeness(&features, |how| match is_left_out(how) {
-                true => "all labels are left out; --strange label keeps them, as guesses",
-                false => "its labels are guesses; --strange unknown leaves them out",
-            })?,
-        };
-        if how.is_none() && strange == Some(Strange::Unknown) {
-            let text = "--strange unknown: these features do not tell how strange the scene is; leave it out, or the codes";
-            return Err(WrongUse(text.to_owned()).into());
-        }
-        if how.is_some_and(is_left_out) {
-            let all = vec![true; found.labels.len()];
-            let taken = found.withhold(&all);
+        if self.is_left_out(session, &features, is_own)? {
+            let taken = found.withhold(&vec![true; found.labels.len()]);
             let text = format!("{taken} labels are left out: the scene is strange");
             session.receipt.setting("strange", "unknown", &text);
             session.progress.say(text);
@@ -286,7 +215,7 @@ impl Labelling<'_> {
         Ok(Labelled {
             labels: found.labels,
             scores: Some(found.scores),
-            names: labels_of.names,
+            names: names.names,
             features: text.map(|text| (features, text)),
             is_vocabulary,
             is_own,
@@ -294,13 +223,77 @@ impl Labelling<'_> {
             opened,
         })
     }
+
+    /// The scene, the source of its features, and the texts of the classes unless a network has its own.
+    fn open(
+        &self,
+        session: &Session<'_>,
+        scene: &Path,
+    ) -> Result<(OpenedScene, FeatureSource, Option<TextTable>)> {
+        let embedded = self.inference.network.is_embedded();
+        let check_own = |is_own: bool| -> Result<()> {
+            if self.strange.is_some() && !is_own {
+                refuse!(
+                    "--strange is about the network inside the program, which is not used here"
+                );
+            }
+            Ok(())
+        };
+        check_own(embedded && self.features.is_none())?;
+        // A bad table is better found before the scene is read.
+        let given = self.classes.text.as_ref();
+        let table = given.map(|_| self.classes.text_table(false)).transpose()?;
+        let (opened, source) = session.open_with_source(
+            scene,
+            &self.inference,
+            self.features.as_deref(),
+            |network| {
+                let needed = !network.is_classifier() && table.is_none();
+                if needed { self.classes.text_table(embedded).map(drop) } else { Ok(()) }
+            },
+        )?;
+        let is_own = embedded && source.is_network();
+        check_own(is_own)?;
+        let text = match source.classifier() {
+            Some(_) => None,
+            None => Some(table.map_or_else(|| self.classes.text_table(is_own), Ok)?),
+        };
+        Ok((opened, source, text))
+    }
+
+    /// Whether the scene is so far from what the network was trained on that it gets no labels.
+    fn is_left_out(
+        &self,
+        session: &Session<'_>,
+        features: &SceneFeatures,
+        is_own: bool,
+    ) -> Result<bool> {
+        let least = match self.strange.unwrap_or(Strange::Auto) {
+            Strange::Auto => Some(Novelty::Clear),
+            Strange::Unknown => Some(Novelty::Some),
+            Strange::Label => None,
+        };
+        let is_left_out = |how: Novelty| least.is_some_and(|least| how >= least);
+        let how = match is_own {
+            false => None,
+            true => session.novelty(features, |how| match is_left_out(how) {
+                true => "all labels are left out; --strange label keeps them, as guesses",
+                false => "its labels are guesses; --strange unknown leaves them out",
+            })?,
+        };
+        if how.is_none() && self.strange == Some(Strange::Unknown) {
+            refuse!(
+                "--strange unknown: these features do not tell how strange the scene is; leave it out, or the codes"
+            );
+        }
+        Ok(how.is_some_and(is_left_out))
+    }
 }
 
 /// The classes of a segmentation network, by number where they have no names.
 fn own_classes(classes: &Classes, network: &Network) -> Result<LabelSet> {
     if classes.text.is_some() {
-        let text = "--text is for language networks; name the classes with --text-names";
-        return Err(WrongUse(text.to_owned()).into());
+        refuse!("--text is for language networks; name the classes with --text-names");
     }
     let count = network.model().out_channels();
     let names = match &classes.text_names {
@@ -308,46 +301,9 @@ fn own_classes(classes: &Classes, network: &Network) -> Result<LabelSet> {
         None => (0..count).map(|i| format!("class {i}")).collect(),
     };
     if names.len() != count {
-        let text = format!("--text-names: {} names for {count} classes", names.len());
-        return Err(WrongUse(text).into());
+        refuse!("--text-names: {} names for {count} classes", names.len());
     }
     Ok(LabelSet::new(names)?)
-}
-
-/// How a scene lies, for the boxes of its objects.
-#[derive(Debug, Clone, Copy)]
-pub struct Frame {
-    /// The axis that is next to up.
-    pub up: UpAxis,
-    /// The rotation that brings +z up and the floor level.
-    pub upright: Matrix3,
-    /// What one unit of the scene is, metres.
-    pub metres_per_unit: f64,
-    /// Height of the floor along up, metres, if --floor says it.
-    pub floor: Option<f64>,
-}
-
-/// Which way is up and what a unit is, as a network would read the scene.
-pub fn frame(opened: &OpenedScene, inference: &Inference) -> Frame {
-    let scene = &opened.loaded.scene;
-    let alignment = Alignment::of(
-        scene,
-        &AlignmentSettings {
-            up: inference.up,
-            metres_per_unit: inference.unit,
-            floor: inference.floor,
-            as_is: inference.as_is,
-            ..AlignmentSettings::default()
-        },
-    );
-    // A network that reads the scene as it is changes nothing about which way is up.
-    let given = inference.up.filter(|_| inference.as_is);
-    Frame {
-        up: inference.up.unwrap_or(alignment.turned_from),
-        upright: given.map_or_else(|| alignment.rotation(), UpAxis::upright),
-        metres_per_unit: alignment.scale,
-        floor: inference.floor.map(|floor| floor * alignment.scale),
-    }
 }
 
 impl Labelled {

@@ -13,7 +13,7 @@ mod doctor;
 mod evaluate;
 mod features;
 mod inspect;
-pub(crate) mod labelled;
+mod labelled;
 mod lift_labels;
 mod many;
 mod merge;
@@ -32,9 +32,10 @@ mod train;
 mod view;
 mod weights;
 
+use crate::error::WrongUse;
+use crate::terminal;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::ffi::OsString;
-use std::process::ExitCode;
 
 /// Language features, labels and queries for scenes of 3D Gaussians, on a plain CPU.
 #[derive(Debug, Parser)]
@@ -107,81 +108,74 @@ enum Command {
     ParetoPoint(pareto::PointArgs),
 }
 
-/// The command line is right in form but asks for something that does not fit together.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub(crate) struct WrongUse(pub String);
-
-/// Runs the program on the given arguments, the first of which is its name.
-pub fn run(args: impl IntoIterator<Item = OsString>) -> ExitCode {
+/// Runs the program on the given arguments, the first of which is its name. Gives the exit code.
+pub fn run(args: impl IntoIterator<Item = OsString>) -> u8 {
     let args: Vec<OsString> = args.into_iter().collect();
     let line = args.iter().skip(1).map(|a| a.to_string_lossy()).collect::<Vec<_>>().join(" ");
     let mut command = Cli::command();
     let matches = command.try_get_matches_from_mut(&args);
     let asked = matches.as_ref().ok().map(|matches| many::asked(matches));
     if let Some(Ok(Some(many))) = asked {
-        return end(many.run(&command).and_then(|()| crate::terminal::check_output()));
+        return end(many.run(&command));
     }
     let parsed = matches.and_then(|matches| Cli::from_arg_matches(&matches));
-    let cli = match parsed.map_err(|error| error.format(&mut command)) {
-        Ok(cli) => cli,
-        Err(e) => {
-            // Help and version are no errors.
-            let code = if e.use_stderr() { 2 } else { 0 };
-            if code == 0 {
-                crate::terminal::note(e.print());
-                return end(crate::terminal::check_output());
-            }
-            let _ = e.print();
-            return ExitCode::from(code);
+    match parsed.map_err(|error| error.format(&mut command)) {
+        Ok(cli) => end(cli.command.run(&line)),
+        // Help and version are no errors.
+        Err(e) if !e.use_stderr() => {
+            terminal::print_usage(&e);
+            end(Ok(()))
         }
-    };
-    let done = match &cli.command {
-        Command::Demo(args) => demo::run(args, &line),
-        Command::Inspect(args) => inspect::run(args, &line),
-        Command::Features(args) => features::run(args, &line),
-        Command::Segment(args) => segment::run(args, &line),
-        Command::Query(args) => query::run(args, &line),
-        Command::Objects(args) => objects::run(args, &line),
-        Command::View(args) => view::run(args, &line),
-        Command::Text(args) => text::run(args),
-        Command::CollectLabels(args) => collect_labels::run(args, &line),
-        Command::LiftLabels(args) => lift_labels::run(args, &line),
-        Command::Evaluate(args) => evaluate::run(args, &line),
-        Command::Merge(args) => merge::run(args, &line),
-        Command::Render(args) => render::run(args, &line),
-        Command::Simulate(args) => simulate::run(args, &line),
-        Command::Optimise(args) => optimise::run(args, &line),
-        Command::Curate(args) => curate::run(args, &line),
-        Command::Compare(args) => compare::run(args),
-        Command::Convert(args) => convert::run(args),
-        Command::Train(args) => train::run(args),
-        Command::Probe(args) => probe::run(args),
-        Command::Reconstruct(args) => reconstruct::run(args, &line),
-        Command::Codes(args) => codes::run(args, &line),
-        Command::Prepare(args) => prepare::run(args, &line),
-        Command::Chunk(args) => chunk::run(args),
-        Command::Weights(args) => weights::run(args, &line),
-        Command::Bench(args) => bench::run(args),
-        Command::Doctor(args) => doctor::run(args),
-        Command::Pareto(args) => pareto::run(args),
-        Command::ParetoPoint(args) => pareto::run_point(args),
-    };
-    // An error of the command comes first; results that did not get out are one, too.
-    end(done.and_then(|()| crate::terminal::check_output()))
+        Err(e) => {
+            terminal::print_usage(&e);
+            2
+        }
+    }
 }
 
-fn end(done: anyhow::Result<()>) -> ExitCode {
-    match done {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(e) => {
-            crate::terminal::print_error(&e);
-            let code = match () {
-                () if e.downcast_ref::<WrongUse>().is_some() => 2,
-                () if e.downcast_ref::<many::SomeFailed>().is_some() => 3,
-                () => 1,
-            };
-            ExitCode::from(code)
+impl Command {
+    fn run(&self, line: &str) -> anyhow::Result<()> {
+        match self {
+            Self::Demo(args) => demo::run(args, line),
+            Self::Inspect(args) => inspect::run(args, line),
+            Self::Features(args) => features::run(args, line),
+            Self::Segment(args) => segment::run(args, line),
+            Self::Query(args) => query::run(args, line),
+            Self::Objects(args) => objects::run(args, line),
+            Self::View(args) => view::run(args, line),
+            Self::Text(args) => text::run(args),
+            Self::CollectLabels(args) => collect_labels::run(args, line),
+            Self::LiftLabels(args) => lift_labels::run(args, line),
+            Self::Evaluate(args) => evaluate::run(args, line),
+            Self::Merge(args) => merge::run(args, line),
+            Self::Render(args) => render::run(args, line),
+            Self::Simulate(args) => simulate::run(args, line),
+            Self::Optimise(args) => optimise::run(args, line),
+            Self::Curate(args) => curate::run(args, line),
+            Self::Compare(args) => compare::run(args),
+            Self::Convert(args) => convert::run(args),
+            Self::Train(args) => train::run(args),
+            Self::Probe(args) => probe::run(args),
+            Self::Reconstruct(args) => reconstruct::run(args, line),
+            Self::Codes(args) => codes::run(args, line),
+            Self::Prepare(args) => prepare::run(args, line),
+            Self::Chunk(args) => chunk::run(args),
+            Self::Weights(args) => weights::run(args, line),
+            Self::Bench(args) => bench::run(args),
+            Self::Doctor(args) => doctor::run(args),
+            Self::Pareto(args) => pareto::run(args),
+            Self::ParetoPoint(args) => pareto::run_point(args),
         }
+    }
+}
+
+/// Prints the error of a command, or that its results did not get out, and gives the exit code.
+fn end(done: anyhow::Result<()>) -> u8 {
+    let Err(e) = done.and_then(|()| terminal::check_output()) else { return 0 };
+    terminal::print_error(&e);
+    match () {
+        () if e.downcast_ref::<WrongUse>().is_some() => 2,
+        () if e.downcast_ref::<many::SomeFailed>().is_some() => 3,
+        () => 1,
     }
 }

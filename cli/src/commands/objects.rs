@@ -1,11 +1,12 @@
 //! `scenesplat objects`
 
-use super::WrongUse;
-use super::labelled::{LabelArgs, Labelled, frame};
+use super::labelled::{LabelArgs, Labelled};
+use crate::error::{WrongUse, refuse};
 use crate::flags::Shared;
+use crate::frame::frame;
 use crate::session::Session;
-use crate::terminal::{print, write_text};
-use anyhow::{Context, Result};
+use crate::terminal::print;
+use anyhow::Result;
 use scenesplat::object_picture;
 use scenesplat::objects::relations::Question;
 use scenesplat::objects::{Catalogue, Floor, Object, table};
@@ -52,18 +53,20 @@ pub const OBJECT_FILES: [&str; 3] = ["instances.npy", "objects.json", "objects.c
 
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
-    let (labels, vote_k) = &args.labels.settled()?;
-    let session = Session::start_with(&args.shared, &labels.inference.network, line)?;
-    session.note_setting(&labels.inference);
+    let labels = &LabelArgs { labelling: args.labels.labelling.settled()?, ..args.labels.clone() };
+    let inference = &labels.labelling.inference;
+    let session = Session::start_network(&args.shared, inference, None, line)?;
     labels.claim_inputs(&session)?;
     session.outputs.claim_any("--json", args.json.as_ref())?;
     let folder =
         args.export.as_deref().map(|name| check_folder(name).map(|()| name)).transpose()?;
     let edits = !args.remove.is_empty() || !args.keep.is_empty();
     let more: &[&str] = if edits { &["edited.ply"] } else { &[] };
-    session.make_out(&[&OBJECT_FILES[..], &["objects.md", "objects.png"], more].concat())?;
-    let labelled = labels.label(&session, *vote_k, edits || folder.is_some())?;
-    let frame = frame(&labelled.opened, &labels.inference);
+    session
+        .outputs
+        .open_folder(&[&OBJECT_FILES[..], &["objects.md", "objects.png"], more].concat())?;
+    let labelled = labels.label(&session, edits || folder.is_some())?;
+    let frame = frame(&labelled.opened, inference);
     let found = labelled.objects(&session, &labels.settings(), labels.pieces, frame)?;
     session.check_stop()?;
     print(&table::markdown(&found));
@@ -77,15 +80,11 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     }
     {
         let _stage = session.receipt.stage("picture");
-        let path = session.out("objects.png")?;
         let picture = object_picture(&labelled.opened.loaded.scene, &found, frame.up)?;
-        let bytes = write_png(&path, &picture)?;
-        session.wrote(&path, bytes);
+        session.write("objects.png", |path| write_png(path, &picture))?;
     }
     let _stage = session.receipt.stage("write");
-    let path = session.out("objects.md")?;
-    let bytes = write_text(&path, &table::markdown(&found))?;
-    session.wrote(&path, bytes);
+    session.write_text("objects.md", &table::markdown(&found))?;
     let scene = with_instances(&labelled, &found);
     if let Some(folder) = folder {
         export(&session, &scene, &found, folder)?;
@@ -141,9 +140,7 @@ pub fn write_objects(session: &Session<'_>, labelled: &Labelled, found: &Catalog
     session.write_rows("instances.npy", &labelled.opened, &found.instances(), -1)?;
     let json = serde_json::to_string_pretty(&table::json(found))?;
     for (name, text) in [("objects.json", json), ("objects.csv", table::csv(found))] {
-        let path = session.out(name)?;
-        let bytes = write_text(&path, &text)?;
-        session.wrote(&path, bytes);
+        session.write_text(name, &text)?;
     }
     Ok(())
 }
@@ -197,10 +194,7 @@ fn check_folder(name: &str) -> Result<()> {
     if plain {
         return Ok(());
     }
-    let text = format!(
-        "--export {name:?}: give one plain name, such as objects; the folder is made in --out"
-    );
-    Err(WrongUse(text).into())
+    refuse!("--export {name:?}: give one plain name, such as objects; the folder is made in --out");
 }
 
 fn export(
@@ -212,10 +206,10 @@ fn export(
     for object in &found.objects {
         let rows: Vec<usize> = object.rows.iter().map(|&r| r as usize).collect();
         let part = scene.select_rows(&rows)?;
-        let path =
-            session.out(&format!("{folder}/{:03}-{}.ply", object.id, file_name(&object.class)))?;
-        write_inria_ply(&part, &[], &path)?;
-        session.wrote(&path, std::fs::metadata(&path)?.len());
+        session.write(
+            &format!("{folder}/{:03}-{}.ply", object.id, file_name(&object.class)),
+            |path| write_inria_ply(&part, &[], path),
+        )?;
         session.check_stop()?;
     }
     Ok(())
@@ -246,12 +240,9 @@ fn edit(
     let left = scene.select_rows(&rows)?;
     if left.is_empty() {
         let flag = if keeps { "--keep" } else { "--remove" };
-        return Err(WrongUse(format!("{flag}: nothing would be left of the scene")).into());
+        refuse!("{flag}: nothing would be left of the scene");
     }
     print(&format!("edited.ply: {} of {} Gaussians", left.len(), scene.len()));
-    let path = session.out("edited.ply")?;
-    write_inria_ply(&left, &[], &path)?;
-    let bytes = std::fs::metadata(&path).with_context(|| path.display().to_string())?.len();
-    session.wrote(&path, bytes);
+    session.write("edited.ply", |path| write_inria_ply(&left, &[], path))?;
     Ok(())
 }

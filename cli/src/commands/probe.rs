@@ -1,10 +1,9 @@
 //! `scenesplat probe`
 
-use super::WrongUse;
-use crate::flags::SourceArgs;
-use crate::progress::{Progress, interrupted, listen_for_interrupt};
+use crate::error::refuse;
+use crate::flags::{Running, SourceArgs};
+use crate::progress::{Progress, interrupted};
 use crate::terminal::{print, write_text};
-use crate::threads::set_threads;
 use anyhow::{Context, Result};
 use scenesplat::datasets::{DataError, DataSource, SourceScene, SyntheticRooms};
 use scenesplat::input::open_input;
@@ -62,12 +61,9 @@ pub struct Args {
     /// How scenes are read.
     #[command(flatten)]
     pub source: SourceArgs,
-    /// Threads; all cores by default. Results do not depend on it.
-    #[arg(long, value_name = "N")]
-    pub threads: Option<usize>,
-    /// Says nothing about the progress.
-    #[arg(long)]
-    pub quiet: bool,
+    /// Threads and progress.
+    #[command(flatten)]
+    pub running: Running,
 }
 
 /// What stands on the rows.
@@ -132,8 +128,7 @@ impl Given {
                 Some((count, seed.parse().ok()?))
             });
             let Some((count, seed)) = numbers else {
-                let text = format!("{scene:?}: write synthetic:COUNT:SEED, such as synthetic:20:7");
-                return Err(WrongUse(text).into());
+                refuse!("{scene:?}: write synthetic:COUNT:SEED, such as synthetic:20:7");
             };
             let rooms = SyntheticRooms::new(count, SyntheticRoomSettings::default(), seed)?;
             let rooms = Arc::new(rooms);
@@ -144,7 +139,7 @@ impl Given {
         }
         for (i, id) in ids.iter().enumerate() {
             if ids[..i].contains(id) {
-                return Err(WrongUse(format!("{id}: is there twice")).into());
+                refuse!("{id}: is there twice");
             }
         }
         Ok(Self { ids, places, options })
@@ -175,9 +170,7 @@ impl DataSource for Given {
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
-    set_threads(args.threads)?;
-    listen_for_interrupt()?;
-    let progress = Progress::new(args.quiet);
+    let progress = Progress::start(&args.running)?;
     let config = config_beside(&args.model)?
         .ok_or_else(|| ProbeError::NoModel { path: args.model.clone() })?;
     let given = Arc::new(Given::new(&args.scenes, args.source.options())?);

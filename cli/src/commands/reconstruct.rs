@@ -1,7 +1,7 @@
 //! `scenesplat reconstruct`
 
-use super::WrongUse;
 use super::render::parse_size;
+use crate::error::refuse;
 use crate::flags::{Shared, SourceArgs, parse_unit, parse_up};
 use crate::session::Session;
 use crate::terminal::print;
@@ -74,7 +74,7 @@ struct Look {
 pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start(&args.shared, line)?;
     [&args.run, &args.scene].into_iter().try_for_each(|path| session.outputs.reads(path))?;
-    session.make_out(&["reconstruction.json"])?;
+    session.outputs.open_folder(&["reconstruction.json"])?;
     let run = {
         let _stage = session.receipt.stage("weights");
         ReconstructionRun::open(&args.run)?
@@ -92,7 +92,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         ..AlignmentSettings::default()
     };
     let alignment = Alignment::of(&scene, &settings);
-    session.tell(&alignment, args.as_is);
+    session.tell_alignment(&alignment, args.as_is);
     let scene = alignment.apply(&scene);
     let made = {
         let _stage = session.receipt.stage("network");
@@ -108,8 +108,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         session.check_stop()?;
         session.progress.advance("render", k as f64 / look.cameras.len() as f64);
         let picture = pictures.draw(camera)?;
-        let path = session.out(&format!("{}.png", camera.name))?;
-        session.wrote(&path, write_png(&path, &picture.picture)?);
+        session.write(&format!("{}.png", camera.name), |path| write_png(path, &picture.picture))?;
         drawn.push((camera.name.clone(), picture));
     }
     session.progress.finish();
@@ -126,9 +125,10 @@ fn look(scene: &GaussianScene, up: UpAxis, args: &Args) -> Result<Look> {
     let mut all = Look { cameras: Vec::new(), ceiling: None, near: None };
     if let Some(count) = args.inside {
         if args.orbit.is_some() {
-            let text = "--inside and --orbit: what is cut away for the one is seen by the other; \
-                        give one of them";
-            return Err(WrongUse(text.to_owned()).into());
+            refuse!(
+                "--inside and --orbit: what is cut away for the one is seen by the other; \
+                        give one of them"
+            );
         }
         all.cameras = inside_views(&rows, up, count.into(), FOV, size);
         anyhow::ensure!(!all.cameras.is_empty(), "the scene has no Gaussian to stand among");
@@ -176,9 +176,7 @@ fn tell(
         "checkpoint": run.checkpoint, "step": run.step, "masking": run.masking(), "voxels": voxels,
         "masked_voxels": masked, "mean_absolute_difference": errors, "pictures": pictures
     });
-    let path = session.out("reconstruction.json")?;
     let text = serde_json::to_string_pretty(&report)? + "\n";
-    std::fs::write(&path, &text)?;
-    session.wrote(&path, text.len() as u64);
+    session.write_text("reconstruction.json", &text)?;
     Ok(())
 }

@@ -5,7 +5,6 @@ use crate::session::Session;
 use crate::terminal::print;
 use anyhow::{Result, bail};
 use scenesplat::datasets::effects::{EffectSet, simulate_upright};
-use scenesplat::outputs::write_scene_preview;
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
 use scenesplat::scene::formats::npy_writer::write_npy;
 use scenesplat::scene::{ReadOptions, UpAxis, guess_up};
@@ -41,7 +40,7 @@ pub struct Args {
 pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start(&args.shared, line)?;
     session.outputs.reads(&args.scene)?;
-    session.make_out(&["simulated.ply", "source_rows.npy", "preview.png"])?;
+    session.outputs.open_folder(&["simulated.ply", "source_rows.npy", "preview.png"])?;
     let options = ReadOptions { sh_rest: true, ..args.source.options() };
     let opened = session.open_with(&args.scene, &options)?;
     let scene = &opened.loaded.scene;
@@ -63,35 +62,27 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         bail!("{}: nothing is left of the scene", args.scene.display());
     }
     if scene.lang_feat.is_some() {
-        let text = "language features are left out: a PLY file has no place for them";
-        session.progress.say(text);
-        session.receipt.warning(text);
+        session.warn("language features are left out: a PLY file has no place for them");
     }
     session.check_stop()?;
     {
         let _stage = session.receipt.stage("write");
-        let path = session.out("simulated.ply")?;
-        write_inria_ply(&found.scene, &[], &path)?;
-        session.wrote(&path, std::fs::metadata(&path)?.len());
-        let path = session.out("source_rows.npy")?;
+        session.write("simulated.ply", |path| write_inria_ply(&found.scene, &[], path))?;
         let kept = opened.loaded.kept_rows.as_deref();
         let in_file = |row: &usize| kept.map_or(*row as i64, |kept| i64::from(kept[*row]));
         let rows: Vec<i64> =
             found.source.iter().map(|row| row.as_ref().map_or(-1, in_file)).collect();
-        write_npy(&path, &[rows.len()], &rows)?;
-        session.wrote(&path, std::fs::metadata(&path)?.len());
+        session.write("source_rows.npy", |path| write_npy(path, &[rows.len()], &rows))?;
         session.receipt.add_rows_out(found.scene.len());
     }
     {
         let _stage = session.receipt.stage("picture");
-        let path = session.out("preview.png")?;
         let name = args.scene.file_name().unwrap_or_default().to_string_lossy();
         let colors: Vec<[u8; 3]> =
             (0..found.scene.len()).map(|row| found.scene.color_u8(row)).collect();
         let up = args.up.unwrap_or_else(|| guess_up(scene).axis);
         let title = format!("{name}: {}", args.effect);
-        let bytes = write_scene_preview(&found.scene, &colors, &[], &title, up, &path)?;
-        session.wrote(&path, bytes);
+        session.write_preview(&found.scene, &colors, &[], &title, Some(up))?;
     }
     session.finish()
 }

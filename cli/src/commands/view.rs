@@ -1,8 +1,10 @@
 //! `scenesplat view`
 
-use super::WrongUse;
-use super::labelled::{LabelArgs, Labelled, frame};
+use super::labelled::{LabelArgs, Labelled};
 use super::objects::left_out;
+use crate::error::refuse;
+use crate::flags::{Running, Shared};
+use crate::frame::frame;
 use crate::progress::interrupted;
 use crate::session::Session;
 use crate::terminal::{check_output, print};
@@ -46,15 +48,12 @@ pub struct Args {
     /// Keeps so many Gaussians, those that are seen most.
     #[arg(long, value_name = "N")]
     pub max_splats: Option<usize>,
-    /// Threads; all cores by default. Results do not depend on it.
-    #[arg(long, value_name = "N")]
-    pub threads: Option<usize>,
+    /// Threads and progress.
+    #[command(flatten)]
+    pub running: Running,
     /// Also writes what was done and what it cost as JSON here.
     #[arg(long, value_name = "FILE.json")]
     pub receipt: Option<PathBuf>,
-    /// Says nothing about the progress, and prints no receipt; results are still printed.
-    #[arg(long)]
-    pub quiet: bool,
 }
 
 const DEFAULT_OUT: &str = "scene.html";
@@ -65,10 +64,10 @@ const MOST_TOLD: usize = 10;
 
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
-    let (labels, vote_k) = &args.labels.settled()?;
+    let labels = &LabelArgs { labelling: args.labels.labelling.settled()?, ..args.labels.clone() };
+    let inference = &labels.labelling.inference;
     let shared = args.shared();
-    let session = Session::start_with(&shared, &labels.inference.network, line)?;
-    session.note_setting(&labels.inference);
+    let session = Session::start_network(&shared, inference, None, line)?;
     labels.claim_inputs(&session)?;
     let out = args.out.as_deref().unwrap_or(Path::new(DEFAULT_OUT));
     if !args.serve {
@@ -77,16 +76,13 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let name = labels.scene.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let settings = PageSettings { codes: usize::from(args.codes), max_splats: args.max_splats };
     if settings.max_splats == Some(0) {
-        return Err(WrongUse("--max-splats: give a number above 0".to_owned()).into());
+        refuse!("--max-splats: give a number above 0");
     }
     // A port that is taken is better known before the work than after.
     let server = if args.serve { Some(PageServer::bind(args.port)?) } else { None };
-    let labelled = if args.plain {
-        plain(labels, &session)?
-    } else {
-        labels.label(&session, *vote_k, false)?
-    };
-    let frame = frame(&labelled.opened, &labels.inference);
+    let labelled =
+        if args.plain { plain(labels, &session)? } else { labels.label(&session, false)? };
+    let frame = frame(&labelled.opened, inference);
     let found = match args.plain {
         true => None,
         false => Some(labelled.objects(&session, &labels.settings(), labels.pieces, frame)?),
@@ -94,7 +90,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     session.check_stop()?;
     // Of the width of the texts, which --text vocabulary:D sets.
     let vocabulary = match labelled.is_vocabulary {
-        true => Some(labels.classes.vocabulary()?.map_or_else(embedded::vocabulary, Ok)?),
+        true => Some(labels.labelling.classes.vocabulary()?.map_or_else(embedded::vocabulary, Ok)?),
         false => None,
     };
     let remarks = remarks(args, &labelled, found.as_ref());
@@ -119,10 +115,10 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         session.receipt.add_rows_out(report.gaussians);
         print(&format!("{}: {}; opens from disk", out.display(), summary(&report, args)));
         if report.bytes > LARGE {
-            let text = "the page is large for a browser: --max-splats N or fewer --codes make it smaller, \
-                        --serve shows it without a file";
-            session.progress.say(text);
-            session.receipt.warning(text);
+            session.warn(
+                "the page is large for a browser: --max-splats N or fewer --codes make it smaller, \
+                        --serve shows it without a file",
+            );
         }
         drop(stage);
         return session.finish_quietly();
@@ -210,18 +206,16 @@ fn serve(session: &Session<'_>, server: &PageServer, page: &ServedPage) -> Resul
 
 /// The Gaussians without labels.
 fn plain(labels: &LabelArgs, session: &Session<'_>) -> Result<Labelled> {
+    let inference = &labels.labelling.inference;
     // Without labels no height is measured.
-    let floor = labels.inference.floor.map(|_| "--floor");
-    if let Some(flag) = labels.inference.only_network_flag().or(floor) {
-        return Err(WrongUse(format!("{flag} is about a network, which --plain leaves out")).into());
+    let floor = inference.floor.map(|_| "--floor");
+    if let Some(flag) = inference.only_network_flag().or(floor) {
+        refuse!("{flag} is about a network, which --plain leaves out");
     }
-    if labels.inference.network.weights.is_some() || labels.inference.network.config.is_some() {
-        return Err(WrongUse(
-            "--plain runs no network: leave out --weights and --config".to_owned(),
-        )
-        .into());
+    if inference.network.weights.is_some() || inference.network.config.is_some() {
+        refuse!("--plain runs no network: leave out --weights and --config");
     }
-    let opened = session.open_with(&labels.scene, &labels.inference.source.options())?;
+    let opened = session.open_with(&labels.scene, &inference.source.options())?;
     Ok(Labelled {
         opened,
         labels: Vec::new(),
@@ -258,14 +252,13 @@ fn remarks(args: &Args, labelled: &Labelled, found: Option<&Catalogue>) -> Vec<S
 }
 
 impl Args {
-    fn shared(&self) -> crate::flags::Shared {
+    fn shared(&self) -> Shared {
         let out = self.out.as_deref().and_then(Path::parent);
         let folder = out.filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        crate::flags::Shared {
-            threads: self.threads,
+        Shared {
+            running: self.running.clone(),
             out: folder.to_owned(),
             receipt: self.receipt.clone(),
-            quiet: self.quiet,
         }
     }
 }

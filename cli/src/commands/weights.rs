@@ -6,7 +6,7 @@ use crate::terminal::print;
 use anyhow::Result;
 use scenesplat::models::LoadPolicy;
 use scenesplat::models::convert::{Renamed, rename};
-use scenesplat::models::weights::{WeightSource, resolve, summarize};
+use scenesplat::models::weights::{WeightFile, WeightSource, resolve, summarize};
 use scenesplat::network::{
     Network, NetworkChoice, NetworkConfig, WeightOptions, Weights as Source, config_beside,
     network_of,
@@ -44,44 +44,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     session.outputs.reads(&args.checkpoint)?;
     session.outputs.claim_any("--json", args.json.as_ref())?;
     let folder = resolve(&args.checkpoint)?;
-    let mut files = Vec::new();
-    for file in &folder.files {
-        // Shapes in a pickle are only claims.
-        let values = |shape: &[usize]| shape.iter().fold(1usize, |n, d| n.saturating_mul(*d));
-        let values = file.entries().values().map(|e| values(&e.shape));
-        let values = values.fold(0usize, usize::saturating_add);
-        let sha256 = file.sha256()?;
-        let bytes = std::fs::metadata(file.path()).map_or(0, |m| m.len());
-        session.receipt.fingerprint_known("weights", file.path(), bytes, &sha256);
-        print(&format!(
-            "{}\n  sha256 {sha256}\n  {} tensors, {values} values, {} other entries",
-            file.path().display(),
-            file.entries().len(),
-            file.skipped().len()
-        ));
-        if let Ok(top) = summarize(file.path()) {
-            for (key, value) in top.iter().take(12) {
-                print(&format!("  {key}: {}", serde_json::to_string(value)?));
-            }
-            if top.len() > 12 {
-                print(&format!("  … {} more", top.len() - 12));
-            }
-        }
-        if args.list {
-            for (name, entry) in file.entries() {
-                let ours = match rename(name, args.branch.into()) {
-                    Renamed::Weight(ours) if ours == *name => String::new(),
-                    Renamed::Weight(ours) => format!(" → {ours}"),
-                    Renamed::Ignored(origin) => format!(" (ignored: {origin})"),
-                };
-                print(&format!("  {name} {:?} {}{ours}", entry.shape, entry.dtype));
-            }
-        }
-        files.push(serde_json::json!({
-            "path": file.path(), "sha256": sha256, "entries": file.entries(),
-            "skipped": file.skipped(), "values": values,
-        }));
-    }
+    let files = folder.files.iter().map(|file| describe(&session, file, args));
+    let files = files.collect::<Result<Vec<_>>>()?;
     let options = WeightOptions {
         policy: LoadPolicy::Partial,
         branch: args.branch.into(),
@@ -127,4 +91,43 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         session.write_file(path, &text)?;
     }
     session.finish_quietly()
+}
+
+/// Prints what is in a file of weights, and gives it as JSON.
+fn describe(session: &Session<'_>, file: &WeightFile, args: &Args) -> Result<serde_json::Value> {
+    // Shapes in a pickle are only claims.
+    let values = |shape: &[usize]| shape.iter().fold(1usize, |n, d| n.saturating_mul(*d));
+    let values = file.entries().values().map(|e| values(&e.shape));
+    let values = values.fold(0usize, usize::saturating_add);
+    let sha256 = file.sha256()?;
+    let bytes = std::fs::metadata(file.path()).map_or(0, |m| m.len());
+    session.receipt.fingerprint_known("weights", file.path(), bytes, &sha256);
+    print(&format!(
+        "{}\n  sha256 {sha256}\n  {} tensors, {values} values, {} other entries",
+        file.path().display(),
+        file.entries().len(),
+        file.skipped().len()
+    ));
+    if let Ok(top) = summarize(file.path()) {
+        for (key, value) in top.iter().take(12) {
+            print(&format!("  {key}: {}", serde_json::to_string(value)?));
+        }
+        if top.len() > 12 {
+            print(&format!("  … {} more", top.len() - 12));
+        }
+    }
+    if args.list {
+        for (name, entry) in file.entries() {
+            let ours = match rename(name, args.branch.into()) {
+                Renamed::Weight(ours) if ours == *name => String::new(),
+                Renamed::Weight(ours) => format!(" → {ours}"),
+                Renamed::Ignored(origin) => format!(" (ignored: {origin})"),
+            };
+            print(&format!("  {name} {:?} {}{ours}", entry.shape, entry.dtype));
+        }
+    }
+    Ok(serde_json::json!({
+        "path": file.path(), "sha256": sha256, "entries": file.entries(),
+        "skipped": file.skipped(), "values": values,
+    }))
 }

@@ -96,7 +96,7 @@ impl WriteError {
 /// ```
 #[derive(Debug)]
 pub struct AtomicFile {
-    file: Option<File>,
+    file: File,
     temporary: PathBuf,
     /// The name that was asked for.
     target: PathBuf,
@@ -120,7 +120,7 @@ impl AtomicFile {
             // Not every file system has permissions, and whoever may replace may also read.
             let _ = file.set_permissions(old.permissions());
         }
-        Ok(Self { file: Some(file), temporary, target: target.to_owned(), place })
+        Ok(Self { file, temporary, target: target.to_owned(), place })
     }
 
     /// Replaces `target` by a file of these bytes.
@@ -134,13 +134,8 @@ impl AtomicFile {
     }
 
     /// The file being written.
-    ///
-    /// # Errors
-    /// Never, while it lives.
-    pub fn file(&self) -> Result<&File, WriteError> {
-        // `None` only while `commit` runs, which owns `self`.
-        let closed = || WriteError::NoPlace { path: self.target.clone(), problem: CLOSED };
-        self.file.as_ref().ok_or_else(closed)
+    pub fn file(&self) -> &File {
+        &self.file
     }
 
     /// The name that it has until it is complete, for writers that take a path.
@@ -158,7 +153,7 @@ impl AtomicFile {
     /// # Errors
     /// If the disk is full or fails.
     pub fn sync(&self) -> Result<(), WriteError> {
-        self.file()?.sync_all().map_err(WriteError::io(&self.target, CANNOT_WRITE))
+        self.file.sync_all().map_err(WriteError::io(&self.target, CANNOT_WRITE))
     }
 
     /// Makes the file durable and gives it its name.
@@ -168,7 +163,6 @@ impl AtomicFile {
     /// everything is as it was.
     pub fn commit(mut self) -> Result<(), WriteError> {
         self.sync()?;
-        drop(self.file.take());
         self.put_in_place()
     }
 
@@ -179,10 +173,10 @@ impl AtomicFile {
     /// As [`commit`](Self::commit).
     pub fn commit_open(mut self) -> Result<File, WriteError> {
         self.sync()?;
-        self.file()?.seek(SeekFrom::End(0)).map_err(WriteError::io(&self.target, CANNOT_WRITE))?;
+        let file = self.file.seek(SeekFrom::End(0)).and_then(|_| self.file.try_clone());
+        let file = file.map_err(WriteError::io(&self.target, CANNOT_WRITE))?;
         self.put_in_place()?;
-        let closed = || WriteError::NoPlace { path: self.target.clone(), problem: CLOSED };
-        self.file.take().ok_or_else(closed)
+        Ok(file)
     }
 
     fn put_in_place(&mut self) -> Result<(), WriteError> {
@@ -195,31 +189,25 @@ impl AtomicFile {
 }
 
 const CANNOT_WRITE: &str = "cannot write the file";
-const CLOSED: &str = "is already closed";
 
 impl Write for AtomicFile {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        open(&mut self.file)?.write(bytes)
+        self.file.write(bytes)
     }
 
     fn flush(&mut self) -> std::io::Result<()> {
-        open(&mut self.file)?.flush()
+        self.file.flush()
     }
 }
 
 impl Seek for AtomicFile {
     fn seek(&mut self, to: SeekFrom) -> std::io::Result<u64> {
-        open(&mut self.file)?.seek(to)
+        self.file.seek(to)
     }
-}
-
-fn open(file: &mut Option<File>) -> std::io::Result<&mut File> {
-    file.as_mut().ok_or_else(|| std::io::Error::other(CLOSED))
 }
 
 impl Drop for AtomicFile {
     fn drop(&mut self) {
-        drop(self.file.take());
         if !self.temporary.as_os_str().is_empty() {
             // Nothing better can be done here: the error that led here is already on its way.
             let _ = std::fs::remove_file(&self.temporary);
@@ -293,6 +281,13 @@ pub(crate) fn make_beside<T>(
     }
 }
 
+/// Writes a new file of these bytes, and has the system put them on the disk.
+pub(crate) fn write_new(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
+    let mut file = File::create_new(path)?;
+    file.write_all(bytes)?;
+    file.sync_all()
+}
+
 /// A name, cut where the temporary name would become longer than file systems allow.
 fn beginning(name: &std::ffi::OsStr) -> OsString {
     // Of the 255 bytes, 23 are dots, digits and the ending.
@@ -324,11 +319,12 @@ pub(crate) fn follow_links(path: &Path) -> Result<PathBuf, WriteError> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use std::cell::Cell;
 
-    fn names(folder: &Path) -> Vec<String> {
+    /// What a folder holds, sorted.
+    pub(crate) fn names(folder: &Path) -> Vec<String> {
         let mut names: Vec<String> = std::fs::read_dir(folder)
             .unwrap()
             .map(|e| e.unwrap().file_name().into_string().unwrap())

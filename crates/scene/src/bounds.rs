@@ -67,22 +67,22 @@ impl Bounds {
 
 /// Bounds of all rows, whose coordinates are finite; from infinity down to −infinity without any.
 pub fn raw_bounds(coord: &[[f32; 3]]) -> Bounds {
-    let (low, high) = coord
-        .par_iter()
-        .with_min_len(1 << 14)
-        .fold(
-            || ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]),
-            |(low, high), c| {
-                let pick = |a: usize| (low[a].min(c[a]), high[a].max(c[a]));
-                let sides = [0, 1, 2].map(pick);
-                (sides.map(|s| s.0), sides.map(|s| s.1))
-            },
-        )
-        .reduce(
-            || ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]),
-            |(l, h), (m, i)| ([0, 1, 2].map(|a| l[a].min(m[a])), [0, 1, 2].map(|a| h[a].max(i[a]))),
-        );
+    let parts = coord.par_chunks(1 << 14).map(|part| bounding_box(part.iter().copied()));
+    let (low, high) = parts.reduce(|| EMPTY_BOX, joined_box);
     Bounds { low: low.map(f64::from), high: high.map(f64::from) }
+}
+
+/// Lowest and highest corner around nothing.
+pub(crate) const EMPTY_BOX: ([f32; 3], [f32; 3]) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+
+/// Lowest and highest corner of the box around some points.
+pub(crate) fn bounding_box(coord: impl Iterator<Item = [f32; 3]>) -> ([f32; 3], [f32; 3]) {
+    coord.fold(EMPTY_BOX, |bounds, p| joined_box(bounds, (p, p)))
+}
+
+/// The box around both.
+pub(crate) fn joined_box(a: ([f32; 3], [f32; 3]), b: ([f32; 3], [f32; 3])) -> ([f32; 3], [f32; 3]) {
+    ([0, 1, 2].map(|i| a.0[i].min(b.0[i])), [0, 1, 2].map(|i| a.1[i].max(b.1[i])))
 }
 
 /// The box that holds the scene without what is stray.

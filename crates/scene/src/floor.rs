@@ -6,6 +6,7 @@
 //! the floor of that storey.
 
 use crate::quantile::quantile;
+use crate::quaternion::axes_by_size;
 use crate::vector::dot;
 use crate::{Bounds, GaussianScene};
 use serde::Serialize;
@@ -110,7 +111,11 @@ impl Floors {
 
     /// The height that one of the finite rows in a hundred lies below, for rows that hold no floor; 0 without rows.
     pub fn lowest(coord: &[[f32; 3]]) -> Self {
-        let mut z: Vec<f32> = coord.iter().map(|c| c[2]).filter(|z| z.is_finite()).collect();
+        Self::ground(coord.iter().map(|c| c[2]).filter(|z| z.is_finite()).collect())
+    }
+
+    /// No plane: the height that a hundredth of the rows lie below. Not the lowest: floaters lie anywhere.
+    fn ground(mut z: Vec<f32>) -> Self {
         let height = match z.len() {
             0 => 0.0,
             n => *z.select_nth_unstable_by((n as f64 * GROUND_SHARE) as usize, f32::total_cmp).1,
@@ -138,16 +143,12 @@ impl Floors {
             .filter(|r| r.coord.iter().all(|c| c.is_finite()))
             .collect();
         let visible = visible(&rows);
-        let mut z: Vec<f32> = visible.iter().map(|r| r.coord[2]).collect();
-        let ground = match z.len() {
-            0 => return Self { cover: 0.0, given: false, ..Self::given(0.0) },
-            // Not the lowest: floaters lie anywhere.
-            n => *z.select_nth_unstable_by((n as f64 * GROUND_SHARE) as usize, f32::total_cmp).1,
-        };
-        let ground = f64::from(ground);
+        let ground = Self::ground(visible.iter().map(|r| r.coord[2]).collect());
+        if visible.is_empty() {
+            return ground;
+        }
         let found = (visible.len() >= FEWEST_ROWS).then(|| Slabs::of(&visible).floors());
-        let mut floors =
-            found.flatten().unwrap_or(Self { cover: 0.0, given: false, ..Self::given(ground) });
+        let mut floors = found.flatten().unwrap_or(ground);
         let limit = floors.heights[0] - 0.05;
         let below = visible.iter().filter(|r| f64::from(r.coord[2]) < limit).count();
         floors.below = below as f64 / visible.len() as f64;
@@ -182,9 +183,7 @@ fn visible(rows: &[FloorRow]) -> Vec<&FloorRow> {
 /// How much a row speaks for a floor; 0 for walls.
 fn weight(row: &FloorRow) -> u32 {
     let s = row.scale;
-    let mut order = [0, 1, 2];
-    order.sort_by(|&a, &b| s[a].total_cmp(&s[b]));
-    let [short, middle, _] = order;
+    let [short, middle, _] = axes_by_size(s);
     let q = row.quat.map(f64::from);
     let norm = dot([q[1], q[2], q[3]], [q[1], q[2], q[3]]) + q[0] * q[0];
     let is_flat = s[middle] > 0.0 && s[short] <= FLAT * s[middle];

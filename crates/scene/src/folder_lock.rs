@@ -8,11 +8,10 @@ use std::path::{Path, PathBuf};
 ///
 /// The system's lock on the folder itself (on Unix; elsewhere on a file `.lock` in it): it leaves
 /// no trace, and a process that is killed holds it no longer. It binds only those who ask for it. A
-/// file system without locks gives none; [`is_held`](Self::is_held) tells.
+/// file system without locks locks nothing.
 #[derive(Debug)]
 pub struct FolderLock {
     folder: PathBuf,
-    held: bool,
     _file: File,
 }
 
@@ -24,20 +23,13 @@ impl FolderLock {
     pub fn acquire(folder: &Path) -> Result<Self, WriteError> {
         let file = Self::open(folder)
             .map_err(WriteError::io(folder, "cannot open the folder to lock it"))?;
-        let held = match file.try_lock() {
-            Ok(()) => true,
-            Err(TryLockError::WouldBlock) => {
-                return Err(WriteError::Busy { path: folder.to_owned() });
-            }
+        match file.try_lock() {
+            Err(TryLockError::WouldBlock) => Err(WriteError::Busy { path: folder.to_owned() }),
             // Some network file systems know no locks, or none on folders.
-            Err(TryLockError::Error(_)) => false,
-        };
-        Ok(Self { folder: folder.to_owned(), held, _file: file })
-    }
-
-    /// Whether the system gave the lock, or has none for this folder.
-    pub fn is_held(&self) -> bool {
-        self.held
+            Ok(()) | Err(TryLockError::Error(_)) => {
+                Ok(Self { folder: folder.to_owned(), _file: file })
+            }
+        }
     }
 
     /// The folder.
@@ -64,7 +56,6 @@ mod tests {
     fn a_folder_is_locked_once_at_a_time() {
         let dir = tempfile::tempdir().unwrap();
         let first = FolderLock::acquire(dir.path()).unwrap();
-        assert!(first.is_held());
         let error = FolderLock::acquire(dir.path()).unwrap_err();
         assert!(matches!(error, WriteError::Busy { .. }));
         assert!(error.to_string().contains("another run is writing"));

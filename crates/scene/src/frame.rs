@@ -5,6 +5,7 @@
 //! [`Frame::CANONICAL`]; readers of formats with another prescribed frame convert. PLY, `.splat`,
 //! `.ksplat` and SOG carry no frame at all: what is up in such a file is what its author made up.
 
+use glam::{DMat3, DVec3};
 use std::fmt;
 use std::str::FromStr;
 
@@ -28,8 +29,7 @@ impl Frame {
     /// The matrix that takes coordinates in this frame to coordinates in `to`: one ±1 in every row
     /// and column. Its determinant is −1 between a left-handed and a right-handed frame.
     pub fn matrix_to(self, to: Self) -> Matrix3 {
-        let from = self.axes();
-        to.axes().map(|to| from.map(|from| to[0] * from[0] + to[1] * from[1] + to[2] * from[2]))
+        product(&to.axes(), &transposed(&self.axes()))
     }
 
     /// The axes as vectors of right, up, back.
@@ -75,10 +75,24 @@ impl fmt::Display for Frame {
     }
 }
 
+/// The matrix of these rows.
+pub(crate) fn matrix(rows: &Matrix3) -> DMat3 {
+    DMat3::from_cols_array_2d(rows).transpose()
+}
+
+/// The matrix with rows and columns exchanged.
+pub(crate) fn transposed(m: &Matrix3) -> Matrix3 {
+    [0, 1, 2].map(|i| [0, 1, 2].map(|j| m[j][i]))
+}
+
 /// The product of two matrices.
 pub(crate) fn product(a: &Matrix3, b: &Matrix3) -> Matrix3 {
-    let cell = |row: &[f64; 3], j: usize| row[0] * b[0][j] + row[1] * b[1][j] + row[2] * b[2][j];
-    a.map(|row| [0, 1, 2].map(|j| cell(&row, j)))
+    (matrix(a) * matrix(b)).transpose().to_cols_array_2d()
+}
+
+/// The product of a matrix and a vector.
+pub(crate) fn apply(m: &Matrix3, v: [f64; 3]) -> [f64; 3] {
+    (matrix(m) * DVec3::from(v)).to_array()
 }
 
 /// The determinant.

@@ -29,6 +29,16 @@ pub struct LabelledPoints {
     pub instance: Option<Vec<i32>>,
 }
 
+impl LabelledPoints {
+    /// Keeps the points whose flag is set.
+    pub(crate) fn retain(&mut self, keep: &[bool]) {
+        retain_flagged(&mut self.coord, keep);
+        for labels in [&mut self.segment, &mut self.instance].into_iter().flatten() {
+            retain_flagged(labels, keep);
+        }
+    }
+}
+
 /// A scene of 3D Gaussians: structure of arrays, every array with one row per Gaussian.
 ///
 /// # Conventions (stated here once)
@@ -91,8 +101,7 @@ impl GaussianScene {
 
     /// Number of higher SH coefficients per channel: `(degree + 1)² − 1`.
     pub fn sh_rest_len(&self) -> usize {
-        let side = usize::from(self.sh_degree) + 1;
-        side * side - 1
+        sh_rest_len(self.sh_degree)
     }
 
     /// Opacity in `0..=1`.
@@ -116,57 +125,38 @@ impl GaussianScene {
     /// # Errors
     /// Names the first array whose row count differs.
     pub fn check_rows(&self) -> Result<(), SceneError> {
-        let expected = self.len();
-        let check = |field: &'static str, got: usize| {
+        let rows = self.len();
+        let check = |field: &'static str, got: usize, width: usize| {
+            let expected = rows * width;
             if got == expected {
                 Ok(())
             } else {
                 Err(SceneError::RowCount { field, expected, got })
             }
         };
-        check("log_scale", self.log_scale.len())?;
-        check("quat", self.quat.len())?;
-        check("opacity_logit", self.opacity_logit.len())?;
-        check("sh_dc", self.sh_dc.len())?;
-        let rest = self.sh_rest_len() * 3;
-        if self.sh_rest.len() != expected * rest {
-            return Err(SceneError::RowCount {
-                field: "sh_rest",
-                expected: expected * rest,
-                got: self.sh_rest.len(),
-            });
+        let optional = |field: &'static str, got: Option<usize>, width: usize| {
+            got.map_or(Ok(()), |got| check(field, got, width))
+        };
+        check("log_scale", self.log_scale.len(), 1)?;
+        check("quat", self.quat.len(), 1)?;
+        check("opacity_logit", self.opacity_logit.len(), 1)?;
+        check("sh_dc", self.sh_dc.len(), 1)?;
+        check("sh_rest", self.sh_rest.len(), self.sh_rest_len() * 3)?;
+        optional("normal", self.normal.as_ref().map(Vec::len), 1)?;
+        optional("segment", self.segment.as_ref().map(Vec::len), 1)?;
+        optional("segment_score", self.segment_score.as_ref().map(Vec::len), 1)?;
+        optional("instance", self.instance.as_ref().map(Vec::len), 1)?;
+        if let Some(code) = &self.lang_code {
+            code.codebook.check()?;
+            check("lang_code", code.values.len(), code.width())?;
         }
-        if let Some(a) = &self.normal {
-            check("normal", a.len())?;
-        }
-        if let Some(a) = &self.segment {
-            check("segment", a.len())?;
-        }
-        if let Some(a) = &self.segment_score {
-            check("segment_score", a.len())?;
-        }
-        if let Some(a) = &self.instance {
-            check("instance", a.len())?;
-        }
-        if let Some(a) = &self.lang_code {
-            a.codebook.check()?;
-            if a.values.len() != expected * a.width() {
-                return Err(SceneError::RowCount {
-                    field: "lang_code",
-                    expected: expected * a.width(),
-                    got: a.values.len(),
-                });
-            }
-        }
-        if let Some(a) = &self.lang_feat {
+        if let Some(feat) = &self.lang_feat {
             // A ragged last row counts as a row too many, never as none.
-            check("lang_feat", a.values.len().div_ceil(a.dim.max(1)))?;
-            check("lang_feat", a.values.len() / a.dim.max(1))?;
+            let width = feat.dim.max(1);
+            check("lang_feat", feat.values.len().div_ceil(width), 1)?;
+            check("lang_feat", feat.values.len() / width, 1)?;
         }
-        if let Some(a) = &self.valid_feat_mask {
-            check("valid_feat_mask", a.len())?;
-        }
-        Ok(())
+        optional("valid_feat_mask", self.valid_feat_mask.as_ref().map(Vec::len), 1)
     }
 
     /// Leaves out the rows whose flag is false, in place: nothing is there twice at any time.
@@ -190,24 +180,20 @@ impl GaussianScene {
         compact(&mut self.opacity_logit, 1, keep);
         compact(&mut self.sh_dc, 1, keep);
         compact(&mut self.sh_rest, rest, keep);
-        if let Some(a) = &mut self.normal {
-            compact(a, 1, keep);
+        fn compact_some<T: Copy>(values: &mut Option<Vec<T>>, keep: &[bool]) {
+            values.iter_mut().for_each(|values| compact(values, 1, keep));
         }
-        for a in [&mut self.segment, &mut self.instance].into_iter().flatten() {
-            compact(a, 1, keep);
-        }
-        if let Some(a) = &mut self.segment_score {
-            compact(a, 1, keep);
-        }
+        compact_some(&mut self.normal, keep);
+        compact_some(&mut self.segment, keep);
+        compact_some(&mut self.instance, keep);
+        compact_some(&mut self.segment_score, keep);
+        compact_some(&mut self.valid_feat_mask, keep);
         if let Some(a) = &mut self.lang_code {
             let width = a.width();
             compact(&mut a.values, width, keep);
         }
         if let Some(a) = &mut self.lang_feat {
             compact(&mut a.values, a.dim, keep);
-        }
-        if let Some(a) = &mut self.valid_feat_mask {
-            compact(a, 1, keep);
         }
     }
 
@@ -224,11 +210,12 @@ impl GaussianScene {
         fn pick<T: Copy>(from: &[T], rows: &[usize]) -> Vec<T> {
             rows.iter().map(|&r| from[r]).collect()
         }
+        fn pick_some<T: Copy>(from: &Option<Vec<T>>, rows: &[usize]) -> Option<Vec<T>> {
+            from.as_ref().map(|from| pick(from, rows))
+        }
         fn pick_wide<T: Copy>(from: &[T], width: usize, rows: &[usize]) -> Vec<T> {
             let mut out = Vec::with_capacity(rows.len() * width);
-            for &r in rows {
-                out.extend_from_slice(&from[r * width..(r + 1) * width]);
-            }
+            rows.iter().for_each(|r| out.extend_from_slice(&from[r * width..(r + 1) * width]));
             out
         }
         Ok(Self {
@@ -239,10 +226,10 @@ impl GaussianScene {
             sh_dc: pick(&self.sh_dc, rows),
             sh_rest: pick_wide(&self.sh_rest, self.sh_rest_len() * 3, rows),
             sh_degree: self.sh_degree,
-            normal: self.normal.as_ref().map(|a| pick(a, rows)),
-            segment: self.segment.as_ref().map(|a| pick(a, rows)),
-            segment_score: self.segment_score.as_ref().map(|a| pick(a, rows)),
-            instance: self.instance.as_ref().map(|a| pick(a, rows)),
+            normal: pick_some(&self.normal, rows),
+            segment: pick_some(&self.segment, rows),
+            segment_score: pick_some(&self.segment_score, rows),
+            instance: pick_some(&self.instance, rows),
             lang_code: self.lang_code.as_ref().map(|a| LanguageCode {
                 values: pick_wide(&a.values, a.width(), rows),
                 codebook: a.codebook.clone(),
@@ -251,10 +238,21 @@ impl GaussianScene {
                 values: pick_wide(&a.values, a.dim, rows),
                 dim: a.dim,
             }),
-            valid_feat_mask: self.valid_feat_mask.as_ref().map(|a| pick(a, rows)),
+            valid_feat_mask: pick_some(&self.valid_feat_mask, rows),
             labelled_points: self.labelled_points.clone(),
         })
     }
+}
+
+/// Number of higher SH coefficients per channel of a degree.
+pub(crate) fn sh_rest_len(degree: u8) -> usize {
+    (usize::from(degree) + 1).pow(2) - 1
+}
+
+/// Keeps the values whose flag is set.
+pub(crate) fn retain_flagged<T>(values: &mut Vec<T>, keep: &[bool]) {
+    let mut flags = keep.iter();
+    values.retain(|_| flags.next().copied().unwrap_or(false));
 }
 
 /// The logistic function; exact at both infinities.

@@ -119,6 +119,14 @@ pub fn reserve<T>(buffer: &mut Vec<T>, count: usize, path: &Path) -> Result<(), 
     })
 }
 
+/// `count` copies of a value, where a file says how many.
+pub(crate) fn filled<T: Clone>(count: usize, value: T, path: &Path) -> Result<Vec<T>, SceneError> {
+    let mut out = Vec::new();
+    reserve(&mut out, count, path)?;
+    out.resize(count, value);
+    Ok(out)
+}
+
 /// The bytes of a file, read only: a copy of a small one, a large one mapped into memory.
 ///
 /// A mapped file ([`COPIED_BELOW`] says which) must not be shortened by another process while it is
@@ -167,7 +175,7 @@ impl InputFile {
     /// What was written to an [`AtomicFile`] so far; to be dropped before it is committed.
     pub(crate) fn of_written(written: &AtomicFile) -> Result<Self, SceneError> {
         let target = written.target();
-        let file = written.file()?.try_clone();
+        let file = written.file().try_clone();
         Self::map(file.map_err(SceneError::io(target, "cannot read the file"))?, target)
     }
 

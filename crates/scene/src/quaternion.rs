@@ -1,5 +1,6 @@
 //! Turns as unit quaternions `w, x, y, z`.
 
+use crate::frame::transposed;
 use crate::similarity::matrix_to_quat;
 use crate::vector::{cross, dot, rotation};
 
@@ -12,6 +13,13 @@ pub fn quat_from_z_to([x, y, z]: [f64; 3]) -> [f64; 4] {
     }
     let norm = (w * w + x * x + y * y).sqrt();
     [w / norm, -y / norm, x / norm, 0.0]
+}
+
+/// The axes from the shortest to the longest; of equals the first of the three comes first.
+pub(crate) fn axes_by_size(size: [f32; 3]) -> [usize; 3] {
+    let mut order = [0, 1, 2];
+    order.sort_by(|&a, &b| size[a].total_cmp(&size[b]));
+    order
 }
 
 /// Which way the first of the ways to write an ellipsoid looks: any direction, far from the axes.
@@ -37,10 +45,9 @@ pub fn drawn_axes(scale: [f32; 3], quat: [f32; 4], coord: [f32; 3]) -> ([f32; 3]
         return (scale, quat);
     }
     let norm = squared.sqrt();
-    let columns = transposed(rotation(q.map(|v| v / norm)));
+    let columns = transposed(&rotation(q.map(|v| v / norm)));
     // One of the 24 first, the same for all: sizes ascending, the first two axes to one side.
-    let mut order = [0, 1, 2];
-    order.sort_by(|&a, &b| scale[a].total_cmp(&scale[b]));
+    let order = axes_by_size(scale);
     let to_side = |v: [f64; 3]| if dot(v, SIDE) < 0.0 { v.map(|c| -c) } else { v };
     let [first, second] = [0, 1].map(|k| to_side(columns[order[k]]));
     let axes = [first, second, cross(first, second)];
@@ -71,13 +78,9 @@ pub fn drawn_axes(scale: [f32; 3], quat: [f32; 4], coord: [f32; 3]) -> ([f32; 3]
         if is_turned != (is_swapped && k == 2) { -1.0 } else { 1.0 }
     };
     let turned = [0, 1, 2].map(|k| axes[picked[k]].map(|c| sign(k) * c));
-    let quat = matrix_to_quat(&transposed(turned));
+    let quat = matrix_to_quat(&transposed(&turned));
     let positive = if quat[0] < 0.0 { -1.0 } else { 1.0 };
     (picked.map(|k| sizes[k]), quat.map(|v| (positive * v) as f32))
-}
-
-fn transposed(m: [[f64; 3]; 3]) -> [[f64; 3]; 3] {
-    [0, 1, 2].map(|i| [0, 1, 2].map(|j| m[j][i]))
 }
 
 #[cfg(test)]

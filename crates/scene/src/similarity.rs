@@ -1,8 +1,9 @@
 //! Moving, turning, mirroring and resizing a whole scene.
 
 use crate::GaussianScene;
-use crate::frame::{Frame, Matrix3, determinant};
+use crate::frame::{Frame, Matrix3, determinant, matrix};
 use crate::spherical_harmonics::ShRotation;
+use glam::DVec3;
 use rayon::prelude::*;
 
 /// `p ↦ scale · rotation · p + translation`.
@@ -29,20 +30,6 @@ impl Similarity {
         Self { rotation: from.matrix_to(to), scale: 1.0, translation: [0.0; 3] }
     }
 
-    fn direction(&self, v: [f32; 3]) -> [f32; 3] {
-        self.rotation.map(|r| {
-            (r[0] * f64::from(v[0]) + r[1] * f64::from(v[1]) + r[2] * f64::from(v[2])) as f32
-        })
-    }
-
-    fn point(&self, p: [f32; 3]) -> [f32; 3] {
-        std::array::from_fn(|i| {
-            let r = self.rotation[i];
-            let turned = r[0] * f64::from(p[0]) + r[1] * f64::from(p[1]) + r[2] * f64::from(p[2]);
-            (self.scale * turned + self.translation[i]) as f32
-        })
-    }
-
     /// Whether only signs of axes change.
     fn axis_signs(&self) -> Option<[f32; 3]> {
         let m = &self.rotation;
@@ -58,12 +45,15 @@ impl GaussianScene {
     /// Where only signs of axes change, every number keeps its magnitude bit for bit: the scene can
     /// be taken there and back without loss. Rows with NaN stay NaN.
     pub fn transform(&mut self, by: &Similarity) {
-        self.coord.par_iter_mut().for_each(|p| *p = by.point(*p));
+        let (turn, shift) = (matrix(&by.rotation), DVec3::from(by.translation));
+        let turned = |v: &[f32; 3]| turn * DVec3::from(v.map(f64::from));
+        let point = |p: &mut [f32; 3]| *p = (by.scale * turned(p) + shift).as_vec3().to_array();
+        self.coord.par_iter_mut().for_each(point);
         if let Some(points) = &mut self.labelled_points {
-            points.coord.par_iter_mut().for_each(|p| *p = by.point(*p));
+            points.coord.par_iter_mut().for_each(point);
         }
         if let Some(normal) = &mut self.normal {
-            normal.par_iter_mut().for_each(|n| *n = by.direction(*n));
+            normal.par_iter_mut().for_each(|n| *n = turned(n).as_vec3().to_array());
         }
         if by.scale != 1.0 {
             let add = by.scale.ln();

@@ -1,9 +1,8 @@
 //! Several files of one folder that appear together.
 
-use crate::atomic_file::{WriteError, check_replaceable, make_beside};
+use crate::atomic_file::{WriteError, check_replaceable, make_beside, write_new};
 use std::ffi::{OsStr, OsString};
-use std::fs::{self, File};
-use std::io::Write;
+use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Files that appear in a folder when all of them are complete, or not at all.
@@ -97,9 +96,7 @@ impl StagedFolder {
     /// # Errors
     /// If it cannot be written.
     pub fn write(&mut self, name: &str, bytes: &[u8]) -> Result<(), WriteError> {
-        let path = self.add(name);
-        File::create_new(path)
-            .and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync_all()))
+        write_new(&self.add(name), bytes)
             .map_err(WriteError::io(&self.folder.join(name), "cannot write the file"))
     }
 
@@ -112,8 +109,7 @@ impl StagedFolder {
         let path = self.add(folder);
         self.replace_folder(folder);
         fs::create_dir_all(&path)
-            .and_then(|()| File::create_new(path.join(name)))
-            .and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync_all()))
+            .and_then(|()| write_new(&path.join(name), bytes))
             .map_err(WriteError::io(&self.folder.join(folder).join(name), "cannot write the file"))
     }
 
@@ -202,15 +198,7 @@ impl Drop for StagedFolder {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn names(folder: &Path) -> Vec<String> {
-        let mut names: Vec<String> = fs::read_dir(folder)
-            .unwrap()
-            .map(|e| e.unwrap().file_name().into_string().unwrap())
-            .collect();
-        names.sort();
-        names
-    }
+    use crate::atomic_file::tests::names;
 
     #[test]
     fn files_appear_together_and_old_ones_go() {

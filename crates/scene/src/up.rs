@@ -5,6 +5,8 @@
 
 use crate::bounds::{Bounds, robust_bounds};
 use crate::quantile::quantile;
+use crate::quaternion::axes_by_size;
+use crate::vector::rotation;
 use crate::{GaussianScene, UpAxis};
 use serde::Serialize;
 
@@ -193,20 +195,13 @@ fn look(scene: &GaussianScene, robust: &Bounds) -> Vec<Look> {
 
 /// The normal of a flat Gaussian and its visible surface; `None` if it is not flat.
 fn flat(scene: &GaussianScene, row: usize) -> Option<([f32; 3], f32)> {
-    let mut order = [0, 1, 2];
     let scale = scene.log_scale[row];
-    order.sort_by(|&a, &b| scale[a].total_cmp(&scale[b]));
-    let [shortest, middle, longest] = order;
+    let [shortest, middle, longest] = axes_by_size(scale);
     if scale[middle] - scale[shortest] < FLAT || scale[middle] == f32::NEG_INFINITY {
         return None;
     }
-    let [w, x, y, z] = scene.quat[row];
     // Columns of the rotation matrix are the principal axes.
-    let axis = match shortest {
-        0 => [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)],
-        1 => [2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)],
-        _ => [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)],
-    };
+    let axis = rotation(scene.quat[row]).map(|r| r[shortest]);
     let surface = (scale[middle] + scale[longest]).exp() * scene.opacity(row);
     surface.is_finite().then_some((axis, surface))
 }

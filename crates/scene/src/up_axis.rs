@@ -1,6 +1,7 @@
 //! The direction that is up in a scene.
 
 use crate::frame::Matrix3;
+use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;
@@ -36,26 +37,12 @@ impl UpAxis {
 
     /// Its name: `+z`.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::PlusX => "+x",
-            Self::MinusX => "-x",
-            Self::PlusY => "+y",
-            Self::MinusY => "-y",
-            Self::PlusZ => "+z",
-            Self::MinusZ => "-z",
-        }
+        ["+x", "-x", "+y", "-y", "+z", "-z"][self as usize]
     }
 
     /// Number of the axis, 0..3, and whether up points along it.
     pub fn axis(self) -> (usize, bool) {
-        match self {
-            Self::PlusX => (0, true),
-            Self::MinusX => (0, false),
-            Self::PlusY => (1, true),
-            Self::MinusY => (1, false),
-            Self::PlusZ => (2, true),
-            Self::MinusZ => (2, false),
-        }
+        (self as usize / 2, (self as usize).is_multiple_of(2))
     }
 
     /// The rotation that takes a scene with this direction up to one with +z up: one ±1 in every row
@@ -63,22 +50,11 @@ impl UpAxis {
     /// is the one that was up.
     pub fn upright(self) -> Matrix3 {
         let (axis, is_positive) = self.axis();
-        let sign = if is_positive { 1.0 } else { -1.0 };
-        let unit = |a: usize, length: f64| {
-            let mut v = [0.0; 3];
-            v[a] = length;
-            v
-        };
-        let up = unit(axis, sign);
-        let first = unit(usize::from(axis == 0), 1.0);
-        [first, cross(up, first), up]
+        let up = DVec3::AXES[axis] * if is_positive { 1.0 } else { -1.0 };
+        let first = DVec3::AXES[usize::from(axis == 0)];
+        // Adding 0 makes no −0 of a product with 0.
+        [first, up.cross(first), up].map(|row| (row + 0.0).to_array())
     }
-}
-
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    // Adding 0 makes no −0 of a product with 0.
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-        .map(|v| v + 0.0)
 }
 
 impl fmt::Display for UpAxis {

@@ -6,7 +6,7 @@
 mod clean;
 mod rules;
 
-pub(crate) use clean::clean_scene;
+pub(crate) use clean::{clean_scene, unit};
 pub use rules::{Action, DEFAULT_GREY, DEFAULT_SCALE, FLAT_SCALE, Rule, VALUE_RULES, ValueRule};
 
 use crate::SceneError;
@@ -90,6 +90,22 @@ impl RepairReport {
         );
     }
 
+    /// Counts a row, of which none before had a lower number.
+    pub(crate) fn add_row(&mut self, rule: Rule, row: usize, value: impl FnOnce() -> String) {
+        match self.findings.iter_mut().find(|f| f.rule == rule) {
+            Some(finding) => finding.count += 1,
+            None => self.add(rule, 1, row, &value()),
+        }
+    }
+
+    /// Adds the findings of another report.
+    pub(crate) fn merge(mut self, other: &Self) -> Self {
+        for f in &other.findings {
+            self.add(f.rule, f.count, f.first_element, &f.example);
+        }
+        self
+    }
+
     /// The finding of that rule.
     pub fn finding(&self, rule: Rule) -> Option<&ValueFinding> {
         self.findings.iter().find(|f| f.rule == rule)
@@ -113,15 +129,11 @@ impl RepairReport {
                 path: path.to_owned(),
                 element: finding.first_element,
                 field: finding.field.to_owned(),
-                value: if finding.example.is_empty() {
-                    finding.bad_value.to_owned()
-                } else {
-                    finding.example.clone()
+                value: match finding.example.as_str() {
+                    "" => finding.bad_value.to_owned(),
+                    example => example.to_owned(),
                 },
-                help: format!(
-                    "{}; the repair policy would say: {}",
-                    finding.bad_value, finding.done
-                ),
+                help: format!("{}; the repair policy: {}", finding.bad_value, finding.done),
             }),
             _ => Ok(()),
         }

@@ -1,8 +1,7 @@
 //! A folder that appears with everything that is in it.
 
-use crate::atomic_file::{WriteError, make_beside};
+use crate::atomic_file::{WriteError, make_beside, write_new};
 use std::fs::{self, File};
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// A folder that appears under its name only when it is complete, such as a checkpoint.
@@ -56,8 +55,7 @@ impl WholeFolder {
     /// # Errors
     /// If it cannot be written.
     pub fn write(&self, name: &str, bytes: &[u8]) -> Result<(), WriteError> {
-        File::create_new(self.waiting().join(name))
-            .and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync_all()))
+        write_new(&self.waiting().join(name), bytes)
             .map_err(WriteError::io(&self.place.join(name), "cannot write the file"))
     }
 
@@ -155,15 +153,7 @@ impl Drop for WholeFolder {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn names(folder: &Path) -> Vec<String> {
-        let mut names: Vec<String> = fs::read_dir(folder)
-            .unwrap()
-            .map(|e| e.unwrap().file_name().into_string().unwrap())
-            .collect();
-        names.sort();
-        names
-    }
+    use crate::atomic_file::tests::names;
 
     #[test]
     fn it_replaces_a_folder_as_a_whole() {

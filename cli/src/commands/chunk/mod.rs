@@ -3,9 +3,9 @@
 mod names;
 mod totals;
 
-use super::WrongUse;
-use crate::progress::{Progress, interrupted, listen_for_interrupt};
-use crate::threads::set_threads;
+use crate::error::WrongUse;
+use crate::flags::Running;
+use crate::progress::{Progress, interrupted};
 use anyhow::Result;
 use names::chunk_names;
 use scenesplat::datasets::DataError;
@@ -53,21 +53,15 @@ pub struct Args {
     /// where the last chunk ends.
     #[arg(long)]
     pub exact: bool,
-    /// Threads; all cores by default. The chunks do not depend on it.
-    #[arg(long, value_name = "N")]
-    pub threads: Option<usize>,
-    /// Shows no progress.
-    #[arg(long)]
-    pub quiet: bool,
+    /// Threads and progress.
+    #[command(flatten)]
+    pub running: Running,
 }
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let settings = settings(args)?;
-    set_threads(args.threads)?;
-    // A handler is there already when several commands run in one process.
-    let _ = listen_for_interrupt();
-    let progress = Progress::new(args.quiet);
+    let progress = Progress::start(&args.running)?;
     let folders: Vec<String> = args.split.iter().cloned().collect();
     let scenes = SceneFolders::new(&args.root, &folders, SceneFoldersOptions::default())?;
     let names = chunk_names(&scenes, args.scenes.as_deref())?;

@@ -1,18 +1,15 @@
 //! The flags of `collect-labels`.
 
-use crate::commands::WrongUse;
-use crate::commands::lift_labels::{
-    self, DepthArg, FrameWeightsArg, RobustArg, RobustRuleArg, RuleArg,
-};
-use crate::commands::many::Many;
+use crate::commands::lift_labels::{self, FrameWeightsArg, LiftArgs, RobustRuleArg};
+use crate::commands::many::OneOrMany;
 use crate::commands::render::{parse_fov, parse_size};
-use crate::flags::{Shared, SourceArgs, parse_up};
+use crate::error::{WrongUse, refuse};
 use anyhow::Result;
+use clap::ValueEnum;
 use clap::builder::TypedValueParser;
-use clap::{ArgAction, ValueEnum};
 use scenesplat::datasets::effects::plan::EffectChoices;
-use scenesplat::memory::Bytes;
-use scenesplat::scene::{ReadOptions, UpAxis};
+use scenesplat::scene::ReadOptions;
+use scenesplat::vision::MaskSettings;
 use std::path::{Path, PathBuf};
 
 /// Makes language labels from posed pictures: cuts each into segments, describes these by three crops, and lifts the
@@ -20,12 +17,9 @@ use std::path::{Path, PathBuf};
 /// confidence.npy, …), and the segments of each picture into frames, from where a run that was stopped goes on.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// The scene, in any format; several get a folder in --out each.
-    #[arg(num_args = 1.., action = ArgAction::Append, required = false, required_unless_present = "manifest")]
-    pub scene: PathBuf,
-    /// Which of many scenes.
+    /// Which scenes.
     #[command(flatten)]
-    pub many: Many,
+    pub input: OneOrMany,
     /// cameras.json, transforms.json or a COLMAP folder; pinhole cameras in the frame of the scene.
     #[arg(long, value_name = "PATH", requires = "images")]
     pub cameras: Option<PathBuf>,
@@ -87,32 +81,9 @@ pub struct Args {
     /// Value of pixels in id maps that belong to no segment; by default the largest, 255 or 65535.
     #[arg(long, value_name = "VALUE")]
     pub no_segment: Option<u16>,
-    /// Which pixels label a Gaussian.
-    #[arg(long, value_enum, default_value_t = RuleArg::AlphaWeighted)]
-    pub rule: RuleArg,
-    /// Guards against wrong labels: always, never, or if the pictures contradict each other.
-    #[arg(long, value_enum, default_value_t = RobustArg::Auto)]
-    pub robust: RobustArg,
-    /// Leaves out pixels whose depth is not the Gaussian's; as in lift-labels.
-    #[arg(
-        long,
-        value_name = "auto|off|render|DIR",
-        default_value = "auto",
-        value_parser = clap::builder::PathBufValueParser::new().map(DepthArg::from)
-    )]
-    pub depth: DepthArg,
-    /// Memory for weights that wait (8GB, 512MB; at least 49.2 kB); more wait in a file in the output folder.
-    #[arg(long, value_name = "SIZE")]
-    pub max_memory: Option<Bytes>,
-    /// Which way is up; judged by the scene if not given.
-    #[arg(long, value_name = "AXIS", value_parser = parse_up, allow_hyphen_values = true)]
-    pub up: Option<UpAxis>,
-    /// How to read the scene.
+    /// How labels are lifted.
     #[command(flatten)]
-    pub source: SourceArgs,
-    /// Flags of all commands.
-    #[command(flatten)]
-    pub shared: Shared,
+    pub lifting: LiftArgs,
 }
 
 /// Where segments come from.
@@ -182,8 +153,7 @@ impl Args {
     /// Refuses what does not go together.
     pub(super) fn check(&self) -> Result<()> {
         if self.cameras.is_none() && self.render.is_none() {
-            let text = "pictures are missing: give --cameras FILE with --images DIR, or --render N";
-            return Err(WrongUse(text.to_owned()).into());
+            refuse!("pictures are missing: give --cameras FILE with --images DIR, or --render N");
         }
         let sam2 = self.segments == SegmentsArg::Sam2;
         let siglip2 = self.features == FeaturesArg::Siglip2;
@@ -213,44 +183,44 @@ impl Args {
             return Err(WrongUse((*text).to_owned()).into());
         }
         if self.no_segment.is_some() && !matches!(self.segments, SegmentsArg::Folder(_)) {
-            let text = "--no-segment is about id maps: give their folder as --segments";
-            return Err(WrongUse(text.to_owned()).into());
+            refuse!("--no-segment is about id maps: give their folder as --segments");
         }
         self.lifting(Path::new("cameras"))?.check()
     }
 
     /// What to read of the scene: what depends on the direction of view is needed for pictures alone.
     pub(super) fn read_options(&self) -> ReadOptions {
-        ReadOptions { sh_rest: self.render.is_some(), ..self.source.options() }
+        ReadOptions { sh_rest: self.render.is_some(), ..self.lifting.source.options() }
     }
 
     /// The part of the command that lifts, as `lift-labels` has it; `cameras`: their file, for messages.
     pub(super) fn lifting(&self, cameras: &Path) -> Result<lift_labels::Args> {
         let effect: EffectChoices = "glass=auto".parse()?;
         Ok(lift_labels::Args {
-            scene: self.scene.clone(),
-            many: Many { manifest: None, shard: None, again: false },
+            input: self.input.clone(),
             cameras: cameras.to_owned(),
-            segments: self.shared.out.join(FRAMES),
+            segments: self.lifting.shared.out.join(FRAMES),
             photos: None,
             frame_weights: FrameWeightsArg::DEFAULT,
-            rule: self.rule,
             level: vec![0],
-            robust: self.robust,
             robust_rule: RobustRuleArg::Median,
             view_exponent: 1.0,
             coverage: 0.0,
             labelled_share: 0.0,
             erode: 0,
-            depth: self.depth.clone(),
             effect,
             effect_before: None,
             unnormalised: false,
             no_segment: None,
-            max_memory: self.max_memory,
-            up: self.up,
-            source: self.source.clone(),
-            shared: self.shared.clone(),
+            lifting: self.lifting.clone(),
         })
+    }
+
+    /// Settings of the mask generator.
+    pub(super) fn mask_settings(&self) -> MaskSettings {
+        match self.sam2_masks {
+            Some(Sam2MasksArg::Original) => MaskSettings::original(),
+            Some(Sam2MasksArg::Scenesplat) | None => MaskSettings::scenesplat(),
+        }
     }
 }

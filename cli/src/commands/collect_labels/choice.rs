@@ -21,7 +21,7 @@ pub(super) fn planned(
 ) -> Result<Vec<Frame>> {
     let _stage = session.receipt.stage("frames");
     session.progress.say("planning views");
-    let up = args.up.unwrap_or_else(|| guess_up(scene).axis);
+    let up = args.lifting.up.unwrap_or_else(|| guess_up(scene).axis);
     let settings =
         ViewPlanSettings { count: usize::from(count), size: args.size, fov: args.fov, up };
     let plan = plan_views(gaussians, &settings)?;
@@ -38,9 +38,7 @@ pub(super) fn planned(
     session.receipt.setting("views", plan.cameras.len(), &text);
     session.receipt.setting("up", up, "of the planned views");
     if plan.cameras.len() < usize::from(count) {
-        let text = format!("{} of {count} views: more would show nothing", plan.cameras.len());
-        session.progress.say(&text);
-        session.receipt.warning(text);
+        session.warn(format!("{} of {count} views: more would show nothing", plan.cameras.len()));
     }
     let frame = |camera: Camera| Frame { name: camera.name.clone(), camera, photo: None };
     Ok(plan.cameras.into_iter().map(frame).collect())

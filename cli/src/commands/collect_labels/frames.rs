@@ -1,8 +1,8 @@
 //! The pictures that labels come from.
 
 use super::args::Args;
-use crate::commands::WrongUse;
 use crate::commands::render::picture_name;
+use crate::error::refuse;
 use crate::session::Session;
 use anyhow::{Context, Result};
 use scenesplat::collection::{PhotoRemark, fit_photo};
@@ -30,7 +30,7 @@ pub(super) struct Frame {
 pub(super) fn of_photos(session: &Session<'_>, args: &Args) -> Result<Vec<Frame>> {
     let _stage = session.receipt.stage("frames");
     let (Some(file), Some(folder)) = (&args.cameras, &args.images) else {
-        return Err(WrongUse("--cameras and --images go together".to_owned()).into());
+        refuse!("--cameras and --images go together");
     };
     let set = open_cameras(file)?;
     for note in &set.notes {
@@ -61,9 +61,7 @@ pub(super) fn of_photos(session: &Session<'_>, args: &Args) -> Result<Vec<Frame>
         missing.first().map_or("", String::as_str)
     );
     if let Some(first) = missing.first() {
-        let text = format!("{} of {count} cameras have no photo ({first}, …)", missing.len());
-        session.progress.say(&text);
-        session.receipt.warning(text);
+        session.warn(format!("{} of {count} cameras have no photo ({first}, …)", missing.len()));
     }
     Ok(frames)
 }
@@ -110,9 +108,7 @@ impl Remarks {
     pub(super) fn tell(&self, session: &Session<'_>) {
         let say = |frames: &[String], text: &str| {
             if let Some(first) = frames.first() {
-                let text = format!("{} photos ({first}, …) {text}", frames.len());
-                session.progress.say(&text);
-                session.receipt.warning(text);
+                session.warn(format!("{} photos ({first}, …) {text}", frames.len()));
             }
         };
         say(&self.turned, "were turned by their Exif mark: only so they fit their cameras");

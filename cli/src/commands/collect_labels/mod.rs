@@ -22,11 +22,11 @@ use super::lift_labels::{FILES, PictureLabels};
 
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
-    let session = Session::start(&args.shared, line)?;
+    let session = Session::start(&args.lifting.shared, line)?;
     // Whatever can be wrong with flags and names is found before anything expensive.
     args.check()?;
     let sources = Sources::of(&session, args)?;
-    session.outputs.reads(&args.scene)?;
+    session.outputs.reads(&args.input.scene)?;
     session.outputs.reads_any([args.cameras.as_deref(), args.images.as_deref()])?;
     if let SegmentsArg::Folder(folder) = &args.segments {
         session.outputs.reads(folder)?;
@@ -35,8 +35,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         None => frames::of_photos(&session, args)?,
         Some(_) => Vec::new(),
     };
-    session.make_out(&FILES)?;
-    let opened = session.open_with(&args.scene, &args.read_options())?;
+    session.outputs.open_folder(&FILES)?;
+    let opened = session.open_with(&args.input.scene, &args.read_options())?;
     if let Some(cameras) = args.cameras.as_ref().filter(|path| path.is_file()) {
         session.receipt.fingerprint("cameras", cameras)?;
     }
@@ -53,11 +53,12 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let cameras = work.run(&frames)?;
     {
         let _stage = session.receipt.stage("lifting");
-        let folder = SegmentFolder::open(&args.shared.out.join(FRAMES), SegmentOptions::default())?;
+        let folder =
+            SegmentFolder::open(&args.lifting.shared.out.join(FRAMES), SegmentOptions::default())?;
         let names: Vec<&str> = cameras.iter().map(|camera| camera.name.as_str()).collect();
         let matches = folder.match_cameras(&names)?;
         let labels = PictureLabels { cameras, folder, matches };
-        let lifting = args.lifting(args.cameras.as_deref().unwrap_or(&args.scene))?;
+        let lifting = args.lifting(args.cameras.as_deref().unwrap_or(&args.input.scene))?;
         lifting.lift_onto(&session, &opened, &gaussians, &labels, None)?;
     }
     session.finish()
@@ -67,7 +68,11 @@ impl Args {
     /// Notes in the receipt what changes the result.
     fn record(&self, session: &Session<'_>, sources: &Sources) {
         let receipt = &session.receipt;
-        let rule = self.rule.to_possible_value().map_or(String::new(), |v| v.get_name().to_owned());
+        let rule = self
+            .lifting
+            .rule
+            .to_possible_value()
+            .map_or(String::new(), |v| v.get_name().to_owned());
         receipt.setting("rule", rule, "which pixels label a Gaussian");
         receipt.setting("segmenter", sources.segmenter.name(), "what cuts pictures into segments");
         receipt.setting("encoder", sources.encoder.name(), "what describes segments");

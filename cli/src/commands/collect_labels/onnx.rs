@@ -1,14 +1,11 @@
 //! Networks in ONNX files.
 
 use super::args::Args;
+use crate::error::WrongUse;
 use crate::session::Session;
 use anyhow::Result;
 use scenesplat::collection::{PictureEncoder, Segmenter};
 
-#[cfg(feature = "onnx")]
-use super::sources::mask_settings;
-#[cfg(feature = "onnx")]
-use crate::commands::WrongUse;
 #[cfg(feature = "onnx")]
 use crate::receipt::sha256_of;
 #[cfg(feature = "onnx")]
@@ -29,7 +26,7 @@ pub(super) fn segments(session: &Session<'_>, args: &Args) -> Result<Box<dyn Seg
     let runtime = runtime(session, args)?;
     let name = format!("onnx {} {}", sha256_of(folder)?.0, runtime.build());
     let network = OnnxClicks::open(&runtime, folder)?;
-    Ok(Box::new(MaskSegments::new(network, mask_settings(args), &name)?))
+    Ok(Box::new(MaskSegments::new(network, args.mask_settings(), &name)?))
 }
 
 /// What `--features onnx` asks for.
@@ -65,7 +62,7 @@ pub(super) fn features(_: &Session<'_>, _: &Args) -> Result<Box<dyn PictureEncod
 
 #[cfg(not(feature = "onnx"))]
 fn not_built(flag: &str) -> anyhow::Error {
-    crate::commands::WrongUse(format!(
+    WrongUse(format!(
         "{flag}: this program was built without it; cargo build --release -p scenesplat-cli --features onnx has it (it needs \
          no further library to build, and ONNX Runtime's to run)"
     ))

@@ -1,8 +1,8 @@
 //! What cuts pictures, and what describes segments.
 
-use super::args::{Args, FeaturesArg, PicturePrecision, Sam2MasksArg, SegmentsArg};
+use super::args::{Args, FeaturesArg, PicturePrecision, SegmentsArg};
 use super::onnx;
-use crate::commands::WrongUse;
+use crate::error::WrongUse;
 use crate::receipt::sha256_of;
 use crate::session::Session;
 use anyhow::Result;
@@ -11,16 +11,8 @@ use scenesplat::collection::{
 };
 use scenesplat::kernels::Precision;
 use scenesplat::picture_networks::{MaskSegments, SiglipCrops};
-use scenesplat::vision::{MaskSettings, Sam2, SiglipImageEncoder};
+use scenesplat::vision::{Sam2, SiglipImageEncoder};
 use std::path::PathBuf;
-
-/// Settings of the mask generator.
-pub(super) fn mask_settings(args: &Args) -> MaskSettings {
-    match args.sam2_masks {
-        Some(Sam2MasksArg::Original) => MaskSettings::original(),
-        Some(Sam2MasksArg::Scenesplat) | None => MaskSettings::scenesplat(),
-    }
-}
 
 /// Both, and where masks are, if they come from files.
 pub(super) struct Sources {
@@ -46,7 +38,7 @@ impl Sources {
                 session.receipt.fingerprint("sam2", path)?;
                 let name = format!("sam2 {} {precision}", sha256_of(path)?.0);
                 let network = Sam2::open(path, precision)?;
-                Box::new(MaskSegments::new(network, mask_settings(args), &name)?)
+                Box::new(MaskSegments::new(network, args.mask_settings(), &name)?)
             }
             SegmentsArg::Onnx => onnx::segments(session, args)?,
             SegmentsArg::Superpixels => Box::new(Superpixels::new(SuperpixelSettings::default())?),

@@ -28,7 +28,7 @@ pub(super) struct Work<'a> {
 impl Work<'_> {
     /// Makes what is not there yet; gives the cameras of the frames, named like these.
     pub(super) fn run(&self, frames: &[Frame]) -> Result<Vec<Camera>> {
-        let (session, folder) = (self.session, self.args.shared.out.join(FRAMES));
+        let (session, folder) = (self.session, self.args.lifting.shared.out.join(FRAMES));
         let cache = FrameCache::open(&folder)?;
         let mut remarks = Remarks::default();
         let mut cameras = Vec::with_capacity(frames.len());
@@ -159,8 +159,7 @@ impl Work<'_> {
                 "{stale} pictures in frames were made from other files or settings, or are damaged: they were \
                  made anew"
             );
-            session.progress.say(&text);
-            receipt.warning(text);
+            session.warn(text);
         }
         let count = |of: fn(&FrameRecord) -> bool| all.iter().filter(|r| of(r)).count();
         let empty = count(|r| r.segments == 0);

@@ -4,6 +4,7 @@ mod measure;
 mod pictures;
 mod table;
 
+use crate::error::refuse;
 use crate::outputs::Outputs;
 use crate::progress::{Progress, interrupted, listen_for_interrupt};
 use crate::terminal::{print, write_text};
@@ -67,8 +68,7 @@ pub fn run(args: &Args) -> Result<()> {
     // A handler is there already when several commands run in one process.
     let _ = listen_for_interrupt();
     if !(args.depth_scale.is_finite() && args.depth_scale > 0.0) {
-        let text = format!("--depth-scale {}: must be above 0", args.depth_scale);
-        return Err(super::WrongUse(text).into());
+        refuse!("--depth-scale {}: must be above 0", args.depth_scale);
     }
     let outputs = Outputs::new(Path::new(""));
     outputs.reads_any([Some(args.a.as_path()), Some(&args.b), args.lpips_weights.as_deref()])?;

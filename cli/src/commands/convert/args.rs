@@ -1,6 +1,6 @@
 //! The flags of `convert`.
 
-use crate::flags::{SourceArgs, SpzFrameArg, parse_positive};
+use crate::flags::{Running, SourceArgs, SpzFrameArg, parse_positive};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use scenesplat::scene::SceneFormat;
 use scenesplat::scene::edit::{
@@ -92,12 +92,9 @@ pub struct Args {
     /// Seed of --sample and of the codes.
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub seed: u64,
-    /// Threads; all cores by default. The file does not depend on it.
-    #[arg(long, value_name = "N")]
-    pub threads: Option<usize>,
-    /// Shows no progress.
-    #[arg(long)]
-    pub quiet: bool,
+    /// Threads and progress.
+    #[command(flatten)]
+    pub running: Running,
 }
 
 impl Args {

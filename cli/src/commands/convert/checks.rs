@@ -1,7 +1,7 @@
 //! What `convert` refuses before any work.
 
 use super::Args;
-use crate::commands::WrongUse;
+use crate::error::refuse;
 use crate::flags::SpzFrameArg;
 use crate::outputs::Outputs;
 use anyhow::Result;
@@ -13,24 +13,20 @@ pub fn target_format(args: &Args) -> Result<SceneFormat> {
     let can = || format!("what can be written: {}", SceneFormat::writable_endings());
     let to = args.to.display();
     let Some(format) = args.format.or_else(|| SceneFormat::from_path(&args.to)) else {
-        let text =
-            format!("{to}: its ending names no format; give --format, or an ending of {}", can());
-        return Err(WrongUse(text).into());
+        refuse!("{to}: its ending names no format; give --format, or an ending of {}", can());
     };
     if !format.is_writable() {
-        let text = format!("{to}: {} files are read, not written; {}", format.name(), can());
-        return Err(WrongUse(text).into());
+        refuse!("{to}: {} files are read, not written; {}", format.name(), can());
     }
     let raw = format == SceneFormat::Spz && args.to_spz_frame == SpzFrameArg::Raw;
     if let (Some(_), Some(frame), false) = (args.frame, format.row().frame, raw) {
-        let text = format!(
+        refuse!(
             "--frame: {} files have the frame {frame}, and the scene is converted to it when it is \
              written; --frame would turn it a second time. Leave it out{}, or turn the scene itself \
              with --up or --rotate",
             format.name(),
             if format == SceneFormat::Spz { ", write --to-spz-frame raw" } else { "" }
         );
-        return Err(WrongUse(text).into());
     }
     Ok(format)
 }
@@ -44,13 +40,12 @@ pub fn check_source_frame(args: &Args, path: &Path, kind: SceneFormat) -> Result
     if change.from != frame {
         return Ok(());
     }
-    let text = format!(
+    refuse!(
         "--frame: {} is in the frame {frame} and was converted to RDF when it was read; write --frame \
          {}, without {frame}:",
         path.display(),
         change.to
     );
-    Err(WrongUse(text).into())
 }
 
 /// Refuses what would only fail after all the work.

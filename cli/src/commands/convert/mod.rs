@@ -4,9 +4,8 @@ mod args;
 mod checks;
 mod read;
 
-use crate::progress::{Progress, interrupted, listen_for_interrupt};
+use crate::progress::{Progress, interrupted};
 use crate::terminal::{print, write_text};
-use crate::threads::set_threads;
 use anyhow::Result;
 pub use args::Args;
 use checks::{check_paths, target_format};
@@ -18,10 +17,7 @@ use serde_json::json;
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let format = target_format(args)?;
-    set_threads(args.threads)?;
-    // A handler is there already when several commands run in one process.
-    let _ = listen_for_interrupt();
-    let progress = Progress::new(args.quiet);
+    let progress = Progress::start(&args.running)?;
     check_paths(args, format)?;
     let source = read::read(args, format, &progress)?;
     let (scene, floaters) = without_floaters(args, source.scene, &progress)?;

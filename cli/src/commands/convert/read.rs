@@ -2,7 +2,7 @@
 
 use super::Args;
 use super::checks::check_source_frame;
-use crate::commands::WrongUse;
+use crate::error::refuse;
 use crate::progress::{Progress, interrupted};
 use anyhow::{Context, Result};
 use scenesplat::input::{open_input, read_feature_rows};
@@ -80,15 +80,13 @@ fn add_codes(
 ) -> Result<()> {
     if let Some(path) = &args.features {
         if args.from.len() > 1 {
-            let text = "--features: has the rows of one scene; make the codes of each, then merge";
-            return Err(WrongUse(text.to_owned()).into());
+            refuse!("--features: has the rows of one scene; make the codes of each, then merge");
         }
         scene.lang_feat = Some(read_feature_rows(path, source_rows, kept)?);
         scene.valid_feat_mask = None;
     }
     let Some(features) = &scene.lang_feat else {
-        let text = "--language-code: the scene has no language features; give --features FILE.npy";
-        return Err(WrongUse(text.to_owned()).into());
+        refuse!("--language-code: the scene has no language features; give --features FILE.npy");
     };
     let valid = scene.valid_feat_mask.as_deref();
     let done = compress_features(features, valid, k, args.seed, &mut |done| {

@@ -1,7 +1,7 @@
 //! The frames of a capture.
 
 use super::Args;
-use crate::commands::WrongUse;
+use crate::error::refuse;
 use crate::session::Session;
 use crate::terminal::print;
 use anyhow::{Context, Result};
@@ -26,8 +26,7 @@ impl Args {
     pub(super) fn judge(&self, session: &Session<'_>) -> Result<Judged> {
         let _stage = session.receipt.stage("frames");
         let (Some(cameras), Some(images)) = (&self.cameras, &self.images) else {
-            let text = "give --cameras and --images, or --scenes for a table";
-            return Err(WrongUse(text.to_owned()).into());
+            refuse!("give --cameras and --images, or --scenes for a table");
         };
         let set = open_cameras(cameras)?;
         let folder = CaptureFolder {
@@ -56,9 +55,7 @@ impl Args {
             report.black
         ));
         if report.frames.len() < self.min_frames {
-            let text = format!("{} frames, fewer than {}", report.frames.len(), self.min_frames);
-            session.progress.say(&text);
-            session.receipt.warning(text);
+            session.warn(format!("{} frames, fewer than {}", report.frames.len(), self.min_frames));
         }
         if let Some(c) = seen {
             print(&format!(
@@ -74,15 +71,11 @@ impl Args {
         if cameras.is_empty() {
             session.receipt.warning("no frame is kept: cameras.json is not written");
         } else {
-            let path = session.out("cameras.json")?;
-            write_cameras_json(&cameras, &path)?;
-            session.wrote(&path, std::fs::metadata(&path)?.len());
+            session.write("cameras.json", |path| write_cameras_json(&cameras, path))?;
         }
         let text = json!({ "report": report, "coverage": seen });
         let text = serde_json::to_string_pretty(&text)? + "\n";
-        let path = session.out("frames.json")?;
-        std::fs::write(&path, &text)?;
-        session.wrote(&path, text.len() as u64);
+        session.write_text("frames.json", &text)?;
         Ok(Judged { frames: capture.frames, report, coverage: seen })
     }
 }

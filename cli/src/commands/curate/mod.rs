@@ -13,7 +13,7 @@ pub use args::Args;
 pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start(&args.shared, line)?;
     if let Some(folder) = &args.scenes {
-        session.make_out(&["scenes.md", "scenes.png"])?;
+        session.outputs.open_folder(&["scenes.md", "scenes.png"])?;
         table::write(&session, folder)?;
         return session.finish();
     }
@@ -21,10 +21,10 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         session.outputs.reads(path)?;
     }
     session.outputs.reads_any([args.lpips_weights.as_deref(), args.evaluation.as_deref()])?;
-    session.make_out(&["frames.json", "cameras.json"])?;
+    session.outputs.open_folder(&["frames.json", "cameras.json"])?;
     let capture = args.judge(&session)?;
     if args.scene.is_some() {
-        session.make_out(&["scene_quality.json"])?;
+        session.outputs.open_folder(&["scene_quality.json"])?;
         args.measure(&session, &capture)?;
     }
     session.finish()

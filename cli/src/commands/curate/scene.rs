@@ -77,9 +77,7 @@ impl Args {
             print(&format!("  {}: {}", reason.gate, reason.text));
         }
         let text = serde_json::to_string_pretty(&quality)? + "\n";
-        let path = session.out("scene_quality.json")?;
-        std::fs::write(&path, &text)?;
-        session.wrote(&path, text.len() as u64);
+        session.write_text("scene_quality.json", &text)?;
         Ok(())
     }
 

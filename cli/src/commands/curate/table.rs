@@ -43,11 +43,8 @@ pub(super) fn write(session: &Session<'_>, folder: &Path) -> Result<()> {
         "\nscenes.png: PSNR of the scenes in their order; green ones are kept. No scene has labels.\n"
     };
     print(&text);
-    let path = session.out("scenes.md")?;
-    std::fs::write(&path, &text)?;
-    session.wrote(&path, text.len() as u64);
-    let path = session.out("scenes.png")?;
-    session.wrote(&path, write_png(&path, &picture(&scenes, labelled > 0))?);
+    session.write_text("scenes.md", &text)?;
+    session.write("scenes.png", |path| write_png(path, &picture(&scenes, labelled > 0)))?;
     session.progress.say(format!("{} of {} scenes are kept", table.kept, table.scenes));
     Ok(())
 }

@@ -1,7 +1,8 @@
 //! The flags of `doctor`, and the cases that they choose.
 
-use crate::commands::WrongUse;
 use crate::duration::{Seconds, parse_duration};
+use crate::error::refuse;
+use crate::flags::Running;
 use anyhow::Result;
 use scenesplat_lab::doctor::{Case, Level, StabilityRecipe, catalogue, nearest_names};
 use std::path::PathBuf;
@@ -63,12 +64,9 @@ pub struct Args {
     /// Also writes everything as JSON here.
     #[arg(long, value_name = "FILE.json")]
     pub json: Option<PathBuf>,
-    /// Threads; all cores by default. Results are compared with those of one thread.
-    #[arg(long, value_name = "N")]
-    pub threads: Option<usize>,
-    /// Shows no progress.
-    #[arg(long)]
-    pub quiet: bool,
+    /// Threads and progress.
+    #[command(flatten)]
+    pub running: Running,
     /// The operators alone, as JSON into this file: what the command starts itself with.
     #[arg(long, hide = true, value_name = "FILE.json")]
     pub operators_to: Option<PathBuf>,
@@ -79,12 +77,12 @@ impl Args {
     pub(super) fn check(&self) -> Result<()> {
         let random = self.soak.is_some() || self.round.is_some() || self.curves.is_some();
         if self.seed.is_some() && !random {
-            let text =
-                "--seed belongs to --soak, --round and --curves: the cases are the same every time";
-            return Err(WrongUse(text.to_owned()).into());
+            refuse!(
+                "--seed belongs to --soak, --round and --curves: the cases are the same every time"
+            );
         }
         if self.round.is_some() && self.json.is_some() {
-            return Err(WrongUse("--json: a --round has no report".to_owned()).into());
+            refuse!("--json: a --round has no report");
         }
         Ok(())
     }
@@ -110,7 +108,7 @@ pub(super) fn chosen(args: &Args) -> Result<Vec<Case>> {
         cases.retain(|case| case.name == *name);
         if cases.is_empty() {
             let near = nearest_names(name).join(", ");
-            return Err(WrongUse(format!("--case {name}: no such case; nearest: {near}")).into());
+            refuse!("--case {name}: no such case; nearest: {near}");
         }
         return Ok(cases);
     }

@@ -2,7 +2,7 @@
 
 use super::Args;
 use crate::bench::Stopped;
-use crate::commands::WrongUse;
+use crate::error::refuse;
 use crate::progress::{Progress, interrupted};
 use crate::terminal::{print, write_text};
 use anyhow::{Context, Result};
@@ -34,7 +34,7 @@ pub(super) fn run(args: &Args, folder: &Path, progress: &Progress) -> Result<()>
         Ok(report) => report,
         Err(SeverityError::Stopped) => return Err(Stopped.into()),
         Err(SeverityError::Setting { setting, expected }) => {
-            return Err(WrongUse(format!("--{setting}: {expected} is expected")).into());
+            refuse!("--{setting}: {expected} is expected");
         }
         Err(error) => return Err(error.into()),
     };

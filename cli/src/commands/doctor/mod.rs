@@ -6,13 +6,12 @@ mod isas;
 mod soak;
 mod stability;
 
-use super::WrongUse;
 use crate::bench::Stopped;
 use crate::bench::process::Scratch;
+use crate::error::WrongUse;
 use crate::outputs::Outputs;
-use crate::progress::{Progress, interrupted, listen_for_interrupt};
+use crate::progress::{Progress, interrupted};
 use crate::terminal::{print, write_text};
-use crate::threads::set_threads;
 use anyhow::{Context, Result, bail};
 pub use args::Args;
 use args::chosen;
@@ -43,10 +42,7 @@ impl Drop for Silence {
 pub fn run(args: &Args) -> Result<()> {
     let began = Instant::now();
     args.check()?;
-    set_threads(args.threads)?;
-    // A handler is there already when several commands run in one process.
-    let _ = listen_for_interrupt();
-    let progress = Progress::new(args.quiet);
+    let progress = Progress::start(&args.running)?;
     if let Some(round) = args.round {
         return soak::again(args, round);
     }

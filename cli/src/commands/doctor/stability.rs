@@ -3,7 +3,7 @@
 use super::Args;
 use crate::bench::Stopped;
 use crate::bench::process::Scratch;
-use crate::commands::WrongUse;
+use crate::error::refuse;
 use crate::progress::{Progress, interrupted};
 use crate::terminal::{print, write_text};
 use anyhow::{Result, anyhow, bail};
@@ -23,7 +23,7 @@ pub(super) fn run(args: &Args, progress: &Progress) -> Result<()> {
         settings.recipes = vec![recipe];
     }
     if settings.steps == 0 || settings.seeds.is_empty() {
-        return Err(WrongUse("--steps, --seeds: 1 or more is expected".to_owned()).into());
+        refuse!("--steps, --seeds: 1 or more is expected");
     }
     let report = stability(&settings, scratch.path(), &mut |name, share| {
         progress.advance(name, share);

@@ -1,9 +1,9 @@
 //! The flags of `evaluate`, and what they choose.
 
-use crate::commands::WrongUse;
 use crate::commands::classes::Classes;
 use crate::commands::many::Many;
 use crate::effects::{EffectArgs, Wish};
+use crate::error::refuse;
 use crate::flags::{Inference, Shared};
 use crate::outputs::Outputs;
 use crate::session::{FeatureSource, Session};
@@ -99,13 +99,11 @@ impl Args {
     /// What to do about the effects of the captures of so many scenes.
     pub fn wish(&self, session: &Session<'_>, scenes: usize) -> Result<Wish> {
         if let (Some(path), true) = (&self.effects.effect_plan, scenes > 1) {
-            let text = format!("--effect-plan {} is of one scene only", path.display());
-            return Err(WrongUse(text).into());
+            refuse!("--effect-plan {} is of one scene only", path.display());
         }
         let labels = self.features.as_deref() != Some(ORACLE);
         if self.effects.effect_plan.is_some() && !labels {
-            let text = "--effect-plan is about labels; --features oracle has none";
-            return Err(WrongUse(text.to_owned()).into());
+            refuse!("--effect-plan is about labels; --features oracle has none");
         }
         self.effects.wish(session, self.features.is_none(), labels)
     }
@@ -113,22 +111,17 @@ impl Args {
     /// Where features come from; `None` if the truth alone is looked at.
     pub fn source(&self, session: &Session<'_>, scenes: usize) -> Result<Option<FeatureSource>> {
         if let (Some(features), Some(key)) = (&self.features, self.inference.network_part()) {
-            let text = format!(
-                "--setting {key} is about the network, which --features {features} replaces"
-            );
-            return Err(WrongUse(text).into());
+            refuse!("--setting {key} is about the network, which --features {features} replaces");
         }
         match self.features.as_deref() {
             Some(ORACLE) => match self.surfaces.given() {
                 Some(flag) => {
-                    let text = format!("{flag} is about labels; --features oracle has none");
-                    Err(WrongUse(text).into())
+                    refuse!("{flag} is about labels; --features oracle has none");
                 }
                 None => Ok(None),
             },
             Some(_) if scenes > 1 => {
-                let text = "--features FILE holds the features of one scene only";
-                Err(WrongUse(text.to_owned()).into())
+                refuse!("--features FILE holds the features of one scene only");
             }
             Some(file) => Ok(Some(FeatureSource::File(file.into()))),
             None => {
@@ -159,16 +152,14 @@ impl Args {
     fn own_classes(&self, network: &Network) -> Result<TextTable> {
         let count = network.model().out_channels();
         let Some(path) = &self.classes.text_names else {
-            let text = "--text-names is missing: the names of the network's classes, one a line";
-            return Err(WrongUse(text.to_owned()).into());
+            refuse!("--text-names is missing: the names of the network's classes, one a line");
         };
         let names = read_names(path)?;
         if names.len() != count || self.classes.text.is_some() {
-            return Err(WrongUse(format!(
+            refuse!(
                 "a segmentation network takes no --text, and --text-names with {count} names; got {}",
                 names.len()
-            ))
-            .into());
+            );
         }
         Ok(own_directions(names)?)
     }
@@ -194,7 +185,7 @@ impl Args {
     pub fn classes_of_labels(&self, classes: &[String]) -> Result<Option<Vec<i32>>> {
         let Some(path) = &self.label_names else {
             if self.class_map.is_some() {
-                return Err(WrongUse("--class-map needs --label-names".to_owned()).into());
+                refuse!("--class-map needs --label-names");
             }
             return Ok(None);
         };

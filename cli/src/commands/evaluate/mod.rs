@@ -4,8 +4,8 @@ mod args;
 mod report;
 mod scenes;
 
-use super::WrongUse;
 use crate::effects::Wish;
+use crate::error::WrongUse;
 use crate::session::{FeatureSource, Session};
 use crate::surfaces::Asked;
 use anyhow::{Result, anyhow};
@@ -22,8 +22,7 @@ use std::time::Instant;
 pub fn run(args: &Args, line: &str) -> Result<()> {
     let began = Instant::now();
     let (args, vote_k) = &args.settled()?;
-    let session = Session::start_with(&args.shared, &args.inference.network, line)?;
-    session.note_setting(&args.inference);
+    let session = Session::start_network(&args.shared, &args.inference, None, line)?;
     args.claim_inputs(&session.outputs)?;
     let inputs = scenes::inputs(&args.scenes)?;
     let wish = args.wish(&session, inputs.len())?;
@@ -33,7 +32,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let excluded = settings.excluded.clone();
     let class_of = args.classes_of_labels(&text.names)?;
     let mut evaluation = Evaluation::new(&text, settings)?;
-    session.make_out(&["evaluation.json"])?;
+    session.outputs.open_folder(&["evaluation.json"])?;
     args.classes.record(&session)?;
     session.receipt.setting("vote_k", vote_k, "neighbours that vote on each label");
     let names: Vec<&str> = excluded.iter().map(|&c| text.names[c].as_str()).collect();

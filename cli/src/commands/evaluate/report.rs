@@ -1,7 +1,7 @@
 //! What `evaluate` prints and writes.
 
 use crate::session::Session;
-use crate::terminal::{print, write_text};
+use crate::terminal::print;
 use anyhow::Result;
 use scenesplat::evaluation::EvaluationReport;
 use scenesplat::metrics::{OracleReport, TesterReport};
@@ -13,13 +13,11 @@ use std::time::Instant;
 pub fn tell_oracle(session: &Session<'_>, names: &[String], report: &OracleReport, path: &Path) {
     for (class, becomes) in &report.aliases {
         let other = usize::try_from(*becomes).ok().and_then(|c| names.get(c));
-        let text = format!(
+        session.warn(format!(
             "class {:?} rightly comes out as {:?} with these texts and options",
             names[*class],
             other.map_or("unknown", |n| n.as_str())
-        );
-        session.progress.say(&text);
-        session.receipt.warning(text);
+        ));
     }
     print(&format!(
         "{}: oracle matches its analytic value on {} labelled Gaussians, {} scored points: mIoU {}, \
@@ -76,9 +74,7 @@ pub fn write(
     elsewhere: Option<&Path>,
 ) -> Result<()> {
     let text = serde_json::to_string_pretty(&json)?;
-    let path = session.out("evaluation.json")?;
-    let bytes = write_text(&path, &text)?;
-    session.wrote(&path, bytes);
+    session.write_text("evaluation.json", &text)?;
     match elsewhere {
         Some(path) => {
             json["seconds"] = json!(began.elapsed().as_secs_f64());

@@ -1,6 +1,6 @@
 //! The scenes that `evaluate` is given: files, or rooms that are made on the spot.
 
-use crate::commands::WrongUse;
+use crate::error::{WrongUse, refuse};
 use crate::flags::Inference;
 use crate::session::Session;
 use anyhow::Result;
@@ -34,12 +34,11 @@ pub fn inputs(scenes: &[String]) -> Result<Vec<Input>> {
             _ => (scene[kind.len()..].to_owned(), None),
         };
         let Some((count, seed, room)) = numbers(&numbers_of) else {
-            let text = format!(
+            refuse!(
                 "{scene:?}: write synthetic:COUNT:SEED, such as synthetic:20:7, scanned:COUNT:SEED, or \
                  furnished:COUNT:SEED; a third number is where the count begins, 0 if left out; after \
                  furnished:COUNT:SEED may come @held_out, @train, @without:LIBRARY or @only:LIBRARY"
             );
-            return Err(WrongUse(text).into());
         };
         let capture = if kind == "scanned:" { Capture::Scan } else { Capture::Made };
         let mut settings =

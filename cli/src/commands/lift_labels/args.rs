@@ -1,14 +1,12 @@
 //! The flags of `lift-labels`.
 
-use super::collect::Guard;
-use super::depth::DepthArg;
-use crate::commands::many::Many;
+use crate::commands::many::OneOrMany;
 use crate::flags::{Shared, SourceArgs, parse_level, parse_up};
+use clap::ValueEnum;
 use clap::builder::TypedValueParser;
-use clap::{ArgAction, ValueEnum};
 use scenesplat::datasets::effects::plan::EffectChoices;
 use scenesplat::memory::Bytes;
-use scenesplat::rasterizer::lifting::{Aggregate, DepthTolerance, FinaliseSettings, LiftSettings};
+use scenesplat::rasterizer::lifting::{DepthTolerance, LiftSettings};
 use scenesplat::scene::UpAxis;
 use std::path::PathBuf;
 
@@ -17,12 +15,9 @@ use std::path::PathBuf;
 /// coverage.npy, preview.png (coloured by the features) and a receipt.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// The scene, in any format; several get a folder in --out each.
-    #[arg(num_args = 1.., action = ArgAction::Append, required = false, required_unless_present = "manifest")]
-    pub scene: PathBuf,
-    /// Which of many scenes.
+    /// Which scenes.
     #[command(flatten)]
-    pub many: Many,
+    pub input: OneOrMany,
     /// cameras.json, transforms.json or a COLMAP folder; pinhole cameras in the frame of the scene.
     #[arg(long, value_name = "PATH")]
     pub cameras: PathBuf,
@@ -37,16 +32,10 @@ pub struct Args {
     /// auto lets photos that were taken in motion count less, if blur is found.
     #[arg(long, value_enum, default_value_t = FrameWeightsArg::DEFAULT, requires = "photos")]
     pub frame_weights: FrameWeightsArg,
-    /// Which pixels label a Gaussian.
-    #[arg(long, value_enum, default_value_t = RuleArg::AlphaWeighted)]
-    pub rule: RuleArg,
     /// Granularities of the maps, up to 4, comma-separated; several write into folders level-N.
     #[arg(long, value_name = "0..3", value_delimiter = ',', default_value = "0",
           value_parser = parse_level)]
     pub level: Vec<usize>,
-    /// Guards against wrong labels: always, never, or if the pictures contradict each other.
-    #[arg(long, value_enum, default_value_t = RobustArg::Auto)]
-    pub robust: RobustArg,
     /// What guarding means.
     #[arg(long, value_enum, default_value_t = RobustRuleArg::Median)]
     pub robust_rule: RobustRuleArg,
@@ -62,18 +51,6 @@ pub struct Args {
     /// Leaves out pixels this near to the border of a segment.
     #[arg(long, value_name = "PIXELS", default_value_t = 0)]
     pub erode: u32,
-    /// Leaves out pixels whose depth is not the Gaussian's: `render` by the median depth of the scene
-    /// itself (1 % and two standard deviations), or a folder of FRAME.npy, [H, W], 0 = unknown (3 %
-    /// and 0.05 units); `auto` does what `render` does if up to 16 of the pictures, spread evenly, show
-    /// in the first level that it leaves out wrong labels and keeps half of the weight (`off`
-    /// with the rule centre-pixel).
-    #[arg(
-        long,
-        value_name = "auto|off|render|DIR",
-        default_value = "auto",
-        value_parser = clap::builder::PathBufValueParser::new().map(DepthArg::from)
-    )]
-    pub depth: DepthArg,
     /// What is done about effects of the capture (docs/effects.md); here there is glass alone: where the Gaussians show
     /// panes, segments that name a pane label the pane alone, the others what is behind it. A name that nothing
     /// acts on can only be auto or off.
@@ -89,11 +66,37 @@ pub struct Args {
     /// Value of PNG pixels that belong to no segment; by default the largest, 255 or 65535.
     #[arg(long, value_name = "VALUE")]
     pub no_segment: Option<u16>,
+    /// What collect-labels can say, too.
+    #[command(flatten)]
+    pub lifting: LiftArgs,
+}
+
+/// How labels are lifted, wherever they come from.
+#[derive(Debug, Clone, clap::Args)]
+pub struct LiftArgs {
+    /// Which pixels label a Gaussian.
+    #[arg(long, value_enum, default_value_t = RuleArg::AlphaWeighted)]
+    pub rule: RuleArg,
+    /// Guards against wrong labels: always, never, or if the pictures contradict each other.
+    #[arg(long, value_enum, default_value_t = RobustArg::Auto)]
+    pub robust: RobustArg,
+    /// Leaves out pixels whose depth is not the Gaussian's: `render` by the median depth of the scene
+    /// itself (1 % and two standard deviations), or a folder of FRAME.npy, [H, W], 0 = unknown (3 %
+    /// and 0.05 units); `auto` does what `render` does if up to 16 of the pictures, spread evenly, show
+    /// in the first level that it leaves out wrong labels and keeps half of the weight (`off`
+    /// with the rule centre-pixel).
+    #[arg(
+        long,
+        value_name = "auto|off|render|DIR",
+        default_value = "auto",
+        value_parser = clap::builder::PathBufValueParser::new().map(DepthArg::from)
+    )]
+    pub depth: DepthArg,
     /// Memory for weights that wait (8GB, 512MB; at least 49.2 kB); more wait in a file in the output
     /// folder.
     #[arg(long, value_name = "SIZE")]
     pub max_memory: Option<Bytes>,
-    /// Which way is up in the preview; judged by the scene if not given.
+    /// Which way is up; judged by the scene if not given.
     #[arg(long, value_name = "AXIS", value_parser = parse_up, allow_hyphen_values = true)]
     pub up: Option<UpAxis>,
     /// How to read the scene.
@@ -150,34 +153,40 @@ pub enum RobustRuleArg {
 impl Args {
     /// How weights are collected.
     pub(super) fn settings(&self, depth: Option<DepthTolerance>) -> LiftSettings {
-        let base = match self.rule {
+        let base = match self.lifting.rule {
             RuleArg::AlphaWeighted => LiftSettings::default(),
             RuleArg::CentrePixel => LiftSettings::centre_pixel(),
         };
         LiftSettings {
             erosion: self.erode,
             depth,
-            memory: self.max_memory.map_or(base.memory, |b| b.0),
-            spill_folder: self.shared.out.clone(),
+            memory: self.lifting.max_memory.map_or(base.memory, |b| b.0),
+            spill_folder: self.lifting.shared.out.clone(),
             ..base
         }
     }
+}
 
-    /// How features are made of them.
-    pub(super) fn finalise(&self, guard: &Guard) -> FinaliseSettings {
-        let robust = guard.decision.on;
-        let base = if robust { FinaliseSettings::robust() } else { FinaliseSettings::default() };
-        let aggregate = match self.robust_rule {
-            RobustRuleArg::HeaviestGroup if robust => Aggregate::HEAVIEST_GROUP,
-            _ => base.aggregate,
-        };
-        FinaliseSettings {
-            aggregate,
-            guard_above: guard.above,
-            view_exponent: self.view_exponent,
-            min_coverage: self.coverage,
-            min_labelled_share: self.labelled_share,
-            normalise: !self.unnormalised,
+/// Which depth has to agree.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum DepthArg {
+    /// That of the scene, if some pictures show that it helps.
+    Auto,
+    /// None.
+    Off,
+    /// That of the scene.
+    Render,
+    /// What was measured, one file per frame.
+    Folder(PathBuf),
+}
+
+impl From<PathBuf> for DepthArg {
+    fn from(path: PathBuf) -> Self {
+        match path.to_str() {
+            Some("auto") => Self::Auto,
+            Some("off") => Self::Off,
+            Some("render") => Self::Render,
+            _ => Self::Folder(path),
         }
     }
 }

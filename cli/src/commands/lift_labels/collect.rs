@@ -3,21 +3,12 @@
 use super::args::{Args, RobustArg};
 use super::glass::Glass;
 use super::pictures::Pictures;
+use super::plan::Guard;
 use crate::session::Session;
 use anyhow::{Context, Result};
-use scenesplat::datasets::effects::plan::EffectDecision;
 use scenesplat::memory::Bytes;
 use scenesplat::rasterizer::Gaussians;
 use scenesplat::rasterizer::lifting::{LiftSettings, Lifter, Robust};
-
-/// Whether a level is guarded against wrong labels, and above which variance of them.
-#[derive(Default)]
-pub struct Guard {
-    /// As the plan tells it.
-    pub decision: EffectDecision,
-    /// `None`: everywhere.
-    pub above: Option<f32>,
-}
 
 impl Args {
     /// Collects the weights of all pictures, each counting as much as it says.
@@ -87,7 +78,7 @@ impl Args {
         level: usize,
     ) -> Result<Guard> {
         let _stage = session.receipt.stage("disagreement");
-        let rule = match self.robust {
+        let rule = match self.lifting.robust {
             RobustArg::Auto => Robust::default(),
             RobustArg::On => Robust::On,
             RobustArg::Off => Robust::Off,
@@ -98,7 +89,7 @@ impl Args {
         session.progress.say(format!(
             "level {level}: disagreement between pictures {figure} on {} Gaussians; {}",
             measured.gaussians(),
-            match (robust, self.robust) {
+            match (robust, self.lifting.robust) {
                 (false, _) => "taking the weighted mean",
                 (true, RobustArg::Auto) => "guarding where they contradict each other",
                 (true, _) => "guarding everywhere",
@@ -112,7 +103,7 @@ impl Args {
             "by --robust and the measurement",
         );
         // Who asks for it gets it everywhere.
-        let above = match (robust, self.robust) {
+        let above = match (robust, self.lifting.robust) {
             (true, RobustArg::Auto) => measured.conflict().map(|limit| limit as f32),
             _ => None,
         };

@@ -1,37 +1,12 @@
 //! Whether only pixels of a Gaussian's own depth label it.
 
-use super::args::{Args, RuleArg};
+use super::args::{Args, DepthArg, RuleArg};
 use super::pictures::Pictures;
 use super::plan::LIFTING;
 use crate::session::Session;
 use anyhow::{Context, Result};
 use scenesplat::rasterizer::Gaussians;
 use scenesplat::rasterizer::lifting::{DepthEffect, DepthProbe, DepthTolerance};
-use std::path::PathBuf;
-
-/// Which depth has to agree.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum DepthArg {
-    /// That of the scene, if some pictures show that it helps.
-    Auto,
-    /// None.
-    Off,
-    /// That of the scene.
-    Render,
-    /// What was measured, one file per frame.
-    Folder(PathBuf),
-}
-
-impl From<PathBuf> for DepthArg {
-    fn from(path: PathBuf) -> Self {
-        match path.to_str() {
-            Some("auto") => Self::Auto,
-            Some("off") => Self::Off,
-            Some("render") => Self::Render,
-            _ => Self::Folder(path),
-        }
-    }
-}
 
 impl Args {
     /// What depth has to agree with a Gaussian's, if any; with `auto`, by what some pictures show.
@@ -46,12 +21,12 @@ impl Args {
             let decision = self.about_depth(on, None);
             session.receipt.decided(gaussians.means.len(), LIFTING, decision);
         };
-        match &self.depth {
+        match &self.lifting.depth {
             DepthArg::Off => {
                 note("off", false);
                 return Ok(None);
             }
-            DepthArg::Auto if self.rule == RuleArg::CentrePixel => {
+            DepthArg::Auto if self.lifting.rule == RuleArg::CentrePixel => {
                 note("auto: off", false);
                 return Ok(None);
             }

@@ -2,7 +2,7 @@
 
 use super::args::Args;
 use super::plan::LIFTING;
-use crate::commands::WrongUse;
+use crate::error::{WrongUse, refuse};
 use crate::receipt::ReceiptReport;
 use crate::session::Session;
 use anyhow::{Context, Result};
@@ -43,7 +43,7 @@ impl Args {
             .map_err(|error| WrongUse(format!("{}: no receipt with a plan: {error}", named())))?;
         let section = plan.section(LIFTING);
         if section.and_then(|section| section.of(Effect::Glass)).is_none() {
-            return Err(WrongUse(format!("{}: it decides nothing about glass", named())).into());
+            refuse!("{}: it decides nothing about glass", named());
         }
         session.receipt.fingerprint("effects before", path)?;
         Ok(Some(plan))

@@ -1,7 +1,6 @@
 //! Features and files of one granularity.
 
-use super::collect::Guard;
-use super::plan::LIFTING;
+use super::plan::{Guard, LIFTING};
 use super::{Args, write};
 use crate::progress::interrupted;
 use crate::session::Session;
@@ -57,10 +56,10 @@ impl Args {
         ));
         session.check_stop()?;
         let _stage = session.receipt.stage("picture");
-        let name = self.scene.file_name().unwrap_or_default().to_string_lossy();
+        let name = self.input.name();
         let title = format!("{name}: lifted labels (principal components as colours)");
         let scene = &opened.loaded.scene;
-        let up = self.up.unwrap_or_else(|| guess_up(scene).axis);
+        let up = self.lifting.up.unwrap_or_else(|| guess_up(scene).axis);
         let path = folder.join("preview.png");
         let bytes = write_scene_preview(scene, &written.colors, &[], &title, up, &path)?;
         session.wrote(&path, bytes);

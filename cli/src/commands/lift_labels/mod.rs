@@ -10,14 +10,13 @@ mod pictures;
 mod plan;
 mod write;
 
-use super::WrongUse;
+use crate::error::{WrongUse, refuse};
 use crate::session::Session;
 use anyhow::Result;
-pub use args::{Args, FrameWeightsArg, RobustArg, RobustRuleArg, RuleArg};
+pub use args::{Args, FrameWeightsArg, LiftArgs, RobustRuleArg};
 use clap::ValueEnum;
-use collect::Guard;
-pub use depth::DepthArg;
 use pictures::Pictures;
+use plan::Guard;
 use scenesplat::datasets::effects::plan::EffectPlan;
 use scenesplat::memory::Bytes;
 use scenesplat::outputs::OpenedScene;
@@ -29,16 +28,16 @@ pub use write::FILES;
 
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
-    let session = Session::start(&args.shared, line)?;
+    let session = Session::start(&args.lifting.shared, line)?;
     // Whatever can be wrong with flags and names is found before anything expensive.
     args.check()?;
-    for path in [&args.scene, &args.cameras, &args.segments] {
+    for path in [&args.input.scene, &args.cameras, &args.segments] {
         session.outputs.reads(path)?;
     }
     let before = args.plan_before(&session)?;
     let (cameras, folder, matches) = args.pictures(&session)?;
     pictures::views(&cameras, &matches, &args.cameras)?;
-    session.make_out(if args.level.len() == 1 { &FILES } else { &[] })?;
+    session.outputs.open_folder(if args.level.len() == 1 { &FILES } else { &[] })?;
     let opened = args.open(&session)?;
     let gaussians = Gaussians::from_scene(&opened.loaded.scene)?;
     args.record(&session)?;
@@ -76,7 +75,8 @@ impl Args {
     ) -> Result<()> {
         let PictureLabels { cameras, folder, matches } = labels;
         let views = pictures::views(cameras, matches, &self.cameras)?;
-        let pictures = Pictures::new(folder, pictures::paired(&views, matches), &self.depth);
+        let pictures =
+            Pictures::new(folder, pictures::paired(&views, matches), &self.lifting.depth);
         let settings = self.settings(self.decide_depth(session, gaussians, &pictures)?);
         let with_frames = cameras.iter().zip(&matches.frames).filter(|(_, frame)| frame.is_some());
         let with_frames: Vec<_> = with_frames.map(|(camera, _)| camera).collect();
@@ -96,17 +96,16 @@ impl Args {
     fn check_memory(&self) -> Result<()> {
         // Trying depth agreement takes two lists of weights.
         let least = Bytes(LiftSettings::least_memory(self.level.len().max(2)));
-        match self.max_memory {
+        match self.lifting.max_memory {
             Some(limit) if limit < least => {
-                let text = format!("--max-memory {limit}: weights need at least {least}");
-                Err(WrongUse(text).into())
+                refuse!("--max-memory {limit}: weights need at least {least}");
             }
             _ => Ok(()),
         }
     }
 
     fn open(&self, session: &Session<'_>) -> Result<OpenedScene> {
-        let opened = session.open_with(&self.scene, &self.source.options())?;
+        let opened = session.open_with(&self.input.scene, &self.lifting.source.options())?;
         // A folder may hold the pictures, too.
         if self.cameras.is_file() {
             session.receipt.fingerprint("cameras", &self.cameras)?;
@@ -117,7 +116,11 @@ impl Args {
     /// Notes in the receipt what changes the result.
     fn record(&self, session: &Session<'_>) -> Result<()> {
         let receipt = &session.receipt;
-        let rule = self.rule.to_possible_value().map_or(String::new(), |v| v.get_name().to_owned());
+        let rule = self
+            .lifting
+            .rule
+            .to_possible_value()
+            .map_or(String::new(), |v| v.get_name().to_owned());
         receipt.setting("rule", rule, "which pixels label a Gaussian");
         receipt.setting("segments", self.segments.display(), "maps and features");
         if self.erode > 0 {

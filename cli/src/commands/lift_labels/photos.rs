@@ -62,9 +62,7 @@ impl Args {
             pictures.name(0)
         );
         if missing > 0 {
-            let text = format!("{missing} of {} pictures have no photo", pictures.len());
-            session.progress.say(&text);
-            session.receipt.warning(text);
+            session.warn(format!("{missing} of {} pictures have no photo", pictures.len()));
         }
         let report = probe.report();
         for finding in &report.findings {

@@ -1,7 +1,6 @@
 //! Cameras, their segments and depths, picture by picture.
 
-use super::Args;
-use super::depth::DepthArg;
+use super::args::{Args, DepthArg};
 use crate::session::Session;
 use anyhow::{Context, Result};
 use scenesplat::rasterizer::View;

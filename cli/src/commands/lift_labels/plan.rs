@@ -1,18 +1,46 @@
 //! The decisions of lifting as a part of the plan.
 
-use super::args::{Args, FrameWeightsArg, RobustArg};
-use super::depth::DepthArg;
+use super::args::{Args, DepthArg, FrameWeightsArg, RobustArg, RobustRuleArg};
 use scenesplat::datasets::effects::plan::{EffectChoice, EffectDecision};
-use scenesplat::rasterizer::lifting::{DepthEffect, Disagreement, Robust};
+use scenesplat::rasterizer::lifting::{
+    Aggregate, DepthEffect, Disagreement, FinaliseSettings, Robust,
+};
 use scenesplat_lab::capture::{CaptureFinding, CaptureReport};
 
 /// The part of the plan that lifting decides.
 pub const LIFTING: &str = "lifting";
 
+/// Whether a level is guarded against wrong labels, and above which variance of them.
+#[derive(Default)]
+pub struct Guard {
+    /// As the plan tells it.
+    pub decision: EffectDecision,
+    /// `None`: everywhere.
+    pub above: Option<f32>,
+}
+
 impl Args {
+    /// How features are made of them.
+    pub(super) fn finalise(&self, guard: &Guard) -> FinaliseSettings {
+        let robust = guard.decision.on;
+        let base = if robust { FinaliseSettings::robust() } else { FinaliseSettings::default() };
+        let aggregate = match self.robust_rule {
+            RobustRuleArg::HeaviestGroup if robust => Aggregate::HEAVIEST_GROUP,
+            _ => base.aggregate,
+        };
+        FinaliseSettings {
+            aggregate,
+            guard_above: guard.above,
+            view_exponent: self.view_exponent,
+            min_coverage: self.coverage,
+            min_labelled_share: self.labelled_share,
+            normalise: !self.unnormalised,
+        }
+    }
+
     /// Whether pixels of another depth label nothing; `measured`: what some pictures show, where they were asked.
     pub(super) fn about_depth(&self, on: bool, measured: Option<&DepthEffect>) -> EffectDecision {
-        let choice = match &self.depth {
+        let choice = match &self.lifting.depth {
             DepthArg::Auto => EffectChoice::Auto,
             DepthArg::Off => EffectChoice::Off,
             DepthArg::Render | DepthArg::Folder(_) => EffectChoice::On,
@@ -68,7 +96,7 @@ impl Args {
         on: bool,
         measured: &Disagreement,
     ) -> EffectDecision {
-        let choice = match self.robust {
+        let choice = match self.lifting.robust {
             RobustArg::Auto => EffectChoice::Auto,
             RobustArg::On => EffectChoice::On,
             RobustArg::Off => EffectChoice::Off,

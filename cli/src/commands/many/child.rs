@@ -1,6 +1,7 @@
 //! One scene in a process of its own: what it takes of memory, and what becomes of it, is its own affair.
 
 use crate::progress::interrupted;
+use crate::terminal::this_program;
 use anyhow::{Context, Result};
 use std::ffi::OsString;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -27,8 +28,7 @@ pub enum Ended {
 /// # Errors
 /// If it cannot be started.
 pub fn run(words: &[OsString]) -> Result<Ended> {
-    let program = std::env::current_exe().context("cannot find this program")?;
-    let mut command = Command::new(program);
+    let mut command = Command::new(this_program()?);
     command.args(words).stdin(Stdio::null()).stderr(Stdio::piped());
     end_with_this_process(&mut command);
     let mut child = command.spawn().context("cannot start a process for the scene")?;

@@ -1,7 +1,8 @@
 //! The sorted list of scenes that all parts agree on.
 
 use super::{Asked, names, words::Words};
-use crate::commands::{WrongUse, evaluate::one_by_one};
+use crate::commands::evaluate::one_by_one;
+use crate::error::refuse;
 use anyhow::{Context, Result, bail};
 use scenesplat::datasets::DataSource;
 use scenesplat::datasets::sources::{SceneFolders, SceneFoldersOptions};
@@ -46,10 +47,7 @@ pub fn gather(asked: &Asked<'_>, words: &Words) -> Result<Manifest> {
     let mut scenes: Vec<(String, Flags)> = Vec::new();
     for scene in asked.flags.get_raw(asked.positional).into_iter().flatten() {
         let Some(scene) = scene.to_str() else {
-            bail!(WrongUse(format!(
-                "{}: names of many scenes have to be Unicode",
-                scene.display()
-            )));
+            refuse!("{}: names of many scenes have to be Unicode", scene.display());
         };
         scenes.push((scene.to_owned(), Flags::new()));
     }
@@ -67,10 +65,10 @@ pub fn gather(asked: &Asked<'_>, words: &Words) -> Result<Manifest> {
     };
     scenes.sort();
     if let Some(twice) = scenes.windows(2).find(|pair| pair[0].0 == pair[1].0) {
-        bail!(WrongUse(format!("{}: this scene is given twice", twice[0].0)));
+        refuse!("{}: this scene is given twice", twice[0].0);
     }
     if scenes.is_empty() {
-        bail!(WrongUse("there is no scene to work on".to_owned()));
+        refuse!("there is no scene to work on");
     }
     let paths: Vec<String> = scenes.iter().map(|(scene, _)| scene.clone()).collect();
     let names = names::names(&paths)?;
@@ -167,13 +165,12 @@ impl Manifest {
         if let Some(there) = Self::read(out)? {
             let path = out.join(MANIFEST);
             if there.command != self.command {
-                let text = format!(
+                refuse!(
                     "{}: here are results of `{}`; give `{}` another --out",
                     path.display(),
                     there.command,
                     self.command
                 );
-                return Err(WrongUse(text).into());
             }
             let known: BTreeMap<&str, &Entry> =
                 self.scenes.iter().map(|e| (e.name.as_str(), e)).collect();
@@ -182,14 +179,13 @@ impl Manifest {
                 .iter()
                 .find(|old| known.get(old.name.as_str()).is_none_or(|new| new.scene != old.scene));
             if let Some(lost) = lost {
-                let text = format!(
+                refuse!(
                     "{}: {} ({}) is no part of these scenes; a list may grow, but not lose or rename scenes: run in \
                      the same folder with all of them, or give another --out",
                     path.display(),
                     lost.name,
                     lost.scene
                 );
-                return Err(WrongUse(text).into());
             }
             if there == *self {
                 return Ok(());

@@ -9,13 +9,14 @@ mod record;
 mod words;
 mod work;
 
-use super::WrongUse;
+use crate::error::WrongUse;
 use crate::terminal::print;
 use anyhow::Result;
-use clap::{ArgMatches, FromArgMatches};
+use clap::{ArgAction, ArgMatches, FromArgMatches};
 pub use list::{Entry, MANIFEST, Manifest};
 pub use record::{RECORDS, Record, Status, inspect_outputs, read_record};
 use scenesplat::datasets::Shard;
+use std::borrow::Cow;
 use std::path::PathBuf;
 use std::str::FromStr;
 
@@ -34,6 +35,24 @@ pub struct Many {
     /// Does scenes again that are done, also by other settings.
     #[arg(long, help_heading = "Many scenes")]
     pub again: bool,
+}
+
+/// A scene, or many.
+#[derive(Debug, Clone, clap::Args)]
+pub struct OneOrMany {
+    /// The scene, in any format; several get a folder in --out each.
+    #[arg(num_args = 1.., action = ArgAction::Append, required = false, required_unless_present = "manifest")]
+    pub scene: PathBuf,
+    /// Which of many scenes.
+    #[command(flatten)]
+    pub many: Many,
+}
+
+impl OneOrMany {
+    /// The name of the scene's file.
+    pub fn name(&self) -> Cow<'_, str> {
+        self.scene.file_name().unwrap_or_default().to_string_lossy()
+    }
 }
 
 /// A part, or the one that the scheduler says.

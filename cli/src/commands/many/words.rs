@@ -1,7 +1,7 @@
 //! The flags of a command line, to be given to the command once more for a single scene.
 
 use super::Asked;
-use crate::commands::WrongUse;
+use crate::error::refuse;
 use anyhow::Result;
 use clap::ArgAction;
 use clap::parser::ValueSource;
@@ -44,10 +44,9 @@ impl Words {
                 continue;
             }
             if let Some((_, what)) = ONE_FILE.iter().find(|(name, _)| *name == id) {
-                let text = format!(
+                refuse!(
                     "--{long} names one file; the {what} of each scene goes into its folder of --out"
                 );
-                return Err(WrongUse(text).into());
             }
             let values = asked.flags.get_raw(id).filter(|_| takes_value);
             given.insert(

@@ -5,7 +5,7 @@ use super::child::{self, Ended};
 use super::list::{Entry, Manifest};
 use super::record::{Fingerprints, Job, RECORDS, Record, Status, inspect_outputs, read_record};
 use super::words::{Flags, Words};
-use crate::commands::WrongUse;
+use crate::error::refuse;
 use crate::progress::{Progress, interrupted, listen_for_interrupt};
 use anyhow::{Context, Result};
 use scenesplat::datasets::Shard;
@@ -193,12 +193,11 @@ impl Work<'_> {
             return Ok(false);
         };
         if let Some(difference) = job.differs(&record.job) {
-            let text = format!(
+            refuse!(
                 "{} in {} was done with {difference}; --again does it by these settings, another --out keeps both",
                 entry.name,
                 self.out.display()
             );
-            return Err(WrongUse(text).into());
         }
         let changed = if record.job.inputs == job.inputs {
             inspect_outputs(&self.out, &record, false)

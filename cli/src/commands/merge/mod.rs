@@ -4,11 +4,11 @@ mod gaps;
 mod scores;
 mod table;
 
-use super::WrongUse;
 use super::many::{Manifest, Record, read_record};
+use crate::error::refuse;
 use crate::flags::Shared;
 use crate::session::Session;
-use crate::terminal::{print, write_text};
+use crate::terminal::print;
 use anyhow::Result;
 use serde_json::json;
 use std::path::PathBuf;
@@ -35,11 +35,10 @@ const EVALUATION: &str = "evaluation.json";
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
     let Some(manifest) = Manifest::read(&args.folder)? else {
-        let text = format!(
+        refuse!(
             "{}: no manifest.json; this is not the --out of a command over many scenes",
             args.folder.display()
         );
-        return Err(WrongUse(text).into());
     };
     let shared = Shared::into_folder(&args.folder, args.quiet);
     let session = Session::start(&shared, line)?;
@@ -56,11 +55,9 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     gaps.refuse()?;
     let is_evaluation = manifest.command == "evaluate";
     let more: &[&str] = if is_evaluation { &[EVALUATION] } else { &[] };
-    session.make_out(&[&FILES[..], more].concat())?;
+    session.outputs.open_folder(&[&FILES[..], more].concat())?;
     let write = |name: &str, text: &str| -> Result<()> {
-        let path = session.out(name)?;
-        let bytes = write_text(&path, text)?;
-        session.wrote(&path, bytes);
+        session.write_text(name, text)?;
         Ok(())
     };
     let total = if is_evaluation { Some(scores::total(&args.folder, &records)?) } else { None };

@@ -38,9 +38,8 @@ impl Args {
         let mut out = settings;
         if most < cap {
             set_cap(&mut out, most.max(least));
-            let text = format!("--max-memory {limit}: at most {most} Gaussians instead of {cap}");
-            session.progress.say(&text);
-            session.receipt.warning(text);
+            session
+                .warn(format!("--max-memory {limit}: at most {most} Gaussians instead of {cap}"));
         }
         Ok(out)
     }

@@ -43,23 +43,18 @@ impl Args {
         if train.is_empty() {
             // One frame: there is nothing to keep apart.
             train = std::mem::take(&mut test);
-            let text = "there is one frame: it is learned from, and nothing is left to test with";
-            session.progress.say(text);
-            session.receipt.warning(text);
+            session
+                .warn("there is one frame: it is learned from, and nothing is left to test with");
         }
         if train.len() > 1 && scale_of_cameras(&train) == 1.0 {
             let first = train[0].view.centre();
             if train.iter().all(|f| f.view.centre() == first) {
-                let text = "all cameras are at one place: depth cannot be learned from pictures";
-                session.progress.say(text);
-                session.receipt.warning(text);
+                session.warn("all cameras are at one place: depth cannot be learned from pictures");
             }
         }
         let black = train.iter().filter(|f| (0..f.rgb.len()).all(|i| f.rgb.at(i) == 0.0)).count();
         if black > 0 {
-            let text = format!("{black} of {} frames are black", train.len());
-            session.progress.say(&text);
-            session.receipt.warning(text);
+            session.warn(format!("{black} of {} frames are black", train.len()));
         }
         let text = format!("{} frames to learn from, {} to test with", train.len(), test.len());
         session.progress.say(&text);

@@ -8,7 +8,7 @@ mod pictures;
 mod report;
 mod run;
 
-use super::WrongUse;
+use crate::error::{WrongUse, refuse};
 use crate::session::Session;
 use crate::terminal::print;
 use anyhow::Result;
@@ -37,14 +37,13 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     session.outputs.reads_any(inputs)?;
     session.outputs.reads_any([args.masks.as_deref(), args.points.as_deref()])?;
     session.outputs.claim_any("--json", args.json.as_ref())?;
-    session.make_out(&["scene.ply", "optimise.json", "progress.jsonl"])?;
+    session.outputs.open_folder(&["scene.ply", "optimise.json", "progress.jsonl"])?;
     let newest = newest_checkpoint(&checkpoints(&args.shared.out))?;
     if newest.is_some() && !args.resume {
-        let text = format!(
+        refuse!(
             "--out {}: holds checkpoints of a run; give --resume to go on with it, or another --out",
             args.shared.out.display()
         );
-        return Err(WrongUse(text).into());
     }
     let frames = args.frames(&session)?;
     settings.exposure = args.decide_exposure(&session, &frames);
@@ -78,15 +77,12 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     }
     if ran.out_of_time {
         let (done, total) = (optimiser.steps_done(), optimiser.settings().steps);
-        let text =
-            format!("the time is over at step {done} of {total}: the scene is as it is there");
-        session.progress.say(&text);
-        session.receipt.warning(text);
+        session.warn(format!(
+            "the time is over at step {done} of {total}: the scene is as it is there"
+        ));
     }
     let kept = args.finish(&session, &optimiser, &frames, &ran)?;
-    let path = session.out("scene.ply")?;
-    write_inria_ply(&kept, &[], &path)?;
-    session.wrote(&path, std::fs::metadata(&path)?.len());
+    session.write("scene.ply", |path| write_inria_ply(&kept, &[], path))?;
     session.receipt.add_rows_out(kept.len());
     if optimiser.settings().antialiased {
         let text = "the scene was made with antialiasing: draw it with render --antialiased";

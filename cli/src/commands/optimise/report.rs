@@ -41,8 +41,8 @@ impl Args {
             session.check_stop()?;
             let (score, picture) = compared(optimiser, frame)?;
             if i < SHOWN {
-                let path = session.out(&format!("test/{}.png", frame.name))?;
-                session.wrote(&path, write_png(&path, &picture)?);
+                session
+                    .write(&format!("test/{}.png", frame.name), |path| write_png(path, &picture))?;
             }
             test.push(score);
         }
@@ -79,12 +79,8 @@ impl Args {
             "test": test,
         });
         let text = serde_json::to_string_pretty(&figures)? + "\n";
-        let path = session.out("optimise.json")?;
-        std::fs::write(&path, &text)?;
-        session.wrote(&path, text.len() as u64);
-        let path = session.out("progress.jsonl")?;
-        std::fs::write(&path, &ran.lines)?;
-        session.wrote(&path, ran.lines.len() as u64);
+        session.write_text("optimise.json", &text)?;
+        session.write_text("progress.jsonl", &ran.lines)?;
         if let Some(path) = &self.json {
             session.write_file(path, &text)?;
         }

@@ -2,8 +2,11 @@
 
 use crate::commands::classes::Classes;
 use crate::duration::{Seconds, parse_duration};
-use crate::flags::{NetworkArgs, SourceArgs};
+use crate::error::WrongUse;
+use crate::flags::{NetworkArgs, Running, SourceArgs};
+use scenesplat::Setting;
 use scenesplat::network::Weights;
+use scenesplat_lab::pareto::{Grid, ParetoError};
 use std::path::{Path, PathBuf};
 
 /// Measures a grid of settings on labelled scenes and shows what accuracy costs: records.jsonl,
@@ -63,15 +66,26 @@ pub struct Args {
     /// How to read the scenes.
     #[command(flatten)]
     pub source: SourceArgs,
-    /// Threads; all cores by default. Labels do not depend on it.
-    #[arg(long, value_name = "N")]
-    pub threads: Option<usize>,
-    /// Says nothing about the progress; results are still printed.
-    #[arg(long)]
-    pub quiet: bool,
+    /// Threads and progress.
+    #[command(flatten)]
+    pub running: Running,
 }
 
 impl Args {
+    /// The grid of --grid, or this one, with its settings.
+    pub fn grid_or(
+        &self,
+        default: impl FnOnce() -> Result<Grid, WrongUse>,
+    ) -> Result<(Grid, Vec<Setting>), WrongUse> {
+        let wrong = |error: ParetoError| WrongUse(error.to_string());
+        let grid = match &self.grid {
+            Some(path) => Grid::read(path).map_err(wrong)?,
+            None => default()?,
+        };
+        let settings = grid.settings().map_err(wrong)?;
+        Ok((grid, settings))
+    }
+
     /// The flags that each process takes over, with another network where a grid names one.
     pub fn flags(&self, network: Option<&scenesplat_lab::pareto::GridNetwork>) -> Vec<String> {
         let mut words = Vec::new();

@@ -1,16 +1,15 @@
 //! `pareto --calibrate`: what the commands take on this machine, and what settings are worth.
 
 use super::args::Args;
-use super::campaign::{Campaign, this_machine};
+use super::campaign::Campaign;
 use super::inputs;
 use crate::bench::process::{Scratch, run_in_a_process};
 use crate::bench::speeds;
 use crate::budget::stored_path;
-use crate::commands::WrongUse;
+use crate::error::{WrongUse, refuse};
 use crate::progress::Progress;
 use crate::receipt::ReceiptReport;
 use crate::terminal::print;
-use crate::threads::set_threads;
 use anyhow::{Context, Result, bail};
 use scenesplat::Setting;
 use scenesplat::datasets::plan::center_shift;
@@ -24,7 +23,6 @@ use scenesplat_lab::pareto::{
     Calibrated, Calibration, CostModel, Grid, Kind, Observation, Records, Size, points,
     seconds_text,
 };
-use std::cell::{Cell, RefCell};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -46,91 +44,38 @@ const RUNS_SECONDS: f64 = 1.5;
 /// Calibrates, and stores the front.
 pub fn calibrate(args: &Args) -> Result<()> {
     let began = Instant::now();
-    set_threads(args.threads)?;
-    let progress = Progress::new(args.quiet);
+    let progress = Progress::start(&args.running)?;
     let weights = args.network.weights()?;
     let options = WeightOptions::default();
     let native = network_of(&weights, args.network.config.as_ref(), options)?.model.grid_size;
-    let grid = match &args.grid {
-        Some(path) => Grid::read(path),
-        None => Grid::calibration(native),
-    };
-    let grid = grid.map_err(|e| WrongUse(e.to_string()))?;
-    let settings = grid.settings().map_err(|e| WrongUse(e.to_string()))?;
+    let (grid, settings) =
+        args.grid_or(|| Grid::calibration(native).map_err(|e| WrongUse(e.to_string())))?;
     if settings.iter().any(|s| s.net.is_some()) {
-        let text = "--calibrate: a front is of one network; give it with --weights, not as net";
-        return Err(WrongUse(text.to_owned()).into());
+        refuse!("--calibrate: a front is of one network; give it with --weights, not as net");
     }
     let scratch = Scratch::new()?;
     let mut records = Records::open(&scratch.path().join("records.jsonl"))?;
     let given = if args.scenes.is_empty() { vec![SCENES.to_owned()] } else { args.scenes.clone() };
     let sets = inputs::sets(&given, scratch.path(), &progress)?;
-    let machine = this_machine(args.threads);
-    let campaign = Campaign {
-        args,
-        grid: &grid,
-        sets: &sets,
-        scratch: scratch.path(),
-        machine: machine.clone(),
-        // Quality alone is asked for here; times are those of whole commands.
-        repeats: 1,
-        progress: &progress,
-        asked: Cell::new(0),
-        weights: RefCell::default(),
-    };
+    // Quality alone is asked for here; times are those of whole commands.
+    let campaign = Campaign::new(args, &grid, &sets, scratch.path(), &progress, 1);
     let weights_hash = campaign.weights_hash(&grid.reference)?;
     let path = stored_path(&weights_hash)
         .context("there is no data folder of this user: name one with SCENESPLAT_FRONTS")?;
-    let in_time = || {
-        let spent = began.elapsed().as_secs_f64();
-        if spent > args.limit.0 {
-            bail!(
-                "--limit: {} were over before the calibration was complete; nothing was stored",
-                seconds_text(args.limit.0)
-            );
-        }
-        Ok(())
-    };
     for setting in &settings {
-        in_time()?;
+        campaign.check_limit(began)?;
         campaign.complete(setting, &mut records, scratch.path())?;
     }
     let Some(first) = records.all.iter().find(|r| r.kind == Kind::Setting).cloned() else {
         bail!("nothing was measured");
     };
-    let (mut runs, mut all_runs) = (Vec::new(), Vec::new());
-    for (i, &count) in args.sizes.iter().enumerate() {
-        let scene = timed_scene(i as u64, count)?;
-        let file = scratch.path().join(format!("timed-{i}.ply"));
-        write_inria_ply(&scene, &[], &file)?;
-        if let Some(setting) = settings.first() {
-            // The first run of a size pays for pages that the system has yet to give.
-            let size = Size::default();
-            let warm =
-                Timed { command: "segment", scene: &file, setting, size, width: first.width };
-            campaign.time(&warm)?;
-        }
-        for (j, setting) in settings.iter().enumerate() {
-            let commands = ["segment", "features", "query"];
-            for command in if j == 0 { &commands[..] } else { &commands[..1] } {
-                in_time()?;
-                let size = size_of(&scene, setting, native, first.width, first.classes)?;
-                let timed = Timed { command, scene: &file, setting, size, width: first.width };
-                let timed = campaign.timed_runs(&timed)?;
-                runs.extend(timed.iter().min_by(|a, b| a.wall.total_cmp(&b.wall)).cloned());
-                all_runs.extend(timed);
-                progress.say(format!(
-                    "  {command} of {count} Gaussians, {setting}: {}",
-                    seconds_text(runs[runs.len() - 1].wall)
-                ));
-            }
-        }
-    }
+    let sizes = SizeOf { native, width: first.width, classes: first.classes };
+    let (runs, all_runs) = campaign.times(&settings, &sizes, began)?;
     let quality = points(&records.all, Kind::Setting, &given);
     let front = Calibration {
-        version: machine.version.clone(),
-        fingerprint: machine.fingerprint(),
-        machine,
+        version: campaign.machine.version.clone(),
+        fingerprint: campaign.machine.fingerprint(),
+        machine: campaign.machine.clone(),
         weights_hash,
         f32_flop_s: speeds().f32_flop_s,
         reference: grid.reference.to_string(),
@@ -161,25 +106,27 @@ pub fn calibrate(args: &Args) -> Result<()> {
     Ok(())
 }
 
-fn size_of(
-    scene: &GaussianScene,
-    setting: &Setting,
+/// What the size of a job depends on beside its scene and setting.
+struct SizeOf {
+    /// Voxel size of the network.
     native: f64,
+    /// Of its features.
     width: usize,
     classes: usize,
-) -> Result<Size> {
-    let groups = voxel_groups(
-        &center_shift(&scene.coord),
-        setting.voxel.unwrap_or(native),
-        KeyOrder::Morton,
-    )?;
-    Ok(Size {
-        gaussians: scene.len(),
-        voxels: groups.num_voxels(),
-        classes,
-        width: setting.codes.unwrap_or(width),
-        k: setting.k.unwrap_or(crate::setting::VOTE_K),
-    })
+}
+
+impl SizeOf {
+    fn size(&self, scene: &GaussianScene, setting: &Setting) -> Result<Size> {
+        let voxel = setting.voxel.unwrap_or(self.native);
+        let groups = voxel_groups(&center_shift(&scene.coord), voxel, KeyOrder::Morton)?;
+        Ok(Size {
+            gaussians: scene.len(),
+            voxels: groups.num_voxels(),
+            classes: self.classes,
+            width: setting.codes.unwrap_or(self.width),
+            k: setting.k.unwrap_or(crate::setting::VOTE_K),
+        })
+    }
 }
 
 /// A scene of that many Gaussians: a room, or several side by side.
@@ -212,6 +159,56 @@ struct Timed<'a> {
 }
 
 impl Campaign<'_> {
+    /// # Errors
+    /// If the time that was allowed is over.
+    fn check_limit(&self, began: Instant) -> Result<()> {
+        let limit = self.args.limit.0;
+        if began.elapsed().as_secs_f64() > limit {
+            bail!(
+                "--limit: {} were over before the calibration was complete; nothing was stored",
+                seconds_text(limit)
+            );
+        }
+        Ok(())
+    }
+
+    /// The fastest run of each command, size and setting, and all runs.
+    fn times(
+        &self,
+        settings: &[Setting],
+        sizes: &SizeOf,
+        began: Instant,
+    ) -> Result<(Vec<Observation>, Vec<Observation>)> {
+        let (mut runs, mut all_runs) = (Vec::new(), Vec::new());
+        let width = sizes.width;
+        for (i, &count) in self.args.sizes.iter().enumerate() {
+            let scene = timed_scene(i as u64, count)?;
+            let file = self.scratch.join(format!("timed-{i}.ply"));
+            write_inria_ply(&scene, &[], &file)?;
+            if let Some(setting) = settings.first() {
+                // The first run of a size pays for pages that the system has yet to give.
+                let size = Size::default();
+                self.time(&Timed { command: "segment", scene: &file, setting, size, width })?;
+            }
+            for (j, setting) in settings.iter().enumerate() {
+                let commands = ["segment", "features", "query"];
+                for command in if j == 0 { &commands[..] } else { &commands[..1] } {
+                    self.check_limit(began)?;
+                    let size = sizes.size(&scene, setting)?;
+                    let timed = Timed { command, scene: &file, setting, size, width };
+                    let timed = self.timed_runs(&timed)?;
+                    runs.extend(timed.iter().min_by(|a, b| a.wall.total_cmp(&b.wall)).cloned());
+                    all_runs.extend(timed);
+                    self.progress.say(format!(
+                        "  {command} of {count} Gaussians, {setting}: {}",
+                        seconds_text(runs[runs.len() - 1].wall)
+                    ));
+                }
+            }
+        }
+        Ok((runs, all_runs))
+    }
+
     /// Several runs.
     fn timed_runs(&self, timed: &Timed<'_>) -> Result<Vec<Observation>> {
         let mut runs: Vec<Observation> = Vec::new();

@@ -5,8 +5,8 @@ use super::inputs::Set;
 use super::request::Request;
 use crate::bench::Stopped;
 use crate::bench::process::run_in_a_process;
-use crate::commands::WrongUse;
 use crate::commands::classes::Classes;
+use crate::error::refuse;
 use crate::progress::Progress;
 use crate::receipt::sha256_of;
 use anyhow::{Context, Result};
@@ -36,9 +36,9 @@ pub struct Campaign<'a> {
     /// What is shown.
     pub progress: &'a Progress,
     /// Requests so far.
-    pub asked: Cell<usize>,
-    /// Weights that were looked at, by the network that a setting names.
-    pub weights: RefCell<BTreeMap<Option<String>, String>>,
+    asked: Cell<usize>,
+    /// Hashes of weights, by the network that a setting names.
+    weights: RefCell<BTreeMap<Option<String>, String>>,
 }
 
 /// What a process may be given beside its setting.
@@ -61,13 +61,23 @@ fn is_checked<'a>(mut measured: impl Iterator<Item = &'a str>, setting: &Setting
     })
 }
 
-/// This machine with that many threads.
-pub fn this_machine(threads: Option<usize>) -> Machine {
-    let threads = threads.unwrap_or_else(rayon::current_num_threads);
-    Machine { threads, simd: Isa::current().name().to_owned(), ..Machine::detect() }
-}
+impl<'a> Campaign<'a> {
+    /// On this machine, with the threads that the flags say.
+    pub fn new(
+        args: &'a Args,
+        grid: &'a Grid,
+        sets: &'a [Set],
+        scratch: &'a Path,
+        progress: &'a Progress,
+        repeats: usize,
+    ) -> Self {
+        let threads = args.running.threads.unwrap_or_else(rayon::current_num_threads);
+        let simd = Isa::current().name().to_owned();
+        let machine = Machine { threads, simd, ..Machine::detect() };
+        let (asked, weights) = (Cell::default(), RefCell::default());
+        Self { args, grid, sets, scratch, machine, repeats, progress, asked, weights }
+    }
 
-impl Campaign<'_> {
     /// SHA-256 of the weights that a setting takes.
     pub fn weights_hash(&self, setting: &Setting) -> Result<String> {
         if let Some(known) = self.weights.borrow().get(&setting.net) {
@@ -254,11 +264,10 @@ impl Campaign<'_> {
             };
             if self.weights_hash(setting)? != record.weights_hash {
                 let setting = &record.setting;
-                return Err(WrongUse(format!(
+                refuse!(
                     "{}: the record of {setting} is of other weights; give another --out",
                     self.args.out.display()
-                ))
-                .into());
+                );
             }
         }
         Ok(())

@@ -2,7 +2,7 @@
 
 use super::campaign::{Beside, Campaign, Labels};
 use super::inputs::Set;
-use crate::commands::WrongUse;
+use crate::error::WrongUse;
 use anyhow::Result;
 use scenesplat::Setting;
 use scenesplat::setting::Passes;

@@ -2,7 +2,7 @@
 //! reading is a part of what is timed.
 
 use super::request::Scene;
-use crate::commands::WrongUse;
+use crate::error::{WrongUse, refuse};
 use crate::progress::{Progress, interrupted};
 use crate::receipt::sha256_of;
 use anyhow::Result;
@@ -43,7 +43,7 @@ pub fn sets(names: &[String], scratch: &Path, progress: &Progress) -> Result<Vec
     let mut all: Vec<Set> = Vec::new();
     for name in names {
         if all.iter().any(|set| set.name == *name) {
-            return Err(WrongUse(format!("--scenes {name}: is there twice")).into());
+            refuse!("--scenes {name}: is there twice");
         }
         let scenes = match synthetic(name)? {
             None => {

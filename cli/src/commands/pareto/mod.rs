@@ -13,19 +13,18 @@ mod tell;
 
 use crate::bench::Stopped;
 use crate::bench::process::Scratch;
-use crate::commands::WrongUse;
+use crate::error::WrongUse;
 use crate::progress::{Progress, listen_for_interrupt};
 use crate::terminal::print;
 use anyhow::{Context, Result, anyhow, bail};
 pub use args::Args;
-use campaign::{Campaign, this_machine};
+use campaign::Campaign;
 use explore::explore;
 pub use point::{PointArgs, run_point};
 use scenesplat::scene::{FolderLock, printable};
 use scenesplat_lab::pareto::{
     Around, Grid, Record, Records, Summary, TrainingCurve, compare, write_report,
 };
-use std::cell::{Cell, RefCell};
 use std::time::Instant;
 
 /// Runs the command.
@@ -35,21 +34,14 @@ pub fn run(args: &Args) -> Result<()> {
     if args.calibrate {
         return calibrate::calibrate(args);
     }
-    let grid = match &args.grid {
-        Some(path) => Grid::read(path),
-        None => Grid::default_grid(),
-    };
-    let grid = grid.map_err(|e| WrongUse(e.to_string()))?;
-    let settings = grid.settings().map_err(|e| WrongUse(e.to_string()))?;
+    let (grid, settings) =
+        args.grid_or(|| Grid::default_grid().map_err(|e| WrongUse(e.to_string())))?;
     let neutral = neutral::rows(&grid.neutral)?;
     let runs = args.training.iter().chain(&grid.training);
-    let mut training = Vec::new();
-    for run in runs {
-        training.push(TrainingCurve::read(run)?);
-    }
+    let training = runs.map(|run| Ok(TrainingCurve::read(run)?)).collect::<Result<_>>()?;
     // Before anything is measured, and before it is overwritten if it is the same file.
     let before = args.against.as_deref().map(Records::read).transpose()?;
-    let progress = Progress::new(args.quiet);
+    let progress = Progress::new(args.running.quiet);
     std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
     let _lock = FolderLock::acquire(&args.out)?;
     let mut records = Records::open(&args.out.join("records.jsonl"))?;
@@ -59,17 +51,8 @@ pub fn run(args: &Args) -> Result<()> {
     }
     let scratch = Scratch::new()?;
     let sets = inputs::sets(&args.scenes, scratch.path(), &progress)?;
-    let campaign = Campaign {
-        args,
-        grid: &grid,
-        sets: &sets,
-        scratch: scratch.path(),
-        machine: this_machine(args.threads),
-        repeats: usize::from(args.repeats),
-        progress: &progress,
-        asked: Cell::new(0),
-        weights: RefCell::default(),
-    };
+    let repeats = usize::from(args.repeats);
+    let campaign = Campaign::new(args, &grid, &sets, scratch.path(), &progress, repeats);
     let hashes: Vec<_> = sets.iter().map(|s| (s.name.clone(), s.hash.clone())).collect();
     let (machine, conditions) = (&campaign.machine, campaign.conditions()?);
     records.check_own(&machine.fingerprint(), machine, &conditions, &hashes)?;
@@ -87,33 +70,29 @@ pub fn run(args: &Args) -> Result<()> {
             scenesplat_lab::pareto::seconds_text(seconds)
         ));
     }
+    let networks = grid.networks.iter();
     let mut around = Around {
         reference: grid.reference.to_string(),
-        networks: grid
-            .networks
-            .iter()
-            .map(|(n, w)| (n.clone(), w.weights.display().to_string()))
-            .collect(),
+        networks: networks.map(|(n, w)| (n.clone(), w.weights.display().to_string())).collect(),
         training,
         ..Around::default()
     };
-    let done =
-        explore(&campaign, &settings, &mut records, &mut around, began).and_then(|()| match around
-            .unmeasured
-            .is_empty()
-        {
-            true => neutral::complete(&campaign, &neutral, &mut records, &args.out),
-            false => Ok(()),
-        });
-    if let Err(error) = done {
-        let kept = records.all.len();
-        return Err(match error.is::<Stopped>() {
-            true => {
-                anyhow!("stopped; {kept} records are kept: the same command goes on from there")
-            }
-            false => error,
-        });
+    let mut done = explore(&campaign, &settings, &mut records, &mut around, began);
+    if done.is_ok() && around.unmeasured.is_empty() {
+        done = neutral::complete(&campaign, &neutral, &mut records, &args.out);
     }
+    done.map_err(|error| match error.is::<Stopped>() {
+        true => {
+            let kept = records.all.len();
+            anyhow!("stopped; {kept} records are kept: the same command goes on from there")
+        }
+        false => error,
+    })?;
+    report(args, &records, around, before.as_deref())
+}
+
+/// Prints and writes what was measured of the scenes that were asked for.
+fn report(args: &Args, records: &Records, around: Around, before: Option<&[Record]>) -> Result<()> {
     // Of the scenes that were asked for; without any, of all that were measured before.
     let asked = |r: &&Record| args.scenes.is_empty() || args.scenes.contains(&r.scenes);
     let shown: Vec<Record> = records.all.iter().filter(asked).cloned().collect();
@@ -131,7 +110,7 @@ pub fn run(args: &Args) -> Result<()> {
     if let Some(row) = summary.neutral.iter().find(|row| !row.holds) {
         bail!("{} changed the labels on {}, and must not", row.neutral, row.scenes);
     }
-    match (&before, &args.against) {
+    match (before, &args.against) {
         (Some(before), Some(path)) => tell::compared(&compare(&shown, before), path),
         _ => Ok(()),
     }

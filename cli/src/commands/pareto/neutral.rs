@@ -2,7 +2,7 @@
 //! instruction sets.
 
 use super::campaign::{Beside, Campaign, Labels, reference_folder};
-use crate::commands::WrongUse;
+use crate::error::WrongUse;
 use anyhow::Result;
 use scenesplat::kernels::simd::Isa;
 use scenesplat::memory::Bytes;

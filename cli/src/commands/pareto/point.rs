@@ -2,8 +2,8 @@
 
 use super::request::Request;
 use crate::bench::process::end_with_parent;
-use crate::commands::WrongUse;
 use crate::commands::classes::Classes;
+use crate::error::{WrongUse, refuse};
 use crate::flags::{Inference, Shared};
 use crate::session::Session;
 use anyhow::{Context, Result};
@@ -116,13 +116,11 @@ fn text_table(classes: &Classes, network: &Network, embedded: bool) -> Result<Te
         };
     }
     let Some(path) = &classes.text_names else {
-        let text = "--text-names is missing: the names of the network's classes, one a line";
-        return Err(WrongUse(text.to_owned()).into());
+        refuse!("--text-names is missing: the names of the network's classes, one a line");
     };
     let names = read_names(path)?;
     if names.len() != width {
-        let text = format!("--text-names: {} names for {width} classes", names.len());
-        return Err(WrongUse(text).into());
+        refuse!("--text-names: {} names for {width} classes", names.len());
     }
     Ok(own_directions(names)?)
 }

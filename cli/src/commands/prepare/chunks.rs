@@ -1,5 +1,7 @@
 //! `scenesplat prepare chunks`
 
+use crate::error::refuse;
+use crate::flags::Running;
 use crate::progress::Progress;
 use crate::threads::set_threads;
 use anyhow::{Context, Result};
@@ -26,22 +28,18 @@ pub struct Args {
     /// (valid_feat_mask). How the original's folders of that name were filtered is not published; this rule is ours.
     #[arg(long, value_name = "SHARE")]
     pub filtered: Option<f64>,
-    /// Threads; all cores by default. Results do not depend on it.
-    #[arg(long, value_name = "N")]
-    pub threads: Option<usize>,
-    /// Shows no progress.
-    #[arg(long)]
-    pub quiet: bool,
+    /// Threads and progress.
+    #[command(flatten)]
+    pub running: Running,
 }
 
 /// Runs the command.
 pub(super) fn run(args: &Args) -> Result<()> {
     if let Some(share) = args.filtered.filter(|s| !(0.0..=1.0).contains(s)) {
-        let text = format!("--filtered {share}: a share from 0 to 1");
-        return Err(crate::commands::WrongUse(text).into());
+        refuse!("--filtered {share}: a share from 0 to 1");
     }
-    set_threads(args.threads)?;
-    let progress = Progress::new(args.quiet);
+    set_threads(args.running.threads)?;
+    let progress = Progress::new(args.running.quiet);
     let settings =
         ChunkTransfer { neighbours: usize::from(args.neighbours), max_distance: args.max_distance };
     let chunks = folders(&args.chunks)?;

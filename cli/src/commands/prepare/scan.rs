@@ -1,7 +1,7 @@
 //! `scenesplat prepare scan`
 
 use super::splits::{self, SplitList};
-use crate::commands::WrongUse;
+use crate::error::{WrongUse, refuse};
 use crate::flags::{Shared, SourceArgs, parse_positive};
 use crate::session::Session;
 use anyhow::{Context, Result};
@@ -88,7 +88,7 @@ pub(super) fn run(args: &Args, line: &str) -> Result<()> {
     let stage = session.receipt.stage("scan");
     let scan = read_scan(&args.scan, args.layout)?;
     drop(stage);
-    session.make_out(&[])?;
+    session.outputs.open_folder(&[])?;
     let options = ReadOptions { sh_rest: false, ..args.source.options() };
     let opened = session.open_with(&args.scene, &options)?;
     let rows = opened.loaded.source_rows();
@@ -142,7 +142,7 @@ impl Args {
         };
         let plain = !name.is_empty() && !name.starts_with('.') && !name.contains(['/', '\\']);
         if !plain {
-            return Err(WrongUse(format!("--name {name:?}: no name of a folder")).into());
+            refuse!("--name {name:?}: no name of a folder");
         }
         Ok(name)
     }
@@ -237,13 +237,11 @@ fn tell(session: &Session<'_>, report: &PrepareReport, points: usize) {
     if !report.unknown.is_empty() {
         let shown: Vec<String> =
             report.unknown.iter().take(8).map(|(name, n)| format!("{name} ({n})")).collect();
-        let text = format!(
+        session.warn(format!(
             "{} names are no class and label nothing: {}{}",
             report.unknown.len(),
             shown.join(", "),
             if report.unknown.len() > 8 { ", …" } else { "" }
-        );
-        session.progress.say(&text);
-        session.receipt.warning(text);
+        ));
     }
 }

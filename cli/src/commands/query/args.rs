@@ -1,10 +1,9 @@
 //! The flags of `query`, and what they ask for.
 
-use crate::budget::{BudgetArgs, Chosen, Job, within_budget};
+use crate::budget::BudgetArgs;
 use crate::commands::classes::Classes;
 use crate::effects::EffectArgs;
 use crate::flags::{Inference, Shared};
-use anyhow::Result;
 use std::path::PathBuf;
 
 /// Writes scores.npy (cosine with the query), selection.npy (0 or 1), query.ply (a heat map with
@@ -50,25 +49,4 @@ pub struct Args {
     /// Flags of all commands.
     #[command(flatten)]
     pub shared: Shared,
-}
-
-impl Args {
-    /// The setting that a budget chooses, if there is one, and the flags with it.
-    pub fn chosen(&self) -> Result<(Self, Option<Chosen>)> {
-        let job = Job {
-            command: "query",
-            scene: &self.scene,
-            inference: &self.inference,
-            vote_k: self.vote_k,
-            features: self.features.as_deref(),
-        };
-        let (inference, chosen) = within_budget(&self.budget, self.shared.threads, &job)?;
-        Ok((Self { inference, ..self.clone() }, chosen))
-    }
-
-    /// With the parts of the setting among the flags, and how many neighbours vote.
-    pub fn settled(&self) -> Result<(Self, usize)> {
-        let (inference, k) = self.inference.settled(self.vote_k)?;
-        Ok((Self { inference, ..self.clone() }, k))
-    }
 }

@@ -2,7 +2,7 @@
 
 use super::Args;
 use super::guess::guessed;
-use crate::commands::WrongUse;
+use crate::error::{WrongUse, refuse};
 use crate::session::Session;
 use anyhow::Result;
 use scenesplat::phrases::{AskError, PhraseReader, TextEncoder, Verdict};
@@ -21,19 +21,17 @@ pub fn query(args: &Args, session: &Session<'_>) -> Result<Query> {
             return of_phrase(args, session, &scenesplat::embedded::vocabulary()?);
         }
         (None, None) => {
-            return Err(WrongUse(
+            refuse!(
                 "give --text (embeddings with names, the query being one of them) or --embedding \
                  (the query's own vector)"
-                    .to_owned(),
-            )
-            .into());
+            );
         }
         (Some(_), _) => Some(args.classes.text_table(false)?),
         (None, Some(_)) => None,
     };
     let Some(path) = &args.embedding else {
         let Some(table) = table else {
-            return Err(WrongUse("--text is missing".to_owned()).into());
+            refuse!("--text is missing");
         };
         if let Some(query) = Query::of_table(&table, &args.query)? {
             return Ok(query);
@@ -41,33 +39,25 @@ pub fn query(args: &Args, session: &Session<'_>) -> Result<Query> {
         if let Some(folder) = &args.text_model {
             return guessed(session, &args.query, &table, &TextEncoder::open(folder)?);
         }
-        return Err(WrongUse(format!(
+        refuse!(
             "{:?} is not among the {} names of --text; nearest: {}. For any other text give \
              its embedding with --embedding FILE, or a sentence encoder with --text-model DIR",
             args.query,
             table.names.len(),
             nearest_names(&table.names, &args.query, 3).join(", ")
-        ))
-        .into());
+        );
     };
     let vector = read_text_vector(path)?;
     if let Some(t) = &table
         && t.dim != vector.len()
     {
-        return Err(WrongUse(format!(
-            "--embedding has {} values, the rows of --text have {}",
-            vector.len(),
-            t.dim
-        ))
-        .into());
+        refuse!("--embedding has {} values, the rows of --text have {}", vector.len(), t.dim);
     }
     if table.is_none() && args.classes.min_score.is_none() {
-        return Err(WrongUse(
+        refuse!(
             "without rivals every Gaussian would be selected: give --text (other classes) or \
              --min-score"
-                .to_owned(),
-        )
-        .into());
+        );
     }
     Ok(Query::of_vector(&args.query, vector, table.as_ref())?)
 }
@@ -100,8 +90,7 @@ fn of_phrase(args: &Args, session: &Session<'_>, vocabulary: &Vocabulary) -> Res
         if is_sure {
             session.progress.say(text);
         } else {
-            session.progress.say(format!("*** {text} ***"));
-            session.receipt.warning(text);
+            session.warn_loudly(text);
         }
     }
     Ok(asked.query)

@@ -1,6 +1,6 @@
 //! A phrase that a text table does not have: its vector guessed by those it has.
 
-use crate::commands::WrongUse;
+use crate::error::WrongUse;
 use crate::session::Session;
 use anyhow::Result;
 use scenesplat::phrases::{PhraseError, TextEncoder, guess};

@@ -5,7 +5,8 @@ mod asked;
 mod guess;
 mod write;
 
-use super::WrongUse;
+use crate::budget::{Job, within_budget};
+use crate::error::{WrongUse, refuse};
 use crate::session::{FeatureSource, Session};
 use anyhow::Result;
 pub use args::Args;
@@ -17,17 +18,23 @@ use write::{describe, write};
 
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
-    let (args, chosen) = args.chosen()?;
-    let (args, vote_k) = &args.settled()?;
-    let session = Session::start_with(&args.shared, &args.inference.network, line)?;
-    session.note_setting(&args.inference);
-    session.note_budget(chosen);
+    let job = Job {
+        command: "query",
+        scene: &args.scene,
+        inference: &args.inference,
+        vote_k: args.vote_k,
+        features: args.features.as_deref(),
+    };
+    let (inference, vote_k, chosen) =
+        within_budget(&args.budget, args.shared.running.threads, &job)?;
+    let session = Session::start_network(&args.shared, &inference, chosen, line)?;
+    let args = &Args { inference, ..args.clone() };
     let read = [Some(args.scene.as_path()), args.embedding.as_deref(), args.text_model.as_deref()];
     session.outputs.reads_any(read)?;
     let wish = args.effects.wish(&session, args.features.is_none(), true)?;
     args.classes.claim_inputs(&session.outputs)?;
     let query = query(args, &session)?;
-    session.make_out(&["scores.npy", "selection.npy", "query.ply", "preview.png"])?;
+    session.outputs.open_folder(&["scores.npy", "selection.npy", "query.ply", "preview.png"])?;
     args.classes.record(&session)?;
     for (role, path) in [("embedding", &args.embedding), ("text_model", &args.text_model)] {
         if let Some(path) = path {
@@ -40,8 +47,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         args.features.as_deref(),
         |network| {
             if network.is_classifier() {
-                let text = "a segmentation network cannot be queried; use --config language";
-                return Err(WrongUse(text.to_owned()).into());
+                refuse!("a segmentation network cannot be queried; use --config language");
             }
             check_width(network.model().out_channels(), query.width())
         },
@@ -53,9 +59,10 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let scene = &opened.loaded.scene;
     if let (FeatureSource::Codes, Some(code)) = (&source, &scene.lang_code) {
         if args.classes.text.is_none() && args.embedding.is_none() {
-            let text = "the scene carries language codes of its own: give --text or --embedding for \
-                        them, or --weights embedded to use the network inside the program";
-            return Err(WrongUse(text.to_owned()).into());
+            refuse!(
+                "the scene carries language codes of its own: give --text or --embedding for \
+                        them, or --weights embedded to use the network inside the program"
+            );
         }
         check_width(code.codebook.feature_width(), query.width())?;
     }
@@ -63,7 +70,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let about = session.compensation(&wish, scene, &args.inference, consumer)?;
     let features = session.features(&opened, &source, &args.inference, &about)?;
     if source.is_network() && args.inference.network.is_embedded() {
-        session.strangeness(&features, |_| "what is found is a guess")?;
+        session.novelty(&features, |_| "what is found is a guess")?;
     }
 
     session.receipt.setting("vote_k", vote_k, "neighbours that vote on the selection");
@@ -73,7 +80,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
             without: args.classes.without.clone(),
             min_score: args.classes.min_score,
             min_margin: args.classes.min_margin,
-            vote_k: *vote_k,
+            vote_k,
         };
         select(&features, &query, &settings, &scene.coord)?
     };

@@ -4,7 +4,7 @@ use super::Args;
 use crate::session::{FeatureSource, Session};
 use crate::terminal::print;
 use anyhow::Result;
-use scenesplat::outputs::{OpenedScene, ResultColumns, write_colored_ply, write_scene_preview};
+use scenesplat::outputs::{OpenedScene, ResultColumns, write_colored_ply};
 use scenesplat::preview::LegendEntry;
 use scenesplat::query::{OTHERS_COLOR, SELECTED_COLOR, Selection};
 
@@ -24,10 +24,8 @@ pub fn write(
         session.write_rows("scores.npy", opened, scores, 0.0)?;
         let bytes: Vec<u8> = selected.iter().map(|s| *s as u8).collect();
         session.write_rows("selection.npy", opened, &bytes, 0)?;
-        let path = session.out("query.ply")?;
         let columns = ResultColumns { label: Some(selected), score: Some(scores) };
-        let bytes = write_colored_ply(opened, &colors, &columns, &path)?;
-        session.wrote(&path, bytes);
+        session.write("query.ply", |path| write_colored_ply(opened, &colors, &columns, path))?;
         session.receipt.add_rows_out(opened.loaded.source_rows());
     }
     let _stage = session.receipt.stage("picture");
@@ -37,12 +35,8 @@ pub fn write(
         LegendEntry { name: args.query.clone(), color: SELECTED_COLOR, count },
         LegendEntry { name: "everything else".to_owned(), color: OTHERS_COLOR, count: others },
     ];
-    let path = session.out("preview.png")?;
     let title = format!("\"{}\"{}", args.query, source.remark());
-    let up = session.up(scene, &args.inference);
-    let bytes = write_scene_preview(scene, &colors, &entries, &title, up, &path)?;
-    session.wrote(&path, bytes);
-    Ok(())
+    session.write_preview(scene, &colors, &entries, &title, args.inference.up)
 }
 
 /// Prints how much was found and where.

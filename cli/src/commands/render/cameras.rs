@@ -1,7 +1,7 @@
 //! The pictures of a `render`, and the cameras of a file.
 
 use super::Args;
-use crate::commands::WrongUse;
+use crate::error::WrongUse;
 use anyhow::Result;
 use scenesplat::preview::Ceiling;
 use scenesplat::rasterizer::View;

@@ -105,10 +105,8 @@ impl Effects {
             "renders": renders,
             "pictures": frames,
         });
-        let path = session.out("effects.json")?;
         let text = serde_json::to_string_pretty(&text)? + "\n";
-        std::fs::write(&path, &text)?;
-        session.wrote(&path, text.len() as u64);
+        session.write_text("effects.json", &text)?;
         Ok(())
     }
 

@@ -2,7 +2,7 @@
 
 use super::Args;
 use super::cameras::{Shot, Shots};
-use crate::commands::WrongUse;
+use crate::error::WrongUse;
 use anyhow::Result;
 use scenesplat::preview::{LookAt, Orbit, SceneRows, inside_views};
 use scenesplat::scene::{Camera, GaussianScene, UpAxis};

@@ -5,17 +5,17 @@ mod cameras;
 mod effects;
 mod free;
 mod parse;
-pub(super) use cameras::picture_name;
-pub(super) use parse::{parse_fov, parse_size};
 
-use super::WrongUse;
+use crate::error::refuse;
 use crate::session::Session;
 use anyhow::{Context, Result};
 pub use args::Args;
 use args::PlanArg;
+pub(super) use cameras::picture_name;
 use cameras::{Shot, Shots};
 use clap::ValueEnum;
 use effects::Effects;
+pub(super) use parse::{parse_fov, parse_size};
 use scenesplat::datasets::effects::pictures::DrawnPicture;
 use scenesplat::preview::{depth_picture, depth_steps, picture_of, write_png, write_png16};
 use scenesplat::rasterizer::{
@@ -29,14 +29,13 @@ use scenesplat_lab::compensation::render_section;
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
     if args.fov.is_some() && args.eye.is_none() && args.inside.is_none() {
-        let text = "--fov goes with --eye and --target, or with --inside";
-        return Err(WrongUse(text.to_owned()).into());
+        refuse!("--fov goes with --eye and --target, or with --inside");
     }
     let session = Session::start(&args.shared, line)?;
     // Wrong cameras are said before a large scene is read.
     session.outputs.reads_any([Some(args.scene.as_path()), args.cameras.as_deref()])?;
     let read = args.cameras.as_ref().map(|path| cameras::read(path, args)).transpose()?;
-    session.make_out(&[])?;
+    session.outputs.open_folder(&[])?;
     let options = ReadOptions { sh_rest: true, ..args.source.options() };
     let scene = session.open_with(&args.scene, &options)?.loaded.scene;
     let up = || args.up.unwrap_or_else(|| guess_up(&scene).axis);
@@ -52,7 +51,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     if !args.keeps_cameras() {
         names.push("cameras.json".to_owned());
     }
-    session.make_out(&names.iter().map(String::as_str).collect::<Vec<_>>())?;
+    session.outputs.open_folder(&names.iter().map(String::as_str).collect::<Vec<_>>())?;
     for note in &shots.notes {
         session.progress.say(note);
     }
@@ -74,27 +73,21 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     session.progress.finish();
     drop(_stage);
     if !args.keeps_cameras() {
-        let path = session.out("cameras.json")?;
-        cameras::write(&shots.list, &path)?;
-        session.wrote(&path, std::fs::metadata(&path)?.len());
+        session.write("cameras.json", |path| cameras::write(&shots.list, path))?;
     }
     effects.tell(&session)?;
     if let Some(first) = empty.first() {
-        let text = format!(
+        session.warn(format!(
             "{} of {} pictures show no Gaussian, {first} first; are the cameras in the frame of the \
              scene?",
             empty.len(),
             shots.list.len()
-        );
-        session.progress.say(&text);
-        session.receipt.warning(text);
+        ));
     }
     if lost > 0 {
-        let text = format!(
+        session.warn(format!(
             "{lost} depths do not fit 16 bits and were written as 0; give a smaller --depth-scale"
-        );
-        session.progress.say(&text);
-        session.receipt.warning(text);
+        ));
     }
     session.finish()
 }
@@ -152,16 +145,15 @@ fn near(args: &Args, shots: &Shots) -> f32 {
 /// Writes the pictures of a camera; gives the number of depths that do not fit.
 fn write(session: &Session<'_>, args: &Args, shot: &Shot, picture: &DrawnPicture) -> Result<usize> {
     let (width, height) = (shot.camera.width, shot.camera.height);
-    let path = session.out(&format!("{}.png", shot.name))?;
     let rgb = picture_of(&picture.rgb, width, height).context("a picture has three channels")?;
-    session.wrote(&path, write_png(&path, &rgb)?);
+    session.write(&format!("{}.png", shot.name), |path| write_png(path, &rgb))?;
     let depth = picture.depth.as_ref().filter(|_| args.depth);
     let Some(depth) = depth else { return Ok(0) };
-    let inside = |folder: &str| session.out(&format!("{folder}/{}.png", shot.name));
     let (steps, lost) = depth_steps(depth, args.depth_scale);
-    let path = inside("depth")?;
-    session.wrote(&path, write_png16(&path, &steps, [width, height])?);
-    let path = inside("depth_color")?;
-    session.wrote(&path, write_png(&path, &depth_picture(depth, width, height))?);
+    let size = [width, height];
+    session.write(&format!("depth/{}.png", shot.name), |path| write_png16(path, &steps, size))?;
+    session.write(&format!("depth_color/{}.png", shot.name), |path| {
+        write_png(path, &depth_picture(depth, width, height))
+    })?;
     Ok(lost)
 }

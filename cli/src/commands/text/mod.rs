@@ -2,7 +2,7 @@
 
 mod build;
 
-use super::WrongUse;
+use crate::error::refuse;
 use crate::outputs::Outputs;
 use crate::terminal::print;
 use crate::threads::set_threads;
@@ -62,20 +62,19 @@ pub fn run(args: &Args) -> Result<()> {
         print(&format!("{} phrases were given more than once", given - phrases.len()));
     }
     if phrases.is_empty() {
-        return Err(WrongUse("give a phrase, or a file of them with --names".to_owned()).into());
+        refuse!("give a phrase, or a file of them with --names");
     }
     let encoder = args.text_model.as_deref().map(TextEncoder::open).transpose()?;
     match (&args.phrase_table, &args.out, &encoder) {
         (Some(_), _, None) => {
-            let text = "a phrase table is made with a sentence encoder: give its folder with \
-                        --text-model";
-            return Err(WrongUse(text.to_owned()).into());
+            refuse!(
+                "a phrase table is made with a sentence encoder: give its folder with \
+                        --text-model"
+            );
         }
         (Some(path), _, Some(encoder)) => {
             if args.json.is_some() {
-                let text =
-                    "--json says what phrases are taken for; leave it out with --phrase-table";
-                return Err(WrongUse(text.to_owned()).into());
+                refuse!("--json says what phrases are taken for; leave it out with --phrase-table");
             }
             build::run(&outputs, encoder, phrases, path)?;
             return outputs.commit(None);
@@ -126,13 +125,12 @@ fn look_up(phrases: &[String]) -> Result<(Vec<f32>, usize)> {
         }
     }
     if !unknown.is_empty() {
-        let text = format!(
+        refuse!(
             "no word is known of {} of the phrases: {}; leave them out, or give a sentence encoder \
              with --text-model",
             unknown.len(),
             unknown.join(", ")
         );
-        return Err(WrongUse(text).into());
     }
     if made_up > 0 {
         print(&format!("{made_up} phrases are not in the phrase table: made up of their words"));

@@ -2,6 +2,7 @@
 
 mod ranks;
 
+use crate::flags::Running;
 use crate::progress::{interrupted, listen_for_interrupt};
 use crate::terminal::print;
 use crate::threads::set_threads;
@@ -36,9 +37,9 @@ pub struct Args {
     /// Other seed of first values, order and augmentation than the file's.
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
-    /// Threads; all cores by default. Results do not depend on it.
-    #[arg(long, value_name = "N")]
-    pub threads: Option<usize>,
+    /// Threads and progress.
+    #[command(flatten)]
+    pub running: Running,
     /// Where the network is trained: cpu; cuda:0 or metal:0 (or another number), if the program was built for it
     /// (docs/devices.md); auto, which is the first of these that there is, else cpu.
     #[arg(long, value_name = "DEVICE", default_value_t = DeviceChoice::Cpu)]
@@ -46,9 +47,6 @@ pub struct Args {
     /// Reads the experiment, prints it with everything that it extends, and trains nothing.
     #[arg(long)]
     pub check: bool,
-    /// Shows no progress.
-    #[arg(long)]
-    pub quiet: bool,
 }
 
 /// Runs the command.
@@ -61,7 +59,7 @@ pub fn run(args: &Args) -> Result<()> {
         print(&toml::to_string_pretty(&config)?);
         return Ok(());
     }
-    set_threads(args.threads)?;
+    set_threads(args.running.threads)?;
     let device = args.device.open().context("--device")?;
     if let Some(why) = &device.fell_back {
         print(&format!("--device auto: training on the cpu: {why}"));
@@ -89,7 +87,7 @@ pub fn run(args: &Args) -> Result<()> {
         &RunOptions {
             out,
             resume,
-            quiet: args.quiet,
+            quiet: args.running.quiet,
             stop,
             device: device.device,
             commit: option_env!("SCENESPLAT_COMMIT").map(str::to_owned),
@@ -122,12 +120,15 @@ pub fn run(args: &Args) -> Result<()> {
     Ok(())
 }
 
-/// Tells the trainer when the user asks to stop.
+/// Sets `stop` when the user asks to stop.
 fn watch(stop: Arc<AtomicBool>) {
-    // Ends with the program: there is nothing to clean up.
     std::thread::spawn(move || {
         while !interrupted() {
             std::thread::sleep(Duration::from_millis(50));
+            if Arc::strong_count(&stop) == 1 {
+                // The training is over.
+                return;
+            }
         }
         stop.store(true, Ordering::SeqCst);
     });

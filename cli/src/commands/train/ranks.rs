@@ -1,5 +1,6 @@
 //! The other processes of a training, if a launcher has started several.
 
+use crate::error::refuse;
 use anyhow::Result;
 use candle_core::Device;
 use scenesplat::trainers::Collective;
@@ -42,14 +43,12 @@ pub fn start(device: &Device) -> Result<Rc<dyn Collective>> {
 /// If there are several, and this program cannot talk to them.
 #[cfg(not(feature = "mpi"))]
 pub fn start(_: &Device) -> Result<Rc<dyn Collective>> {
-    use crate::commands::WrongUse;
     match launched() {
         Some((name, size @ 2..)) => {
-            let text = format!(
+            refuse!(
                 "{name}={size}: several processes were started, but this program was built without the feature mpi and \
                  each would train for itself: cargo build --release --features mpi"
             );
-            Err(WrongUse(text).into())
         }
         _ => Ok(Rc::new(scenesplat::trainers::Alone)),
     }

@@ -21,7 +21,7 @@ pub const ATTACKS: &[Attack] = &[
         attempt: "a device or a pipe named as `--json` or `--receipt`",
         harm: "was replaced by a regular file",
         cases: &["device-in-place-of-an-output", "folder-in-place-of-an-output"],
-        tests: &["cli/tests/cli/outputs.rs::devices_and_pipes_are_not_replaced"],
+        tests: &["cli/tests/suite/outputs.rs::devices_and_pipes_are_not_replaced"],
     },
     Attack {
         attempt: "`--receipt`, `--json`, `--sheet` or a result of `--out` that is the input",
@@ -29,21 +29,21 @@ pub const ATTACKS: &[Attack] = &[
         // Which files a command reads and writes, only the command knows.
         cases: &[],
         tests: &[
-            "cli/tests/cli/outputs.rs::inputs_are_not_replaced_under_any_name",
-            "cli/tests/cli/outputs.rs::an_output_folder_with_the_input_in_it",
+            "cli/tests/suite/outputs.rs::inputs_are_not_replaced_under_any_name",
+            "cli/tests/suite/outputs.rs::an_output_folder_with_the_input_in_it",
         ],
     },
     Attack {
         attempt: "`weights FILE --receipt FILE`",
         harm: "the checkpoint was gone",
         cases: &[],
-        tests: &["cli/tests/cli/outputs.rs::a_checkpoint_in_use_is_not_replaced"],
+        tests: &["cli/tests/suite/outputs.rs::a_checkpoint_in_use_is_not_replaced"],
     },
     Attack {
         attempt: "links under the names of unfinished files",
         harm: "what they lead to was written over",
         cases: &["link-with-a-waiting-name"],
-        tests: &["cli/tests/cli/outputs.rs::planted_links_lead_nowhere"],
+        tests: &["cli/tests/suite/outputs.rs::planted_links_lead_nowhere"],
     },
     Attack {
         attempt: "`config.json` beside weights with sizes of 10⁶ and 2⁶²",
@@ -53,7 +53,7 @@ pub const ATTACKS: &[Attack] = &[
             "config-in-channels-a-million",
             "config-mlp-ratio-a-million",
         ],
-        tests: &["cli/tests/cli/inputs.rs::sizes_in_a_configuration_are_not_believed"],
+        tests: &["cli/tests/suite/inputs.rs::sizes_in_a_configuration_are_not_believed"],
     },
     Attack {
         attempt: "a PNG of 470 kB with 22,000 × 22,000 pixels",
@@ -86,19 +86,19 @@ pub const ATTACKS: &[Attack] = &[
         attempt: "results to a full disk",
         harm: "exit code 0",
         cases: &["output-that-is-not-finished"],
-        tests: &["cli/tests/cli/outputs.rs::results_that_do_not_get_out_are_an_error"],
+        tests: &["cli/tests/suite/outputs.rs::results_that_do_not_get_out_are_an_error"],
     },
     Attack {
         attempt: "a pipe as a scene or as weights",
         harm: "waited for ever",
         cases: &["device-in-place-of-an-input", "folder-in-place-of-a-scene"],
-        tests: &["cli/tests/cli/inputs.rs::pipes_and_devices_are_refused_at_once"],
+        tests: &["cli/tests/suite/inputs.rs::pipes_and_devices_are_refused_at_once"],
     },
     Attack {
         attempt: "`--threads 2000`, `--text vocabulary:18446744073709551615`",
         harm: "2,000 threads; an allocation that fails",
         cases: &["vocabulary-of-2-to-64"],
-        tests: &["cli/tests/cli/inputs.rs::wrong_values_are_wrong_use"],
+        tests: &["cli/tests/suite/inputs.rs::wrong_values_and_flags_without_effect_are_wrong_use"],
     },
     Attack {
         attempt: "a scene for training with NaN positions, NaN rotations and labels that are none",

@@ -1,6 +1,7 @@
 //! Cutting a box out of a scene.
 
 use super::EditError;
+use crate::bounds::bounding_box;
 use crate::{GaussianScene, LabelledPoints};
 use rayon::prelude::*;
 use std::str::FromStr;
@@ -24,13 +25,7 @@ impl CropBox {
         let inside = |row: &usize| self.contains(&scene.coord[*row]);
         let kept: Vec<usize> = (0..scene.len()).into_par_iter().filter(inside).collect();
         if kept.is_empty() {
-            let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
-            for p in &scene.coord {
-                for i in 0..3 {
-                    min[i] = min[i].min(p[i]);
-                    max[i] = max[i].max(p[i]);
-                }
-            }
+            let (min, max) = bounding_box(scene.coord.iter().copied());
             return Err(EditError::EmptyCrop { min, max });
         }
         Ok(kept)
@@ -39,14 +34,7 @@ impl CropBox {
     /// Keeps the labelled points in the box: others would be judged by Gaussians that are not there.
     pub(super) fn cut_points(&self, points: &mut LabelledPoints) {
         let inside: Vec<bool> = points.coord.iter().map(|p| self.contains(p)).collect();
-        fn keep<T>(values: &mut Vec<T>, inside: &[bool]) {
-            let mut flags = inside.iter();
-            values.retain(|_| flags.next().copied().unwrap_or(false));
-        }
-        keep(&mut points.coord, &inside);
-        for labels in [&mut points.segment, &mut points.instance].into_iter().flatten() {
-            keep(labels, &inside);
-        }
+        points.retain(&inside);
     }
 }
 

@@ -5,8 +5,12 @@
 //! flat Gaussians; their common direction is up.
 
 use crate::bounds::{Bounds, robust_bounds};
+use crate::formats::unit_f64;
 use crate::frame::Matrix3;
+use crate::quaternion::axes_by_size;
+use crate::vector::rotation;
 use crate::{GaussianScene, Similarity};
+use glam::DVec3;
 use serde::Serialize;
 
 /// Rows that are looked at.
@@ -67,9 +71,9 @@ impl Leveling {
 
 /// A flat Gaussian.
 pub(super) struct Flat {
-    pub(super) coord: [f64; 3],
+    pub(super) coord: DVec3,
     /// Unit, with z ≥ 0.
-    pub(super) normal: [f64; 3],
+    pub(super) normal: DVec3,
     /// Product of the two longer axes times opacity.
     pub(super) surface: f64,
 }
@@ -83,12 +87,12 @@ pub fn level(scene: &GaussianScene) -> Leveling {
     let bounds = robust_bounds(&scene.coord);
     let flats = flats(scene, &bounds);
     let total: f64 = flats.iter().map(|f| f.surface).sum();
-    let mut up = [0.0, 0.0, 1.0];
+    let mut up = DVec3::Z;
     for cone in CONES.into_iter().chain([CONES[CONES.len() - 1]; ROUNDS]) {
         up = mean_normal(&flats, up, cone).unwrap_or(up);
     }
     let narrow = CONES[CONES.len() - 1].to_radians().cos();
-    let facing: Vec<&Flat> = flats.iter().filter(|f| dot(f.normal, up) >= narrow).collect();
+    let facing: Vec<&Flat> = flats.iter().filter(|f| f.normal.dot(up) >= narrow).collect();
     let share = facing.iter().map(|f| f.surface).sum::<f64>() / total.max(f64::MIN_POSITIVE);
     let mut found = Leveling {
         tilt: 0.0,
@@ -100,7 +104,7 @@ pub fn level(scene: &GaussianScene) -> Leveling {
     if !found.has_floor() {
         return found;
     }
-    found.tilt = up[2].clamp(-1.0, 1.0).acos().to_degrees();
+    found.tilt = up.z.clamp(-1.0, 1.0).acos().to_degrees();
     found.rotation = turn_to_z(up);
     found.floor = floor_height(&facing, up, SLAB * bounds.largest_extent());
     found
@@ -117,9 +121,7 @@ pub(super) fn flats(scene: &GaussianScene, bounds: &Bounds) -> Vec<Flat> {
 
 fn flat(scene: &GaussianScene, row: usize) -> Option<Flat> {
     let sizes = scene.log_scale[row];
-    let mut order = [0, 1, 2];
-    order.sort_by(|&a, &b| sizes[a].total_cmp(&sizes[b]));
-    let [short, middle, long] = order;
+    let [short, middle, long] = axes_by_size(sizes);
     let opacity = scene.opacity(row);
     // NaN is neither flat nor visible.
     let is_flat = sizes[middle] - sizes[short] >= FLAT && opacity >= FAINTEST;
@@ -127,51 +129,40 @@ fn flat(scene: &GaussianScene, row: usize) -> Option<Flat> {
     if !is_flat || !surface.is_finite() {
         return None;
     }
-    let normal = axis(scene.quat[row], short)?;
-    let normal = if normal[2] < 0.0 { normal.map(|v| -v) } else { normal };
-    Some(Flat { coord: scene.coord[row].map(f64::from), normal, surface })
-}
-
-/// A column of the matrix of a quaternion `w, x, y, z` of any length above 0.
-fn axis(quat: [f32; 4], column: usize) -> Option<[f64; 3]> {
-    let q = quat.map(f64::from);
-    let norm = q.iter().map(|v| v * v).sum::<f64>().sqrt();
-    if !(norm.is_finite() && norm > 0.0) {
+    let quat = unit_f64(scene.quat[row]);
+    if !quat.iter().all(|v| v.is_finite()) {
         return None;
     }
-    let [w, x, y, z] = q.map(|v| v / norm);
-    Some(match column {
-        0 => [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)],
-        1 => [2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)],
-        _ => [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)],
-    })
+    let normal = DVec3::from(rotation(quat).map(|r| r[short]));
+    let normal = if normal.z < 0.0 { -normal } else { normal };
+    Some(Flat { coord: DVec3::from(scene.coord[row].map(f64::from)), normal, surface })
 }
 
 /// Mean of the normals within `cone` degrees about `up`, by surface; no Gaussian counts for more than
 /// a hundredth part, so that no huge one decides.
-fn mean_normal(flats: &[Flat], up: [f64; 3], cone: f64) -> Option<[f64; 3]> {
+fn mean_normal(flats: &[Flat], up: DVec3, cone: f64) -> Option<DVec3> {
     let least = cone.to_radians().cos();
-    let near = || flats.iter().filter(|f| dot(f.normal, up).abs() >= least);
+    let near = || flats.iter().filter(|f| f.normal.dot(up).abs() >= least);
     let most = near().map(|f| f.surface).sum::<f64>() / 100.0;
-    let mut sum = [0.0; 3];
+    let mut sum = DVec3::ZERO;
     for f in near() {
-        let sign = dot(f.normal, up).signum();
-        (0..3).for_each(|a| sum[a] += sign * f.normal[a] * f.surface.min(most));
+        sum += f.normal.dot(up).signum() * f.normal * f.surface.min(most);
     }
-    let length = dot(sum, sum).sqrt();
-    (length > 0.0).then(|| sum.map(|v| v / length))
+    let length = sum.length();
+    (length > 0.0).then(|| sum / length)
 }
 
 /// The smallest rotation that takes a unit vector with z > 0 to +z.
-fn turn_to_z([x, y, z]: [f64; 3]) -> Matrix3 {
+fn turn_to_z(up: DVec3) -> Matrix3 {
+    let [x, y, z] = up.to_array();
     let f = 1.0 / (1.0 + z);
     [[1.0 - f * x * x, -f * x * y, -x], [-f * x * y, 1.0 - f * y * y, -y], [x, y, z]]
 }
 
 /// Height of the floor along `up`.
-fn floor_height(facing: &[&Flat], up: [f64; 3], slab: f64) -> f64 {
+fn floor_height(facing: &[&Flat], up: DVec3, slab: f64) -> f64 {
     let mut heights: Vec<(f64, f64)> =
-        facing.iter().map(|f| (dot(f.coord, up), f.surface)).collect();
+        facing.iter().map(|f| (f.coord.dot(up), f.surface)).collect();
     heights.sort_by(|a, b| a.0.total_cmp(&b.0));
     // No single Gaussian makes a floor.
     let most = heights.iter().map(|h| h.1).sum::<f64>() / 100.0;
@@ -204,10 +195,6 @@ fn floor_height(facing: &[&Flat], up: [f64; 3], slab: f64) -> f64 {
         }
     }
     heights[best].0
-}
-
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 #[cfg(test)]

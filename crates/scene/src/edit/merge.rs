@@ -40,10 +40,10 @@ pub fn merge(scenes: Vec<GaussianScene>) -> Result<(GaussianScene, MergeReport),
         return Err(EditError::NoScene);
     };
     let mut out = GaussianScene { sh_degree: degree, ..GaussianScene::default() };
-    out.segment =
-        joined(&scenes, "class labels", "no label", &mut report, |s| s.segment.clone(), -1);
-    out.segment_score =
-        joined(&scenes, "scores", "a score of 0", &mut report, |s| s.segment_score.clone(), 0.0);
+    let labels = "rows without class labels got no label";
+    out.segment = rows_of(&scenes, labels, &mut report, |s| s.segment.as_deref(), -1);
+    let scores = "rows without scores got a score of 0";
+    out.segment_score = rows_of(&scenes, scores, &mut report, |s| s.segment_score.as_deref(), 0.0);
     let starts = instance_starts(&scenes);
     out.instance = instances(&scenes, starts.as_deref(), &mut report);
     out.lang_code = codes(&scenes, &mut report);
@@ -83,25 +83,46 @@ fn scenes_text(numbers: &[usize]) -> String {
     format!("scene {}", list.join(", "))
 }
 
-/// One value per row of all scenes, if any scene has them; `fill` for the others.
-fn joined<T: Copy>(
+/// One value per row of all scenes, if any scene has them; `fill` for the others, which a note says.
+fn rows_of<T: Copy>(
     scenes: &[GaussianScene],
-    what: &str,
-    fill_text: &str,
+    note: &str,
     report: &mut MergeReport,
-    values: impl Fn(&GaussianScene) -> Option<Vec<T>>,
+    values: impl Fn(&GaussianScene) -> Option<&[T]>,
     fill: T,
 ) -> Option<Vec<T>> {
-    let without = numbers(scenes, |s| values(s).is_none());
-    if without.len() == scenes.len() {
-        return None;
+    scenes.iter().any(|s| values(s).is_some()).then(|| {
+        note_without(scenes, note, report, |s| values(s).is_some());
+        filled(scenes.iter().map(|s| (values(s), s.len())), fill)
+    })
+}
+
+/// The values one after the other; so many times `fill` where there are none.
+fn filled<'a, T: Copy + 'a>(
+    parts: impl Iterator<Item = (Option<&'a [T]>, usize)>,
+    fill: T,
+) -> Vec<T> {
+    let mut out = Vec::new();
+    for (values, count) in parts {
+        match values {
+            Some(values) => out.extend_from_slice(values),
+            None => out.resize(out.len() + count, fill),
+        }
     }
+    out
+}
+
+/// Notes the scenes that lack something.
+fn note_without(
+    scenes: &[GaussianScene],
+    note: &str,
+    report: &mut MergeReport,
+    has: impl Fn(&GaussianScene) -> bool,
+) {
+    let without = numbers(scenes, |s| !has(s));
     if !without.is_empty() {
-        let text = format!("rows without {what} got {fill_text} ({})", scenes_text(&without));
-        report.notes.push(text);
+        report.notes.push(format!("{note} ({})", scenes_text(&without)));
     }
-    let rows = |s: &GaussianScene| values(s).unwrap_or_else(|| vec![fill; s.len()]);
-    Some(scenes.iter().flat_map(rows).collect())
 }
 
 /// What is added to the instances of each scene, so that no two scenes share one; `None` if their
@@ -130,8 +151,7 @@ fn instances(
     starts: Option<&[i32]>,
     report: &mut MergeReport,
 ) -> Option<Vec<i32>> {
-    let without = numbers(scenes, |s| s.instance.is_none());
-    if without.len() == scenes.len() {
+    if scenes.iter().all(|s| s.instance.is_none()) {
         return None;
     }
     let Some(starts) = starts else {
@@ -139,10 +159,8 @@ fn instances(
         return None;
     };
     report.notes.push("instances were numbered on from scene to scene".to_owned());
-    if !without.is_empty() {
-        let text = scenes_text(&without);
-        report.notes.push(format!("rows without instances got no instance ({text})"));
-    }
+    let none = "rows without instances got no instance";
+    note_without(scenes, none, report, |s| s.instance.is_some());
     let rows = |(scene, start): (&GaussianScene, &i32)| match &scene.instance {
         Some(ids) => moved_on(ids, *start),
         None => vec![-1; scene.len()],
@@ -159,17 +177,11 @@ fn codes(scenes: &[GaussianScene], report: &mut MergeReport) -> Option<LanguageC
         report.notes.push(text.to_owned());
         return None;
     }
-    let without = numbers(scenes, |s| s.lang_code.is_none());
-    if !without.is_empty() {
-        report.notes.push(format!("rows without language code ({})", scenes_text(&without)));
-    }
+    note_without(scenes, "rows without language code", report, |s| s.lang_code.is_some());
     let width = first.code_width();
-    let rows = |s: &GaussianScene| match &s.lang_code {
-        Some(code) => code.values.clone(),
-        None => vec![half::f16::ZERO; s.len() * width],
-    };
-    let values = scenes.iter().flat_map(rows).collect();
-    Some(LanguageCode { values, codebook: first.clone() })
+    let parts =
+        scenes.iter().map(|s| (s.lang_code.as_ref().map(|c| c.values.as_slice()), s.len() * width));
+    Some(LanguageCode { values: filled(parts, half::f16::ZERO), codebook: first.clone() })
 }
 
 fn features(scenes: &[GaussianScene], report: &mut MergeReport) -> Option<LanguageFeatures> {
@@ -180,15 +192,10 @@ fn features(scenes: &[GaussianScene], report: &mut MergeReport) -> Option<Langua
         report.notes.push(text);
         return None;
     }
-    let without = numbers(scenes, |s| s.lang_feat.is_none());
-    if !without.is_empty() {
-        report.notes.push(format!("rows without language features ({})", scenes_text(&without)));
-    }
-    let rows = |s: &GaussianScene| match &s.lang_feat {
-        Some(rows) => rows.values.clone(),
-        None => vec![half::f16::ZERO; s.len() * dim],
-    };
-    Some(LanguageFeatures { values: scenes.iter().flat_map(rows).collect(), dim })
+    note_without(scenes, "rows without language features", report, |s| s.lang_feat.is_some());
+    let parts =
+        scenes.iter().map(|s| (s.lang_feat.as_ref().map(|f| f.values.as_slice()), s.len() * dim));
+    Some(LanguageFeatures { values: filled(parts, half::f16::ZERO), dim })
 }
 
 /// Which rows have features: needed where some have none.
@@ -203,13 +210,13 @@ fn masks(scenes: &[GaussianScene], has_features: bool) -> Option<Vec<bool>> {
 }
 
 fn normals(scenes: &[GaussianScene], report: &mut MergeReport) -> Option<Vec<[f32; 3]>> {
-    let without = numbers(scenes, |s| s.normal.is_none());
-    if without.len() == scenes.len() {
+    if scenes.iter().all(|s| s.normal.is_none()) {
         return None;
     }
+    let dropped = "normals were dropped: some scenes have none";
+    let without = numbers(scenes, |s| s.normal.is_none());
     if !without.is_empty() {
-        let text = scenes_text(&without);
-        report.notes.push(format!("normals were dropped: some scenes have none ({text})"));
+        report.notes.push(format!("{dropped} ({})", scenes_text(&without)));
         return None;
     }
     Some(scenes.iter().flat_map(|s| s.normal.iter().flatten().copied()).collect())
@@ -223,11 +230,9 @@ fn labelled_points(scenes: &[GaussianScene], starts: Option<&[i32]>) -> Option<L
         pairs.filter_map(|(s, start)| Some((s.labelled_points.as_ref()?, *start)))
     };
     of().next()?;
-    let segment = of().any(|(p, _)| p.segment.is_some()).then(|| {
-        let rows =
-            |p: &LabelledPoints| p.segment.clone().unwrap_or_else(|| vec![-1; p.coord.len()]);
-        of().flat_map(|(p, _)| rows(p)).collect()
-    });
+    let segment = of()
+        .any(|(p, _)| p.segment.is_some())
+        .then(|| filled(of().map(|(p, _)| (p.segment.as_deref(), p.coord.len())), -1));
     let instance = of().any(|(p, _)| p.instance.is_some()).then(|| {
         let rows = |p: &LabelledPoints, start| match &p.instance {
             Some(ids) => moved_on(ids, start),

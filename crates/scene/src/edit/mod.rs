@@ -167,19 +167,11 @@ fn check_finite(scene: &GaussianScene, error: EditError) -> Result<(), EditError
 
 /// Drops the bands above `degree`.
 fn cut_harmonics(scene: &mut GaussianScene, degree: u8) {
-    if degree >= scene.sh_degree {
-        return;
-    }
     let old = scene.sh_rest_len() * 3;
-    scene.sh_degree = degree;
-    let new = scene.sh_rest_len() * 3;
-    if new == 0 {
-        scene.sh_rest = Vec::new();
-        return;
+    if degree < scene.sh_degree {
+        scene.sh_degree = degree;
+        let new = scene.sh_rest_len() * 3;
+        scene.sh_rest =
+            scene.sh_rest.chunks_exact(old).flat_map(|row| &row[..new]).copied().collect();
     }
-    let mut rest = Vec::with_capacity(scene.len() * new);
-    for row in scene.sh_rest.chunks_exact(old) {
-        rest.extend_from_slice(&row[..new]);
-    }
-    scene.sh_rest = rest;
 }

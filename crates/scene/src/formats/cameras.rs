@@ -12,6 +12,7 @@ pub use cameras_json::{is_cameras_json, read_cameras_json, write_cameras_json};
 pub use colmap::{is_colmap_folder, read_colmap_binary, read_colmap_text};
 pub use nerfstudio::{is_transforms_json, read_transforms_json};
 
+use super::json_text::without_mark;
 use crate::input_file::InputFile;
 use crate::{Camera, SceneError};
 use serde::Serialize;
@@ -102,11 +103,6 @@ pub fn open_cameras(path: &Path) -> Result<CameraSet, SceneError> {
         Some(b'{') => read_transforms_json(file.bytes(), path),
         _ => Err(SceneError::format(path, "is no file of cameras", SUPPORTED)),
     }
-}
-
-/// JSON without the mark of UTF-8 that some editors put before it.
-fn without_mark(json: &[u8]) -> &[u8] {
-    json.strip_prefix(b"\xef\xbb\xbf").unwrap_or(json)
 }
 
 /// A number of pixels; some programs write `800.0`.

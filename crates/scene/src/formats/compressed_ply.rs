@@ -6,12 +6,12 @@
 
 mod chunk;
 mod code;
-mod order;
+pub(super) mod order;
 mod reader;
 mod writer;
 
 pub use reader::{is_compressed, read_compressed_ply};
-pub use writer::write_compressed_ply;
+pub(super) use writer::write_compressed_ply;
 
 const VERTEX: &str = "vertex";
 const CHUNK: &str = "chunk";

@@ -16,7 +16,7 @@
 //! The names carry the prefix `KHR_gaussian_splatting:`, in older files `_`. The logarithms come
 //! from a draft of the extension; the text that followed says standard deviations. Colours of the
 //! space `lin_rec709_display` become sRGB, harmonics to first order. Labels come from a file beside
-//! it that [`write_glb`] wrote. Nothing is fetched from a
+//! it that [`write_scene`](crate::write_scene) wrote. Nothing is fetched from a
 //! network, and only files below the folder of the document are opened.
 
 mod accessor;
@@ -32,11 +32,12 @@ mod spz_parts;
 mod writer;
 
 pub use container::is_glb;
-pub use writer::write_glb;
+pub(super) use writer::write_glb;
 
-use super::json_text::is_json;
+use super::json_text::{is_json, without_mark};
 use super::memory::zeroed;
 use super::{LoadedScene, ReadOptions, SceneFormat, semantics};
+use crate::gaussian_scene::sh_rest_len;
 use crate::value_policy::Rule;
 use crate::{GaussianScene, RepairReport, SceneError};
 use attributes::{Attributes, used_attributes};
@@ -70,11 +71,6 @@ fn file_error(path: &Path, problem: impl Into<String>) -> SceneError {
 /// Whether the bytes are a JSON object with `asset`, as every `.gltf`.
 pub fn is_gltf_json(bytes: &[u8]) -> bool {
     document::has_asset(without_mark(bytes))
-}
-
-/// JSON without the mark of UTF-8 that some editors put before it.
-fn without_mark(json: &[u8]) -> &[u8] {
-    json.strip_prefix(b"\xef\xbb\xbf").unwrap_or(json)
 }
 
 /// The Gaussians of a primitive, not decoded yet.
@@ -220,7 +216,7 @@ fn check_size(
         rows = rows.saturating_add(accessor.map_or(0, |accessor| accessor.count));
         degree = degree.max(used_attributes(job.primitive, sh_rest, path)?.0);
     }
-    let rest = (u64::from(degree) + 1).pow(2) - 1;
+    let rest = sh_rest_len(degree) as u64;
     // Position, size, orientation, opacity, colour and coefficients.
     let size = rows.saturating_mul(4 * (3 + 3 + 4 + 1 + 3 + 3 * rest));
     let bytes = buffers.total();

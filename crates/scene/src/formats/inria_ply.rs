@@ -7,10 +7,10 @@ use super::ply::{
     ColumnSource, ColumnValues, Gather, PlyColumn, PlyElement, PlyFile, PlyPropertyKind, PlyType,
     write_new_ply,
 };
-use super::{LoadedScene, ReadOptions, SceneFormat, WriteProgress};
+use super::{LoadedScene, ReadOptions, SceneFormat, WriteOptions, WriteProgress, WriteReport};
 use crate::gaussian_scene::{SH_C0, u8_to_dc};
 use crate::value_policy::{DEFAULT_GREY, DEFAULT_SCALE, FLAT_SCALE, Rule};
-use crate::{GaussianScene, RepairReport, SceneError};
+use crate::{AtomicFile, GaussianScene, RepairReport, SceneError};
 use std::path::Path;
 
 const VERTEX: &str = "vertex";
@@ -36,10 +36,7 @@ pub fn read_inria_ply(file: &PlyFile, options: &ReadOptions) -> Result<LoadedSce
         return Err(SceneError::format(file.path(), "has no element vertex", ""));
     };
     let mut reader = Reader { file, vertex, report: RepairReport::default() };
-    if file.trailing_bytes() > 0 {
-        let example = format!("{} bytes", file.trailing_bytes());
-        reader.report.add(Rule::FileTrailing, 1, vertex.count, &example);
-    }
+    file.report_trailing(vertex.count, &mut reader.report);
     let rows = vertex.count;
     let mut scene = GaussianScene::default();
     // One pass over the rows fills every array of floats; fields without columns of their own are
@@ -161,12 +158,8 @@ impl Reader<'_> {
         let table: Vec<f32> = (0..=255).map(u8_to_dc).collect();
         let types = rgb.map(|n| self.vertex.property(n).map(|p| p.kind));
         if types == [Some(PlyPropertyKind::Scalar(PlyType::U8)); 3] {
-            let [r, g, b] = rgb.map(|name| self.file.column_u8(VERTEX, name));
-            let (r, g, b) = (r?, g?, b?);
-            let rows = r.iter().zip(&g).zip(&b);
-            return Ok(rows
-                .map(|((&r, &g), &b)| [r, g, b].map(|v| table[usize::from(v)]))
-                .collect());
+            let rows = self.file.rows_u8(VERTEX, rgb)?;
+            return Ok(rows.iter().map(|row| row.map(|v| table[usize::from(v)])).collect());
         }
         let float = |kind| matches!(kind, Some(PlyPropertyKind::Scalar(ty)) if ty.is_float());
         if types.into_iter().all(float) {
@@ -223,20 +216,32 @@ pub fn write_inria_ply(
     extra: &[PlyColumn<'_>],
     path: &Path,
 ) -> Result<(), SceneError> {
-    write_with_progress(scene, extra, path, &mut |_| true)
-}
-
-/// As [`write_inria_ply`]; nothing is left if `progress` says stop.
-pub(super) fn write_with_progress(
-    scene: &GaussianScene,
-    extra: &[PlyColumn<'_>],
-    path: &Path,
-    progress: WriteProgress<'_>,
-) -> Result<(), SceneError> {
     scene.check_rows()?;
     if scene.is_empty() {
         return Err(SceneError::format(path, "would hold no Gaussian at all", ""));
     }
+    let file = AtomicFile::create(path)?;
+    write_columns(scene, extra, &file, &mut |_| true)?;
+    Ok(file.commit()?)
+}
+
+/// Writes a PLY file of floats.
+pub(super) fn write_ply(
+    scene: &GaussianScene,
+    file: &AtomicFile,
+    _options: &WriteOptions,
+    _report: &mut WriteReport,
+    progress: WriteProgress<'_>,
+) -> Result<(), SceneError> {
+    write_columns(scene, &[], file, progress)
+}
+
+fn write_columns(
+    scene: &GaussianScene,
+    extra: &[PlyColumn<'_>],
+    file: &AtomicFile,
+    progress: WriteProgress<'_>,
+) -> Result<(), SceneError> {
     let mut columns: Vec<(String, ColumnSource<'_>)> = Vec::new();
     columns.extend(strided(&["x", "y", "z"], scene.coord.as_flattened()));
     match &scene.normal {
@@ -274,7 +279,7 @@ pub(super) fn write_with_progress(
         after.push(codebook_element(&code.codebook));
     }
     columns.extend(extra.iter().map(|c| (c.name.to_owned(), ColumnSource::Values(c.values))));
-    write_new_ply(path, scene.len(), &columns, &after, progress)
+    write_new_ply(file, scene.len(), &columns, &after, progress)
 }
 
 /// The columns of a row-major array.

@@ -1,8 +1,11 @@
 //! JSON by its first bytes.
 
+/// JSON without the mark of UTF-8 that some editors put before it.
+pub(super) fn without_mark(json: &[u8]) -> &[u8] {
+    json.strip_prefix(b"\xef\xbb\xbf").unwrap_or(json)
+}
+
 /// Whether it may be JSON; spares every other file the attempt to parse it.
 pub(super) fn is_json(bytes: &[u8]) -> bool {
-    // A mark of UTF-8 may come first.
-    let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-    matches!(text.trim_ascii_start(), [b'{' | b'[', ..])
+    matches!(without_mark(bytes).trim_ascii_start(), [b'{' | b'[', ..])
 }

@@ -71,27 +71,3 @@ pub fn read_ksplat(
     semantics::read_sidecar(path, bytes, file.rows, options.policy, &mut scene, &mut report)?;
     LoadedScene::finish(scene, report, options.policy, path, SceneFormat::Ksplat)
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn labels_beside_the_file_are_read() {
-        let mut bytes = vec![0u8; HEADER_BYTES + SECTION_HEADER_BYTES + 3 * 44];
-        bytes[1] = 1;
-        for at in [4, 16, HEADER_BYTES, HEADER_BYTES + 4] {
-            bytes[at] = if at == 4 { 1 } else { 3 };
-        }
-        assert!(is_ksplat(&bytes));
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.ksplat");
-        let options = ReadOptions::default();
-        let mut scene = read_ksplat(&bytes, &path, &options).unwrap().scene;
-        assert_eq!((scene.len(), &scene.segment), (3, &None));
-        scene.segment = Some(vec![4, -1, 2]);
-        semantics::write_sidecar(&scene, None, &path, &bytes).unwrap();
-        let back = read_ksplat(&bytes, &path, &options).unwrap().scene;
-        assert_eq!(back.segment, scene.segment);
-    }
-}

@@ -2,6 +2,7 @@
 
 use super::label_column::{INSTANCE_RULES, SEGMENT_RULES, read_labels};
 use super::ply::PlyFile;
+use crate::gaussian_scene::retain_flagged;
 use crate::value_policy::Rule;
 use crate::{LabelledPoints, Policy, RepairReport, SceneError};
 use std::path::Path;
@@ -66,10 +67,7 @@ pub fn read_labelled_ply(
         return Err(SceneError::format(path, problem, "name the column of class indices `label`"));
     };
     let mut report = RepairReport { source_rows: vertex.count, ..RepairReport::default() };
-    if file.trailing_bytes() > 0 {
-        let example = format!("{} bytes", file.trailing_bytes());
-        report.add(Rule::FileTrailing, 1, vertex.count, &example);
-    }
+    file.report_trailing(vertex.count, &mut report);
     let mut cloud = LabelledCloud {
         coord: file.rows_f32(VERTEX, ["x", "y", "z"])?,
         segment: read_labels(&file, VERTEX, label, SEGMENT_RULES, &mut report)?,
@@ -79,11 +77,7 @@ pub fn read_labelled_ply(
         cloud.normal = Some(file.rows_f32(VERTEX, ["nx", "ny", "nz"])?);
     }
     if all(["red", "green", "blue"]) {
-        let red = file.column_u8(VERTEX, "red")?;
-        let green = file.column_u8(VERTEX, "green")?;
-        let blue = file.column_u8(VERTEX, "blue")?;
-        let rows = red.into_iter().zip(green).zip(blue);
-        cloud.color = Some(rows.map(|((r, g), b)| [r, g, b]).collect());
+        cloud.color = Some(file.rows_u8(VERTEX, ["red", "green", "blue"])?);
     }
     if let Some(name) = INSTANCE_NAMES.into_iter().find(|name| vertex.has(name)) {
         let ids = read_labels(&file, VERTEX, name, INSTANCE_RULES, &mut report)?;
@@ -97,27 +91,23 @@ pub fn read_labelled_ply(
     Ok((cloud, report))
 }
 
-/// Leaves out the points without a finite position; gives the rows that stay, if any was left out.
-fn drop_unusable(cloud: &mut LabelledCloud, report: &mut RepairReport) -> Option<Vec<u32>> {
-    let finite: Vec<bool> = cloud.coord.iter().map(|p| p.iter().all(|v| v.is_finite())).collect();
+/// Which points have a finite position; `None` if all have. Those without are reported.
+pub(super) fn finite_points(coord: &[[f32; 3]], report: &mut RepairReport) -> Option<Vec<bool>> {
+    let finite: Vec<bool> = coord.iter().map(|p| p.iter().all(|v| v.is_finite())).collect();
     let first = finite.iter().position(|&ok| !ok)?;
     let count = finite.iter().filter(|&&ok| !ok).count();
-    report.add(Rule::PointNotFinite, count, first, &format!("{:?}", cloud.coord[first]));
-    report.dropped_rows = count;
-    fn keep<T>(values: &mut Vec<T>, finite: &[bool]) {
-        let mut flags = finite.iter();
-        values.retain(|_| flags.next().copied().unwrap_or(false));
-    }
-    keep(&mut cloud.coord, &finite);
-    keep(&mut cloud.segment, &finite);
-    if let Some(values) = &mut cloud.normal {
-        keep(values, &finite);
-    }
-    if let Some(values) = &mut cloud.color {
-        keep(values, &finite);
-    }
-    if let Some(values) = &mut cloud.instance {
-        keep(values, &finite);
-    }
+    report.add(Rule::PointNotFinite, count, first, &format!("{:?}", coord[first]));
+    Some(finite)
+}
+
+/// Leaves out the points without a finite position; gives the rows that stay, if any was left out.
+fn drop_unusable(cloud: &mut LabelledCloud, report: &mut RepairReport) -> Option<Vec<u32>> {
+    let finite = finite_points(&cloud.coord, report)?;
+    report.dropped_rows = finite.iter().filter(|&&ok| !ok).count();
+    retain_flagged(&mut cloud.coord, &finite);
+    retain_flagged(&mut cloud.segment, &finite);
+    cloud.normal.iter_mut().for_each(|values| retain_flagged(values, &finite));
+    cloud.color.iter_mut().for_each(|values| retain_flagged(values, &finite));
+    cloud.instance.iter_mut().for_each(|values| retain_flagged(values, &finite));
     Some((0..finite.len() as u32).filter(|&row| finite[row as usize]).collect())
 }

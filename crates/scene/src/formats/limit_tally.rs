@@ -32,3 +32,20 @@ impl LimitTally {
         }
     }
 }
+
+/// Tallies of the limits of a format, in the order of its table of limits.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Limits<const N: usize>(pub(crate) [LimitTally; N]);
+
+impl<const N: usize> Default for Limits<N> {
+    fn default() -> Self {
+        Self([LimitTally::default(); N])
+    }
+}
+
+impl<const N: usize> Limits<N> {
+    /// The rows of both.
+    pub(crate) fn merge(self, other: Self) -> Self {
+        Self(std::array::from_fn(|i| self.0[i].merge(other.0[i])))
+    }
+}

@@ -1,42 +1,20 @@
 //! Memory for whole scenes: zeroed by the system page by page, as the threads that fill it come by.
 
 use crate::SceneError;
-use std::alloc::{Layout, alloc_zeroed};
+use bytemuck::Zeroable;
+use bytemuck::allocation::try_zeroed_vec;
 use std::path::Path;
-
-/// Types for which all bytes 0 is a value.
-///
-/// # Safety
-/// Only for types of which that holds.
-pub(crate) unsafe trait Zeroed: Copy {}
-// SAFETY: all of these are plain numbers, for which all bytes 0 is the number 0.
-unsafe impl Zeroed for f32 {}
-// SAFETY: as above.
-unsafe impl<const W: usize> Zeroed for [f32; W] {}
 
 /// `count` zeros; the caller has checked `count` against the file at `path`.
 ///
 /// `vec![0.0; count]` would end the program where memory is short; filling a reserved vector would
 /// touch every page on one thread.
-pub(crate) fn zeroed<T: Zeroed>(count: usize, path: &Path) -> Result<Vec<T>, SceneError> {
-    const { assert!(size_of::<T>() > 0) };
-    if count == 0 {
-        return Ok(Vec::new());
-    }
-    let refused = || {
+pub(crate) fn zeroed<T: Zeroable>(count: usize, path: &Path) -> Result<Vec<T>, SceneError> {
+    let zeros = try_zeroed_vec(count).map_err(|()| {
         let problem = format!("{count} rows of {} bytes do not fit into memory", size_of::<T>());
         SceneError::format(path, problem, "split the scene")
-    };
-    let layout = Layout::array::<T>(count).map_err(|_| refused())?;
-    // SAFETY: the layout has a size above 0: `count` is, and so is every `Zeroed` type.
-    let start = unsafe { alloc_zeroed(layout) };
-    if start.is_null() {
-        return Err(refused());
-    }
-    advise_huge_pages(start, layout.size());
-    // SAFETY: the memory is of the global allocator with exactly this layout, and all bytes 0 are
-    // valid values of `T`.
-    Ok(unsafe { Vec::from_raw_parts(start.cast::<T>(), count, count) })
+    })?;
+    Ok(in_large_pages(zeros))
 }
 
 /// As it was, with the advice to use large pages; best given before the first write.

@@ -28,7 +28,10 @@ pub mod spz;
 pub mod table;
 pub mod write;
 
+pub(crate) use packed_values::unit_f64;
+
 pub use open::{open_scene, open_scene_bytes};
+pub(crate) use table::Writer;
 pub use table::{FORMATS, FormatRow, SceneFormat};
 pub use write::{PrecisionLimit, WriteOptions, WriteProgress, WriteReport, write_scene};
 

@@ -3,7 +3,7 @@
 //! Not for arrays of objects, strings or records. Writing is in [`super::npy_writer`].
 
 use crate::SceneError;
-use crate::input_file::{InputFile, reserve};
+use crate::input_file::{InputFile, filled};
 use half::f16;
 use rayon::prelude::*;
 use std::path::Path;
@@ -277,20 +277,12 @@ impl NpyFile {
             .collect()
     }
 
-    /// Room for all values.
-    fn values<T: Copy + Default>(&self) -> Result<Vec<T>, SceneError> {
-        let mut out = Vec::new();
-        reserve(&mut out, self.count, self.path())?;
-        out.resize(self.count, T::default());
-        Ok(out)
-    }
-
     /// Reads all values, in parallel.
     fn read<T: Copy + Default + Send + Sync>(
         &self,
         convert: impl Fn(Value) -> T + Sync,
     ) -> Result<Vec<T>, SceneError> {
-        let mut out = self.values::<T>()?;
+        let mut out = filled(self.count, T::default(), self.path())?;
         let bytes = &self.map.bytes()[self.data_start..];
         let size = self.ty.size();
         out.par_chunks_mut(VALUES_PER_TASK).zip(bytes.par_chunks(VALUES_PER_TASK * size)).for_each(
@@ -302,7 +294,7 @@ impl NpyFile {
         );
         self.map.check_length()?;
         let Some([rows, columns]) = self.transposed else { return Ok(out) };
-        let mut turned = self.values::<T>()?;
+        let mut turned = filled(self.count, T::default(), self.path())?;
         for (row, to) in turned.chunks_exact_mut(columns.max(1)).enumerate() {
             for (column, to) in to.iter_mut().enumerate() {
                 *to = out[column * rows + row];

@@ -6,11 +6,13 @@
 
 mod writer;
 
-pub use writer::{write_npy_folder, write_npy_scene};
+pub use writer::write_npy_folder;
+pub(super) use writer::write_npy_scene;
 
 use super::label_column::{
     INSTANCE_RULES, LabelRules, SEGMENT_RULES, labels_from_f64, labels_from_i64,
 };
+use super::labelled_ply::finite_points;
 use super::npy::{NpyFile, NpyType};
 use super::semantics::clean_code;
 use super::{LoadedScene, ReadOptions, SceneFormat};
@@ -107,6 +109,11 @@ fn rows<const W: usize>(
     Ok(file.read_f32()?.as_chunks::<W>().0.to_vec())
 }
 
+/// Whether an array is `[N]` or `[N, 1]`.
+fn is_column(file: &NpyFile, rows: usize) -> bool {
+    matches!(file.shape(), [n] | [n, 1] if *n == rows)
+}
+
 /// The error for an array that does not go with `coord`.
 fn wrong_shape(file: &NpyFile, rows: Option<usize>, width: &str) -> SceneError {
     let rows = rows.map_or_else(|| "N".to_owned(), |rows| rows.to_string());
@@ -135,12 +142,11 @@ impl Reader<'_> {
             self.missing(Rule::ScaleMissing);
             return Ok(vec![[DEFAULT_SCALE.ln(); 3]; self.rows]);
         };
-        let scale = match file.shape() {
-            [n] | [n, 1] if *n == self.rows => {
-                self.missing(Rule::ScaleOne);
-                file.read_f32()?.into_iter().map(|s| [s; 3]).collect()
-            }
-            _ => rows::<3>(&file, Some(self.rows))?,
+        let scale = if is_column(&file, self.rows) {
+            self.missing(Rule::ScaleOne);
+            file.read_f32()?.into_iter().map(|s| [s; 3]).collect()
+        } else {
+            rows::<3>(&file, Some(self.rows))?
         };
         // The logarithm of a negative number is NaN, and such a row is dropped.
         let ln = |v: f32| f64::from(v).ln() as f32;
@@ -152,7 +158,7 @@ impl Reader<'_> {
             self.missing(Rule::OpacityMissing);
             return Ok(vec![f32::INFINITY; self.rows]);
         };
-        if !matches!(file.shape(), [n] | [n, 1] if *n == self.rows) {
+        if !is_column(&file, self.rows) {
             return Err(wrong_shape(&file, Some(self.rows), ""));
         }
         let values = file.read_f32()?;
@@ -192,7 +198,7 @@ impl Reader<'_> {
     ) -> Result<(Option<LanguageFeatures>, Option<Vec<bool>>), SceneError> {
         let mut mask = None;
         if let Some(file) = self.open("valid_feat_mask")? {
-            if !matches!(file.shape(), [n] | [n, 1] if *n == self.rows) {
+            if !is_column(&file, self.rows) {
                 return Err(wrong_shape(&file, Some(self.rows), ""));
             }
             let values = file.read_f64()?;
@@ -294,16 +300,20 @@ impl Reader<'_> {
             let problem = format!("has no {stem}.npy to read labels from; it has {there}");
             return Err(SceneError::format(self.folder, problem, "choose other labels"));
         }
-        match found.as_slice() {
-            _ if found.iter().any(|f| f == "segment") => Ok(Some("segment".to_owned())),
-            [] => Ok(None),
-            [only] => Ok(Some(only.clone())),
-            several => {
-                let names = several.join(", ");
-                self.report.notes.push(format!("labels not read, choose one of {names}"));
-                Ok(None)
-            }
+        Ok(self.usual(found, "segment"))
+    }
+
+    /// Of several label files the one of that stem, or the only one; else a note says what to do.
+    fn usual(&mut self, mut found: Vec<String>, stem: &str) -> Option<String> {
+        if found.iter().any(|f| f == stem) {
+            return Some(stem.to_owned());
         }
+        if found.len() > 1 {
+            let names = found.join(", ");
+            self.report.notes.push(format!("labels not read, choose one of {names}"));
+            return None;
+        }
+        found.pop()
     }
 
     fn labelled_points(
@@ -314,39 +324,18 @@ impl Reader<'_> {
         let Some(coord) = self.open("pc_coord")? else { return Ok(None) };
         let coord = rows::<3>(&coord, None)?;
         let instance = self.labels("pc_instance", coord.len(), INSTANCE_RULES)?;
-        let mut segment = None;
         let stems = match wanted.or(label_stem) {
             Some(stem) => vec![format!("pc_{stem}")],
             None => self.label_files("pc_segment")?,
         };
-        match stems.as_slice() {
-            [stem] => segment = self.labels(stem, coord.len(), SEGMENT_RULES)?,
-            [] => {}
-            several if several.iter().any(|s| s == "pc_segment") => {
-                segment = self.labels("pc_segment", coord.len(), SEGMENT_RULES)?;
-            }
-            several => {
-                let names = several.join(", ");
-                self.report.notes.push(format!("labels not read, choose one of {names}"));
-            }
-        }
+        let segment = match self.usual(stems, "pc_segment") {
+            Some(stem) => self.labels(&stem, coord.len(), SEGMENT_RULES)?,
+            None => None,
+        };
         let mut points = LabelledPoints { coord, segment, instance };
-        drop_unusable_points(&mut points, &mut self.report);
+        if let Some(finite) = finite_points(&points.coord, &mut self.report) {
+            points.retain(&finite);
+        }
         Ok(Some(points))
     }
-}
-
-/// Leaves out labelled points without a finite position.
-fn drop_unusable_points(points: &mut LabelledPoints, report: &mut RepairReport) {
-    let finite: Vec<bool> = points.coord.iter().map(|p| p.iter().all(|v| v.is_finite())).collect();
-    let Some(first) = finite.iter().position(|&ok| !ok) else { return };
-    let count = finite.iter().filter(|&&ok| !ok).count();
-    report.add(Rule::PointNotFinite, count, first, &format!("{:?}", points.coord[first]));
-    let keep = |values: &mut Vec<i32>| {
-        let mut flags = finite.iter();
-        values.retain(|_| flags.next().copied().unwrap_or(false));
-    };
-    points.coord.retain(|p| p.iter().all(|v| v.is_finite()));
-    points.segment.as_mut().map(keep);
-    points.instance.as_mut().map(keep);
 }

@@ -91,9 +91,9 @@ impl<T: NpyElement> NpyRowWriter<T> {
         };
         let file = AtomicFile::create(path)?;
         let failed = || SceneError::io(path, "cannot write the array");
-        write_all_at(file.file()?, &header, 0).map_err(failed())?;
+        write_all_at(file.file(), &header, 0).map_err(failed())?;
         // Rows that are never written read as 0.
-        file.file()?.set_len(size).map_err(failed())?;
+        file.file().set_len(size).map_err(failed())?;
         Ok(Self {
             file,
             data_start: header.len() as u64,
@@ -137,7 +137,7 @@ impl<T: NpyElement> NpyRowWriter<T> {
         for part in values.chunks((BYTES_PER_WRITE / T::SIZE).max(1)) {
             bytes.clear();
             part.iter().for_each(|value| value.push_le(&mut bytes));
-            write_all_at(self.file.file()?, &bytes, at)
+            write_all_at(self.file.file(), &bytes, at)
                 .map_err(SceneError::io(self.file.target(), "cannot write the array"))?;
             at += bytes.len() as u64;
         }

@@ -21,8 +21,9 @@ pub(crate) use writer::{ColumnSource, NewElement, write_new_ply};
 pub use writer::{ColumnValues, PlyColumn, free_column_name, write_ply_with_columns};
 
 use super::memory;
-use crate::SceneError;
-use crate::input_file::InputFile;
+use crate::input_file::{InputFile, filled};
+use crate::value_policy::Rule;
+use crate::{RepairReport, SceneError};
 use header::{Header, parse_header};
 use layout::{Cell, Layout, lay_out};
 use rayon::prelude::*;
@@ -170,6 +171,14 @@ impl PlyFile {
         self.trailing_bytes
     }
 
+    /// Reports bytes after the last of `rows` rows.
+    pub(crate) fn report_trailing(&self, rows: usize, report: &mut RepairReport) {
+        if self.trailing_bytes > 0 {
+            let example = format!("{} bytes", self.trailing_bytes);
+            report.add(Rule::FileTrailing, 1, rows, &example);
+        }
+    }
+
     /// One column as f32; integers and doubles are rounded to the nearest f32. `[N]`
     ///
     /// # Errors
@@ -225,6 +234,18 @@ impl PlyFile {
             ));
         }
         self.read_column(&rows, cells[0], |cell, row, _| row[cell.offset])
+    }
+
+    /// Several columns of bytes, row by row. `[N, W]`
+    pub(crate) fn rows_u8<const W: usize>(
+        &self,
+        element: &str,
+        properties: [&str; W],
+    ) -> Result<Vec<[u8; W]>, SceneError> {
+        let columns = properties.iter().map(|name| self.column_u8(element, name));
+        let columns: Vec<Vec<u8>> = columns.collect::<Result<_, _>>()?;
+        let rows = columns.first().map_or(0, Vec::len);
+        Ok((0..rows).map(|row| std::array::from_fn(|i| columns[i][row])).collect())
     }
 
     /// Several columns as f32, row by row in one pass over the data. `[N, W]`
@@ -312,47 +333,16 @@ impl PlyFile {
         cell: Cell,
         read: impl Fn(Cell, &[u8], bool) -> T + Sync,
     ) -> Result<Vec<T>, SceneError> {
-        let mut out = self.reserve(rows.count, 1, T::default())?;
-        self.fill(rows, &mut out, 1, |row, out| out[0] = read(cell, row, self.big_endian));
-        Ok(out)
-    }
-
-    /// Memory for `count · width` values, refused politely where the system has too little.
-    pub(crate) fn reserve<T: Clone>(
-        &self,
-        count: usize,
-        width: usize,
-        value: T,
-    ) -> Result<Vec<T>, SceneError> {
-        let mut out = Vec::new();
-        if count.checked_mul(width).is_none() || out.try_reserve_exact(count).is_err() {
-            return Err(SceneError::format(
-                &self.path,
-                format!("{count} rows of {width} values do not fit into memory"),
-                "split the file",
-            ));
-        }
-        out.resize(count, value);
-        Ok(out)
-    }
-
-    /// Calls `read(row, &mut out[width])` for every row, in parallel.
-    fn fill<T: Send>(
-        &self,
-        rows: &Rows<'_>,
-        out: &mut [T],
-        width: usize,
-        read: impl Fn(&[u8], &mut [T]) + Sync,
-    ) {
+        let mut out = filled(rows.count, T::default(), &self.path)?;
         // A row that has a cell to read is at least one byte wide.
         let stride = rows.stride.max(1);
-        out.par_chunks_mut(width * ROWS_PER_TASK)
-            .zip(rows.bytes.par_chunks(stride * ROWS_PER_TASK))
-            .for_each(|(out, bytes)| {
-                for (out, row) in out.chunks_exact_mut(width).zip(bytes.chunks_exact(stride)) {
-                    read(row, out);
-                }
-            });
+        let parts = rows.bytes.par_chunks(stride * ROWS_PER_TASK);
+        out.par_chunks_mut(ROWS_PER_TASK).zip(parts).for_each(|(out, bytes)| {
+            for (out, row) in out.iter_mut().zip(bytes.chunks_exact(stride)) {
+                *out = read(cell, row, self.big_endian);
+            }
+        });
+        Ok(out)
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::memory::in_large_pages;
 use crate::GaussianScene;
+use crate::gaussian_scene::sh_rest_len;
 use rayon::prelude::*;
 
 /// Rows that one task of a parallel read handles; smaller scenes are read by the calling thread.
@@ -20,6 +21,23 @@ pub(crate) struct SceneBlock<'a> {
     pub(crate) sh_rest: &'a mut [f32],
 }
 
+/// A scene of zeros. The memory comes from the system untouched, so tasks that fill it are the first to
+/// write to it.
+///
+/// The caller has checked `rows` against the length of the file.
+pub(crate) fn zero_scene(rows: usize, sh_degree: u8) -> GaussianScene {
+    GaussianScene {
+        coord: in_large_pages(vec![[0.0; 3]; rows]),
+        log_scale: in_large_pages(vec![[0.0; 3]; rows]),
+        quat: in_large_pages(vec![[0.0; 4]; rows]),
+        opacity_logit: in_large_pages(vec![0.0; rows]),
+        sh_dc: in_large_pages(vec![[0.0; 3]; rows]),
+        sh_rest: in_large_pages(vec![0.0; rows * sh_rest_len(sh_degree) * 3]),
+        sh_degree,
+        ..GaussianScene::default()
+    }
+}
+
 /// A scene of `rows` Gaussians whose blocks `fill` has filled; what it leaves alone is 0.
 ///
 /// The caller has checked `rows` against the length of the file.
@@ -28,15 +46,8 @@ pub(crate) fn fill_scene(
     sh_degree: u8,
     fill: impl Fn(SceneBlock<'_>) + Send + Sync,
 ) -> GaussianScene {
-    let mut scene = GaussianScene { sh_degree, ..GaussianScene::default() };
+    let mut scene = zero_scene(rows, sh_degree);
     let width = scene.sh_rest_len() * 3;
-    // Zeroed memory comes from the system untouched, so the tasks are the first to write it.
-    scene.coord = in_large_pages(vec![[0.0; 3]; rows]);
-    scene.log_scale = in_large_pages(vec![[0.0; 3]; rows]);
-    scene.quat = in_large_pages(vec![[0.0; 4]; rows]);
-    scene.opacity_logit = in_large_pages(vec![0.0; rows]);
-    scene.sh_dc = in_large_pages(vec![[0.0; 3]; rows]);
-    scene.sh_rest = in_large_pages(vec![0.0; rows * width]);
     let mut coord = scene.coord.chunks_mut(ROWS_PER_BLOCK);
     let mut log_scale = scene.log_scale.chunks_mut(ROWS_PER_BLOCK);
     let mut quat = scene.quat.chunks_mut(ROWS_PER_BLOCK);

@@ -8,8 +8,6 @@
 
 mod sidecar;
 
-#[cfg(test)]
-pub(crate) use sidecar::write_sidecar;
 pub(crate) use sidecar::{Sidecar, read_sidecar};
 
 use crate::value_policy::Rule;
@@ -209,64 +207,4 @@ fn read_about(bytes: &[u8]) -> Result<About, String> {
         return Err(format!("version {} is newer than this program", about.version));
     }
     Ok(about)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    pub(super) fn labelled() -> GaussianScene {
-        GaussianScene {
-            coord: vec![[0.0; 3]; 3],
-            log_scale: vec![[0.0; 3]; 3],
-            quat: vec![[1.0, 0.0, 0.0, 0.0]; 3],
-            opacity_logit: vec![0.0; 3],
-            sh_dc: vec![[0.0; 3]; 3],
-            segment: Some(vec![4, -1, 200]),
-            segment_score: Some(vec![0.5, f32::NEG_INFINITY, 1e-30]),
-            lang_code: Some(LanguageCode {
-                values: [1.0, 2.0, 3.0, 4.0, 5.0, 6.0].map(f16::from_f32).to_vec(),
-                codebook: LanguageCodebook { mean: vec![0.5; 4], axes: vec![0.25; 8] },
-            }),
-            ..GaussianScene::default()
-        }
-    }
-
-    pub(super) fn bare(rows: usize) -> GaussianScene {
-        let scene = labelled().select_rows(&vec![0; rows]).unwrap();
-        GaussianScene { segment: None, segment_score: None, lang_code: None, ..scene }
-    }
-
-    #[test]
-    fn a_block_comes_back_and_is_always_the_same_bytes() {
-        let scene = labelled();
-        let block = encode(&scene, None).unwrap();
-        assert_eq!(block, encode(&scene, None).unwrap());
-        let mut back = bare(3);
-        let mut report = RepairReport::default();
-        decode(&block, 3, &mut back, &mut report, Path::new("x")).unwrap();
-        assert_eq!(back, scene);
-        assert_eq!(encode(&bare(3), None), None);
-    }
-
-    #[test]
-    fn rows_follow_the_order() {
-        let scene = labelled();
-        let block = encode(&scene, Some(&[2, 0, 1])).unwrap();
-        let mut back = bare(3);
-        decode(&block, 3, &mut back, &mut RepairReport::default(), Path::new("x")).unwrap();
-        let due = scene.select_rows(&[2, 0, 1]).unwrap();
-        assert_eq!((back.segment, back.lang_code), (due.segment, due.lang_code));
-    }
-
-    #[test]
-    fn another_count_and_damage_are_refused() {
-        let block = encode(&labelled(), None).unwrap();
-        let mut report = RepairReport::default();
-        let error = decode(&block, 4, &mut bare(4), &mut report, Path::new("x")).unwrap_err();
-        assert!(error.to_string().contains("3 Gaussians, not 4"), "{error}");
-        for cut in 0..block.len() {
-            assert!(decode(&block[..cut], 3, &mut bare(3), &mut report, Path::new("x")).is_err());
-        }
-    }
 }

@@ -6,7 +6,7 @@
 
 mod writer;
 
-pub use writer::write_splat;
+pub(super) use writer::write_splat;
 
 use super::packed_values::{alpha_logits, color_terms, log_of_scale};
 use super::scene_blocks::{SceneBlock, fill_scene};

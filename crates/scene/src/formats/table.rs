@@ -4,9 +4,11 @@
 //! searches for scenes in folders) asks this table. A new format is a file of its own, its `mod` in
 //! `formats`, a name in [`SceneFormat`] and a row in [`FORMATS`].
 
-use super::write::{WriteOptions, WriteProgress, WriteReport, write_ply};
-use super::{LoadedScene, ReadOptions, compressed_ply, gltf, ksplat, npy_folder, sog, splat, spz};
-use crate::{Frame, GaussianScene, SceneError};
+use super::write::{WriteOptions, WriteProgress, WriteReport};
+use super::{
+    LoadedScene, ReadOptions, compressed_ply, gltf, inria_ply, ksplat, npy_folder, sog, splat, spz,
+};
+use crate::{AtomicFile, Frame, GaussianScene, SceneError};
 use serde::Serialize;
 use std::path::Path;
 
@@ -44,9 +46,26 @@ type Recognize = fn(&[u8]) -> bool;
 /// Reads a scene from the bytes of a file.
 type Read = fn(&[u8], &Path, &ReadOptions) -> Result<LoadedScene, SceneError>;
 
-/// Writes a scene.
-type Write =
-    fn(&GaussianScene, &Path, &WriteOptions, WriteProgress<'_>) -> Result<WriteReport, SceneError>;
+/// Writes a scene to `To`, and reports what the format cannot hold.
+type Write<To> = fn(
+    &GaussianScene,
+    &To,
+    &WriteOptions,
+    &mut WriteReport,
+    WriteProgress<'_>,
+) -> Result<(), SceneError>;
+
+/// How scenes are written.
+#[derive(Clone, Copy)]
+pub(crate) enum Writer {
+    /// As one file that holds everything.
+    File(Write<AtomicFile>),
+    /// As one file, and a file of labels beside it.
+    Beside(Write<AtomicFile>),
+    /// As several files, which the writer puts in place.
+    Files(Write<Path>),
+}
+use Writer::{Beside, File, Files};
 
 /// One format.
 pub struct FormatRow {
@@ -61,7 +80,7 @@ pub struct FormatRow {
     /// Where a whole file of this kind is recognised by its bytes, and read from them. Formats that
     /// come as several files, and PLY, are recognised in `open`.
     pub(super) reader: Option<(Recognize, Read)>,
-    pub(super) writer: Option<Write>,
+    pub(super) writer: Option<Writer>,
     /// The frame that it prescribes; readers and writers convert from and to it. `None`: it says
     /// nothing, and the numbers of the file are those in memory.
     pub frame: Option<Frame>,
@@ -88,7 +107,7 @@ pub static FORMATS: [FormatRow; 11] = [
         about: "packed integers in chunks of 256",
         endings: &[".compressed.ply"],
         reader: None,
-        writer: Some(compressed_ply::write_compressed_ply),
+        writer: Some(Beside(compressed_ply::write_compressed_ply)),
         frame: None,
         keeps: PLAIN,
     },
@@ -98,7 +117,7 @@ pub static FORMATS: [FormatRow; 11] = [
         about: "floats; loses nothing",
         endings: &[".ply"],
         reader: None,
-        writer: Some(write_ply),
+        writer: Some(File(inria_ply::write_ply)),
         frame: None,
         keeps: Keeps { normals: true, ..PLAIN },
     },
@@ -108,7 +127,7 @@ pub static FORMATS: [FormatRow; 11] = [
         about: "Niantic's container",
         endings: &[".spz"],
         reader: Some((spz::is_spz, spz::read_spz)),
-        writer: Some(spz::write_spz),
+        writer: Some(File(spz::write_spz)),
         frame: Some(Frame::RUB),
         keeps: PLAIN,
     },
@@ -129,7 +148,7 @@ pub static FORMATS: [FormatRow; 11] = [
         endings: &[".glb"],
         // Read as glTF.
         reader: None,
-        writer: Some(gltf::write_glb),
+        writer: Some(Beside(gltf::write_glb)),
         frame: Some(Frame::LUF),
         keeps: PLAIN,
     },
@@ -139,7 +158,7 @@ pub static FORMATS: [FormatRow; 11] = [
         about: "textures in one archive",
         endings: &[".sog"],
         reader: Some((sog::is_sog_archive, sog::read_sog_archive)),
-        writer: Some(sog::write_sog),
+        writer: Some(File(sog::write_sog)),
         frame: None,
         keeps: PLAIN,
     },
@@ -149,7 +168,7 @@ pub static FORMATS: [FormatRow; 11] = [
         about: "textures in a folder",
         endings: &["meta.json"],
         reader: None,
-        writer: Some(sog::write_sog_folder),
+        writer: Some(Files(sog::write_sog_folder)),
         frame: None,
         keeps: PLAIN,
     },
@@ -159,7 +178,7 @@ pub static FORMATS: [FormatRow; 11] = [
         about: "textures in parts, with levels of detail",
         endings: &["lod-meta.json"],
         reader: None,
-        writer: Some(sog::write_sog_streamed),
+        writer: Some(Files(sog::write_sog_streamed)),
         frame: None,
         keeps: PLAIN,
     },
@@ -179,9 +198,9 @@ pub static FORMATS: [FormatRow; 11] = [
         about: "32 bytes a Gaussian, no harmonics",
         endings: &[".splat"],
         reader: Some((splat::is_splat, splat::read_splat)),
-        writer: Some(splat::write_splat),
+        writer: Some(Beside(splat::write_splat)),
         frame: None,
-        keeps: PLAIN,
+        keeps: Keeps { harmonics: false, ..PLAIN },
     },
     FormatRow {
         format: SceneFormat::NpyFolder,
@@ -189,7 +208,7 @@ pub static FORMATS: [FormatRow; 11] = [
         about: "folder of .npy files with coord.npy, no harmonics",
         endings: &[],
         reader: None,
-        writer: Some(npy_folder::write_npy_scene),
+        writer: Some(Files(npy_folder::write_npy_scene)),
         frame: None,
         keeps: Keeps { features: true, normals: true, harmonics: false },
     },

@@ -1,9 +1,10 @@
 //! Writing a scene in any format, and saying what the format could not hold.
 
-use super::limit_tally::LimitTally;
+use super::limit_tally::{LimitTally, Limits};
 use super::packed_values::check_storable;
-use super::{SceneFormat, SpzFrame, inria_ply};
-use crate::{GaussianScene, SceneError};
+use super::semantics::Sidecar;
+use super::{SceneFormat, SpzFrame, Writer};
+use crate::{AtomicFile, GaussianScene, SceneError};
 use serde::Serialize;
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -98,6 +99,18 @@ impl WriteReport {
         }
     }
 
+    /// Notes all limits of a table of fields and what becomes of them.
+    pub(crate) fn limits<const N: usize>(
+        &mut self,
+        about: [(&'static str, &str); N],
+        tallies: Limits<N>,
+    ) {
+        about
+            .iter()
+            .zip(tallies.0)
+            .for_each(|((field, limit), tally)| self.limit(field, *limit, tally));
+    }
+
     /// Adds what became of a part of the scene, whose rows are these of the whole.
     pub(crate) fn add_part(&mut self, part: &WriteReport, rows: &[u32]) {
         for limit in &part.limits {
@@ -165,7 +178,7 @@ pub fn write_scene(
     options: &WriteOptions,
     progress: WriteProgress<'_>,
 ) -> Result<WriteReport, SceneError> {
-    let Some(write) = format.row().writer else {
+    let Some(writer) = format.row().writer else {
         let problem = format!("cannot be written: {} is only read", format.name());
         let help = format!("what can be written: {}", SceneFormat::writable_endings());
         return Err(SceneError::format(path, problem, help));
@@ -186,28 +199,35 @@ pub fn write_scene(
         return Err(SceneError::Stopped);
     }
     // The writers ask a last time when all is written, before the file gets its name.
-    let mut report = write(scene, path, options, progress)?;
+    let mut report = WriteReport::new(format, scene.len());
+    match writer {
+        Writer::Files(write) => write(scene, path, options, &mut report, progress)?,
+        Writer::File(write) => {
+            let file = AtomicFile::create(path)?;
+            write(scene, &file, options, &mut report, progress)?;
+            file.commit()?;
+            report.wrote(path)?;
+        }
+        Writer::Beside(write) => {
+            let labels = Sidecar::prepare(scene, path, options.overwrite)?;
+            let file = AtomicFile::create(path)?;
+            write(scene, &file, options, &mut report, progress)?;
+            let labels = labels.commit(scene, report.order.as_deref(), file)?;
+            report.wrote(path)?;
+            labels.iter().try_for_each(|labels| report.wrote(labels))?;
+        }
+    }
     note_left_out(scene, &mut report);
     progress(1.0);
-    Ok(report)
-}
-
-/// Writes a PLY file of floats.
-pub(super) fn write_ply(
-    scene: &GaussianScene,
-    path: &Path,
-    _options: &WriteOptions,
-    progress: WriteProgress<'_>,
-) -> Result<WriteReport, SceneError> {
-    let mut report = WriteReport::new(SceneFormat::Ply, scene.len());
-    inria_ply::write_with_progress(scene, &[], path, progress)?;
-    report.wrote(path)?;
     Ok(report)
 }
 
 /// Notes the arrays that no writer of the format takes.
 fn note_left_out(scene: &GaussianScene, report: &mut WriteReport) {
     let keeps = report.format.row().keeps;
+    if scene.sh_degree > 0 && !keeps.harmonics {
+        report.left_out("sh_rest", "no place in this format");
+    }
     if scene.lang_feat.is_some() && !keeps.features {
         let why = if scene.lang_code.is_some() {
             "no place in this format; the language codes stand for them"
@@ -221,8 +241,5 @@ fn note_left_out(scene: &GaussianScene, report: &mut WriteReport) {
     }
     if scene.normal.is_some() && !keeps.normals {
         report.left_out("normal", "no place in this format");
-    }
-    if scene.sh_degree > 0 && !keeps.harmonics {
-        report.left_out("sh_rest", "no place in this format");
     }
 }

@@ -41,3 +41,25 @@ pub(super) fn decode(bytes: &[u8], path: &Path) -> Result<Picture, SceneError> {
     Picture::new(info.width.into(), info.height.into(), channels, Samples::Eight(pixels))
         .ok_or_else(|| bad("pixels are missing".to_owned()))
 }
+
+/// The marker and content of each segment before the pixels, as far as the bytes go.
+pub(crate) fn segments(bytes: &[u8]) -> impl Iterator<Item = (u8, &[u8])> {
+    let mut rest = bytes.strip_prefix(b"\xff\xd8").unwrap_or_default();
+    std::iter::from_fn(move || {
+        loop {
+            let (&marker, after) = rest.strip_prefix(b"\xff")?.split_first()?;
+            match marker {
+                // Filling, and markers without content.
+                0xff => rest = &rest[1..],
+                0x01 | 0xd0..=0xd7 => rest = after,
+                0xda | 0xd9 => return None,
+                _ => {
+                    let length = usize::from(u16::from_be_bytes(*after.first_chunk()?));
+                    let content = after.get(2..length)?;
+                    rest = &after[length..];
+                    return Some((marker, content));
+                }
+            }
+        }
+    })
+}

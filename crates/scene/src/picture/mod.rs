@@ -3,7 +3,7 @@
 //! The one place where the crates of this workspace decode pictures. Sizes are bounded before
 //! memory is reserved: by [`MAX_PIXELS`], and for PNG by what its bytes can unpack to.
 
-mod jpeg;
+pub(crate) mod jpeg;
 mod orientation;
 mod png;
 mod rgb;
@@ -198,15 +198,4 @@ fn check_size(width: u64, height: u64, path: &Path) -> Result<(), SceneError> {
         return Err(SceneError::format(path, format!("has {width} × {height} pixels"), ""));
     }
     Ok(())
-}
-
-/// A buffer of zeros, or an error where memory for it is not to be had.
-fn reserve(bytes: usize, path: &Path) -> Result<Vec<u8>, SceneError> {
-    let mut buffer = Vec::new();
-    if buffer.try_reserve_exact(bytes).is_err() {
-        let problem = format!("needs {bytes} bytes of memory, more than there are");
-        return Err(SceneError::format(path, problem, ""));
-    }
-    buffer.resize(bytes, 0);
-    Ok(buffer)
 }

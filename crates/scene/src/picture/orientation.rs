@@ -1,5 +1,7 @@
 //! How a camera was held: the mark that programs turn pictures by.
 
+use super::jpeg::segments;
+
 /// How to turn the stored pixels so that up is up, as Exif numbers it: 1 as they are, 3 half a turn, 6 a quarter turn
 /// clockwise, 8 one against it, 2, 4, 5, 7 the same mirrored. `None` without a mark, or with one that is none.
 ///
@@ -10,32 +12,8 @@ pub fn orientation(bytes: &[u8]) -> Option<u8> {
 }
 
 fn exif_of_jpeg(bytes: &[u8]) -> Option<&[u8]> {
-    let mut rest = bytes.strip_prefix(b"\xff\xd8")?;
-    loop {
-        let (&marker, after) = rest.strip_prefix(b"\xff")?.split_first()?;
-        match marker {
-            // Filling, and marks without a block.
-            0xff => {
-                rest = &rest[1..];
-                continue;
-            }
-            0x01 | 0xd0..=0xd7 => {
-                rest = after;
-                continue;
-            }
-            // Pixels: nothing to come.
-            0xda | 0xd9 => return None,
-            _ => {}
-        }
-        let length = usize::from(u16::from_be_bytes([*after.first()?, *after.get(1)?]));
-        let block = after.get(2..length)?;
-        if marker == 0xe1
-            && let Some(exif) = block.strip_prefix(b"Exif\0\0")
-        {
-            return Some(exif);
-        }
-        rest = after.get(length..)?;
-    }
+    let exif = segments(bytes).filter(|(marker, _)| *marker == 0xe1);
+    exif.map(|(_, content)| content).find_map(|content| content.strip_prefix(b"Exif\0\0"))
 }
 
 fn exif_of_png(bytes: &[u8]) -> Option<&[u8]> {

@@ -1,7 +1,8 @@
 //! PNG, by the `png` crate.
 
-use super::{Channels, Picture, Samples, check_size, reserve};
+use super::{Channels, Picture, Samples, check_size};
 use crate::SceneError;
+use crate::input_file::filled;
 use png::{BitDepth, ColorType, Transformations};
 use std::io::Cursor;
 use std::path::Path;
@@ -40,7 +41,7 @@ pub(super) fn decode(bytes: &[u8], path: &Path) -> Result<Picture, SceneError> {
         return Err(SceneError::format(path, problem, "the file is damaged or cut short"));
     }
     let size = reader.output_buffer_size().unwrap_or(usize::MAX);
-    let mut buffer = reserve(size, path)?;
+    let mut buffer = filled(size, 0, path)?;
     let info = reader.next_frame(&mut buffer).map_err(bad)?;
     buffer.truncate(info.buffer_size());
     let channels = match info.color_type {

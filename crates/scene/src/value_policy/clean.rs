@@ -1,6 +1,6 @@
 //! Applies the table to a scene as it came from its file.
 
-use super::{Policy, RepairReport, Rule, VALUE_RULES};
+use super::{Policy, RepairReport, Rule};
 use crate::SceneError;
 use crate::gaussian_scene::{GaussianScene, SH_C0};
 use rayon::prelude::*;
@@ -21,38 +21,6 @@ const REPORTED_NORM_ERROR: f64 = 1e-3;
 /// Rows that are looked at together first: most blocks hold nothing to decide about.
 const ROWS_PER_BLOCK: usize = 256;
 
-/// Counts of rules, with the first row and its value; one place for each row of the table.
-struct Tally(Vec<Option<(usize, usize, String)>>);
-
-impl Default for Tally {
-    fn default() -> Self {
-        Self(vec![None; VALUE_RULES.len()])
-    }
-}
-
-impl Tally {
-    fn add(&mut self, rule: Rule, row: usize, value: impl FnOnce() -> String) {
-        // Rows come in ascending order, so the first example is that of the first row.
-        self.0[rule as usize].get_or_insert_with(|| (0, row, value())).0 += 1;
-    }
-
-    fn merge(mut self, other: Self) -> Self {
-        for (old, new) in self.0.iter_mut().zip(other.0) {
-            let Some((count, row, value)) = new else { continue };
-            match old {
-                None => *old = Some((count, row, value)),
-                Some(old) => {
-                    old.0 += count;
-                    if row < old.1 {
-                        (old.1, old.2) = (row, value);
-                    }
-                }
-            }
-        }
-        self
-    }
-}
-
 /// Runs `check(row, values, tally)` over rows of `width` values, in parallel, but for blocks of which
 /// `fine(first_row, values)` holds: there is nothing to change or to count in them.
 fn scan<T: Send>(
@@ -60,13 +28,13 @@ fn scan<T: Send>(
     width: usize,
     report: &mut RepairReport,
     fine: impl Fn(usize, &[T]) -> bool + Sync,
-    check: impl Fn(usize, &mut [T], &mut Tally) + Sync,
+    check: impl Fn(usize, &mut [T], &mut RepairReport) + Sync,
 ) {
     let tally = values
         .par_chunks_mut(ROWS_PER_TASK * width)
         .enumerate()
         .map(|(task, values)| {
-            let mut tally = Tally::default();
+            let mut tally = RepairReport::default();
             for (block, values) in values.chunks_mut(ROWS_PER_BLOCK * width).enumerate() {
                 let first = task * ROWS_PER_TASK + block * ROWS_PER_BLOCK;
                 if fine(first, values) {
@@ -78,12 +46,8 @@ fn scan<T: Send>(
             }
             tally
         })
-        .reduce(Tally::default, Tally::merge);
-    for (entry, about) in tally.0.into_iter().zip(VALUE_RULES) {
-        if let Some((count, row, value)) = entry {
-            report.add(about.rule, count, row, &value);
-        }
-    }
+        .reduce(RepairReport::default, |a, b| a.merge(&b));
+    *report = std::mem::take(report).merge(&tally);
 }
 
 /// Whether every value is finite; without branches, so that many are tested at once.
@@ -157,31 +121,55 @@ fn find_usable_rows(scene: &mut GaussianScene, report: &mut RepairReport) -> Vec
     };
     scan(&mut usable, 1, report, fine, |row, ok, tally| {
         if let Some(bad) = coord[row].iter().find(|v| !v.is_finite()) {
-            tally.add(Rule::CoordNotFinite, row, || bad.to_string());
+            tally.add_row(Rule::CoordNotFinite, row, || bad.to_string());
             ok[0] = false;
         }
         if scale[row].iter().any(|v| v.is_nan()) {
-            tally.add(Rule::ScaleNan, row, || format!("{:?}", scale[row]));
+            tally.add_row(Rule::ScaleNan, row, || format!("{:?}", scale[row]));
             ok[0] = false;
         } else if scale[row].contains(&f32::INFINITY) {
-            tally.add(Rule::ScaleInfinite, row, || format!("{:?}", scale[row]));
+            tally.add_row(Rule::ScaleInfinite, row, || format!("{:?}", scale[row]));
             ok[0] = false;
         } else if scale[row].contains(&f32::NEG_INFINITY) {
-            tally.add(Rule::ScaleZero, row, || format!("{:?}", scale[row]));
+            tally.add_row(Rule::ScaleZero, row, || format!("{:?}", scale[row]));
         }
         if opacity[row].is_nan() {
-            tally.add(Rule::OpacityNan, row, || "NaN".to_owned());
+            tally.add_row(Rule::OpacityNan, row, || "NaN".to_owned());
             ok[0] = false;
         } else if opacity[row].is_infinite() {
-            tally.add(Rule::OpacityInfinite, row, || opacity[row].to_string());
+            tally.add_row(Rule::OpacityInfinite, row, || opacity[row].to_string());
         }
     });
     usable
 }
 
 fn repair_values(scene: &mut GaussianScene, report: &mut RepairReport) {
+    repair_quats(&mut scene.quat, report);
+    repair_colors(&mut scene.sh_dc, report);
+    repair_rest(scene, report);
+    if scene.normal.as_ref().is_some_and(|n| n.par_iter().all(|n| n == &[0.0; 3])) {
+        report.add(Rule::NormalAllZero, scene.len(), 0, "[0.0, 0.0, 0.0]");
+        scene.normal = None;
+    }
+    if let Some(normal) = &mut scene.normal {
+        repair_normals(normal, report);
+    }
+    if let Some(score) = &mut scene.segment_score {
+        // Infinite ones may be meant so; only NaN says nothing.
+        let fine = |_, values: &[f32]| all_finite(values);
+        scan(score, 1, report, fine, |row, score, tally| {
+            if score[0].is_nan() {
+                tally.add_row(Rule::ScoreNan, row, || "NaN".to_owned());
+                score[0] = 0.0;
+            }
+        });
+    }
+    repair_features(scene, report);
+}
+
+fn repair_quats(quats: &mut [[f32; 4]], report: &mut RepairReport) {
     let fine = |_, quats: &[[f32; 4]]| all_unit(quats);
-    scan(&mut scene.quat, 1, report, fine, |row, quat, tally| {
+    scan(quats, 1, report, fine, |row, quat, tally| {
         let quat = &mut quat[0];
         let before = *quat;
         let example = || format!("{before:?}");
@@ -194,27 +182,30 @@ fn repair_values(scene: &mut GaussianScene, report: &mut RepairReport) {
             Err(NoDirection::NotFinite) => (Some(Rule::QuatNotFinite), [1.0, 0.0, 0.0, 0.0]),
         };
         if let Some(rule) = rule {
-            tally.add(rule, row, example);
+            tally.add_row(rule, row, example);
         }
         *quat = new;
         if quat[0] == 0.0 {
-            tally.add(Rule::QuatHalfTurn, row, example);
+            tally.add_row(Rule::QuatHalfTurn, row, example);
         }
         if quat[0] < 0.0 {
             // The same rotation.
             *quat = quat.map(|v| -v);
         }
     });
+}
+
+fn repair_colors(sh_dc: &mut [[f32; 3]], report: &mut RepairReport) {
     let saturated = 0.5 / SH_C0;
     let fine = |_, dc: &[[f32; 3]]| all_finite(dc.as_flattened());
-    scan(&mut scene.sh_dc, 1, report, fine, |row, dc, tally| {
+    scan(sh_dc, 1, report, fine, |row, dc, tally| {
         let before = dc[0];
         let example = || format!("{before:?}");
         if before.iter().any(|v| v.is_nan()) {
-            tally.add(Rule::ColorNan, row, example);
+            tally.add_row(Rule::ColorNan, row, example);
         }
         if before.iter().any(|v| v.is_infinite()) {
-            tally.add(Rule::ColorInfinite, row, example);
+            tally.add_row(Rule::ColorInfinite, row, example);
         }
         dc[0] = before.map(|v| match v {
             v if v.is_nan() => 0.0,
@@ -222,84 +213,68 @@ fn repair_values(scene: &mut GaussianScene, report: &mut RepairReport) {
             v => v,
         });
     });
+}
+
+fn repair_rest(scene: &mut GaussianScene, report: &mut RepairReport) {
     let rest = scene.sh_rest_len() * 3;
     if rest > 0 {
         let fine = |_, values: &[f32]| all_finite(values);
         scan(&mut scene.sh_rest, rest, report, fine, |row, values, tally| {
             if let Some(i) = values.iter().position(|v| !v.is_finite()) {
                 let value = values[i];
-                tally.add(Rule::RestNotFinite, row, || format!("{value} in coefficient {i}"));
+                tally.add_row(Rule::RestNotFinite, row, || format!("{value} in coefficient {i}"));
                 values.iter_mut().filter(|v| !v.is_finite()).for_each(|v| *v = 0.0);
             }
         });
     }
-    if scene.normal.as_ref().is_some_and(|n| n.par_iter().all(|n| n == &[0.0; 3])) {
-        report.add(Rule::NormalAllZero, scene.len(), 0, "[0.0, 0.0, 0.0]");
-        scene.normal = None;
-    }
-    if let Some(normal) = &mut scene.normal {
-        scan(
-            normal,
-            1,
-            report,
-            |_, _| false,
-            |row, normal, tally| {
-                let before = normal[0];
-                normal[0] = match unit(before) {
-                    Ok((normal, norm)) => {
-                        if (norm - 1.0).abs() > REPORTED_NORM_ERROR {
-                            tally.add(Rule::NormalNotUnit, row, || format!("{before:?}"));
-                        }
-                        normal
-                    }
-                    Err(NoDirection::Zero) => [0.0; 3],
-                    Err(NoDirection::NotFinite) => {
-                        tally.add(Rule::NormalNotFinite, row, || format!("{before:?}"));
-                        [0.0; 3]
-                    }
-                };
-            },
-        );
-    }
-    if let Some(score) = &mut scene.segment_score {
-        // Infinite ones may be meant so; only NaN says nothing.
-        let fine = |_, values: &[f32]| all_finite(values);
-        scan(score, 1, report, fine, |row, score, tally| {
-            if score[0].is_nan() {
-                tally.add(Rule::ScoreNan, row, || "NaN".to_owned());
-                score[0] = 0.0;
+}
+
+fn repair_normals(normals: &mut [[f32; 3]], report: &mut RepairReport) {
+    let fine = |_, _: &[[f32; 3]]| false;
+    scan(normals, 1, report, fine, |row, normal, tally| {
+        let before = normal[0];
+        let (rule, new) = match unit(before) {
+            Ok((new, norm)) if (norm - 1.0).abs() > REPORTED_NORM_ERROR => {
+                (Some(Rule::NormalNotUnit), new)
             }
-        });
-    }
-    if let Some(feat) = &mut scene.lang_feat
-        && feat.dim > 0
-    {
-        let valid = &mut scene.valid_feat_mask;
-        let mut bad = vec![false; feat.values.len() / feat.dim];
-        let flags = bad.par_iter_mut().zip(feat.values.par_chunks_exact_mut(feat.dim));
-        flags.for_each(|(bad, values)| {
-            *bad = values.iter().any(|v| !v.is_finite());
-            if *bad {
-                values.fill(half::f16::ZERO);
-            }
-        });
-        for row in (0..bad.len()).filter(|&row| bad[row]) {
-            report.add(Rule::FeatureNotFinite, 1, row, "");
-            if let Some(valid) = valid {
-                valid[row] = false;
-            }
+            Ok((new, _)) => (None, new),
+            Err(NoDirection::Zero) => (None, [0.0; 3]),
+            Err(NoDirection::NotFinite) => (Some(Rule::NormalNotFinite), [0.0; 3]),
+        };
+        if let Some(rule) = rule {
+            tally.add_row(rule, row, || format!("{before:?}"));
+        }
+        normal[0] = new;
+    });
+}
+
+fn repair_features(scene: &mut GaussianScene, report: &mut RepairReport) {
+    let Some(feat) = scene.lang_feat.as_mut().filter(|feat| feat.dim > 0) else { return };
+    let mut bad = vec![false; feat.values.len() / feat.dim];
+    let flags = bad.par_iter_mut().zip(feat.values.par_chunks_exact_mut(feat.dim));
+    flags.for_each(|(bad, values)| {
+        *bad = values.iter().any(|v| !v.is_finite());
+        if *bad {
+            values.fill(half::f16::ZERO);
+        }
+    });
+    for row in (0..bad.len()).filter(|&row| bad[row]) {
+        report.add(Rule::FeatureNotFinite, 1, row, "");
+        if let Some(valid) = &mut scene.valid_feat_mask {
+            valid[row] = false;
         }
     }
 }
 
-enum NoDirection {
+/// Why a vector cannot be divided by its norm.
+pub(crate) enum NoDirection {
     Zero,
     NotFinite,
 }
 
 /// The vector divided by its norm, and the norm; computed in f64, so that no finite f32 over- or
 /// underflows when squared.
-fn unit<const W: usize>(vector: [f32; W]) -> Result<([f32; W], f64), NoDirection> {
+pub(crate) fn unit<const W: usize>(vector: [f32; W]) -> Result<([f32; W], f64), NoDirection> {
     let squared: f64 = vector.iter().map(|&v| f64::from(v) * f64::from(v)).sum();
     if !squared.is_finite() {
         return Err(NoDirection::NotFinite);

@@ -1,21 +1,19 @@
-//! What several tests of this crate share.
+//! What the tests of this crate share.
 #![allow(dead_code, reason = "each test program uses a part of it")]
 
-use half::f16;
-use scenesplat_scene::{GaussianScene, LanguageCode, LanguageCodebook};
-use std::path::PathBuf;
+pub mod colmap;
+pub mod gltf;
+pub mod ksplat;
+pub mod ply;
+pub mod spz;
 
-/// A file among the shared real data; `None`, with a line saying so, where they are not installed.
-pub fn shared(relative: &str) -> Option<PathBuf> {
-    let beside = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared");
-    let root = std::env::var_os("SCENESPLAT_SHARED").map_or(beside, PathBuf::from);
-    let path = root.join(relative);
-    if path.exists() {
-        return Some(path);
-    }
-    println!("skipped: {} is not there", path.display());
-    None
-}
+use half::f16;
+use scenesplat_scene::{
+    GaussianScene, LanguageCode, LanguageCodebook, LoadedScene, Policy, ReadOptions, SceneError,
+    SceneFormat, WriteOptions, WriteReport, open_scene, write_scene,
+};
+pub use scenesplat_test_support::shared;
+use std::path::{Path, PathBuf};
 
 /// Pseudo-random numbers; the same for the same seed everywhere.
 pub struct SplitMix(pub u64);
@@ -58,76 +56,6 @@ pub fn random_scene(rows: usize, sh_degree: u8, seed: u64) -> GaussianScene {
     scene
 }
 
-/// The columns of a scene in the order of the original trainer, without normals.
-pub fn inria_columns(scene: &GaussianScene) -> Vec<(String, Vec<f32>)> {
-    let mut columns: Vec<(String, Vec<f32>)> = Vec::new();
-    for (i, name) in ["x", "y", "z"].into_iter().enumerate() {
-        columns.push((name.into(), scene.coord.iter().map(|v| v[i]).collect()));
-    }
-    for i in 0..3 {
-        columns.push((format!("f_dc_{i}"), scene.sh_dc.iter().map(|v| v[i]).collect()));
-    }
-    let k = scene.sh_rest_len();
-    for channel in 0..3 {
-        for c in 0..k {
-            let values = scene.sh_rest.chunks_exact(3 * k).map(|row| row[c * 3 + channel]);
-            columns.push((format!("f_rest_{}", channel * k + c), values.collect()));
-        }
-    }
-    columns.push(("opacity".into(), scene.opacity_logit.clone()));
-    for i in 0..3 {
-        columns.push((format!("scale_{i}"), scene.log_scale.iter().map(|v| v[i]).collect()));
-    }
-    for i in 0..4 {
-        columns.push((format!("rot_{i}"), scene.quat.iter().map(|v| v[i]).collect()));
-    }
-    columns
-}
-
-/// How a test file is encoded.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Encoding {
-    Ascii,
-    Little,
-    Big,
-}
-
-/// A PLY file of float columns, written independently of the crate.
-pub fn ply_bytes(columns: &[(String, Vec<f32>)], encoding: Encoding, line_end: &str) -> Vec<u8> {
-    let rows = columns.first().map_or(0, |c| c.1.len());
-    let name = match encoding {
-        Encoding::Ascii => "ascii",
-        Encoding::Little => "binary_little_endian",
-        Encoding::Big => "binary_big_endian",
-    };
-    let mut head =
-        vec!["ply".to_owned(), format!("format {name} 1.0"), "comment made by a test".into()];
-    head.push(format!("element vertex {rows}"));
-    head.extend(columns.iter().map(|(name, _)| format!("property float {name}")));
-    head.push("end_header".into());
-    let mut out = Vec::new();
-    for line in head {
-        out.extend_from_slice(line.as_bytes());
-        out.extend_from_slice(line_end.as_bytes());
-    }
-    for row in 0..rows {
-        match encoding {
-            Encoding::Ascii => {
-                let values: Vec<String> = columns.iter().map(|(_, v)| v[row].to_string()).collect();
-                out.extend_from_slice(values.join(" ").as_bytes());
-                out.extend_from_slice(line_end.as_bytes());
-            }
-            Encoding::Little => {
-                columns.iter().for_each(|(_, v)| out.extend_from_slice(&v[row].to_le_bytes()));
-            }
-            Encoding::Big => {
-                columns.iter().for_each(|(_, v)| out.extend_from_slice(&v[row].to_be_bytes()));
-            }
-        }
-    }
-    out
-}
-
 /// A small `.npy` file, written independently of the crate.
 pub fn npy_bytes(version: u8, dict: &str, data: &[u8]) -> Vec<u8> {
     let mut out = b"\x93NUMPY".to_vec();
@@ -150,4 +78,107 @@ pub fn language_code(rows: usize, k: usize, width: usize) -> LanguageCode {
     let mean = (0..width).map(|_| rng.float()).collect();
     let axes = (0..k * width).map(|_| rng.float()).collect();
     LanguageCode { values, codebook: LanguageCodebook { mean, axes } }
+}
+
+/// A scene with every label that all formats keep.
+pub fn labelled(rows: usize, sh_degree: u8) -> GaussianScene {
+    let mut scene = random_scene(rows, sh_degree, 4);
+    scene.segment = Some((0..rows as i32).map(|i| i % 21 - 1).collect());
+    scene.instance = Some((0..rows as i32).map(|i| i / 3 - 1).collect());
+    scene.segment_score = Some((0..rows).map(|i| i as f32 / 7.0).collect());
+    scene.lang_code = Some(language_code(rows, 3, 8));
+    scene
+}
+
+/// Writes with these options.
+pub fn write_as(
+    scene: &GaussianScene,
+    path: &Path,
+    format: SceneFormat,
+    options: &WriteOptions,
+) -> Result<WriteReport, SceneError> {
+    write_scene(scene, path, format, options, &mut |_| true)
+}
+
+/// Writes in place of what is there.
+pub fn write(scene: &GaussianScene, path: &Path, format: SceneFormat) -> WriteReport {
+    let options = WriteOptions { overwrite: true, ..WriteOptions::default() };
+    write_as(scene, path, format, &options).unwrap()
+}
+
+/// Reads with the default options.
+pub fn open(path: &Path) -> LoadedScene {
+    open_scene(path, &ReadOptions::default()).unwrap()
+}
+
+/// The options that accept only files without a fault.
+pub fn strict() -> ReadOptions {
+    ReadOptions { policy: Policy::Strict, ..ReadOptions::default() }
+}
+
+/// A file `name` in `folder`.
+pub fn save(folder: &Path, name: &str, bytes: &[u8]) -> PathBuf {
+    let path = folder.join(name);
+    std::fs::write(&path, bytes).unwrap();
+    path
+}
+
+/// Every file and folder below `folder` with its bytes.
+pub fn contents(folder: &Path) -> Vec<(PathBuf, Option<Vec<u8>>)> {
+    let mut all = Vec::new();
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        all.push((path.clone(), std::fs::read(&path).ok()));
+        if path.is_dir() {
+            all.extend(contents(&path));
+        }
+    }
+    all.sort();
+    all
+}
+
+/// The row of the scene that each row of the file holds.
+pub fn order_of(report: &WriteReport) -> Vec<usize> {
+    match &report.order {
+        Some(order) => order.iter().map(|&row| row as usize).collect(),
+        None => (0..report.gaussians).collect(),
+    }
+}
+
+/// Rows, first row and largest change of the limit that names `field` and `word`.
+pub fn limit(report: &WriteReport, field: &str, word: &str) -> (usize, usize, f64) {
+    let mut found = report.limits.iter().filter(|l| l.field == field && l.limit.contains(word));
+    let limit = found.next().unwrap_or_else(|| panic!("{field}, {word}: {report}"));
+    (limit.rows, limit.first_row, limit.largest_change)
+}
+
+/// A pool of so many threads.
+pub fn pool(threads: usize) -> rayon::ThreadPool {
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap()
+}
+
+/// Equal within `tolerance`.
+pub fn close(a: &[f32], b: &[f32], tolerance: f32) {
+    assert_eq!(a.len(), b.len());
+    for (a, b) in a.iter().zip(b) {
+        assert!((a - b).abs() <= tolerance, "{a} is not {b} within {tolerance}");
+    }
+}
+
+/// The rows behind each other.
+pub fn flat<const W: usize>(rows: &[[f32; W]]) -> &[f32] {
+    rows.as_flattened()
+}
+
+/// The cosine of half the angle between two rotations.
+pub fn dot(a: &[f32; 4], b: &[f32; 4]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>().abs()
+}
+
+/// Rotations have a length of 1 and w is not negative.
+pub fn check_unit(scene: &GaussianScene) {
+    for q in &scene.quat {
+        let norm: f64 = q.iter().map(|&v| f64::from(v).powi(2)).sum();
+        assert!((norm - 1.0).abs() < 1e-6 && q[0] >= 0.0, "{q:?}");
+    }
 }

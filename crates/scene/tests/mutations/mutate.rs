@@ -3,33 +3,24 @@
 use crate::common::SplitMix;
 
 /// Numbers that readers trip over.
+#[rustfmt::skip]
 const WORDS: [u64; 14] = [
-    0,
-    1,
-    2,
-    0x7f,
-    0xff,
-    0x7fff,
-    0xffff,
-    0x7fff_ffff,
-    0x8000_0000,
-    0xffff_ffff,
-    1 << 40,
-    i64::MAX as u64,
-    1 << 63,
-    u64::MAX,
+    0, 1, 2, 0x7f, 0xff, 0x7fff, 0xffff, 0x7fff_ffff, 0x8000_0000, 0xffff_ffff, 1 << 40,
+    i64::MAX as u64, 1 << 63, u64::MAX,
 ];
 
 /// A damaged copy of `bytes`.
 pub fn mutated(bytes: &[u8], rng: &mut SplitMix) -> Vec<u8> {
     let mut out = bytes.to_vec();
-    // Headers are where the sizes are, so half of all damage goes to the first bytes.
+    // Headers are where the sizes are, so half of all damage goes to the first bytes, or to those of
+    // a later block, for headers of sections begin at multiples of 1024.
     let focus = if rng.below(2) == 0 { out.len().min(64) } else { out.len() };
+    let block = if rng.below(4) == 0 { rng.below(out.len().max(1)) / 1024 * 1024 } else { 0 };
     for _ in 0..1 + rng.below(3) {
         if out.is_empty() {
             return out;
         }
-        let at = rng.below(focus.clamp(1, out.len()));
+        let at = (block + rng.below(focus)).min(out.len() - 1);
         match rng.below(8) {
             0 => out[at] ^= 1 << rng.below(8),
             1 => out[at] = [0, 1, 0x7f, 0x80, 0xff, b'9', b'-', b'"'][rng.below(8)],

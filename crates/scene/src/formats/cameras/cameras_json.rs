@@ -11,7 +11,6 @@ use crate::frame::Matrix3;
 use crate::{Camera, Distortion, SceneError};
 use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
-use std::io::Write;
 use std::path::Path;
 
 /// Step of written positions, relative to the largest coordinate; far above the rounding of the two
@@ -116,10 +115,7 @@ pub fn write_cameras_json(cameras: &[Camera], path: &Path) -> Result<(), SceneEr
     let entries = cameras.iter().enumerate().map(entry).collect::<Result<Vec<_>, _>>()?;
     let bytes = serde_json::to_vec(&entries)
         .map_err(|e| SceneError::format(path, format!("cannot be written as JSON: {e}"), ""))?;
-    let file = AtomicFile::create(path)?;
-    let mut to = file.file()?;
-    to.write_all(&bytes).map_err(SceneError::io(path, "cannot write the cameras"))?;
-    Ok(file.commit()?)
+    Ok(AtomicFile::write(path, &bytes)?)
 }
 
 /// The centre, rounded to about 12 digits of its largest coordinate.

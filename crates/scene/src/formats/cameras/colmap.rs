@@ -8,6 +8,7 @@ pub use binary::read_colmap_binary;
 pub use text::read_colmap_text;
 
 use super::{CameraKind, CameraSet, SparsePoints};
+use crate::gaussian_scene::retain_flagged;
 use crate::input_file::InputFile;
 use crate::vector::rotation;
 use crate::{Camera, SceneError};
@@ -138,8 +139,7 @@ fn finite_points(mut points: SparsePoints, notes: &mut Vec<String>) -> SparsePoi
     let dropped = keep.iter().filter(|&&keep| !keep).count();
     if dropped > 0 {
         notes.push(format!("{dropped} points without a finite position were left out"));
-        let mut flags = keep.iter();
-        points.color.retain(|_| flags.next().copied().unwrap_or(false));
+        retain_flagged(&mut points.color, &keep);
         points.coord.retain(finite);
     }
     points

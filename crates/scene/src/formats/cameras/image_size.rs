@@ -1,6 +1,7 @@
 //! Width and height of a picture, from the beginning of its file.
 
 use crate::input_file::open_regular_file;
+use crate::picture::jpeg::segments;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
@@ -32,36 +33,9 @@ fn png_size(head: &[u8]) -> Option<(u32, u32)> {
 }
 
 fn jpeg_size(head: &[u8]) -> Option<(u32, u32)> {
-    let mut rest = head.strip_prefix(b"\xff\xd8")?;
-    loop {
-        let [0xff, marker, ..] = *rest else { return None };
-        if marker == 0xff {
-            // Any number of these may fill up.
-            rest = &rest[1..];
-            continue;
-        }
-        let length = usize::from(u16::from_be_bytes(*rest.get(2..)?.first_chunk()?));
-        // Starts of frames, all but tables of codes and arithmetic.
-        if matches!(marker, 0xc0..=0xcf) && !matches!(marker, 0xc4 | 0xc8 | 0xcc) {
-            let number = |at: usize| Some(u16::from_be_bytes(*rest.get(at..)?.first_chunk()?));
-            return Some((number(7)?.into(), number(5)?.into()));
-        }
-        rest = rest.get(2 + length.max(2)..)?;
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn sizes_of_pictures() {
-        let png = b"\x89PNG\r\n\x1a\n\0\0\0\x0dIHDR\0\0\x03\x20\0\0\x02\x58";
-        assert_eq!(png_size(png), Some((800, 600)));
-        assert!((0..png.len()).all(|cut| png_size(&png[..cut]).is_none()));
-        let jpeg = b"\xff\xd8\xff\xe0\0\x04ab\xff\xff\xc2\0\x11\x08\x02\x58\x03\x20\x03";
-        assert_eq!(jpeg_size(jpeg), Some((800, 600)));
-        assert!((0..jpeg.len() - 1).all(|cut| jpeg_size(&jpeg[..cut]).is_none()));
-        assert_eq!(jpeg_size(b"\xff\xd8\xff\xe0\0\0\xff\xe0\0\0"), None);
-    }
+    // Starts of frames, all but tables of codes and arithmetic.
+    let is_frame = |m: u8| matches!(m, 0xc0..=0xcf) && !matches!(m, 0xc4 | 0xc8 | 0xcc);
+    let (_, frame) = segments(head).find(|&(marker, _)| is_frame(marker))?;
+    let number = |at: usize| Some(u16::from_be_bytes(*frame.get(at..)?.first_chunk()?));
+    Some((number(3)?.into(), number(1)?.into()))
 }

@@ -2,6 +2,7 @@
 
 use super::CHUNK_ROWS;
 use crate::SceneError;
+use crate::bounds::{EMPTY_BOX, bounding_box, joined_box};
 use rayon::prelude::*;
 
 /// How much larger chunks may be in the scene's own order than in Morton order for it to be kept.
@@ -71,24 +72,10 @@ fn total_extent(rows: usize, coord: impl Fn(usize) -> [f32; 3] + Sync) -> f64 {
     extents.iter().sum()
 }
 
-type Bounds = ([f32; 3], [f32; 3]);
-
-/// The box around nothing.
-const EMPTY: Bounds = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
-
-fn bounding_box(coord: impl Iterator<Item = [f32; 3]>) -> Bounds {
-    coord.fold(EMPTY, |bounds, coord| join(bounds, (coord, coord)))
-}
-
-/// The box around both.
-fn join(a: Bounds, b: Bounds) -> Bounds {
-    (std::array::from_fn(|i| a.0[i].min(b.0[i])), std::array::from_fn(|i| a.1[i].max(b.1[i])))
-}
-
 /// Rows along a Morton curve through the box around all of them; equals in their old order.
 fn morton_order(coord: &[[f32; 3]], tick: Tick<'_>) -> Result<Vec<u32>, SceneError> {
     let parts = coord.par_chunks(CHUNK_ROWS).map(|part| bounding_box(part.iter().copied()));
-    let (min, max) = parts.reduce(|| EMPTY, join);
+    let (min, max) = parts.reduce(|| EMPTY_BOX, joined_box);
     tick()?;
     let cells = f64::from(1u32 << BITS);
     let scale: [f64; 3] = std::array::from_fn(|i| {
@@ -150,7 +137,7 @@ fn sort_rows(codes: &[u64], tick: Tick<'_>) -> Result<Vec<u32>, SceneError> {
 }
 
 /// Puts two zero bits after each of the lowest 21 bits.
-fn spread(mut bits: u64) -> u64 {
+pub(in crate::formats) fn spread(mut bits: u64) -> u64 {
     for (shift, mask) in [
         (32, 0x001f_0000_0000_ffff),
         (16, 0x001f_0000_ff00_00ff),

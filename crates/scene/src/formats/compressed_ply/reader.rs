@@ -43,10 +43,7 @@ pub fn read_compressed_ply(
         return Err(bad(format!("has {} chunks for {} vertices", chunk.count, vertex.count)));
     }
     let mut report = RepairReport::default();
-    if file.trailing_bytes() > 0 {
-        let example = format!("{} bytes", file.trailing_bytes());
-        report.add(Rule::FileTrailing, 1, vertex.count, &example);
-    }
+    file.report_trailing(vertex.count, &mut report);
     let segment = read_segment(file, vertex, options.segment.as_deref(), &mut report)?;
     let instance = read_instance(file, vertex, &mut report)?;
 

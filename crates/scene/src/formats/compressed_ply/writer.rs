@@ -6,13 +6,12 @@ use super::order::{Tick, chunk_order};
 use super::{BOUNDS, CHUNK, CHUNK_ROWS, COLOR_BOUNDS, PACKED, SH, VERTEX};
 use crate::AtomicFile;
 use crate::formats::files::write_all_at;
-use crate::formats::limit_tally::LimitTally;
-use crate::formats::packed_values::{ALPHA_ENDS, alpha, check_storable, nearest_byte};
-use crate::formats::semantics::Sidecar;
-use crate::formats::{SceneFormat, WriteOptions, WriteProgress, WriteReport};
+use crate::formats::limit_tally::{LimitTally, Limits};
+use crate::formats::packed_values::{ALPHA_ENDS, alpha, nearest_byte, tally_alpha};
+use crate::formats::{WriteOptions, WriteProgress, WriteReport};
+use crate::gaussian_scene::sh_rest_len;
 use crate::{GaussianScene, SceneError};
 use rayon::prelude::*;
-use std::path::Path;
 
 /// Logarithms of scales beyond ± this are cut, as in the reference.
 const MAX_LOG_SCALE: f32 = 20.0;
@@ -30,27 +29,15 @@ const VERTEX_BYTES: usize = PACKED.len() * 4;
 /// Chunks packed before they are handed to the file: a few ms of work.
 const CHUNKS_PER_WRITE: usize = 128;
 
-/// What the format could not hold.
-#[derive(Default, Clone, Copy)]
-struct Limits {
-    log_scale: LimitTally,
-    opacity: LimitTally,
-    color: LimitTally,
-    rest: LimitTally,
-}
+/// What the format cannot hold, as it is reported.
+const LIMITS: [(&str, &str); 4] = [
+    ("log_scale", "beyond ±20 (sizes of e±20 m), cut"),
+    ("opacity_logit", ALPHA_ENDS),
+    ("sh_dc", "beyond ±1e30, cut"),
+    ("sh_rest", "coefficients beyond ±4 are cut"),
+];
 
-impl Limits {
-    fn merge(self, other: Self) -> Self {
-        Self {
-            log_scale: self.log_scale.merge(other.log_scale),
-            opacity: self.opacity.merge(other.opacity),
-            color: self.color.merge(other.color),
-            rest: self.rest.merge(other.rest),
-        }
-    }
-}
-
-/// Writes a scene as a compressed PLY file, and its labels beside it.
+/// Writes a scene as a compressed PLY file.
 ///
 /// Rows keep their order if those of a chunk are close together, else they are sorted along a
 /// Morton curve; [`WriteReport::order`] then says how. A file that was written here comes back byte
@@ -63,16 +50,14 @@ impl Limits {
 /// # Errors
 /// As [`write_scene`](crate::write_scene), which also looks for an old file; if a position, size,
 /// rotation, opacity or colour is not a number, or there are more than 2³² − 1 rows.
-pub fn write_compressed_ply(
+pub(in crate::formats) fn write_compressed_ply(
     scene: &GaussianScene,
-    path: &Path,
-    options: &WriteOptions,
+    file: &AtomicFile,
+    _options: &WriteOptions,
+    report: &mut WriteReport,
     progress: WriteProgress<'_>,
-) -> Result<WriteReport, SceneError> {
-    scene.check_rows()?;
-    check_storable(scene, path)?;
-    let sidecar = Sidecar::prepare(scene, path, options.overwrite)?;
-    let rows = scene.len();
+) -> Result<(), SceneError> {
+    let (rows, path) = (scene.len(), file.target());
     if u32::try_from(rows).is_err() {
         let problem = format!("would have {rows} rows, more than {}", u32::MAX);
         return Err(SceneError::format(path, problem, "split the scene"));
@@ -81,25 +66,13 @@ pub fn write_compressed_ply(
     let rounded =
         |order: Option<&[u32]>, tick: Tick<'_>| rounded_positions(&scene.coord, order, tick);
     let order = chunk_order(&scene.coord, rounded, &mut tick)?;
-    let packer = Packer::new(scene, order.as_deref());
-    let file = AtomicFile::create(path)?;
-    let limits = packer.write(&file, progress)?;
-    let labels = sidecar.commit(scene, order.as_deref(), file)?;
-
-    let mut report = WriteReport::new(SceneFormat::CompressedPly, rows);
-    report.wrote(path)?;
-    report.limit("log_scale", "beyond ±20 (sizes of e±20 m), cut", limits.log_scale);
-    report.limit("opacity_logit", ALPHA_ENDS, limits.opacity);
-    report.limit("sh_dc", "beyond ±1e30, cut", limits.color);
-    report.limit("sh_rest", "coefficients beyond ±4 are cut", limits.rest);
+    let limits = Packer::new(scene, order.as_deref()).write(file, progress)?;
+    report.limits(LIMITS, limits);
     if scene.sh_degree > MAX_DEGREE {
         report.left_out("sh_rest", "degree 4 has no place in this format, degree 3 is kept");
     }
-    if let Some(labels) = labels {
-        report.wrote(&labels)?;
-    }
     report.order = order;
-    Ok(report)
+    Ok(())
 }
 
 /// The row of the scene for a row of the file.
@@ -145,13 +118,13 @@ struct PackedChunk {
     bounds: [u8; CHUNK_BYTES],
     vertices: Vec<u8>,
     rest: Vec<u8>,
-    limits: Limits,
+    limits: Limits<4>,
 }
 
 impl<'a> Packer<'a> {
     fn new(scene: &'a GaussianScene, order: Option<&'a [u32]>) -> Self {
-        let side = usize::from(scene.sh_degree.min(MAX_DEGREE)) + 1;
-        Self { scene, order, rest: side * side - 1, scene_rest: scene.sh_rest_len() }
+        let rest = sh_rest_len(scene.sh_degree.min(MAX_DEGREE));
+        Self { scene, order, rest, scene_rest: scene.sh_rest_len() }
     }
 
     fn header(&self) -> String {
@@ -172,12 +145,16 @@ impl<'a> Packer<'a> {
         text + "end_header\n"
     }
 
-    fn write(&self, file: &AtomicFile, progress: WriteProgress<'_>) -> Result<Limits, SceneError> {
+    fn write(
+        &self,
+        file: &AtomicFile,
+        progress: WriteProgress<'_>,
+    ) -> Result<Limits<4>, SceneError> {
         let rows = self.scene.len();
         let chunks = rows.div_ceil(CHUNK_ROWS);
         let header = self.header();
         let put = |bytes: &[u8], at: usize| {
-            write_all_at(file.file()?, bytes, at as u64)
+            write_all_at(file.file(), bytes, at as u64)
                 .map_err(SceneError::io(file.target(), "cannot write the scene"))
         };
         put(header.as_bytes(), 0)?;
@@ -212,14 +189,14 @@ impl<'a> Packer<'a> {
         let scene = self.scene;
         let rows = chunk * CHUNK_ROWS..scene.len().min((chunk + 1) * CHUNK_ROWS);
         let rows: Vec<usize> = rows.map(|row| scene_row(self.order, row)).collect();
-        let mut limits = Limits::default();
+        let Limits([mut log_scale_cut, mut ends, mut color_cut, mut rest_cut]) = Limits::default();
         let coord: Vec<_> = rows.iter().map(|&row| scene.coord[row]).collect();
         let log_scale: Vec<_> = rows
             .iter()
-            .map(|&row| cut(scene.log_scale[row], MAX_LOG_SCALE, row, &mut limits.log_scale))
+            .map(|&row| cut(scene.log_scale[row], MAX_LOG_SCALE, row, &mut log_scale_cut))
             .collect();
         let sh_dc: Vec<_> =
-            rows.iter().map(|&row| cut(scene.sh_dc[row], MAX_DC, row, &mut limits.color)).collect();
+            rows.iter().map(|&row| cut(scene.sh_dc[row], MAX_DC, row, &mut color_cut)).collect();
         let parts = [(POSITION, coord), (SCALE, log_scale), (COLOR, sh_dc)]
             .map(|(channels, values)| pack_channels(channels, &values));
 
@@ -235,11 +212,9 @@ impl<'a> Packer<'a> {
         for (i, &row) in rows.iter().enumerate() {
             let [position, scale, [r, g, b]] =
                 parts.each_ref().map(|part| part.each_ref().map(|packed| packed.codes[i]));
-            let (logit, alpha) = (scene.opacity_logit[row], alpha(scene.opacity_logit[row]));
-            let byte = nearest_byte(alpha);
-            if logit.is_finite() && matches!(byte, 0 | 255) {
-                limits.opacity.add(row, alpha.min(1.0 - alpha));
-            }
+            let logit = scene.opacity_logit[row];
+            let byte = nearest_byte(alpha(logit));
+            tally_alpha(row, logit, matches!(byte, 0 | 255), &mut ends);
             for word in [
                 join_11_10_11(position),
                 pack_quat(scene.quat[row]),
@@ -248,8 +223,9 @@ impl<'a> Packer<'a> {
             ] {
                 vertices.extend_from_slice(&word.to_le_bytes());
             }
-            self.pack_rest(row, &mut rest, &mut limits.rest);
+            self.pack_rest(row, &mut rest, &mut rest_cut);
         }
+        let limits = Limits([log_scale_cut, ends, color_cut, rest_cut]);
         PackedChunk { bounds, vertices, rest, limits }
     }
 

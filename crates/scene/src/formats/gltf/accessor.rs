@@ -22,37 +22,29 @@ pub(super) enum Component {
     F32,
 }
 
+/// Each component in the order of the enum: its code, its size, and the number for the largest code where
+/// integers stand for −1 to 1 or 0 to 1.
+const COMPONENTS: [(Component, u32, usize, f64); 6] = [
+    (Component::I8, 5120, 1, 127.0),
+    (Component::U8, 5121, 1, 255.0),
+    (Component::I16, 5122, 2, 32767.0),
+    (Component::U16, 5123, 2, 65535.0),
+    (Component::U32, 5125, 4, u32::MAX as f64),
+    (Component::F32, 5126, 4, 1.0),
+];
+
 impl Component {
     fn from_code(code: u32) -> Option<Self> {
-        Some(match code {
-            5120 => Self::I8,
-            5121 => Self::U8,
-            5122 => Self::I16,
-            5123 => Self::U16,
-            5125 => Self::U32,
-            5126 => Self::F32,
-            _ => return None,
-        })
+        COMPONENTS.iter().find(|row| row.1 == code).map(|row| row.0)
     }
 
     fn size(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::U32 | Self::F32 => 4,
-        }
+        COMPONENTS[self as usize].2
     }
 
-    /// The number for the largest code, if integers stand for −1 to 1 or 0 to 1.
-    fn divisor(self) -> f64 {
-        match self {
-            Self::I8 => 127.0,
-            Self::U8 => 255.0,
-            Self::I16 => 32767.0,
-            Self::U16 => 65535.0,
-            Self::U32 => f64::from(u32::MAX),
-            Self::F32 => 1.0,
-        }
+    /// The number for the largest code.
+    pub(super) fn divisor(self) -> f64 {
+        COMPONENTS[self as usize].3
     }
 }
 
@@ -263,12 +255,10 @@ impl<'a> Replaced<'a> {
         };
         let indices = &sparse.indices;
         let code = indices.component_type;
-        let index_size = match Component::from_code(code) {
-            Some(Component::U8) => 1,
-            Some(Component::U16) => 2,
-            Some(Component::U32) => 4,
-            _ => return Err(bad(format!("has replaced elements counted by type {code}"))),
-        };
+        let unsigned = |c: &Component| matches!(c, Component::U8 | Component::U16 | Component::U32);
+        let index_size = Component::from_code(code).filter(unsigned).map(Component::size);
+        let index_size = index_size
+            .ok_or_else(|| bad(format!("has replaced elements counted by type {code}")))?;
         let numbers = part(indices.buffer_view, indices.byte_offset, index_size)?;
         let values = part(sparse.values.buffer_view, sparse.values.byte_offset, size)?;
         let index = |bytes: &[u8]| bytes.iter().rev().fold(0u32, |n, &b| n << 8 | u32::from(b));

@@ -254,13 +254,10 @@ fn rows_of<const W: usize>(view: &View<'_>) -> Vec<[f32; W]> {
 
 /// Integer colours are fractions even where the exporter forgot to say so.
 fn unsigned(view: &View<'_>, values: &mut [f32]) {
-    let largest = match view.component {
-        _ if view.is_fraction() => return,
-        Component::U8 => 255.0,
-        Component::U16 => 65535.0,
-        _ => return,
-    };
-    values.par_iter_mut().for_each(|v| *v /= largest);
+    if !view.is_fraction() && matches!(view.component, Component::U8 | Component::U16) {
+        let largest = view.component.divisor() as f32;
+        values.par_iter_mut().for_each(|v| *v /= largest);
+    }
 }
 
 /// Turns linear light into sRGB: the DC term exactly, the harmonics to first order about it.

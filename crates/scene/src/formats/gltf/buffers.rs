@@ -7,6 +7,7 @@ use crate::input_file::InputFile;
 use base64::Engine;
 use base64::alphabet;
 use base64::engine::{DecodePaddingMode, GeneralPurpose, GeneralPurposeConfig};
+use std::borrow::Cow;
 use std::path::{Component, Path, PathBuf};
 
 /// Ordinary base64; some exporters leave the padding away.
@@ -16,16 +17,23 @@ const BASE64: GeneralPurpose = GeneralPurpose::new(
 );
 
 enum Bytes<'a> {
-    /// Not used by any Gaussian.
-    Unread,
-    Here(&'a [u8]),
-    Decoded(Vec<u8>),
+    Held(Cow<'a, [u8]>),
     Mapped(InputFile),
+}
+
+impl Bytes<'_> {
+    fn get(&self) -> &[u8] {
+        match self {
+            Self::Held(bytes) => bytes,
+            Self::Mapped(file) => file.bytes(),
+        }
+    }
 }
 
 /// The buffers of a document, those that are needed opened.
 pub(super) struct Buffers<'a> {
-    buffers: Vec<Bytes<'a>>,
+    /// `None` for those that no Gaussian uses.
+    buffers: Vec<Option<Bytes<'a>>>,
 }
 
 impl<'a> Buffers<'a> {
@@ -37,11 +45,8 @@ impl<'a> Buffers<'a> {
         needed: &[bool],
     ) -> Result<Self, SceneError> {
         let open = |(i, buffer)| {
-            if needed.get(i) == Some(&true) {
-                open_buffer(i, buffer, bin, path)
-            } else {
-                Ok(Bytes::Unread)
-            }
+            let is_needed = needed.get(i) == Some(&true);
+            is_needed.then(|| open_buffer(i, buffer, bin, path)).transpose()
         };
         let buffers = document.buffers.iter().enumerate().map(open).collect::<Result<_, _>>()?;
         Ok(Self { buffers })
@@ -49,12 +54,7 @@ impl<'a> Buffers<'a> {
 
     /// The bytes of that buffer.
     fn bytes(&self, buffer: usize) -> Option<&[u8]> {
-        match self.buffers.get(buffer)? {
-            Bytes::Unread => None,
-            Bytes::Here(bytes) => Some(bytes),
-            Bytes::Decoded(bytes) => Some(bytes),
-            Bytes::Mapped(file) => Some(file.bytes()),
-        }
+        self.buffers.get(buffer)?.as_ref().map(Bytes::get)
     }
 
     /// Bytes of all opened buffers together.
@@ -105,24 +105,18 @@ fn open_buffer<'a>(
 ) -> Result<Bytes<'a>, SceneError> {
     let bytes = match &buffer.uri {
         None => match bin {
-            Some(bin) if i == 0 => Bytes::Here(bin),
+            Some(bin) if i == 0 => Bytes::Held(bin.into()),
             _ => return Err(file_error(path, format!("buffer {i} has neither a uri nor bytes"))),
         },
         Some(uri) => match data_uri(&uri.0) {
-            Some(text) => Bytes::Decoded(
-                BASE64
-                    .decode(text)
-                    .map_err(|e| file_error(path, format!("buffer {i} is no base64 text: {e}")))?,
-            ),
+            Some(text) => {
+                let bad = |e| file_error(path, format!("buffer {i} is no base64 text: {e}"));
+                Bytes::Held(BASE64.decode(text).map_err(bad)?.into())
+            }
             None => Bytes::Mapped(open_beside(i, &uri.0, path)?),
         },
     };
-    let has = match &bytes {
-        Bytes::Unread => 0,
-        Bytes::Here(bytes) => bytes.len(),
-        Bytes::Decoded(bytes) => bytes.len(),
-        Bytes::Mapped(file) => file.bytes().len(),
-    };
+    let has = bytes.get().len();
     if (has as u64) < buffer.byte_length {
         let due = buffer.byte_length;
         return Err(file_error(path, format!("buffer {i} should have {due} bytes, but has {has}")));

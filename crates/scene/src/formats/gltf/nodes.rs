@@ -3,7 +3,9 @@
 use super::document::{Document, Node};
 use super::file_error;
 use crate::SceneError;
-use crate::frame::{Matrix3, product};
+use crate::frame::{Matrix3, matrix, product};
+use crate::vector::rotation;
+use glam::DVec3;
 use std::path::Path;
 
 /// `p ↦ linear · p + translation`.
@@ -26,10 +28,7 @@ impl Affine {
     }
 
     pub(super) fn apply(&self, p: [f64; 3]) -> [f64; 3] {
-        std::array::from_fn(|i| {
-            let r = self.linear[i];
-            r[0] * p[0] + r[1] * p[1] + r[2] * p[2] + self.translation[i]
-        })
+        (matrix(&self.linear) * DVec3::from(p) + DVec3::from(self.translation)).to_array()
     }
 }
 
@@ -109,11 +108,7 @@ fn local(node: &Node, i: usize, path: &Path) -> Result<Affine, SceneError> {
             return Err(file_error(path, format!("node {i} has the rotation {q:?}")));
         }
         let [x, y, z, w] = q.map(|v| v / norm);
-        linear = [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-        ];
+        linear = rotation([w, x, y, z]);
     }
     if let Some(scale) = &node.scale {
         linear = linear.map(|row| [row[0] * scale[0], row[1] * scale[1], row[2] * scale[2]]);

@@ -2,7 +2,8 @@
 
 use super::nodes::Affine;
 use super::singular::singular_values;
-use crate::frame::{Matrix3, determinant, product};
+use crate::formats::unit_f64;
+use crate::frame::{Matrix3, determinant, product, transposed};
 use crate::similarity::matrix_to_quat;
 use crate::spherical_harmonics::ShRotation;
 use crate::vector::rotation;
@@ -17,7 +18,7 @@ const ONE_SCALE: f64 = 1e-6;
 /// How far from −1, 0 or 1 the entry of a rotation may be to be that: the rounding of f32.
 const WHOLE: f64 = 1e-7;
 
-/// Matrices that flatten more than this have no inverse to speak of.
+/// Matrices that flatten more than this are treated as singular.
 const SINGULAR: f64 = 1e-9;
 
 /// What a matrix does to Gaussians.
@@ -43,8 +44,7 @@ impl Placement {
         if s[2] <= s[0] * SINGULAR {
             return None;
         }
-        let transposed = [0, 1, 2].map(|i| [0, 1, 2].map(|j| v[j][i]));
-        let rotation = product(&u, &transposed).map(|row| {
+        let rotation = product(&u, &transposed(&v)).map(|row| {
             row.map(|entry| {
                 let whole = entry.round();
                 if (entry - whole).abs() < WHOLE { whole } else { entry }
@@ -102,7 +102,7 @@ fn stretch(linear: &Matrix3, log_scale: [f32; 3], quat: [f32; 4]) -> Option<([f3
         return None;
     }
     let sigma = log_scale.map(|s| (f64::from(s) - f64::from(largest)).exp());
-    let axes = product(linear, &matrix(quat));
+    let axes = product(linear, &rotation(unit_f64(quat)));
     let b = axes.map(|row| [row[0] * sigma[0], row[1] * sigma[1], row[2] * sigma[2]]);
     let (mut u, s, _) = singular_values(&b);
     if determinant(&u) < 0.0 {
@@ -113,11 +113,4 @@ fn stretch(linear: &Matrix3, log_scale: [f32; 3], quat: [f32; 4]) -> Option<([f3
     let sign = if quat[0] < 0.0 { -1.0 } else { 1.0 };
     let log_scale = s.map(|s| (s.ln() + f64::from(largest)) as f32);
     Some((log_scale, quat.map(|v| (v * sign) as f32)))
-}
-
-/// The rotation matrix of a quaternion of any length but 0.
-fn matrix(quat: [f32; 4]) -> Matrix3 {
-    let q = quat.map(f64::from);
-    let norm = q.iter().map(|v| v * v).sum::<f64>().sqrt();
-    rotation(q.map(|v| v / norm))
 }

@@ -3,7 +3,7 @@
 use super::attributes::gaussian_attribute;
 use super::document::{CompressedView, Document, Primitive};
 use super::file_error;
-use super::nodes::{Affine, placed_meshes};
+use super::nodes::{Affine, Placed, placed_meshes};
 use super::placement::Placement;
 use crate::{Frame, RepairReport, SceneError};
 use std::collections::BTreeSet;
@@ -76,37 +76,17 @@ pub(super) fn gaussian_primitives<'a>(
         for primitive in &mesh.primitives {
             if jobs.len() + others > MAX_PRIMITIVES {
                 let problem = format!("shows more than {MAX_PRIMITIVES} primitives");
-                return Err(SceneError::format(
-                    path,
-                    problem,
-                    "export the Gaussians by themselves",
-                ));
+                let help = "export the Gaussians by themselves";
+                return Err(SceneError::format(path, problem, help));
             }
             if !is_gaussian(primitive) {
                 others += 1;
                 continue;
             }
             note_properties(primitive, &mut notes);
-            if primitive.extensions.draco.is_some() {
-                let problem =
-                    format!("mesh {} is compressed by Draco, which is not read", placed.mesh);
-                return Err(SceneError::format(path, problem, "export it without compression"));
-            }
-            let spz = spz_of(primitive).map(|(name, about)| {
-                let none = || file_error(path, format!("{name} names no buffer view"));
-                Ok::<_, SceneError>((name, about.buffer_view.ok_or_else(none)?))
-            });
-            let spz = spz.transpose()?;
-            let matrix = if spz.is_some() { &world_of_spz } else { &world };
-            let place = Placement::new(matrix).ok_or_else(|| {
-                let problem = format!(
-                    "node {} shows Gaussians through a matrix without inverse: {:?}",
-                    placed.node, placed.world.linear
-                );
-                SceneError::format(path, problem, "give the node and its parents a size")
-            })?;
-            stretched += usize::from(matches!(place, Placement::Stretched { .. }));
-            jobs.push(Job { primitive, spz, place });
+            let job = job(primitive, &placed, [&world, &world_of_spz], path)?;
+            stretched += usize::from(matches!(job.place, Placement::Stretched { .. }));
+            jobs.push(job);
         }
     }
     if jobs.is_empty() {
@@ -128,6 +108,32 @@ pub(super) fn gaussian_primitives<'a>(
     Ok(jobs)
 }
 
+/// What a primitive is and where it goes; `worlds`: of attributes, and of SPZ.
+fn job<'a>(
+    primitive: &'a Primitive,
+    placed: &Placed,
+    worlds: [&Affine; 2],
+    path: &Path,
+) -> Result<Job<'a>, SceneError> {
+    if primitive.extensions.draco.is_some() {
+        let problem = format!("mesh {} is compressed by Draco, which is not read", placed.mesh);
+        return Err(SceneError::format(path, problem, "export it without compression"));
+    }
+    let spz = spz_of(primitive).map(|(name, about)| {
+        let none = || file_error(path, format!("{name} names no buffer view"));
+        Ok::<_, SceneError>((name, about.buffer_view.ok_or_else(none)?))
+    });
+    let spz = spz.transpose()?;
+    let place = Placement::new(worlds[usize::from(spz.is_some())]).ok_or_else(|| {
+        let problem = format!(
+            "node {} shows Gaussians through a matrix without inverse: {:?}",
+            placed.node, placed.world.linear
+        );
+        SceneError::format(path, problem, "give the node and its parents a size")
+    })?;
+    Ok(Job { primitive, spz, place })
+}
+
 fn is_gaussian(primitive: &Primitive) -> bool {
     let has = |name| gaussian_attribute(primitive, name).is_some();
     primitive.extensions.gaussians.is_some()
@@ -144,30 +150,23 @@ fn note_properties(primitive: &Primitive, notes: &mut BTreeSet<String>) {
         );
     }
     let Some(about) = &primitive.extensions.gaussians else { return };
-    match about.kernel.as_deref() {
-        None | Some("ellipse") => {}
-        Some(other) => {
-            notes.insert(format!("the kernel {other:?} is unknown; read as \"ellipse\""));
+    let of = |property: &Option<String>, usual: &str, note: &dyn Fn(&str) -> String| {
+        property.as_deref().filter(|&value| value != usual).map(note)
+    };
+    notes.extend(of(&about.kernel, "ellipse", &|other| {
+        format!("the kernel {other:?} is unknown; read as \"ellipse\"")
+    }));
+    notes.extend(of(&about.color_space, "srgb_rec709_display", &|other| match other {
+        "lin_rec709_display" => {
+            "linear colors became sRGB, their harmonics to first order".to_owned()
         }
-    }
-    match about.color_space.as_deref() {
-        None | Some("srgb_rec709_display") => {}
-        Some("lin_rec709_display") => {
-            notes.insert("linear colours became sRGB, their harmonics to first order".to_owned());
-        }
-        Some(other) => {
-            notes.insert(format!("the colour space {other:?} is unknown; read as sRGB"));
-        }
-    }
-    match about.projection.as_deref() {
-        None | Some("perspective") => {}
-        Some(other) => {
-            notes.insert(format!("the projection {other:?} is not kept"));
-        }
-    }
-    for name in about.extensions.keys().filter(|name| !name.contains("compression_spz")) {
-        notes.insert(format!("the extension {name} of the Gaussians was ignored"));
-    }
+        _ => format!("the color space {other:?} is unknown; read as sRGB"),
+    }));
+    notes.extend(of(&about.projection, "perspective", &|other| {
+        format!("the projection {other:?} is not kept")
+    }));
+    let ignored = about.extensions.keys().filter(|name| !name.contains("compression_spz"));
+    notes.extend(ignored.map(|name| format!("the extension {name} of the Gaussians was ignored")));
 }
 
 /// The extension that keeps the Gaussians of a primitive as a whole SPZ file, and where.
@@ -179,10 +178,8 @@ fn spz_of(primitive: &Primitive) -> Option<(&str, CompressedView)> {
     ];
     let old = old.into_iter().find_map(|(name, view)| Some((name, view?)));
     let inner = outer.gaussians.iter().flat_map(|about| &about.extensions);
-    let inner = inner.map(|(name, view)| (name.as_str(), *view));
+    let mut inner = inner.map(|(name, view)| (name.as_str(), *view));
     old.or_else(|| {
-        inner
-            .into_iter()
-            .find(|(name, _)| name.starts_with("KHR_gaussian_splatting_compression_spz"))
+        inner.find(|(name, _)| name.starts_with("KHR_gaussian_splatting_compression_spz"))
     })
 }

@@ -1,6 +1,6 @@
 //! Singular values of a 3×3 matrix.
 
-use crate::frame::Matrix3;
+use crate::frame::{Matrix3, transposed};
 use crate::vector::{cross, dot};
 
 /// Sweeps after which even hard matrices have converged.
@@ -16,7 +16,7 @@ const ORTHOGONAL: f64 = 1e-15;
 /// which an eigendecomposition of `mᵀm` would lose. Deterministic; equal values keep their order.
 pub(super) fn singular_values(m: &Matrix3) -> (Matrix3, [f64; 3], Matrix3) {
     // Columns as rows, for easier handling.
-    let mut columns = [0, 1, 2].map(|j| [m[0][j], m[1][j], m[2][j]]);
+    let mut columns = transposed(m);
     let mut v = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
     for _ in 0..MAX_SWEEPS {
         let mut turned = false;
@@ -45,7 +45,6 @@ pub(super) fn singular_values(m: &Matrix3) -> (Matrix3, [f64; 3], Matrix3) {
     let mut u = order.map(|i| columns[i].map(|x| x / norm[i]));
     complete(&mut u, &s);
     let v = order.map(|i| v[i]);
-    let transposed = |m: &Matrix3| [0, 1, 2].map(|i| [m[0][i], m[1][i], m[2][i]]);
     (transposed(&u), s, transposed(&v))
 }
 

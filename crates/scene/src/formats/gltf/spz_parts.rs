@@ -104,9 +104,7 @@ fn decode(
 ) -> Result<GaussianScene, SceneError> {
     let (mut scene, about) = read_spz_as_stored(part.bytes, path, options)?;
     report.notes.extend(about.notes.iter().map(|note| format!("SPZ in {}: {note}", part.name)));
-    for finding in &about.findings {
-        report.add(finding.rule, finding.count, finding.first_element, &finding.example);
-    }
+    *report = std::mem::take(report).merge(&about);
     // Other primitives have none.
     (scene.segment, scene.segment_score, scene.instance) = (None, None, None);
     scene.lang_code = None;

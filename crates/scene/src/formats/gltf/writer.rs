@@ -1,20 +1,19 @@
 //! Writing binary glTF with `KHR_gaussian_splatting`.
 
 use crate::AtomicFile;
-use crate::formats::limit_tally::LimitTally;
+use crate::bounds::bounding_box;
+use crate::formats::limit_tally::Limits;
 use crate::formats::packed_values::{
-    ALPHA_ENDS, SIZE_CUT, SIZE_VANISHES, alpha, canonical_quat, check_storable, log_of_scale,
-    settle, tally_sizes,
+    ALPHA_ENDS, SIZE_CUT, SIZE_VANISHES, alpha, canonical_quat, scale_code, settle_float,
+    tally_alpha, tally_sizes,
 };
-use crate::formats::semantics::Sidecar;
-use crate::formats::{SceneFormat, WriteOptions, WriteProgress, WriteReport};
+use crate::formats::{WriteOptions, WriteProgress, WriteReport};
 use crate::gaussian_scene::probability_to_logit;
 use crate::spherical_harmonics::ShRotation;
 use crate::{Frame, GaussianScene, SceneError};
 use rayon::prelude::*;
 use serde_json::{Map, Value, json};
 use std::io::Write;
-use std::path::Path;
 
 /// Numbers that are encoded before they are handed to the file: 4 MiB.
 const NUMBERS_PER_WRITE: usize = 1 << 20;
@@ -35,7 +34,7 @@ struct Attribute {
     value: RowValues,
 }
 
-/// Writes a scene as a `.glb` file, and its labels beside it.
+/// Writes a scene as a `.glb` file.
 ///
 /// One primitive of points with f32 attributes, in glTF's frame ([`Frame::LUF`]): standard
 /// deviations, quaternions `x, y, z, w`, opacities 0 to 1, and every band of harmonics. Positions,
@@ -46,14 +45,14 @@ struct Attribute {
 /// # Errors
 /// As [`write_scene`](super::super::write_scene); also if the file would exceed 4 GiB, which the
 /// container cannot hold.
-pub fn write_glb(
+pub(in crate::formats) fn write_glb(
     scene: &GaussianScene,
-    path: &Path,
-    options: &WriteOptions,
+    file: &AtomicFile,
+    _options: &WriteOptions,
+    report: &mut WriteReport,
     progress: WriteProgress<'_>,
-) -> Result<WriteReport, SceneError> {
-    scene.check_rows()?;
-    check_storable(scene, path)?;
+) -> Result<(), SceneError> {
+    let path = file.target();
     let attributes = attributes(scene);
     let rows = scene.len() as u64;
     let binary: u64 = attributes.iter().map(|a| 4 * a.width as u64 * rows).sum();
@@ -64,8 +63,6 @@ pub fn write_glb(
         let help = "cut harmonics, split the scene or choose another format";
         return Err(SceneError::format(path, problem, help));
     };
-    let sidecar = Sidecar::prepare(scene, path, options.overwrite)?;
-    let file = AtomicFile::create(path)?;
     let failed = |e| SceneError::io(path, "cannot write the scene")(e);
     let mut head = b"glTF".to_vec();
     head.extend(2u32.to_le_bytes());
@@ -75,28 +72,22 @@ pub fn write_glb(
     head.extend(&text);
     head.extend((binary as u32).to_le_bytes());
     head.extend(b"BIN\0");
-    file.file()?.write_all(&head).map_err(failed)?;
+    file.file().write_all(&head).map_err(failed)?;
     let mut written = 0u64;
     for attribute in &attributes {
         let rows_at_once = (NUMBERS_PER_WRITE / attribute.width).max(1);
         for first in (0..scene.len()).step_by(rows_at_once) {
             let count = rows_at_once.min(scene.len() - first);
             let bytes = encode(scene, attribute, first, count);
-            file.file()?.write_all(&bytes).map_err(failed)?;
+            file.file().write_all(&bytes).map_err(failed)?;
             written += bytes.len() as u64;
             if !progress(written as f64 / binary as f64) {
                 return Err(SceneError::Stopped);
             }
         }
     }
-    let labels = sidecar.commit(scene, None, file)?;
-    let mut report = WriteReport::new(SceneFormat::Glb, scene.len());
-    report.wrote(path)?;
-    note_limits(scene, &mut report);
-    if let Some(labels) = labels {
-        report.wrote(&labels)?;
-    }
-    Ok(report)
+    note_limits(scene, report);
+    Ok(())
 }
 
 /// The attributes in the order of the file. Both frames differ by signs only.
@@ -234,63 +225,29 @@ fn document(scene: &GaussianScene, attributes: &[Attribute], binary: u64) -> Vec
 }
 
 fn bounds(scene: &GaussianScene, position: &Attribute) -> ([f32; 3], [f32; 3]) {
-    let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
-    let mut p = [0.0; 3];
-    for row in 0..scene.len() {
+    bounding_box((0..scene.len()).map(|row| {
+        let mut p = [0.0; 3];
         (position.value)(scene, row, &mut p);
-        for a in 0..3 {
-            low[a] = low[a].min(p[a]);
-            high[a] = high[a].max(p[a]);
-        }
-    }
-    (low, high)
-}
-
-/// The standard deviation that comes back as itself.
-fn scale_code(log: f32) -> f32 {
-    let nearest = |log: f32| (f64::from(log).exp() as f32).min(f32::MAX);
-    // The bits of positive floats are in the order of their values.
-    let step = |bits: u32| nearest(log_of_scale(f32::from_bits(bits))).to_bits();
-    f32::from_bits(settle(nearest(log).to_bits(), step))
+        p
+    }))
 }
 
 /// The opacity that comes back as itself.
 fn alpha_code(logit: f32) -> f32 {
     let nearest = |logit: f32| alpha(logit) as f32;
-    let step = |bits: u32| nearest(probability_to_logit(f32::from_bits(bits))).to_bits();
-    f32::from_bits(settle(nearest(logit).to_bits(), step))
+    settle_float(nearest(logit), |alpha| nearest(probability_to_logit(alpha)))
 }
 
 fn note_limits(scene: &GaussianScene, report: &mut WriteReport) {
-    let [mut large, mut small, mut ends] = [LimitTally::default(); 3];
+    let Limits([mut large, mut small, mut ends]) = Limits::default();
     for row in 0..scene.len() {
         let sizes = scene.log_scale[row];
         tally_sizes(row, sizes, sizes.map(scale_code), &mut large, &mut small);
         let logit = scene.opacity_logit[row];
         let code = alpha_code(logit);
-        if logit.is_finite() && (code == 0.0 || code == 1.0) {
-            ends.add(row, (alpha(logit) - f64::from(code)).abs());
-        }
+        tally_alpha(row, logit, code == 0.0 || code == 1.0, &mut ends);
     }
     report.limit("log_scale", SIZE_CUT, large);
     report.limit("log_scale", SIZE_VANISHES, small);
     report.limit("opacity_logit", ALPHA_ENDS, ends);
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn codes_come_back_as_themselves() {
-        for i in -2000..2000 {
-            let value = i as f32 * 0.0137;
-            let code = alpha_code(value);
-            assert_eq!(alpha_code(probability_to_logit(code)), code, "{value}");
-            let code = scale_code(value);
-            assert_eq!(scale_code(log_of_scale(code)), code, "{value}");
-        }
-        assert_eq!((alpha_code(f32::INFINITY), alpha_code(f32::NEG_INFINITY)), (1.0, 0.0));
-        assert_eq!(scale_code(f32::NEG_INFINITY), 0.0);
-    }
 }

@@ -1,5 +1,7 @@
 //! The headers of a `.ksplat` file, checked against its length.
 
+use crate::gaussian_scene::sh_rest_len;
+
 /// Bytes before the headers of the sections.
 pub(super) const HEADER_BYTES: usize = 4096;
 /// Bytes of the header of a section.
@@ -70,12 +72,6 @@ impl Buckets<'_> {
     pub(super) fn center(&self, bucket: usize) -> [f64; 3] {
         [0, 4, 8].map(|at| f64::from(f32_at(&self.centers[bucket], at)))
     }
-}
-
-/// Coefficients of a record for all three channels.
-pub(super) fn rest_count(sh_degree: u8) -> usize {
-    let side = usize::from(sh_degree) + 1;
-    3 * (side * side - 1)
 }
 
 pub(super) fn u16_at(bytes: &[u8], at: usize) -> u16 {
@@ -159,7 +155,7 @@ fn parse_section<'a>(
     };
     let coefficient_bytes = [4, 2, 1][usize::from(file.level)];
     let fixed_bytes = if file.level == 0 { 44 } else { 24 };
-    let record_bytes = fixed_bytes + rest_count(sh_degree) * coefficient_bytes;
+    let record_bytes = fixed_bytes + 3 * sh_rest_len(sh_degree) * coefficient_bytes;
 
     let (bucket_count, partial_count) = (field(12), field(36));
     let center_bytes = usize::from(u16_at(header, 20));

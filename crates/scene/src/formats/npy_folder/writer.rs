@@ -1,10 +1,11 @@
 //! Writing the preprocessed scene.
 
 use crate::StagedFolder;
-use crate::formats::limit_tally::LimitTally;
+use crate::formats::limit_tally::{LimitTally, Limits};
 use crate::formats::npy_writer::{NpyElement, NpyRowWriter};
 use crate::formats::packed_values::{
-    ALPHA_ENDS, COLOR_CLIPPED, SIZE_CUT, SIZE_VANISHES, alpha, tally_colors, tally_sizes,
+    ALPHA_ENDS, COLOR_CLIPPED, SIZE_CUT, SIZE_VANISHES, settle_float, tally_alpha, tally_colors,
+    tally_sizes,
 };
 use crate::formats::{SceneFormat, WriteOptions, WriteProgress, WriteReport};
 use crate::gaussian_scene::{probability_to_logit, sigmoid};
@@ -54,8 +55,10 @@ pub fn write_npy_folder(
     folder: &Path,
     overwrite: bool,
 ) -> Result<(), SceneError> {
+    scene.check_rows()?;
     let options = WriteOptions { overwrite, ..WriteOptions::default() };
-    write_npy_scene(scene, folder, &options, &mut |_| true).map(|_| ())
+    let mut report = WriteReport::new(SceneFormat::NpyFolder, scene.len());
+    write_npy_scene(scene, folder, &options, &mut report, &mut |_| true)
 }
 
 /// As [`write_npy_folder`], and says what was written and what the format could not hold.
@@ -65,23 +68,19 @@ pub fn write_npy_folder(
 ///
 /// # Errors
 /// As [`write_npy_folder`]; also if `progress` says stop.
-pub fn write_npy_scene(
+pub(in crate::formats) fn write_npy_scene(
     scene: &GaussianScene,
     folder: &Path,
     options: &WriteOptions,
+    report: &mut WriteReport,
     progress: WriteProgress<'_>,
-) -> Result<WriteReport, SceneError> {
-    scene.check_rows()?;
+) -> Result<(), SceneError> {
     let old = replaced_files(folder, options.overwrite)?;
     let staged = StagedFolder::create(folder)?;
     let total = total_bytes(scene);
     let mut writer = Writer { staged, progress, done: 0, total };
-    let mut report = WriteReport::new(SceneFormat::NpyFolder, scene.len());
-    write_files(scene, &mut writer, &mut report)?;
-    for file in writer.staged.commit(&old)? {
-        report.wrote(&file)?;
-    }
-    Ok(report)
+    write_files(scene, &mut writer, report)?;
+    writer.staged.commit(&old)?.iter().try_for_each(|file| report.wrote(file))
 }
 
 /// Files of an earlier scene that make room for a new one, sorted; none if there is no such folder.
@@ -179,32 +178,31 @@ impl Writer<'_> {
         stem: &str,
         rows: usize,
         row_shape: &[usize],
-        value: impl Fn(usize, &mut [LimitTally; 2]) -> [T; W] + Sync,
+        value: impl Fn(usize, &mut Limits<2>) -> [T; W] + Sync,
     ) -> Result<[LimitTally; 2], SceneError> {
-        let merge = |a: [LimitTally; 2], b: [LimitTally; 2]| [a[0].merge(b[0]), a[1].merge(b[1])];
         let mut to = self.start::<T>(stem, rows, row_shape)?;
         let rows_per_tick = BYTES_PER_TICK / (W * T::SIZE);
         let mut buffer = vec![[T::default(); W]; rows.min(rows_per_tick)];
-        let mut tallies = <[LimitTally; 2]>::default();
+        let mut limits = Limits::default();
         for first in (0..rows).step_by(rows_per_tick) {
             let part = &mut buffer[..rows_per_tick.min(rows - first)];
             let found = part
                 .par_chunks_mut(ROWS_PER_TASK)
                 .enumerate()
                 .map(|(task, part)| {
-                    let mut tallies = <[LimitTally; 2]>::default();
+                    let mut limits = Limits::default();
                     for (i, into) in part.iter_mut().enumerate() {
-                        *into = value(first + task * ROWS_PER_TASK + i, &mut tallies);
+                        *into = value(first + task * ROWS_PER_TASK + i, &mut limits);
                     }
-                    tallies
+                    limits
                 })
-                .reduce(Default::default, merge);
-            tallies = merge(tallies, found);
+                .reduce(Limits::default, Limits::merge);
+            limits = limits.merge(found);
             to.write_rows(part.as_flattened())?;
             self.tick(size_of_val(part))?;
         }
         to.finish()?;
-        Ok(tallies)
+        Ok(limits.0)
     }
 }
 
@@ -215,23 +213,19 @@ fn write_files(
 ) -> Result<(), SceneError> {
     let n = scene.len();
     to.array("coord", n, &[3], scene.coord.as_flattened())?;
-    let [clipped, _] = to.computed("color", n, &[3], |row, [clipped, _]| {
+    let [clipped, _] = to.computed("color", n, &[3], |row, Limits([clipped, _])| {
         tally_colors(row, scene.sh_dc[row], clipped);
         scene.color_u8(row)
     })?;
-    let [ends, _] = to.computed("opacity", n, &[], |row, [ends, _]| {
-        let p = settled(scene.opacity(row), |p| sigmoid(probability_to_logit(p)));
-        let logit = scene.opacity_logit[row];
-        if logit.is_finite() && (p == 0.0 || p == 1.0) {
-            let alpha = alpha(logit);
-            ends.add(row, alpha.min(1.0 - alpha));
-        }
+    let [ends, _] = to.computed("opacity", n, &[], |row, Limits([ends, _])| {
+        let p = settle_float(scene.opacity(row), |p| sigmoid(probability_to_logit(p)));
+        tally_alpha(row, scene.opacity_logit[row], p == 0.0 || p == 1.0, ends);
         [p]
     })?;
-    let [large, small] = to.computed("scale", n, &[3], |row, [large, small]| {
+    let [large, small] = to.computed("scale", n, &[3], |row, Limits([large, small])| {
         // Infinity would not come back.
         let again = |s: f32| (f64::from(s).ln() as f32).exp().min(f32::MAX);
-        let scale = scene.scale(row).map(|s| settled(s.min(f32::MAX), again));
+        let scale = scene.scale(row).map(|s| settle_float(s.min(f32::MAX), again));
         tally_sizes(row, scene.log_scale[row], scale, large, small);
         scale
     })?;
@@ -275,24 +269,4 @@ fn write_files(
         }
     }
     Ok(())
-}
-
-/// A value that reading and writing leave as it is: `start` after as many rounds of `again` as it
-/// takes, usually none.
-///
-/// Activated values and those before activation lie on different grids of f32, so the first round
-/// trip may move a value by a unit in the last place; a file written from what was read must not.
-fn settled(start: f32, again: impl Fn(f32) -> f32) -> f32 {
-    let mut value = start;
-    for _ in 0..32 {
-        let next = again(value);
-        if next == value || next.is_nan() {
-            return value;
-        }
-        if again(next) == value {
-            return value.min(next);
-        }
-        value = next;
-    }
-    value
 }

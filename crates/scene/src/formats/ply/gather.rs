@@ -10,7 +10,8 @@ const ROWS_PER_BLOCK: usize = 256;
 /// Rows of one task, a multiple of a block.
 const ROWS_PER_TASK: usize = 8192;
 
-/// Columns that belong together, and where their values go.
+/// Columns that belong together, and where their values go: all of them, or those of one task.
+#[derive(Debug)]
 struct Group<'a> {
     cells: Vec<Cell>,
     /// The words at which the cells begin, if all are little-endian floats at whole words.
@@ -67,14 +68,14 @@ impl<'a> Gather<'a> {
     pub(crate) fn run(self) -> Result<(), SceneError> {
         let (rows, _) = self.file.rows(self.element, &[])?;
         let big_endian = self.file.big_endian;
-        let mut tasks: Vec<Vec<Columns<'_>>> = Vec::new();
+        let mut tasks: Vec<Vec<Group<'_>>> = Vec::new();
         tasks.resize_with(rows.count.div_ceil(ROWS_PER_TASK), Vec::new);
         for group in self.groups {
             let width = group.cells.len();
             let parts = group.out.chunks_mut(width * ROWS_PER_TASK);
             for (task, out) in tasks.iter_mut().zip(parts) {
                 let (cells, words) = (group.cells.clone(), group.words.clone());
-                task.push(Columns { cells, words, out });
+                task.push(Group { cells, words, out });
             }
         }
         // A row that has a cell to read is at least one byte wide.
@@ -92,14 +93,7 @@ impl<'a> Gather<'a> {
     }
 }
 
-/// The part of a group that one task fills.
-struct Columns<'a> {
-    cells: Vec<Cell>,
-    words: Option<Vec<usize>>,
-    out: &'a mut [f32],
-}
-
-impl Columns<'_> {
+impl Group<'_> {
     fn read(&mut self, first: usize, bytes: &[u8], stride: usize, big_endian: bool) {
         let width = self.cells.len();
         let count = bytes.len() / stride;

@@ -44,43 +44,31 @@ pub enum PlyType {
     F64,
 }
 
+/// Each type in the order of the enum, its word in headers, the other word for it, and its size.
+const TYPES: [(PlyType, &str, &str, usize); 8] = [
+    (PlyType::I8, "char", "int8", 1),
+    (PlyType::U8, "uchar", "uint8", 1),
+    (PlyType::I16, "short", "int16", 2),
+    (PlyType::U16, "ushort", "uint16", 2),
+    (PlyType::I32, "int", "int32", 4),
+    (PlyType::U32, "uint", "uint32", 4),
+    (PlyType::F32, "float", "float32", 4),
+    (PlyType::F64, "double", "float64", 8),
+];
+
 impl PlyType {
     fn parse(word: &str) -> Option<Self> {
-        Some(match word {
-            "char" | "int8" => Self::I8,
-            "uchar" | "uint8" => Self::U8,
-            "short" | "int16" => Self::I16,
-            "ushort" | "uint16" => Self::U16,
-            "int" | "int32" => Self::I32,
-            "uint" | "uint32" => Self::U32,
-            "float" | "float32" => Self::F32,
-            "double" | "float64" => Self::F64,
-            _ => return None,
-        })
+        TYPES.iter().find(|row| row.1 == word || row.2 == word).map(|row| row.0)
     }
 
     /// The word for it in a header.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::I8 => "char",
-            Self::U8 => "uchar",
-            Self::I16 => "short",
-            Self::U16 => "ushort",
-            Self::I32 => "int",
-            Self::U32 => "uint",
-            Self::F32 => "float",
-            Self::F64 => "double",
-        }
+        TYPES[self as usize].1
     }
 
     /// Bytes of one value.
     pub fn size(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::F64 => 8,
-        }
+        TYPES[self as usize].3
     }
 
     /// Whether it is `float` or `double`.
@@ -188,23 +176,104 @@ fn next_line(bytes: &[u8], start: usize) -> Option<(Range<usize>, usize)> {
     Some((start..text_end, end + 1))
 }
 
-pub(super) fn parse_header(bytes: &[u8], path: &Path) -> Result<Header, SceneError> {
-    if !has_magic(bytes) {
-        return Err(SceneError::format(
-            path,
-            "is not a PLY file: it does not begin with `ply`",
-            "",
-        ));
+/// Refuses a line; it says the number and the beginning of the line.
+type Refuse<'a> = &'a dyn Fn(&str) -> SceneError;
+
+#[derive(Default)]
+struct Parser {
+    encoding: Option<PlyEncoding>,
+    elements: Vec<PlyElement>,
+    lines: Vec<HeaderLine>,
+    /// Names of the properties of the last element.
+    names: HashSet<String>,
+    /// Properties of all elements.
+    properties: usize,
+}
+
+impl Parser {
+    /// Reads a line of words other than a remark and `end_header`.
+    fn line(&mut self, keyword: &[u8], words: &[&str], bad: Refuse<'_>) -> Result<(), SceneError> {
+        match (keyword, words) {
+            (b"format", [name, version]) => self.format(name, version, bad),
+            (b"element", [name, count]) => self.element(name, count, bad),
+            (b"property", ["list", count, item, name]) => {
+                let count = PlyType::parse(count).filter(|t| !t.is_float());
+                let count = count.ok_or_else(|| bad("not a type of list lengths"))?;
+                let item = PlyType::parse(item).ok_or_else(|| bad("unknown type"))?;
+                self.property(PlyPropertyKind::List { count, item }, name, bad)
+            }
+            (b"property", [ty, name]) => {
+                let ty = PlyType::parse(ty).ok_or_else(|| bad("unknown type"))?;
+                self.property(PlyPropertyKind::Scalar(ty), name, bad)
+            }
+            (b"property", _) => Err(bad("not a property")),
+            _ => Err(bad("not understood")),
+        }
     }
-    let mut encoding = None;
-    let mut elements: Vec<PlyElement> = Vec::new();
-    let mut lines = Vec::new();
-    let mut names = HashSet::new();
+
+    fn format(&mut self, name: &str, version: &str, bad: Refuse<'_>) -> Result<(), SceneError> {
+        if version != "1.0" {
+            return Err(bad("unknown version of PLY, 1.0 is expected"));
+        }
+        let encoding = match name {
+            "ascii" => PlyEncoding::Ascii,
+            "binary_little_endian" => PlyEncoding::BinaryLittleEndian,
+            "binary_big_endian" => PlyEncoding::BinaryBigEndian,
+            _ => return Err(bad("unknown encoding")),
+        };
+        if self.encoding.replace(encoding).is_some() {
+            return Err(bad("a second format"));
+        }
+        self.lines.push(HeaderLine::Format);
+        Ok(())
+    }
+
+    fn element(&mut self, name: &str, count: &str, bad: Refuse<'_>) -> Result<(), SceneError> {
+        let count = count.parse::<u64>().ok().and_then(|c| usize::try_from(c).ok());
+        let count = count.ok_or_else(|| bad("the number of rows is not a count"))?;
+        if self.elements.len() == MAX_ELEMENTS {
+            return Err(bad(&format!("more than {MAX_ELEMENTS} elements")));
+        }
+        if self.elements.iter().any(|e| e.name == name) {
+            return Err(bad("a second element of this name"));
+        }
+        self.names.clear();
+        self.lines.push(HeaderLine::Element(self.elements.len()));
+        self.elements.push(PlyElement { name: name.into(), count, properties: Vec::new() });
+        Ok(())
+    }
+
+    fn property(
+        &mut self,
+        kind: PlyPropertyKind,
+        name: &str,
+        bad: Refuse<'_>,
+    ) -> Result<(), SceneError> {
+        let index = self.elements.len().wrapping_sub(1);
+        let Some(element) = self.elements.last_mut() else {
+            return Err(bad("a property before any element"));
+        };
+        self.properties += 1;
+        if self.properties > MAX_PROPERTIES {
+            return Err(bad(&format!("more than {MAX_PROPERTIES} properties")));
+        }
+        if !self.names.insert(name.to_owned()) {
+            return Err(bad("a second property of this name; rename one of them"));
+        }
+        self.lines.push(HeaderLine::Property(index, element.properties.len()));
+        element.properties.push(PlyProperty { name: name.to_owned(), kind });
+        Ok(())
+    }
+}
+
+pub(super) fn parse_header(bytes: &[u8], path: &Path) -> Result<Header, SceneError> {
+    let refuse = |problem: String, help: &str| SceneError::format(path, problem, help);
+    if !has_magic(bytes) {
+        return Err(refuse("is not a PLY file: it does not begin with `ply`".to_owned(), ""));
+    }
+    let mut parser = Parser::default();
     let (_, mut at) = next_line(bytes, 0).unwrap_or((0..0, bytes.len()));
-    let mut number = 1usize;
-    let mut properties = 0;
-    loop {
-        number += 1;
+    for number in 2usize.. {
         let Some((range, next)) = next_line(bytes, at) else {
             let limit = MAX_HEADER_BYTES;
             let problem = if bytes.len() >= limit {
@@ -212,90 +281,30 @@ pub(super) fn parse_header(bytes: &[u8], path: &Path) -> Result<Header, SceneErr
             } else {
                 "the PLY header has no `end_header` line".to_owned()
             };
-            return Err(SceneError::format(path, problem, "the file is damaged or cut short"));
+            return Err(refuse(problem, "the file is damaged or cut short"));
         };
         let line = &bytes[range];
         at = next;
         let bad = |what: &str| {
             let text = String::from_utf8_lossy(&line[..line.len().min(80)]).into_owned();
-            SceneError::format(path, format!("PLY header line {number}: {what}: {text:?}"), "")
+            refuse(format!("PLY header line {number}: {what}: {text:?}"), "")
         };
         let words: Vec<&[u8]> =
             line.split(|b| b.is_ascii_whitespace()).filter(|w| !w.is_empty()).collect();
         let Some((&keyword, words)) = words.split_first() else { continue };
         if matches!(keyword, b"comment" | b"obj_info") {
-            lines.push(HeaderLine::Remark(line.to_vec()));
+            parser.lines.push(HeaderLine::Remark(line.to_vec()));
             continue;
         }
-        let words = words
-            .iter()
-            .map(|w| std::str::from_utf8(w).map_err(|_| bad("not UTF-8")))
-            .collect::<Result<Vec<_>, _>>()?;
-        match (keyword, words.as_slice()) {
-            (b"end_header", []) => break,
-            (b"format", [name, version]) => {
-                if encoding.is_some() {
-                    return Err(bad("a second format"));
-                }
-                if *version != "1.0" {
-                    return Err(bad("unknown version of PLY, 1.0 is expected"));
-                }
-                encoding = Some(match *name {
-                    "ascii" => PlyEncoding::Ascii,
-                    "binary_little_endian" => PlyEncoding::BinaryLittleEndian,
-                    "binary_big_endian" => PlyEncoding::BinaryBigEndian,
-                    _ => return Err(bad("unknown encoding")),
-                });
-                lines.push(HeaderLine::Format);
-            }
-            (b"element", [name, count]) => {
-                let count = count
-                    .parse::<u64>()
-                    .ok()
-                    .and_then(|c| usize::try_from(c).ok())
-                    .ok_or_else(|| bad("the number of rows is not a count"))?;
-                if elements.len() == MAX_ELEMENTS {
-                    return Err(bad(&format!("more than {MAX_ELEMENTS} elements")));
-                }
-                if elements.iter().any(|e| e.name == *name) {
-                    return Err(bad("a second element of this name"));
-                }
-                names.clear();
-                lines.push(HeaderLine::Element(elements.len()));
-                elements.push(PlyElement { name: (*name).into(), count, properties: Vec::new() });
-            }
-            (b"property", words) => {
-                let (kind, name) = match words {
-                    ["list", count, item, name] => {
-                        let count = PlyType::parse(count).filter(|t| !t.is_float());
-                        let count = count.ok_or_else(|| bad("not a type of list lengths"))?;
-                        let item = PlyType::parse(item).ok_or_else(|| bad("unknown type"))?;
-                        (PlyPropertyKind::List { count, item }, *name)
-                    }
-                    [ty, name] => {
-                        let ty = PlyType::parse(ty).ok_or_else(|| bad("unknown type"))?;
-                        (PlyPropertyKind::Scalar(ty), *name)
-                    }
-                    _ => return Err(bad("not a property")),
-                };
-                let index = elements.len().wrapping_sub(1);
-                let Some(element) = elements.last_mut() else {
-                    return Err(bad("a property before any element"));
-                };
-                properties += 1;
-                if properties > MAX_PROPERTIES {
-                    return Err(bad(&format!("more than {MAX_PROPERTIES} properties")));
-                }
-                if !names.insert(name.to_owned()) {
-                    return Err(bad("a second property of this name; rename one of them"));
-                }
-                lines.push(HeaderLine::Property(index, element.properties.len()));
-                element.properties.push(PlyProperty { name: name.to_owned(), kind });
-            }
-            _ => return Err(bad("not understood")),
+        let words = words.iter().map(|w| std::str::from_utf8(w).map_err(|_| bad("not UTF-8")));
+        let words = words.collect::<Result<Vec<_>, _>>()?;
+        if keyword == b"end_header" && words.is_empty() {
+            break;
         }
+        parser.line(keyword, &words, &bad)?;
     }
-    let encoding = encoding
-        .ok_or_else(|| SceneError::format(path, "the PLY header has no `format` line", ""))?;
+    let Parser { encoding, elements, lines, .. } = parser;
+    let encoding =
+        encoding.ok_or_else(|| refuse("the PLY header has no `format` line".to_owned(), ""))?;
     Ok(Header { encoding, elements, lines, data_start: at })
 }

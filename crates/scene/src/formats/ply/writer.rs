@@ -2,7 +2,7 @@
 
 use super::PlyFile;
 use super::header::{HeaderLine, PlyElement, PlyProperty, PlyPropertyKind, PlyType};
-use super::layout::Cell;
+use super::layout::{Cell, Layout};
 use crate::AtomicFile;
 use crate::SceneError;
 use crate::formats::WriteProgress;
@@ -116,58 +116,36 @@ pub fn write_ply_with_columns(
         return Err(bad("its vertices have list properties".to_owned(), "export it without lists"));
     }
     check_new_columns(element, append, &source.path)?;
-    let mut replaced = vec![None; element.properties.len()];
-    for column in replace {
-        check_rows(column, element.count, &source.path)?;
-        let at = element.properties.iter().position(|p| p.name == column.name);
-        let Some(at) = at else {
-            let problem = format!("has no property {} to replace", column.name);
-            return Err(bad(problem, "append it instead"));
-        };
-        let old = layout.cells[at].ty;
-        let fits = old == column.values.ty()
-            || (old == PlyType::F64 && column.values.ty() == PlyType::F32);
-        if !fits {
-            let new = column.values.ty().name();
-            let problem =
-                format!("property {} is {}, {new} values do not fit", column.name, old.name());
-            return Err(bad(problem, "append a column of another name instead"));
-        }
-        if replaced[at].replace(column.values).is_some() {
-            return Err(bad(format!("property {} is to be replaced twice", column.name), ""));
-        }
-    }
+    let replaced = replacements(source, element, layout, replace)?;
 
     // Little-endian rows are copied as they are but for these cells.
     let cells = layout.cells.iter().zip(&replaced);
     let changed: Vec<_> = cells.filter(|(_, new)| new.is_some() || source.big_endian).collect();
 
     let file = AtomicFile::create(out)?;
-    let mut to = BufWriter::with_capacity(1 << 20, file.file()?);
+    let mut to = BufWriter::with_capacity(1 << 20, file.file());
     let write_failed = || SceneError::io(file.target(), "cannot write the file");
     to.write_all(&copied_header(source, index, append)).map_err(write_failed())?;
     for (i, layout) in source.layouts.iter().enumerate() {
         let bytes = &source.bytes()[layout.start..layout.end];
         if i == index {
+            let row_of = |row: usize, buffer: &mut Vec<u8>| {
+                let start = buffer.len();
+                buffer.extend_from_slice(&bytes[row * layout.stride..][..layout.stride]);
+                for (cell, new) in &changed {
+                    let value = &mut buffer[start + cell.offset..][..cell.ty.size()];
+                    match new {
+                        Some(new) => new.overwrite(row, value),
+                        None => value.reverse(),
+                    }
+                }
+                append.iter().for_each(|column| column.values.push(row, buffer));
+            };
             let mut buffer = Vec::new();
             for first in (0..element.count).step_by(ROWS_PER_WRITE) {
                 buffer.clear();
-                for row in first..(first + ROWS_PER_WRITE).min(element.count) {
-                    let start = buffer.len();
-                    buffer.extend_from_slice(&bytes[row * layout.stride..][..layout.stride]);
-                    for (cell, new) in &changed {
-                        let at = start + cell.offset;
-                        let value = &mut buffer[at..at + cell.ty.size()];
-                        match new {
-                            Some(new) => new.overwrite(row, value),
-                            None if source.big_endian => value.reverse(),
-                            None => {}
-                        }
-                    }
-                    for column in append {
-                        column.values.push(row, &mut buffer);
-                    }
-                }
+                let rows = first..(first + ROWS_PER_WRITE).min(element.count);
+                rows.for_each(|row| row_of(row, &mut buffer));
                 to.write_all(&buffer).map_err(write_failed())?;
             }
         } else if source.big_endian {
@@ -179,6 +157,34 @@ pub fn write_ply_with_columns(
     to.flush().map_err(write_failed())?;
     drop(to);
     Ok(file.commit()?)
+}
+
+/// The new values of each property of the vertices.
+fn replacements<'a>(
+    source: &PlyFile,
+    element: &PlyElement,
+    layout: &Layout,
+    replace: &[PlyColumn<'a>],
+) -> Result<Vec<Option<ColumnValues<'a>>>, SceneError> {
+    let bad = |problem: String, help: &str| Err(SceneError::format(&source.path, problem, help));
+    let mut replaced = vec![None; element.properties.len()];
+    for column in replace {
+        check_rows(column, element.count, &source.path)?;
+        let (name, new) = (column.name, column.values.ty());
+        let Some(at) = element.properties.iter().position(|p| p.name == name) else {
+            return bad(format!("has no property {name} to replace"), "append it instead");
+        };
+        let old = layout.cells[at].ty;
+        if old != new && (old, new) != (PlyType::F64, PlyType::F32) {
+            let (old, new) = (old.name(), new.name());
+            let problem = format!("property {name} is {old}, {new} values do not fit");
+            return bad(problem, "append a column of another name instead");
+        }
+        if replaced[at].replace(column.values).is_some() {
+            return bad(format!("property {name} is to be replaced twice"), "");
+        }
+    }
+    Ok(replaced)
 }
 
 /// The header of the source with another encoding and further properties.
@@ -333,12 +339,13 @@ pub(crate) struct NewElement<'a> {
 
 /// Writes a PLY file of vertices and further elements; nothing is left if `progress` says stop.
 pub(crate) fn write_new_ply(
-    path: &Path,
+    file: &AtomicFile,
     count: usize,
     columns: &[(String, ColumnSource<'_>)],
     after: &[NewElement<'_>],
     progress: WriteProgress<'_>,
 ) -> Result<(), SceneError> {
+    let path = file.target();
     let mut header = "ply\nformat binary_little_endian 1.0\n".to_owned();
     describe(VERTEX, count, columns, path, &mut header)?;
     for element in after {
@@ -348,18 +355,17 @@ pub(crate) fn write_new_ply(
     let all = after.iter().map(|element| element.count * stride(&element.columns));
     let size = header.len() + count * stride(columns) + all.sum::<usize>();
 
-    let file = AtomicFile::create(path)?;
     let write_failed = || SceneError::io(path, "cannot write the file");
-    write_all_at(file.file()?, header.as_bytes(), 0).map_err(write_failed())?;
+    write_all_at(file.file(), header.as_bytes(), 0).map_err(write_failed())?;
     let mut tick = |end: u64| {
         if progress(end as f64 / size as f64) { Ok(()) } else { Err(SceneError::Stopped) }
     };
     let mut at = header.len() as u64;
-    at += write_rows(&file, at, count, columns, &mut tick)?;
+    at += write_rows(file, at, count, columns, &mut tick)?;
     for element in after {
-        at += write_rows(&file, at, element.count, &element.columns, &mut tick)?;
+        at += write_rows(file, at, element.count, &element.columns, &mut tick)?;
     }
-    Ok(file.commit()?)
+    Ok(())
 }
 
 /// Bytes of a row.
@@ -400,7 +406,7 @@ fn write_rows(
     tick: &mut dyn FnMut(u64) -> Result<(), SceneError>,
 ) -> Result<u64, SceneError> {
     let stride = stride(columns);
-    let to = file.file()?;
+    let to = file.file();
     let blocks = count.div_ceil(ROWS_PER_WRITE);
     for first_block in (0..blocks).step_by(WRITES_PER_TICK) {
         let end = blocks.min(first_block + WRITES_PER_TICK);

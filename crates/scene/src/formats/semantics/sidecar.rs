@@ -97,7 +97,7 @@ fn stage(
 ) -> Result<Option<AtomicFile>, SceneError> {
     let Some(block) = encode_with(scene, order, Some(belongs_to)) else { return Ok(None) };
     let file = AtomicFile::create(path)?;
-    file.file()?.write_all(&block).map_err(SceneError::io(path, "cannot write the labels"))?;
+    file.file().write_all(&block).map_err(SceneError::io(path, "cannot write the labels"))?;
     file.sync()?;
     Ok(Some(file))
 }
@@ -166,70 +166,4 @@ fn read_block(
         return Ok(());
     }
     decode(block.bytes(), rows, scene, report, beside)
-}
-
-/// Writes labels for a scene whose file holds `scene_bytes`.
-#[cfg(test)]
-pub(crate) fn write_sidecar(
-    scene: &GaussianScene,
-    order: Option<&[u32]>,
-    path: &Path,
-    scene_bytes: &[u8],
-) -> Result<Option<PathBuf>, SceneError> {
-    let path = sidecar_path(path);
-    let Some(file) = stage(scene, order, &path, SceneFingerprint::of(scene_bytes))? else {
-        return Ok(None);
-    };
-    file.commit()?;
-    Ok(Some(path))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::tests::{bare, labelled};
-    use super::*;
-
-    #[test]
-    fn a_stale_sidecar_is_named_and_not_read() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.splat");
-        let scene = labelled();
-        let beside = write_sidecar(&scene, None, &path, b"first").unwrap().unwrap();
-        assert!(beside.ends_with("a.splat.labels.safetensors"));
-        let (mut back, mut report) = (bare(3), RepairReport::default());
-        read_sidecar(&path, b"first", 3, Policy::Strict, &mut back, &mut report).unwrap();
-        assert_eq!(back, scene);
-        let mut back = bare(3);
-        read_sidecar(&path, b"other", 3, Policy::Strict, &mut back, &mut report).unwrap();
-        assert_eq!(back.segment, None);
-        assert!(report.notes[0].contains("another version"), "{:?}", report.notes);
-    }
-
-    #[test]
-    fn a_damaged_sidecar_is_a_note_or_an_error() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.splat");
-        let beside = write_sidecar(&labelled(), None, &path, b"first").unwrap().unwrap();
-        let whole = std::fs::read(&beside).unwrap();
-        let text = String::from_utf8_lossy(&whole).into_owned();
-        // Of the same length, so that only the codebook is missing.
-        let renamed = text.find("lang_codebook_mean").unwrap();
-        let mut without_mean = whole.clone();
-        without_mean[renamed] = b'L';
-        for bytes in [&whole[..whole.len() - 1], b"not at all", b"", &without_mean] {
-            std::fs::write(&beside, bytes).unwrap();
-            let (mut back, mut report) = (bare(3), RepairReport::default());
-            let mut read = |policy| {
-                let read = read_sidecar(&path, b"first", 3, policy, &mut back, &mut report);
-                (read, back.clone(), report.notes.clone())
-            };
-            assert!(read(Policy::Strict).0.is_err());
-            let (result, back, notes) = read(Policy::Repair);
-            result.unwrap();
-            assert_eq!(back, bare(3), "nothing of it is used");
-            assert!(notes[0].contains("damaged and was not read"), "{notes:?}");
-        }
-        let error = decode(&without_mean, 3, &mut bare(3), &mut RepairReport::default(), &path);
-        assert!(error.unwrap_err().to_string().contains("whole codebook"));
-    }
 }

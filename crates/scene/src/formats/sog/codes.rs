@@ -2,7 +2,7 @@
 //!
 //! Every encoder here gives a code that stays the same when its own value is encoded again.
 
-use crate::gaussian_scene::probability_to_logit;
+use crate::formats::packed_values::settle;
 use rayon::prelude::*;
 use std::f64::consts::SQRT_2;
 
@@ -67,22 +67,6 @@ fn to_log(position: f32) -> f64 {
     p.abs().ln_1p().copysign(p)
 }
 
-/// Follows a code through decoding and encoding until it repeats; the smallest of the cycle.
-fn settle<C: Copy + Ord>(code: C, again: impl Fn(C) -> C) -> C {
-    let mut next = again(code);
-    if next == code {
-        return code;
-    }
-    let mut seen = vec![code];
-    loop {
-        if let Some(start) = seen.iter().position(|&c| c == next) {
-            return seen[start..].iter().copied().min().unwrap_or(next);
-        }
-        seen.push(next);
-        next = again(next);
-    }
-}
-
 /// The components of a rotation other than the largest: 256 steps over `−1/√2..=1/√2`.
 const COMPONENTS: [f64; 256] = {
     let mut table = [0.0; 256];
@@ -135,11 +119,6 @@ fn nearest_quat(quat: [f32; 4]) -> [u8; 4] {
         *byte = ((f64::from(quat[i]) * sign / SQRT_2 + 0.5) * 255.0).round() as u8;
     }
     texel
-}
-
-/// The logit of each byte of opacity; 0 and 255 are −∞ and +∞.
-pub(super) fn alpha_table() -> ByteTable {
-    std::array::from_fn(|byte| probability_to_logit(byte as f32 / 255.0))
 }
 
 /// The byte of an opacity logit.
@@ -204,14 +183,5 @@ mod tests {
             }
         }
         assert_eq!(decode_quat([9, 9, 9, 251]), [1.0, 0.0, 0.0, 0.0]);
-    }
-
-    #[test]
-    fn opacity_bytes_stay() {
-        let table = alpha_table();
-        for byte in 0..=255 {
-            assert_eq!(alpha_byte(table[usize::from(byte)]), byte);
-        }
-        assert_eq!((table[0], table[255]), (f32::NEG_INFINITY, f32::INFINITY));
     }
 }

@@ -3,6 +3,7 @@
 use super::META_NAME;
 use super::meta::{MAX_META_BYTES, SogMeta};
 use super::streamed::part_names;
+use crate::formats::WriteReport;
 use crate::input_file::read_file;
 use crate::{SceneError, StagedFolder, WriteError};
 use std::ffi::OsStr;
@@ -48,10 +49,15 @@ impl FolderWriter {
     }
 
     /// Puts the files in place, the description last, and removes those of the scene that was there
-    /// before. Gives their paths in the order they were written.
+    /// before. The description comes last in the folder, so that it never names what is not there
+    /// yet, and first in the report.
     ///
     /// Fails, with everything as it was, if a file is there already and `overwrite` is not set.
-    pub(super) fn commit(mut self, overwrite: bool) -> Result<Vec<PathBuf>, SceneError> {
+    pub(super) fn commit(
+        mut self,
+        overwrite: bool,
+        report: &mut WriteReport,
+    ) -> Result<(), SceneError> {
         let old = self.files_of_old_scene();
         let folder = self.staged.folder().to_owned();
         let is_there = |name: &&OsStr| folder.join(name).symlink_metadata().is_ok();
@@ -66,7 +72,8 @@ impl FolderWriter {
             self.staged.replace_folder(name);
         }
         self.staged.commit(&old)?;
-        Ok(self.written.iter().map(|name| folder.join(name)).collect())
+        self.written.rotate_right(1);
+        self.written.iter().try_for_each(|name| report.wrote(&folder.join(name)))
     }
 
     /// The files that the present `meta.json` names, if it is one; none in other folders, and none

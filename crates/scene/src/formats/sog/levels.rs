@@ -1,6 +1,7 @@
 //! Leaves of a streamed scene, and coarser levels of each.
 
 use crate::GaussianScene;
+use crate::bounds::bounding_box;
 use serde_json::{Value, json};
 
 /// Most rows of a leaf: what a viewer loads, shows and drops as one.
@@ -54,13 +55,7 @@ fn arrange(scene: &GaussianScene, rows: &mut [u32]) {
 
 /// The lower and the upper half along the longest side; of equals the earlier rows are lower.
 fn halve<'a>(scene: &GaussianScene, rows: &'a mut [u32]) -> (&'a mut [u32], &'a mut [u32]) {
-    let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
-    for &row in rows.iter() {
-        for a in 0..3 {
-            let v = scene.coord[row as usize][a];
-            (min[a], max[a]) = (min[a].min(v), max[a].max(v));
-        }
-    }
+    let (min, max) = bounding_box(rows.iter().map(|&row| scene.coord[row as usize]));
     let side = |a: usize| max[a] - min[a];
     let axis = (1..3).fold(0, |best, a| if side(a) > side(best) { a } else { best });
     let middle = rows.len() / 2;

@@ -1,8 +1,9 @@
 //! `meta.json`: which texture holds what, and how its bytes become values.
 
-use super::codes::{ByteTable, alpha_table};
+use super::codes::ByteTable;
 use super::json::Field;
 use crate::SceneError;
+use crate::formats::packed_values::alpha_logits;
 use serde_json::Value;
 use std::path::{Component, Path};
 
@@ -146,7 +147,7 @@ fn parse_v2(root: &Field<'_>) -> Result<SogMeta, SceneError> {
         }
     };
     let count = root.get("count")?.count()?;
-    let color_tables = Box::new([color, color, color, alpha_table()]);
+    let color_tables = Box::new([color, color, color, alpha_logits()]);
     parse_common(root, count, Box::new([scale; 3]), color_tables, sh_rest)
 }
 

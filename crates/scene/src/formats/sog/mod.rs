@@ -37,13 +37,14 @@ mod writer;
 pub use meta::is_sog_meta_json;
 pub use source::is_sog_archive;
 pub use streamed::is_lod_meta_json;
-pub use streamed_writer::write_sog_streamed;
-pub use writer::{write_sog, write_sog_folder};
+pub(super) use streamed_writer::write_sog_streamed;
+pub(super) use writer::{write_sog, write_sog_folder};
 
+use super::scene_blocks::zero_scene;
 use super::{LoadedScene, ReadOptions, SceneFormat, semantics};
 use crate::input_file::InputFile;
 use crate::{RepairReport, SceneError};
-use reader::{OpenSog, empty_scene};
+use reader::OpenSog;
 use source::Source;
 use std::path::{Path, PathBuf};
 
@@ -115,7 +116,7 @@ fn read_one(
 ) -> Result<LoadedScene, SceneError> {
     let sog = OpenSog::open(source, options.sh_rest)?;
     let rows = sog.meta.count;
-    let mut scene = empty_scene(rows, sog.sh_degree());
+    let mut scene = zero_scene(rows, sog.sh_degree());
     let mut report = RepairReport::default();
     let all = 0..rows;
     sog.decode(std::slice::from_ref(&all), &mut scene, 0)?;

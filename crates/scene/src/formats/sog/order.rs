@@ -1,5 +1,6 @@
 //! The order of Gaussians in the textures: neighbours in space should be neighbours in a texture.
 
+use crate::formats::compressed_ply::order::spread;
 use rayon::prelude::*;
 
 /// Below this, order cannot matter.
@@ -38,16 +39,8 @@ fn step(a: [u16; 3], b: [u16; 3]) -> u64 {
 
 /// The place along a Z-shaped curve through the cube of codes.
 fn morton(code: [u16; 3]) -> u64 {
-    spread(code[0]) | spread(code[1]) << 1 | spread(code[2]) << 2
-}
-
-/// The bits of a number, two zeros between any two.
-fn spread(value: u16) -> u64 {
-    let mut x = u64::from(value);
-    x = (x | x << 16) & 0x0000_ff00_00ff;
-    x = (x | x << 8) & 0x00f0_0f00_f00f;
-    x = (x | x << 4) & 0x0c30_c30c_30c3;
-    (x | x << 2) & 0x2492_4924_9249
+    let [x, y, z] = code.map(|v| spread(v.into()));
+    x | y << 1 | z << 2
 }
 
 #[cfg(test)]
@@ -57,7 +50,7 @@ mod tests {
     #[test]
     fn bits_are_spread_by_three() {
         for value in [0, 1, 2, 0x8000, 0xffff, 0x1234] {
-            let slow = (0..16).map(|b| u64::from(value >> b & 1) << (3 * b)).sum::<u64>();
+            let slow = (0..16).map(|b| (value >> b & 1) << (3 * b)).sum::<u64>();
             assert_eq!(spread(value), slow, "{value:#x}");
         }
         assert_eq!(morton([1, 2, 4]), 1 | 1 << 4 | 1 << 8);

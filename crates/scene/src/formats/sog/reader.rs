@@ -5,8 +5,7 @@ use super::meta::SogMeta;
 use super::source::{PartBytes, Source};
 use super::texture::TextureHead;
 use crate::SceneError;
-use crate::formats::memory::in_large_pages;
-use crate::gaussian_scene::GaussianScene;
+use crate::gaussian_scene::{GaussianScene, sh_rest_len};
 use rayon::prelude::*;
 use std::ops::Range;
 use std::path::PathBuf;
@@ -245,12 +244,12 @@ impl<'a> OpenSog<'a> {
             }
         }
         // Texels of an entry follow each other, so the palette is the texture row by row.
-        let width = coefficients(rest.degree) * 3;
+        let width = sh_rest_len(rest.degree) * 3;
         let palette: Vec<f32> = centroids
             .as_chunks::<4>()
             .0
             .iter()
-            .take(rest.entries * coefficients(rest.degree))
+            .take(rest.entries * sh_rest_len(rest.degree))
             .flat_map(|t| [0, 1, 2].map(|i| rest.table[usize::from(t[i])]))
             .collect();
         drop(centroids);
@@ -276,15 +275,9 @@ fn look_up(tables: [&ByteTable; 3], texel: [u8; 4]) -> [f32; 3] {
     [x[usize::from(texel[0])], y[usize::from(texel[1])], z[usize::from(texel[2])]]
 }
 
-/// Coefficients of each channel beyond the DC term.
-fn coefficients(degree: u8) -> usize {
-    let side = usize::from(degree) + 1;
-    side * side - 1
-}
-
 /// Width of the texture of centroids.
 pub(super) fn line_width(degree: u8) -> usize {
-    CENTROIDS_PER_LINE * coefficients(degree)
+    CENTROIDS_PER_LINE * sh_rest_len(degree)
 }
 
 /// Fills `out` with the values of the rows in the runs, in their order.
@@ -303,19 +296,5 @@ fn fill<T: Send>(runs: &[Range<usize>], out: &mut [T], value: impl Fn(usize) -> 
         } else {
             here.par_chunks_mut(ROWS_PER_TASK).enumerate().for_each(one_task);
         }
-    }
-}
-
-/// A scene of zeros.
-pub(super) fn empty_scene(rows: usize, sh_degree: u8) -> GaussianScene {
-    GaussianScene {
-        coord: in_large_pages(vec![[0.0; 3]; rows]),
-        log_scale: in_large_pages(vec![[0.0; 3]; rows]),
-        quat: in_large_pages(vec![[0.0; 4]; rows]),
-        opacity_logit: in_large_pages(vec![0.0; rows]),
-        sh_dc: in_large_pages(vec![[0.0; 3]; rows]),
-        sh_rest: in_large_pages(vec![0.0; rows * coefficients(sh_degree) * 3]),
-        sh_degree,
-        ..GaussianScene::default()
     }
 }

@@ -1,8 +1,9 @@
 //! Streamed scenes: a tree whose leaves name runs of rows in chunk files, one for each level.
 
 use super::meta::{is_inside, parse_json};
-use super::reader::{OpenSog, empty_scene};
+use super::reader::OpenSog;
 use super::source::Source;
+use crate::formats::scene_blocks::zero_scene;
 use crate::formats::{LoadedScene, ReadOptions, SceneFormat};
 use crate::input_file::InputFile;
 use crate::{RepairReport, SceneError};
@@ -209,7 +210,7 @@ fn read_chunks(
     if degrees.len() > 1 {
         report.notes.push("chunks have different numbers of bands; missing ones became 0".into());
     }
-    let mut scene = empty_scene(rows, sh_degree);
+    let mut scene = zero_scene(rows, sh_degree);
     let mut first = 0;
     for (chunk, runs) in chunks {
         with_chunk(chunk, options, |sog| sog.decode(runs, &mut scene, first))?;

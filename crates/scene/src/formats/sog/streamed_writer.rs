@@ -29,18 +29,18 @@ struct Chunk {
 ///
 /// # Errors
 /// As [`write_scene`](super::super::write_scene); also if `options.lod_levels` is not 1 to 8.
-pub fn write_sog_streamed(
+pub(in crate::formats) fn write_sog_streamed(
     scene: &GaussianScene,
     path: &Path,
     options: &WriteOptions,
+    report: &mut WriteReport,
     progress: WriteProgress<'_>,
-) -> Result<WriteReport, SceneError> {
+) -> Result<(), SceneError> {
     let levels = options.lod_levels;
     if !(1..=8).contains(&levels) {
         let problem = format!("cannot have {levels} levels of detail");
         return Err(SceneError::format(path, problem, "ask for 1 to 8"));
     }
-    let mut report = WriteReport::new(SceneFormat::SogStreamed, scene.len());
     let mut ticker = Ticker::new(progress);
     let mut folder = FolderWriter::create(path)?;
     let (root, leaves) = leaves(scene);
@@ -92,12 +92,7 @@ pub fn write_sog_streamed(
     let own_name = path.file_name().and_then(|name| name.to_str()).unwrap_or(LOD_META_NAME);
     folder.write(own_name, meta.to_string().as_bytes())?;
     ticker.tick(0.99)?;
-    // The description comes last in the folder, and first in the report.
-    let mut files = folder.commit(options.overwrite)?;
-    files.rotate_right(1);
-    for file in &files {
-        report.wrote(file)?;
-    }
+    folder.commit(options.overwrite, report)?;
     let in_order = order.iter().enumerate().all(|(place, &row)| place == row as usize);
     report.order = (!in_order).then_some(order);
     for (field, is_there) in [
@@ -110,7 +105,7 @@ pub fn write_sog_streamed(
             report.left_out(field, "no place in a streamed scene");
         }
     }
-    Ok(report)
+    Ok(())
 }
 
 /// The leaves of a level in as many chunks as are needed.

@@ -11,7 +11,7 @@ use super::ticker::Ticker;
 use super::{META_NAME, texture};
 use crate::AtomicFile;
 use crate::formats::limit_tally::LimitTally;
-use crate::formats::{SceneFormat, WriteOptions, WriteProgress, WriteReport, semantics};
+use crate::formats::{WriteOptions, WriteProgress, WriteReport, semantics};
 use crate::{GaussianScene, SceneError};
 use rayon::prelude::*;
 use serde_json::{Value, json};
@@ -40,16 +40,16 @@ const LABELS_NAME: &str = "labels.safetensors";
 ///
 /// # Errors
 /// As [`super::super::write_scene`].
-pub fn write_sog(
+pub(in crate::formats) fn write_sog(
     scene: &GaussianScene,
-    path: &Path,
+    file: &AtomicFile,
     _options: &WriteOptions,
+    report: &mut WriteReport,
     progress: WriteProgress<'_>,
-) -> Result<WriteReport, SceneError> {
-    let mut report = WriteReport::new(SceneFormat::Sog, scene.len());
+) -> Result<(), SceneError> {
+    let path = file.target();
     let mut ticker = Ticker::new(progress);
-    let file = AtomicFile::create(path)?;
-    let mut zip = ZipWriter::new(BufWriter::new(file.file()?));
+    let mut zip = ZipWriter::new(BufWriter::new(file.file()));
     let cannot = |e: zip::result::ZipError| -> SceneError {
         SceneError::io(path, "cannot write the archive")(e.into())
     };
@@ -58,18 +58,14 @@ pub fn write_sog(
         .compression_method(CompressionMethod::Stored)
         .last_modified_time(DateTime::default())
         .unix_permissions(0o644);
-    encode(scene, path, Order::Spatial, &mut report, &mut ticker, &mut |name, bytes| {
+    encode(scene, path, Order::Spatial, report, &mut ticker, &mut |name, bytes| {
         let options = options.large_file(bytes.len() as u64 >= u64::from(u32::MAX));
         zip.start_file(name, options).map_err(cannot)?;
         zip.write_all(bytes).map_err(SceneError::io(path, "cannot write the archive"))
     })?;
     let mut buffer = zip.finish().map_err(cannot)?;
     buffer.flush().map_err(SceneError::io(path, "cannot write the archive"))?;
-    drop(buffer);
-    ticker.tick(0.99)?;
-    file.commit()?;
-    report.wrote(path)?;
-    Ok(report)
+    ticker.tick(0.99)
 }
 
 /// Writes a scene as files of a folder: `path`, which is its `meta.json`, and the textures beside it.
@@ -80,28 +76,21 @@ pub fn write_sog(
 /// # Errors
 /// As [`super::super::write_scene`]; also if there are files of those names, which belong to no
 /// scene, and `options.overwrite` is not set.
-pub fn write_sog_folder(
+pub(in crate::formats) fn write_sog_folder(
     scene: &GaussianScene,
     path: &Path,
     options: &WriteOptions,
+    report: &mut WriteReport,
     progress: WriteProgress<'_>,
-) -> Result<WriteReport, SceneError> {
-    let mut report = WriteReport::new(SceneFormat::SogFolder, scene.len());
+) -> Result<(), SceneError> {
     let mut ticker = Ticker::new(progress);
     let mut folder = FolderWriter::create(path)?;
     let own_name = path.file_name().and_then(|name| name.to_str()).unwrap_or(META_NAME);
-    encode(scene, path, Order::Spatial, &mut report, &mut ticker, &mut |name, bytes| {
+    encode(scene, path, Order::Spatial, report, &mut ticker, &mut |name, bytes| {
         folder.write(if name == META_NAME { own_name } else { name }, bytes)
     })?;
     ticker.tick(0.99)?;
-    // The description comes last in the folder, so that it never names what is not there yet, and
-    // first in the report.
-    let mut files = folder.commit(options.overwrite)?;
-    files.rotate_right(1);
-    for file in &files {
-        report.wrote(file)?;
-    }
-    Ok(report)
+    folder.commit(options.overwrite, report)
 }
 
 /// Takes a part under its name.
@@ -134,18 +123,7 @@ pub(super) fn encode(
     let order = if rows == Order::Kept { None } else { spatial_order(&codes) };
     ticker.tick(0.1)?;
     let out = Textures { path, size, order: order.as_deref(), rows: scene.len() };
-
-    let texels = |high: usize| out.of_rows(|row| codes[row].map(|c| c.to_le_bytes()[high]));
-    let (low, high) = rayon::join(|| texels(0), || texels(1));
-    let (low, high) = (low?, high?);
-    if scene.len() as u64 > plausible_rows((low.len() + high.len()) as u64) {
-        let problem = format!("would hold {} Gaussians, nearly all in one place", scene.len());
-        let help = "readers would take the file for damaged; choose another format";
-        return Err(SceneError::format(path, problem, help));
-    }
-    sink("means_l.webp", &low)?;
-    sink("means_u.webp", &high)?;
-    drop((low, high));
+    encode_positions(&out, &codes, sink)?;
     drop(codes);
     ticker.tick(0.15)?;
 
@@ -182,32 +160,7 @@ pub(super) fn encode(
         "sh0": { "codebook": numbers(&color), "files": ["sh0.webp"] },
     });
     if scene.sh_degree > 0 {
-        let degree = scene.sh_degree.min(3);
-        report.limit("sh_rest", "bands beyond the third are cut", beyond_third_band(scene));
-        let palette = Palette::build(scene, degree, &mut ticker.part(0.3, 0.9))?;
-        let (labels, centroids) = rayon::join(
-            || {
-                out.of_rows(|row| {
-                    let [low, high] = palette.labels[row].to_le_bytes();
-                    // Green is taken from blue before encoding, which leaves nothing of it here.
-                    [low, high, high]
-                })
-            },
-            || {
-                let height = palette.len().div_ceil(CENTROIDS_PER_LINE);
-                let mut texels = palette.codes.clone();
-                texels.resize(line_width(degree) * height * 3, 0);
-                texture::encode(&texels, (line_width(degree), height), path)
-            },
-        );
-        sink("shN_centroids.webp", &centroids?)?;
-        sink("shN_labels.webp", &labels?)?;
-        meta["shN"] = json!({
-            "count": palette.len(),
-            "bands": degree,
-            "codebook": numbers(&palette.codebook),
-            "files": ["shN_centroids.webp", "shN_labels.webp"],
-        });
+        meta["shN"] = encode_rest(&out, scene, report, ticker, sink)?;
     }
     ticker.tick(0.95)?;
     if let Some(block) = semantics::encode(scene, order.as_deref()) {
@@ -216,6 +169,57 @@ pub(super) fn encode(
     }
     report.order = order;
     sink(META_NAME, meta.to_string().as_bytes())
+}
+
+/// The two textures of positions.
+fn encode_positions(
+    out: &Textures<'_>,
+    codes: &[[u16; 3]],
+    sink: Sink<'_>,
+) -> Result<(), SceneError> {
+    let texels = |high: usize| out.of_rows(|row| codes[row].map(|c| c.to_le_bytes()[high]));
+    let (low, high) = rayon::join(|| texels(0), || texels(1));
+    let (low, high) = (low?, high?);
+    if out.rows as u64 > plausible_rows((low.len() + high.len()) as u64) {
+        let problem = format!("would hold {} Gaussians, nearly all in one place", out.rows);
+        let help = "readers would take the file for damaged; choose another format";
+        return Err(SceneError::format(out.path, problem, help));
+    }
+    sink("means_l.webp", &low)?;
+    sink("means_u.webp", &high)
+}
+
+/// The textures of higher bands, and their description.
+fn encode_rest(
+    out: &Textures<'_>,
+    scene: &GaussianScene,
+    report: &mut WriteReport,
+    ticker: &mut Ticker<'_>,
+    sink: Sink<'_>,
+) -> Result<Value, SceneError> {
+    let degree = scene.sh_degree.min(3);
+    report.limit("sh_rest", "bands beyond the third are cut", beyond_third_band(scene));
+    let palette = Palette::build(scene, degree, &mut ticker.part(0.3, 0.9))?;
+    let label = |row: usize| {
+        let [low, high] = palette.labels[row].to_le_bytes();
+        // Green is taken from blue before encoding, which leaves nothing of it here.
+        [low, high, high]
+    };
+    let centroids = || {
+        let height = palette.len().div_ceil(CENTROIDS_PER_LINE);
+        let mut texels = palette.codes.clone();
+        texels.resize(line_width(degree) * height * 3, 0);
+        texture::encode(&texels, (line_width(degree), height), out.path)
+    };
+    let (labels, centroids) = rayon::join(|| out.of_rows(label), centroids);
+    sink("shN_centroids.webp", &centroids?)?;
+    sink("shN_labels.webp", &labels?)?;
+    Ok(json!({
+        "count": palette.len(),
+        "bands": degree,
+        "codebook": numbers(&palette.codebook),
+        "files": ["shN_centroids.webp", "shN_labels.webp"],
+    }))
 }
 
 /// The values of a codebook; f64 holds them exactly, whatever digits a reader parses.

@@ -1,45 +1,31 @@
 //! Writing `.splat` files.
 
 use super::{RECORD_BYTES, rotation_part, splat_problem};
-use crate::formats::limit_tally::LimitTally;
+use crate::formats::limit_tally::Limits;
 use crate::formats::packed_values::{
-    ALPHA_ENDS, COLOR_CLIPPED, SIZE_CUT, SIZE_VANISHES, alpha, canonical_quat, check_storable,
-    color_of, log_of_scale, nearest_byte, settle, tally_colors, tally_sizes, unit_f64,
+    ALPHA_ENDS, COLOR_CLIPPED, SIZE_CUT, SIZE_VANISHES, alpha, canonical_quat, color_of,
+    nearest_byte, scale_code, settle, tally_alpha, tally_colors, tally_sizes, unit_f64,
 };
-use crate::formats::semantics::Sidecar;
-use crate::formats::{SceneFormat, WriteOptions, WriteProgress, WriteReport};
+use crate::formats::{WriteOptions, WriteProgress, WriteReport};
 use crate::input_file::InputFile;
 use crate::{AtomicFile, GaussianScene, SceneError};
 use rayon::prelude::*;
 use std::io::Write;
-use std::path::Path;
 
 /// Rows that one task encodes.
 const ROWS_PER_TASK: usize = 4096;
 /// Rows encoded before they are handed to the file: a few ms of work, 1 MiB.
 const ROWS_PER_WRITE: usize = 8 * ROWS_PER_TASK;
 
-/// What the format could not hold.
-#[derive(Default, Clone, Copy)]
-struct Limits {
-    too_large: LimitTally,
-    too_small: LimitTally,
-    color: LimitTally,
-    opacity: LimitTally,
-}
+/// What the format cannot hold, as it is reported.
+const LIMITS: [(&str, &str); 4] = [
+    ("log_scale", SIZE_CUT),
+    ("log_scale", SIZE_VANISHES),
+    ("opacity_logit", ALPHA_ENDS),
+    ("sh_dc", COLOR_CLIPPED),
+];
 
-impl Limits {
-    fn merge(self, other: Self) -> Self {
-        Self {
-            too_large: self.too_large.merge(other.too_large),
-            too_small: self.too_small.merge(other.too_small),
-            color: self.color.merge(other.color),
-            opacity: self.opacity.merge(other.opacity),
-        }
-    }
-}
-
-/// Writes a scene as a `.splat` file, and its labels beside it.
+/// Writes a scene as a `.splat` file.
 ///
 /// Rows keep their order: programs that write this format commonly sort by size times alpha, for
 /// viewers that show a file while it loads, but the order is not part of the format. Bytes are the
@@ -55,17 +41,14 @@ impl Limits {
 /// As [`write_scene`](super::super::write_scene), which also looks for an old file; if a position,
 /// size, rotation, opacity or colour is not a number; if most Gaussians are so far away or so large
 /// that the file would not be recognised as one of this format, which has no mark of its own.
-pub fn write_splat(
+pub(in crate::formats) fn write_splat(
     scene: &GaussianScene,
-    path: &Path,
-    options: &WriteOptions,
+    file: &AtomicFile,
+    _options: &WriteOptions,
+    report: &mut WriteReport,
     progress: WriteProgress<'_>,
-) -> Result<WriteReport, SceneError> {
-    scene.check_rows()?;
-    check_storable(scene, path)?;
-    let sidecar = Sidecar::prepare(scene, path, options.overwrite)?;
-    let rows = scene.len();
-    let file = AtomicFile::create(path)?;
+) -> Result<(), SceneError> {
+    let (rows, path) = (scene.len(), file.target());
     let mut limits = Limits::default();
     let mut buffer = vec![0u8; rows.min(ROWS_PER_WRITE) * RECORD_BYTES];
     for first in (0..rows).step_by(ROWS_PER_WRITE) {
@@ -84,33 +67,26 @@ pub fn write_splat(
             })
             .reduce(Limits::default, Limits::merge);
         limits = limits.merge(found);
-        file.file()?.write_all(bytes).map_err(SceneError::io(path, "cannot write the scene"))?;
+        file.file().write_all(bytes).map_err(SceneError::io(path, "cannot write the scene"))?;
         if !progress((first + count) as f64 / rows as f64) {
             return Err(SceneError::Stopped);
         }
     }
-    if let Some(problem) = splat_problem(InputFile::of_written(&file)?.bytes()) {
+    if let Some(problem) = splat_problem(InputFile::of_written(file)?.bytes()) {
         let problem = format!("would not be recognised as a .splat file: it {problem}");
         let help = "scale the scene to metres, or choose another format";
         return Err(SceneError::format(path, problem, help));
     }
-    let labels = sidecar.commit(scene, None, file)?;
-    let mut report = WriteReport::new(SceneFormat::Splat, rows);
-    report.wrote(path)?;
-    report.limit("log_scale", SIZE_CUT, limits.too_large);
-    report.limit("log_scale", SIZE_VANISHES, limits.too_small);
-    report.limit("opacity_logit", ALPHA_ENDS, limits.opacity);
-    report.limit("sh_dc", COLOR_CLIPPED, limits.color);
-    if scene.sh_degree > 0 {
-        report.left_out("sh_rest", "no place in this format");
-    }
-    if let Some(labels) = labels {
-        report.wrote(&labels)?;
-    }
-    Ok(report)
+    report.limits(LIMITS, limits);
+    Ok(())
 }
 
-fn encode(scene: &GaussianScene, row: usize, record: &mut [u8; RECORD_BYTES], limits: &mut Limits) {
+fn encode(
+    scene: &GaussianScene,
+    row: usize,
+    record: &mut [u8; RECORD_BYTES],
+    Limits([too_large, too_small, ends, clipped]): &mut Limits<4>,
+) {
     let mut put = |at: usize, value: f32| {
         record[at..at + 4].copy_from_slice(&value.to_le_bytes());
     };
@@ -119,28 +95,17 @@ fn encode(scene: &GaussianScene, row: usize, record: &mut [u8; RECORD_BYTES], li
     }
     let scale = scene.log_scale[row].map(scale_code);
     scale.iter().enumerate().for_each(|(i, &scale)| put(12 + 4 * i, scale));
-    let (too_large, too_small) = (&mut limits.too_large, &mut limits.too_small);
     tally_sizes(row, scene.log_scale[row], scale, too_large, too_small);
 
     for (i, &dc) in scene.sh_dc[row].iter().enumerate() {
         record[24 + i] = nearest_byte(color_of(dc));
     }
-    tally_colors(row, scene.sh_dc[row], &mut limits.color);
+    tally_colors(row, scene.sh_dc[row], clipped);
 
-    let (logit, alpha) = (scene.opacity_logit[row], alpha(scene.opacity_logit[row]));
-    record[27] = nearest_byte(alpha);
-    if logit.is_finite() && matches!(record[27], 0 | 255) {
-        limits.opacity.add(row, alpha.min(1.0 - alpha));
-    }
+    let logit = scene.opacity_logit[row];
+    record[27] = nearest_byte(alpha(logit));
+    tally_alpha(row, logit, matches!(record[27], 0 | 255), ends);
     record[28..].copy_from_slice(&rotation_code(scene.quat[row]));
-}
-
-/// The standard deviation in metres that comes back as itself.
-fn scale_code(log: f32) -> f32 {
-    let nearest = |log: f32| (f64::from(log).exp() as f32).min(f32::MAX);
-    // The bits of positive floats are in the order of their values.
-    let step = |bits: u32| nearest(log_of_scale(f32::from_bits(bits))).to_bits();
-    f32::from_bits(settle(nearest(log).to_bits(), step))
 }
 
 /// The bytes of a rotation that come back as themselves.
@@ -153,6 +118,7 @@ fn rotation_code(quat: [f32; 4]) -> [u8; 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::formats::packed_values::log_of_scale;
 
     #[test]
     fn codes_come_back_as_themselves() {

@@ -1,5 +1,7 @@
 //! The headers, and which blocks follow them.
 
+use crate::gaussian_scene::sh_rest_len;
+
 use super::source::{LEGACY_SIZE, Source, most_decompressed};
 
 /// First bytes of every header.
@@ -63,7 +65,7 @@ impl Header {
 
     /// Coefficients per channel beyond the DC term.
     pub(super) fn rest_len(&self) -> usize {
-        (usize::from(self.degree) + 1).pow(2) - 1
+        sh_rest_len(self.degree)
     }
 
     /// Bytes of one Gaussian, all blocks together.

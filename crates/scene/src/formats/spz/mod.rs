@@ -25,7 +25,6 @@
 mod attributes;
 mod extensions;
 mod header;
-mod limits;
 mod quaternion;
 mod reader;
 mod rows;
@@ -35,7 +34,7 @@ mod writer;
 
 pub use reader::read_spz;
 pub(crate) use reader::{peek_spz, read_spz_as_stored};
-pub use writer::write_spz;
+pub(super) use writer::write_spz;
 
 /// Whether a file is an SPZ file: it begins with the mark, or is a gzip or zstd stream that does.
 ///

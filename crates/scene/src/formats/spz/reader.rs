@@ -20,7 +20,7 @@ use std::path::Path;
 /// Versions 1 to 3 may be a gzip stream, a zstd frame, or not compressed. Alpha 0 and 255 become
 /// the logits ±inf, which is what they say. Numbers are converted from the frame that the file
 /// names, or else from `options.spz_frame`; with [`SpzFrame::Raw`] they are never converted.
-/// Labels that [`write_spz`](super::write_spz) added are read; other extension records are skipped,
+/// Labels that the writer added are read; other extension records are skipped,
 /// and the report says so.
 ///
 /// No more is decompressed than the header calls for, and memory grows with what is really there. A
@@ -241,39 +241,20 @@ fn read_v4(bytes: &[u8], header: Header, options: &ReadOptions) -> Result<ReadFi
     if header.rows > 0 {
         let wants_rest = options.sh_rest && header.degree > 0;
         let (h, c, d) = (&header, &contents, &decoder);
+        let rest = || match wants_rest {
+            true => stream(c, d, Block::Harmonics, Decoder::rest),
+            false => Ok(Vec::new()),
+        };
+        let coord = || stream(c, d, Block::Positions, Decoder::positions);
+        let quat = || stream(c, d, Block::Rotations, Decoder::rotations);
+        let scale = || stream(c, d, Block::Scales, Decoder::scales);
+        let color = || stream(c, d, Block::Colors, Decoder::colors);
+        let alpha = || stream(c, d, Block::Alphas, Decoder::alphas);
+        let places = || both(h, coord, quat);
+        let looks = || both(h, scale, || both(h, color, alpha));
         // The harmonics are most of the file and of the work, so they come first and alone.
-        let (rest, ((coord, quat), (log_scale, (sh_dc, opacity_logit)))) = both(
-            h,
-            || match wants_rest {
-                true => stream(c, d, Block::Harmonics, Decoder::rest),
-                false => Ok(Vec::new()),
-            },
-            || {
-                both(
-                    h,
-                    || {
-                        both(
-                            h,
-                            || stream(c, d, Block::Positions, Decoder::positions),
-                            || stream(c, d, Block::Rotations, Decoder::rotations),
-                        )
-                    },
-                    || {
-                        both(
-                            h,
-                            || stream(c, d, Block::Scales, Decoder::scales),
-                            || {
-                                both(
-                                    h,
-                                    || stream(c, d, Block::Colors, Decoder::colors),
-                                    || stream(c, d, Block::Alphas, Decoder::alphas),
-                                )
-                            },
-                        )
-                    },
-                )
-            },
-        );
+        let (rest, ((coord, quat), (log_scale, (sh_dc, opacity_logit)))) =
+            both(h, rest, || both(h, places, looks));
         // In the order of the file, so that the first error is the same for any number of threads.
         scene.coord = coord?;
         scene.opacity_logit = opacity_logit?;

@@ -6,11 +6,11 @@ use super::attributes::{
 };
 use super::extensions::records_of;
 use super::header::{Block, EXTENSIONS, Header, USUAL_BITS, V4_SIZE};
-use super::limits::{Limits, PositionGrid};
 use super::quaternion::QuatCoding;
 use super::signs::Signs;
 use crate::AtomicFile;
-use crate::formats::{SceneFormat, WriteOptions, WriteProgress, WriteReport};
+use crate::formats::limit_tally::{LimitTally, Limits};
+use crate::formats::{WriteOptions, WriteProgress, WriteReport};
 use crate::{GaussianScene, SceneError};
 use flate2::Compression;
 use flate2::write::GzEncoder;
@@ -39,36 +39,57 @@ const BYTES_PER_STEP: usize = 256 << 10;
 /// # Errors
 /// As [`write_scene`](crate::write_scene); also if the scene, larger than 32 MiB, compresses to less
 /// than a 256th: [`read_spz`](super::read_spz) would not believe the file. Versions 2 and 3 hold no harmonics of degree 4.
-pub fn write_spz(
+pub(in crate::formats) fn write_spz(
     scene: &GaussianScene,
-    path: &Path,
+    file: &AtomicFile,
     options: &WriteOptions,
+    report: &mut WriteReport,
     progress: WriteProgress<'_>,
-) -> Result<WriteReport, SceneError> {
-    scene.check_rows()?;
+) -> Result<(), SceneError> {
+    let path = file.target();
     let coder = Coder::new(scene, path, options)?;
     let records = records_of(scene).map_err(|problem| SceneError::format(path, problem, ""))?;
-    let file = AtomicFile::create(path)?;
-    let limits = if coder.header.version == 4 {
-        write_v4(&coder, &records, &file, progress)?
-    } else {
-        write_legacy(&coder, &records, &file, progress)?
-    };
-    check_size(&coder.header, &file)?;
-    file.commit()?;
-    let mut report = WriteReport::new(SceneFormat::Spz, scene.len());
-    limits.report(&coder.grid, &mut report);
-    report.wrote(path)?;
-    Ok(report)
+    let write = if coder.header.version == 4 { write_v4 } else { write_legacy };
+    let limits = write(&coder, &records, file, progress)?;
+    check_size(&coder.header, file)?;
+    report_limits(limits, &coder.grid, report);
+    Ok(())
 }
 
 /// Refuses what compresses so far that readers would take the file for a damaged one.
 fn check_size(header: &Header, file: &AtomicFile) -> Result<(), SceneError> {
-    let about = file.file()?.metadata();
+    let about = file.file().metadata();
     let about = about.map_err(SceneError::io(file.target(), "cannot write the scene"))?;
     header.check_size(usize::try_from(about.len()).unwrap_or(usize::MAX)).map_err(|problem| {
         SceneError::format(file.target(), problem, "remove Gaussians that are equal to others")
     })
+}
+
+/// What the format cannot hold, as it is reported after positions on a coarser grid.
+const LIMITS: [(&str, &str); 5] = [
+    ("coord", "clipped to ±8388607 m"),
+    ("log_scale", "clipped to -10..5.9375 (4.5e-5 m to 379 m)"),
+    ("opacity_logit", "alpha below 1/510 or above 1 - 1/510 becomes exactly 0 or 1"),
+    ("sh_dc", "clipped to ±3.3333"),
+    ("sh_rest", "clipped to -1..0.9922"),
+];
+
+fn report_limits(
+    Limits([coarse, rest @ ..]): Limits<6>,
+    grid: &PositionGrid,
+    report: &mut WriteReport,
+) {
+    let step = 1.0 / f64::from(1u32 << grid.bits);
+    report.limit(
+        "coord",
+        format!(
+            "stored in steps of {step} m instead of 1/4096 m, for row {} at {} m to be in range; \
+             leave out far rows to keep the others fine",
+            grid.farthest_row, grid.farthest
+        ),
+        coarse,
+    );
+    report.limits(LIMITS, Limits(rest));
 }
 
 /// Turns rows of a scene into bytes of a block.
@@ -102,7 +123,6 @@ impl<'a> Coder<'a> {
         let Ok(rows) = u32::try_from(scene.len()) else {
             return bad(format!("cannot hold {} Gaussians", scene.len()), "split the scene");
         };
-        check_values(scene, path)?;
         let grid = PositionGrid::of(scene);
         let header = Header {
             version: version.into(),
@@ -122,10 +142,11 @@ impl<'a> Coder<'a> {
     }
 
     /// Appends the bytes of some rows.
-    fn encode(&self, block: Block, rows: Range<usize>, out: &mut Vec<u8>, limits: &mut Limits) {
+    fn encode(&self, block: Block, rows: Range<usize>, out: &mut Vec<u8>, limits: &mut Limits<6>) {
         let scene = self.scene;
+        let Limits([step, range, cut_scale, ends, cut_color, cut_rest]) = limits;
         match block {
-            Block::Positions => self.encode_positions(rows, out, limits),
+            Block::Positions => self.encode_positions(rows, out, [step, range]),
             Block::Alphas => {
                 for row in rows {
                     let logit = scene.opacity_logit[row];
@@ -133,7 +154,7 @@ impl<'a> Coder<'a> {
                     if (byte == 0 || byte == 255) && logit.is_finite() {
                         // As far as alpha was from 0 or 1.
                         let change = 1.0 / (1.0 + f64::from(logit.abs()).exp());
-                        limits.alpha.add(row, change);
+                        ends.add(row, change);
                     }
                     out.push(byte);
                 }
@@ -145,7 +166,7 @@ impl<'a> Coder<'a> {
                     let back = bytes.map(|b| self.tables.color[usize::from(b)]);
                     let range = [-COLOR_RANGE, COLOR_RANGE];
                     if let Some(change) = clipped(&dc, &back, range, half) {
-                        limits.color.add(row, change);
+                        cut_color.add(row, change);
                     }
                     out.extend_from_slice(&bytes);
                 }
@@ -156,7 +177,7 @@ impl<'a> Coder<'a> {
                     let bytes = scale.map(encode_scale);
                     let back = bytes.map(|b| self.tables.scale[usize::from(b)]);
                     if let Some(change) = clipped(&scale, &back, SCALE_RANGE, half) {
-                        limits.scale.add(row, change);
+                        cut_scale.add(row, change);
                     }
                     out.extend_from_slice(&bytes);
                 }
@@ -164,20 +185,21 @@ impl<'a> Coder<'a> {
             Block::Rotations => {
                 let width = Block::Rotations.row_bytes(&self.header);
                 for row in rows {
-                    let code = self.quats.encode(scene.quat[row], &self.signs);
-                    if code.is_none() {
-                        limits.quat.add(row, f64::INFINITY);
-                    }
-                    let none = [1.0, 0.0, 0.0, 0.0];
-                    let code = code.or_else(|| self.quats.encode(none, &self.signs));
-                    out.extend_from_slice(&code.unwrap_or_default().to_le_bytes()[..width]);
+                    // Quaternions without a direction were refused before.
+                    let code = self.quats.encode(scene.quat[row], &self.signs).unwrap_or_default();
+                    out.extend_from_slice(&code.to_le_bytes()[..width]);
                 }
             }
-            Block::Harmonics => self.encode_rest(rows, out, limits),
+            Block::Harmonics => self.encode_rest(rows, out, cut_rest),
         }
     }
 
-    fn encode_positions(&self, rows: Range<usize>, out: &mut Vec<u8>, limits: &mut Limits) {
+    fn encode_positions(
+        &self,
+        rows: Range<usize>,
+        out: &mut Vec<u8>,
+        [coarse, clipped]: [&mut LimitTally; 2],
+    ) {
         let step = 1.0 / f64::from(1u32 << self.grid.bits);
         let usual_error = 0.5 / f64::from(1u32 << USUAL_BITS);
         for row in rows {
@@ -190,14 +212,14 @@ impl<'a> Coder<'a> {
                 out.extend_from_slice(&code.to_le_bytes()[..3]);
             }
             if !fits {
-                limits.position_range.add(row, worst);
+                clipped.add(row, worst);
             } else if worst > usual_error {
-                limits.position_step.add(row, worst);
+                coarse.add(row, worst);
             }
         }
     }
 
-    fn encode_rest(&self, rows: Range<usize>, out: &mut Vec<u8>, limits: &mut Limits) {
+    fn encode_rest(&self, rows: Range<usize>, out: &mut Vec<u8>, cut: &mut LimitTally) {
         let width = self.header.rest_len() * 3;
         for row in rows {
             let values = &self.scene.sh_rest[row * width..][..width];
@@ -216,7 +238,7 @@ impl<'a> Coder<'a> {
                 out.extend_from_slice(&bytes);
             }
             if let Some(worst) = worst {
-                limits.rest.add(row, worst);
+                cut.add(row, worst);
             }
         }
     }
@@ -227,13 +249,24 @@ fn clipped(values: &[f32; 3], back: &[f32; 3], range: [f32; 2], half: f32) -> Op
     let mut worst: Option<f64> = None;
     for (&value, &back) in values.iter().zip(back) {
         if !(range[0]..=range[1]).contains(&value) {
-            let change = if value.is_nan() { f32::INFINITY } else { (value - back).abs() };
+            let change = (value - back).abs();
             if change > half {
                 worst = Some(worst.unwrap_or(0.0).max(f64::from(change)));
             }
         }
     }
     worst
+}
+
+/// How positions are stored, and why.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct PositionGrid {
+    /// Fractional bits.
+    bits: u8,
+    /// The row that needs most range.
+    farthest_row: usize,
+    /// Its largest coordinate.
+    farthest: f32,
 }
 
 impl PositionGrid {
@@ -258,37 +291,12 @@ impl PositionGrid {
     }
 }
 
-/// Refuses rows that every reader would leave out, which would shift all labels after them.
-fn check_values(scene: &GaussianScene, path: &Path) -> Result<(), SceneError> {
-    let bad = |row: usize| {
-        if let Some(v) = scene.coord[row].iter().find(|v| !v.is_finite()) {
-            return Some(("coord", v.to_string()));
-        }
-        if scene.log_scale[row].iter().any(|v| v.is_nan()) {
-            return Some(("log_scale", "NaN".to_owned()));
-        }
-        scene.opacity_logit[row].is_nan().then(|| ("opacity_logit", "NaN".to_owned()))
-    };
-    let first =
-        (0..scene.len()).into_par_iter().with_min_len(4096).find_first(|&r| bad(r).is_some());
-    match first.and_then(|row| bad(row).map(|bad| (row, bad))) {
-        None => Ok(()),
-        Some((element, (field, value))) => Err(SceneError::Value {
-            path: path.to_owned(),
-            element,
-            field: field.to_owned(),
-            value,
-            help: "leave the Gaussian out".to_owned(),
-        }),
-    }
-}
-
 /// A block on its way into a zstd stream.
 struct Stream {
     block: Block,
     encoder: Encoder<'static, Vec<u8>>,
     bytes: Vec<u8>,
-    limits: Limits,
+    limits: Limits<6>,
 }
 
 fn write_v4(
@@ -296,7 +304,7 @@ fn write_v4(
     records: &[u8],
     file: &AtomicFile,
     progress: WriteProgress<'_>,
-) -> Result<Limits, SceneError> {
+) -> Result<Limits<6>, SceneError> {
     let io = || SceneError::io(file.target(), "cannot write the scene");
     let start = |block| -> std::io::Result<Stream> {
         let mut encoder = Encoder::new(Vec::new(), LEVEL)?;
@@ -342,7 +350,7 @@ fn write_v4(
         head.extend_from_slice(&(frame.len() as u64).to_le_bytes());
         head.extend_from_slice(&coder.header.block_bytes(*block).to_le_bytes());
     }
-    let mut to = file.file()?;
+    let mut to = file.file();
     to.write_all(&head).map_err(io())?;
     for (_, frame) in &frames {
         to.write_all(frame).map_err(io())?;
@@ -358,12 +366,12 @@ fn write_legacy(
     records: &[u8],
     file: &AtomicFile,
     progress: WriteProgress<'_>,
-) -> Result<Limits, SceneError> {
+) -> Result<Limits<6>, SceneError> {
     let io = || SceneError::io(file.target(), "cannot write the scene");
     let flags = if records.is_empty() { 0 } else { EXTENSIONS };
     let header = Header { flags, ..coder.header };
     let mut to: GzEncoder<BufWriter<&File>> =
-        GzEncoder::new(BufWriter::new(file.file()?), Compression::default());
+        GzEncoder::new(BufWriter::new(file.file()), Compression::default());
     to.write_all(&header.to_bytes(coder.rows, 0)).map_err(io())?;
 
     let rows = coder.header.rows;

@@ -1,0 +1,33 @@
+//! The `scenesplat` program as a function: the binary calls [`run`], tests call [`run_captured`] in their own
+//! process.
+//!
+//! A command runs on the thread that calls, and on the thread pool of that thread. Outside of a pool the first
+//! command makes the global pool, with the calling thread in it, so that a program runs one command. What belongs to
+//! a process and not to a command is in the binary: the allocator, the signal of a cut file.
+
+mod bench;
+mod budget;
+mod commands;
+mod duration;
+mod effects;
+mod error;
+mod flags;
+mod frame;
+mod outputs;
+mod progress;
+mod receipt;
+mod session;
+mod setting;
+mod surfaces;
+mod terminal;
+mod threads;
+
+pub use commands::run;
+use std::ffi::OsString;
+pub use terminal::Captured;
+
+/// Runs the program as [`run`] does, and gives its exit code with what it printed on this thread instead of printing
+/// it. Child processes and libraries print as usual.
+pub fn run_captured(args: impl IntoIterator<Item = OsString>) -> (u8, Captured) {
+    terminal::captured(|| run(args))
+}

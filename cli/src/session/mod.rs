@@ -1,0 +1,118 @@
+//! What most commands begin with: the output folder, the scene, the network.
+//!
+//! In the order of a run: [`Session::start`] here, scenes and the source of features in `open.rs`, the network in
+//! `network.rs`, its run in `encode.rs`, results and the receipt in `write.rs`.
+
+mod alignment;
+mod encode;
+mod network;
+mod novelty;
+mod open;
+mod write;
+
+use crate::budget::Chosen;
+use crate::flags::{Inference, NetworkArgs, Shared};
+use crate::outputs::Outputs;
+use crate::progress::{Progress, interrupted};
+use crate::receipt::Receipt;
+use anyhow::Result;
+pub use novelty::Novelty;
+pub use open::FeatureSource;
+use scenesplat::inference::EncodeError;
+use scenesplat::kernels::simd::Isa;
+use scenesplat::network::{NetworkChoice, Weights};
+use scenesplat::outputs::OpenedScene;
+use std::cell::RefCell;
+use std::path::PathBuf;
+
+/// A running command.
+pub struct Session<'a> {
+    /// Shared flags.
+    pub shared: &'a Shared,
+    /// What is recorded.
+    pub receipt: Receipt,
+    /// What is shown.
+    pub progress: Progress,
+    /// What is read and written.
+    pub outputs: Outputs,
+    written: RefCell<Vec<(PathBuf, u64)>>,
+    /// The scene, where a budget had to look at it before.
+    input: RefCell<Option<(OpenedScene, Option<String>)>>,
+}
+
+impl<'a> Session<'a> {
+    /// Sets up threads, the output folder, Ctrl-C and the receipt.
+    pub fn start(shared: &'a Shared, command: &str) -> Result<Self> {
+        let progress = Progress::start(&shared.running)?;
+        let receipt = Receipt::new(format!("scenesplat {command}"));
+        receipt.computation("f32", Isa::current().name());
+        receipt.threads(rayon::current_num_threads());
+        let outputs = Outputs::new(&shared.out);
+        outputs.claim_any("--receipt", shared.receipt.as_ref())?;
+        let (written, input) = (RefCell::default(), RefCell::default());
+        Ok(Self { shared, receipt, progress, outputs, written, input })
+    }
+
+    /// As [`start`](Self::start) for a command with a network, whose files are inputs.
+    pub fn start_with(shared: &'a Shared, network: &NetworkArgs, command: &str) -> Result<Self> {
+        let session = Self::start(shared, command)?;
+        if let Some(Weights::File(path)) = &network.weights {
+            session.outputs.reads(path)?;
+        }
+        if let Some(NetworkChoice::File(path)) = &network.config {
+            session.outputs.reads(path)?;
+        }
+        Ok(session)
+    }
+
+    /// As [`start`](Self::start) for a command that runs a network by a setting, which `chosen` says if a budget chose
+    /// it.
+    pub fn start_network(
+        shared: &'a Shared,
+        inference: &Inference,
+        chosen: Option<Chosen>,
+        command: &str,
+    ) -> Result<Self> {
+        let session = Self::start_with(shared, &inference.network, command)?;
+        session.note_setting(inference);
+        session.note_budget(chosen);
+        Ok(session)
+    }
+
+    /// Records the setting, in its canonical form.
+    fn note_setting(&self, inference: &Inference) {
+        if !inference.effective.is_empty() {
+            let why = "the parts that --setting and flags name (docs/settings.md)";
+            self.receipt.setting("setting", &inference.effective, why);
+        }
+    }
+
+    /// Reports and records the setting that a budget chose, and keeps the scene that it was chosen for.
+    fn note_budget(&self, chosen: Option<Chosen>) {
+        let Some(chosen) = chosen else { return };
+        for remark in &chosen.remarks {
+            self.warn(remark);
+        }
+        self.receipt.budget(chosen.report, chosen.began);
+        *self.input.borrow_mut() = Some(chosen.input);
+    }
+
+    /// Prints a warning on standard error and records it.
+    pub fn warn(&self, text: impl Into<String>) {
+        let text = text.into();
+        self.progress.say(&text);
+        self.receipt.warning(text);
+    }
+
+    /// As [`warn`](Self::warn), between asterisks.
+    pub fn warn_loudly(&self, text: impl Into<String>) {
+        let text = text.into();
+        self.progress.say(format!("*** {text} ***"));
+        self.receipt.warning(text);
+    }
+
+    /// Stops here if the user asked to.
+    pub fn check_stop(&self) -> Result<()> {
+        if interrupted() { Err(EncodeError::Stopped.into()) } else { Ok(()) }
+    }
+}

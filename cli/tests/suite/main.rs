@@ -1,0 +1,37 @@
+//! The program as a user runs it: files written, exit codes, messages, hostile input. Commands run in this process
+//! (`scenesplat`); those that are about a process, or start some, run as one (`process`).
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
+
+mod bench;
+mod budget;
+mod chunk;
+mod codes;
+mod collect_end_to_end;
+mod collect_labels;
+mod commands;
+mod compare;
+mod convert;
+mod doctor;
+mod effects;
+mod hostile;
+mod inputs;
+mod inspect;
+mod lift_labels;
+mod many;
+mod networks;
+mod objects;
+mod optimise;
+mod outputs;
+mod pareto;
+mod prepare;
+mod probe;
+mod reconstruct;
+mod render;
+mod settings;
+mod simulate;
+mod strange;
+mod support;
+mod text;
+mod training;
+mod upright;

@@ -1,0 +1,196 @@
+//! `objects`, `view` and `segment --instances`: what they write, agree on and refuse.
+
+use crate::support::*;
+use scenesplat::scene::Similarity;
+use serde_json::Value;
+
+/// A room with its labels and instances, and the names of its classes.
+fn world() -> Folder {
+    let folder = Folder::new();
+    folder.room("room.ply", 12_000, 9);
+    folder.names();
+    folder
+}
+
+fn objects(folder: &Folder, scene: &str, out: &str, more: &str) -> std::process::Output {
+    let [scene, names, out] = [scene, "names.txt", out].map(|name| folder.at(name));
+    run!("objects {scene} --label-names {names} --out {out} {more}")
+}
+
+#[test]
+fn objects_are_listed_drawn_exported_and_taken_out() {
+    let folder = world();
+    let scene = read(folder.path("room.ply"));
+    let run = |more: &str| {
+        let file = folder.at("objects.json");
+        objects(&folder, "room.ply", "out", &format!("--json {file} {more}"))
+    };
+    let said = printed(&run("--remove wall,ceiling --export parts --find wall"));
+    let out = |name: &str| folder.path("out").join(name);
+    let table = json(folder.path("objects.json"));
+    assert_eq!(table, json(out("objects.json")));
+    let all = table["objects"].as_array().unwrap();
+    // The room has instances: each of at least 20 Gaussians is an object.
+    let ids = scene.instance.as_ref().unwrap();
+    let count = |id: i32| ids.iter().filter(|i| **i == id).count();
+    let large = (0..=*ids.iter().max().unwrap()).filter(|id| count(*id) >= 20).count();
+    assert_eq!(all.len(), large);
+    has(&said, &[&format!("{large} objects: "), "\"wall\": "]);
+    for object in all {
+        for field in ["class", "count", "box", "position"] {
+            assert!(!object[field].is_null(), "{field}: {object}");
+        }
+    }
+    let instances = labels(out("instances.npy"));
+    let of = |place: usize| instances.iter().filter(|i| **i == place as i64).count();
+    assert!(all.iter().enumerate().all(|(i, o)| o["count"] == of(i)));
+    assert_eq!(text(out("objects.csv")).lines().count(), large + 1);
+    assert!(bytes(out("objects.png")).len() > 20_000);
+    // Parts are the scene again, and what is removed is gone.
+    assert_eq!(std::fs::read_dir(out("parts")).unwrap().count(), large);
+    assert_eq!((read(out("parts/001-wall.ply")).len(), &all[0]["class"]), (of(0), &"wall".into()));
+    let edited = read(out("edited.ply"));
+    let is_gone = |i: &usize| ["wall", "ceiling"].contains(&all[*i]["class"].as_str().unwrap());
+    let gone: usize = (0..all.len()).filter(is_gone).map(of).sum();
+    assert_eq!(edited.len(), scene.len() - gone);
+    assert!(edited.segment.unwrap().iter().all(|l| *l != 0));
+
+    done(&run("--keep floor --pieces"));
+    assert!(read(out("edited.ply")).segment.unwrap().iter().all(|l| *l == 1));
+    for (more, part) in [
+        ("--remove piano", "no object is a \"piano\"; there are: wall"),
+        ("--export ../parts", "one plain name"),
+        ("--remove wall --keep floor", "cannot be used with"),
+        ("--weights seeded:0", "leave out --weights"),
+        ("--gap 0", "above 0"),
+        ("--min-count 0", "min_count"),
+    ] {
+        let output = run(more);
+        assert!(!output.status.success(), "{more}");
+        has(&stderr(&output), &[part]);
+    }
+}
+
+#[test]
+fn boxes_are_level_in_a_room_that_is_not_and_heights_begin_at_a_given_floor() {
+    let folder = world();
+    let mut scene = read(folder.path("room.ply"));
+    let (s, c) = 7f64.to_radians().sin_cos();
+    let rotation = [[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]];
+    scene.transform(&Similarity { rotation, ..Similarity::IDENTITY });
+    folder.scene("tilted.ply", &scene);
+    let run = |scene: &str, out: &str, more: &str| {
+        let said = printed(&objects(&folder, scene, out, more));
+        (json(folder.path(out).join("objects.json")), said)
+    };
+    let (level, said) = run("room.ply", "level", "");
+    // What has fewer than 20 Gaussians is no object, and said.
+    let some_small = level["small_instances"].as_u64().unwrap() > 0;
+    let is_said = said.contains("instances of the scene are none, having too few");
+    assert_eq!(is_said, some_small, "{said}");
+    let (other, _) = run("tilted.ply", "tilted", "");
+    let (a, b) = (level["objects"].as_array().unwrap(), other["objects"].as_array().unwrap());
+    assert_eq!(a.len(), b.len());
+    // 7 degrees of tilt would make a floor of 4 m half a metre thick.
+    let size = |o: &Value, axis: usize| o["box"]["size"][axis].as_f64().unwrap();
+    for (a, b) in a.iter().zip(b) {
+        assert!((size(a, 2) - size(b, 2)).abs() < 0.06, "{a} {b}");
+    }
+    let (given, said) = run("room.ply", "given", "--floor -1 --unit cm");
+    has(&said, &["heights are over the floor that was given"]);
+    assert_eq!(given["floor"]["height"].as_f64(), Some(-0.01));
+    assert_eq!(given["floor"]["given"], true);
+    let first = |v: &Value| size(&v["objects"][0], 0);
+    assert!((first(&given) * 100.0 - first(&level)).abs() < 0.02);
+}
+
+/// A browser that asks, and Ctrl-C: `view --serve` says where, gives the page to who knows the address, and ends well.
+#[cfg(unix)]
+#[test]
+fn a_served_page_ends_with_an_interrupt() {
+    use std::io::{BufRead, Read, Write};
+    use std::process::{Command, Stdio};
+    let folder = world();
+    let (scene, receipt) = (folder.at("room.ply"), folder.at("receipt.json"));
+    let line = format!("view {scene} --label-names {} --serve", folder.at("names.txt"));
+    let mut child = program()
+        .args(words(&format!("{line} --receipt {receipt}")))
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let lines = std::io::BufReader::new(child.stdout.take().unwrap()).lines();
+    let mut lines = lines.map(Result::unwrap);
+    let line = lines.by_ref().find(|l| l.starts_with("open http")).unwrap();
+    let url = line.split(' ').nth(1).unwrap();
+    let (host, path) = url.strip_prefix("http://").unwrap().split_once('/').unwrap();
+    assert!(host.starts_with("127.0.0.1:"), "{url}");
+    let ask = |path: &str, host_header: &str| {
+        let mut stream = std::net::TcpStream::connect(host).unwrap();
+        write!(stream, "GET /{path} HTTP/1.1\r\nHost: {host_header}\r\n\r\n").unwrap();
+        let mut answer = Vec::new();
+        stream.read_to_end(&mut answer).unwrap();
+        String::from_utf8_lossy(&answer).into_owned()
+    };
+    assert!(ask(path, host).contains("<!doctype html>"));
+    assert!(ask("", host).starts_with("HTTP/1.1 404"));
+    assert!(ask(path, "attacker.example").starts_with("HTTP/1.1 403"));
+    let kill = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(kill.success());
+    let said = told(&child.wait_with_output().unwrap());
+    has(&said, &["a browser opened the page", "got nothing (403)"]);
+    let last = lines.find(|l| l.starts_with("opened 1 times")).unwrap();
+    has(&last, &["2 requests got nothing"]);
+    has(&json(&receipt).to_string(), &["opened 1 times"]);
+    assert_eq!(folder.count(), 3, "no file but the receipt");
+    let cases = [
+        ("--serve --out x.html", 2, "cannot be used with"),
+        ("--port 80", 2, "--serve"),
+        ("--plain --floor 1", 2, "--plain leaves out"),
+        ("--plain --unit m --precision bf16", 2, "--plain leaves out"),
+    ];
+    all_refused(cases, |more| run!("view {scene} {more}"));
+}
+
+#[test]
+fn segment_and_objects_find_the_same() {
+    let folder = Folder::new();
+    let [room, texts] = ["room.ply", "classes.safetensors"].map(asset_at);
+    let [one, two] = ["one", "two"].map(|name| folder.at(name));
+    done(&run!("segment {room} {TINY} --text {texts} --out {one} --instances"));
+    done(&run!("objects {room} {TINY} --text {texts} --out {two}"));
+    let file = |folder: &str, name: &str| bytes(format!("{folder}/{name}"));
+    for name in ["objects.json", "instances.npy"] {
+        assert!(file(&one, name) == file(&two, name), "{name}");
+    }
+    assert!(!folder.path("one/objects.png").exists());
+}
+
+#[test]
+fn a_page_is_one_file_that_loads_nothing() {
+    let (folder, other) = (Folder::new(), Folder::new());
+    let [room, texts] = ["room.ply", "classes.safetensors"].map(asset_at);
+    let out = folder.at("room.html");
+    let page = |more: &str| run!("view {room} --out {out} {more}");
+    let said = printed(&page(&format!("{TINY} --text {texts}")));
+    has(&said, &["16000 Gaussians", "24 code numbers"]);
+    let whole = text(&out);
+    assert!(whole.starts_with("<!doctype html>"));
+    has(&whole, &["default-src 'none'", "id=\"block-codes\"", "id=\"block-program\""]);
+    assert!(!whole.contains("src=") && !whole.contains("import "));
+    assert_eq!(folder.count(), 1, "one file");
+
+    done(&page(&format!("--label-names {}", other.names())));
+    let labels = text(&out);
+    assert!(labels.contains("id=\"block-label\"") && !labels.contains("id=\"block-codes\""));
+    done(&page("--plain --max-splats 500"));
+    assert!(bytes(&out).len() < whole.len());
+    let cases = [
+        ("--max-splats 0", 2, "--max-splats"),
+        ("--codes 33", 2, "--codes"),
+        ("--plain --weights seeded:0", 2, "--plain runs no network"),
+        ("--plain --precision bf16", 2, "--plain leaves out"),
+    ];
+    all_refused(cases, page);
+}

@@ -1,0 +1,194 @@
+//! `optimise` and `curate`: from pictures to a scene and what it is worth, and what captures may be like.
+
+use crate::support::*;
+use scenesplat::scene::formats::npy_writer::write_npy;
+use scenesplat::scene::picture::{Channels, Picture, RgbPicture, Samples};
+use scenesplat::scene::{Camera, open_cameras};
+use std::process::Output;
+
+/// Pictures and depths of a small room, by `render`, in the folder `shots`.
+struct Capture(Folder);
+
+impl Capture {
+    fn new() -> Self {
+        let this = Self(Folder::new());
+        this.0.room("room.ply", 3000, 3);
+        done(&this.run("render @room.ply --inside 8 --depth --size 64x48", "shots"));
+        this
+    }
+
+    /// Runs a command with results in the folder `out`; `@` stands for the folder.
+    fn run(&self, words: &str, out: &str) -> Output {
+        let at = self.0.at("");
+        line(&format!("{words} --out @{out}").replace("@", &at))
+    }
+
+    fn optimise(&self, more: &str, out: &str) -> Output {
+        let small = "--depth @shots/depth --initial 400 --cap 600 --test-every 4";
+        self.run(&format!("optimise {SHOTS} {small} {more}"), out)
+    }
+
+    fn json(&self, name: &str) -> serde_json::Value {
+        json(self.0.path(name))
+    }
+}
+
+const SHOTS: &str = "--cameras @shots/cameras.json --images @shots";
+
+#[test]
+fn pictures_become_a_scene() {
+    let capture = Capture::new();
+    let at = |name: &str| capture.0.path(name);
+    let cameras = open_cameras(&at("shots/cameras.json")).unwrap().cameras;
+    assert_eq!(cameras.len(), 8, "render writes the cameras of its pictures");
+    for camera in &cameras {
+        assert!(at(&format!("shots/{}.png", camera.name)).is_file(), "{}", camera.name);
+    }
+    done(&capture.optimise("--steps 40 --json @a.json", "made"));
+    let figures = capture.json("a.json");
+    assert_eq!(figures, capture.json("made/optimise.json"));
+    let number = |name: &str| figures[name].as_f64().unwrap();
+    assert!(number("test_psnr") > 10.0 && number("depth_l1") < 2.0, "{figures}");
+    assert!(number("steps") == 40.0 && number("seconds_per_step") > 0.0, "{figures}");
+    assert_eq!(figures["frames"], serde_json::json!({ "train": 6, "test": 2 }));
+    assert_eq!(number("gaussians") as usize, read(at("made/scene.ply")).len());
+    assert!(at("made/previews/step-000000040.png").is_file());
+    assert_eq!(std::fs::read_dir(at("made/test")).unwrap().count(), 2);
+    let lines = text(at("made/progress.jsonl"));
+    assert!(lines.lines().count() == 1 && lines.contains("\"step\":40"), "{lines}");
+
+    // The same bits for one thread, and when it was done in two parts.
+    let parts = "--steps 40 --checkpoint-every 13";
+    done(&capture.optimise(&format!("{parts} --threads 1"), "one"));
+    let same = || bytes(at("made/scene.ply")) == bytes(at("one/scene.ply"));
+    assert!(same(), "threads changed the result");
+    refused(&capture.optimise(parts, "one"), 2, &["--resume"]);
+    let said = told(&capture.optimise(&format!("{parts} --resume"), "one"));
+    has(&said, &["going on at step 39 of 40"]);
+    assert!(same(), "a resume changed the result");
+
+    // What it is worth.
+    let scene = "--depth @shots/depth --scene @made/scene.ply --antialiased --name room";
+    let said = printed(&capture.run(&format!("curate {SHOTS} {scene}"), "all/room"));
+    has(&said, &["reject", "LPIPS skipped: weights not found"]);
+    let quality = capture.json("all/room/scene_quality.json");
+    let reasons = quality["reasons"].as_array().unwrap();
+    let gates: Vec<&str> = reasons.iter().map(|r| r["gate"].as_str().unwrap()).collect();
+    assert!(gates.contains(&"frames") && gates.contains(&"gaussians"), "{gates:?}");
+    assert!(quality["psnr"].as_f64().unwrap() > 10.0 && quality["lpips"].is_null());
+    assert!(quality["floater_mass"].is_number() && quality["holes"].is_number());
+    done(&capture.run("curate --scenes @all", "table"));
+    has(&text(at("table/scenes.md")), &["| room | 8 |", "0 of 1"]);
+}
+
+/// Flags about a depth loss that is not there are refused; a preset without one says what depths are for.
+#[test]
+fn flags_of_the_depth_loss_have_an_effect_or_are_refused() {
+    let capture = Capture::new();
+    let run = |more: &str| {
+        let small = "--steps 2 --initial 100 --cap 100";
+        capture.run(&format!("optimise {SHOTS} {small} {more}"), "out")
+    };
+    let depth = "--depth @shots/depth --preset gsplat-mcmc";
+    let cases = [
+        ("--depth-scale 5000", 2, "--depth <DIR>"),
+        ("--depth-weight 0.5", 2, "--depth-weight has no effect without --depth"),
+        ("--depth-kind expected", 2, "--depth-kind has no effect without --depth"),
+        ("--depth-kind expected --preset gsplat-mcmc", 2, "without --depth"),
+        (&format!("{depth} --depth-kind expected"), 2, "without a depth loss: give --depth-weight"),
+    ];
+    all_refused(cases, run);
+    has(&told(&run(depth)), &["no depth loss: depths give"]);
+    let said = told(&run(&format!("{depth} --depth-kind expected --depth-weight 0.1")));
+    assert!(!said.contains("no depth loss"), "{said}");
+    assert_eq!(capture.json("out/optimise.json")["settings"]["depth"]["kind"], "expected");
+    done(&run("--depth-weight 0"));
+}
+
+/// Exposure is learned where the pictures show that it drifts, and what was decided is in the receipt.
+#[test]
+fn drifting_exposure_is_learned() {
+    let capture = Capture::new();
+    let shots = "render @room.ply --inside 16 --depth --size 64x48";
+    done(&capture.run(&format!("{shots} --effect light=5"), "drift"));
+    done(&capture.run(shots, "steady"));
+    let run = |shots: &str, more: &str| {
+        let words = format!("--cameras @{shots}/cameras.json --images @{shots}");
+        let small = "--initial 300 --cap 300 --steps 4 --test-every 5";
+        let depth = format!("--depth @{shots}/depth --receipt @receipt.json");
+        done(&capture.run(&format!("optimise {words} {small} {depth} {more}"), "out"));
+        let plan = capture.json("receipt.json")["effect_plan"]["sections"][0].clone();
+        assert_eq!(plan["name"], "optimisation", "{plan}");
+        let figures = capture.json("out/optimise.json");
+        let decision = plan["decisions"][0].clone();
+        assert_eq!(figures["settings"]["exposure"], decision["on"]);
+        assert_eq!(figures["test_psnr_corrected"].is_null(), decision["on"] == false, "{figures}");
+        decision
+    };
+    let drift = run("drift", "");
+    assert!(drift["effect"] == "light" && drift["on"] == true, "{drift}");
+    assert!(drift["measure"].as_f64().unwrap() > 1.0, "{drift}");
+    let steady = run("steady", "");
+    assert!(steady["on"] == false && steady["measure"].as_f64().unwrap() < 0.75, "{steady}");
+    assert_eq!(run("steady", "--exposure")["on"], true);
+    assert_eq!(run("drift", "--exposure off")["on"], false);
+}
+
+/// Cameras side by side that look along +z, and their grey pictures with a white square.
+fn shots(folder: &Folder, name: &str, count: u32, step: f64, grow: [u32; 2], color: u8) -> String {
+    let shot = |i: u32| {
+        let [width, height] = [40 + grow[0] * i, 30 + grow[1] * i];
+        let picture = RgbPicture::from_fn(width, height, |x, y| {
+            let is_square = x > width / 4 && x < width / 2 && y > height / 4;
+            [if is_square { color } else { color / 2 }; 3]
+        });
+        folder.write(&format!("{name}{i}.png"), picture.encode_png().unwrap());
+        camera(&format!("{name}{i}"), [width, height], [step * f64::from(i), 0.0, 0.0])
+    };
+    let cameras: Vec<Camera> = (0..count).map(shot).collect();
+    folder.cameras(&format!("{name}.json"), &cameras)
+}
+
+/// What captures may be like: each ends well, or with a message that says what to do.
+#[test]
+fn hostile_captures() {
+    let folder = Folder::new();
+    let at = folder.at("");
+    let optimise = |list: &str, more: &str| {
+        let words = "--initial 200 --cap 300 --steps 12";
+        run!("optimise --cameras {list} --images {at} {words} --out {at}out {more}")
+    };
+    for (list, said) in [
+        (shots(&folder, "one", 1, 0.0, [0, 0], 200), "there is one frame"),
+        (shots(&folder, "same", 4, 0.0, [0, 0], 200), "at one place"),
+        (shots(&folder, "black", 4, 0.1, [0, 0], 0), "are black"),
+        (shots(&folder, "sizes", 4, 0.1, [8, 1], 200), ""),
+    ] {
+        has(&told(&optimise(&list, "")), &[said]);
+        std::fs::remove_file(folder.path("out/scene.ply")).unwrap();
+    }
+    // Depth that holds nothing: NaN, 0, ∞; and points behind all cameras.
+    let list = shots(&folder, "d", 3, 0.1, [0, 0], 200);
+    let values: Vec<f32> = (0..1200).map(|i| [f32::NAN, 0.0, f32::INFINITY][i % 3]).collect();
+    std::fs::create_dir(folder.path("nan")).unwrap();
+    for i in 0..3 {
+        write_npy(&folder.path(&format!("nan/d{i}.npy")), &[30, 40], &values).unwrap();
+    }
+    let behind = balls((0..50).map(|i| [i as f32 * 0.1, 0.0, -5.0]).collect(), 0.05, 1.0);
+    folder.scene("behind.ply", &behind);
+    let nan = format!("--depth {at}nan");
+    done(&optimise(&list, &nan));
+    done(&optimise(&list, &format!("--points {at}behind.ply")));
+    // Refusals name the file and say what to do.
+    let colors = bytes(folder.path("d1.png"));
+    let depth = Picture::new(40, 30, Channels::Gray, Samples::Sixteen(vec![900; 1200])).unwrap();
+    folder.write("d1.png", depth.encode_png().unwrap());
+    refused(&optimise(&list, ""), 1, &["d1.png", "--images"]);
+    folder.write("d1.png", colors);
+    write_npy(&folder.path("nan/d0.npy"), &[40, 30], &values).unwrap();
+    refused(&optimise(&list, &nan), 1, &["d0.npy", "size"]);
+    for i in 0..3 {
+        std::fs::remove_file(folder.path(&format!("d{i}.png"))).unwrap();
+    }
+    refused(&optimise(&list, ""), 1, &["no picture of any"]);
+}

@@ -1,0 +1,84 @@
+//! `scenesplat probe` on what self-supervised training leaves behind.
+
+use crate::support::*;
+use serde_json::Value;
+
+fn files(folder: &str) -> Vec<(String, Vec<u8>)> {
+    let paths = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let mut all: Vec<_> = paths.map(|path| (path.display().to_string(), bytes(&path))).collect();
+    all.sort();
+    all
+}
+
+#[test]
+fn probes_leave_the_network_as_it_is_and_stand_beside_two_others() {
+    let (folder, model) = (Folder::new(), student().at("student/model"));
+    let before = files(&model);
+    let report = |more: &str| -> Value {
+        let file = folder.at("probe.json");
+        done(&run!("probe {model} synthetic:4:7 --steps 40 --quiet --json {file} {more}"));
+        json(file)
+    };
+    let linear = report("--kind linear");
+    assert_eq!(linear["train_scenes"].as_array().unwrap().len(), 3);
+    assert_eq!(linear["test_scenes"].as_array().unwrap().len(), 1);
+    for rows in ["backbone", "random", "raw_inputs"] {
+        let miou = linear[rows]["miou"].as_f64().unwrap();
+        assert!((0.0..=1.0).contains(&miou), "{rows}: {miou}");
+        assert!(linear[rows]["objects"]["test_objects"].as_u64().unwrap() > 0, "{rows}");
+    }
+    // All scales side by side, and color, opacity, quat, scale with the height.
+    assert_eq!(linear["backbone"]["width"], 24);
+    assert_eq!(linear["raw_inputs"]["width"], 12);
+    assert_ne!(linear["backbone"]["miou"], linear["random"]["miou"]);
+    let again = report("--kind linear --threads 1");
+    assert_eq!(linear["backbone"]["class_iou"], again["backbone"]["class_iou"]);
+    let mlp = report("--kind mlp3 --labels 20 --no-objects");
+    assert_eq!(mlp["learned_rows"], 60);
+    assert!(mlp["backbone"]["objects"].is_null());
+    let decoder = report("--kind decoder --labels 10%");
+    assert!(decoder["backbone"]["miou"].as_f64().unwrap() > 0.0);
+    assert_eq!(files(&model), before, "the model is what it was, bit for bit");
+}
+
+#[test]
+fn models_of_self_supervised_training_are_models_like_others() {
+    let (folder, student) = (Folder::new(), student().at("student/model"));
+    let network = masked_network().to_string();
+    let experiment = self_supervised(&network, "export = \"teacher\"", TERMS);
+    let teacher = train(&folder, "teacher", &experiment);
+    // The same run, the other network of it.
+    assert_ne!(files(&student)[1].1, files(&teacher)[1].1);
+    let room = folder.room("room.ply", 900, 3);
+    for (model, out) in [(&student, "a"), (&teacher, "b")] {
+        done(&run!("features {room} --weights {model} --out {} --quiet", folder.at(out)));
+    }
+    // As the first values of a segmentation.
+    let fine = format!(
+        "task = \"semantic_segmentation\"\ninit_from = '{student}'\n[model]\n{network}num_classes = 41\n\
+         [[train]]\nsource = {{ type = \"synthetic\", count = 2, seed = 1, room = {{ num_gaussians = 500 }} }}\n\
+         transforms = \"validation\"\n[loader]\nworkers = 0\nmix_probability = 0.0\n\
+         [[losses]]\ntype = \"cross_entropy\"\n[optimizer]\ngroups = []\n[trainer]\nidle = [\"mask_token\"]\n"
+    );
+    let fine = folder.write("fine.toml", fine);
+    let said = printed(&run!("train {fine} --out {}", folder.at("fine")));
+    has(&said, &["entries matched", "seg_head"]);
+}
+
+#[test]
+fn what_cannot_be_probed_is_said() {
+    let model = student().at("student/model");
+    for (words, part) in [
+        (format!("{model} synthetic:1:1"), "two or more"),
+        (format!("{model} synthetic:x"), "synthetic:COUNT:SEED"),
+        (format!("{model} synthetic:3:1 --test 3"), "fewer than"),
+        (format!("{model} synthetic:3:1 --labels some"), "10%"),
+        (format!("{model} synthetic:3:1 --labels 0%"), "labels"),
+        ("nowhere synthetic:3:1".to_owned(), "nowhere"),
+        (format!("{model} synthetic:2:1 synthetic:2:1"), "twice"),
+    ] {
+        let output = run!("probe {words} --quiet");
+        assert!(!output.status.success(), "{words}");
+        has(&stderr(&output), &[part]);
+    }
+}

@@ -1,0 +1,152 @@
+//! `scenesplat train`, and the network inside the program.
+
+use crate::support::*;
+use scenesplat_test_support::Network;
+use serde_json::Value;
+
+#[test]
+fn a_run_leaves_what_it_promises_and_its_weights_work() {
+    let folder = Folder::new();
+    let config = folder.write("experiment.toml", small_segmentation());
+    let out = folder.at("run");
+    // Progress is of the library, and not of the command.
+    has(&told(&process(&["train", &config, "--out", &out])), &["step 8/8"]);
+    for name in ["config.toml", "run.json", "curves.png", "curves.html", "model/config.json"] {
+        assert!(folder.path("run").join(name).is_file(), "{name}");
+    }
+    let log = text(folder.path("run/metrics.jsonl"));
+    let count = |name: &str| log.lines().filter(|l| l.contains(name)).count();
+    assert_eq!((count("train/lovasz_softmax"), count("unseen/mIoU")), (8, 2));
+    // A run is not overwritten by another one, neither is a resumed one another one.
+    let again = |more: &str| run!("train {config} --out {out} --quiet {more}");
+    refused(&again(""), 1, &["--resume"]);
+    done(&again("--resume"));
+    has(&stderr(&again("--resume --seed 5")), &["seed was 0 and is 5"]);
+    let (names, labels) = (folder.names(), folder.at("labels"));
+    let words = format!("--weights {out}/model --text-names {names} --out {labels}");
+    done(&run!("evaluate synthetic:1:3 {words}"));
+}
+
+/// A tiny student of the network inside the program.
+fn distillation() -> String {
+    let network = Network { grid_size: 0.2, head: "projection = 96", ..Network::default() };
+    format!(
+        r#"
+task = "distillation"
+[teacher]
+type = "network"
+weights = "embedded"
+cache = {{ folder = "rows" }}
+[model]
+{network}
+[text]
+type = "vocabulary"
+dim = 96
+[[train]]
+source = {{ type = "synthetic", count = 4, seed = 1, room = {{ num_gaussians = 1500 }} }}
+transforms = "language_pretraining"
+[loader]
+mix_probability = 0.5
+[[losses]]
+type = "cosine"
+[[losses]]
+type = "l2"
+weight = 0.5
+[optimizer]
+lr = 0.01
+groups = []
+[trainer]
+epochs = 6
+log_every = 1
+[[evaluate]]
+name = "unseen"
+source = {{ type = "synthetic", count = 1, seed = 9, room = {{ num_gaussians = 1500 }} }}
+"#
+    )
+}
+
+#[test]
+fn a_student_learns_from_a_teacher() {
+    let folder = Folder::new();
+    let config = folder.write("student.toml", distillation());
+    for (out, threads) in [("one", 1), ("two", 2)] {
+        let out = folder.at(out);
+        done(&run!("train {config} --out {out} --threads {threads} --quiet"));
+    }
+    let weights = |out: &str| bytes(folder.path(out).join("model/model.safetensors"));
+    assert!(weights("one") == weights("two"), "other bits with other threads");
+    let log = text(folder.path("one/metrics.jsonl"));
+    let log: Vec<Value> = log.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let values = |name: &str| -> Vec<f64> {
+        let of = log.iter().filter(|m| m["name"] == name);
+        of.map(|m| m["value"].as_f64().unwrap()).collect()
+    };
+    let losses = values("train/cosine");
+    assert_eq!(losses.len(), 12);
+    assert!(losses[11] < 0.9 * losses[0], "{losses:?}");
+    let (agreement, teacher) = (values("unseen/agreement/cosine"), values("unseen/teacher/allAcc"));
+    assert!(agreement[5] > agreement[0], "{agreement:?}");
+    // The same teacher on the same room, epoch after epoch; it knows rooms, though few Gaussians are far
+    // from what it was trained on: five times better than one of 41 classes by chance.
+    let is_good = |v: &f64| *v == teacher[0] && *v > 5.0 / 41.0;
+    assert!(teacher.len() == 6 && teacher.iter().all(is_good), "{teacher:?}");
+    assert_eq!(values("unseen/oracle/f-mIoU").len(), 6);
+    // Its rows of the room were computed once and read ever after.
+    let [first, second] = ["one", "two"].map(|out| json(folder.path(out).join("run.json")));
+    assert_eq!(first["teacher"]["cache"]["kept"], 1, "{first}");
+    assert_eq!(first["teacher"]["cache"]["read"], 5);
+    assert_eq!(second["teacher"]["cache"]["read"], 6);
+    has(first["teacher"]["content"].as_str().unwrap(), &["sha256"]);
+    // A student is a network like any other.
+    let (model, out) = (folder.at("one/model"), folder.at("labels"));
+    done(&run!("evaluate synthetic:1:3 --weights {model} --text vocabulary --out {out}"));
+}
+
+#[test]
+fn wrong_experiments_are_said() {
+    let folder = Folder::new();
+    let (config, out) = (folder.at("experiment.toml"), folder.at("run"));
+    for (from, to, said) in [
+        ("epochs = 2", "epoch = 2", "epoch"),
+        ("\"lovasz_softmax\"", "\"lovas\"", "lovas"),
+        ("num_classes = 41\n", "", "num_classes"),
+        ("grid_size = 0.15", "in_channels = 14", "in_channels is 14"),
+        ("\"semantic_segmentation\"\nrepeat", "\"fancy\"\nrepeat", "fancy"),
+    ] {
+        assert!(small_segmentation().contains(from));
+        folder.write("experiment.toml", small_segmentation().replace(from, to));
+        refused(&run!("train {config} --out {out}"), 1, &[said]);
+    }
+    assert!(!folder.path("run/checkpoints").exists());
+    folder.write("experiment.toml", small_segmentation());
+    has(&printed(&run!("train {config} --out {out} --check")), &["lovasz_softmax"]);
+}
+
+#[test]
+fn the_network_inside_the_program_answers_without_any_file() {
+    let folder = Folder::new();
+    let demo = folder.at("demo");
+    has(&printed(&run!("demo --out {demo} --quiet")), &["f-mIoU"]);
+    for name in ["room.ply", "segmented.ply", "labels.npy", "preview.png", "truth.png"] {
+        assert!(folder.path("demo").join(name).is_file(), "{name}");
+    }
+    let query = |text: &str| run!("query {demo}/room.ply {text} --out {}", folder.at("query"));
+    done(&query("furniture"));
+    refused(&query("spaceship"), 2, &["spaceship"]);
+
+    let evaluate = |more: &str| {
+        let (file, out) = (folder.at("figures.json"), folder.at("evaluation"));
+        done(&run!("evaluate synthetic:2:7 --json {file} --out {out} {more}"));
+        json(file)
+    };
+    let figures = evaluate("");
+    for key in ["f_miou", "f_macc", "miou", "macc", "seconds"] {
+        assert!(figures[key].as_f64().is_some_and(f64::is_finite), "{key}");
+    }
+    assert!(figures["oracle"]["miou"].as_f64() > figures["miou"].as_f64());
+    assert!(figures["per_class"].as_array().is_some_and(|c| c.len() > 10));
+    // A network trained with the same words is named by `--text vocabulary`.
+    let model = concat!(env!("CARGO_MANIFEST_DIR"), "/../assets/embedded");
+    let same = evaluate(&format!("--weights {model} --text vocabulary"));
+    assert_eq!(same["per_class"], figures["per_class"]);
+}

@@ -1,0 +1,24 @@
+//! Scenes and cameras in every format: read, written, edited, and refused.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+
+#[path = "../common/mod.rs"]
+mod common;
+
+mod cameras;
+mod compressed_ply;
+mod editing;
+mod gltf;
+mod hostile;
+mod inria_ply;
+mod ksplat;
+mod labelled_ply;
+mod npy;
+mod pictures;
+mod ply_container;
+mod real_files;
+mod round_trip;
+mod sog;
+mod sog_streamed;
+mod splat;
+mod spz;
+mod writing;
