@@ -59,7 +59,7 @@ pub const ATTACKS: &[Attack] = &[
         attempt: "a PNG of 470 kB with 22,000 × 22,000 pixels",
         harm: "took 1.5 GB",
         cases: &["png-bomb", "png-of-4-billion-pixels"],
-        tests: &["crates/scene/tests/formats/pictures.rs::sizes_are_not_believed"],
+        tests: &["crates/scene/tests/suite/pictures.rs::sizes_are_not_believed"],
     },
     Attack {
         attempt: "a feature table of 128 bytes that claims 2²⁴ values a row",

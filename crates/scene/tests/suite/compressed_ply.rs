@@ -130,7 +130,8 @@ fn other_encodings_hold_the_same_scene() {
 
 /// The values of both scenes are equal within the steps.
 pub fn check_close(scene: &GaussianScene, back: &GaussianScene, what: &str) {
-    let color = |dc: &[f32; 3], i: usize| f64::from(dc[i]) * 0.282_094_8 + 0.5;
+    // Beyond these bounds of sizes and colors the writer cuts, and says so.
+    let color = |dc: &[f32; 3], i: usize| f64::from(dc[i].clamp(-1e30, 1e30)) * 0.282_094_8 + 0.5;
     for first in (0..scene.len()).step_by(256) {
         let rows = first..(first + 256).min(scene.len());
         for axis in 0..3 {

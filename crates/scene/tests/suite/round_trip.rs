@@ -166,6 +166,13 @@ fn hard_scenes() -> Vec<(String, GaussianScene)> {
 /// Writes, reads and writes again.
 fn check_fixed_point(case: Case, scene: &GaussianScene, what: &str) {
     let what = &format!("{case:?}, {what}");
+    let mut scene = scene.clone();
+    if case.format == SceneFormat::Glb {
+        // Zeros lose their sign where the frame is turned.
+        let values = scene.coord.iter_mut().flatten().chain(&mut scene.sh_rest);
+        values.for_each(|value| *value += 0.0);
+    }
+    let scene = &scene;
     let folder = tempfile::tempdir().unwrap();
     let [a, b] = ["1", "2"].map(|name| folder.path().join(name));
     let [first, second] = [&a, &b].map(|folder| folder.join(case.name));
@@ -240,8 +247,11 @@ fn real_files_are_written_again_as_they_are() {
             flat(&scene.coord),
             if case.name == "a.splat" { 0.0 } else { 1e-3 },
         );
-        assert_eq!((&back.sh_dc, &back.sh_rest), (&scene.sh_dc, &scene.sh_rest), "{name}");
-        assert_eq!(back.opacity_logit, scene.opacity_logit, "{name}");
+        // Each chunk of a compressed PLY gets new bounds; how near it comes is checked below.
+        if case.format != SceneFormat::CompressedPly {
+            assert!(back.sh_dc == scene.sh_dc && back.sh_rest == scene.sh_rest, "{name}");
+            assert!(back.opacity_logit == scene.opacity_logit, "{name}");
+        }
         check_fixed_point(case, &scene, name);
     }
 }
@@ -279,10 +289,15 @@ fn the_number_of_threads_changes_nothing() {
                 let report = write_as(&scene, &path, case.format, &case.options()).unwrap();
                 let bytes: Vec<_> =
                     contents(folder.path()).into_iter().map(|file| file.1).collect();
-                (report.order, report.limits, bytes, case.read(&path))
+                // As text: where a field has no place, its largest change is NaN.
+                (report.order, format!("{:?}", report.limits), bytes, case.read(&path))
             })
         };
-        assert!(run(1) == run(3), "{case:?}");
+        let (one, three) = (run(1), run(3));
+        assert!(one.0 == three.0, "{case:?}: order");
+        assert_eq!(one.1, three.1, "{case:?}");
+        assert!(one.2 == three.2, "{case:?}: bytes");
+        assert!(one.3 == three.3, "{case:?}: values");
     }
 }
 

@@ -36,7 +36,13 @@ fn open(path: &Path) -> GaussianScene {
 }
 
 fn without_labels(scene: &GaussianScene) -> GaussianScene {
-    GaussianScene { segment: None, lang_code: None, ..scene.clone() }
+    GaussianScene {
+        segment: None,
+        segment_score: None,
+        instance: None,
+        lang_code: None,
+        ..scene.clone()
+    }
 }
 
 fn beside(path: &Path) -> PathBuf {
@@ -296,7 +302,8 @@ fn damaged_labels_do_not_hide_the_scene() {
         std::fs::rename(other, &path).unwrap();
         let loaded = open_scene(&path, &strict()).unwrap();
         assert_eq!(loaded.scene.segment, None);
-        assert!(loaded.report.notes[0].contains("another version"), "{}", loaded.report);
+        let notes = &loaded.report.notes;
+        assert!(notes.iter().any(|note| note.contains("another version")), "{}", loaded.report);
     }
 }
 
