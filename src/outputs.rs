@@ -13,7 +13,7 @@ use scenesplat_scene::formats::ply::{
 };
 use scenesplat_scene::gaussian_scene::u8_to_dc;
 use scenesplat_scene::{
-    AtomicFile, GaussianScene, LoadedScene, SceneError, SceneFormat, UpAxis, WriteError,
+    AtomicFile, GaussianScene, LoadedScene, SceneError, SceneFormat, WriteError,
 };
 use std::path::{Path, PathBuf};
 
@@ -355,11 +355,9 @@ pub fn write_scene_preview(
     scene: &GaussianScene,
     colors: &[[u8; 3]],
     legend: &[LegendEntry],
-    title: &str,
-    up: UpAxis,
+    settings: &PreviewSettings,
     path: &Path,
 ) -> Result<u64> {
-    let settings = PreviewSettings { title: title.to_owned(), up, ..PreviewSettings::default() };
     let rows = SceneRows::of(scene);
-    Ok(write_preview(path, &rows.rows(scene, colors), legend, &settings)?)
+    Ok(write_preview(path, &rows.rows(scene, colors), legend, settings)?)
 }

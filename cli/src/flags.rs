@@ -9,6 +9,7 @@ use scenesplat::memory::Bytes;
 use scenesplat::models::DeviceChoice;
 use scenesplat::models::convert::{Branch, ConvLayout};
 use scenesplat::network::{NetworkChoice, Weights};
+use scenesplat::preview::PreviewSettings;
 use scenesplat::scene::{Policy, ReadOptions, SpzFrame, UpAxis};
 use scenesplat::{AlignmentSettings, Setting};
 use std::path::PathBuf;
@@ -36,6 +37,21 @@ pub struct Shared {
     /// Also writes what was done and what it cost as JSON here.
     #[arg(long, value_name = "FILE.json")]
     pub receipt: Option<PathBuf>,
+}
+
+/// How preview.png is drawn.
+#[derive(Debug, Clone, Copy, clap::Args)]
+pub struct PreviewArgs {
+    /// Width and height of each view of preview.png, pixels, 64 to 4096.
+    #[arg(long, value_name = "PIXELS", default_value_t = 720, value_parser = clap::value_parser!(u32).range(64..=4096))]
+    pub preview_size: u32,
+}
+
+impl PreviewArgs {
+    /// A picture with that first line, that way up.
+    pub fn settings(self, title: String, up: UpAxis) -> PreviewSettings {
+        PreviewSettings { title, up, view_size: self.preview_size, ..PreviewSettings::default() }
+    }
 }
 
 /// Which network.

@@ -9,6 +9,7 @@ use clap::Parser;
 use scenesplat::evaluation::background;
 use scenesplat::metrics::{SceneTruth, Scores, VoteRule};
 use scenesplat::outputs::{label_colors, legend, write_scene_preview};
+use scenesplat::preview::PreviewSettings;
 use scenesplat::rooms::{CLASSES, SyntheticRoomSettings, generate};
 use scenesplat::scene::atomic_file::check_replaceable;
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
@@ -83,8 +84,9 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     };
     let picture = args.out.join("truth.png");
     let entries = legend(truth, &names);
-    let (colors, up) = (label_colors(truth), UpAxis::PlusZ);
-    write_scene_preview(&room.scene, &colors, &entries, "room.ply: truth", up, &picture)?;
+    let title = "room.ply: truth".to_owned();
+    let settings = PreviewSettings { title, up: UpAxis::PlusZ, ..PreviewSettings::default() };
+    write_scene_preview(&room.scene, &label_colors(truth), &entries, &settings, &picture)?;
     print(&format!(
         "{:?} with {} objects: {} of the labelled Gaussians right, f-mIoU {} on this room",
         room.kind,

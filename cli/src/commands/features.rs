@@ -4,7 +4,7 @@ use super::many::OneOrMany;
 use crate::budget::{BudgetArgs, Job, within_budget};
 use crate::effects::EffectArgs;
 use crate::error::refuse;
-use crate::flags::{Inference, Shared};
+use crate::flags::{Inference, PreviewArgs, Shared};
 use crate::session::Session;
 use anyhow::Result;
 use scenesplat::outputs::{
@@ -28,6 +28,9 @@ pub struct Args {
     /// File format of the features.
     #[arg(long, value_enum, default_value_t = Format::Npy)]
     pub format: Format,
+    /// The picture.
+    #[command(flatten)]
+    pub preview: PreviewArgs,
     /// What the setting is chosen by.
     #[command(flatten)]
     pub budget: BudgetArgs,
@@ -122,8 +125,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         write_colored_ply(&opened, &colors, &ResultColumns::default(), path)
     })?;
     let name = args.input.name();
-    let title = format!("{name}: features (principal components as colours)");
-    session.write_preview(scene, &colors, &[], &title, inference.up)?;
+    let title = format!("{name}: features (principal components as colors)");
+    session.write_preview(scene, &colors, &[], title, inference.up, args.preview)?;
     drop(stage);
     session.finish()
 }

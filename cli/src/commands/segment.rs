@@ -4,7 +4,7 @@ use super::labelled::{Labelled, Labelling};
 use super::many::OneOrMany;
 use super::objects::{OBJECT_FILES, summary, write_objects};
 use crate::budget::{BudgetArgs, Job, within_budget};
-use crate::flags::Shared;
+use crate::flags::{PreviewArgs, Shared};
 use crate::frame::frame;
 use crate::session::Session;
 use crate::terminal::print;
@@ -25,6 +25,9 @@ pub struct Args {
     /// Also writes instances.npy, objects.json and objects.csv: the objects that the labels make, with boxes.
     #[arg(long)]
     pub instances: bool,
+    /// The picture.
+    #[command(flatten)]
+    pub preview: PreviewArgs,
     /// What the setting is chosen by.
     #[command(flatten)]
     pub budget: BudgetArgs,
@@ -73,7 +76,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         let name = args.input.name();
         let title = format!("{name}: labels{remark}");
         let up = labelling.inference.up;
-        session.write_preview(scene, &colors, &legend(labels, names), &title, up)?;
+        session.write_preview(scene, &colors, &legend(labels, names), title, up, args.preview)?;
     }
     if args.instances {
         let frame = frame(opened, &labelling.inference);

@@ -1,6 +1,6 @@
 //! `scenesplat simulate`
 
-use crate::flags::{Shared, SourceArgs, parse_up};
+use crate::flags::{PreviewArgs, Shared, SourceArgs, parse_up};
 use crate::session::Session;
 use crate::terminal::print;
 use anyhow::{Result, bail};
@@ -28,6 +28,9 @@ pub struct Args {
     /// Which way is up: for glass, and in the picture. [default: what inspect finds]
     #[arg(long, value_name = "AXIS", value_parser = parse_up, allow_hyphen_values = true)]
     pub up: Option<UpAxis>,
+    /// The picture.
+    #[command(flatten)]
+    pub preview: PreviewArgs,
     /// How to read the scene.
     #[command(flatten)]
     pub source: SourceArgs,
@@ -82,7 +85,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
             (0..found.scene.len()).map(|row| found.scene.color_u8(row)).collect();
         let up = args.up.unwrap_or_else(|| guess_up(scene).axis);
         let title = format!("{name}: {}", args.effect);
-        session.write_preview(&found.scene, &colors, &[], &title, Some(up))?;
+        session.write_preview(&found.scene, &colors, &[], title, Some(up), args.preview)?;
     }
     session.finish()
 }

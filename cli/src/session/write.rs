@@ -1,6 +1,7 @@
 //! Writes the results of a command.
 
 use super::Session;
+use crate::flags::PreviewArgs;
 use crate::receipt::WrittenFile;
 use crate::terminal::print;
 use anyhow::{Context, Result};
@@ -46,12 +47,13 @@ impl Session<'_> {
         scene: &GaussianScene,
         colors: &[[u8; 3]],
         legend: &[LegendEntry],
-        title: &str,
+        title: String,
         up: Option<UpAxis>,
+        preview: PreviewArgs,
     ) -> Result<()> {
-        let up = up.unwrap_or_else(|| guess_up(scene).axis);
+        let settings = preview.settings(title, up.unwrap_or_else(|| guess_up(scene).axis));
         self.write("preview.png", |path| {
-            write_scene_preview(scene, colors, legend, title, up, path)
+            write_scene_preview(scene, colors, legend, &settings, path)
         })
     }
 

@@ -40,7 +40,8 @@ fn a_calibrated_machine_keeps_budgets() {
     let command = |name: &str, more: &str| {
         let chair = if name == "query" { "chair" } else { "" };
         let out = folder.at("out");
-        run(&format!("{name} {scene} {chair} --out {out} --receipt {receipt} --threads 2 {more}"))
+        let words = format!("{name} {scene} {chair} {SMALL_PICTURE} --out {out}");
+        run(&format!("{words} --receipt {receipt} --threads 2 {more}"))
     };
     for (name, more, setting, expected) in [
         ("segment", "--budget 30s", FINE, 20.0),

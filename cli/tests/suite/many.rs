@@ -30,7 +30,8 @@ impl World {
     /// The command over the scenes, with results in the folder `out`.
     fn run(&self, command: &str, out: &str, more: &str) -> Output {
         let (list, out) = (self.0.at("scenes"), self.0.at(out));
-        many(&format!("{command} --manifest {list} {TINY} --out {out} {more}"))
+        let words = format!("{command} --manifest {list} {TINY} {SMALL_PICTURE} --out {out}");
+        many(&format!("{words} {more}"))
     }
 
     /// Asserts that `features` succeeds, and parts of what it prints.
@@ -170,7 +171,8 @@ fn what_is_done_is_known_by_content_and_settings() {
 /// Runs a part and ends it without warning when a scene is done; gives whether it was still running.
 fn killed(world: &World, out: &str, part: &str) -> bool {
     let (list, folder) = (world.0.at("scenes"), world.0.at(out));
-    let line = format!("features --manifest {list} --shard {part} {TINY} --out {folder}");
+    let line =
+        format!("features --manifest {list} --shard {part} {TINY} {SMALL_PICTURE} --out {folder}");
     let mut child = program();
     let child = child.args(words(&line)).args(["--threads", "1"]);
     let mut child = child.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();

@@ -1,7 +1,9 @@
 //! `scenesplat probe` on what self-supervised training leaves behind.
 
 use crate::support::*;
+use scenesplat::scene::formats::npy_folder::write_npy_folder;
 use serde_json::Value;
+use std::path::Path;
 
 fn files(folder: &str) -> Vec<(String, Vec<u8>)> {
     let paths = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
@@ -14,9 +16,18 @@ fn files(folder: &str) -> Vec<(String, Vec<u8>)> {
 fn probes_leave_the_network_as_it_is_and_stand_beside_two_others() {
     let (folder, model) = (Folder::new(), student().at("student/model"));
     let before = files(&model);
+    // Folders of arrays have instances, too.
+    let scenes: Vec<String> = (0..4)
+        .map(|seed| {
+            let scene = folder.at(&format!("room{seed}"));
+            write_npy_folder(&room(9000, seed), Path::new(&scene), false).unwrap();
+            scene
+        })
+        .collect();
+    let scenes = scenes.join(" ");
     let report = |more: &str| -> Value {
         let file = folder.at("probe.json");
-        done(&run!("probe {model} synthetic:4:7 --steps 40 --quiet --json {file} {more}"));
+        done(&run!("probe {model} {scenes} --steps 40 --quiet --json {file} {more}"));
         json(file)
     };
     let linear = report("--kind linear");

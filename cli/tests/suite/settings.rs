@@ -26,9 +26,10 @@ impl Case {
         done(&run!("{command} {} {chair} --out {} {more}", self.scene, self.out("")));
         bytes(self.out(file))
     }
-    /// What an evaluation of a made room writes.
+    /// What an evaluation of its room writes.
     fn evaluated(&self, more: &str) -> serde_json::Value {
-        done(&run!("evaluate synthetic:1:3 --out {} {more}", self.out("")));
+        let words = format!("evaluate {} --label-names {}", self.scene, self.folder.names());
+        done(&run!("{words} --out {} {more}", self.out("")));
         json(self.out("evaluation.json"))
     }
     fn receipt(&self, name: &str) -> Option<String> {

@@ -244,6 +244,7 @@ fn typing_errors_are_understood() {
     let (reader, words) = (PhraseReader::new(None).unwrap(), embedded::vocabulary().unwrap());
     let (mut right, mut all, mut wrong) = (0, 0, Vec::new());
     for (name, class) in Vocabulary::class_phrases().filter(|(name, _)| name.len() >= 6) {
+        let meant = Query::of_vocabulary(&words, class.about().name).unwrap().meant.values;
         for at in 1..name.len() - 2 {
             let mut letters: Vec<char> = name.chars().collect();
             letters.swap(at, at + 1);
@@ -252,9 +253,7 @@ fn typing_errors_are_understood() {
                 continue;
             }
             all += 1;
-            let asked = reader.ask(&words, &typed);
-            let meant = Query::of_vocabulary(&words, class.about().name).unwrap().meant.values;
-            match asked {
+            match reader.ask(&words, &typed) {
                 Ok(asked) if asked.query.meant.values == meant => right += 1,
                 Ok(asked) => wrong.push(format!("{typed}: {:?}", asked.taken_for)),
                 Err(error) => wrong.push(format!("{typed}: {error}")),

@@ -183,7 +183,12 @@ fn lifted_labels_are_drawn_upright() {
         let cameras = world.0.cameras("cameras.json", &cameras);
         let words = format!("--cameras {cameras} --segments {}", world.0.at("segments"));
         let out = format!("{scene}{}", more.len());
-        world.run("lift-labels", scene, &out, &format!("{words} --depth off {more}"));
+        world.run(
+            "lift-labels",
+            scene,
+            &out,
+            &format!("{words} --depth off --preview-size=360 {more}"),
+        );
         world.0.path(&out).join("preview.png")
     };
     world.lying("lying", UpAxis::MinusY, 1.0);

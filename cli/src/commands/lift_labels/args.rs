@@ -1,7 +1,7 @@
 //! The flags of `lift-labels`.
 
 use crate::commands::many::OneOrMany;
-use crate::flags::{Shared, SourceArgs, parse_level, parse_up};
+use crate::flags::{PreviewArgs, Shared, SourceArgs, parse_level, parse_up};
 use clap::ValueEnum;
 use clap::builder::TypedValueParser;
 use scenesplat::datasets::effects::plan::EffectChoices;
@@ -99,6 +99,9 @@ pub struct LiftArgs {
     /// Which way is up; judged by the scene if not given.
     #[arg(long, value_name = "AXIS", value_parser = parse_up, allow_hyphen_values = true)]
     pub up: Option<UpAxis>,
+    /// The picture.
+    #[command(flatten)]
+    pub preview: PreviewArgs,
     /// How to read the scene.
     #[command(flatten)]
     pub source: SourceArgs,

@@ -57,11 +57,12 @@ impl Args {
         session.check_stop()?;
         let _stage = session.receipt.stage("picture");
         let name = self.input.name();
-        let title = format!("{name}: lifted labels (principal components as colours)");
+        let title = format!("{name}: lifted labels (principal components as colors)");
         let scene = &opened.loaded.scene;
         let up = self.lifting.up.unwrap_or_else(|| guess_up(scene).axis);
         let path = folder.join("preview.png");
-        let bytes = write_scene_preview(scene, &written.colors, &[], &title, up, &path)?;
+        let settings = self.lifting.preview.settings(title, up);
+        let bytes = write_scene_preview(scene, &written.colors, &[], &settings, &path)?;
         session.wrote(&path, bytes);
         Ok(())
     }

@@ -3,7 +3,7 @@
 use crate::budget::BudgetArgs;
 use crate::commands::classes::Classes;
 use crate::effects::EffectArgs;
-use crate::flags::{Inference, Shared};
+use crate::flags::{Inference, PreviewArgs, Shared};
 use std::path::PathBuf;
 
 /// Writes scores.npy (cosine with the query), selection.npy (0 or 1), query.ply (a heat map with
@@ -37,6 +37,9 @@ pub struct Args {
     /// lang_feat.npy of lift-labels or features.npy.
     #[arg(long, value_name = "FILE.npy")]
     pub features: Option<PathBuf>,
+    /// The picture.
+    #[command(flatten)]
+    pub preview: PreviewArgs,
     /// What the setting is chosen by.
     #[command(flatten)]
     pub budget: BudgetArgs,

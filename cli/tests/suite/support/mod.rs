@@ -19,12 +19,16 @@ use std::os::windows::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitStatus, Output};
 
-/// Runs the program in this process, on as many threads as it is told to take.
+/// Runs the program in this process, on as many threads as it is told to take. Pictures are small unless it says a
+/// size.
 pub fn scenesplat(args: &[&str]) -> Output {
     let given = args.iter().position(|arg| *arg == "--threads").and_then(|at| args.get(at + 1));
     let threads = given.and_then(|n| n.parse().ok()).filter(|n| (1..=8).contains(n)).unwrap_or(0);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).stack_size(8 << 20);
-    let words = ["scenesplat"].iter().chain(args).map(OsString::from);
+    let draws = args.first().is_some_and(|command| WITH_PICTURE.contains(command));
+    let small = draws && !args.iter().any(|arg| arg.starts_with("--preview-size"));
+    let words = ["scenesplat"].iter().chain(args).chain(small.then_some(&SMALL_PICTURE));
+    let words = words.map(OsString::from);
     // A pool of its own: waiting for a part of its work, a command must not begin another command.
     let (code, said) = pool.build().unwrap().install(|| scenesplat_cli::run_captured(words));
     let status = i32::from(code);
@@ -93,6 +97,13 @@ pub fn process(args: &[&str]) -> Output {
 
 /// The tiny network with seeded weights.
 pub const TINY: &str = "--config tiny --weights seeded:0";
+
+/// Draws a small preview.png: the size of the default takes longer than a small network.
+pub const SMALL_PICTURE: &str = "--preview-size=64";
+
+/// Commands that draw a preview.png.
+const WITH_PICTURE: [&str; 6] =
+    ["collect-labels", "features", "lift-labels", "query", "segment", "simulate"];
 
 /// Runs the program with the tiny seeded network, results in `out`.
 pub fn tiny(command: &str, scene: &Path, out: &Path, more: &[&str]) -> Output {
