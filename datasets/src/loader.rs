@@ -6,7 +6,6 @@ mod batches;
 pub use batches::SceneBatches;
 
 use crate::error::require;
-use crate::mix3d::mixed_len;
 use crate::rng::{Purpose, permutation, purpose_rng};
 use crate::{DataError, Dataset, InputFeatures, LeftOut, TrainBatch};
 use assembly::Assembly;
@@ -209,11 +208,6 @@ impl SceneLoader {
     /// The scenes that were left out of batches handed over so far, by name.
     pub fn skipped(&self) -> BTreeMap<String, SkippedScene> {
         self.skipped.lock().unwrap_or_else(PoisonError::into_inner).clone()
-    }
-
-    /// Number of samples that a full batch holds if it is mixed.
-    pub fn mixed_batch_size(&self) -> usize {
-        mixed_len(self.settings().batch_size)
     }
 
     /// As [`BatchLoader::epoch`], without borrowing the loader.
