@@ -64,21 +64,24 @@ pub enum Orientation {
     Drawn,
 }
 
-/// Which channels the network reads, in order, how orientations are written and how scales are limited.
-///
-/// The default is the input of the language networks: color, opacity, quat, scale (11 channels)
-/// with scales clipped as in their training.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct InputFeatures {
-    /// Channel groups in the order of the network's input.
-    pub channels: Vec<InputChannel>,
-    /// Lower and upper limit of the scales, metres; `None` (`"none"` in files) passes them on as they
-    /// are.
-    #[serde(with = "scale_clip")]
-    pub scale_clip: Option<[f32; 2]>,
-    /// How orientations are written, in the channels `quat` and `scale`.
-    pub orientation: Orientation,
+settings! {
+    /// Which channels the network reads, in order, how orientations are written and how scales are limited.
+    ///
+    /// The default is the input of the language networks: color, opacity, quat, scale (11 channels)
+    /// with scales clipped as in their training.
+    pub struct InputFeatures {
+        /// Channel groups in the order of the network's input.
+        pub channels: Vec<InputChannel> = {
+            use InputChannel::{Color, Opacity, Quat, Scale};
+            vec![Color, Opacity, Quat, Scale]
+        },
+        /// Lower and upper limit of the scales, metres; `None` (`"none"` in files) passes them on as they
+        /// are.
+        #[serde(with = "scale_clip")]
+        pub scale_clip: Option<[f32; 2]> = Some([0.0, 1.5]),
+        /// How orientations are written, in the channels `quat` and `scale`.
+        pub orientation: Orientation = Orientation::AsStored,
+    }
 }
 
 /// `None` is a word in files: an entry that is left out means the default.
@@ -112,17 +115,6 @@ mod scale_clip {
             Clip::Null(()) => Ok(None),
             Clip::Word(word) if word == "none" => Ok(None),
             Clip::Word(_) => Err(wrong()),
-        }
-    }
-}
-
-impl Default for InputFeatures {
-    fn default() -> Self {
-        use InputChannel::{Color, Opacity, Quat, Scale};
-        Self {
-            channels: vec![Color, Opacity, Quat, Scale],
-            scale_clip: Some([0.0, 1.5]),
-            orientation: Orientation::AsStored,
         }
     }
 }

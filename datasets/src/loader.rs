@@ -6,7 +6,6 @@ mod batches;
 pub use batches::SceneBatches;
 
 use crate::error::require;
-use crate::mix3d::mixed_len;
 use crate::rng::{Purpose, permutation, purpose_rng};
 use crate::{DataError, Dataset, InputFeatures, LeftOut, TrainBatch};
 use assembly::Assembly;
@@ -83,45 +82,29 @@ pub enum BrokenScenes {
     Skip,
 }
 
-/// How scenes become batches. The default is the original's training, for one process.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct LoaderSettings {
-    /// Scenes of a batch, before some are mixed.
-    pub batch_size: usize,
-    /// Whether scenes come in another order each epoch.
-    pub shuffle: bool,
-    /// Seed of the order and of the mixing.
-    pub seed: u64,
-    /// Threads that make batches; 0 = in the caller's thread, when they are asked for.
-    pub workers: usize,
-    /// Batches that are made or wait at a time, beside the one in use; at least one a worker is
-    /// needed to keep all busy. Without workers none are.
-    pub prefetch: usize,
-    /// Whether scenes that do not fill the last batch are left out.
-    pub drop_last: bool,
-    /// Probability that the scenes of a batch are merged in pairs, see
-    /// [`mix_pairs`](crate::mix_pairs).
-    pub mix_probability: f64,
-    /// Mixes as the original does, cells twice included.
-    pub mix_exact: bool,
-    /// What to do about scenes that cannot be used.
-    pub broken_scenes: BrokenScenes,
-}
-
-impl Default for LoaderSettings {
-    fn default() -> Self {
-        Self {
-            batch_size: 2,
-            shuffle: true,
-            seed: 0,
-            workers: 2,
-            prefetch: 4,
-            drop_last: true,
-            mix_probability: 0.8,
-            mix_exact: false,
-            broken_scenes: BrokenScenes::Stop,
-        }
+settings! {
+    /// How scenes become batches. The default is the original's training, for one process.
+    pub struct LoaderSettings {
+        /// Scenes of a batch, before some are mixed.
+        pub batch_size: usize = 2,
+        /// Whether scenes come in another order each epoch.
+        pub shuffle: bool = true,
+        /// Seed of the order and of the mixing.
+        pub seed: u64 = 0,
+        /// Threads that make batches; 0 = in the caller's thread, when they are asked for.
+        pub workers: usize = 2,
+        /// Batches that are made or wait at a time, beside the one in use; at least one a worker is
+        /// needed to keep all busy. Without workers none are.
+        pub prefetch: usize = 4,
+        /// Whether scenes that do not fill the last batch are left out.
+        pub drop_last: bool = true,
+        /// Probability that the scenes of a batch are merged in pairs, see
+        /// [`mix_pairs`](crate::mix_pairs).
+        pub mix_probability: f64 = 0.8,
+        /// Mixes as the original does, cells twice included.
+        pub mix_exact: bool = false,
+        /// What to do about scenes that cannot be used.
+        pub broken_scenes: BrokenScenes = BrokenScenes::Stop,
     }
 }
 
@@ -225,11 +208,6 @@ impl SceneLoader {
     /// The scenes that were left out of batches handed over so far, by name.
     pub fn skipped(&self) -> BTreeMap<String, SkippedScene> {
         self.skipped.lock().unwrap_or_else(PoisonError::into_inner).clone()
-    }
-
-    /// Number of samples that a full batch holds if it is mixed.
-    pub fn mixed_batch_size(&self) -> usize {
-        mixed_len(self.settings().batch_size)
     }
 
     /// As [`BatchLoader::epoch`], without borrowing the loader.

@@ -32,29 +32,18 @@ pub enum MaskWeight {
     PerGaussian,
 }
 
-/// How a batch is masked.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Masking {
-    /// What is masked as a whole.
-    pub shape: MaskShape,
-    /// Share of the patches of a scene, drawn evenly between these for each scene, in 0..=1.
-    pub ratio: [f64; 2],
-    /// Share of the scenes of a batch that are masked at all, rounded up, in 0..=1.
-    pub scenes: f64,
-    /// What masked Gaussians count.
-    pub weight: MaskWeight,
-}
-
-impl Default for Masking {
-    /// The original's, with patches of 5 cm.
-    fn default() -> Self {
-        Self {
-            shape: MaskShape::Patches(0.05),
-            ratio: [0.1, 0.5],
-            scenes: 0.5,
-            weight: MaskWeight::PerPatch,
-        }
+settings! {
+    /// How a batch is masked. The default is the original's, with patches of 5 cm.
+    #[derive(Copy)]
+    pub struct Masking {
+        /// What is masked as a whole.
+        pub shape: MaskShape = MaskShape::Patches(0.05),
+        /// Share of the patches of a scene, drawn evenly between these for each scene, in 0..=1.
+        pub ratio: [f64; 2] = [0.1, 0.5],
+        /// Share of the scenes of a batch that are masked at all, rounded up, in 0..=1.
+        pub scenes: f64 = 0.5,
+        /// What masked Gaussians count.
+        pub weight: MaskWeight = MaskWeight::PerPatch,
     }
 }
 

@@ -183,11 +183,6 @@ fn shift_to_zero(cells: &mut [[i32; 3]]) {
     }
 }
 
-/// How many samples a mixed batch has.
-pub(crate) fn mixed_len(samples: usize) -> usize {
-    samples.div_ceil(2)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -240,7 +235,7 @@ mod tests {
                     .map(|(i, &n)| sample("s", far(i), &line(n)))
                     .collect();
                 let mixed = mix_pairs(samples, exact, &mut sample_rng(1, 0, 0)).unwrap();
-                assert_eq!(mixed.len(), mixed_len(counts.len()));
+                assert_eq!(mixed.len(), counts.len().div_ceil(2));
                 let sizes: Vec<i32> = mixed.iter().map(|s| s.len() as i32).collect();
                 assert_eq!(sizes, expected);
                 mixed.iter().for_each(|s| s.check().unwrap());

@@ -53,21 +53,15 @@ impl NetworkInput {
     }
 }
 
-/// One pass, one Gaussian per voxel.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct FastPlan {
-    /// Voxel size, metres.
-    pub grid_size: f64,
-    /// Where voxels are counted from.
-    pub anchor: Anchor,
-    /// What the network reads.
-    pub features: InputFeatures,
-}
-
-impl Default for FastPlan {
-    fn default() -> Self {
-        Self { grid_size: 0.02, anchor: Anchor::Box, features: InputFeatures::default() }
+settings! {
+    /// One pass, one Gaussian per voxel.
+    pub struct FastPlan {
+        /// Voxel size, metres.
+        pub grid_size: f64 = 0.02,
+        /// Where voxels are counted from.
+        pub anchor: Anchor = Anchor::Box,
+        /// What the network reads.
+        pub features: InputFeatures = InputFeatures::default(),
     }
 }
 
@@ -85,35 +79,22 @@ pub enum Representative {
     },
 }
 
-/// The steps of the original system.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ExactPlan {
-    /// Size of the fine voxels that keep one Gaussian each, metres.
-    pub sample_size: f64,
-    /// Size of the network's voxels, metres.
-    pub grid_size: f64,
-    /// Which Gaussian a fine voxel keeps.
-    pub representative: Representative,
-    /// The most passes; `None`: as many as the fullest voxel keeps Gaussians. Kept ones that no pass
-    /// reads take the output of the nearest that one does, of those in their voxel.
-    pub passes: Option<usize>,
-    /// Where voxels are counted from.
-    pub anchor: Anchor,
-    /// What the network reads.
-    pub features: InputFeatures,
-}
-
-impl Default for ExactPlan {
-    fn default() -> Self {
-        Self {
-            sample_size: 0.01,
-            grid_size: 0.02,
-            representative: Representative::First,
-            passes: None,
-            anchor: Anchor::Box,
-            features: InputFeatures::default(),
-        }
+settings! {
+    /// The steps of the original system.
+    pub struct ExactPlan {
+        /// Size of the fine voxels that keep one Gaussian each, metres.
+        pub sample_size: f64 = 0.01,
+        /// Size of the network's voxels, metres.
+        pub grid_size: f64 = 0.02,
+        /// Which Gaussian a fine voxel keeps.
+        pub representative: Representative = Representative::First,
+        /// The most passes; `None`: as many as the fullest voxel keeps Gaussians. Kept ones that no pass
+        /// reads take the output of the nearest that one does, of those in their voxel.
+        pub passes: Option<usize> = None,
+        /// Where voxels are counted from.
+        pub anchor: Anchor = Anchor::Box,
+        /// What the network reads.
+        pub features: InputFeatures = InputFeatures::default(),
     }
 }
 

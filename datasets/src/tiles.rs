@@ -7,22 +7,17 @@ use crate::error::require;
 use crate::files::picked;
 use crate::{DataError, NetworkInput};
 
-/// How pieces are cut.
-#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct TileSettings {
-    /// Most voxels of a tile, core and halo together.
-    pub max_voxels: usize,
-    /// Width of the halo, voxels. 50 is 1 m at 2 cm.
-    pub halo: u32,
-    /// Tile origins are multiples of this: `2^p` for a network that pools `p` times by 2, so that
-    /// pooling joins the same voxels as in the whole input.
-    pub align: u32,
-}
-
-impl Default for TileSettings {
-    fn default() -> Self {
-        Self { max_voxels: 200_000, halo: 50, align: 16 }
+settings! {
+    /// How pieces are cut.
+    #[derive(Eq)]
+    pub struct TileSettings {
+        /// Most voxels of a tile, core and halo together.
+        pub max_voxels: usize = 200_000,
+        /// Width of the halo, voxels. 50 is 1 m at 2 cm.
+        pub halo: u32 = 50,
+        /// Tile origins are multiples of this: `2^p` for a network that pools `p` times by 2, so that
+        /// pooling joins the same voxels as in the whole input.
+        pub align: u32 = 16,
     }
 }
 

@@ -3,6 +3,7 @@
 //! what an inference does about it ([`compensation`]).
 
 pub mod capture;
+mod charts;
 pub mod compensation;
 pub mod doctor;
 pub mod pareto;

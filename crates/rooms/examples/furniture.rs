@@ -37,6 +37,15 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         return Ok(());
     }
 
+    count(&catalogue);
+    if !only_time {
+        examine(&catalogue);
+    }
+    time(path)
+}
+
+/// How many models each library and each class has.
+fn count(catalogue: &Catalogue) {
     let mut libraries: BTreeMap<&str, [usize; 3]> = BTreeMap::new();
     let mut classes: BTreeMap<&str, [usize; 2]> = BTreeMap::new();
     for (index, entry) in catalogue.entries().iter().enumerate() {
@@ -55,10 +64,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let of_class =
         classes.iter().map(|(name, [all, held])| format!("{name} {all} ({held} held out)"));
     println!("classes: {}", of_class.collect::<Vec<_>>().join(", "));
+}
 
-    if !only_time {
-        examine(&catalogue);
-    }
+/// What rooms cost without and with the catalogue.
+fn time(path: PathBuf) -> Result<(), Box<dyn std::error::Error>> {
     let kinds = [
         ("parametric", None, 0.0),
         ("parametric, walked", None, 1.0),

@@ -4,6 +4,7 @@
 use scenesplat_rooms::{Capture, SyntheticRoomSettings, generate};
 use scenesplat_scene::formats::{ReadOptions, open_scene};
 use scenesplat_scene::picture::RgbPicture;
+use scenesplat_scene::vector::{dot, rotation};
 use scenesplat_scene::{AtomicFile, GaussianScene};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -96,7 +97,7 @@ fn add(scene: &GaussianScene, values: &mut Values) {
             values[2].push(f64::from(scene.opacity(row)));
             values[3].push((high / spacing).log10());
             if rows.len() >= 8 {
-                values[4].push((0..3).map(|i| normal[i] * mean[i]).sum::<f64>().abs());
+                values[4].push(dot(*normal, mean).abs());
             }
         }
     }
@@ -108,12 +109,7 @@ fn smallest_axis(scene: &GaussianScene, row: usize) -> [f64; 3] {
     let axis = (1..3).fold(0, |best, i| if s[i] < s[best] { i } else { best });
     let q = scene.quat[row].map(f64::from);
     let norm = q.iter().map(|v| v * v).sum::<f64>().sqrt().max(1e-12);
-    let [w, x, y, z] = q.map(|v| v / norm);
-    match axis {
-        0 => [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)],
-        1 => [2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)],
-        _ => [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)],
-    }
+    rotation(q.map(|v| v / norm)).map(|row| row[axis])
 }
 
 /// The mean of directions without a sign, by a few turns towards the half that each is in.
@@ -122,7 +118,7 @@ fn common(normals: &[[f64; 3]]) -> [f64; 3] {
     for _ in 0..4 {
         let mut sum = [0.0; 3];
         for n in normals {
-            let sign = (0..3).map(|i| n[i] * mean[i]).sum::<f64>().signum();
+            let sign = dot(*n, mean).signum();
             (0..3).for_each(|i| sum[i] += sign * n[i]);
         }
         let norm = sum.iter().map(|v| v * v).sum::<f64>().sqrt().max(1e-12);

@@ -57,13 +57,17 @@ pub(crate) fn small_turn(rng: &mut SampleRng, size: f64) -> [f64; 2] {
 
 /// A fixed pseudo-random number in 0..1 for three whole numbers.
 pub(crate) fn scramble(x: i64, y: i64, salt: u32) -> f64 {
-    // The finisher of splitmix64: neighbouring inputs share nothing.
-    let mut bits = x.cast_unsigned().wrapping_mul(0x9e37_79b9_7f4a_7c15)
+    let bits = x.cast_unsigned().wrapping_mul(0x9e37_79b9_7f4a_7c15)
         ^ y.cast_unsigned().wrapping_mul(0xc2b2_ae3d_27d4_eb4f)
         ^ u64::from(salt).wrapping_mul(0x1656_67b1_9e37_79f9);
+    (finished(bits) >> 40) as f64 / f64::from(1_u32 << 24)
+}
+
+/// The finisher of splitmix64: results of neighbouring inputs share nothing.
+pub(crate) fn finished(mut bits: u64) -> u64 {
     bits = (bits ^ (bits >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     bits = (bits ^ (bits >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    ((bits ^ (bits >> 31)) >> 40) as f64 / f64::from(1_u32 << 24)
+    bits ^ (bits >> 31)
 }
 
 /// Smooth noise in 0..1 over the plane: random numbers at whole places, joined without kinks.

@@ -14,8 +14,10 @@ use crate::seen::seen;
 use crate::shape::Block;
 use crate::splats::{self, Look, Owner, Row, rounded_ln};
 use crate::stock::Stock;
+use crate::vector::V3;
+use crate::walk::Camera;
 use rayon::prelude::*;
-use scenesplat_kernels::random::{sample_rng, unit};
+use scenesplat_kernels::random::{SampleRng, sample_rng, unit};
 use scenesplat_scene::GaussianScene;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -212,11 +214,7 @@ pub fn generate(settings: &SyntheticRoomSettings) -> Result<SyntheticRoom, RoomE
     let mut look = Look::new(is_points, size, &mut rng);
     let mut density = f64::from(settings.gaussians_per_m2);
     let mut of_scan = sample_rng(seed, room, SCAN);
-    let scan = match settings.capture {
-        Capture::Made => None,
-        Capture::Scan => Some(Scan::new(size, objects.len(), &mut of_scan)),
-        Capture::Model => Some(Scan::of_models(objects.len(), &mut of_scan)),
-    };
+    let scan = scan_of(settings.capture, size, objects.len(), &mut of_scan);
     if let Some(scan) = &scan {
         scan.change(&mut look);
         density *= scan.density;
@@ -247,15 +245,9 @@ pub fn generate(settings: &SyntheticRoomSettings) -> Result<SyntheticRoom, RoomE
         let below = |_| splats::below_floor(size, scan.deep, spacing, &mut of_scan);
         rows.extend((0..num_below).map(below));
     }
-    let mut scene = splats::scene(&rows);
-    if is_walked {
-        if !cameras.is_empty() {
-            scene = scene.select_rows(&seen(&scene, &cameras)).expect("rows are of the scene");
-        }
-        jitter(&mut scene, &mut of_walk);
-    }
+    let scene = splats::scene(&rows);
     Ok(SyntheticRoom {
-        scene,
+        scene: if is_walked { walked(scene, &cameras, &mut of_walk) } else { scene },
         is_walked,
         size: size.map(|v| v as f32),
         kind,
@@ -263,6 +255,23 @@ pub fn generate(settings: &SyntheticRoomSettings) -> Result<SyntheticRoom, RoomE
         is_points,
         objects: objects.iter().enumerate().map(describe).collect(),
     })
+}
+
+fn scan_of(capture: Capture, size: V3, objects: usize, rng: &mut SampleRng) -> Option<Scan> {
+    match capture {
+        Capture::Made => None,
+        Capture::Scan => Some(Scan::new(size, objects, rng)),
+        Capture::Model => Some(Scan::of_models(objects, rng)),
+    }
+}
+
+/// What somebody saw of a room, with the errors of a capture.
+fn walked(mut scene: GaussianScene, cameras: &[Camera], rng: &mut SampleRng) -> GaussianScene {
+    if !cameras.is_empty() {
+        scene = scene.select_rows(&seen(&scene, cameras)).expect("rows are of the scene");
+    }
+    jitter(&mut scene, rng);
+    scene
 }
 
 /// What kind of room it is, and what stands in it and in the others of its flat.

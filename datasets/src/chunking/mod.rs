@@ -15,40 +15,25 @@ pub use write::ChunkReport;
 
 use crate::DataError;
 use crate::error::{check_positive, require};
-use serde::{Deserialize, Serialize};
 
-/// How scenes are cut. The default is what the original's chunks are made with.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ChunkSettings {
-    /// Keeps one Gaussian in each cell of this size first, metres; `None` keeps all.
-    pub grid_size: Option<f64>,
-    /// Sides of a chunk along x and y, metres.
-    pub range: [f64; 2],
-    /// Distance from one chunk to the next along x and y, metres.
-    pub stride: [f64; 2],
-    /// Chunks with fewer Gaussians are left out.
-    pub minimum_size: usize,
-    /// Most chunks of a scene: those with most Gaussians; `None` keeps all.
-    pub max_chunks: Option<usize>,
-    /// Seed of what is drawn: which of the Gaussians of a cell that have a feature is kept.
-    pub seed: u64,
-    /// Loses what the original loses: scenes not longer than `range - stride`, and what lies exactly
-    /// where the last chunk ends.
-    pub exact: bool,
-}
-
-impl Default for ChunkSettings {
-    fn default() -> Self {
-        Self {
-            grid_size: Some(0.01),
-            range: [6.0; 2],
-            stride: [3.0; 2],
-            minimum_size: 10_000,
-            max_chunks: None,
-            seed: 0,
-            exact: false,
-        }
+settings! {
+    /// How scenes are cut. The default is what the original's chunks are made with.
+    pub struct ChunkSettings {
+        /// Keeps one Gaussian in each cell of this size first, metres; `None` keeps all.
+        pub grid_size: Option<f64> = Some(0.01),
+        /// Sides of a chunk along x and y, metres.
+        pub range: [f64; 2] = [6.0; 2],
+        /// Distance from one chunk to the next along x and y, metres.
+        pub stride: [f64; 2] = [3.0; 2],
+        /// Chunks with fewer Gaussians are left out.
+        pub minimum_size: usize = 10_000,
+        /// Most chunks of a scene: those with most Gaussians; `None` keeps all.
+        pub max_chunks: Option<usize> = None,
+        /// Seed of what is drawn: which of the Gaussians of a cell that have a feature is kept.
+        pub seed: u64 = 0,
+        /// Loses what the original loses: scenes not longer than `range - stride`, and what lies exactly
+        /// where the last chunk ends.
+        pub exact: bool = false,
     }
 }
 

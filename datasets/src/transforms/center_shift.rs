@@ -1,22 +1,15 @@
 //! [`CenterShift`]
 
 use crate::{DataError, Sample, SampleRng, Transform};
-use serde::{Deserialize, Serialize};
 
-/// Moves the middle of the bounding box to x = y = 0 and, if wanted, its floor to z = 0.
-///
-/// In f32, as the original and as [`center_shift`](crate::plan::center_shift), so that training and
-/// inference see the same cells. Without Gaussians nothing moves.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct CenterShift {
-    /// Whether z is shifted too.
-    pub apply_z: bool,
-}
-
-impl Default for CenterShift {
-    fn default() -> Self {
-        Self { apply_z: true }
+settings! {
+    /// Moves the middle of the bounding box to x = y = 0 and, if wanted, its floor to z = 0.
+    ///
+    /// In f32, as the original and as [`center_shift`](crate::plan::center_shift), so that training and
+    /// inference see the same cells. Without Gaussians nothing moves.
+    pub struct CenterShift {
+        /// Whether z is shifted too.
+        pub apply_z: bool = true,
     }
 }
 

@@ -3,24 +3,17 @@
 use crate::error::{check_positive, check_probability};
 use crate::rng::{between, happens, normals, unit};
 use crate::{DataError, Sample, SampleRng, Transform};
-use serde::{Deserialize, Serialize};
 
-/// With `probability`, stretches each color channel to 0..255 and blends the result with the old
-/// colors: `(1 − b)·c + b·(c − low)·255/(high − low)`, `b` uniform in 0..1.
-///
-/// # Source
-/// `ChromaticAutoContrast` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1. Differs: a
-/// channel that is the same everywhere stays (there, it is divided by zero).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ChromaticAutoContrast {
-    /// How often it happens.
-    pub probability: f64,
-}
-
-impl Default for ChromaticAutoContrast {
-    fn default() -> Self {
-        Self { probability: 0.2 }
+settings! {
+    /// With `probability`, stretches each color channel to 0..255 and blends the result with the old
+    /// colors: `(1 − b)·c + b·(c − low)·255/(high − low)`, `b` uniform in 0..1.
+    ///
+    /// # Source
+    /// `ChromaticAutoContrast` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1. Differs: a
+    /// channel that is the same everywhere stays (there, it is divided by zero).
+    pub struct ChromaticAutoContrast {
+        /// How often it happens.
+        pub probability: f64 = 0.2,
     }
 }
 
@@ -53,23 +46,17 @@ impl Transform for ChromaticAutoContrast {
     }
 }
 
-/// With `probability`, adds one uniform offset to each color channel; the result is clipped to
-/// 0..=255.
-///
-/// # Source
-/// `ChromaticTranslation` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ChromaticTranslation {
-    /// How often it happens.
-    pub probability: f64,
-    /// Largest offset, as part of 255.
-    pub ratio: f64,
-}
-
-impl Default for ChromaticTranslation {
-    fn default() -> Self {
-        Self { probability: 0.95, ratio: 0.05 }
+settings! {
+    /// With `probability`, adds one uniform offset to each color channel; the result is clipped to
+    /// 0..=255.
+    ///
+    /// # Source
+    /// `ChromaticTranslation` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1.
+    pub struct ChromaticTranslation {
+        /// How often it happens.
+        pub probability: f64 = 0.95,
+        /// Largest offset, as part of 255.
+        pub ratio: f64 = 0.05,
     }
 }
 
@@ -93,22 +80,16 @@ impl Transform for ChromaticTranslation {
     }
 }
 
-/// With `probability`, adds a normal number to every color value; the result is clipped to 0..=255.
-///
-/// # Source
-/// `ChromaticJitter` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ChromaticJitter {
-    /// How often it happens.
-    pub probability: f64,
-    /// Standard deviation, as part of 255.
-    pub std: f64,
-}
-
-impl Default for ChromaticJitter {
-    fn default() -> Self {
-        Self { probability: 0.95, std: 0.05 }
+settings! {
+    /// With `probability`, adds a normal number to every color value; the result is clipped to 0..=255.
+    ///
+    /// # Source
+    /// `ChromaticJitter` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1.
+    pub struct ChromaticJitter {
+        /// How often it happens.
+        pub probability: f64 = 0.95,
+        /// Standard deviation, as part of 255.
+        pub std: f64 = 0.05,
     }
 }
 

@@ -4,35 +4,28 @@ use super::chromatic::clip;
 use crate::error::{check_probability, require};
 use crate::rng::{between, happens, permutation};
 use crate::{DataError, Sample, SampleRng, Transform};
-use serde::{Deserialize, Serialize};
 
-/// Changes brightness, contrast, saturation and hue of the whole sample, in a random order, each with
-/// `probability`; results are clipped to 0..=255.
-///
-/// Brightness multiplies by a factor; contrast blends with the mean gray of the sample, saturation
-/// with the gray of each Gaussian; hue turns by a part of the circle.
-///
-/// # Source
-/// `RandomColorJitter` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1, after torchvision's
-/// `ColorJitter`. There colors are rounded between steps.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ColorJitter {
-    /// The factor lies within so much of 1, at least 0.
-    pub brightness: f64,
-    /// The factor lies within so much of 1, at least 0.
-    pub contrast: f64,
-    /// The factor lies within so much of 1, at least 0.
-    pub saturation: f64,
-    /// Largest turn, as part of a circle, in 0..=0.5.
-    pub hue: f64,
-    /// How often each of the four happens.
-    pub probability: f64,
-}
-
-impl Default for ColorJitter {
-    fn default() -> Self {
-        Self { brightness: 0.4, contrast: 0.4, saturation: 0.2, hue: 0.1, probability: 0.8 }
+settings! {
+    /// Changes brightness, contrast, saturation and hue of the whole sample, in a random order, each with
+    /// `probability`; results are clipped to 0..=255.
+    ///
+    /// Brightness multiplies by a factor; contrast blends with the mean gray of the sample, saturation
+    /// with the gray of each Gaussian; hue turns by a part of the circle.
+    ///
+    /// # Source
+    /// `RandomColorJitter` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1, after torchvision's
+    /// `ColorJitter`. There colors are rounded between steps.
+    pub struct ColorJitter {
+        /// The factor lies within so much of 1, at least 0.
+        pub brightness: f64 = 0.4,
+        /// The factor lies within so much of 1, at least 0.
+        pub contrast: f64 = 0.4,
+        /// The factor lies within so much of 1, at least 0.
+        pub saturation: f64 = 0.2,
+        /// Largest turn, as part of a circle, in 0..=0.5.
+        pub hue: f64 = 0.1,
+        /// How often each of the four happens.
+        pub probability: f64 = 0.8,
     }
 }
 
@@ -115,20 +108,14 @@ impl Transform for ColorJitter {
     }
 }
 
-/// With `probability`, replaces every color by its gray.
-///
-/// # Source
-/// `RandomColorGrayScale`, as above.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct RandomGrayscale {
-    /// How often it happens.
-    pub probability: f64,
-}
-
-impl Default for RandomGrayscale {
-    fn default() -> Self {
-        Self { probability: 0.2 }
+settings! {
+    /// With `probability`, replaces every color by its gray.
+    ///
+    /// # Source
+    /// `RandomColorGrayScale`, as above.
+    pub struct RandomGrayscale {
+        /// How often it happens.
+        pub probability: f64 = 0.2,
     }
 }
 
@@ -146,22 +133,16 @@ impl Transform for RandomGrayscale {
     }
 }
 
-/// With `probability`, turns every color value of `threshold` or more into its negative, `255 − c`.
-///
-/// # Source
-/// `RandomColorSolarize`, as above, which computes this and does not write it back: it has no effect.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ColorSolarize {
-    /// How often it happens.
-    pub probability: f64,
-    /// The least value that is turned, 0..=255.
-    pub threshold: f64,
-}
-
-impl Default for ColorSolarize {
-    fn default() -> Self {
-        Self { probability: 0.2, threshold: 128.0 }
+settings! {
+    /// With `probability`, turns every color value of `threshold` or more into its negative, `255 − c`.
+    ///
+    /// # Source
+    /// `RandomColorSolarize`, as above, which computes this and does not write it back: it has no effect.
+    pub struct ColorSolarize {
+        /// How often it happens.
+        pub probability: f64 = 0.2,
+        /// The least value that is turned, 0..=255.
+        pub threshold: f64 = 128.0,
     }
 }
 

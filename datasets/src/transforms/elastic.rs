@@ -9,35 +9,28 @@ use crate::{DataError, Sample, SampleRng, Transform};
 use deform::{Matrix, deform_gaussian, deform_normal};
 use field::Field;
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 
-/// With `probability`, bends the scene by smooth random displacement fields, one after the other.
-///
-/// A field is normal noise on a grid, smoothed twice by a mean of three along each axis (with zeros
-/// beyond the grid), interpolated linearly and multiplied by its magnitude. Gaussians are stretched
-/// and turned, and normals turned, by the gradient `J = 1 + ∂displacement/∂position` where they are:
-/// a covariance becomes `J Σ Jᵀ`. Labelled points move along; beyond the grid they move as its edge.
-///
-/// # Errors
-/// If the scene is so wide for the granularity that the grid would not fit into memory.
-///
-/// # Source
-/// `ElasticDistortion` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1. Differs: there only
-/// centres move; `exact` does that.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ElasticDistortion {
-    /// Granularity and magnitude of each field, metres.
-    pub fields: Vec<[f64; 2]>,
-    /// How often it happens.
-    pub probability: f64,
-    /// Moves centres only.
-    pub exact: bool,
-}
-
-impl Default for ElasticDistortion {
-    fn default() -> Self {
-        Self { fields: vec![[0.2, 0.4], [0.8, 1.6]], probability: 0.95, exact: false }
+settings! {
+    /// With `probability`, bends the scene by smooth random displacement fields, one after the other.
+    ///
+    /// A field is normal noise on a grid, smoothed twice by a mean of three along each axis (with zeros
+    /// beyond the grid), interpolated linearly and multiplied by its magnitude. Gaussians are stretched
+    /// and turned, and normals turned, by the gradient `J = 1 + ∂displacement/∂position` where they are:
+    /// a covariance becomes `J Σ Jᵀ`. Labelled points move along; beyond the grid they move as its edge.
+    ///
+    /// # Errors
+    /// If the scene is so wide for the granularity that the grid would not fit into memory.
+    ///
+    /// # Source
+    /// `ElasticDistortion` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1. Differs: there only
+    /// centres move; `exact` does that.
+    pub struct ElasticDistortion {
+        /// Granularity and magnitude of each field, metres.
+        pub fields: Vec<[f64; 2]> = vec![[0.2, 0.4], [0.8, 1.6]],
+        /// How often it happens.
+        pub probability: f64 = 0.95,
+        /// Moves centres only.
+        pub exact: bool = false,
     }
 }
 

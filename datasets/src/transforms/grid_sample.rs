@@ -20,42 +20,30 @@ pub enum Keep {
     First,
 }
 
-/// Keeps one Gaussian of every cell and fills `grid_coord`, the lowest cell of each axis being 0.
-/// Cells come along a z-order curve.
-///
-/// Labelled points, if there are any, are thinned by the same size: the first labelled one of a
-/// cell, else the first.
-///
-/// # Source
-/// `GridSample(mode="train")` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1. With `exact`
-/// cells come in its order (by hash), and the one kept is number `draw % count` with draws below
-/// the count of the fullest cell, which favours the first ones slightly; else each is equally
-/// likely. Its test mode is [`ExactPlan`](crate::ExactPlan).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct GridSample {
-    /// Size of a cell, metres.
-    pub grid_size: f64,
-    /// Which Gaussian of a cell is kept.
-    pub keep: Keep,
-    /// Whether the scene as it is before the sampling is kept, labelled points included, see
-    /// [`FullScene`]: evaluations score it.
-    pub keep_full: bool,
-    /// Whether labelled points are thinned.
-    pub thin_labelled_points: bool,
-    /// Draws and orders as the original does.
-    pub exact: bool,
-}
-
-impl Default for GridSample {
-    fn default() -> Self {
-        Self {
-            grid_size: 0.02,
-            keep: Keep::Random,
-            keep_full: false,
-            thin_labelled_points: true,
-            exact: false,
-        }
+settings! {
+    /// Keeps one Gaussian of every cell and fills `grid_coord`, the lowest cell of each axis being 0.
+    /// Cells come along a z-order curve.
+    ///
+    /// Labelled points, if there are any, are thinned by the same size: the first labelled one of a
+    /// cell, else the first.
+    ///
+    /// # Source
+    /// `GridSample(mode="train")` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1. With `exact`
+    /// cells come in its order (by hash), and the one kept is number `draw % count` with draws below
+    /// the count of the fullest cell, which favours the first ones slightly; else each is equally
+    /// likely. Its test mode is [`ExactPlan`](crate::ExactPlan).
+    pub struct GridSample {
+        /// Size of a cell, metres.
+        pub grid_size: f64 = 0.02,
+        /// Which Gaussian of a cell is kept.
+        pub keep: Keep = Keep::Random,
+        /// Whether the scene as it is before the sampling is kept, labelled points included, see
+        /// [`FullScene`]: evaluations score it.
+        pub keep_full: bool = false,
+        /// Whether labelled points are thinned.
+        pub thin_labelled_points: bool = true,
+        /// Draws and orders as the original does.
+        pub exact: bool = false,
     }
 }
 

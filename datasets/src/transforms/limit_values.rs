@@ -2,27 +2,20 @@
 
 use crate::error::{check_positive, require};
 use crate::{DataError, Sample, SampleRng, Transform};
-use serde::{Deserialize, Serialize};
 
-/// Shrinks a scene and limits its values, as the original's scene loaders do on reading.
-///
-/// The default changes nothing. Limits of the network's input are in
-/// [`InputFeatures`](crate::InputFeatures), after all transforms; these are before them.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct LimitValues {
-    /// Positions and sizes are divided by this, first; labelled points stay as they are, as in the
-    /// original.
-    pub divide: f32,
-    /// Lowest and highest size, metres.
-    pub scale: Option<[f32; 2]>,
-    /// Lowest opacity.
-    pub opacity_floor: f32,
-}
-
-impl Default for LimitValues {
-    fn default() -> Self {
-        Self { divide: 1.0, scale: None, opacity_floor: 0.0 }
+settings! {
+    /// Shrinks a scene and limits its values, as the original's scene loaders do on reading.
+    ///
+    /// The default changes nothing. Limits of the network's input are in
+    /// [`InputFeatures`](crate::InputFeatures), after all transforms; these are before them.
+    pub struct LimitValues {
+        /// Positions and sizes are divided by this, first; labelled points stay as they are, as in the
+        /// original.
+        pub divide: f32 = 1.0,
+        /// Lowest and highest size, metres.
+        pub scale: Option<[f32; 2]> = None,
+        /// Lowest opacity.
+        pub opacity_floor: f32 = 0.0,
     }
 }
 

@@ -3,25 +3,18 @@
 use crate::error::{check_probability, require};
 use crate::rng::{below, happens};
 use crate::{DataError, Sample, SampleRng, Transform};
-use serde::{Deserialize, Serialize};
 
-/// With `probability`, leaves out `ratio` of the Gaussians, at random.
-///
-/// # Source
-/// `RandomDropout` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1. Differs: the rows kept
-/// stay in order, and one is always kept (there, none of one).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct RandomDropout {
-    /// Part of the Gaussians that is left out, `0..1`.
-    pub ratio: f64,
-    /// How often it happens.
-    pub probability: f64,
-}
-
-impl Default for RandomDropout {
-    fn default() -> Self {
-        Self { ratio: 0.2, probability: 0.2 }
+settings! {
+    /// With `probability`, leaves out `ratio` of the Gaussians, at random.
+    ///
+    /// # Source
+    /// `RandomDropout` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1. Differs: the rows kept
+    /// stay in order, and one is always kept (there, none of one).
+    pub struct RandomDropout {
+        /// Part of the Gaussians that is left out, `0..1`.
+        pub ratio: f64 = 0.2,
+        /// How often it happens.
+        pub probability: f64 = 0.2,
     }
 }
 

@@ -4,29 +4,22 @@ use super::quaternion::{unit, with_positive_w};
 use crate::error::check_probability;
 use crate::rng::happens;
 use crate::{DataError, Sample, SampleRng, Transform};
-use serde::{Deserialize, Serialize};
 
-/// Mirrors x, and mirrors y, each with `probability`: positions, orientations, normals, labelled
-/// points.
-///
-/// A Gaussian's mirror image has its covariance conjugated by the mirror; as a quaternion that is
-/// `(w, x, −y, −z)` for x and `(w, −x, y, −z)` for y, sizes unchanged.
-///
-/// # Source
-/// `RandomFlip` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1. Differs: quaternions have
-/// `w ≥ 0` unless `exact`; there, their largest component becomes positive.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct RandomFlip {
-    /// How often x is mirrored, and how often y.
-    pub probability: f64,
-    /// Gives the largest component of a quaternion a positive sign.
-    pub exact: bool,
-}
-
-impl Default for RandomFlip {
-    fn default() -> Self {
-        Self { probability: 0.5, exact: false }
+settings! {
+    /// Mirrors x, and mirrors y, each with `probability`: positions, orientations, normals, labelled
+    /// points.
+    ///
+    /// A Gaussian's mirror image has its covariance conjugated by the mirror; as a quaternion that is
+    /// `(w, x, −y, −z)` for x and `(w, −x, y, −z)` for y, sizes unchanged.
+    ///
+    /// # Source
+    /// `RandomFlip` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1. Differs: quaternions have
+    /// `w ≥ 0` unless `exact`; there, their largest component becomes positive.
+    pub struct RandomFlip {
+        /// How often x is mirrored, and how often y.
+        pub probability: f64 = 0.5,
+        /// Gives the largest component of a quaternion a positive sign.
+        pub exact: bool = false,
     }
 }
 

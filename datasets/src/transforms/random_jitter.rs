@@ -3,25 +3,18 @@
 use crate::error::check_positive;
 use crate::rng::normals;
 use crate::{DataError, Sample, SampleRng, Transform};
-use serde::{Deserialize, Serialize};
 
-/// Moves every centre by independent normal numbers, cut at `clip`. The Gaussians move as they are,
-/// so sizes and orientations stay; labelled points, which are no Gaussians, stay too.
-///
-/// # Source
-/// `RandomJitter` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct RandomJitter {
-    /// Standard deviation along each axis, metres.
-    pub sigma: f64,
-    /// Largest movement along each axis, metres.
-    pub clip: f64,
-}
-
-impl Default for RandomJitter {
-    fn default() -> Self {
-        Self { sigma: 0.005, clip: 0.01 }
+settings! {
+    /// Moves every centre by independent normal numbers, cut at `clip`. The Gaussians move as they are,
+    /// so sizes and orientations stay; labelled points, which are no Gaussians, stay too.
+    ///
+    /// # Source
+    /// `RandomJitter` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1.
+    pub struct RandomJitter {
+        /// Standard deviation along each axis, metres.
+        pub sigma: f64 = 0.005,
+        /// Largest movement along each axis, metres.
+        pub clip: f64 = 0.01,
     }
 }
 

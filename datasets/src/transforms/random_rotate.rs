@@ -33,36 +33,24 @@ pub enum RotationCenter {
     Point([f32; 3]),
 }
 
-/// With `probability`, turns the scene by a uniform angle: positions, orientations, normals,
-/// labelled points.
-///
-/// # Source
-/// `RandomRotate` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1. Differs: quaternions are
-/// given with `w ≥ 0` unless `exact`, and one that is zero counts as no rotation (an error there).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct RandomRotate {
-    /// Lowest and highest angle, in units of π.
-    pub angle: [f64; 2],
-    /// The axis to turn about.
-    pub axis: Axis,
-    /// What stays in place.
-    pub center: RotationCenter,
-    /// How often it happens.
-    pub probability: f64,
-    /// Leaves quaternions with the sign that the product gives.
-    pub exact: bool,
-}
-
-impl Default for RandomRotate {
-    fn default() -> Self {
-        Self {
-            angle: [-1.0, 1.0],
-            axis: Axis::Z,
-            center: RotationCenter::Origin,
-            probability: 0.5,
-            exact: false,
-        }
+settings! {
+    /// With `probability`, turns the scene by a uniform angle: positions, orientations, normals,
+    /// labelled points.
+    ///
+    /// # Source
+    /// `RandomRotate` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1. Differs: quaternions are
+    /// given with `w ≥ 0` unless `exact`, and one that is zero counts as no rotation (an error there).
+    pub struct RandomRotate {
+        /// Lowest and highest angle, in units of π.
+        pub angle: [f64; 2] = [-1.0, 1.0],
+        /// The axis to turn about.
+        pub axis: Axis = Axis::Z,
+        /// What stays in place.
+        pub center: RotationCenter = RotationCenter::Origin,
+        /// How often it happens.
+        pub probability: f64 = 0.5,
+        /// Leaves quaternions with the sign that the product gives.
+        pub exact: bool = false,
     }
 }
 
@@ -83,34 +71,22 @@ impl Transform for RandomRotate {
     }
 }
 
-/// With `probability`, turns the scene by one of the given angles; as [`RandomRotate`] otherwise.
-///
-/// # Source
-/// `RandomRotateTargetAngle`, as above.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct RandomRotateTargetAngle {
-    /// The angles, in units of π, equally likely.
-    pub angles: Vec<f64>,
-    /// The axis to turn about.
-    pub axis: Axis,
-    /// What stays in place.
-    pub center: RotationCenter,
-    /// How often it happens.
-    pub probability: f64,
-    /// Leaves quaternions with the sign that the product gives.
-    pub exact: bool,
-}
-
-impl Default for RandomRotateTargetAngle {
-    fn default() -> Self {
-        Self {
-            angles: vec![0.5, 1.0, 1.5],
-            axis: Axis::Z,
-            center: RotationCenter::Origin,
-            probability: 0.75,
-            exact: false,
-        }
+settings! {
+    /// With `probability`, turns the scene by one of the given angles; as [`RandomRotate`] otherwise.
+    ///
+    /// # Source
+    /// `RandomRotateTargetAngle`, as above.
+    pub struct RandomRotateTargetAngle {
+        /// The angles, in units of π, equally likely.
+        pub angles: Vec<f64> = vec![0.5, 1.0, 1.5],
+        /// The axis to turn about.
+        pub axis: Axis = Axis::Z,
+        /// What stays in place.
+        pub center: RotationCenter = RotationCenter::Origin,
+        /// How often it happens.
+        pub probability: f64 = 0.75,
+        /// Leaves quaternions with the sign that the product gives.
+        pub exact: bool = false,
     }
 }
 

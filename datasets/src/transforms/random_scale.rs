@@ -3,23 +3,16 @@
 use crate::error::{check_positive, check_range};
 use crate::rng::between;
 use crate::{DataError, Sample, SampleRng, Transform};
-use serde::{Deserialize, Serialize};
 
-/// Multiplies positions, sizes and labelled points by one uniform factor.
-///
-/// # Source
-/// `RandomScale` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1, as configured there (one
-/// factor for all axes).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct RandomScale {
-    /// Lowest and highest factor.
-    pub factor: [f64; 2],
-}
-
-impl Default for RandomScale {
-    fn default() -> Self {
-        Self { factor: [0.9, 1.1] }
+settings! {
+    /// Multiplies positions, sizes and labelled points by one uniform factor.
+    ///
+    /// # Source
+    /// `RandomScale` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1, as configured there (one
+    /// factor for all axes).
+    pub struct RandomScale {
+        /// Lowest and highest factor.
+        pub factor: [f64; 2] = [0.9, 1.1],
     }
 }
 

@@ -4,27 +4,20 @@ use super::sphere_crop::nearest_rows;
 use crate::error::{check_shares, require};
 use crate::rng::{below, between};
 use crate::{DataError, Sample, SampleRng, Transform};
-use serde::{Deserialize, Serialize};
 
-/// Keeps the Gaussians nearest to a random one: a share of `point_max`, drawn evenly between two
-/// bounds, and never more than there are.
-///
-/// # Source
-/// `SphereCropRandomMaxPoints` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1. Differs: the
-/// rows kept stay in order, and a share that comes to none keeps one; the share is of the Gaussians
-/// there are where these are fewer than `point_max` (there, small scenes are not cropped at all).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct RatioCrop {
-    /// Lowest and highest share, in 0..=1.
-    pub ratio: [f64; 2],
-    /// What it is a share of, where there are as many.
-    pub point_max: usize,
-}
-
-impl Default for RatioCrop {
-    fn default() -> Self {
-        Self { ratio: [0.4, 1.0], point_max: 307_200 }
+settings! {
+    /// Keeps the Gaussians nearest to a random one: a share of `point_max`, drawn evenly between two
+    /// bounds, and never more than there are.
+    ///
+    /// # Source
+    /// `SphereCropRandomMaxPoints` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1. Differs: the
+    /// rows kept stay in order, and a share that comes to none keeps one; the share is of the Gaussians
+    /// there are where these are fewer than `point_max` (there, small scenes are not cropped at all).
+    pub struct RatioCrop {
+        /// Lowest and highest share, in 0..=1.
+        pub ratio: [f64; 2] = [0.4, 1.0],
+        /// What it is a share of, where there are as many.
+        pub point_max: usize = 307_200,
     }
 }
 

@@ -17,26 +17,20 @@ pub enum CropCenter {
     Middle,
 }
 
-/// Keeps the `point_max` Gaussians nearest to a centre, if there are more. Cells keep the origin they
-/// had.
-///
-/// # Source
-/// `SphereCrop` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1. Differs: the rows kept stay
-/// in order (there, nearest first), and of equally far ones the first are kept.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct SphereCrop {
-    /// Most Gaussians that are left.
-    pub point_max: usize,
-    /// Where the centre is.
-    pub center: CropCenter,
-    /// Puts the nearest first, as the original does.
-    pub exact: bool,
-}
-
-impl Default for SphereCrop {
-    fn default() -> Self {
-        Self { point_max: 192_000, center: CropCenter::Random, exact: false }
+settings! {
+    /// Keeps the `point_max` Gaussians nearest to a centre, if there are more. Cells keep the origin they
+    /// had.
+    ///
+    /// # Source
+    /// `SphereCrop` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1. Differs: the rows kept stay
+    /// in order (there, nearest first), and of equally far ones the first are kept.
+    pub struct SphereCrop {
+        /// Most Gaussians that are left.
+        pub point_max: usize = 192_000,
+        /// Where the centre is.
+        pub center: CropCenter = CropCenter::Random,
+        /// Puts the nearest first, as the original does.
+        pub exact: bool = false,
     }
 }
 

@@ -5,37 +5,30 @@ use crate::error::{check_finite, check_positive, check_probability, check_range,
 use crate::rng::{between, happens};
 use crate::{DataError, Sample, SampleRng, Transform};
 use scenesplat_kernels::grid_sample::{KeyOrder, voxel_groups};
-use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 
 /// Reach of the filter in standard deviations.
 const TRUNCATE: f64 = 2.0;
 
-/// With `probability`, blurs color, size, orientation and opacity over the voxels around: each takes
-/// the mean of those of opaque Gaussians nearby, weighted by a Gaussian of their distance in voxels.
-///
-/// Only Gaussians with an opacity above one half give and take. Of several in a voxel the last one
-/// gives. A quaternion counts with the sign that is nearest to the one it is averaged into.
-///
-/// # Source
-/// `GSGaussianBlurVoxelOpc` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1. Differs: there a
-/// dense grid over the whole box is filtered, with its borders mirrored; here only the voxels that
-/// hold something, so borders have no more weight than they hold; quaternions there are averaged with
-/// whatever sign they have.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct VoxelBlur {
-    /// How often it happens.
-    pub probability: f64,
-    /// Lowest and highest standard deviation, in voxels, above 0 and at most 4.
-    pub sigma: [f64; 2],
-    /// Size of a voxel, metres.
-    pub grid_size: f64,
-}
-
-impl Default for VoxelBlur {
-    fn default() -> Self {
-        Self { probability: 0.5, sigma: [0.1, 2.0], grid_size: 0.02 }
+settings! {
+    /// With `probability`, blurs color, size, orientation and opacity over the voxels around: each takes
+    /// the mean of those of opaque Gaussians nearby, weighted by a Gaussian of their distance in voxels.
+    ///
+    /// Only Gaussians with an opacity above one half give and take. Of several in a voxel the last one
+    /// gives. A quaternion counts with the sign that is nearest to the one it is averaged into.
+    ///
+    /// # Source
+    /// `GSGaussianBlurVoxelOpc` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1. Differs: there a
+    /// dense grid over the whole box is filtered, with its borders mirrored; here only the voxels that
+    /// hold something, so borders have no more weight than they hold; quaternions there are averaged with
+    /// whatever sign they have.
+    pub struct VoxelBlur {
+        /// How often it happens.
+        pub probability: f64 = 0.5,
+        /// Lowest and highest standard deviation, in voxels, above 0 and at most 4.
+        pub sigma: [f64; 2] = [0.1, 2.0],
+        /// Size of a voxel, metres.
+        pub grid_size: f64 = 0.02,
     }
 }
 

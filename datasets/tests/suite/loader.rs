@@ -32,6 +32,7 @@ fn all(loader: &mut dyn BatchLoader<TrainBatch>, epoch: u64, skip: usize) -> Vec
 }
 
 /// A dataset of one Gaussian a scene, for what is done around samples.
+#[derive(Default)]
 struct Fake {
     ids: Vec<String>,
     made: AtomicUsize,
@@ -44,15 +45,7 @@ struct Fake {
 impl Fake {
     fn new(count: usize) -> Self {
         let ids = (0..count).map(|i| format!("scene-{i}")).collect();
-        let (broken, panics) = Default::default();
-        Self {
-            ids,
-            made: AtomicUsize::new(0),
-            active: AtomicUsize::new(0),
-            delay: Duration::ZERO,
-            broken,
-            panics,
-        }
+        Self { ids, ..Self::default() }
     }
 }
 
@@ -90,6 +83,11 @@ impl Dataset for Fake {
 
 fn plain(workers: usize, batch_size: usize) -> LoaderSettings {
     LoaderSettings { workers, batch_size, mix_probability: 0.0, ..<_>::default() }
+}
+
+fn skipping(workers: usize, batch_size: usize) -> LoaderSettings {
+    let broken_scenes = BrokenScenes::Skip;
+    LoaderSettings { shuffle: false, broken_scenes, ..plain(workers, batch_size) }
 }
 
 #[test]
@@ -156,12 +154,7 @@ fn a_broken_scene_stops_the_epoch_and_is_named() {
 fn broken_scenes_are_left_out_only_if_told_so() {
     for workers in [0, 2] {
         let fake = Fake { broken: [1, 4, 5].into(), ..Fake::new(6) };
-        let settings = LoaderSettings {
-            shuffle: false,
-            broken_scenes: BrokenScenes::Skip,
-            ..plain(workers, 2)
-        };
-        let mut loader = loader(Arc::new(fake), settings);
+        let mut loader = loader(Arc::new(fake), skipping(workers, 2));
         let sizes: Vec<usize> =
             all(&mut loader, 0, 0).iter().map(TrainBatch::num_samples).collect();
         assert_eq!(sizes, [1, 2, 0]);
@@ -178,12 +171,7 @@ fn broken_scenes_are_left_out_only_if_told_so() {
 fn a_panic_is_an_error_that_names_the_scene() {
     for workers in [0, 1, 3] {
         let fake = Fake { panics: [2].into(), ..Fake::new(6) };
-        let settings = LoaderSettings {
-            shuffle: false,
-            broken_scenes: BrokenScenes::Skip,
-            ..plain(workers, 1)
-        };
-        let mut loader = loader(Arc::new(fake), settings);
+        let mut loader = loader(Arc::new(fake), skipping(workers, 1));
         let batches: Vec<_> = loader.epoch(0, 0).collect();
         assert_eq!(batches.len(), 3);
         let error = batches[2].as_ref().unwrap_err();

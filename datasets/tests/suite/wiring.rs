@@ -17,6 +17,13 @@ fn steps(list: Value) -> Vec<Arc<dyn scenesplat_datasets::Transform>> {
     build_transforms(&list).unwrap()
 }
 
+/// The sample after a step.
+fn stepped(step: &Value, sample: &Sample, seed: u64) -> Sample {
+    let mut sample = sample.clone();
+    steps(json!([step]))[0].apply(&mut sample, &mut sample_rng(seed, 0, 0)).unwrap();
+    sample
+}
+
 /// One scene of two Gaussians.
 struct Two(Vec<String>);
 impl DataSource for Two {
@@ -59,27 +66,23 @@ fn transforms_follow_each_other_as_they_are_listed() {
     assert!(near(&shifted, [[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0]]), "{shifted:?}");
 }
 
-fn loader(seed: u64, mix_probability: f64) -> SceneLoader {
-    let settings = SyntheticRoomSettings::with_count(300, 0);
-    let source = Arc::new(SyntheticRooms::new(20, settings, 3).unwrap());
+fn mixing(seed: u64, mix_probability: f64) -> LoaderSettings {
+    LoaderSettings { seed, workers: 0, mix_probability, shuffle: false, ..<_>::default() }
+}
+
+fn loader(settings: LoaderSettings) -> SceneLoader {
+    let source = SyntheticRooms::new(20, SyntheticRoomSettings::with_count(300, 0), 3).unwrap();
     let steps = steps(
         json!([{ "type": "center_shift" }, { "type": "grid_sample", "grid_size": 0.2, "keep": "first" }]),
     );
-    let data = SceneDataset::new(source, steps, 1, 1).unwrap();
-    let settings = LoaderSettings {
-        seed,
-        workers: 0,
-        mix_probability,
-        shuffle: false,
-        ..LoaderSettings::default()
-    };
+    let data = SceneDataset::new(Arc::new(source), steps, 1, 1).unwrap();
     SceneLoader::new(Arc::new(data), InputFeatures::default(), settings).unwrap()
 }
 
 #[test]
 fn mixing_is_tossed_for_anew_for_each_batch_epoch_and_seed() {
     let mixed = |seed, probability, epoch| -> Vec<bool> {
-        let mut loader = loader(seed, probability);
+        let mut loader = loader(mixing(seed, probability));
         let batches = loader.epoch(epoch, 0).map(Result::unwrap);
         batches.map(|batch: TrainBatch| batch.num_samples() == 1).collect()
     };
@@ -98,16 +101,9 @@ fn mixing_is_tossed_for_anew_for_each_batch_epoch_and_seed() {
 #[test]
 fn exact_mixing_keeps_every_row() {
     let rows = |exact: bool| -> usize {
-        let plain: usize = loader(1, 0.0).epoch(0, 0).map(|b| b.unwrap().len()).sum();
-        let settings = LoaderSettings { mix_exact: exact, ..loader(1, 1.0).settings().clone() };
-        let settings_source = SyntheticRoomSettings::with_count(300, 0);
-        let source = Arc::new(SyntheticRooms::new(20, settings_source, 3).unwrap());
-        let steps = steps(
-            json!([{ "type": "center_shift" }, { "type": "grid_sample", "grid_size": 0.2, "keep": "first" }]),
-        );
-        let data = Arc::new(SceneDataset::new(source, steps, 1, 1).unwrap());
-        let mut loader = SceneLoader::new(data, InputFeatures::default(), settings).unwrap();
-        plain - loader.epoch(0, 0).map(|b| b.unwrap().len()).sum::<usize>()
+        let count =
+            |settings| -> usize { loader(settings).epoch(0, 0).map(|b| b.unwrap().len()).sum() };
+        count(mixing(1, 0.0)) - count(LoaderSettings { mix_exact: exact, ..mixing(1, 1.0) })
     };
     assert_eq!(rows(true), 0, "both Gaussians of a cell are kept");
     assert!(rows(false) > 0, "one Gaussian of a cell is kept");
@@ -154,10 +150,7 @@ fn steps_change_what_they_are_for_and_nothing_else() {
             vec!["coord", "scale", "quat", "normal"],
         ),
     ] {
-        let mut sample = room.clone();
-        let step = steps(json!([step]));
-        step[0].apply(&mut sample, &mut sample_rng(5, 0, 0)).unwrap();
-        assert_eq!(changed(&room, &sample), due, "{step:?}");
+        assert_eq!(changed(&room, &stepped(&step, &room, 5)), due, "{step}");
     }
 }
 
@@ -172,8 +165,7 @@ fn rows_that_are_left_out_take_their_labels_along() {
         json!({ "type": "random_dropout", "ratio": 0.5, "probability": 1.0 }),
         json!({ "type": "grid_sample", "grid_size": 0.4 }),
     ] {
-        let mut sample = marked.clone();
-        steps(json!([step]))[0].apply(&mut sample, &mut sample_rng(2, 0, 0)).unwrap();
+        let sample = stepped(&step, &marked, 2);
         assert!(sample.len() < room.len() && !sample.is_empty(), "{step}");
         for (row, place) in sample.opacity.iter().map(|o| *o as usize).enumerate() {
             let place_of = |values: &Option<Vec<i32>>| values.as_ref().unwrap()[place];
@@ -227,9 +219,8 @@ fn half_turns_stay_half_turns() {
         ] {
             let mut sample = in_a_row(0.0, &[0]);
             sample.quat = vec![quat];
-            steps(json!([step]))[0].apply(&mut sample, &mut sample_rng(1, 0, 0)).unwrap();
             // The same turn has either sign.
-            assert_eq!(sample.quat[0].map(f32::abs), quat, "{step}");
+            assert_eq!(stepped(&step, &sample, 1).quat[0].map(f32::abs), quat, "{step}");
         }
     }
 }
@@ -239,7 +230,7 @@ fn contrast_leaves_a_constant_channel() {
     let mut sample = in_a_row(0.0, &[0, 1, 2]);
     sample.color[1][2] = 10.0;
     let step = json!({ "type": "chromatic_auto_contrast", "probability": 1.0 });
-    steps(json!([step]))[0].apply(&mut sample, &mut sample_rng(1, 0, 0)).unwrap();
+    let sample = stepped(&step, &sample, 1);
     assert!(sample.color.iter().all(|c| c[..2] == [70.0, 80.0]), "{:?}", sample.color);
     assert!(sample.color[1][2] < 10.0 && sample.color[0][2] > 90.0, "{:?}", sample.color);
 }

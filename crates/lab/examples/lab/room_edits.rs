@@ -9,7 +9,7 @@ use scenesplat::labels::Agreement;
 use scenesplat::network::{WeightOptions, Weights, network_of};
 use scenesplat::objects::surfaces::{SurfaceSettings, scene_surfaces};
 use scenesplat::rooms::{CLASSES, SyntheticRoomSettings, generate};
-use scenesplat::scene::edit::EulerAngles;
+use scenesplat::scene::edit::{EulerAngles, merge};
 use scenesplat::scene::{GaussianScene, LabelSet, Similarity, UpAxis};
 use scenesplat::{Alignment, AlignmentSettings, Network, SceneEncoder, embedded};
 use std::collections::{BTreeMap, BTreeSet};
@@ -194,25 +194,9 @@ fn storey(scene: &GaussianScene, height: f64) -> GaussianScene {
 
 fn joined(scene: &GaussianScene, mut added: GaussianScene) -> GaussianScene {
     added.segment = Some(vec![-1; added.len()]);
-    let mut scene = scene.clone();
-    scene.instance = None;
-    scene.coord.append(&mut added.coord);
-    scene.log_scale.append(&mut added.log_scale);
-    scene.quat.append(&mut added.quat);
-    scene.opacity_logit.append(&mut added.opacity_logit);
-    scene.sh_dc.append(&mut added.sh_dc);
-    let join = |into: &mut Option<Vec<[f32; 3]>>, from: Option<Vec<[f32; 3]>>| {
-        *into = into.take().zip(from).map(|(mut a, mut b)| {
-            a.append(&mut b);
-            a
-        });
-    };
-    join(&mut scene.normal, added.normal);
-    scene.segment = scene.segment.zip(added.segment).map(|(mut a, mut b)| {
-        a.append(&mut b);
-        a
-    });
-    scene
+    added.instance = None;
+    let scene = GaussianScene { instance: None, ..scene.clone() };
+    merge(vec![scene, added]).expect("two parts of one scene").0
 }
 
 fn noisy(scene: &GaussianScene, sigma: f32) -> GaussianScene {

@@ -58,6 +58,9 @@ pub enum Policy {
 }
 
 impl Policy {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Exact, Self::Repaired, Self::Refused];
+
     /// Its word in tables.
     pub fn name(self) -> &'static str {
         match self {
@@ -127,15 +130,15 @@ pub struct Case {
     /// What it is about.
     pub level: Level,
     /// What it is about within the level, one word or two.
-    pub area: &'static str,
+    pub area: String,
     /// Where it comes from: a thread, a line of a paper, a bug, a line of a specification.
-    pub origin: &'static str,
+    pub origin: String,
     /// What is expected.
     pub policy: Policy,
     /// The largest error that passes.
     pub tolerance: f64,
     /// Why it is that.
-    pub reason: &'static str,
+    pub reason: String,
     /// Whether it belongs to the subset that is run by default.
     pub quick: bool,
     pub(super) check: Check,
@@ -154,34 +157,14 @@ impl Case {
         Self {
             name: name.into(),
             level,
-            area: "",
-            origin: "",
+            area: String::new(),
+            origin: String::new(),
             policy: Policy::Exact,
             tolerance: 0.0,
-            reason: "",
+            reason: String::new(),
             quick: true,
             check: Box::new(move |trial| check(trial).map(Into::into)),
         }
-    }
-
-    /// The largest error that passes, and why.
-    pub(super) fn within(self, tolerance: f64, reason: &'static str) -> Self {
-        Self { tolerance, reason, ..self }
-    }
-
-    /// Why there is nothing to measure.
-    pub(super) fn because(self, reason: &'static str) -> Self {
-        self.within(0.0, reason)
-    }
-
-    /// What is expected.
-    pub(super) fn expects(self, policy: Policy) -> Self {
-        Self { policy, ..self }
-    }
-
-    /// Expects an error.
-    pub(super) fn refused(self) -> Self {
-        self.expects(Policy::Refused)
     }
 
     /// What the measures beside the error may come to.
@@ -196,15 +179,6 @@ impl Case {
     pub fn check(&self, trial: &Trial<'_>) -> Result<Finding, Failure> {
         (self.check)(trial)
     }
-}
-
-/// Cases by area, each with the function that makes them.
-pub(super) fn in_areas(areas: &[(&'static str, fn() -> Vec<Case>)]) -> Vec<Case> {
-    let of = |(area, cases): &(&'static str, fn() -> Vec<Case>)| {
-        let area = *area;
-        cases().into_iter().map(move |case| Case { area, ..case })
-    };
-    areas.iter().flat_map(of).collect()
 }
 
 impl fmt::Debug for Case {

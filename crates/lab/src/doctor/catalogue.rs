@@ -1,9 +1,8 @@
-//! All cases, in one table.
+//! All cases.
 
-use super::case::{Case, Level};
+use super::case::Case;
 use super::{inputs, operators, scenes, training};
 use scenesplat_scene::label_set;
-use std::fmt::Write;
 
 /// Every hard case, level by level.
 pub fn catalogue() -> Vec<Case> {
@@ -21,47 +20,30 @@ pub fn nearest_names(name: &str) -> Vec<String> {
     label_set::nearest_names(&names, name, SUGGESTIONS).into_iter().map(str::to_owned).collect()
 }
 
-/// The table as the documentation shows it.
-pub fn markdown() -> String {
-    let cases = catalogue();
-    let mut text = String::new();
-    for level in Level::ALL {
-        let of_level: Vec<&Case> = cases.iter().filter(|case| case.level == level).collect();
-        let quick = of_level.iter().filter(|case| case.quick).count();
-        // Writing to a string does not fail.
-        let _ = writeln!(
-            text,
-            "## Level {}: {level}\n\n{} cases, {quick} of them in the quick subset (·).\n",
-            level.number(),
-            of_level.len()
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::doctor::Level;
+    use crate::doctor::table::{DOCUMENTATION, rows};
+
+    /// Each row has a check and each check a row, in one order.
+    #[test]
+    fn the_documentation_has_every_case() {
+        let (named, due): (Vec<&str>, Vec<String>) = (
+            rows().map(|(name, _)| name).collect(),
+            catalogue().into_iter().map(|c| c.name).collect(),
         );
-        text +=
-            "| case | about | expected | tolerance, and why | origin |\n|---|---|---|---|---|\n";
-        for case in of_level {
-            let quick = if case.quick { " ·" } else { "" };
-            let _ = writeln!(
-                text,
-                "| `{}`{quick} | {} | {} | {} | {} |",
-                case.name,
-                case.area,
-                case.policy,
-                tolerance(case),
-                cell(case.origin)
+        assert_eq!(named, due);
+        let count = |level: Level| rows().filter(|(_, row)| row.level == level).count();
+        let quick =
+            |level: Level| rows().filter(|(_, row)| row.level == level && row.quick).count();
+        for level in Level::ALL {
+            let (number, all, quick) = (level.number(), count(level), quick(level));
+            let said = format!(
+                "## Level {number}: {level}\n\n{all} cases, {quick} of them in the quick subset"
             );
+            assert!(DOCUMENTATION.contains(&said), "{said}");
         }
-        text.push('\n');
+        assert!(DOCUMENTATION.contains(&format!("{} cases that run", due.len())));
     }
-    text + &super::attacks::markdown()
-}
-
-fn tolerance(case: &Case) -> String {
-    match case.tolerance {
-        0.0 => format!("0: {}", cell(case.reason)),
-        t => format!("{t:e}: {}", cell(case.reason)),
-    }
-}
-
-/// Text that does not end its cell.
-fn cell(text: &str) -> String {
-    text.replace('|', "\\|")
 }

@@ -20,7 +20,6 @@
 
 #![allow(clippy::type_complexity, reason = "tables of names, origins and functions")]
 
-mod attacks;
 mod case;
 mod catalogue;
 mod inputs;
@@ -32,13 +31,13 @@ mod runner;
 mod scenes;
 mod soak;
 mod stability;
+mod table;
 mod training;
 mod trial;
 mod verdict;
 
-pub use attacks::{ATTACKS, Attack};
 pub use case::{Case, Finding, Level, Policy};
-pub use catalogue::{catalogue, markdown, nearest_names};
+pub use catalogue::{catalogue, nearest_names};
 pub use measures::{Bounds, Measures, SignBias};
 pub use report::{DoctorReport, IsaReport, Surroundings};
 pub use runner::Doctor;

@@ -1,7 +1,8 @@
 //! Level 3: short trainings on generated rooms.
 
-use super::case::{Case, Finding, Level, Policy, in_areas};
+use super::case::Case;
 use super::inputs::files::{columns, little, with};
+use super::table::case;
 use super::trial::{Failure, Trial, ensure};
 use candle_core::{DType, Device, Tensor};
 use scenesplat::experiment::{ExperimentConfig, RunOptions, RunReport, train};
@@ -43,119 +44,100 @@ keep = 5
 every_steps = 2
 "#;
 
-/// Forms of a run: name, whether it is quick, what is replaced in the experiment, and by what.
-const FORMS: [(&str, bool, &str, &str); 7] = [
-    ("f32", true, "log_every = 1", "log_every = 1"),
-    ("bf16", true, "[model]", "precision = \"bf16\"\n[model]"),
-    ("split", false, "[model]", "precision = \"split\"\n[model]"),
-    ("accumulated", false, "ema = 0.9", "accumulate = 3"),
-    ("recomputed", false, "ema = 0.9", "recompute = true"),
-    ("uneven-batches", false, "batch_size = 1", "batch_size = 2"),
-    ("huge-rate", false, "[trainer]", "[optimizer]\nlr = 1000.0\n[trainer]\nclip_norm = 1.0"),
+/// Forms of a run: name, what is replaced in the experiment, and by what.
+const FORMS: [(&str, &str, &str); 7] = [
+    ("f32", "log_every = 1", "log_every = 1"),
+    (
+        "bf16",
+        "[model]",
+        "precision = \"bf16\"
+[model]",
+    ),
+    (
+        "split",
+        "[model]",
+        "precision = \"split\"
+[model]",
+    ),
+    ("accumulated", "ema = 0.9", "accumulate = 3"),
+    ("recomputed", "ema = 0.9", "recompute = true"),
+    ("uneven-batches", "batch_size = 1", "batch_size = 2"),
+    (
+        "huge-rate",
+        "[trainer]",
+        "[optimizer]
+lr = 1000.0
+[trainer]
+clip_norm = 1.0",
+    ),
 ];
 
-/// Settings that a run cannot go on with: name, whether it is quick, word of the refusal, what is replaced, and by what.
-const OTHERS: [(&str, bool, &str, &str, &str); 4] = [
-    ("patch", false, "enc_patch_size", "enc_patch_size = [64, 64]", "enc_patch_size = [32, 64]"),
-    ("loss", false, "losses", "\"lovasz_softmax\"", "\"lovasz_softmax\"\nweight = 0.5"),
-    ("voxels", true, "grid_size", "grid_size = 0.3", "grid_size = 0.4"),
-    ("seed", false, "seed", "seed = 1", "seed = 7"),
+/// Settings that a run cannot go on with: name, word of the refusal, what is replaced, and by what.
+const OTHERS: [(&str, &str, &str, &str); 4] = [
+    ("patch", "enc_patch_size", "enc_patch_size = [64, 64]", "enc_patch_size = [32, 64]"),
+    (
+        "loss",
+        "losses",
+        "\"lovasz_softmax\"",
+        "\"lovasz_softmax\"
+weight = 0.5",
+    ),
+    ("voxels", "grid_size", "grid_size = 0.3", "grid_size = 0.4"),
+    ("seed", "seed", "seed = 1", "seed = 7"),
 ];
 
 pub(super) fn cases() -> Vec<Case> {
-    in_areas(&[("training", all)])
-}
-
-fn training<T: Into<Finding>>(
-    name: impl Into<String>,
-    origin: &'static str,
-    check: impl Fn(&Trial<'_>) -> Result<T, Failure> + Send + Sync + 'static,
-) -> Case {
-    let reason = "every loss and parameter is finite, or the files are the same, byte for byte";
-    Case { origin, reason, ..Case::new(name, Level::Training, check) }
-}
-
-fn all() -> Vec<Case> {
-    let form = |(name, quick, from, to)| {
-        let origin =
-            "demands 2a, level 3: f32, bf16; even and uneven batches; accumulation, recomputation";
-        let case = training(format!("training-{name}"), origin, move |t| {
+    let form = |(name, from, to)| {
+        case(format!("training-{name}"), move |t| {
             let path = config(t, &EXPERIMENT.replacen(from, to, 1))?;
             finite(t, &start(t, &path, false)?)
-        });
-        let reason = "every loss and parameter is finite; nothing else is measured";
-        Case { quick, reason, ..case }
+        })
     };
     let mut cases: Vec<Case> = FORMS.map(form).into();
     cases.extend([
-        training(
-            "training-on-threads",
-            "demands 2a, level 3: identical hashes on 1 and many threads",
-            |t| {
-                let path = config(t, EXPERIMENT)?;
-                t.same_on_threads(|| {
-                    let weights = weights(&start(t, &path, false)?)?;
-                    std::fs::remove_dir_all(t.folder().join("run"))?;
-                    Ok(weights)
-                })?;
-                Ok(())
-            },
-        ),
-        training(
-            "resumed-training",
-            "demands 2a, level 3: resume = uninterrupted run, bit for bit",
-            |t| {
-                let path = config(t, EXPERIMENT)?;
-                let whole = weights(&interrupted(t, &path)?)?;
-                let resumed = weights(&start(t, &path, true)?)?;
-                ensure!(whole == resumed, "another network after going on from step 4");
-                Ok(())
-            },
-        ),
-        training(
-            "resumed-without-its-average",
-            "attack M6: average.safetensors missing: other bits, in silence",
-            |t| damaged(t, |average| Ok(std::fs::remove_file(average)?)),
-        )
-        .refused(),
-        training(
-            "resumed-with-a-nan-in-its-average",
-            "attack M6: a NaN is exported, in silence",
-            |t| {
-                damaged(t, |average| {
-                    let mut bytes = std::fs::read(average)?;
-                    let end = bytes.len() - 4;
-                    bytes[end..].copy_from_slice(&f32::NAN.to_le_bytes());
-                    Ok(std::fs::write(average, bytes)?)
-                })
-            },
-        )
-        .refused(),
-        training("training-on-nothing", "attack M6: trained on 0 Gaussians, and exported", |t| {
+        case("training-on-threads", |t| {
+            let path = config(t, EXPERIMENT)?;
+            t.same_on_threads(|| {
+                let weights = weights(&start(t, &path, false)?)?;
+                std::fs::remove_dir_all(t.folder().join("run"))?;
+                Ok(weights)
+            })?;
+            Ok(())
+        }),
+        case("resumed-training", |t| {
+            let path = config(t, EXPERIMENT)?;
+            let whole = weights(&interrupted(t, &path)?)?;
+            let resumed = weights(&start(t, &path, true)?)?;
+            ensure!(whole == resumed, "another network after going on from step 4");
+            Ok(())
+        }),
+        case("resumed-without-its-average", |t| {
+            damaged(t, |average| Ok(std::fs::remove_file(average)?))
+        }),
+        case("resumed-with-a-nan-in-its-average", |t| {
+            damaged(t, |average| {
+                let mut bytes = std::fs::read(average)?;
+                let end = bytes.len() - 4;
+                bytes[end..].copy_from_slice(&f32::NAN.to_le_bytes());
+                Ok(std::fs::write(average, bytes)?)
+            })
+        }),
+        case("training-on-nothing", |t| {
             let text = EXPERIMENT.replace("num_gaussians = 400", "num_gaussians = 0");
             let ended = start(t, &config(t, &text)?, false);
             ensure!(ended.is_err(), "a network is trained on nothing");
             Ok(())
-        })
-        .refused(),
-        training(
-            "training-data-with-bad-values",
-            "attack M9: 300 NaN positions and 600 NaN rotations, not a word",
-            bad_data,
-        )
-        .expects(Policy::Repaired),
+        }),
+        case("training-data-with-bad-values", bad_data),
     ]);
-    cases.extend(OTHERS.map(|(name, quick, word, from, to)| {
-        let origin = "attack M6: a run goes on with other settings, in silence";
-        let case = training(format!("resumed-with-another-{name}"), origin, move |t| {
+    cases.extend(OTHERS.map(|(name, word, from, to)| {
+        case(format!("resumed-with-another-{name}"), move |t| {
             interrupted(t, &config(t, EXPERIMENT)?)?;
             let ended = start(t, &config(t, &EXPERIMENT.replace(from, to))?, true);
             let named = ended.as_ref().is_err_and(|e| e.0.contains(word));
             ensure!(named, "goes on with {to}, or does not name it: {ended:?}");
             Ok(())
-        });
-        let reason = "an error that names the setting; nothing is measured";
-        Case { quick, reason, ..case }.refused()
+        })
     }));
     cases
 }

@@ -116,11 +116,18 @@ pub enum BudgetError {
 }
 
 /// A setting that may be chosen.
+#[derive(Clone, Copy)]
 struct Candidate<'a> {
     calibrated: &'a Calibrated,
     seconds: f64,
     share: f64,
     peak: f64,
+}
+
+impl Candidate<'_> {
+    fn setting(&self) -> String {
+        self.calibrated.setting.clone()
+    }
 }
 
 impl Calibration {
@@ -163,44 +170,32 @@ impl Calibration {
         slower: f64,
         spent: f64,
     ) -> Result<Choice, BudgetError> {
-        let best = self.settings.iter().find(|c| c.setting == self.reference);
-        let reference = best.map_or(f64::NAN, |c| c.f_miou);
-        let mut all = Vec::new();
-        for calibrated in &self.settings {
-            let size = size_of(&calibrated.setting);
-            let seconds = self.model.seconds(command, &calibrated.setting, &size);
-            let peak = self.model.peak_bytes(&calibrated.setting, &size);
-            if let (Some(seconds), Some(peak)) = (seconds, peak) {
-                let (seconds, share) = (spent + slower * seconds, calibrated.f_miou / reference);
-                all.push(Candidate { calibrated, seconds, share, peak });
-            }
-        }
+        let mut all = self.candidates(command, size_of, slower, spent);
         let count = all.len();
-        let least =
-            all.iter().min_by(|a, b| a.peak.total_cmp(&b.peak)).ok_or(BudgetError::Nothing)?;
-        let (lightest, needed) = (least.calibrated.setting.clone(), least.peak);
+        let lightest = all.iter().min_by(|a, b| a.peak.total_cmp(&b.peak)).copied();
+        let lightest = lightest.ok_or(BudgetError::Nothing)?;
         if let Some(limit) = ask.max_memory {
             all.retain(|o| o.peak <= limit as f64);
             if all.is_empty() {
-                let (asked, needed) = (Bytes(limit), Bytes(needed as u64));
-                return Err(BudgetError::Memory { asked, setting: lightest, needed });
+                let (asked, needed) = (Bytes(limit), Bytes(lightest.peak as u64));
+                return Err(BudgetError::Memory { asked, setting: lightest.setting(), needed });
             }
         }
         if let Some(asked) = ask.min_quality {
-            let best = all.iter().max_by(|a, b| a.share.total_cmp(&b.share));
-            let best = best.map(|o| (o.calibrated.setting.clone(), o.share));
+            let best = all.iter().max_by(|a, b| a.share.total_cmp(&b.share)).copied();
             all.retain(|o| o.share >= asked);
-            if let (true, Some((setting, best))) = (all.is_empty(), best) {
+            if let (true, Some(best)) = (all.is_empty(), best) {
+                let (setting, best) = (best.setting(), best.share);
                 return Err(BudgetError::Quality { asked, setting, best });
             }
         }
-        let margin = 1.0 + self.model.error.max(self.model.reserve).clamp(0.1, 0.6);
-        let cheapest = all.iter().min_by(|a, b| a.seconds.total_cmp(&b.seconds));
-        let cheapest = cheapest.map(|o| (o.calibrated.setting.clone(), o.seconds));
         if let Some(asked) = ask.seconds {
-            all.retain(|o| spent + (o.seconds - spent) * margin <= asked);
-            if let (true, Some((setting, seconds))) = (all.is_empty(), cheapest) {
-                let needed = spent + (seconds - spent) * margin;
+            let margin = 1.0 + self.model.error.max(self.model.reserve).clamp(0.1, 0.6);
+            let needed = |o: &Candidate<'_>| spent + (o.seconds - spent) * margin;
+            let cheapest = all.iter().min_by(|a, b| a.seconds.total_cmp(&b.seconds)).copied();
+            all.retain(|o| needed(o) <= asked);
+            if let (true, Some(cheapest)) = (all.is_empty(), cheapest) {
+                let (setting, needed) = (cheapest.setting(), needed(&cheapest));
                 let of_quality =
                     ask.min_quality.map_or(String::new(), |_| " that is good enough".to_owned());
                 return Err(BudgetError::Time { asked, setting, needed, of_quality });
@@ -218,12 +213,32 @@ impl Calibration {
         let what = if ask.seconds.is_some() { "the best" } else { "the cheapest" };
         let why = format!("{what} of {} settings that fit, of {count} measured", all.len());
         Ok(Choice {
-            setting: chosen.calibrated.setting.clone(),
+            setting: chosen.setting(),
             seconds: chosen.seconds,
             f_miou: chosen.calibrated.f_miou,
             share: chosen.share,
             why,
         })
+    }
+
+    /// The settings whose cost is known.
+    fn candidates(
+        &self,
+        command: &str,
+        size_of: &mut dyn FnMut(&str) -> Size,
+        slower: f64,
+        spent: f64,
+    ) -> Vec<Candidate<'_>> {
+        let best = self.settings.iter().find(|c| c.setting == self.reference);
+        let reference = best.map_or(f64::NAN, |c| c.f_miou);
+        let candidates = self.settings.iter().filter_map(|calibrated| {
+            let Calibrated { setting, f_miou } = calibrated;
+            let size = size_of(setting);
+            let seconds = spent + slower * self.model.seconds(command, setting, &size)?;
+            let peak = self.model.peak_bytes(setting, &size)?;
+            Some(Candidate { calibrated, seconds, share: f_miou / reference, peak })
+        });
+        candidates.collect()
     }
 }
 

@@ -3,12 +3,10 @@
 use super::point::Point;
 use super::summary::{Summary, place};
 use super::training::TrainingCurve;
+use crate::charts::{INK, SOFT, axes, curve};
 use scenesplat::page_kit::drawing::{Anchor, Color, Drawing};
 use scenesplat::page_kit::scale::Scale;
 
-const INK: Color = [40, 44, 52];
-const SOFT: Color = [120, 126, 136];
-const GRID: Color = [228, 229, 231];
 const FRONT: Color = [20, 98, 190];
 const KNEE: Color = [226, 106, 20];
 const BEATEN: Color = [186, 189, 194];
@@ -52,53 +50,73 @@ fn front_chart(summary: &Summary) -> Drawing {
     let ceiling = summary.oracle.as_ref().and_then(|p| p.f_miou);
     let chance = summary.random_labels.as_ref().and_then(|p| p.f_miou);
     worths.extend(ceiling.into_iter().chain(chance));
-    let x = Scale::over(&times, true, [PLOT[0], PLOT[2]]);
-    let y = Scale::over(&worths, false, [PLOT[3], PLOT[1]]);
-    axes(&mut d, &x, &y, PLOT, "seconds a scene (median)", seconds_text);
+    let plot = Plot {
+        x: Scale::over(&times, true, [PLOT[0], PLOT[2]]),
+        y: Scale::over(&worths, false, [PLOT[3], PLOT[1]]),
+    };
+    plot.axes(&mut d, PLOT, "seconds a scene (median)", seconds_text);
     for (value, name, color) in [(ceiling, "oracle", CEILING), (chance, "random labels", CHANCE)] {
-        let Some(value) = value else { continue };
-        d.dashes([PLOT[0], y.at(value)], [PLOT[2], y.at(value)], color);
-        d.text([PLOT[2] - 6.0, y.at(value) - 22.0], 2, color, Anchor::End, name);
+        let Some(at) = value.map(|value| plot.y.at(value)) else { continue };
+        d.dashes([PLOT[0], at], [PLOT[2], at], color);
+        d.text([PLOT[2] - 6.0, at - 22.0], 2, color, Anchor::End, name);
     }
-    let at = |p: &Point| {
-        let [cost, worth] = place(p);
-        [x.at(cost), y.at(worth)]
-    };
-    let bars = |d: &mut Drawing, p: &Point, color| {
-        let [px, py] = at(p);
-        d.line([x.at(p.seconds_low), py], [x.at(p.seconds_high), py], 1.5, color);
-        if let (Some(low), Some(high)) = (p.f_miou_low, p.f_miou_high) {
-            d.line([px, y.at(low)], [px, y.at(high)], 1.5, color);
-        }
-    };
-    for p in summary.dominated.iter().filter(|p| p.f_miou.is_some()) {
-        bars(&mut d, p, BEATEN_FILL);
-    }
-    for p in summary.dominated.iter().filter(|p| p.f_miou.is_some()) {
-        d.disc(at(p), 5.0, BEATEN_FILL, BEATEN);
-    }
-    for pair in summary.points.windows(2) {
-        let ([x0, y0], [x1, y1]) = (at(&pair[0]), at(&pair[1]));
-        d.line([x0, y0], [x1, y0], 2.0, FRONT);
-        d.line([x1, y0], [x1, y1], 2.0, FRONT);
-    }
-    for p in &summary.points {
-        bars(&mut d, p, [130, 170, 220]);
-    }
-    let mut last = f64::NEG_INFINITY;
-    for (i, p) in summary.points.iter().enumerate() {
-        let is_knee = summary.knee.as_deref() == Some(&p.setting);
-        let color = if is_knee { KNEE } else { FRONT };
-        let [px, py] = at(p);
-        d.disc([px, py], if is_knee { 9.0 } else { 7.0 }, color, [255; 3]);
-        // A number that would stand on the one before goes below.
-        let up = if px - last < 34.0 { 12.0 } else { -28.0 };
-        let (side, anchor) = if up > 0.0 { (12.0, Anchor::Start) } else { (-12.0, Anchor::End) };
-        d.text([px + side, py + up], 2, color, anchor, &format!("{}", i + 1));
-        last = px;
-    }
+    plot.points(&mut d, summary);
     list(&mut d, summary);
     d
+}
+
+/// Cost across, worth upwards.
+struct Plot {
+    x: Scale,
+    y: Scale,
+}
+
+impl Plot {
+    fn axes(&self, d: &mut Drawing, plot: [f64; 4], name: &str, text: fn(f64) -> String) {
+        axes(d, [&self.x, &self.y], plot, [12.0, 10.0], (text, percent));
+        d.text([(plot[0] + plot[2]) / 2.0, plot[3] + 42.0], 2, INK, Anchor::Middle, name);
+    }
+
+    fn at(&self, [cost, worth]: [f64; 2]) -> [f64; 2] {
+        [self.x.at(cost), self.y.at(worth)]
+    }
+
+    fn bars(&self, d: &mut Drawing, p: &Point, color: Color) {
+        let [px, py] = self.at(place(p));
+        d.line([self.x.at(p.seconds_low), py], [self.x.at(p.seconds_high), py], 1.5, color);
+        if let (Some(low), Some(high)) = (p.f_miou_low, p.f_miou_high) {
+            d.line([px, self.y.at(low)], [px, self.y.at(high)], 1.5, color);
+        }
+    }
+
+    /// The beaten ones, and the front with its numbers over them.
+    fn points(&self, d: &mut Drawing, summary: &Summary) {
+        let beaten = || summary.dominated.iter().filter(|p| p.f_miou.is_some());
+        beaten().for_each(|p| self.bars(d, p, BEATEN_FILL));
+        beaten().for_each(|p| d.disc(self.at(place(p)), 5.0, BEATEN_FILL, BEATEN));
+        for pair in summary.points.windows(2) {
+            let ([x0, y0], [x1, y1]) = (self.at(place(&pair[0])), self.at(place(&pair[1])));
+            d.line([x0, y0], [x1, y0], 2.0, FRONT);
+            d.line([x1, y0], [x1, y1], 2.0, FRONT);
+        }
+        summary.points.iter().for_each(|p| self.bars(d, p, [130, 170, 220]));
+        let mut last = f64::NEG_INFINITY;
+        for (i, p) in summary.points.iter().enumerate() {
+            let (radius, color) = if is_knee(summary, p) { (9.0, KNEE) } else { (7.0, FRONT) };
+            let [px, py] = self.at(place(p));
+            d.disc([px, py], radius, color, [255; 3]);
+            // A number that would stand on the one before goes below.
+            let below = px - last < 34.0;
+            let (side, up, anchor) =
+                if below { (12.0, 12.0, Anchor::Start) } else { (-12.0, -28.0, Anchor::End) };
+            d.text([px + side, py + up], 2, color, anchor, &format!("{}", i + 1));
+            last = px;
+        }
+    }
+}
+
+fn is_knee(summary: &Summary, p: &Point) -> bool {
+    summary.knee.as_deref() == Some(&p.setting)
 }
 
 /// The front's settings by number, then the classes.
@@ -109,9 +127,7 @@ fn list(d: &mut Drawing, summary: &Summary) {
     y += 28.0;
     const MOST: usize = 11;
     for (i, p) in summary.points.iter().enumerate().take(MOST) {
-        let is_knee = summary.knee.as_deref() == Some(&p.setting);
-        let color = if is_knee { KNEE } else { FRONT };
-        let mark = if is_knee { " knee" } else { "" };
+        let (color, mark) = if is_knee(summary, p) { (KNEE, " knee") } else { (FRONT, "") };
         let quality = 100.0 * p.f_miou.unwrap_or(f64::NAN);
         let text = format!("{:2} {} {quality:.1} %{mark}", i + 1, seconds_text(p.seconds_p50));
         d.text([LIST, y], 2, color, Anchor::Start, &text);
@@ -160,58 +176,27 @@ fn shared_parts(summary: &Summary) -> Vec<&str> {
 
 fn training_chart(curves: &[TrainingCurve]) -> Drawing {
     let mut d = Drawing::new(SIZE[0], 620);
-    let plot = [PLOT[0], 70.0, PLOT[2], 540.0];
-    d.text(
-        [PLOT[0], 22.0],
-        2,
-        INK,
-        Anchor::Start,
-        "What training costs: quality against seconds of training",
-    );
+    let [left, top, right, bottom] = [PLOT[0], 70.0, PLOT[2], 540.0];
+    let title = "What training costs: quality against seconds of training";
+    d.text([left, 22.0], 2, INK, Anchor::Start, title);
     let of =
         |i: usize| curves.iter().flat_map(|c| c.points.iter()).map(|p| p[i]).collect::<Vec<_>>();
-    let (x, y) = (
-        Scale::over(&of(0), true, [plot[0], plot[2]]),
-        Scale::over(&of(1), false, [plot[3], plot[1]]),
-    );
-    axes(&mut d, &x, &y, plot, "seconds of training", |seconds| format!("{seconds:.0}"));
-    for (i, curve) in curves.iter().enumerate() {
+    let plot = Plot {
+        x: Scale::over(&of(0), true, [left, right]),
+        y: Scale::over(&of(1), false, [bottom, top]),
+    };
+    let seconds = |seconds: f64| format!("{seconds:.0}");
+    plot.axes(&mut d, [left, top, right, bottom], "seconds of training", seconds);
+    for (i, of_training) in curves.iter().enumerate() {
         let color = CURVES[i % CURVES.len()];
-        let at = |p: &[f64; 2]| [x.at(p[0]), y.at(p[1])];
-        for pair in curve.points.windows(2) {
-            d.line(at(&pair[0]), at(&pair[1]), 2.0, color);
-        }
-        curve.points.iter().for_each(|p| d.disc(at(p), 4.0, color, [255; 3]));
-        let top = plot[1] + 52.0 * i as f64;
-        d.text([LIST, top], 2, color, Anchor::Start, &curve.name);
-        let (best, until) = (100.0 * curve.best, seconds_text(curve.seconds_to_99));
-        let text = format!("{}: best {best:.1} %, 99 % of it after {until}", curve.metric);
+        curve(&mut d, of_training.points.iter().map(|p| plot.at(*p)), 2.0, color);
+        let top = top + 52.0 * i as f64;
+        d.text([LIST, top], 2, color, Anchor::Start, &of_training.name);
+        let (best, until) = (100.0 * of_training.best, seconds_text(of_training.seconds_to_99));
+        let text = format!("{}: best {best:.1} %, 99 % of it after {until}", of_training.metric);
         d.text([LIST, top + 22.0], 1, SOFT, Anchor::Start, &text);
     }
     d
-}
-
-fn axes(
-    d: &mut Drawing,
-    x: &Scale,
-    y: &Scale,
-    plot: [f64; 4],
-    name: &str,
-    text: fn(f64) -> String,
-) {
-    for tick in x.ticks() {
-        let at = x.at(tick);
-        d.line([at, plot[1]], [at, plot[3]], 1.0, GRID);
-        d.text([at, plot[3] + 12.0], 2, SOFT, Anchor::Middle, &text(tick));
-    }
-    for tick in y.ticks() {
-        let at = y.at(tick);
-        d.line([plot[0], at], [plot[2], at], 1.0, GRID);
-        d.text([plot[0] - 10.0, at - 8.0], 2, SOFT, Anchor::End, &percent(tick));
-    }
-    d.line([plot[0], plot[1]], [plot[0], plot[3]], 1.5, INK);
-    d.line([plot[0], plot[3]], [plot[2], plot[3]], 1.5, INK);
-    d.text([(plot[0] + plot[2]) / 2.0, plot[3] + 42.0], 2, INK, Anchor::Middle, name);
 }
 
 fn percent(value: f64) -> String {

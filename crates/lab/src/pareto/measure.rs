@@ -352,36 +352,14 @@ fn finish(
 ) -> Result<Record, ParetoError> {
     let samples: Vec<f64> = per_scene.iter().flat_map(|s| s.seconds.iter().copied()).collect();
     let of_repeat = |r: usize| {
-        let seconds: Vec<f64> =
-            per_scene.iter().filter_map(|s| s.seconds.get(r).copied()).collect();
-        quantile_of(&seconds, 0.5)
+        let all: Vec<f64> = per_scene.iter().filter_map(|s| s.seconds.get(r).copied()).collect();
+        quantile_of(&all, 0.5)
     };
     let medians: Vec<f64> = (0..job.repeats.max(1)).map(of_repeat).collect();
-    let scenes = per_scene.len() as f64;
-    let wall = samples.iter().sum::<f64>() / samples.len().max(1) as f64;
-    let stages: Vec<Stage> = names
-        .iter()
-        .enumerate()
-        .map(|(i, name)| {
-            let seconds = per_scene.iter().map(|s| s.stage_seconds[i]).sum::<f64>() / scenes;
-            Stage { name: (*name).to_owned(), seconds, share: seconds / wall }
-        })
-        .collect();
-    let coverage = stages.iter().map(|s| s.share).sum::<f64>();
-    if coverage < LEAST_COVERAGE {
-        let (setting, least) = (job.setting.clone(), LEAST_COVERAGE);
-        return Err(ParetoError::Stages { setting, coverage, least });
-    }
-    let mut pooled =
-        ConfusionMatrix::new(job.text.len())?.with_excluded(&job.evaluation.excluded)?;
-    for matrix in &quality.matrices {
-        pooled.merge(matrix)?;
-    }
+    let (stages, coverage) = stages(job, names, &per_scene, &samples)?;
     let bounds = f_miou_with_bounds(&quality.matrices)?;
-    let mut all_labels = Sha256::new();
-    for scene in &per_scene {
-        all_labels.update(scene.prediction_hash.as_bytes());
-    }
+    let hashes: String = per_scene.iter().map(|scene| scene.prediction_hash.as_str()).collect();
+    let share = |part: usize, of: usize| (of > 0).then(|| part as f64 / of as f64);
     let mut record = Record {
         kind: Kind::Setting,
         setting: job.setting.clone(),
@@ -405,16 +383,14 @@ fn finish(
         f_macc: None,
         macc: None,
         all_acc: None,
-        agreement: (quality.compared > 0)
-            .then(|| quality.agreeing as f64 / quality.compared as f64),
-        query_hit1: (quality.hits.asked > 0)
-            .then(|| quality.hits.hits as f64 / quality.hits.asked as f64),
+        agreement: share(quality.agreeing, quality.compared),
+        query_hit1: share(quality.hits.hits, quality.hits.asked),
         ece: quality.calibration.error(),
         stages,
         stage_coverage: coverage,
         width: job.network().model().out_channels(),
         classes: job.text.len(),
-        prediction_hash: hex(all_labels),
+        prediction_hash: hex(Sha256::new_with_prefix(hashes)),
         conditions: job.conditions.clone(),
         weights_hash: job.weights_hash.clone(),
         input_hash: job.input_hash.clone(),
@@ -423,8 +399,40 @@ fn finish(
         machine: job.machine.clone(),
         per_scene,
     };
-    figures(&mut record, &pooled.tester_report());
+    figures(&mut record, &pooled(job, quality)?);
     Ok(record)
+}
+
+/// How long each part of a scene takes, and the share of the time that they explain.
+fn stages(
+    job: &Job<'_>,
+    names: &[&str],
+    per_scene: &[SceneRecord],
+    samples: &[f64],
+) -> Result<(Vec<Stage>, f64), ParetoError> {
+    let scenes = per_scene.len() as f64;
+    let wall = samples.iter().sum::<f64>() / samples.len().max(1) as f64;
+    let stage = |(i, name): (usize, &&str)| {
+        let seconds = per_scene.iter().map(|s| s.stage_seconds[i]).sum::<f64>() / scenes;
+        Stage { name: (*name).to_owned(), seconds, share: seconds / wall }
+    };
+    let stages: Vec<Stage> = names.iter().enumerate().map(stage).collect();
+    let coverage = stages.iter().map(|s| s.share).sum::<f64>();
+    if coverage < LEAST_COVERAGE {
+        let (setting, least) = (job.setting.clone(), LEAST_COVERAGE);
+        return Err(ParetoError::Stages { setting, coverage, least });
+    }
+    Ok((stages, coverage))
+}
+
+/// What the labels of all scenes together are worth.
+fn pooled(job: &Job<'_>, quality: &Quality) -> Result<TesterReport, ParetoError> {
+    let mut pooled =
+        ConfusionMatrix::new(job.text.len())?.with_excluded(&job.evaluation.excluded)?;
+    for matrix in &quality.matrices {
+        pooled.merge(matrix)?;
+    }
+    Ok(pooled.tester_report())
 }
 
 fn figures(record: &mut Record, report: &TesterReport) {

@@ -2,14 +2,12 @@
 
 use super::SeverityError;
 use super::report::{SeverityPoint, SeverityReport};
+use crate::charts::{INK, axes, curve};
 use scenesplat::page_kit::drawing::{Anchor, Color, Drawing};
 use scenesplat::page_kit::scale::Scale;
 use scenesplat_scene::AtomicFile;
 use std::path::{Path, PathBuf};
 
-const INK: Color = [40, 44, 52];
-const SOFT: Color = [120, 126, 136];
-const GRID: Color = [228, 229, 231];
 const CURVES: [Color; 8] = [
     [20, 98, 190],
     [226, 106, 20],
@@ -76,28 +74,15 @@ fn panel(d: &mut Drawing, report: &SeverityReport, [left, top]: [f64; 2], name: 
     let points = || report.curves.iter().flat_map(|curve| &curve.points);
     let x = Scale::over(&points().map(|p| p.severity).collect::<Vec<_>>(), false, [left, right]);
     let y = Scale::over(&points().map(of).collect::<Vec<_>>(), false, [bottom, top]);
-    for tick in x.ticks() {
-        d.line([x.at(tick), top], [x.at(tick), bottom], 1.0, GRID);
-        d.text([x.at(tick), bottom + 10.0], 2, SOFT, Anchor::Middle, &format!("{tick}"));
-    }
-    let ticks = y.ticks();
     // Steps below one percent need their decimals.
-    let step = ticks.windows(2).map(|pair| pair[1] - pair[0]).fold(1.0, f64::min);
+    let step = y.ticks().windows(2).map(|pair| pair[1] - pair[0]).fold(1.0, f64::min);
     let digits = usize::from(step < 0.0099) + usize::from(step < 0.00099);
-    for tick in ticks {
-        d.line([left, y.at(tick)], [right, y.at(tick)], 1.0, GRID);
-        let text = format!("{:.digits$}%", 100.0 * tick);
-        d.text([left - 8.0, y.at(tick) - 8.0], 2, SOFT, Anchor::End, &text);
-    }
-    d.line([left, top], [left, bottom], 1.5, INK);
-    d.line([left, bottom], [right, bottom], 1.5, INK);
+    let percent = |tick: f64| format!("{:.digits$}%", 100.0 * tick);
+    let texts = (|tick: f64| format!("{tick}"), percent);
+    axes(d, [&x, &y], [left, top, right, bottom], [10.0, 8.0], texts);
     d.text([left, top - 28.0], 2, INK, Anchor::Start, name);
-    for (i, curve) in report.curves.iter().enumerate() {
-        let color = CURVES[i % CURVES.len()];
+    for (i, of_effect) in report.curves.iter().enumerate() {
         let at = |p: &SeverityPoint| [x.at(p.severity), y.at(of(p))];
-        for pair in curve.points.windows(2) {
-            d.line(at(&pair[0]), at(&pair[1]), 2.5, color);
-        }
-        curve.points.iter().for_each(|p| d.disc(at(p), 4.0, color, [255; 3]));
+        curve(d, of_effect.points.iter().map(at), 2.5, CURVES[i % CURVES.len()]);
     }
 }

@@ -17,7 +17,7 @@ mod report;
 pub use report::{Check, ConfidenceRow, EffectCurve, SeverityPoint, SeverityReport};
 
 use crate::pareto::ParetoError;
-use measure::{Bench, Damaged};
+use measure::{Bench, Damaged, Labelled};
 use scenesplat::inference::EncodeError;
 use scenesplat::labels::LabelError;
 use scenesplat::network::NetworkError;
@@ -151,43 +151,69 @@ pub fn severity_curves(
     }
     bench.set_threshold(&clean);
     let undamaged = bench.point(0.0, rooms.iter().zip(&clean))?;
+    let of = Undamaged { settings, bench: &bench, rooms: &rooms, clean: &clean, anchored };
     let mut curves = Vec::new();
     for &effect in &settings.effects {
-        let mut curve = EffectCurve {
-            effect: effect.name().to_owned(),
-            points: vec![undamaged.clone()],
-            far_changed: 0.0,
-            far_changed_anchored: 0.0,
-        };
+        let mut points = vec![undamaged.clone()];
         for &severity in &settings.severities[1..] {
-            let set = EffectSet::default().with(effect, severity)?;
-            let mut found = Vec::new();
-            for (i, room) in rooms.iter().enumerate() {
-                step(effect.name())?;
-                let scene = simulate(room, &set, seed(settings, i))?.scene;
-                let labels = bench.label(&scene)?;
-                found.push((scene, labels));
-            }
-            curve.points.push(bench.point(severity, found.iter().map(|(s, l)| (s, l)))?);
+            points.push(of.damaged(effect, severity, &mut step)?);
         }
-        let worst = settings.severities.last().copied().unwrap_or_default();
+        let [far_changed, far_changed_anchored] = of.far_changed(effect, &mut step)?;
+        let effect = effect.name().to_owned();
+        curves.push(EffectCurve { effect, points, far_changed, far_changed_anchored });
+    }
+    Ok(SeverityReport::new(settings, bench.threshold, curves, began.elapsed().as_secs_f64()))
+}
+
+/// Says the next step; fails to cancel.
+type Step<'a> = &'a mut dyn FnMut(&str) -> Result<(), SeverityError>;
+
+/// Rooms with their labels before any damage.
+struct Undamaged<'a> {
+    settings: &'a CurveSettings,
+    bench: &'a Bench,
+    rooms: &'a [GaussianScene],
+    clean: &'a [Labelled],
+    anchored: Vec<Vec<i32>>,
+}
+
+impl Undamaged<'_> {
+    /// The point of a curve at a severity.
+    fn damaged(
+        &self,
+        effect: Effect,
+        severity: f64,
+        step: Step<'_>,
+    ) -> Result<SeverityPoint, SeverityError> {
+        let set = EffectSet::default().with(effect, severity)?;
+        let mut found = Vec::new();
+        for (i, room) in self.rooms.iter().enumerate() {
+            step(effect.name())?;
+            let scene = simulate(room, &set, seed(self.settings, i))?.scene;
+            let labels = self.bench.label(&scene)?;
+            found.push((scene, labels));
+        }
+        self.bench.point(severity, found.iter().map(|(s, l)| (s, l)))
+    }
+
+    /// Share of the labels far away that the worst damage in one corner changes; and with anchored voxels.
+    fn far_changed(&self, effect: Effect, step: Step<'_>) -> Result<[f64; 2], SeverityError> {
+        let worst = self.settings.severities.last().copied().unwrap_or_default();
         let set = EffectSet::default().with(effect, worst)?;
         let (mut far, mut changed, mut changed_anchored) = (0, 0, 0);
-        for (i, (room, labels)) in rooms.iter().zip(&clean).enumerate() {
+        for (i, (room, labels)) in self.rooms.iter().zip(self.clean).enumerate() {
             step(effect.name())?;
-            let damaged = Damaged::in_a_corner(room, &simulate(room, &set, seed(settings, i))?)?;
-            let after = bench.label(&damaged.scene)?;
+            let damage = simulate(room, &set, seed(self.settings, i))?;
+            let damaged = Damaged::in_a_corner(room, &damage)?;
+            let after = self.bench.label(&damaged.scene)?;
             let (all, other) = damaged.far_labels(room, &labels.labels, &after.labels);
             (far, changed) = (far + all, changed + other);
             step(effect.name())?;
-            let after = bench.label_anchored(&damaged.scene)?;
-            changed_anchored += damaged.far_labels(room, &anchored[i], &after.labels).1;
+            let after = self.bench.label_anchored(&damaged.scene)?;
+            changed_anchored += damaged.far_labels(room, &self.anchored[i], &after.labels).1;
         }
-        curve.far_changed = f64::from(changed) / f64::from(far.max(1));
-        curve.far_changed_anchored = f64::from(changed_anchored) / f64::from(far.max(1));
-        curves.push(curve);
+        Ok([changed, changed_anchored].map(|n: u32| f64::from(n) / f64::from(far.max(1))))
     }
-    Ok(SeverityReport::new(settings, bench.threshold, curves, began.elapsed().as_secs_f64()))
 }
 
 fn check(settings: &CurveSettings) -> Result<(), SeverityError> {

@@ -1,6 +1,7 @@
 //! Which models a room may draw: those for training, those held out, those of a library.
 
 use super::Entry;
+use crate::dice::finished;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt;
@@ -119,12 +120,9 @@ pub(super) fn held_out(entries: &[Entry]) -> Vec<bool> {
 
 /// FNV-1a, then the finisher of splitmix64: the last letters of ids, often digits, must not decide.
 pub(super) fn hash(id: &str) -> u64 {
-    let mut bits = id.bytes().fold(0xcbf2_9ce4_8422_2325, |hash: u64, byte| {
+    finished(id.bytes().fold(0xcbf2_9ce4_8422_2325, |hash: u64, byte| {
         (hash ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3)
-    });
-    bits = (bits ^ (bits >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    bits = (bits ^ (bits >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    bits ^ (bits >> 31)
+    }))
 }
 
 #[cfg(test)]

@@ -1,8 +1,8 @@
 //! What a hostile folder may hold: links, devices, folders in place of files.
 
 use super::files::{columns, little, open, refused};
-use super::input;
 use crate::doctor::case::Case;
+use crate::doctor::table::case;
 use crate::doctor::trial::{Failure, Trial, ensure};
 use scenesplat::{Network, NetworkConfig, WeightOptions, Weights};
 use scenesplat_scene::input_file::{open_regular_file, read_text_file};
@@ -11,71 +11,34 @@ use std::path::PathBuf;
 
 pub(super) fn cases() -> Vec<Case> {
     let mut cases = vec![
-        input(
-            "folder-in-place-of-a-scene",
-            "attack L: anything but a regular file is refused",
-            |t| {
-                std::fs::create_dir(t.folder().join("scene.ply"))?;
-                refused(open(&t.folder().join("scene.ply"), ReadPolicy::Repair), &["scene.ply"])?;
-                refused(read_text_file(t.folder()), &[])
-            },
-        ),
-        input(
-            "folder-in-place-of-an-output",
-            "attack H1: what is no regular file is replaced",
-            |t| {
-                std::fs::create_dir(t.folder().join("out.json"))?;
-                refused(AtomicFile::create(&t.folder().join("out.json")), &["out.json"])
-            },
-        ),
-        input(
-            "weights-cut-short",
-            "attack M6: damaged checkpoints; open_questions B 34",
-            cut_weights,
-        ),
-        input(
-            "weights-of-another-network",
-            "open_questions B 34: mismatched shapes are skipped in silence",
-            |t| refused_weights(t.file("model.safetensors", &safetensors("[2]", 8))?),
-        ),
-        input(
-            "weights-missing",
-            "open_questions B 34: a wrong weight path trains from scratch in silence",
-            |t| refused_weights(t.folder().join("nothing.safetensors")),
-        ),
-        input(
-            "names-with-control-characters",
-            "docs/bad_values.md: names reach the terminal escaped",
-            control_characters,
-        ),
+        case("folder-in-place-of-a-scene", |t| {
+            std::fs::create_dir(t.folder().join("scene.ply"))?;
+            refused(open(&t.folder().join("scene.ply"), ReadPolicy::Repair), &["scene.ply"])?;
+            refused(read_text_file(t.folder()), &[])
+        }),
+        case("folder-in-place-of-an-output", |t| {
+            std::fs::create_dir(t.folder().join("out.json"))?;
+            refused(AtomicFile::create(&t.folder().join("out.json")), &["out.json"])
+        }),
+        case("weights-cut-short", cut_weights),
+        case("weights-of-another-network", |t| {
+            refused_weights(t.file("model.safetensors", &safetensors("[2]", 8))?)
+        }),
+        case("weights-missing", |t| refused_weights(t.folder().join("nothing.safetensors"))),
+        case("names-with-control-characters", control_characters),
     ];
     #[cfg(unix)]
     cases.extend([
-        input(
-            "device-in-place-of-an-output",
-            "attack H1: device nodes replaced by regular files",
-            |_| refused(AtomicFile::create("/dev/null".as_ref()), &["/dev/null"]),
-        ),
-        input(
-            "device-in-place-of-an-input",
-            "attack L: a FIFO or device as input never ends",
-            |_| refused(open_regular_file("/dev/zero".as_ref()), &["/dev/zero"]),
-        ),
-        input(
-            "link-with-a-waiting-name",
-            "attack M1: predictable .partial names follow links",
-            link,
-        ),
+        case("device-in-place-of-an-output", |_| {
+            refused(AtomicFile::create("/dev/null".as_ref()), &["/dev/null"])
+        }),
+        case("device-in-place-of-an-input", |_| {
+            refused(open_regular_file("/dev/zero".as_ref()), &["/dev/zero"])
+        }),
+        case("link-with-a-waiting-name", link),
     ]);
-    cases.push(input(
-        "output-that-is-not-finished",
-        "attack M7: a full disk leaves half a result",
-        unfinished,
-    ));
-    let reason = "what was there is there afterwards, byte for byte; nothing is measured";
-    let is_legal = |case: &Case| case.name.starts_with("link") || case.name.starts_with("output");
-    let expected = |case: Case| if is_legal(&case) { case } else { case.refused() };
-    cases.into_iter().map(|case| expected(case).because(reason)).collect()
+    cases.push(case("output-that-is-not-finished", unfinished));
+    cases
 }
 
 /// That weights for the tiny network are refused, and the file is named.

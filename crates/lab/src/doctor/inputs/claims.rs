@@ -1,8 +1,8 @@
 //! Small files that claim to be large ones: nothing is reserved for what they cannot hold.
 
 use super::files::{file_name, open, refused, scene};
-use super::input;
 use crate::doctor::case::Case;
+use crate::doctor::table::case;
 use crate::doctor::trial::{Failure, Trial, ensure};
 use scenesplat_kernels::gemm::PackedMatrix;
 use scenesplat_kernels::patch_attention::{Heads, forward};
@@ -17,83 +17,62 @@ use scenesplat_scene::{
 use std::panic::catch_unwind;
 use std::path::{Path, PathBuf};
 
-const NEVER: &str = "docs/bad_values.md: what is never believed";
-
 pub(super) fn cases() -> Vec<Case> {
     let mut cases = vec![
-        input("npy-of-2-to-40-rows", NEVER, |t| {
-            npy_rows(t, "(1099511627776, 3)", 72, &["coord.npy"])
-        }),
-        input("npy-whose-size-wraps", NEVER, |t| {
+        case("npy-of-2-to-40-rows", |t| npy_rows(t, "(1099511627776, 3)", 72, &["coord.npy"])),
+        case("npy-whose-size-wraps", |t| {
             npy_rows(t, "(6148914691236517206, 3)", 72, &["coord.npy"])
         }),
-        input(
-            "npy-of-other-rows",
-            "mmcv-style scenes: arrays out of step (STYLE 3, SceneSplat)",
-            |t| npy_rows(t, "(5, 3)", 60, &["5", "6"]),
-        ),
-        input("splat-of-31-bytes", NEVER, |t| {
+        case("npy-of-other-rows", |t| npy_rows(t, "(5, 3)", 60, &["5", "6"])),
+        case("splat-of-31-bytes", |t| {
             let path = t.file("scene.splat", &[7; 31])?;
             refused(open(&path, ReadPolicy::Repair), &["scene.splat"])
         }),
-        input("glb-whose-length-lies", NEVER, glb_length),
-        input("png-bomb", "attack M4: 470 kB that unpack to 22,000 × 22,000 pixels", png_bomb),
-        input("png-of-4-billion-pixels", "attack M4, by its header alone", |t| {
+        case("glb-whose-length-lies", glb_length),
+        case("png-bomb", png_bomb),
+        case("png-of-4-billion-pixels", |t| {
             let bytes = png(65_535, 65_535);
             let path = t.file("picture.png", &bytes)?;
             refused(decode_picture(&bytes, &path), &["picture.png"])
         }),
-        input(
-            "feature-table-without-rows",
-            "attack M5: 128 bytes that say each feature has 2^24 values",
-            wide_table,
-        ),
-        input("camera-of-4-billion-pixels", NEVER, camera_size),
-        input("room-of-a-million-and-one", NEVER, |_| {
+        case("feature-table-without-rows", wide_table),
+        case("camera-of-4-billion-pixels", camera_size),
+        case("room-of-a-million-and-one", |_| {
             let num_gaussians = Some(usize::MAX);
             let settings =
                 SyntheticRoomSettings { num_gaussians, ..SyntheticRoomSettings::default() };
             refused(generate(&settings), &["num_gaussians"])
         }),
-        input("vocabulary-of-2-to-64", "attack L: --text vocabulary:2^64-1", |_| {
+        case("vocabulary-of-2-to-64", |_| {
             for dim in [0, 31, 1 << 20, usize::MAX] {
                 refused(Vocabulary::new(dim), &[&dim.to_string()])?;
             }
             Ok(())
         }),
-        input(
-            "lengths-that-wrap",
-            "soundness of the kernels: a product of sizes may wrap to a small one",
-            |_| {
-                let rows = usize::MAX / 2 + 2;
-                let made = catch_unwind(|| PackedMatrix::from_strided(&[0.0; 4], rows, 2, 1, rows));
-                ensure!(made.is_err(), "a matrix of 2^63 rows was made of 4 values");
-                Ok(())
-            },
-        ),
-        input(
-            "order-that-is-no-permutation",
-            "attack `unsound_patches`: safe code that made the attention write out of bounds",
-            no_permutation,
-        ),
+        case("lengths-that-wrap", |_| {
+            let rows = usize::MAX / 2 + 2;
+            let made = catch_unwind(|| PackedMatrix::from_strided(&[0.0; 4], rows, 2, 1, rows));
+            ensure!(made.is_err(), "a matrix of 2^63 rows was made of 4 values");
+            Ok(())
+        }),
+        case("order-that-is-no-permutation", no_permutation),
     ];
-    for case in &mut cases {
-        case.reason = "an error that names the file and the claim; nothing is measured";
-    }
-    for (name, field, size) in [
-        ("in-channels-2-to-62", "in_channels", "4611686018427387904"),
-        ("in-channels-a-million", "in_channels", "1000000"),
-        ("mlp-ratio-a-million", "mlp_ratio", "1000000"),
-    ] {
-        let origin = "attack M3: config.json without upper bounds; sums wrap";
-        let case = input(format!("config-{name}"), origin, move |t| {
-            let text = format!("{{\"{field}\": {size}, \"input\": {{\"channels\": [\"color\"]}}}}");
-            let path = t.file("config.json", text.as_bytes())?;
-            refused(scenesplat::NetworkConfig::read(&path), &["config.json", field])
-        });
-        cases.push(case.because("an error that names the file and the field; nothing is measured"));
-    }
-    cases.into_iter().map(Case::refused).collect()
+    cases.extend(
+        [
+            ("in-channels-2-to-62", "in_channels", "4611686018427387904"),
+            ("in-channels-a-million", "in_channels", "1000000"),
+            ("mlp-ratio-a-million", "mlp_ratio", "1000000"),
+        ]
+        .map(|(name, field, size)| {
+            case(format!("config-{name}"), move |t| {
+                let text =
+                    format!("{{\"{field}\": {size}, \"input\": {{\"channels\": [\"color\"]}}}}");
+                let path = t.file("config.json", text.as_bytes())?;
+                refused(scenesplat::NetworkConfig::read(&path), &["config.json", field])
+            })
+        }),
+    );
+    cases
 }
 
 /// An array file that claims a shape.

@@ -1,8 +1,8 @@
 //! Columns that are missing, half there or of another kind.
 
 use super::files::{ROWS, columns, little, open, open_legal, refused};
-use super::input;
-use crate::doctor::case::{Case, Policy};
+use crate::doctor::case::Case;
+use crate::doctor::table::case;
 use crate::doctor::trial::{Failure, Trial, ensure};
 use scenesplat_scene::value_policy::Rule;
 use scenesplat_scene::{LoadedScene, Policy as ReadPolicy};
@@ -67,20 +67,10 @@ static MISSING: [Missing; 14] = [
 ];
 
 pub(super) fn cases() -> Vec<Case> {
-    let case = |(name, without, fate): &'static Missing| {
-        input(
-            format!("ply-{name}"),
-            "Pointcept #530: scenes without colour or normals; docs/bad_values.md, missing columns",
-            move |t| check(t, without, fate),
-        )
-        .because("a default is one stated value; the other columns are kept bit for bit")
-        .expects(match fate {
-            Default(..) => Policy::Repaired,
-            Fine(_) => Policy::Exact,
-            Refused(_) => Policy::Refused,
-        })
+    let missing = |(name, without, fate): &'static Missing| {
+        case(format!("ply-{name}"), move |t| check(t, without, fate))
     };
-    MISSING.iter().map(case).collect()
+    MISSING.iter().map(missing).collect()
 }
 
 fn check(trial: &Trial<'_>, without: &[&str], fate: &Fate) -> Result<(), Failure> {

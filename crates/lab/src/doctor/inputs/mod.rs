@@ -10,27 +10,18 @@ mod quaternions;
 mod round_trips;
 mod voxels;
 
-use super::case::{Case, Finding, Level, in_areas};
-use super::trial::{Failure, Trial};
+use super::case::Case;
 
 pub(super) fn cases() -> Vec<Case> {
-    in_areas(&[
-        ("values", poison::cases),
-        ("rotations", quaternions::cases),
-        ("columns", columns::cases),
-        ("containers", containers::cases),
-        ("formats", round_trips::cases),
-        ("shapes", voxels::cases),
-        ("claims", claims::cases),
-        ("attacks", attacks::cases),
-    ])
-}
-
-/// A case of a file or scene that comes in.
-fn input<T: Into<Finding>>(
-    name: impl Into<String>,
-    origin: &'static str,
-    check: impl Fn(&Trial<'_>) -> Result<T, Failure> + Send + Sync + 'static,
-) -> Case {
-    Case { origin, ..Case::new(name, Level::Inputs, check) }
+    let all = [
+        poison::cases,
+        quaternions::cases,
+        columns::cases,
+        containers::cases,
+        round_trips::cases,
+        voxels::cases,
+        claims::cases,
+        attacks::cases,
+    ];
+    all.into_iter().flat_map(|cases| cases()).collect()
 }

@@ -1,8 +1,8 @@
 //! One bad value in one column of a PLY file: every attribute, every kind of bad value.
 
 use super::files::{BAD, ROWS, check_quats, columns, little, open_legal, open_repaired, with};
-use super::input;
-use crate::doctor::case::{Case, Policy};
+use crate::doctor::case::Case;
+use crate::doctor::table::case;
 use crate::doctor::trial::{Failure, Trial, ensure};
 use scenesplat_scene::value_policy::Rule;
 use scenesplat_scene::{GaussianScene, LoadedScene};
@@ -88,24 +88,16 @@ const EXTREMES: [(&str, f32); 4] =
 pub(super) fn cases() -> Vec<Case> {
     let mut cases = Vec::new();
     for attribute in &ATTRIBUTES {
-        let mut add = |word: &str, value: f32, fate: Fate, origin| {
+        let mut add = |word: &str, value: f32, fate: Fate| {
             let name = format!("ply-{}-{word}", attribute.name);
-            let policy = if fate == Kept { Policy::Exact } else { Policy::Repaired };
-            cases.push(
-                input(name, origin, move |t| check(t, attribute, value, fate))
-                    .because("a value is kept bit for bit or replaced as the table says; nothing is rounded")
-                    .expects(policy),
-            );
+            cases.push(case(name, move |t| check(t, attribute, value, fate)));
         };
         for ((word, value), fate) in BAD_VALUES.into_iter().zip(attribute.fates) {
-            let origin = "demands 2a, level 1: NaN and ±∞ in every attribute; docs/bad_values.md";
-            add(word, value, fate, origin);
+            add(word, value, fate);
         }
         let has_extremes = attribute.value.is_some() && attribute.name != SCORE;
         for (word, value) in EXTREMES.into_iter().filter(|_| has_extremes) {
-            let origin =
-                "demands 2a, check 5: valid but extreme values are not dropped (as brush tests)";
-            add(word, value, Kept, origin);
+            add(word, value, Kept);
         }
     }
     cases

@@ -1,13 +1,10 @@
 //! Rotations: what has a direction keeps it, whatever its norm; what has none is named.
 
 use super::files::{BAD, ROWS, check_quats, columns, little, open_legal, open_repaired, with};
-use super::input;
-use crate::doctor::case::{Case, Finding, Policy};
+use crate::doctor::case::{Case, Finding};
+use crate::doctor::table::case;
 use crate::doctor::trial::{Failure, Trial, ensure};
 use scenesplat_scene::value_policy::Rule;
-
-/// Half a unit in the last place of a component of a unit quaternion, and the rounding of the norm.
-const COMPONENT: f64 = 1.2e-7;
 
 /// What is said of a rotation.
 #[derive(Clone, Copy)]
@@ -21,64 +18,23 @@ enum Fate {
 }
 use Fate::{Legal, Mentioned, Repaired};
 
-const ROTATIONS: [(&str, [f32; 4], Fate, &str); 10] = [
-    (
-        "w-zero",
-        [0.0, 0.0, -1.0, 0.0],
-        Mentioned(Rule::QuatHalfTurn),
-        "open_questions B 22: the original multiplies by the sign of w, 0 for a half turn, and \
-         scipy raises",
-    ),
-    (
-        "w-minus-zero",
-        [-0.0, 0.6, 0.0, 0.8],
-        Mentioned(Rule::QuatHalfTurn),
-        "open_questions B 22, with the sign bit set",
-    ),
-    (
-        "w-negative",
-        [-0.5, 0.5, -0.5, 0.5],
-        Legal,
-        "demands 2a, level 2: continuity of the sign rule",
-    ),
-    (
-        "norm-3",
-        [0.0, 3.0, 0.0, 0.0],
-        Mentioned(Rule::QuatNotUnit),
-        "3DGS writes quaternions before normalisation",
-    ),
-    (
-        "norm-1e-30",
-        [6e-31, 0.0, 8e-31, 0.0],
-        Mentioned(Rule::QuatNotUnit),
-        "demands 2a, level 1: norm 1e-30; the square underflows in f32",
-    ),
-    (
-        "norm-1e30",
-        [8e30, 0.0, 0.0, -6e30],
-        Mentioned(Rule::QuatNotUnit),
-        "demands 2a, level 1: norm 1e30; the square overflows in f32",
-    ),
-    (
-        "denormal",
-        [0.0, 0.0, 1e-42, 0.0],
-        Mentioned(Rule::QuatNotUnit),
-        "demands 2a, level 1: denormals",
-    ),
-    ("max", [f32::MAX; 4], Mentioned(Rule::QuatNotUnit), "demands 2a, level 1: f32::MAX"),
-    ("zero", [0.0; 4], Repaired(Rule::QuatZero), "demands 2a, level 1: zero quaternion"),
-    ("minus-zero", [-0.0; 4], Repaired(Rule::QuatZero), "demands 2a, level 1: zero quaternion, ±0"),
+const ROTATIONS: [(&str, [f32; 4], Fate); 10] = [
+    ("w-zero", [0.0, 0.0, -1.0, 0.0], Mentioned(Rule::QuatHalfTurn)),
+    ("w-minus-zero", [-0.0, 0.6, 0.0, 0.8], Mentioned(Rule::QuatHalfTurn)),
+    ("w-negative", [-0.5, 0.5, -0.5, 0.5], Legal),
+    ("norm-3", [0.0, 3.0, 0.0, 0.0], Mentioned(Rule::QuatNotUnit)),
+    ("norm-1e-30", [6e-31, 0.0, 8e-31, 0.0], Mentioned(Rule::QuatNotUnit)),
+    ("norm-1e30", [8e30, 0.0, 0.0, -6e30], Mentioned(Rule::QuatNotUnit)),
+    ("denormal", [0.0, 0.0, 1e-42, 0.0], Mentioned(Rule::QuatNotUnit)),
+    ("max", [f32::MAX; 4], Mentioned(Rule::QuatNotUnit)),
+    ("zero", [0.0; 4], Repaired(Rule::QuatZero)),
+    ("minus-zero", [-0.0; 4], Repaired(Rule::QuatZero)),
 ];
 
 pub(super) fn cases() -> Vec<Case> {
-    let case = |(name, quat, fate, origin)| {
-        let policy = if matches!(fate, Repaired(_)) { Policy::Repaired } else { Policy::Exact };
-        let reason = "one rounding to f32 of a component of at most 1, after a norm in f64";
-        input(format!("ply-quat-{name}"), origin, move |t| check(t, quat, fate))
-            .within(COMPONENT, reason)
-            .expects(policy)
-    };
-    ROTATIONS.map(case).into()
+    let rotation =
+        |(name, quat, fate)| case(format!("ply-quat-{name}"), move |t| check(t, quat, fate));
+    ROTATIONS.map(rotation).into()
 }
 
 fn check(trial: &Trial<'_>, quat: [f32; 4], fate: Fate) -> Result<Finding, Failure> {

@@ -1,94 +1,48 @@
 //! Values at the edge of what is legal, through the library's own writers and readers.
 
 use super::files::{file_name, open, refused, scene, through};
-use super::input;
 use crate::doctor::case::{Case, Finding};
+use crate::doctor::table::case;
 use crate::doctor::trial::{Failure, Trial, ensure};
 use scenesplat_scene::{
     GaussianScene, Policy as ReadPolicy, SceneFormat, WriteOptions, write_scene,
 };
 
-/// A format, and how exactly it holds what is asked of it.
-struct Container {
-    format: SceneFormat,
-    name: &'static str,
-    /// One less the cosine of half the angle between rotations.
-    rotation: f64,
-    /// Of a position 10⁶ m from the origin, relative.
-    far: f64,
-    /// What a thickness of 0 may become, metres.
-    flat: f64,
-}
+/// Formats with their names.
+const CONTAINERS: [(SceneFormat, &str); 7] = [
+    (SceneFormat::Ply, "ply"),
+    (SceneFormat::CompressedPly, "compressed"),
+    (SceneFormat::Spz, "spz"),
+    (SceneFormat::Splat, "splat"),
+    (SceneFormat::Sog, "sog"),
+    (SceneFormat::Glb, "glb"),
+    (SceneFormat::NpyFolder, "npy"),
+];
 
-const CONTAINERS: &[Container] = &[
-    Container { format: SceneFormat::Ply, name: "ply", rotation: 2e-7, far: 0.0, flat: 0.0 },
-    Container {
-        format: SceneFormat::CompressedPly,
-        name: "compressed",
-        rotation: 1e-4,
-        far: 1e-6,
-        flat: 1e-4,
-    },
-    Container { format: SceneFormat::Spz, name: "spz", rotation: 1e-4, far: 1e-6, flat: 1e-4 },
-    Container { format: SceneFormat::Splat, name: "splat", rotation: 1e-4, far: 0.0, flat: 0.0 },
-    Container { format: SceneFormat::Sog, name: "sog", rotation: 1e-4, far: 1e-5, flat: 1e-4 },
-    Container { format: SceneFormat::Glb, name: "glb", rotation: 2e-7, far: 0.0, flat: 0.0 },
-    Container { format: SceneFormat::NpyFolder, name: "npy", rotation: 2e-7, far: 0.0, flat: 0.0 },
+/// What is tried with each format.
+const CHECKS: [(&str, fn(&Trial<'_>, SceneFormat) -> Result<Finding, Failure>); 6] = [
+    ("half-turns", half_turns),
+    ("alpha-0-and-1", alpha),
+    ("flat", flat),
+    ("far-away", far),
+    ("one-gaussian", one),
+    ("cut-short", cut),
 ];
 
 /// Gaussians of the scenes.
 const ROWS: usize = 8;
 
 pub(super) fn cases() -> Vec<Case> {
-    let mut cases = Vec::new();
-    for container in CONTAINERS {
-        let case =
-            |what: &str, origin, check: fn(&Trial<'_>, &Container) -> Result<Finding, Failure>| {
-                let name = format!("{}-{what}", container.name);
-                input(name, origin, move |t| check(t, container))
-                    .because("both ways are exact there")
-            };
-        cases.extend([
-            case(
-                "half-turns",
-                "open_questions B 22: half turns; each format stores its quaternion differently",
-                half_turns,
-            )
-            .within(container.rotation, "half a step of the format's bits in three components"),
-            case(
-                "alpha-0-and-1",
-                "demands 2a, level 1: opacity logit ±∞ is legal; 8-bit formats are full of it",
-                alpha,
-            ),
-            case("flat", "demands 2a, level 1: log-scale −∞ is legal: a disc or a line", flat)
-                .within(container.flat, "the smallest size the format can hold, or 0"),
-            case(
-                "far-away",
-                "demands 2a, level 1: coordinates at a 10⁶ m offset (geo-referenced)",
-                far,
-            )
-            .within(
-                container.far,
-                "the step of the format at that distance, relative; an f32 itself has 3e-8",
-            ),
-            case(
-                "one-gaussian",
-                "demands 2a, level 1: 1 Gaussian; the range of a column is 0 there",
-                one,
-            )
-            .within(1e-4, "of every value, to the coarsest format's step near 0 metres"),
-            case("cut-short", "demands 2a, level 1: truncated file", cut)
-                .because("a part of a file is no scene")
-                .refused(),
-        ]);
-    }
-    cases
+    let of = |&(format, name): &(SceneFormat, &str)| {
+        CHECKS.map(|(what, check)| case(format!("{name}-{what}"), move |t| check(t, format)))
+    };
+    CONTAINERS.iter().flat_map(of).collect()
 }
 
-fn half_turns(trial: &Trial<'_>, container: &Container) -> Result<Finding, Failure> {
+fn half_turns(trial: &Trial<'_>, format: SceneFormat) -> Result<Finding, Failure> {
     let mut scene = scene(ROWS, 0, 3);
     scene.quat = vec![[0.0, 0.6, 0.0, 0.8]; ROWS];
-    let back = through(trial, &scene, container.format)?.scene;
+    let back = through(trial, &scene, format)?.scene;
     ensure!(back.len() == ROWS, "{} Gaussians of {ROWS}", back.len());
     let mut found = Finding::right();
     for quat in back.quat {
@@ -98,12 +52,12 @@ fn half_turns(trial: &Trial<'_>, container: &Container) -> Result<Finding, Failu
     Ok(found)
 }
 
-fn alpha(trial: &Trial<'_>, container: &Container) -> Result<Finding, Failure> {
+fn alpha(trial: &Trial<'_>, format: SceneFormat) -> Result<Finding, Failure> {
     let mut scene = scene(ROWS, 0, 4);
     for (row, logit) in scene.opacity_logit.iter_mut().enumerate() {
         *logit = if row % 2 == 0 { f32::INFINITY } else { f32::NEG_INFINITY };
     }
-    let loaded = through(trial, &scene, container.format)?;
+    let loaded = through(trial, &scene, format)?;
     ensure!(loaded.report.is_clean(), "reported as repaired: {}", loaded.report);
     let with = |alpha: f32| {
         (0..loaded.scene.len()).filter(|&row| loaded.scene.opacity(row) == alpha).count()
@@ -113,23 +67,23 @@ fn alpha(trial: &Trial<'_>, container: &Container) -> Result<Finding, Failure> {
     Ok(Finding::right())
 }
 
-fn flat(trial: &Trial<'_>, container: &Container) -> Result<Finding, Failure> {
+fn flat(trial: &Trial<'_>, format: SceneFormat) -> Result<Finding, Failure> {
     let mut scene = scene(ROWS, 0, 5);
     scene.log_scale.iter_mut().for_each(|scale| scale[1] = f32::NEG_INFINITY);
-    let loaded = through(trial, &scene, container.format)?;
+    let loaded = through(trial, &scene, format)?;
     ensure!(loaded.report.is_clean(), "reported as repaired: {}", loaded.report);
     ensure!(loaded.scene.len() == ROWS, "{} Gaussians of {ROWS}", loaded.scene.len());
     let thick = (0..ROWS).map(|row| f64::from(loaded.scene.scale(row)[1])).fold(0.0, f64::max);
     Ok(Finding::of(thick, format!("thickness 0 became {thick:e} m")))
 }
 
-fn far(trial: &Trial<'_>, container: &Container) -> Result<Finding, Failure> {
+fn far(trial: &Trial<'_>, format: SceneFormat) -> Result<Finding, Failure> {
     let mut scene = scene(ROWS, 0, 6);
     // Steps that an f32 still holds at that distance, apart enough to know rows again.
     for (row, coord) in scene.coord.iter_mut().enumerate() {
         *coord = [1e6 + 8.0 * row as f32, -1e6, 0.5];
     }
-    let loaded = through(trial, &scene, container.format)?;
+    let loaded = through(trial, &scene, format)?;
     ensure!(loaded.scene.len() == ROWS, "{} Gaussians of {ROWS}", loaded.scene.len());
     let mut got = loaded.scene.coord;
     got.sort_by(|a, b| a[0].total_cmp(&b[0]));
@@ -143,26 +97,26 @@ fn far(trial: &Trial<'_>, container: &Container) -> Result<Finding, Failure> {
     Ok(found)
 }
 
-fn one(trial: &Trial<'_>, container: &Container) -> Result<Finding, Failure> {
+fn one(trial: &Trial<'_>, format: SceneFormat) -> Result<Finding, Failure> {
     let scene = GaussianScene { coord: vec![[0.25, -0.5, 0.75]], ..scene(1, 0, 7) };
-    let loaded = through(trial, &scene, container.format)?;
+    let loaded = through(trial, &scene, format)?;
     ensure!(loaded.scene.len() == 1, "{} Gaussians", loaded.scene.len());
     let apart = loaded.scene.coord[0].iter().zip(&scene.coord[0]);
     let error = apart.map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max);
     Ok(Finding::of(error, format!("{:?} became {:?}", scene.coord[0], loaded.scene.coord[0])))
 }
 
-fn cut(trial: &Trial<'_>, container: &Container) -> Result<Finding, Failure> {
-    let path = trial.folder().join(file_name(container.format));
+fn cut(trial: &Trial<'_>, format: SceneFormat) -> Result<Finding, Failure> {
+    let path = trial.folder().join(file_name(format));
     let scene = scene(ROWS, 0, 8);
-    write_scene(&scene, &path, container.format, &WriteOptions::default(), &mut |_| true)?;
+    write_scene(&scene, &path, format, &WriteOptions::default(), &mut |_| true)?;
     let file = if path.is_dir() { path.join("coord.npy") } else { path.clone() };
     let whole = std::fs::read(&file)?;
     // Half of a `.splat` file is a whole one of half as many Gaussians: it has no header.
-    let half = if container.format == SceneFormat::Splat { 5 } else { whole.len() / 2 };
+    let half = if format == SceneFormat::Splat { 5 } else { whole.len() / 2 };
     for rest in [half, whole.len() - 5] {
         std::fs::write(&file, &whole[..rest])?;
-        refused(open(&path, ReadPolicy::Repair), &[file_name(container.format)])?;
+        refused(open(&path, ReadPolicy::Repair), &[file_name(format)])?;
     }
     Ok(Finding::right())
 }

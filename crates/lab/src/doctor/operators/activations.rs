@@ -1,8 +1,9 @@
 //! Exponential, normal distribution and GELU over the whole range of f32.
 
-use super::compare::{Wide, compare, operator};
+use super::compare::{Wide, compare};
 use super::products::normal_cdf;
 use crate::doctor::case::{Case, Finding};
+use crate::doctor::table::case;
 use crate::doctor::trial::{Failure, Trial};
 use scenesplat_kernels::activation::{
     exp_in_place, gelu_backward, gelu_forward, normal_cdf_in_place,
@@ -10,7 +11,7 @@ use scenesplat_kernels::activation::{
 
 pub(super) fn cases() -> Vec<Case> {
     vec![
-        operator("exp", "demands 2a, level 2: log-sum-exp with logits of ±1e4", |t| {
+        case("exp", |t| {
             // Below −87.3 there are denormals, which the kernel takes for 0.
             sweep(t, exp_in_place, |x| match x {
                 x if x < -87.3 => Wide::of(0.0, 1e-30),
@@ -20,10 +21,10 @@ pub(super) fn cases() -> Vec<Case> {
                 x => Wide::own(x.exp()),
             })
         }),
-        operator("normal-cdf", "the tail of Φ, by which GELU of negative numbers is small", |t| {
+        case("normal-cdf", |t| {
             sweep(t, normal_cdf_in_place, |x| Wide::of(normal_cdf(x), normal_cdf(x).max(1e-30)))
         }),
-        operator("gelu", "demands 2a, level 2: GELU; ±∞, NaN, denormals and ±1e4", |t| {
+        case("gelu", |t| {
             sweep(
                 t,
                 |x| in_place(x, gelu_forward),
@@ -34,7 +35,7 @@ pub(super) fn cases() -> Vec<Case> {
                 },
             )
         }),
-        operator("gelu-gradient", "the slope of GELU, which changes its sign at −0.75", |t| {
+        case("gelu-gradient", |t| {
             sweep(
                 t,
                 |x| in_place(x, |x, out| gelu_backward(x, &vec![1.0; x.len()], out)),

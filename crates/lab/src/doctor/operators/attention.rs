@@ -1,10 +1,9 @@
 //! Softmax attention inside patches.
 
-use super::compare::{
-    BF16, BF16_REASON, LONG, LONG_REASON, Wide, compare, gradient, operator, wide,
-};
+use super::compare::{Wide, compare, gradient, wide};
 use crate::doctor::case::{Case, Finding};
 use crate::doctor::noise::noise;
+use crate::doctor::table::case;
 use crate::doctor::trial::{Failure, Trial, ensure};
 use scenesplat_kernels::Precision;
 use scenesplat_kernels::patch_attention::{Heads, backward, forward_with};
@@ -95,72 +94,37 @@ fn set(qkv: &mut [f32], which: usize, value: impl Fn(usize, usize) -> f32) {
     }
 }
 
-/// A name behind that of the precision, an origin, and a check at any precision.
-type Row = (&'static str, &'static str, fn(&Trial<'_>, Precision) -> Result<Finding, Failure>);
+/// A name behind that of the precision, and a check at any precision.
+type Row = (&'static str, fn(&Trial<'_>, Precision) -> Result<Finding, Failure>);
 
 const AT_EVERY_PRECISION: &[Row] = &[
-    ("", "demands 2a, level 2: attention at every precision", |t, p| {
-        attend(t, p, &noise(150 * 3 * C, 1, 1.0), &[0, 150], 48)
+    ("", |t, p| attend(t, p, &noise(150 * 3 * C, 1, 1.0), &[0, 150], 48)),
+    ("-patch-borders", patch_borders),
+    ("-equal-keys", |t, p| {
+        let mut qkv = noise(64 * 3 * C, 3, 1.0);
+        // Scores of −64·√16 for every pair; exact in bf16.
+        set(&mut qkv, 0, |_, _| 8.0);
+        set(&mut qkv, 1, |_, _| -8.0);
+        attend(t, p, &qkv, &[0, 64], 64)
     }),
-    (
-        "-patch-borders",
-        "demands 2a, level 1: N < patch, N = k·patch ± 1; batch mates of other sizes",
-        patch_borders,
-    ),
-    (
-        "-equal-keys",
-        "demands 2a, level 2: rows of equal logits, far from 0: the mean of the values",
-        |t, p| {
-            let mut qkv = noise(64 * 3 * C, 3, 1.0);
-            // Scores of −64·√16 for every pair; exact in bf16.
-            set(&mut qkv, 0, |_, _| 8.0);
-            set(&mut qkv, 1, |_, _| -8.0);
-            attend(t, p, &qkv, &[0, 64], 64)
-        },
-    ),
-    (
-        "-logits-of-60000",
-        "demands 2a, level 2: |q·k| up to 6e4·√d; softmax of ±1e4 logits",
-        |t, p| {
-            // Row i's query points at key i mod 16 alone: it wins by 6e4.
-            let mut qkv = noise(16 * 3 * C, 4, 1.0);
-            set(&mut qkv, 0, |row, c| if c % 16 == row { 512.0 } else { 0.0 });
-            set(&mut qkv, 1, |row, c| if c % 16 == row { 468.75 } else { 0.0 });
-            attend(t, p, &qkv, &[0, 16], 16)
-        },
-    ),
+    ("-logits-of-60000", |t, p| {
+        // Row i's query points at key i mod 16 alone: it wins by 6e4.
+        let mut qkv = noise(16 * 3 * C, 4, 1.0);
+        set(&mut qkv, 0, |row, c| if c % 16 == row { 512.0 } else { 0.0 });
+        set(&mut qkv, 1, |row, c| if c % 16 == row { 468.75 } else { 0.0 });
+        attend(t, p, &qkv, &[0, 16], 16)
+    }),
 ];
 
 pub(super) fn cases() -> Vec<Case> {
-    let mut cases = vec![
-        operator(
-            "attention-f32-logits-of-1e30",
-            "--soak: a shift that was the start of a score's sum left a rounding error without an exponent",
-            huge_logits,
-        )
-        .within(LONG, LONG_REASON),
-    ];
+    let mut cases = vec![case("attention-f32-logits-of-1e30", huge_logits)];
     for precision in Precision::ALL {
-        let (tolerance, reason) = match precision {
-            Precision::Bf16 | Precision::Int8 => (BF16, BF16_REASON),
-            _ => (LONG, LONG_REASON),
-        };
-        cases.extend(AT_EVERY_PRECISION.iter().map(|&(name, origin, check)| {
-            operator(format!("attention-{precision}{name}"), origin, move |t| check(t, precision))
-                .within(tolerance, reason)
+        cases.extend(AT_EVERY_PRECISION.iter().map(|&(name, check)| {
+            case(format!("attention-{precision}{name}"), move |t| check(t, precision))
         }));
     }
-    cases.push(
-        operator(
-            "attention-nan-in-a-patch",
-            "patch_attention: where the definition gives NaN so does this; other patches do not notice",
-            nan_in_a_patch,
-        )
-        .because("patches without a NaN keep their bits"),
-    );
-    let origin = "candle #2168, #3011: fused softmax drops gradients in silence";
-    cases
-        .push(operator("attention-gradient", origin, attention_gradient).within(LONG, LONG_REASON));
+    cases.push(case("attention-nan-in-a-patch", nan_in_a_patch));
+    cases.push(case("attention-gradient", attention_gradient));
     cases
 }
 

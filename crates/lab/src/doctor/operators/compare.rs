@@ -1,25 +1,11 @@
 //! Numbers beside what they should be.
 
-use crate::doctor::case::{Case, Finding, Level};
+use crate::doctor::case::Finding;
 use crate::doctor::measures::{Measures, SignBias, last_place};
-use crate::doctor::trial::{Failure, Trial, ensure};
+use crate::doctor::trial::{Failure, ensure};
 
-/// Errors of a single f32 operation chain (demands 2a, check 3).
+/// The error budget of a single chain of operations in f32, relative to f64.
 pub(super) const F32: f64 = 1e-5;
-/// Of long sums and attention.
-pub(super) const LONG: f64 = 1e-4;
-/// Of operands rounded to bf16.
-pub(super) const BF16: f64 = 2e-2;
-
-/// Why [`F32`] is allowed.
-pub(super) const F32_REASON: &str = "error budget of f32: 1e-5 relative to f64";
-/// Why [`LONG`] is.
-pub(super) const LONG_REASON: &str =
-    "error budget of attention and long sums in f32: 1e-4 relative to f64";
-/// Why [`BF16`] is.
-pub(super) const BF16_REASON: &str = "error budget of bf16: 2e-2 relative to f64";
-/// Why 0 is.
-const EXACT_REASON: &str = "whole numbers and decisions: right or wrong";
 
 /// A value in f64, and what an error is measured against: the value itself, or, where terms cancel,
 /// the sum of their magnitudes; an infinite scale allows any number.
@@ -113,24 +99,6 @@ pub(super) fn gradient(got: &[f64], want: &[f64]) -> Result<Finding, Failure> {
         ..Measures::default()
     };
     Ok(Finding { error: apart / size, worst, measures })
-}
-
-/// A case of an operator, within the error budget of f32.
-pub(super) fn operator<T: Into<Finding>>(
-    name: impl Into<String>,
-    origin: &'static str,
-    check: impl Fn(&Trial<'_>) -> Result<T, Failure> + Send + Sync + 'static,
-) -> Case {
-    Case { origin, ..Case::new(name, Level::Operators, check) }.within(F32, F32_REASON)
-}
-
-/// A case of an operator whose result is right or wrong.
-pub(super) fn decision<T: Into<Finding>>(
-    name: impl Into<String>,
-    origin: &'static str,
-    check: impl Fn(&Trial<'_>) -> Result<T, Failure> + Send + Sync + 'static,
-) -> Case {
-    operator(name, origin, check).because(EXACT_REASON)
 }
 
 /// Sums of products of `[m, k]` and `[n, k]`, `[m, n]`, measured against the sums of magnitudes.

@@ -1,8 +1,8 @@
 //! Space-filling curves, sorting, and the orders of voxels.
 
-use super::compare::decision;
 use crate::doctor::case::Case;
 use crate::doctor::noise::Noise;
+use crate::doctor::table::case;
 use crate::doctor::trial::{Failure, Trial, ensure};
 use scenesplat_kernels::serialization::{Curve, MAX_DEPTH, argsort, codes, depth_of, invert};
 use scenesplat_kernels::serialized_cloud::{CurveDepth, SerializedCloud};
@@ -10,68 +10,34 @@ use std::collections::BTreeSet;
 
 const CURVES: [Curve; 4] = Curve::ALL;
 
-/// Codes to sort: name, origin, values.
-const LISTS: [(&str, &str, fn() -> Vec<u64>); 6] = [
-    ("noise", "demands 2a, level 2: radix sort", || list(30_000, u64::MAX)),
-    ("ties", "demands 2a, level 2: radix ties", || list(30_000, 16)),
-    ("all-equal", "one bucket holds everything", || vec![u64::MAX; 20_000]),
-    ("outlier", "one far code leaves all others in one bucket", || {
+/// Codes to sort: name, values.
+const LISTS: [(&str, fn() -> Vec<u64>); 6] = [
+    ("noise", || list(30_000, u64::MAX)),
+    ("ties", || list(30_000, 16)),
+    ("all-equal", || vec![u64::MAX; 20_000]),
+    ("outlier", || {
         let mut all = list(30_000, 1 << 20);
         all[777] = 1 << 62;
         all
     }),
-    ("sorted-already", "in order, and in reverse", || {
-        (0..20_000).chain((0..20_000).rev()).collect()
-    }),
-    ("0-and-1-rows", "demands 2a, level 1: 0 and 1 Gaussians", || vec![42]),
+    ("sorted-already", || (0..20_000).chain((0..20_000).rev()).collect()),
+    ("0-and-1-rows", || vec![42]),
 ];
 
 pub(super) fn cases() -> Vec<Case> {
     let mut cases = vec![
-        decision(
-            "curves-visit-each-cell-once",
-            "demands 2a, level 2: curve codes and ties",
-            each_cell_once,
-        ),
-        decision(
-            "hilbert-steps-are-of-one-cell",
-            "a Hilbert curve is continuous; a wrong bit makes jumps",
-            hilbert_steps,
-        ),
-        decision(
-            "morton-interleaves-bits",
-            "known bug: row order x, y swapped (demands 2a, check 2)",
-            morton_bits,
-        ),
-        decision(
-            "curves-at-21-bits",
-            "demands 2a, level 1: 2^21 − 1 is the last cell; 32-bit shifts wrap",
-            last_cells,
-        ),
-        decision(
-            "curves-at-depth-0",
-            "open_questions B 31: depth 0 crashes the Hilbert code",
-            depth_0,
-        ),
-        decision(
-            "equal-codes-keep-their-order",
-            "demands 2a, level 2: radix ties (known bug: reversed)",
-            ties,
-        ),
-        decision(
-            "pooled-voxels-are-halved",
-            "pooling by bits: cells that fall together after a shift",
-            pooled,
-        ),
-        decision(
-            "a-scene-keeps-its-depth-in-a-batch",
-            "demands 2a, check 4: curve depth of batch mates",
-            batch_depth,
-        ),
+        case("curves-visit-each-cell-once", each_cell_once),
+        case("hilbert-steps-are-of-one-cell", hilbert_steps),
+        case("morton-interleaves-bits", morton_bits),
+        case("curves-at-21-bits", last_cells),
+        case("curves-at-depth-0", depth_0),
+        case("equal-codes-keep-their-order", ties),
+        case("pooled-voxels-are-halved", pooled),
+        case("a-scene-keeps-its-depth-in-a-batch", batch_depth),
     ];
-    cases.extend(LISTS.iter().map(|&(name, origin, make)| {
-        decision(format!("sort-{name}"), origin, move |t| sorts(t, &make()))
-    }));
+    cases.extend(
+        LISTS.iter().map(|&(name, make)| case(format!("sort-{name}"), move |t| sorts(t, &make()))),
+    );
     cases
 }
 

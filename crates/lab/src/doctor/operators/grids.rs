@@ -1,26 +1,20 @@
 //! Which Gaussians share a voxel: floors, borders and orders.
 
-use super::compare::decision;
 use crate::doctor::case::Case;
 use crate::doctor::noise::{Noise, points};
+use crate::doctor::table::case;
 use crate::doctor::trial::{Failure, Trial, ensure};
 use scenesplat_kernels::grid_sample::{KeyOrder, VoxelGroups, voxel_groups};
 use std::collections::BTreeMap;
 
-/// Points to put into voxels: name, origin, points, size of a voxel.
-type Points = (&'static str, &'static str, fn() -> Vec<[f32; 3]>, f64);
+/// Points to put into voxels: name, points, size of a voxel.
+type Points = (&'static str, fn() -> Vec<[f32; 3]>, f64);
 
 const POINTS: [Points; 5] = [
-    ("of-noise", "demands 2a, level 2: voxel floor", || points(4000, 1, 3.0), 0.04),
-    (
-        "below-zero",
-        "floor, not truncation: −0.01 and 0.01 are two voxels",
-        || points(3000, 2, 0.05),
-        0.02,
-    ),
+    ("of-noise", || points(4000, 1, 3.0), 0.04),
+    ("below-zero", || points(3000, 2, 0.05), 0.02),
     (
         "on-their-borders",
-        "demands 2a, level 2: the band test: strict inside, free at the border",
         || {
             // Multiples of the voxel size, and their neighbours among the f32.
             let around = |x: f32| [x, x.next_up(), x.next_down()].map(|x| [x, -x, 0.5 * x]);
@@ -28,15 +22,9 @@ const POINTS: [Points; 5] = [
         },
         0.02,
     ),
-    (
-        "at-1e6",
-        "demands 2a, level 1: coordinates at a 10⁶ m offset",
-        || points(2000, 3, 30.0).into_iter().map(|p| p.map(|v| v + 1e6)).collect(),
-        0.5,
-    ),
+    ("at-1e6", || points(2000, 3, 30.0).into_iter().map(|p| p.map(|v| v + 1e6)).collect(), 0.5),
     (
         "beyond-2-to-16",
-        "demands 2a, level 1: grid index of 2^16 and more wraps in 16-bit keys",
         || {
             let far = points(500, 5, 1.0).into_iter().map(|p| p.map(|v| v + 20_000.0));
             points(500, 4, 1.0).into_iter().chain(far).collect()
@@ -48,47 +36,25 @@ const POINTS: [Points; 5] = [
 pub(super) fn cases() -> Vec<Case> {
     let mut cases: Vec<Case> = POINTS
         .iter()
-        .map(|&(name, origin, make, size)| {
-            decision(format!("voxels-{name}"), origin, move |t| band(t, &make(), size))
-        })
+        .map(|&(name, make, size)| case(format!("voxels-{name}"), move |t| band(t, &make(), size)))
         .collect();
     cases.extend([
-        decision("voxels-of-no-row", "demands 2a, level 1: 0 Gaussians", |_| {
+        case("voxels-of-no-row", |_| {
             let groups = voxel_groups(&[], 0.02, KeyOrder::Morton)?;
             ensure!(groups.num_voxels() == 0 && groups.largest_count() == 0, "{groups:?}");
             Ok(())
         }),
-        decision(
-            "voxel-sizes-that-are-none",
-            "settings from files: 0, negative, NaN, infinite",
-            |_| {
-                for size in [0.0, -0.02, f64::NAN, f64::INFINITY] {
-                    let groups = voxel_groups(&[[0.0; 3]], size, KeyOrder::Morton);
-                    ensure!(groups.is_err(), "{size} is taken for a voxel size");
-                }
-                Ok(())
-            },
-        ),
-        decision(
-            "voxel-orders-hold-the-same",
-            "the original's hash order, its row-major order and ours",
-            orders,
-        ),
-        decision(
-            "fragments-hold-every-row",
-            "open_questions B 9: chunks in hash order; the test rule of Pointcept",
-            fragments,
-        ),
-        decision(
-            "nearest-to-the-centre-with-ties",
-            "equally near rows: the smaller one, on every machine",
-            nearest_with_ties,
-        ),
-        decision(
-            "grid-rows-shuffled",
-            "which voxel a row is in does not depend on the order of rows",
-            shuffled,
-        ),
+        case("voxel-sizes-that-are-none", |_| {
+            for size in [0.0, -0.02, f64::NAN, f64::INFINITY] {
+                let groups = voxel_groups(&[[0.0; 3]], size, KeyOrder::Morton);
+                ensure!(groups.is_err(), "{size} is taken for a voxel size");
+            }
+            Ok(())
+        }),
+        case("voxel-orders-hold-the-same", orders),
+        case("fragments-hold-every-row", fragments),
+        case("nearest-to-the-centre-with-ties", nearest_with_ties),
+        case("grid-rows-shuffled", shuffled),
     ]);
     cases
 }

@@ -1,8 +1,8 @@
 //! Losses of rows that do not count, of huge logits, of one class, of labels that are none.
 
-use super::compare::{decision, operator};
 use super::losses::{D, FORMULAS, N, Problem, TAU, contrastive, evaluate, matrix, sound};
 use crate::doctor::case::{Case, Finding};
+use crate::doctor::table::case;
 use crate::doctor::trial::{Failure, Trial, ensure};
 use candle_core::{DType, Device, Tensor};
 use scenesplat_losses::{
@@ -44,81 +44,45 @@ fn input<'a>(
     }
 }
 
-/// Rows of one value each: name, origin, values of prediction and target, their cosine loss.
-const COSINES: [(&str, &str, f64, f64, f64); 3] = [
-    ("of-zero", "demands 2a, level 2: cosine of 0", 0.0, 1.0, 1.0),
-    ("of-equal-rows", "demands 2a, level 2: parallel vectors", 0.3, 0.6, 0.0),
-    ("of-opposite-rows", "demands 2a, level 2: antiparallel vectors", 2.0, -3.0, 2.0),
+/// Rows of one value each: name, values of prediction and target, their cosine loss.
+const COSINES: [(&str, f64, f64, f64); 3] = [
+    ("of-zero", 0.0, 1.0, 1.0),
+    ("of-equal-rows", 0.3, 0.6, 0.0),
+    ("of-opposite-rows", 2.0, -3.0, 2.0),
 ];
 
 pub(super) fn cases() -> Vec<Case> {
     let mut cases = vec![
-        decision(
-            "loss-without-a-row-that-counts",
-            "open_questions B 30: all ignored is NaN (cross entropy) or an empty tensor (Lovász)",
-            no_row,
-        ),
-        decision(
-            "loss-of-a-nan-names-its-row",
-            "demands 2a, check 6: element index and value are named",
-            nan_is_named,
-        )
-        .refused(),
-        decision(
-            "loss-of-huge-logits",
-            "demands 2a, level 2: log-sum-exp with logits of ±1e4 and 3e38",
-            huge_logits,
-        ),
-        decision(
-            "contrastive-of-one-class",
-            "demands 2a, level 2: contrastive with 0, 1, 2 classes",
-            few_classes,
-        ),
-        decision(
-            "contrastive-of-identical-classes",
-            "demands 2a, level 2: identical classes: ln of their number",
-            |_| {
-                let problem = Problem::of(1.0);
-                let pred = matrix(&problem.pred[..D].repeat(N), DType::F32)?;
-                let run =
-                    |p: &Tensor| aggregated_contrastive(p, &problem.halves, TAU, Reduction::Mean);
-                let value = sound(&pred, run)?;
-                ensure!((value - 3f64.ln()).abs() < 1e-5, "{value}, ln 3 is right");
-                Ok(())
-            },
-        ),
-        decision("contrastive-at-tau-1e-4", "demands 2a, level 2: τ from 1 to 1e-4", temperatures),
-        decision(
-            "losses-of-huge-and-tiny-features",
-            "demands 2a, level 2: squares that leave f32",
-            sizes,
-        ),
-        decision(
-            "classes-without-a-label",
-            "open_questions B 30; labels present have no weight",
-            |_| {
-                let pred = matrix(&Problem::of(1.0).pred, DType::F32)?;
-                let label = vec![0; N];
-                let none = cross_entropy(&pred, &label, 0.0, Some(&[0.0, 1.0, 1.0, 1.0, 1.0]))?;
-                ensure!(none.is_none(), "labels without weight have a loss");
-                sound(&pred, |p| lovasz_softmax(p, &label))?;
-                Ok(())
-            },
-        ),
-        decision(
-            "labels-that-are-no-class",
-            "known bug: ignore_index = K (demands 2a, check 2)",
-            no_class,
-        )
-        .refused(),
+        case("loss-without-a-row-that-counts", no_row),
+        case("loss-of-a-nan-names-its-row", nan_is_named),
+        case("loss-of-huge-logits", huge_logits),
+        case("contrastive-of-one-class", few_classes),
+        case("contrastive-of-identical-classes", |_| {
+            let problem = Problem::of(1.0);
+            let pred = matrix(&problem.pred[..D].repeat(N), DType::F32)?;
+            let run = |p: &Tensor| aggregated_contrastive(p, &problem.halves, TAU, Reduction::Mean);
+            let value = sound(&pred, run)?;
+            ensure!((value - 3f64.ln()).abs() < 1e-5, "{value}, ln 3 is right");
+            Ok(())
+        }),
+        case("contrastive-at-tau-1e-4", temperatures),
+        case("losses-of-huge-and-tiny-features", sizes),
+        case("classes-without-a-label", |_| {
+            let pred = matrix(&Problem::of(1.0).pred, DType::F32)?;
+            let label = vec![0; N];
+            let none = cross_entropy(&pred, &label, 0.0, Some(&[0.0, 1.0, 1.0, 1.0, 1.0]))?;
+            ensure!(none.is_none(), "labels without weight have a loss");
+            sound(&pred, |p| lovasz_softmax(p, &label))?;
+            Ok(())
+        }),
+        case("labels-that-are-no-class", no_class),
     ];
-    cases.extend(COSINES.map(|(name, origin, p, t, want)| {
-        operator(format!("cosine-{name}"), origin, move |_| {
+    cases.extend(COSINES.map(|(name, p, t, want)| {
+        case(format!("cosine-{name}"), move |_| {
             let (pred, target) = (matrix(&[p; D], DType::F32)?, matrix(&[t; D], DType::F32)?);
             let value = sound(&pred, |p| cosine(p, &target, None, Reduction::Mean))?;
             Ok(Finding::of((value - want).abs(), format!("{value}, {want} is right")))
         })
-        .within(1e-6, "of 1: sums are f64, one rounding to f32")
     }));
     cases
 }

@@ -1,8 +1,9 @@
 //! Losses with their gradients: the formula in f64, and differences of it.
 
-use super::compare::{BF16, BF16_REASON, F32, F32_REASON, LONG, Wide, compare, gradient, operator};
+use super::compare::{Wide, compare, gradient};
 use crate::doctor::case::{Case, Finding};
 use crate::doctor::noise::noise;
+use crate::doctor::table::case;
 use crate::doctor::trial::{Failure, ensure};
 use candle_core::{DType, Device, Tensor, Var};
 use scenesplat_losses::{
@@ -209,29 +210,10 @@ pub(super) fn sound(
 pub(super) fn cases() -> Vec<Case> {
     let mut cases = Vec::new();
     for formula in FORMULAS {
-        for (dtype, tolerance, of_slope, reason) in
-            [(DType::F32, F32, LONG, F32_REASON), (DType::BF16, BF16, BF16, BF16_REASON)]
-        {
+        for dtype in [DType::F32, DType::BF16] {
             let name = format!("{}-{}", formula.name, dtype.as_str());
-            cases.push(
-                operator(
-                    format!("loss-{name}"),
-                    "demands 2a, level 2: every loss against f64",
-                    move |_| value(formula, dtype),
-                )
-                .within(tolerance, reason),
-            );
-            cases.push(
-                operator(
-                    format!("gradient-{name}"),
-                    "demands 2a, level 2: gradients against finite differences",
-                    move |_| slope(formula, dtype),
-                )
-                .within(
-                    of_slope,
-                    "central differences of the formula in f64 have 1e-8; sums in f32 1e-4, bf16 2e-2",
-                ),
-            );
+            cases.push(case(format!("loss-{name}"), move |_| value(formula, dtype)));
+            cases.push(case(format!("gradient-{name}"), move |_| slope(formula, dtype)));
         }
     }
     cases

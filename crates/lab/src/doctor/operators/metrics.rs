@@ -1,8 +1,9 @@
 //! Labels by cosine, and what is counted of them.
 
-use super::compare::{F32, Wide, compare, decision, operator};
+use super::compare::{Wide, compare};
 use crate::doctor::case::{Case, Finding};
 use crate::doctor::noise::{Noise, noise};
+use crate::doctor::table::case;
 use crate::doctor::trial::{Failure, Trial, ensure};
 use scenesplat_metrics::{
     ConfusionMatrix, FeatureSlice, Metric, TextRows, UnknownRule, ZeroShotOptions, classify,
@@ -16,95 +17,56 @@ const C: usize = 7;
 
 pub(super) fn cases() -> Vec<Case> {
     vec![
-        operator(
-            "cosine-scores",
-            "demands 2a, level 2: cosines; rows of any norm from 1e-40 to 1e38",
-            scores,
-        )
-        .within(F32, "error budget of f32: 1e-5 of a cosine of 1"),
-        decision("labels-with-a-margin", "demands 2a, level 2: argmax by the band test", argmax),
-        decision("labels-with-ties", "equal cosines: the smaller class, on every machine", |_| {
+        case("cosine-scores", scores),
+        case("labels-with-a-margin", argmax),
+        case("labels-with-ties", |_| {
             let texts = [1.0, 0.0, 0.0, 1.0, 1.0, 0.0];
             let found =
                 labels(&[3.0, 3.0, 1.0, 0.0, 0.0, 2.0], &texts, 2, &ZeroShotOptions::default())?;
             ensure!(found == [0, 0, 1], "{found:?}, [0, 0, 1] is right");
             Ok(())
         }),
-        decision(
-            "rows-without-a-direction",
-            "the original gives class 0 for zeros and any class for NaN",
-            no_direction,
-        ),
-        decision(
-            "unknown-threshold-can-fire",
-            "open_questions B 4: a threshold on the sigmoid of a cosine never fires",
-            |_| {
-                let min_cosine = Some(sigmoid_threshold_to_cosine(0.6));
-                let unknown = UnknownRule { min_cosine, min_margin: None };
-                let options = ZeroShotOptions { unknown, ..ZeroShotOptions::default() };
-                // The sigmoid of 0.405 is 0.6.
-                let features = [0.9, 0.435_889_9, 0.35, 0.936_749_9];
-                let found = labels(&features, &[1.0, 0.0], 2, &options)?;
-                ensure!(found == [0, -1], "{found:?}, [0, -1] is right");
-                Ok(())
-            },
-        ),
-        decision(
-            "candidates-compete-alone",
-            "open_questions B 3: an exclusion list of lists excludes nothing",
-            |_| {
-                let among = |candidates: [bool; 2]| {
-                    let candidates = Some(candidates.to_vec());
-                    let options = ZeroShotOptions { candidates, ..ZeroShotOptions::default() };
-                    labels(&[1.0, 0.1], &[1.0, 0.0, 0.0, 1.0], 2, &options)
-                };
-                let found = among([false, true])?;
-                ensure!(found == [1], "{found:?}");
-                ensure!(among([false; 2]).is_err(), "nobody competes");
-                Ok(())
-            },
-        ),
-        decision(
-            "texts-that-are-not-normalised",
-            "demands 2a, check 2: unnormalised text (known bug)",
-            |_| {
-                for bad in [[2.0, 0.0], [0.0, 0.0], [f32::NAN, 0.0], [0.99, 0.0]] {
-                    let rows = [1.0, 0.0, bad[0], bad[1]];
-                    ensure!(TextRows::new(&rows, 2).is_err(), "{bad:?} is taken for a text");
-                }
-                Ok(())
-            },
-        )
-        .refused(),
-        decision(
-            "confusion-by-hand",
-            "open_questions B 7: evaluator and tester define means otherwise",
-            confusion,
-        ),
-        decision(
-            "confusion-of-nothing",
-            "absent classes: a mean over no class is no number",
-            confusion_of_nothing,
-        ),
-        decision(
-            "labels-beyond-the-classes",
-            "demands 2a, check 2: ignore_index = K (known bug)",
-            |_| {
-                for (predicted, truth) in [(7, 0), (0, 7), (-2, 0), (0, -2), (i32::MAX, 0)] {
-                    let taken = ConfusionMatrix::new(C)?.update((&[predicted], &[truth])).is_ok();
-                    ensure!(!taken, "predicted {predicted}, true {truth} is taken");
-                }
-                let uneven = ConfusionMatrix::new(C)?.update((&[0, 1], &[0]));
-                ensure!(uneven.is_err(), "2 predictions for 1 row");
-                Ok(())
-            },
-        )
-        .refused(),
-        decision(
-            "confusion-in-parts",
-            "open_questions B 11: the last scene decides",
-            confusion_in_parts,
-        ),
+        case("rows-without-a-direction", no_direction),
+        case("unknown-threshold-can-fire", |_| {
+            let min_cosine = Some(sigmoid_threshold_to_cosine(0.6));
+            let unknown = UnknownRule { min_cosine, min_margin: None };
+            let options = ZeroShotOptions { unknown, ..ZeroShotOptions::default() };
+            // The sigmoid of 0.405 is 0.6.
+            let features = [0.9, 0.435_889_9, 0.35, 0.936_749_9];
+            let found = labels(&features, &[1.0, 0.0], 2, &options)?;
+            ensure!(found == [0, -1], "{found:?}, [0, -1] is right");
+            Ok(())
+        }),
+        case("candidates-compete-alone", |_| {
+            let among = |candidates: [bool; 2]| {
+                let candidates = Some(candidates.to_vec());
+                let options = ZeroShotOptions { candidates, ..ZeroShotOptions::default() };
+                labels(&[1.0, 0.1], &[1.0, 0.0, 0.0, 1.0], 2, &options)
+            };
+            let found = among([false, true])?;
+            ensure!(found == [1], "{found:?}");
+            ensure!(among([false; 2]).is_err(), "nobody competes");
+            Ok(())
+        }),
+        case("texts-that-are-not-normalised", |_| {
+            for bad in [[2.0, 0.0], [0.0, 0.0], [f32::NAN, 0.0], [0.99, 0.0]] {
+                let rows = [1.0, 0.0, bad[0], bad[1]];
+                ensure!(TextRows::new(&rows, 2).is_err(), "{bad:?} is taken for a text");
+            }
+            Ok(())
+        }),
+        case("confusion-by-hand", confusion),
+        case("confusion-of-nothing", confusion_of_nothing),
+        case("labels-beyond-the-classes", |_| {
+            for (predicted, truth) in [(7, 0), (0, 7), (-2, 0), (0, -2), (i32::MAX, 0)] {
+                let taken = ConfusionMatrix::new(C)?.update((&[predicted], &[truth])).is_ok();
+                ensure!(!taken, "predicted {predicted}, true {truth} is taken");
+            }
+            let uneven = ConfusionMatrix::new(C)?.update((&[0, 1], &[0]));
+            ensure!(uneven.is_err(), "2 predictions for 1 row");
+            Ok(())
+        }),
+        case("confusion-in-parts", confusion_in_parts),
     ]
 }
 

@@ -15,24 +15,24 @@ mod pictures;
 mod products;
 mod sparse;
 
-use super::case::{Case, in_areas};
+use super::case::Case;
 
 pub(super) fn cases() -> Vec<Case> {
-    let areas: [(&str, fn() -> Vec<Case>); 14] = [
-        ("products", products::cases),
-        ("attention", attention::cases),
-        ("norms", norms::cases),
-        ("activations", activations::cases),
-        ("convolution", sparse::convolutions),
-        ("segments", sparse::segments),
-        ("voxels", grids::cases),
-        ("curves", curves::cases),
-        ("neighbours", neighbours::cases),
-        ("losses", losses::cases),
-        ("losses", hard_losses::cases),
-        ("metrics", metrics::cases),
-        ("pictures", pictures::cases),
-        ("optimizers", optimizers::cases),
+    let all = [
+        products::cases,
+        attention::cases,
+        norms::cases,
+        activations::cases,
+        sparse::convolutions,
+        sparse::segments,
+        grids::cases,
+        curves::cases,
+        neighbours::cases,
+        losses::cases,
+        hard_losses::cases,
+        metrics::cases,
+        pictures::cases,
+        optimizers::cases,
     ];
-    in_areas(&areas)
+    all.into_iter().flat_map(|cases| cases()).collect()
 }

@@ -1,34 +1,26 @@
 //! Nearest neighbours and the votes of labels among them, against all distances sorted.
 
-use super::compare::decision;
 use crate::doctor::case::Case;
 use crate::doctor::noise::{Noise, points};
+use crate::doctor::table::case;
 use crate::doctor::trial::{Failure, Trial, ensure};
 use scenesplat_kernels::neighbors::KdTree;
 use scenesplat_metrics::{keep_withheld, vote};
 use std::collections::BTreeMap;
 
-/// Points to search: name, origin, points.
-const CLOUDS: [(&str, &str, fn() -> Vec<[f32; 3]>); 5] = [
-    ("noise", "demands 2a, level 2", || points(1500, 1, 1.0)),
-    ("lattice", "points on a grid: most distances are equal; ties go to the smaller row", || {
-        (0..1000).map(|i| [i % 10, i / 10 % 10, i / 100].map(|v| v as f32)).collect()
+/// Points to search: name, points.
+const CLOUDS: [(&str, fn() -> Vec<[f32; 3]>); 5] = [
+    ("noise", || points(1500, 1, 1.0)),
+    ("lattice", || (0..1000).map(|i| [i % 10, i / 10 % 10, i / 100].map(|v| v as f32)).collect()),
+    ("copies", || points(60, 2, 1.0).repeat(20)),
+    ("far-from-the-origin", || {
+        points(800, 3, 20.0).into_iter().map(|p| p.map(|v| v + 1e6)).collect()
     }),
-    ("copies", "demands 2a, level 1: exact duplicates", || points(60, 2, 1.0).repeat(20)),
-    (
-        "far-from-the-origin",
-        "demands 2a, level 1: 10⁶ m offset: squared distances cancel in f32",
-        || points(800, 3, 20.0).into_iter().map(|p| p.map(|v| v + 1e6)).collect(),
-    ),
-    (
-        "huge-and-tiny",
-        "demands 2a, level 1: f32::MAX beside denormals: squares overflow in f32",
-        || {
-            let mut rng = Noise::new(4);
-            let sizes = [1e-42, 1e-20, 1.0, 1e15, 3e38];
-            (0..600).map(|i| [(); 3].map(|()| rng.float() * sizes[i % 5])).collect()
-        },
-    ),
+    ("huge-and-tiny", || {
+        let mut rng = Noise::new(4);
+        let sizes = [1e-42, 1e-20, 1.0, 1e15, 3e38];
+        (0..600).map(|i| [(); 3].map(|()| rng.float() * sizes[i % 5])).collect()
+    }),
 ];
 
 /// Squared distance in f64.
@@ -47,66 +39,40 @@ fn nearest(points: &[[f32; 3]], query: [f32; 3], k: usize) -> Vec<u32> {
 pub(super) fn cases() -> Vec<Case> {
     let mut cases: Vec<Case> = CLOUDS
         .iter()
-        .map(|&(name, origin, points)| {
-            decision(format!("neighbours-{name}"), origin, move |t| check(t, &points()))
-        })
+        .map(|&(name, points)| case(format!("neighbours-{name}"), move |t| check(t, &points())))
         .collect();
     cases.extend([
-        decision(
-            "vote-with-fewer-points-than-k",
-            "open_questions B 33: k above the number of voting points is an IndexError",
-            few_voters,
-        ),
-        decision(
-            "vote-against-all-distances",
-            "demands 2a, level 2: kNN vote; a vote of k + 1 (known bug)",
-            all_distances,
-        ),
-        decision(
-            "vote-with-ties",
-            "equally frequent labels: the smaller class, on every machine",
-            |_| {
-                let points = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-                let found = vote(&points, &[3, 1, 3, 1], None, &[[0.0; 3]], 4, 4)?;
-                ensure!(found == [1], "{found:?}");
-                Ok(())
-            },
-        ),
-        decision(
-            "vote-without-a-voter",
-            "open_questions B 6: an absent mask crashes the evaluator",
-            |_| {
-                let found = vote(&[[0.0; 3]; 2], &[1, 0], Some(&[false; 2]), &[[0.0; 3]], 3, 2)?;
-                ensure!(found == [-1], "{found:?}");
-                let found = vote(&[], &[], None, &[[0.0; 3]], 3, 2)?;
-                ensure!(found == [-1], "no point: {found:?}");
-                ensure!(vote(&[], &[], None, &[], 3, 2)?.is_empty(), "no query");
-                Ok(())
-            },
-        ),
-        decision(
-            "vote-with-bad-input",
-            "open_questions B 33: other lengths are a shape error somewhere deep",
-            |_| {
-                let one = [[0.0; 3]];
-                ensure!(vote(&one, &[2], None, &one, 1, 2).is_err(), "class 2 of 2 is taken");
-                ensure!(vote(&one, &[0, 0], None, &one, 1, 2).is_err(), "two labels for a point");
-                let nan = [[f32::NAN, 0.0, 0.0]];
-                ensure!(vote(&nan, &[0], None, &one, 1, 2).is_err(), "a point that is not finite");
-                ensure!(vote(&one, &[0], None, &nan, 1, 2).is_err(), "a query that is not finite");
-                Ok(())
-            },
-        ),
-        decision(
-            "withheld-labels-stay-withheld",
-            "known bug: keep_withheld that does nothing",
-            |_| {
-                let mut after = [3, 1, 2, 0];
-                keep_withheld(&[3, -1, 2, -1], &mut after);
-                ensure!(after == [3, -1, 2, -1], "{after:?}");
-                Ok(())
-            },
-        ),
+        case("vote-with-fewer-points-than-k", few_voters),
+        case("vote-against-all-distances", all_distances),
+        case("vote-with-ties", |_| {
+            let points = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+            let found = vote(&points, &[3, 1, 3, 1], None, &[[0.0; 3]], 4, 4)?;
+            ensure!(found == [1], "{found:?}");
+            Ok(())
+        }),
+        case("vote-without-a-voter", |_| {
+            let found = vote(&[[0.0; 3]; 2], &[1, 0], Some(&[false; 2]), &[[0.0; 3]], 3, 2)?;
+            ensure!(found == [-1], "{found:?}");
+            let found = vote(&[], &[], None, &[[0.0; 3]], 3, 2)?;
+            ensure!(found == [-1], "no point: {found:?}");
+            ensure!(vote(&[], &[], None, &[], 3, 2)?.is_empty(), "no query");
+            Ok(())
+        }),
+        case("vote-with-bad-input", |_| {
+            let one = [[0.0; 3]];
+            ensure!(vote(&one, &[2], None, &one, 1, 2).is_err(), "class 2 of 2 is taken");
+            ensure!(vote(&one, &[0, 0], None, &one, 1, 2).is_err(), "two labels for a point");
+            let nan = [[f32::NAN, 0.0, 0.0]];
+            ensure!(vote(&nan, &[0], None, &one, 1, 2).is_err(), "a point that is not finite");
+            ensure!(vote(&one, &[0], None, &nan, 1, 2).is_err(), "a query that is not finite");
+            Ok(())
+        }),
+        case("withheld-labels-stay-withheld", |_| {
+            let mut after = [3, 1, 2, 0];
+            keep_withheld(&[3, -1, 2, -1], &mut after);
+            ensure!(after == [3, -1, 2, -1], "{after:?}");
+            Ok(())
+        }),
     ]);
     cases
 }

@@ -1,8 +1,9 @@
 //! Layer norm, batch norm and rows of unit length.
 
-use super::compare::{F32, LONG, Wide, compare, decision, gradients, operator, wide};
+use super::compare::{F32, Wide, compare, gradients, wide};
 use crate::doctor::case::{Case, Finding};
 use crate::doctor::noise::noise;
+use crate::doctor::table::case;
 use crate::doctor::trial::{Failure, Trial, ensure};
 use scenesplat_kernels::unit_rows::check_unit_rows;
 use scenesplat_kernels::{batch_norm, layer_norm, normalize};
@@ -10,20 +11,14 @@ use scenesplat_kernels::{batch_norm, layer_norm, normalize};
 /// As in the networks.
 const EPS: f32 = 1e-5;
 
-/// Rows for layer norm: name, origin, values of a row of [`C`] channels.
-const ROWS: &[(&str, &str, fn(usize) -> Vec<f32>)] = &[
-    ("noise", "demands 2a, level 2", |row| noise(C, row as u64, 1.0)),
-    ("variance-0", "demands 2a, level 2: layer norm of variance 0", |row| {
-        vec![row as f32 * 3.7 - 11.0; C]
-    }),
-    ("variance-1e-30", "demands 2a, level 2: layer norm of variance 1e-30", |row| {
-        noise(C, row as u64, 1e-15)
-    }),
-    ("offset", "demands 2a, level 2: mean far from 0, variance by differences cancels", |row| {
-        noise(C, row as u64, 1.0).into_iter().map(|v| v + 100.0).collect()
-    }),
-    ("size-1e15", "demands 2a, level 2: squares of 1e30", |row| noise(C, row as u64, 1e15)),
-    ("one-spike", "3DGS: one huge channel among small ones", |row| {
+/// Rows for layer norm: name, values of a row of [`C`] channels.
+const ROWS: &[(&str, fn(usize) -> Vec<f32>)] = &[
+    ("noise", |row| noise(C, row as u64, 1.0)),
+    ("variance-0", |row| vec![row as f32 * 3.7 - 11.0; C]),
+    ("variance-1e-30", |row| noise(C, row as u64, 1e-15)),
+    ("offset", |row| noise(C, row as u64, 1.0).into_iter().map(|v| v + 100.0).collect()),
+    ("size-1e15", |row| noise(C, row as u64, 1e15)),
+    ("one-spike", |row| {
         let mut values = noise(C, row as u64, 1e-3);
         values[row % C] = 1e4;
         values
@@ -33,69 +28,41 @@ const ROWS: &[(&str, &str, fn(usize) -> Vec<f32>)] = &[
 /// Channels: no multiple of a register.
 const C: usize = 37;
 
-/// Columns for batch norm: name, origin, value of a row and channel, number of rows.
-const COLUMNS: &[(&str, &str, fn(usize, usize) -> f32, usize)] = &[
-    ("noise", "demands 2a, level 2", |r, c| one_of(r, c, 1.0), 3000),
-    ("one-row", "demands 2a, level 2: batch norm of 1 row", |_, c| c as f32 - 5.5, 1),
-    ("constant", "demands 2a, level 2: batch norm of constant rows", |_, c| 0.1 * c as f32, 1500),
-    (
-        "offset-1e6",
-        "fork: running variance of 1e9; squares of sums cancel",
-        |r, c| 1e6 + one_of(r, c, 1.0),
-        2000,
-    ),
-    ("size-1e18", "demands 2a, level 2: squares beyond f32", |r, c| one_of(r, c, 1e18), 500),
-    ("no-row", "demands 2a, level 1: 0 Gaussians", |_, _| 0.0, 0),
+/// Columns for batch norm: name, value of a row and channel, number of rows.
+const COLUMNS: &[(&str, fn(usize, usize) -> f32, usize)] = &[
+    ("noise", |r, c| one_of(r, c, 1.0), 3000),
+    ("one-row", |_, c| c as f32 - 5.5, 1),
+    ("constant", |_, c| 0.1 * c as f32, 1500),
+    ("offset-1e6", |r, c| 1e6 + one_of(r, c, 1.0), 2000),
+    ("size-1e18", |r, c| one_of(r, c, 1e18), 500),
+    ("no-row", |_, _| 0.0, 0),
 ];
 
 fn one_of(row: usize, channel: usize, size: f32) -> f32 {
     noise(1, (row * C + channel) as u64, size)[0]
 }
 
-/// Rows for division by their norm: name, origin, size.
-const UNITS: &[(&str, &str, f32)] = &[
-    ("zero", "demands 2a, level 2: normalise(0)", 0.0),
-    ("1e-10", "demands 2a, level 2: norms near the least one", 1e-10),
-    ("1e-30", "demands 2a, level 2: squares underflow in f32", 1e-30),
-    ("1e38", "demands 2a, level 2: squares overflow in f32", 1e38),
-];
+/// Rows for division by their norm: name, size.
+const UNITS: &[(&str, f32)] = &[("zero", 0.0), ("1e-10", 1e-10), ("1e-30", 1e-30), ("1e38", 1e38)];
 
 pub(super) fn cases() -> Vec<Case> {
-    let layers = ROWS.iter().map(|&(name, origin, row)| {
-        operator(format!("layer-norm-{name}"), origin, move |t| layer(t, row))
-    });
+    let layers =
+        ROWS.iter().map(|&(name, row)| case(format!("layer-norm-{name}"), move |t| layer(t, row)));
     let gradients = [
-        operator(
-            "layer-norm-gradient",
-            "candle #2977: LayerNorm has no backward; everything upstream stays frozen",
-            |t| layer_gradient(t, |row| noise(C, row as u64, 1.0)),
-        ),
-        operator(
-            "layer-norm-gradient-variance-0",
-            "demands 2a, level 2: gradient where the variance is 0",
-            |t| layer_gradient(t, |row| vec![row as f32; C]),
-        ),
+        case("layer-norm-gradient", |t| layer_gradient(t, |row| noise(C, row as u64, 1.0))),
+        case("layer-norm-gradient-variance-0", |t| layer_gradient(t, |row| vec![row as f32; C])),
     ];
-    let batches = COLUMNS.iter().map(|&(name, origin, value, rows)| {
-        operator(format!("batch-norm-{name}"), origin, move |t| batch(t, value, rows))
+    let batches = COLUMNS.iter().map(|&(name, value, rows)| {
+        case(format!("batch-norm-{name}"), move |t| batch(t, value, rows))
     });
-    let batch_gradient = operator(
-        "batch-norm-gradient",
-        "batch statistics have a gradient too; 2,500 rows are several stretches",
-        batch_gradient,
-    )
-    .within(LONG, "error budget of long sums in f32: 1e-4 relative to f64");
-    let units = UNITS.iter().map(|&(name, origin, size)| {
-        operator(format!("unit-rows-{name}"), origin, move |t| unit(t, size))
-    });
-    let origin = "text tables that are not normalised (known bug: unnormalised text)";
-    let checked = decision("unit-rows-checked", origin, unit_rows_checked).refused();
+    let units =
+        UNITS.iter().map(|&(name, size)| case(format!("unit-rows-{name}"), move |t| unit(t, size)));
     layers
         .chain(gradients)
         .chain(batches)
-        .chain([batch_gradient])
+        .chain([case("batch-norm-gradient", batch_gradient)])
         .chain(units)
-        .chain([checked])
+        .chain([case("unit-rows-checked", unit_rows_checked)])
         .collect()
 }
 

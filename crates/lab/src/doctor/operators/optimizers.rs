@@ -1,8 +1,9 @@
 //! Optimizer, clipping and schedules at their ends.
 
-use super::compare::{decision, gradient, operator};
+use super::compare::gradient;
 use crate::doctor::case::{Case, Finding};
 use crate::doctor::noise::noise;
+use crate::doctor::table::case;
 use crate::doctor::trial::{Failure, Trial, ensure};
 use candle_core::backprop::GradStore;
 use candle_core::{Device, Tensor, Var};
@@ -38,64 +39,31 @@ fn step(optimizer: &mut AdamW, grads: &GradStore) -> Result<(), Failure> {
 
 pub(super) fn cases() -> Vec<Case> {
     vec![
-        operator(
-            "adamw-50-steps",
-            "demands 2a, level 2: AdamW against f64, 50 steps with decay",
-            fifty_steps,
-        ),
-        decision(
-            "adamw-first-step",
-            "demands 2a, level 2: the first step goes by the sign, whatever the size",
-            first_step,
-        ),
-        decision(
-            "adamw-zero-gradient",
-            "demands 2a, level 2: AdamW at zero gradient: 0/0 without eps",
-            zero_gradient,
-        ),
-        decision(
-            "adamw-nan-gradient",
-            "candle and PyTorch spread a NaN to every parameter",
-            nan_gradient,
-        )
-        .refused(),
-        decision(
-            "clipping",
-            "gradient clipping forgotten (known bug); norms beyond f32's squares",
-            clipping,
-        ),
-        decision(
-            "average-of-parameters",
-            "EMA before the step (known bug); momentum 0 and 1",
-            |_| {
-                for (momentum, want) in [(0.0, 3.0), (1.0, 1.0), (0.75, 1.5)] {
-                    let (teacher, student) = (params(&[1.0])?, params(&[3.0])?);
-                    ema_update(&teacher, &student, momentum)?;
-                    let found = values(&teacher)?;
-                    ensure!(found == [want], "momentum {momentum}: {found:?}");
-                }
-                Ok(())
-            },
-        ),
-        decision(
-            "one-cycle-at-its-ends",
-            "demands 2a, level 2: OneCycle at ends; one step ahead (known bug)",
-            one_cycle,
-        ),
-        decision(
-            "cosine-schedule-at-its-ends",
-            "open_questions B 16: counters of weight decay and temperature",
-            |_| {
-                let plain = CosineSchedule::new(1.0, 0.0);
-                let found = [0, 5, 10, 11, u64::MAX].map(|n| plain.value(n, 10));
-                ensure!(found == [1.0, 0.5, 0.0, 0.0, 0.0], "{found:?}");
-                let warm = CosineSchedule { warmup: 0.3, warmup_from: 0.0, from: 1.0, to: 0.0 };
-                let found = [0, 1, 2, 3].map(|n| warm.value(n, 10));
-                ensure!(found == [0.0, 0.5, 1.0, 1.0], "{found:?}");
-                ensure!(warm.value(0, 0) == 0.0, "a run of no step");
-                Ok(())
-            },
-        ),
+        case("adamw-50-steps", fifty_steps),
+        case("adamw-first-step", first_step),
+        case("adamw-zero-gradient", zero_gradient),
+        case("adamw-nan-gradient", nan_gradient),
+        case("clipping", clipping),
+        case("average-of-parameters", |_| {
+            for (momentum, want) in [(0.0, 3.0), (1.0, 1.0), (0.75, 1.5)] {
+                let (teacher, student) = (params(&[1.0])?, params(&[3.0])?);
+                ema_update(&teacher, &student, momentum)?;
+                let found = values(&teacher)?;
+                ensure!(found == [want], "momentum {momentum}: {found:?}");
+            }
+            Ok(())
+        }),
+        case("one-cycle-at-its-ends", one_cycle),
+        case("cosine-schedule-at-its-ends", |_| {
+            let plain = CosineSchedule::new(1.0, 0.0);
+            let found = [0, 5, 10, 11, u64::MAX].map(|n| plain.value(n, 10));
+            ensure!(found == [1.0, 0.5, 0.0, 0.0, 0.0], "{found:?}");
+            let warm = CosineSchedule { warmup: 0.3, warmup_from: 0.0, from: 1.0, to: 0.0 };
+            let found = [0, 1, 2, 3].map(|n| warm.value(n, 10));
+            ensure!(found == [0.0, 0.5, 1.0, 1.0], "{found:?}");
+            ensure!(warm.value(0, 0) == 0.0, "a run of no step");
+            Ok(())
+        }),
     ]
 }
 

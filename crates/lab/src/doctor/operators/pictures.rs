@@ -1,8 +1,9 @@
 //! The rasterizer on Gaussians of every kind, and what compares pictures.
 
-use super::compare::{LONG, Wide, compare, decision, operator};
-use crate::doctor::case::{Case, Finding, Policy};
+use super::compare::{Wide, compare};
+use crate::doctor::case::{Case, Finding};
 use crate::doctor::noise::{Noise, noise};
+use crate::doctor::table::case;
 use crate::doctor::trial::{Failure, Trial, ensure};
 use scenesplat_metrics::image::{ImageView, SsimPadding, psnr, ssim};
 use scenesplat_rasterizer::{Gaussians, RasterSettings, RenderRequest, Rendered, View, render};
@@ -62,43 +63,21 @@ fn visible(scene: &Gaussians) -> Result<bool, Failure> {
 
 const MIDDLE: [f32; 3] = [0.0, 0.0, 2.0];
 
-/// Gaussians that are drawn (`true`), or left out and counted: name, origin, Gaussian.
-const SHAPES: [(bool, &str, &str, fn() -> Gaussians); 13] = [
-    (true, "scale-1e-8", "demands 2a, level 2: covariance from scale 1e-8", || {
-        one(MIDDLE, [1e-8; 3], 0.8)
-    }),
-    (true, "scale-0", "demands 2a, level 1: log-scale −∞; a covariance of rank 0", || {
-        one(MIDDLE, [0.0; 3], 0.8)
-    }),
-    (
-        true,
-        "disc-and-needle",
-        "demands 2a, level 1: 1e7 anisotropy; covariance of rank 1 and 2",
-        || one(MIDDLE, [10.0, 1e-6, 0.0], 0.8),
-    ),
-    (true, "scale-1e6", "demands 2a, level 1: scales up to 1e6", || one(MIDDLE, [1e6; 3], 0.8)),
-    (false, "scale-max", "demands 2a, level 1: f32::MAX: the covariance overflows", || {
-        one(MIDDLE, [f32::MAX; 3], 0.8)
-    }),
-    (true, "at-the-near-plane", "demands 2a, level 2: projection at the near plane", || {
-        one([0.0, 0.0, 0.010_001], [1e-4; 3], 0.8)
-    }),
-    (false, "behind-the-near-plane", "demands 2a, level 2: projection at the near plane", || {
-        one([0.0, 0.0, 0.009_99], [1e-4; 3], 0.8)
-    }),
-    (false, "at-the-camera", "a division by depth 0", || one([0.0; 3], [0.1; 3], 0.8)),
-    (true, "far-away", "demands 2a, level 1: outliers; 10⁹ m away and as large", || {
-        one([0.0, 0.0, 1e9], [1e7; 3], 0.8)
-    }),
-    (true, "half-turn", "open_questions B 22: w = 0", || turned([0.0, -30.0, 40.0, 0.0])),
-    (false, "zero-quaternion", "demands 2a, level 1: zero quaternion", || turned([0.0; 4])),
-    (
-        true,
-        "alpha-1",
-        "demands 2a, level 1: opacity logit +∞: α is 0.99 at most, or the rest is lost",
-        || one(MIDDLE, [0.1; 3], 1.0),
-    ),
-    (false, "alpha-0", "demands 2a, level 1: opacity logit −∞", || one(MIDDLE, [0.1; 3], 0.0)),
+/// Gaussians that are drawn (`true`), or left out and counted: name, Gaussian.
+const SHAPES: [(bool, &str, fn() -> Gaussians); 13] = [
+    (true, "scale-1e-8", || one(MIDDLE, [1e-8; 3], 0.8)),
+    (true, "scale-0", || one(MIDDLE, [0.0; 3], 0.8)),
+    (true, "disc-and-needle", || one(MIDDLE, [10.0, 1e-6, 0.0], 0.8)),
+    (true, "scale-1e6", || one(MIDDLE, [1e6; 3], 0.8)),
+    (false, "scale-max", || one(MIDDLE, [f32::MAX; 3], 0.8)),
+    (true, "at-the-near-plane", || one([0.0, 0.0, 0.010_001], [1e-4; 3], 0.8)),
+    (false, "behind-the-near-plane", || one([0.0, 0.0, 0.009_99], [1e-4; 3], 0.8)),
+    (false, "at-the-camera", || one([0.0; 3], [0.1; 3], 0.8)),
+    (true, "far-away", || one([0.0, 0.0, 1e9], [1e7; 3], 0.8)),
+    (true, "half-turn", || turned([0.0, -30.0, 40.0, 0.0])),
+    (false, "zero-quaternion", || turned([0.0; 4])),
+    (true, "alpha-1", || one(MIDDLE, [0.1; 3], 1.0)),
+    (false, "alpha-0", || one(MIDDLE, [0.1; 3], 0.0)),
 ];
 
 fn turned(quat: [f32; 4]) -> Gaussians {
@@ -106,58 +85,26 @@ fn turned(quat: [f32; 4]) -> Gaussians {
 }
 
 pub(super) fn cases() -> Vec<Case> {
-    let shape = |(is_drawn, name, origin, make): (bool, &str, _, fn() -> Gaussians)| {
-        decision(format!("picture-of-{name}"), origin, move |_| {
+    let shape = |(is_drawn, name, make): (bool, &str, fn() -> Gaussians)| {
+        case(format!("picture-of-{name}"), move |_| {
             let drawn = visible(&make())?;
             ensure!(drawn == is_drawn, "drawn: {drawn}, expected {is_drawn}");
             Ok(())
         })
-        .expects(if is_drawn { Policy::Exact } else { Policy::Repaired })
     };
     let mut cases: Vec<Case> = SHAPES.map(shape).into();
     cases.extend([
-        decision(
-            "picture-with-bad-values",
-            "demands 2a, level 1: NaN and ±∞ in every attribute, one at a time",
-            bad_values,
-        )
-        .expects(Policy::Repaired),
-        decision(
-            "picture-beside-bad-values",
-            "bad neighbours change nothing: the others keep their bits",
-            bad_neighbours,
-        ),
-        operator(
-            "transmittance-of-10000-layers",
-            "demands 2a, level 2: transmittance of 10^4 layers",
-            layers,
-        )
-        .within(LONG, "error budget of long products in f32: 1e-4 relative to f64"),
-        operator(
-            "one-gaussian-by-the-book",
-            "demands 2a, level 2: projection and blending against f64",
-            by_the_book,
-        )
-        .within(3e-5, "of a colour of about 1: an exponential, a product and a sum in f32"),
-        decision(
-            "picture-on-threads",
-            "demands 2a, level 3: identical results on 1 and many threads",
-            |t| {
-                let scene = random(300, 5);
-                t.one_and_many(|| Ok(draw(&scene)?.rgb.unwrap_or_default()))?;
-                Ok(())
-            },
-        ),
-        decision(
-            "metrics-of-equal-pictures",
-            "equal pictures: PSNR is infinite, SSIM is 1",
-            equal_pictures,
-        ),
-        operator(
-            "ssim-of-constant-pictures",
-            "demands 2a, level 2: constant pictures: variance 0 in every window",
-            constant_pictures,
-        ),
+        case("picture-with-bad-values", bad_values),
+        case("picture-beside-bad-values", bad_neighbours),
+        case("transmittance-of-10000-layers", layers),
+        case("one-gaussian-by-the-book", by_the_book),
+        case("picture-on-threads", |t| {
+            let scene = random(300, 5);
+            t.one_and_many(|| Ok(draw(&scene)?.rgb.unwrap_or_default()))?;
+            Ok(())
+        }),
+        case("metrics-of-equal-pictures", equal_pictures),
+        case("ssim-of-constant-pictures", constant_pictures),
     ]);
     cases
 }

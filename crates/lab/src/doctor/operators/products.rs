@@ -1,10 +1,9 @@
 //! Matrix products in every precision.
 
-use super::compare::{
-    BF16, BF16_REASON, F32, F32_REASON, LONG, LONG_REASON, Wide, compare, operator, products,
-};
+use super::compare::{Wide, compare, products};
 use crate::doctor::case::{Case, Finding};
 use crate::doctor::noise::{Noise, noise};
+use crate::doctor::table::case;
 use crate::doctor::trial::{Failure, Trial, ensure};
 use scenesplat_kernels::Precision;
 use scenesplat_kernels::gemm::{Epilogue, PackedMatrix, gemm, gemm_tn_with, gemm_unit_rows, mlp};
@@ -43,15 +42,15 @@ impl Factors {
 }
 
 /// What goes in.
-const INPUTS: &[(&str, &str, fn() -> Vec<Factors>)] = &[
-    ("odd-shapes", "CONTRIBUTING: 1, 2 rows, odd sizes; blocks of 16, 192, 384", || {
+const INPUTS: &[(&str, fn() -> Vec<Factors>)] = &[
+    ("odd-shapes", || {
         [(1, 1, 1), (2, 3, 17), (3, 65, 16), (193, 70, 33), (65, 385, 66), (5, 768, 80)]
             .map(|(m, k, n)| Factors::of(m, k, n, 1.0))
             .into()
     }),
-    ("huge", "demands 2a, level 2: products up to 1e30", || vec![Factors::of(9, 96, 80, 1e15)]),
-    ("tiny", "demands 2a, level 2: products down to 1e-30", || vec![Factors::of(9, 96, 80, 1e-15)]),
-    ("cancelling", "demands 2a, level 2: sums whose terms cancel (Kahan, pairwise)", || {
+    ("huge", || vec![Factors::of(9, 96, 80, 1e15)]),
+    ("tiny", || vec![Factors::of(9, 96, 80, 1e-15)]),
+    ("cancelling", || {
         let mut factors = Factors::of(4, 512, 80, 1.0);
         // Every second term is the one before with the other sign, and a little more.
         for row in factors.a.chunks_exact_mut(512) {
@@ -66,7 +65,7 @@ const INPUTS: &[(&str, &str, fn() -> Vec<Factors>)] = &[
         }
         vec![factors]
     }),
-    ("outlier", "int8 products: a row's outlier costs its other values their bits", || {
+    ("outlier", || {
         let mut factors = Factors::of(6, 128, 96, 1.0);
         factors.a[128 + 5] = 40.0;
         factors.w[2 * 128 + 77] = -40.0;
@@ -77,58 +76,27 @@ const INPUTS: &[(&str, &str, fn() -> Vec<Factors>)] = &[
 pub(super) fn cases() -> Vec<Case> {
     let mut cases = Vec::new();
     for precision in Precision::ALL {
-        let (tolerance, reason) = match precision {
-            Precision::F32 => (F32, F32_REASON),
-            Precision::F32Split => {
-                (LONG, "two bf16 parts of an f32: at most 2^-15 of the terms' magnitudes")
-            }
-            Precision::Bf16 => (BF16, BF16_REASON),
-            Precision::Int8 => (BF16, "8-bit integers with a scale a row: the budget of bf16"),
-        };
-        for &(name, origin, inputs) in INPUTS {
-            let case = operator(format!("product-{precision}-{name}"), origin, move |trial| {
+        for &(name, inputs) in INPUTS {
+            cases.push(case(format!("product-{precision}-{name}"), move |trial| {
                 let mut found = Finding::right();
                 for factors in inputs() {
                     found.join(factors.check(trial, precision)?);
                 }
                 Ok(found)
-            });
-            // The step of a row is a 127th of its largest value: what stands beside 40 has 3 steps.
-            let coarse = precision == Precision::Int8 && name == "outlier";
-            cases.push(match coarse {
-                true => case.within(
-                    1e-1,
-                    "a row's step is a 127th of its outlier: the cost of it, stated in Precision::Int8",
-                ),
-                false => case.within(tolerance, reason),
-            });
+            }));
         }
-        let origin = "a NaN of one Gaussian spreads over its batch (SceneSplat, mixed batches)";
         let name = format!("product-{precision}-nan-in-a-row");
-        cases.push(
-            operator(name, origin, move |_| nan_in_a_row(precision))
-                .because("rows without a NaN keep their bits"),
-        );
+        cases.push(case(name, move |_| nan_in_a_row(precision)));
     }
-    cases.push(
-        operator("product-f32-of-20000-terms", "demands 2a, level 2: sums over many terms", |t| {
-            Factors::of(3, 20_000, 17, 1.0).check(t, Precision::F32)
-        })
-        .within(LONG, LONG_REASON),
-    );
+    cases.push(case("product-f32-of-20000-terms", |t| {
+        Factors::of(3, 20_000, 17, 1.0).check(t, Precision::F32)
+    }));
     for precision in [Precision::F32, Precision::F32Split, Precision::Bf16] {
-        let tolerance = if precision == Precision::Bf16 { BF16 } else { LONG };
-        let origin = "gradients of weights: a sum over all rows of a batch";
         let name = format!("weight-gradient-{precision}");
-        cases.push(
-            operator(name, origin, move |t| transposed(t, precision))
-                .within(tolerance, "error budget of long sums; of bf16 2e-2"),
-        );
+        cases.push(case(name, move |t| transposed(t, precision)));
     }
-    let origin = "fused layers: bias, GELU and residual in one pass";
-    cases.push(operator("mlp-fused", origin, fused));
-    let origin = "demands 2a, level 2: normalise(0) behind a product";
-    cases.push(operator("unit-rows-of-a-product", origin, unit_rows));
+    cases.push(case("mlp-fused", fused));
+    cases.push(case("unit-rows-of-a-product", unit_rows));
     cases
 }
 

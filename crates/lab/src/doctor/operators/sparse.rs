@@ -1,8 +1,9 @@
 //! Submanifold convolution, groups of rows, turned queries.
 
-use super::compare::{BF16, LONG, Wide, compare, decision, gradients, operator};
+use super::compare::{Wide, compare, gradients};
 use crate::doctor::case::{Case, Finding};
 use crate::doctor::noise::{Noise, noise};
+use crate::doctor::table::case;
 use crate::doctor::trial::{Failure, Trial, ensure};
 use scenesplat_kernels::Precision;
 use scenesplat_kernels::kernel_map::KernelMap;
@@ -55,86 +56,59 @@ impl Voxels {
     }
 }
 
-const SCENES: &[(&str, &str, fn() -> Voxels)] = &[
-    ("dense", "demands 2a, level 2", || Voxels::one(Voxels::random(400, 1))),
-    ("one-voxel", "demands 2a, level 1: all in one voxel", || Voxels::one(vec![[0; 3]])),
-    ("two-scenes", "batch mates whose voxels have the same indices must not meet", || {
+const SCENES: &[(&str, fn() -> Voxels)] = &[
+    ("dense", || Voxels::one(Voxels::random(400, 1))),
+    ("one-voxel", || Voxels::one(vec![[0; 3]])),
+    ("two-scenes", || {
         let (a, b) = (Voxels::random(150, 2), Voxels::random(90, 3));
         let offsets = vec![0, 150, 150, 240];
         Voxels { cells: [a, b].concat(), offsets }
     }),
-    (
-        "corner-of-the-grid",
-        "demands 2a, level 1: grid index up to 2^21 − 1; 32-bit keys wrap (spconv #607)",
-        || {
-            let last = (1 << 21) - 1;
-            let mut cells: Vec<[i32; 3]> =
-                Voxels::random(80, 4).into_iter().map(|c| c.map(|v| last - v)).collect();
-            cells.extend(Voxels::random(80, 5));
-            Voxels::one(cells)
-        },
-    ),
+    ("corner-of-the-grid", || {
+        let last = (1 << 21) - 1;
+        let mut cells: Vec<[i32; 3]> =
+            Voxels::random(80, 4).into_iter().map(|c| c.map(|v| last - v)).collect();
+        cells.extend(Voxels::random(80, 5));
+        Voxels::one(cells)
+    }),
 ];
 
 const CIN: usize = 64;
 const COUT: usize = 70;
 
 pub(super) fn convolutions() -> Vec<Case> {
-    let dense = SCENES.iter().map(|&(name, origin, voxels)| {
-        operator(format!("convolution-{name}"), origin, move |t| {
+    let dense = SCENES.iter().map(|&(name, voxels)| {
+        case(format!("convolution-{name}"), move |t| {
             let mut found = convolve(t, &voxels(), 3, Precision::F32)?;
             found.join(convolve(t, &voxels(), 5, Precision::F32)?);
             Ok(found)
         })
     });
-    let precisions =
-        [(Precision::F32Split, LONG), (Precision::Bf16, BF16), (Precision::Int8, BF16)];
-    let precisions = precisions.map(|(precision, tolerance)| {
-        let origin = "demands 2a, level 2: every precision; spconv casts features to f16";
-        operator(format!("convolution-{precision}"), origin, move |t| {
+    let precisions = [Precision::F32Split, Precision::Bf16, Precision::Int8].map(|precision| {
+        case(format!("convolution-{precision}"), move |t| {
             convolve(t, &Voxels::one(Voxels::random(300, 6)), 3, precision)
         })
-        .within(tolerance, "error budgets of the precisions, against the sum of magnitudes")
     });
     let others = [
-        decision(
-            "convolution-duplicate-voxels",
-            "open_questions B 29: duplicate voxels make spconv's result race-dependent",
-            duplicates,
-        ),
-        operator(
-            "convolution-gradient",
-            "gradients of a convolution: pairs with input and output exchanged",
-            conv_gradient,
-        )
-        .within(LONG, "error budget of long sums in f32: 1e-4 relative to f64"),
+        case("convolution-duplicate-voxels", duplicates),
+        case("convolution-gradient", conv_gradient),
     ];
     dense.chain(precisions).chain(others).collect()
 }
 
 pub(super) fn segments() -> Vec<Case> {
     vec![
-        operator(
-            "segment-mean",
-            "open_questions B 19: pooling is a mean in one network, a maximum in the other",
-            |t| reduced(t, Reduce::Mean),
-        ),
-        operator("segment-max", "demands 2a, level 2: NaN counts as larger than anything", |t| {
-            reduced(t, Reduce::Max)
+        case("segment-mean", |t| reduced(t, Reduce::Mean)),
+        case("segment-max", |t| reduced(t, Reduce::Max)),
+        case("segment-sum", |t| reduced(t, Reduce::Sum)),
+        case("segment-max-gradient-of-ties", |_| {
+            let groups = Groups::new(vec![0, 1, 2, 3], vec![0, 3, 4])?;
+            let mut dx = vec![0.0; 4];
+            let x = [1.0, 5.0, 5.0, -2.0];
+            reduce_backward(&x, 1, &groups, Reduce::Max, &[3.0, 7.0], &mut dx);
+            ensure!(dx == [0.0, 3.0, 0.0, 7.0], "gradient {dx:?}");
+            Ok(())
         }),
-        operator("segment-sum", "demands 2a, level 2", |t| reduced(t, Reduce::Sum)),
-        decision(
-            "segment-max-gradient-of-ties",
-            "gradient of a maximum: to the first of equal members, once",
-            |_| {
-                let groups = Groups::new(vec![0, 1, 2, 3], vec![0, 3, 4])?;
-                let mut dx = vec![0.0; 4];
-                let x = [1.0, 5.0, 5.0, -2.0];
-                reduce_backward(&x, 1, &groups, Reduce::Max, &[3.0, 7.0], &mut dx);
-                ensure!(dx == [0.0, 3.0, 0.0, 7.0], "gradient {dx:?}");
-                Ok(())
-            },
-        ),
     ]
 }
 

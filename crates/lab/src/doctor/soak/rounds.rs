@@ -18,6 +18,7 @@ use scenesplat_kernels::{Precision, layer_norm, normalize, patches};
 use scenesplat_metrics::ZeroShotOptions;
 use scenesplat_rasterizer::{Gaussians, RasterSettings, RenderRequest, View, render};
 use scenesplat_rooms::{SyntheticRoomSettings, generate};
+use scenesplat_scene::vector::rotation;
 use scenesplat_scene::{GaussianScene, Policy, SceneFormat, TextTable, WriteOptions, write_scene};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -341,12 +342,7 @@ fn pictures(_: &mut Bath, rng: &mut Noise) -> Result<Outcome, Failure> {
     let gaussians = Gaussians::from_scene(&hard_scene(rng))?;
     let quat = [(); 4].map(|()| f64::from(rng.float()));
     let norm = quat.iter().map(|v| v * v).sum::<f64>().sqrt().max(1e-6);
-    let [w, x, y, z] = quat.map(|v| (v / norm) as f32);
-    let turn = [
-        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-    ];
+    let turn = rotation(quat.map(|v| (v / norm) as f32));
     let (width, height) = (1 + rng.below(50) as u32, 1 + rng.below(50) as u32);
     let view = View {
         world_to_camera: turn.map(|[a, b, c]| [a, b, c, 2.0 * rng.float()]),

@@ -115,16 +115,10 @@ fn views() -> Vec<TransformConfig> {
     vec![CenterShift::default().into(), Views { groups }.into()]
 }
 
-/// A small network that learns without labels; terms, momentum and rates are those of
-/// `configs/self_supervised/synthetic_rooms*.toml`.
-pub(super) fn self_supervised(
-    recipe: StabilityRecipe,
-    precision: Precision,
-    seed: u64,
-) -> Result<SelfSupervised, Failure> {
+/// What a network without labels learns.
+fn terms(recipe: StabilityRecipe) -> Vec<TermConfig> {
     let prototypes = |given: Prototypes| Prototypes { count: 64, hidden: 32, out: 16, ..given };
-    let has_decoder = recipe == StabilityRecipe::GaussianSsl;
-    let terms = match recipe {
+    match recipe {
         StabilityRecipe::SimDinoRows => vec![TermConfig::SimDinoRows(SimDinoRowsTerm {
             hidden: 32,
             out: 16,
@@ -154,7 +148,17 @@ pub(super) fn self_supervised(
                 TermConfig::IbotCrossEntropy(ibot),
             ]
         }
-    };
+    }
+}
+
+/// A small network that learns without labels; terms, momentum and rates are those of
+/// `configs/self_supervised/synthetic_rooms*.toml`.
+pub(super) fn self_supervised(
+    recipe: StabilityRecipe,
+    precision: Precision,
+    seed: u64,
+) -> Result<SelfSupervised, Failure> {
+    let has_decoder = recipe == StabilityRecipe::GaussianSsl;
     let masking = Masking {
         shape: MaskShape::Patches(3.0 * GRID),
         ratio: [0.2, 0.5],
@@ -166,7 +170,7 @@ pub(super) fn self_supervised(
     let config = SelfSupervisedConfig {
         momentum,
         masking: Some(masking),
-        terms,
+        terms: terms(recipe),
         ..SelfSupervisedConfig::default()
     };
     let only = |kept: bool, values: Vec<usize>| if kept { values } else { Vec::new() };

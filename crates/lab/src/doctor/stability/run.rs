@@ -115,6 +115,20 @@ pub(super) fn train(
     }
 }
 
+fn config(setup: &Setup, epochs: u64, look_every: u64) -> TrainerConfig {
+    let mut config = TrainerConfig {
+        seed: setup.seed,
+        epochs,
+        accumulate: setup.form.accumulate(),
+        clip_norm: Some(1.0),
+        log_every: 1,
+        recompute: setup.form == Form::Recomputed,
+        ..TrainerConfig::default()
+    };
+    config.health.every_steps = look_every;
+    config
+}
+
 fn train_module(
     module: &impl TrainingModule<Batch = TrainBatch>,
     setup: &Setup,
@@ -126,24 +140,11 @@ fn train_module(
     let per_epoch = steps.min(STEPS_PER_EPOCH);
     let epochs = steps.div_ceil(per_epoch);
     let planned = epochs * per_epoch;
-    let mut config = TrainerConfig {
-        seed: setup.seed,
-        epochs,
-        accumulate,
-        clip_norm: Some(1.0),
-        log_every: 1,
-        recompute: setup.form == Form::Recomputed,
-        ..TrainerConfig::default()
-    };
-    config.health.every_steps = planned.div_ceil(LOOKS);
+    let config = config(setup, epochs, planned.div_ceil(LOOKS));
+    let in_epoch = per_epoch * accumulate;
     let (seen, stop) = (Arc::new(Mutex::new(Seen::default())), Arc::default());
     let loader = Asked {
-        rooms: Rooms::new(
-            setup.recipe,
-            setup.batches,
-            setup.seed,
-            (per_epoch * accumulate) as usize,
-        )?,
+        rooms: Rooms::new(setup.recipe, setup.batches, setup.seed, in_epoch as usize)?,
         batches: planned * accumulate,
         go_on,
         done: 0,
