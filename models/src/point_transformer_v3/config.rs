@@ -6,8 +6,8 @@ use super::block::BlockShape;
 use crate::architecture::NO_LAST_STAGE;
 use crate::params::check_values;
 use crate::stages::{
-    DEEPEST, LARGEST, MAX_MLP_RATIO, check_lengths, check_rates, check_sizes, curves, drop_rates,
-    falling_drop_rates,
+    DEEPEST, LARGEST, MAX_MLP_RATIO, check_fields, check_rates, curves, drop_rates, each_block,
+    falling_drop_rates, stem_inputs,
 };
 use crate::weights::Shapes;
 use crate::{Architecture, Backbone, BackboneCost, Compute, LastStage, MultiplyAdds, Shortcuts};
@@ -235,32 +235,22 @@ impl PointTransformerV3Config {
         let stages = self.num_stages();
         let above = stages.saturating_sub(1);
         let decoder = if self.dec_depths.is_empty() { 0 } else { above };
-        check_lengths(
+        check_fields(
             stages,
             &[
-                ("stride", self.stride.len(), above),
-                ("enc_channels", self.enc_channels.len(), stages),
-                ("enc_num_head", self.enc_num_head.len(), stages),
-                ("enc_patch_size", self.enc_patch_size.len(), stages),
-                ("dec_depths", self.dec_depths.len(), decoder),
-                ("dec_channels", self.dec_channels.len(), decoder),
-                ("dec_num_head", self.dec_num_head.len(), decoder),
-                ("dec_patch_size", self.dec_patch_size.len(), decoder),
+                ("in_channels", &[self.in_channels], 1, 1..=MAX_INPUTS),
+                ("mlp_ratio", &[self.mlp_ratio], 1, 1..=MAX_MLP_RATIO),
+                ("stride", &self.stride, above, 1..=MAX_STRIDE),
+                ("enc_depths", &self.enc_depths, stages, 0..=DEEPEST),
+                ("dec_depths", &self.dec_depths, decoder, 0..=DEEPEST),
+                ("enc_channels", &self.enc_channels, stages, 1..=LARGEST),
+                ("dec_channels", &self.dec_channels, decoder, 1..=LARGEST),
+                ("enc_num_head", &self.enc_num_head, stages, 1..=LARGEST),
+                ("dec_num_head", &self.dec_num_head, decoder, 1..=LARGEST),
+                ("enc_patch_size", &self.enc_patch_size, stages, 1..=MAX_PATCH_SIZE),
+                ("dec_patch_size", &self.dec_patch_size, decoder, 1..=MAX_PATCH_SIZE),
             ],
         )?;
-        check_sizes(&[
-            ("in_channels", &[self.in_channels], 1, MAX_INPUTS),
-            ("mlp_ratio", &[self.mlp_ratio], 1, MAX_MLP_RATIO),
-            ("stride", &self.stride, 1, MAX_STRIDE),
-            ("enc_depths", &self.enc_depths, 0, DEEPEST),
-            ("dec_depths", &self.dec_depths, 0, DEEPEST),
-            ("enc_channels", &self.enc_channels, 1, LARGEST),
-            ("dec_channels", &self.dec_channels, 1, LARGEST),
-            ("enc_num_head", &self.enc_num_head, 1, LARGEST),
-            ("dec_num_head", &self.dec_num_head, 1, LARGEST),
-            ("enc_patch_size", &self.enc_patch_size, 1, MAX_PATCH_SIZE),
-            ("dec_patch_size", &self.dec_patch_size, 1, MAX_PATCH_SIZE),
-        ])?;
         check_values(self.num_values())?;
         if self.shortcuts != Shortcuts::default() && self.last_stage_width().is_none() {
             bail!("shortcuts: {NO_LAST_STAGE}");
@@ -307,10 +297,7 @@ impl PointTransformerV3Config {
             batch_rule: self.batch_rule,
             compute: self.compute,
         };
-        let stage = |(stage, rates): (usize, &Vec<f64>)| {
-            rates.iter().enumerate().map(|(i, &rate)| block(stage, i, rate)).collect()
-        };
-        rates.iter().enumerate().map(stage).collect()
+        each_block(rates, block)
     }
 }
 
@@ -366,7 +353,7 @@ impl Architecture for PointTransformerV3Config {
         Ok(())
     }
     fn adapt_to(&mut self, shapes: &Shapes) {
-        self.take_inputs(shapes);
+        self.in_channels = stem_inputs(shapes).unwrap_or(self.in_channels);
     }
     fn fits(&self, shapes: &Shapes) -> bool {
         self.has_shapes(shapes)
