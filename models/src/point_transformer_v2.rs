@@ -529,6 +529,16 @@ mod tests {
         linear(p, &format!("{name}.last"), &joined(p, &format!("{name}.hidden"), x))
     }
 
+    fn values(store: &ParamStore) -> Parameters {
+        let all = store.parameters().into_iter().chain(store.buffers());
+        all.filter(|(name, _)| !name.ends_with("tracked"))
+            .map(|(name, v)| {
+                let values = v.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+                (name, values.into_iter().map(f64::from).collect())
+            })
+            .collect()
+    }
+
     #[test]
     fn attention_is_the_formula() {
         let cells: Vec<[i32; 3]> = (0..12).map(|i| [i % 4, i / 4, i % 3]).collect();
@@ -546,16 +556,7 @@ mod tests {
         let out = layer.forward(&sorted.enter(&tensor).unwrap(), &near, Mode::Eval).unwrap();
         let out = sorted.leave(&out).unwrap().to_vec2::<f32>().unwrap();
 
-        let p: Parameters = store
-            .parameters()
-            .into_iter()
-            .chain(store.buffers())
-            .filter(|(name, _)| !name.ends_with("tracked"))
-            .map(|(name, v)| {
-                let values = v.flatten_all().unwrap().to_vec1::<f32>().unwrap();
-                (name, values.into_iter().map(f64::from).collect())
-            })
-            .collect();
+        let p = values(&store);
         let x: Rows = feat.chunks(c).map(|r| r.iter().map(|v| f64::from(*v)).collect()).collect();
         let query = joined(&p, "query", &x);
         let key = joined(&p, "key", &x);

@@ -124,19 +124,9 @@ impl PointTransformerV3Config {
 
     /// The supervised segmentation network: 14 inputs (with normals), 64 outputs.
     pub fn semseg() -> Self {
-        Self {
-            in_channels: 14,
-            stride: vec![2; 4],
-            enc_depths: vec![2, 2, 2, 6, 2],
-            enc_channels: vec![32, 64, 128, 256, 512],
-            enc_num_head: vec![2, 4, 8, 16, 32],
-            enc_patch_size: vec![1024; 5],
-            dec_depths: vec![2; 4],
-            dec_channels: vec![64, 64, 128, 256],
-            dec_num_head: vec![4, 4, 8, 16],
-            dec_patch_size: vec![1024; 4],
-            ..Self::language()
-        }
+        let encoder = [[2, 32, 2], [2, 64, 4], [2, 128, 8], [6, 256, 16], [2, 512, 32]];
+        let decoder = [[2, 64, 4], [2, 64, 4], [2, 128, 8], [2, 256, 16]];
+        Self { in_channels: 14, ..Self::language() }.with_stages(&encoder, &decoder, 1024)
     }
 
     /// The self-supervised network: as for segmentation, with maximum pooling and a mask token.
@@ -146,18 +136,31 @@ impl PointTransformerV3Config {
 
     /// A small language network (64 outputs) for trying things out.
     pub fn tiny() -> Self {
+        let (encoder, decoder) = ([[1, 16, 1], [1, 32, 2], [2, 64, 4]], [[1, 64, 4], [1, 32, 2]]);
+        Self { drop_path: 0.1, ..Self::language() }.with_stages(&encoder, &decoder, 256)
+    }
+
+    /// With other stages, each half as fine as the one before: their blocks, channels and attention heads, from
+    /// fine to coarse, those of the decoder without the last; and so many points in an attention patch.
+    #[must_use]
+    pub fn with_stages(
+        self,
+        encoder: &[[usize; 3]],
+        decoder: &[[usize; 3]],
+        patch_size: usize,
+    ) -> Self {
+        let of = |stages: &[[usize; 3]], i: usize| stages.iter().map(|stage| stage[i]).collect();
         Self {
-            stride: vec![2; 2],
-            enc_depths: vec![1, 1, 2],
-            enc_channels: vec![16, 32, 64],
-            enc_num_head: vec![1, 2, 4],
-            enc_patch_size: vec![256; 3],
-            dec_depths: vec![1; 2],
-            dec_channels: vec![64, 32],
-            dec_num_head: vec![4, 2],
-            dec_patch_size: vec![256; 2],
-            drop_path: 0.1,
-            ..Self::language()
+            stride: vec![2; encoder.len().saturating_sub(1)],
+            enc_depths: of(encoder, 0),
+            enc_channels: of(encoder, 1),
+            enc_num_head: of(encoder, 2),
+            enc_patch_size: vec![patch_size; encoder.len()],
+            dec_depths: of(decoder, 0),
+            dec_channels: of(decoder, 1),
+            dec_num_head: of(decoder, 2),
+            dec_patch_size: vec![patch_size; decoder.len()],
+            ..self
         }
     }
 
